@@ -1,15 +1,18 @@
-"""Concrete frames to update: one of two storeys, made here, and the published one where its data are.
+"""Concrete frames to update: one of two storeys, made here, and the published one where its data
+are.
 
-Both have 12 groups of stiffness (columns, girders and slabs), about 2,300 degrees of freedom and 43 measured ones.
-Among their lowest six modes are some that hardly move these: of a slab in the published one, of a rod on the roof in
-the other. The one made here, seen from above, columns at the joints o:
+Both have 12 groups of stiffness (columns, girders and slabs), about 2,300 degrees of freedom and 43
+measured ones. Among their lowest six modes are some that hardly move these: of a slab in the
+published one, of a rod on the roof in the other. The one made here, seen from above, columns at the
+joints o:
 
     y = 5 m  o===========o==========o    storeys of 3.5 and 3.2 m; columns fixed at their feet
              |           |          |    groups of each storey: columns of each line x, girders along x,
     y = 0    o===========o==========o    girders along y, slab
            x = 0        6.0       11.1 m
 
-The published frame (Georgia Tech) is test data under the GPL-3: it is read from ../shared and not part of this project.
+The published frame (Georgia Tech) is test data under the GPL-3: it is read from ../shared and not
+part of this project.
 """
 
 from __future__ import annotations
@@ -27,7 +30,9 @@ from ringtrue.core.arrays import Int
 from ringtrue.core.parameters import Parameter, ParameterSet, Target
 from ringtrue.io.nastran.reader import read_deck
 
-PUBLISHED = Path(__file__).parents[2] / "shared/data/updating/concrete_frame/ConcreteBuildingFrame.mat"
+PUBLISHED = (
+    Path(__file__).parents[2] / "shared/data/updating/concrete_frame/ConcreteBuildingFrame.mat"
+)
 LINES = (0.0, 6.0, 11.1)  # m, of columns
 DEPTH = 5.0  # m
 FLOORS = (3.5, 6.7)  # m
@@ -44,7 +49,9 @@ def published_frame() -> tuple[MatrixModel, Int]:
     """The published matrices and the measured rows."""
     given = loadmat(PUBLISHED)
     parts = [given[f"E_{i}"] for i in range(1, 13)]
-    return MatrixModel(given["K0"], given["M0"], stiffness=parts), given["measDOFs"].ravel().astype(np.int64) - 1
+    return MatrixModel(given["K0"], given["M0"], stiffness=parts), given["measDOFs"].ravel().astype(
+        np.int64
+    ) - 1
 
 
 def own_frame() -> tuple[MatrixModel, Int]:
@@ -53,11 +60,18 @@ def own_frame() -> tuple[MatrixModel, Int]:
         path = Path(folder) / "frame.bdf"
         path.write_text(deck(), encoding="utf-8")
         model = read_deck(path)
-    groups = ParameterSet(tuple(Parameter(f"E{g}", (Target("MAT1", g, "E"),)) for g in range(1, 13)))
+    groups = ParameterSet(
+        tuple(Parameter(f"E{g}", (Target("MAT1", g, "E"),)) for g in range(1, 13))
+    )
     with EmbeddedSolver().open(model) as analysis:
         system = analysis.system
         slopes = analysis.slopes(groups)
-    rows = {dof: i for i, dof in enumerate(zip(system.free.node.tolist(), system.free.direction.tolist(), strict=True))}
+    rows = {
+        dof: i
+        for i, dof in enumerate(
+            zip(system.free.node.tolist(), system.free.direction.tolist(), strict=True)
+        )
+    }
     parts = [s.stiffness for s in slopes]
     seen = np.array([rows[dof] for dof in measured()], dtype=np.int64)
     return MatrixModel(system.stiffness, system.mass, stiffness=parts), seen
@@ -66,7 +80,10 @@ def own_frame() -> tuple[MatrixModel, Int]:
 def along_x() -> list[float]:
     """Stations of the slab's grid along x, m: the lines of columns are among them."""
     first = round(CELLS[0] * LINES[1] / LINES[2])
-    parts = np.linspace(LINES[0], LINES[1], first + 1), np.linspace(LINES[1], LINES[2], CELLS[0] - first + 1)
+    parts = (
+        np.linspace(LINES[0], LINES[1], first + 1),
+        np.linspace(LINES[1], LINES[2], CELLS[0] - first + 1),
+    )
     return [*parts[0].tolist(), *parts[1][1:].tolist()]
 
 
@@ -82,7 +99,9 @@ def columns() -> list[tuple[int, int]]:
 
 
 def column_nodes(storey: int, number: int) -> list[int]:
-    """Nodes of a column of a storey (1, 2), from below; its number counts the columns of `columns`."""
+    """Nodes of a column of a storey (1, 2), from below; its number counts the columns of
+    `columns`.
+    """
     i, j = columns()[number]
     foot = 9001 + number if storey == 1 else floor_node(storey - 1, i, j)
     between = [5000 + 1000 * storey + 10 * number + k for k in range(1, PARTS)]
@@ -90,9 +109,13 @@ def column_nodes(storey: int, number: int) -> list[int]:
 
 
 def measured() -> list[tuple[int, int]]:
-    """The 43 measured DOFs (node, direction 1..3): X, Y, Z of the joints; Y beside these on the girders along x."""
+    """The 43 measured DOFs (node, direction 1..3): X, Y, Z of the joints; Y beside these on the
+    girders along x.
+    """
     joints = [floor_node(floor, i, j) for floor in (1, 2) for i, j in columns()]
-    beside = [floor_node(2, i + 2, j) for i, j in columns()[:4]] + [floor_node(1, i + 2, j) for i, j in columns()[:3]]
+    beside = [floor_node(2, i + 2, j) for i, j in columns()[:4]] + [
+        floor_node(1, i + 2, j) for i, j in columns()[:3]
+    ]
     return [(node, d) for node in joints for d in (1, 2, 3)] + [(node, 2) for node in beside]
 
 
@@ -108,7 +131,8 @@ def deck() -> str:
     for floor, height in enumerate(FLOORS, start=1):
         for i, x in enumerate(stations):
             lines += [
-                f"GRID,{floor_node(floor, i, j)},,{x},{DEPTH * j / CELLS[1]},{height}" for j in range(CELLS[1] + 1)
+                f"GRID,{floor_node(floor, i, j)},,{x},{DEPTH * j / CELLS[1]},{height}"
+                for j in range(CELLS[1] + 1)
             ]
     elements: list[str] = []
     for storey in (1, 2):
@@ -121,7 +145,9 @@ def deck() -> str:
             of = dict(zip(nodes, heights.tolist(), strict=True))
             lines += [f"GRID,{n},,{stations[i]},{y},{of[n]}" for n in new]
             group = 3 * (storey - 1) + number // 2 + 1
-            elements += [f"CBAR,{{}},{group},{a},{b},1.,0.,0." for a, b in itertools.pairwise(nodes)]
+            elements += [
+                f"CBAR,{{}},{group},{a},{b},1.,0.,0." for a, b in itertools.pairwise(nodes)
+            ]
         elements += _floor(storey)
     lines += _rod(elements)
     lines += [e.format(n) for n, e in enumerate(elements, start=1)]

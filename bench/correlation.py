@@ -4,9 +4,9 @@
     python bench/correlation.py faults    alarms in healthy tests of a plate, and the share of faults that are named
     python bench/correlation.py groups    pairs of models and tests whose modes mix, and how many of them are wrong
 
-each with [--quick | --full]. Each job of `sets` runs in a process of its own, so that its peak memory is its own; it
-includes what it takes to hold the two sets (2 x channels x modes x 8 bytes). Not covered: reading the files, complex
-shapes, the reduction of a model to the channels.
+each with [--quick | --full]. Each job of `sets` runs in a process of its own, so that its peak
+memory is its own; it includes what it takes to hold the two sets (2 x channels x modes x 8 bytes).
+Not covered: reading the files, complex shapes, the reduction of a model to the channels.
 """
 
 from __future__ import annotations
@@ -21,7 +21,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from outcome import Check, Peer, Report, arguments, at_least, at_most, share_at_least, share_at_most, sized
+from outcome import (
+    Check,
+    Peer,
+    Report,
+    arguments,
+    at_least,
+    at_most,
+    share_at_least,
+    share_at_most,
+    sized,
+)
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "unit"))
 import test_correlate_faults as random_tests
@@ -35,10 +45,12 @@ from ringtrue.shapes.mac import mac
 
 Job = Callable[[ModeSet, ModeSet], Float]
 ROUNDING = 1e-12  # of a MAC, a sum over thousands of channels
-RIGHT_LEAST = 0.98  # of the modes, paired with their own: their shapes are 20 % noise, some neighbours 0.1 % apart
+# of the modes, paired with their own: their shapes are 20 % noise, some neighbours 0.1 % apart
+RIGHT_LEAST = 0.98
 COMAC_LEAST = 0.9  # of channels with 20 % noise
 ALARMS_MOST = 0.01  # of healthy tests
-WRONG_MOST = 0.1  # of the pairs, as they share less than 40 %: an error of 15 % in stiffness, modes 1.5 % apart
+# of the pairs, as they share less than 40 %: an error of 15 % in stiffness, modes 1.5 % apart
+WRONG_MOST = 0.1
 SHARED_LEAST = 0.4
 
 
@@ -52,13 +64,17 @@ class Timed:
 
 
 def sets(modes: int, channels: int) -> tuple[ModeSet, ModeSet, Float]:
-    """A dense band of random shapes, a test of it (noise, shifted frequencies), and which mode each test mode is."""
+    """A dense band of random shapes, a test of it (noise, shifted frequencies), and which mode each
+    test mode is.
+    """
     rng = np.random.default_rng(0)
     phi = np.linalg.qr(rng.standard_normal((channels, modes)))[0]
     f = np.cumsum(rng.uniform(0.02, 2.0, modes)) + 20
     names = tuple(f"{i}+Z" for i in range(channels))
     noise = 0.2 * rng.standard_normal(phi.shape) / np.sqrt(channels)
-    test = ModeSet(f * (1 + 0.01 * rng.standard_normal(modes)), np.full(modes, 0.01), phi + noise, names)
+    test = ModeSet(
+        f * (1 + 0.01 * rng.standard_normal(modes)), np.full(modes, 0.01), phi + noise, names
+    )
     order = np.argsort(test.frequencies)
     return test.take(order), ModeSet(f, np.zeros(modes), phi, names, Norm.MASS), order
 
@@ -116,7 +132,9 @@ def same_mac(found: Float, expected: Float) -> Check:
 
 def right_pairs(found: Float, true: Float) -> Check:
     """Modes paired with their own."""
-    return share_at_least("modes paired with their own", int((found == true).sum()), true.size, RIGHT_LEAST)
+    return share_at_least(
+        "modes paired with their own", int((found == true).sum()), true.size, RIGHT_LEAST
+    )
 
 
 def plausible_comac(found: Float) -> Check:
@@ -135,7 +153,9 @@ def large_sets(report: Report, modes: int, channels: int) -> None:
     report.row(f"MAC, {what}", cost, [same_mac(alone.answer, loop.answer)], [peer])
     paired = measure(pairing, modes, channels)
     cost = {"s": paired.seconds, "MB": paired.memory}
-    report.row(f"pairs with their subspaces and reasons, {what}", cost, [right_pairs(paired.answer, true)])
+    report.row(
+        f"pairs with their subspaces and reasons, {what}", cost, [right_pairs(paired.answer, true)]
+    )
     every = measure(everything, modes, channels)
     cost = {"s": every.seconds, "MB": every.memory}
     report.row(f"all measures, {what}", cost, [plausible_comac(every.answer)])
@@ -156,14 +176,20 @@ def named(fault: str, share: float, wrong: int, each: int) -> list[Check]:
 
 def faults(report: Report, healthy: int, each: int) -> None:
     """Alarms in healthy tests, and the share of faults that are named."""
-    report.row(f"{healthy} healthy tests of a plate", {}, [few_alarms(random_tests.alarms(healthy)[0], healthy)])
+    report.row(
+        f"{healthy} healthy tests of a plate",
+        {},
+        [few_alarms(random_tests.alarms(healthy)[0], healthy)],
+    )
     for fault in random_tests.LEAST:
         checks = named(fault, *random_tests.found(fault, each), each)
         report.row(f"{each} tests with a channel fault: {fault}", {}, checks)
 
 
 def mixed(seed: int, channels: int, spacing: float) -> tuple[ModeSet, ModeSet, Float]:
-    """A test of 30 modes, a model whose stiffness is 15 % off at random, and how much of each they share (test, FE)."""
+    """A test of 30 modes, a model whose stiffness is 15 % off at random, and how much of each they
+    share (test, FE).
+    """
     rng = np.random.default_rng(seed)
     modes, beyond = 30, 10
     f = 20 * np.exp(np.cumsum(rng.exponential(spacing, modes + beyond)))
@@ -180,7 +206,9 @@ def mixed(seed: int, channels: int, spacing: float) -> tuple[ModeSet, ModeSet, F
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Paired:
-    """Pairs of many models and tests: their MAC and the share of themselves that the two modes have in common."""
+    """Pairs of many models and tests: their MAC and the share of themselves that the two modes have
+    in common.
+    """
 
     mac: Float
     shared: Float
@@ -203,7 +231,11 @@ def paired(cases: list[tuple[ModeSet, ModeSet, Float]], largest: int) -> Paired:
 def few_wrong(found: Paired) -> list[Check]:
     """Pairs that have something in common, and more of them than none."""
     wrong = int((found.shared < SHARED_LEAST).sum())
-    return [share_at_most(f"pairs that share less than {SHARED_LEAST:.0%}", wrong, found.shared.size, WRONG_MOST)]
+    return [
+        share_at_most(
+            f"pairs that share less than {SHARED_LEAST:.0%}", wrong, found.shared.size, WRONG_MOST
+        )
+    ]
 
 
 def groups(report: Report, count: int) -> None:
@@ -216,7 +248,10 @@ def groups(report: Report, count: int) -> None:
             other = paired(cases, largest)
             peers.append(Peer(f"groups of {largest}", of_thirty(other, count)))
         ours = paired(cases, usual)
-        what = f"{count} models of 30 modes {100 * spacing:g} % apart, {channels} channels, groups of {usual}"
+        what = (
+            f"{count} models of 30 modes {100 * spacing:g} % apart, {channels} channels, "
+            f"groups of {usual}"
+        )
         report.row(what, of_thirty(ours, count), few_wrong(ours), peers)
 
 

@@ -1,11 +1,13 @@
-"""Processor seconds and peak memory of reading a deck of a square of CQUAD4, beside pyNastran if it is installed.
+"""Processor seconds and peak memory of reading a deck of a square of CQUAD4, beside pyNastran if it
+is installed.
 
     python bench/deck_reading.py [--quick | --full]
 
-The deck is written in fixed fields of eight and of sixteen characters and in free ones. Each reading runs in a process
-of its own, so that its peak memory is its own. It is right if every node stands where it was written, with its number,
-and every element joins the nodes that it was written with. Not covered: decks with many includes, tables of loads, and
-the other cards; they take the same path.
+The deck is written in fixed fields of eight and of sixteen characters and in free ones. Each
+reading runs in a process of its own, so that its peak memory is its own. It is right if every node
+stands where it was written, with its number, and every element joins the nodes that it was written
+with. Not covered: decks with many includes, tables of loads, and the other cards; they take the
+same path.
 """
 
 from __future__ import annotations
@@ -102,7 +104,10 @@ def made(nodes: int) -> Square:
 def write(path: Path, square: Square, style: str) -> None:
     """The deck in one of the formats."""
     with path.open("w") as f:
-        f.write("SOL 103\nCEND\nMETHOD = 1\nBEGIN BULK\nEIGRL,1,,,10\nMAT1,1,7.+10,,.3,2700.\nPSHELL,1,1,.01,1\n")
+        f.write(
+            "SOL 103\nCEND\nMETHOD = 1\nBEGIN "
+            "BULK\nEIGRL,1,,,10\nMAT1,1,7.+10,,.3,2700.\nPSHELL,1,1,.01,1\n"
+        )
         rows = zip(square.nodes.tolist(), square.xyz.tolist(), strict=True)
         f.writelines(GRID[style] % (number, *place) for number, place in rows)
         quads = zip(square.elements.tolist(), square.joined.tolist(), strict=True)
@@ -123,7 +128,9 @@ def checks(read: Square, written: Square) -> list[Check]:
 def measure(python: str, text: str, path: Path) -> Reading | str:
     """One reading in a fresh process, or why it could not be run."""
     found = path.with_suffix(".npz")
-    done = subprocess.run([python, "-c", text, str(path), str(found)], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [python, "-c", text, str(path), str(found)], capture_output=True, text=True, check=False
+    )
     stated = [line.split()[1:] for line in done.stdout.splitlines() if line.startswith("result")]
     if not stated:
         return (done.stderr.strip().splitlines() or [f"status {done.returncode}"])[-1]
@@ -137,7 +144,10 @@ def case(style: str, nodes: int, report: Report, folder: Path) -> None:
     path = folder / "square.bdf"
     written = made(nodes)
     write(path, written, style)
-    what = f"{STYLES[style]}, {written.nodes.size / 1e6:.2g} million nodes, {path.stat().st_size / 1e6:.0f} MB"
+    what = (
+        f"{STYLES[style]}, {written.nodes.size / 1e6:.2g} million nodes, "
+        f"{path.stat().st_size / 1e6:.0f} MB"
+    )
     ours = measure(sys.executable, OURS, path)
     if isinstance(ours, str):
         raise SystemExit(ours)

@@ -1,10 +1,12 @@
-"""Cost of derivatives in units of the eigensolution that they follow, on a curved shell strip of 51k DOFs.
+"""Cost of derivatives in units of the eigensolution that they follow, on a curved shell strip of
+51k DOFs.
 
     python bench/derivatives.py [--quick | --full]
 
-Derivatives of eigenvalues are right if they are the differences of two eigensolutions, and those from element products
-if they are those from sparse matrices; of eigenvectors if they fulfil their equations; of MAC by adjoint vectors if
-they are those by eigenvector derivatives. `--full`: eigenvector derivatives to 50 parameters, too.
+Derivatives of eigenvalues are right if they are the differences of two eigensolutions, and those
+from element products if they are those from sparse matrices; of eigenvectors if they fulfil their
+equations; of MAC by adjoint vectors if they are those by eigenvector derivatives. `--full`:
+eigenvector derivatives to 50 parameters, too.
 
 Not covered: solids, FRFs and complex modes, memory of several processes.
 """
@@ -53,7 +55,9 @@ def timed(work: Callable[[], Result]) -> tuple[Result, float]:
 
 
 def moduli(model: Model, groups: int) -> list[Parameter]:
-    """Young's modulus and thickness of element sets, no more of them than elements: each is a parameter of its own."""
+    """Young's modulus and thickness of element sets, no more of them than elements: each is a
+    parameter of its own.
+    """
     quads = model["CQUAD4"]
     made = []
     for g, rows in enumerate(np.array_split(np.arange(len(quads)), min(groups, len(quads)))):
@@ -75,7 +79,9 @@ def residual(pencil: Pencil, modes: EigenModes, slope: Slope, d: Float) -> float
 
 
 def gradient_of_mac(phi: Float) -> Float:
-    """(f, m) derivative of the MAC of each mode with a disturbed one at 120 DOFs by the mode's components."""
+    """(f, m) derivative of the MAC of each mode with a disturbed one at 120 DOFs by the mode's
+    components.
+    """
     rng = np.random.default_rng(0)
     seen = rng.choice(len(phi), min(120, len(phi)), replace=False)
     gradient = np.zeros_like(phi)
@@ -83,7 +89,9 @@ def gradient_of_mac(phi: Float) -> Float:
     return gradient
 
 
-def jacobian(model: Model, parameters: list[Parameter], modes: EigenModes, pencil: Pencil, system: System) -> Float:
+def jacobian(
+    model: Model, parameters: list[Parameter], modes: EigenModes, pencil: Pencil, system: System
+) -> Float:
     """Frequencies' eigenvalues and MAC (2, m, p) by adjoint vectors and element products."""
     a = adjoint(pencil, modes, gradient_of_mac(modes.vectors[:, :MODES]), tolerance=TOLERANCE)
     k, m = bilinear(model, parameters, system, np.stack([a.shapes, a.force, a.mass]), a.shapes)
@@ -91,7 +99,9 @@ def jacobian(model: Model, parameters: list[Parameter], modes: EigenModes, penci
 
 
 def difference(pencil: Pencil, slope: Slope) -> Float:
-    """(m,) derivative of the eigenvalues from two eigensolutions; the matrices are linear in the parameter."""
+    """(m,) derivative of the eigenvalues from two eigensolutions; the matrices are linear in the
+    parameter.
+    """
     ends = []
     for h in (-STEP, STEP):
         moved = Pencil(pencil.stiffness + h * slope.stiffness, pencil.mass + h * slope.mass)
@@ -146,13 +156,19 @@ def main() -> None:
     k, m = (np.asarray(part)[0] for part in products)
     relative = (k - lam[:, None] * m) / lam[:, None]
     check = by_products(relative, values / lam[:, None])
-    report.row(f"{where}: eigenvalues by {len(fifty)} parameters, element products", {UNIT: t / unit}, [check])
+    report.row(
+        f"{where}: eigenvalues by {len(fifty)} parameters, element products",
+        {UNIT: t / unit},
+        [check],
+    )
 
     made: Float = np.zeros(0)
     for count in sized(options, (6,), (6,), (6, 50)):
         pages = os.times().system
         made, t = timed(
-            lambda n=count: eigenvector_derivatives(pencil, modes, slopes[:n], count=MODES, tolerance=TOLERANCE)
+            lambda n=count: eigenvector_derivatives(
+                pencil, modes, slopes[:n], count=MODES, tolerance=TOLERANCE
+            )
         )
         pages = os.times().system - pages
         worst = max(residual(pencil, modes, slopes[i], made[:, :, i]) for i in range(0, count, 5))
@@ -165,7 +181,11 @@ def main() -> None:
     few = jacobian(model, fifty[:6], modes, pencil, system)
     expected = np.einsum("fm,fmp->mp", gradient_of_mac(phi), made[:, :, :6])
     check = by_adjoints(few[1], expected)
-    report.row(f"{where}: frequencies and MAC by {len(thousand)} parameters, adjoints", {UNIT: t / unit}, [check])
+    report.row(
+        f"{where}: frequencies and MAC by {len(thousand)} parameters, adjoints",
+        {UNIT: t / unit},
+        [check],
+    )
     report.end()
 
 

@@ -2,11 +2,12 @@
 
     python bench/durability.py [--quick | --full]
 
-The study is that of tests/unit/durable.py: 25 writes of stages, parameter sets, decks, summary and report. Each write
-meets a kill before, half-way, when it is whole and when it is in its place, from the beginning of the study each time;
-the next run must leave what an undisturbed one leaves, to the last bit, and nothing else. Then bits of study.h5 are
-flipped, one at a time: a stage that is read must be what was written, one that is not must be named, and the next run
-must make it anew. Not covered: power cuts, disks that lie about what they have written, and several bits at once.
+The study is that of tests/unit/durable.py: 25 writes of stages, parameter sets, decks, summary and
+report. Each write meets a kill before, half-way, when it is whole and when it is in its place, from
+the beginning of the study each time; the next run must leave what an undisturbed one leaves, to the
+last bit, and nothing else. Then bits of study.h5 are flipped, one at a time: a stage that is read
+must be what was written, one that is not must be named, and the next run must make it anew. Not
+covered: power cuts, disks that lie about what they have written, and several bits at once.
 """
 
 from __future__ import annotations
@@ -93,7 +94,9 @@ class Case:
 
 
 def struck(case: Case, kinds: tuple[str, ...], every: int) -> Faults:
-    """A fault of each kind at each write, or at some of them, from the beginning of the study each time."""
+    """A fault of each kind at each write, or at some of them, from the beginning of the study each
+    time.
+    """
     asked = [(write, how) for write in case.writes for how in kinds][::every]
     met = whole = alike = 0
     for write, how in asked:
@@ -123,7 +126,9 @@ def flipped(case: Case, bits: list[int], every: int) -> Flips:
         signal.alarm(HANG)
         found = durable.read_anew(case.store)
         refused = [name for name, what in found.items() if what.startswith("refused: ")]
-        wrong = [name for name, what in found.items() if name not in refused and what != fresh.get(name)]
+        wrong = [
+            name for name, what in found.items() if name not in refused and what != fresh.get(name)
+        ]
         lost = [] if "" in found else [name for name in fresh if name not in found]
         case.told.write_text(f"{len(wrong)} {len(refused) + len(lost)} {int('' in found)}")
 
@@ -163,7 +168,11 @@ def main() -> None:
         every = sized(options, 10, 1, 1)
         for name, kinds in (("kills", durable.KILLS), ("full disks", (durable.FULL,))):
             found = struck(case, kinds, every)
-            report.row(f"{name} at {len(case.writes)} writes of a study", {name: found.met}, survived(found))
+            report.row(
+                f"{name} at {len(case.writes)} writes of a study",
+                {name: found.met},
+                survived(found),
+            )
         size = sized(options, 40, 200, 5000)
         bits = np.random.default_rng(0).choice(8 * len(case.image), size, replace=False).tolist()
         durable.copied(case.inputs, case.folder)

@@ -2,9 +2,10 @@
 
     python bench/elements.py
 
-The cases are those of `tests/verification/test_fem_solids_accuracy.py` and `test_fem_shells.py`, with their closed
-forms and references. Elements of second order are good; linear ones lock where they bend, and are bounded on one side
-alone: an element that passes its patch test is never too soft, and a consistent mass puts frequencies too high.
+The cases are those of `tests/verification/test_fem_solids_accuracy.py` and `test_fem_shells.py`,
+with their closed forms and references. Elements of second order are good; linear ones lock where
+they bend, and are bounded on one side alone: an element that passes its patch test is never too
+soft, and a consistent mass puts frequencies too high.
 """
 
 from __future__ import annotations
@@ -18,8 +19,9 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "verification"))
 from test_fem_shells import hemisphere, twisted
 from test_fem_solids_accuracy import cantilever, sliding_cube
 
-# least tip deflection over the beam's: 10 cells of 10 x 1 x 1, and 6 slender cells that lean by 45 degrees to and fro;
-# largest error of ω² of the shear wave at ν = 0.3, % (linear elements are for filling: they have their own)
+# least tip deflection over the beam's: 10 cells of 10 x 1 x 1, and 6 slender cells that lean by 45
+# degrees to and fro; largest error of ω² of the shear wave at ν = 0.3, % (linear elements are for
+# filling: they have their own)
 SOLIDS = {
     "CHEXA8": (0.97, 0.0, 10.0),
     "CHEXA20": (0.97, 0.9, 0.7),
@@ -35,7 +37,9 @@ TWISTED = 0.005256e6  # MacNeal and Harder's thin twisted beam
 HEMISPHERE = 0.0924  # hemisphere with a hole
 
 
-def solid(name: str, straight: float, leaning: float, wave: float, wave_incompressible: float) -> list[Check]:
+def solid(
+    name: str, straight: float, leaning: float, wave: float, wave_incompressible: float
+) -> list[Check]:
     """Deflections over the beam's, errors of ω² in %, at ν = 0.3 and 0.499."""
     least_straight, least_leaning, most = SOLIDS[name]
     return [
@@ -61,7 +65,11 @@ def main() -> None:
         straight = cantilever(name, (10, 1, 1), (100.0, 1.0, 1.0))
         leaning = cantilever(name, (6, 1, 1), (6.0, 0.1, 0.2), 0.1)
         waves = [100 * sliding_cube(name, 4, 0.2, nu) for nu in (0.3, 0.499)]
-        report.row(f"{name}: tip deflection over that of a beam", {}, solid(name, straight, leaning, *waves))
+        report.row(
+            f"{name}: tip deflection over that of a beam",
+            {},
+            solid(name, straight, leaning, *waves),
+        )
     beams = [100 * (1 - twisted("CTRIA6", 6 * n, n, 0.0032, 3) / TWISTED) for n in (2, 4)]
     report.row("CTRIA6, very thin twisted beam, 12 x 2 cells", {}, converges(beams, 10.0))
     domes = [100 * (1 - hemisphere("CQUAD8", n) / HEMISPHERE) for n in (4, 8)]

@@ -1,13 +1,15 @@
-"""The worked example over several seeds: its bars, its rigid-body damping and its proposal, against what was built.
+"""The worked example over several seeds: its bars, its rigid-body damping and its proposal, against
+what was built.
 
     python bench/facility.py [--quick | --full]
 
-Runs `ringtrue demo` for each seed. The truth is opened after the study has ended. A seed is right if it keeps all
-that the example says must hold (`ringtrue.demos.lsf.checks`); its row repeats pairs, deviations and MAC. Over all
-seeds: how many 90 % bands hold the frequencies left out, the damping of the modes on the air springs over that of the
-twin in stated standard deviations, and how many of the wrong regions that shift a mode by over 2 % the proposal names
-(by the logarithm of the true factor, with the sensitivities of the delivered deck). The last row: how far the modes of
-the deck, seen at its channels, are from orthogonal over the masses that a study may use there.
+Runs `ringtrue demo` for each seed. The truth is opened after the study has ended. A seed is right
+if it keeps all that the example says must hold (`ringtrue.demos.lsf.checks`); its row repeats
+pairs, deviations and MAC. Over all seeds: how many 90 % bands hold the frequencies left out, the
+damping of the modes on the air springs over that of the twin in stated standard deviations, and how
+many of the wrong regions that shift a mode by over 2 % the proposal names (by the logarithm of the
+true factor, with the sensitivities of the delivered deck). The last row: how far the modes of the
+deck, seen at its channels, are from orthogonal over the masses that a study may use there.
 """
 
 from __future__ import annotations
@@ -21,7 +23,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from outcome import Check, Peer, Report, arguments, at_least, at_most, rms_over_stated, share_at_least, sized
+from outcome import (
+    Check,
+    Peer,
+    Report,
+    arguments,
+    at_least,
+    at_most,
+    rms_over_stated,
+    share_at_least,
+    sized,
+)
 
 from ringtrue.core.modes import ModeSet
 from ringtrue.demos.lsf import truth, twin
@@ -34,10 +46,13 @@ from ringtrue.study.store import Store
 RIGID = 2.6  # Hz, modes of the air springs end here
 FRAME = ("columns", "girders", "cross beams")  # one candidate over three regions
 PAIRS_LEAST, MEAN_MOST, LARGEST_MOST, MAC_LEAST = 18, 2.0, 6.0, 93.0  # as `checks`: pairs, %, %, %
-BANDS_LEAST = 0.75  # of bands of 90 %, in the long run: the form of the deck is not that of the structure
+BANDS_LEAST = (
+    0.75  # of bands of 90 %, in the long run: the form of the deck is not that of the structure
+)
 SHIFT = 2.0  # %, of a mode's frequency, from which on a wrong region should be named
 NAMED_LEAST = 0.75  # of them, in the long run
-DAMPING_HIGH = 1.7  # errors over stated deviations: few modes, and the stated ones leave out what the stretch was like
+# errors over stated deviations: few modes, and the stated ones leave out what the stretch was like
+DAMPING_HIGH = 1.7
 OFF_MOST = 20.0  # %, off the diagonal: what a study allows a mass that judges its tests
 
 
@@ -58,7 +73,8 @@ class Seed:
     damping : tuple of float
         Errors over stated deviations of the modes below RIGID.
     wrong : dict of str to bool
-        Regions that shift a mode that the proposal may see by over SHIFT, and whether it names them.
+        Regions that shift a mode that the proposal may see by over SHIFT, and whether it names
+        them.
     seconds : float
     """
 
@@ -82,7 +98,9 @@ def damping(store: Store, seed: int) -> tuple[float, ...]:
     f, zeta = np.abs(poles) / (2 * np.pi), -poles.real / np.abs(poles)
     low = found.ambient.frequencies < RIGID
     built = zeta[np.abs(found.ambient.frequencies[low, None] - f).argmin(axis=1)]
-    return tuple(((found.ambient.damping[low] - built) / found.ambient_uncertainty.damping[low]).tolist())
+    return tuple(
+        ((found.ambient.damping[low] - built) / found.ambient_uncertainty.damping[low]).tolist()
+    )
 
 
 def regions(store: Store, seed: int) -> dict[str, bool]:
@@ -107,7 +125,9 @@ def run(seed: int, folder: Path) -> Seed:
     command = [sys.executable, "-m", "ringtrue", "demo", "--seed", str(seed), "--out", str(folder)]
     kept = subprocess.run(command, check=False, stdout=subprocess.DEVNULL).returncode == 0
     s: dict[str, Any] = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
-    first, last = (np.array([abs(r["deviation_percent"]) for r in s[k]]) for k in ("initial", "final"))
+    first, last = (
+        np.array([abs(r["deviation_percent"]) for r in s[k]]) for k in ("initial", "final")
+    )
     mac = np.mean([r["subspace_mac_percent"] for r in s["final"]])
     store = Store(folder / "study.h5")
     held, of = s["uncertainty"]["left_out_inside"]
@@ -143,7 +163,12 @@ def over_all(seeds: list[Seed]) -> list[Check]:
     named = [found for s in seeds for found in s.wrong.values()]
     return [
         share_at_least("bands of 90 % of frequencies left out held", held, of, BANDS_LEAST),
-        rms_over_stated("damping below 2.6 Hz, error over stated deviation, rms", damping_of(seeds), 0.0, DAMPING_HIGH),
+        rms_over_stated(
+            "damping below 2.6 Hz, error over stated deviation, rms",
+            damping_of(seeds),
+            0.0,
+            DAMPING_HIGH,
+        ),
         share_at_least("wrong regions named", sum(named), len(named), NAMED_LEAST),
     ]
 
@@ -154,13 +179,19 @@ def damping_of(seeds: list[Seed]) -> list[float]:
 
 
 def off_diagonal(store: Path) -> dict[str, float]:
-    """Largest entry off the diagonal that each mass at the channels gives the modes of the deck, %."""
+    """Largest entry off the diagonal that each mass at the channels gives the modes of the deck,
+    %.
+    """
     desk = load_study(store).desk
     opened, config = desk.remodelled, desk.config.correlate
     test, look = reference_modes(desk.get("identify"), desk.config).elastic, desk.bridge(opened)
     modes = opened.modes(desk.fmax).modes
     modes = modes.take(np.flatnonzero(modes.frequencies <= test.frequencies.max()))
-    seen = ModeSet(modes.frequencies, modes.damping, look(modes.shapes), look.channels).rows(test.channels).shapes
+    seen = (
+        ModeSet(modes.frequencies, modes.damping, look(modes.shapes), look.channels)
+        .rows(test.channels)
+        .shapes
+    )
     out = {}
     for tam in ("irs", "guyan"):
         changed = config.model_copy(update={"tam": tam})
@@ -183,13 +214,20 @@ def main() -> None:
         for seed in range(sized(options, 1, 2, 10)):
             got = run(seed, Path(folder) / str(seed))
             seeds.append(got)
-            before = Peer("the deck as it was", {"% mean |Δf|": got.first_mean, "pairs": got.first_pairs})
+            before = Peer(
+                "the deck as it was", {"% mean |Δf|": got.first_mean, "pairs": got.first_pairs}
+            )
             cost = {"% mean |Δf|": got.mean, "pairs": got.pairs, "s by the clock": got.seconds}
             report.row(f"worked example, seed {seed}", cost, bars(got), [before])
         report.row(f"worked example, {len(seeds)} seeds together", {}, over_all(seeds))
         off = off_diagonal(Path(folder) / "0" / "study.h5")
         guyan = Peer("Guyan's mass", {"% off the diagonal": off["guyan"]})
-        report.row("modes of the deck, IRS mass", {"% off the diagonal": off["irs"]}, [orthogonal(off["irs"])], [guyan])
+        report.row(
+            "modes of the deck, IRS mass",
+            {"% off the diagonal": off["irs"]},
+            [orthogonal(off["irs"])],
+            [guyan],
+        )
     report.end()
 
 

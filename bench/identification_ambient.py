@@ -6,9 +6,10 @@
     python bench/identification_ambient.py pairs          records of 3600 and of 12600 cycles of an equal pair
     python bench/identification_ambient.py stream         64 channels at 200 Hz, from HDF5, by half hours
 
-each with [--quick | --full]. The system is that of identification_system.py. Times are CPU seconds. Scatter is judged
-against its floor, which no method can pass: σ_f/f = sqrt(ζ/(2π f T)), σ_ζ/ζ = sqrt(1/(2π ζ f T)). Not covered: measured
-records, non-white forces; peers are in identification_peers.py.
+each with [--quick | --full]. The system is that of identification_system.py. Times are CPU seconds.
+Scatter is judged against its floor, which no method can pass: σ_f/f = sqrt(ζ/(2π f T)), σ_ζ/ζ =
+sqrt(1/(2π ζ f T)). Not covered: measured records, non-white forces; peers are in
+identification_peers.py.
 """
 
 from __future__ import annotations
@@ -45,8 +46,11 @@ from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.identify.ambient import AmbientResult, identify_ambient, identify_stretches
 
 HOUR = 3600.0  # s
-OVER_FLOOR = 1.35  # error over its floor, root mean square over many records: close modes share their data
-MAC_LEAST = 0.985  # of an hour: the pair at 1.85 and 1.90 Hz is told apart no better in one record of a hundred
+OVER_FLOOR = (
+    1.35  # error over its floor, root mean square over many records: close modes share their data
+)
+# of an hour: the pair at 1.85 and 1.90 Hz is told apart no better in one record of a hundred
+MAC_LEAST = 0.985
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,7 +85,9 @@ class Record:
 
 def history(y: np.ndarray, rate: float) -> TimeHistory:
     """(ch, sample) accelerations."""
-    return TimeHistory(y, rate, tuple(Channel(f"{i + 1}+Z", "acceleration") for i in range(len(y))), "made")
+    return TimeHistory(
+        y, rate, tuple(Channel(f"{i + 1}+Z", "acceleration") for i in range(len(y))), "made"
+    )
 
 
 def timed(work: Callable[[], AmbientResult]) -> tuple[float, AmbientResult]:
@@ -133,11 +139,17 @@ def accuracy(report: Report, count: int) -> None:
             "% of frequency": system.rms(np.concatenate([r.score.f for r in some])),
             "% of damping": system.rms(np.concatenate([r.score.z for r in some])),
         }
-        report.row(f"15 modes, {name}, in {len(some)} records of an hour, 16 channels", cost, accurate(some))
+        report.row(
+            f"15 modes, {name}, in {len(some)} records of an hour, 16 channels",
+            cost,
+            accurate(some),
+        )
 
 
 class Frame:
-    """A chain of ten equal storeys, fixed at the base, with 1 % and 2 % damping by turns; f_1 = 0.75 Hz."""
+    """A chain of ten equal storeys, fixed at the base, with 1 % and 2 % damping by turns; f_1 =
+    0.75 Hz.
+    """
 
     rate = 50.0
 
@@ -198,7 +210,9 @@ def frame(report: Report, count: int) -> None:
         each.append(chain.errors(r))
         seconds.append(t)
     what = f"10 modes of a chain of storeys in {count} records of an hour"
-    report.row(what, {"s": min(seconds)}, near_floor(each, scatter_floor(chain.f, chain.zeta, HOUR)))
+    report.row(
+        what, {"s": min(seconds)}, near_floor(each, scatter_floor(chain.f, chain.zeta, HOUR))
+    )
 
 
 def honest(each: list[Errors]) -> list[Check]:
@@ -210,7 +224,9 @@ def honest(each: list[Errors]) -> list[Check]:
     for name, k in (("frequency", 0), ("damping", 1)):
         there = np.isfinite(e[:, k])
         gap = (e[:, k] / s[:, k])[there]
-        out.append(share_at_least(f"{name} held", int((np.abs(gap) < 1.96).sum()), gap.size, HELD_LEAST))
+        out.append(
+            share_at_least(f"{name} held", int((np.abs(gap) < 1.96).sum()), gap.size, HELD_LEAST)
+        )
         out.append(rms_over_stated(f"error over stated deviation, {name}, rms", gap))
     held = int((np.abs(shapes) < 1.96).sum())
     return [*out, share_at_least("shapes held", held, shapes.size, HELD_LEAST)]
@@ -220,13 +236,18 @@ def uncertainty(report: Report, count: int) -> None:
     """Coverage over records of 1000 periods of the lowest mode of the chain."""
     chain = Frame()
     seconds = 1000 / chain.f[0]
-    each = [chain.errors(identify_ambient(history(chain.record(seed, seconds), chain.rate))) for seed in range(count)]
+    each = [
+        chain.errors(identify_ambient(history(chain.record(seed, seconds), chain.rate)))
+        for seed in range(count)
+    ]
     report.row(f"{count} records of 1000 periods: intervals of 95 %", {}, honest(each))
 
 
 @dataclass(frozen=True, slots=True)
 class Pairs:
-    """Records of two equal modes beside a third: how many show both, modes that are not there, errors over stated."""
+    """Records of two equal modes beside a third: how many show both, modes that are not there,
+    errors over stated.
+    """
 
     records: int
     both: int
@@ -258,7 +279,9 @@ def pairs(report: Report, count: int) -> None:
                 both += 1
                 f += ((r.modes.frequencies - 5.0) / r.uncertainty.frequency)[near].tolist()
                 z += ((r.modes.damping - equal.DAMPING) / r.uncertainty.damping)[near].tolist()
-    report.row(f"{2 * count} pairs of equal frequency", {}, told(Pairs(2 * count, both, extra, f, z)))
+    report.row(
+        f"{2 * count} pairs of equal frequency", {}, told(Pairs(2 * count, both, extra, f, z))
+    )
 
 
 def right_stream(modes: system.Score, floor: np.ndarray) -> list[Check]:
@@ -273,11 +296,15 @@ def right_stream(modes: system.Score, floor: np.ndarray) -> list[Check]:
 
 
 def stream(report: Report, hours: float) -> None:
-    """64 channels at 200 Hz from an HDF5 file by half hours, against reading it and taking its FFTs."""
+    """64 channels at 200 Hz from an HDF5 file by half hours, against reading it and taking its
+    FFTs.
+    """
     samples = round(HOUR / 2 * system.FS)
     stretches = [slice(k * samples, (k + 1) * samples) for k in range(round(2 * hours))]
     with tempfile.TemporaryDirectory() as folder, h5py.File(Path(folder) / "long.h5", "w") as file:
-        data = file.create_dataset("data", (64, len(stretches) * samples), "f4", chunks=(64, 20_000))
+        data = file.create_dataset(
+            "data", (64, len(stretches) * samples), "f4", chunks=(64, 20_000)
+        )
         for seed, part in enumerate(stretches):
             data[:, part] = system.ambient(64, 30, seed).T
         Path("/proc/self/clear_refs").write_text("5")  # the peak of the memory so far is forgotten
@@ -285,12 +312,19 @@ def stream(report: Report, hours: float) -> None:
         for part in stretches:
             rfft(data[:, part], axis=1)
         plain = time.process_time() - t
-        t, r = timed(lambda: identify_stretches(history(data[:, part], system.FS) for part in stretches))
+        t, r = timed(
+            lambda: identify_stretches(history(data[:, part], system.FS) for part in stretches)
+        )
     true = system.truth(system.points(64))
     got = system.score(r.modes.frequencies, r.modes.damping, r.modes.shapes, true)
     checks = right_stream(got, scatter_floor(true.frequencies, true.damping, hours * HOUR))
     cost = {"s": t, "GB": peak_memory()}
-    report.row(f"64 channels, {hours:g} h from HDF5", cost, checks, [Peer("reading and FFT alone", {"s": plain})])
+    report.row(
+        f"64 channels, {hours:g} h from HDF5",
+        cost,
+        checks,
+        [Peer("reading and FFT alone", {"s": plain})],
+    )
 
 
 def peak_memory() -> float:

@@ -1,13 +1,15 @@
-"""Hammer identification: time, accuracy and stated uncertainty, against the truth and sdynpy's PolyPy.
+"""Hammer identification: time, accuracy and stated uncertainty, against the truth and sdynpy's
+PolyPy.
 
     python bench/identification_hammer.py accuracy       records, real and complex modes by turns
     python bench/identification_hammer.py single         one reference instead of three
     python bench/identification_hammer.py uncertainty    repeats with the same structure, new noise
     python bench/identification_hammer.py peer           beside sdynpy
 
-each with [--quick | --full]. The system is that of identification_system.py: 60 responses, 3 references, 8193 lines,
-modes to 64 Hz asked for. Times are CPU seconds. The peer gets four bands and, in each, the pole nearest to every true
-mode at the best of its orders: an oracle that ringtrue does without. Not covered: measured records, commercial tools.
+each with [--quick | --full]. The system is that of identification_system.py: 60 responses, 3
+references, 8193 lines, modes to 64 Hz asked for. Times are CPU seconds. The peer gets four bands
+and, in each, the pole nearest to every true mode at the best of its orders: an oracle that ringtrue
+does without. Not covered: measured records, commercial tools.
 """
 
 from __future__ import annotations
@@ -39,12 +41,15 @@ from ringtrue.identify.hammer import HammerModes, HammerResult, identify_hammer
 
 HIGH = 64.0  # Hz
 EVERY, ONE = (0, 1, 2), (0,)  # references
-# %, root mean square over the modes, of noise 40 dB below; what one reference excites badly is known less
+# %, root mean square over the modes, of noise 40 dB below; what one reference excites badly is
+# known less
 F_MOST = {EVERY: 0.005, ONE: 0.03}
 Z_MOST = {EVERY: 0.1, ONE: 1.0}
 MAC_LEAST = {EVERY: 0.999, ONE: 0.99}
 NOISE = 0.05  # of the RMS of each FRF, for the stated deviations
-STATED_LOW = 0.6  # of the errors over stated deviations: these may be too large, as that of a fit in bands
+STATED_LOW = (
+    0.6  # of the errors over stated deviations: these may be too large, as that of a fit in bands
+)
 
 PEER = """
 import contextlib, io, sys, time
@@ -90,7 +95,17 @@ def frfs(d: system.HammerTest, refs: tuple[int, ...]) -> FrfSet:
     given = tuple(Channel(f"{d.references[j] + 1}+Z", "force", "N") for j in refs)
     at = list(refs)
     average = np.full(len(at), float(system.AVERAGES))
-    return FrfSet(d.H[:, :, at], d.f, out, given, d.coherence[:, :, at], average, "accelerance", d.sigma, "made")
+    return FrfSet(
+        d.H[:, :, at],
+        d.f,
+        out,
+        given,
+        d.coherence[:, :, at],
+        average,
+        "accelerance",
+        d.sigma,
+        "made",
+    )
 
 
 def timed(data: FrfSet) -> tuple[float, HammerResult]:
@@ -112,7 +127,9 @@ def checks(found: list[Found], refs: tuple[int, ...]) -> list[Check]:
     return [
         at_least("modes found in each", min(x.score.found for x in found), system.BAND),
         at_most("extra", max(x.score.extra for x in found), 0),
-        at_most("frequency rms, worst", max(system.rms(x.score.f) for x in found), F_MOST[refs], "%"),
+        at_most(
+            "frequency rms, worst", max(system.rms(x.score.f) for x in found), F_MOST[refs], "%"
+        ),
         at_most("damping rms, worst", max(system.rms(x.score.z) for x in found), Z_MOST[refs], "%"),
         at_least("MAC", min(x.score.mac.min() for x in found), MAC_LEAST[refs]),
     ]
@@ -120,9 +137,16 @@ def checks(found: list[Found], refs: tuple[int, ...]) -> list[Check]:
 
 def accuracy(report: Report, count: int) -> None:
     """Three references."""
-    found = [identified(system.hammer(seed, bool(seed % 2)), EVERY, bool(seed % 2)) for seed in range(count)]
+    found = [
+        identified(system.hammer(seed, bool(seed % 2)), EVERY, bool(seed % 2))
+        for seed in range(count)
+    ]
     seconds = min(x.seconds for x in found)
-    report.row(f"hammer test, 60 responses, 3 inputs, {count} records", {"s": seconds}, checks(found, EVERY))
+    report.row(
+        f"hammer test, 60 responses, 3 inputs, {count} records",
+        {"s": seconds},
+        checks(found, EVERY),
+    )
 
 
 def single(report: Report, count: int) -> None:
@@ -132,7 +156,9 @@ def single(report: Report, count: int) -> None:
         refs = (seed % 3,)
         found.append(identified(system.hammer(seed, bool(seed % 2)), refs, bool(seed % 2)))
     seconds = min(x.seconds for x in found)
-    report.row(f"hammer test, 60 responses, 1 input, {count} records", {"s": seconds}, checks(found, ONE))
+    report.row(
+        f"hammer test, 60 responses, 1 input, {count} records", {"s": seconds}, checks(found, ONE)
+    )
 
 
 def honest(whole: int, repeats: int, f: np.ndarray, z: np.ndarray) -> list[Check]:
@@ -175,14 +201,21 @@ def peer(report: Report, repeats: int) -> None:
         report.not_run("sdynpy PolyPy", theirs)
     else:
         units = ("s", "% of frequency", "% of damping")
-        peers = [Peer("sdynpy PolyPy, poles alone, picked by an oracle", dict(zip(units, theirs, strict=True)))]
+        peers = [
+            Peer(
+                "sdynpy PolyPy, poles alone, picked by an oracle",
+                dict(zip(units, theirs, strict=True)),
+            )
+        ]
     score = found[0].score
     cost = {
         "s": min(x.seconds for x in found),
         "% of frequency": system.rms(score.f),
         "% of damping": system.rms(score.z),
     }
-    report.row("hammer test, 60 responses, 3 inputs, FRFs to modes", cost, checks(found, EVERY), peers)
+    report.row(
+        "hammer test, 60 responses, 3 inputs, FRFs to modes", cost, checks(found, EVERY), peers
+    )
 
 
 def polypy(python: str, d: system.HammerTest) -> list[float] | str:
@@ -193,7 +226,9 @@ def polypy(python: str, d: system.HammerTest) -> list[float] | str:
         given = {"f": d.f, "H": d.H, "sigma": d.sigma, "resp": d.responses, "refs": d.references}
         np.savez(path, true_f=true.frequencies, true_z=true.damping, **given)
         env = dict(os.environ, QT_QPA_PLATFORM="offscreen")
-        done = subprocess.run([python, "-c", PEER, str(path)], capture_output=True, text=True, check=False, env=env)
+        done = subprocess.run(
+            [python, "-c", PEER, str(path)], capture_output=True, text=True, check=False, env=env
+        )
     if done.returncode:
         return (done.stderr.strip().splitlines() or [f"status {done.returncode}"])[-1]
     return [float(x) for x in done.stdout.split()[-3:]]

@@ -1,15 +1,17 @@
-"""Ambient identification against pyoma-2 and pyoma-toolbox: CPU seconds and memory, same data, same run, one thread.
+"""Ambient identification against pyoma-2 and pyoma-toolbox: CPU seconds and memory, same data, same
+run, one thread.
 
     python bench/identification_peers.py one            16 channels, 1 h, one band, every order to 100
     python bench/identification_peers.py many           64 channels, likewise
     python bench/identification_peers.py automatic      from record to modes, 16 channels, 1 h
     python bench/identification_peers.py uncertainty    16 channels, 10 min, 20 block rows, orders to 40
 
-each with [--quick | --full]. Every run is a process of its own that loads the same record; memory is what it takes
-beyond that (Linux). Peers and ringtrue have the same block rows, orders and, but where it is said, references (all
-channels); ringtrue's time is the median of five. Where the peer gives no standard deviations, ringtrue is shown with
-and without. Poles are judged against the true modes: one band of 200 Hz holds those from 3 Hz on, since its lags are
-shorter than a period of the lower ones (`automatic` finds all). Not covered: other peers, measured records.
+each with [--quick | --full]. Every run is a process of its own that loads the same record; memory
+is what it takes beyond that (Linux). Peers and ringtrue have the same block rows, orders and, but
+where it is said, references (all channels); ringtrue's time is the median of five. Where the peer
+gives no standard deviations, ringtrue is shown with and without. Poles are judged against the true
+modes: one band of 200 Hz holds those from 3 Hz on, since its lags are shorter than a period of the
+lower ones (`automatic` finds all). Not covered: other peers, measured records.
 """
 
 from __future__ import annotations
@@ -28,8 +30,13 @@ from outcome import Check, Peer, Report, arguments, at_least, at_most, peer_prog
 FROM = 3.0  # Hz, the modes that one band over 100 Hz holds
 HIGH = 5.0  # Hz, likewise with 20 block rows
 NEAR = 0.01  # relative to the frequency
-FREQUENCY_MOST = 0.5  # %, rms over these modes of an hour and less; the floor of ten minutes is 0.13 %
-DEVIATION = (0.3, 3.0)  # stated over the floor of the scatter, median over the modes: its order of magnitude
+FREQUENCY_MOST = (
+    0.5  # %, rms over these modes of an hour and less; the floor of ten minutes is 0.13 %
+)
+DEVIATION = (
+    0.3,
+    3.0,
+)  # stated over the floor of the scatter, median over the modes: its order of magnitude
 
 RUN = """
 import logging, pathlib, re, sys, time
@@ -105,7 +112,9 @@ class Run:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measured:
-    """CPU seconds, megabytes, and the frequencies with their deviations (Hz) if the run wrote them."""
+    """CPU seconds, megabytes, and the frequencies with their deviations (Hz) if the run wrote
+    them.
+    """
 
     seconds: float
     memory: float
@@ -137,15 +146,21 @@ def true_frequencies(low: float) -> np.ndarray:
     return np.asarray(f[f >= low])
 
 
-def checks(got: Measured, low: float, minutes: float, *, exact: bool = False, deviations: bool = False) -> list[Check]:
-    """Whether the true modes are among the poles (`exact`: and nothing else), and the deviations plausible."""
+def checks(
+    got: Measured, low: float, minutes: float, *, exact: bool = False, deviations: bool = False
+) -> list[Check]:
+    """Whether the true modes are among the poles (`exact`: and nothing else), and the deviations
+    plausible.
+    """
     f = true_frequencies(low)
     apart = np.abs(got.f[:, None] / f - 1)
     nearest = apart.min(axis=0, initial=1.0)
     found = nearest < NEAR
     out = [
         at_least(f"modes found of {f.size}", found.sum(), f.size),
-        at_most("frequency rms", 100 * system.rms(np.where(found, nearest, np.nan)), FREQUENCY_MOST, "%"),
+        at_most(
+            "frequency rms", 100 * system.rms(np.where(found, nearest, np.nan)), FREQUENCY_MOST, "%"
+        ),
     ]
     if exact:
         out.append(at_most("extra", got.f.size - found.sum(), 0))
@@ -158,7 +173,9 @@ def checks(got: Measured, low: float, minutes: float, *, exact: bool = False, de
     return out
 
 
-def compare(report: Report, what: str, y: np.ndarray, mine: list[tuple[Run, Judge]], theirs: list[Run]) -> None:
+def compare(
+    report: Report, what: str, y: np.ndarray, mine: list[tuple[Run, Judge]], theirs: list[Run]
+) -> None:
     """Each on the record `y` (sample, ch); each peer beside each of ours."""
     with tempfile.TemporaryDirectory() as folder:
         path, by_channel = Path(folder) / "y.npy", Path(folder) / "channels.npy"
@@ -175,7 +192,9 @@ def compare(report: Report, what: str, y: np.ndarray, mine: list[tuple[Run, Judg
             got = measured(run, by_channel, 5)
             if isinstance(got, str):
                 raise SystemExit(got)
-            report.row(f"{what}, {run.name}", {"s": got.seconds, "MB": got.memory}, judge(got), peers)
+            report.row(
+                f"{what}, {run.name}", {"s": got.seconds, "MB": got.memory}, judge(got), peers
+            )
 
 
 def measured(run: Run, path: Path, repeats: int) -> Measured | str:
@@ -201,7 +220,10 @@ def one(report: Report, minutes: float) -> None:
     band = "ssi_cov(h, SsiCov(50, 100, 1{}), references=every)"
     mine: list[tuple[Run, Judge]] = [
         (ours("no deviations", band.format(", 1")), lambda got: checks(got, FROM, minutes)),
-        (ours("with deviations", band.format("")), lambda got: checks(got, FROM, minutes, deviations=True)),
+        (
+            ours("with deviations", band.format("")),
+            lambda got: checks(got, FROM, minutes, deviations=True),
+        ),
     ]
     turned = PYOMA + "y = np.asfortranarray(y)\n"
     theirs = [
@@ -235,7 +257,9 @@ def automatic(report: Report, minutes: float) -> None:
     run = ours("all bands", "identify_ambient(h)", MODES)
     theirs = [pyoma("`cov` and its clusters", "run('cov', 50, 100, True, step=2)")]
     what = f"record to modes, automatic, 16 channels, {minutes:g} min"
-    mine: list[tuple[Run, Judge]] = [(run, lambda got: checks(got, 0.0, minutes, exact=True, deviations=True))]
+    mine: list[tuple[Run, Judge]] = [
+        (run, lambda got: checks(got, 0.0, minutes, exact=True, deviations=True))
+    ]
     compare(report, what, system.ambient(16, minutes, 0), mine, theirs)
 
 
@@ -251,7 +275,12 @@ def uncertainty(report: Report, minutes: float) -> None:
     compare(report, what, system.ambient(16, minutes, 0), mine, theirs)
 
 
-SIZES = {one: (10, 60, 60), many: (5, 60, 60), automatic: (20, 60, 60), uncertainty: (5, 10, 10)}  # minutes
+SIZES = {
+    one: (10, 60, 60),
+    many: (5, 60, 60),
+    automatic: (20, 60, 60),
+    uncertainty: (5, 10, 10),
+}  # minutes
 
 
 def main() -> None:

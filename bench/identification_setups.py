@@ -1,11 +1,12 @@
-"""Several setups as one structure: how often what is stated of the modes holds, merged and identified as one.
+"""Several setups as one structure: how often what is stated of the modes holds, merged and
+identified as one.
 
     python bench/identification_setups.py [--quick | --full]
 
-The system is that of `tests/verification/test_oma_setups.py`: four modes, three setups of half an hour with two
-references in common and three sensors that move. `merged`: each setup by `identify_ambient`, put together by
-`merge_modes` (PoSER). `as one`: `preger`. Shares are of 95 % intervals that hold the truth. Not covered: frequencies
-that differ between setups.
+The system is that of `tests/verification/test_oma_setups.py`: four modes, three setups of half an
+hour with two references in common and three sensors that move. `merged`: each setup by
+`identify_ambient`, put together by `merge_modes` (PoSER). `as one`: `preger`. Shares are of 95 %
+intervals that hold the truth. Not covered: frequencies that differ between setups.
 """
 
 from __future__ import annotations
@@ -37,7 +38,9 @@ def merged(setups: list[TimeHistory]) -> tuple[ModeSet, Uncertainty]:
 
 
 def errors(modes: ModeSet, std: Uncertainty) -> dict[str, np.ndarray]:
-    """Of frequencies, dampings and moduli of shapes over their deviations; of a mode that is not found nothing."""
+    """Of frequencies, dampings and moduli of shapes over their deviations; of a mode that is not
+    found nothing.
+    """
     true, at = made.pairs(modes)
     return {
         "frequency": (modes.frequencies[at] - made.F[true]) / std.frequency[at],

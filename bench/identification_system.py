@@ -1,8 +1,10 @@
-"""A structure whose modes are known, and records of it: what the benchmarks of identification identify.
+"""A structure whose modes are known, and records of it: what the benchmarks of identification
+identify.
 
-24 modes seen at 64 points (8 x 8 grid, unit mass matrix, smooth orthonormal shapes): 15 from 0.40 to 59 Hz, among them
-close pairs at 1.85 and 1.90 and at 11.8 and 12.0 Hz, and nine from 110 to 200 Hz that FRFs alone contain as residuals.
-Damping 0.5 to 3 %; two dashpots between points make the modes complex where that is asked for.
+24 modes seen at 64 points (8 x 8 grid, unit mass matrix, smooth orthonormal shapes): 15 from 0.40
+to 59 Hz, among them close pairs at 1.85 and 1.90 and at 11.8 and 12.0 Hz, and nine from 110 to 200
+Hz that FRFs alone contain as residuals. Damping 0.5 to 3 %; two dashpots between points make the
+modes complex where that is asked for.
 """
 
 from __future__ import annotations
@@ -18,7 +20,9 @@ Complex = npt.NDArray[np.complex128]
 Int = npt.NDArray[np.int64]
 
 # of the modes in the band: Hz and damping ratio; those above it have 2 %
-F = np.array([0.40, 0.62, 1.10, 1.85, 1.90, 3.2, 5.1, 7.9, 11.8, 12.0, 18.5, 26.0, 36.0, 47.0, 59.0])
+F = np.array(
+    [0.40, 0.62, 1.10, 1.85, 1.90, 3.2, 5.1, 7.9, 11.8, 12.0, 18.5, 26.0, 36.0, 47.0, 59.0]
+)
 Z = np.array([2.0, 1.5, 1.2, 1.0, 1.3, 0.8, 0.9, 0.6, 0.7, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0]) / 100
 F_ABOVE = np.array([110.0, 118, 127, 136, 147, 158, 171, 185, 200.0])
 Z_ABOVE = np.full(9, 0.02)
@@ -114,7 +118,8 @@ class HammerTest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Score:
-    """Modes against the truth: those within 3 % in frequency and over 0.8 in MAC are found, the rest is extra.
+    """Modes against the truth: those within 3 % in frequency and over 0.8 in MAC are found, the
+    rest is extra.
 
     Attributes
     ----------
@@ -143,7 +148,9 @@ def normal_shapes(points: int = 8, modes: int = 24, seed: int = 3) -> Float:
     x, y = np.meshgrid(x, x, indexing="ij")
     waves = [(i, j) for i in range(6) for j in range(6)]
     waves = sorted(waves, key=lambda w: w[0] ** 2 + 1.3 * w[1] ** 2)[1 : modes + 1]
-    shapes = np.stack([(np.cos(np.pi * i * x) * np.cos(np.pi * j * y)).ravel() for i, j in waves], axis=1)
+    shapes = np.stack(
+        [(np.cos(np.pi * i * x) * np.cos(np.pi * j * y)).ravel() for i, j in waves], axis=1
+    )
     shapes += 0.15 * rng.standard_normal(shapes.shape) * shapes.std(axis=0)
     return np.linalg.qr(shapes)[0]
 
@@ -170,8 +177,12 @@ def points(channels: int) -> Int:
     return {64: np.arange(64), 16: SIXTEEN}[channels]
 
 
-def ambient(channels: int = 16, minutes: float = 60, seed: int = 0, complex_modes: bool = False) -> Float:
-    """(sample, channel) accelerations at 200 Hz under white forces that are held over a sample, noise 20 dB below."""
+def ambient(
+    channels: int = 16, minutes: float = 60, seed: int = 0, complex_modes: bool = False
+) -> Float:
+    """(sample, channel) accelerations at 200 Hz under white forces that are held over a sample,
+    noise 20 dB below.
+    """
     rng = np.random.default_rng(seed)
     s = system(complex_modes)
     lead = int(LEAD * FS)
@@ -195,14 +206,21 @@ def accelerance(s: System, f: Float, responses: Int, references: Int) -> Complex
     jw = 2j * np.pi * f
     h = np.zeros((f.size, len(responses), len(references)), complex)
     for i, pole in enumerate(s.poles):
-        residue = np.outer(s.shapes[:, i], s.participation[i] @ s.normal.T)[np.ix_(responses, references)]
-        response = residue / (jw - pole)[:, None, None] + residue.conj() / (jw - pole.conj())[:, None, None]
+        residue = np.outer(s.shapes[:, i], s.participation[i] @ s.normal.T)[
+            np.ix_(responses, references)
+        ]
+        response = (
+            residue / (jw - pole)[:, None, None]
+            + residue.conj() / (jw - pole.conj())[:, None, None]
+        )
         h += -((2 * np.pi * f[:, None, None]) ** 2) * response
     return h
 
 
 def hammer(seed: int = 1, complex_modes: bool = False) -> HammerTest:
-    """An impact test: 60 responses, 3 references, 8193 lines, H1 of five averages, noise 40 dB below."""
+    """An impact test: 60 responses, 3 references, 8193 lines, H1 of five averages, noise 40 dB
+    below.
+    """
     rng = np.random.default_rng(seed)
     samples = int(BLOCK * FS_HAMMER)
     lines = samples // 2 + 1

@@ -2,11 +2,12 @@
 
     python bench/kernels.py [--quick | --full]
 
-Kernels round differently: a sum over other blocks has other last digits. What a study concludes must not hang on them.
-Runs `ringtrue demo` under each kernel that the processor has and compares `summary.json` with that under AVX2's. Right
-is a summary with the same decisions (every text, count and yes or no: pairs, parameters, reasons) and with frequencies,
-MAC and factors that agree to what their conditioning allows: a factor is off by the rounding of a frequency times the
-condition number of the updating, so that it is stated as a part of its own standard deviation.
+Kernels round differently: a sum over other blocks has other last digits. What a study concludes
+must not hang on them. Runs `ringtrue demo` under each kernel that the processor has and compares
+`summary.json` with that under AVX2's. Right is a summary with the same decisions (every text, count
+and yes or no: pairs, parameters, reasons) and with frequencies, MAC and factors that agree to what
+their conditioning allows: a factor is off by the rounding of a frequency times the condition number
+of the updating, so that it is stated as a part of its own standard deviation.
 """
 
 from __future__ import annotations
@@ -47,7 +48,9 @@ def run(seed: int, kernel: str, folder: Path) -> dict[str, Any]:
 
 
 def decisions(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
-    """Every entry that is no measured number, with its place: texts, counts, yes or no, and how many there are."""
+    """Every entry that is no measured number, with its place: texts, counts, yes or no, and how
+    many there are.
+    """
     if isinstance(value, dict):
         for key, entry in value.items():
             if place or key != COSTS:
@@ -100,7 +103,9 @@ def main() -> None:
                     report.not_run(f"the kernels of {kernel}", "the processor does not have them")
                     continue
                 got = run(seed, kernel, Path(folder) / f"{seed}-{kernel}")
-                what = f"worked example, seed {seed}: kernels of {kernel} beside those of {REFERENCE}"
+                what = (
+                    f"worked example, seed {seed}: kernels of {kernel} beside those of {REFERENCE}"
+                )
                 report.row(what, {}, compared(got, reference))
     report.end()
 

@@ -1,13 +1,16 @@
-"""How often the truly wrong regions are among the proposed parameters, on twins of a frame with known errors.
+"""How often the truly wrong regions are among the proposed parameters, on twins of a frame with
+known errors.
 
     python bench/localisation.py [--quick | --full]
 
-Three of sixteen regions are wrong, 94 candidates. A region counts as named by a proposed candidate, by a member of its
-cluster, or by a rival that does as well in its place, if that candidate changes the region's elements and no others.
-Beside it: what a draw of as many candidates at random would name, and how often the largest sensitivities and the
-orthogonal ones name as many. Seeds from 10 on: 0 to 9 were looked at while the method was made.
+Three of sixteen regions are wrong, 94 candidates. A region counts as named by a proposed candidate,
+by a member of its cluster, or by a rival that does as well in its place, if that candidate changes
+the region's elements and no others. Beside it: what a draw of as many candidates at random would
+name, and how often the largest sensitivities and the orthogonal ones name as many. Seeds from 10
+on: 0 to 9 were looked at while the method was made.
 
-Not covered: errors of form (a missing stiffener), wrong sensors, repeated modes, decks of a real size.
+Not covered: errors of form (a missing stiffener), wrong sensors, repeated modes, decks of a real
+size.
 """
 
 from __future__ import annotations
@@ -114,7 +117,10 @@ def main() -> None:
         print(seed, scores[-1], flush=True)
     share = 100 * float(np.mean([s.share for s in scores]))
     seconds = float(np.median([s.seconds for s in scores]))
-    rules = [Peer(rule, {"% named": 100 * float(np.mean([s.rules[rule] for s in scores]))}) for rule in RULES]
+    rules = [
+        Peer(rule, {"% named": 100 * float(np.mean([s.rules[rule] for s in scores]))})
+        for rule in RULES
+    ]
     cost = {"% named": share, "s each": seconds}
     report.row(f"three wrong regions of sixteen, {count} twins", cost, checks(scores), rules)
     report.end()

@@ -1,16 +1,18 @@
-"""Modes end to end, from deck to modes on disk, beside CalculiX, MYSTRAN and scipy's eigsh: times and memory.
+"""Modes end to end, from deck to modes on disk, beside CalculiX, MYSTRAN and scipy's eigsh: times
+and memory.
 
     python bench/modes.py [--quick | --full] [--kinds shell solid] [--threads 1]
 
-Free-free, the 30 lowest modes, the same mesh of CQUAD4 (a curved strip) or CHEXA (a block) for everyone; each run is a
-process of its own, the smallest CPU time of the repeats counts, memory is the peak of the process. `eigsh` is scipy
-as it comes (SuperLU, shift-invert at the shift that we use), from our matrices, without reading: it is compared with
-our eigensolution alone. The modes are right if they fulfil the equations of motion, six of them are rigid, no count
-misses one, and the frequencies are those of `eigsh` and near those of CalculiX, whose solid has other incompatible
+Free-free, the 30 lowest modes, the same mesh of CQUAD4 (a curved strip) or CHEXA (a block) for
+everyone; each run is a process of its own, the smallest CPU time of the repeats counts, memory is
+the peak of the process. `eigsh` is scipy as it comes (SuperLU, shift-invert at the shift that we
+use), from our matrices, without reading: it is compared with our eigensolution alone. The modes are
+right if they fulfil the equations of motion, six of them are rigid, no count misses one, and the
+frequencies are those of `eigsh` and near those of CalculiX, whose solid has other incompatible
 modes. MYSTRAN's shell is another element and no measure of ours.
 
-Not covered: CalculiX on shells (its S4 is expanded into solids), MYSTRAN on solids (its CHEXA needs the integration
-named in PSOLID), SLEPc (see the solver of that name).
+Not covered: CalculiX on shells (its S4 is expanded into solids), MYSTRAN on solids (its CHEXA needs
+the integration named in PSOLID), SLEPc (see the solver of that name).
 """
 
 from __future__ import annotations
@@ -80,10 +82,14 @@ def solid_mesh(dof: int) -> tuple[np.ndarray, np.ndarray]:
     """A block of 1 m x 0.7 m x 0.4 m: nodes (n, 3), elements (e, 8) from 0."""
     h = (0.28 * 3 / dof) ** (1 / 3)
     n = np.maximum(np.round(np.array([1.0, 0.7, 0.4]) / h - 0.5).astype(int), 1)
-    ijk = np.stack(np.meshgrid(*(np.arange(k + 1) for k in n), indexing="ij"), axis=-1).reshape(-1, 3)
+    ijk = np.stack(np.meshgrid(*(np.arange(k + 1) for k in n), indexing="ij"), axis=-1).reshape(
+        -1, 3
+    )
     c = np.stack(np.meshgrid(*(np.arange(k) for k in n), indexing="ij"), axis=-1).reshape(-1, 3)
     step = np.array([(n[1] + 1) * (n[2] + 1), n[2] + 1, 1])
-    corner = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]])
+    corner = np.array(
+        [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]]
+    )
     return ijk * [1.0, 0.7, 0.4] / n, c @ step[:, None] + corner @ step
 
 
@@ -95,7 +101,9 @@ def write_nastran(path: Path, nodes: np.ndarray, elements: np.ndarray) -> None:
     head += "PSHELL,1,1,.01,1,,1\n" if shell else "PSOLID,1,1,0,2,,FULL\n"
     with path.open("w") as f:
         f.write(head.replace("e+", "+"))
-        f.writelines(f"GRID,{k},,{x:.7f},{y:.7f},{z:.7f}\n" for k, (x, y, z) in enumerate(nodes.tolist(), 1))
+        f.writelines(
+            f"GRID,{k},,{x:.7f},{y:.7f},{z:.7f}\n" for k, (x, y, z) in enumerate(nodes.tolist(), 1)
+        )
         for k, g in enumerate((elements + 1).tolist(), 1):
             if shell:
                 f.write(f"CQUAD4,{k},1,{','.join(map(str, g))}\n")
@@ -108,10 +116,17 @@ def write_calculix(path: Path, nodes: np.ndarray, elements: np.ndarray) -> None:
     """C3D8I, the element with incompatible modes."""
     with path.open("w") as f:
         f.write("*NODE,NSET=ALL\n")
-        f.writelines(f"{k},{x:.7f},{y:.7f},{z:.7f}\n" for k, (x, y, z) in enumerate(nodes.tolist(), 1))
+        f.writelines(
+            f"{k},{x:.7f},{y:.7f},{z:.7f}\n" for k, (x, y, z) in enumerate(nodes.tolist(), 1)
+        )
         f.write("*ELEMENT,TYPE=C3D8I,ELSET=ALL\n")
-        f.writelines(f"{k},{','.join(map(str, g))}\n" for k, g in enumerate((elements + 1).tolist(), 1))
-        f.write(f"*MATERIAL,NAME=M\n*ELASTIC\n{E},{NU}\n*DENSITY\n{RHO}\n*SOLID SECTION,ELSET=ALL,MATERIAL=M\n")
+        f.writelines(
+            f"{k},{','.join(map(str, g))}\n" for k, g in enumerate((elements + 1).tolist(), 1)
+        )
+        f.write(
+            f"*MATERIAL,NAME=M\n*ELASTIC\n{E},{NU}\n*DENSITY\n{RHO}\n*SOLID "
+            "SECTION,ELSET=ALL,MATERIAL=M\n"
+        )
         f.write(f"*STEP\n*FREQUENCY\n{MODES}\n*NODE FILE\nU\n*END STEP\n")
 
 
@@ -128,7 +143,9 @@ def own(folder: Path) -> np.ndarray:
         marks.append(time.process_time())
         result = analysis.modes(ModesRequest(MODES))
         marks.append(time.process_time())
-        np.savez(folder / "modes.npz", frequencies=result.modes.frequencies, shapes=result.modes.shapes)
+        np.savez(
+            folder / "modes.npz", frequencies=result.modes.frequencies, shapes=result.modes.shapes
+        )
     marks.append(time.process_time())
     (folder / "phases.json").write_text(json.dumps(np.diff(marks).round(3).tolist()))
     if not result.complete:
@@ -146,13 +163,17 @@ def plain(folder: Path) -> np.ndarray:
     system = assemble(read_deck(folder / "m.bdf"))
     before = time.process_time()
     shift = -0.1 * (2 * np.pi * float(np.load(folder / "modes.npz")["frequencies"][-1])) ** 2
-    values = eigsh(system.stiffness.tocsc(), MODES, system.mass.tocsc(), sigma=shift, return_eigenvectors=True)[0]
+    values = eigsh(
+        system.stiffness.tocsc(), MODES, system.mass.tocsc(), sigma=shift, return_eigenvectors=True
+    )[0]
     (folder / "phases.json").write_text(json.dumps([time.process_time() - before]))
     return np.sqrt(np.abs(values)) / (2 * np.pi)
 
 
 def residual(folder: Path) -> float:
-    """Largest residual of the equations of motion of an elastic mode, over the forces of its inertia."""
+    """Largest residual of the equations of motion of an elastic mode, over the forces of its
+    inertia.
+    """
     from ringtrue.fem.assembly import assemble
     from ringtrue.io.nastran.reader import read_deck
 
@@ -201,7 +222,9 @@ def mystran_frequencies(folder: Path) -> np.ndarray:
 
 
 def ours(folder: Path, what: str, threads: int) -> Run:
-    """Ringtrue, or scipy on our matrices: the best of two runs; scipy's seconds are those of the eigensolution."""
+    """Ringtrue, or scipy on our matrices: the best of two runs; scipy's seconds are those of the
+    eigensolution.
+    """
     command = [sys.executable, str(HERE), "--child", what]
     runs = [timed(command, folder, threads) for _ in range(REPEATS)]
     frequencies = np.array(json.loads((folder / "frequencies.json").read_text()))
@@ -218,7 +241,9 @@ def program(command: list[str], folder: Path, threads: int) -> Run:
 
 
 def apart(f: np.ndarray, g: np.ndarray) -> float:
-    """Largest relative difference of two lists of frequencies of a free structure, rigid-body modes left out."""
+    """Largest relative difference of two lists of frequencies of a free structure, rigid-body modes
+    left out.
+    """
     if f.size < MODES or g.size < MODES:
         return np.nan
     return float(np.abs(g[RIGID:MODES] / f[RIGID:MODES] - 1).max())
@@ -244,7 +269,9 @@ def same(mine: np.ndarray, eigsh: np.ndarray) -> Check:
 
 def near(mine: np.ndarray, other: np.ndarray) -> Check:
     """Against another element on the same mesh."""
-    return at_most("frequencies off those of CalculiX by", 100 * apart(mine, other), OTHER_MOST, "%")
+    return at_most(
+        "frequencies off those of CalculiX by", 100 * apart(mine, other), OTHER_MOST, "%"
+    )
 
 
 def case(kind: str, dof: int, threads: int, report: Report, folder: Path) -> None:
@@ -293,9 +320,13 @@ def mystran() -> list[str] | None:
 def main() -> None:
     """Run and state."""
     parser = arguments(__doc__)
-    parser.add_argument("--kinds", nargs="+", default=["shell", "solid"], choices=["shell", "solid"])
+    parser.add_argument(
+        "--kinds", nargs="+", default=["shell", "solid"], choices=["shell", "solid"]
+    )
     parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--child", choices=["ringtrue", "eigsh", "residual"], help=argparse.SUPPRESS)
+    parser.add_argument(
+        "--child", choices=["ringtrue", "eigsh", "residual"], help=argparse.SUPPRESS
+    )
     options = parser.parse_args()
     if options.child:
         child(Path.cwd(), options.child)

@@ -1,16 +1,17 @@
 """What a benchmark states: figures, peers, and answers that are right or wrong by a stated limit.
 
-A script makes one `Report`, adds a row for each thing that it measures, and ends with `report.end()`:
+A script makes one `Report`, adds a row for each thing that it measures, and ends with
+`report.end()`:
 
-    options = arguments(__doc__).parse_args()
-    report = Report(options)
-    report.row("modes of a shell", {"s": 4.7}, [at_most("frequency off the closed form", error, 1e-6)],
+    options = arguments(__doc__).parse_args() report = Report(options) report.row("modes of a
+    shell", {"s": 4.7}, [at_most("frequency off the closed form", error, 1e-6)],
                [Peer("MYSTRAN 18", {"s": 20.7})])
     report.end()
 
-`end` prints the rows, writes them to `--json FILE` with date, commit and processor, and exits with status 1 if an
-answer is wrong. A peer that is not installed is noted by `report.not_run`: that is no wrong answer. Times are never
-judged. To put a script onto docs/benchmarks.md add a line to `RUNS` in write_docs.py and its name to the template.
+`end` prints the rows, writes them to `--json FILE` with date, commit and processor, and exits with
+status 1 if an answer is wrong. A peer that is not installed is noted by `report.not_run`: that is
+no wrong answer. Times are never judged. To put a script onto docs/benchmarks.md add a line to
+`RUNS` in write_docs.py and its name to the template.
 """
 
 from __future__ import annotations
@@ -50,7 +51,8 @@ class Check:
     what : str
     value : float
     low, high : float or None
-        Both included; None where there is no limit on this side. A value that is not a number is wrong.
+        Both included; None where there is no limit on this side. A value that is not a number is
+        wrong.
     unit : str
     """
 
@@ -79,7 +81,10 @@ class Check:
     @property
     def accuracy(self) -> str:
         """What was found, in print."""
-        return f"{self.what}: {with_unit(figure(self.value), self.unit)}{'' if self.right else ' (**wrong**)'}"
+        return (
+            f"{self.what}: "
+            f"{with_unit(figure(self.value), self.unit)}{'' if self.right else ' (**wrong**)'}"
+        )
 
 
 def at_most(what: str, value: float, limit: float, unit: str = "") -> Check:
@@ -100,23 +105,32 @@ def within(what: str, value: float, low: float, high: float, unit: str = "") -> 
 def share_at_least(what: str, count: float, of: int, least: float) -> Check:
     """A share of many cases that is right if it may come from a true share of `least`.
 
-    The limit is the binomial quantile at `RISK`, and never less than one case: few cases bear a lower share than many.
-    A case counts as independent.
+    The limit is the binomial quantile at `RISK`, and never less than one case: few cases bear a
+    lower share than many. A case counts as independent.
     """
     least_count = max(binom.ppf(RISK, of, least), 1) if of else np.nan
-    return at_least(what, 100 * count / of if of else np.nan, 100 * float(least_count) / max(of, 1), "%")
+    return at_least(
+        what, 100 * count / of if of else np.nan, 100 * float(least_count) / max(of, 1), "%"
+    )
 
 
 def share_at_most(what: str, count: float, of: int, most: float) -> Check:
-    """A share of many cases that is right if it may come from a true share of `most`; see `share_at_least`."""
+    """A share of many cases that is right if it may come from a true share of `most`; see
+    `share_at_least`.
+    """
     most_count = min(binom.ppf(1 - RISK, of, most), of - 1) if of else np.nan
-    return at_most(what, 100 * count / of if of else np.nan, 100 * float(most_count) / max(of, 1), "%")
+    return at_most(
+        what, 100 * count / of if of else np.nan, 100 * float(most_count) / max(of, 1), "%"
+    )
 
 
-def rms_over_stated(what: str, errors: npt.ArrayLike, low: float = 1 - ALLOWANCE, high: float = 1 + ALLOWANCE) -> Check:
+def rms_over_stated(
+    what: str, errors: npt.ArrayLike, low: float = 1 - ALLOWANCE, high: float = 1 + ALLOWANCE
+) -> Check:
     """Errors over their stated standard deviations, root mean square: 1 to within the allowance.
 
-    The limits widen by the quantiles of χ² at `RISK`: the mean square of a few errors scatters. NaN are left out.
+    The limits widen by the quantiles of χ² at `RISK`: the mean square of a few errors scatters. NaN
+    are left out.
     """
     given = np.asarray(errors, float)
     given = given[np.isfinite(given)]
@@ -158,7 +172,9 @@ class Row:
         if not self.checks:
             raise ValueError(f"{self.what}: a row states what is right; give it a check")
         if self.peers and not self.cost:
-            raise ValueError(f"{self.what}: peers are compared with what ringtrue took; give its cost")
+            raise ValueError(
+                f"{self.what}: peers are compared with what ringtrue took; give its cost"
+            )
 
     @property
     def right(self) -> bool:
@@ -194,9 +210,13 @@ def costs(cost: dict[str, float]) -> str:
 
 def arguments(text: str | None) -> argparse.ArgumentParser:
     """The options that every benchmark has; the script may add its own."""
-    parser = argparse.ArgumentParser(description=text, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=text, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     size = parser.add_mutually_exclusive_group()
-    size.add_argument("--quick", action="store_true", help="the smallest case that can still be wrong")
+    size.add_argument(
+        "--quick", action="store_true", help="the smallest case that can still be wrong"
+    )
     size.add_argument("--full", action="store_true", help="the largest case, which may take hours")
     parser.add_argument("--json", type=Path, help="write the rows to this file")
     return parser
@@ -238,7 +258,9 @@ class Report:
         self.missing: dict[str, str] = {}
         self.provenance = _provenance()
 
-    def row(self, what: str, cost: dict[str, float], checks: Sequence[Check], peers: Sequence[Peer] = ()) -> None:
+    def row(
+        self, what: str, cost: dict[str, float], checks: Sequence[Check], peers: Sequence[Peer] = ()
+    ) -> None:
         """Add a row and print it."""
         row = Row(what, cost, tuple(checks), tuple(peers))
         self.rows.append(row)
@@ -246,7 +268,10 @@ class Report:
         for peer in row.peers:
             print(f"  {peer.name}: {costs(peer.cost)}, {figure(row.ratio(peer))} x ringtrue")
         for check in row.checks:
-            print(f"  {'right' if check.right else 'WRONG'}: {check.accuracy}, limit {check.limit}", flush=True)
+            print(
+                f"  {'right' if check.right else 'WRONG'}: {check.accuracy}, limit {check.limit}",
+                flush=True,
+            )
 
     def not_run(self, peer: str, why: str) -> None:
         """Note a peer that is left out."""
@@ -254,12 +279,16 @@ class Report:
         print(f"not run: {peer} ({why})", flush=True)
 
     def end(self) -> NoReturn:
-        """Write what is asked for and leave the program: status 1 if an answer is wrong or there is none."""
+        """Write what is asked for and leave the program: status 1 if an answer is wrong or there is
+        none.
+        """
         right = bool(self.rows) and all(row.right for row in self.rows)
         stated: dict[str, Any] = {**self.provenance, "right": right, "not_run": self.missing}
         stated["rows"] = [asdict(row) for row in self.rows]
         if self.file:
-            self.file.write_text(json.dumps(stated, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+            self.file.write_text(
+                json.dumps(stated, indent=1, ensure_ascii=False) + "\n", encoding="utf-8"
+            )
         print("all answers are right" if right else "AN ANSWER IS WRONG")
         raise SystemExit(0 if right else 1)
 
@@ -294,9 +323,13 @@ def _commit() -> str:
     """The short hash, and whether the code has been changed since."""
     git = ["git", "-C", str(ROOT)]
     try:
-        found = subprocess.run([*git, "rev-parse", "--short=7", "HEAD"], capture_output=True, text=True, check=True)
+        found = subprocess.run(
+            [*git, "rev-parse", "--short=7", "HEAD"], capture_output=True, text=True, check=True
+        )
         code = ["--", "src", "bench/*.py", "scripts", "tests"]
-        changed = subprocess.run([*git, "status", "--porcelain", *code], capture_output=True, text=True, check=True)
+        changed = subprocess.run(
+            [*git, "status", "--porcelain", *code], capture_output=True, text=True, check=True
+        )
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
     return found.stdout.strip() + (" with changes" if changed.stdout.strip() else "")

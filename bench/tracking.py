@@ -2,10 +2,11 @@
 
     python bench/tracking.py [--quick | --full]
 
-Records of `tests/unit/test_identify_tracking.py`: one value an hour, a daily course of the temperature with a slope,
-and a scatter that is white or hangs together from hour to hour (`memory`: its correlation). A row for three and for
-seven days: the share of records with a false change, that with a step of twice the scatter told to within three hours,
-and the error of the slope over its standard error. Not covered: the identification of the stretches, steady drifts.
+Records of `tests/unit/test_identify_tracking.py`: one value an hour, a daily course of the
+temperature with a slope, and a scatter that is white or hangs together from hour to hour (`memory`:
+its correlation). A row for three and for seven days: the share of records with a false change, that
+with a step of twice the scatter told to within three hours, and the error of the slope over its
+standard error. Not covered: the identification of the stretches, steady drifts.
 """
 
 from __future__ import annotations
@@ -23,9 +24,15 @@ from test_identify_tracking import days
 
 from ringtrue.identify.environment import EnvironmentFit, fit_environment
 
-SLOPE, SCATTER, STATED, LEAD = -0.004, 0.01, 0.002, 100  # Hz/K, Hz, Hz, values left out until the scatter is stationary
-# By memory, in the long run. The test of changes is one at 1 %; a memory of 0.8 leaves few independent values in three
-# days, so that more changes are told that are not there, and fewer that are.
+SLOPE, SCATTER, STATED, LEAD = (
+    -0.004,
+    0.01,
+    0.002,
+    100,
+)  # Hz/K, Hz, Hz, values left out until the scatter is stationary
+# By memory, in the long run. The test of changes is one at 1 %; a memory of 0.8 leaves few
+# independent values in three days, so that more changes are told that are not there, and fewer that
+# are.
 FALSE_MOST = {0.0: 0.03, 0.5: 0.04, 0.8: 0.07}
 FOUND_LEAST = {0.0: 0.85, 0.5: 0.55, 0.8: 0.25}
 

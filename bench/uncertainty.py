@@ -2,11 +2,11 @@
 
     python bench/uncertainty.py [--quick | --full]
 
-Frames of three storeys with seven candidates, two to four of them 12 to 45 % off, once in the form of the deck and once
-with a brace, a mass or a soft column that the deck does not have: a study each of 14 noisy modes, three of them left
-out, with default settings. Rows: how many 90 % intervals of the updated parameters hold the truth, bands the
-frequencies of modes left out and of all that were predicted unseen, and how many right and wrong parameters are marked
-as not proven.
+Frames of three storeys with seven candidates, two to four of them 12 to 45 % off, once in the form
+of the deck and once with a brace, a mass or a soft column that the deck does not have: a study each
+of 14 noisy modes, three of them left out, with default settings. Rows: how many 90 % intervals of
+the updated parameters hold the truth, bands the frequencies of modes left out and of all that were
+predicted unseen, and how many right and wrong parameters are marked as not proven.
 
 Not covered: other structures, measurement errors that are alike in several modes.
 """
@@ -32,7 +32,8 @@ from ringtrue.study.run import run_study
 from ringtrue.study.store import Store
 
 STATED = ("parameters", "left out", "unseen")
-HELD_LEAST = 0.85  # of intervals of 90 % that must hold the truth, in the long run, where the deck has the form
+# of intervals of 90 % that must hold the truth, in the long run, where the deck has the form
+HELD_LEAST = 0.85
 FORM_LEAST = 0.75  # where it has not: an error of form that moves all modes alike cannot be seen
 MODES, LEFT_OUT, NOISE, SHAPE_NOISE = 14, 3, 0.002, 0.01
 REGIONS = {f"columns {s}": [10 * s + k for k in range(1, 5)] for s in twin.STOREYS}
@@ -62,7 +63,10 @@ def other_form(rng: np.random.Generator) -> tuple[list[str], dict[int, float]]:
     kind = rng.integers(3)
     if kind == 0:
         ends = twin.node(level - 1, i, j), twin.node(level, 2 - i, j)
-        return [f"CONROD,9001,{ends[0]},{ends[1]},1,{rng.uniform(2e-5, 1e-4):.3E}", "MAT1,1,2.1E11,,0.3,1.0"], {}
+        return [
+            f"CONROD,9001,{ends[0]},{ends[1]},1,{rng.uniform(2e-5, 1e-4):.3E}",
+            "MAT1,1,2.1E11,,0.3,1.0",
+        ], {}
     if kind == 1:
         return [f"CONM2,9001,{twin.node(level, i, j)},,{rng.uniform(200, 800):.1f}"], {}
     return [], {10 * level + int(rng.integers(1, 5)): float(rng.uniform(0.3, 0.6))}
@@ -75,7 +79,9 @@ def candidates() -> str:
     return "".join(f'[[candidate]]\nname = "{n}"\ntargets = {t}\n' for n, t in fields.items())
 
 
-def write(folder: Path, factors: dict[int, float], cards: list[str], rng: np.random.Generator) -> None:
+def write(
+    folder: Path, factors: dict[int, float], cards: list[str], rng: np.random.Generator
+) -> None:
     """Deck, sheet, measured modes and study."""
     built = twin.deck(factors).replace("ENDDATA", "\n".join([*cards, "ENDDATA"]))
     channels = twin.channels()
@@ -95,15 +101,23 @@ def counts(found: UncertaintyStage, true: dict[str, float]) -> Counter[str]:
     out: Counter[str] = Counter()
     right = np.array([true.get(n, 1.0) for n in found.parameters.names])
     out["parameters"] = right.size
-    out["parameters held"] = int(((found.interval[:, 0] <= right) & (right <= found.interval[:, 1])).sum())
+    out["parameters held"] = int(
+        ((found.interval[:, 0] <= right) & (right <= found.interval[:, 1])).sum()
+    )
     for name, those in (("right", right == 1.0), ("wrong", right != 1.0)):
         out[name], out[f"{name} marked"] = int(those.sum()), int((found.unproven & those).sum())
     left_out = ~found.used & np.isfinite(found.predicted)
-    out["left out"], out["left out held"] = int(left_out.sum()), int((found.inside & left_out).sum())
+    out["left out"], out["left out held"] = (
+        int(left_out.sum()),
+        int((found.inside & left_out).sum()),
+    )
     held, unseen = found.held, np.isfinite(found.held.predicted)
     reach = stdtrit(held.freedom, 0.5 + found.level / 2)
     size = np.sqrt(held.parameter_std**2 + held.test_std**2 + held.model_std**2)
-    out["unseen"], out["unseen held"] = int(unseen.sum()), int((np.abs(held.error) < reach * size)[unseen].sum())
+    out["unseen"], out["unseen held"] = (
+        int(unseen.sum()),
+        int((np.abs(held.error) < reach * size)[unseen].sum()),
+    )
     return out
 
 
@@ -134,9 +148,13 @@ def main() -> None:
     seeds = range(sized(options, 2, 4, 20))
     for form in (False, True):
         n = sum((one(seed, form) for seed in seeds), Counter())
-        marked = {f"of {n[w]} {w} marked not proven": float(n[f"{w} marked"]) for w in ("right", "wrong")}
+        marked = {
+            f"of {n[w]} {w} marked not proven": float(n[f"{w} marked"]) for w in ("right", "wrong")
+        }
         name = "another form than" if form else "the form of"
-        report.row(f"{len(seeds)} frames of {name} the deck: intervals of 90 %", marked, checks(n, form))
+        report.row(
+            f"{len(seeds)} frames of {name} the deck: intervals of 90 %", marked, checks(n, form)
+        )
     report.end()
 
 

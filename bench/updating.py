@@ -1,23 +1,28 @@
-"""Multi-start updating of frames with 12 stiffness parameters and 43 measured DOFs, noise-free data.
+"""Multi-start updating of frames with 12 stiffness parameters and 43 measured DOFs, noise-free
+data.
 
     python bench/updating.py starts     many starts, anywhere between the bounds
     python bench/updating.py cost       single updatings from the nominal model
 
-each with [--quick | --full]. The frames are those of concrete_frame.py, some 2,300 DOFs: one that is made there and,
-for `starts` and where its data are, the published one, on which one start may end in another minimum. Its study needs
-31 s for ONE start with analytic gradients (its desktop; another machine, so a statement, not a ratio). An updating is
-right if the objective is zero at the truth and every factor comes out as it was drawn.
+each with [--quick | --full]. The frames are those of concrete_frame.py, some 2,300 DOFs: one that
+is made there and, for `starts` and where its data are, the published one, on which one start may
+end in another minimum. Its study needs 31 s for ONE start with analytic gradients (its desktop;
+another machine, so a statement, not a ratio). An updating is right if the objective is zero at the
+truth and every factor comes out as it was drawn.
 
-`starts`: the truth is drawn with each stiffness off by up to 30 %; starts are uniform between the bounds 0.05 and 2 of
-the factors. All searches run on one reduced basis; the best end is then solved in full, the basis enriched there, and
-the updating repeated until the full solution agrees. A search weighs shapes more than frequencies (5 % in 1 − MAC, 10 %
-in frequency): frequencies alone pair modes wrongly far from the truth.
+`starts`: the truth is drawn with each stiffness off by up to 30 %; starts are uniform between the
+bounds 0.05 and 2 of the factors. All searches run on one reduced basis; the best end is then solved
+in full, the basis enriched there, and the updating repeated until the full solution agrees. A
+search weighs shapes more than frequencies (5 % in 1 − MAC, 10 % in frequency): frequencies alone
+pair modes wrongly far from the truth.
 
-`cost`: the truth up to 50 % off and up to a factor of 2.5: how many full eigensolutions and factorisations an updating
-takes, the first included, until basis and full model agree to 1e-4; beside it 20 steps of scipy's `least_squares` on
-full eigensolutions with finite differences, which do not end it.
+`cost`: the truth up to 50 % off and up to a factor of 2.5: how many full eigensolutions and
+factorisations an updating takes, the first included, until basis and full model agree to 1e-4;
+beside it 20 steps of scipy's `least_squares` on full eigensolutions with finite differences, which
+do not end it.
 
-Not covered: noise, damping, truth outside the parameters, other structures; MAC and complete published objectives.
+Not covered: noise, damping, truth outside the parameters, other structures; MAC and complete
+published objectives.
 """
 
 from __future__ import annotations
@@ -85,8 +90,12 @@ def one(model: object, target: Target) -> Problem:
     return Problem((Configuration(model, target),))  # type: ignore[arg-type]
 
 
-def refined(model: ReducedModel, full: ObservedMatrices, target: Target, x: Float) -> tuple[Solution, float]:
-    """From the best end on the basis to that of full solutions; and the last frequency error of the basis."""
+def refined(
+    model: ReducedModel, full: ObservedMatrices, target: Target, x: Float
+) -> tuple[Solution, float]:
+    """From the best end on the basis to that of full solutions; and the last frequency error of the
+    basis.
+    """
     done = solve(one(model, target), start=x)
     error = np.inf
     n = target.frequencies.size
@@ -128,7 +137,9 @@ class Factorisations:
 def measured(full: ObservedMatrices, truth: Float) -> Target:
     """The lowest modes at the truth, without noise."""
     t = full.modes(truth)
-    return Target(t.frequencies[:MODES], t.shapes[:, :MODES], np.zeros(MODES), np.ones(MODES, dtype=bool))
+    return Target(
+        t.frequencies[:MODES], t.shapes[:, :MODES], np.zeros(MODES), np.ones(MODES, dtype=bool)
+    )
 
 
 def recovered(runs: list[Run]) -> list[Check]:
@@ -146,7 +157,9 @@ def many_starts(matrices: MatrixModel, rows: Int, seed: int, starts: int) -> Run
     parameters = matrices.parameters(0.05, 2.0, WEAK)
     truth = rng.uniform(-0.3, 0.3, len(parameters))
     observation = matrices.observe(rows)
-    full = matrices.observed(observation, parameters=parameters, request=ModesRequest(MODES + SPARE))
+    full = matrices.observed(
+        observation, parameters=parameters, request=ModesRequest(MODES + SPARE)
+    )
     target = measured(full, truth)
     search = replace(target, weights=Weights(frequency=0.1, mac=0.05), pairing=APART)
     at_truth = max(one(full, t).cost(truth) for t in (target, search))
@@ -169,7 +182,9 @@ def converged(done: Solution) -> bool:
 
 def same_modes(reduced: Float, full: Float) -> Check:
     """Frequencies of the basis at a point where it was enriched."""
-    return at_most("frequencies off the full ones by", np.abs(reduced / full - 1).max(), REDUCED_MOST)
+    return at_most(
+        "frequencies off the full ones by", np.abs(reduced / full - 1).max(), REDUCED_MOST
+    )
 
 
 def sensitivities(name: str, matrices: MatrixModel, rows: Int, report: Report) -> None:
@@ -178,7 +193,9 @@ def sensitivities(name: str, matrices: MatrixModel, rows: Int, report: Report) -
     request = ModesRequest(MODES + SPARE)
     full = matrices.observed(observation, parameters=parameters, request=request)
     x = np.random.default_rng(0).uniform(-0.3, 0.3, len(parameters))
-    model = matrices.reduced(observation, MODES + SPARE, parameters=parameters).enrich(x, sensitivities=True)[0]
+    model = matrices.reduced(observation, MODES + SPARE, parameters=parameters).enrich(
+        x, sensitivities=True
+    )[0]
     begin = time.process_time()
     for _ in range(20):
         reduced = model.linearise(x)
@@ -187,10 +204,14 @@ def sensitivities(name: str, matrices: MatrixModel, rows: Int, report: Report) -
     exact = full.linearise(x)
     peer = Peer("the full model", {"ms": 1e3 * (time.process_time() - begin)})
     check = same_modes(reduced.frequencies[:MODES], exact.frequencies[:MODES])
-    report.row(f"{name}: modes and sensitivities on the basis", {"ms": 1e3 * seconds}, [check], [peer])
+    report.row(
+        f"{name}: modes and sensitivities on the basis", {"ms": 1e3 * seconds}, [check], [peer]
+    )
 
 
-def starts(name: str, matrices: MatrixModel, rows: Int, report: Report, size: tuple[int, int]) -> None:
+def starts(
+    name: str, matrices: MatrixModel, rows: Int, report: Report, size: tuple[int, int]
+) -> None:
     """Truths, and starts to each."""
     seeds, count = size
     runs = [many_starts(matrices, rows, seed, count) for seed in range(seeds)]
@@ -205,28 +226,38 @@ def starts(name: str, matrices: MatrixModel, rows: Int, report: Report, size: tu
 
 
 def verified(errors: list[float], factors: list[float]) -> list[Check]:
-    """Basis against full model at the ends; and whether the middle one of the updatings finds the truth."""
+    """Basis against full model at the ends; and whether the middle one of the updatings finds the
+    truth.
+    """
     return [
         at_most("basis off the full model by", max(errors), VERIFIED),
         at_most("error of a factor, median", np.median(factors), FACTOR_VERIFIED_MOST),
     ]
 
 
-def cost(name: str, matrices: MatrixModel, rows: Int, report: Report, size: tuple[int, int]) -> None:
+def cost(
+    name: str, matrices: MatrixModel, rows: Int, report: Report, size: tuple[int, int]
+) -> None:
     """Of single updatings."""
     draws = size[0]
     rng = np.random.default_rng(0)
     parameters, observation = matrices.parameters(0.05, 3.0, WEAK), matrices.observe(rows)
-    full = matrices.observed(observation, parameters=parameters, request=ModesRequest(MODES + SPARE))
+    full = matrices.observed(
+        observation, parameters=parameters, request=ModesRequest(MODES + SPARE)
+    )
     made = Factorisations()
     for off, low, high in (("up to 50 % off", 0.5, 1.5), ("0.4 to 2.5 times", 0.4, 2.5)):
         seconds, solutions, factorisations = list[float](), list[float](), list[float]()
         errors, factors = list[float](), list[float]()
         for _ in range(draws):
             truth = rng.uniform(low, high, len(parameters)) - 1
-            target = replace(measured(full, truth), weights=Weights(frequency=0.1, mac=0.05), pairing=APART)
+            target = replace(
+                measured(full, truth), weights=Weights(frequency=0.1, mac=0.05), pairing=APART
+            )
             made.count, begin = 0, time.process_time()
-            done = solve_verified(one(matrices.reduced(observation, MODES + SPARE, parameters=parameters), target))
+            done = solve_verified(
+                one(matrices.reduced(observation, MODES + SPARE, parameters=parameters), target)
+            )
             seconds.append(time.process_time() - begin)
             solutions.append(1 + done.full_solutions)
             factorisations.append(made.count)
@@ -238,10 +269,18 @@ def cost(name: str, matrices: MatrixModel, rows: Int, report: Report, size: tupl
             "factorisations": float(np.median(factorisations)),
         }
         peer = Peer(f"scipy `least_squares`, {STEPS} steps", {"s": differences(full, target)})
-        report.row(f"{name}: one updating, truth {off}, {draws} draws", spent, verified(errors, factors), [peer])
+        report.row(
+            f"{name}: one updating, truth {off}, {draws} draws",
+            spent,
+            verified(errors, factors),
+            [peer],
+        )
 
 
-SIZES = {starts: ((1, 20), (2, 100), (20, 100)), cost: ((2, 0), (5, 0), (20, 0))}  # truths and starts; draws
+SIZES = {
+    starts: ((1, 20), (2, 100), (20, 100)),
+    cost: ((2, 0), (5, 0), (20, 0)),
+}  # truths and starts; draws
 
 
 def main() -> None:

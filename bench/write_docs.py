@@ -2,12 +2,14 @@
 
     python bench/write_docs.py [--only NAME ...] [--quick | --full]
 
-Each benchmark runs in a process of its own with one thread and leaves its figures, date, commit and processor in
-bench/results/NAME.json; the page is made of bench/benchmarks_template.md and these files. `--only` runs those that are
-named, and none if no name follows: the page is then written anew from the results that are there. Status 1 if an answer
-is wrong or a benchmark ends without any. Peers: see `peer_program` in outcome.py, and $RINGTRUE_MYSTRAN.
+Each benchmark runs in a process of its own with one thread and leaves its figures, date, commit and
+processor in bench/results/NAME.json; the page is made of bench/benchmarks_template.md and these
+files. `--only` runs those that are named, and none if no name follows: the page is then written
+anew from the results that are there. Status 1 if an answer is wrong or a benchmark ends without
+any. Peers: see `peer_program` in outcome.py, and $RINGTRUE_MYSTRAN.
 
-To add a benchmark: a script that ends with `Report.end` of outcome.py, its line in `RUNS`, its name in the template.
+To add a benchmark: a script that ends with `Report.end` of outcome.py, its line in `RUNS`, its name
+in the template.
 """
 
 from __future__ import annotations
@@ -61,7 +63,9 @@ RESULTS = BENCH / "results"
 TEMPLATE = BENCH / "benchmarks_template.md"
 PAGE = ROOT / "docs" / "benchmarks.md"
 
-PLACE = re.compile(r"^\{\{ ([\w ]+) \}\}$", re.MULTILINE)  # a line of the template: names of results, or "runs"
+PLACE = re.compile(
+    r"^\{\{ ([\w ]+) \}\}$", re.MULTILINE
+)  # a line of the template: names of results, or "runs"
 HEAD = ("what", "ringtrue", "peer", "ratio", "accuracy", "limit", "command")
 HEAD_RUNS = ("command", "date", "commit", "processor", "not run")
 
@@ -76,7 +80,10 @@ def run(name: str, size: str) -> bool:
     if made.exists():
         made.replace(RESULTS / f"{name}.json")
     else:
-        print(f"{name} ended with status {done.returncode} and without figures: those of before stay", flush=True)
+        print(
+            f"{name} ended with status {done.returncode} and without figures: those of before stay",
+            flush=True,
+        )
     return done.returncode == 0
 
 
@@ -101,7 +108,9 @@ def row_lines(stated: dict[str, Any]) -> list[tuple[str, ...]]:
         accuracy = "<br>".join(c.accuracy for c in row.checks)
         limit = "<br>".join(c.limit for c in row.checks)
         peers = [peer_cells(row, i) for i in range(len(row.peers))] or [("", "")]
-        lines.append((row.what, costs(row.cost), *peers[0], accuracy, limit, f"`{stated['command']}`"))
+        lines.append(
+            (row.what, costs(row.cost), *peers[0], accuracy, limit, f"`{stated['command']}`")
+        )
         lines += [("", "", *cells, "", "", "") for cells in peers[1:]]
     return lines
 
@@ -133,8 +142,12 @@ def stored(name: str) -> dict[str, Any] | None:
 
 def main() -> None:
     """Run, write the page, and say what is wrong."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", nargs="*", choices=list(RUNS), metavar="NAME", help=", ".join(RUNS))
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--only", nargs="*", choices=list(RUNS), metavar="NAME", help=", ".join(RUNS)
+    )
     size = parser.add_mutually_exclusive_group()
     size.add_argument("--quick", action="store_const", dest="size", const="--quick", default="")
     size.add_argument("--full", action="store_const", dest="size", const="--full")

@@ -1,4 +1,5 @@
-"""The tree of errors. Each message says what, where, the value got, the values allowed, what to try.
+"""The tree of errors. Each message says what, where, the value got, the values allowed, what to
+try.
 
 RingtrueError
 ├── InputError(ValueError)             the caller's input is wrong: exit status 2
@@ -35,7 +36,13 @@ class DeckError(InputError):
     """A deck is wrong at a known place."""
 
     def __init__(
-        self, message: str, *, path: object = None, line: int | None = None, card: str = "", field: str = ""
+        self,
+        message: str,
+        *,
+        path: object = None,
+        line: int | None = None,
+        card: str = "",
+        field: str = "",
     ) -> None:
         self.path, self.line, self.card, self.field = path, line, card, field
         place = f"{path}:{line}: " if line else f"{path}: " if path else ""
@@ -58,7 +65,9 @@ class UnsupportedError(RingtrueError, NotImplementedError):
 class UnsupportedCard(UnsupportedError):
     """A card that carries stiffness, mass or constraint and is not supported."""
 
-    def __init__(self, card: str, *, path: object = None, line: int | None = None, why: str = "") -> None:
+    def __init__(
+        self, card: str, *, path: object = None, line: int | None = None, why: str = ""
+    ) -> None:
         self.card, self.path, self.line = card, path, line
         place = f"{path}:{line}: " if line else ""
         super().__init__(f"{place}{card} is not supported{': ' + why if why else ''}")
@@ -73,7 +82,9 @@ class SingularModel(NumericalError):
 
     def __init__(self, dofs: Sequence[str], why: str) -> None:
         self.dofs = tuple(dofs)
-        shown = " ".join(self.dofs[:12]) + (f" and {len(self.dofs) - 12} more" if len(self.dofs) > 12 else "")
+        shown = " ".join(self.dofs[:12]) + (
+            f" and {len(self.dofs) - 12} more" if len(self.dofs) > 12 else ""
+        )
         super().__init__(f"the model is singular at {shown or 'unknown DOFs'}: {why}")
 
 
@@ -117,7 +128,8 @@ def about(path: object) -> Iterator[None]:
 
 
 def did_you_mean(got: str, allowed: Iterable[str]) -> str:
-    """A clause that lists the allowed names and the nearest one, in any case, or one that begins so.
+    """A clause that lists the allowed names and the nearest one, in any case, or one that begins
+    so.
 
     >>> did_you_mean("dir", ["direction", "point"])
     "; did you mean 'direction'? Allowed: direction, point"

@@ -83,6 +83,10 @@ LARGE = [d for d in (SRC, *sorted(SRC.rglob("*/"))) if d != SRC and len(list(d.g
 
 @pytest.mark.parametrize("package", LARGE, ids=lambda p: str(p.relative_to(SRC)))
 def test_a_large_package_tells_where_each_module_has_its_place(package: Path) -> None:
-    modules = {p.stem for p in package.glob("*.py")} | {p.parent.name for p in package.glob("*/__init__.py")}
-    told = re.findall(r"`(\w+)`", ast.get_docstring(ast.parse((package / "__init__.py").read_text())) or "")
+    modules = {p.stem for p in package.glob("*.py")} | {
+        p.parent.name for p in package.glob("*/__init__.py")
+    }
+    told = re.findall(
+        r"`(\w+)`", ast.get_docstring(ast.parse((package / "__init__.py").read_text())) or ""
+    )
     assert sorted(told) == sorted(modules - {"__init__"})

@@ -1,4 +1,6 @@
-"""Parsers of others are reached by one door, `ringtrue.io.foreign`, with its limits and its errors."""
+"""Parsers of others are reached by one door, `ringtrue.io.foreign`, with its limits and its
+errors.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +11,20 @@ import pytest
 
 SRC = Path(__file__).parents[2] / "src" / "ringtrue"
 DOOR = SRC / "io" / "foreign"
-MODULES = {"openpyxl", "tomllib", "nptdms", "pyuff", "yaml", "pickle", "marshal", "shelve", "xml", "zipfile"}
-CALLS = {  # reading calls by the module that has them; h5py's types and what writes may be used anywhere
+MODULES = {
+    "openpyxl",
+    "tomllib",
+    "nptdms",
+    "pyuff",
+    "yaml",
+    "pickle",
+    "marshal",
+    "shelve",
+    "xml",
+    "zipfile",
+}
+# reading calls by the module that has them; h5py's types and what writes may be used anywhere
+CALLS = {
     "json": {"load", "loads", "JSONDecoder"},
     "h5py": {"File", "is_hdf5"},
     "numpy": {"load", "loadtxt", "genfromtxt", "fromfile"},
@@ -33,7 +47,8 @@ def names_of(tree: ast.AST) -> dict[str, str]:
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             found |= {
-                a.asname or a.name.split(".")[0]: a.name if a.asname else a.name.split(".")[0] for a in node.names
+                a.asname or a.name.split(".")[0]: a.name if a.asname else a.name.split(".")[0]
+                for a in node.names
             }
         elif isinstance(node, ast.ImportFrom):
             found |= {a.asname or a.name: f"{node.module}.{a.name}" for a in node.names}
@@ -50,7 +65,11 @@ def dotted(node: ast.expr, names: dict[str, str]) -> str:
 
 def writes(call: ast.Call) -> bool:
     """Whether a file is opened to be written: `h5py.File(path, "w")`."""
-    return len(call.args) > 1 and isinstance(call.args[1], ast.Constant) and call.args[1].value in ("w", "x")
+    return (
+        len(call.args) > 1
+        and isinstance(call.args[1], ast.Constant)
+        and call.args[1].value in ("w", "x")
+    )
 
 
 def foreign_calls(text: str) -> set[str]:

@@ -20,7 +20,8 @@ FLAGS = (
     "--disable-background-networking", "--disable-component-update", "--disable-sync", "--no-first-run",
     "--disable-dev-shm-usage", "--window-size=1280,800", "--remote-debugging-pipe",
 )  # fmt: skip
-# The browser wants its pipe as descriptors 3 (in) and 4 (out); 10 and up keep the two dup2 from clashing.
+# The browser wants its pipe as descriptors 3 (in) and 4 (out); 10 and up keep the two dup2 from
+# clashing.
 LAUNCH = (
     "import os,sys,fcntl;r,w=(fcntl.fcntl(int(a),fcntl.F_DUPFD,10) for a in sys.argv[1:3]);"
     "os.dup2(r,3);os.dup2(w,4);os.execv(sys.argv[3],sys.argv[3:])"
@@ -42,7 +43,9 @@ class Page:
         self.to, self.back, self.buffer, self.last, self.session = to, back, b"", 0, ""
         self.events: list[dict[str, Any]] = []
         target = self.call("Target.createTarget", url="about:blank")["targetId"]
-        self.session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        self.session = self.call("Target.attachToTarget", targetId=target, flatten=True)[
+            "sessionId"
+        ]
         for domain in ("Page", "Runtime", "Log", "Network"):
             self.call(f"{domain}.enable")
 
@@ -75,7 +78,9 @@ class Page:
 
     def evaluate(self, expression: str) -> Any:
         """The value of a JavaScript expression."""
-        answer = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
+        answer = self.call(
+            "Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True
+        )
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
 
@@ -125,7 +130,9 @@ def page(profile: Path) -> Iterator[Page]:
         f"--user-data-dir={profile}",
     ]
     quiet = subprocess.DEVNULL
-    with subprocess.Popen(command, pass_fds=(in_read, out_write), stdout=quiet, stderr=quiet) as process:
+    with subprocess.Popen(
+        command, pass_fds=(in_read, out_write), stdout=quiet, stderr=quiet
+    ) as process:
         os.close(in_read), os.close(out_write)
         try:
             yield Page(in_write, out_read)

@@ -15,13 +15,27 @@ RNG = np.random.default_rng(11)
 
 
 def parameters(names: Sequence[str]) -> ParameterSet:
-    return ParameterSet(tuple(Parameter(n, (Target("MAT1", i + 1, "E"),), 0.2, 5.0) for i, n in enumerate(names)))
+    return ParameterSet(
+        tuple(Parameter(n, (Target("MAT1", i + 1, "E"),), 0.2, 5.0) for i, n in enumerate(names))
+    )
 
 
 def _proposal(names: Sequence[str]) -> Proposal:
-    because = "MAT1 1 E of 24 CHEXA; without it AICc rises by 21.0 and mean |Δf| is 2.10 instead of 0.92 %"
+    because = (
+        "MAT1 1 E of 24 CHEXA; without it AICc rises by 21.0 and mean |Δf| is 2.10 instead "
+        "of 0.92 %"
+    )
     members = tuple(
-        Proposed(names[i], i, 5.0 if i == 2 else 1.3 + i, 0.05, 40.0 - 9 * i, (names[8],) * (i == 0), (), because)
+        Proposed(
+            names[i],
+            i,
+            5.0 if i == 2 else 1.3 + i,
+            0.05,
+            40.0 - 9 * i,
+            (names[8],) * (i == 0),
+            (),
+            because,
+        )
         for i in range(4)
     )
     rules = ("LASSO", "orthogonal sensitivities", "largest sensitivities", "single gain")
@@ -68,8 +82,12 @@ def localise(regions: Sequence[str], names: Sequence[str]) -> r.LocaliseStage:
     )
 
 
-def uncertainty(test: np.ndarray, names: Sequence[str], left_out: Sequence[int]) -> r.UncertaintyStage:
-    """One mode without a partner, one outside of its band, one parameter that the test has not told."""
+def uncertainty(
+    test: np.ndarray, names: Sequence[str], left_out: Sequence[int]
+) -> r.UncertaintyStage:
+    """One mode without a partner, one outside of its band, one parameter that the test has not
+    told.
+    """
     m, p = test.size, len(names)
     used = ~np.isin(np.arange(m), list(left_out))
     found = test * (1 + 0.01 * RNG.standard_normal(m))
@@ -78,7 +96,9 @@ def uncertainty(test: np.ndarray, names: Sequence[str], left_out: Sequence[int])
     reach = 2.1 * 0.0126 * found
     fold = np.where(used, np.cumsum(used) % 5, -1)
     held = np.where(used, found * 1.002, np.nan)
-    known = Held(test, held, np.where(used, 0.96, np.nan), parts[:, 0], parts[:, 1], parts[:, 2], fold, True)
+    known = Held(
+        test, held, np.where(used, 0.96, np.nan), parts[:, 0], parts[:, 1], parts[:, 2], fold, True
+    )
     factor = RNG.uniform(0.6, 2.4, p)
     std = np.full(p, 0.06)
     interval = factor[:, None] * np.exp(np.outer(std, [-1.64, 1.64]))

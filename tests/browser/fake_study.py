@@ -101,10 +101,14 @@ class _Mesh:
         """A structured surface, `xyz` (i, j, 3)."""
         at = self.nodes(xyz.reshape(-1, 3)).reshape(xyz.shape[:2])
         a, b, c, d = at[:-1, :-1], at[1:, :-1], at[1:, 1:], at[:-1, 1:]
-        tri = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
+        tri = np.concatenate(
+            [np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)]
+        )
         self.tri.append((tri, group))
 
-    def box(self, low: tuple[float, ...], high: tuple[float, ...], n: tuple[int, ...], group: int) -> None:
+    def box(
+        self, low: tuple[float, ...], high: tuple[float, ...], n: tuple[int, ...], group: int
+    ) -> None:
         grid = [np.linspace(l, h, k + 1) for l, h, k in zip(low, high, n, strict=True)]
         for axis in range(3):
             i, j = [k for k in range(3) if k != axis]
@@ -171,8 +175,19 @@ def field(xyz: np.ndarray, k: int, wrong: float = 0.0) -> np.ndarray:
     n = k - 4
     q = 0.9 * n * x + 0.3 * k + wrong * np.sin(3 * x + k)
     sway = np.where(z > 0, (1 + z) ** 2, 1.0)
-    u = np.stack([0.3 * np.sin(q) * z, np.cos(q) * sway * (k % 3 == 0), np.cos(q + y * (k % 2)) * (k % 3 != 0)], 1)
-    return u + 0.15 * np.stack([o, np.sin(2 * y + k) * sway, np.cos(k * y)], 1) + wrong * 0.2 * np.cos(q + 1)[:, None]
+    u = np.stack(
+        [
+            0.3 * np.sin(q) * z,
+            np.cos(q) * sway * (k % 3 == 0),
+            np.cos(q + y * (k % 2)) * (k % 3 != 0),
+        ],
+        1,
+    )
+    return (
+        u
+        + 0.15 * np.stack([o, np.sin(2 * y + k) * sway, np.cos(k * y)], 1)
+        + wrong * 0.2 * np.cos(q + 1)[:, None]
+    )
 
 
 def _fe_modes(s: r.Scene, f: np.ndarray, wrong: float) -> ModeSet:
@@ -195,17 +210,31 @@ def test_model() -> TestModel:
     channels = [f"{a}+{'XYZ'[d]}" for a, (_, d) in zip(at, pick, strict=True)]
     part = ["foundation"] * len(base) + ["frame"] * len(frame) + ["drivetrain"] * len(top)
     axes = np.eye(3)[[d for _, d in pick]]
-    return TestModel(number, xyz, tuple(channels), at, axes, np.stack([number[i], number[j]], 1), tuple(part))
+    return TestModel(
+        number, xyz, tuple(channels), at, axes, np.stack([number[i], number[j]], 1), tuple(part)
+    )
 
 
-def _seen(test: TestModel, f: np.ndarray, wrong: float, noise: float, first: int = 0, damping: float = 0.0) -> ModeSet:
+def _seen(
+    test: TestModel, f: np.ndarray, wrong: float, noise: float, first: int = 0, damping: float = 0.0
+) -> ModeSet:
     xyz = test.channel_xyz()
-    shapes = np.stack([(field(xyz, k + first, wrong) * test.axes).sum(1) for k in range(f.size)], 1).astype(complex)
+    shapes = np.stack(
+        [(field(xyz, k + first, wrong) * test.axes).sum(1) for k in range(f.size)], 1
+    ).astype(complex)
     shapes = shapes / 1e3
     shapes += 1e-3 * noise * (RNG.normal(size=shapes.shape) + 1j * RNG.normal(size=shapes.shape))
     zeta = np.full(f.size, damping) * RNG.uniform(0.6, 1.6, f.size)
     confidence = RNG.uniform(0.45, 1, f.size)
-    return ModeSet(f, zeta, shapes if noise else shapes.real, test.channels, Norm.UNSCALED, "made up", confidence)
+    return ModeSet(
+        f,
+        zeta,
+        shapes if noise else shapes.real,
+        test.channels,
+        Norm.UNSCALED,
+        "made up",
+        confidence,
+    )
 
 
 def _mac(a: ModeSet, b: ModeSet) -> np.ndarray:
@@ -213,7 +242,9 @@ def _mac(a: ModeSet, b: ModeSet) -> np.ndarray:
     return top / np.outer((np.abs(a.shapes) ** 2).sum(0), (np.abs(b.shapes) ** 2).sum(0))
 
 
-def correlation(a: ModeSet, b: ModeSet, first: int = 0, left_out: tuple[int, ...] = ()) -> CorrelationTable:
+def correlation(
+    a: ModeSet, b: ModeSet, first: int = 0, left_out: tuple[int, ...] = ()
+) -> CorrelationTable:
     """Pairs mode k + first of `a` with k of `b`; the last mode of `a` stays alone."""
     n = min(len(a) - first - 1, len(b))
     one, two, mac = np.arange(n) + first, np.arange(n), _mac(a, b)
@@ -222,13 +253,24 @@ def correlation(a: ModeSet, b: ModeSet, first: int = 0, left_out: tuple[int, ...
     why = [("no FE mode within 30 % has MAC >= 60 %: best FE 20 with 31 %",) * x.size for x in lone]
     close = np.isin(two, (16, 17))
     error = (g[two] - f[one]) / f[one]
-    pairing = Pairing(one, two, mac[one, two], error, np.ones(n), close, lone[0], why[0], lone[1], why[1])
-    return CorrelationTable(pairing, f[one], g[two], 2e-4 * f[one], ~np.isin(one, left_out), mac, f, g)
+    pairing = Pairing(
+        one, two, mac[one, two], error, np.ones(n), close, lone[0], why[0], lone[1], why[1]
+    )
+    return CorrelationTable(
+        pairing, f[one], g[two], 2e-4 * f[one], ~np.isin(one, left_out), mac, f, g
+    )
 
 
 def evidence(a: ModeSet, b: ModeSet, table: CorrelationTable) -> r.Evidence:
     """All measures over a unit mass, and a channel that looks reversed."""
-    found = complete(a, b, table.pairing, mass=np.eye(len(a.channels)), mass_name="IRS", std_a=2e-4 * a.frequencies)
+    found = complete(
+        a,
+        b,
+        table.pairing,
+        mass=np.eye(len(a.channels)),
+        mass_name="IRS",
+        std_a=2e-4 * a.frequencies,
+    )
     said = "reads with the opposite sign in all modes; turned: mean MAC 91.2 % -> 93.0 %"
     suspect = Suspect("103+Y", "reversed", said, "", -1.0, 0.912, 0.93)
     return r.Evidence(replace(found, suspects=(suspect,)), _mac(a, a))
@@ -243,7 +285,9 @@ def _compared(frfs: FrfSet) -> r.FrfEvidence:
 
 def _unsure(modes: ModeSet) -> Uncertainty:
     f, m = modes.frequencies, len(modes)
-    return Uncertainty.independent(2e-4 * f, 0.04 * modes.damping, np.full((len(modes.channels), m), 0.01))
+    return Uncertainty.independent(
+        2e-4 * f, 0.04 * modes.damping, np.full((len(modes.channels), m), 0.01)
+    )
 
 
 def _diagram(modes: ModeSet, low: float, high: float) -> StableDiagram:
@@ -261,16 +305,25 @@ def _diagram(modes: ModeSet, low: float, high: float) -> StableDiagram:
     nan = np.full(pole.size, np.nan)
     poles = PoleSet(np.array(order), pole, np.ones((3, pole.size), complex), nan, nan)
     grid = np.linspace(low, high, 1200)
-    level = 10 * np.log10(1e-3 + (1 / ((grid[:, None] / f - 1) ** 2 + 1e-4)).sum(1)) + RNG.normal(size=1200)
+    level = 10 * np.log10(1e-3 + (1 / ((grid[:, None] / f - 1) ** 2 + 1e-4)).sum(1)) + RNG.normal(
+        size=1200
+    )
     return StableDiagram(poles, cluster != -1, np.maximum(cluster, -1), grid, level)
 
 
-def _record(name: str, test: str, excitation: str, channels: int, rate: float, duration: float) -> r.RecordSummary:
+def _record(
+    name: str, test: str, excitation: str, channels: int, rate: float, duration: float
+) -> r.RecordSummary:
     t = np.linspace(0, 60, 1800)
     hit = np.exp(-0.25 * (t % 20)) * np.sin(2 * np.pi * 3.1 * t)
     f = np.geomspace(0.1, 100, 700)
     lines = np.concatenate([RIGID, ELASTIC])
-    psd = 1e-12 * (1 / f + (1 / ((f[:, None] / lines - 1) ** 2 + 5e-4)).sum(1)) * RNG.chisquare(8, 700) / 8
+    psd = (
+        1e-12
+        * (1 / f + (1 / ((f[:, None] / lines - 1) ** 2 + 5e-4)).sum(1))
+        * RNG.chisquare(8, 700)
+        / 8
+    )
     preview = 1e-4 * (hit + 0.1 * RNG.normal(size=(3, t.size)))
     return r.RecordSummary(
         name,
@@ -304,8 +357,25 @@ def _frfs(test: TestModel, modes: ModeSet, inputs: list[int]) -> FrfSet:
 
 
 def _model_stage(s: r.Scene, modes: ModeSet) -> r.ModelStage:
-    cards = {"GRID": 9214, "CHEXA": 5120, "CPENTA": 96, "CQUAD4": 2310, "CTRIA3": 140, "CBEAM": 380, "CBAR": 122}
-    cards |= {"CBUSH": 74, "CONM2": 12, "RBE2": 18, "RBE3": 6, "CORD2R": 3, "MAT1": 9, "PSHELL": 7, "EIGRL": 1}
+    cards = {
+        "GRID": 9214,
+        "CHEXA": 5120,
+        "CPENTA": 96,
+        "CQUAD4": 2310,
+        "CTRIA3": 140,
+        "CBEAM": 380,
+        "CBAR": 122,
+    }
+    cards |= {
+        "CBUSH": 74,
+        "CONM2": 12,
+        "RBE2": 18,
+        "RBE3": 6,
+        "CORD2R": 3,
+        "MAT1": 9,
+        "PSHELL": 7,
+        "EIGRL": 1,
+    }
     findings = ("PSHELL 12 is not used", "CONM2 9003 stands 0.41 m from its node: offset kept")
     return r.ModelStage(
         "Large spinning facility, as designed",
@@ -355,7 +425,9 @@ def _set(name: str, names: tuple[str, ...], best: float) -> r.SetResult:
 
 
 def damped() -> r.DampingStage:
-    """Two materials, a joint that the test says nothing about, a dashpot; 26 modes, five left out."""
+    """Two materials, a joint that the test says nothing about, a dashpot; 26 modes, five left
+    out.
+    """
     natures = ("material", "material", "joint", "dashpot")
     regions = r.DampedRegions(
         ("concrete", "steel", "vessel mounts", "air springs, vertical"),
@@ -383,14 +455,21 @@ def damped() -> r.DampingStage:
         0.7 * error,
     )
     told = ("the test says little about vessel mounts: their values are those expected, or zero",)
-    return r.DampingStage("", regions, modes, 1.2, "0.65 % for all modes, the median of the test", told, (), ())
+    return r.DampingStage(
+        "", regions, modes, 1.2, "0.65 % for all modes, the median of the test", told, (), ()
+    )
 
 
 def predicted() -> r.PredictStage:
     """A rotor and one group of springs, two resonances."""
     freqs = np.linspace(1, 200, 400)
     lines = (38.0, 61.0)
-    curve = np.array([freqs**2 / sum(np.abs(f**2 - freqs**2 + 0.02j * f * freqs) for f in lines) for _ in range(3)])
+    curve = np.array(
+        [
+            freqs**2 / sum(np.abs(f**2 - freqs**2 + 0.02j * f * freqs) for f in lines)
+            for _ in range(3)
+        ]
+    )
     curve *= np.array([[1e-4], [1e4], [3e3]])
     names = ("rotor, node 9001", "bearings, largest in one of 2", "bearings, sum along X")
     peak = curve.max(axis=1)
@@ -405,16 +484,24 @@ def predicted() -> r.PredictStage:
         Bands(at - 1, at, at + 1.5, 0.9),
         (0.6, 41.0),
     )
-    known = Posterior(ParameterSet((Parameter("k"),)), np.zeros(1), np.eye(1), np.eye(1), np.ones(1))
-    return r.PredictStage(9001, "X", Unbalance(2500.0, 2.5, 50.0), run, known, 0.02, "by region", 0.01, ("k: a flag",))
+    known = Posterior(
+        ParameterSet((Parameter("k"),)), np.zeros(1), np.eye(1), np.eye(1), np.ones(1)
+    )
+    return r.PredictStage(
+        9001, "X", Unbalance(2500.0, 2.5, 50.0), run, known, 0.02, "by region", 0.01, ("k: a flag",)
+    )
 
 
 def study() -> dict[str, object]:
     """All stages by name."""
     s, test = scene(), test_model()
     f_test = np.concatenate([RIGID, ELASTIC])
-    f_fe = f_test * np.concatenate([[0.9, 0.91, 0.95, 0.93, 0.96, 0.9], np.linspace(0.69, 0.92, 20)])
-    f_mid = f_test * np.concatenate([[0.9, 0.91, 0.95, 0.93, 0.96, 0.9], np.linspace(0.76, 0.94, 20)])
+    f_fe = f_test * np.concatenate(
+        [[0.9, 0.91, 0.95, 0.93, 0.96, 0.9], np.linspace(0.69, 0.92, 20)]
+    )
+    f_mid = f_test * np.concatenate(
+        [[0.9, 0.91, 0.95, 0.93, 0.96, 0.9], np.linspace(0.76, 0.94, 20)]
+    )
     f_end = f_test * (1 + np.concatenate([0.008 * RNG.normal(size=6), 0.013 * RNG.normal(size=20)]))
     fe, end = _fe_modes(s, f_fe, 0.4), _fe_modes(s, f_end, 0.05)
     rigid = _seen(test, RIGID, 0.0, 0.01, damping=0.04)
@@ -422,7 +509,10 @@ def study() -> dict[str, object]:
     ambient = _seen(test, np.concatenate([RIGID, ELASTIC[:9]]), 0.0, 0.08, damping=0.02)
     hammer = replace(elastic, frequencies=elastic.frequencies * 1.0012)
     both = np.concatenate([rigid.shapes, elastic.shapes], 1)
-    freqs, damping = (np.concatenate([getattr(m, n) for m in (rigid, elastic)]) for n in ("frequencies", "damping"))
+    freqs, damping = (
+        np.concatenate([getattr(m, n) for m in (rigid, elastic)])
+        for n in ("frequencies", "damping")
+    )
     reference = ModeSet(freqs, damping, both, test.channels, source="made up")
     seen = [_seen(test, f, w, 0.0) for f, w in ((f_fe, 0.4), (f_mid, 0.25), (f_end, 0.05))]
     left_out = (9, 13, 17, 20, 23)
@@ -521,7 +611,9 @@ def study() -> dict[str, object]:
             told[1],
         ),
         "localise": fake_localised.localise(REGIONS, CANDIDATES),
-        "uncertainty": fake_localised.uncertainty(reference.frequencies[6:], sets[0].parameters, (3, 7, 11, 14)),
+        "uncertainty": fake_localised.uncertainty(
+            reference.frequencies[6:], sets[0].parameters, (3, 7, 11, 14)
+        ),
         "sensitivity": r.SensitivityStage(
             CANDIDATES,
             RNG.normal(size=(20, 16)) ** 3 * 0.05,
@@ -540,7 +632,9 @@ def study() -> dict[str, object]:
             dict(zip(sets[0].parameters, 2.1e11 * sets[0].factor, strict=True)),
             {name: (k,) for name, k in zip(sets[0].parameters, (0, 1, 2, 3, 4, 5), strict=True)},
         ),
-        "tune": r.TuneStage(*rigid_rows, {"vertical": 1.21, "lateral": 1.17}, {"vertical": 0.01, "lateral": 0.014}),
+        "tune": r.TuneStage(
+            *rigid_rows, {"vertical": 1.21, "lateral": 1.17}, {"vertical": 0.01, "lateral": 0.014}
+        ),
         "final": r.FinalStage(
             ("lsf.bdf", "frame.bdf"),
             tuple(f"frame.bdf:{12 + k} PBUSH {31 + k} K3 1.2e9 -> 2.9e9" for k in range(24)),
@@ -568,6 +662,13 @@ def study() -> dict[str, object]:
             "2024-05-02 10:15",
             {f"{n}.bdf": f"{k:x}" * 64 for k, n in enumerate(("lsf", "foundation", "frame"))},
             "[study]\nseed = 1\n",
-            {"model": 12.1, "plan": 2.2, "identify": 61.0, "correlate": 14.0, "update": 92.5, "final": 11.9},
+            {
+                "model": 12.1,
+                "plan": 2.2,
+                "identify": 61.0,
+                "correlate": 14.0,
+                "update": 92.5,
+                "final": 11.9,
+            },
         ),
     }

@@ -1,4 +1,6 @@
-"""The pages of the commands in a browser: drawn offline without complaint, and a click makes a choice."""
+"""The pages of the commands in a browser: drawn offline without complaint, and a click makes a
+choice.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,8 @@ from ringtrue.plots.responses import frf_page
 from ringtrue.plots.tracking import tracking_page
 
 needs_browser = pytest.mark.skipif(
-    chromium.find() is None, reason="no Chromium on this machine: the drawing of the pages is NOT tested"
+    chromium.find() is None,
+    reason="no Chromium on this machine: the drawing of the pages is NOT tested",
 )
 
 
@@ -30,7 +33,9 @@ def diagram() -> StableDiagram:
     f = np.linspace(2.9, 3.1, 10)
     pole = 2 * np.pi * f * (-0.01 + 1j)
     poles = PoleSet(order, pole, np.ones((2, 10), complex), np.full(10, 1e-3), np.full(10, np.nan))
-    return StableDiagram(poles, order > 8, np.where(order > 14, 0, -1), np.linspace(2, 4, 50), np.zeros(50))
+    return StableDiagram(
+        poles, order > 8, np.where(order > 14, 0, -1), np.linspace(2, 4, 50), np.zeros(50)
+    )
 
 
 def modes() -> ModeSet:
@@ -41,14 +46,19 @@ def modes() -> ModeSet:
 def test_a_click_makes_a_choice(tmp_path: Path) -> None:
     path = tmp_path / "d.html"
     path.write_text(picker_page("tower </script>", [diagram()], modes()))
-    click = "document.getElementById('figure-0').emit('plotly_click', {points: [{customdata: [%s, %d]}]})"
+    click = (
+        "document.getElementById('figure-0').emit('plotly_click', {points: [{customdata: "
+        "[%s, %d]}]})"
+    )
     with chromium.page(tmp_path / "profile") as page:
         page.call("Page.navigate", url=path.as_uri())
         assert page.until("document.querySelectorAll('.main-svg').length > 0")
         for f, order in (("2.9", 2), ("3.05", 0), ("3.1", 20), ("3.1", 20)):
             page.evaluate(click % (f, order))
         text = page.evaluate("document.getElementById('choice').textContent")
-        drawn = page.evaluate("document.getElementById('figure-0').data.map((t) => (t.customdata || []).length)")
+        drawn = page.evaluate(
+            "document.getElementById('figure-0').data.map((t) => (t.customdata || []).length)"
+        )
         assert page.complaints() == []
         assert all(u.startswith(("file:", "data:", "blob:")) for u in page.requests())
     assert tomllib.loads(text)["pick"] == [{"frequency": 2.9, "order": 2}]
@@ -61,15 +71,23 @@ def test_a_click_makes_a_choice(tmp_path: Path) -> None:
 
 @needs_browser
 def test_responses_of_a_model_are_drawn(tmp_path: Path) -> None:
-    freqs, points = np.linspace(1, 9, 50), [Channel(c, "acceleration", "m/s^2") for c in ("1+X", "</script>")]
-    h = np.exp(1j * np.outer(freqs, [1.0, 0.0]))[:, :, None] * [1.0, 0.0]  # a force that moves nothing, too
+    freqs, points = (
+        np.linspace(1, 9, 50),
+        [Channel(c, "acceleration", "m/s^2") for c in ("1+X", "</script>")],
+    )
+    h = np.exp(1j * np.outer(freqs, [1.0, 0.0]))[:, :, None] * [
+        1.0,
+        0.0,
+    ]  # a force that moves nothing, too
     forces = (Channel("1+X", "force", "N"), Channel("2+X", "force", "N"))
     path = tmp_path / "f.html"
     path.write_text(frf_page("wing", FrfSet(h, freqs, tuple(points), forces)))
     with chromium.page(tmp_path / "profile") as page:
         page.call("Page.navigate", url=path.as_uri())
         assert page.until("document.querySelectorAll('.main-svg').length >= 4")
-        drawn = page.evaluate("[0, 1].map((i) => document.getElementById('figure-' + i).data.length)")
+        drawn = page.evaluate(
+            "[0, 1].map((i) => document.getElementById('figure-' + i).data.length)"
+        )
         assert page.complaints() == []
         assert all(u.startswith(("file:", "data:", "blob:")) for u in page.requests())
     assert drawn == [4, 4]
@@ -82,7 +100,9 @@ def test_modes_through_time_are_drawn(tmp_path: Path) -> None:
     f = 3 - 0.01 * (t - 15) + 0.003 * rng.standard_normal(n)
     std = Uncertainty.independent(np.array([0.003]), np.array([0.001]), np.full((2, 1), 0.01))
     sets = [
-        Stretch(float(k), ModeSet(f[[k]], np.array([0.01]), np.array([[1.0], [0.5]]), ("a", "b")), std)
+        Stretch(
+            float(k), ModeSet(f[[k]], np.array([0.01]), np.array([[1.0], [0.5]]), ("a", "b")), std
+        )
         for k in range(n)
         if k != 4
     ]

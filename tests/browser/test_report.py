@@ -1,4 +1,6 @@
-"""The report: built from any subset of stages, and drawn without complaint by a browser that is offline."""
+"""The report: built from any subset of stages, and drawn without complaint by a browser that is
+offline.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,8 @@ PIXEL = (
     b"IDATx\x9cc`\xf8\xcf\xf0\x1f\x00\x05\x00\x01\xff\x89\x99=\x1d\x00\x00\x00\x00IEND\xaeB`\x82"
 )
 needs_browser = pytest.mark.skipif(
-    chromium.find() is None, reason="no Chromium on this machine: the drawing of the report is NOT tested"
+    chromium.find() is None,
+    reason="no Chromium on this machine: the drawing of the report is NOT tested",
 )
 
 
@@ -58,7 +61,10 @@ def full(stages: dict[str, object], tmp_path_factory: pytest.TempPathFactory) ->
 
 
 def test_has_every_section_and_stays_small(full: Path, stages: dict[str, object]) -> None:
-    want = "summary survey model plan signals frfs identification tests initial remodelled localisation sensitivities"
+    want = (
+        "summary survey model plan signals frfs identification tests initial remodelled "
+        "localisation sensitivities"
+    )
     rest = "updating suspension final shapes uncertainty response damping prediction provenance"
     assert ids(full) == [*want.split(), *rest.split()]
     assert full.stat().st_size < 15e6
@@ -73,14 +79,30 @@ def test_has_every_section_and_stays_small(full: Path, stages: dict[str, object]
 @pytest.mark.parametrize(
     ("names", "present", "absent"),
     [
-        (("model",), {"summary", "survey", "model", "shapes"}, {"signals", "initial", "final", "plan"}),
-        (("identify", "provenance"), {"signals", "frfs", "identification", "shapes"}, {"model", "initial"}),
-        (("model", "identify", "correlate"), {"initial", "remodelled"}, {"final", "updating", "tests"}),
+        (
+            ("model",),
+            {"summary", "survey", "model", "shapes"},
+            {"signals", "initial", "final", "plan"},
+        ),
+        (
+            ("identify", "provenance"),
+            {"signals", "frfs", "identification", "shapes"},
+            {"model", "initial"},
+        ),
+        (
+            ("model", "identify", "correlate"),
+            {"initial", "remodelled"},
+            {"final", "updating", "tests"},
+        ),
         ((), set(), {"summary"}),
     ],
 )
 def test_leaves_out_what_was_not_run(
-    stages: dict[str, object], tmp_path: Path, names: tuple[str, ...], present: set[str], absent: set[str]
+    stages: dict[str, object],
+    tmp_path: Path,
+    names: tuple[str, ...],
+    present: set[str],
+    absent: set[str],
 ) -> None:
     there = set(ids(build({n: stages[n] for n in names}, tmp_path / "r.html", title="part")))
     assert present <= there
@@ -110,18 +132,27 @@ def test_acceptance_takes_percent_or_hertz_and_mac() -> None:
 
 
 def test_a_rounded_zero_has_no_sign() -> None:
-    assert [fixed(x, 2, sign=True) for x in (-0.004, 0.004, -0.006, 0.006)] == ["0.00", "0.00", "−0.01", "+0.01"]
+    assert [fixed(x, 2, sign=True) for x in (-0.004, 0.004, -0.006, 0.006)] == [
+        "0.00",
+        "0.00",
+        "−0.01",
+        "+0.01",
+    ]
 
 
 def test_packs_overlaid_curves_within_a_line_width() -> None:
     t = np.linspace(0, 1, 300)
     y = np.sin(np.outer(np.arange(1, 40), t))
-    fig = go.Figure(go.Scatter(**dict(zip("xy", joined(t, y), strict=True)), meta={"overlay": y.shape[0]}))
+    fig = go.Figure(
+        go.Scatter(**dict(zip("xy", joined(t, y), strict=True)), meta={"overlay": y.shape[0]})
+    )
     text = figure_json(fig)
     assert len(text) < 0.3 * len(str(fig.to_json()))
     meta = json.loads(text)["data"][0]["meta"]
     back = np.frombuffer(base64.b64decode(meta["q"]), "<i2").reshape(y.shape) * meta["peak"] / 32767
-    np.testing.assert_allclose(back, y, atol=2e-5)  # half a step of 16 bits; a line is 1/300 of the height
+    np.testing.assert_allclose(
+        back, y, atol=2e-5
+    )  # half a step of 16 bits; a line is 1/300 of the height
     np.testing.assert_allclose(np.frombuffer(base64.b64decode(meta["x"]), "<f4"), t, atol=1e-6)
 
 
@@ -146,7 +177,9 @@ COLORS = """[...document.querySelectorAll('.view > .stage > canvas')].map(c => {
 
 @needs_browser
 def test_draws_every_figure_offline_without_a_complaint(full: Path, page: chromium.Page) -> None:
-    assert page.until(DRAWN), page.evaluate("[window.ringtrueDrawn, window.ringtrueExpected]") or page.complaints()
+    assert page.until(DRAWN), (
+        page.evaluate("[window.ringtrueDrawn, window.ringtrueExpected]") or page.complaints()
+    )
     assert page.evaluate("window.ringtrueExpected") == page.evaluate(
         "document.querySelectorAll('[data-plot], [data-view]').length"
     )
@@ -156,22 +189,41 @@ def test_draws_every_figure_offline_without_a_complaint(full: Path, page: chromi
     assert outside == []
 
 
-HOSTILE = ("<!--", "</script>", "<script>", "--><b>", "a\u2028b", "&lt;", "'\"", "]]>", "<!DOCTYPE", "${x}")
+HOSTILE = (
+    "<!--",
+    "</script>",
+    "<script>",
+    "--><b>",
+    "a\u2028b",
+    "&lt;",
+    "'\"",
+    "]]>",
+    "<!DOCTYPE",
+    "${x}",
+)
 
 
 @needs_browser
-def test_any_name_of_a_region_leaves_every_figure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_any_name_of_a_region_leaves_every_figure(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """`<!--` before `<script>` made the rest of the page a comment; JSON has no escape for `!`."""
     monkeypatch.setattr(fake_study, "REGIONS", HOSTILE)
-    monkeypatch.setattr(fake_study, "CANDIDATES", (*HOSTILE, *fake_study.CANDIDATES[len(HOSTILE) :]))
+    monkeypatch.setattr(
+        fake_study, "CANDIDATES", (*HOSTILE, *fake_study.CANDIDATES[len(HOSTILE) :])
+    )
     path = build(fake_study.study(), tmp_path / "r.html", title="<!--<script>")
     with chromium.page(tmp_path / "profile") as opened:
         opened.call("Page.navigate", url=path.as_uri())
-        assert opened.until(DRAWN, 60.0), opened.evaluate("[window.ringtrueDrawn, window.ringtrueExpected]")
+        assert opened.until(DRAWN, 60.0), opened.evaluate(
+            "[window.ringtrueDrawn, window.ringtrueExpected]"
+        )
         assert opened.evaluate("window.ringtrueExpected") > 20
         assert opened.evaluate(EMPTY) == 0
         assert opened.complaints() == []
-        legend = opened.evaluate("[...document.querySelectorAll('.legend span')].map(e => e.textContent).join(' ')")
+        legend = opened.evaluate(
+            "[...document.querySelectorAll('.legend span')].map(e => e.textContent).join(' ')"
+        )
         assert all(name in legend for name in HOSTILE)
 
 
@@ -186,7 +238,8 @@ def test_shows_and_moves_the_mode_shapes(page: chromium.Page) -> None:
     first = page.evaluate(image)
     assert page.until(f"({image}) !== {first!r}")
     page.evaluate(
-        "(() => { const s = document.querySelectorAll('#shapes select')[1]; s.selectedIndex = 3; s.onchange(); })()"
+        "(() => { const s = document.querySelectorAll('#shapes select')[1]; s.selectedIndex = 3; "
+        "s.onchange(); })()"
     )
     assert "FE" in page.evaluate("document.querySelector('#shapes .info').textContent")
     assert page.complaints() == []
@@ -195,11 +248,19 @@ def test_shows_and_moves_the_mode_shapes(page: chromium.Page) -> None:
 @needs_browser
 def test_fits_the_paper(page: chromium.Page) -> None:
     assert page.until(DRAWN)
-    pdf = page.call("Page.printToPDF", preferCSSPageSize=True, printBackground=True, transferMode="ReturnAsStream")
+    pdf = page.call(
+        "Page.printToPDF",
+        preferCSSPageSize=True,
+        printBackground=True,
+        transferMode="ReturnAsStream",
+    )
     assert pdf["stream"]
     page.call("IO.close", handle=pdf["stream"])
     assert page.complaints() == []
-    wide = "[...document.querySelectorAll('section')].filter(s => s.scrollWidth > s.clientWidth + 2).map(s => s.id)"
+    wide = (
+        "[...document.querySelectorAll('section')].filter(s => s.scrollWidth > s.clientWidth "
+        "+ 2).map(s => s.id)"
+    )
     assert page.evaluate(wide) == []
 
 
@@ -209,7 +270,9 @@ def test_the_modes_of_the_deck_are_listed_as_far_as_they_were_correlated(
     """Without an fmax the first modes end before anything is known of the test."""
     model, correlated = stages["model"], stages["correlate"]
     early = replace(model, modes=model.modes.take([0, 1]), residuals=model.residuals[:2])
-    page = build({"model": early, "correlate": correlated}, tmp_path / "r.html", title="Short").read_text()
+    page = build(
+        {"model": early, "correlate": correlated}, tmp_path / "r.html", title="Short"
+    ).read_text()
     f = correlated.fe_initial.frequencies
     assert len(f) > 2
     assert f">{f.size}, {number(f[0], 3)} to {number(f[-1], 4)}<" in page
@@ -224,6 +287,8 @@ def test_orthogonality_is_judged_only_where_the_mass_keeps_the_modes_of_the_mode
     measures = final.evidence.measures
     kinds = [replace(c, verdict=replace(c.verdict, passed=apart)) for c in measures.checks]
     evidence = replace(final.evidence, measures=replace(measures, checks=tuple(kinds)))
-    page = build({"final": replace(final, evidence=evidence)}, tmp_path / "r.html", title="Few channels").read_text()
+    page = build(
+        {"final": replace(final, evidence=evidence)}, tmp_path / "r.html", title="Few channels"
+    ).read_text()
     assert ("no verdict" in page) != apart
     assert bool(re.search(r"pairs ≥ \d+ %", page)) == apart

@@ -22,7 +22,9 @@ from ringtrue.testing.solver import check_modal_solver
 
 @pytest.mark.parametrize("clamped", [False, True])
 def test_embedded_meets_the_contract(clamped):
-    result = check_modal_solver(EmbeddedSolver(), shell(6, 4, clamped=clamped), count=10, parameters=parameters())
+    result = check_modal_solver(
+        EmbeddedSolver(), shell(6, 4, clamped=clamped), count=10, parameters=parameters()
+    )
     assert result.complete
     rigid = np.abs(result.modes.frequencies) < 1e-2
     assert rigid.sum() == (0 if clamped else 6)
@@ -32,7 +34,9 @@ def test_embedded_meets_the_contract(clamped):
 @pytest.mark.parametrize("clamped", [False, True])
 @pytest.mark.parametrize("name", [n for n in names() if n != "embedded"])
 def test_other_solvers_meet_the_contract(name, clamped):
-    """Run for real where they are installed; Nastran itself is met by a stand-in in its unit test."""
+    """Run for real where they are installed; Nastran itself is met by a stand-in in its unit
+    test.
+    """
     model = shell(6, 4, clamped=clamped)
     try:
         solver(name).open(model).__exit__(None, None, None)
@@ -58,10 +62,14 @@ def test_static_and_frf_agree_at_zero_frequency():
         load[analysis.dofs.find(tip.node[:1], tip.direction[:1])] = 1.0
         at, sign = analysis.dofs.align(tip)
         u = analysis.static(load)[at, 0] * sign
-        h = analysis.frf(tip, DofSet.parse(["35+Z"]), np.array([0.0, 1.0]), ModesRequest(20), damping=0.01)
+        h = analysis.frf(
+            tip, DofSet.parse(["35+Z"]), np.array([0.0, 1.0]), ModesRequest(20), damping=0.01
+        )
     assert h.shape == (2, 3, 1)
     assert u[0] < 0 < u[1]
-    assert np.allclose(h[0, :, 0].real, u, rtol=1e-3, atol=1e-3 * abs(u[0]))  # the residual is that at the shift
+    assert np.allclose(
+        h[0, :, 0].real, u, rtol=1e-3, atol=1e-3 * abs(u[0])
+    )  # the residual is that at the shift
 
 
 def test_static_of_a_free_model_is_refused():

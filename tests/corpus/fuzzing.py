@@ -1,4 +1,6 @@
-"""Readers under damaged files, each kind in a process of its own that is watched (`scripts/fuzz`)."""
+"""Readers under damaged files, each kind in a process of its own that is watched
+(`scripts/fuzz`).
+"""
 
 from __future__ import annotations
 
@@ -29,9 +31,12 @@ from ringtrue.io.foreign import process
 
 HANG_S = 20.0  # of one input
 ADDRESSES = 8 << 30  # bytes, of a process, so that a fault does not take the machine down
-APART_S = 1.0  # for a parser in its own process, which users give 5 s: guided files hang in HDF5 by the hundred
+# for a parser in its own process, which users give 5 s: guided files hang in HDF5 by the hundred
+APART_S = 1.0
 BATCH = 20_000  # inputs of one process at most: its memory is that of few
-_COUNTERS = struct.Struct("qqqdd")  # inputs done, accepted, refused, when the present one began (s), peak (MB)
+_COUNTERS = struct.Struct(
+    "qqqdd"
+)  # inputs done, accepted, refused, when the present one began (s), peak (MB)
 _LOOKED_AT = 50  # inputs from one look at the memory of a child to the next
 _OFTEN = 0.02  # s, from one look at the process to the next
 _FAULTS = 200  # of a kind, that are written down
@@ -92,7 +97,9 @@ class Job:
 
 
 def fuzz(job: Job, count: float, seconds: float = math.inf) -> Figures:
-    """Read `count` damaged files, or as many as `seconds` allow; behind one that ends its process a new one goes on."""
+    """Read `count` damaged files, or as many as `seconds` allow; behind one that ends its process a
+    new one goes on.
+    """
     figures, first, until = Figures(), 0, time.monotonic() + seconds
     while first < count and time.monotonic() < until:
         size = int(min(count - first, BATCH))
@@ -111,7 +118,9 @@ def fuzz(job: Job, count: float, seconds: float = math.inf) -> Figures:
         figures += Figures(done, accepted, refused, how == "hang", how == "killed", peak)
         first += max(done, 1) if how else size
     if job.faults.exists():
-        figures.tracebacks = Counter(json.loads(line)["name"] for line in job.faults.read_text().splitlines())
+        figures.tracebacks = Counter(
+            json.loads(line)["name"] for line in job.faults.read_text().splitlines()
+        )
     return figures
 
 
@@ -188,7 +197,11 @@ class _Reader:
         self.shared[:] = _COUNTERS.pack(self.done, self.accepted, self.refused, begun, self.peak)
 
     def _write_down(self, exc: Exception, data: bytes) -> None:
-        frames = [f for f in traceback.extract_tb(exc.__traceback__) if f"{os.sep}ringtrue{os.sep}" in f.filename]
+        frames = [
+            f
+            for f in traceback.extract_tb(exc.__traceback__)
+            if f"{os.sep}ringtrue{os.sep}" in f.filename
+        ]
         place = f"{Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else "?"
         name = f"{type(exc).__name__} in {place}"
         self.faults[name] += 1
@@ -212,7 +225,9 @@ def _children_mb() -> float:
 
 
 def instrumented() -> bool:
-    """Whether atheris is there; what is imported behind this call tells it what an input reaches."""
+    """Whether atheris is there; what is imported behind this call tells it what an input
+    reaches.
+    """
     try:
         import atheris
     except ImportError:

@@ -1,4 +1,6 @@
-"""Damage to a file: bytes, numbers, lines, cuts, pieces of other files; within the parts of a zip archive, too."""
+"""Damage to a file: bytes, numbers, lines, cuts, pieces of other files; within the parts of a zip
+archive, too.
+"""
 
 from __future__ import annotations
 
@@ -18,9 +20,28 @@ _INTEGERS = (
     b"\0\0\0\1",
     b"\xfe\xff",
 )
-_DOUBLES = (b"\0\0\0\0\0\0\xf0\x7f", b"\xff" * 8, b"\xea\x75\x9c\xc7\xf0\x1c\xe1\x7f", b"\0\0\0\0\0\0\xf8\x7f")
+_DOUBLES = (
+    b"\0\0\0\0\0\0\xf0\x7f",
+    b"\xff" * 8,
+    b"\xea\x75\x9c\xc7\xf0\x1c\xe1\x7f",
+    b"\0\0\0\0\0\0\xf8\x7f",
+)
 _WORDS = (
-    *("1e308", "-1e308", "1e-300", "1e400", "nan", "inf", "-1", "0", "", "99999999999", "9" * 40, "2147483648", "1.+3"),
+    *(
+        "1e308",
+        "-1e308",
+        "1e-300",
+        "1e400",
+        "nan",
+        "inf",
+        "-1",
+        "0",
+        "",
+        "99999999999",
+        "9" * 40,
+        "2147483648",
+        "1.+3",
+    ),
     *(
         "THRU",
         "INCLUDE",
@@ -43,7 +64,25 @@ _WORDS = (
         "<",
         "/",
     ),
-    *("é", "\x00", "\r", "\n", "%%", "    -1", "1+Z", "-5", "0x10", "1_000", "٣", "1e5", "-0", "3.7", "[", "]", "x"),
+    *(
+        "é",
+        "\x00",
+        "\r",
+        "\n",
+        "%%",
+        "    -1",
+        "1+Z",
+        "-5",
+        "0x10",
+        "1_000",
+        "٣",
+        "1e5",
+        "-0",
+        "3.7",
+        "[",
+        "]",
+        "x",
+    ),
 )
 _NUMBER = re.compile(rb"[-+]?\d+(?:\.\d*)?(?:[eEdD][-+]?\d+)?")
 _MOST = 4  # changes of a file
@@ -55,7 +94,15 @@ def mutated(raw: bytes, rng: random.Random, others: Sequence[bytes]) -> bytes:
     if rng.random() < 0.7 and zipfile.is_zipfile(io.BytesIO(raw)):
         try:
             return _within_archive(raw, rng)
-        except (ValueError, OSError, EOFError, RuntimeError, NotImplementedError, zipfile.BadZipFile, zlib.error):
+        except (
+            ValueError,
+            OSError,
+            EOFError,
+            RuntimeError,
+            NotImplementedError,
+            zipfile.BadZipFile,
+            zlib.error,
+        ):
             pass  # it is damaged already
     data = bytearray(raw)
     for _ in range(rng.randint(1, _MOST)):
@@ -74,7 +121,9 @@ def _within_archive(raw: bytes, rng: random.Random) -> bytes:
         for name, part in parts.items():
             if name == hit and rng.random() < 0.05:
                 continue
-            archive.writestr(name, mutated(part, rng, list(parts.values())) if name == hit else part)
+            archive.writestr(
+                name, mutated(part, rng, list(parts.values())) if name == hit else part
+            )
     return out.getvalue()
 
 
@@ -86,7 +135,9 @@ def _change(data: bytearray, rng: random.Random, others: Sequence[bytes]) -> Non
     if rng.random() < 0.3:
         at = rng.randrange(min(len(data), 256))  # the head says what all the rest is
     text = b"\0" not in data[:512]
-    choice = rng.choice(("byte", "bit", "cut", "end", "double", "splice", "value", "value", "value", "line", "line"))
+    choice = rng.choice(
+        ("byte", "bit", "cut", "end", "double", "splice", "value", "value", "value", "line", "line")
+    )
     if choice == "byte":
         data[at] = rng.randrange(256)
     elif choice == "bit":

@@ -1,7 +1,8 @@
 """Every reader of a file that a user gives, for the files of this folder and for `scripts/fuzz`.
 
-`seeds/<kind>/` holds small intact files, written by ringtrue, scipy, h5py, nptdms and openpyxl; `faults/<kind>/` files
-that once ended the process, hung, took memory without bound or gave a traceback, each named after its fault.
+`seeds/<kind>/` holds small intact files, written by ringtrue, scipy, h5py, nptdms and openpyxl;
+`faults/<kind>/` files that once ended the process, hung, took memory without bound or gave a
+traceback, each named after its fault.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """Mutated decks: fields swapped, blanked, of a wrong kind or extreme, lines lost and doubled.
 
-Whatever a deck holds, reading, checking and solving it succeed or end in one of ringtrue's own errors.
+Whatever a deck holds, reading, checking and solving it succeed or end in one of ringtrue's own
+errors.
 """
 
 from __future__ import annotations
@@ -101,8 +102,40 @@ PBUSH1D,14,1.+4
 TOP = {"surfaces": "CEND\nSPC=1\nNSM=9\nBEGIN BULK\n", "joints": "CEND\nSPC=1\nMPC=5\nBEGIN BULK\n"}
 COUNT = 25  # decks a kind
 VALUES = (
-    *("", "abc", "1e400", "-1", "0", "0.", "99999999", "1.5", "NaN", "inf", "1.+3", "1", "2", "123456789012", "THRU"),
-    *("-1.e-3", "1e-300", "1e30", "SYM", "+", "*", "=", ".5", "7", "3", "4", "100", "123456", "1234567", "1.0.0"),
+    *(
+        "",
+        "abc",
+        "1e400",
+        "-1",
+        "0",
+        "0.",
+        "99999999",
+        "1.5",
+        "NaN",
+        "inf",
+        "1.+3",
+        "1",
+        "2",
+        "123456789012",
+        "THRU",
+    ),
+    *(
+        "-1.e-3",
+        "1e-300",
+        "1e30",
+        "SYM",
+        "+",
+        "*",
+        "=",
+        ".5",
+        "7",
+        "3",
+        "4",
+        "100",
+        "123456",
+        "1234567",
+        "1.0.0",
+    ),
 )
 
 
@@ -139,7 +172,9 @@ def solved(path: Path) -> int:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_decks_themselves_are_sound(tmp_path: Path, kind: str) -> None:
-    (tmp_path / "d.bdf").write_text(TOP.get(kind, "CEND\nSPC=1\nBEGIN BULK\n") + NODES + KINDS[kind])
+    (tmp_path / "d.bdf").write_text(
+        TOP.get(kind, "CEND\nSPC=1\nBEGIN BULK\n") + NODES + KINDS[kind]
+    )
     assert solved(tmp_path / "d.bdf") == 3
 
 

@@ -19,10 +19,15 @@ from ringtrue.io.nastran.writer import format_card, format_field, format_real
 from ringtrue.model.cards import columns
 from ringtrue.model.edit import FieldChange
 
-# the characters left for digits when sign, point and a two-digit exponent are written: -1.23-45, three and eleven
+# the characters left for digits when sign, point and a two-digit exponent are written: -1.23-45,
+# three and eleven
 EIGHT, WIDE = 5e-3, 5e-11
-finite = st.floats(min_value=-1e99, max_value=1e99, allow_nan=False).map(lambda x: x if abs(x) > 1e-90 else 0.0)
-plain = st.floats(min_value=-1e9, max_value=1e9, allow_nan=False).map(lambda x: x if abs(x) > 1e-9 else 0.0)
+finite = st.floats(min_value=-1e99, max_value=1e99, allow_nan=False).map(
+    lambda x: x if abs(x) > 1e-90 else 0.0
+)
+plain = st.floats(min_value=-1e9, max_value=1e9, allow_nan=False).map(
+    lambda x: x if abs(x) > 1e-9 else 0.0
+)
 ids = st.integers(min_value=1, max_value=99_999_999)
 
 
@@ -48,17 +53,28 @@ def test_integers_are_exact(i: int) -> None:
     assert value[0] == i
 
 
-@given(st.decimals(allow_nan=False, allow_infinity=False, places=5, min_value=-9999, max_value=9999))
+@given(
+    st.decimals(allow_nan=False, allow_infinity=False, places=5, min_value=-9999, max_value=9999)
+)
 def test_short_decimals_are_exact(x: object) -> None:
     assert real(format_real(float(str(x)), 16)) == float(str(x))
 
 
 @settings(max_examples=30, deadline=None)
-@given(st.lists(st.tuples(ids, plain, plain, plain), min_size=1, max_size=20, unique_by=lambda r: r[0]), st.booleans())
-def test_cards_read_back_as_written(rows: list[tuple[int, float, float, float]], large: bool) -> None:
+@given(
+    st.lists(
+        st.tuples(ids, plain, plain, plain), min_size=1, max_size=20, unique_by=lambda r: r[0]
+    ),
+    st.booleans(),
+)
+def test_cards_read_back_as_written(
+    rows: list[tuple[int, float, float, float]], large: bool
+) -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "a.bdf"
-        path.write_text("".join(format_card("GRID", [i, None, x, y, z], large=large) for i, x, y, z in rows))
+        path.write_text(
+            "".join(format_card("GRID", [i, None, x, y, z], large=large) for i, x, y, z in rows)
+        )
         grid = read_deck(path)["GRID"]
     np.testing.assert_array_equal(grid.ids, [r[0] for r in rows])
     width = 16 if large else 8
@@ -77,14 +93,19 @@ CARD = {
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.sampled_from(sorted(CARD)), st.dictionaries(st.sampled_from(FIELDS), plain, min_size=1, max_size=6))
+@given(
+    st.sampled_from(sorted(CARD)),
+    st.dictionaries(st.sampled_from(FIELDS), plain, min_size=1, max_size=6),
+)
 def test_edits_read_back_and_leave_the_rest(style: str, values: dict[str, float]) -> None:
     before, after = "$ head, $ $\nMAT1,1,2.+11,,.3\n", "$ tail\nFORCE,1,1,,1.,1.\n"
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "a.bdf"
         path.write_text(before + CARD[style] + after)
         old = read_deck(path)
-        written = edit_fields(old, [FieldChange("PBAR", 1, f, v) for f, v in values.items()], Path(folder) / "new")
+        written = edit_fields(
+            old, [FieldChange("PBAR", 1, f, v) for f, v in values.items()], Path(folder) / "new"
+        )
         text, new = written[0].read_text(), read_deck(written[0])
     assert text.startswith(before)
     assert text.endswith(after)
@@ -95,8 +116,10 @@ def test_edits_read_back_and_leave_the_rest(style: str, values: dict[str, float]
 
 
 SEED = (
-    "SOL 103\nCEND\nMETHOD=1\nK2GG=KA\nBEGIN BULK\nEIGRL,1,,,5\nGRDSET,,,,,,,6\nGRID,1,,0.,0.,0.\n=,*(1),=,*(.5),==\n"
-    "=(2)\nCORD2R  5               0.      0.      0.      0.      0.      1.      +A\n+A      1.      0.      0.\n"
+    "SOL 103\nCEND\nMETHOD=1\nK2GG=KA\nBEGIN "
+    "BULK\nEIGRL,1,,,5\nGRDSET,,,,,,,6\nGRID,1,,0.,0.,0.\n=,*(1),=,*(.5),==\n"
+    "=(2)\nCORD2R  5               0.      0.      0.      0.      0.      1.      +A\n+A      "
+    "1.      0.      0.\n"
     "CQUAD4,1,1,1,2,3,4\nPCOMP,1,-.2,,,,,,SYM\n,8,.1,45.,YES,,,-45.\nMAT8,8,1.+11,9.+9,.3,5.+9\n"
     "MAT1*   1               2.1+11                          .3              *\n*       7850.\n"
     "PBEAM,1,1,4.,1.,2.\n,\n,NO,1.,3.\nCBAR,2,1,1,2,0.,1.,0.\nPBARL,1,1,,ROD\n,2.\nBAROR,,1\n"

@@ -1,8 +1,9 @@
-"""Faults at the writes of a small study, and flipped bits in its store: made here, judged by those who ask for them.
+"""Faults at the writes of a small study, and flipped bits in its store: made here, judged by those
+who ask for them.
 
-The study is that of `small_study` with a file of test modes, a remodelling, a set of its own and a deck of three files,
-so that it takes a second and writes all that studies write. It runs in a forked process, in which one write of
-`atomic_write` meets its fault:
+The study is that of `small_study` with a file of test modes, a remodelling, a set of its own and a
+deck of three files, so that it takes a second and writes all that studies write. It runs in a
+forked process, in which one write of `atomic_write` meets its fault:
 
     before   killed (SIGKILL) when the temporary file is there and empty
     half     killed when half of it is written
@@ -10,8 +11,8 @@ so that it takes a second and writes all that studies write. It runs in a forked
     after    killed when it is in its place
     full     the disk is full when half of it is written: an error, no kill
 
-A write is known by its file and by how many stages and finished sets are stored, which is the same in the run that
-resumes.
+A write is known by its file and by how many stages and finished sets are stored, which is the same
+in the run that resumes.
 """
 
 from __future__ import annotations
@@ -85,7 +86,9 @@ def write_inputs(folder: Path) -> Path:
     (folder / "truth.bdf").unlink()
     test = small_study.test_model()
     seen = opened.seen(opened.modes(MODES_TO).modes, test, 0.01)
-    damped = type(seen)(seen.frequencies, np.full(len(seen), small_study.DAMPING), seen.shapes, seen.labels)
+    damped = type(seen)(
+        seen.frequencies, np.full(len(seen), small_study.DAMPING), seen.shapes, seen.labels
+    )
     write_modes(folder / "modes.json", damped)
     write_sheet(folder / "sensors.csv", test, test.channels)
     (folder / "study.toml").write_text(STUDY + small_study.candidates((1, 2, 3)))
@@ -117,12 +120,16 @@ def whole_run(study: Path) -> None:
 
 
 def _known(target: Path, folder: Path) -> Write:
-    count, own = (len(set(Store(f).stages()) - {"provenance"}) for f in (folder / "study.h5", folder / SETS))
+    count, own = (
+        len(set(Store(f).stages()) - {"provenance"}) for f in (folder / "study.h5", folder / SETS)
+    )
     return str(target.relative_to(folder)), count, own
 
 
 def _at_each_write(told: Callable[[Path, Path], None], done: Callable[[Path], None]) -> None:
-    """Call `told` with the temporary file and the target before it gets into its place, `done` after."""
+    """Call `told` with the temporary file and the target before it gets into its place, `done`
+    after.
+    """
     replace = os.replace
 
     def replaced(part: str | Path, target: str | Path) -> None:
@@ -185,7 +192,9 @@ def expected(how: str) -> int:
 
 
 def stored(study: Path) -> dict[str, str]:
-    """Digest of what each stage holds, from the bytes; without that of where it came from, which has a date."""
+    """Digest of what each stage holds, from the bytes; without that of where it came from, which
+    has a date.
+    """
     path = study.with_name("study.h5")
     if not path.exists():
         return {}
@@ -196,7 +205,9 @@ def stored(study: Path) -> dict[str, str]:
 def results(study: Path) -> dict[str, object]:
     """All that a run leaves: stages, decks and summary; times are those of the run."""
     folder = study.parent
-    decks = {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*.b[dl][fk]"))}
+    decks = {
+        str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*.b[dl][fk]"))
+    }
     summary = json.loads((folder / "summary.json").read_text())
     summary.pop("timings_s")
     return {**stored(study), **decks, "summary": summary}
@@ -222,7 +233,9 @@ def flipped(image: bytes, bit: int) -> bytes:
 
 
 def read_anew(path: Path) -> dict[str, str]:
-    """What each stage of a store reads as: the digest of the result that is loaded, or how it is refused."""
+    """What each stage of a store reads as: the digest of the result that is loaded, or how it is
+    refused.
+    """
     out = {}
     store = Store(path)
     try:

@@ -1,4 +1,6 @@
-"""Five modes of 1 to 2 % between 2 and 10 Hz under forces of their own, seven sensors, noise 30 dB below."""
+"""Five modes of 1 to 2 % between 2 and 10 Hz under forces of their own, seven sensors, noise 30 dB
+below.
+"""
 
 from __future__ import annotations
 
@@ -20,10 +22,14 @@ def motion() -> np.ndarray:
     y = np.zeros((7, int(RATE * SECONDS)))
     for phi, f, z in zip(PHI.T, F, Z, strict=True):
         s = 2 * np.pi * f * (-z + 1j * np.sqrt(1 - z**2))
-        q = lfilter([1.0], [1.0, -np.exp(s / RATE)], rng.standard_normal(y.shape[1]).astype(complex))
+        q = lfilter(
+            [1.0], [1.0, -np.exp(s / RATE)], rng.standard_normal(y.shape[1]).astype(complex)
+        )
         y += np.outer(phi, (s * q).imag)
     return y + 0.03 * y.std() * rng.standard_normal(y.shape)
 
 
 def record(y: np.ndarray) -> TimeHistory:
-    return TimeHistory(y, RATE, tuple(Channel(f"{i + 1}+Z", "acceleration") for i in range(len(y))), "made")
+    return TimeHistory(
+        y, RATE, tuple(Channel(f"{i + 1}+Z", "acceleration") for i in range(len(y))), "made"
+    )

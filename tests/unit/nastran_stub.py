@@ -1,7 +1,8 @@
 """A stand-in for Nastran: `python nastran_stub.py BEHAVIOUR FORMAT DECK`.
 
-It reads the deck that it is given, solves it with the embedded solver and writes results files with Nastran's layout:
-shapes in the displacement frames; for SOL 200 the derivatives of its own design model by central differences.
+It reads the deck that it is given, solves it with the embedded solver and writes results files with
+Nastran's layout: shapes in the displacement frames; for SOL 200 the derivatives of its own design
+model by central differences.
 """
 
 from __future__ import annotations
@@ -65,7 +66,9 @@ def local(model: Model, modes: ModeSet) -> np.ndarray:
 
 def changed(model: Model, deck: list[list[str]], x: np.ndarray) -> Model:
     """The model at the design variables x."""
-    for name, _, card, target, field, _, _, spare, _, *pairs in (c for c in deck if re.match("DV[PMC]REL1", c[0])):
+    for name, _, card, target, field, _, _, spare, _, *pairs in (
+        c for c in deck if re.match("DV[PMC]REL1", c[0])
+    ):
         pairs = [p for p in pairs if p]
         terms = zip(pairs[::2], pairs[1::2], strict=True)
         value = (real(spare) if spare else 0.0) + sum(real(c) * x[int(v) - 1] for v, c in terms)
@@ -78,7 +81,9 @@ def changed(model: Model, deck: list[list[str]], x: np.ndarray) -> Model:
     return model
 
 
-def sensitivities(model: Model, deck: list[list[str]], wanted: ModesRequest) -> tuple[np.ndarray, np.ndarray]:
+def sensitivities(
+    model: Model, deck: list[list[str]], wanted: ModesRequest
+) -> tuple[np.ndarray, np.ndarray]:
     """Rows of DSCMCOL (r, 9) and DSCM2 (variable, r)."""
     number = sum(c[0] == "DESVAR" for c in deck)
     reference = solve(model, wanted)
@@ -108,7 +113,9 @@ def sensitivities(model: Model, deck: list[list[str]], wanted: ModesRequest) -> 
     return np.array(columns), np.array(values).T
 
 
-def write(out: Path, kind: str, model: Model, modes: ModeSet, design: tuple[np.ndarray, np.ndarray] | None) -> None:
+def write(
+    out: Path, kind: str, model: Model, modes: ModeSet, design: tuple[np.ndarray, np.ndarray] | None
+) -> None:
     nodes, motion = model["GRID"].ids, local(model, modes)
     lam = np.sign(modes.frequencies) * (2 * np.pi * modes.frequencies) ** 2
     top = float(modes.frequencies[-1]) * 1.001 + 1e-3
@@ -132,9 +139,14 @@ def write(out: Path, kind: str, model: Model, modes: ModeSet, design: tuple[np.n
 def printed(lam: np.ndarray, nodes: np.ndarray, motion: np.ndarray) -> str:
     text = "    R E A L   E I G E N V A L U E S\n"
     for k, v in enumerate(lam):
-        text += f"{k + 1:9d}{k + 1:10d}" + "".join(f"{x:20.6E}" for x in (v, 0.0, 0.0, 1.0, v)) + "\n"
+        text += (
+            f"{k + 1:9d}{k + 1:10d}" + "".join(f"{x:20.6E}" for x in (v, 0.0, 0.0, 1.0, v)) + "\n"
+        )
     for k in range(lam.size):
-        text += f"      R E A L   E I G E N V E C T O R   N O .  {k + 1:10d}\n      POINT ID.   TYPE          T1\n"
+        text += (
+            f"      R E A L   E I G E N V E C T O R   N O .  {k + 1:10d}\n      POINT ID.   "
+            "TYPE          T1\n"
+        )
         for n, v in zip(nodes.tolist(), motion[:, :, k], strict=True):
             text += f" {n:13d}      G  " + "".join(f"{x:15.6E}" for x in v) + "\n"
     return text
@@ -142,13 +154,23 @@ def printed(lam: np.ndarray, nodes: np.ndarray, motion: np.ndarray) -> str:
 
 def write_h5(path: Path, lam: np.ndarray, nodes: np.ndarray, motion: np.ndarray) -> None:
     names = ("X", "Y", "Z", "RX", "RY", "RZ")
-    shapes = np.zeros(nodes.size * lam.size, dtype=[("ID", "i8"), *((n, "f8") for n in names), ("DOMAIN_ID", "i8")])
-    shapes["ID"], shapes["DOMAIN_ID"] = np.tile(nodes, lam.size), np.repeat(np.arange(lam.size) + 2, nodes.size)
+    shapes = np.zeros(
+        nodes.size * lam.size,
+        dtype=[("ID", "i8"), *((n, "f8") for n in names), ("DOMAIN_ID", "i8")],
+    )
+    shapes["ID"], shapes["DOMAIN_ID"] = (
+        np.tile(nodes, lam.size),
+        np.repeat(np.arange(lam.size) + 2, nodes.size),
+    )
     for c, name in enumerate(names):
         shapes[name] = motion[:, c].T.ravel()
     ints = ("ID", "SUBCASE", "ANALYSIS", "MODE", "SE")
     domains = np.zeros(lam.size, dtype=[(n, "i8") for n in ints] + [("TIME_FREQ_EIGR", "f8")])
-    domains["ID"], domains["MODE"], domains["TIME_FREQ_EIGR"] = np.arange(lam.size) + 2, np.arange(lam.size) + 1, lam
+    domains["ID"], domains["MODE"], domains["TIME_FREQ_EIGR"] = (
+        np.arange(lam.size) + 2,
+        np.arange(lam.size) + 1,
+        lam,
+    )
     domains["SUBCASE"], domains["ANALYSIS"] = 1, 2
     with h5py.File(path, "w") as file:
         file["NASTRAN/RESULT/NODAL/EIGENVECTOR"], file["NASTRAN/RESULT/DOMAINS"] = shapes, domains
@@ -163,7 +185,8 @@ def main() -> int:
         return 0
     if behaviour == "fatal":
         path.with_suffix(".f06").write_text(
-            " *** USER FATAL MESSAGE 9050 (SEKRRS)\n     RUN TERMINATED DUE TO EXCESSIVE PIVOT RATIOS\n"
+            " *** USER FATAL MESSAGE 9050 (SEKRRS)\n     RUN TERMINATED DUE TO EXCESSIVE PIVOT "
+            "RATIOS\n"
         )
         return 0
     deck = cards(path)

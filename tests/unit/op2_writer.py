@@ -1,4 +1,6 @@
-"""OP2 files of given tables, in any byte order and word size: for tests of readers and stand-in programs."""
+"""OP2 files of given tables, in any byte order and word size: for tests of readers and stand-in
+programs.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ class Op2Writer:
 
     order: str = "<"
     word: int = 4
-    enhanced: bool = False  # six words after label and names, as PARAM,POST,1 of MSC Nastran writes them
+    enhanced: bool = (
+        False  # six words after label and names, as PARAM,POST,1 of MSC Nastran writes them
+    )
     out: bytearray = field(default_factory=bytearray)
 
     def record(self, data: bytes) -> None:
@@ -29,7 +33,10 @@ class Op2Writer:
 
     def pack(self, words: Sequence[Any]) -> bytes:
         i, f = ("i", "f") if self.word == 4 else ("q", "d")
-        kinds = "".join(f"{self.word}s" if isinstance(w, bytes) else f if isinstance(w, float) else i for w in words)
+        kinds = "".join(
+            f"{self.word}s" if isinstance(w, bytes) else f if isinstance(w, float) else i
+            for w in words
+        )
         padded = [w.ljust(self.word) if isinstance(w, bytes) else w for w in words]
         return struct.pack(self.order + kinds, *padded)
 
@@ -89,7 +96,12 @@ class Op2Writer:
         self.end(values.shape[1] + 3)
 
     def modes(
-        self, eigenvalues: np.ndarray, nodes: np.ndarray, motion: np.ndarray, mass: np.ndarray, name: str = "OUGV1"
+        self,
+        eigenvalues: np.ndarray,
+        nodes: np.ndarray,
+        motion: np.ndarray,
+        mass: np.ndarray,
+        name: str = "OUGV1",
     ) -> None:
         """LAMA and eigenvectors (n, 6, m)."""
         rows: list[Any] = []

@@ -1,13 +1,16 @@
-"""A small complete study: a frame of three storeys on fixed feet, measured on a perturbed copy of its deck.
+"""A small complete study: a frame of three storeys on fixed feet, measured on a perturbed copy of
+its deck.
 
-Three floors of CQUAD4 (2 x 2 elements, 4 x 3 m) stand on four columns of CBEAM, two elements a storey:
+Three floors of CQUAD4 (2 x 2 elements, 4 x 3 m) stand on four columns of CBEAM, two elements a
+storey:
 
         +-----+   z = 9 m   columns of steel, floors 100 mm of concrete
         +-----+   z = 6 m   nine modes below 18 Hz: sway along x and y, torsion
         +-----+   z = 3 m
         |     |   z = 0     clamped
 
-The truth scales the modulus of the columns storey by storey; the study must find the factors from noisy signals.
+The truth scales the modulus of the columns storey by storey; the study must find the factors from
+noisy signals.
 """
 
 from __future__ import annotations
@@ -46,21 +49,32 @@ REFERENCES = ("303+X", "303+Y")
 
 
 def node(level: int, i: int, j: int) -> int:
-    """Number of the node (i, j) of a floor's 3 x 3 grid; level 0 are the feet, + 50 is half a storey below."""
+    """Number of the node (i, j) of a floor's 3 x 3 grid; level 0 are the feet, + 50 is half a
+    storey below.
+    """
     return 100 * level + 1 + i + 3 * j
 
 
 def _storey(level: int, modulus: float) -> list[str]:
     x, y = (0.0, 2.0, 4.0), (0.0, 1.5, 3.0)
-    lines = [f"GRID,{node(level, i, j)},,{x[i]},{y[j]},{3.0 * level}" for j in range(3) for i in range(3)]
-    lines += [f"GRID,{node(level, i, j) + 50},,{x[i]},{y[j]},{3.0 * level - 1.5}" for i, j in CORNERS]
+    lines = [
+        f"GRID,{node(level, i, j)},,{x[i]},{y[j]},{3.0 * level}" for j in range(3) for i in range(3)
+    ]
+    lines += [
+        f"GRID,{node(level, i, j) + 50},,{x[i]},{y[j]},{3.0 * level - 1.5}" for i, j in CORNERS
+    ]
     lines.append(f"$ columns of storey {level}")
     for k, (i, j) in enumerate(CORNERS):
         low, middle, high = node(level - 1, i, j), node(level, i, j) + 50, node(level, i, j)
         lines.append(f"CBEAM,{100 * level + 2 * k},{level},{low},{middle},1.0,0.0,0.0")
         lines.append(f"CBEAM,{100 * level + 2 * k + 1},{level},{middle},{high},1.0,0.0,0.0")
     for k, (i, j) in enumerate([(0, 0), (1, 0), (0, 1), (1, 1)]):
-        ring = [node(level, i, j), node(level, i + 1, j), node(level, i + 1, j + 1), node(level, i, j + 1)]
+        ring = [
+            node(level, i, j),
+            node(level, i + 1, j),
+            node(level, i + 1, j + 1),
+            node(level, i, j + 1),
+        ]
         lines.append(f"CQUAD4,{100 * level + 10 + k},10," + ",".join(map(str, ring)))
     lines.append(f"MAT1,{level},{modulus:.7E},,0.3,7850.0 $ steel of storey {level}")
     lines.append(f"PBEAM,{level},{level},0.0140,2.2867-5,1.1667-5,0.0,2.8-5")
@@ -99,7 +113,9 @@ def modal(folder: Path, test: TestModel, truth: str = "") -> ModalModel:
     model = read_deck(folder / "truth.bdf")
     with EmbeddedSolver().open(model) as analysis:
         real = analysis.modes(ModesRequest(band=(-1.0, RATE / 2))).modes
-        seen = observe(test, model["GRID"].ids, positions(model), analysis.dofs, tolerance=0.01)(real.shapes)
+        seen = observe(test, model["GRID"].ids, positions(model), analysis.dofs, tolerance=0.01)(
+            real.shapes
+        )
     (folder / "truth.bdf").unlink()
     omega = 2 * np.pi * real.frequencies
     poles = omega * (-DAMPING + 1j * np.sqrt(1 - DAMPING**2))
@@ -119,7 +135,10 @@ def modal(folder: Path, test: TestModel, truth: str = "") -> ModalModel:
 
 def _channels(test: TestModel) -> list[RecordChannel]:
     at = dict(zip(test.channels, test.at.tolist(), strict=True))
-    return [RecordChannel(c, at[c], "acceleration", "m/s^2", 1.0, 10.0, "accelerometer") for c in test.channels]
+    return [
+        RecordChannel(c, at[c], "acceleration", "m/s^2", 1.0, 10.0, "accelerometer")
+        for c in test.channels
+    ]
 
 
 def _ambient(model: ModalModel, rng: np.random.Generator) -> Array:
@@ -160,14 +179,27 @@ def write_data(folder: Path, *, ambient: bool = True, hammer: bool = True, truth
     tests = []
     if ambient:
         write_record(folder / "ambient.h5", quiet, RATE, table)
-        tests.append({"name": "wind", "kind": "ambient", "records": [{"file": "ambient.h5", "excitation": "ambient"}]})
+        tests.append(
+            {
+                "name": "wind",
+                "kind": "ambient",
+                "records": [{"file": "ambient.h5", "excitation": "ambient"}],
+            }
+        )
     if hammer:
         records = []
         for reference, volts in zip(REFERENCES, hits, strict=True):
             name = f"hammer-{reference.replace('+', 'p')}.h5"
             force = RecordChannel(f"F:{reference}", 0, "force", "N", 1e-3, 10.0, "hammer")
-            write_record(folder / name, volts * np.r_[1e-3, np.ones(len(table))][:, None], RATE, [force, *table])
-            records.append({"file": name, "excitation": "hammer", "setup": 1, "reference": reference})
+            write_record(
+                folder / name,
+                volts * np.r_[1e-3, np.ones(len(table))][:, None],
+                RATE,
+                [force, *table],
+            )
+            records.append(
+                {"file": name, "excitation": "hammer", "setup": 1, "reference": reference}
+            )
         tests.append(
             {
                 "name": "hammer",
@@ -182,12 +214,17 @@ def write_data(folder: Path, *, ambient: bool = True, hammer: bool = True, truth
 
 MODEL = f'[model]\ndeck = "deck/frame.bdf"\nfmax = {FMAX}\n'
 TEST = '[test]\nsheet = "data/sensors.csv"\nlog = "data/campaign.json"\n'
-SETTINGS = "[identify]\nambient_fmin = 1.0\nhammer_fmin = 1.0\nhammer_fmax = 20.0\n[update]\nleft_out = 2\n"
+SETTINGS = (
+    "[identify]\nambient_fmin = 1.0\nhammer_fmin = 1.0\nhammer_fmax = "
+    "20.0\n[update]\nleft_out = 2\n"
+)
 
 
 def candidates(storeys: Iterable[int]) -> str:
     """The moduli of these storeys' columns as candidates."""
-    form = '[[candidate]]\nname = "columns {0}"\ntargets = ["MAT1 {0} E"]\nlower = 0.5\nupper = 2.0\n'
+    form = (
+        '[[candidate]]\nname = "columns {0}"\ntargets = ["MAT1 {0} E"]\nlower = 0.5\nupper = 2.0\n'
+    )
     return "".join(form.format(k) for k in storeys)
 
 
@@ -203,7 +240,9 @@ targets = ["MAT1 1 RHO", "MAT1 2 RHO", "MAT1 3 RHO", "MAT1 10 RHO"]
 FULL = MODEL + TEST + SETTINGS + candidates(TRUTH)
 
 
-def write_study(folder: Path, toml: str = FULL, *, ambient: bool = True, hammer: bool = True) -> Path:
+def write_study(
+    folder: Path, toml: str = FULL, *, ambient: bool = True, hammer: bool = True
+) -> Path:
     """A folder with deck, data and study.toml."""
     (folder / "deck").mkdir(parents=True, exist_ok=True)
     (folder / "deck" / "frame.bdf").write_text(deck())

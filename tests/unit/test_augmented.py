@@ -25,4 +25,6 @@ def test_inverse_is_that_of_the_complex_matrix(rank: int) -> None:
     h = hermitian(k, rank)
     v, w = augmented_form(pseudo_inverse(real_form(h[:k, :k], h[:k, k:]), 1e-8))
     want = np.linalg.pinv(h, rcond=1e-8, hermitian=True)
-    np.testing.assert_allclose(np.block([[v, w], [w.conj(), v.conj()]]), want, atol=ROUNDING * np.abs(want).max())
+    np.testing.assert_allclose(
+        np.block([[v, w], [w.conj(), v.conj()]]), want, atol=ROUNDING * np.abs(want).max()
+    )

@@ -1,4 +1,6 @@
-"""MYSTRAN, run for real, beside recorded results of MSC Nastran; skipped, saying so, where it is not installed."""
+"""MYSTRAN, run for real, beside recorded results of MSC Nastran; skipped, saying so, where it is
+not installed.
+"""
 
 from __future__ import annotations
 
@@ -41,8 +43,14 @@ def installed() -> None:
 @pytest.mark.parametrize(
     ("deck", "frequencies"),
     [
-        ("msc2019/superelements/cantilever_bar/no_super/noReduction.dat", (349.729, 2167.32, 6007.803, 11650.23)),
-        ("msc2019/system_verification/003_svanberg_bar/nastran_runs/modes.dat", (46.46440, 146.9333, 279.0229)),
+        (
+            "msc2019/superelements/cantilever_bar/no_super/noReduction.dat",
+            (349.729, 2167.32, 6007.803, 11650.23),
+        ),
+        (
+            "msc2019/system_verification/003_svanberg_bar/nastran_runs/modes.dat",
+            (46.46440, 146.9333, 279.0229),
+        ),
     ],
 )
 def test_against_recorded_msc_results(deck: str, frequencies: tuple[float, ...]) -> None:
@@ -50,14 +58,18 @@ def test_against_recorded_msc_results(deck: str, frequencies: tuple[float, ...])
         pytest.skip(f"reference data not found: {DATA / deck}")
     with MystranSolver().open(read_deck(DATA / deck)) as analysis:
         found = analysis.modes(ModesRequest(len(frequencies))).modes
-    np.testing.assert_allclose(found.frequencies, frequencies, rtol=1e-3)  # its bar masses differ a little
+    np.testing.assert_allclose(
+        found.frequencies, frequencies, rtol=1e-3
+    )  # its bar masses differ a little
 
 
 @pytest.mark.solver
 @pytest.mark.usefixtures("installed")
 @pytest.mark.parametrize("place", ["", ",0.5", ",0.25", ",,0,1.,2.,3."])
 def test_bushes_between_nodes_apart_have_their_place(tmp_path: Path, place: str) -> None:
-    """Three in a row of 10 each, with their springs half way, at a quarter, or where S1 to S3 say."""
+    """Three in a row of 10 each, with their springs half way, at a quarter, or where S1 to S3
+    say.
+    """
     path = tmp_path / "a.bdf"
     lines = [f"GRID,{i + 1},,0.,0.,{10.0 * i}\n" for i in range(4)]
     lines += [f"CBUSH,{i},1,{i},{i + 1},1.,0.,0.\n{place}\n" for i in (1, 2, 3)]
@@ -73,7 +85,9 @@ def test_bushes_between_nodes_apart_have_their_place(tmp_path: Path, place: str)
 @pytest.mark.solver
 @pytest.mark.usefixtures("installed")
 @pytest.mark.parametrize("coupled", ["", "PARAM,COUPMASS,1\n"])
-def test_coupled_mass_is_lumped_and_said(tmp_path: Path, caplog: pytest.LogCaptureFixture, coupled: str) -> None:
+def test_coupled_mass_is_lumped_and_said(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, coupled: str
+) -> None:
     path = tmp_path / "a.bdf"
     path.write_text(GROUNDED.replace("ENDDATA\n", coupled + "ENDDATA\n"))
     with MystranSolver().open(read_deck(path)) as analysis:
@@ -101,27 +115,35 @@ ENDDATA
 @pytest.mark.solver
 @pytest.mark.usefixtures("installed")
 def test_springs_to_the_ground_get_a_second_node(tmp_path: Path) -> None:
-    """MYSTRAN refuses a CELAS1, CELAS2 or CBUSH with one node; the nodes that are added are in no result."""
+    """MYSTRAN refuses a CELAS1, CELAS2 or CBUSH with one node; the nodes that are added are in no
+    result.
+    """
     (tmp_path / "bar.bdf").write_text(GROUNDED)
     model = read_deck(tmp_path / "bar.bdf")
     with MystranSolver().open(model) as analysis, EmbeddedSolver().open(model) as own:
         found, want = analysis.modes(ModesRequest(5)).modes, own.modes(ModesRequest(5)).modes
     assert found.labels.node.tolist() == want.labels.node.tolist()
-    np.testing.assert_allclose(found.frequencies, want.frequencies, rtol=1e-3)  # its bar masses differ a little
+    np.testing.assert_allclose(
+        found.frequencies, want.frequencies, rtol=1e-3
+    )  # its bar masses differ a little
 
 
 @pytest.mark.solver
 @pytest.mark.usefixtures("installed")
 @pytest.mark.parametrize("name", ["CTETRA10", "CPENTA15", "CHEXA", "CHEXA20"])
 def test_solids_get_their_integration_written_out(name: str) -> None:
-    """A steel beam on a clamped face: MYSTRAN refuses a PSOLID with blanks, or one that the element does not take."""
+    """A steel beam on a clamped face: MYSTRAN refuses a PSOLID with blanks, or one that the element
+    does not take.
+    """
     xyz, nodes = cut(name, *box(6, 2, 2, (1.0, 0.2, 0.15)))
     clamped = np.where(xyz[:, 0] == 0, "123456", "")
     solid = elements(kind(name)[0], nodes)
     m = Model({t.card: t for t in (grid(xyz, PS=clamped), solid, psolid(), steel())})
     with MystranSolver().open(m) as analysis, EmbeddedSolver().open(m) as own:
         found, want = analysis.modes(ModesRequest(2)).modes, own.modes(ModesRequest(2)).modes
-    np.testing.assert_allclose(found.frequencies, want.frequencies, rtol=0.04)  # other elements, six along the beam
+    np.testing.assert_allclose(
+        found.frequencies, want.frequencies, rtol=0.04
+    )  # other elements, six along the beam
 
 
 @pytest.mark.solver
@@ -142,7 +164,9 @@ def test_a_free_shell_with_drilling_and_a_mass_by_its_place() -> None:
 @pytest.mark.usefixtures("installed")
 def test_a_fatal_deck_is_an_error_although_it_exits_with_0() -> None:
     lost = shell(3, 2)
-    lost = Model({**lost.tables, "PSHELL": lost["PSHELL"].with_column("MID1", np.array([1, 2, 99]))})
+    lost = Model(
+        {**lost.tables, "PSHELL": lost["PSHELL"].with_column("MID1", np.array([1, 2, 99]))}
+    )
     with MystranSolver().open(shell(3, 2)) as analysis:
         deck = modes_deck(lost, ModesRequest(3), MystranSolver())
         with pytest.raises(SolverFailed, match="99"):
@@ -155,7 +179,9 @@ def test_its_two_files_agree(tmp_path: Path) -> None:
     with MystranSolver(keep=tmp_path).open(shell(4, 3, clamped=True)) as analysis:
         analysis.modes(ModesRequest(4))
     run = tmp_path / "run1"
-    f06, op2 = (read_nastran_modes(run / f"model.{e}", mass_normalised=True) for e in ("F06", "OP2"))
+    f06, op2 = (
+        read_nastran_modes(run / f"model.{e}", mass_normalised=True) for e in ("F06", "OP2")
+    )
     np.testing.assert_allclose(op2.frequencies, f06.frequencies, rtol=1e-6)
     np.testing.assert_allclose(op2.shapes, f06.shapes, atol=1e-6 * np.abs(f06.shapes).max())
 

@@ -1,4 +1,6 @@
-"""Nastran by command: the decks it gets, and what becomes of what it does, on a stand-in that solves its deck."""
+"""Nastran by command: the decks it gets, and what becomes of what it does, on a stand-in that
+solves its deck.
+"""
 
 from __future__ import annotations
 
@@ -55,16 +57,23 @@ def test_contract(kind: str) -> None:
     assert "by Nastran's Sturm count" in result.proof
     with EmbeddedSolver().open(model) as analysis:
         ours = analysis.modes(ModesRequest(6)).modes
-    digits = {"h5": 1e-8, "op2": 1e-6, "f06": 1e-6}[kind]  # as good as λ, single precision, seven figures
+    digits = {"h5": 1e-8, "op2": 1e-6, "f06": 1e-6}[
+        kind
+    ]  # as good as λ, single precision, seven figures
     np.testing.assert_allclose(result.modes.frequencies, ours.frequencies, rtol=10 * digits)
     sign = np.sign(np.einsum("dm,dm->m", result.modes.shapes, ours.shapes))
-    np.testing.assert_allclose(result.modes.shapes * sign, ours.shapes, atol=1e2 * digits * np.abs(ours.shapes).max())
+    np.testing.assert_allclose(
+        result.modes.shapes * sign, ours.shapes, atol=1e2 * digits * np.abs(ours.shapes).max()
+    )
 
 
 def test_derivatives_by_sol_200() -> None:
     """Factors on thickness and E (with its blank G), against the embedded solver's."""
     model = turned(shell(4, 3, clamped=True))
-    both = (Target("PSHELL", 1, "T"), Target("PSHELL", 2, "T"))  # a field in two parameters: its relation has C0
+    both = (
+        Target("PSHELL", 1, "T"),
+        Target("PSHELL", 2, "T"),
+    )  # a field in two parameters: its relation has C0
     chosen = ParameterSet((*parameters().parameters, Parameter("t", both)))
     with EmbeddedSolver().open(model) as analysis:
         modes = analysis.modes(ModesRequest(4)).modes
@@ -72,26 +81,42 @@ def test_derivatives_by_sol_200() -> None:
     with stub(kind="h5").open(model) as analysis:
         theirs = analysis.derivatives(modes, chosen)
     for a, b in zip(ours, theirs, strict=True):
-        np.testing.assert_allclose(b, a, atol=1e-5 * np.abs(a).max())  # the stand-in differences, step 1e-3
+        np.testing.assert_allclose(
+            b, a, atol=1e-5 * np.abs(a).max()
+        )  # the stand-in differences, step 1e-3
 
 
 def test_derivatives_to_places_of_nodes_by_sol_200() -> None:
-    """A shape, and a coordinate in a cylindrical frame together with a thickness, against the embedded solver's."""
+    """A shape, and a coordinate in a cylindrical frame together with a thickness, against the
+    embedded solver's.
+    """
     model = turned(shell(4, 3, clamped=True))
     polar = table(
-        "CORD2C", CID=[9], RID=[0], **{f"{p}{i + 1}": [v] for p, x in POINTS.items() for i, v in enumerate(x)}
+        "CORD2C",
+        CID=[9],
+        RID=[0],
+        **{f"{p}{i + 1}": [v] for p, x in POINTS.items() for i, v in enumerate(x)},
     )
     grid = model["GRID"]
     at = grid.find(np.array([17]))
     x = positions(model)[at[0]]
-    there = {"X1": np.hypot(x[0] + 1, x[1] + 1), "X2": np.degrees(np.arctan2(x[1] + 1, x[0] + 1)), "X3": x[2], "CP": 9}
+    there = {
+        "X1": np.hypot(x[0] + 1, x[1] + 1),
+        "X2": np.degrees(np.arctan2(x[1] + 1, x[0] + 1)),
+        "X3": x[2],
+        "CP": 9,
+    }
     for name, value in there.items():
         column = grid[name].copy()
         column[at] = value
         grid = grid.with_column(name, column)
     model = Model({**model.tables, "GRID": grid, "CORD2C": polar}, model.params, model.case)
     bump = Shape((8, 13), ((0.02, 0.01, 0.05), (0.0, 0.0, 0.04)))
-    radius = (Target("GRID", 17, "X1", step=0.1), Target("GRID", 17, "X2", step=5.0), Target("PSHELL", 1, "T"))
+    radius = (
+        Target("GRID", 17, "X1", step=0.1),
+        Target("GRID", 17, "X2", step=5.0),
+        Target("PSHELL", 1, "T"),
+    )
     chosen = ParameterSet((Parameter("bump", shapes=(bump,)), Parameter("radius", radius)))
     with EmbeddedSolver().open(model) as analysis:
         modes = analysis.modes(ModesRequest(4)).modes
@@ -100,7 +125,9 @@ def test_derivatives_to_places_of_nodes_by_sol_200() -> None:
         theirs = analysis.derivatives(modes, chosen)
     assert (np.abs(ours[0]).max(axis=0) > 1e-3 * modes.frequencies.max()).all()
     for a, b in zip(ours, theirs, strict=True):
-        np.testing.assert_allclose(b, a, atol=5e-4 * np.abs(a).max())  # the stand-in differences, step 1e-3
+        np.testing.assert_allclose(
+            b, a, atol=5e-4 * np.abs(a).max()
+        )  # the stand-in differences, step 1e-3
 
 
 def test_derivatives_of_repeated_modes_are_refused() -> None:
@@ -111,13 +138,19 @@ def test_derivatives_of_repeated_modes_are_refused() -> None:
 
 
 def test_fatal_error_with_exit_status_0() -> None:
-    with stub("fatal").open(shell(3, 2)) as analysis, pytest.raises(SolverFailed, match="EXCESSIVE PIVOT RATIOS"):
+    with (
+        stub("fatal").open(shell(3, 2)) as analysis,
+        pytest.raises(SolverFailed, match="EXCESSIVE PIVOT RATIOS"),
+    ):
         analysis.modes(ModesRequest(3))
 
 
 def test_a_hanging_program_is_ended() -> None:
     start = time.monotonic()
-    with stub("hang", timeout=4.0).open(shell(3, 2)) as analysis, pytest.raises(SolverFailed, match="within 4 s"):
+    with (
+        stub("hang", timeout=4.0).open(shell(3, 2)) as analysis,
+        pytest.raises(SolverFailed, match="within 4 s"),
+    ):
         analysis.modes(ModesRequest(3))
     assert time.monotonic() - start < 60
 
@@ -135,7 +168,10 @@ def test_the_time_limit_of_the_command_line(
     assert run(["modes", str(deck), "-n", "2", "--solver", "nastran", "--time-limit", "2"]) == 1
     assert time.monotonic() - start < 60
     told = capsys.readouterr().err
-    assert "nastran did not end within 2 s and was stopped: give it longer by --time-limit SECONDS" in told
+    assert (
+        "nastran did not end within 2 s and was stopped: give it longer by --time-limit SECONDS"
+        in told
+    )
     assert run(["modes", str(deck), "--time-limit", "2"]) == 2
     told = capsys.readouterr().err
     assert "'embedded' has no time limit; those that have one: mystran, nastran, slepc" in told
@@ -144,18 +180,27 @@ def test_the_time_limit_of_the_command_line(
 
 
 def test_a_command_that_does_not_wait_is_told_to() -> None:
-    with stub("background").open(shell(3, 2)) as analysis, pytest.raises(SolverFailed, match=r"must wait .*bat=no"):
+    with (
+        stub("background").open(shell(3, 2)) as analysis,
+        pytest.raises(SolverFailed, match=r"must wait .*bat=no"),
+    ):
         analysis.modes(ModesRequest(3))
 
 
 def test_a_full_disk_is_named() -> None:
-    with stub("full").open(shell(3, 2)) as analysis, pytest.raises(SolverFailed, match=r"disk .* is full"):
+    with (
+        stub("full").open(shell(3, 2)) as analysis,
+        pytest.raises(SolverFailed, match=r"disk .* is full"),
+    ):
         analysis.modes(ModesRequest(3))
 
 
 @pytest.mark.parametrize("kind", ["op2", "h5"])
 def test_results_cut_off(kind: str) -> None:
-    with stub("cut", kind).open(shell(3, 2)) as analysis, pytest.raises(SolverFailed, match="wrote no modes"):
+    with (
+        stub("cut", kind).open(shell(3, 2)) as analysis,
+        pytest.raises(SolverFailed, match="wrote no modes"),
+    ):
         analysis.modes(ModesRequest(3))
 
 
@@ -166,7 +211,10 @@ def test_no_program(monkeypatch: pytest.MonkeyPatch) -> None:
         NastranSolver().open(shell(3, 2))
     monkeypatch.setenv("RINGTRUE_NASTRAN", "nast20 scr=yes")
     assert nastran_command() == "nast20 scr=yes {deck}"
-    with NastranSolver().open(shell(3, 2)) as analysis, pytest.raises(SolverMissing, match="nast20 cannot be started"):
+    with (
+        NastranSolver().open(shell(3, 2)) as analysis,
+        pytest.raises(SolverMissing, match="nast20 cannot be started"),
+    ):
         analysis.modes(ModesRequest(3))
     monkeypatch.setenv("RINGTRUE_NASTRAN_MAKE", "nex")
     with pytest.raises(ConfigError, match="did you mean 'nx'"):
@@ -256,20 +304,28 @@ CONM1,18,1,,2.
     ],
 )
 def test_names_of_design_fields(tmp_path: Path, target: Target, head: str) -> None:
-    """A name that begins with a digit may stand by its field number only (Quick Reference Guide, DVPREL1)."""
+    """A name that begins with a digit may stand by its field number only (Quick Reference Guide,
+    DVPREL1).
+    """
     (tmp_path / "m.bdf").write_text(CARDS)
-    _, cards = design_cards(read_deck(tmp_path / "m.bdf"), ParameterSet((Parameter("p", (target,)),)))
+    _, cards = design_cards(
+        read_deck(tmp_path / "m.bdf"), ParameterSet((Parameter("p", (target,)),))
+    )
     relation = next(line for line in cards.splitlines() if line.startswith("DV") and "REL1" in line)
     assert " ".join(relation.replace("*", " ").split()) == head
 
 
 def test_decks_parse_in_pynastran(tmp_path: Path) -> None:
     """An independent reader of Nastran decks accepts SOL 103 and SOL 200."""
-    bdf = pytest.importorskip("pyNastran.bdf.bdf", reason="pyNastran is not installed", exc_type=ImportError)
+    bdf = pytest.importorskip(
+        "pyNastran.bdf.bdf", reason="pyNastran is not installed", exc_type=ImportError
+    )
     model = turned(shell(3, 2, clamped=True))
     decks = {
         "SOL103.bdf": modes_deck(model, ModesRequest(5), stub()),
-        "SOL200.bdf": sensitivity_deck(model, stub(), parameters(), 3, np.asarray(model["GRID"].ids)),
+        "SOL200.bdf": sensitivity_deck(
+            model, stub(), parameters(), 3, np.asarray(model["GRID"].ids)
+        ),
     }
     for name, text in decks.items():
         (tmp_path / name).write_text(text)

@@ -1,4 +1,6 @@
-"""Records and FRFs with faults: a clear refusal, or a result that says what is wrong with it; no mode is invented."""
+"""Records and FRFs with faults: a clear refusal, or a result that says what is wrong with it; no
+mode is invented.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +49,12 @@ def made(seconds: float = SECONDS) -> np.ndarray:
 
 
 def wrap(y: np.ndarray) -> TimeHistory:
-    return TimeHistory(y, RATE, tuple(Channel(f"{i + 1}+Z", "acceleration", "m/s^2") for i in range(len(y))), "made")
+    return TimeHistory(
+        y,
+        RATE,
+        tuple(Channel(f"{i + 1}+Z", "acceleration", "m/s^2") for i in range(len(y))),
+        "made",
+    )
 
 
 def found(change: Change) -> AmbientResult:
@@ -81,8 +88,14 @@ def clipped(rows: Any) -> Change:
         (put(2, 1.5), "channel 3+Z: constant at 1.5: a dead sensor; left out"),
         (put((2, 1000), np.nan), "channel 3+Z: 1 missing sample interpolated"),
         (put(2, np.linspace(0, 5, N)), "channel 3+Z: a straight line: no signal; left out"),
-        (scaled(1, 1e3), "channel 2+Z: 9.5e+02 of the typical level of its quantity: unit or sensitivity?"),
-        (scaled(1, 1e-3), "channel 2+Z: 1.0e-03 of the typical level of its quantity: unit or sensitivity?"),
+        (
+            scaled(1, 1e3),
+            "channel 2+Z: 9.5e+02 of the typical level of its quantity: unit or sensitivity?",
+        ),
+        (
+            scaled(1, 1e-3),
+            "channel 2+Z: 1.0e-03 of the typical level of its quantity: unit or sensitivity?",
+        ),
         (lambda y: y[[0, 1, 2, 2, 4, 5]], "channel 4+Z: the same samples as 3+Z"),
         (lambda y: np.round(y / y.std()), "channel 1+Z: coarse: 9 different values only"),
         (lambda y: y[[1, 0, 2, 3, 4, 5]], ""),  # swapped: only a model or another record can tell
@@ -135,7 +148,9 @@ def test_records_whose_values_wrap_are_refused(bits: int) -> None:
         counts = np.round(2 * top * y / np.abs(y).max())
         return (counts + top) % (2 * top) - top
 
-    with pytest.raises(ValueError, match=r"no usable channel; 1\+Z wraps \d+ times from one end of its range"):
+    with pytest.raises(
+        ValueError, match=r"no usable channel; 1\+Z wraps \d+ times from one end of its range"
+    ):
         found(wrapped)
     told = [s.why for s in channel_states(wrap(wrapped(made().copy())))]
     assert len(told) == 6
@@ -143,7 +158,9 @@ def test_records_whose_values_wrap_are_refused(bits: int) -> None:
 
 
 def test_peaks_without_a_mode_are_no_noise() -> None:
-    """Three clear peaks of which no pole is believed: what stands out is named, and not called noise."""
+    """Three clear peaks of which no pole is believed: what stands out is named, and not called
+    noise.
+    """
     told = with_nothing_found(wrap(made()), [], 0, (Band(0.1, 31.0, 64.0),))[0]
     assert "noise" not in told
     for f in (2.1, 4.8, 9.3):
@@ -156,9 +173,20 @@ def test_peaks_without_a_mode_are_no_noise() -> None:
 
 def test_sound_signals_with_large_steps_do_not_wrap() -> None:
     rng = np.random.default_rng(2)
-    spikes = 0.01 * rng.standard_normal(N) + 5 * (np.arange(N) % 400 == 7) - 5 * (np.arange(N) % 400 == 207)
+    spikes = (
+        0.01 * rng.standard_normal(N)
+        + 5 * (np.arange(N) % 400 == 7)
+        - 5 * (np.arange(N) % 400 == 207)
+    )
     telegraph = np.where(np.cumsum(rng.uniform(size=N) < 0.1) % 2, 5.0, -5.0)
-    sound = np.stack([rng.standard_normal(N), rng.uniform(-1, 1, N), spikes, telegraph + 0.01 * rng.standard_normal(N)])
+    sound = np.stack(
+        [
+            rng.standard_normal(N),
+            rng.uniform(-1, 1, N),
+            spikes,
+            telegraph + 0.01 * rng.standard_normal(N),
+        ]
+    )
     assert not any("wraps" in s.why for s in channel_states(wrap(sound)))
 
 
@@ -170,10 +198,16 @@ def test_a_channel_of_noise_is_named() -> None:
 
 
 @pytest.mark.parametrize(
-    ("clipped", "doubted"), [([], []), ([0], [6.0]), ([0, 1, 2], [4.0, 6.0])], ids=["none", "one", "all"]
+    ("clipped", "doubted"),
+    [([], []), ([0], [6.0]), ([0, 1, 2], [4.0, 6.0])],
+    ids=["none", "one", "all"],
 )
-def test_an_overtone_of_clipping_stands_in_the_clipped_channels_alone(clipped: list[int], doubted: list[float]) -> None:
-    shapes = np.array([[1, 1, 1.0], [1, -0.5, 0.01], [1, 0.5, 0.02]])  # the third moves the first channel alone
+def test_an_overtone_of_clipping_stands_in_the_clipped_channels_alone(
+    clipped: list[int], doubted: list[float]
+) -> None:
+    shapes = np.array(
+        [[1, 1, 1.0], [1, -0.5, 0.01], [1, 0.5, 0.02]]
+    )  # the third moves the first channel alone
     f, sure = np.array([2.0, 4.0, 6.0]), np.array([1.0, 0.9, 0.8])
     modes = ModeSet(f, np.full(3, 0.01), shapes, ("a", "b", "c"), confidence=sure)
     judged, reasons = overtones(modes, np.full(3, 1e-3), ("",) * 3, np.isin(np.arange(3), clipped))
@@ -212,7 +246,10 @@ def test_nothing_is_invented(signal: Callable[[np.random.Generator], np.ndarray]
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        (lambda y: np.outer(np.arange(1, 7), np.arange(N) * 1.0), "no usable channel; 1+Z a straight line: no signal;"),
+        (
+            lambda y: np.outer(np.arange(1, 7), np.arange(N) * 1.0),
+            "no usable channel; 1+Z a straight line: no signal;",
+        ),
         (lambda y: y * 1e300, "no unit makes that"),
         (lambda y: y * (1e308 / np.abs(y).max()), "no unit makes that"),
         (lambda y: y * 1e-300, "no unit makes that"),
@@ -233,21 +270,29 @@ def test_what_cannot_be_identified_is_refused(change: Change, told: str) -> None
 
 @pytest.mark.parametrize("ending", [".csv", ".mat", ".uff", ".h5", ".npy"])
 def test_files_with_a_bad_channel(ending: str, tmp_path: Path, capsys: Capture) -> None:
-    """A dead one is refused by name; one that lost much is left out, one that lost a sample is not."""
+    """A dead one is refused by name; one that lost much is left out, one that lost a sample is
+    not.
+    """
     path = tmp_path / f"bad{ending}"
-    y = put((1, 5000), np.nan)(put((2, slice(N // 3)), np.nan)(put(4, 2.5)(made().copy())))[:, : N // 2]
+    y = put((1, 5000), np.nan)(put((2, slice(N // 3)), np.nan)(put(4, 2.5)(made().copy())))[
+        :, : N // 2
+    ]
     if ending == ".npy":
         np.save(path, y.T)
     else:
         write_history(path, wrap(y))
     rate = ("--rate", RATE) if ending in (".mat", ".npy") else ()
     bad, dead = ("ch3", "ch5") if ending == ".npy" else ("3+Z", "5+Z")
-    assert f"channel {dead} is constant: a dead sensor; leave it out" in refused(capsys, "oma", path, *rate)
+    assert f"channel {dead} is constant: a dead sensor; leave it out" in refused(
+        capsys, "oma", path, *rate
+    )
     good = parsed(capsys, "oma", path, *rate, "--fmin", 7, "--fmax", 11, "--leave-out", dead)
     assert len(good["channels"]) == 4
     assert bad not in good["channels"]
     assert min(abs(m["frequency_hz"] - 9.3) for m in good["modes"]) < 0.05
-    assert "no such channel; did you mean" in refused(capsys, "oma", path, *rate, "--leave-out", bad + "x")
+    assert "no such channel; did you mean" in refused(
+        capsys, "oma", path, *rate, "--leave-out", bad + "x"
+    )
 
 
 @pytest.mark.parametrize("rate", ["1e-9", "1e12", "nan", "0"])
@@ -256,15 +301,24 @@ def test_a_rate_that_cannot_be_right(rate: str, tmp_path: Path, capsys: Capture)
     assert "rate" in refused(capsys, "oma", tmp_path / "r.npy", "--rate", rate)
 
 
-@pytest.mark.parametrize("command", [("oma", "--rate", RATE), ("oma", "--rate", RATE, "--method", "fsdd")])
-def test_values_that_no_unit_makes(command: tuple[object, ...], tmp_path: Path, capsys: Capture) -> None:
+@pytest.mark.parametrize(
+    "command", [("oma", "--rate", RATE), ("oma", "--rate", RATE, "--method", "fsdd")]
+)
+def test_values_that_no_unit_makes(
+    command: tuple[object, ...], tmp_path: Path, capsys: Capture
+) -> None:
     np.save(tmp_path / "r.npy", made().T * (1e308 / np.abs(made()).max()))
     assert "no unit makes that" in refused(capsys, command[0], tmp_path / "r.npy", *command[1:])
 
 
 def test_a_name_twice(tmp_path: Path, capsys: Capture) -> None:
     path = tmp_path / "twice.csv"
-    np.savetxt(path, np.column_stack([np.arange(500) / RATE, *made()[:3, :500]]), delimiter=",", header="time,a,b,a")
+    np.savetxt(
+        path,
+        np.column_stack([np.arange(500) / RATE, *made()[:3, :500]]),
+        delimiter=",",
+        header="time,a,b,a",
+    )
     path.write_text(path.read_text().removeprefix("# "))
     assert "twice.csv: channel a occurs twice" in refused(capsys, "oma", path)
 
@@ -284,7 +338,9 @@ def test_drop_outs_and_spikes_are_listed(tmp_path: Path, capsys: Capture) -> Non
 
 
 def line(f: float, wander: float, seconds: float = SECONDS, size: float = 0.6) -> np.ndarray:
-    """A sine of steady amplitude whose speed wanders by `wander` (relative, 1 sigma) in some 30 s, (6, sample)."""
+    """A sine of steady amplitude whose speed wanders by `wander` (relative, 1 sigma) in some 30 s,
+    (6, sample).
+    """
     rng, n = np.random.default_rng(7), int(RATE * seconds)
     slow = lfilter([5e-4], [1, -(1 - 5e-4)], rng.standard_normal(n))
     phase = 2 * np.pi * np.cumsum(f * (1 + wander * slow / slow.std())) / RATE
@@ -305,7 +361,9 @@ def test_a_machine_of_unsteady_speed_is_no_mode() -> None:
 
 @pytest.mark.parametrize(("f", "on", "off"), [(7.0, 10.0, 20.0), (12.5, 8.0, 12.0)])
 def test_a_machine_that_switches_is_no_mode(f: float, on: float, off: float) -> None:
-    """A pump, a scanner: bursts look like a mode of 0.1 to 0.3 % damping, whose amplitude is the same each time."""
+    """A pump, a scanner: bursts look like a mode of 0.1 to 0.3 % damping, whose amplitude is the
+    same each time.
+    """
     seconds, rng = 1200.0, np.random.default_rng(3)
     t = np.arange(int(RATE * seconds)) / RATE
     burst, start = np.zeros(t.size), 5.0
@@ -323,20 +381,26 @@ def test_a_machine_that_switches_is_no_mode(f: float, on: float, off: float) -> 
     assert steady_amplitudes(history, F, Z) == ("",) * 4
 
 
-@pytest.mark.parametrize(("f", "wander", "size"), [(5.2, 0.01, 0.6), (9.35, 0.0, 0.3), (5.6, 0.01, 1.5)])
+@pytest.mark.parametrize(
+    ("f", "wander", "size"), [(5.2, 0.01, 0.6), (9.35, 0.0, 0.3), (5.6, 0.01, 1.5)]
+)
 def test_modes_beside_a_machine_stay(f: float, wander: float, size: float) -> None:
     r = identify_ambient(wrap(made(1200.0) + line(f, wander, 1200.0, size)), QUICK)
     assert r.modes.frequencies == pytest.approx(F, rel=TOLERANCE)
 
 
 def test_a_channel_that_stands_still_but_for_a_digit_is_dead() -> None:
-    """A coarse recorder with nothing connected: its correlations were not finite where the digit was not looked at."""
+    """A coarse recorder with nothing connected: its correlations were not finite where the digit
+    was not looked at.
+    """
     data = made().copy()
     data[2] = 0.0
     data[2, 4321] = 0.01
     r = identify_ambient(wrap(data), QUICK)
     assert r.modes.frequencies == pytest.approx(F, rel=TOLERANCE)
-    assert any("stands still but for 2 changes of its value: a dead sensor; left out" in n for n in r.notes)
+    assert any(
+        "stands still but for 2 changes of its value: a dead sensor; left out" in n for n in r.notes
+    )
 
 
 def test_lines_are_taken_out_on_request(tmp_path: Path, capsys: Capture) -> None:
@@ -344,7 +408,9 @@ def test_lines_are_taken_out_on_request(tmp_path: Path, capsys: Capture) -> None
     history = wrap(made() + line(9.28, 0.0, size=1.5) + line(20.0, 0.0))
     write_history(tmp_path / "m.h5", history)
     file, band = tmp_path / "m.json", ("--fmin", 3, "--fmax", 22)
-    status, out, _ = call(capsys, "oma", tmp_path / "m.h5", *band, "--remove-harmonics", "lines", "--json", file)
+    status, out, _ = call(
+        capsys, "oma", tmp_path / "m.h5", *band, "--remove-harmonics", "lines", "--json", file
+    )
     assert status == 0
     assert "line at 20 Hz taken out" in out
     clean = json.loads(file.read_text())
@@ -359,7 +425,9 @@ def test_families_of_harmonics() -> None:
     assert families([3.0, 6.0], 0.05) == ()
     t = np.arange(N) / RATE
     comb = sum(0.4 * np.cos(2 * np.pi * 3.0 * k * t + k) for k in range(1, 8))
-    left, said = without_machines(wrap(made() + made().std() * comb), [3.0 * k for k in range(1, 8)], "cepstrum")
+    left, said = without_machines(
+        wrap(made() + made().std() * comb), [3.0 * k for k in range(1, 8)], "cepstrum"
+    )
     assert said == ("harmonics of 3 Hz taken out by cepstrum",)
     gone = np.abs(np.fft.rfft((left.data - made())[0] * np.hanning(N)))
     there = np.abs(np.fft.rfft((made().std() * comb) * np.hanning(N)))
@@ -372,13 +440,17 @@ def test_families_of_harmonics() -> None:
 def test_channel_states_name_what_they_are() -> None:
     """Quantities are judged apart: a force of 1000 N beside accelerations of 1 m/s² is no fault."""
     y = made()[:, :4000]
-    ids = [Channel(f"{i}", "acceleration") for i in range(3)] + [Channel(f"F{i}", "force") for i in range(3)]
+    ids = [Channel(f"{i}", "acceleration") for i in range(3)] + [
+        Channel(f"F{i}", "force") for i in range(3)
+    ]
     history = TimeHistory(y * np.array([1, 1, 1, 1e3, 1e3, 1e3])[:, None], RATE, tuple(ids))
     assert channel_states(history) == ()
 
 
 def test_fast_signals_are_clipped_for_a_sample_at_a_time() -> None:
-    """White noise cut off at 1.5 standard deviations, and the 12 bits of a recorder beside it, which are no clip."""
+    """White noise cut off at 1.5 standard deviations, and the 12 bits of a recorder beside it,
+    which are no clip.
+    """
     x = np.random.default_rng(0).standard_normal((2, 20_000))
     y = np.stack([np.clip(x[0], -1.5, 1.5), np.round(x[1] * 500)])
     (state,) = channel_states(wrap(y))
@@ -408,7 +480,10 @@ def _h(frf: Callable[..., Path], change: Callable[[Any], Any]) -> Path:
         (put((slice(None), 1), 0.0), "response out2 is the same at all lines: a dead channel"),
         (put((slice(None), 1), 3.0), "response out2 is the same at all lines"),
         (put(1, 0.0), "reference in2 is the same at all lines"),
-        (put((slice(None), slice(None), slice(300, 320)), 0.0), "20 lines between 16 and 16.95 Hz are zero"),
+        (
+            put((slice(None), slice(None), slice(300, 320)), 0.0),
+            "20 lines between 16 and 16.95 Hz are zero",
+        ),
         (put((1, slice(None), slice(300, 320)), 0.0), "20 lines between 16 and 16.95 Hz are zero"),
         (lambda h: 0 * h, "no unit makes that"),
         (lambda h: 1e200 * h, "is no measured value"),
@@ -421,7 +496,9 @@ def test_frfs_that_cannot_be_identified(
     assert told in refused(capsys, "ema", _h(frf, change))
 
 
-def test_frfs_of_the_other_sign_of_time_have_the_same_modes(frf: Callable[..., Path], capsys: Capture) -> None:
+def test_frfs_of_the_other_sign_of_time_have_the_same_modes(
+    frf: Callable[..., Path], capsys: Capture
+) -> None:
     given = [parsed(capsys, "ema", _h(frf, change))["modes"] for change in (lambda h: h, np.conj)]
     one, other = ([(m["frequency_hz"], m["damping"]) for m in modes] for modes in given)
     np.testing.assert_allclose(other, one, rtol=1e-6)
@@ -429,7 +506,11 @@ def test_frfs_of_the_other_sign_of_time_have_the_same_modes(frf: Callable[..., P
 
 def test_noise_has_no_modes(frf: Callable[..., Path], capsys: Capture) -> None:
     rng = np.random.default_rng(0)
-    told = refused(capsys, "ema", _h(frf, lambda h: rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)))
+    told = refused(
+        capsys,
+        "ema",
+        _h(frf, lambda h: rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)),
+    )
     assert "no pole stays in place over the orders" in told
 
 
@@ -438,7 +519,10 @@ def test_noise_has_no_modes(frf: Callable[..., Path], capsys: Capture) -> None:
     [
         ({"outputs": ["a", "b", "a", "c"]}, "response a occurs twice"),
         ({"kind": "acelerance"}, "kind 'acelerance'; did you mean 'accelerance'?"),
-        ({"coherence": np.full((2, 4, 780), 5.0)}, "coherence 5 of out1/in1 at 1 Hz, and 6239 more beyond 0 to 1"),
+        (
+            {"coherence": np.full((2, 4, 780), 5.0)},
+            "coherence 5 of out1/in1 at 1 Hz, and 6239 more beyond 0 to 1",
+        ),
         ({"freq": np.arange(-19.0, 20.0, 0.05)}, "the lines begin at -19 Hz"),
     ],
 )
@@ -451,9 +535,15 @@ def test_frf_files_that_make_no_sense(
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        (_times((slice(None), 1), 1e6), "response out2: 1.1e+06 of the typical level: unit or sensitivity?"),
+        (
+            _times((slice(None), 1), 1e6),
+            "response out2: 1.1e+06 of the typical level: unit or sensitivity?",
+        ),
         (_times((1, 0), -1), "response out1 looks turned under reference in1 or in2: "),
-        (lambda h: np.stack([h[0], h[1][[3, 1, 2, 0]]]), "responses out1 and out4 look swapped under reference in1 or"),
+        (
+            lambda h: np.stack([h[0], h[1][[3, 1, 2, 0]]]),
+            "responses out1 and out4 look swapped under reference in1 or",
+        ),
     ],
 )
 def test_frfs_that_look_wrong(
@@ -464,16 +554,22 @@ def test_frfs_that_look_wrong(
     assert told in " ".join(out.split())
 
 
-def test_a_response_that_does_not_follow_the_force(frf: Callable[..., Path], capsys: Capture) -> None:
+def test_a_response_that_does_not_follow_the_force(
+    frf: Callable[..., Path], capsys: Capture
+) -> None:
     coherence = np.full((2, 4, 780), 0.98)
     coherence[:, 0], coherence[:, 2] = 0.2, 0.1
     status, out, _ = call(capsys, "ema", frf(coherence=coherence), "--fmin", 2, "--fmax", 35)
     assert status == 0
-    assert "channel out1 out3: coherence 0.20, 0.10, 0.98 of the others: hardly moves" in " ".join(out.split())
+    assert "channel out1 out3: coherence 0.20, 0.10, 0.98 of the others: hardly moves" in " ".join(
+        out.split()
+    )
 
 
 def test_a_reference_that_does_not_excite_a_mode(frf: Callable[..., Path], capsys: Capture) -> None:
-    """One reference at the node of the second mode: the other still shows it; at the node of both it is not there."""
+    """One reference at the node of the second mode: the other still shows it; at the node of both
+    it is not there.
+    """
     node = _h(frf, lambda h: h)
     with np.load(node) as file:
         f = file["freq"]
@@ -484,10 +580,16 @@ def test_a_reference_that_does_not_excite_a_mode(frf: Callable[..., Path], capsy
     for blind, expected in (([1, 0, 1], [8.0, 15.0, 27.0]), ([0, 0, 0], [8.0, 27.0])):
         refs = shapes[:2] * np.array([[1.0, 0.0, 1.0], [1.0, float(blind[0]), 1.0]])
         h = np.einsum("om,fm,im->iof", shapes, gain, refs)
-        h += 1e-3 * np.abs(h).mean() * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape))
+        h += (
+            1e-3
+            * np.abs(h).mean()
+            * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape))
+        )
         modes = parsed(capsys, "ema", frf(H1=h), "--fmin", 2, "--fmax", 35)["modes"]
         assert [m["frequency_hz"] for m in modes] == pytest.approx(expected, rel=1e-3)
-    one = parsed(capsys, "ema", frf(), "--fmin", 2, "--fmax", 35, "--leave-out", "in2", "--leave-out", "out3")
+    one = parsed(
+        capsys, "ema", frf(), "--fmin", 2, "--fmax", 35, "--leave-out", "in2", "--leave-out", "out3"
+    )
     assert len(one["channels"]) == 3
 
 

@@ -1,4 +1,6 @@
-"""Benchmarks: every script states what is right, and a wrong answer makes it fail; the page is what they stated."""
+"""Benchmarks: every script states what is right, and a wrong answer makes it fail; the page is what
+they stated.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,17 @@ import tracking
 import uncertainty
 import updating
 import write_docs
-from outcome import Check, Peer, Report, at_least, at_most, rms_over_stated, share_at_least, share_at_most, within
+from outcome import (
+    Check,
+    Peer,
+    Report,
+    at_least,
+    at_most,
+    rms_over_stated,
+    share_at_least,
+    share_at_most,
+    within,
+)
 
 BENCH = Path(__file__).parents[2] / "bench"
 SHARED = {"outcome.py", "write_docs.py", "identification_system.py", "concrete_frame.py"}
@@ -85,7 +97,9 @@ def test_a_row_needs_a_check() -> None:
 
 
 @pytest.mark.parametrize(("value", "status"), [(0.5, 0), (2.0, 1), (np.nan, 1)])
-def test_a_wrong_answer_is_the_status_and_stands_in_the_file(value: float, status: int, tmp_path: Path) -> None:
+def test_a_wrong_answer_is_the_status_and_stands_in_the_file(
+    value: float, status: int, tmp_path: Path
+) -> None:
     options = outcome.arguments("").parse_args(["--json", str(tmp_path / "x.json")])
     report = Report(options)
     report.row("a", {"s": 1.0}, [at_most("x", 0.0, 1.0)])
@@ -134,7 +148,9 @@ def test_the_published_frame_is_not_needed() -> None:
 
 def test_the_page_is_what_the_scripts_stated() -> None:
     named = [
-        n for place in write_docs.PLACE.findall(write_docs.TEMPLATE.read_text(encoding="utf-8")) for n in place.split()
+        n
+        for place in write_docs.PLACE.findall(write_docs.TEMPLATE.read_text(encoding="utf-8"))
+        for n in place.split()
     ]
     assert sorted(named) == sorted([*write_docs.RUNS, "runs"])
     assert {p.stem for p in write_docs.RESULTS.glob("*.json")} <= set(write_docs.RUNS)
@@ -177,16 +193,23 @@ def square(joined: int = 0, moved: float = 0.0) -> deck_reading.Square:
 def drawn(scale: float = 1.0, found: int = 4) -> list[dict[str, np.ndarray]]:
     """Errors over deviations of 40 sets of four modes."""
     rng = np.random.default_rng(3)
-    return [{k: scale * rng.standard_normal(found) for k in ("frequency", "damping", "shapes")} for _ in range(40)]
+    return [
+        {k: scale * rng.standard_normal(found) for k in ("frequency", "damping", "shapes")}
+        for _ in range(40)
+    ]
 
 
 GAPS = np.random.default_rng(0).standard_normal(200)
 TRUE = system.truth(system.SIXTEEN).frequencies
 FREE = np.r_[np.zeros(6), np.linspace(10.0, 40.0, 24)]
-SEED = facility.Seed(18, 19.0, 20, 0.8, 2.5, 96.0, True, (4, 4), (0.5, -1.0, 0.8), {"slab": True}, 300.0)
+SEED = facility.Seed(
+    18, 19.0, 20, 0.8, 2.5, 96.0, True, (4, 4), (0.5, -1.0, 0.8), {"slab": True}, 300.0
+)
 SUMMARY: dict[str, Any] = {
     "initial": [],
-    "final": [{"frequency_test_hz": 5.0, "frequency_fe_hz": 5.1, "mac_percent": 97.0, "used": True}],
+    "final": [
+        {"frequency_test_hz": 5.0, "frequency_fe_hz": 5.1, "mac_percent": 97.0, "used": True}
+    ],
     "ambient_vs_hammer": [],
     "parameters": [{"name": "slab", "updated": 2.2e10, "std": 1e9}],
 }
@@ -200,27 +223,62 @@ ALIKE = durability.Faults(100, 100, 100, 100)
 FLIPS = durability.Flips(named=8, refused=1, anew=20, alike=20)
 
 # script: what judges its answers, answers that are right, and wrong ones
-JUDGED: list[tuple[str, Callable[..., Check | Sequence[Check]], tuple[Any, ...], list[tuple[Any, ...]]]] = [
+JUDGED: list[
+    tuple[str, Callable[..., Check | Sequence[Check]], tuple[Any, ...], list[tuple[Any, ...]]]
+] = [
     ("modes", modes.solved, (FREE, 1e-8), [(FREE + 1, 1e-8), (FREE, 1e-2), (FREE, np.nan)]),
-    ("modes", modes.same, (FREE, FREE), [(FREE * 1.001, FREE), (FREE[:-1], FREE), (np.delete(FREE, 7), FREE)]),
+    (
+        "modes",
+        modes.same,
+        (FREE, FREE),
+        [(FREE * 1.001, FREE), (FREE[:-1], FREE), (np.delete(FREE, 7), FREE)],
+    ),
     ("modes", modes.near, (FREE, 1.01 * FREE), [(FREE, 1.05 * FREE)]),
-    ("derivatives", derivatives.by_differences, (SLOPES, SLOPES), [(1.01 * SLOPES, SLOPES), (np.nan * SLOPES, SLOPES)]),
+    (
+        "derivatives",
+        derivatives.by_differences,
+        (SLOPES, SLOPES),
+        [(1.01 * SLOPES, SLOPES), (np.nan * SLOPES, SLOPES)],
+    ),
     ("derivatives", derivatives.by_products, (SLOPES, SLOPES), [(1.01 * SLOPES, SLOPES)]),
     ("derivatives", derivatives.by_adjoints, (SLOPES, SLOPES), [(-SLOPES, SLOPES)]),
-    ("elements", elements.solid, ("CHEXA20", 0.98, 0.93, 0.1, 0.1), [("CHEXA20", 0.9, 0.93, 0.1, 0.1)]),
-    ("elements", elements.solid, ("CTETRA4", 0.01, 0.02, 35.0, 400.0), [("CTETRA4", 1.2, 0.02, 35.0, 400.0)]),
-    ("elements", elements.converges, ([40.0, 5.0], 10.0), [([40.0, 40.0], 10.0), ([40.0, -5.0], 10.0)]),
+    (
+        "elements",
+        elements.solid,
+        ("CHEXA20", 0.98, 0.93, 0.1, 0.1),
+        [("CHEXA20", 0.9, 0.93, 0.1, 0.1)],
+    ),
+    (
+        "elements",
+        elements.solid,
+        ("CTETRA4", 0.01, 0.02, 35.0, 400.0),
+        [("CTETRA4", 1.2, 0.02, 35.0, 400.0)],
+    ),
+    (
+        "elements",
+        elements.converges,
+        ([40.0, 5.0], 10.0),
+        [([40.0, 40.0], 10.0), ([40.0, -5.0], 10.0)],
+    ),
     (
         "deck_reading",
         deck_reading.checks,
         (square(), square()),
-        [(square(joined=1), square()), (square(moved=0.01), square()), (deck_reading.made(81), square())],
+        [
+            (square(joined=1), square()),
+            (square(moved=0.01), square()),
+            (deck_reading.made(81), square()),
+        ],
     ),
     (
         "identification_ambient",
         identification_ambient.accurate,
         ([record(off=0.05)] * 2,),
-        [([record(off=0.5)] * 2,), ([record(off=0.05), record(off=0.05, missing=1)],), ([record(off=0.05, extra=1)],)],
+        [
+            ([record(off=0.5)] * 2,),
+            ([record(off=0.05), record(off=0.05, missing=1)],),
+            ([record(off=0.05, extra=1)],),
+        ],
     ),
     (
         "identification_ambient",
@@ -249,7 +307,11 @@ JUDGED: list[tuple[str, Callable[..., Check | Sequence[Check]], tuple[Any, ...],
         "identification_peers",
         identification_peers.checks,
         (peer_run(TRUE), 0.0, 60),
-        [(peer_run(TRUE[1:]), 0.0, 60), (peer_run(1.008 * TRUE), 0.0, 60), (peer_run(np.zeros(0)), 0.0, 60)],
+        [
+            (peer_run(TRUE[1:]), 0.0, 60),
+            (peer_run(1.008 * TRUE), 0.0, 60),
+            (peer_run(np.zeros(0)), 0.0, 60),
+        ],
     ),
     (
         "identification_setups",
@@ -277,30 +339,73 @@ JUDGED: list[tuple[str, Callable[..., Check | Sequence[Check]], tuple[Any, ...],
             ([identification_hammer.Found(1.0, score(0.001, mac=0.9))], (0, 1, 2)),
         ],
     ),
-    ("identification_hammer", identification_hammer.honest, (20, 20, GAPS, GAPS), [(20, 20, 3 * GAPS, GAPS)]),
-    ("identification_hammer", identification_hammer.honest, (20, 20, GAPS, GAPS), [(9, 20, GAPS, GAPS)]),
+    (
+        "identification_hammer",
+        identification_hammer.honest,
+        (20, 20, GAPS, GAPS),
+        [(20, 20, 3 * GAPS, GAPS)],
+    ),
+    (
+        "identification_hammer",
+        identification_hammer.honest,
+        (20, 20, GAPS, GAPS),
+        [(9, 20, GAPS, GAPS)],
+    ),
     ("correlation", correlation.same_mac, (SLOPES, SLOPES), [(SLOPES + 1e-6, SLOPES)]),
-    ("correlation", correlation.right_pairs, (np.arange(99), np.arange(99)), [(np.arange(99)[::-1], np.arange(99))]),
+    (
+        "correlation",
+        correlation.right_pairs,
+        (np.arange(99), np.arange(99)),
+        [(np.arange(99)[::-1], np.arange(99))],
+    ),
     ("correlation", correlation.plausible_comac, (np.full(9, 0.96),), [(np.full(9, 0.5),)]),
     ("correlation", correlation.few_alarms, (0, 400), [(40, 400)]),
-    ("correlation", correlation.named, ("reversed", 1.0, 0, 100), [("reversed", 0.5, 0, 100), ("dead", 1.0, 30, 100)]),
-    ("correlation", correlation.few_wrong, (PAIRED,), [(replace(PAIRED, shared=np.full(100, 0.3)),)]),
+    (
+        "correlation",
+        correlation.named,
+        ("reversed", 1.0, 0, 100),
+        [("reversed", 0.5, 0, 100), ("dead", 1.0, 30, 100)],
+    ),
+    (
+        "correlation",
+        correlation.few_wrong,
+        (PAIRED,),
+        [(replace(PAIRED, shared=np.full(100, 0.3)),)],
+    ),
     (
         "localisation",
         localisation.checks,
         ([SCORE] * 3,),
-        [([replace(SCORE, share=0.3)] * 3,), ([replace(SCORE, members=8)] * 3,), ([replace(SCORE, random=0.9)] * 3,)],
+        [
+            ([replace(SCORE, share=0.3)] * 3,),
+            ([replace(SCORE, members=8)] * 3,),
+            ([replace(SCORE, random=0.9)] * 3,),
+        ],
     ),
     (
         "updating",
         updating.recovered,
         ([RUN],),
-        [([replace(RUN, at_truth=100.0)],), ([replace(RUN, error=1.1)],), ([RUN, replace(RUN, converged=False)],)],
+        [
+            ([replace(RUN, at_truth=100.0)],),
+            ([replace(RUN, error=1.1)],),
+            ([RUN, replace(RUN, converged=False)],),
+        ],
     ),
     ("updating", updating.same_modes, (FREE[6:], FREE[6:]), [(1.01 * FREE[6:], FREE[6:])]),
     ("updating", updating.verified, ([1e-5], [1e-3]), [([1e-2], [1e-3]), ([1e-5], [1.1])]),
-    ("uncertainty", uncertainty.checks, (COUNTS, False), [({**COUNTS, "left out held": 20}, False)]),
-    ("uncertainty", uncertainty.checks, (COUNTS, True), [({**COUNTS, "parameters held": 20}, True)]),
+    (
+        "uncertainty",
+        uncertainty.checks,
+        (COUNTS, False),
+        [({**COUNTS, "left out held": 20}, False)],
+    ),
+    (
+        "uncertainty",
+        uncertainty.checks,
+        (COUNTS, True),
+        [({**COUNTS, "parameters held": 20}, True)],
+    ),
     (
         "facility",
         facility.bars,
@@ -334,19 +439,32 @@ JUDGED: list[tuple[str, Callable[..., Check | Sequence[Check]], tuple[Any, ...],
             (SUMMARY, {**SUMMARY, "parameters": [{**SUMMARY["parameters"][0], "updated": 2.3e10}]}),
         ],
     ),
-    ("durability", durability.survived, (ALIKE,), [(replace(ALIKE, **{n: 99}),) for n in ("met", "whole", "alike")]),
+    (
+        "durability",
+        durability.survived,
+        (ALIKE,),
+        [(replace(ALIKE, **{n: 99}),) for n in ("met", "whole", "alike")],
+    ),
     (
         "durability",
         durability.unread,
         (FLIPS,),
-        [(replace(FLIPS, **{n: v}),) for n, v in (("wrong", 1), ("ended", 1), ("alike", 19), ("named", -9))],
+        [
+            (replace(FLIPS, **{n: v}),)
+            for n, v in (("wrong", 1), ("ended", 1), ("alike", 19), ("named", -9))
+        ],
     ),
 ]
 
 
-@pytest.mark.parametrize(("script", "judge", "good", "bad"), JUDGED, ids=lambda x: getattr(x, "__name__", None))
+@pytest.mark.parametrize(
+    ("script", "judge", "good", "bad"), JUDGED, ids=lambda x: getattr(x, "__name__", None)
+)
 def test_a_wrong_answer_is_found(
-    script: str, judge: Callable[..., Check | Sequence[Check]], good: tuple[Any, ...], bad: list[tuple[Any, ...]]
+    script: str,
+    judge: Callable[..., Check | Sequence[Check]],
+    good: tuple[Any, ...],
+    bad: list[tuple[Any, ...]],
 ) -> None:
     assert right(judge(*good))
     for wrong in bad:

@@ -19,7 +19,9 @@ SPRINGS = "PBUSH,9,K,1.+6,1.+6,1.+6,10.,10.,10.\n"
 
 
 def _cube(first: int, z: float) -> str:
-    nodes = "".join(f"GRID,{first + i},,{x}.,{y}.,{z + h:.3f}\n" for i, (x, y, h) in enumerate(CORNERS))
+    nodes = "".join(
+        f"GRID,{first + i},,{x}.,{y}.,{z + h:.3f}\n" for i, (x, y, h) in enumerate(CORNERS)
+    )
     names = [str(first + i) for i in range(8)]
     return f"{nodes}CHEXA,{first},1,{','.join(names[:6])}\n,{','.join(names[6:])}\n"
 
@@ -40,12 +42,20 @@ def _bushes() -> str:
 
 
 def _told(m: Model) -> list[str]:
-    return [f"{f.severity} {f.text}" for f in check_deck(m).findings if "BUSH" in f.text or "CBAR" in f.text]
+    return [
+        f"{f.severity} {f.text}"
+        for f in check_deck(m).findings
+        if "BUSH" in f.text or "CBAR" in f.text
+    ]
 
 
 def _loose(m: Model) -> int:
     """Number of mechanisms: modes far below 1 Hz."""
-    return int((np.abs(solver("embedded").open(m).modes(ModesRequest(count=6)).modes.frequencies) < 0.01).sum())
+    return int(
+        (
+            np.abs(solver("embedded").open(m).modes(ModesRequest(count=6)).modes.frequencies) < 0.01
+        ).sum()
+    )
 
 
 def test_long_bushes_between_solids_carry_no_shear(tmp_path: Path) -> None:
@@ -78,7 +88,9 @@ def test_a_shell_on_an_edge_of_a_solid_is_hinged(tmp_path: Path) -> None:
     for joint, hinged in ((shell, True), (over, False)):
         m = _deck(tmp_path, _cube(1, 0.0) + joint)
         told = [f.text for f in check_deck(m).findings if "CQUAD4" in f.text]
-        assert [t.startswith("CQUAD4 60: hinged where an edge of it") for t in told] == [True] * hinged
+        assert [t.startswith("CQUAD4 60: hinged where an edge of it") for t in told] == [
+            True
+        ] * hinged
         assert _loose(m) == hinged
 
 

@@ -36,7 +36,11 @@ EVERYTHING = Choice(
 def test_what_is_written_is_read(tmp_path: Path, name: str) -> None:
     write_choice(tmp_path / name, EVERYTHING)
     back = read_choice(tmp_path / name)
-    assert (back.picks, back.rejects, back.merges) == (EVERYTHING.picks, EVERYTHING.rejects, EVERYTHING.merges)
+    assert (back.picks, back.rejects, back.merges) == (
+        EVERYTHING.picks,
+        EVERYTHING.rejects,
+        EVERYTHING.merges,
+    )
     assert not back.automatic
     assert back.source == str(tmp_path / name)
 
@@ -82,7 +86,9 @@ def test_a_wrong_choice_is_refused(tmp_path: Path, text: str, told: str) -> None
 def test_frequencies_are_matched_one_to_one() -> None:
     there = np.array([2.0, 5.0, 5.02, 9.0])
     np.testing.assert_array_equal(match(np.array([5.019, 5.001, 2.1]), there), [2, 1, -1])
-    np.testing.assert_array_equal(match(np.array([5.009]), there, np.array([0.0, 1.0, 0.0, 0.0])), [2])
+    np.testing.assert_array_equal(
+        match(np.array([5.009]), there, np.array([0.0, 1.0, 0.0, 0.0])), [2]
+    )
 
 
 def _poles() -> PoleSet:
@@ -103,7 +109,10 @@ def test_modes_from_the_poles_of_any_method() -> None:
     assert std.frequency == pytest.approx([0.002, 0.002])
     assert said == ("chosen by hand: 10 of 10 orders", "chosen by hand: 1 of 10 orders")
     assert np.abs(modes.shapes[:, 0]) == pytest.approx([1.0, 0.5, 0.2])
-    with pytest.raises(DataError, match=r"pick at 7 Hz at order 10: no such pole within 1 %; the nearest is at 7 Hz"):
+    with pytest.raises(
+        DataError,
+        match=r"pick at 7 Hz at order 10: no such pole within 1 %; the nearest is at 7 Hz",
+    ):
         modes_by_hand(poles, ("a", "b", "c"), Choice((Pick(7.0, 10),)))
 
 
@@ -126,7 +135,8 @@ def test_frfs_by_hand(frf: Callable[..., Path]) -> None:
         f"mode at {auto.modes.frequencies[1]:.5g} Hz rejected by hand: a pump",
         "rejected by hand, but not there: a mode at 20 Hz",
     )
-    # a pole of the diagram comes back with the numbers and the standard deviations of the automatic mode
+    # a pole of the diagram comes back with the numbers and the standard deviations of the automatic
+    # mode
     d = auto.diagrams[-1].poles
     k = int(np.argmin(np.abs(d.frequencies - 27.0)))
     pick = Pick(float(d.frequencies[k]), int(d.order[k]))
@@ -144,9 +154,13 @@ def test_merged_modes_of_frfs(frf: Callable[..., Path]) -> None:
     f = np.arange(1.0, 40.0, 0.05)
     w, rng = 2 * np.pi * f, np.random.default_rng(4)
     shapes = np.array([[1.0, 0.4], [0.6, -0.9], [0.9, 0.3], [0.2, 0.8]])
-    gain = -(w**2) / ((2 * np.pi * np.array([[15.0], [15.4]])) ** 2 - w**2 + 2j * 0.01 * 2 * np.pi * 15.2 * w)
+    gain = -(w**2) / (
+        (2 * np.pi * np.array([[15.0], [15.4]])) ** 2 - w**2 + 2j * 0.01 * 2 * np.pi * 15.2 * w
+    )
     h = np.einsum("om,mf,im->iof", shapes, gain, shapes[:2])
-    h = h + 1e-3 * np.abs(h).mean() * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape))
+    h = h + 1e-3 * np.abs(h).mean() * (
+        rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)
+    )
     path = frf(freq=f, H1=h)
     assert _identified(path).modes.frequencies == pytest.approx([15.0, 15.4], rel=1e-3)
     one = _identified(path, Choice(merges=(Merge((15.0, 15.4), "a pair of hangers"),)))
@@ -157,7 +171,9 @@ def test_merged_modes_of_frfs(frf: Callable[..., Path]) -> None:
 # --- commands
 
 
-def test_oma_writes_and_replays(record: Callable[..., Path], tmp_path: Path, capsys: Capture) -> None:
+def test_oma_writes_and_replays(
+    record: Callable[..., Path], tmp_path: Path, capsys: Capture
+) -> None:
     words = ("oma", record(), "--rate", 64, "--fmin", 3, "--fmax", 10)
     page = tmp_path / "d.html"
     auto = parsed(capsys, *words, "--write-choice", tmp_path / "c.toml", "--diagram", page)
@@ -170,7 +186,9 @@ def test_oma_writes_and_replays(record: Callable[..., Path], tmp_path: Path, cap
     choice = read_choice(tmp_path / "c.toml")
     write_choice(tmp_path / "less.json", Choice(choice.picks[1:], automatic=False))
     less = parsed(capsys, *words, "--choice", tmp_path / "less.json")
-    assert [m["frequency_hz"] for m in less["modes"]] == [m["frequency_hz"] for m in auto["modes"][1:]]
+    assert [m["frequency_hz"] for m in less["modes"]] == [
+        m["frequency_hz"] for m in auto["modes"][1:]
+    ]
     write_choice(tmp_path / "none.toml", Choice((Pick(3.3, 6),)))
     assert "pick at 3.3 Hz at order 6: no such pole within 1 %" in refused(
         capsys, *words, "--choice", tmp_path / "none.toml"
@@ -197,7 +215,9 @@ def test_ema_writes_and_replays(frf: Callable[..., Path], tmp_path: Path, capsys
 
 
 def _desk(path: Path) -> Workbench:
-    return Workbench(read_config(path), path.parent, path.parent / "out", Store(path.parent / "study.h5"))
+    return Workbench(
+        read_config(path), path.parent, path.parent / "out", Store(path.parent / "study.h5")
+    )
 
 
 def test_a_study_replays_a_choice(tmp_path: Path) -> None:
@@ -205,7 +225,10 @@ def test_a_study_replays_a_choice(tmp_path: Path) -> None:
     path = small_study.write_study(tmp_path, toml, hammer=False)
     plain = stage.run(_desk(path), lambda f, t: None)
     f = plain.ambient.frequencies
-    write_choice(tmp_path / "choice.toml", Choice(rejects=(Reject(float(f[1]), "crane"),), picks=(Pick(float(f[0])),)))
+    write_choice(
+        tmp_path / "choice.toml",
+        Choice(rejects=(Reject(float(f[1]), "crane"),), picks=(Pick(float(f[0])),)),
+    )
     path.write_text(toml.replace("[identify]\n", '[identify]\nchoice = "choice.toml"\n'))
     desk = _desk(path)
     assert tmp_path / "choice.toml" in stage.files(desk)

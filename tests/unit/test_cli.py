@@ -1,4 +1,6 @@
-"""The command line: help with an example, JSON on request, exit status, and one clear message for bad input."""
+"""The command line: help with an example, JSON on request, exit status, and one clear message for
+bad input.
+"""
 
 from __future__ import annotations
 
@@ -109,14 +111,18 @@ def test_help_shows_an_example(command: str, capsys: Capture) -> None:
     assert command == "convert" or "--json" in out
     module, function = COMMANDS[command]
     said = getattr(importlib.import_module(f"ringtrue.cli.{module}"), function).__doc__
-    for name in re.findall(r"\[\[?\w+\]", said):  # of a section of study.toml: markup in a help unless it is escaped
+    for name in re.findall(
+        r"\[\[?\w+\]", said
+    ):  # of a section of study.toml: markup in a help unless it is escaped
         assert name in out
 
 
 @pytest.mark.parametrize("command", OPTIONS)
 def test_options_in_panels_are_there_and_stand_in_one(command: str, capsys: Capture) -> None:
     module, function = COMMANDS[command]
-    there = inspect.signature(getattr(importlib.import_module(f"ringtrue.cli.{module}"), function)).parameters
+    there = inspect.signature(
+        getattr(importlib.import_module(f"ringtrue.cli.{module}"), function)
+    ).parameters
     grouped = [name for names in OPTIONS[command].values() for name in names]
     assert set(grouped) <= set(there)
     assert len(set(grouped)) == len(grouped)
@@ -128,7 +134,10 @@ def test_names_in_brackets_are_text(capsys: Capture) -> None:
     rows("at [model]", ("f [hz]", "why"), [(1.0, "from [[residual]]")])
     show.out.print("as [test] says at wing.bdf:100: GRID")
     shown = capsys.readouterr().out
-    assert all(x in shown for x in ("at [model]", "f [hz]", "from [[residual]]", "as [test] says", "bdf:100: GRID"))
+    assert all(
+        x in shown
+        for x in ("at [model]", "f [hz]", "from [[residual]]", "as [test] says", "bdf:100: GRID")
+    )
 
 
 def test_version_and_usage(capsys: Capture) -> None:
@@ -140,12 +149,17 @@ def test_version_and_usage(capsys: Capture) -> None:
     assert call(capsys, "modes", "x.bdf", "-n", "0")[0] == 2
 
 
-def test_the_help_of_all_commands_has_the_words_of_each_without_its_imports(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_help_of_all_commands_has_the_words_of_each_without_its_imports(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     whole = {name: get_command(application([name])).commands[name] for name in COMMANDS}  # type: ignore[attr-defined]
     monkeypatch.setattr("ringtrue.cli.main.import_module", None)
     short = get_command(application(["--help", "modes"])).commands  # type: ignore[attr-defined]
     assert list(short) == list(COMMANDS)
-    assert all(short[name].get_short_help_str(400) == whole[name].get_short_help_str(400) != "" for name in COMMANDS)
+    assert all(
+        short[name].get_short_help_str(400) == whole[name].get_short_help_str(400) != ""
+        for name in COMMANDS
+    )
 
 
 # --- decks
@@ -155,9 +169,14 @@ def test_modes_of_a_deck(deck: Path, capsys: Capture) -> None:
     found = parsed(capsys, "modes", deck, "-n", 5)
     assert len(found["modes"]) == 5
     assert found["scaling"] == "mass"
-    assert {"frequency_hz", "damping", "std_frequency_hz", "std_damping", "shape_re", "shape_im"} <= set(
-        found["modes"][0]
-    )
+    assert {
+        "frequency_hz",
+        "damping",
+        "std_frequency_hz",
+        "std_damping",
+        "shape_re",
+        "shape_im",
+    } <= set(found["modes"][0])
     assert found["modes"][0]["std_frequency_hz"] is None
     assert len(found["modes"][0]["shape_re"]) == len(found["channels"])
     assert found["complete"] is True
@@ -179,7 +198,9 @@ def test_modes_that_the_deck_asks_for(tmp_path: Path, capsys: Capture) -> None:
 
 
 def test_complex_modes_of_a_deck(tmp_path: Path, capsys: Capture) -> None:
-    """1 kg on 100 N/m and 0.4 N s/m: |s| = 10 rad/s, damping 0.4 / (2 · 10); beside it one with GE = 0.06."""
+    """1 kg on 100 N/m and 0.4 N s/m: |s| = 10 rad/s, damping 0.4 / (2 · 10); beside it one with GE
+    = 0.06.
+    """
     deck, target = tmp_path / "d.bdf", tmp_path / "m.json"
     damped = "CELAS4,1,100.,1\nCMASS4,2,1.,1\nCDAMP4,3,0.4,1\nGRID,5,,,,,,23456\nCELAS2,4,400.,5,1,,,0.06\n"
     deck.write_text(f"BEGIN BULK\n{damped}CONM2,6,5,,1.\n")
@@ -190,7 +211,9 @@ def test_complex_modes_of_a_deck(tmp_path: Path, capsys: Capture) -> None:
     assert (found["scaling"], read_modes(target).norm) == ("unit modal A", "unit modal A")
     assert "do not oscillate" in call(capsys, "modes", deck, "--complex", "--band", 1, 2)[1]
     assert "only the embedded" in refused(capsys, "modes", deck, "--complex", "--solver", "slepc")
-    deck.write_text("BEGIN BULK\nCELAS4,1,100.,1\nCMASS4,2,1.,1\nCDAMP4,3,20.,1\n")  # critically damped
+    deck.write_text(
+        "BEGIN BULK\nCELAS4,1,100.,1\nCMASS4,2,1.,1\nCDAMP4,3,20.,1\n"
+    )  # critically damped
     assert parsed(capsys, "modes", deck, "--complex")["modes"] == []
     deck.write_text("BEGIN BULK\nCELAS4,1,100.,1\nCMASS4,2,1.,1\n")
     assert "no damping" in refused(capsys, "modes", deck, "--complex")
@@ -198,23 +221,36 @@ def test_complex_modes_of_a_deck(tmp_path: Path, capsys: Capture) -> None:
 
 def test_translations_that_nothing_holds_are_told(tmp_path: Path, capsys: Capture) -> None:
     """A plate that is a membrane: MID2 is blank."""
-    grid = "".join(f"GRID,{i + 1},,{x}.,{y}.,0.\n" for i, (x, y) in enumerate(((0, 0), (1, 0), (1, 1), (0, 1), (2, 0))))
-    plate = f"{grid}CQUAD4,1,1,1,2,3,4\nPSHELL,1,1,.01{{}}\nMAT1,1,7.+10,,.3,2700.\nSPC1,1,123456,1,2\n"
+    grid = "".join(
+        f"GRID,{i + 1},,{x}.,{y}.,0.\n"
+        for i, (x, y) in enumerate(((0, 0), (1, 0), (1, 1), (0, 1), (2, 0)))
+    )
+    plate = (
+        f"{grid}CQUAD4,1,1,1,2,3,4\nPSHELL,1,1,.01{{}}\nMAT1,1,7.+10,,.3,2700.\nSPC1,1,123456,1,2\n"
+    )
     (tmp_path / "d.bdf").write_text("BEGIN BULK\n" + plate.format(""))
     out = call(capsys, "modes", tmp_path / "d.bdf")[1]
     assert "held by AUTOSPC, without stiffness: 3+Z 4+Z\n" in out
     assert parsed(capsys, "modes", tmp_path / "d.bdf")["autospc"] == {"123456": [5], "345": [3, 4]}
     told = call(capsys, "check", tmp_path / "d.bdf")[1]
     assert "PSHELL 1: MID2 is blank" in told
-    assert "AUTOSPC holds translations of nodes that move otherwise: component 3 of 2 nodes (3, 4)" in told
-    assert "AUTOSPC holds components 123456 of node 5, components 45 of 2 nodes (3, 4); nothing stiffens them" in told
+    assert (
+        "AUTOSPC holds translations of nodes that move otherwise: component 3 of 2 nodes (3, 4)"
+        in told
+    )
+    assert (
+        "AUTOSPC holds components 123456 of node 5, components 45 of 2 nodes (3, 4); nothing "
+        "stiffens them" in told
+    )
     (tmp_path / "d.bdf").write_text("BEGIN BULK\n" + plate.format(",1"))
     assert "AUTOSPC" not in call(capsys, "modes", tmp_path / "d.bdf")[1]
     assert parsed(capsys, "check", tmp_path / "d.bdf")["autospc"] == {"123456": [5]}
 
 
 def test_a_stiff_spring_holds_nothing_beside_it(tmp_path: Path, capsys: Capture) -> None:
-    """A cantilever of five bars, its tip on CELAS2 of 3e14 in Z: it bends in Y as without the spring."""
+    """A cantilever of five bars, its tip on CELAS2 of 3e14 in Z: it bends in Y as without the
+    spring.
+    """
     grid = "".join(f"GRID,{i},,{(i - 1) / 5},0.,0.\n" for i in range(1, 7))
     bars = "".join(f"CBAR,{i},1,{i},{i + 1},0.,1.,0.\n" for i in range(1, 6))
     beam = f"BEGIN BULK\n{grid}{bars}PBAR,1,1,1.-4,8.-10,8.-10,1.-9\nMAT1,1,2.+11,,.3,8000.\nSPC1,1,123456,1\n"
@@ -244,8 +280,14 @@ def test_check_counts_and_weighs_the_whole_structure(deck: Path, capsys: Capture
 
 
 def test_a_mass_in_one_place_has_no_inertia(tmp_path: Path, capsys: Capture) -> None:
-    (tmp_path / "d.bdf").write_text("BEGIN BULK\nGRID,3,,11.,1.,1.\nCONM2,1,3,,.1\nCELAS2,2,1.,3,1\n")
-    shown = [line for line in call(capsys, "check", tmp_path / "d.bdf")[1].splitlines() if line.startswith("inertia")]
+    (tmp_path / "d.bdf").write_text(
+        "BEGIN BULK\nGRID,3,,11.,1.,1.\nCONM2,1,3,,.1\nCELAS2,2,1.,3,1\n"
+    )
+    shown = [
+        line
+        for line in call(capsys, "check", tmp_path / "d.bdf")[1].splitlines()
+        if line.startswith("inertia")
+    ]
     assert [float(x) for line in shown for x in line.split()[1:]] == [0.0] * 9
 
 
@@ -292,7 +334,9 @@ def test_check_of_a_deck_without_mass_is_a_finding(deck: Path, capsys: Capture) 
         ("MAT1,10,3.+10", "MAT1,1,3.+10", "is defined twice, first at"),
     ],
 )
-def test_a_malformed_deck_is_refused_with_its_place(deck: Path, capsys: Capture, old: str, new: str, told: str) -> None:
+def test_a_malformed_deck_is_refused_with_its_place(
+    deck: Path, capsys: Capture, old: str, new: str, told: str
+) -> None:
     text = deck.read_text()
     assert text.count(old) == 1
     deck.write_text(text.replace(old, new))
@@ -349,15 +393,25 @@ def test_oma_of_several_files_is_that_of_one_record(
     band = ("--rate", 64, "--fmin", 3, "--fmax", 10)
     one, two = parsed(capsys, "oma", files[0], *band), parsed(capsys, "oma", *files[:2], *band)
     assert [round(m["frequency_hz"], 1) for m in two["modes"]] == [4.8, 5.6, 6.7, 8.9]
-    ratio = [b["std_frequency_hz"] / a["std_frequency_hz"] for a, b in zip(one["modes"], two["modes"], strict=True)]
+    ratio = [
+        b["std_frequency_hz"] / a["std_frequency_hz"]
+        for a, b in zip(one["modes"], two["modes"], strict=True)
+    ]
     assert 0.5 < np.mean(ratio) < 0.95  # sqrt(1/2) = 0.71
-    assert "2.npy: shorter than half of the first record: left out" in call(capsys, "oma", *files, *band)[1]
-    assert "--method fdd: one record, got 2" in refused(capsys, "oma", *files[:2], *band, "--method", "fdd")
+    assert (
+        "2.npy: shorter than half of the first record: left out"
+        in call(capsys, "oma", *files, *band)[1]
+    )
+    assert "--method fdd: one record, got 2" in refused(
+        capsys, "oma", *files[:2], *band, "--method", "fdd"
+    )
     np.save(files[1], whole[half:, :4])
     assert "1.npy" in refused(capsys, "oma", *files[:2], *band)
 
 
-def test_ema_of_a_roving_hammer_has_shapes_over_the_points_hit(frf: Callable[..., Path], capsys: Capture) -> None:
+def test_ema_of_a_roving_hammer_has_shapes_over_the_points_hit(
+    frf: Callable[..., Path], capsys: Capture
+) -> None:
     """Two sensors, four points hit: by reciprocity the same as four sensors and two points hit."""
     with np.load(frf()) as stored:
         h = stored["H1"]
@@ -391,7 +445,11 @@ def _spoilt(x: Any, value: float, where: object) -> Any:
     ("change", "options", "told"),
     [
         (lambda x: x[:0], ["--rate", 64], "empty"),
-        (lambda x: _spoilt(x, np.nan, (slice(None), 2)), ["--rate", 64], "NaN or infinite samples in"),
+        (
+            lambda x: _spoilt(x, np.nan, (slice(None), 2)),
+            ["--rate", 64],
+            "NaN or infinite samples in",
+        ),
         (lambda x: _spoilt(x, 1.0, (slice(None), 2)), ["--rate", 64], "is constant"),
         (lambda x: x, [], "no sampling rate"),
         (lambda x: x, ["--rate", -3], "rate -3.0 Hz must be positive"),
@@ -402,7 +460,11 @@ def _spoilt(x: Any, value: float, where: object) -> Any:
     ],
 )
 def test_a_bad_record_is_refused(
-    record: Callable[..., Path], change: Callable[[Any], Any], options: list[object], told: str, capsys: Capture
+    record: Callable[..., Path],
+    change: Callable[[Any], Any],
+    options: list[object],
+    told: str,
+    capsys: Capture,
 ) -> None:
     assert told in refused(capsys, "oma", record(change), *options)
 
@@ -414,7 +476,9 @@ def test_a_rate_that_the_file_contradicts(tmp_path: Path, capsys: Capture) -> No
     )
     (tmp_path / "text.npy").write_text("no")
     assert "text.npy" in refused(capsys, "oma", tmp_path / "text.npy", "--rate", 1)
-    assert "not a readable WAVE file" in refused(capsys, "oma", _touch(tmp_path / "a.wav"), "--rate", 1)
+    assert "not a readable WAVE file" in refused(
+        capsys, "oma", _touch(tmp_path / "a.wav"), "--rate", 1
+    )
     assert "no such file" in refused(capsys, "oma", tmp_path / "none.npy")
     assert "a folder; name a file in it" in refused(capsys, "oma", tmp_path)
 
@@ -444,7 +508,11 @@ def _touch(path: Path) -> Path:
     ],
 )
 def test_bad_frfs_are_refused(
-    frf: Callable[..., Path], change: dict[str, object], options: list[object], told: str, capsys: Capture
+    frf: Callable[..., Path],
+    change: dict[str, object],
+    options: list[object],
+    told: str,
+    capsys: Capture,
 ) -> None:
     assert told in refused(capsys, "ema", frf(**change), *options)
 
@@ -453,7 +521,9 @@ def test_bad_frfs_are_refused(
 
 
 def _modes(path: Path, f: list[float], channels: tuple[str, ...] = ("1+Z", "2+Z", "3+Z")) -> Path:
-    shapes = np.array([[1.0, 1.0, 0.2], [1.0, -0.5, -1.0], [1.0, -0.6, 1.0]])[: len(channels), : len(f)]
+    shapes = np.array([[1.0, 1.0, 0.2], [1.0, -0.5, -1.0], [1.0, -0.6, 1.0]])[
+        : len(channels), : len(f)
+    ]
     write_modes(path, ModeSet(np.array(f), np.full(len(f), 0.01), shapes, channels))
     return path
 
@@ -481,12 +551,19 @@ def test_correlating_what_cannot_be(tmp_path: Path, capsys: Capture) -> None:
     assert parsed(capsys, "correlate", a, far, status=1)["pairs"] == []
 
 
-def test_frequencies_without_shapes_are_paired_by_frequency(tmp_path: Path, capsys: Capture) -> None:
+def test_frequencies_without_shapes_are_paired_by_frequency(
+    tmp_path: Path, capsys: Capture
+) -> None:
     told = tmp_path / "told.json"
-    told.write_text('{"modes": [{"frequency_hz": 3.2}, {"frequency_hz": 4.6}, {"frequency_hz": 30}]}')
+    told.write_text(
+        '{"modes": [{"frequency_hz": 3.2}, {"frequency_hz": 4.6}, {"frequency_hz": 30}]}'
+    )
     b = _modes(tmp_path / "b.json", [3.0, 5.0, 9.0])
     found = parsed(capsys, "correlate", told, b)
-    assert [(p["test_mode"], p["fe_mode"], p["mac_percent"]) for p in found["pairs"]] == [(1, 1, None), (2, 2, None)]
+    assert [(p["test_mode"], p["fe_mode"], p["mac_percent"]) for p in found["pairs"]] == [
+        (1, 1, None),
+        (2, 2, None),
+    ]
     assert found["mean_mac_percent"] is None
     locked = parsed(capsys, "correlate", told, b, "--lock", "1:2")["pairs"]
     assert (locked[0]["test_mode"], locked[0]["fe_mode"]) == (1, 2)
@@ -514,21 +591,29 @@ def test_run_and_report(tmp_path: Path, capsys: Capture) -> None:
     assert "The frame" in Path(again["report"]).read_text(encoding="utf-8")
     assert call(capsys, "report", out, "--out", tmp_path / "r.html")[0] == 0
     assert (tmp_path / "r.html").is_file()
-    assert "no folder" in refused(capsys, "report", out / "study.h5", "--out", tmp_path / "none/r.html")
+    assert "no folder" in refused(
+        capsys, "report", out / "study.h5", "--out", tmp_path / "none/r.html"
+    )
 
 
 def test_a_wrong_study_is_refused_and_nothing_is_written(tmp_path: Path, capsys: Capture) -> None:
     study = small_study.write_study(tmp_path, small_study.MODEL)
     out = tmp_path / "out"
-    assert "no stage 'modl'; did you mean 'model'?" in refused(capsys, "run", study, "--out", out, "--from", "modl")
+    assert "no stage 'modl'; did you mean 'model'?" in refused(
+        capsys, "run", study, "--out", out, "--from", "modl"
+    )
     assert "no stage 'end'" in refused(capsys, "run", study, "--out", out, "--until", "end")
     study.write_text(small_study.MODEL + "fmx = 3.0\n")
-    assert "study.toml: unknown key 'model.fmx'; did you mean 'fmax'?" in refused(capsys, "run", study, "--out", out)
+    assert "study.toml: unknown key 'model.fmx'; did you mean 'fmax'?" in refused(
+        capsys, "run", study, "--out", out
+    )
     study.write_text(small_study.MODEL.replace("frame.bdf", "lost.bdf"))
     assert "lost.bdf" in refused(capsys, "run", study, "--out", out)
     assert "no such file" in refused(capsys, "run", tmp_path / "none.toml")
     assert "no such store" in refused(capsys, "report", tmp_path / "none.h5")
-    assert "study.h5: no such store" in refused(capsys, "report", study)  # the store beside it is meant
+    assert "study.h5: no such store" in refused(
+        capsys, "report", study
+    )  # the store beside it is meant
     assert not out.exists()
 
 
@@ -544,7 +629,10 @@ def test_a_stopped_run_keeps_the_store_and_says_how_to_go_on(
     status, out, err = call(capsys, "run", study)
     assert status == ExitStatus.STOPPED
     assert out == ""
-    assert err.splitlines()[-1] == "stopped: the stages that were finished are stored, the same command resumes"
+    assert (
+        err.splitlines()[-1]
+        == "stopped: the stages that were finished are stored, the same command resumes"
+    )
     monkeypatch.undo()
     status, out, _ = call(capsys, "run", study)
     assert status == 0
@@ -553,7 +641,9 @@ def test_a_stopped_run_keeps_the_store_and_says_how_to_go_on(
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_stops_the_command_and_what_was_done_is_stored(tmp_path: Path, number: signal.Signals) -> None:
+def test_a_signal_stops_the_command_and_what_was_done_is_stored(
+    tmp_path: Path, number: signal.Signals
+) -> None:
     study = small_study.write_study(tmp_path, ambient=False)
     command = [sys.executable, "-m", "ringtrue", "run", str(study)]
     with subprocess.Popen(
@@ -561,14 +651,22 @@ def test_a_signal_stops_the_command_and_what_was_done_is_stored(tmp_path: Path, 
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
-        preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL),  # a background job would ignore it
+        preexec_fn=partial(
+            signal.signal, signal.SIGINT, signal.SIG_DFL
+        ),  # a background job would ignore it
     ) as process:
         assert process.stderr is not None
         assert any("modes from the signals" in line for line in process.stderr)
         process.send_signal(number)
-        assert process.stderr.read().splitlines()[-1].startswith("stopped: the stages that were finished are stored")
+        assert (
+            process.stderr.read()
+            .splitlines()[-1]
+            .startswith("stopped: the stages that were finished are stored")
+        )
     assert process.returncode == ExitStatus.STOPPED
-    done = subprocess.run([*command, "--until", "model"], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [*command, "--until", "model"], capture_output=True, text=True, check=True
+    )
     assert "model: up to date" in done.stdout
 
 
@@ -596,7 +694,9 @@ def test_ctrl_c_ends_any_command_with_one_line_and_130(
     monkeypatch.setattr(f"ringtrue.cli.{place}", _raising(KeyboardInterrupt()))
     status, out, err = call(capsys, *words)
     assert status == ExitStatus.STOPPED == 130
-    assert [line for line in err.splitlines() if not line.startswith("[")] == ["stopped: no file was left half written"]
+    assert [line for line in err.splitlines() if not line.startswith("[")] == [
+        "stopped: no file was left half written"
+    ]
     assert out == ""
 
 
@@ -622,7 +722,9 @@ def test_a_fault_of_ringtrue_is_called_so_and_its_details_are_kept(
 
 def test_the_help_lists_every_exit_status(capsys: Capture) -> None:
     _, out, _ = call(capsys, "--help")
-    assert all(f"{status.value} {WORDS[status]}"[:20] in " ".join(out.split()) for status in ExitStatus)
+    assert all(
+        f"{status.value} {WORDS[status]}"[:20] in " ".join(out.split()) for status in ExitStatus
+    )
 
 
 def test_a_stage_that_fails_says_so_in_one_message(
@@ -646,16 +748,24 @@ def test_free_beam(capsys: Capture) -> None:
     found = parsed(capsys, "ema", DATA / "ema/free_beam/frf.npz", "--fmin", 100, "--fmax", 5000)
     f = np.array([m["frequency_hz"] for m in found["modes"]])
     # bending of a free slender beam: the ratios of (beta L)^2 are 22.37, 61.67, 120.9, 199.9
-    main = np.array([f[np.argmin(np.abs(f - want))] for want in f[0] * np.array([1, 61.67, 120.9]) / [1, 22.37, 22.37]])
+    main = np.array(
+        [
+            f[np.argmin(np.abs(f - want))]
+            for want in f[0] * np.array([1, 61.67, 120.9]) / [1, 22.37, 22.37]
+        ]
+    )
     assert main / f[0] == pytest.approx([1, 2.757, 5.405], rel=0.05)
 
 
 @pytest.mark.data
 @needs_data
 def test_timber_building(capsys: Capture) -> None:
-    found = parsed(capsys, "oma", DATA / "oma/palisaden/Palisaden_dataset.npy", "--rate", 100, "--fmax", 10)
+    found = parsed(
+        capsys, "oma", DATA / "oma/palisaden/Palisaden_dataset.npy", "--rate", 100, "--fmax", 10
+    )
     f = np.array([m["frequency_hz"] for m in found["modes"]])
-    # published by covariance-driven SSI; within 0.5 %, the spread of the published methods being 0.3 %
+    # published by covariance-driven SSI; within 0.5 %, the spread of the published methods being
+    # 0.3 %
     assert [f[np.abs(f - want).argmin()] for want in (1.882, 2.422, 2.687)] == pytest.approx(
         [1.882, 2.422, 2.687], rel=5e-3
     )
@@ -667,7 +777,8 @@ def test_five_storeys(capsys: Capture) -> None:
     found = parsed(capsys, "oma", DATA / "oma/shear_frame/data_shearframe.npy", "--rate", 12)
     f = np.array([m["frequency_hz"] for m in found["modes"]])
     w, step = np.sort(np.load(DATA / "oma/shear_frame/omega_n.npy").ravel()), 1 / 12
-    # the record was made by the average-acceleration method, whose own frequencies are up to 3 % lower
+    # the record was made by the average-acceleration method, whose own frequencies are up to 3 %
+    # lower
     made = 2 / step * np.arctan(w * step / 2) / (2 * np.pi)
     std = np.array([m["std_frequency_hz"] for m in found["modes"]])
     assert (std < 0.01 * f).all()  # 20 minutes with 60 % noise
@@ -678,7 +789,10 @@ def test_five_storeys(capsys: Capture) -> None:
 @needs_data
 @pytest.mark.parametrize(
     ("name", "want"),
-    [("beam_modes/beam_modes.dat", [456.66, 456.66, 2674.59]), ("naca_wing/0012_flutter.bdf", [2.66709, 10.6282])],
+    [
+        ("beam_modes/beam_modes.dat", [456.66, 456.66, 2674.59]),
+        ("naca_wing/0012_flutter.bdf", [2.66709, 10.6282]),
+    ],
 )
 def test_public_decks_against_nastran(name: str, want: list[float], capsys: Capture) -> None:
     found = parsed(capsys, "modes", DATA / "fe" / name, "-n", len(want))
@@ -699,7 +813,9 @@ def test_a_public_deck_of_real_size(capsys: Capture) -> None:
     assert f[2] > 1
 
 
-def test_the_module_runs_as_the_script_does(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+def test_the_module_runs_as_the_script_does(
+    monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
     monkeypatch.setattr("sys.argv", ["ringtrue", "--version"])
     with pytest.raises(SystemExit) as end:
         runpy.run_module("ringtrue", run_name="__main__")

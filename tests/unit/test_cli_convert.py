@@ -21,7 +21,9 @@ def test_convert(tmp_path: Path, ending: str, capsys: pytest.CaptureFixture[str]
     modes = read_modes(target)
     rows = [f"{NODES[1]}+{d}" for d in "XYZ"]
     np.testing.assert_allclose(modes.rows(rows).shapes, motion[1, :3], rtol=1e-4)
-    again = tmp_path / "again.json"  # what was written is read, too, be it called .h5 like Nastran's
+    again = (
+        tmp_path / "again.json"
+    )  # what was written is read, too, be it called .h5 like Nastran's
     assert run(["convert", str(target), str(again)]) == 0
     np.testing.assert_allclose(read_modes(again).frequencies, modes.frequencies, rtol=1e-6)
 

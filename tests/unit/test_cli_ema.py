@@ -1,4 +1,6 @@
-"""`ringtrue ema` on what a laboratory stores: blows in time records of many formats, FRFs, several force levels."""
+"""`ringtrue ema` on what a laboratory stores: blows in time records of many formats, FRFs, several
+force levels.
+"""
 
 from __future__ import annotations
 
@@ -61,7 +63,9 @@ def test_blows_in_any_format_give_the_modes(ending: str, tmp_path: Path, capsys:
         as_tdms(path, blows, names)
         options = ["--struck", "2+Z"]
     elif ending == ".wav":
-        wavfile.write(path, int(blows.rate), (blows.data / np.abs(blows.data).max()).T.astype(np.float32))
+        wavfile.write(
+            path, int(blows.rate), (blows.data / np.abs(blows.data).max()).T.astype(np.float32)
+        )
         options = ["--force", "ch1", "--quantity", "acceleration"]
     else:
         write_history(path, blows)
@@ -76,16 +80,25 @@ def test_a_sensor_sheet_scales_blows_in_volts(tmp_path: Path, capsys: Capture) -
     blows = record(1, RESPONSES)
     gain = 0.01 * (1 + np.arange(len(blows.channels)))
     bare = tuple(Channel(c.id, unit="V") for c in blows.channels)
-    write_history(tmp_path / "v.csv", replace(blows, data=blows.data * gain[:, None], channels=bare))
+    write_history(
+        tmp_path / "v.csv", replace(blows, data=blows.data * gain[:, None], channels=bare)
+    )
     write_history(tmp_path / "si.csv", blows)
-    rows = [f"{k},{k},0,0,+Z,{c.id},{c.unit},{g}" for k, (c, g) in enumerate(zip(blows.channels, gain, strict=True))]
-    (tmp_path / "s.csv").write_text("\n".join(["point,x,y,z,direction,channel,unit,sensitivity", *rows]))
+    rows = [
+        f"{k},{k},0,0,+Z,{c.id},{c.unit},{g}"
+        for k, (c, g) in enumerate(zip(blows.channels, gain, strict=True))
+    ]
+    (tmp_path / "s.csv").write_text(
+        "\n".join(["point,x,y,z,direction,channel,unit,sensitivity", *rows])
+    )
     volts = ema(capsys, tmp_path / "v.csv", "--fmax", 80, "--sensors", tmp_path / "s.csv")
     given = ema(capsys, tmp_path / "si.csv", "--fmax", 80)
     assert volts["scaling"] == given["scaling"]
     for a, b in zip(volts["modes"], given["modes"], strict=True):
         assert a["frequency_hz"] == pytest.approx(b["frequency_hz"], rel=1e-4)
-        np.testing.assert_allclose(np.abs(a["shape_re"]), np.abs(b["shape_re"]), rtol=1e-2, atol=1e-3)
+        np.testing.assert_allclose(
+            np.abs(a["shape_re"]), np.abs(b["shape_re"]), rtol=1e-2, atol=1e-3
+        )
 
 
 def test_what_is_taken_for_granted_is_told(tmp_path: Path, capsys: Capture) -> None:
@@ -107,9 +120,14 @@ def test_what_was_struck_is_named_and_frfs_are_written(tmp_path: Path, capsys: C
     """Two files of a roving hammer whose force channel is called the same."""
     for k, point in enumerate([1, 7]):
         b = record(point, RESPONSES, seed=k)
-        write_history(tmp_path / f"{k}.csv", replace(b, channels=(Channel("Hammer", "force", "N"), *b.channels[1:])))
+        write_history(
+            tmp_path / f"{k}.csv",
+            replace(b, channels=(Channel("Hammer", "force", "N"), *b.channels[1:])),
+        )
     files = [tmp_path / "0.csv", tmp_path / "1.csv"]
-    found = ema(capsys, *files, "--struck", "2+Z", "--struck", "8+Z", "--write-frfs", tmp_path / "h.h5")
+    found = ema(
+        capsys, *files, "--struck", "2+Z", "--struck", "8+Z", "--write-frfs", tmp_path / "h.h5"
+    )
     assert {b["struck"] for b in found["blows"]} == {"2+Z", "8+Z"}
     assert found["scaling"] == "mass"  # 8+Z is a driving point
     frfs = read_frfs(tmp_path / "h.h5")
@@ -154,13 +172,17 @@ def test_channels_of_files_without_names_are_named(tmp_path: Path, capsys: Captu
     assert found["channels"] == motions
     assert {b["struck"] for b in found["blows"]} == {"2+Z", "8+Z"}
     assert found["scaling"] == "mass"
-    assert run(["ema", str(files[0]), "--rate", "512", "--channels", names[0].replace(",,", ",")]) == 2
+    assert (
+        run(["ema", str(files[0]), "--rate", "512", "--channels", names[0].replace(",,", ",")]) == 2
+    )
     assert "must name all 7 in their order" in capsys.readouterr().err
     with pytest.raises(ConfigError, match="--channels: given 3 times for 2 files"):
         read_blows(files, BlowFiles(channels=(("a",), ("b",), ("c",))))
 
 
-def test_triggered_blows_in_one_universal_file_are_runs_and_keep_the_driving_point(tmp_path: Path) -> None:
+def test_triggered_blows_in_one_universal_file_are_runs_and_keep_the_driving_point(
+    tmp_path: Path,
+) -> None:
     b = record(2, RESPONSES)
     with (tmp_path / "b.uff").open("wb") as file:
         for start in np.arange(6) * 9.0 + 0.5:
@@ -169,7 +191,11 @@ def test_triggered_blows_in_one_universal_file_are_runs_and_keep_the_driving_poi
             for c, x in zip(b.channels, b.data, strict=True):
                 node = int(c.id.removeprefix("F:").split("+")[0])
                 codes = (17, 13 if c.quantity == "force" else 12, 0)
-                file.write(write_function(TIME, t, x[part], (node, 3), (0, 0), codes=codes, text="", binary=True))
+                file.write(
+                    write_function(
+                        TIME, t, x[part], (node, 3), (0, 0), codes=codes, text="", binary=True
+                    )
+                )
     runs = read_runs(tmp_path / "b.uff")
     assert len(runs) == 6
     assert [c.id for c in runs[0].channels] == ["F:3+Z", "1+Z", "3+Z", "6+Z", "8+Z", "11+Z"]
@@ -185,7 +211,12 @@ def test_rates_of_turning_under_a_moment_become_angular_accelerances(tmp_path: P
     still = b.data[2] - 0.5
     gyro = (np.cumsum(still) - 0.5 * still) / b.rate
     data = np.vstack([b.data[:2], np.degrees(gyro - gyro.mean()), b.data[3:]])
-    channels = (Channel("F:2+RX", "moment", "N*m"), b.channels[1], Channel("3+RY", "unknown", "deg/s"), *b.channels[3:])
+    channels = (
+        Channel("F:2+RX", "moment", "N*m"),
+        b.channels[1],
+        Channel("3+RY", "unknown", "deg/s"),
+        *b.channels[3:],
+    )
     write_history(tmp_path / "b.csv", replace(b, data=data, channels=channels))
     records, _, notes = read_blows([tmp_path / "b.csv"])
     frfs, _ = estimate_frf(records)
@@ -205,9 +236,19 @@ def test_motions_of_two_kinds_become_one(tmp_path: Path) -> None:
     still = b.data[2] - 0.5
     laser = (np.cumsum(still) - 0.5 * still) / b.rate
     mixed = np.vstack(
-        [b.data[:2], laser - laser.mean(), b.data[3:], np.random.default_rng(0).standard_normal(laser.size)]
+        [
+            b.data[:2],
+            laser - laser.mean(),
+            b.data[3:],
+            np.random.default_rng(0).standard_normal(laser.size),
+        ]
     )
-    channels = (*b.channels[:2], Channel("3+Z", "velocity", "m/s"), *b.channels[3:], Channel("T", "unknown", "V"))
+    channels = (
+        *b.channels[:2],
+        Channel("3+Z", "velocity", "m/s"),
+        *b.channels[3:],
+        Channel("T", "unknown", "V"),
+    )
     write_history(tmp_path / "b.csv", replace(b, data=mixed, channels=channels))
     records, _, notes = read_blows([tmp_path / "b.csv"])
     assert notes == ("channel T: no motion, not used",)
@@ -216,7 +257,9 @@ def test_motions_of_two_kinds_become_one(tmp_path: Path) -> None:
     true = receptance(2j * np.pi * frfs.freqs + frfs.window_decay, RESPONSES, 1)
     true = true * (2j * np.pi * frfs.freqs + frfs.window_decay)[:, None] ** 2
     at = (frfs.freqs > 8) & (frfs.freqs < 30)
-    error = np.linalg.norm(frfs.data[at, :, 0] - true[at], axis=0) / np.linalg.norm(true[at], axis=0)
+    error = np.linalg.norm(frfs.data[at, :, 0] - true[at], axis=0) / np.linalg.norm(
+        true[at], axis=0
+    )
     assert error.max() < 0.03  # trapezoids are no exact integral, and the laser drifts
 
 
@@ -224,14 +267,21 @@ def test_a_shaker_that_runs_all_the_time(tmp_path: Path, capsys: Capture) -> Non
     rng, rate, n = np.random.default_rng(4), 256.0, 1 << 17
     force = rng.standard_normal(n)
     s = 2j * np.pi * np.fft.rfftfreq(2 * n, 1 / rate)
-    y = np.fft.irfft(s[:, None] ** 2 * receptance(s, RESPONSES, 2) * np.fft.rfft(force, 2 * n)[:, None], axis=0)[:n].T
+    y = np.fft.irfft(
+        s[:, None] ** 2 * receptance(s, RESPONSES, 2) * np.fft.rfft(force, 2 * n)[:, None], axis=0
+    )[:n].T
     y = y + 0.01 * y.std() * rng.standard_normal(y.shape)
-    channels = (Channel("F:3+Z", "force", "N"), *(Channel(f"{o + 1}+Z", "acceleration", "m/s^2") for o in RESPONSES))
+    channels = (
+        Channel("F:3+Z", "force", "N"),
+        *(Channel(f"{o + 1}+Z", "acceleration", "m/s^2") for o in RESPONSES),
+    )
     write_history(tmp_path / "s.h5", TimeHistory(np.vstack([force, y]), rate, channels))
     for words in (("--shaker", 0.05), ()):
         found = ema(capsys, tmp_path / "s.h5", *words, "--fmax", 70)
         assert [m["frequency_hz"] for m in found["modes"]] == pytest.approx(FN, rel=2e-4)
-        assert [m["damping"] for m in found["modes"]] == pytest.approx(ZETA, rel=0.01)  # Hann windows of 20 s add 5 %
+        assert [m["damping"] for m in found["modes"]] == pytest.approx(
+            ZETA, rel=0.01
+        )  # Hann windows of 20 s add 5 %
 
 
 def test_two_shakers_in_one_file(tmp_path: Path, capsys: Capture) -> None:
@@ -257,7 +307,10 @@ def test_refusals(tmp_path: Path) -> None:
         read_blows([tmp_path / "b.csv"], BlowFiles(leave_out=("9+Z",)))
     with pytest.raises(DataError, match="no channel but the force"):
         read_blows([tmp_path / "b.csv"], BlowFiles(leave_out=("1+Z", "3+Z")))
-    write_history(tmp_path / "q.csv", replace(b, channels=(*b.channels[1:], Channel("x", "acceleration", "m/s^2"))))
+    write_history(
+        tmp_path / "q.csv",
+        replace(b, channels=(*b.channels[1:], Channel("x", "acceleration", "m/s^2"))),
+    )
     with pytest.raises(DataError, match="0 force channels"):
         read_blows([tmp_path / "q.csv"])
 
@@ -265,9 +318,14 @@ def test_refusals(tmp_path: Path) -> None:
 def test_groups_of_two_rates_are_chosen_by_name(tmp_path: Path) -> None:
     y = np.random.default_rng(1).standard_normal((2, 400))
     with TdmsWriter(tmp_path / "r.tdms") as file:
-        fast = [ChannelObject("fast", c, x, {"wf_increment": 0.01}) for c, x in zip("ab", y, strict=True)]
+        fast = [
+            ChannelObject("fast", c, x, {"wf_increment": 0.01})
+            for c, x in zip("ab", y, strict=True)
+        ]
         file.write_segment([*fast, ChannelObject("slow", "T", y[0, :40], {"wf_increment": 0.1})])
-    with pytest.raises(DataError, match=r"fast: 2 channels, 400 samples, 100 Hz; slow: 1 .* choose one with group"):
+    with pytest.raises(
+        DataError, match=r"fast: 2 channels, 400 samples, 100 Hz; slow: 1 .* choose one with group"
+    ):
         read_record(tmp_path / "r.tdms")
     got = read_record(tmp_path / "r.tdms", group="fast")
     assert (got.rate, [c.id for c in got.channels]) == (pytest.approx(100), ["a", "b"])
@@ -289,17 +347,21 @@ def test_groups_of_blows_are_runs(tmp_path: Path) -> None:
     with TdmsWriter(tmp_path / "r.tdms") as file:
         for k in range(3):
             made = zip(["hammer", "1+Z"], blow * (k + 1), strict=True)
-            file.write_segment([ChannelObject(f"blow {k}", c, x, {"wf_increment": 1 / 400}) for c, x in made])
+            file.write_segment(
+                [ChannelObject(f"blow {k}", c, x, {"wf_increment": 1 / 400}) for c, x in made]
+            )
     runs = read_runs(tmp_path / "r.tdms")
     assert [r.data[1, 0] for r in runs] == [1.0, 2.0, 3.0]
     assert PHI.shape[1] == FN.size
 
 
 def test_blows_that_follow_before_the_structure_is_quiet() -> None:
-    """A seventh of the response is left at the next blow, is cut off there and rings on; the fit knows both.
+    """A seventh of the response is left at the next blow, is cut off there and rings on; the fit
+    knows both.
 
-    Errors of frequency and damping over three seeds, in stated deviations: rms near 1 (0.5 to 2 for 24 values);
-    without the end of the block the damping is some three times as wrong, and without the earlier blows the scale.
+    Errors of frequency and damping over three seeds, in stated deviations: rms near 1 (0.5 to 2 for
+    24 values); without the end of the block the damping is some three times as wrong, and without
+    the earlier blows the scale.
     """
     score, error, scale, points = [], [], [], [1, *RESPONSES]
     size = np.linalg.norm(PHI[points], axis=0)
@@ -345,7 +407,9 @@ def write_table(path: Path, f: np.ndarray, h: np.ndarray, *, polar: bool = False
     tail = ("mag [dB]", "phase [deg]") if polar else ("real [m/s^2/N]", "imag [m/s^2/N]")
     head = ",".join(["Frequency [Hz]", *(f"{n} {t}" for n in names for t in tail)])
     columns = np.stack([one, two], axis=2).reshape(f.size, -1)
-    np.savetxt(path, np.column_stack([f, columns]), delimiter=",", header=head, comments="", fmt="%.8g")
+    np.savetxt(
+        path, np.column_stack([f, columns]), delimiter=",", header=head, comments="", fmt="%.8g"
+    )
     return path
 
 
@@ -366,7 +430,10 @@ def test_stepped_sine_in_a_universal_file(tmp_path: Path, capsys: Capture) -> No
     channels = tuple(Channel(f"{o + 1}+Z", "acceleration", "m/s^2") for o in RESPONSES)
     none = np.full((f.size, len(channels), 1), np.nan)
     force = (Channel("3+Z", "force", "N"),)
-    write_frfs(tmp_path / "s.uff", FrfSet(stepped(f, 0)[:, :, None], f, channels, force, none, np.full(1, np.nan)))
+    write_frfs(
+        tmp_path / "s.uff",
+        FrfSet(stepped(f, 0)[:, :, None], f, channels, force, none, np.full(1, np.nan)),
+    )
     found = ema(capsys, tmp_path / "s.uff")
     assert [m["frequency_hz"] for m in found["modes"]] == pytest.approx(FN, rel=2e-4)
 
@@ -383,7 +450,9 @@ def test_force_levels_tell_what_is_not_linear(tmp_path: Path, capsys: Capture) -
     assert found["levels"] == levels
     linear = [m["linear"] for m in found["level_dependence"]]
     assert linear == [False, True, True, True]
-    assert found["level_dependence"][0]["slope_frequency"] == pytest.approx(-0.002 / np.log(2), rel=0.03)
+    assert found["level_dependence"][0]["slope_frequency"] == pytest.approx(
+        -0.002 / np.log(2), rel=0.03
+    )
     assert run(["ema", *map(str, (*files, *options))]) == 0
     assert "not linear" in capsys.readouterr().out
     assert run(["ema", *map(str, (*files, "--level", 3))]) == 2
@@ -402,7 +471,9 @@ def test_titles_of_tables(tmp_path: Path) -> None:
     np.testing.assert_allclose(frfs.data[:, 0, 0], [1 + 2j, 2 + 2j, 3 + 2j])
     np.testing.assert_allclose(frfs.data[:, 1, 0], 3 * np.exp(0.5j))
     assert ([c.id for c in frfs.outputs], [c.id for c in frfs.inputs]) == (["1+Z", "2+Z"], ["3+Z"])
-    (tmp_path / "t.csv").write_text("f,1+Z/3+Z mag [dB re 2 g/N],1+Z/3+Z phase [deg]\n" + "1,20,0\n2,20,0\n3,20,0\n")
+    (tmp_path / "t.csv").write_text(
+        "f,1+Z/3+Z mag [dB re 2 g/N],1+Z/3+Z phase [deg]\n" + "1,20,0\n2,20,0\n3,20,0\n"
+    )
     np.testing.assert_allclose(read_frfs(tmp_path / "t.csv").data[:, 0, 0], 10 * 2 * 9.80665)
     (tmp_path / "t.csv").write_text("f,a real,b imag\n1,1,1\n2,2,2\n3,3,3\n")
     with pytest.raises(DataError, match="needed: real and imag"):
@@ -410,18 +481,26 @@ def test_titles_of_tables(tmp_path: Path) -> None:
 
 
 def test_time_records_of_a_shaken_base_tell_the_modes_of_the_held_structure(tmp_path: Path) -> None:
-    """One mass of 8 Hz and 2 % on a base that moves at random: absolute motion over that of the base, by name."""
+    """One mass of 8 Hz and 2 % on a base that moves at random: absolute motion over that of the
+    base, by name.
+    """
     rate, f0, zeta = 128.0, 8.0, 0.02
     rng = np.random.default_rng(2)
     base = rng.standard_normal(int(120 * rate))
     f = np.fft.rfftfreq(2 * base.size, 1 / rate)
     h = (f0**2 + 2j * zeta * f0 * f) / (f0**2 - f**2 + 2j * zeta * f0 * f)
     y = np.fft.irfft(np.fft.rfft(base, 2 * base.size) * h)[: base.size]
-    rows = [f"{i / rate:.7f},{b:.6f},{z:.6f},{0.5 * (z + b):.6f}" for i, (b, z) in enumerate(zip(base, y, strict=True))]
+    rows = [
+        f"{i / rate:.7f},{b:.6f},{z:.6f},{0.5 * (z + b):.6f}"
+        for i, (b, z) in enumerate(zip(base, y, strict=True))
+    ]
     path = tmp_path / "base.csv"
     path.write_text("\n".join(["Time [s],9+Z [g],1+Z [g],2+Z [g]", *rows]))
     assert run(["ema", str(path)]) == 2
-    assert run(["ema", str(path), "--force", "9+Z", "--fmin", "2", "--json", str(tmp_path / "m.json")]) == 0
+    assert (
+        run(["ema", str(path), "--force", "9+Z", "--fmin", "2", "--json", str(tmp_path / "m.json")])
+        == 0
+    )
     modes = read_modes(tmp_path / "m.json")
     np.testing.assert_allclose(modes.frequencies, [f0], rtol=1e-3)
     np.testing.assert_allclose(modes.damping, [zeta], rtol=0.03)

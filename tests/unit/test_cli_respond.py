@@ -1,7 +1,7 @@
 """`frf` and `static`: two masses of which all is known.
 
-2 kg at node 5 hang on 800 N/m with a loss factor of 0.04 along X, 1 kg at node 6 on 100 N/m with 0.4 N s/m. Node 7 is
-held, 8 and 9 are joined to each other only.
+2 kg at node 5 hang on 800 N/m with a loss factor of 0.04 along X, 1 kg at node 6 on 100 N/m with
+0.4 N s/m. Node 7 is held, 8 and 9 are joined to each other only.
 """
 
 from __future__ import annotations
@@ -55,10 +55,14 @@ def test_matrices_of_responses_act_on_them_and_not_on_modes(
     assert run([*words, "--out", str(target)]) == 0
     found = read_frfs(target)
     w = 2 * np.pi * found.freqs
-    np.testing.assert_allclose(found.data[:, 0, 0], -(w**2) / (300 + 2.4j * w - 2 * w**2), rtol=1e-6)
+    np.testing.assert_allclose(
+        found.data[:, 0, 0], -(w**2) / (300 + 2.4j * w - 2 * w**2), rtol=1e-6
+    )
     capsys.readouterr()
     assert run(["modes", str(deck), "--json", "-"]) == 0
-    assert SECOND in [pytest.approx(m["frequency_hz"]) for m in json.loads(capsys.readouterr().out)["modes"]]
+    assert SECOND in [
+        pytest.approx(m["frequency_hz"]) for m in json.loads(capsys.readouterr().out)["modes"]
+    ]
 
 
 @pytest.mark.parametrize("more", [(), ("--direct",)])
@@ -67,7 +71,20 @@ def test_frfs_are_the_closed_form_in_si(
     tmp_path: Path, units: str, scale: dict[str, float], more: tuple[str, ...]
 ) -> None:
     deck, target = written(tmp_path / "d.bdf", **scale), tmp_path / "f.h5"
-    words = ["frf", str(deck), "--force", "5+X", "--force", "6-X", "--at", "5+X,6+X", "--fmin", "0.5", "--fmax", "5"]
+    words = [
+        "frf",
+        str(deck),
+        "--force",
+        "5+X",
+        "--force",
+        "6-X",
+        "--at",
+        "5+X,6+X",
+        "--fmin",
+        "0.5",
+        "--fmax",
+        "5",
+    ]
     assert run([*words, "--units", units, "--out", str(target), *more]) == 0
     found = read_frfs(target)
     want = accelerance(found.freqs)
@@ -78,7 +95,9 @@ def test_frfs_are_the_closed_form_in_si(
     assert found.sharp
 
 
-def test_a_ratio_stands_in_place_of_the_damping_of_the_deck(tmp_path: Path, capsys: Capture) -> None:
+def test_a_ratio_stands_in_place_of_the_damping_of_the_deck(
+    tmp_path: Path, capsys: Capture
+) -> None:
     deck = written(tmp_path / "d.bdf", damped=False)
     words = ["frf", str(deck), "--force", "5+X", "--fmax", "5", "--quantity", "displacement"]
     assert run(words) == 2
@@ -104,12 +123,25 @@ def test_a_ratio_stands_in_place_of_the_damping_of_the_deck(tmp_path: Path, caps
     ],
 )
 @pytest.mark.parametrize("kdamp", [1, -1])
-def test_modal_damping_of_the_deck(tmp_path: Path, table: str, ratio: tuple[float, float], kdamp: int) -> None:
+def test_modal_damping_of_the_deck(
+    tmp_path: Path, table: str, ratio: tuple[float, float], kdamp: int
+) -> None:
     """SDAMPING beside the loss factor and the dashpot; 800 N/m under 2 kg, 100 N/m under 1 kg."""
     deck, target = written(tmp_path / "d.bdf"), tmp_path / "f.h5"
     text = f"CEND\nSDAMPING = 7\n{deck.read_text()}PARAM,KDAMP,{kdamp}\nTABDMP1,7,{table}\n"
     deck.write_text(text)
-    words = ["frf", str(deck), "--force", "5+X,6+X", "--fmin", "0.5", "--fmax", "5", "--quantity", "displacement"]
+    words = [
+        "frf",
+        str(deck),
+        "--force",
+        "5+X,6+X",
+        "--fmin",
+        "0.5",
+        "--fmax",
+        "5",
+        "--quantity",
+        "displacement",
+    ]
     assert run([*words, "--out", str(target)]) == 0
     found = read_frfs(target)
     w = 2 * np.pi * found.freqs
@@ -129,7 +161,9 @@ def test_modal_damping_of_the_deck(tmp_path: Path, table: str, ratio: tuple[floa
         ("TABDMP1,7,Q\n,1.,.1,2.,0.,ENDT", "above 0"),
     ],
 )
-def test_modal_damping_that_is_no_table(tmp_path: Path, table: str, told: str, capsys: Capture) -> None:
+def test_modal_damping_that_is_no_table(
+    tmp_path: Path, table: str, told: str, capsys: Capture
+) -> None:
     deck = written(tmp_path / "d.bdf")
     deck.write_text(f"CEND\nSDAMPING = 7\n{deck.read_text()}{table}\n")
     assert run(["frf", str(deck), "--force", "5+X", "--fmax", "5"]) == 2
@@ -137,9 +171,22 @@ def test_modal_damping_that_is_no_table(tmp_path: Path, table: str, told: str, c
 
 
 @pytest.mark.parametrize("ending", ["uff", "csv", "h5"])
-def test_frfs_are_written_so_that_modes_are_found_in_them(tmp_path: Path, ending: str, capsys: Capture) -> None:
+def test_frfs_are_written_so_that_modes_are_found_in_them(
+    tmp_path: Path, ending: str, capsys: Capture
+) -> None:
     deck, target, page = written(tmp_path / "d.bdf"), tmp_path / f"f.{ending}", tmp_path / "f.html"
-    words = ["frf", str(deck), "--force", "5+X", "--fmax", "5", "--out", str(target), "--plot", str(page)]
+    words = [
+        "frf",
+        str(deck),
+        "--force",
+        "5+X",
+        "--fmax",
+        "5",
+        "--out",
+        str(target),
+        "--plot",
+        str(page),
+    ]
     assert run(words) == 0
     found = read_frfs(target)
     np.testing.assert_allclose(found.data[:, 0, 0], accelerance(found.freqs)[:, 0], rtol=1e-6)
@@ -154,7 +201,9 @@ def test_frfs_are_written_so_that_modes_are_found_in_them(tmp_path: Path, ending
 def test_tables_keep_coherence_and_transmissibilities(tmp_path: Path) -> None:
     table = tmp_path / "t.csv"
     cells = "1,2.5,-0.5,0.9\n2,3.5,-1.5,0.8\n3,1.5,-2.5,0.7\n"
-    table.write_text(f"Frequency [Hz],1+Z/9+Z real [g/g],1+Z/9+Z imag [g/g],1+Z/9+Z coherence\n{cells}")
+    table.write_text(
+        f"Frequency [Hz],1+Z/9+Z real [g/g],1+Z/9+Z imag [g/g],1+Z/9+Z coherence\n{cells}"
+    )
     read = read_frfs(table)
     write_frfs(tmp_path / "u.csv", read)
     again = read_frfs(tmp_path / "u.csv")
@@ -164,10 +213,23 @@ def test_tables_keep_coherence_and_transmissibilities(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("units", "scale"), IN_UNITS)
-def test_static_deflections_are_force_over_stiffness(tmp_path: Path, units: str, scale: dict[str, float]) -> None:
+def test_static_deflections_are_force_over_stiffness(
+    tmp_path: Path, units: str, scale: dict[str, float]
+) -> None:
     deck, table = written(tmp_path / "d.bdf", **scale), tmp_path / "s.csv"
     deck.write_text(deck.read_text() + "CELAS2,9,1.0,8,1\n")
-    words = ["static", str(deck), "--force", "5+X=4", "--force", "6-X", "--at", "5-X", "--at", "6+X"]
+    words = [
+        "static",
+        str(deck),
+        "--force",
+        "5+X=4",
+        "--force",
+        "6-X",
+        "--at",
+        "5-X",
+        "--at",
+        "6+X",
+    ]
     assert run([*words, "--units", units, "--csv", str(table)]) == 0
     tests = read_statics(table)
     assert (tests.cases, tests.channels) == (("5+X", "6-X"), ("5+X", "5-X", "6+X", "6-X"))
@@ -206,12 +268,16 @@ ACCEL1,9,,3.,0.,0.,1.
 
 
 def test_static_loads_of_the_deck(tmp_path: Path, capsys: Capture) -> None:
-    """A cantilever of 2 m and 160 kg; X of frame 4 is Y of basic, its Y is -X. Set 5 is six times 1 and twice 2."""
+    """A cantilever of 2 m and 160 kg; X of frame 4 is Y of basic, its Y is -X. Set 5 is six times 1
+    and twice 2.
+    """
     deck, L, E, rho, A, I2 = tmp_path / "d.bdf", 2.0, 2e11, 8000, 0.01, 3e-6
     deck.write_text(BAR)
     assert run(["static", str(deck), "--at", "2+X", "--at", "2+Z", "--json", "-"]) == 0
     cases = {c["case"]: c["metre"] for c in json.loads(capsys.readouterr().out)["cases"]}
-    bent = -20 * L**3 / (3 * E * I2) - 30 * L**2 / (2 * E * I2)  # a moment about Y turns Z of the tip down
+    bent = -20 * L**3 / (3 * E * I2) - 30 * L**2 / (
+        2 * E * I2
+    )  # a moment about Y turns Z of the tip down
     along = -9.81 * rho * L**2 / (2 * E)
     assert cases["SUBCASE 8"]["2+X"] == pytest.approx(-200 * L / (E * A), rel=1e-6)
     assert cases["SUBCASE 7"]["2+X"] == pytest.approx(along, rel=1e-6)
@@ -221,7 +287,9 @@ def test_static_loads_of_the_deck(tmp_path: Path, capsys: Capture) -> None:
 
 
 def cantilever(path: Path, length: float, mass: float) -> Path:
-    """2 m, 160 kg, clamped at 1, bending in the plane XZ; in units of so many metres and kilograms."""
+    """2 m, 160 kg, clamped at 1, bending in the plane XZ; in units of so many metres and
+    kilograms.
+    """
     e, rho, i = 2e11 * length / mass, 8000 * length**3 / mass, 2e-6 / length**4
     path.write_text(
         f"BEGIN BULK\nPARAM,COUPMASS,1\nGRID,1,,,,,,123456\nGRID,2,,{2 / length:.6g},,,,1246\n"
@@ -231,12 +299,22 @@ def cantilever(path: Path, length: float, mass: float) -> Path:
     return path
 
 
-@pytest.mark.parametrize(("units", "length", "mass"), [("SI", 1, 1), ("mm-t-s", 1e-3, 1e3), ("mm-kg-s", 1e-3, 1)])
+@pytest.mark.parametrize(
+    ("units", "length", "mass"), [("SI", 1, 1), ("mm-t-s", 1e-3, 1e3), ("mm-kg-s", 1e-3, 1)]
+)
 def test_moments_and_rotations_are_those_of_a_cantilever_in_si(
     tmp_path: Path, units: str, length: float, mass: float, capsys: Capture
 ) -> None:
-    """(EI/L³) [[12, 6L], [6L, 4L²]] of a force along -Z and a moment about Y, and (m/420) [[156, 22L], [22L, 4L²]]."""
-    deck, L, EI, m, target = cantilever(tmp_path / "d.bdf", length, mass), 2.0, 4e5, 160.0, tmp_path / "f.uff"
+    """(EI/L³) [[12, 6L], [6L, 4L²]] of a force along -Z and a moment about Y, and (m/420) [[156,
+    22L], [22L, 4L²]].
+    """
+    deck, L, EI, m, target = (
+        cantilever(tmp_path / "d.bdf", length, mass),
+        2.0,
+        4e5,
+        160.0,
+        tmp_path / "f.uff",
+    )
     K = EI / L**3 * np.array([[12, -6 * L], [-6 * L, 4 * L**2]])
     M = m / 420 * np.array([[156, -22 * L], [-22 * L, 4 * L**2]])
     ends = ["--force", "2-Z", "--force", "2+RY", "--units", units]
@@ -244,7 +322,19 @@ def test_moments_and_rotations_are_those_of_a_cantilever_in_si(
     cases = json.loads(capsys.readouterr().out)["cases"]
     moved = [[c["metre"]["2-Z"], c["radian"]["2+RY"]] for c in cases]
     np.testing.assert_allclose(moved, np.linalg.inv(K) * [[1], [30]], rtol=1e-6)
-    words = ["frf", str(deck), *ends, "--fmax", "200", "--lines", "20", "--damping", "0.01", "--quantity", "velocity"]
+    words = [
+        "frf",
+        str(deck),
+        *ends,
+        "--fmax",
+        "200",
+        "--lines",
+        "20",
+        "--damping",
+        "0.01",
+        "--quantity",
+        "velocity",
+    ]
     assert run([*words, "--out", str(target), "--json", "-"]) == 0
     units_told = [one["unit"] for one in json.loads(capsys.readouterr().out)["frfs"]]
     assert units_told == ["(m/s)/N", "(m/s)/(N*m)", "(rad/s)/N", "(rad/s)/(N*m)"]
@@ -267,8 +357,21 @@ def test_moments_and_rotations_are_those_of_a_cantilever_in_si(
 def test_rotations_by_modes_and_directly_agree(tmp_path: Path) -> None:
     deck = cantilever(tmp_path / "d.bdf", 1, 1)
     deck.write_text(deck.read_text() + "PARAM,G,0.02\n")
-    words = ["frf", str(deck), "--force", "2+RY", "--at", "2+Z,2-RY", "--fmax", "300", "--lines", "30"]
-    assert run([*words, "--out", str(tmp_path / "a.h5")]) == run([*words, "--direct", "--out", str(tmp_path / "b.h5")])
+    words = [
+        "frf",
+        str(deck),
+        "--force",
+        "2+RY",
+        "--at",
+        "2+Z,2-RY",
+        "--fmax",
+        "300",
+        "--lines",
+        "30",
+    ]
+    assert run([*words, "--out", str(tmp_path / "a.h5")]) == run(
+        [*words, "--direct", "--out", str(tmp_path / "b.h5")]
+    )
     modal, direct = read_frfs(tmp_path / "a.h5"), read_frfs(tmp_path / "b.h5")
     np.testing.assert_allclose(modal.data, direct.data, rtol=1e-8)
 
@@ -284,7 +387,9 @@ def test_rotations_by_modes_and_directly_agree(tmp_path: Path) -> None:
         ("LOAD", "LAOD", "case control has no LOAD"),
     ],
 )
-def test_loads_that_cannot_be_taken(tmp_path: Path, old: str, new: str, told: str, capsys: Capture) -> None:
+def test_loads_that_cannot_be_taken(
+    tmp_path: Path, old: str, new: str, told: str, capsys: Capture
+) -> None:
     (tmp_path / "d.bdf").write_text(BAR.replace(old, new))
     assert run(["static", str(tmp_path / "d.bdf"), "--at", "2+Z"]) == 2
     assert told in capsys.readouterr().err
@@ -292,7 +397,11 @@ def test_loads_that_cannot_be_taken(tmp_path: Path, old: str, new: str, told: st
 
 def test_displaced_supports_are_of_the_deck(tmp_path: Path, capsys: Capture) -> None:
     deck = tmp_path / "d.bdf"
-    deck.write_text(BAR.replace("SPC1,1,123456,1", "SPC1,1,12456,1\nSPC,1,1,3,0.5").replace("LOAD = 3", "LOAD = 2"))
+    deck.write_text(
+        BAR.replace("SPC1,1,123456,1", "SPC1,1,12456,1\nSPC,1,1,3,0.5").replace(
+            "LOAD = 3", "LOAD = 2"
+        )
+    )
     assert run(["static", str(deck), "--force", "2+Z", "--at", "1+Z"]) == 2
     assert "displaces a support (D)" in capsys.readouterr().err
     assert run(["static", str(deck), "--at", "1+Z", "--json", "-"]) == 0
@@ -304,19 +413,35 @@ def test_displaced_supports_are_of_the_deck(tmp_path: Path, capsys: Capture) -> 
 @pytest.mark.parametrize(
     ("words", "status", "told"),
     [
-        (("frf", "--force", "5", "--fmax", "5"), 2, "must be a node and a direction, such as 101+Z or 101+RZ"),
+        (
+            ("frf", "--force", "5", "--fmax", "5"),
+            2,
+            "must be a node and a direction, such as 101+Z or 101+RZ",
+        ),
         (("frf", "--force", "5+RX", "--fmax", "5"), 0, "warning: 5+RX is held"),
         (("frf", "--force", "5+X", "--fmax", "5", "--fmin", "6"), 2, "0 <= fmin < fmax"),
-        (("frf", "--force", "5+X", "--fmax", "5", "--direct", "--damping", "0.1"), 2, "--damping is for modes"),
+        (
+            ("frf", "--force", "5+X", "--fmax", "5", "--direct", "--damping", "0.1"),
+            2,
+            "--damping is for modes",
+        ),
         (("frf", "--force", "5+X", "--fmax", "5", "--damping", "2"), 2, "between 0 and 1"),
         (("frf", "--force", "55+X", "--fmax", "5"), 2, "the deck has no 55+X"),
         (("frf", "--force", "5+X", "--fmax", "5", "--units", "mm-kg-h"), 2, "did you mean"),
         (("frf", "--force", "7+X", "--fmax", "5"), 0, "warning: 7+X is held"),
         (("static", "--at", "5+X", "--units", "mm-kg-h"), 2, "did you mean"),
         (("static",), 2, "--at: name the points"),
-        (("static", "--at", "5+X", "--csv", "s.csv"), 2, "--csv: a static test has forces at points"),
+        (
+            ("static", "--at", "5+X", "--csv", "s.csv"),
+            2,
+            "--csv: a static test has forces at points",
+        ),
         (("static", "--force", "5+X=much"), 2, "the form is"),
-        (("static", "--force", "5+X", "--at", "6+X", "--at", "6-X"), 2, "--at: DOF 6+X occurs twice"),
+        (
+            ("static", "--force", "5+X", "--at", "6+X", "--at", "6-X"),
+            2,
+            "--at: DOF 6+X occurs twice",
+        ),
         (("static", "--force", "8+X"), 1, "singular"),
     ],
 )

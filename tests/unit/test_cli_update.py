@@ -1,4 +1,6 @@
-"""`ringtrue update` on the three-storey frame: factors found, deck edited, verdict, resumption, and refusals."""
+"""`ringtrue update` on the three-storey frame: factors found, deck edited, verdict, resumption, and
+refusals.
+"""
 
 from __future__ import annotations
 
@@ -54,11 +56,15 @@ def call(capsys: Capture, folder: Path, *words: str) -> tuple[int, str, str]:
 
 
 def test_factors_are_found_and_the_deck_is_edited(capsys: Capture, folder: Path) -> None:
-    status, out, err = call(capsys, folder, "--leave-out", "3,7", "--out", str(folder / "up"), "--json", "-")
+    status, out, err = call(
+        capsys, folder, "--leave-out", "3,7", "--out", str(folder / "up"), "--json", "-"
+    )
     assert status == 0, err
     found = json.loads(out)
     factors = [p["factor"] for p in found["parameters"]]
-    np.testing.assert_allclose(factors, list(small_study.TRUTH.values()), rtol=0.01)  # the prior pulls
+    np.testing.assert_allclose(
+        factors, list(small_study.TRUTH.values()), rtol=0.01
+    )  # the prior pulls
     assert found["basis_error"] < 1e-4
     assert [m["used"] for m in found["modes"]].count(False) == 2
     for m in found["modes"]:
@@ -77,7 +83,9 @@ def test_factors_are_found_and_the_deck_is_edited(capsys: Capture, folder: Path)
         ("--residuals", "frequencies,mac"),
     ],
 )
-def test_options_lead_to_the_same_factors(capsys: Capture, folder: Path, words: tuple[str, ...]) -> None:
+def test_options_lead_to_the_same_factors(
+    capsys: Capture, folder: Path, words: tuple[str, ...]
+) -> None:
     status, out, err = call(capsys, folder, *words, "--json", "-")
     assert status == 0, err
     factors = [p["factor"] for p in json.loads(out)["parameters"]]
@@ -97,7 +105,9 @@ def test_an_end_that_lost_modes_gives_way_to_a_lower_one_of_further_starts(
         c, x = problem.configurations[0], 0 * done.solution.x
         none = replace(c, target=replace(c.target, fixed=(np.zeros((0, 2), dtype=np.int64), ())))
         end = replace(problem, configurations=(none,)).evaluate(x)
-        return replace(done, solution=replace(done.solution, x=x, y=x, factors=x + 1, history=(end,)))
+        return replace(
+            done, solution=replace(done.solution, x=x, y=x, factors=x + 1, history=(end,))
+        )
 
     monkeypatch.setattr(direct, "_on_basis", poor)
     status, out, err = call(capsys, folder, "--json", "-")
@@ -107,10 +117,14 @@ def test_an_end_that_lost_modes_gives_way_to_a_lower_one_of_further_starts(
 
 
 def turned_sheet() -> str:
-    """The sensors of the frame in axes of the test's own, turned by 90 degrees about Z and moved."""
+    """The sensors of the frame in axes of the test's own, turned by 90 degrees about Z and
+    moved.
+    """
     test, turned = small_study.test_model(), {"X": "Y", "Y": "-X"}
     rows = zip(test.channels, test.at.tolist(), test.channel_xyz().tolist(), strict=True)
-    lines = [f"{point},{3 - y},{x - 1},{z},{turned[name[-1]]},{name}" for name, point, (x, y, z) in rows]
+    lines = [
+        f"{point},{3 - y},{x - 1},{z},{turned[name[-1]]},{name}" for name, point, (x, y, z) in rows
+    ]
     return "\n".join(["point,x,y,z,direction,channel", *lines])
 
 
@@ -131,14 +145,20 @@ def test_the_sheet_is_laid_onto_the_deck_and_channels_are_left_out_as_the_study_
     assert min(m["mac_percent"] for m in found["modes"]) > 99
 
 
-def test_a_card_that_is_not_there_is_refused_with_its_neighbours(capsys: Capture, folder: Path) -> None:
+def test_a_card_that_is_not_there_is_refused_with_its_neighbours(
+    capsys: Capture, folder: Path
+) -> None:
     (folder / "study.toml").write_text(STUDY.replace("MAT1 3 E", "MAT1 4 E"))
     status, _, err = call(capsys, folder)
     assert status == 2
-    assert "MAT1 4 E: no such card in the model; 4 MAT1, next to it 1, 2, 3, 10" in " ".join(err.split())
+    assert "MAT1 4 E: no such card in the model; 4 MAT1, next to it 1, 2, 3, 10" in " ".join(
+        err.split()
+    )
 
 
-def test_fields_that_cannot_be_written_are_refused_before_any_work(capsys: Capture, folder: Path) -> None:
+def test_fields_that_cannot_be_written_are_refused_before_any_work(
+    capsys: Capture, folder: Path
+) -> None:
     """The PBAR that a PBARL makes stands nowhere in the deck."""
     text = (folder / "frame.bdf").read_text()
     (folder / "frame.bdf").write_text(text.replace("ENDDATA", "PBARL,99,1,,BAR\n,.1,.2\nENDDATA"))
@@ -160,21 +180,31 @@ def test_checkpoint_is_kept_and_the_table_is_printed(capsys: Capture, folder: Pa
 
 
 def responses(folder: Path) -> tuple[list[float], FrfSet]:
-    """Static deflections under 1 kN at 303+X, and accelerances, of the true deck by all its modes."""
+    """Static deflections under 1 kN at 303+X, and accelerances, of the true deck by all its
+    modes.
+    """
     with EmbeddedSolver().open(read_deck(folder / "truth.bdf")) as analysis:
         modes = analysis.modes(ModesRequest(40)).modes.rows(READ)
         rows = analysis.system.transform[analysis.dofs.align(DofSet.parse(READ))[0]].toarray()
         u = rows @ analysis.pencil.at(0.0).solve(1000.0 * rows[:1].T)
     f, shapes = np.arange(1.0, 18.0, 0.05), np.asarray(modes.shapes.real)
     h = frf(f, modes.frequencies, np.full(40, 0.01), shapes, shapes[:1])
-    sides = [tuple(Channel(c, "acceleration", "m/s^2") for c in READ), (Channel(READ[0], "force", "N"),)]
-    return u.ravel().tolist(), FrfSet(h, f, sides[0], sides[1], np.full(h.shape, np.nan), np.full(1, np.nan))
+    sides = [
+        tuple(Channel(c, "acceleration", "m/s^2") for c in READ),
+        (Channel(READ[0], "force", "N"),),
+    ]
+    return u.ravel().tolist(), FrfSet(
+        h, f, sides[0], sides[1], np.full(h.shape, np.nan), np.full(1, np.nan)
+    )
 
 
 def test_what_was_measured_beside_modes_is_fitted_and_told(capsys: Capture, folder: Path) -> None:
     moved, frfs = responses(folder)
     write_frfs(folder / "frfs.uff", frfs)
-    text = "".join(f"pull,{c},{1000 if c == READ[0] else ''},{u:.9e}\n" for c, u in zip(READ, moved, strict=True))
+    text = "".join(
+        f"pull,{c},{1000 if c == READ[0] else ''},{u:.9e}\n"
+        for c, u in zip(READ, moved, strict=True)
+    )
     (folder / "pull.csv").write_text("case,channel,load,deflection\n" + text)
     mass = whole_mass(read_deck(folder / "truth.bdf")).mass
     words = (
@@ -185,7 +215,9 @@ def test_what_was_measured_beside_modes_is_fitted_and_told(capsys: Capture, fold
         "--static",
         str(folder / "pull.csv"),
     )
-    (folder / "study.toml").write_text(STUDY + '[[residual]]\nkind = "mass"\nmass = ' + str(mass) + "\n")
+    (folder / "study.toml").write_text(
+        STUDY + '[[residual]]\nkind = "mass"\nmass = ' + str(mass) + "\n"
+    )
     status, out, err = call(capsys, folder, *words, "--json", "-")
     assert status == 0, err
     found = json.loads(out)
@@ -213,12 +245,17 @@ def test_what_was_measured_beside_modes_is_fitted_and_told(capsys: Capture, fold
         (("--residuals", "eigenvalues,shape"), "did you mean 'shapes'"),
         (("--residuals", ","), "at least one of eigenvalues"),
         (("--starts", "3", "--checkpoint", "x.json"), "does not go with --starts"),
-        (("--search", "global", "--checkpoint", "x.json"), "does not go with --starts and --search global"),
+        (
+            ("--search", "global", "--checkpoint", "x.json"),
+            "does not go with --starts and --search global",
+        ),
         (("--search", "global", "--starts", "4"), "an updating begins in one way"),
         (("--search", "global", "--solver", "mystran"), "takes thousands of points"),
     ],
 )
-def test_wrong_options_are_refused(capsys: Capture, folder: Path, words: tuple[str, ...], told: str) -> None:
+def test_wrong_options_are_refused(
+    capsys: Capture, folder: Path, words: tuple[str, ...], told: str
+) -> None:
     status, _, err = call(capsys, folder, *words)
     assert status == 2
     assert told in err
@@ -246,7 +283,9 @@ def test_frequencies_without_shapes_update_what_they_tell(capsys: Capture, folde
     frequencies_alone(folder)
     assert call(capsys, folder, "--json", "-")[0] == 0
     found = json.loads(call(capsys, folder, "--json", "-")[1])
-    assert [p["factor"] for p in found["parameters"]] == pytest.approx([*small_study.TRUTH.values()], rel=0.03)
+    assert [p["factor"] for p in found["parameters"]] == pytest.approx(
+        [*small_study.TRUTH.values()], rel=0.03
+    )
     assert max(abs(m["deviation_percent"]) for m in found["modes"]) < 0.1
     assert all(m["mac_percent"] is None for m in found["modes"])
     assert "by frequency" in found["notes"][0]
@@ -269,7 +308,9 @@ def free_beam(half: float) -> str:
     return "\n".join([*cards, "ENDDATA", ""])
 
 
-def test_rigid_body_modes_of_a_free_structure_are_no_error_of_the_basis(capsys: Capture, folder: Path) -> None:
+def test_rigid_body_modes_of_a_free_structure_are_no_error_of_the_basis(
+    capsys: Capture, folder: Path
+) -> None:
     (folder / "frame.bdf").write_text(free_beam(1.0))
     (folder / "study.toml").write_text(
         '[model]\ndeck = "frame.bdf"\n[[candidate]]\nname = "half"\ntargets = ["MAT1 2 E"]\n'

@@ -1,4 +1,6 @@
-"""Every reader takes every file of tests/corpus: a value or a message, in seconds; and a run of scripts/fuzz."""
+"""Every reader takes every file of tests/corpus: a value or a message, in seconds; and a run of
+scripts/fuzz.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +16,18 @@ from readers import FAULTS, READERS, kinds, seeds
 from ringtrue.errors import RingtrueError
 
 SCRIPT = Path(__file__).parents[2] / "scripts" / "fuzz"
-READ = ("byte_count_of_5000_digits.uff", "latin-1.csv", "latin-1.json", "utf-16.json", "byte_order_mark.json")
+READ = (
+    "byte_count_of_5000_digits.uff",
+    "latin-1.csv",
+    "latin-1.json",
+    "utf-16.json",
+    "byte_order_mark.json",
+)
 MINE = [p for kind in READERS for p in sorted((FAULTS / kind).glob("*"))]
-LATER = {"deck", "results"}  # some of these files are sound, and what is wrong shows in what is made of them
+LATER = {
+    "deck",
+    "results",
+}  # some of these files are sound, and what is wrong shows in what is made of them
 LONGEST = 20.0  # seconds
 
 
@@ -46,7 +57,9 @@ def test_intact_files_are_read(kind: str, ending: str) -> None:
 
 
 def test_the_fuzzer_tells_what_is_wrong(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A reader with a traceback, one that ends its process and one that hangs: each is counted and kept."""
+    """A reader with a traceback, one that ends its process and one that hangs: each is counted and
+    kept.
+    """
     import os
 
     import fuzzing
@@ -72,6 +85,8 @@ def test_the_fuzzer_tells_what_is_wrong(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 def test_a_short_run_of_the_fuzzer() -> None:
-    done = subprocess.run([sys.executable, SCRIPT, "--plain", "--count", "900"], capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, SCRIPT, "--plain", "--count", "900"], capture_output=True, text=True
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     assert "right: tracebacks: 0" in done.stdout

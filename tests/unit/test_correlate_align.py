@@ -18,7 +18,9 @@ def body(rng: np.random.Generator) -> np.ndarray:
     return np.concatenate([box, tower])
 
 
-def away(xyz: np.ndarray, rng: np.random.Generator, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+def away(
+    xyz: np.ndarray, rng: np.random.Generator, scale: float = 1.0
+) -> tuple[np.ndarray, np.ndarray]:
     """Points elsewhere, and the rotation that brings them back."""
     turn = Rotation.random(rng=rng).as_matrix()
     return (xyz - rng.uniform(-5, 5, 3)) @ turn / scale, turn
@@ -60,7 +62,9 @@ def test_nearest_points_from_anywhere() -> None:
     rng = np.random.default_rng(3)
     for _ in range(2):  # over tests
         nodes = body(rng)
-        test, turn = away(nodes[rng.permutation(2000)[:120]] + 0.01 * rng.standard_normal((120, 3)), rng)
+        test, turn = away(
+            nodes[rng.permutation(2000)[:120]] + 0.01 * rng.standard_normal((120, 3)), rng
+        )
         test[:4] += 2.0
         fit = nearest_fit(test, nodes)
         assert np.linalg.norm(fit.rotation - turn) < 0.03
@@ -86,7 +90,14 @@ def test_moving_a_test_model() -> None:
     rng = np.random.default_rng(4)
     nodes = body(rng)[:6]
     test, turn = away(nodes, rng)
-    model = TestModel(np.arange(6), test, ("a", "b"), np.array([0, 3]), np.eye(3)[:2], np.zeros((0, 2), dtype=np.int64))
+    model = TestModel(
+        np.arange(6),
+        test,
+        ("a", "b"),
+        np.array([0, 3]),
+        np.eye(3)[:2],
+        np.zeros((0, 2), dtype=np.int64),
+    )
     moved = best_fit(test, nodes).move(model)
     np.testing.assert_allclose(moved.xyz, nodes, atol=1e-9)
     np.testing.assert_allclose(moved.axes, turn.T[:2], atol=1e-9)

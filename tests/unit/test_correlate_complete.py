@@ -15,7 +15,12 @@ from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.correlate.complete import complete, complete_json
-from ringtrue.correlate.frf import amplitude_correlation, band_levels, compare_frfs, shape_correlation
+from ringtrue.correlate.frf import (
+    amplitude_correlation,
+    band_levels,
+    compare_frfs,
+    shape_correlation,
+)
 from ringtrue.correlate.gates import Gate
 from ringtrue.correlate.pairing import pair_modes
 from ringtrue.correlate.turning import turning
@@ -27,14 +32,18 @@ CHANNELS = tuple(f"{i}+Z" for i in range(1, 41))
 
 
 def model() -> ModeSet:
-    """A string of 40 unit masses: shapes orthonormal over the unit mass; modes 3 and 4 are close."""
+    """A string of 40 unit masses: shapes orthonormal over the unit mass; modes 3 and 4 are
+    close.
+    """
     i, k = np.arange(1, 41), np.arange(1, 7)
     phi = np.sin(np.pi * np.outer(i, k) / 41) * np.sqrt(2 / 41)
     return ModeSet(np.array([10.0, 20, 30, 30.2, 50, 60]), np.zeros(6), phi, CHANNELS, Norm.MASS)
 
 
 def measured(b: ModeSet) -> ModeSet:
-    """Modes 3 and 4 turned into each other, channel 5 reversed, the sixth mode a mixture with the second."""
+    """Modes 3 and 4 turned into each other, channel 5 reversed, the sixth mode a mixture with the
+    second.
+    """
     c, s = np.cos(0.8), np.sin(0.8)
     phi = b.shapes.copy()
     phi[:, 2:4] = phi[:, 2:4] @ np.array([[c, -s], [s, c]])
@@ -121,7 +130,9 @@ def test_json_holds_no_nan_and_nothing_paired_is_no_error() -> None:
         text = json.dumps(complete_json(alone, p), allow_nan=False)
         assert "at least 3 are needed" in text
         assert "orthogonality not checked: no mode has a partner" in alone.notes
-    full = complete_json(complete(measured(b), b, pair_modes(measured(b), b)), pair_modes(measured(b), b))
+    full = complete_json(
+        complete(measured(b), b, pair_modes(measured(b), b)), pair_modes(measured(b), b)
+    )
     json.dumps(full, allow_nan=False)
     assert full["suspects"][0]["channel"] == "5+Z"
 
@@ -130,10 +141,22 @@ def frf_set(shift: float = 0.0, gain: float = 1.0) -> FrfSet:
     f = np.linspace(5, 500, 400)
     b = model()
     w0 = b.frequencies * (5 + shift)
-    h = np.einsum("ok,fk,k->fo", b.shapes, 1 / (w0**2 - f[:, None] ** 2 + 2j * 0.02 * w0 * f[:, None]), b.shapes[0])
+    h = np.einsum(
+        "ok,fk,k->fo",
+        b.shapes,
+        1 / (w0**2 - f[:, None] ** 2 + 2j * 0.02 * w0 * f[:, None]),
+        b.shapes[0],
+    )
     data = gain * h[:, :, None]
     outs = tuple(Channel(c, "acceleration", "m/s^2") for c in CHANNELS)
-    return FrfSet(data, f, outs, (Channel("1+Z", "force", "N"),), np.full(data.shape, np.nan), np.array([np.nan]))
+    return FrfSet(
+        data,
+        f,
+        outs,
+        (Channel("1+Z", "force", "N"),),
+        np.full(data.shape, np.nan),
+        np.array([np.nan]),
+    )
 
 
 def test_frfs_side_by_side() -> None:
@@ -197,7 +220,9 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_a_mass_is_fit_where_ordinary_errors_leave_the_modes_apart() -> None:
-    """What is foretold of readings with 2 % error is what many such readings show, root mean square."""
+    """What is foretold of readings with 2 % error is what many such readings show, root mean
+    square.
+    """
     rng = np.random.default_rng(4)
     shapes = rng.standard_normal((12, 3))
     shapes[:, 2] = shapes[:, 1] + 0.05 * rng.standard_normal(12)  # they look alike at the channels
@@ -206,15 +231,23 @@ def test_a_mass_is_fit_where_ordinary_errors_leave_the_modes_apart() -> None:
     read = shapes[None] + error * rng.standard_normal((4000, 12, 3))
     cross = np.stack([shapes.T @ mass @ r for r in read])
     size = np.einsum("kij,il,klj->kj", read, mass, read).mean(axis=0)
-    assert read_orthogonality(shapes, mass, error) == pytest.approx(np.sqrt((cross**2).mean(axis=0) / size), rel=0.03)
+    assert read_orthogonality(shapes, mass, error) == pytest.approx(
+        np.sqrt((cross**2).mean(axis=0) / size), rel=0.03
+    )
     # the same in modal coordinates
     one, back = np.eye(3), np.linalg.pinv(shapes)
-    assert read_orthogonality(one, one, error, back) == pytest.approx(read_orthogonality(shapes, mass, error))
-    b = ModeSet(np.array([5.0, 8.0, 11.0]), np.zeros(3), shapes, tuple(map(str, range(12))), Norm.MASS)
+    assert read_orthogonality(one, one, error, back) == pytest.approx(
+        read_orthogonality(shapes, mass, error)
+    )
+    b = ModeSet(
+        np.array([5.0, 8.0, 11.0]), np.zeros(3), shapes, tuple(map(str, range(12))), Norm.MASS
+    )
     noisy = replace(b, shapes=read[0])
     c = complete(noisy, b, pair_modes(noisy, b))
     assert not any(c.judges(k) for k in c.checks if k.kind != "model")
-    fit = complete(noisy, b, pair_modes(noisy, b), mass=np.eye(12) / 12, gate=Gate(0.5, 1.0, "wide"))
+    fit = complete(
+        noisy, b, pair_modes(noisy, b), mass=np.eye(12) / 12, gate=Gate(0.5, 1.0, "wide")
+    )
     assert fit.cross is not None
     assert fit.cross.mass == "given"
 

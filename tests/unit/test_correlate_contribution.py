@@ -15,17 +15,23 @@ from ringtrue.shapes.mac import paired_mac
 
 def paired(seed: int = 0, kind: str = "real") -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
-    a = rng.standard_normal((12, 4)) + (1j * rng.standard_normal((12, 4)) if kind == "complex" else 0)
+    a = rng.standard_normal((12, 4)) + (
+        1j * rng.standard_normal((12, 4)) if kind == "complex" else 0
+    )
     return a, a + 0.3 * rng.standard_normal((12, 4))
 
 
 @pytest.mark.parametrize("kind", ["real", "complex"])
 def test_contributions_sum_to_the_mac_and_leaving_out_is_leaving_out(kind: str) -> None:
     a, b = paired(kind=kind)
-    np.testing.assert_allclose(mac_contribution(a, b * 1j).sum(axis=0), paired_mac(a, b), rtol=1e-12)
+    np.testing.assert_allclose(
+        mac_contribution(a, b * 1j).sum(axis=0), paired_mac(a, b), rtol=1e-12
+    )
     without = mac_without(a, b)
     for i in range(12):
-        np.testing.assert_allclose(without[i], paired_mac(np.delete(a, i, 0), np.delete(b, i, 0)), rtol=1e-10)
+        np.testing.assert_allclose(
+            without[i], paired_mac(np.delete(a, i, 0), np.delete(b, i, 0)), rtol=1e-10
+        )
 
 
 def test_elimination_takes_the_spoilt_channels_first() -> None:

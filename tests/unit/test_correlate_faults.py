@@ -12,18 +12,42 @@ from ringtrue.errors import InputError
 from ringtrue.shapes.mac import paired_mac
 
 # share of the faults that must be found
-LEAST = {"reversed": 0.9, "dead": 0.85, "scaled": 0.9, "swapped": 0.75, "quarter turn": 0.75, "round of three": 0.75}
+LEAST = {
+    "reversed": 0.9,
+    "dead": 0.85,
+    "scaled": 0.9,
+    "swapped": 0.75,
+    "quarter turn": 0.75,
+    "round of three": 0.75,
+}
 
 
 def plate(rng: np.random.Generator, channels: int, modes: int) -> np.ndarray:
     """Shapes sin(iπx) sin(jπy) of a plate at random places."""
     x, y = rng.uniform(0.03, 0.97, (2, channels))
-    ij = np.array([(1, 1), (2, 1), (1, 2), (2, 2), (3, 1), (1, 3), (3, 2), (2, 3), (3, 3), (4, 1), (1, 4), (4, 2)])
+    ij = np.array(
+        [
+            (1, 1),
+            (2, 1),
+            (1, 2),
+            (2, 2),
+            (3, 1),
+            (1, 3),
+            (3, 2),
+            (2, 3),
+            (3, 3),
+            (4, 1),
+            (1, 4),
+            (4, 2),
+        ]
+    )
     return np.sin(np.pi * np.outer(x, ij[:modes, 0])) * np.sin(np.pi * np.outer(y, ij[:modes, 1]))
 
 
 def healthy(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """A model and a test of it: other modes mixed in (a wrong model), noise, any scale and phase."""
+    """A model and a test of it: other modes mixed in (a wrong model), noise, any scale and
+    phase.
+    """
     n, m = int(rng.integers(10, 60)), int(rng.integers(3, 10))
     whole = plate(rng, n, 12)
     mix = rng.uniform(0, 0.12) * rng.standard_normal((12, m))
@@ -37,7 +61,9 @@ def alarms(count: int) -> tuple[int, float]:
     """Faults named in healthy tests, and their mean MAC."""
     rng = np.random.default_rng(5)
     tests = [healthy(rng) for _ in range(count)]
-    return sum(len(find_faults(a, b)) for a, b in tests), float(np.mean([paired_mac(a, b).mean() for a, b in tests]))
+    return sum(len(find_faults(a, b)) for a, b in tests), float(
+        np.mean([paired_mac(a, b).mean() for a, b in tests])
+    )
 
 
 def spoiled(fault: str, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, set[int]]:

@@ -1,8 +1,10 @@
-"""Sensors turned, reversed or swapped in tests of five structures are named; sound tests accuse nobody.
+"""Sensors turned, reversed or swapped in tests of five structures are named; sound tests accuse
+nobody.
 
-A cantilever with unlike bending stiffness, a frame of three storeys, a plate held at one edge and read along Z alone, a
-tower of square section (its bending modes are pairs) and a bent pipe. The test is on a copy whose moduli are off by up
-to 30 % part by part, read with noise; the model is as it stands.
+A cantilever with unlike bending stiffness, a frame of three storeys, a plate held at one edge and
+read along Z alone, a tower of square section (its bending modes are pairs) and a bent pipe. The
+test is on a copy whose moduli are off by up to 30 % part by part, read with noise; the model is as
+it stands.
 """
 
 from __future__ import annotations
@@ -34,13 +36,21 @@ TRIAXIAL = np.eye(3)
 
 
 def beams(places: Array, section: str, free: int = 0) -> tuple[str, Array, Array]:
-    """A line of CBAR between places (n, 3), the first held; the modulus of each third is a parameter."""
+    """A line of CBAR between places (n, 3), the first held; the modulus of each third is a
+    parameter.
+    """
     n = len(places)
-    lines = [f"GRID,{k + 1},,{x:.4f},{y:.4f},{z:.4f}" for k, (x, y, z) in enumerate(places.tolist())]
+    lines = [
+        f"GRID,{k + 1},,{x:.4f},{y:.4f},{z:.4f}" for k, (x, y, z) in enumerate(places.tolist())
+    ]
     lines += [f"CBAR,{k},{1 + 3 * (k - 1) // (n - 1)},{k},{k + 1},.3,.5,.8" for k in range(1, n)]
     for part in (1, 2, 3):
         lines += [f"MAT1,{part},{{{part}}},,.3,7850.", f"PBAR,{part},{part},{section}"]
-    return "\n".join(["BEGIN BULK", *lines, "SPC1,1,123456,1", "ENDDATA", ""]), np.arange(2, n + 1), places[1:]
+    return (
+        "\n".join(["BEGIN BULK", *lines, "SPC1,1,123456,1", "ENDDATA", ""]),
+        np.arange(2, n + 1),
+        places[1:],
+    )
 
 
 def column() -> tuple[str, Array, Array, Array]:
@@ -55,7 +65,9 @@ def tower() -> tuple[str, Array, Array, Array]:
 
 def pipe() -> tuple[str, Array, Array, Array]:
     legs = [np.linspace([0, 0, 0], [0, 0, 2], 7), np.linspace([0.3, 0, 2], [1.8, 0, 2], 6)]
-    text, points, xyz = beams(np.vstack([*legs, np.linspace([1.8, 0.3, 2], [1.8, 1.2, 2.4], 4)]), "2.-3,4.-6,4.-6,8.-6")
+    text, points, xyz = beams(
+        np.vstack([*legs, np.linspace([1.8, 0.3, 2], [1.8, 1.2, 2.4], 4)]), "2.-3,4.-6,4.-6,8.-6"
+    )
     return text, points, xyz, TRIAXIAL
 
 
@@ -98,7 +110,9 @@ def opened(structure: str, factors: tuple[float, ...]) -> tuple[Opened, ModeSet]
 
 
 def sheet_of(structure: str) -> TestModel:
-    """Sensors at all points along the axes of the structure; the upper half of the points is a group of its own."""
+    """Sensors at all points along the axes of the structure; the upper half of the points is a
+    group of its own.
+    """
     _, points, xyz, axes = STRUCTURES[structure]()
     names = tuple(f"{p}+{'XYZ'[int(a.argmax())]}" for p in points.tolist() for a in axes)
     groups = tuple("far" if 2 * k >= points.size else "near" for k in range(points.size))
@@ -106,8 +120,12 @@ def sheet_of(structure: str) -> TestModel:
     return TestModel(points, xyz, names, at, every, np.zeros((0, 2), dtype=np.int64), groups)
 
 
-def measured(structure: str, axes: Array, rng: np.random.Generator, off: float = 1.3, count: int = MODES) -> ModeSet:
-    """A test by sensors with these axes (n, 3), which the sheet does not know; modes that they see, with noise."""
+def measured(
+    structure: str, axes: Array, rng: np.random.Generator, off: float = 1.3, count: int = MODES
+) -> ModeSet:
+    """A test by sensors with these axes (n, 3), which the sheet does not know; modes that they see,
+    with noise.
+    """
     factors = np.exp(rng.uniform(-np.log(off), np.log(off), 3))
     deck, modes = opened(structure, tuple(factors.round(2).tolist()))
     sheet = sheet_of(structure)
@@ -127,15 +145,29 @@ def judged(structure: str, test: ModeSet, axes: Array | None = None) -> tuple[Me
     sheet = sheet if axes is None else replace(sheet, axes=axes)
     three = deck.observation(sheet.threefold(), 0.01)(modes.shapes)
     motion = three.reshape(3, len(sheet.channels), -1)
-    return find_mendings(Readings(test, modes.frequencies, motion, sheet.axes, sheet.group_of_channels()))
+    return find_mendings(
+        Readings(test, modes.frequencies, motion, sheet.axes, sheet.group_of_channels())
+    )
 
 
-def turned(way: str, axes: Array, groups: tuple[str, ...], rng: np.random.Generator) -> Array | None:
-    """The axes (n, 3) that the sensors really have; None where that changes nothing but the sign of all."""
+def turned(
+    way: str, axes: Array, groups: tuple[str, ...], rng: np.random.Generator
+) -> Array | None:
+    """The axes (n, 3) that the sensors really have; None where that changes nothing but the sign of
+    all.
+    """
     far = np.array([g == "far" for g in groups])[:, None]
     along = np.unique(np.abs(axes).argmax(axis=1))
-    if way == "axes onto each other":  # one is taken for another that the structure moves along, too
-        cycle = np.eye(3)[[1, 2, 0]] if along.size == 3 else np.eye(3)[[1, 0, 2]] if along.size == 2 else None
+    if (
+        way == "axes onto each other"
+    ):  # one is taken for another that the structure moves along, too
+        cycle = (
+            np.eye(3)[[1, 2, 0]]
+            if along.size == 3
+            else np.eye(3)[[1, 0, 2]]
+            if along.size == 2
+            else None
+        )
         return None if cycle is None else axes @ cycle.T
     if way == "one axis reversed":
         return np.where(np.abs(axes[:, [along[-1]]]) > 0.5, -axes, axes) if along.size > 1 else None
@@ -153,10 +185,16 @@ def turned(way: str, axes: Array, groups: tuple[str, ...], rng: np.random.Genera
 def explains(found: Mending, way: str, sheet: TestModel, truth: Array) -> bool:
     """Whether the first mending, or a rival of it, is what was done."""
     if way == "signs at random":
-        wrong = {c for c, a, t in zip(sheet.channels, sheet.axes, truth, strict=True) if (a * t).sum() < 0}
+        wrong = {
+            c
+            for c, a, t in zip(sheet.channels, sheet.axes, truth, strict=True)
+            if (a * t).sum() < 0
+        }
         named = set(found.channels)
         other = set(sheet.channels) - wrong
-        return found.kind == "signs" and min(len(named ^ wrong), len(named ^ other)) <= 0.15 * len(sheet.channels)
+        return found.kind == "signs" and min(len(named ^ wrong), len(named ^ other)) <= 0.15 * len(
+            sheet.channels
+        )
     if way.startswith("a group"):  # of two groups nobody can tell which is reversed
         return found.kind == "axes" and found.mac[1] > 0.8 and found.group in ("near", "far")
     if way == "one axis reversed":
@@ -164,7 +202,13 @@ def explains(found: Mending, way: str, sheet: TestModel, truth: Array) -> bool:
     return found.kind == "axes" and found.mac[1] > 0.8 and not found.group
 
 
-WAYS = ("axes onto each other", "one axis reversed", "a group reversed", "a group turned", "signs at random")
+WAYS = (
+    "axes onto each other",
+    "one axis reversed",
+    "a group reversed",
+    "a group turned",
+    "signs at random",
+)
 SYMMETRIC = WAYS[:2]  # nobody can tell these of a square section
 LABELS = {"+X for +Z": [2, 1, 0], "+Y for +Z": [0, 2, 1], "X, Y, Z for Y, Z, X": [1, 2, 0]}
 
@@ -185,7 +229,11 @@ def test_few_modes_and_models_that_are_wrong_accuse_nobody(off: float, count: in
     alarms = []
     for structure in STRUCTURES:
         axes = sheet_of(structure).axes
-        alarms += [m.text for _ in range(20) for m in judged(structure, measured(structure, axes, rng, off, count))]
+        alarms += [
+            m.text
+            for _ in range(20)
+            for m in judged(structure, measured(structure, axes, rng, off, count))
+        ]
     log.info("sound, moduli off by %s, %s modes: %s alarms in 100 tests", off, count, len(alarms))
     assert len(alarms) <= 1, "\n".join(alarms)
 
@@ -223,7 +271,12 @@ def test_a_sheet_with_other_axes_is_named(label: str) -> None:
         for _ in range(SEEDS):
             found = judged(structure, measured(structure, sheet.axes, rng), wrong)
             cases += 1
-            good = bool(found) and found[0].kind == "axes" and not found[0].group and found[0].mac[1] > 0.8
+            good = (
+                bool(found)
+                and found[0].kind == "axes"
+                and not found[0].group
+                and found[0].mac[1] > 0.8
+            )
             hits += good
             lost += [] if good else [f"{structure}: {found[0].text if found else 'nothing'}"]
     log.info("%s: %s of %s named", label, hits, cases)
@@ -231,7 +284,9 @@ def test_a_sheet_with_other_axes_is_named(label: str) -> None:
 
 
 def test_cables_that_are_swapped_are_named_with_the_mac() -> None:
-    """Three pairs of cables of sensors that move unlike, far too many for the pairs that are left."""
+    """Three pairs of cables of sensors that move unlike, far too many for the pairs that are
+    left.
+    """
     rng = np.random.default_rng(15)
     named, cases = 0, 0
     for structure in ("column", "pipe", "plate"):

@@ -26,7 +26,14 @@ def grid() -> tuple[np.ndarray, np.ndarray, DofSet]:
 def sensors(xyz: np.ndarray, axes: np.ndarray) -> TestModel:
     n = len(xyz)
     axes = axes / np.linalg.norm(axes, axis=1, keepdims=True)
-    return TestModel(np.arange(n), xyz, tuple(f"s{i}" for i in range(n)), np.arange(n), axes, np.zeros((0, 2), int))
+    return TestModel(
+        np.arange(n),
+        xyz,
+        tuple(f"s{i}" for i in range(n)),
+        np.arange(n),
+        axes,
+        np.zeros((0, 2), int),
+    )
 
 
 def rigid_motion(xyz: np.ndarray, shift: np.ndarray, turn: np.ndarray) -> np.ndarray:
@@ -64,7 +71,9 @@ def test_channels_named_as_dofs_may_be_of_one_dof() -> None:
     motion = np.arange(float(len(dofs)))
     np.testing.assert_array_equal(seen(motion), [-8.0, 8.0, 3.0])
     np.testing.assert_array_equal(at_dofs(("101+Z", "100-RX"), dofs, 1e-3)(motion), [8.0, -3000.0])
-    with pytest.raises(DataError, match=r"must be DOFs of the deck.* 2 DOFs are not in the set, first 8-Z 9\+Y"):
+    with pytest.raises(
+        DataError, match=r"must be DOFs of the deck.* 2 DOFs are not in the set, first 8-Z 9\+Y"
+    ):
         at_dofs(("8-Z", "101+Z", "9+Y"), dofs)
 
 
@@ -80,7 +89,9 @@ def test_rigid_interpolation_is_exact_for_rigid_motions() -> None:
     want = (rigid_motion(place, shift, turn) * test.axes).sum(axis=1)
     np.testing.assert_allclose(o(u), want, rtol=1e-9, atol=1e-9)
     on_node = o.matrix[[20]].toarray()[0]
-    np.testing.assert_allclose(on_node[24:27], test.axes[20], atol=1e-9)  # the sensor on a node reads that node
+    np.testing.assert_allclose(
+        on_node[24:27], test.axes[20], atol=1e-9
+    )  # the sensor on a node reads that node
 
 
 def test_far_sensors_and_missing_dofs_are_named() -> None:
@@ -96,7 +107,9 @@ def test_far_sensors_and_missing_dofs_are_named() -> None:
 
 
 def test_how_far_a_sensor_may_be_goes_with_the_model() -> None:
-    """27 nodes 500 apart: a mesh width; a fine line of 1001 nodes 1 apart: 3 % of its length; in any unit."""
+    """27 nodes 500 apart: a mesh width; a fine line of 1001 nodes 1 apart: 3 % of its length; in
+    any unit.
+    """
     node, xyz, dofs = grid()
     line = np.zeros((1001, 3))
     line[:, 0] = np.arange(1001.0)
@@ -107,13 +120,25 @@ def test_how_far_a_sensor_may_be_goes_with_the_model() -> None:
     observe(sensors(np.array([[0.25, 0.25, 0.1]]), np.eye(3)[:1]), node, xyz, dofs, unit=1e-3)
     with pytest.raises(DataError, match="farther than 500 "):
         observe(sensors(np.array([[1.6, 0.0, 0.0]]), np.eye(3)[:1]), node, xyz, dofs, unit=1e-3)
-    with pytest.raises(DataError, match=r"The test is 0\.00[01].* times the model in size"):  # the deck is in mm
-        observe(sensors(np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 0.5]]), np.eye(3)[:2]), node, xyz, dofs, unit=1.0)
+    with pytest.raises(
+        DataError, match=r"The test is 0\.00[01].* times the model in size"
+    ):  # the deck is in mm
+        observe(
+            sensors(np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 0.5]]), np.eye(3)[:2]),
+            node,
+            xyz,
+            dofs,
+            unit=1.0,
+        )
 
 
 @pytest.mark.parametrize(
     ("unit", "told"),
-    [(1e-3, r"between nodes .* to 0\.22 m"), (1.0, "times the model in size"), (1e-6, "unit of length")],
+    [
+        (1e-3, r"between nodes .* to 0\.22 m"),
+        (1.0, "times the model in size"),
+        (1e-6, "unit of length"),
+    ],
 )
 def test_sensors_between_nodes_are_told_from_a_wrong_unit(unit: float, told: str) -> None:
     node, xyz, dofs = grid()

@@ -58,7 +58,9 @@ def test_rigid_body_modes_at_exactly_0_hz_pair_with_each_other(channels: int) ->
     p = pair_modes(a, b)
     assert sorted(p.b[:2].tolist()) == [0, 1]
     assert p.b[2:].tolist() == [2, 3]
-    np.testing.assert_allclose(correlation_table(a, b, p).deviation_percent, [0, 0, 5, 10 / 3], rtol=1e-12)
+    np.testing.assert_allclose(
+        correlation_table(a, b, p).deviation_percent, [0, 0, 5, 10 / 3], rtol=1e-12
+    )
     assert len(pair_modes(a, modes([1e-4, -1e-4, 21, 31.0], phi))) == 2
 
 
@@ -81,7 +83,10 @@ def test_two_poor_pairs_never_outvote_a_good_one() -> None:
 
 def test_rotated_close_pair_is_a_subspace() -> None:
     phi = sines(4)
-    a, b = modes([10, 20, 20.1, 40], phi), modes([10, 21, 21.1, 40], mixed(phi, 1, np.pi / 4), Norm.MASS)
+    a, b = (
+        modes([10, 20, 20.1, 40], phi),
+        modes([10, 21, 21.1, 40], mixed(phi, 1, np.pi / 4), Norm.MASS),
+    )
     p = pair_modes(a, b)
     assert len(p) == 4
     assert p.subspace.tolist() == [False, True, True, False]
@@ -92,14 +97,18 @@ def test_rotated_close_pair_is_a_subspace() -> None:
 def test_rotated_pair_beside_a_third_close_mode() -> None:
     """In the test the third mode is close to the pair, in the model it is not."""
     phi = sines(3)
-    p = pair_modes(modes([20, 20.3, 20.6], phi), modes([20, 20.2, 21.5], mixed(phi, 0, np.pi / 4), Norm.MASS))
+    p = pair_modes(
+        modes([20, 20.3, 20.6], phi), modes([20, 20.2, 21.5], mixed(phi, 0, np.pi / 4), Norm.MASS)
+    )
     assert p.a.tolist() == p.b.tolist() == [0, 1, 2]
     assert p.subspace.tolist() == [True, True, False]
     np.testing.assert_allclose(p.mac, 1.0, rtol=1e-9)
 
 
 def test_a_close_mode_that_belongs_elsewhere_takes_no_direction_of_a_group() -> None:
-    """Of two close test modes one is the model's first, with a trace of its pair; the other is of that pair."""
+    """Of two close test modes one is the model's first, with a trace of its pair; the other is of
+    that pair.
+    """
     phi = sines(4)
     a = modes([43.3, 43.4], np.stack([phi[:, 1] + phi[:, 2], phi[:, 0] + 0.4 * phi[:, 1]], axis=1))
     p = pair_modes(a, modes([42.0, 43.9, 44.0, 60.0], phi))
@@ -136,7 +145,9 @@ def test_close_modes_that_match_one_to_one_are_not_rotated() -> None:
 def test_each_unpaired_mode_has_its_reason() -> None:
     phi = sines(6)
     mixed = phi[:, 2] + 1.1 * phi[:, 5]
-    a = modes([10, 20, 30, 300, 40], np.stack([phi[:, 0], phi[:, 1], mixed, phi[:, 4], phi[:, 3]], axis=1))
+    a = modes(
+        [10, 20, 30, 300, 40], np.stack([phi[:, 0], phi[:, 1], mixed, phi[:, 4], phi[:, 3]], axis=1)
+    )
     a = replace(a, confidence=np.array([1, 0.3, 1, 1, 1]))
     b = modes([10, 20, 30, 41, 1200], phi[:, :5], Norm.MASS)
     p = pair_modes(a, b, visible_b=np.array([1, 1, 1, 0.001, 1]))
@@ -163,7 +174,10 @@ def test_a_mode_that_looks_alike_beyond_the_gate_is_told() -> None:
     phi = sines(4)
     a, b = modes([6, 20, 30, 40], phi), modes([9, 20, 30, 90], phi, Norm.MASS)
     first, last = pair_modes(a, b, PairingSettings(reach=1.0)).why_a
-    assert first == "no FE mode within 40 %; beyond the gate FE 1, +50 %, has 100 %: widen it (frequency_gate)"
+    assert (
+        first == "no FE mode within 40 %; beyond the gate FE 1, +50 %, has 100 %: widen it "
+        "(frequency_gate)"
+    )
     assert last.startswith("no FE mode within 40 % has MAC")  # 125 %: another mode of the same look
     assert "beyond" not in last
     assert len(pair_modes(a, b, PairingSettings(frequency_gate=0.6, reach=1.0))) == 3
@@ -178,14 +192,23 @@ def test_modes_alike_and_like_no_other_are_pairs_beyond_the_gate() -> None:
     assert p.beyond.tolist() == [True, True, False, False]
     told = "paired beyond the frequency gate, as they look alike and like no other mode: "
     assert p.far() == (told + "test 1 with FE 1 (-50 %), test 2 with FE 2 (-50 %)",)
-    assert pair_modes(a, modes([1.9, 4.5, 20, 31], phi, Norm.MASS)).a.tolist() == [1, 2, 3]  # a third is out of reach
+    assert pair_modes(a, modes([1.9, 4.5, 20, 31], phi, Norm.MASS)).a.tolist() == [
+        1,
+        2,
+        3,
+    ]  # a third is out of reach
     assert 0 not in pair_modes(a, b, locks=Locks((), ((0, 0),))).a
 
 
-@pytest.mark.parametrize(("f", "beyond"), [(3.0, 2), (3.59, 1), (3.62, 0)], ids=["beyond", "across", "within"])
+@pytest.mark.parametrize(
+    ("f", "beyond"), [(3.0, 2), (3.59, 1), (3.62, 0)], ids=["beyond", "across", "within"]
+)
 def test_close_modes_about_the_gate_are_one_subspace(f: float, beyond: int) -> None:
     phi = sines(4)
-    a, b = modes([6, 6.03, 20, 30], mixed(phi, 0, np.pi / 4)), modes([f, 1.005 * f, 20, 31], phi, Norm.MASS)
+    a, b = (
+        modes([6, 6.03, 20, 30], mixed(phi, 0, np.pi / 4)),
+        modes([f, 1.005 * f, 20, 31], phi, Norm.MASS),
+    )
     p = pair_modes(a, b)
     assert p.subspace.tolist() == [True, True, False, False]
     assert np.count_nonzero(p.beyond) == beyond
@@ -307,13 +330,17 @@ def test_what_frequencies_alone_leave_in_doubt_is_told() -> None:
     p = pair_modes(alone([10.0, 20.1, 35.0]), alone([10.0, 19.9, 20.4, 35.0]))
     assert len(p) == 3
     assert p.doubts() == ("test 2 is taken for FE 2, and may as well be FE 3",)
-    decided = pair_modes(alone([10.0, 20.1, 35.0]), alone([10.0, 19.9, 20.4, 35.0]), locks=Locks(((1, 2),)))
+    decided = pair_modes(
+        alone([10.0, 20.1, 35.0]), alone([10.0, 19.9, 20.4, 35.0]), locks=Locks(((1, 2),))
+    )
     assert decided.b.tolist() == [0, 2, 3]
     assert not decided.doubts()
 
 
 def test_a_gate_makes_no_pair_certain() -> None:
-    """The right partner of the first mode lies beyond the gate: the other one is no more likely for that."""
+    """The right partner of the first mode lies beyond the gate: the other one is no more likely for
+    that.
+    """
     gates = PairingSettings(frequency_gate=0.1)
     p = pair_modes(alone([10.0, 20.0, 40.0]), alone([10.2, 11.1, 22.2, 44.4]), gates)
     assert p.doubts() == ("test 1 is taken for FE 1, and may as well be FE 2",)

@@ -1,4 +1,6 @@
-"""Test-analysis models, orthogonality and expansion on a clamped beam of springs and masses with known modes."""
+"""Test-analysis models, orthogonality and expansion on a clamped beam of springs and masses with
+known modes.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +12,21 @@ from ringtrue.correlate.gates import Gate, judge, verdict_json
 from ringtrue.errors import ConfigError, InputError, SingularModel
 from ringtrue.reduce.expand import expand_dynamic, expand_hybrid, expand_serep, expand_static
 from ringtrue.reduce.static import craig_bampton, guyan
-from ringtrue.reduce.tam import craig_bampton_coordinates, craig_bampton_of, readings_kept, select, tam
+from ringtrue.reduce.tam import (
+    craig_bampton_coordinates,
+    craig_bampton_of,
+    readings_kept,
+    select,
+    tam,
+)
 from ringtrue.shapes.mac import mac, paired_mac
-from ringtrue.shapes.orthogonality import cross_orthogonality, mass_mac, poc, self_orthogonality, serep_mass
+from ringtrue.shapes.orthogonality import (
+    cross_orthogonality,
+    mass_mac,
+    poc,
+    self_orthogonality,
+    serep_mass,
+)
 
 N = 30
 
@@ -23,7 +37,9 @@ def chain(free: bool = False) -> tuple[sparse.csr_array, sparse.csr_array]:
     if free:
         k[[0, N]] = 0.0
     K = sparse.diags_array([-k[1:N], k[:N] + k[1:], -k[1:N]], offsets=[-1, 0, 1]).tocsr()
-    return sparse.csr_array(K), sparse.csr_array(sparse.diags_array(1 + 0.5 * np.cos(np.arange(N))).tocsr())
+    return sparse.csr_array(K), sparse.csr_array(
+        sparse.diags_array(1 + 0.5 * np.cos(np.arange(N))).tocsr()
+    )
 
 
 def solved(K: sparse.csr_array, M: sparse.csr_array) -> tuple[np.ndarray, np.ndarray]:
@@ -59,7 +75,9 @@ def test_methods_in_order_of_accuracy_and_serep_exact() -> None:
 
 
 def test_sensors_off_the_nodes_and_without_supports() -> None:
-    """A free chain, sensors half-way between masses and one skewed by a factor: rigid motion is kept exactly."""
+    """A free chain, sensors half-way between masses and one skewed by a factor: rigid motion is
+    kept exactly.
+    """
     K, M = chain(free=True)
     C = sparse.csr_array(0.5 * (select(SENSORS, N) + select(SENSORS + 1, N)))
     t = tam(K, M, C, "irs")
@@ -76,7 +94,10 @@ def test_craig_bampton_coordinates_make_orthogonality_exact() -> None:
     cb = craig_bampton(K, M, SENSORS, N - SENSORS.size)
     q = craig_bampton_coordinates(cb, phi[SENSORS, :9], f[:9])
     np.testing.assert_allclose(cross_orthogonality(q, q, cb.mass), np.eye(9), atol=1e-6)
-    assert np.abs(self_orthogonality(phi[SENSORS, :8], guyan(K, M, SENSORS).mass) - np.eye(8)).max() > 0.05
+    assert (
+        np.abs(self_orthogonality(phi[SENSORS, :8], guyan(K, M, SENSORS).mass) - np.eye(8)).max()
+        > 0.05
+    )
     with pytest.raises(InputError, match="kept DOFs"):
         craig_bampton_coordinates(cb, phi[:3, :2], f[:2])
 
@@ -84,7 +105,10 @@ def test_craig_bampton_coordinates_make_orthogonality_exact() -> None:
 def test_mass_mac_is_the_square_and_blind_to_scale_and_phase() -> None:
     rng = np.random.default_rng(0)
     M = np.diag(rng.uniform(1, 3, 6))
-    a, b = rng.standard_normal((6, 3)), rng.standard_normal((6, 2)) + 1j * rng.standard_normal((6, 2))
+    a, b = (
+        rng.standard_normal((6, 3)),
+        rng.standard_normal((6, 2)) + 1j * rng.standard_normal((6, 2)),
+    )
     got = cross_orthogonality(a, b * (2 - 3j), M)
     np.testing.assert_allclose(got, cross_orthogonality(a, b, M), rtol=1e-12)
     np.testing.assert_allclose(mass_mac(a, b, M), got**2, rtol=1e-12)
@@ -96,8 +120,12 @@ def test_poc_is_the_cross_orthogonality_over_the_serep_mass() -> None:
     _, phi = solved(K, M)
     fe = phi[SENSORS, :6]
     rng = np.random.default_rng(1)
-    test = fe[:, :4] @ (np.eye(4) + 0.1 * rng.standard_normal((4, 4))) + 0.01 * rng.standard_normal((8, 4))
-    np.testing.assert_allclose(poc(test, fe), cross_orthogonality(test, fe, serep_mass(fe)), atol=1e-10)
+    test = fe[:, :4] @ (np.eye(4) + 0.1 * rng.standard_normal((4, 4))) + 0.01 * rng.standard_normal(
+        (8, 4)
+    )
+    np.testing.assert_allclose(
+        poc(test, fe), cross_orthogonality(test, fe, serep_mass(fe)), atol=1e-10
+    )
     np.testing.assert_allclose(poc(fe, fe), np.eye(6), atol=1e-9)
     with pytest.raises(InputError, match="8 channels tell 8 of 9 shapes"):
         poc(test, phi[SENSORS, :9])
@@ -186,7 +214,9 @@ def test_craig_bampton_of_sensors_anywhere_is_exact(kind: str) -> None:
         observe = sparse.csr_array(sparse.vstack([observe, select(SENSORS[:1], N)]))
     seen = observe @ phi
     u = readings_kept(observe)
-    np.testing.assert_allclose((observe @ u)[:, -len(seen) :].toarray(), np.eye(len(seen)), atol=1e-12)
+    np.testing.assert_allclose(
+        (observe @ u)[:, -len(seen) :].toarray(), np.eye(len(seen)), atol=1e-12
+    )
     assert abs(observe @ u)[:, : N - len(seen)].max() < 1e-12
     cb = craig_bampton_of(K, M, observe, N - len(seen))
     q = craig_bampton_coordinates(cb, seen[:, :9], f[:9])

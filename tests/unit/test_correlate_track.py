@@ -1,4 +1,6 @@
-"""Modes followed through crossing and veering of two coupled oscillators, and significance of deviations."""
+"""Modes followed through crossing and veering of two coupled oscillators, and significance of
+deviations.
+"""
 
 from __future__ import annotations
 
@@ -22,14 +24,18 @@ def oscillators(x: float, coupling: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_crossing_is_followed_with_two_solves() -> None:
-    t = track_along(lambda x: oscillators(float(x[0]), 0.0), np.array([0.0]), np.array([1.0]), 2, mass=MASS)
+    t = track_along(
+        lambda x: oscillators(float(x[0]), 0.0), np.array([0.0]), np.array([1.0]), 2, mass=MASS
+    )
     assert t.solves == 2
     assert t.index.tolist() == [[0, 1], [1, 0]]
     np.testing.assert_allclose(t.frequencies[-1], np.sqrt([150, 100]) / (2 * np.pi))
 
 
 def test_veering_is_resolved_by_smaller_steps_and_keeps_the_branch() -> None:
-    """With coupling the branches never cross: the lower stays the lower, though its shape becomes the other's."""
+    """With coupling the branches never cross: the lower stays the lower, though its shape becomes
+    the other's.
+    """
 
     def solve(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return oscillators(float(x[0]), 8.0)
@@ -45,11 +51,18 @@ def test_veering_is_resolved_by_smaller_steps_and_keeps_the_branch() -> None:
 
 def test_limit_of_solves_is_told_by_the_overlap() -> None:
     t = track_along(
-        lambda x: oscillators(float(x[0]), 3.0), np.array([0.0]), np.array([0.52]), 2, mass=MASS, most_solves=2
+        lambda x: oscillators(float(x[0]), 3.0),
+        np.array([0.0]),
+        np.array([0.52]),
+        2,
+        mass=MASS,
+        most_solves=2,
     )
     assert t.solves == 2
     assert t.worst.min() < 0.8
-    assert not follow(oscillators(0.0, 3.0)[1][:, :2], oscillators(0.52, 3.0)[1], MASS).sure(0.8).all()
+    assert (
+        not follow(oscillators(0.0, 3.0)[1][:, :2], oscillators(0.52, 3.0)[1], MASS).sure(0.8).all()
+    )
 
 
 def test_track_of_a_given_sequence() -> None:
@@ -77,7 +90,10 @@ def test_significance_at_the_stated_rate() -> None:
 def test_false_discoveries_are_rare_and_unknown_is_never_significant() -> None:
     rng = np.random.default_rng(0)
     f = np.full(20, 50.0)
-    any_found = [significance(f, f + 0.1 * rng.standard_normal(20), 0.1).significant.any() for _ in range(400)]
+    any_found = [
+        significance(f, f + 0.1 * rng.standard_normal(20), 0.1).significant.any()
+        for _ in range(400)
+    ]
     assert 0.02 < np.mean(any_found) < 0.09
     unknown = significance(f, f + 5, np.nan)
     assert not unknown.significant.any()

@@ -1,7 +1,8 @@
-"""Close modes as subspaces: what is told of a pair changes steadily as two modes move apart, whichever limit they pass.
+"""Close modes as subspaces: what is told of a pair changes steadily as two modes move apart,
+whichever limit they pass.
 
-Two sine shapes are mixed in the test by 36 degrees; the frequencies of the model's move from 0.5 % apart to beyond all
-limits in steps of 0.05 %.
+Two sine shapes are mixed in the test by 36 degrees; the frequencies of the model's move from 0.5 %
+apart to beyond all limits in steps of 0.05 %.
 """
 
 from __future__ import annotations
@@ -50,7 +51,9 @@ def swept(test: ModeSet, third: float = 40.0) -> np.ndarray:
 
 @pytest.mark.parametrize("apart", [0.003, 0.1], ids=["close in the test", "apart in the test"])
 @pytest.mark.parametrize("third", [40.0, 20.35], ids=["two modes", "three modes"])
-def test_mac_of_a_pair_does_not_jump_as_the_model_s_modes_move_apart(apart: float, third: float) -> None:
+def test_mac_of_a_pair_does_not_jump_as_the_model_s_modes_move_apart(
+    apart: float, third: float
+) -> None:
     mac = swept(modes([10, 20, 20 * (1 + apart), third], mixed(np.pi / 5)), third)
     assert mac[0].min() > 0.999
     assert mac[-1, 1:3].max() < 0.7  # cos² 36° = 0.65
@@ -61,7 +64,9 @@ def test_mac_of_a_pair_does_not_jump_as_the_model_s_modes_move_apart(apart: floa
 def test_mac_of_a_pair_does_not_jump_as_shapes_come_to_match_one_to_one() -> None:
     angles = np.linspace(0.05, 0.6, 300)
     mac = [
-        pair_modes(modes([10, 20, 20.06, 40], mixed(q)), modes([10, 20, 20.1, 40], sines(4)), SETTINGS).mac
+        pair_modes(
+            modes([10, 20, 20.06, 40], mixed(q)), modes([10, 20, 20.1, 40], sines(4)), SETTINGS
+        ).mac
         for q in angles
     ]
     assert np.abs(np.diff(mac, axis=0)).max() < 0.01
@@ -69,7 +74,9 @@ def test_mac_of_a_pair_does_not_jump_as_shapes_come_to_match_one_to_one() -> Non
 
 
 def test_shapes_are_turned_as_far_as_the_pairing_says() -> None:
-    """Between the limits the turned shapes stay orthonormal, steady, and near the MAC that is told."""
+    """Between the limits the turned shapes stay orthonormal, steady, and near the MAC that is
+    told.
+    """
     test, last = modes([10, 20, 24, 40], mixed(np.pi / 5)), None
     for gap in np.arange(0.018, 0.032, STEP):
         model = modes([10, 20, 20 * (1 + gap), 40], sines(4))
@@ -77,7 +84,9 @@ def test_shapes_are_turned_as_far_as_the_pairing_says() -> None:
         turn = turning(test, model, found, SETTINGS)
         np.testing.assert_allclose(turn.T @ turn, np.eye(4), atol=1e-12)
         left, right = paired_shapes(test, model, found, SETTINGS)
-        np.testing.assert_allclose(paired_mac(left, right), found.mac, atol=0.1)  # a chord for the arc of a rotation
+        np.testing.assert_allclose(
+            paired_mac(left, right), found.mac, atol=0.1
+        )  # a chord for the arc of a rotation
         assert last is None or np.abs(turn - last).max() < 0.1
         last = turn
     np.testing.assert_array_equal(last, np.eye(4))
@@ -90,4 +99,6 @@ def test_groups_do_not_depend_on_the_order_of_the_modes() -> None:
     got = pair_modes(test, replace(model.take(mix)), SETTINGS)
     np.testing.assert_allclose(got.mac, plain.mac, rtol=1e-9)
     back = turning(test, model.take(mix), got, SETTINGS)
-    np.testing.assert_allclose(back, turning(test, model, plain, SETTINGS)[np.ix_(mix, mix)], atol=1e-9)
+    np.testing.assert_allclose(
+        back, turning(test, model, plain, SETTINGS)[np.ix_(mix, mix)], atol=1e-9
+    )

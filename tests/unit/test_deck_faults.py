@@ -1,4 +1,6 @@
-"""Decks and files of results that once gave a traceback, a loop without end or a wrong answer: tests/corpus/faults."""
+"""Decks and files of results that once gave a traceback, a loop without end or a wrong answer:
+tests/corpus/faults.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +54,8 @@ def test_a_stiff_spring_holds_nothing_beside_it() -> None:
 
 
 @pytest.mark.parametrize(
-    "text", [b"SOL 103\nCEND\nBEGIN BULK\n", b"$ *NODE\nGRID,1,,0.,0.,0.\n", b"BEGIN BULK\n*N1,2.\n"]
+    "text",
+    [b"SOL 103\nCEND\nBEGIN BULK\n", b"$ *NODE\nGRID,1,,0.,0.,0.\n", b"BEGIN BULK\n*N1,2.\n"],
 )
 def test_decks_of_nastran_are_not_taken_for_others(text: bytes) -> None:
     assert not other_program(text)
@@ -118,7 +121,10 @@ def test_a_large_log_is_read_in_pieces(tmp_path: Path) -> None:
     assert (tmp_path / "ringtrue.log").stat().st_size > 2_000_000
     assert len(done.log) < 100_000
     assert done.log.endswith("END OF JOB\n")
-    full = "import sys; sys.stdout.write('x' * (2 ** 20 - 7) + ' No space left on device ' + 'y' * 2 ** 20)"
+    full = (
+        "import sys; sys.stdout.write('x' * (2 ** 20 - 7) + ' No space left on device ' + 'y' "
+        "* 2 ** 20)"
+    )
     with pytest.raises(SolverFailed, match="is full"):
         run_program([sys.executable, "-c", full], tmp_path, name="x", timeout=60.0)
 
@@ -128,7 +134,9 @@ def test_fatal_messages_where_pieces_meet(tmp_path: Path) -> None:
     fatal = b"0*** USER FATAL MESSAGE 4276 (QOPEN)\n     ERROR CODE 1\n"
     for before in range(2**20 - 60, 2**20 + 30, 7):
         padded = line * (before // len(line))
-        (tmp_path / "m.f06").write_bytes(padded + b" " * (before - len(padded)) + b"\n" + fatal + line * 50000 + fatal)
+        (tmp_path / "m.f06").write_bytes(
+            padded + b" " * (before - len(padded)) + b"\n" + fatal + line * 50000 + fatal
+        )
         found = fatal_messages(tmp_path / "m.f06")
         assert len(found) == 2
         assert all("4276" in f and "ERROR CODE 1" in f for f in found)

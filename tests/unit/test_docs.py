@@ -1,4 +1,6 @@
-"""What the pages say can be typed is taken: sections of study.toml, a log, a choice by hand, options of commands."""
+"""What the pages say can be typed is taken: sections of study.toml, a log, a choice by hand,
+options of commands.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,10 @@ from ringtrue.study.config import parse_config
 from ringtrue.study.log import read_log
 
 ROOT = Path(__file__).parents[2]
-PAGES = {p.name: p.read_text(encoding="utf-8") for p in [ROOT / "README.md", *sorted(ROOT.glob("docs/**/*.md"))]}
+PAGES = {
+    p.name: p.read_text(encoding="utf-8")
+    for p in [ROOT / "README.md", *sorted(ROOT.glob("docs/**/*.md"))]
+}
 CHOICE = re.compile(r"^\[\[(pick|reject|merge)\]\]", re.MULTILINE)
 BASE = {
     "study": '[study]\ntitle = "T"\n',
@@ -26,11 +31,16 @@ BASE = {
 
 
 def blocks(kind: str) -> list[tuple[str, str]]:
-    """Fenced blocks of a kind, with their pages; files that a page adds to are one with what is added."""
+    """Fenced blocks of a kind, with their pages; files that a page adds to are one with what is
+    added.
+    """
     out = []
     for page, text in PAGES.items():
         whole = "".join(
-            b for _, b in re.findall(r"<!-- (file|append): \S+\.toml -->\n```toml\n(.*?)```", text, re.DOTALL)
+            b
+            for _, b in re.findall(
+                r"<!-- (file|append): \S+\.toml -->\n```toml\n(.*?)```", text, re.DOTALL
+            )
         )
         single = re.sub(r"<!-- (?:file|append): .*? -->\n```.*?```", "", text, flags=re.DOTALL)
         found = re.findall(rf"```{kind}\n(.*?)```", single, re.DOTALL)
@@ -48,7 +58,9 @@ def test_sections_of_a_study_are_taken(page: str, block: str, tmp_path: Path) ->
     more = "".join(text for name, text in BASE.items() if name not in given)
     if "candidate" not in given:
         names = {n for s in given.get("set", ()) for n in s["candidates"]}
-        more += "".join(f'[[candidate]]\nname = "{n}"\ntargets = ["MAT1 1 E"]\n' for n in sorted(names))
+        more += "".join(
+            f'[[candidate]]\nname = "{n}"\ntargets = ["MAT1 1 E"]\n' for n in sorted(names)
+        )
     parse_config(f"{block}\n{more}", Path(page))
 
 
@@ -61,7 +73,14 @@ def test_the_log_is_taken(tmp_path: Path) -> None:
 
 
 def test_a_crew_may_note_down_more(tmp_path: Path) -> None:
-    record = {"file": "a.h5", "excitation": "ambient", "test": "B", "kind": "night", "path": "/x", "tests": 3}
+    record = {
+        "file": "a.h5",
+        "excitation": "ambient",
+        "test": "B",
+        "kind": "night",
+        "path": "/x",
+        "tests": 3,
+    }
     log = {"tests": [{"name": "A", "kind": "ambient", "weather": "rain", "records": [record]}]}
     (tmp_path / "log.json").write_text(json.dumps(log))
     ((one,), _) = read_log(tmp_path / "log.json")

@@ -46,10 +46,14 @@ def test_inertia_counts_eigenvalues_below_the_shift(method):
 @pytest.mark.skipif("pardiso" not in ENGINES, reason="pymklpardiso is not installed")
 @pytest.mark.parametrize("entries", [0, 10**9])
 def test_patterns_by_blocks(monkeypatch, entries):
-    """A grid of 20 x 15 nodes with three directions each: eigenvalues (a_i + a_j) b_k; by blocks and by entries."""
+    """A grid of 20 x 15 nodes with three directions each: eigenvalues (a_i + a_j) b_k; by blocks
+    and by entries.
+    """
     monkeypatch.setattr(engines, "ENTRIES", entries)
     b = np.array([[2.0, 0.5, 0.3], [0.5, 3.0, 0.2], [0.3, 0.2, 5.0]])
-    grid = sparse.kron(chain(20), sparse.eye_array(15)) + sparse.kron(sparse.eye_array(20), chain(15))
+    grid = sparse.kron(chain(20), sparse.eye_array(15)) + sparse.kron(
+        sparse.eye_array(20), chain(15)
+    )
     k = sparse.csr_array(sparse.kron(grid, b))
     a, c = (2 - 2 * np.cos(np.pi * np.arange(1, n + 1) / (n + 1)) for n in (20, 15))
     exact = np.sort(np.multiply.outer(np.add.outer(a, c).ravel(), np.linalg.eigvalsh(b)).ravel())
@@ -105,8 +109,12 @@ def test_modes_are_those_of_any_engine(method):
 
 
 def test_lack_of_memory_is_foreseen():
-    pencil = Pencil(chain(1000), sparse.csr_array(sparse.eye_array(1000)), method=COUNTING[0], limit=20_000)
-    with pytest.raises(OutOfMemory, match=r"factorisation of 1000 DOFs needs .* MB of memory; 0\.0 MB are free") as e:
+    pencil = Pencil(
+        chain(1000), sparse.csr_array(sparse.eye_array(1000)), method=COUNTING[0], limit=20_000
+    )
+    with pytest.raises(
+        OutOfMemory, match=r"factorisation of 1000 DOFs needs .* MB of memory; 0\.0 MB are free"
+    ) as e:
         pencil.at(-1.0)
     assert e.value.needed > e.value.available == 20_000
     pencil = Pencil(chain(1000), sparse.csr_array(sparse.eye_array(1000)), limit=1_000_000)
@@ -122,7 +130,8 @@ def test_memory_of_this_machine():
 
 
 @pytest.mark.parametrize(
-    ("missing", "then"), [((), "pardiso"), (("pymklpardiso",), "rslab"), (("pymklpardiso", "rslab"), "superlu")]
+    ("missing", "then"),
+    [((), "pardiso"), (("pymklpardiso",), "rslab"), (("pymklpardiso", "rslab"), "superlu")],
 )
 def test_auto_takes_the_first_that_is_installed(monkeypatch, missing, then):
     monkeypatch.setattr(engines, "find_spec", lambda name: None if name in missing else object())
@@ -143,14 +152,18 @@ def test_masses_that_are_all_negative_are_named(n):
 @pytest.mark.parametrize(("n", "size"), [(60, 1e9), (500, 3.0)])
 @pytest.mark.parametrize("rows", [(7,), (7, 9), (7, 8, 9)])
 def test_negative_mass_is_named(n, size, rows):
-    """One negative mass, two rows of a negative minor, or three whose minors of two are positive: Lanczos would go on
-    for ever."""
+    """One negative mass, two rows of a negative minor, or three whose minors of two are positive:
+    Lanczos would go on for ever.
+    """
     m = sparse.eye_array(n, format="lil")
     for i, j in permutations(rows, 2):
         m[i, j] = {2: size, 3: -0.9}[len(rows)]
     if len(rows) == 1:
         m[7, 7] = -size
-    with pytest.raises(NumericalError, match=f"negative in some direction at {' '.join(f'row {i}' for i in rows)}: "):
+    with pytest.raises(
+        NumericalError,
+        match=f"negative in some direction at {' '.join(f'row {i}' for i in rows)}: ",
+    ):
         solve_modes(Pencil(chain(n), sparse.csr_array(m)), 4)
 
 
@@ -164,7 +177,9 @@ def test_a_mass_that_is_negative_by_rounding_is_none(n):
 
 
 def test_a_singular_mass_of_full_blocks_is_not_called_negative():
-    """A point mass on arms: all minors of two rows are zero but for rounding, with entries of many decades."""
+    """A point mass on arms: all minors of two rows are zero but for rounding, with entries of many
+    decades.
+    """
     arm = np.array([1.0, 1e3, 1e-4, 0.3, 1e-7])
     m = sparse.csr_array(sparse.block_diag([sparse.coo_array(0.7 * np.outer(arm, arm))] * 100))
     assert solve_modes(Pencil(chain(500), m), 3).residuals.max() < 1e-6

@@ -1,7 +1,7 @@
 """Hits and FRFs from raw hammer records.
 
-A beam-like structure of four modes, hit six times with half-sine-squared pulses; its response is made in the frequency
-domain on twice the length, so that nothing wraps around.
+A beam-like structure of four modes, hit six times with half-sine-squared pulses; its response is
+made in the frequency domain on twice the length, so that nothing wraps around.
 """
 
 from __future__ import annotations
@@ -41,7 +41,13 @@ def pulse(t: np.ndarray, size: float, width: float = 0.006) -> np.ndarray:
 
 
 def record(
-    inp: int, outs: list[int], seed: int = 0, *, rebound: int = -1, noise: float = 1e-3, starts: np.ndarray = STARTS
+    inp: int,
+    outs: list[int],
+    seed: int = 0,
+    *,
+    rebound: int = -1,
+    noise: float = 1e-3,
+    starts: np.ndarray = STARTS,
 ) -> TimeHistory:
     rng = np.random.default_rng(seed)
     n = int((starts[-1] + 11) * RATE)
@@ -53,10 +59,17 @@ def record(
     s = 2j * np.pi * np.fft.rfftfreq(2 * n, 1 / RATE)
     spectrum = s[:, None] ** 2 * receptance(s, outs, inp) * np.fft.rfft(force, 2 * n)[:, None]
     y = np.fft.irfft(spectrum, axis=0)[:n].T
-    y = y + noise * y.std() * rng.standard_normal(y.shape) + 0.5  # an offset, as a DC-coupled sensor has
+    y = (
+        y + noise * y.std() * rng.standard_normal(y.shape) + 0.5
+    )  # an offset, as a DC-coupled sensor has
     channels = [Channel(f"F:{inp + 1}+Z", "force", "N")]
     channels += [Channel(f"{o + 1}+Z", "acceleration", "m/s^2") for o in outs]
-    return TimeHistory(np.vstack([force + 0.01 * rng.standard_normal(n) - 1.0, y]), RATE, tuple(channels), f"r{inp}")
+    return TimeHistory(
+        np.vstack([force + 0.01 * rng.standard_normal(n) - 1.0, y]),
+        RATE,
+        tuple(channels),
+        f"r{inp}",
+    )
 
 
 def test_finds_hits_and_tells_why_some_are_left_out() -> None:
@@ -69,11 +82,15 @@ def test_finds_hits_and_tells_why_some_are_left_out() -> None:
 
 
 def across(history: TimeHistory, count: int) -> TimeHistory:
-    """With `count` channels across the direction of the blows, which show the noise of the sensors."""
+    """With `count` channels across the direction of the blows, which show the noise of the
+    sensors.
+    """
     rng = np.random.default_rng(3)
     noise = 1e-3 * history.data[1:].std() * rng.standard_normal((count, history.data.shape[1]))
     channels = [Channel(f"{k + 1}+X", "acceleration", "m/s^2") for k in range(count)]
-    return TimeHistory(np.vstack([history.data, noise]), RATE, (*history.channels, *channels), history.source)
+    return TimeHistory(
+        np.vstack([history.data, noise]), RATE, (*history.channels, *channels), history.source
+    )
 
 
 def test_a_single_blow_is_not_held_for_ringing_by_channels_that_show_nothing() -> None:
@@ -89,7 +106,11 @@ def test_overloads_with_and_without_a_range() -> None:
     r = record(1, [0, 1])
     top = np.abs(r.data[1] - 0.5).max()
     _, reports = estimate_frf(r, full_scale={"1+Z": top * 0.999})
-    assert [any("overload of 1+Z" in x for x in h.reasons) for h in reports].count(True) in (1, 2, 3)
+    assert [any("overload of 1+Z" in x for x in h.reasons) for h in reports].count(True) in (
+        1,
+        2,
+        3,
+    )
     clipped = r.data.copy()
     clipped[2] = np.clip(clipped[2], -0.1 * clipped[2].max(), 0.1 * clipped[2].max())
     frfs, reports = estimate_frf(replace(r, data=clipped))
@@ -100,7 +121,9 @@ def test_overloads_with_and_without_a_range() -> None:
 
 
 def test_a_response_clipped_for_a_sample_in_most_blows_is_left_out() -> None:
-    """Two tops an acquisition, of one value to rounding; a response that stays within its range has none."""
+    """Two tops an acquisition, of one value to rounding; a response that stays within its range has
+    none.
+    """
     r = record(1, [0, 1, 2], starts=STARTS + 6e-4 * np.arange(6))
     clipped = r.data.copy()
     top = np.sort([np.sort(clipped[3, int(s * RATE) : int((s + 1) * RATE)])[-3] for s in STARTS])[0]
@@ -112,7 +135,9 @@ def test_a_response_clipped_for_a_sample_in_most_blows_is_left_out() -> None:
 
 
 def test_a_force_clipped_for_a_sample_or_two_is_told_by_its_pulses() -> None:
-    """Pulses of 3 samples, unlike each other, that all end at one value; equal pulses of a simulation are none."""
+    """Pulses of 3 samples, unlike each other, that all end at one value; equal pulses of a
+    simulation are none.
+    """
     r = record(1, [0, 1], starts=STARTS + 6e-4 * np.arange(6))
     clipped = r.data.copy()
     clipped[0] = np.clip(clipped[0], None, 60.0)
@@ -125,13 +150,20 @@ def test_a_force_clipped_for_a_sample_or_two_is_told_by_its_pulses() -> None:
 
 
 def test_two_clipped_pulses_are_enough_where_each_is_flat() -> None:
-    """Of five, at 2.5 times their rate; within the range none clips, 16 bits of a recorder included."""
+    """Of five, at 2.5 times their rate; within the range none clips, 16 bits of a recorder
+    included.
+    """
     t = np.arange(0, 10, 1 / (2.5 * RATE))
-    force = sum(pulse(t - start, size) for start, size in zip(range(1, 10, 2), (80, 95, 90, 130, 140.0), strict=True))
+    force = sum(
+        pulse(t - start, size)
+        for start, size in zip(range(1, 10, 2), (80, 95, 90, 130, 140.0), strict=True)
+    )
     noisy = force + 0.01 * np.random.default_rng(0).standard_normal(t.size)
     bits = np.round(noisy * 2**15 / 150) * 150 / 2**15
     for top, clips in ((100.0, {"F": 100.0}), (150.0, {})):
-        r = TimeHistory(np.clip(bits, None, top)[None], 2.5 * RATE, (Channel("F", "force", "N"),), "r")
+        r = TimeHistory(
+            np.clip(bits, None, top)[None], 2.5 * RATE, (Channel("F", "force", "N"),), "r"
+        )
         assert ceilings(r) == clips
 
 
@@ -149,7 +181,9 @@ def test_frf_is_that_of_the_system_under_the_window() -> None:
 
 
 def band_limited(width: float, part: float) -> TimeHistory:
-    """The record of a hard or soft tip, force and responses behind a filter that cuts at a part of half the rate."""
+    """The record of a hard or soft tip, force and responses behind a filter that cuts at a part of
+    half the rate.
+    """
     n, half = 60 * 512, 256.0
     force = sum(pulse(np.arange(4 * n) / (4 * RATE) - a, 100.0, width) for a in STARTS + 1e-3)
     f = np.fft.rfftfreq(4 * n, 1 / (4 * RATE))
@@ -161,7 +195,9 @@ def band_limited(width: float, part: float) -> TimeHistory:
 
 
 def test_lines_at_which_a_simulated_pulse_has_no_force_are_left_out() -> None:
-    """A force without noise: sin² over a time T has zeros at 2/T, 3/T, ..., other ones for each hammer."""
+    """A force without noise: sin² over a time T has zeros at 2/T, 3/T, ..., other ones for each
+    hammer.
+    """
     clean = []
     for inp, width in ((1, 8 / RATE), (2, 12 / RATE)):
         r = record(inp, [0, 1, 2])
@@ -176,7 +212,8 @@ def test_lines_at_which_a_simulated_pulse_has_no_force_are_left_out() -> None:
 
 @pytest.mark.parametrize(("width", "part"), [(0.0015, 0.85), (0.06, 0.85)])
 def test_the_whole_pulse_counts(width: float, part: float) -> None:
-    """A filter rings before a pulse shorter than its samples; a soft one begins before the pretrigger.
+    """A filter rings before a pulse shorter than its samples; a soft one begins before the
+    pretrigger.
 
     An edge through either leaves 1 % and more of error at all lines.
     """
@@ -214,11 +251,17 @@ def test_points_at_which_the_force_has_the_other_sign_are_told() -> None:
     assert not any("sign" in n for n in forced_frfs(parts, HammerSettings(fmax=60.0)).notes)
     turned = replace(parts[1], data=parts[1].data * np.array([-1.0, 1.0, 1.0])[:, None])
     told = forced_frfs([parts[0], turned, parts[2]], HammerSettings(fmax=60.0)).notes
-    assert any(n.startswith("the force is negative at 5+Z, and of the other sign elsewhere") for n in told)
+    assert any(
+        n.startswith("the force is negative at 5+Z, and of the other sign elsewhere") for n in told
+    )
 
 
 def test_roving_responses_and_hammers_become_one_set() -> None:
-    parts = [record(i, o, seed=9 * i + k) for i in (1, 7) for k, o in enumerate(([0, 1, 2, 3], [3, 4, 5]))]
+    parts = [
+        record(i, o, seed=9 * i + k)
+        for i in (1, 7)
+        for k, o in enumerate(([0, 1, 2, 3], [3, 4, 5]))
+    ]
     frfs, reports = estimate_frf(parts, HammerSettings(fmax=60.0))
     assert frfs.data.shape[1:] == (6, 2)
     assert [c.id for c in frfs.inputs] == ["2+Z", "8+Z"]
@@ -228,7 +271,9 @@ def test_roving_responses_and_hammers_become_one_set() -> None:
 
 
 def test_earlier_blows_are_known_row_by_row_and_column_by_column() -> None:
-    """Two setups of sensors under two points: each FRF has the factor of its own record, also with ends exchanged."""
+    """Two setups of sensors under two points: each FRF has the factor of its own record, also with
+    ends exchanged.
+    """
     pole = np.array([-0.3 + 2j * np.pi * 11.0])
     gaps = [np.array([1.0, 3.1, 5.3]), np.array([1.0, 3.4, 5.5, 7.9])]
     sensors = [0, 1], [2, 3, 4]
@@ -271,7 +316,9 @@ def test_sets_on_other_lines_and_of_other_kinds_become_alike() -> None:
     point, force = Channel("1+Z", "acceleration", "m/s^2"), (Channel("2+Z", "force", "N"),)
     wide, fine = np.arange(0.0, 41.0), np.arange(0.0, 30.25, 0.5)
     first = FrfSet((1.0 + wide)[:, None, None], wide, (point,), force)
-    mobility = np.divide(1.0 + fine, 2j * np.pi * fine, out=np.zeros(fine.size, complex), where=fine > 0)
+    mobility = np.divide(
+        1.0 + fine, 2j * np.pi * fine, out=np.zeros(fine.size, complex), where=fine > 0
+    )
     laser = (Channel("3+Z", "velocity", "m/s"),)
     got = join_frfs([first, FrfSet(mobility[:, None, None], fine, laser, force, kind="mobility")])
     assert (got.kind, got.outputs[1].unit) == ("accelerance", "m/s^2")
@@ -280,8 +327,14 @@ def test_sets_on_other_lines_and_of_other_kinds_become_alike() -> None:
 
 
 def test_a_roving_hammer_is_read_by_a_sensor_of_turning_too() -> None:
-    outputs = (Channel("1+Z", "acceleration", "m/s^2"), Channel("1-RX", "angular acceleration", "rad/s^2"))
-    inputs = (*(Channel(f"{k}+Z", "force", "N") for k in range(1, 4)), Channel("4+RY", "moment", "N*m"))
+    outputs = (
+        Channel("1+Z", "acceleration", "m/s^2"),
+        Channel("1-RX", "angular acceleration", "rad/s^2"),
+    )
+    inputs = (
+        *(Channel(f"{k}+Z", "force", "N") for k in range(1, 4)),
+        Channel("4+RY", "moment", "N*m"),
+    )
     h = np.arange(3 * 2 * 4.0).reshape(3, 2, 4)
     got, note = exchanged(FrfSet(h, np.arange(1.0, 4.0), outputs, inputs))
     assert "roving hammer" in note
@@ -303,19 +356,32 @@ def test_estimators_bracket_the_truth() -> None:
 def test_variance_from_the_coherence_covers_the_scatter() -> None:
     """The real part over 40 seeds against |H|²(1 − γ²)/(2 n γ²)."""
     runs = [
-        estimate_frf(record(1, [0], seed=k, noise=0.05), HammerSettings(fmax=40.0, block=8.0))[0] for k in range(40)
+        estimate_frf(record(1, [0], seed=k, noise=0.05), HammerSettings(fmax=40.0, block=8.0))[0]
+        for k in range(40)
     ]
     scatter = np.var([r.data.real for r in runs], axis=0, ddof=1)[40:]
     stated = np.mean([frf_variance(r) for r in runs], axis=0)[40:]
-    assert 0.6 < np.median(scatter / stated) < 1.7  # a handful of averages: the coherence itself scatters
+    assert (
+        0.6 < np.median(scatter / stated) < 1.7
+    )  # a handful of averages: the coherence itself scatters
 
 
-def test_frfs_of_the_other_sign_of_time_are_turned_and_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_frfs_of_the_other_sign_of_time_are_turned_and_said(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     """e^{-iωt}: the conjugates; FRFs of e^{+iωt} and noise stay as they are."""
     frfs, _ = estimate_frf(record(1, [0, 1, 5], starts=1.0 + 9.0 * np.arange(2), noise=0.02))
     rng = np.random.default_rng(0)
-    noise = frfs.data * 0 + rng.standard_normal(frfs.data.shape) + 1j * rng.standard_normal(frfs.data.shape)
-    for name, data, kept in (("a", frfs.data, True), ("b", frfs.data.conj(), False), ("c", noise, True)):
+    noise = (
+        frfs.data * 0
+        + rng.standard_normal(frfs.data.shape)
+        + 1j * rng.standard_normal(frfs.data.shape)
+    )
+    for name, data, kept in (
+        ("a", frfs.data, True),
+        ("b", frfs.data.conj(), False),
+        ("c", noise, True),
+    ):
         caplog.clear()
         write_frfs(tmp_path / f"{name}.h5", replace(frfs, data=data))
         read = read_frfs(tmp_path / f"{name}.h5")
@@ -342,7 +408,9 @@ def test_refusals() -> None:
 
 @pytest.mark.parametrize("noise", [2.0, 5.0])
 def test_noise_on_the_force_beside_the_pulse_is_left_out(noise: float) -> None:
-    """Of 2 and 5 % of the peaks: the 4 samples of the pulse hold a tenth of what 16 to each side would let in."""
+    """Of 2 and 5 % of the peaks: the 4 samples of the pulse hold a tenth of what 16 to each side
+    would let in.
+    """
     quiet, outs = record(1, [0, 1, 5], noise=1e-4), [0, 1, 5]
     data = quiet.data.copy()
     data[0] += noise * np.random.default_rng(3).standard_normal(data.shape[1])
@@ -361,7 +429,9 @@ def test_noise_on_the_force_beside_the_pulse_is_left_out(noise: float) -> None:
 
 @pytest.mark.parametrize("blows", [1, 6])
 def test_lines_end_where_the_force_sinks_into_its_noise(blows: int) -> None:
-    """The spectrum of a sine-squared pulse of 30 ms falls with f³ beyond its first zero at 67 Hz."""
+    """The spectrum of a sine-squared pulse of 30 ms falls with f³ beyond its first zero at 67
+    Hz.
+    """
     rng = np.random.default_rng(0)
     t = np.arange(int(10 * blows * RATE)) / RATE
     force = sum(pulse(t - 1.0 - 10 * k, 100.0, 0.03) for k in range(blows))
@@ -372,7 +442,10 @@ def test_lines_end_where_the_force_sinks_into_its_noise(blows: int) -> None:
     frfs, _ = estimate_frf(history)
     assert 50 < frfs.freqs[-1] < 150
     (end,) = forced_frfs([history], HammerSettings()).notes
-    assert f"the force ends at {frfs.freqs[-1]:.4g} Hz: beyond it is noise, and the lines are left out" in end
+    assert (
+        f"the force ends at {frfs.freqs[-1]:.4g} Hz: beyond it is noise, and the lines are left out"
+        in end
+    )
     asked = forced_frfs([history], HammerSettings(keep_to=200.0))
     assert asked.columns[0].freqs[-1] == pytest.approx(200.0, abs=0.2 * blows)
     assert "so may be the modes that are asked for" in asked.notes[0]

@@ -26,7 +26,11 @@ def test_values_and_slopes_of_rational_functions() -> None:
     for share in (0.0, 0.13, 0.5, 0.77, 1.0):
         a = BOUNDS[:, 0] * (BOUNDS[:, 1] / BOUNDS[:, 0]) ** share
         first, wide, ratio = a.tolist()
-        slopes = [[1 / (1 + 3 * first) ** 2, 2 * first], [1 / (1 + wide) ** 2], [0.6 / (1 - 0.6 * ratio) ** 2]]
+        slopes = [
+            [1 / (1 + 3 * first) ** 2, 2 * first],
+            [1 / (1 + wide) ** 2],
+            [0.6 / (1 - 0.6 * ratio) ** 2],
+        ]
         for s, x, true, slope in zip(made, a.tolist(), rational(a), slopes, strict=True):
             assert s is not None
             assert s.holds(x)
@@ -35,7 +39,9 @@ def test_values_and_slopes_of_rational_functions() -> None:
 
 
 def test_none_where_it_does_not_converge() -> None:
-    bent, smooth = fitted(BOUNDS[:2], lambda a: [np.array([abs(a[0] - 1.1)]), np.array([np.log(a[1])])])
+    bent, smooth = fitted(
+        BOUNDS[:2], lambda a: [np.array([abs(a[0] - 1.1)]), np.array([np.log(a[1])])]
+    )
     assert bent is None
     assert smooth is not None
 

@@ -1,4 +1,6 @@
-"""Modes followed through stretches: drift, a crossing and a veering pair, gaps, new modes; and their environment."""
+"""Modes followed through stretches: drift, a crossing and a veering pair, gaps, new modes; and
+their environment.
+"""
 
 from __future__ import annotations
 
@@ -24,20 +26,31 @@ PHI = np.linalg.qr(np.random.default_rng(1).standard_normal((6, 4)))[0]
 def stretch(
     time: float, f: np.ndarray, phi: np.ndarray, rng: np.random.Generator, rows: slice = slice(None)
 ) -> Stretch:
-    """Modes with noise of 0.1 % in frequency and 3 % in shape, in any order of frequency, with any phase."""
+    """Modes with noise of 0.1 % in frequency and 3 % in shape, in any order of frequency, with any
+    phase.
+    """
     f = f * (1 + 1e-3 * rng.standard_normal(f.size))
     order = np.argsort(f)
     psi = (phi + 0.03 * rng.standard_normal(phi.shape)) * np.exp(2j * np.pi * rng.random(f.size))
     psi, f = psi[rows][:, order], f[order]
     modes = ModeSet(f, np.full(f.size, 0.01), psi, CHANNELS[rows])
-    return Stretch(time, modes, Uncertainty.independent(1e-3 * f, np.full(f.size, 1e-3), np.full(psi.shape, 0.03)))
+    return Stretch(
+        time,
+        modes,
+        Uncertainty.independent(1e-3 * f, np.full(f.size, 1e-3), np.full(psi.shape, 0.03)),
+    )
 
 
 def test_drift_crossing_and_a_gap() -> None:
-    """Two modes cross at stretch 15, one drifts by 20 %, one is missing for six stretches; stretch 7 is not there."""
+    """Two modes cross at stretch 15, one drifts by 20 %, one is missing for six stretches; stretch
+    7 is not there.
+    """
     rng = np.random.default_rng(0)
     times = [k for k in range(30) if k != 7]
-    truth = {k: np.array([2.0 * (1 + 0.2 * k / 30), 5.0 + 0.02 * (k - 15), 5.0 - 0.02 * (k - 15), 9.0]) for k in times}
+    truth = {
+        k: np.array([2.0 * (1 + 0.2 * k / 30), 5.0 + 0.02 * (k - 15), 5.0 - 0.02 * (k - 15), 9.0])
+        for k in times
+    }
     sets = []
     for k in times:
         keep = np.array([0, 1, 2]) if 18 <= k < 24 else np.arange(4)
@@ -56,7 +69,9 @@ def test_drift_crossing_and_a_gap() -> None:
 
 
 def test_branches_of_a_veering_pair_are_followed() -> None:
-    """f² are the eigenvalues of [[a, c], [c, b]]: shapes turn into each other over ten stretches, branches stay."""
+    """f² are the eigenvalues of [[a, c], [c, b]]: shapes turn into each other over ten stretches,
+    branches stay.
+    """
     rng, sets, truth = np.random.default_rng(3), [], []
     for k in range(41):
         x = (k - 20) / 5
@@ -70,18 +85,24 @@ def test_branches_of_a_veering_pair_are_followed() -> None:
 
 
 def replaced(fac: float, course: float, hours: int, seed: int) -> list[Stretch]:
-    """From stretch 10 on channel 3+Z gives `fac` times as much; shapes have a daily course of so much."""
+    """From stretch 10 on channel 3+Z gives `fac` times as much; shapes have a daily course of so
+    much.
+    """
     rng, gain, out = np.random.default_rng(seed), np.ones((6, 1)), []
     for k in range(hours):
         gain[2] = fac if k >= 10 else 1.0
-        turn = 1 + course * np.sin(2 * np.pi * k / 24) * np.linspace(-1, 1, 6)[:, None] * np.linspace(0.5, 1, 4)
+        turn = 1 + course * np.sin(2 * np.pi * k / 24) * np.linspace(-1, 1, 6)[
+            :, None
+        ] * np.linspace(0.5, 1, 4)
         out.append(stretch(k, np.array([2.0, 5.0, 7.0, 9.0]), gain * turn * PHI, rng))
     return out
 
 
 @pytest.mark.parametrize("fac", [0.5, 10.0])
 def test_a_sensor_of_another_sensitivity_is_named(fac: float) -> None:
-    """With ten times as much of one channel a shape is like no other one before: the mode is the same all the same."""
+    """With ten times as much of one channel a shape is like no other one before: the mode is the
+    same all the same.
+    """
     even, (change,) = with_equal_gains(replaced(fac, 0.03, 24, 2))
     assert (change.channel, change.at) == ("3+Z", 10)
     assert abs(change.factor - fac) < 4 * change.std < 0.2 * fac
@@ -104,12 +125,18 @@ def test_new_and_rare_modes() -> None:
         keep = [0, 1] + ([3] if k >= 5 else []) + ([2] if k == 4 else [])
         sets.append(stretch(k, np.array([2.0, 5.0, 7.0, 9.0])[keep], PHI[:, keep], rng))
     found = track_modes(sets)
-    assert [(t.name, int(t.at[0]), t.at.size) for t in found.tracks] == [("1", 0, 12), ("2", 0, 12), ("3", 5, 7)]
+    assert [(t.name, int(t.at[0]), t.at.size) for t in found.tracks] == [
+        ("1", 0, 12),
+        ("2", 0, 12),
+        ("3", 5, 7),
+    ]
     assert [(t.name, t.at.tolist()) for t in found.rare] == [("", [4])]
 
 
 def test_modes_that_come_and_go_are_told_from_those_seen_now_and_then() -> None:
-    """Of 20 stretches one mode has the last 8, one the first 12, one each third, one all but the last."""
+    """Of 20 stretches one mode has the last 8, one the first 12, one each third, one all but the
+    last.
+    """
     rng, sets = np.random.default_rng(8), []
     for k in range(20):
         keep = [m for m, here in enumerate((k >= 12, k < 12, k % 3 == 2, k < 19)) if here]
@@ -122,7 +149,9 @@ def test_modes_that_come_and_go_are_told_from_those_seen_now_and_then() -> None:
 def test_stretches_with_other_channels() -> None:
     rng = np.random.default_rng(6)
     f = np.array([2.0, 5.0])
-    sets = [stretch(k, f, PHI[:, :2], rng, slice(0, 4) if k % 2 else slice(2, 6)) for k in range(10)]
+    sets = [
+        stretch(k, f, PHI[:, :2], rng, slice(0, 4) if k % 2 else slice(2, 6)) for k in range(10)
+    ]
     found = track_modes(sets)
     assert found.channels == (*CHANNELS[2:], *CHANNELS[:2])
     assert [t.at.size for t in found.tracks] == [10, 10]
@@ -151,14 +180,26 @@ def days(n: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def test_slopes_and_their_standard_errors() -> None:
-    """f = 5 - 0.004 (T - mean) Hz with scatter twice the stated: 100 records; the root mean square of z has 7 %."""
+    """f = 5 - 0.004 (T - mean) Hz with scatter twice the stated: 100 records; the root mean square
+    of z has 7 %.
+    """
     rng, z = np.random.default_rng(0), []
     for _ in range(100):
         t = days(48, rng)
         amplitude = rng.uniform(1, 3, 48)
-        f = 5 - 0.004 * (t - t.mean()) - 0.002 * (amplitude - amplitude.mean()) + 0.01 * rng.standard_normal(48)
+        f = (
+            5
+            - 0.004 * (t - t.mean())
+            - 0.002 * (amplitude - amplitude.mean())
+            + 0.01 * rng.standard_normal(48)
+        )
         fit = fit_environment(f, np.full(48, 0.005), {"T": t, "a": amplitude})
-        z.append([*((fit.slope - [-0.004, -0.002]) / fit.std_slope), (fit.reference - 5) / fit.std_reference])
+        z.append(
+            [
+                *((fit.slope - [-0.004, -0.002]) / fit.std_slope),
+                (fit.reference - 5) / fit.std_reference,
+            ]
+        )
         assert fit.scatter == pytest.approx(np.sqrt(0.01**2 - 0.005**2), rel=0.5)
     assert np.sqrt((np.array(z) ** 2).mean(axis=0)) == pytest.approx([1.0, 1.0, 1.0], abs=0.2)
     assert fit.names == ("T", "a")
@@ -166,7 +207,9 @@ def test_slopes_and_their_standard_errors() -> None:
 
 
 def test_false_alarms_and_persistent_residuals() -> None:
-    """At 1 %: of 60 records with residuals of correlation 0.5 few show a change; the slopes stay true."""
+    """At 1 %: of 60 records with residuals of correlation 0.5 few show a change; the slopes stay
+    true.
+    """
     rng, z, changes = np.random.default_rng(1), [], 0
     for _ in range(60):
         t = days(168, rng)
@@ -193,7 +236,9 @@ def test_a_change_and_outliers_are_told() -> None:
     assert 0 < change.std < 0.005
     assert change.p_value < 1e-4
     assert fit.corrected[:60].std() > 0.9 * fit.corrected[~fit.outlier][:55].std()
-    calm = fit_environment(np.delete(f, [10, 80])[:58], np.full(58, 0.005), {"T": np.delete(t, [10, 80])[:58]})
+    calm = fit_environment(
+        np.delete(f, [10, 80])[:58], np.full(58, 0.005), {"T": np.delete(t, [10, 80])[:58]}
+    )
     assert calm.changes == ()
     assert not calm.outlier.any()
 
@@ -203,7 +248,9 @@ def test_regressors_that_tell_nothing() -> None:
     t = days(40, rng)
     f = 5 - 0.004 * (t - 15) + 0.005 * rng.standard_normal(40)
     gone = np.where(np.arange(40) == 3, np.nan, t)
-    fit = fit_environment(f, np.full(40, np.nan), {"T": gone, "twice": 2 * t + 1, "same": np.full(40, 3.0)})
+    fit = fit_environment(
+        f, np.full(40, np.nan), {"T": gone, "twice": 2 * t + 1, "same": np.full(40, 3.0)}
+    )
     assert fit.slope[0] == pytest.approx(-0.004, abs=4 * fit.std_slope[0])
     assert np.isnan(fit.slope[1:]).all()
     assert np.isnan(fit.residual[3])
@@ -223,7 +270,9 @@ RATE, SECONDS, HOURS = 16.0, 300.0, 10
 
 @pytest.fixture(scope="module")
 def record(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two modes at 2 and 5 Hz, the first softer in the heat, channel 5 a thermometer; stretch 4 is lost."""
+    """Two modes at 2 and 5 Hz, the first softer in the heat, channel 5 a thermometer; stretch 4 is
+    lost.
+    """
     rng, n = np.random.default_rng(0), int(RATE * SECONDS)
     temperature = 15 + 10 * np.sin(2 * np.pi * np.arange(HOURS) / HOURS)
     parts = []
@@ -232,7 +281,11 @@ def record(tmp_path_factory: pytest.TempPathFactory) -> Path:
         a = np.exp(lam / RATE)
         force = rng.standard_normal((2, n + 500))
         q = [np.real(lfilter([1], [1, -x], y))[500:] for x, y in zip(a, force, strict=True)]
-        parts.append(np.vstack([PHI[:4, :2] @ np.array(q) + 0.05 * rng.standard_normal((4, n)), np.full(n, t)]))
+        parts.append(
+            np.vstack(
+                [PHI[:4, :2] @ np.array(q) + 0.05 * rng.standard_normal((4, n)), np.full(n, t)]
+            )
+        )
     data = np.hstack(parts)
     data[:4, 4 * n : 5 * n] = np.nan
     path = tmp_path_factory.mktemp("track") / "long.npy"
@@ -250,7 +303,10 @@ def test_track(record: Path, tmp_path: Path, capsys: Capture) -> None:
     slope = first["environment"]["slopes"][0]
     assert slope["hz_per_unit"] == pytest.approx(-0.008, abs=4 * slope["std"])
     assert slope["std"] < 0.001
-    assert abs(second["environment"]["slopes"][0]["hz_per_unit"]) < 4 * second["environment"]["slopes"][0]["std"]
+    assert (
+        abs(second["environment"]["slopes"][0]["hz_per_unit"])
+        < 4 * second["environment"]["slopes"][0]["std"]
+    )
     assert len(found["stretches"]) == HOURS - 1
     assert any("left out: all samples are missing" in n for n in found["notes"])
     lines = (tmp_path / "t.csv").read_text().splitlines()
@@ -262,11 +318,15 @@ def test_track(record: Path, tmp_path: Path, capsys: Capture) -> None:
     assert "http" not in page.split("const figures")[1]
     table = tmp_path / "weather.csv"
     table.write_text("hour,wind\n0,1\n0.8,5\n2,2\n")
-    status, out, _ = call(capsys, *words, "--environment", table, "--drift", "--leave-out", "ch5", "--starts", "0.5")
+    status, out, _ = call(
+        capsys, *words, "--environment", table, "--drift", "--leave-out", "ch5", "--starts", "0.5"
+    )
     assert status == 0
     assert "wind" in out
     assert "time" in out
-    found = parsed(capsys, *words, "--environment", table, "--temperature", "wind", "--leave-out", "ch5")
+    found = parsed(
+        capsys, *words, "--environment", table, "--temperature", "wind", "--leave-out", "ch5"
+    )
     assert [s["name"] for s in found["modes"][0]["environment"]["slopes"]] == ["wind"]
     assert "no channel 'wind'" in refused(capsys, *words, "--temperature", "wind")
 
@@ -295,7 +355,9 @@ def test_track_refuses(record: Path, tmp_path: Path, capsys: Capture) -> None:
 @pytest.mark.parametrize("known", [0, 3])
 def test_a_regressor_that_is_hardly_known_is_left_out(known: int) -> None:
     f = 5 + 0.005 * np.random.default_rng(0).standard_normal(24)
-    fit = fit_environment(f, np.full(24, 0.005), {"T": np.where(np.arange(24) < known, np.arange(24.0), np.nan)})
+    fit = fit_environment(
+        f, np.full(24, 0.005), {"T": np.where(np.arange(24) < known, np.arange(24.0), np.nan)}
+    )
     assert np.isnan(fit.slope).all()
     assert fit.reference == pytest.approx(5, abs=4 * 0.005 / np.sqrt(24))
     assert np.isfinite(fit.residual).all()
@@ -307,7 +369,9 @@ def test_a_regressor_that_is_hardly_known_is_left_out(known: int) -> None:
 def slow(
     hours: int, lag: float, memory: float, rng: np.random.Generator
 ) -> tuple[list[Followed], np.ndarray, np.ndarray]:
-    """Three modes under a body that takes the temperature of the air in `lag` hours; times and temperatures."""
+    """Three modes under a body that takes the temperature of the air in `lag` hours; times and
+    temperatures.
+    """
     t, clock = days(hours, rng) + 3 * np.sin(np.arange(hours) / 9), np.arange(hours) + 0.5
     body = behind(clock, t, lag) if lag else t
     modes = []
@@ -348,4 +412,6 @@ def test_modes_that_follow_at_once_have_no_inertia(memory: float) -> None:
     assert np.count_nonzero(found) <= 1, found
     none, clock, t = slow(72, 0.0, memory, rng)
     flat = [Followed(m.frequency[::-1], m.std, m.at) for m in none]
-    assert thermal_lag([Followed(m.frequency[:8], m.std[:8], m.at[:8]) for m in flat], clock, t) == 0.0  # too few
+    assert (
+        thermal_lag([Followed(m.frequency[:8], m.std[:8], m.at[:8]) for m in flat], clock, t) == 0.0
+    )  # too few

@@ -1,4 +1,6 @@
-"""The door to parsers of others: limits of depth, size, time and memory; files that point at other files."""
+"""The door to parsers of others: limits of depth, size, time and memory; files that point at other
+files.
+"""
 
 from __future__ import annotations
 
@@ -44,19 +46,25 @@ def test_depth_and_width_of_texts() -> None:
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "latin-1"])
 def test_encodings_of_editors(tmp_path: Path, encoding: str) -> None:
-    (tmp_path / "a.json").write_bytes(json.dumps({"wind": "Böen"}, ensure_ascii=False).encode(encoding))
+    (tmp_path / "a.json").write_bytes(
+        json.dumps({"wind": "Böen"}, ensure_ascii=False).encode(encoding)
+    )
     assert read_json(tmp_path / "a.json") == {"wind": "Böen"}
 
 
 def _outside(folder: Path) -> list[Path]:
-    """Files whose samples stand in another one: by a link, by external storage, by a virtual data set."""
+    """Files whose samples stand in another one: by a link, by external storage, by a virtual data
+    set.
+    """
     with h5py.File(folder / "secret.h5", "w") as file:
         file["y"] = np.arange(20.0).reshape(10, 2)
     np.arange(20.0).tofile(folder / "secret.bin")
     with h5py.File(folder / "link.h5", "w") as file:
         file["y"] = h5py.ExternalLink("secret.h5", "y")
     with h5py.File(folder / "storage.h5", "w") as file:
-        file.create_dataset("y", (10, 2), np.float64, external=[(str(folder / "secret.bin"), 0, 160)])
+        file.create_dataset(
+            "y", (10, 2), np.float64, external=[(str(folder / "secret.bin"), 0, 160)]
+        )
     layout = h5py.VirtualLayout((10, 2), np.float64)
     layout[:] = h5py.VirtualSource(folder / "secret.h5", "y", (10, 2))
     with h5py.File(folder / "virtual.h5", "w") as file:
@@ -100,7 +108,9 @@ def test_a_child_that_was_ended_from_outside_is_replaced() -> None:
     assert read_matrices(path)["sym"].shape == (6, 6)
 
 
-def test_the_answer_to_an_interrupted_question_is_not_taken_for_the_next_one(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_answer_to_an_interrupted_question_is_not_taken_for_the_next_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def interrupted(_: object) -> object:
         raise KeyboardInterrupt
 
@@ -132,7 +142,9 @@ def test_large_workbooks(tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "a.xlsx") as archive:
         parts = {name: archive.read(name) for name in archive.namelist()}
     row = b'<row r="1"><c r="XFD1"><v>1</v></c></row>'
-    wide = b"".join(row.replace(b'r="1"', b'r="%d"' % k).replace(b"XFD1", b"XFD%d" % k) for k in range(1, 400))
+    wide = b"".join(
+        row.replace(b'r="1"', b'r="%d"' % k).replace(b"XFD1", b"XFD%d" % k) for k in range(1, 400)
+    )
     for rows, told in ((b" " * 70_000_000, "unfolds to 67 MB"), (wide, "more than 1000000 cells")):
         sheet = b"<worksheet xmlns='http://schemas.openxmlformats.org/spreadsheetml/2006/main'><sheetData>"
         parts["xl/worksheets/sheet1.xml"] = sheet + rows + b"</sheetData></worksheet>"
@@ -175,7 +187,10 @@ def test_sound_that_was_cut_is_told(tmp_path: Path, caplog: pytest.LogCaptureFix
 def test_complex_and_large_endian_numbers_of_matlab(tmp_path: Path) -> None:
     from scipy.io import savemat
 
-    savemat(tmp_path / "a.mat", {"z": np.array([[1 + 2j, 3]]), "none": np.zeros((0, 0)), "l": np.array([[True]])})
+    savemat(
+        tmp_path / "a.mat",
+        {"z": np.array([[1 + 2j, 3]]), "none": np.zeros((0, 0)), "l": np.array([[True]])},
+    )
     found = read_apart("matlab", tmp_path / "a.mat", "MATLAB file")
     np.testing.assert_array_equal(found["z"], [[1 + 2j, 3]])
     assert found["l"].dtype == np.uint8

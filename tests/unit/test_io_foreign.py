@@ -1,4 +1,5 @@
-"""Records of other programs: WAV, TDMS, LabVIEW, MATLAB, CSV of instruments; every reader takes damage with a message.
+"""Records of other programs: WAV, TDMS, LabVIEW, MATLAB, CSV of instruments; every reader takes
+damage with a message.
 
 The true samples are made here or written by another library (scipy, nptdms, h5py), and read back.
 """
@@ -41,7 +42,9 @@ def history() -> TimeHistory:
 
 
 @pytest.mark.parametrize(
-    ("ext", "tolerance"), [(".h5", 1e-7), (".csv", 1e-8), (".mat", 0.0), (".uff", 0.0)], ids=lambda x: str(x)
+    ("ext", "tolerance"),
+    [(".h5", 1e-7), (".csv", 1e-8), (".mat", 0.0), (".uff", 0.0)],
+    ids=lambda x: str(x),
 )
 def test_writers_go_round(tmp_path: Path, ext: str, tolerance: float) -> None:
     """HDF5 holds float32 (1e-7), CSV 9 digits."""
@@ -61,7 +64,9 @@ def test_wav_written_by_scipy(tmp_path: Path, kind: type) -> None:
         bits = np.dtype(kind).itemsize * 8
         y = np.round(y * 2 ** (bits - 1)) + (128 if bits == 8 else 0)
     wavfile.write(tmp_path / "r.wav", 200, y.astype(kind))
-    tolerance = 1e-6 if np.issubdtype(kind, np.floating) else 0.51 / 2 ** (np.dtype(kind).itemsize * 8 - 1)
+    tolerance = (
+        1e-6 if np.issubdtype(kind, np.floating) else 0.51 / 2 ** (np.dtype(kind).itemsize * 8 - 1)
+    )
     got = read_record(tmp_path / "r.wav")
     np.testing.assert_allclose(got.data, Y, atol=tolerance)
     assert got.rate == 200.0
@@ -72,15 +77,21 @@ def test_wav_of_24_bits_with_an_odd_chunk(tmp_path: Path) -> None:
     body = whole.view(np.uint8).reshape(-1, 4)[:, :3].tobytes()
     form = struct.pack("<HHIIHH", 1, 2, 200, 1200, 6, 24)
     chunks = b"fmt " + struct.pack("<I", 16) + form + b"note" + struct.pack("<I", 3) + b"abc\0"
-    (tmp_path / "r.wav").write_bytes(b"RIFF\0\0\0\0WAVE" + chunks + b"data" + struct.pack("<I", len(body)) + body)
+    (tmp_path / "r.wav").write_bytes(
+        b"RIFF\0\0\0\0WAVE" + chunks + b"data" + struct.pack("<I", len(body)) + body
+    )
     np.testing.assert_allclose(read_record(tmp_path / "r.wav").data, Y, atol=0.51 / 2**23)
 
 
 def as_tdms(path: Path, step: float = 1 / RATE, other: float = 1 / RATE) -> Path:
     with TdmsWriter(path) as file:
         for half in (slice(0, 100), slice(100, None)):  # two segments
-            one = ChannelObject("g", "1+Z", Y[0, half], {"wf_increment": step, "unit_string": "m/s^2"})
-            two = ChannelObject("g", "7-X", Y[1, half], {"wf_increment": other, "unit_string": "furlong"})
+            one = ChannelObject(
+                "g", "1+Z", Y[0, half], {"wf_increment": step, "unit_string": "m/s^2"}
+            )
+            two = ChannelObject(
+                "g", "7-X", Y[1, half], {"wf_increment": other, "unit_string": "furlong"}
+            )
             file.write_segment([one, two])
     return path
 
@@ -128,7 +139,9 @@ def test_lvm_with_its_columns_of_time(tmp_path: Path, columns: str, comma: bool)
 
 def test_lvm_segments_are_joined_only_without_a_gap(tmp_path: Path) -> None:
     (tmp_path / "r.lvm").write_text(lvm("One", segments=3))
-    np.testing.assert_allclose(read_record(tmp_path / "r.lvm").data, Y * [[9.80665], [1.0]], atol=1e-8)
+    np.testing.assert_allclose(
+        read_record(tmp_path / "r.lvm").data, Y * [[9.80665], [1.0]], atol=1e-8
+    )
     (tmp_path / "gap.lvm").write_text(lvm("One", segments=3, gap=0.2))
     with pytest.raises(DataError, match="3 segments"):
         read_record(tmp_path / "gap.lvm")
@@ -138,7 +151,10 @@ def test_lvm_segments_are_joined_only_without_a_gap(tmp_path: Path) -> None:
 
 def test_matlab_structures_and_names(tmp_path: Path) -> None:
     cells = np.array(["a", "b"], dtype=object)
-    savemat(tmp_path / "r.mat", {"rec": {"y": Y.T, "fs": RATE, "names": cells, "units": np.array(["g", "V"], object)}})
+    savemat(
+        tmp_path / "r.mat",
+        {"rec": {"y": Y.T, "fs": RATE, "names": cells, "units": np.array(["g", "V"], object)}},
+    )
     got = read_record(tmp_path / "r.mat")
     assert got.rate == RATE
     assert [(c.id, c.unit) for c in got.channels] == [("a", "m/s^2"), ("b", "V")]
@@ -148,15 +164,27 @@ def test_matlab_structures_and_names(tmp_path: Path) -> None:
 @pytest.mark.parametrize("form", ["4", "5"])
 @pytest.mark.parametrize("compressed", [True, False])
 @pytest.mark.parametrize("kind", [np.float64, np.float32, np.int16, np.uint8])
-def test_matlab_types_written_by_scipy(tmp_path: Path, form: str, compressed: bool, kind: type) -> None:
+def test_matlab_types_written_by_scipy(
+    tmp_path: Path, form: str, compressed: bool, kind: type
+) -> None:
     y = np.arange(40).reshape(20, 2).astype(kind)
-    savemat(tmp_path / "r.mat", {"a": 1.0, "y": y, "text": "abc"}, format=form, do_compression=compressed)
+    savemat(
+        tmp_path / "r.mat",
+        {"a": 1.0, "y": y, "text": "abc"},
+        format=form,
+        do_compression=compressed,
+    )
     np.testing.assert_array_equal(read_record(tmp_path / "r.mat", RATE).data, y.T)
 
 
 def test_matlab_variables_of_every_class(tmp_path: Path) -> None:
     cells = np.array([1.5, "two", np.eye(2)], dtype=object)
-    content = {"c": cells, "s": {"t": {"u": 3.0}, "z": 1 + 2j}, "text": "long text", "b": np.array([[True, False]])}
+    content = {
+        "c": cells,
+        "s": {"t": {"u": 3.0}, "z": 1 + 2j},
+        "text": "long text",
+        "b": np.array([[True, False]]),
+    }
     savemat(tmp_path / "r.mat", content)
     found = mat_values(tmp_path / "r.mat")
     assert found["text"] == "long text"
@@ -200,7 +228,10 @@ def samples(path: Path) -> dict[str, bytes]:
     savemat(path / "a.mat", {"y": Y.T, "fs": RATE}, do_compression=True)
     for ext in (".csv", ".uff", ".h5"):
         write_history(path / f"a{ext}", history())
-    return {x: (path / f"a{x}").read_bytes() for x in (".npy", ".wav", ".tdms", ".lvm", ".mat", ".csv", ".uff", ".h5")}
+    return {
+        x: (path / f"a{x}").read_bytes()
+        for x in (".npy", ".wav", ".tdms", ".lvm", ".mat", ".csv", ".uff", ".h5")
+    }
 
 
 def takes(call: Callable[[], object]) -> None:
@@ -224,7 +255,9 @@ def test_cut_files(tmp_path: Path, ext: str) -> None:
 @pytest.mark.filterwarnings("ignore::Warning")
 @pytest.mark.parametrize("ext", [".npy", ".wav", ".tdms", ".lvm", ".mat", ".csv", ".uff"])
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=60, deadline=2000, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=60, deadline=2000, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 def test_damaged_files(tmp_path: Path, ext: str, seed: int) -> None:
     """Bytes overwritten, mostly in the header."""
     kept = tmp_path / f"kept{ext}"
@@ -243,7 +276,8 @@ def test_damaged_files(tmp_path: Path, ext: str, seed: int) -> None:
 @data_here
 @pytest.mark.filterwarnings("ignore::Warning")
 @pytest.mark.parametrize(
-    "name", ["1858.uff", "TestLab 161 164 18 15 82.uff", "uff55_translation.uff", "2411 and 2414.uff"]
+    "name",
+    ["1858.uff", "TestLab 161 164 18 15 82.uff", "uff55_translation.uff", "2411 and 2414.uff"],
 )
 def test_damaged_universal_files(tmp_path: Path, name: str) -> None:
     whole = (DATA / "uff" / name).read_bytes()[:60000]
@@ -275,7 +309,9 @@ def test_frfs_with_gaps_are_told(tmp_path: Path) -> None:
 @pytest.mark.filterwarnings("ignore::Warning")
 @pytest.mark.parametrize("form", ["4", "5"])
 def test_damaged_matlab_files_do_not_end_the_process(tmp_path: Path, form: str) -> None:
-    """Not compressed, so that the damage reaches the elements: scipy 1.17 dies of some of these in its v5 reader."""
+    """Not compressed, so that the damage reaches the elements: scipy 1.17 dies of some of these in
+    its v5 reader.
+    """
     content = {"y": Y.T[:40], "fs": RATE} | ({"s": {"n": "text"}} if form == "5" else {})
     savemat(tmp_path / "a.mat", content, format=form)
     whole = (tmp_path / "a.mat").read_bytes()
@@ -290,7 +326,9 @@ def test_damaged_matlab_files_do_not_end_the_process(tmp_path: Path, form: str) 
 
 @pytest.mark.filterwarnings("ignore::Warning")
 def test_damaged_archives_of_frfs(tmp_path: Path) -> None:
-    np.savez_compressed(tmp_path / "a.npz", freq=np.arange(1, 65) * 0.5, H1=np.ones((1, 2, 64)) + 0j)
+    np.savez_compressed(
+        tmp_path / "a.npz", freq=np.arange(1, 65) * 0.5, H1=np.ones((1, 2, 64)) + 0j
+    )
     whole = (tmp_path / "a.npz").read_bytes()
     rng = np.random.default_rng(3)
     for _ in range(150):
@@ -320,15 +358,35 @@ def _rows(times, delimiter=",", ending=""):
 @pytest.mark.parametrize(
     ("head", "body"),
     [
-        ("Recorder 7\nRate;256\nTime;a;b;c\ns;m/s2;m/s²;m/s^2\n", _rows([f"{t:.9f}" for t in TIMES], ";")),
+        (
+            "Recorder 7\nRate;256\nTime;a;b;c\ns;m/s2;m/s²;m/s^2\n",
+            _rows([f"{t:.9f}" for t in TIMES], ";"),
+        ),
         ("time;a;b;c;\n", _rows([f"{t:.9f}" for t in TIMES], ";", ";")),
         ("Time (ms),a,b,c\n", _rows([f"{1e3 * t:.6f}" for t in TIMES])),
-        ("time,a,b,c\n", _rows([f"{t:.3f}" for t in TIMES])),  # milliseconds: uneven by rounding only
-        ("time (ms),a,b,c\n", _rows([f"{1e3 * t:.3g}" for t in TIMES])),  # 996, 1e+03, 1e+03, 1.01e+03
+        (
+            "time,a,b,c\n",
+            _rows([f"{t:.3f}" for t in TIMES]),
+        ),  # milliseconds: uneven by rounding only
+        (
+            "time (ms),a,b,c\n",
+            _rows([f"{1e3 * t:.3g}" for t in TIMES]),
+        ),  # 996, 1e+03, 1e+03, 1.01e+03
         ("Timestamp,a,b,c\n", _rows([str(np.datetime64(round(t * 1e6), "us")) for t in TIMES])),
-        ("Timestamp,a,b,c\n", _rows([str(np.datetime64(round(t * 1e3), "ms")).replace("T", " ") for t in TIMES])),
+        (
+            "Timestamp,a,b,c\n",
+            _rows([str(np.datetime64(round(t * 1e3), "ms")).replace("T", " ") for t in TIMES]),
+        ),
     ],
-    ids=["preamble-units", "ends-in-delimiter", "milliseconds", "rounded", "three-digits", "dates", "dates-rounded"],
+    ids=[
+        "preamble-units",
+        "ends-in-delimiter",
+        "milliseconds",
+        "rounded",
+        "three-digits",
+        "dates",
+        "dates-rounded",
+    ],
 )
 def test_csv_of_loggers(tmp_path, head, body):
     path = tmp_path / "r.csv"
@@ -337,7 +395,9 @@ def test_csv_of_loggers(tmp_path, head, body):
 
 
 def test_clocks_that_stumble(tmp_path, caplog):
-    """A stamp and a row that stand twice, and the end of daylight saving time, cost no sample; another fall is told."""
+    """A stamp and a row that stand twice, and the end of daylight saving time, cost no sample;
+    another fall is told.
+    """
     path = tmp_path / "r.csv"
 
     def told(rows: list[str]) -> str:
@@ -352,7 +412,9 @@ def test_clocks_that_stumble(tmp_path, caplog):
     assert "a stamp stands twice at row 101" in told(held)
     assert "row 101 and 1 more is that before it" in told([*rows[:100], *rows[99:200], *rows[199:]])
     winter = [x - 3600 * (k >= 100) for k, x in enumerate(TIMES)]
-    assert "back by an hour behind row 100" in told(_rows([f"{x:.8f}" for x in winter]).splitlines())
+    assert "back by an hour behind row 100" in told(
+        _rows([f"{x:.8f}" for x in winter]).splitlines()
+    )
     path.write_text("\n".join(["time,a,b,c", *rows[:100], *rows[50:]]))
     with pytest.raises(DataError, match=r"goes back by .* behind row 100, 1 times in all"):
         read_record(path)
@@ -365,7 +427,9 @@ def test_times_that_jitter_are_stamps_of_even_samples(tmp_path, caplog):
     path.write_text("time,a,b,c\n" + _rows([f"{t:.9f}" for t in stamps]))
     _is_the_signal(read_record(path))
     assert "jitter by up to 0.32 of a step" in caplog.text
-    walk = np.cumsum(step * (1 + 0.3 * rng.uniform(-1, 1, TIMES.size)))  # sampled when there was time
+    walk = np.cumsum(
+        step * (1 + 0.3 * rng.uniform(-1, 1, TIMES.size))
+    )  # sampled when there was time
     path.write_text("time,a,b,c\n" + _rows([f"{t:.9f}" for t in walk]))
     with pytest.raises(DataError, match="uneven steps"):
         read_record(path)
@@ -403,28 +467,42 @@ TOA5 = (
 
 def _campbell(first: int, last: int) -> list[str]:
     stamps = _stamps("%Y-%m-%d %H:%M:%S.")
-    return [f'"{stamps[k]}",{77 + k - first},{",".join(map(str, SIGNAL[:, k]))}' for k in range(first, last)]
+    return [
+        f'"{stamps[k]}",{77 + k - first},{",".join(map(str, SIGNAL[:, k]))}'
+        for k in range(first, last)
+    ]
 
 
 LOGGERS = {
     "german": (
         "Zeit;a [m/s²];b;c\n",
-        [";".join([t, *map(_german, y)]) for t, y in zip(_stamps("%d.%m.%Y %H:%M:%S,"), SIGNAL.T, strict=True)],
+        [
+            ";".join([t, *map(_german, y)])
+            for t, y in zip(_stamps("%d.%m.%Y %H:%M:%S,"), SIGNAL.T, strict=True)
+        ],
     ),
     "date and time apart": (
         "Datum;Uhrzeit;a;b;c\n",
         [
             ";".join([d, t, *map(_german, y)])
-            for d, t, y in zip(_stamps("%d.%m.%Y", False), _stamps("%H:%M:%S,"), SIGNAL.T, strict=True)
+            for d, t, y in zip(
+                _stamps("%d.%m.%Y", False), _stamps("%H:%M:%S,"), SIGNAL.T, strict=True
+            )
         ],
     ),
     "american": (
         "Time,a,b,c\n",
-        [",".join([t, *map(str, y)]) for t, y in zip(_stamps("%m/%d/%Y %H:%M:%S."), SIGNAL.T, strict=True)],
+        [
+            ",".join([t, *map(str, y)])
+            for t, y in zip(_stamps("%m/%d/%Y %H:%M:%S."), SIGNAL.T, strict=True)
+        ],
     ),
     "quoted": (
         '"time","a","b","c"\n',
-        [",".join(f'"{_german(x)}"' for x in [t, *y]) for t, y in zip(TIMES, SIGNAL.T, strict=True)],
+        [
+            ",".join(f'"{_german(x)}"' for x in [t, *y])
+            for t, y in zip(TIMES, SIGNAL.T, strict=True)
+        ],
     ),
     "rate above, counts": (
         "Sampling rate: 256 Hz\nsample;a;b;c\n",
@@ -436,7 +514,10 @@ LOGGERS = {
     ),
     "milliseconds since 1970": (
         "timestamp,a,b,c\n",
-        [",".join([f"{1.7145648e12 + 1e3 * t:.3f}", *map(str, y)]) for t, y in zip(TIMES, SIGNAL.T, strict=True)],
+        [
+            ",".join([f"{1.7145648e12 + 1e3 * t:.3f}", *map(str, y)])
+            for t, y in zip(TIMES, SIGNAL.T, strict=True)
+        ],
     ),
     "Campbell TOA5, started anew": (
         TOA5,
@@ -444,11 +525,17 @@ LOGGERS = {
     ),
     "days of a spreadsheet": (
         "Time,a,b,c\n",
-        [",".join([f"{45381.5 + t / 86400:.10f}", *map(str, y)]) for t, y in zip(TIMES, SIGNAL.T, strict=True)],
+        [
+            ",".join([f"{45381.5 + t / 86400:.10f}", *map(str, y)])
+            for t, y in zip(TIMES, SIGNAL.T, strict=True)
+        ],
     ),
     "a time for each, D": (
         "X1;a;X2;b;X3;c\n",
-        [";".join(f"{t:.9e};{x:.9e}" for x in y).replace("e", "D") for t, y in zip(TIMES, SIGNAL.T, strict=True)],
+        [
+            ";".join(f"{t:.9e};{x:.9e}" for x in y).replace("e", "D")
+            for t, y in zip(TIMES, SIGNAL.T, strict=True)
+        ],
     ),
     "an empty first column": (
         "fs,256\nChannel,a,b,c\nUnit,m/s^2,m/s^2,m/s^2\n",
@@ -460,10 +547,17 @@ LOGGERS = {
 LACKING = ["NA", "#N/A", "OVERFLOW", "--", "null", '"NAN"', "####", ""]
 
 
-@pytest.mark.parametrize(("word", "d"), [*((w, ",") for w in LACKING), *((w, ";") for w in LACKING), ("OVL", " ")])
+@pytest.mark.parametrize(
+    ("word", "d"), [*((w, ",") for w in LACKING), *((w, ";") for w in LACKING), ("OVL", " ")]
+)
 def test_words_for_values_that_are_lacking(tmp_path, word, d):
-    """They are not numbers, in any column but that of times, also in the first row; a column of words is left out."""
-    cells = [[f"{t:.8f}", *map(str, y), "OK" if k % 7 else "ERR"] for k, (t, y) in enumerate(zip(T, Y.T, strict=True))]
+    """They are not numbers, in any column but that of times, also in the first row; a column of
+    words is left out.
+    """
+    cells = [
+        [f"{t:.8f}", *map(str, y), "OK" if k % 7 else "ERR"]
+        for k, (t, y) in enumerate(zip(T, Y.T, strict=True))
+    ]
     for row, column in ((0, 1), (50, 2), (51, 2), (52, 1), (52, 2)):
         cells[row][column] = word
     path = tmp_path / "r.csv"
@@ -486,7 +580,10 @@ def test_csv_as_loggers_write_it(tmp_path, name):
 
 def test_times_too_coarse_for_a_rate_want_one(tmp_path):
     path = tmp_path / "r.csv"
-    rows = [";".join([t, *map(str, y)]) for t, y in zip(_stamps("%d.%m.%Y %H:%M:%S", False), SIGNAL.T, strict=True)]
+    rows = [
+        ";".join([t, *map(str, y)])
+        for t, y in zip(_stamps("%d.%m.%Y %H:%M:%S", False), SIGNAL.T, strict=True)
+    ]
     path.write_text("Zeit;a;b;c (left)\n" + "\n".join(rows), encoding="utf-8")
     with pytest.raises(DataError, match="give it in Hz"):
         read_record(path)
@@ -530,7 +627,12 @@ def test_a_vector_a_channel_in_hdf5_and_tdms(tmp_path):
         for name, y in zip("abc", SIGNAL, strict=True):
             file[name] = y
     with TdmsWriter(str(tmp_path / "r.tdms")) as file:
-        file.write_segment([ChannelObject("g", n, y) for n, y in zip(["Time", *"abc"], [TIMES, *SIGNAL], strict=True)])
+        file.write_segment(
+            [
+                ChannelObject("g", n, y)
+                for n, y in zip(["Time", *"abc"], [TIMES, *SIGNAL], strict=True)
+            ]
+        )
     savemat(tmp_path / "r.mat", {"Data1_time_a": TIMES, **dict(zip("abc", SIGNAL, strict=True))})
     for ending in ("h5", "tdms", "mat"):
         got = read_record(tmp_path / f"r.{ending}")
@@ -551,7 +653,9 @@ def test_groups_of_other_rates_are_no_one_record(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "unit", ["g", b"g", np.array([b"g"]), "counts of 24 bits"], ids=["text", "bytes", "array", "free"]
+    "unit",
+    ["g", b"g", np.array([b"g"]), "counts of 24 bits"],
+    ids=["text", "bytes", "array", "free"],
 )
 def test_vectors_of_one_group_have_their_own_names_units_and_rate(tmp_path, unit):
     with h5py.File(tmp_path / "r.h5", "w") as file:
@@ -566,7 +670,10 @@ def test_vectors_of_one_group_have_their_own_names_units_and_rate(tmp_path, unit
     np.testing.assert_allclose(got.data, SIGNAL * (9.80665 if known else 1.0))
     with h5py.File(tmp_path / "r.h5", "a") as file:
         file["Wind/a"] = SIGNAL[0]
-    assert [c.id for c in read_record(tmp_path / "r.h5").channels][-2:] == ["Acquisition.c", "Wind.a"]
+    assert [c.id for c in read_record(tmp_path / "r.h5").channels][-2:] == [
+        "Acquisition.c",
+        "Wind.a",
+    ]
 
 
 def test_an_array_of_channels_by_samples(tmp_path):
@@ -593,14 +700,19 @@ def test_lvm_without_headers(tmp_path):
 )
 @pytest.mark.parametrize("comma", [False, True])
 def test_complex_cells(tmp_path: Path, delimiter: str, cell: str, comma: bool) -> None:
-    """As NumPy, pandas, MATLAB and spreadsheets write complex numbers; decimal commas where these do not separate."""
+    """As NumPy, pandas, MATLAB and spreadsheets write complex numbers; decimal commas where these
+    do not separate.
+    """
     if comma and delimiter in ", ":
         return
     rng = np.random.default_rng(2)
     h, f = rng.standard_normal((6, 2)) + 1j * rng.standard_normal((6, 2)), np.arange(1, 7) * 0.5
     rows = [
         [f"{x:g}"]
-        + [cell.format(re=z.real, im=z.imag, sign="+-"[int(z.imag < 0)], size=abs(z.imag)) for z in row.tolist()]
+        + [
+            cell.format(re=z.real, im=z.imag, sign="+-"[int(z.imag < 0)], size=abs(z.imag))
+            for z in row.tolist()
+        ]
         for x, row in zip(f.tolist(), h, strict=True)
     ]
     text = "\n".join(delimiter.join(r) for r in rows)
@@ -615,14 +727,18 @@ def test_complex_cells(tmp_path: Path, delimiter: str, cell: str, comma: bool) -
 
 @pytest.mark.parametrize("pause", [0.0, 1.0])
 def test_hourly_groups_of_tdms_are_one_ambient_record(tmp_path: Path, pause: float) -> None:
-    """Groups with the same channels and successive starts; two that ran at the same time are other channels."""
+    """Groups with the same channels and successive starts; two that ran at the same time are other
+    channels.
+    """
     path, start = tmp_path / "r.tdms", np.datetime64("2026-03-01T23:59:58.000000", "us")
     with TdmsWriter(path) as writer:
         for k, name in enumerate(("23h", "0h")):
             begin = start + np.timedelta64(round(k * (150 / RATE + pause) * 1e6), "us")
             told = {"wf_increment": 1 / RATE, "wf_start_time": begin}
             part = slice(150 * k, 150 * (k + 1))
-            writer.write_segment([ChannelObject(name, c, y[part], told) for c, y in zip("ab", Y, strict=True)])
+            writer.write_segment(
+                [ChannelObject(name, c, y[part], told) for c, y in zip("ab", Y, strict=True)]
+            )
     got = read_record(path, gaps=True)
     lost = round(pause * RATE)
     assert [c.id for c in got.channels] == ["a", "b"]
@@ -635,5 +751,7 @@ def test_segments_of_lvm_with_pauses_are_one_ambient_record(tmp_path: Path) -> N
     (tmp_path / "r.lvm").write_text(lvm(segments=2, gap=0.5))
     got = read_record(tmp_path / "r.lvm", gaps=True)
     lost = round(0.5 * RATE)
-    np.testing.assert_allclose(np.delete(got.data, np.s_[150 : 150 + lost], axis=1), Y * [[9.80665], [1.0]], atol=1e-8)
+    np.testing.assert_allclose(
+        np.delete(got.data, np.s_[150 : 150 + lost], axis=1), Y * [[9.80665], [1.0]], atol=1e-8
+    )
     assert np.isnan(got.data[:, 150 : 150 + lost]).all()

@@ -60,7 +60,8 @@ def test_abaqus(tmp_path: Path) -> None:
     lower = np.argwhere(np.tril(A))
     names = [(10, 1), (10, 6), (12, 2), (900, 3)]
     five = "".join(
-        f"{names[i][0]},{names[i][1]}, {names[j][0]},{names[j][1]}, {A[i, j]:.15e}\n" for i, j in lower.tolist()
+        f"{names[i][0]},{names[i][1]}, {names[j][0]},{names[j][1]}, {A[i, j]:.15e}\n"
+        for i, j in lower.tolist()
     )
     (tmp_path / "job_STIF1.mtx").write_text(five)
     _same(tmp_path / "job_STIF1.mtx", "job_STIF1")
@@ -68,7 +69,9 @@ def test_abaqus(tmp_path: Path) -> None:
     assert dofs is not None
     assert dofs.labels() == ("10+X", "10+RZ", "12+Y", "900+Z")
     every = np.argwhere(A)
-    (tmp_path / "c.mtx").write_text("".join(f"{i + 1} {j + 1} {A[i, j]:.15e}\n" for i, j in every.tolist()))
+    (tmp_path / "c.mtx").write_text(
+        "".join(f"{i + 1} {j + 1} {A[i, j]:.15e}\n" for i, j in every.tolist())
+    )
     _same(tmp_path / "c.mtx", "c")
 
 

@@ -24,8 +24,15 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     shapes = rng.standard_normal((4, 3)) + 1j * rng.standard_normal((4, 3))
     shapes[2, 1] = np.nan
-    modes = ModeSet(np.array([3.0, 5.5, 9.25]), np.array([0.01, np.nan, 0.02]), shapes, ("1+X", "1+Y", "2+X", "2-Y"))
-    spread = Uncertainty.independent(np.array([0.01, 0.02, np.nan]), np.full(3, 1e-3), np.zeros((4, 3)))
+    modes = ModeSet(
+        np.array([3.0, 5.5, 9.25]),
+        np.array([0.01, np.nan, 0.02]),
+        shapes,
+        ("1+X", "1+Y", "2+X", "2-Y"),
+    )
+    spread = Uncertainty.independent(
+        np.array([0.01, 0.02, np.nan]), np.full(3, 1e-3), np.zeros((4, 3))
+    )
     write_modes(tmp_path / "m.csv", modes, spread)
     found = read_modes(tmp_path / "m.csv")
     assert found.channels == modes.channels
@@ -37,7 +44,10 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
 
 
 def test_a_mode_a_row_with_decimal_commas(tmp_path: Path) -> None:
-    path = table(tmp_path, "Mode;Frequenz [Hz];Dämpfung [%];101+Z;102+Z\n2;16,1;0,7;-0,3+0,1i;1\n1;6,37;0,8;1;0,5\n")
+    path = table(
+        tmp_path,
+        "Mode;Frequenz [Hz];Dämpfung [%];101+Z;102+Z\n2;16,1;0,7;-0,3+0,1i;1\n1;6,37;0,8;1;0,5\n",
+    )
     found = read_modes(path)
     assert found.frequencies.tolist() == [6.37, 16.1]
     assert found.damping == pytest.approx([0.008, 0.007])
@@ -96,9 +106,15 @@ def test_the_first_sheet_of_a_workbook(tmp_path: Path) -> None:
         ("frequency [Hz],1+Z\n", "no mode below `frequency [Hz]`"),
         ("frequency,1+Z\n3.0,much\n", "1+Z is 'much'; it must be a number"),
         ("frequency,1+Z\n3.0,inf\n", "1+Z is 'inf'; it must be a number"),
-        ("frequency,damping\n3.0,1.5\n4.0,0.8\n", "`damping`: 1.5 of critical? What is in percent has [%]"),
+        (
+            "frequency,damping\n3.0,1.5\n4.0,0.8\n",
+            "`damping`: 1.5 of critical? What is in percent has [%]",
+        ),
         ("frequency,3,4\n1+Z,1,2\n1+Z,3,4\n", "`1+Z` stands there twice"),
-        ("mode,f FEM [Hz],f test [Hz]\n1,3,4\n", "`f FEM [Hz]` and `f test [Hz]` are both frequency"),
+        (
+            "mode,f FEM [Hz],f test [Hz]\n1,3,4\n",
+            "`f FEM [Hz]` and `f test [Hz]` are both frequency",
+        ),
     ],
 )
 def test_what_is_no_table_of_modes(tmp_path: Path, text: str, told: str) -> None:

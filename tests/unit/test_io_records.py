@@ -27,7 +27,9 @@ CHANNELS = (
 
 def test_own_layout(tmp_path: Path) -> None:
     path = tmp_path / "r.h5"
-    write_record(path, (VOLTS[:, a : a + 64] for a in range(0, 200, 64)), 100.0, CHANNELS, extra={"t": T})
+    write_record(
+        path, (VOLTS[:, a : a + 64] for a in range(0, 200, 64)), 100.0, CHANNELS, extra={"t": T}
+    )
     info = record_info(path)
     assert info.channels == CHANNELS
     assert info.samples == 200
@@ -65,7 +67,9 @@ def as_h5(path: Path) -> Path:
 
 
 def as_csv(path: Path) -> Path:
-    rows = "\n".join(f"{t:.4f};{a:.9f};{b:.9f}".replace(".", ",") for t, a, b in zip(T, *VOLTS, strict=True))
+    rows = "\n".join(
+        f"{t:.4f};{a:.9f};{b:.9f}".replace(".", ",") for t, a, b in zip(T, *VOLTS, strict=True)
+    )
     path.with_suffix(".csv").write_text("time;1+Z [m/s^2];F [N]\n" + rows)
     return path.with_suffix(".csv")
 
@@ -79,7 +83,10 @@ def test_foreign_formats(tmp_path: Path, write: Callable[[Path], Path]) -> None:
 
 def test_csv_header_gives_names_and_units(tmp_path: Path) -> None:
     record = read_record(as_csv(tmp_path / "r"))
-    assert [(c.id, c.quantity) for c in record.channels] == [("1+Z", "acceleration"), ("F", "force")]
+    assert [(c.id, c.quantity) for c in record.channels] == [
+        ("1+Z", "acceleration"),
+        ("F", "force"),
+    ]
 
 
 @pytest.mark.parametrize(
@@ -95,7 +102,9 @@ def test_csv_header_gives_names_and_units(tmp_path: Path) -> None:
     ],
     ids=["empty", "nan", "constant", "no rate", "negative rate", "nan rate", "text"],
 )
-def test_refuses_bad_arrays(tmp_path: Path, array: np.ndarray, rate: float | None, words: str) -> None:
+def test_refuses_bad_arrays(
+    tmp_path: Path, array: np.ndarray, rate: float | None, words: str
+) -> None:
     np.save(tmp_path / "r.npy", array)
     with pytest.raises(DataError, match=words):
         read_record(tmp_path / "r.npy", rate)
@@ -106,7 +115,9 @@ def test_missing_rows_and_samples_are_told_with_what_to_do(tmp_path: Path) -> No
     head = "Time [s],a,b"
     path = tmp_path / "r.csv"
     path.write_text("\n".join([head, *rows[:400], *rows[650:900], *rows[903:]]))
-    with pytest.raises(DataError, match=r"samples are missing: 2.51 s behind row 400, 0.04 s behind row 650, where"):
+    with pytest.raises(
+        DataError, match=r"samples are missing: 2.51 s behind row 400, 0.04 s behind row 650, where"
+    ):
         read_record(path)
     whole = read_record(path, gaps=True)
     there = np.r_[0:400, 650:900, 903:2000]
@@ -119,7 +130,9 @@ def test_missing_rows_and_samples_are_told_with_what_to_do(tmp_path: Path) -> No
     assert np.isnan(read_record(path, gaps=True).data).sum() == 1
 
 
-@pytest.mark.parametrize("form", ["clock", "array", "mat", "mat named", "hdf5", "hdf5 named", "vectors named", "tdms"])
+@pytest.mark.parametrize(
+    "form", ["clock", "array", "mat", "mat named", "hdf5", "hdf5 named", "vectors named", "tdms"]
+)
 def test_rows_that_a_logger_dropped_have_their_place_on_the_grid(tmp_path: Path, form: str) -> None:
     k = np.r_[0:3000, 6400:9000, 9001:10000]
     if form == "clock":
@@ -136,7 +149,11 @@ def test_rows_that_a_logger_dropped_have_their_place_on_the_grid(tmp_path: Path,
         path = tmp_path / "r.h5"
         with h5py.File(path, "w") as file:
             file["time"] = k / 125.0
-            file.update({"a": np.sin(k), "b": np.cos(k)} if "vec" in form else {"y": np.stack([np.sin(k), np.cos(k)])})
+            file.update(
+                {"a": np.sin(k), "b": np.cos(k)}
+                if "vec" in form
+                else {"y": np.stack([np.sin(k), np.cos(k)])}
+            )
             file.attrs.update({"rate": 125.0} if "named" in form else {})
     elif form == "tdms":
         path = tmp_path / "r.tdms"
@@ -156,8 +173,13 @@ def test_rows_that_a_logger_dropped_have_their_place_on_the_grid(tmp_path: Path,
 
 def test_times_in_other_units_leave_a_named_rate_alone(tmp_path: Path) -> None:
     k = np.r_[0:3000, 6400:9000]
-    for t in (k / 125.0 / 86400, np.sort(np.random.default_rng(0).uniform(0, 50, k.size))):  # days, times of arrival
-        savemat(tmp_path / "r.mat", {"fs": 125.0, "t": t, "y": np.stack([np.sin(k), np.cos(k)], axis=1)})
+    for t in (
+        k / 125.0 / 86400,
+        np.sort(np.random.default_rng(0).uniform(0, 50, k.size)),
+    ):  # days, times of arrival
+        savemat(
+            tmp_path / "r.mat", {"fs": 125.0, "t": t, "y": np.stack([np.sin(k), np.cos(k)], axis=1)}
+        )
         assert read_record(tmp_path / "r.mat", gaps=True).data.shape == (2, k.size)
 
 
@@ -170,7 +192,9 @@ def test_a_record_that_is_mostly_missing_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("samples", [500, 4321, 8192])
-def test_times_with_few_decimals_have_the_rate_of_the_recorder(tmp_path: Path, samples: int) -> None:
+def test_times_with_few_decimals_have_the_rate_of_the_recorder(
+    tmp_path: Path, samples: int
+) -> None:
     rows = [f"{i / 1024:.6f},{np.sin(i):.5f}" for i in range(samples)]
     (tmp_path / "r.csv").write_text("\n".join(["Time [s],a", *rows]))
     assert read_record(tmp_path / "r.csv").rate == 1024.0

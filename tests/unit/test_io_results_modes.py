@@ -1,4 +1,6 @@
-"""Results files of Nastran-like programs: recorded ones, made ones in each layout, and damaged ones."""
+"""Results files of Nastran-like programs: recorded ones, made ones in each layout, and damaged
+ones.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,18 @@ from ringtrue.shapes.mac import mac
 
 DATA = Path(__file__).parents[3] / "shared" / "data" / "fe"
 SVANBERG = "msc2019/system_verification/002_svanberg_beam/nastran_runs/modes"
-BEAM = (456.6603, 456.6603, 2674.588, 2674.588, 3554.923, 4507.487, 6626.104, 6626.104, 11111.59, 11111.59)
+BEAM = (
+    456.6603,
+    456.6603,
+    2674.588,
+    2674.588,
+    3554.923,
+    4507.487,
+    6626.104,
+    6626.104,
+    11111.59,
+    11111.59,
+)
 PRINTED = 5e-7  # seven digits
 
 
@@ -44,7 +57,9 @@ def test_recorded_beam(name: str) -> None:
 def test_formats_of_one_run_agree() -> None:
     """MSC 2019, one job: HDF5 in double precision, OP2 in single, F06 in seven digits."""
     deck = read_deck(recorded(f"{SVANBERG}.dat"))
-    h5, f06, op2 = (read_nastran_modes(recorded(f"{SVANBERG}.{e}"), deck) for e in ("h5", "f06", "op2"))
+    h5, f06, op2 = (
+        read_nastran_modes(recorded(f"{SVANBERG}.{e}"), deck) for e in ("h5", "f06", "op2")
+    )
     for other in (f06, op2):
         assert other.norm is Norm.MASS  # the OP2 holds no modal masses: the deck's EIGRL says MASS
         np.testing.assert_allclose(other.frequencies, h5.frequencies, rtol=PRINTED)
@@ -59,7 +74,9 @@ def test_shapes_scaled_by_maximum_become_mass_normalised() -> None:
     raw = read_recorded(recorded("beam_modes/beam_modes_m1.op2"))
     assert np.abs(raw.motion).max(axis=(0, 1))[:4] == pytest.approx(np.ones(4), rel=1e-6)
     modes = read_nastran_modes(recorded("beam_modes/beam_modes_m1.op2"), deck)
-    assert np.abs(modes.shapes).max() == pytest.approx(np.abs(raw.motion / np.sqrt(raw.modal_mass)).max())
+    assert np.abs(modes.shapes).max() == pytest.approx(
+        np.abs(raw.motion / np.sqrt(raw.modal_mass)).max()
+    )
 
 
 NODES, VALUES = np.array([7, 3, 12]), np.array([4.0, 900.0])
@@ -74,7 +91,10 @@ def write_op2(
 ) -> np.ndarray:
     writer, motion = Op2Writer(order, word), made()
     writer.head()
-    writer.table("GEOM1", [[4501, 45, 1, *(x for n in NODES.tolist() for x in (n, 0, 0.0, 0.0, 0.0, cd, 0, 0))]])
+    writer.table(
+        "GEOM1",
+        [[4501, 45, 1, *(x for n in NODES.tolist() for x in (n, 0, 0.0, 0.0, 0.0, cd, 0, 0))]],
+    )
     writer.modes(VALUES, NODES, motion, np.full(2, mass), name)
     writer.write(path)
     return motion
@@ -82,16 +102,34 @@ def write_op2(
 
 def write_f06(path: Path) -> np.ndarray:
     motion = made()
-    text = "1    TITLE                          PAGE 1\n\n                   R E A L   E I G E N V A L U E S\n"
-    text += "   MODE    EXTRACTION      EIGENVALUE            RADIANS             CYCLES            GENERALIZED\n"
+    text = (
+        "1    TITLE                          PAGE 1\n\n                   R E A L   E I G E N "
+        "V A L U E S\n"
+    )
+    text += (
+        "   MODE    EXTRACTION      EIGENVALUE            RADIANS             CYCLES         "
+        "   GENERALIZED\n"
+    )
     for k, lam in enumerate(VALUES):
         w = np.sqrt(lam)
-        text += f"{k + 1:9d}{k + 1:10d}" + "".join(f"{v:20.6E}" for v in (lam, w, w / 2 / np.pi, 1.0, lam)) + "\n"
+        text += (
+            f"{k + 1:9d}{k + 1:10d}"
+            + "".join(f"{v:20.6E}" for v in (lam, w, w / 2 / np.pi, 1.0, lam))
+            + "\n"
+        )
     for k, lam in enumerate(VALUES):
         for rows in (slice(0, 2), slice(2, 3)):  # over two pages
-            text += f"1    TITLE                          PAGE {k + 2}\n      EIGENVALUE = {lam:13.6E}\n"
-            text += f"          CYCLES = 1.0         R E A L   E I G E N V E C T O R   N O .  {k + 1:10d}\n\n"
-            text += "      POINT ID.   TYPE          T1             T2             T3             R1\n"
+            text += (
+                f"1    TITLE                          PAGE {k + 2}\n      EIGENVALUE = "
+                f"{lam:13.6E}\n"
+            )
+            text += (
+                "          CYCLES = 1.0         R E A L   E I G E N V E C T O R   N O .  "
+                f"{k + 1:10d}\n\n"
+            )
+            text += (
+                "      POINT ID.   TYPE          T1             T2             T3             R1\n"
+            )
             for n, v in zip(NODES[rows].tolist(), motion[rows, :, k], strict=True):
                 text += f" {n:13d}      G  " + "".join(f"{x:15.6E}" for x in v) + "\n"
     path.write_text(text)
@@ -120,7 +158,12 @@ def write_h5(path: Path) -> np.ndarray:
         shapes[name] = motion[:, c].T.ravel()
     ints = ("ID", "SUBCASE", "ANALYSIS", "MODE", "SE")
     domains = np.zeros(3, dtype=[(n, "i8") for n in ints] + [("TIME_FREQ_EIGR", "f8")])
-    domains["ID"], domains["SUBCASE"], domains["ANALYSIS"], domains["MODE"] = (9, 5, 1), 1, (2, 2, 1), (2, 1, 0)
+    domains["ID"], domains["SUBCASE"], domains["ANALYSIS"], domains["MODE"] = (
+        (9, 5, 1),
+        1,
+        (2, 2, 1),
+        (2, 1, 0),
+    )
     domains["TIME_FREQ_EIGR"] = (900.0, 4.0, 0.0)
     table_ = np.zeros(2, dtype=[("MODE", "i8"), ("EIGEN", "f8"), ("MASS", "f8")])
     table_["MODE"], table_["EIGEN"], table_["MASS"] = (1, 2), VALUES, 1.0
@@ -131,7 +174,13 @@ def write_h5(path: Path) -> np.ndarray:
     return motion
 
 
-WRITERS = {"m.op2": write_op2, "m.f06": write_f06, "m.out": write_f06, "m.pch": write_punch, "m.h5": write_h5}
+WRITERS = {
+    "m.op2": write_op2,
+    "m.f06": write_f06,
+    "m.out": write_f06,
+    "m.pch": write_punch,
+    "m.h5": write_h5,
+}
 
 
 @pytest.mark.parametrize("name", WRITERS)
@@ -149,13 +198,19 @@ def test_formats(tmp_path: Path, name: str) -> None:
 def test_op2_byte_orders_and_word_sizes(tmp_path: Path, order: str, word: int) -> None:
     motion = write_op2(tmp_path / "m.op2", order, word, mass=4.0)
     modes = read_nastran_modes(tmp_path / "m.op2")
-    np.testing.assert_allclose(modes.shapes, motion.reshape(18, 2) / 2, rtol=1e-6 if word == 4 else 1e-14)
-    np.testing.assert_allclose(modes.frequencies, [1 / np.pi, 15 / np.pi], rtol=1e-6 if word == 4 else 1e-14)
+    np.testing.assert_allclose(
+        modes.shapes, motion.reshape(18, 2) / 2, rtol=1e-6 if word == 4 else 1e-14
+    )
+    np.testing.assert_allclose(
+        modes.frequencies, [1 / np.pi, 15 / np.pi], rtol=1e-6 if word == 4 else 1e-14
+    )
 
 
 @pytest.mark.parametrize("first", [True, False])
 @pytest.mark.parametrize("other", ["ROUGV1", "BOPHIGF", "RADCONS"])
-def test_op2_eigenvectors_of_something_else_are_no_shapes(tmp_path: Path, other: str, first: bool) -> None:
+def test_op2_eigenvectors_of_something_else_are_no_shapes(
+    tmp_path: Path, other: str, first: bool
+) -> None:
     """NX writes the rigid-body motion of a moved base as ROUGV1; its codes are those of OUGV1."""
     writer, motion, rigid = Op2Writer(), made(), np.ones((3, 6, 2))
     names = [(other, rigid), ("OUGV1", motion)]
@@ -173,10 +228,15 @@ def test_op2_eigenvectors_of_something_else_are_no_shapes(tmp_path: Path, other:
 
 def test_op2_eigenvalues_of_a_fluid_are_not_those_of_the_structure(tmp_path: Path) -> None:
     writer, motion = Op2Writer(), made()
-    writer.table("LAMAF", [[21, 6, *[0] * 144], [1, 1, 1e6, 1e3, 159.0, 4.0, 4e6, 2, 2, 4e6, 2e3, 318.0, 4.0, 16e6]])
+    writer.table(
+        "LAMAF",
+        [[21, 6, *[0] * 144], [1, 1, 1e6, 1e3, 159.0, 4.0, 4e6, 2, 2, 4e6, 2e3, 318.0, 4.0, 16e6]],
+    )
     writer.modes(VALUES, NODES, motion, np.ones(2))
     writer.write(tmp_path / "m.op2")
-    np.testing.assert_allclose(read_nastran_modes(tmp_path / "m.op2").frequencies, [1 / np.pi, 15 / np.pi], rtol=1e-6)
+    np.testing.assert_allclose(
+        read_nastran_modes(tmp_path / "m.op2").frequencies, [1 / np.pi, 15 / np.pi], rtol=1e-6
+    )
 
 
 @pytest.mark.parametrize("word", [4, 8])
@@ -184,7 +244,10 @@ def test_op2_in_the_enhanced_format_of_msc(tmp_path: Path, word: int) -> None:
     """PARAM,POST,1: six words follow the label and the name of each table."""
     writer, motion = Op2Writer(word=word, enhanced=True), made()
     writer.head()
-    writer.table("GEOM1", [[4501, 45, 1, *(x for n in NODES.tolist() for x in (n, 0, 0.0, 0.0, 0.0, 0, 0, 0))]])
+    writer.table(
+        "GEOM1",
+        [[4501, 45, 1, *(x for n in NODES.tolist() for x in (n, 0, 0.0, 0.0, 0.0, 0, 0, 0))]],
+    )
     writer.modes(VALUES, NODES, motion, np.ones(2))
     writer.write(tmp_path / "m.op2")
     modes = read_nastran_modes(tmp_path / "m.op2")
@@ -193,7 +256,13 @@ def test_op2_in_the_enhanced_format_of_msc(tmp_path: Path, word: int) -> None:
 
 
 def deck(cd: int = 0) -> Model:
-    grid = {"ID": [3, 7, 12], "CP": [0] * 3, "X1": [0.0, 1.0, 0.0], "X2": [1.0, 0.0, 0.0], "X3": [0.0, 0.0, 5.0]}
+    grid = {
+        "ID": [3, 7, 12],
+        "CP": [0] * 3,
+        "X1": [0.0, 1.0, 0.0],
+        "X2": [1.0, 0.0, 0.0],
+        "X3": [0.0, 0.0, 5.0],
+    }
     cylinder = {"CID": [4], "RID": [0]} | {
         f"{p}{i}": [float(v)] for p, v3 in FRAME.items() for i, v in zip("123", v3, strict=True)
     }
@@ -205,12 +274,16 @@ FRAME = {"A": (0, 0, 0), "B": (0, 0, 1), "C": (1, 0, 0)}
 
 
 def test_displacement_frames_are_turned_to_basic(tmp_path: Path) -> None:
-    """Node 3 stands at 90 degrees of a cylindrical frame: its radial motion is basic Y, its tangential one -X."""
+    """Node 3 stands at 90 degrees of a cylindrical frame: its radial motion is basic Y, its
+    tangential one -X.
+    """
     motion = write_op2(tmp_path / "m.op2", cd=4)
     modes = read_nastran_modes(tmp_path / "m.op2", deck(cd=4))
     assert modes.labels.node[::6].tolist() == [3, 7, 12]  # as in the deck
     three, seven, twelve = modes.shapes.reshape(3, 6, 2)
-    np.testing.assert_allclose(three[[1, 0, 2, 4, 3, 5]], motion[1] * [[1], [-1], [1], [1], [-1], [1]], atol=1e-6)
+    np.testing.assert_allclose(
+        three[[1, 0, 2, 4, 3, 5]], motion[1] * [[1], [-1], [1], [1], [-1], [1]], atol=1e-6
+    )
     np.testing.assert_allclose(seven, motion[0], atol=1e-6)
     np.testing.assert_allclose(twelve, motion[2], atol=1e-6)
 
@@ -219,7 +292,9 @@ def test_a_file_in_displacement_frames_wants_the_deck(tmp_path: Path) -> None:
     write_op2(tmp_path / "m.op2", cd=4)
     with pytest.raises(DataError, match="name the deck"):
         read_nastran_modes(tmp_path / "m.op2")
-    write_op2(tmp_path / "b.op2", name="BOUGV1")  # PARAM,OUGCORD,BASIC: nothing is turned, whatever the deck says
+    write_op2(
+        tmp_path / "b.op2", name="BOUGV1"
+    )  # PARAM,OUGCORD,BASIC: nothing is turned, whatever the deck says
     np.testing.assert_allclose(
         read_nastran_modes(tmp_path / "b.op2", deck(cd=4)).shapes,
         read_nastran_modes(tmp_path / "b.op2", deck(cd=0)).shapes,
@@ -238,9 +313,13 @@ def test_scalar_points(tmp_path: Path) -> None:
     text = (write_f06(tmp_path / "m.f06"), (tmp_path / "m.f06").read_text())[1]
     text = text.replace("           12      G", "           12      S")
     (tmp_path / "s.f06").write_text(text)
-    found = read_recorded(tmp_path / "s.f06")  # a row of an S line holds six points one after the other
+    found = read_recorded(
+        tmp_path / "s.f06"
+    )  # a row of an S line holds six points one after the other
     assert found.nodes.tolist() == [7, 3, 12, 13, 14, 15, 16, 17]
-    model = Model({**deck().tables, "SPOINT": table("SPOINT", ID=Ragged(np.arange(12, 18), np.array([0, 6])))})
+    model = Model(
+        {**deck().tables, "SPOINT": table("SPOINT", ID=Ragged(np.arange(12, 18), np.array([0, 6])))}
+    )
     model = Model({**model.tables, "GRID": read_rows(model, 2)})
     modes = read_nastran_modes(tmp_path / "s.f06", model)
     assert modes.channels[-2:] == ("16", "17")
@@ -273,7 +352,9 @@ def test_mystran_prints_marks_and_one_table_a_mode(tmp_path: Path) -> None:
     (tmp_path / "m.f06").write_text(text)
     modes = read_nastran_modes(tmp_path / "m.f06")
     assert modes.frequencies == pytest.approx([-1 / np.pi])
-    assert modes.shapes[:, 0] == pytest.approx([0, 0, 0, 0, 0, 1.5, 3.06343e-103, 2.71512e-6, *LAST])
+    assert modes.shapes[:, 0] == pytest.approx(
+        [0, 0, 0, 0, 0, 1.5, 3.06343e-103, 2.71512e-6, *LAST]
+    )
 
 
 LAST = (-5.494715e-3, -1.19107e-3, 3.290515e-2, -3.96923e-3)
@@ -284,7 +365,9 @@ def test_sturm_counts_and_fatal_messages(tmp_path: Path) -> None:
     counts = sturm_counts(recorded("beam_modes/beam_modes.f06"))
     assert counts == ((1484.403, 2), (12359.90, 10))
     assert fatal_messages(recorded("beam_modes/beam_modes.f06")) == ()
-    (tmp_path / "a.f06").write_text(" 0*** USER FATAL MESSAGE 9050 (SEKRRS)\n     RUN TERMINATED: EXCESSIVE PIVOTS\n")
+    (tmp_path / "a.f06").write_text(
+        " 0*** USER FATAL MESSAGE 9050 (SEKRRS)\n     RUN TERMINATED: EXCESSIVE PIVOTS\n"
+    )
     assert fatal_messages(tmp_path / "a.f06") == (
         "0*** USER FATAL MESSAGE 9050 (SEKRRS)\nRUN TERMINATED: EXCESSIVE PIVOTS",
     )
@@ -292,7 +375,9 @@ def test_sturm_counts_and_fatal_messages(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", WRITERS)
 def test_damaged_files_give_one_clear_error(tmp_path: Path, name: str) -> None:
-    """Cut off anywhere, or with bytes changed: modes or a DataError that names the file, nothing else."""
+    """Cut off anywhere, or with bytes changed: modes or a DataError that names the file, nothing
+    else.
+    """
     WRITERS[name](tmp_path / name)
     whole = (tmp_path / name).read_bytes()
     rng = np.random.default_rng(0)
@@ -329,9 +414,14 @@ def test_empty_foreign_and_missing_files(tmp_path: Path, ext: str) -> None:
 
 @pytest.mark.data
 def test_reduced_runs_keep_their_shapes() -> None:
-    """Craig-Bampton with enough modes is near the full model: the same lowest shapes in both HDF5 files."""
+    """Craig-Bampton with enough modes is near the full model: the same lowest shapes in both HDF5
+    files.
+    """
     folder = "msc2019/superelements/cantilever_bar/no_super"
-    full, reduced = (read_nastran_modes(recorded(f"{folder}/{n}.h5")) for n in ("noReduction", "dynamicReduction"))
+    full, reduced = (
+        read_nastran_modes(recorded(f"{folder}/{n}.h5"))
+        for n in ("noReduction", "dynamicReduction")
+    )
     same = [c for c in full.channels if c in reduced.channels]
     likeness = mac(full.rows(same).shapes[:, :2], reduced.rows(same).shapes[:, :2])
     assert np.diag(likeness) == pytest.approx(np.ones(2), abs=1e-3)

@@ -28,7 +28,14 @@ def frfs() -> FrfSet:
     out = tuple(Channel(f"{i}+Z", "acceleration", "m/s^2") for i in (1, 2, 3))
     inputs = (Channel("2+Z", "force", "N"), Channel("3-Z", "force", "N"))
     return FrfSet(
-        H, np.arange(1, 10) * 0.5, out, inputs, np.full(H.shape, 0.9), np.array([4.0, 5.0]), "accelerance", 0.3
+        H,
+        np.arange(1, 10) * 0.5,
+        out,
+        inputs,
+        np.full(H.shape, 0.9),
+        np.array([4.0, 5.0]),
+        "accelerance",
+        0.3,
     )
 
 
@@ -64,14 +71,20 @@ def test_uff_of_vendors() -> None:
     assert got.inputs[0].id == "21+X"
     with pytest.raises(DataError, match="no FRFs"):
         read_frfs(DATA / "uff/BK_4_channels.uff")
-    np.testing.assert_array_equal(read_modes(DATA / "uff/uff55_translation.uff").frequencies, [10, 12, 13])
+    np.testing.assert_array_equal(
+        read_modes(DATA / "uff/uff55_translation.uff").frequencies, [10, 12, 13]
+    )
 
 
 @pytest.mark.parametrize("name", ["m.json", "m.h5", "m.uff"])
 @pytest.mark.parametrize("kind", ["real", "complex"])
 def test_modes_go_round(tmp_path: Path, name: str, kind: str) -> None:
-    shapes = RNG.standard_normal((3, 2)) + (1j * RNG.standard_normal((3, 2)) if kind == "complex" else 0)
-    modes = ModeSet(np.array([1.0, 2.5]), np.array([0.01, 0.02]), shapes, ("1+X", "1+Y", "1+Z"), Norm.UNSCALED)
+    shapes = RNG.standard_normal((3, 2)) + (
+        1j * RNG.standard_normal((3, 2)) if kind == "complex" else 0
+    )
+    modes = ModeSet(
+        np.array([1.0, 2.5]), np.array([0.01, 0.02]), shapes, ("1+X", "1+Y", "1+Z"), Norm.UNSCALED
+    )
     write_modes(tmp_path / name, modes)
     got = read_modes(tmp_path / name)
     np.testing.assert_allclose(got.frequencies, modes.frequencies, rtol=1e-5)
@@ -100,7 +113,9 @@ def test_json_is_null_where_unknown(tmp_path: Path) -> None:
         ("std_frequency_hz", [0.1], r"mode 1: std_frequency_hz is \[0.1\]; it must be a number"),
     ],
 )
-def test_json_of_modes_with_a_wrong_number(tmp_path: Path, key: str, value: object, message: str) -> None:
+def test_json_of_modes_with_a_wrong_number(
+    tmp_path: Path, key: str, value: object, message: str
+) -> None:
     table = modes_to_json(ModeSet(np.array([1.0]), np.array([0.01]), np.ones((1, 1)), ("1+X",)))
     table["modes"][0][key] = value
     (tmp_path / "m.json").write_text(json.dumps(table))
@@ -136,11 +151,15 @@ def write_sheet(path: Path, rows: list[list[object]]) -> Path:
 def test_sensor_sheet(tmp_path: Path, ext: str) -> None:
     lines = tmp_path / "lines.csv"
     lines.write_text("101,102\n")
-    sheet = read_sensor_sheet(write_sheet(tmp_path / f"s{ext}", SHEET), lines if ext == ".csv" else None)
+    sheet = read_sensor_sheet(
+        write_sheet(tmp_path / f"s{ext}", SHEET), lines if ext == ".csv" else None
+    )
     model = sheet.model
     assert model.channels == ("101+X", "101-Y", "skewed", "angles")
     c = np.sqrt(3) / 2
-    np.testing.assert_allclose(model.axes, [[1, 0, 0], [0, -1, 0], [0.6, 0, 0.8], [0, c, 0.5]], atol=1e-12)
+    np.testing.assert_allclose(
+        model.axes, [[1, 0, 0], [0, -1, 0], [0.6, 0, 0.8], [0, c, 0.5]], atol=1e-12
+    )
     np.testing.assert_array_equal(model.lines, [[101, 102]])
     assert model.groups[0] == "frame"
     assert sheet.channels[0].sensitivity == 0.1
@@ -174,11 +193,15 @@ def test_sheet_notes_doubtful_orientations(tmp_path: Path) -> None:
     rows += [[3, 0, 1, 1, d, f"c{d}"] for d in ("X", "1 1 0")]
     notes = read_sensor_sheet(write_sheet(tmp_path / "s.csv", rows)).notes
     assert len(notes) == 3
-    assert all(w in n for w, n in zip(("oppose", "left-handed", "right angles"), notes, strict=True))
+    assert all(
+        w in n for w, n in zip(("oppose", "left-handed", "right angles"), notes, strict=True)
+    )
 
 
 def test_a_sheet_tells_what_a_record_does_not(tmp_path: Path) -> None:
-    """Volts and channels without a unit by the sheet; units of the record and channels elsewhere stand."""
+    """Volts and channels without a unit by the sheet; units of the record and channels elsewhere
+    stand.
+    """
     rows = [list(r) for r in SHEET] + [[104, "", "", "", "+Z", "N", 0.002, "", "F:104+Z"]]
     sheet = read_sensor_sheet(write_sheet(tmp_path / "s.csv", rows))
     assert "F:104+Z" not in sheet.model.channels
@@ -201,7 +224,9 @@ def test_a_sheet_tells_what_a_record_does_not(tmp_path: Path) -> None:
 
 
 def test_a_record_without_names_has_those_of_the_sheet(tmp_path: Path) -> None:
-    """Its motions; with another number of channels none are given: where the force is, nothing tells."""
+    """Its motions; with another number of channels none are given: where the force is, nothing
+    tells.
+    """
     rows = [list(r) for r in SHEET] + [[104, "", "", "", "+Z", "N", 0.002, "", "F:104+Z"]]
     sheet = read_sensor_sheet(write_sheet(tmp_path / "s.csv", rows))
     names = sheet.model.channels
@@ -210,18 +235,28 @@ def test_a_record_without_names_has_those_of_the_sheet(tmp_path: Path) -> None:
     found, notes = sheet.scaled(record.pick([c.id for c in bare[:-1]]))
     assert tuple(c.id for c in found.channels) == names
     assert "in its order: 101+X" in notes[0]
-    by_name, _ = sheet.scaled(replace(found, data=record.data[:-1], channels=tuple(Channel(n) for n in names)))
+    by_name, _ = sheet.scaled(
+        replace(found, data=record.data[:-1], channels=tuple(Channel(n) for n in names))
+    )
     np.testing.assert_array_equal(found.data, by_name.data)
     same, notes = sheet.scaled(record)
     assert same.channels == record.channels
-    assert notes == (f"without a unit, and not on the sensor sheet: {' '.join(c.id for c in bare)}",)
+    assert notes == (
+        f"without a unit, and not on the sensor sheet: {' '.join(c.id for c in bare)}",
+    )
 
 
 @pytest.mark.parametrize(
     ("order", "read"),
     [
-        ([f"ch{i:02d}" for i in range(1, 13)], [f"ch{i:02d}" for i in range(1, 13)]),  # 10 to 12 are on the sheet
-        ([f"ch{i}" for i in range(12, 0, -1)], [f"ch{i}" for i in range(1, 13)]),  # all are, in another order
+        (
+            [f"ch{i:02d}" for i in range(1, 13)],
+            [f"ch{i:02d}" for i in range(1, 13)],
+        ),  # 10 to 12 are on the sheet
+        (
+            [f"ch{i}" for i in range(12, 0, -1)],
+            [f"ch{i}" for i in range(1, 13)],
+        ),  # all are, in another order
         (["ch2", *"abcdefghijk"], [f"ch{i}" for i in range(1, 13)]),  # one is, at another place
     ],
 )

@@ -1,4 +1,6 @@
-"""Universal files: every case of data set 58, geometry, shapes, and the odd forms that vendors write."""
+"""Universal files: every case of data set 58, geometry, shapes, and the odd forms that vendors
+write.
+"""
 
 from __future__ import annotations
 
@@ -97,12 +99,19 @@ def test_a_cut_body_is_told(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("damage", ["none", "count", "no count", "line end"])
 def test_binary_with_marks_inside_and_wrong_counts(tmp_path: Path, damage: str) -> None:
-    """A sample whose bytes look like a closing mark must not end the set; vendors write wrong counts of bytes."""
+    """A sample whose bytes look like a closing mark must not end the set; vendors write wrong
+    counts of bytes.
+    """
     y = np.concatenate([Y, np.frombuffer(b"\n    -1\n" * 2, "<f8")])
     codes = (17, 12, 0)
     raw = write_function(1, np.arange(y.size) * 0.5, y, (1, 3), (0, 0), codes=codes, binary=True)
     count = f"{y.size * 8:12d}".encode()
-    wrong = {"none": count, "line end": count, "count": f"{y.size * 8 + 4:12d}".encode(), "no count": b" " * 11 + b"0"}
+    wrong = {
+        "none": count,
+        "line end": count,
+        "count": f"{y.size * 8 + 4:12d}".encode(),
+        "no count": b" " * 11 + b"0",
+    }
     raw = raw.replace(count, wrong[damage], 1)
     if damage == "line end":
         raw = raw.replace(b"\n    -1\n    58", b"\r\n    -1\r\n    58")
@@ -116,7 +125,9 @@ def test_binary_with_marks_inside_and_wrong_counts(tmp_path: Path, damage: str) 
 def test_big_endian_and_mixed_precision(tmp_path: Path) -> None:
     raw = write_function(1, X, Y, (1, 3), (0, 0), codes=(17, 12, 0), binary=True)
     at = raw.index(Y.tobytes())
-    big = (raw[:at] + Y.astype(">f8").tobytes() + raw[at + Y.nbytes :]).replace(b"58b     1", b"58b     2")
+    big = (raw[:at] + Y.astype(">f8").tobytes() + raw[at + Y.nbytes :]).replace(
+        b"58b     1", b"58b     2"
+    )
     (tmp_path / "big.uff").write_bytes(big)
     np.testing.assert_array_equal(read_functions(tmp_path / "big.uff")[0].y, Y)
     table = np.zeros(7, dtype=[("x", "<f4"), ("y", "<f8")])
@@ -135,14 +146,18 @@ def test_frfs_and_records_go_round(tmp_path: Path, binary: bool) -> None:
     rng = np.random.default_rng(2)
     h = rng.standard_normal((9, 2, 1)) + 1j * rng.standard_normal((9, 2, 1))
     out = (Channel("1+Z", "velocity", "m/s"), Channel("2-X", "velocity", "m/s"))
-    frfs = FrfSet(h, np.arange(9) * 0.5, out, (Channel("2-X", "force", "N"),), np.abs(h) / 9, np.array([3.0]))
+    frfs = FrfSet(
+        h, np.arange(9) * 0.5, out, (Channel("2-X", "force", "N"),), np.abs(h) / 9, np.array([3.0])
+    )
     write_frf_sets(tmp_path / "f.uff", frfs, binary=binary)
     got = read_frfs(tmp_path / "f.uff")
     np.testing.assert_allclose(got.data, h, rtol=1e-12)
     np.testing.assert_allclose(got.coherence, np.abs(h) / 9, rtol=1e-12)
     assert got.kind == "mobility"
     skewed = Channel("2+Ys", "velocity", "m/s")
-    record = TimeHistory(rng.standard_normal((4, 50)), 128.0, (Channel("F:2-X", "force", "N"), *out, skewed))
+    record = TimeHistory(
+        rng.standard_normal((4, 50)), 128.0, (Channel("F:2-X", "force", "N"), *out, skewed)
+    )
     write_time(tmp_path / "t.uff", record, binary=binary)
     again = read_record(tmp_path / "t.uff")
     np.testing.assert_allclose(again.data, record.data, rtol=1e-12)
@@ -151,8 +166,15 @@ def test_frfs_and_records_go_round(tmp_path: Path, binary: bool) -> None:
 
 def test_units_of_the_file_become_si(tmp_path: Path) -> None:
     """Data set 164 of a file in mm and mN: 1000 units of each per SI unit."""
-    units = "    -1\n   164\n         5mm (milli-newton)        2\n" + "  1.0000D+03" * 3 + "\n  2.7315D+02\n    -1\n"
-    node = "    -1\n  2411\n        10         1         1        11\n  1.5D+03  -2.0D+03   0.0D+00\n    -1\n"
+    units = (
+        "    -1\n   164\n         5mm (milli-newton)        2\n"
+        + "  1.0000D+03" * 3
+        + "\n  2.7315D+02\n    -1\n"
+    )
+    node = (
+        "    -1\n  2411\n        10         1         1        11\n  1.5D+03  -2.0D+03   "
+        "0.0D+00\n    -1\n"
+    )
     (tmp_path / "f.uff").write_text(units + node + function58(lines(Y, (13,) * 6), 2, 1))
     np.testing.assert_allclose(read_record(tmp_path / "f.uff").data[0], Y / 1000, rtol=1e-5)
     nodes = read_geometry(tmp_path / "f.uff").nodes
@@ -163,7 +185,9 @@ def test_units_of_the_file_become_si(tmp_path: Path) -> None:
 def test_rotations_and_moments_of_a_file_in_millimetres(tmp_path: Path) -> None:
     """Directions 4 to 6: radians stay, moments are in mN mm, strain in none."""
     units = (
-        b"    -1\n   164\n         5mm (milli-newton)        2\n" + b"  1.0000D+03" * 3 + b"\n  2.7315D+02\n    -1\n"
+        b"    -1\n   164\n         5mm (milli-newton)        2\n"
+        + b"  1.0000D+03" * 3
+        + b"\n  2.7315D+02\n    -1\n"
     )
     f, h = np.arange(1.0, 20.0), np.exp(-0.2j * np.arange(1.0, 20.0))
     ends = [((1, 3), (1, 3)), ((1, -5), (1, 3)), ((1, 3), (1, 5)), ((1, -5), (1, 5))]
@@ -177,7 +201,10 @@ def test_rotations_and_moments_of_a_file_in_millimetres(tmp_path: Path) -> None:
         ("1+Z", "N"),
         ("1+RY", "N*m"),
     ]
-    signals = [write_function(1, f, h.real, (k, 6), (0, 0), codes=(17, code, 0)) for k, code in ((1, 11), (2, 3))]
+    signals = [
+        write_function(1, f, h.real, (k, 6), (0, 0), codes=(17, code, 0))
+        for k, code in ((1, 11), (2, 3))
+    ]
     (tmp_path / "t.uff").write_bytes(units + b"".join(signals))
     record = read_record(tmp_path / "t.uff")
     np.testing.assert_allclose(record.data, [h.real, h.real])
@@ -185,15 +212,22 @@ def test_rotations_and_moments_of_a_file_in_millimetres(tmp_path: Path) -> None:
 
 
 def test_groups_2467_headers_2400_and_beams(tmp_path: Path) -> None:
-    group = "         1         0         0         0         0         0         0         3\nfloor\n"
+    group = (
+        "         1         0         0         0         0         0         0         3\nfloor\n"
+    )
     group += "         7        11         0         0         7        12         0         0\n"
     group += "         8         5         0         0\n"
-    beam = "         1        21         1         1         7         2\n         0         1         1\n"
+    beam = (
+        "         1        21         1         1         7         2\n         0         1   "
+        "      1\n"
+    )
     beam += "        11        12\n         2        44         1         1         7         4\n"
     beam += "        11        12        13        14\n"
     header = "           4     1     0           2\nmodel\npart\n"
     sets = {2467: group, 2412: beam, 2400: header}
-    (tmp_path / "g.unv").write_text("".join(f"    -1\n{k:6d}\n{t}    -1\n" for k, t in sets.items()))
+    (tmp_path / "g.unv").write_text(
+        "".join(f"    -1\n{k:6d}\n{t}    -1\n" for k, t in sets.items())
+    )
     found = read_geometry(tmp_path / "g.unv")
     assert found.kinds == (2467, 2412, 2400)
     np.testing.assert_array_equal(found.groups[0].entities, [[7, 11], [7, 12], [8, 5]])
@@ -212,7 +246,9 @@ def test_geometry_of_vendors() -> None:
         np.testing.assert_allclose(system.axes @ system.axes.T, np.eye(3), atol=1e-6)
     mesh = read_geometry(DATA / "mesh_test_uff2412_mixed.uff")
     assert [e.nodes.size for e in mesh.elements] == [4, 3, 3, 3, 3]
-    assert read_geometry(DATA / "1858.uff").qualifiers[0].window_damping == pytest.approx(5.2706007e-2)
+    assert read_geometry(DATA / "1858.uff").qualifiers[0].window_damping == pytest.approx(
+        5.2706007e-2
+    )
     assert read_geometry(DATA / "beam.uff").systems[0].name.strip()
 
 
@@ -226,14 +262,22 @@ def test_shapes_of_vendors() -> None:
 
 
 def test_frfs_of_several_kinds_and_units_are_one_kind_in_si(tmp_path: Path) -> None:
-    """An accelerometer in g, one in in/s^2 and a laser in mm/s over lbf on one point of one oscillator."""
+    """An accelerometer in g, one in in/s^2 and a laser in mm/s over lbf on one point of one
+    oscillator.
+    """
     f = np.arange(20) * 0.5
     h = -((2 * np.pi * f) ** 2) / (30.0**2 - (2 * np.pi * f) ** 2 + 2j * 0.05 * 30 * 2 * np.pi * f)
     velocity = np.divide(h, 2j * np.pi * f, out=np.zeros_like(h), where=f > 0)
-    rows = [(h / 9.80665, 12, "g/lbf"), (h / 0.0254, 12, "(in/s^2)"), (velocity * 1e3, 11, "mm/s/lbf")]
+    rows = [
+        (h / 9.80665, 12, "g/lbf"),
+        (h / 0.0254, 12, "(in/s^2)"),
+        (velocity * 1e3, 11, "mm/s/lbf"),
+    ]
     parts = []
     for node, (y, code, unit) in enumerate(rows):
-        block = write_function(4, f, y * 4.4482216152605, (node + 1, 3), (1, 3), codes=(18, code, 13)).decode()
+        block = write_function(
+            4, f, y * 4.4482216152605, (node + 1, 3), (1, 3), codes=(18, code, 13)
+        ).decode()
         mark = f"{code:10d}    0    0    0 NONE                 NONE"
         under = f"{13:10d}    0    0    0 NONE                 NONE"
         assert mark in block
@@ -244,10 +288,14 @@ def test_frfs_of_several_kinds_and_units_are_one_kind_in_si(tmp_path: Path) -> N
     frfs = read_frfs(tmp_path / "f.uff")
     assert frfs.kind == "accelerance"
     assert {(c.quantity, c.unit) for c in frfs.outputs} == {("acceleration", "m/s^2")}
-    np.testing.assert_allclose(frfs.data[:, :, 0], np.repeat(h[:, None], 3, axis=1), rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(
+        frfs.data[:, :, 0], np.repeat(h[:, None], 3, axis=1), rtol=1e-10, atol=1e-12
+    )
 
 
-@pytest.mark.parametrize(("code", "kind"), [(0, "accelerance"), (12, "accelerance"), (3, "receptance")])
+@pytest.mark.parametrize(
+    ("code", "kind"), [(0, "accelerance"), (12, "accelerance"), (3, "receptance")]
+)
 def test_an_unknown_response_is_taken_as_an_acceleration_and_strain_as_no_motion(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, code: int, kind: str
 ) -> None:
@@ -261,22 +309,32 @@ def test_an_unknown_response_is_taken_as_an_acceleration_and_strain_as_no_motion
 
 
 @pytest.mark.parametrize("kind", [4, 5])
-def test_a_motion_over_that_of_the_base_is_read_as_an_acceleration(tmp_path: Path, kind: int) -> None:
+def test_a_motion_over_that_of_the_base_is_read_as_an_acceleration(
+    tmp_path: Path, kind: int
+) -> None:
     f, h = np.arange(1, 9) * 0.5, np.arange(1, 9) * (1 + 1j)
     (tmp_path / "f.uff").write_bytes(write_function(kind, f, h, (1, 3), (2, 3), codes=(18, 12, 12)))
     frfs = read_frfs(tmp_path / "f.uff")
-    assert (frfs.kind, frfs.inputs[0].id, frfs.inputs[0].quantity) == ("accelerance", "base 2+Z", "acceleration")
+    assert (frfs.kind, frfs.inputs[0].id, frfs.inputs[0].quantity) == (
+        "accelerance",
+        "base 2+Z",
+        "acceleration",
+    )
     assert holds_frfs(tmp_path / "f.uff")
     np.testing.assert_allclose(frfs.data[:, 0, 0], h, rtol=1e-6)
     table = tmp_path / "f.csv"
     rows = [f"{a},{b.real},{b.imag}" for a, b in zip(f, h, strict=True)]
-    table.write_text("\n".join(["Frequency [Hz],1+Z/2+Z real [m/s^2/g],1+Z/2+Z imag [m/s^2/g]", *rows]))
+    table.write_text(
+        "\n".join(["Frequency [Hz],1+Z/2+Z real [m/s^2/g],1+Z/2+Z imag [m/s^2/g]", *rows])
+    )
     np.testing.assert_allclose(read_frfs(table).data[:, 0, 0], h / 9.80665, rtol=1e-9)
 
 
 def test_the_control_channel_on_the_base_is_no_driving_point(tmp_path: Path) -> None:
     rows = [f"{f},{3 * f},1,1,0" for f in range(1, 9)]
-    head = "Frequency [Hz],1+Z/2+Z real [g/g],1+Z/2+Z imag [g/g],2+Z/2+Z real [g/g],2+Z/2+Z imag [g/g]"
+    head = (
+        "Frequency [Hz],1+Z/2+Z real [g/g],1+Z/2+Z imag [g/g],2+Z/2+Z real [g/g],2+Z/2+Z imag [g/g]"
+    )
     (tmp_path / "f.csv").write_text("\n".join([head, *rows]))
     frfs = read_frfs(tmp_path / "f.csv")
     assert [c.id for c in frfs.outputs] == ["1+Z", "2+Z"]
@@ -285,43 +343,61 @@ def test_the_control_channel_on_the_base_is_no_driving_point(tmp_path: Path) -> 
 
 def test_a_force_over_a_motion_is_no_frf(tmp_path: Path) -> None:
     f = np.arange(1, 9) * 0.5
-    (tmp_path / "f.uff").write_bytes(write_function(4, f, f + 1j, (1, 3), (2, 3), codes=(18, 13, 12)))
-    with pytest.raises(DataError, match=r"response 1\+Z is a force; an FRF here is motion over force"):
+    (tmp_path / "f.uff").write_bytes(
+        write_function(4, f, f + 1j, (1, 3), (2, 3), codes=(18, 13, 12))
+    )
+    with pytest.raises(
+        DataError, match=r"response 1\+Z is a force; an FRF here is motion over force"
+    ):
         read_frfs(tmp_path / "f.uff")
 
 
 def test_repeated_functions_are_averaged_and_the_line_at_0_may_be_missing(tmp_path: Path) -> None:
     freqs, h = np.arange(9) * 0.5, np.arange(9) + 1j
     h[0] = np.nan
-    again = [write_function(4, freqs, h * k, (1, 3), (2, 3), codes=(18, 12, 13)) for k in (1.0, 2.0, 6.0)]
+    again = [
+        write_function(4, freqs, h * k, (1, 3), (2, 3), codes=(18, 12, 13)) for k in (1.0, 2.0, 6.0)
+    ]
     (tmp_path / "f.uff").write_bytes(b"".join(again))
     got = read_frfs(tmp_path / "f.uff")
     np.testing.assert_allclose(got.data[:, 0, 0], 3 * h[1:])
     assert got.freqs[0] == 0.5
-    (tmp_path / "f.uff").write_bytes(write_function(9, freqs, freqs, (1, 3), (2, 3), codes=(18, 12, 13)))
+    (tmp_path / "f.uff").write_bytes(
+        write_function(9, freqs, freqs, (1, 3), (2, 3), codes=(18, 12, 13))
+    )
     with pytest.raises(DataError, match="no time records; it holds 1 spectra"):
         read_record(tmp_path / "f.uff")
 
 
-def _grid(path: Path, absent: Iterable[tuple[int, int]], *, outputs: int = 6, inputs: int = 2) -> None:
+def _grid(
+    path: Path, absent: Iterable[tuple[int, int]], *, outputs: int = 6, inputs: int = 2
+) -> None:
     """Functions of value 10 o + i from reference 100 + i to response o, without some."""
     freqs, gone = np.arange(1, 9) * 0.5, set(absent)
-    pairs = [(o, i) for o in range(1, outputs + 1) for i in range(1, inputs + 1) if (o, i) not in gone]
+    pairs = [
+        (o, i) for o in range(1, outputs + 1) for i in range(1, inputs + 1) if (o, i) not in gone
+    ]
     path.write_bytes(
         b"".join(
-            write_function(4, freqs, np.full(8, 10 * o + i + 0j), (o, 3), (100 + i, 3), codes=(18, 12, 13))
+            write_function(
+                4, freqs, np.full(8, 10 * o + i + 0j), (o, 3), (100 + i, 3), codes=(18, 12, 13)
+            )
             for o, i in pairs
         )
     )
 
 
-def test_what_lacks_a_pair_is_left_out_and_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_what_lacks_a_pair_is_left_out_and_said(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     _grid(tmp_path / "f.uff", [(4, 2)])  # one response was not measured from the second shaker
     got = read_frfs(tmp_path / "f.uff")
     assert [c.id for c in got.outputs] == ["1+Z", "2+Z", "3+Z", "5+Z", "6+Z"]
     np.testing.assert_allclose(got.data[0].real, 10 * np.array([1, 2, 3, 5, 6])[:, None] + [1, 2])
     assert "no values from 102+Z to 4+Z (1 pairs are absent); left out: response 4+Z" in caplog.text
-    _grid(tmp_path / "g.uff", [(o, 3) for o in range(2, 7)], inputs=3)  # a single function from a third reference
+    _grid(
+        tmp_path / "g.uff", [(o, 3) for o in range(2, 7)], inputs=3
+    )  # a single function from a third reference
     got = read_frfs(tmp_path / "g.uff")
     assert ([c.id for c in got.inputs], len(got.outputs)) == (["101+Z", "102+Z"], 6)
     assert "left out: reference 103+Z" in caplog.text
@@ -334,11 +410,15 @@ def test_what_is_left_out_may_be_at_fault(tmp_path: Path) -> None:
     """A response with a value that is not finite, and one of other lines."""
     freqs, path = np.arange(1, 9) * 0.5, tmp_path / "f.uff"
     _grid(path, [], outputs=2, inputs=1)
-    bad = write_function(4, freqs, np.where(freqs == 2, np.inf, freqs + 0j), (3, 3), (101, 3), codes=(18, 12, 13))
+    bad = write_function(
+        4, freqs, np.where(freqs == 2, np.inf, freqs + 0j), (3, 3), (101, 3), codes=(18, 12, 13)
+    )
     other = write_function(4, 2 * freqs, freqs + 0j, (4, 3), (101, 3), codes=(18, 12, 13))
     sound = path.read_bytes()
     path.write_bytes(sound + bad)
-    with pytest.raises(DataError, match=r"1 values are not finite, the first of 3\+Z/101\+Z at 2 Hz"):
+    with pytest.raises(
+        DataError, match=r"1 values are not finite, the first of 3\+Z/101\+Z at 2 Hz"
+    ):
         read_frfs(path)
     path.write_bytes(sound + bad + other)
     assert frf_ids(path) == ("1+Z", "101+Z", "2+Z", "3+Z", "4+Z")
@@ -353,7 +433,9 @@ def test_references_without_a_point_are_told_apart_by_their_direction(tmp_path: 
     freqs, path = np.arange(1, 9) * 0.5, tmp_path / "f.uff"
     path.write_bytes(
         b"".join(
-            write_function(4, freqs, np.full(8, 10 * o + i + 0j), (o, 3), (0, i), codes=(18, 12, 13))
+            write_function(
+                4, freqs, np.full(8, 10 * o + i + 0j), (o, 3), (0, i), codes=(18, 12, 13)
+            )
             for o in (1, 2)
             for i in (1, 3)
         )
@@ -373,37 +455,55 @@ def test_the_rate_is_not_rounded_by_the_six_digits_of_its_step(tmp_path: Path, r
 
 def _plain(kind: int, codes: str, title: str, body: str, even: int = 1, unit: str = "NONE") -> str:
     """A function without points, its axis and the unit of its abscissa named."""
-    text = function58(body, 5 if kind in (4, 6) else 2, even, kind).replace(f"{3:10d}{-2:4d}", f"{0:10d}{0:4d}")
-    text = text.replace(f"{4:10d}{1:4d}", f"{0:10d}{0:4d}").replace("    17    ", f"    {codes}    ", 1)
+    text = function58(body, 5 if kind in (4, 6) else 2, even, kind).replace(
+        f"{3:10d}{-2:4d}", f"{0:10d}{0:4d}"
+    )
+    text = text.replace(f"{4:10d}{1:4d}", f"{0:10d}{0:4d}").replace(
+        "    17    ", f"    {codes}    ", 1
+    )
     text = text.replace("NONE                 NONE", f"NONE                 {unit:<4}", 1)
-    return text.replace(f"{12:10d}{0:5d}{0:5d}{0:5d} {'NONE':<20}", f"{12:10d}{0:5d}{0:5d}{0:5d} {title:<20}")
+    return text.replace(
+        f"{12:10d}{0:5d}{0:5d}{0:5d} {'NONE':<20}", f"{12:10d}{0:5d}{0:5d}{0:5d} {title:<20}"
+    )
 
 
 def test_channels_without_points_have_the_names_of_their_axes(tmp_path: Path) -> None:
     """As catman writes them; of function type 0 too, where the abscissa is a time."""
     body = lines(Y, (13,) * 6)
-    (tmp_path / "t.uff").write_text(_plain(1, "17", "Acc left", body) + _plain(0, "17", "Acc right", body))
+    (tmp_path / "t.uff").write_text(
+        _plain(1, "17", "Acc left", body) + _plain(0, "17", "Acc right", body)
+    )
     assert [c.id for c in read_record(tmp_path / "t.uff").channels] == ["Acc left", "Acc right"]
     pairs = lines(PAIRS, (13,) * 6)
-    (tmp_path / "f.uff").write_text(_plain(4, "18", "Acc left", pairs) + _plain(4, "18", "Acc right", pairs))
+    (tmp_path / "f.uff").write_text(
+        _plain(4, "18", "Acc left", pairs) + _plain(4, "18", "Acc right", pairs)
+    )
     frfs = read_frfs(tmp_path / "f.uff")
-    assert ([c.id for c in frfs.outputs], [c.id for c in frfs.inputs]) == (["Acc left", "Acc right"], ["in1"])
+    assert ([c.id for c in frfs.outputs], [c.id for c in frfs.inputs]) == (
+        ["Acc left", "Acc right"],
+        ["in1"],
+    )
     (tmp_path / "f.uff").write_text(_plain(4, "18", "Acc", pairs) * 2)
     with pytest.raises(DataError, match="name no reference point"):
         read_frfs(tmp_path / "f.uff")
 
 
-@pytest.mark.parametrize(("unit", "factor"), [("rad/s", 0.5 / np.pi), ("RPM", 1 / 60), ("kHz", 1e3), ("Hz", 1.0)])
+@pytest.mark.parametrize(
+    ("unit", "factor"), [("rad/s", 0.5 / np.pi), ("RPM", 1 / 60), ("kHz", 1e3), ("Hz", 1.0)]
+)
 def test_the_unit_of_the_abscissa_counts(tmp_path: Path, unit: str, factor: float) -> None:
     text = function58(lines(PAIRS, (13,) * 6), 5, 1, 4).replace(
-        f"{17:10d}{0:5d}{0:5d}{0:5d} {'NONE':<20} {'NONE':<20}", f"{18:10d}{0:5d}{0:5d}{0:5d} {'Freq':<20} {unit:<20}"
+        f"{17:10d}{0:5d}{0:5d}{0:5d} {'NONE':<20} {'NONE':<20}",
+        f"{18:10d}{0:5d}{0:5d}{0:5d} {'Freq':<20} {unit:<20}",
     )
     (tmp_path / "f.uff").write_text(text)
     np.testing.assert_allclose(read_frfs(tmp_path / "f.uff").freqs, X * factor)
 
 
 def test_a_form_that_is_not_finite_is_damage(tmp_path: Path) -> None:
-    (tmp_path / "t.uff").write_text(function58(lines(Y, (13,) * 6), 2, 1).replace(f"{7:10d}", f"{'nan':>10}", 1))
+    (tmp_path / "t.uff").write_text(
+        function58(lines(Y, (13,) * 6), 2, 1).replace(f"{7:10d}", f"{'nan':>10}", 1)
+    )
     with pytest.raises(DataError, match="not finite"):
         read_record(tmp_path / "t.uff")
 
@@ -445,7 +545,9 @@ def test_lines_without_values_are_left_out_and_functions_without_any(tmp_path: P
     x = np.arange(1.0, 31.0)
     y = np.array(x + 1j)
     y[4] = np.nan
-    (tmp_path / "f.uff").write_bytes(b"".join(frf58(x, y, k) for k in (1, 2, 3)) + frf58(x, y * np.nan, 4))
+    (tmp_path / "f.uff").write_bytes(
+        b"".join(frf58(x, y, k) for k in (1, 2, 3)) + frf58(x, y * np.nan, 4)
+    )
     got = read_frfs(tmp_path / "f.uff")
     np.testing.assert_allclose(got.freqs, np.delete(x, 4))
     assert [c.id for c in got.outputs] == ["1+Z", "2+Z", "3+Z"]

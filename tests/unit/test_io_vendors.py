@@ -20,7 +20,9 @@ TIMES = np.arange(500) / 256
 
 @pytest.mark.parametrize("name", ["one", "each", "headers"])
 def test_matlab_structures_of_measuring_systems(tmp_path: Path, name: str) -> None:
-    """Testlab's signals with x_values and y_values, all in one or one each; catman's data beside headers."""
+    """Testlab's signals with x_values and y_values, all in one or one each; catman's data beside
+    headers.
+    """
     x = {"start_value": 0.0, "increment": 1 / 256, "quantity": {"label": "s"}}
 
     def signal(values: np.ndarray, names: object) -> dict[str, object]:
@@ -35,11 +37,18 @@ def test_matlab_structures_of_measuring_systems(tmp_path: Path, name: str) -> No
         "one": {"Signal": signal(SIGNAL.T, np.array(titles, dtype=object))},
         "each": {f"Signal_{k}": signal(SIGNAL[k][:, None], t) for k, t in enumerate(titles)},
         "headers": {f"Ch_{k}_Data": SIGNAL[k][:, None] for k in range(3)}
-        | {f"Ch_{k}_Header": {"SignalName": t, "Unit": "g", "SampleFrequency": 256.0} for k, t in enumerate(titles)},
+        | {
+            f"Ch_{k}_Header": {"SignalName": t, "Unit": "g", "SampleFrequency": 256.0}
+            for k, t in enumerate(titles)
+        },
     }[name]
     savemat(tmp_path / "r.mat", content)
     got = read_record(tmp_path / "r.mat")
-    assert (got.rate, [c.id for c in got.channels], got.channels[2].unit) == (pytest.approx(256), titles, "m/s^2")
+    assert (got.rate, [c.id for c in got.channels], got.channels[2].unit) == (
+        pytest.approx(256),
+        titles,
+        "m/s^2",
+    )
     np.testing.assert_allclose(got.data, 9.80665 * SIGNAL)
 
 
@@ -49,7 +58,11 @@ def test_frfs_as_arrays_beside_frequencies(tmp_path: Path, name: str) -> None:
     h = rng.standard_normal((40, 3, 2)) + 1j * rng.standard_normal((40, 3, 2))
     dof = np.array([[o + 0.03, i + 0.09] for i in (1, 2) for o in (1, 2, 3)])
     content = {
-        "f-out-in": {"freq": f, "Mobility": h, "outputs": np.array(["1+Z", "2+Z", "3+Z"], dtype=object)},
+        "f-out-in": {
+            "freq": f,
+            "Mobility": h,
+            "outputs": np.array(["1+Z", "2+Z", "3+Z"], dtype=object),
+        },
         "out-in-f": {"results": {"frequency": f, "H": h.transpose(1, 2, 0)}},
         "omega": {"omega": 2 * np.pi * f, "H": h[:, :, 0]},
         "sdt": {"XF": {"w": f[:, None], "xf": h.transpose(0, 2, 1).reshape(40, 6), "dof": dof}},
@@ -75,10 +88,15 @@ def test_names_in_cells_of_matlab_7_3(tmp_path: Path) -> None:
     path = tmp_path / "r.mat"
     with h5py.File(path, "w", userblock_size=512) as file:
         file["data"], file["fs"] = SIGNAL, np.array([[256.0]])
-        texts = [file.create_dataset(f"#refs#/{t}", data=np.array([[ord(t)]], dtype=np.uint16)) for t in "abc"]
+        texts = [
+            file.create_dataset(f"#refs#/{t}", data=np.array([[ord(t)]], dtype=np.uint16))
+            for t in "abc"
+        ]
         for t in texts:
             t.attrs["MATLAB_class"] = np.bytes_("char")
-        file.create_dataset("channels", data=np.array([[t.ref for t in texts]], dtype=h5py.ref_dtype))
+        file.create_dataset(
+            "channels", data=np.array([[t.ref for t in texts]], dtype=h5py.ref_dtype)
+        )
     with path.open("r+b") as raw:
         raw.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
     got = read_record(path)
@@ -87,7 +105,9 @@ def test_names_in_cells_of_matlab_7_3(tmp_path: Path) -> None:
 
 
 def test_empty_rows_of_a_spreadsheet_end_a_csv(tmp_path: Path) -> None:
-    rows = "\n".join(";".join(f"{v:.9g}".replace(".", ",") for v in r) for r in np.vstack([TIMES, SIGNAL]).T)
+    rows = "\n".join(
+        ";".join(f"{v:.9g}".replace(".", ",") for v in r) for r in np.vstack([TIMES, SIGNAL]).T
+    )
     (tmp_path / "r.csv").write_text(f"Time;a;b;c\n{rows}\n;;;\n")
     np.testing.assert_allclose(read_record(tmp_path / "r.csv").data, SIGNAL, rtol=1e-6, atol=1e-8)
 
@@ -99,10 +119,19 @@ def _csv(columns: np.ndarray) -> str:
 @pytest.mark.parametrize(
     ("name", "text"),
     [
-        ("index and time, as pandas writes them", ",time,a,b,c\n" + _csv(np.vstack([np.arange(500), TIMES, SIGNAL]))),
-        ("names in a comment, as NumPy writes them", "# t,a,b,c\n" + _csv(np.vstack([TIMES, SIGNAL]))),
+        (
+            "index and time, as pandas writes them",
+            ",time,a,b,c\n" + _csv(np.vstack([np.arange(500), TIMES, SIGNAL])),
+        ),
+        (
+            "names in a comment, as NumPy writes them",
+            "# t,a,b,c\n" + _csv(np.vstack([TIMES, SIGNAL])),
+        ),
         ("a comment of MATLAB", "% fs: 256\na,b,c\n" + _csv(SIGNAL)),
-        ("a column of words", "t,a,b,c,state\n" + _csv(np.vstack([TIMES, SIGNAL])).replace("\n", ",OK\n")),
+        (
+            "a column of words",
+            "t,a,b,c,state\n" + _csv(np.vstack([TIMES, SIGNAL])).replace("\n", ",OK\n"),
+        ),
     ],
 )
 def test_text_of_programs(tmp_path: Path, name: str, text: str) -> None:
@@ -121,11 +150,16 @@ def test_arrays_of_structures_in_matlab_files(tmp_path: Path, form: str) -> None
     else:
         with h5py.File(path, "w", userblock_size=512) as file:
             data = [file.create_dataset(f"#refs#/{i}", data=x[None]) for i, x in enumerate(SIGNAL)]
-            texts = [file.create_dataset(f"#refs#/{t}", data=np.array([[ord(t)]], dtype=np.uint16)) for t in "abc"]
+            texts = [
+                file.create_dataset(f"#refs#/{t}", data=np.array([[ord(t)]], dtype=np.uint16))
+                for t in "abc"
+            ]
             for t in texts:
                 t.attrs["MATLAB_class"] = np.bytes_("char")
             for field, cells in (("data", data), ("name", texts)):
-                file.create_dataset(f"ch/{field}", data=np.array([[c.ref for c in cells]], dtype=h5py.ref_dtype))
+                file.create_dataset(
+                    f"ch/{field}", data=np.array([[c.ref for c in cells]], dtype=h5py.ref_dtype)
+                )
             file["Sampling_Frequency_Hz"] = np.array([[256.0]])
         with path.open("r+b") as raw:
             raw.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
@@ -137,7 +171,9 @@ def test_arrays_of_structures_in_matlab_files(tmp_path: Path, form: str) -> None
 def test_the_rate_of_a_tdms_may_stand_at_its_root(tmp_path: Path) -> None:
     with TdmsWriter(tmp_path / "r.tdms") as file:
         root = RootObject(properties={"SampleRate": 256.0})
-        file.write_segment([root, *(ChannelObject("g", t, x) for t, x in zip("abc", SIGNAL, strict=True))])
+        file.write_segment(
+            [root, *(ChannelObject("g", t, x) for t, x in zip("abc", SIGNAL, strict=True))]
+        )
     assert read_record(tmp_path / "r.tdms").rate == 256.0
 
 

@@ -1,4 +1,6 @@
-"""Shear panels beside MYSTRAN (no mass and no edge rods there); skipped, saying so, where it is not installed."""
+"""Shear panels beside MYSTRAN (no mass and no edge rods there); skipped, saying so, where it is not
+installed.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ from ringtrue.model.ports import ModesRequest
 
 @pytest.mark.solver
 def test_a_web_of_three_bays() -> None:
-    """Rectangular panels between stringers, masses at the nodes, out of the plane on stiff springs to node 1."""
+    """Rectangular panels between stringers, masses at the nodes, out of the plane on stiff springs
+    to node 1.
+    """
     try:
         find_mystran()
     except SolverMissing as e:

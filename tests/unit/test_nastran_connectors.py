@@ -1,4 +1,6 @@
-"""Cards of panels, gaps, joints and general elements: read, written, read again, and edited in place."""
+"""Cards of panels, gaps, joints and general elements: read, written, read again, and edited in
+place.
+"""
 
 from __future__ import annotations
 
@@ -82,7 +84,12 @@ def test_reading(tmp_path: Path) -> None:
     assert m["CBUSH1D"].stack("GA", "GB", "CID").tolist() == [[1, 2, -1], [1, 0, 0]]
     assert [m["PBUSH1D"][c][0] for c in "KCM"] == [3000.0, 200.0, 300.0]
     assert [m["PGAP"][c][0] for c in ("U0", "KA", "KT", "MU1")] == [0.025, 1e6, 2e4, 0.25]
-    assert (m["RBAR1"]["CB"][0], m["RROD"]["CMA"][0], m["RROD"]["CMB"][0], m["RTRPLT1"]["CMC"][0]) == (
+    assert (
+        m["RBAR1"]["CB"][0],
+        m["RROD"]["CMA"][0],
+        m["RROD"]["CMB"][0],
+        m["RTRPLT1"]["CMC"][0],
+    ) == (
         "12",
         "",
         "1",
@@ -91,7 +98,12 @@ def test_reading(tmp_path: Path) -> None:
     assert m["RSPLINE"].ragged("G").row(0).tolist() == [1, 2, 5, 3, 4, 6]
     assert m["RSPLINE"].ragged("C").row(0).tolist() == ["", "123456", "", "123", "123", ""]
     p = m["PBEND"]
-    assert [p[c].tolist() for c in ("FSI", "A", "RM", "T")] == [[0, 1], [0.01, 0], [0, 0.1], [0, 0.02]]
+    assert [p[c].tolist() for c in ("FSI", "A", "RM", "T")] == [
+        [0, 1],
+        [0.01, 0],
+        [0, 0.1],
+        [0, 0.02],
+    ]
     assert [p[c].tolist() for c in ("RB", "THETAB", "K1", "NSM", "ZC")] == [
         [1.5, 0],
         [0, 30],
@@ -111,7 +123,14 @@ def test_reading(tmp_path: Path) -> None:
     ]
     assert w["YS"][2] == m["CFAST"]["YS"][0] == 0.5
     assert m["CFAST"]["TYPE"].tolist() == ["PROP", "ELEM"]
-    assert [m["PFAST"][c][0] for c in ("D", "MCID", "MFLAG", "KT3", "MASS", "GE")] == [0.02, 20, 1, 3000, 0.5, 0.01]
+    assert [m["PFAST"][c][0] for c in ("D", "MCID", "MFLAG", "KT3", "MASS", "GE")] == [
+        0.02,
+        20,
+        1,
+        3000,
+        0.5,
+        0.01,
+    ]
     assert [m["PWELD"][c][0] for c in ("D", "MSET", "LDMIN", "LDMAX")] == [0.02, "OFF", 0.1, 5.0]
     t = m["GENEL"]
     assert t["FORM"].tolist() == ["Z", "K"]
@@ -173,14 +192,20 @@ def test_errors_name_the_card(tmp_path: Path, card: str, message: str) -> None:
         read(tmp_path, NODES + card)
 
 
-@pytest.mark.parametrize("pipe", ["PBEND,9,1,2,.1,.01,,1.", "PBEND,9,1,1,.1,.01,,1.,\n,.3", "PBEND,9,1,3,.1,.01"])
+@pytest.mark.parametrize(
+    "pipe", ["PBEND,9,1,2,.1,.01,,1.", "PBEND,9,1,1,.1,.01,,1.,\n,.3", "PBEND,9,1,3,.1,.01"]
+)
 def test_pipes_with_flexibility_factors_stop(tmp_path: Path, pipe: str) -> None:
-    with pytest.raises(UnsupportedCard, match=r"main.bdf:10: PBEND is not supported: of pipes FSI = 1"):
+    with pytest.raises(
+        UnsupportedCard, match=r"main.bdf:10: PBEND is not supported: of pipes FSI = 1"
+    ):
         read(tmp_path, NODES + pipe + "\n")
 
 
 def test_other_welds_stop(tmp_path: Path) -> None:
-    with pytest.raises(UnsupportedCard, match=r"main.bdf:10: CWELD is not supported: type ALL; allowed are GRIDID"):
+    with pytest.raises(
+        UnsupportedCard, match=r"main.bdf:10: CWELD is not supported: type ALL; allowed are GRIDID"
+    ):
         read(tmp_path, NODES + "CWELD,1,2,,ALL\n,3,4\n,5.,5.,0.\n")
 
 
@@ -197,8 +222,12 @@ def test_other_welds_stop(tmp_path: Path) -> None:
         ("CBUSH,7,8,1", "1.,2.,3.", ""),
     ],
 )
-def test_a_bush_whose_axes_nothing_gives(tmp_path: Path, bush: str, stiffness: str, told: str) -> None:
-    """As in Nastran, springs across the line of the ends need an orientation; alike ones answer in any."""
+def test_a_bush_whose_axes_nothing_gives(
+    tmp_path: Path, bush: str, stiffness: str, told: str
+) -> None:
+    """As in Nastran, springs across the line of the ends need an orientation; alike ones answer in
+    any.
+    """
     deck = tmp_path / "d.bdf"
     deck.write_text(f"BEGIN BULK\n{NODES}PBUSH,8,K,{stiffness}\n{bush}\n")
     if told:

@@ -15,7 +15,8 @@ from ringtrue.model.edit import FieldChange, apply_factors, field_changes, resol
 
 MAIN = (
     b"$ \xe4\xff bytes of no encoding\r\nBEGIN BULK\r\nINCLUDE 'props/p.bdf'\r\n"
-    b"GRID           1              0.      0.      0.\r\nGRID,2,,1.,0.,0. $ two\r\nENDDATA tail\r\n"
+    b"GRID           1              0.      0.      0.\r\nGRID,2,,1.,0.,0. $ two\r\nENDDATA "
+    b"tail\r\n"
 )
 PROPS = (
     b"PBAR           1       1     0.1    0.01    0.02   0.001      5.        comment?\n"
@@ -46,18 +47,28 @@ def edited(main: Path, *changes: FieldChange) -> tuple[bytes, bytes]:
     again = read_deck(written[0])
     for c in changes:
         got = again[c.card][c.field][resolve_target(again, c)[0]]
-        np.testing.assert_allclose(got, c.value, rtol=5e-4)  # eight characters hold four digits of such numbers
+        np.testing.assert_allclose(
+            got, c.value, rtol=5e-4
+        )  # eight characters hold four digits of such numbers
     return written[0].read_bytes(), written[1].read_bytes()
 
 
 @pytest.mark.parametrize(
     ("change", "old", "new"),
     [
-        (FieldChange("PBAR", 1, "A", 0.123456789), b"       1     0.1    0.01", b"       1.1234568    0.01"),
+        (
+            FieldChange("PBAR", 1, "A", 0.123456789),
+            b"       1     0.1    0.01",
+            b"       1.1234568    0.01",
+        ),
         (FieldChange("PBAR", 1, "C2", -1.23456789e-5), b".1      .1\n", b".1-1.235-5\n"),
         (FieldChange("PBAR", 1, "D1", 2.5), b".1      .1\n", b".1      .1     2.5\n"),
         (FieldChange("PBAR", 1, "K1", 0.5), b".1      .1\n", b".1      .1\n+            0.5\n"),
-        (FieldChange("PBAR", 2, "I1", 0.0123456789012), b" 0.01            *", b" 0.0123456789012 *"),
+        (
+            FieldChange("PBAR", 2, "I1", 0.0123456789012),
+            b" 0.01            *",
+            b" 0.0123456789012 *",
+        ),
         (FieldChange("PBAR", 2, "NSM", 3.0), b"0.001\npbar", b"0.001" + 24 * b" " + b"3.0\npbar"),
         (FieldChange("PBAR", 3, "A", 7.5), b"  .1 ,.01", b"  7.5 ,.01"),
         (FieldChange("PBAR", 3, "I2", 1 / 3), b".01,,.001", b".01,.3333333,.001"),
@@ -71,17 +82,29 @@ def edited(main: Path, *changes: FieldChange) -> tuple[bytes, bytes]:
         (FieldChange("MAT1", 2, "G", 8e10), b"2.1+11          .3", b"2.1+11     8.+10.3"),
         (FieldChange("PBUSH", 5, "K2", 8.0), b"1.234567      3.", b"     8.0      3."),
         (FieldChange("PBUSH", 6, "B2", 8.0), b"     .12", b"     .12     8.0"),
-        (FieldChange("PBUSH", 6, "K1", 8.0), b"     .12", b"     .12\n+                      K     8.0\n"),
-        (FieldChange("PBUSH", 5, "GE", 0.5), b"      3.\n", b"      3.\n+                     GE     0.5\n"),
+        (
+            FieldChange("PBUSH", 6, "K1", 8.0),
+            b"     .12",
+            b"     .12\n+                      K     8.0\n",
+        ),
+        (
+            FieldChange("PBUSH", 5, "GE", 0.5),
+            b"      3.\n",
+            b"      3.\n+                     GE     0.5\n",
+        ),
     ],
     ids=lambda v: f"{v.card}{v.id}.{v.field}" if isinstance(v, FieldChange) else "",
 )
-def test_one_field_changes_and_nothing_else(main: Path, change: FieldChange, old: bytes, new: bytes) -> None:
+def test_one_field_changes_and_nothing_else(
+    main: Path, change: FieldChange, old: bytes, new: bytes
+) -> None:
     assert PROPS.count(old) == 1
     assert edited(main, change) == (MAIN, PROPS.replace(old, new))
 
 
-@pytest.mark.parametrize("card", ["PBUSH,7,K,5.", "PBUSH*                 7               K              5."])
+@pytest.mark.parametrize(
+    "card", ["PBUSH,7,K,5.", "PBUSH*                 7               K              5."]
+)
 def test_damping_gets_lines_of_its_own_on_a_spring(tmp_path: Path, card: str) -> None:
     path = tmp_path / "deck.bdf"
     path.write_text(f"BEGIN BULK\n{card}\n")
@@ -114,31 +137,41 @@ def test_changes_that_cannot_be_made_write_nothing(
     main: Path, change: FieldChange, error: type[Exception], message: str
 ) -> None:
     with pytest.raises(error, match=message):
-        edit_fields(read_deck(main), [FieldChange("MAT1", 2, "E", 1.0), change], main.parents[1] / "new")
+        edit_fields(
+            read_deck(main), [FieldChange("MAT1", 2, "E", 1.0), change], main.parents[1] / "new"
+        )
     assert not (main.parents[1] / "new").exists()
 
 
 def test_a_section_card_is_not_edited_as_the_property_it_makes(tmp_path: Path) -> None:
     (tmp_path / "a.bdf").write_text("MAT1,1,1.,,.3\nPBARL,1,1,,ROD\n,2.\n")
     with pytest.raises(DeckError, match="it was made from a PBARL"):
-        edit_fields(read_deck(tmp_path / "a.bdf"), [FieldChange("PBAR", 1, "A", 1.0)], tmp_path / "new")
+        edit_fields(
+            read_deck(tmp_path / "a.bdf"), [FieldChange("PBAR", 1, "A", 1.0)], tmp_path / "new"
+        )
 
 
 def test_a_uniform_beam_stays_uniform(tmp_path: Path) -> None:
     text = "MAT1,1,1.,,.3\nPBEAM,1,1,4.,1.,2.\nPBEAM,2,1,4.,1.,2.\n,\n,NO,1.,4.\nPBEAM,3,1,4.,1.,2.\n,\n,NO,1.,3.\n"
     (tmp_path / "a.bdf").write_text(text)
     model = read_deck(tmp_path / "a.bdf")
-    parameters = ParameterSet((Parameter("area", tuple(Target("PBEAM", i, "A") for i in (1, 2, 3))),))
+    parameters = ParameterSet(
+        (Parameter("area", tuple(Target("PBEAM", i, "A") for i in (1, 2, 3))),)
+    )
     changed = apply_factors(model, parameters, np.array([1.5]))
     assert changed["PBEAM"]["AB"].tolist() == [6.0, 6.0, 3.0]
-    written = edit_fields(model, field_changes(model, parameters, np.array([1.5])), tmp_path / "new")
+    written = edit_fields(
+        model, field_changes(model, parameters, np.array([1.5])), tmp_path / "new"
+    )
     again = read_deck(written[0])
     for name in ("A", "AB"):
         np.testing.assert_array_equal(again["PBEAM"][name], changed["PBEAM"][name])
 
 
 def test_inertia_and_eccentricity_of_end_b_follow_those_of_end_a(tmp_path: Path) -> None:
-    """A blank NSI(B), M1(B) or N1(B) is that of end A, in the model at other factors as in the deck."""
+    """A blank NSI(B), M1(B) or N1(B) is that of end A, in the model at other factors as in the
+    deck.
+    """
     lines = "PBEAM,1,1,4.,1.,2.\n,\n,NO,1.\n,,,,,3.,,,\n,.1,,,,.2\n"
     (tmp_path / "a.bdf").write_text(f"MAT1,1,1.,,.3\n{lines}")
     model = read_deck(tmp_path / "a.bdf")
@@ -155,18 +188,26 @@ def test_inertia_and_eccentricity_of_end_b_follow_those_of_end_a(tmp_path: Path)
 
 
 def test_a_field_that_names_a_frame_or_node_is_no_angle_or_component(tmp_path: Path) -> None:
-    grids = "".join(f"GRID,{i + 1},,{x}.,{y}.,0.\n" for i, (x, y) in enumerate([(0, 0), (1, 0), (1, 1), (0, 1)]))
+    grids = "".join(
+        f"GRID,{i + 1},,{x}.,{y}.,0.\n" for i, (x, y) in enumerate([(0, 0), (1, 0), (1, 1), (0, 1)])
+    )
     elements = "CQUAD4,1,1,1,2,3,4,5\nCBAR,2,2,1,2,4\nCQUAD4,3,1,1,2,3,4,30.\n"
-    rest = "CORD2R,5,,0.,0.,0.,0.,0.,1.\n,1.,0.,0.\nPSHELL,1,1,.1\nPBAR,2,1,1.,1.,1.\nMAT1,1,1.,,.3\n"
+    rest = (
+        "CORD2R,5,,0.,0.,0.,0.,0.,1.\n,1.,0.,0.\nPSHELL,1,1,.1\nPBAR,2,1,1.,1.,1.\nMAT1,1,1.,,.3\n"
+    )
     (tmp_path / "a.bdf").write_text(grids + elements + rest)
     model = read_deck(tmp_path / "a.bdf")
     for change, told in (
         (FieldChange("CQUAD4", 1, "THETA", 9.0), "MCID 5"),
         (FieldChange("CBAR", 2, "X1", 1.0), "G0 4"),
     ):
-        with pytest.raises(InputError, match=f"has no {change.field}: it stands where the card names {told}"):
+        with pytest.raises(
+            InputError, match=f"has no {change.field}: it stands where the card names {told}"
+        ):
             edit_fields(model, [change], tmp_path / "new")
-    again = read_deck(edit_fields(model, [FieldChange("CQUAD4", 3, "THETA", 9.0)], tmp_path / "new")[0])
+    again = read_deck(
+        edit_fields(model, [FieldChange("CQUAD4", 3, "THETA", 9.0)], tmp_path / "new")[0]
+    )
     assert again["CQUAD4"]["THETA"].tolist() == [0.0, 9.0]
 
 
@@ -195,7 +236,9 @@ def test_targets_that_hold_no_number(main: Path, field: str, message: str) -> No
 def test_cards_are_added_before_enddata_with_the_files_line_ends(main: Path) -> None:
     new = main.parents[1] / "new"
     written = add_cards(read_deck(main), "main.bdf", "GRID,7,,7.,0.,0.\nGRID,8,,8.,0.,0.\n", new)
-    assert written[0].read_bytes() == MAIN.replace(b"ENDDATA", b"GRID,7,,7.,0.,0.\r\nGRID,8,,8.,0.,0.\r\nENDDATA")
+    assert written[0].read_bytes() == MAIN.replace(
+        b"ENDDATA", b"GRID,7,,7.,0.,0.\r\nGRID,8,,8.,0.,0.\r\nENDDATA"
+    )
     assert written[1].read_bytes() == PROPS
     assert read_deck(new / "main.bdf")["GRID"].ids.tolist() == [1, 2, 7, 8]
     written = add_cards(read_deck(main), main.parent / "props/p.bdf", "MAT1,7,1.,,.3", new)
@@ -206,8 +249,14 @@ def test_cards_are_added_before_enddata_with_the_files_line_ends(main: Path) -> 
 
 def test_the_difference_is_shown(main: Path) -> None:
     model = read_deck(main)
-    shown = unified_diff(model.files, add_cards(model, main, "GRID,7,,7.,0.,0.\n", main.parents[1] / "new"))
-    assert [x for x in shown.splitlines() if x[:1] in "+-"] == ["--- main.bdf", "+++ main.bdf", "+GRID,7,,7.,0.,0."]
+    shown = unified_diff(
+        model.files, add_cards(model, main, "GRID,7,,7.,0.,0.\n", main.parents[1] / "new")
+    )
+    assert [x for x in shown.splitlines() if x[:1] in "+-"] == [
+        "--- main.bdf",
+        "+++ main.bdf",
+        "+GRID,7,,7.,0.,0.",
+    ]
     assert unified_diff(model.files, model.files) == ""
 
 
@@ -225,11 +274,15 @@ def test_an_absolute_include_would_miss_the_change(tmp_path: Path) -> None:
     (tmp_path / "common.bdf").write_text("MAT1,1,1.,,.3\n")
     (tmp_path / "main.bdf").write_text(f"INCLUDE '{tmp_path}/common.bdf'\n")
     with pytest.raises(DeckError, match="make the path of that INCLUDE relative"):
-        edit_fields(read_deck(tmp_path / "main.bdf"), [FieldChange("MAT1", 1, "E", 2.0)], tmp_path / "new")
+        edit_fields(
+            read_deck(tmp_path / "main.bdf"), [FieldChange("MAT1", 1, "E", 2.0)], tmp_path / "new"
+        )
 
 
 LAMINATE = b"PCOMP   1       -.2                                             SYM     comment\r\n"
-PLIES = b"        8       .125    45.             8       .125    -45.\r\n" + b"+,8,,0.,NO,,.3,9.$\r\n"
+PLIES = (
+    b"        8       .125    45.             8       .125    -45.\r\n" + b"+,8,,0.,NO,,.3,9.$\r\n"
+)
 MAT8 = b"MAT8           8  1.4+11    9.+9      .3    5.+9\r\n"
 
 
@@ -240,15 +293,22 @@ MAT8 = b"MAT8           8  1.4+11    9.+9      .3    5.+9\r\n"
         ([("THETA2", 31.5)], PLIES.replace(b"-45.", b"    31.5")),
         ([("T4", 0.4), ("THETA4", 10.0)], PLIES.replace(b".3,9.", b"0.4,10.0")),
         # the third ply has no T of its own: it keeps that of the second
-        ([("T2", 0.2)], PLIES.replace(b".125    -45.", b"0.2     -45.").replace(b"8,,0.", b"8,0.125,0.")),
+        (
+            [("T2", 0.2)],
+            PLIES.replace(b".125    -45.", b"0.2     -45.").replace(b"8,,0.", b"8,0.125,0."),
+        ),
     ],
     ids=str,
 )
-def test_plies_are_edited_one_by_one(tmp_path: Path, changes: list[tuple[str, float]], new: bytes) -> None:
+def test_plies_are_edited_one_by_one(
+    tmp_path: Path, changes: list[tuple[str, float]], new: bytes
+) -> None:
     path = tmp_path / "a.bdf"
     path.write_bytes(LAMINATE + PLIES + MAT8)
     old = read_deck(path)
-    written = edit_fields(old, [FieldChange("PCOMP", 1, f, v) for f, v in changes], tmp_path / "new")
+    written = edit_fields(
+        old, [FieldChange("PCOMP", 1, f, v) for f, v in changes], tmp_path / "new"
+    )
     assert written[0].read_bytes() == LAMINATE + new + MAT8
     again = read_deck(written[0])
     for name in ("T", "THETA"):
@@ -267,10 +327,16 @@ def test_factors_on_plies_and_orthotropic_moduli(tmp_path: Path) -> None:
     parameters = ParameterSet((ply, Parameter("E1", (Target("MAT8", 8, "E1"),))))
     factors = np.array([1.2, 0.5])
     changed = apply_factors(model, parameters, factors)
-    np.testing.assert_allclose(changed["PCOMP"].ragged("T").row(0), [0.15, 0.15, 0.15, 0.3], rtol=1e-14)
+    np.testing.assert_allclose(
+        changed["PCOMP"].ragged("T").row(0), [0.15, 0.15, 0.15, 0.3], rtol=1e-14
+    )
     assert changed["MAT8"]["E1"][0] == 0.7e11
-    again = read_deck(edit_fields(model, field_changes(model, parameters, factors), tmp_path / "new")[0])
-    np.testing.assert_allclose(again["PCOMP"].ragged("T").row(0), [0.15, 0.15, 0.15, 0.3], rtol=1e-14)
+    again = read_deck(
+        edit_fields(model, field_changes(model, parameters, factors), tmp_path / "new")[0]
+    )
+    np.testing.assert_allclose(
+        again["PCOMP"].ragged("T").row(0), [0.15, 0.15, 0.15, 0.3], rtol=1e-14
+    )
     assert again["MAT8"]["E1"][0] == 0.7e11
     with pytest.raises(InputError, match="PCOMP 1 has no T5: it has 4 plies"):
         resolve_target(model, Target("PCOMP", 1, "T5"))
@@ -289,16 +355,23 @@ def test_replicated_cards_are_not_edited(tmp_path: Path, id: int) -> None:
     (tmp_path / "a.bdf").write_text("MAT1,1,1.,,.3\n=,*(1),*(1.),==\n=(1)\nMAT1,4,9.,,.3\n")
     model = read_deck(tmp_path / "a.bdf")
     assert model["MAT1"]["E"].tolist() == [1.0, 2.0, 3.0, 9.0]
-    with pytest.raises(DeckError, match=rf"a\.bdf:{id}: MAT1 {id} field E: it is written by replication"):
+    with pytest.raises(
+        DeckError, match=rf"a\.bdf:{id}: MAT1 {id} field E: it is written by replication"
+    ):
         edit_fields(model, [FieldChange("MAT1", id, "E", 5.0)], tmp_path / "new")
     edit_fields(model, [FieldChange("MAT1", 4, "E", 5.0)], tmp_path / "new")
 
 
 @pytest.mark.parametrize("text", ["ALUMINUM", "T2", "+M 1", "+M1"])
 def test_a_new_line_finds_a_card_with_a_word_at_its_end(tmp_path: Path, text: str) -> None:
-    """Field 10 without a continuation is free for remarks; column 73 is no part of the name that it then is."""
+    """Field 10 without a continuation is free for remarks; column 73 is no part of the name that it
+    then is.
+    """
     deck = tmp_path / "a.bdf"
-    deck.write_text(f"{'MAT1    1       7.+10           .3      2700.':72}{text}\nMAT1    2       2.+11           .3\n")
+    deck.write_text(
+        f"{'MAT1    1       7.+10           .3      2700.':72}{text}\nMAT1    2       2.+11      "
+        "     .3\n"
+    )
     (new,) = edit_fields(read_deck(deck), [FieldChange("MAT1", 1, "ST", 3e8)], tmp_path / "out")
     there = read_deck(new)["MAT1"]
     assert (there["ST"].tolist(), there["RHO"].tolist()) == ([3e8, 0.0], [2700.0, 0.0])

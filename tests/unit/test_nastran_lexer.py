@@ -34,7 +34,23 @@ def test_reals_of_every_spelling(text: str, value: float) -> None:
 
 @pytest.mark.parametrize(
     "text",
-    ["", ".", "-", "1.2.3", "1.5E", "1E5.", "--1.", "1.-+3", "1. 5", "NAN", "INF", "1_0", "12A", "1E400", "-9.+308"],
+    [
+        "",
+        ".",
+        "-",
+        "1.2.3",
+        "1.5E",
+        "1E5.",
+        "--1.",
+        "1.-+3",
+        "1. 5",
+        "NAN",
+        "INF",
+        "1_0",
+        "12A",
+        "1E400",
+        "-9.+308",
+    ],
 )
 def test_malformed_reals_are_refused(text: str) -> None:
     with pytest.raises(ValueError, match="not a number"):
@@ -50,7 +66,9 @@ def test_reals_of_many_digits_round_as_float_does() -> None:
 
 
 def test_integers() -> None:
-    value, good = integers(np.array([b"12", b"-3", b"+4", b"1.", b"-", b"99999999", b"1_0", b"1234567890123456789"]))
+    value, good = integers(
+        np.array([b"12", b"-3", b"+4", b"1.", b"-", b"99999999", b"1_0", b"1234567890123456789"])
+    )
     np.testing.assert_array_equal(good, [True, True, True, False, False, True, False, False])
     assert value[[0, 1, 2, 5]].tolist() == [12, -3, 4, 99999999]
 

@@ -35,26 +35,39 @@ def read(folder: Path, text: str) -> Model:
 @pytest.mark.parametrize(
     "card",
     [
-        "PBAR           1       1     0.1    0.01    0.02   0.001      5.\n           .1-3     .2-3",
-        "PBAR           1       1     0.1    0.01    0.02   0.001      5.        +A\n+A         .1-3     .2-3",
-        "PBAR           1       1     0.1    0.01    0.02   0.001      5.        +\n+          .1-3     .2-3",
+        "PBAR           1       1     0.1    0.01    0.02   0.001      5.\n           .1-3     "
+        ".2-3",
+        "PBAR           1       1     0.1    0.01    0.02   0.001      5.        +A\n+A         "
+        ".1-3     .2-3",
+        "PBAR           1       1     0.1    0.01    0.02   0.001      5.        +\n+          "
+        ".1-3     .2-3",
         "PBAR*                  1               1             0.1            0.01*\n"
         "*                   0.02           0.001              5.                *\n"
         "*                   .1-3            .2-3",
-        "PBAR*   1               1               0.1             0.01\n*       0.02            1.D-3           5.\n"
+        "PBAR*   1               1               0.1             0.01\n*       0.02            "
+        "1.D-3           5.\n"
         "        .1-3    .2-3",
         "PBAR,1,1,.1,1.-2,2.E-2,.001,5.,\n,.1-3,.2-3",
         "PBAR,1,1,.1,1.-2,2.E-2,.001,5.,,+\n+,.1-3,.2-3",
         "pbar*,1,1,.1,.01,*q\n*q,.02,.001,5.,,\n*,.1-3,.2-3",
         "PBAR\t1\t1\t0.1\t0.01\t0.02\t0.001\t5.\n\t.1-3\t.2-3",
-        "PBAR,1,1,.1,.01,.02,.001,5. $ a comment, with commas\n$ between\n\n+          .1-3     .2-3 $ more",
+        "PBAR,1,1,.1,.01,.02,.001,5. $ a comment, with commas\n$ between\n\n+          .1-3     "
+        ".2-3 $ more",
     ],
 )
 @pytest.mark.parametrize("newline", ["\n", "\r\n"])
 def test_every_field_format_reads_the_same(tmp_path: Path, card: str, newline: str) -> None:
     model = read(tmp_path, (MATERIAL + card + "\nENDDATA\n").replace("\n", newline))
     row = {k: v[0] for k, v in model["PBAR"].columns.items()}
-    assert [row[k] for k in ("PID", "MID", "A", "I1", "I2", "J", "NSM")] == [1, 1, 0.1, 0.01, 0.02, 0.001, 5.0]
+    assert [row[k] for k in ("PID", "MID", "A", "I1", "I2", "J", "NSM")] == [
+        1,
+        1,
+        0.1,
+        0.01,
+        0.02,
+        0.001,
+        5.0,
+    ]
     assert (row["C1"], row["C2"], row["D1"]) == (1e-4, 2e-4, 0.0)
     assert np.isnan(row["K1"])
     assert model["PBAR"].line[0] == 2
@@ -66,8 +79,8 @@ def test_continuations_out_of_order_find_their_parents(tmp_path: Path) -> None:
         MATERIAL
         + "PBAR           1       1     0.1    0.01    0.02   0.001      5.        +A\n"
         + "PBAR           2       1     0.2    0.01    0.02   0.001      5.        +B\n"
-        + "+B            2.\n+A            1.                                                        +C\n"
-        + "+C            .5\n",
+        + "+B            2.\n+A            1.                                                    "
+        "    +C\n" + "+C            .5\n",
     )
     assert model["PBAR"]["C1"].tolist() == [1.0, 2.0]
     assert model["PBAR"]["K1"][0] == 0.5
@@ -79,18 +92,32 @@ def test_case_control_of_the_first_subcase(tmp_path: Path) -> None:
         "SUBCASE 1\n SPC=5\nSUBCASE 2\n SPC=6\n MPC=7\nBEGIN BULK\n"
     )
     model = read(
-        tmp_path, text + NODES + "SPC1,5,3,1\nPARAM,WTMASS,.00259\nPARAM,GRDPNT,0\nPARAM,autospc,yes\nENDDATA\nrubbish"
+        tmp_path,
+        text
+        + NODES
+        + "SPC1,5,3,1\nPARAM,WTMASS,.00259\nPARAM,GRDPNT,0\nPARAM,autospc,yes\nENDDATA\nrubbish",
     )
-    assert (model.case.title, model.case.spc, model.case.method, model.case.mpc) == ("A wing", 5, 3, 0)
+    assert (model.case.title, model.case.spc, model.case.method, model.case.mpc) == (
+        "A wing",
+        5,
+        3,
+        0,
+    )
     assert dict(model.params) == {"WTMASS": 0.00259, "GRDPNT": 0, "AUTOSPC": "YES"}
 
 
 def test_includes_nest_relative_to_their_own_folder_then_the_main_one(tmp_path: Path) -> None:
-    deck(tmp_path, "INCLUDE '../main_side.bdf'\nGRID,2,,1.,0.,0.\nINCLUDE \"c.bdf\"\n", "sub/dir/b.bdf")
+    deck(
+        tmp_path,
+        "INCLUDE '../main_side.bdf'\nGRID,2,,1.,0.,0.\nINCLUDE \"c.bdf\"\n",
+        "sub/dir/b.bdf",
+    )
     deck(tmp_path, "GRID,3,,1.,1.,0.\n", "sub/main_side.bdf")
     deck(tmp_path, "$ first\nGRID,4,,0.,1.,0.\n", "c.bdf")
     model = read(
-        tmp_path, "BEGIN BULK\nGRID,1,,0.,0.,0.\ninclude 'sub/\n  dir\\\n  b.bdf' $ broken\nGRID,5,,0.,0.,1.\n"
+        tmp_path,
+        "BEGIN BULK\nGRID,1,,0.,0.,0.\ninclude 'sub/\n  dir\\\n  b.bdf' $ "
+        "broken\nGRID,5,,0.,0.,1.\n",
     )
     grid = model["GRID"]
     assert [Path(f).name for f in model.files] == ["main.bdf", "b.bdf", "main_side.bdf", "c.bdf"]
@@ -107,7 +134,9 @@ def test_a_missing_include_says_where_it_was_looked_for(tmp_path: Path) -> None:
 def test_a_missing_include_of_the_executive_control_is_left_out(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    model = read(tmp_path, "SOL 103\ninclude '/site/alter.v9'\nCEND\nMETHOD=1\nBEGIN BULK\nGRID,1\n")
+    model = read(
+        tmp_path, "SOL 103\ninclude '/site/alter.v9'\nCEND\nMETHOD=1\nBEGIN BULK\nGRID,1\n"
+    )
     assert (model["GRID"].ids.tolist(), model.case.method) == ([1], 1)
     assert "main.bdf:2: INCLUDE: the included file is not there" in caplog.text
     with pytest.raises(DeckError, match=r"main\.bdf:3: INCLUDE"):
@@ -133,14 +162,23 @@ def test_a_file_that_includes_itself(tmp_path: Path) -> None:
         ("PSHELL,8,77,.1\nCTRIA3,9,8,1,2,3", r"PSHELL 8 field MID1: names MAT1, MAT2 or MAT8 77"),
         ("GRID,1,,9.,0.,0.", r"main\.bdf:6: GRID: 1 is defined twice, first at .*main\.bdf:2"),
         ("MAT1,1,7.+10,,.3", r"MAT1: 1 is defined twice"),
-        ("MAT8,1,7.+10,7.+10,.3,3.+10", r"main\.bdf:6: MAT8: 1 is defined twice, first as MAT1 at .*main\.bdf:1"),
-        ("PCOMP,1\n,1,.1", r"main\.bdf:6: PCOMP: 1 is defined twice, first as PSHELL at .*main\.bdf:8"),
+        (
+            "MAT8,1,7.+10,7.+10,.3,3.+10",
+            r"main\.bdf:6: MAT8: 1 is defined twice, first as MAT1 at .*main\.bdf:1",
+        ),
+        (
+            "PCOMP,1\n,1,.1",
+            r"main\.bdf:6: PCOMP: 1 is defined twice, first as PSHELL at .*main\.bdf:8",
+        ),
         ("GRID,9,5,1.,0.,0.", r"GRID 9 field CP: names coordinate frame 5"),
         ("CROD,9,1,1,2,3,4", r"CROD: more than 4 data fields"),
         ("PSHELL,9,1,.1\n,,,,30.", r"main\.bdf:6: PSHELL: more than 11 data fields; give THETA"),
         ("SPC1,1,123,5,THRU,x", r"SPC1 field G: 'X' is not an integer"),
         ("SPC1,1,123,5,THRU,2", "a THRU b needs a <= b"),
-        ("SPC1,1,12a,1", r"main\.bdf:6: SPC1 1 field C: '12A' is no list of components; allowed are the digits 1 to 6"),
+        (
+            "SPC1,1,12a,1",
+            r"main\.bdf:6: SPC1 1 field C: '12A' is no list of components; allowed are the digits 1 to 6",
+        ),
         ("SPC,1,1,127", r"SPC 1 field C: '127' is no list of components"),
         ("GRID,9,,1.,0.,0.,,x", r"GRID 9 field PS: 'X' is no list of components"),
         ("RBE3,9,,1,12x,1.,123,2,3,4", r"RBE3 9 field REFC: '12X' is no list"),
@@ -177,7 +215,9 @@ def test_errors_name_file_line_card_and_field(tmp_path: Path, bad: str, message:
         "CRAC2D,1,1",
     ],
 )
-def test_unsupported_cards_stop_the_reader_and_are_listed_by_survey(tmp_path: Path, card: str) -> None:
+def test_unsupported_cards_stop_the_reader_and_are_listed_by_survey(
+    tmp_path: Path, card: str
+) -> None:
     path = deck(tmp_path, NODES + card + "\n")
     name = card.split(",")[0]
     with pytest.raises(UnsupportedCard, match=rf"main\.bdf:5: {name} is not supported"):
@@ -228,12 +268,17 @@ def test_repeated_identical_nodes_and_frames_are_allowed_and_kept_once(tmp_path:
 def test_frames_in_a_circle_have_their_lines(tmp_path: Path) -> None:
     axes = "0.,0.,0.,0.,0.,1.\n,1.,0.,0.\n"
     model = read(tmp_path, NODES + f"CORD2R,5,6,{axes}CORD2C,6,5,{axes}")
-    with pytest.raises(DeckError, match=r"main\.bdf:\d: CORD2. .: CORD2. ., CORD2. . refer to frames .* in a circle"):
+    with pytest.raises(
+        DeckError,
+        match=r"main\.bdf:\d: CORD2. .: CORD2. ., CORD2. . refer to frames .* in a circle",
+    ):
         positions(model)
 
 
 def test_other_cards_are_counted(tmp_path: Path) -> None:
-    assert dict(read(tmp_path, NODES + "FORCE,1,1,,1.,1.\nFORCE,1,2,,1.,1.\nPLOTEL,1,1,2\n").kept) == {
+    assert dict(
+        read(tmp_path, NODES + "FORCE,1,1,,1.,1.\nFORCE,1,2,,1.,1.\nPLOTEL,1,1,2\n").kept
+    ) == {
         "FORCE": 2,
         "PLOTEL": 1,
     }
@@ -242,7 +287,9 @@ def test_other_cards_are_counted(tmp_path: Path) -> None:
 def test_grdset_fills_blanks_only(tmp_path: Path) -> None:
     frame = "CORD2R,5,,0.,0.,0.,0.,0.,1.,\n,1.,0.,0.\n"
     model = read(
-        tmp_path, frame + "GRDSET,,5,,,,5,126\nGRID,1,,0.,0.,0.\nGRID,2,0,0.,0.,1.,0,0\nGRID,3,0,0.,0.,2.,,3\n"
+        tmp_path,
+        frame
+        + "GRDSET,,5,,,,5,126\nGRID,1,,0.,0.,0.\nGRID,2,0,0.,0.,1.,0,0\nGRID,3,0,0.,0.,2.,,3\n",
     )
     assert model["GRID"]["CP"].tolist() == [5, 0, 0]
     assert model["GRID"]["CD"].tolist() == [5, 0, 5]
@@ -250,7 +297,9 @@ def test_grdset_fills_blanks_only(tmp_path: Path) -> None:
 
 
 def test_an_include_by_a_logical_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """`SYMBOL:file`: the environment variable names the folder; without one the file stands beside the deck."""
+    """`SYMBOL:file`: the environment variable names the folder; without one the file stands beside
+    the deck.
+    """
     deck(tmp_path, "GRID,1\n", "side.dat")
     assert read(tmp_path, "INCLUDE 'TPLDIR:side.dat'\n")["GRID"].ids.tolist() == [1]
     deck(tmp_path, "GRID,2\n", "far/side.dat")
@@ -265,7 +314,9 @@ def test_a_blank_behind_the_name_of_a_free_line_separates(tmp_path: Path) -> Non
     assert model["GRID"]["X1"][-2:].tolist() == [5.0, 7.0]
     assert (model["CONM2"].ids[0], model["CONM2"]["G"][0], model["CONM2"]["M"][0]) == (12, 11, 3.0)
     edit_fields(model, [FieldChange("CONM2", 12, "M", 4.5)], tmp_path / "new")
-    assert (tmp_path / "new/main.bdf").read_text() == path.read_text().replace("3.\nGRID    13", "4.5\nGRID    13")
+    assert (tmp_path / "new/main.bdf").read_text() == path.read_text().replace(
+        "3.\nGRID    13", "4.5\nGRID    13"
+    )
 
 
 def test_column_73_of_a_continuation_is_free(tmp_path: Path) -> None:
@@ -297,7 +348,12 @@ def test_cards_with_a_pattern_of_their_own(tmp_path: Path) -> None:
     assert model["SPC"]["G"].tolist() == [1, 2]
     assert model["SPC"]["C"].tolist() == ["123456", "3"]
     assert model["SPC"]["D"].tolist() == [0.0, 0.5]
-    assert model["SPC1"].ragged("G").row(0).tolist() == [1, 2, 3, 4]  # THRU passes over nodes that are not there
+    assert model["SPC1"].ragged("G").row(0).tolist() == [
+        1,
+        2,
+        3,
+        4,
+    ]  # THRU passes over nodes that are not there
     assert model["SPC1"].ragged("G").row(1).tolist() == [4, 2]
     assert model["MPC"].ragged("G").row(0).tolist() == [1, 2, 3]
     assert model["MPC"].ragged("A").row(0).tolist() == [1.0, -1.0, 0.5]
@@ -331,8 +387,14 @@ def test_an_element_without_property_takes_its_own_number(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("name", "count"),
     [
-        ("msc2019/superelements/cantilever_bar/no_super/noReduction.dat", {"CBAR": 10, "GRID": 11, "SPC": 1}),
-        ("msc2019/system_verification/004_72_bar_truss/nastran_runs/modes.dat", {"CROD": 72, "PROD": 16}),
+        (
+            "msc2019/superelements/cantilever_bar/no_super/noReduction.dat",
+            {"CBAR": 10, "GRID": 11, "SPC": 1},
+        ),
+        (
+            "msc2019/system_verification/004_72_bar_truss/nastran_runs/modes.dat",
+            {"CROD": 72, "PROD": 16},
+        ),
         ("naca_wing/0012_flutter.bdf", {"CQUAD4": 84, "GRID": 117, "RBE2": 1, "CELAS2": 2}),
         ("beam_modes/beam_modes.dat", {"CBEAM": 1, "PBEAM": 1, "PBAR": 1}),
     ],
@@ -367,16 +429,27 @@ def test_replicated_cards(tmp_path: Path) -> None:
     np.testing.assert_allclose(grid["X1"], [0, 0.5, 1, 1.5, 2, 9, 8, 7, 6, 0.1], rtol=0, atol=1e-15)
     assert grid["X3"].tolist() == [0.0] * 5 + [9.0] * 4 + [3.0]
     assert grid.line.tolist() == [2, 3, 4, 4, 4, 5, 6, 7, 7, 8]
-    assert model["CROD"].stack("EID", "PID", "G1", "G2").tolist() == [[1, 7, 1, 2], [2, 7, 2, 3], [3, 7, 3, 4]]
+    assert model["CROD"].stack("EID", "PID", "G1", "G2").tolist() == [
+        [1, 7, 1, 2],
+        [2, 7, 2, 3],
+        [3, 7, 3, 4],
+    ]
 
 
 def test_bars_take_what_baror_says(tmp_path: Path) -> None:
     bars = "CBAR,1,,1,2\nCBAR,2,8,1,2,3\nCBAR,3,,1,2,,1.\nCBAR,4,,1,2,1.,0.,0.,GOO\n"
     sections = "PBAR,7,1\nPBAR,8,1\n"
-    by_vector = read(tmp_path, NODES + MATERIAL + sections + bars + "BAROR,,7,,,.5,.6,.7,OGG\n")["CBAR"]
+    by_vector = read(tmp_path, NODES + MATERIAL + sections + bars + "BAROR,,7,,,.5,.6,.7,OGG\n")[
+        "CBAR"
+    ]
     assert by_vector["PID"].tolist() == [7, 8, 7, 7]
     assert by_vector["G0"].tolist() == [0, 3, 0, 0]
-    assert by_vector.stack("X1", "X2", "X3").tolist() == [[0.5, 0.6, 0.7], [0, 0, 0], [0.5, 1.0, 0.7], [1.0, 0, 0]]
+    assert by_vector.stack("X1", "X2", "X3").tolist() == [
+        [0.5, 0.6, 0.7],
+        [0, 0, 0],
+        [0.5, 1.0, 0.7],
+        [1.0, 0, 0],
+    ]
     assert by_vector["OFFT"].tolist() == ["OGG", "OGG", "OGG", "GOO"]
     by_node = read(tmp_path, NODES + MATERIAL + sections + bars + "BAROR,,7,,,4\n")["CBAR"]
     assert by_node["G0"].tolist() == [4, 3, 0, 0]
@@ -386,7 +459,10 @@ def test_laminates(tmp_path: Path) -> None:
     plies = "PCOMP,1,-.2,.5,,HILL,,.01,SYM\n,8,.1,45.,YES,,,-45.\n,,.2,,,,,,\n,1,,90.\n"
     glob = "PCOMPG,2\n,101,8,.1,30.,YES\n,102,,,-30.\n"
     mat8 = "MAT8,8,1.4+11,9.+9,.3,5.+9,4.+9,3.+9,1600.\n,1.-6,2.-5,20.,,,,,\n,.002\n"
-    model = read(tmp_path, NODES + MATERIAL + mat8 + plies + glob + "CQUAD4,1,1,1,2,3,4,30.\nCQUAD4,2,2,1,2,3,4\n")
+    model = read(
+        tmp_path,
+        NODES + MATERIAL + mat8 + plies + glob + "CQUAD4,1,1,1,2,3,4,30.\nCQUAD4,2,2,1,2,3,4\n",
+    )
     t = model["PCOMP"]
     assert [t[c][0] for c in ("Z0", "NSM", "FT", "GE", "LAM")] == [-0.2, 0.5, "HILL", 0.01, "SYM"]
     assert t.ragged("MID").row(0).tolist() == [8, 8, 8, 1]
@@ -398,7 +474,13 @@ def test_laminates(tmp_path: Path) -> None:
     assert g.ragged("GPLYID").row(0).tolist() == [101, 102]
     assert g.ragged("THETA").row(0).tolist() == [30.0, -30.0]
     assert g.ragged("MID").row(0).tolist() == [8, 8]
-    assert [model["MAT8"][c][0] for c in ("E1", "G2Z", "RHO", "TREF", "GE")] == [1.4e11, 3e9, 1600.0, 20.0, 0.002]
+    assert [model["MAT8"][c][0] for c in ("E1", "G2Z", "RHO", "TREF", "GE")] == [
+        1.4e11,
+        3e9,
+        1600.0,
+        20.0,
+        0.002,
+    ]
 
 
 def test_matrices_and_their_choice(tmp_path: Path) -> None:
@@ -432,14 +514,21 @@ def test_rigid_and_scalar_elements(tmp_path: Path) -> None:
     assert model["RBE1"].ragged("GM").row(1).tolist() == [2, 3, 4, 2]
     assert model["RBE1"].ragged("CM").row(1).tolist() == ["1", "2", "3", "456"]
     assert (model["RBAR"]["CNA"][0], model["RBAR"]["CMB"][0]) == ("123456", "12")
-    assert model["SPOINT"].ragged("ID").values.tolist() == [12, 11, 13]  # the last two are named by elements only
+    assert model["SPOINT"].ragged("ID").values.tolist() == [
+        12,
+        11,
+        13,
+    ]  # the last two are named by elements only
     assert model["PDAMP"].stack("PID", "B").tolist() == [[6, 0.1], [7, 0.2]]
     assert model["PVISC"].stack("PID", "CE", "CR").tolist() == [[9, 1, 2], [10, 3, 0]]
     assert [model["CONM1"][c][0] for c in ("M11", "M21", "M22")] == [1.0, 0.0, 2.0]
 
 
 def test_the_subcase_with_a_method_is_taken(tmp_path: Path) -> None:
-    text = "CEND\nMPC = 9\nTITLE = a,\nSUBCASE 1\n SPC = 1\nSUBCASE 2\n METH = 3\n SPC = 2\nAUTOSPC(PRINT)=NO\n"
+    text = (
+        "CEND\nMPC = 9\nTITLE = a,\nSUBCASE 1\n SPC = 1\nSUBCASE 2\n METH = 3\n SPC = "
+        "2\nAUTOSPC(PRINT)=NO\n"
+    )
     sets = "SPC1,2,3,1\nMPC,9,1,2,1.,2,2,-1.\n"
     model = read(tmp_path, text + "PARAM,WTMASS,.5\nBEGIN BULK\nPARAM,WTMASS,1.\n" + NODES + sets)
     assert (model.case.title, model.case.method, model.case.spc, model.case.mpc) == ("a,", 3, 2, 9)
@@ -450,14 +539,23 @@ def test_free_fields_in_a_block_and_odd_lines_among_them(tmp_path: Path) -> None
     long = "GRID,7,,7." + "0" * 90 + ",1.,2.\n"
     model = read(tmp_path, NODES + long + " grid , 8 , , 8. , .5-1 , 3. , , , , $ c\nGRID,9\n")
     assert model["GRID"].ids.tolist() == [1, 2, 3, 4, 7, 8, 9]
-    assert model["GRID"].stack("X1", "X2", "X3")[4:].tolist() == [[7, 1, 2], [8, 0.05, 3], [0, 0, 0]]
+    assert model["GRID"].stack("X1", "X2", "X3")[4:].tolist() == [
+        [7, 1, 2],
+        [8, 0.05, 3],
+        [0, 0, 0],
+    ]
 
 
 def test_nonstructural_mass_counts_only_where_it_is_chosen(tmp_path: Path) -> None:
     bulk = "BEGIN BULK\n" + NODES + "NSM1,5,PSHELL,2.,1\n"
     assert dict(read(tmp_path, "CEND\n" + bulk).kept) == {"NSM1": 1}
     table = read(tmp_path, "CEND\nNSM = 5\n" + bulk)["NSM1"]
-    assert (table["SID"][0], table["TYPE"][0], table["VALUE"][0], table.ragged("ID").row(0).tolist()) == (
+    assert (
+        table["SID"][0],
+        table["TYPE"][0],
+        table["VALUE"][0],
+        table.ragged("ID").row(0).tolist(),
+    ) == (
         5,
         "PSHELL",
         2.0,
@@ -470,8 +568,13 @@ def test_a_long_free_deck_reads_as_a_small_field_one(tmp_path: Path) -> None:
     n = 70_000
     rng = np.random.default_rng(7)
     x = rng.integers(-9999, 9999, size=n)
-    small = "".join(f"GRID    {i + 1:8d}        {v:7d}.{v / 1000:8.3f}      0.\n" for i, v in enumerate(x.tolist()))
-    free = "".join(f"grid, {i + 1},,{v}.,{v / 1000:.3f}$ c,\n,,\n" for i, v in enumerate(x.tolist()))
+    small = "".join(
+        f"GRID    {i + 1:8d}        {v:7d}.{v / 1000:8.3f}      0.\n"
+        for i, v in enumerate(x.tolist())
+    )
+    free = "".join(
+        f"grid, {i + 1},,{v}.,{v / 1000:.3f}$ c,\n,,\n" for i, v in enumerate(x.tolist())
+    )
     a, b = read(tmp_path, small)["GRID"], read(tmp_path, free)["GRID"]
     np.testing.assert_array_equal(a.stack("ID", "X1", "X2", "X3"), b.stack("ID", "X1", "X2", "X3"))
     np.testing.assert_array_equal(a["X2"], x / 1000)
@@ -479,14 +582,18 @@ def test_a_long_free_deck_reads_as_a_small_field_one(tmp_path: Path) -> None:
 
 
 def test_a_frame_through_points_on_one_line_is_named_with_its_place(tmp_path: Path) -> None:
-    model = read(tmp_path, "BEGIN BULK\nCORD2R,6,,0.,0.,0.,1.,0.,0.\n,2.,0.,0.\nGRID,1,6,0.,0.,0.\n")
+    model = read(
+        tmp_path, "BEGIN BULK\nCORD2R,6,,0.,0.,0.,1.,0.,0.\n,2.,0.,0.\nGRID,1,6,0.,0.,0.\n"
+    )
     with pytest.raises(DeckError, match=r"main\.bdf:2: CORD2R 6: its three points lie on one line"):
         positions(model)
 
 
 def test_a_fluid_is_told_as_such(tmp_path: Path) -> None:
     square = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0))
-    corners = "".join(f"GRID,{11 + 4 * z + i},,{x},{y},{z}.\n" for z in (0, 1) for i, (x, y) in enumerate(square))
+    corners = "".join(
+        f"GRID,{11 + 4 * z + i},,{x},{y},{z}.\n" for z in (0, 1) for i, (x, y) in enumerate(square)
+    )
     solid = "CHEXA,1,1,11,12,13,14,15,16\n+,17,18\nPSOLID,1,10,,,,,PFLUID\nMAT10,10,2.+9,1000.\n"
     with pytest.raises(DeckError, match=r"MAT10 makes a fluid \(fluids: give their mass"):
         read(tmp_path, corners + solid)

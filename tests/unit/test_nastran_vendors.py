@@ -1,4 +1,6 @@
-"""The same cantilever as FEMAP, HyperMesh, Patran and people write it: each must read as the plain deck does."""
+"""The same cantilever as FEMAP, HyperMesh, Patran and people write it: each must read as the plain
+deck does.
+"""
 
 from __future__ import annotations
 
@@ -163,8 +165,15 @@ def small(*changes: tuple[bytes, bytes], of: bytes = PLAIN) -> bytes:
 
 
 LINES = PLAIN.split(b"\n")
-TABBED = [b"\t".join(s[i : i + 8].strip() for i in range(0, len(s), 8)) if k > 4 else s for k, s in enumerate(LINES)]
-MIXED = wide("PBAR*", "1", "1", ".01", "1.-5", calls="*A") + wide("*A", "2.-5", "1.-5", calls="+B") + b"+B      0.\n"
+TABBED = [
+    b"\t".join(s[i : i + 8].strip() for i in range(0, len(s), 8)) if k > 4 else s
+    for k, s in enumerate(LINES)
+]
+MIXED = (
+    wide("PBAR*", "1", "1", ".01", "1.-5", calls="*A")
+    + wide("*A", "2.-5", "1.-5", calls="+B")
+    + b"+B      0.\n"
+)
 DECKS = {
     "femap": FEMAP,
     "hypermesh": HYPERMESH,
@@ -185,7 +194,8 @@ DECKS = {
     "more behind ENDDATA": PLAIN + b"no card at all\n\x1a",
     "blanks behind": b"\n".join(s.ljust(100) for s in LINES),
     "numbered lines": b"\n".join(s.ljust(72) + b"+00%05d" % i if i > 4 and s else s for i, s in enumerate(LINES)),
-    "odd bytes in comments": PLAIN.replace(b"GRID    1", b"$ \xe9\xff\x00 , $$ \t\n$\n\n   $ x\nGRID    1"),
+    "odd bytes in comments": PLAIN.replace(b"GRID    1", b"$ \xe9\xff\x00 , $$ \t\n$\n\n   $ "
+                                                         b"x\nGRID    1"),
     "a comment behind": PLAIN.replace(NODE, NODE[:-1] + b"              $ a, b, c\n"),
     "tabs": b"\n".join(TABBED),
     "tabs, large": PLAIN.replace(NODE, b"GRID*\t3\t\t\t\t1.\t\t0.\n*\t0.\n"),
@@ -195,7 +205,8 @@ DECKS = {
     "large and small": small((BAR + b"\n", MIXED)),
     "continued by +": PLAIN.replace(BAR, BAR + b"                    +\n+       0.      0."),
     "continued by blanks": PLAIN.replace(BAR, BAR + b"\n        0.      0."),
-    "continued by +, indented": PLAIN.replace(BAR, BAR + b"                     +P1\n +P1    0.      0."),
+    "continued by +, indented": PLAIN.replace(BAR, BAR + b"                     +P1\n +P1    0.  "
+                                                         b"    0."),
     "continued elsewhere, indented": small(
         (BAR, BAR + b"                    +P1"), (b"ENDDATA", b" +P1    0.\nENDDATA")
     ),
@@ -203,8 +214,10 @@ DECKS = {
     "fixed, then free": PLAIN.replace(BAR, BAR + b"\n,0.,0."),
     "comments before the continuation": PLAIN.replace(BAR, BAR + b"\n$ and\n\n        0.      0."),
     "continued elsewhere": small((BAR, BAR + b"                    +P1"), (b"ENDDATA", b"+P1     0.\nENDDATA")),
-    "quotes and sets": PLAIN.replace(b"CEND", b"CEND\nTITLE='a = b, SPC=7'\nSET 1 = 1 THRU 5,\n 7, 9\nDISP=1"),
-    "subcases": PLAIN.replace(b"  SPC = 1", b"  SPC = 9\nSUBCASE 1\n  spc=1 $ c\n  ANALYSIS=MODES\nSUBCASE 2\n  SPC=3"),
+    "quotes and sets": PLAIN.replace(b"CEND", b"CEND\nTITLE='a = b, SPC=7'\nSET 1 = 1 THRU 5,\n "
+                                              b"7, 9\nDISP=1"),
+    "subcases": PLAIN.replace(b"  SPC = 1", b"  SPC = 9\nSUBCASE 1\n  spc=1 $ c\n  "
+                                            b"ANALYSIS=MODES\nSUBCASE 2\n  SPC=3"),
     "a slip in BEGIN BULK": small((b"BEGIN BULK", b"BEGING BULK")),
     "other sections": b"ASSIGN OUTPUT2='a.op2',UNIT=12\n" + small((b"BEGIN BULK", b"begin   bulk  $ x")),
 }  # fmt: skip
@@ -233,10 +246,18 @@ def test_reads_as_the_plain_deck(tmp_path: Path, name: str) -> None:
     [
         (PLAIN.decode().encode("utf-16"), DeckError, "UTF-16"),
         (PLAIN.replace(b"\n", b"\r"), DeckError, "CR alone"),
-        (FREE.replace(b"GRID,3", b"GRID,3."), DeckError, r"a\.bdf:9: GRID field ID: '3\.' is not an integer"),
+        (
+            FREE.replace(b"GRID,3", b"GRID,3."),
+            DeckError,
+            r"a\.bdf:9: GRID field ID: '3\.' is not an integer",
+        ),
         (PLAIN.replace(b".5      0.", b".5 0.   0."), DeckError, r"a\.bdf:9: GRID field X1"),
         (FREE + b"CBUSH,9,9,3\nPBUSH,9,K,RIGID\n", DeckError, "use RBE2"),
-        (FREE.replace(b"SPC=1", b"TEMPERATURE(INIT)=4") + b"MATT1,1,7\n", UnsupportedCard, r"a\.bdf:14: MATT1"),
+        (
+            FREE.replace(b"SPC=1", b"TEMPERATURE(INIT)=4") + b"MATT1,1,7\n",
+            UnsupportedCard,
+            r"a\.bdf:14: MATT1",
+        ),
     ],
 )
 def test_refused(tmp_path: Path, deck: bytes, error: type[RingtrueError], message: str) -> None:
@@ -245,7 +266,9 @@ def test_refused(tmp_path: Path, deck: bytes, error: type[RingtrueError], messag
 
 
 def test_the_name_that_optistruct_has_for_a_pyramid(tmp_path: Path) -> None:
-    assert read(tmp_path, FREE + b"CPYRA,9,9,1,2,3,4,5\nGRID,4\nGRID,5\nPSOLID,9,1\n")["CPYRAM"]["G5"].tolist() == [5]
+    assert read(tmp_path, FREE + b"CPYRA,9,9,1,2,3,4,5\nGRID,4\nGRID,5\nPSOLID,9,1\n")["CPYRAM"][
+        "G5"
+    ].tolist() == [5]
 
 
 def test_temperature_tables_that_nothing_chooses_are_kept(tmp_path: Path) -> None:
@@ -255,7 +278,10 @@ def test_temperature_tables_that_nothing_chooses_are_kept(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("text", "want"),
     [
-        (b".02", [0.02] * 6),  # alone it holds for all, else a blank is 0 (Quick Reference Guide, PBUSH, remark 9)
+        (
+            b".02",
+            [0.02] * 6,
+        ),  # alone it holds for all, else a blank is 0 (Quick Reference Guide, PBUSH, remark 9)
         (b".02,.02,.02,.02,.02,.02", [0.02] * 6),
         (b".02,,.03", [0.02, 0.0, 0.03, 0.0, 0.0, 0.0]),
         (b",,,.1", [0.0, 0.0, 0.0, 0.1, 0.0, 0.0]),
@@ -277,7 +303,9 @@ def test_two_frames_on_a_card(tmp_path: Path) -> None:
     model = read(tmp_path, FREE + more)
     t = model["CORD1R"]
     assert t.stack("CID", "G1", "G2", "G3").tolist() == [[7, 1, 4, 3], [8, 1, 3, 5]]
-    np.testing.assert_allclose(positions(model)[-1], [2.0, 0.0, 0.0], atol=1e-15)  # z of frame 8 is along 1-3
+    np.testing.assert_allclose(
+        positions(model)[-1], [2.0, 0.0, 0.0], atol=1e-15
+    )  # z of frame 8 is along 1-3
     edit_fields(model, [FieldChange("CORD1R", 8, "G3", 4)], tmp_path / "new")
     text = (tmp_path / "new/a.bdf").read_bytes()
     assert text == FREE + more.replace(b"8,1,3,5", b"8,1,3,4")

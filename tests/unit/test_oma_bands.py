@@ -1,4 +1,6 @@
-"""The pyramid of bands: what a pass gives, what is kept of many stretches, deviations and mixing of shapes."""
+"""The pyramid of bands: what a pass gives, what is kept of many stretches, deviations and mixing of
+shapes.
+"""
 
 from __future__ import annotations
 
@@ -159,7 +161,13 @@ def test_shapes_of_a_close_pair_are_told_apart():
     found = unmix(bins, f, z, mixed, 4.0, start=found.matrix)
     out = mixed @ found.matrix
     for k in range(2):
-        like = abs(np.vdot(psi[:, k], out[:, k])) ** 2 / (np.linalg.norm(psi[:, k]) * np.linalg.norm(out[:, k])) ** 2
-        was = abs(np.vdot(psi[:, k], mixed[:, k])) ** 2 / (np.linalg.norm(psi[:, k]) * np.linalg.norm(mixed[:, k])) ** 2
+        like = (
+            abs(np.vdot(psi[:, k], out[:, k])) ** 2
+            / (np.linalg.norm(psi[:, k]) * np.linalg.norm(out[:, k])) ** 2
+        )
+        was = (
+            abs(np.vdot(psi[:, k], mixed[:, k])) ** 2
+            / (np.linalg.norm(psi[:, k]) * np.linalg.norm(mixed[:, k])) ** 2
+        )
         assert 1 - like < 0.05 * (1 - was)
     assert (found.variance[[0, 1], [1, 0]] > 0).all()

@@ -28,7 +28,9 @@ def test_close_pair_with_unlike_shapes_stays_apart():
     rng = np.random.default_rng(1)
     order = np.tile(np.arange(2, 42, 2), 2)
     f = np.repeat([1.85, 1.90], 20) * (1 + 0.002 * rng.standard_normal(40))
-    psi = np.repeat(np.array([[1.0, 1, 0], [1, -1, 0.3]]).T, 20, axis=1) + 0.02 * rng.standard_normal((3, 40))
+    psi = np.repeat(
+        np.array([[1.0, 1, 0], [1, -1, 0.3]]).T, 20, axis=1
+    ) + 0.02 * rng.standard_normal((3, 40))
     label = cluster_poles(2 * np.pi * f * (-0.01 + 1j), psi.astype(complex), order)
     assert len(set(label[:20])) == len(set(label[20:])) == 1
     assert label[0] != label[20]
@@ -53,8 +55,12 @@ def test_bands_overlap_and_reach_the_lowest_frequency():
 @pytest.mark.parametrize(
     ("shape", "rows", "order"), [((80, 4, 3), 40, 6), ((40, 30, 3), 20, 25), ((20, 40, 1), 10, 10)]
 )
-def test_leading_triplets_are_those_of_the_full_decomposition(shape: tuple[int, int, int], rows: int, order: int):
-    h = hankel(np.random.default_rng(2).standard_normal(shape), rows)  # wide, tall, and tall of the full order
+def test_leading_triplets_are_those_of_the_full_decomposition(
+    shape: tuple[int, int, int], rows: int, order: int
+):
+    h = hankel(
+        np.random.default_rng(2).standard_normal(shape), rows
+    )  # wide, tall, and tall of the full order
     u, s, v = decompose(h, order)
     want = np.linalg.svd(h, compute_uv=False)
     assert s == pytest.approx(want[:order], rel=1e-9)
@@ -76,13 +82,17 @@ def test_perturbations_are_those_of_the_hankel_matrices_of_the_blocks():
 
 def test_neither_the_order_of_the_references_nor_the_units_move_a_pole():
     e = np.random.default_rng(4).standard_normal((3, 6000))
-    y = lfilter([1.0], [1.0, -1.6, 0.95], np.array([[1, 0, 0.2], [0.5, 1, 0], [0, 0.3, 1]]) @ e, axis=1)
+    y = lfilter(
+        [1.0], [1.0, -1.6, 0.95], np.array([[1, 0, 0.2], [0.5, 1, 0], [0, 0.3, 1]]) @ e, axis=1
+    )
     settings, ids = SsiCov(10, 8, 2, 1), ("1", "2", "3")
 
     def poles(scale: tuple[float, ...], references: tuple[str, ...]):
         channels = tuple(Channel(i, "acceleration") for i in ids)
         return ssi_cov(
-            TimeHistory(y * np.array(scale)[:, None], 50.0, channels, "made"), settings, references=references
+            TimeHistory(y * np.array(scale)[:, None], 50.0, channels, "made"),
+            settings,
+            references=references,
         )
 
     plain, other = poles((1.0, 1.0, 1.0), ids), poles((1.0, 50.0, 3.0), ("3", "1", "2"))
@@ -95,7 +105,9 @@ def test_deviation_of_a_pole_is_its_derivative():
     df, dz = frequency_damping(pole, d)
     moved = pole + d[:, 0]
     assert df[0, 0] == pytest.approx((np.abs(moved) - np.abs(pole))[0] / (2 * np.pi), rel=1e-4)
-    assert dz[0, 0] == pytest.approx((-moved.real / np.abs(moved) + pole.real / np.abs(pole))[0], rel=1e-4)
+    assert dz[0, 0] == pytest.approx(
+        (-moved.real / np.abs(moved) + pole.real / np.abs(pole))[0], rel=1e-4
+    )
 
 
 def test_settings_are_checked():
@@ -105,12 +117,18 @@ def test_settings_are_checked():
         AmbientSettings(fmin=5.0, fmax=2.0)
 
 
-def _record(at: list[int], f: list[float], std: float, factor: complex, seed: int) -> tuple[ModeSet, Uncertainty]:
+def _record(
+    at: list[int], f: list[float], std: float, factor: complex, seed: int
+) -> tuple[ModeSet, Uncertainty]:
     rng = np.random.default_rng(seed)
     truth = np.cos(np.outer(np.arange(8), [0.3, 0.9]))
     shapes = truth[at] * factor + 1e-3 * abs(factor) * rng.standard_normal((len(at), 2))
-    modes = ModeSet(np.array(f), np.array([0.01, 0.02]), shapes.astype(complex), tuple(f"{i}+X" for i in at))
-    u = Uncertainty.independent(np.full(2, std), np.full(2, 1e-3), np.full((len(at), 2), 1e-3 * abs(factor)))
+    modes = ModeSet(
+        np.array(f), np.array([0.01, 0.02]), shapes.astype(complex), tuple(f"{i}+X" for i in at)
+    )
+    u = Uncertainty.independent(
+        np.full(2, std), np.full(2, 1e-3), np.full((len(at), 2), 1e-3 * abs(factor))
+    )
     return modes, u
 
 
@@ -123,7 +141,9 @@ def test_shapes_of_roving_records_are_glued_on_the_common_channels():
     rows = [m.modes.channels.index(f"{i}+X") for i in range(8)]
     for k in range(2):
         got = m.modes.shapes[rows, k]
-        like = abs(np.vdot(got, truth[:, k])) ** 2 / (np.vdot(got, got).real * (truth[:, k] ** 2).sum())
+        like = abs(np.vdot(got, truth[:, k])) ** 2 / (
+            np.vdot(got, got).real * (truth[:, k] ** 2).sum()
+        )
         assert like > 0.99999
     assert m.modes.frequencies == pytest.approx([1.0, 3.0], abs=0.005)
     assert m.uncertainty.frequency == pytest.approx(0.01 / np.sqrt(3), rel=0.01)
@@ -159,7 +179,12 @@ def test_a_common_channel_that_is_wrong_in_one_record_is_undone_and_said(wrong):
         shapes = truth[at] + 0.01 * rng.standard_normal((5, 4))
         if k == 1:
             shapes[:3] = np.sign(np.array(wrong) + 0.5)[:, None] * shapes[np.abs(wrong)]
-        modes = ModeSet(np.arange(1.0, 5.0), np.full(4, 0.01), shapes.astype(complex), tuple(f"{i}+X" for i in at))
+        modes = ModeSet(
+            np.arange(1.0, 5.0),
+            np.full(4, 0.01),
+            shapes.astype(complex),
+            tuple(f"{i}+X" for i in at),
+        )
         std = Uncertainty.independent(np.full(4, 0.01), np.full(4, 1e-3), np.full((5, 4), 0.01))
         records.append((modes, std, f"r{k}"))
     m = merge_modes(records)
@@ -172,10 +197,14 @@ def test_a_common_channel_that_is_wrong_in_one_record_is_undone_and_said(wrong):
 
 
 def test_two_poor_shapes_are_no_exchanged_channels():
-    """On a symmetric structure the exchange of its ends is seen in no mode but two that one record shows poorly."""
+    """On a symmetric structure the exchange of its ends is seen in no mode but two that one record
+    shows poorly.
+    """
     rng = np.random.default_rng(5)
     half = rng.standard_normal((2, 8))
-    truth = np.stack([half[0], half[1] * ([1, 0] * 4), half[0] * ([1, -1] * 4)])  # symmetric and antisymmetric
+    truth = np.stack(
+        [half[0], half[1] * ([1, 0] * 4), half[0] * ([1, -1] * 4)]
+    )  # symmetric and antisymmetric
     records = []
     for k in range(3):
         shapes = truth + 0.005 * rng.standard_normal((3, 8))
@@ -183,7 +212,9 @@ def test_two_poor_shapes_are_no_exchanged_channels():
             shapes[:, 6:] = np.array([[1.0, 1.0], [0.4, 0.4], [0.2, -0.2]])
         else:
             shapes[:, 6:] = np.array([[0.2, -0.2], [0.4, 0.4], [1.0, 1.0]])
-        modes = ModeSet(np.arange(1.0, 9.0), np.full(8, 0.01), shapes.astype(complex), ("0+X", "1+X", "2+X"))
+        modes = ModeSet(
+            np.arange(1.0, 9.0), np.full(8, 0.01), shapes.astype(complex), ("0+X", "1+X", "2+X")
+        )
         std = Uncertainty.independent(np.full(8, 0.01), np.full(8, 1e-3), np.full((3, 8), 0.01))
         records.append((modes, std, f"r{k}"))
     assert merge_modes(records).notes == ()
@@ -216,7 +247,9 @@ def test_a_mode_in_doubt_asks_for_all_orders(halves: float, done: bool):
 
 
 def test_the_scatter_of_a_mode_is_no_second_mode():
-    """A weaker pole nearby of the same shape, without a peak that could be fitted, is halved; another shape is not."""
+    """A weaker pole nearby of the same shape, without a peak that could be fitted, is halved;
+    another shape is not.
+    """
     same, other = np.array([1.0, 2.0, 3.0, 4.0]), np.array([4.0, -3.0, 2.0, -1.0])
     shape = np.stack([same, same, other], axis=1).astype(complex)
     f = np.array([1.2, 1.34, 1.4])
@@ -236,14 +269,20 @@ def test_the_scatter_of_a_mode_is_no_second_mode():
 
 
 def test_a_pole_known_far_worse_than_a_mode_of_as_many_cycles_is_noise():
-    """At 280 Hz and 0.9 % a record of 500 s knows the damping to 1 %: 40 % is noise, but not of a slow mode."""
+    """At 280 Hz and 0.9 % a record of 500 s knows the damping to 1 %: 40 % is noise, but not of a
+    slow mode.
+    """
     blank = np.zeros((2, 4))
     table = Candidates(
         2 * np.pi * np.array([0.5, 280.0]) * (-0.009 + 1j), 0j + blank, np.ones((4, 2), complex),
         np.zeros((2, 4, 4), complex), blank[:, 0], np.ones((2, 2), np.int64),
         np.ones(2), np.ones(2), np.ones(2), np.zeros(0, np.int64), np.zeros(0, bool), np.zeros(2, bool),
     )  # fmt: skip
-    table = replace(table, deviation=0.2 * table.damping[:, None] * np.abs(table.pole)[:, None] + 0j + blank)
+    table = replace(
+        table, deviation=0.2 * table.damping[:, None] * np.abs(table.pole)[:, None] + 0j + blank
+    )
     sure = np.array([0.4, 0.4])
     assert without_noise(table, sure, 500.0) == pytest.approx([0.4, 0.2])
-    assert without_noise(replace(table, refined=np.ones(2, bool)), sure, 500.0) == pytest.approx(sure)
+    assert without_noise(replace(table, refined=np.ones(2, bool)), sure, 500.0) == pytest.approx(
+        sure
+    )

@@ -31,15 +31,22 @@ def test_samples_of_a_channel_are_side_by_side_however_the_table_came():
     turned, rows = history(table.T, 100.0).data, history(np.ascontiguousarray(table.T), 100.0).data
     assert turned.strides[1] == turned.itemsize
     np.testing.assert_array_equal(turned, rows)
-    assert np.shares_memory(history(rows[:, 10:30], 100.0).data, rows)  # a part of a record is not copied
+    assert np.shares_memory(
+        history(rows[:, 10:30], 100.0).data, rows
+    )  # a part of a record is not copied
 
 
 def test_spectrum_of_white_noise_has_its_variance_and_no_cross_terms():
     y = np.random.default_rng(1).standard_normal((3, 60000)) * np.array([[1.0], [2.0], [3.0]])
     s = csd(history(y, 100.0), Welch(0.5))
     power = s.data.real[:, range(3), range(3)].sum(0) * 0.5
-    assert power == pytest.approx([1, 4, 9], rel=0.03)  # 600 segments: 3 % is two standard deviations of the sum
-    assert np.abs(s.data[:, 0, 2]).mean() < 0.1 * np.sqrt((s.data[:, 0, 0] * s.data[:, 2, 2]).real).mean()
+    assert power == pytest.approx(
+        [1, 4, 9], rel=0.03
+    )  # 600 segments: 3 % is two standard deviations of the sum
+    assert (
+        np.abs(s.data[:, 0, 2]).mean()
+        < 0.1 * np.sqrt((s.data[:, 0, 0] * s.data[:, 2, 2]).real).mean()
+    )
 
 
 def test_spectrum_needs_one_segment():
@@ -62,7 +69,9 @@ def test_bands_keep_a_sine_and_its_phase():
     y = np.sin(2 * np.pi * 3.0 * t) + np.sin(2 * np.pi * 40.0 * t) + 5.0 + 0.01 * t
     ((low, new),) = band_signals(y[None], rate, [Band(1.0, 5.0, 20.0)])
     want = np.sin(2 * np.pi * 3.0 * np.arange(low.shape[1]) / new)
-    middle = slice(low.shape[1] // 10, -low.shape[1] // 10)  # away from the ends, where the record is cut
+    middle = slice(
+        low.shape[1] // 10, -low.shape[1] // 10
+    )  # away from the ends, where the record is cut
     assert low[0, middle] == pytest.approx(want[middle], abs=2e-3)
     assert new == pytest.approx(20.0, rel=0.01)
 
@@ -95,7 +104,11 @@ def test_a_loud_block_counts_as_a_typical_one():
 def test_machines_are_found_and_noise_is_none():
     rng, t = np.random.default_rng(4), np.arange(120000) / 100.0
     noise = rng.standard_normal((3, t.size))
-    tone = np.sin(2 * np.pi * 12.5 * t) + 0.8 * np.sin(2 * np.pi * 25.0 * t) + np.sin(2 * np.pi * 16.667 * t)
+    tone = (
+        np.sin(2 * np.pi * 12.5 * t)
+        + 0.8 * np.sin(2 * np.pi * 25.0 * t)
+        + np.sin(2 * np.pi * 16.667 * t)
+    )
     assert harmonics(history(noise, 100.0)) == ()
     found = harmonics(history(noise + tone, 100.0))
     assert [h.frequency for h in found] == pytest.approx([12.5, 16.667, 25.0], abs=0.05)
@@ -104,11 +117,15 @@ def test_machines_are_found_and_noise_is_none():
 
 
 def test_modes_in_three_directions_are_no_line():
-    """Each as narrow as the window; the sum of their powers has a normalised second moment of 4/3 only."""
+    """Each as narrow as the window; the sum of their powers has a normalised second moment of 4/3
+    only.
+    """
     t, found = np.arange(120000) / 100.0, 0
     for seed in range(20):
         rng = np.random.default_rng(seed)
-        slow = np.array([np.interp(t, np.arange(0, 1220, 20.0), x) for x in rng.standard_normal((6, 61))])
+        slow = np.array(
+            [np.interp(t, np.arange(0, 1220, 20.0), x) for x in rng.standard_normal((6, 61))]
+        )
         y = slow[:3] * np.cos(2 * np.pi * 12.5 * t) + slow[3:] * np.sin(2 * np.pi * 12.5 * t)
         found += bool(harmonics(history(y + 1e-3 * rng.standard_normal(y.shape), 100.0)))
     assert found <= 1

@@ -21,7 +21,18 @@ def deck(tmp_path: Path) -> Path:
 def test_sets_of_references_are_ranked_and_what_none_reaches_is_said(
     deck: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = ["plan", str(deck), "--modes", "1-5", "--points", "6", "--references", "3", "--json", "-"]
+    words = [
+        "plan",
+        str(deck),
+        "--modes",
+        "1-5",
+        "--points",
+        "6",
+        "--references",
+        "3",
+        "--json",
+        "-",
+    ]
     run(words)
     told = json.loads(capsys.readouterr().out)
     sets = told["reference_sets"]
@@ -30,7 +41,12 @@ def test_sets_of_references_are_ranked_and_what_none_reaches_is_said(
     assert sorted(best["references"]) == sorted(told["references"])
     assert best["worst_reach"] == pytest.approx(min(m["reach"] for m in told["modes"]))
     assert best["worst_reach"] >= sets[3]["worst_reach"] >= sets[4]["worst_reach"]
-    assert sets[0]["worst_reach"] <= sets[1]["worst_reach"] <= best["worst_reach"] <= sets[5]["worst_reach"]
+    assert (
+        sets[0]["worst_reach"]
+        <= sets[1]["worst_reach"]
+        <= best["worst_reach"]
+        <= sets[5]["worst_reach"]
+    )
     # half a storey up a column no floor mode can be struck
     run([*words, "--strike-at", "151"])
     poor = json.loads(capsys.readouterr().out)
@@ -45,12 +61,28 @@ def test_sets_of_references_are_ranked_and_what_none_reaches_is_said(
 def test_sets_are_ranked_as_they_are_told_where_few_points_can_be_struck(
     deck: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Reach is over the best of all channels; a mode that none of these points reaches ranks no set."""
-    words = ["plan", str(deck), "--modes", "1-8", "--points", "6", "--references", "2", "--strike", "worst"]
+    """Reach is over the best of all channels; a mode that none of these points reaches ranks no
+    set.
+    """
+    words = [
+        "plan",
+        str(deck),
+        "--modes",
+        "1-8",
+        "--points",
+        "6",
+        "--references",
+        "2",
+        "--strike",
+        "worst",
+    ]
     for spots in ("151,102", "105,204,301", "151"):
         run([*words, "--strike-at", spots, "--json", "-"])
         told = json.loads(capsys.readouterr().out)
-        worst = {n: [s["worst_reach"] for s in told["reference_sets"] if len(s["references"]) == n] for n in (1, 2, 3)}
+        worst = {
+            n: [s["worst_reach"] for s in told["reference_sets"] if len(s["references"]) == n]
+            for n in (1, 2, 3)
+        }
         assert worst[2] == sorted(worst[2], reverse=True)
         assert worst[1] <= worst[2][:1] <= worst[3]
         assert sorted(told["reference_sets"][1]["references"]) == sorted(told["references"])
@@ -72,9 +104,22 @@ def test_options_that_say_nothing_are_refused(
     assert why in capsys.readouterr().err
 
 
-def test_modes_that_the_points_do_not_part_are_named(deck: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_modes_that_the_points_do_not_part_are_named(
+    deck: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """At one node of the roof, the sways along x of all storeys look alike."""
-    words = ["plan", str(deck), "--modes", "1-6", "--points", "2", "--region", "roof=305,304", "--json", "-"]
+    words = [
+        "plan",
+        str(deck),
+        "--modes",
+        "1-6",
+        "--points",
+        "2",
+        "--region",
+        "roof=305,304",
+        "--json",
+        "-",
+    ]
     run(words)
     told = json.loads(capsys.readouterr().out)
     assert told["worst_auto_mac"] > 0.25
@@ -86,8 +131,23 @@ def test_modes_that_the_points_do_not_part_are_named(deck: Path, capsys: pytest.
 
 
 def test_targets_and_points_by_regions(deck: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Points are among the nodes of the regions, which may share some; modes that hardly move one are no targets."""
-    words = ["plan", str(deck), "--band", "0.5", "18", "--points", "5", "--method", "qr", "--distance", "0", "--weigh"]
+    """Points are among the nodes of the regions, which may share some; modes that hardly move one
+    are no targets.
+    """
+    words = [
+        "plan",
+        str(deck),
+        "--band",
+        "0.5",
+        "18",
+        "--points",
+        "5",
+        "--method",
+        "qr",
+        "--distance",
+        "0",
+        "--weigh",
+    ]
     words += ["--region", "top=301-309", "--region", "upper=201-209,301-309", "--json", "-"]
     assert run(words) in (0, 1)
     told = json.loads(capsys.readouterr().out)
@@ -95,7 +155,9 @@ def test_targets_and_points_by_regions(deck: Path, capsys: pytest.CaptureFixture
     run([*words, "--cost", "top=50"])
     dear, top = json.loads(capsys.readouterr().out), set(range(301, 310))
     first = [p in top for p in told["points"]]
-    assert first == sorted(first, reverse=True)  # regions keep their order: the first two have the ambient sensors
+    assert first == sorted(
+        first, reverse=True
+    )  # regions keep their order: the first two have the ambient sensors
     assert len(top & set(dear["points"])) < len(top & set(told["points"]))
     run([*words, "--kinetic", "top=0.6"])
     few = [m["mode"] for m in json.loads(capsys.readouterr().out)["modes"]]

@@ -1,4 +1,6 @@
-"""Exciters, suspension, loading and the wireframe: a string, a plate of springs, and systems with known answers."""
+"""Exciters, suspension, loading and the wireframe: a string, a plate of springs, and systems with
+known answers.
+"""
 
 from __future__ import annotations
 
@@ -53,13 +55,20 @@ def test_forces_by_qr_part_the_modes() -> None:
     forces = mass @ phi
     assert sorted(qr_exciters(forces, 2).tolist()) == [0, 3]  # the heavier of each pair
     assert sorted(qr_exciters(forces[[1, 2]], 2).tolist()) == [0, 1]
-    assert sorted(qr_exciters(forces, 4).tolist()) == [0, 1, 2, 3]  # the modes are spanned by two: anew
+    assert sorted(qr_exciters(forces, 4).tolist()) == [
+        0,
+        1,
+        2,
+        3,
+    ]  # the modes are spanned by two: anew
     with pytest.raises(InputError, match="5 exciters at 4 rows"):
         qr_exciters(forces, 5)
 
 
 def two_masses(freqs: np.ndarray, zeta: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Receptances (freq, 2, 2) of two equal masses on springs to ground, weakly coupled: close modes."""
+    """Receptances (freq, 2, 2) of two equal masses on springs to ground, weakly coupled: close
+    modes.
+    """
     lam, phi = linalg.eigh(np.array([[1.02, -0.02], [-0.02, 1.02]]) * (2 * np.pi * 10) ** 2)
     w = np.sqrt(lam)
     s = 2 * np.pi * freqs[:, None]
@@ -80,7 +89,9 @@ def test_mode_indicator_dips_at_close_modes_and_gives_their_forces() -> None:
 
 
 def test_exciters_that_isolate_close_modes_are_found() -> None:
-    """Rows 0 and 1 are the two masses, row 2 hardly moves: one force cannot part the modes, two of the masses can."""
+    """Rows 0 and 1 are the two masses, row 2 hardly moves: one force cannot part the modes, two of
+    the masses can.
+    """
     f, phi = two_masses(np.array([1.0]), 0.02)[1:]
     rows = np.vstack([phi, 0.01 * phi[0]])
     w, s = 2 * np.pi * f, 2 * np.pi * f[:, None]
@@ -89,7 +100,9 @@ def test_exciters_that_isolate_close_modes_are_found() -> None:
     assert sorted(two[0].tolist()) == [0, 1]
     assert two[1].max() < 0.01 < 0.1 < one[1].max()
     assert [abs(two[2][k] @ phi[two[0], k]) for k in range(2)] == pytest.approx([1, 1], abs=1e-3)
-    triangle = np.einsum("im,fm,jm->fij", np.linalg.qr(rows, mode="r"), -(s**2) / (w**2 - s**2 + 0.04j * w * s), rows)
+    triangle = np.einsum(
+        "im,fm,jm->fij", np.linalg.qr(rows, mode="r"), -(s**2) / (w**2 - s**2 + 0.04j * w * s), rows
+    )
     assert appropriate_exciters(triangle, 2)[0].tolist() == two[0].tolist()
 
 
@@ -105,7 +118,9 @@ def test_reciprocity_needs_both_ways() -> None:
 
 
 def test_a_free_beam_hangs_where_its_modes_have_nodes() -> None:
-    """First bending mode of a free beam: nodes at 0.2242 of the length from the ends (Blevins 1979)."""
+    """First bending mode of a free beam: nodes at 0.2242 of the length from the ends (Blevins
+    1979).
+    """
     x = np.linspace(0, 1, 401)
     k = 4.730040744862704
     sigma = (np.cosh(k) - np.cos(k)) / (np.sinh(k) - np.sin(k))
@@ -119,7 +134,9 @@ def test_a_free_beam_hangs_where_its_modes_have_nodes() -> None:
 
 
 def test_the_centre_of_gravity_hangs_between_the_points() -> None:
-    """On a square grid the quietest corner points lie to one side; the set chosen encloses the centre."""
+    """On a square grid the quietest corner points lie to one side; the set chosen encloses the
+    centre.
+    """
     g = np.linspace(0, 1, 5)
     xyz = np.array([[a, b, 0.0] for a in g for b in g])
     motion = (0.1 + xyz[:, 0])[:, None, None]
@@ -140,8 +157,12 @@ def test_mass_loading_is_exact_with_all_modes() -> None:
     f = np.sqrt(lam) / (2 * np.pi)
     added = np.array([0.3, 0, 0, 0.1, 0, 0])
     stiff = np.array([0, 2.0, 0, 0, 0, 0])
-    want = np.sqrt(linalg.eigh(K + np.diag(stiff), M + np.diag(added), eigvals_only=True)) / (2 * np.pi)
-    np.testing.assert_allclose(loaded_frequencies(f, phi[:, None, :], added, stiff), want, rtol=1e-10)
+    want = np.sqrt(linalg.eigh(K + np.diag(stiff), M + np.diag(added), eigvals_only=True)) / (
+        2 * np.pi
+    )
+    np.testing.assert_allclose(
+        loaded_frequencies(f, phi[:, None, :], added, stiff), want, rtol=1e-10
+    )
     small = loaded_frequencies(f, phi[:, None, :], 1e-6 * added) / f - 1
     np.testing.assert_allclose(small, -0.5e-6 * (added @ phi**2), rtol=1e-3)
     with pytest.raises(InputError, match=">= 0"):
@@ -152,7 +173,9 @@ def grid(n: int) -> tuple[np.ndarray, np.ndarray]:
     """A square of n x n nodes in triangles."""
     xyz = np.array([[i, j, 0.0] for j in range(n) for i in range(n)])
     low = np.array([i + n * j for j in range(n - 1) for i in range(n - 1)])
-    tri = np.concatenate([np.column_stack([low, low + 1, low + n + 1]), np.column_stack([low, low + n + 1, low + n])])
+    tri = np.concatenate(
+        [np.column_stack([low, low + 1, low + n + 1]), np.column_stack([low, low + n + 1, low + n])]
+    )
     return xyz, mesh_edges(tri, np.zeros((0, 2), dtype=int))
 
 
@@ -184,20 +207,34 @@ def test_the_wireframe_of_a_plate_is_its_grid() -> None:
     lines = {tuple(x) for x in wireframe(xyz, edges, chosen).tolist()}
     sides = {(a, a + 1) for a in (0, 1, 3, 4, 6, 7)} | {(a, a + 3) for a in range(6)}
     assert sides <= lines
-    assert lines - sides <= {(0, 4), (1, 5), (3, 7), (4, 8)}  # diagonals along the edges of the mesh
+    assert lines - sides <= {
+        (0, 4),
+        (1, 5),
+        (3, 7),
+        (4, 8),
+    }  # diagonals along the edges of the mesh
     tree = wireframe(xyz, edges, chosen, detour=np.inf)
     assert 8 <= len(tree) <= 12
     with pytest.raises(InputError, match="3 positions, 2 different"):
         wireframe(xyz, edges, np.array([0, 4, 4]))
 
 
-def test_a_line_that_cuts_through_the_air_is_left_out_unless_nothing_else_holds_the_drawing_together() -> None:
-    """A trough: floor and two walls; a line from wall to wall over the floor is straight in the air only."""
-    y, z = np.r_[np.zeros(4), np.arange(1, 4), np.full(4, 4.0)], np.r_[3.0, 2, 1, 0, 0, 0, 0, 0, 1, 2, 3]
+def test_a_line_that_cuts_through_the_air_is_left_out_unless_nothing_else_holds_the_drawing_together() -> (
+    None
+):
+    """A trough: floor and two walls; a line from wall to wall over the floor is straight in the air
+    only.
+    """
+    y, z = (
+        np.r_[np.zeros(4), np.arange(1, 4), np.full(4, 4.0)],
+        np.r_[3.0, 2, 1, 0, 0, 0, 0, 0, 1, 2, 3],
+    )
     x = np.arange(7)
     xyz = np.array([[a, b, c] for a in x for b, c in zip(y, z, strict=True)])
     at = np.arange(xyz.shape[0]).reshape(7, 11)
-    pairs = [np.stack([p.ravel(), q.ravel()], 1) for p, q in ((at[:-1], at[1:]), (at[:, :-1], at[:, 1:]))]
+    pairs = [
+        np.stack([p.ravel(), q.ravel()], 1) for p, q in ((at[:-1], at[1:]), (at[:, :-1], at[:, 1:]))
+    ]
     edges = np.concatenate(pairs)
     chosen = at[[0, 0, 3, 3, 6, 6], [0, 10, 0, 10, 0, 10]]  # on the tops of both walls
     lines = {tuple(v) for v in wireframe(xyz, edges, chosen).tolist()}
@@ -235,6 +272,10 @@ def test_drawings_show_slow_modes_and_hide_fast_ones() -> None:
     assert quality[2] < 0.05
     # between the points the drawing is straight
     straight = np.interp(xyz[:, 0], xyz[chosen, 0], shapes[chosen, 0, 0])
-    want = (straight @ shapes[:, 0, 0]) ** 2 / (straight @ straight) / (shapes[:, 0, 0] @ shapes[:, 0, 0])
+    want = (
+        (straight @ shapes[:, 0, 0]) ** 2
+        / (straight @ straight)
+        / (shapes[:, 0, 0] @ shapes[:, 0, 0])
+    )
     assert quality[0] == pytest.approx(want)
     np.testing.assert_allclose(shown(xyz, edges, np.arange(n), shapes), 1.0)

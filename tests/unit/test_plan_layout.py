@@ -7,7 +7,13 @@ import pytest
 
 from ringtrue.errors import InputError
 from ringtrue.plan.candidates import even_distance
-from ringtrue.plan.layout import independence, lower_auto_mac, reached, select_points, select_references
+from ringtrue.plan.layout import (
+    independence,
+    lower_auto_mac,
+    reached,
+    select_points,
+    select_references,
+)
 from ringtrue.plan.resolution import ambient_std, frf_averages, resolution
 from ringtrue.shapes.mac import auto_mac, worst_off_diagonal
 
@@ -44,7 +50,14 @@ def test_fixed_points_stay_and_distances_hold() -> None:
     assert 7 in at
     assert np.diff(np.sort(xyz[at, 0])).min() > 0.1
     fixed[:5] = True  # more than are asked for, and nearer to each other than others may be
-    assert select_points(shapes, xyz, 4, fixed=fixed, min_distance=0.1).tolist() == [0, 1, 2, 3, 4, 7]
+    assert select_points(shapes, xyz, 4, fixed=fixed, min_distance=0.1).tolist() == [
+        0,
+        1,
+        2,
+        3,
+        4,
+        7,
+    ]
     with pytest.raises(InputError, match="lower min_distance"):
         select_points(shapes, xyz, 20, min_distance=0.2)
     with pytest.raises(InputError, match="cannot tell 4 modes apart"):
@@ -71,7 +84,9 @@ def test_points_are_added_until_the_auto_mac_is_low() -> None:
 
 
 def test_additions_that_hardly_lower_the_auto_mac_are_left_out() -> None:
-    """Near its end a string moves alike in modes 1 and 2: no number of points there tells them apart."""
+    """Near its end a string moves alike in modes 1 and 2: no number of points there tells them
+    apart.
+    """
     shapes, _ = string(59, 2)
     end, start = shapes[:15], np.array([0, 1, 2])
     many = lower_auto_mac(end, start, 0.25, 12)
@@ -127,7 +142,9 @@ def test_resolution_closed_forms() -> None:
     assert f[0] == pytest.approx(np.sqrt(0.01 / (2 * np.pi * 2 * 600)))
     assert z[0] == pytest.approx(np.sqrt(1 / (2 * np.pi * 0.01 * 2 * 600)))
     r = resolution(np.array([2.0, 40.0]), 0.01, precision=0.1)
-    assert r.step == pytest.approx(0.25 * 2 * 0.01 * 2.0)  # a quarter of the half-power bandwidth 2ζf
+    assert r.step == pytest.approx(
+        0.25 * 2 * 0.01 * 2.0
+    )  # a quarter of the half-power bandwidth 2ζf
     # after one block the slowest mode has decayed to 1 %
     assert np.exp(-0.01 * 2 * np.pi * 2.0 * r.block) <= 0.01 * (1 + 1e-9)
     assert r.std_damping[0] <= 0.1
@@ -153,7 +170,9 @@ def test_an_addition_is_the_best_of_all() -> None:
     first = np.arange(11)
     (added,) = np.setdiff1d(lower_auto_mac(shapes, first, 0.0, 12), first)
     worst = [
-        worst_off_diagonal(auto_mac(shapes[[*first, k]].reshape(-1, 30)[:, :29])) if k not in first else np.inf
+        worst_off_diagonal(auto_mac(shapes[[*first, k]].reshape(-1, 30)[:, :29]))
+        if k not in first
+        else np.inf
         for k in range(300)
     ]
     assert added == np.argmin(worst)

@@ -1,4 +1,6 @@
-"""The virtual test: a string on which the answer is known, the test sheet, and `ringtrue plan` on a small frame."""
+"""The virtual test: a string on which the answer is known, the test sheet, and `ringtrue plan` on a
+small frame.
+"""
 
 from __future__ import annotations
 
@@ -75,8 +77,12 @@ def test_the_hammer_fits_the_sensors() -> None:
 
 
 @pytest.mark.parametrize(("lost", "found"), [((0, 17, 18), True), (tuple(range(9)), False)])
-def test_channels_that_a_virtual_test_leaves_out_count_as_not_seen(lost: tuple[int, ...], found: bool) -> None:
-    """Three near the supports carry little of any mode; half of the string carries half, which is no MAC of 80 %."""
+def test_channels_that_a_virtual_test_leaves_out_count_as_not_seen(
+    lost: tuple[int, ...], found: bool
+) -> None:
+    """Three near the supports carry little of any mode; half of the string carries half, which is
+    no MAC of 80 %.
+    """
     plan, kept = planned((3, 6)), [n for k, n in enumerate(NAMES) if k not in lost]
 
     def find(model: ModalModel, _: np.random.Generator) -> ModeSet:
@@ -87,7 +93,9 @@ def test_channels_that_a_virtual_test_leaves_out_count_as_not_seen(lost: tuple[i
 
 
 def test_soft_suspensions_do_not_lengthen_the_block() -> None:
-    """Modes on bungees far below the band are mass lines: no crew waits until they have come to rest."""
+    """Modes on bungees far below the band are mass lines: no crew waits until they have come to
+    rest.
+    """
     plan, zeta = planned((3, 6)), np.full(MODES, 0.01)
     hung = replace(plan, frequencies=np.array([0.05 * plan.fmin, *F[1:]]))
     free = replace(plan, frequencies=np.array([0.0, *F[1:]]))
@@ -96,7 +104,9 @@ def test_soft_suspensions_do_not_lengthen_the_block() -> None:
 
 
 def test_a_good_plan_finds_all_modes_and_a_node_loses_its_mode() -> None:
-    """Struck at the middle, the string hides its even modes; elsewhere all are found, close to the truth."""
+    """Struck at the middle, the string hides its even modes; elsewhere all are found, close to the
+    truth.
+    """
     rng = np.random.default_rng(1)
     good = rehearse(planned((3, 6)), Conditions(trials=3), rng)
     assert (good.found == 1).all()
@@ -114,7 +124,9 @@ def test_a_good_plan_finds_all_modes_and_a_node_loses_its_mode() -> None:
 
 
 def test_a_light_structure_is_struck_with_a_small_hammer() -> None:
-    """A thousandth of the mass, a thousandth of the force: the noise of the force cell does not drown the blows."""
+    """A thousandth of the mass, a thousandth of the force: the noise of the force cell does not
+    drown the blows.
+    """
     heavy, rng = planned((3, 6)), np.random.default_rng(6)
     light = replace(heavy, outputs=heavy.outputs * 1000**0.5, inputs=heavy.inputs * 1000**0.5)
     found = rehearse(light, Conditions(trials=2), rng)
@@ -132,12 +144,16 @@ def test_noise_makes_what_is_found_worse() -> None:
 
 @pytest.mark.parametrize("coherence", [0.98, 0.85])
 def test_forces_in_the_background_leave_the_expected_coherence(coherence: float) -> None:
-    """Noise over signal of the typical line as wanted; a coherence of 20 blows has an error √2(1 − γ²)/(γ√n)."""
+    """Noise over signal of the typical line as wanted; a coherence of 20 blows has an error √2(1 −
+    γ²)/(γ√n).
+    """
     plan = planned((3, 6))
     model = modal_model(plan, F, np.full(MODES, 0.01))
     hammer = fitting_hammer(model, plan.fmax, ICP, hits=20)
     rng, wanted = np.random.default_rng(3), Conditions(coherence=coherence)
-    noise = replace(wanted, background=background_density(model, hammer, wanted, (plan.fmin, plan.fmax), rng))
+    noise = replace(
+        wanted, background=background_density(model, hammer, wanted, (plan.fmin, plan.fmax), rng)
+    )
     frfs = measured(model, hammer, noise, 3.2 * plan.fmax, rng)
     there = (frfs.freqs > plan.fmin) & (frfs.freqs < plan.fmax)
     ratio = 1 / np.median(frfs.coherence[there][:, [3, 6], [0, 1]]) - 1
@@ -145,7 +161,9 @@ def test_forces_in_the_background_leave_the_expected_coherence(coherence: float)
 
 
 def test_an_ambient_test_scatters_as_theory_foretells() -> None:
-    """White forces along a string, five sensors: the floor of Gersch (1974) for the errors, as far as 24 tests tell."""
+    """White forces along a string, five sensors: the floor of Gersch (1974) for the errors, as far
+    as 24 tests tell.
+    """
     plan = Planned(F, PHI[2::4], PHI, NAMES[2::4], NAMES, 4.0, 36.0)
     conditions = Conditions(trials=24, sensor=ACCELEROMETER)
     found = rehearse_ambient(plan, Ambience(600.0, 0.2), conditions, np.random.default_rng(2))
@@ -153,16 +171,23 @@ def test_an_ambient_test_scatters_as_theory_foretells() -> None:
     assert found.invented < 0.2
     assert found.mac.min() > 0.99
     # one standard deviation by 24 tests is known to 15 %, the mean of four modes to 7 %
-    for got, floor in zip((found.frequency_std, found.damping_std), ambient_std(F[:4], 0.01, 600.0), strict=True):
+    for got, floor in zip(
+        (found.frequency_std, found.damping_std), ambient_std(F[:4], 0.01, 600.0), strict=True
+    ):
         assert 0.8 < np.mean(got / floor) < 1.4
-    quiet = rehearse_ambient(plan, Ambience(600.0, 1e-8), replace(conditions, trials=3), np.random.default_rng(2))
+    quiet = rehearse_ambient(
+        plan, Ambience(600.0, 1e-8), replace(conditions, trials=3), np.random.default_rng(2)
+    )
     assert quiet.found.mean() < 0.5  # below the noise of the sensors
     with pytest.raises(InputError, match="above 0"):
         Ambience(600.0, 0.0)
 
 
 def test_the_same_seed_gives_the_same_answer() -> None:
-    one, two = (rehearse(planned((3,), 12.0), Conditions(trials=2), np.random.default_rng(5)) for _ in range(2))
+    one, two = (
+        rehearse(planned((3,), 12.0), Conditions(trials=2), np.random.default_rng(5))
+        for _ in range(2)
+    )
     assert one.frequency_bias.tolist() == two.frequency_bias.tolist()
 
 
@@ -180,7 +205,12 @@ def frame() -> TestModel:
     axes = np.array([[1.0, 0, 0], [0, 0, 1], [0, 0, -1], [0, 0.6, 0.8]])
     names = ("11+X", "11+Z", "12-Z", "13+Zs")
     return TestModel(
-        np.array([11, 12, 13]), xyz, names, np.array([11, 11, 12, 13]), axes, np.array([[11, 12], [12, 13]])
+        np.array([11, 12, 13]),
+        xyz,
+        names,
+        np.array([11, 11, 12, 13]),
+        axes,
+        np.array([[11, 12], [12, 13]]),
     )
 
 
@@ -228,7 +258,18 @@ def deck(tmp_path: Path) -> Path:
 
 
 def test_plan_command(deck: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["plan", str(deck), "--modes", "1-3,5", "--points", "9", "--references", "2", "--method", "qr"]
+    words = [
+        "plan",
+        str(deck),
+        "--modes",
+        "1-3,5",
+        "--points",
+        "9",
+        "--references",
+        "2",
+        "--method",
+        "qr",
+    ]
     words += [
         "--hang",
         "3",
@@ -286,14 +327,29 @@ def test_plan_command(deck: Path, capsys: pytest.CaptureFixture[str]) -> None:
         (["--kinetic", "floor=0.3"], "no region 'floor'"),
     ],
 )
-def test_bad_options_are_refused(deck: Path, capsys: pytest.CaptureFixture[str], words: list[str], told: str) -> None:
+def test_bad_options_are_refused(
+    deck: Path, capsys: pytest.CaptureFixture[str], words: list[str], told: str
+) -> None:
     assert run(["plan", str(deck), *words]) == 2
     assert told in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("strike", ["worst", "greedy", "qr", "mif"])
-def test_only_what_can_be_reached_is_struck(deck: Path, capsys: pytest.CaptureFixture[str], strike: str) -> None:
-    words = ["plan", str(deck), "--modes", "1-3", "--points", "4", "--references", "2", "--strike", strike]
+def test_only_what_can_be_reached_is_struck(
+    deck: Path, capsys: pytest.CaptureFixture[str], strike: str
+) -> None:
+    words = [
+        "plan",
+        str(deck),
+        "--modes",
+        "1-3",
+        "--points",
+        "4",
+        "--references",
+        "2",
+        "--strike",
+        strike,
+    ]
     run([*words, "--strike-at", "104,205,209", "--json", "-"])
     told = json.loads(capsys.readouterr().out)
     assert len(told["references"]) == 2
@@ -303,7 +359,9 @@ def test_only_what_can_be_reached_is_struck(deck: Path, capsys: pytest.CaptureFi
     assert "strike_at: none of [999] is a candidate" in capsys.readouterr().err
 
 
-def test_a_folder_with_a_study_is_left_alone(deck: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_with_a_study_is_left_alone(
+    deck: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (deck.parent / "study.toml").write_text("")
     assert run(["plan", str(deck), "--out", str(deck.parent)]) == 2
     assert "name a folder" in capsys.readouterr().err
@@ -324,7 +382,11 @@ def cantilever(length: float, mass: float) -> str:
     lines += [f"GRID,{k + 1},,{k / 6 * length:.6g},0.,0." for k in range(7)]
     lines += [f"CBAR,{k},1,{k},{k + 1},0.,0.,1." for k in range(1, 7)]
     lines += [f"PBAR,1,1,{area:.6g},{inertia:.6g},{3 * inertia:.6g},{4 * inertia:.6g}"]
-    lines += [f"MAT1,1,{2.1e11 * stress:.6g},,0.3,{7850 * density:.6g}", "SPC1,1,123456,1", "ENDDATA"]
+    lines += [
+        f"MAT1,1,{2.1e11 * stress:.6g},,0.3,{7850 * density:.6g}",
+        "SPC1,1,123456,1",
+        "ENDDATA",
+    ]
     return "\n".join(lines) + "\n"
 
 
@@ -335,8 +397,10 @@ def test_the_units_of_the_deck_do_not_matter(tmp_path: Path) -> None:
         (tmp_path / units / "strip.bdf").write_text(cantilever(length, mass))
         study = tmp_path / units / "study.toml"
         study.write_text(
-            f'[model]\ndeck = "strip.bdf"\nunits = "{units}"\nfmax = 900.0\n[plan]\nfmax = 400.0\nsensors = 4\n'
-            "references = 2\nambient = false\nmin_distance = 0.1\nsensor_mass = 0.05\ntrials = 1\nat_hand = 3\n"
+            f'[model]\ndeck = "strip.bdf"\nunits = "{units}"\nfmax = 900.0\n[plan]\nfmax = '
+            "400.0\nsensors = 4\n"
+            "references = 2\nambient = false\nmin_distance = 0.1\nsensor_mass = 0.05\ntrials = "
+            "1\nat_hand = 3\n"
         )
         stages.append(run_study(study, until="plan").results["plan"])
     si, mm = stages
@@ -349,7 +413,8 @@ def test_the_units_of_the_deck_do_not_matter(tmp_path: Path) -> None:
     assert (si.setups.shift > 0).all()
     assert (si.setups.shift < -si.loaded).all()
     assert si.rehearsal.force == pytest.approx(mm.rehearsal.force, rel=1e-4)
-    # four masses of 50 g on a strip of 23.55 kg: at most -½·0.2/23.55 times the square of the shape's crest factor, 4
+    # four masses of 50 g on a strip of 23.55 kg: at most -½·0.2/23.55 times the square of the
+    # shape's crest factor, 4
     assert -0.5 * 4 * 0.2 / 23.55 < si.loaded.min() < si.loaded.max() < 0
 
 
@@ -358,7 +423,9 @@ def test_criteria_of_target_modes_in_a_study(deck: Path) -> None:
     study = deck.with_name("study.toml")
     head = '[model]\ndeck = "frame.bdf"\nfmax = 20.0\n[plan]\nfmax = 18.0\nsensors = 9\n'
     head += "min_distance = 0.1\nambient = false\n"
-    candidates = "".join(f'[[candidate]]\nname = "storey {k}"\ntargets = ["MAT1 {k} E"]\n' for k in (1, 2, 3))
+    candidates = "".join(
+        f'[[candidate]]\nname = "storey {k}"\ntargets = ["MAT1 {k} E"]\n' for k in (1, 2, 3)
+    )
     study.write_text(head + "effective_mass = 0.5\n")
     heavy = run_study(study, until="plan").results["plan"]
     assert heavy.target_modes.tolist() == [0, 1]  # first sway along y and x
@@ -372,9 +439,14 @@ def test_criteria_of_target_modes_in_a_study(deck: Path) -> None:
 
 
 def test_a_plan_of_rigid_body_modes_alone(deck: Path) -> None:
-    """The frame with its lowest modes taken for those of a suspension: a band below their end holds them."""
+    """The frame with its lowest modes taken for those of a suspension: a band below their end holds
+    them.
+    """
     study = deck.with_name("study.toml")
-    text = '[model]\ndeck = "frame.bdf"\nfmax = 20.0\n[correlate]\nrigid_below = {}\n[plan]\nsensors = 9\nfmax = {}\n'
+    text = (
+        '[model]\ndeck = "frame.bdf"\nfmax = 20.0\n[correlate]\nrigid_below = '
+        "{}\n[plan]\nsensors = 9\nfmax = {}\n"
+    )
     whole = text.format(1.0, 18.0) + "ambient = false\n"
     study.write_text(whole)
     f = run_study(study, until="plan").results["plan"].target_frequencies
@@ -384,10 +456,14 @@ def test_a_plan_of_rigid_body_modes_alone(deck: Path) -> None:
     np.testing.assert_allclose(found.target_frequencies, f[:2])
     assert found.expected_modes.tolist() == found.target_modes.tolist()
     study.write_text(text.format(edge, 18.0))
-    np.testing.assert_allclose(run_study(study, until="plan").results["plan"].target_frequencies, f[2:])
+    np.testing.assert_allclose(
+        run_study(study, until="plan").results["plan"].target_frequencies, f[2:]
+    )
 
 
-def test_what_a_plan_asks_for_in_vain_is_said(deck: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_a_plan_asks_for_in_vain_is_said(
+    deck: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     words = [
         "plan",
         str(deck),
@@ -416,9 +492,13 @@ def test_a_single_point_has_all_to_lose(deck: Path, capsys: pytest.CaptureFixtur
     assert (len(told["points"]), told["lost_points"], told["left_by_loss"]) == (1, 1, 0.0)
 
 
-def test_sensors_shift_no_mode_at_zero_hertz(deck: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_sensors_shift_no_mode_at_zero_hertz(
+    deck: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """The frame on no supports: what the sensors weigh shifts its elastic modes alone."""
-    text = "".join(x for x in small_study.deck().splitlines(keepends=True) if not x.startswith("SPC"))
+    text = "".join(
+        x for x in small_study.deck().splitlines(keepends=True) if not x.startswith("SPC")
+    )
     deck.write_text(text)
     run(["plan", str(deck), "--modes", "1-8", "--points", "6", "--sensor-mass", "2", "--json", "-"])
     shifts = [m["loaded"] for m in json.loads(capsys.readouterr().out)["modes"]]

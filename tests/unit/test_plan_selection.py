@@ -1,4 +1,5 @@
-"""Measuring points by QR, kinetic energy, auto-MAC and information; candidates; lost sensors: against closed forms.
+"""Measuring points by QR, kinetic energy, auto-MAC and information; candidates; lost sensors:
+against closed forms.
 
 The structure is a taut string of unit length and mass: φ_k(s) = √2 sin kπs, ω_k = kπc.
 """
@@ -13,8 +14,22 @@ import pytest
 from scipy import linalg
 
 from ringtrue.errors import InputError
-from ringtrue.plan.candidates import along, in_boxes, nearest_nodes, select_candidates, surface_normals
-from ringtrue.plan.information import Aim, gains, greedy_logdet, informed, mode_aim, parameter_aim, prior_shapes
+from ringtrue.plan.candidates import (
+    along,
+    in_boxes,
+    nearest_nodes,
+    select_candidates,
+    surface_normals,
+)
+from ringtrue.plan.information import (
+    Aim,
+    gains,
+    greedy_logdet,
+    informed,
+    mode_aim,
+    parameter_aim,
+    prior_shapes,
+)
 from ringtrue.plan.layout import select_points
 from ringtrue.plan.selection import (
     auto_mac_points,
@@ -72,7 +87,9 @@ def test_qr_keeps_fixed_points_distances_and_counts_cost() -> None:
 
 
 def test_a_triaxial_point_counts_as_one() -> None:
-    """Point 0 spans three modes by itself; each of the others sees one, though twice as strongly in one."""
+    """Point 0 spans three modes by itself; each of the others sees one, though twice as strongly in
+    one.
+    """
     shapes = np.zeros((4, 3, 3))
     shapes[0] = np.eye(3)
     shapes[1:, 0] = 1.2 * np.eye(3)
@@ -80,7 +97,9 @@ def test_a_triaxial_point_counts_as_one() -> None:
 
 
 def test_kinetic_weighting_prefers_mass() -> None:
-    """Two like beams side by side, one ten times as heavy: both move alike, the energy is in the heavy one."""
+    """Two like beams side by side, one ten times as heavy: both move alike, the energy is in the
+    heavy one.
+    """
     shapes, _ = string(20, 3)
     both = np.concatenate([shapes, shapes])
     mass = np.repeat([1.0, 10.0], 20)
@@ -107,14 +126,18 @@ def test_gain_is_the_difference_of_log_determinants() -> None:
         aim = Aim(random(6, r, k), 0.5 * np.eye(k))
         now = informed(aim, np.array([4]))
         direct = [np.linalg.slogdet(informed(aim, np.array([4, i])))[1] for i in range(6)]
-        np.testing.assert_allclose(gains(aim, now), np.array(direct) - np.linalg.slogdet(now)[1], rtol=1e-9)
+        np.testing.assert_allclose(
+            gains(aim, now), np.array(direct) - np.linalg.slogdet(now)[1], rtol=1e-9
+        )
 
 
 def test_greedy_information_reaches_what_theory_promises() -> None:
     aim = mode_aim(random(10, 1, 4, seed=5))
 
     def value(at: tuple[int, ...]) -> float:
-        return float(np.linalg.slogdet(informed(aim, np.array(at)))[1] - np.linalg.slogdet(aim.prior)[1])
+        return float(
+            np.linalg.slogdet(informed(aim, np.array(at)))[1] - np.linalg.slogdet(aim.prior)[1]
+        )
 
     best = max(value(c) for c in combinations(range(10), 4))
     got = value(tuple(greedy_logdet([aim], 4).tolist()))
@@ -133,7 +156,9 @@ def test_costs_and_budget() -> None:
 
 
 def test_parameters_draw_points_to_where_shapes_tell_of_them() -> None:
-    """Only point 8 moves with the parameter in a way that the scale of the shape does not explain."""
+    """Only point 8 moves with the parameter in a way that the scale of the shape does not
+    explain.
+    """
     shapes = np.ones((10, 1, 1))
     slope = 3.0 * shapes[..., None].copy()
     modes_alone = parameter_aim(shapes, slope, np.ones(1))
@@ -156,7 +181,9 @@ def test_loss_by_closed_form_and_by_brute_force() -> None:
     some = random(9, 2, 4, seed=7)
     gram = np.einsum("ndi,ndj->ij", some, some)
     left = min(
-        linalg.eigh(gram - np.einsum("ndi,ndj->ij", some[list(c)], some[list(c)]), gram, eigvals_only=True)[0]
+        linalg.eigh(
+            gram - np.einsum("ndi,ndj->ij", some[list(c)], some[list(c)]), gram, eigvals_only=True
+        )[0]
         for c in combinations(range(9), 3)
     )
     loss = worst_loss(some, 3)
@@ -205,7 +232,12 @@ def test_candidates_by_sets_boxes_and_exclusions() -> None:
     xyz = np.column_stack([np.arange(10.0), np.zeros(10), np.zeros(10)])
     assert select_candidates(nodes, xyz).all()
     keep = select_candidates(
-        nodes, xyz, sets=[[1, 2]], boxes=[[8, 1, 1, 4, -1, -1]], exclude=[6], keep_out=[[7, 0, 0, 7.5, 0, 0]]
+        nodes,
+        xyz,
+        sets=[[1, 2]],
+        boxes=[[8, 1, 1, 4, -1, -1]],
+        exclude=[6],
+        keep_out=[[7, 0, 0, 7.5, 0, 0]],
     )
     assert nodes[keep].tolist() == [1, 2, 5, 7, 9]
     with pytest.raises(InputError, match=r"not there: \[99\]"):
@@ -238,7 +270,9 @@ def test_places_coincide_with_nodes() -> None:
 
 
 def test_layout_over_the_prior() -> None:
-    """A string whose modes swap places and sign with the parameter: the samples stay in the nominal order."""
+    """A string whose modes swap places and sign with the parameter: the samples stay in the nominal
+    order.
+    """
     from types import SimpleNamespace
 
     from ringtrue.core.parameters import Parameter, ParameterSet
@@ -247,7 +281,9 @@ def test_layout_over_the_prior() -> None:
     two = ParameterSet((Parameter("a", std=0.5),))
 
     def modes(x: Array) -> SimpleNamespace:
-        return SimpleNamespace(shapes=shapes if x[0] == 0 else -shapes[:, [1, 0, 2]] * (1 + 0.1 * x[0]))
+        return SimpleNamespace(
+            shapes=shapes if x[0] == 0 else -shapes[:, [1, 0, 2]] * (1 + 0.1 * x[0])
+        )
 
     model = SimpleNamespace(parameters=two, modes=modes)
     samples = prior_shapes(model, 4, np.random.default_rng(0))  # type: ignore[arg-type]

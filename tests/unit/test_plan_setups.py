@@ -15,7 +15,9 @@ from ringtrue.plan.sheet import write_test_sheet
 def string(n: int, m: int) -> tuple[np.ndarray, np.ndarray]:
     """Modes of a taut string at n inner points: (n, 1, m) and positions (n, 3)."""
     s = np.arange(1, n + 1) / (n + 1)
-    return np.sin(np.pi * np.outer(s, np.arange(1, m + 1)))[:, None, :], np.stack([s, 0 * s, 0 * s], axis=1)
+    return np.sin(np.pi * np.outer(s, np.arange(1, m + 1)))[:, None, :], np.stack(
+        [s, 0 * s, 0 * s], axis=1
+    )
 
 
 @pytest.mark.parametrize("at_hand", [2, 5, 8, 29])
@@ -40,7 +42,9 @@ def test_references_see_every_mode_where_one_alone_could_not() -> None:
     assert plan.seen.min() >= 1 or plan.references.size == 2
     assert plan.seen.min() > 0.5
     square = shapes[:, 0] ** 2
-    np.testing.assert_allclose(plan.seen**2, square[plan.references].mean(axis=0) / square.mean(axis=0))
+    np.testing.assert_allclose(
+        plan.seen**2, square[plan.references].mean(axis=0) / square.mean(axis=0)
+    )
     kept = roving_setups(shapes, xyz, 5, np.array([4, 4]))
     assert 4 in kept.references
 
@@ -66,7 +70,9 @@ def test_moved_masses_shift_modes_by_their_difference() -> None:
     f = np.arange(1.0, 7.0)
     one = roving_shift(f, phi[:, None, :], 1e-6, np.array([0, 0, -1, 1, 1, -1]))
     square = phi**2
-    np.testing.assert_allclose(one, 0.5e-6 * np.abs(square[:2].sum(axis=0) - square[3:5].sum(axis=0)), rtol=1e-3)
+    np.testing.assert_allclose(
+        one, 0.5e-6 * np.abs(square[:2].sum(axis=0) - square[3:5].sum(axis=0)), rtol=1e-3
+    )
 
 
 def test_the_sheet_of_setups_keeps_the_numbers_of_sensors_that_stay(tmp_path: Path) -> None:
@@ -75,9 +81,16 @@ def test_the_sheet_of_setups_keeps_the_numbers_of_sensors_that_stay(tmp_path: Pa
     points = np.arange(101, 108)
     names = tuple(f"{p}+{a}" for p in points for a in "YZ")
     axes = np.tile(np.eye(3)[1:], (7, 1))
-    test = TestModel(points, xyz, names, np.repeat(points, 2), axes, np.zeros((0, 2), dtype=int), ("",) * 7)
+    test = TestModel(
+        points, xyz, names, np.repeat(points, 2), axes, np.zeros((0, 2), dtype=int), ("",) * 7
+    )
     files = write_test_sheet(
-        tmp_path, test, names[:1], frequencies=np.array([1.0, 2.0]), reach=np.ones((1, 2)), setups=plan
+        tmp_path,
+        test,
+        names[:1],
+        frequencies=np.array([1.0, 2.0]),
+        reach=np.ones((1, 2)),
+        setups=plan,
     )
     with files[-1].open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))

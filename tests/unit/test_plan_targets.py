@@ -1,6 +1,8 @@
-"""Target modes: effective mass of a chain, energies that sum up, and modes that tell parameters apart.
+"""Target modes: effective mass of a chain, energies that sum up, and modes that tell parameters
+apart.
 
-A chain of n equal masses m on springs k, held at one end: K = k·tridiag(-1, 2, -1) with the last entry k, M = m·1.
+A chain of n equal masses m on springs k, held at one end: K = k·tridiag(-1, 2, -1) with the last
+entry k, M = m·1.
 """
 
 from __future__ import annotations
@@ -56,15 +58,17 @@ def test_energies_of_all_regions_sum_to_one() -> None:
 
 
 def test_modes_that_tell_parameters_apart() -> None:
-    """Modes 0 and 1 see the sum of the parameters, mode 2 less strongly their difference, mode 3 nothing."""
+    """Modes 0 and 1 see the sum of the parameters, mode 2 less strongly their difference, mode 3
+    nothing.
+    """
     d = np.array([[1.0, 1.0], [0.99, 0.99], [0.5, -0.5], [0.0, 0.0]])
     lam = np.ones(4)
     assert telling_modes(d, lam, 0.01, np.ones(2), 2).tolist() == [0, 2]
     assert telling_modes(d, lam, 0.01, np.ones(2), 4).tolist() == [0, 2, 1]
     # a parameter known beforehand is no reason to measure
-    assert telling_modes(np.array([[1.0, 0.0], [0.0, 0.9]]), np.ones(2), 0.01, np.array([0.001, 1.0]), 1).tolist() == [
-        1
-    ]
+    assert telling_modes(
+        np.array([[1.0, 0.0], [0.0, 0.9]]), np.ones(2), 0.01, np.array([0.001, 1.0]), 1
+    ).tolist() == [1]
 
 
 def test_reasons_are_told() -> None:
@@ -82,7 +86,9 @@ def test_reasons_are_told() -> None:
 
 
 def test_modes_that_no_sensor_reads_are_no_targets() -> None:
-    """A line of beams twists without a translation, but for round-off, be it ever so large beside that of no mode."""
+    """A line of beams twists without a translation, but for round-off, be it ever so large beside
+    that of no mode.
+    """
     f = np.array([4.0, 11.0, 12.0])
     shapes = np.zeros((5, 3, 3))
     shapes[:, 1, 1] = shapes[:, 2, 2] = np.linspace(0.02, 0.1, 5)

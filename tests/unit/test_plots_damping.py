@@ -16,7 +16,11 @@ def test_rigid_body_modes_are_not_on_a_logarithmic_axis() -> None:
 
 
 @pytest.mark.parametrize(("largest", "kind"), [(0.02, None), (0.2, "log")])
-def test_an_axis_is_logarithmic_where_the_ratios_ask_for_it(largest: float, kind: str | None) -> None:
+def test_an_axis_is_logarithmic_where_the_ratios_ask_for_it(
+    largest: float, kind: str | None
+) -> None:
     ratios, one = np.array([0.01, largest]), np.ones(2)
-    found = DampedModes(np.arange(2), ("1", "2"), one > 0, one, ratios, ratios, ratios, ratios, ratios, one, one)
+    found = DampedModes(
+        np.arange(2), ("1", "2"), one > 0, one, ratios, ratios, ratios, ratios, ratios, one, one
+    )
     assert modes(found).layout.yaxis.type == kind

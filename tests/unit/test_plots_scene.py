@@ -16,7 +16,9 @@ from ringtrue.study.scene import _faces, make_scene
 def test_a_region_has_the_colour_of_what_changes_it_and_little_else() -> None:
     """A density of all parts does not cover the thickness of one, in whatever order they stand."""
     part = np.arange(3)
-    scene = Scene(part, np.eye(3), part[None, :], part[:1], np.zeros((0, 2), int), part[:0], ("a", "b", "c"))
+    scene = Scene(
+        part, np.eye(3), part[None, :], part[:1], np.zeros((0, 2), int), part[:0], ("a", "b", "c")
+    )
     changed = {"thickness of b": [1], "density": [0, 1, 2], "far away": []}
     for order in (list(changed), list(reversed(changed))):
         view = regions(scene, {k: changed[k] for k in order}, {"density": "× 1.1"})
@@ -30,7 +32,13 @@ def test_cards_are_those_of_the_deck(tmp_path: Path) -> None:
     """A PBARL makes a PBAR that the deck does not have."""
     nodes = [f"GRID,{i},,{i}.,0.,0." for i in range(1, 5)]
     bars = [f"CBAR,{i},{p},{i},{i + 1},0.,0.,1." for i, p in ((1, 1), (2, 1), (3, 2))]
-    cards = ["PBARL,1,1,,ROD", ",.1", "PBAR,2,1,.01,1.-5,1.-5,2.-5", "MAT1,1,2.1+11,,.3,7850.", "SPC1,1,123456,1"]
+    cards = [
+        "PBARL,1,1,,ROD",
+        ",.1",
+        "PBAR,2,1,.01,1.-5,1.-5,2.-5",
+        "MAT1,1,2.1+11,,.3,7850.",
+        "SPC1,1,123456,1",
+    ]
     deck = ["SOL 103", "CEND", "SPC = 1", "BEGIN BULK", *nodes, *bars, *cards, "ENDDATA"]
     (tmp_path / "bar.bdf").write_text("\n".join(deck))
     (tmp_path / "study.toml").write_text('[model]\ndeck = "bar.bdf"\n')
@@ -41,9 +49,13 @@ def test_cards_are_those_of_the_deck(tmp_path: Path) -> None:
 def test_the_skin_of_solids_and_shells_of_every_card(tmp_path: Path) -> None:
     """Two tetrahedra joined at 1, 2, 3, on a pyramid and a shell of the second order."""
     deck = tmp_path / "d.bdf"
-    grids = "".join(f"GRID,{i + 1},,{x},{y},{z}\n" for i, (x, y, z) in enumerate(np.eye(9, 3).tolist()))
+    grids = "".join(
+        f"GRID,{i + 1},,{x},{y},{z}\n" for i, (x, y, z) in enumerate(np.eye(9, 3).tolist())
+    )
     solids = "CTETRA,1,1,1,2,3,4\nCTETRA,2,1,1,3,2,5\nCPYRAM,3,1,1,2,6,7,8\n"
-    deck.write_text(f"BEGIN BULK\n{grids}{solids}CTRIA6,4,2,1,2,9\nPSOLID,1,1\nPSHELL,2,1,1.\nMAT1,1,1.,,.3\n")
+    deck.write_text(
+        f"BEGIN BULK\n{grids}{solids}CTRIA6,4,2,1,2,9\nPSOLID,1,1\nPSHELL,2,1,1.\nMAT1,1,1.,,.3\n"
+    )
     drawn, _ = _faces(read_deck(deck))
     skin = sorted(tuple(sorted(set(q))) for q in drawn.tolist())
     pyramid = [(1, 2, 6, 7), (1, 2, 8), (2, 6, 8), (6, 7, 8), (1, 7, 8)]
@@ -56,7 +68,9 @@ def grids(*places: tuple[float, float, float]) -> list[str]:
 
 
 def scene_of(tmp_path: Path, *cards: str) -> Scene:
-    (tmp_path / "part.bdf").write_text("\n".join(["BEGIN BULK", *cards, "MAT1,1,2.1+11,,.3,7850.", "ENDDATA"]))
+    (tmp_path / "part.bdf").write_text(
+        "\n".join(["BEGIN BULK", *cards, "MAT1,1,2.1+11,,.3,7850.", "ENDDATA"])
+    )
     return make_scene(read_deck(tmp_path / "part.bdf"), {})
 
 
@@ -64,8 +78,16 @@ def test_shells_of_all_kinds_are_drawn(tmp_path: Path) -> None:
     """Four strips of one square metre each; those of second order by their corners."""
     places = [(float(x), float(y), 0.0) for y in (0, 1) for x in range(5)]
     middle = [(0.5, 0.0, 0.0), (1.0, 0.5, 0.0), (0.5, 1.0, 0.0), (0.0, 0.5, 0.0), (1.5, 0.5, 0.0)]
-    cards = ["CQUAD8,1,1,1,2,7,6,11,12", ",13,14", "CTRIA6,2,1,2,3,7,,15,12", "CTRIAR,3,1,3,8,7", "CQUADR,4,1,3,4,9,8"]
-    s = scene_of(tmp_path, *grids(*places, *middle), *cards, "CQUAD4,5,1,4,5,10,9", "PSHELL,1,1,.01,1")
+    cards = [
+        "CQUAD8,1,1,1,2,7,6,11,12",
+        ",13,14",
+        "CTRIA6,2,1,2,3,7,,15,12",
+        "CTRIAR,3,1,3,8,7",
+        "CQUADR,4,1,3,4,9,8",
+    ]
+    s = scene_of(
+        tmp_path, *grids(*places, *middle), *cards, "CQUAD4,5,1,4,5,10,9", "PSHELL,1,1,.01,1"
+    )
     a, b, c = (s.xyz[s.triangles[:, k]] for k in range(3))
     assert np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2 == 4.0
     assert s.node.tolist() == list(range(1, 11))
@@ -82,7 +104,13 @@ def test_the_faces_of_a_pyramid_look_outward(tmp_path: Path) -> None:
 
 def test_what_springs_hold_is_drawn_and_a_joint_without_length_is_a_point(tmp_path: Path) -> None:
     places = grids((0, 0, 0), (1, 0, 0), (1, 0, 0), (2, 0, 0), (3, 0, 0))
-    cards = ["CROD,1,1,1,2", "PROD,1,1,.01", "CBUSH,2,2,2,3,,,,0", "PBUSH,2,K,1.+6", "CBUSH,3,2,3,4,,,,0"]
+    cards = [
+        "CROD,1,1,1,2",
+        "PROD,1,1,.01",
+        "CBUSH,2,2,2,3,,,,0",
+        "PBUSH,2,K,1.+6",
+        "CBUSH,3,2,3,4,,,,0",
+    ]
     cards += ["CELAS2,4,1.+6,4,1,1,1", "CELAS2,5,1.+6,4,2", "CONM2,6,5,,8.", "RBE2,7,4,123456,5"]
     s = scene_of(tmp_path, *places, *cards)  # 5 is a mass in the air, which a sensor on 4 sees
     lines = {tuple(x) for x in s.node[s.lines].tolist()}

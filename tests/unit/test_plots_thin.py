@@ -11,7 +11,9 @@ from ringtrue.study.results import Scene
 
 
 def plate(n: int) -> Scene:
-    """n × n nodes of the unit square, two groups of triangles, a line along one edge, and a bush drawn as a point."""
+    """n × n nodes of the unit square, two groups of triangles, a line along one edge, and a bush
+    drawn as a point.
+    """
     s = np.linspace(0, 1, n)
     x, y = np.meshgrid(s, s, indexing="ij")
     k = np.arange(n * n).reshape(n, n)
@@ -48,7 +50,8 @@ def test_what_is_small_enough_stays() -> None:
 
 
 @pytest.mark.parametrize(
-    ("low", "high"), [(0.93, 1.21), (0.999, 1.002), (0.4, 2.5), (0.05, 20.0), (3.0, 5.5), (1.0, 1.0)]
+    ("low", "high"),
+    [(0.93, 1.21), (0.999, 1.002), (0.4, 2.5), (0.05, 20.0), (3.0, 5.5), (1.0, 1.0)],
 )
 def test_factors_have_ticks_to_read_them_by(low: float, high: float) -> None:
     ticks = np.array(factor_ticks(low, high))

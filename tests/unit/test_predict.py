@@ -1,4 +1,5 @@
-"""Predictions with bands: modes, an unbalance run-up against closed form, forces in springs, the command.
+"""Predictions with bands: modes, an unbalance run-up against closed form, forces in springs, the
+command.
 
 A Jeffcott rotor: a mass M on a spring k across its axis, unbalance U = m e turning at ω:
 
@@ -49,18 +50,25 @@ def jeffcott() -> DenseModel:
 
 def outputs() -> list[Output]:
     eye = np.eye(2)
-    return [Output("rotor", "m", Rows(eye), 2), Output("spring", "N", Rows(K * eye, ((0, K * eye),)), 2)]
+    return [
+        Output("rotor", "m", Rows(eye), 2),
+        Output("spring", "N", Rows(K * eye, ((0, K * eye),)), 2),
+    ]
 
 
 def runs(draws: np.ndarray, freqs: np.ndarray, seed: int = 0, **more: object) -> RunUp:
     damping, rng = Damping(np.array([1.0]), np.array([ZETA])), np.random.default_rng(seed)
-    return run_up(jeffcott(), draws, np.zeros(1), freqs, np.eye(2), UNBALANCE, outputs(), damping, rng, **more)
+    return run_up(
+        jeffcott(), draws, np.zeros(1), freqs, np.eye(2), UNBALANCE, outputs(), damping, rng, **more
+    )
 
 
 def exact(factor: float, freqs: np.ndarray) -> np.ndarray:
     w, k = 2 * np.pi * freqs, factor * K
     u = M * 6.3e-3 / (2 * np.pi * 50.0)
-    return np.sqrt(2) * np.abs(u * w**2 / (k - M * w**2 + 2j * ZETA * np.sqrt(k * M) * w))  # both directions
+    return np.sqrt(2) * np.abs(
+        u * w**2 / (k - M * w**2 + 2j * ZETA * np.sqrt(k * M) * w)
+    )  # both directions
 
 
 def test_run_up_is_the_jeffcott_rotor() -> None:
@@ -81,7 +89,13 @@ def by_region(loss: float, std: float) -> RegionDamping:
     """A loss factor of the springs, a dashpot that is not there."""
     none = np.zeros((2, 2))
     matrices = np.array([K * np.eye(2), none])
-    return RegionDamping(np.array([loss, 0.0]), np.diag([std**2, 0.0]), matrices, np.array([False, True]), (none, none))
+    return RegionDamping(
+        np.array([loss, 0.0]),
+        np.diag([std**2, 0.0]),
+        matrices,
+        np.array([False, True]),
+        (none, none),
+    )
 
 
 def test_a_loss_factor_of_the_springs_is_twice_the_ratio() -> None:
@@ -128,7 +142,9 @@ def test_scatter_of_damping_is_what_errors_of_test_and_regions_do_not_explain(
     error, at = 0.1, np.full(n, 0.02)
     measured = at * np.exp(np.hypot(own, error) * rng.standard_normal(n))
     none = np.zeros(n)
-    modes = DampedModes(none, ("",) * n, none == 0, none, measured, error * measured, at, at, none, none, none)
+    modes = DampedModes(
+        none, ("",) * n, none == 0, none, measured, error * measured, at, at, none, none, none
+    )
     assert least <= scatter(modes) <= most
 
 
@@ -138,7 +154,9 @@ def test_bands_hold_what_a_machine_of_the_same_kind_does() -> None:
     found = runs(0.1 * rng.standard_normal((2000, 1)), freqs)
     new = np.array([exact(float(np.exp(0.1 * z)), freqs) for z in rng.standard_normal(2000)])
     low, high = found.amplitude.low[0], found.amplitude.high[0]
-    assert ((low <= new) & (new <= high)).mean() == pytest.approx(0.9, abs=0.03)  # 2000 draws each: 1 %
+    assert ((low <= new) & (new <= high)).mean() == pytest.approx(
+        0.9, abs=0.03
+    )  # 2000 draws each: 1 %
     assert found.peak_speed.low[0] < F1 < found.peak_speed.high[0]
 
 
@@ -147,7 +165,9 @@ def test_discrepancy_widens_the_peak_though_the_parameters_are_known() -> None:
     sharp, wide = (runs(np.zeros((200, 1)), freqs, discrepancy=d) for d in (0.0, 0.02))
     spread = wide.peak_speed.high[0] - wide.peak_speed.low[0]
     assert spread > 3 * (sharp.peak_speed.high[0] - sharp.peak_speed.low[0])
-    assert spread == pytest.approx(2 * 1.645 * 0.02 * F1, rel=0.5)  # the first of two equal modes peaks higher
+    assert spread == pytest.approx(
+        2 * 1.645 * 0.02 * F1, rel=0.5
+    )  # the first of two equal modes peaks higher
 
 
 def test_validated_band_ends_before_the_first_mode_that_is_not_held() -> None:
@@ -207,20 +227,39 @@ def test_options_stand_in_place_of_the_study() -> None:
         settings(section, {}, ["bearings"])
 
 
-def test_a_study_that_was_not_run_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_study_that_was_not_run_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "two.bdf").write_text(DECK)
-    (tmp_path / "study.toml").write_text('[model]\ndeck = "two.bdf"\n[predict]\nrotor = 2\nmass = 10.0\n')
+    (tmp_path / "study.toml").write_text(
+        '[model]\ndeck = "two.bdf"\n[predict]\nrotor = 2\nmass = 10.0\n'
+    )
     assert run(["predict", str(tmp_path / "study.toml")]) == 2
     assert "ringtrue run" in capsys.readouterr().err
 
 
 def test_command_on_a_finished_study(tmp_path: Path) -> None:
-    """An unbalanced machine on the top floor of the small study: the response peaks at the first sway modes."""
+    """An unbalanced machine on the top floor of the small study: the response peaks at the first
+    sway modes.
+    """
     study = write_study(tmp_path)
     run_study(study)
     result = tmp_path / "p.json"
     options = ["--rotor", "305", "--mass", "500", "--axis", "Z", "--to", "20", "--draws", "20"]
-    assert run(["predict", str(study), *options, "--csv", str(tmp_path / "p.csv"), "--json", str(result)]) == 0
+    assert (
+        run(
+            [
+                "predict",
+                str(study),
+                *options,
+                "--csv",
+                str(tmp_path / "p.csv"),
+                "--json",
+                str(result),
+            ]
+        )
+        == 0
+    )
     told = json.loads(result.read_text())
     low, high = told["validated_hz"]
     assert 1.0 < low < 2.0
@@ -256,10 +295,14 @@ def test_the_stage_of_a_study(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     told = json.loads(capsys.readouterr().out)
     assert told["outputs"][0]["median"] == found.run_up.amplitude.median[0].tolist()
     assert "predict" in run_study(study).loaded
-    assert run(["predict", str(study), "--seed", "5", "--json", "-"]) == 0  # an option: computed, not stored
+    assert (
+        run(["predict", str(study), "--seed", "5", "--json", "-"]) == 0
+    )  # an option: computed, not stored
     other = json.loads(capsys.readouterr().out)["outputs"][0]
     low_and_median = slice(2)  # the upper end of a band of 20 draws is that of one of them
-    np.testing.assert_allclose(other["peak"][low_and_median], told["outputs"][0]["peak"][low_and_median], rtol=0.3)
+    np.testing.assert_allclose(
+        other["peak"][low_and_median], told["outputs"][0]["peak"][low_and_median], rtol=0.3
+    )
     assert other["peak"] != told["outputs"][0]["peak"]
     page = deliver(ran).read_text()
     assert '<section id="prediction">' in page
@@ -268,7 +311,9 @@ def test_the_stage_of_a_study(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     )
 
 
-def test_a_rotor_that_is_not_in_the_deck_is_told_before_anything_is_computed(tmp_path: Path) -> None:
+def test_a_rotor_that_is_not_in_the_deck_is_told_before_anything_is_computed(
+    tmp_path: Path,
+) -> None:
     study = write_study(tmp_path, FULL + PREDICT.replace("305", "999"))
     with pytest.raises(ConfigError, match="rotor node 999"):
         run_study(study)
@@ -309,31 +354,47 @@ ENDDATA
 def test_forces_stand_with_the_unbalance_however_the_springs_were_updated(
     tmp_path: Path, units: str, length: float
 ) -> None:
-    """Far below the first mode every spring of a chain passes on the whole force, U w^2, at any stiffness."""
+    """Far below the first mode every spring of a chain passes on the whole force, U w^2, at any
+    stiffness.
+    """
     chain = CHAIN.replace("0.,1.", f"0.,{length}").replace("0.,2.", f"0.,{2 * length}")
     if units == "mm-t-s":  # N/mm and t
         chain = re.sub(r"(\d\.)\+6|(\d\.\d)\+6", lambda m: f"{(m[1] or m[2])}+3", chain)
         chain = re.sub(r"(CONM2,\d,\d,,)(\d+)\.", lambda m: f"{m[1]}{float(m[2]) / 1000}", chain)
     (tmp_path / "chain.bdf").write_text(chain)
     found = {51: 1.0, 52: 0.6, 53: 1.5}
-    springs = [Parameter(str(k), tuple(Target("PBUSH", k, f) for f in ("K1", "K2", "K3")), 0.2, 5.0) for k in found]
-    built = apply_factors(read_deck(tmp_path / "chain.bdf"), ParameterSet(tuple(springs)), np.array([*found.values()]))
+    springs = [
+        Parameter(str(k), tuple(Target("PBUSH", k, f) for f in ("K1", "K2", "K3")), 0.2, 5.0)
+        for k in found
+    ]
+    built = apply_factors(
+        read_deck(tmp_path / "chain.bdf"), ParameterSet(tuple(springs)), np.array([*found.values()])
+    )
     with EmbeddedSolver().open(built) as analysis:
         modes = replace(analysis.modes(ModesRequest(count=9)).modes, damping=np.full(9, ZETA))
-        write_modes(tmp_path / "test.json", modes.rows([d for d in modes.channels if d[1:3] in ("+X", "+Y", "+Z")]))
+        write_modes(
+            tmp_path / "test.json",
+            modes.rows([d for d in modes.channels if d[1:3] in ("+X", "+Y", "+Z")]),
+        )
     sheet = "point,x,y,z,direction,channel,quantity,unit\n"
-    sheet += "".join(f"{n},0,0,{n - 1},+{a},{n}+{a},acceleration,m/s^2\n" for n in (1, 2, 3) for a in "XYZ")
+    sheet += "".join(
+        f"{n},0,0,{n - 1},+{a},{n}+{a},acceleration,m/s^2\n" for n in (1, 2, 3) for a in "XYZ"
+    )
     (tmp_path / "sensors.csv").write_text(sheet)
     text = f'[model]\ndeck = "chain.bdf"\nunits = "{units}"\nfmax = 200.0\n'
     text += '[test]\nsheet = "sensors.csv"\nmodes = "test.json"\n'
     text += "[update]\nleft_out = 0\nchoose = 2\n"
     for k in found:
         text += f'[[candidate]]\nname = "spring {k}"\ntargets = ["PBUSH {k} K1,K2,K3"]\n'
-    text += '[predict]\nrotor = 3\nmass = 20.0\naxis = "Z"\nlines = 60\ndraws = 20\n[predict.springs]\n'
+    text += (
+        '[predict]\nrotor = 3\nmass = 20.0\naxis = "Z"\nlines = 60\ndraws = 20\n[predict.springs]\n'
+    )
     (tmp_path / "study.toml").write_text(text + "".join(f"s{k} = [{k}]\n" for k in found))
     results = run_study(tmp_path / "study.toml").results
     run, best = results["predict"].run_up, results["update"].sets[results["update"].chosen]
-    assert best.parameters[0] != "spring 51"  # positions in the set are not those among the candidates
+    assert (
+        best.parameters[0] != "spring 51"
+    )  # positions in the set are not those among the candidates
     force = Unbalance(20.0, 2.5, 50.0).force(run.freqs[:1])[0]
     for k in found:
         for axis in "XY":

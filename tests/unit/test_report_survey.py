@@ -1,4 +1,6 @@
-"""The records of a test in the report: one row a record or setup, and what is to be said of them below."""
+"""The records of a test in the report: one row a record or setup, and what is to be said of them
+below.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,17 @@ def record(name: str, notes: tuple[str, ...], setup: str = "") -> RecordSummary:
     none = np.zeros(0)
     what = (name, "bridge", "wind", f"{name}.csv")
     return RecordSummary(
-        *what, 12, 50.0, 1800.0, none, np.zeros((0, 0)), (), none, np.zeros((0, 0)), notes, setup=setup
+        *what,
+        12,
+        50.0,
+        1800.0,
+        none,
+        np.zeros((0, 0)),
+        (),
+        none,
+        np.zeros((0, 0)),
+        notes,
+        setup=setup,
     )
 
 
@@ -34,7 +46,9 @@ def test_notes_stand_below_the_table() -> None:
 
 
 def test_records_of_a_setup_are_one_row() -> None:
-    table, notes, fold = _tests((record("a", ("one",), "1"), record("b", ("one", "two"), "1"), record("c", (), "2")))
+    table, notes, fold = _tests(
+        (record("a", ("one",), "1"), record("b", ("one", "two"), "1"), record("c", (), "2"))
+    )
     assert isinstance(table, Table)
     assert isinstance(notes, Items)
     assert isinstance(fold, Fold)

@@ -1,4 +1,6 @@
-"""A program that is run ends with the process that has started it, and what it has started ends with it."""
+"""A program that is run ends with the process that has started it, and what it has started ends
+with it.
+"""
 
 from __future__ import annotations
 
@@ -62,7 +64,9 @@ def test_a_solver_that_takes_too_long_ends_with_all_that_it_started(tmp_path: Pa
     waited_for(gone, tmp_path)
 
 
-@pytest.mark.parametrize(("line", "status"), [("exit 3", 3), ("exit 127", 127), ("kill -9 $$", 137)])
+@pytest.mark.parametrize(
+    ("line", "status"), [("exit 3", 3), ("exit 127", 127), ("kill -9 $$", 137)]
+)
 def test_the_exit_status_is_that_of_the_program(tmp_path: Path, line: str, status: int) -> None:
     done = run_program(["sh", "-c", f"echo told; {line}"], tmp_path, name="solver", timeout=60.0)
     assert (done.status, done.log) == (status, "told\n")

@@ -1,4 +1,6 @@
-"""Outputs never replace an input: by what the files are, through links and other ways to them, before any work."""
+"""Outputs never replace an input: by what the files are, through links and other ways to them,
+before any work.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ QUICK = '[localise]\nkinds = ["material"]\n'
 
 
 def tree(folder: Path) -> dict[str, bytes]:
-    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+    return {
+        str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()
+    }
 
 
 @pytest.mark.parametrize("way", ["name", "link", "hard link", "folder link", "dots"])
@@ -46,7 +50,9 @@ def test_an_input_is_refused_as_target_whatever_leads_to_it(tmp_path: Path, way:
         other = tmp_path / "there/in.json"
     with one_run():
         reads(source)
-        with pytest.raises(InputError, match=r"an input of this run .*would be replaced|an input of this run would"):
+        with pytest.raises(
+            InputError, match=r"an input of this run .*would be replaced|an input of this run would"
+        ):
             writes(other)
         with pytest.raises(InputError, match="name another file"), atomic_write(other) as part:
             part.write_text("lost")
@@ -83,7 +89,9 @@ def files(tmp_path: Path) -> Path:
     (tmp_path / "deck/frame.bdf").write_text(head + "BEGIN BULK\nINCLUDE 'parts.blk'\nENDDATA\n")
     channels = small_study.test_model().channels
     shapes = np.random.default_rng(0).standard_normal((len(channels), 2))
-    write_modes(tmp_path / "modes.json", ModeSet(np.array([2.0, 5.0]), np.zeros(2), shapes, channels))
+    write_modes(
+        tmp_path / "modes.json", ModeSet(np.array([2.0, 5.0]), np.zeros(2), shapes, channels)
+    )
     return tmp_path
 
 
@@ -149,7 +157,9 @@ def test_a_second_round_writes_beside_the_first(tmp_path: Path) -> None:
         done = run_study(study, until="final").results["final"]
         after = tree(tmp_path)
         assert {n: after[n] for n in before} == before, at
-        number = {"deck": "updated", "updated": "updated-2", "updated-2": "updated-3"}[at.split("/")[0]]
+        number = {"deck": "updated", "updated": "updated-2", "updated-2": "updated-3"}[
+            at.split("/")[0]
+        ]
         assert [Path(f).parent.name for f in done.files] == [number]
 
 
@@ -170,7 +180,9 @@ def test_a_deck_that_cannot_be_copied_is_refused_before_any_work(
     with pytest.raises(DeckError):
         edit_fields(read_deck(deck), [FieldChange("MAT1", 1, "E", 1e11)], files / "copy")
     assert tree(files) == before
-    assert run_study(files / "study.toml", until="correlate").results["correlate"] is not None  # nothing is delivered
+    assert (
+        run_study(files / "study.toml", until="correlate").results["correlate"] is not None
+    )  # nothing is delivered
 
 
 def test_a_deck_is_not_edited_into_its_own_folder(files: Path) -> None:
@@ -178,7 +190,9 @@ def test_a_deck_is_not_edited_into_its_own_folder(files: Path) -> None:
     (files / "here").symlink_to(files / "deck")
     for folder in (files / "deck", files / "here"):
         with pytest.raises(InputError, match="would be replaced"):
-            edit_fields(read_deck(files / "deck/frame.bdf"), [FieldChange("MAT1", 1, "E", 1e11)], folder)
+            edit_fields(
+                read_deck(files / "deck/frame.bdf"), [FieldChange("MAT1", 1, "E", 1e11)], folder
+            )
     assert tree(files / "deck") == before
 
 
@@ -192,7 +206,9 @@ with atomic_write(Path(sys.argv[1])) as part:
 """
 
 
-def test_what_a_killed_process_leaves_is_swept_and_what_a_living_one_writes_is_not(tmp_path: Path) -> None:
+def test_what_a_killed_process_leaves_is_swept_and_what_a_living_one_writes_is_not(
+    tmp_path: Path,
+) -> None:
     target = tmp_path / "out.json"
     subprocess.run([sys.executable, "-c", KILLED, str(target)], check=False)
     (left,) = tmp_path.glob(".*.part")

@@ -74,7 +74,9 @@ def test_subspace_mac_of_one_shape_is_the_mac() -> None:
 
 def test_close_groups_split_long_chains_at_the_widest_gap() -> None:
     f = np.array([10.0, 20.0, 10.1, 50.0, 50.4, 51.0, 51.2])
-    assert set(map(frozenset, close_groups(f, 0.02, 3))) == {frozenset(g) for g in ({0, 2}, {1}, {3, 4}, {5, 6})}
+    assert set(map(frozenset, close_groups(f, 0.02, 3))) == {
+        frozenset(g) for g in ({0, 2}, {1}, {3, 4}, {5, 6})
+    }
     assert close_groups(np.zeros(0), 0.02) == ()
 
 
@@ -89,7 +91,9 @@ def test_complexity_of_real_circular_and_elliptic_shapes() -> None:
     polygon = 64 * np.sin(2 * np.pi / 64) / 2 / np.pi
     np.testing.assert_allclose(mcf(z)[1:], [polygon, polygon / 2], rtol=1e-12)
     assert mpd(z)[0] == pytest.approx(0, abs=1e-12)
-    assert mpd(z)[1] == pytest.approx(np.pi / 4, rel=1e-3)  # mean of |angle| folded to 0..π/2, 64 points
+    assert mpd(z)[1] == pytest.approx(
+        np.pi / 4, rel=1e-3
+    )  # mean of |angle| folded to 0..π/2, 64 points
     assert abs(mean_phase(z)[0]) == pytest.approx(0.4)
 
 

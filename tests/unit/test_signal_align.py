@@ -43,7 +43,9 @@ def test_clock_is_found_and_mended(offset: float, drift: float) -> None:
     rng = np.random.default_rng(1)
     t = np.arange(N) / RATE
     ref = np.stack([motion(t), motion(t, 7)]) + 0.5 * rng.standard_normal((2, N))
-    clean = motion((t - offset) / (1 + drift))  # what the clock of the other calls t is this time of the reference
+    clean = motion(
+        (t - offset) / (1 + drift)
+    )  # what the clock of the other calls t is this time of the reference
     other = clean + 0.5 * rng.standard_normal(N)
     a = TimeHistory(ref, RATE, (Channel("1+Z"), Channel("2+Z")), "a")
     b = TimeHistory(other[None], RATE, (Channel("3+Z"),), "b")

@@ -55,7 +55,9 @@ def test_events_are_found_where_they_are(jumped: Float, starts: Float) -> None:
     for t in starts:
         assert np.abs(at - t).min() < 0.5
     gap = at[:, None] - starts
-    assert np.all(((gap > -0.8) & (gap < 6)).any(axis=1))  # two windows of a quarter of a second more
+    assert np.all(
+        ((gap > -0.8) & (gap < 6)).any(axis=1)
+    )  # two windows of a quarter of a second more
 
 
 def test_noise_and_the_spike_of_one_sensor_are_no_events() -> None:
@@ -92,14 +94,17 @@ def test_decays_after_events_give_the_damping_that_the_whole_record_gets_wrong(
     with_events = error()
     assert with_events.max() < 0.1
     monkeypatch.setattr(
-        "ringtrue.identify.stretches.find_events", lambda data, rate, gone: find_events(data[:, :1], rate)
+        "ringtrue.identify.stretches.find_events",
+        lambda data, rate, gone: find_events(data[:, :1], rate),
     )
     assert error().max() > 2 * with_events.max()
 
 
 @pytest.mark.parametrize("at", [[20.0], [20.0, 60.0, 100.0], [20.0, 200.0, 260.0]])
 def test_few_blows_in_silence_give_all_modes(at: list[float]) -> None:
-    """All blows may lie in one half of the record, the rest of which is the noise of the sensors."""
+    """All blows may lie in one half of the record, the rest of which is the noise of the
+    sensors.
+    """
     rng = np.random.default_rng(0)
     force = np.zeros(int(RATE * 300))
     force[(np.array(at) * RATE).astype(int)] = 100 * rng.uniform(0.5, 1.5, len(at))

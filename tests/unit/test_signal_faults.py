@@ -20,7 +20,12 @@ def noise(seed: int = 0, count: int = 4) -> np.ndarray:
 
 
 def history(data: np.ndarray) -> TimeHistory:
-    return TimeHistory(data, RATE, tuple(Channel(f"{i + 1}+Z", "acceleration", "m/s^2") for i in range(len(data))), "r")
+    return TimeHistory(
+        data,
+        RATE,
+        tuple(Channel(f"{i + 1}+Z", "acceleration", "m/s^2") for i in range(len(data))),
+        "r",
+    )
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -35,7 +40,11 @@ def test_hits_are_no_spikes() -> None:
     y = noise()
     t = np.arange(N) / RATE
     for start in (10.0, 31.0):
-        y += 40 * y.std() * np.where(t > start, np.exp(-3 * (t - start)) * np.sin(60 * (t - start)), 0.0)
+        y += (
+            40
+            * y.std()
+            * np.where(t > start, np.exp(-3 * (t - start)) * np.sin(60 * (t - start)), 0.0)
+        )
     assert not [f for f in find_faults(history(y)) if f.kind == "spike"]
 
 

@@ -47,7 +47,12 @@ def test_modes_are_those_of_what_is_left():
     assert (np.abs(r.modes.frequencies - F) < 4 * r.uncertainty.frequency).all()
     assert (np.abs(r.modes.damping - Z) < 4 * r.uncertainty.damping).all()
     assert np.diag(mac(r.modes.shapes, PHI.astype(complex))).min() > 0.99
-    assert sum("lost 2 times (a value is held), the first at 200 s, 140 s in all" in n for n in r.notes) == 1
+    assert (
+        sum(
+            "lost 2 times (a value is held), the first at 200 s, 140 s in all" in n for n in r.notes
+        )
+        == 1
+    )
     assert not any("clipped" in n or "event" in n for n in r.notes)
 
 
@@ -89,19 +94,25 @@ def test_a_few_missing_samples_are_interpolated_in_their_channel_and_a_silent_on
 
 
 def test_windows_tell_what_lost_stretches_do_to_the_spectrum_of_a_mode():
-    """Expected periodogram of a decaying correlation under a mask of 300 random losses, against the model of it."""
+    """Expected periodogram of a decaying correlation under a mask of 300 random losses, against the
+    model of it.
+    """
     n, f, zeta = 1 << 16, 0.05, 0.004
     there = np.ones(n)
     for a in np.random.default_rng(2).integers(0, n - 60, 300):
         there[a : a + 60] = 0.0
     events = replace(NONE, gone=there == 0, rate=1.0)
-    bins = SpectralBins(np.empty(0), np.empty(0), np.empty((0, 1, 1)), float(n), 1 - events.kept, events.breaks)
+    bins = SpectralBins(
+        np.empty(0), np.empty(0), np.empty((0, 1, 1)), float(n), 1 - events.kept, events.breaks
+    )
     pairs = np.fft.irfft(np.abs(np.fft.rfft(there, 2 * n)) ** 2)[:n] / there.sum()
     nu = f + np.linspace(-5, 5, 41) * zeta * f
     rate = 2 * np.pi * (zeta * f + 1j * (nu - f))
     tau = np.arange(n)
     seen = np.array([(pairs * np.exp(-r * tau)).real.sum() for r in rate])
-    told = sum(w * ((1 - (1 - np.exp(-rate * t)) / (rate * t)) / rate).real for w, t in bins.windows)
+    told = sum(
+        w * ((1 - (1 - np.exp(-rate * t)) / (rate * t)) / rate).real for w, t in bins.windows
+    )
     plain = ((1 - (1 - np.exp(-rate * n)) / (rate * n)) / rate).real
     assert np.abs(told / seen - 1).max() < 0.1  # by chance the losses of one mask lie in steps
     assert np.abs(plain / seen - 1).max() > 0.25
@@ -153,7 +164,9 @@ def test_clipping_coarse_recorders_and_rest_between_events_are_no_loss(slow):
     level = 0.7 * y.std()
     _, clipped = bridged(record(np.clip(np.cumsum(y, axis=1) / 30, -level, level)))
     _, coarse = bridged(record(np.round(y / level)))
-    _, rest = bridged(record(np.round(y / level * (0.3 + 3 * (np.arange(y.shape[1]) % 20000 < 4000)))))
+    _, rest = bridged(
+        record(np.round(y / level * (0.3 + 3 * (np.arange(y.shape[1]) % 20000 < 4000))))
+    )
     assert not clipped.lost.any()
     assert not coarse.lost.any()
     assert not rest.lost.any()

@@ -1,4 +1,6 @@
-"""Sines in the random response of one mode: told by kurtosis, taken out without harm to the mode."""
+"""Sines in the random response of one mode: told by kurtosis, taken out without harm to the
+mode.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,9 @@ def test_kurtosis_tells_a_sine_from_a_mode() -> None:
     mode, sine = line_statistics(record(y), [MODE, 20.0], 0.5)
     assert (mode.harmonic, sine.harmonic) == (False, True)
     assert sine.kurtosis == pytest.approx(1.5, abs=0.05)
-    assert mode.kurtosis == pytest.approx(3.0, abs=0.5)  # 400 s of 0.16 Hz: some 60 independent envelopes
+    assert mode.kurtosis == pytest.approx(
+        3.0, abs=0.5
+    )  # 400 s of 0.16 Hz: some 60 independent envelopes
     with pytest.raises(ConfigError, match="must be in"):
         line_statistics(record(y), [60.0], 0.5)
     with pytest.raises(DataError, match="too short"):
@@ -82,7 +86,9 @@ def test_cepstrum_takes_a_family_of_harmonics() -> None:
     y = response()
     family = sum(0.4 * np.cos(2 * np.pi * 2.5 * k * T + k) for k in range(1, 20))
     left = edit_cepstrum(record(y + family), 2.5)
-    spectrum = np.abs(np.fft.rfft(left.data[0] * np.hanning(N))) / np.abs(np.fft.rfft((y + family)[0] * np.hanning(N)))
+    spectrum = np.abs(np.fft.rfft(left.data[0] * np.hanning(N))) / np.abs(
+        np.fft.rfft((y + family)[0] * np.hanning(N))
+    )
     lines = np.round(2.5 * np.arange(1, 20) * N / RATE).astype(int)
     assert np.median(spectrum[lines]) < 0.2
     assert left.data[0].std() == pytest.approx(y[0].std(), rel=0.25)
@@ -91,17 +97,24 @@ def test_cepstrum_takes_a_family_of_harmonics() -> None:
 
 
 def test_a_sine_on_the_flank_of_a_mode_is_listed_and_leaves_the_mode_whole() -> None:
-    """1200 s, the sine 0.02 Hz from a mode of a half bandwidth of 0.08 Hz: 22 lines of the periodogram."""
+    """1200 s, the sine 0.02 Hz from a mode of a half bandwidth of 0.08 Hz: 22 lines of the
+    periodogram.
+    """
     rng, t = np.random.default_rng(5), np.arange(120_000) / RATE
     pole = np.exp((-0.01 + 1j * np.sqrt(1 - 1e-4)) * 2 * np.pi * MODE / RATE)
-    y = np.outer([1.0, 0.6, -0.8], lfilter([1.0], np.poly([pole, pole.conj()]).real, rng.standard_normal(t.size)))
+    y = np.outer(
+        [1.0, 0.6, -0.8],
+        lfilter([1.0], np.poly([pole, pole.conj()]).real, rng.standard_normal(t.size)),
+    )
     y += 0.02 * y.std() * rng.standard_normal(y.shape)
     assert steady_lines(record(y)) == ()
     machine = record(y + 2 * y.std() * np.outer([0.3, 1.0, 1.0], np.sin(2 * np.pi * 8.02 * t + 1)))
     (line,) = steady_lines(machine)
     assert line.frequency == pytest.approx(8.02, abs=1e-4)
     left = without_lines(machine, [line.frequency]).data
-    assert np.abs(left - y).std() < 0.2 * y.std()  # what it takes of the mode: 8 of the 200 lines of its band
+    assert (
+        np.abs(left - y).std() < 0.2 * y.std()
+    )  # what it takes of the mode: 8 of the 200 lines of its band
     found = identify_ambient(machine)
     assert [h.frequency for h in found.harmonics] == [line.frequency]
     assert len(found.modes) == 1

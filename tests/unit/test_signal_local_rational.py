@@ -1,6 +1,8 @@
-"""FRFs by local rational models: two modes under random, swept and periodic forces, against their exact FRFs.
+"""FRFs by local rational models: two modes under random, swept and periodic forces, against their
+exact FRFs.
 
-The record is filtered sample by sample, so that its transients, at both ends, are those of the system.
+The record is filtered sample by sample, so that its transients, at both ends, are those of the
+system.
 """
 
 from __future__ import annotations
@@ -29,8 +31,12 @@ DENOMINATORS = [
 ]
 
 
-def record(force: np.ndarray, rng: np.random.Generator, *, response: float = 0.0, on_force: float = 0.0) -> TimeHistory:
-    """Responses at three points to forces (in, sample), seen in their second half, noise as shares of the rms."""
+def record(
+    force: np.ndarray, rng: np.random.Generator, *, response: float = 0.0, on_force: float = 0.0
+) -> TimeHistory:
+    """Responses at three points to forces (in, sample), seen in their second half, noise as shares
+    of the rms.
+    """
     n = force.shape[1] // 2
     y = np.zeros((3, force.shape[1]))
     for k, a in enumerate(DENOMINATORS):
@@ -60,7 +66,9 @@ def forces(kind: str, rng: np.random.Generator) -> np.ndarray:
 
 @pytest.mark.parametrize("kind", ["random", "two", "sweep", "periodic"])
 def test_no_leakage(kind: str) -> None:
-    """Half-power bandwidths of 0.09 and 0.46 Hz under lines of 0.25 Hz: Hann windows are off by a fifth and more."""
+    """Half-power bandwidths of 0.09 and 0.46 Hz under lines of 0.25 Hz: Hann windows are off by a
+    fifth and more.
+    """
     r = record(forces(kind, np.random.default_rng(1)), np.random.default_rng(2))
     (frfs,) = local_frfs([r], 0.25)
     use = (frfs.freqs > 4) & (frfs.freqs < 40)
@@ -74,7 +82,9 @@ def test_no_leakage(kind: str) -> None:
         assert np.linalg.norm(welch.data[at] - h) > 0.2 * np.linalg.norm(h)
         found = identify_hammer(welch, HammerModes(4.0, 40.0))
         assert any("under a Hann window" in n for n in found.notes)
-        assert found.modes.damping == pytest.approx(ZETA, rel=0.2)  # twice as high without the window in the model
+        assert found.modes.damping == pytest.approx(
+            ZETA, rel=0.2
+        )  # twice as high without the window in the model
 
 
 def test_the_coherence_holds_the_variance() -> None:
@@ -87,7 +97,9 @@ def test_the_coherence_holds_the_variance() -> None:
         assert use.sum() > 140
         g = frfs.coherence[use]
         stated = np.abs(frfs.data[use]) ** 2 * (1 - g) / (frfs.averages * g)
-        ratio.append((np.abs(frfs.data[use] - exact(frfs.freqs[use], 2)) ** 2 / stated).mean(axis=0))
+        ratio.append(
+            (np.abs(frfs.data[use] - exact(frfs.freqs[use], 2)) ** 2 / stated).mean(axis=0)
+        )
     np.testing.assert_allclose(np.sqrt(np.mean(ratio, axis=0)), 1.0, atol=0.15)
 
 
@@ -100,7 +112,9 @@ def modes(frfs: FrfSet) -> np.ndarray:
 
 
 def test_noise_on_the_force_is_in_the_deviations() -> None:
-    """An error that all responses share: the scores of frequency and damping have the size of one."""
+    """An error that all responses share: the scores of frequency and damping have the size of
+    one.
+    """
     scores = []
     for k in range(24):
         rng = np.random.default_rng(100 + k)
@@ -143,14 +157,20 @@ def test_forces_that_run_all_the_time_are_told_from_blows() -> None:
     for kind in ("random", "two", "sweep", "periodic"):
         r = record(forces(kind, rng), rng)
         assert runs_on(r)
-        assert 0.15 < spacing(r) < 1.2  # 16 and more lines of 0.025 Hz to a window, some 40 times as many as periods
-    blows = np.exp(-(((np.arange(2 * N) % (4 * 128)) - 60.0) ** 2) / 8)[None] + 0.005 * rng.standard_normal((1, 2 * N))
+        assert (
+            0.15 < spacing(r) < 1.2
+        )  # 16 and more lines of 0.025 Hz to a window, some 40 times as many as periods
+    blows = np.exp(-(((np.arange(2 * N) % (4 * 128)) - 60.0) ** 2) / 8)[
+        None
+    ] + 0.005 * rng.standard_normal((1, 2 * N))
     assert not runs_on(record(blows, rng))
 
 
 @pytest.mark.parametrize("start", ["steady", "at rest"])
 def test_a_force_that_repeats_itself_has_the_lines_of_its_period(start: str) -> None:
-    """Ten seconds, four times: lines of 0.1 Hz for a bandwidth of 0.09 Hz, and transients where it begins at rest."""
+    """Ten seconds, four times: lines of 0.1 Hz for a bandwidth of 0.09 Hz, and transients where it
+    begins at rest.
+    """
     scores = []
     for seed in range(10):
         rng = np.random.default_rng(seed)

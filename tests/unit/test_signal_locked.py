@@ -1,4 +1,6 @@
-"""A shaft whose speed wanders by 2 %: lines at 1, 3 and 6 times its speed beside modes at 2 and 3/2 of the loudest."""
+"""A shaft whose speed wanders by 2 %: lines at 1, 3 and 6 times its speed beside modes at 2 and 3/2
+of the loudest.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,10 @@ def record(seed: int, *, lines: tuple[float, ...] = (1, 3, 6)) -> TimeHistory:
     n = int(RATE * SECONDS)
     slow = sosfilt(butter(1, 0.02, fs=RATE, output="sos"), rng.standard_normal(n))
     angle = 2 * np.pi * np.cumsum(SPEED * (1 + 0.02 * slow / slow.std())) / RATE
-    parts = [a * np.cos(k * angle + rng.uniform(0, 6)) for k, a in zip(lines, (0.5, 1.5, 0.5), strict=False)]
+    parts = [
+        a * np.cos(k * angle + rng.uniform(0, 6))
+        for k, a in zip(lines, (0.5, 1.5, 0.5), strict=False)
+    ]
     for f in MODES:
         s = 2 * np.pi * f * (-0.01 + 1j)
         q = lfilter([1.0], [1.0, -np.exp(s / RATE)], rng.standard_normal(n).astype(complex)).imag
@@ -43,4 +48,7 @@ def test_another_machine_at_a_whole_ratio_is_none_of_this_one() -> None:
     """Two shafts that wander each by itself."""
     one, two = record(0, lines=(3,)), record(1, lines=(6,))
     both = TimeHistory(one.data + two.data, RATE, one.channels, "made")
-    assert locked(both, np.array([3.0, 6.0]) * SPEED, np.array([0.005, 0.006]), [True, False]) == ("", "")
+    assert locked(both, np.array([3.0, 6.0]) * SPEED, np.array([0.005, 0.006]), [True, False]) == (
+        "",
+        "",
+    )

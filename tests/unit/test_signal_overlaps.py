@@ -7,7 +7,9 @@ from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.signal.overlaps import without_overlap
 
 RATE = 10.0
-WHOLE = np.round(3 * np.random.default_rng(3).standard_normal((2, 4000)))  # coarse: many samples begin alike
+WHOLE = np.round(
+    3 * np.random.default_rng(3).standard_normal((2, 4000))
+)  # coarse: many samples begin alike
 
 
 def part(first: int, last: int, lost: int | None = None) -> TimeHistory:
@@ -30,7 +32,11 @@ def part(first: int, last: int, lost: int | None = None) -> TimeHistory:
 def test_samples_of_two_files_count_once(before, later, twice):
     kept, said = without_overlap(part(*before), part(*later))
     assert np.array_equal(kept.data, WHOLE[:, later[0] + twice : later[1]])
-    assert said == (f"its first {twice / RATE:.4g} s are in {before[0]}.csv too: they count once" if twice else "")
+    assert said == (
+        f"its first {twice / RATE:.4g} s are in {before[0]}.csv too: they count once"
+        if twice
+        else ""
+    )
 
 
 def test_missing_samples_hide_no_overlap():

@@ -1,4 +1,6 @@
-"""Delays between channels from the phases of their cross spectra, on modes whose shapes are real."""
+"""Delays between channels from the phases of their cross spectra, on modes whose shapes are
+real.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,9 @@ def test_parts_of_a_sample_are_told_where_they_are_more_than_scatter(samples: fl
 
 @pytest.mark.parametrize("unit", [1e-14, 1e8])
 def test_the_unit_of_a_record_does_not_matter(unit):
-    """Counts of a converter, and displacements in m: fourth powers leave the range of single precision."""
+    """Counts of a converter, and displacements in m: fourth powers leave the range of single
+    precision.
+    """
     y = motion().copy()
     y[5:] = np.roll(y[5:], 20, axis=1)
     plain, other = (channel_phases(record(s * y), [2] * 7) for s in (1.0, unit))
@@ -100,7 +104,9 @@ def test_geophones_near_their_own_frequency_are_odd_among_accelerometers(few):
 
 @pytest.mark.parametrize("seed", [0, 2, 3])
 def test_two_sensors_at_one_place_are_not_odd_where_no_phases_are_clear(seed):
-    """Waves that run through the structure turn the phases of all channels, those of two near each other alike."""
+    """Waves that run through the structure turn the phases of all channels, those of two near each
+    other alike.
+    """
     y, rng = motion().copy(), np.random.default_rng(seed)
     quarter = np.imag(hilbert(y - y.mean(axis=1, keepdims=True), axis=1))
     y += 0.2 * rng.standard_normal((7, 7)) @ quarter / np.sqrt(7)
@@ -123,7 +129,9 @@ def test_waves_that_push_all_modes_turn_no_channel(seed):
     """Below the modes all of them answer one force, each with a lag of its own."""
     rng = np.random.default_rng(seed)
     n = motion().shape[1]
-    wave = sosfilt(butter(2, [0.8, 1.6], btype="band", fs=RATE, output="sos"), rng.standard_normal(n))
+    wave = sosfilt(
+        butter(2, [0.8, 1.6], btype="band", fs=RATE, output="sos"), rng.standard_normal(n)
+    )
     lagged = np.stack([np.roll(wave, k) for k in range(0, 15, 3)])
     y = motion() + 2 * motion().std() / wave.std() * (PHI @ (rng.standard_normal((5, 1)) * lagged))
     assert not channel_phases(record(y), [2] * 7).odd.any()
@@ -135,14 +143,19 @@ def test_channels_are_moved_between_their_samples():
     def wave(t: np.ndarray) -> np.ndarray:
         return np.sin(2 * np.pi * 3.1 * t) + np.cos(2 * np.pi * 27 * t)
 
-    y = in_step(record(np.array([wave(t), wave(t - 0.2137), wave(t + 0.0531)])), np.array([0, 0.2137, -0.0531])).data
+    y = in_step(
+        record(np.array([wave(t), wave(t - 0.2137), wave(t + 0.0531)])),
+        np.array([0, 0.2137, -0.0531]),
+    ).data
     assert y[1:] == pytest.approx(y[[0, 0]], abs=2e-4)
 
 
 def test_modes_of_two_clocks_that_run_apart_are_those_of_one():
     y = motion().copy()
     n = y.shape[1]
-    y[4:] = at_positions(y[4:], np.arange(n) + 1e-4 * np.arange(n)[::-1])  # over half a turn of the highest mode
+    y[4:] = at_positions(
+        y[4:], np.arange(n) + 1e-4 * np.arange(n)[::-1]
+    )  # over half a turn of the highest mode
     one, two = identify_ambient(record(motion())), identify_ambient(record(y))
     assert len(two.modes) == 5, two.notes
     assert two.modes.frequencies == pytest.approx(one.modes.frequencies, rel=5e-4)

@@ -1,4 +1,6 @@
-"""Shaker FRFs: a static 3 x 2 gain with a one-sample delay, known noise; passivity and reciprocity of a modal model."""
+"""Shaker FRFs: a static 3 x 2 gain with a one-sample delay, known noise; passivity and reciprocity
+of a modal model.
+"""
 
 from __future__ import annotations
 
@@ -63,7 +65,9 @@ def test_one_shaker(estimator: str) -> None:
 def test_hv_has_less_bias_with_noise_on_the_forces() -> None:
     clean = record(2, noise=0.0)
     rng = np.random.default_rng(3)
-    loud = np.array(clean.data) + 0.3 * clean.data.std(axis=1, keepdims=True) * rng.standard_normal(clean.data.shape)
+    loud = np.array(clean.data) + 0.3 * clean.data.std(axis=1, keepdims=True) * rng.standard_normal(
+        clean.data.shape
+    )
     noisy = replace(clean, data=loud)
     off = {}
     for estimator in ("H1", "Hv"):
@@ -112,7 +116,9 @@ def modal(decay: float = 0.0) -> FrfSet:
     data = np.einsum("fm,om,im->foi", terms, phi, phi[:2])
     out = tuple(Channel(f"{k}+Z", "acceleration", "m/s^2") for k in (1, 2, 3))
     inputs = tuple(Channel(f"{k}+Z", "force", "N") for k in (1, 2))
-    return FrfSet(data, f, out, inputs, np.full(data.shape, np.nan), np.full(2, np.nan), "accelerance", decay)
+    return FrfSet(
+        data, f, out, inputs, np.full(data.shape, np.nan), np.full(2, np.nan), "accelerance", decay
+    )
 
 
 @pytest.mark.parametrize("decay", [0.0, 0.8])
@@ -122,7 +128,9 @@ def test_driving_points_and_reciprocity(decay: float) -> None:
     assert check_driving_points(frfs)[0].passive == pytest.approx(1.0, abs=1e-9)
     (pair,) = check_reciprocity(frfs)
     assert (pair.correlation, pair.gain) == (pytest.approx(1.0), pytest.approx(1.0))
-    turned = replace(frfs, data=frfs.data * np.array([1.0, -2.0, 1.0])[:, None])  # output 2 turned and mis-scaled
+    turned = replace(
+        frfs, data=frfs.data * np.array([1.0, -2.0, 1.0])[:, None]
+    )  # output 2 turned and mis-scaled
     assert [p.verdict for p in check_driving_points(turned)] == ["ok", "flipped"]
     assert check_reciprocity(turned)[0].gain == pytest.approx(-0.5)
     wrong = replace(frfs, data=frfs.data[:, [2, 1, 0]])  # outputs 1 and 3 swapped

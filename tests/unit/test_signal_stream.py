@@ -1,4 +1,6 @@
-"""Filters from block to block give what the whole record gives; sensors are taken out within a band."""
+"""Filters from block to block give what the whole record gives; sensors are taken out within a
+band.
+"""
 
 from __future__ import annotations
 
@@ -25,17 +27,25 @@ def record(n: int = 5000) -> TimeHistory:
 
 def cut(history: TimeHistory, sizes: list[int]) -> list[TimeHistory]:
     ends = np.cumsum([0, *sizes, history.data.shape[1]]).clip(max=history.data.shape[1])
-    return [TimeHistory(history.data[:, a:b], RATE, history.channels) for a, b in pairwise(ends.tolist()) if b > a]
+    return [
+        TimeHistory(history.data[:, a:b], RATE, history.channels)
+        for a, b in pairwise(ends.tolist())
+        if b > a
+    ]
 
 
-@pytest.mark.parametrize("fir", [decimator(5), high_passer(4.0, RATE)], ids=["decimate", "high-pass"])
+@pytest.mark.parametrize(
+    "fir", [decimator(5), high_passer(4.0, RATE)], ids=["decimate", "high-pass"]
+)
 @pytest.mark.parametrize("sizes", [[5000], [1, 2, 3, 700, 33], [999] * 5])
 def test_blocks_give_what_the_whole_gives(fir: object, sizes: list[int]) -> None:
     whole = record()
     parts = list(filtered(cut(whole, sizes), fir))  # type: ignore[arg-type]
     got = np.hstack([p.data for p in parts])
     taps, factor = fir.taps, fir.factor  # type: ignore[attr-defined]
-    want = np.stack([np.convolve(x, taps)[taps.size // 2 :][: x.size][::factor] for x in whole.data])
+    want = np.stack(
+        [np.convolve(x, taps)[taps.size // 2 :][: x.size][::factor] for x in whole.data]
+    )
     np.testing.assert_allclose(got, want, atol=1e-12)
     assert parts[0].rate == RATE / factor
 
@@ -74,7 +84,11 @@ def band_noise(n: int, low: float, high: float) -> np.ndarray:
     rng = np.random.default_rng(5)
     f = np.fft.rfftfreq(n, 1 / RATE)
     return np.fft.irfft(
-        np.where((f > low) & (f < high), rng.standard_normal(f.size) + 1j * rng.standard_normal(f.size), 0)
+        np.where(
+            (f > low) & (f < high),
+            rng.standard_normal(f.size) + 1j * rng.standard_normal(f.size),
+            0,
+        )
     )
 
 
@@ -82,7 +96,10 @@ SENSORS = {
     "accelerometer": Accelerometer(0.2, 300.0, 0.05, 0.1),
     "geophone": Geophone(4.5, 0.56, 28.0),
     "sheet": Calibration(
-        np.array([0.5, 5.0, 90.0]), np.array([0.5, 1.0, 1.2]), np.array([40.0, 5.0, -20.0]), "velocity"
+        np.array([0.5, 5.0, 90.0]),
+        np.array([0.5, 1.0, 1.2]),
+        np.array([40.0, 5.0, -20.0]),
+        "velocity",
     ),
 }
 

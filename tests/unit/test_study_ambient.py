@@ -64,7 +64,12 @@ def test_what_does_not_go_on_stays_apart(tmp_path: Path) -> None:
     for k, name in enumerate(names):
         np.save(tmp_path / f"{name}.npy", motion(k, 500 if name != "a2" else 200))
     files: list[dict[str, object]] = [{"file": f"{n}.npy"} for n in names]
-    assert [r.name for r in identified(tmp_path, files)[1]] == ["a1", "a2", "b4", "a5"]  # too short; another name
+    assert [r.name for r in identified(tmp_path, files)[1]] == [
+        "a1",
+        "a2",
+        "b4",
+        "a5",
+    ]  # too short; another name
     by_hand = Choice(rejects=(Reject(2.2, "a pump", "a3"),))
     found, _ = identified(tmp_path, [files[0], files[2], files[4]], by_hand)
     assert [len(r.modes) for r in found] == [3, 2]  # a choice of its own; a5 goes on with it

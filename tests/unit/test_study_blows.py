@@ -1,4 +1,6 @@
-"""Records of hammers and shakers as a laboratory hands them over, the blows of a point in one universal file."""
+"""Records of hammers and shakers as a laboratory hands them over, the blows of a point in one
+universal file.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ STUDY = small_study.TEST + "[identify]\nhammer_fmin = 1.0\nhammer_fmax = 20.0\n"
 
 
 def in_universal_files(folder: Path) -> None:
-    """Each blow an acquisition of its own; the hammer's name tells no point, the log does, and nothing of blocks."""
+    """Each blow an acquisition of its own; the hammer's name tells no point, the log does, and
+    nothing of blocks.
+    """
     log = json.loads((folder / "campaign.json").read_text())
     (test,) = log["tests"]
     for record in test["records"]:
@@ -31,7 +35,9 @@ def in_universal_files(folder: Path) -> None:
         for k in range(small_study.HITS):
             data = blows.data[:, k * small_study.BLOCK : (k + 1) * small_study.BLOCK]
             one = folder / "one.uff"
-            write_history(one, replace(blows, data=data, channels=(replace(force, id="hammer"), *motions)))
+            write_history(
+                one, replace(blows, data=data, channels=(replace(force, id="hammer"), *motions))
+            )
             parts.append(one.read_bytes())
         record["file"] = str(Path(record["file"]).with_suffix(".uff"))
         del record["setup"]
@@ -45,7 +51,9 @@ def identified(study: Path) -> IdentifyStage:
 
 
 def in_volts(folder: Path) -> None:
-    """Tables of volts without units; the sensitivities, unlike for each channel, stand on the sheet alone."""
+    """Tables of volts without units; the sensitivities, unlike for each channel, stand on the sheet
+    alone.
+    """
     log = json.loads((folder / "campaign.json").read_text())
     rows = [line.split(",") for line in (folder / "sensors.csv").read_text().splitlines()]
     at = {name: rows[0].index(name) for name in ("channel", "quantity", "unit", "sensitivity")}
@@ -59,8 +67,14 @@ def in_volts(folder: Path) -> None:
     for row in rows[1:]:
         row[at["unit"]], row[at["sensitivity"]] = "g", str(gain[row[at["channel"]]] * 9.80665)
     for r in small_study.REFERENCES:
-        row = dict.fromkeys(rows[0], "") | {"point": r[:-2], "direction": r[-2:], "channel": f"F:{r}"}
-        rows.append(list((row | {"quantity": "force", "unit": "N", "sensitivity": "0.002"}).values()))
+        row = dict.fromkeys(rows[0], "") | {
+            "point": r[:-2],
+            "direction": r[-2:],
+            "channel": f"F:{r}",
+        }
+        rows.append(
+            list((row | {"quantity": "force", "unit": "N", "sensitivity": "0.002"}).values())
+        )
     (folder / "sensors.csv").write_text("\n".join(",".join(r) for r in rows))
     (folder / "campaign.json").write_text(json.dumps(log))
 
@@ -73,7 +87,9 @@ def test_the_sheet_scales_records_in_volts(tmp_path: Path) -> None:
     assert found.frfs is not None
     assert given.frfs is not None
     assert found.test.channels == given.test.channels
-    np.testing.assert_allclose(found.frfs.data, given.frfs.data, rtol=1e-3, atol=1e-5 * np.abs(given.frfs.data).max())
+    np.testing.assert_allclose(
+        found.frfs.data, given.frfs.data, rtol=1e-3, atol=1e-5 * np.abs(given.frfs.data).max()
+    )
     assert "without a unit taken as the sensor sheet says" in " ".join(found.records[0].notes)
 
 
@@ -88,7 +104,9 @@ def test_acquisitions_of_one_blow_each_are_read(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.hammer.frequencies, blocks.hammer.frequencies, rtol=1e-3)
     told = f"{small_study.HITS} of {small_study.HITS} hits kept"
     assert all(told in r.notes for r in found.records)
-    assert found.records[0].duration == pytest.approx(small_study.HITS * small_study.BLOCK / small_study.RATE)
+    assert found.records[0].duration == pytest.approx(
+        small_study.HITS * small_study.BLOCK / small_study.RATE
+    )
 
 
 def test_records_of_a_few_seconds_are_shown(tmp_path: Path) -> None:
@@ -145,7 +163,9 @@ def without_names(study: Path, names: Callable[[list[str]], list[str]]) -> list[
     """The ambient record as `.npy`, which has neither names nor rate; the log tells them."""
     folder = study.parent / "data"
     record = read_record(folder / "ambient.h5")
-    np.save(folder / "ambient.npy", np.vstack([record.data, np.zeros((1, record.data.shape[1]))]).T)  # one is not used
+    np.save(
+        folder / "ambient.npy", np.vstack([record.data, np.zeros((1, record.data.shape[1]))]).T
+    )  # one is not used
     log = json.loads((folder / "campaign.json").read_text())
     (entry,) = log["tests"][0]["records"]
     ids = [c.id for c in record.channels]
@@ -160,7 +180,9 @@ def test_the_log_names_the_channels_of_files_without_names(tmp_path: Path) -> No
     ids = without_names(study, lambda names: names)
     found = identified(study).ambient
     assert list(found.channels) == ids
-    np.testing.assert_allclose(found.frequencies, told.frequencies, rtol=2e-3)  # the unit is not known: other weights
+    np.testing.assert_allclose(
+        found.frequencies, told.frequencies, rtol=2e-3
+    )  # the unit is not known: other weights
 
 
 def test_a_file_without_names_has_those_of_the_sheet(tmp_path: Path) -> None:
@@ -182,7 +204,9 @@ def test_a_file_without_names_has_those_of_the_sheet(tmp_path: Path) -> None:
         (lambda names: [names[1], *names[1:]], r"`channels` names 101\+Y twice"),
     ],
 )
-def test_wrong_names_in_the_log_are_refused(tmp_path: Path, names: Callable[[list[str]], list[str]], told: str) -> None:
+def test_wrong_names_in_the_log_are_refused(
+    tmp_path: Path, names: Callable[[list[str]], list[str]], told: str
+) -> None:
     study = small_study.write_study(tmp_path, STUDY, hammer=False)
     without_names(study, names)
     with pytest.raises(DataError, match=told):

@@ -1,13 +1,15 @@
-"""Names of channels: on a sensor sheet alone where there is one, whatever their sign, and never nodes of the deck.
+"""Names of channels: on a sensor sheet alone where there is one, whatever their sign, and never
+nodes of the deck.
 
-A column of 4 m, clamped below, with a mass at its head. Its nodes count from below, the points of the sheet from above:
+A column of 4 m, clamped below, with a mass at its head. Its nodes count from below, the points of
+the sheet from above:
 
     z, m     4     3.5   3     2.5   2     1.5   1     0.5   0
     node     9     8     7     6     5     4     3     2     1 (clamped)
     point    1           2           3           4
 
-Point 4 is read at node 3; node 4 is another place. Moduli and densities of the truth are 20 % above the deck's, so that
-its frequencies are those of the deck: FRFs alone tell the factors.
+Point 4 is read at node 3; node 4 is another place. Moduli and densities of the truth are 20 % above
+the deck's, so that its frequencies are those of the deck: FRFs alone tell the factors.
 """
 
 from __future__ import annotations
@@ -76,7 +78,9 @@ def deck(factor: float = 1.0) -> str:
 
 
 def truth(folder: Path, channels: list[str]) -> ModeSet:
-    """The bending modes of the truth at channels, each the sign times the translation of the node of its point."""
+    """The bending modes of the truth at channels, each the sign times the translation of the node
+    of its point.
+    """
     (folder / "truth.bdf").write_text(deck(TRUTH))
     with EmbeddedSolver().open(read_deck(folder / "truth.bdf")) as analysis:
         modes = analysis.modes(ModesRequest(40)).modes
@@ -85,8 +89,13 @@ def truth(folder: Path, channels: list[str]) -> ModeSet:
     (folder / "truth.bdf").unlink()
     rows = [NODE[int(c[0])] for c in channels]
     sign = np.array([-1.0 if c[1] == "-" else 1.0 for c in channels])
-    shapes = modes.rows([f"{n}+{c[2]}" for n, c in zip(rows, channels, strict=True)]).shapes * sign[:, None]
-    return ModeSet(modes.frequencies, np.full(len(modes), DAMPING), shapes, tuple(channels), modes.norm)
+    shapes = (
+        modes.rows([f"{n}+{c[2]}" for n, c in zip(rows, channels, strict=True)]).shapes
+        * sign[:, None]
+    )
+    return ModeSet(
+        modes.frequencies, np.full(len(modes), DAMPING), shapes, tuple(channels), modes.norm
+    )
 
 
 def frfs(modes: ModeSet, outputs: list[str], inputs: list[str]) -> FrfSet:
@@ -118,7 +127,9 @@ def study(folder: Path, residual: str = FRFS, test: str = MODES) -> Path:
 
 def updated(folder: Path, capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, object]:
     capsys.readouterr()
-    status = run(["update", str(folder / "study.toml"), str(folder / "modes.json"), "--json", "-", *words])
+    status = run(
+        ["update", str(folder / "study.toml"), str(folder / "modes.json"), "--json", "-", *words]
+    )
     out, err = capsys.readouterr()
     assert status == 0, err
     found: dict[str, object] = json.loads(out)
@@ -129,7 +140,9 @@ def factors(found: dict[str, object]) -> list[float]:
     return [p["factor"] for p in found["parameters"]]  # type: ignore[index, attr-defined]
 
 
-def test_frfs_of_a_sensor_read_the_other_way_find_the_mass(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_frfs_of_a_sensor_read_the_other_way_find_the_mass(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     study(folder)
     found = updated(folder, capsys)
     np.testing.assert_allclose(factors(found), TRUTH, rtol=2e-3)  # the prior pulls
@@ -191,54 +204,100 @@ def test_a_channel_that_the_sheet_does_not_have_is_refused_by_name(
     assert str(refused.value).startswith(told)
 
 
-def test_static_tests_and_zeros_are_read_at_the_sheet(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The deflection of 4-X under a load along 1-X is that of a cantilever, F z² (3 L − z) / 6 E I."""
+def test_static_tests_and_zeros_are_read_at_the_sheet(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The deflection of 4-X under a load along 1-X is that of a cantilever, F z² (3 L − z) / 6 E
+    I.
+    """
     stiffness, load = 2e11 * TRUTH * 3e-6, 1000.0
     moved = load * 1.0**2 * (3 * 4.0 - 1.0) / (6 * stiffness)
     with (folder / "pull.csv").open("w", newline="") as file:
         writer = csv.writer(file)
-        writer.writerows([("case", "channel", "load", "deflection"), ("a", "1-X", load, ""), ("a", "4-X", "", moved)])
+        writer.writerows(
+            [
+                ("case", "channel", "load", "deflection"),
+                ("a", "1-X", load, ""),
+                ("a", "4-X", "", moved),
+            ]
+        )
     study(folder, 'kind = "static"\nfile = "pull.csv"\nerror = 0.001\n')
     assert factors(updated(folder, capsys))[0] == pytest.approx(TRUTH, rel=5e-3)
 
 
-def test_correlate_shows_the_nodes_and_reads_turned_channels(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_correlate_shows_the_nodes_and_reads_turned_channels(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     words = ["correlate", str(folder / "modes.json"), str(folder / "column.bdf")]
-    assert run([*words, "--sensors", str(folder / "sensors.csv"), "--json", str(folder / "c.json")]) == 0
+    assert (
+        run([*words, "--sensors", str(folder / "sensors.csv"), "--json", str(folder / "c.json")])
+        == 0
+    )
     out = capsys.readouterr().out
     found = json.loads((folder / "c.json").read_text())
     assert min(p["mac_percent"] for p in found["pairs"]) > 99.9
     assert {s["point"]: s["nodes"] for s in found["sensors"]} == {p: [n] for p, n in NODE.items()}
-    assert "1 of 4 points are read at the node of their number; point -> node: 1 -> 9, 2 -> 7, 4 -> 3" not in out
-    assert "0 of 4 points are read at the node of their number; point -> node: 1 -> 9, 2 -> 7, 3 -> 5, 4 -> 3" in out
+    assert (
+        "1 of 4 points are read at the node of their number; point -> node: 1 -> 9, 2 -> 7, 4 -> 3"
+        not in out
+    )
+    assert (
+        "0 of 4 points are read at the node of their number; point -> node: 1 -> 9, 2 -> 7, 3 -> "
+        "5, 4 -> 3" in out
+    )
     assert "2-X is 2+X turned" in out
-    assert run(["localise", str(folder / "column.bdf"), words[1], "--sensors", str(folder / "sensors.csv")]) == 0
+    assert (
+        run(
+            [
+                "localise",
+                str(folder / "column.bdf"),
+                words[1],
+                "--sensors",
+                str(folder / "sensors.csv"),
+            ]
+        )
+        == 0
+    )
     assert "4 -> 3" in capsys.readouterr().out
 
 
 def test_two_sets_of_modes_are_compared_at_sensors_whatever_their_signs(folder: Path) -> None:
     other = truth(folder, ["1-X", "2-X", "3-X", "4+X", "1+Y", "2-Y", "3+Y", "4+Y"])
     write_modes(folder / "other.json", other.band(0.0, 400.0))
-    words = ["correlate", str(folder / "modes.json"), str(folder / "other.json"), "--json", str(folder / "c.json")]
+    words = [
+        "correlate",
+        str(folder / "modes.json"),
+        str(folder / "other.json"),
+        "--json",
+        str(folder / "c.json"),
+    ]
     assert run(words) == 0
-    assert min(p["mac_percent"] for p in json.loads((folder / "c.json").read_text())["pairs"]) > 99.999
+    assert (
+        min(p["mac_percent"] for p in json.loads((folder / "c.json").read_text())["pairs"]) > 99.999
+    )
 
 
 def test_records_take_the_names_and_signs_of_the_sheet(folder: Path) -> None:
     sheet = read_sensor_sheet(folder / "sensors.csv")
     data = np.arange(6.0).reshape(2, 3)
-    record = TimeHistory(data, 10.0, (Channel("4-X", "acceleration", "m/s^2"), Channel("1+X", "velocity", "m/s")))
+    record = TimeHistory(
+        data, 10.0, (Channel("4-X", "acceleration", "m/s^2"), Channel("1+X", "velocity", "m/s"))
+    )
     found, notes = sheet.scaled(record)
     assert [c.id for c in found.channels] == ["4+X", "1+X"]
     np.testing.assert_array_equal(found.data, data * [[-1.0], [1.0]])
     assert notes == ("channel names on the sensor sheet: 4-X is 4+X turned",)
     both = replace(record, channels=(Channel("4-X"), Channel("4+X")))
-    with pytest.raises(DataError, match=r"channels 4-X and 4[+]X are the same sensor of the sheet, 4[+]X"):
+    with pytest.raises(
+        DataError, match=r"channels 4-X and 4[+]X are the same sensor of the sheet, 4[+]X"
+    ):
         sheet.scaled(both)
 
 
 def test_frfs_take_the_names_and_signs_of_the_sheet(folder: Path) -> None:
-    """An impact against the direction of a sensor is at its driving point; what is not on the sheet keeps its name."""
+    """An impact against the direction of a sensor is at its driving point; what is not on the sheet
+    keeps its name.
+    """
     sheet = read_sensor_sheet(folder / "sensors.csv").model
     there = truth(folder, ["1+X", "4-X"])
     found, notes = frfs_by_sheet(frfs(there, ["1+X", "4-X"], ["1+X", "4-X"]), sheet)
@@ -250,9 +309,15 @@ def test_frfs_take_the_names_and_signs_of_the_sheet(folder: Path) -> None:
     assert frfs_by_sheet(other, sheet) == (other, ())
 
 
-def test_an_excitation_point_of_the_sheet_is_found_and_a_name_against_its_direction_is_not(folder: Path) -> None:
+def test_an_excitation_point_of_the_sheet_is_found_and_a_name_against_its_direction_is_not(
+    folder: Path,
+) -> None:
     (folder / "sensors.csv").write_text(SHEET + FORCE + "7,0,0,1,-X,\n")
-    text = (folder / "sensors.csv").read_text().replace("direction,quantity", "direction,quantity,channel")
+    text = (
+        (folder / "sensors.csv")
+        .read_text()
+        .replace("direction,quantity", "direction,quantity,channel")
+    )
     rows = [line + ("," if k < 9 else ",7+X") for k, line in enumerate(text.splitlines()[1:])]
     (folder / "sensors.csv").write_text("\n".join([text.splitlines()[0], *rows]) + "\n")
     sheet = read_sensor_sheet(folder / "sensors.csv").model
@@ -261,12 +326,16 @@ def test_an_excitation_point_of_the_sheet_is_found_and_a_name_against_its_direct
     np.testing.assert_array_equal(force.axes, [[0.0, 0.0, 1.0]])
     assert force.at.tolist() == [3]
     np.testing.assert_array_equal(sheet.pick(["7+X"]).axes, [[-1.0, 0.0, 0.0]])  # as the sheet says
-    with pytest.raises(DataError, match=r"channel 7-X is not on the sensor sheet.* 7\+X is against its name"):
+    with pytest.raises(
+        DataError, match=r"channel 7-X is not on the sensor sheet.* 7\+X is against its name"
+    ):
         sheet.pick(["7-X"])
 
 
 def test_names_are_matched_whatever_their_form() -> None:
-    index, sign = match_channels(["4X", "4:-X", "4-x", "12-RZ", "ch1", "5+X"], ["ch1", "12+RZ", "4+X"])
+    index, sign = match_channels(
+        ["4X", "4:-X", "4-x", "12-RZ", "ch1", "5+X"], ["ch1", "12+RZ", "4+X"]
+    )
     assert index.tolist() == [2, 2, 2, 1, 0, -1]
     assert sign.tolist() == [1.0, -1.0, -1.0, -1.0, 1.0, 1.0]
 
@@ -277,13 +346,18 @@ def test_frfs_that_are_nowhere_are_asked_for(folder: Path) -> None:
         run_study(path, until="update")
 
 
-TURNED = SHEET.replace(",X,", ",Q,").replace(",Y,", ",Z,").replace(",Q,", ",Y,")  # X is called Y, and Y Z
+TURNED = (
+    SHEET.replace(",X,", ",Q,").replace(",Y,", ",Z,").replace(",Q,", ",Y,")
+)  # X is called Y, and Y Z
 
 
 def named_as(sheet: str, channels: list[str]) -> str:
     """The sheet with these names in its column `channel`."""
     head, *rows = sheet.splitlines()
-    return "\n".join([f"{head},channel", *(f"{r},{c}" for r, c in zip(rows, channels, strict=True))]) + "\n"
+    return (
+        "\n".join([f"{head},channel", *(f"{r},{c}" for r, c in zip(rows, channels, strict=True))])
+        + "\n"
+    )
 
 
 @pytest.mark.parametrize("sheet", ["given", "none"])
@@ -300,7 +374,9 @@ def test_correlate_tries_turned_axes_before_it_advises(
     else:
         names = tuple(f"{NODE[int(c[0])]}{c[1]}{'YZ'['XY'.index(c[2])]}" for c in channels)
         write_modes(folder / "modes.json", replace(modes, labels=names))
-    status = run(["correlate", str(folder / "modes.json"), str(folder / "column.bdf"), *words, "--json", "-"])
+    status = run(
+        ["correlate", str(folder / "modes.json"), str(folder / "column.bdf"), *words, "--json", "-"]
+    )
     found = json.loads(capsys.readouterr().out)
     (mending,) = found["mendings"]
     assert mending["axes"] == {"Y": "X", "Z": "Y"}
@@ -327,8 +403,12 @@ def test_a_study_tries_turned_axes_and_shows_them(folder: Path) -> None:
     assert "if the sensors along Y read X, Z read Y" in text
 
 
-def test_two_tests_of_which_one_has_reversed_an_axis(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Modes that move along both axes, as those of a bent structure: without these the sign of an axis says nothing."""
+def test_two_tests_of_which_one_has_reversed_an_axis(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Modes that move along both axes, as those of a bent structure: without these the sign of an
+    axis says nothing.
+    """
     channels = [f"{p}+{axis}" for p in NODE for axis in "XY"]
     low = truth(folder, channels).band(0.0, 400.0)
     rotation = np.linalg.qr(np.random.default_rng(3).standard_normal((len(low), len(low))))[0]

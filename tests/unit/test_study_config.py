@@ -18,7 +18,8 @@ MODEL = '[model]\ndeck = "a.bdf"\n'
     [
         (
             MODEL + "fmx = 3.0\n",
-            "unknown key 'model.fmx'; did you mean 'fmax'? Allowed: deck, fmax, refine, regions, solver, units",
+            "unknown key 'model.fmx'; did you mean 'fmax'? Allowed: deck, fmax, refine, regions, "
+            "solver, units",
         ),
         (MODEL + "[modl]\n", "unknown key 'modl'; did you mean 'model'?"),
         (
@@ -29,16 +30,29 @@ MODEL = '[model]\ndeck = "a.bdf"\n'
         (MODEL + "fmax = -1.0\n", "model.fmax: Input should be greater than 0 (got -1.0)"),
         (
             MODEL + 'units = "inch"\n',
-            "model.units: Input should be 'SI', 'mm-t-s', 'mm-kg-s', 'mm-kg-ms', 'in-lbf-s' or 'ft-lbf-s' (got 'inch')",
+            "model.units: Input should be 'SI', 'mm-t-s', 'mm-kg-s', 'mm-kg-ms', 'in-lbf-s' or "
+            "'ft-lbf-s' (got 'inch')",
         ),
-        (MODEL + '[plan]\nsensors = "45"\n', "plan.sensors: Input should be a valid integer (got '45')"),
-        (MODEL + "[identify]\nhammer_fmin = 9.0\nhammer_fmax = 3.0\n", "identify: hammer_fmin 9.0 and hammer_fmax 3.0"),
+        (
+            MODEL + '[plan]\nsensors = "45"\n',
+            "plan.sensors: Input should be a valid integer (got '45')",
+        ),
+        (
+            MODEL + "[identify]\nhammer_fmin = 9.0\nhammer_fmax = 3.0\n",
+            "identify: hammer_fmin 9.0 and hammer_fmax 3.0",
+        ),
         (MODEL + '[[candidate]]\nname = "a"\ntargets = ["MAT1 E"]\n', "'MAT1 E' is not a target"),
         (MODEL + '[[candidate]]\nname = "a"\ntargets = []\n', "at least one target"),
-        (MODEL + '[[candidate]]\nname = "a"\ntargets = ["MAT1 1 E"]\nlower = 2.0\n', "bounds 2.0, 5.0 must enclose 1"),
+        (
+            MODEL + '[[candidate]]\nname = "a"\ntargets = ["MAT1 1 E"]\nlower = 2.0\n',
+            "bounds 2.0, 5.0 must enclose 1",
+        ),
         (MODEL + 2 * '[[candidate]]\nname = "a"\ntargets = ["MAT1 1 E"]\n', "twice: a"),
         ("[model]\n", "model.deck: Field required"),
-        (MODEL + "[[damping]]\nerror = 0.1\n", "damping: one section, not a list of them (in TOML [damping], not"),
+        (
+            MODEL + "[[damping]]\nerror = 0.1\n",
+            "damping: one section, not a list of them (in TOML [damping], not",
+        ),
         (
             MODEL + '[candidate]\nname = "a"\n',
             "candidate: a list of sections, not one (in TOML [[candidate]], not [cand",
@@ -50,7 +64,8 @@ MODEL = '[model]\ndeck = "a.bdf"\n'
         ),
         (
             MODEL + '[update]\nsearch = "global"\nstarts = 8\n',
-            "update: search and starts: an updating begins in one way: starts = N, stages, or search",
+            "update: search and starts: an updating begins in one way: starts = N, stages, or "
+            "search",
         ),
         (
             MODEL + '[update]\nstages = [["a"]]\nstarts = 8\n',
@@ -93,7 +108,10 @@ def test_stages_and_constraints_name_candidates_also_those_that_are_made_from_th
     parse_config(MODEL + stages, HERE).check_names(made)
     for text, where in (
         (stages.replace("MAT1 1 E", "MAT1 1"), "update.stages: no candidate 'MAT1 1'"),
-        ('[[constraint]]\nterms = { "PSHELL 3" = 1.0 }\n', "[[constraint]]: no candidate 'PSHELL 3'"),
+        (
+            '[[constraint]]\nterms = { "PSHELL 3" = 1.0 }\n',
+            "[[constraint]]: no candidate 'PSHELL 3'",
+        ),
     ):
         config = parse_config(MODEL + text, HERE)
         with pytest.raises(ConfigError, match="did you mean") as e:
@@ -105,9 +123,13 @@ def test_stages_and_constraints_name_candidates_also_those_that_are_made_from_th
 
 def test_a_set_begins_where_it_says_not_where_the_study_does() -> None:
     text = (
-        MODEL + '[update]\nsearch = "global"\nshape_weight = 0.5\n[[candidate]]\nname = "a"\ntargets = ["MAT1 1 E"]\n'
+        MODEL
+        + '[update]\nsearch = "global"\nshape_weight = 0.5\n[[candidate]]\nname = "a"\ntargets = '
+        '["MAT1 1 E"]\n'
     )
-    config = parse_config(text + '[[set]]\nname = "s"\nstarts = 3\n[[set]]\nname = "t"\nloss = "huber"\n', HERE)
+    config = parse_config(
+        text + '[[set]]\nname = "s"\nstarts = 3\n[[set]]\nname = "t"\nloss = "huber"\n', HERE
+    )
     first, second = (s.settings(config.update) for s in config.set)
     assert (first.search, first.starts, first.shape_weight) == ("starts", 3, 0.5)
     assert (second.search, second.loss) == ("global", "huber")

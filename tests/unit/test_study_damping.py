@@ -1,4 +1,6 @@
-"""The damping stage: a study whose truth has one damping ratio in all modes, which is one loss factor everywhere."""
+"""The damping stage: a study whose truth has one damping ratio in all modes, which is one loss
+factor everywhere.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,9 @@ def test_the_loss_factor_of_every_region_is_that_of_the_modes(done: StudyRun) ->
     for found, std in zip(d.regions.coefficients, d.regions.std, strict=True):
         assert abs(found - LOSS) < 3 * std
     columns = d.regions.coefficients[1]
-    assert columns == pytest.approx(LOSS, rel=0.1)  # they hold the strain of the sway modes; 400 s of signals
+    assert columns == pytest.approx(
+        LOSS, rel=0.1
+    )  # they hold the strain of the sway modes; 400 s of signals
     assert d.modes.spread(True)[1] < 0.1
 
 
@@ -54,14 +58,18 @@ def test_modes_left_out_are_predicted(done: StudyRun) -> None:
 
 
 def test_the_frfs_around_the_resonances_fit(done: StudyRun) -> None:
-    """The model is right in shape here, and one ratio for all modes is right too: both fit to some per cent."""
+    """The model is right in shape here, and one ratio for all modes is right too: both fit to some
+    per cent.
+    """
     modes = done.results["damping"].modes
     assert np.isfinite(modes.frf_after).all()
     assert np.median(modes.frf_after) < 0.15
     assert np.median(modes.frf_before) < 0.15
 
 
-def test_the_damped_deck_holds_the_loss_factors_and_is_else_the_delivered_one(done: StudyRun) -> None:
+def test_the_damped_deck_holds_the_loss_factors_and_is_else_the_delivered_one(
+    done: StudyRun,
+) -> None:
     d = done.results["damping"]
     old, new = (read_deck(done.folder / f / "frame.bdf") for f in ("updated", "damped"))
     at = new["MAT1"].find(np.array([10, 1, 2, 3]))
@@ -74,7 +82,9 @@ def test_the_damped_deck_holds_the_loss_factors_and_is_else_the_delivered_one(do
 
 
 def test_the_report_shows_it(done: StudyRun, tmp_path: Path) -> None:
-    page = build({"damping": done.results["damping"]}, tmp_path / "r.html", title="Damping").read_text()
+    page = build(
+        {"damping": done.results["damping"]}, tmp_path / "r.html", title="Damping"
+    ).read_text()
     assert '<section id="damping">' in page
     assert "MAT1 10 GE" in page
     assert "left out" in page
@@ -92,12 +102,18 @@ def test_it_is_up_to_date_until_its_settings_change(done: StudyRun) -> None:
 
 def test_a_mistake_in_a_region_is_told() -> None:
     text = '[model]\ndeck = "a.bdf"\n[[damping.region]]\nname = "a"\ntargets = ["MAT1 1 E"]\n'
-    with pytest.raises(ConfigError, match=r"damping\.region\.0.*MAT1 1 E; allowed are loss factors"):
+    with pytest.raises(
+        ConfigError, match=r"damping\.region\.0.*MAT1 1 E; allowed are loss factors"
+    ):
         parse_config(text, Path("study.toml"))
 
 
-def test_slow_modes_that_the_test_tells_take_part(done: StudyRun, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A structure on bungees has modes as slow, to the highest one, as rigid-body motions are by rounding."""
+def test_slow_modes_that_the_test_tells_take_part(
+    done: StudyRun, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A structure on bungees has modes as slow, to the highest one, as rigid-body motions are by
+    rounding.
+    """
     want = done.results["damping"]
     monkeypatch.setattr(damping, "elastic", lambda f: f > 0.5 * f.max())
     found = damping.run(done.desk, quiet)

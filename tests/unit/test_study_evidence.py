@@ -1,4 +1,6 @@
-"""What a correlation rests on, the user's limits and the exit status, on the small study of `small_study`."""
+"""What a correlation rests on, the user's limits and the exit status, on the small study of
+`small_study`.
+"""
 
 from __future__ import annotations
 
@@ -46,16 +48,31 @@ def final(run: StudyRun) -> Evidence:
     return found
 
 
-def test_the_right_model_passes_the_gates_of_the_trade_and_the_wrong_one_does_not(done: StudyRun) -> None:
-    """Two thirds of the mass are at measured floors, so the static model with inertia keeps the nine modes apart."""
+def test_the_right_model_passes_the_gates_of_the_trade_and_the_wrong_one_does_not(
+    done: StudyRun,
+) -> None:
+    """Two thirds of the mass are at measured floors, so the static model with inertia keeps the
+    nine modes apart.
+    """
     kinds = [(c.mass, c.kind) for c in final(done).measures.checks]
-    assert kinds == [(mass, kind) for mass in ("IRS", "SEREP") for kind in ("model", "self", "cross")]
-    assert all(c.verdict.passed for c in final(done).measures.checks if (c.mass, c.kind) != ("SEREP", "model"))
+    assert kinds == [
+        (mass, kind) for mass in ("IRS", "SEREP") for kind in ("model", "self", "cross")
+    ]
+    assert all(
+        c.verdict.passed
+        for c in final(done).measures.checks
+        if (c.mass, c.kind) != ("SEREP", "model")
+    )
     before = done.results["correlate"].evidence
-    least = [[c.verdict.least_diagonal for c in e.measures.checks if c.kind == "cross"] for e in (before, final(done))]
+    least = [
+        [c.verdict.least_diagonal for c in e.measures.checks if c.kind == "cross"]
+        for e in (before, final(done))
+    ]
     (irs_before, serep_before), (irs, serep) = least
     assert irs_before < irs
-    assert min(serep_before, serep) > 0.99  # its mass is made of the modes that it judges: it tells little
+    assert (
+        min(serep_before, serep) > 0.99
+    )  # its mass is made of the modes that it judges: it tells little
     assert np.diag(final(done).auto_mac) == pytest.approx(1)
 
 
@@ -85,7 +102,10 @@ def test_a_channel_turned_round_is_named_before_the_updating(done: StudyRun) -> 
     table, fe = done.results["correlate"].initial, done.results["correlate"].fe_initial
     assert done.results["correlate"].evidence_initial.measures.suspects == ()
     i = reference.elastic.channels.index("303+X")
-    shapes = np.where(np.arange(len(reference.elastic.channels))[:, None] == i, -1, 1) * reference.elastic.shapes
+    shapes = (
+        np.where(np.arange(len(reference.elastic.channels))[:, None] == i, -1, 1)
+        * reference.elastic.shapes
+    )
     turned = replace(reference, elastic=replace(reference.elastic, shapes=shapes))
     found = evidence(turned, fe, table.pairing, done.config).measures.suspects
     assert [(s.channel, s.fault) for s in found] == [("303+X", "reversed")]
@@ -108,7 +128,9 @@ def test_channels_that_read_the_same_are_no_error(done: StudyRun) -> None:
 
 
 def test_synthesised_responses_are_those_of_the_solver(done: StudyRun) -> None:
-    """The sensors sit on nodes, so that the solver can be asked directly; the residuals are exact at other shifts."""
+    """The sensors sit on nodes, so that the solver can be asked directly; the residuals are exact
+    at other shifts.
+    """
     opened, found = done.desk.initial, done.results["identify"]
     test = on_sheet(found, 1.0, 12.0)
     assert test is not None
@@ -122,13 +144,22 @@ def test_synthesised_responses_are_those_of_the_solver(done: StudyRun) -> None:
     request = ModesRequest(band=(-1.0, small_study.FMAX))
     want = opened.analysis.frf(out, into, test.freqs, request, damping=0.02, kind="accelerance")
     assert np.abs(made.data - want).max() < 1e-3 * np.abs(want).max()
-    # in t, mm, N an acceleration is 1000 times as large a number, and the mass-normalised shapes are so by √1000
+    # in t, mm, N an acceleration is 1000 times as large a number, and the mass-normalised shapes
+    # are so by √1000
     tonne = synthesised(opened, seen, fe, zeta, test, "mm-t-s", fmax=small_study.FMAX)
     np.testing.assert_allclose(1e3 * tonne.data, made.data)
     # an exponential window damps the test like σ/ω more
     window = replace(test, window_decay=0.5)
     damped = synthesised(opened, seen, fe, zeta, window, "SI", fmax=small_study.FMAX)
-    more = synthesised(opened, seen, fe, zeta + 0.5 / (2 * np.pi * fe.frequencies), test, "SI", fmax=small_study.FMAX)
+    more = synthesised(
+        opened,
+        seen,
+        fe,
+        zeta + 0.5 / (2 * np.pi * fe.frequencies),
+        test,
+        "SI",
+        fmax=small_study.FMAX,
+    )
     np.testing.assert_allclose(damped.data, more.data)
 
 
@@ -137,7 +168,9 @@ def test_the_summary_tells_significance_and_evidence(done: StudyRun) -> None:
     assert set(found["evidence"]) == {"ambient_vs_hammer", "initial", "remodelled", "final"}
     assert all(c["judged"] for c in found["evidence"]["final"]["orthogonality"])
     assert [
-        c["verdict"]["passed"] for c in found["evidence"]["final"]["orthogonality"] if "model" not in c["name"]
+        c["verdict"]["passed"]
+        for c in found["evidence"]["final"]["orthogonality"]
+        if "model" not in c["name"]
     ] == [True] * 4
     assert found["evidence"]["final"]["frfs"]["final"][0]["frac"] > 0.9
     both = found["ambient_vs_hammer"]
@@ -159,17 +192,34 @@ def test_only_stated_limits_judge(done: StudyRun) -> None:
     assert limits(done.config, done.results) == ()
     assert missed_words(done.config, done.results) == ()
     names = [c.name for c in verdict(done.config, done.results)]
-    assert names == ["updating", "used modes: mean |Δf| improved", "left-out modes: mean |Δf| improved"]
+    assert names == [
+        "updating",
+        "used modes: mean |Δf| improved",
+        "left-out modes: mean |Δf| improved",
+    ]
     assert all(c.held for c in verdict(done.config, done.results))
 
 
 def test_modes_that_win_a_partner_do_not_make_those_left_out_look_worse() -> None:
-    """A mode beyond the gate before the updating counts in no mean over modes paired in both; it is named."""
+    """A mode beyond the gate before the updating counts in no mean over modes paired in both; it is
+    named.
+    """
 
     def table(modes: list[int], percent: list[float]) -> CorrelationTable:
         at, n = np.array(modes), len(modes)
         hz = np.array([10.0, 20.0, 30.0, 40.0])
-        pairing = Pairing(at, at, np.ones(n), np.zeros(n), np.ones(n), np.zeros(n, dtype=bool), at[:0], (), at[:0], ())
+        pairing = Pairing(
+            at,
+            at,
+            np.ones(n),
+            np.zeros(n),
+            np.ones(n),
+            np.zeros(n, dtype=bool),
+            at[:0],
+            (),
+            at[:0],
+            (),
+        )
         fe = hz[at] * (1 + np.array(percent) / 100)
         return CorrelationTable(pairing, hz[at], fe, np.full(n, np.nan), at != 1, np.eye(4), hz, hz)
 
@@ -177,9 +227,17 @@ def test_modes_that_win_a_partner_do_not_make_those_left_out_look_worse() -> Non
     assert spared(first, last) == "modes that the updating did not see: mean |Δf| 15.00 -> 3.00 %"
     won = replace(table([0, 1, 3], [1.0, -3.0, 38.0]), used=np.array([True, False, False]))
     words = spared(first, won)
-    assert words.endswith("of the 1 paired before and after 15.00 -> 3.00 %; paired after only: 4 (+38.0 %)")
-    assert [w.tolist() for w in in_both(first, won, used=False)] == [[False, True], [False, True, False]]
-    stages = {"correlate": SimpleNamespace(initial=first, changed=False), "final": SimpleNamespace(table=won)}
+    assert words.endswith(
+        "of the 1 paired before and after 15.00 -> 3.00 %; paired after only: 4 (+38.0 %)"
+    )
+    assert [w.tolist() for w in in_both(first, won, used=False)] == [
+        [False, True],
+        [False, True, False],
+    ]
+    stages = {
+        "correlate": SimpleNamespace(initial=first, changed=False),
+        "final": SimpleNamespace(table=won),
+    }
     rows = summary.stages_table(Stages("", "", Acceptance(), **stages)).rows  # type: ignore[arg-type]
     assert [tuple(r[:4]) for r in rows if r[1] != "used in the updating"] == [
         ("Initial", "all", "2", "17.50"),
@@ -203,17 +261,24 @@ def test_what_is_not_plausible_is_told_beside_what_is_not_proven(done: StudyRun)
     lines = told({"uncertainty": odd})
     assert far in lines
     assert open_ not in lines
-    assert sum(line.startswith("not proven by the test") and line.endswith(second) for line in lines) == 1
+    assert (
+        sum(line.startswith("not proven by the test") and line.endswith(second) for line in lines)
+        == 1
+    )
 
 
 def test_the_interval_of_a_factor_stands_beside_its_standard_deviation(done: StudyRun) -> None:
-    """Student's: with errors whose size few modes tell it is far wider than the standard deviation says."""
+    """Student's: with errors whose size few modes tell it is far wider than the standard deviation
+    says.
+    """
     known = done.results["uncertainty"]
     name, wide = known.parameters.names[0], np.array(known.interval)
     wide[0] = 0.5, 0.9
     some = {k: done.results[k] for k in ("update", "correlate")}
     (line,) = [
-        x for x in told({**some, "uncertainty": replace(known, interval=wide)}) if x.startswith(f"{name}: times")
+        x
+        for x in told({**some, "uncertainty": replace(known, interval=wide)})
+        if x.startswith(f"{name}: times")
     ]
     assert re.search(r" ± [\d.]+ \(90 %: 0\.50* to 0\.90*\)$", line)
     assert not any("90 %:" in x for x in told(some))
@@ -249,18 +314,29 @@ def test_a_study_without_candidates_judges_its_deck(done: StudyRun) -> None:
     (check,) = limits(config, results)
     assert not check.held
     assert check.name.startswith("model: pairs with |Δf| ≤ 1 %")
-    assert limits(done.config.model_copy(update={"correlate": config.correlate}), results) == ()  # not updated yet
+    assert (
+        limits(done.config.model_copy(update={"correlate": config.correlate}), results) == ()
+    )  # not updated yet
 
 
 def test_no_pair_is_no_success(done: StudyRun) -> None:
     table = done.results["final"].table
     p = table.pairing
     none = replace(
-        p, **{k: getattr(p, k)[:0] for k in ("a", "b", "mac", "frequency_error", "sign", "subspace", "beyond")}
+        p,
+        **{
+            k: getattr(p, k)[:0]
+            for k in ("a", "b", "mac", "frequency_error", "sign", "subspace", "beyond")
+        },
     )
     empty = replace(table, pairing=none, test_hz=[], fe_hz=[], std_hz=[], used=[])
-    results = {"final": replace(done.results["final"], table=empty), "correlate": done.results["correlate"]}
-    config = done.config.model_copy(update={"correlate": type(done.config.correlate)(accept_percent=5.0)})
+    results = {
+        "final": replace(done.results["final"], table=empty),
+        "correlate": done.results["correlate"],
+    }
+    config = done.config.model_copy(
+        update={"correlate": type(done.config.correlate)(accept_percent=5.0)}
+    )
     assert [c.held for c in limits(config, results)] == [False]
     assert Acceptance.of(config.correlate).words() == "|Δf| ≤ 5 % and subspace MAC ≥ 80 %"
 
@@ -290,10 +366,38 @@ def record(name: str, setup: str, drawn: bool) -> RecordSummary:
     t, y = np.arange(4.0), np.ones((1, 4))
     if drawn:
         return RecordSummary(
-            name, "hammer", "hammer", name, 9, 512.0, 60.0, t, y, ("1+X",), t, y, ("8 hits",), "N", setup
+            name,
+            "hammer",
+            "hammer",
+            name,
+            9,
+            512.0,
+            60.0,
+            t,
+            y,
+            ("1+X",),
+            t,
+            y,
+            ("8 hits",),
+            "N",
+            setup,
         )
     return RecordSummary(
-        name, "hammer", "hammer", name, 7, 512.0, 90.0, t[:0], y[:0], (), t[:0], y[:0], ("9 hits",), "", setup
+        name,
+        "hammer",
+        "hammer",
+        name,
+        7,
+        512.0,
+        90.0,
+        t[:0],
+        y[:0],
+        (),
+        t[:0],
+        y[:0],
+        ("9 hits",),
+        "",
+        setup,
     )
 
 
@@ -317,7 +421,9 @@ def test_every_setup_of_a_roving_test_is_listed(done: StudyRun) -> None:
 
 @pytest.mark.parametrize("method", ["hybrid", "serep", "guyan", "dynamic"])
 def test_test_shapes_are_expanded_as_asked_for(done: StudyRun, tmp_path: Path, method: str) -> None:
-    """The truth is another deck, but its shapes at the nodes between the sensors are close to those of this one."""
+    """The truth is another deck, but its shapes at the nodes between the sensors are close to those
+    of this one.
+    """
     asked = f'[correlate]\nexpand = "{method}"\ntam = "craig-bampton"\n'
     shutil.copytree(done.folder, tmp_path / "s")
     study = tmp_path / "s/study.toml"

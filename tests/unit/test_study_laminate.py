@@ -1,6 +1,8 @@
-"""A sandwich plate on four springs whose plies are updated, and whose springs get damping that their card did not have.
+"""A sandwich plate on four springs whose plies are updated, and whose springs get damping that
+their card did not have.
 
-0.8 x 0.6 m, faces of 1 mm of aluminium on a core of 10 mm, on PBUSH with a line of K alone at the corners.
+0.8 x 0.6 m, faces of 1 mm of aluminium on a core of 10 mm, on PBUSH with a line of K alone at the
+corners.
 """
 
 from __future__ import annotations
@@ -38,7 +40,11 @@ write = true
 
 
 def plate() -> str:
-    grids = [f"GRID,{1 + i + j * (NX + 1)},,{i / 10},{j / 10},0." for j in range(NY + 1) for i in range(NX + 1)]
+    grids = [
+        f"GRID,{1 + i + j * (NX + 1)},,{i / 10},{j / 10},0."
+        for j in range(NY + 1)
+        for i in range(NX + 1)
+    ]
     first = [1 + i + j * (NX + 1) for j in range(NY) for i in range(NX)]
     quads = [f"CQUAD4,{e},1,{n},{n + 1},{n + NX + 2},{n + NX + 1}" for e, n in enumerate(first, 1)]
     springs = [f"CBUSH,{101 + k},31,{1 + n},,,,,0" for k, n in enumerate(CORNERS)]

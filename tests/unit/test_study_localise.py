@@ -1,4 +1,6 @@
-"""Localisation and uncertainty as stages of the small study, whose columns are wrong; see `small_study`."""
+"""Localisation and uncertainty as stages of the small study, whose columns are wrong; see
+`small_study`.
+"""
 
 from __future__ import annotations
 
@@ -51,7 +53,8 @@ def test_the_proposal_has_every_wrong_storey_with_its_factor(given: StudyRun) ->
     found: LocaliseStage = given.results["localise"]
     assert {m.name for m in found.proposal.members} == {f"columns {k}" for k in small_study.TRUTH}
     for m in found.proposal.members:
-        # modes to 1e-4, but columns of two storeys trade for each other: a modulus is told to some percent
+        # modes to 1e-4, but columns of two storeys trade for each other: a modulus is told to some
+        # percent
         assert m.factor == pytest.approx(small_study.TRUTH[int(m.name[-1])], rel=0.02)
         assert "MAT1" in m.because
     assert found.made == 0
@@ -76,13 +79,19 @@ def test_candidates_made_from_the_deck_are_proposed_and_updated(made: StudyRun) 
 @pytest.mark.parametrize("propose", [False, True])
 def test_parts_of_a_property_are_looked_at_but_not_updated(tmp_path: Path, propose: bool) -> None:
     text = (AUTO if propose else PLAIN) + '[localise]\nkinds = ["region", "material"]\n'
-    found = run_study(small_study.write_study(tmp_path, text, ambient=False), until="localise").results["localise"]
+    found = run_study(
+        small_study.write_study(tmp_path, text, ambient=False), until="localise"
+    ).results["localise"]
     assert any(p.targets[0].elements for p in found.parameters.parameters) is not propose
 
 
 def test_a_proposal_of_parts_alone_is_refused(tmp_path: Path) -> None:
-    study = small_study.write_study(tmp_path, AUTO + '[localise]\nkinds = ["region"]\n', ambient=False)
-    with pytest.raises(DataError, match=r"further `kinds` under \[localise\] \(region, a part of a property"):
+    study = small_study.write_study(
+        tmp_path, AUTO + '[localise]\nkinds = ["region"]\n', ambient=False
+    )
+    with pytest.raises(
+        DataError, match=r"further `kinds` under \[localise\] \(region, a part of a property"
+    ):
         run_study(study, until="localise")
 
 
@@ -92,13 +101,17 @@ def test_a_study_with_nothing_to_update_says_what_could_be(tmp_path: Path) -> No
     assert "sensitivity" not in run.results
     assert "final" not in run.results
     deliver(run)
-    off = run_study(small_study.write_study(tmp_path / "off", PLAIN + "[localise]\npool = 0\n", ambient=False))
+    off = run_study(
+        small_study.write_study(tmp_path / "off", PLAIN + "[localise]\npool = 0\n", ambient=False)
+    )
     assert off.results["localise"] is None
     deliver(off)
 
 
 def test_a_proposal_without_a_paired_mode_is_refused(tmp_path: Path) -> None:
-    study = small_study.write_study(tmp_path, AUTO + "[correlate]\nfrequency_gate = 1e-6\n", ambient=False)
+    study = small_study.write_study(
+        tmp_path, AUTO + "[correlate]\nfrequency_gate = 1e-6\n", ambient=False
+    )
     with pytest.raises(DataError, match="no mode of the model is paired"):
         run_study(study)
     study.write_text(study.read_text().replace("propose = true", ""))
@@ -124,7 +137,9 @@ def test_intervals_hold_the_truth_and_bands_the_modes(given: StudyRun) -> None:
     assert found.discrepancy[0] < 2e-3  # the twin has the form of the model
     np.testing.assert_allclose(found.predicted, found.test, rtol=0.01)
     reach = found.band[:, 1] - found.predicted
-    assert (reach > 1.6 * np.sqrt((found.parts**2).sum(axis=1)) * found.predicted).all()  # Student's is wider
+    assert (
+        reach > 1.6 * np.sqrt((found.parts**2).sum(axis=1)) * found.predicted
+    ).all()  # Student's is wider
 
 
 def test_draws_are_where_the_intervals_are(given: StudyRun) -> None:
@@ -150,7 +165,9 @@ def _same(a: object, b: object, close: float) -> None:
         for f in fields(a):
             _same(getattr(a, f.name), getattr(b, f.name), close)
     elif isinstance(a, np.ndarray):
-        np.testing.assert_allclose(np.asarray(b), a, rtol=close, atol=1e3 * close * np.finfo(float).eps)
+        np.testing.assert_allclose(
+            np.asarray(b), a, rtol=close, atol=1e3 * close * np.finfo(float).eps
+        )
     elif isinstance(a, str):
         assert a == b or close > 0  # a reason tells rounded numbers
     elif isinstance(a, tuple | list):
@@ -171,5 +188,8 @@ def test_a_deck_that_needs_no_change_is_delivered_as_it_is(tmp_path: Path) -> No
     assert run.results["localise"].proposal.members == ()
     assert run.results["update"].sets[0].parameters == ()
     assert run.results["final"].changes == ()
-    assert any("nothing is proposed, and the deck is delivered as it is" in line for line in told(run.results))
+    assert any(
+        "nothing is proposed, and the deck is delivered as it is" in line
+        for line in told(run.results)
+    )
     deliver(run)

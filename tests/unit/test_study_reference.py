@@ -1,4 +1,6 @@
-"""Which modes and channels of a test the model is judged by, where records of other sensors leave gaps."""
+"""Which modes and channels of a test the model is judged by, where records of other sensors leave
+gaps.
+"""
 
 from __future__ import annotations
 
@@ -25,12 +27,16 @@ def modes(known: npt.NDArray[np.bool_]) -> ModeSet:
     """Shapes (channel, mode) with gaps where `known` is false."""
     n, m = known.shape
     return ModeSet(
-        np.arange(1.0, m + 1), np.full(m, 0.01), np.where(known, 1.0, np.nan), tuple(f"{i}+Z" for i in range(n))
+        np.arange(1.0, m + 1),
+        np.full(m, 0.01),
+        np.where(known, 1.0, np.nan),
+        tuple(f"{i}+Z" for i in range(n)),
     )
 
 
 def test_a_mode_of_one_setup_does_not_cost_the_channels_of_the_other() -> None:
-    # 4 common channels and 8 of each of two setups: ten modes in both, one in the first alone, two in the second alone
+    # 4 common channels and 8 of each of two setups: ten modes in both, one in the first alone, two
+    # in the second alone
     known = np.ones((20, 13), dtype=bool)
     known[12:, 4] = False
     known[4:12, [7, 9]] = False
@@ -65,7 +71,9 @@ def test_a_deck_whose_modes_end_with_the_test_is_told() -> None:
 
 
 def test_rigid_body_modes_of_a_file_are_those_below_the_edge(tmp_path: Path) -> None:
-    """A test that was identified elsewhere has no ambient part, and tunes a suspension all the same."""
+    """A test that was identified elsewhere has no ambient part, and tunes a suspension all the
+    same.
+    """
     known = modes(np.ones((6, 9), dtype=bool))  # 1 to 9 Hz
     std = Uncertainty.independent(0.01 * known.frequencies, known.damping, np.zeros((6, 9)))
     write_modes(tmp_path / "test.json", known, std)
@@ -75,14 +83,18 @@ def test_rigid_body_modes_of_a_file_are_those_below_the_edge(tmp_path: Path) -> 
     sheet = TestModel(points, xyz, known.channels, points, axes, np.zeros((0, 2), dtype=np.int64))
     text = '[model]\ndeck = "a.bdf"\n[correlate]\nrigid_below = 3.5\n'
     text += '[[suspension]]\nname = "springs"\ntargets = ["PBUSH 1 K1"]\n'
-    found = reference_modes(supplied_modes(tmp_path / "test.json", sheet, ()), parse_config(text, tmp_path / "s.toml"))
+    found = reference_modes(
+        supplied_modes(tmp_path / "test.json", sheet, ()), parse_config(text, tmp_path / "s.toml")
+    )
     np.testing.assert_allclose(found.rigid.frequencies, [1, 2, 3])
     np.testing.assert_allclose(found.rigid_std.frequency, [0.01, 0.02, 0.03])
     np.testing.assert_allclose(found.elastic.frequencies, np.arange(4, 10))
 
 
 def test_fewer_modes_left_out_than_asked_for_are_told() -> None:
-    modes = ModeSet(np.arange(1.0, 7.0), np.full(6, 0.01), np.eye(6), tuple("abcdef"), confidence=np.ones(6))
+    modes = ModeSet(
+        np.arange(1.0, 7.0), np.full(6, 0.01), np.eye(6), tuple("abcdef"), confidence=np.ones(6)
+    )
     for count, kept, told in ((None, 4, False), (2, 4, False), (4, 2, False), (9, 2, True)):
         out = left_out(modes, count, 0.5)
         assert len(modes) - out.size == kept
@@ -98,11 +110,18 @@ def test_two_tests_are_compared_where_neither_has_a_gap(tmp_path: Path) -> None:
     shapes[6:, 1] = np.nan
     std = Uncertainty.independent(0.01 * whole.frequencies, whole.damping, np.zeros((8, 5)))
     points = np.arange(8)
-    xyz, axes = np.column_stack([points, 0 * points, 0 * points]).astype(float), np.tile([0.0, 0.0, 1.0], (8, 1))
+    xyz, axes = (
+        np.column_stack([points, 0 * points, 0 * points]).astype(float),
+        np.tile([0.0, 0.0, 1.0], (8, 1)),
+    )
     sheet = TestModel(points, xyz, whole.channels, points, axes, np.zeros((0, 2), dtype=np.int64))
     write_modes(tmp_path / "test.json", replace(whole, shapes=shapes), std)
-    found = replace(supplied_modes(tmp_path / "test.json", sheet, ()), ambient=whole, ambient_uncertainty=std)
-    desk = SimpleNamespace(config=parse_config('[model]\ndeck = "a.bdf"\n', tmp_path / "s.toml"), get=lambda _: found)
+    found = replace(
+        supplied_modes(tmp_path / "test.json", sheet, ()), ambient=whole, ambient_uncertainty=std
+    )
+    desk = SimpleNamespace(
+        config=parse_config('[model]\ndeck = "a.bdf"\n', tmp_path / "s.toml"), get=lambda _: found
+    )
     stage = compare.run(cast(Workbench, desk), lambda *_: None)
     assert stage is not None
     assert stage.table.mac.shape == (5, 4)  # eight channels of four modes are more than six of five

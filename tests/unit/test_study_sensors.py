@@ -22,7 +22,11 @@ def test_each_geophone_is_corrected_by_its_own_sheet_and_no_other_sensor() -> No
     motion = np.fft.rfft(rng.standard_normal(LINES))
     freqs = np.fft.rfftfreq(LINES, 1 / RATE)
     sensors = ("4.5 Hz", "ICP", "2 Hz")
-    response = [Geophone(4.5, 0.6).response(freqs), np.ones(freqs.size), Geophone(2.0, 0.7).response(freqs)]
+    response = [
+        Geophone(4.5, 0.6).response(freqs),
+        np.ones(freqs.size),
+        Geophone(2.0, 0.7).response(freqs),
+    ]
     data = np.array([np.fft.irfft(motion * h) for h in response])
     units = {"velocity": "m/s", "acceleration": "m/s^2"}
     channels = tuple(

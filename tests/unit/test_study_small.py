@@ -1,4 +1,6 @@
-"""A small complete study from deck and raw signals to the delivered deck; see `small_study` for the structure."""
+"""A small complete study from deck and raw signals to the delivered deck; see `small_study` for the
+structure.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,8 @@ from ringtrue.study.reference import beyond
 from ringtrue.study.run import StudyRun, run_study
 from ringtrue.study.words import told
 
-# the signals have 1 % noise; three records of blows and 400 s of ambient motion tell a modulus to some percent
+# the signals have 1 % noise; three records of blows and 400 s of ambient motion tell a modulus to
+# some percent
 CLOSE = 0.03
 
 
@@ -48,7 +51,9 @@ def test_used_and_left_out_modes_improve(done: StudyRun) -> None:
     assert len(after) >= 8
     assert (~after.used).sum() == 2
     for used in (True, False):
-        assert after.mean_deviation(after.used == used) < 0.2 * before.mean_deviation(before.used == used)
+        assert after.mean_deviation(after.used == used) < 0.2 * before.mean_deviation(
+            before.used == used
+        )
 
 
 def test_a_held_structure_has_no_rigid_body_modes(done: StudyRun) -> None:
@@ -74,12 +79,24 @@ def test_channels_at_fault_are_told_once(done: StudyRun) -> None:
     one = replace(stage.records[0], notes=("channel 3+X: noise", "a machine at 5 Hz"))
     two = replace(stage.records[-1], notes=("channel 3+X: noise", "channel 4+X: dead"))
     lines = told({"identify": replace(stage, records=(one, two))})
-    assert lines[1:] == (f"{one.name}: channel 3+X: noise (1 more note on it)", f"{two.name}: channel 4+X: dead")
+    assert lines[1:] == (
+        f"{one.name}: channel 3+X: noise (1 more note on it)",
+        f"{two.name}: channel 4+X: dead",
+    )
 
 
 def test_the_summary_has_the_agreed_keys(done: StudyRun) -> None:
     found = summary(done)
-    wanted = {"mass_t", "dof", "rigid_body", "ambient_vs_hammer", "initial", "remodelled", "final", "left_out"}
+    wanted = {
+        "mass_t",
+        "dof",
+        "rigid_body",
+        "ambient_vs_hammer",
+        "initial",
+        "remodelled",
+        "final",
+        "left_out",
+    }
     assert wanted | {"unpaired", "parameters", "timings_s"} <= set(found)
     # floors 3 x 12 m2 x 0.1 m x 2500 kg/m3, columns 36 m x 140 cm2 x 7850 kg/m3: feet count, too
     assert found["mass_t"] == pytest.approx(9.0 + 36 * 0.014 * 7.85, rel=1e-3)
@@ -113,7 +130,9 @@ def _same(a: object, b: object) -> None:
 
 
 def test_a_deck_without_a_test(tmp_path: Path) -> None:
-    run = run_study(small_study.write_study(tmp_path, small_study.MODEL + "[plan]\nfmax = 14.0\nsensors = 6\n"))
+    run = run_study(
+        small_study.write_study(tmp_path, small_study.MODEL + "[plan]\nfmax = 14.0\nsensors = 6\n")
+    )
     assert set(run.results) == {"model", "plan", "provenance"}
     assert len(run.results["plan"].target_modes) == 9
     assert deliver(run).stat().st_size > 1e5
@@ -121,7 +140,9 @@ def test_a_deck_without_a_test(tmp_path: Path) -> None:
 
 
 def _grids(*levels: int) -> str:
-    return ", ".join(str(small_study.node(k, i, j)) for k in levels for i in range(3) for j in range(3))
+    return ", ".join(
+        str(small_study.node(k, i, j)) for k in levels for i in range(3) for j in range(3)
+    )
 
 
 FLOORS = f"candidates = {{ top = [{_grids(3)}], rest = [{_grids(1, 2)}] }}\n"
@@ -137,7 +158,9 @@ FLOORS = f"candidates = {{ top = [{_grids(3)}], rest = [{_grids(1, 2)}] }}\n"
     ],
 )
 def test_what_a_plan_may_ask_for(tmp_path: Path, asked: str, told: str) -> None:
-    head = "[plan]\nfmax = 14.0\nsensors = 6\nambient = false\nprecision = 0.05\nmax_auto_mac = 0.9\n"
+    head = (
+        "[plan]\nfmax = 14.0\nsensors = 6\nambient = false\nprecision = 0.05\nmax_auto_mac = 0.9\n"
+    )
     toml = small_study.MODEL + head + FLOORS + asked + small_study.candidates(small_study.TRUTH)
     plan = run_study(small_study.write_study(tmp_path, toml)).results["plan"]
     assert all(told in r for r in plan.reasons)
@@ -145,16 +168,27 @@ def test_what_a_plan_may_ask_for(tmp_path: Path, asked: str, told: str) -> None:
     on_top = [p // 100 == 3 for p in plan.test.points.tolist()]
     if "cost" in asked:
         assert not any(on_top)
-    lowest = float(plan.target_frequencies.min())  # the record is as long as its damping to 5 % asks
-    assert plan.record_length == pytest.approx(1 / (0.05**2 * 2 * np.pi * plan.damping * lowest), abs=60.0)
+    lowest = float(
+        plan.target_frequencies.min()
+    )  # the record is as long as its damping to 5 % asks
+    assert plan.record_length == pytest.approx(
+        1 / (0.05**2 * 2 * np.pi * plan.damping * lowest), abs=60.0
+    )
 
 
-PLAN = small_study.MODEL + "[plan]\nfmax = 14.0\nsensors = {}\nreferences = 3\nambient = false\nmax_auto_mac = 0.9\n"
+PLAN = (
+    small_study.MODEL
+    + "[plan]\nfmax = 14.0\nsensors = {}\nreferences = 3\nambient = false\nmax_auto_mac = 0.9\n"
+)
 
 
-@pytest.mark.parametrize(("strike", "told"), [("qr", "M·Φ"), ("mif", "phase resonance"), ("worst", "best set")])
+@pytest.mark.parametrize(
+    ("strike", "told"), [("qr", "M·Φ"), ("mif", "phase resonance"), ("worst", "best set")]
+)
 def test_exciters_by_each_method(tmp_path: Path, strike: str, told: str) -> None:
-    run = run_study(small_study.write_study(tmp_path, PLAN.format(6) + f'strike = "{strike}"\nat_hand = 4\n'))
+    run = run_study(
+        small_study.write_study(tmp_path, PLAN.format(6) + f'strike = "{strike}"\nat_hand = 4\n')
+    )
     deliver(run)
     plan, page = run.results["plan"], (run.folder / "report.html").read_text(encoding="utf-8")
     assert told in plan.rule
@@ -176,7 +210,11 @@ def test_exciters_by_each_method(tmp_path: Path, strike: str, told: str) -> None
 
 @pytest.mark.parametrize("method", ["independence", "qr", "auto-mac", "information"])
 def test_single_axes_tell_the_modes_apart_with_fewer_channels(tmp_path: Path, method: str) -> None:
-    extra = "min_distance = 1.0\nsensor_mass = 1.0\nredundancy = 1\ntrials = 1\n" if method == "qr" else ""
+    extra = (
+        "min_distance = 1.0\nsensor_mass = 1.0\nredundancy = 1\ntrials = 1\n"
+        if method == "qr"
+        else ""
+    )
     toml = PLAN.format(12) + f'directions = "uniaxial"\nmethod = "{method}"\n' + extra
     plan = run_study(small_study.write_study(tmp_path, toml)).results["plan"]
     assert "single axes" in plan.rule
@@ -185,7 +223,9 @@ def test_single_axes_tell_the_modes_apart_with_fewer_channels(tmp_path: Path, me
     node = {c: int(c.split("+")[0]) for c in plan.test.channels}
     assert plan.test.at.tolist() == list(node.values())
     assert len(set(node.values())) == plan.test.points.size
-    np.testing.assert_array_equal(plan.test.axes, np.stack([np.eye(3)["XYZ".index(c[-1])] for c in plan.test.channels]))
+    np.testing.assert_array_equal(
+        plan.test.axes, np.stack([np.eye(3)["XYZ".index(c[-1])] for c in plan.test.channels])
+    )
     if extra:  # the same axis at least 1 m apart
         xyz = plan.test.channel_xyz()
         for axis in "XYZ":
@@ -201,7 +241,8 @@ def test_sensors_along_normals_stand_on_shells(tmp_path: Path) -> None:
     assert all(c.endswith("+N") for c in plan.test.channels)
     np.testing.assert_allclose(np.abs(plan.test.axes[:, 2]), 1.0, atol=1e-12)  # the floors lie flat
     half = (
-        f"candidates = {{ columns = [{', '.join(str(small_study.node(1, *c) + 50) for c in small_study.CORNERS)}] }}\n"
+        f"candidates = {{ columns = "
+        f"[{', '.join(str(small_study.node(1, *c) + 50) for c in small_study.CORNERS)}] }}\n"
     )
     with pytest.raises(ConfigError, match="no candidate lies on a shell"):
         run_study(small_study.write_study(tmp_path, low + half))
@@ -216,14 +257,18 @@ def test_sensors_along_normals_stand_on_shells(tmp_path: Path) -> None:
     ],
 )
 def test_what_a_plan_cannot_do_is_refused(tmp_path: Path, asked: str, told: str) -> None:
-    toml = small_study.MODEL + "[plan]\nfmax = 14.0\nsensors = 6\nambient = false\n" + FLOORS + asked
+    toml = (
+        small_study.MODEL + "[plan]\nfmax = 14.0\nsensors = 6\nambient = false\n" + FLOORS + asked
+    )
     with pytest.raises(ConfigError, match=told):
         run_study(small_study.write_study(tmp_path, toml))
 
 
 @pytest.mark.parametrize(("ambient", "hammer"), [(True, False), (False, True)])
 def test_a_test_without_a_deck(tmp_path: Path, ambient: bool, hammer: bool) -> None:
-    toml = small_study.TEST + "[identify]\nhammer_fmin = 1.0\nhammer_fmax = 20.0\nambient_fmin = 1.0\n"
+    toml = (
+        small_study.TEST + "[identify]\nhammer_fmin = 1.0\nhammer_fmax = 20.0\nambient_fmin = 1.0\n"
+    )
     run = run_study(small_study.write_study(tmp_path, toml, ambient=ambient, hammer=hammer))
     assert set(run.results) == {"identify", "compare", "provenance"}
     found = run.results["identify"]
@@ -235,7 +280,10 @@ def test_a_test_without_a_deck(tmp_path: Path, ambient: bool, hammer: bool) -> N
 @pytest.mark.parametrize(("ambient", "hammer"), [(True, False), (False, True)])
 def test_one_kind_of_test_is_enough_to_update(tmp_path: Path, ambient: bool, hammer: bool) -> None:
     run = run_study(small_study.write_study(tmp_path, ambient=ambient, hammer=hammer))
-    assert run.results["final"].table.mean_deviation() < 0.3 * run.results["correlate"].initial.mean_deviation()
+    assert (
+        run.results["final"].table.mean_deviation()
+        < 0.3 * run.results["correlate"].initial.mean_deviation()
+    )
     deliver(run)
 
 
@@ -246,7 +294,9 @@ def test_modes_of_the_deck_reach_well_above_the_test_where_nothing_is_said(tmp_p
     assert run.desk.fmax == pytest.approx(1.5 * found.reference.frequencies.max())
     assert (found.fe_initial.frequencies <= run.desk.fmax).all()
     assert not beyond(found.reference, run.desk.fmax)
-    assert len(found.gaps) == 1  # none that the modes of the deck end too low, and that the floors are coarse
+    assert (
+        len(found.gaps) == 1
+    )  # none that the modes of the deck end too low, and that the floors are coarse
     assert "the mesh puts frequencies of the deck off" in found.gaps[0]
     assert "`refine = 1` under [model]" in found.gaps[0]
 
@@ -265,7 +315,11 @@ def test_a_study_on_a_refined_mesh_edits_the_deck_as_it_is(tmp_path: Path) -> No
 
 def test_a_mesh_is_not_refined_for_another_solver_or_under_a_candidate(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="solves decks as they are"):
-        run_study(small_study.write_study(tmp_path, '[model]\ndeck = "x"\nrefine = 1\nsolver = "mystran"\n'))
+        run_study(
+            small_study.write_study(
+                tmp_path, '[model]\ndeck = "x"\nrefine = 1\nsolver = "mystran"\n'
+            )
+        )
     text = small_study.FULL.replace("[model]\n", "[model]\nrefine = 1\n")
     text += '[[candidate]]\nname = "plate"\ntargets = ["CQUAD4 110 T1"]\n'
     with pytest.raises(ConfigError, match="splits every CQUAD4"):
@@ -276,7 +330,10 @@ def test_nothing_is_written_when_an_input_is_wrong(tmp_path: Path) -> None:
     out = tmp_path / "out"
     study = small_study.write_study(tmp_path)
     study.write_text(small_study.FULL.replace("MAT1 2 E", "MAT1 20 E"))
-    with pytest.raises(ConfigError, match=r"MAT1 20 is not in the model; did you mean 10\? The nearest ids are \[10"):
+    with pytest.raises(
+        ConfigError,
+        match=r"MAT1 20 is not in the model; did you mean 10\? The nearest ids are \[10",
+    ):
         run_study(study, out=out)
     study.write_text(small_study.FULL)
     (tmp_path / "data/ambient.h5").unlink()
@@ -286,7 +343,10 @@ def test_nothing_is_written_when_an_input_is_wrong(tmp_path: Path) -> None:
 
 
 def test_a_suspension_without_rigid_body_modes_is_said(tmp_path: Path) -> None:
-    toml = small_study.FULL + '[correlate]\nrigid_below = 0.0\n[[suspension]]\nname = "s"\ntargets = ["MAT1 10 E"]\n'
+    toml = (
+        small_study.FULL
+        + '[correlate]\nrigid_below = 0.0\n[[suspension]]\nname = "s"\ntargets = ["MAT1 10 E"]\n'
+    )
     with pytest.raises(DataError, match="no rigid-body mode to tune"):
         run_study(small_study.write_study(tmp_path, toml, ambient=False))
 
@@ -294,13 +354,28 @@ def test_a_suspension_without_rigid_body_modes_is_said(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("edit", "told"),
     [
-        (lambda log: log["tests"][0].update(kind="ambiant"), r"tests\.0\.kind: .*'ambient'.*got 'ambiant'"),
+        (
+            lambda log: log["tests"][0].update(kind="ambiant"),
+            r"tests\.0\.kind: .*'ambient'.*got 'ambiant'",
+        ),
         (lambda log: log["tests"][1].pop("block_samples"), r"tests\.1.*block_samples missing"),
-        (lambda log: log["tests"][1].update(pretrigger_samples=1e5), r"tests\.1\.pretrigger_samples: .*integer"),
-        (lambda log: log["tests"][1].update(pretriger_samples=16), "'pretriger_samples'; did you mean 'pretrigger_s"),
+        (
+            lambda log: log["tests"][1].update(pretrigger_samples=1e5),
+            r"tests\.1\.pretrigger_samples: .*integer",
+        ),
+        (
+            lambda log: log["tests"][1].update(pretriger_samples=16),
+            "'pretriger_samples'; did you mean 'pretrigger_s",
+        ),
         (lambda log: log["tests"][0].pop("records"), r"tests\.0\.records: Field required"),
-        (lambda log: log["tests"][0]["records"][0].update(file=3), r"records\.0\.file: .*string \(got 3\)"),
-        (lambda log: log.update(sensors={"g": {"quantity": "velocity", "corner_hz": 4.5}}), "sensors.g: .*damping"),
+        (
+            lambda log: log["tests"][0]["records"][0].update(file=3),
+            r"records\.0\.file: .*string \(got 3\)",
+        ),
+        (
+            lambda log: log.update(sensors={"g": {"quantity": "velocity", "corner_hz": 4.5}}),
+            "sensors.g: .*damping",
+        ),
         (lambda log: log.update(tests=[]), "no record in any test"),
         (lambda log: log.update(tests=3), "tests: .*valid list"),
     ],
@@ -339,12 +414,17 @@ def test_a_suspension_is_tuned_to_the_modes_below_the_stated_frequency(
     """The lowest storey plays the suspension: two sways and a torsion lie below 3 Hz."""
     sure = small_study.SETTINGS.replace("[identify]", "[identify]\nconfidence = 0.4")
     toml = small_study.MODEL + small_study.TEST + sure + small_study.candidates(candidates)
-    toml += '[correlate]\nrigid_below = 3.0\n[[suspension]]\nname = "lowest storey"\ntargets = ["MAT1 1 E"]\n'
+    toml += (
+        '[correlate]\nrigid_below = 3.0\n[[suspension]]\nname = "lowest storey"\ntargets = '
+        '["MAT1 1 E"]\n'
+    )
     toml += '[localise]\nkinds = ["material"]\n'  # sections beside them take most of the time
     run = run_study(small_study.write_study(tmp_path, toml))
     final = run.results["final"]
     assert len(final.rigid) == 3
-    assert final.rigid.mean_deviation() < 0.3 * run.results["correlate"].rigid_initial.mean_deviation()
+    assert (
+        final.rigid.mean_deviation() < 0.3 * run.results["correlate"].rigid_initial.mean_deviation()
+    )
     assert any("MAT1 1 E" in c for c in final.changes)
     deliver(run)
     assert summary(run)["suspension"][0]["name"] == "lowest storey"  # type: ignore[index]

@@ -1,7 +1,8 @@
-"""A study through another solver: modes of its decks and of the updating are the solver's, found anew at each point.
+"""A study through another solver: modes of its decks and of the updating are the solver's, found
+anew at each point.
 
-The solver of the test is the embedded one with every λ 20 % higher: an updating that minds it finds all moduli 1/1.2 of
-the true ones.
+The solver of the test is the embedded one with every λ 20 % higher: an updating that minds it finds
+all moduli 1/1.2 of the true ones.
 """
 
 from __future__ import annotations
@@ -73,7 +74,11 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> StudyRun:
     folder = tmp_path_factory.mktemp("outside")
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(registry.BUILT_IN, "outside", Outside)  # type: ignore[arg-type]
-        run = run_study(small_study.write_study(folder, asked(small_study.FULL + FLOORS, "outside"), ambient=False))
+        run = run_study(
+            small_study.write_study(
+                folder, asked(small_study.FULL + FLOORS, "outside"), ambient=False
+            )
+        )
         deliver(run)
     return run
 
@@ -84,7 +89,9 @@ def test_the_updating_minds_the_modes_of_the_solver(done: StudyRun) -> None:
     assert best.outcome.startswith("converged")
     for name, factor in zip(best.parameters, best.factor, strict=True):
         truth = small_study.TRUTH.get(int(name.split()[-1]), 1.0)
-        assert factor * STIFFER == pytest.approx(truth, rel=0.05)  # 2 to 3 % where nothing is done through a solver
+        assert factor * STIFFER == pytest.approx(
+            truth, rel=0.05
+        )  # 2 to 3 % where nothing is done through a solver
     assert update.runs > 10
     table = done.results["final"].table
     assert table.max_deviation() < 0.5
@@ -99,7 +106,9 @@ def test_every_table_has_its_frequencies_and_what_is_embedded_is_said(done: Stud
     assert told["solver"] == {"name": "outside", "runs": done.results["update"].runs}
     page = (done.folder / "report.html").read_text(encoding="utf-8")
     assert re.search("by outside, found anew at each point in [0-9]+ runs", page)
-    assert done.results["uncertainty"] is None  # the embedded frequencies are 10 % lower: its posterior is not this one
+    assert (
+        done.results["uncertainty"] is None
+    )  # the embedded frequencies are 10 % lower: its posterior is not this one
     assert "No uncertainty is told" in page
 
 
@@ -107,7 +116,10 @@ def test_every_table_has_its_frequencies_and_what_is_embedded_is_said(done: Stud
     ("toml", "told"),
     [
         (asked(small_study.FULL, "outsid"), "no solver 'outsid'"),
-        (asked(small_study.FULL, "mystran") + '[[residual]]\nkind = "mass"\nmass = 1.0\n', "gives modes alone"),
+        (
+            asked(small_study.FULL, "mystran") + '[[residual]]\nkind = "mass"\nmass = 1.0\n',
+            "gives modes alone",
+        ),
     ],
 )
 def test_what_cannot_be_is_refused(tmp_path: Path, toml: str, told: str) -> None:
@@ -139,8 +151,12 @@ def test_mystran_updates_a_study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     toml = asked(small_study.FULL, "mystran").replace("[update]", "[update]\niterations = 8")
     study = small_study.write_study(tmp_path, toml, ambient=False)
     (tmp_path / "deck/frame.bdf").write_text(bars(small_study.deck()))
-    monkeypatch.setattr(small_study, "EmbeddedSolver", MystranSolver)  # of the structure that is measured
-    small_study.write_data(tmp_path / "data", ambient=False, truth=bars(small_study.deck(small_study.TRUTH)))
+    monkeypatch.setattr(
+        small_study, "EmbeddedSolver", MystranSolver
+    )  # of the structure that is measured
+    small_study.write_data(
+        tmp_path / "data", ambient=False, truth=bars(small_study.deck(small_study.TRUTH))
+    )
     run = run_study(study, until="final")
     update = run.results["update"]
     best = update.sets[update.chosen]

@@ -1,4 +1,6 @@
-"""Further starts: where the updating from the deck leaves a used mode without partner, others are tried."""
+"""Further starts: where the updating from the deck leaves a used mode without partner, others are
+tried.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,8 @@ from ringtrue.study.stages import update
 def poor(lost: int, good: int) -> Any:
     """The updating, as if it had ended at the deck with `lost` modes without partner.
 
-    Not so from further starts (`good` 4, the place of their settings) or from the proposal (5, that of its factors).
+    Not so from further starts (`good` 4, the place of their settings) or from the proposal (5, that
+    of its factors).
     """
     well = update.together
 
@@ -26,7 +29,9 @@ def poor(lost: int, good: int) -> Any:
         done, other = well(*given)
         if len(given) > good and given[good] is not None:
             return done, other
-        return replace(done, factor=np.ones(len(done.parameters)), criterion=done.criterion + 50.0), lost
+        return replace(
+            done, factor=np.ones(len(done.parameters)), criterion=done.criterion + 50.0
+        ), lost
 
     return ended
 
@@ -45,7 +50,9 @@ def test_a_lower_end_of_other_starts_takes_the_place_of_one_that_lost_modes(
     best = stage.sets[stage.chosen]
     assert set(best.parameters) == {f"columns {k}" for k in small_study.TRUTH}
     for name, factor in zip(best.parameters, best.factor.tolist(), strict=True):
-        assert factor == pytest.approx(small_study.TRUTH[int(name.split()[1])], rel=0.02)  # noise of the signals
+        assert factor == pytest.approx(
+            small_study.TRUTH[int(name.split()[1])], rel=0.02
+        )  # noise of the signals
     assert not (done.folder / "update.sets.h5").exists()
 
 

@@ -1,4 +1,6 @@
-"""The store of a study: whole or not at all; and the driver reruns exactly what an input changed."""
+"""The store of a study: whole or not at all; and the driver reruns exactly what an input
+changed.
+"""
 
 from __future__ import annotations
 
@@ -22,14 +24,25 @@ from ringtrue.study.stages import STAGES, Stage
 from ringtrue.study.store import Store, digest
 
 AFTER = {"final", "uncertainty", "damping"}
-ALL = ("model", "identify", "compare", "correlate", "localise", "sensitivity", "update", *sorted(AFTER))
+ALL = (
+    "model",
+    "identify",
+    "compare",
+    "correlate",
+    "localise",
+    "sensitivity",
+    "update",
+    *sorted(AFTER),
+)
 
 
 def held(store: Store, stage: str) -> list[float]:
     return list(np.asarray(store.load(stage)))
 
 
-def test_an_error_while_saving_keeps_the_last_good_store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_error_while_saving_keeps_the_last_good_store(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     store = Store(tmp_path / "study.h5")
     store.save("model", "k1", np.array([1.0, 2.0]))
     before = store.path.read_bytes()
@@ -46,7 +59,11 @@ def test_an_error_while_saving_keeps_the_last_good_store(tmp_path: Path, monkeyp
     assert [p.name for p in tmp_path.iterdir()] == ["study.h5"]
     monkeypatch.setattr(codec, "save", real)
     store.save("plan", "k2", np.array([3.0]))
-    assert (held(store, "model"), held(store, "plan"), store.key("model")) == ([1.0, 2.0], [3.0], "k1")
+    assert (held(store, "model"), held(store, "plan"), store.key("model")) == (
+        [1.0, 2.0],
+        [3.0],
+        "k1",
+    )
 
 
 def test_a_full_disk_keeps_the_last_good_store_and_is_told(
@@ -66,7 +83,9 @@ def test_a_full_disk_keeps_the_last_good_store_and_is_told(
         store.save("model", "k2", np.array([3.0]))
     assert store.path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["study.h5"]
-    monkeypatch.setattr("ringtrue.cli.main.application", lambda _: store.save("model", "k2", np.array([3.0])))
+    monkeypatch.setattr(
+        "ringtrue.cli.main.application", lambda _: store.save("model", "k2", np.array([3.0]))
+    )
     assert run([]) == 1
     assert "what is stored is whole" in capsys.readouterr().err
 
@@ -116,7 +135,10 @@ def rerun(run: StudyRun) -> set[str]:
 def test_a_second_run_computes_nothing_and_from_reruns_the_rest(finished: Path) -> None:
     assert rerun(run_study(finished)) == set()
     assert rerun(run_study(finished, first="update")) == {"update"} | AFTER
-    assert rerun(run_study(finished, first="compare", until="compare")) & {"identify", "model"} == set()
+    assert (
+        rerun(run_study(finished, first="compare", until="compare")) & {"identify", "model"}
+        == set()
+    )
 
 
 def test_a_setting_reruns_exactly_the_stages_that_depend_on_it(finished: Path) -> None:
@@ -136,7 +158,10 @@ def test_a_changed_input_file_reruns_what_reads_it(finished: Path) -> None:
     run_study(finished)
     deck = finished.parent / "deck/frame.bdf"
     deck.write_text(deck.read_text().replace("2500.0", "2501.0"))
-    assert rerun(run_study(finished)) == {"model", "correlate", "localise", "sensitivity", "update"} | AFTER
+    assert (
+        rerun(run_study(finished))
+        == {"model", "correlate", "localise", "sensitivity", "update"} | AFTER
+    )
     sheet = finished.parent / "data/sensors.csv"
     sheet.write_text(sheet.read_text() + "\n")
     assert rerun(run_study(finished)) == {*ALL} - {"model"}
@@ -155,25 +180,38 @@ def test_files_that_are_edited_while_a_study_runs_count_as_it_has_read_them(fini
     run = run_study(finished, first="correlate", progress=edit)
     assert run.altered == ("study.toml", "deck/frame.bdf")
     assert load_study(finished.with_name("study.h5")).config.update.left_out == 2
-    assert {"model", "correlate", "update"} <= rerun(run_study(finished))  # it was of the other deck
+    assert {"model", "correlate", "update"} <= rerun(
+        run_study(finished)
+    )  # it was of the other deck
     deck.write_text(before)
     finished.write_text(text)
     assert run_study(finished).altered == ()
 
 
-def test_a_stopped_run_can_be_reported_and_resumes(finished: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stopped_run_can_be_reported_and_resumes(
+    finished: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     stage = next(s for s in STAGES if s.name == "sensitivity")
 
     def stop(*_: object) -> None:
         raise KeyboardInterrupt
 
     out = finished.parent / "stopped"
-    monkeypatch.setattr("ringtrue.study.run.STAGES", tuple(_with_run(s, stop) if s is stage else s for s in STAGES))
+    monkeypatch.setattr(
+        "ringtrue.study.run.STAGES", tuple(_with_run(s, stop) if s is stage else s for s in STAGES)
+    )
     with pytest.raises(KeyboardInterrupt):
         run_study(finished, out=out)
     monkeypatch.undo()
     partial = load_study(out / "study.h5")
-    assert set(partial.results) == {"model", "identify", "compare", "correlate", "localise", "provenance"}
+    assert set(partial.results) == {
+        "model",
+        "identify",
+        "compare",
+        "correlate",
+        "localise",
+        "provenance",
+    }
     assert [p.name for p in out.iterdir()] == ["study.h5"]
     assert rerun(run_study(finished, out=out)) == {"sensitivity", "update"} | AFTER
 
@@ -191,18 +229,25 @@ def _with_run(stage: Stage, run: Callable[..., None]) -> Stage:
         ({"first": "tune"}, r"stage 'tune' does not apply: the study has no section suspension"),
     ],
 )
-def test_a_stage_that_cannot_be_run_is_refused(finished: Path, options: dict[str, str], told: str) -> None:
+def test_a_stage_that_cannot_be_run_is_refused(
+    finished: Path, options: dict[str, str], told: str
+) -> None:
     with pytest.raises(ConfigError, match=told):
         run_study(finished, **options)  # type: ignore[arg-type]
 
 
-def test_a_stage_that_another_version_has_stored_is_run_anew_and_named_for_a_report(finished: Path) -> None:
+def test_a_stage_that_another_version_has_stored_is_run_anew_and_named_for_a_report(
+    finished: Path,
+) -> None:
     run_study(finished)
     path = finished.with_name("study.h5")
     with h5py.File(path, "a") as f:
         f["correlate"].attrs["class"] = "ringtrue.study.results:OfAnotherVersion"
         f["correlate"].attrs["digest"] = digest(f["correlate"])
-    with pytest.raises(DataError, match=r"stage 'correlate': .*which this version does not have; run the study again"):
+    with pytest.raises(
+        DataError,
+        match=r"stage 'correlate': .*which this version does not have; run the study again",
+    ):
         load_study(path)
     assert rerun(run_study(finished)) == {"correlate", "localise", "sensitivity", "update"} | AFTER
     load_study(path)

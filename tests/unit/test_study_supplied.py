@@ -1,4 +1,6 @@
-"""Tests that come as FRFs or as modes, on the small frame; points of the test have numbers of their own."""
+"""Tests that come as FRFs or as modes, on the small frame; points of the test have numbers of their
+own.
+"""
 
 from __future__ import annotations
 
@@ -99,7 +101,9 @@ def test_frfs_of_a_file_for_each_reference(tmp_path: Path) -> None:
     assert "made frequencies worse" not in lines
     end = done.results["final"]  # as if the deck had been good and the updating bad
     turned = replace(found, remodelled=end.table), replace(end, table=found.remodelled)
-    assert "made frequencies worse" in "\n".join(told(dict(zip(("correlate", "final"), turned, strict=True))))
+    assert "made frequencies worse" in "\n".join(
+        told(dict(zip(("correlate", "final"), turned, strict=True)))
+    )
 
 
 def test_modes_of_a_file_and_a_sensor_the_wrong_way_round(tmp_path: Path) -> None:
@@ -135,7 +139,9 @@ def test_a_strain_gauge_of_the_sheet_is_not_used(tmp_path: Path) -> None:
         (writer := csv.DictWriter(file, list(rows[3]))).writeheader()
         writer.writerows(rows)
     found = run_study(toml, until="correlate").results
-    assert found["correlate"].reference.channels == tuple(c for c in modes.channels if c != modes.channels[3])
+    assert found["correlate"].reference.channels == tuple(
+        c for c in modes.channels if c != modes.channels[3]
+    )
     assert f"channel {modes.channels[3]}: measures strain, not used" in "\n".join(told(found))
 
 
@@ -150,14 +156,18 @@ def test_damping_of_a_file_of_modes_reaches_the_regions(tmp_path: Path) -> None:
 
 
 def test_a_channel_that_two_tests_do_not_agree_on_is_told(tmp_path: Path) -> None:
-    """Dead in the ambient record alone: the model is compared with the hammer modes, which are whole."""
+    """Dead in the ambient record alone: the model is compared with the hammer modes, which are
+    whole.
+    """
     modes = true_modes(tmp_path)
     dead = np.where(np.arange(len(modes.channels)) == 3, 1e-4, 1.0)[:, None]
     one, two = replace(modes, shapes=modes.shapes * dead), modes
     table = correlation_table(one, two, pairing := pair_modes(one, two))
     stage = CompareStage(table, Evidence(complete(one, two, pairing), auto_mac(one.shapes)))
     lines = told({"compare": stage})
-    assert f"channel {modes.channels[3]} looks dead in the ambient against the hammer test" in lines[0]
+    assert (
+        f"channel {modes.channels[3]} looks dead in the ambient against the hammer test" in lines[0]
+    )
     assert "row in the sensor sheet" in lines[-1]
 
 
@@ -193,14 +203,22 @@ def test_a_roving_hammer_gives_the_shapes_where_it_struck(tmp_path: Path) -> Non
     assert not any("roving" in n for n in one.notes)
 
 
-def test_points_with_numbers_of_their_own_are_placed_by_the_sheet(tmp_path: Path, capsys: Capture) -> None:
+def test_points_with_numbers_of_their_own_are_placed_by_the_sheet(
+    tmp_path: Path, capsys: Capture
+) -> None:
     write_modes(tmp_path / "test.json", true_modes(tmp_path))
-    text = small_study.MODEL + '[test]\nsheet = "sensors.csv"\n' + small_study.candidates(small_study.TRUTH)
+    text = (
+        small_study.MODEL
+        + '[test]\nsheet = "sensors.csv"\n'
+        + small_study.candidates(small_study.TRUTH)
+    )
     path = str(study(tmp_path, "", text))
     deck, sheet, test = (str(tmp_path / f) for f in ("deck/frame.bdf", "sensors.csv", "test.json"))
     assert run(["update", path, test, "--json", "-"]) == 0
     factors = [p["factor"] for p in json.loads(capsys.readouterr().out)["parameters"]]
-    np.testing.assert_allclose(factors, list(small_study.TRUTH.values()), rtol=0.01)  # the prior pulls
+    np.testing.assert_allclose(
+        factors, list(small_study.TRUTH.values()), rtol=0.01
+    )  # the prior pulls
     assert run(["correlate", test, deck, "--sensors", sheet, "--json", "-"]) == 0
     pairs = json.loads(capsys.readouterr().out)["pairs"]
     assert len(pairs) == 9
@@ -230,8 +248,14 @@ ALONE = small_study.MODEL + '[test]\nmodes = "test.csv"\n{}\n'
 
 def frequencies_alone(folder: Path, toml: str, lost: int = 9) -> None:
     """The frame's frequencies without that of one mode, which the test has missed."""
-    f = np.delete(true_modes(folder).frequencies, lost) if lost < 9 else true_modes(folder).frequencies
-    (folder / "test.csv").write_text("mode,frequency [Hz]\n" + "".join(f"{i},{x:.5f}\n" for i, x in enumerate(f)))
+    f = (
+        np.delete(true_modes(folder).frequencies, lost)
+        if lost < 9
+        else true_modes(folder).frequencies
+    )
+    (folder / "test.csv").write_text(
+        "mode,frequency [Hz]\n" + "".join(f"{i},{x:.5f}\n" for i, x in enumerate(f))
+    )
     (folder / "deck").mkdir()
     (folder / "deck/frame.bdf").write_text(small_study.deck())
     (folder / "study.toml").write_text(ALONE.format(toml))
@@ -245,7 +269,9 @@ def test_a_study_of_frequencies_alone_finds_what_they_tell(tmp_path: Path) -> No
     assert correlate.left_out.size == 2
     best = update.sets[update.chosen]
     found = dict(zip(best.parameters, best.factor.tolist(), strict=True))
-    assert [found[n] for n in sorted(found)] == pytest.approx([*small_study.TRUTH.values()], rel=0.02)
+    assert [found[n] for n in sorted(found)] == pytest.approx(
+        [*small_study.TRUTH.values()], rel=0.02
+    )
     assert final.table.max_deviation() < 0.2
     assert np.isnan(final.table.mean_mac())
     assert final.evidence is None
@@ -257,7 +283,17 @@ def test_a_study_of_frequencies_alone_finds_what_they_tell(tmp_path: Path) -> No
 
 def test_frequencies_alone_propose_parameters(tmp_path: Path, capsys: Capture) -> None:
     frequencies_alone(tmp_path, "")
-    assert run(["localise", *(str(tmp_path / n) for n in ("deck/frame.bdf", "test.csv")), "--json", "-"]) == 0
+    assert (
+        run(
+            [
+                "localise",
+                *(str(tmp_path / n) for n in ("deck/frame.bdf", "test.csv")),
+                "--json",
+                "-",
+            ]
+        )
+        == 0
+    )
     found = json.loads(capsys.readouterr().out)
     assert {p["name"] for p in found["proposed"]} == {"MAT1 1 E", "MAT1 2 E", "MAT1 3 E"}
     assert found["mean_deviation_percent"][1] < 0.3 * found["mean_deviation_percent"][0]
@@ -281,7 +317,10 @@ def test_a_lock_decides_what_a_frequency_is_in_a_study(tmp_path: Path) -> None:
         ('[test]\nmodes = "m.csv"\n', "needs a \\[model\\]"),
         ('[model]\ndeck = "a.bdf"\n[test]\nlog = "c.json"\n', "needs a `sheet`"),
         (ALONE.format("[correlate]\naccept_mac = 90"), r"\[correlate\] accept_mac asks for shapes"),
-        (ALONE.format('[update]\nresiduals = ["frequencies", "mac"]'), r"\[update\] residuals mac asks for shapes"),
+        (
+            ALONE.format('[update]\nresiduals = ["frequencies", "mac"]'),
+            r"\[update\] residuals mac asks for shapes",
+        ),
         (
             ALONE.format(ONE + '[[set]]\nname = "a"\nresiduals = ["shapes"]'),
             r"\[\[set\]\] residuals shapes asks for shapes",
@@ -317,7 +356,10 @@ def test_shapes_that_the_deck_lends_are_not_drawn_as_measured(tmp_path: Path) ->
 def test_a_study_without_a_pair_rests_on_what_else_was_measured(tmp_path: Path) -> None:
     """Nothing is localised then, so that no proposal is there to start from."""
     write_modes(tmp_path / "test.json", true_modes(tmp_path))
-    more = '[correlate]\nfrequency_gate = 0.0005\n[[residual]]\nkind = "mass"\nmass = 100.0\nmass_error = 0.05\n'
+    more = (
+        '[correlate]\nfrequency_gate = 0.0005\n[[residual]]\nkind = "mass"\nmass = '
+        "100.0\nmass_error = 0.05\n"
+    )
     text = TOML.format('modes = "test.json"') + more + small_study.candidates(small_study.TRUTH)
     done = run_study(study(tmp_path, "", text), until="update")
     assert done.results["localise"] is None

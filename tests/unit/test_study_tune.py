@@ -27,7 +27,9 @@ def chain() -> DenseModel:
     ground = np.zeros((1, N, N))
     ground[0, 0, 0] = ground[0, -1, -1] = 1e4
     spring = Parameter("ground", lower=0.1, upper=10.0, std=1.0)
-    return DenseModel.springs(3e4 * links.T @ links + ground[0], np.eye(N), ground, ParameterSet((spring,)))
+    return DenseModel.springs(
+        3e4 * links.T @ links + ground[0], np.eye(N), ground, ParameterSet((spring,))
+    )
 
 
 def elastic(x: np.ndarray) -> Target:
@@ -36,7 +38,9 @@ def elastic(x: np.ndarray) -> Target:
     some = slice(1, 5)
     weights = Weights(frequency=0.005)
     f = now.frequencies[some]
-    return Target(f, now.shapes[:, some], np.full(f.size, 1e-3), np.ones(f.size, dtype=bool), weights)
+    return Target(
+        f, now.shapes[:, some], np.full(f.size, 1e-3), np.ones(f.size, dtype=bool), weights
+    )
 
 
 def test_modes_that_agree_with_the_tuning_are_not_named() -> None:
@@ -47,14 +51,21 @@ def test_modes_that_the_tuning_puts_off_are_named_with_their_share() -> None:
     aim = elastic(np.zeros(1))
     told = disagreeing(chain(), aim, STIFF, STD)
     now = chain().linearise(STIFF)
-    share = now.d_lambda[1:5, 0] / (2 * np.pi * now.frequencies[1:5]) ** 2  # strain energy of the ground springs
+    share = (
+        now.d_lambda[1:5, 0] / (2 * np.pi * now.frequencies[1:5]) ** 2
+    )  # strain energy of the ground springs
     off = now.frequencies[1:5] / aim.frequencies - 1
     loud = np.flatnonzero((share > 0.1) & (off > 2 * ALLOWED * np.hypot(0.005, share / 2 * STD[0])))
     assert loud.size
     for t in loud.tolist():
-        assert any(f"elastic test mode {t + 1} " in line and f"{100 * share[t]:.0f} %" in line for line in told)
+        assert any(
+            f"elastic test mode {t + 1} " in line and f"{100 * share[t]:.0f} %" in line
+            for line in told
+        )
     assert not any(
-        f"elastic test mode {t + 1} " in line for t in np.flatnonzero(share < 0.09).tolist() for line in told
+        f"elastic test mode {t + 1} " in line
+        for t in np.flatnonzero(share < 0.09).tolist()
+        for line in told
     )
     assert "+0.0 % off before" in told[0] or "-0.0 % off before" in told[0]
     assert f"{100 * off[loud[0]]:+.1f} % off after" in told[0]
@@ -75,7 +86,9 @@ def test_the_share_of_strain_energy_does_not_depend_on_the_scale_of_the_paramete
     """log and linear parameters of the same factor name the same modes."""
     model, aim = chain(), elastic(np.zeros(1))
     spring = Parameter("ground", lower=0.1, upper=10.0, std=1.0, scale="linear")
-    linear = DenseModel.springs(model.stiffness, np.eye(N), model.d_stiffness, ParameterSet((spring,)))
+    linear = DenseModel.springs(
+        model.stiffness, np.eye(N), model.d_stiffness, ParameterSet((spring,))
+    )
     one = disagreeing(model, aim, np.array([x]), STD)
     other = disagreeing(linear, aim, np.array([np.exp(x) - 1]), STD * np.exp(x))
     assert one == other

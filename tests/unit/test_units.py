@@ -1,4 +1,5 @@
-"""One cantilever in every unit system: each command gives the same answer in SI, and tells of a system that is not its.
+"""One cantilever in every unit system: each command gives the same answer in SI, and tells of a
+system that is not its.
 
 A steel cantilever of 1 m, 20 mm square, its tip node 11:
 
@@ -34,7 +35,9 @@ LINE = re.compile(r"^warning: ", re.MULTILINE)
 
 
 def cantilever(units: str, *, weight: float = 1.0, more: str = "", modulus: float = 2.1e11) -> str:
-    """The deck in a unit system; with `weight` its masses are so much larger and PARAM,WTMASS makes up for it."""
+    """The deck in a unit system; with `weight` its masses are so much larger and PARAM,WTMASS makes
+    up for it.
+    """
     u = UNIT_SYSTEMS[units]
     side = 0.02 / u.length
     area, bending = side**2, side**4 / 12
@@ -53,12 +56,25 @@ def written(path: Path, units: str, **more: object) -> Path:
 
 @pytest.mark.parametrize("units", [*UNIT_SYSTEMS, "in-lbf-s weighed"])
 def test_every_system_gives_the_same_response(tmp_path: Path, capsys: Capture, units: str) -> None:
-    """Accelerance and deflection of the tip in SI, from decks whose figures have nothing in common."""
+    """Accelerance and deflection of the tip in SI, from decks whose figures have nothing in
+    common.
+    """
     name, _, weighed = units.partition(" ")
     deck = written(tmp_path / "d.bdf", name, weight=G_INCH if weighed else 1.0)
     told = []
     for d, u in ((written(tmp_path / "si.bdf", "SI"), "SI"), (deck, name)):
-        words = ["frf", str(d), "--force", "11+Z", "--fmax", "200", "--lines", "50", "--damping", "0.02"]
+        words = [
+            "frf",
+            str(d),
+            "--force",
+            "11+Z",
+            "--fmax",
+            "200",
+            "--lines",
+            "50",
+            "--damping",
+            "0.02",
+        ]
         assert run([*words, "--units", u, "--json", "-"]) == 0
         shown = capsys.readouterr()
         assert not LINE.search(shown.err)
@@ -68,7 +84,9 @@ def test_every_system_gives_the_same_response(tmp_path: Path, capsys: Capture, u
     si, here = told
     np.testing.assert_allclose(here["re"], si["re"], rtol=1e-6, atol=1e-6 * np.abs(si["re"]).max())
     np.testing.assert_allclose(here["im"], si["im"], rtol=1e-6, atol=1e-6 * np.abs(si["im"]).max())
-    assert here["static"] == pytest.approx(100 / (3 * 2.1e11 * 0.02**4 / 12), rel=1e-4)  # F l3 / 3 E I
+    assert here["static"] == pytest.approx(
+        100 / (3 * 2.1e11 * 0.02**4 / 12), rel=1e-4
+    )  # F l3 / 3 E I
     assert here["unit"] == si["unit"]
 
 
@@ -84,14 +102,19 @@ def test_every_system_gives_the_same_response(tmp_path: Path, capsys: Capture, u
 def test_a_deck_that_is_in_another_system_is_told(
     tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]
 ) -> None:
-    """A deck in mm, t and s that is taken for SI: figures a thousand times too large, without a word."""
+    """A deck in mm, t and s that is taken for SI: figures a thousand times too large, without a
+    word.
+    """
     monkeypatch.chdir(tmp_path)
     deck = written(tmp_path / "d.bdf", "mm-t-s")
     assert run(["modes", str(deck), "-n", "4", "--out", "test.json"]) == 0
     capsys.readouterr()
     run([words[0], str(deck), *words[1:]])
     told = capsys.readouterr().err
-    assert "d.bdf:28: MAT1 1: E 210000 with RHO 7.85e-09 (WTMASS applied) are not plausible in SI" in told
+    assert (
+        "d.bdf:28: MAT1 1: E 210000 with RHO 7.85e-09 (WTMASS applied) are not plausible in SI"
+        in told
+    )
     assert "they would be in mm-t-s" in told
     run([words[0], str(deck), *words[1:], "--units", "mm-t-s"])
     assert not LINE.search(capsys.readouterr().err)
@@ -110,7 +133,10 @@ def test_a_deck_that_mixes_two_systems_is_told(tmp_path: Path, capsys: Capture) 
     deck = written(tmp_path / "d.bdf", "SI", more="MAT1,2,70000.,,.3,2.7-9")
     assert run(["check", str(deck)]) == 0
     told = capsys.readouterr().out
-    assert "the deck mixes unit systems, its materials fit no one of them: MAT1 1 fits SI; MAT1 2 fits mm-t-s" in told
+    assert (
+        "the deck mixes unit systems, its materials fit no one of them: MAT1 1 fits SI; MAT1 2 "
+        "fits mm-t-s" in told
+    )
     assert run(["static", str(deck), "--force", "11+Z"]) == 0
     assert "the deck mixes unit systems" in capsys.readouterr().err
     alone = read_deck(written(tmp_path / "e.bdf", "SI", more="MAT1,2,7.+10,,.3,2700."))
@@ -127,7 +153,9 @@ def test_a_deck_in_milliseconds_has_its_frequencies_in_hertz(tmp_path: Path) -> 
     hertz, same = (Opened(m, 1.0).modes(300.0).modes.frequencies for m in (seconds, plain))
     np.testing.assert_allclose(hertz, same, rtol=1e-6)  # the decks have nine digits
     damped = read_deck(written(tmp_path / "c.bdf", "mm-kg-ms", more="CDAMP2,99,0.1,11,3"))
-    with pytest.raises(UnsupportedError, match=r"CDAMP2 B: dashpots of a deck whose unit of time is 0\.001 s"):
+    with pytest.raises(
+        UnsupportedError, match=r"CDAMP2 B: dashpots of a deck whose unit of time is 0\.001 s"
+    ):
         in_seconds(damped, UNIT_SYSTEMS["mm-kg-ms"])
 
 
@@ -165,7 +193,9 @@ springs = {{ foot = [58] }}
 
 
 def _study(folder: Path, units: str, weight: float) -> Path:
-    """A cantilever on a spring in the middle of its length; the modes are those of 10 % less modulus."""
+    """A cantilever on a spring in the middle of its length; the modes are those of 10 % less
+    modulus.
+    """
     folder.mkdir()
     u = UNIT_SYSTEMS[units]
     k = 2e4 / (u.force / u.length)
@@ -175,7 +205,12 @@ def _study(folder: Path, units: str, weight: float) -> Path:
     modes = Opened(read_deck(folder / "t.bdf"), 1.0).modes(400.0).modes
     channels = [f"{n}+{a}" for n in range(2, 12) for a in "YZ"]
     row, sign = modes.labels.align(DofSet.parse(channels))
-    seen = ModeSet(modes.frequencies, np.full(len(modes), 0.01), modes.shapes[row] * sign[:, None], tuple(channels))
+    seen = ModeSet(
+        modes.frequencies,
+        np.full(len(modes), 0.01),
+        modes.shapes[row] * sign[:, None],
+        tuple(channels),
+    )
     write_modes(folder / "modes.json", seen)
     places = [f"{n},{(n - 1) / 10},0,0,+{a}\n" for n in range(2, 12) for a in "YZ"]
     (folder / "s.csv").write_text("point,x,y,z,direction\n" + "".join(places))
@@ -185,7 +220,9 @@ def _study(folder: Path, units: str, weight: float) -> Path:
 
 
 def test_a_study_in_inches_and_pounds_is_that_in_si(tmp_path: Path, capsys: Capture) -> None:
-    """Mass in t, factor, and the run-up in m and N: the unbalance is in kg, the deck has pounds and PARAM,WTMASS."""
+    """Mass in t, factor, and the run-up in m and N: the unbalance is in kg, the deck has pounds and
+    PARAM,WTMASS.
+    """
     told = []
     for name, units, weight in (("si", "SI", 1.0), ("inch", "in-lbf-s", G_INCH)):
         study = _study(tmp_path / name, units, weight)
@@ -199,13 +236,19 @@ def test_a_study_in_inches_and_pounds_is_that_in_si(tmp_path: Path, capsys: Capt
     (mass, factor, si), (pounds, other, inch) = told
     assert pounds == pytest.approx(mass, rel=1e-5)
     assert (factor, other) == pytest.approx((0.9, 0.9), rel=1e-3)
-    peaks = [[o["peak"][1] for o in p["outputs"][:2]] for p in (si, inch)]  # the rotor, the most loaded spring
+    peaks = [
+        [o["peak"][1] for o in p["outputs"][:2]] for p in (si, inch)
+    ]  # the rotor, the most loaded spring
     assert [o["unit"] for o in inch["outputs"]] == [o["unit"] for o in si["outputs"]]
-    np.testing.assert_allclose(peaks[1], peaks[0], rtol=1e-2)  # draws of posteriors that differ in rounding
+    np.testing.assert_allclose(
+        peaks[1], peaks[0], rtol=1e-2
+    )  # draws of posteriors that differ in rounding
 
 
 @pytest.mark.parametrize("command", ["run", "update"])
-def test_a_study_that_names_other_units_is_told(tmp_path: Path, capsys: Capture, command: str) -> None:
+def test_a_study_that_names_other_units_is_told(
+    tmp_path: Path, capsys: Capture, command: str
+) -> None:
     study = _study(tmp_path / "si", "SI", 1.0)
     study.write_text(study.read_text().replace('units = "SI"', 'units = "mm-t-s"'))
     more = ["--until", "model"] if command == "run" else [str(study.parent / "modes.json")]

@@ -1,7 +1,8 @@
-"""Candidates that the data cannot tell apart, changes that are not worth writing, and candidates that name no card.
+"""Candidates that the data cannot tell apart, changes that are not worth writing, and candidates
+that name no card.
 
-A cantilever whose modulus is 10 % too high, with candidates on E, density and second moments: of its bending modes all
-three are one and the same.
+A cantilever whose modulus is 10 % too high, with candidates on E, density and second moments: of
+its bending modes all three are one and the same.
 """
 
 from __future__ import annotations
@@ -40,11 +41,17 @@ CANDIDATES = {"E": "MAT1 1 E", "rho": "MAT1 1 RHO", "I": "PBAR 1 I1,I2"}
 
 
 def deck(modulus: float = 2.1e11, stiff: float = 0.0) -> str:
-    """A cantilever of other stiffness in its two planes, with a spring along X at its tip where asked for."""
+    """A cantilever of other stiffness in its two planes, with a spring along X at its tip where
+    asked for.
+    """
     lines = ["SOL 103", "CEND", "SPC = 1", "BEGIN BULK"]
     lines += [f"GRID,{n},,{0.1 * (n - 1):.1f},0.,0." for n in range(1, 12)]
     lines += [f"CBAR,{n},1,{n},{n + 1},0.,1.,0." for n in range(1, 11)]
-    lines += ["PBAR,1,1,4.-4,1.333-8,1.6-8,2.3-8", f"MAT1,1,{modulus:.9e},,.3,7850.", "SPC1,1,123456,1"]
+    lines += [
+        "PBAR,1,1,4.-4,1.333-8,1.6-8,2.3-8",
+        f"MAT1,1,{modulus:.9e},,.3,7850.",
+        "SPC1,1,123456,1",
+    ]
     lines += [f"CELAS2,50,{stiff},11,1"] if stiff else []
     return "\n".join([*lines, "ENDDATA", ""])
 
@@ -61,7 +68,12 @@ def study(folder: Path, candidates: dict[str, str] = CANDIDATES, stiff: float = 
     channels = [f"{n}+{a}" for n in NODES for a in "YZ"]
     assert isinstance(modes.labels, DofSet)
     row, sign = modes.labels.align(DofSet.parse(channels))
-    seen = ModeSet(modes.frequencies, np.full(len(modes), 0.01), modes.shapes[row] * sign[:, None], tuple(channels))
+    seen = ModeSet(
+        modes.frequencies,
+        np.full(len(modes), 0.01),
+        modes.shapes[row] * sign[:, None],
+        tuple(channels),
+    )
     write_modes(folder / "modes.json", seen)
     places = [f"{n},{(n - 1) / 10},0,0,+{a}\n" for n in NODES for a in "YZ"]
     (folder / "s.csv").write_text("point,x,y,z,direction\n" + "".join(places))
@@ -76,7 +88,9 @@ def changed(folder: Path) -> list[str]:
     return [b for a, b in zip(old, new, strict=True) if a != b]
 
 
-def test_one_of_perfectly_collinear_candidates_is_updated_the_others_are_held(tmp_path: Path, capsys: Capture) -> None:
+def test_one_of_perfectly_collinear_candidates_is_updated_the_others_are_held(
+    tmp_path: Path, capsys: Capture
+) -> None:
     """E, density and second moments shared a change out, 0.965 1.036 0.965, under green ticks."""
     assert run(["run", str(study(tmp_path))]) == 0
     told = capsys.readouterr().out
@@ -92,7 +106,15 @@ def test_one_of_perfectly_collinear_candidates_is_updated_the_others_are_held(tm
 
 def test_the_command_update_has_the_same_rule(tmp_path: Path, capsys: Capture) -> None:
     path = study(tmp_path)
-    words = ["update", str(path), str(tmp_path / "modes.json"), "--out", str(tmp_path / "updated"), "--json", "-"]
+    words = [
+        "update",
+        str(path),
+        str(tmp_path / "modes.json"),
+        "--out",
+        str(tmp_path / "updated"),
+        "--json",
+        "-",
+    ]
     assert run(words) == 0
     found = json.loads(capsys.readouterr().out)
     assert [p["name"] for p in found["parameters"]] == ["E"]
@@ -111,7 +133,9 @@ def test_one_candidate_with_both_targets_shares_them_equally(tmp_path: Path) -> 
 
 
 def test_only_what_the_data_leave_to_the_prior_is_held() -> None:
-    """A combination of others is held, too; what hardly acts, and what strong data tell apart, is not."""
+    """A combination of others is held, too; what hardly acts, and what strong data tell apart, is
+    not.
+    """
     rng = np.random.default_rng(0)
     a, b, other = rng.standard_normal((3, 40)) * 20
     g = np.stack([a, b, a + b, 1e-3 * other, -a], axis=1)
@@ -119,7 +143,9 @@ def test_only_what_the_data_leave_to_the_prior_is_held() -> None:
     assert kept.tolist() == [0, 1, 3]
     assert set(held) == {2, 4}
     assert held[4].tolist() == [0]
-    near = np.stack([a, a + 1e-3 * b], axis=1)  # cosine 1 - 5e-7, but the data share out what they do together
+    near = np.stack(
+        [a, a + 1e-3 * b], axis=1
+    )  # cosine 1 - 5e-7, but the data share out what they do together
     assert told_apart(near, range(2))[0].tolist() == [0, 1]
     assert told_apart(near / 20, range(2))[0].tolist() == [0]
     assert stood_for(g[:, [0, 4]], ["one", "two"]) == {"two": ("one",)}

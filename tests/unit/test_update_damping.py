@@ -38,7 +38,9 @@ def test_poles_give_loss_factors_and_dashpots() -> None:
     true = complex_modes(lam, *assembled(parts, TRUTH, N))
     found = fit_poles(lam, parts, true.damping, np.full(N, 1e-5), np.arange(N))
     np.testing.assert_allclose(found.coefficients, TRUTH, rtol=1e-6)
-    assert np.abs(found.start / TRUTH - 1).max() > 1e-5  # first order only: the refinement has worked
+    assert (
+        np.abs(found.start / TRUTH - 1).max() > 1e-5
+    )  # first order only: the refinement has worked
     np.testing.assert_allclose(found.modes(lam).poles, true.poles, rtol=1e-7)
     assert not found.at_bound.any()
 
@@ -47,19 +49,26 @@ def test_standard_deviation_from_poles_covers_the_scatter() -> None:
     lam, _, parts = system()
     rng, true = np.random.default_rng(0), complex_modes(lam, *assembled(parts, TRUTH, N)).damping
     std = 0.03 * true
-    fits = [fit_poles(lam, parts, true + std * rng.standard_normal(N), std, np.arange(N)) for _ in range(100)]
+    fits = [
+        fit_poles(lam, parts, true + std * rng.standard_normal(N), std, np.arange(N))
+        for _ in range(100)
+    ]
     scatter = np.std([f.coefficients for f in fits], axis=0)
     told = np.mean([f.std for f in fits], axis=0)
     assert (told > 0.85 * scatter).all()  # 7 % is the scatter of the scatter
     assert (told < 1.5 * scatter).all()  # s² is not believed below 1: wider by 15 % on average
 
 
-def receptance(lam: np.ndarray, phi: np.ndarray, parts: tuple[Mechanism, ...], freqs: np.ndarray) -> np.ndarray:
+def receptance(
+    lam: np.ndarray, phi: np.ndarray, parts: tuple[Mechanism, ...], freqs: np.ndarray
+) -> np.ndarray:
     return coupled(freqs, lam, *assembled(parts, TRUTH, N), phi, phi[[0, 5]], kind="receptance")
 
 
 def test_frfs_give_damping_though_the_model_is_off_in_frequency() -> None:
-    """The eigenvalues of the model are wrong by up to 2 %: a peak beside its place must not look like damping."""
+    """The eigenvalues of the model are wrong by up to 2 %: a peak beside its place must not look
+    like damping.
+    """
     lam, phi, parts = system()
     hertz = np.sqrt(lam) / (2 * np.pi)
     grid = np.linspace(1.0, 70.0, 2761)
@@ -81,7 +90,9 @@ def test_modal_damping_from_frfs() -> None:
     hertz, zeta = np.sqrt(lam) / (2 * np.pi), np.linspace(0.005, 0.03, N)
     freqs = np.linspace(1.0, 70.0, 691)
     h = frf(freqs, hertz, zeta, phi, phi[[0]], "receptance")
-    found = fit_frfs(lam, modal(lam), FrfData(freqs, h, phi, phi[[0]], 1e-3 * float(np.abs(h).max())))
+    found = fit_frfs(
+        lam, modal(lam), FrfData(freqs, h, phi, phi[[0]], 1e-3 * float(np.abs(h).max()))
+    )
     np.testing.assert_allclose(found.coefficients, zeta, rtol=1e-5)
     np.testing.assert_allclose(found.modes(lam).damping, zeta, rtol=1e-5)
 

@@ -1,4 +1,5 @@
-"""Regions of a deck that dissipate: what the deck's own GE and B do to its modes is the sum of what the regions do.
+"""Regions of a deck that dissipate: what the deck's own GE and B do to its modes is the sum of what
+the regions do.
 
 A cantilever of two beams of different material on a spring with dashpots, a plate at its tip:
 
@@ -38,7 +39,12 @@ def deck(ge: dict[int, float], b: float, bush_ge: float = 0.0) -> str:
     lines = ["SOL 103", "CEND", "SPC = 1", "BEGIN BULK"]
     lines += [f"GRID,{i + 1},,{0.5 * i},0.,0." for i in range(9)]
     lines += [f"CBAR,{i + 1},{1 if i < 4 else 2},{i + 1},{i + 2},0.,0.,1." for i in range(8)]
-    lines += ["GRID,20,,4.,1.,0.", "GRID,21,,4.5,1.,0.", "GRID,22,,4.5,0.,0.", "CQUAD4,30,3,9,22,21,20"]
+    lines += [
+        "GRID,20,,4.,1.,0.",
+        "GRID,21,,4.5,1.,0.",
+        "GRID,22,,4.5,0.,0.",
+        "CQUAD4,30,3,9,22,21,20",
+    ]
     lines += ["CBUSH,40,4,9,,,,,0", "PBUSH,4,K,1.+5,1.+5,2.+5", f",,B,,,{b}", f",,GE,{bush_ge}"]
     # fields 2 to 9 of MAT1: E, G, NU, RHO, A, TREF, GE
     lines += [
@@ -49,7 +55,12 @@ def deck(ge: dict[int, float], b: float, bush_ge: float = 0.0) -> str:
             3: ("7.+10", 0.33, 2700.0),
         }.items()
     ]
-    lines += ["PBAR,1,1,.01,1.-5,2.-5,2.-5", "PBAR,2,2,.04,1.-4,1.5-4,2.-4", "PSHELL,3,3,.01,3", "SPC1,1,123456,1"]
+    lines += [
+        "PBAR,1,1,.01,1.-5,2.-5,2.-5",
+        "PBAR,2,2,.04,1.-4,1.5-4,2.-4",
+        "PSHELL,3,3,.01,3",
+        "SPC1,1,123456,1",
+    ]
     return "\n".join([*lines, "ENDDATA"]) + "\n"
 
 
@@ -63,7 +74,11 @@ def solved(opened: Opened) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np
     modes = opened.modes(FMAX).modes
     system = opened.analysis.system
     phi = np.asarray(system.local @ modes.shapes)
-    return (2 * np.pi * modes.frequencies) ** 2, modes.shapes, project(phi, system.viscous, system.structural)
+    return (
+        (2 * np.pi * modes.frequencies) ** 2,
+        modes.shapes,
+        project(phi, system.viscous, system.structural),
+    )
 
 
 SPRING = ParameterSet((Parameter("spring", (Target("PBUSH", 4, "K3"),)),))
@@ -76,13 +91,17 @@ def names(model: Model, **regions: list[int]) -> list[str]:
 def test_the_parts_make_up_the_damping_of_the_deck(tmp_path: Path) -> None:
     opened = read(tmp_path, deck(GE, B))
     values, shapes, total = solved(opened)
-    found = dampers(opened.model, default_regions(opened.model, SPRING, {}), values, shapes, total, 0.01)
+    found = dampers(
+        opened.model, default_regions(opened.model, SPRING, {}), values, shapes, total, 0.01
+    )
     assert [r.name for r in found.regions] == ["MAT1 1", "MAT1 2", "MAT1 3", "spring"]
     size = np.abs(total[1]).max()
     np.testing.assert_allclose(
         sum(GE[i + 1] * found.mechanisms[i].matrix for i in range(3)), total[1], atol=1e-9 * size
     )
-    np.testing.assert_allclose(B * found.mechanisms[3].matrix, total[0], atol=1e-9 * np.abs(total[0]).max())
+    np.testing.assert_allclose(
+        B * found.mechanisms[3].matrix, total[0], atol=1e-9 * np.abs(total[0]).max()
+    )
     for left in found.base:  # every damper is in a region, so nothing is left beside them
         np.testing.assert_allclose(left, 0.0, atol=1e-9 * size)
 
@@ -94,11 +113,15 @@ def test_damping_of_regions_that_are_not_asked_for_stays(tmp_path: Path) -> None
     found = dampers(opened.model, [wanted], values, shapes, total, 0.01)
     here = found.mechanisms[0].matrix
     np.testing.assert_allclose(found.base[0], total[0], rtol=1e-12)
-    np.testing.assert_allclose(found.base[1] + GE[2] * here, total[1], atol=1e-9 * np.abs(total[1]).max())
+    np.testing.assert_allclose(
+        found.base[1] + GE[2] * here, total[1], atol=1e-9 * np.abs(total[1]).max()
+    )
 
 
 def test_loss_factors_and_dashpot_from_the_damping_of_the_modes(tmp_path: Path) -> None:
-    """Damping ratios of the deck's complex modes give back its GE and B, with the bush's own GE known."""
+    """Damping ratios of the deck's complex modes give back its GE and B, with the bush's own GE
+    known.
+    """
     opened = read(tmp_path, deck(GE, B, bush_ge=0.5))
     values, shapes, total = solved(opened)
     regions = default_regions(opened.model, SPRING, {})
@@ -108,11 +131,15 @@ def test_loss_factors_and_dashpot_from_the_damping_of_the_modes(tmp_path: Path) 
     damped = complex_modes(values, *total)
     true, at = damped.damping, np.abs(damped.shapes).argmax(axis=0)  # two close modes change places
     fit = fit_poles(values, found.mechanisms, true, 1e-4 * true, at, base=found.base)
-    np.testing.assert_allclose(fit.coefficients, [*GE.values(), B], rtol=2e-3)  # the priors pull by some 1e-4
+    np.testing.assert_allclose(
+        fit.coefficients, [*GE.values(), B], rtol=2e-3
+    )  # the priors pull by some 1e-4
     ratio, std = mode_damping(values, found.mechanisms, fit, at)
     np.testing.assert_allclose(ratio, true, rtol=1e-3)
     assert (std < 1e-3 * true).all()
-    blind = fit_poles(values, found.mechanisms, true, 1e-4 * true, at)  # without what is known of the bush
+    blind = fit_poles(
+        values, found.mechanisms, true, 1e-4 * true, at
+    )  # without what is known of the bush
     assert np.abs(blind.coefficients / [*GE.values(), B] - 1).max() > 0.05
 
 
@@ -143,7 +170,11 @@ def test_springs_of_one_make_have_one_loss_factor(tmp_path: Path) -> None:
 
     def springs(suspension: ParameterSet, **regions: list[int]) -> list[tuple[str, list[int]]]:
         found = default_regions(model, suspension, regions)
-        return [(r.name, [t.id for t in r.targets]) for r in found if r.nature == "joint" and r.targets[0].id > 10]
+        return [
+            (r.name, [t.id for t in r.targets])
+            for r in found
+            if r.nature == "joint" and r.targets[0].id > 10
+        ]
 
     none = ParameterSet(())
     assert springs(none) == [("PBUSH 11,13,14", [11, 13, 14]), ("PBUSH 12", [12])]
@@ -178,16 +209,27 @@ def test_input_is_checked(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="MAT1 1 GE is in two damping regions"):
         dampers(opened.model, [steel, steel], values, shapes, total, 0.01)
     with pytest.raises(InputError, match="MAT1 7 is not in the model"):
-        dampers(opened.model, [DampingRegion("x", (Target("MAT1", 7, "GE"),))], values, shapes, total, 0.01)
+        dampers(
+            opened.model,
+            [DampingRegion("x", (Target("MAT1", 7, "GE"),))],
+            values,
+            shapes,
+            total,
+            0.01,
+        )
 
 
 def test_two_decks_with_common_coefficients_tell_apart_what_one_cannot() -> None:
-    """In the first deck A and B act in proportion; the second has B alone. ζ = Σ η_k κ_km / (2 λ_m)."""
+    """In the first deck A and B act in proportion; the second has B alone. ζ = Σ η_k κ_km / (2
+    λ_m).
+    """
     one, two = np.array([100.0, 900.0]), np.array([400.0, 2500.0])
     regions = [DampingRegion(n, (Target("MAT1", i, "GE"),)) for i, n in ((1, "A"), (2, "B"))]
 
     def mechanism(name: str, share: float, values: np.ndarray) -> Mechanism:
-        return Mechanism(name, "structural", np.diag(share * values), upper=1.0, prior=0.02, std=0.02)
+        return Mechanism(
+            name, "structural", np.diag(share * values), upper=1.0, prior=0.02, std=0.02
+        )
 
     none = np.zeros((2, 2)), np.zeros((2, 2))
     first = Dampers(tuple(regions), (mechanism("A", 0.4, one), mechanism("B", 0.6, one)), none)

@@ -1,6 +1,7 @@
 """When sets with masses that a deck lacks are sought, and what a search keeps of its points.
 
-A chain of ten masses between walls, five groups of two springs; a mass may be lacking at the third and at the eighth.
+A chain of ten masses between walls, five groups of two springs; a mass may be lacking at the third
+and at the eighth.
 """
 
 from __future__ import annotations
@@ -37,23 +38,35 @@ def _chain() -> DenseModel:
         lumps[i, place, place] = TOTAL
     groups = [Parameter(f"springs {g}", (), 0.3, 3.0, "log", 0.3) for g in range(5)]
     places = [
-        Parameter(f"mass at {i}", (Target("CONM2", i, "M", (), TOTAL),), 1 - 1e-7, 1.4, "linear", 0.05) for i in PLACES
+        Parameter(
+            f"mass at {i}", (Target("CONM2", i, "M", (), TOTAL),), 1 - 1e-7, 1.4, "linear", 0.05
+        )
+        for i in PLACES
     ]
     return DenseModel(
-        springs.sum(axis=0), np.eye(N) * TOTAL / N, changes, lumps, np.eye(N), ParameterSet((*groups, *places)), N
+        springs.sum(axis=0),
+        np.eye(N) * TOTAL / N,
+        changes,
+        lumps,
+        np.eye(N),
+        ParameterSet((*groups, *places)),
+        N,
     )
 
 
 def _aim(truth: Sequence[float]) -> Aim:
     rng, model = np.random.default_rng(4), _chain()
-    modes = model.modes(np.where(np.arange(7) < 5, np.log(np.maximum(truth, 1e-9)), np.array(truth) - 1))
+    modes = model.modes(
+        np.where(np.arange(7) < 5, np.log(np.maximum(truth, 1e-9)), np.array(truth) - 1)
+    )
     shapes = modes.shapes[:, :8] * (1 + 0.005 * rng.standard_normal((N, 8)))
     frequencies = modes.frequencies[:8] * (1 + 5e-4 * rng.standard_normal(8))
     return Aim(frequencies, shapes, np.full(8, 5e-4), np.ones(8, dtype=bool))
 
 
 @pytest.mark.parametrize(
-    ("truth", "masses"), [((1, 0.75, 1, 1.3, 1, 1, 1), []), ((1, 0.75, 1, 1, 1, 1, 1.06), [LUMPS[1]])]
+    ("truth", "masses"),
+    [((1, 0.75, 1, 1.3, 1, 1, 1), []), ((1, 0.75, 1, 1, 1, 1, 1.06), [LUMPS[1]])],
 )
 def test_sets_with_masses_are_sought_only_where_one_makes_a_set_better(
     truth: tuple[float, ...], masses: list[int]
@@ -75,7 +88,10 @@ def test_sets_with_masses_are_sought_only_where_one_makes_a_set_better(
 
 def test_a_point_of_a_search_has_all_squares_and_products_in_few_rows() -> None:
     aim = _aim((1, 0.75, 1, 1, 1, 1, 1.06))
-    search, x = Search.of(_chain(), aim, 0.99, None), np.array([0.0, -0.2, 0.1, 0.0, 0.0, 0.0, 0.03])
+    search, x = (
+        Search.of(_chain(), aim, 0.99, None),
+        np.array([0.0, -0.2, 0.1, 0.0, 0.0, 0.0, 0.03]),
+    )
     whole, few = residual(aim, _chain().linearise(x)), search.point(x)
     assert whole.value.size == 8 * (1 + N)
     assert few.value.size == 8 + 7 + 1
@@ -84,7 +100,13 @@ def test_a_point_of_a_search_has_all_squares_and_products_in_few_rows() -> None:
     for rows, same in ((few.kinds == 0, of_frequency), (few.kinds == 1, slice(8, None))):
         one = np.column_stack([few.slope[rows], few.value[rows]])
         other = np.column_stack([whole.slope[same], whole.value[same]])
-        np.testing.assert_allclose(one.T @ one, other.T @ other, rtol=1e-9, atol=1e-9 * np.abs(other.T @ other).max())
+        np.testing.assert_allclose(
+            one.T @ one, other.T @ other, rtol=1e-9, atol=1e-9 * np.abs(other.T @ other).max()
+        )
     fresh = Search.of(_chain(), aim, 0.99, None)
-    assert fresh.value(x).value @ fresh.value(x).value == pytest.approx(whole.value @ whole.value, rel=1e-9)
-    np.testing.assert_allclose(fresh.point(x).slope.T @ fresh.point(x).slope, few.slope.T @ few.slope, rtol=1e-9)
+    assert fresh.value(x).value @ fresh.value(x).value == pytest.approx(
+        whole.value @ whole.value, rel=1e-9
+    )
+    np.testing.assert_allclose(
+        fresh.point(x).slope.T @ fresh.point(x).slope, few.slope.T @ few.slope, rtol=1e-9
+    )

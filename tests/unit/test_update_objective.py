@@ -1,4 +1,6 @@
-"""Residuals and their sensitivities on spring-mass models: Taylor remainders, rotations, holding of pairs."""
+"""Residuals and their sensitivities on spring-mass models: Taylor remainders, rotations, holding of
+pairs.
+"""
 
 from __future__ import annotations
 
@@ -16,14 +18,24 @@ from ringtrue.shapes.mac import mac
 from ringtrue.study.stages.together import spared
 from ringtrue.update.dense import DenseModel
 from ringtrue.update.gauss_newton import update
-from ringtrue.update.objective import DOUBT, LOST, Target, Weights, match, objective, residual, shared_cost
+from ringtrue.update.objective import (
+    DOUBT,
+    LOST,
+    Target,
+    Weights,
+    match,
+    objective,
+    residual,
+    shared_cost,
+)
 from ringtrue.update.settle import Course, displaced, lost, settled, whole_cost
 from ringtrue.update.several import Configuration, Problem
 from ringtrue.update.trust import solve
 
 
 def chain(n: int, groups: int, *, kind: str = "log") -> DenseModel:
-    """n masses in a row on n springs, fixed at one end; springs in equal groups, one stiffness factor each.
+    """n masses in a row on n springs, fixed at one end; springs in equal groups, one stiffness
+    factor each.
 
         |-k1-m1-k2-m2- ... -kn-mn
 
@@ -37,7 +49,9 @@ def chain(n: int, groups: int, *, kind: str = "log") -> DenseModel:
         spring[i] = 4e4 * np.outer(v, v)
     of = np.arange(n) * groups // n
     parts = np.array([spring[of == g].sum(axis=0) for g in range(groups)])
-    names = ParameterSet(tuple(Parameter(f"k{g + 1}", (), 0.2, 5.0, kind, 2.0) for g in range(groups)))
+    names = ParameterSet(
+        tuple(Parameter(f"k{g + 1}", (), 0.2, 5.0, kind, 2.0) for g in range(groups))
+    )
     return DenseModel.springs(spring.sum(axis=0), np.diag(1 + 0.05 * np.arange(n)), parts, names)
 
 
@@ -96,7 +110,9 @@ def test_scale_and_sign_of_test_shapes_do_not_matter() -> None:
 
 
 def test_rotation_inside_a_close_pair_costs_nothing() -> None:
-    """Two equal towers, tied by nothing: every frequency is double, any mix of their shapes is a mode."""
+    """Two equal towers, tied by nothing: every frequency is double, any mix of their shapes is a
+    mode.
+    """
     k, m = chain(3, 1).stiffness, chain(3, 1).mass
     zero = np.zeros((3, 3))
     left, right = np.block([[k, zero], [zero, zero]]), np.block([[zero, zero], [zero, k]])
@@ -130,8 +146,12 @@ def test_dense_model_held_to_some_parameters() -> None:
     model = chain(9, 3)
     x = np.array([0.1, 0.2, -0.3])
     part = model.with_parameters([2], x)
-    np.testing.assert_allclose(part.modes(x[[2]]).frequencies, model.modes(x).frequencies, rtol=1e-12)
-    np.testing.assert_allclose(part.linearise(x[[2]]).d_lambda[:, 0], model.linearise(x).d_lambda[:, 2], rtol=1e-9)
+    np.testing.assert_allclose(
+        part.modes(x[[2]]).frequencies, model.modes(x).frequencies, rtol=1e-12
+    )
+    np.testing.assert_allclose(
+        part.linearise(x[[2]]).d_lambda[:, 0], model.linearise(x).d_lambda[:, 2], rtol=1e-9
+    )
 
 
 def test_input_is_checked() -> None:
@@ -143,7 +163,9 @@ def test_input_is_checked() -> None:
 
 
 def test_a_mode_that_the_model_does_not_have_lets_go() -> None:
-    """The highest test mode is another thing that happens to look like the model's: 8 % too high, MAC 0.8."""
+    """The highest test mode is another thing that happens to look like the model's: 8 % too high,
+    MAC 0.8.
+    """
     model, x = chain(9, 3), np.array([0.3, -0.2, 0.25])
     true = target(model, x, 5)
     rng = np.random.default_rng(4)
@@ -153,7 +175,9 @@ def test_a_mode_that_the_model_does_not_have_lets_go() -> None:
     shapes = true.shapes.copy()
     shapes[:, 4] = np.sqrt(0.8) * psi + np.sqrt(0.2) * alien / np.linalg.norm(alien)
     f = true.frequencies * np.array([1, 1, 1, 1, 1.08])
-    aim = Target(f, shapes, np.zeros(5), np.ones(5, dtype=bool), Weights(frequency=0.01, mac=0.05, shape=1.0))
+    aim = Target(
+        f, shapes, np.zeros(5), np.ones(5, dtype=bool), Weights(frequency=0.01, mac=0.05, shape=1.0)
+    )
     pulled = update(model, aim)
     near = update(model, aim.doubting(), start=pulled.x)
     last = aim.settled(model.linearise(near.x))
@@ -166,22 +190,30 @@ def test_a_mode_that_the_model_does_not_have_lets_go() -> None:
 
 @pytest.mark.parametrize("deviation", [0.002, 0.07])
 def test_where_all_modes_deviate_none_is_let_go(deviation: float) -> None:
-    """Errors of form of 7 %, seven standard deviations, leave the pairs; beside small ones a mode 8 % off goes."""
+    """Errors of form of 7 %, seven standard deviations, leave the pairs; beside small ones a mode 8
+    % off goes.
+    """
     model = chain(9, 3)
     aim = target(model, np.array([0.1, -0.1, 0.1]), 6)
     error = deviation * np.array([1, -1, 1, -1, 1, -1])
     error[5] = 0.08
-    problem = Problem((Configuration(model, replace(aim, frequencies=aim.frequencies * (1 + error))),))
+    problem = Problem(
+        (Configuration(model, replace(aim, frequencies=aim.frequencies * (1 + error))),)
+    )
     end = settled(problem, Course(discrepancy="found"), start=solve(problem).y)
     assert lost(problem, end.solution.end) == (1 if deviation < 0.01 else 0)
     np.testing.assert_allclose(end.solution.x, [0.1, -0.1, 0.1], atol=0.05)
-    if deviation > 0.01:  # all kept, some at seven standard deviations: none costs more than a lost mode
+    if (
+        deviation > 0.01
+    ):  # all kept, some at seven standard deviations: none costs more than a lost mode
         at = end.solution.end
         assert whole_cost(problem, at) <= 6 * DOUBT + at.prior + 1e-9 < at.data
 
 
 def test_other_starts_are_for_modes_that_the_model_has() -> None:
-    """A mode at half its frequency is one of these, a local mode that moves a single sensor is not."""
+    """A mode at half its frequency is one of these, a local mode that moves a single sensor is
+    not.
+    """
     model = chain(9, 3)
     aim = target(model, np.array([0.1, -0.1, 0.1]), 5)
     shapes = aim.shapes.copy()
@@ -201,19 +233,28 @@ def test_a_point_with_no_mode_near_keeps_the_pairs_of_the_gates() -> None:
     assert not len(match(aim.doubting(), far)[0])
     firm = aim.settled(far)
     assert firm.used.all()
-    np.testing.assert_allclose(update(model, firm).x, -0.4, atol=2e-3)  # the prior pulls by that much
+    np.testing.assert_allclose(
+        update(model, firm).x, -0.4, atol=2e-3
+    )  # the prior pulls by that much
 
 
 def test_settled_pairs_make_a_smooth_objective() -> None:
     model = chain(9, 3)
-    aim = target(model, np.array([0.3, -0.2, 0.25]), 5).settled(model.linearise(np.array([0.28, -0.2, 0.2])))
+    aim = target(model, np.array([0.3, -0.2, 0.25]), 5).settled(
+        model.linearise(np.array([0.28, -0.2, 0.2]))
+    )
     x, d = np.array([0.25, -0.15, 0.2]), np.array([0.1, 0.2, -0.3])
     prior = model.parameters.std()
-    value = [objective(aim, residual(aim, model.linearise(x + h * d)), x + h * d, prior) for h in (-1e-5, 1e-5)]
+    value = [
+        objective(aim, residual(aim, model.linearise(x + h * d)), x + h * d, prior)
+        for h in (-1e-5, 1e-5)
+    ]
     r = residual(aim, model.linearise(x))
     slope = -2 * r.slope.T @ r.value + 2 * x / prior**2
     assert (value[1] - value[0]) / 2e-5 == pytest.approx(float(slope @ d), rel=1e-6)
-    np.testing.assert_allclose(r.mac, mac(aim.shapes, model.linearise(x).shapes)[:, :5].diagonal(), rtol=1e-9)
+    np.testing.assert_allclose(
+        r.mac, mac(aim.shapes, model.linearise(x).shapes)[:, :5].diagonal(), rtol=1e-9
+    )
 
 
 @dataclass(frozen=True)
@@ -230,13 +271,18 @@ class Rough:
     def linearise(self, x: np.ndarray) -> Linearisation:
         at = self.model.linearise(x)
         rng = np.random.default_rng(np.frombuffer(x.tobytes(), dtype=np.uint32))
-        return replace(at, frequencies=at.frequencies * (1 + self.size * rng.standard_normal(at.frequencies.size)))
+        return replace(
+            at,
+            frequencies=at.frequencies * (1 + self.size * rng.standard_normal(at.frequencies.size)),
+        )
 
 
 def test_what_is_left_at_the_minimum_is_round_off_and_no_stall() -> None:
     model = chain(9, 3)
     exact = target(model, np.array([0.3, -0.1, 0.2]), 6)
-    off = 1 + 0.02 * np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])  # no parameters fit these frequencies
+    off = 1 + 0.02 * np.array(
+        [1.0, -1.0, 1.0, -1.0, 1.0, -1.0]
+    )  # no parameters fit these frequencies
     aim = replace(exact, frequencies=exact.frequencies * off)
     best = update(model, aim)
     assert best.outcome is Outcome.CONVERGED
@@ -245,33 +291,51 @@ def test_what_is_left_at_the_minimum_is_round_off_and_no_stall() -> None:
         assert update(Rough(model), aim, start=start).outcome is Outcome.CONVERGED
 
 
-def test_a_mode_that_has_a_partner_is_not_paired_anew_by_the_gates_of_those_that_lose_theirs() -> None:
-    # MAC 80 % at the frequency of the test, 86 % at 35 % above: in gates twice as wide the second looks better
+def test_a_mode_that_has_a_partner_is_not_paired_anew_by_the_gates_of_those_that_lose_theirs() -> (
+    None
+):
+    # MAC 80 % at the frequency of the test, 86 % at 35 % above: in gates twice as wide the second
+    # looks better
     shapes = np.sqrt(np.array([[0.80, 0.86], [0.20, 0.0], [0.0, 0.14]]))
-    now = Linearisation(np.zeros(1), np.array([10.0, 13.5]), shapes, np.zeros((2, 1)), np.zeros((3, 2, 1)))
-    aim = Target(np.array([10.0]), np.array([[1.0], [0.0], [0.0]]), np.zeros(1), np.ones(1, dtype=bool))
+    now = Linearisation(
+        np.zeros(1), np.array([10.0, 13.5]), shapes, np.zeros((2, 1)), np.zeros((3, 2, 1))
+    )
+    aim = Target(
+        np.array([10.0]), np.array([[1.0], [0.0], [0.0]]), np.zeros(1), np.ones(1, dtype=bool)
+    )
     for held in (None, np.ones(1, dtype=bool)):
         pairs, _, _ = match(aim, now, held)
         assert pairs.tolist() == [[0, 0]]
 
 
 def test_a_mode_that_loses_its_partner_comes_before_one_that_had_none() -> None:
-    # the first test mode has fallen below the gate with the only mode of the model, the second is just inside
+    # the first test mode has fallen below the gate with the only mode of the model, the second is
+    # just inside
     one, two = np.sqrt([0.50, 0.50, 0.0]), np.sqrt([0.65, 0.0, 0.35])
-    now = Linearisation(np.zeros(1), np.array([10.0]), np.eye(3)[:, :1], np.zeros((1, 1)), np.zeros((3, 1, 1)))
-    aim = Target(np.array([10.0, 10.5]), np.stack([one, two], axis=1), np.zeros(2), np.ones(2, dtype=bool))
+    now = Linearisation(
+        np.zeros(1), np.array([10.0]), np.eye(3)[:, :1], np.zeros((1, 1)), np.zeros((3, 1, 1))
+    )
+    aim = Target(
+        np.array([10.0, 10.5]), np.stack([one, two], axis=1), np.zeros(2), np.ones(2, dtype=bool)
+    )
     assert match(aim, now)[0].tolist() == [[1, 0]]
     assert match(aim, now, np.array([True, False]))[0].tolist() == [[0, 0]]
 
 
 @pytest.mark.parametrize("deviation", [0.02, 0.06])
 def test_another_shape_at_the_right_frequency_is_no_partner(deviation: float) -> None:
-    """A dense band: the mode's own shape is off by two or six standard deviations, another is right in frequency."""
+    """A dense band: the mode's own shape is off by two or six standard deviations, another is right
+    in frequency.
+    """
     own, other = np.array([1.0, 0.1, 0.0]), np.sqrt([0.4, 0.0, 0.6])
     f = np.array([10 * (1 + deviation), 10.0])
-    now = Linearisation(np.zeros(1), f, np.stack([own, other], axis=1), np.zeros((2, 1)), np.zeros((3, 2, 1)))
+    now = Linearisation(
+        np.zeros(1), f, np.stack([own, other], axis=1), np.zeros((2, 1)), np.zeros((3, 2, 1))
+    )
     gates = PairingSettings(close=0.0)
-    aim = Target(np.array([10.0]), np.eye(3)[:, :1], np.zeros(1), np.ones(1, dtype=bool), pairing=gates)
+    aim = Target(
+        np.array([10.0]), np.eye(3)[:, :1], np.zeros(1), np.ones(1, dtype=bool), pairing=gates
+    )
     assert match(aim.doubting(), now)[0].tolist() == ([[0, 0]] if deviation < 0.04 else [])
     cheap = replace(aim.doubting(), rule="cost")
     assert match(cheap, now)[0].tolist() == [[0, 0 if deviation < 0.04 else 1]]
@@ -279,7 +343,9 @@ def test_another_shape_at_the_right_frequency_is_no_partner(deviation: float) ->
 
 def test_near_the_end_a_pair_that_is_forbidden_stays_so() -> None:
     """Inside the wider gates, too."""
-    now = Linearisation(np.zeros(1), np.array([10.0]), np.eye(3)[:, :1], np.zeros((1, 1)), np.zeros((3, 1, 1)))
+    now = Linearisation(
+        np.zeros(1), np.array([10.0]), np.eye(3)[:, :1], np.zeros((1, 1)), np.zeros((3, 1, 1))
+    )
     known = Followed((), np.zeros((3, 0)), (0,), np.eye(3)[:, :1])
     aim = Target(np.array([10.0]), np.eye(3)[:, :1], np.zeros(1), np.ones(1, dtype=bool))
     assert len(match(aim.doubting(), now)[0]) == 1
@@ -287,7 +353,9 @@ def test_near_the_end_a_pair_that_is_forbidden_stays_so() -> None:
 
 
 def test_the_lowest_modes_of_a_test_keep_the_pairs_that_the_user_decides() -> None:
-    """Modes stand in any order, and those not used do not count; the third and fourth are forced onto each other's."""
+    """Modes stand in any order, and those not used do not count; the third and fourth are forced
+    onto each other's.
+    """
     f, every = np.array([30.0, 10.0, 20.0, 25.0, 40.0]), np.eye(5)
     known = Followed((0, 2, 3), every[:, [0, 3, 2]], (1, 4), every[:, [2, 1]])
     used = np.array([True, True, False, True, True])
@@ -295,7 +363,9 @@ def test_the_lowest_modes_of_a_test_keep_the_pairs_that_the_user_decides() -> No
     low = aim.lowest(2)
     assert low.frequencies.tolist() == [10.0, 20.0, 25.0]
     assert low.used.tolist() == [True, False, True]
-    now = Linearisation(np.zeros(1), np.sort(f), every[:, np.argsort(f)], np.zeros((5, 1)), np.zeros((5, 5, 1)))
+    now = Linearisation(
+        np.zeros(1), np.sort(f), every[:, np.argsort(f)], np.zeros((5, 1)), np.zeros((5, 5, 1))
+    )
     of_all = {f[t]: m for t, m in match(aim, now)[0].tolist() if f[t] <= 25}
     assert {low.frequencies[t]: m for t, m in match(low, now)[0].tolist()} == of_all
     assert {20.0: 2, 25.0: 1}.items() <= of_all.items()
@@ -304,15 +374,20 @@ def test_the_lowest_modes_of_a_test_keep_the_pairs_that_the_user_decides() -> No
 
 def test_a_mode_left_out_that_is_far_off_is_counted() -> None:
     """The settled pairs of an updating drop it; the figure that judges the set must not."""
-    now = Linearisation(np.zeros(1), np.array([10.0, 21.5, 30.0]), np.eye(3), np.zeros((3, 1)), np.zeros((3, 3, 1)))
-    aim = Target(np.array([10.0, 20.0, 30.0]), np.eye(3), np.zeros(3), np.array([True, False, True]))
+    now = Linearisation(
+        np.zeros(1), np.array([10.0, 21.5, 30.0]), np.eye(3), np.zeros((3, 1)), np.zeros((3, 3, 1))
+    )
+    aim = Target(
+        np.array([10.0, 20.0, 30.0]), np.eye(3), np.zeros(3), np.array([True, False, True])
+    )
     assert not (~residual(aim.settled(now), now).used).any()
     assert spared([aim], [now]) == pytest.approx(7.5)
     assert np.isnan(spared([replace(aim, used=np.ones(3, dtype=bool))], [now]))
 
 
 def with_local_part(mass: float, frequency: float, x: float = 0.0) -> DenseModel:
-    """A chain of six masses with a small part on a spring at the third, which no sensor sees; one stiffness factor.
+    """A chain of six masses with a small part on a spring at the third, which no sensor sees; one
+    stiffness factor.
 
     |-k-m-k-m-k-m-k-m-k-m-k-m      the part: `mass` of a mass of the chain, `frequency` of the chain's first
                 |                  mode at x; the factor leaves its spring as it is
@@ -333,8 +408,12 @@ def with_local_part(mass: float, frequency: float, x: float = 0.0) -> DenseModel
 
 @pytest.mark.parametrize("rule", ["gates", "capped", "cost"])
 @pytest.mark.parametrize("mass", [1e-5, 1e-8, 1e-11])
-def test_objective_is_zero_at_the_truth_with_a_mode_that_hardly_moves_the_sensors(rule: str, mass: float) -> None:
-    """The local mode beside the first one has its shape at the sensors, but for a little: exact data tell them."""
+def test_objective_is_zero_at_the_truth_with_a_mode_that_hardly_moves_the_sensors(
+    rule: str, mass: float
+) -> None:
+    """The local mode beside the first one has its shape at the sensors, but for a little: exact
+    data tell them.
+    """
     model = with_local_part(mass, 1.3)
     truth = np.array([0.2])
     share = peak_shares(model.modes(truth).shapes)
@@ -342,7 +421,8 @@ def test_objective_is_zero_at_the_truth_with_a_mode_that_hardly_moves_the_sensor
     assert 1e-7 < share[:4].min() < aim.pairing.faint
     problem = Problem((Configuration(model, aim),), precision=np.zeros((1, 1)))
     eps = np.finfo(np.float64).eps
-    # λ is known to eps of the highest of the chain; a shape to eps over its share, and J adds up their squares
+    # λ is known to eps of the highest of the chain; a shape to eps over its share, and J adds up
+    # their squares
     assert problem.cost(truth) < (1e4 * eps / share[:4].min()) ** 2
     at = residual(aim, model.modes(truth))
     np.testing.assert_array_equal(at.pairs[:, 1], np.arange(4))
@@ -351,10 +431,14 @@ def test_objective_is_zero_at_the_truth_with_a_mode_that_hardly_moves_the_sensor
 @pytest.mark.parametrize("rule", ["gates", "capped", "cost"])
 @pytest.mark.parametrize("mass", [1e-6, 1e-8])
 def test_local_mode_beside_a_global_one_is_not_taken_for_it(rule: str, mass: float) -> None:
-    """The thing has no such part and is softer; in the deck the part has the frequency that was measured."""
+    """The thing has no such part and is softer; in the deck the part has the frequency that was
+    measured.
+    """
     truth = np.array([np.log(0.7)])
     measured = target(chain(6, 1), truth, 1, rule=rule)
-    measured = replace(measured, shapes=measured.shapes + 0.01 * np.array([[1, -1, 1, 1, -1, -1]]).T)
+    measured = replace(
+        measured, shapes=measured.shapes + 0.01 * np.array([[1, -1, 1, 1, -1, -1]]).T
+    )
     model = with_local_part(mass, 0.87)
     now = model.linearise(np.zeros(1))
     local = int(np.argmin(peak_shares(now.shapes)))

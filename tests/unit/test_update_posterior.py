@@ -37,7 +37,9 @@ def chain(each: np.ndarray | None = None, std: float = 0.5) -> DenseModel:
         spring[i] = 4e4 * each[i] * np.outer(v, v)
     of = np.arange(N) * GROUPS // N
     parts = np.array([spring[of == g].sum(axis=0) for g in range(GROUPS)])
-    names = ParameterSet(tuple(Parameter(f"k{g + 1}", (), 0.1, 10.0, "log", std) for g in range(GROUPS)))
+    names = ParameterSet(
+        tuple(Parameter(f"k{g + 1}", (), 0.1, 10.0, "log", std) for g in range(GROUPS))
+    )
     return DenseModel.springs(spring.sum(axis=0), np.diag(1 + 0.05 * np.arange(N)), parts, names)
 
 
@@ -55,8 +57,12 @@ def measured(model: DenseModel, x: np.ndarray, rng: np.random.Generator, **more:
 def test_90_percent_intervals_hold_the_truth_85_to_95_percent_of_the_time(case: str) -> None:
     """100 repeats of noise, the truth drawn from the prior each time."""
     model, rng = chain(), np.random.default_rng(3)
-    expected = NOISE_SHAPE**2 * (N - 1) / N  # of 1 - MAC: the part along the shape itself does not count
-    weights = {"size unknown": Weights(1e-9, 10 * expected, 0.0)}.get(case, Weights(1e-9, expected, 1.0))
+    expected = (
+        NOISE_SHAPE**2 * (N - 1) / N
+    )  # of 1 - MAC: the part along the shape itself does not count
+    weights = {"size unknown": Weights(1e-9, 10 * expected, 0.0)}.get(
+        case, Weights(1e-9, expected, 1.0)
+    )
     inside = []
     for _ in range(100):
         truth = 0.5 * rng.standard_normal(GROUPS)
@@ -76,12 +82,16 @@ def test_90_percent_intervals_hold_the_truth_85_to_95_percent_of_the_time(case: 
 
 
 def test_parameters_that_were_not_updated_may_be_off_too() -> None:
-    """Two of four groups are updated, the others off by their priors: the intervals hold the truth all the same."""
+    """Two of four groups are updated, the others off by their priors: the intervals hold the truth
+    all the same.
+    """
     model, rng, inside = chain(std=0.1), np.random.default_rng(11), []
     expected = NOISE_SHAPE**2 * (N - 1) / N
     for _ in range(50):
         truth = 0.1 * rng.standard_normal(GROUPS)
-        aim = measured(model, truth, rng, weights=Weights(1e-9, expected, 1.0), rule="cost", lost=1e6)
+        aim = measured(
+            model, truth, rng, weights=Weights(1e-9, expected, 1.0), rule="cost", lost=1e6
+        )
         full = Problem((as_likelihood(Configuration(model, aim), 0.0, expected),))
         some = held_to(full, ["k1", "k2"])
         end = solve(some, start=truth[:2]).end
@@ -92,7 +102,9 @@ def test_parameters_that_were_not_updated_may_be_off_too() -> None:
         inside.append((bands[..., 0] <= truth[:2]) & (truth[:2] <= bands[..., 1]))
     before, after = np.mean(inside, axis=(0, 2))
     assert before < 0.5
-    assert 0.85 <= after <= 0.99  # at least what is said: the step to the mean counts as an error whole
+    assert (
+        0.85 <= after <= 0.99
+    )  # at least what is said: the step to the mean counts as an error whole
 
 
 def test_a_shape_counted_as_one_datum_does_not_widen_the_truth() -> None:
@@ -112,7 +124,9 @@ def test_a_shape_counted_as_one_datum_does_not_widen_the_truth() -> None:
 
 def test_sampling_agrees_with_laplace_where_the_model_is_close_to_linear() -> None:
     rng, model = np.random.default_rng(1), chain().with_parameters([0, 2])
-    aim = measured(model, np.array([0.2, 0.1]), rng, weights=Weights(0.0, 0.05, 0.0), rule="cost", lost=1e6)
+    aim = measured(
+        model, np.array([0.2, 0.1]), rng, weights=Weights(0.0, 0.05, 0.0), rule="cost", lost=1e6
+    )
     problem = Problem((Configuration(model, aim),))
     normal = laplace(problem, solve(problem).end, np.ones(1))
     found = ensemble(log_posterior(problem), normal.sample(10, rng), 200, rng, burn=20)
@@ -128,7 +142,11 @@ def test_sampler_finds_a_skewed_normal_density() -> None:
     root = np.array([[1.0, 0.0], [9.0, 0.1]])
     precision = np.linalg.inv(root @ root.T)
     found = ensemble(
-        lambda x: -0.5 * np.einsum("ni,ij,nj->n", x, precision, x), rng.standard_normal((20, 2)), 3000, rng, burn=500
+        lambda x: -0.5 * np.einsum("ni,ij,nj->n", x, precision, x),
+        rng.standard_normal((20, 2)),
+        3000,
+        rng,
+        burn=500,
     )
     assert found.converged
     got = np.cov(found.flat().T)
@@ -149,7 +167,9 @@ def test_left_out_frequencies_of_another_form_lie_in_their_bands() -> None:
     rng, inside = np.random.default_rng(4), []
     for _ in range(8):
         twin = chain(np.exp(0.1 * rng.standard_normal(N)))
-        aim = measured(twin, np.array([0.2, -0.2, 0.1, 0.0]), rng, weights=Weights(0.005, 0.02, 0.0))
+        aim = measured(
+            twin, np.array([0.2, -0.2, 0.1, 0.0]), rng, weights=Weights(0.005, 0.02, 0.0)
+        )
         conf, held = with_discrepancy(Configuration(chain(), aim), folds_of(aim.used, 4))
         inside.append(held.inside(0.9)[np.isfinite(held.predicted)])
         assert conf.target.weights.frequency > NOISE_F
@@ -167,7 +187,8 @@ def test_a_mode_that_is_not_used_counts_as_evidence_and_not_for_itself() -> None
     assert not held.in_turn[3]
     assert held.in_turn.sum() == MODES - 1
     assert not held.inside()[3]
-    # one error of 5 % among eight: 1.7 % in the mean square, some of it by parameters that such errors leave uncertain
+    # one error of 5 % among eight: 1.7 % in the mean square, some of it by parameters that such
+    # errors leave uncertain
     error = float(np.hypot(conf.target.weights.frequency, held.parameter_std[3]))
     assert error == pytest.approx(0.05 / np.sqrt(8), rel=0.15)
     assert held.model_std[3] < 3 * NOISE_F
@@ -188,7 +209,9 @@ def test_discrepancy_keeps_the_posterior_from_collapsing() -> None:
 def test_discrepancy_of_known_errors() -> None:
     rng = np.random.default_rng(7)
     error = np.hypot(0.03, 0.04) * rng.standard_normal(20_000)
-    assert discrepancy(error, np.full(error.size, 0.04)) == pytest.approx(0.03, rel=0.06)  # the grid is 4 % coarse
+    assert discrepancy(error, np.full(error.size, 0.04)) == pytest.approx(
+        0.03, rel=0.06
+    )  # the grid is 4 % coarse
 
 
 def test_discrepancy_that_makes_the_parameters_uncertain_too_is_smaller() -> None:
@@ -200,11 +223,19 @@ def test_discrepancy_that_makes_the_parameters_uncertain_too_is_smaller() -> Non
 
 def test_parts_of_the_variance_of_the_parameters_add_up() -> None:
     model, w = chain(), Weights(0.004, 0.02, 1.0)
-    problem = Problem((Configuration(model, measured(model, np.zeros(GROUPS), np.random.default_rng(1), weights=w)),))
+    problem = Problem(
+        (
+            Configuration(
+                model, measured(model, np.zeros(GROUPS), np.random.default_rng(1), weights=w)
+            ),
+        )
+    )
     end = solve(problem).end
     by_f, by_shape, rest = variance_parts(problem, end)
     whole = laplace(problem, end, np.ones(2), independent=1.0).covariance
-    np.testing.assert_allclose(by_f * (w.frequency**2 + NOISE_F**2) + by_shape * w.mac + rest, whole, rtol=1e-9)
+    np.testing.assert_allclose(
+        by_f * (w.frequency**2 + NOISE_F**2) + by_shape * w.mac + rest, whole, rtol=1e-9
+    )
 
 
 def test_same_form_has_no_discrepancy_beyond_its_noise() -> None:
@@ -236,7 +267,9 @@ def test_draws_do_not_depend_on_signs_of_eigenvectors(monkeypatch: pytest.Monkey
     first = posterior.sample(20_000, np.random.default_rng(0))
     std = np.sqrt(np.diag(covariance))
     scatter = 4 * np.sqrt(2 / 20_000)  # of a variance from so many draws
-    np.testing.assert_allclose(np.cov(first.T) / np.outer(std, std), covariance / np.outer(std, std), atol=scatter)
+    np.testing.assert_allclose(
+        np.cov(first.T) / np.outer(std, std), covariance / np.outer(std, std), atol=scatter
+    )
     plain = linalg.eigh
 
     def turned(a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -244,14 +277,21 @@ def test_draws_do_not_depend_on_signs_of_eigenvectors(monkeypatch: pytest.Monkey
         return value, -vectors
 
     monkeypatch.setattr("ringtrue.update.quadratic.linalg.eigh", turned)
-    np.testing.assert_allclose(posterior.sample(20_000, np.random.default_rng(0)), first, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(
+        posterior.sample(20_000, np.random.default_rng(0)), first, rtol=1e-9, atol=1e-15
+    )
 
 
 def test_plausibility_flags() -> None:
     names = ParameterSet(tuple(Parameter(n, (), 0.5, 2.0, "log", 0.2) for n in "abcd"))
     x = np.array([np.log(2.0), 0.5, 0.1, 0.0])
     flags = plausibility(names, x, np.array([0.1, 0.1, 0.95, 0.95]))
-    assert [(f.parameter, f.kind) for f in flags] == [("a", "bound"), ("a", "prior"), ("b", "prior"), ("c", "silent")]
+    assert [(f.parameter, f.kind) for f in flags] == [
+        ("a", "bound"),
+        ("a", "prior"),
+        ("b", "prior"),
+        ("c", "silent"),
+    ]
     assert not plausibility(names, np.zeros(4))
 
 
@@ -276,9 +316,13 @@ def test_changes_that_the_test_does_not_prove() -> None:
 
 
 def test_a_mass_that_may_be_none_is_not_proven_however_light() -> None:
-    """Its factor is of 4000 kg, so that 60 kg are 1.015: a slight change for a modulus, none for a mass."""
+    """Its factor is of 4000 kg, so that 60 kg are 1.015: a slight change for a modulus, none for a
+    mass.
+    """
     places = (Place("CONM2", n, "M", step=4000.0) for n in (7, 8))
-    masses = ParameterSet((*(Parameter(f"mass {t.id}", (t,), 0.9999999, 1.4) for t in places), Parameter("E")))
+    masses = ParameterSet(
+        (*(Parameter(f"mass {t.id}", (t,), 0.9999999, 1.4) for t in places), Parameter("E"))
+    )
     factor = np.array([1.015, 1.015, 1.015])
     interval = np.array([[0.9999999, 1.03], [1.01, 1.02], [0.99, 1.04]])
     (flag,) = form_flags(masses, factor, interval, np.ones(3), np.eye(3))

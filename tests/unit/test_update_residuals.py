@@ -1,7 +1,8 @@
-"""Residuals of every kind: values against direct solutions, sensitivities against central differences.
+"""Residuals of every kind: values against direct solutions, sensitivities against central
+differences.
 
-Model: nine masses on a row of springs to ground, in three groups with one stiffness factor each; masses in the last
-group change with a fourth parameter.
+Model: nine masses on a row of springs to ground, in three groups with one stiffness factor each;
+masses in the last group change with a fourth parameter.
 """
 
 from __future__ import annotations
@@ -30,7 +31,12 @@ from ringtrue.update.residuals import (
     point,
 )
 from ringtrue.update.residuals_frf import AntiResonances, Frf, zeros
-from ringtrue.update.residuals_static import MassProperties, RigidMass, StaticDeflections, mass_properties
+from ringtrue.update.residuals_static import (
+    MassProperties,
+    RigidMass,
+    StaticDeflections,
+    mass_properties,
+)
 
 N = 9
 X = np.array([0.1, -0.2, 0.15, 0.05])
@@ -49,7 +55,9 @@ def row(count: int = N) -> DenseModel:
     mass = np.diag(1 + 0.05 * np.arange(N))
     d_mass = np.zeros_like(parts)
     d_mass[3, 6:, 6:] = mass[6:, 6:]
-    names = ParameterSet(tuple(Parameter(n, (), 0.2, 5.0, "log", 2.0) for n in ("k1", "k2", "k3", "m3")))
+    names = ParameterSet(
+        tuple(Parameter(n, (), 0.2, 5.0, "log", 2.0) for n in ("k1", "k2", "k3", "m3"))
+    )
     return DenseModel(spring.sum(axis=0), mass, parts, d_mass, np.eye(N), names, count)
 
 
@@ -61,7 +69,9 @@ def aim(model: DenseModel, modes: int = 5) -> Target:
 
 
 def check(term: Term, model: DenseModel, target: Target, x: np.ndarray = X) -> None:
-    """The slope along every parameter is that of the value, sign reversed: Δz = z_test − z_model."""
+    """The slope along every parameter is that of the value, sign reversed: Δz = z_test −
+    z_model.
+    """
 
     def at(y: np.ndarray) -> np.ndarray:
         return term(point(model, model.linearise(y), target)).value
@@ -108,7 +118,12 @@ def test_residual_of_the_truth_is_zero_and_blind_to_the_scale_of_test_shapes(kin
     model = row()
     x = X * [1, 1, 1, 0]  # cross-orthogonality is with the nominal mass
     at = model.linearise(x)
-    target = Target(at.frequencies[:5], at.shapes[:, :5] * [2, -1, 3, -0.2, 1], np.zeros(5), np.ones(5, dtype=bool))
+    target = Target(
+        at.frequencies[:5],
+        at.shapes[:, :5] * [2, -1, 3, -0.2, 1],
+        np.zeros(5),
+        np.ones(5, dtype=bool),
+    )
     term = KINDS[kind](model)
     if isinstance(term, Frf):
         term = replace(term, measured=term.response(point(model, at, target))[0])
@@ -134,7 +149,9 @@ def test_mac_residuals_are_those_of_the_mac() -> None:
     target = aim(model)
     at = point(model, model.linearise(X), target)
     np.testing.assert_allclose(Mac(1.0)(at).value, 1 - at.mac, atol=1e-12)
-    np.testing.assert_allclose(Mac(1.0, "ratio")(at).value, (1 - np.sqrt(at.mac)) / np.sqrt(at.mac), atol=1e-12)
+    np.testing.assert_allclose(
+        Mac(1.0, "ratio")(at).value, (1 - np.sqrt(at.mac)) / np.sqrt(at.mac), atol=1e-12
+    )
     shape = Shapes(1.0)(at)
     np.testing.assert_allclose(np.bincount(shape.datum, shape.value**2), 1 - at.mac, atol=1e-12)
 
@@ -152,9 +169,13 @@ def test_frf_is_the_direct_solution() -> None:
 
 
 def test_a_frf_that_symmetry_or_noise_leaves_nothing_of_does_not_drown_the_others() -> None:
-    """Two masses that do not feel each other: the model's transfer FRF is 0, the measured one noise 80 dB down."""
+    """Two masses that do not feel each other: the model's transfer FRF is 0, the measured one noise
+    80 dB down.
+    """
     names = ParameterSet((Parameter("k", (), 0.2, 5.0),))
-    model = DenseModel.springs(1e4 * np.diag([1.0, 3.0]), np.eye(2), 1e4 * np.diag([1.0, 3.0])[None], names)
+    model = DenseModel.springs(
+        1e4 * np.diag([1.0, 3.0]), np.eye(2), 1e4 * np.diag([1.0, 3.0])[None], names
+    )
     both = np.array([0, 1])
     term = Frf(np.array([5.0, 12.0]), np.ones((2, 2, 2)), both, both, 0.02)
     now = model.linearise(np.array([0.1]))
@@ -177,7 +198,9 @@ def test_anti_resonances_of_a_driving_point_are_the_modes_with_it_held() -> None
 
 def test_anti_resonance_without_a_partner_costs_the_gate_and_has_no_slope() -> None:
     model = row()
-    block = AntiResonances(3, 3, np.array([400.0]), std=0.1, gate=0.3)(point(model, model.linearise(X), aim(model)))
+    block = AntiResonances(3, 3, np.array([400.0]), std=0.1, gate=0.3)(
+        point(model, model.linearise(X), aim(model))
+    )
     assert block.value.tolist() == pytest.approx([3.0])
     assert not block.slope.any()
 
@@ -215,11 +238,15 @@ def test_reduced_model_gives_the_same_matrices_projected() -> None:
 
 
 def test_motions_without_mass_give_a_whole_basis_its_flexibility_in_silence() -> None:
-    """A chain of three springs with one mass at its middle: one mode, and two motions that only deform it."""
+    """A chain of three springs with one mass at its middle: one mode, and two motions that only
+    deform it.
+    """
     k = 1e4 * np.array([[2.0, -1, 0], [-1, 2, -1], [0, -1, 1]])
     m, names = np.diag([0.0, 2.0, 0.0]), ParameterSet((Parameter("k", (), 0.2, 5.0),))
     every = (AffineTerm(power(0), sparse.csr_array(k), sparse.csr_array((3, 3))),)
-    system = AffineSystem(sparse.csr_array(k), sparse.csr_array(m), names, every, sparse.eye_array(3).tocsr())
+    system = AffineSystem(
+        sparse.csr_array(k), sparse.csr_array(m), names, every, sparse.eye_array(3).tocsr()
+    )
     whole = reduced_model(system, 1).on(np.eye(3)).whole()
     lam, _ = whole.vectors(np.zeros(1))
     assert lam[0] == pytest.approx(1e4 / 2 / 2)  # two springs in series under 2 kg
@@ -231,7 +258,10 @@ def masses() -> tuple[AffineSystem, np.ndarray]:
     rigid = np.tile(np.eye(3, 6), (2, 1))
     for i, p in enumerate(xyz):  # u = t + θ × r
         rigid[3 * i : 3 * i + 3, 3:] = np.cross(np.eye(3), p).T
-    part = [sparse.csr_array(np.diag([2.0] * 3 + [0.0] * 3)), sparse.csr_array(np.diag([0.0] * 3 + [3.0] * 3))]
+    part = [
+        sparse.csr_array(np.diag([2.0] * 3 + [0.0] * 3)),
+        sparse.csr_array(np.diag([0.0] * 3 + [3.0] * 3)),
+    ]
     names = ParameterSet((Parameter("m1"), Parameter("m2")))
     empty = sparse.csr_array((6, 6))
     terms = tuple(AffineTerm(power(i), empty, m) for i, m in enumerate(part))
@@ -275,7 +305,12 @@ def test_input_is_checked() -> None:
         matrices_at(object(), X)
     dead = replace(now, shapes=np.where(np.arange(N)[:, None] == 8, 0.0, now.shapes))
     target = aim(model)
-    loud = replace(target, shapes=np.where(np.arange(N)[:, None] == 8, 9.0, target.shapes), rule="cost", lost=1e9)
+    loud = replace(
+        target,
+        shapes=np.where(np.arange(N)[:, None] == 8, 9.0, target.shapes),
+        rule="cost",
+        lost=1e9,
+    )
     with pytest.raises(NumericalError, match="zero at channel 9"):
         Shapes(scaling="largest")(point(model, dead, loud))
 

@@ -1,4 +1,6 @@
-"""`ringtrue update --solver`: the frame's factors by modes that another solver finds anew at each point."""
+"""`ringtrue update --solver`: the frame's factors by modes that another solver finds anew at each
+point.
+"""
 
 from __future__ import annotations
 
@@ -72,7 +74,10 @@ class Handed:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self.inner.__exit__(kind, error, trace)
 
@@ -127,9 +132,16 @@ def test_slopes_by_differences_are_the_derivatives(tmp_path: Path) -> None:
 def test_differences_of_repeated_and_rigid_body_modes(tmp_path: Path) -> None:
     """A free steel bar of equal inertias, 10 elements, the modulus of each half a parameter.
 
-    λ is homogeneous in the two: ∂λ/∂x summed is λ, and the shapes stay. No inertia about the axis: 5 rigid-body modes.
+    λ is homogeneous in the two: ∂λ/∂x summed is λ, and the shapes stay. No inertia about the axis:
+    5 rigid-body modes.
     """
-    lines = ["SOL 103", "CEND", "BEGIN BULK", "MAT1,1,2.1+11,,0.3,7850.", "MAT1,2,2.1+11,,0.3,7850."]
+    lines = [
+        "SOL 103",
+        "CEND",
+        "BEGIN BULK",
+        "MAT1,1,2.1+11,,0.3,7850.",
+        "MAT1,2,2.1+11,,0.3,7850.",
+    ]
     lines += [f"PBAR,{i},{i},1.-3,1.-7,1.-7,2.-7" for i in (1, 2)]
     lines += [f"GRID,{i + 1},,{0.1 * i:.1f},0.,0." for i in range(11)]
     lines += [f"CBAR,{i + 1},{1 + i // 5},{i + 1},{i + 2},0.,1.,0." for i in range(10)]
@@ -140,7 +152,9 @@ def test_differences_of_repeated_and_rigid_body_modes(tmp_path: Path) -> None:
         seen = at_dofs(tuple(f"{n}+{d}" for n in range(1, 12) for d in "YZ"), analysis.dofs)
     at = FullModel(model, halves, seen, ModesRequest(10), Outside()).linearise(np.zeros(2))
     lam, free = (2 * np.pi * at.frequencies) ** 2, at.frequencies > 1.0
-    assert free.tolist() == 5 * [False] + 4 * [True]  # the tenth mode, half of a pair, cannot be followed
+    assert free.tolist() == 5 * [False] + 4 * [
+        True
+    ]  # the tenth mode, half of a pair, cannot be followed
     assert lam[free][1] == pytest.approx(lam[free][0], rel=1e-6)
     np.testing.assert_allclose(at.d_lambda.sum(axis=1)[free], lam[free], rtol=3e-3)
     moved = at.d_shapes[:, free]
@@ -148,14 +162,18 @@ def test_differences_of_repeated_and_rigid_body_modes(tmp_path: Path) -> None:
 
 
 def test_a_study_ends_where_differences_tell_no_better(tmp_path: Path, outside: Outside) -> None:
-    """Noise leaves residuals; slopes that are off by half a step cannot cancel them to the last digit."""
+    """Noise leaves residuals; slopes that are off by half a step cannot cancel them to the last
+    digit.
+    """
     _, modes = case(tmp_path, outside)
     told, rng = json.loads(Path(modes).read_text()), np.random.default_rng(5)
     for mode, noise in zip(told["modes"], rng.standard_normal(9), strict=True):
         mode["frequency_hz"] *= 1 + 0.005 * noise
     for mode in told["modes"]:
         shape = np.array(mode["shape_re"])
-        mode["shape_re"] = (shape + 0.02 * np.abs(shape).max() * rng.standard_normal(shape.size)).tolist()
+        mode["shape_re"] = (
+            shape + 0.02 * np.abs(shape).max() * rng.standard_normal(shape.size)
+        ).tolist()
     Path(modes).write_text(json.dumps(told))
     test = small_study.test_model()
     write_sheet(tmp_path / "sensors.csv", test, test.channels)
@@ -164,7 +182,9 @@ def test_a_study_ends_where_differences_tell_no_better(tmp_path: Path, outside: 
         before = outside.runs
         head = f'[model]\ndeck = "frame.bdf"\nfmax = 20.0\nsolver = "{solver}"\n'
         head += '[test]\nsheet = "sensors.csv"\nmodes = "test.json"\n'
-        (tmp_path / "study.toml").write_text(head + STUDY.partition('"frame.bdf"\n')[2].replace("std = 1.0\n", ""))
+        (tmp_path / "study.toml").write_text(
+            head + STUDY.partition('"frame.bdf"\n')[2].replace("std = 1.0\n", "")
+        )
         update = run_study(tmp_path / "study.toml", until="update").results["update"]
         found.append(update.sets[update.chosen])
         runs.append(outside.runs - before)
@@ -183,13 +203,17 @@ def test_a_solver_that_fails_at_a_trial_point_is_a_rejected_step(
     status, out, err = update(capsys, *words, "--solver", "outside", "--json", "-")
     assert status == 0, err
     found = json.loads(out)
-    np.testing.assert_allclose([p["factor"] for p in found["parameters"]], list(TRUTH.values()), rtol=0.01)
+    np.testing.assert_allclose(
+        [p["factor"] for p in found["parameters"]], list(TRUTH.values()), rtol=0.01
+    )
     assert found["solver"] == "outside"
     assert found["full_solutions"] == outside.runs
     assert found["outcome"].startswith("converged")
 
 
-def test_a_start_that_cannot_be_solved_is_an_error(capsys: Capture, tmp_path: Path, outside: Outside) -> None:
+def test_a_start_that_cannot_be_solved_is_an_error(
+    capsys: Capture, tmp_path: Path, outside: Outside
+) -> None:
     words = case(tmp_path, EmbeddedSolver())
     outside.failing = range(3, 4)
     status, _, err = update(capsys, *words, "--solver", "outside")
@@ -198,7 +222,9 @@ def test_a_start_that_cannot_be_solved_is_an_error(capsys: Capture, tmp_path: Pa
     assert outside.runs == 3
 
 
-def test_what_is_no_mode_and_unknown_solvers_are_refused(capsys: Capture, tmp_path: Path, outside: Outside) -> None:
+def test_what_is_no_mode_and_unknown_solvers_are_refused(
+    capsys: Capture, tmp_path: Path, outside: Outside
+) -> None:
     words = case(tmp_path, EmbeddedSolver())
     status, _, err = update(capsys, *words, "--solver", "outside", "--mass", "1000")
     assert status == 2
@@ -216,7 +242,9 @@ def test_mystran_finds_a_wrong_modulus(capsys: Capture, tmp_path: Path) -> None:
     except SolverMissing as e:
         pytest.skip(str(e))
     words = case(tmp_path, MystranSolver())
-    status, out, err = update(capsys, *words, "--solver", "mystran", "--out", str(tmp_path / "up"), "--json", "-")
+    status, out, err = update(
+        capsys, *words, "--solver", "mystran", "--out", str(tmp_path / "up"), "--json", "-"
+    )
     assert status == 0, err
     found = json.loads(out)
     factors = [p["factor"] for p in found["parameters"]]

@@ -1,7 +1,9 @@
-"""Close modes in the updating: J has no jump and no kink where modes of the model pass the limit of closeness.
+"""Close modes in the updating: J has no jump and no kink where modes of the model pass the limit of
+closeness.
 
-Structure: six storeys with two degrees of freedom each, springs along x and y and weak skew ones that mix them, so that
-each x mode has a y mode beside it. What is measured is 0.6 % apart; the model is taken to any distance.
+Structure: six storeys with two degrees of freedom each, springs along x and y and weak skew ones
+that mix them, so that each x mode has a y mode beside it. What is measured is 0.6 % apart; the
+model is taken to any distance.
 """
 
 from __future__ import annotations
@@ -45,7 +47,9 @@ def tower(skew: float = 0.004, along: np.ndarray | None = None) -> DenseModel:
         for span in ((0, half), (half, N))
     ]
     rest = sum(skew * spring(i, (0.7, 0.7 if i % 2 else 0.65)) for i in range(N))
-    names = ParameterSet(tuple(Parameter(n, (), 0.3, 3.0, "log", 0.5) for n in ("x1", "x2", "y1", "y2")))
+    names = ParameterSet(
+        tuple(Parameter(n, (), 0.3, 3.0, "log", 0.5) for n in ("x1", "x2", "y1", "y2"))
+    )
     K = np.array(parts)
     M = np.diag(np.repeat(1 + 0.05 * np.arange(N), 2))
     return DenseModel(K.sum(axis=0) + rest, M, K, np.zeros_like(K), np.eye(2 * N), names, MODES + 2)
@@ -54,7 +58,9 @@ def tower(skew: float = 0.004, along: np.ndarray | None = None) -> DenseModel:
 def aim(seed: int = 0, rule: str = "capped") -> Target:
     """Measured on springs each of which is off by itself; the two directions nearly alike."""
     rng = np.random.default_rng(seed)
-    there = tower(0.01, np.exp(0.03 * rng.standard_normal((2, N)))).modes(np.array([0.1, -0.15, 0.11, -0.15]))
+    there = tower(0.01, np.exp(0.03 * rng.standard_normal((2, N)))).modes(
+        np.array([0.1, -0.15, 0.11, -0.15])
+    )
     shapes = there.shapes[:, :MODES] + 0.01 * rng.standard_normal((2 * N, MODES))
     f = there.frequencies[:MODES]
     used = np.ones(MODES, dtype=bool)
@@ -79,7 +85,9 @@ def test_j_and_its_gradient_are_steady_across_all_limits() -> None:
 
 
 def test_the_limits_are_passed_by_sets_that_fade() -> None:
-    """Partners of close test modes stand for each other up to `APART` times the limit; further off a mode is alone."""
+    """Partners of close test modes stand for each other up to `APART` times the limit; further off
+    a mode is alone.
+    """
     model, target = tower(), aim()
     sizes = []
     for gap in (0.004, 1.2 * APART * CLOSE, 1.1 * FADE * APART * CLOSE):
@@ -91,11 +99,17 @@ def test_the_limits_are_passed_by_sets_that_fade() -> None:
     assert sizes[1].weight.sum() == pytest.approx(1.0)
     np.testing.assert_allclose(sizes[1].slope.sum(axis=0), 0.0, atol=1e-12)
     assert sizes[1].held().slope.shape[1] == 0
-    loose = replace(now, frequencies=np.append(-1e-4, now.frequencies[1:]))  # locked to a mode that nothing holds
-    assert [s.size for s in spans(target.frequencies, target.used, pairs, loose, target.pairing)] == [1, 1]
+    loose = replace(
+        now, frequencies=np.append(-1e-4, now.frequencies[1:])
+    )  # locked to a mode that nothing holds
+    assert [
+        s.size for s in spans(target.frequencies, target.used, pairs, loose, target.pairing)
+    ] == [1, 1]
 
 
-@pytest.mark.parametrize("term", [Mac(), Mac(form="ratio"), Shapes()], ids=["mac", "ratio", "shapes"])
+@pytest.mark.parametrize(
+    "term", [Mac(), Mac(form="ratio"), Shapes()], ids=["mac", "ratio", "shapes"]
+)
 def test_slopes_between_the_limits_are_those_of_the_values(term: Mac | Shapes) -> None:
     problem = Problem((Configuration(tower(), aim(), (Eigenvalues(), term)),))
     y = at(1.2 * APART * CLOSE)
@@ -106,7 +120,9 @@ def test_slopes_between_the_limits_are_those_of_the_values(term: Mac | Shapes) -
 
 @pytest.mark.parametrize("kind", ["gauss-newton", "levenberg-marquardt", "trust-region"])
 def test_every_method_ends_where_modes_stand_at_the_limit(kind: str) -> None:
-    """The springs that the model ties together hold its modes at any distance; each end is a minimum."""
+    """The springs that the model ties together hold its modes at any distance; each end is a
+    minimum.
+    """
     for gap in (0.6 * CLOSE, 0.5 * APART * CLOSE, 0.6 * APART * CLOSE):
         tie = np.array([[-1.0, 0, 1, 0], [1.0, 0, -1, 0], [0, -1.0, 0, 1], [0, 1.0, 0, -1]])
         limits = np.array([2 * gap, -2 * gap + 1e-3, 2 * gap, -2 * gap + 1e-3])

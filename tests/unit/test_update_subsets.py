@@ -1,4 +1,6 @@
-"""What the choice among many candidates rests on: conflicts, screening, a condensed model, an empty pool."""
+"""What the choice among many candidates rests on: conflicts, screening, a condensed model, an empty
+pool.
+"""
 
 from __future__ import annotations
 
@@ -37,8 +39,17 @@ def test_factors_on_one_field_stay_apart_a_product_does_not() -> None:
     model = twin.read(twin.deck())
     found = {c.name: c for c in generate(model)}
     names = ["MAT1 30 E", "MAT1 30 RHO", "PSHELL 30 T", "PSHELL 30 piece 1 E", "MAT1 20 E"]
-    names += ["PBUSH 900 K", "PBUSH 900 K1", "PBUSH 900 K2", "PBEAM 11 A", "PBEAM 11 I1", "MAT1 11 E"]
-    block = of_parameter(model, Parameter("block", substructures=(Substructure("stiffness", (310, 312)),)))
+    names += [
+        "PBUSH 900 K",
+        "PBUSH 900 K1",
+        "PBUSH 900 K2",
+        "PBEAM 11 A",
+        "PBEAM 11 I1",
+        "MAT1 11 E",
+    ]
+    block = of_parameter(
+        model, Parameter("block", substructures=(Substructure("stiffness", (310, 312)),))
+    )
     apart = conflicts(model, [*(found[n] for n in names), block])
     names.append("block")
     pairs = {(names[i], names[j]) for i, j in np.argwhere(np.triu(apart)).tolist()}
@@ -61,14 +72,20 @@ def test_a_given_parameter_knows_its_elements() -> None:
     assert both.kind == "material"
     part = of_parameter(model, Parameter("part", (Target("MAT1", 30, "E", (310, 311)),)))
     assert part.elements == (310, 311)
-    block = of_parameter(model, Parameter("block", substructures=(Substructure("stiffness", (310, 312)),)))
+    block = of_parameter(
+        model, Parameter("block", substructures=(Substructure("stiffness", (310, 312)),))
+    )
     assert block.elements == (310, 312)
-    springs = of_parameter(model, Parameter("feet", (Target("PBUSH", 900, "K1"), Target("PBUSH", 900, "K2"))))
+    springs = of_parameter(
+        model, Parameter("feet", (Target("PBUSH", 900, "K1"), Target("PBUSH", 900, "K2")))
+    )
     assert (springs.what, springs.kind) == ("PBUSH 900 K1,K2 of 4 CBUSH", "spring")
 
 
 def test_what_explains_the_misfit_comes_first_then_what_tells_most() -> None:
-    """A small cause, and what does in its place, before a large column that explains nothing; zeros never come."""
+    """A small cause, and what does in its place, before a large column that explains nothing; zeros
+    never come.
+    """
     g = np.array([[10.0, 9.0, 0.0, 0.0, 0.0], [0.0, 0.0, 2.0, 0.0, 1.9], [0.0, 1.0, 0.0, 0.0, 0.2]])
     misfit = np.array([0.0, 3.0, 0.0])
     assert explaining(misfit, g, 1).tolist() == [2]
@@ -79,19 +96,29 @@ def test_what_explains_the_misfit_comes_first_then_what_tells_most() -> None:
 
 
 def test_the_force_residual_of_exact_shapes_is_what_is_wrong() -> None:
-    """Seen at every degree of freedom: two large changes come out of it, linear as it is, too small by what the 2 % of
-    the shapes hold that the expansion may leave to the model."""
+    """Seen at every degree of freedom: two large changes come out of it, linear as it is, too small
+    by what the 2 % of the shapes hold that the expansion may leave to the model.
+    """
     start = twin.start()
     wrong, names = {11: 1.5, 30: 0.7}, [c.name for c in start.candidates]
     every = EmbeddedSolver().open(start.model).eigen(ModesRequest(90))
     with EmbeddedSolver().open(twin.read(twin.deck(wrong))) as analysis:
         true = analysis.eigen(ModesRequest(12))
     aim = Aim(true.frequencies[:12], true.vectors[:, :12], np.zeros(12), np.ones(12, dtype=bool))
-    at = (start.model, start.analysis.system, start.candidates, every.values, every.vectors, every.vectors)
+    at = (
+        start.model,
+        start.analysis.system,
+        start.candidates,
+        every.values,
+        every.vectors,
+        every.vectors,
+    )
     misfit, slopes = force_residual(*at, aim)
     some = [names.index(f"MAT1 {r} E") for r in wrong]
     x = np.linalg.lstsq(slopes[:, some], misfit)[0]
-    np.testing.assert_allclose(1 + x * start.reduced.parameters.std()[some], list(wrong.values()), atol=0.15)
+    np.testing.assert_allclose(
+        1 + x * start.reduced.parameters.std()[some], list(wrong.values()), atol=0.15
+    )
 
 
 def test_the_paired_residual_is_that_of_the_model_itself() -> None:
@@ -100,13 +127,22 @@ def test_the_paired_residual_is_that_of_the_model_itself() -> None:
     every = EmbeddedSolver().open(start.model).eigen(ModesRequest(90))
     there = start.observation.matrix @ (start.analysis.system.transform @ every.vectors)
     aim = twin.measured({30: 1.1}, np.random.default_rng(0))
-    given = (start.model, start.analysis.system, start.candidates, every.values, every.vectors, there)
+    given = (
+        start.model,
+        start.analysis.system,
+        start.candidates,
+        every.values,
+        every.vectors,
+        there,
+    )
     misfit, slopes = paired_residual(*given, aim)
     now = start.reduced.linearise(np.zeros(len(start.candidates)))
     w = Weights(SHARP * 0.01, SHARP**2 * 0.05, independent=errors_of_shapes(aim, now))
     same = residual(replace(aim, weights=w), now)
     np.testing.assert_allclose(misfit, same.value, atol=1e-3 * np.abs(same.value).max())
-    error = np.linalg.norm(slopes - same.slope * start.reduced.parameters.std()) / np.linalg.norm(slopes)
+    error = np.linalg.norm(slopes - same.slope * start.reduced.parameters.std()) / np.linalg.norm(
+        slopes
+    )
     assert error < 0.05  # sixteen modes of ninety
 
 
@@ -121,14 +157,18 @@ def test_no_candidate_leaves_a_misfit_and_no_slope() -> None:
 
 
 def test_what_is_wrong_is_among_the_first_that_explain() -> None:
-    """Of 94 candidates over 16 regions two dozen, of six frames with three regions off by half or more."""
+    """Of 94 candidates over 16 regions two dozen, of six frames with three regions off by half or
+    more.
+    """
     start, held = twin.start(), list[bool]()
     lam, phi = replace(start.reduced, count=28).vectors(np.zeros(len(start.candidates)))
     there = start.observation.matrix @ (start.analysis.system.transform @ phi)
     for seed in range(200, 206):
         rng = np.random.default_rng(seed)
         aim = twin.measured(wrong := twin.truth(rng, 3), rng)
-        left = force_residual(start.model, start.analysis.system, start.candidates, lam, phi, there, aim)
+        left = force_residual(
+            start.model, start.analysis.system, start.candidates, lam, phi, there, aim
+        )
         found = [set(start.candidates[i].elements) for i in explaining(*left, 24).tolist()]
         held += [twin.region_elements(region) in found for region in wrong]
     assert np.mean(held) > 0.75
@@ -139,7 +179,9 @@ def test_effects_are_the_slopes_of_the_eigenvalues() -> None:
     modes = start.reduced.linearise(np.zeros(len(start.candidates)))
     lam, phi = start.reduced.vectors(np.zeros(len(start.candidates)))
     strain, kinetic = effects(start.model, start.analysis.system, start.candidates, lam, phi)
-    np.testing.assert_allclose((strain - kinetic) * lam[:, None], modes.d_lambda, rtol=1e-6, atol=1e-9 * lam.max())
+    np.testing.assert_allclose(
+        (strain - kinetic) * lam[:, None], modes.d_lambda, rtol=1e-6, atol=1e-9 * lam.max()
+    )
 
 
 def test_a_condensed_model_is_exact_where_it_was_made_and_close_between() -> None:
@@ -150,15 +192,23 @@ def test_a_condensed_model_is_exact_where_it_was_made_and_close_between() -> Non
     points = [np.zeros(2), np.array([0.4, 0.0]), np.array([0.0, -0.4]), np.array([0.4, -0.4])]
     small = condensed(few, points, 60)
     assert small.basis.size == 60
-    for x in points:  # four times twenty modes in sixty vectors: what is left out carries least energy
-        np.testing.assert_allclose(small.modes(x).frequencies[:12], few.modes(x).frequencies[:12], rtol=1e-4)
+    for (
+        x
+    ) in points:  # four times twenty modes in sixty vectors: what is left out carries least energy
+        np.testing.assert_allclose(
+            small.modes(x).frequencies[:12], few.modes(x).frequencies[:12], rtol=1e-4
+        )
     middle = np.array([0.2, -0.2])
-    np.testing.assert_allclose(small.modes(middle).frequencies[:12], few.modes(middle).frequencies[:12], rtol=1e-4)
+    np.testing.assert_allclose(
+        small.modes(middle).frequencies[:12], few.modes(middle).frequencies[:12], rtol=1e-4
+    )
     here, there = small.linearise(middle), few.linearise(middle)
     np.testing.assert_allclose(
         here.d_lambda[:12], there.d_lambda[:12], rtol=2e-2, atol=1e-3 * there.d_lambda[:12].max()
     )
-    assert (small.modes(middle).frequencies >= few.modes(middle).frequencies * (1 - 1e-12)).all()  # Rayleigh and Ritz
+    assert (
+        small.modes(middle).frequencies >= few.modes(middle).frequencies * (1 - 1e-12)
+    ).all()  # Rayleigh and Ritz
     assert condensed(few, points, 10_000) is few
     with pytest.raises(InputError, match="3 vectors for 20 modes"):
         condensed(few, points, 3)
@@ -178,7 +228,8 @@ def test_expansion_in_a_basis_is_that_of_the_whole_model_where_it_spans_it() -> 
     v = phi @ np.linalg.qr(rng.standard_normal((n, n)))[0]
     q = expand_reduced(v.T @ k @ v, v.T @ m @ v, v.T @ k @ v, c @ v, y, f, noise=0.02)
     full = expand_hybrid(*(sparse.csr_array(a) for a in (k, m, c)), y, f, phi, noise=0.02)
-    # both leave the misfit that was asked for; the norms of the residual differ by what holds the sensors
+    # both leave the misfit that was asked for; the norms of the residual differ by what holds the
+    # sensors
     np.testing.assert_allclose(q.misfit, 0.02, rtol=1e-2)
     np.testing.assert_allclose(full.misfit, 0.02, rtol=1e-2)
     cosine = np.abs(np.einsum("nm,nm->m", v @ q.shapes, full.shapes))
@@ -194,7 +245,9 @@ def test_candidates_without_effect_propose_nothing() -> None:
     names = ParameterSet((Parameter("nothing", std=0.5), Parameter("neither", std=0.5)))
     model = DenseModel.springs(k, np.eye(n), np.zeros((2, n, n)), names)
     modes = model.modes(np.zeros(2))
-    aim = Aim(1.01 * modes.frequencies[:4], modes.shapes[:, :4], np.zeros(4), np.ones(4, dtype=bool))
+    aim = Aim(
+        1.01 * modes.frequencies[:4], modes.shapes[:, :4], np.zeros(4), np.ones(4, dtype=bool)
+    )
     far = propose(model, replace(aim, frequencies=1.1 * modes.frequencies[:4]))
     assert "no change of a candidate explains what is left (mean |Δf| 9.09 %" in far.text()
     found = propose(model, aim)
@@ -207,7 +260,8 @@ def test_candidates_without_effect_propose_nothing() -> None:
 
 @pytest.mark.parametrize("groups", [[0, 1, 2], [0, 0, 1]])
 def test_the_error_of_a_member_covers_what_the_others_may_be_off_by(groups: list[int]) -> None:
-    """Of three candidates only the first is proposed; the truth of all is drawn from the prior, unit noise.
+    """Of three candidates only the first is proposed; the truth of all is drawn from the prior,
+    unit noise.
 
     What is of the cluster of a member may be off as well.
     """
@@ -234,7 +288,9 @@ def test_the_error_of_a_member_covers_what_the_others_may_be_off_by(groups: list
     for truth in rng.standard_normal((count, 3)):
         z = g @ truth + rng.standard_normal(12)
         x = np.array([g[:, 0] @ z / (g[:, 0] @ g[:, 0] + 1), 0.0, 0.0])
-        end = Residual(z - g @ x, g, np.zeros((0, 2), dtype=np.int64), none, none, none.astype(bool))
+        end = Residual(
+            z - g @ x, g, np.zeros((0, 2), dtype=np.int64), none, none, none.astype(bool)
+        )
         std = stated_errors(search, Choice(np.array([0]), x, 0.0), end)[0]
         held += abs(x[0] - truth[0]) < 1.645 * std
     assert 0.88 <= held / count <= 0.98  # by the spread of the member alone 26 %

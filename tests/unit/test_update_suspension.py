@@ -28,7 +28,9 @@ def parameters(*names: str, std: float = 0.5) -> ParameterSet:
 
 
 def body(axes: str = "xyz", names: tuple[str, ...] = ("k x", "k y", "k z")) -> RigidBody:
-    """1 t, all inertias different, seen on top along some axes; springs common to the four corners."""
+    """1 t, all inertias different, seen on top along some axes; springs common to the four
+    corners.
+    """
     at = np.array([[x, y, -0.7] for x in (-2.0, 2.0) for y in (-1.2, 1.2)])
     seen = [i for i, a in enumerate("xyz") if a in axes]
     points = np.repeat(at + np.array([0, 0, 1.5]), len(seen), axis=0)
@@ -36,7 +38,15 @@ def body(axes: str = "xyz", names: tuple[str, ...] = ("k x", "k y", "k z")) -> R
     k = np.tile([1.0e6, 1.3e6, 3.0e6], (4, 1))
     inertia = np.diag([900.0, 2100.0, 2500.0])
     return RigidBody(
-        1000.0, np.zeros(3), inertia, at, k, points, np.tile(np.eye(3)[seen], (4, 1)), parameters(*names), targets
+        1000.0,
+        np.zeros(3),
+        inertia,
+        at,
+        k,
+        points,
+        np.tile(np.eye(3)[seen], (4, 1)),
+        parameters(*names),
+        targets,
     )
 
 
@@ -45,8 +55,17 @@ def test_modes_are_those_of_the_closed_form() -> None:
     flat = body()
     flat = replace(flat, at=flat.at * [1, 1, 0])
     kx, ky, kz = 4 * flat.stiffness[0]
-    lam = [kx / 1e3, ky / 1e3, kz / 1e3, kz * 1.44 / 900, kz * 4 / 2100, (kx * 1.44 + ky * 4) / 2500]
-    np.testing.assert_allclose(flat.modes(np.zeros(3)).frequencies, np.sort(np.sqrt(lam)) / (2 * np.pi), rtol=1e-10)
+    lam = [
+        kx / 1e3,
+        ky / 1e3,
+        kz / 1e3,
+        kz * 1.44 / 900,
+        kz * 4 / 2100,
+        (kx * 1.44 + ky * 4) / 2500,
+    ]
+    np.testing.assert_allclose(
+        flat.modes(np.zeros(3)).frequencies, np.sort(np.sqrt(lam)) / (2 * np.pi), rtol=1e-10
+    )
 
 
 def test_derivatives_to_every_kind_of_parameter() -> None:
@@ -58,7 +77,9 @@ def test_derivatives_to_every_kind_of_parameter() -> None:
     at = model.linearise(x)
     for i, e in enumerate(np.eye(6)):
         plus, minus = ((2 * np.pi * model.modes(x + s * h * e).frequencies) ** 2 for s in (1, -1))
-        np.testing.assert_allclose((plus - minus) / (2 * h), at.d_lambda[:, i], atol=1e-6 * np.abs(at.d_lambda).max())
+        np.testing.assert_allclose(
+            (plus - minus) / (2 * h), at.d_lambda[:, i], atol=1e-6 * np.abs(at.d_lambda).max()
+        )
 
 
 @pytest.mark.parametrize("truth", [(0.2, -0.1, 0.1), (0.6, -0.5, -0.6)])
@@ -81,12 +102,20 @@ def test_mass_and_centre_of_gravity_where_asked() -> None:
     model = replace(model, parameters=ParameterSet((*model.parameters.parameters[:2], cg)))
     x = np.array([0.1, -0.2, 0.25])
     at = model.modes(x)
-    aim = Target(at.frequencies, at.shapes, np.full(6, 1e-4), np.ones(6, dtype=bool), Weights(1e-4, 0.001, 1.0))
+    aim = Target(
+        at.frequencies,
+        at.shapes,
+        np.full(6, 1e-4),
+        np.ones(6, dtype=bool),
+        Weights(1e-4, 0.001, 1.0),
+    )
     np.testing.assert_allclose(tune(model, aim).best.x, x, atol=2e-3)
 
 
 def test_a_pairing_that_the_test_leaves_open_is_reported() -> None:
-    """Two lateral springs, equal beforehand, no shapes: which of the two frequencies is which, nobody can say."""
+    """Two lateral springs, equal beforehand, no shapes: which of the two frequencies is which,
+    nobody can say.
+    """
     model = body(names=("k x", "k y"))
     model = replace(
         model,
@@ -97,10 +126,18 @@ def test_a_pairing_that_the_test_leaves_open_is_reported() -> None:
     )
     x = np.array([0.2, -0.2])
     at = model.modes(x)
-    aim = Target(at.frequencies[:2], at.shapes[:, :2], np.full(2, 1e-3), np.ones(2, dtype=bool), Weights(0.003, 1, 0))
+    aim = Target(
+        at.frequencies[:2],
+        at.shapes[:, :2],
+        np.full(2, 1e-3),
+        np.ones(2, dtype=bool),
+        Weights(0.003, 1, 0),
+    )
     found = tune(model, aim)
     assert not found.sure
-    told = found.ambiguity()  # the modes of the start tell them apart: by frequency both end as 1:1, 2:2
+    told = (
+        found.ambiguity()
+    )  # the modes of the start tell them apart: by frequency both end as 1:1, 2:2
     assert sorted(t.split("; ")[0] for t in told) == [
         "50 %: test:model before tuning 1:1, 2:2",
         "50 %: test:model before tuning 1:2, 2:1",
@@ -121,13 +158,17 @@ def test_standard_deviations_cover_the_scatter() -> None:
     ends, told = [], []
     for _ in range(40):
         f = at.frequencies * (1 + sigma * rng.standard_normal(6))
-        aim = Target(f, at.shapes, np.full(6, sigma), np.ones(6, dtype=bool), Weights(1e-6, 1.0, 0.0))
+        aim = Target(
+            f, at.shapes, np.full(6, sigma), np.ones(6, dtype=bool), Weights(1e-6, 1.0, 0.0)
+        )
         found = tune(model, aim, start=x, keep=1)
         ends.append(found.best.x)
         told.append(found.std)
     ratio = np.mean(told, axis=0) / np.std(ends, axis=0, ddof=1)
     assert (ratio > 0.75).all()  # 11 % is the scatter of 40 draws
-    assert (ratio < 1.8).all()  # residuals are not believed to be below their stated size: wider on average
+    assert (
+        ratio < 1.8
+    ).all()  # residuals are not believed to be below their stated size: wider on average
 
 
 def test_input_is_checked() -> None:

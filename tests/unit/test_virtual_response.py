@@ -1,4 +1,6 @@
-"""Response of a modal model to forces: closed forms of one oscillator, and spectra against |H|²·S."""
+"""Response of a modal model to forces: closed forms of one oscillator, and spectra against
+|H|²·S.
+"""
 
 from __future__ import annotations
 
@@ -11,9 +13,23 @@ from ringtrue.core.modal import ModalModel
 from ringtrue.core.signals import Channel
 from ringtrue.errors import InputError
 from ringtrue.virtual.ambient import Ambient, ambient_forces, ground_psd, input_psd
-from ringtrue.virtual.events import Pulses, dropped_weight, event_times, jumping, pulse_spectrum, sledge
+from ringtrue.virtual.events import (
+    Pulses,
+    dropped_weight,
+    event_times,
+    jumping,
+    pulse_spectrum,
+    sledge,
+)
 from ringtrue.virtual.noise import coloured, power
-from ringtrue.virtual.response import at_outputs, fade_window, lines, response_spectrum, simulate, streamed
+from ringtrue.virtual.response import (
+    at_outputs,
+    fade_window,
+    lines,
+    response_spectrum,
+    simulate,
+    streamed,
+)
 from ringtrue.virtual.snr import expected_power, resonance_power
 
 MASS, F0, ZETA, RATE = 1000.0, 5.0, 0.02, 256.0
@@ -25,13 +41,19 @@ def oscillator() -> ModalModel:
     """m·x'' + 2ζω₀m·x' + mω₀²·x = f."""
     pole = np.array([-ZETA * W0 + 1j * WD])
     one, none = np.array([[1 / MASS / (2j * WD)]]), np.zeros((1, 1))
-    return ModalModel(pole, np.ones((1, 1)), one, none, none, (Channel("1+Z"),), (Channel("1+Z"),), "receptance")
+    return ModalModel(
+        pole, np.ones((1, 1)), one, none, none, (Channel("1+Z"),), (Channel("1+Z"),), "receptance"
+    )
 
 
 def test_free_decay_after_a_short_pulse_is_the_closed_form() -> None:
     n, start, width, impulse = 8192, 2.0, 1e-3, 10.0
-    force = pulse_spectrum(Pulses(np.array([start]), np.array([width]), np.array([impulse]), np.array([0])), 1, n, RATE)
-    x = np.fft.irfft(response_spectrum(oscillator(), force, lines(n, RATE), quantity="displacement")[0], n)
+    force = pulse_spectrum(
+        Pulses(np.array([start]), np.array([width]), np.array([impulse]), np.array([0])), 1, n, RATE
+    )
+    x = np.fft.irfft(
+        response_spectrum(oscillator(), force, lines(n, RATE), quantity="displacement")[0], n
+    )
     t = np.arange(n) / RATE - start - width / 2
     want = np.where(t > 0, impulse / MASS / WD * np.exp(-ZETA * W0 * t) * np.sin(WD * t), 0.0)
     later = (t > 0.2) & (t < 8)  # before it and at the kink the band limit of the pulse rings
@@ -63,9 +85,9 @@ def test_simulated_spectra_are_those_of_the_transfer_functions() -> None:
     inputs = len(model.inputs)
     force = rng.normal(0, np.sqrt(psd * RATE / 2), (inputs, n)) * (np.arange(inputs) < 6)[:, None]
     f, got = signal.welch(simulate(model, force, RATE, tail=0), RATE, nperseg=4096)
-    want = (np.abs(model.synthesise(f[1:])[:, :, :6] * ((2 * np.pi * f[1:]) ** 2)[:, None, None]) ** 2).sum(
-        axis=2
-    ) * psd
+    want = (
+        np.abs(model.synthesise(f[1:])[:, :, :6] * ((2 * np.pi * f[1:]) ** 2)[:, None, None]) ** 2
+    ).sum(axis=2) * psd
     band = slice(160, 1600)  # 10..100 Hz; 63 averages: 13 % a line, 1 % over the band
     ratio = got[:, 1:][:, band] / want.T[:, band]
     assert np.abs(ratio.mean(axis=1) - 1).max() < 0.03
@@ -79,7 +101,9 @@ def test_power_at_resonance_is_the_expected_one() -> None:
     forces = ambient_forces(ids, points, None, site, n, RATE, rng)
     poles = model.poles[8:30]
     got = resonance_power(response_spectrum(model, forces, lines(n, RATE)), poles, n, RATE)
-    want = expected_power(model, poles, input_psd(ids, points, np.abs(poles) / (2 * np.pi), site), "acceleration")
+    want = expected_power(
+        model, poles, input_psd(ids, points, np.abs(poles) / (2 * np.pi), site), "acceleration"
+    )
     # a mean over the half-power band of a Lorentzian is π/4 of its peak
     assert 0.8 < np.median(got / want) / (np.pi / 4) < 1.2
 

@@ -47,7 +47,9 @@ def test_geophone_transfer_at_its_corner_and_far_above() -> None:
 
 def test_a_tone_through_a_geophone_comes_out_with_its_gain() -> None:
     n, amplitude = 5120, 1e-3
-    quiet = replace(GEOPHONE, floor=NoiseFloor(0.0, 0.0), hum=0.0, drift=0.0, offset=0.0, calibration=0.0)
+    quiet = replace(
+        GEOPHONE, floor=NoiseFloor(0.0, 0.0), hum=0.0, drift=0.0, offset=0.0, calibration=0.0
+    )
     motion = tone(4.5, np.array([amplitude]), np.zeros(1), n, RATE)
     volts, _ = record(motion, chain(quiet), n, RATE, np.random.default_rng(0))
     want = 28.8 * amplitude / (2 * 0.56) * -np.sin(2 * np.pi * 4.5 * np.arange(n) / RATE)
@@ -81,7 +83,9 @@ def test_self_noise_has_its_density_and_its_corner() -> None:
     f, psd = lines(n, RATE), power(noise, n, RATE).mean(axis=0) / ACCELEROMETER.sensitivity**2
     micro_g = np.sqrt(psd) / 9.80665e-6
     assert np.sqrt(np.mean(micro_g[(f > 50) & (f < 90)] ** 2)) == pytest.approx(0.1, rel=0.05)
-    assert np.sqrt(np.mean(micro_g[(f > 0.95) & (f < 1.05)] ** 2)) == pytest.approx(0.1 * np.sqrt(2), rel=0.1)
+    assert np.sqrt(np.mean(micro_g[(f > 0.95) & (f < 1.05)] ** 2)) == pytest.approx(
+        0.1 * np.sqrt(2), rel=0.1
+    )
 
 
 def test_blows_are_clean_but_for_the_doubles_and_overloads_among_them() -> None:
@@ -119,7 +123,9 @@ def small_plan(twin: MadeUp) -> CampaignPlan:
     )
 
 
-def test_the_log_names_records_that_can_be_read(campaign: tuple[Path, MadeUp, CampaignPlan]) -> None:
+def test_the_log_names_records_that_can_be_read(
+    campaign: tuple[Path, MadeUp, CampaignPlan],
+) -> None:
     folder, _, plan = campaign
     tests = {t["name"]: t for t in json.loads((folder / "campaign.json").read_text())["tests"]}
     assert list(tests) == ["foundation", "frame", "hammer"]
@@ -137,7 +143,9 @@ def test_the_log_names_records_that_can_be_read(campaign: tuple[Path, MadeUp, Ca
         assert blocks.shape[0] >= plan.hammer.hits
 
 
-def test_overloads_stand_at_the_range_of_the_force_channel(campaign: tuple[Path, MadeUp, CampaignPlan]) -> None:
+def test_overloads_stand_at_the_range_of_the_force_channel(
+    campaign: tuple[Path, MadeUp, CampaignPlan],
+) -> None:
     files = sorted(campaign[0].glob("hammer-*.h5"))
     peaks = []
     for path in files:
@@ -146,7 +154,9 @@ def test_overloads_stand_at_the_range_of_the_force_channel(campaign: tuple[Path,
     assert max(peaks) == pytest.approx(FORCE_CELL.range, rel=1e-6)
 
 
-def test_events_are_not_recorded_and_nothing_of_the_truth_is(campaign: tuple[Path, MadeUp, CampaignPlan]) -> None:
+def test_events_are_not_recorded_and_nothing_of_the_truth_is(
+    campaign: tuple[Path, MadeUp, CampaignPlan],
+) -> None:
     folder, twin, plan = campaign
     with h5py.File(folder / "foundation-drop.h5") as file:
         assert sorted(file["record"]) == ["channels", "data"]
@@ -165,10 +175,15 @@ def test_the_sheets_hold_places_and_directions(campaign: tuple[Path, MadeUp, Cam
     known = twin.test.pick(sheet.model.channels)
     np.testing.assert_allclose(sheet.model.channel_xyz(), known.channel_xyz(), rtol=1e-5)
     np.testing.assert_allclose(sheet.model.axes, known.axes)
-    assert read_sensor_sheet(folder / "sensors-frame.csv").channels[0].sensitivity == GEOPHONE.sensitivity
+    assert (
+        read_sensor_sheet(folder / "sensors-frame.csv").channels[0].sensitivity
+        == GEOPHONE.sensitivity
+    )
 
 
-def test_the_same_seed_gives_the_same_samples(campaign: tuple[Path, MadeUp, CampaignPlan], tmp_path: Path) -> None:
+def test_the_same_seed_gives_the_same_samples(
+    campaign: tuple[Path, MadeUp, CampaignPlan], tmp_path: Path
+) -> None:
     folder, twin, plan = campaign
     run_campaign(twin, plan, tmp_path, 7, fast=True)
     for path in sorted(folder.glob("*.h5")):
@@ -184,7 +199,9 @@ def test_a_long_record_is_stationary_over_its_segments() -> None:
     hop, fade = 128 * 40, 128 * 10
     blocks = [b - b.mean() for b in measure_long(test, 12, hop, fade, np.random.default_rng(0))]
     assert {b.shape for b in blocks} == {(3, hop)}
-    edge, inner = (np.diff([b[:, part] for b in blocks]).std() for part in (slice(0, fade), slice(fade, hop)))
+    edge, inner = (
+        np.diff([b[:, part] for b in blocks]).std() for part in (slice(0, fade), slice(fade, hop))
+    )
     assert edge / inner == pytest.approx(1.0, abs=0.1)
 
 

@@ -1,4 +1,6 @@
-"""A made-up structure for the virtual tests: 8 rigid-type and 25 elastic modes of a 1600 t block, 48 channels."""
+"""A made-up structure for the virtual tests: 8 rigid-type and 25 elastic modes of a 1600 t block,
+48 channels.
+"""
 
 from __future__ import annotations
 
@@ -28,15 +30,21 @@ class MadeUp:
 def made_up(seed: int = 1, points: int = 16) -> MadeUp:
     rng = np.random.default_rng(seed)
     ids = np.arange(1, points + 1) + 100
-    xyz = np.column_stack([rng.uniform(0, 25, points), rng.uniform(0, 10, points), rng.uniform(0, 10, points)])
+    xyz = np.column_stack(
+        [rng.uniform(0, 25, points), rng.uniform(0, 10, points), rng.uniform(0, 10, points)]
+    )
     channels = tuple(f"{p}+{a}" for p in ids for a in "XYZ")
-    test = TestModel(ids, xyz, channels, np.repeat(ids, 3), np.tile(np.eye(3), (points, 1)), np.zeros((0, 2)))
+    test = TestModel(
+        ids, xyz, channels, np.repeat(ids, 3), np.tile(np.eye(3), (points, 1)), np.zeros((0, 2))
+    )
     f = np.concatenate([rng.uniform(0.5, 2.5, 8), np.linspace(13, 95, 25) + rng.uniform(-1, 1, 25)])
     zeta = np.concatenate([rng.uniform(0.02, 0.06, 8), rng.uniform(0.007, 0.03, 25)])
     extra = ("900+Z", "901+Z", "902+Z", "903+Z", "904+Z", "905+Z", "906+Z", "907+Z", "907+X")
     ground = tuple(f"{g}+{a}" for g in ("ground", "groundv") for a in "XYZ")
     references = channels[2:12:3]
-    phi = _shapes(rng, np.vstack([xyz.repeat(3, axis=0), rng.uniform(0, 10, (len(extra), 3))]), f.size)
+    phi = _shapes(
+        rng, np.vstack([xyz.repeat(3, axis=0), rng.uniform(0, 10, (len(extra), 3))]), f.size
+    )
     out, load = (
         phi[: len(channels)],
         np.vstack([phi[[channels.index(r) for r in references]], phi[len(channels) :]]),

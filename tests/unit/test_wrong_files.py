@@ -38,14 +38,18 @@ def test_frfs_given_as_a_record(ending: str, frf, tmp_path: Path, capsys: Captur
     ],
 )
 @pytest.mark.parametrize("command", ["oma", "ema"])
-def test_other_files_given_as_a_record(command: str, name: str, told: str, tmp_path: Path, capsys: Capture) -> None:
+def test_other_files_given_as_a_record(
+    command: str, name: str, told: str, tmp_path: Path, capsys: Capture
+) -> None:
     (tmp_path / name).write_text("")
     assert told in refused(capsys, command, tmp_path / name)
 
 
 def test_a_record_without_a_force_goes_to_oma(tmp_path: Path, capsys: Capture) -> None:
     write_history(tmp_path / "r.csv", wrap(made()[:, :4000]))
-    assert "`ringtrue oma` takes records without a force" in refused(capsys, "ema", tmp_path / "r.csv")
+    assert "`ringtrue oma` takes records without a force" in refused(
+        capsys, "ema", tmp_path / "r.csv"
+    )
 
 
 @pytest.mark.skipif(not UFF.is_dir(), reason=f"needs {UFF}")
@@ -58,17 +62,27 @@ def test_a_record_without_a_force_goes_to_oma(tmp_path: Path, capsys: Capture) -
             "uff55_translation.uff",
             "it holds mode shapes or other data at nodes (55); `ringtrue correlate` takes",
         ),
-        ("ema", "mesh_test_uff2412_mixed.uff", "nodes (15), coordinate systems (18), elements (2412)"),
+        (
+            "ema",
+            "mesh_test_uff2412_mixed.uff",
+            "nodes (15), coordinate systems (18), elements (2412)",
+        ),
         ("oma", "1858.uff", "it holds attributes of functions (1858)"),
     ],
 )
-def test_universal_files_say_what_they_hold(command: str, name: str, told: str, capsys: Capture) -> None:
+def test_universal_files_say_what_they_hold(
+    command: str, name: str, told: str, capsys: Capture
+) -> None:
     assert told in refused(capsys, command, UFF / name)
 
 
-@pytest.mark.parametrize("name", ["frf_units_in_brackets.csv", "frf_units_with_brackets_inside.txt"])
+@pytest.mark.parametrize(
+    "name", ["frf_units_in_brackets.csv", "frf_units_with_brackets_inside.txt"]
+)
 def test_frfs_with_a_line_of_units_below_the_titles(name: str, capsys: Capture) -> None:
-    """Text exports of analysers, the units in the last line above the numbers; they were read as time records."""
+    """Text exports of analysers, the units in the last line above the numbers; they were read as
+    time records.
+    """
     frfs = read_frfs(CORPUS / name)
     assert (frfs.kind, frfs.data.shape) == ("accelerance", (40, 1, 1))
     assert frfs.freqs[0] == 0.5
@@ -96,13 +110,17 @@ def test_files_of_moved_sensors_are_not_one_record(tmp_path: Path, capsys: Captu
 
 
 def test_a_force_that_is_cut_off_is_said_to_be(tmp_path: Path, capsys: Capture) -> None:
-    """An amplifier in overload: the force stands at one end of its range or at the other in nearly all samples."""
+    """An amplifier in overload: the force stands at one end of its range or at the other in nearly
+    all samples.
+    """
     rng = np.random.default_rng(0)
     force = np.clip(400 * rng.standard_normal(14_000), -5, 5)
     response = 0.1 * rng.standard_normal(force.size)
     rows = np.column_stack([np.arange(force.size) / 1000.0, force, response])
     path = tmp_path / "r.csv"
-    np.savetxt(path, rows, delimiter=",", header="time,1+Z [N],2+Z [m/s^2]", comments="", fmt="%.9g")
+    np.savetxt(
+        path, rows, delimiter=",", header="time,1+Z [N],2+Z [m/s^2]", comments="", fmt="%.9g"
+    )
     told = refused(capsys, "ema", path, "--struck", "1+Z")
     assert "1+Z: clipped at ±5 N in 13,8" in told
     assert "of 14,000 samples" in told

@@ -1,4 +1,6 @@
-"""A curved free shell strip as model tables, regions of different thickness; optionally clamped along one edge."""
+"""A curved free shell strip as model tables, regions of different thickness; optionally clamped
+along one edge.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,10 @@ def _full(card: str, n: int, **columns: object) -> Table:
             continue
         for name in filter(None, (f.name, f.other)):
             made[name] = np.full(n, f.default if name == f.name else 0)
-    return table(card, **{**made, **{k: np.broadcast_to(np.asarray(v), n).copy() for k, v in columns.items()}})
+    return table(
+        card,
+        **{**made, **{k: np.broadcast_to(np.asarray(v), n).copy() for k, v in columns.items()}},
+    )
 
 
 def shell(nx: int, ny: int, *, regions: int = 3, clamped: bool = False) -> Model:
@@ -48,11 +53,15 @@ def shell(nx: int, ny: int, *, regions: int = 3, clamped: bool = False) -> Model
     }
     if clamped:
         edge = node(np.zeros(ny + 1, dtype=np.int64), np.arange(ny + 1))
-        tables["SPC1"] = table("SPC1", SID=[1], C=["123456"], G=Ragged(edge, np.array([0, edge.size])))
+        tables["SPC1"] = table(
+            "SPC1", SID=[1], C=["123456"], G=Ragged(edge, np.array([0, edge.size]))
+        )
     return Model(tables, case=CaseControl(spc=1 if clamped else 0))
 
 
 def parameters(regions: int = 3) -> ParameterSet:
     """The thickness of the first region and Young's modulus of the others."""
     first = Parameter("t1", (Target("PSHELL", 1, "T"),))
-    return ParameterSet((first, *(Parameter(f"E{r}", (Target("MAT1", r, "E"),)) for r in range(2, regions + 1))))
+    return ParameterSet(
+        (first, *(Parameter(f"E{r}", (Target("MAT1", r, "E"),)) for r in range(2, regions + 1)))
+    )

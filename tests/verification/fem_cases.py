@@ -1,4 +1,6 @@
-"""Models in memory for the element tests: tables with the defaults of the cards, and small meshes."""
+"""Models in memory for the element tests: tables with the defaults of the cards, and small
+meshes.
+"""
 
 from __future__ import annotations
 
@@ -17,21 +19,30 @@ def _defaults(card: str) -> dict[str, Any]:
     out: dict[str, Any] = {}
     for spec in columns(card):
         if not spec.blank and not spec.tail:
-            out |= ({spec.other: spec.other_default} if spec.other else {}) | {spec.name: spec.default}
+            out |= ({spec.other: spec.other_default} if spec.other else {}) | {
+                spec.name: spec.default
+            }
     return out
 
 
 def ragged(*rows: Any) -> Ragged:
     """Rows of different length."""
-    return Ragged(np.concatenate([np.asarray(r) for r in rows]), np.cumsum([0, *(len(r) for r in rows)]))
+    return Ragged(
+        np.concatenate([np.asarray(r) for r in rows]), np.cumsum([0, *(len(r) for r in rows)])
+    )
 
 
 def cards(card: str, **given: Any) -> Table:
     """A table of `card`; scalars are repeated, fields that are not given take their defaults."""
     n = max(len(v) for v in given.values() if isinstance(v, list | np.ndarray | Ragged))
     full = _defaults(card) | given
-    names = [k for k in full if k in _defaults(card)] + [k for k in full if k not in _defaults(card)]
-    made = {k: full[k] if isinstance(full[k], Ragged | list | np.ndarray) else np.full(n, full[k]) for k in names}
+    names = [k for k in full if k in _defaults(card)] + [
+        k for k in full if k not in _defaults(card)
+    ]
+    made = {
+        k: full[k] if isinstance(full[k], Ragged | list | np.ndarray) else np.full(n, full[k])
+        for k in names
+    }
     return table(card, **made)
 
 
@@ -57,7 +68,9 @@ def spc(ids: Int, components: str, sid: int = 1) -> Table:
 
 
 def square(n: int, a: float, b: float, across: int = 0) -> tuple[Float, Int]:
-    """Nodes (., 3) and quads, 1-based, of an a x b plate with n elements along x and `across` (or n) along y."""
+    """Nodes (., 3) and quads, 1-based, of an a x b plate with n elements along x and `across` (or
+    n) along y.
+    """
     across = across or n
     x, y = np.meshgrid(np.linspace(0, a, n + 1), np.linspace(0, b, across + 1), indexing="ij")
     xyz = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])

@@ -22,7 +22,12 @@ def check_slopes(m: Model, p: Parameter) -> None:
     left = []
     for h in (0.02, 0.01):
         there = assemble(scaled(m, p, 1 + h))
-        left.append([float(abs(getattr(there, n) - getattr(base, n) - h * getattr(slope, n)).max()) for n in NAMES])
+        left.append(
+            [
+                float(abs(getattr(there, n) - getattr(base, n) - h * getattr(slope, n)).max())
+                for n in NAMES
+            ]
+        )
     assert any(abs(getattr(slope, n)).max() > 1e-9 * size[n] for n in NAMES if size[n])
     for a, b, s in zip(*left, size.values(), strict=True):
         assert b <= max(a / SECOND, 1e-12 * s)

@@ -1,8 +1,9 @@
-"""A frame of three storeys whose true twin has some wrong regions, measured with noise at a few points.
+"""A frame of three storeys whose true twin has some wrong regions, measured with noise at a few
+points.
 
-Twelve columns, each with a section and a steel of its own, carry three floors of CQUAD4 (2 x 2 elements, 4.6 x 3 m)
-with a machine off the middle of each; the feet stand on CBUSH. Sixteen regions: 12 columns, 3 floors, and the four
-equal springs of the feet.
+Twelve columns, each with a section and a steel of its own, carry three floors of CQUAD4 (2 x 2
+elements, 4.6 x 3 m) with a machine off the middle of each; the feet stand on CBUSH. Sixteen
+regions: 12 columns, 3 floors, and the four equal springs of the feet.
 
         +-----+   z = 9 m     channels: X and Y at three corners of each floor,
         +-----+   z = 6 m     Z at the middle and one edge of each floor
@@ -50,23 +51,41 @@ MODES, COUNT = 12, 20
 
 
 def node(level: int, i: int, j: int) -> int:
-    """Number of the node (i, j) of a floor's 3 x 3 grid; level 0 are the feet, + 50 is half a storey below."""
+    """Number of the node (i, j) of a floor's 3 x 3 grid; level 0 are the feet, + 50 is half a
+    storey below.
+    """
     return 100 * level + 1 + i + 3 * j
 
 
 def _storey(level: int, factor: Mapping[int, float]) -> list[str]:
     x, y = X, Y
-    lines = [f"GRID,{node(level, i, j)},,{x[i]},{y[j]},{3.0 * level}" for j in range(3) for i in range(3)]
-    lines += [f"GRID,{node(level, i, j) + 50},,{x[i]},{y[j]},{3.0 * level - 1.5}" for i, j in CORNERS]
+    lines = [
+        f"GRID,{node(level, i, j)},,{x[i]},{y[j]},{3.0 * level}" for j in range(3) for i in range(3)
+    ]
+    lines += [
+        f"GRID,{node(level, i, j) + 50},,{x[i]},{y[j]},{3.0 * level - 1.5}" for i, j in CORNERS
+    ]
     for k, (i, j) in enumerate(CORNERS):
-        low, middle, high, pid = node(level - 1, i, j), node(level, i, j) + 50, node(level, i, j), 10 * level + k + 1
+        low, middle, high, pid = (
+            node(level - 1, i, j),
+            node(level, i, j) + 50,
+            node(level, i, j),
+            10 * level + k + 1,
+        )
         lines.append(f"CBEAM,{100 * level + 2 * k},{pid},{low},{middle},1.0,0.0,0.0")
         lines.append(f"CBEAM,{100 * level + 2 * k + 1},{pid},{middle},{high},1.0,0.0,0.0")
         lines.append(f"MAT1,{pid},{2e11 * factor.get(pid, 1.0):.7E},,0.3,7850.0")
         a = SECTION[k] * (1.2 - 0.1 * level)
-        lines.append(f"PBEAM,{pid},{pid},{0.014 * a:.5f},{2.2867e-5 * a:.5E},{1.1667e-5 * a:.5E},0.0,{2.8e-5 * a:.5E}")
+        lines.append(
+            f"PBEAM,{pid},{pid},{0.014 * a:.5f},{2.2867e-5 * a:.5E},{1.1667e-5 * a:.5E},0.0,{2.8e-5 * a:.5E}"
+        )
     for k, (i, j) in enumerate([(0, 0), (1, 0), (0, 1), (1, 1)]):
-        ring = [node(level, i, j), node(level, i + 1, j), node(level, i + 1, j + 1), node(level, i, j + 1)]
+        ring = [
+            node(level, i, j),
+            node(level, i + 1, j),
+            node(level, i + 1, j + 1),
+            node(level, i, j + 1),
+        ]
         lines.append(f"CQUAD4,{100 * level + 10 + k},{10 * level}," + ",".join(map(str, ring)))
     lines.append(f"CONM2,{100 * level + 90},{node(level, 1, 0)},,{800.0 * level}")
     lines.append(f"MAT1,{10 * level},{3e10 * factor.get(10 * level, 1.0):.7E},,0.2,2500.0")
@@ -129,13 +148,17 @@ def start(kinds: tuple[str, ...] = ("material", "property", "region", "spring"))
         model,
         analysis,
         keep,
-        reduced_candidates(model, analysis.system, keep, seen, COUNT, options=BasisOptions(size=120)),
+        reduced_candidates(
+            model, analysis.system, keep, seen, COUNT, options=BasisOptions(size=120)
+        ),
         seen,
     )
 
 
 def truth(rng: np.random.Generator, wrong: int = 3) -> dict[int, float]:
-    """Random regions with a stiffness 25 to 45 % too low or 35 to 80 % too high; the springs by two to four."""
+    """Random regions with a stiffness 25 to 45 % too low or 35 to 80 % too high; the springs by two
+    to four.
+    """
     chosen = rng.choice(np.array(REGIONS), wrong, replace=False).tolist()
     up = rng.random(wrong) < 0.5
     size = np.where(up, rng.uniform(1.35, 1.8, wrong), rng.uniform(0.55, 0.75, wrong))
@@ -143,8 +166,12 @@ def truth(rng: np.random.Generator, wrong: int = 3) -> dict[int, float]:
     return {r: float(soft[k] if r == FEET else size[k]) for k, r in enumerate(chosen)}
 
 
-def measured(wrong: Mapping[int, float], rng: np.random.Generator, f: float = 0.002, shape: float = 0.01) -> Target:
-    """Modes of the true structure with noise: relative on the frequencies, of the largest component on the shapes."""
+def measured(
+    wrong: Mapping[int, float], rng: np.random.Generator, f: float = 0.002, shape: float = 0.01
+) -> Target:
+    """Modes of the true structure with noise: relative on the frequencies, of the largest component
+    on the shapes.
+    """
     with EmbeddedSolver().open(read(deck(wrong))) as analysis:
         modes = analysis.modes(ModesRequest(MODES)).modes
         seen = observation(analysis.dofs, channels())(modes.shapes)
@@ -166,14 +193,20 @@ def region_elements(region: int) -> set[int]:
 def write_test(folder: Path, frequencies: Array, shapes: Array, error: float, noise: Array) -> None:
     """`frame.bdf`, the initial deck, `sensors.csv`, and `modes.json`.
 
-    Stated deviations are the relative `error` of all frequencies and the `noise` (m,) of the shapes.
+    Stated deviations are the relative `error` of all frequencies and the `noise` (m,) of the
+    shapes.
     """
     labels, m = channels().labels(), frequencies.size
-    std = Uncertainty.independent(error * frequencies, np.full(m, 1e-3), np.broadcast_to(noise, shapes.shape))
+    std = Uncertainty.independent(
+        error * frequencies, np.full(m, 1e-3), np.broadcast_to(noise, shapes.shape)
+    )
     write_modes(folder / "modes.json", ModeSet(frequencies, np.full(m, 0.01), shapes, labels), std)
     (folder / "frame.bdf").write_text(deck())
     model = read(deck())
     at = dict(zip(model["GRID"].ids.tolist(), positions(model).tolist(), strict=True))
     rows = [label.split("+") for label in labels]
-    sheet = ["point,x,y,z,direction", *(f"{n},{','.join(map(str, at[int(n)]))},{axis}" for n, axis in rows)]
+    sheet = [
+        "point,x,y,z,direction",
+        *(f"{n},{','.join(map(str, at[int(n)]))},{axis}" for n, axis in rows),
+    ]
     (folder / "sensors.csv").write_text("\n".join(sheet) + "\n")

@@ -1,4 +1,6 @@
-"""Meshes of every shell card over a mapped unit square, and static answers, for the tests of the shells."""
+"""Meshes of every shell card over a mapped unit square, and static answers, for the tests of the
+shells.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +17,11 @@ SHELLS = ("CQUAD4", "CTRIA3", "CQUAD8", "CTRIA6")
 SECOND = ("CQUAD8", "CTRIA6")
 
 
-def net(card: str, n: int, m: int, place: Callable[[Float, Float], Float]) -> tuple[Float, Int, Float]:
-    """Nodes (., 3), elements (., k) by 1-based nodes, and the nodes (u, v) in the unit square, of n x m cells.
+def net(
+    card: str, n: int, m: int, place: Callable[[Float, Float], Float]
+) -> tuple[Float, Int, Float]:
+    """Nodes (., 3), elements (., k) by 1-based nodes, and the nodes (u, v) in the unit square, of n
+    x m cells.
 
     A cell is a quadrilateral or two triangles.
     """
@@ -30,7 +35,10 @@ def net(card: str, n: int, m: int, place: Callable[[Float, Float], Float]) -> tu
     if card == "CQUAD8":
         parts = [[*c, cell[1, 0], cell[2, 1], cell[1, 2], cell[0, 1]]]
     elif card == "CTRIA6":
-        parts = [[*low, cell[1, 0], cell[2, 1], cell[1, 1]], [*high, cell[1, 1], cell[1, 2], cell[0, 1]]]
+        parts = [
+            [*low, cell[1, 0], cell[2, 1], cell[1, 1]],
+            [*high, cell[1, 1], cell[1, 2], cell[0, 1]],
+        ]
     else:
         parts = [c] if card == "CQUAD4" else [low, high]
     elements = np.concatenate([np.stack(p, axis=1) for p in parts])

@@ -9,14 +9,30 @@ from ringtrue.core.arrays import Float, Int
 from ringtrue.fem.kinds import SOLIDS
 from ringtrue.model.model import Table
 
-ELEMENTS = ("CHEXA8", "CHEXA20", "CPENTA6", "CPENTA15", "CTETRA4", "CTETRA10", "CPYRAM5", "CPYRAM13")
+ELEMENTS = (
+    "CHEXA8",
+    "CHEXA20",
+    "CPENTA6",
+    "CPENTA15",
+    "CTETRA4",
+    "CTETRA10",
+    "CPYRAM5",
+    "CPYRAM13",
+)
 SECOND = ("CHEXA20", "CPENTA15", "CTETRA10", "CPYRAM13")
 # a cube, corners numbered as CHEXA's, cut into others; node 8 is its middle
 _CUTS = {
     "CHEXA": [[0, 1, 2, 3, 4, 5, 6, 7]],
     "CPENTA": [[0, 1, 2, 4, 5, 6], [0, 2, 3, 4, 6, 7]],
     "CTETRA": [[0, 1, 2, 6], [0, 2, 3, 6], [0, 3, 7, 6], [0, 7, 4, 6], [0, 4, 5, 6], [0, 5, 1, 6]],
-    "CPYRAM": [[0, 1, 2, 3, 8], [4, 7, 6, 5, 8], [0, 4, 5, 1, 8], [1, 5, 6, 2, 8], [2, 6, 7, 3, 8], [3, 7, 4, 0, 8]],
+    "CPYRAM": [
+        [0, 1, 2, 3, 8],
+        [4, 7, 6, 5, 8],
+        [0, 4, 5, 1, 8],
+        [1, 5, 6, 2, 8],
+        [2, 6, 7, 3, 8],
+        [3, 7, 4, 0, 8],
+    ],
 }
 
 
@@ -36,7 +52,9 @@ def box(nx: int, ny: int, nz: int, size: tuple[float, float, float]) -> tuple[Fl
 
 
 def cut(name: str, xyz: Float, hexas: Int) -> tuple[Float, Int]:
-    """Nodes (., 3) and elements (e, n), 0-based; edges that are shared share their midside node, which is midway."""
+    """Nodes (., 3) and elements (e, n), 0-based; edges that are shared share their midside node,
+    which is midway.
+    """
     card, second = kind(name)
     if card == "CPYRAM":
         hexas = np.column_stack([hexas, len(xyz) + np.arange(len(hexas))])
@@ -47,7 +65,9 @@ def cut(name: str, xyz: Float, hexas: Int) -> tuple[Float, Int]:
     edges = np.sort(elements[:, SOLIDS[card].edges], axis=2)
     unique, at = np.unique(edges.reshape(-1, 2), axis=0, return_inverse=True)
     middle = xyz[unique].mean(axis=1)
-    return np.vstack([xyz, middle]), np.column_stack([elements, len(xyz) + at.reshape(len(elements), -1)])
+    return np.vstack([xyz, middle]), np.column_stack(
+        [elements, len(xyz) + at.reshape(len(elements), -1)]
+    )
 
 
 def elements(card: str, nodes: Int, first: int = 1, pid: int = 1) -> Table:

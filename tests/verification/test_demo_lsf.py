@@ -1,7 +1,9 @@
-"""The worked example from raw signals to the delivered deck, against the truth that no stage of the study sees.
+"""The worked example from raw signals to the delivered deck, against the truth that no stage of the
+study sees.
 
-One run with short records serves all tests of this module. The last test runs the identification again in a copy of
-the package without `ringtrue.demos`: nothing in the chain may need the as-built model.
+One run with short records serves all tests of this module. The last test runs the identification
+again in a copy of the package without `ringtrue.demos`: nothing in the chain may need the as-built
+model.
 """
 
 from __future__ import annotations
@@ -67,7 +69,9 @@ def test_the_deck_is_the_facility(example: Example) -> None:
     rigid = modes[modes < RIGID_BELOW]
     assert rigid.size == 6
     assert rigid[0] > 0.4
-    assert rigid[2] / rigid[1] < 1.05 or rigid[1] / rigid[0] < 1.05  # two lateral modes close to each other
+    assert (
+        rigid[2] / rigid[1] < 1.05 or rigid[1] / rigid[0] < 1.05
+    )  # two lateral modes close to each other
     assert 9.5 <= modes[6] <= 11.5
 
 
@@ -104,7 +108,11 @@ def test_ratios_are_physical() -> None:
         spec = truth.as_built(seed)
         concrete = [spec.modulus[k] for k in ("slab", "long walls", "end walls", "haunches")]
         assert 15e9 <= min(concrete) <= max(concrete) <= 42e9
-        steel = [v for k, v in spec.modulus.items() if k not in ("slab", "long walls", "end walls", "haunches")]
+        steel = [
+            v
+            for k, v in spec.modulus.items()
+            if k not in ("slab", "long walls", "end walls", "haunches")
+        ]
         assert 199e9 <= min(steel) <= max(steel) <= 213e9
         assert sum(abs(v - 1) > 0.04 for v in r.values()) >= 10
 
@@ -127,7 +135,10 @@ def test_damping_is_that_of_the_structure(example: Example) -> None:
     assert error.max() < 0.10
     low = found.ambient.frequencies < 1.6
     rigid = found.ambient.damping[low], found.ambient_uncertainty.damping[low]
-    which = [int(np.argmin(np.abs(twin.real_modes.frequencies - f))) for f in found.ambient.frequencies[low]]
+    which = [
+        int(np.argmin(np.abs(twin.real_modes.frequencies - f)))
+        for f in found.ambient.frequencies[low]
+    ]
     # three standard deviations, and a twentieth for the bias of damping in records of ten minutes
     tolerance = 3 * rigid[1] + 0.05 * twin.real_modes.damping[which]
     assert (np.abs(rigid[0] - twin.real_modes.damping[which]) < tolerance).all()
@@ -149,12 +160,18 @@ def test_only_the_changed_fields_differ(example: Example) -> None:
 
 def test_the_chain_needs_no_truth(example: Example, tmp_path: Path) -> None:
     package = tmp_path / "ringtrue"
-    shutil.copytree(Path(ringtrue.__file__).parent, package, ignore=shutil.ignore_patterns("demos", "__pycache__"))
+    shutil.copytree(
+        Path(ringtrue.__file__).parent,
+        package,
+        ignore=shutil.ignore_patterns("demos", "__pycache__"),
+    )
     before = (example.folder / "summary.json").read_text()
     run = [sys.executable, "-c", "from ringtrue.cli.main import main; main()", "run"]
     run += [str(example.folder / "study.toml"), "--from", "identify", "--until", "compare"]
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
-    done = subprocess.run(run, env=environment, capture_output=True, text=True, cwd=tmp_path, check=False)
+    done = subprocess.run(
+        run, env=environment, capture_output=True, text=True, cwd=tmp_path, check=False
+    )
     assert done.returncode == 0, done.stderr[-2000:]
     again = json.loads((example.folder / "summary.json").read_text())
     first = json.loads(before)

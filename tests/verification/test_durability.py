@@ -1,7 +1,9 @@
-"""A study survives a fault at each of its writes and a flipped bit in its store; see `durable` for both.
+"""A study survives a fault at each of its writes and a flipped bit in its store; see `durable` for
+both.
 
-The faults follow one another in one folder, each run going on with what the one before has left: before, half-way,
-after, and a full disk, at every write. `bench/durability.py` begins anew for each, and resumes each to the end.
+The faults follow one another in one folder, each run going on with what the one before has left:
+before, half-way, after, and a full disk, at every write. `bench/durability.py` begins anew for
+each, and resumes each to the end.
 """
 
 from __future__ import annotations
@@ -56,7 +58,10 @@ def test_a_fault_at_every_write_leaves_whole_stages_and_the_end_is_the_same(
             assert durable.struck(study, write, how) == durable.expected(how), (write, how)
             assert durable.stored(study).items() <= wanted.items(), (write, how)
             parts = [name for name in durable.leftovers(study.parent) if name.endswith(".part")]
-            assert len(parts) == (how in ("before", "half")), (write, how)  # those of kills before are swept
+            assert len(parts) == (how in ("before", "half")), (
+                write,
+                how,
+            )  # those of kills before are swept
     assert durable.forked(lambda: durable.whole_run(study)) == 0
     assert durable.results(study) == wanted
     assert durable.leftovers(study.parent) == []
@@ -69,7 +74,11 @@ def test_no_flipped_bit_is_in_a_result_that_is_read(home: Path, fresh: object) -
     for bit in np.random.default_rng(1).choice(8 * len(image), FLIPS, replace=False).tolist():
         path.write_bytes(durable.flipped(image, bit))
         found = durable.read_anew(path)
-        wrong = [n for n, what in found.items() if what != right.get(n) and not what.startswith("refused: ")]
+        wrong = [
+            n
+            for n, what in found.items()
+            if what != right.get(n) and not what.startswith("refused: ")
+        ]
         assert wrong == [], bit
         refused += any(what.startswith("refused: ") for what in found.values())
     path.write_bytes(image)
@@ -78,7 +87,10 @@ def test_no_flipped_bit_is_in_a_result_that_is_read(home: Path, fresh: object) -
 
 @pytest.mark.parametrize("stage", ["model", "correlate", "update"])
 def test_a_damaged_stage_is_named_and_run_anew(
-    home: Path, fresh: tuple[object, dict[str, object]], stage: str, caplog: pytest.LogCaptureFixture
+    home: Path,
+    fresh: tuple[object, dict[str, object]],
+    stage: str,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     durable.copied(home / "done", home / "study")  # decks are named by where they are
     study = home / "study/study.toml"
@@ -100,7 +112,9 @@ def test_a_damaged_stage_is_named_and_run_anew(
     assert len(durable.stored(study)) == len(durable.stored(home / "done/study.toml"))
 
 
-def test_a_value_that_is_changed_with_its_checksum_is_seen_by_the_digest(home: Path, fresh: object) -> None:
+def test_a_value_that_is_changed_with_its_checksum_is_seen_by_the_digest(
+    home: Path, fresh: object
+) -> None:
     durable.copied(home / "done", home / "study")
     path = home / "study/study.h5"
     with h5py.File(path, "a") as file:

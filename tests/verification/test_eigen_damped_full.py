@@ -1,6 +1,8 @@
-"""The full quadratic problem, residual vectors and direct responses, against closed forms and each other.
+"""The full quadratic problem, residual vectors and direct responses, against closed forms and each
+other.
 
-A clamped shell with dashpots at its free corner, and chains of oscillators small enough for a dense solution.
+A clamped shell with dashpots at its free corner, and chains of oscillators small enough for a dense
+solution.
 """
 
 from __future__ import annotations
@@ -100,14 +102,18 @@ def test_projected_and_full_modes_agree(held):
     assert np.allclose(near.modes.frequencies, full.modes.frequencies, rtol=1e-4)
     assert np.allclose(near.modes.damping, full.modes.damping, rtol=1e-2)
     assert full.modes.damping.max() > 0.2
-    band = held.damped_modes(ModesRequest(band=tuple(full.modes.frequencies[[2, 5]] * [0.999, 1.001])), problem="full")
+    band = held.damped_modes(
+        ModesRequest(band=tuple(full.modes.frequencies[[2, 5]] * [0.999, 1.001])), problem="full"
+    )
     assert np.allclose(band.modes.frequencies, full.modes.frequencies[2:6], rtol=1e-9)
     with pytest.raises(InputError, match="allowed are projected"):
         held.damped_modes(request, problem="exact")
 
 
 def test_complex_modes_of_a_free_structure_are_elastic():
-    """Rigid-body motions do not oscillate: both ways leave them out and give as many others as are asked for."""
+    """Rigid-body motions do not oscillate: both ways leave them out and give as many others as are
+    asked for.
+    """
     model = shell(6, 4)
     system = assemble(model)
     damped = replace(system, structural=sparse.csr_array(0.02 * system.stiffness))
@@ -139,7 +145,9 @@ def test_direct_response_of_a_chain_in_closed_form(method):
     c, f = 3.0, np.array([0.0, 1.0, 2.2, 5.0])
     w = 2 * np.pi * f
     row = sparse.csr_array(np.array([[1.0, 0.0]]))
-    got = direct(DynamicStiffness(k, m, at(2, (0, c)), method=method), f, row, row, kind="receptance")
+    got = direct(
+        DynamicStiffness(k, m, at(2, (0, c)), method=method), f, row, row, kind="receptance"
+    )
     a, b = 200 - w**2 + 1j * w * c, 200 - w**2
     assert np.allclose(got[:, 0, 0], b / (a * b - 100.0**2), rtol=1e-10)
 

@@ -41,7 +41,9 @@ def _case(clamped: bool) -> tuple[sparse.csr_array, sparse.csr_array, list[Slope
 
 def _remainders(k, m, slope, base, d_lambda, d_phi, h):
     got = solve_modes(Pencil(k + h * slope.stiffness, m + h * slope.mass), M + 6)
-    phi = got.vectors[:, :M] * np.sign(np.einsum("fm,fm->m", base.vectors[:, :M], m @ got.vectors[:, :M]))
+    phi = got.vectors[:, :M] * np.sign(
+        np.einsum("fm,fm->m", base.vectors[:, :M], m @ got.vectors[:, :M])
+    )
     r_lambda = np.abs(got.values[:M] - base.values[:M] - h * d_lambda) / base.values[:M].max()
     return r_lambda.max(), np.linalg.norm(phi - base.vectors[:, :M] - h * d_phi, axis=0).max()
 
@@ -76,7 +78,9 @@ def test_against_full_modal_expansion():
 
 
 def test_branches_of_a_repeated_root():
-    """A square plate made stiffer in one half splits its double modes: the block's eigenvalues are the slopes."""
+    """A square plate made stiffer in one half splits its double modes: the block's eigenvalues are
+    the slopes.
+    """
     k, m = plate(N, N)
     dk, dm = plate(N, N, weight=(np.arange(N) < N // 2).astype(float))
     slope = Slope(dk, 0 * dm)
@@ -93,7 +97,8 @@ def test_branches_of_a_repeated_root():
 
 
 def test_subspace_of_a_repeated_root_moves_as_told():
-    """φ' of a double root, rotation-free: the projector's derivative is φ'φᵀ + φφ'ᵀ, whatever the basis.
+    """φ' of a double root, rotation-free: the projector's derivative is φ'φᵀ + φφ'ᵀ, whatever the
+    basis.
 
     The change keeps the square's symmetry, so the root stays double and the subspace is smooth.
     """
@@ -111,7 +116,9 @@ def test_subspace_of_a_repeated_root_moves_as_told():
     probe = m @ np.random.default_rng(3).standard_normal((k.shape[0], 3))
     moved = (ends[0] @ (ends[0].T @ probe) - ends[1] @ (ends[1].T @ probe)) / (2 * h)
     told = d @ (phi.T @ probe) + phi @ (d.T @ probe)
-    assert np.abs(moved - told).max() < 1e-4 * np.abs(told).max()  # h² of a central difference, twisted by h
+    assert (
+        np.abs(moved - told).max() < 1e-4 * np.abs(told).max()
+    )  # h² of a central difference, twisted by h
 
 
 def test_requests_that_cannot_be_met():
@@ -145,9 +152,12 @@ def _hub() -> Model:
     return Model({**m.tables, **tables}, case=m.case)
 
 
-@pytest.mark.parametrize(("m", "nodes"), [(shell(8, 5, clamped=True), (20, 27)), (_hub(), (20, 99))])
+@pytest.mark.parametrize(
+    ("m", "nodes"), [(shell(8, 5, clamped=True), (20, 27)), (_hub(), (20, 99))]
+)
 def test_vectors_where_nodes_move_across_a_shell(m: Model, nodes: tuple[int, ...]) -> None:
-    """The forces of such a move are large and move next to nothing: the residual must be small beside what is left.
+    """The forces of such a move are large and move next to nothing: the residual must be small
+    beside what is left.
 
     A dependent node that moves has other shapes for the same motion of the free ones.
     """
@@ -168,7 +178,9 @@ def test_vectors_where_nodes_move_across_a_shell(m: Model, nodes: tuple[int, ...
 
 
 def test_a_light_node_far_above_does_not_join_low_modes() -> None:
-    """Suspension modes at 11 to 25 Hz, elastic ones to 550 Hz, and a node nearly without mass at 1e9 Hz."""
+    """Suspension modes at 11 to 25 Hz, elastic ones to 550 Hz, and a node nearly without mass at
+    1e9 Hz.
+    """
     rng = np.random.default_rng(11)
     low = np.array([5178.0, 5272.0, 10807.0, 10873.0, 15945.0, 23926.0, 5e5, 1.2e7])
     values = np.append(low, 4e19)

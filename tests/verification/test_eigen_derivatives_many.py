@@ -1,6 +1,8 @@
-"""Eigenvector derivatives to many parameters at once, on a free shell with lumped mass: the equation, column by column.
+"""Eigenvector derivatives to many parameters at once, on a free shell with lumped mass: the
+equation, column by column.
 
-Rotations have no mass, six modes are rigid motions, and E and thickness of four regions are the parameters.
+Rotations have no mass, six modes are rigid motions, and E and thickness of four regions are the
+parameters.
 """
 
 from __future__ import annotations
@@ -28,7 +30,9 @@ SOLVED = 1e-7  # what a solve leaves of the load, beside the tolerance
 @pytest.fixture(scope="module")
 def case() -> tuple[Pencil, EigenModes, list[Slope]]:
     model = shell(16, 12, regions=REGIONS)
-    fields = [(card, r, f) for r in range(1, REGIONS + 1) for card, f in (("MAT1", "E"), ("PSHELL", "T"))]
+    fields = [
+        (card, r, f) for r in range(1, REGIONS + 1) for card, f in (("MAT1", "E"), ("PSHELL", "T"))
+    ]
     system = assemble(model)
     slopes = system_derivatives(model, [Parameter(f"{t}", (Target(*t),)) for t in fields], system)
     pencil = Pencil(system.stiffness, system.mass)
@@ -46,7 +50,9 @@ def _worst(pencil: Pencil, modes: EigenModes, slope: Slope, d: np.ndarray) -> fl
 
 @pytest.mark.parametrize(("many", "columns"), [(10**6, 190), (0, 190), (0, 13)])
 def test_every_column_meets_the_tolerance(case, monkeypatch, many, columns) -> None:
-    """With the factor of the modes and with one amid them, in one batch and in batches that cut parameters."""
+    """With the factor of the modes and with one amid them, in one batch and in batches that cut
+    parameters.
+    """
     pencil, modes, slopes = case
     pencil.at(modes.shift)
     monkeypatch.setattr(complement, "MANY", many)
@@ -56,13 +62,17 @@ def test_every_column_meets_the_tolerance(case, monkeypatch, many, columns) -> N
     for i, s in enumerate(slopes):
         assert _worst(pencil, modes, s, d[:, RIGID:, i]) < TOLERANCE + SOLVED
         phi = modes.vectors[:, :M]
-        norm = 2 * np.einsum("fm,fm->m", phi, pencil.mass @ d[:, :, i]) + np.einsum("fm,fm->m", phi, s.mass @ phi)
+        norm = 2 * np.einsum("fm,fm->m", phi, pencil.mass @ d[:, :, i]) + np.einsum(
+            "fm,fm->m", phi, s.mass @ phi
+        )
         assert np.abs(norm).max() < 1e-9
 
 
 @pytest.mark.parametrize("coupled", [False, True])
 def test_fields_of_any_mass(coupled) -> None:
-    """Products and forces of motions where every third row has no mass, the mass diagonal or not."""
+    """Products and forces of motions where every third row has no mass, the mass diagonal or
+    not.
+    """
     rng = np.random.default_rng(7)
     n, massive = 3000, np.arange(3000) % 3 > 0
     mass = sparse.diags_array(massive * rng.uniform(1.0, 2.0, n)).tolil()
@@ -90,7 +100,9 @@ def test_sketches_keep_norms(case) -> None:
     pencil, modes, _ = case
     inertia = fields.Inertia(pencil.mass)
     exact = np.linalg.norm(pencil.mass @ modes.vectors, axis=0)
-    np.testing.assert_allclose(np.linalg.norm(inertia.sketch(inertia.fields(modes.vectors.T)), axis=1), exact)
+    np.testing.assert_allclose(
+        np.linalg.norm(inertia.sketch(inertia.fields(modes.vectors.T)), axis=1), exact
+    )
     rng = np.random.default_rng(5)
     wide = fields.Inertia(sparse.diags_array(rng.uniform(1.0, 2.0, 20_000)).tocsr())
     x = wide.fields(rng.standard_normal((30, 20_000)))
@@ -105,7 +117,10 @@ def test_rough_sketches_cost_no_accuracy(case, monkeypatch, buckets) -> None:
     monkeypatch.setattr(complement, "TILE", buckets)
     monkeypatch.setattr(fields, "TILE", buckets)
     d = eigenvector_derivatives(pencil, modes, slopes, count=M, tolerance=TOLERANCE)
-    assert max(_worst(pencil, modes, s, d[:, RIGID:, i]) for i, s in enumerate(slopes)) < TOLERANCE + SOLVED
+    assert (
+        max(_worst(pencil, modes, s, d[:, RIGID:, i]) for i, s in enumerate(slopes))
+        < TOLERANCE + SOLVED
+    )
 
 
 def test_rigid_motions_stay_rigid(case) -> None:

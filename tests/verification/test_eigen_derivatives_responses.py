@@ -1,4 +1,6 @@
-"""Derivatives of MAC, frequency, complex modes and FRFs on a damped chain and a plate, against central differences."""
+"""Derivatives of MAC, frequency, complex modes and FRFs on a damped chain and a plate, against
+central differences.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,12 @@ from eigen_plate import held, plate
 from scipy import sparse
 
 from ringtrue.eigen.damped import complex_modes
-from ringtrue.eigen.derivatives import Slope, branch_derivatives, eigenvalue_derivatives, eigenvector_derivatives
+from ringtrue.eigen.derivatives import (
+    Slope,
+    branch_derivatives,
+    eigenvalue_derivatives,
+    eigenvector_derivatives,
+)
 from ringtrue.eigen.dynamic import DynamicStiffness
 from ringtrue.eigen.factor import Pencil
 from ringtrue.eigen.responses import (
@@ -42,7 +49,10 @@ def test_mac_and_frequency_by_adjoints_and_directly() -> None:
     base = solve_modes(pencil, M + 4)
     rng = np.random.default_rng(2)
     pick = rng.choice(k.shape[0], 15, replace=False)
-    reference = base.vectors[pick, :M] + 0.02 * rng.standard_normal((15, M)) * np.abs(base.vectors[pick, :M]).max()
+    reference = (
+        base.vectors[pick, :M]
+        + 0.02 * rng.standard_normal((15, M)) * np.abs(base.vectors[pick, :M]).max()
+    )
     gradient = np.zeros((k.shape[0], M))
     gradient[pick] = mac_gradient(reference, base.vectors[pick, :M])[1]
     by_adjoint = adjoint(pencil, base, gradient).contract(slopes)
@@ -56,7 +66,9 @@ def test_mac_and_frequency_by_adjoints_and_directly() -> None:
         size = np.abs(want).max()
         assert np.abs(by_adjoint[:, i] - want).max() < 1e-4 * size
         assert np.abs(by_adjoint[:, i] - direct[:, i]).max() < 1e-6 * size
-        assert np.allclose((ends[0].frequencies - ends[1].frequencies) / (2 * H), d_f[:, i], rtol=1e-5)
+        assert np.allclose(
+            (ends[0].frequencies - ends[1].frequencies) / (2 * H), d_f[:, i], rtol=1e-5
+        )
 
 
 def test_the_solution_meets_its_tolerance() -> None:
@@ -69,12 +81,21 @@ def test_the_solution_meets_its_tolerance() -> None:
         d = eigenvector_derivatives(pencil, base, slopes, count=M, tolerance=tolerance)
         for i, s in enumerate(slopes):
             load = s.stiffness @ phi - (s.mass @ phi) * lam
-            rest = k @ d[:, :, i] - (m @ d[:, :, i]) * lam + load - (m @ phi) * np.einsum("fm,fm->m", phi, load)
-            assert (np.linalg.norm(rest, axis=0) <= 3 * tolerance * np.linalg.norm(load, axis=0)).all()
+            rest = (
+                k @ d[:, :, i]
+                - (m @ d[:, :, i]) * lam
+                + load
+                - (m @ phi) * np.einsum("fm,fm->m", phi, load)
+            )
+            assert (
+                np.linalg.norm(rest, axis=0) <= 3 * tolerance * np.linalg.norm(load, axis=0)
+            ).all()
 
 
 def test_branches_of_a_double_root_have_derivatives() -> None:
-    """A square plate, one half stiffer: the vectors that leave the double root, and their derivatives."""
+    """A square plate, one half stiffer: the vectors that leave the double root, and their
+    derivatives.
+    """
     k, m = plate(N, N)
     dk, _ = plate(N, N, weight=(np.arange(N) < N // 3).astype(float))
     slope = Slope(dk, 0 * m)
@@ -86,22 +107,33 @@ def test_branches_of_a_double_root_have_derivatives() -> None:
     ends = [solve_modes(Pencil(k + x * dk, m), 8) for x in (h, -h)]
     up, down = ends[0].vectors[:, 4:6], ends[1].vectors[:, 5:3:-1]  # the branches cross at 0
     up, down = (v * np.sign(np.einsum("fm,fm->m", at, m @ v)) for v in (up, down))
-    assert np.allclose((ends[0].values[4:6] - ends[1].values[5:3:-1]) / (2 * h), d_lambda, rtol=1e-4)
+    assert np.allclose(
+        (ends[0].values[4:6] - ends[1].values[5:3:-1]) / (2 * h), d_lambda, rtol=1e-4
+    )
     moved = (up - down) / (2 * h)
-    assert np.abs(moved - d_phi).max() < 1e-3 * np.abs(d_phi).max()  # lost digits of the double root: ε/gap
+    assert (
+        np.abs(moved - d_phi).max() < 1e-3 * np.abs(d_phi).max()
+    )  # lost digits of the double root: ε/gap
 
 
 def _chain() -> tuple[DynamicStiffness, list[Slope]]:
     """Eight masses on springs, a dashpot at one end: not proportional."""
     n = 8
-    k = sparse.csr_array(sparse.diags_array([2.0 * np.ones(n), -np.ones(n - 1), -np.ones(n - 1)], offsets=[0, 1, -1]))
+    k = sparse.csr_array(
+        sparse.diags_array([2.0 * np.ones(n), -np.ones(n - 1), -np.ones(n - 1)], offsets=[0, 1, -1])
+    )
     m = sparse.csr_array(sparse.diags_array(1.0 + 0.1 * np.arange(n)))
     d, h = (
-        sparse.csr_array((n, n)) + sparse.coo_array(([c], ([r], [r])), shape=(n, n)) for c, r in ((0.3, 0), (0.02, 5))
+        sparse.csr_array((n, n)) + sparse.coo_array(([c], ([r], [r])), shape=(n, n))
+        for c, r in ((0.3, 0), (0.02, 5))
     )
     one = sparse.csr_array(sparse.coo_array(([1.0], ([2], [2])), shape=(n, n)))
     zero = sparse.csr_array((n, n))
-    slopes = [Slope(one, zero, zero, zero), Slope(zero, one, zero, zero), Slope(zero, zero, one, zero)]
+    slopes = [
+        Slope(one, zero, zero, zero),
+        Slope(zero, one, zero, zero),
+        Slope(zero, zero, one, zero),
+    ]
     slopes.append(Slope(one, zero, zero, one))
     return DynamicStiffness(*(sparse.csr_array(a) for a in (k * 100, m, d, h * 100))), slopes
 
@@ -132,8 +164,12 @@ def test_complex_modes() -> None:
     for i, s in enumerate(slopes):
         (s1, v1), (s2, v2) = (_solved(_moved(system, s, x)) for x in (H, -H))
         v1, v2 = (v * np.sign((v * shapes.conj()).sum(axis=0).real) for v in (v1, v2))
-        assert np.allclose((s1 - s2) / (2 * H), d_poles[:, i], atol=CLOSE * np.abs(d_poles[:, i]).max())
-        assert np.abs((v1 - v2) / (2 * H) - d_shapes[:, :, i]).max() < CLOSE * np.abs(d_shapes).max()
+        assert np.allclose(
+            (s1 - s2) / (2 * H), d_poles[:, i], atol=CLOSE * np.abs(d_poles[:, i]).max()
+        )
+        assert (
+            np.abs((v1 - v2) / (2 * H) - d_shapes[:, :, i]).max() < CLOSE * np.abs(d_shapes).max()
+        )
 
 
 def test_frfs_directly_and_by_modes() -> None:
@@ -143,9 +179,16 @@ def test_frfs_directly_and_by_modes() -> None:
     h, d_h = frf_derivatives(system, pick, pick[:1], freqs, slopes)
     assert h.shape == (3, 2, 1)
     for i, s in enumerate(slopes):
-        ends = [frf_derivatives(_moved(system, s, x), pick, pick[:1], freqs, [])[0] for x in (H, -H)]
-        assert np.abs((ends[0] - ends[1]) / (2 * H) - d_h[..., i]).max() < CLOSE * np.abs(d_h[..., i]).max()
-    undamped = DynamicStiffness(system.stiffness, system.mass, 0 * system.viscous, 0 * system.structural)
+        ends = [
+            frf_derivatives(_moved(system, s, x), pick, pick[:1], freqs, [])[0] for x in (H, -H)
+        ]
+        assert (
+            np.abs((ends[0] - ends[1]) / (2 * H) - d_h[..., i]).max()
+            < CLOSE * np.abs(d_h[..., i]).max()
+        )
+    undamped = DynamicStiffness(
+        system.stiffness, system.mass, 0 * system.viscous, 0 * system.structural
+    )
     pencil = Pencil(system.stiffness, system.mass)
     base = solve_modes(pencil, 8)
     some = [Slope(s.stiffness, s.mass) for s in slopes[:2]]
@@ -153,7 +196,9 @@ def test_frfs_directly_and_by_modes() -> None:
     rows = pick.toarray()
     d_out, out = np.einsum("of,fmp->omp", rows, d_phi), rows @ phi
     d_lambda = eigenvalue_derivatives(base, some)
-    modal = modal_frf_derivatives(freqs, base.values, np.zeros(8), out, out[:1], d_lambda, d_out, d_out[:1])
+    modal = modal_frf_derivatives(
+        freqs, base.values, np.zeros(8), out, out[:1], d_lambda, d_out, d_out[:1]
+    )
     want = frf_derivatives(undamped, pick, pick[:1], freqs, some)[1]
     assert np.abs(modal - want).max() < 1e-8 * np.abs(want).max()
 

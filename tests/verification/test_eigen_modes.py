@@ -1,4 +1,6 @@
-"""Modes against closed forms and dense solutions: multiplicities, rigid bodies, singular masses, bands, counts."""
+"""Modes against closed forms and dense solutions: multiplicities, rigid bodies, singular masses,
+bands, counts.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ RESIDUAL = 1e-8
 
 
 def test_free_beam_closed_form():
-    """Free-free beam EI = 2, m = 3, L = 1.5: λ_k = EI/m (β_k/L)⁴ with β = 0, 0, 4.730041, 7.853205, 10.995608."""
+    """Free-free beam EI = 2, m = 3, L = 1.5: λ_k = EI/m (β_k/L)⁴ with β = 0, 0, 4.730041, 7.853205,
+    10.995608.
+    """
     k2, _, k0 = line(300, 1.5)
     got = solve_modes(Pencil(sparse.csr_array(2 * k2), sparse.csr_array(3 * k0)), 5)
     beta = np.array([4.730040744862704, 7.853204624095838, 10.995607838001671])
@@ -62,13 +66,17 @@ def test_equal_structures_side_by_side(copies):
 @pytest.mark.parametrize("apart", [0.0, 1e-7])
 @pytest.mark.parametrize("count", [7, 60, 70])
 def test_a_root_repeated_more_often_than_a_block_is_wide(count, apart):
-    """60 equal oscillators of two modes, or nearly equal ones: what a count misses is sought in the lowest gap only."""
+    """60 equal oscillators of two modes, or nearly equal ones: what a count misses is sought in the
+    lowest gap only.
+    """
     copies = 60
     k, m = plate(4, 4)
     free = held(k, 4, 4)
     k, m = k[free][:, free], m[free][:, free]
     stiffer = 1 + apart * np.linspace(0, 1, copies)
-    many = [sparse.csr_array(sparse.block_diag(a)) for a in ([c * k for c in stiffer], [m] * copies)]
+    many = [
+        sparse.csr_array(sparse.block_diag(a)) for a in ([c * k for c in stiffer], [m] * copies)
+    ]
     got = solve_modes(Pencil(*many), count)
     one = linalg.eigh(k.toarray(), m.toarray(), eigvals_only=True)
     assert np.allclose(got.values, np.sort(np.outer(stiffer, one).ravel())[:count], rtol=1e-8)
@@ -80,7 +88,9 @@ def test_a_root_repeated_more_often_than_a_block_is_wide(count, apart):
 def block() -> tuple[sparse.csr_array, sparse.csr_array, np.ndarray]:
     """K, M and the 20 lowest eigenvalues of a free block of solids, 630 DOFs."""
     xyz, nodes = solid_meshes.box(6, 5, 4, (1.0, 0.7, 0.4))
-    s = assemble(model(grid(xyz), solid_meshes.elements("CHEXA", nodes), solid_meshes.psolid(), steel()))
+    s = assemble(
+        model(grid(xyz), solid_meshes.elements("CHEXA", nodes), solid_meshes.psolid(), steel())
+    )
     k, m = s.stiffness, s.mass
     return k, m, linalg.eigh(k.toarray(), m.toarray(), eigvals_only=True, subset_by_index=(0, 19))
 
@@ -88,10 +98,14 @@ def block() -> tuple[sparse.csr_array, sparse.csr_array, np.ndarray]:
 @pytest.mark.parametrize("count", [2, 6, 8, 20])
 @pytest.mark.parametrize("bodies", [1, 2, 3, 9])
 def test_free_bodies(block, bodies, count):
-    """As many or fewer modes than there are rigid ones, and more; the bodies differ in stiffness by 3 %."""
+    """As many or fewer modes than there are rigid ones, and more; the bodies differ in stiffness by
+    3 %.
+    """
     k, m, one = block
     stiffer = 1 + 0.03 * np.arange(bodies)
-    many = [sparse.csr_array(sparse.block_diag(a)) for a in ([c * k for c in stiffer], [m] * bodies)]
+    many = [
+        sparse.csr_array(sparse.block_diag(a)) for a in ([c * k for c in stiffer], [m] * bodies)
+    ]
     got = solve_modes(Pencil(*many), count)
     want = np.sort(np.outer(stiffer, one).ravel())[:count]
     assert got.complete
@@ -144,8 +158,12 @@ def test_massless_dofs(mesh):
 
 @pytest.mark.parametrize("count", [1, 40, 320])
 def test_a_mechanism_of_many_motions(count):
-    """300 masses in a plane, joined along their line only: λ = 4 sin²(jπ/600), and 300 motions across it."""
-    along = sparse.diags_array([-np.ones(299), np.r_[1.0, np.full(298, 2.0), 1.0], -np.ones(299)], offsets=(-1, 0, 1))
+    """300 masses in a plane, joined along their line only: λ = 4 sin²(jπ/600), and 300 motions
+    across it.
+    """
+    along = sparse.diags_array(
+        [-np.ones(299), np.r_[1.0, np.full(298, 2.0), 1.0], -np.ones(299)], offsets=(-1, 0, 1)
+    )
     k = sparse.csr_array(sparse.block_diag([along, sparse.csr_array((300, 300))]))
     got = solve_modes(Pencil(k, sparse.csr_array(sparse.eye_array(600))), count)
     want = np.r_[np.zeros(300), 4 * np.sin(np.arange(300) * np.pi / 600) ** 2][:count]
@@ -166,7 +184,9 @@ def test_a_band_with_more_equal_bodies_than_rounding_brings():
 
 @pytest.mark.parametrize(("spread", "proved"), [(0.0, True), (2e-2, False)])
 def test_a_root_without_end(spread, proved):
-    """600 oscillators: what stands below one root is counted, below a crowd without gaps nothing is claimed."""
+    """600 oscillators: what stands below one root is counted, below a crowd without gaps nothing is
+    claimed.
+    """
     k = sparse.csr_array(sparse.diags_array(1e4 * np.linspace(1.0, 1.0 + spread, 600)))
     got = solve_modes(Pencil(k, sparse.csr_array(sparse.eye_array(600))), 20)
     assert got.complete is proved
@@ -176,13 +196,17 @@ def test_a_root_without_end(spread, proved):
 
 @pytest.mark.parametrize("sharp", [True, False])
 def test_a_band_of_many_modes_over_a_singular_mass(monkeypatch, sharp):
-    """What the mass does not see grows from step to step; shapes that are left so are not proved."""
+    """What the mass does not see grows from step to step; shapes that are left so are not
+    proved.
+    """
     k, m = plate(14, 14)
     heavy = np.arange(k.shape[0]) % 4 == 0
     lumped = sparse.csr_array(sparse.diags_array(np.where(heavy, m.diagonal(), 0.0)))
     d = k.toarray()
     a, b, c = d[np.ix_(heavy, heavy)], d[np.ix_(heavy, ~heavy)], d[np.ix_(~heavy, ~heavy)]
-    want = linalg.eigh(a - b @ np.linalg.solve(c, b.T), lumped.toarray()[np.ix_(heavy, heavy)], eigvals_only=True)
+    want = linalg.eigh(
+        a - b @ np.linalg.solve(c, b.T), lumped.toarray()[np.ix_(heavy, heavy)], eigvals_only=True
+    )
     f = np.sqrt(np.maximum(want, 0)) / (2 * np.pi)
     if not sharp:
         monkeypatch.setattr(solve, "_sharp", lambda _pencil, pairs, _shift: pairs)
@@ -226,7 +250,8 @@ def test_a_band_from_zero_has_the_rigid_modes(mesh):
     k, m = plate(mesh, mesh)
     elastic = linalg.eigh(k.toarray(), m.toarray(), eigvals_only=True)[3]
     got = solve_modes(
-        Pencil(sparse.csr_array(k - 1e-7 * elastic * m), m), band=(0.0, 1.1 * np.sqrt(elastic) / 2 / np.pi)
+        Pencil(sparse.csr_array(k - 1e-7 * elastic * m), m),
+        band=(0.0, 1.1 * np.sqrt(elastic) / 2 / np.pi),
     )
     assert np.allclose(got.values[:3] / elastic, -1e-7, atol=2e-8)
     assert got.values[3] == pytest.approx(elastic, rel=1e-6)
@@ -235,7 +260,9 @@ def test_a_band_from_zero_has_the_rigid_modes(mesh):
 
 @pytest.mark.parametrize("apart", [0.0, 1e-12, 1e-9])
 def test_copies_with_few_masses(apart):
-    """Blocks that run out of directions: 84 copies of six rows of which two have a mass, shuffled."""
+    """Blocks that run out of directions: 84 copies of six rows of which two have a mass,
+    shuffled.
+    """
     rng = np.random.default_rng(2)
     k = 1e3 * np.diag([2.0, 3, 3, 2, 4, 2])
     k -= 1e3 * (np.eye(6, k=1) + np.eye(6, k=-1))
@@ -273,12 +300,17 @@ def test_ends_of_a_band_that_are_modes(ends):
 
 
 def test_nearly_all_modes_of_equal_structures():
-    """The dense solution finds them at once: roots that are there six times, from zero on to the last but two."""
+    """The dense solution finds them at once: roots that are there six times, from zero on to the
+    last but two.
+    """
     k, m = plate(4, 5)
     many = [sparse.csr_array(sparse.block_diag([a] * 6)) for a in (k, m)]
     one = linalg.eigh(k.toarray(), m.toarray(), eigvals_only=True)
     top = np.sqrt((one[-3] + one[-2]) / 2) / (2 * np.pi)
-    for got in (solve_modes(Pencil(*many), 6 * (one.size - 2)), solve_modes(Pencil(*many), band=(0.0, top))):
+    for got in (
+        solve_modes(Pencil(*many), 6 * (one.size - 2)),
+        solve_modes(Pencil(*many), band=(0.0, top)),
+    ):
         assert got.complete
         assert "were computed" in got.proof
         assert np.allclose(got.values, np.repeat(one[:-2], 6), rtol=1e-8, atol=1e-9 * one[-1])
@@ -296,11 +328,15 @@ def test_bodies_without_any_motion_but_rigid_ones():
 @pytest.mark.parametrize("held_at", [0.0, 1.0])
 @pytest.mark.parametrize("digits", [11, 12, 14, 15])
 def test_a_stiffness_that_leaves_no_digits_is_told(digits, held_at):
-    """Two of three masses on a spring 10^digits times as stiff as the others, against a rigid link."""
+    """Two of three masses on a spring 10^digits times as stiff as the others, against a rigid
+    link.
+    """
     big, soft = 0.7 * 10.0**digits, 1 / 3
     k = np.array([[big + soft, -big, 0], [-big, big + soft + 1, -1], [0, -1, 1 + held_at]])
     got = solve_modes(Pencil(sparse.csr_array(k), sparse.csr_array(np.diag([1.0, 2.0, 1.0]))), 2)
-    one = linalg.eigh([[1 + 2 * soft, -1], [-1, 1 + held_at]], np.diag([3.0, 1.0]), eigvals_only=True)
+    one = linalg.eigh(
+        [[1 + 2 * soft, -1], [-1, 1 + held_at]], np.diag([3.0, 1.0]), eigvals_only=True
+    )
     off = np.abs(got.values / one - 1).max()
     share, _, row = rounding(sparse.csr_array(k), got)
     assert off < 2 * share

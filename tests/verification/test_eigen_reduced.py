@@ -1,4 +1,6 @@
-"""The parametric reduced model against full solutions of a shell with thickness and stiffness parameters."""
+"""The parametric reduced model against full solutions of a shell with thickness and stiffness
+parameters.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ from ringtrue.fem.assembly import assemble
 from ringtrue.model.ports import ModesRequest
 
 COUNT = 14
-ROUNDING = 1e-6  # ε|φ|ᵀ|K||φ|/λ of the lowest mode of this thin shell: double precision tells no more
+ROUNDING = (
+    1e-6  # ε|φ|ᵀ|K||φ|/λ of the lowest mode of this thin shell: double precision tells no more
+)
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +27,9 @@ def case():
     model = shell(9, 6, clamped=True)
     dofs = assemble(model).dofs
     pick = np.flatnonzero((np.abs(dofs.direction) <= 3) & (dofs.node % 5 == 0))
-    matrix = sparse.csr_array((np.ones(pick.size), (np.arange(pick.size), pick)), shape=(pick.size, len(dofs)))
+    matrix = sparse.csr_array(
+        (np.ones(pick.size), (np.arange(pick.size), pick)), shape=(pick.size, len(dofs))
+    )
     names = DofSet(dofs.node[pick], dofs.direction[pick]).labels()
     observation = Observation(matrix, names, dofs, 1.0, np.zeros(pick.size))
     params = parameters()
@@ -39,7 +45,9 @@ def test_nominal(case):
     assert np.allclose(a.shapes, b.shapes * sign, atol=1e-7 * np.abs(a.shapes).max())
     assert np.allclose(a.d_lambda, b.d_lambda, rtol=1e-6, atol=1e-6 * np.abs(a.d_lambda).max())
     size = np.abs(a.d_shapes).max()
-    assert np.abs(a.d_shapes - b.d_shapes * sign[:, None]).max() < 1e-3 * size  # the static part is that at σ, not at λ
+    assert (
+        np.abs(a.d_shapes - b.d_shapes * sign[:, None]).max() < 1e-3 * size
+    )  # the static part is that at σ, not at λ
 
 
 @pytest.mark.parametrize(("size", "limit"), [(0.1, 1e-4), (0.5, 1e-2)])
@@ -62,7 +70,9 @@ def test_enrichment_makes_it_exact_there(case):
     was = np.abs(fast.modes(x).frequencies / truth.frequencies - 1).max()
     assert 0.2 < before / was < 5  # an estimate
     assert richer.error(x) < 1e-3 * before
-    assert np.allclose(richer.modes(np.zeros(3)).frequencies, fast.modes(np.zeros(3)).frequencies, rtol=ROUNDING)
+    assert np.allclose(
+        richer.modes(np.zeros(3)).frequencies, fast.modes(np.zeros(3)).frequencies, rtol=ROUNDING
+    )
 
 
 @pytest.mark.parametrize("which", ["fast", "full"])

@@ -1,4 +1,6 @@
-"""A free plate on springs far softer than itself, and bands far from zero: rigid-body modes in closed form."""
+"""A free plate on springs far softer than itself, and bands far from zero: rigid-body modes in
+closed form.
+"""
 
 from __future__ import annotations
 
@@ -24,11 +26,15 @@ def free() -> tuple[sparse.csr_array, sparse.csr_array, np.ndarray]:
 @pytest.mark.parametrize("method", COUNTING)
 @pytest.mark.parametrize("spring", [1e-2, 1e2])
 def test_plate_on_a_soft_foundation(free, method, spring):
-    """K + sM/m: every eigenvalue of the free plate moves by s/m exactly, the three rigid ones to s/m."""
+    """K + sM/m: every eigenvalue of the free plate moves by s/m exactly, the three rigid ones to
+    s/m.
+    """
     k, m, lam = free
     soft = sparse.csr_array(k + spring / 80.0 * m)
     got = solve_modes(Pencil(soft, m, method=method), 12)
-    assert np.allclose(got.values[:3], spring / 80.0, rtol=1e-4, atol=1e-9 * lam[3])  # rounding of K
+    assert np.allclose(
+        got.values[:3], spring / 80.0, rtol=1e-4, atol=1e-9 * lam[3]
+    )  # rounding of K
     assert np.allclose(got.values[3:], lam[3:12] + spring / 80.0, rtol=1e-7)
     assert got.complete
 

@@ -1,7 +1,9 @@
-"""Free structures so thin that the first guess of the shift lies far beyond all modes that are asked for.
+"""Free structures so thin that the first guess of the shift lies far beyond all modes that are
+asked for.
 
-Bending frequencies go with the thickness, λ = t² c; the membrane, which sets the guess, does not. Lanczos must find a
-shift that tells the modes apart: a handful of blocks a structure, as for a thick one.
+Bending frequencies go with the thickness, λ = t² c; the membrane, which sets the guess, does not.
+Lanczos must find a shift that tells the modes apart: a handful of blocks a structure, as for a
+thick one.
 """
 
 from __future__ import annotations
@@ -20,7 +22,9 @@ from ringtrue.model.model import Model
 
 COUNTING = [m for m in installed() if m != "dense"]
 MOST = 40  # blocks; without a move of the shift it takes hundreds
-NOISE = 2e-4  # rounding of the membrane in the bending of the thinnest plate, ε (a/t)², and the shear of the thickest
+# rounding of the membrane in the bending of the thinnest plate, ε (a/t)², and the shear of the
+# thickest
+NOISE = 2e-4
 
 
 def shell(t: float) -> Model:
@@ -34,7 +38,9 @@ def beam(length: float) -> Model:
     x[:, 0] = np.linspace(0, length, n + 1)
     section = {"A": h * h, "I1": h**4 / 12, "I2": h**4 / 6, "J": h**4 / 6}
     p = cards("PBEAM", PID=[1], MID=1, **section, **{f"{k}B": v for k, v in section.items()})
-    return model(grid(x), cards("CBEAM", EID=i, PID=1, GA=i, GB=i + 1, X2=1.0), p, steel(), COUPMASS=1)
+    return model(
+        grid(x), cards("CBEAM", EID=i, PID=1, GA=i, GB=i + 1, X2=1.0), p, steel(), COUPMASS=1
+    )
 
 
 def solved(m: Model, method: str, monkeypatch: pytest.MonkeyPatch) -> tuple[EigenModes, int]:
@@ -69,7 +75,9 @@ def test_a_foil_of_solids(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
     g = {f"G{i + 1}": np.hstack([quads, quads + n])[:, i] for i in range(8)}
     nodes = grid(np.vstack([xyz, np.add(xyz, [0, 0, t])]))
     hexa = cards("CHEXA", EID=np.arange(1, len(quads) + 1), PID=1, **g)
-    found, blocks = solved(model(nodes, hexa, cards("PSOLID", PID=[1], MID=1), steel()), method, monkeypatch)
+    found, blocks = solved(
+        model(nodes, hexa, cards("PSOLID", PID=[1], MID=1), steel()), method, monkeypatch
+    )
     assert found.complete
     assert blocks <= MOST
     assert np.abs(found.values[:6]).max() < 0.2 * found.values[6]
@@ -85,4 +93,6 @@ def test_a_long_beam(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
     assert blocks <= MOST
     first = np.array([4.730041, 7.853205]) ** 4 / length**4 * 2e11 * 0.1**2 / 12 / 8000
     want = np.sort(np.concatenate([first[:1], 2 * first[:1], first[1:], 2 * first[1:]]))
-    np.testing.assert_allclose(found.values[6 : 6 + 4], want, rtol=1e-3)  # ε λmax/λ of so slender a beam
+    np.testing.assert_allclose(
+        found.values[6 : 6 + 4], want, rtol=1e-3
+    )  # ε λmax/λ of so slender a beam

@@ -1,7 +1,7 @@
 """Lines between resonances, condensed: the same fit from fewer lines.
 
-Twelve modes at random between 20 and 380 Hz, half-power bandwidths from half a line to a hundred lines; six responses,
-two inputs, 4000 lines, noise of 1 %.
+Twelve modes at random between 20 and 380 Hz, half-power bandwidths from half a line to a hundred
+lines; six responses, two inputs, 4000 lines, noise of 1 %.
 """
 
 from __future__ import annotations
@@ -32,7 +32,11 @@ def _frfs(seed: int, decay: float, *, uneven: bool = False) -> tuple[FrfSet, Com
     s = 2j * np.pi * freqs + decay
     modes = s[:, None] ** 2 * (1 / (s[:, None] - poles) - 1 / (s[:, None] - poles.conj())) / 2j
     h = np.einsum("fk,ok,ki->foi", modes, shapes, part)
-    h += 0.01 * np.median(np.abs(h)) * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape))
+    h += (
+        0.01
+        * np.median(np.abs(h))
+        * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape))
+    )
     out = tuple(Channel(f"{k + 1}+Z", "acceleration", "m/s^2") for k in range(RESPONSES))
     given = tuple(Channel(f"{k + 1}+Z", "force", "N") for k in range(INPUTS))
     unknown = np.full(h.shape, np.nan)
@@ -43,7 +47,9 @@ def _frfs(seed: int, decay: float, *, uneven: bool = False) -> tuple[FrfSet, Com
 
 @pytest.mark.parametrize("smooth", [0, 24])
 @pytest.mark.parametrize(("decay", "uneven"), [(0.0, False), (0.0, True), (3.0, False)])
-def test_products_of_functions_and_data_are_those_of_all_lines(decay: float, uneven: bool, smooth: int) -> None:
+def test_products_of_functions_and_data_are_those_of_all_lines(
+    decay: float, uneven: bool, smooth: int
+) -> None:
     frfs, poles, _ = _frfs(1, decay, uneven=uneven)
     lines = prepare(frfs, noise(frfs), smooth)
     reach = np.abs(poles.real)
@@ -52,9 +58,16 @@ def test_products_of_functions_and_data_are_those_of_all_lines(decay: float, une
     there = poles + 0.9 * reach * np.exp(2j * np.pi * np.arange(MODES) / MODES)
     there = np.minimum(there.real, -1e-3 * np.abs(poles)) + 1j * there.imag
     mine, theirs = (np.concatenate(functions_slopes(x, there), axis=1) for x in (few, lines))
-    raw = np.concatenate([np.concatenate(resonances(lines, x), axis=1) for x in (there, there.conj())], axis=1)
-    raw = raw.reshape(-1, 2, 2, MODES).swapaxes(1, 2).reshape(raw.shape)  # in the order of `functions_slopes`
-    size, data = np.linalg.norm(lines.weight[:, None] * raw, axis=0)[:, None], np.linalg.norm(lines.y, axis=1)[:, None]
+    raw = np.concatenate(
+        [np.concatenate(resonances(lines, x), axis=1) for x in (there, there.conj())], axis=1
+    )
+    raw = (
+        raw.reshape(-1, 2, 2, MODES).swapaxes(1, 2).reshape(raw.shape)
+    )  # in the order of `functions_slopes`
+    size, data = (
+        np.linalg.norm(lines.weight[:, None] * raw, axis=0)[:, None],
+        np.linalg.norm(lines.y, axis=1)[:, None],
+    )
     gram = (mine.conj().T @ mine - theirs.conj().T @ theirs) / size / size.T
     assert np.abs(gram).max() < PRODUCT
     assert np.abs((mine.conj().T @ few.y - theirs.conj().T @ lines.y) / size / data).max() < PRODUCT

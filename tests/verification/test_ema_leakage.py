@@ -1,7 +1,7 @@
 """FRFs of random forces in blocks under a Hann window: the fading of the responses is no damping.
 
-A structure of four modes with 1.5 to 5 lines in their half-power bandwidth, driven by white noise; G_xf/G_ff by Welch's
-method. A fit by poles alone has 10 to 60 % too much damping there.
+A structure of four modes with 1.5 to 5 lines in their half-power bandwidth, driven by white noise;
+G_xf/G_ff by Welch's method. A fit by poles alone has 10 to 60 % too much damping there.
 """
 
 from __future__ import annotations
@@ -33,7 +33,9 @@ def accelerance(freqs: np.ndarray) -> np.ndarray:
 def of_noise(seed: int, window: str) -> FrfSet:
     rng, n = np.random.default_rng(seed), 1 << 17
     force = rng.standard_normal(n)
-    y = np.fft.irfft(accelerance(np.fft.rfftfreq(n, 1 / RATE)).T * np.fft.rfft(force), n)  # periodic: stationary
+    y = np.fft.irfft(
+        accelerance(np.fft.rfftfreq(n, 1 / RATE)).T * np.fft.rfft(force), n
+    )  # periodic: stationary
     y += 1e-3 * y.std() * rng.standard_normal(y.shape)
     options = {"fs": RATE, "nperseg": BLOCK, "window": window, "detrend": False}
     freqs, power = welch(force, **options)
@@ -41,7 +43,14 @@ def of_noise(seed: int, window: str) -> FrfSet:
     coherence = np.abs(h) ** 2 * power[:, None] / welch(y, **options)[1].T
     at = (freqs > 0) & (freqs < 90)
     averages = np.array([2 * n / BLOCK - 1])
-    return FrfSet(h[at, :, None], freqs[at], RESPONSES, FORCE, np.minimum(coherence[at, :, None], 1.0), averages)
+    return FrfSet(
+        h[at, :, None],
+        freqs[at],
+        RESPONSES,
+        FORCE,
+        np.minimum(coherence[at, :, None], 1.0),
+        averages,
+    )
 
 
 def test_the_share_that_a_hann_window_takes() -> None:
@@ -54,9 +63,13 @@ def test_the_share_that_a_hann_window_takes() -> None:
     np.testing.assert_allclose(r[::5], lags, atol=1e-6)
     decay = r * np.exp((poles - s[:, None])[..., None] * x * length)
     share, slope = faded(s, poles, length)
-    np.testing.assert_allclose(share, 1 - (s[:, None] - poles) * length * simpson(decay, x=x), atol=1e-9)
+    np.testing.assert_allclose(
+        share, 1 - (s[:, None] - poles) * length * simpson(decay, x=x), atol=1e-9
+    )
     step = 1e-6
-    np.testing.assert_allclose(slope, (faded(s, poles + step, length)[0] - share) / step, rtol=1e-4, atol=1e-7)
+    np.testing.assert_allclose(
+        slope, (faded(s, poles + step, length)[0] - share) / step, rtol=1e-4, atol=1e-7
+    )
 
 
 def test_damping_of_blocks_under_a_hann_window() -> None:
@@ -68,7 +81,9 @@ def test_damping_of_blocks_under_a_hann_window() -> None:
     np.testing.assert_allclose(zeta.mean(axis=0), ZETA, rtol=0.02)  # without: 10 to 60 %
     z = (zeta - ZETA) / std
     assert np.sqrt(np.mean(z**2)) < 1.6
-    np.testing.assert_allclose(np.abs(found[0].modes.shapes), np.abs(PHI), atol=0.02)  # unit modal mass
+    np.testing.assert_allclose(
+        np.abs(found[0].modes.shapes), np.abs(PHI), atol=0.02
+    )  # unit modal mass
 
 
 @pytest.mark.parametrize("decay", [0.0, 4.0])

@@ -1,6 +1,8 @@
-"""Further hammer methods on a known structure: LSCE, RFP, CMIF, real modes, force levels, disagreeing batches.
+"""Further hammer methods on a known structure: LSCE, RFP, CMIF, real modes, force levels,
+disagreeing batches.
 
-A chain of masses and springs with modal or local dashpots; FRFs are exact sums of its modes, with white noise.
+A chain of masses and springs with modal or local dashpots; FRFs are exact sums of its modes, with
+white noise.
 """
 
 from __future__ import annotations
@@ -34,7 +36,9 @@ N = MASS.size
 
 
 def chain(extra: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """M, K of eight masses between walls, modes from about 5 to 28 Hz, and C: 0.1 % stiffness-proportional."""
+    """M, K of eight masses between walls, modes from about 5 to 28 Hz, and C: 0.1 %
+    stiffness-proportional.
+    """
     m = np.diag(MASS + (0 if extra is None else extra))
     k = 8e3 * (2 * np.eye(N) - np.eye(N, k=1) - np.eye(N, k=-1))
     return m, k, 2e-4 * k
@@ -140,7 +144,9 @@ def test_reciprocity_of_a_symmetric_structure() -> None:
 
 
 def complex_model(couple: float) -> tuple[ModalModel, np.ndarray, np.ndarray]:
-    """All modes of the chain with a dashpot to the ground at one mass; the undamped f and shapes of unit mass."""
+    """All modes of the chain with a dashpot to the ground at one mass; the undamped f and shapes of
+    unit mass.
+    """
     m, k, c = chain()
     c = c + couple * np.diag(np.eye(N)[2])
     s, phi = poles(m, k, c)
@@ -178,11 +184,15 @@ def results(f: np.ndarray, z: np.ndarray, order: np.ndarray) -> tuple[ModeSet, U
     n = f.size + 1
     labels = tuple(f"{i + 1}+X" for i in range(n))
     modes = ModeSet(f[order], z[order], np.eye(n)[:, order], labels)
-    return modes, Uncertainty.independent(1e-4 * modes.frequencies, 1e-2 * modes.damping, np.zeros((n, f.size)))
+    return modes, Uncertainty.independent(
+        1e-4 * modes.frequencies, 1e-2 * modes.damping, np.zeros((n, f.size))
+    )
 
 
 def test_level_dependence_tells_a_softening_mode_from_linear_ones() -> None:
-    """One mode falls by 1 % in frequency for each factor e of the force, another gains damping with its square root."""
+    """One mode falls by 1 % in frequency for each factor e of the force, another gains damping with
+    its square root.
+    """
     rng, levels = np.random.default_rng(4), np.array([4.0, 1.0, 2.0, 8.0])
     found = []
     for force in levels:
@@ -190,7 +200,9 @@ def test_level_dependence_tells_a_softening_mode_from_linear_ones() -> None:
         f[1] *= force**-0.01
         z[2] *= force**0.5
         noise = rng.standard_normal((2, 3))
-        found.append(results(f * (1 + 1e-4 * noise[0]), z * (1 + 1e-2 * noise[1]), rng.permutation(3)))
+        found.append(
+            results(f * (1 + 1e-4 * noise[0]), z * (1 + 1e-2 * noise[1]), rng.permutation(3))
+        )
     table = level_dependence(levels, found)
     np.testing.assert_array_equal(table.levels, np.sort(levels))
     at = np.argsort(table.frequency[0])
@@ -208,13 +220,17 @@ def test_a_linear_structure_is_rarely_called_nonlinear_however_many_modes_it_has
     called = 0
     for _ in range(200):
         noise = rng.standard_normal((3, 2, 10))
-        found = [results(f * (1 + 1e-4 * x[0]), z * (1 + 1e-2 * x[1]), np.arange(10)) for x in noise]
+        found = [
+            results(f * (1 + 1e-4 * x[0]), z * (1 + 1e-2 * x[1]), np.arange(10)) for x in noise
+        ]
         called += not level_dependence([1.0, 2.0, 4.0], found).linear.all()
     assert called < 6
 
 
 def test_batches_loaded_by_moved_sensors() -> None:
-    """Sensors of 3 % of a mass at the measured points shift the modes differently: a chi-square test sees it."""
+    """Sensors of 3 % of a mass at the measured points shift the modes differently: a chi-square
+    test sees it.
+    """
     rng = np.random.default_rng(5)
     sets = [(0, 2, 3, 4), (0, 2, 5, 6), (0, 1, 2, 7)]
     extra = [0.03 * np.isin(np.arange(N), s) for s in sets]
@@ -225,7 +241,9 @@ def test_batches_loaded_by_moved_sensors() -> None:
         true = np.abs(poles(*chain(e))[0]) / (2 * np.pi)
         np.testing.assert_allclose(fit.frequency[b], true, rtol=1e-3)
     assert (fit.chance < 1e-6).sum() >= N - 1
-    phi = poles(*chain(np.mean(extra, axis=0)))[1][[int(c.split("+")[0]) - 1 for c in fit.modes.channels]]
+    phi = poles(*chain(np.mean(extra, axis=0)))[1][
+        [int(c.split("+")[0]) - 1 for c in fit.modes.channels]
+    ]
     assert np.diag(mac(fit.modes.shapes, phi)).min() > 0.98
     assert fit.modes.norm is Norm.MASS
     same = identify_batches([frfs(chain(), rng, s) for s in sets], HammerModes(3.0, 35.0))
@@ -245,7 +263,9 @@ def test_batches_loaded_by_moved_sensors() -> None:
 
 
 def test_batches_loaded_by_heavy_sensors_keep_their_modes() -> None:
-    """Sensors of a tenth of a mass shift modes by many of their bandwidths (ζ of 0.08 to 0.44 % here)."""
+    """Sensors of a tenth of a mass shift modes by many of their bandwidths (ζ of 0.08 to 0.44 %
+    here).
+    """
     rng = np.random.default_rng(6)
     sets = [(0, 2, 3, 4), (0, 2, 5, 6), (0, 1, 2, 7)]
     extra = [0.1 * np.isin(np.arange(N), s) for s in sets]

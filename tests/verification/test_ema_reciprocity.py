@@ -1,4 +1,6 @@
-"""Faults at the points struck that only reciprocity tells: calibrations, exchanged references, a wrong number."""
+"""Faults at the points struck that only reciprocity tells: calibrations, exchanged references, a
+wrong number.
+"""
 
 from dataclasses import replace
 
@@ -13,7 +15,9 @@ from ringtrue.identify.reciprocity import calibrations, reciprocity, reciprocity
 
 
 def structure(seed: int, points: int, noise: float = 0.02) -> ModalModel:
-    """Six modes at eight channels, the first `points` of them struck; noise of the typical component."""
+    """Six modes at eight channels, the first `points` of them struck; noise of the typical
+    component.
+    """
     rng = np.random.default_rng(seed)
     phi = rng.standard_normal((8, 6)) + 0j
     at = [Channel(f"{i + 1}+Z", "acceleration") for i in range(8)]
@@ -52,7 +56,12 @@ def test_two_noisy_modes_do_not_tell_a_factor() -> None:
     """The scatter of two modes at two points is known by one value."""
     for seed in range(60):
         model = structure(seed, 2, 0.05)
-        few = replace(model, poles=model.poles[:2], shapes=model.shapes[:, :2], participation=model.participation[:2])
+        few = replace(
+            model,
+            poles=model.poles[:2],
+            shapes=model.shapes[:, :2],
+            participation=model.participation[:2],
+        )
         assert "sensitivity" not in reciprocity_note(few, driving_pairs(few))
 
 
@@ -63,7 +72,9 @@ def test_a_wrong_sensitivity_is_named_with_its_factor(factor: float) -> None:
         model = scaled(structure(seed, 3, 0.005), 1, factor)
         found, std = calibrations(model)
         off.append(np.log(found[1] / factor) / std[1])
-        named += f"{found[1]:.3g} times at 2+Z of what" in reciprocity_note(model, driving_pairs(model))
+        named += f"{found[1]:.3g} times at 2+Z of what" in reciprocity_note(
+            model, driving_pairs(model)
+        )
     assert named >= 36
     assert 0.5 < np.sqrt(np.mean(np.square(off))) < 2.0
 

@@ -1,6 +1,8 @@
-"""How well modal masses are known: blows that are skewed, errors that all responses share, drifting sensors.
+"""How well modal masses are known: blows that are skewed, errors that all responses share, drifting
+sensors.
 
-Four modes of unit modal mass at twelve points, two of them struck; 1 % of noise in each FRF, five averages.
+Four modes of unit modal mass at twelve points, two of them struck; 1 % of noise in each FRF, five
+averages.
 """
 
 from __future__ import annotations
@@ -24,11 +26,18 @@ STRUCK = [0, 7]
 
 
 def frfs(seed: int, struck: np.ndarray, shared: float = 0.0) -> FrfSet:
-    """Accelerances; `struck` (in, mode) takes the place of the shapes there, `shared` is an error of each column."""
+    """Accelerances; `struck` (in, mode) takes the place of the shapes there, `shared` is an error
+    of each column.
+    """
     rng = np.random.default_rng(seed)
     f = np.arange(1, 800) * 0.0625
     s, w = 2j * np.pi * f, 2 * np.pi * FN
-    h = np.einsum("fm,om,im->foi", s[:, None] ** 2 / (s[:, None] ** 2 + 2 * ZETA * w * s[:, None] + w**2), PHI, struck)
+    h = np.einsum(
+        "fm,om,im->foi",
+        s[:, None] ** 2 / (s[:, None] ** 2 + 2 * ZETA * w * s[:, None] + w**2),
+        PHI,
+        struck,
+    )
     h = h * (1 + shared * rng.standard_normal(2))
     noise = 0.01 * np.sqrt((np.abs(h) ** 2).mean(axis=0)) * np.ones(h.shape)
     h = h + noise * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2)
@@ -57,19 +66,36 @@ def test_a_skewed_blow_makes_the_modal_mass_doubtful_and_is_told() -> None:
 
 
 def test_an_error_that_all_responses_share_is_in_the_deviations() -> None:
-    """3 % on the force of each reference, which the coherence shows and no fit can: rms of the scores near 1."""
-    all_scores = [scores(identify_hammer(frfs(k, PHI[STRUCK], 0.03), HammerModes(fmax=45.0))) for k in range(12)]
+    """3 % on the force of each reference, which the coherence shows and no fit can: rms of the
+    scores near 1.
+    """
+    all_scores = [
+        scores(identify_hammer(frfs(k, PHI[STRUCK], 0.03), HammerModes(fmax=45.0)))
+        for k in range(12)
+    ]
     assert 0.6 < np.sqrt(np.mean(np.square(all_scores))) < 1.6
 
 
 def test_noise_on_the_force_is_in_the_deviations() -> None:
-    """Of every blow 3 % of the pulse at the lines of the modes, known from the record; one blow, so no coherence."""
-    blows = Blows(np.zeros((2, 0)), np.zeros((2, 0)), np.eye(2)[:, None], np.array([0.0, 50.0]), np.full((2, 2), 9e-4))
+    """Of every blow 3 % of the pulse at the lines of the modes, known from the record; one blow, so
+    no coherence.
+    """
+    blows = Blows(
+        np.zeros((2, 0)),
+        np.zeros((2, 0)),
+        np.eye(2)[:, None],
+        np.array([0.0, 50.0]),
+        np.full((2, 2), 9e-4),
+    )
     all_scores = []
     for seed in range(12):
         bare = frfs(seed, PHI[STRUCK])
-        noisy = bare.data * (1 + 0.03 / np.sqrt(2) * np.random.default_rng(100 + seed).standard_normal(2))
-        told = replace(bare, data=noisy, blows=replace(blows, weight=np.repeat(blows.weight, 12, axis=1)))
+        noisy = bare.data * (
+            1 + 0.03 / np.sqrt(2) * np.random.default_rng(100 + seed).standard_normal(2)
+        )
+        told = replace(
+            bare, data=noisy, blows=replace(blows, weight=np.repeat(blows.weight, 12, axis=1))
+        )
         all_scores.append(scores(identify_hammer(told, HammerModes(fmax=45.0))))
     assert 0.6 < np.sqrt(np.mean(np.square(all_scores))) < 1.6
 
@@ -86,8 +112,12 @@ def test_a_drift_does_not_turn_a_driving_point(sign: float) -> None:
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("phase", [-2.0, -0.7, 0.0, 0.7])
 @pytest.mark.parametrize("flexibility", [0.0, 0.01])
-def test_a_delay_of_a_sample_does_not_turn_a_driving_point(sign: float, phase: float, flexibility: float) -> None:
-    """Most lines lie between resonances, on a mass or a stiffness line; the phase is that at the highest of them."""
+def test_a_delay_of_a_sample_does_not_turn_a_driving_point(
+    sign: float, phase: float, flexibility: float
+) -> None:
+    """Most lines lie between resonances, on a mass or a stiffness line; the phase is that at the
+    highest of them.
+    """
     f = np.arange(1, 1001) * 0.5
     s, w = 2j * np.pi * f[:, None], 2 * np.pi * np.array([20.0, 35.0, 90.0])
     h = (s**2 / (s**2 + 0.02 * w * s + w**2)).sum(axis=1) + flexibility * s[:, 0] ** 2 / w[0] ** 2
@@ -109,7 +139,13 @@ def test_a_response_that_comes_late_is_told(delay: float) -> None:
     x = frfs(2, PHI[STRUCK])
     h = x.data.copy()
     h[:, 4] *= np.exp(-2j * np.pi * x.freqs * delay)[:, None]
-    told = [n for n in identify_hammer(replace(x, data=h), HammerModes(fmax=45.0)).notes if "response" in n]
+    told = [
+        n
+        for n in identify_hammer(replace(x, data=h), HammerModes(fmax=45.0)).notes
+        if "response" in n
+    ]
     assert len(told) == 1
-    assert told[0].startswith(f"response 5+Z looks {1e3 * abs(delay):.0f} ms {'late' if delay > 0 else 'early'}")
+    assert told[0].startswith(
+        f"response 5+Z looks {1e3 * abs(delay):.0f} ms {'late' if delay > 0 else 'early'}"
+    )
     assert not any("response" in n for n in identify_hammer(x, HammerModes(fmax=45.0)).notes)

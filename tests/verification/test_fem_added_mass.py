@@ -1,4 +1,5 @@
-"""Lists of non-structural mass: what they weigh, where it lies, and that it is what the field NSM would be.
+"""Lists of non-structural mass: what they weigh, where it lies, and that it is what the field NSM
+would be.
 
 A plate of four quadrilaterals of 1 x 0.5, two triangles, bars, a beam and rods of known lengths.
 """
@@ -90,13 +91,18 @@ def weight(model: Model) -> float:
         ("NSML,9,ELEMENT,11,1.,21,3.", 4.0),
         ("NSML1,9,ELEMENT,7.,11,12,14", 7.0),
         ("NSML1,9,PBAR,7.,ALL\nNSML1,9,PSHELL,1.,ALL", 8.0),
-        ("NSMADD,9,3,4\nNSM1,3,PSHELL,2.,1\nNSML1,4,ELEMENT,7.,21,22\nNSM1,9,PSHELL,100.,1\nNSM1,5,PSHELL,50.,1", 13.0),
+        (
+            "NSMADD,9,3,4\nNSM1,3,PSHELL,2.,1\nNSML1,4,ELEMENT,7.,21,22\nNSM1,9,PSHELL,100.,1\nNSM1,5,PSHELL,50.,1",
+            13.0,
+        ),
     ],
 )
 def test_weight(tmp_path: Path, lists: str, expected: float, coupled: int) -> None:
     model = read(tmp_path, f"{lists}\nPARAM,COUPMASS,{coupled}\n")
     assert weight(model) == pytest.approx(BEFORE + expected, rel=1e-12)
-    (tmp_path / "b.bdf").write_text("CEND\n" + "\n".join(case_control(model)) + "\nBEGIN BULK\n" + write_bulk(model))
+    (tmp_path / "b.bdf").write_text(
+        "CEND\n" + "\n".join(case_control(model)) + "\nBEGIN BULK\n" + write_bulk(model)
+    )
     assert weight(read_deck(tmp_path / "b.bdf")) == pytest.approx(BEFORE + expected, rel=1e-12)
 
 
@@ -108,7 +114,9 @@ def test_unchosen_lists_count_nothing(tmp_path: Path) -> None:
 
 
 def test_a_list_is_what_the_property_would_say(tmp_path: Path) -> None:
-    plain = BULK.replace("PSHELL,1,1,.1,1,,1\n", "PSHELL,1,1,.1,1,,1,,6.\n").replace(",.1,4.\n", ",.1,4.5\n")
+    plain = BULK.replace("PSHELL,1,1,.1,1,,1\n", "PSHELL,1,1,.1,1,,1,,6.\n").replace(
+        ",.1,4.\n", ",.1,4.5\n"
+    )
     want = assemble(read(tmp_path, "NSM1,9,ELEMENT,0.,ALL\n", bulk=plain)).mass.toarray()
     got = assemble(read(tmp_path, "NSM1,9,PSHELL,6.,1\nNSML,9,PBEAML,6,.5\n")).mass.toarray()
     np.testing.assert_allclose(got, want, rtol=0, atol=1e-12 * want.max())
@@ -140,9 +148,13 @@ def test_case_control_must_name_a_number(tmp_path: Path) -> None:
         read_deck(tmp_path / "a.bdf")
 
 
-def test_ids_that_are_not_there_are_passed_over_and_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_ids_that_are_not_there_are_passed_over_and_said(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     with caplog.at_level(logging.WARNING):
-        assert weight(read(tmp_path, "NSM1,9,PSHELL,2.,1,77\n")) == pytest.approx(BEFORE + 6, rel=1e-12)
+        assert weight(read(tmp_path, "NSM1,9,PSHELL,2.,1,77\n")) == pytest.approx(
+            BEFORE + 6, rel=1e-12
+        )
     assert "[77]" in caplog.text
 
 
@@ -176,7 +188,9 @@ def test_derivatives(tmp_path: Path, parameter: Parameter) -> None:
 def test_a_value_is_edited_in_its_place(tmp_path: Path) -> None:
     model = read(tmp_path, LISTS)
     parameters = ParameterSet((Parameter("mass", (Target("NSML1", 3, "VALUE"),)),))
-    assert weight(apply_factors(model, parameters, np.array([2.0]))) == pytest.approx(weight(model) + 7, rel=1e-12)
+    assert weight(apply_factors(model, parameters, np.array([2.0]))) == pytest.approx(
+        weight(model) + 7, rel=1e-12
+    )
     edit_fields(model, [FieldChange("NSML1", 3, "VALUE", 9.5)], tmp_path / "new")
     assert (tmp_path / "new/a.bdf").read_text().endswith(LISTS.replace("7.,11", "9.5,11"))
     both = read(tmp_path, LISTS + "NSML1,3,PBAR,5.,5\n")

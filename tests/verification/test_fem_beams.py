@@ -1,7 +1,8 @@
-"""Beams in closed form: taper, shear, skew bending, offsets, neutral axis, releases, mass; sections.
+"""Beams in closed form: taper, shear, skew bending, offsets, neutral axis, releases, mass;
+sections.
 
-A cantilever of length L under a tip force P bends by ∫ P (L - x)²/EI dx + ∫ P/kGA dx, whatever its taper; the element
-must give that exactly in one piece.
+A cantilever of length L under a tip force P bends by ∫ P (L - x)²/EI dx + ∫ P/kGA dx, whatever its
+taper; the element must give that exactly in one piece.
 """
 
 from __future__ import annotations
@@ -35,13 +36,27 @@ def line(card: str = "CBEAM", **more: object) -> Table:
     return cards(card, EID=[1], PID=1, GA=1, GB=2, **({"X2": 1.0} | more))
 
 
-def beam(section: dict[str, float], element: Table | None = None, xyz: Float | None = None, **params: object) -> Model:
+def beam(
+    section: dict[str, float],
+    element: Table | None = None,
+    xyz: Float | None = None,
+    **params: object,
+) -> Model:
     """A cantilever along x held at node 1."""
     nodes = np.array([[0, 0, 0], [L, 0, 0.0]]) if xyz is None else xyz
     element = line() if element is None else element
     name = "PBAR" if element.card == "CBAR" else "PBEAM"
     p = cards(name, PID=[1], MID=1, **section)
-    return model(grid(nodes), element, p, steel(E, NU, RHO), spc([1], "123456"), spc=1, AUTOSPC="NO", **params)
+    return model(
+        grid(nodes),
+        element,
+        p,
+        steel(E, NU, RHO),
+        spc([1], "123456"),
+        spc=1,
+        AUTOSPC="NO",
+        **params,
+    )
 
 
 def tip(m: Model, *load: float) -> Float:
@@ -61,32 +76,49 @@ def test_tapered_cantilever() -> None:
     m = beam(SECTION | ENDS | {"K1": 0.8, "K2": 0.6})
     shear = L / G * over(0.01, 0.005)
     assert tip(m, 1.0)[0] == pytest.approx(L / E * np.log(2) / 0.005, rel=QUADRATURE)
-    assert tip(m, 0, 1.0)[1] == pytest.approx(L**3 / E * over(2e-5, 5e-6, 2) + shear / 0.8, rel=QUADRATURE)
-    assert tip(m, 0, 0, 1.0)[2] == pytest.approx(L**3 / E * over(1e-5, 4e-6, 2) + shear / 0.6, rel=QUADRATURE)
+    assert tip(m, 0, 1.0)[1] == pytest.approx(
+        L**3 / E * over(2e-5, 5e-6, 2) + shear / 0.8, rel=QUADRATURE
+    )
+    assert tip(m, 0, 0, 1.0)[2] == pytest.approx(
+        L**3 / E * over(1e-5, 4e-6, 2) + shear / 0.6, rel=QUADRATURE
+    )
     assert tip(m, 0, 0, 0, 1.0)[3] == pytest.approx(L / G * over(1.5e-5, 6e-6), rel=QUADRATURE)
-    assert tip(m, 0, 0, 0, 0, 1.0)[2] == pytest.approx(-(L**2) / E * over(1e-5, 4e-6, 1), rel=QUADRATURE)
+    assert tip(m, 0, 0, 0, 0, 1.0)[2] == pytest.approx(
+        -(L**2) / E * over(1e-5, 4e-6, 1), rel=QUADRATURE
+    )
 
 
 @pytest.mark.parametrize(("card", "section"), [("CBAR", SECTION), ("CBEAM", SECTION | ALIKE)])
 def test_uniform_cantilever(card: str, section: dict[str, float]) -> None:
     m = beam(section | {"K1": 0.8, "K2": 0.6}, line(card))
     for load, at, I, k in (((0, 1.0), 1, 2e-5, 0.8), ((0, 0, 1.0), 2, 1e-5, 0.6)):
-        assert tip(m, *load)[at] == pytest.approx(L**3 / (3 * E * I) + L / (k * G * 0.01), rel=EXACT)
+        assert tip(m, *load)[at] == pytest.approx(
+            L**3 / (3 * E * I) + L / (k * G * 0.01), rel=EXACT
+        )
 
 
 def test_the_integral_is_the_closed_form_where_there_is_no_taper() -> None:
     m = beam(SECTION | ALIKE | {"K1": 0.8, "K2": 0.6})
     iso, s = bar.section(mesh(m), "CBEAM", np.array([0]))
     one = bar.uniform(np.array([L]), iso, s)
-    np.testing.assert_allclose(bar.flexible(np.array([L]), iso.E, iso.G, s), one, atol=EXACT * np.abs(one).max())
+    np.testing.assert_allclose(
+        bar.flexible(np.array([L]), iso.E, iso.G, s), one, atol=EXACT * np.abs(one).max()
+    )
 
 
 def test_skew_bending_with_shear_is_that_of_the_turned_section() -> None:
-    """A section turned by α: I12 = (I1 - I2)/2 sin 2α; equal shear areas, so that shear does not turn."""
+    """A section turned by α: I12 = (I1 - I2)/2 sin 2α; equal shear areas, so that shear does not
+    turn.
+    """
     a = 0.4
     c, s = np.cos(a), np.sin(a)
     turned = {"I1": 2e-5 * c**2 + 1e-5 * s**2, "I2": 2e-5 * s**2 + 1e-5 * c**2, "I12": 1e-5 * s * c}
-    turned |= {f"{k}B": v for k, v in turned.items()} | {"A": 0.01, "J": 1.5e-5, "AB": 0.01, "JB": 1.5e-5}
+    turned |= {f"{k}B": v for k, v in turned.items()} | {
+        "A": 0.01,
+        "J": 1.5e-5,
+        "AB": 0.01,
+        "JB": 1.5e-5,
+    }
     principal = beam(SECTION | ALIKE | {"K1": 0.7, "K2": 0.7}, line(X2=c, X3=s))
     got = tip(beam(turned | {"K1": 0.7, "K2": 0.7}), 0, 1.0, 2.0, 0, 0.3, 0.4)
     np.testing.assert_allclose(got, tip(principal, 0, 1.0, 2.0, 0, 0.3, 0.4), rtol=1e-9, atol=1e-20)
@@ -96,14 +128,17 @@ def test_a_bar_with_i12_has_no_shear_flexibility() -> None:
     """PBAR ignores K1 and K2 where I12 is given (Quick Reference Guide)."""
     skew = SECTION | {"I12": 3e-6}
     np.testing.assert_allclose(
-        tip(beam(skew | {"K1": 0.8, "K2": 0.6}, line("CBAR")), 0, 1.0), tip(beam(skew, line("CBAR")), 0, 1.0)
+        tip(beam(skew | {"K1": 0.8, "K2": 0.6}, line("CBAR")), 0, 1.0),
+        tip(beam(skew, line("CBAR")), 0, 1.0),
     )
 
 
 @pytest.mark.parametrize("card", ["CBAR", "CBEAM"])
 @pytest.mark.parametrize("offt", ["GGO", "GOG", "GOO", "BGO", "BOO"])
 def test_offsets_in_the_frame_of_the_element(card: str, offt: str) -> None:
-    """The same beam by OFFT O, where W stands in the element's axes, and by OFFT G, where it stands in basic."""
+    """The same beam by OFFT O, where W stands in the element's axes, and by OFFT G, where it stands
+    in basic.
+    """
     section = SECTION if card == "CBAR" else SECTION | ENDS
     nodes = np.array([[0, 0, 0], [1.0, 2.0, 2.0]])
     x = nodes[1] / 3
@@ -111,7 +146,9 @@ def test_offsets_in_the_frame_of_the_element(card: str, offt: str) -> None:
     z /= np.linalg.norm(z)
     axes = np.stack([x, np.cross(z, x), z])
     w = np.array([[0.1, 0.2, -0.3], [0.0, 0.4, 0.1]])
-    given = np.stack([axes @ v if letter == "O" else v for v, letter in zip(w, offt[1:], strict=True)])
+    given = np.stack(
+        [axes @ v if letter == "O" else v for v, letter in zip(w, offt[1:], strict=True)]
+    )
     names = ("W1A", "W2A", "W3A", "W1B", "W2B", "W3B")
     K = [
         assemble(
@@ -135,7 +172,11 @@ def test_an_axial_force_at_the_shear_centre_bends_about_the_neutral_axis() -> No
     assert u[5] == pytest.approx(0.05 * L / (E * 2e-5), rel=EXACT)
 
 
-SKEWED = SECTION | ENDS | {"N1A": 0.05, "N2A": -0.02, "N1B": 0.01, "N2B": 0.03, "I12": 2e-6, "I12B": 1e-6}
+SKEWED = (
+    SECTION
+    | ENDS
+    | {"N1A": 0.05, "N2A": -0.02, "N1B": 0.01, "N2B": 0.03, "I12": 2e-6, "I12B": 1e-6}
+)
 
 
 def free(section: dict[str, float], card: str = "CBEAM", coupled: int = -1) -> System:
@@ -163,7 +204,9 @@ def weight(s: System) -> tuple[float, Float]:
 
 @pytest.mark.parametrize("coupled", [-1, 1])
 def test_mass_of_a_tapered_beam(coupled: int) -> None:
-    """Linear mass a + (b - a) ξ: total (a + b)/2 L, centre (a + 2b)/(3(a + b)) L; N and M place it across."""
+    """Linear mass a + (b - a) ξ: total (a + b)/2 L, centre (a + 2b)/(3(a + b)) L; N and M place it
+    across.
+    """
     m, centre = weight(free(SECTION | ENDS, coupled=coupled))
     assert m == pytest.approx(RHO * 0.0075 * 3)
     assert centre[0] == pytest.approx((0.01 + 2 * 0.005) / (3 * 0.015) * 3)
@@ -202,9 +245,11 @@ def test_a_bar_with_hinges_is_a_rod_and_a_propped_one_is_soft() -> None:
 
 
 def test_free_circular_ring() -> None:
-    """Love's inextensible ring (1944, sections 293-295): in-plane n(n² - 1)/sqrt(n² + 1), out-of-plane with + ν.
+    """Love's inextensible ring (1944, sections 293-295): in-plane n(n² - 1)/sqrt(n² + 1),
+    out-of-plane with + ν.
 
-    Targets 51.85, 53.38, 148.8, 151.0 Hz, in pairs. Stretch along the ring lowers in-plane modes by some (d/4R)² n².
+    Targets 51.85, 53.38, 148.8, 151.0 Hz, in pairs. Stretch along the ring lowers in-plane modes by
+    some (d/4R)² n².
     """
     n, R, d = 64, 1.0, 0.1
     t = 2 * np.pi * np.arange(n) / n
@@ -212,7 +257,10 @@ def test_free_circular_ring() -> None:
     section = SECTIONS["ROD"][1](d / 2) | {"K1": 0.0, "K2": 0.0}
     ring = cards("CBAR", EID=i, PID=1, GA=i, GB=i % n + 1, X3=1.0)
     nodes = grid(R * np.column_stack([np.cos(t), np.sin(t), 0 * t]))
-    got = modes(model(nodes, ring, cards("PBAR", PID=[1], MID=1, **section), steel(E, NU, RHO), COUPMASS=1), 14)
+    got = modes(
+        model(nodes, ring, cards("PBAR", PID=[1], MID=1, **section), steel(E, NU, RHO), COUPMASS=1),
+        14,
+    )
     k = np.array([2, 3])
     scale = np.sqrt(E * section["I1"] / (RHO * section["A"])) / (2 * np.pi * R**2) * k * (k**2 - 1)
     love = np.sort(np.concatenate([scale / np.sqrt(k**2 + 1), scale / np.sqrt(k**2 + 1 + NU)]))
@@ -223,13 +271,21 @@ def test_free_circular_ring() -> None:
 
 def _fields(card: str) -> list[str]:
     names = [*SECTION, "I12", "NSM", "K1", "K2"]
-    return names if card == "CBAR" else [*names, "AB", "I1B", "I12B", "JB", "N1A", "N2B", "M1A", "M2B", "NSIA"]
+    return (
+        names
+        if card == "CBAR"
+        else [*names, "AB", "I1B", "I12B", "JB", "N1A", "N2B", "M1A", "M2B", "NSIA"]
+    )
 
 
 @pytest.mark.parametrize(("card", "field"), [(c, f) for c in ("CBAR", "CBEAM") for f in _fields(c)])
 def test_a_complex_step_passes_through_every_property(card: str, field: str) -> None:
     """∂K/∂p and ∂M/∂p against central differences of a skewed beam."""
-    section = SECTION | {"NSM": 3.0} if card == "CBAR" else SKEWED | {"NSM": 3.0, "NSMB": 4.0, "M1A": 0.1, "NSIA": 0.2}
+    section = (
+        SECTION | {"NSM": 3.0}
+        if card == "CBAR"
+        else SKEWED | {"NSM": 3.0, "NSMB": 4.0, "M1A": 0.1, "NSIA": 0.2}
+    )
     section = section | {"K1": 0.8, "K2": 0.6}
     base = beam(section, line(card))
     name = "PBAR" if card == "CBAR" else "PBEAM"
@@ -238,7 +294,9 @@ def test_a_complex_step_passes_through_every_property(card: str, field: str) -> 
 
     def matrices(value: complex) -> list[Any_]:
         column = np.array([value]) if np.iscomplexobj(value) else np.array([float(value.real)])
-        changed = Model(base.tables | {name: base[name].with_column(field, column)}, {"COUPMASS": 1}, base.case)
+        changed = Model(
+            base.tables | {name: base[name].with_column(field, column)}, {"COUPMASS": 1}, base.case
+        )
         built = bar.build(mesh(changed), card, np.array([0]))
         return [built.stiffness, built.mass]
 
@@ -246,10 +304,13 @@ def test_a_complex_step_passes_through_every_property(card: str, field: str) -> 
         p = 1e-6  # at 0 the shear factors begin to be ignored
     step = [A.imag / 1e-30 for A in matrices(p + 1e-30j)]
     for exact, up, down in zip(step, matrices(p + h), matrices(p - h), strict=True):
-        np.testing.assert_allclose(exact, (up - down) / (2 * h), rtol=1e-5, atol=2e-7 * np.abs(exact).max() + 1e-4)
+        np.testing.assert_allclose(
+            exact, (up - down) / (2 * h), rtol=1e-5, atol=2e-7 * np.abs(exact).max() + 1e-4
+        )
 
 
-# Sections -------------------------------------------------------------------------------------------------------
+# Sections
+# -------------------------------------------------------------------------------------------------------
 
 EQUAL = {  # one shape said in two ways
     "TUBE2": ((3.0, 1.0), "TUBE", (3.0, 2.0)),
@@ -302,7 +363,10 @@ OUTLINES = {
         (3.0, 1.0, 6.0, 8.0),
         [(0, 0), (4, 0), (4, 1), (1, 1), (1, 8), (-3, 8), (-3, 7), (0, 7)],
     ),
-    "T2": ((6.0, 5.0, 1.0, 0.5), [(-3, 0), (3, 0), (3, 1), (0.25, 1), (0.25, 5), (-0.25, 5), (-0.25, 1), (-3, 1)]),
+    "T2": (
+        (6.0, 5.0, 1.0, 0.5),
+        [(-3, 0), (3, 0), (3, 1), (0.25, 1), (0.25, 5), (-0.25, 5), (-0.25, 1), (-3, 1)],
+    ),
     "CROSS": (
         (4.0, 1.0, 6.0, 0.5),
         [
@@ -318,7 +382,10 @@ OUTLINES = {
             *((4, 0.5), (2, 0.5), (2, 5), (-2, 5), (-2, 0.5), (-4, 0.5)),
         ],
     ),
-    "CHAN": ((5.0, 8.0, 0.5, 1.0), [(0, 0), (5, 0), (5, 1), (0.5, 1), (0.5, 7), (5, 7), (5, 8), (0, 8)]),
+    "CHAN": (
+        (5.0, 8.0, 0.5, 1.0),
+        [(0, 0), (5, 0), (5, 1), (0.5, 1), (0.5, 7), (5, 7), (5, 8), (0, 8)],
+    ),
 }
 
 
@@ -331,7 +398,9 @@ def test_sections_by_their_outline(kind: str) -> None:
 
 
 def test_shear_centres() -> None:
-    """Thin walls: a channel's is 3b²/(6b + h) outside its web; a hat without brim is that channel, turned."""
+    """Thin walls: a channel's is 3b²/(6b + h) outside its web; a hat without brim is that channel,
+    turned.
+    """
     b, h, t = 4.0, 6.0, 1e-3
     out = 3 * b**2 / (6 * b + h)
     centroid = b**2 / (2 * b + h)
@@ -340,7 +409,9 @@ def test_shear_centres() -> None:
     assert hat["N1"] == pytest.approx(-centroid - out, rel=2e-3)
     even = SECTIONS["I"][1](8.0, 5.0, 5.0, 1.0, 1.0, 1.0)
     assert even["N1"] == pytest.approx(0.0, abs=1e-12)
-    uneven = SECTIONS["I"][1](8.0, 5.0, 1e-6, 1e-3, 1e-3, 1e-3)  # nearly an inverted T: at the flange
+    uneven = SECTIONS["I"][1](
+        8.0, 5.0, 1e-6, 1e-3, 1e-3, 1e-3
+    )  # nearly an inverted T: at the flange
     flat = SECTIONS["T2"][1](5.0, 8.0, 1e-3, 1e-3)
     assert uneven["N1"] == pytest.approx(flat["N1"], rel=1e-3)
 
@@ -368,11 +439,15 @@ ENDDATA
 """
 
 
-def test_a_pbeaml_has_its_neutral_axis_off_the_shear_centre_and_a_pbarl_has_not(tmp_path: Path) -> None:
+def test_a_pbeaml_has_its_neutral_axis_off_the_shear_centre_and_a_pbarl_has_not(
+    tmp_path: Path,
+) -> None:
     (tmp_path / "a.bdf").write_text(DECK)
     m = read_deck(tmp_path / "a.bdf")
     want = SECTIONS["CHAN"][1](0.05, 0.08, 0.005, 0.01)
     p = m["PBEAM"]
-    np.testing.assert_allclose([p["N2A"][0], p["N2B"][0], p["N1A"][0]], [want["N2"], want["N2"], 0.0], atol=1e-15)
+    np.testing.assert_allclose(
+        [p["N2A"][0], p["N2B"][0], p["N1A"][0]], [want["N2"], want["N2"], 0.0], atol=1e-15
+    )
     assert want["N2"] > 0.01
     assert m["PBAR"]["A"][0] == p["A"][0]

@@ -1,8 +1,11 @@
-"""Beams, bars, rods and their reductions against recorded MSC Nastran 2019 runs (see the README of the data).
+"""Beams, bars, rods and their reductions against recorded MSC Nastran 2019 runs (see the README of
+the data).
 
 - `003_svanberg_bar/barMatrices.mat`: stiffness and mass of one CBAR, length 1.
-- `cantilever_bar`: ten CBAR; whole, Guyan and Craig-Bampton reduced onto node 6, in one part and in two.
-- `three_element_types`: CBEAM and CBAR with shear flexibility joined by CROD; whole, Guyan and Craig-Bampton.
+- `cantilever_bar`: ten CBAR; whole, Guyan and Craig-Bampton reduced onto node 6, in one part and in
+  two.
+- `three_element_types`: CBEAM and CBAR with shear flexibility joined by CROD; whole, Guyan and
+  Craig-Bampton.
 - `002`, `003`: displacements under a tip force, mode shapes (MAC), from the h5 files.
 """
 
@@ -54,29 +57,52 @@ def rows(s: System, node: int) -> Int:
 def test_matrices_of_a_bar() -> None:
     want = loadmat(path("system_verification/003_svanberg_bar/nastran_runs/barMatrices.mat"))
     s = system("system_verification/003_svanberg_bar/nastran_runs/barmat.dat")
-    np.testing.assert_allclose(s.stiffness.toarray(), want["k"], rtol=1e-9, atol=1e-9 * np.abs(want["k"]).max())
+    np.testing.assert_allclose(
+        s.stiffness.toarray(), want["k"], rtol=1e-9, atol=1e-9 * np.abs(want["k"]).max()
+    )
     np.testing.assert_allclose(s.mass.toarray(), want["m"], rtol=1e-9)
 
 
 def test_matrices_of_a_bar_as_direct_input(tmp_path: Path) -> None:
     """The punched DMIG of the same run, chosen by K2GG and M2GG."""
-    lines = path("system_verification/003_svanberg_bar/nastran_runs/barmat.pch").read_text().splitlines()
+    lines = (
+        path("system_verification/003_svanberg_bar/nastran_runs/barmat.pch")
+        .read_text()
+        .splitlines()
+    )
     bulk, use = [], False
     for line in lines:
-        use = use if line.startswith("*") else line.startswith("GRID") or line.split()[:2][-1] in ("K10", "M10")
+        use = (
+            use
+            if line.startswith("*")
+            else line.startswith("GRID") or line.split()[:2][-1] in ("K10", "M10")
+        )
         bulk += [line] if use else []
     head = ["SOL 103", "CEND", "K2GG = K10", "M2GG = M10", "BEGIN BULK", "PARAM,AUTOSPC,NO"]
     (tmp_path / "a.bdf").write_text("\n".join([*head, *bulk, "ENDDATA", ""]))
     want = loadmat(path("system_verification/003_svanberg_bar/nastran_runs/barMatrices.mat"))
     s = assemble(read_deck(tmp_path / "a.bdf"))
-    np.testing.assert_allclose(s.stiffness.toarray(), want["k"], rtol=1e-9, atol=1e-9 * np.abs(want["k"]).max())
+    np.testing.assert_allclose(
+        s.stiffness.toarray(), want["k"], rtol=1e-9, atol=1e-9 * np.abs(want["k"]).max()
+    )
     np.testing.assert_allclose(s.mass.toarray(), want["m"], rtol=1e-9)
 
 
 def test_three_element_types() -> None:
     """CBEAM, CBAR and CROD in one frame; shear factors of 0.85."""
     got = solver("embedded").open(read_deck(path(TYPES))).modes(ModesRequest(10)).modes.frequencies
-    want = [0.1987976, 0.3974492, 0.7054771, 0.8603456, 1.717969, 1.980850, 2.199863, 3.712462, 4.380781, 4.407542]
+    want = [
+        0.1987976,
+        0.3974492,
+        0.7054771,
+        0.8603456,
+        1.717969,
+        1.980850,
+        2.199863,
+        3.712462,
+        4.380781,
+        4.407542,
+    ]
     np.testing.assert_allclose(got, want, rtol=PRINTED)
 
 
@@ -84,7 +110,11 @@ def test_three_element_types() -> None:
     ("deck", "nodes", "want"),
     [
         (CANTILEVER, [6], [359.0738, 2934.100]),
-        (TYPES, [11, 25], [0.2233058, 0.4464976, 0.8407104, 2.300993, 4.566558, 5.168626, 26.57986, 26.57986]),
+        (
+            TYPES,
+            [11, 25],
+            [0.2233058, 0.4464976, 0.8407104, 2.300993, 4.566558, 5.168626, 26.57986, 26.57986],
+        ),
     ],
 )
 def test_guyan(deck: str, nodes: list[int], want: list[float]) -> None:
@@ -105,7 +135,18 @@ TYPES_FIXED = [0.4013047, 0.8020365, 1.129524, 1.559040]
             TYPES,
             [11, 25],
             TYPES_FIXED,
-            [0.1988011, 0.3977102, 0.7068220, 0.8616990, 1.887159, 2.151777, 2.252132, 7.353737, 7.599359, 8.003438],
+            [
+                0.1988011,
+                0.3977102,
+                0.7068220,
+                0.8616990,
+                1.887159,
+                2.151777,
+                2.252132,
+                7.353737,
+                7.599359,
+                8.003438,
+            ],
         ),
     ],
 )
@@ -155,7 +196,9 @@ def test_a_condensation_is_exact_in_statics() -> None:
     f = np.zeros(len(s.free))
     f[r.kept] = load
     np.testing.assert_allclose(
-        r.transform @ np.linalg.solve(r.stiffness, load), np.linalg.solve(s.stiffness.toarray(), f), rtol=1e-9
+        r.transform @ np.linalg.solve(r.stiffness, load),
+        np.linalg.solve(s.stiffness.toarray(), f),
+        rtol=1e-9,
     )
 
 
@@ -176,7 +219,10 @@ LOADS = {  # the FORCE cards of each subcase: node, force
     "001_ten_bar_truss": [{1: [0.0, 0.0, -1.0]}, {1: [-1.0, 0.0, -1.0]}],
     "002_svanberg_beam": [TIP],
     "003_svanberg_bar": [TIP],
-    "004_72_bar_truss": [{1: [5000.0, 5000.0, -5000.0]}, {n: [0.0, 0.0, -5000.0] for n in (1, 2, 3, 4)}],
+    "004_72_bar_truss": [
+        {1: [5000.0, 5000.0, -5000.0]},
+        {n: [0.0, 0.0, -5000.0] for n in (1, 2, 3, 4)},
+    ],
 }
 
 

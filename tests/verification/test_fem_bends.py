@@ -1,4 +1,6 @@
-"""CBEND: closed forms of arcs (Timoshenko, Strength of Materials), chains of bars, the four ways to give the arc."""
+"""CBEND: closed forms of arcs (Timoshenko, Strength of Materials), chains of bars, the four ways to
+give the arc.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ QUARTER = np.array([[R, 0, 0], [0, R, 0.0]])
 OUT = {"X1": 0.0, "X2": 1.0, "X3": 0.0}  # tangent at A
 
 
-def bend(xyz: Float = QUARTER, p: dict[str, float] = SECTION, COUPMASS: int = -1, **more: object) -> Model:
+def bend(
+    xyz: Float = QUARTER, p: dict[str, float] = SECTION, COUPMASS: int = -1, **more: object
+) -> Model:
     line = cards("CBEND", EID=[3], PID=5, GA=1, GB=2, **({"GEOM": 2, **OUT} | more))
     table = cards("PBEND", PID=[5], MID=1, **p)
     return model(grid(xyz), line, table, steel(E, NU, GE=0.02), AUTOSPC="NO", COUPMASS=COUPMASS)
@@ -34,7 +38,9 @@ def tip(s: System) -> Float:
 
 
 def test_quarter_ring_in_its_plane() -> None:
-    """A load P along x at B: N = −P sin φ, M = −P R (1 − sin φ), and the work of N in the turn that M makes."""
+    """A load P along x at B: N = −P sin φ, M = −P R (1 − sin φ), and the work of N in the turn that
+    M makes.
+    """
     F = tip(assemble(bend()))
     EA, EI = E * SECTION["A"], E * SECTION["I1"]
     bending, axial, both = 3 * np.pi / 4 - 2, np.pi / 4, 2 * (1 - np.pi / 4)
@@ -54,8 +60,12 @@ def chain(n: int) -> Float:
     phi = np.linspace(0, np.pi / 2, n + 1)
     xyz = R * np.stack([np.cos(phi), np.sin(phi), 0 * phi], axis=1)
     i = np.arange(1, n + 1)
-    bars = cards("CBAR", EID=i, PID=1, GA=i, GB=i + 1, X1=np.cos(phi[:-1]), X2=np.sin(phi[:-1]), X3=0.0)
-    K = assemble(model(grid(xyz), bars, cards("PBAR", PID=[1], MID=1, **SECTION), steel(E, NU), AUTOSPC="NO"))
+    bars = cards(
+        "CBAR", EID=i, PID=1, GA=i, GB=i + 1, X1=np.cos(phi[:-1]), X2=np.sin(phi[:-1]), X3=0.0
+    )
+    K = assemble(
+        model(grid(xyz), bars, cards("PBAR", PID=[1], MID=1, **SECTION), steel(E, NU), AUTOSPC="NO")
+    )
     return np.linalg.inv(K.stiffness.toarray()[6:, 6:])[-6:, -6:]
 
 
@@ -80,7 +90,9 @@ def test_it_is_the_limit_of_a_chain_of_bars() -> None:
 def test_four_ways_to_give_the_arc(way: dict[str, float], p: dict[str, float]) -> None:
     whole = {**SECTION, "I2": 2e-5, **p}
     K = assemble(bend(p={**SECTION, "I2": 2e-5})).stiffness.toarray()
-    np.testing.assert_allclose(assemble(bend(p=whole, **way)).stiffness.toarray(), K, atol=1e-9 * abs(K).max())
+    np.testing.assert_allclose(
+        assemble(bend(p=whole, **way)).stiffness.toarray(), K, atol=1e-9 * abs(K).max()
+    )
 
 
 def test_more_than_half_a_ring() -> None:
@@ -100,7 +112,9 @@ def test_offsets_move_the_line_of_centroids() -> None:
     for k, r in enumerate(([0.2, 0, 0.1], [0, 0.2, 0.1])):
         arms[6 * k : 6 * k + 3, 6 * k + 3 : 6 * k + 6] = np.cross(np.eye(3), r).T
     for a, b in ((s.stiffness, far.stiffness), (s.mass, far.mass)):
-        np.testing.assert_allclose(a.toarray(), arms.T @ b.toarray() @ arms, atol=1e-9 * abs(b).max())
+        np.testing.assert_allclose(
+            a.toarray(), arms.T @ b.toarray() @ arms, atol=1e-9 * abs(b).max()
+        )
     assert abs(s.stiffness @ s.rigid_body()).max() < 1e-9 * abs(s.stiffness).max()
 
 
@@ -110,7 +124,9 @@ def test_turning_the_whole() -> None:
     big = np.kron(np.eye(4), Q)
     K = assemble(bend(p={**SECTION, "ZC": 0.1, "K1": 0.5, "K2": 0.6})).stiffness.toarray()
     other = bend(there, {**SECTION, "ZC": 0.1, "K1": 0.5, "K2": 0.6}, X1=v[0], X2=v[1], X3=v[2])
-    np.testing.assert_allclose(assemble(other).stiffness.toarray(), big @ K @ big.T, atol=1e-9 * abs(K).max())
+    np.testing.assert_allclose(
+        assemble(other).stiffness.toarray(), big @ K @ big.T, atol=1e-9 * abs(K).max()
+    )
 
 
 def test_pipe() -> None:
@@ -136,20 +152,38 @@ def test_a_flat_arc_is_a_straight_beam() -> None:
 
 
 def ring(n: int) -> Float:
-    """Frequencies over those of a free thin ring in its plane, k = 2 and 3 (Timoshenko, Vibration Problems, 1937)."""
+    """Frequencies over those of a free thin ring in its plane, k = 2 and 3 (Timoshenko, Vibration
+    Problems, 1937).
+    """
     phi = 2 * np.pi * np.arange(n) / n
     xyz = R * np.stack([np.cos(phi), np.sin(phi), 0 * phi], axis=1)
     i = np.arange(n)
-    line = cards("CBEND", EID=i + 1, PID=5, GA=i + 1, GB=(i + 1) % n + 1, GEOM=1, X1=-xyz[:, 0], X2=-xyz[:, 1], X3=0.0)
+    line = cards(
+        "CBEND",
+        EID=i + 1,
+        PID=5,
+        GA=i + 1,
+        GB=(i + 1) % n + 1,
+        GEOM=1,
+        X1=-xyz[:, 0],
+        X2=-xyz[:, 1],
+        X3=0.0,
+    )
     thin = {"A": 1e-4, "I1": 1e-9, "I2": 1e-9, "J": 2e-9, "DELTAN": 0.0}
-    m = model(grid(xyz, PS="345"), line, cards("PBEND", PID=[5], MID=1, **thin), steel(E, NU), COUPMASS=1)
+    m = model(
+        grid(xyz, PS="345"), line, cards("PBEND", PID=[5], MID=1, **thin), steel(E, NU), COUPMASS=1
+    )
     k = np.array([2, 2, 3, 3])
-    exact = np.sqrt(E * 1e-9 / (8000 * 1e-4 * R**4) * (k * (k * k - 1)) ** 2 / (k * k + 1)) / (2 * np.pi)
+    exact = np.sqrt(E * 1e-9 / (8000 * 1e-4 * R**4) * (k * (k * k - 1)) ** 2 / (k * k + 1)) / (
+        2 * np.pi
+    )
     return modes(m, 7)[3:] / exact
 
 
 def test_coupled_mass() -> None:
-    """The mass of a rigid motion is that of the line; a ring of eight elements is near its frequencies."""
+    """The mass of a rigid motion is that of the line; a ring of eight elements is near its
+    frequencies.
+    """
     s = assemble(bend(p={**SECTION, "NSM": 4.0}, COUPMASS=1))
     r = s.rigid_body()
     mass, centre = (8000 * 0.01 + 4) * np.pi / 2 * R, 2 * R / np.pi
@@ -192,6 +226,8 @@ def test_derivatives_of_arc_pipe_material_and_nodes() -> None:
         ({"FSI": 1, "RM": 2.0, "T": 0.1}, {}, r"PBEND 5.*RM \+ T/2"),
     ],
 )
-def test_what_is_missing_is_named(p: dict[str, float], more: dict[str, float], message: str) -> None:
+def test_what_is_missing_is_named(
+    p: dict[str, float], more: dict[str, float], message: str
+) -> None:
     with pytest.raises(DeckError, match=message):
         assemble(bend(p=p, **more))

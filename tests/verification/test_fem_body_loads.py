@@ -1,8 +1,8 @@
 """Spun structures and displaced supports: rods, rings and bodies of which the answer is known.
 
-A rod of length L about its end, free at the other: u(L) = ρω²L³/(3E), held at 0. A ring of radius R about its axis:
-u = ρω²R³/E. A mass m at the distance r on a massless rod: F = mω²r, and across an inclined principal axis the moment
--ω × Jω (Goldstein, Classical Mechanics, 5.5).
+A rod of length L about its end, free at the other: u(L) = ρω²L³/(3E), held at 0. A ring of radius R
+about its axis: u = ρω²R³/E. A mass m at the distance r on a massless rod: F = mω²r, and across an
+inclined principal axis the moment -ω × Jω (Goldstein, Classical Mechanics, 5.5).
 """
 
 from __future__ import annotations
@@ -50,11 +50,15 @@ def test_a_spun_rod_converges_to_its_closed_form(tmp_path: Path, lumped: bool) -
 
 def test_loads_multiply_the_forces_of_a_spin_not_its_speed(tmp_path: Path) -> None:
     one, three = spun_rod(2), spun_rod(2).replace("RFORCE,1,", "LOAD,1,1.5,2.,7\nRFORCE,7,")
-    np.testing.assert_allclose(solved(tmp_path / "a.bdf", three), 3 * solved(tmp_path / "b.bdf", one), rtol=1e-12)
+    np.testing.assert_allclose(
+        solved(tmp_path / "a.bdf", three), 3 * solved(tmp_path / "b.bdf", one), rtol=1e-12
+    )
 
 
 def test_a_spun_ring_widens(tmp_path: Path) -> None:
-    """About Y of basic, which is Z of frame 5, on an axis through node 99; nodes move along the radius only."""
+    """About Y of basic, which is Z of frame 5, on an axis through node 99; nodes move along the
+    radius only.
+    """
     count, radius = 179, 0.5  # odd, or nodes could move in and out by turns
     turn = 360 / count
     nodes = "".join(f"GRID,{k + 1},6,{radius},{k * turn!r},0.,6,23456\n" for k in range(count))
@@ -69,13 +73,16 @@ def test_a_spun_ring_widens(tmp_path: Path) -> None:
 
 
 def test_bodies_pull_at_their_own_distance_and_turn_into_the_plane(tmp_path: Path) -> None:
-    """3 kg 0.4 m out of node 2 at 1 m, on springs; its axis of the largest inertia is inclined to that of the spin."""
+    """3 kg 0.4 m out of node 2 at 1 m, on springs; its axis of the largest inertia is inclined to
+    that of the spin.
+    """
     body = "CONM2,9,3,,3.,0.4,0.,0.,,\n,0.2,0.,0.3,0.05,0.,0.3\n"
     springs = "".join(f"CELAS2,{c},1.+6,2,{c}\n" for c in range(1, 7))
     deck = f"{HEAD}GRID,2,,1.,0.,0.\nGRID,3,,1.,0.,0.\nRBE2,8,2,123456,3\n{body}{springs}RFORCE,1,0,,{TURNS},0.,0.,1.\n"
     moved = solved(tmp_path / "d.bdf", deck.replace("SPC = 1\n", ""))
     assert moved[0, 0] == pytest.approx(3 * OMEGA2 * 1.4 / 1e6, rel=1e-9)
-    # J = [.., I31 = 0.05 on the card is the product ∫xz dm]: -ω × Jω = ω² (J_yz, -J_xz, 0), J_xz = -0.05
+    # J = [.., I31 = 0.05 on the card is the product ∫xz dm]: -ω × Jω = ω² (J_yz, -J_xz, 0), J_xz =
+    # -0.05
     assert moved[0, 4] == pytest.approx(OMEGA2 * 0.05 / 1e6, rel=1e-9)
     np.testing.assert_allclose(moved[0, [1, 2, 3, 5]], 0, atol=1e-12)
 
@@ -89,7 +96,9 @@ def test_far_masses_on_rigid_arms_pull_where_they_are(tmp_path: Path) -> None:
     moved = solved(tmp_path / "d.bdf", deck.replace("SPC = 1\n", ""))
     force = 3 * OMEGA2 * np.array([1, 2])
     np.testing.assert_allclose(moved[0, :2], force / 1e6, rtol=1e-9)
-    assert moved[0, 5] == pytest.approx(-2 * force[0] / 1e6, rel=1e-9)  # the moment of the arm along Y
+    assert moved[0, 5] == pytest.approx(
+        -2 * force[0] / 1e6, rel=1e-9
+    )  # the moment of the arm along Y
 
 
 @pytest.mark.parametrize(
@@ -108,17 +117,24 @@ def test_a_support_that_moves_draws_the_rod_with_it(tmp_path: Path, cards: str) 
 
 
 def test_a_turned_support_moves_what_is_tied_to_it_in_its_own_frame(tmp_path: Path) -> None:
-    """X of frame 4 is Y of basic; node 3, on a rigid arm of 2 along X, is displaced and turned with node 2."""
+    """X of frame 4 is Y of basic; node 3, on a rigid arm of 2 along X, is displaced and turned with
+    node 2.
+    """
     frame = "CORD2R,4,,0.,0.,0.,0.,0.,1.\n,0.,1.,0.\n"
     nodes = "GRID,2,,1.,0.,0.,4\nGRID,3,,3.,0.,0.\nGRID,5,,3.,5.,0.,,123456\n"
     tie = "RBE2,8,2,123456,3\nCELAS2,1,100.,3,2,5,2\nSPC1,1,123456,2\nSPCD,1,2,1,0.25,2,6,0.01\n"
-    moved = solved(tmp_path / "d.bdf", HEAD + frame + nodes + tie + "SPOINT,77\nCELAS2,2,1.,77\nFORCE,1,3,,0.,1.\n")
+    moved = solved(
+        tmp_path / "d.bdf",
+        HEAD + frame + nodes + tie + "SPOINT,77\nCELAS2,2,1.,77\nFORCE,1,3,,0.,1.\n",
+    )
     np.testing.assert_allclose(moved[0], [0, 0.25, 0, 0, 0, 0.01], atol=1e-12)
     np.testing.assert_allclose(moved[1], [0, 0.27, 0, 0, 0, 0.01], atol=1e-12)
 
 
 def test_scalar_points_that_are_displaced(tmp_path: Path) -> None:
-    """Springs in a row, 0.4 at one end, a force of 8 between them: the middle moves by (10·0.4 + 8)/40."""
+    """Springs in a row, 0.4 at one end, a force of 8 between them: the middle moves by (10·0.4 +
+    8)/40.
+    """
     path = tmp_path / "d.bdf"
     springs = "SPOINT,7,8\nGRID,1,,,,,,123456\nCELAS4,1,10.,7,8\nCELAS4,2,30.,8,0\n"
     path.write_text(f"{HEAD}{springs}SPC,1,7,1,0.4\nSLOAD,1,8,3.,8,5.\n")
@@ -140,5 +156,7 @@ def test_forces_and_moments_across_four_nodes(tmp_path: Path) -> None:
 
 def test_a_point_that_nothing_holds_cannot_be_displaced(tmp_path: Path) -> None:
     text = spun_rod(2) + "SPCD,1,3,1,0.1\n"
-    with pytest.raises(DeckError, match=r"d\.bdf:\d+: SPCD: node 3 component 1 is held by no SPC, SPC1 or PS"):
+    with pytest.raises(
+        DeckError, match=r"d\.bdf:\d+: SPCD: node 3 component 1 is held by no SPC, SPC1 or PS"
+    ):
         solved(tmp_path / "d.bdf", text)

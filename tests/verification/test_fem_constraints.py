@@ -63,7 +63,8 @@ def test_rbe3_shares_a_force_by_weight() -> None:
 
 
 def test_rotations_of_an_rbe3_are_weighted_by_the_square_of_the_mean_arm() -> None:
-    """Nodes 1 and 2 at x = 1 and 3, the reference at 0; v and θ at it, by least squares, for a unit turn of node 1.
+    """Nodes 1 and 2 at x = 1 and 3, the reference at 0; v and θ at it, by least squares, for a unit
+    turn of node 1.
 
     2 v + 4 θ = 0 and 4 v + (10 + L²) θ = L², L = (1 + 3) / 2 although node 1 is listed twice.
     """
@@ -96,7 +97,10 @@ def test_mpc_and_sets() -> None:
     ("tables", "message"),
     [
         ((rbe2(1, 1, [2]), rbe3(2, [3, 4, 5])), "more than once.*RBE2 1, RBE3 50"),
-        ((cards("RBE2", EID=[1, 2], GN=[1, 2], CM="123456", GM=ragged([2], [1])),), "circle.*RBE2 1, RBE2 2"),
+        (
+            (cards("RBE2", EID=[1, 2], GN=[1, 2], CM="123456", GM=ragged([2], [1])),),
+            "circle.*RBE2 1, RBE2 2",
+        ),
         ((rbe2(1, 1, [2]), spc([2], "1")), "held by an SPC.*RBE2 1"),
         ((rbe2(1, 1, [77]),), "GRID 77 is not in the deck"),
         ((rbe2(7, 1, [2], ""),), "RBE2 7.*CM names no component"),
@@ -108,13 +112,17 @@ def test_contradictions_are_named(tables: tuple[object, ...], message: str) -> N
 
 
 def test_an_equation_that_names_its_dependent_dof_twice_is_named() -> None:
-    twice = cards("MPC", SID=[5], G=ragged([3, 3, 4]), C=ragged([1, 1, 1]), A=ragged([1.0, 1.0, -1.0]))
+    twice = cards(
+        "MPC", SID=[5], G=ragged([3, 3, 4]), C=ragged([1, 1, 1]), A=ragged([1.0, 1.0, -1.0])
+    )
     with pytest.raises(DeckError, match="circle: MPC 5;"):
         assemble(model(*NODES, rbe2(1, 1, [2]), twice, mpc=5))
 
 
 def test_autospc_holds_what_has_no_stiffness() -> None:
-    """A rod along x leaves y, z and the bending rotations; drilling is held in a plate without K6ROT."""
+    """A rod along x leaves y, z and the bending rotations; drilling is held in a plate without
+    K6ROT.
+    """
     rod = (cards("CROD", EID=[1], PID=1, G1=1, G2=2), cards("PROD", PID=[1], MID=1, A=1.0, J=1.0))
     s = assemble(model(grid(XYZ[:2]), *rod, steel()))
     assert s.free.labels() == ("1+X", "1+RX", "2+X", "2+RX")

@@ -1,4 +1,6 @@
-"""Parameters: exact polynomial parts against assembling anew, and complex-step derivatives against the parts."""
+"""Parameters: exact polynomial parts against assembling anew, and complex-step derivatives against
+the parts.
+"""
 
 from __future__ import annotations
 
@@ -17,12 +19,16 @@ from ringtrue.fem.derivatives import matrix_derivatives
 from ringtrue.fem.functions import AffineTerm, Product
 from ringtrue.model.model import Model
 
-X = np.array([[0, 0, 0], [1, 0, 0.1], [1.1, 1, 0], [0, 1, 0.1], [0, 0, 1], [1, 0, 1.2], [1, 1, 1], [0, 1, 1]])
+X = np.array(
+    [[0, 0, 0], [1, 0, 0.1], [1.1, 1, 0], [0, 1, 0.1], [0, 0, 1], [1, 0, 1.2], [1, 1, 1], [0, 1, 1]]
+)
 EXACT = 1e-12  # relative to the largest entry
 
 
 def mixed(**mat: float) -> Model:
-    """One element of each kind on the corners of a distorted cube, on a spring, tied to a further node."""
+    """One element of each kind on the corners of a distorted cube, on a spring, tied to a further
+    node.
+    """
     section = {"A": 0.01, "I1": 2e-5, "I2": 1e-5, "J": 3e-5, "NSM": 5.0}
     return model(
         grid(np.vstack([X, [[2, 2, 2]]])),
@@ -82,7 +88,11 @@ def test_parts_add_up_to_the_changed_model(targets: tuple[tuple[str, int, str], 
     parts = affine_terms(m, ParameterSet((p,)), s)
     assert parts
     assert all(isinstance(t.function, Product) for t in parts)
-    close(s.stiffness + sum(t.function.value(a) * t.stiffness for t in parts), changed.stiffness, EXACT)
+    close(
+        s.stiffness + sum(t.function.value(a) * t.stiffness for t in parts),
+        changed.stiffness,
+        EXACT,
+    )
     close(s.mass + sum(t.function.value(a) * t.mass for t in parts), changed.mass, EXACT)
     dK, dM = matrix_derivatives(m, p, s)
     close(sum(t.function.slope(np.ones(1), 0) * t.stiffness for t in parts), dK, 1e-10)
@@ -102,7 +112,13 @@ def test_an_element_outside_of_the_sample_has_a_higher_power() -> None:
     x = [[k, side, 0.0] for k in range(n + 1) for side in (0, 1)]
     bends = cards("PSHELL", PID=[1, 2], MID1=1, T=0.01, MID2=[0, 1])
     quads = cards(
-        "CQUAD4", EID=i + 1, PID=np.where(i == 2, 2, 1), G1=2 * i + 1, G2=2 * i + 3, G3=2 * i + 4, G4=2 * i + 2
+        "CQUAD4",
+        EID=i + 1,
+        PID=np.where(i == 2, 2, 1),
+        G1=2 * i + 1,
+        G2=2 * i + 3,
+        G3=2 * i + 4,
+        G4=2 * i + 2,
     )
     m = model(grid(np.array(x)), steel(), quads, bends)
     p, a = parameter(("PSHELL", 1, "T"), ("PSHELL", 2, "T")), np.array([1.7])
@@ -110,20 +126,30 @@ def test_an_element_outside_of_the_sample_has_a_higher_power() -> None:
     parts = affine_terms(m, ParameterSet((p,)), s)
     assert [t.function for t in parts] == [Product((0,), (1,)), Product((0,), (3,))]
     changed = assemble(scaled(m, p, 1.7))
-    close(s.stiffness + sum(t.function.value(a) * t.stiffness for t in parts), changed.stiffness, EXACT)
+    close(
+        s.stiffness + sum(t.function.value(a) * t.stiffness for t in parts),
+        changed.stiffness,
+        EXACT,
+    )
 
 
 def test_shear_modulus_that_is_given() -> None:
     """E alone scales a rod's axial part, G its torsion; a solid's E and G together are linear."""
     m = mixed(G=7e10)
-    (t,) = affine_terms(m, ParameterSet((parameter(("MAT1", 1, "E"), ("MAT1", 1, "G")),)), assemble(m))
+    (t,) = affine_terms(
+        m, ParameterSet((parameter(("MAT1", 1, "E"), ("MAT1", 1, "G")),)), assemble(m)
+    )
     assert t.function == Product((0,), (1,))
 
 
 TOGETHER = [
     [(("MAT1", 1, "E"),), (("PSHELL", 1, "T"),)],
     [(("MAT1", 1, "RHO"),), (("PSHELL", 1, "T"),), (("MAT1", 1, "E"),)],
-    [(("PSHELL", 1, "T"),), (("PSHELL", 1, "T"), ("PROD", 7, "A")), (("PSHELL", 1, "NSM"),)],  # one field, twice
+    [
+        (("PSHELL", 1, "T"),),
+        (("PSHELL", 1, "T"), ("PROD", 7, "A")),
+        (("PSHELL", 1, "NSM"),),
+    ],  # one field, twice
     [(("MAT1", 1, "NU"),)],
     [(("MAT1", 1, "NU"),), (("PSHELL", 1, "T"),)],
     [(("PSHELL", 1, "TST"),), (("PBAR", 5, "I1"),)],
@@ -134,8 +160,12 @@ TOGETHER = [
 
 
 @pytest.mark.parametrize("together", TOGETHER, ids=str)
-def test_parameters_on_the_same_elements_multiply(together: list[tuple[tuple[str, int, str], ...]]) -> None:
-    """The sum of all parts is the model assembled with all factors; its slope is the derivative of that model."""
+def test_parameters_on_the_same_elements_multiply(
+    together: list[tuple[tuple[str, int, str], ...]],
+) -> None:
+    """The sum of all parts is the model assembled with all factors; its slope is the derivative of
+    that model.
+    """
     m, rng = mixed(), np.random.default_rng(3)
     names = [Parameter(f"p{i}", parameter(*t).targets, 0.7, 1.4) for i, t in enumerate(together)]
     s = assemble(m)
@@ -152,14 +182,24 @@ def test_parameters_on_the_same_elements_multiply(together: list[tuple[tuple[str
             dK, dM = matrix_derivatives(there, p, at)
             own = [(t.function.slope(a, i), t) for t in parts if i in t.function.which]
             close(a[i] * sum(c * t.stiffness for c, t in own), dK, 1e-7)
-            assert abs(a[i] * sum(c * t.mass for c, t in own) - dM).max() <= 1e-6 * abs(at.mass).max()
+            assert (
+                abs(a[i] * sum(c * t.mass for c, t in own) - dM).max() <= 1e-6 * abs(at.mass).max()
+            )
 
 
 def test_sections_that_share_nothing() -> None:
-    """E, I1 and I2 of two columns: their kernels are called together, and neither feels the other's factors."""
+    """E, I1 and I2 of two columns: their kernels are called together, and neither feels the other's
+    factors.
+    """
     m, a = twin.read(twin.deck()), np.array([0.9, 1.2, 0.8, 1.1, 0.75, 1.3])
-    fields = [(card, n, f) for n in (11, 22) for card, f in (("MAT1", "E"), ("PBEAM", "I1"), ("PBEAM", "I2"))]
-    names = [Parameter(f"{n} {f}", parameter((card, n, f)).targets, 0.7, 1.4) for card, n, f in fields]
+    fields = [
+        (card, n, f)
+        for n in (11, 22)
+        for card, f in (("MAT1", "E"), ("PBEAM", "I1"), ("PBEAM", "I2"))
+    ]
+    names = [
+        Parameter(f"{n} {f}", parameter((card, n, f)).targets, 0.7, 1.4) for card, n, f in fields
+    ]
     s, there = assemble(m), m
     for p, factor in zip(names, a.tolist(), strict=True):
         there = scaled(there, p, factor)
@@ -171,24 +211,32 @@ def test_sections_that_share_nothing() -> None:
     )
 
 
-def parts_of(parts: tuple[AffineTerm, ...], which: int) -> list[tuple[AffineTerm, sparse.csr_array]]:
+def parts_of(
+    parts: tuple[AffineTerm, ...], which: int
+) -> list[tuple[AffineTerm, sparse.csr_array]]:
     return [(t, (t.stiffness, t.mass)[which]) for t in parts]
 
 
 def test_a_factor_on_element_matrices_and_their_modulus() -> None:
     m = mixed()
-    sub = Parameter("shell", substructures=(Substructure("stiffness", (1,)), Substructure("mass", (2,))))
+    sub = Parameter(
+        "shell", substructures=(Substructure("stiffness", (1,)), Substructure("mass", (2,)))
+    )
     s, a = assemble(m), np.array([0.7, 1.3])
     parts = affine_terms(m, ParameterSet((sub, parameter(("MAT1", 1, "E")))), s)
     (both,) = (t for t in parts if t.function.which == (0, 1))
-    (one,) = affine_terms(m, ParameterSet((Parameter("k", substructures=(Substructure("stiffness", (1,)),)),)), s)
+    (one,) = affine_terms(
+        m, ParameterSet((Parameter("k", substructures=(Substructure("stiffness", (1,)),)),)), s
+    )
     close(both.stiffness, one.stiffness, EXACT)
     assert both.function.value(a) == pytest.approx(-0.3 * 0.3)
     assert abs(both.mass).max() == 0
 
 
 @pytest.mark.parametrize(
-    "target", [("MAT1", 1, "NU"), ("PBEAM", 6, "I1"), ("PBEAM", 6, "A"), ("PSHELL", 1, "TST")], ids=str
+    "target",
+    [("MAT1", 1, "NU"), ("PBEAM", 6, "I1"), ("PBEAM", 6, "A"), ("PSHELL", 1, "TST")],
+    ids=str,
 )
 def test_complex_step_against_central_differences(target: tuple[str, int, str]) -> None:
     m, p, h = mixed(), parameter(target), 1e-4
@@ -202,7 +250,9 @@ def test_complex_step_against_central_differences(target: tuple[str, int, str]) 
 def test_what_has_no_series_is_named() -> None:
     m = mixed()
     s = assemble(m)
-    with pytest.raises(UnsupportedError, match=r"MAT1 NU, 0\.1 to 10\).*narrow the bounds"):  # 0.5 is inside
+    with pytest.raises(
+        UnsupportedError, match=r"MAT1 NU, 0\.1 to 10\).*narrow the bounds"
+    ):  # 0.5 is inside
         affine_terms(m, ParameterSet((parameter(("MAT1", 1, "NU")),)), s)
     with pytest.raises(UnsupportedError, match="GRID X1 moves nodes"):
         affine_terms(m, ParameterSet((parameter(("GRID", 2, "X1")),)), s)

@@ -1,4 +1,6 @@
-"""Derivatives where nodes carry frames, rigid arms and given matrices: second-order remainders of whole assemblies."""
+"""Derivatives where nodes carry frames, rigid arms and given matrices: second-order remainders of
+whole assemblies.
+"""
 
 from __future__ import annotations
 
@@ -47,8 +49,12 @@ def _read(folder: Path, text: str) -> Model:
 
 
 @pytest.mark.parametrize("nodes", [(4,), (3,), (2,), (1, 3)], ids=str)
-def test_given_matrices_turn_with_frames_and_rigid_arms(tmp_path: Path, nodes: tuple[int, ...]) -> None:
-    """DMIG stands in the displacement frames, on a dependent node too: its share changes with the arm alone."""
+def test_given_matrices_turn_with_frames_and_rigid_arms(
+    tmp_path: Path, nodes: tuple[int, ...]
+) -> None:
+    """DMIG stands in the displacement frames, on a dependent node too: its share changes with the
+    arm alone.
+    """
     m = _read(tmp_path, BEAM + DIRECT)
     vectors = tuple((0.3 - 0.1 * i, 0.2, -0.25) for i in range(len(nodes)))
     check_slopes(m, Parameter("p", shapes=(Shape(nodes, vectors),)))
@@ -63,7 +69,9 @@ def test_frame_on_a_node_that_moves_in_it(tmp_path: Path, field: str) -> None:
 
 @pytest.mark.parametrize("field", ["T1", "T3"])
 def test_corner_thickness_of_a_curved_shell(tmp_path: Path, field: str) -> None:
-    """Node normals (PARAM,SNORM) differ from those of the elements: the bubbles, too, feel the thickness."""
+    """Node normals (PARAM,SNORM) differ from those of the elements: the bubbles, too, feel the
+    thickness.
+    """
     at = [(np.cos(a), np.sin(a), z) for a in (0.0, 0.2, 0.4) for z in (0.0, 0.3)]
     grids = "".join(f"GRID,{i},,{x:.6f},{y:.6f},{z:.6f}\n" for i, (x, y, z) in enumerate(at, 1))
     quads = "CQUAD4,1,1,1,3,4,2\n,,,.004,.005,.006,.007\nCQUAD4,2,1,3,5,6,4\n"
@@ -75,6 +83,10 @@ def test_corner_thickness_of_a_curved_shell(tmp_path: Path, field: str) -> None:
 def test_thickness_of_the_beam_that_a_spline_is(tmp_path: Path) -> None:
     """D/L of an RSPLINE sets how it turns between its ends: only the constraint changes."""
     spline = "RSPLINE,9,.1,1,5,123,3\nGRID,5,,1.2,.4,.3\nCONM2,10,5,,3.\n"
-    beams = BEAM[: BEAM.index("RBE2")] + spline + "SPC1,1,123456,1\nCONM2,11,4,,1.\nCBAR,3,1,3,4,0.,0.,1.\n"
+    beams = (
+        BEAM[: BEAM.index("RBE2")]
+        + spline
+        + "SPC1,1,123456,1\nCONM2,11,4,,1.\nCBAR,3,1,3,4,0.,0.,1.\n"
+    )
     m = _read(tmp_path, beams.replace("K2GG = KX\nM2GG = MX\nB2GG = BX\n", ""))
     check_slopes(m, Parameter("p", (Target("RSPLINE", 9, "DL"),)))

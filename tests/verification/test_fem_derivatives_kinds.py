@@ -1,4 +1,6 @@
-"""Every kind of parameter: derivatives against Taylor remainders of second order, and closed forms of places."""
+"""Every kind of parameter: derivatives against Taylor remainders of second order, and closed forms
+of places.
+"""
 
 from __future__ import annotations
 
@@ -20,10 +22,21 @@ SECOND = 3.7  # at least, by halving the step: a first-order error gives 2, a se
 
 
 def rich(I12: float = 4e-6) -> Model:
-    """The mixed model with dashpots, loss factors, I12 (with it a bar has no shear), and a bush on an offset."""
+    """The mixed model with dashpots, loss factors, I12 (with it a bar has no shear), and a bush on
+    an offset.
+    """
     m = mixed(GE=0.02)
     bush = {f"K{i}": 1e7 * i for i in range(1, 7)} | {f"B{i}": 1e3 * i for i in range(1, 7)}
-    bar = {"A": 0.01, "I1": 2e-5, "I2": 1e-5, "J": 3e-5, "NSM": 5.0, "I12": I12, "K1": 0.8, "K2": 0.7}
+    bar = {
+        "A": 0.01,
+        "I1": 2e-5,
+        "I2": 1e-5,
+        "J": 3e-5,
+        "NSM": 5.0,
+        "I12": I12,
+        "K1": 0.8,
+        "K2": 0.7,
+    }
     tables = {
         **m.tables,
         "PBUSH": cards("PBUSH", PID=[8], **bush, GE=0.05, GE2=0.2, GE5=0.1),
@@ -40,7 +53,10 @@ def _matrices(m: Model) -> list[sparse.csr_array]:
 
 def _remainder(m: Model, p: Parameter, slope: object, h: float) -> list[float]:
     base, there = _matrices(m), _matrices(scaled(m, p, 1 + h))
-    return [float(abs(b - a - h * getattr(slope, n)).max()) for a, b, n in zip(base, there, NAMES, strict=True)]
+    return [
+        float(abs(b - a - h * getattr(slope, n)).max())
+        for a, b, n in zip(base, there, NAMES, strict=True)
+    ]
 
 
 PLACES = Shape((1, 7), ((0.3, 0.1, -0.2), (0.1, 0.2, 0.3)))
@@ -48,10 +64,16 @@ HUB = Shape((9,), ((0.4, -0.3, 0.2),))  # a dependent node: the rigid arm change
 KINDS = {
     **{f"MAT1 {f}": parameter(("MAT1", 1, f)) for f in ("E", "NU", "RHO", "GE")},
     **{f"PSHELL {f}": parameter(("PSHELL", 1, f)) for f in ("T", "TST", "NSM")},
-    **{f"PBAR {f}": parameter(("PBAR", 5, f)) for f in ("A", "I1", "I2", "I12", "J", "NSM", "K1", "K2")},
+    **{
+        f"PBAR {f}": parameter(("PBAR", 5, f))
+        for f in ("A", "I1", "I2", "I12", "J", "NSM", "K1", "K2")
+    },
     **{f"PBEAM {f}": parameter(("PBEAM", 6, f)) for f in ("A", "I1", "I2", "J", "NSM", "K1", "K2")},
     **{f"PBUSH {f}": parameter(("PBUSH", 8, f)) for f in ("K2", "K5", "B1", "B6", "GE", "GE2")},
-    **{f"{c} {f}": parameter((c, i, f)) for c, i, f in (("PELAS", 9, "K"), ("CELAS2", 10, "K"), ("CONM2", 11, "M"))},
+    **{
+        f"{c} {f}": parameter((c, i, f))
+        for c, i, f in (("PELAS", 9, "K"), ("CELAS2", 10, "K"), ("CONM2", 11, "M"))
+    },
     "CONM2 I22": parameter(("CONM2", 11, "I22")),
     "CONM2 X1": parameter(("CONM2", 11, "X1")),
     "CBUSH S": parameter(("CBUSH", 8, "S")),
@@ -74,7 +96,9 @@ def test_second_order_remainder(name: str) -> None:
     (slope,) = system_derivatives(m, [p], assemble(m))
     size = [float(abs(a).max()) for a in _matrices(m)]
     coarse, fine = (_remainder(m, p, slope, h) for h in (0.02, 0.01))
-    assert any(abs(getattr(slope, n)).max() > 1e-9 * s for n, s in zip(NAMES, size, strict=True) if s)
+    assert any(
+        abs(getattr(slope, n)).max() > 1e-9 * s for n, s in zip(NAMES, size, strict=True) if s
+    )
     for a, b, s in zip(coarse, fine, size, strict=True):
         assert b <= max(a / SECOND, 3e-13 * s)
 
@@ -100,7 +124,9 @@ def test_a_rod_that_grows() -> None:
 
 
 def test_plies_of_a_laminate() -> None:
-    """The thickness of one ply, for all elements and for one of them; the material behind the list of plies."""
+    """The thickness of one ply, for all elements and for one of them; the material behind the list
+    of plies.
+    """
     from fem_cases import grid, model, ragged, spc, steel
 
     x = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [2, 0, 0.1], [2, 1, 0]], dtype=float)
@@ -108,7 +134,13 @@ def test_plies_of_a_laminate() -> None:
         grid(x),
         steel(),
         cards("CQUAD4", EID=[1, 2], PID=1, G1=[1, 2], G2=[2, 5], G3=[3, 6], G4=[4, 3]),
-        cards("PCOMP", PID=[1], MID=ragged([1, 1, 1]), T=ragged([0.01, 0.015, 0.02]), THETA=ragged([0.0, 30.0, 0.0])),
+        cards(
+            "PCOMP",
+            PID=[1],
+            MID=ragged([1, 1, 1]),
+            T=ragged([0.01, 0.015, 0.02]),
+            THETA=ragged([0.0, 30.0, 0.0]),
+        ),
         spc([1], "123456"),
         spc=1,
     )
@@ -129,7 +161,9 @@ def test_plies_of_a_laminate() -> None:
 
 
 def test_factor_on_element_matrices() -> None:
-    """A factor on the stiffness of some elements is the derivative to their E where that is linear; mass likewise."""
+    """A factor on the stiffness of some elements is the derivative to their E where that is linear;
+    mass likewise.
+    """
     m = rich()
     s = assemble(m)
     pairs = [
@@ -137,10 +171,14 @@ def test_factor_on_element_matrices() -> None:
         (Substructure("mass", (3,)), Target("MAT1", 1, "RHO", elements=(3,)), "mass"),
     ]
     for factor, field, which in pairs:
-        a, b = system_derivatives(m, [Parameter("s", substructures=(factor,)), Parameter("f", (field,))], s)
+        a, b = system_derivatives(
+            m, [Parameter("s", substructures=(factor,)), Parameter("f", (field,))], s
+        )
         one, two = getattr(a, which), getattr(b, which)
         assert abs(one - two).max() <= 1e-12 * abs(two).max()
-    (damping,) = system_derivatives(m, [Parameter("d", substructures=(Substructure("damping", (8,)),))], s)
+    (damping,) = system_derivatives(
+        m, [Parameter("d", substructures=(Substructure("damping", (8,)),))], s
+    )
     assert abs(damping.viscous - s.viscous).max() <= 1e-12 * abs(s.viscous).max()
     assert abs(damping.stiffness).max() == 0
     with pytest.raises(InputError, match="not all of its 2 elements"):
@@ -154,7 +192,10 @@ def test_many_at_once_is_one_by_one_and_the_products() -> None:
     every = [p for n, p in KINDS.items() if n != "CBAR W1A"]
     together = system_derivatives(m, every, s)
     rng = np.random.default_rng(1)
-    u, v = rng.standard_normal((2, s.stiffness.shape[0], 3)), rng.standard_normal((s.stiffness.shape[0], 3))
+    u, v = (
+        rng.standard_normal((2, s.stiffness.shape[0], 3)),
+        rng.standard_normal((s.stiffness.shape[0], 3)),
+    )
     products = bilinear(m, every, s, u, v)
     for i, (p, got) in enumerate(zip(every, together, strict=True)):
         (alone,) = system_derivatives(m, [p], s)
@@ -163,7 +204,9 @@ def test_many_at_once_is_one_by_one_and_the_products() -> None:
             assert abs(a - b).max() <= 1e-12 * max(abs(b).max(), 1e-300)
         for A, told in zip((alone.stiffness, alone.mass), products, strict=True):
             want = np.einsum("sfm,fm->sm", u, A @ v)
-            assert np.allclose(told[:, :, i], want, rtol=1e-8, atol=1e-9 * max(abs(A).max(), 1e-300))
+            assert np.allclose(
+                told[:, :, i], want, rtol=1e-8, atol=1e-9 * max(abs(A).max(), 1e-300)
+            )
 
 
 def test_targets_that_cannot_be_met() -> None:

@@ -1,4 +1,6 @@
-"""Moduli: stiffness is homogeneous of degree one in all moduli of an element's material (Euler), and in no others."""
+"""Moduli: stiffness is homogeneous of degree one in all moduli of an element's material (Euler),
+and in no others.
+"""
 
 from __future__ import annotations
 
@@ -24,8 +26,12 @@ def _strip(**section: object) -> Model:
     return model(
         grid(np.c_[i, 1.1 * j + 0.1 * i, 0.05 * i * j]),
         steel(),
-        cards("CQUAD4", EID=[1, 2, 3, 4], PID=[1, 1, 1, 2], G1=at + 1, G2=at + 3, G3=at + 4, G4=at + 2),
-        cards("PSHELL", PID=[1, 2], T=0.1, NSM=3.0, **({"MID1": 1, "MID2": 1, "MID3": 1} | section)),
+        cards(
+            "CQUAD4", EID=[1, 2, 3, 4], PID=[1, 1, 1, 2], G1=at + 1, G2=at + 3, G3=at + 4, G4=at + 2
+        ),
+        cards(
+            "PSHELL", PID=[1, 2], T=0.1, NSM=3.0, **({"MID1": 1, "MID2": 1, "MID3": 1} | section)
+        ),
     )
 
 
@@ -68,11 +74,16 @@ def test_young_and_shear_modulus_that_are_both_given(both: bool) -> None:
     s = assemble(m)
     dK = matrix_derivatives(m, Parameter("E", (e, g) if both else (e,)), s)[0]
     assert _near(dK, s.stiffness) == both
-    assert _near(dK + 0 * s.stiffness if both else dK + matrix_derivatives(m, Parameter("G", (g,)), s)[0], s.stiffness)
+    assert _near(
+        dK + 0 * s.stiffness if both else dK + matrix_derivatives(m, Parameter("G", (g,)), s)[0],
+        s.stiffness,
+    )
 
 
 def test_moduli_share_the_sweep_of_other_fields() -> None:
-    """Overlapping sets of elements, with and without a thickness on them: each as alone, and as products."""
+    """Overlapping sets of elements, with and without a thickness on them: each as alone, and as
+    products.
+    """
     m, E, T = _strip(GE=0.0), ("MAT1", 1, "E"), ("PSHELL", 1, "T")
     every = [
         Parameter("E12", (Target(*E, elements=(2, 1)),)),
@@ -85,12 +96,19 @@ def test_moduli_share_the_sweep_of_other_fields() -> None:
     ]
     s = assemble(m)
     u, v = (np.random.default_rng(i).standard_normal((2, s.stiffness.shape[0], 3)) for i in (0, 1))
-    together, products = system_derivatives(m, every, s), bilinear(m, every, s, np.stack([*u, v[0]]), v[0])
+    together, products = (
+        system_derivatives(m, every, s),
+        bilinear(m, every, s, np.stack([*u, v[0]]), v[0]),
+    )
     for i, (p, one) in enumerate(zip(every, together, strict=True)):
-        for A, got, of in zip(matrix_derivatives(m, p, s), products, (one.stiffness, one.mass), strict=True):
+        for A, got, of in zip(
+            matrix_derivatives(m, p, s), products, (one.stiffness, one.mass), strict=True
+        ):
             assert abs(A - of).max() <= EXACT * abs(s.stiffness).max()
             want = np.stack([np.einsum("fm,fm->m", x, A @ v[0]) for x in (*u, v[0])])
-            assert np.allclose(got[:, :, i], want, rtol=1e-9, atol=1e-9 * np.abs(want).max(initial=1e-3))
+            assert np.allclose(
+                got[:, :, i], want, rtol=1e-9, atol=1e-9 * np.abs(want).max(initial=1e-3)
+            )
     assert not abs(together[-1].stiffness).max() > 0
 
 

@@ -1,7 +1,8 @@
-"""Every element: six rigid motions without energy, exact mass, and constant strain on distorted meshes.
+"""Every element: six rigid motions without energy, exact mass, and constant strain on distorted
+meshes.
 
-The patches are a unit square (cube) with inner nodes moved; a linear displacement (or, in bending, a constant
-curvature) is imposed on the outside and must come out inside (Irons and Razzaque 1972).
+The patches are a unit square (cube) with inner nodes moved; a linear displacement (or, in bending,
+a constant curvature) is imposed on the outside and must come out inside (Irons and Razzaque 1972).
 """
 
 from __future__ import annotations
@@ -17,7 +18,10 @@ from ringtrue.fem.mesh import isotropic
 from ringtrue.model.model import Model, Table
 
 ROUNDING = 1e-9  # relative to the largest stiffness, after some thousand operations
-CUBE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]], dtype=float)
+CUBE = np.array(
+    [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]],
+    dtype=float,
+)
 
 
 def skewed(x: Float, seed: int = 0, size: float = 0.12) -> Float:
@@ -26,7 +30,11 @@ def skewed(x: Float, seed: int = 0, size: float = 0.12) -> Float:
 
 def solid(card: str, xyz: Float, *nodes: list[int]) -> tuple[Table, ...]:
     g = {f"G{i + 1}": list(c) for i, c in enumerate(zip(*nodes, strict=True))}
-    return grid(xyz), cards(card, EID=list(range(1, len(nodes) + 1)), PID=1, **g), cards("PSOLID", PID=[1], MID=1)
+    return (
+        grid(xyz),
+        cards(card, EID=list(range(1, len(nodes) + 1)), PID=1, **g),
+        cards("PSOLID", PID=[1], MID=1),
+    )
 
 
 def tetra10() -> tuple[Table, ...]:
@@ -59,7 +67,12 @@ def bush(**more: object) -> tuple[Table, ...]:
     k = {f"K{i}": 1e6 * i for i in range(1, 7)}
     at = grid(np.array([[0, 0, 0], [1, 0.5, 0.3]]), CD=np.array([0, 7]))
     frame = cards("CORD2R", CID=[7], A1=0.3, B1=0.3, B2=0.5, B3=1.0, C1=1.0)
-    return at, frame, cards("CBUSH", EID=[1], PID=1, GA=1, GB=2, **more), cards("PBUSH", PID=[1], **k)
+    return (
+        at,
+        frame,
+        cards("CBUSH", EID=[1], PID=1, GA=1, GB=2, **more),
+        cards("PBUSH", PID=[1], **k),
+    )
 
 
 def warped() -> tuple[Table, ...]:
@@ -108,7 +121,9 @@ def _rigid(s: System) -> Float:
     return np.stack([np.stack(c, axis=1).ravel() for c in columns], axis=1)
 
 
-@pytest.mark.parametrize(("name", "zero"), [("shell4", 6), ("hexa", 6), ("penta", 6), ("tetra10", 6), ("beam", 6)])
+@pytest.mark.parametrize(
+    ("name", "zero"), [("shell4", 6), ("hexa", 6), ("penta", 6), ("tetra10", 6), ("beam", 6)]
+)
 def test_no_mechanisms_but_rigid_motions(name: str, zero: int) -> None:
     s = assemble(model(*FREE[name], steel()))
     lam = np.linalg.eigvalsh(s.stiffness.toarray())
@@ -150,7 +165,9 @@ def test_patch_bending(make: object) -> None:
     u = np.zeros((len(xyz), 6))
     u[:, 2] = x**2 + 0.7 * x * y - 0.4 * y**2
     u[:, 3], u[:, 4] = 0.7 * x - 0.8 * y, -(2 * x + 0.7 * y)
-    assert imposed(model(grid(xyz), make(quads), pshell(0.01), steel()), outside, u) < 1e-7  # t² of conditioning
+    assert (
+        imposed(model(grid(xyz), make(quads), pshell(0.01), steel()), outside, u) < 1e-7
+    )  # t² of conditioning
 
 
 def linear(xyz: Float) -> Float:
@@ -164,7 +181,10 @@ def test_patch_hexa() -> None:
     xyz = np.vstack([CUBE, skewed(0.33 + 0.34 * CUBE, 3, 0.06)])
     faces = [[0, 1, 2, 3], [4, 7, 6, 5], [0, 4, 5, 1], [1, 5, 6, 2], [2, 6, 7, 3], [3, 7, 4, 0]]
     hexas = [[*(i + 1 for i in f), *(i + 9 for i in f)] for f in faces] + [[*range(9, 17)]]
-    assert imposed(model(*solid("CHEXA", xyz, *hexas), steel()), np.arange(16) < 8, linear(xyz)) < ROUNDING
+    assert (
+        imposed(model(*solid("CHEXA", xyz, *hexas), steel()), np.arange(16) < 8, linear(xyz))
+        < ROUNDING
+    )
 
 
 def test_patch_penta() -> None:
@@ -181,7 +201,9 @@ def test_patch_penta() -> None:
 
 
 def test_in_plane_bending_of_one_row_of_quads() -> None:
-    """Pure bending of a 10 x 1 strip in its plane: the end turns by M L/EI, without shear locking."""
+    """Pure bending of a 10 x 1 strip in its plane: the end turns by M L/EI, without shear
+    locking.
+    """
     xyz, quads = square(5, 10.0, 1.0, 1)
     left = np.flatnonzero(xyz[:, 0] == 0) + 1
     held = cards("SPC1", SID=[1, 1], C=["1", "2"], G=ragged(left, left[:1]))
@@ -190,7 +212,9 @@ def test_in_plane_bending_of_one_row_of_quads() -> None:
     f = np.zeros(len(s.free))
     f[end] = [1.0, -1.0]
     u = np.linalg.solve(s.stiffness.toarray(), f)[end]
-    assert u[0] - u[1] == pytest.approx(10 / (2e11 * 0.1 / 12), rel=1e-3)  # the drilling springs are 4e-4 of G
+    assert u[0] - u[1] == pytest.approx(
+        10 / (2e11 * 0.1 / 12), rel=1e-3
+    )  # the drilling springs are 4e-4 of G
 
 
 def test_a_rod_without_length_is_refused() -> None:
@@ -203,7 +227,14 @@ def test_a_rod_without_length_is_refused() -> None:
 def test_a_quad_that_is_a_triangle_is_refused(corner: tuple[float, float, float]) -> None:
     xyz = np.array([[0, 0, 0], [1, 0, 0], corner, [0, 1, 0]])
     with pytest.raises(DeckError, match=r"CQUAD4 1.*180 degrees"):
-        assemble(model(grid(xyz), cards("CQUAD4", EID=[1], PID=1, G1=1, G2=2, G3=3, G4=4), pshell(0.1), steel()))
+        assemble(
+            model(
+                grid(xyz),
+                cards("CQUAD4", EID=[1], PID=1, G1=1, G2=2, G3=3, G4=4),
+                pshell(0.1),
+                steel(),
+            )
+        )
 
 
 def test_inside_out_hexa_is_refused() -> None:

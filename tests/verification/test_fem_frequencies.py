@@ -1,13 +1,26 @@
 """Frequencies against closed forms (with their rates of convergence) and the NAFEMS benchmarks.
 
-NAFEMS: "The Standard NAFEMS Benchmarks", rev. 3 (1990), tests FV2, FV12, FV16, FV32, FV52; the targets are there.
+NAFEMS: "The Standard NAFEMS Benchmarks", rev. 3 (1990), tests FV2, FV12, FV16, FV32, FV52; the
+targets are there.
 """
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from fem_cases import cards, grid, model, modes, pshell, ragged, shells, spc, square, steel, triangles
+from fem_cases import (
+    cards,
+    grid,
+    model,
+    modes,
+    pshell,
+    ragged,
+    shells,
+    spc,
+    square,
+    steel,
+    triangles,
+)
 
 from ringtrue.core.arrays import Float
 from ringtrue.model.model import Model
@@ -36,7 +49,16 @@ def test_fixed_free_rod(coupled: int, order: int) -> None:
     L, exact = 3.0, np.sqrt(E / RHO) / 12
     rod = cards("PROD", PID=[1], MID=1, A=0.01)
     f = [
-        modes(model(grid(line(n, L), PS="23456"), *chain("CROD", n, rod), spc([1], "1"), spc=1, COUPMASS=coupled), 1)[0]
+        modes(
+            model(
+                grid(line(n, L), PS="23456"),
+                *chain("CROD", n, rod),
+                spc([1], "1"),
+                spc=1,
+                COUPMASS=coupled,
+            ),
+            1,
+        )[0]
         for n in (4, 8, 16)
     ]
     np.testing.assert_allclose(rates([x / exact - 1 for x in f]), order, atol=0.1)
@@ -76,10 +98,14 @@ def test_shear_flexibility_of_a_beam_is_exact_at_its_end() -> None:
 def double_cross(n: int) -> Model:
     angle = np.arange(8) * np.pi / 4
     r = np.linspace(0, 5, n + 1)[1:]
-    arms = np.stack([np.outer(np.cos(angle), r), np.outer(np.sin(angle), r), np.zeros((8, n))], axis=-1)
+    arms = np.stack(
+        [np.outer(np.cos(angle), r), np.outer(np.sin(angle), r), np.zeros((8, n))], axis=-1
+    )
     number = np.arange(8 * n).reshape(8, n) + 2
     ga = np.concatenate([np.ones((8, 1), dtype=int), number[:, :-1]], axis=1)
-    elements = cards("CBAR", EID=np.arange(1, 8 * n + 1), PID=1, GA=ga.ravel(), GB=number.ravel(), X3=1.0)
+    elements = cards(
+        "CBAR", EID=np.arange(1, 8 * n + 1), PID=1, GA=ga.ravel(), GB=number.ravel(), X3=1.0
+    )
     side = 0.125
     area, second = side**2, side**4 / 12
     bar = cards("PBAR", PID=[1], MID=1, A=area, I1=second, I2=second, J=2 * second)
@@ -89,19 +115,25 @@ def double_cross(n: int) -> Model:
 
 def test_fv2_pin_ended_double_cross() -> None:
     f = modes(double_cross(4), 16)
-    np.testing.assert_allclose(f[[0, 8]], [11.336, 45.345], rtol=5e-3)  # NAFEMS' own finite element answers differ so
+    np.testing.assert_allclose(
+        f[[0, 8]], [11.336, 45.345], rtol=5e-3
+    )  # NAFEMS' own finite element answers differ so
     np.testing.assert_allclose(f[1:8], 17.709, rtol=5e-3)
     np.testing.assert_allclose(f[9:16], 57.390, rtol=1e-2)
 
 
 FV12 = np.array([1.622, 2.360, 2.922])
-FREE_PLATE = np.array([13.468, 19.596, 24.270, 34.801, 34.801, 61.093, 61.093])  # ω a² sqrt(ρh/D), ν = 0.3; Gorman 1978
+FREE_PLATE = np.array(
+    [13.468, 19.596, 24.270, 34.801, 34.801, 61.093, 61.093]
+)  # ω a² sqrt(ρh/D), ν = 0.3; Gorman 1978
 FV16 = np.array([0.421, 1.029, 2.582, 3.306, 3.753, 6.555])
 
 
 @pytest.mark.parametrize("make", [shells, triangles])
 def test_fv12_free_thin_square_plate(make: object) -> None:
-    """Extrapolated from 8 x 8 and 16 x 16. NAFEMS targets 4.233 and 7.416 are those of a mesh, not of a plate."""
+    """Extrapolated from 8 x 8 and 16 x 16. NAFEMS targets 4.233 and 7.416 are those of a mesh, not
+    of a plate.
+    """
     f = []
     for n in (8, 16):
         xyz, quads = square(n, 10.0, 10.0)
@@ -130,21 +162,33 @@ def test_fv32_tapered_membrane() -> None:
     plane = np.column_stack([10 * x, (y - 0.5) * (5 - 4 * x), 0 * x])
     root = spc(np.flatnonzero(x == 0) + 1, "12")
     by_mass = [
-        modes(model(grid(plane, PS="345"), shells(quads), pshell(0.05), steel(), root, spc=1, COUPMASS=c), 6)
+        modes(
+            model(
+                grid(plane, PS="345"), shells(quads), pshell(0.05), steel(), root, spc=1, COUPMASS=c
+            ),
+            6,
+        )
         for c in (-1, 1)
     ]
     want = [44.623, 130.03, 162.70, 246.05, 379.90, 391.44]
-    np.testing.assert_allclose(np.mean(by_mass, axis=0), want, rtol=1e-2)  # lumped is low, coupled high
+    np.testing.assert_allclose(
+        np.mean(by_mass, axis=0), want, rtol=1e-2
+    )  # lumped is low, coupled high
 
 
 def test_fv52_simply_supported_solid_plate() -> None:
-    """10 x 10 x 1, w = 0 along the lower edges; 8 x 8 x 3 hexahedra. Three rigid motions in the plane first.
+    """10 x 10 x 1, w = 0 along the lower edges; 8 x 8 x 3 hexahedra. Three rigid motions in the
+    plane first.
 
-    The target is that of a thick plate held at its mid-plane; a solid held at its lower edges is softer.
+    The target is that of a thick plate held at its mid-plane; a solid held at its lower edges is
+    softer.
     """
     n, layers = 8, 3
     grid_of = np.meshgrid(
-        np.linspace(0, 10, n + 1), np.linspace(0, 10, n + 1), np.linspace(0, 1, layers + 1), indexing="ij"
+        np.linspace(0, 10, n + 1),
+        np.linspace(0, 10, n + 1),
+        np.linspace(0, 1, layers + 1),
+        indexing="ij",
     )
     xyz = np.stack([g.ravel() for g in grid_of], axis=1)
     i = np.arange(len(xyz)).reshape(n + 1, n + 1, layers + 1)
@@ -153,7 +197,12 @@ def test_fv52_simply_supported_solid_plate() -> None:
     edge = (xyz[:, 2] == 0) & ((xyz[:, :2] == 0) | (xyz[:, :2] == 10)).any(axis=1)
     m = model(
         grid(xyz),
-        cards("CHEXA", EID=np.arange(corner[0].size) + 1, PID=1, **{f"G{k + 1}": c for k, c in enumerate(corner)}),
+        cards(
+            "CHEXA",
+            EID=np.arange(corner[0].size) + 1,
+            PID=1,
+            **{f"G{k + 1}": c for k, c in enumerate(corner)},
+        ),
         cards("PSOLID", PID=[1], MID=1),
         steel(),
         spc(np.flatnonzero(edge) + 1, "3"),
@@ -166,7 +215,9 @@ def test_fv52_simply_supported_solid_plate() -> None:
 
 
 def test_offset_mass_on_a_rigid_arm() -> None:
-    """CONM2 at 0.5 from a torsion spring: f = sqrt(k/(I + m r²))/2π, through an RBE2 or its own offset alike."""
+    """CONM2 at 0.5 from a torsion spring: f = sqrt(k/(I + m r²))/2π, through an RBE2 or its own
+    offset alike.
+    """
     spring = cards("CELAS2", EID=[1], K=100.0, G1=1, C1=6)
     want = np.sqrt(100 / (0.3 + 2 * 0.25)) / (2 * np.pi)
     own = cards("CONM2", EID=[2], G=1, M=2.0, X1=0.5, I33=0.3)

@@ -74,7 +74,9 @@ def test_bush_in_a_frame_and_to_ground() -> None:
 )
 def test_gap(p: dict[str, float], along: float, across: float) -> None:
     n = np.outer(AXIS, AXIS)
-    np.testing.assert_allclose(block(gap(p)), along * n + across * (np.eye(3) - n), atol=1e-9 * along)
+    np.testing.assert_allclose(
+        block(gap(p)), along * n + across * (np.eye(3) - n), atol=1e-9 * along
+    )
 
 
 def test_gap_of_coincident_nodes() -> None:
@@ -86,13 +88,18 @@ def test_gap_of_coincident_nodes() -> None:
     ("m", "field"),
     [(bush({"K": 3e5, "C": 20.0, "M": 4.0}), f) for f in "KCM"]
     + [(gap({"KA": 1e6, "MU1": 0.3}), f) for f in ("KA", "MU1")]
-    + [(gap({"KA": 1e6, "KB": 2.0, "KT": 7e4}), "KT"), (gap({"KA": 1e6, "KB": 2.0, "U0": 1.0}), "KB")],
+    + [
+        (gap({"KA": 1e6, "KB": 2.0, "KT": 7e4}), "KT"),
+        (gap({"KA": 1e6, "KB": 2.0, "U0": 1.0}), "KB"),
+    ],
 )
 def test_derivatives(m: Model, field: str) -> None:
     check_slopes(m, parameter(("PBUSH1D" if "PBUSH1D" in m else "PGAP", 1, field)))
 
 
-@pytest.mark.parametrize("m", [bush({"K": 1.0}, np.zeros((2, 3))), bush({"K": 1.0}, GB=0), gap({}, np.zeros((2, 3)))])
+@pytest.mark.parametrize(
+    "m", [bush({"K": 1.0}, np.zeros((2, 3))), bush({"K": 1.0}, GB=0), gap({}, np.zeros((2, 3)))]
+)
 def test_an_element_without_an_axis_is_named(m: Model) -> None:
     with pytest.raises(DeckError, match=r"C(BUSH1D|GAP) 1.*give CID"):
         assemble(m)

@@ -1,4 +1,6 @@
-"""GENEL: a cantilever as flexibility or stiffness, with S given or found, is the beam it stands for."""
+"""GENEL: a cantilever as flexibility or stiffness, with S given or found, is the beam it stands
+for.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ NODES = (grid(XYZ, CD=np.array([0, 7, 8])), *FRAMES)
 def beam() -> Float:
     """Stiffness (12, 12) of a bar from node 2 to 3, in their displacement frames."""
     section = cards("PBAR", PID=[1], MID=1, A=0.01, I1=2e-5, I2=1e-5, J=3e-5)
-    m = model(*NODES, cards("CBAR", EID=[1], PID=1, GA=2, GB=3, X1=1.0), section, steel(), AUTOSPC="NO")
+    m = model(
+        *NODES, cards("CBAR", EID=[1], PID=1, GA=2, GB=3, X1=1.0), section, steel(), AUTOSPC="NO"
+    )
     return assemble(m).stiffness.toarray()[6:, 6:]
 
 
@@ -34,10 +38,20 @@ def lower(A: Float) -> Float:
 
 
 def genel(KZ: Float, form: str, S: Float | None = None, ud: bool = True) -> Model:
-    d = {"UD": ragged([2] * 6 if ud else np.zeros(0, dtype=int)), "CD": ragged(np.arange(1, 7)[: 6 if ud else 0])}
+    d = {
+        "UD": ragged([2] * 6 if ud else np.zeros(0, dtype=int)),
+        "CD": ragged(np.arange(1, 7)[: 6 if ud else 0]),
+    }
     s = ragged(np.zeros(0) if S is None else S.ravel())
     table = cards(
-        "GENEL", EID=[5], FORM=form, UI=ragged([3] * 6), CI=ragged(range(1, 7)), KZ=ragged(lower(KZ)), S=s, **d
+        "GENEL",
+        EID=[5],
+        FORM=form,
+        UI=ragged([3] * 6),
+        CI=ragged(range(1, 7)),
+        KZ=ragged(lower(KZ)),
+        S=s,
+        **d,
     )
     return model(*NODES, table, AUTOSPC="NO")
 
@@ -80,7 +94,10 @@ def test_scalar_points_and_several_sizes() -> None:
 
 @pytest.mark.parametrize(
     "p",
-    [Parameter("p", (Target("GENEL", 5, "KZ3"),)), Parameter("nodes", shapes=(Shape((3,), ((0.3, 0.1, 0.2),)),))],
+    [
+        Parameter("p", (Target("GENEL", 5, "KZ3"),)),
+        Parameter("nodes", shapes=(Shape((3,), ((0.3, 0.1, 0.2),)),)),
+    ],
     ids=["KZ3", "nodes"],
 )
 def test_derivatives(p: Parameter) -> None:

@@ -1,6 +1,8 @@
-"""Parameters of laminates, any number of them together, against the deck assembled anew and its derivatives.
+"""Parameters of laminates, any number of them together, against the deck assembled anew and its
+derivatives.
 
-A plate of skewed quadrilaterals, one edge held: two laminates of carbon plies on a core, the second not symmetrical.
+A plate of skewed quadrilaterals, one edge held: two laminates of carbon plies on a core, the second
+not symmetrical.
 """
 
 from __future__ import annotations
@@ -63,7 +65,9 @@ def plies(*elements: int) -> Parameter:
     return parameter("T", *(Target("PCOMP", 1, f"T{i}", elements) for i in (1, 2, 4, 5)))
 
 
-def close(found: sparse.csr_array, true: sparse.csr_array, size: sparse.csr_array, tolerance: float) -> None:
+def close(
+    found: sparse.csr_array, true: sparse.csr_array, size: sparse.csr_array, tolerance: float
+) -> None:
     d = size.diagonal()
     s = sparse.diags_array(np.where(d > 0, 1 / np.sqrt(np.where(d > 0, d, 1.0)), 0.0))
     assert abs(s @ (found - true) @ s).max() <= tolerance
@@ -81,7 +85,9 @@ def changed(m: Model, parameters: Sequence[Parameter], a: Float) -> Model:
     return m
 
 
-def as_assembled_anew(m: Model, s: System, parameters: Sequence[Parameter], a: Float) -> tuple[AffineTerm, ...]:
+def as_assembled_anew(
+    m: Model, s: System, parameters: Sequence[Parameter], a: Float
+) -> tuple[AffineTerm, ...]:
     """K and M are those of the changed deck."""
     terms = affine_terms(m, ParameterSet(tuple(parameters)), s)
     true = assemble(changed(m, parameters, a))
@@ -91,7 +97,9 @@ def as_assembled_anew(m: Model, s: System, parameters: Sequence[Parameter], a: F
     return terms
 
 
-def slopes_are_derivatives(m: Model, parameters: Sequence[Parameter], terms: Sequence[AffineTerm], a: Float) -> None:
+def slopes_are_derivatives(
+    m: Model, parameters: Sequence[Parameter], terms: Sequence[AffineTerm], a: Float
+) -> None:
     """Of the model `m`, in which the parameters are at `a`."""
     s = assemble(m)
     for i, p in enumerate(parameters):
@@ -109,9 +117,15 @@ def test_all_of_a_laminate_together() -> None:
 
 
 def test_for_some_elements_only() -> None:
-    """The thickness of some elements, moduli of all, and of the core: two regions of one laminate, one of the other."""
+    """The thickness of some elements, moduli of all, and of the core: two regions of one laminate,
+    one of the other.
+    """
     m = plate()
-    every = [*constants("E1", "G12"), parameter("core", Target("MAT8", 2, "G1Z")), plies(*range(5, 12))]
+    every = [
+        *constants("E1", "G12"),
+        parameter("core", Target("MAT8", 2, "G1Z")),
+        plies(*range(5, 12)),
+    ]
     terms = as_assembled_anew(m, assemble(m), every, np.array([0.9, 1.4, 1.2, 0.7]))
     slopes_are_derivatives(m, every, terms, np.ones(4))
 
@@ -125,18 +139,42 @@ def test_one_parameter_by_itself() -> None:
 
 
 def test_entries_that_two_parameters_change_together_alone() -> None:
-    """A panel of one square: thickness or a modulus by itself tells of such an entry 1e-9, both together 1e-2."""
+    """A panel of one square: thickness or a modulus by itself tells of such an entry 1e-9, both
+    together 1e-2.
+    """
     x, quads = square(1, 50.0, 50.0)
-    skin = {"E1": 1.35e5, "E2": 9e3, "NU12": 0.3, "G12": 4500.0, "G1Z": 4500.0, "G2Z": 4500.0, "RHO": 1.6e-9}
-    core = {"E1": 10.0, "E2": 10.0, "NU12": 0.3, "G12": 5.0, "G1Z": 220.0, "G2Z": 130.0, "RHO": 8e-11}
-    plies = {"MID": [1, 1, 2, 1, 1], "T": [0.2, 0.2, 20.0, 0.2, 0.2], "THETA": [0.0, 90.0, 0.0, 90.0, 0.0]}
+    skin = {
+        "E1": 1.35e5,
+        "E2": 9e3,
+        "NU12": 0.3,
+        "G12": 4500.0,
+        "G1Z": 4500.0,
+        "G2Z": 4500.0,
+        "RHO": 1.6e-9,
+    }
+    core = {
+        "E1": 10.0,
+        "E2": 10.0,
+        "NU12": 0.3,
+        "G12": 5.0,
+        "G1Z": 220.0,
+        "G2Z": 130.0,
+        "RHO": 8e-11,
+    }
+    plies = {
+        "MID": [1, 1, 2, 1, 1],
+        "T": [0.2, 0.2, 20.0, 0.2, 0.2],
+        "THETA": [0.0, 90.0, 0.0, 90.0, 0.0],
+    }
     m = model(
         grid(x),
         cards("MAT8", MID=[1, 2], **{f: [skin[f], core[f]] for f in skin}),
         shells(quads),
         cards("PCOMP", PID=[1], **{f: ragged(v) for f, v in plies.items()}),
     )
-    densities = [parameter(f"RHO {i}", Target("MAT8", i, "RHO"), lower=2 / 3, upper=1.5) for i in (1, 2)]
+    densities = [
+        parameter(f"RHO {i}", Target("MAT8", i, "RHO"), lower=2 / 3, upper=1.5) for i in (1, 2)
+    ]
     thickness = parameter("T", *(Target("PCOMP", 1, f"T{i}") for i in range(1, 6)))
     every = [*constants("E1", "E2", "G12", lower=0.4, upper=2.5), thickness, *densities]
     terms = as_assembled_anew(m, assemble(m), every, np.array([0.5, 1.4, 2.2, 1.7, 0.8, 1.3]))
@@ -150,8 +188,13 @@ def test_nominal_is_exact() -> None:
 
 
 def test_a_factor_on_element_matrices_and_a_modulus() -> None:
-    """E1 and a factor on the stiffness of some elements: the factor multiplies what E1 makes of them."""
-    m, some = plate(), Parameter("k", substructures=(Substructure("stiffness", tuple(range(10, 30))),))
+    """E1 and a factor on the stiffness of some elements: the factor multiplies what E1 makes of
+    them.
+    """
+    m, some = (
+        plate(),
+        Parameter("k", substructures=(Substructure("stiffness", tuple(range(10, 30))),)),
+    )
     (e1,) = constants("E1")
     a = np.array([1.6, 0.7])
     s, there = assemble(m), scaled(m, e1, 1.6)

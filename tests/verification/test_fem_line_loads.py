@@ -27,10 +27,20 @@ TAPERED = "PBEAM,1,1,2.-3,4.-6,6.-6,,2.-6\n,,,,,,,,\n,YES,1.,1.-3,2.-6,3.-6,,1.-
 ALONG_X = ((0.0, 0, 0), (L, 0, 0))
 
 
-def written(path: Path, load: str, section: str = SLENDER, held: str = "1,2", more: str = "", ends=ALONG_X) -> Path:
+def written(
+    path: Path, load: str, section: str = SLENDER, held: str = "1,2", more: str = "", ends=ALONG_X
+) -> Path:
     nodes = [f"GRID,{i + 1},,{','.join(str(float(c)) for c in x)}" for i, x in enumerate(ends)]
     beam = f"{'CBEAM' if 'PBEAM' in section else 'CBAR'},1,1,1,2,0.,1.,0.{more}"
-    rest = [beam, section, "MAT1,1,2.+11,,.3", load, f"SPC1,1,123456,{held}", "CELAS2,9,1.,9,1", "GRID,9"]
+    rest = [
+        beam,
+        section,
+        "MAT1,1,2.+11,,.3",
+        load,
+        f"SPC1,1,123456,{held}",
+        "CELAS2,9,1.,9,1",
+        "GRID,9",
+    ]
     file = path / "d.bdf"
     file.write_text("\n".join(["CEND", "SPC=1", "LOAD=9", "BEGIN BULK", *nodes, *rest]) + "\n")
     return file
@@ -62,7 +72,10 @@ def point(a: float, size: float = 1.0, shear: float = 0.0) -> Float:
     [
         ("FY,FR,0.,1000.,1.,1000.", [[Q * L / 2, Q * L**2 / 12], [Q * L / 2, -Q * L**2 / 12]]),
         ("FYE,LE,0.,1000.,2.,1000.", [[Q * L / 2, Q * L**2 / 12], [Q * L / 2, -Q * L**2 / 12]]),
-        ("FYE,LE,0.,0.,2.,1000.", [[3 * Q * L / 20, Q * L**2 / 30], [7 * Q * L / 20, -Q * L**2 / 20]]),
+        (
+            "FYE,LE,0.,0.,2.,1000.",
+            [[3 * Q * L / 20, Q * L**2 / 30], [7 * Q * L / 20, -Q * L**2 / 20]],
+        ),
         ("FY,LE,.5,700.", point(0.5, 700.0)),
         ("FY,FR,.25,700.,.25", point(0.5, 700.0)),
         ("FY,FR,0.,700.", [[700, 0], [0, 0]]),
@@ -85,7 +98,9 @@ def test_shear(tmp_path: Path) -> None:
 def test_a_released_end_carries_no_moment(tmp_path: Path) -> None:
     """Propped: 5qL/8 and qL²/8 at the held end."""
     got = forces(written(tmp_path, "PLOAD1,9,1,FY,FR,0.,1000.,1.,1000.", more="\n,,6"))
-    np.testing.assert_allclose(got[:, [1, 5]], [[5 * Q * L / 8, Q * L**2 / 8], [3 * Q * L / 8, 0]], atol=1e-9)
+    np.testing.assert_allclose(
+        got[:, [1, 5]], [[5 * Q * L / 8, Q * L**2 / 8], [3 * Q * L / 8, 0]], atol=1e-9
+    )
 
 
 @pytest.mark.parametrize("reach", [0.3, 1.0])
@@ -93,7 +108,9 @@ def test_a_tapered_cantilever(tmp_path: Path, reach: float) -> None:
     """The tip moves by ∫ M (L - x)/EI dx under a load from the root to a share of the length."""
     path = written(tmp_path, f"PLOAD1,9,1,FY,FR,0.,1000.,{reach},1000.", TAPERED, held="1")
     loaded = reach * L
-    want, _ = quad(lambda x: Q * (loaded - x) ** 2 / 2 * (L - x) / (E * 4e-6 * (1 - x / (2 * L))), 0, loaded)
+    want, _ = quad(
+        lambda x: Q * (loaded - x) ** 2 / 2 * (L - x) / (E * 4e-6 * (1 - x / (2 * L))), 0, loaded
+    )
     assert tip(path)[1] == pytest.approx(want, rel=1e-7)
 
 
@@ -111,7 +128,9 @@ def test_offsets_of_the_ends_and_a_load_in_basic(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("scale", "total"), [("FR", 500.0), ("FRPR", 400.0)])
 def test_a_load_on_the_projected_length(tmp_path: Path, scale: str, total: float) -> None:
     """A beam that rises 3 on 4 under snow."""
-    got = forces(written(tmp_path, f"PLOAD1,9,1,FZ,{scale},0.,-100.,1.,-100.", ends=((0, 0, 0), (4, 0, 3))))
+    got = forces(
+        written(tmp_path, f"PLOAD1,9,1,FZ,{scale},0.,-100.,1.,-100.", ends=((0, 0, 0), (4, 0, 3)))
+    )
     np.testing.assert_allclose(got[:, :3].sum(axis=0), [0, 0, -total], atol=1e-9)
 
 
@@ -142,10 +161,14 @@ def test_what_is_refused(tmp_path: Path, load: str, told: str) -> None:
     ],
 )
 def test_what_no_beam_can_carry(tmp_path: Path, kind: str, section: str, released: str) -> None:
-    """Without stiffness along the load, or free along it at both ends; a load across is carried then."""
+    """Without stiffness along the load, or free along it at both ends; a load across is carried
+    then.
+    """
     path = written(tmp_path, f"PLOAD1,9,1,{kind},FR,.5,7.", section, more=f"\n,{released}")
     with pytest.raises(DeckError, match="CBAR 1: cannot carry its PLOAD1"):
         forces(path)
     if released:
         across = forces(written(tmp_path, "PLOAD1,9,1,FZ,FR,.5,7.", section, more=f"\n,{released}"))
-        np.testing.assert_allclose(across[:, [2, 4]], [[3.5, -7 * L / 8], [3.5, 7 * L / 8]], rtol=1e-9)
+        np.testing.assert_allclose(
+            across[:, [2, 4]], [[3.5, -7 * L / 8], [3.5, 7 * L / 8]], rtol=1e-9
+        )

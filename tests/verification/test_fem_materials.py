@@ -1,4 +1,6 @@
-"""Which of E, G and NU of a MAT1 an element uses where the three do not agree (MAT1, table of usage)."""
+"""Which of E, G and NU of a MAT1 an element uses where the three do not agree (MAT1, table of
+usage).
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,9 @@ def test_membranes_and_bending_use_young_and_poisson(make: object) -> None:
 
 def test_transverse_shear_uses_the_shear_modulus() -> None:
     want = _plate(shells, MID3=1)
-    np.testing.assert_allclose(_plate(shells, AGREES, MID3=1), want, atol=EXACT * np.abs(want).max())
+    np.testing.assert_allclose(
+        _plate(shells, AGREES, MID3=1), want, atol=EXACT * np.abs(want).max()
+    )
     assert np.abs(_plate(shells, AGREES / 2, MID3=1) - want).max() > 0.1 * np.abs(want).max()
 
 
@@ -42,7 +46,10 @@ def test_transverse_shear_uses_the_shear_modulus() -> None:
 def test_solids_use_young_and_poisson(name: str) -> None:
     """So that an isotropic solid does not depend on the frame that it stands in."""
     xyz, nodes = cut(name, *box(1, 1, 1, (1.0, 2.0, 3.0)))
-    made = [model(grid(xyz), elements(kind(name)[0], nodes), psolid(), steel(G=G)) for G in (np.nan, 0.0, AGREES / 2)]
+    made = [
+        model(grid(xyz), elements(kind(name)[0], nodes), psolid(), steel(G=G))
+        for G in (np.nan, 0.0, AGREES / 2)
+    ]
     want, *others = (_stiffness(m) for m in made)
     for found in others:
         np.testing.assert_allclose(found, want, atol=EXACT * np.abs(want).max())

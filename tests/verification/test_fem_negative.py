@@ -1,7 +1,7 @@
 """Negative stiffness: refused with card and field, or taken as it is where the deck asks for it.
 
-A point mass m on two springs k and -c, c < k: f = sqrt((k - c) / m) / 2 pi; c > k is unstable and refused.
-A cantilever of E < 0 has the eigenvalues of the one of |E| with the sign turned.
+A point mass m on two springs k and -c, c < k: f = sqrt((k - c) / m) / 2 pi; c > k is unstable and
+refused. A cantilever of E < 0 has the eigenvalues of the one of |E| with the sign turned.
 """
 
 from __future__ import annotations
@@ -26,7 +26,10 @@ def cantilever(E: float, **section: float) -> Model:
     x[:, 0] = np.linspace(0, 1, 4)
     i = np.arange(1, 4)
     size = {"A": 1e-2, "I1": 8e-6, "I2": 5e-6, "J": 1e-5} | section
-    bars = (cards("CBAR", EID=i, PID=1, GA=i, GB=i + 1, X2=1.0), cards("PBAR", PID=[1], MID=1, **size))
+    bars = (
+        cards("CBAR", EID=i, PID=1, GA=i, GB=i + 1, X2=1.0),
+        cards("PBAR", PID=[1], MID=1, **size),
+    )
     return model(grid(x), *bars, steel(E), spc([1], "123456"), spc=1)
 
 
@@ -38,7 +41,11 @@ def test_springs_below_zero_are_taken(kind: str, c: float) -> None:
     ways = {
         "CELAS2": (cards("CELAS2", EID=[1, 2], K=[k, -c], G1=[1, 1], C1=[1, 1]),),
         "PELAS": (firm, cards("CELAS1", EID=[2], PID=9, G1=1, C1=1), cards("PELAS", PID=[9], K=-c)),
-        "PBUSH": (firm, cards("CBUSH", EID=[2], PID=9, GA=1, CID=0), cards("PBUSH", PID=[9], K1=-c)),
+        "PBUSH": (
+            firm,
+            cards("CBUSH", EID=[2], PID=9, GA=1, CID=0),
+            cards("PBUSH", PID=[9], K1=-c),
+        ),
     }
     m = model(grid(np.zeros((1, 3)), PS="23456"), *ways[kind], MASS)
     if c == k:  # the springs cancel: nothing stiffens the mass
@@ -58,14 +65,20 @@ def test_springs_below_zero_are_taken(kind: str, c: float) -> None:
 
 def test_a_negative_spring_alone_is_stiffness() -> None:
     """AUTOSPC does not take it for none."""
-    m = model(grid(np.zeros((1, 3)), PS="3456"), cards("CELAS2", EID=[1, 2], K=[5.0, -1e-12], G1=1, C1=[1, 2]), MASS)
+    m = model(
+        grid(np.zeros((1, 3)), PS="3456"),
+        cards("CELAS2", EID=[1, 2], K=[5.0, -1e-12], G1=1, C1=[1, 2]),
+        MASS,
+    )
     assert not len(assemble(m).autospc)
 
 
 @pytest.mark.parametrize("section", [{"I1": -8e-6}, {"J": -1e-5}, {"A": -1e-2}, {"I12": 7e-6}])
 def test_sections_below_zero_are_refused(section: dict[str, float]) -> None:
     field = next(iter(section))
-    with pytest.raises(DeckError, match=f"PBAR 1 field {field}: .*negative stiffness.*PARAM,NEGSTIFF,YES") as e:
+    with pytest.raises(
+        DeckError, match=f"PBAR 1 field {field}: .*negative stiffness.*PARAM,NEGSTIFF,YES"
+    ) as e:
         assemble(cantilever(2e11, **section))
     assert e.value.field == field
 
@@ -90,8 +103,14 @@ MATERIALS = {
 
 @pytest.mark.parametrize("field", MATERIALS)
 def test_plies_that_take_energy_out_are_refused(field: str) -> None:
-    laminate = cards("PCOMP", PID=[1], MID=ragged([1, 1]), T=ragged([0.01, 0.01]), THETA=ragged([0.0, 90.0]))
-    laminate = laminate.with_column("SOUT", ragged(["NO", "NO"])) if "SOUT" in laminate.columns else laminate
+    laminate = cards(
+        "PCOMP", PID=[1], MID=ragged([1, 1]), T=ragged([0.01, 0.01]), THETA=ragged([0.0, 90.0])
+    )
+    laminate = (
+        laminate.with_column("SOUT", ragged(["NO", "NO"]))
+        if "SOUT" in laminate.columns
+        else laminate
+    )
     plate: tuple[Table, ...] = (grid(XYZ), shells(QUADS), laminate)
     with pytest.raises(DeckError, match=f"field {field}"):
         assemble(model(*plate, MATERIALS[field]))

@@ -1,7 +1,9 @@
-"""Pressures as forces at nodes: what divergence and equilibrium say of closed surfaces, and decks under pressure.
+"""Pressures as forces at nodes: what divergence and equilibrium say of closed surfaces, and decks
+under pressure.
 
-Over the faces of a solid, ∫ n dA = 0, ∫ r x n dA = 0 and ∫ z n dA = V e_z, n outward; with straight sides the shape
-functions give these exactly. A pressure of PLOAD4 acts into a solid and along the normal of a shell.
+Over the faces of a solid, ∫ n dA = 0, ∫ r x n dA = 0 and ∫ z n dA = V e_z, n outward; with straight
+sides the shape functions give these exactly. A pressure of PLOAD4 acts into a solid and along the
+normal of a shell.
 """
 
 from __future__ import annotations
@@ -45,7 +47,9 @@ def named_by(card: str, f: tuple[int, ...]) -> int:
 def test_over_all_faces_of_a_solid(card: str, quadratic: bool) -> None:
     corners, volume = CORNERS[card]
     x: Float = np.array(corners) @ TURN.T
-    places = np.vstack([x, [x[list(e)].mean(axis=0) for e in SOLIDS[card].edges]] if quadratic else [x])
+    places = np.vstack(
+        [x, [x[list(e)].mean(axis=0) for e in SOLIDS[card].edges]] if quadratic else [x]
+    )
     force, moment, first = np.zeros(3), np.zeros(3), np.zeros(3)
     for f in FACES[card]:
         nodes = np.array(face(card, range(1, len(places) + 1), f[0] + 1, named_by(card, f)))
@@ -123,7 +127,9 @@ def test_cards(tmp_path: Path, cards: tuple[str, ...], total: tuple[float, ...])
 def test_sizes_go_round_from_g1_as_seen_from_outside(tmp_path: Path) -> None:
     """The face x = 2 is 6, 2, 3, 7 by the right-hand rule about its outward normal."""
     _, force = loaded(tmp_path, "PLOAD4,1,1,1.,2.,3.,4.,6,3")
-    a = np.array([[4, 2, 1, 2], [2, 4, 2, 1], [1, 2, 4, 2], [2, 1, 2, 4]]) / 36 * 12  # of a rectangle of 12
+    a = (
+        np.array([[4, 2, 1, 2], [2, 4, 2, 1], [1, 2, 4, 2], [2, 1, 2, 4]]) / 36 * 12
+    )  # of a rectangle of 12
     np.testing.assert_allclose(-force[[5, 1, 2, 6], 0], a @ [1, 2, 3, 4], atol=1e-12)
 
 
@@ -133,7 +139,9 @@ def test_a_direction_of_a_cylindrical_frame_turns_with_the_place(tmp_path: Path)
     p, w = np.polynomial.legendre.leggauss(60)
     x, y = np.meshgrid(1 + p, 1.5 * (1 + p), indexing="ij")
     want = [(1.5 * np.outer(w, w) * c / np.hypot(x, y)).sum() for c in (x, y)]
-    np.testing.assert_allclose(force.sum(axis=0), [*want, 0], rtol=0.02)  # three points a side at the axis
+    np.testing.assert_allclose(
+        force.sum(axis=0), [*want, 0], rtol=0.02
+    )  # three points a side at the axis
 
 
 @pytest.mark.parametrize(
@@ -156,7 +164,9 @@ def test_a_direction_of_a_cylindrical_frame_turns_with_the_place(tmp_path: Path)
         (("SLOAD,1,6,5.",), "SLOAD names 6, which is no scalar point of the deck"),
     ],
 )
-def test_what_cannot_be_taken(tmp_path: Path, cards: tuple[str, ...], told: str, capsys: Capture) -> None:
+def test_what_cannot_be_taken(
+    tmp_path: Path, cards: tuple[str, ...], told: str, capsys: Capture
+) -> None:
     (tmp_path / "d.bdf").write_text(CUBE + "\n".join(cards) + "\n")
     assert run(["static", str(tmp_path / "d.bdf"), "--at", "7+Z"]) == 2
     assert told in capsys.readouterr().err
@@ -171,7 +181,9 @@ def test_what_cannot_be_taken(tmp_path: Path, cards: tuple[str, ...], told: str,
     ],
 )
 def test_other_loads_of_case_control(tmp_path: Path, line: str, told: str, capsys: Capture) -> None:
-    (tmp_path / "d.bdf").write_text(CUBE.replace("LOAD = 1", f"LOAD = 1\n{line}") + "PLOAD2,1,10.,2\n")
+    (tmp_path / "d.bdf").write_text(
+        CUBE.replace("LOAD = 1", f"LOAD = 1\n{line}") + "PLOAD2,1,10.,2\n"
+    )
     assert run(["static", str(tmp_path / "d.bdf"), "--at", "7+Z"]) == 2
     assert told in capsys.readouterr().err
 
@@ -181,11 +193,18 @@ def test_a_pressed_bar_shortens(tmp_path: Path, capsys: Capture) -> None:
     n, lines = 5, ["CEND", "SPC = 1", "LOAD = 1", "TEMP(INIT) = 3", "BEGIN BULK"]
     for k in range(n + 1):
         corners = [(0, 0), (1, 0), (1, 1), (0, 1)]
-        lines += [f"GRID,{4 * k + i + 1},,{x}.,{y}.,{10 * k / n}" for i, (x, y) in enumerate(corners)]
+        lines += [
+            f"GRID,{4 * k + i + 1},,{x}.,{y}.,{10 * k / n}" for i, (x, y) in enumerate(corners)
+        ]
     for k in range(n):
         g = [str(4 * k + i) for i in range(1, 9)]
         lines += [f"CHEXA,{k + 1},1,{','.join(g[:6])}", f",{','.join(g[6:])}"]
-    lines += ["PSOLID,1,1", "MAT1,1,2.+9,,0.,1.", "SPC1,1,123,1,2,3,4", f"PLOAD4,1,{n},4.+5,,,,21,23"]
+    lines += [
+        "PSOLID,1,1",
+        "MAT1,1,2.+9,,0.,1.",
+        "SPC1,1,123,1,2,3,4",
+        f"PLOAD4,1,{n},4.+5,,,,21,23",
+    ]
     (tmp_path / "d.bdf").write_text("\n".join(lines) + "\n")
     assert run(["static", str(tmp_path / "d.bdf"), "--at", "22+Z", "--json", "-"]) == 0
     (case,) = json.loads(capsys.readouterr().out)["cases"]

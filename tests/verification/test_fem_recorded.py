@@ -19,15 +19,53 @@ RUNS = {
         *(62.9965, 65.0835, 77.1285),
     ],
     f"{SYSTEM}/002_svanberg_beam/nastran_runs/modes.dat": [
-        *(46.46440, 146.9333, 279.0229, 752.9903, 815.3514, 882.3479, 1405.450, 1507.328, 2059.242, 2366.242),
+        *(
+            46.46440,
+            146.9333,
+            279.0229,
+            752.9903,
+            815.3514,
+            882.3479,
+            1405.450,
+            1507.328,
+            2059.242,
+            2366.242,
+        ),
     ],
     f"{SYSTEM}/003_svanberg_bar/nastran_runs/modes.dat": [
-        *(46.46440, 146.9333, 279.0229, 752.9903, 815.3514, 882.3479, 1405.450, 2059.242, 2366.242, 2381.164),
+        *(
+            46.46440,
+            146.9333,
+            279.0229,
+            752.9903,
+            815.3514,
+            882.3479,
+            1405.450,
+            2059.242,
+            2366.242,
+            2381.164,
+        ),
     ],
     f"{SYSTEM}/004_72_bar_truss/nastran_runs/modes.dat": [25.4557, 25.4557, 38.9409, 68.5554],
-    "msc2019/superelements/cantilever_bar/no_super/noReduction.dat": [349.729, 2167.32, 6007.803, 11650.23],
+    "msc2019/superelements/cantilever_bar/no_super/noReduction.dat": [
+        349.729,
+        2167.32,
+        6007.803,
+        11650.23,
+    ],
     "beam_modes/beam_modes.dat": [
-        *(456.6603, 456.6603, 2674.588, 2674.588, 3554.923, 4507.487, 6626.104, 6626.104, 11111.59, 11111.59),
+        *(
+            456.6603,
+            456.6603,
+            2674.588,
+            2674.588,
+            3554.923,
+            4507.487,
+            6626.104,
+            6626.104,
+            11111.59,
+            11111.59,
+        ),
     ],
     "naca_wing/0012_flutter.bdf": [2.66709, 10.6282],
 }
@@ -39,4 +77,6 @@ def test_recorded_frequencies(deck: str) -> None:
     if not (DATA / deck).exists():
         pytest.skip(f"reference data not found: {DATA / deck}")
     want = np.array(RUNS[deck])
-    np.testing.assert_allclose(modes(read_deck(DATA / deck), want.size), want, rtol=PRINTED, atol=6e-5)
+    np.testing.assert_allclose(
+        modes(read_deck(DATA / deck), want.size), want, rtol=PRINTED, atol=6e-5
+    )

@@ -1,4 +1,6 @@
-"""RROD, RBAR1, RJOINT, RTRPLT, RTRPLT1, RSPLINE: rigid motions pass, each is what it is made of, splines bend."""
+"""RROD, RBAR1, RJOINT, RTRPLT, RTRPLT1, RSPLINE: rigid motions pass, each is what it is made of,
+splines bend.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,15 @@ def test_rigid_motions_pass(name: str) -> None:
     assert rigid(model(*NODES, CASES[name], AUTOSPC="NO")) < 1e-12
 
 
-COUNT = {"RROD": 1, "RBAR1": 6, "RJOINT": 5, "RTRPLT": 12, "RTRPLT1": 9, "RSPLINE": 14, "two splines": 11}
+COUNT = {
+    "RROD": 1,
+    "RBAR1": 6,
+    "RJOINT": 5,
+    "RTRPLT": 12,
+    "RTRPLT1": 9,
+    "RSPLINE": 14,
+    "two splines": 11,
+}
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -91,11 +101,21 @@ def test_wrong_cards_are_named(table: Table, message: str) -> None:
 
 
 def chain(xyz: Float, ratio: float) -> Model:
-    """The spline as real beams: a thin tube with EI = GJ = 1 and EA = 8/D², of steel with E = 1 and G = 1."""
+    """The spline as real beams: a thin tube with EI = GJ = 1 and EA = 8/D², of steel with E = 1 and
+    G = 1.
+    """
     length = np.linalg.norm(np.diff(xyz, axis=0), axis=1).sum()
     n = len(xyz) - 1
     section = {"A": 8 / (ratio * length) ** 2, "I1": 1.0, "I2": 1.0, "J": 1.0}
-    bars = cards("CBAR", EID=np.arange(1, n + 1), PID=1, GA=np.arange(1, n + 1), GB=np.arange(2, n + 2), X1=0.1, X3=9.0)
+    bars = cards(
+        "CBAR",
+        EID=np.arange(1, n + 1),
+        PID=1,
+        GA=np.arange(1, n + 1),
+        GB=np.arange(2, n + 2),
+        X1=0.1,
+        X3=9.0,
+    )
     mat = cards("MAT1", MID=[1], E=1.0, G=1.0)
     return model(grid(xyz), bars, cards("PBAR", PID=[1], MID=1, **section), mat, AUTOSPC="NO")
 
@@ -115,7 +135,11 @@ def test_a_spline_bends_as_the_tube(ratio: float) -> None:
 def test_a_straight_spline_is_a_cubic() -> None:
     """At the middle of two ends with v = 1 and slope 1 at the second: v = 1/2 − L/8."""
     s = assemble(
-        model(grid(np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0.0]])), spline([1, 2, 3], ["", "2", ""]), AUTOSPC="NO")
+        model(
+            grid(np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0.0]])),
+            spline([1, 2, 3], ["", "2", ""]),
+            AUTOSPC="NO",
+        )
     )
     x = np.zeros(len(s.free))
     x[s.free.labels().index("3+Y")] = x[s.free.labels().index("3+RZ")] = 1.0

@@ -1,4 +1,6 @@
-"""Springs, dashpots and masses, rigid elements, direct matrices and mechanisms against closed forms."""
+"""Springs, dashpots and masses, rigid elements, direct matrices and mechanisms against closed
+forms.
+"""
 
 from __future__ import annotations
 
@@ -97,7 +99,9 @@ def test_a_damped_oscillator_decays_as_it_should() -> None:
 
 
 def test_a_dashpot_on_hardly_any_mass_hides_no_low_mode() -> None:
-    """A chain of 30 masses; the answer to the dashpot, to a point of 1e-9 kg on 1e6 N/m, is a million times as fast."""
+    """A chain of 30 masses; the answer to the dashpot, to a point of 1e-9 kg on 1e6 N/m, is a
+    million times as fast.
+    """
     points = np.arange(1, 31)
     at, below, one = np.append(points, 99), np.append(points - 1, 0), np.ones(points.size)
     m = model(
@@ -107,7 +111,9 @@ def test_a_dashpot_on_hardly_any_mass_hides_no_low_mode() -> None:
         cards("CDAMP4", EID=[250], B=20.0, S1=[15], S2=[99]),
     )
     with EmbeddedSolver().open(m) as analysis:
-        projected, full = (analysis.damped_modes(ModesRequest(3), problem=p).modes for p in ("projected", "full"))
+        projected, full = (
+            analysis.damped_modes(ModesRequest(3), problem=p).modes for p in ("projected", "full")
+        )
     np.testing.assert_allclose(projected.frequencies, full.frequencies, rtol=1e-5)
     np.testing.assert_allclose(projected.damping, full.damping, rtol=1e-5)
     lowest = 100 * np.sin(np.pi / 122) / np.pi  # without the dashpot, which moves it by 0.2 %
@@ -116,7 +122,9 @@ def test_a_dashpot_on_hardly_any_mass_hides_no_low_mode() -> None:
 
 @pytest.mark.parametrize("dashpot", [0.0, 0.4])
 def test_rayleigh_damping(dashpot: float) -> None:
-    """PARAM ALPHA1 = 0.3, ALPHA2 = 0.02: ζ = α/2ω + βω/2, and D' = αM' + βK'; a dashpot adds its own."""
+    """PARAM ALPHA1 = 0.3, ALPHA2 = 0.02: ζ = α/2ω + βω/2, and D' = αM' + βK'; a dashpot adds its
+    own.
+    """
     springs = cards("CELAS4", EID=[1, 2], K=1.0, S1=[10, 10], S2=[0, 11])
     masses = cards("CMASS4", EID=[3, 4], M=1.0, S1=[10, 11])
     damper = cards("CDAMP4", EID=[5], B=dashpot, S1=[10], S2=[11])
@@ -130,7 +138,9 @@ def test_rayleigh_damping(dashpot: float) -> None:
         w = 2 * np.pi * got.frequencies
         np.testing.assert_allclose(got.damping, 0.15 / w + 0.01 * w, rtol=1e-10)
     pair = np.array([[1, -1], [-1, 1]])
-    np.testing.assert_allclose(D, 0.3 * np.eye(2) + 0.02 * (pair + np.diag([1, 0])) + dashpot * pair, atol=EXACT)
+    np.testing.assert_allclose(
+        D, 0.3 * np.eye(2) + 0.02 * (pair + np.diag([1, 0])) + dashpot * pair, atol=EXACT
+    )
     assert slope.viscous is not None
     np.testing.assert_allclose(slope.viscous.toarray(), 0.02 * pair, atol=EXACT)
 
@@ -145,7 +155,17 @@ def test_a_model_in_which_nothing_moves_says_what_holds_it() -> None:
 
 def test_conm1_in_a_frame_is_conm2() -> None:
     """The 6 x 6 matrix of a rigid body on an arm, given in its own frame."""
-    body = {"M": 3.0, "X1": 0.2, "X2": -0.1, "X3": 0.4, "I11": 0.5, "I21": 0.02, "I22": 0.7, "I31": -0.03, "I32": 0.05}
+    body = {
+        "M": 3.0,
+        "X1": 0.2,
+        "X2": -0.1,
+        "X3": 0.4,
+        "I11": 0.5,
+        "I21": 0.02,
+        "I22": 0.7,
+        "I31": -0.03,
+        "I32": 0.05,
+    }
     two = cards("CONM2", EID=[1], G=2, CID=7, **body, I33=0.6)
     spring = cards("CELAS2", EID=[9], K=1.0, G1=[1], C1=1)
     want = assemble(model(*NODES, two, spring, AUTOSPC="NO")).mass.toarray()
@@ -161,7 +181,13 @@ def bush(**more: object) -> Float:
     x = grid(np.array([[2.0, 2.0, 0.0], [2.0, 2.0, 3.0]]))
     k = {f"K{i}": float(i) for i in range(1, 7)} | {"B1": 8.0, "GE": 0.1}
     polar = cards("CORD2C", CID=[8], B3=1.0, C1=1.0)
-    m = model(x, polar, cards("CBUSH", EID=[1], PID=1, GA=1, **more), cards("PBUSH", PID=[1], **k), AUTOSPC="NO")
+    m = model(
+        x,
+        polar,
+        cards("CBUSH", EID=[1], PID=1, GA=1, **more),
+        cards("PBUSH", PID=[1], **k),
+        AUTOSPC="NO",
+    )
     s = assemble(m)
     np.testing.assert_allclose(s.structural.toarray(), 0.1 * s.stiffness.toarray(), atol=EXACT)
     assert s.viscous.toarray().trace() > 7.9
@@ -169,12 +195,16 @@ def bush(**more: object) -> Float:
 
 
 def test_a_bush_with_loss_factors_by_direction() -> None:
-    """Grounded in the turned frame of its node: H = diag(GEi Ki) in the free DOFs; blanks beside GE2 are 0."""
+    """Grounded in the turned frame of its node: H = diag(GEi Ki) in the free DOFs; blanks beside
+    GE2 are 0.
+    """
     k = {f"K{i}": float(i) for i in range(1, 7)} | {"GE": 0.1, "GE2": 0.2, "GE6": 0.3}
     bush = cards("CBUSH", EID=[1], PID=1, GA=2, CID=7)
     s = assemble(model(*NODES, bush, cards("PBUSH", PID=[1], **k), AUTOSPC="YES"))
     np.testing.assert_allclose(s.stiffness.toarray(), np.diag(np.arange(1.0, 7)), atol=EXACT)
-    np.testing.assert_allclose(s.structural.toarray(), np.diag([0.1, 0.4, 0, 0, 0, 1.8]), atol=EXACT)
+    np.testing.assert_allclose(
+        s.structural.toarray(), np.diag([0.1, 0.4, 0, 0, 0, 1.8]), atol=EXACT
+    )
 
 
 def test_a_bush_in_a_cylindrical_frame_is_turned_to_its_end_a() -> None:
@@ -186,7 +216,9 @@ def test_a_bush_in_a_cylindrical_frame_is_turned_to_its_end_a() -> None:
 
 
 def test_where_a_bush_stands() -> None:
-    """S from A to B: lateral stiffness k at distance d turns node A by k d²; OCID places it anywhere."""
+    """S from A to B: lateral stiffness k at distance d turns node A by k d²; OCID places it
+    anywhere.
+    """
     for s, more in ((0.5, {}), (0.25, {"S": 0.25}), (2.0, {"OCID": 0, "S3": 6.0})):
         K = bush(GB=2, CID=0, **more)
         assert K[3, 3] == pytest.approx(4 + 2 * (3 * s) ** 2)
@@ -227,12 +259,26 @@ def test_rigid_elements_keep_rigid_motions(element: Table) -> None:
 def rbe3(refc: str, um: list[tuple[int, str]]) -> Table:
     """Node 5 on nodes 1 to 4."""
     gm, cm = zip(*um, strict=True)
-    independent = {"G": ragged([1, 2, 3, 4]), "C": ragged(["123"] * 4), "WT": ragged([1.0, 2.0, 1.0, 0.5])}
-    return cards("RBE3", EID=[8], REFGRID=5, REFC=refc, **independent, GM=ragged(list(gm)), CM=ragged(list(cm)))
+    independent = {
+        "G": ragged([1, 2, 3, 4]),
+        "C": ragged(["123"] * 4),
+        "WT": ragged([1.0, 2.0, 1.0, 0.5]),
+    }
+    return cards(
+        "RBE3",
+        EID=[8],
+        REFGRID=5,
+        REFC=refc,
+        **independent,
+        GM=ragged(list(gm)),
+        CM=ragged(list(cm)),
+    )
 
 
 def test_rbe3_solved_for_other_degrees_of_freedom() -> None:
-    """The same four equations, whichever DOFs they are solved for: the motions that they allow are one space."""
+    """The same four equations, whichever DOFs they are solved for: the motions that they allow are
+    one space.
+    """
     ways = [
         rbe3("1235", [(5, "1235")]),
         rbe3("1235", [(1, "1"), (2, "2"), (3, "3"), (5, "3")]),
@@ -249,7 +295,9 @@ def test_rbe3_solved_for_other_degrees_of_freedom() -> None:
 
 
 def test_rbe3_um_that_does_not_fit_is_refused() -> None:
-    with pytest.raises(DeckError, match="RBE3 8: UM names 3 components; allowed are as many as REFC has, 4"):
+    with pytest.raises(
+        DeckError, match="RBE3 8: UM names 3 components; allowed are as many as REFC has, 4"
+    ):
         assemble(model(*NODES, rbe3("1235", [(5, "123")])))
     with pytest.raises(DeckError, match="RBE3 8: the components in UM are not determined"):
         assemble(model(*NODES, rbe3("12", [(1, "45")])))
@@ -270,11 +318,17 @@ def test_rigid_elements_that_are_one_make_one_elimination() -> None:
 @pytest.mark.parametrize(
     ("tables", "message"),
     [
-        ((cards("RBAR", EID=[1], GA=1, GB=2, CNA="12345"),), "RBAR 1: it has 5 independent components"),
+        (
+            (cards("RBAR", EID=[1], GA=1, GB=2, CNA="12345"),),
+            "RBAR 1: it has 5 independent components",
+        ),
         ((cards("RBAR", EID=[1], GA=1, GB=2, CNA="1235", CNB="12"),), "leave a rigid motion free"),
         ((rbe1([(1, "123456")], [(1, "1"), (2, "123")]),), "RBE1 4: a component is both"),
         (
-            (cards("RBAR", EID=[1], GA=1, GB=2), cards("RBE2", EID=[3], GN=3, CM="1", GM=ragged([2]))),
+            (
+                cards("RBAR", EID=[1], GA=1, GB=2),
+                cards("RBE2", EID=[3], GN=3, CM="1", GM=ragged([2])),
+            ),
             r"DOF 2\+X is dependent more than once \(RBAR 1, RBE2 3\)",
         ),
     ],
@@ -287,18 +341,26 @@ def test_contradictions_are_named(tables: tuple[Table, ...], message: str) -> No
 def test_a_chain_of_equations() -> None:
     """u3 = 2 u2 and u2 = 3 u1, each in its own set: u3 = 6 u1."""
     mpc = cards(
-        "MPC", SID=[1, 2], G=ragged([3, 2], [2, 1]), C=ragged([1, 1], [1, 1]), A=ragged([1.0, -2.0], [1.0, -3.0])
+        "MPC",
+        SID=[1, 2],
+        G=ragged([3, 2], [2, 1]),
+        C=ragged([1, 1], [1, 1]),
+        A=ragged([1.0, -2.0], [1.0, -3.0]),
     )
     add = cards("MPCADD", SID=[9], S=ragged([1, 2]))
     s = assemble(model(grid(XYZ[:3], PS="23456"), mpc, add, mpc=9, AUTOSPC="NO"))
     np.testing.assert_allclose(s.expand(np.ones(1))[[0, 6, 12]], [1, 3, 6])
 
 
-def dmig(name: str, rows: list[int], columns: list[int], values: list[float], form: int = 6) -> Table:
+def dmig(
+    name: str, rows: list[int], columns: list[int], values: list[float], form: int = 6
+) -> Table:
     """A matrix over component 1 of nodes."""
     one = [1] * len(rows)
     terms = {"GJ": ragged(columns), "CJ": ragged(one), "GI": ragged(rows), "CI": ragged(one)}
-    return cards("DMIG", ID=[1], NAME=name, IFO=form, A=ragged(values), B=ragged([0.0] * len(rows)), **terms)
+    return cards(
+        "DMIG", ID=[1], NAME=name, IFO=form, A=ragged(values), B=ragged([0.0] * len(rows)), **terms
+    )
 
 
 def direct(table: Table, case: CaseControl, **params: float) -> Model:
@@ -329,7 +391,9 @@ def test_dmig_mass_is_not_weight() -> None:
     table = dmig("MX", [1, 2], [1, 2], [5.0, 5.0])
     s = assemble(direct(table, CaseControl(m2gg=((1.0, "MX"),)), WTMASS=0.1, AUTOSPC="NO"))
     np.testing.assert_allclose(s.mass.diagonal(), 5.1)
-    assert assemble(direct(table, CaseControl(), AUTOSPC="NO")).mass.diagonal().sum() == pytest.approx(2)
+    assert assemble(
+        direct(table, CaseControl(), AUTOSPC="NO")
+    ).mass.diagonal().sum() == pytest.approx(2)
 
 
 def test_dmig_that_cannot_be_used() -> None:
@@ -344,7 +408,9 @@ def test_dmig_that_cannot_be_used() -> None:
 
 
 def test_autospc_takes_epzero() -> None:
-    """The drilling stiffness of a plate by its rotational stiffness: no direction is weak until EPZERO says so."""
+    """The drilling stiffness of a plate by its rotational stiffness: no direction is weak until
+    EPZERO says so.
+    """
     xyz, quads = square(1, 1.0, 1.0)
     tables = grid(xyz), shells(quads), pshell(0.1), steel()
     K = assemble(model(*tables, K6ROT=1.0)).stiffness.diagonal()
@@ -363,7 +429,14 @@ def test_rbe3_um_is_read(tmp_path: Path) -> None:
         "GRID,4,,0.,0.,1.",
         "GRID,5,,1.,1.,1.",
     ]
-    lines += ["RBE3,10,,5,1234,1.,123,1,2", ",3,4", ",UM,5,12,1,3,2,2", ",ALPHA,1.-5", "ENDDATA", ""]
+    lines += [
+        "RBE3,10,,5,1234,1.,123,1,2",
+        ",3,4",
+        ",UM,5,12,1,3,2,2",
+        ",ALPHA,1.-5",
+        "ENDDATA",
+        "",
+    ]
     (tmp_path / "a.bdf").write_text("\n".join(lines))
     t = read_deck(tmp_path / "a.bdf")["RBE3"]
     assert t.ragged("G").row(0).tolist() == [1, 2, 3, 4]
@@ -373,7 +446,9 @@ def test_rbe3_um_is_read(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("nodes", [20, 120])
 def test_a_mechanism_without_mass_is_named(nodes: int) -> None:
-    """A straight pinned CBAR line spins about itself, has no inertia about it, and no node shows it alone."""
+    """A straight pinned CBAR line spins about itself, has no inertia about it, and no node shows it
+    alone.
+    """
     i = np.arange(1, nodes)
     xyz = np.arange(nodes)[:, None] * np.array([0.1, 0.05, 0.0])
     bars = cards("CBAR", EID=i, PID=1, GA=i, GB=i + 1, X3=1.0)
@@ -389,5 +464,7 @@ def test_a_mechanism_without_mass_is_named(nodes: int) -> None:
         lowest = analysis.modes(ModesRequest(2))
     L = 0.1 * np.sqrt(1.25) * (nodes - 1)
     want = np.pi / 2 / L**2 * np.sqrt(2e11 * 1e-5 / (8000 * 1e-2))
-    np.testing.assert_allclose(lowest.modes.frequencies, want, rtol=1e-4)  # lumped mass: fourth order
+    np.testing.assert_allclose(
+        lowest.modes.frequencies, want, rtol=1e-4
+    )  # lumped mass: fourth order
     assert lowest.complete

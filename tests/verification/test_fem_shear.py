@@ -1,4 +1,6 @@
-"""CSHEAR: Garvey's panel against closed forms (NASTRAN Theoretical Manual, section 5.3), its rods and its mass."""
+"""CSHEAR: Garvey's panel against closed forms (NASTRAN Theoretical Manual, section 5.3), its rods
+and its mass.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ def panel(xyz: Float, **more: object) -> Model:
 
 
 def general(x: Float) -> tuple[float, float]:
-    """Garvey's energy q²/(2 G t) (A1 + A2 / (1 + ν)) of a panel without parallel edges, by logarithms."""
+    """Garvey's energy q²/(2 G t) (A1 + A2 / (1 + ν)) of a panel without parallel edges, by
+    logarithms.
+    """
     xy, area = shear.flat(x[None])
     (_, x2, x3, x4), (_, _, y3, y4) = xy[0].T
     xq = x4 - (x3 - x4) / (y3 - y4) * y4
@@ -60,19 +64,25 @@ def general(x: Float) -> tuple[float, float]:
 )
 def test_energy_of_any_quadrilateral(corners: list[list[float]]) -> None:
     x = np.array(corners)
-    np.testing.assert_allclose([float(a[0]) for a in shear.flexibility(x[None])], general(x), rtol=1e-7)
+    np.testing.assert_allclose(
+        [float(a[0]) for a in shear.flexibility(x[None])], general(x), rtol=1e-7
+    )
 
 
 @pytest.mark.parametrize("skew", [0.0, 0.4, -1.0])
 def test_parallelogram(skew: float) -> None:
-    """A (1 + 2 D² / (1 + ν)), D the cotangent of the angle; parallel edges need no case of their own."""
+    """A (1 + 2 D² / (1 + ν)), D the cotangent of the angle; parallel edges need no case of their
+    own.
+    """
     x = RECTANGLE + skew * RECTANGLE[:, 1:2] * np.array([1.0, 0, 0])
     plain, more = shear.flexibility(x[None])
     assert (plain[0], more[0]) == pytest.approx((2.0, 4 * skew**2))
 
 
 def test_trapezoid() -> None:
-    """1-2 parallel to 3-4: A p1²/p3² (1 + 2/3 (S² + S C + C²)/(1 + ν)), S and C the slopes of the sides."""
+    """1-2 parallel to 3-4: A p1²/p3² (1 + 2/3 (S² + S C + C²)/(1 + ν)), S and C the slopes of the
+    sides.
+    """
     x = np.array([[0, 0, 0], [3, 0, 0], [2, 1, 0], [0.5, 1, 0.0]])
     plain, more = shear.flexibility(x[None])
     ratio, S, C = 2.0, -1.0, 0.5  # 3 : 1.5 wide
@@ -102,14 +112,20 @@ def test_rigid_motions_rank_and_turns(xyz: Float) -> None:
     assert np.linalg.matrix_rank(dense(assemble(panel(xyz, F1=1.0, F2=2.0)))) == 5
     there, Q = turned(xyz)
     R = np.kron(np.eye(8), Q)
-    np.testing.assert_allclose(dense(assemble(panel(there))), R @ dense(s) @ R.T, atol=1e-9 * abs(s.stiffness).max())
+    np.testing.assert_allclose(
+        dense(assemble(panel(there))), R @ dense(s) @ R.T, atol=1e-9 * abs(s.stiffness).max()
+    )
 
 
 def test_numbering_does_not_matter() -> None:
     """The panel is the same from which corner and in which sense its nodes are listed."""
-    K = shear.kernel(WARPED[None], np.array([G]), np.array([NU]), np.array([T]))[0].reshape(4, 3, 4, 3)
+    K = shear.kernel(WARPED[None], np.array([G]), np.array([NU]), np.array([T]))[0].reshape(
+        4, 3, 4, 3
+    )
     for order in ([1, 2, 3, 0], [3, 2, 1, 0]):
-        other = shear.kernel(WARPED[None, order], np.array([G]), np.array([NU]), np.array([T]))[0].reshape(4, 3, 4, 3)
+        other = shear.kernel(WARPED[None, order], np.array([G]), np.array([NU]), np.array([T]))[
+            0
+        ].reshape(4, 3, 4, 3)
         np.testing.assert_allclose(other, K[order][:, :, order], atol=1e-7 * abs(K).max())
 
 
@@ -132,14 +148,18 @@ def test_mass_at_the_corners() -> None:
 
 
 def test_box_of_panels_and_stringers() -> None:
-    """A cantilever of one bay: the tip mass on the web moves with k = G t h / L (stringers too stiff to count)."""
+    """A cantilever of one bay: the tip mass on the web moves with k = G t h / L (stringers too
+    stiff to count).
+    """
     rods = cards("CONROD", EID=[1, 2, 3], G1=[1, 2, 3], G2=[2, 3, 4], MID=1, A=1.0)
     m = panel(RECTANGLE)
     tip = cards("CONM2", EID=[9], G=2, M=1000.0)
     both = cards("SPC1", SID=[1, 1], C=["123456", "3456"], G=ragged([1, 4], [2, 3]))
     whole = Model({**m.tables, "CONROD": rods, "CONM2": tip, "SPC1": both}, {}, model(spc=1).case)
     weight = 1000.0 + RHO * (T * 2 / 2 + 1.0 * (2 / 2 + 1.0 + 2 / 2))
-    assert modes(whole, 1)[0] == pytest.approx(np.sqrt(G * T * 1.0 / 2 / weight) / (2 * np.pi), rel=1e-3)
+    assert modes(whole, 1)[0] == pytest.approx(
+        np.sqrt(G * T * 1.0 / 2 / weight) / (2 * np.pi), rel=1e-3
+    )
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,9 @@
-"""Shells: patch tests with every section, no locking from thick to thin, the obstacle course, NAFEMS plates.
+"""Shells: patch tests with every section, no locking from thick to thin, the obstacle course,
+NAFEMS plates.
 
-The obstacle course: MacNeal and Harder (1985), Belytschko et al. (1985), Knight (1997) for Raasch's hook. A tolerance
-is the error that the formulation has on the mesh given; what is exact is asked to rounding.
+The obstacle course: MacNeal and Harder (1985), Belytschko et al. (1985), Knight (1997) for Raasch's
+hook. A tolerance is the error that the formulation has on the mesh given; what is exact is asked to
+rounding.
 """
 
 from __future__ import annotations
@@ -19,7 +21,9 @@ from ringtrue.model.model import Model, Table
 ROUNDING = 1e-7  # t² of conditioning, and drilling of 1e-4
 
 
-def layup(*, lam: str = "", mid: tuple[int, ...] = (2, 2, 3), z0: float = np.nan) -> tuple[Table, ...]:
+def layup(
+    *, lam: str = "", mid: tuple[int, ...] = (2, 2, 3), z0: float = np.nan
+) -> tuple[Table, ...]:
     """An unsymmetric laminate of MAT8 and MAT2 plies."""
     t, theta = (0.02, 0.03, 0.025), (0.0, 30.0, 70.0)
     one = cards(
@@ -33,8 +37,12 @@ def layup(*, lam: str = "", mid: tuple[int, ...] = (2, 2, 3), z0: float = np.nan
         THETA=ragged(theta),
         SOUT=ragged(["NO"] * 3),
     )
-    mat8 = cards("MAT8", MID=[2], E1=1.4e11, E2=1e10, NU12=0.3, G12=5e9, G1Z=5e9, G2Z=3e9, RHO=1600.0)
-    mat2 = cards("MAT2", MID=[3], G11=9e10, G12=2e10, G13=1e10, G22=5e10, G23=3e9, G33=2e10, RHO=1500.0)
+    mat8 = cards(
+        "MAT8", MID=[2], E1=1.4e11, E2=1e10, NU12=0.3, G12=5e9, G1Z=5e9, G2Z=3e9, RHO=1600.0
+    )
+    mat2 = cards(
+        "MAT2", MID=[3], G11=9e10, G12=2e10, G13=1e10, G22=5e10, G23=3e9, G33=2e10, RHO=1500.0
+    )
     return one, mat8, mat2
 
 
@@ -42,7 +50,10 @@ SECTIONS = {
     "thick": (pshell(0.1), steel()),
     "thin": (pshell(1e-3), steel()),
     "laminate": layup(),
-    "sandwich": (cards("PSHELL", PID=[1], MID1=1, T=0.02, MID2=1, I12T3=30.0, MID3=9, TST=5.0), steel()),
+    "sandwich": (
+        cards("PSHELL", PID=[1], MID1=1, T=0.02, MID2=1, I12T3=30.0, MID3=9, TST=5.0),
+        steel(),
+    ),
     "coupled": (cards("PSHELL", PID=[1], MID1=1, T=0.02, MID2=1, MID3=1, MID4=4), steel()),
 }
 CORE = cards("MAT8", MID=[9], E1=1e6, E2=1e6, G12=1e6, G1Z=4e7, G2Z=2e7)
@@ -109,7 +120,9 @@ def curved_patch(card: str) -> tuple[Float, Int]:
 def test_rigid_motions_no_mechanism_and_the_whole_mass(card: str, coupled: int) -> None:
     kind = card.replace("R", "4") if card == "CQUADR" else "CTRIA3" if card == "CTRIAR" else card
     xyz, elements = curved_patch(kind)
-    m = model(grid(xyz), shell(card, elements, ZOFFS=0.04), *layup(), AUTOSPC="NO", COUPMASS=coupled)
+    m = model(
+        grid(xyz), shell(card, elements, ZOFFS=0.04), *layup(), AUTOSPC="NO", COUPMASS=coupled
+    )
     s = assemble(m)
     R = s.rigid_body()
     assert abs(s.stiffness @ R).max() < 1e-9 * abs(s.stiffness).max()
@@ -129,19 +142,25 @@ def mass_of(m: Model) -> float:
 
 @pytest.mark.parametrize("card", SHELLS)
 def test_mass_and_bending_of_a_taper(card: str) -> None:
-    """T1.. at the corners: mass ρ t̄ A; a cantilever of t = t0 (2 - x), ν = 0, bends by M ∫∫ dx/(E t³/12)."""
+    """T1.. at the corners: mass ρ t̄ A; a cantilever of t = t0 (2 - x), ν = 0, bends by M ∫∫ dx/(E
+    t³/12).
+    """
     n = 16
     xyz, elements, _ = net(card, n, 1, rectangle(1.0, 0.05))
     corners = elements[:, : 4 if "QUAD" in card else 3]
     t = 0.01 * (2 - xyz[corners - 1, 0])
     own = {f"T{i + 1}": t[:, i] for i in range(t.shape[1])}
     root = (xyz[:, 0] == 0, "123456")
-    m = model(grid(xyz), shell(card, elements, **own), pshell(7.0), steel(nu=0.0), held(root), spc=1)
+    m = model(
+        grid(xyz), shell(card, elements, **own), pshell(7.0), steel(nu=0.0), held(root), spc=1
+    )
     free = model(grid(xyz), shell(card, elements, **own), pshell(7.0), steel(nu=0.0))
     assert mass_of(free) == pytest.approx(8000 * 0.015 * 0.05, rel=1e-10)
     tip = np.flatnonzero(xyz[:, 0] == 1) + 1
     share = np.array([1, 4, 1]) / 6 if card in SECOND else np.array([1, 1]) / 2
-    w = displacement(m, [(int(k), 5, float(f)) for k, f in zip(tip, share, strict=True)], int(tip[0]), 3)
+    w = displacement(
+        m, [(int(k), 5, float(f)) for k, f in zip(tip, share, strict=True)], int(tip[0]), 3
+    )
     x = np.linspace(0, 1, 20001)
     kappa = 12 / (2e11 * 0.05 * (0.01 * (2 - x)) ** 3)
     assert -w == pytest.approx(np.trapezoid(kappa * (1 - x), x), rel=5e-3)
@@ -150,7 +169,9 @@ def test_mass_and_bending_of_a_taper(card: str) -> None:
 @pytest.mark.parametrize("card", SHELLS)
 def test_no_locking_from_thick_to_thin(card: str) -> None:
     """Clamped square plate under a central force, ν = 0.3: w = 0.0056 P a²/D thin (Timoshenko and
-    Woinowsky-Krieger), and on a skewed mesh; the answer over P a²/D must not fall as t/a goes to 1e-4."""
+    Woinowsky-Krieger), and on a skewed mesh; the answer over P a²/D must not fall as t/a goes to
+    1e-4.
+    """
 
     def mesh(u: Float, v: Float) -> Float:
         bump = np.sin(np.pi * u) * np.sin(np.pi * v)
@@ -162,12 +183,21 @@ def test_no_locking_from_thick_to_thin(card: str) -> None:
     sym = [(uv[:, 0] == 0, "15"), (uv[:, 1] == 0, "24")]
     found = []
     for t in (1e-1, 1e-2, 1e-3, 1e-4):
-        m = model(grid(xyz), shell(card, elements), pshell(t), steel(), held((wall, "123456"), *sym), spc=1)
+        m = model(
+            grid(xyz),
+            shell(card, elements),
+            pshell(t),
+            steel(),
+            held((wall, "123456"), *sym),
+            spc=1,
+        )
         w = displacement(m, [(nearest(uv, 0, 0), 3, 0.25)], nearest(uv, 0, 0), 3)
         found.append(w * 2e11 * t**3 / 12 / (1 - 0.09))
     np.testing.assert_allclose(found[2:], 0.0056, rtol=0.03)
     assert found[3] == pytest.approx(found[2], rel=2e-2 if card == "CTRIA6" else 2e-3)
-    assert found[0] > 1.05 * found[2] or card == "CTRIA3"  # its homogeneous plate is thin by definition
+    assert (
+        found[0] > 1.05 * found[2] or card == "CTRIA3"
+    )  # its homogeneous plate is thin by definition
 
 
 def twisted(card: str, n: int, m: int, t: float, component: int) -> float:
@@ -177,13 +207,20 @@ def twisted(card: str, n: int, m: int, t: float, component: int) -> float:
 
     xyz, elements, uv = net(card, n, m, place)
     beam = model(
-        grid(xyz), shell(card, elements), pshell(t), steel(E=29e6, nu=0.22), held((uv[:, 0] == 0, "123456")), spc=1
+        grid(xyz),
+        shell(card, elements),
+        pshell(t),
+        steel(E=29e6, nu=0.22),
+        held((uv[:, 0] == 0, "123456")),
+        spc=1,
     )
     tip = nearest(uv, 1, 0.5)
     return displacement(beam, [(tip, component, 1.0)], tip, component)
 
 
-@pytest.mark.parametrize(("card", "within"), [("CQUAD4", 0.01), ("CQUAD8", 0.01), ("CTRIA6", 0.01), ("CTRIA3", 0.18)])
+@pytest.mark.parametrize(
+    ("card", "within"), [("CQUAD4", 0.01), ("CQUAD8", 0.01), ("CTRIA6", 0.01), ("CTRIA3", 0.18)]
+)
 def test_twisted_beam(card: str, within: float) -> None:
     """12 x 2 cells, 7.5 degrees of warp each; CTRIA3 is stiff in its plane."""
     assert twisted(card, 12, 2, 0.32, 3) == pytest.approx(0.005424, rel=within)
@@ -197,7 +234,9 @@ def test_thin_twisted_beam(card: str, within: float) -> None:
     assert twisted(card, 12, 2, 0.0032, 2) == pytest.approx(0.001294e6, rel=within)
 
 
-@pytest.mark.parametrize(("card", "within"), [("CQUAD4", 0.01), ("CQUAD8", 0.01), ("CTRIA6", 0.02), ("CTRIA3", 0.06)])
+@pytest.mark.parametrize(
+    ("card", "within"), [("CQUAD4", 0.01), ("CQUAD8", 0.01), ("CTRIA6", 0.02), ("CTRIA3", 0.06)]
+)
 def test_scordelis_lo_roof(card: str, within: float) -> None:
     """0.3024 at the middle of the free edge; dead weight through the consistent mass."""
     n = 8 if card in SECOND else 16
@@ -211,7 +250,9 @@ def test_scordelis_lo_roof(card: str, within: float) -> None:
     s = assemble(model(*what, COUPMASS=1))
     weight = s.mass @ (s.local @ np.tile([0, 0, -90.0, 0, 0, 0], len(xyz)))
     down = s.free.direction == 3
-    loads = list(zip(s.free.node[down].tolist(), [3] * int(down.sum()), weight[down].tolist(), strict=True))
+    loads = list(
+        zip(s.free.node[down].tolist(), [3] * int(down.sum()), weight[down].tolist(), strict=True)
+    )
     ends = held((uv[:, 0] == 0, "246"), (uv[:, 0] == 1, "13"), (uv[:, 1] == 0, "156"))
     w = displacement(model(*what, ends, spc=1), loads, nearest(uv, 0, 1), 3)
     assert -w == pytest.approx(0.3024, rel=within)
@@ -226,10 +267,16 @@ def test_pinched_cylinder_with_diaphragms(card: str) -> None:
         return np.stack([300 * u, 300 * np.sin(a), 300 * np.cos(a)], axis=1)
 
     xyz, elements, uv = net(card, n, n, place)
-    edges = held((uv[:, 0] == 0, "156"), (uv[:, 0] == 1, "23"), (uv[:, 1] == 0, "246"), (uv[:, 1] == 1, "345"))
+    edges = held(
+        (uv[:, 0] == 0, "156"),
+        (uv[:, 0] == 1, "23"),
+        (uv[:, 1] == 0, "246"),
+        (uv[:, 1] == 1, "345"),
+    )
     m = model(grid(xyz), shell(card, elements), pshell(3.0), steel(E=3e6), edges, spc=1)
     top = nearest(uv, 0, 0)
-    # a point load on a shear-flexible shell has no limit: second order goes beyond the thin shell's answer
+    # a point load on a shear-flexible shell has no limit: second order goes beyond the thin shell's
+    # answer
     assert -displacement(m, [(top, 3, -0.25)], top, 3) == pytest.approx(1.8248e-5, rel=0.035)
 
 
@@ -256,7 +303,9 @@ def test_hemisphere_with_a_hole(card: str) -> None:
 
 
 def hook(card: str, n: int, m: int, **params: float) -> float:
-    """Raasch's hook: arcs of 60 degrees on R 14 and 150 on R 46, width 20; tip sideways under a unit shear."""
+    """Raasch's hook: arcs of 60 degrees on R 14 and 150 on R 46, width 20; tip sideways under a
+    unit shear.
+    """
     first = n * 2 // 7
 
     def place(u: Float, v: Float) -> Float:
@@ -269,7 +318,15 @@ def hook(card: str, n: int, m: int, **params: float) -> float:
 
     xyz, elements, uv = net(card, n, m, place)
     root = held((uv[:, 0] == 0, "123456"))
-    made = model(grid(xyz), shell(card, elements), pshell(2.0), steel(E=3300.0, nu=0.35), root, spc=1, **params)
+    made = model(
+        grid(xyz),
+        shell(card, elements),
+        pshell(2.0),
+        steel(E=3300.0, nu=0.35),
+        root,
+        spc=1,
+        **params,
+    )
     tip = np.flatnonzero(uv[:, 0] == 1)
     tip = tip[np.argsort(uv[tip, 1])] + 1
     w = np.zeros(tip.size)
@@ -294,7 +351,9 @@ def test_raasch_hook_needs_common_normals() -> None:
     assert hook("CQUAD4", 56, 8, SNORM=0.0) > 1.25 * 5.012
 
 
-FREE_PLATE = np.array([13.468, 19.596, 24.270, 34.801, 34.801])  # ω a² sqrt(ρh/D), ν = 0.3; Gorman 1978
+FREE_PLATE = np.array(
+    [13.468, 19.596, 24.270, 34.801, 34.801]
+)  # ω a² sqrt(ρh/D), ν = 0.3; Gorman 1978
 
 
 @pytest.mark.parametrize("card", SECOND)
@@ -313,10 +372,14 @@ FV16_PLATE = np.array([3.471, 8.508, 21.285, 27.199, 30.957])  # Leissa 1973, C-
 
 @pytest.mark.parametrize("card", SECOND)
 def test_fv16_cantilevered_thin_square_plate(card: str) -> None:
-    """The targets are those of NAFEMS' series; the converged plate is 0.7 % below the first of them."""
+    """The targets are those of NAFEMS' series; the converged plate is 0.7 % below the first of
+    them.
+    """
     xyz, elements, uv = net(card, 8, 8, rectangle(10.0, 10.0))
     root = held((uv[:, 0] == 0, "12345"))
-    m = model(grid(xyz, PS="126"), shell(card, elements), pshell(0.05), steel(), root, spc=1, COUPMASS=1)
+    m = model(
+        grid(xyz, PS="126"), shell(card, elements), pshell(0.05), steel(), root, spc=1, COUPMASS=1
+    )
     f = modes(m, 6)
     np.testing.assert_allclose(f, FV16, rtol=2e-2)
     exact = FV16_PLATE / (2 * np.pi * 100) * np.sqrt(2e11 * 0.05**2 / 12 / 0.91 / 8000)
@@ -325,10 +388,16 @@ def test_fv16_cantilevered_thin_square_plate(card: str) -> None:
 
 @pytest.mark.parametrize("card", SECOND)
 def test_fv32_tapered_membrane(card: str) -> None:
-    xyz, elements, uv = net(card, 8, 4, lambda u, v: np.stack([10 * u, (v - 0.5) * (5 - 4 * u), 0 * u], axis=1))
+    xyz, elements, uv = net(
+        card, 8, 4, lambda u, v: np.stack([10 * u, (v - 0.5) * (5 - 4 * u), 0 * u], axis=1)
+    )
     root = held((uv[:, 0] == 0, "12"))
-    m = model(grid(xyz, PS="345"), shell(card, elements), pshell(0.05), steel(), root, spc=1, COUPMASS=1)
-    np.testing.assert_allclose(modes(m, 6), [44.623, 130.03, 162.70, 246.05, 379.90, 391.44], rtol=1e-2)  # 32 cells
+    m = model(
+        grid(xyz, PS="345"), shell(card, elements), pshell(0.05), steel(), root, spc=1, COUPMASS=1
+    )
+    np.testing.assert_allclose(
+        modes(m, 6), [44.623, 130.03, 162.70, 246.05, 379.90, 391.44], rtol=1e-2
+    )  # 32 cells
 
 
 @pytest.mark.parametrize("card", SECOND)
@@ -364,14 +433,23 @@ def test_what_is_wrong_is_told() -> None:
     with pytest.raises(DeckError, match=r"PSHELL 1.*CQUAD8 1 has no thickness"):
         assemble(model(grid(xyz), shell("CQUAD8", elements), pshell(0.0), steel()))
     with pytest.raises(DeckError, match=r"MAT8 1.*E1 and E2 must not be 0"):
-        assemble(model(grid(xyz), shell("CQUAD8", elements), pshell(0.1), cards("MAT8", MID=[1], E1=1.0, G12=1.0)))
+        assemble(
+            model(
+                grid(xyz),
+                shell("CQUAD8", elements),
+                pshell(0.1),
+                cards("MAT8", MID=[1], E1=1.0, G12=1.0),
+            )
+        )
     with pytest.raises(DeckError, match="MAT1 8 is not in the deck"):
         assemble(model(grid(xyz), shell("CQUAD8", elements), *layup(mid=(2, 8, 2))))
 
 
 @pytest.mark.parametrize("card", ["CQUAD4", "CQUAD8"])
 def test_frames_along_the_normal_count_where_the_material_has_a_direction(card: str) -> None:
-    """Preprocessors name one frame on all shells: those of isotropic material do not turn with it, as in any frame."""
+    """Preprocessors name one frame on all shells: those of isotropic material do not turn with it,
+    as in any frame.
+    """
     xyz, elements, _ = net(card, 2, 1, rectangle())
     frame = cards("CORD2R", CID=[5], A1=0.0, B1=1.0, C3=1.0)  # its x is along z
     alone = model(grid(xyz), shell(card, elements), pshell(0.1), steel())
@@ -379,7 +457,17 @@ def test_frames_along_the_normal_count_where_the_material_has_a_direction(card: 
     assert abs(assemble(named).stiffness - assemble(alone).stiffness).max() == 0
     mixed = shell(card, elements, MCID=np.array([5, -1])).with_column("PID", np.array([1, 2]))
     plies, *materials = layup()  # the laminate beside them names none
-    assemble(model(grid(xyz), frame, mixed, pshell(0.1), steel(), plies.with_column("PID", np.array([2])), *materials))
+    assemble(
+        model(
+            grid(xyz),
+            frame,
+            mixed,
+            pshell(0.1),
+            steel(),
+            plies.with_column("PID", np.array([2])),
+            *materials,
+        )
+    )
 
 
 def test_plane_strain() -> None:
@@ -390,19 +478,26 @@ def test_plane_strain() -> None:
         p = cards("PSHELL", PID=[1], MID1=1, T=0.1, MID2=mid2)
         root = held((uv[:, 0] == 0, "1"), ((uv == 0).all(axis=1), "2"))
         m = model(grid(xyz, PS="3456"), shell("CQUAD4", elements), p, steel(), root, spc=1)
-        found.append(displacement(m, [(nearest(uv, 1, v), 1, 0.5) for v in (0, 1)], nearest(uv, 1, 0), 1))
+        found.append(
+            displacement(m, [(nearest(uv, 1, v), 1, 0.5) for v in (0, 1)], nearest(uv, 1, 0), 1)
+        )
     assert found[0] == pytest.approx(1 / (2e11 * 0.1), rel=1e-9)
     assert found[1] / found[0] == pytest.approx(1 - 0.09, rel=1e-9)
 
 
 def test_normals_are_common_only_within_snorm() -> None:
     """Two plates at 30 degrees each keep their own: the same stiffness as with PARAM,SNORM,0."""
-    xyz = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [1.0 + np.cos(0.8), 0, np.sin(0.8)]], dtype=float)
+    xyz = np.array(
+        [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [1.0 + np.cos(0.8), 0, np.sin(0.8)]],
+        dtype=float,
+    )
     xyz = np.vstack([xyz, xyz[4] + [0, 1, 0]])
     elements = np.array([[1, 2, 3, 4], [2, 5, 6, 3]])
 
     def K(**params: float) -> Float:
-        return assemble(model(grid(xyz), shell("CQUAD4", elements), pshell(0.1), steel(), **params)).stiffness.toarray()
+        return assemble(
+            model(grid(xyz), shell("CQUAD4", elements), pshell(0.1), steel(), **params)
+        ).stiffness.toarray()
 
     np.testing.assert_array_equal(K(), K(SNORM=0.0))
     assert np.abs(K(SNORM=30.0) - K()).max() > 1e-3 * np.abs(K()).max()

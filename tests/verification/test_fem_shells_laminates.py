@@ -1,6 +1,8 @@
-"""Laminates: A, B, D and transverse shear, material axes, a simply supported orthotropic plate; complex steps.
+"""Laminates: A, B, D and transverse shear, material axes, a simply supported orthotropic plate;
+complex steps.
 
-Jones, Mechanics of Composite Materials (1999); Reddy, Mechanics of Laminated Composite Plates and Shells (2004).
+Jones, Mechanics of Composite Materials (1999); Reddy, Mechanics of Laminated Composite Plates and
+Shells (2004).
 """
 
 from __future__ import annotations
@@ -28,8 +30,15 @@ BOTH = cards(
 )  # fmt: skip
 
 
-def pcomp(t: list[Any_] | list[float], theta: list[float], mid: list[int] | None = None, **more: object) -> Table:
-    made = {"MID": ragged(mid or [2] * len(t)), "T": ragged(t), "THETA": ragged(theta), "SOUT": ragged(["NO"] * len(t))}
+def pcomp(
+    t: list[Any_] | list[float], theta: list[float], mid: list[int] | None = None, **more: object
+) -> Table:
+    made = {
+        "MID": ragged(mid or [2] * len(t)),
+        "T": ragged(t),
+        "THETA": ragged(theta),
+        "SOUT": ragged(["NO"] * len(t)),
+    }
     return cards("PCOMP", PID=[1], **made, **more)
 
 
@@ -46,7 +55,9 @@ def reduced() -> Float:
 
 
 def turned(angle: float) -> Float:
-    """Q of the carbon ply at an angle, by the invariants of Tsai and Pagano (Jones 1999, eqs. 2.92-2.93)."""
+    """Q of the carbon ply at an angle, by the invariants of Tsai and Pagano (Jones 1999, eqs.
+    2.92-2.93).
+    """
     Q = reduced()
     a, b, c, d = Q[0, 0], Q[1, 1], Q[0, 1], Q[2, 2]
     u1, u2, u3 = (3 * a + 3 * b + 2 * c + 4 * d) / 8, (a - b) / 2, (a + b - 2 * c - 4 * d) / 8
@@ -70,7 +81,9 @@ def test_membrane_coupling_and_bending(z0: float) -> None:
     L = one(pcomp(list(t), theta, Z0=z0), CARBON)
     z = (-t.sum() / 2 if np.isnan(z0) else z0) + np.concatenate([[0], np.cumsum(t)])
     for power, got in ((1, L.membrane), (2, L.coupling), (3, L.bending)):
-        want = sum(turned(a) * (z[k + 1] ** power - z[k] ** power) / power for k, a in enumerate(theta))
+        want = sum(
+            turned(a) * (z[k + 1] ** power - z[k] ** power) / power for k, a in enumerate(theta)
+        )
         np.testing.assert_allclose(got[0], want, rtol=1e-12, atol=1e-12 * np.abs(want).max())
     assert L.density[0] == pytest.approx(RHO * t.sum())
 
@@ -78,12 +91,18 @@ def test_membrane_coupling_and_bending(z0: float) -> None:
 def test_symmetric_and_numbered_plies_are_the_same_laminate() -> None:
     full = one(pcomp([1e-3, 2e-3, 2e-3, 1e-3], [0.0, 40.0, 40.0, 0.0]), CARBON)
     half = one(pcomp([1e-3, 2e-3], [0.0, 40.0], LAM="SYM"), CARBON)
-    plies = {"MID": ragged([2] * 4), "T": ragged([1e-3, 2e-3, 2e-3, 1e-3]), "THETA": ragged([0.0, 40.0, 40.0, 0.0])}
+    plies = {
+        "MID": ragged([2] * 4),
+        "T": ragged([1e-3, 2e-3, 2e-3, 1e-3]),
+        "THETA": ragged([0.0, 40.0, 40.0, 0.0]),
+    }
     numbered = one(cards("PCOMPG", PID=[1], GPLYID=ragged([7, 8, 9, 11]), **plies), CARBON)
     for other in (half, numbered):
         for name in ("membrane", "bending", "shear", "density"):
             want = getattr(full, name)
-            np.testing.assert_allclose(getattr(other, name), want, rtol=1e-12, atol=1e-9 * np.abs(want).max())
+            np.testing.assert_allclose(
+                getattr(other, name), want, rtol=1e-12, atol=1e-9 * np.abs(want).max()
+            )
 
 
 def test_transverse_shear_of_a_homogeneous_plate_is_five_sixths() -> None:
@@ -97,7 +116,9 @@ def test_transverse_shear_of_a_sandwich() -> None:
     """Thin faces: S = G (c + f)²/c (Allen 1969)."""
     f, c = 1e-5, 0.02
     S = one(pcomp([f, c, f], [0.0] * 3, [2, 3, 2]), BOTH).shear[0]
-    np.testing.assert_allclose(np.diag(S), np.array([4e7, 2e7]) * (c + f) ** 2 / c, rtol=2e-3)  # the faces' own shear
+    np.testing.assert_allclose(
+        np.diag(S), np.array([4e7, 2e7]) * (c + f) ** 2 / c, rtol=2e-3
+    )  # the faces' own shear
 
 
 def test_simplified_laminates() -> None:
@@ -115,11 +136,15 @@ def test_simplified_laminates() -> None:
     core = one(pcomp([1e-3, 1e-3, 0.01], [0.0, 90.0, 0.0], [2, 2, 3], LAM="SMCORE"), BOTH)
     faces = (turned(0) + turned(90)) * 1e-3
     np.testing.assert_allclose(core.membrane[0], faces, rtol=1e-12, atol=1e-3)
-    np.testing.assert_allclose(core.bending[0], faces / 2e-3 * (0.012**3 - 0.01**3) / 12, rtol=1e-12, atol=1e-9)
+    np.testing.assert_allclose(
+        core.bending[0], faces / 2e-3 * (0.012**3 - 0.01**3) / 12, rtol=1e-12, atol=1e-9
+    )
     np.testing.assert_allclose(np.diag(core.shear[0]), [4e5, 2e5])
 
 
-@pytest.mark.parametrize(("half", "whole"), [("SYM", ""), ("SYMEM", "MEM"), ("SYBEND", "BEND"), ("SYSMEAR", "SMEAR")])
+@pytest.mark.parametrize(
+    ("half", "whole"), [("SYM", ""), ("SYMEM", "MEM"), ("SYBEND", "BEND"), ("SYSMEAR", "SMEAR")]
+)
 def test_half_of_the_plies_stands_for_all(half: str, whole: str) -> None:
     lower = one(pcomp([1e-3, 2e-3], [0.0, 40.0], LAM=half), CARBON)
     full = one(pcomp([1e-3, 2e-3, 2e-3, 1e-3], [0.0, 40.0, 40.0, 0.0], LAM=whole), CARBON)
@@ -128,7 +153,9 @@ def test_half_of_the_plies_stands_for_all(half: str, whole: str) -> None:
 
 
 def mindlin(m: int, n: int, a: float, b: float, L: Laminate) -> float:
-    """Simply supported cross-ply plate, first-order shear, no rotary inertia (Reddy 2004, section 6.4), Hz."""
+    """Simply supported cross-ply plate, first-order shear, no rotary inertia (Reddy 2004, section
+    6.4), Hz.
+    """
     p, q, D, S = m * np.pi / a, n * np.pi / b, L.bending[0], L.shear[0]
     k11 = S[0, 0] * p * p + S[1, 1] * q * q
     k12, k13 = S[0, 0] * p, S[1, 1] * q
@@ -140,18 +167,32 @@ def mindlin(m: int, n: int, a: float, b: float, L: Laminate) -> float:
     return float(np.sqrt((k11 - r @ np.linalg.solve(inner, r)) / L.density[0]) / (2 * np.pi))
 
 
-@pytest.mark.parametrize(("card", "order"), [("CQUAD4", 2), ("CTRIA3", 2), ("CQUAD8", 3), ("CTRIA6", 1.8)])
+@pytest.mark.parametrize(
+    ("card", "order"), [("CQUAD4", 2), ("CTRIA3", 2), ("CQUAD8", 3), ("CTRIA6", 1.8)]
+)
 @pytest.mark.parametrize("thickness", [0.1, 0.005])
 def test_simply_supported_cross_ply_plate(card: str, order: float, thickness: float) -> None:
-    """Converges to the closed form at the order, thick (shear takes a third of the frequency) and thin."""
+    """Converges to the closed form at the order, thick (shear takes a third of the frequency) and
+    thin.
+    """
     a, b = 1.0, 0.8
     layup = pcomp([thickness / 4] * 4, [0.0, 90.0, 90.0, 0.0])
-    want = np.sort([mindlin(m, n, a, b, one(layup, CARBON)) for m in (1, 2, 3) for n in (1, 2, 3)])[:3]
+    want = np.sort([mindlin(m, n, a, b, one(layup, CARBON)) for m in (1, 2, 3) for n in (1, 2, 3)])[
+        :3
+    ]
     error = []
     for n in (4, 8) if order > 2 or card == "CTRIA6" else (8, 16):
         xyz, elements, uv = net(card, n, n, rectangle(a, b))
         hard = held(((uv[:, 0] % 1 == 0), "1234"), ((uv[:, 1] % 1 == 0), "1235"))
-        m = model(grid(xyz, PS="126"), shell(card, elements, MCID=0), layup, CARBON, hard, spc=1, COUPMASS=1)
+        m = model(
+            grid(xyz, PS="126"),
+            shell(card, elements, MCID=0),
+            layup,
+            CARBON,
+            hard,
+            spc=1,
+            COUPMASS=1,
+        )
         error.append(np.abs(modes(m, 3) / want - 1).max())
     assert error[1] < 0.02
     assert np.log2(error[0] / error[1]) > order - 0.5
@@ -190,7 +231,9 @@ def test_laminate_of_one_isotropic_ply_is_the_plate(card: str) -> None:
     if card != "CTRIA3":  # a laminate has its shear there, a homogeneous plate not
         assert abs(K - plate.stiffness).max() < 1e-9 * abs(K).max()
     up = assemble(model(grid(xyz), shell(card, elements, ZOFFS=0.01), ply, steel())).stiffness
-    low = assemble(model(grid(xyz), shell(card, elements), pcomp([0.02], [25.0], [1], Z0=0.0), steel())).stiffness
+    low = assemble(
+        model(grid(xyz), shell(card, elements), pcomp([0.02], [25.0], [1], Z0=0.0), steel())
+    ).stiffness
     R = np.zeros((len(xyz), 6))
     R[:, 2] = xyz[:, 0] ** 2 + xyz[:, 0] * xyz[:, 1]
     R[:, 3], R[:, 4] = xyz[:, 0], -2 * xyz[:, 0] - xyz[:, 1]
@@ -279,15 +322,27 @@ def test_complex_step_agrees_with_differences(card: str, what: str) -> None:
     for which in range(2):
         c, a, b, p, q = (v[which] for v in parts)
         want = (8 * (a - b) - (p - q)).real / (12 * h)
-        np.testing.assert_allclose(c.imag / step, want, atol=1e-7 * max(np.abs(want).max(), 1e-6 * np.abs(c).max()))
+        np.testing.assert_allclose(
+            c.imag / step, want, atol=1e-7 * max(np.abs(want).max(), 1e-6 * np.abs(c).max())
+        )
 
 
 def test_mixed_properties() -> None:
     """PSHELL and PCOMP elements in one card's batch: the same plate as either alone."""
     xyz, elements, _ = net("CQUAD4", 4, 4, rectangle())
     p = pshell(0.02, TST=5 / 6)
-    ply = cards("PCOMP", PID=[2], MID=ragged([1]), T=ragged([0.02]), THETA=ragged([0.0]), SOUT=ragged(["NO"]))
+    ply = cards(
+        "PCOMP",
+        PID=[2],
+        MID=ragged([1]),
+        T=ragged([0.02]),
+        THETA=ragged([0.0]),
+        SOUT=ragged(["NO"]),
+    )
     g = {f"G{i + 1}": elements[:, i] for i in range(4)}
     both = cards("CQUAD4", EID=np.arange(1, 17), PID=np.where(np.arange(16) % 3, 1, 2), **g)
-    a, b = (assemble(model(grid(xyz), *parts, steel())) for parts in ((both, p, ply), (shell("CQUAD4", elements), p)))
+    a, b = (
+        assemble(model(grid(xyz), *parts, steel()))
+        for parts in ((both, p, ply), (shell("CQUAD4", elements), p))
+    )
     assert abs(a.stiffness - b.stiffness).max() < 1e-9 * abs(b.stiffness).max()

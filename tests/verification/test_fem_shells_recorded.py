@@ -1,7 +1,8 @@
-"""Entries of element matrices that MSC Nastran wrote (EXTSEOUT, DMIGPCH), as kept in the public repository pyCAFE.
+"""Entries of element matrices that MSC Nastran wrote (EXTSEOUT, DMIGPCH), as kept in the public
+repository pyCAFE.
 
-One CQUAD4, E 2e5, ν 0.3, t 0.1, K6ROT 100: the square (0, 0), (2, 0), (2, 2), (0, 2), and the trapezoid with (1.5, 2)
-for its third corner.
+One CQUAD4, E 2e5, ν 0.3, t 0.1, K6ROT 100: the square (0, 0), (2, 0), (2, 2), (0, 2), and the
+trapezoid with (1.5, 2) for its third corner.
 """
 
 from __future__ import annotations
@@ -45,7 +46,16 @@ def matrix(xyz: Float) -> Float:
         ),
         (
             TRAPEZOID,
-            [9902.928651, 9523.451282, 8941.294036, 6776.198535, 11011.62896, 10337.00252, 10049.99434, 7589.749777],
+            [
+                9902.928651,
+                9523.451282,
+                8941.294036,
+                6776.198535,
+                11011.62896,
+                10337.00252,
+                10049.99434,
+                7589.749777,
+            ],
             [
                 9902.928651,
                 3950.663566,
@@ -60,12 +70,18 @@ def matrix(xyz: Float) -> Float:
         ),
     ],
 )
-def test_membrane_and_drilling(xyz: Float, diagonal: list[float], first: list[float], drilling: list[float]) -> None:
-    """The diagonal and the first row of the membrane, and the drilling, which has no entry between two nodes."""
+def test_membrane_and_drilling(
+    xyz: Float, diagonal: list[float], first: list[float], drilling: list[float]
+) -> None:
+    """The diagonal and the first row of the membrane, and the drilling, which has no entry between
+    two nodes.
+    """
     K = matrix(xyz)
     plane = np.flatnonzero(np.tile([1, 1, 0, 0, 0, 0], 4))
     within = PRINTED * max(diagonal)
     np.testing.assert_allclose(K.diagonal()[plane], diagonal, atol=within)
     np.testing.assert_allclose(K[0, plane], first, atol=within)
     np.testing.assert_allclose(K[5::6, 5::6], np.diag(drilling), atol=2e-9)
-    np.testing.assert_allclose(K[5, [0, 1, 6, 7]], [-0.7692307692, 0.7692307692, 0.0, -0.7692307692], atol=2e-9)
+    np.testing.assert_allclose(
+        K[5, [0, 1, 6, 7]], [-0.7692307692, 0.7692307692, 0.0, -0.7692307692], atol=2e-9
+    )

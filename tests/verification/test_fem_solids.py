@@ -1,4 +1,6 @@
-"""Solid elements on distorted meshes: rigid motions, patches, mass, anisotropy, missing midside nodes, complex step."""
+"""Solid elements on distorted meshes: rigid motions, patches, mass, anisotropy, missing midside
+nodes, complex step.
+"""
 
 from __future__ import annotations
 
@@ -68,7 +70,9 @@ def crystal(seed: int = 0) -> Float:
 
 
 def patch(m: Model, xyz: Float, u: Float) -> float:
-    """The largest error inside when the motion u (n, 3) is imposed on the faces of the unit cube."""
+    """The largest error inside when the motion u (n, 3) is imposed on the faces of the unit
+    cube.
+    """
     s = assemble(m)
     full = np.zeros((len(xyz), 6))
     full[:, :3] = u
@@ -84,11 +88,18 @@ def patch(m: Model, xyz: Float, u: Float) -> float:
     ("quadratic", "corner", "middle", "edges"),
     [
         (hexa20, _SIGNS, _MIDDLES, "CHEXA"),
-        (penta15, [[0, 0, -1], [1, 0, -1], [0, 1, -1], [0, 0, 1], [1, 0, 1], [0, 1, 1]], None, "CPENTA"),
+        (
+            penta15,
+            [[0, 0, -1], [1, 0, -1], [0, 1, -1], [0, 0, 1], [1, 0, 1], [0, 1, 1]],
+            None,
+            "CPENTA",
+        ),
         (tetra10, np.vstack([np.zeros(3), np.eye(3)]), None, "CTETRA"),
     ],
 )
-def test_shape_functions_are_one_at_their_node(quadratic: object, corner: Float, middle: Float, edges: str) -> None:
+def test_shape_functions_are_one_at_their_node(
+    quadratic: object, corner: Float, middle: Float, edges: str
+) -> None:
     corner = np.asarray(corner, dtype=float)
     ends = np.array(SOLIDS[edges].edges)
     points = np.vstack([corner, corner[ends].mean(axis=1) if middle is None else middle])
@@ -96,7 +107,9 @@ def test_shape_functions_are_one_at_their_node(quadratic: object, corner: Float,
 
 
 def test_shape_functions_of_the_pyramid() -> None:
-    """In (a, b, ζ): the apex is all of ζ = 1, the middles of the rising edges are at a, b = ±1, ζ = 1/2."""
+    """In (a, b, ζ): the apex is all of ζ = 1, the middles of the rising edges are at a, b = ±1, ζ =
+    1/2.
+    """
     ab = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     middle = np.array([[0, -1], [1, 0], [0, 1], [-1, 0]])
     points = np.vstack(
@@ -142,17 +155,23 @@ def test_patch_of_constant_strain(name: str) -> None:
 
 @pytest.mark.parametrize("name", SECOND)
 def test_patch_of_pure_bending(name: str) -> None:
-    """Pure bending, a quadratic motion, is exact on a regular mesh of second order, whatever Poisson's ratio."""
+    """Pure bending, a quadratic motion, is exact on a regular mesh of second order, whatever
+    Poisson's ratio.
+    """
     xyz, nodes = cube(name, size=0.0)
     x, y, z = xyz.T
     for nu in (0.0, 0.3, 0.499):
         u = np.column_stack([-x * z, nu * y * z, x**2 / 2 + nu * (z**2 - y**2) / 2])
-        assert patch(body(name, xyz, nodes, steel(E, nu), psolid()), xyz, u) < 1e-7  # conditioning of ν = 0.499
+        assert (
+            patch(body(name, xyz, nodes, steel(E, nu), psolid()), xyz, u) < 1e-7
+        )  # conditioning of ν = 0.499
 
 
 @pytest.mark.parametrize("size", [0.0, 0.1])
 def test_elements_fit_together(size: float) -> None:
-    """A cell of pyramids between hexahedra, a row of wedges: a constant strain goes through all of them."""
+    """A cell of pyramids between hexahedra, a row of wedges: a constant strain goes through all of
+    them.
+    """
     xyz, hexas = box(3, 2, 2, (1.0, 1.0, 1.0))
     xyz, pyramids = cut("CPYRAM5", distorted(xyz, size), hexas[[4, 5]])
     wedges = cut("CPENTA6", xyz, hexas[[8, 10]])[1]
@@ -169,7 +188,9 @@ def test_elements_fit_together(size: float) -> None:
 
 @pytest.mark.parametrize("name", SECOND)
 def test_missing_midside_nodes(name: str) -> None:
-    """An absent midside node is the mean of its ends: the same as an MPC would make of the full element."""
+    """An absent midside node is the mean of its ends: the same as an MPC would make of the full
+    element.
+    """
     xyz, nodes = skewed(name)
     shape = SOLIDS[kind(name)[0]]
     k, edge = shape.corners + 1, shape.edges[1]
@@ -189,11 +210,15 @@ def test_missing_midside_nodes(name: str) -> None:
     assert len(part.free) == T.shape[1]
     np.testing.assert_allclose(part.mass.toarray(), T.T @ full.mass.toarray() @ T, atol=1e-12 * RHO)
     if name != "CTETRA10":  # its four points see the dilatation of the whole element in either case
-        np.testing.assert_allclose(part.stiffness.toarray(), T.T @ full.stiffness.toarray() @ T, atol=1e-9 * E)
+        np.testing.assert_allclose(
+            part.stiffness.toarray(), T.T @ full.stiffness.toarray() @ T, atol=1e-9 * E
+        )
 
 
 def test_linear_and_quadratic_elements_share_an_edge() -> None:
-    """Hexahedra of 20 nodes beside ones of 8: the nodes of the common face are left out, and the patch holds."""
+    """Hexahedra of 20 nodes beside ones of 8: the nodes of the common face are left out, and the
+    patch holds.
+    """
     corner, hexas = box(2, 2, 2, (1.0, 1.0, 1.0))
     corner = distorted(corner, 0.1)
     xyz, fine = cut("CHEXA20", corner, hexas[:4])
@@ -208,7 +233,9 @@ def test_linear_and_quadratic_elements_share_an_edge() -> None:
 
 @pytest.mark.parametrize("name", ELEMENTS)
 def test_mat9_of_an_isotropic_body_is_mat1(name: str) -> None:
-    """Equal to rounding where the dilatation is not projected; equal in a patch, and nearly so, where it is."""
+    """Equal to rounding where the dilatation is not projected; equal in a patch, and nearly so,
+    where it is.
+    """
     xyz, nodes = skewed(name)
     one = assemble(body(name, xyz, nodes)).stiffness.toarray()
     nine = assemble(body(name, xyz, nodes, mat9(isotropic()), psolid(2, -1))).stiffness.toarray()
@@ -229,29 +256,49 @@ def rotation(seed: int = 0) -> Float:
 @pytest.mark.parametrize("cordm", [-1, 7])
 @pytest.mark.parametrize("name", ELEMENTS)
 def test_material_frame_goes_with_the_body(name: str, cordm: int) -> None:
-    """A body turned together with its material frame (of the element, or of a CORD2R) has the same eigenvalues."""
+    """A body turned together with its material frame (of the element, or of a CORD2R) has the same
+    eigenvalues.
+    """
     xyz, nodes = skewed(name)
     R = rotation()
     frame = (
-        {"A1": np.zeros(1)} | {f"B{i + 1}": [R[i, 2]] for i in range(3)} | {f"C{i + 1}": [R[i, 0]] for i in range(3)}
+        {"A1": np.zeros(1)}
+        | {f"B{i + 1}": [R[i, 2]] for i in range(3)}
+        | {f"C{i + 1}": [R[i, 0]] for i in range(3)}
     )
-    still = body(name, xyz, nodes, mat9(crystal()), psolid(2, cordm), cards("CORD2R", CID=[7], B3=1.0, C1=1.0))
-    moved = body(name, xyz @ R.T, nodes, mat9(crystal()), psolid(2, cordm), cards("CORD2R", CID=[7], **frame))
+    still = body(
+        name,
+        xyz,
+        nodes,
+        mat9(crystal()),
+        psolid(2, cordm),
+        cards("CORD2R", CID=[7], B3=1.0, C1=1.0),
+    )
+    moved = body(
+        name, xyz @ R.T, nodes, mat9(crystal()), psolid(2, cordm), cards("CORD2R", CID=[7], **frame)
+    )
     a, b = (np.linalg.eigvalsh(assemble(m).stiffness.toarray()) for m in (still, moved))
     np.testing.assert_allclose(b, a, atol=1e-10 * a[-1])
 
 
 @pytest.mark.parametrize("name", ["CHEXA8", "CPENTA6", "CPYRAM5"])
 def test_element_frame_of_a_regular_body_is_basic(name: str) -> None:
-    """Bricks, and wedges and pyramids upright on them, have the axes of basic: CORDM -1 and 0 are the same."""
+    """Bricks, and wedges and pyramids upright on them, have the axes of basic: CORDM -1 and 0 are
+    the same.
+    """
     xyz, nodes = cube(name, 1, 0.0)
     keep = nodes[:1]  # the first wedge has G1-G2 along x, the first pyramid stands upright
-    K = [assemble(body(name, xyz, keep, mat9(crystal()), psolid(2, c), AUTOSPC="NO")).stiffness for c in (0, -1)]
+    K = [
+        assemble(body(name, xyz, keep, mat9(crystal()), psolid(2, c), AUTOSPC="NO")).stiffness
+        for c in (0, -1)
+    ]
     assert abs(K[0] - K[1]).max() < 1e-12 * abs(K[0]).max()
 
 
 def test_modulus_of_a_turned_lamina() -> None:
-    """1/E(θ) = c⁴/E1 + s⁴/E2 + (1/G12 - 2ν12/E1) s²c² (Lekhnitskii 1963): a bar of one hexahedron, pulled."""
+    """1/E(θ) = c⁴/E1 + s⁴/E2 + (1/G12 - 2ν12/E1) s²c² (Lekhnitskii 1963): a bar of one hexahedron,
+    pulled.
+    """
     E1, E2, nu, G = 140e9, 10e9, 0.3, 5e9
     S = np.diag([1 / E1, 1 / E2, 1 / E2, 1 / G, 1 / G, 1 / G])
     for i, j, v in ((0, 1, -nu / E1), (0, 2, -nu / E1), (1, 2, -0.4 / E2)):
@@ -261,7 +308,9 @@ def test_modulus_of_a_turned_lamina() -> None:
     xyz, nodes = cube("CHEXA8", 1, 0.0)
     m = body("CHEXA8", xyz, nodes, mat9(np.linalg.inv(S)), psolid(2, 7), frame)
     s = assemble(m)
-    u = np.linalg.pinv(s.stiffness.toarray(), rcond=1e-12, hermitian=True) @ _pull(s.free.node, s.free.direction, xyz)
+    u = np.linalg.pinv(s.stiffness.toarray(), rcond=1e-12, hermitian=True) @ _pull(
+        s.free.node, s.free.direction, xyz
+    )
     x = s.free.direction == 1
     end = xyz[s.free.node - 1, 0] > 0.5
     stretch = u[x & end].mean() - u[x & ~end].mean()
@@ -291,12 +340,16 @@ def test_nearest_rotation() -> None:
     Q = nearest(R)
     U = R @ Q.swapaxes(1, 2)
     np.testing.assert_allclose(U, U.swapaxes(1, 2), atol=1e-12)
-    np.testing.assert_allclose(Q @ Q.swapaxes(1, 2), np.broadcast_to(np.eye(3), Q.shape), atol=1e-12)
+    np.testing.assert_allclose(
+        Q @ Q.swapaxes(1, 2), np.broadcast_to(np.eye(3), Q.shape), atol=1e-12
+    )
     assert (np.linalg.eigvalsh(U) > 0).all()
 
 
 def element_matrices(m: Model, move: object = 0.0) -> tuple[Float, Float]:
-    """Element K and M of the first batch, the nodes moved by `move` (n, 3), which may be complex."""
+    """Element K and M of the first batch, the nodes moved by `move` (n, 3), which may be
+    complex.
+    """
     there = mesh(m)
     there = replace(there, xyz=there.xyz + move)
     card, build, at = next(iter(batches(m)))
@@ -307,7 +360,9 @@ def element_matrices(m: Model, move: object = 0.0) -> tuple[Float, Float]:
 @pytest.mark.parametrize("anisotropic", [False, True])
 @pytest.mark.parametrize("name", ELEMENTS)
 def test_complex_step_in_node_coordinates(name: str, anisotropic: bool) -> None:
-    """Against central differences, whose error is about 1e-9 here, with the frame of the element moving along."""
+    """Against central differences, whose error is about 1e-9 here, with the frame of the element
+    moving along.
+    """
     xyz, nodes = skewed(name)
     more = (mat9(crystal()), psolid(2, -1)) if anisotropic else (steel(), psolid())
     d = np.random.default_rng(5).normal(size=xyz.shape)
@@ -319,7 +374,9 @@ def test_complex_step_in_node_coordinates(name: str, anisotropic: bool) -> None:
             assert np.abs(a - (p - q) / 2e-5).max() < 1e-7 * np.abs(a).max()
 
 
-@pytest.mark.parametrize(("card", "field"), [("MAT1", "E"), ("MAT1", "NU"), ("MAT1", "RHO"), ("MAT9", "G14")])
+@pytest.mark.parametrize(
+    ("card", "field"), [("MAT1", "E"), ("MAT1", "NU"), ("MAT1", "RHO"), ("MAT9", "G14")]
+)
 @pytest.mark.parametrize("name", ELEMENTS)
 def test_complex_step_in_the_material(name: str, card: str, field: str) -> None:
     xyz, nodes = skewed(name)
@@ -328,11 +385,15 @@ def test_complex_step_in_the_material(name: str, card: str, field: str) -> None:
     value = m[card][field]
 
     def at(factor: complex) -> tuple[Float, Float]:
-        return element_matrices(replace(m, tables={**m.tables, card: m[card].with_column(field, value * factor)}))
+        return element_matrices(
+            replace(m, tables={**m.tables, card: m[card].with_column(field, value * factor)})
+        )
 
     for exact, p, q in zip(at(1 + 1e-40j), at(1 + 1e-5), at(1 - 1e-5), strict=True):
         d = exact.imag / 1e-40 if np.iscomplexobj(exact) else np.zeros_like(exact)
-        assert np.abs(d - (p - q) / 2e-5).max() < 1e-7 * max(np.abs(d).max(), 1e-3 * np.abs(p).max())
+        assert np.abs(d - (p - q) / 2e-5).max() < 1e-7 * max(
+            np.abs(d).max(), 1e-3 * np.abs(p).max()
+        )
 
 
 def test_elements_that_a_material_affects() -> None:
@@ -345,7 +406,9 @@ def test_elements_that_a_material_affects() -> None:
 
 @pytest.mark.parametrize(("a", "b"), list(combinations(SECOND, 2)))
 def test_second_order_cubes_agree(a: str, b: str) -> None:
-    """The energy of a smooth motion that no element holds exactly: two ways to cut a cube differ by a few percent."""
+    """The energy of a smooth motion that no element holds exactly: two ways to cut a cube differ by
+    a few percent.
+    """
     energy = []
     for name in (a, b):
         xyz, nodes = cube(name, size=0.0)
@@ -378,4 +441,6 @@ def test_inside_out_indefinite_and_fluid_are_refused() -> None:
     with pytest.raises(DeckError, match=r"MAT1 1.*ratio 0\.5 must"):
         assemble(body("CPYRAM5", xyz, nodes, steel(E, 0.5, RHO), psolid()))
     with pytest.raises(UnsupportedCard, match="PFLUID"):
-        assemble(body("CPYRAM5", xyz, nodes, steel(), cards("PSOLID", PID=[1], MID=1, FCTN="PFLUID")))
+        assemble(
+            body("CPYRAM5", xyz, nodes, steel(), cards("PSOLID", PID=[1], MID=1, FCTN="PFLUID"))
+        )

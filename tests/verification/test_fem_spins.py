@@ -1,7 +1,8 @@
-"""Straight chains of bars turn about themselves with neither stiffness nor mass: their modes are found all the same.
+"""Straight chains of bars turn about themselves with neither stiffness nor mass: their modes are
+found all the same.
 
-Free beam of length L: f = β²/2π sqrt(EI/mL⁴), β = 4.730041, 7.853205 (Blevins 1979, table 8-1); its lumped mass is of
-fourth order inside and of second at its ends.
+Free beam of length L: f = β²/2π sqrt(EI/mL⁴), β = 4.730041, 7.853205 (Blevins 1979, table 8-1); its
+lumped mass is of fourth order inside and of second at its ends.
 """
 
 from __future__ import annotations
@@ -46,7 +47,13 @@ def test_free_beam(along: Float, n: int, coupled: int) -> None:
     with EmbeddedSolver().open(free(n, along, COUPMASS=coupled)) as analysis:
         found = analysis.modes(ModesRequest(9))
     f = found.modes.frequencies
-    want = np.sort(np.outer(BETA**2, np.sqrt([I1, I2])).ravel()) / 2 / np.pi / L**2 * np.sqrt(2e11 / (8000 * 1e-2))
+    want = (
+        np.sort(np.outer(BETA**2, np.sqrt([I1, I2])).ravel())
+        / 2
+        / np.pi
+        / L**2
+        * np.sqrt(2e11 / (8000 * 1e-2))
+    )
     assert np.abs(f[:5]).max() < 1e-3 * want[0]
     assert found.complete
     if n > 4:
@@ -56,9 +63,19 @@ def test_free_beam(along: Float, n: int, coupled: int) -> None:
 def test_two_beams_on_springs_spin_alone() -> None:
     """Joined by springs along and across, which turn nothing."""
     (a, one), (b, two) = chain(6, (1, 0, 0)), chain(6, (1, 0, 0), 8, (0, 0.5, 0))
-    bars = cards("CBAR", **{k: np.concatenate([one[k], two[k]]) for k in ("EID", "GA", "GB")}, PID=1, X3=1.0)
+    bars = cards(
+        "CBAR", **{k: np.concatenate([one[k], two[k]]) for k in ("EID", "GA", "GB")}, PID=1, X3=1.0
+    )
     k = np.arange(12)
-    springs = cards("CELAS2", EID=100 + k, K=1e4, G1=1 + 6 * (k % 2), C1=1 + k // 4, G2=8 + 6 * (k % 2), C2=1 + k // 4)
+    springs = cards(
+        "CELAS2",
+        EID=100 + k,
+        K=1e4,
+        G1=1 + 6 * (k % 2),
+        C1=1 + k // 4,
+        G2=8 + 6 * (k % 2),
+        C2=1 + k // 4,
+    )
     both = model(grid(np.vstack([a, b])), bars, SECTION, steel(), springs)
     system = assemble(both)
     assert [system.free.labels()[i][-2:] for i in spins(both, system)] == ["RX", "RX"]
@@ -68,7 +85,9 @@ def test_two_beams_on_springs_spin_alone() -> None:
 
 @pytest.mark.parametrize("apart", [0.0, 0.7])
 def test_point_masses_on_a_bush(apart: float) -> None:
-    """Masses 1 and 3 in a free pair: f = sqrt(K (1/1 + 1/3))/2π along the line, and across where the ends coincide."""
+    """Masses 1 and 3 in a free pair: f = sqrt(K (1/1 + 1/3))/2π along the line, and across where
+    the ends coincide.
+    """
     masses = cards("CONM2", EID=[2, 3], G=[1, 2], M=[1.0, 3.0])
     bush = cards("CBUSH", EID=[1], PID=1, GA=1, GB=2, X3=1.0)
     stiff = cards("PBUSH", PID=[1], K1=300.0, K2=600.0, K3=900.0, K4=5.0, K5=5.0, K6=5.0)
@@ -85,11 +104,18 @@ def test_point_masses_on_a_bush(apart: float) -> None:
 
 def test_what_is_held_or_heavy_is_left_alone() -> None:
     held = free(5, (1, 2, 3), spc([1], "123456"))
-    assert not spins(held, assemble(Model(held.tables, held.params, held.case.__class__(spc=1)))).size
+    assert not spins(
+        held, assemble(Model(held.tables, held.params, held.case.__class__(spc=1)))
+    ).size
     tip = cards("CONM2", EID=[50], G=6, M=1.0, I11=0.1, I22=0.1, I33=0.1)
     heavy = free(5, (1, 2, 3), tip)
     assert not spins(heavy, assemble(heavy)).size
-    bent = model(grid(np.array([[0, 0, 0], [1, 0, 0], [1, 1e-3, 0.0]])), chain(2, (1, 0, 0))[1], SECTION, steel())
+    bent = model(
+        grid(np.array([[0, 0, 0], [1, 0, 0], [1, 1e-3, 0.0]])),
+        chain(2, (1, 0, 0))[1],
+        SECTION,
+        steel(),
+    )
     assert not spins(bent, assemble(bent)).size
     strict = free(5, (1, 0, 0), AUTOSPC="NO")
     with EmbeddedSolver().open(strict) as analysis:
@@ -98,7 +124,9 @@ def test_what_is_held_or_heavy_is_left_alone() -> None:
 
 @pytest.mark.parametrize("offset", [(0.2, 0.1, 0.0), (0.2, 0.0, 0.1), (0.2, 0.1, 0.1)])
 def test_an_offset_mass_joins_the_turns(offset: Float) -> None:
-    """A clamped beam has no spin, whatever its tip mass couples; the mass on a stiff bar in place of an offset."""
+    """A clamped beam has no spin, whatever its tip mass couples; the mass on a stiff bar in place
+    of an offset.
+    """
     xyz, bars = chain(8, (1, 0, 0))
     out = dict(zip(("X1", "X2", "X3"), offset, strict=True))
     mass = cards("CONM2", EID=[50], G=9, M=10.0, **out)
@@ -122,7 +150,9 @@ def test_a_rigid_tip_spins_with_its_line(offset: Float, count: int) -> None:
     xyz, bars = chain(6, (1, 0, 0))
     link = cards("RBE2", EID=[60], GN=8, CM="123456", GM=ragged([7]))
     mass = cards("CONM2", EID=[50], G=8, M=10.0)
-    m = model(grid(np.vstack([xyz, xyz[-1] + np.array(offset)])), bars, SECTION, steel(), link, mass)
+    m = model(
+        grid(np.vstack([xyz, xyz[-1] + np.array(offset)])), bars, SECTION, steel(), link, mass
+    )
     assert spins(m, assemble(m)).size == count
     with EmbeddedSolver().open(m) as analysis:
         f = analysis.modes(ModesRequest(8)).modes.frequencies
@@ -150,10 +180,17 @@ def test_statics_and_derivatives() -> None:
 
 
 def test_dofs_that_nothing_uses_are_left_out_without_autospc() -> None:
-    """A scalar point and the rotations of a node on springs alone, under AUTOSPC,NO; ASING,-1 makes them an error."""
+    """A scalar point and the rotations of a node on springs alone, under AUTOSPC,NO; ASING,-1 makes
+    them an error.
+    """
     k, mass = 4e4, 2.0
     spring = cards("CELAS2", EID=[1, 2, 3], K=k, G1=1, C1=[1, 2, 3])
-    parts = (grid([[0.0, 0, 0]]), spring, cards("CONM2", EID=[9], G=1, M=mass), cards("SPOINT", ID=ragged([77])))
+    parts = (
+        grid([[0.0, 0, 0]]),
+        spring,
+        cards("CONM2", EID=[9], G=1, M=mass),
+        cards("SPOINT", ID=ragged([77])),
+    )
     with EmbeddedSolver().open(model(*parts, AUTOSPC="NO")) as analysis:
         found = analysis.modes(ModesRequest(9))
         assert sorted(analysis.system.autospc.labels()) == ["1+RX", "1+RY", "1+RZ", "77"]
@@ -161,5 +198,8 @@ def test_dofs_that_nothing_uses_are_left_out_without_autospc() -> None:
     np.testing.assert_allclose(found.modes.frequencies, np.sqrt(k / mass) / 2 / np.pi)
     assert found.complete
     assert at[0, 0] == pytest.approx(1 / k)
-    with EmbeddedSolver().open(model(*parts, AUTOSPC="NO", ASING=-1)) as analysis, pytest.raises(SingularModel):
+    with (
+        EmbeddedSolver().open(model(*parts, AUTOSPC="NO", ASING=-1)) as analysis,
+        pytest.raises(SingularModel),
+    ):
         analysis.modes(ModesRequest(9))

@@ -1,8 +1,8 @@
 """Thermal expansion: free bodies without stress, rods between walls, two metals side by side.
 
-A free isotropic body at T = T0 + g·x moves without stress, u = α [(T0 − TREF) x + (g·x) x − g |x|²/2] (Boley and
-Weiner 1960). A rod between walls, half of it warmer by ΔT: its middle moves α ΔT L/4. Two rods tied at both ends:
-u/L = ΔT (E1 A1 α1 + E2 A2 α2)/(E1 A1 + E2 A2).
+A free isotropic body at T = T0 + g·x moves without stress, u = α [(T0 − TREF) x + (g·x) x − g
+|x|²/2] (Boley and Weiner 1960). A rod between walls, half of it warmer by ΔT: its middle moves α ΔT
+L/4. Two rods tied at both ends: u/L = ΔT (E1 A1 α1 + E2 A2 α2)/(E1 A1 + E2 A2).
 """
 
 from __future__ import annotations
@@ -28,7 +28,20 @@ HEAD = (
 )
 AFFINE = np.array([50.0, 30.0, -20.0, 10.0])  # T = 50 + 30 x - 20 y + 10 z
 CORNERS = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
-EDGES = [(0, 1), (1, 2), (2, 3), (3, 0), (0, 4), (1, 5), (2, 6), (3, 7), (4, 5), (5, 6), (6, 7), (7, 4)]
+EDGES = [
+    (0, 1),
+    (1, 2),
+    (2, 3),
+    (3, 0),
+    (0, 4),
+    (1, 5),
+    (2, 6),
+    (3, 7),
+    (4, 5),
+    (5, 6),
+    (6, 7),
+    (7, 4),
+]
 
 
 def solved(path: Path, text: str) -> tuple[Float, Float]:
@@ -41,9 +54,13 @@ def solved(path: Path, text: str) -> tuple[Float, Float]:
 
 
 def strained(x: Float, u: Float, slopes: Float) -> float:
-    """The largest part of the displacements (n, 3) at x (n, 3) that is neither expansion without stress nor rigid."""
+    """The largest part of the displacements (n, 3) at x (n, 3) that is neither expansion without
+    stress nor rigid.
+    """
     g = slopes[1:]
-    free = ALPHA * ((slopes[0] - TREF + (x @ g)[:, None]) * x - g * (x**2).sum(axis=1, keepdims=True) / 2)
+    free = ALPHA * (
+        (slopes[0] - TREF + (x @ g)[:, None]) * x - g * (x**2).sum(axis=1, keepdims=True) / 2
+    )
     rigid = arm(x)[:, :3].reshape(-1, 6)
     rest = (u - free).ravel()
     rest = rest - rigid @ np.linalg.lstsq(rigid, rest, rcond=None)[0]
@@ -52,7 +69,9 @@ def strained(x: Float, u: Float, slopes: Float) -> float:
 
 def body(x: Float, elements: str, held: str) -> str:
     T = AFFINE[0] + x @ AFFINE[1:]
-    nodes = "".join(f"GRID*,{k + 1},,{a!r},{b!r}\n*,{c!r}\n" for k, (a, b, c) in enumerate(x.tolist()))
+    nodes = "".join(
+        f"GRID*,{k + 1},,{a!r},{b!r}\n*,{c!r}\n" for k, (a, b, c) in enumerate(x.tolist())
+    )
     warm = "".join(f"TEMP*,4,{k + 1},{t!r}\n" for k, t in enumerate(T.tolist()))
     return HEAD + nodes + warm + elements + held
 
@@ -68,16 +87,18 @@ def solid(card: str) -> tuple[Float, str]:
         return x[[0, 1, 3, 4, *range(8, 14)]], "CTETRA,1,1,1,2,3,4,5,6\n,7,8,9,10\n"
     if card == "CHEXA20":
         order = [*range(1, 9), *range(9, 21)]
-        return x, "CHEXA,1,1," + ",".join(map(str, order[:6])) + "\n," + ",".join(map(str, order[6:14])) + "\n," + (
-            ",".join(map(str, order[14:])) + "\n"
-        )
+        return x, "CHEXA,1,1," + ",".join(map(str, order[:6])) + "\n," + ",".join(
+            map(str, order[6:14])
+        ) + "\n," + (",".join(map(str, order[14:])) + "\n")
     return x, {
         "CHEXA": "CHEXA,1,1,1,2,3,4,5,6\n,7,8\n",
         "CPENTA": "CPENTA,1,1,1,2,4,5,6,8\nCPENTA,2,1,2,3,4,6,7,8\n",
         "CPYRAM": "CPYRAM,1,1,1,2,3,4,7\nCPYRAM,2,1,1,5,6,2,7\nCPYRAM,3,1,1,4,8,5,7\n",
         "CTETRA": "".join(
             f"CTETRA,{k},1,{a},{b},{c},{d}\n"
-            for k, (a, b, c, d) in enumerate([(1, 2, 4, 5), (2, 3, 4, 7), (2, 5, 6, 7), (4, 5, 7, 8), (2, 4, 5, 7)], 1)
+            for k, (a, b, c, d) in enumerate(
+                [(1, 2, 4, 5), (2, 3, 4, 7), (2, 5, 6, 7), (4, 5, 7, 8), (2, 4, 5, 7)], 1
+            )
         ),
     }[card]
 
@@ -85,7 +106,9 @@ def solid(card: str) -> tuple[Float, str]:
 @pytest.mark.parametrize("card", ["CHEXA", "CHEXA20", "CPENTA", "CPYRAM", "CTETRA", "CTETRA10"])
 def test_free_solids_expand_without_stress(tmp_path: Path, card: str) -> None:
     x, elements = solid(card)
-    xyz, u = solved(tmp_path / "d.bdf", body(x, elements, "SPC1,1,123,1\nSPC1,1,23,2\nSPC1,1,3,3\n"))
+    xyz, u = solved(
+        tmp_path / "d.bdf", body(x, elements, "SPC1,1,123,1\nSPC1,1,23,2\nSPC1,1,3,3\n")
+    )
     assert strained(xyz, u[:, :3], AFFINE) < 1e-9
 
 
@@ -102,7 +125,9 @@ def test_free_solids_expand_without_stress(tmp_path: Path, card: str) -> None:
     ],
 )
 def test_free_shells_and_beams_expand_without_stress(tmp_path: Path, elements: str) -> None:
-    """On an inclined plane, along which the temperature varies; beams on offset ends at one temperature."""
+    """On an inclined plane, along which the temperature varies; beams on offset ends at one
+    temperature.
+    """
     flat = np.array([(0, 0), (1.1, 0.1), (2, 0), (0.1, 1), (0.9, 1.2), (2.1, 0.9)], dtype=float)
     edges = [(0, 1), (1, 4), (4, 3), (3, 0), (0, 4)]
     flat = np.concatenate([flat, [(flat[a] + flat[b]) / 2 for a, b in edges]])
@@ -115,7 +140,10 @@ def test_free_shells_and_beams_expand_without_stress(tmp_path: Path, elements: s
     slopes = np.array([AFFINE[0], *(plane[:, :2] @ (plane[:, :2].T @ AFFINE[1:]))])
     slopes[0] += 0.3 * (AFFINE[1:] - slopes[1:]).sum()
     if "CBAR" in elements:
-        text = "\n".join(line for line in text.splitlines() if not line.startswith("TEMP*")) + "\nTEMPD,9,5.,4,70.\n"
+        text = (
+            "\n".join(line for line in text.splitlines() if not line.startswith("TEMP*"))
+            + "\nTEMPD,9,5.,4,70.\n"
+        )
         slopes = np.array([70.0, 0, 0, 0])
     xyz, u = solved(tmp_path / "d.bdf", text)
     assert strained(xyz[used], u[used, :3], slopes) < 1e-8
@@ -125,14 +153,18 @@ def test_a_rod_between_walls_moves_from_its_warm_half(tmp_path: Path) -> None:
     nodes = "GRID,1,,0.,,,,123456\nGRID,2,,1.,,,,23456\nGRID,3,,2.,,,,123456\n"
     rods = "CROD,1,1,1,2\nCROD,2,1,2,3\nTEMPD,4,20.\nTEMP,4,1,70.,2,70.\n"
     _, u = solved(tmp_path / "d.bdf", HEAD + nodes + rods)
-    assert u[1, 0] == pytest.approx(ALPHA * (50 - 25) * 2 / 4, rel=1e-9)  # the cold rod ends at 70: 25 in the mean
+    assert u[1, 0] == pytest.approx(
+        ALPHA * (50 - 25) * 2 / 4, rel=1e-9
+    )  # the cold rod ends at 70: 25 in the mean
 
 
 def test_two_metals_side_by_side(tmp_path: Path) -> None:
     nodes = "GRID,1,,0.,,,,123456\nGRID,2,,2.,,,,23456\n"
     _, u = solved(tmp_path / "d.bdf", HEAD + nodes + "CROD,1,1,1,2\nCROD,2,2,1,2\nTEMPD,4,100.\n")
     one, two = 2e11 * 1e-3, 1e11 * 3e-3
-    assert u[1, 0] == pytest.approx(2 * (one * ALPHA * 80 + two * 2e-5 * 100) / (one + two), rel=1e-9)
+    assert u[1, 0] == pytest.approx(
+        2 * (one * ALPHA * 80 + two * 2e-5 * 100) / (one + two), rel=1e-9
+    )
 
 
 @pytest.mark.parametrize(
@@ -164,10 +196,10 @@ def test_temperatures_that_cannot_be_taken(
     assert told in capsys.readouterr().err
 
 
-def test_laminates_that_would_expand_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    nodes = (
-        "GRID,1,,0.,,,,123456\nGRID,2,,2.\nGRID,3,,0.,1.\nCTRIA3,1,7,1,2,3\nPCOMP,7\n,1,.01,0.,,1,.01,90.\nTEMPD,4,1.\n"
-    )
+def test_laminates_that_would_expand_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    nodes = "GRID,1,,0.,,,,123456\nGRID,2,,2.\nGRID,3,,0.,1.\nCTRIA3,1,7,1,2,3\nPCOMP,7\n,1,.01,0.,,1,.01,90.\nTEMPD,4,1.\n"
     (tmp_path / "d.bdf").write_text(HEAD + nodes)
     assert run(["static", str(tmp_path / "d.bdf"), "--at", "2+X"]) == 2
     assert "CTRIA3 is not supported: 1 would expand" in capsys.readouterr().err

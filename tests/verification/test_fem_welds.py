@@ -1,4 +1,6 @@
-"""CWELD: patches that follow linear fields, the beam between them, and the equations of GA and GB."""
+"""CWELD: patches that follow linear fields, the beam between them, and the equations of GA and
+GB.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,13 @@ CORNERS = {f"GA{i}": i for i in range(1, 5)} | {f"GB{i}": i + 4 for i in range(1
 
 def weld(xyz: Float = XYZ, p: dict[str, object] | None = None, **more: object) -> Model:
     line = cards("CWELD", EID=[3], PID=5, **({"GS": 8, "TYPE": "GRIDID", **CORNERS} | more))
-    return model(grid(xyz), line, cards("PWELD", PID=[5], MID=1, D=D, **(p or {})), steel(E, NU, GE=0.02), AUTOSPC="NO")
+    return model(
+        grid(xyz),
+        line,
+        cards("PWELD", PID=[5], MID=1, D=D, **(p or {})),
+        steel(E, NU, GE=0.02),
+        AUTOSPC="NO",
+    )
 
 
 def align(xyz: Float = XYZ, **p: float) -> Model:
@@ -49,7 +57,9 @@ def test_it_is_a_shear_flexible_beam() -> None:
 
 
 def test_lengths_that_count() -> None:
-    """Shorter than LDMIN or longer than LDMAX diameters it is as stiff as one of that length; 0 is allowed."""
+    """Shorter than LDMIN or longer than LDMAX diameters it is as stiff as one of that length; 0 is
+    allowed.
+    """
     soft = tip(assemble(align(LDMIN=3.0)))
     assert soft[2, 2] == pytest.approx(3 * D / (E * AREA))
     stiff = tip(assemble(align(LDMAX=1.0)))
@@ -68,10 +78,14 @@ def test_rigid_motions_rank_mass_and_turns(warp: float) -> None:
     assert abs(s.stiffness @ s.rigid_body()).max() < 1e-9 * abs(K).max()
     assert np.linalg.matrix_rank(K, tol=1e-9 * abs(K).max()) == 6
     R = s.rigid_body()[:, :3]
-    np.testing.assert_allclose(R.T @ (s.mass @ R), 8000 * AREA * _length(xyz) * np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(
+        R.T @ (s.mass @ R), 8000 * AREA * _length(xyz) * np.eye(3), atol=1e-12
+    )
     there, Q = turned(xyz)
     big = np.kron(np.eye(20), Q)
-    np.testing.assert_allclose(assemble(weld(there)).stiffness.toarray(), big @ K @ big.T, atol=1e-8 * abs(K).max())
+    np.testing.assert_allclose(
+        assemble(weld(there)).stiffness.toarray(), big @ K @ big.T, atol=1e-8 * abs(K).max()
+    )
 
 
 def _length(xyz: Float) -> float:
@@ -80,7 +94,9 @@ def _length(xyz: Float) -> float:
 
 
 def test_the_patch_follows_a_plate() -> None:
-    """On u = A x the end moves with A x and turns with the surface: θ = (∂w/∂y, −∂w/∂x, (∂v/∂x − ∂u/∂y)/2)."""
+    """On u = A x the end moves with A x and turns with the surface: θ = (∂w/∂y, −∂w/∂x, (∂v/∂x −
+    ∂u/∂y)/2).
+    """
     m = mesh(weld())
     end = on_patch(m, "CWELD", np.array([0]), np.array([[0, 1, 2, 3]]), XYZ[7:8])
     np.testing.assert_allclose(end.place, [[0.05, 0.04, 0]], atol=1e-15)
@@ -107,7 +123,9 @@ def test_given_ends_follow_their_patches() -> None:
     s = assemble(weld(GS=0, GA=9, GB=10))
     assert len(s.free) == 48
     np.testing.assert_allclose(
-        s.expand(s.rigid_body()).reshape(10, 6, 6)[:, 3:, 3:], np.tile(np.eye(3), (10, 1, 1)), atol=1e-12
+        s.expand(s.rigid_body()).reshape(10, 6, 6)[:, 3:, 3:],
+        np.tile(np.eye(3), (10, 1, 1)),
+        atol=1e-12,
     )
     np.testing.assert_allclose(
         s.stiffness.toarray(), assemble(weld()).stiffness.toarray()[:48, :48], rtol=1e-9, atol=1e-3
@@ -117,7 +135,10 @@ def test_given_ends_follow_their_patches() -> None:
 @pytest.mark.parametrize(
     "p",
     [
-        *(parameter(x) for x in (("PWELD", 5, "D"), ("MAT1", 1, "E"), ("MAT1", 1, "NU"), ("MAT1", 1, "RHO"))),
+        *(
+            parameter(x)
+            for x in (("PWELD", 5, "D"), ("MAT1", 1, "E"), ("MAT1", 1, "NU"), ("MAT1", 1, "RHO"))
+        ),
         Parameter("nodes", shapes=(Shape((2, 6), ((0.01, 0.02, 0.01), (0.0, 0.01, 0.02))),)),
     ],
     ids=["D", "E", "NU", "RHO", "nodes"],
@@ -138,15 +159,21 @@ def test_wrong_welds_are_named() -> None:
 
 
 def spot(high: float = H, **p: object) -> Model:
-    """A spot weld between a quadrilateral of thickness 0.004 and a triangle of 0.002, `high` above it."""
+    """A spot weld between a quadrilateral of thickness 0.004 and a triangle of 0.002, `high` above
+    it.
+    """
     xyz = XYZ.copy()
     xyz[4:7, 2] = xyz[9, 2] = high
     quad = cards("CQUAD4", EID=[50], PID=9, G1=1, G2=2, G3=3, G4=4)
     tria = cards("CTRIA3", EID=[51], PID=8, G1=5, G2=6, G3=7)
     skin = cards("PSHELL", PID=[8, 9], MID1=7, T=[2e-3, 4e-3])
-    m = weld(xyz, {"TYPE": "SPOT"} | p, TYPE="ELEMID", SHIDA=50, SHIDB=51, **dict.fromkeys(CORNERS, 0))
+    m = weld(
+        xyz, {"TYPE": "SPOT"} | p, TYPE="ELEMID", SHIDA=50, SHIDB=51, **dict.fromkeys(CORNERS, 0)
+    )
     soft = cards("MAT1", MID=[1, 7], E=[E, 1e-3], NU=NU, RHO=[8000.0, 0.0], GE=[0.02, 0.0])
-    return Model({**m.tables, "CQUAD4": quad, "CTRIA3": tria, "PSHELL": skin, "MAT1": soft}, m.params)
+    return Model(
+        {**m.tables, "CQUAD4": quad, "CTRIA3": tria, "PSHELL": skin, "MAT1": soft}, m.params
+    )
 
 
 @pytest.mark.parametrize("high", [H, 0.003])

@@ -1,4 +1,6 @@
-"""Bare matrices behind the solver's port: modes, derivatives, and exact recovery on a published frame."""
+"""Bare matrices behind the solver's port: modes, derivatives, and exact recovery on a published
+frame.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,14 @@ from ringtrue.update.gauss_newton import update
 from ringtrue.update.objective import Target as Aim
 from ringtrue.update.objective import Weights
 
-FRAME = Path(__file__).parents[3] / "shared" / "data" / "updating" / "concrete_frame" / "ConcreteBuildingFrame.mat"
+FRAME = (
+    Path(__file__).parents[3]
+    / "shared"
+    / "data"
+    / "updating"
+    / "concrete_frame"
+    / "ConcreteBuildingFrame.mat"
+)
 TRUE = np.array([0.05, 0.05, -0.05, -0.1, 0.1, -0.15, 0.15, -0.05, -0.1, 0.2, -0.2, 0.1])
 
 
@@ -39,14 +48,22 @@ def test_contract() -> None:
 
 
 def test_equation_one() -> None:
-    """K(α) = K + Σ α K_i: the modes at α are those of the sum, and the derivatives those of differences."""
+    """K(α) = K + Σ α K_i: the modes at α are those of the sum, and the derivatives those of
+    differences.
+    """
     model = _plate()
     p = model.parameters().take([0, 1])
-    observed: ObservedModel = model.observed(model.observe(np.arange(0, model.size, 7)), request=ModesRequest(5))
+    observed: ObservedModel = model.observed(
+        model.observe(np.arange(0, model.size, 7)), request=ModesRequest(5)
+    )
     x = np.array([0.3, -0.2, 0.0])
     at = observed.linearise(x)
     k, m = model.K + 0.3 * model.stiffness[0], model.M - 0.2 * model.mass[0]
-    assert np.allclose(MatrixModel(k, m).open().modes(ModesRequest(5)).modes.frequencies, at.frequencies, rtol=1e-10)
+    assert np.allclose(
+        MatrixModel(k, m).open().modes(ModesRequest(5)).modes.frequencies,
+        at.frequencies,
+        rtol=1e-10,
+    )
     h = 1e-5
     for i in range(len(p)):
         e = h * np.eye(3)[i]
@@ -85,7 +102,9 @@ def test_what_is_no_model_is_refused() -> None:
 @pytest.mark.data
 @pytest.mark.skipif(not FRAME.is_file(), reason=f"needs {FRAME.name} of the shared data")
 def test_published_frame_is_recovered() -> None:
-    """Twelve stiffness parameters of a 2302-DOF frame from six noise-free modes at 43 sensors, from nominal."""
+    """Twelve stiffness parameters of a 2302-DOF frame from six noise-free modes at 43 sensors, from
+    nominal.
+    """
     data = read_matrices(FRAME)
     model = MatrixModel(data["K0"], data["M0"], stiffness=[data[f"E_{i}"] for i in range(1, 13)])
     rows = data.arrays["measDOFs"].ravel().astype(np.int64) - 1
@@ -93,7 +112,13 @@ def test_published_frame_is_recovered() -> None:
     observed = model.observed(model.observe(rows), parameters=parameters, request=ModesRequest(8))
     truth = observed.modes(TRUE)
     n = 6
-    aim = Aim(truth.frequencies[:n], truth.shapes[:, :n], np.zeros(n), np.ones(n, dtype=bool), Weights(1e-4, 1e-4, 1.0))
+    aim = Aim(
+        truth.frequencies[:n],
+        truth.shapes[:, :n],
+        np.zeros(n),
+        np.ones(n, dtype=bool),
+        Weights(1e-4, 1e-4, 1.0),
+    )
     found = update(observed, aim, iterations=40)
     assert found.outcome.name == "CONVERGED"
     assert np.abs(found.x - TRUE).max() < 1e-6

@@ -1,4 +1,6 @@
-"""Meshes refined once: the same as one made with elements of half the size, and the same structure."""
+"""Meshes refined once: the same as one made with elements of half the size, and the same
+structure.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,9 @@ def frequencies(m: Model, count: int = 8) -> Float:
 
 
 def plate(n: int, triangles: bool = False) -> Model:
-    """n x n elements, 1 m x 0.7 m, two sides clamped, one of quadrilaterals on rollers by its PS fields."""
+    """n x n elements, 1 m x 0.7 m, two sides clamped, one of quadrilaterals on rollers by its PS
+    fields.
+    """
     xyz, quads = square(n, 1.0, 0.7)
     held = np.where((xyz[:, 1] == 0.7) & (not triangles), "3", "")
     table = fem_cases.triangles(quads) if triangles else fem_cases.shells(quads)
@@ -51,18 +55,27 @@ def solid(name: str, n: int) -> Model:
     xyz, nodes = cut(name, *box(2 * n, n, n, (0.5, 0.3, 0.2)))
     card = name.rstrip("0123456789")
     return model(
-        grid(xyz), elements(card, nodes), psolid(), steel(), spc(np.flatnonzero(xyz[:, 0] == 0) + 1, "123"), spc=1
+        grid(xyz),
+        elements(card, nodes),
+        psolid(),
+        steel(),
+        spc(np.flatnonzero(xyz[:, 0] == 0) + 1, "123"),
+        spc=1,
     )
 
 
 @pytest.mark.parametrize("name", ["CHEXA8", "CPENTA6", "CHEXA20", "CPENTA15"])
 def test_solids_refined_are_those_of_twice_the_elements(name: str) -> None:
-    np.testing.assert_allclose(frequencies(refined(solid(name, 1))), frequencies(solid(name, 2)), rtol=SAME)
+    np.testing.assert_allclose(
+        frequencies(refined(solid(name, 1))), frequencies(solid(name, 2)), rtol=SAME
+    )
 
 
 @pytest.mark.parametrize("card", ["CQUAD8", "CTRIA6"])
 @pytest.mark.parametrize("curved", [False, True])
-def test_shells_of_the_second_order_refined_are_those_of_twice_the_elements(card: str, curved: bool) -> None:
+def test_shells_of_the_second_order_refined_are_those_of_twice_the_elements(
+    card: str, curved: bool
+) -> None:
     """Thicker from corner to corner; bent to a parabola, on which the new nodes lie, too."""
 
     def made(n: int) -> Model:
@@ -71,14 +84,23 @@ def test_shells_of_the_second_order_refined_are_those_of_twice_the_elements(card
         corners = xyz[nodes[:, : 3 if card == "CTRIA6" else 4] - 1, 0]
         thick = {f"T{k + 1}": 0.01 + 0.005 * corners[:, k] for k in range(corners.shape[1])}
         edge = np.flatnonzero(xyz[:, 0] == 0) + 1
-        return model(grid(xyz), shell(card, nodes, **thick), pshell(0.01), steel(), spc(edge, "123456"), spc=1)
+        return model(
+            grid(xyz),
+            shell(card, nodes, **thick),
+            pshell(0.01),
+            steel(),
+            spc(edge, "123456"),
+            spc=1,
+        )
 
     tolerance = FIRST if curved and card == "CTRIA6" else SAME
     np.testing.assert_allclose(frequencies(refined(made(2))), frequencies(made(4)), rtol=tolerance)
 
 
 def test_shells_on_solids_of_the_second_order_share_their_new_nodes() -> None:
-    """A skin on the face x = 0.5 of bricks, clamped at x = 0: coarse or refined, it has no node of its own."""
+    """A skin on the face x = 0.5 of bricks, clamped at x = 0: coarse or refined, it has no node of
+    its own.
+    """
     m = solid("CHEXA20", 1)
     t = m["CHEXA"]
     end = np.flatnonzero(positions(m)[m["GRID"].find(t["G2"])][:, 0] == 0.5)
@@ -109,7 +131,9 @@ def test_edges_joined_node_by_node_stay_joined(joint: str) -> None:
     cantilever = {"GRID": grid(x), "SPC1": spc(np.flatnonzero(x[:, 0] == 0) + 1, "123456")}
     m = replace(m, tables={**m.tables, **cantilever})
     seam, (xyz, quads) = np.flatnonzero(x[:, 0] == 0.5), square(4, 1.0, 0.7)
-    twin = np.arange(1, seam.size + 1) + len(x)  # of the nodes of the seam, for the elements beyond it
+    twin = np.arange(1, seam.size + 1) + len(
+        x
+    )  # of the nodes of the seam, for the elements beyond it
     beyond = xyz[quads - 1, 0].mean(axis=1) > 0.5
     other = np.arange(len(x) + 1)
     other[seam + 1] = twin
@@ -118,11 +142,17 @@ def test_edges_joined_node_by_node_stay_joined(joint: str) -> None:
     tied = ragged(*np.repeat(np.stack([twin, seam + 1], axis=1), 6, axis=0))  # six motions a pair
     motion = ragged(*np.tile(np.arange(1, 7), seam.size)[:, None].repeat(2, axis=1))
     rigid = {
-        "RBE2": lambda: cards("RBE2", EID=number, GN=seam + 1, CM="123456", GM=ragged(*twin[:, None])),
+        "RBE2": lambda: cards(
+            "RBE2", EID=number, GN=seam + 1, CM="123456", GM=ragged(*twin[:, None])
+        ),
         "RBAR": lambda: cards("RBAR", EID=number, CNA="123456", CMB="123456", **ends),
         "RBAR1": lambda: cards("RBAR1", EID=number, CB="123456", **ends),
         "MPC": lambda: cards(
-            "MPC", SID=np.full(6 * seam.size, 3), G=tied, C=motion, A=ragged(*[[1.0, -1.0]] * 6 * seam.size)
+            "MPC",
+            SID=np.full(6 * seam.size, 3),
+            G=tied,
+            C=motion,
+            A=ragged(*[[1.0, -1.0]] * 6 * seam.size),
         ),
     }[joint]()
     apart = {
@@ -141,7 +171,9 @@ def test_midside_nodes_of_curved_solids_lie_on_their_curves(name: str) -> None:
     m = solid(name, 1)
     bent = m["GRID"]
     for axis, slope in (("X2", 0.3), ("X3", -0.2)):
-        bent = bent.with_column(axis, bent[axis] + slope * bent["X1"] ** 2)  # within the shape functions
+        bent = bent.with_column(
+            axis, bent[axis] + slope * bent["X1"] ** 2
+        )  # within the shape functions
     fine, straight = refined(replace(m, tables={**m.tables, "GRID": bent})), positions(refined(m))
     x = positions(fine)
     np.testing.assert_allclose(x[:, 0], straight[:, 0], atol=1e-12)
@@ -158,13 +190,17 @@ def frame(**bars: object) -> Model:
     table = cards("CBAR", EID=np.arange(1, 6), PID=1, GA=ends[:, 0], GB=ends[:, 1], **given)
     round_ = cards("CORD2C", CID=[5], B3=1.0, C1=1.0)
     bar = cards("PBAR", PID=[1], MID=1, A=1e-3, I1=4e-7, I2=1e-7, J=2e-7, K1=0.8, K2=0.7)
-    return model(grid(xyz, CD=5), table, round_, bar, steel(), spc(np.array([1, 6]), "123456"), spc=1)
+    return model(
+        grid(xyz, CD=5), table, round_, bar, steel(), spc(np.array([1, 6]), "123456"), spc=1
+    )
 
 
 def condensed(m: Model, nodes: Int) -> Float:
     """Stiffness on the six DOFs of some nodes, in basic."""
     system = assemble(m)
-    full = system.transform @ np.linalg.solve(system.stiffness.toarray(), system.transform.T.toarray())
+    full = system.transform @ np.linalg.solve(
+        system.stiffness.toarray(), system.transform.T.toarray()
+    )
     at = (6 * m["GRID"].find(nodes)[:, None] + np.arange(6)).ravel()
     return np.linalg.inv(full[np.ix_(at, at)])
 
@@ -195,7 +231,9 @@ def test_beams_with_unlike_ends_and_rods_by_themselves_stay_whole() -> None:
                  JB=1e-7, **{k: ragged([], []) for k in ("X", "AX", "I1X", "I2X", "I12X", "JX", "NSMX")})  # fmt: skip
     rods = cards("CROD", EID=[21, 22], PID=4, G1=[1, 1], G2=[6, 2])
     rod = cards("PROD", PID=[4], MID=1, A=1e-3)
-    fine = refined(Model(dict(m.tables) | {t.card: t for t in (beams, ends, rods, rod)}, {}, m.case))
+    fine = refined(
+        Model(dict(m.tables) | {t.card: t for t in (beams, ends, rods, rod)}, {}, m.case)
+    )
     assert len(fine["CBEAM"]) == 3  # that of equal ends in halves
     assert fine["CROD"].ids[:2].tolist() == [21, 22]
     assert len(fine["CROD"]) == 3  # that along a bar in halves
@@ -241,13 +279,17 @@ def test_the_mesh_error_is_that_against_a_fine_mesh(kind: str) -> None:
     true = modes.frequencies / frequencies(fine, 3) - 1
     assert (np.abs(true) > 0.002).all()
     ratio = found.relative / true
-    assert ((ratio > 0.5) & (ratio < 2)).all()  # an estimate: the order is not reached on meshes this coarse
+    assert (
+        (ratio > 0.5) & (ratio < 2)
+    ).all()  # an estimate: the order is not reached on meshes this coarse
     assert found.nodes[1] > 2 * found.nodes[0]
 
 
 def test_rigid_body_modes_have_no_mesh_error() -> None:
     m = plate(4)
-    free = Model({c: t for c, t in m.tables.items() if c != "SPC1"} | {"GRID": grid(positions(m))}, {})
+    free = Model(
+        {c: t for c, t in m.tables.items() if c != "SPC1"} | {"GRID": grid(positions(m))}, {}
+    )
     with EmbeddedSolver().open(free) as analysis:
         found = mesh_errors(free, analysis.modes(ModesRequest(9)).modes, EmbeddedSolver())
         alone = mesh_errors(free, analysis.modes(ModesRequest(6)).modes, EmbeddedSolver())
@@ -262,7 +304,14 @@ def test_rigid_body_modes_have_no_mesh_error() -> None:
 def test_a_truss_has_nothing_to_split() -> None:
     xyz = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
     rods = cards("CROD", EID=[1, 2], PID=1, G1=[1, 1], G2=[2, 3])
-    m = model(grid(xyz), rods, cards("PROD", PID=[1], MID=1, A=1e-3), steel(), spc(np.array([2, 3]), "123"), spc=1)
+    m = model(
+        grid(xyz),
+        rods,
+        cards("PROD", PID=[1], MID=1, A=1e-3),
+        steel(),
+        spc(np.array([2, 3]), "123"),
+        spc=1,
+    )
     with EmbeddedSolver().open(m) as analysis:
         found = mesh_errors(m, analysis.modes(ModesRequest(2)).modes, EmbeddedSolver())
     assert not found.off.size

@@ -1,6 +1,8 @@
-"""A cantilever of PBARL and PBEAML rods (CBAR and CBEAM elements), read and solved; closed sections.
+"""A cantilever of PBARL and PBEAML rods (CBAR and CBEAM elements), read and solved; closed
+sections.
 
-Golden: Simcenter Nastran 2020 (5/9/19), `beam_modes.f06`, page 13: ten frequencies printed with seven digits.
+Golden: Simcenter Nastran 2020 (5/9/19), `beam_modes.f06`, page 13: ten frequencies printed with
+seven digits.
 """
 
 from __future__ import annotations
@@ -38,7 +40,9 @@ def same(a: dict[str, float], b: dict[str, float], rel: float = 1e-6) -> None:
 
 
 def test_closed_sections_that_become_a_box() -> None:
-    """A hat without brims on its plate, and two cells parted by next to nothing or by a wall that carries no flow."""
+    """A hat without brims on its plate, and two cells parted by next to nothing or by a wall that
+    carries no flow.
+    """
     box = SECTIONS["BOX1"][1]
     same(SECTIONS["HAT1"][1](4.0, 3.0, 4.0 - 2e-9, 0.2, 0.3), box(4.0, 3.0, 0.2, 0.3, 0.2, 0.2))
     thin = SECTIONS["DBOX"][1](6.0, 3.0, 2.0, 0.1, 1e-9, 0.2, 0.3, 0.4, 0.3, 0.4)
@@ -53,7 +57,13 @@ def test_closed_sections_that_become_a_box() -> None:
 
 def test_blank_dimensions_of_a_double_box(tmp_path: Path) -> None:
     """DIM5 to DIM8 are DIM4, DIM9 and DIM10 are DIM6 (Quick Reference Guide, PBARL, remark 9)."""
-    rows = ["PBARL,1,1,,DBOX", "+,6.,3.,2.,.1,,.2", "PBARL,2,1,,DBOX", "+,6.,3.,2.,.1,.1,.2,.1,.1", "+,.2,.2,7."]
+    rows = [
+        "PBARL,1,1,,DBOX",
+        "+,6.,3.,2.,.1,,.2",
+        "PBARL,2,1,,DBOX",
+        "+,6.,3.,2.,.1,.1,.2,.1,.1",
+        "+,.2,.2,7.",
+    ]
     (tmp_path / "m.bdf").write_text("\n".join(rows))
     t = read_deck(tmp_path / "m.bdf")["PBAR"]
     assert t["J"][0] == t["J"][1]
@@ -73,9 +83,13 @@ def composite(tmp_path: Path, text: str) -> dict[str, float]:
 
 
 def test_lumped_areas_of_a_pbcomp(tmp_path: Path) -> None:
-    """Four corners y = 0.1 +- 0.03, z = +-0.04 of a quarter of A each; I1 and I2 of the card do not count."""
+    """Four corners y = 0.1 +- 0.03, z = +-0.04 of a quarter of A each; I1 and I2 of the card do not
+    count.
+    """
     corners = [(y, z, 0.25) for y in (0.07, 0.13) for z in (-0.04, 0.04)]
-    areas = "".join(f"+,{y},{z},{c},{mid}\n+\n" for (y, z, c), mid in zip(corners, ("", 1, "", 1), strict=True))
+    areas = "".join(
+        f"+,{y},{z},{c},{mid}\n+\n" for (y, z, c), mid in zip(corners, ("", 1, "", 1), strict=True)
+    )
     p = composite(tmp_path, FOUR.format(symmetry=5) + areas.replace("+\n", ""))
     want = {
         "A": 2e-3,
@@ -94,9 +108,18 @@ def test_lumped_areas_of_a_pbcomp(tmp_path: Path) -> None:
 def test_a_quarter_of_a_pbcomp_and_one_without_areas(tmp_path: Path) -> None:
     """Mirrored about both axes; without areas it is a PBEAM, whose points are those of stresses."""
     p = composite(tmp_path, FOUR.format(symmetry=1) + "+,.03,.04,.25\n")
-    assert [p[n] for n in ("A", "I1", "I2", "I12", "N1A")] == pytest.approx([2e-3, 1.8e-6, 3.2e-6, 0, 0], abs=1e-15)
+    assert [p[n] for n in ("A", "I1", "I2", "I12", "N1A")] == pytest.approx(
+        [2e-3, 1.8e-6, 3.2e-6, 0, 0], abs=1e-15
+    )
     p = composite(tmp_path, "PBCOMP,7,1,2.-3,4.-6,5.-6,1.-6,3.-6\n+,,,,,.01,.02\n+,.03,.04\n")
-    assert [p[n] for n in ("I1", "I2B", "I12", "N1A", "N2B", "K1")] == [4e-6, 5e-6, 1e-6, 0.01, 0.02, 1.0]
+    assert [p[n] for n in ("I1", "I2B", "I12", "N1A", "N2B", "K1")] == [
+        4e-6,
+        5e-6,
+        1e-6,
+        0.01,
+        0.02,
+        1.0,
+    ]
 
 
 @pytest.mark.parametrize(

@@ -1,13 +1,13 @@
 """Ambient identification against a system whose modes are known.
 
-Six modal degrees of freedom in white noise, exact discrete solution at every sample, ten accelerometers, sensor
-noise 20 dB below:
+Six modal degrees of freedom in white noise, exact discrete solution at every sample, ten
+accelerometers, sensor noise 20 dB below:
 
     f (Hz)  0.7   1.85  1.90  5.0  11.8  26
     ζ (%)   2.0   1.0   1.3   0.8   0.7   1.5
 
-The shapes are orthonormal, so the pair at 1.85 and 1.90 Hz is separable. Statistical floor (Gersch 1974):
-σ_f/f = sqrt(ζ/(2π f T)), σ_ζ/ζ = sqrt(1/(2π ζ f T)).
+The shapes are orthonormal, so the pair at 1.85 and 1.90 Hz is separable. Statistical floor (Gersch
+1974): σ_f/f = sqrt(ζ/(2π f T)), σ_ζ/ζ = sqrt(1/(2π ζ f T)).
 """
 
 from __future__ import annotations
@@ -21,7 +21,12 @@ from scipy.signal import lfilter
 
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import DataError
-from ringtrue.identify.ambient import AmbientResult, AmbientSettings, identify_ambient, identify_stretches
+from ringtrue.identify.ambient import (
+    AmbientResult,
+    AmbientSettings,
+    identify_ambient,
+    identify_stretches,
+)
 from ringtrue.identify.ambient_record import one_motion
 from ringtrue.identify.ssi import SsiCov, ssi_cov
 from ringtrue.shapes.mac import mac
@@ -34,11 +39,15 @@ DATA = Path(__file__).parents[2].parent / "shared/data/oma"
 
 
 def wrap(y: np.ndarray, rate: float) -> TimeHistory:
-    return TimeHistory(y, rate, tuple(Channel(f"{i + 1}+Z", "acceleration") for i in range(len(y))), "made")
+    return TimeHistory(
+        y, rate, tuple(Channel(f"{i + 1}+Z", "acceleration") for i in range(len(y))), "made"
+    )
 
 
 def response(force: np.ndarray, derivative: int = 2) -> np.ndarray:
-    """Modal accelerations (6, sample) for modal forces (6, sample), force held over a sample (exact)."""
+    """Modal accelerations (6, sample) for modal forces (6, sample), force held over a sample
+    (exact).
+    """
     w = 2 * np.pi * F
     lam = -Z * w + 1j * w * np.sqrt(1 - Z**2)
     out = []
@@ -87,7 +96,9 @@ def test_rates_of_turning_beside_accelerations_rise_by_one_derivative():
 
 
 def test_accelerations_velocities_and_displacements_are_one_motion():
-    """Shapes of velocities stand a quarter of a turn off those of accelerations: no complex modes."""
+    """Shapes of velocities stand a quarter of a turn off those of accelerations: no complex
+    modes.
+    """
     rng, kinds = np.random.default_rng(5), np.array([2, 2, 2, 2, 1, 1, 1, 0, 0, 0])
     force = rng.standard_normal((6, int(MINUTES * 60 * RATE) + 6000))
     y = np.concatenate([PHI[kinds == k] @ response(force, k)[:, 6000:] for k in (2, 1, 0)])
@@ -110,7 +121,9 @@ def test_bias_is_small_and_stated_deviation_covers_the_scatter():
         sf[k], sz[k] = r.uncertainty.frequency[at], r.uncertainty.damping[at]
     floor = np.sqrt(Z / (2 * np.pi * F * MINUTES * 60))
     assert np.abs(f.mean(0) / F - 1).max() < 3 * (2.5 * floor / np.sqrt(SEEDS)).max()
-    assert (np.abs(f / F - 1) < 6 * floor).all()  # estimates are within twice the floor's scatter, at three sigma
+    assert (
+        np.abs(f / F - 1) < 6 * floor
+    ).all()  # estimates are within twice the floor's scatter, at three sigma
     # 36 values of each: the root mean square of error over σ has a standard deviation of 12 %
     assert 0.65 < np.sqrt((((f - F) / sf) ** 2).mean()) < 1.35
     assert 0.65 < np.sqrt((((z - Z) / sz) ** 2).mean()) < 1.35
@@ -118,7 +131,9 @@ def test_bias_is_small_and_stated_deviation_covers_the_scatter():
 
 
 def wandering(seed: int, share: float) -> AmbientResult:
-    """An hour whose frequencies go up and down together by `share` (standard deviation), as its time is stretched."""
+    """An hour whose frequencies go up and down together by `share` (standard deviation), as its
+    time is stretched.
+    """
     y, t = record(seed, 60), np.arange(int(3600 * RATE)) / RATE
     warped = t - share * np.sqrt(2) * 3600 / (2 * np.pi) * np.cos(2 * np.pi * t / 3600)
     y = np.array([np.interp(warped, t, x) for x in y])
@@ -137,9 +152,13 @@ def test_a_frequency_that_wanders_is_named_and_its_damping_in_doubt():
 
 
 def test_gusts_leave_the_damping_to_the_blocks_of_the_record():
-    """A force of four times the level for half of each three minutes: its spectrum would state too little scatter."""
+    """A force of four times the level for half of each three minutes: its spectrum would state too
+    little scatter.
+    """
     y, t = record(2, 20), np.arange(int(1200 * RATE)) / RATE
-    gusts = identify_ambient(wrap(y * np.where(t % 180 < 90, 4.0, 1.0), RATE), AmbientSettings(fmin=1.0, fmax=10.0))
+    gusts = identify_ambient(
+        wrap(y * np.where(t % 180 < 90, 4.0, 1.0), RATE), AmbientSettings(fmin=1.0, fmax=10.0)
+    )
     even = identify_ambient(wrap(y, RATE), AmbientSettings(fmin=1.0, fmax=10.0))
     assert all("maximum likelihood" in x for x in even.reasons)
     assert not any("maximum likelihood" in x for x in gusts.reasons)
@@ -186,7 +205,9 @@ def test_free_decays_in_the_record_do_no_harm():
 
 def test_a_machine_is_flagged_and_is_no_mode():
     y, t = record(12), np.arange(int(MINUTES * 60 * RATE)) / RATE
-    y = y + 0.4 * y.std() * np.outer(np.random.default_rng(1).standard_normal(10), np.sin(2 * np.pi * 16.2 * t))
+    y = y + 0.4 * y.std() * np.outer(
+        np.random.default_rng(1).standard_normal(10), np.sin(2 * np.pi * 16.2 * t)
+    )
     r = identify_ambient(wrap(y, RATE))
     assert [h.frequency for h in r.harmonics] == pytest.approx([16.2], abs=0.1)
     assert np.abs(r.modes.frequencies - 16.2).min() > 0.3
@@ -203,15 +224,23 @@ def test_a_dead_channel_is_left_out_and_said():
 
 def test_orders_of_one_band_agree_with_the_truth():
     y = record(3, 4)
-    p = ssi_cov(wrap(y, RATE), SsiCov(block_rows=40, order_max=30), references=["1+Z", "4+Z", "7+Z"])
+    p = ssi_cov(
+        wrap(y, RATE), SsiCov(block_rows=40, order_max=30), references=["1+Z", "4+Z", "7+Z"]
+    )
     near = np.abs(p.frequencies - 11.8) < 0.1
     assert len(set(p.order[near].tolist())) > 8
     best = np.flatnonzero(near)[np.argmin(p.std_frequency[near])]
     assert abs(p.frequencies[best] - 11.8) < 4 * p.std_frequency[best]
-    whole = ssi_cov(wrap(y, RATE), SsiCov(block_rows=40, order_max=30, blocks=1), references=["1+Z", "4+Z", "7+Z"])
+    whole = ssi_cov(
+        wrap(y, RATE),
+        SsiCov(block_rows=40, order_max=30, blocks=1),
+        references=["1+Z", "4+Z", "7+Z"],
+    )
     assert np.isnan(whole.std_frequency).all()
     twin = whole.frequencies[whole.order == p.order[best]]
-    assert np.abs(twin - p.frequencies[best]).min() < 0.5 * p.std_frequency[best]  # the blocks weigh a little otherwise
+    assert (
+        np.abs(twin - p.frequencies[best]).min() < 0.5 * p.std_frequency[best]
+    )  # the blocks weigh a little otherwise
     with pytest.raises(DataError, match="no reference"):
         ssi_cov(wrap(y, RATE), references=["99+Z"])
 
@@ -219,7 +248,10 @@ def test_orders_of_one_band_agree_with_the_truth():
 def test_a_record_in_stretches_gives_the_same_modes():
     whole = record(4, 20)
     parts = [wrap(x, RATE) for x in np.split(whole, 4, axis=1)]
-    a, b = identify_ambient(wrap(whole, RATE)), identify_stretches(iter(parts), AmbientSettings(fmin=0.5))
+    a, b = (
+        identify_ambient(wrap(whole, RATE)),
+        identify_stretches(iter(parts), AmbientSettings(fmin=0.5)),
+    )
     i, j = paired(a), paired(b)
     assert (i >= 0).all()
     assert (j >= 0).all()
@@ -243,14 +275,21 @@ def test_a_second_stretch_that_is_too_short_changes_nothing():
 
 def test_a_record_too_short_is_refused():
     with pytest.raises(DataError, match="too short"):
-        identify_ambient(wrap(np.random.default_rng(1).standard_normal((2, 120)), 100.0), AmbientSettings(fmin=40.0))
+        identify_ambient(
+            wrap(np.random.default_rng(1).standard_normal((2, 120)), 100.0),
+            AmbientSettings(fmin=40.0),
+        )
 
 
 @pytest.mark.data
 @pytest.mark.skipif(not DATA.exists(), reason="../shared/data is not here")
 def test_building_with_two_close_pairs():
-    """L-shaped building, published exact values; its time integration lowers f by some 0.3e-4 f² relative."""
-    exact = np.array([2.63186, 2.69173, 3.43042, 8.29742, 8.42882, 10.6272, 14.0053, 14.0930, 17.5741])
+    """L-shaped building, published exact values; its time integration lowers f by some 0.3e-4 f²
+    relative.
+    """
+    exact = np.array(
+        [2.63186, 2.69173, 3.43042, 8.29742, 8.42882, 10.6272, 14.0053, 14.0930, 17.5741]
+    )
     r = identify_ambient(wrap(np.load(DATA / "l_building/set1.npy").T, 100.0))
     assert len(r.modes) == 9
     # four standard deviations of the least certain (0.09 to 0.17 %)
@@ -260,8 +299,12 @@ def test_building_with_two_close_pairs():
 @pytest.mark.data
 @pytest.mark.skipif(not DATA.exists(), reason="../shared/data is not here")
 def test_timber_building_as_published():
-    r = identify_ambient(wrap(np.load(DATA / "palisaden/Palisaden_dataset.npy").T, 100.0), AmbientSettings(fmax=3.0))
-    assert r.modes.frequencies == pytest.approx([1.882, 2.422, 2.687], rel=2e-3)  # two published methods differ so
+    r = identify_ambient(
+        wrap(np.load(DATA / "palisaden/Palisaden_dataset.npy").T, 100.0), AmbientSettings(fmax=3.0)
+    )
+    assert r.modes.frequencies == pytest.approx(
+        [1.882, 2.422, 2.687], rel=2e-3
+    )  # two published methods differ so
 
 
 @pytest.mark.data

@@ -1,4 +1,6 @@
-"""A choice by hand on an ambient record with known modes: what is picked is treated as the automatic modes are."""
+"""A choice by hand on an ambient record with known modes: what is picked is treated as the
+automatic modes are.
+"""
 
 from __future__ import annotations
 
@@ -33,9 +35,13 @@ def test_replayed_as_it_is_it_changes_nothing(auto: AmbientResult) -> None:
 
 
 def test_a_pole_of_an_order_is_taken_as_it_is(auto: AmbientResult) -> None:
-    """Its frequency, damping and standard deviations are those of the diagram; the other modes keep their numbers."""
+    """Its frequency, damping and standard deviations are those of the diagram; the other modes keep
+    their numbers.
+    """
     d = auto.diagrams[0]
-    at = np.flatnonzero((d.cluster >= 0) & (np.abs(d.poles.frequencies - 11.8) < 0.1) & (d.poles.order >= 30))
+    at = np.flatnonzero(
+        (d.cluster >= 0) & (np.abs(d.poles.frequencies - 11.8) < 0.1) & (d.poles.order >= 30)
+    )
     k = int(at[0])
     pick = Pick(float(d.poles.frequencies[k]), int(d.poles.order[k]))
     found = by_hand(Choice((pick,)))
@@ -69,17 +75,24 @@ def test_rejected_and_merged(auto: AmbientResult) -> None:
     np.testing.assert_array_equal(found.modes.frequencies, auto.modes.frequencies[[0, 2]])
     assert f"mode at {auto.modes.frequencies[1]:.5g} Hz rejected by hand: crane" in found.notes
     assert "rejected by hand, but not there: a mode at 20 Hz" in found.notes
-    with pytest.raises(DataError, match="made: pick at 20 Hz at order 2: no such pole within 1 %; the nearest is at"):
+    with pytest.raises(
+        DataError,
+        match="made: pick at 20 Hz at order 2: no such pole within 1 %; the nearest is at",
+    ):
         by_hand(Choice((Pick(20.0, 2),)))
 
 
 def test_a_merged_pair_is_the_mean_by_inverse_variance() -> None:
     """The close pair at 1.85 and 1.90 Hz made one."""
     auto, n = result(0), [1, 2]
-    found = identify_ambient(wrap(record(0), RATE), choice=Choice(merges=(Merge((1.85, 1.9), "one hanger"),)))
+    found = identify_ambient(
+        wrap(record(0), RATE), choice=Choice(merges=(Merge((1.85, 1.9), "one hanger"),))
+    )
     w = (auto.modes.frequencies[n] / auto.uncertainty.frequency[n]) ** 2
     assert len(found.modes) == 5
-    assert found.modes.frequencies[1] == pytest.approx(w @ auto.modes.frequencies[n] / w.sum(), rel=1e-4)
+    assert found.modes.frequencies[1] == pytest.approx(
+        w @ auto.modes.frequencies[n] / w.sum(), rel=1e-4
+    )
     assert found.uncertainty.frequency[1] < auto.uncertainty.frequency[n].max()
     assert found.reasons[1].startswith("merged by hand from ")
     assert "(one hanger); " in found.reasons[1]

@@ -1,4 +1,6 @@
-"""A band with more modes than the usual largest order is made for: panels, satellites, engines with many sensors."""
+"""A band with more modes than the usual largest order is made for: panels, satellites, engines with
+many sensors.
+"""
 
 from __future__ import annotations
 
@@ -23,17 +25,24 @@ def record(f: np.ndarray = F, damping: float = 0.012, seconds: int = SECONDS) ->
     rng = np.random.default_rng(6)
     s = 2 * np.pi * f * (-damping + 1j)
     force = rng.standard_normal((f.size, int(RATE * seconds))).astype(complex)
-    q = [(x * lfilter([1.0], [1.0, -np.exp(x / RATE)], p)).imag for x, p in zip(s, force, strict=True)]
+    q = [
+        (x * lfilter([1.0], [1.0, -np.exp(x / RATE)], p)).imag
+        for x, p in zip(s, force, strict=True)
+    ]
     y = shapes(f.size) @ np.array(q)
     y += 0.05 * y.std() * rng.standard_normal(y.shape)
-    return TimeHistory(y, RATE, tuple(Channel(f"{i + 1}+Z", "acceleration") for i in range(CHANNELS)), "made")
+    return TimeHistory(
+        y, RATE, tuple(Channel(f"{i + 1}+Z", "acceleration") for i in range(CHANNELS)), "made"
+    )
 
 
 def shapes(modes: int) -> np.ndarray:
     return np.random.default_rng(3).standard_normal((CHANNELS, modes))
 
 
-def found(h: TimeHistory | None = None, settings: AmbientSettings = SMALL, f: np.ndarray = F) -> tuple[int, int]:
+def found(
+    h: TimeHistory | None = None, settings: AmbientSettings = SMALL, f: np.ndarray = F
+) -> tuple[int, int]:
     """Modes that are there, and those that are not."""
     m = identify_ambient(h or record(), settings).modes
     like = (np.abs(m.frequencies[:, None] / f - 1) < 0.01) & (mac(m.shapes, shapes(f.size)) > 0.9)
@@ -47,7 +56,9 @@ def test_a_crowded_band_is_given_more_orders(monkeypatch: pytest.MonkeyPatch) ->
     assert found()[0] < F.size
 
 
-def test_modes_closer_than_the_lags_tell_are_given_more_lags(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_modes_closer_than_the_lags_tell_are_given_more_lags(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     h, low = record(DENSE, 0.005, 1800), AmbientSettings(fmin=3.0)
     assert found(h, low, DENSE) == (DENSE.size, 0)
     monkeypatch.setattr(ambient_verdict, "MANY", 1000)

@@ -1,7 +1,7 @@
 """Forces with a spectrum of their own beside random ones: what the structure does there is no mode.
 
-A chain of eight storeys under random forces at all floors, and one pattern of forces with a broad peak between the
-second and the third mode (people, waves).
+A chain of eight storeys under random forces at all floors, and one pattern of forces with a broad
+peak between the second and the third mode (people, waves).
 """
 
 from __future__ import annotations
@@ -33,7 +33,9 @@ def oscillator(force: np.ndarray, f: float, zeta: float) -> np.ndarray:
     """Acceleration of a unit mass on a spring for forces (.., sample)."""
     s = 2 * np.pi * f * (-zeta + 1j * np.sqrt(1 - zeta**2))
     ringing = lfilter([0, np.exp(s / RATE) - 1], [1, -np.exp(s / RATE)], force)
-    return np.asarray(2 * np.real(s / (2j * s.imag) * ringing) + 2 * np.real(s / (2j * s.imag)) * force)
+    return np.asarray(
+        2 * np.real(s / (2j * s.imag) * ringing) + 2 * np.real(s / (2j * s.imag)) * force
+    )
 
 
 def record(crowd: float) -> TimeHistory:
@@ -72,7 +74,9 @@ def responses(force: np.ndarray, rng: np.random.Generator) -> TimeHistory:
     q = np.array([oscillator(p, x, 0.01) for p, x in zip(shapes.T @ force, f, strict=True)])
     y = shapes @ q
     y += 0.05 * y.std() * rng.standard_normal(y.shape)
-    return TimeHistory(y, RATE, tuple(Channel(f"{i + 1}+X", "acceleration") for i in range(STOREYS)), "made")
+    return TimeHistory(
+        y, RATE, tuple(Channel(f"{i + 1}+X", "acceleration") for i in range(STOREYS)), "made"
+    )
 
 
 def forced(r: AmbientResult) -> list[str]:
@@ -88,9 +92,13 @@ def test_a_peak_of_the_force_is_no_mode(crowd: float) -> None:
     assert not crowd or f"pole at {PEAK:.1f}"[:-1] in forced(r)[0]
 
 
-@pytest.mark.parametrize(("factor", "delay", "seed"), [(0.8, 3.7, 1), (-0.5, 3.7, 2), (0.4, 7.3, 3)])
+@pytest.mark.parametrize(
+    ("factor", "delay", "seed"), [(0.8, 3.7, 1), (-0.5, 3.7, 2), (0.4, 7.3, 3)]
+)
 def test_a_force_that_comes_again_moves_no_mode(factor: float, delay: float, seed: int) -> None:
-    """Its spectrum ripples: resonances on the flanks were up to 11 standard deviations off, and 1.48 Hz was lost."""
+    """Its spectrum ripples: resonances on the flanks were up to 11 standard deviations off, and
+    1.48 Hz was lost.
+    """
     r = identify_ambient(echoed(factor, delay, seed))
     assert len(r.modes) == STOREYS, (r.modes.frequencies, r.notes)
     assert (np.abs(r.modes.frequencies - chain()[0]) < 5 * r.uncertainty.frequency).all()
@@ -98,7 +106,9 @@ def test_a_force_that_comes_again_moves_no_mode(factor: float, delay: float, see
 
 
 def test_an_echo_makes_modes_less_certain() -> None:
-    """τ = 0.8 s, half a decay of the highest modes: resonances beside the peak hide some of the ripple."""
+    """τ = 0.8 s, half a decay of the highest modes: resonances beside the peak hide some of the
+    ripple.
+    """
     z, f = [], chain()[0]
     for seed in range(6):
         r = identify_ambient(echoed(0.5, 0.8, seed))
@@ -108,10 +118,14 @@ def test_an_echo_makes_modes_less_certain() -> None:
 
 
 def test_an_echo_is_found_in_channels_of_unequal_noise() -> None:
-    """Sensor noise of 1 % to 20 %, channel by channel: it flattens the ripple of one more than that of another."""
+    """Sensor noise of 1 % to 20 %, channel by channel: it flattens the ripple of one more than that
+    of another.
+    """
     clean = echoed(0.5, 1.7, 1)
     rng, size = np.random.default_rng(1), np.linspace(0.01, 0.2, STOREYS)[:, None]
-    data = clean.data + size * clean.data.std(axis=1, keepdims=True) * rng.standard_normal(clean.data.shape)
+    data = clean.data + size * clean.data.std(axis=1, keepdims=True) * rng.standard_normal(
+        clean.data.shape
+    )
     echo = without_echo(replace(clean, data=data))[1]
     assert echo is not None
     assert abs(echo.delay - 1.7) < 0.5 / RATE
@@ -120,13 +134,17 @@ def test_an_echo_is_found_in_channels_of_unequal_noise() -> None:
 
 @pytest.mark.parametrize("zeta", [0.001, 0.01])
 def test_resonances_at_equal_distances_are_no_echo(zeta: float) -> None:
-    """A cable under one force: the travelling wave comes back after each period, but that is its resonance."""
+    """A cable under one force: the travelling wave comes back after each period, but that is its
+    resonance.
+    """
     rng, k = np.random.default_rng(0), np.arange(1, 10)
     force = rng.standard_normal(int(RATE * SECONDS))
     q = np.array([np.sin(0.11 * np.pi * n) * oscillator(force, 1.53 * n, zeta) for n in k])
     y = np.sin(np.pi * np.outer([0.1, 0.11, 0.12, 0.13], k)) @ q
     y += 0.02 * y.std() * rng.standard_normal(y.shape)
-    cable = TimeHistory(y, RATE, tuple(Channel(f"{i + 1}+X", "acceleration") for i in range(4)), "made")
+    cable = TimeHistory(
+        y, RATE, tuple(Channel(f"{i + 1}+X", "acceleration") for i in range(4)), "made"
+    )
     clean, echo = without_echo(cable)
     assert echo is None
     assert clean is cable
@@ -137,22 +155,32 @@ def test_groups_that_jump_leave_the_modes_of_the_structure(seed: int) -> None:
     r = identify_ambient(jumped(seed))
     assert any("the decays after them are used" in n for n in r.notes)
     assert len(r.modes) == STOREYS, (r.modes.frequencies, r.notes)
-    assert np.abs(r.modes.frequencies / chain()[0] - 1).max() < 0.01  # decays behind some ten groups
+    assert (
+        np.abs(r.modes.frequencies / chain()[0] - 1).max() < 0.01
+    )  # decays behind some ten groups
     assert seed < 2 or forced(r)  # of the first two records no other pole is believed
 
 
 def test_only_a_doubtful_pole_of_a_shape_that_others_span_is_forced() -> None:
-    f, z, sure = np.array([1.0, 1.5, 2.0]), np.array([0.01, 0.05, 0.01]), np.array([5e-4, 5e-3, 5e-4])
+    f, z, sure = (
+        np.array([1.0, 1.5, 2.0]),
+        np.array([0.01, 0.05, 0.01]),
+        np.array([5e-4, 5e-3, 5e-4]),
+    )
     own = np.linalg.qr(np.random.default_rng(0).standard_normal((6, 3)))[0].astype(complex)
     mixed = own.copy()
     mixed[:, 1] = own[:, 0] - 0.6 * own[:, 2]
     assert [x.tolist() for x in carriers(f, z, sure, mixed)] == [[], [0, 2], []]
     assert not any(x.size for x in carriers(f, z, sure, own))
-    assert not any(x.size for x in carriers(f, np.full(3, 0.01), np.full(3, 5e-4), mixed))  # as clear as the others
+    assert not any(
+        x.size for x in carriers(f, np.full(3, 0.01), np.full(3, 5e-4), mixed)
+    )  # as clear as the others
 
 
 def test_a_peak_far_sharper_than_the_modes_is_forced() -> None:
-    """As well known as its small damping allows: a crowd that jumps to music for a few minutes, and again."""
+    """As well known as its small damping allows: a crowd that jumps to music for a few minutes, and
+    again.
+    """
     shape = np.random.default_rng(2).standard_normal((12, 3)).astype(complex)
     f, z = np.array([1.0, 1.5, 2.0]), np.array([0.01, 0.0008, 0.015])
     sure = 0.05 * np.sqrt(z / f)
@@ -164,7 +192,9 @@ def test_a_peak_far_sharper_than_the_modes_is_forced() -> None:
 
 
 def test_of_a_mode_and_a_wide_peak_that_is_as_well_known_the_peak_is_forced() -> None:
-    """Walkers of many paces, whose third harmonic meets a mode: each shape is a sum of the other and of a third."""
+    """Walkers of many paces, whose third harmonic meets a mode: each shape is a sum of the other
+    and of a third.
+    """
     shape = np.random.default_rng(3).standard_normal((8, 2)).astype(complex)
     f, z = np.array([4.0, 6.2, 7.9]), np.array([0.03, 0.011, 0.01])
     sure = np.array([0.06, 0.065, 0.02]) * np.sqrt(z / f)
@@ -173,8 +203,14 @@ def test_of_a_mode_and_a_wide_peak_that_is_as_well_known_the_peak_is_forced() ->
 
 
 def test_a_peak_below_all_modes_is_carried_by_two_above() -> None:
-    """Waves below the modes of a hull: of seven channels one mode of either side counts, and there is none below."""
-    f, z, sure = np.array([0.13, 1.3, 2.6]), np.array([0.09, 0.01, 0.01]), np.array([0.014, 5e-4, 5e-4])
+    """Waves below the modes of a hull: of seven channels one mode of either side counts, and there
+    is none below.
+    """
+    f, z, sure = (
+        np.array([0.13, 1.3, 2.6]),
+        np.array([0.09, 0.01, 0.01]),
+        np.array([0.014, 5e-4, 5e-4]),
+    )
     own = np.linalg.qr(np.random.default_rng(0).standard_normal((7, 3)))[0].astype(complex)
     mixed = own.copy()
     mixed[:, 0] = own[:, 1] + 0.5 * own[:, 2]
@@ -183,14 +219,22 @@ def test_a_peak_below_all_modes_is_carried_by_two_above() -> None:
 
 
 def test_a_channel_in_another_unit_makes_no_shapes_alike() -> None:
-    f, z, sure = np.array([1.0, 1.5, 2.0]), np.array([0.01, 0.05, 0.01]), np.array([5e-4, 5e-3, 5e-4])
+    f, z, sure = (
+        np.array([1.0, 1.5, 2.0]),
+        np.array([0.01, 0.05, 0.01]),
+        np.array([5e-4, 5e-3, 5e-4]),
+    )
     own = np.linalg.qr(np.random.default_rng(0).standard_normal((8, 3)))[0].astype(complex)
     own[0] *= 1e3
     assert not any(x.size for x in carriers(f, z, sure, own))
 
 
 def test_too_few_sensors_tell_nothing() -> None:
-    f, z, sure = np.array([1.0, 1.5, 2.0]), np.array([0.01, 0.05, 0.01]), np.array([5e-4, 5e-3, 5e-4])
+    f, z, sure = (
+        np.array([1.0, 1.5, 2.0]),
+        np.array([0.01, 0.05, 0.01]),
+        np.array([5e-4, 5e-3, 5e-4]),
+    )
     any_shape = np.random.default_rng(1).standard_normal((2, 3)).astype(complex)
     assert not any(x.size for x in carriers(f, z, sure, any_shape))
     assert not any(x.size for x in carriers(f[:0], z[:0], sure[:0], any_shape[:, :0]))

@@ -1,6 +1,7 @@
 """Records of repeated impacts: decays between them hold the modes, however regular the impacts are.
 
-Five modes, six accelerometers, one impact at a point every `interval` s, sensor noise 60 dB below the first peak:
+Five modes, six accelerometers, one impact at a point every `interval` s, sensor noise 60 dB below
+the first peak:
 
     f (Hz)  2.1   4.7   4.9   9.3   14.2
     ζ (%)   1.0   0.8   1.0   0.6   1.2
@@ -21,7 +22,8 @@ from ringtrue.signal.lines import MOST, steady_lines, without_lines
 
 F, Z = np.array([2.1, 4.7, 4.9, 9.3, 14.2]), np.array([1.0, 0.8, 1.0, 0.6, 1.2]) / 100
 PHI = np.linalg.qr(np.random.default_rng(1).standard_normal((6, 5)))[0]
-DAMPING = 0.06  # relative: the lowest mode falls by 3.3 nepers between impacts, and some of it is left at the next
+# relative: the lowest mode falls by 3.3 nepers between impacts, and some of it is left at the next
+DAMPING = 0.06
 
 
 def response(force: np.ndarray, rate: float, slower: float = 1.0) -> np.ndarray:
@@ -34,7 +36,9 @@ def response(force: np.ndarray, rate: float, slower: float = 1.0) -> np.ndarray:
 
 
 def history(data: np.ndarray, rate: float) -> TimeHistory:
-    return TimeHistory(data, rate, tuple(Channel(f"{i + 1}+Z", "acceleration", "m/s^2") for i in range(6)), "made")
+    return TimeHistory(
+        data, rate, tuple(Channel(f"{i + 1}+Z", "acceleration", "m/s^2") for i in range(6)), "made"
+    )
 
 
 def dropped(
@@ -103,11 +107,17 @@ def test_modes_of_a_slow_structure() -> None:
     check(identify_ambient(dropped(every(25.0, 400.0), 400.0, slower=4.0)), 0.1, 4.0)
 
 
-@pytest.mark.parametrize(("f", "taken_out"), [(12.0, False), (11.3456, True)], ids=["in step", "beside"])
+@pytest.mark.parametrize(
+    ("f", "taken_out"), [(12.0, False), (11.3456, True)], ids=["in step", "beside"]
+)
 def test_a_machine_beside_the_impacts_is_no_mode(f: float, taken_out: bool) -> None:
     """At a multiple of 1/T it is left in the record, and is a pole without damping."""
     clean = dropped(every(25.0, 400.0), 400.0)
-    line = 3e-3 * np.abs(clean.data).max() * np.sin(2 * np.pi * f * np.arange(clean.data.shape[1]) / 64.0)
+    line = (
+        3e-3
+        * np.abs(clean.data).max()
+        * np.sin(2 * np.pi * f * np.arange(clean.data.shape[1]) / 64.0)
+    )
     r = identify_ambient(history(clean.data + line, 64.0))
     np.testing.assert_allclose(r.modes.frequencies, F, rtol=2e-3, err_msg=str(r.notes))
     assert bool(r.harmonics) == taken_out
@@ -123,7 +133,9 @@ def test_the_times_of_impacts_are_known_to_a_sample_of_their_motion(rate: float)
     assert found.in_step(np.array([1.0, 1.02])).tolist() == [True, False]
 
 
-def test_many_lines_are_bounded_and_parts_of_them_leave_as_little_as_all(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_many_lines_are_bounded_and_parts_of_them_leave_as_little_as_all(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     rng, rate, seconds = np.random.default_rng(0), 64.0, 600.0
     t = np.arange(int(rate * seconds)) / rate
     quiet = rng.standard_normal((6, t.size))
@@ -133,7 +145,9 @@ def test_many_lines_are_bounded_and_parts_of_them_leave_as_little_as_all(monkeyp
     left = without_lines(history(quiet + fifty, rate), [h.frequency for h in found])
     monkeypatch.setattr("ringtrue.signal.lines.TOGETHER", 50)
     best = without_lines(history(quiet + fifty, rate), [h.frequency for h in found])
-    assert (best.data - quiet).std() < 0.2 * fifty.std()  # 400 unknowns take some of the noise of 38,400 samples
+    assert (
+        best.data - quiet
+    ).std() < 0.2 * fifty.std()  # 400 unknowns take some of the noise of 38,400 samples
     assert (left.data - best.data).std() < 1e-3 * fifty.std()
     comb = sum(np.sin(2 * np.pi * f * t + f**2) for f in np.arange(6.5, 30.0, 0.06))
     assert len(steady_lines(history(0.1 * quiet + comb, rate))) == MOST

@@ -1,4 +1,6 @@
-"""Machines that stamp or change their speed beside random forces, and motions of much damping that overlap."""
+"""Machines that stamp or change their speed beside random forces, and motions of much damping that
+overlap.
+"""
 
 from __future__ import annotations
 
@@ -22,14 +24,20 @@ def forces(seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).standard_normal((F.size, N))
 
 
-def record(force: np.ndarray, f: np.ndarray = F, z: np.ndarray = Z, rate: float = RATE) -> TimeHistory:
+def record(
+    force: np.ndarray, f: np.ndarray = F, z: np.ndarray = Z, rate: float = RATE
+) -> TimeHistory:
     """Accelerations at seven points, noise 30 dB below."""
     phi = np.linalg.qr(np.random.default_rng(14).standard_normal((7, f.size)))[0]
     y = np.zeros((7, force.shape[1]))
-    for shape, s, x in zip(phi.T, 2 * np.pi * f * (-z + 1j * np.sqrt(1 - z**2)), force, strict=True):
+    for shape, s, x in zip(
+        phi.T, 2 * np.pi * f * (-z + 1j * np.sqrt(1 - z**2)), force, strict=True
+    ):
         y += np.outer(shape, (s * lfilter([1.0], [1.0, -np.exp(s / rate)], x.astype(complex))).imag)
     y += 0.03 * y.std() * np.random.default_rng(1).standard_normal(y.shape)
-    return TimeHistory(y, rate, tuple(Channel(f"{i + 1}+Z", "acceleration") for i in range(7)), "made")
+    return TimeHistory(
+        y, rate, tuple(Channel(f"{i + 1}+Z", "acceleration") for i in range(7)), "made"
+    )
 
 
 def swept() -> np.ndarray:
@@ -63,7 +71,11 @@ def test_only_what_moves_is_taken_out() -> None:
     assert max(x.high for x in found) == pytest.approx(10.0, abs=0.2)
     assert (clean.data - quiet.data).std() < 0.25 * (loud.data - quiet.data).std()
     bursts = forces() * np.where(TIME % 90 < 9, 30.0, 1.0)
-    for still in (quiet, record(bursts), record(forces() + 20 * PUSH * np.sin(2 * np.pi * 5 * TIME))):
+    for still in (
+        quiet,
+        record(bursts),
+        record(forces() + 20 * PUSH * np.sin(2 * np.pi * 5 * TIME)),
+    ):
         assert without_sweeps(still) == (still, ())
 
 
@@ -76,7 +88,11 @@ def test_a_press_moves_no_mode() -> None:
 
 def test_modes_at_twice_a_frequency_are_not_laid_to_clipping_where_a_press_is_taken_out() -> None:
     f = np.array([2.2, 3.7, 4.4, 6.9, 9.4])
-    r = identify_ambient(record(forces() + stamps(1.7 * (1 + 0.02 * np.random.default_rng(2).standard_normal(600))), f))
+    r = identify_ambient(
+        record(
+            forces() + stamps(1.7 * (1 + 0.02 * np.random.default_rng(2).standard_normal(600))), f
+        )
+    )
     assert any("1.7 s apart" in n for n in r.notes)
     assert len(r.modes) == f.size
     assert not any("clipping" in why for why in r.reasons)
@@ -90,18 +106,24 @@ def test_regular_blows_are_taken_out_and_others_left() -> None:
     assert found.interval == pytest.approx(1.7, abs=0.02)
     assert found.count == pytest.approx(900 / 1.7, rel=0.05)
     quiet = record(forces())
-    assert (clean.data - quiet.data).std() < 0.5 * quiet.data.std() < 0.3 * record(struck).data.std()
+    assert (
+        (clean.data - quiet.data).std() < 0.5 * quiet.data.std() < 0.3 * record(struck).data.std()
+    )
     for other in (quiet, record(forces() + stamps(rng.exponential(1.7, 600)))):
         assert without_strokes(other) == (other, None)
 
 
 @pytest.mark.parametrize("seed", [2, 5])
 def test_blows_that_come_out_faint_are_found_where_they_are_due(seed: int) -> None:
-    """Of 525 blows of levels that scatter by 25 % some stand among the random forces; one in 100 may be lost."""
+    """Of 525 blows of levels that scatter by 25 % some stand among the random forces; one in 100
+    may be lost.
+    """
     rng = np.random.default_rng(seed)
     at = np.cumsum(1.7 * (1 + 0.003 * rng.standard_normal(525))) * RATE
     level = 18 * (1 + 0.25 * rng.standard_normal(at.size))
-    _, found = without_strokes(record(forces() + PUSH * np.bincount(at.astype(int), level, minlength=N)))
+    _, found = without_strokes(
+        record(forces() + PUSH * np.bincount(at.astype(int), level, minlength=N))
+    )
     assert found is not None
     assert found.count == pytest.approx(at.size, rel=0.01)
 
@@ -144,12 +166,18 @@ def test_what_a_line_leaves_that_was_taken_out_is_no_mode() -> None:
 
 
 def test_a_fan_of_wandering_phase_takes_the_place_of_no_mode() -> None:
-    """A line 0.7 % below a mode, of 1e-4 of its frequency in wander: its sides were a mode of 0.1 % damping."""
+    """A line 0.7 % below a mode, of 1e-4 of its frequency in wander: its sides were a mode of 0.1 %
+    damping.
+    """
     rate, f, rng = 256.0, np.array([12.0, 24.6, 33.0, 49.7, 71.0]), np.random.default_rng(1)
     drift = lfilter([np.sqrt(1 - 0.99993**2)], [1, -0.99993], rng.standard_normal(int(900 * rate)))
     fan = np.cos(2 * np.pi * np.cumsum(24.435 * (1 + 1e-4 * drift)) / rate)
-    r = identify_ambient(record(rng.standard_normal((5, fan.size)) + PUSH * fan, f, np.full(5, 0.01), rate))
+    r = identify_ambient(
+        record(rng.standard_normal((5, fan.size)) + PUSH * fan, f, np.full(5, 0.01), rate)
+    )
     assert (r.modes.damping > 0.005).all(), (r.modes.frequencies, r.modes.damping)
     assert (np.abs(r.modes.frequencies[:, None] / f - 1).min(axis=1) < 4e-3).all()
     assert len(r.modes) >= 4
-    assert len(r.modes) == 5 or any(abs(float(n.split()[2]) - 24.4) < 0.1 for n in r.notes if n.startswith("pole at"))
+    assert len(r.modes) == 5 or any(
+        abs(float(n.split()[2]) - 24.4) < 0.1 for n in r.notes if n.startswith("pole at")
+    )

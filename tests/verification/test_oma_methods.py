@@ -1,7 +1,7 @@
 """FDD, NExT/ERA, SSI-data, Bayesian FFT and PreGER against a system whose modes are known.
 
-Four modal degrees of freedom in white noise, six accelerometers, sensor noise of 1 % of the power, five minutes at 40
-samples a second; the shapes of the close pair at 5.0 and 5.12 Hz are orthogonal.
+Four modal degrees of freedom in white noise, six accelerometers, sensor noise of 1 % of the power,
+five minutes at 40 samples a second; the shapes of the close pair at 5.0 and 5.12 Hz are orthogonal.
 
     f (Hz)  2.0   5.0  5.12  9.0
     ζ (%)   2.0   1.0  1.2   1.5
@@ -35,7 +35,10 @@ F, Z = np.array([2.0, 5.0, 5.12, 9.0]), np.array([0.02, 0.01, 0.012, 0.015])
 RATE, SECONDS = 40.0, 300
 PHI = np.linalg.qr(np.random.default_rng(4).standard_normal((6, 4)))[0]
 DATA = Path(__file__).parents[2].parent / "shared/data/oma"
-FLOOR_F, FLOOR_Z = np.sqrt(Z / (2 * np.pi * F * SECONDS)), np.sqrt(1 / (2 * np.pi * Z * F * SECONDS))
+FLOOR_F, FLOOR_Z = (
+    np.sqrt(Z / (2 * np.pi * F * SECONDS)),
+    np.sqrt(1 / (2 * np.pi * Z * F * SECONDS)),
+)
 
 
 def wrap(y: np.ndarray, ids: tuple[str, ...] = ()) -> TimeHistory:
@@ -57,12 +60,17 @@ def motion(seed: int, loud: np.ndarray | float = 1.0) -> np.ndarray:
 @cache
 def record(seed: int) -> TimeHistory:
     y = PHI @ motion(seed)
-    return wrap(y + 0.1 * y.std(1, keepdims=True) * np.random.default_rng(100 + seed).standard_normal(y.shape))
+    return wrap(
+        y
+        + 0.1 * y.std(1, keepdims=True) * np.random.default_rng(100 + seed).standard_normal(y.shape)
+    )
 
 
 def near(modes: ModeSet, truth: np.ndarray = F, phi: np.ndarray = PHI) -> np.ndarray:
     """Row of the mode that is each true one; fails if there is none."""
-    like = mac(phi.astype(complex), modes.shapes) * (np.abs(modes.frequencies / truth[:, None] - 1) < 0.03)
+    like = mac(phi.astype(complex), modes.shapes) * (
+        np.abs(modes.frequencies / truth[:, None] - 1) < 0.03
+    )
     assert (like.max(1) > 0.9).all(), modes.frequencies
     return np.asarray(like.argmax(1))
 
@@ -89,7 +97,9 @@ def test_random_decrement_is_proportional_to_the_correlation():
         random_decrement(np.zeros(1000, dtype=complex), 100)
 
 
-@pytest.mark.parametrize(("method", "times"), [("fsdd", 4.5), ("efdd", 7.0), ("random decrement", 7.0)])
+@pytest.mark.parametrize(
+    ("method", "times"), [("fsdd", 4.5), ("efdd", 7.0), ("random decrement", 7.0)]
+)
 def test_fdd_finds_the_peaks_and_their_damping(method, times):
     errors = []
     for seed in range(3):
@@ -98,12 +108,16 @@ def test_fdd_finds_the_peaks_and_their_damping(method, times):
         within(r.modes.frequencies[at], r.modes.damping[at], [0, 3], times)
         errors.append(np.log(r.modes.damping[at] / Z[[0, 3]]) / FLOOR_Z[[0, 3]])
         assert np.isfinite(r.uncertainty.frequency).all() == (method == "fsdd")
-    assert np.abs(np.mean(errors)) < 4 / np.sqrt(6)  # not biased by the taper, which would double the damping
+    assert np.abs(np.mean(errors)) < 4 / np.sqrt(
+        6
+    )  # not biased by the taper, which would double the damping
 
 
 @pytest.mark.parametrize("method", ["efdd", "random decrement"])
 def test_damping_of_a_bell_that_its_neighbour_cuts_off(method):
-    """Modes at 5 and 5.3 Hz of 2 %: the bells end half way between them, within two half bandwidths."""
+    """Modes at 5 and 5.3 Hz of 2 %: the bells end half way between them, within two half
+    bandwidths.
+    """
     f, errors = np.array([5.0, 5.3]), []
     for seed in range(4):
         rng, w, q = np.random.default_rng(seed), 2 * np.pi * f, []
@@ -112,9 +126,15 @@ def test_damping_of_a_bell_that_its_neighbour_cuts_off(method):
             z = lfilter([0, (step - 1) / s], [1, -step], rng.standard_normal(int(1800 * RATE)))
             q.append(np.real(s**2 / (2j * s.imag) * z))
         y = PHI[:, :2] @ np.array(q)
-        r = fdd(wrap(y + 0.1 * y.std() * rng.standard_normal(y.shape)), FddSettings(method), near=f.tolist())
+        r = fdd(
+            wrap(y + 0.1 * y.std() * rng.standard_normal(y.shape)),
+            FddSettings(method),
+            near=f.tolist(),
+        )
         errors.append(r.modes.damping / 0.02 - 1)
-    assert (np.abs(np.mean(errors, axis=0)) < 0.15).all()  # the cut decays alone have 35 % too little
+    assert (
+        np.abs(np.mean(errors, axis=0)) < 0.15
+    ).all()  # the cut decays alone have 35 % too little
 
 
 @pytest.mark.parametrize("method", ["fsdd", "efdd", "random decrement"])
@@ -123,12 +143,16 @@ def test_bells_of_one_channel_end_in_the_valleys(method):
         one = wrap(PHI[[3]] @ motion(seed))
         m = fdd(one, FddSettings(method), near=[2.0, 9.0]).modes
         assert m.frequencies == pytest.approx(F[[0, 3]], rel=0.01)
-        assert m.damping == pytest.approx(Z[[0, 3]], rel=0.5)  # five standard deviations of the first one
+        assert m.damping == pytest.approx(
+            Z[[0, 3]], rel=0.5
+        )  # five standard deviations of the first one
 
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_fsdd_of_a_mode_below_the_filter_of_the_recorder(seed: int) -> None:
-    """Lines beyond the edge at 18 Hz are no part of the bell of 16 Hz and 3 %; with them it was 2 % too high."""
+    """Lines beyond the edge at 18 Hz are no part of the bell of 16 Hz and 3 %; with them it was 2 %
+    too high.
+    """
     rng, w, zeta = np.random.default_rng(seed), 2 * np.pi * 16.0, 0.03
     pole = np.exp(w * (-zeta + 1j * np.sqrt(1 - zeta**2)) / RATE)
     q = lfilter([1, -2, 1], np.poly([pole, pole.conj()]), rng.standard_normal(int(1200 * RATE)))
@@ -164,7 +188,9 @@ def test_era_is_exact_on_free_decays():
 def test_next_era_within_its_scatter():
     for seed in range(3):
         h = record(seed)
-        m, _ = modes_of(next_era(h, SsiCov(block_rows=30, order_max=30)), tuple(c.id for c in h.channels))
+        m, _ = modes_of(
+            next_era(h, SsiCov(block_rows=30, order_max=30)), tuple(c.id for c in h.channels)
+        )
         at = near(m)
         within(m.frequencies[at], m.damping[at], [0, 1, 2, 3], 7.0)
 
@@ -212,7 +238,9 @@ def test_posterior_holds_the_truth(pair):
         # the information of one mode is at the floor, that of a pair above it
         assert (u.frequency / F[at] > 0.7 * FLOOR_F[at]).all()
         assert (u.frequency / F[at] < 2.0 * FLOOR_F[at]).all()
-        assert np.sqrt((u.factor**2).sum(0)) == pytest.approx(np.concatenate([u.frequency, u.damping]), rel=1e-6)
+        assert np.sqrt((u.factor**2).sum(0)) == pytest.approx(
+            np.concatenate([u.frequency, u.damping]), rel=1e-6
+        )
     assert np.sqrt(np.mean(np.array(e) ** 2)) < 1.6  # 8 values
     assert np.abs(e).max() < 4
 
@@ -235,11 +263,15 @@ def test_bayes_refuses_what_it_cannot_do():
 
 
 def test_preger_joins_setups_of_different_force():
-    """Two setups with two common references, each louder in other modes; the relative scale must come out right."""
+    """Two setups with two common references, each louder in other modes; the relative scale must
+    come out right.
+    """
     phi = np.vstack([PHI, np.random.default_rng(8).standard_normal((3, 4))])
     ids, refs = tuple("abcdefghi"), ("a", "b", "c")
     parts = []
-    for k, (at, loud) in enumerate((([0, 1, 2, 3, 4, 5], [1, 2, 1, 3]), ([0, 1, 2, 6, 7, 8], [4, 3, 6, 2]))):
+    for k, (at, loud) in enumerate(
+        (([0, 1, 2, 3, 4, 5], [1, 2, 1, 3]), ([0, 1, 2, 6, 7, 8], [4, 3, 6, 2]))
+    ):
         y = phi[at] @ motion(20 + k, np.array(loud, dtype=float))
         y += 0.03 * y.std(1, keepdims=True) * np.random.default_rng(k).standard_normal(y.shape)
         parts.append(wrap(y, tuple(ids[i] for i in at)))
@@ -256,13 +288,19 @@ def test_preger_joins_setups_of_different_force():
 @pytest.mark.data
 @pytest.mark.skipif(not DATA.exists(), reason="../shared/data is not here")
 def test_three_setups_of_a_building_in_one_identification():
-    """L-shaped building, published exact values; its time integration lowers f by some 0.3e-4 f² relative."""
-    exact = np.array([2.63186, 2.69173, 3.43042, 8.29742, 8.42882, 10.6272, 14.0053, 14.0930, 17.5741])
+    """L-shaped building, published exact values; its time integration lowers f by some 0.3e-4 f²
+    relative.
+    """
+    exact = np.array(
+        [2.63186, 2.69173, 3.43042, 8.29742, 8.42882, 10.6272, 14.0053, 14.0930, 17.5741]
+    )
     setups = []
     for k in (1, 2, 3):
         y = np.load(DATA / f"l_building/set{k}.npy").T
         ids = [f"{i}" if i < 3 else f"{i}_{k}" for i in range(10)]
-        setups.append(TimeHistory(y, 100.0, tuple(Channel(i, "acceleration") for i in ids), f"set{k}"))
+        setups.append(
+            TimeHistory(y, 100.0, tuple(Channel(i, "acceleration") for i in ids), f"set{k}")
+        )
     g = preger(setups, ("0", "1", "2"), SsiCov(block_rows=50, order_max=40))
     m, _ = modes_of(g.poles, g.channels)
     m = m.band(1, 19)
@@ -274,8 +312,15 @@ def test_three_setups_of_a_building_in_one_identification():
 @pytest.mark.skipif(not DATA.exists(), reason="../shared/data is not here")
 def test_timber_building_as_published():
     y = np.load(DATA / "palisaden/Palisaden_dataset.npy").T
-    h = decimate(TimeHistory(y, 100.0, tuple(Channel(str(i), "acceleration") for i in range(6)), "palisaden"), 10.0)
+    h = decimate(
+        TimeHistory(
+            y, 100.0, tuple(Channel(str(i), "acceleration") for i in range(6)), "palisaden"
+        ),
+        10.0,
+    )
     first = bayes_fft(h, (1.7, 2.1), [1.88])
-    assert first.modes.frequencies == pytest.approx([1.882], rel=3e-3)  # two published methods differ by as much
+    assert first.modes.frequencies == pytest.approx(
+        [1.882], rel=3e-3
+    )  # two published methods differ by as much
     r = fdd(h, FddSettings(fmin=1.0, fmax=3.0), near=[1.88, 2.42, 2.69])
     assert r.modes.frequencies == pytest.approx([1.877, 2.422, 2.682], rel=4e-3)

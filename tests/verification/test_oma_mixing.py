@@ -1,6 +1,7 @@
 """Shapes of two close modes are told apart by their cross spectrum, unless other motion bends it.
 
-Three modes at 1.0, 1.03 and 1.045 Hz with 1 % damping at six points; the last one is not told to the method.
+Three modes at 1.0, 1.03 and 1.045 Hz with 1 % damping at six points; the last one is not told to
+the method.
 """
 
 from __future__ import annotations
@@ -18,14 +19,18 @@ MIXED: Complex = SHAPES[:, :2] @ np.array([[1.0 + 0j, 0.1], [0.05, 1.0]])
 
 
 def spectra(shared: float) -> SpectralBins:
-    """Spectral matrices of accelerations under forces with the correlation `shared`, averaged over 8 lines."""
+    """Spectral matrices of accelerations under forces with the correlation `shared`, averaged over
+    8 lines.
+    """
     nu = FREQS[:, None] / F
     h = 2 * Z * nu**2 / (1 - nu**2 + 2j * Z * nu)
     modal = h[:, :, None] * (np.eye(3) + shared * (1 - np.eye(3))) * h[:, None].conj()
     root = np.linalg.cholesky(SHAPES @ modal @ SHAPES.T + 1e-3 * np.eye(6))
     noise = np.random.default_rng(0).standard_normal((2, FREQS.size, 6, LINES)) / np.sqrt(2)
     y = root @ (noise[0] + 1j * noise[1])
-    return SpectralBins(FREQS, np.full(FREQS.size, float(LINES)), y @ y.conj().swapaxes(1, 2) / LINES, 1e4)
+    return SpectralBins(
+        FREQS, np.full(FREQS.size, float(LINES)), y @ y.conj().swapaxes(1, 2) / LINES, 1e4
+    )
 
 
 def left(mix: Mixing) -> Float:

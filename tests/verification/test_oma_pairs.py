@@ -1,4 +1,6 @@
-"""Pairs of equal frequency in ambient records: two modes of a plane of shapes, or a word that they are there."""
+"""Pairs of equal frequency in ambient records: two modes of a plane of shapes, or a word that they
+are there.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ def heard(y: np.ndarray, rate: float, rng: np.random.Generator) -> AmbientResult
     return identify_ambient(TimeHistory(y, rate, channels))
 
 
-def identified(frequencies: tuple[float, ...], seconds: float = 600.0, seed: int = 0) -> AmbientResult:
+def identified(
+    frequencies: tuple[float, ...], seconds: float = 600.0, seed: int = 0
+) -> AmbientResult:
     """Modes under independent white forces at six sensors."""
     rng = np.random.default_rng(seed)
     shapes = np.random.default_rng(99).standard_normal((6, len(frequencies)))
@@ -42,7 +46,9 @@ def said(result: AmbientResult) -> list[str]:
 
 
 def test_an_equal_pair_is_two_modes_of_one_plane():
-    """The plane of the shapes is known to a degree, the turn within it is not: the deviations hold that."""
+    """The plane of the shapes is known to a degree, the turn within it is not: the deviations hold
+    that.
+    """
     result = identified((5.0, 5.0, 8.0), 1200.0)
     modes, std = result.modes, result.uncertainty
     np.testing.assert_allclose(modes.frequencies, [5.0, 5.0, 8.0], rtol=3e-3)
@@ -67,16 +73,25 @@ def test_separate_modes_are_not_called_a_pair():
 
 
 def test_the_bending_of_a_slender_tower_is_two_modes_and_no_machine():
-    """Two directions, 0.3 % apart, one damped twice as much as the other, an hour of it: 1000 cycles.
+    """Two directions, 0.3 % apart, one damped twice as much as the other, an hour of it: 1000
+    cycles.
 
-    Amplitudes of so few independent values look steady, and those of two directions together more so.
+    Amplitudes of so few independent values look steady, and those of two directions together more
+    so.
     """
     height = np.array([0.35, 0.6, 0.8, 1.0]) ** 2
     along, across = np.kron([1.0, 0.0], height), np.kron([0.0, 1.0], height)
     for seed in range(5):
         rng = np.random.default_rng(seed)
         force = rng.standard_normal((2, 18000 + 3000))
-        y = response(along, 0.300, 0.008, 5.0, force[0]) + response(across, 0.301, 0.004, 5.0, force[1])
+        y = response(along, 0.300, 0.008, 5.0, force[0]) + response(
+            across, 0.301, 0.004, 5.0, force[1]
+        )
         result = heard(y[:, 3000:], 5.0, rng)
         assert len(result.modes) == 2, (seed, result.notes)
-        assert np.degrees(subspace_angles(result.modes.shapes, np.stack([along, across], axis=1))).max() < 1
+        assert (
+            np.degrees(
+                subspace_angles(result.modes.shapes, np.stack([along, across], axis=1))
+            ).max()
+            < 1
+        )

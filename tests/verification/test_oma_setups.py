@@ -19,7 +19,9 @@ from ringtrue.identify.variance import std as root_sum
 
 F, Z, RATE = np.array([1.1, 1.9, 2.3, 3.4]), np.array([0.012, 0.01, 0.015, 0.02]), 12.5
 PHI = np.random.default_rng(5).standard_normal((11, 4))
-PLACES = [[0, 1, *range(2 + 3 * k, 5 + 3 * k)] for k in range(3)]  # two references, three channels that move
+PLACES = [
+    [0, 1, *range(2 + 3 * k, 5 + 3 * k)] for k in range(3)
+]  # two references, three channels that move
 
 
 def pairs(modes: ModeSet) -> tuple[np.ndarray, np.ndarray]:
@@ -41,7 +43,9 @@ def errors(modes: ModeSet, std: Uncertainty) -> np.ndarray:
 
 
 def measured(at: list[int], rng: np.random.Generator) -> tuple[ModeSet, Uncertainty, str]:
-    """The shapes at some channels with an error of each component, largest component 1, of any scale before."""
+    """The shapes at some channels with an error of each component, largest component 1, of any
+    scale before.
+    """
     noisy = PHI[at] + 0.03 * rng.standard_normal((len(at), F.size))
     top = (np.abs(noisy).argmax(axis=0), np.arange(F.size))
     shape = noisy / noisy[top]
@@ -58,9 +62,13 @@ def recorded(seed: int, samples: int = 7500) -> list[TimeHistory]:
         y = np.zeros((len(at), samples))
         for phi, s in zip(PHI[at].T, 2 * np.pi * F * (-Z + 1j * np.sqrt(1 - Z**2)), strict=True):
             force = rng.uniform(0.5, 2) * rng.standard_normal(samples)
-            y += np.outer(phi, (s * lfilter([1.0], [1.0, -np.exp(s / RATE)], force.astype(complex))).imag)
+            y += np.outer(
+                phi, (s * lfilter([1.0], [1.0, -np.exp(s / RATE)], force.astype(complex))).imag
+            )
         y += 0.03 * y.std() * rng.standard_normal(y.shape)
-        setups.append(TimeHistory(y, RATE, tuple(Channel(str(i), "acceleration") for i in at), "made"))
+        setups.append(
+            TimeHistory(y, RATE, tuple(Channel(str(i), "acceleration") for i in at), "made")
+        )
     return setups
 
 
@@ -80,7 +88,9 @@ def test_a_mean_over_orders_is_better_known_than_each_that_moves_by_itself() -> 
     k, s = 16, 2 * np.pi * 2.0 * (-0.01 + 1j)
     moved = 1e-3 * np.abs(s) * np.eye(k) * (1 + 0.5j)  # each order by a block of its own
     df, dz = frequency_damping(np.full(k, s), moved)
-    poles = PoleSet(np.arange(2, 2 * k + 2, 2), np.full(k, s), np.ones((3, k)), root_sum(df), root_sum(dz))
+    poles = PoleSet(
+        np.arange(2, 2 * k + 2, 2), np.full(k, s), np.ones((3, k)), root_sum(df), root_sum(dz)
+    )
     apart = modes_of(poles, ("a", "b", "c"), deviation=moved)[1]
     alike = modes_of(poles, ("a", "b", "c"), deviation=np.tile(moved.sum(axis=0), (k, 1)) / 4)[1]
     each = modes_of(poles, ("a", "b", "c"))[1]

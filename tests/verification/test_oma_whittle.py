@@ -86,7 +86,9 @@ def test_stretches_of_a_record_add():
     parts = [spectral_bins(record(s), RATE, (3.0, 9.0)) for s in range(4)]
     both = parts[0] + parts[1] + parts[2] + parts[3]
     assert both.count.sum() == pytest.approx(4 * parts[0].count.sum())
-    assert both.cross == pytest.approx(np.mean([p.cross for p in parts], axis=0), rel=1e-3, abs=1e-5)
+    assert both.cross == pytest.approx(
+        np.mean([p.cross for p in parts], axis=0), rel=1e-3, abs=1e-5
+    )
     r = refine(both, F, Z, PHI)
     assert np.abs(r.frequency / F - 1).max() < 2 * floor()[0].max()
     with pytest.raises(DataError, match="different length"):
@@ -101,7 +103,9 @@ def test_a_line_in_the_spectrum_stops_the_fit():
 
 
 def test_modes_that_move_in_step_keep_their_damping():
-    """Three overlapping modes under one common force and 10 % of their own, as on shaken ground: no bias."""
+    """Three overlapping modes under one common force and 10 % of their own, as on shaken ground: no
+    bias.
+    """
     f, z, rate, n = np.array([1.0, 1.05, 1.15]), np.array([0.03, 0.032, 0.028]), 8.0, 14400
     phi = np.linalg.qr(np.random.default_rng(4).standard_normal((12, 3)))[0]
     line = np.fft.rfftfreq(n, 1 / rate)
@@ -138,12 +142,16 @@ def test_a_fit_that_knows_less_than_its_start_is_not_believed(monkeypatch):
 
 
 def test_modes_that_share_their_force_are_left_to_the_subspace():
-    """Of one force on both, the spectrum of a mode holds the other's response in step with it: no single mode fits."""
+    """Of one force on both, the spectrum of a mode holds the other's response in step with it: no
+    single mode fits.
+    """
     rng = np.random.default_rng(0)
     w = 2 * np.pi * F
     lam = -Z * w + 1j * w * np.sqrt(1 - Z**2)
     force = rng.standard_normal(int(1600 * RATE))
-    q = np.array([np.real(s**2 / (2j * s.imag) * lfilter([1], [1, -np.exp(s / RATE)], force)) for s in lam])
+    q = np.array(
+        [np.real(s**2 / (2j * s.imag) * lfilter([1], [1, -np.exp(s / RATE)], force)) for s in lam]
+    )
     shape = PHI + 0.3 * PHI[:, ::-1]  # what is left of the other mode passes the filter
     y = PHI @ q + 0.01 * q.std() * rng.standard_normal((6, force.size))
     assert not refine(spectral_bins(y, RATE, (3.0, 9.0)), F, Z, shape).ok.any()

@@ -1,4 +1,6 @@
-"""docs/python.md runs from top to bottom, with the assertions that it holds, and names modules that are there."""
+"""docs/python.md runs from top to bottom, with the assertions that it holds, and names modules that
+are there.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ def test_the_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_modules_it_names_are_there() -> None:
-    rows = [line.split("|")[2] for line in PAGE.splitlines() if line.startswith("| ") and "`" in line]
+    rows = [
+        line.split("|")[2] for line in PAGE.splitlines() if line.startswith("| ") and "`" in line
+    ]
     assert len(rows) > 8
     for row in rows:
         package = ""

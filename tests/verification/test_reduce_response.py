@@ -1,4 +1,5 @@
-"""A basis for the response to loads: a free plate under forces at one corner and one edge, against the direct solution.
+"""A basis for the response to loads: a free plate under forces at one corner and one edge, against
+the direct solution.
 
 Clamped along one edge, 20 x 12 Hermite elements; lines from below the first to above the 20th mode.
 """
@@ -30,7 +31,9 @@ def system() -> tuple[sparse.csr_array, sparse.csr_array, np.ndarray, np.ndarray
     return k, m, linalg.eigvalsh(k.toarray(), m.toarray()), loads
 
 
-def response(k: sparse.csr_array, m: sparse.csr_array, v: np.ndarray, loads: np.ndarray, f: float) -> np.ndarray:
+def response(
+    k: sparse.csr_array, m: sparse.csr_array, v: np.ndarray, loads: np.ndarray, f: float
+) -> np.ndarray:
     z = v.T @ (k @ v) * (1 + 1j * LOSS) - (2 * np.pi * f) ** 2 * (v.T @ (m @ v))
     return np.asarray(v @ np.linalg.solve(z, v.T @ loads))
 
@@ -42,7 +45,9 @@ def test_response_is_that_of_the_full_model(system: tuple[np.ndarray, ...]) -> N
     found = response_basis(k, m, loads, lines, loads, loss=LOSS, tolerance=TOLERANCE, steps=6)
     assert found.residual.shape == (60,)
     assert found.residual.max() <= TOLERANCE
-    np.testing.assert_allclose(found.vectors.T @ (m @ found.vectors), np.eye(found.vectors.shape[1]), atol=1e-8)
+    np.testing.assert_allclose(
+        found.vectors.T @ (m @ found.vectors), np.eye(found.vectors.shape[1]), atol=1e-8
+    )
     full = DynamicStiffness(k, m, structural=sparse.csr_array(LOSS * k))
     between = (lines[:-1] + lines[1:])[::7] / 2  # not at the lines that were watched
     for f in [*between.tolist(), float(hertz[3]), float(hertz[10])]:
@@ -56,7 +61,9 @@ def test_modes_that_the_loads_do_not_excite_cost_nothing(system: tuple[np.ndarra
     k, m, lam, loads = system
     hertz = np.sqrt(lam) / (2 * np.pi)
     lines = np.linspace(0.5 * hertz[0], hertz[20], 60)
-    both, one = (response_basis(k, m, f, lines, f, loss=LOSS, steps=4) for f in (loads, loads[:, 1:]))
+    both, one = (
+        response_basis(k, m, f, lines, f, loss=LOSS, steps=4) for f in (loads, loads[:, 1:])
+    )
     assert one.vectors.shape[1] < 0.7 * both.vectors.shape[1]
 
 
@@ -64,7 +71,9 @@ def test_modes_known_beforehand_are_used(system: tuple[np.ndarray, ...]) -> None
     k, m, lam, loads = system
     hertz = np.sqrt(lam) / (2 * np.pi)
     _, phi = linalg.eigh(k.toarray(), m.toarray(), subset_by_index=(0, 29))
-    known = response_basis(k, m, loads, np.linspace(0.5 * hertz[0], hertz[10], 40), phi, loss=LOSS, tolerance=0.05)
+    known = response_basis(
+        k, m, loads, np.linspace(0.5 * hertz[0], hertz[10], 40), phi, loss=LOSS, tolerance=0.05
+    )
     assert known.lines == ()
     assert 30 < known.vectors.shape[1] <= 32  # and the static answers
 
@@ -79,6 +88,11 @@ def test_a_limit_on_the_vectors_is_told_by_the_residual(system: tuple[np.ndarray
 
 def test_input_is_checked(system: tuple[np.ndarray, ...]) -> None:
     k, m, _, loads = system
-    for freqs, f, loss in (([0.0, 1.0], loads, LOSS), ([], loads, LOSS), ([1.0], 0 * loads, LOSS), ([1.0], loads, 0.0)):
+    for freqs, f, loss in (
+        ([0.0, 1.0], loads, LOSS),
+        ([], loads, LOSS),
+        ([1.0], 0 * loads, LOSS),
+        ([1.0], loads, 0.0),
+    ):
         with pytest.raises(InputError, match="response basis"):
             response_basis(k, m, f, np.array(freqs), loads, loss=loss)

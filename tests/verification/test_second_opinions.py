@@ -1,4 +1,6 @@
-"""The other methods of `oma` and `ema`, on the systems of the method tests, from the command line to the truth."""
+"""The other methods of `oma` and `ema`, on the systems of the method tests, from the command line
+to the truth.
+"""
 
 from __future__ import annotations
 
@@ -25,12 +27,16 @@ PEAKS = ("fdd", "efdd", "fsdd", "random-decrement")
 
 @pytest.mark.parametrize("method", METHODS)
 def test_ambient_methods_find_the_modes(method: str) -> None:
-    """Four modes; peaks alone do not part the pair at 5.0 and 5.12 Hz, and the Bayesian FFT is asked for it."""
+    """Four modes; peaks alone do not part the pair at 5.0 and 5.12 Hz, and the Bayesian FFT is
+    asked for it.
+    """
     narrow = method == "bayes"
     which = [1, 2] if narrow else [0, 3] if method in PEAKS else [0, 1, 2, 3]
     band = AmbientSettings(fmin=4.6, fmax=5.6) if narrow else AmbientSettings()
     for seed in range(2):
-        found = identify_ambient_by(method, ambient.record(seed), band, near=[5.0, 5.12] if narrow else ())
+        found = identify_ambient_by(
+            method, ambient.record(seed), band, near=[5.0, 5.12] if narrow else ()
+        )
         at = ambient.near(found.modes, ambient.F[which], ambient.PHI[:, which])
         ambient.within(found.modes.frequencies[at], found.modes.damping[at], which, 8.0)
         stated = np.isfinite(found.uncertainty.frequency).all()
@@ -50,7 +56,9 @@ def test_noise_has_no_modes(method: str) -> None:
 
 
 def test_refined_half_spectra_are_unbiased_in_damping() -> None:
-    """The mean error of eight records is within 3.5 of its deviation, were each at twice the floor."""
+    """The mean error of eight records is within 3.5 of its deviation, were each at twice the
+    floor.
+    """
     error = []
     for seed in range(8):
         modes = identify_ambient_by("plscf", ambient.record(seed)).modes
@@ -61,7 +69,9 @@ def test_refined_half_spectra_are_unbiased_in_damping() -> None:
 @pytest.mark.parametrize("method", ["plscf", "era", "ssi-data"])
 def test_bands_too_short_for_a_method_are_left_out_and_said(method: str) -> None:
     """Of two minutes the lowest band has samples enough for SSI-cov alone."""
-    found = identify_ambient_by(method, ambient.wrap(ambient.record(0).data[:, : int(120 * ambient.RATE)]))
+    found = identify_ambient_by(
+        method, ambient.wrap(ambient.record(0).data[:, : int(120 * ambient.RATE)])
+    )
     assert np.abs(found.modes.frequencies / ambient.F[1] - 1).min() < 0.01
     assert any("too short for" in n for n in found.notes)
 
@@ -99,7 +109,9 @@ def test_methods_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFix
     assert run([*words, "--json", "-"]) == 0
     (mode,) = json.loads(capsys.readouterr().out)["modes"]
     assert abs(mode["frequency_hz"] - 9.0) < 5 * mode["std_frequency_hz"]
-    assert run(["ema", str(tmp_path / "h.h5"), "--method", "lsce", "--fmin", "3", "--fmax", "35"]) == 0
+    assert (
+        run(["ema", str(tmp_path / "h.h5"), "--method", "lsce", "--fmin", "3", "--fmax", "35"]) == 0
+    )
     out = capsys.readouterr().out
     assert "8 modes" in out
     assert "no standard deviations: LSCE" in out

@@ -1,6 +1,7 @@
 """What was measured beside the modes, in the screening of candidates made from the deck.
 
-The frame of `small_study` with a hanger of no account to its modes, a rod along z at a corner of the top floor:
+The frame of `small_study` with a hanger of no account to its modes, a rod along z at a corner of
+the top floor:
 
     pull F at its end, which moves by F l/EA and what the floor gives
 """
@@ -78,9 +79,16 @@ def written(folder: Path, more: str) -> Path:
     )
     write_sheet(folder / "sensors.csv", end, end.channels)
     write_modes(folder / "modes.json", true.seen(true.modes(18.0).modes, test, 0.01))
-    rows = at_dofs((f"{END}+Z", "303+X"), true.analysis.dofs, 1.0).matrix @ true.analysis.system.transform
+    rows = (
+        at_dofs((f"{END}+Z", "303+X"), true.analysis.dofs, 1.0).matrix
+        @ true.analysis.system.transform
+    )
     moved = rows @ true.analysis.pencil.at(0.0).solve(LOAD * rows[[0]].toarray().T)
-    lines = [f"pull,{END}+Z,{LOAD},{moved[0, 0]:.9e}", f"pull,303+X,,{moved[1, 0]:.9e}", f"pull,{END}+Y,,0.0"]
+    lines = [
+        f"pull,{END}+Z,{LOAD},{moved[0, 0]:.9e}",
+        f"pull,303+X,,{moved[1, 0]:.9e}",
+        f"pull,{END}+Y,,0.0",
+    ]
     (folder / "pull.csv").write_text("\n".join(["case,channel,load,deflection", *lines]) + "\n")
     (folder / "study.toml").write_text(STUDY + more)
     return folder / "study.toml"
@@ -97,7 +105,9 @@ def test_a_candidate_that_no_mode_strains_is_proposed_by_the_pull_on_it(pulled: 
     assert found["MAT1 1 E"] == pytest.approx(WRONG, rel=0.02)
 
 
-def test_constraints_may_name_candidates_that_the_screening_left_out(pulled: StudyRun, tmp_path: Path) -> None:
+def test_constraints_may_name_candidates_that_the_screening_left_out(
+    pulled: StudyRun, tmp_path: Path
+) -> None:
     """Which these are changes with the data; a name that the deck does not give is refused."""
     limit = '[[constraint]]\nterms = {{ "{}" = 1.0 }}\nmost = 0.5\n'
     out = pulled.results["localise"].screened[0]
@@ -116,14 +126,19 @@ def test_what_candidates_do_to_the_data_is_what_the_reduced_model_says(
     whole = whole_mass(read_deck(pulled.folder / "truth.bdf"))
     more = {
         "static": STATIC,
-        "mass": f'[[residual]]\nkind = "mass"\nmass = {whole.mass}\ncenter = {[float(c) for c in whole.cg]}\n',
-        "zeros": '[[residual]]\nkind = "anti-resonances"\noutput = "303+X"\ninput = "303+X"\nfrequencies = [3, 7]\n',
+        "mass": f'[[residual]]\nkind = "mass"\nmass = {whole.mass}\ncenter = '
+        f"{[float(c) for c in whole.cg]}\n",
+        "zeros": '[[residual]]\nkind = "anti-resonances"\noutput = "303+X"\ninput = '
+        '"303+X"\nfrequencies = [3, 7]\n',
     }
     desk = run_study(written(tmp_path, more[kind]), until="correlate").desk
     every = generate(desk.remodelled.model, CandidateSettings(("material",), "SI"))
     beside, aim = Beside.of(desk, every), target(desk)
     model = beside.loaded(desk.apart(parameters(every), quiet))
-    problem, x = beside.problem(model, aim), 0.1 * np.random.default_rng(1).standard_normal(len(every))
+    problem, x = (
+        beside.problem(model, aim),
+        0.1 * np.random.default_rng(1).standard_normal(len(every)),
+    )
     at, p = problem.evaluate(x), problem.parameters
     mine = at.kind == at.kind.max()
     value, slopes = beside.misfit(model.model, x, range(len(every)), aim)

@@ -1,7 +1,9 @@
-"""One parameter set over two configurations: the small frame as it is, and with a known mass on its top floor.
+"""One parameter set over two configurations: the small frame as it is, and with a known mass on its
+top floor.
 
-A factor on all moduli and one on all densities change the frequencies f² ~ E/rho of the bare frame alike: its test
-tells their ratio alone, and the prior shares it out. A known mass that is added tells the scale:
+A factor on all moduli and one on all densities change the frequencies f² ~ E/rho of the bare frame
+alike: its test tells their ratio alone, and the prior shares it out. A known mass that is added
+tells the scale:
 
     bare:   f² ~ E / (rho V)          loaded:   f² ~ E / (rho V + m)
 """
@@ -30,9 +32,14 @@ from ringtrue.study.run import StudyRun, load_study, run_study
 TRUTH = {"stiffness": 0.75, "density": 0.9}
 CORNERS = [small_study.node(3, i, j) for i, j in small_study.CORNERS]
 MASS = "".join(f"CONM2,{9000 + k},{n},,800.0\n" for k, n in enumerate(CORNERS))
-LOADED = '\n[[configuration]]\nname = "loaded"\ncards = "deck/mass.bdf"\nsheet = "loaded/sensors.csv"\n'
+LOADED = (
+    '\n[[configuration]]\nname = "loaded"\ncards = "deck/mass.bdf"\nsheet = "loaded/sensors.csv"\n'
+)
 LOADED += 'log = "loaded/campaign.json"\nleft_out = 2\n'
-OWN = '\n[[configuration]]\nname = "loaded"\ndeck = "deck/loaded.bdf"\nmodes = "loaded.json"\nleft_out = 1\n'
+OWN = (
+    '\n[[configuration]]\nname = "loaded"\ndeck = "deck/loaded.bdf"\nmodes = '
+    '"loaded.json"\nleft_out = 1\n'
+)
 PLAIN = small_study.MODEL + small_study.TEST + small_study.SETTINGS + small_study.WHOLE
 
 
@@ -42,8 +49,12 @@ def truth(e: float, rho: float, *, loaded: bool) -> str:
     return text.replace("ENDDATA", MASS + "ENDDATA") if loaded else text
 
 
-def folder(at: Path, toml: str, e: float = TRUTH["stiffness"], rho: float = TRUTH["density"]) -> Path:
-    """The study with the records of both configurations, and the modes of the loaded one as a file."""
+def folder(
+    at: Path, toml: str, e: float = TRUTH["stiffness"], rho: float = TRUTH["density"]
+) -> Path:
+    """The study with the records of both configurations, and the modes of the loaded one as a
+    file.
+    """
     (at / "deck").mkdir()
     (at / "deck/frame.bdf").write_text(small_study.deck())
     (at / "deck/mass.bdf").write_text(MASS)
@@ -61,7 +72,10 @@ def folder(at: Path, toml: str, e: float = TRUTH["stiffness"], rho: float = TRUT
 @pytest.fixture(scope="module")
 def both(tmp_path_factory: pytest.TempPathFactory) -> StudyRun:
     run = run_study(
-        folder(tmp_path_factory.mktemp("both"), PLAIN + LOADED + "[uncertainty]\nfolds = 3\nsamples = 160\n")
+        folder(
+            tmp_path_factory.mktemp("both"),
+            PLAIN + LOADED + "[uncertainty]\nfolds = 3\nsamples = 160\n",
+        )
     )
     deliver(run)
     return run
@@ -75,11 +89,14 @@ def errors(run: StudyRun) -> dict[str, float]:
     return {name: abs(found.get(name, 1.0) / value - 1) for name, value in TRUTH.items()}
 
 
-def test_both_parameters_are_found_and_from_one_configuration_they_are_not(both: StudyRun, tmp_path: Path) -> None:
+def test_both_parameters_are_found_and_from_one_configuration_they_are_not(
+    both: StudyRun, tmp_path: Path
+) -> None:
     alone = errors(run_study(folder(tmp_path, PLAIN), until="final"))
     together = errors(both)
-    # the objective allows 1 % of a frequency, so that the prior still pulls; alone one is held at the deck's value,
-    # as the data cannot tell the two apart, and the other takes up the error of both
+    # the objective allows 1 % of a frequency, so that the prior still pulls; alone one is held at
+    # the deck's value, as the data cannot tell the two apart, and the other takes up the error of
+    # both
     assert max(together.values()) < 0.003
     assert min(alone.values()) > 0.1
 
@@ -112,12 +129,18 @@ def test_damping_is_fitted_to_both_tests(both: StudyRun) -> None:
     np.testing.assert_allclose(d.regions.coefficients, 2 * small_study.DAMPING, rtol=0.2)
     told = json.loads((both.folder / "summary.json").read_text())["damping"]["configurations"]
     assert [t["name"] for t in told] == ["loaded"]
-    assert "Damping of the modes: loaded" in (both.folder / "report.html").read_text(encoding="utf-8")
+    assert "Damping of the modes: loaded" in (both.folder / "report.html").read_text(
+        encoding="utf-8"
+    )
 
 
 @pytest.mark.parametrize(("e", "rho", "wrong"), [(1.0, 0.8, "density"), (0.8, 1.0, "stiffness")])
-def test_one_wrong_parameter_is_chosen_by_both_tests(tmp_path: Path, e: float, rho: float, wrong: str) -> None:
-    toml = PLAIN.replace("[update]", "[update]\nchoose = 1") + LOADED  # the bare frame cannot say which of the two
+def test_one_wrong_parameter_is_chosen_by_both_tests(
+    tmp_path: Path, e: float, rho: float, wrong: str
+) -> None:
+    toml = (
+        PLAIN.replace("[update]", "[update]\nchoose = 1") + LOADED
+    )  # the bare frame cannot say which of the two
     run = run_study(folder(tmp_path, toml, e, rho), until="update")
     assert run.results["sensitivity"].sets["best subset"] == (wrong,)
     done = run.results["update"]
@@ -142,12 +165,16 @@ def test_each_configuration_has_its_table_before_and_after(both: StudyRun) -> No
 
 
 def test_stated_limits_hold_for_every_delivered_deck(both: StudyRun) -> None:
-    strict = both.config.model_validate(both.config.model_dump() | {"correlate": {"accept_percent": 1e-4}})
+    strict = both.config.model_validate(
+        both.config.model_dump() | {"correlate": {"accept_percent": 1e-4}}
+    )
     said = missed_words(strict, both.results)
     tables = both.results["final"].table, both.results["configured"].items[0].table
     assert len(said) == sum(int((np.abs(t.deviation_percent) > 1e-4).sum()) for t in tables)
     assert sum(s.startswith("loaded: test mode") for s in said) > 0
-    assert [c.held for c in verdict(both.config, both.results) if c.name.startswith("loaded")] == [True]
+    assert [c.held for c in verdict(both.config, both.results) if c.name.startswith("loaded")] == [
+        True
+    ]
 
 
 def test_every_deck_that_has_the_field_is_written(both: StudyRun) -> None:
@@ -158,8 +185,12 @@ def test_every_deck_that_has_the_field_is_written(both: StudyRun) -> None:
     for model in (read_deck(f / "frame.bdf") for f in folders):
         m = model["MAT1"]
         # eight characters of a free field
-        np.testing.assert_allclose(m["E"][m.find(np.array([1, 2, 3]))], 2.0e11 * factor["stiffness"], rtol=1e-6)
-        np.testing.assert_allclose(m["RHO"][m.find(np.array([10]))], 2500 * factor["density"], rtol=1e-6)
+        np.testing.assert_allclose(
+            m["E"][m.find(np.array([1, 2, 3]))], 2.0e11 * factor["stiffness"], rtol=1e-6
+        )
+        np.testing.assert_allclose(
+            m["RHO"][m.find(np.array([10]))], 2500 * factor["density"], rtol=1e-6
+        )
     assert len(read_deck(folders[1] / "frame.bdf")["CONM2"]) == 4
     assert (both.folder / "deck/frame.bdf").read_text() == small_study.deck()
 
@@ -183,7 +214,10 @@ def test_a_deck_of_its_own_and_a_file_of_modes(both: StudyRun, tmp_path: Path) -
     (item,) = run.results["configured"].items
     assert (~item.table.used).sum() == 1
     assert item.table.max_deviation() < 0.3
-    assert both.results["configurations"].items[0].source != run.results["configurations"].items[0].source
+    assert (
+        both.results["configurations"].items[0].source
+        != run.results["configurations"].items[0].source
+    )
 
 
 def test_where_a_deck_differs_is_said(tmp_path: Path) -> None:
@@ -219,14 +253,20 @@ def test_a_deck_that_carries_nothing_is_refused(tmp_path: Path) -> None:
     study = folder(tmp_path, PLAIN + OWN)
     text = (tmp_path / "deck/loaded.bdf").read_text()
     for k in (1, 2, 3, 10):
-        text = text.replace(f"MAT1,{k},", f"MAT1,{k + 50},").replace(f"PBEAM,{k},{k},", f"PBEAM,{k},{k + 50},")
-    (tmp_path / "deck/loaded.bdf").write_text(text.replace("PSHELL,10,10,0.1,10,,10", "PSHELL,10,60,0.1,60,,60"))
+        text = text.replace(f"MAT1,{k},", f"MAT1,{k + 50},").replace(
+            f"PBEAM,{k},{k},", f"PBEAM,{k},{k + 50},"
+        )
+    (tmp_path / "deck/loaded.bdf").write_text(
+        text.replace("PSHELL,10,10,0.1,10,,10", "PSHELL,10,60,0.1,60,,60")
+    )
     with pytest.raises(ConfigError, match="its deck has no card of a candidate"):
         run_study(study, until="configurations")
 
 
 def test_a_suspension_is_tuned_to_the_rigid_body_modes_of_both_tests(tmp_path: Path) -> None:
-    """All moduli and all densities play the suspension; two sways and a torsion lie below 3 Hz in each test."""
+    """All moduli and all densities play the suspension; two sways and a torsion lie below 3 Hz in
+    each test.
+    """
     sure = small_study.SETTINGS.replace("[identify]", "[identify]\nconfidence = 0.4")
     toml = small_study.MODEL + small_study.TEST + sure + "[correlate]\nrigid_below = 3.0\n"
     toml += small_study.WHOLE.replace("[[candidate]]", "[[suspension]]")
@@ -247,6 +287,8 @@ def test_a_suspension_is_tuned_to_the_rigid_body_modes_of_both_tests(tmp_path: P
     deliver(run)
     told = json.loads((run.folder / "summary.json").read_text())["suspension_configurations"]
     assert [len(t["after"]) for t in told] == [3]
-    assert "loaded: rigid-body modes after tuning." in (run.folder / "report.html").read_text(encoding="utf-8")
+    assert "loaded: rigid-body modes after tuning." in (run.folder / "report.html").read_text(
+        encoding="utf-8"
+    )
     (deck,) = run.results["configured"].items
     assert any("MAT1 10 RHO" in c for c in deck.changes)

@@ -1,7 +1,9 @@
-"""A good test is weighed as good as it is: the prior does not pull what its modes tell to the percent.
+"""A good test is weighed as good as it is: the prior does not pull what its modes tell to the
+percent.
 
-The frame of `localise_twin`, three of its regions wrong, 12 modes with 0.2 % noise on frequencies and 1 % on shapes.
-With 1 % of frequency and 0.05 of MAC assumed, a prior of 10 % takes back a part of each change.
+The frame of `localise_twin`, three of its regions wrong, 12 modes with 0.2 % noise on frequencies
+and 1 % on shapes. With 1 % of frequency and 0.05 of MAC assumed, a prior of 10 % takes back a part
+of each change.
 """
 
 from __future__ import annotations
@@ -31,14 +33,18 @@ modes = "modes.json"
 left_out = 2
 """
 CANDIDATES = "".join(
-    f'[[candidate]]\nname = "{mid}"\ntargets = ["MAT1 {mid} E"]\nlower = 0.4\nupper = 2.5\nstd = 0.1\n' for mid in WRONG
+    f'[[candidate]]\nname = "{mid}"\ntargets = ["MAT1 {mid} E"]\nlower = 0.4\nupper = 2.5\nstd = '
+    "0.1\n"
+    for mid in WRONG
 )
 
 
 def updated(folder: Path, extra: str) -> tuple[SetResult, list[int]]:
     """The set that a study chooses, and the modes that it leaves out, from 1."""
     aim = twin.measured(WRONG, np.random.default_rng(3))
-    twin.write_test(folder, aim.frequencies, aim.shapes, 0.002, 0.01 * np.abs(aim.shapes).max(axis=0))
+    twin.write_test(
+        folder, aim.frequencies, aim.shapes, 0.002, 0.01 * np.abs(aim.shapes).max(axis=0)
+    )
     (folder / "study.toml").write_text(STUDY + extra + CANDIDATES)
     done: UpdateStage = run_study(folder / "study.toml", until="update").results["update"]
     return done.sets[done.chosen], (done.left_out + 1).tolist()
@@ -47,25 +53,33 @@ def updated(folder: Path, extra: str) -> tuple[SetResult, list[int]]:
 def changes(folder: Path, extra: str) -> dict[str, float]:
     """Factor found over the true one of each wrong region."""
     best, _ = updated(folder, extra)
-    return {n: a / WRONG[int(n)] for n, a in zip(best.parameters, best.factor.tolist(), strict=True)}
+    return {
+        n: a / WRONG[int(n)] for n, a in zip(best.parameters, best.factor.tolist(), strict=True)
+    }
 
 
 @pytest.mark.parametrize("path", ["", 'step = "trust-region"\n'])
 def test_the_prior_does_not_pull(tmp_path: Path, path: str) -> None:
     found = changes(tmp_path, path)
     assert set(found) == {"11", "20", "33"}
-    assert list(found.values()) == pytest.approx([1.0] * 3, abs=0.02)  # four standard deviations by the noise
+    assert list(found.values()) == pytest.approx(
+        [1.0] * 3, abs=0.02
+    )  # four standard deviations by the noise
 
 
 def test_the_command_updates_as_the_study_does(tmp_path: Path) -> None:
-    """Same data, same end and the same discrepancy, from the last two parts of one function and by another path."""
+    """Same data, same end and the same discrepancy, from the last two parts of one function and by
+    another path.
+    """
     study, left_out = updated(tmp_path, "")
     words = [str(tmp_path / n) for n in ("study.toml", "modes.json")]
     more = ["--leave-out", ",".join(map(str, left_out)), "--json", str(tmp_path / "found.json")]
     assert run(["update", *words, *more]) == 0
     found = json.loads((tmp_path / "found.json").read_text())
     factors = {p["name"]: p["factor"] for p in found["parameters"]}
-    assert [factors[n] for n in study.parameters] == pytest.approx(study.factor.tolist(), rel=2e-4)  # of the basis
+    assert [factors[n] for n in study.parameters] == pytest.approx(
+        study.factor.tolist(), rel=2e-4
+    )  # of the basis
     std = {p["name"]: p["relative_std"] for p in found["parameters"]}
     assert [std[n] for n in study.parameters] == pytest.approx(study.std.tolist(), rel=0.05)
     kept = list(found["discrepancy_percent"].values())

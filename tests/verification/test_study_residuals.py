@@ -1,7 +1,8 @@
-"""A study of the small frame with what was measured beside its modes: statics, a weighing, FRFs and their zeros.
+"""A study of the small frame with what was measured beside its modes: statics, a weighing, FRFs and
+their zeros.
 
-A factor on all moduli and one on all densities change the frequencies f² ~ E/rho alike: the modes tell their ratio
-alone. Each of these data tells the scale as well:
+A factor on all moduli and one on all densities change the frequencies f² ~ E/rho alike: the modes
+tell their ratio alone. Each of these data tells the scale as well:
 
     static deflection u ~ 1/E        mass m ~ rho        accelerance H ~ 1/rho
 """
@@ -64,7 +65,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (at / "truth.bdf").write_text(truth())
     small_study.write_data(at / "data", ambient=False, truth=truth())
     moved = deflections(Opened(read_deck(at / "truth.bdf"), 1.0))
-    rows = [f"pull,{c},{1000 if c == LOADED else ''},{u:.9e}" for c, u in zip(READ, moved, strict=True)]
+    rows = [
+        f"pull,{c},{1000 if c == LOADED else ''},{u:.9e}" for c, u in zip(READ, moved, strict=True)
+    ]
     (at / "pull.csv").write_text("case,channel,load,deflection\n" + "\n".join(rows) + "\n")
     (at / "study.toml").write_text(PLAIN)
     run_study(at / "study.toml", until="correlate")
@@ -92,7 +95,12 @@ def weighing(made: Path) -> str:
 
 @pytest.mark.parametrize("kind", ["static", "mass", "frf", "complex frf"])
 def test_scale_is_found(made: Path, tmp_path: Path, kind: str) -> None:
-    more = {"static": STATIC, "mass": weighing(made), "frf": FRF, "complex frf": FRF + 'form = "complex"\n'}[kind]
+    more = {
+        "static": STATIC,
+        "mass": weighing(made),
+        "frf": FRF,
+        "complex frf": FRF + 'form = "complex"\n',
+    }[kind]
     run = run_study(study(made, tmp_path, more), until="update")
     found = factors(run)
     for name, value in TRUTH.items():
@@ -105,11 +113,20 @@ def test_scale_is_found(made: Path, tmp_path: Path, kind: str) -> None:
     assert near.max() < 0.3 * far.max()
 
 
-def test_all_together_with_zeros_reach_the_report_and_the_uncertainty(made: Path, tmp_path: Path) -> None:
-    zeros = '[[residual]]\nkind = "anti-resonances"\noutput = "303+X"\ninput = "303+X"\nfrequencies = [{}]\n'
-    held = truth().replace("SPC1,1,123456,", "SPC1,1,1,303\nSPC1,1,123456,")  # zeros: modes with the point held
+def test_all_together_with_zeros_reach_the_report_and_the_uncertainty(
+    made: Path, tmp_path: Path
+) -> None:
+    zeros = (
+        '[[residual]]\nkind = "anti-resonances"\noutput = "303+X"\ninput = '
+        '"303+X"\nfrequencies = [{}]\n'
+    )
+    held = truth().replace(
+        "SPC1,1,123456,", "SPC1,1,1,303\nSPC1,1,123456,"
+    )  # zeros: modes with the point held
     (tmp_path / "held.bdf").write_text(held)
-    f = Opened(read_deck(tmp_path / "held.bdf"), 1.0).modes(12.0).modes.frequencies[[1, 2, 4]]  # 0 and 3 sway along y
+    f = (
+        Opened(read_deck(tmp_path / "held.bdf"), 1.0).modes(12.0).modes.frequencies[[1, 2, 4]]
+    )  # 0 and 3 sway along y
     more = STATIC + weighing(made) + FRF + zeros.format(", ".join(f"{x:.6f}" for x in f))
     settings = 'residuals = ["frequencies", "mac", "orthogonality"]\n'
     run = run_study(study(made, tmp_path, more, settings))
@@ -136,7 +153,10 @@ def test_what_was_measured_on_another_configuration_counts(made: Path, tmp_path:
     bare = '[[configuration]]\nname = "bare"\ndeck = "deck/frame.bdf"\nmodes = "bare.json"\n'
     path = study(made, tmp_path, more + bare + "[uncertainty]\nfolds = 3\n")
     opened = Opened(read_deck(made / "truth.bdf"), 1.0)
-    write_modes(path.parent / "bare.json", opened.seen(opened.modes(20.0).modes, small_study.test_model(), 0.01))
+    write_modes(
+        path.parent / "bare.json",
+        opened.seen(opened.modes(20.0).modes, small_study.test_model(), 0.01),
+    )
     run = run_study(path, until="uncertainty")
     for name, value in factors(run).items():
         assert value == pytest.approx(TRUTH[name], rel=0.01)
@@ -185,7 +205,9 @@ frequency_error = 0.001
     assert by["by evidence"].settings == "prior evidence, starts 2"
     assert by["frequencies first"].settings == "shape weight 0.1, frequency error 0.001"
     for name in ("by evidence", "frequencies first", "best subset"):
-        assert dict(zip(by[name].parameters, by[name].factor, strict=True)) == pytest.approx(TRUTH, rel=0.02)
+        assert dict(zip(by[name].parameters, by[name].factor, strict=True)) == pytest.approx(
+            TRUTH, rel=0.02
+        )
     assert done.sets[done.chosen].name != "frequencies first"
     assert "not chosen from" in done.why
     told = {s["name"]: s for s in summarise(run)["sets"]}
@@ -209,7 +231,8 @@ def test_what_the_study_cannot_mean_is_refused(tmp_path: Path, more: str, told: 
 
 
 def test_constraint_holds(made: Path, tmp_path: Path) -> None:
-    tie = '[[constraint]]\nterms = { "density" = -1.0 }\nmost = 0.02\n'  # density factor not below exp(-0.02)
+    # density factor not below exp(-0.02)
+    tie = '[[constraint]]\nterms = { "density" = -1.0 }\nmost = 0.02\n'
     found = factors(run_study(study(made, tmp_path, STATIC + tie), until="update"))
     assert found["density"] == pytest.approx(np.exp(-0.02), rel=1e-6)
 
@@ -231,7 +254,9 @@ def test_static_tables_are_checked(made: Path, tmp_path: Path, text: str, told: 
         run_study(path, until="update")
 
 
-def test_pairs_that_the_study_decides_hold_from_the_deck_to_the_delivered_one(made: Path, tmp_path: Path) -> None:
+def test_pairs_that_the_study_decides_hold_from_the_deck_to_the_delivered_one(
+    made: Path, tmp_path: Path
+) -> None:
     locks = '[correlate]\nlock = ["4:4"]\nforbid = ["2:2"]\nmac_gate = 0.9\n'
     run = run_study(study(made, tmp_path, locks + STATIC), until="final")
     found, final = run.results["correlate"], run.results["final"]
@@ -261,7 +286,9 @@ def test_a_sheet_in_a_frame_of_its_own_is_laid_onto_the_deck(
     real = workbench.alignment
     monkeypatch.setattr(workbench, "alignment", lambda *a: found.append(a[2]) or real(*a))
     run = run_study(path, until="update")
-    assert set(found) == {"points"}  # for the deck before and after, and for the places that are shown
+    assert set(found) == {
+        "points"
+    }  # for the deck before and after, and for the places that are shown
     assert "turned by 28.6°" in run.results["correlate"].placed
     for name, value in factors(run).items():
         assert value == pytest.approx(TRUTH[name], rel=0.02)
@@ -278,7 +305,10 @@ def test_an_interrupted_updating_goes_on_with_the_next_set(
     made: Path, tmp_path: Path, more: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = study(made, tmp_path, more, plain=PLAIN.replace("[update]", "[update]\nchoose = 1"))
-    whole = run_study(study(made, tmp_path / "whole", more, plain=path.read_text().removesuffix(more)), until="update")
+    whole = run_study(
+        study(made, tmp_path / "whole", more, plain=path.read_text().removesuffix(more)),
+        until="update",
+    )
     at: list[str] = []
 
     def stop(fraction: float, text: str) -> None:
@@ -289,7 +319,9 @@ def test_an_interrupted_updating_goes_on_with_the_next_set(
     with pytest.raises(KeyboardInterrupt):
         run_study(path, until="update", progress=stop)
     assert len(Store(path.parent / "update.sets.h5").stages()) == 1
-    monkeypatch.delattr(update, "together")  # all rules choose the one parameter: nothing is left to be updated
+    monkeypatch.delattr(
+        update, "together"
+    )  # all rules choose the one parameter: nothing is left to be updated
     again = run_study(path, until="update")
     assert not (path.parent / "update.sets.h5").exists()
     assert again.results["sensitivity"].sets == whole.results["sensitivity"].sets
@@ -318,7 +350,12 @@ def in_millimetres(text: str) -> str:
 
 
 def test_a_deck_in_millimetres_gives_the_same(made: Path, tmp_path: Path) -> None:
-    more = STATIC + weighing(made) + "inertia = [nan, nan, 1.0e5, nan, nan, nan]\ninertia_error = 1e3\n" + FRF
+    more = (
+        STATIC
+        + weighing(made)
+        + "inertia = [nan, nan, 1.0e5, nan, nan, nan]\ninertia_error = 1e3\n"
+        + FRF
+    )
     plain = PLAIN.replace('frame.bdf"\n', 'frame.bdf"\nunits = "mm-t-s"\n')
     path = study(made, tmp_path, more, plain=plain)
     (path.parent / "deck/frame.bdf").write_text(in_millimetres(small_study.deck()))
@@ -335,7 +372,9 @@ def test_a_sensor_off_the_nodes_reads_the_nodes_around_it(made: Path, tmp_path: 
     run = run_study(study(made, tmp_path, '[correlate]\nmatch = "rigid"\n'), until="correlate")
     test = run.results["identify"].test
     off = replace(test, xyz=test.xyz + np.array([0.2, 0.1, 0.0]))  # on the rim of the floors
-    near, around = (run.desk.initial.observation(off, 1.0, how).matrix for how in ("nearest", "rigid"))
+    near, around = (
+        run.desk.initial.observation(off, 1.0, how).matrix for how in ("nearest", "rigid")
+    )
     assert (np.diff(near.indptr) == 1).all()
     assert (np.diff(around.indptr) >= 4).all()
     np.testing.assert_array_equal(
@@ -359,14 +398,18 @@ def test_steps_of_a_remodelling_are_told_one_by_one(made: Path, tmp_path: Path) 
     assert found.remodelling == "1. tank; 2. crane"
     assert len(read_deck(path.parent / "remodelled/step 1/frame.bdf")["CONM2"]) == 1
     assert len(read_deck(path.parent / "remodelled/frame.bdf")["CONM2"]) == 2
-    assert "after each step of the remodelling" in (run.folder / "report.html").read_text(encoding="utf-8")
+    assert "after each step of the remodelling" in (run.folder / "report.html").read_text(
+        encoding="utf-8"
+    )
 
 
 @pytest.mark.parametrize("kind", ["", "static", "mass", "frf"])
 def test_the_proposal_takes_what_was_measured_beside_the_modes(
     made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
-    """The modes tell the ratio of the two factors alone: one of them is proposed, and stands for both."""
+    """The modes tell the ratio of the two factors alone: one of them is proposed, and stands for
+    both.
+    """
     monkeypatch.setattr(localise, "SMALL", 1)  # so that the search has a basis of its own here, too
     more = {"": "", "static": STATIC, "mass": weighing(made), "frf": FRF}[kind]
     run = run_study(study(made, tmp_path, more, "propose = true\n"), until="sensitivity")
@@ -384,5 +427,6 @@ def test_the_proposal_takes_what_was_measured_beside_the_modes(
         assert not m.alike
     assert told["proposed_by"] == {"static": "pull", "mass": "mass", "frf": "hammer"}[kind]
     assert set(run.results["sensitivity"].sets["proposal"]) == set(TRUTH)
-    # all candidates free: known beside each other as well as alone only with the data that part them
+    # all candidates free: known beside each other as well as alone only with the data that part
+    # them
     assert (found.together < 0.1).all()

@@ -1,7 +1,8 @@
 """A study that is resumed at any stage gives what one that runs through gives, to the last bit.
 
-Each stage is run anew on the stored results of those before it, in a process's fresh workbench; were one of them to
-rest on anything that is in memory alone, such as a basis that an earlier stage has enriched, its bytes would differ.
+Each stage is run anew on the stored results of those before it, in a process's fresh workbench;
+were one of them to rest on anything that is in memory alone, such as a basis that an earlier stage
+has enriched, its bytes would differ.
 """
 
 from __future__ import annotations
@@ -19,15 +20,23 @@ from test_study_configurations import LOADED, PLAIN, folder
 from ringtrue.study.run import run_study
 from ringtrue.study.store import Store, digest
 
-# without fmax the modes of the deck are solved up to one frequency for the plan and up to another for the test
+# without fmax the modes of the deck are solved up to one frequency for the plan and up to another
+# for the test
 OPEN = small_study.FULL.replace(f"fmax = {small_study.FMAX}\n", "", 1)
 QUICK = '[localise]\nkinds = ["material"]\n'
-PLANNED = OPEN.replace("[model]", '[plan]\nfmax = 14.0\nsensors = 6\nmethod = "information"\n[model]') + QUICK
+PLANNED = (
+    OPEN.replace("[model]", '[plan]\nfmax = 14.0\nsensors = 6\nmethod = "information"\n[model]')
+    + QUICK
+)
 RIGID = (
-    small_study.MODEL + small_study.TEST + small_study.SETTINGS.replace("[identify]", "[identify]\nconfidence = 0.4")
+    small_study.MODEL
+    + small_study.TEST
+    + small_study.SETTINGS.replace("[identify]", "[identify]\nconfidence = 0.4")
 )
 SUSPENDED = RIGID + small_study.candidates((2, 3)) + "[correlate]\nrigid_below = 3.0\n" + QUICK
-SUSPENDED += '[[suspension]]\nname = "lowest storey"\ntargets = ["MAT1 1 E"]\n[uncertainty]\nsamples = 40\n'
+SUSPENDED += (
+    '[[suspension]]\nname = "lowest storey"\ntargets = ["MAT1 1 E"]\n[uncertainty]\nsamples = 40\n'
+)
 JOINT = PLAIN + LOADED + "\n[uncertainty]\nfolds = 3\n"
 
 

@@ -1,4 +1,6 @@
-"""docs/tutorial.md does what it says: its files are written, its commands run, its figures found."""
+"""docs/tutorial.md does what it says: its files are written, its commands run, its figures
+found.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         elif language == "sh":
             script = ["bash", "-euo", "pipefail", "-c", text]
             env = os.environ | {"BWB": str(DECK), "PATH": path}
-            ran = subprocess.run(script, cwd=here, env=env, capture_output=True, text=True, check=False)
+            ran = subprocess.run(
+                script, cwd=here, env=env, capture_output=True, text=True, check=False
+            )
             assert ran.returncode == 0, f"{text}\n{ran.stdout[-2000:]}\n{ran.stderr[-2000:]}"
     return here
 
@@ -58,7 +62,13 @@ def test_the_figures_of_the_tutorial_are_those_of_its_commands(folder: Path) -> 
         assert len(said) == len(summary[key]) == 8
         for row, pair in zip(said, summary[key], strict=True):
             numbers = [
-                pair[k] for k in ("frequency_test_hz", "frequency_fe_hz", "deviation_percent", "subspace_mac_percent")
+                pair[k]
+                for k in (
+                    "frequency_test_hz",
+                    "frequency_fe_hz",
+                    "deviation_percent",
+                    "subspace_mac_percent",
+                )
             ]
             for text, number, close in zip(row, numbers, (0.01, 0.01, 0.05, 0.5), strict=False):
                 assert abs(float(text.replace("−", "-")) - number) < close

@@ -1,4 +1,6 @@
-"""Candidates of a deck, collinearity, Cramér-Rao bounds, the LASSO path and error indicators, against closed forms."""
+"""Candidates of a deck, collinearity, Cramér-Rao bounds, the LASSO path and error indicators,
+against closed forms.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +45,9 @@ def test_candidates_know_their_elements_and_units() -> None:
 
 def test_equal_springs_are_one_group_and_each_by_itself() -> None:
     text = twin.deck().replace("CBUSH,903,900", "CBUSH,903,901")
-    extra = [ln.replace("PBUSH,900", "PBUSH,901") for ln in text.splitlines() if ln.startswith("PBUSH")]
+    extra = [
+        ln.replace("PBUSH,900", "PBUSH,901") for ln in text.splitlines() if ln.startswith("PBUSH")
+    ]
     model = twin.read(text.replace("ENDDATA", "\n".join([*extra, "ENDDATA"])))
     names = {c.name: c.elements for c in generate(model, CandidateSettings(kinds=("spring",)))}
     assert names["PBUSH 900-901 K1"] == (900, 901, 902, 903)
@@ -51,24 +55,45 @@ def test_equal_springs_are_one_group_and_each_by_itself() -> None:
 
 
 def test_a_section_given_by_its_dimensions_can_be_written(tmp_path: Path) -> None:
-    """A PBARL makes a PBAR that has no card of its own; a tube has no wall if one radius alone is doubled or halved."""
+    """A PBARL makes a PBAR that has no card of its own; a tube has no wall if one radius alone is
+    doubled or halved.
+    """
     nodes = [f"GRID,{i},,{i}.,0.,0." for i in range(1, 5)]
     bars = ["CBAR,1,1,1,2,0.,0.,1.", "CBAR,2,2,2,3,0.,0.,1.", "CBEAM,3,3,3,4,0.,0.,1."]
-    cards = ["PBARL,1,1,,BOX", ",.2,.1,.01,.01,5.", "PBAR,2,1,.01,1.-5,1.-5,2.-5", "PBEAML,3,1,,TUBE", ",.1,.09"]
+    cards = [
+        "PBARL,1,1,,BOX",
+        ",.2,.1,.01,.01,5.",
+        "PBAR,2,1,.01,1.-5,1.-5,2.-5",
+        "PBEAML,3,1,,TUBE",
+        ",.1,.09",
+    ]
     cards += ["MAT1,1,2.1+11,,.3,7850."]
     (tmp_path / "a.bdf").write_text("\n".join(["BEGIN BULK", *nodes, *bars, *cards, "ENDDATA"]))
     model = read_deck(tmp_path / "a.bdf")
     found = {c.name: c for c in generate(model, CandidateSettings(kinds=("property",), units="SI"))}
     each = {f"PBARL 1 DIM{k}" for k in range(1, 5)}
-    assert {n for n in found if n.split()[1] != "2"} == {"PBARL 1 DIM", "PBARL 1 NSM", "PBEAML 3 DIM", *each}
+    assert {n for n in found if n.split()[1] != "2"} == {
+        "PBARL 1 DIM",
+        "PBARL 1 NSM",
+        "PBEAML 3 DIM",
+        *each,
+    }
     assert found["PBARL 1 DIM3"].what == "dimension 3 (0.01 m) of the BOX section of 1 CBAR"
     assert [t.field for t in found["PBARL 1 DIM3"].parameter.targets] == ["DIM3"]
-    assert [t.field for t in found["PBARL 1 DIM"].parameter.targets] == ["DIM1", "DIM2", "DIM3", "DIM4"]
+    assert [t.field for t in found["PBARL 1 DIM"].parameter.targets] == [
+        "DIM1",
+        "DIM2",
+        "DIM3",
+        "DIM4",
+    ]
     assert found["PBARL 1 DIM"].what == "all dimensions of the BOX section of 1 CBAR"
     assert found["PBARL 1 NSM"].parameter.targets[0].field == "NSM"
     one = ParameterSet((found["PBARL 1 DIM"].parameter,))
     changed = apply_factors(model, one, np.array([1.1]))["PBAR"]
-    ratio = {f: changed[f][changed.ids == 1] / model["PBAR"][f][model["PBAR"].ids == 1] for f in ("A", "I1")}
+    ratio = {
+        f: changed[f][changed.ids == 1] / model["PBAR"][f][model["PBAR"].ids == 1]
+        for f in ("A", "I1")
+    }
     np.testing.assert_allclose([ratio["A"], ratio["I1"]], [[1.1**2], [1.1**4]])
     every = [t for c in found.values() for t in c.parameter.targets]
     assert not unwritable(model, every)
@@ -78,14 +103,18 @@ def test_a_section_given_by_its_dimensions_can_be_written(tmp_path: Path) -> Non
 
 
 def test_what_no_mode_strains_is_left_out_with_a_reason() -> None:
-    """In the first sway mode most candidates hold less than 2 % of the energy; a material without element is none."""
+    """In the first sway mode most candidates hold less than 2 % of the energy; a material without
+    element is none.
+    """
     text = twin.deck().replace("ENDDATA", "MAT1,77,1.+9,,0.3,0.0\nENDDATA")
     model = twin.read(text)
     assert not any("77" in c.name for c in generate(model))  # no element uses it
     with EmbeddedSolver().open(model) as analysis:
         low = analysis.eigen(ModesRequest(1))
         every = generate(model)
-        keep, lost = effective(model, analysis.system, every, low.values[:1], low.vectors[:, :1], least=0.02)
+        keep, lost = effective(
+            model, analysis.system, every, low.values[:1], low.vectors[:, :1], least=0.02
+        )
     assert len(keep) + len(lost) == len(every)
     assert lost
     assert all("no mode has more than" in d.reason for d in lost)
@@ -130,7 +159,9 @@ def test_bounds_of_orthogonal_columns_and_of_twins() -> None:
 
 
 def test_blind_directions_show_a_combination_that_no_cosine_shows() -> None:
-    """Column 2 is the sum of two orthogonal ones: its cosine with each is 0.71, yet one direction is left open."""
+    """Column 2 is the sum of two orthogonal ones: its cosine with each is 0.71, yet one direction
+    is left open.
+    """
     g = 10 * np.array([[1.0, 0, 1, 0], [0, 1.0, 1, 0], [0, 0, 0, 1.0]])
     assert cosines(g)[:2, 2].max() < 0.72
     share, cosine = blind_cosines(g)
@@ -174,7 +205,9 @@ def test_element_energies_sum_to_the_strain_energy() -> None:
 
 @pytest.mark.parametrize("region", [12, 23, 31])
 def test_errors_gather_where_the_model_is_wrong(region: int) -> None:
-    """One column of the true structure has 60 % of the modulus; sensors on every node find it among the twelve."""
+    """One column of the true structure has 60 % of the modulus; sensors on every node find it among
+    the twelve.
+    """
     start = twin.start()
     system = start.analysis.system
     with EmbeddedSolver().open(twin.read(twin.deck({region: 0.6}))) as true:
@@ -194,12 +227,16 @@ def test_errors_gather_where_the_model_is_wrong(region: int) -> None:
         noise=1e-3,
     )
     columns = [
-        c for c in start.candidates if c.name.startswith("MAT1") and c.name.endswith("E") and len(c.elements) == 2
+        c
+        for c in start.candidates
+        if c.name.startswith("MAT1") and c.name.endswith("E") and len(c.elements) == 2
     ]
     member = membership(start.model, columns)
     share = found.shares(member)["constitutive"]
     assert columns[int(np.argmax(share))].name == f"MAT1 {region} E"
-    nearest = np.argsort(-found.shares(member)["force"])[:3]  # forces at a node belong to all that meet there
+    nearest = np.argsort(-found.shares(member)["force"])[
+        :3
+    ]  # forces at a node belong to all that meet there
     assert f"MAT1 {region} E" in [columns[i].name for i in nearest.tolist()]
     for value in (found.force, found.constitutive, found.energy, found.strain):
         assert value.sum() == pytest.approx(1.0)
@@ -207,13 +244,18 @@ def test_errors_gather_where_the_model_is_wrong(region: int) -> None:
 
 
 def test_reduced_shape_sensitivities_hold_with_motions_almost_without_mass() -> None:
-    """Lumped masses leave the basis with motions at 1e12 times the lowest eigenvalue; the derivatives stay exact."""
+    """Lumped masses leave the basis with motions at 1e12 times the lowest eigenvalue; the
+    derivatives stay exact.
+    """
     model = twin.start().reduced
     i, h = model.parameters.names.index("MAT1 30 E"), 1e-5
     x = np.zeros(len(model.parameters))
     step = np.where(np.arange(x.size) == i, h, 0.0)
     here = model.linearise(x)
-    ahead, behind = (m.shapes * np.sign((m.shapes * here.shapes).sum(axis=0)) for m in map(model.modes, (step, -step)))
+    ahead, behind = (
+        m.shapes * np.sign((m.shapes * here.shapes).sum(axis=0))
+        for m in map(model.modes, (step, -step))
+    )
     slope = (ahead - behind)[:, :12] / (2 * h)
     np.testing.assert_allclose(here.d_shapes[:, :12, i], slope, atol=1e-6 * np.abs(slope).max())
 
@@ -222,7 +264,11 @@ def test_a_point_where_the_reduced_stiffness_is_not_definite_is_said() -> None:
     """A factor on twice the stiffness that is there: at 0.1 of it, less than none is left."""
     one = sparse.eye_array(4).tocsr()
     system = AffineSystem(
-        1e4 * one, one, ParameterSet((Parameter("p"),)), (AffineTerm(power(0), 2e4 * one, 0 * one),), one
+        1e4 * one,
+        one,
+        ParameterSet((Parameter("p"),)),
+        (AffineTerm(power(0), 2e4 * one, 0 * one),),
+        one,
     )
     with pytest.raises(NumericalError, match="not definite"):
         reduced_model(system, 2).modes(np.log([0.1]))

@@ -1,4 +1,6 @@
-"""Masses that a deck lacks, on the frame of `localise_twin`: 1.5 t more at nodes where nothing is measured."""
+"""Masses that a deck lacks, on the frame of `localise_twin`: 1.5 t more at nodes where nothing is
+measured.
+"""
 
 from __future__ import annotations
 
@@ -34,11 +36,21 @@ def _measured(folder: Path, truth: str, rng: np.random.Generator) -> list[str]:
         seen = twin.observation(analysis.dofs, twin.channels())(modes.shapes)
     noise = 0.005 * np.abs(seen).max(axis=0)
     frequencies = modes.frequencies * (1 + 1e-3 * rng.standard_normal(twin.MODES))
-    twin.write_test(folder, frequencies, seen + noise * rng.standard_normal(seen.shape), 1e-3, noise)
-    return ["localise", str(folder / "frame.bdf"), str(folder / "modes.json"), "--json", str(folder / "found.json")]
+    twin.write_test(
+        folder, frequencies, seen + noise * rng.standard_normal(seen.shape), 1e-3, noise
+    )
+    return [
+        "localise",
+        str(folder / "frame.bdf"),
+        str(folder / "modes.json"),
+        "--json",
+        str(folder / "found.json"),
+    ]
 
 
-def test_a_mass_that_the_deck_lacks_is_named_with_its_place(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_mass_that_the_deck_lacks_is_named_with_its_place(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert run(_measured(tmp_path, _with_mass(twin.deck()), np.random.default_rng(5))) == 0
     found = {m["name"]: m for m in json.loads((tmp_path / "found.json").read_text())["proposed"]}
     name = f"mass lacking at {NODE}"
@@ -47,9 +59,13 @@ def test_a_mass_that_the_deck_lacks_is_named_with_its_place(tmp_path: Path, caps
     assert sum(m.get("added", 0.0) for m in found.values()) == pytest.approx(MASS, rel=0.1)
     printed = capsys.readouterr().out
     assert "that the deck does not have" in printed
-    card = next(line for line in printed.splitlines() if line.startswith("CONM2,") and f",{NODE},," in line)
+    card = next(
+        line for line in printed.splitlines() if line.startswith("CONM2,") and f",{NODE},," in line
+    )
     (tmp_path / "mended.bdf").write_text(twin.deck().replace("ENDDATA", f"{card}\nENDDATA"))
-    assert len(read_deck(tmp_path / "mended.bdf")["CONM2"]) == 1 + len(twin.read(twin.deck())["CONM2"])
+    assert len(read_deck(tmp_path / "mended.bdf")["CONM2"]) == 1 + len(
+        twin.read(twin.deck())["CONM2"]
+    )
 
 
 def test_wrong_stiffnesses_are_no_lacking_masses(tmp_path: Path) -> None:
@@ -69,7 +85,9 @@ def test_places_change_nothing_and_are_of_no_other_element() -> None:
     taken = {i for t in model.tables.values() if t.card.startswith("C") for i in t.ids.tolist()}
     assert not taken & {e for c in candidates for e in c.elements}
     assert [c.name for c in candidates] == [f"mass lacking at {n}" for n in nodes.tolist()]
-    assert all(c.parameter.lower < 1 < c.parameter.upper and c.parameter.lump == TOTAL for c in candidates)
+    assert all(
+        c.parameter.lower < 1 < c.parameter.upper and c.parameter.lump == TOTAL for c in candidates
+    )
 
 
 def test_places_cover_the_structure_the_seen_ones_among_them() -> None:
@@ -90,7 +108,11 @@ def test_the_updated_deck_has_the_mass_as_a_card_and_nothing_else_changed(tmp_pa
     chosen = parameters(candidates[:1])
     changes = field_changes(with_places, chosen, np.array([1 + MASS / TOTAL]))
     written = edit_fields(with_places, changes, tmp_path / "updated")
-    added = [line for line in written[0].read_text().splitlines() if line not in twin.deck().splitlines()]
-    assert [line.split()[:3] for line in added] == [["CONM2", str(candidates[0].elements[0]), str(NODE)]]
+    added = [
+        line for line in written[0].read_text().splitlines() if line not in twin.deck().splitlines()
+    ]
+    assert [line.split()[:3] for line in added] == [
+        ["CONM2", str(candidates[0].elements[0]), str(NODE)]
+    ]
     truth = whole_mass(twin.read(_with_mass(twin.deck())))
     assert whole_mass(read_deck(written[0])).mass == pytest.approx(truth.mass, rel=1e-6)

@@ -1,7 +1,9 @@
-"""Many starts and a global search on a problem with several minima: a short row of masses, frequencies only.
+"""Many starts and a global search on a problem with several minima: a short row of masses,
+frequencies only.
 
-Two springs in a row between walls with equal masses: exchanging the outer springs leaves all frequencies as they are,
-so J has two equal minima, mirror images of one another; shapes tell them apart.
+Two springs in a row between walls with equal masses: exchanging the outer springs leaves all
+frequencies as they are, so J has two equal minima, mirror images of one another; shapes tell them
+apart.
 """
 
 from __future__ import annotations
@@ -32,7 +34,9 @@ TRUTH = np.array([0.6, 0.1, -0.5])
 
 def between_walls() -> DenseModel:
     springs = np.array([[[1.0, 0], [0, 0]], [[1, -1], [-1, 1]], [[0, 0], [0, 1]]]) * 1e4
-    names = ParameterSet(tuple(Parameter(n, (), 0.3, 3.0, "log", 1e3) for n in ("left", "middle", "right")))
+    names = ParameterSet(
+        tuple(Parameter(n, (), 0.3, 3.0, "log", 1e3) for n in ("left", "middle", "right"))
+    )
     return DenseModel.springs(springs.sum(axis=0), np.eye(2), springs, names)
 
 
@@ -40,7 +44,13 @@ def problem(shape: float) -> Problem:
     model = between_walls()
     at = model.modes(TRUTH)
     target = Target(
-        at.frequencies, at.shapes, np.zeros(2), np.ones(2, dtype=bool), Weights(shape=shape), rule="cost", lost=1e6
+        at.frequencies,
+        at.shapes,
+        np.zeros(2),
+        np.ones(2, dtype=bool),
+        Weights(shape=shape),
+        rule="cost",
+        lost=1e6,
     )
     return Problem((Configuration(model, target),), precision=1e-8 * np.eye(3))
 
@@ -68,16 +78,29 @@ def test_starts_find_both_mirror_images_and_shapes_leave_one() -> None:
 def test_global_search_ends_at_the_truth() -> None:
     done = global_search(problem(1.0), np.random.default_rng(1), generations=15)
     np.testing.assert_allclose(done.x, TRUTH, atol=1e-4)
-    tied = Problem(problem(1.0).configurations, rows=np.array([[1.0, 0, 1], [-1, 0, -1]]), limits=np.array([0.1, -0.1]))
-    kept = global_search(tied, np.random.default_rng(1), generations=15)  # left + right = 0.1, as of the truth
+    tied = Problem(
+        problem(1.0).configurations,
+        rows=np.array([[1.0, 0, 1], [-1, 0, -1]]),
+        limits=np.array([0.1, -0.1]),
+    )
+    kept = global_search(
+        tied, np.random.default_rng(1), generations=15
+    )  # left + right = 0.1, as of the truth
     np.testing.assert_allclose(kept.x, TRUTH, atol=1e-4)
-    linked = Problem(problem(1.0).configurations, link=link_equal(between_walls().parameters, [("left", "right")]))
+    linked = Problem(
+        problem(1.0).configurations,
+        link=link_equal(between_walls().parameters, [("left", "right")]),
+    )
     with pytest.raises(ConfigError, match="leave the links out"):
         global_search(linked, np.random.default_rng(1))
 
 
-@pytest.mark.parametrize("settings", [{"starts": 4}, {"search": "global"}], ids=["starts", "global"])
-def test_an_updating_goes_on_from_the_end_of_a_search_and_does_not_solve_it_again(settings: dict[str, Any]) -> None:
+@pytest.mark.parametrize(
+    "settings", [{"starts": 4}, {"search": "global"}], ids=["starts", "global"]
+)
+def test_an_updating_goes_on_from_the_end_of_a_search_and_does_not_solve_it_again(
+    settings: dict[str, Any],
+) -> None:
     u = UpdateSection(**settings)
     done = begun(problem(1.0), u, course_of(u), 1, lambda _, __: None)
     np.testing.assert_allclose(done.x, TRUTH, atol=1e-4)
@@ -104,7 +127,9 @@ def test_starts_that_cannot_be_solved_are_told() -> None:
 
 
 def test_verified_updating_ends_on_the_full_model() -> None:
-    """Sixty masses, eight parameters changed by up to a factor of two, a small basis: exact at the end."""
+    """Sixty masses, eight parameters changed by up to a factor of two, a small basis: exact at the
+    end.
+    """
     n, groups = 60, 8
     parts = np.zeros((groups, n, n))
     for i in range(n):
@@ -119,7 +144,9 @@ def test_verified_updating_ends_on_the_full_model() -> None:
     eye = sparse.eye_array(n).tocsr()
     system = AffineSystem(sparse.csr_array(parts.sum(axis=0)), eye, names, terms, eye[::4])
     model = reduced_model(system, 8, options=BasisOptions(size=16))
-    full = DenseModel(parts.sum(axis=0), np.eye(n), parts, np.zeros_like(parts), np.eye(n)[::4], names, 8)
+    full = DenseModel(
+        parts.sum(axis=0), np.eye(n), parts, np.zeros_like(parts), np.eye(n)[::4], names, 8
+    )
     truth = np.array([0.6, -0.5, 0.3, -0.6, 0.5, -0.2, 0.4, -0.4])
     at = full.modes(truth)
     target = Target(at.frequencies[:6], at.shapes[:, :6], np.zeros(6), np.ones(6, dtype=bool))

@@ -1,4 +1,6 @@
-"""Which candidates are looked at closely: what would be a series without end together is left out."""
+"""Which candidates are looked at closely: what would be a series without end together is left
+out.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,9 @@ def laminate(across: float) -> Model:
         grid(x),
         cards("MAT8", MID=[1], E1=1.4e11, E2=across, NU12=0.3, G12=5e9, RHO=1600.0),
         cards("CQUAD4", EID=[1], PID=1, G1=1, G2=2, G3=3, G4=4),
-        cards("PCOMP", PID=[1], MID=ragged([1, 1]), T=ragged([0.01, 0.02]), THETA=ragged([0.0, 0.0])),
+        cards(
+            "PCOMP", PID=[1], MID=ragged([1, 1]), T=ragged([0.01, 0.02]), THETA=ragged([0.0, 0.0])
+        ),
         spc(np.array([1, 2]), "123456"),
         spc=1,
     )
@@ -42,7 +46,9 @@ def kept(m: Model, *, backwards: bool = False) -> list[str]:
 
 
 def test_forms() -> None:
-    """Shear is a power by itself, E1 and E2 are none; with NU12 near the root of E1/E2 the law has a pole."""
+    """Shear is a power by itself, E1 and E2 are none; with NU12 near the root of E1/E2 the law has
+    a pole.
+    """
     m = laminate(1e10)
     e1, g12, nu = (Parameter(f, (Target("MAT8", 1, f),)) for f in ("E1", "G12", "NU12"))
     assert matrices_kept(m, g12) == 0
@@ -54,20 +60,41 @@ def test_forms() -> None:
 
 
 def test_constants_of_a_laminate() -> None:
-    """All of them, in any order, though E2 of a weave comes close to the pole E1 / NU12² between its bounds."""
+    """All of them, in any order, though E2 of a weave comes close to the pole E1 / NU12² between
+    its bounds.
+    """
     every = ["E1", "E2", "G12", "RHO"]
     assert kept(laminate(1e10)) == kept(laminate(1.4e11)) == every
     assert kept(laminate(1.4e11), backwards=True) == every[::-1]
 
 
-def test_no_more_constants_on_one_laminate_than_can_be_interpolated_together(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Counted together: all of them keep far fewer matrices than the product of what each keeps by itself."""
+def test_no_more_constants_on_one_laminate_than_can_be_interpolated_together(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Counted together: all of them keep far fewer matrices than the product of what each keeps by
+    itself.
+    """
     x = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=float)
     m = model(
         grid(x),
-        cards("MAT8", MID=[1, 2], E1=[1.4e11, 4e10], E2=[1e10, 9e9], NU12=0.3, G12=[5e9, 4e9], G1Z=5e9, RHO=1600.0),
+        cards(
+            "MAT8",
+            MID=[1, 2],
+            E1=[1.4e11, 4e10],
+            E2=[1e10, 9e9],
+            NU12=0.3,
+            G12=[5e9, 4e9],
+            G1Z=5e9,
+            RHO=1600.0,
+        ),
         cards("CQUAD4", EID=[1], PID=1, G1=1, G2=2, G3=3, G4=4),
-        cards("PCOMP", PID=[1], MID=ragged([1, 2, 1]), T=ragged([0.01, 0.02, 0.01]), THETA=ragged([0.0, 45.0, 30.0])),
+        cards(
+            "PCOMP",
+            PID=[1],
+            MID=ragged([1, 2, 1]),
+            T=ragged([0.01, 0.02, 0.01]),
+            THETA=ragged([0.0, 45.0, 30.0]),
+        ),
         spc(np.array([1, 2]), "123456"),
         spc=1,
     )
@@ -82,7 +109,9 @@ def test_no_more_constants_on_one_laminate_than_can_be_interpolated_together(mon
 
 
 def test_nearer_to_the_structure_more_of_what_is_wrong_is_seen() -> None:
-    """Four regions of a frame are wrong, eight of 94 candidates looked at: one from the deck, more from nearer."""
+    """Four regions of a frame are wrong, eight of 94 candidates looked at: one from the deck, more
+    from nearer.
+    """
     s, rng = twin.start(), np.random.default_rng(102)
     wrong = twin.truth(rng, 4)
     aim = twin.measured(wrong, rng, shape=0.02)
@@ -101,6 +130,18 @@ def test_nearer_to_the_structure_more_of_what_is_wrong_is_seen() -> None:
 
     left = misfits(model, system, s.candidates, *modes, observe @ found.vectors, aim)
     first = tuple(s.candidates[i] for i in close(model, s.candidates, left, 8).tolist())
-    kept = screened(model, system, s.candidates, aim, observe, modes, look, pool=8, most=5, alike=ALIKE, progress=quiet)
+    kept = screened(
+        model,
+        system,
+        s.candidates,
+        aim,
+        observe,
+        modes,
+        look,
+        pool=8,
+        most=5,
+        alike=ALIKE,
+        progress=quiet,
+    )
     assert len(first) == len(kept) == 8
     assert seen(kept) > seen(first)

@@ -1,4 +1,5 @@
-"""The proposal on models whose errors are known: a chain of springs with twins, and a frame with noise.
+"""The proposal on models whose errors are known: a chain of springs with twins, and a frame with
+noise.
 
 Chain: 15 masses, one parameter a spring. The frame is that of `localise_twin`.
 """
@@ -41,7 +42,9 @@ def test_chain_names_the_springs_that_changed_and_no_other() -> None:
     found = propose(model, aim_at(model, x, 10), most=6)
     assert {m.name for m in found.members} == {"p3", "p8", "p12"}
     np.testing.assert_allclose(found.x, x, atol=0.02)
-    assert [m.worth for m in found.members] == sorted((m.worth for m in found.members), reverse=True)
+    assert [m.worth for m in found.members] == sorted(
+        (m.worth for m in found.members), reverse=True
+    )
     assert all(m.worth > 2 for m in found.members)
     text = found.text()
     assert text.startswith("3 candidates: ")
@@ -51,8 +54,12 @@ def test_chain_names_the_springs_that_changed_and_no_other() -> None:
 def test_twins_are_named_with_the_one_that_is_chosen() -> None:
     """The first spring as two parameters of half the effect: the data know their sum only."""
     model = chain(10, 10, std=1.0)
-    half = np.concatenate([model.d_stiffness[:1] / 2, model.d_stiffness[:1] / 2, model.d_stiffness[1:]])
-    twins = replace(model, d_stiffness=half, d_mass=np.zeros_like(half), parameters=parameters(11, std=1.0))
+    half = np.concatenate(
+        [model.d_stiffness[:1] / 2, model.d_stiffness[:1] / 2, model.d_stiffness[1:]]
+    )
+    twins = replace(
+        model, d_stiffness=half, d_mass=np.zeros_like(half), parameters=parameters(11, std=1.0)
+    )
     x = np.zeros(11)
     x[[0, 1, 6]] = 0.4, 0.4, -0.4
     found = propose(twins, aim_at(twins, x, 8), most=4)
@@ -64,14 +71,17 @@ def test_twins_are_named_with_the_one_that_is_chosen() -> None:
 
 
 def test_rounding_does_not_choose_and_a_mirror_image_is_named() -> None:
-    """A chain held at both ends, frequencies alone: springs i and n − i do the same, and a pair of errors is as good as
-    its image, but not one of them with the image of the other."""
+    """A chain held at both ends, frequencies alone: springs i and n − i do the same, and a pair of
+    errors is as good as its image, but not one of them with the image of the other.
+    """
     n, found = 14, []
     ends = np.eye(n + 1, n) - np.eye(n + 1, n, k=-1)
     for seed in range(4):
         rounding = 1 + 1e-13 * np.random.default_rng(seed).standard_normal((n + 1, 1, 1))
         springs = 1e6 * np.einsum("si,sj->sij", ends, ends) * rounding
-        model = DenseModel.springs(springs.sum(axis=0), np.eye(n), springs, parameters(n + 1, std=0.3))
+        model = DenseModel.springs(
+            springs.sum(axis=0), np.eye(n), springs, parameters(n + 1, std=0.3)
+        )
         x = np.zeros(n + 1)
         x[[4, 5]] = np.log(0.7)
         aim = aim_at(model, x, 10)
@@ -86,8 +96,9 @@ def test_rounding_does_not_choose_and_a_mirror_image_is_named() -> None:
 
 
 def test_two_errors_that_cancel_are_found_in_the_shapes() -> None:
-    """A chain held at both ends, a spring 15 % too stiff and its mirror 13 % too soft, 3 % noise on the shapes: neither
-    spring pays alone, and a shape that counts as one datum shows too little."""
+    """A chain held at both ends, a spring 15 % too stiff and its mirror 13 % too soft, 3 % noise on
+    the shapes: neither spring pays alone, and a shape that counts as one datum shows too little.
+    """
     n = 20
     ends = np.eye(n + 1, n) - np.eye(n + 1, n, k=-1)
     springs = 1e6 * np.einsum("si,sj->sij", ends, ends)
@@ -96,7 +107,11 @@ def test_two_errors_that_cancel_are_found_in_the_shapes() -> None:
     x[[7, n - 7]] = np.log([1.15, 0.87])
     aim, rng = aim_at(model, x, 10), np.random.default_rng(3)
     noise = 0.03 * np.abs(aim.shapes).max(axis=0) * rng.standard_normal(aim.shapes.shape)
-    aim = replace(aim, frequencies=aim.frequencies * (1 + 0.002 * rng.standard_normal(10)), shapes=aim.shapes + noise)
+    aim = replace(
+        aim,
+        frequencies=aim.frequencies * (1 + 0.002 * rng.standard_normal(10)),
+        shapes=aim.shapes + noise,
+    )
     found = propose(model, aim, most=5)
     assert {m.name for m in found.members[:2]} == {"p7", f"p{n - 7}"}
     np.testing.assert_allclose(found.x, x, atol=0.04)
@@ -107,14 +122,18 @@ def test_a_right_model_is_changed_no_more_than_its_noise() -> None:
     rng = np.random.default_rng(5)
     aim = aim_at(model, np.zeros(15), 10)
     shapes = aim.shapes * (1 + 0.02 * rng.standard_normal(aim.shapes.shape))
-    aim = replace(aim, frequencies=aim.frequencies * (1 + 0.003 * rng.standard_normal(10)), shapes=shapes)
+    aim = replace(
+        aim, frequencies=aim.frequencies * (1 + 0.003 * rng.standard_normal(10)), shapes=shapes
+    )
     found = propose(model, aim, most=5)
     assert max((abs(m.factor - 1) for m in found.members), default=0.0) < 0.05
 
 
 @pytest.mark.parametrize(("wrong", "factor"), [(2, 3.0), (4, 0.35)])
 def test_a_mode_that_left_the_gates_still_names_its_spring(wrong: int, factor: float) -> None:
-    """Eight weakly coupled oscillators: no partner within 40 %, so that no linearisation at the start sees its mode."""
+    """Eight weakly coupled oscillators: no partner within 40 %, so that no linearisation at the
+    start sees its mode.
+    """
     n = 8
     own = (2 * np.pi * np.linspace(10.0, 17.0, n)) ** 2
     coupled = np.diag(own) + 0.02 * own.mean() * (2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1))
@@ -130,12 +149,16 @@ def test_a_mode_that_left_the_gates_still_names_its_spring(wrong: int, factor: f
 
 
 def test_candidates_that_were_left_out_before_are_paid_for() -> None:
-    """A choice of one among a hundred costs twice its logarithm, whether or not eighty-five were looked at closely."""
+    """A choice of one among a hundred costs twice its logarithm, whether or not eighty-five were
+    looked at closely.
+    """
     model = chain(15, 15, std=1.0)
     aim = aim_at(model, np.where(np.arange(15) == 3, 0.5, 0.0), 10)
     few, many = (propose(model, aim, most=2, passed_over=n) for n in (0, 85))
     one = few.criteria[few.sizes == 1], many.criteria[many.sizes == 1]
-    rounded = 10.0**-DECIMALS  # each of the two by half of that; before they are rounded they differ by 1e-13
+    rounded = (
+        10.0**-DECIMALS
+    )  # each of the two by half of that; before they are rounded they differ by 1e-13
     np.testing.assert_allclose(one[1] - one[0], 2 * np.log(100 / 15), rtol=0, atol=rounded)
     assert [m.name for m in many.members] == ["p3"]
 
@@ -163,7 +186,9 @@ def test_variation_of_one_candidate_is_that_of_its_own_minimum() -> None:
 
 
 def test_frame_names_the_wrong_regions() -> None:
-    """Two wrong regions of sixteen, 0.2 % noise on the frequencies and 1 % on the shapes, 94 candidates."""
+    """Two wrong regions of sixteen, 0.2 % noise on the frequencies and 1 % on the shapes, 94
+    candidates.
+    """
     wrong = {21: 0.6, 30: 1.6}
     found = propose(twin.start().reduced, twin.measured(wrong, np.random.default_rng(0)), most=5)
     elements = {c.name: set(c.elements) for c in twin.start().candidates}
@@ -179,10 +204,14 @@ def test_what_is_made_from_a_deck_is_written_as_targets_of_a_study() -> None:
     assert any(len(p.targets) == 6 for p in whole)  # PBUSH 900 K
     for p in whole:
         assert tuple(t for w in target_words(p) for t in parse_target(w)) == p.targets
-    assert {p.name for p in every if not target_words(p)} == {p.name for p in every} - {p.name for p in whole}
+    assert {p.name for p in every if not target_words(p)} == {p.name for p in every} - {
+        p.name for p in whole
+    }
 
 
-def test_command_line_proposes_and_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command_line_proposes_and_refuses(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     aim = twin.measured({30: 1.6}, np.random.default_rng(2))
     deck, test, result = tmp_path / "frame.bdf", tmp_path / "test.json", tmp_path / "found.json"
     deck.write_text(twin.deck())
@@ -199,21 +228,33 @@ def test_command_line_proposes_and_refuses(tmp_path: Path, capsys: pytest.Captur
     assert candidates[0].targets == first["targets"]
     assert candidates[0].name == first["name"]
     write_modes(
-        test, ModeSet(aim.frequencies, np.zeros(twin.MODES), aim.shapes, tuple(f"ch{i}" for i in range(len(labels))))
+        test,
+        ModeSet(
+            aim.frequencies,
+            np.zeros(twin.MODES),
+            aim.shapes,
+            tuple(f"ch{i}" for i in range(len(labels))),
+        ),
     )
     assert run(["localise", str(deck), str(test)]) == 2
     assert "give --sensors" in capsys.readouterr().err
 
 
 def plate(modulus: float, other: float = 1.0, thickness: float = 10.0) -> str:
-    """An aluminium plate of 1000 x 700 mm on four corner springs, its halves of one material each; mm, t, s.
+    """An aluminium plate of 1000 x 700 mm on four corner springs, its halves of one material each;
+    mm, t, s.
 
     The second half has `other` times the modulus of the first, and a thickness of its own.
     """
     lines = ["SOL 103", "CEND", "BEGIN BULK", "PBUSH,5,K,500.,500.,1500."]
     for half, factor, t in ((1, 1.0, 10.0), (2, other, thickness)):
-        lines += [f"MAT1,{half},{factor * modulus:.6E},,.3,2.7-9", f"PSHELL,{half},{half},{t},{half},,{half}"]
-    lines += [f"GRID,{100 * j + i + 1},,{100.0 * i},{87.5 * j},0." for j in range(9) for i in range(11)]
+        lines += [
+            f"MAT1,{half},{factor * modulus:.6E},,.3,2.7-9",
+            f"PSHELL,{half},{half},{t},{half},,{half}",
+        ]
+    lines += [
+        f"GRID,{100 * j + i + 1},,{100.0 * i},{87.5 * j},0." for j in range(9) for i in range(11)
+    ]
     for j in range(8):
         for i in range(10):
             n = 100 * j + i + 1
@@ -231,7 +272,9 @@ def plate_proposal(folder: Path, true: str) -> Proposal:
     with EmbeddedSolver().open(read_deck(folder / "true.bdf")) as analysis:
         modes = analysis.modes(ModesRequest(14)).modes.rows(seen)
     rng = np.random.default_rng(0)
-    shapes = modes.shapes + 0.02 * np.abs(modes.shapes).max(axis=0) * rng.standard_normal(modes.shapes.shape)
+    shapes = modes.shapes + 0.02 * np.abs(modes.shapes).max(axis=0) * rng.standard_normal(
+        modes.shapes.shape
+    )
     f = modes.frequencies * (1 + 1e-3 * rng.standard_normal(14))
     aim = Target(f, shapes, np.full(14, 1e-3), np.ones(14, dtype=bool))
     model = read_deck(folder / "fe.bdf")
@@ -252,7 +295,8 @@ def test_what_does_for_a_parameter_is_named_with_it(tmp_path: Path) -> None:
 
 
 def test_modulus_and_thickness_of_one_region_are_found_together(tmp_path: Path) -> None:
-    """Of the second half the modulus is 30 % up and the sheet a third thinner: Et³ is .39 and ρt .67 of the deck's.
+    """Of the second half the modulus is 30 % up and the sheet a third thinner: Et³ is .39 and ρt
+    .67 of the deck's.
 
     Bending tells these two; a density does for the modulus.
     """

@@ -1,8 +1,9 @@
-"""Updating against known truth: recovery, stationarity, bounds, crossing modes, left-out modes, choice of parameters.
+"""Updating against known truth: recovery, stationarity, bounds, crossing modes, left-out modes,
+choice of parameters.
 
-Models: a row of masses on springs, and a plane grid of masses (4 x 5 nodes, out-of-plane springs between neighbours
-and to ground along one edge) whose x and y bending modes lie close and cross when the two directions change
-against each other.
+Models: a row of masses on springs, and a plane grid of masses (4 x 5 nodes, out-of-plane springs
+between neighbours and to ground along one edge) whose x and y bending modes lie close and cross
+when the two directions change against each other.
 """
 
 from __future__ import annotations
@@ -39,7 +40,9 @@ def chain(n: int, groups: int, **more: float) -> DenseModel:
     parts = np.zeros((groups, n, n))
     for i in range(n):
         parts[i * groups // n] += 4e4 * link(n, i, i - 1)
-    return DenseModel.springs(parts.sum(axis=0), np.diag(1 + 0.05 * np.arange(n)), parts, parameters(groups, **more))
+    return DenseModel.springs(
+        parts.sum(axis=0), np.diag(1 + 0.05 * np.arange(n)), parts, parameters(groups, **more)
+    )
 
 
 def grid(nx: int = 4, ny: int = 5, *, std: float = 100.0) -> DenseModel:
@@ -89,7 +92,9 @@ def noisy(model: DenseModel, truth: np.ndarray, m: int) -> Target:
     rng = np.random.default_rng(7)
     aim = aim_at(model, truth, m)
     shapes = aim.shapes + 0.05 * np.abs(aim.shapes).max() * rng.standard_normal(aim.shapes.shape)
-    return replace(aim, frequencies=aim.frequencies * (1 + 0.02 * rng.standard_normal(m)), shapes=shapes)
+    return replace(
+        aim, frequencies=aim.frequencies * (1 + 0.02 * rng.standard_normal(m)), shapes=shapes
+    )
 
 
 def slope_of_j(model: DenseModel, aim: Target, x: np.ndarray, h: float = 1e-5) -> np.ndarray:
@@ -123,7 +128,10 @@ def test_bounds_hold_and_the_free_parameters_are_at_their_minimum() -> None:
     assert (result.x >= low).all()
     assert (result.x <= high).all()
     assert result.x[0] == pytest.approx(high[0], abs=1e-9)
-    slope, start = slope_of_j(model, aim, result.x), np.linalg.norm(slope_of_j(model, aim, np.zeros(3)))
+    slope, start = (
+        slope_of_j(model, aim, result.x),
+        np.linalg.norm(slope_of_j(model, aim, np.zeros(3))),
+    )
     assert slope[0] < 0  # J would fall further outside
     assert np.abs(slope[1:]).max() < 1e-4 * start
 
@@ -164,8 +172,12 @@ def test_covariance_covers_the_scatter_of_noisy_tests() -> None:
 def test_identifiability_and_condition_see_twins() -> None:
     """Two parameters with the same effect: the data know their sum only."""
     model = chain(10, 2, std=1.0)
-    half = np.concatenate([model.d_stiffness[:1] / 2, model.d_stiffness[:1] / 2, model.d_stiffness[1:]])
-    twins = replace(model, d_stiffness=half, d_mass=np.zeros_like(half), parameters=parameters(3, std=1.0))
+    half = np.concatenate(
+        [model.d_stiffness[:1] / 2, model.d_stiffness[:1] / 2, model.d_stiffness[1:]]
+    )
+    twins = replace(
+        model, d_stiffness=half, d_mass=np.zeros_like(half), parameters=parameters(3, std=1.0)
+    )
     aim = aim_at(model, np.array([0.3, -0.2]), 6)
     single, double = update(model, aim), update(twins, aim)
     assert double.condition > 1e6 * single.condition
@@ -198,5 +210,7 @@ def test_best_possible_reaches_zero_where_the_truth_is_inside_and_bounds_every_u
     aim = noisy(model, np.array([0.3, 0.2, -0.2, 0.3, -0.3, 0.1]), 8)
     best = best_possible(model, aim, 3)
     for members in ([0, 1, 2], [1, 3, 5], best.members.tolist()):
-        r = update(model.with_parameters(members), replace(aim, weights=Weights(shape=0.0))).residual
+        r = update(
+            model.with_parameters(members), replace(aim, weights=Weights(shape=0.0))
+        ).residual
         assert best.deviation <= np.abs(r.frequency_error[r.used]).mean() + 1e-6

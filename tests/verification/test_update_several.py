@@ -1,7 +1,8 @@
-"""The problem and the driver: methods, limits, links, stages, losses, several configurations, failure and resumption.
+"""The problem and the driver: methods, limits, links, stages, losses, several configurations,
+failure and resumption.
 
-Model: a row of masses on springs in groups, one stiffness factor a group; a second configuration carries a known mass
-at its end.
+Model: a row of masses on springs in groups, one stiffness factor a group; a second configuration
+carries a known mass at its end.
 """
 
 from __future__ import annotations
@@ -18,7 +19,14 @@ from ringtrue.errors import ConfigError, DataError, InputError, NumericalError
 from ringtrue.model.ports import Linearisation
 from ringtrue.update.dense import DenseModel
 from ringtrue.update.gauss_newton import update
-from ringtrue.update.objective import LOST, Target, Weights, comparable_criteria, objective, residual
+from ringtrue.update.objective import (
+    LOST,
+    Target,
+    Weights,
+    comparable_criteria,
+    objective,
+    residual,
+)
 from ringtrue.update.quadratic import least_distance
 from ringtrue.update.residuals import Eigenvalues, Frequencies, Mac, Shapes
 from ringtrue.update.robust import Huber, Squares, Tukey
@@ -29,7 +37,9 @@ TRUTH = np.array([0.4, -0.3, 0.2, -0.25])
 EXACT = 1e-4  # noise-free recovery; the weak prior pulls by this much at most
 
 
-def row(n: int = 15, groups: int = 4, *, added: float = 0.0, seen: int = 0, **more: object) -> DenseModel:
+def row(
+    n: int = 15, groups: int = 4, *, added: float = 0.0, seen: int = 0, **more: object
+) -> DenseModel:
     parts = np.zeros((groups, n, n))
     for i in range(n):
         v = np.zeros(n)
@@ -49,11 +59,15 @@ def aim_at(model: DenseModel, x: np.ndarray, m: int, **more: object) -> Target:
     return Target(at.frequencies[:m], at.shapes[:, :m], np.zeros(m), np.ones(m, dtype=bool), **more)  # type: ignore[arg-type]
 
 
-def noisy(model: DenseModel, m: int = 8, *, frequency: float = 0.02, shape: float = 0.05, **more: object) -> Target:
+def noisy(
+    model: DenseModel, m: int = 8, *, frequency: float = 0.02, shape: float = 0.05, **more: object
+) -> Target:
     rng = np.random.default_rng(7)
     aim = aim_at(model, TRUTH, m, **more)
     shapes = aim.shapes + shape * np.abs(aim.shapes).max() * rng.standard_normal(aim.shapes.shape)
-    return replace(aim, frequencies=aim.frequencies * (1 + frequency * rng.standard_normal(m)), shapes=shapes)
+    return replace(
+        aim, frequencies=aim.frequencies * (1 + frequency * rng.standard_normal(m)), shapes=shapes
+    )
 
 
 def one(model: DenseModel, target: Target, **more: object) -> Problem:
@@ -62,7 +76,9 @@ def one(model: DenseModel, target: Target, **more: object) -> Problem:
 
 def slope_of_j(problem: Problem, y: np.ndarray, h: float = 1e-5) -> np.ndarray:
     at = problem.evaluate(y)
-    return np.array([(problem.cost(y + e, at) - problem.cost(y - e, at)) / (2 * h) for e in h * np.eye(y.size)])
+    return np.array(
+        [(problem.cost(y + e, at) - problem.cost(y - e, at)) / (2 * h) for e in h * np.eye(y.size)]
+    )
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -98,7 +114,9 @@ def test_gradient_of_the_objective_is_its_derivative_with_every_part_in_it() -> 
     terms = (Frequencies(0.02), Shapes(), Mac(0.1), Eigenvalues(0.03))
     for loss in (Squares(), Huber(0.5), Tukey(3.0)):
         problem = Problem(
-            (Configuration(model, target, terms),), loss=loss, link=link_equal(model.parameters, [("p0", "p3")])
+            (Configuration(model, target, terms),),
+            loss=loss,
+            link=link_equal(model.parameters, [("p0", "p3")]),
         )
         y = np.array([0.1, -0.1, 0.05])
         at = problem.evaluate(y)
@@ -110,7 +128,9 @@ def test_gradient_of_the_objective_is_its_derivative_with_every_part_in_it() -> 
 def test_bounds_and_linear_constraints_hold_and_the_rest_is_stationary() -> None:
     model = row(lower=0.8, upper=1.25)
     rows, limits = np.array([[0.0, 1.0, 1.0, 0.0]]), np.array([-0.3])  # x1 + x2 <= -0.3
-    problem = one(model, aim_at(model, np.array([0.5, -0.1, 0.05, -0.1]), 8), rows=rows, limits=limits)
+    problem = one(
+        model, aim_at(model, np.array([0.5, -0.1, 0.05, -0.1]), 8), rows=rows, limits=limits
+    )
     done = solve(problem, start=np.array([0.0, -0.16, -0.16, 0.0]))
     assert done.outcome is Outcome.CONVERGED
     assert "constraints are reached" in done.why
@@ -127,7 +147,9 @@ def test_bounds_and_linear_constraints_hold_and_the_rest_is_stationary() -> None
 
 
 def test_a_start_outside_of_the_constraints_is_taken_inside() -> None:
-    """The first two tied to each other, a band with no inside; the start is far outside of it and of the bounds."""
+    """The first two tied to each other, a band with no inside; the start is far outside of it and
+    of the bounds.
+    """
     model = row(lower=0.5, upper=2.0)
     aim = aim_at(model, np.array([0.3, -0.1, 0.05, -0.1]), 8)
     tie = np.array([[1.0, -1.0, 0.0, 0.0], [-1.0, 1.0, 0.0, 0.0]])
@@ -142,16 +164,27 @@ def test_a_start_outside_of_the_constraints_is_taken_inside() -> None:
     np.testing.assert_allclose(ends[1].x, ends[0].x, atol=1e-4)
     inside = np.array([0.2, 0.2, 0.0, 0.0])
     np.testing.assert_array_equal(problem.nearest(inside), inside)
-    np.testing.assert_allclose(problem.nearest(np.array([0.4, 0.0, 0.1, 0.0])), [0.2, 0.2, 0.1, 0.0], atol=1e-12)
-    heavy = one(model, aim, rows=1e9 * np.array([[0.3, 0.1, 0.7, 0.9], [-0.3, -0.1, -0.7, -0.9]]), limits=np.zeros(2))
-    for y in np.random.default_rng(2).uniform(-0.6, 0.6, (20, 4)):  # terms in kg, say: the rounding of these is large
+    np.testing.assert_allclose(
+        problem.nearest(np.array([0.4, 0.0, 0.1, 0.0])), [0.2, 0.2, 0.1, 0.0], atol=1e-12
+    )
+    heavy = one(
+        model,
+        aim,
+        rows=1e9 * np.array([[0.3, 0.1, 0.7, 0.9], [-0.3, -0.1, -0.7, -0.9]]),
+        limits=np.zeros(2),
+    )
+    for y in np.random.default_rng(2).uniform(
+        -0.6, 0.6, (20, 4)
+    ):  # terms in kg, say: the rounding of these is large
         assert abs(heavy.rows[0] @ heavy.nearest(y)) < 1e-9 * np.abs(heavy.rows[0]).sum()
     with pytest.raises(ConfigError, match="no point fulfils"):
         solve(one(model, aim, rows=tie, limits=np.array([-0.1, -0.1])))
 
 
 def test_a_constraint_on_parameters_that_are_held_does_not_stop_the_others() -> None:
-    """x1 >= 0.2, which no set without x1 can keep: such sets are looked at in proposals and stages."""
+    """x1 >= 0.2, which no set without x1 can keep: such sets are looked at in proposals and
+    stages.
+    """
     model = row(lower=0.5, upper=2.0)
     aim = aim_at(model, np.array([0.1, 0.3, 0.05, 0.1]), 8)
     problem = one(model, aim, rows=np.array([[0.0, -1.0, 0.0, 0.0]]), limits=np.array([-0.2]))
@@ -181,8 +214,13 @@ def test_least_distance_meets_the_conditions_of_karush_kuhn_and_tucker() -> None
 
 def test_no_unknown_moves_more_than_the_limit_in_a_step() -> None:
     model = row()
-    done = solve(one(model, aim_at(model, np.array([0.9, -0.8, 0.7, -0.8]), 8)), Method("gauss-newton", move=0.2))
-    steps = np.array([np.abs(b.y - a.y).max() for a, b in zip(done.history, done.history[1:], strict=False)])
+    done = solve(
+        one(model, aim_at(model, np.array([0.9, -0.8, 0.7, -0.8]), 8)),
+        Method("gauss-newton", move=0.2),
+    )
+    steps = np.array(
+        [np.abs(b.y - a.y).max() for a, b in zip(done.history, done.history[1:], strict=False)]
+    )
     assert steps.max() <= 0.2 + 1e-9
     np.testing.assert_allclose(done.x, [0.9, -0.8, 0.7, -0.8], atol=EXACT)
 
@@ -214,7 +252,9 @@ def test_stages_go_on_from_one_another() -> None:
 def test_robust_losses_withstand_a_wrong_mode(loss: Huber | Tukey, tolerance: float) -> None:
     model = row()
     aim = aim_at(model, TRUTH, 8)
-    f = aim.frequencies * np.where(np.arange(8) == 4, 1.15, 1.0)  # mode 5 is 15 % off: fifteen standard deviations
+    f = aim.frequencies * np.where(
+        np.arange(8) == 4, 1.15, 1.0
+    )  # mode 5 is 15 % off: fifteen standard deviations
     aim = replace(aim, frequencies=f)
     plain = solve(one(model, aim))
     robust = solve(one(model, aim, loss=loss), start=plain.y)
@@ -223,7 +263,9 @@ def test_robust_losses_withstand_a_wrong_mode(loss: Huber | Tukey, tolerance: fl
 
 
 def test_two_configurations_tell_what_one_cannot() -> None:
-    """Two frequencies without shapes for four stiffnesses: only with the added mass there are enough."""
+    """Two frequencies without shapes for four stiffnesses: only with the added mass there are
+    enough.
+    """
     bare, loaded = row(), row(added=5.0)
     only = Weights(shape=0.0)
     sets = [Configuration(m, aim_at(m, TRUTH, 3, weights=only)) for m in (bare, loaded)]
@@ -239,7 +281,10 @@ def test_configurations_share_parameters_by_name() -> None:
     first, second = row(), row(added=5.0)
     part = second.with_parameters([3, 1])
     problem = Problem(
-        (Configuration(first, aim_at(first, TRUTH, 5)), Configuration(part, aim_at(part, TRUTH[[3, 1]], 5)))
+        (
+            Configuration(first, aim_at(first, TRUTH, 5)),
+            Configuration(part, aim_at(part, TRUTH[[3, 1]], 5)),
+        )
     )
     assert problem.parameters.names == ("p0", "p1", "p2", "p3")
     at = problem.evaluate(np.zeros(4))
@@ -248,7 +293,9 @@ def test_configurations_share_parameters_by_name() -> None:
     assert own[:, [1, 3]].any()
     y = np.array([0.1, 0.2, -0.1, 0.15])
     got = slope_of_j(problem, y)
-    np.testing.assert_allclose(2 * problem.gradient(problem.evaluate(y)), got, atol=1e-5 * np.abs(got).max())
+    np.testing.assert_allclose(
+        2 * problem.gradient(problem.evaluate(y)), got, atol=1e-5 * np.abs(got).max()
+    )
     other = ParameterSet((Parameter("p1", std=3.0),))
     with pytest.raises(InputError, match="different bounds"):
         joined([first.parameters, other])
@@ -256,7 +303,9 @@ def test_configurations_share_parameters_by_name() -> None:
 
 @dataclass(frozen=True, eq=False)
 class Fragile:
-    """A model whose solver fails beyond a stiffness factor, and that can be stopped after a number of calls."""
+    """A model whose solver fails beyond a stiffness factor, and that can be stopped after a number
+    of calls.
+    """
 
     inner: DenseModel
     highest: float
@@ -285,11 +334,16 @@ def test_a_point_that_cannot_be_solved_is_a_rejected_step(kind: str) -> None:
     truth = np.array([0.6, 0.3, 0.2, -0.3])
     aim = aim_at(inner, truth, 8)
     model = Fragile(inner, 0.65, [])
-    done = solve(Problem((Configuration(model, aim),)), Method(kind, radius=5.0, move=5.0, damping=1e-8))  # type: ignore[arg-type]
+    done = solve(
+        Problem((Configuration(model, aim),)), Method(kind, radius=5.0, move=5.0, damping=1e-8)
+    )  # type: ignore[arg-type]
     np.testing.assert_allclose(done.x, truth, atol=EXACT)
     walled = solve(Problem((Configuration(Fragile(inner, 0.3, []), aim),)), Method(kind))  # type: ignore[arg-type]
     assert walled.x.max() <= 0.3
-    assert walled.outcome in (Outcome.STALLED, Outcome.MAX_ITERATIONS)  # it may creep along the wall
+    assert walled.outcome in (
+        Outcome.STALLED,
+        Outcome.MAX_ITERATIONS,
+    )  # it may creep along the wall
     if kind == "gauss-newton":
         assert "could not be solved" in walled.why
     assert update(Fragile(inner, 0.3, []), aim).x.max() <= 0.3
@@ -307,7 +361,9 @@ def test_an_interrupted_run_goes_on_from_its_last_point(tmp_path: Path) -> None:
     assert whole.history[-1].cost < resumed.history[0].cost < whole.history[0].cost
     assert resumed.evaluations < whole.evaluations
     np.testing.assert_allclose(resumed.x, whole.x, atol=1e-6)
-    assert solve(one(inner, aim), checkpoint=file).evaluations == 1  # finished: nothing is left to do
+    assert (
+        solve(one(inner, aim), checkpoint=file).evaluations == 1
+    )  # finished: nothing is left to do
     with pytest.raises(DataError, match="other parameters"):
         solve(one(row(groups=3), aim_at(row(groups=3), np.zeros(3), 8)), checkpoint=file)
     file.write_text("{")
@@ -328,7 +384,9 @@ def test_limits_are_reached_and_said() -> None:
 def along(aim: Target, model: DenseModel, points: int = 151) -> np.ndarray:
     """J on a line that carries the model from far on one side of the truth to far on the other."""
     line = np.linspace(-3.0, 2.0, points)[:, None] * np.array([1.0, -0.8, 0.9, -0.7])
-    return np.array([objective(aim, residual(aim, model.modes(x)), x, model.parameters.std()) for x in line])
+    return np.array(
+        [objective(aim, residual(aim, model.modes(x)), x, model.parameters.std()) for x in line]
+    )
 
 
 def test_pairs_of_least_cost_make_j_continuous_where_gates_make_it_jump() -> None:
@@ -339,7 +397,9 @@ def test_pairs_of_least_cost_make_j_continuous_where_gates_make_it_jump() -> Non
     fine = np.abs(np.diff(along(cheapest, model, 601))).max()
     assert jump[0] > 50  # a lost mode costs 100
     assert jump[1] < 0.5 * jump[0]
-    assert fine == pytest.approx(jump[1] / 4, rel=0.5)  # differences shrink with the step: no jump is left
+    assert fine == pytest.approx(
+        jump[1] / 4, rel=0.5
+    )  # differences shrink with the step: no jump is left
 
 
 def test_no_pair_costs_more_than_a_lost_mode_and_used_modes_choose_first() -> None:
@@ -353,11 +413,15 @@ def test_no_pair_costs_more_than_a_lost_mode_and_used_modes_choose_first() -> No
     assert at.lost == LOST * (7 - far.used.sum())
     done = solve(problem)
     np.testing.assert_allclose(done.x, TRUTH, atol=EXACT)
-    assert np.abs(done.end.points[0].mac - 1).max() < 1e-6  # the mode left out has found its partner, too
+    assert (
+        np.abs(done.end.points[0].mac - 1).max() < 1e-6
+    )  # the mode left out has found its partner, too
 
 
 def test_criterion_counts_the_same_modes_in_every_set() -> None:
-    """A set that loses a mode which it fits badly must not look better than the set that keeps it."""
+    """A set that loses a mode which it fits badly must not look better than the set that keeps
+    it.
+    """
     model = row()
     aim = noisy(model)
     x = solve(one(model, aim)).x

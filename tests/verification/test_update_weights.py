@@ -1,7 +1,8 @@
-"""Weights: the factor on the prior by three rules, the model discrepancy by evidence and from modes left out.
+"""Weights: the factor on the prior by three rules, the model discrepancy by evidence and from modes
+left out.
 
-Linear problems with known answers for the rules; for the updating a row of masses on springs with one stiffness factor
-a spring, measured with noise or by a model of another form.
+Linear problems with known answers for the rules; for the updating a row of masses on springs with
+one stiffness factor a spring, measured with noise or by a model of another form.
 """
 
 from __future__ import annotations
@@ -46,7 +47,9 @@ def aim_at(model: DenseModel, x: np.ndarray, m: int, **more: object) -> Target:
 
 
 def test_gcv_is_leave_one_out_where_all_rows_have_equal_leverage() -> None:
-    """With a circulant G the leverages are equal, and GCV is the mean squared error of leaving each row out."""
+    """With a circulant G the leverages are equal, and GCV is the mean squared error of leaving each
+    row out.
+    """
     rng = np.random.default_rng(2)
     n = 24
     lag = np.exp(-np.minimum(np.arange(n), n - np.arange(n)) / 3.0)
@@ -80,8 +83,9 @@ def test_evidence_finds_the_ratio_of_the_variances() -> None:
 
 @pytest.mark.parametrize(("rule", "near"), [("l-curve", 1.5), ("gcv", 1.2), ("evidence", 1.2)])
 def test_each_rule_comes_near_the_best_factor(rule: str, near: float) -> None:
-    """Decaying singular values, x from its prior: the error of x against the least there is; the L-curve knows no
-    statistics."""
+    """Decaying singular values, x from its prior: the error of x against the least there is; the
+    L-curve knows no statistics.
+    """
     rng = np.random.default_rng(8)
     n = 40
     u, v = (np.linalg.qr(rng.standard_normal((n, n)))[0] for _ in range(2))
@@ -98,14 +102,18 @@ def test_each_rule_comes_near_the_best_factor(rule: str, near: float) -> None:
 
 @pytest.mark.parametrize("rule", RULES)
 def test_chosen_prior_beats_too_weak_and_too_strong_ones(rule: str) -> None:
-    """Ten frequencies with 3 % noise for six stiffnesses, over draws; the prior is ten times too narrow as given."""
+    """Ten frequencies with 3 % noise for six stiffnesses, over draws; the prior is ten times too
+    narrow as given.
+    """
     model = row(groups=6, std=0.02)
     error: dict[object, list[float]] = {1e-6: [], 1.0: [], rule: []}
     for seed in range(5):
         rng = np.random.default_rng(seed)
         truth = 0.2 * rng.standard_normal(6)
         clean = aim_at(model, truth, 10, weights=Weights(frequency=0.01, shape=0.0))
-        target = replace(clean, frequencies=clean.frequencies * (1 + 0.03 * rng.standard_normal(10)))
+        target = replace(
+            clean, frequencies=clean.frequencies * (1 + 0.03 * rng.standard_normal(10))
+        )
         problem = Problem((Configuration(model, target),))
         found = regularised(problem, rule)  # type: ignore[arg-type]
         assert found.settled
@@ -120,14 +128,18 @@ def test_chosen_prior_beats_too_weak_and_too_strong_ones(rule: str) -> None:
 
 
 def test_evidence_finds_the_size_of_the_discrepancy_in_frequencies_and_shapes() -> None:
-    """Errors of 2 % in f and about 0.02 in 1 − MAC where W assumes 1 % and 0.05: factors near 2 and √0.4."""
+    """Errors of 2 % in f and about 0.02 in 1 − MAC where W assumes 1 % and 0.05: factors near 2 and
+    √0.4.
+    """
     model = row(groups=3, std=0.3)
     scale = []
     for seed in range(8):
         rng = np.random.default_rng(seed)
         clean = aim_at(model, 0.2 * rng.standard_normal(3), 9, weights=Weights(0.01, 0.05, 1.0))
         shapes = clean.shapes / np.linalg.norm(clean.shapes, axis=0)
-        shapes = shapes + np.sqrt(0.02 / 11) * rng.standard_normal(shapes.shape)  # one of 12 directions is scale
+        shapes = shapes + np.sqrt(0.02 / 11) * rng.standard_normal(
+            shapes.shape
+        )  # one of 12 directions is scale
         f = clean.frequencies * (1 + 0.02 * rng.standard_normal(9))
         problem = Problem((Configuration(model, replace(clean, frequencies=f, shapes=shapes)),))
         done = solve(problem)
@@ -137,20 +149,26 @@ def test_evidence_finds_the_size_of_the_discrepancy_in_frequencies_and_shapes() 
 
 
 def test_left_out_modes_give_the_discrepancy_of_a_model_of_another_form() -> None:
-    """Frequencies 1.5 % off at random, shapes exact: the estimate is of that size, and near zero for exact data."""
+    """Frequencies 1.5 % off at random, shapes exact: the estimate is of that size, and near zero
+    for exact data.
+    """
     model = row(groups=2, std=1.0)
     folds = [range(i, 12, 4) for i in range(4)]
     found = []
     for seed in range(6):
         rng = np.random.default_rng(seed)
         clean = aim_at(model, np.array([0.2, -0.15]), 12)
-        noisy = replace(clean, frequencies=clean.frequencies * (1 + 0.015 * rng.standard_normal(12)))
+        noisy = replace(
+            clean, frequencies=clean.frequencies * (1 + 0.015 * rng.standard_normal(12))
+        )
         found_by, held = with_discrepancy(Configuration(model, noisy), folds)
         assert held.converged
         assert np.isfinite(held.error).all()
         found.append(found_by.target.weights.frequency)
     assert 0.008 < np.mean(found) < 0.022
-    exact, _ = with_discrepancy(Configuration(model, aim_at(model, np.array([0.2, -0.15]), 12)), folds)
+    exact, _ = with_discrepancy(
+        Configuration(model, aim_at(model, np.array([0.2, -0.15]), 12)), folds
+    )
     assert exact.target.weights.frequency < 2e-3
     assert exact.target.weights.mac < 1e-3
 

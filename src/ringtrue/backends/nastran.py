@@ -1,4 +1,6 @@
-"""MSC, NX or Autodesk Nastran by a configured command: SOL 103 for modes, SOL 200 for their derivatives."""
+"""MSC, NX or Autodesk Nastran by a configured command: SOL 103 for modes, SOL 200 for their
+derivatives.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,14 @@ from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress
-from ringtrue.errors import ConfigError, DataError, SolverFailed, SolverMissing, UnsupportedError, did_you_mean
+from ringtrue.errors import (
+    ConfigError,
+    DataError,
+    SolverFailed,
+    SolverMissing,
+    UnsupportedError,
+    did_you_mean,
+)
 from ringtrue.io.nastran.writer import format_card
 from ringtrue.io.nastran_results.f06 import sturm_counts
 from ringtrue.io.nastran_results.sensitivity import Sensitivities, read_sensitivities
@@ -40,7 +49,8 @@ SAME = 1e-4  # relative: eigenvalues of the given modes and of the run's
 
 
 def nastran_command() -> str:
-    """The command line, `{deck}` where the deck goes: the variable RINGTRUE_NASTRAN, or `nastran` on the PATH.
+    """The command line, `{deck}` where the deck goes: the variable RINGTRUE_NASTRAN, or `nastran`
+    on the PATH.
 
     Raises
     ------
@@ -70,7 +80,9 @@ def nastran_make() -> Make:
     raise ConfigError(f"{MAKE}={named}{did_you_mean(named, _MAKES)}")
 
 
-def sensitivity_deck(model: Model, program: NastranSolver, parameters: ParameterSet, count: int, grids: Int) -> str:
+def sensitivity_deck(
+    model: Model, program: NastranSolver, parameters: ParameterSet, count: int, grids: Int
+) -> str:
     """A SOL 200 deck that ends after the sensitivities of the lowest `count` modes.
 
     Raises
@@ -85,7 +97,15 @@ def sensitivity_deck(model: Model, program: NastranSolver, parameters: Parameter
     case += ["DSAPRT(FORMATTED,EXPORT,END=SENS) = ALL", "DESOBJ(MIN) = 1", f"DESSUB = {SET}"]
     case += ["SUBCASE 1", "  ANALYSIS = MODES", "BEGIN BULK"]
     eigrl = format_card("EIGRL", (METHOD, None, None, count, None, None, None, "MASS"))
-    return "\n".join(case) + "\n" + eigrl + design + response_cards(count, grids) + bulk(model, program) + "ENDDATA\n"
+    return (
+        "\n".join(case)
+        + "\n"
+        + eigrl
+        + design
+        + response_cards(count, grids)
+        + bulk(model, program)
+        + "ENDDATA\n"
+    )
 
 
 class NastranAnalysis(DeckAnalysis):
@@ -100,26 +120,35 @@ class NastranAnalysis(DeckAnalysis):
         Raises
         ------
         UnsupportedError
-            If a parameter is no design variable of SOL 200, eigenvalues are repeated, or there are too many responses.
+            If a parameter is no design variable of SOL 200, eigenvalues are repeated, or there are
+            too many responses.
         SolverMissing, SolverFailed
             If the program is not there, fails or gives other modes or no sensitivities.
         """
         count = self._count(modes)
         grids = np.asarray(self.model["GRID"].ids)
         if 6 * count * grids.size > MOST:
-            raise UnsupportedError(f"{6 * count * grids.size} responses; at most {MOST}: use the embedded solver")
+            raise UnsupportedError(
+                f"{6 * count * grids.size} responses; at most {MOST}: use the embedded solver"
+            )
         done = self.run(sensitivity_deck(self.model, self.program, parameters, count, grids))
         d_lambda, local = spread(self._sensitivities(done), count, grids, len(parameters))
         at, sign = self._matched(self._read(done), modes)
         return d_lambda[at], self._basic(local)[:, at] * sign[:, None]
 
     def _count(self, modes: ModeSet) -> int:
-        """The lowest modes that hold the given ones; repeated ones have no derivative by SOL 200."""
+        """The lowest modes that hold the given ones; repeated ones have no derivative by SOL
+        200.
+        """
         f = np.sort(modes.frequencies)
-        near = np.abs(np.diff(np.sign(f) * f**2)) < REPEATED * max(float(np.max(f**2, initial=0.0)), 1e-30)
+        near = np.abs(np.diff(np.sign(f) * f**2)) < REPEATED * max(
+            float(np.max(f**2, initial=0.0)), 1e-30
+        )
         if near.any():
             at = float(f[1:][near][0])
-            raise UnsupportedError(f"repeated modes at {at:.6g} Hz: SOL 200 has no derivatives there; use embedded")
+            raise UnsupportedError(
+                f"repeated modes at {at:.6g} Hz: SOL 200 has no derivatives there; use embedded"
+            )
         mine = self.modes(ModesRequest(len(modes))).modes.frequencies
         return len(modes) if mine[-1] >= f[-1] * (1 - SAME) else 2 * len(modes)
 
@@ -130,7 +159,9 @@ class NastranAnalysis(DeckAnalysis):
                 return read_sensitivities(path)
             except DataError as e:
                 problems.append(str(e))
-        raise SolverFailed(f"nastran wrote no sensitivities: {'; '.join(problems) or 'no results'}{tail(done.log)}")
+        raise SolverFailed(
+            f"nastran wrote no sensitivities: {'; '.join(problems) or 'no results'}{tail(done.log)}"
+        )
 
     def _matched(self, run: ModeSet, modes: ModeSet) -> tuple[Int, Float]:
         """Which modes of the run the given ones are, and the sign that turns one into the other."""
@@ -140,14 +171,20 @@ class NastranAnalysis(DeckAnalysis):
         at = np.abs(likeness).argmax(axis=0)
         worst = float(np.abs(likeness[at, np.arange(len(modes))]).min(initial=1.0))
         if np.unique(at).size != at.size or worst < 0.99:
-            raise SolverFailed(f"SOL 200 found other modes than those given (a likeness of {worst:.3f})")
+            raise SolverFailed(
+                f"SOL 200 found other modes than those given (a likeness of {worst:.3f})"
+            )
         return at, np.sign(likeness[at, np.arange(len(modes))])
 
     def _basic(self, local: Float) -> Float:
-        """Shapes (g, 6, m, p) in displacement frames to (dof, m, p) in basic; scalar points have none and get 0."""
+        """Shapes (g, 6, m, p) in displacement frames to (dof, m, p) in basic; scalar points have
+        none and get 0.
+        """
         turn = axes(self.model, self.model["GRID"]["CD"], positions(self.model))
         g, _, m, p = local.shape
-        basic = np.einsum("nji,nkjmp->nkimp", turn, local.reshape(g, 2, 3, m, p)).reshape(6 * g, m, p)
+        basic = np.einsum("nji,nkjmp->nkimp", turn, local.reshape(g, 2, 3, m, p)).reshape(
+            6 * g, m, p
+        )
         return np.concatenate([basic, np.zeros((len(self.dofs) - 6 * g, m, p))])
 
 
@@ -193,7 +230,10 @@ class NastranSolver:
 
     def command(self, deck: Path) -> Sequence[str | Path]:
         """The command line for a deck."""
-        return [word.replace("{deck}", deck.name) for word in shlex.split(self._command or nastran_command())]
+        return [
+            word.replace("{deck}", deck.name)
+            for word in shlex.split(self._command or nastran_command())
+        ]
 
     def adapted(self, model: Model) -> Model:
         """The model as it is."""
@@ -221,11 +261,18 @@ class NastranSolver:
         if not len(modes):
             return False, "no mode found, nothing counted"
         top, f = float(modes.frequencies[-1]), modes.frequencies
-        above = [c for c in counts if c[0] > top and (request.band is None or c[0] >= request.band[1] * (1 - 1e-3))]
+        above = [
+            c
+            for c in counts
+            if c[0] > top and (request.band is None or c[0] >= request.band[1] * (1 - 1e-3))
+        ]
         low = request.band[0] if request.band else 0.0
         under = [c for c in counts if c[0] <= low * (1 + 1e-3)] if low > 0 else [(0.0, 0)]
         if not above or not under:
             return False, "Nastran printed no Sturm count above the last mode"
         there = above[0][1] - under[-1][1]
-        words = f"{there} eigenvalues below {above[0][0]:.6g} Hz by Nastran's Sturm count, {f.size} taken"
+        words = (
+            f"{there} eigenvalues below {above[0][0]:.6g} Hz by Nastran's Sturm count, "
+            f"{f.size} taken"
+        )
         return there == f.size, words

@@ -1,8 +1,9 @@
 """The design model of SOL 200: parameters as DESVARs, modes as DRESP1s.
 
-Each parameter is a design variable of value 1 that multiplies its fields' nominal values, so that a sensitivity is a
-derivative to the factor and a normalised matrix equals the plain one. Nodes move from their places by DVGRID times what
-the variable is over 1. A PCOMPG is written as the PCOMP that it equals. Cards: MSC Nastran Quick Reference Guide.
+Each parameter is a design variable of value 1 that multiplies its fields' nominal values, so that a
+sensitivity is a derivative to the factor and a normalised matrix equals the plain one. Nodes move
+from their places by DVGRID times what the variable is over 1. A PCOMPG is written as the PCOMP that
+it equals. Cards: MSC Nastran Quick Reference Guide.
 """
 
 from __future__ import annotations
@@ -33,13 +34,32 @@ _PROPERTIES = {
     "PSHELL": ("T", "I12T3", "TST", "NSM", "Z1", "Z2"),
     "PSHEAR": ("T", "NSM"),
     "PELAS": ("K", "GE"),
-    "PBUSH": (*(f"{k}{i}" for k in "KB" for i in range(1, 7)), "GE", *(f"GE{i}" for i in range(2, 7))),
+    "PBUSH": (
+        *(f"{k}{i}" for k in "KB" for i in range(1, 7)),
+        "GE",
+        *(f"GE{i}" for i in range(2, 7)),
+    ),
     "PBEND": ("A", "I1", "I2", "J", "NSM"),
     "PWELD": ("D",),
     "PFAST": ("KT1", "KT2", "KT3", "KR1", "KR2", "KR3", "MASS"),
     "PBUSH1D": ("K", "C", "M"),
     "PGAP": ("KA", "KB", "KT"),
-    "PBEAM": ("A", "I1", "I2", "I12", "J", "NSM", "AB", "I1B", "I2B", "I12B", "JB", "NSMB", "K1", "K2"),
+    "PBEAM": (
+        "A",
+        "I1",
+        "I2",
+        "I12",
+        "J",
+        "NSM",
+        "AB",
+        "I1B",
+        "I2B",
+        "I12B",
+        "JB",
+        "NSMB",
+        "K1",
+        "K2",
+    ),
     "PCOMP": ("Z0", "NSM", "GE"),
     "PMASS": ("M",),
     "PDAMP": ("B",),
@@ -58,9 +78,14 @@ _ELEMENTS = {
     "CDAMP2": ("B",),
     "CDAMP4": ("B",),
 }
-_STEP, _STILL = 1e-3, 1e-9  # of the differences that give velocities of nodes; of the fastest: one that stands still
+_STEP, _STILL = (
+    1e-3,
+    1e-9,
+)  # of the differences that give velocities of nodes; of the fastest: one that stands still
 _PLY = re.compile(r"(T|THETA)\d+")
-_NAMES: Mapping[tuple[str, str], str | int] = {  # by number where the name begins with a digit or has no one spelling
+_NAMES: Mapping[
+    tuple[str, str], str | int
+] = {  # by number where the name begins with a digit or has no one spelling
     ("PSHELL", "I12T3"): 6,
     ("PSHELL", "TST"): 8,
     ("PELAS", "K"): 3,
@@ -85,7 +110,9 @@ class _Field:
 
 
 def with_shear_moduli(model: Model) -> Model:
-    """MAT1 cards with all three of E, G and ν written out, so that a factor on E can be put on G, too."""
+    """MAT1 cards with all three of E, G and ν written out, so that a factor on E can be put on G,
+    too.
+    """
     if "MAT1" not in model:
         return model
     t = model["MAT1"]
@@ -114,7 +141,9 @@ def _fields(model: Model, parameters: ParameterSet, derived: Int) -> list[_Field
 
 
 def _relation(number: int, field: _Field, lower: float, upper: float) -> str:
-    """DVPREL1, DVMREL1 or DVCREL1: value = C0 + Σ nominal·x, equal to the nominal value at x = 1."""
+    """DVPREL1, DVMREL1 or DVCREL1: value = C0 + Σ nominal·x, equal to the nominal value at x =
+    1.
+    """
     t = field.target
     if t.card in MATERIALS:
         kind = "DVMREL1"
@@ -123,7 +152,9 @@ def _relation(number: int, field: _Field, lower: float, upper: float) -> str:
     elif t.field in _ELEMENTS.get(t.card, ()):
         kind = "DVCREL1"
     else:
-        raise UnsupportedError(f"{t.card} {t.id} {t.field} cannot be a design variable of SOL 200 here")
+        raise UnsupportedError(
+            f"{t.card} {t.id} {t.field} cannot be a design variable of SOL 200 here"
+        )
     if field.nominal == 0:
         raise UnsupportedError(f"{t.card} {t.id} {t.field} is 0: a factor does not change it")
     bounds = sorted((lower * field.nominal, upper * field.nominal))
@@ -142,14 +173,21 @@ def _as_pcomp(model: Model) -> Model:
     t = model["PCOMPG"]
     made = Table("PCOMP", {n: c for n, c in t.columns.items() if n != "GPLYID"}, t.file, t.line)
     tables = {c: t for c, t in model.tables.items() if c != "PCOMPG"}
-    return replace(model, tables=tables | {"PCOMP": stacked(tables["PCOMP"], made) if "PCOMP" in tables else made})
+    return replace(
+        model,
+        tables=tables | {"PCOMP": stacked(tables["PCOMP"], made) if "PCOMP" in tables else made},
+    )
 
 
 def _fixed_nodes(parameters: ParameterSet) -> ParameterSet:
     """The parameters without nodes that move, PCOMPG called PCOMP."""
     made = []
     for p in parameters.parameters:
-        targets = [replace(t, card="PCOMP") if t.card == "PCOMPG" else t for t in p.targets if t.card != "GRID"]
+        targets = [
+            replace(t, card="PCOMP") if t.card == "PCOMPG" else t
+            for t in p.targets
+            if t.card != "GRID"
+        ]
         made.append(replace(p, targets=tuple(targets), shapes=()))
     return ParameterSet(tuple(made))
 
@@ -164,13 +202,18 @@ def _moved_nodes(model: Model, parameters: ParameterSet) -> str:
             moving = replace(p, targets=places, substructures=())
             near = {j: positions(scaled(model, moving, 1 + j * _STEP)) for j in (-2, -1, 1, 2)}
             velocity = (8 * (near[1] - near[-1]) - near[2] + near[-2]) / (12 * _STEP)
-            for row in np.flatnonzero(np.abs(velocity).max(axis=1) > _STILL * np.abs(velocity).max()).tolist():
-                cards.append(large_card("DVGRID", (k + 1, int(ids[row]), 0, 1.0, *velocity[row].tolist())))
+            for row in np.flatnonzero(
+                np.abs(velocity).max(axis=1) > _STILL * np.abs(velocity).max()
+            ).tolist():
+                cards.append(
+                    large_card("DVGRID", (k + 1, int(ids[row]), 0, 1.0, *velocity[row].tolist()))
+                )
     return "".join(cards)
 
 
 def design_cards(model: Model, parameters: ParameterSet) -> tuple[Model, str]:
-    """The model with shear moduli written out, and its DESVAR, DVPREL1, DVMREL1, DVCREL1 and DVGRID cards.
+    """The model with shear moduli written out, and its DESVAR, DVPREL1, DVMREL1, DVCREL1 and DVGRID
+    cards.
 
     Raises
     ------
@@ -179,7 +222,11 @@ def design_cards(model: Model, parameters: ParameterSet) -> tuple[Model, str]:
     InputError
         If a target is not in the model or blank.
     """
-    moves, model, parameters = _moved_nodes(model, parameters), _as_pcomp(model), _fixed_nodes(parameters)
+    moves, model, parameters = (
+        _moved_nodes(model, parameters),
+        _as_pcomp(model),
+        _fixed_nodes(parameters),
+    )
     whole = with_shear_moduli(model)
     derived = np.empty(0, dtype=np.int64)
     if "MAT1" in model:
@@ -201,7 +248,8 @@ def response_id(mode: int, component: int, count: int) -> int:
 
 
 def response_cards(count: int, grids: Int) -> str:
-    """DRESP1 of the eigenvalues and shapes of the lowest `count` modes, and constraints that keep them all.
+    """DRESP1 of the eigenvalues and shapes of the lowest `count` modes, and constraints that keep
+    them all.
 
     Parameters
     ----------
@@ -209,14 +257,25 @@ def response_cards(count: int, grids: Int) -> str:
     grids : (g,) int64
         Grid points whose six components are asked for; none for eigenvalues alone.
     """
-    cards = [format_card("DRESP1", (m, f"L{m}", "EIGN", None, None, m)) for m in range(1, count + 1)]
+    cards = [
+        format_card("DRESP1", (m, f"L{m}", "EIGN", None, None, m)) for m in range(1, count + 1)
+    ]
     components = range(1, 7) if grids.size else ()
     for m in range(1, count + 1):
         for c in components:
             rid = response_id(m, c, count)
-            cards.append(format_card("DRESP1", (rid, f"U{rid}"[:8], "DISP", None, None, c, m, *grids.tolist())))
-    ids = [*range(1, count + 1), *(response_id(m, c, count) for m in range(1, count + 1) for c in components)]
-    cards += [format_card("DCONSTR", (SET, rid, 1e30, 1e30)) for rid in ids]  # never met, so never left out
+            cards.append(
+                format_card(
+                    "DRESP1", (rid, f"U{rid}"[:8], "DISP", None, None, c, m, *grids.tolist())
+                )
+            )
+    ids = [
+        *range(1, count + 1),
+        *(response_id(m, c, count) for m in range(1, count + 1) for c in components),
+    ]
+    cards += [
+        format_card("DCONSTR", (SET, rid, 1e30, 1e30)) for rid in ids
+    ]  # never met, so never left out
     keep = [("EIGN", count), *([("DISP", 6 * count * grids.size)] if grids.size else [])]
     cards += [format_card("DSCREEN", (kind, -1e10, number)) for kind, number in keep]
     return "".join(cards)
@@ -242,9 +301,15 @@ def spread(found: Sensitivities, count: int, grids: Int, variables: int) -> tupl
     order = np.argsort(grids, kind="stable")
     place = np.searchsorted(grids[order], found.grid[~value]).clip(max=max(grids.size - 1, 0))
     row = order[place] if grids.size else place
-    good = (mode < count) & (grids[row] == found.grid[~value]) if grids.size else np.zeros(mode.size, dtype=bool)
+    good = (
+        (mode < count) & (grids[row] == found.grid[~value])
+        if grids.size
+        else np.zeros(mode.size, dtype=bool)
+    )
     d_shape[row[good], component[good], mode[good]] = values[~value][good]
     lost = int(np.isnan(d_lambda).any(axis=1).sum()), int(np.isnan(d_shape).any(axis=-1).sum())
     if any(lost):
-        raise SolverFailed(f"sensitivities of {lost[0]} eigenvalues and {lost[1]} shape components are missing")
+        raise SolverFailed(
+            f"sensitivities of {lost[0]} eigenvalues and {lost[1]} shape components are missing"
+        )
     return d_lambda, d_shape

@@ -1,4 +1,6 @@
-"""An observed model that solves the full model anew at each point, through the port to any solver."""
+"""An observed model that solves the full model anew at each point, through the port to any
+solver.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,9 @@ def at_factors(model: Model, parameters: ParameterSet, factors: Float) -> Model:
     InputError
         If a target is not in the model.
     """
-    for p, a in zip(parameters.parameters, np.asarray(factors).tolist(), strict=True):  # over parameters
+    for p, a in zip(
+        parameters.parameters, np.asarray(factors).tolist(), strict=True
+    ):  # over parameters
         model = scaled(model, p, a)
     return model
 
@@ -99,10 +103,13 @@ class FullModel:
         with self._open(x) as analysis:
             modes = analysis.modes(self.request).modes
         seen = self.observation(modes.shapes)
-        return Linearisation(x, modes.frequencies, seen, np.zeros((len(modes), 0)), np.zeros((*seen.shape, 0)))
+        return Linearisation(
+            x, modes.frequencies, seen, np.zeros((len(modes), 0)), np.zeros((*seen.shape, 0))
+        )
 
     def linearise(self, x: Float) -> Linearisation:
-        """Modes and sensitivities at x (p,): the solver's, or differences of one more run a parameter.
+        """Modes and sensitivities at x (p,): the solver's, or differences of one more run a
+        parameter.
 
         Modes from the first on that a difference cannot follow are left out.
         """
@@ -120,27 +127,39 @@ class FullModel:
             modes = found if self.request.band else found.take(slice(self.request.count))
             slopes = self._given(analysis, modes, x)
         if slopes is None:  # the last may be half of a pair
-            alone = modes.frequencies < (1 - CLOSE) * found.frequencies[-1] if len(found) > len(modes) else slice(None)
+            alone = (
+                modes.frequencies < (1 - CLOSE) * found.frequencies[-1]
+                if len(found) > len(modes)
+                else slice(None)
+            )
             slopes = self._differences(modes.take(alone), x)
         seen, n = self.observation(modes.shapes), len(slopes[0])
         return Linearisation(x, modes.frequencies[:n], seen[:, :n], *slopes)
 
     def _given(self, analysis: Analysis, modes: ModeSet, x: Float) -> tuple[Float, Float] | None:
-        """∂λ/∂x (m, p) and ∂φ/∂x (channel, m, p) of a solver that gives them, for factors on fields."""
+        """∂λ/∂x (m, p) and ∂φ/∂x (channel, m, p) of a solver that gives them, for factors on
+        fields.
+        """
         every = self.parameters.parameters
-        if "derivatives" not in analysis.capabilities or any(p.shapes or any(t.step for t in p.targets) for p in every):
+        if "derivatives" not in analysis.capabilities or any(
+            p.shapes or any(t.step for t in p.targets) for p in every
+        ):
             return None
         try:
             d_lambda, d_phi = analysis.derivatives(modes, self.parameters)
         except UnsupportedError:
             return None
         self.ledger.runs += 1
-        relative = self.parameters.slope(x) / self.parameters.factors(x)  # the edited model is at a = 1 of itself
+        relative = self.parameters.slope(x) / self.parameters.factors(
+            x
+        )  # the edited model is at a = 1 of itself
         d_seen = self.observation(d_phi.reshape(d_phi.shape[0], -1)).reshape(-1, *d_phi.shape[1:])
         return d_lambda * relative, d_seen * relative
 
     def _differences(self, here: ModeSet, x: Float) -> tuple[Float, Float]:
-        """∂λ/∂x (k, p) and ∂φ/∂x (channel, k, p) of the lowest k <= m modes by one step of each parameter."""
+        """∂λ/∂x (k, p) and ∂φ/∂x (channel, k, p) of the lowest k <= m modes by one step of each
+        parameter.
+        """
         slopes, high = [], self.parameters.bounds()[1]
         groups, seen = _groups(here.frequencies), self.observation(here.shapes)
         for i, at in enumerate(x.tolist()):  # over parameters
@@ -150,13 +169,18 @@ class FullModel:
             with self._open(near) as analysis:
                 lam, shapes = followed(here, analysis.modes(self.request).modes, groups)
             n = lam.size
-            slopes.append(((lam - _lam(here)[:n]) / h, (self.observation(shapes) - seen[:, :n]) / h))
+            slopes.append(
+                ((lam - _lam(here)[:n]) / h, (self.observation(shapes) - seen[:, :n]) / h)
+            )
         k = min((len(d) for d, _ in slopes), default=len(here))
-        return np.stack([d[:k] for d, _ in slopes], axis=-1), np.stack([d[:, :k] for _, d in slopes], axis=-1)
+        return np.stack([d[:k] for d, _ in slopes], axis=-1), np.stack(
+            [d[:, :k] for _, d in slopes], axis=-1
+        )
 
 
 def followed(here: ModeSet, near: ModeSet, groups: Sequence[Int]) -> tuple[Float, Float]:
-    """λ (k,) and shapes (dof, k) of `near`, turned in each close group towards `here`, up to the first that is lost.
+    """λ (k,) and shapes (dof, k) of `near`, turned in each close group towards `here`, up to the
+    first that is lost.
 
     λ of a turned mode is its Rayleigh quotient: that of the mode itself where nothing is turned.
     """

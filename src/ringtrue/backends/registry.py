@@ -31,7 +31,9 @@ def names() -> tuple[str, ...]:
 
 
 def time_limits() -> dict[str, float]:
-    """Time limit in s of a run of each built-in solver that is another program, where none is given."""
+    """Time limit in s of a run of each built-in solver that is another program, where none is
+    given.
+    """
     limits = {name: signature(made).parameters.get("timeout") for name, made in BUILT_IN.items()}
     return {name: float(limit.default) for name, limit in limits.items() if limit is not None}
 
@@ -74,10 +76,14 @@ def solver(
         raise ConfigError(f"no solver {name!r}{did_you_mean(name, names())}")
     make = BUILT_IN[name] if name in BUILT_IN else plugins[name].load()
     if limit and "timeout" not in signature(make).parameters:
-        raise ConfigError(f"solver {name!r} has no time limit; those that have one: {', '.join(time_limits())}")
+        raise ConfigError(
+            f"solver {name!r} has no time limit; those that have one: {', '.join(time_limits())}"
+        )
     made = make(**limit)
     if not isinstance(made, ModalSolver):
-        raise ConfigError(f"plug-in {plugins[name].value} ({GROUP}) made a {type(made).__name__} without open()")
+        raise ConfigError(
+            f"plug-in {plugins[name].value} ({GROUP}) made a {type(made).__name__} without open()"
+        )
     return made
 
 

@@ -1,6 +1,7 @@
 """Running an external program: no terminal, a time limit, its whole log kept, its failures told.
 
-It ends with this process, even one that is killed: where there are process groups, `guard` stands between the two.
+It ends with this process, even one that is killed: where there are process groups, `guard` stands
+between the two.
 """
 
 from __future__ import annotations
@@ -47,8 +48,11 @@ class Finished:
         return tuple(f for e in endings for f in here if f.suffix.lower() == e and f.stat().st_size)
 
 
-def run_program(command: Sequence[str | Path], folder: Path, *, name: str, timeout: float) -> Finished:
-    """Run a command in a folder to its end; its processes are ended if it takes too long, or with this one.
+def run_program(
+    command: Sequence[str | Path], folder: Path, *, name: str, timeout: float
+) -> Finished:
+    """Run a command in a folder to its end; its processes are ended if it takes too long, or with
+    this one.
 
     Parameters
     ----------
@@ -92,7 +96,9 @@ def run_program(command: Sequence[str | Path], folder: Path, *, name: str, timeo
         finally:
             _end(process)
     if groups and status == guard.NOT_STARTED and (why := _last(log)).startswith(guard.WHY):
-        raise SolverMissing(f"{name}: {words[0]} cannot be started: {why.removeprefix(guard.WHY).strip()}")
+        raise SolverMissing(
+            f"{name}: {words[0]} cannot be started: {why.removeprefix(guard.WHY).strip()}"
+        )
     if _tells_of_a_full_disk(log):
         free = shutil.disk_usage(folder).free / 1e9
         raise SolverFailed(f"{name}: the disk of {folder} is full ({free:.2f} GB free){tail(log)}")

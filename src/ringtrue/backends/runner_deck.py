@@ -80,10 +80,24 @@ def modes_deck(model: Model, request: ModesRequest, program: DeckProgram) -> str
 
 def case_control(model: Model) -> list[str]:
     """The choices of constraint sets and method."""
-    chosen = [("SPC", model.case.spc), ("MPC", model.case.mpc), ("NSM", model.case.nsm), ("METHOD", METHOD)]
+    chosen = [
+        ("SPC", model.case.spc),
+        ("MPC", model.case.mpc),
+        ("NSM", model.case.nsm),
+        ("METHOD", METHOD),
+    ]
     matrices = [("K2GG", model.case.k2gg), ("M2GG", model.case.m2gg), ("B2GG", model.case.b2gg)]
-    added = [f"{name} = " + ", ".join(f"{a:.9G}*{m}" for a, m in terms) for name, terms in matrices if terms]
-    return ["TITLE = RINGTRUE", "ECHO = NONE", *(f"{name} = {sid}" for name, sid in chosen if sid), *added]
+    added = [
+        f"{name} = " + ", ".join(f"{a:.9G}*{m}" for a, m in terms)
+        for name, terms in matrices
+        if terms
+    ]
+    return [
+        "TITLE = RINGTRUE",
+        "ECHO = NONE",
+        *(f"{name} = {sid}" for name, sid in chosen if sid),
+        *added,
+    ]
 
 
 def bulk(model: Model, program: DeckProgram) -> str:
@@ -102,7 +116,12 @@ class DeckAnalysis:
     capabilities = frozenset({"modes"})
 
     def __init__(
-        self, model: Model, program: DeckProgram, *, keep: Path | None = None, progress: Progress | None = None
+        self,
+        model: Model,
+        program: DeckProgram,
+        *,
+        keep: Path | None = None,
+        progress: Progress | None = None,
     ) -> None:
         self.model, self.program, self._progress = model, program, progress
         self.dofs: DofSet = mesh(model).dofs
@@ -143,10 +162,14 @@ class DeckAnalysis:
         name = self.program.name
         if self._progress:
             self._progress(0.0, f"{name} runs")
-        done = run_program(self.program.command(path), folder, name=name, timeout=self.program.timeout)
+        done = run_program(
+            self.program.command(path), folder, name=name, timeout=self.program.timeout
+        )
         fatal = [m for f in done.files(".f06", ".err") for m in fatal_messages(f)]
         if fatal:
-            raise SolverFailed(f"{name} stopped with a fatal error:\n  " + "\n  ".join(fatal[0].splitlines()))
+            raise SolverFailed(
+                f"{name} stopped with a fatal error:\n  " + "\n  ".join(fatal[0].splitlines())
+            )
         if done.status:
             raise SolverFailed(f"{name} ended with exit status {done.status}{tail(done.log)}")
         return done
@@ -160,12 +183,19 @@ class DeckAnalysis:
         return ModesResult(modes, np.full(len(modes), np.nan), complete, proof)
 
     def _band(self, request: ModesRequest) -> ModesResult:
-        """All modes of a band from a program that takes a number: asked for twice as many until they pass the band."""
+        """All modes of a band from a program that takes a number: asked for twice as many until
+        they pass the band.
+        """
         low, high = request.band or (0.0, 0.0)
         count, most = request.count, len(self.dofs) // 2
         while True:
             found = self.modes(ModesRequest(count))
-            if not len(found.modes) or found.modes.frequencies[-1] > high or len(found.modes) < count or count >= most:
+            if (
+                not len(found.modes)
+                or found.modes.frequencies[-1] > high
+                or len(found.modes) < count
+                or count >= most
+            ):
                 break
             count = min(2 * count, most)
         inside = found.modes.band(-np.inf if low <= 0 else low, high)
@@ -182,7 +212,10 @@ class DeckAnalysis:
                 problems.append(str(e))
                 continue
             return self._aligned(found)
-        nothing = f"no file {' or '.join(self.program.endings())}; its command must wait for the job (MSC: bat=no)"
+        nothing = (
+            f"no file {' or '.join(self.program.endings())}; its command must wait for the "
+            "job (MSC: bat=no)"
+        )
         what = "; ".join(problems) or nothing
         raise SolverFailed(f"{self.program.name} wrote no modes: {what}{tail(done.log)}")
 
@@ -193,15 +226,25 @@ class DeckAnalysis:
         if (at < 0).any():
             lost = self.dofs.labels()[int(np.flatnonzero(at < 0)[0])]
             raise SolverFailed(
-                f"{self.program.name} wrote modes without {lost} and {int((at < 0).sum()) - 1} more DOFs"
+                f"{self.program.name} wrote modes without {lost} and {int((at < 0).sum()) - 1} "
+                "more DOFs"
             )
-        return replace(found, shapes=found.shapes[at], labels=self.dofs, norm=Norm.MASS, source=self.program.name)
+        return replace(
+            found,
+            shapes=found.shapes[at],
+            labels=self.dofs,
+            norm=Norm.MASS,
+            source=self.program.name,
+        )
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         if self._temporary:
             shutil.rmtree(self._temporary, ignore_errors=True)

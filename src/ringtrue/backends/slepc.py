@@ -1,4 +1,6 @@
-"""SLEPc with MUMPS under mpiexec, for models that outgrow one process; the matrices go over by files."""
+"""SLEPc with MUMPS under mpiexec, for models that outgrow one process; the matrices go over by
+files.
+"""
 
 from __future__ import annotations
 
@@ -74,7 +76,14 @@ class SlepcAnalysis:
 
     capabilities = frozenset({"modes"})
 
-    def __init__(self, system: System, command: Sequence[str | Path], *, timeout: float, progress: Progress | None):
+    def __init__(
+        self,
+        system: System,
+        command: Sequence[str | Path],
+        *,
+        timeout: float,
+        progress: Progress | None,
+    ):
         self.system, self.dofs = system, system.dofs
         self._command, self._timeout, self._progress = command, timeout, progress
         self._folder = Path(tempfile.mkdtemp(prefix="ringtrue-slepc-"))
@@ -97,7 +106,9 @@ class SlepcAnalysis:
 
     def _modes(self, request: ModesRequest) -> ModesResult:
         values, vectors, residuals, result = self._solve(request)
-        if (residuals > GOOD).any():  # a shift much nearer to zero than the first elastic mode loses digits
+        if (
+            residuals > GOOD
+        ).any():  # a shift much nearer to zero than the first elastic mode loses digits
             self._shift = -suitable_shift(values)
             values, vectors, residuals, result = self._solve(request)
         shapes = self.system.transform @ vectors
@@ -116,7 +127,12 @@ class SlepcAnalysis:
         (self._folder / "result.json").unlink(missing_ok=True)
         if self._progress:
             self._progress(0.0, "slepc runs")
-        done = run_program([*self._command, WORKER, self._folder], self._folder, name="slepc", timeout=self._timeout)
+        done = run_program(
+            [*self._command, WORKER, self._folder],
+            self._folder,
+            name="slepc",
+            timeout=self._timeout,
+        )
         if done.status or not (self._folder / "result.json").is_file():
             raise SolverFailed(f"slepc ended with exit status {done.status}{tail(done.log)}")
         result = read_json(self._folder / "result.json")
@@ -126,7 +142,9 @@ class SlepcAnalysis:
         )
         if not values.size:
             return values, vectors.reshape(self.system.stiffness.shape[0], 0), np.empty(0), result
-        values, vectors, residuals, _ = polish(self.system.stiffness, self.system.mass, values, vectors)
+        values, vectors, residuals, _ = polish(
+            self.system.stiffness, self.system.mass, values, vectors
+        )
         return values, vectors, residuals, result
 
     def derivatives(self, modes: ModeSet, parameters: ParameterSet) -> tuple[Float, Any_]:
@@ -143,14 +161,21 @@ class SlepcAnalysis:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         shutil.rmtree(self._folder, ignore_errors=True)
 
 
 def _hand_over(folder: Path, name: str, matrix: sparse.csr_array) -> None:
     """Plain arrays that each rank can map and read its rows of."""
-    for part, values in (("p", matrix.indptr.astype(np.int64)), ("i", matrix.indices), ("x", matrix.data)):
+    for part, values in (
+        ("p", matrix.indptr.astype(np.int64)),
+        ("i", matrix.indices),
+        ("x", matrix.data),
+    ):
         np.save(folder / f"{name}_{part}.npy", values)
 
 
@@ -167,7 +192,9 @@ class SlepcSolver:
 
     name = "slepc"
 
-    def __init__(self, *, ranks: int = 1, timeout: float = 24 * 3600.0, progress: Progress | None = None) -> None:
+    def __init__(
+        self, *, ranks: int = 1, timeout: float = 24 * 3600.0, progress: Progress | None = None
+    ) -> None:
         if ranks < 1:
             raise ConfigError(f"slepc: {ranks} ranks; at least 1")
         self.ranks, self.timeout, self.progress = ranks, timeout, progress

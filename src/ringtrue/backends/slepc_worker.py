@@ -1,10 +1,12 @@
-"""The part of the `slepc` solver that runs under mpiexec, in a Python that has slepc4py and needs no ringtrue.
+"""The part of the `slepc` solver that runs under mpiexec, in a Python that has slepc4py and needs
+no ringtrue.
 
     mpiexec -n 4 python slepc_worker.py FOLDER
 
-reads `job.json` and the rows of K and M that each rank owns, and writes `values.npy`, `vectors.npy` (mode, dof) and
-`result.json`. The eigensolver is Krylov-Schur with shift-invert (Stewart, 2001) over MUMPS' LDLᵀ, for a band with
-spectrum slicing (Campos & Roman, Numer. Algorithms 60, 2012); inertia counts prove both.
+reads `job.json` and the rows of K and M that each rank owns, and writes `values.npy`, `vectors.npy`
+(mode, dof) and `result.json`. The eigensolver is Krylov-Schur with shift-invert (Stewart, 2001)
+over MUMPS' LDLᵀ, for a band with spectrum slicing (Campos & Roman, Numer. Algorithms 60, 2012);
+inertia counts prove both.
 """
 
 from __future__ import annotations
@@ -21,20 +23,26 @@ from slepc4py import SLEPc
 
 EXTRA = 4  # modes above those asked for
 MUMPS = {
-    f"{p}mat_mumps_{k}": v for p in ("", "st_") for k, v in (("icntl_13", 1), ("icntl_24", 1), ("cntl_3", 1e-12))
+    f"{p}mat_mumps_{k}": v
+    for p in ("", "st_")
+    for k, v in (("icntl_13", 1), ("icntl_24", 1), ("cntl_3", 1e-12))
 }  # for inertia: see SLEPc's manual
 
 
 def load(folder: Path, name: str) -> Any:
     """The rows of a symmetric matrix that this rank owns."""
-    indptr, indices, data = (np.load(folder / f"{name}_{part}.npy", mmap_mode="r") for part in ("p", "i", "x"))
+    indptr, indices, data = (
+        np.load(folder / f"{name}_{part}.npy", mmap_mode="r") for part in ("p", "i", "x")
+    )
     n = indptr.size - 1
     rank, size = MPI.COMM_WORLD.rank, MPI.COMM_WORLD.size
     first, last = rank * n // size, (rank + 1) * n // size
     a, b = int(indptr[first]), int(indptr[last])
     rows = (indptr[first : last + 1] - a).astype(PETSc.IntType)
     own = (rows, indices[a:b].astype(PETSc.IntType), np.array(data[a:b]))
-    matrix = PETSc.Mat().createAIJ(((last - first, n), (last - first, n)), csr=own, comm=PETSc.COMM_WORLD)
+    matrix = PETSc.Mat().createAIJ(
+        ((last - first, n), (last - first, n)), csr=own, comm=PETSc.COMM_WORLD
+    )
     matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
     return matrix
 
@@ -93,7 +101,12 @@ def lowest(K: Any, M: Any, count: int, shift: float) -> tuple[Any, int, bool, st
         eps.destroy()
         eps, taken, _, proof = band(K, M, shift, cut)
         return eps, min(count, taken), taken == there, proof
-    return eps, count, True, f"{there} eigenvalues below {cut:.6g} (rad/s)^2 by inertia, {found} found"
+    return (
+        eps,
+        count,
+        True,
+        f"{there} eigenvalues below {cut:.6g} (rad/s)^2 by inertia, {found} found",
+    )
 
 
 def band(K: Any, M: Any, low: float, high: float) -> tuple[Any, int, bool, str]:
@@ -137,7 +150,10 @@ def main(folder: Path) -> None:
     if MPI.COMM_WORLD.rank == 0:
         np.save(folder / "values.npy", values)
         np.save(folder / "vectors.npy", vectors)
-        result = {"complete": bool(complete), "proof": f"{proof} (SLEPc, {MPI.COMM_WORLD.size} ranks)"}
+        result = {
+            "complete": bool(complete),
+            "proof": f"{proof} (SLEPc, {MPI.COMM_WORLD.size} ranks)",
+        }
         (folder / "result.json").write_text(json.dumps(result))
 
 

@@ -12,7 +12,9 @@ _NAMED = 5
 
 
 def autospc_findings(system: System) -> Iterator[Finding]:
-    """Components that are held as nothing stiffens them: a warning for translations of nodes that move otherwise."""
+    """Components that are held as nothing stiffens them: a warning for translations of nodes that
+    move otherwise.
+    """
     loose = system.loose()
     if len(loose):
         text = f"AUTOSPC holds translations of nodes that move otherwise: {_in_words(loose)}"
@@ -26,7 +28,9 @@ def autospc_findings(system: System) -> Iterator[Finding]:
 
 def _in_words(dofs: DofSet) -> str:
     """`component 6 of node 3, components 123 of 7 nodes (1, 2, 4, 5, 8, ...)`."""
-    return ", ".join(_group(components, nodes) for components, nodes in dofs.by_components().items())
+    return ", ".join(
+        _group(components, nodes) for components, nodes in dofs.by_components().items()
+    )
 
 
 def _group(components: str, nodes: list[int]) -> str:

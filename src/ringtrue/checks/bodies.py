@@ -20,15 +20,23 @@ def body_findings(model: Model) -> Iterator[Finding]:
     """CONM2 of negative mass or principal inertia, CONM1 with a negative eigenvalue."""
     for card, matrices in (("CONM2", _bodies), ("CONM1", _matrices)):
         if card in model:
-            lowest = [np.linalg.eigvalsh(m)[:, 0] + _ZERO * np.abs(m).max(axis=(1, 2)) for m in matrices(model[card])]
+            lowest = [
+                np.linalg.eigvalsh(m)[:, 0] + _ZERO * np.abs(m).max(axis=(1, 2))
+                for m in matrices(model[card])
+            ]
             rows = np.flatnonzero((np.stack(lowest) < 0).any(axis=0))
             if rows.size:
-                what = "no body has this mass or inertia: it is negative in some direction; check its signs"
+                what = (
+                    "no body has this mass or inertia: it is negative in some direction; "
+                    "check its signs"
+                )
                 yield at_rows(model, card, rows, "warning", what)
 
 
 def wide_findings(model: Model) -> Iterator[Finding]:
-    """CONM2 whose radius of gyration is far over the size of the model, as with M and I in different units."""
+    """CONM2 whose radius of gyration is far over the size of the model, as with M and I in
+    different units.
+    """
     if "CONM2" not in model or "GRID" not in model or not (size := extent(model)):
         return
     mass, inertia = (np.asarray(v) for v in _bodies(model["CONM2"]))
@@ -36,7 +44,10 @@ def wide_findings(model: Model) -> Iterator[Finding]:
     rows = np.flatnonzero((m > 0) & (largest > (WIDE * size) ** 2 * m))
     if rows.size:
         radius = np.sqrt(largest[rows[0]] / m[rows[0]])
-        what = f"its radius of gyration is {radius:.3g}, the model {size:.3g} in size: are M and I in one unit system?"
+        what = (
+            f"its radius of gyration is {radius:.3g}, the model {size:.3g} in size: are M and "
+            "I in one unit system?"
+        )
         yield at_rows(model, "CONM2", rows, "warning", what)
 
 

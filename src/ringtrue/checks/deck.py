@@ -72,10 +72,20 @@ def check_deck(model: Model, units: str = "") -> DeckReport:
     lost = list(_missing(model))
     checks = [*lost, *_unconnected(model), *_shared_numbers(model)]
     if not any("frame" in f.text or f.text.startswith("CORD") for f in lost):
-        checks += [*check_geometry(model), *_coincident(model), *check_units(model, units), *hinge_findings(model)]
+        checks += [
+            *check_geometry(model),
+            *_coincident(model),
+            *check_units(model, units),
+            *hinge_findings(model),
+        ]
         checks += [*wide_findings(model), *stiff_findings(model)]
     checks += [*_unused(model), *_unchosen(model), *_lost_sets(model), *unapplied(model)]
-    checks += [*check_materials(model), *body_findings(model), *edge_findings(model), *double_findings(model)]
+    checks += [
+        *check_materials(model),
+        *body_findings(model),
+        *edge_findings(model),
+        *double_findings(model),
+    ]
     order = {"error": 0, "warning": 1, "info": 2}
     found = tuple(sorted(checks, key=lambda f: order[f.severity]))
     return DeckReport({n: len(t) for n, t in model.tables.items()}, dict(model.kept), found)
@@ -87,7 +97,9 @@ def _missing(model: Model) -> Iterator[Finding]:
         ref = lost.reference
         harmless = np.isin(lost.rows, out.get(ref.card, ())).all()
         what = f"{ref.field} names {ref.names} {lost.ids[0]}: not there"
-        yield at_rows(model, ref.card, np.unique(lost.rows), "warning" if harmless else "error", what)
+        yield at_rows(
+            model, ref.card, np.unique(lost.rows), "warning" if harmless else "error", what
+        )
 
 
 def _used_nodes(model: Model) -> Int:
@@ -104,7 +116,11 @@ def _unconnected(model: Model) -> list[Finding]:
     if "GRID" not in model:
         return [Finding("error", "the deck has no GRID")]
     rows = np.flatnonzero(~np.isin(model["GRID"].ids, _used_nodes(model)))
-    return [at_rows(model, "GRID", rows, "warning", "no element is connected to it")] if rows.size else []
+    return (
+        [at_rows(model, "GRID", rows, "warning", "no element is connected to it")]
+        if rows.size
+        else []
+    )
 
 
 def _shared_numbers(model: Model) -> Iterator[Finding]:
@@ -113,7 +129,9 @@ def _shared_numbers(model: Model) -> Iterator[Finding]:
     for i, card in enumerate(cards):
         for other in cards[:i]:
             if (rows := np.flatnonzero(np.isin(model[card].ids, model[other].ids))).size:
-                text = f"{other} has the same number; Nastran wants numbers of elements to be unique"
+                text = (
+                    f"{other} has the same number; Nastran wants numbers of elements to be unique"
+                )
                 yield at_rows(model, card, rows, "warning", text)
 
 
@@ -121,7 +139,12 @@ def _groups(model: Model) -> Iterator[tuple[Int, Int]]:
     """Node ids with the number of the element or constraint that joins them, card by card."""
     by_card: dict[str, list[str]] = {}
     for ref in REFERENCES:
-        if ref.of == NODES and ref.card in model and ref.card not in _NOT_ELEMENTS and ref.field != "G0":
+        if (
+            ref.of == NODES
+            and ref.card in model
+            and ref.card not in _NOT_ELEMENTS
+            and ref.field != "G0"
+        ):
             by_card.setdefault(ref.card, []).append(ref.field)
     for card, names in by_card.items():
         table, ids, owner = model[card], [], []
@@ -130,7 +153,9 @@ def _groups(model: Model) -> Iterator[tuple[Int, Int]]:
             ragged = isinstance(column, Ragged)
             ids.append(column.values if isinstance(column, Ragged) else column)
             count = column.sizes if isinstance(column, Ragged) else 1
-            owner.append(np.repeat(np.arange(len(table)), count) if ragged else np.arange(len(table)))
+            owner.append(
+                np.repeat(np.arange(len(table)), count) if ragged else np.arange(len(table))
+            )
         yield np.concatenate(ids), np.concatenate(owner)
 
 
@@ -150,49 +175,73 @@ def _coincident(model: Model) -> list[Finding]:
         return []
     free = free[np.lexsort((free[:, 1], free[:, 0]))]
     names = ", ".join(f"{a} and {b}" for a, b in grid.ids[free[:5]].tolist())
-    what = f"at one place with another node that nothing joins it to: {names}{', ...' if len(free) > 5 else ''}"
+    what = (
+        "at one place with another node that nothing joins it to: "
+        f"{names}{', ...' if len(free) > 5 else ''}"
+    )
     return [at_rows(model, "GRID", np.unique(free[:, 0]), "warning", what)]
 
 
 def _joined(model: Model, pairs: Int) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """Which pairs of node ids (n, 2) are nodes of one element or constraint, also by way of others of them, (n,)."""
+    """Which pairs of node ids (n, 2) are nodes of one element or constraint, also by way of others
+    of them, (n,).
+    """
     wanted, at = np.unique(pairs, return_inverse=True)
     at = at.reshape(-1, 2)
     joined: set[tuple[int, int]] = set()
     for ids, owner in _groups(model):
         keep = np.isin(ids, wanted)
         members: dict[int, set[int]] = {}
-        for o, i in zip(owner[keep].tolist(), np.searchsorted(wanted, ids[keep]).tolist(), strict=True):
+        for o, i in zip(
+            owner[keep].tolist(), np.searchsorted(wanted, ids[keep]).tolist(), strict=True
+        ):
             members.setdefault(i, set()).add(o)
         # over the few coincident pairs
-        joined.update((a, b) for a, b in at.tolist() if members.get(a, set()) & members.get(b, set()))
+        joined.update(
+            (a, b) for a, b in at.tolist() if members.get(a, set()) & members.get(b, set())
+        )
     edges = np.array(sorted(joined), dtype=np.int64).reshape(-1, 2)
-    graph = sparse.coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(wanted.size, wanted.size))
+    graph = sparse.coo_array(
+        (np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(wanted.size, wanted.size)
+    )
     label = connected_components(graph, directed=False)[1]
     return np.asarray(label[at[:, 0]] == label[at[:, 1]])
 
 
 def _unchosen(model: Model) -> Iterator[Finding]:
-    """Supports and equations of a deck whose case control takes none of them, and subcases that are not taken."""
+    """Supports and equations of a deck whose case control takes none of them, and subcases that are
+    not taken.
+    """
     if model.case.others:
         numbers = ", ".join(map(str, model.case.others))
         yield Finding(
-            "warning", f"SUBCASE {numbers}: not taken; the modes are those of the first subcase with a METHOD"
+            "warning",
+            f"SUBCASE {numbers}: not taken; the modes are those of the first subcase with a METHOD",
         )
-    yield from (Finding("warning", f"case control asks for {text}") for text in empty_choices(model))
+    yield from (
+        Finding("warning", f"case control asks for {text}") for text in empty_choices(model)
+    )
     for name, (_, cards) in CONSTRAINTS.items():
         chosen = getattr(model.case, name.lower())
         for card in cards:
             if not chosen and card in model and len(model[card]):
                 rows = np.arange(len(model[card]))
-                yield at_rows(model, card, rows, "warning", f"it holds nothing: case control chooses no {name}")
+                yield at_rows(
+                    model,
+                    card,
+                    rows,
+                    "warning",
+                    f"it holds nothing: case control chooses no {name}",
+                )
 
 
 def _lost_sets(model: Model) -> Iterator[Finding]:
     """SPCADD and MPCADD of sets that are not in the deck."""
     for add, cards in CONSTRAINTS.values():
         if add in model:
-            there = np.concatenate([np.empty(0, dtype=np.int64), *(model[c].ids for c in cards if c in model)])
+            there = np.concatenate(
+                [np.empty(0, dtype=np.int64), *(model[c].ids for c in cards if c in model)]
+            )
             rows = _naming_none(model[add].ragged("S"), there)
             if rows.size:
                 yield at_rows(model, add, rows, "warning", "it names a set that is not in the deck")
@@ -203,4 +252,7 @@ def _naming_none(sets: Ragged, there: Int) -> Int:
 
 
 def _unused(model: Model) -> list[Finding]:
-    return [at_rows(model, card, rows, "info", "nothing uses it") for card, rows in sorted(unused(model).items())]
+    return [
+        at_rows(model, card, rows, "info", "nothing uses it")
+        for card, rows in sorted(unused(model).items())
+    ]

@@ -18,7 +18,15 @@ _NODES = {card: tuple(f"G{i + 1}" for i in range(count)) for card, count in _COR
     "CBAR": ("GA", "GB"),
     "CBEAM": ("GA", "GB"),
 }
-_OFFSETS = ("ZOFFS", "W1A", "W2A", "W3A", "W1B", "W2B", "W3B")  # skins and stiffeners may share nodes at offsets
+_OFFSETS = (
+    "ZOFFS",
+    "W1A",
+    "W2A",
+    "W3A",
+    "W1B",
+    "W2B",
+    "W3B",
+)  # skins and stiffeners may share nodes at offsets
 
 
 def double_findings(model: Model) -> Iterator[Finding]:

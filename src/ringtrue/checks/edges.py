@@ -50,8 +50,12 @@ def shell_edges(model: Model) -> ShellEdges:
             found.append(np.stack([ids, np.roll(ids, -1, axis=1)], axis=2).reshape(-1, 2))
     directed = np.concatenate(found)
     directed = directed[directed[:, 0] != directed[:, 1]]
-    edges, which, count = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True)
-    forward = np.bincount(which.reshape(-1), weights=directed[:, 0] < directed[:, 1], minlength=len(edges))
+    edges, which, count = np.unique(
+        np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True
+    )
+    forward = np.bincount(
+        which.reshape(-1), weights=directed[:, 0] < directed[:, 1], minlength=len(edges)
+    )
     free = edges[count == 1]
     return ShellEdges(len(edges), free, _parts(free), edges[(count == 2) & (forward != 1)])
 
@@ -60,22 +64,32 @@ def _parts(edges: Int) -> Int:
     nodes, at = np.unique(edges, return_inverse=True)
     at = at.reshape(-1, 2)
     graph = coo_array((np.ones(len(at)), (at[:, 0], at[:, 1])), shape=(nodes.size, nodes.size))
-    label = connected_components(graph, directed=False)[1] if nodes.size else np.empty(0, dtype=np.int64)
+    label = (
+        connected_components(graph, directed=False)[1]
+        if nodes.size
+        else np.empty(0, dtype=np.int64)
+    )
     return np.asarray(label[at[:, 0]], dtype=np.int64)
 
 
 def free_edges_in_words(edges: ShellEdges) -> str:
-    """How many edges are free, in how many chains, and where the shortest is; "" without a free edge."""
+    """How many edges are free, in how many chains, and where the shortest is; "" without a free
+    edge.
+    """
     if not len(edges.free):
         return ""
     size = np.bincount(edges.part)
     short = edges.free[edges.part == size.argmin()]
-    text = f"{len(edges.free)} of {edges.number} shell edges are free, in {_many(size.size, 'chain')}"
+    text = (
+        f"{len(edges.free)} of {edges.number} shell edges are free, in {_many(size.size, 'chain')}"
+    )
     return f"{text}; the shortest has {size.min()}, at nodes {_some(short)}"
 
 
 def edge_findings(model: Model) -> list[Finding]:
-    """Neighbours with opposite normals: offsets, Z0 and the order of plies then change sides between them."""
+    """Neighbours with opposite normals: offsets, Z0 and the order of plies then change sides
+    between them.
+    """
     flipped = shell_edges(model).flipped
     if not len(flipped):
         return []

@@ -27,7 +27,9 @@ class Finding:
 
 
 def at_rows(model: Model, card: str, rows: Int, severity: Severity, what: str) -> Finding:
-    """One finding for rows (k,), k >= 1, of a table, at the place of the first: `CQUAD4 7 and 3 more: what`."""
+    """One finding for rows (k,), k >= 1, of a table, at the place of the first: `CQUAD4 7 and 3
+    more: what`.
+    """
     table = model[card]
     first = int(rows[0])
     number = int(table.file[first])

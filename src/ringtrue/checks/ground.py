@@ -1,7 +1,9 @@
-"""Ground check: the strain energy of rigid-body motion, which a structure in free space does not have.
+"""Ground check: the strain energy of rigid-body motion, which a structure in free space does not
+have.
 
-Source: MSC Nastran Quick Reference Guide, case control GROUNDCHECK. Here the energy of each motion is told relative
-to Σ |r_i| |K_ij| |r_j| / 2, the energy if no term cancelled, so that it does not depend on units.
+Source: MSC Nastran Quick Reference Guide, case control GROUNDCHECK. Here the energy of each motion
+is told relative to Σ |r_i| |K_ij| |r_j| / 2, the energy if no term cancelled, so that it does not
+depend on units.
 """
 
 from __future__ import annotations
@@ -29,11 +31,13 @@ class GroundCheck:
     Attributes
     ----------
     energy : (6,) float64
-        rᵀKr / 2 for unit motions along and about the axes of basic through the centre of the nodes, model units.
+        rᵀKr / 2 for unit motions along and about the axes of basic through the centre of the nodes,
+        model units.
     relative : (6,) float64
         The same over the energy if no term cancelled.
     worst : tuple of tuple of str
-        For each motion over `LIMIT` the DOFs with the largest forces, as `101+Z`; empty for the others.
+        For each motion over `LIMIT` the DOFs with the largest forces, as `101+Z`; empty for the
+        others.
     """
 
     energy: Float
@@ -50,13 +54,19 @@ class GroundCheck:
 
 
 def ground_check(system: System) -> GroundCheck:
-    """Strain energy of rigid-body motion; assemble `checks.mass.unconstrained(model)` for that of the structure."""
+    """Strain energy of rigid-body motion; assemble `checks.mass.unconstrained(model)` for that of
+    the structure.
+    """
     motions = _centred(system)
     force = system.stiffness @ motions
     energy = np.einsum("ij,ij->j", motions, force) / 2
     whole = np.einsum("ij,ij->j", abs(motions), abs(system.stiffness) @ abs(motions)) / 2
     # a direction that nothing stiffens holds only the rounding of the others
-    least = ROUNDING / LIMIT * abs(system.stiffness).max() * (motions**2).sum(axis=0) if system.stiffness.nnz else 0.0
+    least = (
+        ROUNDING / LIMIT * abs(system.stiffness).max() * (motions**2).sum(axis=0)
+        if system.stiffness.nnz
+        else 0.0
+    )
     whole = np.maximum(whole, least)
     relative = energy / np.where(whole > 0, whole, 1.0)
     names = tuple(
@@ -67,7 +77,9 @@ def ground_check(system: System) -> GroundCheck:
 
 
 def _centred(system: System) -> Float:
-    """Rigid-body motions (f, 6) about the centre of the nodes: far from the origin turns would drown in shifts."""
+    """Rigid-body motions (f, 6) about the centre of the nodes: far from the origin turns would
+    drown in shifts.
+    """
     motions = system.rigid_body().copy()
     motions[:, 3:] -= motions[:, :3] @ np.cross(np.eye(3), system.xyz.mean(axis=0)).T
     return motions
@@ -80,13 +92,17 @@ def _largest(system: System, share: Float) -> tuple[str, ...]:
 
 
 def ground_findings(model: Model, check: GroundCheck) -> list[Finding]:
-    """A remark for each motion that takes energy; a warning if no element is grounded on purpose."""
+    """A remark for each motion that takes energy; a warning if no element is grounded on
+    purpose.
+    """
     severity: Severity = "info" if _grounded(model) else "warning"
     return [
         Finding(
             severity,
-            f"rigid-body motion {name} has strain energy {check.energy[k]:.3g} ({check.relative[k]:.1e} of the "
-            f"uncancelled), most of it at {' '.join(check.worst[k])}: grounded or misaligned springs, or an MPC?",
+            f"rigid-body motion {name} has strain energy {check.energy[k]:.3g} "
+            f"({check.relative[k]:.1e} of the "
+            f"uncancelled), most of it at {' '.join(check.worst[k])}: grounded or misaligned "
+            "springs, or an MPC?",
         )
         for k, name in enumerate(DIRECTIONS)
         if check.worst[k]
@@ -95,6 +111,15 @@ def ground_findings(model: Model, check: GroundCheck) -> list[Finding]:
 
 def _grounded(model: Model) -> bool:
     """Whether a spring or bush has a blank end."""
-    ends = {"CELAS1": ("G1", "G2"), "CELAS2": ("G1", "G2"), "CELAS3": ("S1", "S2"), "CELAS4": ("S1", "S2")}
+    ends = {
+        "CELAS1": ("G1", "G2"),
+        "CELAS2": ("G1", "G2"),
+        "CELAS3": ("S1", "S2"),
+        "CELAS4": ("S1", "S2"),
+    }
     ends |= {"CBUSH": ("GA", "GB"), "CBUSH1D": ("GA", "GB")}
-    return any(bool((model[card].stack(*names) == 0).any()) for card, names in ends.items() if card in model)
+    return any(
+        bool((model[card].stack(*names) == 0).any())
+        for card, names in ends.items()
+        if card in model
+    )

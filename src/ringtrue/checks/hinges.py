@@ -19,30 +19,48 @@ _BEAMS = ("CBAR", "CBEAM", "CBEND")
 
 
 def hinge_findings(model: Model) -> Iterator[Finding]:
-    """Ends that nothing but solids holds: hinges of beams, bushes of some length that carry no force across."""
+    """Ends that nothing but solids holds: hinges of beams, bushes of some length that carry no
+    force across.
+    """
     if "GRID" not in model or not any(card in model for card in _SOLIDS):
         return
     free = _hinges(model)
     for card in (c for c in _BEAMS if c in model):
         rows = np.flatnonzero(free[_rows(model, card, "GA")] | free[_rows(model, card, "GB")])
         if rows.size:
-            what = "hinged where it ends on a node of solids, which take no moment; RBE3 or a beam inside them would"
+            what = (
+                "hinged where it ends on a node of solids, which take no moment; RBE3 or a "
+                "beam inside them would"
+            )
             yield at_rows(model, card, rows, "info", what)
     for card, rows in _edges_on_solids(model):
-        what = "hinged where an edge of it meets solids, whose nodes take no moment; shells over their faces would"
+        what = (
+            "hinged where an edge of it meets solids, whose nodes take no moment; shells over "
+            "their faces would"
+        )
         yield at_rows(model, card, rows, "info", what)
     if "CBUSH" in model:
         rows = np.flatnonzero(_idle_bushes(model, free))
         if rows.size:
-            what = "between nodes of solids, which turn freely, it carries no force across its length; give it none"
+            what = (
+                "between nodes of solids, which turn freely, it carries no force across its "
+                "length; give it none"
+            )
             yield at_rows(model, "CBUSH", rows, "warning", what)
 
 
 def _hinges(model: Model) -> Bool:
-    """Which nodes solids hold and one further card only, (node + 1,); the last row is that of no node."""
+    """Which nodes solids hold and one further card only, (node + 1,); the last row is that of no
+    node.
+    """
     solid, other = np.zeros((2, len(model["GRID"]) + 1), dtype=np.int64)
     for r in REFERENCES:
-        if r.of != NODES or r.card not in model or r.card in _STRAIGHT | _MASSES or r.field in ("G0", "SA", "SB"):
+        if (
+            r.of != NODES
+            or r.card not in model
+            or r.card in _STRAIGHT | _MASSES
+            or r.field in ("G0", "SA", "SB")
+        ):
             continue
         np.add.at(solid if r.card in _SOLIDS else other, _rows(model, r.card, r.field), 1)
     solid[-1] = 0
@@ -50,14 +68,23 @@ def _hinges(model: Model) -> Bool:
 
 
 def _edges_on_solids(model: Model) -> Iterator[tuple[str, Int]]:
-    """Shells with two corners or more on solids, where neither a shell over their faces nor another card turns them."""
+    """Shells with two corners or more on solids, where neither a shell over their faces nor another
+    card turns them.
+    """
     solid, turned = np.zeros((2, len(model["GRID"]) + 1), dtype=bool)
     for r in REFERENCES:
-        if r.of == NODES and r.card in model and r.card not in _STRAIGHT | _MASSES and r.card not in SHELLS:
+        if (
+            r.of == NODES
+            and r.card in model
+            and r.card not in _STRAIGHT | _MASSES
+            and r.card not in SHELLS
+        ):
             (solid if r.card in _SOLIDS else turned)[_rows(model, r.card, r.field)] = True
     solid[-1] = False
     corners = {
-        card: np.stack([_rows(model, card, f"G{k}") for k in range(1, 4 + ("QUAD" in card))], axis=1)
+        card: np.stack(
+            [_rows(model, card, f"G{k}") for k in range(1, 4 + ("QUAD" in card))], axis=1
+        )
         for card in SHELLS
         if card in model
     }

@@ -23,7 +23,8 @@ class MassProperties:
     mass : float
         Mean of `directional`.
     directional : (3,) float64
-        Mass that moves along x, y and z of basic; they differ where masses act in one direction or DOFs are held.
+        Mass that moves along x, y and z of basic; they differ where masses act in one direction or
+        DOFs are held.
     cg : (3,) float64
         Centre of gravity, basic frame.
     inertia : (3, 3) float64
@@ -47,7 +48,8 @@ class MassProperties:
 def mass_properties(system: System) -> MassProperties:
     """Mass properties of what is free to move: RᵀMR with the rigid-body motions R at the free DOFs.
 
-    Mass at held DOFs does not count; assemble `unconstrained(model)` for that of the whole structure.
+    Mass at held DOFs does not count; assemble `unconstrained(model)` for that of the whole
+    structure.
 
     Raises
     ------
@@ -71,7 +73,9 @@ def from_rigid_body_mass(rigid: Float) -> MassProperties:
     if not mass > 0:
         raise NumericalError(f"the model has no mass: {mass:g}; is RHO, NSM or a CONM2 missing?")
     moment = rigid[:3, 3:]
-    cg = np.array([moment[1, 2] - moment[2, 1], moment[2, 0] - moment[0, 2], moment[0, 1] - moment[1, 0]]) / (2 * mass)
+    cg = np.array(
+        [moment[1, 2] - moment[2, 1], moment[2, 0] - moment[0, 2], moment[0, 1] - moment[1, 0]]
+    ) / (2 * mass)
     inertia = rigid[3:, 3:] - mass * (cg @ cg * np.eye(3) - np.outer(cg, cg))
     return MassProperties(mass, directional, cg, (inertia + inertia.T) / 2)
 

@@ -1,4 +1,6 @@
-"""Materials that would have negative strain energy, those with blanks that stand for 0, and sizes below 0."""
+"""Materials that would have negative strain energy, those with blanks that stand for 0, and sizes
+below 0.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +18,9 @@ _DENSITIES = ("MAT1", "MAT2", "MAT8", "MAT9")
 
 
 def check_materials(model: Model) -> list[Finding]:
-    """Poisson's ratio of MAT1, E1, E2 and NU12 of MAT8, the matrices of MAT2 and MAT9, shells that do not bend, and
-    moduli, densities and sizes of sections below 0."""
+    """Poisson's ratio of MAT1, E1, E2 and NU12 of MAT8, the matrices of MAT2 and MAT9, shells that
+    do not bend, and moduli, densities and sizes of sections below 0.
+    """
     doubtful = [*_poisson(model), *_orthotropic(model), *_membranes(model), *_straight(model)]
     return [*doubtful, *_negative(model)]
 
@@ -27,14 +30,26 @@ def _negative(model: Model) -> Iterator[Finding]:
     for found in negative_stiffness(model):
         yield at_rows(model, found.table.card, found.rows, severity, found.text)
     for found in negative_springs(model):
-        yield at_rows(model, found.table.card, found.rows, "warning", f"{found.text}: taken as a negative stiffness")
+        yield at_rows(
+            model,
+            found.table.card,
+            found.rows,
+            "warning",
+            f"{found.text}: taken as a negative stiffness",
+        )
     for card in (c for c in _DENSITIES if c in model):
         if (rows := np.flatnonzero(model[card]["RHO"] < 0)).size:
-            yield at_rows(model, card, rows, "warning", f"RHO is {model[card]['RHO'][rows[0]]:g}, below 0")
+            yield at_rows(
+                model, card, rows, "warning", f"RHO is {model[card]['RHO'][rows[0]]:g}, below 0"
+            )
 
 
 def _membranes(model: Model) -> list[Finding]:
-    rows = np.flatnonzero(model["PSHELL"]["MID2"] == 0) if "PSHELL" in model else np.empty(0, dtype=np.int64)
+    rows = (
+        np.flatnonzero(model["PSHELL"]["MID2"] == 0)
+        if "PSHELL" in model
+        else np.empty(0, dtype=np.int64)
+    )
     what = "MID2 is blank: a membrane, without stiffness in bending"
     return [at_rows(model, "PSHELL", rows, "info", what)] if rows.size else []
 
@@ -43,7 +58,11 @@ def _straight(model: Model) -> list[Finding]:
     if "PBAR" not in model:
         return []
     rows = np.flatnonzero(~model["PBAR"].stack("I1", "I2").any(axis=1))
-    return [at_rows(model, "PBAR", rows, "info", "I1 and I2 are 0: no stiffness in bending")] if rows.size else []
+    return (
+        [at_rows(model, "PBAR", rows, "info", "I1 and I2 are 0: no stiffness in bending")]
+        if rows.size
+        else []
+    )
 
 
 def _poisson(model: Model) -> list[Finding]:
@@ -55,7 +74,11 @@ def _poisson(model: Model) -> list[Finding]:
         implied = table["E"] / (2 * table["G"]) - 1
     ratio = np.where(np.isnan(table["NU"]), implied, table["NU"])
     rows = np.flatnonzero((ratio <= -1) | (ratio > 0.5))
-    found = [at_rows(model, "MAT1", rows, "error", f"Poisson's ratio {ratio[rows[0]]:g}")] if rows.size else []
+    found = (
+        [at_rows(model, "MAT1", rows, "error", f"Poisson's ratio {ratio[rows[0]]:g}")]
+        if rows.size
+        else []
+    )
     alone = np.flatnonzero(np.isnan(table["NU"]) & (np.isnan(table["E"]) ^ np.isnan(table["G"])))
     if alone.size:
         what = "NU and one of E and G are blank: both are 0 then, as in Nastran"
@@ -72,7 +95,8 @@ def _three_moduli(table: Table, implied: Float, model: Model) -> list[Finding]:
         return []
     what = (
         f"E / (2 (1 + NU) G) is {fit[rows[0]]:.3g}, not 1: "
-        "solids and the membrane and bending of shells take E and NU, torsion and transverse shear take G"
+        "solids and the membrane and bending of shells take E and NU, torsion and transverse "
+        "shear take G"
     )
     return [at_rows(model, "MAT1", rows, "warning", what)]
 

@@ -1,4 +1,6 @@
-"""How far the frequencies of a deck are from those of an endlessly fine mesh, by refining its mesh once."""
+"""How far the frequencies of a deck are from those of an endlessly fine mesh, by refining its mesh
+once.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,10 @@ ORDER = 2  # of the frequency error in the size of elements: linear shapes, and 
 LOWER, HIGHER = 0.6, 1.25  # of the band of the modes: where those of the refined mesh are sought
 WORTH = 0.02  # of a frequency: mesh errors worth telling
 NAMED = 8  # modes named
-STILL, RIGID = 1e-4, 1e-6  # of the highest frequency, and of a shape that is not rigid: modes that no mesh changes
+STILL, RIGID = (
+    1e-4,
+    1e-6,
+)  # of the highest frequency, and of a shape that is not rigid: modes that no mesh changes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,7 +46,9 @@ class MeshErrors:
 
     @property
     def relative(self) -> Float:
-        """(m,) float64, f / f_fine - 1, positive where the mesh is too stiff; extrapolated (Richardson 1911)."""
+        """(m,) float64, f / f_fine - 1, positive where the mesh is too stiff; extrapolated
+        (Richardson 1911).
+        """
         fine = self.refined - (self.frequencies - self.refined) / (2**ORDER - 1)
         return np.asarray(self.frequencies / fine - 1)
 
@@ -51,19 +58,27 @@ class MeshErrors:
         return np.flatnonzero(np.abs(np.nan_to_num(self.relative)) > WORTH)
 
     def in_words(self, numbers: Int | None = None) -> str:
-        """What was refined, and the modes that the mesh puts off, by their numbers (m,) if not 1, 2, ..."""
+        """What was refined, and the modes that the mesh puts off, by their numbers (m,) if not 1,
+        2, ...
+        """
         if self.nodes[0] == self.nodes[1]:
             return (
-                "no element of the deck would be split in a finer mesh (rods, springs, masses and rigid elements stay)"
+                "no element of the deck would be split in a finer mesh (rods, springs, masses "
+                "and rigid elements stay)"
             )
         how = "by refining it once ({} nodes to {})".format(*self.nodes)
         if not self.off.size:
             return f"the mesh puts no frequency off by more than {WORTH:.0%}, {how}"
         number = np.arange(1, self.frequencies.size + 1) if numbers is None else numbers
-        names = ", ".join(f"{number[i]} ({self.relative[i]:+.0%})" for i in self.off[:NAMED].tolist())
+        names = ", ".join(
+            f"{number[i]} ({self.relative[i]:+.0%})" for i in self.off[:NAMED].tolist()
+        )
         more = f" and {self.off.size - NAMED} more" if self.off.size > NAMED else ""
         which = f"mode{'s' * (self.off.size > 1)} {names}{more}"
-        return f"the mesh puts frequencies of the deck off, {how}: {which}; parameters that are updated take that up"
+        return (
+            f"the mesh puts frequencies of the deck off, {how}: {which}; parameters that are "
+            "updated take that up"
+        )
 
 
 def mesh_errors(model: Model, modes: ModeSet, solver: ModalSolver) -> MeshErrors:
@@ -113,4 +128,11 @@ def _translations(modes: ModeSet, nodes: Int) -> ModeSet:
     every = DofSet(np.repeat(nodes, 3), np.tile([1, 2, 3], nodes.size))
     assert isinstance(modes.labels, DofSet)
     at, sign = modes.labels.align(every)
-    return ModeSet(modes.frequencies, modes.damping, modes.shapes[at] * sign[:, None], every, modes.norm, modes.source)
+    return ModeSet(
+        modes.frequencies,
+        modes.damping,
+        modes.shapes[at] * sign[:, None],
+        every,
+        modes.norm,
+        modes.source,
+    )

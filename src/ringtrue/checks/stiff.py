@@ -14,13 +14,16 @@ from ringtrue.model.model import Model
 _TRIANGLES = ("CTRIA3", "CTRIAR")
 _LINEAR = "has four nodes and constant strain, too stiff in bending: ten nodes bend well"
 _THICK = (
-    "is thicker than its sides and has no transverse shear flexibility here (MID3 = MID2), as a thick plate needs: "
+    "is thicker than its sides and has no transverse shear flexibility here (MID3 = MID2), as a "
+    "thick plate needs: "
     "CQUAD4, CTRIA6 and laminates have it"
 )
 
 
 def stiff_findings(model: Model) -> Iterator[Finding]:
-    """Tetrahedra of four nodes, and thick triangles whose PSHELL asks for a shear flexibility that they do not have."""
+    """Tetrahedra of four nodes, and thick triangles whose PSHELL asks for a shear flexibility that
+    they do not have.
+    """
     if "CTETRA" in model:
         rows = np.flatnonzero(model["CTETRA"]["G5"] == 0)
         if rows.size:

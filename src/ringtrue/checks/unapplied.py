@@ -1,4 +1,6 @@
-"""What a deck asks for and modes do not hold: condensation, rotor terms, matrices and damping of other solutions."""
+"""What a deck asks for and modes do not hold: condensation, rotor terms, matrices and damping of
+other solutions.
+"""
 
 from __future__ import annotations
 
@@ -14,17 +16,29 @@ from ringtrue.model.model import Model
 _WHOLE = "kept, not applied: the modes here are those of the full model, not of the condensed one"
 _KEPT = (  # cards that are kept and what becomes of them
     (("ASET", "ASET1", "OMIT", "OMIT1"), _WHOLE),
-    (TABLES, "kept, not applied: the nominal stiffness and damping hold at all frequencies, as in SOL 103"),
+    (
+        TABLES,
+        "kept, not applied: the nominal stiffness and damping hold at all frequencies, as in SOL "
+        "103",
+    ),
     (
         ("ROTORG", "ROTORD", "ROTORAX", "ROTORSE"),
         "kept, not applied: the modes are those at rest, without gyroscopic terms",
     ),
     (
         ("SNORM",),
-        "kept, not applied: normals of shells are the mean of the elements around a node, as PARAM,SNORM has it",
+        "kept, not applied: normals of shells are the mean of the elements around a node, as "
+        "PARAM,SNORM has it",
     ),
-    (("MDLPRM",), "kept, not applied: with or without OFFDEF, offsets are rigid arms and masses move with them"),
-    (("DESVAR",), "kept, not applied: the fields of the cards count as they stand, not the start XINIT"),
+    (
+        ("MDLPRM",),
+        "kept, not applied: with or without OFFDEF, offsets are rigid arms and masses move with "
+        "them",
+    ),
+    (
+        ("DESVAR",),
+        "kept, not applied: the fields of the cards count as they stand, not the start XINIT",
+    ),
     (("TF",), "kept, not applied: transfer functions act in the solutions of responses only"),
 )
 RECTANGULAR = 9  # form of DMIG that are loads
@@ -55,5 +69,8 @@ def _idle_matrices(model: Model) -> Iterator[Finding]:
     asked = " ".join(model.case.unread).upper()
     for row in untaken_matrices(model).tolist():
         if table["IFO"][row] != RECTANGULAR and names[row] not in asked:
-            text = f"DMIG {names[row]}: it adds nothing: case control takes it by no K2GG, M2GG or B2GG"
+            text = (
+                f"DMIG {names[row]}: it adds nothing: case control takes it by no K2GG, M2GG "
+                "or B2GG"
+            )
             yield Finding("warning", text, model.files[int(table.file[row])], int(table.line[row]))

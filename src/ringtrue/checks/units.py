@@ -1,4 +1,6 @@
-"""Whether moduli, densities and lengths are plausible in the unit system that the deck is said to be in."""
+"""Whether moduli, densities and lengths are plausible in the unit system that the deck is said to
+be in.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,8 @@ def check_units(model: Model, units: str = "") -> list[Finding]:
     Parameters
     ----------
     units : str
-        One of `UNIT_SYSTEMS`; "" looks only for materials that fit none of them, or not the same one.
+        One of `UNIT_SYSTEMS`; "" looks only for materials that fit none of them, or not the same
+        one.
 
     Raises
     ------
@@ -42,7 +45,10 @@ def check_units(model: Model, units: str = "") -> list[Finding]:
 def _materials(model: Model, units: str) -> list[Finding]:
     """What is not plausible of each material, and whether all of them fit one system."""
     found = list[Finding]()
-    common, first = set(UNIT_SYSTEMS), dict[str, str]()  # systems that all fit; of each set of systems a material
+    common, first = (
+        set(UNIT_SYSTEMS),
+        dict[str, str](),
+    )  # systems that all fit; of each set of systems a material
     for card, name in _MODULUS.items():
         if card not in model:
             continue
@@ -59,7 +65,11 @@ def _materials(model: Model, units: str) -> list[Finding]:
                 common &= mine
     if not common:
         each = "; ".join(f"{material} fits {systems}" for systems, material in first.items())
-        found.append(Finding("warning", f"the deck mixes unit systems, its materials fit no one of them: {each}"))
+        found.append(
+            Finding(
+                "warning", f"the deck mixes unit systems, its materials fit no one of them: {each}"
+            )
+        )
     return found
 
 
@@ -75,7 +85,9 @@ def _words(systems: set[str]) -> str:
 def _not_plausible(name: str, modulus: float, density: float, units: str, systems: set[str]) -> str:
     hint = f"they would be in {_words(systems)}" if systems else "they are so in no unit system"
     where = f" in {units}" if units else ""
-    return f"{name} {modulus:g} with RHO {density:g} (WTMASS applied) are not plausible{where}; {hint}"
+    return (
+        f"{name} {modulus:g} with RHO {density:g} (WTMASS applied) are not plausible{where}; {hint}"
+    )
 
 
 def _fits(modulus: Float, density: Float, system: UnitSystem) -> Bool:
@@ -91,5 +103,9 @@ def _size(model: Model, units: str) -> list[Finding]:
     if SIZES[0] <= metres <= SIZES[1]:
         return []
     return [
-        Finding("warning", f"the model is {size:g} long in {units}, that is {metres:g} m: is that its unit system?")
+        Finding(
+            "warning",
+            f"the model is {size:g} long in {units}, that is {metres:g} m: is that its unit "
+            "system?",
+        )
     ]

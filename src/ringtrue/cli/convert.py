@@ -23,11 +23,17 @@ _TRANSLATIONS_ONLY = (".uff", ".unv", ".55")
 
 def convert(
     source: Annotated[
-        Path, typer.Argument(help="Modes: .op2 .f06 (.out) .pch .h5 of a solver, or .json .h5 .uff .csv .xlsx.")
+        Path,
+        typer.Argument(
+            help="Modes: .op2 .f06 (.out) .pch .h5 of a solver, or .json .h5 .uff .csv .xlsx."
+        ),
     ],
     target: Annotated[Path, typer.Argument(help="What to write: .h5 .json .uff .csv.")],
     deck: Annotated[
-        Path | None, typer.Option(help="The deck of the run: turns displacement frames (CD) to the basic frame.")
+        Path | None,
+        typer.Option(
+            help="The deck of the run: turns displacement frames (CD) to the basic frame."
+        ),
     ] = None,
 ) -> int:
     """Modes from one format to another: results of Nastran or MYSTRAN to a mode set.

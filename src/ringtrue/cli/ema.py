@@ -89,7 +89,8 @@ def ema(
     files: Annotated[
         list[Path],
         typer.Argument(
-            help="FRFs (.h5 .npz .uff .csv .mat), or time records with a force channel (those, .wav .tdms .lvm)"
+            help="FRFs (.h5 .npz .uff .csv .mat), or time records with a force channel (those, "
+            ".wav .tdms .lvm)"
         ),
     ],
     fmin: Fmin = None,
@@ -101,19 +102,24 @@ def ema(
         list[str] | None,
         typer.Option(
             metavar="CHANNEL",
-            help="Force channel or a pattern (Hammer*), once or for each file in order; by default that with a unit of "
+            help="Force channel or a pattern (Hammer*), once or for each file in order; by "
+            "default that with a unit of "
             "force, or so named.",
         ),
     ] = None,
     struck: Annotated[
         list[str] | None,
-        typer.Option(metavar="POINT", help="Point and direction struck (3+Z), once or for each file in order."),
+        typer.Option(
+            metavar="POINT",
+            help="Point and direction struck (3+Z), once or for each file in order.",
+        ),
     ] = None,
     channels: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAMES",
-            help="Names of the channels of records without (.wav, .npy), in order (F:3+Z,1+Z,2+Z), once or for each "
+            help="Names of the channels of records without (.wav, .npy), in order "
+            "(F:3+Z,1+Z,2+Z), once or for each "
             "file; an empty one is not used.",
         ),
     ] = None,
@@ -121,27 +127,41 @@ def ema(
         Motion | None, typer.Option(help="What responses measure, where the file does not tell.")
     ] = None,
     block: Annotated[
-        float | None, typer.Option(metavar="S", help="Length of a block; by default what fits between the blows.")
+        float | None,
+        typer.Option(
+            metavar="S", help="Length of a block; by default what fits between the blows."
+        ),
     ] = None,
-    pretrigger: Annotated[float, typer.Option(metavar="S", help="Part of a block before the blow.")] = 0.02,
+    pretrigger: Annotated[
+        float, typer.Option(metavar="S", help="Part of a block before the blow.")
+    ] = 0.02,
     force_window: Annotated[
-        float | None, typer.Option(metavar="S", help="The force is kept so long; by default while it stands out.")
+        float | None,
+        typer.Option(
+            metavar="S", help="The force is kept so long; by default while it stands out."
+        ),
     ] = None,
     exp_end: Annotated[
         float | None,
-        typer.Option(metavar="0..1", help="End value of the exponential window; 1: none; by default what is needed."),
+        typer.Option(
+            metavar="0..1",
+            help="End value of the exponential window; 1: none; by default what is needed.",
+        ),
     ] = None,
     estimator: Annotated[Estimator, typer.Option(help="FRF estimator.")] = Estimator.H1,
     shaker: Annotated[
         float | None,
         typer.Option(
-            metavar="HZ", help="A force that runs all the time: lines HZ apart; by default what the record tells."
+            metavar="HZ",
+            help="A force that runs all the time: lines HZ apart; by default what the record "
+            "tells.",
         ),
     ] = None,
     level: Annotated[
         list[float] | None,
         typer.Option(
-            metavar="N", help="Force level of each file, in order: each alone, modes followed, linear or not."
+            metavar="N",
+            help="Force level of each file, in order: each alone, modes followed, linear or not.",
         ),
     ] = None,
     rate: Rate = None,
@@ -149,7 +169,8 @@ def ema(
     window_decay: Annotated[
         float | None,
         typer.Option(
-            metavar="1/S", help="Decay rate of an exponential window in given FRFs; taken out of the damping."
+            metavar="1/S",
+            help="Decay rate of an exponential window in given FRFs; taken out of the damping.",
         ),
     ] = None,
     leave_out: LeaveOut = None,
@@ -163,16 +184,20 @@ def ema(
     ] = None,
     json: Json = None,
 ) -> int:
-    """Modes from FRFs or from the blows of a hammer: poly-reference LSCF with residues and standard deviations.
+    """Modes from FRFs or from the blows of a hammer: poly-reference LSCF with residues and standard
+    deviations.
 
-    In time records the blows are found; double hits, overloads and blows on a structure that still rings are left out
-    and listed; the damping of the exponential window is taken out again. A force that runs all the time is that of a
-    shaker. Several files are one test: a roving hammer, moved sensors or more blows. Other methods
-    (--method): LSCE, rational fraction polynomials, CMIF peaks.
+    In time records the blows are found; double hits, overloads and blows on a structure that still
+    rings are left out and listed; the damping of the exponential window is taken out again. A force
+    that runs all the time is that of a shaker. Several files are one test: a roving hammer, moved
+    sensors or more blows. Other methods (--method): LSCE, rational fraction polynomials, CMIF
+    peaks.
 
-    Where sensors were moved and their mass shifts the modes from file to file beyond doubt, each file is fitted alone.
+    Where sensors were moved and their mass shifts the modes from file to file beyond doubt, each
+    file is fitted alone.
 
-    Example: ringtrue ema blows-1.csv blows-2.csv --struck 1+Z --struck 5+Z --fmax 400 --write-frfs frfs.h5
+    Example: ringtrue ema blows-1.csv blows-2.csv --struck 1+Z --struck 5+Z --fmax 400 --write-frfs
+    frfs.h5
     """
     check_band(fmin, fmax)
     check_each_once(files)
@@ -180,8 +205,12 @@ def ema(
     named, points, lost = (tuple(x or ()) for x in (force, struck, leave_out))
     sheet = read_sensor_sheet(sensors) if sensors else None
     names = tuple(tuple(n.strip() for n in text.split(",")) for text in channels or ())
-    how = BlowFiles(named, points, lost, quantity.value if quantity else "", rate, group, names, sheet)
-    want = HammerSettings(force="", block=block, pretrigger=pretrigger, force_window=force_window, exp_end=exp_end)
+    how = BlowFiles(
+        named, points, lost, quantity.value if quantity else "", rate, group, names, sheet
+    )
+    want = HammerSettings(
+        force="", block=block, pretrigger=pretrigger, force_window=force_window, exp_end=exp_end
+    )
     want = replace(want, estimator=estimator.value, keep_to=fmax)
     band = HammerModes(fmin=fmin, fmax=fmax)
     only = {"--choice": choice, "--write-choice": choice_to, "--diagram": diagram, "--level": level}
@@ -238,7 +267,13 @@ def _at_levels(
 
 def _blows_json(hits: Sequence[HitReport]) -> dict[str, Any]:
     rows = [
-        {"source": h.source, "struck": h.input, "time_s": h.time, "peak_n": h.peak, "used": h.accepted}
+        {
+            "source": h.source,
+            "struck": h.input,
+            "time_s": h.time,
+            "peak_n": h.peak,
+            "used": h.accepted,
+        }
         | {"reasons": list(h.reasons)}
         for h in hits
     ]
@@ -254,17 +289,25 @@ def _windowed(frfs: FrfSet, decay: float | None) -> FrfSet:
 
 
 def _measured(
-    files: Sequence[Path], how: BlowFiles, want: HammerSettings, shaker: float | None, show: Progress
+    files: Sequence[Path],
+    how: BlowFiles,
+    want: HammerSettings,
+    shaker: float | None,
+    show: Progress,
 ) -> _Measured:
     """The FRFs of the files, estimated where these are time records."""
     given = [holds_frfs(f) for f in files]
     if any(given) and not all(given):
         raise ConfigError(
-            f"{files[given.index(False)]} is a time record, {files[given.index(True)]} holds FRFs: one of the two"
+            f"{files[given.index(False)]} is a time record, {files[given.index(True)]} holds "
+            "FRFs: one of the two"
         )
     if all(given):
         if how.channels:
-            raise ConfigError(f"--channels names the channels of time records; {files[0]} holds FRFs, which have names")
+            raise ConfigError(
+                f"--channels names the channels of time records; {files[0]} holds FRFs, which "
+                "have names"
+            )
         if how.leave_out:
             known = dict.fromkeys(c for f in files for c in frf_ids(f))
             kept_channels(files[0], [Channel(c, "unknown", "") for c in known], how.leave_out)
@@ -284,9 +327,14 @@ def _said(frfs: FrfSet, forced: Forced) -> tuple[str, ...]:
     if frfs.window_decay > 0:
         out.append(f"exponential window of {frfs.window_decay:.3g} 1/s, taken out of the damping")
     out.append(
-        f"coherence {np.median(known):.3f} at the typical line" if known.size else "one blow a point: no coherence"
+        f"coherence {np.median(known):.3f} at the typical line"
+        if known.size
+        else "one blow a point: no coherence"
     )
     if not driving_pairs(frfs):
         ids = " ".join(dict.fromkeys(c.id for c in frfs.inputs))
-        out.append(f"struck at {ids}, where no response is: shapes are not scaled to unit modal mass (--struck)")
+        out.append(
+            f"struck at {ids}, where no response is: shapes are not scaled to unit modal mass "
+            "(--struck)"
+        )
     return tuple(out)

@@ -1,4 +1,6 @@
-"""`oma`: modes from ambient records; with `ema` it shares the options, the table and a choice by hand."""
+"""`oma`: modes from ambient records; with `ema` it shares the options, the table and a choice by
+hand.
+"""
 
 from __future__ import annotations
 
@@ -59,21 +61,38 @@ class Removal(StrEnum):
     CEPSTRUM = "cepstrum"
 
 
-Fmin = Annotated[float | None, typer.Option("--fmin", metavar="HZ", help="Lowest frequency of interest.")]
-Fmax = Annotated[float | None, typer.Option("--fmax", metavar="HZ", help="Highest frequency of interest.")]
-Rate = Annotated[float | None, typer.Option("--rate", metavar="HZ", help="Sampling rate, if the file has none.")]
+Fmin = Annotated[
+    float | None, typer.Option("--fmin", metavar="HZ", help="Lowest frequency of interest.")
+]
+Fmax = Annotated[
+    float | None, typer.Option("--fmax", metavar="HZ", help="Highest frequency of interest.")
+]
+Rate = Annotated[
+    float | None, typer.Option("--rate", metavar="HZ", help="Sampling rate, if the file has none.")
+]
 Group = Annotated[
-    str, typer.Option("--group", metavar="NAME", help="Group of a .tdms or HDF5 file, where its rates differ.")
+    str,
+    typer.Option(
+        "--group", metavar="NAME", help="Group of a .tdms or HDF5 file, where its rates differ."
+    ),
 ]
 LeaveOut = Annotated[
-    list[str] | None, typer.Option("--leave-out", metavar="CHANNEL", help="Do not use this channel; may be repeated.")
+    list[str] | None,
+    typer.Option(
+        "--leave-out", metavar="CHANNEL", help="Do not use this channel; may be repeated."
+    ),
 ]
 Sensors = Annotated[
     Path | None,
-    typer.Option("--sensors", metavar="FILE", help="Sensor sheet: units and sensitivities where a record tells none."),
+    typer.Option(
+        "--sensors",
+        metavar="FILE",
+        help="Sensor sheet: units and sensitivities where a record tells none.",
+    ),
 ]
 ChoiceFile = Annotated[
-    Path | None, typer.Option("--choice", metavar="FILE", help="Apply a choice by hand (.toml, .json).")
+    Path | None,
+    typer.Option("--choice", metavar="FILE", help="Apply a choice by hand (.toml, .json)."),
 ]
 WriteChoice = Annotated[
     Path | None,
@@ -85,11 +104,15 @@ Diagram = Annotated[
 ]
 
 
-def print_modes(title: str, modes: ModeSet, std: Uncertainty | None, reasons: Sequence[str]) -> None:
+def print_modes(
+    title: str, modes: ModeSet, std: Uncertainty | None, reasons: Sequence[str]
+) -> None:
     """A table of modes with standard deviations, confidence and reasons."""
     body: list[tuple[object, ...]] = []
     for i in range(len(modes)):
-        sf, sz = (std.frequency[i], std.damping[i]) if std is not None else (float("nan"), float("nan"))
+        sf, sz = (
+            (std.frequency[i], std.damping[i]) if std is not None else (float("nan"), float("nan"))
+        )
         f, z = modes.frequencies[i], modes.damping[i]
         note = reasons[i] if i < len(reasons) else ""
         values = (f"{f:.5g}", _known(sf, ".1e"), f"{100 * z:.3f}", _known(100 * sz, ".2g"))
@@ -109,9 +132,15 @@ def check_band(fmin: float | None, fmax: float | None) -> None:
 
 
 def record_without(
-    path: Path, rate: float | None, lost: Sequence[str], group: str = "", sheet: SensorSheet | None = None
+    path: Path,
+    rate: float | None,
+    lost: Sequence[str],
+    group: str = "",
+    sheet: SensorSheet | None = None,
 ) -> tuple[TimeHistory, tuple[str, ...]]:
-    """A record scaled by its sheet, and what that said; without some channels, checked. Samples may be missing."""
+    """A record scaled by its sheet, and what that said; without some channels, checked. Samples may
+    be missing.
+    """
     history = read_record(path, rate, check=not lost, group=group, gaps=True)
     history, notes = sheet.scaled(history) if sheet else (history, ())
     if lost:
@@ -125,7 +154,9 @@ def kept_channels(path: Path, channels: Sequence[Channel], lost: Sequence[str]) 
     ids = [c.id for c in channels]
     for name in lost:
         if name not in ids:
-            raise ConfigError(f"--leave-out {name}: {path} has no such channel{did_you_mean(name, ids)}")
+            raise ConfigError(
+                f"--leave-out {name}: {path} has no such channel{did_you_mean(name, ids)}"
+            )
     if not (keep := [c for c in ids if c not in set(lost)]):
         raise DataError(f"{path}: --leave-out leaves no channel")
     return keep
@@ -137,7 +168,8 @@ def fault_notes(history: TimeHistory) -> tuple[str, ...]:
     count = Counter(f.id for f in found)
     first = {f.id: f for f in reversed(found)}
     return tuple(
-        f"channel {c}: {n} spike{'s' if n > 1 else ''}, the first at {first[c].time:.4g} s: {first[c].why}"
+        f"channel {c}: {n} spike{'s' if n > 1 else ''}, the first at {first[c].time:.4g} s: "
+        f"{first[c].why}"
         for c, n in count.items()
     )
 
@@ -173,7 +205,8 @@ def oma(
         list[Path],
         typer.Argument(
             metavar="RECORD...",
-            help=".h5, .npy (sample, channel), .csv, .mat, .uff, .tdms, .lvm or .wav; several of one length, of "
+            help=".h5, .npy (sample, channel), .csv, .mat, .uff, .tdms, .lvm or .wav; several of "
+            "one length, of "
             "sensors that stay in place (hourly files), are one record with pauses.",
         ),
     ],
@@ -182,17 +215,23 @@ def oma(
     fmin: Fmin = None,
     fmax: Fmax = None,
     method: Annotated[
-        AmbientMethod, typer.Option("--method", help="SSI-cov, or another method for a second opinion.")
+        AmbientMethod,
+        typer.Option("--method", help="SSI-cov, or another method for a second opinion."),
     ] = AmbientMethod.SSI,
     near: Annotated[
         list[float] | None,
-        typer.Option("--near", metavar="HZ", help="Peak of the FDD methods, guess of bayes; may be repeated."),
+        typer.Option(
+            "--near", metavar="HZ", help="Peak of the FDD methods, guess of bayes; may be repeated."
+        ),
     ] = None,
     leave_out: LeaveOut = None,
     sensors: Sensors = None,
     remove_harmonics: Annotated[
         Removal | None,
-        typer.Option("--remove-harmonics", help="Take the lines of machines out first: each by itself, or families."),
+        typer.Option(
+            "--remove-harmonics",
+            help="Take the lines of machines out first: each by itself, or families.",
+        ),
     ] = None,
     choice: ChoiceFile = None,
     choice_to: WriteChoice = None,
@@ -201,20 +240,36 @@ def oma(
 ) -> int:
     """Modes from an ambient record: automatic covariance-driven SSI with standard deviations.
 
-    Other methods (--method): poly-reference LSCF on half spectra, ERA/NExT, SSI-data, FDD with the damping of FSDD, of
-    EFDD or of random decrement, and the Bayesian FFT in a narrow band (--fmin, --fmax).
+    Other methods (--method): poly-reference LSCF on half spectra, ERA/NExT, SSI-data, FDD with the
+    damping of FSDD, of EFDD or of random decrement, and the Bayesian FFT in a narrow band (--fmin,
+    --fmax).
 
     Example: ringtrue oma tower.npy --rate 100 --fmax 10 --write-choice tower.toml
     """
     check_band(fmin, fmax)
     check_each_once(records)
     record = records[0]
-    title = str(record) if len(records) == 1 else f"{record} .. {records[-1].name} ({len(records)} files)"
+    title = (
+        str(record)
+        if len(records) == 1
+        else f"{record} .. {records[-1].name} ({len(records)} files)"
+    )
     by_hand = choice_of(choice, record)
     settings = AmbientSettings(fmin=fmin, fmax=fmax)
-    check_method(method, AmbientMethod.SSI, {"--choice": choice, "--write-choice": choice_to, "--diagram": diagram})
-    if near and method in (AmbientMethod.SSI, AmbientMethod.PLSCF, AmbientMethod.ERA, AmbientMethod.SSI_DATA):
-        raise ConfigError(f"--near: {method.value} finds its modes in the whole band; give --fmin and --fmax")
+    check_method(
+        method,
+        AmbientMethod.SSI,
+        {"--choice": choice, "--write-choice": choice_to, "--diagram": diagram},
+    )
+    if near and method in (
+        AmbientMethod.SSI,
+        AmbientMethod.PLSCF,
+        AmbientMethod.ERA,
+        AmbientMethod.SSI_DATA,
+    ):
+        raise ConfigError(
+            f"--near: {method.value} finds its modes in the whole band; give --fmin and --fmax"
+        )
     if method is not AmbientMethod.SSI and len(records) > 1:
         raise ConfigError(f"--method {method.value}: one record, got {len(records)}")
     said: list[str] = []
@@ -228,7 +283,9 @@ def oma(
     parts = _parts(records, read, remove_harmonics, said)
     with progress("ambient modes") as show, about(record) if len(records) == 1 else nullcontext():
         if method is not AmbientMethod.SSI:
-            other = identify_ambient_by(method.value, next(parts), settings, near=near or (), progress=show)
+            other = identify_ambient_by(
+                method.value, next(parts), settings, near=near or (), progress=show
+            )
             return told(title, other, said, json)
         found = identify_stretches(parts, settings, choice=by_hand, progress=show)
     write_pages(record, (found.modes, found.reasons, found.diagrams), choice_to, diagram)
@@ -236,9 +293,14 @@ def oma(
 
 
 def _parts(
-    records: Sequence[Path], read: Callable[[Path], TimeHistory], how: Removal | None, said: list[str]
+    records: Sequence[Path],
+    read: Callable[[Path], TimeHistory],
+    how: Removal | None,
+    said: list[str],
 ) -> Iterator[TimeHistory]:
-    """Each record as it is read, without the lines of machines where that is asked for; what there is to say of it."""
+    """Each record as it is read, without the lines of machines where that is asked for; what there
+    is to say of it.
+    """
     first, before = 0.0, None
     for path in records:
         whole = read(path)
@@ -250,7 +312,11 @@ def _parts(
             continue
         history, removed = _removed(kept, how)
         first = first or history.duration
-        short = ("shorter than half of the first record: left out",) if history.duration < SHORTEST * first else ()
+        short = (
+            ("shorter than half of the first record: left out",)
+            if history.duration < SHORTEST * first
+            else ()
+        )
         where = "" if len(records) == 1 else f"{path.name}: "
         said += [where + note for note in (*fault_notes(history), *removed, *short)]
         yield history
@@ -265,7 +331,10 @@ def check_each_once(files: Sequence[Path]) -> None:
 def check_method(method: StrEnum, first: StrEnum, options: Mapping[str, object]) -> None:
     """Refuse options that only the first method has."""
     if method is not first and (wrong := [k for k, v in options.items() if v is not None]):
-        raise ConfigError(f"{wrong[0]} goes with --method {first.value}; the others have no diagram of judged poles")
+        raise ConfigError(
+            f"{wrong[0]} goes with --method {first.value}; the others have no diagram of judged "
+            "poles"
+        )
 
 
 def told(
@@ -277,9 +346,14 @@ def told(
     more: dict[str, Any] | None = None,
     if_none: Sequence[str] = (),
 ) -> int:
-    """Print the modes that were found and what is to be said of them, write them with `more`; the exit status."""
+    """Print the modes that were found and what is to be said of them, write them with `more`; the
+    exit status.
+    """
     if json:
-        write_json(modes_to_json(found.modes, found.uncertainty, reasons=found.reasons) | (more or {}), json)
+        write_json(
+            modes_to_json(found.modes, found.uncertainty, reasons=found.reasons) | (more or {}),
+            json,
+        )
     if json != "-":
         count = f"{len(found.modes)} mode{'s' if len(found.modes) != 1 else ''}"
         print_modes(f"{title}: {count}", found.modes, found.uncertainty, found.reasons)

@@ -1,4 +1,6 @@
-"""One test at several force levels: is the structure linear, and how do frequency and damping change?"""
+"""One test at several force levels: is the structure linear, and how do frequency and damping
+change?
+"""
 
 from __future__ import annotations
 
@@ -16,13 +18,19 @@ from ringtrue.identify.linearity import LevelDependence
 def check_levels(levels: Sequence[float], files: int) -> None:
     """Refuse force levels that are not one a file, positive and different."""
     if len(levels) != files or files < 2:
-        raise ConfigError(f"--level: {len(levels)} levels for {files} files; two files or more and one level each")
+        raise ConfigError(
+            f"--level: {len(levels)} levels for {files} files; two files or more and one level each"
+        )
     if not all(0 < x < float("inf") for x in levels) or len(set(levels)) != len(levels):
-        raise ConfigError(f"--level {' '.join(f'{x:g}' for x in levels)}: must be positive and different")
+        raise ConfigError(
+            f"--level {' '.join(f'{x:g}' for x in levels)}: must be positive and different"
+        )
 
 
 def print_levels(table: LevelDependence) -> None:
-    """Frequency and damping at each level, the change with the level, and whether a linear structure explains it."""
+    """Frequency and damping at each level, the change with the level, and whether a linear
+    structure explains it.
+    """
     levels = " ".join(f"{x:g}" for x in table.levels)
     heads = ("#", "f [Hz]", "% a doubling", "damping [%]", "% a doubling")
     body: list[tuple[object, ...]] = []

@@ -34,20 +34,27 @@ POOL: int = LocaliseSection.model_fields["pool"].default
 
 def localise(
     deck: Annotated[Path, typer.Argument(help="Nastran bulk data, with its includes beside it.")],
-    test: Annotated[Path, typer.Argument(help="Modes of the test: .json, .h5, .uff, .csv or .xlsx")],
+    test: Annotated[
+        Path, typer.Argument(help="Modes of the test: .json, .h5, .uff, .csv or .xlsx")
+    ],
     sensors: Annotated[
-        Path | None, typer.Option(help="Sensor sheet; without it, channels are DOFs of the deck such as 101+Z.")
+        Path | None,
+        typer.Option(help="Sensor sheet; without it, channels are DOFs of the deck such as 101+Z."),
     ] = None,
     units: Units = "SI",
     tolerance: Tolerance = None,
     most: Annotated[int, typer.Option(help="Most parameters that are proposed.", min=1)] = 8,
     pool: Annotated[
         int,
-        typer.Option(help="Candidates that are looked at closely: those that explain most of the misfit.", min=1),
+        typer.Option(
+            help="Candidates that are looked at closely: those that explain most of the misfit.",
+            min=1,
+        ),
     ] = POOL,
     json: Json = None,
 ) -> int:
-    """Which parameters to update: candidates from the deck, ranked and explained, and what cannot be told from them.
+    """Which parameters to update: candidates from the deck, ranked and explained, and what cannot
+    be told from them.
 
     Example: ringtrue localise wing.bdf test.json --sensors sensors.csv --units mm-t-s
     """
@@ -65,7 +72,9 @@ def localise(
             places = seats(bridge, read_sensor_sheet(sensors).model) if sensors is not None else ()
             notes = seat_words(places)
         settings = CandidateSettings(units=units)
-        found = directly_proposed(opened, realise_modes(seen), bridge, settings, pool, most, part(show, 0.1, 1.0))
+        found = directly_proposed(
+            opened, realise_modes(seen), bridge, settings, pool, most, part(show, 0.1, 1.0)
+        )
     if json:
         sensed = {"sensors": seats_json(places)} if places else {}
         write_json(_table(found) | {"notes": notes} | sensed, json)
@@ -144,5 +153,9 @@ def _print(deck: Path, found: Proposed) -> None:
     ]
     heads = ("#", "parameter", "factor, or added", "±", "worth (AICc)", "not told from it")
     told = f", {len(found.screened)} are not looked at closely" if found.screened else ""
-    rows(f"{deck}: {found.made} candidates, {len(found.dropped)} of them change no mode{told}", heads, body)
+    rows(
+        f"{deck}: {found.made} candidates, {len(found.dropped)} of them change no mode{told}",
+        heads,
+        body,
+    )
     out.print(found.proposal.text())

@@ -40,15 +40,20 @@ def _version(show: bool) -> None:
 
 
 def _root(
-    version: bool = typer.Option(False, "--version", callback=_version, is_eager=True, help="Print the version."),
+    version: bool = typer.Option(
+        False, "--version", callback=_version, is_eager=True, help="Print the version."
+    ),
 ) -> None:
     """Finite element model validation."""
 
 
 def application(arguments: Sequence[str]) -> typer.Typer:
-    """With the command that is asked for: the others take seconds to import, and show their words in the help only."""
+    """With the command that is asked for: the others take seconds to import, and show their words
+    in the help only.
+    """
     app = typer.Typer(
-        help="Finite element model validation: from a deck and vibration signals to a model that rings true.",
+        help="Finite element model validation: from a deck and vibration signals to a model that "
+        "rings true.",
         epilog=in_words(),
         no_args_is_help=True,
         add_completion=False,
@@ -56,18 +61,28 @@ def application(arguments: Sequence[str]) -> typer.Typer:
         context_settings={"help_option_names": ["-h", "--help"]},
     )
     app.callback()(_root)
-    asked = [a for a in arguments if a != "--"][:1]  # behind other options stands none: they show something and end
+    asked = [a for a in arguments if a != "--"][
+        :1
+    ]  # behind other options stands none: they show something and end
     known = COMMANDS.keys() & asked
     for panel, commands in panels.COMMANDS.items():
         for name, (module, function) in commands.items():
             if name in known or not known:
-                body = getattr(import_module(f"ringtrue.cli.{module}"), function) if known else _nothing
-                app.command(name, help=_words(module, function), rich_help_panel=panel)(_interruptible(body))
+                body = (
+                    getattr(import_module(f"ringtrue.cli.{module}"), function)
+                    if known
+                    else _nothing
+                )
+                app.command(name, help=_words(module, function), rich_help_panel=panel)(
+                    _interruptible(body)
+                )
     return app
 
 
 def _interruptible(body: Callable[..., int | None]) -> Callable[..., int | None]:
-    """The command, which says that it was stopped: typer turns a KeyboardInterrupt into a status without a word."""
+    """The command, which says that it was stopped: typer turns a KeyboardInterrupt into a status
+    without a word.
+    """
 
     @wraps(body)
     def command(*given: Any, **named: Any) -> int | None:
@@ -81,7 +96,9 @@ def _interruptible(body: Callable[..., int | None]) -> Callable[..., int | None]
 
 
 def _words(module: str, function: str) -> str:
-    """The docstring of a function of `ringtrue.cli`, without what its module imports; a line a paragraph."""
+    """The docstring of a function of `ringtrue.cli`, without what its module imports; a line a
+    paragraph.
+    """
     tree = ast.parse(files("ringtrue.cli").joinpath(f"{module}.py").read_text("utf-8"))
     (found,) = (f for f in tree.body if isinstance(f, ast.FunctionDef) and f.name == function)
     return re.sub(r"(?<!\n)\n(?!\n)", " ", ast.get_docstring(found) or "")
@@ -105,7 +122,10 @@ def _careful(body: Callable[..., Any], parameters: Sequence[Any]) -> Callable[..
 
     @wraps(body)
     def called(**given: Any) -> Any:
-        paths = {n: [Path(v) for v in _values(given[n]) if n in outputs or isinstance(v, Path)] for n in given}
+        paths = {
+            n: [Path(v) for v in _values(given[n]) if n in outputs or isinstance(v, Path)]
+            for n in given
+        }
         reads(*(p for n, some in paths.items() if n not in outputs for p in some if p.is_file()))
         writes(*(p for n in outputs for p in paths[n] if not p.is_dir()))
         return body(**given)
@@ -124,7 +144,9 @@ def _nothing() -> None:
 
 
 def run(arguments: list[str] | None = None) -> int:
-    """Run a command line; returns the exit status. A fault of ringtrue is raised: `main` reports it."""
+    """Run a command line; returns the exit status. A fault of ringtrue is raised: `main` reports
+    it.
+    """
     try:
         given = sys.argv[1:] if arguments is None else arguments
         with one_run():
@@ -147,7 +169,9 @@ def run(arguments: list[str] | None = None) -> int:
         return ExitStatus.FAILED
     except OSError as e:  # a file that cannot be read or written
         if e.errno in (ENOSPC, EDQUOT):
-            err.print(f"error: {e.strerror}: free some; what is stored is whole, the same command resumes")
+            err.print(
+                f"error: {e.strerror}: free some; what is stored is whole, the same command resumes"
+            )
             return ExitStatus.FAILED
         if e.filename is None:
             raise
@@ -164,12 +188,17 @@ def report_fault(fault: Exception, arguments: Sequence[str]) -> int:
     ]
     what = f"error: this is a fault of ringtrue, not of your input: {type(fault).__name__}: {fault}"
     try:
-        with NamedTemporaryFile("w", prefix="ringtrue-fault-", suffix=".txt", delete=False, encoding="utf-8") as file:
+        with NamedTemporaryFile(
+            "w", prefix="ringtrue-fault-", suffix=".txt", delete=False, encoding="utf-8"
+        ) as file:
             file.write("\n".join(details))
     except OSError:  # no room for the file: the details go to the screen
         err.print("\n".join([what, *details]))
         return ExitStatus.FAULT
-    err.print(f"{what}\nthe details were written to {file.name}: please report them, with the input if you can")
+    err.print(
+        f"{what}\nthe details were written to {file.name}: please report them, with the input if "
+        "you can"
+    )
     return ExitStatus.FAULT
 
 

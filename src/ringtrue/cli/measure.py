@@ -32,7 +32,13 @@ from ringtrue.core.progress import part
 from ringtrue.core.testmodel import TestModel
 from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.correlate.complete import CompleteCorrelation, complete, complete_json
-from ringtrue.correlate.mounting import AXES, Readings, find_mendings, mendings_json, readings_by_name
+from ringtrue.correlate.mounting import (
+    AXES,
+    Readings,
+    find_mendings,
+    mendings_json,
+    readings_by_name,
+)
 from ringtrue.correlate.observe import Method, at_dofs
 from ringtrue.correlate.pairing import Locks, pair_modes
 from ringtrue.correlate.table import correlation_table
@@ -62,7 +68,9 @@ from ringtrue.study.summary import correlation_json
 
 LOWEST = 26  # modes of a deck in the place of a test
 OF_ORTHOGONALITY = "gate of the orthogonality; give --complete or --mass"
-BY_FREQUENCY = "no shapes: modes are paired by frequency alone; --lock and --forbid decide otherwise"
+BY_FREQUENCY = (
+    "no shapes: modes are paired by frequency alone; --lock and --forbid decide otherwise"
+)
 
 
 def _common(one: ModeSet, two: ModeSet, a: Path, b: Path) -> tuple[ModeSet, ModeSet]:
@@ -70,9 +78,13 @@ def _common(one: ModeSet, two: ModeSet, a: Path, b: Path) -> tuple[ModeSet, Mode
     index, sign = match_channels(one.channels, two.channels)
     at = np.flatnonzero(index >= 0)
     if not at.size and one.channels and two.channels:
-        raise DataError(f"{a} and {b} have no channel in common: {one.channels[:5]} against {two.channels[:5]}")
+        raise DataError(
+            f"{a} and {b} have no channel in common: {one.channels[:5]} against {two.channels[:5]}"
+        )
     common = tuple(one.channels[k] for k in at.tolist())
-    return one.rows(common), replace(two, shapes=two.shapes[index[at]] * sign[at, None], labels=common)
+    return one.rows(common), replace(
+        two, shapes=two.shapes[index[at]] * sign[at, None], labels=common
+    )
 
 
 def _decks(a: Path, b: Path, sensors: Path | None, align: str | None) -> tuple[bool, bool]:
@@ -84,10 +96,13 @@ def _decks(a: Path, b: Path, sensors: Path | None, align: str | None) -> tuple[b
         raise ConfigError(f"{a} is a deck: name the modes of the test first, `{b} {a}`")
     if first and (sensors is not None or align):
         raise ConfigError(
-            f"{a} and {b}: decks are compared at their nodes, in one frame; leave out --sensors and --align"
+            f"{a} and {b}: decks are compared at their nodes, in one frame; leave out --sensors "
+            "and --align"
         )
     if align and sensors is None:
-        raise ConfigError(f"--align {align}: lays the places of a sheet onto a deck; give --sensors")
+        raise ConfigError(
+            f"--align {align}: lays the places of a sheet onto a deck; give --sensors"
+        )
     return first, second
 
 
@@ -109,7 +124,9 @@ def _as_test(deck: Path, units: str) -> tuple[ModeSet, TestModel, str]:
         raise DataError(f"{deck}: none of its {len(found)} lowest modes is elastic")
     modes, points = found.take(at), mesh_points(opened)
     shapes = at_dofs(points.channels, opened.analysis.dofs, opened.length)(modes.shapes)
-    there = ModeSet(modes.frequencies, modes.damping, shapes, points.channels, modes.norm, str(deck))
+    there = ModeSet(
+        modes.frequencies, modes.damping, shapes, points.channels, modes.norm, str(deck)
+    )
     return there, points, f"mode 1 of A is mode {at[0] + 1} of {deck}" if at[0] else ""
 
 
@@ -159,28 +176,40 @@ def _of_deck(
             names = dict(zip(channels, here.named(channels)[0], strict=True))
             if lost := [c for c in channels if names[c] in sheet.strain]:
                 channels = tuple(c for c in channels if c not in lost)
-                notes.append(f"not compared, of strain: {' '.join(lost[:8])}{' ...' * (len(lost) > 8)}")
+                notes.append(
+                    f"not compared, of strain: {' '.join(lost[:8])}{' ...' * (len(lost) > 8)}"
+                )
         if isinstance(sensors, TestModel):
             here, near = near_mesh(sensors, opened, asked.tolerance)
             channels = here.channels
             count = np.unique(here.at).size
-            notes.append(f"{count} of {sensors.points.size} nodes of A are within {near:.3g} m of one of B")
+            notes.append(
+                f"{count} of {sensors.points.size} nodes of A are within {near:.3g} m of one of B"
+            )
         with about(sensors) if isinstance(sensors, Path) else nullcontext():
             given = here
-            found = alignment(here, opened, asked.align) if here is not None and asked.align else None
+            found = (
+                alignment(here, opened, asked.align) if here is not None and asked.align else None
+            )
             if here is not None and found is not None:
                 here = found.move(here)
                 notes.append(words(found))
 
             def bridge(there: TestModel) -> Observation:
                 on_deck = found.move(there) if found is not None else there
-                return placed(opened, there.channels, on_deck, tolerance=asked.tolerance, method=asked.match)
+                return placed(
+                    opened, there.channels, on_deck, tolerance=asked.tolerance, method=asked.match
+                )
 
             look = placed(opened, channels, here, tolerance=asked.tolerance, method=asked.match)
         modes = opened.modes(reach, part(show, 0.3, 1.0)).modes
-    there = ModeSet(modes.frequencies, modes.damping, look(modes.shapes), look.channels, modes.norm, str(deck))
+    there = ModeSet(
+        modes.frequencies, modes.damping, look(modes.shapes), look.channels, modes.norm, str(deck)
+    )
     if isinstance(sensors, Path) and here is not None:
-        notes += shared_places(opened, here.pick(channels), modes) if asked.match == "nearest" else ()
+        notes += (
+            shared_places(opened, here.pick(channels), modes) if asked.match == "nearest" else ()
+        )
         notes += between_nodes(opened, look, asked.match)
         places = seats(look, here)
         notes += seat_words(places)
@@ -189,11 +218,19 @@ def _of_deck(
         tried = readings_by_name(at_sensors, _along_all(opened, modes, channels))
     else:
         tried = readings(at_sensors, modes, given, bridge)
-    return OfDeck(there, tuple(notes), lambda: channel_mass(opened, look, channels, asked, reach), places, tried)
+    return OfDeck(
+        there,
+        tuple(notes),
+        lambda: channel_mass(opened, look, channels, asked, reach),
+        places,
+        tried,
+    )
 
 
 def _along_all(opened: Opened, modes: ModeSet, channels: Sequence[str]) -> ModeSet:
-    """The modes of a deck at channels that are its DOFs, and along the other axes of their nodes."""
+    """The modes of a deck at channels that are its DOFs, and along the other axes of their
+    nodes.
+    """
     labels = [split_label(c) for c in channels]
     more = [f"{label[0]}+{axis}" for label in labels if label for axis in AXES]
     names = tuple(dict.fromkeys((*channels, *more)))
@@ -206,7 +243,9 @@ def _pair_list(option: str, texts: list[str] | None) -> tuple[tuple[int, int], .
     for text in texts or []:
         left, _, right = text.partition(":")
         if not (left.isdigit() and right.isdigit() and int(left) > 0 and int(right) > 0):
-            raise ConfigError(f"{option} {text!r}: must be a mode of A and one of B, from 1, such as 3:4")
+            raise ConfigError(
+                f"{option} {text!r}: must be a mode of A and one of B, from 1, such as 3:4"
+            )
     return positions(texts or ())
 
 
@@ -215,12 +254,16 @@ def _mass(path: Path, channels: int) -> Float:
     found = read_matrices(path)
     mass = next(iter(found.matrices.values())) if len(found.matrices) == 1 else found["M"]
     if mass.shape != (channels, channels):
-        raise DataError(f"{path}: mass {mass.shape}; there are {channels} common channels, in the order of A")
+        raise DataError(
+            f"{path}: mass {mass.shape}; there are {channels} common channels, in the order of A"
+        )
     return mass.toarray()
 
 
 def _reasons(unpaired: Sequence[dict[str, Any]]) -> list[str]:
-    """Why modes have no partner: a line each of A, of B (a model may have hundreds) one for all of one reason."""
+    """Why modes have no partner: a line each of A, of B (a model may have hundreds) one for all of
+    one reason.
+    """
     told: dict[tuple[str, str], list[int]] = {}
     for u in unpaired:
         reason = u["reason"] if u["set"] == "A" else u["reason"].split(": best")[0]
@@ -241,7 +284,11 @@ def _show_pairs(title: str, pairs: Sequence[dict[str, Any]]) -> None:
         )
         for p in pairs
     ]
-    rows(title, ("A", "B", "f A [Hz]", "f B [Hz]", "deviation [%]", "MAC [%]", "subspace MAC [%]"), body)
+    rows(
+        title,
+        ("A", "B", "f A [Hz]", "f B [Hz]", "deviation [%]", "MAC [%]", "subspace MAC [%]"),
+        body,
+    )
 
 
 def _show_complete(c: CompleteCorrelation) -> None:
@@ -249,14 +296,27 @@ def _show_complete(c: CompleteCorrelation) -> None:
         out.print(f"{check.name}: {'' if c.judges(check) else 'not to be judged, '}{check.verdict}")
     if unfit := list(dict.fromkeys(k.mass for k in c.checks if not c.judges(k))):
         other = "" if "Craig-Bampton" in (k.mass for k in c.checks) else "; --tam craig-bampton may"
-        tell([f"the {' and the '.join(unfit)} mass cannot judge it: readings with 2 % error alone fail{other}"])
-    out.print(f"largest off-diagonal auto-MAC: A {100 * c.auto_mac[0]:.1f} %, B {100 * c.auto_mac[1]:.1f} %")
+        tell(
+            [
+                f"the {' and the '.join(unfit)} mass cannot judge it: readings with 2 % error "
+                f"alone fail{other}"
+            ]
+        )
+    out.print(
+        f"largest off-diagonal auto-MAC: A {100 * c.auto_mac[0]:.1f} %, B "
+        f"{100 * c.auto_mac[1]:.1f} %"
+    )
     if c.scale.size:  # pairs
         worst = c.comac.argsort(kind="stable")[:5].tolist()
-        out.print("lowest CoMAC: " + ", ".join(f"{c.channels[i]} {100 * c.comac[i]:.1f} %" for i in worst))
+        out.print(
+            "lowest CoMAC: " + ", ".join(f"{c.channels[i]} {100 * c.comac[i]:.1f} %" for i in worst)
+        )
     left_out = zip(c.elimination.order[:5].tolist(), c.elimination.mac[1:6], strict=True)
     for i, (channel, mac) in enumerate(left_out):
-        out.print(f"{'then' if i else 'first'} left out {c.channels[channel]}: mean MAC {100 * mac.mean():.2f} %")
+        out.print(
+            f"{'then' if i else 'first'} left out {c.channels[channel]}: mean MAC "
+            f"{100 * mac.mean():.2f} %"
+        )
     for group in c.subspaces:
         modes = (" ".join(str(i + 1) for i in side) for side in (group.a, group.b))
         angles = " ".join(f"{degrees(x):.1f}" for x in group.angles)
@@ -268,27 +328,48 @@ def _show_complete(c: CompleteCorrelation) -> None:
     total, count, p = c.significance.chi_square
     if count:
         beyond = int(c.significance.significant.sum())
-        out.print(f"{beyond} of {count} deviations are beyond their uncertainty (chi-square {total:.3g}, p {p:.2g})")
+        out.print(
+            f"{beyond} of {count} deviations are beyond their uncertainty (chi-square "
+            f"{total:.3g}, p {p:.2g})"
+        )
     tell(c.notes)
 
 
 def correlate(
-    a: Annotated[Path, typer.Argument(help="Reference modes (test): .json, .h5, .uff, .csv or .xlsx; or a deck")],
-    b: Annotated[Path, typer.Argument(help="Modes to judge: such a file, or a Nastran deck, which is solved")],
+    a: Annotated[
+        Path,
+        typer.Argument(help="Reference modes (test): .json, .h5, .uff, .csv or .xlsx; or a deck"),
+    ],
+    b: Annotated[
+        Path, typer.Argument(help="Modes to judge: such a file, or a Nastran deck, which is solved")
+    ],
     sensors: Annotated[
-        Path | None, typer.Option(help="Sensor sheet of A for a deck; without it, channels are DOFs such as 101+Z.")
+        Path | None,
+        typer.Option(
+            help="Sensor sheet of A for a deck; without it, channels are DOFs such as 101+Z."
+        ),
     ] = None,
-    units: Annotated[str | None, one_of("--units", UNIT_SYSTEMS, "Unit system of decks", "SI")] = None,
+    units: Annotated[
+        str | None, one_of("--units", UNIT_SYSTEMS, "Unit system of decks", "SI")
+    ] = None,
     tolerance: Tolerance = None,
     match: Annotated[
-        str | None, one_of("--match", get_args(Method), "What a sensor off the nodes reads", "nearest")
+        str | None,
+        one_of("--match", get_args(Method), "What a sensor off the nodes reads", "nearest"),
     ] = None,
     align: Annotated[
         str | None,
-        one_of("--align", ("points", "nearest"), "Lay the sheet onto the deck, by points numbered as nodes or nearest"),
+        one_of(
+            "--align",
+            ("points", "nearest"),
+            "Lay the sheet onto the deck, by points numbered as nodes or nearest",
+        ),
     ] = None,
     mac_gate: Annotated[
-        float | None, typer.Option(metavar="%", help="Least MAC of a pair.", min=0.1, max=99.9, show_default="60")
+        float | None,
+        typer.Option(
+            metavar="%", help="Least MAC of a pair.", min=0.1, max=99.9, show_default="60"
+        ),
     ] = None,
     frequency_gate: Annotated[
         float | None,
@@ -300,19 +381,28 @@ def correlate(
         ),
     ] = None,
     lock: Annotated[
-        list[str] | None, typer.Option("--lock", metavar="A:B", help="Modes that belong together, such as 3:4.")
+        list[str] | None,
+        typer.Option("--lock", metavar="A:B", help="Modes that belong together, such as 3:4."),
     ] = None,
     forbid: Annotated[
-        list[str] | None, typer.Option("--forbid", metavar="A:B", help="Modes that do not belong together.")
+        list[str] | None,
+        typer.Option("--forbid", metavar="A:B", help="Modes that do not belong together."),
     ] = None,
     everything: Annotated[
-        bool, typer.Option("--complete", help="Orthogonality, CoMAC, channels, complexity, significance.")
+        bool,
+        typer.Option(
+            "--complete", help="Orthogonality, CoMAC, channels, complexity, significance."
+        ),
     ] = False,
     tam: Annotated[
-        str | None, one_of("--tam", get_args(Tam), "Mass of a deck at the channels, with --complete", "irs")
+        str | None,
+        one_of("--tam", get_args(Tam), "Mass of a deck at the channels, with --complete", "irs"),
     ] = None,
     mass: Annotated[
-        Path | None, typer.Option("--mass", metavar="FILE", help="Mass at the common channels, in the order of A.")
+        Path | None,
+        typer.Option(
+            "--mass", metavar="FILE", help="Mass at the common channels, in the order of A."
+        ),
     ] = None,
     diagonal: Annotated[
         float | None,
@@ -338,7 +428,8 @@ def correlate(
     ] = None,
     json: Json = None,
 ) -> int:
-    """Pair two sets of modes on their common channels: deviation, MAC, and why the rest have no partner.
+    """Pair two sets of modes on their common channels: deviation, MAC, and why the rest have no
+    partner.
 
     Example: ringtrue correlate test.json wing.bdf --sensors sensors.csv --complete
     """
@@ -348,13 +439,21 @@ def correlate(
     _refuse_idle(
         {
             "--units": (units, deck, "no deck is given"),
-            "--match": (match, sensors is not None, "of the places of a sheet on a deck; give --sensors"),
+            "--match": (
+                match,
+                sensors is not None,
+                "of the places of a sheet on a deck; give --sensors",
+            ),
             "--tolerance": (
                 tolerance,
                 both or sensors is not None,
                 "of the places of a sheet from a deck; give --sensors",
             ),
-            "--tam": (tam, everything and deck and mass is None, "the mass of a deck, for --complete without --mass"),
+            "--tam": (
+                tam,
+                everything and deck and mass is None,
+                "the mass of a deck, for --complete without --mass",
+            ),
             "--diagonal": (diagonal, whole, OF_ORTHOGONALITY),
             "--off-diagonal": (off_diagonal, whole, OF_ORTHOGONALITY),
         }
@@ -382,13 +481,19 @@ def correlate(
     notes = (*(f"A: {g}" for g in gaps), *held.notes)
     one, two = _common(test, held.modes, a, b)
     tried = held.readings if deck else readings_by_name(one, held.modes)
-    mendings = find_mendings(tried, settings) if tried is not None and one.channels and not both else ()
+    mendings = (
+        find_mendings(tried, settings) if tried is not None and one.channels and not both else ()
+    )
     if not one.channels:
         if whole:
-            raise ConfigError(f"--complete and --mass compare shapes; {a if not test.channels else b} has none")
+            raise ConfigError(
+                f"--complete and --mass compare shapes; {a if not test.channels else b} has none"
+            )
         notes = (*notes, BY_FREQUENCY)
     names = ("A", "B")
-    table = correlation_table(one, two, pair_modes(one, two, settings, names=names, locks=locks), names=names)
+    table = correlation_table(
+        one, two, pair_modes(one, two, settings, names=names, locks=locks), names=names
+    )
     notes = (*notes, *table.pairing.doubts(names), *table.pairing.far(names))
     value: dict[str, Any] = correlation_json(table)
     value |= {"sensors": seats_json(held.seats)} if held.seats else {}
@@ -414,7 +519,14 @@ def correlate(
         write_json(value, json)
     if json != "-":
         _show_pairs(f"{a} against {b}", value["pairs"])
-        tell([*(m.text for m in mendings), *_reasons(value["unpaired"]), *filter(None, [first]), *notes])
+        tell(
+            [
+                *(m.text for m in mendings),
+                *_reasons(value["unpaired"]),
+                *filter(None, [first]),
+                *notes,
+            ]
+        )
         if full is not None:
             _show_complete(full)
     return 0 if value["pairs"] else 1

@@ -50,35 +50,60 @@ TimeLimit = Annotated[
 def modes(
     deck: Deck,
     n: Annotated[
-        int | None, typer.Option("-n", help="The lowest N modes; else what EIGRL or EIGR asks for, else 20.", min=1)
+        int | None,
+        typer.Option(
+            "-n", help="The lowest N modes; else what EIGRL or EIGR asks for, else 20.", min=1
+        ),
     ] = None,
-    band: Annotated[tuple[float, float] | None, typer.Option(help="All modes from F0 to F1, Hz.")] = None,
+    band: Annotated[
+        tuple[float, float] | None, typer.Option(help="All modes from F0 to F1, Hz.")
+    ] = None,
     solver_name: Annotated[
-        str, typer.Option("--solver", help="The engine: embedded, mystran, nastran, slepc or a plug-in.")
+        str,
+        typer.Option(
+            "--solver", help="The engine: embedded, mystran, nastran, slepc or a plug-in."
+        ),
     ] = "embedded",
     time_limit: TimeLimit = None,
     ranks: Annotated[int | None, typer.Option(help="Processes of the slepc engine.", min=1)] = None,
     damped: Annotated[
-        bool, typer.Option("--complex", help="Complex modes, by the dashpots, GE, PARAM G and DMIG of the deck.")
+        bool,
+        typer.Option(
+            "--complex", help="Complex modes, by the dashpots, GE, PARAM G and DMIG of the deck."
+        ),
     ] = False,
     mesh: Annotated[
-        bool, typer.Option("--mesh-error", help="How far the mesh puts each frequency off, by refining it once.")
+        bool,
+        typer.Option(
+            "--mesh-error", help="How far the mesh puts each frequency off, by refining it once."
+        ),
     ] = False,
     target: Annotated[Path | None, file_to("--out", "Write the modes", *WRITTEN)] = None,
     json: Json = None,
 ) -> int:
-    """Natural modes of a deck, with the proof that none is missing; or its complex modes (--complex).
+    """Natural modes of a deck, with the proof that none is missing; or its complex modes
+    (--complex).
 
     Example: ringtrue modes wing.bdf --band 0 50 --json modes.json
     """
     if band is not None and not band[0] < band[1]:
         raise ConfigError(f"--band {band[0]} {band[1]}: must be F0 < F1")
     if damped and solver_name != EMBEDDED:
-        raise ConfigError(f"--complex with --solver {solver_name}: only the embedded engine has complex modes")
+        raise ConfigError(
+            f"--complex with --solver {solver_name}: only the embedded engine has complex modes"
+        )
     if mesh and (damped or solver_name != EMBEDDED):
-        raise ConfigError("--mesh-error is for natural modes of the embedded engine: leave out --complex and --solver")
+        raise ConfigError(
+            "--mesh-error is for natural modes of the embedded engine: leave out --complex and "
+            "--solver"
+        )
     with progress("modes") as show:
-        engine = solver(solver_name, ranks=ranks, timeout=time_limit, progress=part(show, 0.2, 0.6 if mesh else 1.0))
+        engine = solver(
+            solver_name,
+            ranks=ranks,
+            timeout=time_limit,
+            progress=part(show, 0.2, 0.6 if mesh else 1.0),
+        )
         show(0.0, f"reading {deck}")
         model = read_deck(deck)
         show(0.2, "solving")
@@ -86,8 +111,14 @@ def modes(
         with engine.open(model) as analysis:
             solve = _complex(analysis) if damped else analysis.modes
             result = asked.of(solve) if asked else solve(ModesRequest(n or 20, band))
-            loose = analysis.system.loose().labels() if isinstance(analysis, EmbeddedAnalysis) else ()
-        errors = mesh_errors(model, result.modes, solver(EMBEDDED, progress=part(show, 0.6, 1.0))) if mesh else None
+            loose = (
+                analysis.system.loose().labels() if isinstance(analysis, EmbeddedAnalysis) else ()
+            )
+        errors = (
+            mesh_errors(model, result.modes, solver(EMBEDDED, progress=part(show, 0.6, 1.0)))
+            if mesh
+            else None
+        )
     if json:
         told: dict[str, Any] = {"complete": result.complete, "proof": result.proof}
         told["autospc"] = result.autospc.by_components()
@@ -102,24 +133,33 @@ def modes(
         if loose:
             more = f" and {len(loose) - 6} more" if len(loose) > 6 else ""
             out.print(f"held by AUTOSPC, without stiffness: {' '.join(loose[:6])}{more}")
-    unproved = bool(np.isnan(result.residuals).all())  # a program that hands back no matrices, and may count nothing
+    unproved = bool(
+        np.isnan(result.residuals).all()
+    )  # a program that hands back no matrices, and may count nothing
     return 0 if result.complete or unproved else 1
 
 
 def _complex(analysis: Analysis) -> Callable[[ModesRequest], ModesResult]:
     """How the embedded analysis of a model with damping solves for complex modes."""
     if not (isinstance(analysis, EmbeddedAnalysis) and analysis.has_damping):
-        raise ConfigError("--complex: the deck has no damping; it is that of dashpots, GE, PARAM G, ALPHA1 and ALPHA2")
+        raise ConfigError(
+            "--complex: the deck has no damping; it is that of dashpots, GE, PARAM G, ALPHA1 and "
+            "ALPHA2"
+        )
     return partial(analysis.damped_modes, problem="full")
 
 
 def _print_modes(deck: Path, result: ModesResult, damped: bool, errors: MeshErrors | None) -> None:
-    """A line a mode, of complex ones with the damping ratio, and with the error of the mesh where it was asked for."""
+    """A line a mode, of complex ones with the damping ratio, and with the error of the mesh where
+    it was asked for.
+    """
     columns = {"f [Hz]": [f"{f:.5g}" for f in result.modes.frequencies]}
     if damped:
         columns["damping [%]"] = [f"{100 * z:.4g}" for z in result.modes.damping]
     if errors:
-        columns["mesh error [%]"] = ["-" if np.isnan(e) else f"{100 * e:+.2f}" for e in errors.relative]
+        columns["mesh error [%]"] = [
+            "-" if np.isnan(e) else f"{100 * e:+.2f}" for e in errors.relative
+        ]
     columns["residual"] = ["-" if np.isnan(r) else f"{r:.1e}" for r in result.residuals]
     body = [(i + 1, *row) for i, row in enumerate(zip(*columns.values(), strict=True))]
     rows(f"{deck}: {len(body)} {'complex ' if damped else ''}modes", ("#", *columns), body)
@@ -133,24 +173,40 @@ def _print_modes(deck: Path, result: ModesResult, damped: bool, errors: MeshErro
 def check(
     deck: Deck,
     units: Annotated[
-        str, one_of("--units", UNIT_SYSTEMS, "Unit system of the deck, to judge moduli, densities and size by")
+        str,
+        one_of(
+            "--units",
+            UNIT_SYSTEMS,
+            "Unit system of the deck, to judge moduli, densities and size by",
+        ),
     ] = "",
     json: Json = None,
 ) -> int:
-    """What a deck holds: cards, mass, centre of gravity, inertia, ground check, free edges and findings.
+    """What a deck holds: cards, mass, centre of gravity, inertia, ground check, free edges and
+    findings.
 
     Example: ringtrue check wing.bdf --units mm-t-s
     """
     found = survey(deck)
     findings = _findings(found, units)
     sound = not found.unsupported and not any(f.severity == "error" for f in findings)
-    summary: dict[str, Any] = {"deck": str(deck), "cards": dict(found.cards), "kept": dict(found.model.kept)}
+    summary: dict[str, Any] = {
+        "deck": str(deck),
+        "cards": dict(found.cards),
+        "kept": dict(found.model.kept),
+    }
     summary["unsupported"] = dict(found.unsupported)
     try:
-        summary |= _rigid(found, findings) if sound and "GRID" in found.model and len(found.model["GRID"]) else {}
+        summary |= (
+            _rigid(found, findings)
+            if sound and "GRID" in found.model and len(found.model["GRID"])
+            else {}
+        )
     except RingtrueError as e:  # the rest of the check is worth more than the mass
         findings.append(Finding("error", str(e)))
-    summary["findings"] = [{"severity": f.severity, "text": f.text, "file": f.file, "line": f.line} for f in findings]
+    summary["findings"] = [
+        {"severity": f.severity, "text": f.text, "file": f.file, "line": f.line} for f in findings
+    ]
     if json:
         write_json(summary, json)
     if json != "-":
@@ -159,7 +215,9 @@ def check(
 
 
 def _findings(found: Survey, units: str) -> list[Finding]:
-    """What is wrong with the deck; where cards are not read, only what it refers to can be judged."""
+    """What is wrong with the deck; where cards are not read, only what it refers to can be
+    judged.
+    """
     if found.unsupported:
         return [_lost(f) for f in found.faults]
     findings = list(check_deck(found.model, units).findings)
@@ -173,7 +231,9 @@ def _lost(fault: DeckError) -> Finding:
 
 
 def _rigid(found: Survey, findings: list[Finding]) -> dict[str, Any]:
-    """Mass properties, ground check, free edges and what AUTOSPC holds; findings of these are added to the findings."""
+    """Mass properties, ground check, free edges and what AUTOSPC holds; findings of these are added
+    to the findings.
+    """
     held = assemble(found.model)
     findings += autospc_findings(held)
     system = assemble(unconstrained(found.model))
@@ -186,7 +246,11 @@ def _rigid(found: Survey, findings: list[Finding]) -> dict[str, Any]:
         "mass": mass.mass,
         "centre_of_gravity": mass.cg.tolist(),
         "inertia": mass.inertia.tolist(),
-        "ground_check": {"strain_energy": energy, "relative": ground.relative.tolist(), "ok": ground.ok},
+        "ground_check": {
+            "strain_energy": energy,
+            "relative": ground.relative.tolist(),
+            "ok": ground.ok,
+        },
         "free_edges": free,
         "autospc": held.autospc.by_components(),
     }
@@ -203,7 +267,9 @@ def _print_check(deck: Path, summary: dict[str, Any]) -> None:
     if "mass" in summary:
         cg = ", ".join(f"{x:.4g}" for x in _clean(summary["centre_of_gravity"]))
         out.print(f"mass {summary['mass']:.6g}, centre of gravity ({cg})")
-        moved = summary["mass"] * sum(x * x for x in summary["centre_of_gravity"])  # what is taken off to be about it
+        moved = summary["mass"] * sum(
+            x * x for x in summary["centre_of_gravity"]
+        )  # what is taken off to be about it
         for row in _clean(summary["inertia"], moved):
             out.print("inertia  " + "  ".join(f"{x: .5e}" for x in row))
         if summary["ground_check"]["ok"]:

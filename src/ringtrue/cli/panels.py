@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 COMMANDS = {  # panel -> command -> module of `ringtrue.cli` and function
-    "Whole studies": {"demo": ("study", "demo"), "run": ("study", "run"), "report": ("study", "report")},
+    "Whole studies": {
+        "demo": ("study", "demo"),
+        "run": ("study", "run"),
+        "report": ("study", "report"),
+    },
     "Models": {
         "check": ("model", "check"),
         "modes": ("model", "modes"),
@@ -25,7 +29,8 @@ COMMANDS = {  # panel -> command -> module of `ringtrue.cli` and function
     },
 }
 
-# What names a file or folder that a command writes (of `convert` the argument `target`); other paths are its inputs.
+# What names a file or folder that a command writes (of `convert` the argument `target`); other
+# paths are its inputs.
 OUTPUTS = {
     "--json",
     "--out",
@@ -44,7 +49,18 @@ OPTIONS: dict[str, dict[str, tuple[str, ...]]] = {  # command -> panel -> parame
     "plan": {
         "Target modes": ("band", "modes", "effective_mass", "kinetic"),
         "Where to measure": (
-            *("points", "directions", "at_hand", "method", "region", "cost", "weigh", "box", "keep_out", "exclude"),
+            *(
+                "points",
+                "directions",
+                "at_hand",
+                "method",
+                "region",
+                "cost",
+                "weigh",
+                "box",
+                "keep_out",
+                "exclude",
+            ),
             *("fixed", "distance", "redundancy", "sensor_mass"),
         ),
         "Where to strike and to hang": ("references", "strike_at", "strike", "hang"),

@@ -38,63 +38,123 @@ ABOVE = 1.3  # modes up to here over the band take part in the virtual test
 
 def plan(
     deck: Annotated[Path, typer.Argument(help="Nastran bulk data, with its includes beside it.")],
-    folder: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Where the test sheet goes.")] = None,
-    band: Annotated[tuple[float, float] | None, typer.Option(help="Target modes from F0 to F1, Hz.")] = None,
-    modes: Annotated[str, typer.Option(metavar="LIST", help="Target modes by number, such as 7-12,15.")] = "",
+    folder: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Where the test sheet goes.")
+    ] = None,
+    band: Annotated[
+        tuple[float, float] | None, typer.Option(help="Target modes from F0 to F1, Hz.")
+    ] = None,
+    modes: Annotated[
+        str, typer.Option(metavar="LIST", help="Target modes by number, such as 7-12,15.")
+    ] = "",
     effective_mass: Annotated[
-        float, typer.Option(metavar="SHARE", help="Of the band, modes with such a share of the mass.", min=0, max=0.99)
+        float,
+        typer.Option(
+            metavar="SHARE",
+            help="Of the band, modes with such a share of the mass.",
+            min=0,
+            max=0.99,
+        ),
     ] = 0.0,
     kinetic: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME=SHARE", help="Or with such a share of kinetic energy in a --region; repeat it."),
+        typer.Option(
+            metavar="NAME=SHARE",
+            help="Or with such a share of kinetic energy in a --region; repeat it.",
+        ),
     ] = None,
-    points: Annotated[int, typer.Option(help="Measuring points; sensors, unless triaxial.", min=1)] = 20,
+    points: Annotated[
+        int, typer.Option(help="Measuring points; sensors, unless triaxial.", min=1)
+    ] = 20,
     at_hand: Annotated[
-        int, typer.Option(metavar="N", help="Sensors recorded at once: more points are measured in setups.", min=0)
+        int,
+        typer.Option(
+            metavar="N", help="Sensors recorded at once: more points are measured in setups.", min=0
+        ),
     ] = 0,
     directions: Annotated[str, one_of("--directions", DIRECTIONS, "Of a sensor")] = DIRECTIONS[0],
     references: Annotated[int, typer.Option(help="Points to strike.", min=1)] = 3,
     strike_at: Annotated[
         str, typer.Option(metavar="LIST", help="Nodes that can be struck; any point if not given.")
     ] = "",
-    strike: Annotated[str, one_of("--strike", STRIKES, "How points to strike are chosen")] = STRIKES[0],
-    method: Annotated[str, one_of("--method", METHODS, "How measuring points are chosen")] = METHODS[0],
+    strike: Annotated[
+        str, one_of("--strike", STRIKES, "How points to strike are chosen")
+    ] = STRIKES[0],
+    method: Annotated[
+        str, one_of("--method", METHODS, "How measuring points are chosen")
+    ] = METHODS[0],
     region: Annotated[
-        list[str] | None, typer.Option(metavar="NAME=LIST", help="Points are among these nodes; repeat it.")
+        list[str] | None,
+        typer.Option(metavar="NAME=LIST", help="Points are among these nodes; repeat it."),
     ] = None,
     cost: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME=COST", help="Of a point of a --region, else 1; with qr and information; repeat it."),
+        typer.Option(
+            metavar="NAME=COST",
+            help="Of a point of a --region, else 1; with qr and information; repeat it.",
+        ),
     ] = None,
-    weigh: Annotated[bool, typer.Option("--weigh", help="Points that carry kinetic energy come first.")] = False,
+    weigh: Annotated[
+        bool, typer.Option("--weigh", help="Points that carry kinetic energy come first.")
+    ] = False,
     box: Annotated[
-        list[str] | None, typer.Option("--box", metavar="'X0 Y0 Z0 X1 Y1 Z1'", help="Points lie in it, m; repeat it.")
+        list[str] | None,
+        typer.Option(
+            "--box", metavar="'X0 Y0 Z0 X1 Y1 Z1'", help="Points lie in it, m; repeat it."
+        ),
     ] = None,
     keep_out: Annotated[
-        list[str] | None, typer.Option(metavar="'X0 Y0 Z0 X1 Y1 Z1'", help="No point lies in it, m; repeat it.")
+        list[str] | None,
+        typer.Option(metavar="'X0 Y0 Z0 X1 Y1 Z1'", help="No point lies in it, m; repeat it."),
     ] = None,
-    exclude: Annotated[str, typer.Option(metavar="LIST", help="Nodes that cannot be measured.")] = "",
-    fixed: Annotated[str, typer.Option(metavar="LIST", help="Nodes that are measured in any case.")] = "",
+    exclude: Annotated[
+        str, typer.Option(metavar="LIST", help="Nodes that cannot be measured.")
+    ] = "",
+    fixed: Annotated[
+        str, typer.Option(metavar="LIST", help="Nodes that are measured in any case.")
+    ] = "",
     distance: Annotated[
-        float | None, typer.Option(metavar="M", help="Least distance of two points; else from the structure.", min=0)
+        float | None,
+        typer.Option(
+            metavar="M", help="Least distance of two points; else from the structure.", min=0
+        ),
     ] = None,
     redundancy: Annotated[int, typer.Option(help="Points that may fail.", min=0)] = 0,
     hang: Annotated[int, typer.Option(help="Points to hang the structure from.", min=0)] = 0,
-    sensor_mass: Annotated[float, typer.Option(metavar="KG", help="Mass of a sensor.", min=0)] = 0.0,
-    damping: Annotated[float, typer.Option(help="Expected damping ratio.", min=1e-6, max=0.5)] = 0.01,
-    error: Annotated[float, typer.Option(help="Wanted random error of an FRF.", min=1e-4, max=1)] = 0.05,
-    coherence: Annotated[float, typer.Option(help="Expected coherence.", min=0.01, max=0.9999)] = 0.98,
+    sensor_mass: Annotated[
+        float, typer.Option(metavar="KG", help="Mass of a sensor.", min=0)
+    ] = 0.0,
+    damping: Annotated[
+        float, typer.Option(help="Expected damping ratio.", min=1e-6, max=0.5)
+    ] = 0.01,
+    error: Annotated[
+        float, typer.Option(help="Wanted random error of an FRF.", min=1e-4, max=1)
+    ] = 0.05,
+    coherence: Annotated[
+        float, typer.Option(help="Expected coherence.", min=0.01, max=0.9999)
+    ] = 0.98,
     precision: Annotated[
-        float, typer.Option(help="Wanted error of the lowest damping, of an ambient record.", min=1e-3, max=1)
+        float,
+        typer.Option(
+            help="Wanted error of the lowest damping, of an ambient record.", min=1e-3, max=1
+        ),
     ] = 0.1,
     trials: Annotated[int, typer.Option(help="Virtual tests of the plan.", min=0)] = 0,
     background: Annotated[
         float | None,
-        typer.Option(metavar="N/√HZ", help="Noise force at each reference; else what leaves the coherence.", min=0),
+        typer.Option(
+            metavar="N/√HZ",
+            help="Noise force at each reference; else what leaves the coherence.",
+            min=0,
+        ),
     ] = None,
     ambient_force: Annotated[
         float,
-        typer.Option(metavar="N/√HZ", help="Virtual ambient tests, too, under such a force at each channel.", min=0),
+        typer.Option(
+            metavar="N/√HZ",
+            help="Virtual ambient tests, too, under such a force at each channel.",
+            min=0,
+        ),
     ] = 0.0,
     seed: Annotated[int, typer.Option(help="Seed of the virtual tests.", min=0)] = 0,
     units: Annotated[str, one_of("--units", UNIT_SYSTEMS, "Unit system of the deck")] = "SI",
@@ -102,7 +162,8 @@ def plan(
 ) -> int:
     """Plan a modal test of a deck: a test sheet as CSV, universal file and HTML.
 
-    Example: ringtrue plan frame.bdf --band 5 80 --points 24 --references 3 --trials 10 --out frame-test
+    Example: ringtrue plan frame.bdf --band 5 80 --points 24 --references 3 --trials 10 --out
+    frame-test
     """
     folder = folder or deck.with_name(f"{deck.stem}-test")
     if (folder / "study.toml").exists():
@@ -120,8 +181,12 @@ def plan(
         "method": method,
         "modes": numbers(modes, "--modes"),
         "effective_mass": effective_mass,
-        "kinetic": {name: _number("--kinetic", name, text) for name, text in _named("--kinetic", kinetic)},
-        "candidates": {name: numbers(text, "--region") for name, text in _named("--region", region)},
+        "kinetic": {
+            name: _number("--kinetic", name, text) for name, text in _named("--kinetic", kinetic)
+        },
+        "candidates": {
+            name: numbers(text, "--region") for name, text in _named("--region", region)
+        },
         "cost": {name: _number("--cost", name, text) for name, text in _named("--cost", cost)},
         "weigh": weigh,
         "boxes": [_box("--box", b) for b in box or []],
@@ -176,8 +241,14 @@ def numbers(text: str, where: str) -> list[int]:
     found: list[int] = []
     for part in filter(None, (p.strip() for p in text.split(","))):
         ends = part.split("-")
-        if len(ends) > 2 or not all(e.strip().isdigit() for e in ends) or int(ends[0]) > int(ends[-1]):
-            raise ConfigError(f"{where} {text!r}: {part!r} must be a number or a range such as 7-12")
+        if (
+            len(ends) > 2
+            or not all(e.strip().isdigit() for e in ends)
+            or int(ends[0]) > int(ends[-1])
+        ):
+            raise ConfigError(
+                f"{where} {text!r}: {part!r} must be a number or a range such as 7-12"
+            )
         found += range(int(ends[0]), int(ends[-1]) + 1)
     return found
 
@@ -215,7 +286,9 @@ def _box(option: str, text: str) -> list[float]:
     return values
 
 
-def _from_deck(deck: Path, units: str, band: tuple[float, float] | None, modes: list[int]) -> dict[str, float]:
+def _from_deck(
+    deck: Path, units: str, band: tuple[float, float] | None, modes: list[int]
+) -> dict[str, float]:
     """The band, taken from the deck where it is not given."""
     if band is not None and not 0 <= band[0] < band[1]:
         raise ConfigError(f"--band {band[0]} {band[1]}: must be 0 <= F0 < F1")
@@ -226,7 +299,11 @@ def _from_deck(deck: Path, units: str, band: tuple[float, float] | None, modes: 
         flexible = f[elastic(f)]
         if not flexible.size:
             raise ConfigError(f"{deck}: none of the {f.size} lowest modes is elastic; give --band")
-        last = f[max(modes) - 1] if modes and max(modes) <= f.size else flexible[-2 if flexible.size > 1 else -1]
+        last = (
+            f[max(modes) - 1]
+            if modes and max(modes) <= f.size
+            else flexible[-2 if flexible.size > 1 else -1]
+        )
         band = (0.5 * float(flexible[0]), 1.001 * float(last))
     return {k: float(f"{v:.6g}") for k, v in zip(("fmin", "fmax"), band, strict=True)}
 
@@ -241,7 +318,10 @@ def _write_study(folder: Path, deck: Path, units: str, section: dict[str, Any], 
         "model": {"deck": place, "units": units, "fmax": float(f"{ABOVE * section['fmax']:.6g}")},
         "plan": section,
     }
-    lines = [f"[{name}]\n" + "".join(f"{k} = {_toml(v)}\n" for k, v in table.items()) for name, table in tables.items()]
+    lines = [
+        f"[{name}]\n" + "".join(f"{k} = {_toml(v)}\n" for k, v in table.items())
+        for name, table in tables.items()
+    ]
     with atomic_write(path) as part:
         part.write_text("\n".join(lines), encoding="utf-8")
     return path
@@ -273,7 +353,9 @@ def _told(run: StudyRun) -> dict[str, Any]:
         "references": list(stage.references),
         "reference_sets": [
             {"references": list(s), "worst_reach": r, "missed": [names[i] for i in m]}
-            for s, r, m in zip(stage.sets, stage.least_reach.tolist(), stage.missed_by_sets, strict=True)
+            for s, r, m in zip(
+                stage.sets, stage.least_reach.tolist(), stage.missed_by_sets, strict=True
+            )
         ],
         "reciprocity": [list(p) for p in reciprocity_pairs(stage.references, stage.test.channels)],
         "rule": stage.rule,
@@ -328,7 +410,9 @@ def _table(columns: Mapping[str, Any]) -> list[dict[str, Any]]:
     """A row a mode; what is not known is null."""
     lists = {k: v.tolist() for k, v in columns.items()}
     count = len(lists["mode"])
-    return [{k: (v[i] if np.isfinite(v[i]) else None) for k, v in lists.items()} for i in range(count)]
+    return [
+        {k: (v[i] if np.isfinite(v[i]) else None) for k, v in lists.items()} for i in range(count)
+    ]
 
 
 def _modes(stage: PlanStage) -> list[dict[str, Any]]:
@@ -366,7 +450,9 @@ def _print_modes(title: str, modes: list[dict[str, Any]]) -> None:
 
 def _best(stage: PlanStage) -> dict[int, float]:
     """Number of points struck -> least reach of the best set of so many."""
-    least = {len(s): r for s, r in zip(stage.sets[::-1], stage.least_reach[::-1].tolist(), strict=True)}
+    least = {
+        len(s): r for s, r in zip(stage.sets[::-1], stage.least_reach[::-1].tolist(), strict=True)
+    }
     return dict(sorted(least.items()))  # of sets of one size the first is the best
 
 
@@ -376,12 +462,15 @@ def _print(deck: Path, stage: PlanStage, told: dict[str, Any]) -> None:
         _print_modes(f"{ambient['trials']} virtual ambient tests", ambient["modes"])
     best = _best(stage)
     lines = [
-        f"{len(stage.test.channels)} channels at {stage.test.points.size} points, of {stage.candidates} candidates: "
+        f"{len(stage.test.channels)} channels at {stage.test.points.size} points, of "
+        f"{stage.candidates} candidates: "
         f"{' '.join(map(str, told['points']))}",
         f"strike at {' '.join(stage.references)}; least reach of the best "
-        f"{', '.join(map(str, best))} points: {', '.join(f'{100 * r:.0f}' for r in best.values())} %",
+        f"{', '.join(map(str, best))} points: "
+        f"{', '.join(f'{100 * r:.0f}' for r in best.values())} %",
         f"worst auto-MAC {stage.worst_off_diagonal:.2f}; {left_by_loss(stage)}",
-        f"frequency step {stage.frequency_step:.3g} Hz, block {stage.block:.3g} s, {stage.averages} averages; "
+        f"frequency step {stage.frequency_step:.3g} Hz, block {stage.block:.3g} s, "
+        f"{stage.averages} averages; "
         f"ambient record {stage.record_length / 60:.3g} min, {stage.segments} blocks",
     ]
     lines += setups(stage)

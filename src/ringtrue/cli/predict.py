@@ -24,7 +24,11 @@ from ringtrue.update.predict import PLANE, RunUp
 
 
 def _stated(
-    option: str, what: str, metavar: str | None = None, least: float | None = None, most: float | None = None
+    option: str,
+    what: str,
+    metavar: str | None = None,
+    least: float | None = None,
+    most: float | None = None,
 ) -> Any:
     """An option in the place of a key of [predict], whose default is told."""
     key = {"--to": "fmax"}.get(option, option.removeprefix("--"))
@@ -34,42 +38,62 @@ def _stated(
 
 def run(
     study: Annotated[Path, typer.Argument(help="study.toml of a study that has been run.")],
-    folder: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Where its results are.")] = None,
-    rotor: Annotated[int | None, typer.Option(metavar="NODE", help="Node that the unbalance acts on.")] = None,
+    folder: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Where its results are.")
+    ] = None,
+    rotor: Annotated[
+        int | None, typer.Option(metavar="NODE", help="Node that the unbalance acts on.")
+    ] = None,
     mass: Annotated[float | None, typer.Option(metavar="KG", help="Mass of the rotor.")] = None,
     axis: Annotated[str | None, one_of("--axis", PLANE, "Axis of the rotor")] = None,
-    grade: Annotated[float | None, _stated("--grade", "Balance grade G (ISO 21940-11)", "MM/S")] = None,
+    grade: Annotated[
+        float | None, _stated("--grade", "Balance grade G (ISO 21940-11)", "MM/S")
+    ] = None,
     service: Annotated[float | None, _stated("--service", "Service speed", "HZ")] = None,
     fmax: Annotated[float | None, _stated("--to", "Highest speed", "HZ")] = None,
     springs: Annotated[
         list[str] | None,
-        typer.Option("--springs", metavar="NAME=PID[,PID]", help="PBUSH whose forces are wanted; repeat it."),
+        typer.Option(
+            "--springs", metavar="NAME=PID[,PID]", help="PBUSH whose forces are wanted; repeat it."
+        ),
     ] = None,
     lines: Annotated[int | None, _stated("--lines", "Number of speeds", least=2)] = None,
     draws: Annotated[int | None, _stated("--draws", "Draws of the posterior", least=20)] = None,
-    level: Annotated[float | None, _stated("--level", "Probability of the bands", least=0.5, most=0.95)] = None,
+    level: Annotated[
+        float | None, _stated("--level", "Probability of the bands", least=0.5, most=0.95)
+    ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the draws.", min=0)] = None,
-    table: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Write every line.")] = None,
+    table: Annotated[
+        Path | None, typer.Option("--csv", metavar="FILE", help="Write every line.")
+    ] = None,
     json: Json = None,
 ) -> int:
-    """Unbalance run-up of the rotor on the validated model: response, bearing and support forces, with bands.
+    """Unbalance run-up of the rotor on the validated model: response, bearing and support forces,
+    with bands.
 
-    Without options it is the stage `predict` of the study, from its \\[predict]; what an option states stands in its
-    place, and then the result is shown, not stored.
+    Without options it is the stage `predict` of the study, from its \\[predict]; what an option
+    states stands in its place, and then the result is shown, not stored.
 
     Example: ringtrue predict study.toml --rotor 9001 --mass 1200 --grade 2.5 --springs bearings=58
     """
     config = read_config(study)
     if table is not None and not table.parent.is_dir():
         raise ConfigError(f"--csv {table}: no folder {table.parent}")
-    stated: dict[str, Any] = {"rotor": rotor, "mass": mass, "axis": axis, "grade": grade, "service": service}
+    stated: dict[str, Any] = {
+        "rotor": rotor,
+        "mass": mass,
+        "axis": axis,
+        "grade": grade,
+        "service": service,
+    }
     stated |= {"fmax": fmax, "lines": lines, "draws": draws, "level": level}
     chosen = settings(config.predict, stated, springs or [])
     where = folder or study.parent
     held = Store(where / "study.h5")
     if "final" not in held.stages():
         raise ConfigError(
-            f"{held.path}: no updated model in it: `ringtrue run` the study to its final stage first, or name the "
+            f"{held.path}: no updated model in it: `ringtrue run` the study to its final stage "
+            "first, or name the "
             "folder of its results with --out"
         )
     with progress("predict") as show:
@@ -95,7 +119,9 @@ def _with(config: StudyConfig, section: PredictSection, seed: int | None) -> Stu
     return config.model_copy(update={"predict": section, "study": info})
 
 
-def settings(section: PredictSection | None, stated: dict[str, Any], springs: list[str]) -> PredictSection:
+def settings(
+    section: PredictSection | None, stated: dict[str, Any], springs: list[str]
+) -> PredictSection:
     """[predict] of the study with what the options state in its place.
 
     Raises
@@ -139,7 +165,9 @@ def summary(found: PredictStage) -> dict[str, Any]:
                 "name": name,
                 "unit": unit,
                 "peak": [float(b[i]) for b in (r.peak.low, r.peak.median, r.peak.high)],
-                "peak_speed_hz": [float(b[i]) for b in (r.peak_speed.low, r.peak_speed.median, r.peak_speed.high)],
+                "peak_speed_hz": [
+                    float(b[i]) for b in (r.peak_speed.low, r.peak_speed.median, r.peak_speed.high)
+                ],
                 "low": r.amplitude.low[i].tolist(),
                 "median": r.amplitude.median[i].tolist(),
                 "high": r.amplitude.high[i].tolist(),
@@ -173,7 +201,11 @@ def _write(r: RunUp, path: Path) -> None:
     """Speed, whether it is validated, and low, median, high of each output."""
     with atomic_write(path) as part, part.open("w", newline="", encoding="utf-8") as file:
         sheet = writer(file)
-        names = [f"{n} [{u}] {q}" for n, u in zip(r.names, r.units, strict=True) for q in ("low", "median", "high")]
+        names = [
+            f"{n} [{u}] {q}"
+            for n, u in zip(r.names, r.units, strict=True)
+            for q in ("low", "median", "high")
+        ]
         sheet.writerow(["speed [Hz]", "validated", *names])
         parts = np.stack([r.amplitude.low, r.amplitude.median, r.amplitude.high], axis=1)
         values = parts.reshape(-1, r.freqs.size).T

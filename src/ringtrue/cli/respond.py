@@ -40,21 +40,36 @@ def frf(
     deck: Deck,
     fmax: Annotated[float, typer.Option("--fmax", metavar="HZ", help="The highest line.")],
     force: Annotated[
-        list[str], typer.Option("--force", metavar="POINT", help="Node and direction (3+Z) of a force; repeat it.")
+        list[str],
+        typer.Option(
+            "--force", metavar="POINT", help="Node and direction (3+Z) of a force; repeat it."
+        ),
     ],
     at: Annotated[
         list[str] | None,
-        typer.Option("--at", metavar="POINT", help="Of a response; repeat it. If not given: where forces act."),
+        typer.Option(
+            "--at",
+            metavar="POINT",
+            help="Of a response; repeat it. If not given: where forces act.",
+        ),
     ] = None,
     fmin: Annotated[
-        float | None, typer.Option("--fmin", metavar="HZ", help="The lowest line; if not given: one step above 0.")
+        float | None,
+        typer.Option(
+            "--fmin", metavar="HZ", help="The lowest line; if not given: one step above 0."
+        ),
     ] = None,
     lines: Annotated[int, typer.Option(help="Lines, in equal steps.", min=3)] = 800,
     damping: Annotated[
-        float | None, typer.Option(metavar="RATIO", help="Of all modes (0.01), in place of the damping of the deck.")
+        float | None,
+        typer.Option(
+            metavar="RATIO", help="Of all modes (0.01), in place of the damping of the deck."
+        ),
     ] = None,
     quantity: Annotated[Motion, typer.Option(help="Of the responses.")] = Motion.ACCELERATION,
-    direct: Annotated[bool, typer.Option("--direct", help="Solve the full model at each line, without modes.")] = False,
+    direct: Annotated[
+        bool, typer.Option("--direct", help="Solve the full model at each line, without modes.")
+    ] = False,
     units: Units = "SI",
     target: Annotated[
         Path | None,
@@ -66,12 +81,14 @@ def frf(
     ] = None,
     json: Json = None,
 ) -> int:
-    """Frequency responses of a deck: its modes with residual vectors, or the full model line by line.
+    """Frequency responses of a deck: its modes with residual vectors, or the full model line by
+    line.
 
-    Directions are those of the basic frame, results in SI, of moments and rotations (3+RZ) too. Without --damping that
-    of the deck counts: dashpots, GE, PARAM G, SDAMPING.
+    Directions are those of the basic frame, results in SI, of moments and rotations (3+RZ) too.
+    Without --damping that of the deck counts: dashpots, GE, PARAM G, SDAMPING.
 
-    Example: ringtrue frf wing.bdf --force 101+Z --at 205+Z --fmax 200 --damping 0.01 --out frf.h5 --plot frf.html
+    Example: ringtrue frf wing.bdf --force 101+Z --at 205+Z --fmax 200 --damping 0.01 --out frf.h5
+    --plot frf.html
     """
     lowest = fmax / lines if fmin is None else fmin
     if not 0 <= lowest < fmax:
@@ -91,13 +108,20 @@ def frf(
         with EmbeddedSolver(progress=part(show, 0.2, 1.0)).open(responding(model)) as analysis:
             if damping is None and not (analysis.has_damping or (modal and not direct)):
                 own = "the deck has no damping of its own (dashpots, GE, PARAM G"
-                lost = f"--direct: {own}): leave --direct out" if direct else f"{own}, SDAMPING): give --damping 0.01"
+                lost = (
+                    f"--direct: {own}): leave --direct out"
+                    if direct
+                    else f"{own}, SDAMPING): give --damping 0.01"
+                )
                 raise ConfigError(lost)
             if direct and modal:
                 err.print("warning: SDAMPING is of modes: --direct leaves it out, as SOL 108 does")
             _warn_of_held(analysis, heard, into)
             ratios = modal if damping is None else damping
-            h = _responses(analysis, (heard, into), freqs, ratios, FRF_KIND[quantity], direct) / unit.kilograms
+            h = (
+                _responses(analysis, (heard, into), freqs, ratios, FRF_KIND[quantity], direct)
+                / unit.kilograms
+            )
             h = h * np.outer(heard.per_length(unit.length), into.per_length(unit.length))
     found = FrfSet(
         h,
@@ -133,7 +157,10 @@ def points(option: str, given: list[str]) -> DofSet:
     except InputError as e:
         raise ConfigError(f"{option}: {e}") from e
     if (bare := np.flatnonzero(dofs.direction == 0)).size:
-        raise ConfigError(f"{option} {dofs.labels()[bare[0]]}: must be a node and a direction, such as 101+Z or 101+RZ")
+        raise ConfigError(
+            f"{option} {dofs.labels()[bare[0]]}: must be a node and a direction, such as 101+Z "
+            "or 101+RZ"
+        )
     return dofs
 
 
@@ -167,7 +194,13 @@ def _warn_of_held(analysis: EmbeddedAnalysis, *ends: DofSet, moved: Float | None
 def _print_frfs(deck: Path, found: FrfSet) -> None:
     size = np.abs(found.data)
     body = [
-        (c.id, f.id, f"{size[:, i, j].max():.4g}", _unit(c, f), f"{found.freqs[size[:, i, j].argmax()]:.5g}")
+        (
+            c.id,
+            f.id,
+            f"{size[:, i, j].max():.4g}",
+            _unit(c, f),
+            f"{found.freqs[size[:, i, j].argmax()]:.5g}",
+        )
         for j, f in enumerate(found.inputs)
         for i, c in enumerate(found.outputs)
     ]
@@ -186,7 +219,13 @@ def _frf_json(found: FrfSet) -> dict[str, object]:
         "unit": ", ".join(dict.fromkeys(_unit(c, f) for c in found.outputs for f in found.inputs)),
         "frequencies_hz": found.freqs.tolist(),
         "frfs": [
-            {"response": c.id, "force": f.id, "unit": _unit(c, f), "re": h.real.tolist(), "im": h.imag.tolist()}
+            {
+                "response": c.id,
+                "force": f.id,
+                "unit": _unit(c, f),
+                "re": h.real.tolist(),
+                "im": h.imag.tolist(),
+            }
             for i, c in enumerate(found.outputs)
             for j, f in enumerate(found.inputs)
             for h in [found.data[:, i, j]]
@@ -201,12 +240,17 @@ def static(
         typer.Option(
             "--force",
             metavar="POINT[=N]",
-            help="A load case: 3+Z=250 is 250 N, 3+RZ=2 2 N m; repeat it. If not given: the loads of the deck.",
+            help="A load case: 3+Z=250 is 250 N, 3+RZ=2 2 N m; repeat it. If not given: the "
+            "loads of the deck.",
         ),
     ] = None,
     at: Annotated[
         list[str] | None,
-        typer.Option("--at", metavar="POINT", help="Of a deflection; repeat it. If not given: where --force acts."),
+        typer.Option(
+            "--at",
+            metavar="POINT",
+            help="Of a deflection; repeat it. If not given: where --force acts.",
+        ),
     ] = None,
     units: Units = "SI",
     table: Annotated[
@@ -215,10 +259,12 @@ def static(
     ] = None,
     json: Json = None,
 ) -> int:
-    """Deflections of a deck under its own loads, or under single forces, each a load case of its own.
+    """Deflections of a deck under its own loads, or under single forces, each a load case of its
+    own.
 
-    Directions are those of the basic frame, results in SI, of moments (3+RZ=2, N m) and rotations too. Of the deck
-    forces, moments, pressures, PLOAD1 on beams, GRAV, RFORCE, TEMP, TEMPD and displaced supports (SPCD, SPC) are read.
+    Directions are those of the basic frame, results in SI, of moments (3+RZ=2, N m) and rotations
+    too. Of the deck forces, moments, pressures, PLOAD1 on beams, GRAV, RFORCE, TEMP, TEMPD and
+    displaced supports (SPCD, SPC) are read.
 
     Example: ringtrue static frame.bdf --force 101-Z=1000 --at 101+Z --at 205+X --units mm-t-s
     """
@@ -239,21 +285,37 @@ def static(
             if force:
                 refuse_displaced(model)
                 newton = into.per_length(unit.length) / unit.force
-                acting, carried = _unit_loads(analysis, into) * (newtons * newton), np.zeros((len(analysis.dofs), 1))
+                acting, carried = (
+                    _unit_loads(analysis, into) * (newtons * newton),
+                    np.zeros((len(analysis.dofs), 1)),
+                )
             else:
                 drawn, carried = support_motions(model, analysis.dofs, cases)
                 acting = load_vectors(model, analysis.dofs, cases) + drawn
             _warn_of_held(analysis, heard, into, moved=carried)
             found = analysis.static(acting) + carried
-            moved = (_unit_loads(analysis, heard).T @ found).T * (unit.length * heard.per_length(unit.length))
-    names = [f"{p}={n:g}" for p, n in zip(into.labels(), newtons, strict=True)] or [c.name for c in cases]
+            moved = (_unit_loads(analysis, heard).T @ found).T * (
+                unit.length * heard.per_length(unit.length)
+            )
+    names = [f"{p}={n:g}" for p, n in zip(into.labels(), newtons, strict=True)] or [
+        c.name for c in cases
+    ]
     if table:
-        _write_static(table, list(zip(into.labels(), newtons.tolist(), moved.tolist(), strict=True)), heard.labels())
+        _write_static(
+            table,
+            list(zip(into.labels(), newtons.tolist(), moved.tolist(), strict=True)),
+            heard.labels(),
+        )
     told = [_deflections(name, heard, u) for name, u in zip(names, moved, strict=True)]
     if json:
         write_json({"deck": str(deck), "cases": told}, json)
     if json != "-":
-        every = [(c["case"], p, f"{x:.6g}", unit) for c in told for unit in _SIDES for p, x in c[unit].items()]
+        every = [
+            (c["case"], p, f"{x:.6g}", unit)
+            for c in told
+            for unit in _SIDES
+            for p, x in c[unit].items()
+        ]
         heads = ("case", "at", "deflection", "unit")
         rows(f"{deck}: {len(names)} load case{'s' if len(names) > 1 else ''}", heads, every)
     return 0
@@ -287,7 +349,9 @@ def _load(text: str) -> tuple[str, float]:
     return point, size
 
 
-def _write_static(path: Path, cases: list[tuple[str, float, list[float]]], heard: tuple[str, ...]) -> None:
+def _write_static(
+    path: Path, cases: list[tuple[str, float, list[float]]], heard: tuple[str, ...]
+) -> None:
     """A row a case and channel, as `io.statics.read_statics` reads them."""
     with atomic_write(path) as part_, part_.open("w", newline="", encoding="utf-8") as file:
         sheet = writer(file)
@@ -296,4 +360,11 @@ def _write_static(path: Path, cases: list[tuple[str, float, list[float]]], heard
             if point not in heard:
                 sheet.writerow((point, point, f"{newton:.9g}", ""))
             for channel, deflection in zip(heard, deflections, strict=True):
-                sheet.writerow((point, channel, f"{newton:.9g}" if channel == point else "", f"{deflection:.9g}"))
+                sheet.writerow(
+                    (
+                        point,
+                        channel,
+                        f"{newton:.9g}" if channel == point else "",
+                        f"{deflection:.9g}",
+                    )
+                )

@@ -20,7 +20,8 @@ from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.io.atomic import atomic_write
 
-# names in brackets and lines like `wing.bdf:100:` stay as they are, lines are the terminal's to wrap
+# names in brackets and lines like `wing.bdf:100:` stay as they are, lines are the terminal's to
+# wrap
 out = Console(markup=False, emoji=False, highlight=False, soft_wrap=True)
 err = Console(stderr=True, markup=False, emoji=False, highlight=False, soft_wrap=True)
 
@@ -47,7 +48,9 @@ def progress(label: str) -> Iterator[Progress]:
     )
     with Bars(*columns, console=err, transient=True) as bar:
         task = bar.add_task(label, total=1.0)
-        yield lambda fraction, text: bar.update(task, completed=fraction, description=text[:60].ljust(60))
+        yield lambda fraction, text: bar.update(
+            task, completed=fraction, description=text[:60].ljust(60)
+        )
 
 
 def rows(title: str, heads: Sequence[str], body: Sequence[Sequence[object]]) -> None:
@@ -87,12 +90,17 @@ def json_target(value: str | None) -> str | None:
 
 
 Json = Annotated[
-    str | None, typer.Option("--json", metavar="FILE", help="Write JSON; - is standard output.", callback=json_target)
+    str | None,
+    typer.Option(
+        "--json", metavar="FILE", help="Write JSON; - is standard output.", callback=json_target
+    ),
 ]
 
 
 def file_to(option: str, what: str, *endings: str) -> Any:
-    """An option with a file to write, its folder there and its ending allowed, before any work; `what` is its help."""
+    """An option with a file to write, its folder there and its ending allowed, before any work;
+    `what` is its help.
+    """
 
     def check(value: Path | None) -> Path | None:
         if value is not None and not value.parent.is_dir():
@@ -100,10 +108,14 @@ def file_to(option: str, what: str, *endings: str) -> Any:
         if value is not None and value.is_dir():
             raise ConfigError(f"{option} {value}: a folder; name a file in it")
         if value is not None and value.suffix.lower() not in endings:
-            raise ConfigError(f"{option} {value}: format {value.suffix!r}{did_you_mean(value.suffix, endings)}")
+            raise ConfigError(
+                f"{option} {value}: format {value.suffix!r}{did_you_mean(value.suffix, endings)}"
+            )
         return value
 
-    return typer.Option(option, metavar="FILE", help=f"{what}: {', '.join(endings)}.", callback=check)
+    return typer.Option(
+        option, metavar="FILE", help=f"{what}: {', '.join(endings)}.", callback=check
+    )
 
 
 def one_of(option: str, allowed: Iterable[str], what: str, otherwise: str = "") -> Any:
@@ -119,7 +131,11 @@ def one_of(option: str, allowed: Iterable[str], what: str, otherwise: str = "") 
         return value
 
     return typer.Option(
-        option, metavar="NAME", help=f"{what}: {', '.join(names)}.", callback=check, show_default=otherwise or True
+        option,
+        metavar="NAME",
+        help=f"{what}: {', '.join(names)}.",
+        callback=check,
+        show_default=otherwise or True,
     )
 
 

@@ -10,7 +10,9 @@ from ringtrue.model.seconds import in_seconds
 
 
 def stated(model: Model, units: str) -> Model:
-    """The model with its time in seconds; what is not plausible of it in the stated units is told."""
+    """The model with its time in seconds; what is not plausible of it in the stated units is
+    told.
+    """
     warn_of_units(model, units)
     return in_seconds(model, UNIT_SYSTEMS[units])
 

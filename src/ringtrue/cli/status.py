@@ -17,7 +17,8 @@ class ExitStatus(IntEnum):
 
 WORDS = {
     ExitStatus.DONE: "done",
-    ExitStatus.FAILED: "a result missed its own check or a stated limit, or a computation or solver failed",
+    ExitStatus.FAILED: "a result missed its own check or a stated limit, or a computation or "
+    "solver failed",
     ExitStatus.REFUSED: "the input or an option is wrong or not supported: nothing was computed",
     ExitStatus.FAULT: "a fault of ringtrue: the message names the file with its details",
     ExitStatus.STOPPED: "stopped by Ctrl-C or by a batch system (SIGTERM)",
@@ -26,4 +27,8 @@ WORDS = {
 
 def in_words() -> str:
     """All of them in one paragraph."""
-    return "Exit status: " + "; ".join(f"{status.value} {what}" for status, what in WORDS.items()) + "."
+    return (
+        "Exit status: "
+        + "; ".join(f"{status.value} {what}" for status, what in WORDS.items())
+        + "."
+    )

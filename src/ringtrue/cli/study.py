@@ -40,17 +40,27 @@ def _summary(folder: Path) -> Any:
 
 
 def demo(
-    folder: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where everything goes.")] = Path("lsf"),
-    seed: Annotated[int, typer.Option(metavar="N", help="Draws which regions are wrong, by how much, all noise.")] = 0,
+    folder: Annotated[
+        Path, typer.Option("--out", metavar="DIR", help="Where everything goes.")
+    ] = Path("lsf"),
+    seed: Annotated[
+        int,
+        typer.Option(metavar="N", help="Draws which regions are wrong, by how much, all noise."),
+    ] = 0,
     fast: Annotated[bool, typer.Option("--fast", help="Shorter records.")] = False,
-    full: Annotated[bool, typer.Option("--full", help="With the 11.4-hour ambient record.")] = False,
+    full: Annotated[
+        bool, typer.Option("--full", help="With the 11.4-hour ambient record.")
+    ] = False,
     json: Json = None,
 ) -> int:
-    """The worked example: a 1,600 t spin test facility, from deck and raw signals to the validated model.
+    """The worked example: a 1,600 t spin test facility, from deck and raw signals to the validated
+    model.
 
     Example: ringtrue demo --out lsf
     """
-    from ringtrue.demos.lsf.demo import run_demo  # here, so that no other command needs the worked example
+    from ringtrue.demos.lsf.demo import (
+        run_demo,
+    )  # here, so that no other command needs the worked example
 
     with progress("large spinning facility") as show:
         result = run_demo(folder, seed, fast=fast, full=full, progress=show)
@@ -65,18 +75,23 @@ def demo(
 
 def run(
     study: Annotated[Path, typer.Argument(help="study.toml")],
-    folder: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Where results go.")] = None,
-    first: Annotated[str | None, typer.Option("--from", metavar="STAGE", help="Run anew from this stage on.")] = None,
+    folder: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Where results go.")
+    ] = None,
+    first: Annotated[
+        str | None, typer.Option("--from", metavar="STAGE", help="Run anew from this stage on.")
+    ] = None,
     until: Annotated[
-        str | None, typer.Option("--until", metavar="STAGE", help=f"The last stage to run. Stages: {ORDER}.")
+        str | None,
+        typer.Option("--until", metavar="STAGE", help=f"The last stage to run. Stages: {ORDER}."),
     ] = None,
     json: Json = None,
 ) -> int:
     """Run a study: what is up to date is taken from study.h5, the rest is computed.
 
-    Exit status 1: the updating did not converge (one that stalled is judged by the limits, where there are any), or the
-    final model misses a limit of \\[correlate] (accept_percent,
-    accept_hz, accept_mac, accept_pairs, accept_mean_percent, accept_mean_mac, accept_orthogonality,
+    Exit status 1: the updating did not converge (one that stalled is judged by the limits, where
+    there are any), or the final model misses a limit of \\[correlate] (accept_percent, accept_hz,
+    accept_mac, accept_pairs, accept_mean_percent, accept_mean_mac, accept_orthogonality,
     accept_off_diagonal) that study.toml sets.
 
     Example: ringtrue run study.toml --until correlate
@@ -101,7 +116,10 @@ def run(
         out.print(f"report: {path}")
         _verdict(stated)
     if result.altered:
-        err.print(f"edited while the study ran, which took it as it was: {', '.join(result.altered)}; run it again")
+        err.print(
+            f"edited while the study ran, which took it as it was: {', '.join(result.altered)}; "
+            "run it again"
+        )
     for line in missed_words(result.config, result.results):
         err.print(f"not accepted: {line}")
     if outcome is not None and not outcome.ok:
@@ -110,10 +128,11 @@ def run(
 
 
 def settles(outcome: Outcome | None, stated: tuple[Check, ...]) -> bool:
-    """Whether the end of an updating leaves it to the limits of the study whether its model is good.
+    """Whether the end of an updating leaves it to the limits of the study whether its model is
+    good.
 
-    Where no step lowers the objective any more the end is as good as it gets, and stated limits judge it; one that was
-    cut short is no result.
+    Where no step lowers the objective any more the end is as good as it gets, and stated limits
+    judge it; one that was cut short is no result.
     """
     return outcome is None or outcome.ok or (outcome is Outcome.STALLED and bool(stated))
 
@@ -125,8 +144,12 @@ def _outcome(result: StudyRun) -> Outcome | None:
 
 
 def report(
-    store: Annotated[Path, typer.Argument(help="study.h5, the study.toml beside it, or their folder.")],
-    target: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="The HTML file.")] = None,
+    store: Annotated[
+        Path, typer.Argument(help="study.h5, the study.toml beside it, or their folder.")
+    ],
+    target: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE", help="The HTML file.")
+    ] = None,
     json: Json = None,
 ) -> int:
     """Write the report of a stored study anew.

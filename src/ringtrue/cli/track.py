@@ -81,16 +81,26 @@ def _starts(text: str | None, records: Sequence[Path]) -> list[float | None]:
     except ValueError as e:
         raise ConfigError(f"--starts {text!r}: hours, separated by commas") from e
     if len(values) != len(records) or not all(map(math.isfinite, values)):
-        raise ConfigError(f"--starts {text!r}: {len(values)} hours for {len(records)} records; one for each")
+        raise ConfigError(
+            f"--starts {text!r}: {len(values)} hours for {len(records)} records; one for each"
+        )
     return list(values)
 
 
 def track(
-    records: Annotated[list[Path], typer.Argument(help="Records in order of time: .h5, .npy, .csv, .mat or .uff")],
-    hours: Annotated[float, typer.Option("--hours", metavar="H", help="Length of a stretch.")] = 1.0,
+    records: Annotated[
+        list[Path], typer.Argument(help="Records in order of time: .h5, .npy, .csv, .mat or .uff")
+    ],
+    hours: Annotated[
+        float, typer.Option("--hours", metavar="H", help="Length of a stretch.")
+    ] = 1.0,
     starts: Annotated[
         str | None,
-        typer.Option("--starts", metavar="H,H,...", help="Start of each record; without it one follows the other."),
+        typer.Option(
+            "--starts",
+            metavar="H,H,...",
+            help="Start of each record; without it one follows the other.",
+        ),
     ] = None,
     rate: Rate = None,
     fmin: Fmin = None,
@@ -99,17 +109,24 @@ def track(
         list[str] | None,
         typer.Option(
             metavar="NAME",
-            help="Regress on this temperature, which modes may follow hours behind: the mean of a channel, "
+            help="Regress on this temperature, which modes may follow hours behind: the mean of "
+            "a channel, "
             "which is no response, or a column of --environment.",
         ),
     ] = None,
     amplitude: Annotated[
         list[str] | None,
-        typer.Option("--amplitude", metavar="CHANNEL", help="Regress on the root mean square of this channel."),
+        typer.Option(
+            "--amplitude",
+            metavar="CHANNEL",
+            help="Regress on the root mean square of this channel.",
+        ),
     ] = None,
     environment: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Regress on the columns of a .csv; the first is the time, h."),
+        typer.Option(
+            metavar="FILE", help="Regress on the columns of a .csv; the first is the time, h."
+        ),
     ] = None,
     drift: Annotated[bool, typer.Option("--drift", help="Regress on time too, h.")] = False,
     leave_out: LeaveOut = None,
@@ -123,9 +140,11 @@ def track(
     ] = None,
     json: Json = None,
 ) -> int:
-    """Modes followed through long records: frequency against temperature and amplitude, outliers, changes.
+    """Modes followed through long records: frequency against temperature and amplitude, outliers,
+    changes.
 
-    Example: ringtrue track day1.h5 day2.h5 --hours 1 --temperature T1 --csv modes.csv --plot modes.html
+    Example: ringtrue track day1.h5 day2.h5 --hours 1 --temperature T1 --csv modes.csv --plot
+    modes.html
     """
     check_band(fmin, fmax)
     if not 0 < hours < math.inf:
@@ -134,19 +153,25 @@ def track(
     begin = _starts(starts, records)
     given = _given(environment) if environment else None
     heat = tuple(temperature or ())
-    env = _Environment(tuple(t for t in heat if not (given and t in given.names)), tuple(amplitude or ()))
+    env = _Environment(
+        tuple(t for t in heat if not (given and t in given.names)), tuple(amplitude or ())
+    )
     with progress("modes through time") as show:
-        found, values, notes = _collect(records, begin, (rate, hours), (settings, env, given, leave_out or ()), show)
+        found, values, notes = _collect(
+            records, begin, (rate, hours), (settings, env, given, leave_out or ()), show
+        )
     found, gains = with_equal_gains(found)
     tracked = track_modes(found)
     notes += [
-        f"channel {g.channel}: {g.factor:.4g} ± {g.std:.1g} times as much as before from {found[g.at].time:.4g} h on, "
+        f"channel {g.channel}: {g.factor:.4g} ± {g.std:.1g} times as much as before from "
+        f"{found[g.at].time:.4g} h on, "
         "in all modes (another sensor or range?); its part of the shapes is divided by that"
         for g in gains
     ]
     if given and not any(given.time[0] <= t <= given.time[-1] for t in tracked.times):
         raise DataError(
-            f"{environment}: its times, {given.time[0]:.4g} to {given.time[-1]:.4g} h, are not those of the stretches, "
+            f"{environment}: its times, {given.time[0]:.4g} to {given.time[-1]:.4g} h, are not "
+            "those of the stretches, "
             f"{tracked.times[0]:.4g} to {tracked.times[-1]:.4g} h; the first column is in hours"
         )
     columns = (*env.names, *(given.names if given else ()))
@@ -155,7 +180,9 @@ def track(
     notes += late
     if drift:
         regressors["time"] = tracked.times
-    fits = {t.name: _fit(t, tracked, regressors) for t in tracked.tracks if t.at.size >= LEAST_FITTED}
+    fits = {
+        t.name: _fit(t, tracked, regressors) for t in tracked.tracks if t.at.size >= LEAST_FITTED
+    }
     notes += [*_come_and_gone(tracked), *_rare(tracked)]
     if table:
         _write(table, _csv(tracked, fits, regressors))
@@ -176,7 +203,9 @@ def _collect(
     how: tuple[AmbientSettings, _Environment, _Given | None, Sequence[str]],
     show: Progress,
 ) -> tuple[list[Stretch], list[list[float]], list[str]]:
-    """The modes of all stretches, their environment, and what is to be said; `cut` is the rate and hours."""
+    """The modes of all stretches, their environment, and what is to be said; `cut` is the rate and
+    hours.
+    """
     (rate, hours), (settings, env, given, lost) = cut, how
     found: list[Stretch] = []
     values: list[list[float]] = []
@@ -191,7 +220,9 @@ def _collect(
                 show(i / len(records), f"{path.name}, {at:.4g} h")
                 at += length
                 if length < 0.5 * hours:
-                    notes.append(f"{path.name}: the last {60 * length:.3g} min are too short for a stretch")
+                    notes.append(
+                        f"{path.name}: the last {60 * length:.3g} min are too short for a stretch"
+                    )
                     continue
                 _check_names(part, (*env.mean, *env.rms, *lost), path)
                 stretch, why = _identified(part, env, lost, settings, middle)
@@ -212,9 +243,15 @@ def _check_names(part: TimeHistory, names: Sequence[str], path: Path) -> None:
 
 
 def _identified(
-    part: TimeHistory, env: _Environment, lost: Sequence[str], settings: AmbientSettings, middle: float
+    part: TimeHistory,
+    env: _Environment,
+    lost: Sequence[str],
+    settings: AmbientSettings,
+    middle: float,
 ) -> tuple[Stretch | None, list[str]]:
-    """The modes of one stretch, and what is to be said of it; None if it cannot be identified: a gap."""
+    """The modes of one stretch, and what is to be said of it; None if it cannot be identified: a
+    gap.
+    """
     motion = part.pick([c.id for c in part.channels if c.id not in {*env.mean, *lost}])
     if not np.isfinite(motion.data).any():
         return None, ["left out: all samples are missing"]
@@ -236,7 +273,9 @@ class _Given:
 
     def at(self, hour: float) -> list[float]:
         """The columns at a time; NaN outside."""
-        return [float(np.interp(hour, self.time, c, left=np.nan, right=np.nan)) for c in self.columns]
+        return [
+            float(np.interp(hour, self.time, c, left=np.nan, right=np.nan)) for c in self.columns
+        ]
 
 
 def _given(path: Path) -> _Given:
@@ -249,28 +288,45 @@ def _given(path: Path) -> _Given:
         raise
     except (ValueError, IndexError) as e:
         raise DataError(f"{path}: not a table of numbers under a line of names ({e})") from e
-    if values.ndim != 2 or values.shape[1] != len(names) or len(names) < 2 or not (np.diff(values[:, 0]) > 0).all():
-        raise DataError(f"{path}: needs a first column of rising hours and one more for each thing to regress on")
+    if (
+        values.ndim != 2
+        or values.shape[1] != len(names)
+        or len(names) < 2
+        or not (np.diff(values[:, 0]) > 0).all()
+    ):
+        raise DataError(
+            f"{path}: needs a first column of rising hours and one more for each thing to "
+            "regress on"
+        )
     return _Given(values[:, 0], names[1:], values[:, 1:].T)
 
 
 def _fit(t: ModeTrack, tracked: Tracked, regressors: Mapping[str, Float]) -> EnvironmentFit:
     clock = np.round(ticks(tracked.times)).astype(np.int64)[t.at]
-    return fit_environment(t.frequency, t.std_frequency, {k: v[t.at] for k, v in regressors.items()}, clock)
+    return fit_environment(
+        t.frequency, t.std_frequency, {k: v[t.at] for k, v in regressors.items()}, clock
+    )
 
 
 def _late(
     tracked: Tracked, regressors: Mapping[str, Float], temperatures: Sequence[str]
 ) -> tuple[dict[str, Float], list[str]]:
-    """The regressors with each temperature as late as all modes follow it, and what is to be said of that."""
+    """The regressors with each temperature as late as all modes follow it, and what is to be said
+    of that.
+    """
     modes = [Followed(t.frequency, t.std_frequency, t.at) for t in tracked.tracks]
     out: dict[str, Float] = {}
     notes = []
     for name, values in regressors.items():
         lag = thermal_lag(modes, tracked.times, values) if name in temperatures else 0.0
-        out[f"{name} {lag:g} h behind" if lag else name] = behind(tracked.times, values, lag) if lag else values
+        out[f"{name} {lag:g} h behind" if lag else name] = (
+            behind(tracked.times, values, lag) if lag else values
+        )
         if lag:
-            notes.append(f"{name}: the modes follow it with an inertia of {lag:g} h, as which they are regressed on it")
+            notes.append(
+                f"{name}: the modes follow it with an inertia of {lag:g} h, as which they are "
+                "regressed on it"
+            )
     return out, notes
 
 
@@ -279,15 +335,22 @@ def _come_and_gone(tracked: Tracked) -> list[str]:
     for t in tracked.tracks:
         before, after = unseen(tracked, t)
         if before:
-            notes.append(f"mode {t.name}: not seen before {tracked.times[t.at[0]]:.4g} h, in {before} stretches")
+            notes.append(
+                f"mode {t.name}: not seen before {tracked.times[t.at[0]]:.4g} h, in {before} "
+                "stretches"
+            )
         if after:
-            notes.append(f"mode {t.name}: not seen after {tracked.times[t.at[-1]]:.4g} h, in {after} stretches")
+            notes.append(
+                f"mode {t.name}: not seen after {tracked.times[t.at[-1]]:.4g} h, in {after} "
+                "stretches"
+            )
     return notes
 
 
 def _rare(tracked: Tracked) -> list[str]:
     return [
-        f"seen in {t.at.size} of {tracked.times.size} stretches only: a pole at {t.frequency.mean():.5g} Hz, "
+        f"seen in {t.at.size} of {tracked.times.size} stretches only: a pole at "
+        f"{t.frequency.mean():.5g} Hz, "
         f"at {tracked.times[t.at[0]]:.4g} h"
         for t in tracked.rare
     ]
@@ -298,10 +361,21 @@ def _write(path: Path, text: str) -> None:
         part.write_text(text, encoding="utf-8")
 
 
-def _csv(tracked: Tracked, fits: Mapping[str, EnvironmentFit], regressors: Mapping[str, Float]) -> str:
+def _csv(
+    tracked: Tracked, fits: Mapping[str, EnvironmentFit], regressors: Mapping[str, Float]
+) -> str:
     text = io.StringIO()
     write = csv.writer(text, lineterminator="\n")
-    heads = ("time_h", "mode", "frequency_hz", "std_frequency_hz", "damping", "std_damping", "confidence", "mac")
+    heads = (
+        "time_h",
+        "mode",
+        "frequency_hz",
+        "std_frequency_hz",
+        "damping",
+        "std_damping",
+        "confidence",
+        "mac",
+    )
     write.writerow([*heads, "corrected_hz", "residual", "outlier", *regressors])
     for t in tracked.tracks:
         fit = fits.get(t.name)
@@ -309,7 +383,12 @@ def _csv(tracked: Tracked, fits: Mapping[str, EnvironmentFit], regressors: Mappi
             own = (t.frequency, t.std_frequency, t.damping, t.std_damping, t.confidence, t.mac)
             more = (fit.corrected[k], fit.residual[k], int(fit.outlier[k])) if fit else ("", "", "")
             write.writerow(
-                [f"{tracked.times[at]:.6g}", t.name, *(_short(x[k]) for x in own), *map(_short, more)]
+                [
+                    f"{tracked.times[at]:.6g}",
+                    t.name,
+                    *(_short(x[k]) for x in own),
+                    *map(_short, more),
+                ]
                 + [_short(v[at]) for v in regressors.values()]
             )
     return text.getvalue()
@@ -324,14 +403,22 @@ def _number(x: float) -> float | None:
 
 
 def _json(
-    tracked: Tracked, fits: Mapping[str, EnvironmentFit], regressors: Mapping[str, Float], notes: Sequence[str]
+    tracked: Tracked,
+    fits: Mapping[str, EnvironmentFit],
+    regressors: Mapping[str, Float],
+    notes: Sequence[str],
 ) -> dict[str, Any]:
     stretches = [
         {"time_h": float(h), **{k: _number(v[i]) for k, v in regressors.items()}}
         for i, h in enumerate(tracked.times.tolist())
     ]
     modes = [_mode_json(t, tracked, fits.get(t.name)) for t in tracked.tracks]
-    return {"stretches": stretches, "channels": list(tracked.channels), "modes": modes, "notes": list(notes)}
+    return {
+        "stretches": stretches,
+        "channels": list(tracked.channels),
+        "modes": modes,
+        "notes": list(notes),
+    }
 
 
 def _mode_json(t: ModeTrack, tracked: Tracked, fit: EnvironmentFit | None) -> dict[str, Any]:
@@ -364,12 +451,25 @@ def _mode_json(t: ModeTrack, tracked: Tracked, fit: EnvironmentFit | None) -> di
             "scatter_hz": fit.scatter,
             "memory": fit.memory,
             "slopes": [
-                {"name": n, "centre": _number(c), "hz_per_unit": _number(b), "std": _number(s), "p_value": _number(p)}
-                for n, c, b, s, p in zip(fit.names, fit.centre, fit.slope, fit.std_slope, fit.p_value, strict=True)
+                {
+                    "name": n,
+                    "centre": _number(c),
+                    "hz_per_unit": _number(b),
+                    "std": _number(s),
+                    "p_value": _number(p),
+                }
+                for n, c, b, s, p in zip(
+                    fit.names, fit.centre, fit.slope, fit.std_slope, fit.p_value, strict=True
+                )
             ],
         },
         "changes": [
-            {"time_h": float(times[c.at]), "shift_hz": c.shift, "std_hz": c.std, "p_value": c.p_value}
+            {
+                "time_h": float(times[c.at]),
+                "shift_hz": c.shift,
+                "std_hz": c.std,
+                "p_value": c.p_value,
+            }
             for c in fit.changes
         ],
     }
@@ -382,7 +482,16 @@ def _show(tracked: Tracked, fits: Mapping[str, EnvironmentFit], notes: Sequence[
         f = fit.reference if fit else float(t.frequency.mean())
         span = f"{t.frequency.min():.5g} .. {t.frequency.max():.5g}"
         seen = f"{t.at.size} of {tracked.times.size}"
-        body.append((t.name, f"{f:.5g}", span, f"{100 * np.median(t.damping):.3f}", seen, _words(t, tracked, fit)))
+        body.append(
+            (
+                t.name,
+                f"{f:.5g}",
+                span,
+                f"{100 * np.median(t.damping):.3f}",
+                seen,
+                _words(t, tracked, fit),
+            )
+        )
     heads = ("mode", "f [Hz]", "from .. to", "damping [%]", "stretches", "environment")
     rows(f"{len(tracked.tracks)} modes through {tracked.times.size} stretches", heads, body)
     tell(notes)
@@ -394,11 +503,16 @@ def _words(t: ModeTrack, tracked: Tracked, fit: EnvironmentFit | None) -> str:
     known = np.isfinite(fit.slope)
     told = [
         f"{n}: {b:+.3g} ± {s:.1g} Hz per unit (p {p:.1g})"
-        for n, b, s, p, k in zip(fit.names, fit.slope, fit.std_slope, fit.p_value, known, strict=True)
+        for n, b, s, p, k in zip(
+            fit.names, fit.slope, fit.std_slope, fit.p_value, known, strict=True
+        )
         if k
     ]
     told += [f"{int(fit.outlier.sum())} outliers"] if fit.outlier.any() else []
     times = tracked.times[t.at]
-    told += [f"change at {times[c.at]:.4g} h: {c.shift:+.3g} ± {c.std:.1g} Hz (p {c.p_value:.1g})" for c in fit.changes]
+    told += [
+        f"change at {times[c.at]:.4g} h: {c.shift:+.3g} ± {c.std:.1g} Hz (p {c.p_value:.1g})"
+        for c in fit.changes
+    ]
     told += [f"first seen at {times[0]:.4g} h"] if t.at[0] > 0 else []
     return "; ".join(told)

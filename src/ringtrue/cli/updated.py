@@ -34,7 +34,12 @@ def _sides(problem: Problem, done: Verified) -> tuple[Evaluated, Evaluated]:
 
 
 def summary_of(
-    config: StudyConfig, problem: Problem, done: Verified, data: Sequence[Data], solver: str, seen: bool
+    config: StudyConfig,
+    problem: Problem,
+    done: Verified,
+    data: Sequence[Data],
+    solver: str,
+    seen: bool,
 ) -> dict[str, Any]:
     """The updating of a problem as JSON has it; `seen`: shapes were measured."""
     sides, end, parameters = _sides(problem, done), done.solution, config.candidates()
@@ -44,16 +49,27 @@ def summary_of(
         "outcome": end.outcome.value,
         "why": end.why if end.outcome.ok else f"{end.outcome.value} ({end.why})",
         "objective": [s.cost for s in sides],
-        "discrepancy_percent": dict(zip(("frequency", "mac"), map(_number, 100 * kept(done.problem)), strict=True)),
+        "discrepancy_percent": dict(
+            zip(("frequency", "mac"), map(_number, 100 * kept(done.problem)), strict=True)
+        ),
         "solver": solver,
         "basis_error": done.error,
         "full_solutions": done.full_solutions,
         "parameters": [
-            {"name": n, "factor": float(a), "relative_std": float(s), "posterior_over_prior": float(t)}
-            for n, a, s, t in zip(parameters.names, end.factors, std, end.identifiability, strict=True)
+            {
+                "name": n,
+                "factor": float(a),
+                "relative_std": float(s),
+                "posterior_over_prior": float(t),
+            }
+            for n, a, s, t in zip(
+                parameters.names, end.factors, std, end.identifiability, strict=True
+            )
         ],
         "flags": [f.text for f in flags],
-        "modes": _modes(problem.configurations[0].target, (sides[0].points[0], sides[1].points[0]), seen),
+        "modes": _modes(
+            problem.configurations[0].target, (sides[0].points[0], sides[1].points[0]), seen
+        ),
     } | _measured(data, sides)
 
 
@@ -66,12 +82,16 @@ def _measured(data: Sequence[Data], sides: tuple[Evaluated, Evaluated]) -> dict[
         columns = (d.measured, d.shown(d.term(before)), d.shown(d.term(after)))
         for label, unit, *values in zip(d.labels, d.units, *columns, strict=True):
             told = map(_number, values)
-            found.append({"name": d.name, "what": label, "unit": unit} | dict(zip(SIDES, told, strict=True)))
+            found.append(
+                {"name": d.name, "what": label, "unit": unit} | dict(zip(SIDES, told, strict=True))
+            )
     return {"measured": found}
 
 
 def _modes(target: Target, sides: tuple[Point, Point], seen: bool) -> list[dict[str, Any]]:
-    """Deviation and MAC of each test mode, before and after; null without a partner, or shapes that were `seen`."""
+    """Deviation and MAC of each test mode, before and after; null without a partner, or shapes that
+    were `seen`.
+    """
     f, k = target.frequencies, target.frequencies.size
     found: Float = np.full((6, k), np.nan)
     for i, at in enumerate(sides):
@@ -81,7 +101,11 @@ def _modes(target: Target, sides: tuple[Point, Point], seen: bool) -> list[dict[
         if seen:
             single[t] = 100 * paired_mac(target.shapes[:, t], at.now.shapes[:, j])
             subspace[t] = 100 * at.mac
-    names = tuple(f"{what}{when}_percent" for when in ("_before", "") for what in ("deviation", "mac", "subspace_mac"))
+    names = tuple(
+        f"{what}{when}_percent"
+        for when in ("_before", "")
+        for what in ("deviation", "mac", "subspace_mac")
+    )
     return [
         {"frequency_hz": float(f[i]), "used": bool(target.used[i])}
         | dict(zip(names, map(_number, found[:, i].tolist()), strict=True))
@@ -92,18 +116,41 @@ def _modes(target: Target, sides: tuple[Point, Point], seen: bool) -> list[dict[
 def show_summary(study: Path, summary: dict[str, Any]) -> None:
     """Print it."""
     body: list[tuple[object, ...]] = [
-        (p["name"], f"{p['factor']:.4f}", f"{100 * p['relative_std']:.1f}", f"{p['posterior_over_prior']:.2f}")
+        (
+            p["name"],
+            f"{p['factor']:.4f}",
+            f"{100 * p['relative_std']:.1f}",
+            f"{p['posterior_over_prior']:.2f}",
+        )
         for p in summary["parameters"]
     ]
     rows(f"{study}: parameters", ("parameter", "factor", "± [%]", "posterior/prior"), body)
     body = [
-        (i + 1, f"{m['frequency_hz']:.5g}", *(_cell(v) for v in list(m.values())[2:]), "" if m["used"] else "left out")
+        (
+            i + 1,
+            f"{m['frequency_hz']:.5g}",
+            *(_cell(v) for v in list(m.values())[2:]),
+            "" if m["used"] else "left out",
+        )
         for i, m in enumerate(summary["modes"])
     ]
-    heads = ("#", "f test [Hz]", "Δf before [%]", "MAC", "subspace", "Δf after [%]", "MAC", "subspace", "")
+    heads = (
+        "#",
+        "f test [Hz]",
+        "Δf before [%]",
+        "MAC",
+        "subspace",
+        "Δf after [%]",
+        "MAC",
+        "subspace",
+        "",
+    )
     rows("modes", heads, body)
     if summary.get("measured"):
-        body = [(m["name"], m["what"], m["unit"], *(_short(m[k]) for k in SIDES)) for m in summary["measured"]]
+        body = [
+            (m["name"], m["what"], m["unit"], *(_short(m[k]) for k in SIDES))
+            for m in summary["measured"]
+        ]
         rows("beside the modes", ("", "what", "unit", *SIDES), body)
     weighed = weighed_by([(v or 0.0) / 100 for v in summary["discrepancy_percent"].values()])
     deviations = [f"deviation{when}_percent" for when in ("_before", "")]
@@ -121,7 +168,10 @@ def show_summary(study: Path, summary: dict[str, Any]) -> None:
     if summary["solver"] == EMBEDDED:
         error = summary["basis_error"]
         count = summary["full_solutions"]
-        told = f"{count} full solution{'s' if count != 1 else ''}; the reduced model is off by {error:.1e} at most"
+        told = (
+            f"{count} full solution{'s' if count != 1 else ''}; the reduced model is off by "
+            f"{error:.1e} at most"
+        )
     else:
         told = f"{summary['full_solutions']} runs of {summary['solver']}"
     out.print(told)

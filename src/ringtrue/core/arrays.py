@@ -15,13 +15,17 @@ Any_ = NDArray[Any]
 
 
 def frozen(a: ArrayLike, dtype: Any = None) -> NDArray[Any]:
-    """A read-only view of `a` (a copy only where the type changes); the caller's array stays writable."""
+    """A read-only view of `a` (a copy only where the type changes); the caller's array stays
+    writable.
+    """
     view = np.asarray(a, dtype=dtype).view()
     view.flags.writeable = False
     return view
 
 
 def freeze_fields(obj: object, **dtypes: Any) -> None:
-    """Replace the named fields of a frozen dataclass by read-only arrays of the given dtypes (None: as is)."""
+    """Replace the named fields of a frozen dataclass by read-only arrays of the given dtypes (None:
+    as is).
+    """
     for name, dtype in dtypes.items():
         object.__setattr__(obj, name, frozen(getattr(obj, name), dtype))

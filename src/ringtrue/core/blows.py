@@ -1,4 +1,6 @@
-"""The blows of a hammer behind FRFs: what rings on from earlier ones, and the noise on their force."""
+"""The blows of a hammer behind FRFs: what rings on from earlier ones, and the noise on their
+force.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +16,8 @@ from ringtrue.core.arrays import Complex, Float, Int, freeze_fields
 class Blows:
     """Blows, each with those of its record that came before it.
 
-    An earlier blow of impulse a rings on as a e^{λτ}, in the shape of a mode and decaying with its pole: it multiplies
-    the residue that a blow of impulse A shows by 1 + a e^{λτ}/A.
+    An earlier blow of impulse a rings on as a e^{λτ}, in the shape of a mode and decaying with its
+    pole: it multiplies the residue that a blow of impulse A shows by 1 + a e^{λτ}/A.
 
     Attributes
     ----------
@@ -46,14 +48,18 @@ class Blows:
         return np.asarray(1 + rest.sum(axis=1))
 
     def factors(self, poles: Complex) -> tuple[Complex, Complex]:
-        """Factors of the shapes (out, m) and of the participations (m, in), least squares where FRFs have their own."""
+        """Factors of the shapes (out, m) and of the participations (m, in), least squares where
+        FRFs have their own.
+        """
         both = np.tensordot(self.weight, self.each(poles), (0, 0))  # (out, in, m)
         part = both.mean(axis=0)
         shape = (both * part.conj()).sum(axis=1) / (np.abs(part) ** 2).sum(axis=0)
         return np.asarray(shape), np.asarray(part.T)
 
     def scatter(self, poles: Complex) -> Float:
-        """(m, out, in) variance of the factors from blow to blow, over their squared mean: it lowers the coherence."""
+        """(m, out, in) variance of the factors from blow to blow, over their squared mean: it
+        lowers the coherence.
+        """
         each = self.each(poles)
         mean = np.abs(np.tensordot(self.weight, each, (0, 0))) ** 2
         power = np.tensordot(self.weight, np.abs(each) ** 2, (0, 0))
@@ -64,7 +70,9 @@ class Blows:
         return np.array([np.interp(frequencies, self.freqs, n) for n in self.noise])
 
     def heard(self) -> float:
-        """The highest line, Hz, at which the force of the typical blow stands 10 dB out of its noise."""
+        """The highest line, Hz, at which the force of the typical blow stands 10 dB out of its
+        noise.
+        """
         clear = np.flatnonzero(np.median(self.noise, axis=0) < 0.1)
         return float(self.freqs[clear[-1]]) if clear.size else 0.0
 
@@ -82,11 +90,16 @@ class Blows:
 
 
 def joined(parts: Sequence[Blows | None], weights: Sequence[Float]) -> Blows | None:
-    """Of FRFs joined from parts with the same lines, `weights` (blow, out, in) each; None if one part has none."""
+    """Of FRFs joined from parts with the same lines, `weights` (blow, out, in) each; None if one
+    part has none.
+    """
     known = [p for p in parts if p is not None]
     if len(known) < len(parts):
         return None
-    delay, ratio = padded([x for p in known for x in p.delay]), padded([x for p in known for x in p.ratio])
+    delay, ratio = (
+        padded([x for p in known for x in p.delay]),
+        padded([x for p in known for x in p.ratio]),
+    )
     noise = np.concatenate([p.noise for p in known])
     return Blows(delay, ratio, np.concatenate(weights), known[0].freqs, noise)
 

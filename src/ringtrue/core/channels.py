@@ -10,7 +10,9 @@ import numpy as np
 from ringtrue.core.arrays import Float, Int
 
 SHOWN = 8  # channels that a message names
-_LABEL = re.compile(r"(\d+):?([+-]?)(R?[XYZ]S?)", re.IGNORECASE)  # an S: skewed, named after its nearest axis
+_LABEL = re.compile(
+    r"(\d+):?([+-]?)(R?[XYZ]S?)", re.IGNORECASE
+)  # an S: skewed, named after its nearest axis
 
 
 def split_label(name: str) -> tuple[int, float, str] | None:
@@ -27,8 +29,12 @@ def split_label(name: str) -> tuple[int, float, str] | None:
     return int(found[1]), -1.0 if found[2] == "-" else 1.0, found[3].upper()
 
 
-def other_names(given: Sequence[str], known: Sequence[str], sign: Sequence[float] | Float) -> tuple[str, ...]:
-    """That channels bear other names than on the sensor sheet, in words; nothing where none does."""
+def other_names(
+    given: Sequence[str], known: Sequence[str], sign: Sequence[float] | Float
+) -> tuple[str, ...]:
+    """That channels bear other names than on the sensor sheet, in words; nothing where none
+    does.
+    """
     pairs = zip(given, known, map(float, sign), strict=True)
     told = [f"{one} is {two}{' turned' * (way < 0)}" for one, two, way in pairs if one != two]
     told = list(dict.fromkeys(told))
@@ -45,13 +51,16 @@ def input_id(channel: str) -> str:
 
 
 def opposite(name: str) -> str:
-    """The name of the same sensor read the other way, `4-X` of `4+X`; empty where the name tells no direction."""
+    """The name of the same sensor read the other way, `4-X` of `4+X`; empty where the name tells no
+    direction.
+    """
     label = split_label(name)
     return f"{label[0]}{'+' if label[1] < 0 else '-'}{label[2]}" if label else ""
 
 
 def match_channels(asked: Sequence[str], known: Sequence[str]) -> tuple[Int, Float]:
-    """Where channels stand among others: by the same name, else by the same point and axis, whatever the sign.
+    """Where channels stand among others: by the same name, else by the same point and axis,
+    whatever the sign.
 
     Parameters
     ----------

@@ -1,4 +1,6 @@
-"""A choice of modes by hand: what is picked on a stabilisation diagram, what is rejected, what is one mode."""
+"""A choice of modes by hand: what is picked on a stabilisation diagram, what is rejected, what is
+one mode.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,9 @@ class Pick:
     def __post_init__(self) -> None:
         _positive("pick", self.frequency)
         if self.order < 0:
-            raise ConfigError(f"pick at {self.frequency:g} Hz: order {self.order} must be 1 or more, or left out")
+            raise ConfigError(
+                f"pick at {self.frequency:g} Hz: order {self.order} must be 1 or more, or left out"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +63,9 @@ class Merge:
         for f in self.frequencies:
             _positive("merge", f)
         if len(self.frequencies) < 2:
-            raise ConfigError(f"merge of {list(self.frequencies)} Hz: needs two frequencies or more")
+            raise ConfigError(
+                f"merge of {list(self.frequencies)} Hz: needs two frequencies or more"
+            )
 
 
 def _positive(what: str, f: float) -> None:
@@ -77,7 +83,8 @@ class Choice:
     rejects : tuple of Reject
     merges : tuple of Merge
     automatic : bool
-        The automatic modes stay, but for those rejected or merged; otherwise only what is picked is reported.
+        The automatic modes stay, but for those rejected or merged; otherwise only what is picked is
+        reported.
     source : str
         Where the choice is stored.
     """

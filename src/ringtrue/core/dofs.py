@@ -1,4 +1,6 @@
-"""Labelled, signed degrees of freedom: the text form is `101+Z` or `101:+Z`, `101-RX`, or `7` for a scalar point."""
+"""Labelled, signed degrees of freedom: the text form is `101+Z` or `101:+Z`, `101-RX`, or `7` for a
+scalar point.
+"""
 
 from __future__ import annotations
 
@@ -46,14 +48,18 @@ class DofSet:
     def __post_init__(self) -> None:
         freeze_fields(self, node=np.int64, direction=np.int8)
         if self.node.shape != self.direction.shape or self.node.ndim != 1:
-            raise InputError(f"node {self.node.shape} and direction {self.direction.shape} must be equal (n,)")
+            raise InputError(
+                f"node {self.node.shape} and direction {self.direction.shape} must be equal (n,)"
+            )
         if self.direction.size and np.abs(self.direction).max() > 6:
             raise InputError(f"direction {int(np.abs(self.direction).max())}: allowed are -6..6")
         key = self.key
         if np.unique(key).size != key.size:
             values, count = np.unique(key, return_counts=True)
             twice = int(values[count > 1][0])
-            raise InputError(f"DOF {twice // 8}{'+' + NAMES[twice % 8] if twice % 8 else ''} occurs twice")
+            raise InputError(
+                f"DOF {twice // 8}{'+' + NAMES[twice % 8] if twice % 8 else ''} occurs twice"
+            )
 
     @property
     def key(self) -> Int:
@@ -79,7 +85,8 @@ class DofSet:
         return tuple(map(_label, self.node.tolist(), self.direction.tolist()))
 
     def by_components(self) -> dict[str, list[int]]:
-        """Nodes by the components that they have here, whatever their signs, as SPC1 lists them; 0 is a scalar point.
+        """Nodes by the components that they have here, whatever their signs, as SPC1 lists them; 0
+        is a scalar point.
 
         >>> DofSet.parse(["3+RX", "3+Z", "7+RX", "5+Z", "5+RX"]).by_components()
         {'34': [3, 5], '4': [7]}
@@ -89,7 +96,9 @@ class DofSet:
         has[row, np.abs(self.direction)] = True
         kinds, of = np.unique(has, axis=0, return_inverse=True)
         names = ["".join(map(str, np.flatnonzero(kind).tolist())) for kind in kinds]
-        return {name: node[of == k].tolist() for k, name in sorted(enumerate(names), key=lambda x: x[1])}
+        return {
+            name: node[of == k].tolist() for k, name in sorted(enumerate(names), key=lambda x: x[1])
+        }
 
     def find(self, node: Int, direction: Int) -> Int:
         """Positions of (node, |direction|) in this set, (k,) int64, -1 where absent."""
@@ -118,7 +127,9 @@ class DofSet:
         return self.signed(other.node, other.direction)
 
     def signed(self, node: Int, direction: Int) -> tuple[Int, Float]:
-        """As `align`, of (node, direction), (k,) each, among which a DOF may recur, as `101+Z` and `101-Z`."""
+        """As `align`, of (node, direction), (k,) each, among which a DOF may recur, as `101+Z` and
+        `101-Z`.
+        """
         index = self.find(node, direction)
         if (lost := np.flatnonzero(index < 0)).size:
             named = " ".join(map(_label, node[lost[:5]].tolist(), direction[lost[:5]].tolist()))
@@ -127,9 +138,11 @@ class DofSet:
         return index, sign
 
     def per_length(self, unit: float) -> Float:
-        """(n,) float64, 1/`unit` for rotations, else 1: what makes mass-normalised shapes those of another length.
+        """(n,) float64, 1/`unit` for rotations, else 1: what makes mass-normalised shapes those of
+        another length.
 
-        Shapes of mass-normalised modes at translations hold no length, at rotations one over a length; so do loads.
+        Shapes of mass-normalised modes at translations hold no length, at rotations one over a
+        length; so do loads.
         """
         return np.where(np.abs(self.direction) > 3, 1 / unit, 1.0)
 
@@ -138,7 +151,8 @@ NO_DOFS = DofSet(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int8))
 
 
 def parsed(labels: Iterable[str]) -> tuple[Int, Int]:
-    """Nodes (n,) int64 and directions (n,) int8 of text forms such as `101+Z`, a DOF as often as it is named.
+    """Nodes (n,) int64 and directions (n,) int8 of text forms such as `101+Z`, a DOF as often as it
+    is named.
 
     Raises
     ------

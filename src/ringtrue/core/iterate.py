@@ -46,7 +46,9 @@ class Iteration(Generic[S]):
         return self.states[-1]
 
 
-def iterate(algorithm: Algorithm[S], *, limit: int, progress: Progress | None = None) -> Iteration[S]:
+def iterate(
+    algorithm: Algorithm[S], *, limit: int, progress: Progress | None = None
+) -> Iteration[S]:
     """Run `algorithm` until it terminates, at most `limit` steps.
 
     Raises

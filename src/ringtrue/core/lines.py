@@ -13,7 +13,8 @@ _MOST = 0.5  # of the lines of the shortest axis, that must be shared
 
 
 def shared_lines(axes: Sequence[Float]) -> list[Int] | None:
-    """Where the lines that all axes share stand in each; None where these are no more than half of the fewest.
+    """Where the lines that all axes share stand in each; None where these are no more than half of
+    the fewest.
 
     Parameters
     ----------

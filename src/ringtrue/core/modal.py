@@ -65,5 +65,10 @@ class ModalModel:
     def to_modes(self, source: str = "") -> ModeSet:
         """The modes, complex shapes."""
         return ModeSet(
-            self.frequencies, self.damping, self.shapes, tuple(c.id for c in self.outputs), self.norm, source
+            self.frequencies,
+            self.damping,
+            self.shapes,
+            tuple(c.id for c in self.outputs),
+            self.norm,
+            source,
         )

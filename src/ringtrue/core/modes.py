@@ -76,7 +76,11 @@ class ModeSet:
             object.__setattr__(self, "labels", tuple(self.labels))
             if len(set(self.labels)) != len(self.labels):
                 raise InputError("a channel occurs twice in a mode set")
-        if self.shapes.shape != (len(self.labels), m) or self.damping.shape != (m,) or self.confidence.shape != (m,):
+        if (
+            self.shapes.shape != (len(self.labels), m)
+            or self.damping.shape != (m,)
+            or self.confidence.shape != (m,)
+        ):
             raise InputError(
                 f"{m} frequencies, damping {self.damping.shape}, shapes {self.shapes.shape}, "
                 f"{len(self.labels)} labels: shapes must be (labels, modes)"
@@ -110,7 +114,8 @@ class ModeSet:
         return self.take(np.flatnonzero((self.frequencies >= low) & (self.frequencies <= high)))
 
     def rows(self, channels: Sequence[str]) -> ModeSet:
-        """The chosen rows by label, in the given order; the set itself where these are all of its rows.
+        """The chosen rows by label, in the given order; the set itself where these are all of its
+        rows.
 
         Raises
         ------
@@ -122,7 +127,9 @@ class ModeSet:
         here = {c: i for i, c in enumerate(self.channels)}
         lost = [c for c in channels if c not in here]
         if lost:
-            raise InputError(f"channels not in {self.source or 'the mode set'}: {' '.join(lost[:8])}")
+            raise InputError(
+                f"channels not in {self.source or 'the mode set'}: {' '.join(lost[:8])}"
+            )
         at = [here[c] for c in channels]
         labels: DofSet | tuple[str, ...] = tuple(channels)
         if isinstance(self.labels, DofSet):

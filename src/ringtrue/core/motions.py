@@ -1,4 +1,6 @@
-"""Motions that sensors measure: orders of derivative, SI units, the kinds of FRF that they give, one made another."""
+"""Motions that sensors measure: orders of derivative, SI units, the kinds of FRF that they give,
+one made another.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +15,15 @@ from ringtrue.core.signals import Channel, FrfKind, Quantity
 Motion = Literal["displacement", "velocity", "acceleration"]
 DERIVATIVE: dict[str, int] = {"displacement": 0, "velocity": 1, "acceleration": 2}
 SI_UNIT: dict[str, str] = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2"}
-FRF_KIND: dict[str, FrfKind] = {"displacement": "receptance", "velocity": "mobility", "acceleration": "accelerance"}
+FRF_KIND: dict[str, FrfKind] = {
+    "displacement": "receptance",
+    "velocity": "mobility",
+    "acceleration": "accelerance",
+}
 OF_KIND: dict[str, Motion] = {FRF_KIND[m]: m for m in get_args(Motion)}
-POWER: dict[str, int] = {FRF_KIND[motion]: n for motion, n in DERIVATIVE.items()}  # of s, over the receptance
+POWER: dict[str, int] = {
+    FRF_KIND[motion]: n for motion, n in DERIVATIVE.items()
+}  # of s, over the receptance
 ANGULAR: dict[str, Quantity] = {  # the same about an axis, of the same kind of FRF
     "displacement": "rotation",
     "velocity": "angular velocity",
@@ -32,7 +40,10 @@ UNIT: dict[str, str] = {
     "moment": "N*m",
 }
 FORCES = ("force", "moment")
-MOTIONS: dict[str, FrfKind] = {**FRF_KIND, **{ANGULAR[motion]: kind for motion, kind in FRF_KIND.items()}}
+MOTIONS: dict[str, FrfKind] = {
+    **FRF_KIND,
+    **{ANGULAR[motion]: kind for motion, kind in FRF_KIND.items()},
+}
 
 _ABOUT = re.compile(r"[+-]R[XYZ]$")
 BASE = "base "  # how the name of a base begins
@@ -45,7 +56,9 @@ def channel(name: str, quantity: Quantity) -> Channel:
 
 
 def base_motion(name: str) -> Channel:
-    """The input of transmissibilities, the motion of a base; by its name no response is its driving point."""
+    """The input of transmissibilities, the motion of a base; by its name no response is its driving
+    point.
+    """
     return Channel(BASE + name, "acceleration", SI_UNIT["acceleration"])
 
 

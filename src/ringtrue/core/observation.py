@@ -39,14 +39,15 @@ class Observation:
         freeze_fields(self, distance=np.float64)
         if self.matrix.shape != (len(self.channels), len(self.dofs)):
             raise InputError(
-                f"observation {self.matrix.shape} for {len(self.channels)} channels and {len(self.dofs)} DOFs"
+                f"observation {self.matrix.shape} for {len(self.channels)} channels and "
+                f"{len(self.dofs)} DOFs"
             )
 
     def __call__(self, shapes: Any_) -> Any_:
         """Shapes (dof, m) of the model, seen at the channels (channel, m).
 
-        Mass-normalised shapes of a model in its own units stay so in SI through `unit` (length) elsewhere;
-        here only direction and place change.
+        Mass-normalised shapes of a model in its own units stay so in SI through `unit` (length)
+        elsewhere; here only direction and place change.
         """
         return np.asarray(self.matrix @ shapes)
 

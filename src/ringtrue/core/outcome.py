@@ -10,7 +10,9 @@ class Outcome(StrEnum):
 
     CONVERGED = "converged: the gradient or step is below its tolerance"
     STALLED = "stalled: no step lowers the objective; the start or the bounds may be the reason"
-    MAX_ITERATIONS = "stopped at the iteration limit: raise it, or look at the history for oscillation"
+    MAX_ITERATIONS = (
+        "stopped at the iteration limit: raise it, or look at the history for oscillation"
+    )
     NOT_FINITE = "stopped: the objective is not finite"
 
     @property

@@ -32,8 +32,8 @@ class Pairing:
     why_a, why_b : tuple of str
         The reason for each.
     rival : (k,) int64
-        Where frequencies alone decide: another mode of B that the mode of A may be, -1 if it may have no partner at
-        all, `SURE` where neither is likely; empty where shapes decide.
+        Where frequencies alone decide: another mode of B that the mode of A may be, -1 if it may
+        have no partner at all, `SURE` where neither is likely; empty where shapes decide.
     beyond : (k,) bool
         The pair is beyond the frequency gate: its modes look alike and like no other.
     """
@@ -53,8 +53,12 @@ class Pairing:
 
     def __post_init__(self) -> None:
         i, f, yes = np.int64, np.float64, np.bool_
-        freeze_fields(self, a=i, b=i, mac=f, frequency_error=f, sign=f, subspace=yes, lone_a=i, lone_b=i)
-        object.__setattr__(self, "beyond", self.beyond if len(self.beyond) else np.zeros(len(self.a), dtype=yes))
+        freeze_fields(
+            self, a=i, b=i, mac=f, frequency_error=f, sign=f, subspace=yes, lone_a=i, lone_b=i
+        )
+        object.__setattr__(
+            self, "beyond", self.beyond if len(self.beyond) else np.zeros(len(self.a), dtype=yes)
+        )
         freeze_fields(self, rival=i, beyond=yes)
 
     def __len__(self) -> int:

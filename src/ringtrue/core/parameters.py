@@ -16,7 +16,8 @@ Scale = Literal["log", "linear"]
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """A field of a card: `Target("MAT1", 7, "E")`, `Target("PBUSH", 3, "K3")`, `Target("PCOMP", 2, "T3")` (ply 3).
+    """A field of a card: `Target("MAT1", 7, "E")`, `Target("PBUSH", 3, "K3")`, `Target("PCOMP", 2,
+    "T3")` (ply 3).
 
     Attributes
     ----------
@@ -53,19 +54,25 @@ class Shape:
 
     def __post_init__(self) -> None:
         if len(self.nodes) != len(self.vectors) or len(set(self.nodes)) != len(self.nodes):
-            raise InputError(f"shape: {len(self.vectors)} vectors for {len(set(self.nodes))} different nodes")
+            raise InputError(
+                f"shape: {len(self.vectors)} vectors for {len(set(self.nodes))} different nodes"
+            )
 
 
 @dataclass(frozen=True, slots=True)
 class Substructure:
-    """A common factor on one matrix of some elements (EID): `Substructure("stiffness", (4, 5, 6))`."""
+    """A common factor on one matrix of some elements (EID): `Substructure("stiffness", (4, 5,
+    6))`.
+    """
 
     matrix: Literal["stiffness", "mass", "damping"]
     elements: tuple[int, ...]
 
     def __post_init__(self) -> None:
         if self.matrix not in ("stiffness", "mass", "damping") or not self.elements:
-            raise InputError(f"substructure of {len(self.elements)} elements, matrix {self.matrix!r}")
+            raise InputError(
+                f"substructure of {len(self.elements)} elements, matrix {self.matrix!r}"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,13 +107,18 @@ class Parameter:
 
     def __post_init__(self) -> None:
         if not 0 < self.lower < 1 < self.upper:
-            raise InputError(f"parameter {self.name}: bounds {self.lower}, {self.upper} must enclose 1 and be > 0")
+            raise InputError(
+                f"parameter {self.name}: bounds {self.lower}, {self.upper} must enclose 1 and be "
+                "> 0"
+            )
         if not self.std > 0:
             raise InputError(f"parameter {self.name}: std {self.std} must be > 0")
 
     @property
     def lump(self) -> float:
-        """Of a mass that is added to what a CONM2 has, that of a factor of 2; 0 of every other parameter."""
+        """Of a mass that is added to what a CONM2 has, that of a factor of 2; 0 of every other
+        parameter.
+        """
         one = self.targets[0] if len(self.targets) == 1 else None
         return one.step if one is not None and (one.card, one.field) == ("CONM2", "M") else 0.0
 

@@ -1,4 +1,6 @@
-"""Progress of long work: a callable that is told the share done, 0 to 1, and in words what is under way."""
+"""Progress of long work: a callable that is told the share done, 0 to 1, and in words what is under
+way.
+"""
 
 from __future__ import annotations
 

@@ -47,7 +47,8 @@ class TimeHistory:
     Attributes
     ----------
     data : (channel, sample) float32 or float64, in the unit of each channel
-        Copied where the samples of a channel are not side by side in memory, as in a table turned round.
+        Copied where the samples of a channel are not side by side in memory, as in a table turned
+        round.
     rate : float, Hz
     channels : tuple of Channel
     source : str
@@ -65,7 +66,10 @@ class TimeHistory:
         freeze_fields(self, data=None)
         object.__setattr__(self, "channels", tuple(self.channels))
         if self.data.ndim != 2 or self.data.shape[0] != len(self.channels):
-            raise DataError(f"data {self.data.shape} must be (channel, sample) with {len(self.channels)} channels")
+            raise DataError(
+                f"data {self.data.shape} must be (channel, sample) with {len(self.channels)} "
+                "channels"
+            )
         if not (np.isfinite(self.rate) and self.rate > 0):
             raise DataError(f"rate {self.rate} Hz: must be positive")
 
@@ -79,7 +83,10 @@ class TimeHistory:
         here = {c.id: i for i, c in enumerate(self.channels)}
         lost = [i for i in ids if i not in here]
         if lost:
-            raise DataError(f"{self.source}: no channel {' '.join(lost[:8])}; there are {' '.join(list(here)[:40])}")
+            raise DataError(
+                f"{self.source}: no channel {' '.join(lost[:8])}; there are "
+                f"{' '.join(list(here)[:40])}"
+            )
         at = [here[i] for i in ids]
         return replace(self, data=self.data[at], channels=tuple(self.channels[i] for i in at))
 
@@ -93,23 +100,28 @@ class FrfSet:
     data : (freq, out, in) complex128, SI
     freqs : (freq,) float64, Hz, ascending; of a stepped sine in uneven steps
     outputs, inputs : tuple of Channel
-        The id of an input is a point and direction like that of an output: equal ids mark a driving point.
+        The id of an input is a point and direction like that of an output: equal ids mark a driving
+        point.
     coherence : (freq, out, in) float64
         NaN where unknown, as all is if not given.
     averages : (in,) float64
         Hits or averages behind each column; NaN where unknown, as all is if not given.
     kind : str
     window_decay : float, 1/s
-        Decay rate σ of an exponential window e^{-σt} on the responses, still in the data; 0 for none.
+        Decay rate σ of an exponential window e^{-σt} on the responses, still in the data; 0 for
+        none.
     source : str
     kept : float, s
-        How long after the blow the response was cut off by the end of the block; inf where it was not, or is unknown.
+        How long after the blow the response was cut off by the end of the block; inf where it was
+        not, or is unknown.
     sharp : bool
-        Known to be free of leakage, however few lines a mode has: of a periodic force, or with transients estimated.
+        Known to be free of leakage, however few lines a mode has: of a periodic force, or with
+        transients estimated.
     blows : Blows, optional
         The blows behind the FRFs, where they are known.
     hann : float, s
-        Length of the blocks of noise under a Hann window that the FRFs are of; 0 for none, or unknown.
+        Length of the blocks of noise under a Hann window that the FRFs are of; 0 for none, or
+        unknown.
     """
 
     data: Complex
@@ -134,14 +146,20 @@ class FrfSet:
             put(self, "coherence", np.full(np.shape(self.data), np.nan))
         if not np.size(self.averages):
             put(self, "averages", np.full(len(self.inputs), np.nan))
-        freeze_fields(self, data=np.complex128, freqs=np.float64, coherence=np.float64, averages=np.float64)
+        freeze_fields(
+            self, data=np.complex128, freqs=np.float64, coherence=np.float64, averages=np.float64
+        )
         want = (self.freqs.size, len(self.outputs), len(self.inputs))
         if self.data.shape != want or self.coherence.shape != want:
             raise DataError(
-                f"FRF data {self.data.shape}, coherence {self.coherence.shape}: must be (freq, out, in) = {want}"
+                f"FRF data {self.data.shape}, coherence {self.coherence.shape}: must be (freq, "
+                f"out, in) = {want}"
             )
         if not np.isfinite(self.data).all():
-            raise DataError(f"{self.source or 'FRF'}: {int((~np.isfinite(self.data)).sum())} values are not finite")
+            raise DataError(
+                f"{self.source or 'FRF'}: {int((~np.isfinite(self.data)).sum())} values are not "
+                "finite"
+            )
 
     def driving_points(self) -> list[tuple[int, int]]:
         """(output, input) positions with equal ids."""
@@ -157,7 +175,10 @@ class FrfSet:
             If no response or no reference is left.
         """
         lost, sides = set(ids), (self.outputs, self.inputs)
-        o, i = (np.array([k for k, c in enumerate(side) if c.id not in lost], dtype=np.int64) for side in sides)
+        o, i = (
+            np.array([k for k, c in enumerate(side) if c.id not in lost], dtype=np.int64)
+            for side in sides
+        )
         if not o.size or not i.size:
             left = f"{o.size} responses and {i.size} references are left"
             raise DataError(f"{self.source}: without {' '.join(ids)} {left}")

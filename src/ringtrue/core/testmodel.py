@@ -53,7 +53,9 @@ class TestModel:
     __test__ = False  # not a pytest class
 
     def __post_init__(self) -> None:
-        freeze_fields(self, points=np.int64, xyz=np.float64, at=np.int64, axes=np.float64, lines=np.int64)
+        freeze_fields(
+            self, points=np.int64, xyz=np.float64, at=np.int64, axes=np.float64, lines=np.int64
+        )
         freeze_fields(self, force_at=np.int64, force_axes=np.float64)
         object.__setattr__(self, "channels", tuple(self.channels))
         object.__setattr__(self, "forces", tuple(self.forces))
@@ -68,7 +70,8 @@ class TestModel:
         length = np.linalg.norm(self.axes, axis=1)
         if self.axes.shape != (len(self.channels), 3) or (np.abs(length - 1) > 1e-6).any():
             raise InputError(
-                f"axes {self.axes.shape} must be unit vectors, one for each of {len(self.channels)} channels"
+                f"axes {self.axes.shape} must be unit vectors, one for each of "
+                f"{len(self.channels)} channels"
             )
 
     def directions(self) -> Float:
@@ -81,7 +84,9 @@ class TestModel:
         return np.asarray(self.xyz[order[np.searchsorted(self.points[order], self.at)]])
 
     def threefold(self) -> TestModel:
-        """A channel along X, Y and Z of the sheet at the place of each: first all along X, (3 · channel)."""
+        """A channel along X, Y and Z of the sheet at the place of each: first all along X, (3 ·
+        channel).
+        """
         n = len(self.channels)
         names = tuple(f"{c} {axis}" for axis in "XYZ" for c in self.channels)
         axes = np.repeat(np.eye(3), n, axis=0)
@@ -93,10 +98,11 @@ class TestModel:
         return tuple(group[p] for p in self.at.tolist())
 
     def find(self, channels: Sequence[str], *, forces: bool = True) -> tuple[Int, Float]:
-        """Where named channels stand in `channels`, then `forces` unless left out, and with which sign.
+        """Where named channels stand in `channels`, then `forces` unless left out, and with which
+        sign.
 
-        `4-X` is the sensor `4+X` read the other way, unless the sheet gives that sensor a direction against its name:
-        then what another sign of it means cannot be told, and it is not found.
+        `4-X` is the sensor `4+X` read the other way, unless the sheet gives that sensor a direction
+        against its name: then what another sign of it means cannot be told, and it is not found.
 
         Returns
         -------
@@ -118,7 +124,8 @@ class TestModel:
         return index, sign
 
     def named(self, channels: Sequence[str]) -> tuple[tuple[str, ...], Float]:
-        """The names (k,) that the sheet has for the motions of a test, and their signs (k,); its own where it has none.
+        """The names (k,) that the sheet has for the motions of a test, and their signs (k,); its
+        own where it has none.
 
         A reading by the given name is the sign times one by the name of the sheet.
 
@@ -128,11 +135,15 @@ class TestModel:
             If two are the same sensor.
         """
         index, sign = self.find(channels, forces=False)
-        names = tuple(self.channels[i] if i >= 0 else c for c, i in zip(channels, index.tolist(), strict=True))
+        names = tuple(
+            self.channels[i] if i >= 0 else c for c, i in zip(channels, index.tolist(), strict=True)
+        )
         first: dict[str, str] = {}
         for one, name in zip(channels, names, strict=True):
             if first.setdefault(name, one) != one:
-                raise DataError(f"channels {first[name]} and {one} are the same sensor of the sheet, {name}")
+                raise DataError(
+                    f"channels {first[name]} and {one} are the same sensor of the sheet, {name}"
+                )
         return names, np.where(index >= 0, sign, 1.0)
 
     def pick(self, channels: Sequence[str], *, forces: bool = True) -> TestModel:
@@ -147,7 +158,9 @@ class TestModel:
         """
         index, sign = self.find(channels, forces=forces)
         if (index < 0).any():
-            raise DataError(self._not_there([c for c, i in zip(channels, index.tolist(), strict=True) if i < 0]))
+            raise DataError(
+                self._not_there([c for c, i in zip(channels, index.tolist(), strict=True) if i < 0])
+            )
         at = np.concatenate([self.at, self.force_at])[index]
         axes = np.concatenate([self.axes, self.force_axes])[index] * sign[:, None]
         return replace(self, channels=tuple(channels), at=at, axes=axes)
@@ -159,8 +172,12 @@ class TestModel:
         against = match_channels(lost, (*self.channels, *self.forces))[0]
         if against.max() >= 0:
             name = (*self.channels, *self.forces)[against.max()]
-            there += f". The direction of {name} is against its name, so that no other sign of it has a meaning"
+            there += (
+                f". The direction of {name} is against its name, so that no other sign of "
+                "it has a meaning"
+            )
         return (
-            f"channel {' '.join(lost[:SHOWN])}{more} is not on the sensor sheet. It has {there}; its column `channel` "
+            f"channel {' '.join(lost[:SHOWN])}{more} is not on the sensor sheet. It has {there}; "
+            "its column `channel` "
             "names rows as the test does, and an excitation point needs a row, too"
         )

@@ -30,7 +30,9 @@ class Uncertainty:
     factor: Float
 
     def __post_init__(self) -> None:
-        freeze_fields(self, frequency=np.float64, damping=np.float64, shape=np.float64, factor=np.float64)
+        freeze_fields(
+            self, frequency=np.float64, damping=np.float64, shape=np.float64, factor=np.float64
+        )
 
     @classmethod
     def independent(cls, frequency: Float, damping: Float, shape: Float) -> Uncertainty:
@@ -42,4 +44,6 @@ class Uncertainty:
         """The chosen modes, in the given order."""
         at = np.asarray(modes, dtype=np.int64)
         both = np.concatenate([at, at + self.frequency.size])
-        return Uncertainty(self.frequency[at], self.damping[at], self.shape[:, at], self.factor[:, both])
+        return Uncertainty(
+            self.frequency[at], self.damping[at], self.shape[:, at], self.factor[:, both]
+        )

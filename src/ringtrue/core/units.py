@@ -44,7 +44,9 @@ class UnitSystem:
 
     @property
     def kilograms(self) -> float:
-        """Kilograms a unit of the mass matrix of a model whose time is in seconds (`model.seconds.in_seconds`)."""
+        """Kilograms a unit of the mass matrix of a model whose time is in seconds
+        (`model.seconds.in_seconds`).
+        """
         return self.mass / self.time**2
 
 

@@ -38,7 +38,8 @@ class Alignment:
     used : (n,) bool
         False for the points set aside as gross errors.
     rivals : int
-        Other placements, clearly different, that fit about as well (symmetric geometry); 0 for named points.
+        Other placements, clearly different, that fit about as well (symmetric geometry); 0 for
+        named points.
     """
 
     rotation: Float
@@ -49,12 +50,18 @@ class Alignment:
     rivals: int = 0
 
     def __post_init__(self) -> None:
-        freeze_fields(self, rotation=np.float64, shift=np.float64, residual=np.float64, used=np.bool_)
+        freeze_fields(
+            self, rotation=np.float64, shift=np.float64, residual=np.float64, used=np.bool_
+        )
 
     @property
     def rms(self) -> float:
         """Root mean square of the residual of the points used."""
-        return float(np.sqrt((self.residual[self.used] ** 2).mean())) if self.used.any() else float("nan")
+        return (
+            float(np.sqrt((self.residual[self.used] ** 2).mean()))
+            if self.used.any()
+            else float("nan")
+        )
 
     def __call__(self, xyz: Float) -> Float:
         """Source points (n, 3) in the target's frame and unit."""
@@ -66,7 +73,12 @@ class Alignment:
 
     def move(self, test: TestModel) -> TestModel:
         """The test model in the frame of the target."""
-        return replace(test, xyz=self(test.xyz), axes=self.turn(test.axes), force_axes=self.turn(test.force_axes))
+        return replace(
+            test,
+            xyz=self(test.xyz),
+            axes=self.turn(test.axes),
+            force_axes=self.turn(test.force_axes),
+        )
 
 
 def _fit(source: Float, target: Float, weight: Float, scale: bool) -> tuple[Float, Float, float]:
@@ -93,11 +105,16 @@ def _check_points(xyz: Float, name: str) -> Float:
         raise InputError(f"{name} {xyz.shape}: must be finite (n, 3)")
     s = np.linalg.svd(xyz - xyz.mean(axis=0), compute_uv=False) if xyz.shape[0] > 2 else np.zeros(3)
     if s[1] <= 1e-6 * s[0] or s[0] == 0:
-        raise InputError(f"{xyz.shape[0]} {name} lie on a line or in a point: three others are needed for a rotation")
+        raise InputError(
+            f"{xyz.shape[0]} {name} lie on a line or in a point: three others are needed for a "
+            "rotation"
+        )
     return xyz
 
 
-def best_fit(source: Float, target: Float, *, scale: bool = False, tolerance: float | None = None) -> Alignment:
+def best_fit(
+    source: Float, target: Float, *, scale: bool = False, tolerance: float | None = None
+) -> Alignment:
     """The placement that brings named points onto their partners, robust against gross errors.
 
     Parameters
@@ -107,13 +124,13 @@ def best_fit(source: Float, target: Float, *, scale: bool = False, tolerance: fl
     scale : bool
         Fit a common scale too (unknown units).
     tolerance : float, optional, unit of the target
-        Points farther off are set aside; estimated from the points if not given (three robust standard deviations of
-        the fit of least absolute deviations). Of three points none is, without it: two cannot outvote the third.
+        Points farther off are set aside; estimated from the points if not given (three robust
+        standard deviations of the fit of least absolute deviations). Of three points none is,
+        without it: two cannot outvote the third.
 
     Notes
-    -----
-    Graduated non-convexity on truncated least squares (Yang, Antonante, Tzoumas and Carlone, 2020): right with up to
-    about half of the points wrong.
+    ----- Graduated non-convexity on truncated least squares (Yang, Antonante, Tzoumas and Carlone,
+    2020): right with up to about half of the points wrong.
 
     Raises
     ------
@@ -132,11 +149,15 @@ def best_fit(source: Float, target: Float, *, scale: bool = False, tolerance: fl
         r = _distance(source, target, _fit(source, target, weight, scale))
         weight = 1 / np.maximum(r, 1e-9 * size)
         weight /= weight.max()
-    limit = tolerance if tolerance is not None else max(3 * 1.4826 * float(np.median(r)), 1e-7 * size)
+    limit = (
+        tolerance if tolerance is not None else max(3 * 1.4826 * float(np.median(r)), 1e-7 * size)
+    )
     weight = _truncated(source, target, weight, scale, limit)
     used = weight > 0.5
     if used.sum() < 3:
-        raise InputError(f"only {int(used.sum())} points agree within {limit:.3g}: the names or units do not fit")
+        raise InputError(
+            f"only {int(used.sum())} points agree within {limit:.3g}: the names or units do not fit"
+        )
     fit = _fit(source, target, used.astype(float), scale)
     return Alignment(*fit, _distance(source, target, fit), used)
 
@@ -148,7 +169,9 @@ def _truncated(source: Float, target: Float, weight: Float, scale: bool, limit: 
     mu = max(c2 / max(2 * float(r2.max()) - c2, c2), 1e-12)
     for _ in range(MOST_STEPS):
         root = limit * np.sqrt(mu * (mu + 1)) / np.sqrt(np.maximum(r2, 1e-300)) - mu
-        weight = np.where(r2 <= mu / (mu + 1) * c2, 1.0, np.where(r2 >= (mu + 1) / mu * c2, 0.0, root.clip(0, 1)))
+        weight = np.where(
+            r2 <= mu / (mu + 1) * c2, 1.0, np.where(r2 >= (mu + 1) / mu * c2, 0.0, root.clip(0, 1))
+        )
         if np.count_nonzero(weight > 1e-9) < 3 or mu > 1e6:
             break
         r2 = _distance(source, target, _fit(source, target, weight, scale)) ** 2
@@ -157,10 +180,12 @@ def _truncated(source: Float, target: Float, weight: Float, scale: bool, limit: 
 
 
 def nearest_fit(source: Float, nodes: Float, *, keep: float = 0.9) -> Alignment:
-    """The placement that brings points onto their nearest nodes (iterative closest points, Besl and McKay, 1992).
+    """The placement that brings points onto their nearest nodes (iterative closest points, Besl and
+    McKay, 1992).
 
-    From the given place, from the 24 ways of laying the axes given, and the principal axes, onto each other, and from
-    the best turned a little, to leave shallow minima, and about the middle of the nodes, for symmetric structures.
+    From the given place, from the 24 ways of laying the axes given, and the principal axes, onto
+    each other, and from the best turned a little, to leave shallow minima, and about the middle of
+    the nodes, for symmetric structures.
 
     Parameters
     ----------
@@ -169,13 +194,12 @@ def nearest_fit(source: Float, nodes: Float, *, keep: float = 0.9) -> Alignment:
     nodes : (k, 3) float64
         Nodes of the model where sensors can be, not fewer than the points.
     keep : float
-        Share of the points used at each step, the nearest; the rest may be gross errors (trimmed: Chetverikov and
-        others, 2002).
+        Share of the points used at each step, the nearest; the rest may be gross errors (trimmed:
+        Chetverikov and others, 2002).
 
     Notes
-    -----
-    A local method: it needs points spread over the structure as the nodes are. With `rivals` > 0 the geometry is
-    symmetric and named points must decide.
+    ----- A local method: it needs points spread over the structure as the nodes are. With `rivals`
+    > 0 the geometry is symmetric and named points must decide.
     """
     source, nodes = _check_points(source, "test points"), _check_points(nodes, "nodes")
     tree = KDTree(nodes)
@@ -188,16 +212,23 @@ def nearest_fit(source: Float, nodes: Float, *, keep: float = 0.9) -> Alignment:
             break
         win = best
     reach = diagonal(nodes)
-    found += [win, *(_icp(source, nodes, tree, start, keep) for start in _about(win, _middle(nodes)))]
+    found += [
+        win,
+        *(_icp(source, nodes, tree, start, keep) for start in _about(win, _middle(nodes))),
+    ]
     cost = _costs(found, max(win.rms, EXACT * reach))
     win = found[int(np.argmin(cost))]
     near = [f for f, c in zip(found, cost.tolist(), strict=True) if c <= cost.min() + RIVAL]
     used = win.residual <= max(GROSS * win.rms, 1e-9 * reach)
-    return replace(win, used=used, rivals=_distinct([f(source) for f in near], win(source), 0.02 * reach))
+    return replace(
+        win, used=used, rivals=_distinct([f(source) for f in near], win(source), 0.02 * reach)
+    )
 
 
 def _costs(fits: list[Alignment], scale: float) -> Float:
-    """Minus the log-likelihood (k,) of the distances of all points, Cauchy: a gross error counts, but not alone."""
+    """Minus the log-likelihood (k,) of the distances of all points, Cauchy: a gross error counts,
+    but not alone.
+    """
     return np.array([float(np.log1p((f.residual / scale) ** 2).sum()) for f in fits])
 
 
@@ -211,7 +242,9 @@ def _distinct(places: list[Float], first: Float, tolerance: float) -> int:
 
 
 def _about(fit: Alignment, middle: Float) -> list[_Motion]:
-    """The placement turned about the middle of the nodes in the 23 ways that lay the axes onto each other."""
+    """The placement turned about the middle of the nodes in the 23 ways that lay the axes onto each
+    other.
+    """
     turns = [q for q in axis_turns() if not np.array_equal(q, np.eye(3))]
     return [(q @ fit.rotation, middle + q @ (fit.shift - middle)) for q in turns]
 
@@ -237,7 +270,10 @@ def _starts(source: Float, nodes: Float) -> list[_Motion]:
     cs, cn = _middle(source), _middle(nodes)
     us, un = (np.linalg.svd(x - x.mean(axis=0), full_matrices=False)[2] for x in (source, nodes))
     for flip in axis_turns():
-        both = (flip, _proper(un).T @ flip @ _proper(us))  # of the axes given, and of the principal ones
+        both = (
+            flip,
+            _proper(un).T @ flip @ _proper(us),
+        )  # of the axes given, and of the principal ones
         out += [(rotation, cn - rotation @ cs) for rotation in both]
     return out
 

@@ -1,4 +1,6 @@
-"""One assignment of modes by their frequencies alone, and which of its pairs these leave in doubt."""
+"""One assignment of modes by their frequencies alone, and which of its pairs these leave in
+doubt.
+"""
 
 from __future__ import annotations
 
@@ -28,8 +30,8 @@ class ByFrequency:
     ----------
     rows, columns : (k,) int64, ascending rows
     rival : (k,) int64
-        What else each mode of A may be: the mode of B that the next likely assignment gives it, -1: none of B;
-        `SURE` where the pair is not in doubt.
+        What else each mode of A may be: the mode of B that the next likely assignment gives it, -1:
+        none of B; `SURE` where the pair is not in doubt.
     """
 
     rows: Int
@@ -41,11 +43,13 @@ class ByFrequency:
 
 
 def by_frequency(fa: Float, fb: Float, allowed: Bool, forced: Bool, wide: Bool) -> ByFrequency:
-    """The one-to-one assignment in which the frequencies scatter least about a common relative offset.
+    """The one-to-one assignment in which the frequencies scatter least about a common relative
+    offset.
 
-    A model is too stiff or too heavy as a whole more often than mode by mode: where a mode was missed the nearest
-    frequencies belong to other modes. ln f_B − ln f_A is normal about an offset that is itself normal; the assignment
-    of greatest likelihood, and for each pair the greatest without it.
+    A model is too stiff or too heavy as a whole more often than mode by mode: where a mode was
+    missed the nearest frequencies belong to other modes. ln f_B − ln f_A is normal about an offset
+    that is itself normal; the assignment of greatest likelihood, and for each pair the greatest
+    without it.
 
     Parameters
     ----------
@@ -60,7 +64,9 @@ def by_frequency(fa: Float, fb: Float, allowed: Bool, forced: Bool, wide: Bool) 
     offsets = _offsets(error[allowed & ~forced])
     scatter = SCATTER
     for _ in range(2):
-        off = min((_assigned(error, c, scatter, allowed, forced) for c in offsets), key=lambda t: t.cost).off
+        off = min(
+            (_assigned(error, c, scatter, allowed, forced) for c in offsets), key=lambda t: t.cost
+        ).off
         scatter = float(np.sqrt((off @ off + KNOWN * SCATTER**2) / (max(off.size - 1, 0) + KNOWN)))
     tried = [_assigned(error, c, scatter, allowed, forced) for c in offsets]
     best = min(tried, key=lambda t: t.cost)
@@ -72,7 +78,9 @@ def by_frequency(fa: Float, fb: Float, allowed: Bool, forced: Bool, wide: Bool) 
     for i, j in zip(rows.tolist(), best.partner[rows].tolist(), strict=True):
         other = wide.copy()
         other[i, j] = False
-        second = min((_assigned(error, c, scatter, other, forced) for c in near), key=lambda t: t.cost)
+        second = min(
+            (_assigned(error, c, scatter, other, forced) for c in near), key=lambda t: t.cost
+        )
         clear = forced[i].any() or second.cost >= best.cost + DOUBT
         rival.append(SURE if clear else int(second.partner[i]))
     return ByFrequency(rows, best.partner[rows], np.array(rival, dtype=np.int64))
@@ -84,7 +92,9 @@ def _offsets(errors: Float) -> list[float]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Assigned:
-    """Cost, partner (ma,) of each mode of A, -1 for none, and deviations of the free pairs from their common offset."""
+    """Cost, partner (ma,) of each mode of A, -1 for none, and deviations of the free pairs from
+    their common offset.
+    """
 
     cost: float
     partner: Int
@@ -104,4 +114,6 @@ def _assigned(error: Float, start: float, scatter: float, allowed: Bool, forced:
     off = error[rows, partner[rows]]
     own = float(off.sum() / (rows.size + (scatter / COMMON) ** 2))
     lone = ALONE * float((partner < 0).sum())
-    return _Assigned(float((((off - own) / scatter) ** 2).sum()) + (own / COMMON) ** 2 + lone, partner, off - own)
+    return _Assigned(
+        float((((off - own) / scatter) ** 2).sum()) + (own / COMMON) ** 2 + lone, partner, off - own
+    )

@@ -19,7 +19,9 @@ LOCKED = 1e6  # worth of a forced pair, above that of all others together
 APART = 4.0  # times the distance of close modes: as far may be in B what is close in A
 SOFT = 0.02  # 1 − MAC below this brings no further gain: it is noise
 SHARED = 0.1  # above the MAC gate, from where on a share counts whole
-HOLD = 0.5  # of the MAC gate: a shape that matches less is another, which no rotation mends; of 1/frequency gate
+# of the MAC gate: a shape that matches less is another, which no rotation mends; of 1/frequency
+# gate
+HOLD = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,21 +35,25 @@ class PairingSettings:
     frequency_gate : float
         Largest |f_B − f_A|/f_A of a pair.
     reach : float
-        Largest ratio of the frequencies of a pair beyond that gate; only modes that look alike and like no other are
-        taken there (`beyond.uncontested`). 1: none.
+        Largest ratio of the frequencies of a pair beyond that gate; only modes that look alike and
+        like no other are taken there (`beyond.uncontested`). 1: none.
     close : float
-        Relative distance below which neighbours of one set are one subspace; from there to `FADE` times it ever less.
+        Relative distance below which neighbours of one set are one subspace; from there to `FADE`
+        times it ever less.
     distinct : float
-        Shapes that match one to one with a MAC above it are rotated ever less, from halfway to 1 on not at all.
+        Shapes that match one to one with a MAC above it are rotated ever less, from halfway to 1 on
+        not at all.
     largest_group : int
         Most modes in one subspace.
     min_confidence : float
         Modes of A with less are left unpaired.
     min_visible : float
-        Modes of B with a smaller share of motion where sensors sit are left unpaired (if the shares are passed).
+        Modes of B with a smaller share of motion where sensors sit are left unpaired (if the shares
+        are passed).
     faint : float
-        Mass-normalised modes of B whose largest component at the sensors is below this share of the median
-        mode's are not observable: the correlation leaves them unpaired, the updating trusts them less.
+        Mass-normalised modes of B whose largest component at the sensors is below this share of the
+        median mode's are not observable: the correlation leaves them unpaired, the updating trusts
+        them less.
     """
 
     mac_gate: float = 0.6
@@ -64,8 +70,10 @@ class PairingSettings:
         gates = 0 <= self.mac_gate < 1 and self.frequency_gate > 0 and self.reach >= 1
         if not (gates and self.close >= 0 and self.largest_group >= 1):
             raise ConfigError(
-                f"pairing: mac_gate {self.mac_gate} (0..1), frequency_gate {self.frequency_gate} (> 0), "
-                f"reach {self.reach} (>= 1), close {self.close} (>= 0), largest_group {self.largest_group} (>= 1)"
+                f"pairing: mac_gate {self.mac_gate} (0..1), frequency_gate {self.frequency_gate} "
+                "(> 0), "
+                f"reach {self.reach} (>= 1), close {self.close} (>= 0), largest_group "
+                f"{self.largest_group} (>= 1)"
             )
 
 
@@ -88,16 +96,22 @@ class Locks:
         for side in (0, 1):
             modes = [pair[side] for pair in self.forced]
             if len(set(modes)) != len(modes):
-                raise ConfigError(f"locks: mode {_twice(modes) + 1} of {'AB'[side]} is forced into two pairs")
+                raise ConfigError(
+                    f"locks: mode {_twice(modes) + 1} of {'AB'[side]} is forced into two pairs"
+                )
         both = sorted(set(self.forced) & set(self.forbidden))
         if both:
-            raise ConfigError(f"locks: pair {both[0][0] + 1}:{both[0][1] + 1} is both forced and forbidden")
+            raise ConfigError(
+                f"locks: pair {both[0][0] + 1}:{both[0][1] + 1} is both forced and forbidden"
+            )
 
     def mask(self, shape: tuple[int, int]) -> tuple[Bool, Bool]:
         """Which pairs (ma, mb) are forced, and which of all may be taken at all."""
         for i, j in (*self.forced, *self.forbidden):
             if not (0 <= i < shape[0] and 0 <= j < shape[1]):
-                raise ConfigError(f"locks: no pair {i + 1}:{j + 1}; A has {shape[0]} modes, B {shape[1]}")
+                raise ConfigError(
+                    f"locks: no pair {i + 1}:{j + 1}; A has {shape[0]} modes, B {shape[1]}"
+                )
         forced, free = np.zeros(shape, dtype=np.bool_), np.ones(shape, dtype=np.bool_)
         for i, j in self.forced:
             free[i, :] = free[:, j] = False
@@ -117,7 +131,8 @@ NO_LOCKS = Locks()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Followed:
-    """Pairs that the user decides where modes of B change places: each is known by its shape in a first model.
+    """Pairs that the user decides where modes of B change places: each is known by its shape in a
+    first model.
 
     Attributes
     ----------
@@ -137,19 +152,25 @@ class Followed:
 
         def kept(which: tuple[int, ...], shapes: Float) -> tuple[tuple[int, ...], Float]:
             stay = np.isin(np.array(which, dtype=np.int64), modes)
-            return tuple(np.searchsorted(modes, np.array(which, dtype=np.int64)[stay]).tolist()), shapes[:, stay]
+            return tuple(
+                np.searchsorted(modes, np.array(which, dtype=np.int64)[stay]).tolist()
+            ), shapes[:, stay]
 
         return Followed(*kept(self.forced, self.shapes), *kept(self.forbidden, self.barred))
 
     def locks(self, shapes: Any_) -> Locks:
-        """The pairs among modes of B with shapes (channel, m), each found by its MAC with the first model's."""
+        """The pairs among modes of B with shapes (channel, m), each found by its MAC with the first
+        model's.
+        """
         if not shapes.shape[1]:
             return NO_LOCKS
         rows, cols = linear_sum_assignment(-mac(self.shapes, shapes))
         of = dict(zip(rows.tolist(), cols.tolist(), strict=True))
         forced = tuple((t, of[i]) for i, t in enumerate(self.forced) if i in of)
         near = mac(self.barred, shapes).argmax(axis=1).tolist() if self.forbidden else []
-        forbidden = tuple((t, j) for t, j in zip(self.forbidden, near, strict=True) if (t, j) not in forced)
+        forbidden = tuple(
+            (t, j) for t, j in zip(self.forbidden, near, strict=True) if (t, j) not in forced
+        )
         return Locks(forced, forbidden)
 
 
@@ -166,8 +187,8 @@ class Scores:
     error : (ma, mb) float64
         (f_B − f_A)/f_A.
     turns : tuple of (group, weight)
-        Close groups of B, those that close modes of A mix among them, and how far each is rotated towards every mode
-        of A, (ma,) float64, 0..1.
+        Close groups of B, those that close modes of A mix among them, and how far each is rotated
+        towards every mode of A, (ma,) float64, 0..1.
     """
 
     mac: Float
@@ -176,8 +197,11 @@ class Scores:
     turns: tuple[tuple[tuple[int, ...], Float], ...]
 
 
-def scores(fa: Float, a: Any_, fb: Float, b: Any_, settings: PairingSettings, *, mixed: bool = True) -> Scores:
-    """MAC and frequency errors of all combinations, with close groups of B rotated towards those of A.
+def scores(
+    fa: Float, a: Any_, fb: Float, b: Any_, settings: PairingSettings, *, mixed: bool = True
+) -> Scores:
+    """MAC and frequency errors of all combinations, with close groups of B rotated towards those of
+    A.
 
     Parameters
     ----------
@@ -191,11 +215,18 @@ def scores(fa: Float, a: Any_, fb: Float, b: Any_, settings: PairingSettings, *,
     if not len(a):
         return Scores(np.full(error.shape, np.nan), np.full(error.shape, np.nan), error, ())
     single = mac(a, b)
-    merged, units = single.copy(), (unit(a), unit(b))  # once: with hundreds of modes there are as many groups
+    merged, units = (
+        single.copy(),
+        (unit(a), unit(b)),
+    )  # once: with hundreds of modes there are as many groups
     groups_a = [np.array(g) for g in close_groups(fa, settings.close, settings.largest_group)]
     shared, turns = list[list[tuple[float, Int]]](), []
     for ga in (g for g in groups_a if g.size > 1 and mixed):
-        share = np.where((np.abs(error[ga]) <= settings.frequency_gate).any(axis=0), share_in(units[1], a[:, ga]), 0.0)
+        share = np.where(
+            (np.abs(error[ga]) <= settings.frequency_gate).any(axis=0),
+            share_in(units[1], a[:, ga]),
+            0.0,
+        )
         if share.any():
             here = fb[share.argmax()]
             near = fade(np.abs(fb - here) / max(APART * settings.close * here, NIL))[0]
@@ -221,17 +252,23 @@ def scores(fa: Float, a: Any_, fb: Float, b: Any_, settings: PairingSettings, *,
 
 
 def peak_shares(shapes: Any_) -> Float:
-    """Largest component of each mass-normalised shape (n, m) over that of the median of the modes seen at all, (m,)."""
+    """Largest component of each mass-normalised shape (n, m) over that of the median of the modes
+    seen at all, (m,).
+    """
     peak = np.abs(above_rounding(shapes)).max(axis=0, initial=0.0)
     seen = peak[peak > 0]
     return np.asarray(peak / np.median(seen) if seen.size else np.ones_like(peak))
 
 
-def _mixed(single: Float, share: Float, near: Float, settings: PairingSettings) -> list[tuple[float, Int]]:
-    """The modes of B that a group of close modes of A mixes, as sets that grow, each with how far that is so, 0..1.
+def _mixed(
+    single: Float, share: Float, near: Float, settings: PairingSettings
+) -> list[tuple[float, Int]]:
+    """The modes of B that a group of close modes of A mixes, as sets that grow, each with how far
+    that is so, 0..1.
 
-    Not where single shapes match one to one. How close modes share two shapes is decided by perturbations as small as
-    their distance: it differs between two sets whose frequencies differ by more, whichever of the two has them close.
+    Not where single shapes match one to one. How close modes share two shapes is decided by
+    perturbations as small as their distance: it differs between two sets whose frequencies differ
+    by more, whichever of the two has them close.
     """
     held = near * np.clip((share - settings.mac_gate) / SHARED, 0.0, 1.0)
     best = np.lexsort((-share, -held))[: single.shape[0]]
@@ -242,7 +279,8 @@ def _mixed(single: Float, share: Float, near: Float, settings: PairingSettings) 
 
 
 def _blurred(block: Float, settings: PairingSettings) -> float:
-    """How far single shapes (ka, kb), by their MAC, fail to match one to one: 1 below `distinct`, from there ever less.
+    """How far single shapes (ka, kb), by their MAC, fail to match one to one: 1 below `distinct`,
+    from there ever less.
 
     Nothing from halfway to a MAC of 1 on.
     """
@@ -253,10 +291,12 @@ def _blurred(block: Float, settings: PairingSettings) -> float:
 def _weighed(
     fb: Float, mixed: Sequence[Sequence[tuple[float, Int]]], settings: PairingSettings
 ) -> dict[tuple[int, ...], float]:
-    """Groups of more than one mode of B, each with its weight: the mean over all limits between `close` and `FADE` it.
+    """Groups of more than one mode of B, each with its weight: the mean over all limits between
+    `close` and `FADE` it.
 
-    Each limit joins those that `mixed` says, too, where that is so by more than the limit asks, unless that makes more
-    than `largest_group` modes. A mean over limits has no jump where two modes pass one.
+    Each limit joins those that `mixed` says, too, where that is so by more than the limit asks,
+    unless that makes more than `largest_group` modes. A mean over limits has no jump where two
+    modes pass one.
     """
     gap = gaps(np.sort(fb))
     near = fade(gap / settings.close)[0] if settings.close else np.zeros(gap.size)
@@ -278,10 +318,14 @@ def _weighed(
     return dict(sorted(out.items()))
 
 
-def _turned(single: Float, error: Float, a: Any_, b: Any_, settings: PairingSettings) -> tuple[Float, Float]:
-    """MAC (ka,) with shapes `b` (n, kb) rotated towards `a` (n, ka), and how far that is done, (ka,) 0..1.
+def _turned(
+    single: Float, error: Float, a: Any_, b: Any_, settings: PairingSettings
+) -> tuple[Float, Float]:
+    """MAC (ka,) with shapes `b` (n, kb) rotated towards `a` (n, ka), and how far that is done,
+    (ka,) 0..1.
 
-    Done where a rotation explains the shapes and single ones do not; `single` and `error` are (ka, kb).
+    Done where a rotation explains the shapes and single ones do not; `single` and `error` are (ka,
+    kb).
     """
     far = _blurred(single, settings) if np.abs(error).min() <= settings.frequency_gate else 0.0
     if not far:
@@ -291,9 +335,14 @@ def _turned(single: Float, error: Float, a: Any_, b: Any_, settings: PairingSett
 
 
 def within(
-    score: Scores, settings: PairingSettings, usable_a: Bool, usable_b: Bool, locks: Locks = NO_LOCKS
+    score: Scores,
+    settings: PairingSettings,
+    usable_a: Bool,
+    usable_b: Bool,
+    locks: Locks = NO_LOCKS,
 ) -> tuple[Bool, Bool]:
-    """Which pairs (ma, mb) may be: inside both gates and not forbidden, or forced; and which are forced.
+    """Which pairs (ma, mb) may be: inside both gates and not forbidden, or forced; and which are
+    forced.
 
     Without shapes the gate on the MAC holds for none.
     """
@@ -314,8 +363,9 @@ def assign(
 ) -> tuple[Int, Int]:
     """The one-to-one assignment of greatest total worth among the pairs inside both gates.
 
-    The worth of a pair is log((1 − gate)/(1 − MAC)), lowered with the square of the frequency error: two poor pairs
-    never outvote a good one, which a sum of MACs allows. Forced pairs come before all others, forbidden ones never.
+    The worth of a pair is log((1 − gate)/(1 − MAC)), lowered with the square of the frequency
+    error: two poor pairs never outvote a good one, which a sum of MACs allows. Forced pairs come
+    before all others, forbidden ones never.
 
     Parameters
     ----------

@@ -1,4 +1,6 @@
-"""Pairs beyond the frequency gate: modes that look alike and like no other, as those of far too soft a support."""
+"""Pairs beyond the frequency gate: modes that look alike and like no other, as those of far too
+soft a support.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,8 @@ from ringtrue.shapes.mac import auto_mac, unit
 
 LIKE = 0.95  # least MAC of such a pair
 CONTESTED = 0.5  # MAC from which another mode may be meant
-CARRIED = 3.0  # channels, at the least, that carry such a shape: one sensor on a panel reads all its modes alike
+# channels, at the least, that carry such a shape: one sensor on a panel reads all its modes alike
+CARRIED = 3.0
 CHANCE = 0.01  # that unrelated shapes are as like: of random ones, and among the modes of each set
 FLAT = 0.1  # of the largest singular value: patterns that are less are those of others
 
@@ -39,9 +42,17 @@ class Extended:
 
 
 def uncontested(
-    fa: Float, a: Any_, fb: Float, b: Any_, score: Scores, paired: tuple[Int, Int], free: Bool, gates: PairingSettings
+    fa: Float,
+    a: Any_,
+    fb: Float,
+    b: Any_,
+    score: Scores,
+    paired: tuple[Int, Int],
+    free: Bool,
+    gates: PairingSettings,
 ) -> Extended:
-    """Pairs, and further ones beyond the frequency gate, of modes that look alike and like no other of either set.
+    """Pairs, and further ones beyond the frequency gate, of modes that look alike and like no other
+    of either set.
 
     Close modes of B that are left over are one subspace, as within the gate.
 
@@ -60,7 +71,12 @@ def uncontested(
     rows, cols = paired
     done = Extended(rows, cols, np.zeros(rows.size, dtype=np.bool_), score)
     ratio = 1 + score.error
-    far = (np.abs(score.error) > gates.frequency_gate) & (ratio <= gates.reach) & (ratio * gates.reach >= 1) & free
+    far = (
+        (np.abs(score.error) > gates.frequency_gate)
+        & (ratio <= gates.reach)
+        & (ratio * gates.reach >= 1)
+        & free
+    )
     far[rows, :] = far[:, cols] = False
     if not far.any():
         return done
@@ -79,7 +95,9 @@ def uncontested(
     return Extended(rows[order], cols[order], beyond, replace(score, merged=merged))
 
 
-def among(fa: Float, a: Any_, fb: Float, b: Any_, rows: Int, columns: Int, gates: PairingSettings) -> Scores:
+def among(
+    fa: Float, a: Any_, fb: Float, b: Any_, rows: Int, columns: Int, gates: PairingSettings
+) -> Scores:
     """The scores of some modes, each within reach of each; what it turns is told of all modes."""
     wide = replace(gates, frequency_gate=gates.reach)
     score = scores(fa[rows], a[:, rows], fb[columns], b[:, columns], wide, mixed=False)
@@ -91,7 +109,9 @@ def among(fa: Float, a: Any_, fb: Float, b: Any_, rows: Int, columns: Int, gates
     return replace(score, turns=tuple(turns))
 
 
-def _merged(fa: Float, a: Any_, fb: Float, b: Any_, score: Scores, far: Bool, gates: PairingSettings) -> Float:
+def _merged(
+    fa: Float, a: Any_, fb: Float, b: Any_, score: Scores, far: Bool, gates: PairingSettings
+) -> Float:
     """MAC (ma, mb) with close modes of B rotated among those of `far`, too."""
     rows, cols = np.flatnonzero(far.any(axis=1)), np.flatnonzero(far.any(axis=0))
     merged = score.merged.copy()
@@ -114,7 +134,9 @@ def _patterns(a: Any_, b: Any_) -> int:
 
 def _confused(a: Any_, b: Any_) -> float:
     """Share of the pairs of different modes of one set that the channels cannot tell apart."""
-    like = np.concatenate([m[np.triu_indices(len(m), 1)] >= LIKE for m in (auto_mac(a), auto_mac(b))])
+    like = np.concatenate(
+        [m[np.triu_indices(len(m), 1)] >= LIKE for m in (auto_mac(a), auto_mac(b))]
+    )
     return float(like.mean()) if like.size else 0.0
 
 

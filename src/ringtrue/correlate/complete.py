@@ -46,7 +46,8 @@ class Check:
     matrix : (ma, mb) float64, 0..1
     verdict : Verdict
     kind : {"model", "self", "cross"}
-        B with itself as read with 2 % error, which says whether the mass is fit to judge by; A with itself; A with B.
+        B with itself as read with 2 % error, which says whether the mass is fit to judge by; A with
+        itself; A with B.
     mass : str
         What the mass is called.
     """
@@ -123,11 +124,17 @@ class CompleteCorrelation:
 
     def __post_init__(self) -> None:
         f = np.float64
-        freeze_fields(self, auto_mac=f, comac=f, ecomac=f, contribution=f, scale=None, mpc=f, mpd=f, mcf=f)
+        freeze_fields(
+            self, auto_mac=f, comac=f, ecomac=f, contribution=f, scale=None, mpc=f, mpd=f, mcf=f
+        )
 
     def judges(self, check: Check) -> bool:
-        """Whether a check has a verdict: one that fails has none over a mass that an ordinary test would fail, too."""
-        fit = all(c.verdict.passed for c in self.checks if c.kind == "model" and c.mass == check.mass)
+        """Whether a check has a verdict: one that fails has none over a mass that an ordinary test
+        would fail, too.
+        """
+        fit = all(
+            c.verdict.passed for c in self.checks if c.kind == "model" and c.mass == check.mass
+        )
         return fit or check.kind == "model" or check.verdict.passed
 
     @property
@@ -162,7 +169,8 @@ def complete(
     mass_name : str
         What it is called in the checks.
     lift : callable, ModeSet -> (n, m), optional
-        Coordinates of shapes that the mass is over, where these are not the channels (`reduce.tam`, Craig-Bampton).
+        Coordinates of shapes that the mass is over, where these are not the channels (`reduce.tam`,
+        Craig-Bampton).
     gate : Gate
     std_a, std_b : (ma,), (mb,) float64 or float, Hz
         Standard deviations of the frequencies; NaN where unknown.
@@ -177,7 +185,9 @@ def complete(
     if not len(pairing):
         notes.append("orthogonality not checked: no mode has a partner")
     else:
-        checks = _over_mass(a, b, pairing, turn, mass, mass_name, gate, lift) if mass is not None else ()
+        checks = (
+            _over_mass(a, b, pairing, turn, mass, mass_name, gate, lift) if mass is not None else ()
+        )
         checks += _over_serep(a, b, pairing, turn, gate, notes, quiet=bool(checks))
     suspects: tuple[Suspect, ...] = ()
     if len(pairing) < 3:
@@ -197,7 +207,9 @@ def complete(
         comac(left, right),
         ecomac(left, right),
         share.mean(axis=1) if len(pairing) else np.zeros(len(a.channels)),
-        eliminate(left, right) if len(pairing) else Elimination(np.zeros(0, dtype=np.int64), np.zeros((1, 0))),
+        eliminate(left, right)
+        if len(pairing)
+        else Elimination(np.zeros(0, dtype=np.int64), np.zeros((1, 0))),
         modal_scale_factor(left, right),
         mpc(a.shapes),
         mpd(a.shapes),
@@ -228,8 +240,16 @@ def _over_mass(
     cross = cross_orthogonality(one, two @ turn, mass)
     return (
         _of_model(model, gate, name),
-        Check(f"self-orthogonality, {name} mass", own, judge(own, gate, a=rows, b=rows), "self", name),
-        Check(f"cross-orthogonality, {name} mass", cross, judge(cross, gate, a=rows, b=cols), "cross", name),
+        Check(
+            f"self-orthogonality, {name} mass", own, judge(own, gate, a=rows, b=rows), "self", name
+        ),
+        Check(
+            f"cross-orthogonality, {name} mass",
+            cross,
+            judge(cross, gate, a=rows, b=cols),
+            "cross",
+            name,
+        ),
     )
 
 
@@ -244,7 +264,9 @@ def _read(b: ModeSet, coordinates: Any_, mass: Any_ | sparse.csr_array, lift: Li
     if lift is None:
         return read_orthogonality(coordinates, mass, error)
     n, out = len(b.channels), np.zeros((len(b), len(b)))
-    for j, f in enumerate(b.frequencies.tolist()):  # tens of modes, each lifted at its own frequency
+    for j, f in enumerate(
+        b.frequencies.tolist()
+    ):  # tens of modes, each lifted at its own frequency
         units = lift(ModeSet(np.full(n, f), np.zeros(n), np.eye(n), b.channels, b.norm, b.source))
         one = np.where(np.arange(len(b)) == j, error, 0.0)
         out[:, j] = read_orthogonality(coordinates, mass, one, units)[:, j]
@@ -252,14 +274,24 @@ def _read(b: ModeSet, coordinates: Any_, mass: Any_ | sparse.csr_array, lift: Li
 
 
 def _over_serep(
-    a: ModeSet, b: ModeSet, pairing: Pairing, turn: Any_, gate: Gate, notes: list[str], *, quiet: bool
+    a: ModeSet,
+    b: ModeSet,
+    pairing: Pairing,
+    turn: Any_,
+    gate: Gate,
+    notes: list[str],
+    *,
+    quiet: bool,
 ) -> tuple[Check, ...]:
-    """A, and A with B, over the mass that mass-normalised real shapes of B give; `quiet`: another mass is there."""
+    """A, and A with B, over the mass that mass-normalised real shapes of B give; `quiet`: another
+    mass is there.
+    """
     rows, cols, name = pairing.a, pairing.b, "SEREP"
     if b.norm is not Norm.MASS:
         if not quiet:
             notes.append(
-                "orthogonality not checked: no mass given, and the shapes of the second set are not mass-normalised"
+                "orthogonality not checked: no mass given, and the shapes of the second set are "
+                "not mass-normalised"
             )
         return ()
     try:
@@ -274,12 +306,22 @@ def _over_serep(
     own, q = auto_mac(coordinates) ** 0.5, np.abs(unit(turn.conj().T @ coordinates)).T
     return (
         _of_model(model, gate, name),
-        Check(f"self-orthogonality, {name} mass", own, judge(own, gate, a=rows, b=rows), "self", name),
-        Check(f"pseudo-orthogonality (POC), {name} mass", q, judge(q, gate, a=rows, b=cols), "cross", name),
+        Check(
+            f"self-orthogonality, {name} mass", own, judge(own, gate, a=rows, b=rows), "self", name
+        ),
+        Check(
+            f"pseudo-orthogonality (POC), {name} mass",
+            q,
+            judge(q, gate, a=rows, b=cols),
+            "cross",
+            name,
+        ),
     )
 
 
-def subspaces(a: ModeSet, b: ModeSet, pairing: Pairing, settings: PairingSettings) -> tuple[Subspace, ...]:
+def subspaces(
+    a: ModeSet, b: ModeSet, pairing: Pairing, settings: PairingSettings
+) -> tuple[Subspace, ...]:
     """Principal angles between each close group of A (B) and its partners."""
     partner = dict(zip(pairing.a.tolist(), pairing.b.tolist(), strict=True))
     groups = [
@@ -308,7 +350,11 @@ def complete_json(c: CompleteCorrelation, pairing: Pairing) -> dict[str, Any]:
         "channels": [
             {"channel": name, "comac": x, "ecomac": y, "contribution": z}
             for name, x, y, z in zip(
-                c.channels, c.comac.tolist(), c.ecomac.tolist(), c.contribution.tolist(), strict=True
+                c.channels,
+                c.comac.tolist(),
+                c.ecomac.tolist(),
+                c.contribution.tolist(),
+                strict=True,
             )
         ],
         "worst_comac": [c.channels[i] for i in worst.tolist()],
@@ -318,11 +364,15 @@ def complete_json(c: CompleteCorrelation, pairing: Pairing) -> dict[str, Any]:
         ],
         "complexity": [
             {"mode": i + 1, "mpc": x, "mpd_deg": float(np.rad2deg(y)), "mcf": z}
-            for i, (x, y, z) in enumerate(zip(c.mpc.tolist(), c.mpd.tolist(), c.mcf.tolist(), strict=True))
+            for i, (x, y, z) in enumerate(
+                zip(c.mpc.tolist(), c.mpd.tolist(), c.mcf.tolist(), strict=True)
+            )
         ],
         "scale": [
             {"a": i + 1, "b": j + 1, "factor": abs(x), "phase_deg": float(np.rad2deg(np.angle(x)))}
-            for i, j, x in zip(pairing.a.tolist(), pairing.b.tolist(), c.scale.tolist(), strict=True)
+            for i, j, x in zip(
+                pairing.a.tolist(), pairing.b.tolist(), c.scale.tolist(), strict=True
+            )
         ],
         "orthogonality": [
             {"name": k.name, "verdict": verdict_json(k.verdict), "judged": c.judges(k)}
@@ -330,7 +380,8 @@ def complete_json(c: CompleteCorrelation, pairing: Pairing) -> dict[str, Any]:
             for k in c.checks
         ],
         "subspaces": [
-            {"a": _from_one(x.a), "b": _from_one(x.b), "angles_deg": np.rad2deg(x.angles).tolist()} for x in c.subspaces
+            {"a": _from_one(x.a), "b": _from_one(x.b), "angles_deg": np.rad2deg(x.angles).tolist()}
+            for x in c.subspaces
         ],
         "suspects": [
             {
@@ -350,7 +401,14 @@ def complete_json(c: CompleteCorrelation, pairing: Pairing) -> dict[str, Any]:
             "count": count,
             "p": _number(chance),
             "pairs": [
-                {"a": i + 1, "b": j + 1, "std_hz": _number(d), "z": _number(z), "p": _number(p), "significant": h}
+                {
+                    "a": i + 1,
+                    "b": j + 1,
+                    "std_hz": _number(d),
+                    "z": _number(z),
+                    "p": _number(p),
+                    "significant": h,
+                }
                 for i, j, d, z, p, h in zip(
                     pairing.a.tolist(),
                     pairing.b.tolist(),

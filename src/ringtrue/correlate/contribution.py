@@ -15,12 +15,15 @@ MOST = 20  # channels left out unless more are asked for
 def _checked(a: Any_, b: Any_) -> tuple[Any_, Any_]:
     a, b = np.asarray(a), np.asarray(b)
     if a.ndim != 2 or a.shape != b.shape:
-        raise InputError(f"paired shapes {a.shape} and {b.shape} must be (channel, mode) and equal in size")
+        raise InputError(
+            f"paired shapes {a.shape} and {b.shape} must be (channel, mode) and equal in size"
+        )
     return a, b
 
 
 def mac_contribution(a: Any_, b: Any_) -> Float:
-    """Share of each channel in the MAC of paired modes, (n, m) float64; each column sums to the MAC.
+    """Share of each channel in the MAC of paired modes, (n, m) float64; each column sums to the
+    MAC.
 
     Re(ā_i b_i · conj(aᴴb))/(aᴴa · bᴴb); negative where a channel works against the rest.
 
@@ -32,7 +35,9 @@ def mac_contribution(a: Any_, b: Any_) -> Float:
     a, b = _checked(a, b)
     part = a.conj() * b
     below = (np.abs(a) ** 2).sum(axis=0) * (np.abs(b) ** 2).sum(axis=0)
-    return np.asarray((part * part.sum(axis=0).conj()).real / np.where(below > 0, below, 1.0), dtype=np.float64)
+    return np.asarray(
+        (part * part.sum(axis=0).conj()).real / np.where(below > 0, below, 1.0), dtype=np.float64
+    )
 
 
 def mac_without(a: Any_, b: Any_) -> Float:
@@ -44,7 +49,9 @@ def mac_without(a: Any_, b: Any_) -> Float:
 
 def _mac(cross: Any_, aa: Float, bb: Float) -> Float:
     below = aa * bb
-    return np.asarray((np.abs(cross) ** 2 / np.where(below > 0, below, np.inf)).clip(0.0, 1.0), dtype=np.float64)
+    return np.asarray(
+        (np.abs(cross) ** 2 / np.where(below > 0, below, np.inf)).clip(0.0, 1.0), dtype=np.float64
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,7 +78,9 @@ class Elimination:
         return np.asarray(self.mac.mean(axis=1))
 
 
-def eliminate(a: Any_, b: Any_, *, most: int | None = None, least_channels: int | None = None) -> Elimination:
+def eliminate(
+    a: Any_, b: Any_, *, most: int | None = None, least_channels: int | None = None
+) -> Elimination:
     """Sequential sensor elimination: the channels that spoil the MAC most, the worst first.
 
     Parameters
@@ -81,11 +90,12 @@ def eliminate(a: Any_, b: Any_, *, most: int | None = None, least_channels: int 
     most : int, optional
         Channels to leave out; a tenth of them (1 to 20) if not given.
     least_channels : int, optional
-        Channels that must stay; twice the number of pairs, at most n − 1, if not given: a MAC over fewer tells little.
+        Channels that must stay; twice the number of pairs, at most n − 1, if not given: a MAC over
+        fewer tells little.
 
     Notes
-    -----
-    It shows where two sets differ; leaving these channels out of the comparison does not make the model better.
+    ----- It shows where two sets differ; leaving these channels out of the comparison does not make
+    the model better.
     """
     a, b = _checked(a, b)
     n, m = a.shape

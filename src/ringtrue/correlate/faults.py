@@ -1,4 +1,6 @@
-"""Channels whose readings contradict the model: named, with the MAC if they were mended; never mended."""
+"""Channels whose readings contradict the model: named, with the MAC if they were mended; never
+mended.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,12 @@ from ringtrue.shapes.scale import modal_scale_factor
 Fault = Literal["reversed", "swapped", "scaled", "dead"]
 MOST_SWAPS = 500  # channels that are tried against each other, the worst of them
 MOST_THREES = 60  # the same in rounds of three
-USUAL = ((9.80665, "g for m/s²"), (10.0, "20 dB of gain"), (1e3, "a factor 1000 of units"), (2.0, "6 dB of gain"))
+USUAL = (
+    (9.80665, "g for m/s²"),
+    (10.0, "20 dB of gain"),
+    (1e3, "a factor 1000 of units"),
+    (2.0, "6 dB of gain"),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +75,8 @@ class Suspect:
     factor : float
         What it reads over what it, or its partner, should; −1 if reversed, ±1 if swapped.
     mac_now, mac_mended : float, 0..1
-        Mean MAC of the pairs as measured, and if this fault alone were mended (a dead channel left out).
+        Mean MAC of the pairs as measured, and if this fault alone were mended (a dead channel left
+        out).
     """
 
     channel: str
@@ -106,7 +114,9 @@ class ChannelFault:
 
 
 def mended(a: Any_, faults: Sequence[ChannelFault]) -> Any_:
-    """A copy of the readings `a` (n, m) as they would be without the faults; dead channels become zero."""
+    """A copy of the readings `a` (n, m) as they would be without the faults; dead channels become
+    zero.
+    """
     out = np.array(a)
     for f in faults:
         if f.fault == "swapped":
@@ -122,8 +132,9 @@ def mended(a: Any_, faults: Sequence[ChannelFault]) -> Any_:
 def find_faults(a: Any_, b: Any_, limits: FaultLimits = FaultLimits()) -> tuple[ChannelFault, ...]:
     """Faulty rows of the readings `a`, judged by the shapes `b`; the gravest first.
 
-    The readings are scaled mode by mode to the model by least absolute deviation, which a few wrong channels do not
-    move. Then the fault that explains most of the squared error is taken, thought away, and the rest is judged anew.
+    The readings are scaled mode by mode to the model by least absolute deviation, which a few wrong
+    channels do not move. Then the fault that explains most of the squared error is taken, thought
+    away, and the rest is judged anew.
 
     Parameters
     ----------
@@ -131,14 +142,16 @@ def find_faults(a: Any_, b: Any_, limits: FaultLimits = FaultLimits()) -> tuple[
         Paired shapes, m >= 3; `b` is believed.
 
     Notes
-    -----
-    Fails where the model is so wrong that its error hides the fault, where more than about a third of the channels
-    are wrong, or where two channels move alike (exchanging them changes nothing). A triaxial sensor turned by a
-    quarter or about its diagonal is two or three swapped channels, with signs; one turned by less is not recognised.
+    ----- Fails where the model is so wrong that its error hides the fault, where more than about a
+    third of the channels are wrong, or where two channels move alike (exchanging them changes
+    nothing). A triaxial sensor turned by a quarter or about its diagonal is two or three swapped
+    channels, with signs; one turned by less is not recognised.
     """
     a, b = np.asarray(a), np.asarray(b)
     if a.shape != b.shape or a.ndim != 2 or a.shape[1] < 3:
-        raise InputError(f"paired shapes {a.shape} and {b.shape}: at least 3 pairs are needed to judge a channel")
+        raise InputError(
+            f"paired shapes {a.shape} and {b.shape}: at least 3 pairs are needed to judge a channel"
+        )
     found: list[ChannelFault] = []
     gone: Int = np.zeros(0, dtype=np.int64)
     for _ in range(max(1, a.shape[0] // 3)):  # each fault changes what the others look like
@@ -152,7 +165,9 @@ def find_faults(a: Any_, b: Any_, limits: FaultLimits = FaultLimits()) -> tuple[
 
 
 def scaled_to(a: Any_, b: Any_) -> tuple[Float, Float]:
-    """Readings and unit shapes, real, each mode of the readings scaled to the model by its weighted median ratio."""
+    """Readings and unit shapes, real, each mode of the readings scaled to the model by its weighted
+    median ratio.
+    """
     length = np.linalg.norm(b, axis=0)
     b = b / np.where(length > 0, length, 1.0)
     turn_b = modal_scale_factor(np.abs(b), b) if np.iscomplexobj(b) else np.ones(b.shape[1])
@@ -180,24 +195,35 @@ def _gravest(y: Float, b: Float, at: Int, limits: FaultLimits) -> ChannelFault |
     factor = own / np.where(size_b > 0, size_b**2, 1.0)
     silent = live & (size_y < limits.dead * size_b)
     able = np.isin(np.arange(b.shape[0]), at) & live
-    found = _dead(error, silent & able) + _reversed(y, b, error, (cosine < -limits.correlation) & able & ~silent)
+    found = _dead(error, silent & able) + _reversed(
+        y, b, error, (cosine < -limits.correlation) & able & ~silent
+    )
     far = (factor > limits.far) | (factor < 1 / limits.far)
-    positive = able & ~silent & (cosine > np.where(far, limits.correlation, limits.scaled_correlation))
+    positive = (
+        able & ~silent & (cosine > np.where(far, limits.correlation, limits.scaled_correlation))
+    )
     found += _mis_scaled(y, b, error, factor, positive, limits)
     poor = np.flatnonzero(able & ~silent & (cosine < 0.95) & (error > usual * limits.gain / 4))
-    found += _swapped(y, b, error, poor[np.argsort(-error[poor], kind="stable")][:MOST_SWAPS], limits)
+    found += _swapped(
+        y, b, error, poor[np.argsort(-error[poor], kind="stable")][:MOST_SWAPS], limits
+    )
     need = usual * limits.gain
     grave = [f for f in found if f.gain > (need / 2 if f.fault == "dead" else need)]
     return max(grave, key=lambda f: (f.gain, -f.i), default=None)
 
 
 def _dead(error: Float, which: Any_) -> list[ChannelFault]:
-    return [ChannelFault(i, i, "dead", 0.0, float(error[i])) for i in np.flatnonzero(which).tolist()]
+    return [
+        ChannelFault(i, i, "dead", 0.0, float(error[i])) for i in np.flatnonzero(which).tolist()
+    ]
 
 
 def _reversed(y: Float, b: Float, error: Float, which: Any_) -> list[ChannelFault]:
     turned = ((y + b) ** 2).sum(axis=1)
-    return [ChannelFault(i, i, "reversed", -1.0, float(error[i] - turned[i])) for i in np.flatnonzero(which).tolist()]
+    return [
+        ChannelFault(i, i, "reversed", -1.0, float(error[i] - turned[i]))
+        for i in np.flatnonzero(which).tolist()
+    ]
 
 
 def _mis_scaled(
@@ -221,7 +247,9 @@ def _mis_scaled(
 
 
 def _swapped(y: Float, b: Float, error: Float, at: Int, limits: FaultLimits) -> list[ChannelFault]:
-    """The best exchange of two of the rows `at`, and the best one round three, some of them reversed, too."""
+    """The best exchange of two of the rows `at`, and the best one round three, some of them
+    reversed, too.
+    """
     if at.size < 2:
         return []
     cross = y[at] @ b[at].T
@@ -230,18 +258,26 @@ def _swapped(y: Float, b: Float, error: Float, at: Int, limits: FaultLimits) -> 
     alike = np.abs(cross) > limits.correlation * np.maximum(size_y[:, None] * size_b, 1e-300)
     np.fill_diagonal(alike, False)
     left = np.where(alike, left, np.inf)
-    rounds = [_pair(left, error[at], limits), _three(left[:MOST_THREES, :MOST_THREES], error[at], limits)]
+    rounds = [
+        _pair(left, error[at], limits),
+        _three(left[:MOST_THREES, :MOST_THREES], error[at], limits),
+    ]
     out = []
     for gain, order in rounds:
         if gain > 0:
-            moved = [(p, q, float(np.sign(cross[p, q]))) for p, q in zip(order, (*order[1:], order[0]), strict=True)]
+            moved = [
+                (p, q, float(np.sign(cross[p, q])))
+                for p, q in zip(order, (*order[1:], order[0]), strict=True)
+            ]
             rows = tuple(sorted((int(at[p]), int(at[q]), sign) for p, q, sign in moved))
             out.append(ChannelFault(rows[0][0], rows[-1][0], "swapped", rows[0][2], gain, rows))
     return out
 
 
 def _pair(left: Float, error: Float, limits: FaultLimits) -> tuple[float, tuple[int, ...]]:
-    """Gain and positions of the best exchange of two; `left` (r, r) is the error of a row that reads another."""
+    """Gain and positions of the best exchange of two; `left` (r, r) is the error of a row that
+    reads another.
+    """
     now, then = np.add.outer(error, error), left + left.T
     gain = np.where(np.triu(then < limits.explained * now, 1), now - then, 0.0)
     at = np.unravel_index(int(np.argmax(gain)), gain.shape)
@@ -270,7 +306,8 @@ def suspect_channels(
     settings: PairingSettings = PairingSettings(),  # noqa: B008  frozen
     least_pairs: int = 3,
 ) -> tuple[Suspect, ...]:
-    """Channels of A that look reversed, swapped, mis-scaled or dead, judged by the paired modes of B.
+    """Channels of A that look reversed, swapped, mis-scaled or dead, judged by the paired modes of
+    B.
 
     `settings` are those of the pairing: close modes of B are turned first as the pairing did.
 
@@ -280,7 +317,9 @@ def suspect_channels(
         With fewer than `least_pairs` pairs: no channel could be judged.
     """
     if len(pairing) < least_pairs:
-        raise InputError(f"{len(pairing)} pairs: at least {least_pairs} are needed to judge a channel")
+        raise InputError(
+            f"{len(pairing)} pairs: at least {least_pairs} are needed to judge a channel"
+        )
     left, right = paired_shapes(a, b, pairing, settings)
     now = float(paired_mac(left, right).mean())
     out: list[Suspect] = []
@@ -297,7 +336,9 @@ def _mac_without_fault(left: Any_, right: Any_, fault: ChannelFault) -> float:
     return float(paired_mac(mended(left, [fault])[keep], right[keep]).mean())
 
 
-def suspects_of(f: ChannelFault, channels: tuple[str, ...], now: float, then: float) -> list[Suspect]:
+def suspects_of(
+    f: ChannelFault, channels: tuple[str, ...], now: float, then: float
+) -> list[Suspect]:
     """A fault in words, a suspect for each channel; `now` and `then` are mean MACs, 0..1."""
     told = f"mean MAC {100 * now:.1f} % -> {100 * then:.1f} %"
     one = channels[f.i]
@@ -306,7 +347,8 @@ def suspects_of(f: ChannelFault, channels: tuple[str, ...], now: float, then: fl
             Suspect(
                 channels[row],
                 "swapped",
-                f"reads what {channels[real]} should{' with the opposite sign' if sign < 0 else ''}; put right: {told}",
+                f"reads what {channels[real]} "
+                f"should{' with the opposite sign' if sign < 0 else ''}; put right: {told}",
                 channels[real],
                 sign,
                 now,

@@ -17,7 +17,8 @@ def _same(a: Complex, b: Complex) -> None:
 
 
 def frac(a: Complex, b: Complex) -> Float:
-    """Frequency response assurance criterion, (out, in) 0..1: |Σ a* b|²/(Σ|a|² Σ|b|²) over lines (Heylen, 1996).
+    """Frequency response assurance criterion, (out, in) 0..1: |Σ a* b|²/(Σ|a|² Σ|b|²) over lines
+    (Heylen, 1996).
 
     Parameters
     ----------
@@ -25,11 +26,14 @@ def frac(a: Complex, b: Complex) -> Float:
     """
     _same(a, b)
     below = (np.abs(a) ** 2).sum(axis=0) * (np.abs(b) ** 2).sum(axis=0)
-    return np.asarray(np.abs((a.conj() * b).sum(axis=0)) ** 2 / np.where(below > 0, below, 1.0), dtype=np.float64)
+    return np.asarray(
+        np.abs((a.conj() * b).sum(axis=0)) ** 2 / np.where(below > 0, below, 1.0), dtype=np.float64
+    )
 
 
 def fdac(a: Complex, b: Complex) -> Float:
-    """Frequency domain assurance criterion, (freq of a, freq of b) -1..1: cosine of the response shapes.
+    """Frequency domain assurance criterion, (freq of a, freq of b) -1..1: cosine of the response
+    shapes.
 
     Parameters
     ----------
@@ -60,7 +64,8 @@ def magnitude_deviation(a: Complex, b: Complex) -> Float:
 
 
 def shape_correlation(a: Complex, b: Complex) -> Float:
-    """Global shape correlation, (freq, in) 0..1: |Σ a* b|²/(Σ|a|² Σ|b|²) over the outputs of a line; blind to scale.
+    """Global shape correlation, (freq, in) 0..1: |Σ a* b|²/(Σ|a|² Σ|b|²) over the outputs of a
+    line; blind to scale.
 
     Source: Zang, Grafe and Imregun (2001).
 
@@ -70,14 +75,20 @@ def shape_correlation(a: Complex, b: Complex) -> Float:
     """
     _same(a, b)
     below = (np.abs(a) ** 2).sum(axis=1) * (np.abs(b) ** 2).sum(axis=1)
-    return np.asarray(np.abs((a.conj() * b).sum(axis=1)) ** 2 / np.where(below > 0, below, 1.0), dtype=np.float64)
+    return np.asarray(
+        np.abs((a.conj() * b).sum(axis=1)) ** 2 / np.where(below > 0, below, 1.0), dtype=np.float64
+    )
 
 
 def amplitude_correlation(a: Complex, b: Complex) -> Float:
-    """Global amplitude correlation, (freq, in) 0..1: 2|Σ a* b|/(Σ|a|² + Σ|b|²); 1 only where also the size agrees."""
+    """Global amplitude correlation, (freq, in) 0..1: 2|Σ a* b|/(Σ|a|² + Σ|b|²); 1 only where also
+    the size agrees.
+    """
     _same(a, b)
     below = (np.abs(a) ** 2).sum(axis=1) + (np.abs(b) ** 2).sum(axis=1)
-    return np.asarray(2 * np.abs((a.conj() * b).sum(axis=1)) / np.where(below > 0, below, 1.0), dtype=np.float64)
+    return np.asarray(
+        2 * np.abs((a.conj() * b).sum(axis=1)) / np.where(below > 0, below, 1.0), dtype=np.float64
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,7 +127,9 @@ def band_levels(a: Complex, b: Complex, freqs: Float, *, per_octave: int = 3) ->
     _same(a, b)
     f = np.asarray(freqs, dtype=np.float64)
     if f.shape != a.shape[:1] or per_octave < 1:
-        raise InputError(f"{f.size} lines for FRFs of {a.shape[0]}; {per_octave} bands an octave (1 or more)")
+        raise InputError(
+            f"{f.size} lines for FRFs of {a.shape[0]}; {per_octave} bands an octave (1 or more)"
+        )
     live = f > 0
     number = np.rint(per_octave * np.log2(f[live] / 1000)).astype(np.int64)
     names, band = np.unique(number, return_inverse=True)
@@ -130,7 +143,9 @@ def band_levels(a: Complex, b: Complex, freqs: Float, *, per_octave: int = 3) ->
 
 @dataclass(frozen=True, slots=True)
 class InputSummary:
-    """FRFs of one input: median and least FRAC (0..1), level difference (dB), mean shape and amplitude correlation."""
+    """FRFs of one input: median and least FRAC (0..1), level difference (dB), mean shape and
+    amplitude correlation.
+    """
 
     name: str
     frac: float
@@ -211,7 +226,9 @@ class FrfComparison:
         middle = np.median(self.frac, axis=1)
         level = np.median(self.deviation, axis=1)
         order = np.argsort(middle, kind="stable").tolist()
-        return tuple(OutputSummary(self.outputs[i], float(middle[i]), float(level[i])) for i in order)
+        return tuple(
+            OutputSummary(self.outputs[i], float(middle[i]), float(level[i])) for i in order
+        )
 
 
 def compare_frfs(a: FrfSet, b: FrfSet) -> FrfComparison:
@@ -220,19 +237,25 @@ def compare_frfs(a: FrfSet, b: FrfSet) -> FrfComparison:
     Raises
     ------
     InputError
-        If the kinds differ, or no output, input or line is common. FRFs are not interpolated: near a resonance that
-        would compare the interpolation. Synthesise those of the model on the lines of the test.
+        If the kinds differ, or no output, input or line is common. FRFs are not interpolated: near
+        a resonance that would compare the interpolation. Synthesise those of the model on the lines
+        of the test.
     """
     if a.kind != b.kind:
         raise InputError(f"FRFs are {a.kind} and {b.kind}; convert one of them")
     step = float(np.median(np.diff(a.freqs))) if a.freqs.size > 1 else 1.0
     at = np.searchsorted(b.freqs, a.freqs - 1e-4 * step).clip(max=max(b.freqs.size - 1, 0))
-    line = np.flatnonzero(np.abs(b.freqs[at] - a.freqs) < 1e-4 * step) if b.freqs.size else np.zeros(0, np.int64)
+    line = (
+        np.flatnonzero(np.abs(b.freqs[at] - a.freqs) < 1e-4 * step)
+        if b.freqs.size
+        else np.zeros(0, np.int64)
+    )
     outs = _common([c.id for c in a.outputs], [c.id for c in b.outputs])
     ins = _common([c.id for c in a.inputs], [c.id for c in b.inputs])
     if not (line.size and outs[0] and ins[0]):
         raise InputError(
-            f"FRFs have {line.size} lines, {len(outs[0])} outputs and {len(ins[0])} inputs in common; "
+            f"FRFs have {line.size} lines, {len(outs[0])} outputs and {len(ins[0])} inputs in "
+            "common; "
             "synthesise those of the model on the lines of the test"
         )
     left = a.data[np.ix_(line, outs[1], ins[1])]

@@ -30,12 +30,17 @@ class Gate:
 
     def __post_init__(self) -> None:
         if not (0 <= self.diagonal <= 1 and 0 <= self.off_diagonal <= 1):
-            raise ConfigError(f"gate {self.name!r}: diagonal {self.diagonal}, off-diagonal {self.off_diagonal}: 0 to 1")
+            raise ConfigError(
+                f"gate {self.name!r}: diagonal {self.diagonal}, off-diagonal "
+                f"{self.off_diagonal}: 0 to 1"
+            )
 
 
 MOST_TOLD = 20  # failures
 DECIMALS = 9  # of an entry, by which failures are ordered
-TRADE = Gate()  # NASA-STD-5002 (1996): at least 0.9 on the diagonal and at most 0.1 off it for the target modes
+TRADE = (
+    Gate()
+)  # NASA-STD-5002 (1996): at least 0.9 on the diagonal and at most 0.1 off it for the target modes
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +83,9 @@ class Verdict:
         return text + (f", {len(self.failures)} entries beyond the limits" if self.failures else "")
 
 
-def judge(matrix: Float, gate: Gate = TRADE, *, a: Any_ | None = None, b: Any_ | None = None) -> Verdict:
+def judge(
+    matrix: Float, gate: Gate = TRADE, *, a: Any_ | None = None, b: Any_ | None = None
+) -> Verdict:
     """Hold a self- or cross-orthogonality matrix against a gate.
 
     Parameters
@@ -87,8 +94,8 @@ def judge(matrix: Float, gate: Gate = TRADE, *, a: Any_ | None = None, b: Any_ |
         Magnitudes, 0..1 (`shapes.orthogonality`).
     gate : Gate
     a, b : (k,) int, optional
-        The pairs: rows and columns of `matrix` that belong together. The matrix must be square if not given. Only the
-        rows and columns that have a partner are judged.
+        The pairs: rows and columns of `matrix` that belong together. The matrix must be square if
+        not given. Only the rows and columns that have a partner are judged.
 
     Raises
     ------
@@ -107,20 +114,31 @@ def judge(matrix: Float, gate: Gate = TRADE, *, a: Any_ | None = None, b: Any_ |
         Failure(int(rows[i]), int(cols[j]), float(off[i, j]), gate.off_diagonal, False)
         for i, j in np.argwhere(off > gate.off_diagonal).tolist()
     ]
-    # the farthest beyond its limit first; the halves of a symmetric matrix differ in rounding, which orders nothing
+    # the farthest beyond its limit first; the halves of a symmetric matrix differ in rounding,
+    # which orders nothing
     found.sort(key=lambda f: (-round(abs(f.value - f.limit), DECIMALS), f.a, f.b))
     least = float(own.min()) if own.size else float("nan")
-    return Verdict(gate, bool(own.size) and not found, least, float(off.max(initial=0.0)), tuple(found))
+    return Verdict(
+        gate, bool(own.size) and not found, least, float(off.max(initial=0.0)), tuple(found)
+    )
 
 
 def _pairs(matrix: Any_, a: Any_ | None, b: Any_ | None) -> tuple[Int, Int]:
-    if matrix.ndim != 2 or (a is None) != (b is None) or (a is None and matrix.shape[0] != matrix.shape[1]):
-        raise InputError(f"orthogonality {matrix.shape}: give the pairs (a and b) unless it is square")
+    if (
+        matrix.ndim != 2
+        or (a is None) != (b is None)
+        or (a is None and matrix.shape[0] != matrix.shape[1])
+    ):
+        raise InputError(
+            f"orthogonality {matrix.shape}: give the pairs (a and b) unless it is square"
+        )
     rows = np.arange(matrix.shape[0]) if a is None else np.asarray(a, dtype=np.int64)
     cols = np.arange(matrix.shape[1]) if b is None else np.asarray(b, dtype=np.int64)
     top = (rows.max(initial=-1), cols.max(initial=-1))
     if rows.shape != cols.shape or top[0] >= matrix.shape[0] or top[1] >= matrix.shape[1]:
-        raise InputError(f"pairs {rows.shape} and {cols.shape} up to {top} for a matrix {matrix.shape}")
+        raise InputError(
+            f"pairs {rows.shape} and {cols.shape} up to {top} for a matrix {matrix.shape}"
+        )
     return rows, cols
 
 

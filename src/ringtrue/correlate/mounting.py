@@ -1,4 +1,6 @@
-"""Sensors mounted, named or connected otherwise than the sheet says: what would raise the MAC, tried and never done."""
+"""Sensors mounted, named or connected otherwise than the sheet says: what would raise the MAC,
+tried and never done.
+"""
 
 from __future__ import annotations
 
@@ -17,12 +19,22 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.correlate.align import axis_turns
 from ringtrue.correlate.assign import HOLD, PairingSettings, scores
 from ringtrue.correlate.beyond import CHANCE, FLAT
-from ringtrue.correlate.faults import ChannelFault, FaultLimits, Suspect, find_faults, mended, scaled_to, suspects_of
+from ringtrue.correlate.faults import (
+    ChannelFault,
+    FaultLimits,
+    Suspect,
+    find_faults,
+    mended,
+    scaled_to,
+    suspects_of,
+)
 from ringtrue.shapes.mac import mac, unit
 from ringtrue.shapes.scale import realise
 
 MOST_MENDINGS = 3  # one after the other
-LOOKED_AT = 12  # turns of axes that are judged with close modes rotated, the best of all by single shapes
+LOOKED_AT = (
+    12  # turns of axes that are judged with close modes rotated, the best of all by single shapes
+)
 RIVAL = 3.0  # of log-likelihood: twenty times less likely is no rival
 ROUNDS = 4
 _NEGLIGIBLE = 1e-9  # part of a unit vector
@@ -41,7 +53,8 @@ class Readings:
     frequencies : (mb,) float64, Hz
         Of the model.
     motion : (3, n, mb) float64 or complex128
-        Shapes of the model along X, Y, Z of the sheet where each sensor is; NaN where that is not known.
+        Shapes of the model along X, Y, Z of the sheet where each sensor is; NaN where that is not
+        known.
     axes : (n, 3) float64
         Unit vector of each sensor, frame of the sheet.
     groups : tuple (n) of str
@@ -55,7 +68,9 @@ class Readings:
     groups: tuple[str, ...]
 
     def seen(self, axes: Float) -> Any_:
-        """What sensors with such axes (n, 3) read of the model, (n, mb); NaN where that is not known."""
+        """What sensors with such axes (n, 3) read of the model, (n, mb); NaN where that is not
+        known.
+        """
         share = axes.T[:, :, None]
         along = np.where(np.abs(share) > _NEGLIGIBLE, share * self.motion, 0.0)
         return np.asarray(along.sum(axis=0))
@@ -63,12 +78,14 @@ class Readings:
 
 @dataclass(frozen=True, slots=True)
 class Mending:
-    """What raises the MAC if sensors are not mounted, connected or named as the sheet says; nothing is mended.
+    """What raises the MAC if sensors are not mounted, connected or named as the sheet says; nothing
+    is mended.
 
     Attributes
     ----------
     kind : {"axes", "signs", "channels"}
-        Whole axes turned or reversed; any number of channels reversed; single channels reversed or swapped.
+        Whole axes turned or reversed; any number of channels reversed; single channels reversed or
+        swapped.
     group : str
         The part of the structure whose sensors are meant; empty: all sensors.
     axes : tuple of (str, str)
@@ -80,7 +97,8 @@ class Mending:
     pairs : tuple of (int, int)
         Modes with a MAC above the gate, before and after.
     mac : tuple of (float, float), 0..1
-        Mean MAC of the test modes with their best partners within the frequency gate, before and after.
+        Mean MAC of the test modes with their best partners within the frequency gate, before and
+        after.
     """
 
     kind: Literal["axes", "signs", "channels"]
@@ -102,7 +120,10 @@ class Mending:
         if self.kind == "axes":
             return _axes_words(self.group, self.axes)
         if self.kind == "signs":
-            return f"{' '.join(s.channel for s in self.suspects)} read with the opposite sign of the others"
+            return (
+                f"{' '.join(s.channel for s in self.suspects)} read with the opposite sign of "
+                "the others"
+            )
         return "; ".join(f"{s.channel} {s.message.split(';')[0]}" for s in self.suspects)
 
     @property
@@ -111,9 +132,11 @@ class Mending:
         (now, then), (few, more) = self.mac, self.pairs
         rivals = f" (or {'; or '.join(self.rivals)})" if self.rivals else ""
         return (
-            f"sensors may be mounted, connected or named otherwise: if {self.change}{rivals}, the mean MAC of the test "
+            f"sensors may be mounted, connected or named otherwise: if {self.change}{rivals}, "
+            "the mean MAC of the test "
             f"modes with their best partners rises from {100 * now:.1f} to {100 * then:.1f} %, by "
-            f"{100 * (then - now):.1f} points, and {more} instead of {few} modes have a partner. Nothing was changed"
+            f"{100 * (then - now):.1f} points, and {more} instead of {few} modes have a partner. "
+            "Nothing was changed"
         )
 
 
@@ -124,8 +147,8 @@ def readings_by_name(test: ModeSet, model: ModeSet) -> Readings:
     ----------
     test : ModeSet
     model : ModeSet
-        At the channels of the test, and others: what it does at `101+X` and `101+Y` is known where it has these.
-        Where names tell no axes signs and cables alone are tried.
+        At the channels of the test, and others: what it does at `101+X` and `101+Y` is known where
+        it has these. Where names tell no axes signs and cables alone are tried.
     """
     n = len(test.channels)
     labels = [split_label(c) for c in test.channels]
@@ -137,7 +160,9 @@ def readings_by_name(test: ModeSet, model: ModeSet) -> Readings:
         motion[0] = model.shapes[index] * sign[:, None]
         return Readings(test, model.frequencies, motion, axes, ("",) * n)
     for k, axis in enumerate(AXES):
-        index, sign = match_channels([f"{label[0]}+{axis}" for label in labels if label], model.channels)
+        index, sign = match_channels(
+            [f"{label[0]}+{axis}" for label in labels if label], model.channels
+        )
         known = index >= 0
         motion[k, known] = model.shapes[index[known]] * sign[known, None]
     for i, label in enumerate(labels):
@@ -168,12 +193,14 @@ def find_mendings(
     settings: PairingSettings = PairingSettings(),  # noqa: B008  frozen
     limits: FaultLimits = FaultLimits(),  # noqa: B008  frozen
 ) -> tuple[Mending, ...]:
-    """Which turns of axes, of all sensors or of a group, which signs and which swapped cables explain a test better.
+    """Which turns of axes, of all sensors or of a group, which signs and which swapped cables
+    explain a test better.
 
-    Each is tried with a pairing of its own, since wrong axes leave few pairs. What a shape has that the model misses,
-    1 − MAC, is taken for a variance. A change counts if the likelihood that it gains outweighs the number of changes
-    that are tried, with 1 % to be wrong, and if the mean MAC of the modes is then above the gate. Of changes that
-    shapes cannot tell apart the frequencies decide. The best one is thought away, and the rest tried anew.
+    Each is tried with a pairing of its own, since wrong axes leave few pairs. What a shape has that
+    the model misses, 1 − MAC, is taken for a variance. A change counts if the likelihood that it
+    gains outweighs the number of changes that are tried, with 1 % to be wrong, and if the mean MAC
+    of the modes is then above the gate. Of changes that shapes cannot tell apart the frequencies
+    decide. The best one is thought away, and the rest tried anew.
 
     Parameters
     ----------
@@ -184,9 +211,8 @@ def find_mendings(
         Of single channels.
 
     Notes
-    -----
-    It believes the model, as `find_faults` does. What a symmetric structure cannot tell apart is named beside the best.
-    The sign of all sensors together says nothing and is not looked at.
+    ----- It believes the model, as `find_faults` does. What a symmetric structure cannot tell apart
+    is named beside the best. The sign of all sensors together says nothing and is not looked at.
     """
     axes, shapes, found = given.axes, given.test.shapes, list[Mending]()
     sure = (given.test.confidence >= settings.min_confidence) & given.test.shapes.any(axis=0)
@@ -209,7 +235,9 @@ def find_mendings(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fit:
-    """MAC (k,) of the chosen test modes with their best partners, 0 without one, and these, -1 for none."""
+    """MAC (k,) of the chosen test modes with their best partners, 0 without one, and these, -1 for
+    none.
+    """
 
     mac: Float
     partner: Int
@@ -218,7 +246,9 @@ class _Fit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Change:
-    """Shapes and axes after a change; `cost` is the logarithm of the number of changes of its kind."""
+    """Shapes and axes after a change; `cost` is the logarithm of the number of changes of its
+    kind.
+    """
 
     shapes: Any_
     axes: Float
@@ -237,7 +267,9 @@ class _Search:
     patterns: int  # independent ones in the shapes of the test
 
     def fit(self, shapes: Any_, axes: Float, *, rotated: bool = True) -> _Fit | None:
-        """The best one-to-one assignment within the frequency gate; None where motion along the axes is not known."""
+        """The best one-to-one assignment within the frequency gate; None where motion along the
+        axes is not known.
+        """
         b, fb = self.given.seen(axes), self.given.frequencies
         if not np.isfinite(b).all():
             return None
@@ -253,14 +285,20 @@ class _Search:
     def _possible(self, b: Any_) -> Bool:
         """Which pairs (ma, mb) are within the frequency gate, of modes that the sensors see."""
         fa, fb = self.given.test.frequencies[self.sure], self.given.frequencies
-        near = np.abs(fb[None, :] - fa[:, None]) <= self.settings.frequency_gate * np.abs(fa)[:, None]
+        near = (
+            np.abs(fb[None, :] - fa[:, None]) <= self.settings.frequency_gate * np.abs(fa)[:, None]
+        )
         typical = np.median(np.nan_to_num(np.abs(self.given.motion)).max(axis=(0, 1), initial=0.0))
-        return np.asarray(near & (np.abs(b).max(axis=0, initial=0.0) >= self.settings.faint * typical))
+        return np.asarray(
+            near & (np.abs(b).max(axis=0, initial=0.0) >= self.settings.faint * typical)
+        )
 
     def gain(self, before: Float, after: Float) -> float:
-        """What a change of the MACs (k,) gains in log-likelihood, with as many readings as the shapes have patterns.
+        """What a change of the MACs (k,) gains in log-likelihood, with as many readings as the
+        shapes have patterns.
 
-        Above `distinct` two shapes are the same: what a model lacks there is its error, and no fault of sensors.
+        Above `distinct` two shapes are the same: what a model lacks there is its error, and no
+        fault of sensors.
         """
         own = 1 - self.settings.distinct
         return float(self.patterns / 2 * np.log((1 - before + own) / (1 - after + own)).sum())
@@ -287,13 +325,19 @@ class _Search:
         alike = [(change, after) for net, change, after in judged if net > top - RIVAL]
         change, after = min(alike, key=lambda pair: self._strangeness(*pair))
         others = [c for c, _ in alike if c is not change and c.kind == "axes"]
-        rivals = [_axes_words(c.group, self._readings(c)) for c in others] if change.kind == "axes" else []
+        rivals = (
+            [_axes_words(c.group, self._readings(c)) for c in others]
+            if change.kind == "axes"
+            else []
+        )
         return self._mending(change, before, after, tuple(dict.fromkeys(rivals))), change
 
     def _strangeness(self, change: _Change, after: _Fit) -> tuple[float, int]:
-        """What decides between changes that shapes cannot tell apart: the frequencies, then how much is reversed.
+        """What decides between changes that shapes cannot tell apart: the frequencies, then how
+        much is reversed.
 
-        The mean |Δf| over the frequency gate, in steps of a hundredth, and the number of reversed axes or channels.
+        The mean |Δf| over the frequency gate, in steps of a hundredth, and the number of reversed
+        axes or channels.
         """
         kept = after.partner >= 0
         fa, fb = self.given.test.frequencies[self.sure], self.given.frequencies[after.partner]
@@ -301,17 +345,23 @@ class _Search:
         reversed_axes = sum(reads.startswith("-") for _, reads in self._readings(change))
         return round(float(off.mean()), 2), reversed_axes + len(change.faults)
 
-    def _mending(self, change: _Change, before: _Fit, after: _Fit, rivals: tuple[str, ...]) -> Mending:
+    def _mending(
+        self, change: _Change, before: _Fit, after: _Fit, rivals: tuple[str, ...]
+    ) -> Mending:
         now, then = float(before.mac.mean()), float(after.mac.mean())
         names = self.given.test.channels
         suspects = [s for f in change.faults for s in suspects_of(f, names, now, then)]
         gate = self.settings.mac_gate
         pairs = int((before.mac >= gate).sum()), int((after.mac >= gate).sum())
         readings = self._readings(change) if change.kind == "axes" else ()
-        return Mending(change.kind, change.group, readings, rivals, tuple(suspects), pairs, (now, then))
+        return Mending(
+            change.kind, change.group, readings, rivals, tuple(suspects), pairs, (now, then)
+        )
 
     def _turns(self, shapes: Any_, axes: Float) -> list[_Change]:
-        """Every way to lay the axes of all sensors, or of those of a group, onto each other; each reading once."""
+        """Every way to lay the axes of all sensors, or of those of a group, onto each other; each
+        reading once.
+        """
         groups = sorted(set(self.given.groups))
         made = dict[bytes, tuple[str, Float]]()
         for turn in axis_turns():
@@ -339,7 +389,9 @@ class _Search:
             to = turned[i] * np.sign(axes[i, k])
             m = int(np.abs(to).argmax())
             out.append(("XYZ"[k], f"{'-' if to[m] < 0 else ''}{'XYZ'[m]}"))
-        if not change.group and sum(y.startswith("-") for _, y in out) > len(out) / 2:  # the sign of all says nothing
+        if (
+            not change.group and sum(y.startswith("-") for _, y in out) > len(out) / 2
+        ):  # the sign of all says nothing
             out = [(x, y[1:] if y.startswith("-") else f"-{y}") for x, y in out]
         return tuple((x, y) for x, y in out if x != y)
 
@@ -382,7 +434,9 @@ class _Search:
         if some.size < 3:
             return []
         left, right = shapes[:, self.sure][:, some], before.seen[:, partner[some]]
-        faults = [f for f in find_faults(left, right, self.limits) if f.fault in ("reversed", "swapped")]
+        faults = [
+            f for f in find_faults(left, right, self.limits) if f.fault in ("reversed", "swapped")
+        ]
         if not faults:
             return []
         cost = sum(max(len(f.moved), 1) for f in faults) * float(np.log(len(shapes)))

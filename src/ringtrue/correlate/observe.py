@@ -46,28 +46,34 @@ def observe(
     dofs : DofSet
         Rows of the model's shapes, basic frame.
     tolerance : float, model unit, optional
-        A sensor farther than this from every node is an error. If not given `default_tolerance`, and no more than a
-        quarter of the size of the test.
+        A sensor farther than this from every node is an error. If not given `default_tolerance`,
+        and no more than a quarter of the size of the test.
     unit : float
         Model length unit in metres (mm-t-s: 1e-3).
     method : {"nearest", "rigid"}
-        "nearest" takes the translations of the nearest node, of several at one place that with the number of the
-        sensor's point. "rigid" fits a rigid motion to the translations of the
-        `neighbours` nearest nodes for sensors that are not on a node (exact for any rigid-body motion).
+        "nearest" takes the translations of the nearest node, of several at one place that with the
+        number of the sensor's point. "rigid" fits a rigid motion to the translations of the
+        `neighbours` nearest nodes for sensors that are not on a node (exact for any rigid-body
+        motion).
     neighbours : int
         Nodes of the rigid fit, 3 or more.
 
     Raises
     ------
     DataError
-        If sensors are too far away (all are named with their distance) or a DOF they need is not in the model.
+        If sensors are too far away (all are named with their distance) or a DOF they need is not in
+        the model.
     ConfigError
         On an unknown method or too few neighbours.
     """
     if method not in ("nearest", "rigid"):
-        raise ConfigError(f"no observation method {method!r}{did_you_mean(method, ('nearest', 'rigid'))}")
+        raise ConfigError(
+            f"no observation method {method!r}{did_you_mean(method, ('nearest', 'rigid'))}"
+        )
     if method == "rigid" and neighbours < 3:
-        raise ConfigError(f"{neighbours} neighbours cannot fix a rigid motion; allowed are 3 and more")
+        raise ConfigError(
+            f"{neighbours} neighbours cannot fix a rigid motion; allowed are 3 and more"
+        )
     at = test.channel_xyz() / unit
     k = min(neighbours, len(node_ids)) if method == "rigid" else 1
     found = KDTree(xyz).query(at, k=[*range(1, k + 1)])
@@ -75,29 +81,44 @@ def observe(
     if tolerance is None:  # a test in another unit must not lie on one node
         tolerance = min(default_tolerance(xyz), _OF_EXTENT * diagonal(test.xyz) / unit or np.inf)
     if k == 1:
-        nearest = _by_number(test.at, at, np.asarray(node_ids), xyz, (distance, nearest), SAME * tolerance)
+        nearest = _by_number(
+            test.at, at, np.asarray(node_ids), xyz, (distance, nearest), SAME * tolerance
+        )
     _refuse_far(test, distance[:, 0], tolerance, np.asarray(node_ids), xyz, nearest[:, 0], unit)
-    weights = _rigid_weights(at, xyz[nearest], distance, test.directions()) if k > 1 else test.directions()[:, None, :]
+    weights = (
+        _rigid_weights(at, xyz[nearest], distance, test.directions())
+        if k > 1
+        else test.directions()[:, None, :]
+    )
     matrix = _matrix(weights, np.asarray(node_ids)[nearest], dofs, test.channels)
     return Observation(matrix, test.channels, dofs, unit, distance[:, 0])
 
 
 def default_tolerance(xyz: Float) -> float:
-    """How far a sensor may be from its node where nothing is said: 3 % of the size of a model, or a mesh width.
+    """How far a sensor may be from its node where nothing is said: 3 % of the size of a model, or a
+    mesh width.
 
     Parameters
     ----------
     xyz : (n, 3) float64, model unit
-        All nodes that a sensor may sit on; the size is the diagonal of the box about them, the mesh width the median
-        distance of a node from its nearest neighbour. Nodes at one place tell no size: no sensor is too far from them.
+        All nodes that a sensor may sit on; the size is the diagonal of the box about them, the mesh
+        width the median distance of a node from its nearest neighbour. Nodes at one place tell no
+        size: no sensor is too far from them.
     """
     some = np.unique(np.linspace(0, len(xyz) - 1, SOME).astype(np.int64))
     width = _spacing(xyz, some)
-    return max(OF_SIZE * diagonal(xyz), float(np.median(np.where(np.isfinite(width), width, 0.0)))) or np.inf
+    return (
+        max(OF_SIZE * diagonal(xyz), float(np.median(np.where(np.isfinite(width), width, 0.0))))
+        or np.inf
+    )
 
 
-def _by_number(points: Int, at: Float, ids: Int, xyz: Float, found: tuple[Float, Int], same: float) -> Int:
-    """The nearest nodes (channel, 1): where the node that bears the number of the point is as near, that one."""
+def _by_number(
+    points: Int, at: Float, ids: Int, xyz: Float, found: tuple[Float, Int], same: float
+) -> Int:
+    """The nearest nodes (channel, 1): where the node that bears the number of the point is as near,
+    that one.
+    """
     distance, nearest = found
     order = np.argsort(ids, kind="stable")
     own = order[np.searchsorted(ids, points, sorter=order).clip(max=ids.size - 1)]
@@ -106,28 +127,46 @@ def _by_number(points: Int, at: Float, ids: Int, xyz: Float, found: tuple[Float,
 
 
 def _refuse_far(
-    test: TestModel, distance: Float, tolerance: float, ids: Int, xyz: Float, nearest: Int, unit: float
+    test: TestModel,
+    distance: Float,
+    tolerance: float,
+    ids: Int,
+    xyz: Float,
+    nearest: Int,
+    unit: float,
 ) -> None:
     far = np.flatnonzero(~(distance <= tolerance))
     if not far.size:
         return
-    shown = "; ".join(f"{test.channels[i]} is {distance[i]:.4g} from node {ids[nearest[i]]}" for i in far[:8].tolist())
-    extent = np.linalg.norm(np.ptp(test.channel_xyz(), axis=0)) / unit  # of another unit it is far less than a distance
+    shown = "; ".join(
+        f"{test.channels[i]} is {distance[i]:.4g} from node {ids[nearest[i]]}"
+        for i in far[:8].tolist()
+    )
+    extent = (
+        np.linalg.norm(np.ptp(test.channel_xyz(), axis=0)) / unit
+    )  # of another unit it is far less than a distance
     times = float(extent / (diagonal(xyz) or np.inf))
-    between = bool((distance[far] <= np.minimum(_spacing(xyz, nearest[far]), _OF_EXTENT * extent)).all())
+    between = bool(
+        (distance[far] <= np.minimum(_spacing(xyz, nearest[far]), _OF_EXTENT * extent)).all()
+    )
     do = (
-        "They stand between nodes of a coarse mesh: raise the tolerance (--tolerance, [correlate] tolerance) to "
-        f"{1.1 * unit * distance[far].max():.2g} m; with match = rigid they read the motion of the nodes around them"
+        "They stand between nodes of a coarse mesh: raise the tolerance (--tolerance, "
+        "[correlate] tolerance) to "
+        f"{1.1 * unit * distance[far].max():.2g} m; with match = rigid they read the motion of "
+        "the nodes around them"
         if between
-        else f"Check the unit factor ({unit:g} m) and the origin and axes of the test model, or raise the tolerance"
+        else f"Check the unit factor ({unit:g} m) and the origin and axes of the test model, or "
+        "raise the tolerance"
     )
     if times > UNLIKE or 0 < times < 1 / UNLIKE**2:
         do = (
-            f"The test is {times:.4g} times the model in size: places of a test are in m, the unit of length of "
+            f"The test is {times:.4g} times the model in size: places of a test are in m, the "
+            "unit of length of "
             f"the model is taken for {unit:g} m (--units, [model] units)"
         )
     raise DataError(
-        f"{far.size} of {distance.size} channels are farther than {tolerance:g} (model unit) from every node: {shown}. "
+        f"{far.size} of {distance.size} channels are farther than {tolerance:g} (model unit) "
+        f"from every node: {shown}. "
         f"{do}"
     )
 
@@ -139,7 +178,8 @@ def _spacing(xyz: Float, nodes: Int) -> Float:
 
 
 def _rigid_weights(at: Float, nodes: Float, distance: Float, axes: Float) -> Float:
-    """Weights (channel, k, 3) on the nodes' translations: the rigid motion that fits them, read at the sensor.
+    """Weights (channel, k, 3) on the nodes' translations: the rigid motion that fits them, read at
+    the sensor.
 
     The fit is weighted by 1/distance², so a sensor on a node reads that node alone.
     """
@@ -147,8 +187,12 @@ def _rigid_weights(at: Float, nodes: Float, distance: Float, axes: Float) -> Flo
     arm = (nodes - at[:, None, :]) / reach[:, :, None]  # rotations scaled by the reach
     x, y, z = arm[..., 0], arm[..., 1], arm[..., 2]
     o = np.zeros_like(x)
-    skew = np.stack([np.stack([o, z, -y], -1), np.stack([-z, o, x], -1), np.stack([y, -x, o], -1)], -2)
-    motion = np.concatenate([np.broadcast_to(np.eye(3), skew.shape), skew], axis=-1)  # (channel, k, 3, 6)
+    skew = np.stack(
+        [np.stack([o, z, -y], -1), np.stack([-z, o, x], -1), np.stack([y, -x, o], -1)], -2
+    )
+    motion = np.concatenate(
+        [np.broadcast_to(np.eye(3), skew.shape), skew], axis=-1
+    )  # (channel, k, 3, 6)
     w = 1.0 / np.maximum(distance / reach, 1e-6)  # square root of 1/distance²
     n, k = distance.shape
     fit = np.linalg.pinv((motion * w[:, :, None, None]).reshape(n, 3 * k, 6), rcond=1e-9)
@@ -156,7 +200,9 @@ def _rigid_weights(at: Float, nodes: Float, distance: Float, axes: Float) -> Flo
     return np.asarray(read * w[:, :, None])
 
 
-def _matrix(weights: Float, nodes: Int, dofs: DofSet, channels: tuple[str, ...]) -> sparse.csr_array:
+def _matrix(
+    weights: Float, nodes: Int, dofs: DofSet, channels: tuple[str, ...]
+) -> sparse.csr_array:
     channel, _, axis = (np.asarray(i) for i in np.indices(weights.shape))
     node = np.broadcast_to(nodes[:, :, None], weights.shape)
     keep = np.abs(weights) > 1e-14
@@ -175,9 +221,11 @@ def _matrix(weights: Float, nodes: Int, dofs: DofSet, channels: tuple[str, ...])
 
 
 def at_dofs(channels: tuple[str, ...], dofs: DofSet, unit: float = 1.0) -> Observation:
-    """The observation of channels whose names are DOFs, such as 101+Z; 101+Z and 101-Z may both be among them.
+    """The observation of channels whose names are DOFs, such as 101+Z; 101+Z and 101-Z may both be
+    among them.
 
-    Rotations, 101+RX, are those of shapes in metres: by `unit`, metres a model unit, they compare with translations.
+    Rotations, 101+RX, are those of shapes in metres: by `unit`, metres a model unit, they compare
+    with translations.
 
     Raises
     ------

@@ -48,15 +48,16 @@ def pair_modes(
 ) -> Pairing:
     """Pair the modes of two sets by one global assignment over MAC and frequency.
 
-    Modes left over that look alike and like no other are pairs beyond the frequency gate, too (`settings.reach`).
-    Blind to the order of modes and channels and to the sign, phase and scale of shapes. Close modes
-    (`settings.close`) are treated as subspaces where a rotation inside the group of B explains A and single shapes
-    do not.
+    Modes left over that look alike and like no other are pairs beyond the frequency gate, too
+    (`settings.reach`). Blind to the order of modes and channels and to the sign, phase and scale of
+    shapes. Close modes (`settings.close`) are treated as subspaces where a rotation inside the
+    group of B explains A and single shapes do not.
 
     Parameters
     ----------
     a, b : ModeSet
-        B must hold the channels of A. Where A has none, frequencies alone decide (`by_frequency`), and `mac` is NaN.
+        B must hold the channels of A. Where A has none, frequencies alone decide (`by_frequency`),
+        and `mac` is NaN.
     settings : PairingSettings
     visible_b : (mb,) float64, optional
         Share of each mode's motion that takes place where sensors sit, 0..1.
@@ -74,13 +75,18 @@ def pair_modes(
     """
     b = b.rows(a.channels)
     for name, m in zip(names, (a, b), strict=True):
-        if gaps := [m.channels[i] for i in np.flatnonzero(~np.isfinite(m.shapes).all(axis=1)).tolist()]:
+        if gaps := [
+            m.channels[i] for i in np.flatnonzero(~np.isfinite(m.shapes).all(axis=1)).tolist()
+        ]:
             raise InputError(
-                f"shapes of {name} have gaps (NaN) at {' '.join(gaps[:8])}{' ...' * (len(gaps) > 8)}: "
+                f"shapes of {name} have gaps (NaN) at "
+                f"{' '.join(gaps[:8])}{' ...' * (len(gaps) > 8)}: "
                 "take the channels (rows) and modes (take) that have none"
             )
     if visible_b is not None and np.shape(visible_b) != (len(b),):
-        raise InputError(f"visible_b {np.shape(visible_b)} for {len(b)} modes: one share a mode is needed")
+        raise InputError(
+            f"visible_b {np.shape(visible_b)} for {len(b)} modes: one share a mode is needed"
+        )
     hidden = _hidden(b, settings, visible_b)
     a, b = (replace(m, shapes=above_rounding(m.shapes)) for m in (a, b))
     sure = a.confidence >= settings.min_confidence
@@ -91,12 +97,23 @@ def pair_modes(
     if a.channels:
         (rows, cols), rival = assign(s, settings, sure, plain, locks), np.zeros(0, dtype=np.int64)
         free = np.logical_and.outer(sure, plain) & locks.mask((len(a), len(b)))[1]
-        more = uncontested(a.frequencies, a.shapes, b.frequencies, b.shapes, s, (rows, cols), free, settings)
+        more = uncontested(
+            a.frequencies, a.shapes, b.frequencies, b.shapes, s, (rows, cols), free, settings
+        )
         rows, cols, s, beyond = more.rows, more.columns, more.score, more.beyond
     else:
-        wide = within(s, replace(settings, frequency_gate=settings.frequency_gate / HOLD), sure, plain, locks)[0]
-        found = by_frequency(a.frequencies, b.frequencies, *within(s, settings, sure, plain, locks), wide)
-        rows, cols, rival, beyond = found.rows, found.columns, found.rival, np.zeros(0, dtype=np.bool_)
+        wide = within(
+            s, replace(settings, frequency_gate=settings.frequency_gate / HOLD), sure, plain, locks
+        )[0]
+        found = by_frequency(
+            a.frequencies, b.frequencies, *within(s, settings, sure, plain, locks), wide
+        )
+        rows, cols, rival, beyond = (
+            found.rows,
+            found.columns,
+            found.rival,
+            np.zeros(0, dtype=np.bool_),
+        )
     lone_a = np.setdiff1d(np.arange(len(a)), rows)
     lone_b = np.setdiff1d(np.arange(len(b)), cols)
     why = _Reasons(s, settings, rows, cols, names, first_b, locks, sure, tuple(hidden))
@@ -110,7 +127,11 @@ def pair_modes(
         lone_a=lone_a,
         why_a=tuple(
             _unseen(a, i)
-            or (why.of_a(i) if sure[i] else f"confidence {a.confidence[i]:.2f} < {settings.min_confidence:.2f}")
+            or (
+                why.of_a(i)
+                if sure[i]
+                else f"confidence {a.confidence[i]:.2f} < {settings.min_confidence:.2f}"
+            )
             for i in lone_a.tolist()
         ),
         lone_b=lone_b,
@@ -139,9 +160,14 @@ def _hidden(b: ModeSet, settings: PairingSettings, visible: Float | None) -> lis
             out.append("not observable: it does not move the channels that are compared")
             continue
         if visible is not None and visible[j] < settings.min_visible:
-            out.append(f"moves where no sensor is: {100 * visible[j]:.2g} % of its motion is at sensors")
+            out.append(
+                f"moves where no sensor is: {100 * visible[j]:.2g} % of its motion is at sensors"
+            )
         elif b.norm is Norm.MASS and share[j] < settings.faint:
-            out.append(f"not observable: |shape| at the sensors is only {100 * share[j]:.2g} % of the median mode's")
+            out.append(
+                f"not observable: |shape| at the sensors is only {100 * share[j]:.2g} % of the "
+                "median mode's"
+            )
         else:
             out.append("")
     return out
@@ -165,8 +191,22 @@ class _Reasons:
         return not np.isnan(self.score.mac).all()
 
     def of_a(self, i: int) -> str:
-        macs, errors, barred = self.score.merged[i], self.score.error[i], [q for p, q in self.locks.forbidden if p == i]
-        why = self._of(macs, errors, barred, self.names[1], self.cols, self.rows, self.names[0], self.first_b, 0)
+        macs, errors, barred = (
+            self.score.merged[i],
+            self.score.error[i],
+            [q for p, q in self.locks.forbidden if p == i],
+        )
+        why = self._of(
+            macs,
+            errors,
+            barred,
+            self.names[1],
+            self.cols,
+            self.rows,
+            self.names[0],
+            self.first_b,
+            0,
+        )
         return why + self._beyond(macs, errors)
 
     def _beyond(self, macs: Float, errors: Float) -> str:
@@ -180,7 +220,8 @@ class _Reasons:
         if macs[best] < ALIKE:
             return ""
         return (
-            f"; {BEYOND_THE_GATE} {self.names[1]} {best + 1 + self.first_b}, {100 * errors[best]:+.3g} %, has "
+            f"; {BEYOND_THE_GATE} {self.names[1]} {best + 1 + self.first_b}, "
+            f"{100 * errors[best]:+.3g} %, has "
             f"{100 * macs[best]:.0f} %: widen it (frequency_gate)"
         )
 
@@ -188,14 +229,30 @@ class _Reasons:
         f = float(b.frequencies[j])
         gate = self.settings.frequency_gate
         if len(a) and not a.frequencies.min() * (1 - gate) <= f <= a.frequencies.max() * (1 + gate):
-            return f"outside of the {self.names[0]} band {a.frequencies.min():.4g} to {a.frequencies.max():.4g} Hz"
+            return (
+                f"outside of the {self.names[0]} band {a.frequencies.min():.4g} to "
+                f"{a.frequencies.max():.4g} Hz"
+            )
         macs, errors = self.score.merged[:, j], self.score.error[:, j]
         barred = [p for p, q in self.locks.forbidden if q == j]
         near = np.flatnonzero((np.abs(errors) <= gate) & (macs >= self.settings.mac_gate))
         best = int(near[np.argmax(macs[near])]) if near.size else -1
         if best >= 0 and not self.sure[best]:
-            return f"{self.names[0]} {best + 1} (MAC {100 * macs[best]:.0f} %) has too little confidence"
-        return self._of(macs, errors, barred, self.names[0], self.rows, self.cols, self.names[1], 0, self.first_b)
+            return (
+                f"{self.names[0]} {best + 1} (MAC {100 * macs[best]:.0f} %) has too little "
+                "confidence"
+            )
+        return self._of(
+            macs,
+            errors,
+            barred,
+            self.names[0],
+            self.rows,
+            self.cols,
+            self.names[1],
+            0,
+            self.first_b,
+        )
 
     def _of(
         self,

@@ -43,7 +43,9 @@ class Significance:
 
     @property
     def chi_square(self) -> tuple[float, int, float]:
-        """Σz², the number of deviations with a standard deviation, and the chance of a larger sum."""
+        """Σz², the number of deviations with a standard deviation, and the chance of a larger
+        sum.
+        """
         known = np.isfinite(self.z)
         total, count = float((self.z[known] ** 2).sum()), int(known.sum())
         return total, count, float(chdtrc(count, total)) if count else float("nan")
@@ -79,7 +81,9 @@ def significance(
     """
     f_a, f_b = np.asarray(f_a, dtype=np.float64), np.asarray(f_b, dtype=np.float64)
     if f_a.shape != f_b.shape or f_a.ndim != 1:
-        raise InputError(f"frequencies {f_a.shape} and {f_b.shape} of paired modes must be equal in number")
+        raise InputError(
+            f"frequencies {f_a.shape} and {f_b.shape} of paired modes must be equal in number"
+        )
     if not (0 < rate < 1 and model >= 0):
         raise ConfigError(f"rate {rate} (between 0 and 1), model {model} (0 or more)")
     one, two = (np.broadcast_to(np.asarray(s, dtype=np.float64), f_a.shape) for s in (std_a, std_b))
@@ -104,7 +108,11 @@ def _discoveries(p: Float, rate: float) -> Bool:
 
 
 def table_significance(
-    table: CorrelationTable, std_b: Float | float = float("nan"), *, model: float = 0.0, rate: float = 0.05
+    table: CorrelationTable,
+    std_b: Float | float = float("nan"),
+    *,
+    model: float = 0.0,
+    rate: float = 0.05,
 ) -> Significance:
     """`significance` of the pairs of a table; `std_b` (k,) Hz belongs to its second set."""
     return significance(table.test_hz, table.fe_hz, table.std_hz, std_b, model=model, rate=rate)

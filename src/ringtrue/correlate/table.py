@@ -65,7 +65,9 @@ class CorrelationTable:
 
     def __post_init__(self) -> None:
         f = np.float64
-        freeze_fields(self, test_hz=f, fe_hz=f, std_hz=f, used=np.bool_, mac=f, all_test_hz=f, all_fe_hz=f)
+        freeze_fields(
+            self, test_hz=f, fe_hz=f, std_hz=f, used=np.bool_, mac=f, all_test_hz=f, all_fe_hz=f
+        )
 
     def __len__(self) -> int:
         return int(self.test_hz.size)
@@ -87,7 +89,9 @@ class CorrelationTable:
 
     @property
     def mac_percent(self) -> Float:
-        """MAC of the two single shapes of each pair, as in the matrix, (k,) %; NaN without shapes."""
+        """MAC of the two single shapes of each pair, as in the matrix, (k,) %; NaN without
+        shapes.
+        """
         if not self.mac.size:
             return np.full(len(self), np.nan)
         return np.asarray(100 * self.mac[self.pairing.a, self.pairing.b])
@@ -96,8 +100,8 @@ class CorrelationTable:
     def subspace_mac_percent(self) -> Float:
         """The same with close modes rotated inside their subspace towards the test, (k,) %.
 
-        Close modes mix at the smallest change of the structure: their single shapes need not agree where their
-        subspaces do. Equal to `mac_percent` for pairs that belong to no such group.
+        Close modes mix at the smallest change of the structure: their single shapes need not agree
+        where their subspaces do. Equal to `mac_percent` for pairs that belong to no such group.
         """
         return 100 * self.pairing.mac
 
@@ -146,7 +150,9 @@ class CorrelationTable:
             self.pairing.beyond,
             self.significance,
         )
-        return tuple(CorrelationRow(*row) for row in zip(*(c.tolist() for c in columns), strict=True))
+        return tuple(
+            CorrelationRow(*row) for row in zip(*(c.tolist() for c in columns), strict=True)
+        )
 
 
 def _over(reduce: object, values: Float, which: Bool | None) -> float:

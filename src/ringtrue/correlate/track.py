@@ -39,7 +39,9 @@ class Step:
         freeze_fields(self, index=np.int64, overlap=np.float64, runner_up=np.float64)
 
     def sure(self, least: float = 0.6) -> Bool:
-        """(m,) True where the overlap is above `least`; above 0.5 no other mode of an orthogonal set can match it."""
+        """(m,) True where the overlap is above `least`; above 0.5 no other mode of an orthogonal
+        set can match it.
+        """
         return np.asarray(self.overlap >= least)
 
 
@@ -52,7 +54,8 @@ def follow(old: Any_, new: Any_, mass: Mass | None = None) -> Step:
         The modes followed.
     new : (n, k) float64 or complex128, k >= m
     mass : (n, n), optional
-        The overlap is then that of the mass product, which is exact; without it shapes at few channels may look alike.
+        The overlap is then that of the mass product, which is exact; without it shapes at few
+        channels may look alike.
 
     Raises
     ------
@@ -62,7 +65,9 @@ def follow(old: Any_, new: Any_, mass: Mass | None = None) -> Step:
     old, new = np.asarray(old), np.asarray(new)
     m = old.shape[1]
     if new.shape[1] < m:
-        raise InputError(f"{m} modes to follow, {new.shape[1]} at the new point; compute more there")
+        raise InputError(
+            f"{m} modes to follow, {new.shape[1]} at the new point; compute more there"
+        )
     share = mac(old, new) if mass is None else mass_mac(old, new, mass)
     rows, cols = linear_sum_assignment(-share)
     index = cols[np.argsort(rows)]
@@ -95,11 +100,15 @@ class Tracks:
     solves: int = 0
 
     def __post_init__(self) -> None:
-        freeze_fields(self, points=np.float64, index=np.int64, frequencies=np.float64, overlap=np.float64)
+        freeze_fields(
+            self, points=np.float64, index=np.int64, frequencies=np.float64, overlap=np.float64
+        )
 
     @property
     def worst(self) -> Float:
-        """(m,) smallest overlap of each mode along the path: below about 0.6 its identity was lost."""
+        """(m,) smallest overlap of each mode along the path: below about 0.6 its identity was
+        lost.
+        """
         return np.asarray(self.overlap.min(axis=0))
 
 
@@ -141,11 +150,13 @@ def track_along(
     least: float = 0.8,
     most_solves: int = 64,
 ) -> Tracks:
-    """Follow modes from one point to another; steps are halved where an overlap falls below `least`.
+    """Follow modes from one point to another; steps are halved where an overlap falls below
+    `least`.
 
-    Through a veering the shapes of two modes turn into each other over a short way; steps that resolve the turn
-    follow the branches, one step across it follows the shapes. `least` decides: with 0.8 a narrow veering counts as a
-    crossing (the test mode stays with its shape), with 0.99 its branches are followed. A crossing never falls below it.
+    Through a veering the shapes of two modes turn into each other over a short way; steps that
+    resolve the turn follow the branches, one step across it follows the shapes. `least` decides:
+    with 0.8 a narrow veering counts as a crossing (the test mode stays with its shape), with 0.99
+    its branches are followed. A crossing never falls below it.
 
     Parameters
     ----------

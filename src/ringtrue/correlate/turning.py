@@ -1,4 +1,6 @@
-"""Shapes of close modes as they were paired: turned inside their group towards those of the other set."""
+"""Shapes of close modes as they were paired: turned inside their group towards those of the other
+set.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,8 @@ def paired_shapes(
     pairing: Pairing,
     settings: PairingSettings = PairingSettings(),  # noqa: B008  frozen
 ) -> tuple[Any_, Any_]:
-    """The shapes (n, k) of the pairs; those of B turned inside their close group as far as the pairing did so.
+    """The shapes (n, k) of the pairs; those of B turned inside their close group as far as the
+    pairing did so.
 
     Parameters
     ----------
@@ -30,7 +33,9 @@ def paired_shapes(
     """
     b = b.rows(a.channels)
     turn = turning(a, b, pairing, settings)[:, pairing.b] if pairing.subspace.any() else None
-    return a.shapes[:, pairing.a], np.array(b.shapes[:, pairing.b]) if turn is None else b.shapes @ turn
+    return a.shapes[:, pairing.a], np.array(
+        b.shapes[:, pairing.b]
+    ) if turn is None else b.shapes @ turn
 
 
 def turning(
@@ -39,10 +44,12 @@ def turning(
     pairing: Pairing,
     settings: PairingSettings = PairingSettings(),  # noqa: B008  frozen
 ) -> Any_:
-    """The matrix U (mb, mb), UᴴU = 1, that turns close modes of B as the pairing did: compare A with `b.shapes @ U`.
+    """The matrix U (mb, mb), UᴴU = 1, that turns close modes of B as the pairing did: compare A
+    with `b.shapes @ U`.
 
-    Mass-normalised shapes stay orthonormal; what a group holds beyond its pairs takes the directions that are left.
-    Where closeness fades, U is as far between no rotation and the whole one.
+    Mass-normalised shapes stay orthonormal; what a group holds beyond its pairs takes the
+    directions that are left. Where closeness fades, U is as far between no rotation and the whole
+    one.
 
     Parameters
     ----------
@@ -66,17 +73,24 @@ def turning(
         at = turned[np.isin(pairing.b[turned], group)]
         if at.size:
             inside = np.ix_(list(group), list(group))
-            rotated, far = _rotated(a.shapes, b.shapes, pairing, at, group), np.full(len(group), weight.max())
+            rotated, far = (
+                _rotated(a.shapes, b.shapes, pairing, at, group),
+                np.full(len(group), weight.max()),
+            )
             far[np.searchsorted(group, pairing.b[at])] = weight[pairing.a[at]]
             out[inside] += (rotated - plain[inside]) * far
     out = linalg.polar(out)[0]
     mine = pairing.b[turned]
-    out[:, mine] *= _phase(((b.shapes @ out[:, mine]).conj() * a.shapes[:, pairing.a[turned]]).sum(axis=0))
+    out[:, mine] *= _phase(
+        ((b.shapes @ out[:, mine]).conj() * a.shapes[:, pairing.a[turned]]).sum(axis=0)
+    )
     return np.asarray(out)
 
 
 def _rotated(a: Any_, b: Any_, pairing: Pairing, at: Any_, group: tuple[int, ...]) -> Any_:
-    """The rotation (g, g) of an ascending group of B towards its pairs `at`; each column near the mode it replaces."""
+    """The rotation (g, g) of an ascending group of B towards its pairs `at`; each column near the
+    mode it replaces.
+    """
     turn = rotation(a[:, pairing.a[at]], b[:, list(group)])
     rest = linalg.null_space(turn.conj().T) if turn.shape[1] < len(group) else turn[:, :0]
     columns = [*pairing.b[at].tolist(), *(j for j in group if j not in pairing.b[at])]

@@ -1,11 +1,13 @@
-"""(K − λ_j M) z_j = r_j in the M-orthogonal complement of known modes, for many right-hand sides and one factor.
+"""(K − λ_j M) z_j = r_j in the M-orthogonal complement of known modes, for many right-hand sides
+and one factor.
 
-With A = K − σM factorised and δ = λ_j − σ, the equation is (I − δ A⁻¹M) z = A⁻¹r. One space V serves all columns:
-z = x + U y with x = A⁻¹r, U = A⁻¹MV and y from the Galerkin condition VᵀM(δz − Vy) = 0, whose residual M(δz − Vy) is
-exact (full orthogonalisation, Saad 2003, ch. 6.4; shifted systems: Frommer and Glässner 1998). V grows by the
-principal directions of δz − Vy over all columns that are not done, no more of them than the tolerances ask for:
-inertia loads are smooth, so that they are fewer than the columns. Residuals are estimated from sketches of the forces
-until all seem to be small enough; those that are not so by far are then computed.
+With A = K − σM factorised and δ = λ_j − σ, the equation is (I − δ A⁻¹M) z = A⁻¹r. One space V
+serves all columns: z = x + U y with x = A⁻¹r, U = A⁻¹MV and y from the Galerkin condition VᵀM(δz −
+Vy) = 0, whose residual M(δz − Vy) is exact (full orthogonalisation, Saad 2003, ch. 6.4; shifted
+systems: Frommer and Glässner 1998). V grows by the principal directions of δz − Vy over all columns
+that are not done, no more of them than the tolerances ask for: inertia loads are smooth, so that
+they are fewer than the columns. Residuals are estimated from sketches of the forces until all seem
+to be small enough; those that are not so by far are then computed.
 """
 
 from __future__ import annotations
@@ -23,15 +25,24 @@ from ringtrue.eigen.problem import EigenModes
 from ringtrue.errors import NotConverged
 
 RUNS = 8
-EACH, SPARE = 2, 60  # directions of a run for each column and beyond, before the columns that are left start anew
+EACH, SPARE = (
+    2,
+    60,
+)  # directions of a run for each column and beyond, before the columns that are left start anew
 DROP = 0.9  # share of the residual allowed to a column that a block may leave out of it
 INERTIA = 1e-4  # residual allowed at most, in inertia forces of the solution without iteration
 LOWEST = 1e-4  # of the residual allowed, to which that lowers it: below is rounding
 MARGIN = 0.93  # of the residual allowed, for one that is estimated
-SURE = 1 / (1 + 8 * (2 / TILE) ** 0.5)  # of the square allowed: an estimate below it is 8 standard deviations away
-LEAST = 1e-5  # share of the largest eigenvalue of a projection that one below zero may have by rounding
+SURE = 1 / (
+    1 + 8 * (2 / TILE) ** 0.5
+)  # of the square allowed: an estimate below it is 8 standard deviations away
+LEAST = (
+    1e-5  # share of the largest eigenvalue of a projection that one below zero may have by rounding
+)
 MANY = 400  # columns that pay for a factorisation at a better shift
-PIECE = 5 * 2**19  # numbers in an array of right-hand sides: memory of less than 32 MB is used again
+PIECE = (
+    5 * 2**19
+)  # numbers in an array of right-hand sides: memory of less than 32 MB is used again
 EIGHT = 8  # of them that MKL takes at a time
 _MORE = "compute more modes above those whose derivatives are needed"
 
@@ -85,7 +96,9 @@ class _Space:
         """A further block, which has been written to `next`."""
         cut = slice(self.size, self.size + v.count)
         inner = self._inner.cut(cut)
-        self._parts[:, cut] = of.solved(lambda c: of.inertia.forces(v.cut(c)), self._images[cut], inner)
+        self._parts[:, cut] = of.solved(
+            lambda c: of.inertia.forces(v.cut(c)), self._images[cut], inner
+        )
         self._rough[:, cut] = of.inertia.sketch(inner), of.inertia.sketch(v)
         self.size += v.count
         self.gram = _bordered(self.gram, self.basis.dot(v))
@@ -100,7 +113,9 @@ class _Space:
         """δUy − Vy as products cᵀf."""
         return (y * delta, self.inner), (-y, self.basis)
 
-    def defect(self, x: Fields, at: Int, y: Float, delta: Float, turn: Float, out: Fields) -> Fields:
+    def defect(
+        self, x: Fields, at: Int, y: Float, delta: Float, turn: Float, out: Fields
+    ) -> Fields:
         """Write δ(x + Uy) − Vy of the columns `at`, times `turn` (columns, r)."""
         first = np.zeros((x.count, turn.shape[1]))
         first[at] = delta[at, None] * turn
@@ -119,15 +134,18 @@ class _Space:
         """
         theta, turn = linalg.eigh(self.projected, self.gram, check_finite=False)
         if theta[-1] * delta.max() >= 1 or theta[0] < -LEAST * theta[-1]:
-            raise NotConverged(f"a mode below one of those that are differentiated is not among those given; {_MORE}")
+            raise NotConverged(
+                "a mode below one of those that are differentiated is not among those given; "
+                f"{_MORE}"
+            )
         return np.asarray(turn @ ((turn.T @ (b * delta)) / (1 - delta * theta[:, None])))
 
 
 class Complement:
     """The complement of known modes.
 
-    The factor that the modes came from serves if it is still there; if not, or for many right-hand sides, one amid
-    the λ is made, which contracts faster.
+    The factor that the modes came from serves if it is still there; if not, or for many right-hand
+    sides, one amid the λ is made, which contracts faster.
 
     Parameters
     ----------
@@ -142,7 +160,9 @@ class Complement:
 
     def __init__(self, pencil: Pencil, modes: EigenModes, lam: Float, columns: int) -> None:
         there = pencil.shift == modes.shift and columns < MANY
-        self.shift = modes.shift if there else _amid(modes.values, float(lam.max(initial=0.0)), modes.shift)
+        self.shift = (
+            modes.shift if there else _amid(modes.values, float(lam.max(initial=0.0)), modes.shift)
+        )
         self.pencil, self.modes, self.inertia = pencil, modes, Inertia(pencil.mass)
         self._known = self.inertia.fields(modes.vectors.T)
         self._rooms: tuple[Fields, _Space] | None = None
@@ -153,33 +173,44 @@ class Complement:
         Parameters
         ----------
         tolerance : float
-            ‖r − (K − λM)z‖ / ‖load‖ of each column (2-norm; r is the load without its part in the modes).
+            ‖r − (K − λM)z‖ / ‖load‖ of each column (2-norm; r is the load without its part in the
+            modes).
 
         Raises
         ------
         NotConverged
-            If a mode below some λ is not among those known, or the residual stays above the tolerance.
+            If a mode below some λ is not among those known, or the residual stays above the
+            tolerance.
         """
         z = np.empty(loads.T.shape)
         self.columns(loads.T.__getitem__, lam, tolerance * np.linalg.norm(loads, axis=0), z)
         return z.T
 
-    def columns(self, loads: Loads, lam: Float, allowed: Float, z: Float, along: Float | None = None) -> None:
-        """Write `solve` to z (k, f) with the residuals allowed (k,), and add the modes times `along` (n, k)."""
+    def columns(
+        self, loads: Loads, lam: Float, allowed: Float, z: Float, along: Float | None = None
+    ) -> None:
+        """Write `solve` to z (k, f) with the residuals allowed (k,), and add the modes times
+        `along` (n, k).
+        """
         at, allowed = np.arange(lam.size), allowed.copy()
         for run in range(RUNS):
             if not at.size:
                 return
             step = np.empty((at.size, self.pencil.size)) if run else z
-            rest, left = self._run(loads, lam[at], allowed, at, None if run else along, step, first=not run)
+            rest, left = self._run(
+                loads, lam[at], allowed, at, None if run else along, step, first=not run
+            )
             if run:
                 z[at] += step
             at, loads = at[left], partial(np.ndarray.__getitem__, rest)
         if at.size:
-            raise NotConverged(f"{at.size} of {lam.size} right-hand sides did not converge; {_MORE}")
+            raise NotConverged(
+                f"{at.size} of {lam.size} right-hand sides did not converge; {_MORE}"
+            )
 
     def solved(self, loads: Loads, x: Float, inner: Fields) -> Float:
-        """Write x = A⁻¹ loads (k, f) and its fields in the complement; its coefficients along the modes (n, k).
+        """Write x = A⁻¹ loads (k, f) and its fields in the complement; its coefficients along the
+        modes (n, k).
 
         In pieces of like size: larger ones than PIECE would be mapped anew each time.
         """
@@ -192,7 +223,9 @@ class Complement:
         return part
 
     def _room(self, columns: int) -> tuple[Fields, _Space]:
-        """Memory for the fields of solutions and a space; that of the last call if it is large enough."""
+        """Memory for the fields of solutions and a space; that of the last call if it is large
+        enough.
+        """
         if self._rooms is None or self._rooms[0].count < columns:
             self._rooms = None
             space = _Space(self._known, self.pencil.size, self._known.count, EACH * columns + SPARE)
@@ -202,12 +235,22 @@ class Complement:
         return inner.cut(slice(columns)), space
 
     def _run(
-        self, loads: Loads, lam: Float, limits: Float, which: Int, along: Float | None, z: Float, *, first: bool
+        self,
+        loads: Loads,
+        lam: Float,
+        limits: Float,
+        which: Int,
+        along: Float | None,
+        z: Float,
+        *,
+        first: bool,
     ) -> tuple[Float, Int]:
-        """Write the solution; forces that are left over in the columns not done, and which these are.
+        """Write the solution; forces that are left over in the columns not done, and which these
+        are.
 
-        The first run lowers the limits where the inertia of x is small beside the loads: forces that hardly move
-        anything, as those of nodes that move across a shell, would hide all that is left.
+        The first run lowers the limits where the inertia of x is small beside the loads: forces
+        that hardly move anything, as those of nodes that move across a shell, would hide all that
+        is left.
         """
         delta, at = lam - self.shift, np.arange(lam.size)
         x, space = self._room(lam.size)
@@ -237,11 +280,14 @@ class Complement:
         images, parts = space.images
         more = -part - parts @ y if along is None else along - part - parts @ y
         add(z, (y, images), (more, self.modes.vectors.T))
-        return self.inertia.forces(space.defect(x, at, y, delta, np.eye(at.size), x.room(at.size))), at
+        return self.inertia.forces(
+            space.defect(x, at, y, delta, np.eye(at.size), x.room(at.size))
+        ), at
 
 
 def _principal(gram: Float, allowed: Float) -> Float:
-    """Coefficients (k, r) of the directions that columns of residual forces with this Gram matrix need most.
+    """Coefficients (k, r) of the directions that columns of residual forces with this Gram matrix
+    need most.
 
     As few as leave at most DROP of the residual that is allowed to each column.
     """
@@ -253,7 +299,9 @@ def _principal(gram: Float, allowed: Float) -> Float:
 
 
 def _pieces(count: int, most: int) -> Iterator[slice]:
-    """Slices of like size, a multiple of EIGHT, that are about `most` at most and cover the count."""
+    """Slices of like size, a multiple of EIGHT, that are about `most` at most and cover the
+    count.
+    """
     step = EIGHT * -(-count // (EIGHT * max(-(-count // most), 1)))
     for start in range(0, count, max(step, 1)):
         yield slice(start, min(start + step, count))

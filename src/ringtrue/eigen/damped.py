@@ -1,8 +1,9 @@
-"""Complex modes of a damped structure: projected on its real modes, or of the full quadratic problem.
+"""Complex modes of a damped structure: projected on its real modes, or of the full quadratic
+problem.
 
-s²M + sD + K + iH with viscous damping D and structural damping H; first-order form of Foss (1958). The full problem
-is solved by Arnoldi iteration on the linearised problem, shifted and inverted by one factor of Q(σ): a step costs a
-solve with n rows, not 2n (Tisseur and Meerbergen 2001, ch. 5).
+s²M + sD + K + iH with viscous damping D and structural damping H; first-order form of Foss (1958).
+The full problem is solved by Arnoldi iteration on the linearised problem, shifted and inverted by
+one factor of Q(σ): a step costs a solve with n rows, not 2n (Tisseur and Meerbergen 2001, ch. 5).
 """
 
 from __future__ import annotations
@@ -19,9 +20,11 @@ from ringtrue.errors import InputError, NotConverged
 
 REPEATED = 1e-8  # poles closer than this are made A-orthogonal as a group
 FEW = 4  # times the poles that are asked for: a problem of that size is solved whole
-REACH = 0.58  # radius around the shift, in upper ends, that holds all poles with a damping ratio up to 0.3
+# radius around the shift, in upper ends, that holds all poles with a damping ratio up to 0.3
+REACH = 0.58
 SWING = 0.01  # share of |s| that Im(s) must pass: damping ratios up to 0.99995 count as oscillation
-STILL = 1e-9  # share of the largest λ sought under which |s|² is a rigid-body motion, which does not oscillate
+# share of the largest λ sought under which |s|² is a rigid-body motion, which does not oscillate
+STILL = 1e-9
 TOLERANCE = 1e-10  # of Arnoldi, relative
 ROUNDS = 5  # searches for more poles, each with twice as many
 
@@ -82,7 +85,8 @@ class FullModes:
 def full_modes(system: DynamicStiffness, upper: float, *, expected: int = 20) -> FullModes:
     """Poles with 0 < |s| <= `upper` and Im(s) > 0.01 |s|, from the full quadratic problem.
 
-    None with a damping ratio up to 0.3 is missing; of more damped ones those inside the circle that was searched.
+    None with a damping ratio up to 0.3 is missing; of more damped ones those inside the circle that
+    was searched.
 
     Parameters
     ----------
@@ -115,16 +119,21 @@ def full_modes(system: DynamicStiffness, upper: float, *, expected: int = 20) ->
         count *= 2
     else:
         raise NotConverged(f"{count} poles around {shift:.4g} rad/s do not reach {upper:.4g} rad/s")
-    at = np.flatnonzero((s.imag > SWING * np.abs(s)) & (np.abs(s) <= upper) & (s.imag > np.sqrt(STILL) * upper))
+    at = np.flatnonzero(
+        (s.imag > SWING * np.abs(s)) & (np.abs(s) <= upper) & (s.imag > np.sqrt(STILL) * upper)
+    )
     at = at[np.argsort(np.abs(s[at]), kind="stable")]
     s, shapes = s[at], _unit_modal_a(s[at], shapes[:, at], system.viscous, system.mass)
     return FullModes(ComplexModes(s, shapes), system.residuals(s, shapes), shift, radius)
 
 
-def _nearest(system: DynamicStiffness, shift: complex, scale: float, count: int) -> tuple[Complex, Complex]:
+def _nearest(
+    system: DynamicStiffness, shift: complex, scale: float, count: int
+) -> tuple[Complex, Complex]:
     """The `count` poles nearest to the shift, or all of a small system, and their shapes (f, k).
 
-    State [φ; sφ/scale], both parts of one size; p solves Q(σ)p = −(M(v + σx) + Dx), then [p; x + σp].
+    State [φ; sφ/scale], both parts of one size; p solves Q(σ)p = −(M(v + σx) + Dx), then [p; x +
+    σp].
     """
     n = system.size
 
@@ -135,7 +144,11 @@ def _nearest(system: DynamicStiffness, shift: complex, scale: float, count: int)
         return np.concatenate([p, (x + shift * p) / scale])
 
     if count >= 2 * n - 1:  # more than Arnoldi can have
-        return _poles(shift, n, *linalg.eig(np.stack([apply(e) for e in np.eye(2 * n, dtype=np.complex128)], axis=1)))
+        return _poles(
+            shift,
+            n,
+            *linalg.eig(np.stack([apply(e) for e in np.eye(2 * n, dtype=np.complex128)], axis=1)),
+        )
     start = np.random.default_rng(0).standard_normal(2 * n).astype(np.complex128)
     space = min(2 * count + 10, 2 * n)
     try:
@@ -151,17 +164,23 @@ def _poles(shift: complex, n: int, theta: Complex, z: Complex) -> tuple[Complex,
     return shift + 1 / theta[good], z[:n, good]
 
 
-def project(phi: Float, viscous: sparse.csr_array | None, structural: sparse.csr_array | None) -> tuple[Float, Float]:
+def project(
+    phi: Float, viscous: sparse.csr_array | None, structural: sparse.csr_array | None
+) -> tuple[Float, Float]:
     """ΦᵀDΦ and ΦᵀHΦ, (n, n) each; zeros for None."""
     n = phi.shape[1]
-    made = [np.zeros((n, n)) if a is None else np.asarray(phi.T @ (a @ phi)) for a in (viscous, structural)]
+    made = [
+        np.zeros((n, n)) if a is None else np.asarray(phi.T @ (a @ phi))
+        for a in (viscous, structural)
+    ]
     return (made[0] + made[0].T) / 2, (made[1] + made[1].T) / 2
 
 
 def complex_modes(
     values: Float, viscous: Float, structural: Float | None = None, *, top: float | None = None
 ) -> ComplexModes:
-    """Complex modes in the basis of n mass-normalised real modes, without those that do not oscillate.
+    """Complex modes in the basis of n mass-normalised real modes, without those that do not
+    oscillate.
 
     Parameters
     ----------
@@ -169,7 +188,8 @@ def complex_modes(
     viscous : (n, n) float64, ΦᵀDΦ
     structural : (n, n) float64, ΦᵀHΦ, optional
     top : float, optional, (rad/s)²
-        The largest λ sought, where residual vectors of dashpots on little mass stand far above it; of all if not given.
+        The largest λ sought, where residual vectors of dashpots on little mass stand far above it;
+        of all if not given.
 
     Raises
     ------
@@ -179,11 +199,15 @@ def complex_modes(
     n = values.size
     structural = np.zeros((n, n)) if structural is None else structural
     if viscous.shape != (n, n) or structural.shape != (n, n):
-        raise InputError(f"{n} modes, viscous {viscous.shape}, structural {structural.shape}: sizes differ")
+        raise InputError(
+            f"{n} modes, viscous {viscous.shape}, structural {structural.shape}: sizes differ"
+        )
     stiffness = np.diag(values) + (1j * structural if structural.any() else 0.0)
     zero, eye = np.zeros((n, n)), np.eye(n)
     s, y = linalg.eig(np.block([[zero, eye], [-stiffness, -viscous]]))
-    scale = max(np.sqrt(np.abs(values).max(initial=0.0) if top is None else top), np.finfo(float).tiny)
+    scale = max(
+        np.sqrt(np.abs(values).max(initial=0.0) if top is None else top), np.finfo(float).tiny
+    )
     at = np.flatnonzero((s.imag > SWING * np.abs(s)) & (np.abs(s) > np.sqrt(STILL) * scale))
     at = at[np.argsort(np.abs(s[at]), kind="stable")]
     return ComplexModes(s[at], _unit_modal_a(s[at], y[:n, at], viscous, None))
@@ -192,7 +216,9 @@ def complex_modes(
 def _unit_modal_a(
     s: Complex, phi: Complex, viscous: Float | sparse.csr_array, mass: sparse.csr_array | None
 ) -> Complex:
-    """Scale each group of equal poles so that Yᵀ A Y = I; the symmetric root keeps the phase convention."""
+    """Scale each group of equal poles so that Yᵀ A Y = I; the symmetric root keeps the phase
+    convention.
+    """
     loaded = phi if mass is None else np.asarray(mass @ phi)
     gram = phi.T @ np.asarray(viscous @ phi) + (s[:, None] + s) * (phi.T @ loaded)
     gap = np.abs(np.diff(s)) > REPEATED * np.abs(s[1:])

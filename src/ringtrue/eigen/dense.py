@@ -11,14 +11,20 @@ from ringtrue.core.arrays import Float, Int
 from ringtrue.errors import NumericalError, SingularModel
 
 Labels = Callable[[Int], list[str]]
-HINT = "look for a mechanism without mass or a DOF without stiffness there, and hold it or give it inertia"
+HINT = (
+    "look for a mechanism without mass or a DOF without stiffness there, and hold it or give "
+    "it inertia"
+)
 LOOSE = f"a motion has neither stiffness nor mass (a mechanism): {HINT}"
 MASSLESS = 1e-9  # share of the usual mass of a DOF under which a motion counts as without mass
 NO_ENERGY = 1e-13  # of the energy that its DOFs would have alone: a motion is without stiffness
 NEGATIVE = 1e-6  # share of the usual mass of a DOF beyond which less than nothing is not rounding
 PIECE = 100_000  # rows looked at in one piece
 DENSE_SIZE = 400  # rows up to which the dense solution is used
-DENSE_SHARE, DENSE_LIMIT = 0.25, 2000  # it is faster for more of the modes of up to so many rows, in 500 MB (measured)
+DENSE_SHARE, DENSE_LIMIT = (
+    0.25,
+    2000,
+)  # it is faster for more of the modes of up to so many rows, in 500 MB (measured)
 
 
 def named_rows(rows: Int) -> list[str]:
@@ -47,20 +53,26 @@ def spectrum(
     Raises
     ------
     SingularModel
-        If K − σM is not positive definite, or is so by rounding only; the rows that move most are named.
+        If K − σM is not positive definite, or is so by rounding only; the rows that move most are
+        named.
     NumericalError
         If that is so because the mass is negative.
     """
     k, m = stiffness.toarray(), mass.toarray()
     a = k - shift * m
-    d = 1 / np.sqrt(np.where(np.diag(a) > 0, np.diag(a), 1.0))  # scaled first: units differ by decades
+    d = 1 / np.sqrt(
+        np.where(np.diag(a) > 0, np.diag(a), 1.0)
+    )  # scaled first: units differ by decades
     scale = d * d[:, None]
     try:
         theta, y = linalg.eigh(m * scale, a * scale)
     except linalg.LinAlgError:
         refuse_negative_mass(mass, labels)
         refuse_negative_motion(mass, _least(m), labels)
-        why = f"K - ({shift:.3g}) M is not positive definite: a stiffness below 0 outweighs the others, or {HINT}"
+        why = (
+            f"K - ({shift:.3g}) M is not positive definite: a stiffness below 0 outweighs the "
+            f"others, or {HINT}"
+        )
         raise SingularModel(labels(_loose(a * scale, d)), why) from None
     moved = d[:, None] * y  # of unit energy: long where there is next to none
     refuse_negative_motion(mass, moved[:, 0], labels)
@@ -101,7 +113,8 @@ def usual_mass(mass: sparse.csr_array) -> float:
 
 
 def refuse_negative_mass(mass: sparse.csr_array, labels: Labels) -> None:
-    """A mass matrix with a negative entry on its diagonal, or a negative minor of two rows, has no modes.
+    """A mass matrix with a negative entry on its diagonal, or a negative minor of two rows, has no
+    modes.
 
     In pieces of rows: what is made of all entries would be larger than the matrix.
 
@@ -122,7 +135,8 @@ def refuse_negative_mass(mass: sparse.csr_array, labels: Labels) -> None:
 
 
 def refuse_negative_motion(mass: sparse.csr_array, motion: Float, labels: Labels) -> None:
-    """A motion (f,) whose mass is negative by more than rounding, of however many rows, is refused as well.
+    """A motion (f,) whose mass is negative by more than rounding, of however many rows, is refused
+    as well.
 
     Raises
     ------
@@ -139,4 +153,6 @@ def refuse_negative_motion(mass: sparse.csr_array, motion: Float, labels: Labels
 def _refuse(rows: Int, labels: Labels) -> None:
     if rows.size:
         names = " ".join(labels(rows[:6]))
-        raise NumericalError(f"mass or inertia is negative in some direction at {names}: check its signs")
+        raise NumericalError(
+            f"mass or inertia is negative in some direction at {names}: check its signs"
+        )

@@ -1,8 +1,9 @@
 """Derivatives of eigenvalues and mass-normalised eigenvectors with respect to parameters.
 
-(K − λM) φ' = −(K' − λM' − λ'M) φ with φᵀMφ = 1: the part in the computed modes is modal superposition, the rest
-(in their M-orthogonal complement) is iterated with the factor of K − σM that the modes came from.
-Sources: Fox, Kapoor (1968); Nelson (1976); Alvin (1997, iteration on the complement); Dailey (1989, repeated roots).
+(K − λM) φ' = −(K' − λM' − λ'M) φ with φᵀMφ = 1: the part in the computed modes is modal
+superposition, the rest (in their M-orthogonal complement) is iterated with the factor of K − σM
+that the modes came from. Sources: Fox, Kapoor (1968); Nelson (1976); Alvin (1997, iteration on the
+complement); Dailey (1989, repeated roots).
 """
 
 from __future__ import annotations
@@ -29,9 +30,11 @@ STILL = 1e-9  # share of its terms under which the load of a rigid-body mode is 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Slope:
-    """K' and M' of one parameter, and D' (viscous) and H' (structural damping) if there are any; (f, f) csr_array.
+    """K' and M' of one parameter, and D' (viscous) and H' (structural damping) if there are any;
+    (f, f) csr_array.
 
-    `transform` is T', (full, f), of the motions u = T q of all DOFs, where the parameter moves nodes such that T moves.
+    `transform` is T', (full, f), of the motions u = T q of all DOFs, where the parameter moves
+    nodes such that T moves.
     """
 
     stiffness: sparse.csr_array
@@ -42,7 +45,8 @@ class Slope:
 
 
 def groups(values: Float, scale: float | None = None) -> Int:
-    """(m,) int64, equal for eigenvalues (ascending) that are repeated within `CLOSE`; rigid-body modes are one.
+    """(m,) int64, equal for eigenvalues (ascending) that are repeated within `CLOSE`; rigid-body
+    modes are one.
 
     Differences below 1e-9 of `scale`, the largest if not given, are noise.
     """
@@ -54,8 +58,8 @@ def groups(values: Float, scale: float | None = None) -> Int:
 def eigenvalue_derivatives(modes: EigenModes, slopes: Sequence[Slope]) -> Float:
     """∂λ/∂a (m, p) = φᵀ(K' − λM')φ, in the basis of the modes as given.
 
-    In a group of repeated roots these are the diagonal of the group's block: their sum is that of the
-    branches; `split_derivatives` gives the derivatives of the branches.
+    In a group of repeated roots these are the diagonal of the group's block: their sum is that of
+    the branches; `split_derivatives` gives the derivatives of the branches.
     """
     phi, lam = np.ascontiguousarray(modes.vectors), modes.values
     out = np.zeros((lam.size, len(slopes)))
@@ -100,11 +104,13 @@ def modal_coefficients(stiffness: Float, mass: Float, values: Float, *, low: int
     Returns
     -------
     c : (..., n, m) float64
-        In a group of repeated roots −½ΦᵀM'Φ: normalisation is kept and the rotation inside the group is zero.
+        In a group of repeated roots −½ΦᵀM'Φ: normalisation is kept and the rotation inside the
+        group is zero.
     """
     m = stiffness.shape[-1]
     scale = float(np.abs(values[: low or m]).max(initial=0.0))
-    # motions almost without mass, as of a bearing's light node, must not set the noise of the low modes
+    # motions almost without mass, as of a bearing's light node, must not set the noise of the low
+    # modes
     at = groups(np.minimum(values, 1e4 * scale), scale)
     same = at[:, None] == at[:m]
     gap = np.where(same, 1.0, values[:m] - values[:, None])
@@ -151,7 +157,9 @@ def eigenvector_derivatives(
     space = Complement(pencil, modes, lam[:m], m * len(slopes))
     columns = min(max(ROOM // max(pencil.size, 1), 30), COLUMNS)
     runs = -(-len(slopes) // max(columns // max(m, 1), 1))
-    per = -(-len(slopes) // max(runs, 1)) or 1  # of like size: a small last one costs as many products
+    per = (
+        -(-len(slopes) // max(runs, 1)) or 1
+    )  # of like size: a small last one costs as many products
     out = np.empty((len(slopes), m, pencil.size))
     rows = out.reshape(-1, pencil.size)
     for start in range(0, len(slopes), per):
@@ -211,12 +219,16 @@ class _Load:
 def _spread(rows: Float, at: Int) -> None:
     """Move what stands in rows from at[0] on, without gaps, to `at` (ascending)."""
     ends = np.flatnonzero(np.diff(at, append=-1) != 1) + 1
-    for a, b in zip(np.append(0, ends[:-1])[::-1], ends[::-1], strict=True):  # runs between gaps, the last one first
+    for a, b in zip(
+        np.append(0, ends[:-1])[::-1], ends[::-1], strict=True
+    ):  # runs between gaps, the last one first
         if at[a] != at[0] + a:
             rows[at[a] : at[a] + b - a] = rows[at[0] + a : at[0] + b]
 
 
-def _write(space: Complement, loads: Sequence[_Load], owner: Int, mode: Int, tolerance: float, out: Float) -> None:
+def _write(
+    space: Complement, loads: Sequence[_Load], owner: Int, mode: Int, tolerance: float, out: Float
+) -> None:
     """Write φ' (k, f) for pairs of a load and a mode; those of a load stand side by side."""
     pairs = list(zip(owner.tolist(), mode.tolist(), strict=True))
     along = np.stack([loads[i].along[:, j] for i, j in pairs], axis=1)
@@ -238,7 +250,8 @@ def branch_derivatives(
     slope: Slope,
     group: Sequence[int],
 ) -> tuple[Float, Float, Float]:
-    """The vectors that leave a repeated root along one parameter, with their derivatives (Dailey 1989).
+    """The vectors that leave a repeated root along one parameter, with their derivatives (Dailey
+    1989).
 
     K and M are linear in the parameter: without K'' and M''.
 

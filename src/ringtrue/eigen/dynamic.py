@@ -14,7 +14,8 @@ RESIDUAL_LIMIT = 1e-6  # of a solve; what a factor in double precision exceeds o
 
 
 class DynamicStiffness:
-    """K, M, viscous D and structural H on one sparsity pattern; holds one factorisation, which moves with s.
+    """K, M, viscous D and structural H on one sparsity pattern; holds one factorisation, which
+    moves with s.
 
     Parameters
     ----------
@@ -43,7 +44,9 @@ class DynamicStiffness:
         self.structural: sparse.csr_array = none if structural is None else structural
         parts = (stiffness, mass, self.viscous, self.structural)
         if len({a.shape for a in parts}) > 1:
-            raise InputError(f"K, M, D and H differ in size: {', '.join(str(a.shape) for a in parts)}")
+            raise InputError(
+                f"K, M, D and H differ in size: {', '.join(str(a.shape) for a in parts)}"
+            )
         self.method, self._limit = choose(method, self.size), limit
         self._pattern = Pattern(*(a for a in parts if a.nnz))
         self._entries = [self._pattern.entries(a) for a in parts]
@@ -74,7 +77,10 @@ class DynamicStiffness:
             (self.structural, np.ones(poles.size)),
         )
         size = sum(np.linalg.norm(np.asarray(a @ shapes), axis=0) * f for a, f in terms)
-        return np.asarray(np.linalg.norm(self.product(poles, shapes), axis=0) / np.maximum(size, np.finfo(float).tiny))
+        return np.asarray(
+            np.linalg.norm(self.product(poles, shapes), axis=0)
+            / np.maximum(size, np.finfo(float).tiny)
+        )
 
     def solve(self, s: complex, rhs: Any_) -> Complex:
         """Q(s)⁻¹ rhs, (f, k) complex128, refined once.
@@ -91,7 +97,9 @@ class DynamicStiffness:
         x = x + factor.solve(rhs - self.product(s, x))
         rest = np.abs(rhs - self.product(s, x)).max(initial=0.0)
         if not rest <= RESIDUAL_LIMIT * np.abs(rhs).max(initial=np.finfo(float).tiny):
-            raise SingularModel((), f"the dynamic stiffness at s = {s:.6g} rad/s leaves a residual of {rest:.1e}")
+            raise SingularModel(
+                (), f"the dynamic stiffness at s = {s:.6g} rad/s leaves a residual of {rest:.1e}"
+            )
         return np.asarray(x)
 
     def _factor(self, s: complex) -> Engine:
@@ -106,7 +114,9 @@ class DynamicStiffness:
             self._engine.refactor(values)
         self._at = s
         if self._engine.singular:
-            raise SingularModel((), f"the dynamic stiffness at s = {s:.6g} rad/s cannot be factorised")
+            raise SingularModel(
+                (), f"the dynamic stiffness at s = {s:.6g} rad/s cannot be factorised"
+            )
         return self._engine
 
     def close(self) -> None:

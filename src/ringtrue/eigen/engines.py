@@ -1,7 +1,8 @@
 """Factorisations of symmetric matrices: PARDISO, rslab, SuperLU and a dense one, in one shape.
 
-Real matrices and complex symmetric ones (A = Aᵀ). Each engine analyses the pattern once, says how much memory the
-factor takes before it is made, and factorises again for other values on the same pattern.
+Real matrices and complex symmetric ones (A = Aᵀ). Each engine analyses the pattern once, says how
+much memory the factor takes before it is made, and factorises again for other values on the same
+pattern.
 """
 
 from __future__ import annotations
@@ -24,14 +25,21 @@ Method = Literal["auto", "pardiso", "rslab", "superlu", "dense"]
 METHODS: tuple[Method, ...] = ("auto", "pardiso", "rslab", "superlu", "dense")
 PACKAGES = {"pardiso": "pymklpardiso", "rslab": "rslab"}
 DENSE_LIMIT = 300  # rows up to which a dense LDLᵀ is as fast as a sparse one
-# Zero-based. METIS; perturb pivots below 1e-13; no scaling or matching, so that one analysis serves every shift;
-# Bunch-Kaufman.
+# Zero-based. METIS; perturb pivots below 1e-13; no scaling or matching, so that one analysis serves
+# every shift; Bunch-Kaufman.
 _IPARM = {1: 2, 9: 13, 10: 0, 12: 0, 20: 1}
-_BLOCKS = 36  # a negative value here: the pattern is stored as blocks that are filled to this percentage
+_BLOCKS = (
+    36  # a negative value here: the pattern is stored as blocks that are filled to this percentage
+)
 FILLED = 80
-ENTRIES = 300_000  # of the triangle, from which on blocks pay: small solids lose a few per cent of time by them
-PADDING = 1.3  # memory that a factor by blocks takes while it is made, against what its analysis says (measured)
-PIVOT, SAFE_PIVOT = 1e-6, 0.1  # share of the largest of its column that a pivot of SuperLU on the diagonal must have
+# of the triangle, from which on blocks pay: small solids lose a few per cent of time by them
+ENTRIES = 300_000
+# memory that a factor by blocks takes while it is made, against what its analysis says (measured)
+PADDING = 1.3
+PIVOT, SAFE_PIVOT = (
+    1e-6,
+    0.1,
+)  # share of the largest of its column that a pivot of SuperLU on the diagonal must have
 _REAL, _COMPLEX = -2, 6  # PARDISO's matrix types: real and complex symmetric
 
 
@@ -86,7 +94,10 @@ def choose(method: Method, size: int) -> Method:
     if method == "auto":
         return "dense" if size <= DENSE_LIMIT else installed()[0]
     if method not in installed():
-        raise InputError(f"factorisation method {method!r} needs the package {PACKAGES[method]}; it is not installed")
+        raise InputError(
+            f"factorisation method {method!r} needs the package {PACKAGES[method]}; it is not "
+            "installed"
+        )
     return method
 
 
@@ -123,7 +134,9 @@ class Dense:
         """Other values on the same pattern."""
         upper = self._pattern.matrix(values).toarray()
         full = upper + np.triu(upper, 1).T
-        size = np.sqrt(np.abs(full).max(axis=1))  # scaled first: rotations and translations differ by decades
+        size = np.sqrt(
+            np.abs(full).max(axis=1)
+        )  # scaled first: rotations and translations differ by decades
         self._scale = 1 / np.where(size > 0, size, 1.0)
         scaled = full * self._scale * self._scale[:, None]
         self.singular, self.weak = False, np.empty(0, dtype=np.int64)
@@ -159,7 +172,8 @@ class Dense:
 class SuperLu:
     """SciPy's own: slower and larger.
 
-    Scaled, nearly all matrices are factorised without an exchange of rows; LU is then LDLᵀ with D the diagonal of U.
+    Scaled, nearly all matrices are factorised without an exchange of rows; LU is then LDLᵀ with D
+    the diagonal of U.
     """
 
     bytes = 0
@@ -181,12 +195,17 @@ class SuperLu:
         self._negatives: int | None = None
         try:
             self._lu = splu(
-                full, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=self._pivot, options={"SymmetricMode": True}
+                full,
+                permc_spec="MMD_AT_PLUS_A",
+                diag_pivot_thresh=self._pivot,
+                options={"SymmetricMode": True},
             )
         except RuntimeError:  # "Factor is exactly singular"
             self.singular = True
         except MemoryError as e:
-            raise OutOfMemory(f"SuperLU of {self._pattern.size} rows: out of memory; install py-mkl-pardiso") from e
+            raise OutOfMemory(
+                f"SuperLU of {self._pattern.size} rows: out of memory; install py-mkl-pardiso"
+            ) from e
 
     @property
     def negatives(self) -> int:
@@ -221,7 +240,8 @@ class Pardiso:
     weak: Int = np.empty(0, dtype=np.int64)
 
     def __init__(self, pattern: Pattern, values: Any_, limit: int | None = None) -> None:
-        # the class below the public one, which walks through the rows in Python and cannot stop after the analysis
+        # the class below the public one, which walks through the rows in Python and cannot stop
+        # after the analysis
         from pymklpardiso._mkl_pardiso import PardisoSolver
 
         self._complex, self._rows = np.iscomplexobj(values), pattern.size
@@ -229,7 +249,9 @@ class Pardiso:
         self._blocks = not self._complex and pattern.indices.size > ENTRIES
         for i, value in (_IPARM | ({_BLOCKS: -FILLED} if self._blocks else {})).items():
             self._solver.set_iparm(i, value)
-        self._solver.set_pattern(ia=pattern.indptr.astype(np.int64), ja=pattern.indices.astype(np.int64), n=self._rows)
+        self._solver.set_pattern(
+            ia=pattern.indptr.astype(np.int64), ja=pattern.indices.astype(np.int64), n=self._rows
+        )
         self._trim()
         with self._calls():
             self._solver.run_phase(11)
@@ -252,7 +274,9 @@ class Pardiso:
 
     @property
     def bytes(self) -> int:
-        """Memory of the factor, from the analysis: the peak of the analysis or the factor with its index lists."""
+        """Memory of the factor, from the analysis: the peak of the analysis or the factor with its
+        index lists.
+        """
         peak, kept, numeric = (int(self._solver.get_iparm_value(i)) for i in (14, 15, 16))
         return 1024 * max(peak, kept + int(numeric * (PADDING if self._blocks else 1)))
 
@@ -271,7 +295,9 @@ class Pardiso:
         self._trim()  # a fifth of a factor by blocks was needed to make it only
 
     def strengthen(self, values: Any_) -> bool:
-        """With scaling and weighted matching: slower, for matrices that plain pivoting cannot treat."""
+        """With scaling and weighted matching: slower, for matrices that plain pivoting cannot
+        treat.
+        """
         for i, value in ((10, 1), (12, 1), (_BLOCKS, 0)):
             self._solver.set_iparm(i, value)
         with self._calls():
@@ -300,9 +326,13 @@ class Rslab:
     def __init__(self, pattern: Pattern, values: Any_, limit: int | None = None) -> None:
         import rslab
 
-        rows = sparse.csr_array((values, pattern.indices, pattern.indptr), shape=(pattern.size,) * 2)
+        rows = sparse.csr_array(
+            (values, pattern.indices, pattern.indptr), shape=(pattern.size,) * 2
+        )
         self._dtype = values.dtype
-        self._symbolic = rslab.analyze(sparse.csc_array(rows.T), path="ldlt")  # CSC of the lower triangle: same arrays
+        self._symbolic = rslab.analyze(
+            sparse.csc_array(rows.T), path="ldlt"
+        )  # CSC of the lower triangle: same arrays
         self.bytes = int(self._symbolic.memory_plan(values.dtype.name)["peak_bytes"])
         memory.require(self.bytes, f"the factorisation of {pattern.size} DOFs", limit)
         self.refactor(values)
@@ -310,7 +340,11 @@ class Rslab:
     @property
     def negatives(self) -> int:
         """Negative eigenvalues by inertia; -1 if pivots were perturbed."""
-        if self._factor is None or self._factor.n_perturbed or np.issubdtype(self._dtype, np.complexfloating):
+        if (
+            self._factor is None
+            or self._factor.n_perturbed
+            or np.issubdtype(self._dtype, np.complexfloating)
+        ):
             return -1
         return int(self._factor.inertia[1])
 
@@ -330,7 +364,9 @@ class Rslab:
         """A⁻¹ rhs."""
         assert self._factor is not None
         rhs = np.ascontiguousarray(rhs, dtype=self._dtype)
-        return np.asarray(self._factor.solve(rhs) if rhs.ndim == 1 else self._factor.solve_many(rhs))
+        return np.asarray(
+            self._factor.solve(rhs) if rhs.ndim == 1 else self._factor.solve_many(rhs)
+        )
 
     def close(self) -> None:
         """Free the memory."""

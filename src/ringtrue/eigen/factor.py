@@ -1,7 +1,8 @@
-"""The pencil K − σM: one sparsity pattern, one factorisation with inertia that moves with the shift.
+"""The pencil K − σM: one sparsity pattern, one factorisation with inertia that moves with the
+shift.
 
-PARDISO's LDLᵀ is the engine, rslab's where there is no MKL; a dense one serves small matrices; SuperLU is the last
-resort. `engines` holds them.
+PARDISO's LDLᵀ is the engine, rslab's where there is no MKL; a dense one serves small matrices;
+SuperLU is the last resort. `engines` holds them.
 """
 
 from __future__ import annotations
@@ -21,7 +22,9 @@ from ringtrue.eigen.engines import factorise as engine
 from ringtrue.eigen.pattern import Pattern
 from ringtrue.errors import InputError, SingularModel
 
-RESIDUAL_LIMIT = 1e-4  # of a probing solve (LDLᵀ without full pivoting reaches 1e-8 on ill-scaled shells)
+RESIDUAL_LIMIT = (
+    1e-4  # of a probing solve (LDLᵀ without full pivoting reaches 1e-8 on ill-scaled shells)
+)
 LOST = 0.1  # error of a probing solve (solution of order 1) on perturbed pivots: they were zero
 log = logging.getLogger(__name__)
 
@@ -48,12 +51,15 @@ def _symmetric(a: sparse.csr_array, name: str) -> sparse.csr_array:
     if a.shape[0] != a.shape[1]:
         raise InputError(f"{name} is {a.shape}: it must be square")
     if not np.isfinite(a.data).all():
-        raise InputError(f"{name} has {int((~np.isfinite(a.data)).sum())} entries that are not finite")
+        raise InputError(
+            f"{name} has {int((~np.isfinite(a.data)).sum())} entries that are not finite"
+        )
     return a
 
 
 class Pencil:
-    """K and M on one sparsity pattern; holds one factorisation of K − σM, which moves with the shift.
+    """K and M on one sparsity pattern; holds one factorisation of K − σM, which moves with the
+    shift.
 
     Parameters
     ----------
@@ -75,12 +81,19 @@ class Pencil:
         labels: Labels | None = None,
         limit: int | None = None,
     ) -> None:
-        self.stiffness, self.mass = _symmetric(stiffness, "the stiffness"), _symmetric(mass, "the mass")
+        self.stiffness, self.mass = (
+            _symmetric(stiffness, "the stiffness"),
+            _symmetric(mass, "the mass"),
+        )
         if self.mass.shape != self.stiffness.shape:
-            raise InputError(f"stiffness {self.stiffness.shape} and mass {self.mass.shape} differ in size")
+            raise InputError(
+                f"stiffness {self.stiffness.shape} and mass {self.mass.shape} differ in size"
+            )
         self.method, self._limit = choose(method, self.size), limit
         if self.method == "superlu":
-            log.warning("neither pymklpardiso nor rslab is used: SuperLU is slower and takes more memory")
+            log.warning(
+                "neither pymklpardiso nor rslab is used: SuperLU is slower and takes more memory"
+            )
         self.labels: Labels = labels or named_rows
         self._pattern = Pattern(self.stiffness, self.mass)
         self._m = self._pattern.entries(self.mass)
@@ -103,7 +116,9 @@ class Pencil:
         """
         if self._factor is not None and shift == self.shift:
             return self._factor
-        values = self._pattern.values(self.stiffness)  # anew for each shift: they take as much room as the matrix
+        values = self._pattern.values(
+            self.stiffness
+        )  # anew for each shift: they take as much room as the matrix
         values[self._m[0]] -= shift * self._m[1]
         factor = self._make(values)
         self._factor, self.shift = factor, shift
@@ -115,7 +130,8 @@ class Pencil:
             self._factor = None
             raise SingularModel(
                 self.labels(np.argsort(-moved)[:6]),
-                f"a solve with K - ({shift:.3g}) M left a residual of {error:.1e}, an error of {moved.max():.1e}; "
+                f"a solve with K - ({shift:.3g}) M left a residual of {error:.1e}, an error of "
+                f"{moved.max():.1e}; "
                 f"{HINT}",
             )
         if (rows := self._mechanism(factor, shift)).size:
@@ -133,7 +149,9 @@ class Pencil:
 
     @property
     def factor_bytes(self) -> int:
-        """Memory of the factor, as predicted by the analysis; 0 before the first one or if unknown."""
+        """Memory of the factor, as predicted by the analysis; 0 before the first one or if
+        unknown.
+        """
         return 0 if self._factor is None else self._factor.bytes
 
     def reserve(self, columns: int) -> None:
@@ -143,14 +161,20 @@ class Pencil:
         ------
         OutOfMemory
         """
-        memory.require(8 * self.size * columns, f"the basis of {columns} vectors of {self.size} DOFs", self._limit)
+        memory.require(
+            8 * self.size * columns,
+            f"the basis of {columns} vectors of {self.size} DOFs",
+            self._limit,
+        )
 
     def _probe(self, factor: Engine, shift: float) -> tuple[float, Float]:
         """The residual of a solve with a known random solution, relative, and its error (f,)."""
         if factor.singular:
             rows, self._factor = self._empty_rows(), None
             rows = rows if rows.size else factor.weak
-            raise SingularModel(self.labels(rows), f"K - ({shift:.3g}) M cannot be factorised: {HINT}")
+            raise SingularModel(
+                self.labels(rows), f"K - ({shift:.3g}) M cannot be factorised: {HINT}"
+            )
         x = np.random.default_rng(0).standard_normal(self.size)
         rhs = self.stiffness @ x - shift * (self.mass @ x)
         y = factor.solve(rhs)
@@ -159,9 +183,11 @@ class Pencil:
         return float(np.abs(rest).max(initial=0.0) / size), np.abs(np.nan_to_num(y - x))
 
     def _mechanism(self, factor: Engine, shift: float) -> Int:
-        """Rows of a motion without stiffness and mass, found by one inverse iteration; empty if there is none.
+        """Rows of a motion without stiffness and mass, found by one inverse iteration; empty if
+        there is none.
 
-        Rounding may leave such a matrix a tiny pivot of either sign, which neither a residual nor the inertia shows.
+        Rounding may leave such a matrix a tiny pivot of either sign, which neither a residual nor
+        the inertia shows.
         """
         x = factor.solve(np.random.default_rng(1).standard_normal(self.size))
         x = x / np.abs(x).max(initial=np.finfo(float).tiny)

@@ -1,7 +1,7 @@
 """Motions as the mass sees them: restricted to the rows that have mass, with their inertia forces.
 
-A motion is a row here: that is the column-major layout of the solvers. Long rows are summed in tiles, which stay in
-the cache.
+A motion is a row here: that is the column-major layout of the solvers. Long rows are summed in
+tiles, which stay in the cache.
 """
 
 from __future__ import annotations
@@ -28,7 +28,9 @@ def add(x: Float, *terms: tuple[Float, Float]) -> None:
     """Add to x (k, f) products cᵀy of pairs c (l, k), y (l, f); all of whole rows (contiguous)."""
     for c, y in terms:
         if c.size and x.size:
-            x[:] = dgemm(1.0, y.T, c, 1.0, x.T, overwrite_c=True).T  # in place: numpy skips the assignment to itself
+            x[:] = dgemm(
+                1.0, y.T, c, 1.0, x.T, overwrite_c=True
+            ).T  # in place: numpy skips the assignment to itself
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,7 +122,8 @@ class Inertia:
         return out
 
     def sketch(self, x: Fields) -> Float:
-        """Forces (k, TILE), folded with random signs: norms and products are kept within about √(2/TILE).
+        """Forces (k, TILE), folded with random signs: norms and products are kept within about
+        √(2/TILE).
 
         (Charikar, Chen and Farach-Colton 2002: a count sketch; its buckets are strides here.)
         """
@@ -145,7 +148,9 @@ class Inertia:
             out += np.einsum("ij,ij->i", forces, forces)
         return out
 
-    def _forces(self, x: Fields, at: Int, factor: Float, *terms: tuple[Float, Fields]) -> Iterator[Float]:
+    def _forces(
+        self, x: Fields, at: Int, factor: Float, *terms: tuple[Float, Fields]
+    ) -> Iterator[Float]:
         for t in tiles(self._rows.size):
             forces = x.loaded[:, t][at] * factor[:, None]
             for c, y in terms:

@@ -1,7 +1,7 @@
 """Block shift-invert Lanczos with full reorthogonalisation and thick restart.
 
-Sources: Grimes, Lewis, Simon (1994) block shift-invert and inertia counts; Wu, Simon (2000) thick restart;
-Nour-Omid, Parlett, Ericsson, Jensen (1987) purification for a singular mass.
+Sources: Grimes, Lewis, Simon (1994) block shift-invert and inertia counts; Wu, Simon (2000) thick
+restart; Nour-Omid, Parlett, Ericsson, Jensen (1987) purification for a singular mass.
 """
 
 from __future__ import annotations
@@ -21,11 +21,17 @@ from ringtrue.errors import NotConverged
 
 BLOCK = 8  # a solve of eight right-hand sides takes MKL 1.3 times that of four (rslab: 1.2 times)
 TOLERANCE = 1e-9  # of a Ritz pair in the M norm, relative to θ; purification squares what is left
-WELL = 1e-8  # condition of a block's Gram matrix above which two Cholesky factorisations orthonormalise it
-CANCELLED = 1e-4  # share of a block that its other columns leave of one, below which it is made orthogonal again
+# condition of a block's Gram matrix above which two Cholesky factorisations orthonormalise it
+WELL = 1e-8
+# share of a block that its other columns leave of one, below which it is made orthogonal again
+CANCELLED = 1e-4
 MAX_STEPS = 1000
-PATIENCE = 5  # restarts without a further pair: more roots stand close together than the basis holds
-GROWN = 1e40  # of a basis vector, in motions that the mass does not see: left out before they overflow
+PATIENCE = (
+    5  # restarts without a further pair: more roots stand close together than the basis holds
+)
+GROWN = (
+    1e40  # of a basis vector, in motions that the mass does not see: left out before they overflow
+)
 ROWS = 8192  # of the basis that are turned at once
 
 
@@ -92,7 +98,8 @@ class Krylov:
         self._append(np.zeros((self.basis.shape[0], 0)), 0.0)
 
     def _orthogonalise(self, w: Float, count: int, first: int = 0) -> tuple[Float, Float]:
-        """w minus its part in the first `count` columns, and the coefficients; twice is enough (Kahan).
+        """w minus its part in the first `count` columns, and the coefficients; twice is enough
+        (Kahan).
 
         The first time without the columns before `first`, where w has no part but rounding.
         """
@@ -108,11 +115,15 @@ class Krylov:
         return np.asarray(np.sqrt(np.abs(np.einsum("ij,ij->j", w, self.mass @ w))))
 
     def _append(self, w: Float, floor: float) -> Float:
-        """Put an M-orthonormal basis of w behind V; returns R with w = Q·R. Directions below `floor` are
-        roundoff: random ones, decoupled (zero rows of R), take their place until the space is exhausted."""
+        """Put an M-orthonormal basis of w behind V; returns R with w = Q·R. Directions below
+        `floor` are roundoff: random ones, decoupled (zero rows of R), take their place until the
+        space is exhausted.
+        """
         q, mq, r = self._orthonormal(w, floor)
         left = np.linalg.norm(r, axis=1)
-        if left.size and left.min() < CANCELLED * left.max():  # what rounding left of V grew with the rest
+        if (
+            left.size and left.min() < CANCELLED * left.max()
+        ):  # what rounding left of V grew with the rest
             q, mq, again = self._orthonormal(self._orthogonalise(q, self.held)[0], 0.0)
             r = again @ r
         if np.abs(q).max(initial=0.0) > GROWN:
@@ -139,8 +150,9 @@ class Krylov:
         self.basis[:, at : at + q.shape[1]] = q
 
     def _orthonormal(self, w: Float, floor: float) -> tuple[Float, Float, Float]:
-        """Gram-Schmidt in the block, in M, each column twice: q, M q and R with w = q R but for norms below
-        `floor`."""
+        """Gram-Schmidt in the block, in M, each column twice: q, M q and R with w = q R but for
+        norms below `floor`.
+        """
         mw = self.mass @ w
         quick = _cholesky_twice(w, mw, floor)
         if quick is not None:
@@ -155,7 +167,9 @@ class Krylov:
                 r[:rank, j] += c
             size = float(np.sqrt(abs(x @ mx)))
             if size > floor:
-                if x @ mx < 0:  # a block spans such a direction as soon as the problem has one that moves
+                if (
+                    x @ mx < 0
+                ):  # a block spans such a direction as soon as the problem has one that moves
                     refuse_negative_motion(self.mass, x, self.labels)
                 r[rank, j] = size
                 q, mq = np.column_stack([q, x / size]), np.column_stack([mq, mx / size])
@@ -176,8 +190,13 @@ class Krylov:
         """Room for twice as many basis vectors."""
         rows, n = self.basis.shape[0], self.held + self.ahead
         self.capacity = min(2 * self.capacity, rows)
-        memory.require(8 * rows * self.capacity, f"the basis of {self.capacity} vectors of {rows} DOFs")
-        basis, projected = np.zeros((rows, self.capacity + 2 * BLOCK), order="F"), self.projected[:n, :n]
+        memory.require(
+            8 * rows * self.capacity, f"the basis of {self.capacity} vectors of {rows} DOFs"
+        )
+        basis, projected = (
+            np.zeros((rows, self.capacity + 2 * BLOCK), order="F"),
+            self.projected[:n, :n],
+        )
         basis[:, :n], self.basis = self.basis[:, :n], basis
         self.projected = np.zeros((basis.shape[1],) * 2)
         self.projected[:n, :n] = projected
@@ -203,7 +222,9 @@ class Krylov:
         last, n = self.coupling.shape[1], self.held
         q = self.basis[:, n : n + self.ahead].copy()
         self.coupling = self.coupling @ y[n - last :, :keep]
-        for first in range(0, len(self.basis), ROWS):  # a piece at a time: what is made of all is as large as the basis
+        for first in range(
+            0, len(self.basis), ROWS
+        ):  # a piece at a time: what is made of all is as large as the basis
             piece = self.basis[first : first + ROWS]
             piece[:, :keep] = piece[:, :n] @ y[:, :keep]
         self.basis[:, keep : keep + self.ahead] = q
@@ -213,7 +234,9 @@ class Krylov:
 
 
 def _cholesky_twice(w: Float, mw: Float, floor: float) -> tuple[Float, Float, Float] | None:
-    """q, M q, R with w = q R by two Cholesky factorisations of the Gram matrix; None if w is not far from singular."""
+    """q, M q, R with w = q R by two Cholesky factorisations of the Gram matrix; None if w is not
+    far from singular.
+    """
     q, mq, r = w, mw, np.eye(w.shape[1])
     for first in (True, False):
         gram = q.T @ mq
@@ -271,7 +294,9 @@ def solve(
     rows = int(mass.shape[0])
     known = 0 if locked is None else locked[0].size
     if begun is None:
-        krylov = Krylov(factor, mass, capacity(rows, expected, known), np.random.default_rng(known), labels)
+        krylov = Krylov(
+            factor, mass, capacity(rows, expected, known), np.random.default_rng(known), labels
+        )
         theta, vectors = locked or (np.zeros(0), np.zeros((rows, 0)))
         krylov.start(vectors, theta)
     else:
@@ -288,7 +313,10 @@ def solve(
         good = error <= TOLERANCE * np.abs(theta)
         count = int(good.size if good.all() else np.argmin(good))
         if progress is not None:
-            progress(min(count / (known + expected), 0.99), f"Lanczos: {count} of about {known + expected} modes")
+            progress(
+                min(count / (known + expected), 0.99),
+                f"Lanczos: {count} of about {known + expected} modes",
+            )
         if exhausted or enough(theta[:count]):
             return _pairs(krylov, count, exhausted=exhausted)
         if krylov.held + 2 * BLOCK > krylov.capacity:
@@ -298,7 +326,9 @@ def solve(
                 idle = 0
                 continue
             krylov.restart(min(max(count, expected) + 2 * BLOCK, krylov.held - 2 * BLOCK))
-    raise NotConverged(f"Lanczos stopped after {MAX_STEPS} blocks with {count} of about {known + expected} modes")
+    raise NotConverged(
+        f"Lanczos stopped after {MAX_STEPS} blocks with {count} of about {known + expected} modes"
+    )
 
 
 def capacity(rows: int, expected: int, known: int = 0) -> int:
@@ -308,6 +338,8 @@ def capacity(rows: int, expected: int, known: int = 0) -> int:
 
 def _pairs(krylov: Krylov, count: int, *, exhausted: bool) -> RitzPairs:
     theta, y, _ = krylov.ritz()
-    real = np.abs(theta[:count]) > 1e-13 * np.abs(theta).max(initial=0.0)  # θ = 0: infinite λ, no mode
+    real = np.abs(theta[:count]) > 1e-13 * np.abs(theta).max(
+        initial=0.0
+    )  # θ = 0: infinite λ, no mode
     theta, y = theta[:count][real], y[:, :count][:, real]
     return RitzPairs(theta, krylov.vectors(theta, y), exhausted)

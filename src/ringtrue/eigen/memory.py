@@ -20,9 +20,11 @@ _GROUPS = (  # limit, use, statistics: control groups v2 and v1
 
 
 def available() -> int:
-    """Bytes that this process may still use: what the machine has free and what its control group allows.
+    """Bytes that this process may still use: what the machine has free and what its control group
+    allows.
 
-    Without /proc (macOS) all physical memory counts; where even that is unknown, sys.maxsize is returned.
+    Without /proc (macOS) all physical memory counts; where even that is unknown, sys.maxsize is
+    returned.
     """
     free = [_machine()]
     for limit, use, statistics in _GROUPS:
@@ -50,7 +52,8 @@ def require(needed: int, what: str, limit: int | None = None) -> None:
     there = available() if limit is None else limit
     if needed > there:
         raise OutOfMemory(
-            f"{what} needs {_text(needed)} of memory; {_text(there)} are free. Use a machine with more, "
+            f"{what} needs {_text(needed)} of memory; {_text(there)} are free. Use a machine "
+            "with more, "
             "the solver 'slepc' on several of them, or ask for fewer modes",
             needed=needed,
             available=there,
@@ -60,7 +63,8 @@ def require(needed: int, what: str, limit: int | None = None) -> None:
 def trim() -> None:
     """Give memory that was freed back to the system, where the C library can (glibc).
 
-    What assembly frees stays with the heap of Python, and the solver, which maps its own, cannot use it.
+    What assembly frees stays with the heap of Python, and the solver, which maps its own, cannot
+    use it.
     """
     release = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
     if release is not None:

@@ -23,7 +23,8 @@ def upper(a: sparse.csr_array) -> sparse.csr_array:
 
 
 class Pattern:
-    """The upper triangle, with a full diagonal, of the union of the patterns of some symmetric matrices.
+    """The upper triangle, with a full diagonal, of the union of the patterns of some symmetric
+    matrices.
 
     Attributes
     ----------
@@ -38,7 +39,9 @@ class Pattern:
         union = sparse.eye_array(self.size, format="csr", dtype=np.int8)
         for a in matrices:
             u = upper(a)
-            ones = sparse.csr_array((np.ones(u.data.size, np.int8), u.indices, u.indptr), shape=a.shape)
+            ones = sparse.csr_array(
+                (np.ones(u.data.size, np.int8), u.indices, u.indptr), shape=a.shape
+            )
             union = sparse.csr_array(union + ones)
         union.sort_indices()
         self.indices, self.indptr = union.indices.astype(np.int32), union.indptr.astype(np.int64)
@@ -55,7 +58,9 @@ class Pattern:
         if u.indices.size == self.indices.size:
             return slice(None), u.data
         at = np.searchsorted(self._keys(self.indices, self.indptr), self._keys(u.indices, u.indptr))
-        return at.astype(np.int32 if self.indices.size < np.iinfo(np.int32).max else np.int64), u.data
+        return at.astype(
+            np.int32 if self.indices.size < np.iinfo(np.int32).max else np.int64
+        ), u.data
 
     def values(self, a: sparse.csr_array) -> Any_:
         """The entries of `a` on this pattern."""

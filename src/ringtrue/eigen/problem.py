@@ -51,11 +51,15 @@ class EigenModes:
         return frequencies(self.values)
 
 
-def rounding(stiffness: sparse.csr_array, modes: EigenModes, highest: float = 0.0) -> tuple[float, int, int]:
-    """How far the rounding of K may move a mode: what is far stiffer than the rest beside it leaves no digits for that.
+def rounding(
+    stiffness: sparse.csr_array, modes: EigenModes, highest: float = 0.0
+) -> tuple[float, int, int]:
+    """How far the rounding of K may move a mode: what is far stiffer than the rest beside it leaves
+    no digits for that.
 
-    The entries of K are taken to be off by independent errors of ε of their size. A mode of a λ that is small beside
-    the shift, as of a rigid body, is judged by the shift; one that is nothing but rounding is left out.
+    The entries of K are taken to be off by independent errors of ε of their size. A mode of a λ
+    that is small beside the shift, as of a rigid body, is judged by the shift; one that is nothing
+    but rounding is left out.
 
     Parameters
     ----------
@@ -75,7 +79,9 @@ def rounding(stiffness: sparse.csr_array, modes: EigenModes, highest: float = 0.
         return 0.0, 0, 0
     size = np.abs(modes.values)
     diagonal = stiffness.diagonal()
-    energies = (diagonal * v**2 for v in modes.vectors.T)  # one at a time: vectors of large models fill the memory
+    energies = (
+        diagonal * v**2 for v in modes.vectors.T
+    )  # one at a time: vectors of large models fill the memory
     off = np.finfo(np.float64).eps * np.array([np.linalg.norm(e) for e in energies])
     top, wanted = float(size.max()), eigenvalue(highest)
     top = wanted if top < NOISE * wanted < np.inf else top
@@ -98,9 +104,11 @@ def eigenvalue(frequency: float) -> float:
 def polish(
     stiffness: sparse.csr_array, mass: sparse.csr_array, values: Float, vectors: Float
 ) -> tuple[Float, Float, Float, float]:
-    """Ascending order, exact unit modal mass, largest component positive; residuals and orthogonality.
+    """Ascending order, exact unit modal mass, largest component positive; residuals and
+    orthogonality.
 
-    The values become Rayleigh quotients, whose error is quadratic: far from the shift, 1/θ has lost digits.
+    The values become Rayleigh quotients, whose error is quadratic: far from the shift, 1/θ has lost
+    digits.
 
     Returns
     -------

@@ -1,4 +1,6 @@
-"""Residual vectors: the static answer of the modes that are left out, as pseudo-modes behind the modes."""
+"""Residual vectors: the static answer of the modes that are left out, as pseudo-modes behind the
+modes.
+"""
 
 from __future__ import annotations
 
@@ -13,10 +15,11 @@ RANK = 1e-10  # relative size under which a direction adds nothing
 
 
 def residual_vectors(pencil: Pencil, modes: EigenModes, loads: Float) -> tuple[Float, Float]:
-    """The modes, and one pseudo-mode for each independent load, M- and K-orthogonal to them and to each other.
+    """The modes, and one pseudo-mode for each independent load, M- and K-orthogonal to them and to
+    each other.
 
-    The space of (K − σM)⁻¹F without its part in the modes (Dickens, Nakagawa and Wittbrodt 1997; σ is the shift of
-    the modes, so that free structures need no inertia relief).
+    The space of (K − σM)⁻¹F without its part in the modes (Dickens, Nakagawa and Wittbrodt 1997; σ
+    is the shift of the modes, so that free structures need no inertia relief).
 
     Parameters
     ----------

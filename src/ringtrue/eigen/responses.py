@@ -1,7 +1,8 @@
-"""Derivatives of what is made of modes: MAC, complex modes, frequency responses; and by adjoints for many parameters.
+"""Derivatives of what is made of modes: MAC, complex modes, frequency responses; and by adjoints
+for many parameters.
 
-Adjoint vectors: Lee (1999); complex modes by a bordered system (Lee, Kim, Jung 1999), whose matrix is regular at a
-simple pole.
+Adjoint vectors: Lee (1999); complex modes by a bordered system (Lee, Kim, Jung 1999), whose matrix
+is regular at a simple pole.
 """
 
 from __future__ import annotations
@@ -23,7 +24,9 @@ from ringtrue.errors import InputError
 
 
 def frequency_derivatives(values: Float, d_lambda: Float) -> Float:
-    """∂f/∂a (m, p), Hz, from λ (m,) and ∂λ/∂a (m, p); NaN for a rigid-body mode, whose root is not smooth."""
+    """∂f/∂a (m, p), Hz, from λ (m,) and ∂λ/∂a (m, p); NaN for a rigid-body mode, whose root is not
+    smooth.
+    """
     noise = 1e-9 * np.abs(values).max(initial=0.0)
     root = np.where(np.abs(values) > noise, np.sqrt(np.abs(values)), np.nan)
     return np.asarray(d_lambda / (4 * np.pi * root[:, None]))
@@ -41,7 +44,10 @@ def mac_gradient(reference: Float, seen: Float) -> tuple[Float, Float]:
     mac : (m,) float64
     gradient : (channel, m) float64
     """
-    ab, aa, bb = (np.einsum("cm,cm->m", x, y) for x, y in ((reference, seen), (reference, reference), (seen, seen)))
+    ab, aa, bb = (
+        np.einsum("cm,cm->m", x, y)
+        for x, y in ((reference, seen), (reference, reference), (seen, seen))
+    )
     mac = ab**2 / (aa * bb)
     return mac, np.asarray(2 * (reference * ab / (aa * bb) - seen * mac / bb))
 
@@ -66,7 +72,9 @@ class Adjoint:
     mass: Float
 
     def contract(self, slopes: Sequence[Slope]) -> Float:
-        """∂J/∂a (m, p) from sparse matrices; `fem.derivatives.bilinear` gives the same from elements."""
+        """∂J/∂a (m, p) from sparse matrices; `fem.derivatives.bilinear` gives the same from
+        elements.
+        """
         out = np.empty((self.values.size, len(slopes)))
         for i, s in enumerate(slopes):  # over parameters
             dk, dm = s.stiffness @ self.shapes, s.mass @ self.shapes
@@ -79,8 +87,11 @@ class Adjoint:
         return np.asarray(stiffness - self.values[:, None] * mass[0] + mass[1])
 
 
-def adjoint(pencil: Pencil, modes: EigenModes, gradient: Float, *, tolerance: float = 1e-7) -> Adjoint:
-    """Adjoint vectors of one quantity J_j(φ_j) of each of the lowest m modes: m solves, however many parameters.
+def adjoint(
+    pencil: Pencil, modes: EigenModes, gradient: Float, *, tolerance: float = 1e-7
+) -> Adjoint:
+    """Adjoint vectors of one quantity J_j(φ_j) of each of the lowest m modes: m solves, however
+    many parameters.
 
     Parameters
     ----------
@@ -129,9 +140,11 @@ def _dynamic(s: Slope, x: Complex, poles: Complex) -> Complex:
 def complex_mode_derivatives(
     system: DynamicStiffness, poles: Complex, shapes: Complex, slopes: Sequence[Slope]
 ) -> tuple[Complex, Complex]:
-    """∂s/∂a (m, p) and ∂φ/∂a (f, m, p) of simple poles with shapes of unit modal A, φᵀ(2sM + D)φ = 1.
+    """∂s/∂a (m, p) and ∂φ/∂a (f, m, p) of simple poles with shapes of unit modal A, φᵀ(2sM + D)φ =
+    1.
 
-    One sparse factorisation a mode, of the bordered matrix [Z, Z_sφ; φᵀZ_s, 0], serves all parameters.
+    One sparse factorisation a mode, of the bordered matrix [Z, Z_sφ; φᵀZ_s, 0], serves all
+    parameters.
     """
     f, m = shapes.shape
     d_poles = np.empty((m, len(slopes)), dtype=np.complex128)
@@ -139,7 +152,9 @@ def complex_mode_derivatives(
     for j in range(m):  # over modes: each has its own matrix
         s, phi = complex(poles[j]), shapes[:, j]
         zs = np.asarray(2 * s * (system.mass @ phi) + system.viscous @ phi)
-        size = np.abs(system.stiffness.diagonal()).max() / np.abs(zs).max()  # of the border, for a balanced matrix
+        size = (
+            np.abs(system.stiffness.diagonal()).max() / np.abs(zs).max()
+        )  # of the border, for a balanced matrix
         edge = sparse.csc_array((zs * size)[:, None])
         bordered = sparse.block_array([[system.matrix(s), edge], [edge.T, None]], format="csc")
         load = np.stack([_dynamic(q, phi[:, None], poles[j : j + 1])[:, 0] for q in slopes], axis=1)
@@ -158,7 +173,11 @@ def _times(a: sparse.csr_array | None, x: Complex) -> Complex:
 
 
 def frf_derivatives(
-    system: DynamicStiffness, outputs: sparse.csr_array, inputs: sparse.csr_array, freqs: Float, slopes: Sequence[Slope]
+    system: DynamicStiffness,
+    outputs: sparse.csr_array,
+    inputs: sparse.csr_array,
+    freqs: Float,
+    slopes: Sequence[Slope],
 ) -> tuple[Complex, Complex]:
     """Receptances by direct solution, and their derivatives −(Z⁻¹Cᵀ)ᵀ Z' (Z⁻¹B).
 
@@ -212,4 +231,6 @@ def modal_frf_derivatives(
     slope = -(g**2) * (1 + 1j * damping * w / np.where(root > 0, root, np.inf))
     parts = (("qm,omp,im->qoip", (g, d_out, phi_in)), ("qm,om,imp->qoip", (g, phi_out, d_in)))
     out = sum(np.einsum(rule, *arrays, optimize=True) for rule, arrays in parts)
-    return np.asarray(out + np.einsum("qm,mp,om,im->qoip", slope, d_lambda, phi_out, phi_in, optimize=True))
+    return np.asarray(
+        out + np.einsum("qm,mp,om,im->qoip", slope, d_lambda, phi_out, phi_in, optimize=True)
+    )

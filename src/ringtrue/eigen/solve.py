@@ -1,4 +1,6 @@
-"""Modes of K φ = λ M φ with a proof that none is missing: choice of the shift, solution, inertia counts."""
+"""Modes of K φ = λ M φ with a proof that none is missing: choice of the shift, solution, inertia
+counts.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,13 @@ from scipy import sparse
 from ringtrue.core.arrays import Any_, Bool, Float
 from ringtrue.core.progress import Progress
 from ringtrue.eigen import lanczos
-from ringtrue.eigen.dense import DENSE_LIMIT, DENSE_SHARE, DENSE_SIZE, refuse_negative_mass, spectrum
+from ringtrue.eigen.dense import (
+    DENSE_LIMIT,
+    DENSE_SHARE,
+    DENSE_SIZE,
+    refuse_negative_mass,
+    spectrum,
+)
 from ringtrue.eigen.factor import Pencil
 from ringtrue.eigen.problem import EigenModes, eigenvalue, frequencies, polish
 from ringtrue.eigen.still import rayleigh_ritz, still_modes
@@ -19,18 +27,25 @@ from ringtrue.errors import InputError, NumericalError, SingularModel
 EXTRA = 4  # modes beyond the requested ones, so that the count can stand in a gap
 GAP = 1e-4  # a gap below this share of λ is too narrow for a count
 NEAR = 1e-5  # share of λ: no shift nearer to zero
-FINE = 1e-6  # share of λ: beside a shift nearer to zero the rigid-body modes cost the others digits; refined once
+# share of λ: beside a shift nearer to zero the rigid-body modes cost the others digits; refined
+# once
+FINE = 1e-6
 PROBE = 4  # Lanczos blocks that judge a shift
 JUDGED = 10  # modes that they judge it by
-STILL = 1e-4  # share of the shift under which a block of modes is thought to be of rigid bodies or mechanisms
+# share of the shift under which a block of modes is thought to be of rigid bodies or mechanisms
+STILL = 1e-4
 NOISE = 1e3  # of their λ, which is rounding: a shift nearer to zero drowns in it
 TRIES = 6  # shifts that are judged
-BLURRED = 1e-2  # relative error of the first pair after them: seen from the shift, the modes lie close together
+# relative error of the first pair after them: seen from the shift, the modes lie close together
+BLURRED = 1e-2
 SHARP = 1e-5  # relative residual of all pairs together, beyond which they are refined once
-SAME = 1e-2  # share of the distance from the shift, by which a shape's Rayleigh quotient may miss what was counted
+# share of the distance from the shift, by which a shape's Rayleigh quotient may miss what was
+# counted
+SAME = 1e-2
 LOW = 0.03  # share of the upper end of a band: how far below zero its modes are sought from
 EDGE = 1e-9  # share of λ beyond the ends of a band that counts as within
-ROUNDING = 2e-6  # share of the first guess, 1000 ε of the usual k/m: a shift nearer to zero drowns in rounding
+# share of the first guess, 1000 ε of the usual k/m: a shift nearer to zero drowns in rounding
+ROUNDING = 2e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,14 +118,20 @@ def _dense(pencil: Pencil, count: int, band: tuple[float, float] | None) -> Eige
     if band is None:
         at = np.arange(min(count, values.size))
     else:
-        at = np.flatnonzero((values >= _low(band) * (1 - EDGE)) & (values <= eigenvalue(band[1]) * (1 + EDGE)))
-    values, vectors, residuals, orthogonality = polish(pencil.stiffness, pencil.mass, values[at], vectors[:, at])
+        at = np.flatnonzero(
+            (values >= _low(band) * (1 - EDGE)) & (values <= eigenvalue(band[1]) * (1 + EDGE))
+        )
+    values, vectors, residuals, orthogonality = polish(
+        pencil.stiffness, pencil.mass, values[at], vectors[:, at]
+    )
     proof = f"all eigenvalues of the {pencil.size} DOFs were computed"
     return EigenModes(values, vectors, residuals, orthogonality, True, proof, shift)
 
 
 def _low(band: tuple[float, float]) -> float:
-    """The lowest eigenvalue of a band; one from 0 Hz takes rigid-body modes along, which may stand a little below."""
+    """The lowest eigenvalue of a band; one from 0 Hz takes rigid-body modes along, which may stand
+    a little below.
+    """
     return eigenvalue(band[0]) if band[0] > 0 else -np.inf
 
 
@@ -134,7 +155,9 @@ def low_shift(fmax: float) -> float:
 
 
 def suitable_shift(values: Float) -> float:
-    """The distance of a good shift below zero: of the order of the first elastic λ, not under 1e-3 of the last."""
+    """The distance of a good shift below zero: of the order of the first elastic λ, not under 1e-3
+    of the last.
+    """
     top = float(np.abs(values).max())
     elastic = values[values > 1e-6 * top]
     first = float(elastic.min()) if elastic.size else top
@@ -142,16 +165,20 @@ def suitable_shift(values: Float) -> float:
 
 
 def _find_shift(pencil: Pencil, count: int) -> tuple[float, lanczos.Krylov, int]:
-    """Probe with a few Lanczos blocks and move the shift until it suits the modes that are asked for.
+    """Probe with a few Lanczos blocks and move the shift until it suits the modes that are asked
+    for.
 
-    The probe of the last shift is the beginning of the solution, in which so many modes near zero are known.
+    The probe of the last shift is the beginning of the solution, in which so many modes near zero
+    are known.
     """
     shift = start_shift(pencil.stiffness, pencil.mass)
     nearest, known, searched = ROUNDING * shift, (np.zeros((pencil.size, 0)), np.zeros(0)), False
     for last in (*(False,) * TRIES, True):
         still = known[1].size
         columns = lanczos.capacity(pencil.size, max(count - still, 0) + EXTRA, still)
-        krylov = lanczos.Krylov(pencil.at(shift), pencil.mass, columns, np.random.default_rng(0), pencil.labels)
+        krylov = lanczos.Krylov(
+            pencil.at(shift), pencil.mass, columns, np.random.default_rng(0), pencil.labels
+        )
         krylov.start(known[0], 1 / (known[1] - shift))
         if last:
             break
@@ -181,7 +208,9 @@ def _find_shift(pencil: Pencil, count: int) -> tuple[float, lanczos.Krylov, int]
     return shift, krylov, still
 
 
-def _lowest(pencil: Pencil, count: int, shift: float | None, progress: Progress | None) -> EigenModes:
+def _lowest(
+    pencil: Pencil, count: int, shift: float | None, progress: Progress | None
+) -> EigenModes:
     pencil.reserve(lanczos.capacity(pencil.size, count + EXTRA) + 3 * count)
     _say(progress, pencil)
     shift, begun, still = (shift, None, 0) if shift is not None else _find_shift(pencil, count)
@@ -190,10 +219,18 @@ def _lowest(pencil: Pencil, count: int, shift: float | None, progress: Progress 
 
     def enough(theta: Float) -> bool:
         values = np.sort(shift + 1 / theta)
-        return (values.size > count and _gap_after(values, count, shift) is not None) or values.size >= most + 40
+        return (
+            values.size > count and _gap_after(values, count, shift) is not None
+        ) or values.size >= most + 40
 
     pairs = lanczos.solve(
-        factor, pencil.mass, enough, expected=most + EXTRA, progress=progress, begun=begun, labels=pencil.labels
+        factor,
+        pencil.mass,
+        enough,
+        expected=most + EXTRA,
+        progress=progress,
+        begun=begun,
+        labels=pencil.labels,
     )
     del begun
     pairs = _sharp(pencil, pairs, shift)
@@ -204,7 +241,11 @@ def _lowest(pencil: Pencil, count: int, shift: float | None, progress: Progress 
     elif at is None:
         complete, proof = _proved_below(pencil, values[:count], values[-1], start)
     else:
-        mark = float((values[at - 1] + values[at]) / 2) if at < values.size else float(1.01 * values[-1])
+        mark = (
+            float((values[at - 1] + values[at]) / 2)
+            if at < values.size
+            else float(1.01 * values[-1])
+        )
         top = _Count(pencil.at(mark).negatives, mark)
         if top.below > at and start.below == 0:
             if top.below > at + lanczos.BLOCK:  # fewer are found sooner than a lower end
@@ -223,10 +264,13 @@ def _say(progress: Progress | None, pencil: Pencil) -> None:
 def _sharp(pencil: Pencil, pairs: lanczos.RitzPairs, shift: float) -> lanczos.RitzPairs:
     """The pairs, after a step of subspace iteration where they need one.
 
-    They do where the shift is too near to zero, and after a long recurrence with a singular mass: it does not see
-    some motions, of which the rounding grows from step to step.
+    They do where the shift is too near to zero, and after a long recurrence with a singular mass:
+    it does not see some motions, of which the rounding grows from step to step.
     """
-    near = 0 < -shift < FINE * float(np.abs(shift + 1 / pairs.theta).max(initial=0.0)) and not pairs.exhausted
+    near = (
+        0 < -shift < FINE * float(np.abs(shift + 1 / pairs.theta).max(initial=0.0))
+        and not pairs.exhausted
+    )
     if not near and _residual(pencil, pairs, shift) < SHARP:
         return pairs
     x = pencil.at(shift).solve(pencil.mass @ pairs.vectors) / pairs.theta
@@ -243,7 +287,9 @@ def _residual(pencil: Pencil, pairs: lanczos.RitzPairs, shift: float) -> float:
 
 
 def _lowest_end(pencil: Pencil, values: Float, count: int, top: _Count, shift: float) -> _Count:
-    """The lowest gap between the values (k,) below which `count` eigenvalues stand or more; `top` if there is none."""
+    """The lowest gap between the values (k,) below which `count` eigenvalues stand or more; `top`
+    if there is none.
+    """
     gaps = np.flatnonzero(_gaps(values, shift))
     low, high = 0, gaps.size
     while low < high:
@@ -264,13 +310,16 @@ def _filled(
     bottom: _Count | None = None,
     progress: Progress | None = None,
 ) -> lanczos.RitzPairs:
-    """The pairs with all others between `bottom`, or the lowest, and `top`: sought from `sigma` as long as more come.
+    """The pairs with all others between `bottom`, or the lowest, and `top`: sought from `sigma` as
+    long as more come.
 
-    A search goes on with random directions orthogonal to what is known: a root repeated more often than a block is
-    wide comes a block at a time.
+    A search goes on with random directions orthogonal to what is known: a root repeated more often
+    than a block is wide comes a block at a time.
     """
     factor = pencil.at(sigma)
-    low, expected = (-np.inf, top.below) if bottom is None else (bottom.shift, top.below - bottom.below)
+    low, expected = (
+        (-np.inf, top.below) if bottom is None else (bottom.shift, top.below - bottom.below)
+    )
 
     def inside(theta: Float) -> Bool:
         values = sigma + 1 / theta
@@ -283,7 +332,9 @@ def _filled(
         pairs = lanczos.solve(
             factor,
             pencil.mass,
-            lambda theta: inside(theta).sum() >= expected or _beyond(sigma + 1 / theta, top, bottom),
+            lambda theta: (
+                inside(theta).sum() >= expected or _beyond(sigma + 1 / theta, top, bottom)
+            ),
             expected=expected - found + EXTRA,
             locked=locked,
             progress=progress,
@@ -295,9 +346,11 @@ def _filled(
 
 
 def _gap_after(values: Float, count: int, shift: float) -> int | None:
-    """How many values stand below the first sufficient gap at or after `count`; None if there is none yet.
+    """How many values stand below the first sufficient gap at or after `count`; None if there is
+    none yet.
 
-    Rigid-body modes are apart by rounding only, however many of them are known: the shift tells their scale.
+    Rigid-body modes are apart by rounding only, however many of them are known: the shift tells
+    their scale.
     """
     wide = _gaps(values, shift)[max(count - 1, 0) :]
     return count + int(np.argmax(wide)) if wide.any() else None
@@ -310,7 +363,9 @@ def _gaps(values: Float, shift: float) -> Any_:
 
 
 def _proved_below(pencil: Pencil, values: Float, top: float, start: _Count) -> tuple[bool, str]:
-    """Where repeated roots have no end in sight, up to `top`: a count below the last group of them."""
+    """Where repeated roots have no end in sight, up to `top`: a count below the last group of
+    them.
+    """
     at = int(np.flatnonzero(_gaps(values, start.shift)).max(initial=-1)) + 1
     mark = float((values[at - 1] if at else start.shift) + values[at]) / 2
     complete, proof = _judge(pencil.at(mark).negatives, at, start, mark)
@@ -323,7 +378,10 @@ def _judge(counted: int, found: int, start: _Count, mark: float) -> tuple[bool, 
     hz = float(frequencies(np.array([mark]))[0])
     if counted < 0 or start.below < 0:
         return False, "the factorisation gives no inertia: not counted"
-    where = f"{counted} eigenvalues below {hz:.6g} Hz by inertia (Sturm), {start.below} below the shift; "
+    where = (
+        f"{counted} eigenvalues below {hz:.6g} Hz by inertia (Sturm), {start.below} below "
+        "the shift; "
+    )
     if counted == found and start.below == 0:
         return True, where + f"{found} found"
     return False, where + f"{found} found: NOT complete"
@@ -340,7 +398,9 @@ def _band(
     top = _counted(pencil, high, 1)
     bottom = _counted(pencil, low, -1) if band[0] > 0 else _Count(0, -np.inf)
     wanted = top.below - bottom.below
-    few = bottom.below <= 0.5 * wanted + 2 * lanczos.BLOCK  # then it is cheaper to take the lower ones along
+    few = (
+        bottom.below <= 0.5 * wanted + 2 * lanczos.BLOCK
+    )  # then it is cheaper to take the lower ones along
     if few:
         sigma = shift if shift is not None else low_shift(band[1])
         expected = top.below
@@ -350,7 +410,8 @@ def _band(
         below = pencil.at(sigma).negatives
         if below != 0:
             raise NumericalError(
-                f"{below} eigenvalues below {sigma:.4g} (rad/s)^2: the stiffness is indefinite or the inertia "
+                f"{below} eigenvalues below {sigma:.4g} (rad/s)^2: the stiffness is indefinite "
+                "or the inertia "
                 "is not available; ask for a number of modes in place of a band"
             )
     if not wanted:
@@ -362,7 +423,10 @@ def _band(
     pencil.reserve(lanczos.capacity(pencil.size, expected + EXTRA) + 3 * expected)
     none = lanczos.RitzPairs(np.zeros(0), np.zeros((pencil.size, 0)), False)
     pairs = _filled(pencil, none, sigma, top, None if few else bottom, progress)
-    proof = f"{wanted} eigenvalues between {band[0]:g} and {band[1]:g} Hz by inertia (Sturm) at both ends"
+    proof = (
+        f"{wanted} eigenvalues between {band[0]:g} and {band[1]:g} Hz by inertia (Sturm) at "
+        "both ends"
+    )
     values = sigma + 1 / pairs.theta
     at = np.flatnonzero((values >= bottom.shift) & (values <= top.shift))
     chosen = lanczos.RitzPairs(pairs.theta[at], pairs.vectors[:, at], pairs.exhausted)
@@ -371,13 +435,16 @@ def _band(
 
 
 def _beyond(values: Float, top: _Count, bottom: _Count | None) -> bool:
-    """Both ends of the band have been passed by several modes: what is still missing needs new directions."""
+    """Both ends of the band have been passed by several modes: what is still missing needs new
+    directions.
+    """
     over = (values > top.shift).sum() >= EXTRA
     return bool(over and (bottom is None or (values < bottom.shift).sum() >= EXTRA))
 
 
 def _counted(pencil: Pencil, value: float, side: int) -> _Count:
-    """Inertia at a band end, moved outward by 1e-9 for a mode that stands there, and on if one does then.
+    """Inertia at a band end, moved outward by 1e-9 for a mode that stands there, and on if one does
+    then.
 
     Without inertia the count is negative.
     """
@@ -391,7 +458,9 @@ def _counted(pencil: Pencil, value: float, side: int) -> _Count:
         if found.below >= 0:
             break
     if found is None:
-        raise NumericalError(f"cannot count at {value:.6g} (rad/s)^2: a band end stands on a mode; move it")
+        raise NumericalError(
+            f"cannot count at {value:.6g} (rad/s)^2: a band end stands on a mode; move it"
+        )
     return found
 
 
@@ -406,5 +475,9 @@ def _finish(
         complete, proof = False, f"{proof}; their shapes have other eigenvalues: NOT complete"
     if pairs.theta.size > 1 and orthogonality > 1e-10:
         values, vectors = rayleigh_ritz(pencil, vectors)
-        values, vectors, residuals, orthogonality = polish(pencil.stiffness, pencil.mass, values, vectors)
-    return EigenModes(values[take], vectors[:, take], residuals[take], orthogonality, complete, proof, shift)
+        values, vectors, residuals, orthogonality = polish(
+            pencil.stiffness, pencil.mass, values, vectors
+        )
+    return EigenModes(
+        values[take], vectors[:, take], residuals[take], orthogonality, complete, proof, shift
+    )

@@ -1,8 +1,10 @@
-"""Modes near zero that are more than a block of Lanczos: of several free bodies, of mechanisms, of loose parts.
+"""Modes near zero that are more than a block of Lanczos: of several free bodies, of mechanisms, of
+loose parts.
 
-Seen from a shift far from zero they are one root of high multiplicity, of which Lanczos finds a block, and the rest by
-rounding only; nor does it then see the modes that a better shift is to be judged by. Inertia counts find the gap above
-them, subspace iteration (Bathe and Wilson 1972) with as many vectors finds them.
+Seen from a shift far from zero they are one root of high multiplicity, of which Lanczos finds a
+block, and the rest by rounding only; nor does it then see the modes that a better shift is to be
+judged by. Inertia counts find the gap above them, subspace iteration (Bathe and Wilson 1972) with
+as many vectors finds them.
 """
 
 from __future__ import annotations
@@ -16,13 +18,20 @@ from ringtrue.core.arrays import Float
 from ringtrue.eigen.factor import Pencil
 from ringtrue.errors import SingularModel
 
-LADDER = (10.0, 1e-1, 1e-3, 1e-5)  # of the first guess, negative: marks between which no mode stands above the group
+LADDER = (
+    10.0,
+    1e-1,
+    1e-3,
+    1e-5,
+)  # of the first guess, negative: marks between which no mode stands above the group
 TURNS = 12  # of the subspace; the gap takes an error to less than an eleventh in each
 SETTLED = 1e-5  # error of the vectors in the M norm
 
 
 def rayleigh_ritz(pencil: Pencil, vectors: Float) -> tuple[Float, Float]:
-    """Eigenvalues (k,), ascending, and M-orthonormal vectors (f, k) of the problem in the space of some vectors."""
+    """Eigenvalues (k,), ascending, and M-orthonormal vectors (f, k) of the problem in the space of
+    some vectors.
+    """
     k, m = vectors.T @ (pencil.stiffness @ vectors), vectors.T @ (pencil.mass @ vectors)
     values, y = linalg.eigh(k, m)
     return values, vectors @ y
@@ -57,7 +66,9 @@ def still_modes(pencil: Pencil, shift: float) -> tuple[Float, Float, float]:
 
 
 def _group(pencil: Pencil, shift: float) -> tuple[int, float]:
-    """How many modes stand below the widest gap, and a shift in the middle of it; 0 if there is no gap."""
+    """How many modes stand below the widest gap, and a shift in the middle of it; 0 if there is no
+    gap.
+    """
     above = -1
     try:
         for high, low in pairwise(-shift * mark for mark in LADDER):

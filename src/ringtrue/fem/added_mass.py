@@ -1,8 +1,8 @@
 """Non-structural mass by lists: NSM, NSM1, NSML, NSML1 and NSMADD, chosen by NSM in case control.
 
-NSM and NSM1 give a mass a length or area. NSML gives the whole mass of all elements of each id, NSML1 that of the whole
-list; it is spread evenly over their length or area (MSC Nastran Quick Reference Guide). All add to each other and
-to the NSM of the property.
+NSM and NSM1 give a mass a length or area. NSML gives the whole mass of all elements of each id,
+NSML1 that of the whole list; it is spread evenly over their length or area (MSC Nastran Quick
+Reference Guide). All add to each other and to the NSM of the property.
 """
 
 from __future__ import annotations
@@ -37,7 +37,9 @@ SHELLS: Mapping[str, Measure] = {
 }
 AREAS = {**SHELLS, "CSHEAR": shear.measure}
 MEASURES = {**LINES, **AREAS}
-PROPERTIES: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {  # TYPE: property cards, element cards
+PROPERTIES: Mapping[
+    str, tuple[tuple[str, ...], tuple[str, ...]]
+] = {  # TYPE: property cards, element cards
     "PSHELL": (("PSHELL",), tuple(SHELLS)),
     "PCOMP": (("PCOMP", "PCOMPG"), tuple(SHELLS)),
     "PSHEAR": (("PSHEAR",), ("CSHEAR",)),
@@ -84,7 +86,9 @@ def chosen(model: Model) -> Iterator[Lists]:
     tables = [model[c] for c in CARDS if c in model]
     for s in sids.tolist():
         if not any((t["SID"] == s).any() for t in tables):
-            raise DeckError(f"NSM = {sid} in case control: no NSM, NSM1, NSML or NSML1 has the number {s}")
+            raise DeckError(
+                f"NSM = {sid} in case control: no NSM, NSM1, NSML or NSML1 has the number {s}"
+            )
     for t in tables:
         use = np.isin(t["SID"], sids)
         for kind in np.unique(t["TYPE"][use]).tolist():
@@ -127,7 +131,9 @@ def members(model: Model, lists: Lists) -> list[Member]:
 def _properties(model: Model, kind: str) -> Int | None:
     if kind not in PROPERTIES:
         return None
-    return np.concatenate([np.zeros(0, dtype=np.int64), *(model[c].ids for c in PROPERTIES[kind][0] if c in model)])
+    return np.concatenate(
+        [np.zeros(0, dtype=np.int64), *(model[c].ids for c in PROPERTIES[kind][0] if c in model)]
+    )
 
 
 def _joined(mine: Int, able: Bool, lists: Lists) -> tuple[Int, Int]:
@@ -141,14 +147,19 @@ def _joined(mine: Int, able: Bool, lists: Lists) -> tuple[Int, Int]:
     entry = np.repeat(first - np.cumsum(count) + count, count) + np.arange(row.size)
     everywhere = np.flatnonzero(able)
     pairs = np.stack(
-        [np.r_[row, np.tile(everywhere, every.size)], np.r_[of[entry], np.repeat(every, everywhere.size)]], axis=1
+        [
+            np.r_[row, np.tile(everywhere, every.size)],
+            np.r_[of[entry], np.repeat(every, everywhere.size)],
+        ],
+        axis=1,
     )
     unique = np.unique(pairs, axis=0)
     return unique[:, 0], unique[:, 1]
 
 
 def sharers(model: Model, rows: Rows, sid: Int | None = None) -> Rows:
-    """Rows of element cards, and those that share a whole mass (NSML, NSML1) with them and feel their sizes.
+    """Rows of element cards, and those that share a whole mass (NSML, NSML1) with them and feel
+    their sizes.
 
     With `sid` (s,): all that stand on the lists of these sets.
     """
@@ -176,7 +187,8 @@ def added_mass(m: Mesh) -> dict[str, Any_]:
     Raises
     ------
     DeckError
-        If a list names nothing that carries non-structural mass, or one value is for lines and areas.
+        If a list names nothing that carries non-structural mass, or one value is for lines and
+        areas.
     """
     out: dict[str, Any_] = {}
     for lists in chosen(m.model):
@@ -202,15 +214,21 @@ def _totals(m: Mesh, lists: Lists, found: list[Member]) -> Any_:
         kinds[int(part.card in AREAS), part.of] = True
     if (both := kinds.all(axis=0)).any():
         row = int(lists.row[both.argmax()])
-        raise error(m.model, lists.table, row, "one mass for lines and areas together; give a list to each")
+        raise error(
+            m.model, lists.table, row, "one mass for lines and areas together; give a list to each"
+        )
     return np.where(total == 0, 1.0, total)
 
 
 def _check(model: Model, lists: Lists, found: list[Member]) -> None:
-    """Ids that are not in the deck are passed over, as in Nastran, but for a list with nothing else."""
+    """Ids that are not in the deck are passed over, as in Nastran, but for a list with nothing
+    else.
+    """
     known = _properties(model, lists.kind)
     if known is None:
-        known = np.concatenate([np.zeros(0, dtype=np.int64), *(model[p.card].ids[p.at] for p in found)])
+        known = np.concatenate(
+            [np.zeros(0, dtype=np.int64), *(model[p.card].ids[p.at] for p in found)]
+        )
     there = np.isin(lists.ids, known) | ((lists.ids == 0) & (known.size > 0))
     if there.all():
         return

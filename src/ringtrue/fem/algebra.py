@@ -53,7 +53,9 @@ def rotation(R: Any_, k: int) -> Any_:
 
 
 def condense(K: Any_, keep: Int | slice, drop: Int | slice) -> Any_:
-    """Static condensation K_kk - K_kd K_dd⁻¹ K_dk, (e, d, d) -> (e, k, k); without it where K_dd is zero."""
+    """Static condensation K_kk - K_kd K_dd⁻¹ K_dk, (e, d, d) -> (e, k, k); without it where K_dd is
+    zero.
+    """
     rows = K[:, keep]
     Kkk, Kkd, Kdd = rows[:, :, keep], rows[:, :, drop], K[:, drop][:, :, drop]
     live = np.abs(Kdd).max(axis=(1, 2), initial=0) > 0

@@ -39,7 +39,8 @@ class System:
     transform : (full, f) csr float64
         Motion of every node in the basic frame from that of the free DOFs.
     local : (f, full) csr float64
-        Picks the free DOFs, in their displacement frames, from a full motion in basic; `local @ transform` = 1.
+        Picks the free DOFs, in their displacement frames, from a full motion in basic; `local @
+        transform` = 1.
     dofs : DofSet
         The full DOFs: six a GRID in the order of the cards, basic frame, then the scalar points.
     free : DofSet
@@ -69,7 +70,9 @@ class System:
         return np.asarray(self.transform @ x)
 
     def loose(self) -> DofSet:
-        """Translations that AUTOSPC holds at nodes that can move otherwise, in the displacement frames."""
+        """Translations that AUTOSPC holds at nodes that can move otherwise, in the displacement
+        frames.
+        """
         a = self.autospc
         at = (a.direction >= 1) & (a.direction <= 3) & np.isin(a.node, self.free.node)
         return DofSet(a.node[at], a.direction[at])
@@ -84,8 +87,9 @@ class System:
 class Sum:
     """A running sum of symmetric element matrices, kept as lower triangles.
 
-    Triangles of like size are merged as the digits of a binary counter are carried, so that an entry moves as often
-    as the logarithm of the number of pieces, and the entries of all elements are never held at once.
+    Triangles of like size are merged as the digits of a binary counter are carried, so that an
+    entry moves as often as the logarithm of the number of pieces, and the entries of all elements
+    are never held at once.
     """
 
     __slots__ = ("_digits", "_size")
@@ -129,14 +133,18 @@ def _csr(values: Any_, i: Any_, j: Any_, n: int) -> sparse.csr_array:
 def mirrored(lower: sparse.csr_array) -> sparse.csr_array:
     """The symmetric matrix whose lower triangle is given."""
     upper = lower.T.tocsr()
-    strict = upper.indices != np.repeat(np.arange(upper.shape[0], dtype=upper.indices.dtype), np.diff(upper.indptr))
+    strict = upper.indices != np.repeat(
+        np.arange(upper.shape[0], dtype=upper.indices.dtype), np.diff(upper.indptr)
+    )
     kept = np.concatenate([[0], np.cumsum(strict)]).astype(upper.indptr.dtype)[upper.indptr]
     upper = sparse.csr_array((upper.data[strict], upper.indices[strict], kept), shape=upper.shape)
     return sparse.csr_array(lower + upper)
 
 
 def sum_up(n: int, parts: Iterable[tuple[Int, Any_]]) -> sparse.csr_array:
-    """Add symmetric element matrices: dofs (e, d), -1 for none, with values (e, d) or (e, d, d), into (n, n) csr."""
+    """Add symmetric element matrices: dofs (e, d), -1 for none, with values (e, d) or (e, d, d),
+    into (n, n) csr.
+    """
     total = Sum(n)
     for dofs, block in parts:
         total.add(dofs, block)
@@ -170,8 +178,12 @@ def turn(m: Mesh) -> sparse.csr_array:
     """Basic motion by motion in the displacement frames, (n, n)."""
     blocks = np.repeat(m.cd.swapaxes(1, 2), 2, axis=0)
     at = np.arange(len(blocks))
-    grid = sparse.bsr_array((blocks, at, np.arange(len(blocks) + 1)), shape=(3 * len(blocks), 3 * len(blocks)))
-    return sparse.csr_array(sparse.block_diag([grid, sparse.eye_array(m.scalar.size)], format="csr"))
+    grid = sparse.bsr_array(
+        (blocks, at, np.arange(len(blocks) + 1)), shape=(3 * len(blocks), 3 * len(blocks))
+    )
+    return sparse.csr_array(
+        sparse.block_diag([grid, sparse.eye_array(m.scalar.size)], format="csr")
+    )
 
 
 def assemble(model: Model) -> System:
@@ -180,8 +192,8 @@ def assemble(model: Model) -> System:
     Raises
     ------
     DeckError
-        On a card that refers to one that is absent, a distorted element, contradictory constraints, or a field that
-        makes a negative stiffness (see `fem.negative`).
+        On a card that refers to one that is absent, a distorted element, contradictory constraints,
+        or a field that makes a negative stiffness (see `fem.negative`).
     UnsupportedCard
         On a card with stiffness, mass or constraint that is not assembled.
     """
@@ -214,8 +226,12 @@ def assemble(model: Model) -> System:
     return System(
         stiffness,
         mass,
-        sparse.csr_array(reduced(T, B) + alpha * mass + beta * stiffness) if alpha or beta else reduced(T, B),
-        sparse.csr_array(reduced(T, S) + stiffness * g) if (g := m.model.param("G", 0.0)) else reduced(T, S),
+        sparse.csr_array(reduced(T, B) + alpha * mass + beta * stiffness)
+        if alpha or beta
+        else reduced(T, B),
+        sparse.csr_array(reduced(T, S) + stiffness * g)
+        if (g := m.model.param("G", 0.0))
+        else reduced(T, S),
         T,
         sparse.csr_array(rotation.T.tocsr()[free[keep]]),
         names,
@@ -236,7 +252,11 @@ def refuse_held(system: System) -> None:
     """
     if system.stiffness.shape[0]:
         return
-    weak = f"; {len(system.autospc)} have no stiffness: check moduli and properties" if len(system.autospc) else ""
+    weak = (
+        f"; {len(system.autospc)} have no stiffness: check moduli and properties"
+        if len(system.autospc)
+        else ""
+    )
     raise InputError(f"the model has no free degree of freedom: check SPC and MPC{weak}")
 
 
@@ -246,15 +266,21 @@ def rayleigh(model: Model) -> tuple[float, float]:
 
 
 def pieces(m: Mesh, rows: Mapping[str, Int] | None = None) -> Iterator[tuple[str, Int, Matrices]]:
-    """Card, rows and matrices of elements, all or those given, of so many at a time that they never fill the memory."""
+    """Card, rows and matrices of elements, all or those given, of so many at a time that they never
+    fill the memory.
+    """
     for card, build, of_card in batches(m.model, rows):
         for first in range(0, of_card.size, _PIECE):
             at = of_card[first : first + _PIECE]
             yield card, at, build(m, card, at)
 
 
-def _totals(m: Mesh) -> tuple[sparse.csr_array, sparse.csr_array, sparse.csr_array, sparse.csr_array]:
-    """Stiffness, mass, viscous damping and Σ g_e K_e (n, n) over the full basic DOFs, each element computed once."""
+def _totals(
+    m: Mesh,
+) -> tuple[sparse.csr_array, sparse.csr_array, sparse.csr_array, sparse.csr_array]:
+    """Stiffness, mass, viscous damping and Σ g_e K_e (n, n) over the full basic DOFs, each element
+    computed once.
+    """
     K, M, B, S = (Sum(m.size) for _ in range(4))
     for _, _, p in pieces(m):
         K.add(p.dofs, p.stiffness)
@@ -263,4 +289,9 @@ def _totals(m: Mesh) -> tuple[sparse.csr_array, sparse.csr_array, sparse.csr_arr
             B.add(p.dofs, p.viscous)
         if len(structural := p.structural):
             S.add(p.dofs, structural)
-    return K.total(), sparse.csr_array(M.total() * m.model.param("WTMASS", 1.0)), B.total(), S.total()
+    return (
+        K.total(),
+        sparse.csr_array(M.total() * m.model.param("WTMASS", 1.0)),
+        B.total(),
+        S.total(),
+    )

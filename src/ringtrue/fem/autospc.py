@@ -11,9 +11,16 @@ from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.fem.kinds import SHELLS
 from ringtrue.fem.mesh import Matrices
 
-EPZERO = 1e-8  # PARAM,EPZERO: share of a node's largest stiffness below which a direction is examined
-ROUNDING = 1e-12  # of the terms of an element's stiffness at a node: what its own arithmetic may leave in a direction
-GIVEN_IN_DIGITS = (*SHELLS, "CSHEAR", "GENEL")  # their zeros are as good as the digits of coordinates or entries
+EPZERO = (
+    1e-8  # PARAM,EPZERO: share of a node's largest stiffness below which a direction is examined
+)
+# of the terms of an element's stiffness at a node: what its own arithmetic may leave in a direction
+ROUNDING = 1e-12
+GIVEN_IN_DIGITS = (
+    *SHELLS,
+    "CSHEAR",
+    "GENEL",
+)  # their zeros are as good as the digits of coordinates or entries
 _AT_ONCE = 512  # elements whose nodes are judged at once
 
 Part = tuple[str, Int, Matrices]
@@ -30,10 +37,11 @@ def singular_dofs(
 ) -> Bool:
     """DOFs (k,) of K (k, k) that have no stiffness.
 
-    Each node's 3 x 3 block of translations, or of rotations, is examined; for each direction in which it is singular
-    the DOF nearest to it is named. Where the block is weak beside its largest term, the elements at the node are asked
-    one by one: a direction is singular if no element stiffens it, each judged by its own stiffness there. A stiff
-    spring in one direction thus says nothing of the others.
+    Each node's 3 x 3 block of translations, or of rotations, is examined; for each direction in
+    which it is singular the DOF nearest to it is named. Where the block is weak beside its largest
+    term, the elements at the node are asked one by one: a direction is singular if no element
+    stiffens it, each judged by its own stiffness there. A stiff spring in one direction thus says
+    nothing of the others.
 
     Parameters
     ----------
@@ -89,7 +97,9 @@ def _blocks(A: sparse.csr_array, group: Int, place: Int, count: int) -> Float:
 
 
 def _weak(blocks: Float, there: Bool, tolerance: float) -> Bool:
-    """Components (g, 3) nearest to the directions in which blocks (g, 3, 3), of size 1, are weak; of those there."""
+    """Components (g, 3) nearest to the directions in which blocks (g, 3, 3), of size 1, are weak;
+    of those there.
+    """
     out = np.zeros_like(there)
     for _ in range(3):  # a block has three directions
         live = there & ~out
@@ -114,7 +124,8 @@ def _stiffened(
     direct: sparse.csr_array | None,
     tolerance: float,
 ) -> Float:
-    """How often each direction of groups is stiffened, (count, 3, 3): the sum of the elements' projectors.
+    """How often each direction of groups is stiffened, (count, 3, 3): the sum of the elements'
+    projectors.
 
     Parameters
     ----------
@@ -144,7 +155,9 @@ def _stiffened(
 
 
 def _motions(S: sparse.csr_array, group: Int, place: Int, dofs: Int) -> tuple[Int, Int, Float]:
-    """The groups that touch elements of `dofs` (e, d): group (p,), element (p,), motion of its DOFs by it (p, d, 3)."""
+    """The groups that touch elements of `dofs` (e, d): group (p,), element (p,), motion of its DOFs
+    by it (p, d, 3).
+    """
     element, i = np.nonzero(dofs >= 0)
     rows = S[dofs[element, i]].tocoo()
     many = np.int64(group.max(initial=0) + 1)
@@ -155,7 +168,9 @@ def _motions(S: sparse.csr_array, group: Int, place: Int, dofs: Int) -> tuple[In
 
 
 def _projectors(A: Any_, size: Float, share: float) -> Float:
-    """Projectors (p, 3, 3) on the directions in which blocks A (p, 3, 3) exceed a share of their terms' size (p,)."""
+    """Projectors (p, 3, 3) on the directions in which blocks A (p, 3, 3) exceed a share of their
+    terms' size (p,).
+    """
     values, vectors = np.linalg.eigh(A)
     firm = np.abs(values) > share * size[:, None]
     return np.asarray(np.einsum("pak,pk,pbk->pab", vectors, firm.astype(np.float64), vectors))

@@ -14,9 +14,11 @@ from ringtrue.model.model import Table
 
 
 def rbe3(m: Mesh) -> Equations:
-    """u_ref = (Σ SᵀWS)⁻¹ Σ SᵀWu, rotations weighted by the square of a length; solved for UM where it is given.
+    """u_ref = (Σ SᵀWS)⁻¹ Σ SᵀWu, rotations weighted by the square of a length; solved for UM where
+    it is given.
 
-    As in MSC Nastran since version 70.7 the length is the mean distance of the nodes, each counted once, from REFGRID.
+    As in MSC Nastran since version 70.7 the length is the mean distance of the nodes, each counted
+    once, from REFGRID.
     """
     t = m.model["RBE3"]
     G = t.ragged("G")
@@ -39,21 +41,30 @@ def rbe3(m: Mesh) -> Equations:
 
 
 def _mean_arm(of: Int, g: Int, arms: Float, count: int) -> Float:
-    """Mean length of the arms (k, 3) of each element (count,), a node in several groups once; 1 without any."""
+    """Mean length of the arms (k, 3) of each element (count,), a node in several groups once; 1
+    without any.
+    """
     once = np.unique(np.stack([of, g]), axis=1, return_index=True)[1]
     total = np.bincount(of[once], np.linalg.norm(arms[once], axis=1), count)
     return np.where(total == 0, 1.0, total / np.maximum(np.bincount(of[once], minlength=count), 1))
 
 
 def _inverse(m: Mesh, t: Table, normal: Float, scale: Float) -> Float:
-    """Inverse of the normal matrices; a motion that the nodes do not determine must not be asked for."""
+    """Inverse of the normal matrices; a motion that the nodes do not determine must not be asked
+    for.
+    """
     A = normal * scale[:, :, None] * scale[:, None, :]
     plus = np.linalg.pinv(A, rcond=1e-10, hermitian=True)
     lost = np.abs(np.einsum("eij,eji->ei", plus, A) - 1) > 1e-6
     bad = (lost & components(t["REFC"])).any(axis=1)
     if bad.any():
         i = int(np.flatnonzero(bad)[0])
-        raise error(m.model, t, i, f"its nodes do not determine REFC {t['REFC'][i]}; add nodes or components")
+        raise error(
+            m.model,
+            t,
+            i,
+            f"its nodes do not determine REFC {t['REFC'][i]}; add nodes or components",
+        )
     return np.asarray(plus * scale[:, :, None] * scale[:, None, :])
 
 
@@ -65,7 +76,9 @@ def _spread(m: Mesh, t: Table, X: Float, of: Int, g: Int, ref: Int) -> Equations
     row = np.broadcast_to(number[of][:, :, None], X.shape).reshape(-1)
     column = np.broadcast_to(node_dofs(g[:, None])[:, None, :], X.shape).reshape(-1)
     keep = (row >= 0) & (X.reshape(-1) != 0)
-    return Equations(6 * ref[element] + c, row[keep], column[keep], X.reshape(-1)[keep], owners(t, element))
+    return Equations(
+        6 * ref[element] + c, row[keep], column[keep], X.reshape(-1)[keep], owners(t, element)
+    )
 
 
 def _resolved(m: Mesh, t: Table, eq: Equations, of: Int) -> Equations:
@@ -76,15 +89,23 @@ def _resolved(m: Mesh, t: Table, eq: Equations, of: Int) -> Equations:
     wrong = (wanted > 0) & (wanted != there)
     if wrong.any():
         i = int(np.flatnonzero(wrong)[0])
-        raise error(m.model, t, i, f"UM names {wanted[i]} components; allowed are as many as REFC has, {there[i]}")
+        raise error(
+            m.model,
+            t,
+            i,
+            f"UM names {wanted[i]} components; allowed are as many as REFC has, {there[i]}",
+        )
     rows = np.flatnonzero(wanted[of] > 0)
     chosen, k = 6 * node + c, rows.size
     whole = sparse.csr_array((-eq.value, (eq.row, eq.column)), shape=(of.size, m.size))[rows]
     whole = sparse.csr_array(
-        whole + sparse.csr_array((np.ones(k), (np.arange(k), eq.dependent[rows])), shape=whole.shape)
+        whole
+        + sparse.csr_array((np.ones(k), (np.arange(k), eq.dependent[rows])), shape=whole.shape)
     )
     solved = sparse.coo_array(_block_inverse(m, t, whole[:, chosen], at) @ whole)
-    rest = ~np.isin(solved.col, chosen) & (np.abs(solved.data) > ROUNDING * np.abs(solved.data).max(initial=0.0))
+    rest = ~np.isin(solved.col, chosen) & (
+        np.abs(solved.data) > ROUNDING * np.abs(solved.data).max(initial=0.0)
+    )
     keep = np.isin(eq.row, rows, invert=True)
     dependent = eq.dependent.copy()
     dependent[rows] = chosen
@@ -109,10 +130,14 @@ def _block_inverse(m: Mesh, t: Table, A: sparse.csr_array, of: Int) -> sparse.cs
     bad = values[:, -1] < 1e-10 * values[:, 0]
     if bad.any():
         i = int(of[first[np.flatnonzero(bad)[0]]])
-        raise error(m.model, t, i, "the components in UM are not determined by the others; choose others")
+        raise error(
+            m.model, t, i, "the components in UM are not determined by the others; choose others"
+        )
     inverse = np.linalg.solve(blocks, np.broadcast_to(np.eye(6), blocks.shape))
     row, column = _pairs(number, first)
-    return sparse.csr_array((inverse[number[row], place[row], place[column]], (row, column)), shape=A.shape)
+    return sparse.csr_array(
+        (inverse[number[row], place[row], place[column]], (row, column)), shape=A.shape
+    )
 
 
 def _pairs(number: Int, first: Int) -> tuple[Int, Int]:

@@ -12,9 +12,11 @@ from ringtrue.fem.mesh import Mesh
 
 
 def spin_forces(m: Mesh, origin: Float, spin: Float) -> Float:
-    """Centrifugal forces of all masses about an axis, as the mass matrix has them, PARAM,WTMASS applied.
+    """Centrifugal forces of all masses about an axis, as the mass matrix has them, PARAM,WTMASS
+    applied.
 
-    The body of a CONM2 is beside its node, at its own distance, and its tensor J gives the moment -ω × Jω.
+    The body of a CONM2 is beside its node, at its own distance, and its tensor J gives the moment
+    -ω × Jω.
 
     Parameters
     ----------

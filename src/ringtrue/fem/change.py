@@ -30,18 +30,23 @@ Factor = float | complex
 
 
 def scaled(model: Model, parameter: Parameter, factor: Factor) -> Model:
-    """A copy of the model with the parameter at `factor`: fields, for some elements only where told, and nodes.
+    """A copy of the model with the parameter at `factor`: fields, for some elements only where
+    told, and nodes.
 
-    A PBEAM whose end B or stations equal its end A keeps that. Where a target holds for some elements only, they get a
-    copy of the property or material.
+    A PBEAM whose end B or stations equal its end A keeps that. Where a target holds for some
+    elements only, they get a copy of the property or material.
 
     Raises
     ------
     InputError
-        If a card, id or field is absent, blank or not a real number, or the parameter is a factor on matrices.
+        If a card, id or field is absent, blank or not a real number, or the parameter is a factor
+        on matrices.
     """
     if parameter.substructures:
-        raise InputError(f"parameter {parameter.name} is a factor on element matrices: no model has them as fields")
+        raise InputError(
+            f"parameter {parameter.name} is a factor on element matrices: no model has them as "
+            "fields"
+        )
     targets, own = list(parameter.targets), dict[tuple[str, int, tuple[int, ...]], int]()
     for i, t in enumerate(targets):
         if t.elements:
@@ -69,7 +74,9 @@ def changed(model: Model, name: str, targets: Sequence[Target], factor: Factor) 
         groups.setdefault((t.card, t.field, t.step), []).append(t.id)
     tables = dict(model.tables)
     for (card, field, step), ids in groups.items():
-        tables[card] = _with_fields(tables, f"parameter {name}: {card}", card, field, np.array(ids), step, factor)
+        tables[card] = _with_fields(
+            tables, f"parameter {name}: {card}", card, field, np.array(ids), step, factor
+        )
     for card in MADE:
         if dimensioned := [t.id for t in targets if t.card == card]:
             tables[MADE[card]] = resectioned(tables, card, np.array(dimensioned))
@@ -77,7 +84,9 @@ def changed(model: Model, name: str, targets: Sequence[Target], factor: Factor) 
 
 
 def _there(tables: dict[str, Table], card: str, wanted: int) -> str:
-    """What the model has in place of a card that it lacks: the numbers next to it, or the cards of like name."""
+    """What the model has in place of a card that it lacks: the numbers next to it, or the cards of
+    like name.
+    """
     if card not in tables or not tables[card].ids.size:
         return did_you_mean(card, (c for c, t in tables.items() if t.ids.size))
     ids = np.unique(tables[card].ids)
@@ -86,13 +95,21 @@ def _there(tables: dict[str, Table], card: str, wanted: int) -> str:
 
 
 def _with_fields(
-    tables: dict[str, Table], where: str, card: str, field: str, ids: Int, step: float, factor: Factor
+    tables: dict[str, Table],
+    where: str,
+    card: str,
+    field: str,
+    ids: Int,
+    step: float,
+    factor: Factor,
 ) -> Table:
     there = tables[card].ids if card in tables else ids[:0]
     rows = np.flatnonzero(there == ids[0] if ids.size == 1 else np.isin(there, ids))
     if lost := set(ids.tolist()).difference(there[rows].tolist()):
         first = next(i for i in ids.tolist() if i in lost)
-        raise InputError(f"{where} {first} {field}: no such card in the model{_there(tables, card, first)}")
+        raise InputError(
+            f"{where} {first} {field}: no such card in the model{_there(tables, card, first)}"
+        )
     table, where = tables[card], f"{where} {ids[0]} {field}"
     ply = _PLY.fullmatch(field)
     if field not in table.columns and ply and isinstance(table.columns.get(ply[1]), Ragged):
@@ -110,7 +127,9 @@ def _with_fields(
     if twin and both.size:
         table = table.with_column(twin, _multiplied(table[twin], both, where, step, factor))
     if equal.size:
-        table = _with_entries(table, where, stations, table.ragged(stations).values, equal, step, factor)
+        table = _with_entries(
+            table, where, stations, table.ragged(stations).values, equal, step, factor
+        )
     return table
 
 
@@ -120,17 +139,22 @@ def _equal(entries: Ragged, column: NDArray[Any], rows: Int) -> Int:
     return np.flatnonzero(np.isin(of, rows) & (entries.values == column[of]))
 
 
-def _multiplied(column: NDArray[Any], rows: Int, where: str, step: float, factor: Factor) -> NDArray[Any]:
+def _multiplied(
+    column: NDArray[Any], rows: Int, where: str, step: float, factor: Factor
+) -> NDArray[Any]:
     if column.dtype.kind not in "fc" or np.isnan(column[rows]).any():
         raise InputError(
-            f"{where}: must hold a real number, got {'a blank' if column.dtype.kind in 'fc' else column[rows[0]]}"
+            f"{where}: must hold a real number, got "
+            f"{'a blank' if column.dtype.kind in 'fc' else column[rows[0]]}"
         )
     out = column.astype(np.result_type(column, type(factor)))
     out[rows] = out[rows] + step * (factor - 1) if step else out[rows] * factor
     return out
 
 
-def _with_ply(table: Table, where: str, name: str, ply: int, rows: Int, step: float, factor: Factor) -> Table:
+def _with_ply(
+    table: Table, where: str, name: str, ply: int, rows: Int, step: float, factor: Factor
+) -> Table:
     """Entry `ply` (from 1) of a list; a blank one takes the value of the entry before it first."""
     ragged = table.ragged(name)
     values = _filled(ragged, rows) if table.card in LAMINATES else ragged.values
@@ -144,7 +168,9 @@ def _with_entries(
     table: Table, where: str, name: str, values: NDArray[Any], at: Int, step: float, factor: Factor
 ) -> Table:
     values = _multiplied(values, at, where, step, factor)
-    return replace(table, columns={**table.columns, name: Ragged(values, table.ragged(name).offsets)})
+    return replace(
+        table, columns={**table.columns, name: Ragged(values, table.ragged(name).offsets)}
+    )
 
 
 def _filled(ragged: Ragged, rows: Int) -> NDArray[Any]:
@@ -160,7 +186,8 @@ def _filled(ragged: Ragged, rows: Int) -> NDArray[Any]:
 
 
 def moved(model: Model, shape: Shape, amount: float) -> Model:
-    """A copy with the nodes of `shape` moved by `amount` times their vectors; they stand in basic (CP 0) then.
+    """A copy with the nodes of `shape` moved by `amount` times their vectors; they stand in basic
+    (CP 0) then.
 
     Raises
     ------
@@ -182,12 +209,16 @@ def moved(model: Model, shape: Shape, amount: float) -> Model:
 
 
 def rows_of(model: Model, target: Target) -> Rows:
-    """Rows of each element card that the target changes; all users of the card where no elements are named."""
+    """Rows of each element card that the target changes; all users of the card where no elements
+    are named.
+    """
     if target.card == "GRID":
         return users_of_nodes(model, np.array([target.id]))
     if target.card in CARDS:
         return sharers(model, {}, np.array([target.id]))
-    if target.card in ("CBAR", "CBEAM") and target.field.startswith("W"):  # offsets change its length
+    if target.card in ("CBAR", "CBEAM") and target.field.startswith(
+        "W"
+    ):  # offsets change its length
         return sharers(model, _users(model, target.card, np.array([target.id])))
     found = _users(model, target.card, np.array([target.id]))
     if (
@@ -195,19 +226,25 @@ def rows_of(model: Model, target: Target) -> Rows:
         and {"CWELD", "PWELD"} <= model.tables.keys()
         and (model["PWELD"]["TYPE"] == "SPOT").any()
     ):
-        found["CWELD"] = np.arange(len(model["CWELD"]))  # a spot weld is as long as its sheets are thick
+        found["CWELD"] = np.arange(
+            len(model["CWELD"])
+        )  # a spot weld is as long as its sheets are thick
     return found
 
 
 def _users(model: Model, card: str, ids: Int) -> Rows:
-    """Rows of each element card that name one of these cards, themselves or through a property, a frame or a node."""
+    """Rows of each element card that name one of these cards, themselves or through a property, a
+    frame or a node.
+    """
     elements = set(affected_cards(model))
     found: list[Rows] = []
     followed: dict[str, Int] = {}
     waiting = [(MADE.get(card, card), ids)]
     while waiting:
         card, ids = waiting.pop()
-        ids = np.setdiff1d(ids, followed.get(card, []))  # a node of a frame may have that frame as its CD
+        ids = np.setdiff1d(
+            ids, followed.get(card, [])
+        )  # a node of a frame may have that frame as its CD
         followed[card] = np.union1d(followed.get(card, []), ids)
         if card in elements:
             found.append({card: np.flatnonzero(np.isin(model[card].ids, ids))})
@@ -248,7 +285,9 @@ def rows_of_elements(model: Model, name: str, elements: Sequence[int]) -> Rows:
     """
     rows = within(model, {c: np.arange(len(model[c])) for c in affected_cards(model)}, elements)
     if sum(at.size for at in rows.values()) < len(set(elements)):
-        raise InputError(f"parameter {name}: not all of its {len(set(elements))} elements are in the model")
+        raise InputError(
+            f"parameter {name}: not all of its {len(set(elements))} elements are in the model"
+        )
     return rows
 
 
@@ -266,7 +305,8 @@ _NODES = _node_fields()
 def users_of_nodes(model: Model, nodes: Int) -> Rows:
     """Rows of each element card that stand on any of the nodes; every row if a frame hangs on one.
 
-    With them the shells whose node normals (PARAM,SNORM) those decide, and all that share a whole mass (NSML).
+    With them the shells whose node normals (PARAM,SNORM) those decide, and all that share a whole
+    mass (NSML).
     """
     found = {}
     frame = any(f"CORD1{k}" in model and _on(model[f"CORD1{k}"], nodes).any() for k in "RCS")
@@ -290,7 +330,9 @@ def _on(table: Table, nodes: Int) -> Bool:
 
 
 def _own(model: Model, name: str, target: Target) -> tuple[Model, Target]:
-    """The model with a copy of the target's card for the elements it is meant for, and the target on that copy."""
+    """The model with a copy of the target's card for the elements it is meant for, and the target
+    on that copy.
+    """
     rows = within(model, rows_of(model, target), target.elements)
     where = f"parameter {name}: {target.card} {target.id}"
     if not rows:
@@ -319,7 +361,11 @@ def _family(cards: tuple[str, ...]) -> str:
 
 def _copied(model: Model, card: str, row_id: int, family: str) -> tuple[int, Model]:
     """A copy of a row under a new id, which no card of the family has."""
-    ids = [t.ids.max(initial=0) for c, t in model.tables.items() if c.startswith(family) and c != "PARAM"]
+    ids = [
+        t.ids.max(initial=0)
+        for c, t in model.tables.items()
+        if c.startswith(family) and c != "PARAM"
+    ]
     fresh = int(max(ids)) + 1
     return fresh, _row_added(model, card, row_id, fresh)
 
@@ -331,7 +377,9 @@ def _row_added(model: Model, card: str, row_id: int, fresh: int) -> Model:
     for i, (n, column) in enumerate(table.columns.items()):
         if isinstance(column, Ragged):
             end = column.offsets[-1] + column.offsets[row + 1] - column.offsets[row]
-            columns[n] = Ragged(np.concatenate([column.values, column.row(row)]), np.append(column.offsets, end))
+            columns[n] = Ragged(
+                np.concatenate([column.values, column.row(row)]), np.append(column.offsets, end)
+            )
         else:
             columns[n] = np.append(column, fresh if i == 0 else column[row])
     made = Table(card, columns, np.append(table.file, -1), np.append(table.line, 0))
@@ -342,7 +390,9 @@ def _redirected(model: Model, card: str, field: str, rows: Int, old: int, fresh:
     table = model[card]
     column = table.columns[field]
     if isinstance(column, Ragged):
-        values = np.where(np.isin(column.owner, rows) & (column.values == old), fresh, column.values)
+        values = np.where(
+            np.isin(column.owner, rows) & (column.values == old), fresh, column.values
+        )
         columns = {**table.columns, field: Ragged(values, column.offsets)}
         return replace(model, tables={**model.tables, card: replace(table, columns=columns)})
     out = column.copy()
@@ -351,7 +401,9 @@ def _redirected(model: Model, card: str, field: str, rows: Int, old: int, fresh:
 
 
 def _by_property(model: Model, card: str, field: str, rows: Rows, old: int, fresh: int) -> Model:
-    """Copies of the properties `card` that name material `old`, naming `fresh`, for the element rows."""
+    """Copies of the properties `card` that name material `old`, naming `fresh`, for the element
+    rows.
+    """
     for r in [r for r in REFERENCES if card in r.of and r.card in rows]:
         for pid in np.unique(model[r.card][r.field][rows[r.card]]).tolist():
             row = model[card].find(np.array([pid]))

@@ -1,4 +1,6 @@
-"""Rigid elements, multipoint equations and supports as one sparse elimination, in the displacement frames."""
+"""Rigid elements, multipoint equations and supports as one sparse elimination, in the displacement
+frames.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,12 @@ def _mpc(m: Mesh) -> Equations:
     first[G.offsets[:-1][G.sizes > 0]] = True
     lead = A.values[G.offsets[:-1]]
     if (lead[rows] == 0).any():
-        raise error(m.model, t, int(rows[lead[rows] == 0][0]), "the first coefficient is 0; it names the dependent DOF")
+        raise error(
+            m.model,
+            t,
+            int(rows[lead[rows] == 0][0]),
+            "the first coefficient is 0; it names the dependent DOF",
+        )
     number = np.full(len(t), -1)
     number[rows] = np.arange(rows.size)
     rest = use & ~first
@@ -80,7 +87,8 @@ def _hold(m: Mesh, held: Bool, t: Table, at: Int, nodes: Int, text: Float) -> No
 
 
 def eliminate(m: Mesh) -> tuple[sparse.csr_array, Int]:
-    """The map from independent DOFs that are not held to all full DOFs, both in the displacement frames.
+    """The map from independent DOFs that are not held to all full DOFs, both in the displacement
+    frames.
 
     Returns
     -------
@@ -98,7 +106,9 @@ def eliminate(m: Mesh) -> tuple[sparse.csr_array, Int]:
     dependent = np.full(n, -1)
     dependent[eq.dependent] = np.arange(k)
     free = np.flatnonzero((dependent < 0) & ~held)
-    select = sparse.csr_array((np.ones(free.size), (free, np.arange(free.size))), shape=(n, free.size))
+    select = sparse.csr_array(
+        (np.ones(free.size), (free, np.arange(free.size))), shape=(n, free.size)
+    )
     if not k:
         return select, free
     full = sparse.csr_array((eq.value, (eq.row, eq.column)), shape=(k, n))
@@ -107,7 +117,9 @@ def eliminate(m: Mesh) -> tuple[sparse.csr_array, Int]:
     _, label = connected_components(chain, connection="strong")
     loop = np.flatnonzero((np.bincount(label)[label] > 1) | (chain.diagonal() != 0))
     if loop.size:
-        raise _contradiction(m, eq, loop, "dependencies run in a circle: {}; make one end independent")
+        raise _contradiction(
+            m, eq, loop, "dependencies run in a circle: {}; make one end independent"
+        )
     rows = total = sparse.csr_array(full[:, free])
     while rows.nnz and chain.nnz:  # as often as the longest chain is long
         rows = sparse.csr_array(chain @ rows)
@@ -118,7 +130,10 @@ def eliminate(m: Mesh) -> tuple[sparse.csr_array, Int]:
 
 def _check(m: Mesh, eq: Equations, held: Bool) -> None:
     twice = np.bincount(eq.dependent, minlength=m.size) > 1
-    for bad, why in ((twice, "is dependent more than once"), (held, "is dependent and held by an SPC or PS")):
+    for bad, why in (
+        (twice, "is dependent more than once"),
+        (held, "is dependent and held by an SPC or PS"),
+    ):
         at = np.flatnonzero(bad[eq.dependent])
         if at.size:
             label = m.dofs.labels()[eq.dependent[at[0]]]
@@ -127,7 +142,9 @@ def _check(m: Mesh, eq: Equations, held: Bool) -> None:
 
 
 def _contradiction(m: Mesh, eq: Equations, rows: Int, message: str) -> DeckError:
-    """An error at the last card behind the rows (k,) of the equations, with all of them in the message."""
+    """An error at the last card behind the rows (k,) of the equations, with all of them in the
+    message.
+    """
     cards = list(dict.fromkeys(eq.owner[i] for i in rows.tolist()))
     table, row = cards[-1]
     return error(m.model, table, row, message.format(called(m.model, cards)))

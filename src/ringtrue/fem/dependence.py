@@ -1,7 +1,8 @@
 """K and M as functions of all parameters together: fixed matrices times functions of the factors.
 
-Where all that acts on an element are polynomials, these are products of powers, exactly (`products`); on the other
-elements they are what interpolates the matrices between chosen factors (`interpolation`).
+Where all that acts on an element are polynomials, these are products of powers, exactly
+(`products`); on the other elements they are what interpolates the matrices between chosen factors
+(`interpolation`).
 """
 
 from __future__ import annotations
@@ -34,9 +35,9 @@ def affine_terms(
 ) -> tuple[AffineTerm, ...]:
     """The parts of K(a) = K(1) + Σ g_t(a) K_t, M likewise, in the free degrees of freedom.
 
-    What is a polynomial of degree three or less in each factor is exact; the rest (laminates, the sections of beams
-    with shear, Poisson's ratio) is interpolated between the bounds, to 1e-8 of the roots of the diagonal entries. Only
-    the affected elements are computed.
+    What is a polynomial of degree three or less in each factor is exact; the rest (laminates, the
+    sections of beams with shear, Poisson's ratio) is interpolated between the bounds, to 1e-8 of
+    the roots of the diagonal entries. Only the affected elements are computed.
 
     Raises
     ------
@@ -60,10 +61,11 @@ def affine_terms(
 
 
 def matrices_kept(model: Model, *parameters: Parameter, most: int = MOST) -> int | None:
-    """How many matrices the interpolation of parameters together keeps of an element, seen on a sample of elements.
+    """How many matrices the interpolation of parameters together keeps of an element, seen on a
+    sample of elements.
 
-    0 where powers of each do; None where K and M are no smooth function of them (`affine_terms` has no parts), or take
-    more than `most`.
+    0 where powers of each do; None where K and M are no smooth function of them (`affine_terms` has
+    no parts), or take more than `most`.
 
     Raises
     ------

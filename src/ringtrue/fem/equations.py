@@ -45,12 +45,19 @@ Ends = tuple[Int, Int, Bool]  # owner (k,), node id (k,), components (k, 6)
 
 
 def rigid(m: Mesh, t: Table, independent: Ends, dependent: Ends) -> Equations:
-    """u_m = Φ_m Φ_n⁻¹ u_n with Φ the rigid motions at the independent (n, six an element) and dependent DOFs."""
+    """u_m = Φ_m Φ_n⁻¹ u_n with Φ the rigid motions at the independent (n, six an element) and
+    dependent DOFs.
+    """
     of, g, c = listed(m, t, independent)
     count = np.bincount(of, minlength=len(t))
     if (count != 6).any():
         i = int(np.flatnonzero(count != 6)[0])
-        raise error(m.model, t, i, f"it has {count[i]} independent components; allowed are 6 that hold a rigid body")
+        raise error(
+            m.model,
+            t,
+            i,
+            f"it has {count[i]} independent components; allowed are 6 that hold a rigid body",
+        )
     order = np.argsort(of, kind="stable")
     g, c = g[order].reshape(-1, 6), c[order].reshape(-1, 6)
     origin, size = _extent(m, g)
@@ -60,7 +67,12 @@ def rigid(m: Mesh, t: Table, independent: Ends, dependent: Ends) -> Equations:
     loose = values[:, -1] < 1e-9 * values[:, 0]
     if loose.any():
         i = int(np.flatnonzero(loose)[0])
-        raise error(m.model, t, i, "its independent components leave a rigid motion free; choose six that hold it")
+        raise error(
+            m.model,
+            t,
+            i,
+            "its independent components leave a rigid motion free; choose six that hold it",
+        )
     at, h, d = listed(m, t, dependent)
     phi_m = _motion(m, h, d, origin[at], size[at])
     X = np.linalg.solve(phi_n.swapaxes(1, 2)[at], phi_m[:, :, None])[:, :, 0]
@@ -70,7 +82,9 @@ def rigid(m: Mesh, t: Table, independent: Ends, dependent: Ends) -> Equations:
         raise error(m.model, t, i, "a component is both independent and dependent")
     row = np.repeat(np.arange(at.size), 6)
     keep = np.abs(X.reshape(-1)) > ROUNDING * np.abs(X).max(initial=0.0)
-    return Equations(6 * h + d, row[keep], column.reshape(-1)[keep], X.reshape(-1)[keep], owners(t, at))
+    return Equations(
+        6 * h + d, row[keep], column.reshape(-1)[keep], X.reshape(-1)[keep], owners(t, at)
+    )
 
 
 def listed(m: Mesh, t: Table, ends: Ends) -> tuple[Int, Int, Int]:
@@ -84,7 +98,9 @@ def listed(m: Mesh, t: Table, ends: Ends) -> tuple[Int, Int, Int]:
 
 
 def _motion(m: Mesh, node: Int, component: Int, origin: Float, size: Float) -> Float:
-    """Motion of components (...) by that of a rigid body about `origin`, turns in units of 1/size: (..., 6)."""
+    """Motion of components (...) by that of a rigid body about `origin`, turns in units of 1/size:
+    (..., 6).
+    """
     A = arm(m.xyz[node] - origin)
     A[..., 3:] /= size[..., None, None]
     axis = np.take_along_axis(m.cd[node], (component % 3)[..., None, None], axis=-2)[..., 0, :]
@@ -93,13 +109,17 @@ def _motion(m: Mesh, node: Int, component: Int, origin: Float, size: Float) -> F
 
 
 def rigid_motion(m: Mesh, node: Int, component: Int) -> Float:
-    """Motion of components (e, k) of nodes (rows, e, k) by that of a rigid body about their centre, (e, k, 6)."""
+    """Motion of components (e, k) of nodes (rows, e, k) by that of a rigid body about their centre,
+    (e, k, 6).
+    """
     origin, size = _extent(m, node)
     return _motion(m, node, component, origin[:, None], size[:, None])
 
 
 def _extent(m: Mesh, node: Int) -> tuple[Float, Float]:
-    """Centre (e, 3) of nodes (rows, e, k), and their largest distance from it along an axis (e,), 1 for one place."""
+    """Centre (e, 3) of nodes (rows, e, k), and their largest distance from it along an axis (e,), 1
+    for one place.
+    """
     origin = m.xyz[node].mean(axis=1)
     size = np.abs(m.xyz[node] - origin[:, None]).max(axis=(1, 2))
     return origin, np.where(size > 1e-9 * np.abs(m.xyz).max(), size, 1.0)

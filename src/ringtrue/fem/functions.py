@@ -1,4 +1,6 @@
-"""Scalar functions of the parameters' factors that are 0 at the nominal model: products of powers, or any other."""
+"""Scalar functions of the parameters' factors that are 0 at the nominal model: products of powers,
+or any other.
+"""
 
 from __future__ import annotations
 

@@ -1,9 +1,11 @@
-"""Matrices that are no polynomials of the factors, as sums of what they are at chosen factors: empirical interpolation.
+"""Matrices that are no polynomials of the factors, as sums of what they are at chosen factors:
+empirical interpolation.
 
-Elements on which the same parameters act, whatever their number, span few matrices between the bounds. Some of these
-are kept, K(a) = K(1) + Σ c_j(a) (K(a_j) - K(1)), M likewise, and as many entries of a few elements tell the c_j: the
-kernels of these are called at any a, by a complex step for the slopes. Barrault, Maday, Nguyen and Patera (2004), An
-empirical interpolation method, C. R. Acad. Sci. Paris 339, 667-672.
+Elements on which the same parameters act, whatever their number, span few matrices between the
+bounds. Some of these are kept, K(a) = K(1) + Σ c_j(a) (K(a_j) - K(1)), M likewise, and as many
+entries of a few elements tell the c_j: the kernels of these are called at any a, by a complex step
+for the slopes. Barrault, Maday, Nguyen and Patera (2004), An empirical interpolation method, C. R.
+Acad. Sci. Paris 339, 667-672.
 """
 
 from __future__ import annotations
@@ -22,11 +24,26 @@ from ringtrue.fem.functions import AffineTerm
 from ringtrue.fem.mesh import Mesh
 from ringtrue.fem.nodes import HOLDS, Nodes, learn, rough
 from ringtrue.fem.powers import INVALID, Group, Pair, built
-from ringtrue.fem.regions import Region, Together, apart, ends, entries, few, owners, picked, regions, roots
+from ringtrue.fem.regions import (
+    Region,
+    Together,
+    apart,
+    ends,
+    entries,
+    few,
+    owners,
+    picked,
+    regions,
+    roots,
+)
 from ringtrue.fem.rows import Rows, union
 from ringtrue.fem.series import Series, fitted
 
-SAMPLE, WORST, ROUNDS = 24, 12, 8  # elements of a kind that tell the functions; that join them; how often
+SAMPLE, WORST, ROUNDS = (
+    24,
+    12,
+    8,
+)  # elements of a kind that tell the functions; that join them; how often
 STEP = 1e-30
 SEEN = 4096  # sets of coefficients that are kept
 
@@ -42,9 +59,11 @@ class Interpolation:
         With the elements whose entries are used.
     nodes : tuple of Nodes
     colours : dict
-        A number for each parameter: those of one act on no region together, and are stepped together.
+        A number for each parameter: those of one act on no region together, and are stepped
+        together.
     series : dict
-        Of regions of one parameter, by their numbers: the coefficients without a call of the kernels.
+        Of regions of one parameter, by their numbers: the coefficients without a call of the
+        kernels.
     """
 
     mesh: Mesh
@@ -97,11 +116,17 @@ class Interpolation:
         if not some:
             return out
         try:
-            found = self._together(tuple(some)).entries(a + 1j * STEP * stepped if colour >= 0 else a)
+            found = self._together(tuple(some)).entries(
+                a + 1j * STEP * stepped if colour >= 0 else a
+            )
         except INVALID as e:
-            raise NumericalError(f"a section does not allow the factors {np.round(a, 4).tolist()}: {e}") from e
+            raise NumericalError(
+                f"a section does not allow the factors {np.round(a, 4).tolist()}: {e}"
+            ) from e
         if colour < 0:
-            return out | {k: self.nodes[k].coefficients(f) for k, f in zip(some, found, strict=True)}
+            return out | {
+                k: self.nodes[k].coefficients(f) for k, f in zip(some, found, strict=True)
+            }
         slopes = (self.nodes[k].slopes(f.imag / STEP) for k, f in zip(some, found, strict=True))
         return out | dict(zip(some, slopes, strict=True))
 
@@ -125,7 +150,9 @@ class Coefficient:
         return float(self.of.slopes(a, i)[self.region][self.j]) if i in self.which else 0.0
 
 
-def interpolated(m: Mesh, groups: Sequence[Group], rows: Rows, system: System, progress: Progress) -> list[AffineTerm]:
+def interpolated(
+    m: Mesh, groups: Sequence[Group], rows: Rows, system: System, progress: Progress
+) -> list[AffineTerm]:
     """The terms of the rows, as all groups that act on them change these together.
 
     Raises
@@ -139,14 +166,20 @@ def interpolated(m: Mesh, groups: Sequence[Group], rows: Rows, system: System, p
     return out
 
 
-def _terms(m: Mesh, batch: Sequence[Region], system: System, progress: Progress) -> list[AffineTerm]:
-    """Of regions whose kernels can be called at once; elements whose sums do not hold join those that these rest on."""
+def _terms(
+    m: Mesh, batch: Sequence[Region], system: System, progress: Progress
+) -> list[AffineTerm]:
+    """Of regions whose kernels can be called at once; elements whose sums do not hold join those
+    that these rest on.
+    """
     sampled = {k: few(r.rows, SAMPLE) for k, r in enumerate(batch)}
     found: dict[int, tuple[Nodes, list[Pair]]] = {}
     for _ in range(ROUNDS):
         progress(len(found) / len(batch), "derivatives: parameters on the same elements")
         waiting = [k for k in sampled if k not in found]
-        for k, nodes in zip(waiting, learn(m, [replace(batch[k], rows=sampled[k]) for k in waiting]), strict=True):
+        for k, nodes in zip(
+            waiting, learn(m, [replace(batch[k], rows=sampled[k]) for k in waiting]), strict=True
+        ):
             parts, worst = _whole(m, batch[k], nodes, system)
             if worst.size:
                 sampled[k] = union([sampled[k], picked(m, batch[k].rows, worst)])
@@ -172,7 +205,9 @@ def _interpolation(m: Mesh, batch: Sequence[Region], nodes: Sequence[Nodes]) -> 
 
 
 def _series(m: Mesh, used: Sequence[Region], nodes: Sequence[Nodes]) -> dict[int, Series]:
-    """Of the regions of one parameter; none where a section does not allow all factors between the bounds."""
+    """Of the regions of one parameter; none where a section does not allow all factors between the
+    bounds.
+    """
     single = [k for k, r in enumerate(used) if len(r.which) == 1]
     which = [used[k].which[0] for k in single]
     bounds = [(p.lower, p.upper) for p in (used[k].groups[0].parameter for k in single)]
@@ -188,12 +223,16 @@ def _series(m: Mesh, used: Sequence[Region], nodes: Sequence[Nodes]) -> dict[int
     except INVALID:
         return {}
     return {
-        k: replace(s, terms=nodes[k].solved(s.terms.T).T) for k, s in zip(single, found, strict=True) if s is not None
+        k: replace(s, terms=nodes[k].solved(s.terms.T).T)
+        for k, s in zip(single, found, strict=True)
+        if s is not None
     }
 
 
 def _whole(m: Mesh, region: Region, nodes: Nodes, system: System) -> tuple[list[Pair], Int]:
-    """K and M at the nodes, less those at nominal, of all elements; some of these whose sum does not hold, if any."""
+    """K and M at the nodes, less those at nominal, of all elements; some of these whose sum does
+    not hold, if any.
+    """
 
     def at(a: Float) -> tuple[Pair, Float]:
         made = built(m, region.groups, region.rows, [a[g.which] for g in region.groups])

@@ -1,4 +1,6 @@
-"""Isotropic elasticity from one Gram matrix of shape function gradients, in two or three dimensions."""
+"""Isotropic elasticity from one Gram matrix of shape function gradients, in two or three
+dimensions.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ def gram(gradients: Float, weights: Float) -> Float:
 
 
 def elastic(A: Float, c11: Any_, c12: Any_, G: Any_) -> Any_:
-    """Stiffness (e, n d, n d) with σaa = c11 εaa + c12 εbb, τab = G γab from the Gram matrix A; c, G (e,)."""
+    """Stiffness (e, n d, n d) with σaa = c11 εaa + c12 εbb, τab = G γab from the Gram matrix A; c,
+    G (e,).
+    """
     e, n, d = A.shape[:3]
     c11, c12, G = (c.reshape(-1, 1, 1, 1, 1) for c in (c11, c12, G))
     K = c12 * A + G * A.transpose(0, 1, 4, 3, 2)
@@ -38,7 +42,9 @@ def solid(E: Any_, nu: Any_) -> tuple[Any_, Any_]:
 
 
 def determinants(derivatives: Float, x: Float) -> Float:
-    """(e, gp), of the map from natural derivatives (gp, n, d) at nodes x (e, n, d); 0 where it is singular."""
+    """(e, gp), of the map from natural derivatives (gp, n, d) at nodes x (e, n, d); 0 where it is
+    singular.
+    """
     return np.asarray(np.linalg.det(np.einsum("gnr,ena->egra", derivatives, x)))
 
 
@@ -62,9 +68,9 @@ def jacobian(derivatives: Float, x: Float) -> tuple[Float, Float, Float]:
 def incompatible(derivatives: Float, J0: Float, det0: Float, det: Float, weights: Float) -> Float:
     """Gradients of bubble modes with zero mean: the patch test holds on any distortion.
 
-    Taken at the centre's Jacobian and scaled by det0/det (Taylor, Beresford and Wilson 1976); what mean is left is
-    removed (Ibrahimbegovic and Wilson 1991). `derivatives` (gp, m, d), J0 (e, d, d), weights (e, gp) with det in
-    them -> (e, gp, m, d).
+    Taken at the centre's Jacobian and scaled by det0/det (Taylor, Beresford and Wilson 1976); what
+    mean is left is removed (Ibrahimbegovic and Wilson 1991). `derivatives` (gp, m, d), J0 (e, d,
+    d), weights (e, gp) with det in them -> (e, gp, m, d).
     """
     g = np.einsum("era,gmr->egma", np.linalg.inv(J0).swapaxes(1, 2), derivatives)
     g = g * (det0[:, None] / det)[:, :, None, None]

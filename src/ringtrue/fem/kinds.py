@@ -120,23 +120,43 @@ MATERIAL = {
 
 
 def refuse(model: Model) -> None:
-    """Raise UnsupportedCard if the deck holds a card with stiffness, mass or constraint that is not assembled."""
+    """Raise UnsupportedCard if the deck holds a card with stiffness, mass or constraint that is not
+    assembled.
+    """
     found = sorted(c for c in model.kept if is_unsupported(c))
     if found:
-        raise UnsupportedCard(found[0], why=f"{model.kept[found[0]]} in the deck; replace or remove it")
+        raise UnsupportedCard(
+            found[0], why=f"{model.kept[found[0]]} in the deck; replace or remove it"
+        )
     for card, table in model.tables.items():
-        if len(table) and columns(card)[0].name == "EID" and card not in ELEMENTS and card not in RIGID:
+        if (
+            len(table)
+            and columns(card)[0].name == "EID"
+            and card not in ELEMENTS
+            and card not in RIGID
+        ):
             known = 0 <= table.file[0] < len(model.files)
             path, line = (model.files[table.file[0]], int(table.line[0])) if known else (None, None)
-            raise UnsupportedCard(card, path=path, line=line, why="it is read, but not assembled; replace or remove it")
+            raise UnsupportedCard(
+                card,
+                path=path,
+                line=line,
+                why="it is read, but not assembled; replace or remove it",
+            )
 
 
-def batches(model: Model, rows: Mapping[str, Int] | None = None) -> Iterable[tuple[str, Build, Int]]:
+def batches(
+    model: Model, rows: Mapping[str, Int] | None = None
+) -> Iterable[tuple[str, Build, Int]]:
     """(card, builder, rows) of like elements; all rows of all cards, or those given."""
     for card, build in ELEMENTS.items():
         if card not in model:
             continue
-        at = np.arange(len(model[card])) if rows is None else rows.get(card, np.empty(0, dtype=np.int64))
+        at = (
+            np.arange(len(model[card]))
+            if rows is None
+            else rows.get(card, np.empty(0, dtype=np.int64))
+        )
         groups: Iterable[Int] = [at] if at.size else []
         if card in SOLIDS:
             groups = alike(SOLIDS[card], model, at)

@@ -12,7 +12,10 @@ from ringtrue.fem.elements import bar
 from ringtrue.fem.mesh import Isotropic, Mesh, error
 from ringtrue.fem.place import node_dofs
 
-_POINTS = np.stack(np.polynomial.legendre.leggauss(8), axis=1) / 2 + [0.5, 0.0]  # five do for a uniform beam
+_POINTS = np.stack(np.polynomial.legendre.leggauss(8), axis=1) / 2 + [
+    0.5,
+    0.0,
+]  # five do for a uniform beam
 NEAREST = 1e-12  # share of the length: a load nearer to end A moves as end A does
 NOTHING = 1e-9  # share of a load that is rounding
 SINGULAR = 1e-12  # of released ends: a mechanism
@@ -20,8 +23,8 @@ SINGULAR = 1e-12  # of released ends: a mechanism
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LineKind:
-    """How loads are given, (e,) bool each: in the axes of the element, not of basic; places as shares of the length;
-    sizes for a length as a view along the load, a force, sees it.
+    """How loads are given, (e,) bool each: in the axes of the element, not of basic; places as
+    shares of the length; sizes for a length as a view along the load, a force, sees it.
     """
 
     own: Bool
@@ -29,12 +32,14 @@ class LineKind:
     projected: Bool
 
 
-def line_forces(m: Mesh, card: str, at: Int, ends: Float, sizes: Float, along: Float, kind: LineKind) -> Float:
+def line_forces(
+    m: Mesh, card: str, at: Int, ends: Float, sizes: Float, along: Float, kind: LineKind
+) -> Float:
     """Forces (dof,) float64 at the full DOFs, in basic, that do the work of loads on beams.
 
-    A load does as much work in a motion of the ends as they do together, and how a beam moves when its ends do is
-    what its stiffness says of the part up to the load: exact for any section, as the stiffness is. Released ends carry
-    nothing.
+    A load does as much work in a motion of the ends as they do together, and how a beam moves when
+    its ends do is what its stiffness says of the part up to the load: exact for any section, as the
+    stiffness is. Released ends carry nothing.
 
     Parameters
     ----------
@@ -64,7 +69,10 @@ def line_forces(m: Mesh, card: str, at: Int, ends: Float, sizes: Float, along: F
     wide = share[:, 1] - share[:, 0]
     length = placed.L * np.where(kind.projected, np.linalg.norm(local[:, 1:3], axis=1), 1.0)
     work = np.zeros((at.size, 12))
-    for point, weight in _POINTS.tolist():  # a fixed number of points; all stand at one where the load is single
+    for (
+        point,
+        weight,
+    ) in _POINTS.tolist():  # a fixed number of points; all stand at one where the load is single
         size = sizes[:, 0] + point * (sizes[:, 1] - sizes[:, 0])
         size = weight * size * np.where(wide > 0, wide * length, 1.0)
         motion = _motion(K, placed.L, iso, s, share[:, 0] + point * wide)
@@ -74,7 +82,10 @@ def line_forces(m: Mesh, card: str, at: Int, ends: Float, sizes: Float, along: F
     if not carried.all():
         wrong = int(at[int(carried.argmin())])
         raise error(
-            m.model, m.model[card], wrong, "cannot carry its PLOAD1: no stiffness along it, or both ends released"
+            m.model,
+            m.model[card],
+            wrong,
+            "cannot carry its PLOAD1: no stiffness along it, or both ends released",
         )
     forces = np.einsum("eij,ei->ej", placed.local, work)
     out = np.zeros(m.size)
@@ -87,14 +98,18 @@ def _motion(K: Float, L: Float, iso: Isotropic, s: bar.Section, x: Float) -> Flo
     x = np.maximum(x, NEAREST)
     to_x = np.stack([x * L, 0 * L, 0 * L], axis=1)
     part = np.asarray(bar.stiffness(x * L, iso, _up_to(s, x)), dtype=np.float64)[:, 6:, 6:]
-    cut = -arm(-to_x).swapaxes(1, 2) @ K[:, :6]  # the force with which the rest pulls at the part up to the load
+    cut = (
+        -arm(-to_x).swapaxes(1, 2) @ K[:, :6]
+    )  # the force with which the rest pulls at the part up to the load
     moved = _solve(part, cut)
     moved[:, :, :6] += arm(to_x)
     return moved
 
 
 def _up_to(s: bar.Section, end: Float) -> bar.Section:
-    """The sections from end A to the places `end` (e,), which become end B; the masses are not cut."""
+    """The sections from end A to the places `end` (e,), which become end B; the masses are not
+    cut.
+    """
     k = np.clip((s.x <= end[:, None]).sum(axis=1) - 1, 0, s.x.shape[1] - 2)[:, None]
     a, b = (np.take_along_axis(s.x, i, axis=1) for i in (k, k + 1))
     t = (end[:, None] - a) / np.where(b > a, b - a, 1.0)
@@ -110,8 +125,8 @@ def _up_to(s: bar.Section, end: Float) -> bar.Section:
 
 
 def _released(K: Float, pins: Bool, ends: Float) -> tuple[Float, Bool]:
-    """Forces (e, 12) at ends of which some DOFs (e, 12) are free: they are passed on to the others, where these can
-    carry them, (e,) bool.
+    """Forces (e, 12) at ends of which some DOFs (e, 12) are free: they are passed on to the others,
+    where these can carry them, (e,) bool.
     """
     ends, carried = ends.copy(), np.ones(len(ends), dtype=bool)
     for i in np.flatnonzero(pins.any(axis=1)):  # few beams between nodes are loaded and have joints

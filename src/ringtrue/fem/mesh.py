@@ -1,4 +1,6 @@
-"""What the elements need of a model: node positions, displacement frames, and rows of properties and materials."""
+"""What the elements need of a model: node positions, displacement frames, and rows of properties
+and materials.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,14 @@ from ringtrue.model.model import Model, Table
 from ringtrue.model.places import error as error
 from ringtrue.model.places import unsupported as unsupported
 
-SCALAR_CARDS = ("CELAS3", "CELAS4", "CMASS3", "CMASS4", "CDAMP3", "CDAMP4")  # they define the points that they name
+SCALAR_CARDS = (
+    "CELAS3",
+    "CELAS4",
+    "CMASS3",
+    "CMASS4",
+    "CDAMP3",
+    "CDAMP4",
+)  # they define the points that they name
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,7 +41,8 @@ class Mesh:
     scalar : (s,) int64
         Ids of the scalar points, ascending.
     added : mapping of str to (rows,)
-        Non-structural mass a length or area of the lists that case control chooses, by element card.
+        Non-structural mass a length or area of the lists that case control chooses, by element
+        card.
     """
 
     model: Model
@@ -60,7 +70,9 @@ class Mesh:
         """Labels of the full DOFs."""
         ids = self.model["GRID"].ids
         node = np.concatenate([np.repeat(ids, 6), self.scalar])
-        direction = np.concatenate([np.tile(np.arange(1, 7), ids.size), np.zeros(self.scalar.size, dtype=np.int64)])
+        direction = np.concatenate(
+            [np.tile(np.arange(1, 7), ids.size), np.zeros(self.scalar.size, dtype=np.int64)]
+        )
         return DofSet(node, direction.astype(np.int8))
 
     def nodes(self, ids: Any_, table: Table, at: Int) -> Int:
@@ -75,12 +87,17 @@ class Mesh:
         if (found < 0).any():
             first = np.argwhere(found < 0)[0]
             raise error(
-                self.model, table, int(at[first[0]]), f"GRID {np.asarray(ids)[tuple(first)]} is not in the deck"
+                self.model,
+                table,
+                int(at[first[0]]),
+                f"GRID {np.asarray(ids)[tuple(first)]} is not in the deck",
             )
         return found
 
     def dof(self, ids: Int, component: Int, table: Table, at: Int) -> Int:
-        """Full DOF of component 1..6 of a node, or of a scalar point (component 0 or 1); (k,) int64."""
+        """Full DOF of component 1..6 of a node, or of a scalar point (component 0 or 1); (k,)
+        int64.
+        """
         point = np.searchsorted(self.scalar, ids).clip(max=max(self.scalar.size - 1, 0))
         scalar = np.zeros(ids.shape, dtype=bool)
         if self.scalar.size:
@@ -90,7 +107,12 @@ class Mesh:
         bad = ~scalar & ((component < 1) | (component > 6))
         if bad.any():
             i = int(np.flatnonzero(bad)[0])
-            raise error(self.model, table, int(at[i]), f"component {component[i]} of GRID {ids[i]}: allowed are 1 to 6")
+            raise error(
+                self.model,
+                table,
+                int(at[i]),
+                f"component {component[i]} of GRID {ids[i]}: allowed are 1 to 6",
+            )
         return out
 
 
@@ -112,7 +134,9 @@ def mesh(model: Model) -> Mesh:
 
 
 def scalar_points(model: Model) -> Int:
-    """Ids of the scalar points, ascending: those of SPOINT, and those that only a scalar element names."""
+    """Ids of the scalar points, ascending: those of SPOINT, and those that only a scalar element
+    names.
+    """
     ids = [np.empty(0, dtype=np.int64)]
     if "SPOINT" in model:
         ids.append(model["SPOINT"].ragged("ID").values.astype(np.int64))
@@ -134,7 +158,9 @@ def lookup(model: Model, card: str, ids: Int, table: Table, at: Int) -> Int:
         i = int(np.flatnonzero(found < 0)[0])
         other = [c for c in model.kept if c[:3] == card[:3] and c != card]
         if other:
-            raise UnsupportedCard(other[0], why=f"{table.card} {table.ids[at[i]]} refers to {card} {ids[i]}")
+            raise UnsupportedCard(
+                other[0], why=f"{table.card} {table.ids[at[i]]} refers to {card} {ids[i]}"
+            )
         raise error(model, table, int(at[i]), f"{card} {ids[i]} is not in the deck")
     return found
 
@@ -151,15 +177,18 @@ class Isotropic:
 
     @property
     def shear(self) -> Any_:
-        """E / (2 (1 + ν)) (e,): shear in the plane of shells and in solids, which do not use G (MAT1, usage table)."""
+        """E / (2 (1 + ν)) (e,): shear in the plane of shells and in solids, which do not use G
+        (MAT1, usage table).
+        """
         return np.asarray(self.E / (2 * (1 + self.nu)))
 
 
 def isotropic(model: Model, mid: Int, table: Table, at: Int) -> Isotropic:
     """MAT1 properties of each element, the one of E, G, NU that is blank completed from the others.
 
-    Where NU and one of E and G are blank, both are 0, as in Nastran (Quick Reference Guide, MAT1): E alone makes rods
-    and bars without torsion and shells without transverse shear, G alone makes no shell or solid.
+    Where NU and one of E and G are blank, both are 0, as in Nastran (Quick Reference Guide, MAT1):
+    E alone makes rods and bars without torsion and shells without transverse shear, G alone makes
+    no shell or solid.
 
     Raises
     ------
@@ -171,7 +200,9 @@ def isotropic(model: Model, mid: Int, table: Table, at: Int) -> Isotropic:
     E, G, nu, rho, loss = (mat[c][row] for c in ("E", "G", "NU", "RHO", "GE"))
     no_E, no_G, no_nu = np.isnan(E), np.isnan(G), np.isnan(nu)
     if (no_E & no_G).any():
-        raise error(model, mat, int(row[np.flatnonzero(no_E & no_G)[0]]), "neither E nor G is given")
+        raise error(
+            model, mat, int(row[np.flatnonzero(no_E & no_G)[0]]), "neither E nor G is given"
+        )
     three = ~no_E & ~no_G & (G != 0)
     nu = np.where(no_nu, np.where(three, E / np.where(three, 2 * G, 1.0) - 1, 0.0), nu)
     E, G = (

@@ -1,9 +1,10 @@
 """Negative stiffness: fields of a deck that make one, refused unless the deck asks for it.
 
-Moduli and sizes of sections below 0 are no valid fields (MSC Nastran Quick Reference Guide); what they make takes
-energy out when it deforms. Springs (CELAS, PELAS, PBUSH, PBUSH1D, PGAP, PFAST) and matrices (DMIG, GENEL) may be
-negative there, and who writes one asks for it: gravity of a pendulum, magnets, a correction of a stiffness. For all
-else PARAM,NEGSTIFF,YES in the deck asks, which Nastran passes over as a parameter of the user.
+Moduli and sizes of sections below 0 are no valid fields (MSC Nastran Quick Reference Guide); what
+they make takes energy out when it deforms. Springs (CELAS, PELAS, PBUSH, PBUSH1D, PGAP, PFAST) and
+matrices (DMIG, GENEL) may be negative there, and who writes one asks for it: gravity of a pendulum,
+magnets, a correction of a stiffness. For all else PARAM,NEGSTIFF,YES in the deck asks, which
+Nastran passes over as a parameter of the user.
 """
 
 from __future__ import annotations
@@ -65,7 +66,9 @@ def negative_stiffness(model: Model) -> Iterator[Negative]:
         lam = np.linalg.eigvalsh(elasticity(model, card, _MATRICES[card]))
         rows = np.flatnonzero(lam[:, 0] < -_ZERO * np.abs(lam).max(axis=1))
         if rows.size:
-            yield Negative(model[card], rows, "G11 ...", "its elasticity matrix has a negative eigenvalue")
+            yield Negative(
+                model[card], rows, "G11 ...", "its elasticity matrix has a negative eigenvalue"
+            )
     if "PBAR" in model:
         t = model["PBAR"]
         rows = np.flatnonzero(t["I12"] ** 2 > t["I1"] * t["I2"] * (1 + _ZERO))
@@ -108,7 +111,8 @@ def refuse_negative(model: Model) -> None:
     file = int(found.table.file[row])
     known = 0 <= file < len(model.files)
     raise DeckError(
-        f"{found.text}: it makes a negative stiffness. Correct it; or ask for it by PARAM,{ASKED},YES in the deck, "
+        f"{found.text}: it makes a negative stiffness. Correct it; or ask for it by "
+        f"PARAM,{ASKED},YES in the deck, "
         "or give it as a spring (CELAS2, PELAS, PBUSH), which may be below 0",
         path=model.files[file] if known else None,
         line=int(found.table.line[row]) if known else None,
@@ -120,7 +124,9 @@ def refuse_negative(model: Model) -> None:
 def elasticity(model: Model, card: str, size: int) -> Float:
     """The symmetric matrices (n, size, size) of MAT2 (3) or MAT9 (6)."""
     i, j = np.triu_indices(size)
-    values = model[card].stack(*(f"G{a + 1}{b + 1}" for a, b in zip(i.tolist(), j.tolist(), strict=True)))
+    values = model[card].stack(
+        *(f"G{a + 1}{b + 1}" for a, b in zip(i.tolist(), j.tolist(), strict=True))
+    )
     out = np.zeros((len(values), size, size))
     out[:, i, j] = values
     out[:, j, i] = values

@@ -1,4 +1,6 @@
-"""Where matrices are kept, and the entries that tell their shares at other factors: what an interpolation learns."""
+"""Where matrices are kept, and the entries that tell their shares at other factors: what an
+interpolation learns.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,10 @@ from ringtrue.fem.rows import Rows
 
 BLOCK, BLOCKS = 16, 7  # points that are looked at first, then twice as many, and how often
 MOST = 320  # matrices of a region
-FITTED, HOLDS = 1e-10, 1e-8  # relative to the roots of diagonal entries: left by the points seen, allowed at others
+FITTED, HOLDS = (
+    1e-10,
+    1e-8,
+)  # relative to the roots of diagonal entries: left by the points seen, allowed at others
 MARGIN = 1.05  # by which the range exceeds the bounds
 
 Found = Sequence[Float | None]
@@ -60,37 +65,63 @@ class Nodes:
         return self.solved(self.weights * found[self.places])
 
     def scaled(self, found: Float) -> Float:
-        """What tells c (r,): the scaled entries, less those at nominal, from the `entries` of its rows."""
+        """What tells c (r,): the scaled entries, less those at nominal, from the `entries` of its
+        rows.
+        """
         return np.asarray(self.weights * (found[self.places] - self.start))
 
     def solved(self, changes: Float) -> Float:
-        """c (r, ...) from scaled entries (r, ...) less those at nominal, or both their derivatives."""
+        """c (r, ...) from scaled entries (r, ...) less those at nominal, or both their
+        derivatives.
+        """
         return np.asarray(np.linalg.solve(self.values.T, changes))
 
 
 class _Learner:
-    """What is kept of a region: factors (r, P), scaled entries (r, e) less those at nominal, and which tell it."""
+    """What is kept of a region: factors (r, P), scaled entries (r, e) less those at nominal, and
+    which tell it.
+    """
 
     def __init__(
-        self, region: Region, start: Float, weights: Float, axes: Sequence[Float], found: Found, most: int
+        self,
+        region: Region,
+        start: Float,
+        weights: Float,
+        axes: Sequence[Float],
+        found: Found,
+        most: int,
     ) -> None:
         self.region, self.start, self.weights, self.most = region, start, weights, most
-        self.factors, self.changes, self.places = np.empty((0, axes[0].size)), np.empty((0, start.size)), list[int]()
+        self.factors, self.changes, self.places = (
+            np.empty((0, axes[0].size)),
+            np.empty((0, start.size)),
+            list[int](),
+        )
         self.learn(axes, found)
 
     def learn(self, factors: Sequence[Float], found: Found) -> Float | None:
-        """See more points: one of them if what is kept holds at all of them, else keep what tells all best."""
+        """See more points: one of them if what is kept holds at all of them, else keep what tells
+        all best.
+        """
         which = list(self.region.which)
-        some = [(a, f) for a, f in zip(factors, found, strict=True) if f is not None and (a[which] != 1).any()]
+        some = [
+            (a, f)
+            for a, f in zip(factors, found, strict=True)
+            if f is not None and (a[which] != 1).any()
+        ]
         if not some:
             return None
         scaled = np.array([f for _, f in some]) * self.weights
-        changes, size = scaled - self.weights * self.start, np.abs(scaled).max(axis=1, initial=1e-300)
+        changes, size = (
+            scaled - self.weights * self.start,
+            np.abs(scaled).max(axis=1, initial=1e-300),
+        )
         c = np.linalg.solve(self.changes[:, self.places].T, changes[:, self.places].T)
         rest = (changes - c.T @ self.changes) / size[:, None]
         if np.abs(rest).max(initial=0.0) < HOLDS:
             return np.asarray(some[-1][0])
-        # chosen anew among all: what stood out by 1e-9 alone at few points is a poor node once others are seen
+        # chosen anew among all: what stood out by 1e-9 alone at few points is a poor node once
+        # others are seen
         self.factors = np.vstack([self.factors, *(a for a, _ in some)])
         self.changes = np.vstack([self.changes, changes])
         size = np.abs(self.changes + self.weights * self.start).max(axis=1, initial=1e-300)
@@ -115,7 +146,9 @@ class _Learner:
 
 
 def _pivots(rest: Float, most: int) -> tuple[list[int], list[int]]:
-    """Rows and columns of an elimination with complete pivots, in order, until nothing above `FITTED` is left."""
+    """Rows and columns of an elimination with complete pivots, in order, until nothing above
+    `FITTED` is left.
+    """
     rows, columns = list[int](), list[int]()
     live = np.flatnonzero(np.abs(rest).max(axis=0) > FITTED)
     rest = rest[:, live]
@@ -132,17 +165,21 @@ def _pivots(rest: Float, most: int) -> tuple[list[int], list[int]]:
 def learn(m: Mesh, some: Sequence[Region], most: int = MOST) -> list[Nodes]:
     """What tells the functions of each region.
 
-    The points lie first on the axes, where only one parameter is not at nominal, then anywhere between the bounds. No
-    region feels the fields of a group that acts on another only (`regions.apart`).
+    The points lie first on the axes, where only one parameter is not at nominal, then anywhere
+    between the bounds. No region feels the fields of a group that acts on another only
+    (`regions.apart`).
 
     Raises
     ------
     UnsupportedError
-        If the entries of a region are no smooth functions between the bounds, or take more than `most` matrices.
+        If the entries of a region are no smooth functions between the bounds, or take more than
+        `most` matrices.
     """
     axes, low, high = _box(some)
     one, rng = np.ones_like(low), np.random.default_rng(0)
-    given = zip(some, entries(m, some, one), entries(m, some, one, roots), _at(m, some, axes), strict=True)
+    given = zip(
+        some, entries(m, some, one), entries(m, some, one, roots), _at(m, some, axes), strict=True
+    )
     learners, out = list[_Learner](), dict[int, Nodes]()
     for region, start, weights, found in given:
         if any(f is None for f in found):
@@ -153,7 +190,9 @@ def learn(m: Mesh, some: Sequence[Region], most: int = MOST) -> list[Nodes]:
         waiting = [k for k in range(len(some)) if k not in out]
         if not waiting:
             break
-        shares = (1 - np.cos(np.pi * rng.random((count, one.size)))) / 2  # denser towards the bounds
+        shares = (
+            1 - np.cos(np.pi * rng.random((count, one.size)))
+        ) / 2  # denser towards the bounds
         points = list(low * (high / low) ** shares)
         for k, found in zip(waiting, _at(m, [some[k] for k in waiting], points), strict=True):
             check = learners[k].learn(points, found)
@@ -169,7 +208,9 @@ def learn(m: Mesh, some: Sequence[Region], most: int = MOST) -> list[Nodes]:
 
 
 def on_axis(p: Parameter) -> tuple[float, ...]:
-    """Factors of a parameter by itself at which matrices are kept: at its bounds, a little widened, and half-way."""
+    """Factors of a parameter by itself at which matrices are kept: at its bounds, a little widened,
+    and half-way.
+    """
     low, high = p.lower / MARGIN, p.upper * MARGIN
     return low, high, low**0.5, high**0.5
 
@@ -181,7 +222,11 @@ def _box(some: Sequence[Region]) -> tuple[list[Float], Float, Float]:
     for i, p in parameters.items():
         low[i], high[i] = on_axis(p)[:2]
     each = np.arange(low.size)
-    return [np.where(each == i, x, 1.0) for i in sorted(parameters) for x in on_axis(parameters[i])], low, high
+    return (
+        [np.where(each == i, x, 1.0) for i in sorted(parameters) for x in on_axis(parameters[i])],
+        low,
+        high,
+    )
 
 
 def _at(m: Mesh, some: Sequence[Region], points: Sequence[Float]) -> list[list[Float | None]]:
@@ -189,7 +234,9 @@ def _at(m: Mesh, some: Sequence[Region], points: Sequence[Float]) -> list[list[F
     every, each = Together.of(m, some), [Together.of(m, [r]) for r in some]
     with np.errstate(all="ignore"):  # a pole between the bounds is found by what does not hold
         # it may be one of them that does not allow the factors
-        found = [_tried(every, a) or [(_tried(one, a) or [None])[0] for one in each] for a in points]
+        found = [
+            _tried(every, a) or [(_tried(one, a) or [None])[0] for one in each] for a in points
+        ]
     return [list(of) for of in zip(*found, strict=True)]
 
 
@@ -204,9 +251,11 @@ def _tried(regions: Together, a: Float) -> list[Float | None]:
 def rough(groups: Sequence[Group]) -> str:
     """What is said of parameters that have no smooth functions."""
     names = " and ".join(
-        f"{g.parameter.name} ({g.fields}, {g.parameter.lower:g} to {g.parameter.upper:g})" for g in groups
+        f"{g.parameter.name} ({g.fields}, {g.parameter.lower:g} to {g.parameter.upper:g})"
+        for g in groups
     )
     return (
-        f"parameter {names}: the matrices are no smooth function of it between its bounds; narrow the bounds, or "
+        f"parameter {names}: the matrices are no smooth function of it between its bounds; "
+        "narrow the bounds, or "
         "update with a solver that is run anew at each point"
     )

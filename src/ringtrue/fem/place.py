@@ -13,7 +13,9 @@ from ringtrue.model.model import Table
 
 def node_dofs(nodes: Int, count: int = 6) -> Int:
     """The first `count` full DOFs of nodes (e, k) -> (e, k count)."""
-    return np.asarray((6 * nodes[..., None] + np.arange(count)).reshape(len(nodes), count * nodes.shape[1]))
+    return np.asarray(
+        (6 * nodes[..., None] + np.arange(count)).reshape(len(nodes), count * nodes.shape[1])
+    )
 
 
 def segment(x: Float) -> tuple[Float, Float]:
@@ -24,7 +26,8 @@ def segment(x: Float) -> tuple[Float, Float]:
 
 
 def orientation(m: Mesh, table: Table, at: Int, origin: Int) -> Float:
-    """The vector (e, 3) in basic from G0, or from X1-X3 in the CD frame of the node rows `origin` (e,).
+    """The vector (e, 3) in basic from G0, or from X1-X3 in the CD frame of the node rows `origin`
+    (e,).
 
     An OFFT that begins with B takes X1-X3 in basic.
     """
@@ -51,7 +54,9 @@ def triad(m: Mesh, axis: Float, v: Float, table: Table, at: Int) -> Float:
     flat = np.linalg.norm(z, axis=1) <= 1e-8 * np.maximum(np.linalg.norm(v, axis=1), 1e-300)
     if flat.any():
         i = int(at[np.flatnonzero(flat)[0]])
-        raise error(m.model, table, i, "the orientation vector is zero or along the element; give another")
+        raise error(
+            m.model, table, i, "the orientation vector is zero or along the element; give another"
+        )
     z = unit(z)
     return np.stack([axis, np.cross(z, axis), z], axis=1)
 

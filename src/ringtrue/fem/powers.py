@@ -1,4 +1,6 @@
-"""What one parameter changes, and the exact parts of a polynomial dependence, from the kernels at complex factors."""
+"""What one parameter changes, and the exact parts of a polynomial dependence, from the kernels at
+complex factors.
+"""
 
 from __future__ import annotations
 
@@ -53,7 +55,10 @@ class Group:
     @property
     def fields(self) -> str:
         """What it scales, in words."""
-        return ", ".join(sorted({f"{t.card} {t.field}" for t in self.targets})) or f"{self.matrix} of elements"
+        return (
+            ", ".join(sorted({f"{t.card} {t.field}" for t in self.targets}))
+            or f"{self.matrix} of elements"
+        )
 
     def scaled(self, part: Matrices, card: str, at: Int, a: float | complex) -> Matrices:
         """The matrices of rows `at` of a card with its factor, if it is one on them."""
@@ -61,7 +66,10 @@ class Group:
             return part
         on = np.isin(at, self.rows.get(card, at[:0]))
         matrix = part.stiffness if self.matrix == "stiffness" else part.mass
-        return replace(part, **{self.matrix: matrix * np.where(on, a, 1.0).reshape(-1, *[1] * (matrix.ndim - 1))})
+        return replace(
+            part,
+            **{self.matrix: matrix * np.where(on, a, 1.0).reshape(-1, *[1] * (matrix.ndim - 1))},
+        )
 
 
 def groups_of(model: Model, which: int, parameter: Parameter) -> list[Group]:
@@ -78,7 +86,8 @@ def groups_of(model: Model, which: int, parameter: Parameter) -> list[Group]:
     moved += [f"shape of {len(s.nodes)} nodes" for s in parameter.shapes]
     if moved:
         raise UnsupportedError(
-            f"parameter {parameter.name}: {moved[0]} moves nodes; a reduced model has sections, materials, springs and "
+            f"parameter {parameter.name}: {moved[0]} moves nodes; a reduced model has sections, "
+            "materials, springs and "
             "masses only (try a solver that is run anew at each point)"
         )
     by_elements: dict[tuple[int, ...], list[Target]] = {}
@@ -95,12 +104,18 @@ def groups_of(model: Model, which: int, parameter: Parameter) -> list[Group]:
             found.append(Group(which, parameter, rows, rows, (), s.matrix))
     fields = [g for g in found if g.targets]
     if any(common(a.rows, b.rows) for i, a in enumerate(fields) for b in fields[:i]):
-        raise UnsupportedError(f"parameter {parameter.name}: its targets share elements, but not all of them")
+        raise UnsupportedError(
+            f"parameter {parameter.name}: its targets share elements, but not all of them"
+        )
     return found
 
 
-def built(m: Mesh, groups: Sequence[Group], rows: Rows, factors: Sequence[float | complex]) -> list[Matrices]:
-    """Element matrices of the rows with the groups at their factors; none feels the fields of one it is not in."""
+def built(
+    m: Mesh, groups: Sequence[Group], rows: Rows, factors: Sequence[float | complex]
+) -> list[Matrices]:
+    """Element matrices of the rows with the groups at their factors; none feels the fields of one
+    it is not in.
+    """
     model = m.model
     for g, a in zip(groups, factors, strict=True):
         model = changed(model, g.parameter.name, g.targets, a) if g.targets and a != 1 else model
@@ -122,20 +137,24 @@ def size(a: sparse.csr_array | Any_) -> float:
 def cubic(m: Mesh, g: Group, *, linear: bool = False) -> dict[int, Pair]:
     """The parts of K(a) = K0 + Σ a^power K_power, M likewise, by power; those that are there.
 
-    The kernels are evaluated at a = 1, -1, i, which gives the coefficients of a cubic without loss of digits, and
-    at one further point, which proves that it is one. Where it is thought to be `linear`, i is left out: a complex
-    kernel takes the time of several. Only the affected elements are computed.
+    The kernels are evaluated at a = 1, -1, i, which gives the coefficients of a cubic without loss
+    of digits, and at one further point, which proves that it is one. Where it is thought to be
+    `linear`, i is left out: a complex kernel takes the time of several. Only the affected elements
+    are computed.
 
     Raises
     ------
     UnsupportedError
-        If the dependence is not a polynomial of degree three or less, or not linear where it was thought to be.
+        If the dependence is not a polynomial of degree three or less, or not linear where it was
+        thought to be.
     """
     if g.matrix:
         K, M = full_matrices(m, built(m, (), g.rows, ()))
         return {1: (K, M * 0) if g.matrix == "stiffness" else (K * 0, M)}
     points = (1, -1, CHECK) if linear else (1, -1, 1j, CHECK)
-    with np.errstate(all="ignore"):  # a rational dependence may have its pole at one of the points; it is refused
+    with np.errstate(
+        all="ignore"
+    ):  # a rational dependence may have its pole at one of the points; it is refused
         try:
             samples = {a: full_matrices(m, built(m, (g,), g.rows, (a,))) for a in points}
         except DeckError as e:  # a section that has a limit, such as the thickness of a laminate
@@ -149,15 +168,23 @@ def cubic(m: Mesh, g: Group, *, linear: bool = False) -> dict[int, Pair]:
             raise UnsupportedError(_not_polynomial(g))
         noise = NOISE * size(samples[1][which])
         parts.append([a if size(a) > noise else a * 0 for a in c])
-    return {power: (parts[0][power], parts[1][power]) for power in (1, 2, 3) if any(size(p[power]) for p in parts)}
+    return {
+        power: (parts[0][power], parts[1][power])
+        for power in (1, 2, 3)
+        if any(size(p[power]) for p in parts)
+    }
 
 
 def _powers(at: dict[complex, sparse.csr_array]) -> list[sparse.csr_array]:
-    """c0..c3 of a cubic from its values at 1, -1, i: perfectly conditioned; of a straight line without i."""
+    """c0..c3 of a cubic from its values at 1, -1, i: perfectly conditioned; of a straight line
+    without i.
+    """
     even, odd = (at[1] + at[-1]) / 2, (at[1] - at[-1]) / 2
     P, Q = (at[1j].real, at[1j].imag) if 1j in at else (even, odd)
     return [(even + P) / 2, (odd + Q) / 2, (even - P) / 2, (odd - Q) / 2]
 
 
 def _not_polynomial(g: Group) -> str:
-    return f"parameter {g.parameter.name} ({g.fields}): the matrices are not a cubic polynomial of it"
+    return (
+        f"parameter {g.parameter.name} ({g.fields}): the matrices are not a cubic polynomial of it"
+    )

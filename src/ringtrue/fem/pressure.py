@@ -1,4 +1,6 @@
-"""Pressures on shells and on faces of solids as forces at their nodes, by the shape functions of the face."""
+"""Pressures on shells and on faces of solids as forces at their nodes, by the shape functions of
+the face.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,8 @@ FACES = {  # corner positions of each face, counter-clockwise seen from outside
 
 
 def face(card: str, nodes: Sequence[int], first: int, other: int) -> list[int]:
-    """The face of a solid that PLOAD4 names: its corners from `first` on, seen from outside, and its mid-side nodes.
+    """The face of a solid that PLOAD4 names: its corners from `first` on, seen from outside, and
+    its mid-side nodes.
 
     Parameters
     ----------
@@ -35,8 +38,8 @@ def face(card: str, nodes: Sequence[int], first: int, other: int) -> list[int]:
     first : int
         G1, a corner of the face.
     other : int
-        G3 or G4: the opposite corner of a quadrilateral, for a triangle 0 or the other end of its side on the base of
-        a pyramid, and the corner of a tetrahedron off the face.
+        G3 or G4: the opposite corner of a quadrilateral, for a triangle 0 or the other end of its
+        side on the base of a pyramid, and the corner of a tetrahedron off the face.
 
     Raises
     ------
@@ -71,16 +74,20 @@ def face_forces(x: Float, p: Float, towards: Callable[[Float], Float] | None = N
     Parameters
     ----------
     x : (e, 2c, 3) float64
-        The c corners, 3 or 4, then the mid-side nodes, nan where there is none: the side is linear there.
+        The c corners, 3 or 4, then the mid-side nodes, nan where there is none: the side is linear
+        there.
     p : (e, c) float64
     towards : callable, optional
-        Directions (e, p, 3) at points (e, p, 3); without it pressures act along the normal by the right-hand rule.
+        Directions (e, p, 3) at points (e, p, 3); without it pressures act along the normal by the
+        right-hand rule.
     """
     c = x.shape[1] // 2
     rule = TRIA6 if c == 3 else QUAD8
     points, weights = triangle(5) if c == 3 else (QUAD8.points, QUAD8.weights)
     absent = np.isnan(x[:, c:])
-    x = np.concatenate([x[:, :c], np.where(absent, x[:, rule.sides].mean(axis=2), x[:, c:])], axis=1)
+    x = np.concatenate(
+        [x[:, :c], np.where(absent, x[:, rule.sides].mean(axis=2), x[:, c:])], axis=1
+    )
     N, slopes = rule.shapes(points)
     area = np.cross(*np.einsum("pkr,eka->repa", slopes, x))
     if towards is not None:

@@ -1,8 +1,10 @@
-"""Parameters of which K and M are polynomials: products of powers of their factors, times fixed matrices.
+"""Parameters of which K and M are polynomials: products of powers of their factors, times fixed
+matrices.
 
-They are taken apart at the nominal model (an anchored decomposition; Rabitz and Alış 1999, sec. 3): what each parameter
-does by itself, and, where several act on the same elements, what they do together beyond that, as E and T of a shell.
-Three and more are looked at where any two of them do something together.
+They are taken apart at the nominal model (an anchored decomposition; Rabitz and Alış 1999, sec. 3):
+what each parameter does by itself, and, where several act on the same elements, what they do
+together beyond that, as E and T of a shell. Three and more are looked at where any two of them do
+something together.
 """
 
 from __future__ import annotations
@@ -38,13 +40,20 @@ HOLDS, NOISE = 1e-9, 1e-12  # relative: error allowed, no such part below
 Exponents = tuple[int, ...]
 Member = tuple[int, Group, Exponents]  # its number, and the exponents that it has by itself
 Set = tuple[Sequence[Member], Rows]  # groups that act on the same elements, and the rows of these
-At = Callable[[tuple[float, ...]], Any]  # factors of the groups -> K and M of elements, as arrays or sparse
+At = Callable[
+    [tuple[float, ...]], Any
+]  # factors of the groups -> K and M of elements, as arrays or sparse
 
 
 def products(
-    m: Mesh, groups: Mapping[int, Group], linear: Collection[int], system: System, progress: Progress
+    m: Mesh,
+    groups: Mapping[int, Group],
+    linear: Collection[int],
+    system: System,
+    progress: Progress,
 ) -> tuple[list[AffineTerm], set[int]]:
-    """The terms of groups, by their numbers; where some are no polynomials, by themselves or together, only which.
+    """The terms of groups, by their numbers; where some are no polynomials, by themselves or
+    together, only which.
 
     `linear` are those of which a sample of elements is.
     """
@@ -89,7 +98,9 @@ def _total(pairs: Sequence[Pair]) -> Pair:
 
 
 def _term(function: Product, pair: Pair, system: System) -> AffineTerm:
-    return AffineTerm(function, reduced(system.transform, pair[0]), reduced(system.transform, pair[1]))
+    return AffineTerm(
+        function, reduced(system.transform, pair[0]), reduced(system.transform, pair[1])
+    )
 
 
 def _pairs(every: Sequence[Member]) -> Iterator[tuple[tuple[int, int], Set]]:
@@ -133,8 +144,11 @@ def _overlap(groups: Sequence[Group]) -> Bool:
     return np.asarray((member @ member.T).toarray() > 0.0)
 
 
-def _joint(m: Mesh, sets: Sequence[Set], system: System, progress: Progress) -> list[list[AffineTerm] | None]:
-    """What the groups of each set do together, beyond what fewer of them do: empty where that is nothing.
+def _joint(
+    m: Mesh, sets: Sequence[Set], system: System, progress: Progress
+) -> list[list[AffineTerm] | None]:
+    """What the groups of each set do together, beyond what fewer of them do: empty where that is
+    nothing.
 
     None where it is no polynomial of their own powers.
     """
@@ -150,14 +164,22 @@ def _joint(m: Mesh, sets: Sequence[Set], system: System, progress: Progress) -> 
 
 
 def _apart(model: Model, sets: Sequence[Set]) -> Iterator[list[int]]:
-    """Sets at whose factors the kernels can be called once: of like powers, and none feels the fields of another."""
+    """Sets at whose factors the kernels can be called once: of like powers, and none feels the
+    fields of another.
+    """
     made: dict[object, list[tuple[list[int], dict[str, Bool]]]] = {}
     for i, (some, _) in enumerate(sets):
-        like = made.setdefault(tuple((powers, g.parameter.upper, g.matrix) for _, g, powers in some), [])
+        like = made.setdefault(
+            tuple((powers, g.parameter.upper, g.matrix) for _, g, powers in some), []
+        )
         reach = [(c, at) for _, g, _ in some for c, at in g.reach.items()]
-        scaled = any(g.matrix for _, g, _ in some)  # a factor on matrices holds for all that are built
+        scaled = any(
+            g.matrix for _, g, _ in some
+        )  # a factor on matrices holds for all that are built
         for batch, taken in [] if scaled else like:
-            if len(batch) < AT_ONCE and not any(taken[c][at].any() for c, at in reach if c in taken):
+            if len(batch) < AT_ONCE and not any(
+                taken[c][at].any() for c, at in reach if c in taken
+            ):
                 break
         else:
             batch, taken = list[int](), dict[str, Bool]()
@@ -169,12 +191,19 @@ def _apart(model: Model, sets: Sequence[Set]) -> Iterator[list[int]]:
 
 
 def _samples(m: Mesh, sets: Sequence[Set]) -> list[At]:
-    """K and M of a few elements of each set, end to end, as functions of the factors of its groups."""
+    """K and M of a few elements of each set, end to end, as functions of the factors of its
+    groups.
+    """
     sampled = [few(rows, SAMPLE) for _, rows in sets]
     rows = union(sampled)
-    places = [[np.isin(there, some.get(c, ())) for c, _, there in batches(m.model, rows)] for some in sampled]
+    places = [
+        [np.isin(there, some.get(c, ())) for c, _, there in batches(m.model, rows)]
+        for some in sampled
+    ]
     side_by_side = zip(*([g for _, g, _ in some] for some, _ in sets), strict=True)
-    groups = [replace(like[0], targets=tuple(t for g in like for t in g.targets)) for like in side_by_side]
+    groups = [
+        replace(like[0], targets=tuple(t for g in like for t in g.targets)) for like in side_by_side
+    ]
 
     @lru_cache(maxsize=HELD // max(sum(at.size for at in rows.values()), 1))
     def every(a: tuple[float, ...]) -> list[list[Float]]:
@@ -187,7 +216,9 @@ def _samples(m: Mesh, sets: Sequence[Set]) -> list[At]:
         except INVALID:
             if len(sets) == 1:
                 raise
-        found: list[Float] = _samples(m, [sets[k]])[0](a)  # it may be another set that does not allow them
+        found: list[Float] = _samples(m, [sets[k]])[0](
+            a
+        )  # it may be another set that does not allow them
         return found
 
     return [partial(sample, k) for k in range(len(sets))]
@@ -195,12 +226,21 @@ def _samples(m: Mesh, sets: Sequence[Set]) -> list[At]:
 
 def _ends(parts: Sequence[Matrices], name: str, picks: Sequence[Bool]) -> Float:
     """Matrices of some elements end to end."""
-    return np.concatenate([getattr(p, name)[pick].ravel() for p, pick in zip(parts, picks, strict=True)])
+    return np.concatenate(
+        [getattr(p, name)[pick].ravel() for p, pick in zip(parts, picks, strict=True)]
+    )
 
 
-def _terms(m: Mesh, some: Sequence[Member], rows: Rows, sample: At, system: System) -> list[AffineTerm] | None:
-    """What the groups do together, beyond what fewer of them do; `sample` is of a few of the rows."""
-    groups, every = [g for _, g, _ in some], list(itertools.product(*(powers for _, _, powers in some)))
+def _terms(
+    m: Mesh, some: Sequence[Member], rows: Rows, sample: At, system: System
+) -> list[AffineTerm] | None:
+    """What the groups do together, beyond what fewer of them do; `sample` is of a few of the
+    rows.
+    """
+    groups, every = (
+        [g for _, g, _ in some],
+        list(itertools.product(*(powers for _, _, powers in some))),
+    )
     noise = [NOISE * size(x) for x in sample((1.0,) * len(some))]
     beyond = _together(sample, tuple(g.parameter.upper**0.4 for g in groups))
     if all(size(x) <= least for x, least in zip(beyond, noise, strict=True)):
@@ -227,17 +267,29 @@ def _parts(
     """K and M that go with each of the wanted products, where they are above `noise`."""
     nodes = [NODES[: len(powers)] for _, _, powers in some]
     values = [
-        np.array([[a**p - 1.0 for a in n] for p in powers]).T for n, (_, _, powers) in zip(nodes, some, strict=True)
+        np.array([[a**p - 1.0 for a in n] for p in powers]).T
+        for n, (_, _, powers) in zip(nodes, some, strict=True)
     ]
     shares: Float = np.ones((1, 1))
     for v in values:
         shares = np.asarray(np.kron(shares, np.linalg.inv(v)))  # up to 3 by 3
     found = [_together(at, a) for a in itertools.product(*nodes)]
-    for exponents, row in zip(itertools.product(*(powers for _, _, powers in some)), shares.tolist(), strict=True):
+    for exponents, row in zip(
+        itertools.product(*(powers for _, _, powers in some)), shares.tolist(), strict=True
+    ):
         if exponents in wanted:
-            pair = [sum(c * x for c, x in zip(row, each, strict=True)) for each in zip(*found, strict=True)]
+            pair = [
+                sum(c * x for c, x in zip(row, each, strict=True))
+                for each in zip(*found, strict=True)
+            ]
             if any(size(x) > least for x, least in zip(pair, noise, strict=True)):
-                yield exponents, tuple(x if size(x) > least else x * 0 for x, least in zip(pair, noise, strict=True))
+                yield (
+                    exponents,
+                    tuple(
+                        x if size(x) > least else x * 0
+                        for x, least in zip(pair, noise, strict=True)
+                    ),
+                )
 
 
 def _checks(n: int) -> list[tuple[float, ...]]:
@@ -246,7 +298,9 @@ def _checks(n: int) -> list[tuple[float, ...]]:
 
 
 def _holds(at: At, parts: Mapping[Exponents, Any], a: tuple[float, ...]) -> bool:
-    """Whether the products are all that the groups do together, relative to the largest entry of K or M there."""
+    """Whether the products are all that the groups do together, relative to the largest entry of K
+    or M there.
+    """
     factors, own = np.array(a), tuple(range(len(a)))
     for i, (true, there) in enumerate(zip(_together(at, a), at(a), strict=True)):
         rest = true - sum(Product(own, e).value(factors) * pair[i] for e, pair in parts.items())
@@ -256,7 +310,9 @@ def _holds(at: At, parts: Mapping[Exponents, Any], a: tuple[float, ...]) -> bool
 
 
 def _together(at: At, a: tuple[float, ...]) -> list[Any_]:
-    """Mixed difference of K and M: the sum over each factor at its value and, with the other sign, at 1."""
+    """Mixed difference of K and M: the sum over each factor at its value and, with the other sign,
+    at 1.
+    """
     total: list[Any_] = []
     for on in itertools.product((True, False), repeat=len(a)):
         sign = (-1.0) ** (len(on) - sum(on))

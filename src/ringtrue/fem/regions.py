@@ -1,4 +1,6 @@
-"""Regions: elements on which the same parameters act, and entries of their matrices at factors of all parameters."""
+"""Regions: elements on which the same parameters act, and entries of their matrices at factors of
+all parameters.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,9 @@ def regions(groups: Sequence[Group], rows: Rows) -> list[Region]:
 
 
 def apart(every: Sequence[Region]) -> list[list[Region]]:
-    """Regions whose kernels can be called at once: none feels the fields of a group that acts on another only."""
+    """Regions whose kernels can be called at once: none feels the fields of a group that acts on
+    another only.
+    """
     out: list[list[Region]] = []
     for r in every:
         for batch in out:
@@ -69,7 +73,10 @@ def picked(m: Mesh, rows: Rows, wanted: Int) -> Rows:
 
 def few(rows: Rows, count: int) -> Rows:
     """A sample of the rows of each card."""
-    return {card: at[np.unique(np.linspace(0, at.size - 1, count).astype(int))] for card, at in rows.items()}
+    return {
+        card: at[np.unique(np.linspace(0, at.size - 1, count).astype(int))]
+        for card, at in rows.items()
+    }
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,7 +110,8 @@ class Together:
         return cls(m, tuple(dict.fromkeys(g for r in some for g in r.groups)), rows, tuple(places))
 
     def entries(self, a: Any_, of: Callable[[Any_], Any_] | None = None) -> list[Any_]:
-        """Lower triangles of K, then of M, of each region's elements end to end, at the factors a (P,) of all.
+        """Lower triangles of K, then of M, of each region's elements end to end, at the factors a
+        (P,) of all.
 
         Parameters
         ----------
@@ -111,17 +119,23 @@ class Together:
             What of the matrices is wanted in place of themselves.
         """
         made = built(self.mesh, self.groups, self.rows, [a[g.which] for g in self.groups])
-        return [ends([(made[i].stiffness[k], made[i].mass[k]) for i, k in on], of) for on in self.places]
+        return [
+            ends([(made[i].stiffness[k], made[i].mass[k]) for i, k in on], of) for on in self.places
+        ]
 
 
-def entries(m: Mesh, some: Sequence[Region], a: Any_, of: Callable[[Any_], Any_] | None = None) -> list[Any_]:
+def entries(
+    m: Mesh, some: Sequence[Region], a: Any_, of: Callable[[Any_], Any_] | None = None
+) -> list[Any_]:
     """`Together.entries` of the regions, once."""
     return Together.of(m, some).entries(a, of)
 
 
 def ends(parts: Sequence[tuple[Any_, Any_]], of: Callable[[Any_], Any_] | None = None) -> Any_:
     """Lower triangles of stiffnesses (e, d, d), then of masses, (e, d) or (e, d, d), end to end."""
-    every = [k for k, _ in parts] + [x if x.ndim == 3 else x[:, :, None] * np.eye(x.shape[1]) for _, x in parts]
+    every = [k for k, _ in parts] + [
+        x if x.ndim == 3 else x[:, :, None] * np.eye(x.shape[1]) for _, x in parts
+    ]
     return np.concatenate([np.empty(0), *(_lower(of(x) if of else x) for x in every)])
 
 

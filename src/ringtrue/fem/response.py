@@ -1,4 +1,6 @@
-"""Frequency response by modal superposition, with coupled modes and residual vectors, and by direct solution."""
+"""Frequency response by modal superposition, with coupled modes and residual vectors, and by direct
+solution.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +54,10 @@ def frf(
         On an unknown kind, or a rigid-body mode at 0 Hz in a receptance or mobility.
     """
     power = _power(kind)
-    w, wk = 2 * np.pi * np.asarray(freqs, dtype=np.float64), 2 * np.pi * np.asarray(frequencies, dtype=np.float64)
+    w, wk = (
+        2 * np.pi * np.asarray(freqs, dtype=np.float64),
+        2 * np.pi * np.asarray(frequencies, dtype=np.float64),
+    )
     below = wk * np.abs(wk) - w[:, None] ** 2 + 2j * damping * np.abs(wk) * w[:, None]
     if power == 2 and (below == 0).any():
         numerator = np.broadcast_to(-(w[:, None] ** 2), below.shape)
@@ -78,7 +83,8 @@ def coupled(
     *,
     kind: str = "accelerance",
 ) -> Complex:
-    """H(ω) = (iω)^n Φ_out (Λ − ω² + iωΦᵀDΦ + iΦᵀHΦ)⁻¹ Φ_inᵀ: modes coupled by the model's own damping.
+    """H(ω) = (iω)^n Φ_out (Λ − ω² + iωΦᵀDΦ + iΦᵀHΦ)⁻¹ Φ_inᵀ: modes coupled by the model's own
+    damping.
 
     Parameters
     ----------
@@ -104,7 +110,9 @@ def coupled(
     try:
         x = np.linalg.solve(q, np.broadcast_to(phi_in.T, (w.shape[0], *phi_in.T.shape)))
     except np.linalg.LinAlgError:
-        raise InputError("an undamped mode stands at one of the frequencies; leave it out or give damping") from None
+        raise InputError(
+            "an undamped mode stands at one of the frequencies; leave it out or give damping"
+        ) from None
     return np.asarray((1j * w) ** power * (phi_out @ x), dtype=np.complex128)
 
 
@@ -141,7 +149,9 @@ def direct(
     power = _power(kind)
     loads = rows_in.T.toarray()
     H = np.empty((len(freqs), rows_out.shape[0], rows_in.shape[0]), dtype=np.complex128)
-    for i, f in enumerate(np.asarray(freqs, dtype=np.float64).tolist()):  # each is a factorisation of its own
+    for i, f in enumerate(
+        np.asarray(freqs, dtype=np.float64).tolist()
+    ):  # each is a factorisation of its own
         s = 2j * np.pi * f
         H[i] = s**power * (rows_out @ system.solve(s, loads))
         if progress is not None:

@@ -25,10 +25,14 @@ def rbe2(m: Mesh) -> Equations:
     gn, gm = m.nodes(t["GN"][of], t, of), m.nodes(t.ragged("GM").values, t, of)
     same = gn == gm
     if same.any():
-        raise error(m.model, t, int(of[same][0]), f"GRID {t['GN'][of[same][0]]} is its own dependent node")
+        raise error(
+            m.model, t, int(of[same][0]), f"GRID {t['GN'][of[same][0]]} is its own dependent node"
+        )
     moved = components(t["CM"])
     if (idle := ~moved.any(axis=1)).any():
-        raise error(m.model, t, int(idle.argmax()), "CM names no component; allowed are the digits 1 to 6")
+        raise error(
+            m.model, t, int(idle.argmax()), "CM names no component; allowed are the digits 1 to 6"
+        )
     A = rotation(m.cd[gm], 1) @ arm(m.xyz[gm] - m.xyz[gn]) @ rotation(m.cd[gn], 1).swapaxes(1, 2)
     pair, c = np.nonzero(moved[of])
     row = np.repeat(np.arange(pair.size), 6)
@@ -52,7 +56,9 @@ def rrod(m: Mesh) -> Equations:
     one = (named.sum(axis=1) == 1) & ~named[:, [3, 4, 5, 9, 10, 11]].any(axis=1)
     if not one.all():
         i = int(np.flatnonzero(~one)[0])
-        raise error(m.model, t, i, "CMA or CMB must name one translation, 1 to 3, and the other be blank")
+        raise error(
+            m.model, t, i, "CMA or CMB must name one translation, 1 to 3, and the other be blank"
+        )
     x = m.xyz[node]
     short = np.linalg.norm(x[:, 1] - x[:, 0], axis=1) == 0
     if short.any():
@@ -73,10 +79,14 @@ def rrod(m: Mesh) -> Equations:
     return Equations(dependent, row[rest], column[rest], value[rest], owners(t, every))
 
 
-def _nodes(m: Mesh, card: str, ends: tuple[str, ...], free: tuple[str, ...], bound: tuple[str, ...]) -> Equations:
-    """A rigid body on nodes `ends`, components independent by the fields `free`, dependent by `bound`.
+def _nodes(
+    m: Mesh, card: str, ends: tuple[str, ...], free: tuple[str, ...], bound: tuple[str, ...]
+) -> Equations:
+    """A rigid body on nodes `ends`, components independent by the fields `free`, dependent by
+    `bound`.
 
-    Without `free` all six of the first node are; where all of `bound` are blank, the rest is dependent.
+    Without `free` all six of the first node are; where all of `bound` are blank, the rest is
+    dependent.
     """
     t = m.model[card]
     of, ids = np.repeat(np.arange(len(t)), len(ends)), t.stack(*ends).reshape(-1)
@@ -111,22 +121,27 @@ def rjoint(m: Mesh) -> Equations:
 
 
 def rtrplt(m: Mesh) -> Equations:
-    """A rigid triangle: six independent components, the others dependent where CMA, CMB, CMC are blank."""
+    """A rigid triangle: six independent components, the others dependent where CMA, CMB, CMC are
+    blank.
+    """
     return _nodes(m, "RTRPLT", ("GA", "GB", "GC"), ("CNA", "CNB", "CNC"), ("CMA", "CMB", "CMC"))
 
 
 def rtrplt1(m: Mesh) -> Equations:
-    """A rigid triangle: all six of GA are independent, CMB and CMC dependent, all six where blank."""
+    """A rigid triangle: all six of GA are independent, CMB and CMC dependent, all six where
+    blank.
+    """
     return _nodes(m, "RTRPLT1", ("GA", "GB", "GC"), (), ("CMB", "CMC"))
 
 
 def rspline(m: Mesh) -> Equations:
     """Nodes interpolated by a chain of straight beams between two that are independent.
 
-    The chain is a thin tube of diameter D, DL times the length of the whole spline: EI = GJ = 1, EA = 8/D² (as in
-    NASTRAN-95, CRSPLINE). Its flexibility between the ends 1 and N, added up from 1 in the basic frame, is C_N; that
-    up to node i is C_i: u_i = R_i [u_1 + C_i C_N⁻¹ (R_N⁻¹ u_N − u_1)], R the rigid motion by that of node 1. Components
-    that are not dependent at a node between do not count for the others.
+    The chain is a thin tube of diameter D, DL times the length of the whole spline: EI = GJ = 1, EA
+    = 8/D² (as in NASTRAN-95, CRSPLINE). Its flexibility between the ends 1 and N, added up from 1
+    in the basic frame, is C_N; that up to node i is C_i: u_i = R_i [u_1 + C_i C_N⁻¹ (R_N⁻¹ u_N −
+    u_1)], R the rigid motion by that of node 1. Components that are not dependent at a node between
+    do not count for the others.
     """
     t = m.model["RSPLINE"]
     G, flags = t.ragged("G"), components(t.ragged("C").values)
@@ -135,7 +150,9 @@ def rspline(m: Mesh) -> Equations:
     end = np.asarray(~flags.any(axis=1))
     _refuse_splines(m, t, of, end)
     first = np.flatnonzero(end & (np.r_[of[1:], -1] == of))  # of the section that begins there
-    section = np.cumsum(np.isin(np.arange(of.size), first)) - 1  # a node that ends one belongs to the next, if any
+    section = (
+        np.cumsum(np.isin(np.arange(of.size), first)) - 1
+    )  # a node that ends one belongs to the next, if any
     last = np.flatnonzero(end & (np.r_[-1, of[:-1]] == of))
     x = m.xyz[node]
     link = np.flatnonzero(of[1:] == of[:-1])
@@ -150,7 +167,9 @@ def rspline(m: Mesh) -> Equations:
     R = arm(x[inner] - x[a])
     by_last = R @ share @ arm(x[a] - x[b])
     by_first = R @ (np.eye(6) - share)
-    return _interpolated(m, t, node[inner], flags[inner], of[inner], ((node[a], by_first), (node[b], by_last)))
+    return _interpolated(
+        m, t, node[inner], flags[inner], of[inner], ((node[a], by_first), (node[b], by_last))
+    )
 
 
 def _refuse_splines(m: Mesh, t: Table, of: Int, end: Bool) -> None:
@@ -160,28 +179,43 @@ def _refuse_splines(m: Mesh, t: Table, of: Int, end: Bool) -> None:
     wrong = outer & ~end
     if wrong.any() or len(t) != np.unique(of).size:
         i = int(of[wrong][0]) if wrong.any() else int(np.setdiff1d(np.arange(len(t)), of)[0])
-        raise error(m.model, t, i, "its first and last nodes are independent: give them no components")
+        raise error(
+            m.model, t, i, "its first and last nodes are independent: give them no components"
+        )
 
 
 def _tubes(m: Mesh, t: Table, x: Float, of: Int, link: Int, origin: Float) -> Float:
-    """Flexibility (k, 6, 6) of the beams from node `link` (k,) to the next, moved to `origin` (k, 3)."""
+    """Flexibility (k, 6, 6) of the beams from node `link` (k,) to the next, moved to `origin` (k,
+    3).
+    """
     ends = np.stack([x[link], x[link + 1]], axis=1)
     d = ends[:, 1] - ends[:, 0]
     L = np.linalg.norm(d, axis=1)
     if (L == 0).any():
-        raise error(m.model, t, int(of[link[L == 0][0]]), "two nodes that follow each other are at one place")
+        raise error(
+            m.model,
+            t,
+            int(of[link[L == 0][0]]),
+            "two nodes that follow each other are at one place",
+        )
     D = (t["DL"] * np.bincount(of[link], L, len(t)))[of[link]]
     I = np.eye(3)
     along = np.einsum("ki,kj->kij", d, d)
     f = np.zeros((link.size, 6, 6))
     f[:, 3:, 3:] = L[:, None, None] * I
-    f[:, :3, :3] = (L**3 / 12)[:, None, None] * I + ((D**2 / (8 * L)) - L / 12)[:, None, None] * along
+    f[:, :3, :3] = (L**3 / 12)[:, None, None] * I + ((D**2 / (8 * L)) - L / 12)[
+        :, None, None
+    ] * along
     A = arm(origin - ends.mean(axis=1))
     return np.asarray(A @ f @ A.swapaxes(1, 2))
 
 
-def _interpolated(m: Mesh, t: Table, node: Int, flags: Bool, of: Int, by: Sequence[tuple[Int, Float]]) -> Equations:
-    """Components `flags` (k, 6) of nodes (k,) by the motions of others, each (node (k,), matrix (k, 6, 6)) in basic."""
+def _interpolated(
+    m: Mesh, t: Table, node: Int, flags: Bool, of: Int, by: Sequence[tuple[Int, Float]]
+) -> Equations:
+    """Components `flags` (k, 6) of nodes (k,) by the motions of others, each (node (k,), matrix (k,
+    6, 6)) in basic.
+    """
     entry, c = np.nonzero(flags)
     mine = rotation(m.cd[node], 1)
     columns, values = [], []
@@ -193,7 +227,13 @@ def _interpolated(m: Mesh, t: Table, node: Int, flags: Bool, of: Int, by: Sequen
     row = np.repeat(np.arange(entry.size), column.shape[1])
     keep = np.abs(value.reshape(-1)) > ROUNDING * np.abs(value).max(initial=0.0)
     dependent = 6 * node[entry] + c
-    return Equations(dependent, row[keep], column.reshape(-1)[keep], value.reshape(-1)[keep], owners(t, of[entry]))
+    return Equations(
+        dependent,
+        row[keep],
+        column.reshape(-1)[keep],
+        value.reshape(-1)[keep],
+        owners(t, of[entry]),
+    )
 
 
 def cweld(m: Mesh) -> Equations:
@@ -206,7 +246,9 @@ def cfast(m: Mesh) -> Equations:
     return _piercing(m, "CFAST", fast.ends, np.ones(len(m.model["CFAST"]), dtype=bool))
 
 
-def _piercing(m: Mesh, card: str, ends: Callable[[Mesh, str, Int], Sequence[End]], on_patch: Bool) -> Equations:
+def _piercing(
+    m: Mesh, card: str, ends: Callable[[Mesh, str, Int], Sequence[End]], on_patch: Bool
+) -> Equations:
     """Nodes GA and GB that are given; one that is itself a corner is left alone."""
     t = m.model[card]
     rows = np.flatnonzero(on_patch & ((t["GA"] > 0) | (t["GB"] > 0)))

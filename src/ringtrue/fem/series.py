@@ -1,7 +1,8 @@
-"""Functions of one factor as Chebyshev series in its logarithm, in place of a call of the kernels at each point.
+"""Functions of one factor as Chebyshev series in its logarithm, in place of a call of the kernels
+at each point.
 
-Analytic functions have series that converge geometrically: Trefethen (2013), Approximation Theory and Approximation
-Practice, ch. 8.
+Analytic functions have series that converge geometrically: Trefethen (2013), Approximation Theory
+and Approximation Practice, ch. 8.
 """
 
 from __future__ import annotations
@@ -15,7 +16,9 @@ from numpy.polynomial.chebyshev import chebder, chebval, chebvander
 from ringtrue.core.arrays import Float
 
 DEGREES = (4, 8, 16, 32, 64, 128)  # each takes the points of the one before
-HOLDS = 1e-9  # relative to the largest, at the points that the next degree adds; that one's error is about the square
+# relative to the largest, at the points that the next degree adds; that one's error is about the
+# square
+HOLDS = 1e-9
 ROUNDING = 1e-12  # by which a factor may pass its bounds
 
 
@@ -53,7 +56,8 @@ class Series:
 
 
 def fitted(bounds: Float, values: Callable[[Float], list[Float]]) -> list[Series | None]:
-    """Series of several functions (r,), each of a factor of its own; None where it does not converge.
+    """Series of several functions (r,), each of a factor of its own; None where it does not
+    converge.
 
     Parameters
     ----------
@@ -69,7 +73,10 @@ def fitted(bounds: Float, values: Callable[[Float], list[Float]]) -> list[Series
     for n in DEGREES:
         shares = (1 - np.round(np.cos(np.pi * np.arange(n + 1) / n), 15)) / 2
         known |= {s: values(low * (high / low) ** s) for s in shares.tolist() if s not in known}
-        basis, every = chebvander(2 * shares - 1, n), [np.array([known[s][k] for s in shares]) for k in range(len(low))]
+        basis, every = (
+            chebvander(2 * shares - 1, n),
+            [np.array([known[s][k] for s in shares]) for k in range(len(low))],
+        )
         for k, c in enumerate(every):
             if before and found[k] is None:
                 miss = np.abs(basis[:, : len(before[k])] @ before[k] - c).max(initial=0.0)

@@ -1,9 +1,10 @@
 """Derivatives of element matrices to many parameters in few sweeps over the elements.
 
-Fields: a complex step (Squire and Trapp 1998), all parameters whose elements do not meet in one sweep. Moduli to
-which an element's stiffness is proportional: the stiffness itself, the real part of a sweep if there is one. Places of
-nodes, beam ends and orientations, through which no complex step passes (norms): central differences of eighth order
-with a step of half a percent of the smallest element, whose error is that of rounding (1e-12).
+Fields: a complex step (Squire and Trapp 1998), all parameters whose elements do not meet in one
+sweep. Moduli to which an element's stiffness is proportional: the stiffness itself, the real part
+of a sweep if there is one. Places of nodes, beam ends and orientations, through which no complex
+step passes (norms): central differences of eighth order with a step of half a percent of the
+smallest element, whose error is that of rounding (1e-12).
 """
 
 from __future__ import annotations
@@ -28,9 +29,8 @@ CENTRAL = ((1, 4 / 5), (2, -1 / 5), (3, 4 / 105), (4, -1 / 280))  # eighth order
 SPAN = 512  # elements of a chunk, whose matrices stay in the cache
 _NONE = np.empty((0, 0, 0))
 _PLACES = frozenset(["X1", "X2", "X3", "W1A", "W2A", "W3A", "W1B", "W2B", "W3B"])
-_SIZES = frozenset(  # of the square that finds the shells which carry an end; of the beam that a spline is
-    [("PFAST", "D"), ("PWELD", "D"), ("RSPLINE", "DL")]
-)
+# of the square that finds the shells which carry an end; of the beam that a spline is
+_SIZES = frozenset([("PFAST", "D"), ("PWELD", "D"), ("RSPLINE", "DL")])
 _SECTION_PLACES = frozenset(["CONM2", "CONM1"])  # X1-X3 there are an arm, generic in dtype
 
 
@@ -61,7 +61,9 @@ class ElementSlopes:
 
 @dataclass(slots=True, eq=False)
 class _Sweep:
-    """Targets stepped together, with the rows that each parameter owns; no row feels a step that is not its own."""
+    """Targets stepped together, with the rows that each parameter owns; no row feels a step that is
+    not its own.
+    """
 
     targets: tuple[Target, ...]
     rows: list[tuple[int, Rows]] = field(default_factory=list)
@@ -75,7 +77,11 @@ def is_place(target: Target) -> bool:
 
 def moves_nodes(target: Target) -> bool:
     """Whether nodes, rigid elements and displacement frames may move with a field."""
-    return target.card == "GRID" or target.card.startswith("CORD") or (target.card, target.field) in _SIZES
+    return (
+        target.card == "GRID"
+        or target.card.startswith("CORD")
+        or (target.card, target.field) in _SIZES
+    )
 
 
 def element_slopes(model: Model, parameters: Sequence[Parameter]) -> Iterator[ElementSlopes]:
@@ -98,8 +104,12 @@ def element_slopes(model: Model, parameters: Sequence[Parameter]) -> Iterator[El
             yield from _plain(m, i, p.name, s.matrix, s.elements)
 
 
-def _bundles(model: Model, parameters: Sequence[Parameter]) -> tuple[list[_Sweep], list[dict[str, Int]]]:
-    """Parameters on the same fields and of disjoint elements share a sweep; and layers of owners of moduli."""
+def _bundles(
+    model: Model, parameters: Sequence[Parameter]
+) -> tuple[list[_Sweep], list[dict[str, Int]]]:
+    """Parameters on the same fields and of disjoint elements share a sweep; and layers of owners of
+    moduli.
+    """
     made: dict[tuple[Target, ...], list[_Sweep]] = {}
     layers, reach = list[_Sweep](), dict[tuple[Target, ...], _Reach]()
     for i, p in enumerate(parameters):
@@ -134,7 +144,8 @@ class _Reach:
     order : dict
         Their ids, ascending, and the rows in that order.
     moduli : dict
-        Flags of all rows of each card: the targets are all moduli of the one material that the element is made of.
+        Flags of all rows of each card: the targets are all moduli of the one material that the
+        element is made of.
     """
 
     rows: Rows
@@ -149,7 +160,9 @@ class _Reach:
             by_id = np.argsort(ids, kind="stable")
             order[card] = ids[by_id], at[by_id]
         mids = _moduli(model, targets)
-        return cls(rows, order, {c: np.isin(sole_material(model, c), mids) for c in rows} if mids else {})
+        return cls(
+            rows, order, {c: np.isin(sole_material(model, c), mids) for c in rows} if mids else {}
+        )
 
     def within(self, elements: tuple[int, ...]) -> Rows:
         """The rows of those elements; all if none are named."""
@@ -169,7 +182,9 @@ class _Reach:
 
 
 def _moduli(model: Model, targets: Sequence[Target]) -> tuple[int, ...]:
-    """Materials of which the targets are all moduli that are given; none if they are anything else, too."""
+    """Materials of which the targets are all moduli that are given; none if they are anything else,
+    too.
+    """
     if any(t.card != "MAT1" or t.field not in ("E", "G") or t.step for t in targets):
         return ()
     mids, table = {t.id for t in targets}, model["MAT1"]
@@ -190,7 +205,9 @@ def _owners(s: _Sweep) -> dict[str, Int]:
     return owner
 
 
-def _join(model: Model, bundle: list[_Sweep], targets: tuple[Target, ...], i: int, rows: Rows) -> None:
+def _join(
+    model: Model, bundle: list[_Sweep], targets: tuple[Target, ...], i: int, rows: Rows
+) -> None:
     for s in bundle:
         if not any(s.taken[c][at].any() for c, at in rows.items() if c in s.taken):
             break
@@ -218,7 +235,9 @@ def _merged(model: Model, sweeps: list[_Sweep]) -> list[_Sweep]:
 
 
 def sole_material(model: Model, card: str) -> Int:
-    """The material of each row of an element card, -1 where there are several, none, or a laminate's."""
+    """The material of each row of an element card, -1 where there are several, none, or a
+    laminate's.
+    """
     t, name = model[card], PROPERTY.get(card, card)
     out = np.full(len(t), -1)
     if name not in model or name not in MATERIAL:
@@ -240,7 +259,9 @@ def _mask(model: Model, rows: Rows) -> dict[str, Bool]:
 
 
 def _stepped(m: Mesh, sweep: _Sweep, moduli: list[dict[str, Int]]) -> Iterator[ElementSlopes]:
-    """Imaginary parts for the sweep; real ones for owners of moduli on the same elements, who are struck off."""
+    """Imaginary parts for the sweep; real ones for owners of moduli on the same elements, who are
+    struck off.
+    """
     owner = _owners(sweep)
     rows = {c: np.flatnonzero(o >= 0) for c, o in owner.items()}
     there = replace(m, model=changed(m.model, "", sweep.targets, 1 + 1j * STEP))
@@ -255,12 +276,18 @@ def _nominal(m: Mesh, layer: dict[str, Int]) -> Iterator[ElementSlopes]:
         yield from _proportional(layer, card, at, part)
 
 
-def _proportional(layer: dict[str, Int], card: str, at: Int, p: Matrices) -> Iterator[ElementSlopes]:
+def _proportional(
+    layer: dict[str, Int], card: str, at: Int, p: Matrices
+) -> Iterator[ElementSlopes]:
     """The stiffness of those rows that have an owner, who is then struck off."""
     if card not in layer or not (mine := np.flatnonzero(layer[card][at] >= 0)).size:
         return
     pick = slice(None) if mine.size == at.size else mine
-    owner, K, loss = layer[card][at][pick], np.ascontiguousarray(p.stiffness.real[pick]), p.loss.real[pick]
+    owner, K, loss = (
+        layer[card][at][pick],
+        np.ascontiguousarray(p.stiffness.real[pick]),
+        p.loss.real[pick],
+    )
     layer[card][at[pick]] = -1
     structural = loss[:, None, None] * K if loss.any() else _NONE
     yield ElementSlopes(owner, p.dofs[pick], K, structural, np.zeros(K.shape[:2]), _NONE)
@@ -298,7 +325,9 @@ def _placed(m: Mesh, i: int, p: Parameter) -> Iterator[ElementSlopes]:
             yield from _differences(m, i, p, rows, size, target=t)
     for k, shape in enumerate(p.shapes):
         rows = users_of_nodes(m.model, np.array(shape.nodes))
-        yield from _differences(m, i, p, rows, float(np.abs(shape.vectors).max(initial=0.0)), shape=k)
+        yield from _differences(
+            m, i, p, rows, float(np.abs(shape.vectors).max(initial=0.0)), shape=k
+        )
 
 
 def _value(model: Model, name: str, t: Target) -> float:
@@ -307,7 +336,14 @@ def _value(model: Model, name: str, t: Target) -> float:
 
 
 def _differences(
-    m: Mesh, i: int, p: Parameter, rows: Rows, size: float, *, target: Target | None = None, shape: int = 0
+    m: Mesh,
+    i: int,
+    p: Parameter,
+    rows: Rows,
+    size: float,
+    *,
+    target: Target | None = None,
+    shape: int = 0,
 ) -> Iterator[ElementSlopes]:
     if size == 0 or not rows:
         return
@@ -322,7 +358,9 @@ def _differences(
     yield from total.values()
 
 
-def displaced(model: Model, p: Parameter, amount: float, *, target: Target | None, shape: int) -> Model:
+def displaced(
+    model: Model, p: Parameter, amount: float, *, target: Target | None, shape: int
+) -> Model:
     """The model with one place of the parameter at a = 1 + amount."""
     if target is not None:
         return changed(model, p.name, [target], 1 + amount)
@@ -337,7 +375,9 @@ def _added(old: ElementSlopes | None, new: ElementSlopes, c: float) -> ElementSl
 
 
 def difference_step(m: Mesh, rows: Rows, size: float) -> float:
-    """Step of a for a place that moves by `size` (a − 1): a share of the shortest edge of the elements of `rows`."""
+    """Step of a for a place that moves by `size` (a − 1): a share of the shortest edge of the
+    elements of `rows`.
+    """
     shortest = diagonal(m.xyz) or 1.0
     for _, _, part in _parts(m, rows):
         node = part.dofs[:, ::6] // 6 if part.dofs.shape[1] % 6 == 0 else part.dofs[:, ::3] // 6
@@ -348,11 +388,22 @@ def difference_step(m: Mesh, rows: Rows, size: float) -> float:
     return SMALL * min(1.0, shortest / size)
 
 
-def _plain(m: Mesh, i: int, name: str, matrix: str, elements: Sequence[int]) -> Iterator[ElementSlopes]:
+def _plain(
+    m: Mesh, i: int, name: str, matrix: str, elements: Sequence[int]
+) -> Iterator[ElementSlopes]:
     """The element matrices themselves: the derivative to a common factor on them."""
     for _, at, part in _parts(m, rows_of_elements(m.model, name, elements)):
         s = _slopes(m, np.full(at.size, i), part, _same)
-        keep = {"stiffness": ("stiffness", "structural"), "mass": ("mass",), "damping": ("viscous",)}[matrix]
+        keep = {
+            "stiffness": ("stiffness", "structural"),
+            "mass": ("mass",),
+            "damping": ("viscous",),
+        }[matrix]
         yield replace(
-            s, **{n: 0 * getattr(s, n) for n in ("stiffness", "structural", "mass", "viscous") if n not in keep}
+            s,
+            **{
+                n: 0 * getattr(s, n)
+                for n in ("stiffness", "structural", "mass", "viscous")
+                if n not in keep
+            },
         )

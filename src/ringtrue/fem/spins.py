@@ -1,9 +1,9 @@
 """Spins: chains of bars, rods and springs that turn with neither stiffness nor mass.
 
-A straight chain of CBARs has torsional stiffness and no inertia about its line (MSC Nastran Quick Reference Guide,
-CBAR), as have point masses on bushes, so that K - σM is singular wherever nothing holds the chain against turning.
-One degree of freedom of such a chain may be held: it takes away no mode, and no mode can tell at which angle the chain
-stands.
+A straight chain of CBARs has torsional stiffness and no inertia about its line (MSC Nastran Quick
+Reference Guide, CBAR), as have point masses on bushes, so that K - σM is singular wherever nothing
+holds the chain against turning. One degree of freedom of such a chain may be held: it takes away no
+mode, and no mode can tell at which angle the chain stands.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ NOTHING = 1e-10  # share of the turns' whole energy, and of their whole inertia
 def spins(model: Model, system: System) -> Int:
     """Free DOFs (k,), rows of the system, one a spin: the one that turns most with it.
 
-    Turned together about one axis, the nodes of a chain that are joined by rotational stiffness take no energy and
-    have no inertia.
+    Turned together about one axis, the nodes of a chain that are joined by rotational stiffness
+    take no energy and have no inertia.
     """
     ends = [model[card][name] for card, names in JOINTS.items() if card in model for name in names]
     none: Int = np.empty(0, dtype=np.int64)
@@ -51,7 +51,9 @@ def spins(model: Model, system: System) -> Int:
 
 
 def _pivots(R: Float, chain: Int, values: Float, axes: Float) -> Int:
-    """Rows of R that hold the axes (count, 3, 3), in columns, whose values (count, 3) are nothing; ascending."""
+    """Rows of R that hold the axes (count, 3, 3), in columns, whose values (count, 3) are nothing;
+    ascending.
+    """
     found = []
     for k in range(3):
         moved = np.abs(np.einsum("ia,ia->i", R, axes[chain, :, k]))
@@ -67,7 +69,9 @@ def _pivots(R: Float, chain: Int, values: Float, axes: Float) -> Int:
 
 
 def _turns(system: System, at: Int) -> Float:
-    """Unit turns of all nodes about the axes of basic, without shifts, in rows `at` of the free DOFs: (k, 3)."""
+    """Unit turns of all nodes about the axes of basic, without shifts, in rows `at` of the free
+    DOFs: (k, 3).
+    """
     full = np.zeros((len(system.dofs), 3))
     for a in range(3):
         full[3 + a : 6 * len(system.xyz) : 6, a] = 1.0
@@ -89,8 +93,9 @@ def _shares(R: Float, A: sparse.csr_array, chain: Int, count: int) -> Float:
 def without_spins(model: Model, system: System) -> tuple[System, DofSet]:
     """The system with its spins held, and the DOFs that hold them.
 
-    Under PARAM,AUTOSPC,NO only DOFs that nothing uses are held, among those of `system.autospc`; PARAM,ASING,-1 leaves
-    them, too, so that they are an error (MSC Nastran Quick Reference Guide, ASING).
+    Under PARAM,AUTOSPC,NO only DOFs that nothing uses are held, among those of `system.autospc`;
+    PARAM,ASING,-1 leaves them, too, so that they are an error (MSC Nastran Quick Reference Guide,
+    ASING).
     """
     none: Int = np.empty(0, dtype=np.int64)
     if str(model.params.get("AUTOSPC", "YES")).upper() == "NO":
@@ -106,9 +111,13 @@ def without_spins(model: Model, system: System) -> tuple[System, DofSet]:
 
 
 def _unused(system: System) -> Int:
-    """Rows of the system without stiffness and mass: scalar points, components that no element uses."""
+    """Rows of the system without stiffness and mass: scalar points, components that no element
+    uses.
+    """
     rows = np.flatnonzero((system.stiffness.diagonal() == 0) & (system.mass.diagonal() == 0))
-    empty = [np.asarray(abs(A[rows]).sum(axis=1)).ravel() == 0 for A in (system.stiffness, system.mass)]
+    empty = [
+        np.asarray(abs(A[rows]).sum(axis=1)).ravel() == 0 for A in (system.stiffness, system.mass)
+    ]
     return np.asarray(rows[empty[0] & empty[1]])
 
 
@@ -119,7 +128,10 @@ def _held(system: System, rows: Int) -> System:
     keep = np.setdiff1d(np.arange(len(system.free)), rows)
     return replace(
         system,
-        **{n: getattr(system, n)[keep][:, keep] for n in ("stiffness", "mass", "viscous", "structural")},
+        **{
+            n: getattr(system, n)[keep][:, keep]
+            for n in ("stiffness", "mass", "viscous", "structural")
+        },
         transform=system.transform[:, keep],
         local=system.local[keep],
         free=DofSet(system.free.node[keep], system.free.direction[keep]),

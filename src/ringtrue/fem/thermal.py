@@ -24,9 +24,10 @@ FLAT = 1e-6  # of the size of an element: no extent in that direction
 def thermal_forces(m: Mesh, warm: Float) -> Float:
     """Forces (full,) float64 at the full DOFs of elements at temperatures of their nodes.
 
-    In an isotropic body whose temperature is T = T0 + g·x, the motion u = α [(T0 − TREF) x + (g·x) x − g |x|²/2] with
-    the rotation α g × x is free of stress (Boley and Weiner, Theory of Thermal Stresses, 1960, section 9.6): an
-    element's stiffness times that motion of its nodes is its thermal load, exact for any such temperature.
+    In an isotropic body whose temperature is T = T0 + g·x, the motion u = α [(T0 − TREF) x + (g·x)
+    x − g |x|²/2] with the rotation α g × x is free of stress (Boley and Weiner, Theory of Thermal
+    Stresses, 1960, section 9.6): an element's stiffness times that motion of its nodes is its
+    thermal load, exact for any such temperature.
 
     Parameters
     ----------
@@ -53,21 +54,33 @@ def thermal_forces(m: Mesh, warm: Float) -> Float:
         x = m.xyz[nodes]
         arms = bar.offsets(m, card, at, nodes) if card in ("CBAR", "CBEAM") else np.zeros_like(x)
         motion = _free(x + arms, arms, nodes >= 0, T - reference, SPREADS[card])[:, :, :step]
-        force = np.einsum("eij,ej->ei", p.stiffness, alpha * np.where(used, motion.reshape(used.shape), 0.0))
+        force = np.einsum(
+            "eij,ej->ei", p.stiffness, alpha * np.where(used, motion.reshape(used.shape), 0.0)
+        )
         add_at(out, p.dofs, force)
     return out
 
 
 def _free(x: Float, arms: Float, there: Bool, T: Float, spread: int) -> Float:
-    """Stress-free motion (e, k, 6) of nodes, over the coefficient of expansion, x (e, k, 3) at the ends of `arms`."""
+    """Stress-free motion (e, k, 6) of nodes, over the coefficient of expansion, x (e, k, 3) at the
+    ends of `arms`.
+    """
     count = there.sum(axis=1)[:, None, None]
-    x = np.where(there[..., None], x - (x * there[..., None]).sum(axis=1, keepdims=True) / count, 0.0)
+    x = np.where(
+        there[..., None], x - (x * there[..., None]).sum(axis=1, keepdims=True) / count, 0.0
+    )
     mean = (T * there).sum(axis=1, keepdims=True) / count[..., 0]
     u, s, v = np.linalg.svd(x, full_matrices=False)
     wide = (np.arange(s.shape[1]) < spread) & (s > FLAT * s[:, :1])
-    steep = np.where(wide, np.einsum("eks,ek->es", u, np.where(there, T - mean, 0.0)) / np.where(wide, s, 1.0), 0.0)
+    steep = np.where(
+        wide,
+        np.einsum("eks,ek->es", u, np.where(there, T - mean, 0.0)) / np.where(wide, s, 1.0),
+        0.0,
+    )
     g = np.einsum("es,esi->ei", steep, v)[:, None]
-    moved = (mean[..., None] + (x * g).sum(axis=2, keepdims=True)) * x - g * (x * x).sum(axis=2, keepdims=True) / 2
+    moved = (mean[..., None] + (x * g).sum(axis=2, keepdims=True)) * x - g * (x * x).sum(
+        axis=2, keepdims=True
+    ) / 2
     turned = np.cross(g, x)
     return np.concatenate([moved - np.cross(turned, arms), turned], axis=2)
 
@@ -103,4 +116,6 @@ def _refuse_unknown(m: Mesh, card: str, at: Int, nodes: Int, T: Float) -> None:
     if (lost := np.argwhere(np.isnan(T))).size:
         e, k = lost[0].tolist()
         node = m.model["GRID"].ids[nodes[e, k]]
-        raise error(m.model, m.model[card], int(at[e]), f"node {node} has no temperature (TEMP or TEMPD)")
+        raise error(
+            m.model, m.model[card], int(at[e]), f"node {node} has no temperature (TEMP or TEMPD)"
+        )

@@ -1,7 +1,9 @@
-"""Output-only identification in one call: a pyramid of bands, every order in each, modes with their uncertainty.
+"""Output-only identification in one call: a pyramid of bands, every order in each, modes with their
+uncertainty.
 
-A wide band at a high rate spans a fraction of a period of a slow mode with its lags, so the record is decimated by
-four again and again; each band keeps 0.06 to 0.34 of its rate and overlaps the next.
+A wide band at a high rate spans a fraction of a period of a slow mode with its lags, so the record
+is decimated by four again and again; each band keeps 0.06 to 0.34 of its rate and overlaps the
+next.
 """
 
 from __future__ import annotations
@@ -72,7 +74,8 @@ from ringtrue.signal.threads import abreast
 LEAST_DAMPING = 5e-4  # below what structures have in operation (welded steel: 0.1 %)
 LEAST_FALL = 0.1  # of the logarithm of the amplitude, from one impact to the next
 HARDLY_FALLS = (
-    "it hardly decays between impacts at equal intervals: a line of these; a longer time between them would show a mode"
+    "it hardly decays between impacts at equal intervals: a line of these; a longer "
+    "time between them would show a mode"
 )
 TOP = 0.34  # of the rate of a decimated band: the skirts of its filter begin at 0.4
 BLOCKS_EACH = 4  # of one stretch of a long record
@@ -202,21 +205,22 @@ def identify_stretches(
     progress: Progress | None = None,
     leave: tuple[float, ...] = (),
 ) -> AmbientResult:
-    """Modes from a record that comes in stretches: what is kept of each does not grow with the record.
+    """Modes from a record that comes in stretches: what is kept of each does not grow with the
+    record.
 
     Parameters
     ----------
     stretches : iterable of TimeHistory
-        Successive parts of one record, of one length (`ringtrue.io.records.record_blocks`); half an hour or more
-        each, 50 cycles of the lowest mode at least. A shorter last one counts for less. The first one decides which
-        channels are usable and where machines run.
+        Successive parts of one record, of one length (`ringtrue.io.records.record_blocks`); half an
+        hour or more each, 50 cycles of the lowest mode at least. A shorter last one counts for
+        less. The first one decides which channels are usable and where machines run.
     settings : AmbientSettings
     choice : Choice, optional
     progress : callable (fraction, text)
         The fraction stays 0 while stretches come, as their number is not known.
     leave : tuple of float, Hz
-        Lines of steady machines that are not to be taken out. Of a single stretch, those that leave something behind
-        where no mode stands are not either: it would pull at the modes beside it.
+        Lines of steady machines that are not to be taken out. Of a single stretch, those that leave
+        something behind where no mode stands are not either: it would pull at the modes beside it.
 
     Raises
     ------
@@ -251,12 +255,16 @@ def identify_stretches(
     whole, good = clean if whole is good else whole and without_lines(whole, places), clean
     shown = harmonics(whole, low=bands[-1].low) if whole and not impacts.driven else ()
     lines = tuple(h for h in shown if h.frequency < bands[0].high)
-    ssi = SsiCov(settings.block_rows, settings.order_max, blocks=0 if second is None else BLOCKS_EACH)
+    ssi = SsiCov(
+        settings.block_rows, settings.order_max, blocks=0 if second is None else BLOCKS_EACH
+    )
     more_to_come = (scaled(x, factor) for x in chain(() if second is None else (second,), coming))
     sums, heard = gathered(good, gaps, more_to_come, bands, ssi, refs, places, tell)
     found, motion = [], one_motion(good.channels)
     known = Heard(response_slope(good), choice, max(heard, key=lambda e: e.share), motion)
-    for k, modes_of in enumerate(abreast(lambda x: modes_of_band(x, settings.confidence_min, known), sums)):
+    for k, modes_of in enumerate(
+        abreast(lambda x: modes_of_band(x, settings.confidence_min, known), sums)
+    ):
         tell((k + 1) / (len(bands) + 2), f"identified {bands[k].low:.3g} .. {bands[k].high:.3g} Hz")
         found.append(modes_of)
     looks, tries = [], settings.order_max // ssi.order_step
@@ -265,7 +273,9 @@ def identify_stretches(
             looks.append((k, less))
         if second is None and not known.driven and dense_set(own.table, tries, x.seconds):
             looks.append((k, with_more_lags(good, gaps, bands[: k + 1], ssi, refs)))
-    again = abreast(lambda x: modes_of_band(x[1], settings.confidence_min, replace(known, choice=None)), looks)
+    again = abreast(
+        lambda x: modes_of_band(x[1], settings.confidence_min, replace(known, choice=None)), looks
+    )
     for (k, _), other in zip(looks, again, strict=True):
         found[k], other = surer_groups(found[k], other, settings.confidence_min)
         found.append(other)
@@ -274,10 +284,14 @@ def identify_stretches(
     if whole is not good:
         sound = {c.id for c in whole.channels} if whole else set()
         clipped = np.array([c.id not in sound for c in good.channels])
-        modes, reasons = overtones(result.modes, result.uncertainty.frequency, result.reasons, clipped)
+        modes, reasons = overtones(
+            result.modes, result.uncertainty.frequency, result.reasons, clipped
+        )
         result = replace(result, modes=modes, reasons=reasons)
     if second is None and (unsteady := unexplained(result.modes, with_feet(good, places))):
-        return identify_stretches((first,), settings, choice=choice, progress=progress, leave=(*leave, *unsteady))
+        return identify_stretches(
+            (first,), settings, choice=choice, progress=progress, leave=(*leave, *unsteady)
+        )
     result = replace(result, harmonics=(*sines, *result.harmonics))
     tell(1.0, f"{len(result.modes)} modes")
     notes = gaps.notes + tuple(s.note for s in states) + late + swept
@@ -285,7 +299,9 @@ def identify_stretches(
         notes += ("every channel is clipped: machines are not told from modes",)
     if motion:
         notes += (f"channels of different kinds: shapes are those of {motion.kind} in all",)
-    noisy = noisy_channels([c.id for c in good.channels], result.modes.shapes, result.uncertainty.shape)
+    noisy = noisy_channels(
+        [c.id for c in good.channels], result.modes.shapes, result.uncertainty.shape
+    )
     return replace(result, notes=notes + noisy + struck(heard) + result.notes)
 
 
@@ -299,30 +315,51 @@ def _assemble(
     heard: Heard,
     whole: TimeHistory | None,
 ) -> AmbientResult:
-    resolution = 61 * 4 / history.duration  # main lobe of the window of `harmonics` in 120 half-overlapped segments
+    resolution = (
+        61 * 4 / history.duration
+    )  # main lobe of the window of `harmonics` in 120 half-overlapped segments
     at, left_out = [], []
     rows = select(found, settings.confidence_min)
-    f_all, z_all = (np.array([getattr(found[b].table, x)[i] for b, i in rows]) for x in ("frequencies", "damping"))
+    f_all, z_all = (
+        np.array([getattr(found[b].table, x)[i] for b, i in rows])
+        for x in ("frequencies", "damping")
+    )
     known = [h.frequency for h in lines]
-    machines = steady_amplitudes(whole, f_all, z_all, known, heard.interval) if whole else ("",) * len(rows)
+    machines = (
+        steady_amplitudes(whole, f_all, z_all, known, heard.interval)
+        if whole
+        else ("",) * len(rows)
+    )
     edges = filter_edges(history, f_all, z_all)
-    standing = [machine(f, z, lines, resolution, history.duration) for f, z in zip(f_all, z_all, strict=True)]
+    standing = [
+        machine(f, z, lines, resolution, history.duration)
+        for f, z in zip(f_all, z_all, strict=True)
+    ]
     running = [bool(h or why) for h, why in zip(standing, machines, strict=True)]
     if whole and not heard.driven:
         every, wide = np.append(f_all, known), np.append(z_all, np.zeros(len(known)))
         kin = locked(whole, every, wide, running + [True] * len(known))
         machines = tuple(x or y for x, y in zip(machines, kin[: len(rows)], strict=True))
     left = feet(f_all, z_all, np.array(gone), history.duration)
-    for (b, i), f, z, h, unsteady, edge, foot in zip(rows, f_all, z_all, standing, machines, edges, left, strict=True):
+    for (b, i), f, z, h, unsteady, edge, foot in zip(
+        rows, f_all, z_all, standing, machines, edges, left, strict=True
+    ):
         if h:
             left_out.append(f"pole at {f:.4g} Hz left out: {h.why}{BESIDE}")
         elif z < LEAST_DAMPING:
-            left_out.append(f"pole at {f:.4g} Hz left out: damping {100 * z:.2g} % is a line, not a structure")
-        elif heard.interval and heard.impacts.lines_near(f) and 2 * np.pi * z * f * heard.interval < LEAST_FALL:
+            left_out.append(
+                f"pole at {f:.4g} Hz left out: damping {100 * z:.2g} % is a line, not a structure"
+            )
+        elif (
+            heard.interval
+            and heard.impacts.lines_near(f)
+            and 2 * np.pi * z * f * heard.interval < LEAST_FALL
+        ):
             left_out.append(f"pole at {f:.4g} Hz left out: {HARDLY_FALLS}")
         elif foot:
             left_out.append(
-                f"pole at {f:.4g} Hz left out: what the line at {foot:.5g} Hz left whose phase wanders{HIDES}"
+                f"pole at {f:.4g} Hz left out: what the line at {foot:.5g} Hz left whose phase "
+                f"wanders{HIDES}"
             )
         elif unsteady:
             left_out.append(f"pole at {f:.4g} Hz left out: {unsteady}{HIDES}")
@@ -350,7 +387,9 @@ def _assemble(
         modes,
         uncertainty(found, at, len(history.channels)),
         tuple(x.diagram for x in found[: len(bands)]),
-        tuple("; ".join(filter(None, (by_hand.said.get((b, i)), reason(found[b], i)))) for b, i in at),
+        tuple(
+            "; ".join(filter(None, (by_hand.said.get((b, i)), reason(found[b], i)))) for b, i in at
+        ),
         lines,
         tuple(with_nothing_found(history, left_out, len(at), bands)),
     )

@@ -1,4 +1,6 @@
-"""Modes of one band of an ambient record: poles of all orders, candidates, their refinement by maximum likelihood."""
+"""Modes of one band of an ambient record: poles of all orders, candidates, their refinement by
+maximum likelihood.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,8 @@ from ringtrue.identify.struck import by_references, even_halves, event_weights
 from ringtrue.identify.wander import wander, widened
 from ringtrue.signal.preprocess import Band, block_weights
 
-# of the orders: where modes appear in the first third of them, else, and in bands crowded with modes
+# of the orders: where modes appear in the first third of them, else, and in bands crowded with
+# modes
 SHARES = (0.6, 1.0, 1.5)
 
 
@@ -47,8 +50,12 @@ def _halves(
     step = replace(ssi, order_step=2 * ssi.order_step)
 
     def half(part: Int) -> PoleSet:
-        mean = np.tensordot((weights[part] / weights[part].sum()).astype(r.dtype), r[part], 1).astype(np.float64)
-        return all_orders(part_of(whole, mean, ssi.block_rows), None, step, (0.97 * band.low, 1.03 * band.high))[0]
+        mean = np.tensordot(
+            (weights[part] / weights[part].sum()).astype(r.dtype), r[part], 1
+        ).astype(np.float64)
+        return all_orders(
+            part_of(whole, mean, ssi.block_rows), None, step, (0.97 * band.low, 1.03 * band.high)
+        )[0]
 
     return half(parts[0]), half(parts[1])
 
@@ -56,9 +63,11 @@ def _halves(
 def _candidates(
     sums: BandSums, r: Any_, weights: Float, parts: tuple[Int, Int], least: float, heard: Heard
 ) -> tuple[BandPoles, Candidates, Int, list[tuple[int, int]]]:
-    """Poles, candidates, the pick behind each and the pairs that are not told apart, of the lower orders.
+    """Poles, candidates, the pick behind each and the pairs that are not told apart, of the lower
+    orders.
 
-    Of all orders where modes still appear late or are in doubt, and of more where they crowd the band.
+    Of all orders where modes still appear late or are in doubt, and of more where they crowd the
+    band.
     """
     ssi, band, tries = sums.ssi, sums.band, sums.ssi.order_max // sums.ssi.order_step
     for share in SHARES:
@@ -71,7 +80,9 @@ def _candidates(
             agreed = half_agreement(table, halves)
             if heard.driven and r.shape[3] > 1:
                 mean = np.tensordot(weights, r, 1)
-                other = by_references(mean, some, band.rate, (0.97 * band.low, 1.03 * band.high), heard.turn)
+                other = by_references(
+                    mean, some, band.rate, (0.97 * band.low, 1.03 * band.high), heard.turn
+                )
                 agreed = np.maximum(agreed, half_agreement(table, other))
             table = replace(table, halves=agreed)
             table, pairs = with_pairs(table, poles, halves, tries, least)
@@ -88,7 +99,9 @@ def modes_of_band(sums: BandSums, confidence_min: float, heard: Heard) -> Found:
     loudness = event_weights(power) if heard.driven else block_weights(power)
     weights = loudness * sums.share / (loudness @ sums.share)
     halves = np.array_split(np.arange(power.size), 2) if not heard.driven else even_halves(power)
-    poles, table, picked, pairs = _candidates(sums, r, weights, (halves[0], halves[1]), confidence_min, heard)
+    poles, table, picked, pairs = _candidates(
+        sums, r, weights, (halves[0], halves[1]), confidence_min, heard
+    )
     sure = confidence(table, sums.ssi.order_max // sums.ssi.order_step)
     turning = tuple(i for both in pairs for i in both)
     diagram = _diagram(poles, table, sums)
@@ -100,9 +113,13 @@ def modes_of_band(sums: BandSums, confidence_min: float, heard: Heard) -> Found:
     if steady(table, at, power, sums.stretches * sums.bins.duration):
         bins = motion.spectra(sums.bins, sums.eyes) if motion else sums.bins
         table = loosened(refined(table, at, sums.eyes, bins, heard.slope), pairs)
-        sure = without_noise(table, without_echoes(table, sure), sums.stretches * sums.bins.duration)
+        sure = without_noise(
+            table, without_echoes(table, sure), sums.stretches * sums.bins.duration
+        )
     found = _found(sums, diagram, widened(table, wandering), sure, picked, turning, motion)
-    return replace(found, wandering=tuple((int(i), float(wandering[i])) for i in np.flatnonzero(wandering)))
+    return replace(
+        found, wandering=tuple((int(i), float(wandering[i])) for i in np.flatnonzero(wandering))
+    )
 
 
 def _found(
@@ -123,4 +140,6 @@ def _found(
 
 def _diagram(poles: BandPoles, table: Candidates, sums: BandSums) -> StableDiagram:
     shown = poles.poles.rescaled(sums.scale)
-    return StableDiagram(shown, table.stable, table.label, *spectrum(sums.bins, sums.scale[sums.eyes]))
+    return StableDiagram(
+        shown, table.stable, table.label, *spectrum(sums.bins, sums.scale[sums.eyes])
+    )

@@ -1,4 +1,6 @@
-"""Ambient modes by another method than SSI-cov, in the bands of `identify_ambient`: a second opinion on a record."""
+"""Ambient modes by another method than SSI-cov, in the bands of `identify_ambient`: a second
+opinion on a record.
+"""
 
 from __future__ import annotations
 
@@ -75,7 +77,8 @@ def identify_ambient_by(
     settings : AmbientSettings
         Band and references.
     near : sequence of float, Hz
-        Peaks of the FDD family; first guesses of the Bayesian FFT, by default the highest peak of the band.
+        Peaks of the FDD family; first guesses of the Bayesian FFT, by default the highest peak of
+        the band.
     progress : callable, optional
 
     Raises
@@ -97,7 +100,9 @@ def identify_ambient_by(
     if method == "bayes":
         modes, std = _bayes(good, s, near)
     elif method in _FDD:
-        found = fdd(good, FddSettings(_FDD[method], fmin=s.fmin or 0.0, fmax=s.fmax or 0.0), near=near)
+        found = fdd(
+            good, FddSettings(_FDD[method], fmin=s.fmin or 0.0, fmax=s.fmax or 0.0), near=near
+        )
         modes, std = found.modes, found.uncertainty
     else:
         (modes, std), short = _in_bands(method, good, s, tell)
@@ -108,7 +113,9 @@ def identify_ambient_by(
     modes = replace(modes, source=f"{history.source or 'record'}: {NAMES[method]}")
     reasons = tuple(_reason(method, c) for c in modes.confidence)
     more = (
-        (*((NO_STD[method],) if method in NO_STD else ()), "shapes have no standard deviations") if len(modes) else ()
+        (*((NO_STD[method],) if method in NO_STD else ()), "shapes have no standard deviations")
+        if len(modes)
+        else ()
     )
     return SecondOpinion(modes, std, reasons, (*notes, *(more if method != "bayes" else ())))
 
@@ -123,9 +130,14 @@ def _reason(method: str, confidence: float) -> str:
     return f"{NAMES[method]}: {what}{also} {confidence:.2f}"
 
 
-def _bayes(history: TimeHistory, s: AmbientSettings, near: Sequence[float]) -> tuple[ModeSet, Uncertainty]:
+def _bayes(
+    history: TimeHistory, s: AmbientSettings, near: Sequence[float]
+) -> tuple[ModeSet, Uncertainty]:
     if s.fmin is None or s.fmax is None:
-        raise ConfigError("the Bayesian FFT needs a narrow band that holds its modes and no other: give fmin and fmax")
+        raise ConfigError(
+            "the Bayesian FFT needs a narrow band that holds its modes and no other: give fmin "
+            "and fmax"
+        )
     guesses = list(near)
     if not guesses:
         found = fdd(history, FddSettings("efdd", fmin=s.fmin, fmax=s.fmax))
@@ -143,21 +155,32 @@ def _bayes(history: TimeHistory, s: AmbientSettings, near: Sequence[float]) -> t
 def _in_bands(
     method: str, history: TimeHistory, s: AmbientSettings, tell: Progress
 ) -> tuple[tuple[ModeSet, Uncertainty], tuple[str, ...]]:
-    """Modes of every band of the pyramid, in overlaps those of more confidence; bands too short for the method."""
+    """Modes of every band of the pyramid, in overlaps those of more confidence; bands too short for
+    the method.
+    """
     every = long_enough(bands_for(history.rate, history.duration, s), history)
     bands = long_enough(every, history, _fewest(method, len(history.channels), s))
     ids = tuple(c.id for c in history.channels)
     found = []
     for k, band in enumerate(bands):
         tell(k / len(bands), f"{NAMES[method]}: {band.low:.3g} .. {band.high:.3g} Hz")
-        data, rate = band_signals(history.data, history.rate, (Band(band.low, band.high, band.rate),))[0]
-        part = TimeHistory(np.asarray(data, dtype=np.float64), rate, history.channels, history.source)
+        data, rate = band_signals(
+            history.data, history.rate, (Band(band.low, band.high, band.rate),)
+        )[0]
+        part = TimeHistory(
+            np.asarray(data, dtype=np.float64), rate, history.channels, history.source
+        )
         if method == "plscf":
-            modes, std = half_spectra_modes(part, (band.low, band.high), s.references or None, s.confidence_min)
+            modes, std = half_spectra_modes(
+                part, (band.low, band.high), s.references or None, s.confidence_min
+            )
         else:
             modes, std = modes_of(_poles(method, part, s), ids)
             if method in NO_STD:  # nothing judged the poles
-                one, two = (_poles(method, replace(part, data=x), s) for x in np.array_split(part.data, 2, axis=1))
+                one, two = (
+                    _poles(method, replace(part, data=x), s)
+                    for x in np.array_split(part.data, 2, axis=1)
+                )
                 modes = confirmed(modes, (one, two), part.duration)
         inside = (modes.frequencies >= band.low) & (modes.frequencies <= band.high)
         inside &= modes.confidence >= s.confidence_min
@@ -184,7 +207,9 @@ def _data_rows(channels: int, s: AmbientSettings) -> int:
 
 
 def _poles(method: str, part: TimeHistory, s: AmbientSettings) -> PoleSet:
-    """Poles of all orders; by ERA of half a short record with as many block rows as it has samples for."""
+    """Poles of all orders; by ERA of half a short record with as many block rows as it has samples
+    for.
+    """
     if method == "era":
         rows = min(s.block_rows, part.data.shape[1] // 8)
         return next_era(part, SsiCov(rows, ORDERS["era"]), references=s.references or None)
@@ -201,8 +226,12 @@ def _joined(found: Sequence[tuple[ModeSet, Uncertainty]]) -> tuple[ModeSet, Unce
     band = np.repeat(np.arange(len(found)), [len(m) for m, _ in found])
     same = (np.abs(f[:, None] / f - 1) < SAME_F) & (band[:, None] != band)
     same &= mac(shapes, shapes) > SAME_MAC if f.size else same
-    better = (sure[None] > sure[:, None]) | ((sure[None] == sure[:, None]) & (band[None] < band[:, None]))
+    better = (sure[None] > sure[:, None]) | (
+        (sure[None] == sure[:, None]) & (band[None] < band[:, None])
+    )
     keep = np.flatnonzero(~(same & better).any(axis=1))
     keep = keep[np.argsort(f[keep], kind="stable")]
     modes = ModeSet(f[keep], z[keep], shapes[:, keep], found[0][0].channels, confidence=sure[keep])
-    return modes, Uncertainty.independent(std[0][keep], std[1][keep], np.full(modes.shapes.shape, np.nan))
+    return modes, Uncertainty.independent(
+        std[0][keep], std[1][keep], np.full(modes.shapes.shape, np.nan)
+    )

@@ -1,7 +1,9 @@
-"""Hermitian systems in augmented unknowns (x, conj x), in real numbers: a quarter of the time and of the memory.
+"""Hermitian systems in augmented unknowns (x, conj x), in real numbers: a quarter of the time and
+of the memory.
 
-With H of blocks V = R + iS at (x, x) and W = P + iQ at (x, conj x), the other two their conjugates, the form in
-(Re x, Im x) is [[R + P, Q − S], [Q + S, R − P]], of the same eigenvalues (van den Bos 1994, IEE Proc. 141).
+With H of blocks V = R + iS at (x, x) and W = P + iQ at (x, conj x), the other two their conjugates,
+the form in (Re x, Im x) is [[R + P, Q − S], [Q + S, R − P]], of the same eigenvalues (van den Bos
+1994, IEE Proc. 141).
 """
 
 from __future__ import annotations
@@ -18,14 +20,18 @@ def real_form(v: Complex, w: Complex) -> Float:
 
 
 def augmented_form(c: Float) -> tuple[Complex, Complex]:
-    """Blocks (k, k) at (x, x) and (x, conj x) of a form in (Re x, Im x): `real_form` turned round."""
+    """Blocks (k, k) at (x, x) and (x, conj x) of a form in (Re x, Im x): `real_form` turned
+    round.
+    """
     k = c.shape[0] // 2
     a, b, d = c[:k, :k], c[:k, k:], c[k:, k:]
     return np.asarray(0.5 * (a + d + 1j * (b.T - b))), np.asarray(0.5 * (a - d + 1j * (b.T + b)))
 
 
 def pseudo_inverse(a: Float, least: float) -> Float:
-    """Of a symmetric matrix without the eigenvalues below `least` of the largest: by Cholesky where none is."""
+    """Of a symmetric matrix without the eigenvalues below `least` of the largest: by Cholesky where
+    none is.
+    """
     low, fails = lapack.dpotrf(a, lower=True)
     if not fails and lapack.dpocon(low, np.linalg.norm(a, 1), uplo="L")[0] > least:
         half = np.tril(lapack.dpotri(low, lower=True)[0])

@@ -1,6 +1,8 @@
-"""What the bands of the pyramid keep of a record, however long: blocks of correlations and binned spectra.
+"""What the bands of the pyramid keep of a record, however long: blocks of correlations and binned
+spectra.
 
-Each band is a pass over the signals at its rate, which also gives those of the next one, a quarter of it.
+Each band is a pass over the signals at its rate, which also gives those of the next one, a quarter
+of it.
 """
 
 from __future__ import annotations
@@ -25,7 +27,11 @@ SPECTRAL_CHANNELS = 16  # that separate the modes for the maximum likelihood fit
 STEP = 4  # from one rate to the next
 MOST_BLOCKS = 32
 NOTHING = SpectralBins(np.empty(0), np.empty(0), np.empty((0, 0, 0)), 0.0)
-LONG, TELLING, FEWEST_ROWS = 5.0, 2.2, 10  # decays over all lags that are too many, those that tell most; block rows
+LONG, TELLING, FEWEST_ROWS = (
+    5.0,
+    2.2,
+    10,
+)  # decays over all lags that are too many, those that tell most; block rows
 PERIODOGRAM = 1 << 18  # samples at the rate of a band: lines finer than the bins
 
 
@@ -88,7 +94,9 @@ class BandSums:
 
 
 def _added(a: BandSums, b: BandSums) -> BandSums:
-    """Both; `a` gives its arrays away. Pairs of blocks are joined when they become many, and later ones are as long."""
+    """Both; `a` gives its arrays away. Pairs of blocks are joined when they become many, and later
+    ones are as long.
+    """
     b = _in_pairs(b) if b.blocks > a.blocks else b
     parts, shares = (*a.parts, *b.parts), (*a.shares, *b.shares)
     both = replace(a, parts=parts, shares=shares)
@@ -100,7 +108,9 @@ def _added(a: BandSums, b: BandSums) -> BandSums:
     np.add(x.cross, y.cross, out=x.cross)  # in place: these are the largest arrays
     n = a.stretches
     lost, breaks = (n * x.lost + y.lost) / (n + 1), (n * x.breaks + y.breaks) / (n + 1)
-    return replace(both, spectra=replace(x, count=x.count + y.count, lost=lost, breaks=breaks), stretches=n + 1)
+    return replace(
+        both, spectra=replace(x, count=x.count + y.count, lost=lost, breaks=breaks), stretches=n + 1
+    )
 
 
 def _in_pairs(x: BandSums) -> BandSums:
@@ -155,8 +165,12 @@ def begin(
     return out
 
 
-def of_stretch(sums: list[BandSums], data: Any_, rate: float, events: Events = NONE) -> list[BandSums]:
-    """One more stretch `data` (ch, sample) at `rate` Hz alone, by the references and scales of the `sums`."""
+def of_stretch(
+    sums: list[BandSums], data: Any_, rate: float, events: Events = NONE
+) -> list[BandSums]:
+    """One more stretch `data` (ch, sample) at `rate` Hz alone, by the references and scales of the
+    `sums`.
+    """
     y = _at_first_rate(data, rate, tuple(x.band for x in sums))
     out = []
     for x in sums:
@@ -166,14 +180,17 @@ def of_stretch(sums: list[BandSums], data: Any_, rate: float, events: Events = N
 
 
 def with_fewer_lags(x: BandSums, decay: float) -> BandSums | None:
-    """The sums without the lags at which a motion of this decay, 1/s, has died away; None where few have that.
+    """The sums without the lags at which a motion of this decay, 1/s, has died away; None where few
+    have that.
 
     Noise is all that these tell of it; modes of little damping need them.
     """
     rows = max(int(x.ssi.block_rows * TELLING / max(decay * x.seconds, TELLING)), FEWEST_ROWS)
     if decay * x.seconds < LONG or rows >= x.ssi.block_rows:
         return None
-    return replace(x, ssi=replace(x.ssi, block_rows=rows), parts=tuple(p[:, : 2 * rows] for p in x.parts))
+    return replace(
+        x, ssi=replace(x.ssi, block_rows=rows), parts=tuple(p[:, : 2 * rows] for p in x.parts)
+    )
 
 
 def joined(sums: list[BandSums], stretch: list[BandSums]) -> list[BandSums]:
@@ -197,8 +214,12 @@ def _pass(x: BandSums, y: Signals, events: Events, last: bool) -> tuple[BandSums
     scale = x.scale.astype(np.float32)
     r /= scale[:, None] * scale[x.references]
     spectra = _binned(y, x.eyes, x.band, 1 / scale[x.eyes])
-    spectra = replace(spectra, count=spectra.count * events.kept, lost=1 - events.kept, breaks=events.breaks)
-    return replace(x, parts=(r,), shares=(share,), spectra=spectra, stretches=1), pyramid.detrended(lower)
+    spectra = replace(
+        spectra, count=spectra.count * events.kept, lost=1 - events.kept, breaks=events.breaks
+    )
+    return replace(x, parts=(r,), shares=(share,), spectra=spectra, stretches=1), pyramid.detrended(
+        lower
+    )
 
 
 def _binned(y: Signals, eyes: Int, band: Band, scale: Any_) -> SpectralBins:
@@ -209,7 +230,10 @@ def _binned(y: Signals, eyes: Int, band: Band, scale: Any_) -> SpectralBins:
     parts = max(1, round(y.samples / PERIODOGRAM))
     n = int(prev_fast_len(y.samples // parts, real=True))
     low, high = span(band)
-    first, last = int(np.ceil(max(low * n / band.rate, 1))), int(min(high * n / band.rate, n // 2 - 1))
+    first, last = (
+        int(np.ceil(max(low * n / band.rate, 1))),
+        int(min(high * n / band.rate, n // 2 - 1)),
+    )
     lines = np.empty((last + 1 - first, parts, eyes.size), dtype=np.complex64)
     unit = np.outer(scale, scale).astype(np.float32) * np.float32(2 / (n * band.rate * parts))
     edges = [first]
@@ -224,7 +248,9 @@ def _binned(y: Signals, eyes: Int, band: Band, scale: Any_) -> SpectralBins:
 
 
 def _sub_band(y: Any_, first: int, unit: Any_) -> tuple[Float, Float, Any_]:
-    """Place in lines, lines averaged and matrix of the bins of `y` (line, part, eye) from line `first`."""
+    """Place in lines, lines averaged and matrix of the bins of `y` (line, part, eye) from line
+    `first`.
+    """
     k = max(1, min(int(RELATIVE * first), len(y)))
     m = len(y) // k
     z = y[: m * k].reshape(m, -1, y.shape[2])

@@ -1,4 +1,6 @@
-"""Candidate poles of hammer FRFs band by band: the choice of bands, what stays in place in each, all of them merged."""
+"""Candidate poles of hammer FRFs band by band: the choice of bands, what stays in place in each,
+all of them merged.
+"""
 
 from __future__ import annotations
 
@@ -26,8 +28,12 @@ MOST_PRINCIPAL = 40
 MOST_INPUTS = 12  # of the polynomials, whose orders all inputs share
 
 
-def choose_bands(freqs: Float, curve: Float, low: float, high: float) -> tuple[tuple[float, float], ...]:
-    """Overlapping bands, Hz: none spans more than RATIO, holds too few lines or too many peaks of the CMIF."""
+def choose_bands(
+    freqs: Float, curve: Float, low: float, high: float
+) -> tuple[tuple[float, float], ...]:
+    """Overlapping bands, Hz: none spans more than RATIO, holds too few lines or too many peaks of
+    the CMIF.
+    """
     low = max(low, float(freqs[0]))
     number = np.arange(freqs.size, dtype=np.float64)
 
@@ -45,7 +51,10 @@ def choose_bands(freqs: Float, curve: Float, low: float, high: float) -> tuple[t
             lower = max(lower, min(float(cut), lines_below(edges[-1], LEAST_LINES)))
         edges.append(lower if lines_below(lower, LEAST_LINES / 2) > low else low)
     edges = edges[::-1]
-    return tuple((_overlap(a, -0.15 * (b - a), freqs), _overlap(b, 0.15 * (b - a), freqs)) for a, b in pairwise(edges))
+    return tuple(
+        (_overlap(a, -0.15 * (b - a), freqs), _overlap(b, 0.15 * (b - a), freqs))
+        for a, b in pairwise(edges)
+    )
 
 
 def _overlap(edge: float, by: float, freqs: Float) -> float:
@@ -55,13 +64,17 @@ def _overlap(edge: float, by: float, freqs: Float) -> float:
 def line_steps(freqs: Float, at: Complex) -> Float:
     """(k,) distance of the lines, Hz, around poles `at` (k,), rad/s."""
     step = np.diff(freqs)
-    return np.asarray(step[np.clip(np.searchsorted(freqs, at.imag / (2 * np.pi)) - 1, 0, step.size - 1)])
+    return np.asarray(
+        step[np.clip(np.searchsorted(freqs, at.imag / (2 * np.pi)) - 1, 0, step.size - 1)]
+    )
 
 
 def band_candidates(
     frfs: FrfSet, sigma: Noise, curve: Float, band: tuple[float, float], damping_max: float
 ) -> tuple[Clusters, StableDiagram]:
-    """Poles of a band (Hz) that stay in place over the orders, damped up to a ratio, and the diagram of all poles."""
+    """Poles of a band (Hz) that stay in place over the orders, damped up to a ratio, and the
+    diagram of all poles.
+    """
     at = (frfs.freqs >= band[0]) & (frfs.freqs <= band[1])
     most = damping_max + frfs.window_decay / (2 * np.pi * band[0])
     white = frfs.data[at] / (np.median(sigma.line[at]) * sigma.response[:, None] * sigma.input)
@@ -75,8 +88,11 @@ def band_candidates(
     return clusters, StableDiagram(poles, clusters.label >= 0, clusters.label, frfs.freqs[at], db)
 
 
-def grouped(poles: PoleSet, white: Complex, sigma: Noise, frfs: FrfSet, at: Bool) -> tuple[PoleSet, Clusters]:
-    """Poles of whitened lines `at` in the units of the inputs, and those that stay in place over the orders.
+def grouped(
+    poles: PoleSet, white: Complex, sigma: Noise, frfs: FrfSet, at: Bool
+) -> tuple[PoleSet, Clusters]:
+    """Poles of whitened lines `at` in the units of the inputs, and those that stay in place over
+    the orders.
 
     With one input the responses tell modes apart.
     """
@@ -87,9 +103,11 @@ def grouped(poles: PoleSet, white: Complex, sigma: Noise, frfs: FrfSet, at: Bool
 
 
 def few_inputs(data: Complex) -> tuple[Complex, Float]:
-    """(freq, out, r) the strongest combinations of many inputs, and the real orthonormal combinations (in, r).
+    """(freq, out, r) the strongest combinations of many inputs, and the real orthonormal
+    combinations (in, r).
 
-    The participation vectors of a band lie in their span, but for noise; few inputs are left as they are.
+    The participation vectors of a band lie in their span, but for noise; few inputs are left as
+    they are.
     """
     n_in = data.shape[2]
     if n_in <= MOST_INPUTS:
@@ -99,7 +117,8 @@ def few_inputs(data: Complex) -> tuple[Complex, Float]:
 
 
 def principal(data: Complex) -> Complex:
-    """(freq, r, in) responses combined along the directions that stand out of the noise; `data` has noise of 1.
+    """(freq, r, in) responses combined along the directions that stand out of the noise; `data` has
+    noise of 1.
 
     The combination is real, for the response space of real modes, and leaves r/out of the noise.
     """
@@ -114,22 +133,31 @@ def _stacked(data: Complex) -> Float:
 
 
 def _directions(rows: Float, most: int) -> Float:
-    """(n, r) orthonormal combinations of `rows` (n, k) that stand out of noise of 1: four at least, `most` at most."""
+    """(n, r) orthonormal combinations of `rows` (n, k) that stand out of noise of 1: four at least,
+    `most` at most.
+    """
     n, k = rows.shape
     values, vectors = np.linalg.eigh(rows @ rows.T)
-    edge = k * (1 + np.sqrt(n / k)) ** 2  # Marchenko, Pastur (1967): the largest eigenvalue of noise alone
+    edge = (
+        k * (1 + np.sqrt(n / k)) ** 2
+    )  # Marchenko, Pastur (1967): the largest eigenvalue of noise alone
     r = int(np.clip((values > 1.5 * edge).sum(), min(n, 4), most))
     return np.asarray(vectors[:, -r:])
 
 
 def merged(found: Sequence[Clusters], freqs: Float, decay: float) -> Candidates:
-    """Candidates of all bands, the window out of the poles; of those seen twice, the one with less scatter."""
+    """Candidates of all bands, the window out of the poles; of those seen twice, the one with less
+    scatter.
+    """
     found = [c for c in found if c.pole.size]
     if not found:
         return Candidates(np.zeros(0, complex), np.zeros((0, 1), complex), np.zeros(0), np.zeros(0))
     pole = np.concatenate([c.pole for c in found])
     part = np.concatenate([c.participation.T for c in found])
-    support, scatter = np.concatenate([c.support for c in found]), np.concatenate([c.scatter for c in found])
+    support, scatter = (
+        np.concatenate([c.support for c in found]),
+        np.concatenate([c.scatter for c in found]),
+    )
     band = np.repeat(np.arange(len(found)), [c.pole.size for c in found])
     keep = np.ones(pole.size, dtype=bool)
     rank = scatter + (1 - support)
@@ -143,8 +171,12 @@ def merged(found: Sequence[Clusters], freqs: Float, decay: float) -> Candidates:
 
 
 def _distance(pole: Complex, part: Complex, step: Float) -> Float:
-    """(c, c) distances in half bandwidths, with 1 − MAC of the participation vectors (inputs above one)."""
-    width = 0.5 * np.sqrt(np.outer(pole.real, pole.real)) + 0.6 * np.pi * np.sqrt(np.outer(step, step))
+    """(c, c) distances in half bandwidths, with 1 − MAC of the participation vectors (inputs above
+    one).
+    """
+    width = 0.5 * np.sqrt(np.outer(pole.real, pole.real)) + 0.6 * np.pi * np.sqrt(
+        np.outer(step, step)
+    )
     far = np.abs(pole[:, None] - pole) / width
     if part.shape[1] > 1:
         far = far + (1 - mac(part.T, part.T)) / 0.3

@@ -1,12 +1,15 @@
-"""Bayesian FFT modal identification of one mode or of a close group within a narrow band (Au 2011, 2012, 2017).
+"""Bayesian FFT modal identification of one mode or of a close group within a narrow band (Au 2011,
+2012, 2017).
 
 The FFT of the responses within the band is complex Gaussian with covariance
 
-    E_k = Φ H_k S H_kᴴ Φᵀ + S_e I,    h_ik = 1/[1 − β_ik² − 2iζ_i β_ik],  β_ik = f_i/f_k  (accelerations),
+    E_k = Φ H_k S H_kᴴ Φᵀ + S_e I,    h_ik = 1/[1 − β_ik² − 2iζ_i β_ik],
+    β_ik = f_i/f_k (accelerations),
 
-with real shapes Φ of unit length, the Hermitian spectral matrix S of the modal forces and noise of level S_e. With a
-flat prior the most probable values minimise Σ ln|E_k| + F_kᴴ E_k⁻¹ F_k (Fisher scoring); the posterior is Gaussian
-about them with the inverse information, under the unit length of the shapes, as its covariance.
+with real shapes Φ of unit length, the Hermitian spectral matrix S of the modal forces and noise of
+level S_e. With a flat prior the most probable values minimise Σ ln|E_k| + F_kᴴ E_k⁻¹ F_k (Fisher
+scoring); the posterior is Gaussian about them with the inverse information, under the unit length
+of the shapes, as its covariance.
 """
 
 from __future__ import annotations
@@ -60,7 +63,9 @@ class BayesResult:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Data:
-    """FFT lines of the band: frequencies (k,), spectra (k, ch) with E|F|² one-sided, rise of the response."""
+    """FFT lines of the band: frequencies (k,), spectra (k, ch) with E|F|² one-sided, rise of the
+    response.
+    """
 
     freqs: Float
     spectra: Complex
@@ -69,7 +74,9 @@ class _Data:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Values:
-    """Parameters in the order of the information: ln f (m,), ln ζ (m,), S (m, m) by its Cholesky factor, ln S_e, Φ."""
+    """Parameters in the order of the information: ln f (m,), ln ζ (m,), S (m, m) by its Cholesky
+    factor, ln S_e, Φ.
+    """
 
     f: Float
     zeta: Float
@@ -183,14 +190,30 @@ def _start(data: _Data, frequencies: Float) -> _Values:
     phi = np.empty((n, m))
     top = np.empty(m)
     for i, f in enumerate(frequencies):
-        y = data.spectra[np.argsort(np.abs(data.freqs - f))[: max(8, int((np.abs(data.freqs - f) < width / 2).sum()))]]
+        y = data.spectra[
+            np.argsort(np.abs(data.freqs - f))[
+                : max(8, int((np.abs(data.freqs - f) < width / 2).sum()))
+            ]
+        ]
         values, vectors = np.linalg.eigh((y.T @ y.conj()).real / len(y))
         phi[:, i], top[i] = vectors[:, -1], values[-1]
-    if m > 1 and np.abs(phi[:, 0] @ phi[:, 1]) > 0.95:  # one line of sight: take the two main directions of the band
+    if (
+        m > 1 and np.abs(phi[:, 0] @ phi[:, 1]) > 0.95
+    ):  # one line of sight: take the two main directions of the band
         phi = np.linalg.eigh((data.spectra.T @ data.spectra.conj()).real)[1][:, -m:][:, ::-1].copy()
-    noise = float(np.linalg.eigvalsh((data.spectra.T @ data.spectra.conj()).real / len(data.spectra))[: n - m].mean())
+    noise = float(
+        np.linalg.eigvalsh((data.spectra.T @ data.spectra.conj()).real / len(data.spectra))[
+            : n - m
+        ].mean()
+    )
     zeta = np.full(m, 0.01)
-    return _Values(frequencies, zeta, np.diag(np.sqrt(top * 4 * zeta**2)).astype(complex), max(noise, 1e-9), phi)
+    return _Values(
+        frequencies,
+        zeta,
+        np.diag(np.sqrt(top * 4 * zeta**2)).astype(complex),
+        max(noise, 1e-9),
+        phi,
+    )
 
 
 def _maximise(x: _Values, data: _Data) -> _Values:
@@ -200,7 +223,9 @@ def _maximise(x: _Values, data: _Data) -> _Values:
         grad, info = _scores(x, data)
         size = np.maximum(np.diag(info), 1e-12 * np.diag(info).max())
         for _ in range(12):
-            new = x.stepped(np.asarray(-np.linalg.solve(info + damp * np.diag(size), grad), dtype=np.float64))
+            new = x.stepped(
+                np.asarray(-np.linalg.solve(info + damp * np.diag(size), grad), dtype=np.float64)
+            )
             if (value := _cost(new, data)) < cost:
                 break
             damp *= 5
@@ -209,7 +234,9 @@ def _maximise(x: _Values, data: _Data) -> _Values:
         gain, x, cost, damp = cost - value, new, value, max(damp / 5, 1e-8)
         if gain < TOLERANCE * data.freqs.size:
             return x
-    raise NotConverged(f"Bayesian FFT in {data.freqs[0]:.4g} .. {data.freqs[-1]:.4g} Hz: {MOST_STEPS} steps")
+    raise NotConverged(
+        f"Bayesian FFT in {data.freqs[0]:.4g} .. {data.freqs[-1]:.4g} Hz: {MOST_STEPS} steps"
+    )
 
 
 def _posterior(x: _Values, data: _Data) -> Float:
@@ -220,10 +247,14 @@ def _posterior(x: _Values, data: _Data) -> Float:
     for a in range(m):
         fixed[a, len(info) - n * m + a :: m] = x.phi[:, a]
     free = null_space(fixed)
-    return np.asarray(free @ np.linalg.pinv(free.T @ info @ free, rcond=1e-13, hermitian=True) @ free.T)
+    return np.asarray(
+        free @ np.linalg.pinv(free.T @ info @ free, rcond=1e-13, hermitian=True) @ free.T
+    )
 
 
-def bayes_fft(history: TimeHistory, band: tuple[float, float], frequencies: Sequence[float]) -> BayesResult:
+def bayes_fft(
+    history: TimeHistory, band: tuple[float, float], frequencies: Sequence[float]
+) -> BayesResult:
     """Most probable modes of a narrow band, and their posterior standard deviations.
 
     Parameters
@@ -231,7 +262,8 @@ def bayes_fft(history: TimeHistory, band: tuple[float, float], frequencies: Sequ
     history : TimeHistory
         Accelerations, velocities or displacements, all of one kind.
     band : (float, float), Hz
-        Holds these modes and no other; some ten half-power bandwidths to either side where neighbours allow.
+        Holds these modes and no other; some ten half-power bandwidths to either side where
+        neighbours allow.
     frequencies : sequence of float, Hz
         First guess of each mode: one, or a close pair (or more).
 
@@ -246,17 +278,20 @@ def bayes_fft(history: TimeHistory, band: tuple[float, float], frequencies: Sequ
     f0 = np.sort(np.asarray(frequencies, dtype=np.float64))
     if not f0.size or f0[0] <= band[0] or f0[-1] >= band[1] or len(history.channels) <= f0.size:
         raise ConfigError(
-            f"Bayesian FFT: guesses {f0.tolist()} Hz must be within {band[0]:.4g} .. {band[1]:.4g} Hz, and fewer than "
+            f"Bayesian FFT: guesses {f0.tolist()} Hz must be within {band[0]:.4g} .. "
+            f"{band[1]:.4g} Hz, and fewer than "
             f"the {len(history.channels)} channels"
         )
     y, scale = prepared(history)
     n = y.shape[1]
     at = np.arange(
-        max(1, int(np.ceil(band[0] * n / history.rate))), int(min(band[1] * n / history.rate, n // 2 - 1)) + 1
+        max(1, int(np.ceil(band[0] * n / history.rate))),
+        int(min(band[1] * n / history.rate, n // 2 - 1)) + 1,
     )
     if at.size < 4 * f0.size + 8:
         raise DataError(
-            f"{history.source}: {at.size} lines in {band[0]:.4g} .. {band[1]:.4g} Hz; needed: {4 * f0.size + 8}"
+            f"{history.source}: {at.size} lines in {band[0]:.4g} .. {band[1]:.4g} Hz; needed: "
+            f"{4 * f0.size + 8}"
         )
     kinds = {c.quantity for c in history.channels}
     rise = _RISE.get(kinds.pop(), 0) if len(kinds) == 1 else 0
@@ -276,14 +311,23 @@ def _result(history: TimeHistory, x: _Values, cov: Float, scale: Float, data: _D
     values, vectors = np.linalg.eigh(part)
     factor = (vectors * np.sqrt(np.maximum(values, 0))).T
     tail = cov[-n * m :, -n * m :].reshape(n, m, n, m)[:, at][:, :, :, at]
-    shape, std = zip(*(_scaled(x.phi[:, at[a]], tail[:, a, :, a], scale) for a in range(m)), strict=True)
+    shape, std = zip(
+        *(_scaled(x.phi[:, at[a]], tail[:, a, :, a], scale) for a in range(m)), strict=True
+    )
     ids = tuple(c.id for c in history.channels)
-    modes = ModeSet(f, z, np.stack(shape, axis=1), ids, source=f"{history.source or 'record'}: Bayesian FFT")
+    modes = ModeSet(
+        f, z, np.stack(shape, axis=1), ids, source=f"{history.source or 'record'}: Bayesian FFT"
+    )
     sd = np.sqrt(np.diag(part))
     force = x.force[np.ix_(at, at)]
     ratio = np.diag(force).real / (4 * z**2 * x.noise)
     return BayesResult(
-        modes, Uncertainty(sd[:m], sd[m:], np.stack(std, axis=1), factor), force, x.noise, ratio, data.freqs.size
+        modes,
+        Uncertainty(sd[:m], sd[m:], np.stack(std, axis=1), factor),
+        force,
+        x.noise,
+        ratio,
+        data.freqs.size,
     )
 
 

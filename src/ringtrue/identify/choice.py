@@ -1,4 +1,5 @@
-"""A choice by hand applied: poles picked on the diagrams become modes as the automatic ones are, others go or join.
+"""A choice by hand applied: poles picked on the diagrams become modes as the automatic ones are,
+others go or join.
 
 The automatic modes keep their numbers: what is picked beside them is not refined with them.
 """
@@ -25,19 +26,28 @@ from ringtrue.identify.stabilise import Candidates, groups_table, stacked
 from ringtrue.shapes.mac import mac
 
 WITHIN = 0.01  # of its frequency: so near a pick must be to what it means
-SAME = 0.9  # MAC above which a pick replaces the automatic mode that it lies within the bandwidth of
+SAME = (
+    0.9  # MAC above which a pick replaces the automatic mode that it lies within the bandwidth of
+)
 Row = tuple[int, int]  # band, and row of its table
 
 
-def as_choice(modes: ModeSet, reasons: Sequence[str] = (), *, record: str = "", source: str = "") -> Choice:
-    """The modes as a choice that reports these and no others; replayed as it is, it changes nothing."""
+def as_choice(
+    modes: ModeSet, reasons: Sequence[str] = (), *, record: str = "", source: str = ""
+) -> Choice:
+    """The modes as a choice that reports these and no others; replayed as it is, it changes
+    nothing.
+    """
     notes = [reasons[k] if k < len(reasons) else "" for k in range(len(modes))]
-    picks = (Pick(float(f), 0, record, note) for f, note in zip(modes.frequencies, notes, strict=True))
+    picks = (
+        Pick(float(f), 0, record, note) for f, note in zip(modes.frequencies, notes, strict=True)
+    )
     return Choice(tuple(picks), automatic=False, source=source)
 
 
 def match(wanted: Float, there: Float, penalty: Float | None = None) -> Int:
-    """Position (w,) in `there` (n,) Hz of each frequency `wanted` (w,), one to one within `WITHIN`; -1 for none.
+    """Position (w,) in `there` (n,) Hz of each frequency `wanted` (w,), one to one within `WITHIN`;
+    -1 for none.
 
     `penalty` (n,), 0..2, makes a position less likely to be taken.
     """
@@ -60,7 +70,9 @@ def pole_of(poles: PoleSet, pick: Pick) -> int:
 
 
 def group_of(poles: PoleSet, frequency: float) -> Int:
-    """Positions of the poles of the largest cluster within `WITHIN` of a frequency, Hz; none if it has no two."""
+    """Positions of the poles of the largest cluster within `WITHIN` of a frequency, Hz; none if it
+    has no two.
+    """
     at = np.flatnonzero(np.abs(poles.frequencies / frequency - 1) <= WITHIN)
     if at.size < 2:
         return at[:0]
@@ -78,13 +90,15 @@ def nothing_there(source: str, pick: Pick, sets: Sequence[PoleSet]) -> DataError
         return DataError(f"{source}: pick at {where}: the diagrams hold no pole")
     k = int(np.argmin(np.abs(f - pick.frequency)))
     return DataError(
-        f"{source}: pick at {where}: no such pole within {100 * WITHIN:g} %; the nearest is at {f[k]:.6g} Hz, "
+        f"{source}: pick at {where}: no such pole within {100 * WITHIN:g} %; the nearest is at "
+        f"{f[k]:.6g} Hz, "
         f"order {order[k]}"
     )
 
 
 def with_picks(table: Candidates, band: BandPoles, choice: Choice | None) -> tuple[Candidates, Int]:
-    """The candidates of a band with a row for each pick that none of them is, and the pick of each row, -1 for none.
+    """The candidates of a band with a row for each pick that none of them is, and the pick of each
+    row, -1 for none.
 
     Parameters
     ----------
@@ -111,7 +125,9 @@ def with_picks(table: Candidates, band: BandPoles, choice: Choice | None) -> tup
         return table, automatic
     more = groups_table(band, groups)
     orders = np.stack([np.array(like), more.orders[:, 1]], axis=1)
-    return stacked(table, replace(more, orders=orders)), np.concatenate([automatic, picks]).astype(np.int64)
+    return stacked(table, replace(more, orders=orders)), np.concatenate([automatic, picks]).astype(
+        np.int64
+    )
 
 
 def _orders_like(poles: PoleSet, at: int) -> int:
@@ -141,7 +157,9 @@ class Chosen:
     notes: tuple[str, ...]
 
 
-def chosen(found: Sequence[Found], automatic: Sequence[Row], choice: Choice | None, source: str = "") -> Chosen:
+def chosen(
+    found: Sequence[Found], automatic: Sequence[Row], choice: Choice | None, source: str = ""
+) -> Chosen:
     """Apply a choice to the candidates of all bands.
 
     Parameters
@@ -198,7 +216,9 @@ def _nearest(found: Sequence[Found], rows: Sequence[Row], frequency: float) -> R
     return row if far <= WITHIN else None
 
 
-def _picked(found: Sequence[Found], automatic: Sequence[Row], choice: Choice, source: str) -> dict[Row, str]:
+def _picked(
+    found: Sequence[Found], automatic: Sequence[Row], choice: Choice, source: str
+) -> dict[Row, str]:
     """The row of each pick, and what to say of it."""
     every = [(b, i) for b, x in enumerate(found) for i in range(x.table.pole.size)]
     meant = np.array([found[b].picked[i] for b, i in every], dtype=np.int64)
@@ -214,11 +234,15 @@ def _picked(found: Sequence[Found], automatic: Sequence[Row], choice: Choice, so
             rest.append(k)
     free = [r for r, m in zip(every, meant, strict=True) if m < 0]
     f = np.array([_f(found, r) for r in free])
-    doubt = np.array([float(r not in automatic) + 0.1 * (1 - found[r[0]].confidence[r[1]]) for r in free])
+    doubt = np.array(
+        [float(r not in automatic) + 0.1 * (1 - found[r[0]].confidence[r[1]]) for r in free]
+    )
     at = match(np.array([choice.picks[k].frequency for k in rest]), f, doubt)
     for k, j in zip(rest, at.tolist(), strict=True):
         if j < 0:
-            raise nothing_there(source or "choice", choice.picks[k], [x.diagram.poles for x in found])
+            raise nothing_there(
+                source or "choice", choice.picks[k], [x.diagram.poles for x in found]
+            )
         said[free[j]] = "confirmed by hand" if free[j] in automatic else "chosen by hand"
     return said
 
@@ -235,7 +259,9 @@ def _replaced(found: Sequence[Found], row: Row, said: Mapping[Row, str]) -> bool
 
 
 def _joined(found: list[Found], rows: Sequence[Row]) -> tuple[list[Found], Row]:
-    """The bands with one more row: the mean by inverse variance of the rows, in the band that knows one best."""
+    """The bands with one more row: the mean by inverse variance of the rows, in the band that knows
+    one best.
+    """
     sharp = np.array([found[b].table.stds()[0][i] / _f(found, (b, i)) for b, i in rows])
     w = 1 / sharp**2 / (1 / sharp**2).sum()
     k = int(np.argmin(sharp))
@@ -245,7 +271,9 @@ def _joined(found: list[Found], rows: Sequence[Row]) -> tuple[list[Found], Row]:
     # rows of other bands deviate in columns of their own
     parts = [v * t.deviation for v, t in zip(w, tables, strict=True)]
     here = sum(d for d, (band, _) in zip(parts, rows, strict=True) if band == b)
-    own = np.concatenate([here, *(d for d, (band, _) in zip(parts, rows, strict=True) if band != b)], axis=1)
+    own = np.concatenate(
+        [here, *(d for d, (band, _) in zip(parts, rows, strict=True) if band != b)], axis=1
+    )
     wide = np.zeros((new, own.shape[1]), dtype=np.complex128)
     wide[:, : x.table.deviation.shape[1]] = x.table.deviation
     shapes = np.stack([found[band].shape[:, i] for band, i in rows], axis=1)
@@ -279,10 +307,12 @@ def _mean_shape(shapes: Complex, weights: Float, first: int) -> Complex:
 def modes_by_hand(
     poles: PoleSet, channels: tuple[str, ...], choice: Choice, *, source: str = ""
 ) -> tuple[ModeSet, Uncertainty, tuple[str, ...]]:
-    """Modes picked from the poles of any method; rejects and merges have nothing to work on and are not used.
+    """Modes picked from the poles of any method; rejects and merges have nothing to work on and are
+    not used.
 
-    With an order the pole itself is taken; without one, frequency and damping are means over the largest group of
-    poles there, by inverse variance where standard deviations are known, and the shape is that of its middle.
+    With an order the pole itself is taken; without one, frequency and damping are means over the
+    largest group of poles there, by inverse variance where standard deviations are known, and the
+    shape is that of its middle.
 
     Parameters
     ----------
@@ -309,4 +339,8 @@ def modes_by_hand(
     shape = unit(poles.shape[:, rows[:, 4].astype(np.int64)])
     modes = ModeSet(rows[:, 0], rows[:, 1], shape, channels, source=source)
     said = tuple(f"chosen by hand: {groups[k].size} of {poles.orders.size} orders" for k in rank)
-    return modes, Uncertainty.independent(rows[:, 2], rows[:, 3], np.full(shape.shape, np.nan)), said
+    return (
+        modes,
+        Uncertainty.independent(rows[:, 2], rows[:, 3], np.full(shape.shape, np.nan)),
+        said,
+    )

@@ -1,4 +1,6 @@
-"""A choice by hand on the poles of FRFs: which fitted modes stay, which poles of the diagrams join them."""
+"""A choice by hand on the poles of FRFs: which fitted modes stay, which poles of the diagrams join
+them.
+"""
 
 from __future__ import annotations
 
@@ -88,7 +90,9 @@ def hand_poles(
         pole, part = _pole(pick, sets, decay, source)
         added.append((pole, part))
         texts.append(f"chosen by hand, order {pick.order}")
-        keep &= ~(inside & (np.abs(fitted - pole) < 0.5 * np.abs(pole.real))) | np.array([bool(t) for t in said])
+        keep &= ~(inside & (np.abs(fitted - pole) < 0.5 * np.abs(pole.real))) | np.array(
+            [bool(t) for t in said]
+        )
     notes = _rejected(f, keep & inside, keep, choice)
     notes += _merged(f, keep & inside, keep, said, choice)
     n_in = sets[0].shape.shape[0] if sets else 1
@@ -98,8 +102,12 @@ def hand_poles(
     return HandPoles(keep, more, (*(said[k] for k in np.flatnonzero(keep)), *texts), tuple(notes))
 
 
-def _pole(pick: Pick, sets: Sequence[PoleSet], decay: float, source: str) -> tuple[complex, Complex]:
-    """Pole without the window and participation vector that a pick means, in the band that knows most of it."""
+def _pole(
+    pick: Pick, sets: Sequence[PoleSet], decay: float, source: str
+) -> tuple[complex, Complex]:
+    """Pole without the window and participation vector that a pick means, in the band that knows
+    most of it.
+    """
     found = []
     for s in sets:
         at = np.array([pole_of(s, pick)]) if pick.order else _late(s, pick.frequency)
@@ -114,7 +122,9 @@ def _pole(pick: Pick, sets: Sequence[PoleSet], decay: float, source: str) -> tup
 
 
 def _late(s: PoleSet, frequency: float) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    """The group of poles at a frequency in the upper half of its orders, or the one of the highest order there."""
+    """The group of poles at a frequency in the upper half of its orders, or the one of the highest
+    order there.
+    """
     at = group_of(s, frequency)
     if at.size:
         return np.asarray(at[s.order[at] >= np.median(s.order[at])])
@@ -141,7 +151,9 @@ def _rejected(f: Float, inside: Bool, keep: Bool, choice: Choice) -> list[str]:
 
 
 def _merged(f: Float, inside: Bool, keep: Bool, said: list[str], choice: Choice) -> list[str]:
-    """Leave the first of the modes to be merged in `keep`: the refinement places it for all of them."""
+    """Leave the first of the modes to be merged in `keep`: the refinement places it for all of
+    them.
+    """
     notes = []
     for merge in choice.merges:
         members = list(dict.fromkeys(_nearest(f, inside & keep, x) for x in merge.frequencies))
@@ -152,5 +164,7 @@ def _merged(f: Float, inside: Bool, keep: Bool, said: list[str], choice: Choice)
             continue
         keep[members[1:]] = False
         why = f" ({merge.reason})" if merge.reason else ""
-        said[members[0]] = "merged by hand from " + ", ".join(f"{f[k]:.5g}" for k in members) + f" Hz{why}"
+        said[members[0]] = (
+            "merged by hand from " + ", ".join(f"{f[k]:.5g}" for k in members) + f" Hz{why}"
+        )
     return notes

@@ -20,7 +20,8 @@ def distances(pole: Complex, psi: Complex) -> Float:
 
 
 def cluster_poles(pole: Complex, psi: Complex, order: Int, cut: float = CUT) -> Int:
-    """A label (k,) int64 for each pole, from 0, by average linkage; a label holds one pole of an order at most.
+    """A label (k,) int64 for each pole, from 0, by average linkage; a label holds one pole of an
+    order at most.
 
     The second pole of an order in a cluster is the one farther from the others: it gets -1.
     """
@@ -29,7 +30,13 @@ def cluster_poles(pole: Complex, psi: Complex, order: Int, cut: float = CUT) -> 
     d = distances(pole, psi)
     np.fill_diagonal(d, 0.0)
     d = 0.5 * (d + d.T)
-    label = np.asarray(fcluster(linkage(squareform(d, checks=False), "average"), cut, "distance"), dtype=np.int64) - 1
+    label = (
+        np.asarray(
+            fcluster(linkage(squareform(d, checks=False), "average"), cut, "distance"),
+            dtype=np.int64,
+        )
+        - 1
+    )
     together = label[:, None] == label
     away = (d * together).sum(1)
     rank = np.lexsort((away, order, label))

@@ -1,7 +1,8 @@
-"""Channels that records have in common, turned or exchanged in one of them: told from the shapes, and undone.
+"""Channels that records have in common, turned or exchanged in one of them: told from the shapes,
+and undone.
 
-The shapes of a mode agree on common channels whatever excited it. A channel turned or swapped in one record breaks that
-in all modes, and undoing it mends all of them.
+The shapes of a mode agree on common channels whatever excited it. A channel turned or swapped in
+one record breaks that in all modes, and undoing it mends all of them.
 """
 
 from __future__ import annotations
@@ -20,7 +21,9 @@ from ringtrue.shapes.mac import mac
 NEAR = 0.02  # relative distance of frequencies that may be one mode
 LEAST = 0.02  # mean 1 − MAC that calls for a reason
 CURED = 0.3  # of it that may be left
-SEEN = 3  # modes that must be mended, or all that are in common: one or two may have poor shapes for another reason
+# modes that must be mended, or all that are in common: one or two may have poor shapes for another
+# reason
+SEEN = 3
 MOST = 3  # faults that are looked for
 WIDEST = 40  # common channels
 
@@ -36,7 +39,8 @@ class CommonFault:
     channels : tuple of str
         One that is turned, or two that are exchanged.
     before, after : float
-        Mean MAC of the modes of this record with those of the others on the common channels, as they are and mended.
+        Mean MAC of the modes of this record with those of the others on the common channels, as
+        they are and mended.
     sure : bool
         Whether this record is the one; of two records either may be.
     """
@@ -52,7 +56,8 @@ class CommonFault:
         which = names[self.record] if self.sure else " or ".join(names[:2])
         what = "looks turned" if len(self.channels) == 1 else "look exchanged"
         return (
-            f"{' and '.join(self.channels)} of {which} {what}: undone (MAC with the other records {self.before:.3f} "
+            f"{' and '.join(self.channels)} of {which} {what}: undone (MAC with the other "
+            f"records {self.before:.3f} "
             f"before, {self.after:.3f} after)"
         )
 
@@ -76,7 +81,9 @@ def common_faults(records: Sequence[ModeSet]) -> tuple[CommonFault, ...]:
                 after = _misfits(now, r, undone(now[r], channels))
                 gain = _mean(before) - _mean(after)
                 if _cured(before, after) and (best is None or gain > best.after - best.before):
-                    best = CommonFault(r, channels, 1 - _mean(before), 1 - _mean(after), len(now) > 2)
+                    best = CommonFault(
+                        r, channels, 1 - _mean(before), 1 - _mean(after), len(now) > 2
+                    )
         if best is None:
             break
         now[best.record] = undone(now[best.record], best.channels)
@@ -87,7 +94,9 @@ def common_faults(records: Sequence[ModeSet]) -> tuple[CommonFault, ...]:
 def _cured(before: Float, after: Float) -> bool:
     """Whether most of the misfit goes, and not in one or two modes alone."""
     mended = (before > LEAST) & (after < CURED * before)
-    return _mean(after) < CURED * _mean(before) and bool(mended.sum() >= min(SEEN, np.isfinite(before).sum()))
+    return _mean(after) < CURED * _mean(before) and bool(
+        mended.sum() >= min(SEEN, np.isfinite(before).sum())
+    )
 
 
 def undone(modes: ModeSet, channels: tuple[str, ...]) -> ModeSet:
@@ -107,9 +116,13 @@ def _trials(records: Sequence[ModeSet], r: int) -> Iterator[tuple[str, ...]]:
 
 
 def _misfits(records: Sequence[ModeSet], r: int, changed: ModeSet) -> Float:
-    """(m,) 1 − MAC of each mode of a record, mean over all others that it shares three channels with; NaN: in none."""
+    """(m,) 1 − MAC of each mode of a record, mean over all others that it shares three channels
+    with; NaN: in none.
+    """
     others = [m for k, m in enumerate(records) if k != r]
-    apart = np.array([_one_minus_mac(changed, m) for m in others]).reshape(len(others), len(changed))
+    apart = np.array([_one_minus_mac(changed, m) for m in others]).reshape(
+        len(others), len(changed)
+    )
     known = np.isfinite(apart)
     apart, known = apart[known.sum(axis=1) > 1], known[known.sum(axis=1) > 1]
     count = known.sum(axis=0)
@@ -123,7 +136,9 @@ def _mean(misfits: Float) -> float:
 
 
 def _one_minus_mac(a: ModeSet, b: ModeSet) -> Float:
-    """(a,) of the modes that two records share, matched by shape among those of like frequency; NaN without a match."""
+    """(a,) of the modes that two records share, matched by shape among those of like frequency; NaN
+    without a match.
+    """
     out = np.full(len(a), np.nan)
     shared = [c for c in a.channels if c in b.channels]
     if len(shared) < 3 or not len(a) or not len(b):

@@ -1,9 +1,10 @@
-"""Fewer lines that tell as much: between resonances, the nodes of Gauss's rule for the weights of the lines.
+"""Fewer lines that tell as much: between resonances, the nodes of Gauss's rule for the weights of
+the lines.
 
-Away from all poles the functions 1/(s − λ) are polynomials to many digits, in stretches as long as a pole is far. With
-the weights of its lines a stretch has orthogonal polynomials, and the zeros of one of them are the nodes at which lines
-stand for it: products of functions with each other and with the data are those of all lines (Golub, Welsch 1969,
-Calculation of Gauss quadrature rules).
+Away from all poles the functions 1/(s − λ) are polynomials to many digits, in stretches as long as
+a pole is far. With the weights of its lines a stretch has orthogonal polynomials, and the zeros of
+one of them are the nodes at which lines stand for it: products of functions with each other and
+with the data are those of all lines (Golub, Welsch 1969, Calculation of Gauss quadrature rules).
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ from ringtrue.core.arrays import Complex, Float
 from ringtrue.identify.lsfd import Lines
 
 NODES = 12
-LENGTH = 2.0  # of a stretch, over its distance from the nearest pole: the functions are right to (2 + √3)^-NODES
+# of a stretch, over its distance from the nearest pole: the functions are right to (2 + √3)^-NODES
+LENGTH = 2.0
 _FAR_FEWER = 0.8  # of the lines
 
 
@@ -33,8 +35,8 @@ def condensed(lines: Lines, poles: Complex, reach: Float) -> Lines:
     Returns
     -------
     Lines
-        The same ones where they are few, or hold a response that the block cuts off, or its window: that ripples
-        from line to line.
+        The same ones where they are few, or hold a response that the block cuts off, or its window:
+        that ripples from line to line.
     """
     if np.isfinite(lines.kept) or lines.hann:
         return lines
@@ -60,12 +62,16 @@ def _room(lines: Lines, poles: Complex, reach: Float) -> Float:
     """(freq,) length of the longest stretch, rad/s, that each line may be in."""
     x, decay = lines.s.imag, float(lines.s[0].real)
     far = np.abs(lines.s)  # conjugate poles and residual terms: no nearer than 0 Hz
-    for pole, r in zip(poles.tolist(), reach.tolist(), strict=True):  # (freq, pole) arrays are slower
+    for pole, r in zip(
+        poles.tolist(), reach.tolist(), strict=True
+    ):  # (freq, pole) arrays are slower
         far = np.minimum(far, np.sqrt((x - pole.imag) ** 2 + (decay - pole.real) ** 2) - r)
     room = LENGTH * far
     if n := lines.smooth.shape[1]:  # a wavelength of the polynomial of most of them
         place = 2 * (x - x[0]) / np.ptp(x) - 1
-        room = np.minimum(room, np.pi * np.ptp(x) * (np.sqrt(np.maximum(1 - place**2, 0)) + 1 / n) / n)
+        room = np.minimum(
+            room, np.pi * np.ptp(x) * (np.sqrt(np.maximum(1 - place**2, 0)) + 1 / n) / n
+        )
     return np.asarray(room)
 
 
@@ -89,7 +95,9 @@ def _nodes(lines: Lines, a: int, b: int) -> tuple[Complex, Float, Complex, Compl
     x, weight = lines.s.imag[a:b], lines.weight[a:b]
     middle, half = 0.5 * (x[0] + x[-1]), 0.5 * (x[-1] - x[0])
     place = (x - middle) / half
-    polynomials = np.linalg.qr(weight[:, None] * np.polynomial.legendre.legvander(place, NODES - 1))[0]
+    polynomials = np.linalg.qr(
+        weight[:, None] * np.polynomial.legendre.legvander(place, NODES - 1)
+    )[0]
     nodes, turn = np.linalg.eigh(polynomials.T @ (place[:, None] * polynomials))
     basis = polynomials @ turn
     basis *= np.sign(weight @ basis)

@@ -14,8 +14,8 @@ Entry = TypeVar("Entry", np.float64, np.complex128)
 def lower_factor(normal: NDArray[Entry], ridge: float) -> NDArray[Entry]:
     """Lower Cholesky factor of normal + ridge·I, with the least ridge that does.
 
-    Exact data make a normal matrix singular, and one that is a difference of two has the rounding of both, which hangs
-    on the machine. The ridge grows by tens until the matrix is definite.
+    Exact data make a normal matrix singular, and one that is a difference of two has the rounding
+    of both, which hangs on the machine. The ridge grows by tens until the matrix is definite.
 
     Parameters
     ----------

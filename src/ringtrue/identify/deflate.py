@@ -19,7 +19,9 @@ SHARE = 0.03  # amplitude of the error against the data, where the data agree no
 WORSE = 3.0  # times the error at the peak of a typical mode
 
 
-def missed(lines: Lines, fit: Refined, sets: Sequence[PoleSet], decay: float, most: int) -> Candidates:
+def missed(
+    lines: Lines, fit: Refined, sets: Sequence[PoleSet], decay: float, most: int
+) -> Candidates:
     """Candidates at the highest peaks of the error, one for each.
 
     Parameters
@@ -59,9 +61,11 @@ def _peaks(rest: Complex, lines: Lines, fit: Refined) -> Int:
 
 
 def _usual(share: Float, lines: Lines, fit: Refined) -> Float:
-    """Squared share of the error in the data that is no sign of a missed mode: measured FRFs disagree by some.
+    """Squared share of the error in the data that is no sign of a missed mode: measured FRFs
+    disagree by some.
 
-    On the flank of a mode an error well above that at the peaks of the others is one: two modes taken for one.
+    On the flank of a mode an error well above that at the peaks of the others is one: two modes
+    taken for one.
     """
     usual = np.full(share.size, SHARE**2)
     if fit.poles.size > 1:

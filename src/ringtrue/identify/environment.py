@@ -1,12 +1,15 @@
-"""What temperature and amplitude do to a frequency followed through time, and what is left: outliers and changes.
+"""What temperature and amplitude do to a frequency followed through time, and what is left:
+outliers and changes.
 
-Model: f_t = f_0 + Σ_j b_j (x_jt − x̄_j) + steps + e_t, e_t of variance σ_t² + τ²: the stated variance of each estimate
-and a scatter τ² that they share (Paule and Mandel 1982). Residuals that hang together from stretch to stretch make
-coefficients less certain: with correlations r_k of the residuals at lag k and q^k of a regressor the variance grows by
-1 + 2 Σ r_k q^k (Bartlett 1935), r_k = r_1 φ^(k−1). Outliers: externally studentised residuals against Student's t at
-1 % over all stretches (Bonferroni), one after the other. Changes: the largest excursion of the sum of residuals
-against that of a Brownian bridge (Ploberger and Krämer 1992) at 1 %, with a long-run variance from residuals about the
-best step. Residuals that wander for hours (r_1 above 0.7) make false changes in up to one in ten records of three days.
+Model: f_t = f_0 + Σ_j b_j (x_jt − x̄_j) + steps + e_t, e_t of variance σ_t² + τ²: the stated
+variance of each estimate and a scatter τ² that they share (Paule and Mandel 1982). Residuals that
+hang together from stretch to stretch make coefficients less certain: with correlations r_k of the
+residuals at lag k and q^k of a regressor the variance grows by 1 + 2 Σ r_k q^k (Bartlett 1935), r_k
+= r_1 φ^(k−1). Outliers: externally studentised residuals against Student's t at 1 % over all
+stretches (Bonferroni), one after the other. Changes: the largest excursion of the sum of residuals
+against that of a Brownian bridge (Ploberger and Krämer 1992) at 1 %, with a long-run variance from
+residuals about the best step. Residuals that wander for hours (r_1 above 0.7) make false changes in
+up to one in ten records of three days.
 """
 
 from __future__ import annotations
@@ -98,7 +101,16 @@ class EnvironmentFit:
 
     def __post_init__(self) -> None:
         f = np.float64
-        freeze_fields(self, centre=f, slope=f, std_slope=f, p_value=f, corrected=f, residual=f, outlier=np.bool_)
+        freeze_fields(
+            self,
+            centre=f,
+            slope=f,
+            std_slope=f,
+            p_value=f,
+            corrected=f,
+            residual=f,
+            outlier=np.bool_,
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,15 +145,25 @@ def fit_environment(
     y, sd = np.asarray(frequency, dtype=np.float64), np.asarray(std, dtype=np.float64)
     n = y.size
     if n < 3 or sd.shape != y.shape or any(np.shape(x) != y.shape for x in regressors.values()):
-        raise InputError(f"{n} frequencies, std {sd.shape}: 3 or more, and one of each and of each regressor")
+        raise InputError(
+            f"{n} frequencies, std {sd.shape}: 3 or more, and one of each and of each regressor"
+        )
     known = sd[np.isfinite(sd) & (sd > 0)]
-    sd = np.where(np.isfinite(sd) & (sd > 0), sd, np.median(known) if known.size else 1e-6 * abs(y.mean()))
+    sd = np.where(
+        np.isfinite(sd) & (sd > 0), sd, np.median(known) if known.size else 1e-6 * abs(y.mean())
+    )
     order = np.arange(n) if at is None else np.asarray(at)
     names = tuple(regressors)
-    x = np.stack([np.asarray(regressors[k], dtype=np.float64) for k in names], axis=1) if names else np.zeros((n, 0))
+    x = (
+        np.stack([np.asarray(regressors[k], dtype=np.float64) for k in names], axis=1)
+        if names
+        else np.zeros((n, 0))
+    )
     seen = np.isfinite(x).sum(axis=0) >= FEWEST
     use: Bool = np.asarray(np.isfinite(x[:, seen]).all(axis=1))
-    use = use if use.sum() >= FEWEST else np.ones(n, dtype=bool)  # no regressor is known often enough
+    use = (
+        use if use.sum() >= FEWEST else np.ones(n, dtype=bool)
+    )  # no regressor is known often enough
     x, centre, ok = _centred(x, use)
     base = np.concatenate([np.ones((n, 1)), x[:, ok]], axis=1)
     steps = _steps(y, sd, base, use, order)
@@ -156,7 +178,9 @@ def fit_environment(
 
 
 def _centred(x: Float, use: Bool) -> tuple[Float, Float, Bool]:
-    """Regressors less their means, the means, and which of them can be told from a constant and from each other."""
+    """Regressors less their means, the means, and which of them can be told from a constant and
+    from each other.
+    """
     p = x.shape[1]
     centre = x[use].mean(axis=0) if use.any() else np.zeros(p)
     x = np.where(use[:, None], x - centre, 0.0)
@@ -175,7 +199,9 @@ def _step(n: int, at: int) -> Float:
 
 
 def weighted(y: Float, sd: Float, x: Float) -> _Fit:
-    """Least squares with weights 1/(σ² + τ²), τ such that the weighted squares sum to the degrees of freedom."""
+    """Least squares with weights 1/(σ² + τ²), τ such that the weighted squares sum to the degrees
+    of freedom.
+    """
     dof = y.size - x.shape[1]
 
     def solve(tau2: float) -> tuple[Float, Float, Float, Float]:
@@ -198,15 +224,18 @@ def weighted(y: Float, sd: Float, x: Float) -> _Fit:
 
 
 def memory_of(residual: Float, order: Int, fitted: int) -> tuple[float, float]:
-    """Correlation of residuals of neighbouring stretches, and the factor that it falls by with each stretch more.
+    """Correlation of residuals of neighbouring stretches, and the factor that it falls by with each
+    stretch more.
 
-    `fitted` coefficients pull the correlation down by about (1 + 3r)·fitted/n (Kendall 1954), which is put back. A
-    correlation that could be chance counts as none.
+    `fitted` coefficients pull the correlation down by about (1 + 3r)·fitted/n (Kendall 1954), which
+    is put back. A correlation that could be chance counts as none.
     """
     e, n = residual - residual.mean(), residual.size
     power = max(float((e**2).mean()), 1e-300)
     lag = (
-        [float((e[k:] * e[:-k])[order[k:] - order[:-k] == k].sum()) / (n * power) for k in (1, 2)] if n > 8 else [0, 0]
+        [float((e[k:] * e[:-k])[order[k:] - order[:-k] == k].sum()) / (n * power) for k in (1, 2)]
+        if n > 8
+        else [0, 0]
     )
     one, two = (r + (1 + 3 * r) * fitted / n for r in lag)
     if one < 1.3 / np.sqrt(n):
@@ -216,7 +245,9 @@ def memory_of(residual: Float, order: Int, fitted: int) -> tuple[float, float]:
 
 
 def inflation(memory: tuple[float, float], q: float) -> float:
-    """Factor 1 + 2 Σ r_k q^k on a variance, for residual correlations r_k and q^k of a regressor."""
+    """Factor 1 + 2 Σ r_k q^k on a variance, for residual correlations r_k and q^k of a
+    regressor.
+    """
     return 1 + 2 * memory[0] * q / (1 - memory[1] * q)
 
 
@@ -228,7 +259,9 @@ def _persistence(column: Float, order: Int) -> float:
 
 
 def _steps(y: Float, sd: Float, base: Float, use: Bool, order: Int) -> list[tuple[int, float]]:
-    """First position after each change and its p-value: the strongest first, then within the parts."""
+    """First position after each change and its p-value: the strongest first, then within the
+    parts.
+    """
     where = np.flatnonzero(use)
     y, sd, base, order = y[use], sd[use], base[use], order[use]
     found: list[tuple[int, float]] = []
@@ -246,7 +279,9 @@ def _steps(y: Float, sd: Float, base: Float, use: Bool, order: Int) -> list[tupl
 
 
 def _excursion(y: Float, sd: Float, x: Float, order: Int, part: slice) -> tuple[int, float]:
-    """The likeliest change within a part: position of the first value after it, and the p-value of no change."""
+    """The likeliest change within a part: position of the first value after it, and the p-value of
+    no change.
+    """
     n = part.stop - part.start
     if n < 2 * LEAST:
         return 0, 1.0
@@ -264,12 +299,16 @@ def _excursion(y: Float, sd: Float, x: Float, order: Int, part: slice) -> tuple[
     e = _calm((y - x @ level) * root)[part]
     sums = np.cumsum(e - e.mean())[:-1]
     fitted = x.shape[1] + 1
-    spread = (left**2).sum() / max(n - fitted, 1) * inflation(memory_of(left, order[part], fitted), 1.0)
+    spread = (
+        (left**2).sum() / max(n - fitted, 1) * inflation(memory_of(left, order[part], fitted), 1.0)
+    )
     return at, float(kolmogorov(np.abs(sums).max() / np.sqrt(spread * n)))
 
 
 def _calm(e: Float) -> Float:
-    """Residuals with those beyond four robust standard deviations drawn in: an outlier is no change."""
+    """Residuals with those beyond four robust standard deviations drawn in: an outlier is no
+    change.
+    """
     middle = float(np.median(e))
     reach = 4 * 1.4826 * float(np.median(np.abs(e - middle)))
     return np.clip(e, middle - reach, middle + reach) if reach > 0 else e
@@ -320,7 +359,8 @@ def _report(
     total = float(weight[good] @ (y[good] - mean) ** 2)
     explained = 1 - float((residual[good] ** 2).sum()) / total if total > 0 else 0.0
     changes = tuple(
-        Change(k, float(fit.beta[1 + p + i]), float(se[1 + p + i]), chance_k) for i, (k, chance_k) in enumerate(steps)
+        Change(k, float(fit.beta[1 + p + i]), float(se[1 + p + i]), chance_k)
+        for i, (k, chance_k) in enumerate(steps)
     )
     corrected = np.where(known, y - x[:, 1 : 1 + p] @ fit.beta[1 : 1 + p], np.nan)
     return EnvironmentFit(

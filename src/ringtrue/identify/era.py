@@ -1,7 +1,8 @@
-"""Eigensystem realisation algorithm (Juang and Pappa 1985) on correlations (NExT, James et al. 1993) or free decays.
+"""Eigensystem realisation algorithm (Juang and Pappa 1985) on correlations (NExT, James et al.
+1993) or free decays.
 
-All orders come from one decomposition: with H₀ = U S Vᵀ the matrix of order n is the leading block of
-S^(-1/2) Uᵀ H₁ V S^(-1/2).
+All orders come from one decomposition: with H₀ = U S Vᵀ the matrix of order n is the leading block
+of S^(-1/2) Uᵀ H₁ V S^(-1/2).
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ def era(decays: Float, rate: float, settings: SsiCov | None = None) -> PoleSet:
     Parameters
     ----------
     decays : (lag, ch, ref) float64
-        Correlations, or impulse responses; lag 0 is not used, as it holds the sensor noise. 2·block_rows + 1 lags.
+        Correlations, or impulse responses; lag 0 is not used, as it holds the sensor noise.
+        2·block_rows + 1 lags.
     rate : float, Hz
     settings : SsiCov
         `blocks` is not used.
@@ -39,7 +41,8 @@ def era(decays: Float, rate: float, settings: SsiCov | None = None) -> PoleSet:
     ch = decays.shape[1]
     if decays.shape[0] < 2 * s.block_rows + 1:
         raise DataError(
-            f"{decays.shape[0]} lags are too few for {s.block_rows} block rows; needed: {2 * s.block_rows + 1}"
+            f"{decays.shape[0]} lags are too few for {s.block_rows} block rows; needed: "
+            f"{2 * s.block_rows + 1}"
         )
     h0, h1 = hankel(decays, s.block_rows), hankel(decays[1:], s.block_rows)
     u, sv, v = decompose(h0, min(s.order_max, min(h0.shape)))
@@ -50,8 +53,12 @@ def era(decays: Float, rate: float, settings: SsiCov | None = None) -> PoleSet:
 
 
 def orders_of(a: Float, c: Float, rate: float, s: SsiCov) -> PoleSet:
-    """Poles of the orders 2, 2 + step, .. from leading blocks of the transition matrix `a` and of `c` (ch, n)."""
-    parts = [modal(a[:n, :n], c[:, :n], rate, s.damping_max) for n in range(2, len(a) + 1, s.order_step)]
+    """Poles of the orders 2, 2 + step, .. from leading blocks of the transition matrix `a` and of
+    `c` (ch, n).
+    """
+    parts = [
+        modal(a[:n, :n], c[:, :n], rate, s.damping_max) for n in range(2, len(a) + 1, s.order_step)
+    ]
     return gathered(list(range(2, len(a) + 1, s.order_step)), parts)
 
 
@@ -80,7 +87,8 @@ def gathered(orders: Sequence[int], parts: Sequence[tuple[Complex, Complex]]) ->
 def next_era(
     history: TimeHistory, settings: SsiCov | None = None, *, references: Sequence[str] | None = None
 ) -> PoleSet:
-    """ERA on the correlations of an ambient record with its reference channels (NExT), one band, all orders.
+    """ERA on the correlations of an ambient record with its reference channels (NExT), one band,
+    all orders.
 
     Parameters
     ----------
@@ -98,6 +106,8 @@ def next_era(
     data, scale = prepared(history)
     lags = 2 * s.block_rows
     if data.shape[1] < 4 * lags:
-        raise DataError(f"{history.source}: {data.shape[1]} samples are too few; needed are {4 * lags}")
+        raise DataError(
+            f"{history.source}: {data.shape[1]} samples are too few; needed are {4 * lags}"
+        )
     refs = choose_references(history, data, references)
     return era(correlations(data, refs, lags), history.rate, s).rescaled(scale)

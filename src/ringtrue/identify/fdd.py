@@ -1,8 +1,9 @@
 """Frequency domain decomposition: FDD, enhanced (EFDD) and frequency-spatial (FSDD), with damping.
 
-Brincker, Zhang and Andersen 2001 (FDD, EFDD), Zhang, Wang and Tamura 2010 (FSDD), Rodrigues, Brincker and Andersen
-2004 (random decrement). The taper of the spectra widens every peak; here it is divided out of the correlation, or put
-into the fitted model, so that the damping is not biased by it.
+Brincker, Zhang and Andersen 2001 (FDD, EFDD), Zhang, Wang and Tamura 2010 (FSDD), Rodrigues,
+Brincker and Andersen 2004 (random decrement). The taper of the spectra widens every peak; here it
+is divided out of the correlation, or put into the fitted model, so that the damping is not biased
+by it.
 """
 
 from __future__ import annotations
@@ -29,7 +30,10 @@ from ringtrue.signal.windows import window
 _DAMPING = 1e-4, 0.3
 _ROUNDS, _NEAR = 40, 1e-3
 _REACH = 10.0  # half bandwidths
-_FOOT, _FALL = 0.05, 0.3  # of the peak: where the bell ends beside an edge; of a mode: what no mode falls below
+_FOOT, _FALL = (
+    0.05,
+    0.3,
+)  # of the peak: where the bell ends beside an edge; of a mode: what no mode falls below
 
 Method = Literal["fsdd", "efdd", "random decrement"]
 
@@ -41,8 +45,8 @@ class FddSettings:
     Attributes
     ----------
     method : str
-        Of frequency and damping: `fsdd` fits the spectrum of the modal coordinate, `efdd` its correlation,
-        `random decrement` its signature in time.
+        Of frequency and damping: `fsdd` fits the spectrum of the modal coordinate, `efdd` its
+        correlation, `random decrement` its signature in time.
     resolution : float, Hz
         0: 20 segments in the record.
     fmin, fmax : float, Hz
@@ -50,8 +54,9 @@ class FddSettings:
     mac : float
         Lines around the peak belong to the bell while their singular vector is that alike.
     levels : tuple of float
-        Part of the decay that is fitted, of its start: from the first to the second. A correlation scatters by some
-        1/sqrt(ζωT), 0.12 for 2 Hz, 2 % and five minutes, so that little below 0.5 is of use.
+        Part of the decay that is fitted, of its start: from the first to the second. A correlation
+        scatters by some 1/sqrt(ζωT), 0.12 for 2 Hz, 2 % and five minutes, so that little below 0.5
+        is of use.
     """
 
     method: Method = "fsdd"
@@ -63,7 +68,9 @@ class FddSettings:
 
     def __post_init__(self) -> None:
         if not 0 < self.mac < 1 or not 1 >= self.levels[0] > self.levels[1] > 0:
-            raise ConfigError(f"FDD: mac {self.mac} in 0..1, levels {self.levels} must fall, within 1..0")
+            raise ConfigError(
+                f"FDD: mac {self.mac} in 0..1, levels {self.levels} must fall, within 1..0"
+            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,7 +97,9 @@ class FddResult:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Bell:
-    """Lines `first` .. `last` around the peak of one mode, its singular vector (ch,) and the two spectra (line,)."""
+    """Lines `first` .. `last` around the peak of one mode, its singular vector (ch,) and the two
+    spectra (line,).
+    """
 
     first: int
     last: int
@@ -100,7 +109,9 @@ class _Bell:
     alike: float
 
 
-def fdd(history: TimeHistory, settings: FddSettings | None = None, *, near: Sequence[float] = ()) -> FddResult:
+def fdd(
+    history: TimeHistory, settings: FddSettings | None = None, *, near: Sequence[float] = ()
+) -> FddResult:
     """Modes from the peaks of the singular values of the spectral matrix.
 
     Parameters
@@ -108,8 +119,8 @@ def fdd(history: TimeHistory, settings: FddSettings | None = None, *, near: Sequ
     history : TimeHistory
     settings : FddSettings
     near : sequence of float, Hz
-        Peaks to take, each the highest line within three of it; (): all peaks of the first singular value that
-        stand out of its scatter and whose neighbours have the same singular vector.
+        Peaks to take, each the highest line within three of it; (): all peaks of the first singular
+        value that stand out of its scatter and whose neighbours have the same singular vector.
 
     Raises
     ------
@@ -122,11 +133,17 @@ def fdd(history: TimeHistory, settings: FddSettings | None = None, *, near: Sequ
     spectra = csd(history, Welch(s.resolution or 20.0 / history.duration))
     scale = np.sqrt(np.maximum(np.einsum("fii->i", spectra.data).real, np.finfo(np.float64).tiny))
     u, sv, _ = np.linalg.svd(spectra.data / (scale[:, None] * scale), hermitian=True)
-    lines = _near(spectra.freqs, sv[:, 0], near) if near else _peaks(spectra, u[:, :, 0], sv[:, 0], s)
+    lines = (
+        _near(spectra.freqs, sv[:, 0], near) if near else _peaks(spectra, u[:, :, 0], sv[:, 0], s)
+    )
     bells = [_bell(int(k), u, sv, s.mac, _borders(lines, int(k), sv)) for k in lines]
     fitted = [_fit(b, spectra, history, scale, s) for b in bells]
     rows = np.array(fitted).reshape(len(bells), 4)
-    shape = np.array([unit(b.vector[:, None] * scale[:, None])[:, 0] for b in bells]).reshape(len(bells), scale.size).T
+    shape = (
+        np.array([unit(b.vector[:, None] * scale[:, None])[:, 0] for b in bells])
+        .reshape(len(bells), scale.size)
+        .T
+    )
     ids = tuple(c.id for c in history.channels)
     modes = ModeSet(
         rows[:, 0],
@@ -137,7 +154,13 @@ def fdd(history: TimeHistory, settings: FddSettings | None = None, *, near: Sequ
         confidence=np.array([b.alike for b in bells]),
     )
     std = Uncertainty.independent(rows[:, 2], rows[:, 3], np.full(shape.shape, np.nan))
-    return FddResult(modes, std, spectra.freqs, spectra.singular_values(), tuple((b.first, b.last) for b in bells))
+    return FddResult(
+        modes,
+        std,
+        spectra.freqs,
+        spectra.singular_values(),
+        tuple((b.first, b.last) for b in bells),
+    )
 
 
 def _near(freqs: Float, level: Float, near: Sequence[float]) -> Int:
@@ -149,11 +172,15 @@ def _near(freqs: Float, level: Float, near: Sequence[float]) -> Int:
 
 
 def _peaks(spectra: Csd, vector: Complex, level: Float, s: FddSettings) -> Int:
-    """Lines of peaks that stand eight standard deviations out of their surroundings, steady in their vector."""
+    """Lines of peaks that stand eight standard deviations out of their surroundings, steady in
+    their vector.
+    """
     from scipy.signal import find_peaks  # slow to import, and few commands need it
 
     # a singular value averaged over K segments scatters by 1/sqrt(K) of itself
-    found, _ = find_peaks(np.log(np.maximum(level, 1e-300)), prominence=8 / np.sqrt(spectra.segments))
+    found, _ = find_peaks(
+        np.log(np.maximum(level, 1e-300)), prominence=8 / np.sqrt(spectra.segments)
+    )
     f = spectra.freqs
     top = s.fmax or 0.95 * f[-1]
     found = found[(f[found] >= max(s.fmin, 3 * f[1])) & (f[found] <= top) & (found < f.size - 2)]
@@ -168,7 +195,10 @@ def _borders(lines: Int, k: int, sv: Float) -> tuple[int, int]:
     Of one channel, that has no shapes, it ends at the valleys before them or at a foot of its peak.
     """
     below, above = lines[lines < k], lines[lines > k]
-    low, high = (int(below[-1]) + 1 if below.size else 1), (int(above[0]) - 1 if above.size else len(sv) - 2)
+    low, high = (
+        (int(below[-1]) + 1 if below.size else 1),
+        (int(above[0]) - 1 if above.size else len(sv) - 2),
+    )
     if sv.shape[1] > 1:
         return low, high
     level = np.maximum(sv[:, 0], _FOOT * sv[k, 0])
@@ -176,7 +206,9 @@ def _borders(lines: Int, k: int, sv: Float) -> tuple[int, int]:
 
 
 def _bell(k: int, u: Complex, sv: Float, least: float, borders: tuple[int, int]) -> _Bell:
-    """Lines around `k` with a singular vector like that of the peak, three to each side at least."""
+    """Lines around `k` with a singular vector like that of the peak, three to each side at
+    least.
+    """
     psi = u[k, :, 0]
     like = np.abs(np.einsum("fci,c->fi", u.conj(), psi)) ** 2
     which = np.argmax(like, axis=1)
@@ -204,12 +236,19 @@ def _fit(b: _Bell, spectra: Csd, history: TimeHistory, scale: Float, s: FddSetti
         decay = _signature(history, b, scale, df, length)
     got = log_decrement(decay, history.rate, s.levels)
     low = np.flatnonzero(np.abs(decay) < s.levels[1] * np.abs(decay[0]))
-    lag = lag[: 2 * int(low[0]) + 16] if low.size else lag  # where a mode of that damping has fallen as far
+    lag = (
+        lag[: 2 * int(low[0]) + 16] if low.size else lag
+    )  # where a mode of that damping has fallen as far
     if s.method == "efdd":
-        turns, kernel = _turns(lag, f, history.rate) / taper[: lag.size, None], _tapered(f, taper, history.rate)
+        turns, kernel = (
+            _turns(lag, f, history.rate) / taper[: lag.size, None],
+            _tapered(f, taper, history.rate),
+        )
 
         def cut(f0: float, zeta: float) -> Complex:
-            return np.asarray(turns @ (kernel @ _free_decay(f0, zeta, length, history.rate) * (f / f0) ** 2))
+            return np.asarray(
+                turns @ (kernel @ _free_decay(f0, zeta, length, history.rate) * (f / f0) ** 2)
+            )
     else:
         fine = np.linspace((b.first - 0.5) * df, (b.last + 0.5) * df, 3 * f.size)
         turns = _turns(lag, fine, history.rate)
@@ -228,9 +267,11 @@ def _whole(
     rate: float,
     levels: tuple[float, float],
 ) -> tuple[float, float]:
-    """Frequency and damping of the mode whose decay, `cut` to the bell, has those that were `got` by its logarithm.
+    """Frequency and damping of the mode whose decay, `cut` to the bell, has those that were `got`
+    by its logarithm.
 
-    A bell that ends within a few half bandwidths, at its neighbours or in the noise, has a decay of its own.
+    A bell that ends within a few half bandwidths, at its neighbours or in the noise, has a decay of
+    its own.
     """
 
     f, zeta = float(np.clip(got[0], *edges)), float(np.clip(got[1], *_DAMPING))
@@ -251,7 +292,9 @@ def _turns(lag: Int, freqs: Float, rate: float) -> Complex:
 def _tapered(freqs: Float, taper: Float, rate: float) -> Float:
     """(line, lag) cosines that give the spectrum of a tapered correlation at the lines."""
     lag = np.arange(taper.size)
-    return np.asarray(np.cos(2 * np.pi * np.outer(freqs, lag) / rate) * taper * np.where(lag == 0, 1.0, 2.0))
+    return np.asarray(
+        np.cos(2 * np.pi * np.outer(freqs, lag) / rate) * taper * np.where(lag == 0, 1.0, 2.0)
+    )
 
 
 def _free_decay(f: float, zeta: float, length: int, rate: float) -> Float:
@@ -261,14 +304,19 @@ def _free_decay(f: float, zeta: float, length: int, rate: float) -> Float:
 
 
 def lag_window(length: int) -> Float:
-    """(length,) factor by which Hann-tapered segments of `length` samples shrink a correlation at each lag."""
+    """(length,) factor by which Hann-tapered segments of `length` samples shrink a correlation at
+    each lag.
+    """
     w = window("hann", length)
     n = int(next_fast_len(2 * length, real=True))
     return np.asarray(irfft(np.abs(rfft(w, n)) ** 2, n)[:length] / length)
 
 
-def log_decrement(decay: Complex, rate: float, levels: tuple[float, float] = (0.95, 0.5)) -> tuple[float, float]:
-    """Frequency (Hz) and damping ratio of an analytic free decay (lag,) by its logarithm between two `levels`.
+def log_decrement(
+    decay: Complex, rate: float, levels: tuple[float, float] = (0.95, 0.5)
+) -> tuple[float, float]:
+    """Frequency (Hz) and damping ratio of an analytic free decay (lag,) by its logarithm between
+    two `levels`.
 
     The level is that of the envelope over its start; the weight of a lag is its power.
     """
@@ -278,7 +326,9 @@ def log_decrement(decay: Complex, rate: float, levels: tuple[float, float] = (0.
     late = np.flatnonzero(size[:end] < levels[0] * size[0])
     at = np.arange(min(int(late[0]) if late.size else 0, end - 6), end)
     w = size[at]
-    slope = [np.polyfit(at / rate, x[at], 1, w=w)[0] for x in (np.log(size), np.unwrap(np.angle(decay)))]
+    slope = [
+        np.polyfit(at / rate, x[at], 1, w=w)[0] for x in (np.log(size), np.unwrap(np.angle(decay)))
+    ]
     pole = complex(slope[0], slope[1])
     return abs(pole) / (2 * np.pi), -pole.real / abs(pole)
 
@@ -294,10 +344,11 @@ def _signature(history: TimeHistory, b: _Bell, scale: Float, df: float, length: 
 
 
 def random_decrement(signal: Complex, lags: int) -> Complex:
-    """(lags,) mean of the stretches of an analytic `signal` (sample,) after each crossing of √2 standard deviations.
+    """(lags,) mean of the stretches of an analytic `signal` (sample,) after each crossing of √2
+    standard deviations.
 
-    Upward and downward crossings of both signs: what depends on the slope cancels, and the mean is proportional to
-    the correlation (Vandiver et al. 1982).
+    Upward and downward crossings of both signs: what depends on the slope cancels, and the mean is
+    proportional to the correlation (Vandiver et al. 1982).
 
     Raises
     ------
@@ -320,7 +371,9 @@ def random_decrement(signal: Complex, lags: int) -> Complex:
 
 
 def _spectral(b: _Bell, length: int, rate: float, segments: int) -> list[float]:
-    """Fit of ψᴴGψ over the bell, or where lines above are lower than any mode has them, a filter, over its peak."""
+    """Fit of ψᴴGψ over the bell, or where lines above are lower than any mode has them, a filter,
+    over its peak.
+    """
     f = np.arange(b.first, b.last + 1) * rate / length
     peak = int(np.argmax(b.enhanced))
     level = b.enhanced / b.enhanced[peak]
@@ -336,14 +389,21 @@ def _spectral(b: _Bell, length: int, rate: float, segments: int) -> list[float]:
 
 
 def _around(f: Float, level: Float, length: int, rate: float, segments: int) -> list[float]:
-    """The fit over the lines; where some are farther from the mode than a slope and a level can tell, without those."""
+    """The fit over the lines; where some are farther from the mode than a slope and a level can
+    tell, without those.
+    """
     fit = _one_mode(f, level, length, rate, segments)
     near = np.abs(f - fit[0]) <= max(_REACH * fit[0] * fit[1], 4 * (f[1] - f[0]))
-    return fit if near.all() or near.sum() < 8 else _one_mode(f[near], level[near], length, rate, segments)
+    return (
+        fit
+        if near.all() or near.sum() < 8
+        else _one_mode(f[near], level[near], length, rate, segments)
+    )
 
 
 def _one_mode(f: Float, unit_level: Float, length: int, rate: float, segments: int) -> list[float]:
-    """Whittle-like fit of the spectrum of a modal coordinate: one mode seen through the taper, a slope, a background.
+    """Whittle-like fit of the spectrum of a modal coordinate: one mode seen through the taper, a
+    slope, a background.
 
     Frequency, damping and their standard deviations.
     """
@@ -354,21 +414,32 @@ def _one_mode(f: Float, unit_level: Float, length: int, rate: float, segments: i
         w, zeta = 2 * np.pi * f[peak] * np.exp(x[0]), np.exp(x[1])
         curve = kernel @ _free_decay(w / (2 * np.pi), zeta, length, rate) * 2 * zeta * w / rate
         model = np.exp(x[2]) * np.maximum(curve, 1e-9) * (f / f[peak]) ** x[4] + np.exp(x[3])
-        return np.asarray(np.append(np.log(unit_level) - np.log(model), (x[4] - 2) / 2 * np.sqrt(1 / segments)))
+        return np.asarray(
+            np.append(np.log(unit_level) - np.log(model), (x[4] - 2) / 2 * np.sqrt(1 / segments))
+        )
 
     low = float(np.log(max(unit_level.min(), 1e-6)))
     start = np.array([0.0, np.log(0.01), 0.0, low - 1.0, 2.0])
     low_z, high_z = np.log(_DAMPING)
     bounds = ([-0.3, low_z, -12.0, -25.0, -8.0], [0.3, high_z, 12.0, 1.0, 12.0])
-    fit = least_squares(misfit, np.clip(start, bounds[0], bounds[1]), bounds=bounds, x_scale=[0.01, 0.3, 0.3, 1, 2])
+    fit = least_squares(
+        misfit, np.clip(start, bounds[0], bounds[1]), bounds=bounds, x_scale=[0.01, 0.3, 0.3, 1, 2]
+    )
     jac = np.asarray(fit.jac, dtype=np.float64)
     cov = np.linalg.pinv(jac.T @ jac) * _scatter(length) / segments
     f0, zeta = f[peak] * np.exp(fit.x[0]), np.exp(fit.x[1])
-    return [float(f0), float(zeta), float(f0 * np.sqrt(cov[0, 0])), float(zeta * np.sqrt(cov[1, 1]))]
+    return [
+        float(f0),
+        float(zeta),
+        float(f0 * np.sqrt(cov[0, 0])),
+        float(zeta * np.sqrt(cov[1, 1])),
+    ]
 
 
 def _scatter(length: int) -> float:
-    """How much neighbouring lines and half-overlapped segments of a Hann taper say the same, as a variance ratio."""
+    """How much neighbouring lines and half-overlapped segments of a Hann taper say the same, as a
+    variance ratio.
+    """
     w = window("hann", length)
     lines = np.abs(np.fft.fft(w**2)[:5] / (w**2).sum()) ** 2
     overlap = ((w[length // 2 :] * w[: length - length // 2]).sum() / (w**2).sum()) ** 2

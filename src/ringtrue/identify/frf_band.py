@@ -17,17 +17,23 @@ _TO_THE_END = 0.95
 
 
 def band_limits(frfs: FrfSet, fmin: float | None, fmax: float | None) -> tuple[float, float]:
-    """The reported band, Hz; where not given, up to where the coherence, or the likeness of next lines, ends."""
+    """The reported band, Hz; where not given, up to where the coherence, or the likeness of next
+    lines, ends.
+    """
     f = frfs.freqs
     low = fmin if fmin is not None else float(f[f > 0][0])
     high = fmax if fmax is not None else _usable_to(frfs)
     if np.count_nonzero((f >= low) & (f <= high)) < 32:
-        raise DataError(f"{frfs.source}: fewer than 32 lines between {low:g} and {high:g} Hz; widen fmin, fmax")
+        raise DataError(
+            f"{frfs.source}: fewer than 32 lines between {low:g} and {high:g} Hz; widen fmin, fmax"
+        )
     return max(low, float(f[0])), min(high, float(f[-1]))
 
 
 def _usable_to(frfs: FrfSet) -> float:
-    """Frequency, Hz, of the last line at which the coherence, or the likeness of next lines, is usable."""
+    """Frequency, Hz, of the last line at which the coherence, or the likeness of next lines, is
+    usable.
+    """
     f = frfs.freqs
     known = bool(np.isfinite(frfs.coherence).all())
     good = np.median(frfs.coherence, axis=(1, 2)) if known else likeness(frfs.data, f)
@@ -44,7 +50,9 @@ def refuse_noise(frfs: FrfSet) -> None:
     """Raise where no line is like its neighbours, for methods that find modes in noise too."""
     if _smoothed(likeness(frfs.data, frfs.freqs)).max() < _NOISE:
         ends = f"{frfs.freqs[0]:g} and {frfs.freqs[-1]:g} Hz"
-        raise DataError(f"{frfs.source}: the FRFs are noise: between {ends} no line is like those beside it")
+        raise DataError(
+            f"{frfs.source}: the FRFs are noise: between {ends} no line is like those beside it"
+        )
 
 
 def end_note(frfs: FrfSet, fmax: float | None, high: float) -> str:

@@ -1,4 +1,6 @@
-"""FRFs before and after identification: what cannot be identified is refused, what looks wrong is said."""
+"""FRFs before and after identification: what cannot be identified is refused, what looks wrong is
+said.
+"""
 
 from __future__ import annotations
 
@@ -22,13 +24,22 @@ _ODD = 100.0  # times the level of the typical response
 _COHERENT = 0.5
 _UNMOVED = 0.5  # of the typical coherence
 _EVEN = 1e-3  # of the step, that rounded lines differ by
-_TURNED = 0.3  # share of the power at a driving point of the wrong sign; what rings on between hits takes the rest
+# share of the power at a driving point of the wrong sign; what rings on between hits takes the rest
+_TURNED = 0.3
 _CURED = 0.3  # of the misfit of the residues may be left when one fault is undone
 _MISFIT = 1e-3  # share of the residues that no single shape explains, and that calls for a reason
 _CUT = 1.5  # lines in a half-power bandwidth: 1 % of the response is left at the end of the block
 _POOR = 0.05  # of an FRF, that a fit of its modes leaves
-_MODES, _REAL, _DELAYED = 4, 0.9, 0.97  # modes that tell a delay; how real a shape is without and with it
-_SIDE, _UNLIKE, _ALIKE = 1.05, 0.2, 0.9  # ratio of two frequencies, overlap of shapes, MAC of participations
+_MODES, _REAL, _DELAYED = (
+    4,
+    0.9,
+    0.97,
+)  # modes that tell a delay; how real a shape is without and with it
+_SIDE, _UNLIKE, _ALIKE = (
+    1.05,
+    0.2,
+    0.9,
+)  # ratio of two frequencies, overlap of shapes, MAC of participations
 _LOOKS = 500  # lines that tell the typical coherence
 _MOST_TRIALS = 400_000
 
@@ -53,9 +64,13 @@ def refuse_bad_frfs(frfs: FrfSet) -> None:
     for name, channels, axis in (("response", frfs.outputs, 1), ("reference", frfs.inputs, 0)):
         if (dead := np.asarray(flat.all(axis=axis))).any():
             ids = " ".join(c.id for c, d in zip(channels, dead, strict=True) if d)
-            raise DataError(f"{where}: {name} {ids} is the same at all lines: a dead channel; leave it out")
+            raise DataError(
+                f"{where}: {name} {ids} is the same at all lines: a dead channel; leave it out"
+            )
     if (h.imag == 0).all():
-        raise DataError(f"{where}: all values are real: amplitudes without phase cannot be identified")
+        raise DataError(
+            f"{where}: all values are real: amplitudes without phase cannot be identified"
+        )
     _refuse_gaps(size == 0, f, where)
 
 
@@ -65,12 +80,15 @@ def _refuse_gaps(zero: Bool, freqs: Float, where: str) -> None:
     if lost.any():
         first, last = freqs[np.flatnonzero(lost)[[0, -1]]]
         raise DataError(
-            f"{where}: FRF with gaps: {int(lost.sum())} lines between {first:g} and {last:g} Hz are zero; cut it there"
+            f"{where}: FRF with gaps: {int(lost.sum())} lines between {first:g} and {last:g} Hz "
+            "are zero; cut it there"
         )
 
 
 def frf_notes(frfs: FrfSet, sound: Sequence[tuple[int, int, float]]) -> tuple[str, ...]:
-    """What looks wrong before identification: odd levels, low coherence, driving points that are not `sound_pairs`."""
+    """What looks wrong before identification: odd levels, low coherence, driving points that are
+    not `sound_pairs`.
+    """
     out = []
     level = np.sqrt((np.abs(frfs.data) ** 2).mean(axis=(0, 2)))
     kinds = np.array([c.quantity for c in frfs.outputs])
@@ -82,20 +100,28 @@ def frf_notes(frfs: FrfSet, sound: Sequence[tuple[int, int, float]]) -> tuple[st
     if np.isfinite(frfs.coherence).any():
         typical = float(np.nanmedian(frfs.coherence[:: max(1, frfs.freqs.size // _LOOKS)]))
         if typical < _COHERENT:
-            out.append(f"the coherence is {typical:.2f} at the typical line: most of these FRFs is noise")
+            out.append(
+                f"the coherence is {typical:.2f} at the typical line: most of these FRFs is noise"
+            )
         out += _unmoved(frfs, typical)
     step = np.diff(frfs.freqs)
     if np.ptp(step) > _EVEN * np.median(step):
         wide = int(step.argmax())
         out.append(
-            f"uneven lines: {step.min():.3g} to {step.max():.3g} Hz apart, widest between {frfs.freqs[wide]:.5g} and "
+            f"uneven lines: {step.min():.3g} to {step.max():.3g} Hz apart, widest between "
+            f"{frfs.freqs[wide]:.5g} and "
             f"{frfs.freqs[wide + 1]:.5g} Hz"
         )
     if len(frfs.inputs) == 1:
         out.append("one reference: two modes of one and the same frequency show as one")
-    if turned := [frfs.inputs[i].id for o, i, sign in driving_pairs(frfs) if (o, i, sign) not in sound]:
+    if turned := [
+        frfs.inputs[i].id for o, i, sign in driving_pairs(frfs) if (o, i, sign) not in sound
+    ]:
         rest = "" if sound else ": the modes are not scaled"
-        out.append(f"driving point {' '.join(turned)}: sensor or hammer is the other way round; not used{rest}")
+        out.append(
+            f"driving point {' '.join(turned)}: sensor or hammer is the other way round; not "
+            f"used{rest}"
+        )
     return tuple(out)
 
 
@@ -104,21 +130,29 @@ def _unmoved(frfs: FrfSet, typical: float) -> list[str]:
     some = frfs.coherence[:: max(1, frfs.freqs.size // _LOOKS)]
     with np.errstate(all="ignore"):
         of_each = np.array(
-            [np.median(x[np.isfinite(x)]) if np.isfinite(x).any() else np.nan for x in some.swapaxes(0, 1)]
+            [
+                np.median(x[np.isfinite(x)]) if np.isfinite(x).any() else np.nan
+                for x in some.swapaxes(0, 1)
+            ]
         )
     low = of_each < _UNMOVED * typical
     if not low.any() or typical <= _COHERENT:
         return []
     at = np.flatnonzero(low).tolist()
-    names, values = " ".join(frfs.outputs[i].id for i in at), ", ".join(f"{of_each[i]:.2f}" for i in at)
+    names, values = (
+        " ".join(frfs.outputs[i].id for i in at),
+        ", ".join(f"{of_each[i]:.2f}" for i in at),
+    )
     others = np.nanmedian(of_each[~low])
     return [
-        f"channel {names}: coherence {values}, {others:.2f} of the others: hardly moves, has a loose cable or is dead"
+        f"channel {names}: coherence {values}, {others:.2f} of the others: hardly moves, has a "
+        "loose cable or is dead"
     ]
 
 
 def fit_notes(frfs: FrfSet, modes: ModeSet, error: Float) -> tuple[str, ...]:
-    """What the modes found tell of the FRFs: responses cut off by the block, and errors that are no noise.
+    """What the modes found tell of the FRFs: responses cut off by the block, and errors that are no
+    noise.
 
     Parameters
     ----------
@@ -135,41 +169,59 @@ def fit_notes(frfs: FrfSet, modes: ModeSet, error: Float) -> tuple[str, ...]:
     if cut and np.isinf(frfs.kept) and not (frfs.sharp or frfs.hann):
         more = f" and {len(cut) - 6} more" if len(cut) > 6 else ""
         out.append(
-            f"less than {_CUT:g} lines in the half-power bandwidth at {' '.join(cut[:6])} Hz{more}: the blocks are "
+            f"less than {_CUT:g} lines in the half-power bandwidth at {' '.join(cut[:6])} "
+            f"Hz{more}: the blocks are "
             "short for these modes, and windows other than the exponential one raise their damping"
         )
     if np.isfinite(frfs.coherence).all():
         n = np.where(np.isfinite(frfs.averages), np.maximum(frfs.averages, 1), 1)
         g = np.clip(frfs.coherence, 1e-3, 1.0)
         power = np.abs(frfs.data) ** 2
-        noise = np.sqrt((power * (1 - g) / (n * g)).sum(axis=0) / np.maximum(power.sum(axis=0), 1e-300))
+        noise = np.sqrt(
+            (power * (1 - g) / (n * g)).sum(axis=0) / np.maximum(power.sum(axis=0), 1e-300)
+        )
         typical, due = float(np.median(error)), float(np.median(noise))
         if typical > max(_POOR, 3 * due):
             blocks = " or" if frfs.sharp else ", short blocks or"
             out.append(
-                f"the modes leave {100 * typical:.2g} % of the typical FRF, its coherence explains {100 * due:.2g} %: "
-                f"FRFs that disagree (mass of moved sensors, temperature){blocks} modes outside the band"
+                f"the modes leave {100 * typical:.2g} % of the typical FRF, its coherence "
+                f"explains {100 * due:.2g} %: "
+                f"FRFs that disagree (mass of moved sensors, temperature){blocks} modes outside "
+                "the band"
             )
     return tuple(out)
 
 
 def parted_modes(model: ModalModel) -> str:
-    """Tells batches that disagree where a mode of each explains them: side by side, driven alike, seen by others.
+    """Tells batches that disagree where a mode of each explains them: side by side, driven alike,
+    seen by others.
 
     Two bending directions are driven differently; with one reference nothing is said.
     """
     if model.participation.shape[1] < 2 or model.poles.size < _MODES:
         return ""
     order = np.argsort(model.frequencies)
-    f, shapes, part = model.frequencies[order], np.abs(model.shapes[:, order]), model.participation[order].T
+    f, shapes, part = (
+        model.frequencies[order],
+        np.abs(model.shapes[:, order]),
+        model.participation[order].T,
+    )
     both = unit(shapes).T @ unit(shapes)
-    apart = (f / f[:, None] > 1) & (f / f[:, None] < _SIDE) & (both < _UNLIKE) & (mac(part, part) > _ALIKE)
+    apart = (
+        (f / f[:, None] > 1)
+        & (f / f[:, None] < _SIDE)
+        & (both < _UNLIKE)
+        & (mac(part, part) > _ALIKE)
+    )
     first, second = np.nonzero(apart)
     if 2 * np.unique(first).size < 0.5 * f.size:
         return ""
-    pairs = ", ".join(f"{f[i]:.5g} and {f[k]:.5g}" for i, k in zip(first[:3], second[:3], strict=True))
+    pairs = ", ".join(
+        f"{f[i]:.5g} and {f[k]:.5g}" for i, k in zip(first[:3], second[:3], strict=True)
+    )
     return (
-        f"modes at {pairs} Hz are driven alike and seen by different responses: FRFs that disagree show each mode twice"
+        f"modes at {pairs} Hz are driven alike and seen by different responses: FRFs that "
+        "disagree show each mode twice"
     )
 
 
@@ -185,24 +237,32 @@ def late_channels(modes: ModeSet) -> tuple[str, ...]:
     size = np.abs(modes.shapes) / np.maximum(np.linalg.norm(modes.shapes, axis=0), 1e-300)
     weight = size**2 / np.maximum((size**2).sum(axis=1, keepdims=True), 1e-300)
     turned = np.exp(2j * np.angle(modes.shapes)) * weight
-    real = (turned @ np.exp(2j * omega[:, None] * delay)).real  # (channel, delay), 1 where all phases are 0 or 180°
+    real = (
+        turned @ np.exp(2j * omega[:, None] * delay)
+    ).real  # (channel, delay), 1 where all phases are 0 or 180°
     now, best = real[:, delay.size // 2], real.max(axis=1)
     seen = 1 / np.maximum((weight**2).sum(axis=1), 1e-300) > _MODES - 1  # modes that count
     late = (now < _REAL) & (best > _DELAYED) & seen & (np.median(now) > _DELAYED)
     return tuple(
         f"response {modes.channels[k]} looks {1e3 * abs(delay[real[k].argmax()]):.2g} ms "
-        f"{'late' if real[k].argmax() > delay.size // 2 else 'early'}: its phase goes with the frequency"
+        f"{'late' if real[k].argmax() > delay.size // 2 else 'early'}: its phase goes with the "
+        "frequency"
         for k in np.flatnonzero(late).tolist()
     )
 
 
 def sound_pairs(frfs: FrfSet) -> list[tuple[int, int, float]]:
-    """(output, input, sign) of the driving points but for those that give power to the hammer: turned ones."""
-    return [(o, i, sign) for o, i, sign in driving_pairs(frfs) if sign * passive(frfs, o, i) > -_TURNED]
+    """(output, input, sign) of the driving points but for those that give power to the hammer:
+    turned ones.
+    """
+    return [
+        (o, i, sign) for o, i, sign in driving_pairs(frfs) if sign * passive(frfs, o, i) > -_TURNED
+    ]
 
 
 def residues(frfs: FrfSet, poles: Complex) -> Complex:
-    """Residues (m, out, in) of each FRF by itself, with a lower and an upper residual: no shape is asked for.
+    """Residues (m, out, in) of each FRF by itself, with a lower and an upper residual: no shape is
+    asked for.
 
     Parameters
     ----------
@@ -227,18 +287,22 @@ def residues(frfs: FrfSet, poles: Complex) -> Complex:
 
 
 def misfit(r: Complex) -> Float:
-    """(...,) share of the squared residues `r` (..., out, in) that no single shape explains: rank one in each mode."""
+    """(...,) share of the squared residues `r` (..., out, in) that no single shape explains: rank
+    one in each mode.
+    """
     gram = r.conj().swapaxes(-1, -2) @ r
     values = np.linalg.eigvalsh(gram)
     return np.asarray(1 - values[..., -1] / np.maximum(values.sum(axis=-1), 1e-300))
 
 
 def odd_channel(frfs: FrfSet, poles: Complex) -> str:
-    """A response that one reference sees turned or exchanged with another, told from the rank of the residues.
+    """A response that one reference sees turned or exchanged with another, told from the rank of
+    the residues.
 
-    In a linear structure the residues of each mode are a shape times the participations, H_oi ~ ψ_o l_i. A channel
-    turned or swapped while one reference was measured breaks that in all modes; undoing it must mend all of them.
-    Empty if the residues fit, nothing single mends them, or there is one reference or mode only.
+    In a linear structure the residues of each mode are a shape times the participations, H_oi ~ ψ_o
+    l_i. A channel turned or swapped while one reference was measured breaks that in all modes;
+    undoing it must mend all of them. Empty if the residues fit, nothing single mends them, or there
+    is one reference or mode only.
     """
     poles = _distinct(poles)
     n_out, n_in = frfs.data.shape[1:]
@@ -271,7 +335,10 @@ def odd_channel(frfs: FrfSet, poles: Complex) -> str:
                 told = f"responses {pair} look swapped under reference {under[i]}"
     if best > _CURED * now:
         return ""
-    return f"{told}: {100 * now:.2g} % of the residues fit no single shape, {100 * best:.2g} % if that is mended"
+    return (
+        f"{told}: {100 * now:.2g} % of the residues fit no single shape, {100 * best:.2g} % "
+        "if that is mended"
+    )
 
 
 def _distinct(poles: Complex) -> Complex:

@@ -1,4 +1,6 @@
-"""Modes of FRFs by another method than pLSCF with refinement: LSCE, rational fraction polynomials, CMIF peaks."""
+"""Modes of FRFs by another method than pLSCF with refinement: LSCE, rational fraction polynomials,
+CMIF peaks.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,9 @@ from ringtrue.signal.reciprocal import exchanged
 Method = Literal["lsce", "rfp", "cmif"]
 METHODS: tuple[str, ...] = get_args(Method)
 NAMES = {"lsce": "LSCE", "rfp": "rational fraction polynomials", "cmif": "CMIF peaks"}
-WIDER = 0.2  # of a band, at either end: LSCE tapers it, and the polynomials know their band best within
+WIDER = (
+    0.2  # of a band, at either end: LSCE tapers it, and the polynomials know their band best within
+)
 SPARE = 8  # orders above twice the peaks
 PEAKS = 2 * MOST_PEAKS  # of a band that count: more are noise
 MOST_RESPONSES = 8  # that the polynomials are fitted to
@@ -48,8 +52,9 @@ def identify_frfs_by(
 ) -> SecondOpinion:
     """Modes of FRFs by one of `METHODS`.
 
-    Poles of LSCE and of the polynomials that stay in place over the orders, shapes by one global LSFD, and the verdict
-    of `identify_hammer` on each; nothing is refined. CMIF peaks as `cmif_modes` finds them.
+    Poles of LSCE and of the polynomials that stay in place over the orders, shapes by one global
+    LSFD, and the verdict of `identify_hammer` on each; nothing is refined. CMIF peaks as
+    `cmif_modes` finds them.
 
     Raises
     ------
@@ -72,7 +77,9 @@ def identify_frfs_by(
         reasons: tuple[str, ...] = ("peak of the CMIF",) * told.size
         sure = np.ones(model.poles.size)
     else:
-        model, sure, why = _stable(method, lines_between(frfs, 0.8 * low, 1.25 * high), settings, tell)
+        model, sure, why = _stable(
+            method, lines_between(frfs, 0.8 * low, 1.25 * high), settings, tell
+        )
         told = np.flatnonzero((model.frequencies >= low) & (model.frequencies <= high))
         reasons = tuple(why[k] for k in told)
     told = told[np.argsort(model.frequencies[told], kind="stable")]
@@ -80,17 +87,31 @@ def identify_frfs_by(
     none = np.full(len(modes), np.nan)
     std = Uncertainty.independent(none, none, np.full(modes.shapes.shape, np.nan))
     notes = (*((roving,) if roving else ()), *frf_notes(frfs, sound_pairs(frfs)))
-    return SecondOpinion(modes, std, reasons, (f"no standard deviations: {NAMES[method]} states none here", *notes))
+    return SecondOpinion(
+        modes, std, reasons, (f"no standard deviations: {NAMES[method]} states none here", *notes)
+    )
 
 
 def _modes(model: ModalModel, sure: Float, source: str) -> ModeSet:
     norm = Norm.UNSCALED if model.norm is Norm.UNSCALED else Norm.MASS
     labels = tuple(c.id for c in model.outputs)
-    return ModeSet(model.frequencies, model.damping, model.shapes * mode_scale(model), labels, norm, source, sure)
+    return ModeSet(
+        model.frequencies,
+        model.damping,
+        model.shapes * mode_scale(model),
+        labels,
+        norm,
+        source,
+        sure,
+    )
 
 
-def _stable(method: str, used: FrfSet, settings: HammerModes, tell: Progress) -> tuple[ModalModel, Float, list[str]]:
-    """Modes that stay in place over the orders and pass the verdict, with confidence and reasons."""
+def _stable(
+    method: str, used: FrfSet, settings: HammerModes, tell: Progress
+) -> tuple[ModalModel, Float, list[str]]:
+    """Modes that stay in place over the orders and pass the verdict, with confidence and
+    reasons.
+    """
     sigma = noise(used)
     curve = cmif(used.data / sigma.response[:, None])
     bands = choose_bands(used.freqs, curve, float(used.freqs[0]), float(used.freqs[-1]))
@@ -98,8 +119,12 @@ def _stable(method: str, used: FrfSet, settings: HammerModes, tell: Progress) ->
     for k, (a, b) in enumerate(bands):
         tell(0.8 * k / len(bands), f"{NAMES[method]}: {a:.3g} .. {b:.3g} Hz")
         wide = (used.freqs >= a - WIDER * (b - a)) & (used.freqs <= b + WIDER * (b - a))
-        white = used.data[wide] / (np.median(sigma.line[wide]) * sigma.response[:, None] * sigma.input)
-        white = _few(white) if method == "rfp" else principal(white)  # the polynomials take every FRF for as good
+        white = used.data[wide] / (
+            np.median(sigma.line[wide]) * sigma.response[:, None] * sigma.input
+        )
+        white = (
+            _few(white) if method == "rfp" else principal(white)
+        )  # the polynomials take every FRF for as good
         peaks = min(count_peaks(curve[wide]).size, PEAKS)
         most = settings.damping_max + used.window_decay / (2 * np.pi * used.freqs[wide][0])
         poles = _poles(method, white, used.freqs[wide], peaks, most)
@@ -108,15 +133,23 @@ def _stable(method: str, used: FrfSet, settings: HammerModes, tell: Progress) ->
         found.append(grouped(poles, white, sigma, used, wide)[1])
     c = merged(found, used.freqs, used.window_decay)
     lines, pairs = prepare(used, sigma), sound_pairs(used)
-    while c.pole.size:  # a verdict hangs on the other modes: the worse half of the bad go, and it is taken again
+    while (
+        c.pole.size
+    ):  # a verdict hangs on the other modes: the worse half of the bad go, and it is taken again
         fit = refine(lines, c.pole, c.participation, iterations=0)
         here = replace(c, pole=fit.poles, participation=fit.participation)
         verdict = judge(lines, fit, here, pairs, damping_max=settings.damping_max)
         bad = np.count_nonzero(verdict.confidence < settings.confidence_min)
         if not bad:
-            return lsfd(used, fit.poles, fit.participation, lines, pairs), verdict.confidence, list(verdict.reason)
+            return (
+                lsfd(used, fit.poles, fit.participation, lines, pairs),
+                verdict.confidence,
+                list(verdict.reason),
+            )
         c = c.take(np.sort(np.argsort(verdict.confidence, kind="stable")[(bad + 1) // 2 :]))
-    raise DataError(f"{used.source}: {NAMES[method]} shows no mode that stays in place over the orders")
+    raise DataError(
+        f"{used.source}: {NAMES[method]} shows no mode that stays in place over the orders"
+    )
 
 
 def _few(white: Complex) -> Complex:
@@ -133,6 +166,8 @@ def _poles(method: str, white: Complex, freqs: Float, peaks: int, damping_max: f
         return rfp(white, freqs, Rfp(max(1, peaks), top, damping_max=damping_max))
     step = np.diff(freqs)
     if np.ptp(step) > 1e-3 * step.mean():
-        raise ConfigError("LSCE works on impulse responses, which take lines in equal steps; take plscf or rfp")
+        raise ConfigError(
+            "LSCE works on impulse responses, which take lines in equal steps; take plscf or rfp"
+        )
     top = max(min(int(np.ceil((4 * peaks + 2 * SPARE) / n_in)), lines // 4), 3)
     return lsce(white, freqs, Lsce(max(1, top // 4), top, damping_max))

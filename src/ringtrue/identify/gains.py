@@ -1,7 +1,8 @@
 """Sensors that are replaced, or whose amplifiers are set anew, while a structure is monitored.
 
-From then on one channel has another factor in the shapes of all modes, and the other channels keep their ratios. A
-structure that changes moves some modes more than others, and several channels of each.
+From then on one channel has another factor in the shapes of all modes, and the other channels keep
+their ratios. A structure that changes moves some modes more than others, and several channels of
+each.
 """
 
 from __future__ import annotations
@@ -17,7 +18,10 @@ from ringtrue.identify.tracking import ModeTrack, Stretch, Tracked, TrackSetting
 
 LEAST = 3  # stretches on either side of a change, that a mode must be seen in
 CHANGE, SURE = 0.1, 6.0  # of the logarithm of the factor: the least, and in standard deviations
-SUDDEN = 0.6, 1.6  # of the change, from the last stretches before it to the first ones after: sensors also drift
+SUDDEN = (
+    0.6,
+    1.6,
+)  # of the change, from the last stretches before it to the first ones after: sensors also drift
 ALONE = 4.0  # times the change of the typical channel
 FEWEST = 3  # channels: of two, either may have changed
 SEEN = 0.1  # of the component of the typical channel: what is below is mostly noise
@@ -49,7 +53,8 @@ class GainChange:
 def with_equal_gains(
     stretches: Sequence[Stretch], settings: TrackSettings | None = None
 ) -> tuple[list[Stretch], list[GainChange]]:
-    """The stretches with shapes as the sensors of the first ones measure them, and the changes, by time.
+    """The stretches with shapes as the sensors of the first ones measure them, and the changes, by
+    time.
 
     Parameters
     ----------
@@ -75,7 +80,9 @@ def with_equal_gains(
 
 def _divided(stretch: Stretch, change: GainChange) -> Stretch:
     """The stretch with the components of the channel over the factor."""
-    factor = np.array([change.factor if c == change.channel else 1.0 for c in stretch.modes.channels])[:, None]
+    factor = np.array(
+        [change.factor if c == change.channel else 1.0 for c in stretch.modes.channels]
+    )[:, None]
     modes, uncertainty = stretch.modes, stretch.uncertainty
     return replace(
         stretch,
@@ -92,9 +99,13 @@ def _largest(tracked: Tracked, stretches: Sequence[Stretch]) -> GainChange | Non
     steps, variances = zip(*(_steps(_levels(x)) for x in sizes), strict=True)
     size, std = _pooled(np.array(steps), np.array(variances))
     usual = np.median(np.abs(size), axis=0)
-    ratio = np.where((np.abs(size) > CHANGE) & (np.abs(size) > ALONE * usual), np.abs(size) / std, 0.0)
+    ratio = np.where(
+        (np.abs(size) > CHANGE) & (np.abs(size) > ALONE * usual), np.abs(size) / std, 0.0
+    )
     places = np.argsort(-ratio, axis=None, kind="stable")[:TRIED]
-    for c, at in zip(*np.unravel_index(places[ratio.flat[places] > SURE], ratio.shape), strict=True):  # few
+    for c, at in zip(
+        *np.unravel_index(places[ratio.flat[places] > SURE], ratio.shape), strict=True
+    ):  # few
         if (sure := _confirmed([_levels(x, int(c))[c] for x in sizes], int(at))) is not None:
             factor = float(np.exp(sure[0]))
             return GainChange(tracked.channels[c], int(at), factor, factor * sure[1])
@@ -105,7 +116,9 @@ def _sizes(tracked: Tracked, track: ModeTrack, stretches: Sequence[Stretch]) -> 
     """(channel, stretch) moduli of the components of a mode, NaN where unknown."""
     place = {c: i for i, c in enumerate(tracked.channels)}
     size = np.full((len(place), len(stretches)), np.nan)
-    for k, j in zip(track.at.tolist(), track.mode.tolist(), strict=True):  # stretches may have different channels
+    for k, j in zip(
+        track.at.tolist(), track.mode.tolist(), strict=True
+    ):  # stretches may have different channels
         modes = stretches[k].modes
         size[[place[c] for c in modes.channels], k] = np.abs(modes.shapes[:, j])
     size[size <= 0] = np.nan
@@ -113,7 +126,8 @@ def _sizes(tracked: Tracked, track: ModeTrack, stretches: Sequence[Stretch]) -> 
 
 
 def _levels(size: Float, but: int | None = None) -> Float:
-    """Logarithms of the components (channel, stretch) over the usual ones, in units of the typical channel `but` one.
+    """Logarithms of the components (channel, stretch) over the usual ones, in units of the typical
+    channel `but` one.
 
     NaN where they are small.
     """
@@ -127,24 +141,35 @@ def _levels(size: Float, but: int | None = None) -> Float:
 def _median(x: Float, axis: int) -> Float:
     """Over an axis, which stays; NaN where nothing is known."""
     known = np.isfinite(x).any(axis=axis, keepdims=True)
-    return np.asarray(np.where(known, np.nanmedian(np.where(known, x, 0.0), axis=axis, keepdims=True), np.nan))
+    return np.asarray(
+        np.where(known, np.nanmedian(np.where(known, x, 0.0), axis=axis, keepdims=True), np.nan)
+    )
 
 
 def _steps(level: Float) -> tuple[Float, Float]:
-    """Change of the levels (..., stretch) from each stretch on, and its variance; infinite where too few are known."""
+    """Change of the levels (..., stretch) from each stretch on, and its variance; infinite where
+    too few are known.
+    """
     seen = np.isfinite(level)
     x = np.where(seen, level, 0.0)
     before, after = np.cumsum(seen, axis=-1) - seen, np.cumsum(seen[..., ::-1], axis=-1)[..., ::-1]
     one, two = np.maximum(before, 1), np.maximum(after, 1)
-    early, late = (np.cumsum(x, axis=-1) - x) / one, np.cumsum(x[..., ::-1], axis=-1)[..., ::-1] / two
+    early, late = (
+        (np.cumsum(x, axis=-1) - x) / one,
+        np.cumsum(x[..., ::-1], axis=-1)[..., ::-1] / two,
+    )
     left = (x**2).sum(axis=-1, keepdims=True) - before * early**2 - after * late**2
     scatter = np.maximum(left / np.maximum(before + after - 2, 1), QUIETEST**2)
     enough = (before >= LEAST) & (after >= LEAST)
-    return np.where(enough, late - early, 0.0), np.where(enough, scatter * (1 / one + 1 / two), np.inf)
+    return np.where(enough, late - early, 0.0), np.where(
+        enough, scatter * (1 / one + 1 / two), np.inf
+    )
 
 
 def _pooled(size: Float, variance: Float) -> tuple[Float, Float]:
-    """Mean of the changes (mode, ...) by their variances, and its deviation, wider where modes differ."""
+    """Mean of the changes (mode, ...) by their variances, and its deviation, wider where modes
+    differ.
+    """
     weight = 1 / variance
     total = np.maximum(weight.sum(axis=0), np.finfo(np.float64).tiny)
     mean = (weight * size).sum(axis=0) / total
@@ -153,7 +178,8 @@ def _pooled(size: Float, variance: Float) -> tuple[Float, Float]:
 
 
 def _confirmed(levels: Sequence[Float], at: int) -> tuple[float, float] | None:
-    """The change of the levels of a channel (stretch,) in all modes and its deviation; None where it is no sure one.
+    """The change of the levels of a channel (stretch,) in all modes and its deviation; None where
+    it is no sure one.
 
     Residuals that hang together from stretch to stretch make it less certain.
     """
@@ -173,4 +199,8 @@ def _confirmed(levels: Sequence[Float], at: int) -> tuple[float, float] | None:
     mean, std = (float(x) for x in _pooled(np.array(sizes), np.array(variances)))
     weight = 1 / np.array(variances)
     at_once = float(weight @ np.array(sudden) / weight.sum()) / mean
-    return (mean, std) if abs(mean) > max(CHANGE, SURE * std) and SUDDEN[0] < at_once < SUDDEN[1] else None
+    return (
+        (mean, std)
+        if abs(mean) > max(CHANGE, SURE * std) and SUDDEN[0] < at_once < SUDDEN[1]
+        else None
+    )

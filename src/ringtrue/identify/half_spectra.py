@@ -1,10 +1,11 @@
 """Ambient modes by poly-reference LSCF on half spectra, refined by least squares.
 
-The half spectra are those of Peeters and Van der Auweraer (2005), "PolyMAX: a revolution in operational modal
-analysis", IOMAC: the correlations at positive lags under an exponential window, whose decay is taken out of the poles.
-They have the form of FRFs with the references as inputs, so the poles, whose damping LSCF has too small in noise, are
-refined and judged as those of FRFs are (after El-Kafafy, Peeters and Guillaume 2013). Correlations of one record hang
-together from lag to lag and noise may fit them well, so both halves of the record must show a mode.
+The half spectra are those of Peeters and Van der Auweraer (2005), "PolyMAX: a revolution in
+operational modal analysis", IOMAC: the correlations at positive lags under an exponential window,
+whose decay is taken out of the poles. They have the form of FRFs with the references as inputs, so
+the poles, whose damping LSCF has too small in noise, are refined and judged as those of FRFs are
+(after El-Kafafy, Peeters and Guillaume 2013). Correlations of one record hang together from lag to
+lag and noise may fit them well, so both halves of the record must show a mode.
 """
 
 from __future__ import annotations
@@ -30,17 +31,27 @@ from ringtrue.identify.ssi import choose_references, prepared
 from ringtrue.shapes.mac import mac
 from ringtrue.signal.psd import correlations
 
-LAGS, ENDS_AT = 400, 0.01  # of a half spectrum, and what the exponential window leaves at the last of them
+LAGS, ENDS_AT = (
+    400,
+    0.01,
+)  # of a half spectrum, and what the exponential window leaves at the last of them
 FEWEST_LAGS, SAMPLES_A_LAG = 64, 8
 STATES = 120  # order times references
 DAMPING_MAX = 0.2
-APART, BANDWIDTH = 6.0, 0.5  # of poles of both halves: in deviations of the record's, and half bandwidths
+APART, BANDWIDTH = (
+    6.0,
+    0.5,
+)  # of poles of both halves: in deviations of the record's, and half bandwidths
 
 
 def half_spectra_modes(
-    history: TimeHistory, band: tuple[float, float], references: Sequence[str] | None = None, least: float = 0.33
+    history: TimeHistory,
+    band: tuple[float, float],
+    references: Sequence[str] | None = None,
+    least: float = 0.33,
 ) -> tuple[ModeSet, Uncertainty]:
-    """Modes of a band (Hz): poles that stay in place over the orders, refined, and seen in both halves of the record.
+    """Modes of a band (Hz): poles that stay in place over the orders, refined, and seen in both
+    halves of the record.
 
     Parameters
     ----------
@@ -66,9 +77,12 @@ def half_spectra_modes(
     data, scale = prepared(history)
     refs, lags = choose_references(history, data, references), _lags(history)
     whole, *halves = (
-        _half_spectra(replace(history, data=x), band, refs, lags) for x in (data, *np.array_split(data, 2, axis=1))
+        _half_spectra(replace(history, data=x), band, refs, lags)
+        for x in (data, *np.array_split(data, 2, axis=1))
     )
-    level = Noise(np.sqrt((np.abs(whole.data) ** 2).mean(axis=(1, 2))), np.ones(len(data)), np.ones(refs.size))
+    level = Noise(
+        np.sqrt((np.abs(whole.data) ** 2).mean(axis=(1, 2))), np.ones(len(data)), np.ones(refs.size)
+    )
     everywhere = np.ones(whole.freqs.size, dtype=np.bool_)
     found = grouped(_poles(whole), whole.data, level, whole, everywhere)[1]
     start = merged([found], whole.freqs, whole.window_decay)
@@ -76,7 +90,9 @@ def half_spectra_modes(
     rank = np.argsort(np.abs(pole), kind="stable")
     pole, shape = pole[rank], unit(shape[:, rank] * scale[:, None])
     ids, none = tuple(c.id for c in history.channels), np.full(pole.size, np.nan)
-    modes = ModeSet(np.abs(pole) / (2 * np.pi), -pole.real / np.abs(pole), shape, ids, confidence=sure[rank])
+    modes = ModeSet(
+        np.abs(pole) / (2 * np.pi), -pole.real / np.abs(pole), shape, ids, confidence=sure[rank]
+    )
     return modes, Uncertainty.independent(none, none, np.full(shape.shape, np.nan))
 
 
@@ -84,7 +100,8 @@ def _lags(history: TimeHistory) -> int:
     samples = int(history.data.shape[1])
     if (lags := min(LAGS, samples // SAMPLES_A_LAG)) < FEWEST_LAGS:
         raise DataError(
-            f"{history.source}: {samples} samples are too few for half spectra; needed: {SAMPLES_A_LAG * FEWEST_LAGS}"
+            f"{history.source}: {samples} samples are too few for half spectra; needed: "
+            f"{SAMPLES_A_LAG * FEWEST_LAGS}"
         )
     return lags
 
@@ -95,7 +112,9 @@ def _half_spectra(part: TimeHistory, band: tuple[float, float], refs: Int, lags:
     tapered = np.exp(-decay * np.arange(1, lags + 1) / part.rate)[:, None, None]
     r = correlations(part.data, refs, lags)[1:] * tapered
     freqs = np.arange(lags // 2 + 1) * part.rate / lags
-    half = np.fft.rfft(r, axis=0) * np.exp(-2j * np.pi * freqs / part.rate)[:, None, None]  # lag 0, noise, is out
+    half = (
+        np.fft.rfft(r, axis=0) * np.exp(-2j * np.pi * freqs / part.rate)[:, None, None]
+    )  # lag 0, noise, is out
     at = (freqs >= 0.9 * band[0]) & (freqs <= min(1.1 * band[1], 0.48 * part.rate)) & (freqs > 0)
     inputs = tuple(part.channels[i] for i in refs)
     return FrfSet(half[at], freqs[at], part.channels, inputs, kind="receptance", window_decay=decay)
@@ -109,14 +128,20 @@ def _poles(spectra: FrfSet) -> PoleSet:
 
 
 def _settled(
-    c: Candidates, whole: FrfSet, halves: Sequence[FrfSet], level: Noise, duration: float, least: float
+    c: Candidates,
+    whole: FrfSet,
+    halves: Sequence[FrfSet],
+    level: Noise,
+    duration: float,
+    least: float,
 ) -> tuple[Complex, Complex, Float]:
     """Refined poles (m,), shapes (ch, m) and confidence of those that have `least` of it.
 
     A verdict hangs on the other modes: the worst goes, and the others are fitted anew.
     """
     lines = prepare(whole, level)
-    # a pole may lose its damping in half of the record, and then stops no other where the window keeps it stable
+    # a pole may lose its damping in half of the record, and then stops no other where the window
+    # keeps it stable
     one, two = (prepare(replace(x, window_decay=0.0), level) for x in halves)
     while c.pole.size:
         fit = refine(lines, c.pole, c.participation)
@@ -132,7 +157,9 @@ def _settled(
 
 
 def _agreement(pole: Complex, one: Refined, two: Refined, duration: float) -> Float:
-    """(m,) 0..1: MAC of the shapes that both halves of the record give, less where their poles lie apart."""
+    """(m,) 0..1: MAC of the shapes that both halves of the record give, less where their poles lie
+    apart.
+    """
     size = np.abs(pole)
     std, _ = least_deviations(size / (2 * np.pi), -pole.real / size, duration)
     reach = np.maximum(2 * np.pi * APART * std, BANDWIDTH * -pole.real)

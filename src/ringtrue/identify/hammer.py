@@ -1,4 +1,6 @@
-"""Modes from hammer FRFs in one call: bands, poles, global residues, refinement, and a verdict on every mode."""
+"""Modes from hammer FRFs in one call: bands, poles, global residues, refinement, and a verdict on
+every mode.
+"""
 
 from __future__ import annotations
 
@@ -54,8 +56,10 @@ from ringtrue.signal.reciprocal import exchanged
 TURNS = 6
 LAST_ITERATIONS = 60
 FADED = 0.95  # of the misfit, that blocks of noise under a Hann window leave as such, if they are
-NO_WORSE = 1.05  # times the misfit: of responses that disagree about modes, a mode for each with a pole of its own
-RINGING_TURNS = 6  # of weights: a coherence takes for noise what rings on from the blow before, and the fit explains
+# times the misfit: of responses that disagree about modes, a mode for each with a pole of its own
+NO_WORSE = 1.05
+# of weights: a coherence takes for noise what rings on from the blow before, and the fit explains
+RINGING_TURNS = 6
 MOST_NEW = 6
 MOST_BYTES = 2e9
 PAIR = "one of two modes of one frequency: any turn of the two shapes in their plane fits as well"
@@ -68,8 +72,8 @@ class HammerModes:
     Attributes
     ----------
     fmin, fmax : float, Hz, optional
-        The modes to report; by default all up to where the FRFs are noise. Lines just outside are used where there
-        are such.
+        The modes to report; by default all up to where the FRFs are noise. Lines just outside are
+        used where there are such.
     damping_max : float
         Modes above are not believed.
     bands : tuple of (float, float), Hz
@@ -95,7 +99,8 @@ class HammerResult:
     Attributes
     ----------
     model : ModalModel
-        All poles of the fit, those just outside the reported band too; damping without the exponential window.
+        All poles of the fit, those just outside the reported band too; damping without the
+        exponential window.
     modes : ModeSet
         The reported modes, complex shapes, unit modal mass where a driving point was measured.
     uncertainty : Uncertainty
@@ -143,14 +148,16 @@ def identify_hammer(
 ) -> HammerResult:
     """Modes from frequency response functions, automatically.
 
-    pLSCF of many orders in several overlapping bands; poles that stay in place over the orders become candidates;
-    one global LSFD gives their shapes; weighted nonlinear least squares refines all of them together; modes that
-    add nothing, double another one or cannot be told from noise are left out.
+    pLSCF of many orders in several overlapping bands; poles that stay in place over the orders
+    become candidates; one global LSFD gives their shapes; weighted nonlinear least squares refines
+    all of them together; modes that add nothing, double another one or cannot be told from noise
+    are left out.
 
     Parameters
     ----------
     frfs : FrfSet
-        Of a roving hammer, with fewer responses than references, shapes are at the points struck, by reciprocity.
+        Of a roving hammer, with fewer responses than references, shapes are at the points struck,
+        by reciprocity.
     settings : HammerModes, optional
     choice : Choice, optional
         What a person decided on the modes; the poles picked are refined together with the others.
@@ -170,8 +177,11 @@ def identify_hammer(
     used = lines_between(frfs, 0.8 * low, 1.25 * high)
     sigma = noise(used)
     curve = cmif(used.data / sigma.response[:, None])
-    # the refinement sees all the lines: a mode left out at their ends would be patched up by broad terms inside
-    bands = settings.bands or choose_bands(used.freqs, curve, float(used.freqs[0]), float(used.freqs[-1]))
+    # the refinement sees all the lines: a mode left out at their ends would be patched up by broad
+    # terms inside
+    bands = settings.bands or choose_bands(
+        used.freqs, curve, float(used.freqs[0]), float(used.freqs[-1])
+    )
     found, diagrams = [], []
     for i, band in enumerate(bands):
         tell(0.05 + 0.55 * i / len(bands), f"poles in {band[0]:.3g}-{band[1]:.3g} Hz")
@@ -180,15 +190,23 @@ def identify_hammer(
         diagrams.append(diagram)
     candidates = merged(found, used.freqs, used.window_decay)
     if not candidates.pole.size:
-        raise DataError(f"{frfs.source}: no pole stays in place over the orders between {low:g} and {high:g} Hz")
+        raise DataError(
+            f"{frfs.source}: no pole stays in place over the orders between {low:g} and {high:g} Hz"
+        )
     if 16 * 6 * candidates.pole.size * used.freqs.size > MOST_BYTES:
         raise DataError(
-            f"{frfs.source}: {candidates.pole.size} candidates on {used.freqs.size} lines are too many; "
+            f"{frfs.source}: {candidates.pole.size} candidates on {used.freqs.size} lines are "
+            "too many; "
             "narrow the band with fmin, fmax"
         )
     tell(0.65, f"residues of {candidates.pole.size} candidates")
     search = _Search(
-        prepare(used, sigma), sound_pairs(used), settings, [d.poles for d in diagrams], used.window_decay, frfs.source
+        prepare(used, sigma),
+        sound_pairs(used),
+        settings,
+        [d.poles for d in diagrams],
+        used.window_decay,
+        frfs.source,
     )
     fit, rejected = _fit(search, candidates, tell)
     used, search, fit, faded = _of_blocks(used, search, fit)
@@ -206,7 +224,9 @@ def identify_hammer(
     said = fit_notes(reported, result.modes, result.synthesis_error)
     late = late_channels(result.modes)
     told = tuple(filter(None, (roving, end_note(frfs, settings.fmax, high), faded)))
-    odd = tuple(filter(None, (split, odd_channel(used, fit.refined.poles), parted_modes(result.model))))
+    odd = tuple(
+        filter(None, (split, odd_channel(used, fit.refined.poles), parted_modes(result.model)))
+    )
     broken = reciprocity_note(result.model, search.pairs)
     scale = (broken,) if broken else result.notes
     told = (*told, *frf_notes(reported, search.pairs), *scale, *said, *late, *odd, *notes)
@@ -234,7 +254,9 @@ class _Search:
 
     def refined(self, c: Candidates) -> _Fit:
         """The candidates refined; the verdict is still open."""
-        fit = united(self.lines, refine(self.lines, c.pole, c.participation, local=self.last), self.pairs)
+        fit = united(
+            self.lines, refine(self.lines, c.pole, c.participation, local=self.last), self.pairs
+        )
         return _Fit(fit, c, Verdict(np.abs(c.pole), np.ones(c.pole.size), ()))
 
     def judged(self, fit: _Fit, *, strict: bool) -> _Fit:
@@ -243,7 +265,9 @@ class _Search:
         held = support(r.poles, r.participation, self.sets, self.decay)
         held = held if strict else np.maximum(held, fit.candidates.support)
         c = replace(fit.candidates, pole=r.poles, participation=r.participation, support=held)
-        verdict = judge(self.lines, r, c, self.pairs, damping_max=self.settings.damping_max, strict=strict)
+        verdict = judge(
+            self.lines, r, c, self.pairs, damping_max=self.settings.damping_max, strict=strict
+        )
         return _Fit(r, c, verdict)
 
     def settle(self, fit: _Fit, turns: int, *, strict: bool) -> tuple[_Fit, list[str]]:
@@ -256,7 +280,9 @@ class _Search:
                 break
             rejected += [fit.verdict.describe(k) for k in np.flatnonzero(~keep).tolist()]
             if not keep.any():
-                raise DataError(f"{self.source}: no mode is believed; the last ones: {'; '.join(rejected[-3:])}")
+                raise DataError(
+                    f"{self.source}: no mode is believed; the last ones: {'; '.join(rejected[-3:])}"
+                )
             fit = self.refined(fit.candidates.take(keep))
         return fit, rejected
 
@@ -266,25 +292,35 @@ def _fit(search: _Search, start: Candidates, tell: Progress) -> tuple[_Fit, list
     lines, settings = search.lines, search.settings
     best, rejected = search.settle(search.refined(start), TURNS, strict=False)
     for turn in range(settings.searches):
-        tell(0.7 + 0.25 * turn / settings.searches, f"{best.refined.poles.size} modes, looking for missed ones")
+        tell(
+            0.7 + 0.25 * turn / settings.searches,
+            f"{best.refined.poles.size} modes, looking for missed ones",
+        )
         more = missed(lines, best.refined, search.sets, search.decay, MOST_NEW)
         if not more.pole.size:
             break
         new, why = search.settle(search.refined(_joined(best, more)), TURNS, strict=False)
         rejected += why
-        if new.refined.poles.size < best.refined.poles.size or new.refined.cost > 0.99 * best.refined.cost:
+        if (
+            new.refined.poles.size < best.refined.poles.size
+            or new.refined.cost > 0.99 * best.refined.cost
+        ):
             break
         best = new
     if best.refined.outcome is Outcome.MAX_ITERATIONS:  # modes that overlap take their time
         r = best.refined
         last = refine(lines, r.poles, r.participation, iterations=LAST_ITERATIONS)
         best = replace(best, refined=united(lines, last, search.pairs))
-    best, why = search.settle(best, best.refined.poles.size + 1, strict=True)  # every turn but the last drops a mode
+    best, why = search.settle(
+        best, best.refined.poles.size + 1, strict=True
+    )  # every turn but the last drops a mode
     return best, rejected + why
 
 
 def _of_blocks(frfs: FrfSet, search: _Search, fit: _Fit) -> tuple[FrfSet, _Search, _Fit, str]:
-    """The fit of FRFs that blocks of noise under a Hann window explain better, with a note; else as it is."""
+    """The fit of FRFs that blocks of noise under a Hann window explain better, with a note; else as
+    it is.
+    """
     length = block_of_noise(frfs)
     r, trial = fit.refined, replace(search, lines=replace(search.lines, hann=length))
     if not length or not looks_faded(search.lines, r, length):
@@ -292,11 +328,18 @@ def _of_blocks(frfs: FrfSet, search: _Search, fit: _Fit) -> tuple[FrfSet, _Searc
     new = trial.refined(replace(fit.candidates, pole=r.poles, participation=r.participation))
     if new.refined.cost > FADED * r.cost:
         return frfs, search, fit, ""
-    return replace(frfs, hann=length), trial, trial.judged(new, strict=True), hann_note(r.poles, new.refined.poles)
+    return (
+        replace(frfs, hann=length),
+        trial,
+        trial.judged(new, strict=True),
+        hann_note(r.poles, new.refined.poles),
+    )
 
 
 def _reweighed(search: _Search, frfs: FrfSet, fit: _Fit) -> tuple[_Search, _Fit, list[str]]:
-    """The modes refined once more, every line weighed by what the first fit left there: deviations rest on that."""
+    """The modes refined once more, every line weighed by what the first fit left there: deviations
+    rest on that.
+    """
     r = fit.refined
     basis = smooth_rest(search.lines, r.poles, r.known.rest)
     left = noise_left(search.lines, without(basis, r.known.rest))
@@ -308,13 +351,17 @@ def _reweighed(search: _Search, frfs: FrfSet, fit: _Fit) -> tuple[_Search, _Fit,
 
 
 def _whole(search: _Search, fit: _Fit) -> tuple[_Search, _Fit, str, tuple[tuple[int, ...], ...]]:
-    """The fit with one mode for each that it shows twice since the FRFs disagree, a note on that, and who agrees."""
+    """The fit with one mode for each that it shows twice since the FRFs disagree, a note on that,
+    and who agrees.
+    """
     split = split_modes(search.lines, fit.refined)
     if not split:
         return search, fit, "", ()
     level = replace(search, lines=levelled(search.lines, split))
     new = level.refined(joined(search.lines, fit.candidates, split))
-    if new.refined.cost > NO_WORSE * fit.refined.cost:  # modes that overlap: as one mode they fit no longer
+    if (
+        new.refined.cost > NO_WORSE * fit.refined.cost
+    ):  # modes that overlap: as one mode they fit no longer
         return search, fit, "", ()
     refined = scattered(search.lines, fit.refined, new.refined, split)
     return (
@@ -336,15 +383,21 @@ def _still(before: Complex, now: Refined) -> bool:
 def _by_hand(
     search: _Search, fit: _Fit, choice: Choice, band: tuple[float, float], source: str
 ) -> tuple[_Fit, tuple[str, ...]]:
-    """The fit after a choice: refined anew where it changes the modes, none of which falls out again."""
-    hand = hand_poles(fit.refined.poles, search.sets, choice, band, decay=search.decay, source=source)
+    """The fit after a choice: refined anew where it changes the modes, none of which falls out
+    again.
+    """
+    hand = hand_poles(
+        fit.refined.poles, search.sets, choice, band, decay=search.decay, source=source
+    )
     if hand.changes:
         both = _joined(fit, hand.added)
         keep = np.append(hand.keep, np.ones(hand.added.pole.size, dtype=bool))
         if not keep.any():
             raise DataError(f"{source}: the choice {choice.source} leaves no mode")
         fit = search.judged(search.refined(both.take(keep)), strict=True)
-    reasons = tuple("; ".join(filter(None, x)) for x in zip(hand.said, fit.verdict.reason, strict=True))
+    reasons = tuple(
+        "; ".join(filter(None, x)) for x in zip(hand.said, fit.verdict.reason, strict=True)
+    )
     return replace(fit, verdict=replace(fit.verdict, reason=reasons)), hand.notes
 
 
@@ -397,7 +450,11 @@ def _report(
     at = (frfs.freqs >= band[0]) & (frfs.freqs <= band[1])
     size = np.linalg.norm(frfs.data[at], axis=0)
     error = np.linalg.norm(frfs.data[at] - fitted[at], axis=0) / np.maximum(size, 1e-300)
-    doubled = dict.fromkeys(range(f.size), "") | {k: f"; {PAIR}" for both in twins(fit.poles) for k in both}
+    doubled = dict.fromkeys(range(f.size), "") | {
+        k: f"; {PAIR}" for both in twins(fit.poles) for k in both
+    }
     reasons = tuple(verdict.reason[k] + doubled[k] for k in told.tolist())
     notes = (note,) if note else ()
-    return HammerResult(model, modes, std, reasons, tuple(rejected), diagrams, frfs.freqs, curve, error, notes)
+    return HammerResult(
+        model, modes, std, reasons, tuple(rejected), diagrams, frfs.freqs, curve, error, notes
+    )

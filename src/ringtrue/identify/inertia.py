@@ -1,8 +1,9 @@
 """Heat that comes late: a structure takes the temperature of the air with an inertia of hours.
 
-To first order lag·dθ/dt = T − θ. The lag, one for all modes, is that of a row under which their frequencies are most
-likely, each with a slope and a scatter of its own; none unless twice the logarithm of the likelihood ratio is above 10,
-that of each mode divided by what residuals that hang together make of it.
+To first order lag·dθ/dt = T − θ. The lag, one for all modes, is that of a row under which their
+frequencies are most likely, each with a slope and a scatter of its own; none unless twice the
+logarithm of the likelihood ratio is above 10, that of each mode divided by what residuals that hang
+together make of it.
 """
 
 from __future__ import annotations
@@ -21,7 +22,9 @@ SURER = 10.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Followed:
-    """Frequencies (n,) of a mode, Hz, their standard deviations, and the stretches (n,) that they belong to."""
+    """Frequencies (n,) of a mode, Hz, their standard deviations, and the stretches (n,) that they
+    belong to.
+    """
 
     frequency: Float
     std: Float
@@ -29,7 +32,8 @@ class Followed:
 
 
 def behind(hours: Float, temperature: Float, lag: float) -> Float:
-    """Temperature (n,) of a body that follows that of the air, given at rising `hours` (n,), linear between them.
+    """Temperature (n,) of a body that follows that of the air, given at rising `hours` (n,), linear
+    between them.
 
     It starts in balance. NaN where the temperature of the air is.
     """
@@ -45,7 +49,9 @@ def behind(hours: Float, temperature: Float, lag: float) -> Float:
 
 
 def thermal_lag(modes: Sequence[Followed], hours: Float, temperature: Float) -> float:
-    """By how many hours the modes follow a temperature (stretch,); 0 where they do at once, or do not tell."""
+    """By how many hours the modes follow a temperature (stretch,); 0 where they do at once, or do
+    not tell.
+    """
     best, most = 0.0, SURER
     for lag in LAGS:
         late = behind(hours, temperature, lag)
@@ -56,11 +62,16 @@ def thermal_lag(modes: Sequence[Followed], hours: Float, temperature: Float) -> 
 
 
 def _gain(mode: Followed, now: Float, late: Float) -> float:
-    """Twice the logarithm of the likelihood of a mode with the late temperature over that with the other."""
+    """Twice the logarithm of the likelihood of a mode with the late temperature over that with the
+    other.
+    """
     use = np.isfinite(now) & np.isfinite(mode.std) & (mode.std > 0)
     if use.sum() < 2 * FEWEST or np.ptp(now[use]) == 0:
         return 0.0
     y, sd = mode.frequency[use], mode.std[use]
-    fits = [weighted(y, sd, np.stack([np.ones(y.size), x - x.mean()], axis=1)) for x in (now[use], late[use])]
+    fits = [
+        weighted(y, sd, np.stack([np.ones(y.size), x - x.mean()], axis=1))
+        for x in (now[use], late[use])
+    ]
     misfit = [float((f.residual**2).sum() + np.log(sd**2 + f.scatter**2).sum()) for f in fits]
     return (misfit[0] - misfit[1]) / inflation(memory_of(fits[1].residual, mode.at[use], 2), 1.0)

@@ -47,7 +47,8 @@ class LevelDependence:
         NaN where the mode was not found.
     std_frequency, std_damping : (l, m) float64
     slope_frequency, slope_damping : (m,) float64
-        Relative change for each factor e of the level: d ln f/d ln F and d ln ζ/d ln F, weighted least squares.
+        Relative change for each factor e of the level: d ln f/d ln F and d ln ζ/d ln F, weighted
+        least squares.
     std_slope_frequency, std_slope_damping : (m,) float64
     chance_frequency, chance_damping : (m,) float64
         Chance of so much scatter over the levels in a linear structure (χ² test of equal values).
@@ -95,9 +96,15 @@ def level_dependence(
     """
     settings = settings or LevelCheck()
     force = np.asarray(levels, dtype=np.float64)
-    if force.size < 2 or force.size != len(found) or (force <= 0).any() or np.unique(force).size != force.size:
+    if (
+        force.size < 2
+        or force.size != len(found)
+        or (force <= 0).any()
+        or np.unique(force).size != force.size
+    ):
         raise InputError(
-            f"levels {force.tolist()} for {len(found)} results: two or more, positive, different, one each"
+            f"levels {force.tolist()} for {len(found)} results: two or more, positive, "
+            "different, one each"
         )
     order = np.argsort(force)
     first = found[order[0]][0]
@@ -106,15 +113,21 @@ def level_dependence(
     for i, k in enumerate(order):  # a handful of levels, each followed from the one before
         modes, std = found[k]
         here, there = track(last, modes, settings)
-        values[:, i, here] = np.stack([modes.frequencies, modes.damping, std.frequency, std.damping])[:, there]
+        values[:, i, here] = np.stack(
+            [modes.frequencies, modes.damping, std.frequency, std.damping]
+        )[:, there]
         last = _moved(last, modes, here, there)
     x = np.log(force[order])
     slope_f, dev_f, chance_f = _trend(x, values[0], values[2])
     slope_z, dev_z, chance_z = _trend(x, values[1], values[3])
-    each = settings.significance / max(2 * np.isfinite(chance_f).sum(), 1)  # Bonferroni: all tests together
+    each = settings.significance / max(
+        2 * np.isfinite(chance_f).sum(), 1
+    )  # Bonferroni: all tests together
     linear = ~((chance_f < each) | (chance_z < each))
     f, z, std_f, std_z = values
-    return LevelDependence(force[order], f, z, std_f, std_z, slope_f, slope_z, dev_f, dev_z, chance_f, chance_z, linear)
+    return LevelDependence(
+        force[order], f, z, std_f, std_z, slope_f, slope_z, dev_f, dev_z, chance_f, chance_z, linear
+    )
 
 
 def track(a: ModeSet, b: ModeSet, settings: LevelCheck) -> tuple[Int, Int]:
@@ -132,11 +145,15 @@ def _moved(last: ModeSet, modes: ModeSet, here: Int, there: Int) -> ModeSet:
     """`last` with the frequencies of the level just seen, so that slow drift is followed."""
     f = last.frequencies.copy()
     f[here] = modes.frequencies[there]
-    return ModeSet(f, last.damping, last.shapes, last.labels, last.norm, last.source, last.confidence)
+    return ModeSet(
+        f, last.damping, last.shapes, last.labels, last.norm, last.source, last.confidence
+    )
 
 
 def _trend(x: Float, value: Float, std: Float) -> tuple[Float, Float, Float]:
-    """Slope (m,) of ln value over x, its deviation, and the chance of equal values; NaN with fewer than two levels."""
+    """Slope (m,) of ln value over x, its deviation, and the chance of equal values; NaN with fewer
+    than two levels.
+    """
     y, s = np.log(value), std / value
     w = np.where(np.isfinite(y) & (s > 0), 1 / np.where(s > 0, s, 1.0) ** 2, 0.0)
     y = np.where(w > 0, y, 0.0)
@@ -147,4 +164,8 @@ def _trend(x: Float, value: Float, std: Float) -> tuple[Float, Float, Float]:
     sxx = np.where((w > 0).sum(axis=0) > 1, sxx, np.nan)
     slope = (w * dx * (y - ym)).sum(axis=0) / sxx
     chance = chdtrc((w > 0).sum(axis=0) - 1, (w * (y - ym) ** 2).sum(axis=0))
-    return np.asarray(slope), np.asarray(1 / np.sqrt(sxx)), np.where(np.isfinite(sxx), chance, np.nan)
+    return (
+        np.asarray(slope),
+        np.asarray(1 / np.sqrt(sxx)),
+        np.where(np.isfinite(sxx), chance, np.nan),
+    )

@@ -1,7 +1,9 @@
-"""Batches of FRFs that disagree: local fits of one structure, each mode tracked through all of them.
+"""Batches of FRFs that disagree: local fits of one structure, each mode tracked through all of
+them.
 
-Moved accelerometers load the structure with their mass at other places, and days differ in temperature. One global fit
-then splits modes in two; here every batch keeps its own poles, and only the shapes are joined.
+Moved accelerometers load the structure with their mass at other places, and days differ in
+temperature. One global fit then splits modes in two; here every batch keeps its own poles, and only
+the shapes are joined.
 """
 
 from __future__ import annotations
@@ -29,8 +31,14 @@ from ringtrue.shapes.mac import mac
 
 CLEAR = 1e-6  # chance of the scatter of a mode over the batches, below which they disagree
 SHIFT = 0.1  # half bandwidths that matter
-STRAYED = 1.2  # times what the first fit leaves: poles that went astray from the start of another batch
-REACH, ALIKE, NEVER = 0.03, 0.7, 1e6  # shift of a frequency and MAC of participations, of a mode in two batches
+STRAYED = (
+    1.2  # times what the first fit leaves: poles that went astray from the start of another batch
+)
+REACH, ALIKE, NEVER = (
+    0.03,
+    0.7,
+    1e6,
+)  # shift of a frequency and MAC of participations, of a mode in two batches
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,10 +48,11 @@ class LocalFit:
     Attributes
     ----------
     modes : ModeSet
-        Weighted means of the poles over the batches; shapes of all responses, scaled to the first batch.
+        Weighted means of the poles over the batches; shapes of all responses, scaled to the first
+        batch.
     uncertainty : Uncertainty
-        Frequency and damping: of the mean, with the scatter over the batches where it is larger than stated. Shapes:
-        for the participation vectors as they are; the mass scale adds to it.
+        Frequency and damping: of the mean, with the scatter over the batches where it is larger
+        than stated. Shapes: for the participation vectors as they are; the mass scale adds to it.
     frequency, damping : (batch, m) float64, Hz and fraction of critical
     std_frequency, std_damping : (batch, m) float64
     chance : (m,) float64
@@ -67,14 +76,18 @@ class LocalFit:
 
 
 def identify_batches(
-    batches: Sequence[FrfSet], settings: HammerModes | None = None, *, progress: Progress | None = None
+    batches: Sequence[FrfSet],
+    settings: HammerModes | None = None,
+    *,
+    progress: Progress | None = None,
 ) -> LocalFit:
     """Modes of a structure measured in several batches that share their inputs.
 
-    The batch with most responses is identified on its own; its modes and participation vectors start the refinement in
-    every other batch; where that leaves more than in the first one, from the poles that this batch by itself has for
-    them, where it has. Modes that half of such batches have beside are sought in all. The participation vector, which
-    all batches share, ties the scales of their shapes together.
+    The batch with most responses is identified on its own; its modes and participation vectors
+    start the refinement in every other batch; where that leaves more than in the first one, from
+    the poles that this batch by itself has for them, where it has. Modes that half of such batches
+    have beside are sought in all. The participation vector, which all batches share, ties the
+    scales of their shapes together.
 
     Parameters
     ----------
@@ -91,10 +104,14 @@ def identify_batches(
         If the first batch shows no mode.
     """
     if len(batches) < 2 or len({tuple(c.id for c in b.inputs) for b in batches}) > 1:
-        raise InputError("local fits need two or more batches with the same inputs in the same order")
+        raise InputError(
+            "local fits need two or more batches with the same inputs in the same order"
+        )
     settings, tell = settings or HammerModes(), progress or quiet
     lead = int(np.argmax([b.data.shape[1] for b in batches]))
-    first = identify_hammer(batches[lead], settings, progress=lambda share, text: tell(0.6 * share, text))
+    first = identify_hammer(
+        batches[lead], settings, progress=lambda share, text: tell(0.6 * share, text)
+    )
     band = float(first.freqs[0]), float(first.freqs[-1])
     found = [_local(b, band, first.model) for b in batches]
     alone = dict[int, HammerResult]()
@@ -106,7 +123,9 @@ def identify_batches(
     for i in range(len(batches)) if start is not first.model else alone:
         found[i] = _local(batches[i], band, tracked(start, alone[i].model) if i in alone else start)
     new = np.arange(first.model.poles.size, start.poles.size)
-    at = np.append(np.abs(first.model.frequencies[:, None] - first.modes.frequencies).argmin(axis=0), new)
+    at = np.append(
+        np.abs(first.model.frequencies[:, None] - first.modes.frequencies).argmin(axis=0), new
+    )
     at = at[np.argsort(start.frequencies[at], kind="stable")]
     return _joined(batches, [f.take(at) for f in found], start.participation[at], lead)
 
@@ -138,7 +157,9 @@ def _appended(modes: ModalModel, poles: Complex, participation: Complex) -> Moda
 
 
 def tracked(modes: ModalModel, own: ModalModel) -> ModalModel:
-    """The modes of one batch with the poles that another has for them by itself, where one goes with a mode."""
+    """The modes of one batch with the poles that another has for them by itself, where one goes
+    with a mode.
+    """
     row, column, goes = _assigned(modes, own.poles, own.participation)
     poles = np.array(modes.poles)
     poles[row[goes]] = own.poles[column[goes]]
@@ -146,9 +167,11 @@ def tracked(modes: ModalModel, own: ModalModel) -> ModalModel:
 
 
 def _assigned(modes: ModalModel, poles: Complex, participation: Complex) -> tuple[Int, Int, Bool]:
-    """Modes (k,), which of `poles` (m,) with `participation` (m, in) is each (k,), and whether it may be.
+    """Modes (k,), which of `poles` (m,) with `participation` (m, in) is each (k,), and whether it
+    may be.
 
-    The assignment of least Σ 1 - MAC + ½ (Δf/reach)², MAC of the participation vectors: batches share their inputs.
+    The assignment of least Σ 1 - MAC + ½ (Δf/reach)², MAC of the participation vectors: batches
+    share their inputs.
     """
     shift = np.log(np.abs(poles) / np.abs(modes.poles)[:, None])
     like = mac(modes.participation.T, participation.T)
@@ -165,25 +188,31 @@ def told_apart(
     *,
     progress: Progress | None = None,
 ) -> HammerResult:
-    """The result of one fit of all batches, with the modes of local fits where it is clear that the batches disagree.
+    """The result of one fit of all batches, with the modes of local fits where it is clear that the
+    batches disagree.
 
-    That is so where more than half of the modes differ from batch to batch as no chance makes it, by a tenth of their
-    half bandwidth or more: one fit of all then splits modes. Model, diagrams and synthesis stay those of the joint fit.
+    That is so where more than half of the modes differ from batch to batch as no chance makes it,
+    by a tenth of their half bandwidth or more: one fit of all then splits modes. Model, diagrams
+    and synthesis stay those of the joint fit.
 
     Parameters
     ----------
     joint : HammerResult
         Of all batches together.
     batches : sequence of FrfSet
-        One that disagrees with itself is parted by the responses that agree (`HammerResult.groups`). None, other
-        inputs, the same responses in all or roving hammers leave the joint result as it is.
+        One that disagrees with itself is parted by the responses that agree
+        (`HammerResult.groups`). None, other inputs, the same responses in all or roving hammers
+        leave the joint result as it is.
     settings : HammerModes, optional
     progress : callable, optional
     """
     parts = ""
     if len(batches) == 1:
         batches = _parts(batches[0], joint.groups, settings)
-        parts = f", the responses that agree ({'; '.join(' '.join(c.id for c in b.outputs[:8]) for b in batches)}),"
+        parts = (
+            ", the responses that agree "
+            f"({'; '.join(' '.join(c.id for c in b.outputs[:8]) for b in batches)}),"
+        )
     inputs = {tuple(c.id for c in b.inputs) for b in batches}
     roving = any(b.data.shape[1] < b.data.shape[2] for b in batches)
     moved = len({tuple(c.id for c in b.outputs) for b in batches}) > 1
@@ -195,19 +224,27 @@ def told_apart(
     if not clear.mean() > 0.5:
         return joint
     reasons = tuple(
-        f"in {len(batches)} batches at {' '.join(f'{x:.5g}' for x in f)} Hz; chance of so much scatter {c:.1g}"
+        f"in {len(batches)} batches at {' '.join(f'{x:.5g}' for x in f)} Hz; chance of so much "
+        f"scatter {c:.1g}"
         for f, c in zip(fit.frequency.T, fit.chance, strict=True)
     )
     note = (
-        f"the batches{parts} disagree in {int(clear.sum())} of {clear.size} modes: each was fitted by itself, "
+        f"the batches{parts} disagree in {int(clear.sum())} of {clear.size} modes: each was "
+        "fitted by itself, "
         "frequencies and damping are means, shapes are joined (moved sensors load the structure)"
     )
     notes = (*(n for n in joint.notes if not n.startswith(DISAGREE)), note)
-    return replace(joint, modes=fit.modes, uncertainty=fit.uncertainty, reasons=reasons, notes=notes)
+    return replace(
+        joint, modes=fit.modes, uncertainty=fit.uncertainty, reasons=reasons, notes=notes
+    )
 
 
-def _parts(frfs: FrfSet, groups: Sequence[Sequence[int]], settings: HammerModes | None) -> list[FrfSet]:
-    """The FRFs by the responses that agree, those of a group again where these disagree among themselves."""
+def _parts(
+    frfs: FrfSet, groups: Sequence[Sequence[int]], settings: HammerModes | None
+) -> list[FrfSet]:
+    """The FRFs by the responses that agree, those of a group again where these disagree among
+    themselves.
+    """
     out = []
     for part in (_responses(frfs, np.array(group)) for group in groups):
         own = identify_hammer(part, settings).groups if len(part.outputs) >= FEWEST else ()
@@ -219,12 +256,15 @@ def _responses(frfs: FrfSet, at: Int) -> FrfSet:
     """The FRFs of some responses."""
     blows = frfs.blows.take(at, np.arange(len(frfs.inputs))) if frfs.blows else None
     outputs = tuple(frfs.outputs[k] for k in at.tolist())
-    return replace(frfs, data=frfs.data[:, at], coherence=frfs.coherence[:, at], outputs=outputs, blows=blows)
+    return replace(
+        frfs, data=frfs.data[:, at], coherence=frfs.coherence[:, at], outputs=outputs, blows=blows
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Local:
-    """Modes of one batch: poles with deviations (2, m), shapes for the common participation vectors, relative std.
+    """Modes of one batch: poles with deviations (2, m), shapes for the common participation
+    vectors, relative std.
 
     `left` is the power that the fit leaves over that of the noise.
     """
@@ -236,11 +276,17 @@ class _Local:
     left: float
 
     def take(self, at: Int) -> _Local:
-        return _Local(self.poles[at], self.std[:, at], self.shapes[:, at], self.deviation[:, at], self.left)
+        return _Local(
+            self.poles[at], self.std[:, at], self.shapes[:, at], self.deviation[:, at], self.left
+        )
 
 
 def _local(batch: FrfSet, band: tuple[float, float], start: ModalModel) -> _Local:
-    at = (batch.freqs >= band[0] * (1 - 1e-9)) & (batch.freqs <= band[1] * (1 + 1e-9)) & (batch.freqs > 0)
+    at = (
+        (batch.freqs >= band[0] * (1 - 1e-9))
+        & (batch.freqs <= band[1] * (1 + 1e-9))
+        & (batch.freqs > 0)
+    )
     used = replace(batch, data=batch.data[at], freqs=batch.freqs[at], coherence=batch.coherence[at])
     lines = prepare(used, noise(used))
     fit = refine(lines, start.poles, start.participation)
@@ -250,20 +296,28 @@ def _local(batch: FrfSet, band: tuple[float, float], start: ModalModel) -> _Loca
     common = start.participation[np.argsort(order)]
     factor = (common.conj() * fit.participation).sum(axis=1) / (np.abs(common) ** 2).sum(axis=1)
     std = np.stack([fit.std_frequency, fit.std_damping])
-    found = _Local(fit.poles, std, fit.shapes * factor, shape_deviations(lines, fit, None), fit.error**2)
+    found = _Local(
+        fit.poles, std, fit.shapes * factor, shape_deviations(lines, fit, None), fit.error**2
+    )
     return found.take(order)
 
 
-def _joined(batches: Sequence[FrfSet], found: Sequence[_Local], part: Complex, lead: int) -> LocalFit:
+def _joined(
+    batches: Sequence[FrfSet], found: Sequence[_Local], part: Complex, lead: int
+) -> LocalFit:
     poles, std = np.array([f.poles for f in found]), np.array([f.std for f in found])
-    value = np.stack([np.abs(poles) / (2 * np.pi), -poles.real / np.abs(poles)], axis=1)  # (batch, 2, m)
+    value = np.stack(
+        [np.abs(poles) / (2 * np.pi), -poles.real / np.abs(poles)], axis=1
+    )  # (batch, 2, m)
     weight = 1 / np.maximum(std, 1e-300) ** 2
     mean = (weight * value).sum(axis=0) / weight.sum(axis=0)
     excess = (weight * (value - mean) ** 2).sum(axis=0)
     n = len(batches) - 1
     spread = np.sqrt(np.maximum(excess / n, 1) / weight.sum(axis=0))
     outputs, rows, which = _best(batches, found)
-    shapes = np.array([found[b].shapes[r] * found[b].poles.imag for b, r in zip(which, rows, strict=True)])
+    shapes = np.array(
+        [found[b].shapes[r] * found[b].poles.imag for b, r in zip(which, rows, strict=True)]
+    )
     omega = 2 * np.pi * mean[0]
     pole = omega * (-mean[1] + 1j * np.sqrt(np.maximum(1 - mean[1] ** 2, 0)))
     shapes = shapes / pole.imag  # residues of one modal mass go with 1/ω
@@ -274,18 +328,30 @@ def _joined(batches: Sequence[FrfSet], found: Sequence[_Local], part: Complex, l
     deviation = np.array([found[b].deviation[r] for b, r in zip(which, rows, strict=True)])
     norm = Norm.UNSCALED if model.norm is Norm.UNSCALED else Norm.MASS
     labels = tuple(c.id for c in outputs)
-    modes = ModeSet(mean[0], mean[1], scaled, labels, norm, first.source or "hammer FRFs, local fits")
+    modes = ModeSet(
+        mean[0], mean[1], scaled, labels, norm, first.source or "hammer FRFs, local fits"
+    )
     uncertainty = Uncertainty.independent(spread[0], spread[1], deviation * np.abs(scaled))
     chance = chdtrc(2 * n, excess.sum(axis=0))
-    return LocalFit(modes, uncertainty, value[:, 0], value[:, 1], std[:, 0], std[:, 1], chance, lead)
+    return LocalFit(
+        modes, uncertainty, value[:, 0], value[:, 1], std[:, 0], std[:, 1], chance, lead
+    )
 
 
-def _best(batches: Sequence[FrfSet], found: Sequence[_Local]) -> tuple[tuple[Channel, ...], list[int], list[int]]:
-    """All responses in the order of their first appearance, and the row and batch that knows each best."""
+def _best(
+    batches: Sequence[FrfSet], found: Sequence[_Local]
+) -> tuple[tuple[Channel, ...], list[int], list[int]]:
+    """All responses in the order of their first appearance, and the row and batch that knows each
+    best.
+    """
     best: dict[str, tuple[float, int, int, Channel]] = {}
     for b, (batch, f) in enumerate(zip(batches, found, strict=True)):
         doubt = np.median(f.deviation, axis=1)
         for r, c in enumerate(batch.outputs):
             if c.id not in best or doubt[r] < best[c.id][0]:
                 best[c.id] = (float(doubt[r]), r, b, c)
-    return tuple(v[3] for v in best.values()), [v[1] for v in best.values()], [v[2] for v in best.values()]
+    return (
+        tuple(v[3] for v in best.values()),
+        [v[1] for v in best.values()],
+        [v[2] for v in best.values()],
+    )

@@ -1,7 +1,8 @@
-"""Poly-reference least-squares complex exponential (LSCE): poles from impulse responses, all orders.
+"""Poly-reference least-squares complex exponential (LSCE): poles from impulse responses, all
+orders.
 
-Brown, Allemang, Zimmerman, Mergeay (1979), SAE 790221; Vold, Kundrat, Rocklin, Russell (1982), "A multi-input modal
-estimation algorithm for mini-computers", SAE 820194.
+Brown, Allemang, Zimmerman, Mergeay (1979), SAE 790221; Vold, Kundrat, Rocklin, Russell (1982), "A
+multi-input modal estimation algorithm for mini-computers", SAE 820194.
 """
 
 from __future__ import annotations
@@ -45,9 +46,9 @@ class Lsce:
 def lsce(data: Complex, freqs: Float, settings: Lsce | None = None) -> PoleSet:
     """Poles and participation vectors of every order.
 
-    The band becomes a complex impulse response of its own rate. What the tapered edges smear over the time around
-    zero is left out: from there on the response is a sum of exponentials, and so obeys a linear prediction
-    h(t_{k+n}) = −Σ_j h(t_{k+j}) A_j.
+    The band becomes a complex impulse response of its own rate. What the tapered edges smear over
+    the time around zero is left out: from there on the response is a sum of exponentials, and so
+    obeys a linear prediction h(t_{k+n}) = −Σ_j h(t_{k+j}) A_j.
 
     Parameters
     ----------
@@ -88,7 +89,12 @@ def lsce(data: Complex, freqs: Float, settings: Lsce | None = None) -> PoleSet:
     unknown = np.full(pole.size, np.nan)
     edge = settings.taper * (freqs[-1] - freqs[0])
     f, zeta = np.abs(pole) / (2 * np.pi), -pole.real / np.abs(pole)
-    inside = (f > freqs[0] + edge) & (f < freqs[-1] - edge) & (zeta > 1e-5) & (zeta < settings.damping_max)
+    inside = (
+        (f > freqs[0] + edge)
+        & (f < freqs[-1] - edge)
+        & (zeta > 1e-5)
+        & (zeta < settings.damping_max)
+    )
     return PoleSet(order, pole, part, unknown, unknown).take(inside)
 
 
@@ -107,7 +113,9 @@ def _factor(h: Complex, n: int) -> Complex:
     """
     m = h.shape[2]
     rows = h.shape[0] - n
-    windows = np.lib.stride_tricks.sliding_window_view(h, n + 1, axis=0)[:rows]  # (time, out, in, lag)
+    windows = np.lib.stride_tricks.sliding_window_view(h, n + 1, axis=0)[
+        :rows
+    ]  # (time, out, in, lag)
     x = windows.transpose(0, 1, 3, 2).reshape(-1, (n + 1) * m)
     normal = x.conj().T @ x
     return lower_factor(normal, 1e-13 * np.trace(normal).real / len(normal))
@@ -116,10 +124,14 @@ def _factor(h: Complex, n: int) -> Complex:
 def _order(factor: Complex, n: int, m: int) -> tuple[Complex, Complex]:
     """Roots z (k,) and participation vectors (m, k): rows of h hold ψ_o z^k lᵀ, so lᵀ A(z) = 0."""
     a = solve_triangular(
-        factor[: n * m, : n * m].conj().T, factor[n * m : (n + 1) * m, : n * m].conj().T, check_finite=False
+        factor[: n * m, : n * m].conj().T,
+        factor[n * m : (n + 1) * m, : n * m].conj().T,
+        check_finite=False,
     )
     companion = np.eye(n * m, k=m, dtype=np.complex128)
-    companion[-m:] = a.T.reshape(m, n * m)  # of the transposed polynomial: z^n l = Σ a_jᵀ z^j l, with a = −A
+    companion[-m:] = a.T.reshape(
+        m, n * m
+    )  # of the transposed polynomial: z^n l = Σ a_jᵀ z^j l, with a = −A
     z, vectors = np.linalg.eig(companion)
     keep = (np.abs(z) < 1) & (np.abs(z) > 1e-6)
     return z[keep], vectors[:m, keep]

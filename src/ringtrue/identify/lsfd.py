@@ -1,8 +1,9 @@
 """Least-squares frequency-domain residues (LSFD), one global problem over all lines and responses.
 
-The residues of a mode are held to rank one, ψ_k l_kᵀ, with the participation vectors l_k given. Weights are
-separable (line and input times response), so every response shares one normal matrix, and all sums over lines are
-those of scalar functions 1/(s − λ_k): a few dozen columns, whatever the number of responses.
+The residues of a mode are held to rank one, ψ_k l_kᵀ, with the participation vectors l_k given.
+Weights are separable (line and input times response), so every response shares one normal matrix,
+and all sums over lines are those of scalar functions 1/(s − λ_k): a few dozen columns, whatever the
+number of responses.
 """
 
 from __future__ import annotations
@@ -26,14 +27,18 @@ from ringtrue.identify.leakage import faded
 _AROUND = 31  # lines at least, that tell the noise beside a mode
 _SMOOTHED, _VALUES = 5, 40  # lines that their noise is averaged over, and values at least
 _LEAST = 1e-4  # of the squared noise of a typical line
-_MOST_SMOOTH, _STANDS_OUT = 48, 5.0  # terms; times the power of the typical function of what a fit leaves
+_MOST_SMOOTH, _STANDS_OUT = (
+    48,
+    5.0,
+)  # terms; times the power of the typical function of what a fit leaves
 _WITHIN = 1e-6  # of a residual term, that polynomials leave: it is one of them
 Pairs = Sequence[tuple[int, int, float]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Noise:
-    """A separable model of the standard deviation of the FRFs: σ(f, o, i) = line(f) · response(o) · input(i).
+    """A separable model of the standard deviation of the FRFs: σ(f, o, i) = line(f) · response(o) ·
+    input(i).
 
     Attributes
     ----------
@@ -50,11 +55,12 @@ class Noise:
 
 
 def noise(frfs: FrfSet) -> Noise:
-    """The noise of the FRFs: from the coherence, σ² = |H|²(1 − γ²)/(2 n γ²), else from the roughness over lines.
+    """The noise of the FRFs: from the coherence, σ² = |H|²(1 − γ²)/(2 n γ²), else from the
+    roughness over lines.
 
-    Where the coherence is unknown an error of 2 % of the local level is added, as systematic errors then dominate.
-    Where the end of the block is known, what rings on from blow to blow lowers the coherence at the modes and is no
-    noise: lines count as their surroundings do.
+    Where the coherence is unknown an error of 2 % of the local level is added, as systematic errors
+    then dominate. Where the end of the block is known, what rings on from blow to blow lowers the
+    coherence at the modes and is no noise: lines count as their surroundings do.
     """
     h2 = np.abs(frfs.data) ** 2
     if np.isfinite(frfs.coherence).all():
@@ -68,7 +74,9 @@ def noise(frfs: FrfSet) -> Noise:
     mean = log.mean()
     line = _smooth(log.mean(axis=(1, 2)))
     if np.isfinite(frfs.kept):
-        line = np.minimum(line, median_filter(line, size=max(_AROUND, line.size // 10) | 1, mode="nearest"))
+        line = np.minimum(
+            line, median_filter(line, size=max(_AROUND, line.size // 10) | 1, mode="nearest")
+        )
     response, given = log.mean(axis=(0, 2)) - mean, log.mean(axis=(0, 1)) - mean
     return Noise(np.exp(0.5 * line), np.exp(0.5 * response), np.exp(0.5 * given))
 
@@ -81,13 +89,19 @@ def _bends(h: Complex, freqs: Float) -> Float:
 
 
 def _roughness(h: Complex, freqs: Float) -> Float:
-    """(1, out, in) variance per component from the median of squared second differences over the lines."""
+    """(1, out, in) variance per component from the median of squared second differences over the
+    lines.
+    """
     return np.asarray(np.median(_bends(h, freqs), axis=0)[None] / (2 * 0.693))
 
 
 def likeness(h: Complex, freqs: Float) -> Float:
-    """(freq,) 1 − power of the second differences over that of the FRFs, median of all: about 0 of white noise."""
-    share = np.minimum(_bends(h, freqs) / np.maximum(np.abs(h[1:-1]) ** 2, np.finfo(float).tiny), 1.0)
+    """(freq,) 1 − power of the second differences over that of the FRFs, median of all: about 0 of
+    white noise.
+    """
+    share = np.minimum(
+        _bends(h, freqs) / np.maximum(np.abs(h[1:-1]) ** 2, np.finfo(float).tiny), 1.0
+    )
     return np.pad(1 - np.median(share, axis=(1, 2)), 1, mode="edge")
 
 
@@ -113,7 +127,8 @@ class Lines:
     terms : (freq, t) complex128
         Orthonormal basis of the weighted residual terms, beside `smooth`.
     smooth : (freq, n) float64
-        Orthonormal basis of the weighted polynomials that count as residual terms too (`smooth_rest`).
+        Orthonormal basis of the weighted polynomials that count as residual terms too
+        (`smooth_rest`).
     response : (out,) float64
         Weight of each response, not in `y`.
     input : (in,) float64
@@ -146,9 +161,9 @@ class Lines:
 def prepare(frfs: FrfSet, sigma: Noise, smooth: int = 0) -> Lines:
     """Weight the data and project out the lower and upper residuals, and so many `smooth` terms.
 
-    An exponential window e^{-σt} on force and response moves the FRF from s to s + σ, poles, s² of the accelerance
-    and all: so the fit is done at s = iω + σ, and the poles come out without the window. The end of the block cuts the
-    response of each mode off (`resonances`).
+    An exponential window e^{-σt} on force and response moves the FRF from s to s + σ, poles, s² of
+    the accelerance and all: so the fit is done at s = iω + σ, and the poles come out without the
+    window. The end of the block cuts the response of each mode off (`resonances`).
     """
     s = np.asarray(2j * np.pi * frfs.freqs + frfs.window_decay, dtype=np.complex128)
     if (frfs.freqs <= 0).any():
@@ -156,29 +171,53 @@ def prepare(frfs: FrfSet, sigma: Noise, smooth: int = 0) -> Lines:
     kind = np.asarray(s ** POWER[frfs.kind], dtype=np.complex128)
     weight, given = 1 / sigma.line, 1 / sigma.input
     t = kind[:, None] * np.stack([(s[0] / s) ** 2, np.ones(s.size), (s / s[-1]) ** 2], axis=1)
-    if np.isfinite(frfs.kept) or frfs.hann:  # λ^p for s^p: what is cut off, or faded, leaves a polynomial
+    if (
+        np.isfinite(frfs.kept) or frfs.hann
+    ):  # λ^p for s^p: what is cut off, or faded, leaves a polynomial
         t = np.concatenate([t, (kind * s[0] / s)[:, None]], axis=1)
     flat = np.linalg.qr(weight[:, None] * polynomials(s.imag, smooth))[0]
     beside = without(flat, weight[:, None] * t)
-    beside = beside[:, np.linalg.norm(beside, axis=0) > _WITHIN * np.linalg.norm(weight[:, None] * t, axis=0)]
+    beside = beside[
+        :, np.linalg.norm(beside, axis=0) > _WITHIN * np.linalg.norm(weight[:, None] * t, axis=0)
+    ]
     terms = np.linalg.qr(beside)[0]
-    y = without(terms, without(flat, weight[:, None] * given[:, None, None] * frfs.data.transpose(2, 0, 1)))
+    y = without(
+        terms, without(flat, weight[:, None] * given[:, None, None] * frfs.data.transpose(2, 0, 1))
+    )
     power = np.einsum("ifo,ifo->o", y.real, y.real) + np.einsum("ifo,ifo->o", y.imag, y.imag)
     order, response = POWER[frfs.kind], 1 / sigma.response
-    return Lines(s, kind, y, power, weight, terms, flat, response, given, order, frfs.kept, frfs.hann, frfs.blows)
+    return Lines(
+        s,
+        kind,
+        y,
+        power,
+        weight,
+        terms,
+        flat,
+        response,
+        given,
+        order,
+        frfs.kept,
+        frfs.hann,
+        frfs.blows,
+    )
 
 
 def polynomials(x: Float, count: int) -> Float:
     """(freq, count) Legendre polynomials of the lines `x`, by their degree."""
-    return np.asarray(np.polynomial.legendre.legvander(2 * (x - x[0]) / (x[-1] - x[0]) - 1, count)[:, :count])
+    return np.asarray(
+        np.polynomial.legendre.legvander(2 * (x - x[0]) / (x[-1] - x[0]) - 1, count)[:, :count]
+    )
 
 
 def smooth_rest(lines: Lines, poles: Complex, rest: Complex) -> Float:
-    """(freq, t) orthonormal basis of the polynomials that stand out of what a fit leaves, `rest` (in, freq, out).
+    """(freq, t) orthonormal basis of the polynomials that stand out of what a fit leaves, `rest`
+    (in, freq, out).
 
-    Noise on the force of a blow is as short as the pulse, and so multiplies the FRFs by a smooth function of the
-    frequency: that moves no pole, but (1 + ε(s)) ψ/(s − λ) leaves a smooth remainder beside ψ (1 + ε(λ))/(s − λ). So
-    do modes outside the band and short delays. No term is narrower than the typical mode.
+    Noise on the force of a blow is as short as the pulse, and so multiplies the FRFs by a smooth
+    function of the frequency: that moves no pole, but (1 + ε(s)) ψ/(s − λ) leaves a smooth
+    remainder beside ψ (1 + ε(λ))/(s − λ). So do modes outside the band and short delays. No term is
+    narrower than the typical mode.
     """
     width = 2 * float(np.median(np.abs(poles.real)))
     most = int(min(_MOST_SMOOTH, np.ptp(lines.s.imag) / width, rest.shape[1] / 16))
@@ -194,14 +233,17 @@ def without(basis: Any_, y: Complex) -> Complex:
         return y
     parts = y if np.iscomplexobj(basis) else np.ascontiguousarray(y).view(np.float64)
     inside = basis @ (basis.conj().T @ parts)
-    return np.asarray(np.subtract(parts, inside, out=inside).view(np.complex128))  # new memory costs as much again
+    return np.asarray(
+        np.subtract(parts, inside, out=inside).view(np.complex128)
+    )  # new memory costs as much again
 
 
 def resonances(lines: Lines, poles: Complex) -> tuple[Complex, Complex]:
-    """(freq, m) s^p/(s − λ) of a response that the block cuts off after τ, and its derivatives by λ.
+    """(freq, m) s^p/(s − λ) of a response that the block cuts off after τ, and its derivatives by
+    λ.
 
-    The rest of the response, λ^p e^{λt} from τ on, is missing: λ^p e^{(λ−s)τ}/(s − λ). Of blocks under a Hann window
-    what that takes of the response is missing (`leakage.faded`).
+    The rest of the response, λ^p e^{λt} from τ on, is missing: λ^p e^{(λ−s)τ}/(s − λ). Of blocks
+    under a Hann window what that takes of the response is missing (`leakage.faded`).
     """
     far = 1 / (lines.s[:, None] - poles)
     if lines.hann:
@@ -219,7 +261,9 @@ def resonances(lines: Lines, poles: Complex) -> tuple[Complex, Complex]:
 
 
 def functions(lines: Lines, poles: Complex) -> Complex:
-    """Weighted `resonances` of the poles and of the conjugate ones, (freq, 2 m), residual terms projected out."""
+    """Weighted `resonances` of the poles and of the conjugate ones, (freq, 2 m), residual terms
+    projected out.
+    """
     return _beside_terms(lines, lines.weight[:, None] * resonances(lines, augment(poles))[0])
 
 
@@ -235,13 +279,17 @@ def _beside_terms(lines: Lines, y: Complex) -> Complex:
 
 
 def mirrored(a: Complex) -> Complex:
-    """Add what the negative frequencies contribute to products with augmented vectors [x, conj x] (both axes)."""
+    """Add what the negative frequencies contribute to products with augmented vectors [x, conj x]
+    (both axes).
+    """
     n = a.shape[-1] // 2
     return np.asarray(a + np.roll(np.roll(a.conj(), n, axis=-1), n, axis=-2))
 
 
 def mirrored_rows(a: Complex) -> Complex:
-    """The same for products with the data: an array (..., 2 m, out) and its partner from the conjugate data."""
+    """The same for products with the data: an array (..., 2 m, out) and its partner from the
+    conjugate data.
+    """
     return np.asarray(a + np.roll(a.conj(), a.shape[-2] // 2, axis=-2))
 
 
@@ -302,7 +350,9 @@ def lsfd(
 
 
 def blow_factors(lines: Lines, poles: Complex) -> tuple[Complex, Complex]:
-    """What rings on from earlier blows makes of the shapes (out, m) and participations (m, in) of a fit."""
+    """What rings on from earlier blows makes of the shapes (out, m) and participations (m, in) of a
+    fit.
+    """
     if lines.blows is None:
         one = np.ones((1, 1), dtype=np.complex128)
         return one, one
@@ -323,7 +373,9 @@ def weighted_rest(lines: Lines, poles: Complex, participation: Complex, shapes: 
     `participation` is that of the weighted data.
     """
     part = augment(participation).T[:, :, None] * augment(shapes.T * lines.response)
-    if 2 * poles.size <= part.shape[0] * part.shape[2]:  # residual terms come out of the fewer columns
+    if (
+        2 * poles.size <= part.shape[0] * part.shape[2]
+    ):  # residual terms come out of the fewer columns
         modes = functions(lines, poles) @ part
         return np.asarray(np.subtract(lines.y * lines.response, modes, out=modes))
     modes = lines.weight[:, None] * (resonances(lines, augment(poles))[0] @ part)
@@ -333,19 +385,31 @@ def weighted_rest(lines: Lines, poles: Complex, participation: Complex, shapes: 
 def noise_left(lines: Lines, rest: Complex) -> Noise:
     """The noise that a fit tells by what it leaves, `rest` (in, freq, out) of `weighted_rest`.
 
-    The errors of measured FRFs grow with the response near a mode, whatever the coherence says of a typical channel.
+    The errors of measured FRFs grow with the response near a mode, whatever the coherence says of a
+    typical channel.
     """
     power = np.abs(rest) ** 2 + np.finfo(float).tiny
     response, given = power.mean(axis=(0, 1)), power.mean(axis=(1, 2))
-    response, given = response / np.exp(np.log(response).mean()), given / np.exp(np.log(given).mean())
+    response, given = (
+        response / np.exp(np.log(response).mean()),
+        given / np.exp(np.log(given).mean()),
+    )
     line = (power / (response * given[:, None, None])).mean(axis=(0, 2))
     wide = max(_SMOOTHED, int(np.ceil(_VALUES / (response.size * given.size))) | 1)
-    line = np.maximum(_smooth(line, min(wide, line.size - 1 + line.size % 2)), _LEAST * np.median(line))
-    return Noise(np.sqrt(line) / lines.weight, np.sqrt(response) / lines.response, np.sqrt(given) / lines.input)
+    line = np.maximum(
+        _smooth(line, min(wide, line.size - 1 + line.size % 2)), _LEAST * np.median(line)
+    )
+    return Noise(
+        np.sqrt(line) / lines.weight,
+        np.sqrt(response) / lines.response,
+        np.sqrt(given) / lines.input,
+    )
 
 
 def synthesise_windowed(model: ModalModel, lines: Lines) -> Complex:
-    """(freq, out, in) the FRFs of the model as measured: under the exponential window of the data."""
+    """(freq, out, in) the FRFs of the model as measured: under the exponential window of the
+    data.
+    """
     shape, part = blow_factors(lines, model.poles)
     h = modal_part(lines, model.poles, model.shapes * shape, model.participation * part)
     s = lines.s[:, None, None]
@@ -362,7 +426,9 @@ def _residuals(rest: Complex, lines: Lines) -> tuple[Complex, Complex]:
 
 
 def driving_pairs(model: ModalModel | FrfSet) -> list[tuple[int, int, float]]:
-    """(output, input, sign) of the driving points; a hit against the direction of its sensor has sign −1."""
+    """(output, input, sign) of the driving points; a hit against the direction of its sensor has
+    sign −1.
+    """
     try:
         out = DofSet.parse(c.id for c in model.outputs)
         inp = DofSet.parse(c.id for c in model.inputs)
@@ -378,14 +444,18 @@ def driving_pairs(model: ModalModel | FrfSet) -> list[tuple[int, int, float]]:
 
 
 def normalise(model: ModalModel, pairs: Pairs | None = None) -> ModalModel:
-    """Shapes of unit modal A where there are driving points, residue = φ φᵀ; else the model as it is."""
+    """Shapes of unit modal A where there are driving points, residue = φ φᵀ; else the model as it
+    is.
+    """
     pairs = driving_pairs(model) if pairs is None else pairs
     if not pairs or not model.poles.size:
         return model
     o, i = np.array([p[0] for p in pairs]), np.array([p[1] for p in pairs])
     sign = np.array([p[2] for p in pairs])[:, None]
     psi, part = model.shapes[o] * sign, model.participation.T[i]
-    overlap = (part.conj() * psi).sum(axis=0)  # regressed on l, which all responses fix: ψ has more noise
+    overlap = (part.conj() * psi).sum(
+        axis=0
+    )  # regressed on l, which all responses fix: ψ has more noise
     square = (np.abs(part) ** 2).sum(axis=0) / np.where(overlap != 0, overlap, 1.0)
     alpha = np.sqrt(np.where(square != 0, square, 1.0))
     return ModalModel(

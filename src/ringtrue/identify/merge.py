@@ -1,7 +1,8 @@
-"""One set of modes from several records of the same structure: other excitations, other sensors, some in common.
+"""One set of modes from several records of the same structure: other excitations, other sensors,
+some in common.
 
-Frequencies and damping by inverse variance, shapes glued by least squares on the common channels (PoSER, Döhler et
-al. 2010, with the scale of every record from all records that came before it).
+Frequencies and damping by inverse variance, shapes glued by least squares on the common channels
+(PoSER, Döhler et al. 2010, with the scale of every record from all records that came before it).
 """
 
 from __future__ import annotations
@@ -43,7 +44,8 @@ class Contribution:
     mac : float
         With the merged shape on the record's channels; NaN for fewer than two.
     outlier : bool
-        Farther from the merged value than its standard deviation explains; left out of frequency and damping.
+        Farther from the merged value than its standard deviation explains; left out of frequency
+        and damping.
     why : str
     """
 
@@ -67,11 +69,13 @@ class MergeSettings:
     mac : float
         Smallest MAC on the common channels, where there are two or more.
     weak : float
-        The same where frequencies agree within `spread`: a mode that the channels hardly see has a poor shape.
+        The same where frequencies agree within `spread`: a mode that the channels hardly see has a
+        poor shape.
     outlier : float
         Standard deviations from the median beyond which a record is flagged.
     spread : float
-        A relative difference of frequency that records may have by themselves (temperature, amplitude).
+        A relative difference of frequency that records may have by themselves (temperature,
+        amplitude).
     mend : bool
         Undo channels that are turned or exchanged in one record (`identify.common`), and say so.
     """
@@ -86,7 +90,9 @@ class MergeSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Merged:
-    """Merged modes; `provenance` lists for each mode what every record gave, `notes` what was undone in a record."""
+    """Merged modes; `provenance` lists for each mode what every record gave, `notes` what was
+    undone in a record.
+    """
 
     modes: ModeSet
     uncertainty: Uncertainty
@@ -96,7 +102,9 @@ class Merged:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Group:
-    """Modes of different records that are one: (record, mode), frequency, and the shape glued so far."""
+    """Modes of different records that are one: (record, mode), frequency, and the shape glued so
+    far.
+    """
 
     members: tuple[tuple[int, int], ...]
     frequency: float
@@ -124,7 +132,11 @@ def _spread_out(record: Record, rows: Int, n: int) -> tuple[Complex, Float]:
 def _match(group: _Group, psi: Complex, freqs: Float, settings: MergeSettings) -> Float:
     """(m,) cost of joining each mode of a record to a group, infinite where it may not."""
     df = np.abs(freqs / group.frequency - 1)
-    both = np.isfinite(group.shape) & np.isfinite(psi).all(1) if psi.shape[1] else np.zeros(group.shape.size, bool)
+    both = (
+        np.isfinite(group.shape) & np.isfinite(psi).all(1)
+        if psi.shape[1]
+        else np.zeros(group.shape.size, bool)
+    )
     like = mac(group.shape[both, None], psi[both])[0] if both.sum() > 1 else np.ones(freqs.size)
     least = np.where(df < settings.spread, settings.weak, settings.mac)
     ok = (df < settings.frequency) & (like >= least)
@@ -132,11 +144,17 @@ def _match(group: _Group, psi: Complex, freqs: Float, settings: MergeSettings) -
 
 
 def _glue(group: _Group, psi: Complex, var: Float, member: tuple[int, int], freq: float) -> _Group:
-    """Bring `psi` to the scale of the group by least squares on the common channels, and average."""
+    """Bring `psi` to the scale of the group by least squares on the common channels, and
+    average.
+    """
     both = np.isfinite(group.shape) & np.isfinite(psi)
-    if not both.any():  # nothing in common: neither scale nor sign is known, the shape stays as it is
+    if (
+        not both.any()
+    ):  # nothing in common: neither scale nor sign is known, the shape stays as it is
         return _Group((*group.members, member), group.frequency, group.shape, group.var)
-    ratio = (np.abs(group.shape[both]) ** 2).sum() / np.maximum((np.abs(psi[both]) ** 2).sum(), 1e-300)
+    ratio = (np.abs(group.shape[both]) ** 2).sum() / np.maximum(
+        (np.abs(psi[both]) ** 2).sum(), 1e-300
+    )
     w = 1 / (group.var[both] + ratio * var[both])
     scale = (w * psi[both].conj() * group.shape[both]).sum() / (w * np.abs(psi[both]) ** 2).sum()
     # the scale is no better known than the common channels tell it
@@ -152,8 +170,12 @@ def _glue(group: _Group, psi: Complex, var: Float, member: tuple[int, int], freq
     return _Group((*group.members, member), (k * group.frequency + freq) / (k + 1), shape, inverse)
 
 
-def _assign(groups: list[_Group], record: Record, index: int, full: tuple[Complex, Float], s: MergeSettings) -> None:
-    """Join each mode of a record to the group it fits best, each group once; the others begin a group."""
+def _assign(
+    groups: list[_Group], record: Record, index: int, full: tuple[Complex, Float], s: MergeSettings
+) -> None:
+    """Join each mode of a record to the group it fits best, each group once; the others begin a
+    group.
+    """
     psi, var = full
     freqs = record.modes.frequencies
     cost = np.array([_match(g, psi, freqs, s) for g in groups]).reshape(len(groups), freqs.size)
@@ -163,12 +185,18 @@ def _assign(groups: list[_Group], record: Record, index: int, full: tuple[Comple
         groups[g] = _glue(groups[g], psi[:, k], var[:, k], (index, k), float(freqs[k]))
         cost[g], cost[:, k] = np.inf, np.inf
         left.discard(k)
-    groups.extend(_Group(((index, k),), float(freqs[k]), psi[:, k], var[:, k]) for k in sorted(left))
+    groups.extend(
+        _Group(((index, k),), float(freqs[k]), psi[:, k], var[:, k]) for k in sorted(left)
+    )
 
 
 def _average(x: Float, sd: Float, s: MergeSettings, spread: float) -> tuple[float, float, Bool]:
     """Mean by inverse variance, its standard deviation, and who is an outlier from the median."""
-    sd = np.where(np.isfinite(sd) & (sd > 0), sd, np.nanmax(sd) if np.isfinite(sd).any() else max(spread, 1e-12))
+    sd = np.where(
+        np.isfinite(sd) & (sd > 0),
+        sd,
+        np.nanmax(sd) if np.isfinite(sd).any() else max(spread, 1e-12),
+    )
     middle = float(np.median(x))
     apart = np.abs(x - middle) / np.hypot(sd, spread)
     out = (apart > s.outlier) & (x.size > 2)
@@ -180,7 +208,10 @@ def _average(x: Float, sd: Float, s: MergeSettings, spread: float) -> tuple[floa
 
 
 def _contributions(
-    records: Sequence[Record], group: _Group, full: Sequence[tuple[Complex, Float]], s: MergeSettings
+    records: Sequence[Record],
+    group: _Group,
+    full: Sequence[tuple[Complex, Float]],
+    s: MergeSettings,
 ) -> tuple[tuple[float, float, float, float], tuple[Contribution, ...]]:
     """Merged frequency, std, damping, std; and what each record gave."""
     f = np.array([records[r].modes.frequencies[k] for r, k in group.members])
@@ -196,7 +227,15 @@ def _contributions(
         like = float(mac(psi[on, None], group.shape[on, None])[0, 0]) if on.sum() > 1 else np.nan
         why = f"{100 * (fk / mf - 1):+.2f} % in frequency, {100 * (zk / mz - 1):+.0f} % in damping"
         said.append(
-            Contribution(records[r].name, k, float(fk), float(zk), like, bool(o), why + (": outlier" if o else ""))
+            Contribution(
+                records[r].name,
+                k,
+                float(fk),
+                float(zk),
+                like,
+                bool(o),
+                why + (": outlier" if o else ""),
+            )
         )
     return (mf, df, mz, dz), tuple(said)
 
@@ -208,8 +247,8 @@ def merge_modes(
 ) -> Merged:
     """Merge the modes of several records with partly common channels.
 
-    The record with the most modes is the first to be built on; a mode that a single record shows is kept.
-    Shape rows that no record measured for a mode are NaN.
+    The record with the most modes is the first to be built on; a mode that a single record shows is
+    kept. Shape rows that no record measured for a mode are NaN.
 
     Parameters
     ----------
@@ -233,7 +272,9 @@ def merge_modes(
     known = tuple(dict.fromkeys(c for r in all_records for c in r.modes.channels))
     rows = tuple(channels) if channels is not None else known
     if lost := [c for c in rows if c not in known]:
-        raise InputError(f"channels in no record: {' '.join(lost[:8])}; there are {' '.join(known[:40])}")
+        raise InputError(
+            f"channels in no record: {' '.join(lost[:8])}; there are {' '.join(known[:40])}"
+        )
     # gluing uses every channel; the caller's choice is cut out at the end
     full = [_spread_out(r, _rows(r, known), len(known)) for r in all_records]
     groups: list[_Group] = []
@@ -247,11 +288,15 @@ def _mended(record: Record, channels: tuple[str, ...]) -> Record:
     std = np.array(record.uncertainty.shape)
     at = [record.modes.channels.index(c) for c in channels]
     std[at] = std[at[::-1]]
-    return Record(undone(record.modes, channels), replace(record.uncertainty, shape=std), record.name)
+    return Record(
+        undone(record.modes, channels), replace(record.uncertainty, shape=std), record.name
+    )
 
 
 def _of_unit(shape: Complex, var: Float) -> Float:
-    """Variances (ch, m) of shapes (ch, m) whose largest component is to be the unit: those of this one are theirs."""
+    """Variances (ch, m) of shapes (ch, m) whose largest component is to be the unit: those of this
+    one are theirs.
+    """
     if not shape.size:
         return var
     size = np.nan_to_num(np.abs(shape))
@@ -273,13 +318,21 @@ def _result(
     both.sort(key=lambda x: x[0][0][0])
     values = np.array([x[0][0] for x in both]).reshape(len(both), 4)
     n = len(channels)
-    shape = np.stack([g.shape[pick] for _, g in both], axis=1) if both else np.empty((n, 0), np.complex128)
+    shape = (
+        np.stack([g.shape[pick] for _, g in both], axis=1)
+        if both
+        else np.empty((n, 0), np.complex128)
+    )
     var = np.stack([g.var[pick] for _, g in both], axis=1) if both else np.empty((n, 0))
     top = np.nan_to_num(np.abs(shape)).max(axis=0, initial=0.0)
     top = np.where(top > 0, top, 1.0)
     var = _of_unit(shape, var)
-    confidence = np.array([max(records[r].modes.confidence[k] for r, k in g.members) for _, g in both])
+    confidence = np.array(
+        [max(records[r].modes.confidence[k] for r, k in g.members) for _, g in both]
+    )
     names = " + ".join(r.name for r in records)
-    modes = ModeSet(values[:, 0], values[:, 2], shape / top, channels, source=names, confidence=confidence)
+    modes = ModeSet(
+        values[:, 0], values[:, 2], shape / top, channels, source=names, confidence=confidence
+    )
     std = Uncertainty.independent(values[:, 1], values[:, 3], np.sqrt(var) / top)
     return Merged(modes, std, tuple(x[0][1] for x in both))

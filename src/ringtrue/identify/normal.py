@@ -19,14 +19,17 @@ def rotated(modes: ModeSet) -> ModeSet:
     The modulus of the whole shape is kept; right for small complexity that is scatter, not damping.
     """
     turned = modes.shapes * np.exp(-1j * mean_phase(modes.shapes))
-    return replace(modes, shapes=_as_long(turned.real, np.asarray(modes.shapes, dtype=np.complex128)))
+    return replace(
+        modes, shapes=_as_long(turned.real, np.asarray(modes.shapes, dtype=np.complex128))
+    )
 
 
 def niedbal(modes: ModeSet) -> ModeSet:
     """Real shapes Re Ψ + Im Ψ (Re Ψᵀ Re Ψ)⁻¹ Re Ψᵀ Im Ψ (Niedbal 1984, IMAC II).
 
-    The shapes are turned by their mean phase first. The real combination of all complex shapes that stands closest to
-    each: what damping couples between the modes of the set is taken out to second order.
+    The shapes are turned by their mean phase first. The real combination of all complex shapes that
+    stands closest to each: what damping couples between the modes of the set is taken out to second
+    order.
 
     Raises
     ------
@@ -41,16 +44,19 @@ def niedbal(modes: ModeSet) -> ModeSet:
 
 
 def normal_modes(model: ModalModel, source: str = "") -> ModeSet:
-    """Undamped frequencies and real shapes from M⁻¹K and M⁻¹C of the measured poles and shapes (Ibrahim 1983).
+    """Undamped frequencies and real shapes from M⁻¹K and M⁻¹C of the measured poles and shapes
+    (Ibrahim 1983).
 
-    The complex shapes span a real space of as many dimensions as there are modes; there ΨΛ² + M⁻¹C ΨΛ + M⁻¹K Ψ = 0
-    with its conjugate fixes both matrices. Exact if the modes outside the set do not couple with it by damping.
+    The complex shapes span a real space of as many dimensions as there are modes; there ΨΛ² + M⁻¹C
+    ΨΛ + M⁻¹K Ψ = 0 with its conjugate fixes both matrices. Exact if the modes outside the set do
+    not couple with it by damping.
 
     Returns
     -------
     ModeSet
-        Ascending; frequencies √eig(M⁻¹K)/2π, damping the diagonal of M⁻¹C in normal coordinates over 2ω. Unit modal
-        mass if the model is of unit modal A, else the length of the complex shape.
+        Ascending; frequencies √eig(M⁻¹K)/2π, damping the diagonal of M⁻¹C in normal coordinates
+        over 2ω. Unit modal mass if the model is of unit modal A, else the length of the complex
+        shape.
 
     Raises
     ------
@@ -61,11 +67,15 @@ def normal_modes(model: ModalModel, source: str = "") -> ModeSet:
     m = model.poles.size
     scale = np.linalg.norm(model.shapes, axis=0)
     psi = model.shapes / scale * np.exp(-1j * mean_phase(model.shapes))
-    basis = np.linalg.svd(np.concatenate([psi.real, psi.imag], axis=1), full_matrices=False)[0][:, :m]
+    basis = np.linalg.svd(np.concatenate([psi.real, psi.imag], axis=1), full_matrices=False)[0][
+        :, :m
+    ]
     q = basis.T @ psi
     w = np.abs(model.poles).max()
     p = model.poles / w
-    both = np.concatenate([np.concatenate([q, q.conj()], 1), np.concatenate([q * p, (q * p).conj()], 1)])
+    both = np.concatenate(
+        [np.concatenate([q, q.conj()], 1), np.concatenate([q * p, (q * p).conj()], 1)]
+    )
     right = np.concatenate([q * p**2, (q * p**2).conj()], axis=1)
     kc = -np.linalg.solve(both.T, right.T).T.real
     values, vectors = np.linalg.eig(kc[:, :m])
@@ -74,13 +84,19 @@ def normal_modes(model: ModalModel, source: str = "") -> ModeSet:
     v = vectors.real[:, order]
     damping = np.diag(np.linalg.solve(v, kc[:, m:] @ v)) / (2 * np.maximum(omega, 1e-300))
     shapes, norm = _scaled(model, basis @ v)
-    return ModeSet(omega * w / (2 * np.pi), damping, shapes, tuple(c.id for c in model.outputs), norm, source)
+    return ModeSet(
+        omega * w / (2 * np.pi), damping, shapes, tuple(c.id for c in model.outputs), norm, source
+    )
 
 
 def _scaled(model: ModalModel, shapes: Float) -> tuple[Float, Norm]:
-    """Columns with length and sign of the complex shape most alike; unit modal mass from unit modal A."""
+    """Columns with length and sign of the complex shape most alike; unit modal mass from unit modal
+    A.
+    """
     mass = model.norm is Norm.MODAL_A
-    psi = model.shapes * (np.sqrt(2j * model.poles.imag) if mass else np.exp(-1j * mean_phase(model.shapes)))
+    psi = model.shapes * (
+        np.sqrt(2j * model.poles.imag) if mass else np.exp(-1j * mean_phase(model.shapes))
+    )
     unit = shapes / np.linalg.norm(shapes, axis=0)
     like = unit.T @ psi
     at = (np.abs(like) / np.linalg.norm(psi, axis=0)).argmax(axis=1)
@@ -96,4 +112,7 @@ def _as_long(shapes: Float, like: Complex) -> Float:
 def _enough(shapes: Complex) -> None:
     n, m = shapes.shape
     if n < m:
-        raise InputError(f"{n} channels for {m} modes: real normal modes need as many channels as modes; take a band")
+        raise InputError(
+            f"{n} channels for {m} modes: real normal modes need as many channels as modes; take "
+            "a band"
+        )

@@ -1,8 +1,9 @@
-"""Peaks of the complex mode indicator function, and single modes fitted to the enhanced FRF at each.
+"""Peaks of the complex mode indicator function, and single modes fitted to the enhanced FRF at
+each.
 
-Shih, Tsuei, Allemang, Brown (1988), "Complex mode indication function and its applications to spatial domain
-parameter estimation", Mech. Syst. Signal Process. 2; Phillips, Allemang, Fladung (1998), "The complex mode indicator
-function (CMIF) as a parameter estimation method", IMAC XVI.
+Shih, Tsuei, Allemang, Brown (1988), "Complex mode indication function and its applications to
+spatial domain parameter estimation", Mech. Syst. Signal Process. 2; Phillips, Allemang, Fladung
+(1998), "The complex mode indicator function (CMIF) as a parameter estimation method", IMAC XVI.
 """
 
 from __future__ import annotations
@@ -44,14 +45,18 @@ class CmifPeaks:
 
 
 def cmif(data: Complex) -> Float:
-    """Complex mode indicator function: singular values (freq, in), descending, of `data` (freq, out, in)."""
+    """Complex mode indicator function: singular values (freq, in), descending, of `data` (freq,
+    out, in).
+    """
     gram = data.conj().transpose(0, 2, 1) @ data
     values = np.linalg.eigvalsh(gram)[:, ::-1]
     return np.asarray(np.sqrt(np.maximum(values, 0)))
 
 
 def count_peaks(curve: Float) -> Int:
-    """Positions of the peaks of the first two singular values that stand 2 dB above their surroundings."""
+    """Positions of the peaks of the first two singular values that stand 2 dB above their
+    surroundings.
+    """
     from scipy.signal import find_peaks  # slow to import, and few commands need it
 
     level = 20 * np.log10(np.maximum(curve[:, :2], curve.max() * 1e-9))
@@ -63,9 +68,9 @@ def count_peaks(curve: Float) -> Int:
 def cmif_modes(frfs: FrfSet, settings: CmifPeaks | None = None) -> ModalModel:
     """Modes at the peaks of the CMIF: a quick look, for modes apart by more than their bandwidth.
 
-    The singular vectors at a peak filter the other modes out of the FRFs; the enhanced FRF uᴴ H v is that of a
-    single mode and takes a rational function of order one. Two peaks that end in one pole count once. The shapes
-    come from one global LSFD.
+    The singular vectors at a peak filter the other modes out of the FRFs; the enhanced FRF uᴴ H v
+    is that of a single mode and takes a rational function of order one. Two peaks that end in one
+    pole count once. The shapes come from one global LSFD.
 
     Raises
     ------
@@ -80,7 +85,10 @@ def cmif_modes(frfs: FrfSet, settings: CmifPeaks | None = None) -> ModalModel:
     found = [_mode(used, at, rank, settings.span) for rank, at in _peaks(cmif(used.data), settings)]
     inside = [(p, v) for p, v in found if p.real < 0 and low <= abs(p) / (2 * np.pi) <= high]
     if not inside:
-        raise DataError(f"{frfs.source}: no peak of the CMIF between {low:g} and {high:g} Hz; lower depth or level")
+        raise DataError(
+            f"{frfs.source}: no peak of the CMIF between {low:g} and {high:g} Hz; lower depth or "
+            "level"
+        )
     poles = np.array([p for p, _ in inside], dtype=np.complex128)
     part = np.array([v for _, v in inside], dtype=np.complex128)
     keep = _different(poles, part)
@@ -107,7 +115,10 @@ def _peaks(curve: Float, settings: CmifPeaks) -> list[tuple[int, int]]:
     from scipy.signal import find_peaks  # slow to import, and few commands need it
 
     level = 20 * np.log10(np.maximum(curve, curve.max() * 1e-12))
-    tops = [find_peaks(c, prominence=settings.depth, height=level.max() + settings.level)[0] for c in level.T]
+    tops = [
+        find_peaks(c, prominence=settings.depth, height=level.max() + settings.level)[0]
+        for c in level.T
+    ]
     return [(rank, int(at)) for rank, top in enumerate(tops) for at in top]
 
 
@@ -117,7 +128,10 @@ def _mode(frfs: FrfSet, at: int, rank: int, span: float) -> tuple[complex, Compl
     left, right = u[:, rank], vh[rank].conj()
     h = np.einsum("o,foi,i->f", left.conj(), frfs.data, right)
     size = np.abs(h)
-    below, above = np.flatnonzero(size[:at] < size[at] / 2**0.5), np.flatnonzero(size[at:] < size[at] / 2**0.5)
+    below, above = (
+        np.flatnonzero(size[:at] < size[at] / 2**0.5),
+        np.flatnonzero(size[at:] < size[at] / 2**0.5),
+    )
     half = min(at - below[-1] if below.size else h.size, above[0] if above.size else h.size)
     reach = max(int(np.ceil(span * half)), 3)
     band = slice(max(at - reach, 0), at + reach + 1)
@@ -126,15 +140,19 @@ def _mode(frfs: FrfSet, at: int, rank: int, span: float) -> tuple[complex, Compl
 
 
 def single_mode(h: Complex, freqs: Float, power: int) -> complex:
-    """Pole, rad/s, of one mode with a constant residual: h = s^p (R/(s − λ) + U), by linear least squares.
+    """Pole, rad/s, of one mode with a constant residual: h = s^p (R/(s − λ) + U), by linear least
+    squares.
 
-    Multiplied by s − λ the equation is linear in λ, R and U; weighted with |h|, which is highest at the peak.
+    Multiplied by s − λ the equation is linear in λ, R and U; weighted with |h|, which is highest at
+    the peak.
     """
     s = 2j * np.pi * freqs
     x = (s - s.mean()) / np.abs(s[-1] - s[0])  # scaled, for the condition
     g = h / (s / s.mean()) ** power
     pole = 0j
-    for _ in range(5):  # the weight 1/|x − λ| undoes the bias of the linearised error (Sanathanan, Koerner 1963)
+    for _ in range(
+        5
+    ):  # the weight 1/|x − λ| undoes the bias of the linearised error (Sanathanan, Koerner 1963)
         w = np.abs(g) if pole == 0 else 1 / np.abs(x - pole)
         a = np.stack([g, np.ones(x.size), x], axis=1) * w[:, None]
         pole = complex(np.linalg.lstsq(a, x * g * w, rcond=None)[0][0])

@@ -1,8 +1,10 @@
-"""Poly-reference least-squares complex frequency-domain estimation (pLSCF), all model orders at once.
+"""Poly-reference least-squares complex frequency-domain estimation (pLSCF), all model orders at
+once.
 
-Guillaume, Verboven, Vanlanduit, Van der Auweraer, Peeters (2003), "A poly-reference implementation of the
-least-squares complex frequency-domain estimator", IMAC XXI; the constraint on the lowest coefficient, which makes
-the mathematical poles unstable, after Cauberghe, Guillaume, Verboven, Parloo (2005), J. Sound Vib. 283.
+Guillaume, Verboven, Vanlanduit, Van der Auweraer, Peeters (2003), "A poly-reference implementation
+of the least-squares complex frequency-domain estimator", IMAC XXI; the constraint on the lowest
+coefficient, which makes the mathematical poles unstable, after Cauberghe, Guillaume, Verboven,
+Parloo (2005), J. Sound Vib. 283.
 """
 
 from __future__ import annotations
@@ -65,7 +67,9 @@ def plscf(data: Complex, freqs: Float, settings: Plscf) -> PoleSet:
     """
     n_in = data.shape[2]
     if freqs.size < settings.ordmax + 2:
-        raise InputError(f"{freqs.size} lines in the band for order {settings.ordmax}: widen it or lower ordmax")
+        raise InputError(
+            f"{freqs.size} lines in the band for order {settings.ordmax}: widen it or lower ordmax"
+        )
     scale = np.sqrt(np.mean(np.abs(data) ** 2, axis=(0, 1))) + np.finfo(float).tiny
     factor = _factor(data / scale, (freqs - freqs[0]) / (freqs[-1] - freqs[0]), settings.ordmax)
     found = [_order(factor, n, n_in, freqs) for n in range(settings.ordmin, settings.ordmax + 1)]
@@ -83,18 +87,22 @@ def _plausible(poles: Complex, freqs: Float, settings: Plscf) -> Bool:
 
 
 def _factor(h: Complex, place: Float, n: int) -> Float:
-    """Lower Cholesky factor of the reduced normal matrix, highest power of z first, ((n+1) in, (n+1) in).
+    """Lower Cholesky factor of the reduced normal matrix, highest power of z first, ((n+1) in,
+    (n+1) in).
 
     `place` (freq,) is that of the lines in the band, 0 to 1.
 
-    With z on the upper half circle the blocks Re Σ z^(l-k) (...) hang on l - k alone: trigonometric sums give all.
+    With z on the upper half circle the blocks Re Σ z^(l-k) (...) hang on l - k alone: trigonometric
+    sums give all.
     """
     n_out, m = h.shape[1:]
     k = np.arange(-n, n + 1)
     wave = np.exp(1j * np.pi * np.outer(k, place))
     r = toeplitz(wave.real.sum(axis=1)[n:])
     s = (wave @ h.reshape(place.size, -1)).real.reshape(2 * n + 1, n_out, m)
-    t = (wave @ (h.conj().transpose(0, 2, 1) @ h).reshape(place.size, -1)).real.reshape(2 * n + 1, m, m)
+    t = (wave @ (h.conj().transpose(0, 2, 1) @ h).reshape(place.size, -1)).real.reshape(
+        2 * n + 1, m, m
+    )
     lag = np.arange(n + 1)[None, :] - np.arange(n + 1)[:, None] + n
     size = (n + 1) * m
     big_t = t[lag].transpose(0, 2, 1, 3).reshape(size, size)
@@ -110,12 +118,20 @@ def _factor(h: Complex, place: Float, n: int) -> Float:
 
 
 def _order(factor: Float, n: int, m: int, freqs: Float) -> tuple[Complex, Complex]:
-    """Poles (k,) and left null vectors (m, k) of the order n: the lowest coefficient is the identity."""
+    """Poles (k,) and left null vectors (m, k) of the order n: the lowest coefficient is the
+    identity.
+    """
     a = -solve_triangular(
-        factor[: n * m, : n * m], factor[n * m : (n + 1) * m, : n * m].T, lower=True, trans="T", check_finite=False
+        factor[: n * m, : n * m],
+        factor[n * m : (n + 1) * m, : n * m].T,
+        lower=True,
+        trans="T",
+        check_finite=False,
     )
     companion = np.eye(n * m, k=-m)
-    companion[:m] = -a.reshape(n, m, m)[::-1].transpose(2, 0, 1).reshape(m, n * m)  # A transposed: left null vectors
+    companion[:m] = (
+        -a.reshape(n, m, m)[::-1].transpose(2, 0, 1).reshape(m, n * m)
+    )  # A transposed: left null vectors
     mu, vectors = np.linalg.eig(companion)
     keep = (mu.imag < 0) & (np.abs(mu) > 1e-6)  # z = 1/mu in the upper half plane
     step = 2 * (freqs[-1] - freqs[0])
@@ -153,7 +169,8 @@ class Clusters:
 
 
 def pole_shapes(poles: PoleSet, data: Complex, freqs: Float, power: int) -> Complex:
-    """Response shapes (out, k) of the poles of each order, by least squares with a lower and an upper residual.
+    """Response shapes (out, k) of the poles of each order, by least squares with a lower and an
+    upper residual.
 
     One input tells modes that overlap apart by their responses alone.
 
@@ -172,7 +189,9 @@ def pole_shapes(poles: PoleSet, data: Complex, freqs: Float, power: int) -> Comp
     q = kind[:, None] / (s[:, None] - poles.pole)
     q -= terms @ (terms.conj().T @ q)
     part = poles.shape
-    rhs = (q.conj().T @ data.reshape(s.size, -1)).reshape(len(poles), *data.shape[1:])  # terms are no part of q
+    rhs = (q.conj().T @ data.reshape(s.size, -1)).reshape(
+        len(poles), *data.shape[1:]
+    )  # terms are no part of q
     rhs = (rhs * part.conj().T[:, None]).sum(axis=2)
     out = np.zeros((data.shape[1], len(poles)), dtype=np.complex128)
     for n in poles.orders:
@@ -183,7 +202,11 @@ def pole_shapes(poles: PoleSet, data: Complex, freqs: Float, power: int) -> Comp
 
 
 def cluster_poles(
-    poles: PoleSet, resolution: float | Float, *, responses: Complex | None = None, least: float = 0.3
+    poles: PoleSet,
+    resolution: float | Float,
+    *,
+    responses: Complex | None = None,
+    least: float = 0.3,
 ) -> Clusters:
     """Average-linkage clusters of poles that stay in place over the orders.
 
@@ -225,7 +248,9 @@ def _clusters(poles: PoleSet, label: Int, held: Sequence[Int]) -> Clusters:
     return Clusters(
         label,
         np.array([r[0] for r in rows], dtype=np.complex128),
-        np.array([r[1] for r in rows], dtype=np.complex128).reshape(len(rows), poles.shape.shape[0]).T,
+        np.array([r[1] for r in rows], dtype=np.complex128)
+        .reshape(len(rows), poles.shape.shape[0])
+        .T,
         np.array([r[2] for r in rows]),
         np.array([r[3] for r in rows]),
     )
@@ -235,7 +260,9 @@ def _summary(poles: PoleSet, g: Int) -> tuple[complex, Complex, float, float]:
     """Medians over the upper half of the orders that hold the pole."""
     late = g[poles.order[g] >= np.median(poles.order[g])]
     pole = complex(np.median(poles.pole[late].real), np.median(poles.pole[late].imag))
-    u = np.linalg.svd(poles.shape[:, late] / np.linalg.norm(poles.shape[:, late], axis=0), full_matrices=False)[0][:, 0]
+    u = np.linalg.svd(
+        poles.shape[:, late] / np.linalg.norm(poles.shape[:, late], axis=0), full_matrices=False
+    )[0][:, 0]
     here = np.unique(poles.order[g])
     support = here.size / np.count_nonzero(poles.orders >= here[0])
     scatter = float(np.median(np.abs(poles.pole[late] - pole)) / max(-pole.real, 1e-12))

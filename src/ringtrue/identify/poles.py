@@ -56,9 +56,14 @@ class PoleSet:
         freeze_fields(self, order=np.int64, pole=c, shape=c, std_frequency=f, std_damping=f)
         k = self.pole.size
         if self.order.size != k or self.shape.ndim != 2 or self.shape.shape[1] != k:
-            raise InputError(f"order {self.order.shape}, pole {k}, shape {self.shape.shape}: unequal numbers of poles")
+            raise InputError(
+                f"order {self.order.shape}, pole {k}, shape {self.shape.shape}: unequal numbers "
+                "of poles"
+            )
         if self.std_frequency.size != k or self.std_damping.size != k:
-            raise InputError(f"std {self.std_frequency.shape}, {self.std_damping.shape}: must be ({k},)")
+            raise InputError(
+                f"std {self.std_frequency.shape}, {self.std_damping.shape}: must be ({k},)"
+            )
 
     def __len__(self) -> int:
         return int(self.pole.size)
@@ -75,7 +80,13 @@ class PoleSet:
 
     def take(self, at: Int | Bool) -> PoleSet:
         """The chosen poles, in the given order."""
-        return PoleSet(self.order[at], self.pole[at], self.shape[:, at], self.std_frequency[at], self.std_damping[at])
+        return PoleSet(
+            self.order[at],
+            self.pole[at],
+            self.shape[:, at],
+            self.std_frequency[at],
+            self.std_damping[at],
+        )
 
     def rescaled(self, scale: Float) -> PoleSet:
         """With shapes times `scale` (channel,), their largest component 1."""
@@ -114,6 +125,11 @@ class StableDiagram:
         f = np.float64
         freeze_fields(self, stable=np.bool_, cluster=np.int64, freqs=f, level=f)
         if self.stable.size != len(self.poles) or self.cluster.size != len(self.poles):
-            raise InputError(f"stable {self.stable.shape}, cluster {self.cluster.shape}: must be ({len(self.poles)},)")
+            raise InputError(
+                f"stable {self.stable.shape}, cluster {self.cluster.shape}: must be "
+                f"({len(self.poles)},)"
+            )
         if self.freqs.shape != self.level.shape:
-            raise InputError(f"freqs {self.freqs.shape} and level {self.level.shape} must be equal (f,)")
+            raise InputError(
+                f"freqs {self.freqs.shape} and level {self.level.shape} must be equal (f,)"
+            )

@@ -1,6 +1,7 @@
 """Reciprocity at the points that were both struck and measured: H(a, b) must equal H(b, a).
 
-A calibration, a direction or a number that is wrong at such a point breaks it in all modes alike, which noise does not.
+A calibration, a direction or a number that is wrong at such a point breaks it in all modes alike,
+which noise does not.
 """
 
 from __future__ import annotations
@@ -15,27 +16,34 @@ from ringtrue.core.modal import ModalModel
 from ringtrue.identify.lsfd import Pairs, driving_pairs
 from ringtrue.shapes.mac import paired_mac
 
-_GOOD, _DOUBTFUL, _POOR = 0.95, 0.9, 0.8  # agreement that is sound, that one fault may explain, and that is told anyhow
+_GOOD, _DOUBTFUL, _POOR = (
+    0.95,
+    0.9,
+    0.8,
+)  # agreement that is sound, that one fault may explain, and that is told anyhow
 _FACTOR = 0.1  # of a calibration, from which on it is told
 _CHANCE = 3e-4  # that a factor of a sound point is told: its deviation rests on few modes
 
 
 def reciprocity(model: ModalModel) -> Float:
-    """(m,) MAC between shape and participation vector at the points that were both hit and measured.
+    """(m,) MAC between shape and participation vector at the points that were both hit and
+    measured.
 
-    1 for a reciprocal structure with sound directions and calibrations; NaN with fewer than two such points. The
-    FRFs of the points on themselves need not be among the data: the residues of rank one give them.
+    1 for a reciprocal structure with sound directions and calibrations; NaN with fewer than two
+    such points. The FRFs of the points on themselves need not be among the data: the residues of
+    rank one give them.
     """
     psi, part, names = _at_both(model)
     return paired_mac(psi, part) if len(names) > 1 else np.full(model.poles.size, np.nan)
 
 
 def calibrations(model: ModalModel) -> tuple[Float, Float]:
-    """What the response at each point struck reads over what the others do for the same force, and how sure that is.
+    """What the response at each point struck reads over what the others do for the same force, and
+    how sure that is.
 
-    The residues of mode m are ψ_o l_i, and in a reciprocal structure |ψ_o| = c_m d_o |l_o|, where d_o is the factor by
-    which response and force at o are mis-scaled. Least squares of the logarithms over all modes, each weighed by how
-    far its residue at the point itself stands out.
+    The residues of mode m are ψ_o l_i, and in a reciprocal structure |ψ_o| = c_m d_o |l_o|, where
+    d_o is the factor by which response and force at o are mis-scaled. Least squares of the
+    logarithms over all modes, each weighed by how far its residue at the point itself stands out.
 
     Parameters
     ----------
@@ -56,11 +64,15 @@ def calibrations(model: ModalModel) -> tuple[Float, Float]:
 def _factors(psi: Complex, part: Complex) -> tuple[Float, Float]:
     """`calibrations` by shapes and participations (p, m)."""
     own = np.abs(psi * part)
-    weight = np.sqrt(own / np.maximum(own.max(axis=0), 1e-300))  # the noise of a logarithm falls as its number grows
+    weight = np.sqrt(
+        own / np.maximum(own.max(axis=0), 1e-300)
+    )  # the noise of a logarithm falls as its number grows
     ratio = np.log(np.maximum(np.abs(psi), 1e-300) / np.maximum(np.abs(part), 1e-300))
     p, m = ratio.shape
     rows = np.concatenate([np.repeat(np.eye(p), m, axis=0), np.tile(np.eye(m), (p, 1))], axis=1)
-    inverse = np.linalg.pinv(rows * weight.reshape(-1, 1))  # of least norm: the points sum to the modes' mean
+    inverse = np.linalg.pinv(
+        rows * weight.reshape(-1, 1)
+    )  # of least norm: the points sum to the modes' mean
     x = inverse @ (weight * ratio).ravel()
     left = weight.ravel() * (ratio.ravel() - rows @ x)
     variance = (left**2).sum() / max((p - 1) * (m - 1), 1)
@@ -70,7 +82,8 @@ def _factors(psi: Complex, part: Complex) -> tuple[Float, Float]:
 
 
 def reciprocity_note(model: ModalModel, sound: Pairs) -> str:
-    """What breaks the reciprocity of the modes: references exchanged, a point wrong, a calibration; else empty.
+    """What breaks the reciprocity of the modes: references exchanged, a point wrong, a calibration;
+    else empty.
 
     With three points and more the odd one is named, with two the pair.
 
@@ -78,7 +91,8 @@ def reciprocity_note(model: ModalModel, sound: Pairs) -> str:
     ----------
     model : ModalModel
     sound : sequence of (output, input, sign)
-        Of `driving_pairs`, those where neither sensor nor hammer is known to be the other way round.
+        Of `driving_pairs`, those where neither sensor nor hammer is known to be the other way
+        round.
     """
     psi, part, names = _at_both(model)
     if len(names) < 2 or model.poles.size < 2:
@@ -102,7 +116,10 @@ def _miscalibrated(names: list[str], factor: Float, doubt: Float) -> str:
     if not odd.size:
         return ""
     if len(names) == 2:
-        told = f"{factor[high] / factor[low]:.3g} times that at {names[low]} at {names[high]}: one sensitivity is wrong"
+        told = (
+            f"{factor[high] / factor[low]:.3g} times that at {names[low]} at {names[high]}: "
+            "one sensitivity is wrong"
+        )
     else:
         each = ", ".join(f"{factor[k]:.3g} times at {names[k]}" for k in odd.tolist())
         told = f"{each} of what it is at the other points struck: a wrong sensitivity"
@@ -124,14 +141,23 @@ def _mislaid(psi: Complex, part: Complex, names: list[str]) -> str:
         rest = np.delete(np.arange(len(names)), k)
         if (value := _agreement(psi[rest], part[rest])) > best:
             best, why = value, f"{names[k]} was not struck where, or along what, its response reads"
-    told = f"reciprocity: shapes and participations at {' '.join(names)} agree to {100 * now:.0f} % only"
+    told = (
+        f"reciprocity: shapes and participations at {' '.join(names)} agree to "
+        f"{100 * now:.0f} % only"
+    )
     if best > _GOOD:
         return f"{told}, {100 * best:.0f} % without: {why}"
-    return f"{told}: a point or direction is wrong, or the structure is not linear" if now < _POOR else ""
+    return (
+        f"{told}: a point or direction is wrong, or the structure is not linear"
+        if now < _POOR
+        else ""
+    )
 
 
 def _at_both(model: ModalModel) -> tuple[Complex, Complex, list[str]]:
-    """Shapes and participations (p, m) at the points both struck and measured, along the response, and their names."""
+    """Shapes and participations (p, m) at the points both struck and measured, along the response,
+    and their names.
+    """
     pairs = driving_pairs(model)
     o, i = ([int(p[k]) for p in pairs] for k in (0, 1))
     sign = np.array([p[2] for p in pairs]).reshape(-1, 1)

@@ -1,8 +1,10 @@
-"""Coherence-weighted nonlinear least squares on poles and participation vectors, by variable projection.
+"""Coherence-weighted nonlinear least squares on poles and participation vectors, by variable
+projection.
 
-The shapes and residual terms are eliminated (Golub, Pereyra 1973; Kaufman's form of the Jacobian 1975). With
-separable weights the projected Gauss-Newton matrix of every response is one matrix, scaled entry by entry by
-products of its shape components, so that a step costs no more than one LSFD.
+The shapes and residual terms are eliminated (Golub, Pereyra 1973; Kaufman's form of the Jacobian
+1975). With separable weights the projected Gauss-Newton matrix of every response is one matrix,
+scaled entry by entry by products of its shape components, so that a step costs no more than one
+LSFD.
 """
 
 from __future__ import annotations
@@ -99,12 +101,17 @@ class State:
 
 
 def refine(
-    lines: Lines, poles: Complex, participation: Complex, *, iterations: int = ITERATIONS, local: bool = True
+    lines: Lines,
+    poles: Complex,
+    participation: Complex,
+    *,
+    iterations: int = ITERATIONS,
+    local: bool = True,
 ) -> Refined:
     """Refine all modes at once.
 
-    No pole goes further than a few half bandwidths from its start: measured FRFs that disagree among themselves
-    would else turn modes into broad terms that patch up the fit.
+    No pole goes further than a few half bandwidths from its start: measured FRFs that disagree
+    among themselves would else turn modes into broad terms that patch up the fit.
 
     Parameters
     ----------
@@ -113,7 +120,8 @@ def refine(
     participation : (m, in) complex128, start
     iterations : int
     local : bool
-        Deviations rest on the error where each mode is seen; else on that of all lines, which takes less time.
+        Deviations rest on the error where each mode is seen; else on that of all lines, which takes
+        less time.
 
     Returns
     -------
@@ -144,8 +152,11 @@ def refine(
     return _result(lines, state, outcome, local)
 
 
-def _step(state: State, damping: float, start: Complex, reach: Float) -> tuple[Complex, Complex] | None:
-    """Poles and participations a Levenberg-Marquardt step on, every pole held within reach of its start.
+def _step(
+    state: State, damping: float, start: Complex, reach: Float
+) -> tuple[Complex, Complex] | None:
+    """Poles and participations a Levenberg-Marquardt step on, every pole held within reach of its
+    start.
 
     None if a pole is no longer one of a damped mode, or rounding leaves no step.
     """
@@ -168,15 +179,20 @@ def _step(state: State, damping: float, start: Complex, reach: Float) -> tuple[C
 
 
 def _scaled(state: State) -> tuple[Float, Float]:
-    """Gauss-Newton matrix of the free parameters in their (real, imaginary) parts over `scale`, and that (free,)."""
+    """Gauss-Newton matrix of the free parameters in their (real, imaginary) parts over `scale`, and
+    that (free,).
+    """
     v, m = state.free, state.poles.size
     scale = 1 / np.sqrt(np.maximum(np.diag(state.hessian).real[v], 1e-300))
     both = scale[:, None] * scale
-    return real_form(state.hessian[np.ix_(v, v)] * both, state.hessian[np.ix_(v, v + m)] * both), scale
+    return real_form(
+        state.hessian[np.ix_(v, v)] * both, state.hessian[np.ix_(v, v + m)] * both
+    ), scale
 
 
 def _free(part: Complex, moving: Bool) -> Int:
-    """Positions of the parameters that are `moving` but the largest participation of each mode: it fixes the scale.
+    """Positions of the parameters that are `moving` but the largest participation of each mode: it
+    fixes the scale.
 
     Of the values; their conjugates stand as many places further as there are modes.
     """
@@ -188,7 +204,9 @@ def _free(part: Complex, moving: Bool) -> Int:
 
 
 def _evaluate(lines: Lines, poles: Complex, part: Complex) -> State:
-    """Shapes, cost, gradient, Gauss-Newton matrix; augmented coordinates (λ, then l of each input; value, conj)."""
+    """Shapes, cost, gradient, Gauss-Newton matrix; augmented coordinates (λ, then l of each input;
+    value, conj).
+    """
     m, n_in = part.shape
     cc, cd, dd, cy, dy = _products(lines, poles)
     l = augment(part).T[:, :, None]
@@ -198,12 +216,16 @@ def _evaluate(lines: Lines, poles: Complex, part: Complex) -> State:
     xg = np.concatenate([cd * ll, *(l.conj() * cc)], axis=1)
     gy = np.concatenate([(l.conj() * dy).sum(axis=0), *cy])
     scale = 1 / np.sqrt(np.maximum(np.diag(xx).real, 1e-300))
-    inverse = scale[:, None] * np.linalg.inv(scale[:, None] * xx * scale) * scale  # small; its diagonal is needed too
+    inverse = (
+        scale[:, None] * np.linalg.inv(scale[:, None] * xx * scale) * scale
+    )  # small; its diagonal is needed too
     psi = inverse @ xy
     gg = _gram(cc, cd, dd * ll, l)
     slope = -inverse @ xg
     core = gg + xg.conj().T @ slope
-    void = np.diag(core).real < FLAT * np.diag(gg).real  # what the shapes do as well: a turn of two modes of one pole
+    void = (
+        np.diag(core).real < FLAT * np.diag(gg).real
+    )  # what the shapes do as well: a turn of two modes of one pole
     w2 = lines.response**2
     tile = np.tile(psi, (1 + n_in, 1))
     hessian = core * ((tile.conj() * w2) @ tile.T)
@@ -211,17 +233,23 @@ def _evaluate(lines: Lines, poles: Complex, part: Complex) -> State:
     cost = float((w2 * np.maximum(lines.power - 0.5 * (psi.conj() * xy).sum(axis=0).real, 0)).sum())
     var = 2 * np.diag(inverse).real[:m]
     shape_var = np.maximum(var, 0) / w2[:, None]
-    return State(poles, part, psi[:m].T, cost, hessian, gradient, shape_var, slope, _free(part, ~void))
+    return State(
+        poles, part, psi[:m].T, cost, hessian, gradient, shape_var, slope, _free(part, ~void)
+    )
 
 
 def _products(lines: Lines, poles: Complex) -> tuple[Complex, Complex, Complex, Complex, Complex]:
-    """Products of the functions and slopes, and of both with the data, over lines and their mirror images.
+    """Products of the functions and slopes, and of both with the data, over lines and their mirror
+    images.
 
-    In augmented coordinates; formed with those of the real and imaginary parts of residues, which are real.
+    In augmented coordinates; formed with those of the real and imaginary parts of residues, which
+    are real.
     """
     m = poles.size
     both = functions_slopes(lines, poles)
-    parts = np.concatenate([x for f in both for x in (f[:, :m] + f[:, m:], 1j * (f[:, :m] - f[:, m:]))], axis=1)
+    parts = np.concatenate(
+        [x for f in both for x in (f[:, :m] + f[:, m:], 1j * (f[:, :m] - f[:, m:]))], axis=1
+    )
     z = np.concatenate([parts.real, parts.imag])
     y = np.concatenate([lines.y.real, lines.y.imag], axis=1)
     gram = 2 * (z.T @ z).reshape(2, 2 * m, 2, 2 * m)
@@ -235,7 +263,9 @@ def _products(lines: Lines, poles: Complex) -> tuple[Complex, Complex, Complex, 
 
 
 def _gram(cc: Complex, cd: Complex, dd: Complex, l: Complex) -> Complex:
-    """Gram matrix of the derivatives with unit shapes: pole columns span all inputs, participations one each."""
+    """Gram matrix of the derivatives with unit shapes: pole columns span all inputs, participations
+    one each.
+    """
     n_in, n = l.shape[:2]
     gg = np.zeros((1 + n_in, n, 1 + n_in, n), dtype=np.complex128)
     gg[0, :, 0] = dd
@@ -270,9 +300,11 @@ def _result(lines: Lines, state: State, outcome: Outcome, local: bool) -> Refine
 
 
 def _covariance(lines: Lines, state: State, rest: Complex | None) -> tuple[Complex, Float, float]:
-    """Covariance of all augmented parameters, zero for those that fix the scales, and the squared weighted errors.
+    """Covariance of all augmented parameters, zero for those that fix the scales, and the squared
+    weighted errors.
 
-    The errors are those (out, m) that the residues see, and that of all data; without the `rest` they are the same.
+    The errors are those (out, m) that the residues see, and that of all data; without the `rest`
+    they are the same.
     """
     free = state.free
     data = 2 * lines.y.size
@@ -291,12 +323,14 @@ def _covariance(lines: Lines, state: State, rest: Complex | None) -> tuple[Compl
 
 
 def _local_error(lines: Lines, state: State, rest: Complex) -> tuple[Float, Float]:
-    """Squared weighted errors where each mode is seen: (out, m) of its residues, (m,) of its pole and participation.
+    """Squared weighted errors where each mode is seen: (out, m) of its residues, (m,) of its pole
+    and participation.
 
-    The errors of measured FRFs grow with the response, in the channels that see a mode most of all: so each error
-    counts as much as it moves the parameter, and what the fit takes of it is given back. Those that all responses
-    share, as of noise on the force, move a pole together: their sum along the shape counts where it is larger. Few
-    lines tell the error of a residue, so its interval is that of Student: 1.96 deviations hold 95 % of the cases.
+    The errors of measured FRFs grow with the response, in the channels that see a mode most of all:
+    so each error counts as much as it moves the parameter, and what the fit takes of it is given
+    back. Those that all responses share, as of noise on the force, move a pole together: their sum
+    along the shape counts where it is larger. Few lines tell the error of a residue, so its
+    interval is that of Student: 1.96 deviations hold 95 % of the cases.
     """
     m, n_out = state.poles.size, state.shapes.shape[0]
     part = (np.abs(state.part) ** 2).T[:, None]
@@ -307,11 +341,15 @@ def _local_error(lines: Lines, state: State, rest: Complex) -> tuple[Float, Floa
     seen = seen / np.linalg.norm(seen, axis=0)
 
     def left(weight: Float, responses: int) -> Float:
-        return np.asarray(np.maximum((weight * (1 - by_shape - by_pole / responses)).sum(axis=(0, 1)), 0.1))
+        return np.asarray(
+            np.maximum((weight * (1 - by_shape - by_pole / responses)).sum(axis=(0, 1)), 0.1)
+        )
 
     power = 0.5 * np.abs(rest) ** 2
     few = stdtrit(2 / (by_shape**2).sum(axis=(0, 1)), _UPPER) / ndtri(_UPPER)
-    own = np.tensordot(power, by_shape / left(by_shape, n_out), ([0, 1], [0, 1])) * early[0] * few**2
+    own = (
+        np.tensordot(power, by_shape / left(by_shape, n_out), ([0, 1], [0, 1])) * early[0] * few**2
+    )
     apart = np.tensordot(power, by_pole / left(by_pole, n_out), ([0, 1], [0, 1]))
     apart = (apart * np.abs(seen) ** 2).sum(axis=0)
     together = 0.5 * (by_pole * np.abs(rest @ seen.conj()) ** 2).sum(axis=(0, 1)) / left(by_pole, 1)
@@ -319,10 +357,11 @@ def _local_error(lines: Lines, state: State, rest: Complex) -> tuple[Float, Floa
 
 
 def _early(lines: Lines, rest: Complex, poles: Complex) -> Float:
-    """(2, m) power of the error while a mode rings, over that of the whole block; for residues, and for poles.
+    """(2, m) power of the error while a mode rings, over that of the whole block; for residues, and
+    for poles.
 
-    An exponential window leaves the noise at the start of the block, where the modes are: lines next to each other
-    then have the same error, and there are fewer of them than it seems.
+    An exponential window leaves the noise at the start of the block, where the modes are: lines
+    next to each other then have the same error, and there are fewer of them than it seems.
     """
     power = (np.abs(np.fft.ifft(rest, axis=1)) ** 2).sum(axis=(0, 2))
     t = np.arange(power.size) / power.size * 2 * np.pi / np.diff(lines.s.imag).mean()
@@ -331,15 +370,21 @@ def _early(lines: Lines, rest: Complex, poles: Complex) -> Float:
     there = (power @ both) / np.maximum(both.sum(axis=1), 1e-300)
     early = np.maximum(there / max(power.mean(), 1e-300), 1.0)
     terms = lines.terms.shape[1] + lines.smooth.shape[1]
-    taken = (early - 1) * (poles.size + terms) / power.size  # by the fit, of the few values at the start
+    taken = (
+        (early - 1) * (poles.size + terms) / power.size
+    )  # by the fit, of the few values at the start
     return np.asarray(early / (1 - np.minimum(taken, 0.8)))
 
 
-def shape_deviations(lines: Lines, fit: Refined, pairs: Sequence[tuple[int, int, float]] | None) -> Float:
-    """Standard deviations (out, m) of the moduli of the scaled shape components, as shares of the modulus.
+def shape_deviations(
+    lines: Lines, fit: Refined, pairs: Sequence[tuple[int, int, float]] | None
+) -> Float:
+    """Standard deviations (out, m) of the moduli of the scaled shape components, as shares of the
+    modulus.
 
-    First order, from the noise of the residues and from poles and participation vectors together. The scale is unit
-    modal mass by the driving points where there are any, else a largest component of 1.
+    First order, from the noise of the residues and from poles and participation vectors together.
+    The scale is unit modal mass by the driving points where there are any, else a largest component
+    of 1.
 
     Parameters
     ----------
@@ -350,7 +395,9 @@ def shape_deviations(lines: Lines, fit: Refined, pairs: Sequence[tuple[int, int,
         Driving points; None leaves the scale to the largest participation, held fixed.
     """
     state, cov = fit.known.state, fit.known.covariance
-    tile = np.tile(augment(state.shapes.T), (1 + fit.participation.shape[1], 1)).T  # (out, parameter)
+    tile = np.tile(
+        augment(state.shapes.T), (1 + fit.participation.shape[1], 1)
+    ).T  # (out, parameter)
     own = state.shape_var * fit.known.own
     psi = np.where(state.shapes == 0, np.finfo(float).tiny, state.shapes)
     out = np.empty(psi.shape)
@@ -367,9 +414,16 @@ def shape_deviations(lines: Lines, fit: Refined, pairs: Sequence[tuple[int, int,
 
 
 def _scale_slope(
-    fit: Refined, lines: Lines, pairs: Sequence[tuple[int, int, float]] | None, g: Complex, psi: Complex, k: int
+    fit: Refined,
+    lines: Lines,
+    pairs: Sequence[tuple[int, int, float]] | None,
+    g: Complex,
+    psi: Complex,
+    k: int,
 ) -> tuple[Complex, Complex]:
-    """Derivatives of the logarithm of the scale of mode k: by the parameters, and by the residue noise (out,)."""
+    """Derivatives of the logarithm of the scale of mode k: by the parameters, and by the residue
+    noise (out,).
+    """
     noise = np.zeros(psi.size, dtype=np.complex128)
     if pairs is None:
         return np.zeros(g.shape[1], dtype=np.complex128), noise
@@ -400,4 +454,6 @@ def _slopes(poles: Complex) -> Float:
     """(2 m, 2 m) derivatives of (frequency, damping) by (Re λ, Im λ)."""
     a, b, r = poles.real, poles.imag, np.abs(poles)
     d = np.diag
-    return np.block([[d(a / r), d(b / r)], [d(-(b**2) / r**3 * 2 * np.pi), d(a * b / r**3 * 2 * np.pi)]]) / (2 * np.pi)
+    return np.block(
+        [[d(a / r), d(b / r)], [d(-(b**2) / r**3 * 2 * np.pi), d(a * b / r**3 * 2 * np.pi)]]
+    ) / (2 * np.pi)

@@ -1,9 +1,11 @@
-"""Repeated roots in ambient records: two modes nearer than the record tells, of which the plane of shapes is known.
+"""Repeated roots in ambient records: two modes nearer than the record tells, of which the plane of
+shapes is known.
 
-The poles of such a pair take another mixture of the two shapes at every order, so that no shape stays in place; the
-plane of the two does. In a basis q of that plane each order gives A = C diag(λ) C⁻¹, C = qᴴψ, free of the mixture.
-Its mean has the poles of the pair. Where they are no farther apart than they are known, any turn in the plane fits as
-well: the shapes are then two real orthogonal ones, and their deviations hold the turn.
+The poles of such a pair take another mixture of the two shapes at every order, so that no shape
+stays in place; the plane of the two does. In a basis q of that plane each order gives A = C diag(λ)
+C⁻¹, C = qᴴψ, free of the mixture. Its mean has the poles of the pair. Where they are no farther
+apart than they are known, any turn in the plane fits as well: the shapes are then two real
+orthogonal ones, and their deviations hold the turn.
 """
 
 from __future__ import annotations
@@ -41,7 +43,8 @@ class Pair:
     pole : (2,) complex128, rad/s, ascending
     shape : (ch, 2) complex128
     turn : float
-        Standard deviation of each shape towards the other, 1/sqrt(2) where any turn in the plane is as good.
+        Standard deviation of each shape towards the other, 1/sqrt(2) where any turn in the plane is
+        as good.
     """
 
     members: Int
@@ -54,7 +57,8 @@ class Pair:
 def with_pairs(
     table: Candidates, band: BandPoles, halves: tuple[PoleSet, PoleSet], tries: int, least: float
 ) -> tuple[Candidates, list[tuple[int, int]]]:
-    """The candidates with two more rows for each pair that they lack, and the rows of pairs that are not told apart.
+    """The candidates with two more rows for each pair that they lack, and the rows of pairs that
+    are not told apart.
 
     Rows that the two replace are agreed on by no half of the record any more.
 
@@ -71,7 +75,9 @@ def with_pairs(
     free: list[tuple[int, int]] = []
     if table.shape.shape[0] < LEAST_CHANNELS:
         return table, free
-    worth = table.stable | stable_poles(band, collinearity=0.0)  # a mixture of two real shapes is complex
+    worth = table.stable | stable_poles(
+        band, collinearity=0.0
+    )  # a mixture of two real shapes is complex
     for f, z in _places(table):
         pair = _pair(band, worth, f, z)
         if pair is None:
@@ -92,7 +98,9 @@ def with_pairs(
 
 
 def loosened(table: Candidates, pairs: list[tuple[int, int]]) -> Candidates:
-    """The candidates with every turn in the plane of the pairs among the deviations of their shapes."""
+    """The candidates with every turn in the plane of the pairs among the deviations of their
+    shapes.
+    """
     if not pairs:
         return table
     d = np.pad(table.shape_deviation, ((0, 0), (0, 0), (0, 1)))
@@ -107,7 +115,9 @@ def loosened(table: Candidates, pairs: list[tuple[int, int]]) -> Candidates:
 
 
 def _places(table: Candidates) -> list[tuple[float, float]]:
-    """Frequency, Hz, and damping of the places to look at: the strongest candidates, a bandwidth apart."""
+    """Frequency, Hz, and damping of the places to look at: the strongest candidates, a bandwidth
+    apart.
+    """
     out: list[tuple[float, float]] = []
     for k in np.argsort(-table.strength, kind="stable"):
         f, z = float(table.frequencies[k]), float(table.damping[k])
@@ -141,7 +151,8 @@ def _pair(band: BandPoles, stable: Bool, f: float, z: float) -> Pair | None:
         return None
     at = np.array(two)
     planes, size, _ = np.linalg.svd(
-        np.moveaxis(p.shape[:, at], 1, 0) / np.linalg.norm(p.shape[:, at], axis=0)[:, None], full_matrices=False
+        np.moveaxis(p.shape[:, at], 1, 0) / np.linalg.norm(p.shape[:, at], axis=0)[:, None],
+        full_matrices=False,
     )
     at, planes = at[size[:, 1] ** 2 > UNLIKE], planes[size[:, 1] ** 2 > UNLIKE]
     if len(at) < MOST_ORDERS * p.orders.size:
@@ -164,7 +175,9 @@ def _solved(band: BandPoles, at: Int, basis: Complex) -> Pair:
     std = np.sqrt(2 * (np.abs(w @ _mean_deviation(band, at) / w.sum()) ** 2).sum())
     turn = np.sqrt(2) * std / abs(pole[0] - pole[1])
     told = turn < 1 / SEPARATE
-    real, size, _ = np.linalg.svd(np.concatenate([basis.real, basis.imag], axis=1), full_matrices=False)
+    real, size, _ = np.linalg.svd(
+        np.concatenate([basis.real, basis.imag], axis=1), full_matrices=False
+    )
     if not told and size[2] < 0.5 * size[1]:
         inner = real[:, :2].T @ basis
         turned = (inner @ mean @ np.linalg.inv(inner)).imag
@@ -181,14 +194,20 @@ def _mean_deviation(band: BandPoles, at: Int) -> Complex:
 
 
 def _rows(band: BandPoles, pair: Pair, agreed: float) -> Candidates:
-    """The two rows of a pair; the poles are known as two independent ones, of which their mean is known."""
+    """The two rows of a pair; the poles are known as two independent ones, of which their mean is
+    known.
+    """
     at, p = pair.members, band.poles
     d = _mean_deviation(band, at)
     w = 1 / (np.abs(d) ** 2).sum(1)
     d = w @ d / w.sum()
     alike = np.abs((p.shape[:, at[:, 0]].conj() * p.shape[:, at[:, 1]]).sum(0))
-    alike /= np.linalg.norm(p.shape[:, at[:, 0]], axis=0) * np.linalg.norm(p.shape[:, at[:, 1]], axis=0)
-    table = groups_table(band, [at[[alike.argmin()], k] for k in (0, 1)])  # the order that tells the plane best
+    alike /= np.linalg.norm(p.shape[:, at[:, 0]], axis=0) * np.linalg.norm(
+        p.shape[:, at[:, 1]], axis=0
+    )
+    table = groups_table(
+        band, [at[[alike.argmin()], k] for k in (0, 1)]
+    )  # the order that tells the plane best
     c = np.linalg.lstsq(table.shape, pair.shape)[0]
     outside = np.einsum("mk,mcb->kcb", c, table.shape_deviation)
     outside -= np.einsum("cd,kdb->kcb", pair.basis @ pair.basis.conj().T, outside)

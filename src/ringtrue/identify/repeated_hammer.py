@@ -1,9 +1,11 @@
-"""Repeated roots of FRFs: two modes of one frequency, of which only the plane of the shapes is known.
+"""Repeated roots of FRFs: two modes of one frequency, of which only the plane of the shapes is
+known.
 
-Poles that the data do not separate may have any mixture of the two shapes, complex and oblique ones too. Where the
-participation vectors of several references span a plane, the pair is given one pole and two real shapes, orthogonal to
-each other and, where two driving points tell, to the mass: the residues of the pair are R = Ψ B = Φ Φ_dᵀ, Φ = Ψ T, and
-T Tᵀ follows from the rows Ψ_d of the driving points.
+Poles that the data do not separate may have any mixture of the two shapes, complex and oblique ones
+too. Where the participation vectors of several references span a plane, the pair is given one pole
+and two real shapes, orthogonal to each other and, where two driving points tell, to the mass: the
+residues of the pair are R = Ψ B = Φ Φ_dᵀ, Φ = Ψ T, and T Tᵀ follows from the rows Ψ_d of the
+driving points.
 """
 
 from __future__ import annotations
@@ -32,7 +34,8 @@ def twins(poles: Complex) -> list[tuple[int, int]]:
 
 
 def united(lines: Lines, fit: Refined, pairs: Pairs) -> Refined:
-    """The fit with one pole and two orthogonal real shapes for each two modes that the data do not separate.
+    """The fit with one pole and two orthogonal real shapes for each two modes that the data do not
+    separate.
 
     Parameters
     ----------
@@ -61,7 +64,10 @@ def united(lines: Lines, fit: Refined, pairs: Pairs) -> Refined:
 def _inseparable(fit: Refined) -> list[tuple[int, int]]:
     """Pairs of poles nearer to each other than the data tell, each pole in one pair at most."""
     p = fit.poles
-    half, std = np.abs(p.real), 2 * np.pi * np.hypot(fit.std_frequency, np.abs(p) / (2 * np.pi) * fit.std_damping)
+    half, std = (
+        np.abs(p.real),
+        2 * np.pi * np.hypot(fit.std_frequency, np.abs(p) / (2 * np.pi) * fit.std_damping),
+    )
     far = np.abs(p[:, None] - p)
     width = np.minimum(half[:, None], half)
     near = far < np.clip(SEPARATE * np.hypot(std[:, None], std), ONE * width, NEAR * width)
@@ -74,7 +80,9 @@ def _inseparable(fit: Refined) -> list[tuple[int, int]]:
 
 
 def _plane(part: Complex) -> Float | None:
-    """(2, in) orthonormal real basis of two participation vectors; None if they lie in no plane of real ones."""
+    """(2, in) orthonormal real basis of two participation vectors; None if they lie in no plane of
+    real ones.
+    """
     v = part / np.linalg.norm(part, axis=1, keepdims=True)
     size, basis = np.linalg.svd(np.concatenate([v.real, v.imag]), full_matrices=False)[1:]
     flat = size.size < 3 or size[2] < FLAT * size[1]
@@ -84,8 +92,8 @@ def _plane(part: Complex) -> Float | None:
 def _orthogonal(psi: Complex, basis: Complex, pairs: Pairs, response: Float) -> Complex:
     """(2, in) participation vectors in the plane `basis` whose shapes are orthogonal.
 
-    `psi` (out, 2) are the shapes of the vectors of the basis. With two driving points they are orthogonal to the mass
-    as well; with fewer, the vectors are orthogonal to each other.
+    `psi` (out, 2) are the shapes of the vectors of the basis. With two driving points they are
+    orthogonal to the mass as well; with fewer, the vectors are orthogonal to each other.
     """
     x = np.eye(2)
     if len(pairs) > 1:

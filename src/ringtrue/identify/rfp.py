@@ -1,8 +1,9 @@
 """Rational fraction polynomials with orthogonal bases: one denominator for all FRFs of a band.
 
-Richardson, Formenti (1982), "Parameter estimation from frequency response measurements using rational fraction
-polynomials", IMAC I; bases by the Arnoldi process (Forsythe 1957, J. SIAM 5; Brubeck, Nakatsukasa, Trefethen 2021,
-SIAM Review 63); reweighting after Sanathanan, Koerner (1963), IEEE Trans. Automatic Control 8.
+Richardson, Formenti (1982), "Parameter estimation from frequency response measurements using
+rational fraction polynomials", IMAC I; bases by the Arnoldi process (Forsythe 1957, J. SIAM 5;
+Brubeck, Nakatsukasa, Trefethen 2021, SIAM Review 63); reweighting after Sanathanan, Koerner (1963),
+IEEE Trans. Automatic Control 8.
 """
 
 from __future__ import annotations
@@ -49,8 +50,8 @@ class Rfp:
 def rfp(data: Complex, freqs: Float, settings: Rfp | None = None) -> PoleSet:
     """Poles of every order, with the participation vectors of their residues.
 
-    The polynomials are complex, in the scaled line number: conjugate poles lie far outside the band and belong to
-    the numerator.
+    The polynomials are complex, in the scaled line number: conjugate poles lie far outside the band
+    and belong to the numerator.
 
     Parameters
     ----------
@@ -70,12 +71,18 @@ def rfp(data: Complex, freqs: Float, settings: Rfp | None = None) -> PoleSet:
     """
     settings = settings or Rfp()
     if freqs.size < 2 * settings.ordmax + settings.extra + 4:
-        raise InputError(f"{freqs.size} lines in the band for order {settings.ordmax} of RFP: widen it or lower ordmax")
+        raise InputError(
+            f"{freqs.size} lines in the band for order {settings.ordmax} of RFP: widen it or "
+            "lower ordmax"
+        )
     centre, half = 0.5 * (freqs[0] + freqs[-1]), 0.5 * (freqs[-1] - freqs[0])
     x = 1j * (freqs - centre) / half
     h = data.reshape(freqs.size, -1)
     h = h / (np.sqrt(np.mean(np.abs(h) ** 2, axis=0)) + np.finfo(float).tiny)
-    found = [_order(h, x, n, settings) * 2 * np.pi * half + 2j * np.pi * centre for n in _orders(settings)]
+    found = [
+        _order(h, x, n, settings) * 2 * np.pi * half + 2j * np.pi * centre
+        for n in _orders(settings)
+    ]
     order = np.repeat(_orders(settings), [p.size for p in found])
     shapes = [_participation(data, freqs, p) for p in found]
     pole, part = np.concatenate(found), np.concatenate(shapes, axis=1)
@@ -90,7 +97,8 @@ def _orders(settings: Rfp) -> list[int]:
 
 
 def orthogonal(x: Complex, weight: Float, n: int) -> tuple[Complex, Complex]:
-    """Polynomials orthonormal on the points `x` under `weight`: values (point, n + 1), Hessenberg matrix (n + 1, n).
+    """Polynomials orthonormal on the points `x` under `weight`: values (point, n + 1), Hessenberg
+    matrix (n + 1, n).
 
     x q_j = Σ_i q_i H_ij: orthogonalised twice, so that orders in the hundreds stay exact.
     """
@@ -115,17 +123,22 @@ def _order(h: Complex, x: Complex, n: int, settings: Rfp) -> Complex:
     for _ in range(settings.turns):
         q, hess = orthogonal(x, weight, n + settings.extra)
         coefficients = _denominator(h, q, n)
-        # d(x) = Σ c_j q_j has its roots where x q = Hᵀ q with q_n taken from the others: the comrade matrix
+        # d(x) = Σ c_j q_j has its roots where x q = Hᵀ q with q_n taken from the others: the
+        # comrade matrix
         square = hess[:n, :n].copy()
         square[:, -1] -= hess[n, n - 1] * coefficients[:n] / coefficients[n]
         roots = np.asarray(np.linalg.eigvals(square), dtype=np.complex128)
-        weight = 1 / np.maximum(np.abs(q[:, : n + 1] @ coefficients) / np.maximum(np.abs(q[:, 0]), 1e-300), 1e-300)
+        weight = 1 / np.maximum(
+            np.abs(q[:, : n + 1] @ coefficients) / np.maximum(np.abs(q[:, 0]), 1e-300), 1e-300
+        )
         weight = weight / weight.max()
     return roots
 
 
 def _denominator(h: Complex, q: Complex, n: int) -> Complex:
-    """Coefficients (n + 1,), the last one 1, that leave least of d·h outside the span of the numerator."""
+    """Coefficients (n + 1,), the last one 1, that leave least of d·h outside the span of the
+    numerator.
+    """
     basis = q[:, : n + 1]
     power = (np.abs(h) ** 2).sum(axis=1)
     outer = q.conj().T
@@ -138,7 +151,9 @@ def _denominator(h: Complex, q: Complex, n: int) -> Complex:
 
 
 def _participation(data: Complex, freqs: Float, poles: Complex) -> Complex:
-    """(in, k) right singular vectors of the residues, largest component 1; residual terms up to second order."""
+    """(in, k) right singular vectors of the residues, largest component 1; residual terms up to
+    second order.
+    """
     s = 2j * np.pi * freqs
     x = (freqs - freqs.mean()) / (freqs[-1] - freqs[0])
     q = np.abs(poles.real) / (s[:, None] - poles)

@@ -1,9 +1,11 @@
-"""Whether the files of a record are of one setup: whether they move in the same shapes at the same frequencies.
+"""Whether the files of a record are of one setup: whether they move in the same shapes at the same
+frequencies.
 
-Where one mode is most of the motion, the first singular vector of the spectral matrix is its shape (Brincker, Zhang and
-Andersen 2001), in each file anew. Sensors that were moved between two files see another part of it, and the files as
-one record would have each mode twice. Of close modes the forces of the day tell which is stronger: the shape of one
-file is sought in the plane of the first two vectors of the other.
+Where one mode is most of the motion, the first singular vector of the spectral matrix is its shape
+(Brincker, Zhang and Andersen 2001), in each file anew. Sensors that were moved between two files
+see another part of it, and the files as one record would have each mode twice. Of close modes the
+forces of the day tell which is stronger: the shape of one file is sought in the plane of the first
+two vectors of the other.
 """
 
 from __future__ import annotations
@@ -22,7 +24,8 @@ FEWEST = 3  # channels: any shape lies in a plane of two
 
 
 def likeness(first: Sequence[SpectralBins], other: Sequence[SpectralBins]) -> float:
-    """Mean share of the shapes that both records have in common, by the power of the lines; 1 where nothing is clear.
+    """Mean share of the shapes that both records have in common, by the power of the lines; 1 where
+    nothing is clear.
 
     Parameters
     ----------
@@ -45,7 +48,9 @@ def likeness(first: Sequence[SpectralBins], other: Sequence[SpectralBins]) -> fl
 
 
 def _shapes(bins: SpectralBins, starts: Any_) -> tuple[Any_, Float, Any_]:
-    """First two singular vectors (line, ch, 2), the share of each line in the power, and which lines are clear."""
+    """First two singular vectors (line, ch, 2), the share of each line in the power, and which
+    lines are clear.
+    """
     cross = np.add.reduceat(bins.cross * bins.count[:, None, None], starts).astype(np.complex128)
     values, vectors = np.linalg.eigh(cross)
     power = values[:, -1] / max(float(values.sum()), np.finfo(np.float64).tiny)

@@ -1,8 +1,10 @@
-"""Unit modal mass by driving points, and how well these tell it: what the fit of the FRFs alone cannot see.
+"""Unit modal mass by driving points, and how well these tell it: what the fit of the FRFs alone
+cannot see.
 
-An error that all responses to a blow share is an error of the participation factors and leaves nothing in the fit: the
-noise on the force, known where there are records, and what else the coherence tells. Where points disagree about the
-scale of a mode, a blow was skewed, a sensor stood beside the point, or a sensitivity is wrong.
+An error that all responses to a blow share is an error of the participation factors and leaves
+nothing in the fit: the noise on the force, known where there are records, and what else the
+coherence tells. Where points disagree about the scale of a mode, a blow was skewed, a sensor stood
+beside the point, or a sensitivity is wrong.
 """
 
 from __future__ import annotations
@@ -19,11 +21,16 @@ from ringtrue.identify.refine import Refined
 SHARED = 3.0  # times what the fit leaves is noise by the coherence, where responses share it
 APART = 3.0  # standard deviations of a sum of squares
 TOLD = 0.1  # of the residues at the driving points
-SIDE, LEAST = 1.96, 1 / 9  # deviations to the end of an interval; of a residue, that may be left there
+SIDE, LEAST = (
+    1.96,
+    1 / 9,
+)  # deviations to the end of an interval; of a residue, that may be left there
 
 
 def mode_scale(model: ModalModel) -> Complex:
-    """(m,) factors to unit modal mass from unit modal A, or to a largest component of 1 from unscaled shapes."""
+    """(m,) factors to unit modal mass from unit modal A, or to a largest component of 1 from
+    unscaled shapes.
+    """
     largest = np.take_along_axis(model.shapes, np.abs(model.shapes).argmax(axis=0)[None], axis=0)[0]
     if model.norm is Norm.UNSCALED:
         return np.asarray(1 / largest)
@@ -31,8 +38,11 @@ def mode_scale(model: ModalModel) -> Complex:
     return np.asarray(np.where((largest * alpha).real < 0, -alpha, alpha))
 
 
-def scale_deviations(frfs: FrfSet, fitted: Complex, fit: Refined, pairs: Pairs) -> tuple[Float, str]:
-    """Relative standard deviations (out, m) of the shapes, beside that of their residues, and a note.
+def scale_deviations(
+    frfs: FrfSet, fitted: Complex, fit: Refined, pairs: Pairs
+) -> tuple[Float, str]:
+    """Relative standard deviations (out, m) of the shapes, beside that of their residues, and a
+    note.
 
     Parameters
     ----------
@@ -56,7 +66,8 @@ def scale_deviations(frfs: FrfSet, fitted: Complex, fit: Refined, pairs: Pairs) 
 
 
 def _by_a_node(fit: Refined, pairs: Pairs) -> Float:
-    """(m,) relative variance of the scales that first order leaves out, as φ_o = R_oi/√R_ii where R_ii is hardly known.
+    """(m,) relative variance of the scales that first order leaves out, as φ_o = R_oi/√R_ii where
+    R_ii is hardly known.
 
     The upper end of the interval of φ, from the lower one of R_ii, tells the deviation.
     """
@@ -68,16 +79,20 @@ def _by_a_node(fit: Refined, pairs: Pairs) -> Float:
 
 
 def _driven(fit: Refined, pairs: Pairs) -> tuple[Complex, Complex, Float]:
-    """Shapes and participations at the driving points (m, pair), and the variance of these shapes by noise."""
+    """Shapes and participations at the driving points (m, pair), and the variance of these shapes
+    by noise.
+    """
     o, i, sign = (np.array(x) for x in zip(*pairs, strict=True))
     variance = (fit.known.state.shape_var * fit.known.own)[o].T
     return (fit.shapes[o] * sign[:, None]).T, fit.participation[:, i], variance
 
 
 def _of_the_force(frfs: FrfSet, poles: Complex, weight: Float, o: Int, i: Int) -> Float:
-    """(out, m) relative variance of the shapes by the noise on the force of each blow, known from the records.
+    """(out, m) relative variance of the shapes by the noise on the force of each blow, known from
+    the records.
 
-    φ_o is the mean of R_oi/φ_i over the driving points i, by their `weight` (m, pair), where R_ii = φ_i².
+    φ_o is the mean of R_oi/φ_i over the driving points i, by their `weight` (m, pair), where R_ii =
+    φ_i².
     """
     if frfs.blows is None:
         return np.zeros((1, poles.size))
@@ -108,15 +123,18 @@ def _shared(frfs: FrfSet, fitted: Complex, poles: Complex) -> Float:
 
 
 def _apart(fit: Refined, pairs: Pairs) -> tuple[Float, float]:
-    """Relative deviations (m,) of the scales by points that disagree, and their error over the size of a component.
+    """Relative deviations (m,) of the scales by points that disagree, and their error over the size
+    of a component.
 
-    The error at a point is taken as independent from mode to mode and in proportion to the typical component there,
-    as that of a skewed blow is.
+    The error at a point is taken as independent from mode to mode and in proportion to the typical
+    component there, as that of a skewed blow is.
     """
     psi, part, variance = _driven(fit, pairs)
     square = np.maximum((np.abs(part) ** 2).sum(axis=1), 1e-300)
     ratio = (part.conj() * psi).sum(axis=1) / square
-    unit = np.sqrt(np.abs(fit.poles) / np.maximum(np.abs(ratio), 1e-300))[:, None]  # of unit modal mass
+    unit = np.sqrt(np.abs(fit.poles) / np.maximum(np.abs(ratio), 1e-300))[
+        :, None
+    ]  # of unit modal mass
     rest, size = unit * (psi - ratio[:, None] * part), unit * np.abs(ratio[:, None] * part)
     noise = unit**2 * variance
     free = 1 - np.abs(part) ** 2 / square[:, None]
@@ -135,6 +153,7 @@ def _note(frfs: FrfSet, pairs: Pairs, error: float) -> str:
         return ""
     ids = " ".join(dict.fromkeys(frfs.inputs[i].id for _, i, _ in pairs))
     return (
-        f"driving points {ids} disagree by {100 * error:.0f} % of their residues: a skewed blow, a sensor beside the "
+        f"driving points {ids} disagree by {100 * error:.0f} % of their residues: a skewed blow, "
+        "a sensor beside the "
         "point or a sensitivity; the modal masses are that doubtful"
     )

@@ -1,10 +1,12 @@
-"""Modes that a fit shows twice because the FRFs disagree about them: one pole in each response, or two in all?
+"""Modes that a fit shows twice because the FRFs disagree about them: one pole in each response, or
+two in all?
 
-A sensor that is moved from response to response loads the structure at another place each time, and each response
-has the mode at a frequency of its own. One fit of all then shows two modes or three, a fraction of a bandwidth from
-each other, of alike participation vectors. The two models have about as many unknowns: a pole and a residue of each
-response, or two residues of each response and two poles. True close modes add up to nothing in some responses, or have
-other participation vectors: no single pole fits there.
+A sensor that is moved from response to response loads the structure at another place each time, and
+each response has the mode at a frequency of its own. One fit of all then shows two modes or three,
+a fraction of a bandwidth from each other, of alike participation vectors. The two models have about
+as many unknowns: a pole and a residue of each response, or two residues of each response and two
+poles. True close modes add up to nothing in some responses, or have other participation vectors: no
+single pole fits there.
 """
 
 from __future__ import annotations
@@ -30,7 +32,8 @@ SETTLED = 1e-4  # of the squares left, that a step still takes away
 BETWEEN_TURNS = 10
 LEAST_DAMPED = 0.1  # of the half bandwidth
 DISAGREE = "the responses disagree"  # so begins the note
-APART = 8.0  # standard deviations between responses that do not agree: those of one place are 1 to 3 apart
+# standard deviations between responses that do not agree: those of one place are 1 to 3 apart
+APART = 8.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +50,8 @@ class LocalPoles:
     participation : (in,) complex128
         Unit length, of the weighted data.
     cost : float
-        Squares that it leaves over those that the fit leaves, per value that is free, in the band of the mode.
+        Squares that it leaves over those that the fit leaves, per value that is free, in the band
+        of the mode.
     """
 
     poles: Complex
@@ -87,7 +91,10 @@ def _split(lines: Lines, fit: Refined, run: tuple[int, ...]) -> list[SplitMode]:
             mode = local_poles(lines, fit, at)
             if mode.cost < 1:
                 rest = run[:i], run[i + length :]
-                return [SplitMode(at, mode), *(m for part in rest for m in _split(lines, fit, part))]
+                return [
+                    SplitMode(at, mode),
+                    *(m for part in rest for m in _split(lines, fit, part)),
+                ]
     return []
 
 
@@ -97,14 +104,18 @@ def joined(lines: Lines, candidates: Candidates, split: Sequence[SplitMode]) -> 
     keep = np.setdiff1d(np.arange(c.pole.size), parts)
     return Candidates(
         np.append(c.pole[keep], [_mean(s.mode)[0] for s in split]),
-        np.concatenate([c.participation[keep], [s.mode.participation / lines.input for s in split]]),
+        np.concatenate(
+            [c.participation[keep], [s.mode.participation / lines.input for s in split]]
+        ),
         np.append(c.support[keep], [c.support[list(s.at)].max() for s in split]),
         np.append(c.scatter[keep], [c.scatter[list(s.at)].min() for s in split]),
     )
 
 
 def levelled(lines: Lines, split: Sequence[SplitMode]) -> Lines:
-    """The lines as if each response had the mean pole of the split modes; residues of one modal mass go with 1/ω."""
+    """The lines as if each response had the mean pole of the split modes; residues of one modal
+    mass go with 1/ω.
+    """
     y = lines.y.copy()
     for mode in (s.mode for s in split):
         pole = _mean(mode)[0]
@@ -117,15 +128,19 @@ def levelled(lines: Lines, split: Sequence[SplitMode]) -> Lines:
 
 
 def scattered(lines: Lines, fit: Refined, new: Refined, split: Sequence[SplitMode]) -> Refined:
-    """`new`, of `joined` modes, with deviations that hold the scatter between the responses in `fit`.
+    """`new`, of `joined` modes, with deviations that hold the scatter between the responses in
+    `fit`.
 
     Where responses disagree about some modes, those of the others hold it too.
     """
     keep = np.setdiff1d(np.arange(fit.poles.size), [m for s in split for m in s.at])
     x = lines.s.imag
-    seen = [x[0] < fit.poles[k].imag < x[-1] for k in keep.tolist()]  # modes beyond the lines no response knows
+    seen = [
+        x[0] < fit.poles[k].imag < x[-1] for k in keep.tolist()
+    ]  # modes beyond the lines no response knows
     spread = [
-        _mean(local_poles(lines, fit, (k,)))[1:] if s else (0.0, 0.0) for k, s in zip(keep.tolist(), seen, strict=True)
+        _mean(local_poles(lines, fit, (k,)))[1:] if s else (0.0, 0.0)
+        for k, s in zip(keep.tolist(), seen, strict=True)
     ]
     old = np.array([new.std_frequency, new.std_damping])
     std = np.maximum(old, np.array([*spread, *(_mean(s.mode)[1:] for s in split)]).T)
@@ -134,17 +149,20 @@ def scattered(lines: Lines, fit: Refined, new: Refined, split: Sequence[SplitMod
 
 
 def agreeing(split: Sequence[SplitMode]) -> tuple[tuple[int, ...], ...]:
-    """Responses that have the split modes at the same frequencies: those of a place that the sensors had, or a day.
+    """Responses that have the split modes at the same frequencies: those of a place that the
+    sensors had, or a day.
 
-    Average linkage of their distances in standard deviations, of several modes the median. Empty where all agree, or
-    one agrees with no other: then there are no groups.
+    Average linkage of their distances in standard deviations, of several modes the median. Empty
+    where all agree, or one agrees with no other: then there are no groups.
     """
     if not split:
         return ()
     shift = np.array([np.log(s.mode.poles.imag) for s in split])
     variance = np.array([s.mode.variance / s.mode.poles.imag**2 for s in split])
     i, j = np.triu_indices(shift.shape[1], 1)
-    far = np.abs(shift[:, i] - shift[:, j]) / np.sqrt(variance[:, i] + variance[:, j] + np.finfo(float).tiny)
+    far = np.abs(shift[:, i] - shift[:, j]) / np.sqrt(
+        variance[:, i] + variance[:, j] + np.finfo(float).tiny
+    )
     group = fcluster(linkage(np.median(far, axis=0), "average"), APART, "distance")
     parts = tuple(sorted(tuple(np.flatnonzero(group == g).tolist()) for g in np.unique(group)))
     return parts if len(parts) > 1 and min(map(len, parts)) > 1 else ()
@@ -157,14 +175,18 @@ def split_note(fit: Refined, count: int) -> str:
     shift = float(np.median(fit.std_frequency[-count:] / f))
     named = " ".join(f"{x:.5g}" for x in f[order])
     return (
-        f"{DISAGREE} about the modes at {named} Hz, by {100 * shift:.2g} % of the frequency: each would "
-        "show as several, and is one with the mean and scatter of the responses (moved sensors load the structure, "
+        f"{DISAGREE} about the modes at {named} Hz, by {100 * shift:.2g} % of the frequency: "
+        "each would "
+        "show as several, and is one with the mean and scatter of the responses (moved sensors "
+        "load the structure, "
         "or it changed)"
     )
 
 
 def _mean(mode: LocalPoles) -> tuple[complex, float, float]:
-    """Pole of the mean frequency and damping over the responses; deviations of those of one response."""
+    """Pole of the mean frequency and damping over the responses; deviations of those of one
+    response.
+    """
     omega, zeta = np.abs(mode.poles), -mode.poles.real / np.abs(mode.poles)
     mean, spread = _random_effects(omega, mode.variance)
     damping, apart = _random_effects(zeta, mode.variance / omega**2)
@@ -174,8 +196,8 @@ def _mean(mode: LocalPoles) -> tuple[complex, float, float]:
 def _random_effects(x: Float, variance: Float) -> tuple[float, float]:
     """Mean of values that differ by more than their variances tell, and the deviation of one.
 
-    The variance between the values is what their scatter has over their own (DerSimonian, Kacker 2007), by turns with
-    the weights.
+    The variance between the values is what their scatter has over their own (DerSimonian, Kacker
+    2007), by turns with the weights.
     """
     between, mean, w = float(np.var(x)), float(x.mean()), np.ones(x.size)
     for _ in range(BETWEEN_TURNS):
@@ -188,10 +210,11 @@ def _random_effects(x: Float, variance: Float) -> tuple[float, float]:
 
 
 def local_poles(lines: Lines, fit: Refined, at: Sequence[int]) -> LocalPoles:
-    """The modes `at` of a fit replaced by one with a pole in each response, others near as they are.
+    """The modes `at` of a fit replaced by one with a pole in each response, others near as they
+    are.
 
-    Modes further away may have another pole and residue in each response too, to first order. Gauss-Newton steps on
-    the poles, the residues eliminated.
+    Modes further away may have another pole and residue in each response too, to first order.
+    Gauss-Newton steps on the poles, the residues eliminated.
     """
     band = _band(lines, fit, list(at))
     z, poles = band.along, fit.poles[list(at)]
@@ -208,7 +231,9 @@ def local_poles(lines: Lines, fit: Refined, at: Sequence[int]) -> LocalPoles:
         trial = band.residues(new)
         better = trial[2] < cost
         gain = (cost - trial[2])[better].sum()
-        p, q, r, cost = (np.where(better, x, y) for x, y in zip((new, *trial), (p, q, r, cost), strict=True))
+        p, q, r, cost = (
+            np.where(better, x, y) for x, y in zip((new, *trial), (p, q, r, cost), strict=True)
+        )
         if gain <= SETTLED * cost.sum():
             break
     free = z.shape[0] - band.neighbours.shape[1]  # of each response, to one participation vector
@@ -220,10 +245,12 @@ def local_poles(lines: Lines, fit: Refined, at: Sequence[int]) -> LocalPoles:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Band:
-    """What the data hold of some modes in their band, without what neighbours and smooth terms may have.
+    """What the data hold of some modes in their band, without what neighbours and smooth terms may
+    have.
 
-    `along` (freq, out) is the part along the participation vector `part` (in,); `beside` are the squares of the rest,
-    `left` those that the fit leaves. `neighbours` (freq, n) is an orthonormal basis.
+    `along` (freq, out) is the part along the participation vector `part` (in,); `beside` are the
+    squares of the rest, `left` those that the fit leaves. `neighbours` (freq, n) is an orthonormal
+    basis.
     """
 
     lines: Lines
@@ -241,7 +268,9 @@ class _Band:
 
     def slopes(self, p: Complex, q: Complex, r: Complex) -> Complex:
         """Derivatives of the fit by the poles, beside the functions."""
-        slope = without(self.neighbours, self.lines.weight[:, None] * resonances(self.lines, p)[1] * r)
+        slope = without(
+            self.neighbours, self.lines.weight[:, None] * resonances(self.lines, p)[1] * r
+        )
         return np.asarray(slope - q * ((q.conj() * slope).sum(axis=0) / _squares(q)))
 
 
@@ -254,7 +283,10 @@ def _band(lines: Lines, fit: Refined, at: list[int]) -> _Band:
     far = np.abs(fit.poles.imag[:, None] - poles.imag).min(axis=1)
     others = fit.poles[(far > NEAR * np.maximum(half, np.abs(fit.poles.real))) & (far < 2 * reach)]
     flat, size, _ = np.linalg.svd(lines.smooth[near], full_matrices=False)
-    columns = [*(band.weight[:, None] * x for x in resonances(band, others)), flat[:, size > INSIDE]]
+    columns = [
+        *(band.weight[:, None] * x for x in resonances(band, others)),
+        flat[:, size > INSIDE],
+    ]
     basis = np.linalg.qr(np.concatenate(columns, axis=1))[0]
     shapes = fit.shapes[:, at] * lines.response[:, None]
     left = without(basis, fit.known.rest[:, near])

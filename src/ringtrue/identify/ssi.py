@@ -1,7 +1,8 @@
 """Covariance-driven stochastic subspace identification: one decomposition, every model order.
 
-Peeters and De Roeck 1999 (reference-based SSI-cov); the orders from the leading blocks of one QR factorisation of
-the observability matrix follow Döhler and Mevel 2012 (fast multi-order computation).
+Peeters and De Roeck 1999 (reference-based SSI-cov); the orders from the leading blocks of one QR
+factorisation of the observability matrix follow Döhler and Mevel 2012 (fast multi-order
+computation).
 """
 
 from __future__ import annotations
@@ -62,9 +63,11 @@ class SsiCov:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Subspace:
-    """The decomposition all orders come from: H ≈ U S Vᵀ, O = U, the QR of O without its last block row.
+    """The decomposition all orders come from: H ≈ U S Vᵀ, O = U, the QR of O without its last block
+    row.
 
-    `turn` (ch,) complex128 are the phases that make one motion of channels of different kinds, where there are some.
+    `turn` (ch,) complex128 are the phases that make one motion of channels of different kinds,
+    where there are some.
     """
 
     u: Float
@@ -106,16 +109,22 @@ class BandPoles:
     perturbations: var.Perturbations
 
 
-def decompose(h: Float, order: int, gram: Float | LinearOperator | None = None) -> tuple[Float, Float, Float]:
-    """Leading singular triplets U (i, order), s, V (j, order) of `h` from hᵀh (`gram`, if there is a faster way to it).
+def decompose(
+    h: Float, order: int, gram: Float | LinearOperator | None = None
+) -> tuple[Float, Float, Float]:
+    """Leading singular triplets U (i, order), s, V (j, order) of `h` from hᵀh (`gram`, if there is
+    a faster way to it).
 
-    A Rayleigh-Ritz step follows where the square of a singular value comes near the rounding of the largest.
+    A Rayleigh-Ritz step follows where the square of a singular value comes near the rounding of the
+    largest.
     """
     j = h.shape[1]
     if j <= 2 * order or (j <= 4 * order and len(h) <= 4 * j):
         u, s, vt = svd(h, full_matrices=False)
         return u[:, :order], s[:order], vt[:order].T
-    wide = min(max(3 * order // 2, order + 20), j)  # of the Krylov space: the default takes more products
+    wide = min(
+        max(3 * order // 2, order + 20), j
+    )  # of the Krylov space: the default takes more products
     size, v = eigsh(h.T @ h if gram is None else gram, order, v0=np.ones(j), tol=1e-8, ncv=wide)
     rank = np.argsort(-size, kind="stable")
     size, v = size[rank], v[:, rank]
@@ -128,7 +137,9 @@ def decompose(h: Float, order: int, gram: Float | LinearOperator | None = None) 
 
 
 def squared_hankel(h: Float, ch: int, ref: int) -> Float:
-    """HᵀH of a block-Hankel matrix with blocks (ch, ref): each block from the one before it on its diagonal."""
+    """HᵀH of a block-Hankel matrix with blocks (ch, ref): each block from the one before it on its
+    diagonal.
+    """
     rows = h.shape[1] // ref
     first, last = h[:ch, :-ref], h[-ch:, ref:]
     gain = (last.T @ last - first.T @ first).reshape(rows - 1, ref, rows - 1, ref)
@@ -141,7 +152,9 @@ def squared_hankel(h: Float, ch: int, ref: int) -> Float:
 
 
 def hankel_gram(r: Float, rows: int) -> LinearOperator:
-    """HᵀH of the block-Hankel matrix H of `r` (lag, ch, ref): two convolutions, no matrix of rows·ref squared."""
+    """HᵀH of the block-Hankel matrix H of `r` (lag, ch, ref): two convolutions, no matrix of
+    rows·ref squared.
+    """
     size = int(next_fast_len(2 * rows - 1, real=True))
     spectrum = rfft(r[1 : 2 * rows], size, axis=0)
     back = np.ascontiguousarray(spectrum.transpose(0, 2, 1))
@@ -158,7 +171,9 @@ def hankel_gram(r: Float, rows: int) -> LinearOperator:
 
 
 def subspace(r: Float, rows: int, order: int, rate: float, turn: Complex | None = None) -> Subspace:
-    """The decomposition of the correlations `r` (lag, ch, ref); the order is cut where the rank ends."""
+    """The decomposition of the correlations `r` (lag, ch, ref); the order is cut where the rank
+    ends.
+    """
     ch = r.shape[1]
     h = var.hankel(r, rows)
     gram = hankel_gram(r, rows) if h.shape[1] > WIDE else squared_hankel(h, ch, r.shape[2])
@@ -168,29 +183,60 @@ def subspace(r: Float, rows: int, order: int, rate: float, turn: Complex | None 
 
 
 def part_of(whole: Subspace, r: Float, rows: int) -> Subspace:
-    """The subspace that the correlations `r` of a part of the record show through the right vectors of the whole."""
-    return _factored(var.hankel(r, rows) @ whole.vs, whole.s, whole.vs, whole.channels, whole.rate, whole.turn)
+    """The subspace that the correlations `r` of a part of the record show through the right vectors
+    of the whole.
+    """
+    return _factored(
+        var.hankel(r, rows) @ whole.vs, whole.s, whole.vs, whole.channels, whole.rate, whole.turn
+    )
 
 
-def _factored(u: Float, s: Float, vs: Float, ch: int, rate: float, turn: Complex | None) -> Subspace:
+def _factored(
+    u: Float, s: Float, vs: Float, ch: int, rate: float, turn: Complex | None
+) -> Subspace:
     q, tri = qr(u[:-ch], mode="economic")
-    return Subspace(u, s, vs, np.asarray(q, np.float64), np.asarray(tri, np.float64), q.T @ u[ch:], ch, rate, turn)
+    return Subspace(
+        u,
+        s,
+        vs,
+        np.asarray(q, np.float64),
+        np.asarray(tri, np.float64),
+        q.T @ u[ch:],
+        ch,
+        rate,
+        turn,
+    )
 
 
 def transition(sub: Subspace, n: int) -> tuple[Float, Complex, Complex, Complex]:
-    """A (n, n) of order n, its eigenvalues (n,), right vectors (columns), left vectors (rows); left·right = I."""
+    """A (n, n) of order n, its eigenvalues (n,), right vectors (columns), left vectors (rows);
+    left·right = I.
+    """
     a = solve_triangular(sub.r[:n, :n], sub.qd[:n, :n])
     mu, right = np.linalg.eig(a)
     right = right.astype(np.complex128)
-    return a, mu.astype(np.complex128), right, np.linalg.solve(right, np.eye(n, dtype=np.complex128))
+    return (
+        a,
+        mu.astype(np.complex128),
+        right,
+        np.linalg.solve(right, np.eye(n, dtype=np.complex128)),
+    )
 
 
 def _order(
-    sub: Subspace, back: Float, p: var.Perturbations | None, n: int, settings: SsiCov, low: float, high: float
+    sub: Subspace,
+    back: Float,
+    p: var.Perturbations | None,
+    n: int,
+    settings: SsiCov,
+    low: float,
+    high: float,
 ) -> tuple[Int, Complex, Complex, Complex, Float]:
-    """Columns, poles, shapes (ch, k), deviations (k, block) and strengths of one order within the band.
+    """Columns, poles, shapes (ch, k), deviations (k, block) and strengths of one order within the
+    band.
 
-    `back` is R⁻¹: R is a triangle, so the leading blocks of its inverse are the inverses of its leading blocks.
+    `back` is R⁻¹: R is a triangle, so the leading blocks of its inverse are the inverses of its
+    leading blocks.
     """
     mu, right = np.linalg.eig(back[:n, :n] @ sub.qd[:n, :n])
     log = np.asarray(np.log(np.where(mu == 0, 1e-300, mu + 0j)) * sub.rate, dtype=np.complex128)
@@ -201,7 +247,13 @@ def _order(
     psi = sub.turned(np.asarray(sub.u[: sub.channels, :n] @ own, dtype=np.complex128))
     if p is None or not keep.size:
         blocks = 0 if p is None else len(p.up)
-        return keep, log[keep], psi, np.empty((keep.size, blocks), np.complex128), np.full(keep.size, np.nan)
+        return (
+            keep,
+            log[keep],
+            psi,
+            np.empty((keep.size, blocks), np.complex128),
+            np.full(keep.size, np.nan),
+        )
     left = np.linalg.solve(right.T, np.eye(n)[:, keep]).T.astype(np.complex128)
     d_mu = var.pole_deviations(p, left @ back[:n, :n], mu[keep], own)
     return keep, log[keep], psi, d_mu / mu[keep, None] * sub.rate, var.strengths(p, sub.s, left)
@@ -210,7 +262,9 @@ def _order(
 def all_orders(
     sub: Subspace, p: var.Perturbations | None, settings: SsiCov, band: tuple[float, float]
 ) -> tuple[PoleSet, Complex, Float, Int]:
-    """Poles of the orders 2, 2 + step, .. within the band (Hz), their deviations, strengths and columns."""
+    """Poles of the orders 2, 2 + step, .. within the band (Hz), their deviations, strengths and
+    columns.
+    """
     orders = np.arange(2, min(sub.s.size, settings.order_max) + 1, settings.order_step)
     back = solve_triangular(sub.r, np.eye(len(sub.r)))
     parts = [_order(sub, back, p, int(n), settings, *band) for n in orders]
@@ -223,13 +277,18 @@ def all_orders(
     df, dz = var.frequency_damping(pole, dev)
     unknown = np.full(pole.size, np.nan)
     poles = PoleSet(
-        order, pole, unit(psi), var.std(df) if p is not None else unknown, var.std(dz) if p is not None else unknown
+        order,
+        pole,
+        unit(psi),
+        var.std(df) if p is not None else unknown,
+        var.std(dz) if p is not None else unknown,
     )
     return poles, dev, strength, column
 
 
 def choose_references(history: TimeHistory, data: Float, names: Sequence[str] | None) -> Int:
-    """(ref,) int64 channels of these names; without, those that span the motion best, of its `prepared` data.
+    """(ref,) int64 channels of these names; without, those that span the motion best, of its
+    `prepared` data.
 
     Raises
     ------
@@ -244,15 +303,20 @@ def choose_references(history: TimeHistory, data: Float, names: Sequence[str] | 
 
 
 def spanning(lagged: Float, most: int) -> Int:
-    """(k,) int64 channels that span the motion best: all, or `most` by pivoted QR of the correlations at lag 1."""
+    """(k,) int64 channels that span the motion best: all, or `most` by pivoted QR of the
+    correlations at lag 1.
+    """
     if len(lagged) <= most:
         return np.arange(len(lagged), dtype=np.int64)
     _, pivots = qr(lagged, mode="r", pivoting=True)
     return np.sort(np.asarray(pivots[:most], dtype=np.int64))
 
 
-def blockwise(history: TimeHistory, references: Int | None, settings: SsiCov) -> tuple[Any_, Float, Float]:
-    """Correlations (block, lag, ch, ref) float32 in units of the root mean squares, the weights (block,), those (ch,).
+def blockwise(
+    history: TimeHistory, references: Int | None, settings: SsiCov
+) -> tuple[Any_, Float, Float]:
+    """Correlations (block, lag, ch, ref) float32 in units of the root mean squares, the weights
+    (block,), those (ch,).
 
     `references` None: all channels, or the 8 that span the motion best.
 
@@ -264,7 +328,8 @@ def blockwise(history: TimeHistory, references: Int | None, settings: SsiCov) ->
     signals, lags = Signals.straightened(history.data), 2 * settings.block_rows - 1
     if signals.samples < 4 * lags:
         raise DataError(
-            f"{signals.samples} samples are too few for {settings.block_rows} block rows; needed are {4 * lags}"
+            f"{signals.samples} samples are too few for {settings.block_rows} block rows; needed "
+            f"are {4 * lags}"
         )
     blocks = settings.blocks or var.blocks_for(signals.samples, lags)
     cut = pyramid.segments(signals.samples, blocks, lags, AS_IS, AS_IS)
@@ -281,7 +346,9 @@ def blockwise(history: TimeHistory, references: Int | None, settings: SsiCov) ->
 
 
 def _power(signals: Signals, r: Any_, references: Int, used: Float) -> Float:
-    """(ch,) mean squares of the signals: from their correlations `r` (block, lag, ch, ref) where all are in these."""
+    """(ch,) mean squares of the signals: from their correlations `r` (block, lag, ch, ref) where
+    all are in these.
+    """
     ch = signals.level.size
     if np.unique(references).size < ch:
         return signals.power()
@@ -291,7 +358,9 @@ def _power(signals: Signals, r: Any_, references: Int, used: Float) -> Float:
 
 
 def loudness_weights(r: Float, references: Int) -> Float:
-    """(block,) weights, sum 1, of the correlations `r` (block, lag, ch, ref) by the power of their references."""
+    """(block,) weights, sum 1, of the correlations `r` (block, lag, ch, ref) by the power of their
+    references.
+    """
     return block_weights(block_power(r, references))
 
 
@@ -301,9 +370,16 @@ def block_power(r: Float, references: Int) -> Float:
 
 
 def identify_band(
-    r: Float, weights: Float, settings: SsiCov, rate: float, band: tuple[float, float], turn: Complex | None = None
+    r: Float,
+    weights: Float,
+    settings: SsiCov,
+    rate: float,
+    band: tuple[float, float],
+    turn: Complex | None = None,
 ) -> BandPoles:
-    """All orders with their uncertainty from block correlations `r` (block, lag, ch, ref) of signals at `rate`."""
+    """All orders with their uncertainty from block correlations `r` (block, lag, ch, ref) of
+    signals at `rate`.
+    """
     mean, dr = var.deviations(r, weights)
     sub = subspace(mean, settings.block_rows, settings.order_max, rate, turn)
     p = var.perturb(dr, settings.block_rows, sub.u, sub.vs, sub.q)
@@ -312,7 +388,8 @@ def identify_band(
 
 
 def prepared(history: TimeHistory) -> tuple[Float, Float]:
-    """Signals without mean and trend (ch, sample) in units of their root mean square, and those (ch,).
+    """Signals without mean and trend (ch, sample) in units of their root mean square, and those
+    (ch,).
 
     Raises
     ------
@@ -326,8 +403,13 @@ def prepared(history: TimeHistory) -> tuple[Float, Float]:
 
 def _alive(history: TimeHistory, power: Float) -> Float:
     """(ch,) root of the mean squares (ch,) of its signals."""
-    if lost := [c.id for c, s in zip(history.channels, power, strict=True) if not (np.isfinite(s) and s > 0)]:
-        raise DataError(f"{history.source}: channels {' '.join(lost[:8])} are constant or not finite; leave them out")
+    if lost := [
+        c.id for c, s in zip(history.channels, power, strict=True) if not (np.isfinite(s) and s > 0)
+    ]:
+        raise DataError(
+            f"{history.source}: channels {' '.join(lost[:8])} are constant or not finite; leave "
+            "them out"
+        )
     return np.sqrt(power)
 
 
@@ -341,7 +423,10 @@ def positions(history: TimeHistory, references: Sequence[str]) -> Int:
     """
     ids = [c.id for c in history.channels]
     if lost := [x for x in references if x not in ids]:
-        raise DataError(f"{history.source}: no reference channel {' '.join(lost[:8])}; there are {' '.join(ids[:40])}")
+        raise DataError(
+            f"{history.source}: no reference channel {' '.join(lost[:8])}; there are "
+            f"{' '.join(ids[:40])}"
+        )
     return np.array([ids.index(x) for x in references], dtype=np.int64)
 
 
@@ -363,9 +448,13 @@ def ssi_cov(
         If the record is too short, has dead channels or has no such reference.
     """
     settings = settings or SsiCov()
-    r, weights, scale = blockwise(history, None if references is None else positions(history, references), settings)
+    r, weights, scale = blockwise(
+        history, None if references is None else positions(history, references), settings
+    )
     band = (0.0, history.rate / 2)
     if len(r) == 1:
-        sub = subspace(r[0].astype(np.float64), settings.block_rows, settings.order_max, history.rate)
+        sub = subspace(
+            r[0].astype(np.float64), settings.block_rows, settings.order_max, history.rate
+        )
         return all_orders(sub, None, settings, band)[0].rescaled(scale)
     return identify_band(r, weights, settings, history.rate, band).poles.rescaled(scale)

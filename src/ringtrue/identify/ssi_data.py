@@ -1,8 +1,9 @@
-"""Data-driven stochastic subspace identification with reference channels (Peeters and De Roeck 1999).
+"""Data-driven stochastic subspace identification with reference channels (Peeters and De Roeck
+1999).
 
-The LQ factorisation of past references over future outputs gives the orthogonal projection P = Y_f / Y_p; it is
-streamed: only the triangle stays from stretch to stretch, so memory does not grow with the record. The left vectors
-of L21 are those of P (unweighted principal components).
+The LQ factorisation of past references over future outputs gives the orthogonal projection P = Y_f
+/ Y_p; it is streamed: only the triangle stays from stretch to stretch, so memory does not grow with
+the record. The left vectors of L21 are those of P (unweighted principal components).
 """
 
 from __future__ import annotations
@@ -21,7 +22,14 @@ from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.identify import variance as var
 from ringtrue.identify.poles import PoleSet
-from ringtrue.identify.ssi import SsiCov, Subspace, all_orders, choose_references, decompose, prepared
+from ringtrue.identify.ssi import (
+    SsiCov,
+    Subspace,
+    all_orders,
+    choose_references,
+    decompose,
+    prepared,
+)
 from ringtrue.signal.preprocess import block_bounds
 
 CHUNK = 4  # rows of a stretch over its columns: the triangle is refactored a few times only
@@ -49,7 +57,9 @@ class Projection:
 
 
 def columns(data: Float, references: Int, rows: int) -> Float:
-    """Past references and future outputs of each sample of `data` (ch, sample): (sample, rows·(ref + ch))."""
+    """Past references and future outputs of each sample of `data` (ch, sample): (sample, rows·(ref
+    + ch)).
+    """
     n = data.shape[1] - 2 * rows + 1
     past = sliding_window_view(data[references], n, axis=1)[:, :rows]
     future = sliding_window_view(data, n, axis=1)[:, rows : 2 * rows]
@@ -57,7 +67,9 @@ def columns(data: Float, references: Int, rows: int) -> Float:
 
 
 def _triangle(data: Float, references: Int, rows: int) -> Float:
-    """Upper triangle R of the columns of one block, stretch by stretch; RᵀR is their Gram matrix."""
+    """Upper triangle R of the columns of one block, stretch by stretch; RᵀR is their Gram
+    matrix.
+    """
     width = rows * (references.size + len(data))
     n, step = data.shape[1] - 2 * rows + 1, CHUNK * width
     r = np.zeros((0, width))
@@ -67,8 +79,11 @@ def _triangle(data: Float, references: Int, rows: int) -> Float:
     return r
 
 
-def project(data: Float, references: Int, rows: int, blocks: int, progress: Progress | None = None) -> Projection:
-    """The projection of future outputs on past references of `data` (ch, sample), from `blocks` blocks.
+def project(
+    data: Float, references: Int, rows: int, blocks: int, progress: Progress | None = None
+) -> Projection:
+    """The projection of future outputs on past references of `data` (ch, sample), from `blocks`
+    blocks.
 
     Raises
     ------
@@ -79,7 +94,8 @@ def project(data: Float, references: Int, rows: int, blocks: int, progress: Prog
     n = data.shape[1] - 2 * rows + 1
     if n < 2 * width or n < 4 * blocks:
         raise DataError(
-            f"{data.shape[1]} samples are too few for {rows} block rows of {len(data)} channels and {references.size} "
+            f"{data.shape[1]} samples are too few for {rows} block rows of {len(data)} channels "
+            f"and {references.size} "
             f"references; needed are {max(2 * width, 4 * blocks) + 2 * rows}"
         )
     bounds = block_bounds(n, blocks)
@@ -91,15 +107,21 @@ def project(data: Float, references: Int, rows: int, blocks: int, progress: Prog
         if progress is not None:
             progress((b + 1) / blocks, f"block {b + 1} of {blocks} factorised")
     size = np.sqrt(n)
-    return Projection(r[:past, :past].T / size, r[:past, past:].T / size, products, np.diff(bounds) / n)
+    return Projection(
+        r[:past, :past].T / size, r[:past, past:].T / size, products, np.diff(bounds) / n
+    )
 
 
 def _perturbations(p: Projection, sub: Subspace) -> var.Perturbations:
-    """With the projection Y_f Y_pᵀ L11^(-T), only the change of Y_f Y_pᵀ moves the span of its left vectors."""
+    """With the projection Y_f Y_pᵀ L11^(-T), only the change of Y_f Y_pᵀ moves the span of its left
+    vectors.
+    """
     ch, n = sub.channels, p.weights.size
     vs = solve_triangular(p.past, sub.vs, lower=True, trans="T").astype(np.float32)
     t = p.products @ vs
-    t = (t - np.einsum("b,bij->ij", p.weights, t)) * (p.weights * np.sqrt(n / (n - 1)))[:, None, None]
+    t = (t - np.einsum("b,bij->ij", p.weights, t)) * (p.weights * np.sqrt(n / (n - 1)))[
+        :, None, None
+    ]
     q, u = sub.q.T, sub.u.T
     return var.Perturbations(q @ t[:, :-ch], q @ t[:, ch:], np.asarray(t[:, :ch]), u @ t)
 
@@ -117,7 +139,8 @@ def ssi_data(
     ----------
     history : TimeHistory
     settings : SsiCov
-        The cost grows with the square of block_rows·(channels + references), and with the length of the record.
+        The cost grows with the square of block_rows·(channels + references), and with the length of
+        the record.
     references : sequence of str
         Channel ids; None: all channels, or the 8 that span the motion best.
     progress : callable (fraction, text)

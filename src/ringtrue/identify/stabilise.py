@@ -1,7 +1,9 @@
-"""From the poles of all orders to modes: checks of each pole, clusters, one estimate with its uncertainty.
+"""From the poles of all orders to modes: checks of each pole, clusters, one estimate with its
+uncertainty.
 
-What tells a physical pole from a mathematical one is measured, not set: the standard deviation of each pole, the
-strength of its contribution to the correlations, how many orders show it, and whether both halves of the record do.
+What tells a physical pole from a mathematical one is measured, not set: the standard deviation of
+each pole, the strength of its contribution to the correlations, how many orders show it, and
+whether both halves of the record do.
 """
 
 from __future__ import annotations
@@ -21,7 +23,10 @@ from ringtrue.identify.whittle import SpectralBins, refine
 from ringtrue.shapes.complexity import mpc
 from ringtrue.shapes.mac import mac
 
-KNOWN, WITHIN = 0.025, 0.5  # standard deviation of a frequency: of itself, and of the half bandwidth of the mode
+KNOWN, WITHIN = (
+    0.025,
+    0.5,
+)  # standard deviation of a frequency: of itself, and of the half bandwidth of the mode
 UNEVEN = 1.2  # mean square of the power of blocks over its squared mean
 
 
@@ -36,7 +41,8 @@ class Candidates:
         By each block of the record; the sum of squares is the variance.
     shape : (ch, m) complex128
     shape_deviation : (m, ch, block) complex128
-        Of the shape by each block of the record, and by what is not known of its mixing with others.
+        Of the shape by each block of the record, and by what is not known of its mixing with
+        others.
     share : (m,) float64
         Fraction of the orders, from the first that shows the mode, that show it.
     orders : (m, 2) int64
@@ -73,7 +79,17 @@ class Candidates:
 
     def take(self, at: Int) -> Candidates:
         """The chosen rows, in the given order; `label` and `stable` stay."""
-        rows = ("pole", "deviation", "shape_deviation", "share", "orders", "strength", "mpc", "halves", "refined")
+        rows = (
+            "pole",
+            "deviation",
+            "shape_deviation",
+            "share",
+            "orders",
+            "strength",
+            "mpc",
+            "halves",
+            "refined",
+        )
         part = {name: getattr(self, name)[at] for name in rows}
         return replace(self, **part, shape=self.shape[:, at])
 
@@ -88,34 +104,54 @@ class Candidates:
         return -self.pole.real / np.abs(self.pole)
 
 
-def stable_poles(band: BandPoles, damping_max: float = 0.2, strength: float = 2.0, collinearity: float = 0.3) -> Bool:
-    """(k,) poles worth clustering: damped, known to a few per cent, of some strength, and not wildly complex."""
+def stable_poles(
+    band: BandPoles, damping_max: float = 0.2, strength: float = 2.0, collinearity: float = 0.3
+) -> Bool:
+    """(k,) poles worth clustering: damped, known to a few per cent, of some strength, and not
+    wildly complex.
+    """
     p = band.poles
     sharp = p.std_frequency < np.maximum(KNOWN, WITHIN * p.damping) * p.frequencies
     known = sharp & (p.std_damping < np.maximum(p.damping, 2e-3))
-    return (p.damping < damping_max) & known & (band.strength > strength) & (mpc(p.shape) > collinearity)
+    return (
+        (p.damping < damping_max)
+        & known
+        & (band.strength > strength)
+        & (mpc(p.shape) > collinearity)
+    )
 
 
 def _average(band: BandPoles, at: Int) -> tuple[complex, Complex, Complex, int]:
-    """Pole, deviation and shape of the poles `at` of one cluster by inverse variance, and its representative."""
+    """Pole, deviation and shape of the poles `at` of one cluster by inverse variance, and its
+    representative.
+    """
     p = band.poles
-    # relative to ζ: the variance of a pole grows with its damping, weights from it alone would favour small damping
+    # relative to ζ: the variance of a pole grows with its damping, weights from it alone would
+    # favour small damping
     v = (np.abs(band.deviation[at]) ** 2).sum(1) / np.maximum(-p.pole[at].real, 1e-12)
     w = (1 / v) / (1 / v).sum()
     pole = complex(w @ p.pole[at])
-    best = int(at[np.argmin(np.abs(p.pole[at] - pole) ** 2 / np.abs(pole) ** 2 + 1e-4 * v / v.min())])
+    best = int(
+        at[np.argmin(np.abs(p.pole[at] - pole) ** 2 / np.abs(pole) ** 2 + 1e-4 * v / v.min())]
+    )
     # low orders lack modes, whose motion goes into the shapes of those that are there
     high = p.order[at] > p.order.max() / 2
     share = w * high if high.sum() > 1 else w
     psi = p.shape[:, at]
     turn = p.shape[:, best].conj() @ psi
-    return pole, w @ band.deviation[at], (psi * (turn.conj() / np.abs(turn))) @ (share / share.sum()), best
+    return (
+        pole,
+        w @ band.deviation[at],
+        (psi * (turn.conj() / np.abs(turn))) @ (share / share.sum()),
+        best,
+    )
 
 
 def _shape_deviations(band: BandPoles, at: list[int]) -> Complex:
     """Deviations (m, ch, block) of the shapes of the poles `at`, their largest component 1.
 
-    A little larger than those of the blocks: few of them know it badly, and 95 % are to lie within 1.96 of it.
+    A little larger than those of the blocks: few of them know it badly, and 95 % are to lie within
+    1.96 of it.
     """
     sub, p = band.subspace, band.poles
     few = stdtrit(band.deviation.shape[1] - 1, 0.975) / 1.96
@@ -146,12 +182,17 @@ def candidates(band: BandPoles, least: int = 4, *, driven: bool = False) -> Cand
 
 
 def groups_table(band: BandPoles, groups: list[Int]) -> Candidates:
-    """Candidates of given groups of poles (positions), whatever the checks say of them, in the given order."""
+    """Candidates of given groups of poles (positions), whatever the checks say of them, in the
+    given order.
+    """
     return _table(band, groups, [_average(band, g) for g in groups], stable_poles(band))
 
 
 def _table(
-    band: BandPoles, groups: list[Int], means: list[tuple[complex, Complex, Complex, int]], stable: Bool
+    band: BandPoles,
+    groups: list[Int],
+    means: list[tuple[complex, Complex, Complex, int]],
+    stable: Bool,
 ) -> Candidates:
     p, m = band.poles, len(groups)
     ch, nb = band.subspace.channels, band.deviation.shape[1]
@@ -184,7 +225,8 @@ def stacked(one: Candidates, two: Candidates) -> Candidates:
     """The rows of two tables of one band; the second one's poles count for it."""
     wide = max(one.deviation.shape[1], two.deviation.shape[1])
     one, two = (
-        replace(c, deviation=np.pad(c.deviation, ((0, 0), (0, wide - c.deviation.shape[1])))) for c in (one, two)
+        replace(c, deviation=np.pad(c.deviation, ((0, 0), (0, wide - c.deviation.shape[1]))))
+        for c in (one, two)
     )
     by_row = [f.name for f in fields(Candidates) if f.name not in ("shape", "label", "stable")]
     joined = {n: np.concatenate([getattr(one, n), getattr(two, n)]) for n in by_row}
@@ -197,16 +239,20 @@ def stacked(one: Candidates, two: Candidates) -> Candidates:
 
 
 def steady(c: Candidates, at: Int, power: Float, seconds: float) -> bool:
-    """Whether the `power` (block,) of a record of `seconds` varies no more than that of the modes `at` by chance.
+    """Whether the `power` (block,) of a record of `seconds` varies no more than that of the modes
+    `at` by chance.
 
-    A spectrum takes loud blocks for more than they tell: the scatter of what is fitted to it grows as the mean square
-    of the power does over its squared mean, the blocks of the subspace estimate are weighed.
+    A spectrum takes loud blocks for more than they tell: the scatter of what is fitted to it grows
+    as the mean square of the power does over its squared mean, the blocks of the subspace estimate
+    are weighed.
     """
     chance = np.median(1 / (1 - c.pole.real[at] * seconds / power.size))
     return bool((power**2).mean() < (UNEVEN + 2 * chance) * power.mean() ** 2)
 
 
-def refined(c: Candidates, at: Int, references: Int, bins: SpectralBins, slope: tuple[float, float]) -> Candidates:
+def refined(
+    c: Candidates, at: Int, references: Int, bins: SpectralBins, slope: tuple[float, float]
+) -> Candidates:
     """The candidates with poles and deviations of the rows `at` from their own spectra.
 
     Modes of one band are then independent: the deviations of each take two columns of their own.
@@ -235,12 +281,15 @@ def refined(c: Candidates, at: Int, references: Int, bins: SpectralBins, slope: 
 def _unmixed(c: Candidates, at: Int, mix: Mixing) -> Candidates:
     """The candidates with the shapes of the rows `at` told apart.
 
-    Deviations in the direction of a shape that was told apart give way to those of the mixing, in columns of their own.
+    Deviations in the direction of a shape that was told apart give way to those of the mixing, in
+    columns of their own.
     """
     psi, tried = c.shape[:, at] @ mix.matrix, mix.variance > 0
     inverse, size = np.linalg.pinv(psi), np.sqrt(0.5 * mix.variance)
     shape, like, m = c.shape.copy(), c.mpc.copy(), at.size
-    deviation = np.concatenate([c.shape_deviation, np.zeros((*c.shape_deviation.shape[:2], 2 * m))], axis=2)
+    deviation = np.concatenate(
+        [c.shape_deviation, np.zeros((*c.shape_deviation.shape[:2], 2 * m))], axis=2
+    )
     for k, row in enumerate(at):  # modes
         by_mixing = psi * size[:, k]
         d = c.shape_deviation[row]
@@ -256,11 +305,16 @@ def half_agreement(c: Candidates, halves: tuple[PoleSet, PoleSet]) -> Float:
 
 
 def seen_in_halves(
-    frequency: Float, damping: Float, shape: Complex, stds: tuple[Float, Float], halves: tuple[PoleSet, PoleSet]
+    frequency: Float,
+    damping: Float,
+    shape: Complex,
+    stds: tuple[Float, Float],
+    halves: tuple[PoleSet, PoleSet],
 ) -> Float:
     """How far the two halves of the record show modes, (m,) 0..1.
 
-    The share of orders of the poorer half with a pole within the statistical distance, times the MAC of the halves.
+    The share of orders of the poorer half with a pole within the statistical distance, times the
+    MAC of the halves.
 
     Parameters
     ----------
@@ -273,7 +327,9 @@ def seen_in_halves(
     (share_1, psi_1), (share_2, psi_2) = (_seen(frequency, damping, shape, stds, h) for h in halves)
     same = np.abs((psi_1.conj() * psi_2).sum(0)) ** 2
     size = (np.abs(psi_1) ** 2).sum(0) * (np.abs(psi_2) ** 2).sum(0)
-    return np.asarray(np.minimum(share_1, share_2) * same / np.maximum(size, np.finfo(np.float64).tiny))
+    return np.asarray(
+        np.minimum(share_1, share_2) * same / np.maximum(size, np.finfo(np.float64).tiny)
+    )
 
 
 def _seen(
@@ -282,11 +338,15 @@ def _seen(
     """Share of orders of one half that show each mode, and its mean shape there (ch, m)."""
     df = np.abs(h.frequencies[:, None] - frequency)
     dz = np.abs(h.damping[:, None] - damping)
-    reach = np.maximum(np.maximum(4 * np.sqrt(2) * stds[0], 0.1 * damping * frequency), 2e-4 * frequency)
+    reach = np.maximum(
+        np.maximum(4 * np.sqrt(2) * stds[0], 0.1 * damping * frequency), 2e-4 * frequency
+    )
     width = np.maximum(np.maximum(5 * np.sqrt(2) * stds[1], 0.2 * damping), 2e-3)
     shape_like = mac(h.shape, shape)
     like = (df < reach) & (dz < width) & (shape_like > 0.7)
-    if len(h.shape) > 3:  # half a record may split a mode in two; with three channels any shape is like any other
+    if (
+        len(h.shape) > 3
+    ):  # half a record may split a mode in two; with three channels any shape is like any other
         reach = np.where(shape_like > 0.99, 2.0, 0.7) * damping * frequency
         like |= (df < reach) & (dz < np.maximum(width, 0.5 * damping)) & (shape_like > 0.95)
     share = np.array([np.unique(h.order[x]).size for x in like.T]) / max(h.orders.size, 1)

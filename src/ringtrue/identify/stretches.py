@@ -1,4 +1,6 @@
-"""From the stretches of a record to the sums of its bands: what is kept does not grow with the record."""
+"""From the stretches of a record to the sums of its bands: what is kept does not grow with the
+record.
+"""
 
 from __future__ import annotations
 
@@ -31,10 +33,11 @@ SHORTEST = 0.5  # stretch, over the first: edges of the filters would weigh too 
 def without_strokes_sweeps_and_echoes(
     good: TimeHistory, whole: TimeHistory | None, impacts: Events, lags: float
 ) -> tuple[TimeHistory, TimeHistory | None, tuple[str, ...], Echo | None]:
-    """Both records (`whole`: some channels of `good`) without regular blows, run-ups and echoes, notes, the echo.
+    """Both records (`whole`: some channels of `good`) without regular blows, run-ups and echoes,
+    notes, the echo.
 
-    Where decays after `impacts` are most of the motion, modes are found in them: they stay, if the next blow comes
-    after twice the longest of the `lags`, s, of the highest band.
+    Where decays after `impacts` are most of the motion, modes are found in them: they stay, if the
+    next blow comes after twice the longest of the `lags`, s, of the highest band.
     """
     heard = mixes(good.data)
     quiet, strokes = without_strokes(good, heard)
@@ -45,18 +48,21 @@ def without_strokes_sweeps_and_echoes(
     notes: tuple[str, ...] = ()
     if strokes:
         notes += (
-            f"{strokes.count} blows {strokes.interval:.3g} s apart (a press, a pile driver): the mean response to "
+            f"{strokes.count} blows {strokes.interval:.3g} s apart (a press, a pile driver): the "
+            "mean response to "
             "them is taken out",
         )
     if sweeps:
         low, high = min(x.low for x in sweeps), max(x.high for x in sweeps)
         notes += (
-            f"{len(sweeps)} tone{'s' if len(sweeps) > 1 else ''} of changing frequency between {low:.3g} and "
+            f"{len(sweeps)} tone{'s' if len(sweeps) > 1 else ''} of changing frequency between "
+            f"{low:.3g} and "
             f"{high:.3g} Hz (run-ups of machines): taken out where and when they stood",
         )
     if echo:
         notes += (
-            f"the force comes again {echo.delay:.3g} s later, times {echo.factor:.2g} (two axles, a reflection): its "
+            f"the force comes again {echo.delay:.3g} s later, times {echo.factor:.2g} (two "
+            "axles, a reflection): its "
             "spectrum ripples; taken out as far as noise and resonances let it be seen",
         )
     if whole is good:
@@ -75,9 +81,11 @@ def steady_sines(
     *,
     once: bool,
 ) -> tuple[Harmonic, ...]:
-    """Lines that are taken out, but for those to `leave`; with one look at the record, only those without a foot.
+    """Lines that are taken out, but for those to `leave`; with one look at the record, only those
+    without a foot.
 
-    Impacts at equal intervals have lines of their own, in which the decays after them are: no machine makes these.
+    Impacts at equal intervals have lines of their own, in which the decays after them are: no
+    machine makes these.
     """
     if whole is None:
         return ()
@@ -118,8 +126,12 @@ def gathered(
     return sums, heard
 
 
-def with_more_lags(good: TimeHistory, gaps: Gaps, bands: tuple[Band, ...], ssi: SsiCov, refs: Int | None) -> BandSums:
-    """The last of the `bands` of a record with lags and orders for modes that stand close to each other."""
+def with_more_lags(
+    good: TimeHistory, gaps: Gaps, bands: tuple[Band, ...], ssi: SsiCov, refs: Int | None
+) -> BandSums:
+    """The last of the `bands` of a record with lags and orders for modes that stand close to each
+    other.
+    """
     more = replace(ssi, block_rows=MORE_LAGS * ssi.block_rows, order_max=3 * ssi.order_max // 2)
     return begin(good.data, good.rate, bands, more, refs, events_of(good, gaps))[-1]
 
@@ -133,25 +145,36 @@ def _one(
     sums: list[BandSums], coming: TimeHistory, first: TimeHistory, places: list[float]
 ) -> tuple[list[BandSums], Events]:
     """The bands of one more stretch and its events."""
-    part = coming if coming.channels == first.channels else coming.pick([c.id for c in first.channels])
+    part = (
+        coming if coming.channels == first.channels else coming.pick([c.id for c in first.channels])
+    )
     if not np.isclose(part.rate, first.rate):
-        raise DataError(f"{coming.source}: a stretch at {part.rate} Hz in a record at {first.rate} Hz")
+        raise DataError(
+            f"{coming.source}: a stretch at {part.rate} Hz in a record at {first.rate} Hz"
+        )
     whole, gaps = bridged(part)
     if len(whole.channels) < len(part.channels):
         raise DataError(f"{coming.source}: {gaps.notes[0]}: leave it out of all stretches")
     part = levelled(whole, sums[-1].band.low)
     impacts = events_of(part, gaps)
-    part = without_lines(without_strokes_sweeps_and_echoes(part, None, impacts, sums[0].seconds)[0], places)
+    part = without_lines(
+        without_strokes_sweeps_and_echoes(part, None, impacts, sums[0].seconds)[0], places
+    )
     events = events_of(part, gaps)
     out = of_stretch(sums, part.data, part.rate, events)
     same = likeness([x.spectra for x in sums], [x.spectra for x in out])
     if same < MOVED:
         raise DataError(
-            f"{coming.source}: it moves in other shapes than the record before it (they have {100 * same:.0f} % in "
-            "common): were sensors moved? Identify each setup by itself; a study joins them (`setup` in its log)"
+            f"{coming.source}: it moves in other shapes than the record before it (they have "
+            f"{100 * same:.0f} % in "
+            "common): were sensors moved? Identify each setup by itself; a study joins them "
+            "(`setup` in its log)"
         )
     lost = np.asarray(~np.isfinite(out[0].parts[0]).all((0, 1, 3)))
     if lost.any():
         bad = [c.id for c, x in zip(part.channels, lost, strict=True) if x]
-        raise DataError(f"{coming.source}: channels {' '.join(bad[:8])} fail later in the record; leave them out")
+        raise DataError(
+            f"{coming.source}: channels {' '.join(bad[:8])} fail later in the record; leave them "
+            "out"
+        )
     return out, events

@@ -1,4 +1,6 @@
-"""Modes followed from stretch to stretch of a long record: by shape and frequency, over gaps, new ones named."""
+"""Modes followed from stretch to stretch of a long record: by shape and frequency, over gaps, new
+ones named.
+"""
 
 from __future__ import annotations
 
@@ -35,12 +37,14 @@ class TrackSettings:
     Attributes
     ----------
     step : float
-        Relative change of frequency from one stretch to the next that may be; over n times the usual time sqrt(n) of
-        it, three times at most, and twice as much where the MAC is above 0.95. Four standard deviations may always be.
+        Relative change of frequency from one stretch to the next that may be; over n times the
+        usual time sqrt(n) of it, three times at most, and twice as much where the MAC is above
+        0.95. Four standard deviations may always be.
     mac : float
         Smallest MAC with the shape followed, on the common channels.
     memory : float
-        Weight of a new shape in the shape followed: it may turn slowly, as it does where two modes veer.
+        Weight of a new shape in the shape followed: it may turn slowly, as it does where two modes
+        veer.
     least : int
         Stretches that make a mode; rarer ones are listed apart.
     """
@@ -51,9 +55,12 @@ class TrackSettings:
     least: int = 3
 
     def __post_init__(self) -> None:
-        if not (0 < self.step < 1 and 0 <= self.mac < 1 and 0 < self.memory <= 1 and self.least >= 1):
+        if not (
+            0 < self.step < 1 and 0 <= self.mac < 1 and 0 < self.memory <= 1 and self.least >= 1
+        ):
             raise ConfigError(
-                f"tracking: step {self.step} and memory {self.memory} must be in 0 .. 1, mac {self.mac} below 1, "
+                f"tracking: step {self.step} and memory {self.memory} must be in 0 .. 1, mac "
+                f"{self.mac} below 1, "
                 f"least {self.least} 1 or more"
             )
 
@@ -92,7 +99,9 @@ class ModeTrack:
 
     def __post_init__(self) -> None:
         f = np.float64
-        freeze_fields(self, at=np.int64, mode=np.int64, frequency=f, std_frequency=f, damping=f, std_damping=f)
+        freeze_fields(
+            self, at=np.int64, mode=np.int64, frequency=f, std_frequency=f, damping=f, std_damping=f
+        )
         freeze_fields(self, confidence=f, shape=np.complex128, mac=f)
 
 
@@ -122,28 +131,35 @@ class Tracked:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Thread:
-    """A mode while it is followed: its members (stretch, mode), the frequency and the shape looked for."""
+    """A mode while it is followed: its members (stretch, mode), the frequency and the shape looked
+    for.
+    """
 
     members: tuple[tuple[int, int], ...]
     frequency: float
     shape: Complex
 
-    def joined(self, member: tuple[int, int], frequency: float, psi: Complex, memory: float) -> _Thread:
+    def joined(
+        self, member: tuple[int, int], frequency: float, psi: Complex, memory: float
+    ) -> _Thread:
         """With one more member; the shape turns towards it, the frequency is the newest."""
         on = np.isfinite(psi)
         known = on & np.isfinite(self.shape)
         turn = complex(self.shape[known].conj() @ psi[known])
         new = psi * (turn.conjugate() / abs(turn) if turn else 1.0)
-        shape = np.where(on, np.where(known, (1 - memory) * self.shape + memory * new, new), self.shape)
+        shape = np.where(
+            on, np.where(known, (1 - memory) * self.shape + memory * new, new), self.shape
+        )
         return _Thread((*self.members, member), frequency, shape)
 
 
 def track_modes(stretches: Sequence[Stretch], settings: TrackSettings | None = None) -> Tracked:
     """Follow all modes through the stretches; a mode may be missing in any of them.
 
-    Each stretch is assigned at once to the modes known so far, at the least sum of 1 - MAC and squared change of
-    frequency (Hungarian method); what is left over begins a mode. Where frequencies cross, the shapes decide. Parts
-    of one mode that were not seen to belong together are joined afterwards.
+    Each stretch is assigned at once to the modes known so far, at the least sum of 1 - MAC and
+    squared change of frequency (Hungarian method); what is left over begins a mode. Where
+    frequencies cross, the shapes decide. Parts of one mode that were not seen to belong together
+    are joined afterwards.
 
     Parameters
     ----------
@@ -193,7 +209,8 @@ def _on_all(modes: ModeSet, channels: tuple[str, ...]) -> Complex:
 
 
 def likeness(a: Complex, b: Complex) -> Float:
-    """MAC (a, b) of shapes on their common channels; 1 with fewer than two, where shapes say nothing.
+    """MAC (a, b) of shapes on their common channels; 1 with fewer than two, where shapes say
+    nothing.
 
     Parameters
     ----------
@@ -211,9 +228,18 @@ def likeness(a: Complex, b: Complex) -> Float:
 
 
 def _cost(
-    f: Float, spread: Float, shape: Complex, to_f: Float, to_spread: Float, to_shape: Complex, gate: Float, least: float
+    f: Float,
+    spread: Float,
+    shape: Complex,
+    to_f: Float,
+    to_spread: Float,
+    to_shape: Complex,
+    gate: Float,
+    least: float,
 ) -> Float:
-    """(a, b) cost of joining modes a to b, `_FAR` where they may not be; `gate` (a,) relative change of frequency."""
+    """(a, b) cost of joining modes a to b, `_FAR` where they may not be; `gate` (a,) relative
+    change of frequency.
+    """
     df, like = np.abs(to_f - f[:, None]), likeness(shape, to_shape)
     reach = _reach(gate[:, None] * f[:, None], like, np.hypot(spread[:, None], to_spread))
     return np.where((df <= reach) & (like >= least), 1 - like + 0.5 * (df / reach) ** 2, _FAR)
@@ -239,7 +265,12 @@ def _advance(
     threads = list(threads)
     if threads and f.size:
         gap = np.array([clock[k] - clock[t.members[-1][0]] for t in threads])
-        last = np.array([_finite(all_of[i].uncertainty.frequency)[j] for i, j in (t.members[-1] for t in threads)])
+        last = np.array(
+            [
+                _finite(all_of[i].uncertainty.frequency)[j]
+                for i, j in (t.members[-1] for t in threads)
+            ]
+        )
         shape = np.stack([t.shape for t in threads], axis=1)
         known = np.array([t.frequency for t in threads])
         cost = _cost(known, last, shape, f, sf, psi, s.step * np.clip(np.sqrt(gap), 1, 3), s.mac)
@@ -261,7 +292,9 @@ def _mended(
     clock: Float,
     s: TrackSettings,
 ) -> list[_Thread]:
-    """Threads that never occur in one stretch together, and agree where they come next to each other, made one."""
+    """Threads that never occur in one stretch together, and agree where they come next to each
+    other, made one.
+    """
     tracks = [_track(t, stretches, shapes) for t in threads]
     merged = True
     while merged:
@@ -320,21 +353,25 @@ def _track(t: _Thread, stretches: Sequence[Stretch], shapes: Sequence[Complex]) 
 
 
 def _mean(psi: Complex) -> Complex:
-    """Mean shape (ch,) of length 1: the strongest direction of the shapes (ch, n), each channel by what it has."""
+    """Mean shape (ch,) of length 1: the strongest direction of the shapes (ch, n), each channel by
+    what it has.
+    """
     known = np.isfinite(psi)
     filled = np.where(known, psi, 0.0)
     u = np.linalg.svd(filled, full_matrices=False)[0][:, 0]
     turn = u.conj() @ filled
     turned = filled * (turn.conj() / np.maximum(np.abs(turn), 1e-300))
-    mean = np.where(known.any(axis=1), turned.sum(axis=1) / np.maximum(known.sum(axis=1), 1), np.nan)
+    mean = np.where(
+        known.any(axis=1), turned.sum(axis=1) / np.maximum(known.sum(axis=1), 1), np.nan
+    )
     return np.asarray(mean / np.linalg.norm(mean[np.isfinite(mean)]))
 
 
 def unseen(tracked: Tracked, track: ModeTrack) -> tuple[int, int]:
     """For how many stretches a mode is not seen before it first is, and after it last was.
 
-    0 where this may be chance: where stretches that show it as often as those between would leave out so many in a
-    row in more than one case of a hundred.
+    0 where this may be chance: where stretches that show it as often as those between would leave
+    out so many in a row in more than one case of a hundred.
     """
     before, after = int(track.at[0]), tracked.times.size - 1 - int(track.at[-1])
     missed = 1 - track.at.size / (track.at[-1] - track.at[0] + 2)

@@ -1,7 +1,9 @@
-"""First-order uncertainty of poles and shapes from the scatter of blockwise correlations (Döhler and Mevel 2013).
+"""First-order uncertainty of poles and shapes from the scatter of blockwise correlations (Döhler
+and Mevel 2013).
 
-With H = U S Vᵀ and O = U, a perturbation ΔH of the block-Hankel matrix gives ΔO = ΔH V S⁻¹ up to a change of basis,
-which moves no pole and no shape. So each block of the record needs only T_b = ΔH_b V S⁻¹, whatever the order.
+With H = U S Vᵀ and O = U, a perturbation ΔH of the block-Hankel matrix gives ΔO = ΔH V S⁻¹ up to a
+change of basis, which moves no pole and no shape. So each block of the record needs only T_b = ΔH_b
+V S⁻¹, whatever the order.
 """
 
 from __future__ import annotations
@@ -43,12 +45,15 @@ def hankel(r: Any_, rows: int) -> Any_:
     by_channel = np.ascontiguousarray(r.transpose(1, 0, 2)[:, 1 : 2 * rows])
     ch, lags, ref = by_channel.shape
     item = by_channel.itemsize  # the strides of axes of length one mean nothing
-    view = as_strided(by_channel, (rows, ch, rows * ref), (ref * item, lags * ref * item, item), writeable=False)
+    view = as_strided(
+        by_channel, (rows, ch, rows * ref), (ref * item, lags * ref * item, item), writeable=False
+    )
     return np.asarray(view.reshape(rows * ch, rows * ref))
 
 
 def deviations(r: Any_, weights: Float) -> tuple[Float, Any_]:
-    """Weighted mean (lag, ch, ref) of the block correlations `r` (block, lag, ch, ref), and each block's deviation.
+    """Weighted mean (lag, ch, ref) of the block correlations `r` (block, lag, ch, ref), and each
+    block's deviation.
 
     The deviations are scaled so that their sum of squares is the variance of the mean.
     """
@@ -59,10 +64,12 @@ def deviations(r: Any_, weights: Float) -> tuple[Float, Any_]:
 
 
 def perturb(dr: Any_, rows: int, u: Float, vs: Float, q: Float) -> Perturbations:
-    """Perturbations by the deviations `dr` (block, lag, ch, ref); `u` left vectors, `vs` = V S⁻¹, `q` of O's QR.
+    """Perturbations by the deviations `dr` (block, lag, ch, ref); `u` left vectors, `vs` = V S⁻¹,
+    `q` of O's QR.
 
-    A Hankel matrix times another is a convolution, a product of transforms; only products of it with `q` are needed,
-    which are taken of the transforms, too (Parseval), but for the first and the last block row.
+    A Hankel matrix times another is a convolution, a product of transforms; only products of it
+    with `q` are needed, which are taken of the transforms, too (Parseval), but for the first and
+    the last block row.
     """
     nb, _, ch, ref = dr.shape
     n, size = vs.shape[1], int(next_fast_len(2 * rows - 1, real=True))
@@ -73,7 +80,9 @@ def perturb(dr: Any_, rows: int, u: Float, vs: Float, q: Float) -> Perturbations
     left = _spectral(q.reshape(-1, ch, n), size)
     both = np.empty((nb, 2 * n, n), dtype=np.float32)
     for k in range(0, nb, TOGETHER):
-        t = _apart(rfft(d[k : k + TOGETHER], size, axis=1)) @ by  # (block, freq, ch, order): real, then imaginary parts
+        t = (
+            _apart(rfft(d[k : k + TOGETHER], size, axis=1)) @ by
+        )  # (block, freq, ch, order): real, then imaginary parts
         both[k : k + TOGETHER] = left @ t.reshape(len(t), -1, n)
     first, last = (np.tensordot(d[:, k : k + rows], v, ((1, 3), (0, 1))) for k in (0, rows - 1))
     # Uᵀ ΔO, as U without its last block row is Q R
@@ -87,8 +96,8 @@ def _apart(z: Any_) -> Any_:
 
 
 def _spectral(q: Float, size: int) -> Any_:
-    """(2 order, freq·ch·2) float32: what times the transforms (freq, ch, part) of x (size, ch) is Σ q_i x_i and, below,
-    Σ q_i x_{i+1}, for `q` (row, ch, order).
+    """(2 order, freq·ch·2) float32: what times the transforms (freq, ch, part) of x (size, ch) is Σ
+    q_i x_i and, below, Σ q_i x_{i+1}, for `q` (row, ch, order).
     """
     spectrum = rfft(q, size, axis=0)
     line = np.arange(len(spectrum))
@@ -99,27 +108,35 @@ def _spectral(q: Float, size: int) -> Any_:
 
 
 def _bilinear(left: Complex, mid: Any_, right: Complex) -> Complex:
-    """(k, block) values left_i mid_b right_i of `left` (k, n), `mid` (block, n, n) float32, `right` (n, k)."""
+    """(k, block) values left_i mid_b right_i of `left` (k, n), `mid` (block, n, n) float32, `right`
+    (n, k).
+    """
     k = left.shape[0]
     half = np.concatenate([left.real, left.imag]).astype(np.float32) @ mid
     full = half[:, :k] + 1j * half[:, k:]
-    return np.asarray(np.einsum("bkn,nk->kb", full, right.astype(np.complex64)), dtype=np.complex128)
+    return np.asarray(
+        np.einsum("bkn,nk->kb", full, right.astype(np.complex64)), dtype=np.complex128
+    )
 
 
 def pole_deviations(p: Perturbations, row: Complex, mu: Complex, right: Complex) -> Complex:
     """Δμ (k, block) complex128 of the discrete poles `mu` (k,) of one order.
 
-    `right` (n, k) are eigenvectors; `row` (k, n) left ones, scaled to left @ right = I, times R⁻¹ of O's QR.
+    `right` (n, k) are eigenvectors; `row` (k, n) left ones, scaled to left @ right = I, times R⁻¹
+    of O's QR.
     """
     n = row.shape[1]
-    return np.asarray(_bilinear(row, p.down[:, :n, :n], right) - mu[:, None] * _bilinear(row, p.up[:, :n, :n], right))
+    return np.asarray(
+        _bilinear(row, p.down[:, :n, :n], right)
+        - mu[:, None] * _bilinear(row, p.up[:, :n, :n], right)
+    )
 
 
 def strengths(p: Perturbations, s: Float, left: Complex) -> Float:
     """Signal-to-noise ratio (k,) of the amplitude of each mode in the correlations.
 
-    The amplitude of mode i is ‖c_i‖, c_i = left_i S Vᵀ; its deviation by block b is the component of
-    left_i Uᵀ ΔH_b along c_i.
+    The amplitude of mode i is ‖c_i‖, c_i = left_i S Vᵀ; its deviation by block b is the component
+    of left_i Uᵀ ΔH_b along c_i.
     """
     n = left.shape[1]
     size2 = (np.abs(left * s[:n]) ** 2).sum(1)
@@ -133,12 +150,15 @@ def shape_deviations(
 ) -> Complex:
     """Δψ (ch, block) of the shape ψ = C φ_i of one mode, its largest component held at 1.
 
-    `a_parts` = A, its eigenvalues μ (n,), right vectors φ (n, n) and left vectors (n, n); `c` (ch, n).
+    `a_parts` = A, its eigenvalues μ (n,), right vectors φ (n, n) and left vectors (n, n); `c` (ch,
+    n).
     """
     _, mu, right, left = a_parts
     n = r.shape[0]
     phi = right[:, i]
-    load = (p.down[:, :n, :n] - mu[i].real * p.up[:, :n, :n]) @ phi - 1j * mu[i].imag * (p.up[:, :n, :n] @ phi)
+    load = (p.down[:, :n, :n] - mu[i].real * p.up[:, :n, :n]) @ phi - 1j * mu[i].imag * (
+        p.up[:, :n, :n] @ phi
+    )
     gain = mu[i] - mu
     gain[i] = np.inf
     d_phi = right @ ((left @ solve_triangular(r, load.T)) / gain[:, None])
@@ -151,10 +171,11 @@ def shape_deviations(
 def modulus_std(psi: Complex, d_psi: Complex) -> Float:
     """Standard deviations (ch, m) of |ψ|, its largest component held at 1.
 
-    `psi` (ch, m) are shapes and `d_psi` (m, ch, block) their deviations, both of any one scale. A deviation δ across
-    the phase of a component lengthens it, by δ²/2|ψ| where it is small beside it and by δ where it is not. Of a
-    component that is 0 the modulus has a Rayleigh distribution with its 95 % point at 2.45 of the deviation; the factor
-    of |ψ|² makes 1.96 of what is stated there reach to 0 as often.
+    `psi` (ch, m) are shapes and `d_psi` (m, ch, block) their deviations, both of any one scale. A
+    deviation δ across the phase of a component lengthens it, by δ²/2|ψ| where it is small beside it
+    and by δ where it is not. Of a component that is 0 the modulus has a Rayleigh distribution with
+    its 95 % point at 2.45 of the deviation; the factor of |ψ|² makes 1.96 of what is stated there
+    reach to 0 as often.
     """
     m = np.arange(psi.shape[1])
     top = np.abs(psi).argmax(0)
@@ -169,7 +190,9 @@ def modulus_std(psi: Complex, d_psi: Complex) -> Float:
 
 
 def frequency_damping(pole: Complex, d_pole: Complex) -> tuple[Float, Float]:
-    """Deviations of frequency (Hz) and damping ratio, each (k, block), from those of the poles, rad/s."""
+    """Deviations of frequency (Hz) and damping ratio, each (k, block), from those of the poles,
+    rad/s.
+    """
     size = np.abs(pole)[:, None]
     d_size = (pole.conj()[:, None] * d_pole).real / size
     d_zeta = -d_pole.real / size + pole.real[:, None] * d_size / size**2
@@ -182,5 +205,7 @@ def std(d: Float) -> Float:
 
 
 def blocks_for(samples: int, lags: int) -> int:
-    """How many blocks: 32, fewer where a block would be shorter than four times the largest lag, at least 8."""
+    """How many blocks: 32, fewer where a block would be shorter than four times the largest lag, at
+    least 8.
+    """
     return int(np.clip(samples // (4 * lags), 8, 32))

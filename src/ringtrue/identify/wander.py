@@ -1,8 +1,9 @@
-"""Frequencies that wander along a record (temperature, traffic, tide): seen in the scatter of its blocks.
+"""Frequencies that wander along a record (temperature, traffic, tide): seen in the scatter of its
+blocks.
 
-The estimates of stationary modes scatter from block to block without memory. Where the frequency wanders slowly those
-of neighbouring blocks are alike, and their covariance is the variance of the frequency. The mean over the record is
-then wider than the mode, by more than its scatter tells.
+The estimates of stationary modes scatter from block to block without memory. Where the frequency
+wanders slowly those of neighbouring blocks are alike, and their covariance is the variance of the
+frequency. The mean over the record is then wider than the mode, by more than its scatter tells.
 """
 
 from __future__ import annotations
@@ -17,11 +18,13 @@ from ringtrue.identify.stabilise import Candidates
 LEAST_BLOCKS = 12
 BEYOND = 3.0  # standard deviations of the mean correlation of neighbours
 MATTERS = 0.25  # wander over damping: below it adds 3 % of damping
-WIDER = 0.5  # of the square of that ratio: what it adds to the damping, by the shape of the wander 0.2 to 0.8
+# of the square of that ratio: what it adds to the damping, by the shape of the wander 0.2 to 0.8
+WIDER = 0.5
 
 
 def wander(c: Candidates, at: Int, blocks: int) -> Float:
-    """(m,) standard deviation of the frequency along the record over the frequency; 0 where it may be scatter.
+    """(m,) standard deviation of the frequency along the record over the frequency; 0 where it may
+    be scatter.
 
     Parameters
     ----------
@@ -38,7 +41,9 @@ def wander(c: Candidates, at: Int, blocks: int) -> Float:
     d = (c.deviation[at, :blocks] * c.pole[at, None].conj()).real / np.abs(c.pole[at, None]) ** 2
     d *= np.sqrt(blocks * (blocks - 1.0))  # of a block, not of the mean
     own = (d**2).mean(axis=1)
-    both = (d[:, 1:] * d[:, :-1]).sum(axis=1) / (blocks - 1) + own / blocks  # the mean over the blocks is taken off
+    both = (d[:, 1:] * d[:, :-1]).sum(axis=1) / (
+        blocks - 1
+    ) + own / blocks  # the mean over the blocks is taken off
     like = both / np.maximum(own, np.finfo(np.float64).tiny)
     if like.mean() > BEYOND / np.sqrt(blocks * at.size):
         out[at] = np.sqrt(np.maximum(both, 0))
@@ -46,7 +51,9 @@ def wander(c: Candidates, at: Int, blocks: int) -> Float:
 
 
 def widened(c: Candidates, wandering: Float) -> Candidates:
-    """The candidates with what the wander may add to the damping among their deviations, in a column of each."""
+    """The candidates with what the wander may add to the damping among their deviations, in a
+    column of each.
+    """
     rows = np.flatnonzero(wandering)
     if not rows.size:
         return c

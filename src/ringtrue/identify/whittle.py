@@ -1,9 +1,11 @@
-"""Maximum likelihood of each mode on its own spectrum: what a subspace estimate leaves on the table.
+"""Maximum likelihood of each mode on its own spectrum: what a subspace estimate leaves on the
+table.
 
-A spatial filter (minimum variance, Capon 1969) takes one mode out of the spectral matrix; pole and background are
-fitted to the filtered periodogram by Whittle's likelihood (1953), whose expected value accounts for the length of the
-record (Sykulski et al. 2019); for one mode in white noise this is Au's (2011) Bayesian FFT. The statistical floor
-(Gersch 1974) is reached where the mode stands clear of the noise.
+A spatial filter (minimum variance, Capon 1969) takes one mode out of the spectral matrix; pole and
+background are fitted to the filtered periodogram by Whittle's likelihood (1953), whose expected
+value accounts for the length of the record (Sykulski et al. 2019); for one mode in white noise this
+is Au's (2011) Bayesian FFT. The statistical floor (Gersch 1974) is reached where the mode stands
+clear of the noise.
 """
 
 from __future__ import annotations
@@ -18,16 +20,26 @@ from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
 from ringtrue.errors import DataError
 
 RELATIVE = 4e-4  # width of a bin over its frequency
-# half bandwidths to each side of a mode that its fit uses: fewer where something else stands there. Ten leave a damping
-# 18 % more scatter than the whole spectrum does, and a frequency beside an unknown slope 27 %; twenty leave 8 and 12 %
+# half bandwidths to each side of a mode that its fit uses: fewer where something else stands there.
+# Ten leave a damping 18 % more scatter than the whole spectrum does, and a frequency beside an
+# unknown slope 27 %; twenty leave 8 and 12 %
 REACHES = (20.0, 10.0)
-COARSE, COARSEST = 0.1, 0.3  # width of a bin in a fit: of the distance to the mode, of its half bandwidth at most
+COARSE, COARSEST = (
+    0.1,
+    0.3,
+)  # width of a bin in a fit: of the distance to the mode, of its half bandwidth at most
 SPAN = 0.35  # of the frequency, at most
-LEVEL = 1.5  # standard deviation of ln of the levels that noise and other modes leave in a filtered spectrum
-INDEPENDENT = 0.03  # singular value of unit shapes, over the largest, below which a direction is not theirs
-NULL = 10.0  # weight of other modes over noise in the filter: they move in step with the mode, noise does not
+# standard deviation of ln of the levels that noise and other modes leave in a filtered spectrum
+LEVEL = 1.5
+INDEPENDENT = (
+    0.03  # singular value of unit shapes, over the largest, below which a direction is not theirs
+)
+# weight of other modes over noise in the filter: they move in step with the mode, noise does not
+NULL = 10.0
 MISFIT = 6.0  # beyond, something else stands in the spectrum, a machine for instance
-WAVES = 2.5  # squared error of bins a half bandwidth wide, over its expectation: beyond, the mode does not move alone
+# squared error of bins a half bandwidth wide, over its expectation: beyond, the mode does not move
+# alone
+WAVES = 2.5
 CHANCE = 1.5  # of that, reached by chance
 BLUR = 3.0  # times the standard deviation of the start: a fit that knows less is not believed
 ITERATIONS = 80
@@ -64,12 +76,16 @@ class SpectralBins:
     def windows(self) -> tuple[tuple[float, float], ...]:
         """Weights and lengths (s) of the triangles that make up the window on the correlations.
 
-        Pairs of samples at a lag τ that are both there become fewer as 1 - τ/duration, and by those that a lost stretch
-        takes: breaks · τ at small lags, of the share (1 - lost), and as much as chance tells beyond their length.
+        Pairs of samples at a lag τ that are both there become fewer as 1 - τ/duration, and by those
+        that a lost stretch takes: breaks · τ at small lags, of the share (1 - lost), and as much as
+        chance tells beyond their length.
         """
         if not self.lost:
             return ((1.0, self.duration),)
-        return ((1 - self.lost, self.duration), (self.lost, self.lost * (1 - self.lost) / self.breaks))
+        return (
+            (1 - self.lost, self.duration),
+            (self.lost, self.lost * (1 - self.lost) / self.breaks),
+        )
 
     def __add__(self, other: SpectralBins) -> SpectralBins:
         """The average of two stretches of one record, equally long."""
@@ -78,11 +94,15 @@ class SpectralBins:
         n = self.count + other.count
         a, b = (x.astype(np.float32)[:, None, None] for x in (self.count / n, other.count / n))
         lost, breaks = 0.5 * (self.lost + other.lost), 0.5 * (self.breaks + other.breaks)
-        return SpectralBins(self.freqs, n, a * self.cross + b * other.cross, self.duration, lost, breaks)
+        return SpectralBins(
+            self.freqs, n, a * self.cross + b * other.cross, self.duration, lost, breaks
+        )
 
 
 def spectral_bins(data: Any_, rate: float, band: tuple[float, float]) -> SpectralBins:
-    """Periodograms of `data` (ch, sample) at `rate` Hz within `band` (Hz), in bins of constant relative width."""
+    """Periodograms of `data` (ch, sample) at `rate` Hz within `band` (Hz), in bins of constant
+    relative width.
+    """
     n = int(prev_fast_len(data.shape[1], real=True))
     first, last = int(np.ceil(max(band[0] * n / rate, 1))), int(min(band[1] * n / rate, n // 2 - 1))
     scale = np.float32(1 / np.sqrt(n * rate / 2))
@@ -138,7 +158,8 @@ class _Curve:
 
 
 def _finite(nu: Float, nu0: float, zeta: float, windows: tuple[tuple[float, float], ...]) -> Float:
-    """Factor on the spectrum of a mode for the finite length; `windows`: weights, and lengths in periods of f_start.
+    """Factor on the spectrum of a mode for the finite length; `windows`: weights, and lengths in
+    periods of f_start.
 
     For each window 1 − Re[(1 − e⁻ᑫ)/q²] / Re[1/q], q = a + ib = length · (iω − s) of the pole s.
     """
@@ -155,7 +176,9 @@ def _finite(nu: Float, nu0: float, zeta: float, windows: tuple[tuple[float, floa
     return factor
 
 
-def _lorentz(nu: Float, nu0: float, zeta: float, windows: tuple[tuple[float, float], ...]) -> _Curve:
+def _lorentz(
+    nu: Float, nu0: float, zeta: float, windows: tuple[tuple[float, float], ...]
+) -> _Curve:
     """1 over |ν0² − ν² + 2iζν0ν|², peak 1, as seen in a record of a finite length."""
     square = nu * nu
     own, wide = nu0**2 - square, (4 * zeta**2 * nu0**2) * square
@@ -166,8 +189,8 @@ def _lorentz(nu: Float, nu0: float, zeta: float, windows: tuple[tuple[float, flo
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fit:
-    """Whittle fit of one filtered spectrum: θ = ln ν0, ln ζ, slope, ln A, ln of the background at both ends, then
-    ln of each neighbour's level.
+    """Whittle fit of one filtered spectrum: θ = ln ν0, ln ζ, slope, ln A, ln of the background at
+    both ends, then ln of each neighbour's level.
 
     Attributes
     ----------
@@ -207,7 +230,9 @@ class _Fit:
 
     def cost(self, s: Float, theta: Float) -> float:
         """Negative log posterior."""
-        return float(self.count @ (np.log(s) + self.power / s) + 0.5 * self.prior @ (theta - self.mean) ** 2)
+        return float(
+            self.count @ (np.log(s) + self.power / s) + 0.5 * self.prior @ (theta - self.mean) ** 2
+        )
 
     def run(self) -> tuple[Float, Float, float, bool]:
         """θ, covariance, misfit and whether Fisher scoring settled."""
@@ -235,7 +260,9 @@ class _Fit:
         return theta, np.asarray(np.linalg.inv(info), dtype=np.float64), misfit, done
 
     def waves(self, theta: Float) -> float:
-        """Mean squared error, over its expectation, of bins a half bandwidth wide: forces that modes share bend it."""
+        """Mean squared error, over its expectation, of bins a half bandwidth wide: forces that
+        modes share bend it.
+        """
         error = self.count * (self.power / self.spectrum(theta)[0] - 1)
         k = np.floor((self.nu / np.exp(theta[0]) - self.nu[0]) / np.exp(theta[1])).astype(np.int64)
         k -= k.min()
@@ -261,13 +288,16 @@ class _Filter:
     leak: Float
 
 
-def _filter(b: SpectralBins, at: Int, half: float, psi: Complex, i: int, others: Int, near: Float, f: Float) -> _Filter:
+def _filter(
+    b: SpectralBins, at: Int, half: float, psi: Complex, i: int, others: Int, near: Float, f: Float
+) -> _Filter:
     """The filter of mode `i` that passes least of the noise and of the `others` in the bins `at`.
 
     `half` is its half bandwidth, Hz; `near` (other,) are the mean spectra of the others there.
 
-    The noise is what no shape explains, away from the peak. All that lies there would not do: the mode's own skirts
-    are in it, a motion of other modes in step with them would cancel them, and the peak would look too sharp.
+    The noise is what no shape explains, away from the peak. All that lies there would not do: the
+    mode's own skirts are in it, a motion of other modes in step with them would cancel them, and
+    the peak would look too sharp.
     """
     shapes = psi[:, [i, *others.tolist()]]
     u, s, _ = np.linalg.svd(shapes / np.linalg.norm(shapes, axis=0), full_matrices=False)
@@ -277,7 +307,11 @@ def _filter(b: SpectralBins, at: Int, half: float, psi: Complex, i: int, others:
     first, share = at[0], np.zeros((3, at[-1] + 1 - at[0]), dtype=np.float32)
     for row, k in zip(share, parts, strict=True):
         row[k - first] = 1 / k.size
-    flat = np.ascontiguousarray(b.cross[first : at[-1] + 1]).reshape(share.shape[1], -1).view(np.float32)
+    flat = (
+        np.ascontiguousarray(b.cross[first : at[-1] + 1])
+        .reshape(share.shape[1], -1)
+        .view(np.float32)
+    )
     r = (share @ flat).view(np.complex64).reshape(3, len(psi), -1).astype(np.complex128)
     out = np.eye(len(psi)) - q @ q.conj().T
     seen = np.einsum("ca,pab,bc->pc", out, r, out).real
@@ -287,7 +321,10 @@ def _filter(b: SpectralBins, at: Int, half: float, psi: Complex, i: int, others:
         np.trace(b.cross[np.abs(b.freqs - f[k]).argmin()]).real / np.vdot(v, v).real
         for k, v in zip(others, psi.T[others], strict=True)
     ]
-    r_all = np.diag(noise.mean(0)) + NULL * (shapes[:, 1:] * (np.array(peak) * near)) @ shapes[:, 1:].conj().T
+    r_all = (
+        np.diag(noise.mean(0))
+        + NULL * (shapes[:, 1:] * (np.array(peak) * near)) @ shapes[:, 1:].conj().T
+    )
     x = np.linalg.solve(r_all, psi[:, i])
     w = x / np.vdot(psi[:, i], x)
     ends = noise[[0, 2]] @ np.abs(w) ** 2 if q.shape[1] < len(psi) else np.full(2, np.nan)
@@ -311,11 +348,12 @@ def refine(
     damping : (m,) float64
     shape : (ch, m) complex128
     slope : (mean, std)
-        Of the exponent of ω in the response: 4 for accelerations under a flat force, 2 for velocities, 0 for
-        displacements.
+        Of the exponent of ω in the response: 4 for accelerations under a flat force, 2 for
+        velocities, 0 for displacements.
     doubt : (m,) float64, optional
-        Relative standard deviation of `damping`; a fit that ends far beyond it has found something else, and one that
-        knows far less tells nothing: its filter took the mode with the others. 0.2 if absent.
+        Relative standard deviation of `damping`; a fit that ends far beyond it has found something
+        else, and one that knows far less tells nothing: its filter took the mode with the others.
+        0.2 if absent.
     """
     m = frequency.size
     start = np.full(m, 0.2) if doubt is None else doubt
@@ -338,24 +376,37 @@ def refine(
                 waves = fit.waves(theta)
                 chi = max(chi, waves / CHANCE)
                 if chi < MISFIT and waves < WAVES:
-                    f[i], z[i], cov[i], misfit[i], ok[i] = new_f, new_z, c[:2, :2] * max(chi, 1.0), chi, True
+                    f[i], z[i], cov[i], misfit[i], ok[i] = (
+                        new_f,
+                        new_z,
+                        c[:2, :2] * max(chi, 1.0),
+                        chi,
+                        True,
+                    )
                     break
     return Fitted(f, z, cov, misfit, ok)
 
 
 def _joined(nu: Float, zeta: float) -> Int:
-    """Where the bins begin that some of `nu` (bin,) make together: coarser away from a mode of damping `zeta`."""
+    """Where the bins begin that some of `nu` (bin,) make together: coarser away from a mode of
+    damping `zeta`.
+    """
     far = np.maximum(np.abs(nu - 1) / zeta, 1.0)
     place = np.cumsum(np.diff(nu, prepend=nu[0]) / zeta / np.minimum(COARSE * far, COARSEST))
     return np.flatnonzero(np.diff(np.floor(place), prepend=-1.0))
 
 
 def _prepare(
-    b: SpectralBins, i: int, far: float, modes: tuple[Float, Float, Complex], slope: tuple[float, float]
+    b: SpectralBins,
+    i: int,
+    far: float,
+    modes: tuple[Float, Float, Complex],
+    slope: tuple[float, float],
 ) -> _Fit | None:
     """The filtered spectrum of mode `i`, `far` half bandwidths to each side, with a start.
 
-    `modes` are the frequencies, dampings and shapes of all. None where lines are too few or too coarse.
+    `modes` are the frequencies, dampings and shapes of all. None where lines are too few or too
+    coarse.
     """
     f, z, psi = modes
     half = z[i] * f[i]
@@ -378,10 +429,17 @@ def _prepare(
     power = np.maximum(np.add.reduceat(lines * passed.real, begin) / count, 1e-300)
     peak = np.median(power[np.argsort(np.abs(nu - 1))[: max(few, 5)]])
     known = np.isfinite(own.noise)
-    ends = np.where(known, own.noise, np.array([np.median(power[:few]), np.median(power[-few:])]) / 2)
-    mean = np.array([0.0, np.log(z[i]), slope[0], *np.log([peak, *ends, *np.maximum(own.leak, 1e-6 * peak)])])
-    # what the data do not show is held near what the filter is expected to pass: levels cannot be negative, so that
-    # free ones take from the skirts of the mode on average, and with them from its damping
+    ends = np.where(
+        known, own.noise, np.array([np.median(power[:few]), np.median(power[-few:])]) / 2
+    )
+    mean = np.array(
+        [0.0, np.log(z[i]), slope[0], *np.log([peak, *ends, *np.maximum(own.leak, 1e-6 * peak)])]
+    )
+    # what the data do not show is held near what the filter is expected to pass: levels cannot be
+    # negative, so that free ones take from the skirts of the mode on average, and with them from
+    # its damping
     loose = np.where(known, LEVEL, 3.0) ** -2
-    prior = np.concatenate([[1e-6, 1e-4, slope[1] ** -2, 1e-4], loose, np.full(others.size, LEVEL**-2)])
+    prior = np.concatenate(
+        [[1e-6, 1e-4, slope[1] ** -2, 1e-4], loose, np.full(others.size, LEVEL**-2)]
+    )
     return _Fit(nu, power, count, windows, place, near, mean, prior)

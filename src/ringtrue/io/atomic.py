@@ -1,9 +1,9 @@
 """Writes that either happen completely or not at all, and never in the place of an input.
 
-All that ringtrue writes goes through `atomic_write`. Within a run (`one_run`) it knows the files that were read, by
-what they are and not by their names: no link, hard link, other case or other way to a folder leads round it. The
-readers announce what they read (`reads`), commands and studies what they will write (`writes`), so that a run that
-would replace an input ends before any work.
+All that ringtrue writes goes through `atomic_write`. Within a run (`one_run`) it knows the files
+that were read, by what they are and not by their names: no link, hard link, other case or other way
+to a folder leads round it. The readers announce what they read (`reads`), commands and studies what
+they will write (`writes`), so that a run that would replace an input ends before any work.
 """
 
 from __future__ import annotations
@@ -27,7 +27,9 @@ _PART = re.compile(rf"\..+\.{_HOST}-(\d+)-\w+\.part")
 
 @dataclass(slots=True)
 class _Run:
-    """The files of a run: what it has read, what it will write, what it has written, and what it keeps up."""
+    """The files of a run: what it has read, what it will write, what it has written, and what it
+    keeps up.
+    """
 
     inputs: dict[Identity, Path] = field(default_factory=dict)
     targets: list[Path] = field(default_factory=list)
@@ -42,7 +44,11 @@ _RUN: ContextVar[_Run | None] = ContextVar("run", default=None)
 def one_run() -> Iterator[None]:
     """Within it no file that is read is replaced; a run within a run knows the files of both."""
     outer = _RUN.get()
-    mine = _Run(dict(outer.inputs), list(outer.targets), set(outer.written), set(outer.kept)) if outer else _Run()
+    mine = (
+        _Run(dict(outer.inputs), list(outer.targets), set(outer.written), set(outer.kept))
+        if outer
+        else _Run()
+    )
     token = _RUN.set(mine)
     try:
         yield
@@ -92,10 +98,15 @@ def writes(*paths: str | Path) -> None:
 def _refuse_input(run: _Run, target: Path) -> None:
     what = _identity(target)
     source = run.inputs.get(what) if what is not None else None
-    if source is None or _identity(source) != what:  # a scratch file that is gone leaves its number to others
+    if (
+        source is None or _identity(source) != what
+    ):  # a scratch file that is gone leaves its number to others
         return
     same = "" if source == target else f" (it is {source})"
-    raise InputError(f"{target}: an input of this run{same} would be replaced; name another file or folder to write")
+    raise InputError(
+        f"{target}: an input of this run{same} would be replaced; name another file or folder to "
+        "write"
+    )
 
 
 def _identity(path: Path) -> Identity | None:
@@ -109,7 +120,8 @@ def _identity(path: Path) -> Identity | None:
 
 @contextmanager
 def atomic_write(path: str | Path) -> Iterator[Path]:
-    """A temporary path in the folder of `path` that replaces it when the block ends without an error.
+    """A temporary path in the folder of `path` that replaces it when the block ends without an
+    error.
 
     What killed processes have left in the folder is removed.
 

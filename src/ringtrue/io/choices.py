@@ -54,7 +54,9 @@ def _choice(table: Mapping[str, Any], source: str) -> Choice:
         rows = table.get(name, [])
         if not isinstance(rows, list) or not all(isinstance(r, dict) for r in rows):
             raise ConfigError(f"{source}: {name} must be a list of tables")
-        parts[name] = tuple(_entry(name, row, f"{source}: {name} {i + 1}") for i, row in enumerate(rows))
+        parts[name] = tuple(
+            _entry(name, row, f"{source}: {name} {i + 1}") for i, row in enumerate(rows)
+        )
     return Choice(parts["pick"], parts["reject"], parts["merge"], automatic, source)
 
 
@@ -89,7 +91,10 @@ def _text(value: Any) -> bool:
 
 _WANTED: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "frequency": ("a number, Hz", _number),
-    "frequencies": ("a list of numbers, Hz", lambda v: isinstance(v, list) and all(map(_number, v))),
+    "frequencies": (
+        "a list of numbers, Hz",
+        lambda v: isinstance(v, list) and all(map(_number, v)),
+    ),
     "order": ("a whole number", lambda v: _number(v) and isinstance(v, int)),
 }
 
@@ -114,7 +119,9 @@ def write_choice(path: str | Path, choice: Choice) -> None:
     elif path.suffix.lower() == ".toml":
         text = _HEAD + f"automatic = {str(choice.automatic).lower()}\n" + "".join(_tables(table))
     else:
-        raise ConfigError(f"{path}: format {path.suffix!r}{did_you_mean(path.suffix, ['.toml', '.json'])}")
+        raise ConfigError(
+            f"{path}: format {path.suffix!r}{did_you_mean(path.suffix, ['.toml', '.json'])}"
+        )
     with atomic_write(path) as part:
         part.write_text(text, encoding="utf-8")
 

@@ -23,8 +23,8 @@ def is_clock(text: str) -> bool:
 def seconds(texts: Sequence[str]) -> Float:
     """Seconds (k,) since the first of such texts; a time of day that falls begins a new day.
 
-    `01.05.2024` and `2024-05-01` are the first of May; of dates with strokes the number above 12 is the day, and the
-    month stands first where none is.
+    `01.05.2024` and `2024-05-01` are the first of May; of dates with strokes the number above 12 is
+    the day, and the month stands first where none is.
 
     Raises
     ------
@@ -32,7 +32,11 @@ def seconds(texts: Sequence[str]) -> Float:
         If one is none.
     """
     found = [_CLOCK.match(x) for x in texts]
-    if bad := [x for x, m in zip(texts, found, strict=True) if m is None or (m["a"] is None and m["h"] is None)]:
+    if bad := [
+        x
+        for x, m in zip(texts, found, strict=True)
+        if m is None or (m["a"] is None and m["h"] is None)
+    ]:
         raise ValueError(f"{bad[0]!r} is no date or time")
     parts = [m for m in found if m is not None]
     hours = np.array([_hour(m) for m in parts])
@@ -59,5 +63,8 @@ def _days(parts: Sequence[re.Match[str]]) -> Float:
         american = "/" in (parts[0][0]) and a.max() <= 12
         year, month, day = c, (a if american else b), (b if american else a)
     year = np.where(year < 100, year + 2000, year)
-    texts = [f"{y:04d}-{m:02d}-{d:02d}" for y, m, d in zip(year.tolist(), month.tolist(), day.tolist(), strict=True)]
+    texts = [
+        f"{y:04d}-{m:02d}-{d:02d}"
+        for y, m, d in zip(year.tolist(), month.tolist(), day.tolist(), strict=True)
+    ]
     return np.asarray(np.array(texts, dtype="datetime64[D]").astype(np.float64))

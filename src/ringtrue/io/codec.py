@@ -1,10 +1,11 @@
 """Any frozen dataclass of ringtrue to an HDF5 group and back; no pickle.
 
-An object becomes a group. Its attribute `kind` says what it is (`dataclass`, `tuple`, `list`, `dict`, `sparse`,
-`value`); arrays are data sets named after their fields, things that hold arrays are groups, and all else stands
-in one JSON text, the data set `_plain`. A class is stored as `module:name` and only loaded from `ringtrue.*`.
-Every data set that holds anything has HDF5's Fletcher-32 checksum. Text has a fixed length: that of variable length
-would stand in a heap of the file that no checksum covers.
+An object becomes a group. Its attribute `kind` says what it is (`dataclass`, `tuple`, `list`,
+`dict`, `sparse`, `value`); arrays are data sets named after their fields, things that hold arrays
+are groups, and all else stands in one JSON text, the data set `_plain`. A class is stored as
+`module:name` and only loaded from `ringtrue.*`. Every data set that holds anything has HDF5's
+Fletcher-32 checksum. Text has a fixed length: that of variable length would stand in a heap of the
+file that no checksum covers.
 """
 
 from __future__ import annotations
@@ -26,8 +27,12 @@ from ringtrue.io.foreign.texts import json_value
 
 PLAIN = "_plain"
 SCALAR = "scalar"  # marks an array without axes
-LARGE = 1 << 16  # bytes from which on an array is compressed: a fifth of noise, most of meshes and tables
-_SPARSE = {name: getattr(sparse, name) for name in ("csr_array", "csc_array", "csr_matrix", "csc_matrix")}
+LARGE = (
+    1 << 16
+)  # bytes from which on an array is compressed: a fifth of noise, most of meshes and tables
+_SPARSE = {
+    name: getattr(sparse, name) for name in ("csr_array", "csc_array", "csr_matrix", "csc_matrix")
+}
 
 
 def save(group: h5py.Group, obj: object) -> None:
@@ -38,7 +43,8 @@ def save(group: h5py.Group, obj: object) -> None:
     group : h5py.Group
         Empty.
     obj : object
-        A dataclass, tuple, list, dict, array, sparse matrix, Enum, str, bool, number or None, nested at will.
+        A dataclass, tuple, list, dict, array, sparse matrix, Enum, str, bool, number or None,
+        nested at will.
 
     Raises
     ------
@@ -60,7 +66,9 @@ def save(group: h5py.Group, obj: object) -> None:
             save(group.create_group(name), value)
         else:
             plain[name] = _encode(value, where)
-    _put_array(group, PLAIN, np.frombuffer(json.dumps(plain, allow_nan=False).encode(), dtype=np.uint8))
+    _put_array(
+        group, PLAIN, np.frombuffer(json.dumps(plain, allow_nan=False).encode(), dtype=np.uint8)
+    )
 
 
 def load(group: h5py.Group) -> Any:
@@ -69,12 +77,15 @@ def load(group: h5py.Group) -> Any:
     Raises
     ------
     DataError
-        If the group was not written by `save`, or names a class that is not a dataclass or Enum of ringtrue.
+        If the group was not written by `save`, or names a class that is not a dataclass or Enum of
+        ringtrue.
     """
     kind = group.attrs.get("kind")
     if kind is None or PLAIN not in group:
         raise DataError(f"{group.file.filename}:{group.name}: not an object stored by ringtrue")
-    parts = {k: _decode(v) for k, v in json_value(_plain(group[PLAIN]), group.file.filename).items()}
+    parts = {
+        k: _decode(v) for k, v in json_value(_plain(group[PLAIN]), group.file.filename).items()
+    }
     for name, item in group.items():
         if name != PLAIN:
             parts[name] = load(item) if isinstance(item, h5py.Group) else _get_array(item)
@@ -88,13 +99,17 @@ def text_of(attribute: Any) -> str:
 
 def _plain(item: h5py.Dataset) -> str:
     """The JSON text; files of earlier versions have it as one of variable length."""
-    return str(item.asstr()[()]) if h5py.check_string_dtype(item.dtype) else bytes(item[()]).decode()
+    return (
+        str(item.asstr()[()]) if h5py.check_string_dtype(item.dtype) else bytes(item[()]).decode()
+    )
 
 
 def _parts(obj: object, where: str) -> tuple[str, dict[str, Any]]:
     if dataclasses.is_dataclass(obj) and not isinstance(obj, type):
         _class_name(type(obj))
-        return "dataclass", {f.name: getattr(obj, f.name) for f in dataclasses.fields(obj) if f.init}
+        return "dataclass", {
+            f.name: getattr(obj, f.name) for f in dataclasses.fields(obj) if f.init
+        }
     if isinstance(obj, tuple | list):
         return type(obj).__name__ if type(obj) in (tuple, list) else "tuple", _numbered(obj)
     if isinstance(obj, dict):
@@ -141,21 +156,27 @@ def _build(kind: str, parts: dict[str, Any], group: h5py.Group) -> Any:
 def _make(cls: type, parts: dict[str, Any]) -> Any:
     known = {f.name for f in dataclasses.fields(cls) if f.init}
     if extra := set(parts) - known:
-        raise DataError(f"{cls.__name__} has no field {', '.join(sorted(extra))}: stored by another version?")
+        raise DataError(
+            f"{cls.__name__} has no field {', '.join(sorted(extra))}: stored by another version?"
+        )
     needed = {
         f.name
         for f in dataclasses.fields(cls)
         if f.init and f.default is dataclasses.MISSING and f.default_factory is dataclasses.MISSING
     }
     if lost := needed - set(parts):
-        raise DataError(f"{cls.__name__}: the store lacks {', '.join(sorted(lost))}: stored by another version?")
+        raise DataError(
+            f"{cls.__name__}: the store lacks {', '.join(sorted(lost))}: stored by another version?"
+        )
     return cls(**parts)
 
 
 def _put_array(group: h5py.Group, name: str, a: np.ndarray[Any, Any]) -> None:
     if a.dtype.kind in "UO":
         if not all(isinstance(x, str) for x in a.ravel().tolist()):
-            raise DataError(f"{group.name}/{name}: an array of objects that are not text cannot be stored")
+            raise DataError(
+                f"{group.name}/{name}: an array of objects that are not text cannot be stored"
+            )
         text = np.char.encode(a.astype(np.str_), "utf-8")
         fixed = h5py.string_dtype("utf-8", max(text.dtype.itemsize, 1))
         _put_checked(group, name, text.astype(fixed))
@@ -168,7 +189,9 @@ def _put_checked(group: h5py.Group, name: str, a: np.ndarray[Any, Any]) -> None:
     if not a.size:
         group.create_dataset(name, data=a)
         return
-    packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if a.nbytes >= LARGE else {}
+    packed = (
+        {"compression": "gzip", "compression_opts": 1, "shuffle": True} if a.nbytes >= LARGE else {}
+    )
     made = group.create_dataset(name, data=np.atleast_1d(a), fletcher32=True, **packed)
     if not a.ndim:
         made.attrs[SCALAR] = True
@@ -184,7 +207,9 @@ def _holds_arrays(value: object) -> bool:
     if isinstance(value, np.ndarray) or sparse.issparse(value):
         return True
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return any(_holds_arrays(getattr(value, f.name)) for f in dataclasses.fields(value) if f.init)
+        return any(
+            _holds_arrays(getattr(value, f.name)) for f in dataclasses.fields(value) if f.init
+        )
     if isinstance(value, dict):
         return any(_holds_arrays(v) for v in value.values())
     if isinstance(value, tuple | list):
@@ -193,7 +218,9 @@ def _holds_arrays(value: object) -> bool:
 
 
 def _encode(value: object, where: str) -> Any:
-    """A JSON form: scalars as they are, a tuple as a list, all else as an object with one `$` key."""
+    """A JSON form: scalars as they are, a tuple as a list, all else as an object with one `$`
+    key.
+    """
     if isinstance(value, Enum):
         return {"$enum": [_class_name(type(value)), value.name]}
     if value is None or isinstance(value, bool | str):
@@ -214,8 +241,13 @@ def _encode(value: object, where: str) -> Any:
         return {"$dict": [[_encode(k, where), _encode(v, where)] for k, v in value.items()]}
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         fields = {f.name: getattr(value, f.name) for f in dataclasses.fields(value) if f.init}
-        return {"$class": _class_name(type(value)), "fields": {k: _encode(v, where) for k, v in fields.items()}}
-    raise DataError(f"{where}: {type(value).__module__}.{type(value).__qualname__} cannot be stored")
+        return {
+            "$class": _class_name(type(value)),
+            "fields": {k: _encode(v, where) for k, v in fields.items()},
+        }
+    raise DataError(
+        f"{where}: {type(value).__module__}.{type(value).__qualname__} cannot be stored"
+    )
 
 
 def _decode(value: Any) -> Any:

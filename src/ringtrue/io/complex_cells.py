@@ -1,4 +1,6 @@
-"""Complex numbers in one cell of a delimited text, `1.2+3.4j`, `(1.2 - 3.4i)`: parted into two columns."""
+"""Complex numbers in one cell of a delimited text, `1.2+3.4j`, `(1.2 - 3.4i)`: parted into two
+columns.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +10,11 @@ from collections.abc import Callable, Sequence
 _NOTHING = "0"
 
 
-def parted(lines: Sequence[str], delimiter: str, comma: bool, cells: Callable[[str], list[str]]) -> list[str]:
-    """The lines with two cells, `real` and `imag` before their titles, for each complex one; others as they are.
+def parted(
+    lines: Sequence[str], delimiter: str, comma: bool, cells: Callable[[str], list[str]]
+) -> list[str]:
+    """The lines with two cells, `real` and `imag` before their titles, for each complex one; others
+    as they are.
 
     Parameters
     ----------

@@ -34,7 +34,8 @@ _SETS = {
 }
 _GEOMETRY = (15, 18, 82, 2411, 2412, 2420, 2431)
 _TAKES = {
-    "time records": "`ringtrue oma` takes records without forces, `ringtrue ema` those with a force",
+    "time records": "`ringtrue oma` takes records without forces, `ringtrue ema` those with a "
+    "force",
     "FRFs": "`ringtrue ema` takes FRFs",
     "transmissibilities": "`ringtrue ema` takes FRFs",
     "functions": "`ringtrue oma` and `ringtrue ema` take records and FRFs",
@@ -42,7 +43,9 @@ _TAKES = {
 }
 _BY_ENDING = {  # of files that no record or FRF has
     **dict.fromkeys((".bdf", ".dat", ".nas"), ("a deck", "`ringtrue check` takes decks")),
-    **dict.fromkeys((".op2", ".f06", ".pch"), ("results of a solver", "`ringtrue convert` takes them")),
+    **dict.fromkeys(
+        (".op2", ".f06", ".pch"), ("results of a solver", "`ringtrue convert` takes them")
+    ),
     ".json": ("modes or a log", "`ringtrue correlate` takes modes"),
     ".toml": ("a study or a choice", "`ringtrue run` takes studies"),
     ".npz": ("FRFs", _TAKES["FRFs"]),
@@ -59,12 +62,16 @@ def sets_held(kinds: Iterable[int]) -> str:
     """What the data sets of a universal file hold, and which command takes it."""
     found = sorted(set(kinds))
     named = [f"{_SETS[k]} ({k})" if k in _SETS else f"data sets {k}" for k in found]
-    geometry = "; the points of a test go into a sensor sheet" if set(found) & set(_GEOMETRY) else ""
+    geometry = (
+        "; the points of a test go into a sensor sheet" if set(found) & set(_GEOMETRY) else ""
+    )
     return _sentence(named, [_SETS.get(k, "") for k in found]) + geometry
 
 
 def ending_means(path: Path) -> str:
-    """What a file with this ending holds, and which command takes it; empty where nothing can be said."""
+    """What a file with this ending holds, and which command takes it; empty where nothing can be
+    said.
+    """
     if (known := _BY_ENDING.get(path.suffix.lower())) is None:
         return ""
     return f": {known[0]}; {known[1]}"

@@ -1,4 +1,6 @@
-"""Delimited text of loggers and spreadsheets: names, units and rates above the samples, times in many forms."""
+"""Delimited text of loggers and spreadsheets: names, units and rates above the samples, times in
+many forms.
+"""
 
 from __future__ import annotations
 
@@ -26,9 +28,43 @@ from ringtrue.io.times import even_grid, in_seconds, without_repeated
 
 log = logging.getLogger(__name__)
 
-_TIMES = {*TIME_NAMES, "timestamp", "datetime", "date", "datum", "uhrzeit", "elapsed", "elapsed time", "relative time"}
-_TIMES |= {"unix", "epoch", "time stamp", "date time", "date/time", "datum uhrzeit", "temps", "tempo", "tiempo"}
-_COUNTS = {"sample", "samples", "index", "idx", "nr", "no", "no.", "n", "#", "scan", "record", "point", "count"}
+_TIMES = {
+    *TIME_NAMES,
+    "timestamp",
+    "datetime",
+    "date",
+    "datum",
+    "uhrzeit",
+    "elapsed",
+    "elapsed time",
+    "relative time",
+}
+_TIMES |= {
+    "unix",
+    "epoch",
+    "time stamp",
+    "date time",
+    "date/time",
+    "datum uhrzeit",
+    "temps",
+    "tempo",
+    "tiempo",
+}
+_COUNTS = {
+    "sample",
+    "samples",
+    "index",
+    "idx",
+    "nr",
+    "no",
+    "no.",
+    "n",
+    "#",
+    "scan",
+    "record",
+    "point",
+    "count",
+}
 _SECONDS = {
     "s": 1.0,
     "sec": 1.0,
@@ -60,10 +96,11 @@ _COARSE = 1e-3  # relative deviation of a rate from times written with few digit
 
 
 def read_csv(path: Path) -> RawTable:
-    """Delimited text, a column for each channel; a column of times or a line above the samples gives the rate.
+    """Delimited text, a column for each channel; a column of times or a line above the samples
+    gives the rate.
 
-    A header such as `101+Z [m/s^2]` gives name and unit. Delimiters `, ; tab space`; decimal commas, dates, quotes,
-    D exponents and empty cells (not a number) are understood.
+    A header such as `101+Z [m/s^2]` gives name and unit. Delimiters `, ; tab space`; decimal
+    commas, dates, quotes, D exponents and empty cells (not a number) are understood.
     """
     told, lines, delimiter, comma = _opened(path)
     width = len(_cells(lines[-1], delimiter))
@@ -71,7 +108,11 @@ def read_csv(path: Path) -> RawTable:
     head = [_cells(x, delimiter) for x in lines[:top]]
     rows = without_headers(lines[top:], lines[:top], path)
     body, clock = _clocked(rows, delimiter, path)
-    data = numbers(body, delimiter, comma, path) if body and width > clock else np.empty((0, len(body)))
+    data = (
+        numbers(body, delimiter, comma, path)
+        if body and width > clock
+        else np.empty((0, len(body)))
+    )
     names = _titles(head, width, path) if head else _commented(told, delimiter, width)
     if names and len(names) - clock != len(data):
         raise DataError(f"{path}: {len(names) - clock} names in the header, {len(data)} columns")
@@ -85,7 +126,8 @@ def read_csv(path: Path) -> RawTable:
 
 
 def read_columns(path: Path) -> tuple[list[str], Float]:
-    """Titles of the columns of a delimited text, empty where there are none, and numbers (column, row).
+    """Titles of the columns of a delimited text, empty where there are none, and numbers (column,
+    row).
 
     Raises
     ------
@@ -97,7 +139,9 @@ def read_columns(path: Path) -> tuple[list[str], Float]:
 
 
 def read_titles(path: Path) -> list[str]:
-    """Titles of the columns of a delimited text, as `read_columns` gives them; the numbers are not read."""
+    """Titles of the columns of a delimited text, as `read_columns` gives them; the numbers are not
+    read.
+    """
     return _titled(path)[0]
 
 
@@ -111,7 +155,9 @@ def _titled(path: Path) -> tuple[list[str], list[str], str, bool]:
 
 
 def _opened(path: Path) -> tuple[list[str], list[str], str, bool]:
-    """Comments, the other lines without what ends them, the delimiter of the columns and whether commas are decimal."""
+    """Comments, the other lines without what ends them, the delimiter of the columns and whether
+    commas are decimal.
+    """
     text = read_text(path).splitlines()
     told = [x for x in text[:200] if x.startswith(_COMMENT)]
     lines = [x for x in text if x.strip() and not x.startswith(_COMMENT)]
@@ -119,7 +165,9 @@ def _opened(path: Path) -> tuple[list[str], list[str], str, bool]:
         raise DataError(f"{path}: empty, there are no samples")
     lines = _without_cut_end(_without_footer(lines), path)
     delimiter, comma = _dialect(lines[-1])
-    if delimiter != " " and lines[-1].rstrip(" ").endswith(delimiter):  # each line ends in a delimiter
+    if delimiter != " " and lines[-1].rstrip(" ").endswith(
+        delimiter
+    ):  # each line ends in a delimiter
         if not lines[-1].strip(f" {delimiter}"):
             raise DataError(f"{path}: the last line has no number: the file is empty or cut")
         if lines[len(lines) // 2].rstrip(" ").endswith(delimiter):
@@ -129,18 +177,26 @@ def _opened(path: Path) -> tuple[list[str], list[str], str, bool]:
 
 
 def _without_footer(lines: list[str]) -> list[str]:
-    """The lines without words at the end, such as `End of data`, and without empty rows of a spreadsheet."""
+    """The lines without words at the end, such as `End of data`, and without empty rows of a
+    spreadsheet.
+    """
     while len(lines) > 1 and not lines[-1].strip(" ;,\t"):
         lines = lines[:-1]
     for k in range(min(_MOST_FOOTER, len(lines) - 1)):
         words = lines[len(lines) - 1 - k]
-        if any(c.isdigit() for c in words) or not any(c.isalpha() for c in words) or "nan" in words.lower():
+        if (
+            any(c.isdigit() for c in words)
+            or not any(c.isalpha() for c in words)
+            or "nan" in words.lower()
+        ):
             return lines[: len(lines) - k]
     return lines
 
 
 def _without_cut_end(lines: list[str], path: Path) -> list[str]:
-    """The lines without a last one of fewer cells than the two before it: the logger died or was still writing."""
+    """The lines without a last one of fewer cells than the two before it: the logger died or was
+    still writing.
+    """
     if len(lines) < 4:
         return lines
     delimiter = _dialect(lines[-2])[0]
@@ -160,7 +216,11 @@ def _dialect(line: str) -> tuple[str, bool]:
     if "," in bare:
         words = bare.split()
         spaced = len(words) > 1 and all(_COMMA.match(w) or w.lstrip("+-").isdigit() for w in words)
-        return (" ", True) if spaced else (",", any(_COMMA.match(x) for x in re.findall(r'"([^"]*)"', line)))
+        return (
+            (" ", True)
+            if spaced
+            else (",", any(_COMMA.match(x) for x in re.findall(r'"([^"]*)"', line)))
+        )
     return (",", True) if '"' in line and "," in line else (" ", False)
 
 
@@ -174,21 +234,32 @@ def _cells(line: str, delimiter: str) -> list[str]:
 
 
 def _head_rows(lines: Sequence[str], delimiter: str, comma: bool, width: int) -> int:
-    """How many lines stand above the samples: other cells than below, or a word where these begin with a number."""
+    """How many lines stand above the samples: other cells than below, or a word where these begin
+    with a number.
+    """
     led = not _is_word(_cells(lines[-1], delimiter)[0], comma)
     for at, line in enumerate(lines):
         cells = _cells(line, delimiter)
         if led and _is_word(cells[0], comma):
             continue
-        if len(cells) == width and any(_is_number(x, comma) or is_clock(x) for x in cells if x.strip()):
+        if len(cells) == width and any(
+            _is_number(x, comma) or is_clock(x) for x in cells if x.strip()
+        ):
             return at
-        if at and len(cells) > 1 and len(cells) != width and all(_is_number(x, comma) for x in cells if x.strip()):
+        if (
+            at
+            and len(cells) > 1
+            and len(cells) != width
+            and all(_is_number(x, comma) for x in cells if x.strip())
+        ):
             return at  # a line of samples that lacks some
     return min(1, len(lines))
 
 
 def _is_word(cell: str, comma: bool) -> bool:
-    return bool(cell.strip()) and not (_is_number(cell, comma) or is_clock(cell) or is_lacking(cell))
+    return bool(cell.strip()) and not (
+        _is_number(cell, comma) or is_clock(cell) or is_lacking(cell)
+    )
 
 
 def _is_number(cell: str, comma: bool) -> bool:
@@ -205,19 +276,26 @@ def _is_finite(cell: str, comma: bool) -> bool:
 
 def _plain(cell: str, comma: bool) -> str:
     """A number as Python reads it."""
-    return (cell.replace(",", ".") if comma else cell).strip(' "').replace("D", "E").replace("d", "e")
+    return (
+        (cell.replace(",", ".") if comma else cell).strip(' "').replace("D", "E").replace("d", "e")
+    )
 
 
 def _titles(head: Sequence[Sequence[str]], width: int, path: Path) -> list[str]:
-    """Names of the columns from the lines above them; a line of units under the names is joined to them."""
+    """Names of the columns from the lines above them; a line of units under the names is joined to
+    them.
+    """
     if not head:
         return []
     rows = header_cells(head)
     if len(head) == 1 and len(rows[0]) != width:
         raise DataError(f"{path}: {len(rows[0])} names in the header, {width} columns")
-    fit = [r for r in rows if len(r) == width and width > 1] or [r for r in rows[-1:] if len(r) == width]
+    fit = [r for r in rows if len(r) == width and width > 1] or [
+        r for r in rows[-1:] if len(r) == width
+    ]
     units = [_unbracketed(u) for u in fit[-1]] if len(fit) > 1 else []
-    # a unit of frequency stands first, whatever is beside it: analysers and their users write many units
+    # a unit of frequency stands first, whatever is beside it: analysers and their users write many
+    # units
     if not units or not (units[0].lower() in _OF_FREQUENCY or all(_is_unit(u) for u in units[1:])):
         return fit[-1] if fit else []
     told = [(m := _UNIT.match(n)) is not None and _is_unit(m[2]) for n in fit[-2]]
@@ -245,11 +323,15 @@ def _commented(told: Sequence[str], delimiter: str, width: int) -> list[str]:
 
 def _is_unit(text: str) -> bool:
     over, _, under = text.replace("(", "").replace(")", "").rpartition("/")
-    return text.lower() in ("", "-", *_SECONDS, *_AXES) or bool(known(text) or (over and known(over) and known(under)))
+    return text.lower() in ("", "-", *_SECONDS, *_AXES) or bool(
+        known(text) or (over and known(over) and known(under))
+    )
 
 
 def _clocked(lines: Sequence[str], delimiter: str, path: Path) -> tuple[Sequence[str], int]:
-    """The lines without the dates and times of day that stand first, and how many columns these take."""
+    """The lines without the dates and times of day that stand first, and how many columns these
+    take.
+    """
     if not lines:
         return lines, 0
     cells = _cells(lines[0], delimiter)
@@ -267,7 +349,9 @@ def _clocked(lines: Sequence[str], delimiter: str, path: Path) -> tuple[Sequence
 
 def _clock_times(lines: Sequence[str], delimiter: str, columns: int, path: Path) -> Float:
     """Seconds (row,) of lines that begin with dates and times of day."""
-    texts = [" ".join(x.split(None if delimiter == " " else delimiter, columns)[:columns]) for x in lines]
+    texts = [
+        " ".join(x.split(None if delimiter == " " else delimiter, columns)[:columns]) for x in lines
+    ]
     try:
         return seconds([x.replace('"', "") for x in texts])
     except ValueError as exc:
@@ -275,11 +359,20 @@ def _clock_times(lines: Sequence[str], delimiter: str, columns: int, path: Path)
 
 
 def _rate_of(t: Float, path: Path) -> tuple[float | None, Int | None]:
-    """The rate of times that are even but for their rounding to whole seconds or less; as `even_grid`."""
-    if t.size > 2 and (np.diff(t) >= 0).all() and (np.diff(t) == 0).any() and (np.round(t) == t).all():
+    """The rate of times that are even but for their rounding to whole seconds or less; as
+    `even_grid`.
+    """
+    if (
+        t.size > 2
+        and (np.diff(t) >= 0).all()
+        and (np.diff(t) == 0).any()
+        and (np.round(t) == t).all()
+    ):
         step = float(np.polyfit(np.arange(t.size) / t.size, t, 1)[0]) / t.size
         even = np.abs(t - t[0] - step * np.arange(t.size)).max() < 1.5
-        return (1 / step if even and step > 0 and 1 / (t.size**1.5 * step) < _COARSE else None), None
+        return (
+            1 / step if even and step > 0 and 1 / (t.size**1.5 * step) < _COARSE else None
+        ), None
     return even_grid(t, True, path)
 
 
@@ -294,7 +387,9 @@ def _told_rate(lines: Sequence[str]) -> float | None:
 
 
 def numbers(lines: Sequence[str], delimiter: str, comma: bool, path: Path) -> Float:
-    """(column, row) float64 numbers of delimited lines, with decimal commas if `comma`; empty cells are NaN."""
+    """(column, row) float64 numbers of delimited lines, with decimal commas if `comma`; empty cells
+    are NaN.
+    """
     if not any(x.partition("#")[0].strip() for x in lines):
         raise DataError(f"{path}: empty, there are no samples")
     text = (x.replace(",", ".") for x in lines) if comma else iter(lines)
@@ -312,40 +407,59 @@ def numbers(lines: Sequence[str], delimiter: str, comma: bool, path: Path) -> Fl
 
 
 def _loaded(lines: Iterable[str], delimiter: str) -> Float:
-    return np.loadtxt(lines, delimiter=None if delimiter == " " else delimiter, ndmin=2, dtype=np.float64)
+    return np.loadtxt(
+        lines, delimiter=None if delimiter == " " else delimiter, ndmin=2, dtype=np.float64
+    )
 
 
 def _by_cell(lines: Sequence[str], delimiter: str, comma: bool, path: Path) -> Float:
-    """Numbers (row, column) of lines with quotes, D exponents or empty cells; columns of words are not numbers."""
+    """Numbers (row, column) of lines with quotes, D exponents or empty cells; columns of words are
+    not numbers.
+    """
     first, last = _cells(lines[0], delimiter), _cells(lines[-1], delimiter)
     width = len(first)
     words = {
         c
         for c, x in enumerate(zip(first, last, strict=False))
-        if all(y.strip() and not _is_finite(y, comma) for y in x) and not all(_is_number(y, comma) for y in x)
+        if all(y.strip() and not _is_finite(y, comma) for y in x)
+        and not all(_is_number(y, comma) for y in x)
     }
     out = np.full((len(lines), width), np.nan)
     for r, line in enumerate(lines):  # such files are rare, and read cell by cell
         cells = _cells(line, delimiter)
         if len(cells) != width:
-            raise DataError(f"{path}: row {r} of the samples has {len(cells)} columns, the first one has {width}")
+            raise DataError(
+                f"{path}: row {r} of the samples has {len(cells)} columns, the first one has "
+                f"{width}"
+            )
         for c, cell in enumerate(cells):
             if cell.strip() and c not in words:
                 try:
                     out[r, c] = float(_plain(cell, comma))
                 except ValueError:
-                    raise DataError(f"{path}: {cell.strip()[:40]!r} at row {r}, column {c} is no number") from None
+                    raise DataError(
+                        f"{path}: {cell.strip()[:40]!r} at row {r}, column {c} is no number"
+                    ) from None
     return out
 
 
 def _without_count(data: Float, names: list[str]) -> tuple[Float, list[str]]:
-    """Columns and names without a first one that numbers the lines, from one on or from where the logger was."""
-    count = len(data) > 1 and bool(names) and names[0].lower() in _COUNTS and np.mean(np.diff(data[0]) == 1) > _COUNTED
+    """Columns and names without a first one that numbers the lines, from one on or from where the
+    logger was.
+    """
+    count = (
+        len(data) > 1
+        and bool(names)
+        and names[0].lower() in _COUNTS
+        and np.mean(np.diff(data[0]) == 1) > _COUNTED
+    )
     return (data[1:], names[1:]) if count else (data, names)
 
 
 def _with_time(data: Float, names: Sequence[str], told: float | None, path: Path) -> RawTable:
-    """The table without columns of times and counts, with the rate that they or the lines above tell."""
+    """The table without columns of times and counts, with the rate that they or the lines above
+    tell.
+    """
     keep = np.asarray(~np.isnan(data).all(axis=1))
     data, names = data[keep], [n for n, k in zip(names, keep, strict=True) if k] if names else []
     if not len(data):
@@ -353,7 +467,9 @@ def _with_time(data: Float, names: Sequence[str], told: float | None, path: Path
     first = names[0].lower() if names else ""
     title = _UNIT.match(first) or re.match(r"^(.*?)[\s_](ms|us|µs|ns|s)$", first)
     named = first in _TIMES or (title is not None and title[1].strip() in _TIMES)
-    count = not named and len(data) > 1 and data.shape[1] > 2 and bool((np.diff(data[0]) == 1).all())
+    count = (
+        not named and len(data) > 1 and data.shape[1] > 2 and bool((np.diff(data[0]) == 1).all())
+    )
     if first in _COUNTS or (count and data[0, 0] in (0, 1)):
         return _with_time(data[1:], names[1:], told, path) if count else _named(data, names, told)
     if len(data) < 2 and not named:
@@ -369,10 +485,14 @@ def _with_time(data: Float, names: Sequence[str], told: float | None, path: Path
 
 
 def _named(data: Float, names: Sequence[str], rate: float | None) -> RawTable:
-    """A table with names and units from titles such as `101+Z [m/s^2]`; brackets that hold no unit stay in the name."""
+    """A table with names and units from titles such as `101+Z [m/s^2]`; brackets that hold no unit
+    stay in the name.
+    """
     if not names:
         return numbered(data, rate)
-    pairs = [m if (m := _UNIT.match(n)) and (known(m[2]) or not m[2].strip()) else None for n in names]
+    pairs = [
+        m if (m := _UNIT.match(n)) and (known(m[2]) or not m[2].strip()) else None for n in names
+    ]
     return RawTable(
         data,
         rate,
@@ -383,12 +503,21 @@ def _named(data: Float, names: Sequence[str], rate: float | None) -> RawTable:
 
 
 def write_csv(path: str | Path, history: TimeHistory) -> None:
-    """Write a record as CSV: a column `time` (s), then one a channel with a header `101+Z [m/s^2]`, 9 digits."""
+    """Write a record as CSV: a column `time` (s), then one a channel with a header `101+Z [m/s^2]`,
+    9 digits.
+    """
     head = ["time", *(f"{c.id} [{c.unit}]" if c.unit else c.id for c in history.channels)]
     block = 1 << 14
     with atomic_write(path) as part, part.open("w", encoding="utf-8", newline="") as file:
         csv.writer(file, lineterminator="\n").writerow(head)
-        for at in range(0, history.data.shape[1], block):  # so that the text is never whole in memory
+        for at in range(
+            0, history.data.shape[1], block
+        ):  # so that the text is never whole in memory
             part_data = np.asarray(history.data[:, at : at + block], dtype=np.float64)
             t = (at + np.arange(part_data.shape[1])) / history.rate
-            np.savetxt(file, np.vstack([t, part_data]).T, fmt=["%.12g", *["%.9g"] * len(part_data)], delimiter=",")
+            np.savetxt(
+                file,
+                np.vstack([t, part_data]).T,
+                fmt=["%.12g", *["%.9g"] * len(part_data)],
+                delimiter=",",
+            )

@@ -58,11 +58,13 @@ def holds_frf_arrays(path: Path) -> bool:
 
 
 def read_frf_arrays(path: Path) -> FrfSet:
-    """The largest complex array with an axis as long as a vector `f`, `freq`, `frequency` (Hz) or `omega` (rad/s).
+    """The largest complex array with an axis as long as a vector `f`, `freq`, `frequency` (Hz) or
+    `omega` (rad/s).
 
-    Axes are (f, response, reference), (response, reference, f), (f, response) or (response, f); SDT's structure of `w`
-    (Hz), `xf` and `dof` as well. Names come from cell arrays `outputs` and `inputs`; the kind from a text `kind` or the
-    name of the array, else responses are accelerations. SI.
+    Axes are (f, response, reference), (response, reference, f), (f, response) or (response, f);
+    SDT's structure of `w` (Hz), `xf` and `dof` as well. Names come from cell arrays `outputs` and
+    `inputs`; the kind from a text `kind` or the name of the array, else responses are
+    accelerations. SI.
 
     Raises
     ------
@@ -73,14 +75,25 @@ def read_frf_arrays(path: Path) -> FrfSet:
     found = _find(values)
     if found is None:
         told = ", ".join(f"{k} {np.shape(v)}" for k, v in list(values.items())[:12])
-        raise DataError(f"{path}: no complex array over a vector of frequencies f (Hz) or omega; there are {told}")
+        raise DataError(
+            f"{path}: no complex array over a vector of frequencies f (Hz) or omega; there are "
+            f"{told}"
+        )
     h = np.moveaxis(found.data, found.axis, 0)
     h = h.reshape(h.shape[0], -1, 1) if h.ndim == 2 else h
-    outputs, inputs = _names(values, _OUTPUTS, h.shape[1], "out"), _names(values, _INPUTS, h.shape[2], "in")
+    outputs, inputs = (
+        _names(values, _OUTPUTS, h.shape[1], "out"),
+        _names(values, _INPUTS, h.shape[2], "in"),
+    )
     pairs = _sdt_pairs(values, h.shape[1]) if h.shape[2] == 1 else None
     if pairs is not None:
         outputs, inputs, h = _by_pairs(pairs, h[:, :, 0], path)
-    text = " ".join([found.name, *(str(v) for k, v in values.items() if _short(k) in ("kind", "type", "frf_type"))])
+    text = " ".join(
+        [
+            found.name,
+            *(str(v) for k, v in values.items() if _short(k) in ("kind", "type", "frf_type")),
+        ]
+    )
     called = [m for k, m in _CALLED.items() if k in text.lower()]
     if not called:
         say_accelerances(path)
@@ -118,7 +131,9 @@ def _short(name: str) -> str:
 
 
 def _find(values: Mapping[str, Any]) -> _Found | None:
-    arrays = {k: v for k, v in values.items() if getattr(v, "ndim", 0) in (2, 3) and v.dtype.kind == "c"}
+    arrays = {
+        k: v for k, v in values.items() if getattr(v, "ndim", 0) in (2, 3) and v.dtype.kind == "c"
+    }
     for name in sorted(arrays, key=lambda k: -arrays[k].size):
         for key, v in values.items():
             freqs = _frequencies(key, v, sdt=_short(name) == "xf")
@@ -144,14 +159,17 @@ def _frequencies(name: str, value: Any, *, sdt: bool) -> Float | None:
     return f / (2 * np.pi) if short in _RADIANS else f
 
 
-def _names(values: Mapping[str, Any], keys: tuple[str, ...], count: int, prefix: str) -> Sequence[str]:
+def _names(
+    values: Mapping[str, Any], keys: tuple[str, ...], count: int, prefix: str
+) -> Sequence[str]:
     return texts(values, keys, count) or [f"{prefix}{i + 1}" for i in range(count)]
 
 
 def _sdt_pairs(values: Mapping[str, Any], count: int) -> list[tuple[str, str]] | None:
     """Response and reference of each column by SDT's `dof`, 12.03 for 12+Z."""
     table: Any_ = next(
-        (v for k, v in values.items() if _short(k) == "dof" and np.shape(v)[:1] == (count,)), np.zeros(0)
+        (v for k, v in values.items() if _short(k) == "dof" and np.shape(v)[:1] == (count,)),
+        np.zeros(0),
     )
     if table.ndim != 2 or table.shape[1] < 2 or table.dtype.kind != "f":
         return None
@@ -166,10 +184,15 @@ def _sdt_pairs(values: Mapping[str, Any], count: int) -> list[tuple[str, str]] |
     return [(a, b) for a, b in names]
 
 
-def _by_pairs(pairs: Sequence[tuple[str, str]], h: Complex, path: Path) -> tuple[Sequence[str], Sequence[str], Complex]:
+def _by_pairs(
+    pairs: Sequence[tuple[str, str]], h: Complex, path: Path
+) -> tuple[Sequence[str], Sequence[str], Complex]:
     outputs, inputs = (list(dict.fromkeys(p[k] for p in pairs)) for k in (0, 1))
     if len(set(pairs)) != len(pairs) or len(pairs) != len(outputs) * len(inputs):
-        raise DataError(f"{path}: {len(set(pairs))} pairs of {len(outputs)} responses and {len(inputs)} references")
+        raise DataError(
+            f"{path}: {len(set(pairs))} pairs of {len(outputs)} responses and {len(inputs)} "
+            "references"
+        )
     out = np.empty((h.shape[0], len(outputs), len(inputs)), dtype=np.complex128)
     out[:, [outputs.index(a) for a, _ in pairs], [inputs.index(b) for _, b in pairs]] = h
     return outputs, inputs, out

@@ -12,7 +12,16 @@ from typing import cast
 import numpy as np
 
 from ringtrue.core.arrays import Complex, Float
-from ringtrue.core.motions import BASE, FORCES, FRF_KIND, LINEAR, Motion, as_motion, base_motion, channel
+from ringtrue.core.motions import (
+    BASE,
+    FORCES,
+    FRF_KIND,
+    LINEAR,
+    Motion,
+    as_motion,
+    base_motion,
+    channel,
+)
 from ringtrue.core.signals import FrfSet
 from ringtrue.errors import DataError
 from ringtrue.io.atomic import atomic_write
@@ -20,7 +29,9 @@ from ringtrue.io.delimited import read_columns, read_titles
 from ringtrue.io.frf_lines import known_lines, say_accelerances
 from ringtrue.io.si import hertz, known, to_si
 
-_FREQUENCY = re.compile(r"^\W*((linear|angular)\s+)?(fr[eé]q\w*|f|k?hz|omega|x)(?![A-Za-z])", re.IGNORECASE)
+_FREQUENCY = re.compile(
+    r"^\W*((linear|angular)\s+)?(fr[eé]q\w*|f|k?hz|omega|x)(?![A-Za-z])", re.IGNORECASE
+)
 _PARTS = {
     "re": r"real([\s_]*part|teil)?|(partie\s+)?r[eé]elle|re",
     "im": r"imaginary([\s_]*part)?|imag([\s_]*part)?|imagin[aä]rteil|(partie\s+)?imaginaire|im",
@@ -28,12 +39,15 @@ _PARTS = {
     "phase": r"phase(nwinkel)?|phi|arg|angle|winkel",
     "coherence": r"coh[eé]rence|coh|gamma2|koh[aä]renz",
 }
-_PART = {k: re.compile(rf"(?<![A-Za-z])({v})(?![A-Za-z])", re.IGNORECASE) for k, v in _PARTS.items()}
+_PART = {
+    k: re.compile(rf"(?<![A-Za-z])({v})(?![A-Za-z])", re.IGNORECASE) for k, v in _PARTS.items()
+}
 _GROUP = re.compile(r"\[[^\[\]]*\]|\((?:[^()]|\([^()]*\))*\)")
 _BARS = re.compile(r"^\s*\|([^|]+)\|")  # of a modulus
 _CALLED = re.compile(r"^\W*((H|FRF)(?=[\s_:(])|H[12vV](?=\())")
 _LEVEL = re.compile(
-    r"(?<![A-Za-z])dB(?![A-Za-z])(\s*re[fl]?\b[.:]?\s*(?P<one>(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?)?)?", re.IGNORECASE
+    r"(?<![A-Za-z])dB(?![A-Za-z])(\s*re[fl]?\b[.:]?\s*(?P<one>(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?)?)?",
+    re.IGNORECASE,
 )
 _DEGREES = re.compile(r"(?<![A-Za-z])deg(rees?)?(?![A-Za-z])|°", re.IGNORECASE)
 _RADIANS = re.compile(r"(?<![A-Za-z])rad(ians?)?(?![A-Za-z])", re.IGNORECASE)
@@ -51,34 +65,43 @@ class _Title:
 
 
 def is_frf_table(path: Path) -> bool:
-    """Whether the first column of a delimited text is named a frequency and others are parts of complex numbers."""
+    """Whether the first column of a delimited text is named a frequency and others are parts of
+    complex numbers.
+    """
     try:
         names = read_titles(path)
     except DataError:
         return False
-    return len(names) > 2 and bool(_FREQUENCY.match(names[0])) and any(_title(n) is not None for n in names[1:])
+    return (
+        len(names) > 2
+        and bool(_FREQUENCY.match(names[0]))
+        and any(_title(n) is not None for n in names[1:])
+    )
 
 
 def read_frf_table(path: Path) -> FrfSet:
     """FRFs of a table whose columns are a frequency and the parts of each response.
 
-    Titles name response, reference and part, `1+Z/3+Z real [m/s^2/N]`: real and imag, or magnitude (dB, too) and
-    phase (degrees, or radians where no value passes a turn and no unit tells); coherence as well. Without a reference
-    it is `in1`; without a unit the responses are accelerations, of several kinds they become those of most. Lines may
-    be in kHz, rad/s or rpm, uneven and in any order; those at which no FRF has a value are left out.
+    Titles name response, reference and part, `1+Z/3+Z real [m/s^2/N]`: real and imag, or magnitude
+    (dB, too) and phase (degrees, or radians where no value passes a turn and no unit tells);
+    coherence as well. Without a reference it is `in1`; without a unit the responses are
+    accelerations, of several kinds they become those of most. Lines may be in kHz, rad/s or rpm,
+    uneven and in any order; those at which no FRF has a value are left out.
 
     Raises
     ------
     DataError
-        If the first column is no frequency, a response lacks a part or a value, two columns are the same part, or a
-        unit is not motion over force.
+        If the first column is no frequency, a response lacks a part or a value, two columns are the
+        same part, or a unit is not motion over force.
     """
     names, data = read_columns(path)
     if len(names) != len(data) or not names or not _FREQUENCY.match(names[0]):
         raise DataError(f"{path}: the first column must be named a frequency; it is {names[:1]}")
     parts, units = _columns(names, path)
     if not parts:
-        raise DataError(f"{path}: no column is a part of an FRF, such as `1+Z/2+Z real`; there are {names[1:9]}")
+        raise DataError(
+            f"{path}: no column is a part of an FRF, such as `1+Z/2+Z real`; there are {names[1:9]}"
+        )
     freqs, order = np.unique(data[0] * hertz(names[0]), return_index=True)
     if freqs.size != data.shape[1]:
         raise DataError(f"{path}: {data.shape[1] - freqs.size} frequencies occur twice")
@@ -92,7 +115,10 @@ def read_frf_table(path: Path) -> FrfSet:
     for key, columns in parts.items():
         o, i = outputs.index(key[0]), inputs.index(key[1])
         title = {p: names[at] for p, at in columns.items()}
-        h[:, o, i] = _complex({p: data[at, order] for p, at in columns.items()}, title, key, path) * kinds[key][1]
+        h[:, o, i] = (
+            _complex({p: data[at, order] for p, at in columns.items()}, title, key, path)
+            * kinds[key][1]
+        )
         if "coherence" in columns:
             coherence[:, o, i] = data[columns["coherence"], order]
     motions = {key: k[0] for key, k in kinds.items()}
@@ -125,7 +151,8 @@ def _columns(
         pair = parts.setdefault((t.output, t.reference), {})
         if t.part in pair:
             raise DataError(
-                f"{path}: {names[pair[t.part]]!r} and {name!r} are the same part of {t.output}/{t.reference}"
+                f"{path}: {names[pair[t.part]]!r} and {name!r} are the same part of "
+                f"{t.output}/{t.reference}"
             )
         pair[t.part] = at
         if t.unit and t.part in ("re", "size"):
@@ -134,7 +161,9 @@ def _columns(
 
 
 def write_frf_table(path: Path, frfs: FrfSet) -> None:
-    """Write FRFs as CSV that `read_frf_table` reads: real and imaginary parts, 9 digits, coherence where known."""
+    """Write FRFs as CSV that `read_frf_table` reads: real and imaginary parts, 9 digits, coherence
+    where known.
+    """
     head, columns = ["Frequency [Hz]"], [frfs.freqs]
     for j, force in enumerate(frfs.inputs):
         based = force.quantity not in FORCES
@@ -148,14 +177,21 @@ def write_frf_table(path: Path, frfs: FrfSet) -> None:
                 columns.append(frfs.coherence[:, i, j])
     with atomic_write(path) as part, part.open("w", encoding="utf-8", newline="") as file:
         csv.writer(file, lineterminator="\n").writerow(head)
-        np.savetxt(file, np.stack(columns, axis=1), fmt=["%.12g", *["%.9g"] * (len(columns) - 1)], delimiter=",")
+        np.savetxt(
+            file,
+            np.stack(columns, axis=1),
+            fmt=["%.12g", *["%.9g"] * (len(columns) - 1)],
+            delimiter=",",
+        )
 
 
 def _title(name: str) -> _Title | None:
     """Part, response and reference of a title; None where it names no part."""
     rest, unit = _unit_of(_BARS.sub(r"abs \1 ", name))
     hits = ((part, hit) for part, pattern in _PART.items() if (hit := pattern.search(rest)))
-    part, hit = next(hits, ("size" if _LEVEL.search(unit) else "phase" if _angle(unit) else "", None))
+    part, hit = next(
+        hits, ("size" if _LEVEL.search(unit) else "phase" if _angle(unit) else "", None)
+    )
     if not part:
         return None
     rest = rest[: hit.start()] + rest[hit.end() :] if hit else rest
@@ -165,7 +201,9 @@ def _title(name: str) -> _Title | None:
 
 
 def _unit_of(title: str) -> tuple[str, str]:
-    """The title without its unit, and that: in brackets, as a word such as `g/N`, or `dB` and `deg` anywhere."""
+    """The title without its unit, and that: in brackets, as a word such as `g/N`, or `dB` and `deg`
+    anywhere.
+    """
     rest, units = title, list[str]()
     for found in _GROUP.finditer(title):
         inside = found[0][1:-1].strip()
@@ -184,7 +222,9 @@ def _unit_of(title: str) -> tuple[str, str]:
 
 
 def _says_unit(text: str) -> bool:
-    """Whether it is a motion over a force or another motion, a level or an angle, and nothing else."""
+    """Whether it is a motion over a force or another motion, a level or an angle, and nothing
+    else.
+    """
     bare = _LEVEL.sub("", text).strip(" ,()")
     return _ratio(bare) is not None if bare else bare != text
 
@@ -198,31 +238,43 @@ def _points(text: str) -> bool:
     return re.search(r"\d[+-]R?[XYZ]", text) is not None
 
 
-def _complex(columns: Mapping[str, Float], title: Mapping[str, str], key: Sequence[str], path: Path) -> Complex:
+def _complex(
+    columns: Mapping[str, Float], title: Mapping[str, str], key: Sequence[str], path: Path
+) -> Complex:
     if {"re", "im"} <= set(columns):
         return np.asarray(columns["re"] + 1j * columns["im"])
     if {"size", "phase"} <= set(columns):
         size, phase = columns["size"], columns["phase"]
         size = 10 ** (size / 20) if _LEVEL.search(title["size"]) else size
         radians, degrees = (p.search(title["phase"]) is not None for p in (_RADIANS, _DEGREES))
-        turn = phase if radians or (not degrees and np.abs(phase).max() <= _TURN) else np.radians(phase)
+        turn = (
+            phase
+            if radians or (not degrees and np.abs(phase).max() <= _TURN)
+            else np.radians(phase)
+        )
         return np.asarray(size * np.exp(1j * turn))
     raise DataError(
-        f"{path}: {'/'.join(key)} has {' and '.join(columns)}; needed: real and imag, or magnitude and phase"
+        f"{path}: {'/'.join(key)} has {' and '.join(columns)}; needed: real and imag, or "
+        "magnitude and phase"
     )
 
 
 def _kind(unit: str, path: Path) -> tuple[Motion, float, bool]:
-    """Quantity of the response, the factor to SI of a unit such as `dB re 1 g/N`, and whether it is over a base."""
+    """Quantity of the response, the factor to SI of a unit such as `dB re 1 g/N`, and whether it is
+    over a base.
+    """
     level = _LEVEL.search(unit)
     one = float(level["one"] or 1) if level else 1.0
     text = _ratio_of(unit)
     if not text:
         return "acceleration", one, False
-    found = _ratio(_LEVEL.sub("", unit).strip(" ,()-")) or _ratio(text)  # rad is an angle, or a motion
+    found = _ratio(_LEVEL.sub("", unit).strip(" ,()-")) or _ratio(
+        text
+    )  # rad is an angle, or a motion
     if found is None:
         raise DataError(
-            f"{path}: unit {unit!r}: an FRF is a motion over a force, such as m/s^2/N, g/N, mm/N, or over the same "
+            f"{path}: unit {unit!r}: an FRF is a motion over a force, such as m/s^2/N, g/N, "
+            "mm/N, or over the same "
             "motion of the base, g/g"
         )
     return found[0], one * found[1], found[2]
@@ -234,7 +286,9 @@ def _ratio_of(unit: str) -> str:
 
 
 def _ratio(text: str) -> tuple[Motion, float, bool] | None:
-    """Quantity and factor to SI of a motion over a force or over the same motion of a base; else None."""
+    """Quantity and factor to SI of a motion over a force or over the same motion of a base; else
+    None.
+    """
     over, _, under = text.replace("(", "").replace(")", "").rpartition("/")
     if not (over and under and known(over) and known(under)):
         return None
@@ -242,5 +296,7 @@ def _ratio(text: str) -> tuple[Motion, float, bool] | None:
     quantity, other = LINEAR.get(quantity, quantity), LINEAR.get(other, other)
     if quantity not in FRF_KIND or other not in ("force", quantity):
         return None
-    based = other == quantity  # like the accelerations of a held base for a force of inertia, constants apart
+    based = (
+        other == quantity
+    )  # like the accelerations of a held base for a force of inertia, constants apart
     return "acceleration" if based else cast(Motion, quantity), factor / size, based

@@ -32,7 +32,10 @@ log = logging.getLogger(__name__)
 
 GROUP = "frfs"
 _ROUNDED = 1e-3  # that a coherence of three digits may be beyond 1
-_CLEAR, _MOST = 6.0, 0.9  # standard deviations, of noise, that a phase rises by; share of the FRFs in which it does
+_CLEAR, _MOST = (
+    6.0,
+    0.9,
+)  # standard deviations, of noise, that a phase rises by; share of the FRFs in which it does
 _UFF = (".uff", ".unv", ".58")
 _HDF5 = (".h5", ".hdf5")
 _TEXT = (".csv", ".txt")
@@ -44,13 +47,13 @@ def read_frfs(path: str | Path, leave_out: Sequence[str] = ()) -> FrfSet:
     Parameters
     ----------
     path : path
-        `.h5` written by `write_frfs`; `.mat` and `.h5` of others (`read_frf_arrays`); `.npz` with `freq (f,)` and
-        `H1 (reference, response, f)`, optional `coherence` like H1, `outputs`, `inputs` (ids), `kind`; `.uff` with data
-        sets 58; `.csv`, `.txt` with columns of frequency, real and imaginary part or magnitude and phase
-        (`read_frf_table`).
+        `.h5` written by `write_frfs`; `.mat` and `.h5` of others (`read_frf_arrays`); `.npz` with
+        `freq (f,)` and `H1 (reference, response, f)`, optional `coherence` like H1, `outputs`,
+        `inputs` (ids), `kind`; `.uff` with data sets 58; `.csv`, `.txt` with columns of frequency,
+        real and imaginary part or magnitude and phase (`read_frf_table`).
     leave_out : sequence of str
-        Ids of responses and references that are not used, where the file has them; in a universal file they may be
-        at fault.
+        Ids of responses and references that are not used, where the file has them; in a universal
+        file they may be at fault.
 
     Raises
     ------
@@ -80,7 +83,9 @@ def read_frfs(path: str | Path, leave_out: Sequence[str] = ()) -> FrfSet:
 
 
 def frf_ids(path: str | Path) -> tuple[str, ...]:
-    """Ids of all responses and references of a file of FRFs, of a universal file also of those at fault."""
+    """Ids of all responses and references of a file of FRFs, of a universal file also of those at
+    fault.
+    """
     if existing(path).suffix.lower() in _UFF:
         return frf_ends(path)
     frfs = read_frfs(path)
@@ -118,7 +123,9 @@ def _own(path: Path) -> bool:
 
 
 def write_frfs(path: str | Path, frfs: FrfSet) -> None:
-    """Write FRFs as `.h5` (everything), `.uff` (data sets 58) or `.csv` (those two without the origin)."""
+    """Write FRFs as `.h5` (everything), `.uff` (data sets 58) or `.csv` (those two without the
+    origin).
+    """
     path = Path(path)
     if path.suffix.lower() == ".csv":
         write_frf_table(path, frfs)
@@ -127,7 +134,9 @@ def write_frfs(path: str | Path, frfs: FrfSet) -> None:
         write_frf_sets(path, frfs)
         return
     if path.suffix.lower() not in _HDF5:
-        raise DataError(f"{path}: format {path.suffix!r}{did_you_mean(path.suffix, [*_HDF5, *_UFF, '.csv'])}")
+        raise DataError(
+            f"{path}: format {path.suffix!r}{did_you_mean(path.suffix, [*_HDF5, *_UFF, '.csv'])}"
+        )
     with atomic_write(path) as part, h5py.File(part, "w") as file:
         codec.save(file.create_group(GROUP), frfs)
 
@@ -136,7 +145,9 @@ def _check(frfs: FrfSet, path: Path) -> None:
     if not frfs.inputs:
         raise DataError(f"{path}: no references (inputs); an FRF needs a response and a reference")
     if not frfs.outputs or frfs.freqs.size < 3:
-        raise DataError(f"{path}: {len(frfs.outputs)} responses and {frfs.freqs.size} lines; there must be some")
+        raise DataError(
+            f"{path}: {len(frfs.outputs)} responses and {frfs.freqs.size} lines; there must be some"
+        )
     for name, channels in (("response", frfs.outputs), ("reference", frfs.inputs)):
         ids = [c.id for c in channels]
         if twice := sorted({x for x in ids if ids.count(x) > 1}):
@@ -153,24 +164,31 @@ def _check(frfs: FrfSet, path: Path) -> None:
         at = int(lines[0]), int(outs[0]), int(ins[0])
         where = f"{frfs.outputs[at[1]].id}/{frfs.inputs[at[2]].id} at {frfs.freqs[at[0]]:g} Hz"
         raise DataError(
-            f"{path}: coherence {frfs.coherence[at]:g} of {where}, and {lines.size - 1} more beyond 0 to 1: not a "
+            f"{path}: coherence {frfs.coherence[at]:g} of {where}, and {lines.size - 1} more "
+            "beyond 0 to 1: not a "
             "coherence, or in per cent; mend it or leave it out of the file"
         )
     step = np.diff(frfs.freqs)
     if not np.isfinite(step).all() or step.min() <= 0:
         raise DataError(
-            f"{path}: the frequency lines must rise ({step.min():g} to {step.max():g} Hz from line to line)"
+            f"{path}: the frequency lines must rise ({step.min():g} to {step.max():g} Hz from "
+            "line to line)"
         )
 
 
 def _forward(frfs: FrfSet, path: Path) -> FrfSet:
-    """FRFs of e^{+iωt}, whose phase falls from line to line, as the impulse response comes after the impulse."""
+    """FRFs of e^{+iωt}, whose phase falls from line to line, as the impulse response comes after
+    the impulse.
+    """
     h = frfs.data
     turn = np.einsum("foi,foi->oi", h[1:], h[:-1].conj()).imag
     share = turn / np.maximum(np.einsum("foi,foi->oi", h, h.conj()).real, np.finfo(float).tiny)
     if share.mean() < _CLEAR / np.sqrt(2 * h.size) or (share > 0).mean() < _MOST:
         return frfs
-    log.warning("%s: the phase rises with the frequency, so FRFs of e^(-iωt): their conjugates are taken", path)
+    log.warning(
+        "%s: the phase rises with the frequency, so FRFs of e^(-iωt): their conjugates are taken",
+        path,
+    )
     return replace(frfs, data=h.conj())
 
 
@@ -186,10 +204,15 @@ def _read_npz(path: Path) -> FrfSet:
     data = read_npz(path)
     names = ("freq", "H1")
     if lost := [n for n in names if n not in data]:
-        raise DataError(f"{path}: {' and '.join(lost)} missing; there are {', '.join(data) or 'no arrays'}")
+        raise DataError(
+            f"{path}: {' and '.join(lost)} missing; there are {', '.join(data) or 'no arrays'}"
+        )
     freq, h = data["freq"], data["H1"]
     if h.ndim != 3 or freq.ndim != 1 or h.shape[2] != freq.size:
-        raise DataError(f"{path}: H1 {h.shape} must be (reference, response, f) with f = {freq.size} lines of freq")
+        raise DataError(
+            f"{path}: H1 {h.shape} must be (reference, response, f) with f = {freq.size} lines "
+            "of freq"
+        )
     coherence = data.get("coherence", np.full(h.shape, np.nan))
     outputs = _channels(data.get("outputs"), h.shape[1], "out", "acceleration", "m/s^2", path)
     inputs = _channels(data.get("inputs"), h.shape[0], "in", "force", "N", path)
@@ -209,8 +232,12 @@ def _read_npz(path: Path) -> FrfSet:
     )
 
 
-def _channels(ids: Any_ | None, n: int, prefix: str, quantity: str, unit: str, path: Path) -> tuple[Channel, ...]:
-    names: Sequence[str] = [f"{prefix}{i + 1}" for i in range(n)] if ids is None else [str(x) for x in ids]
+def _channels(
+    ids: Any_ | None, n: int, prefix: str, quantity: str, unit: str, path: Path
+) -> tuple[Channel, ...]:
+    names: Sequence[str] = (
+        [f"{prefix}{i + 1}" for i in range(n)] if ids is None else [str(x) for x in ids]
+    )
     if len(names) != n:
         raise DataError(f"{path}: {len(names)} ids of {prefix}puts for {n}")
     return tuple(Channel(x, quantity, unit) for x in names)  # type: ignore[arg-type]

@@ -21,14 +21,16 @@ _JOIN = 0.5  # samples that a segment may begin off the end of the one before
 
 
 def read_lvm(path: Path) -> RawTable:
-    """The record of a LabVIEW measurement file; segments that follow each other without a gap are joined.
+    """The record of a LabVIEW measurement file; segments that follow each other without a gap are
+    joined.
 
     A file without headers is read as delimited text.
 
     Raises
     ------
     DataError
-        If a header or the step of time is missing, or the segments have gaps: then take `read_lvm_segments`.
+        If a header or the step of time is missing, or the segments have gaps: then take
+        `read_lvm_segments`.
     """
     if not read_text(path).lstrip().startswith("LabVIEW"):  # written without any header
         return read_csv(path)
@@ -40,10 +42,13 @@ def read_lvm(path: Path) -> RawTable:
     lengths = np.array([t.data.shape[1] for _, t in parts])
     rate = first.rate or 0.0
     off = np.abs((np.diff(starts)) * rate - lengths[:-1])
-    same = all(t.names == first.names and abs((t.rate or 0.0) - rate) <= 1e-3 * rate for _, t in parts)
+    same = all(
+        t.names == first.names and abs((t.rate or 0.0) - rate) <= 1e-3 * rate for _, t in parts
+    )
     if not same or not (off <= _JOIN).all():
         raise DataError(
-            f"{path}: {len(parts)} segments that do not follow each other; read them one by one with read_lvm_segments"
+            f"{path}: {len(parts)} segments that do not follow each other; read them one by one "
+            "with read_lvm_segments"
         )
     data = np.concatenate([t.data for _, t in parts], axis=1)
     return RawTable(data, first.rate, first.names, first.units, first.quantities)
@@ -98,7 +103,9 @@ def _table(lines: Sequence[str], separator: str) -> dict[str, list[str]]:
 
 
 def _one_each(values: list[str]) -> list[str]:
-    """Values without the empty cells between them that stand over columns of time, one a channel."""
+    """Values without the empty cells between them that stand over columns of time, one a
+    channel.
+    """
     return values[::2] if len(values) > 2 and not any(values[1::2]) else values
 
 
@@ -113,11 +120,23 @@ def _segment(
     try:
         n = int(table["Channels"][0])
         steps = [float(x.replace(",", ".")) for x in table.get("Delta_X", [])[:n]]
-        start = float((table.get("X0") or ["0"])[0].replace(",", ".") or 0) + _clock((table.get("Time") or [""])[0])
+        start = float((table.get("X0") or ["0"])[0].replace(",", ".") or 0) + _clock(
+            (table.get("Time") or [""])[0]
+        )
     except (KeyError, IndexError, ValueError) as exc:
-        raise DataError(f"{path}: header of a segment without Channels, or with a number that is none ({exc})") from exc
-    if not 0 < n <= 100_000 or len(steps) != n or not np.isfinite(steps).all() or max(steps) != min(steps):
-        raise DataError(f"{path}: {n} channels with steps of time Delta_X {steps[:8]}: as many equal ones are needed")
+        raise DataError(
+            f"{path}: header of a segment without Channels, or with a number that is none ({exc})"
+        ) from exc
+    if (
+        not 0 < n <= 100_000
+        or len(steps) != n
+        or not np.isfinite(steps).all()
+        or max(steps) != min(steps)
+    ):
+        raise DataError(
+            f"{path}: {n} channels with steps of time Delta_X {steps[:8]}: as many equal ones "
+            "are needed"
+        )
     columns = _columns(n, (head.get("X_Columns") or ["One"])[0].lower())
     title = lines[end + 1].split(separator) if end + 1 < len(lines) else []
     names = [title[c].strip() if c < len(title) else "" for c in columns]
@@ -129,7 +148,9 @@ def _segment(
 
 
 def _rate(step: float, lines: Sequence[str], separator: str, comma: bool) -> float:
-    """That of the step of the header, which may have three digits, by the ends of the column of times if they agree."""
+    """That of the step of the header, which may have three digits, by the ends of the column of
+    times if they agree.
+    """
     cells = [x.split(separator)[0].strip() for x in lines if x.strip() and not x.startswith("***")]
     try:
         first, last = (float(x.replace(",", ".") if comma else x) for x in (cells[0], cells[-1]))
@@ -141,7 +162,9 @@ def _rate(step: float, lines: Sequence[str], separator: str, comma: bool) -> flo
 
 
 def _columns(n: int, kind: str) -> list[int]:
-    """Where the samples stand: after one column of x (empty where there is none), or after one for each channel."""
+    """Where the samples stand: after one column of x (empty where there is none), or after one for
+    each channel.
+    """
     return list(range(1, 2 * n, 2)) if kind == "multi" else list(range(1, n + 1))
 
 
@@ -149,14 +172,18 @@ def _rows(lines: Sequence[str], columns: Sequence[int], separator: str) -> Itera
     for line in lines:
         cells = line.split(separator)
         if line.strip() and not line.startswith("***"):
-            yield " ".join(cells[c] if c < len(cells) and cells[c].strip() else "x" for c in columns)
+            yield " ".join(
+                cells[c] if c < len(cells) and cells[c].strip() else "x" for c in columns
+            )
 
 
 def _data(rows: Sequence[str], comma: bool, path: Path) -> Float:
     try:
         return numbers(rows, " ", comma, path)
     except DataError as exc:
-        raise DataError(f"{path}: a row of samples is not complete or not a number ({exc})") from exc
+        raise DataError(
+            f"{path}: a row of samples is not complete or not a number ({exc})"
+        ) from exc
 
 
 def _clock(text: str) -> float:
@@ -166,4 +193,9 @@ def _clock(text: str) -> float:
         t = datetime.strptime(whole.strip(), "%H:%M:%S")
     except ValueError:
         return 0.0
-    return 3600.0 * t.hour + 60.0 * t.minute + t.second + (float(f"0.{part}") if part.isdigit() else 0.0)
+    return (
+        3600.0 * t.hour
+        + 60.0 * t.minute
+        + t.second
+        + (float(f"0.{part}") if part.isdigit() else 0.0)
+    )

@@ -25,4 +25,6 @@ def refuse_large(values: Any_, what: str) -> None:
     """
     size = np.abs(np.nan_to_num(values, nan=0.0, posinf=np.inf, neginf=-np.inf))
     if size.size and size.max() > LARGEST:
-        raise DataError(f"{what}: {size.max():.3g} is no measured value; allowed are up to {LARGEST:g} in size")
+        raise DataError(
+            f"{what}: {size.max():.3g} is no measured value; allowed are up to {LARGEST:g} in size"
+        )

@@ -1,7 +1,7 @@
 """Sparse matrices from the files that solvers and scripts write.
 
-MATLAB .mat (v5, v7.3), Nastran OUTPUT4, MatrixMarket, HDF5, Abaqus *MATRIX GENERATE, Harwell-Boeing (Ansys HBMAT),
-scipy .npz.
+MATLAB .mat (v5, v7.3), Nastran OUTPUT4, MatrixMarket, HDF5, Abaqus *MATRIX GENERATE, Harwell-Boeing
+(Ansys HBMAT), scipy .npz.
 """
 
 from __future__ import annotations
@@ -62,7 +62,8 @@ class MatrixFile:
         return self.matrices[name]
 
     def over(self, rows: DofSet | int, name: str = "") -> sparse.csr_array:
-        """A matrix over the rows of another, zero where it has none, as a mass whose file leaves out massless DOFs.
+        """A matrix over the rows of another, zero where it has none, as a mass whose file leaves
+        out massless DOFs.
 
         Parameters
         ----------
@@ -74,7 +75,8 @@ class MatrixFile:
         Raises
         ------
         DataError
-            If the file has rows that are not among `rows`, or several matrices and no name is given.
+            If the file has rows that are not among `rows`, or several matrices and no name is
+            given.
         """
         if not name and len(self.matrices) != 1:
             raise DataError(f"which of the matrices {', '.join(self.matrices) or 'none'}?")
@@ -86,7 +88,9 @@ class MatrixFile:
         else:
             at, n = np.arange(max(a.shape)), rows
         if (lost := (at < 0) | (at >= n)).any():
-            raise DataError(f"{int(lost.sum())} of its {at.size} rows are not among the {n} of the other matrix")
+            raise DataError(
+                f"{int(lost.sum())} of its {at.size} rows are not among the {n} of the other matrix"
+            )
         return sparse.csr_array((a.data, (at[a.row], at[a.col])), shape=(n, n))
 
 
@@ -114,7 +118,10 @@ def read_matrices(path: str | Path) -> MatrixFile:
     }
     kind = kinds.get(path.suffix.lower())
     if kind is None:
-        raise DataError(f"{path}: matrices in a {path.suffix or 'nameless'} file{did_you_mean(path.suffix, kinds)}")
+        raise DataError(
+            f"{path}: matrices in a {path.suffix or 'nameless'} "
+            f"file{did_you_mean(path.suffix, kinds)}"
+        )
     found = kind(path)
     if not (found.matrices or found.arrays):
         raise DataError(f"{path}: no matrix in it")
@@ -150,8 +157,12 @@ def _scipy(path: Path) -> MatrixFile:
         if kind == "coo":
             return _one(path, triplet_matrix(parts["data"], parts["row"], parts["col"], shape))
         if kind not in ("csr", "csc"):
-            raise DataError(f"a sparse matrix of kind {kind!r}{did_you_mean(kind, ('csr', 'csc', 'coo'))}")
-        return _one(path, compressed_matrix(kind, parts["data"], parts["indices"], parts["indptr"], shape))
+            raise DataError(
+                f"a sparse matrix of kind {kind!r}{did_you_mean(kind, ('csr', 'csc', 'coo'))}"
+            )
+        return _one(
+            path, compressed_matrix(kind, parts["data"], parts["indices"], parts["indptr"], shape)
+        )
 
 
 def _two(shape: Any_) -> tuple[int, int]:
@@ -159,7 +170,9 @@ def _two(shape: Any_) -> tuple[int, int]:
     return rows, columns
 
 
-def _sort(name: str, value: Any_, matrices: dict[str, sparse.csr_array], arrays: dict[str, Any_]) -> None:
+def _sort(
+    name: str, value: Any_, matrices: dict[str, sparse.csr_array], arrays: dict[str, Any_]
+) -> None:
     """Square arrays of more than one row are matrices."""
     if value.ndim == 2 and value.shape[0] == value.shape[1] > 1:
         matrices[name] = sparse.csr_array(value)
@@ -179,14 +192,21 @@ def _hdf5(path: Path) -> MatrixFile:
                     matrices[name] = made
             elif item.dtype.kind in "fciu" and _sparse_group(item.parent) is None:
                 value = _stored(item)
-                _sort(name, np.asarray(value.T if turned and np.ndim(value) == 2 else value), matrices, arrays)
+                _sort(
+                    name,
+                    np.asarray(value.T if turned and np.ndim(value) == 2 else value),
+                    matrices,
+                    arrays,
+                )
 
         f.visititems(visit)
     return MatrixFile(matrices, arrays)
 
 
 def _sparse_group(g: h5py.Group) -> sparse.csr_array | None:
-    """MATLAB's data, ir, jc; scipy's and AnnData's data, indices, indptr; triplets data, row, col."""
+    """MATLAB's data, ir, jc; scipy's and AnnData's data, indices, indptr; triplets data, row,
+    col.
+    """
     if {"data", "ir", "jc"} <= set(g) and "MATLAB_sparse" in g.attrs:
         starts = _stored(g["jc"])
         size = (int(g.attrs["MATLAB_sparse"]), starts.size - 1)
@@ -197,7 +217,13 @@ def _sparse_group(g: h5py.Group) -> sparse.csr_array | None:
         kind = "csc" if "csc" in str(text) else "csr"
         data, indices, starts = (_stored(g[name]) for name in ("data", "indices", "indptr"))
         lines, across = starts.size - 1, int(indices.max(initial=-1)) + 1
-        size = _two(shape) if shape is not None else (lines, across) if kind == "csr" else (across, lines)
+        size = (
+            _two(shape)
+            if shape is not None
+            else (lines, across)
+            if kind == "csr"
+            else (across, lines)
+        )
         return compressed_matrix(kind, data, indices, starts, size)
     if {"data", "row", "col"} <= set(g):
         data, row, column = (_stored(g[name]) for name in ("data", "row", "col"))
@@ -209,14 +235,20 @@ def _stored(data: h5py.Dataset) -> Any_:
     """The numbers of a data set; MATLAB's complex ones have two fields."""
     check_stored(data, data.file.filename)
     values: Any_ = data[()]
-    return values["real"] + 1j * values["imag"] if values.dtype.names == ("real", "imag") else values
+    return (
+        values["real"] + 1j * values["imag"] if values.dtype.names == ("real", "imag") else values
+    )
 
 
 def _abaqus(path: Path) -> MatrixFile:
-    """Lines `node, dof, node, dof, value` (MATRIX INPUT, LABELS) or `row, column, value` (COORDINATE)."""
+    """Lines `node, dof, node, dof, value` (MATRIX INPUT, LABELS) or `row, column, value`
+    (COORDINATE).
+    """
     try:
         text = path.read_text(encoding="ascii").replace(",", " ")
-        rows = np.array([x.split() for x in text.splitlines() if x.strip() and x.strip()[0] not in "*#%"])
+        rows = np.array(
+            [x.split() for x in text.splitlines() if x.strip() and x.strip()[0] not in "*#%"]
+        )
         if rows.ndim != 2 or rows.shape[1] not in (3, 5):
             raise ValueError(f"lines of {rows.shape[-1]} numbers; 3 or 5 are known")
         numbers = np.char.replace(np.char.upper(rows), "D", "E").astype(np.float64)
@@ -230,7 +262,9 @@ def _abaqus(path: Path) -> MatrixFile:
     ends = places
     if ends[:, 1::2].min() < 0 or ends[:, 1::2].max() > 6:
         raise DataError(f"{path}: degree of freedom {ends[:, 1::2].max()}; known are 1 to 6")
-    every, place = np.unique(np.concatenate([ends[:, :2], ends[:, 2:]]), axis=0, return_inverse=True)
+    every, place = np.unique(
+        np.concatenate([ends[:, :2], ends[:, 2:]]), axis=0, return_inverse=True
+    )
     i, j = place.reshape(2, -1)
     dofs = DofSet(every[:, 0], every[:, 1].astype(np.int8))
     return _one(path, _whole(numbers[:, 4], i, j, len(every)), dofs)
@@ -245,23 +279,35 @@ def _whole(values: Any_, i: Any_, j: Any_, n: int) -> sparse.csr_array:
 
 
 def _harwell_boeing(path: Path) -> MatrixFile:
-    """Assembled Harwell-Boeing or Rutherford-Boeing, as Ansys HBMAT writes (its mapping file is not needed here)."""
+    """Assembled Harwell-Boeing or Rutherford-Boeing, as Ansys HBMAT writes (its mapping file is not
+    needed here).
+    """
     try:
         lines = path.read_text(encoding="ascii").splitlines()
         counts = [int(x) for x in lines[1].split()]
-        kind, (n_rows, n_columns, nonzero) = lines[2][:3].upper(), (int(x) for x in lines[2][3:].split()[:3])
+        kind, (n_rows, n_columns, nonzero) = (
+            lines[2][:3].upper(),
+            (int(x) for x in lines[2][3:].split()[:3]),
+        )
         pointer, index, value = _formats(lines[3])
         at = 4 + (len(counts) > 4 and counts[4] > 0)
         indptr, at = _integers(lines, at, n_columns + 1, pointer)
         indices, at = _integers(lines, at, nonzero, index)
         per = 2 if kind[0] == "C" else 1
-        data, _ = _fixed(lines, at, per * nonzero, *value) if kind[0] != "P" else (np.ones(nonzero), at)
+        data, _ = (
+            _fixed(lines, at, per * nonzero, *value) if kind[0] != "P" else (np.ones(nonzero), at)
+        )
     except (ValueError, IndexError, UnicodeDecodeError) as e:
         raise DataError(f"{path}: not a Harwell-Boeing file: {e}") from e
     if kind[2] != "A" or kind[1] not in "SUR":
-        raise DataError(f"{path}: matrix type {kind}; known are assembled ones, symmetric or not (RSA, RUA)")
+        raise DataError(
+            f"{path}: matrix type {kind}; known are assembled ones, symmetric or not (RSA, RUA)"
+        )
     if kind[1] == "S" and n_rows != n_columns:
-        raise DataError(f"{path}: matrix type {kind} is symmetric, but it has {n_rows} rows and {n_columns} columns")
+        raise DataError(
+            f"{path}: matrix type {kind} is symmetric, but it has {n_rows} rows and {n_columns} "
+            "columns"
+        )
     if per == 2:
         data = data.view(np.complex128)
     with about(path):
@@ -299,5 +345,7 @@ def _fixed(lines: list[str], at: int, count: int, per: int, width: int) -> tuple
         raise ValueError(f"it ends at line {len(lines)}, before line {at + used}")
     row = min(per, count) * width
     joined = "".join(x[:row].ljust(row) for x in lines[at : at + used])
-    parts = [joined[i : i + width].upper().replace("D", "E") for i in range(0, count * width, width)]
+    parts = [
+        joined[i : i + width].upper().replace("D", "E") for i in range(0, count * width, width)
+    ]
     return np.array(parts, dtype=np.float64), at + used

@@ -1,4 +1,6 @@
-"""Modes as a table of CSV or Excel: a column a mode below rows of frequencies and damping, or a row a mode."""
+"""Modes as a table of CSV or Excel: a column a mode below rows of frequencies and damping, or a row
+a mode.
+"""
 
 from __future__ import annotations
 
@@ -45,11 +47,12 @@ _DIGITS = 9
 
 
 def read_mode_table(path: Path) -> tuple[ModeSet, Float, Float]:
-    """Modes of a table whose first column, or first row, names `frequency [Hz]`, `damping [%]` and the channels.
+    """Modes of a table whose first column, or first row, names `frequency [Hz]`, `damping [%]` and
+    the channels.
 
-    `std frequency [Hz]` and `std damping [%]` are standard deviations; frequencies in `[rad/s]`, `[rpm]` or `[kHz]`
-    become Hz, damping without `[%]` is a fraction. Without channels the modes have frequencies alone. Empty cells were
-    not measured.
+    `std frequency [Hz]` and `std damping [%]` are standard deviations; frequencies in `[rad/s]`,
+    `[rpm]` or `[kHz]` become Hz, damping without `[%]` is a fraction. Without channels the modes
+    have frequencies alone. Empty cells were not measured.
 
     Returns
     -------
@@ -61,7 +64,8 @@ def read_mode_table(path: Path) -> tuple[ModeSet, Float, Float]:
     Raises
     ------
     DataError
-        If there is no mode, a cell is no number, two rows are one, or damping without `[%]` is hardly a fraction.
+        If there is no mode, a cell is no number, two rows are one, or damping without `[%]` is
+        hardly a fraction.
     """
     rows = [r for r in cells(path) if any(r) and not r[0].startswith("# ")]
     width = max(map(len, rows), default=0)
@@ -69,15 +73,24 @@ def read_mode_table(path: Path) -> tuple[ModeSet, Float, Float]:
     if not any(_FREQUENCY.match(r[0].lower()) and _NUMBER.match("".join(r[1:2])) for r in table):
         table = [list(c) for c in zip(*table, strict=True)]
     labels = [r[0] for r in table]
-    found = {label: r[1:] for label, r in zip(labels, table, strict=True) if label.lower() not in _BESIDE}
+    found = {
+        label: r[1:] for label, r in zip(labels, table, strict=True) if label.lower() not in _BESIDE
+    }
     kinds = {label: _kind(label) for label in found}
     of = {kind: label for label, kind in kinds.items() if kind}
     for label, kind in kinds.items():
         if labels.count(label) > 1 or (kind and of[kind] != label):
-            told = f"`{label}` and `{of[kind]}` are both {kind}" if kind else f"`{label}` stands there twice"
+            told = (
+                f"`{label}` and `{of[kind]}` are both {kind}"
+                if kind
+                else f"`{label}` stands there twice"
+            )
             raise DataError(f"{path}: {told}")
     if "frequency" not in of:
-        raise DataError(f"{path}: no row or column `frequency [Hz]`; there are {', '.join(list(found)[:8]) or 'none'}")
+        raise DataError(
+            f"{path}: no row or column `frequency [Hz]`; there are "
+            f"{', '.join(list(found)[:8]) or 'none'}"
+        )
     there = [i for i, text in enumerate(found[of["frequency"]]) if text]
     if not there:
         raise DataError(f"{path}: no mode below `{of['frequency']}`")
@@ -90,12 +103,19 @@ def read_mode_table(path: Path) -> tuple[ModeSet, Float, Float]:
     if not np.isfinite(f).all():
         raise DataError(f"{path}: `{of['frequency']}`: frequencies must be finite")
     if (known := zeta[np.isfinite(zeta)]).size and np.median(known) > _HIGH:
-        raise DataError(f"{path}: `{of['damping']}`: {known[0]:g} of critical? What is in percent has [%] in its title")
+        raise DataError(
+            f"{path}: `{of['damping']}`: {known[0]:g} of critical? What is in percent has [%] in "
+            "its title"
+        )
     channels = tuple(label for label, kind in kinds.items() if not kind)
     shapes = np.array([number[c] for c in channels]).reshape(len(channels), len(there))
     order = np.argsort(f, kind="stable")
     values = shapes[:, order] if shapes.imag.any() else shapes.real[:, order]
-    return ModeSet(f[order], zeta[order], values, channels, source=path.name), std_f[order], std_z[order]
+    return (
+        ModeSet(f[order], zeta[order], values, channels, source=path.name),
+        std_f[order],
+        std_z[order],
+    )
 
 
 def write_mode_table(path: Path, modes: ModeSet, uncertainty: Uncertainty | None = None) -> None:
@@ -138,12 +158,16 @@ def _number(text: str, label: str, path: Path) -> complex:
         return complex(np.nan)
     plain = text if "." in text else text.replace(",", ".")
     try:
-        value = complex(re.sub(r"[\s()*]", "", plain.lower()).replace("i", "j").replace("jnf", "inf"))
+        value = complex(
+            re.sub(r"[\s()*]", "", plain.lower()).replace("i", "j").replace("jnf", "inf")
+        )
         if np.isinf(value):
             raise ValueError(text)
         return value
     except ValueError as exc:
-        raise DataError(f"{path}: {label} is {text!r}; it must be a number, such as 0.12 or 0.1+0.2j") from exc
+        raise DataError(
+            f"{path}: {label} is {text!r}; it must be a number, such as 0.12 or 0.1+0.2j"
+        ) from exc
 
 
 def _texts(values: Float | Complex) -> list[str]:

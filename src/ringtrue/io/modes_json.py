@@ -51,7 +51,9 @@ def _rest(modes: ModeSet) -> dict[str, Any]:
     return {"channels": list(modes.channels), "scaling": str(modes.norm), "source": modes.source}
 
 
-def _rows(modes: ModeSet, uncertainty: Uncertainty | None, reasons: Sequence[str]) -> Iterator[dict[str, Any]]:
+def _rows(
+    modes: ModeSet, uncertainty: Uncertainty | None, reasons: Sequence[str]
+) -> Iterator[dict[str, Any]]:
     nothing = np.full(len(modes), np.nan)
     std_f = uncertainty.frequency if uncertainty else nothing
     std_z = uncertainty.damping if uncertainty else nothing
@@ -84,7 +86,9 @@ def dump_modes(
     reasons: Sequence[str] = (),
     more: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write `modes_to_json` and what `more` adds to it, one mode after the other: shapes of whole models are large."""
+    """Write `modes_to_json` and what `more` adds to it, one mode after the other: shapes of whole
+    models are large.
+    """
     file.write('{"modes": [')
     for k, row in enumerate(_rows(modes, uncertainty, reasons)):
         file.write((",\n " if k else "\n ") + json.dumps(row, allow_nan=False))
@@ -113,11 +117,19 @@ def modes_from_json(table: Mapping[str, Any], source: str = "") -> ModeSet:
     if not np.isfinite(frequency).all():
         at = int(np.flatnonzero(~np.isfinite(frequency))[0])
         raise DataError(f"{source}: mode {at + 1} has no frequency_hz")
-    shapes = shapes.reshape(len(rows), -1).T if rows else np.zeros((len(channels), 0), dtype=np.complex128)
+    shapes = (
+        shapes.reshape(len(rows), -1).T
+        if rows
+        else np.zeros((len(channels), 0), dtype=np.complex128)
+    )
     if shapes.shape[0] != len(channels):
-        raise DataError(f"{source}: shapes of {shapes.shape[0]} components for {len(channels)} channels")
+        raise DataError(
+            f"{source}: shapes of {shapes.shape[0]} components for {len(channels)} channels"
+        )
     values = shapes if shapes.imag.any() else shapes.real
-    return ModeSet(frequency, damping, values, channels, norm, str(table.get("source") or source), confidence)
+    return ModeSet(
+        frequency, damping, values, channels, norm, str(table.get("source") or source), confidence
+    )
 
 
 def _shape(row: Mapping[str, Any]) -> Complex:
@@ -139,7 +151,10 @@ def _column(rows: Sequence[Mapping[str, Any]], key: str, default: float = math.n
 
 
 def write_modes(
-    path: str | Path, modes: ModeSet, uncertainty: Uncertainty | None = None, reasons: Sequence[str] = ()
+    path: str | Path,
+    modes: ModeSet,
+    uncertainty: Uncertainty | None = None,
+    reasons: Sequence[str] = (),
 ) -> None:
     """Write modes as `.json`, `.h5`, `.uff` (data sets 55) or `.csv`, by the ending of the path."""
     path = Path(path)
@@ -171,7 +186,11 @@ def read_modes(path: str | Path) -> ModeSet:
     path = existing(path)
     modes = _read(path)
     with about(path):
-        for what, values in (("frequency", modes.frequencies), ("damping", modes.damping), ("shape", modes.shapes)):
+        for what, values in (
+            ("frequency", modes.frequencies),
+            ("damping", modes.damping),
+            ("shape", modes.shapes),
+        ):
             refuse_large(values, what)
     return modes
 

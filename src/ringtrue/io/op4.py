@@ -1,4 +1,6 @@
-"""Nastran OUTPUT4: ascii and binary, either byte order, dense, sparse and BIGMAT, real and complex."""
+"""Nastran OUTPUT4: ascii and binary, either byte order, dense, sparse and BIGMAT, real and
+complex.
+"""
 
 from __future__ import annotations
 
@@ -91,7 +93,9 @@ class _Source(Protocol):
 
 @dataclass(slots=True)
 class _Lines:
-    """Ascii: `per` numbers of `width` characters a line, from line `at`; a word is `share` of a number."""
+    """Ascii: `per` numbers of `width` characters a line, from line `at`; a word is `share` of a
+    number.
+    """
 
     lines: list[str]
     at: int
@@ -109,9 +113,16 @@ class _Lines:
         if self.at + used > len(self.lines):
             raise ValueError(f"{count} numbers pass the end of the file")
         row = self.per * self.width
-        joined = "".join(x[:row].ljust(row) for x in self.lines[self.at : self.at + used]).upper().replace("D", "E")
+        joined = (
+            "".join(x[:row].ljust(row) for x in self.lines[self.at : self.at + used])
+            .upper()
+            .replace("D", "E")
+        )
         self.at += used
-        return np.array([joined[i : i + self.width] for i in range(0, count * self.width, self.width)], dtype=float)
+        return np.array(
+            [joined[i : i + self.width] for i in range(0, count * self.width, self.width)],
+            dtype=float,
+        )
 
 
 @dataclass(slots=True)
@@ -136,9 +147,12 @@ class _Record:
         return self._take(self.number, words // self.share).astype(np.float64)
 
 
-def _column(header: _Header, found: _Strings, column: int, row: int, words: int, source: _Source) -> None:
-    """The runs of one column: dense from `row` on, or strings if `row` is 0 (a loop: each string tells where the next
-    one stands)."""
+def _column(
+    header: _Header, found: _Strings, column: int, row: int, words: int, source: _Source
+) -> None:
+    """The runs of one column: dense from `row` on, or strings if `row` is 0 (a loop: each string
+    tells where the next one stands).
+    """
     if column < 1 or words < 0:
         raise ValueError(f"column {column} of {words} words")
     if row > 0:
@@ -161,8 +175,13 @@ def _column(header: _Header, found: _Strings, column: int, row: int, words: int,
 def _header(columns: int, rows: int, kind: int, name: str, room: int) -> _Header:
     """The header of a matrix; `room` is how many rows and columns are left of `MOST`."""
     if kind not in (1, 2, 3, 4) or columns < 0 or abs(rows) + columns > room:
-        raise ValueError(f"a matrix of type {kind}, {abs(rows)} x {columns}; allowed are types 1 to 4, {MOST} in all")
-    return _Header(columns, abs(rows), rows < 0 or rows >= BIG, kind, name.replace("\0", "").strip().upper())
+        raise ValueError(
+            f"a matrix of type {kind}, {abs(rows)} x {columns}; allowed are types 1 to 4, {MOST} "
+            "in all"
+        )
+    return _Header(
+        columns, abs(rows), rows < 0 or rows >= BIG, kind, name.replace("\0", "").strip().upper()
+    )
 
 
 def _ascii(text: str) -> Iterator[tuple[str, sparse.csr_array]]:
@@ -207,7 +226,14 @@ def _binary(raw: bytes) -> Iterator[tuple[str, sparse.csr_array]]:
             if column > columns:
                 break
             share = 1 if wide else header.words
-            _column(header, found, column, row, words, _Record(record, 3 * integer.itemsize, integer, number, share))
+            _column(
+                header,
+                found,
+                column,
+                row,
+                words,
+                _Record(record, 3 * integer.itemsize, integer, number, share),
+            )
         yield header.name, found.matrix()
 
 

@@ -18,12 +18,23 @@ from ringtrue.io.foreign.hdf5 import open_hdf5
 from ringtrue.io.si import known
 from ringtrue.io.times import LONG, THIN, even_grid, in_seconds, uneven
 
-_RATE_NAMES = ("rate", "fs", "samplingrate", "samplerate", "fsamp", "fsample", "sr")  # in letters and digits
+_RATE_NAMES = (
+    "rate",
+    "fs",
+    "samplingrate",
+    "samplerate",
+    "fsamp",
+    "fsample",
+    "sr",
+)  # in letters and digits
 _RATE_WORDS = ("samplefrequency", "samplingfrequency", "samplefreq", "samplingfreq")
 _STEP_NAMES = ("dt", "increment", "samplinginterval", "sampleinterval", "deltat", "timestep", "ts")
 TIME_NAMES = ("t", "time", "time [s]", "time (s)", "x_value", "zeit", "sec", "seconds")
 _SAME_RATE = 1e-3  # relative, of a rate that is named and that of the times
-_CHECKED, _PACKED = 1 << 26, 1000  # bytes above which, and the compression up to which, a size is believed
+_CHECKED, _PACKED = (
+    1 << 26,
+    1000,
+)  # bytes above which, and the compression up to which, a size is believed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,7 +61,11 @@ class RawTable:
         """The table with NaN in the rows that are missing."""
         if self.rows is None:
             return self
-        data = np.full((len(self.data), int(self.rows[-1]) + 1), np.nan, dtype=np.result_type(self.data, np.float32))
+        data = np.full(
+            (len(self.data), int(self.rows[-1]) + 1),
+            np.nan,
+            dtype=np.result_type(self.data, np.float32),
+        )
         data[:, self.rows] = self.data
         return replace(self, data=data, rows=None)
 
@@ -66,17 +81,24 @@ class RawTable:
 
 
 def joined(pieces: Sequence[tuple[float, RawTable]]) -> RawTable | None:
-    """One table of the acquisitions of a file, one after the other, each with its start, s; `rows` tells their places.
+    """One table of the acquisitions of a file, one after the other, each with its start, s; `rows`
+    tells their places.
 
-    None where they are no parts of one record: of other channels or rates, at one time, or half of it between them.
+    None where they are no parts of one record: of other channels or rates, at one time, or half of
+    it between them.
     """
     pieces = sorted(pieces, key=lambda x: x[0])
     first, rate = pieces[0][1], pieces[0][1].rate
-    alike = all((t.names, t.units, t.rate, t.rows) == (first.names, first.units, rate, None) for _, t in pieces)
+    alike = all(
+        (t.names, t.units, t.rate, t.rows) == (first.names, first.units, rate, None)
+        for _, t in pieces
+    )
     if rate is None or not alike or not np.isfinite([start for start, _ in pieces]).all():
         return None
     size = np.array([t.data.shape[1] for _, t in pieces])
-    begin = np.round((np.array([start for start, _ in pieces]) - pieces[0][0]) * rate).astype(np.int64)
+    begin = np.round((np.array([start for start, _ in pieces]) - pieces[0][0]) * rate).astype(
+        np.int64
+    )
     late = np.diff(begin) - size[:-1]
     if (late < -1).any() or begin[-1] + size[-1] > size.sum() / THIN:
         return None
@@ -104,22 +126,31 @@ def columns_first(a: Any_, path: Path) -> Any_:
 
 
 def read_npy(path: Path) -> RawTable:
-    """A NumPy array (sample, channel), or (sample,); more channels than samples are taken for (channel, sample)."""
+    """A NumPy array (sample, channel), or (sample,); more channels than samples are taken for
+    (channel, sample).
+    """
     a = read_array(path)
     if a.ndim not in (1, 2) or a.dtype.kind not in "fiu":
         raise DataError(f"{path}: array {a.shape} {a.dtype}; it must be (sample, channel) and real")
     a = a.T if a.ndim == 2 and a.shape[1] > a.shape[0] > 0 else a
-    data = np.array(np.atleast_2d(a.T), dtype=a.dtype if a.dtype.kind == "f" else np.float64, order="C")
+    data = np.array(
+        np.atleast_2d(a.T), dtype=a.dtype if a.dtype.kind == "f" else np.float64, order="C"
+    )
     return without_time(numbered(data, None), path)
 
 
 def is_time(name: str) -> bool:
-    """Whether a variable or channel of this name holds times: `t`, `Time [s]`, `Data1_time_AI_1`."""
-    return name.strip().lower() in TIME_NAMES or re.search(r"(^|_)time(_|$)", name.lower()) is not None
+    """Whether a variable or channel of this name holds times: `t`, `Time [s]`,
+    `Data1_time_AI_1`.
+    """
+    return (
+        name.strip().lower() in TIME_NAMES or re.search(r"(^|_)time(_|$)", name.lower()) is not None
+    )
 
 
 def h5_table(file: h5py.Group, path: Path) -> tuple[h5py.Dataset, float | None, Int | None]:
-    """The 2-D data set of samples of an HDF5 file of others, unread, the rate, and places as of `even_grid`.
+    """The 2-D data set of samples of an HDF5 file of others, unread, the rate, and places as of
+    `even_grid`.
 
     It is the only long one, or the first where none is long.
 
@@ -129,24 +160,35 @@ def h5_table(file: h5py.Group, path: Path) -> tuple[h5py.Dataset, float | None, 
         If there is none, there are several long ones, or it announces far more than the file holds.
     """
     found: list[h5py.Dataset] = []
-    file.visititems(lambda _, o: found.append(o) if isinstance(o, h5py.Dataset) and o.ndim == 2 else None)
+    file.visititems(
+        lambda _, o: found.append(o) if isinstance(o, h5py.Dataset) and o.ndim == 2 else None
+    )
     if not found:
         raise DataError(f"{path}: no 2-D data set in the file")
-    long = [d for d in found if d.dtype.kind in "fiu" and max(d.shape) >= max(LONG, 4 * min(d.shape))]
+    long = [
+        d for d in found if d.dtype.kind in "fiu" and max(d.shape) >= max(LONG, 4 * min(d.shape))
+    ]
     if len(long) > 1:
         told = "; ".join(f"{d.name.lstrip('/')} {d.shape}" for d in long[:8])
-        raise DataError(f"{path}: several tables of samples ({told}): choose one with group (--group NAME)")
+        raise DataError(
+            f"{path}: several tables of samples ({told}): choose one with group (--group NAME)"
+        )
     data = (long or found)[0]
     check_stored(data, path)
     attrs = _attributes(file.file, file, data.parent, data)
-    scalars = {k.lower(): v[()] for k, v in file.items() if isinstance(v, h5py.Dataset) and v.size == 1}
-    beside = {k: v for k, v in data.parent.items() if isinstance(v, h5py.Dataset) and v.name != data.name}
+    scalars = {
+        k.lower(): v[()] for k, v in file.items() if isinstance(v, h5py.Dataset) and v.size == 1
+    }
+    beside = {
+        k: v for k, v in data.parent.items() if isinstance(v, h5py.Dataset) and v.name != data.name
+    }
     times = {k: v[()] for k, v in beside.items() if v.size == max(data.shape) and is_time(k)}
     return data, *time_grid(times, max(data.shape), path, named_rate({**scalars, **attrs}))
 
 
 def read_h5_table(file: h5py.Group, path: Path, group: str = "") -> RawTable:
-    """The 2-D data set of samples of an HDF5 file of others, or all vectors of one length if there is none.
+    """The 2-D data set of samples of an HDF5 file of others, or all vectors of one length if there
+    is none.
 
     With `group`, the path of a group or of a data set, what stands there alone.
     """
@@ -174,7 +216,9 @@ def _h5_part(file: h5py.Group, path: Path, group: str) -> RawTable:
 def _h5_vectors(file: h5py.Group, path: Path) -> RawTable | None:
     """A file of one vector a channel; None if it has a 2-D data set or no vectors."""
     every: dict[str, h5py.Dataset] = {}
-    file.visititems(lambda name, o: every.update({name: o}) if isinstance(o, h5py.Dataset) and o.ndim else None)
+    file.visititems(
+        lambda name, o: every.update({name: o}) if isinstance(o, h5py.Dataset) and o.ndim else None
+    )
     one = {k: v for k, v in every.items() if v.ndim == 1 and v.dtype.kind in "fiu" and v.size > 1}
     if not one or any(v.ndim == 2 for v in every.values()):
         return None
@@ -185,11 +229,15 @@ def _h5_vectors(file: h5py.Group, path: Path) -> RawTable | None:
     told = [_attributes(v.parent, v) for v in one.values() if v.size == samples]
     rates = [rate for each in told if (rate := named_rate(each))]
     if rates and max(rates) > (1 + _SAME_RATE) * min(rates):
-        raise DataError(f"{path}: {min(rates):g} to {max(rates):g} Hz: choose one of the groups (--group NAME)")
+        raise DataError(
+            f"{path}: {min(rates):g} to {max(rates):g} Hz: choose one of the groups (--group NAME)"
+        )
     attrs = {k: v for each in (_attributes(file), *told) for k, v in each.items()}
     scalars = {k.lower(): v[()] for k, v in every.items() if v.size == 1}
     rate, rows = time_grid(short, samples, path, named_rate({**scalars, **attrs}))
-    signals = {k: v for k, v in one.items() if v.size == samples and not is_time(k.rpartition("/")[2])}
+    signals = {
+        k: v for k, v in one.items() if v.size == samples and not is_time(k.rpartition("/")[2])
+    }
     if not signals:
         return None
     table = numbered(np.stack([v[()].astype(np.float64) for v in signals.values()]), rate)
@@ -210,8 +258,11 @@ def _unit(data: h5py.Dataset) -> str:
     return known(text.decode("utf-8", "replace") if isinstance(text, bytes) else str(text))
 
 
-def h5_values(path: Path, value: Callable[[str, h5py.Dataset], Any], kind: str = "HDF5") -> dict[str, Any]:
-    """What `value(name, data set)` makes of the data sets of a file, by `group.name`; None is left out.
+def h5_values(
+    path: Path, value: Callable[[str, h5py.Dataset], Any], kind: str = "HDF5"
+) -> dict[str, Any]:
+    """What `value(name, data set)` makes of the data sets of a file, by `group.name`; None is left
+    out.
 
     Raises
     ------
@@ -230,14 +281,21 @@ def h5_values(path: Path, value: Callable[[str, h5py.Dataset], Any], kind: str =
 
 
 def check_stored(data: h5py.Dataset, path: str | Path) -> None:
-    """Refuse a data set that announces far more samples than the file stores: its chunks are missing or damaged."""
+    """Refuse a data set that announces far more samples than the file stores: its chunks are
+    missing or damaged.
+    """
     size, stored = int(data.size) * data.dtype.itemsize, data.id.get_storage_size()
     if size > _CHECKED and size > _PACKED * stored:
-        raise DataError(f"{path}: {data.name} announces {size} bytes, {stored} are stored: the file is cut or damaged")
+        raise DataError(
+            f"{path}: {data.name} announces {size} bytes, {stored} are stored: the file is cut "
+            "or damaged"
+        )
 
 
 def named_rate(values: Mapping[str, Any]) -> float | None:
-    """The sampling rate (Hz) among named scalars: `fs`, `rate`, ... or a step of time such as `dt`."""
+    """The sampling rate (Hz) among named scalars: `fs`, `rate`, ... or a step of time such as
+    `dt`.
+    """
     real = {k: float(np.ravel(v)[0]) for k, v in values.items() if _is_real(v) and np.size(v) == 1}
     lower = {re.sub("[^a-z0-9]", "", k.lower()).removesuffix("hz"): x for k, x in real.items()}
     for name in (*_RATE_NAMES, *_RATE_WORDS):
@@ -248,28 +306,50 @@ def named_rate(values: Mapping[str, Any]) -> float | None:
 
 
 def _is_real(value: Any) -> bool:
-    return getattr(value, "dtype", np.asarray(value).dtype if np.isscalar(value) else np.dtype(object)).kind in "fiu"
+    return (
+        getattr(
+            value, "dtype", np.asarray(value).dtype if np.isscalar(value) else np.dtype(object)
+        ).kind
+        in "fiu"
+    )
 
 
 def without_time(table: RawTable, path: Path) -> RawTable:
-    """A table without names whose first row is a time (it rises in equal steps): the rate in its place."""
-    rate, rows = even_grid(in_seconds(table.data[0]), False, path) if table.data.shape[0] > 1 else (None, None)
-    if rate is None or rate <= 1 or table.data.shape[1] < 10:  # 1 Hz: the column may as well number the samples
+    """A table without names whose first row is a time (it rises in equal steps): the rate in its
+    place.
+    """
+    rate, rows = (
+        even_grid(in_seconds(table.data[0]), False, path)
+        if table.data.shape[0] > 1
+        else (None, None)
+    )
+    if (
+        rate is None or rate <= 1 or table.data.shape[1] < 10
+    ):  # 1 Hz: the column may as well number the samples
         return table
     rest = replace(numbered(table.data[1:], rate), rows=rows)
     if table.rate is not None and abs(table.rate / rate - 1) > _SAME_RATE:
-        raise DataError(f"{path}: a rate of {table.rate:g} Hz is named, but the first column, a time, says {rate:g} Hz")
+        raise DataError(
+            f"{path}: a rate of {table.rate:g} Hz is named, but the first column, a time, says "
+            f"{rate:g} Hz"
+        )
     return rest
 
 
 def time_grid(
     values: Mapping[str, Any], samples: int, path: Path, told: float | None = None
 ) -> tuple[float | None, Int | None]:
-    """`even_grid` of a vector of so many times among named arrays (`t`, `time`); None, None if there is none.
+    """`even_grid` of a vector of so many times among named arrays (`t`, `time`); None, None if
+    there is none.
 
-    A rate that is `told` beside them stands; of times in other units, or uneven ones, nothing is asked then.
+    A rate that is `told` beside them stands; of times in other units, or uneven ones, nothing is
+    asked then.
     """
-    times = [np.ravel(v) for k, v in values.items() if is_time(k) and _is_real(v) and np.size(v) == samples]
+    times = [
+        np.ravel(v)
+        for k, v in values.items()
+        if is_time(k) and _is_real(v) and np.size(v) == samples
+    ]
     if not times:
         return told, None
     rate, rows = even_grid(in_seconds(times[0].astype(np.float64)), told is None, path)

@@ -1,4 +1,6 @@
-"""ringtrue's own HDF5 layout of a record (docs/formats.md): the channel table, and reading what is stored."""
+"""ringtrue's own HDF5 layout of a record (docs/formats.md): the channel table, and reading what is
+stored.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +51,9 @@ class RecordChannel:
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.sensitivity) and self.sensitivity != 0):
-            raise DataError(f"channel {self.id}: sensitivity {self.sensitivity} V/unit must be finite and not 0")
+            raise DataError(
+                f"channel {self.id}: sensitivity {self.sensitivity} V/unit must be finite and not 0"
+            )
         if not self.range > 0:
             raise DataError(f"channel {self.id}: range {self.range} V must be positive")
         to_si(self.unit, self.quantity)
@@ -114,18 +118,28 @@ def record_group(file: h5py.File, path: str | Path) -> h5py.Group:
     """The group of the record; `DataError` where the layout is another one."""
     group = find_record(file)
     if group is None:
-        raise DataError(f"{path}: no record in ringtrue's layout (a data set `data` with a table `channels`)")
+        raise DataError(
+            f"{path}: no record in ringtrue's layout (a data set `data` with a table `channels`)"
+        )
     return group
 
 
-def _column(group: h5py.Group, name: str, kind: type, n: int, path: str | Path) -> list[object] | None:
+def _column(
+    group: h5py.Group, name: str, kind: type, n: int, path: str | Path
+) -> list[object] | None:
     table = group.get("channels")
-    raw = table[name] if isinstance(table, h5py.Group) and name in table else group["data"].attrs.get(name)
+    raw = (
+        table[name]
+        if isinstance(table, h5py.Group) and name in table
+        else group["data"].attrs.get(name)
+    )
     if raw is None:
         return None
     values = np.atleast_1d(raw[()] if isinstance(raw, h5py.Dataset) else raw)
     if values.shape != (n,):
-        raise DataError(f"{path}: channel table {name} has {values.size} rows, the data {n} channels")
+        raise DataError(
+            f"{path}: channel table {name} has {values.size} rows, the data {n} channels"
+        )
     if kind is str:
         return [v.decode() if isinstance(v, bytes) else str(v) for v in values.tolist()]
     try:
@@ -145,11 +159,18 @@ def stored_info(group: h5py.Group, path: str | Path) -> RecordInfo:
     columns = {k: _column(group, k, kind, shape[0], path) for k, kind in TABLE.items()}
     if columns["id"] is None:
         raise DataError(f"{path}: the channel table lacks `id`")
-    rows = [dict(zip(columns, row, strict=True)) for row in zip(*_filled(columns, shape[0]), strict=True)]
-    channels = tuple(RecordChannel(**{k: v for k, v in row.items() if v is not None}) for row in rows)
+    rows = [
+        dict(zip(columns, row, strict=True))
+        for row in zip(*_filled(columns, shape[0]), strict=True)
+    ]
+    channels = tuple(
+        RecordChannel(**{k: v for k, v in row.items() if v is not None}) for row in rows
+    )
     if len({c.id for c in channels}) != len(channels):
         raise DataError(f"{path}: a channel id occurs twice")
-    return RecordInfo(channels, float(rate), int(shape[1]), str(group.attrs.get("source", "") or path))
+    return RecordInfo(
+        channels, float(rate), int(shape[1]), str(group.attrs.get("source", "") or path)
+    )
 
 
 def _filled(columns: Mapping[str, list[object] | None], n: int) -> list[list[object] | list[None]]:
@@ -161,7 +182,9 @@ def channel_positions(info: RecordInfo, channels: Sequence[str] | None, path: st
     here = {c.id: i for i, c in enumerate(info.channels)}
     wanted = list(here) if channels is None else channels
     if lost := [c for c in wanted if c not in here]:
-        raise DataError(f"{path}: no channel {' '.join(lost[:8])}; there are {' '.join(list(here)[:40])}")
+        raise DataError(
+            f"{path}: no channel {' '.join(lost[:8])}; there are {' '.join(list(here)[:40])}"
+        )
     return np.array([here[c] for c in wanted], dtype=np.int64)
 
 
@@ -173,6 +196,8 @@ def stored_samples(group: h5py.Group, info: RecordInfo, at: Int, samples: slice)
     raw = raw[np.searchsorted(order, at)] if not np.array_equal(order, at) else raw
     rows = [info.channels[i] for i in at]
     scale = float(data.attrs.get("scale", 1.0)) * np.array([c.to_si for c in rows])
-    values = raw.astype(np.float32 if raw.dtype.itemsize <= 4 and raw.dtype.kind == "f" else np.float64, copy=False)
+    values = raw.astype(
+        np.float32 if raw.dtype.itemsize <= 4 and raw.dtype.kind == "f" else np.float64, copy=False
+    )
     values *= scale[:, None].astype(values.dtype)
     return TimeHistory(values, info.rate, tuple(c.channel() for c in rows), info.source)

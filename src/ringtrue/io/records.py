@@ -1,4 +1,6 @@
-"""Time records of any format that is read or written; ringtrue's own layout block by block too (docs/formats.md)."""
+"""Time records of any format that is read or written; ringtrue's own layout block by block too
+(docs/formats.md).
+"""
 
 from __future__ import annotations
 
@@ -50,7 +52,12 @@ _HDF5 = (".h5", ".hdf5")
 _SLOWEST, _FASTEST = 1e-5, 1e9  # Hz: a sample a day, and what no recorder of vibration reaches
 _LARGEST = 1e70  # fourth powers stay finite
 _UFF = (".uff", ".unv", ".58")
-_MAY_HOLD_FRFS = (".csv", ".txt", ".mat", *_HDF5)  # universal files say what they hold where they are read
+_MAY_HOLD_FRFS = (
+    ".csv",
+    ".txt",
+    ".mat",
+    *_HDF5,
+)  # universal files say what they hold where they are read
 _WRITERS = {".csv": write_csv, ".mat": write_mat, ".uff": write_time, ".unv": write_time}
 
 
@@ -82,11 +89,15 @@ def write_record(
     with atomic_write(path) as part, h5py.File(part, "w") as file:
         group = file.create_group("record")
         group.attrs.update({"format": FORMAT, "version": 1, "rate": float(rate), "source": source})
-        data = group.create_dataset("data", (n, 0), np.float32, maxshape=(n, None), chunks=(1, 1 << 16))
+        data = group.create_dataset(
+            "data", (n, 0), np.float32, maxshape=(n, None), chunks=(1, 1 << 16)
+        )
         data.attrs["unit"] = "V"
         for block in blocks:
             if block.ndim != 2 or block.shape[0] != n:
-                raise DataError(f"{path}: block {block.shape} must be (channel, sample) with {n} channels")
+                raise DataError(
+                    f"{path}: block {block.shape} must be (channel, sample) with {n} channels"
+                )
             at = data.shape[1]
             data.resize(at + block.shape[1], axis=1)
             data[:, at:] = block
@@ -98,11 +109,16 @@ def write_record(
 
 def _put_column(group: h5py.Group, name: str, values: Sequence[object], kind: type) -> None:
     dtype = h5py.string_dtype() if kind is str else kind
-    group.create_dataset(f"channels/{name}", data=np.array(values, dtype=object if kind is str else kind), dtype=dtype)
+    group.create_dataset(
+        f"channels/{name}",
+        data=np.array(values, dtype=object if kind is str else kind),
+        dtype=dtype,
+    )
 
 
 def write_history(path: str | Path, history: TimeHistory) -> None:
-    """Write a record in SI, by its ending: `.h5` (ringtrue's layout, float32), `.csv`, `.mat` (v5), `.uff` (58b).
+    """Write a record in SI, by its ending: `.h5` (ringtrue's layout, float32), `.csv`, `.mat` (v5),
+    `.uff` (58b).
 
     Raises
     ------
@@ -111,7 +127,9 @@ def write_history(path: str | Path, history: TimeHistory) -> None:
     """
     ext = Path(path).suffix.lower()
     if ext in _HDF5:
-        rows = [RecordChannel(c.id, 0, c.quantity, c.unit, sensor=c.sensor) for c in history.channels]
+        rows = [
+            RecordChannel(c.id, 0, c.quantity, c.unit, sensor=c.sensor) for c in history.channels
+        ]
         size = max(1, (1 << 24) // len(rows))
         blocks = (history.data[:, a : a + size] for a in range(0, history.data.shape[1], size))
         write_record(path, blocks, history.rate, rows, source=history.source)
@@ -149,8 +167,8 @@ def read_record(
     Parameters
     ----------
     path : path
-        `.h5` in ringtrue's layout or with a 2-D data set; `.npy` (sample, channel); `.csv`; `.lvm`; `.mat`; `.uff`;
-        `.tdms`; `.wav`.
+        `.h5` in ringtrue's layout or with a 2-D data set; `.npy` (sample, channel); `.csv`; `.lvm`;
+        `.mat`; `.uff`; `.tdms`; `.wav`.
     rate : float, Hz, optional
         Needed where the file has none; where it has one, the two must agree.
     channels : sequence of str, optional
@@ -158,19 +176,21 @@ def read_record(
     start, stop : int
         Samples to keep.
     check : bool
-        Refuse channels that are constant or not finite; without it they stay, for `signal.faults` to tell.
+        Refuse channels that are constant or not finite; without it they stay, for `signal.faults`
+        to tell.
     group : str
-        The group of a `.tdms`, or the group or data set of an HDF5 file of others, that is meant where there are
-        several of unlike rates.
+        The group of a `.tdms`, or the group or data set of an HDF5 file of others, that is meant
+        where there are several of unlike rates.
     gaps : bool
-        Let samples be missing, as an ambient test may: rows that the times show to be missing become NaN, and these and
-        others stay. Acquisitions one after the other, segments of a `.lvm` or groups of a `.tdms` with the same
-        channels, are one record by their starts.
+        Let samples be missing, as an ambient test may: rows that the times show to be missing
+        become NaN, and these and others stay. Acquisitions one after the other, segments of a
+        `.lvm` or groups of a `.tdms` with the same channels, are one record by their starts.
 
     Raises
     ------
     DataError
-        If the file is empty, a channel has NaN or is constant, rows are missing, or the rate is missing or odd.
+        If the file is empty, a channel has NaN or is constant, rows are missing, or the rate is
+        missing or odd.
     """
     path = existing(path)
     _check_rate_given(path, rate)
@@ -180,11 +200,14 @@ def read_record(
     return history
 
 
-def read_runs(path: str | Path, rate: float | None = None, *, group: str = "") -> tuple[TimeHistory, ...]:
-    """The acquisitions of one file, each a record: triggered blows that were stored one after the other.
+def read_runs(
+    path: str | Path, rate: float | None = None, *, group: str = ""
+) -> tuple[TimeHistory, ...]:
+    """The acquisitions of one file, each a record: triggered blows that were stored one after the
+    other.
 
-    Functions of a universal file that recur, segments of a `.lvm`, groups of a `.tdms` with the same channels; any
-    other file is one record. Channels that are constant or not finite stay.
+    Functions of a universal file that recur, segments of a `.lvm`, groups of a `.tdms` with the
+    same channels; any other file is one record. Channels that are constant or not finite stay.
 
     Raises
     ------
@@ -226,7 +249,10 @@ def _check_rate_given(path: Path, rate: float | None) -> None:
 
 def _check_rate(history: TimeHistory, path: Path) -> None:
     if not _SLOWEST <= history.rate <= _FASTEST:
-        raise DataError(f"{path}: rate {history.rate:g} Hz cannot be right; allowed are {_SLOWEST:g} to {_FASTEST:g}")
+        raise DataError(
+            f"{path}: rate {history.rate:g} Hz cannot be right; allowed are {_SLOWEST:g} to "
+            f"{_FASTEST:g}"
+        )
 
 
 def record_blocks(
@@ -247,10 +273,13 @@ def record_blocks(
     Raises
     ------
     DataError
-        If the layout is another one, a channel is not there, or `samples` does not exceed `overlap` >= 0.
+        If the layout is another one, a channel is not there, or `samples` does not exceed `overlap`
+        >= 0.
     """
     if not samples > overlap >= 0:
-        raise DataError(f"{path}: blocks of {samples} samples must be longer than their overlap {overlap} >= 0")
+        raise DataError(
+            f"{path}: blocks of {samples} samples must be longer than their overlap {overlap} >= 0"
+        )
     with open_hdf5(path) as file:
         group = record_group(file, path)
         info = stored_info(group, path)
@@ -260,7 +289,12 @@ def record_blocks(
 
 
 def _read(
-    path: Path, rate: float | None, channels: Sequence[str] | None, samples: slice, group: str, gaps: bool
+    path: Path,
+    rate: float | None,
+    channels: Sequence[str] | None,
+    samples: slice,
+    group: str,
+    gaps: bool,
 ) -> TimeHistory:
     ext = path.suffix.lower()
     if not group:
@@ -300,13 +334,19 @@ def _refuse_frfs(path: Path, ext: str) -> None:
 
 
 def _joined(path: Path, ext: str) -> RawTable | None:
-    """The acquisitions of a file, each with a start, as one table; None where it holds one, or others."""
+    """The acquisitions of a file, each with a start, as one table; None where it holds one, or
+    others.
+    """
     pieces = _PIECES[ext](path)
     return joined(pieces) if len(pieces) > 1 else None
 
 
 def _read_own(
-    group: h5py.Group, path: Path, rate: float | None, channels: Sequence[str] | None, samples: slice
+    group: h5py.Group,
+    path: Path,
+    rate: float | None,
+    channels: Sequence[str] | None,
+    samples: slice,
 ) -> TimeHistory:
     info = stored_info(group, path)
     _agree(rate, info.rate, path, "the file")
@@ -323,7 +363,10 @@ def _from_table(table: RawTable, path: Path, rate: float | None) -> TimeHistory:
     if table.data.size == 0:
         raise DataError(f"{path}: empty, there are no samples")
     if table.rate is None and rate is None:
-        raise DataError(f"{path}: the file has no sampling rate; give it in Hz: --rate, `rate_hz` of a log, rate=")
+        raise DataError(
+            f"{path}: the file has no sampling rate; give it in Hz: --rate, `rate_hz` of a log, "
+            "rate="
+        )
     if table.rate is not None:
         if not (np.isfinite(table.rate) and table.rate > 0):
             raise DataError(f"{path}: rate {table.rate} Hz must be positive")
@@ -332,15 +375,21 @@ def _from_table(table: RawTable, path: Path, rate: float | None) -> TimeHistory:
     if twice := sorted({n for n in table.names if table.names.count(n) > 1}):
         raise DataError(f"{path}: channel {' '.join(twice[:8])} occurs twice")
     rows = [to_si(u if u else "", q) for u, q in zip(table.units, table.quantities, strict=True)]
-    channels = tuple(Channel(name, quantity, unit) for name, (quantity, _, unit) in zip(table.names, rows, strict=True))
+    channels = tuple(
+        Channel(name, quantity, unit)
+        for name, (quantity, _, unit) in zip(table.names, rows, strict=True)
+    )
     factor: Float = np.array([f for _, f, _ in rows])
     with np.errstate(over="ignore"):  # what is infinite then is refused
         data = table.data if (factor == 1).all() else table.data * factor[:, None]
     return TimeHistory(data, float(table.rate or rate or 0.0), channels, str(path))
 
 
-def refuse_bad_samples(history: TimeHistory, path: Path, check: bool = True, gaps: bool = False) -> None:
-    """Refuse a record of less than two samples and, if `check`, channels that are constant or not finite.
+def refuse_bad_samples(
+    history: TimeHistory, path: Path, check: bool = True, gaps: bool = False
+) -> None:
+    """Refuse a record of less than two samples and, if `check`, channels that are constant or not
+    finite.
 
     With `gaps`, only those without a finite sample.
 
@@ -353,9 +402,12 @@ def refuse_bad_samples(history: TimeHistory, path: Path, check: bool = True, gap
     if not check:
         return
     low, high = (x.astype(np.float64) for x in (history.data.min(axis=1), history.data.max(axis=1)))
-    for i in np.flatnonzero(np.isfinite(low) & np.isfinite(high) & (np.maximum(-low, high) > _LARGEST))[:1].tolist():
+    for i in np.flatnonzero(
+        np.isfinite(low) & np.isfinite(high) & (np.maximum(-low, high) > _LARGEST)
+    )[:1].tolist():
         raise DataError(
-            f"{path}: channel {history.channels[i].id} reaches {max(-low[i], high[i]):.2g}: no unit makes that"
+            f"{path}: channel {history.channels[i].id} reaches {max(-low[i], high[i]):.2g}: no "
+            "unit makes that"
         )
     bad = ~(np.isfinite(low) & np.isfinite(high))
     for i in np.flatnonzero(bad) if gaps else ():
@@ -365,11 +417,16 @@ def refuse_bad_samples(history: TimeHistory, path: Path, check: bool = True, gap
     if bad.any():
         at = np.flatnonzero(bad)[:8]
         lost = (~np.isfinite(history.data[at])).sum(axis=1).tolist()
-        told = ", ".join(f"{history.channels[i].id} ({n})" for i, n in zip(at.tolist(), lost, strict=True))
+        told = ", ".join(
+            f"{history.channels[i].id} ({n})" for i, n in zip(at.tolist(), lost, strict=True)
+        )
         raise DataError(
-            f"{path}: NaN or infinite samples in {told} of {history.data.shape[1]} samples each; leave "
+            f"{path}: NaN or infinite samples in {told} of {history.data.shape[1]} samples each; "
+            "leave "
             "these channels out, or fill single samples in the file by interpolation"
         )
     if (low == high).any():
         names = [c.id for c, b in zip(history.channels, low == high, strict=True) if b]
-        raise DataError(f"{path}: channel {' '.join(names[:8])} is constant: a dead sensor; leave it out")
+        raise DataError(
+            f"{path}: channel {' '.join(names[:8])} is constant: a dead sensor; leave it out"
+        )

@@ -69,18 +69,23 @@ class SensorSheet:
         return tuple(c.id for c in self.channels if c.quantity == "strain")
 
     def scaled(self, history: TimeHistory) -> tuple[TimeHistory, tuple[str, ...]]:
-        """A record with what it does not tell itself taken from the sheet, and what is to be said of it.
+        """A record with what it does not tell itself taken from the sheet, and what is to be said
+        of it.
 
-        A channel has the name of the sheet; where this is that of the opposite sign, its samples change sign.
-        A channel without a unit, or in volts, is divided by its sensitivity and becomes SI of its unit; units that a
-        record tells stand. The type of a sensor is that of the sheet where the record has none. A record without names,
-        of as many channels as the sheet has motions, has those in their order.
+        A channel has the name of the sheet; where this is that of the opposite sign, its samples
+        change sign. A channel without a unit, or in volts, is divided by its sensitivity and
+        becomes SI of its unit; units that a record tells stand. The type of a sensor is that of the
+        sheet where the record has none. A record without names, of as many channels as the sheet
+        has motions, has those in their order.
         """
         rows, ids = {c.id: c for c in self.channels}, [c.id for c in history.channels]
         if names := self._in_order(ids):
             named = tuple(replace(c, id=n) for c, n in zip(history.channels, names, strict=True))
             scaled, notes = self.scaled(replace(history, channels=named))
-            said = f"channels without names are the motions of the sensor sheet in its order: {_some(names)}"
+            said = (
+                "channels without names are the motions of the sensor sheet in its order: "
+                f"{_some(names)}"
+            )
             return scaled, (said, *notes)
         history, turned = self._named(history)
         lost = [c.id for c in history.channels if c.id not in rows and c.quantity == "unknown"]
@@ -94,37 +99,59 @@ class SensorSheet:
         notes = (*turned, *notes)
         if tuple(channels) == history.channels:
             return history, notes
-        told = [new.id for old, new in zip(history.channels, channels, strict=True) if old.quantity != new.quantity]
+        told = [
+            new.id
+            for old, new in zip(history.channels, channels, strict=True)
+            if old.quantity != new.quantity
+        ]
         note = f"{len(told)} channels without a unit taken as the sensor sheet says: {_some(told)}"
         data = history.data if (factors == 1).all() else history.data * factors[:, None]
-        return replace(history, data=data, channels=tuple(channels)), (note, *notes) if told else notes
+        return replace(history, data=data, channels=tuple(channels)), (
+            note,
+            *notes,
+        ) if told else notes
 
     def _named(self, history: TimeHistory) -> tuple[TimeHistory, tuple[str, ...]]:
-        """A record with the sheet's names of its motions, those of opposite sign turned, and which were."""
+        """A record with the sheet's names of its motions, those of opposite sign turned, and which
+        were.
+        """
         ids = [c.id for c in history.channels]
         named, sign = self.model.named(ids)
         if list(named) == ids:
             return history, ()
-        channels = tuple(replace(c, id=name) for c, name in zip(history.channels, named, strict=True))
-        data = history.data if (sign > 0).all() else history.data * sign[:, None].astype(history.data.dtype)
+        channels = tuple(
+            replace(c, id=name) for c, name in zip(history.channels, named, strict=True)
+        )
+        data = (
+            history.data
+            if (sign > 0).all()
+            else history.data * sign[:, None].astype(history.data.dtype)
+        )
         return replace(history, data=data, channels=channels), other_names(ids, named, sign)
 
     def _in_order(self, ids: Sequence[str]) -> tuple[str, ...]:
-        """The motions for a record without names; empty where it has names or another number of channels.
+        """The motions for a record without names; empty where it has names or another number of
+        channels.
 
-        Of a sheet with `ch01` to `ch12` the last three look like names of the record, and stand at their places.
+        Of a sheet with `ch01` to `ch12` the last three look like names of the record, and stand at
+        their places.
         """
         rows = self.model.channels
         bare = list(ids) == [f"ch{i + 1}" for i in range(len(rows))] and set(ids) != set(rows)
-        return rows if bare and all(a == b for a, b in zip(ids, rows, strict=True) if a in rows) else ()
+        return (
+            rows
+            if bare and all(a == b for a, b in zip(ids, rows, strict=True) if a in rows)
+            else ()
+        )
 
 
 def read_sensor_sheet(path: str | Path, lines: str | Path | None = None) -> SensorSheet:
     """Read a sensor sheet.
 
-    Columns: `point x y z` and `direction` (`X`, `-Y`, `+Z`; a vector `0.5 0 0.87`; empty for a point without a
-    channel) or `azimuth` and `elevation` (degrees from +X towards +Y, and from the XY plane towards +Z).
-    Optional: `channel` (id, default `101+Z`), `group quantity unit sensitivity range sensor calibration`.
+    Columns: `point x y z` and `direction` (`X`, `-Y`, `+Z`; a vector `0.5 0 0.87`; empty for a
+    point without a channel) or `azimuth` and `elevation` (degrees from +X towards +Y, and from the
+    XY plane towards +Z). Optional: `channel` (id, default `101+Z`), `group quantity unit
+    sensitivity range sensor calibration`.
 
     Parameters
     ----------
@@ -136,15 +163,17 @@ def read_sensor_sheet(path: str | Path, lines: str | Path | None = None) -> Sens
     Raises
     ------
     DataError
-        On an unknown or missing column, a value that is not a number, a point given at two places, a channel
-        given twice or a direction that is none; the row is named.
+        On an unknown or missing column, a value that is not a number, a point given at two places,
+        a channel given twice or a direction that is none; the row is named.
     """
     path = Path(path)
     rows = _rows(path)
     points, xyz, groups = _points(rows, path)
     used = [(i, r) for i, r in enumerate(rows, start=2) if _has_direction(r)]
     axes = np.array([_axis(r, f"{path} row {i}") for i, r in used]).reshape(-1, 3)
-    channels = tuple(_channel(r, a, f"{path} row {i}") for (i, r), a in zip(used, axes, strict=True))
+    channels = tuple(
+        _channel(r, a, f"{path} row {i}") for (i, r), a in zip(used, axes, strict=True)
+    )
     ids = [c.id for c in channels]
     if twice := sorted({c for c in ids if ids.count(c) > 1}):
         raise DataError(f"{path}: channel {' '.join(twice[:8])} occurs twice")
@@ -174,7 +203,9 @@ def _some(ids: Sequence[str]) -> str:
 
 
 def orientation_notes(model: TestModel) -> tuple[str, ...]:
-    """Doubts about the directions of the channels at one point: parallel, left-handed, not square."""
+    """Doubts about the directions of the channels at one point: parallel, left-handed, not
+    square.
+    """
     order = np.argsort(model.at, kind="stable")
     cuts = np.flatnonzero(np.diff(model.at[order])) + 1
     notes = []
@@ -190,11 +221,15 @@ def _point_notes(model: TestModel, group: Int) -> list[str]:
     axes = model.axes[group]
     cosine = np.triu(axes @ axes.T, 1)
     notes = [
-        f"point {point}: {names[i]} and {names[j]} {'agree' if cosine[i, j] > 0 else 'oppose each other'}"
+        f"point {point}: {names[i]} and {names[j]} "
+        f"{'agree' if cosine[i, j] > 0 else 'oppose each other'}"
         for i, j in np.argwhere(np.abs(cosine) > _PARALLEL)
     ]
     skew = (np.abs(cosine) > _SQUARE) & (np.abs(cosine) <= _PARALLEL)
-    notes += [f"point {point}: {names[i]} and {names[j]} are not at right angles" for i, j in np.argwhere(skew)]
+    notes += [
+        f"point {point}: {names[i]} and {names[j]} are not at right angles"
+        for i, j in np.argwhere(skew)
+    ]
     if group.size == 3 and not notes and np.linalg.det(axes) < 0:
         notes.append(f"point {point}: {' '.join(names)} is a left-handed frame in this order")
     return notes
@@ -209,7 +244,10 @@ def _rows(path: Path, sheet: str | None = None, columns: Sequence[str] = COLUMNS
         if name and name not in columns:
             raise DataError(f"{path}: unknown column {name!r}{did_you_mean(name, columns)}")
     if lost := [c for c in columns if c in REQUIRED and c not in head]:
-        raise DataError(f"{path}: the columns {', '.join(lost)} are missing; there are {', '.join(filter(None, head))}")
+        raise DataError(
+            f"{path}: the columns {', '.join(lost)} are missing; there are "
+            f"{', '.join(filter(None, head))}"
+        )
     return [dict(zip(head, r + [""] * (len(head) - len(r)), strict=False)) for r in table[1:]]
 
 
@@ -225,10 +263,14 @@ def cells(path: Path, sheet: str | None = None) -> list[list[str]]:
     if path.suffix.lower() in (".xlsx", ".xlsm"):
         return [[_text(v) for v in row] for row in read_sheet(path, sheet)]
     if path.suffix.lower() not in (".csv", ".txt"):
-        raise DataError(f"{path}: format {path.suffix!r}{did_you_mean(path.suffix, ['.csv', '.xlsx'])}")
+        raise DataError(
+            f"{path}: format {path.suffix!r}{did_you_mean(path.suffix, ['.csv', '.xlsx'])}"
+        )
     lines = read_text(path).splitlines()
     first = next((x for x in lines if x.strip() and not x.startswith("#")), "")
-    delimiter = max(";\t,", key=first.count)  # commas may be decimal: not more of them than of others
+    delimiter = max(
+        ";\t,", key=first.count
+    )  # commas may be decimal: not more of them than of others
     with door(path, "CSV table"):
         return [[c.strip() for c in row] for row in csv.reader(lines, delimiter=delimiter)]
 
@@ -259,12 +301,16 @@ def _number(row: Row, name: str, where: str, default: float | None = None) -> fl
 def _point(row: Row, where: str) -> int:
     value = _number(row, "point", where)
     if value != int(value) or not 0 <= value <= _LAST_POINT:
-        raise DataError(f"{where}: point {row['point']!r} must be a whole number from 0 to {_LAST_POINT}")
+        raise DataError(
+            f"{where}: point {row['point']!r} must be a whole number from 0 to {_LAST_POINT}"
+        )
     return int(value)
 
 
 def _points(rows: Sequence[Row], path: Path) -> tuple[Int, Float, tuple[str, ...]]:
-    """Points in order of appearance; coordinates may be left empty where the point was given before."""
+    """Points in order of appearance; coordinates may be left empty where the point was given
+    before.
+    """
     place: dict[int, tuple[float, ...]] = {}
     group: dict[int, str] = {}
     for i, row in enumerate(rows, start=2):
@@ -273,10 +319,16 @@ def _points(rows: Sequence[Row], path: Path) -> tuple[Int, Float, tuple[str, ...
         if not (p in place and not any(row[c] for c in "xyz")):
             xyz = tuple(_number(row, c, where) for c in "xyz")
             if p in place and max(abs(a - b) for a, b in zip(place[p], xyz, strict=True)) > 1e-9:
-                raise DataError(f"{where}: point {p} stands at {xyz}, before it stood at {place[p]}")
+                raise DataError(
+                    f"{where}: point {p} stands at {xyz}, before it stood at {place[p]}"
+                )
             place[p] = xyz
         group[p] = group.get(p, "") or row.get("group", "")
-    return np.array(list(place), dtype=np.int64), np.array(list(place.values())), tuple(group.values())
+    return (
+        np.array(list(place), dtype=np.int64),
+        np.array(list(place.values())),
+        tuple(group.values()),
+    )
 
 
 def _has_direction(row: Row) -> bool:
@@ -291,7 +343,9 @@ def _axis(row: Row, where: str) -> Float:
     if text.lstrip("+-") in _AXES and len(text) <= 2:
         return np.array(_AXES[text[-1]]) * (-1.0 if text[0] == "-" else 1.0)
     try:
-        vector = np.array([float(x) for x in text.strip("()[]").replace(",", " ").replace(";", " ").split()])
+        vector = np.array(
+            [float(x) for x in text.strip("()[]").replace(",", " ").replace(";", " ").split()]
+        )
     except ValueError:
         vector = np.zeros(0)
     if vector.size == 2:
@@ -299,7 +353,8 @@ def _axis(row: Row, where: str) -> Float:
     length = float(np.linalg.norm(vector))
     if vector.size != 3 or not np.isfinite(length) or length == 0:
         raise DataError(
-            f"{where}: direction {row['direction']!r}; allowed are X, -Y, +Z, a vector `0.5 0 0.87`, "
+            f"{where}: direction {row['direction']!r}; allowed are X, -Y, +Z, a vector `0.5 0 "
+            "0.87`, "
             "or azimuth and elevation in degrees"
         )
     return np.asarray(vector / length)
@@ -310,7 +365,9 @@ def _angles(a: Float) -> Float:
 
 
 def _default_id(point: int, axis: Float) -> str:
-    """`101+Z`; a skewed sensor is named after its nearest axis, with an `s` for skewed: `101+Zs`."""
+    """`101+Z`; a skewed sensor is named after its nearest axis, with an `s` for skewed:
+    `101+Zs`.
+    """
     k = int(np.abs(axis).argmax())
     skewed = "" if abs(axis[k]) > 1 - 1e-9 else "s"
     return f"{point}{'+' if axis[k] > 0 else '-'}{'XYZ'[k]}{skewed}"
@@ -322,7 +379,10 @@ def _channel(row: Row, axis: Float, where: str) -> RecordChannel:
     try:
         quantity = to_si(get["unit"], get["quantity"])[0]
         if quantity in LINEAR:
-            raise DataError(f"{where}: {quantity}: a sheet is of translations; name rotations 101+RX, without a sheet")
+            raise DataError(
+                f"{where}: {quantity}: a sheet is of translations; name rotations 101+RX, "
+                "without a sheet"
+            )
         return RecordChannel(
             get["channel"] or ("F:" if quantity == "force" else "") + _default_id(point, axis),
             point,

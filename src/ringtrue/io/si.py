@@ -105,7 +105,9 @@ _AXES = {  # to Hz or s
     "min": 60.0,
 }
 
-_OF_LINES = re.compile(r"(?<![A-Za-z])(k?hz|rad/s(ec)?|rpm|cpm|1/min|omega)(?![A-Za-z])", re.IGNORECASE)
+_OF_LINES = re.compile(
+    r"(?<![A-Za-z])(k?hz|rad/s(ec)?|rpm|cpm|1/min|omega)(?![A-Za-z])", re.IGNORECASE
+)
 
 
 def to_si(unit: str, quantity: str = "") -> tuple[Quantity, float, str]:
@@ -122,7 +124,14 @@ def to_si(unit: str, quantity: str = "") -> tuple[Quantity, float, str]:
     if quantity and quantity not in allowed:
         raise DataError(f"quantity {quantity!r}{did_you_mean(quantity, allowed)}")
     text = "N*m" if unit.strip() in ("Nm", "NM") else unit
-    text = text.strip().lower().replace("·", "*").replace("²", "^2").replace("µ", "u").replace("μ", "u")
+    text = (
+        text.strip()
+        .lower()
+        .replace("·", "*")
+        .replace("²", "^2")
+        .replace("µ", "u")
+        .replace("μ", "u")
+    )
     if not text:
         return quantity or "unknown", 1.0, UNIT.get(quantity, "")  # type: ignore[return-value]
     text = text.replace("/sec", "/s").replace("/s/s", "/s^2")
@@ -152,4 +161,6 @@ def axis_factor(unit: str) -> float:
 def hertz(title: str) -> float:
     """The factor to Hz of what is titled as frequencies, such as `f [kHz]` or `omega`."""
     unit = _OF_LINES.search(title)
-    return axis_factor("rad/s" if unit and unit[1].lower() == "omega" else unit[1] if unit else "Hz")
+    return axis_factor(
+        "rad/s" if unit and unit[1].lower() == "omega" else unit[1] if unit else "Hz"
+    )

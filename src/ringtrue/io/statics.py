@@ -46,13 +46,14 @@ def read_statics(path: str | Path) -> StaticTests:
     Parameters
     ----------
     path : path
-        `.csv`. `load` in N, empty where none acts; `deflection` in m, empty where none was measured.
+        `.csv`. `load` in N, empty where none acts; `deflection` in m, empty where none was
+        measured.
 
     Raises
     ------
     DataError
-        On a missing or unknown column, a value that is not a number, a channel given twice in a case, a case
-        without a load or without a deflection; file and line are named.
+        On a missing or unknown column, a value that is not a number, a channel given twice in a
+        case, a case without a load or without a deflection; file and line are named.
     """
     path = existing(path)
     with door(path, "CSV table"):
@@ -64,9 +65,14 @@ def read_statics(path: str | Path) -> StaticTests:
         if twice := sorted({h for h in heads if heads.count(h) > 1}):
             raise DataError(f"{path}: column {twice[0]!r} stands there twice")
         if lost := [c for c in COLUMNS if c not in heads]:
-            raise DataError(f"{path}: no column {lost[0]!r}; a table of static tests has {', '.join(COLUMNS)}")
+            raise DataError(
+                f"{path}: no column {lost[0]!r}; a table of static tests has {', '.join(COLUMNS)}"
+            )
         rows = [
-            (reader.line_num, dict(zip(heads, (str(v or "").strip() for v in r.values()), strict=False)))
+            (
+                reader.line_num,
+                dict(zip(heads, (str(v or "").strip() for v in r.values()), strict=False)),
+            )
             for r in reader
         ]
     return _tests(path, [(n, r) for n, r in rows if any(r.values())])
@@ -75,7 +81,10 @@ def read_statics(path: str | Path) -> StaticTests:
 def _tests(path: Path, rows: list[tuple[int, dict[str, str]]]) -> StaticTests:
     cases = tuple(dict.fromkeys(r["case"] for _, r in rows))
     channels = tuple(dict.fromkeys(r["channel"] for _, r in rows))
-    loads, moved = np.zeros((len(channels), len(cases))), np.full((len(channels), len(cases)), np.nan)
+    loads, moved = (
+        np.zeros((len(channels), len(cases))),
+        np.full((len(channels), len(cases)), np.nan),
+    )
     seen: set[tuple[str, str]] = set()
     for line, r in rows:
         if (key := (r["channel"], r["case"])) in seen:
@@ -86,7 +95,9 @@ def _tests(path: Path, rows: list[tuple[int, dict[str, str]]]) -> StaticTests:
         moved[at] = _number(path, line, "deflection", r["deflection"], np.nan)
     for j, case in enumerate(cases):
         if not loads[:, j].any() or not np.isfinite(moved[:, j]).any():
-            raise DataError(f"{path}: case {case!r} needs at least one load that is not 0 and one deflection")
+            raise DataError(
+                f"{path}: case {case!r} needs at least one load that is not 0 and one deflection"
+            )
     if not cases:
         raise DataError(f"{path}: no static test in it")
     return StaticTests(cases, channels, loads, moved)

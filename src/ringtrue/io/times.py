@@ -1,4 +1,6 @@
-"""Columns of times: their unit, their rate, what is wrong with them, and what of that does not matter."""
+"""Columns of times: their unit, their rate, what is wrong with them, and what of that does not
+matter.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +14,15 @@ from ringtrue.errors import DataError
 
 log = logging.getLogger(__name__)
 
-_EPOCHS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # since 1970: above this the unit is that of seconds
-_DAYS = ((2e4, 8e4), (7e5, 8e5))  # since 1900 as spreadsheets count them, since the year 0 as MATLAB does
+_EPOCHS = (
+    (1e17, 1e-9),
+    (1e14, 1e-6),
+    (1e11, 1e-3),
+)  # since 1970: above this the unit is that of seconds
+_DAYS = (
+    (2e4, 8e4),
+    (7e5, 8e5),
+)  # since 1900 as spreadsheets count them, since the year 0 as MATLAB does
 _SLOW_DAYS = 0.5 / 86400  # d: longer steps are no samples of vibration
 _JITTER = 0.5  # of a step: each time still has a place of its own on the even grid
 _RARE = 0.01  # share of the rows: stamps and rows that stand twice more often tell coarse times
@@ -22,7 +31,9 @@ LONG = 64  # samples: a shorter table is no record
 
 
 def in_seconds(t: Float) -> Float:
-    """Times (row,), s, of ones that are s, or ms, us or ns since 1970, or days as Excel and MATLAB count them."""
+    """Times (row,), s, of ones that are s, or ms, us or ns since 1970, or days as Excel and MATLAB
+    count them.
+    """
     if not t.size:
         return t
     first, step = float(t[0]), float(t[-1] - t[0]) / max(t.size - 1, 1)
@@ -43,7 +54,11 @@ def even_rate(t: Float, named: bool, path: Path) -> float | None:
     mean = float(step.mean())
     if np.abs(step - mean).max() > 0.05 * mean + 1e-6 * np.abs(t).max() and not _rounded(t):
         if t.size >= LONG and (off := float(np.abs(t - _line(t)).max()) / mean) < _JITTER:
-            log.warning("%s: times jitter by up to %.2g of a step: taken for the stamps of even samples", path, off)
+            log.warning(
+                "%s: times jitter by up to %.2g of a step: taken for the stamps of even samples",
+                path,
+                off,
+            )
             return _shortest_rate(t, mean)
         if named:
             raise DataError(f"{path}: {uneven(step)}")
@@ -58,7 +73,9 @@ def _line(t: Float) -> Float:
 
 
 def even_grid(t: Float, named: bool, path: Path) -> tuple[float | None, Int | None]:
-    """The rate of a time column as `even_rate`, and where rows are missing the place of each, (row,) int64."""
+    """The rate of a time column as `even_rate`, and where rows are missing the place of each,
+    (row,) int64.
+    """
     t = _settled(t, path) if named else t
     rate = even_rate(t, False, path)
     if rate is None and (found := _with_missing(t, path)) is not None:
@@ -67,19 +84,30 @@ def even_grid(t: Float, named: bool, path: Path) -> tuple[float | None, Int | No
 
 
 def _settled(t: Float, path: Path) -> Float:
-    """Times (row,) that go on where a clock goes back by an hour, and where a single stamp is the one before it."""
+    """Times (row,) that go on where a clock goes back by an hour, and where a single stamp is the
+    one before it.
+    """
     usual = float(np.median(np.diff(t))) if t.size > 2 else 0.0
     if not usual > 0:
         return t
     back = np.abs(np.diff(t) + 3600 - usual) < min(usual, 60.0)
     if back.any():
         row = int(back.argmax())
-        log.warning("%s: the clock goes back by an hour behind row %d: the end of daylight saving time", path, row + 1)
+        log.warning(
+            "%s: the clock goes back by an hour behind row %d: the end of daylight saving time",
+            path,
+            row + 1,
+        )
         t = t + 3600 * np.cumsum(np.append(False, back))
     step = np.diff(t)
     held = 1 + np.flatnonzero((step[:-1] == 0) & (np.abs(step[1:] - 2 * usual) < 0.5 * usual))
     if 0 < held.size == np.count_nonzero(step == 0) <= _RARE * t.size:
-        log.warning("%s: a stamp stands twice at row %d%s: taken for even ones", path, held[0] + 1, _more(held.size))
+        log.warning(
+            "%s: a stamp stands twice at row %d%s: taken for even ones",
+            path,
+            held[0] + 1,
+            _more(held.size),
+        )
         t = t.copy()
         t[held] += usual
     return t
@@ -89,11 +117,15 @@ def without_repeated(t: Float, data: Float, path: Path) -> tuple[Float, Float]:
     """Times (row,) and samples (channel, row) without single rows that stand twice."""
     held = np.diff(t) == 0
     twice = (
-        1 + np.flatnonzero(held & (data[:, 1:] == data[:, :-1]).all(axis=0)) if held.any() else np.zeros(0, np.int64)
+        1 + np.flatnonzero(held & (data[:, 1:] == data[:, :-1]).all(axis=0))
+        if held.any()
+        else np.zeros(0, np.int64)
     )
     if not twice.size or held.sum() > _RARE * t.size:
         return t, data
-    log.warning("%s: row %d%s is that before it, and left out", path, twice[0] + 1, _more(twice.size))
+    log.warning(
+        "%s: row %d%s is that before it, and left out", path, twice[0] + 1, _more(twice.size)
+    )
     return np.delete(t, twice), np.delete(data, twice, axis=1)
 
 
@@ -110,11 +142,16 @@ def _not_rising(t: Float) -> str:
     step = np.diff(t)
     at = int((step <= 0).argmax())
     what = f"goes back by {-step[at]:g} s" if step[at] < 0 else "stands still"
-    return f"the time column does not rise: it {what} behind row {at + 1}, {np.count_nonzero(step <= 0)} times in all"
+    return (
+        f"the time column does not rise: it {what} behind row {at + 1}, "
+        f"{np.count_nonzero(step <= 0)} times in all"
+    )
 
 
 def _with_missing(t: Float, path: Path) -> tuple[float, Int] | None:
-    """Rate and place of each row of times that are even but for jumps over missing rows; None where they are not."""
+    """Rate and place of each row of times that are even but for jumps over missing rows; None where
+    they are not.
+    """
     step = np.diff(t)
     if step.size < 2 or not np.isfinite(step).all() or not (step > 0).all():
         return None
@@ -124,13 +161,19 @@ def _with_missing(t: Float, path: Path) -> tuple[float, Int] | None:
         return None
     first = np.round((np.array([x[0] for x in parts]) - t[0]) * rate).astype(np.int64)
     rows = np.concatenate([a + np.arange(x.size) for a, x in zip(first, parts, strict=True)])
-    if not (np.diff(rows) > 0).all() or np.abs((t - t[0]) * rate - rows).max() > 1 or rows[-1] + 1 > t.size / THIN:
+    if (
+        not (np.diff(rows) > 0).all()
+        or np.abs((t - t[0]) * rate - rows).max() > 1
+        or rows[-1] + 1 > t.size / THIN
+    ):
         return None
     return rate, rows
 
 
 def _shortest_rate(t: Float, step: float) -> float:
-    """The rate with the fewest digits that the times, written with so many decimals, allow: 1024, not 1023.99997."""
+    """The rate with the fewest digits that the times, written with so many decimals, allow: 1024,
+    not 1023.99997.
+    """
     k = np.arange(t.size)
     off = 2 * float(np.abs(t - t[0] - k * step).max())
     rates = (float(f"{1 / step:.{digits}g}") for digits in range(1, 16))
@@ -138,7 +181,9 @@ def _shortest_rate(t: Float, step: float) -> float:
 
 
 def uneven(step: Float) -> str:
-    """What is wrong with steps of time: gaps between stretches of even ones, or no even ones at all."""
+    """What is wrong with steps of time: gaps between stretches of even ones, or no even ones at
+    all.
+    """
     usual = float(np.median(step))
     odd = np.abs(step - usual) > 0.05 * usual
     gaps = np.flatnonzero(odd & (step > 1.5 * usual))
@@ -146,11 +191,15 @@ def uneven(step: Float) -> str:
         rows = ", ".join(f"{step[g]:g} s behind row {g + 1}" for g in gaps[:3].tolist())
         more = f" and {gaps.size - 3} more" if gaps.size > 3 else ""
         return (
-            f"samples are missing: {rows}{more}, where a step is {usual:g} s. Cut the file there, each part with its "
-            "header: the parts are records of their own. An ambient record may lack up to half of its rows (gaps=True)"
+            f"samples are missing: {rows}{more}, where a step is {usual:g} s. Cut the file "
+            "there, each part with its "
+            "header: the parts are records of their own. An ambient record may lack up to half "
+            "of its rows (gaps=True)"
         )
     at = int(np.abs(step - step.mean()).argmax())
-    return f"the time column has uneven steps: {step[at]:g} s at row {at + 1}, mean {step.mean():g} s"
+    return (
+        f"the time column has uneven steps: {step[at]:g} s at row {at + 1}, mean {step.mean():g} s"
+    )
 
 
 def _rounded(t: Float) -> bool:
@@ -158,8 +207,13 @@ def _rounded(t: Float) -> bool:
     line = _line(t)
     top = max(float(np.abs(t).max()), 1e-300)
     decade = np.floor(np.log10(np.maximum(np.abs(t), 1e-12 * top) * (1 + 1e-12)))
-    units = [np.full(t.size, 10.0**-k) for k in range(1, 7)] + [10.0 ** (decade + 1 - k) for k in range(3, 10)]
+    units = [np.full(t.size, 10.0**-k) for k in range(1, 7)] + [
+        10.0 ** (decade + 1 - k) for k in range(3, 10)
+    ]
     for unit in units:  # so many decimals, or so many digits
-        if np.abs(np.round(t / unit) * unit - t).max() < 1e-9 * top and np.abs(t - line).max() <= 0.75 * unit.max():
+        if (
+            np.abs(np.round(t / unit) * unit - t).max() < 1e-9 * top
+            and np.abs(t - line).max() <= 0.75 * unit.max()
+        ):
             return True
     return False

@@ -1,13 +1,16 @@
-"""The bulk data cards that ringtrue reads: one line a card, read by the reader, the writer and the editor alike.
+"""The bulk data cards that ringtrue reads: one line a card, read by the reader, the writer and the
+editor alike.
 
-Syntax of a line: card name, then its data fields in order (field 2 of the first line onward; continuation lines
-simply go on, eight fields a line). A field is NAME[:type][=default]; types are i (integer, the default type),
-f (real), s (text) and c (a list of components such as 123456). `_` is a field that is not used. `A|B:f` is one
-field that holds an integer (A) or a real (B); the one not given keeps its default (`A=-1|B:f`). Without a default, i
-is 0, f is 0.0, s and c are "". The first column identifies the row.
+Syntax of a line: card name, then its data fields in order (field 2 of the first line onward;
+continuation lines simply go on, eight fields a line). A field is NAME[:type][=default]; types are i
+(integer, the default type), f (real), s (text) and c (a list of components such as 123456). `_` is
+a field that is not used. `A|B:f` is one field that holds an integer (A) or a real (B); the one not
+given keeps its default (`A=-1|B:f`). Without a default, i is 0, f is 0.0, s and c are "". The first
+column identifies the row.
 
-A tail `*NAME:type` takes all the fields that are left (`THRU` expanded for integers) into a `Ragged` column. Cards
-with a pattern of their own are expanded in `io.nastran.special` and `.lists`; their columns stand in `SPECIAL`.
+A tail `*NAME:type` takes all the fields that are left (`THRU` expanded for integers) into a
+`Ragged` column. Cards with a pattern of their own are expanded in `io.nastran.special` and
+`.lists`; their columns stand in `SPECIAL`.
 """
 
 from __future__ import annotations
@@ -99,41 +102,57 @@ EIGR    SID METHOD:s F1:f=nan F2:f=nan NE ND _ _ NORM:s G C
 SPECIAL = {
     "SPC": "SID G C:c D:f",  # one row a (G, C) pair; two pairs on a card make two rows
     "MPC": "SID *G *C *A:f",  # one row a card; three ragged columns of equal offsets
-    "RBE1": "EID *GN *CN:c *GM *CM:c",  # independent pairs share the offsets of GN, dependent ones (UM) those of GM
+    # independent pairs share the offsets of GN, dependent ones (UM) those of GM
+    "RBE1": "EID *GN *CN:c *GM *CM:c",
     # FSI 0: A, I1, I2, J, K1, K2, DELTAN; else the pipe of RM and T
-    "PBEND": "PID MID FSI A:f I1:f I2:f J:f RM:f T:f P:f RB:f THETAB:f K1:f K2:f NSM:f RC:f ZC:f DELTAN:f=nan",
-    # TYPE GRIDID (corners GA1.., GB1..), ELEMID or ELPAT (SHIDA, SHIDB), PARTPAT (PIDA, PIDB) or ALIGN (GA, GB)
-    "CWELD": "EID PID GS TYPE:s GA GB SPTYP:s GA1 GA2 GA3 GA4 GB1 GB2 GB3 GB4 SHIDA SHIDB PIDA PIDB "
+    "PBEND": "PID MID FSI A:f I1:f I2:f J:f RM:f T:f P:f RB:f THETAB:f K1:f K2:f NSM:f RC:f ZC:f "
+    "DELTAN:f=nan",
+    # TYPE GRIDID (corners GA1.., GB1..), ELEMID or ELPAT (SHIDA, SHIDB), PARTPAT (PIDA, PIDB) or
+    # ALIGN (GA, GB)
+    "CWELD": "EID PID GS TYPE:s GA GB SPTYP:s GA1 GA2 GA3 GA4 GB1 GB2 GB3 GB4 SHIDA SHIDB PIDA "
+    "PIDB "
     "XS:f=nan YS:f=nan ZS:f=nan",
-    "GENEL": "EID FORM:s *UI *CI *UD *CD *KZ:f *S:f",  # FORM K or Z; KZ by columns of the lower triangle, S by rows
+    # FORM K or Z; KZ by columns of the lower triangle, S by rows
+    "GENEL": "EID FORM:s *UI *CI *UD *CD *KZ:f *S:f",
     "RSPLINE": "EID DL:f=0.1 *G *C:c",  # one entry a node; without components it is independent
-    "RBE3": "EID REFGRID REFC:c *G *C:c *WT:f *GM *CM:c",  # one entry of G an independent node; GM those of UM
+    # one entry of G an independent node; GM those of UM
+    "RBE3": "EID REFGRID REFC:c *G *C:c *WT:f *GM *CM:c",
     "PBUSH": "PID K1:f K2:f K3:f K4:f K5:f K6:f B1:f B2:f B3:f B4:f B5:f B6:f GE:f "
-    "GE2:f=nan GE3:f=nan GE4:f=nan GE5:f=nan GE6:f=nan M:f",  # GE is GE1, for all where the others are blank
-    # the section at end A, at end B (a blank end B equals A), and at the stations between; nan: on the straight line
+    # GE is GE1, for all where the others are blank
+    "GE2:f=nan GE3:f=nan GE4:f=nan GE5:f=nan GE6:f=nan M:f",
+    # the section at end A, at end B (a blank end B equals A), and at the stations between; nan: on
+    # the straight line
     "PBEAM": "PID MID A:f I1:f I2:f I12:f J:f NSM:f K1:f=1.0 K2:f=1.0 S1:f S2:f NSIA:f NSIB:f "
     "M1A:f M2A:f M1B:f M2B:f N1A:f N2A:f N1B:f N2B:f AB:f I1B:f I2B:f I12B:f JB:f NSMB:f "
     "*X:f *AX:f *I1X:f *I2X:f *I12X:f *JX:f *NSMX:f",
     # the dimensions behind a PBAR or PBEAM; end B of a beam where it has a section of its own
     "PBARL": "PID TYPE:s NSM:f *DIM:f",
     "PBEAML": "PID TYPE:s NSM:f NSMB:f=nan *DIM:f *DIMB:f",
-    "PCOMP": "PID Z0:f=nan NSM:f SB:f FT:s TREF:f GE:f LAM:s *MID *T:f *THETA:f *SOUT:s",  # one entry a ply
+    # one entry a ply
+    "PCOMP": "PID Z0:f=nan NSM:f SB:f FT:s TREF:f GE:f LAM:s *MID *T:f *THETA:f *SOUT:s",
     "PCOMPG": "PID Z0:f=nan NSM:f SB:f FT:s TREF:f GE:f LAM:s *GPLYID *MID *T:f *THETA:f *SOUT:s",
-    # non-structural mass a length or area, in all of the elements for NSML and NSML1; it counts where case control
-    # says NSM = SID; one row a pair (NSM, NSML) or a list, in which ID 0 stands for ALL
+    # non-structural mass a length or area, in all of the elements for NSML and NSML1; it counts
+    # where case control says NSM = SID; one row a pair (NSM, NSML) or a list, in which ID 0 stands
+    # for ALL
     "NSM": "SID TYPE:s ID VALUE:f",
     "NSML": "SID TYPE:s ID VALUE:f",
     "NSM1": "SID TYPE:s VALUE:f *ID",
     "NSML1": "SID TYPE:s VALUE:f *ID",
-    "DMIG": "ID NAME:s IFO TIN TOUT POLAR NCOL *GJ *CJ *GI *CI *A:f *B:f",  # one row a matrix, ID from 1 on
+    # one row a matrix, ID from 1 on
+    "DMIG": "ID NAME:s IFO TIN TOUT POLAR NCOL *GJ *CJ *GI *CI *A:f *B:f",
 }
 
-CARDS = {line.split()[0]: line.split(maxsplit=1)[1] for line in _TEXT.replace("\\\n", "").strip().splitlines()}
+CARDS = {
+    line.split()[0]: line.split(maxsplit=1)[1]
+    for line in _TEXT.replace("\\\n", "").strip().splitlines()
+}
 
 
 @dataclass(frozen=True, slots=True)
 class FieldSpec:
-    """One data field of a card: its column, type, default, and the integer column it shares the field with."""
+    """One data field of a card: its column, type, default, and the integer column it shares the
+    field with.
+    """
 
     name: str
     kind: str = "i"
@@ -181,14 +200,28 @@ DMIGOUT DMIGROT GRIDB EGRID CORD3G CORD3R SPCAX MPCAX MPCD SEBULK SECONCT SEELT 
 CSUPER CSUPEXT RELEASE PCOMPG1 PCOMPP MATCID BCONP BCTABLE BLSEG BSCONP SLBLOAD AXIC PDAMP5 TIE CONTACT JOINTG RBODY
 GMBC GMSPC GMBNDC GMBNDS PVAL SKIPON
 """
-PRELOADS = ("FORCE", "MOMENT", "PLOAD", "GRAV", "ACCEL", "RFORCE", "TEMP", "DEFORM", "SLOAD", "SPCD", "LOAD")
+PRELOADS = (
+    "FORCE",
+    "MOMENT",
+    "PLOAD",
+    "GRAV",
+    "ACCEL",
+    "RFORCE",
+    "TEMP",
+    "DEFORM",
+    "SLOAD",
+    "SPCD",
+    "LOAD",
+)
 _REASONS = (  # what cards have in common that are not read, and how their names begin
-    ("superelements: give the whole structure as one deck, or reduced matrices as DMIG with K2GG and M2GG",
+    ("superelements: give the whole structure as one deck, or reduced matrices as DMIG with K2GG "
+     "and M2GG",
      ("BEGIN SUPER", "SE", "CSUP", "RELEASE", "EXTRN")),
     ("axisymmetric, plane strain and plane stress: ringtrue solves structures in space",
      ("AXIC", "CCONEAX", "CSLOT", "CQUADX", "CTRIAX", "CTRAX", "CPLST", "RINGAX", "SPCAX", "MPCAX")),
     ("MSGMESH: give the cards that it makes (ECHO = PUNCH)", ("EGRID", "CGEN", "GRIDB")),
-    ("contact and glue: ringtrue solves linear structures; join the parts by RBE2, RBE3, CFAST or shared nodes",
+    ("contact and glue: ringtrue solves linear structures; join the parts by RBE2, RBE3, CFAST "
+     "or shared nodes",
      ("BLSEG", "BC", "BG", "BSCONP", "SLBLOAD", "RSSCON", "CSEAM", "PSEAM", "TIE", "CONTACT")),
     ("joints of rigid bodies: give RBE2, RJOINT or MPC", ("JOINTG", "RBODY")),
     ("hyperelastic: give the moduli about the state of the test as MAT1 or MAT9",
@@ -199,7 +232,8 @@ _REASONS = (  # what cards have in common that are not read, and how their names
     ("laminates put together from plies of their own: give PCOMP or PCOMPG", ("PCOMPG1", "PCOMPP")),
     ("material axes of solids by element: give CORDM of the PSOLID", ("MATCID",)),
     ("layered solids: give PSOLID with the mean of the layers as MAT9, or shells with PCOMP", ("PCOMPS", "PCOMPLS")),
-    ("preload: the modes are those of the unloaded structure; take STATSUB (or the SOL of prestress) out to have them",
+    ("preload: the modes are those of the unloaded structure; take STATSUB (or the SOL of "
+     "prestress) out to have them",
      (*PRELOADS, "BOLTF", "PRETENS", "SPCR")),
     ("a bolt cut in two parts: join TOP and BOTTOM by shared nodes, RBE2 or MPC", ("BOLT",)),
     ("cards that are passed over: take them out, with SKIPON and SKIPOFF", ("SKIPON",)),
@@ -209,7 +243,11 @@ _REASONS = (  # what cards have in common that are not read, and how their names
       "CTWIST", "CWEDGE", "CHEXA1", "CHEXA2", "CIHEX", "CIS2D8", "CELBOW", "CTRIARG", "CTRAPRG", "CTORDRG")),
     ("sections by their outline: give PBEAM, or PBEAML with one of the sections", ("PBMSECT", "PBRSECT")),
 )  # fmt: skip
-TABLES = ("PBUSHT", "PDAMPT", "PELAST")  # kept: tables over frequency or for nonlinear solutions; nominal values count
+TABLES = (
+    "PBUSHT",
+    "PDAMPT",
+    "PELAST",
+)  # kept: tables over frequency or for nonlinear solutions; nominal values count
 NONSTRUCTURAL = ("NSM", "NSM1", "NSML", "NSML1", "NSMADD")
 UNSUPPORTED = frozenset(_CARRYING.split())
 _HARMLESS_C = (  # names that begin like an element but connect nothing
@@ -219,7 +257,9 @@ _HARMLESS_C = (  # names that begin like an element but connect nothing
 
 
 def is_unsupported(card: str) -> bool:
-    """Whether a card that is not read must not be passed over: it may carry stiffness, mass or constraint."""
+    """Whether a card that is not read must not be passed over: it may carry stiffness, mass or
+    constraint.
+    """
     if card in CARDS or card in SPECIAL:
         return False
     return card in UNSUPPORTED or (card.startswith("C") and not card.startswith(_HARMLESS_C))

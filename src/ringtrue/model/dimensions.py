@@ -20,7 +20,9 @@ CENTRE = ("N1", "N2")  # of a section: neutral axis from shear centre, which a P
 _BOTH = ("K1", "K2")  # shear factors of the whole beam
 
 
-def properties(card: str, kind: str, end_a: tuple[Any, Any], end_b: tuple[Any, Any] | None) -> dict[str, Any]:
+def properties(
+    card: str, kind: str, end_a: tuple[Any, Any], end_b: tuple[Any, Any] | None
+) -> dict[str, Any]:
     """Fields of the PBAR or PBEAM; what a section does not tell is left out.
 
     Parameters

@@ -41,19 +41,27 @@ def resolve_target(model: Model, target: Target | FieldChange) -> Int:
         If the card, the id or the field is not in the model.
     """
     if target.card not in model:
-        raise InputError(f"no {target.card} card in the model{did_you_mean(target.card, model.tables)}")
+        raise InputError(
+            f"no {target.card} card in the model{did_you_mean(target.card, model.tables)}"
+        )
     table = model[target.card]
     if target.field not in table.columns and not _is_ply(table, target.field):
-        raise InputError(f"{target.card} has no field {target.field}{did_you_mean(target.field, table.columns)}")
+        raise InputError(
+            f"{target.card} has no field {target.field}{did_you_mean(target.field, table.columns)}"
+        )
     if target.card in NONSTRUCTURAL and (table.ids == target.id).sum() > 1:
-        raise InputError(f"{target.card} {target.id} has several values; give each a set of its own, united by NSMADD")
+        raise InputError(
+            f"{target.card} {target.id} has several values; give each a set of its own, united "
+            "by NSMADD"
+        )
     if isinstance(table.columns.get(target.field), Ragged):
         raise InputError(f"{target.card} field {target.field} is a list, not one value")
     rows = np.flatnonzero(table.ids == target.id)
     if not rows.size:
         near = table.ids[np.argsort(abs(table.ids - target.id), kind="stable")[:3]].tolist()
         raise InputError(
-            f"{target.card} {target.id} is not in the model; did you mean {near[0]}? The nearest ids are {near}"
+            f"{target.card} {target.id} is not in the model; did you mean {near[0]}? The nearest "
+            f"ids are {near}"
         )
     ply = ply_field(target.field)
     if ply and target.field not in table.columns:
@@ -62,12 +70,16 @@ def resolve_target(model: Model, target: Target | FieldChange) -> Int:
             what = {"PBEAM": "stations between its ends"}.get(
                 target.card, "dimensions" if target.card in MADE else "plies"
             )
-            raise InputError(f"{target.card} {target.id} has no {target.field}: it has {count} {what}")
+            raise InputError(
+                f"{target.card} {target.id} has no {target.field}: it has {count} {what}"
+            )
     return rows
 
 
 def ply_field(field: str) -> tuple[str, int] | None:
-    """`T3` as ("T", 3): the column of a list and the number of its entry (a ply, a station), from 1; None without."""
+    """`T3` as ("T", 3): the column of a list and the number of its entry (a ply, a station), from
+    1; None without.
+    """
     found = re.fullmatch(r"([A-Z](?:[A-Z0-9]*[A-Z])?)([0-9]+)", field)
     return (found[1], int(found[2])) if found else None
 
@@ -78,7 +90,9 @@ def _is_ply(table: Table, field: str) -> bool:
 
 
 def field_value(model: Model, target: Target | FieldChange) -> Any:
-    """The value of a target in the first of its rows, of one ply for a field such as T3 of a PCOMP."""
+    """The value of a target in the first of its rows, of one ply for a field such as T3 of a
+    PCOMP.
+    """
     row = int(resolve_target(model, target)[0])
     table = model[target.card]
     if target.field in table.columns:
@@ -88,7 +102,9 @@ def field_value(model: Model, target: Target | FieldChange) -> Any:
 
 
 def companions(model: Model, target: Target) -> tuple[Target, ...]:
-    """The target, and the same field at end B and at the stations of a PBEAM that are equal there."""
+    """The target, and the same field at end B and at the stations of a PBEAM that are equal
+    there.
+    """
     row = int(resolve_target(model, target)[0])
     twin = BOTH_ENDS.get(target.field) if target.card == "PBEAM" else None
     if twin is None:
@@ -109,12 +125,15 @@ def _nominal(model: Model, parameter: Parameter, target: Target) -> float:
     if not isinstance(value, np.floating):
         raise InputError(f"{where} is no real quantity, got {value!r}")
     if np.isnan(value):
-        raise InputError(f"{where} is blank in the deck; write its value there to put a factor on it")
+        raise InputError(
+            f"{where} is blank in the deck; write its value there to put a factor on it"
+        )
     return float(value)
 
 
 def has_fields(parameter: Parameter) -> bool:
-    """Whether it is a factor on the deck's own fields, as no motion of nodes, matrix or part of a property is.
+    """Whether it is a factor on the deck's own fields, as no motion of nodes, matrix or part of a
+    property is.
 
     A lump is the mass of a card of its own, which the deck gets.
     """
@@ -125,14 +144,19 @@ def has_fields(parameter: Parameter) -> bool:
 def _refuse_what_no_field_holds(parameter: Parameter) -> None:
     if not has_fields(parameter):
         raise InputError(
-            f"parameter {parameter.name} moves nodes or places, or holds for some elements only: it has derivatives, "
-            "but cannot be written into the deck's fields; give those elements a property of their own"
+            f"parameter {parameter.name} moves nodes or places, or holds for some elements only: "
+            "it has derivatives, "
+            "but cannot be written into the deck's fields; give those elements a property of "
+            "their own"
         )
 
 
 def carried(model: Model, parameters: ParameterSet) -> ParameterSet:
     """The parameters of which a model has a target, each with the targets that it has."""
-    mine = [replace(p, targets=tuple(t for t in p.targets if _has(model, t))) for p in parameters.parameters]
+    mine = [
+        replace(p, targets=tuple(t for t in p.targets if _has(model, t)))
+        for p in parameters.parameters
+    ]
     return ParameterSet(tuple(p for p in mine if p.targets or p.shapes or p.substructures))
 
 
@@ -141,7 +165,8 @@ def _has(model: Model, target: Target) -> bool:
 
 
 def field_changes(model: Model, parameters: ParameterSet, factors: Float) -> list[FieldChange]:
-    """The deck's fields at the given factors (p,), in the order of the parameters; a field met twice gets both.
+    """The deck's fields at the given factors (p,), in the order of the parameters; a field met
+    twice gets both.
 
     Raises
     ------
@@ -156,7 +181,9 @@ def field_changes(model: Model, parameters: ParameterSet, factors: Float) -> lis
         _refuse_what_no_field_holds(parameter)
         for target in parameter.targets:
             for one in companions(model, target):
-                values[one] = values.get(one, _nominal(model, parameter, one)) * factor + one.step * (factor - 1)
+                values[one] = values.get(
+                    one, _nominal(model, parameter, one)
+                ) * factor + one.step * (factor - 1)
     return [FieldChange(t.card, t.id, t.field, v) for t, v in values.items()]
 
 
@@ -171,7 +198,10 @@ def apply_factors(model: Model, parameters: ParameterSet, factors: Float) -> Mod
     grouped: dict[tuple[str, str], list[FieldChange]] = {}
     all_changes = field_changes(model, parameters, factors)
     for change in all_changes:
-        if _is_ply(model[change.card], change.field) and change.field not in model[change.card].columns:
+        if (
+            _is_ply(model[change.card], change.field)
+            and change.field not in model[change.card].columns
+        ):
             model = _with_ply(model, change)
             continue
         grouped.setdefault((change.card, change.field), []).append(change)

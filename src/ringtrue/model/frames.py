@@ -48,11 +48,15 @@ class Frames:
         r, t = x[c, 0], x[c, 1] * _DEGREE
         u[c, 0], u[c, 1] = r * np.cos(t), r * np.sin(t)
         r, t, p = x[s, 0], x[s, 1] * _DEGREE, x[s, 2] * _DEGREE
-        u[s] = np.stack([r * np.sin(t) * np.cos(p), r * np.sin(t) * np.sin(p), r * np.cos(t)], axis=1)
+        u[s] = np.stack(
+            [r * np.sin(t) * np.cos(p), r * np.sin(t) * np.sin(p), r * np.cos(t)], axis=1
+        )
         return np.asarray(self.origin[row] + np.einsum("ki,kij->kj", u, self.axes[row]))
 
     def axes_at(self, row: Int, x: Float) -> Float:
-        """Local unit vectors as rows (k, 3, 3) at points (k, 3) of basic, each of the frame of its row (k,)."""
+        """Local unit vectors as rows (k, 3, 3) at points (k, 3) of basic, each of the frame of its
+        row (k,).
+        """
         out, kind = self.axes[row], self.kind[row]
         round_ = np.flatnonzero(kind != "R")
         if round_.size:
@@ -74,7 +78,9 @@ def _spherical(d: Float) -> Float:
     r = np.linalg.norm(d, axis=1)
     safe = np.where(r > 0, r, 1.0)
     ct, st = np.where(r > 0, d[:, 2] / safe, 1.0), rho / safe
-    return np.stack([st * c, st * s, ct, ct * c, ct * s, -st, -s, c, np.zeros(len(d))], axis=1).reshape(-1, 3, 3)
+    return np.stack(
+        [st * c, st * s, ct, ct * c, ct * s, -st, -s, c, np.zeros(len(d))], axis=1
+    ).reshape(-1, 3, 3)
 
 
 def _azimuth(d: Float) -> tuple[Float, Float, Float]:
@@ -117,31 +123,44 @@ def frames(model: Model) -> Frames:
     Raises
     ------
     DeckError
-        On a frame that refers to one that is absent or to itself, or whose three points lie on one line.
+        On a frame that refers to one that is absent or to itself, or whose three points lie on one
+        line.
     """
     known = Frames(np.zeros(1, dtype=np.int64), np.zeros((1, 3)), np.eye(3)[None], np.array(["R"]))
     given = _given(model)
     todo = [np.ones(len(g.table), dtype=bool) for g in given]
     while any(left.any() for left in todo):  # as often as the longest chain of frames is long
-        ready = [left & (known.find(g.of) >= 0).all(axis=1) for g, left in zip(given, todo, strict=True)]
+        ready = [
+            left & (known.find(g.of) >= 0).all(axis=1) for g, left in zip(given, todo, strict=True)
+        ]
         if not any(r.any() for r in ready):
-            rows = [(g.table, int(i)) for g, left in zip(given, todo, strict=True) for i in np.flatnonzero(left)]
+            rows = [
+                (g.table, int(i))
+                for g, left in zip(given, todo, strict=True)
+                for i in np.flatnonzero(left)
+            ]
             what = "refer to frames that are not in the deck, or to each other in a circle"
             raise error(model, *rows[0], f"{called(model, rows)} {what}")
-        known = _joined([known, *(_resolved(model, known, g, r) for g, r in zip(given, ready, strict=True))])
+        known = _joined(
+            [known, *(_resolved(model, known, g, r) for g, r in zip(given, ready, strict=True))]
+        )
         todo = [left & ~r for left, r in zip(todo, ready, strict=True)]
     return known
 
 
 def _resolved(model: Model, known: Frames, g: _Given, ready: Bool) -> Frames:
     rows = np.flatnonzero(ready)
-    points = known.to_basic(known.find(g.of[rows].ravel()), g.points[rows].reshape(-1, 3)).reshape(-1, 3, 3)
+    points = known.to_basic(known.find(g.of[rows].ravel()), g.points[rows].reshape(-1, 3)).reshape(
+        -1, 3, 3
+    )
     a, z, side = points[:, 0], points[:, 1] - points[:, 0], points[:, 2] - points[:, 0]
     y = np.cross(z, side)
     height, wide = np.linalg.norm(z, axis=1), np.linalg.norm(y, axis=1)
     flat = (height == 0) | (wide <= _LINE * height * np.linalg.norm(side, axis=1))
     if flat.any():
-        raise error(model, g.table, int(rows[np.flatnonzero(flat)[0]]), "its three points lie on one line")
+        raise error(
+            model, g.table, int(rows[np.flatnonzero(flat)[0]]), "its three points lie on one line"
+        )
     z, y = z / height[:, None], y / wide[:, None]
     kind = np.full(rows.size, g.table.card[-1])
     return Frames(g.table.ids[rows], a, np.stack([np.cross(y, z), y, z], axis=1), kind)

@@ -52,13 +52,18 @@ NODES = {
     **dict.fromkeys(("CQUAD4", "CQUADR", "CTETRA"), ("G1", "G2", "G3", "G4")),
     "CPENTA": tuple(f"G{k}" for k in range(1, 7)),
     "CHEXA": tuple(f"G{k}" for k in range(1, 9)),
-    **{kind: tuple(f"G{k + 1}" for k in range(len(_PLACES[kind]) + len(_SIDES[kind]))) for kind in CURVED},
+    **{
+        kind: tuple(f"G{k + 1}" for k in range(len(_PLACES[kind]) + len(_SIDES[kind])))
+        for kind in CURVED
+    },
 }
 
 
 @cache
 def parts(card: str) -> tuple[Part, ...]:
-    """The parts that an element is split into, each by the nodes of the whole between which its nodes are midway."""
+    """The parts that an element is split into, each by the nodes of the whole between which its
+    nodes are midway.
+    """
     if card in CURVED:
         return tuple(_with_midsides(card, part) for part in parts(CURVED[card][1]))
     if card in ("CTRIA3", "CTRIAR", "CTETRA"):
@@ -86,17 +91,20 @@ def _with_midsides(kind: str, part: Part) -> Part:
 
 
 def _midway(kind: str, place: Float) -> Corners:
-    """Nodes midway between which a place is, by its shares (c,) of the corners; the same seen from all elements about.
+    """Nodes midway between which a place is, by its shares (c,) of the corners; the same seen from
+    all elements about.
 
-    Such are a node, the corners of a side, or the corners that are nearest and the midside nodes from there; on
-    triangles the latter alone.
+    Such are a node, the corners of a side, or the corners that are nearest and the midside nodes
+    from there; on triangles the latter alone.
     """
     nodes = _shares(kind)
     if (same := np.flatnonzero((nodes == place).all(axis=1))).size:
         return (int(same[0]),)
     near = np.flatnonzero(place == place.max())
     leaving = [
-        len(place) + k for k, (i, j) in enumerate(_SIDES[kind]) if place[i] * place[j] > 0 and place[i] != place[j]
+        len(place) + k
+        for k, (i, j) in enumerate(_SIDES[kind])
+        if place[i] * place[j] > 0 and place[i] != place[j]
     ]
     leaving = [k for k in leaving if (nodes[k, near] > 0).any()]
     tried = [np.flatnonzero(place).tolist(), [*near.tolist(), *leaving], leaving]
@@ -118,11 +126,14 @@ def corner_shares(kind: str, between: Corners) -> Float:
 
 
 def weights(kind: str, between: Corners) -> Float:
-    """Of the nodes of an element (n,), for the place midway between some: by its shape functions, straight or not."""
+    """Of the nodes of an element (n,), for the place midway between some: by its shape functions,
+    straight or not.
+    """
     if kind not in CURVED:
         return corner_shares(kind, between)
     nodes, place = (
-        _monomials(kind, x @ np.array(_PLACES[kind])) for x in (_shares(kind), corner_shares(kind, between))
+        _monomials(kind, x @ np.array(_PLACES[kind]))
+        for x in (_shares(kind), corner_shares(kind, between))
     )
     return np.asarray(np.linalg.solve(nodes.T, place))
 
@@ -130,7 +141,8 @@ def weights(kind: str, between: Corners) -> Float:
 def _monomials(kind: str, x: Float) -> Float:
     """Terms of the shape functions at natural coordinates (..., d), as many as nodes.
 
-    Of bricks those of serendipity: squares times what is linear in the others (Arnold and Awanou 2011).
+    Of bricks those of serendipity: squares times what is linear in the others (Arnold and Awanou
+    2011).
     """
     d = x.shape[-1]
     powers = [p for p in product(range(3), repeat=d) if _is_term(kind, p)]
@@ -151,6 +163,10 @@ def _read(text: Sequence[str]) -> tuple[Part, ...]:
 
 
 def _between(corners: Sequence[Corners], origin: Corners, corner: Corners) -> Corners:
-    """Corners of a brick about the corner of the part that lies at `origin`, in halves of the sides."""
+    """Corners of a brick about the corner of the part that lies at `origin`, in halves of the
+    sides.
+    """
     allowed = [_HALVES[o + c] for o, c in zip(origin, corner, strict=True)]
-    return tuple(i for i, x in enumerate(corners) if all(v in a for v, a in zip(x, allowed, strict=True)))
+    return tuple(
+        i for i, x in enumerate(corners) if all(v in a for v, a in zip(x, allowed, strict=True))
+    )

@@ -105,10 +105,10 @@ _SWITCH = {"YES": 1.0, "NO": 0.0}
 class CaseControl:
     """The choices of the (first) subcase; 0 where not made.
 
-    `k2gg`, `m2gg` and `b2gg` are the DMIG names that are added to stiffness, mass and damping, each with its factor,
-    `k2pp`, `m2pp` and `b2pp` those that are so in responses alone (`choices.responding`); `others` are further
-    subcases that compute modes, of other sets, and are not taken; `unread` are commands that add matrices in other
-    solutions, as they stand.
+    `k2gg`, `m2gg` and `b2gg` are the DMIG names that are added to stiffness, mass and damping, each
+    with its factor, `k2pp`, `m2pp` and `b2pp` those that are so in responses alone
+    (`choices.responding`); `others` are further subcases that compute modes, of other sets, and are
+    not taken; `unread` are commands that add matrices in other solutions, as they stand.
     """
 
     title: str = ""
@@ -142,7 +142,8 @@ class Model:
     kept : mapping of str to int
         Cards kept verbatim in the deck but not used here, with their number.
     time : float, s
-        The unit of time of the deck, which `model.seconds.in_seconds` has put into PARAM,WTMASS; 1 if it has not.
+        The unit of time of the deck, which `model.seconds.in_seconds` has put into PARAM,WTMASS; 1
+        if it has not.
     """
 
     tables: Mapping[str, Table]
@@ -173,7 +174,9 @@ class Model:
             raise DeckError(f"{value!r} is not a number", path=where, card="PARAM", field=name)
         return float(value)
 
-    def with_values(self, card: str, field_name: str, ids: NDArray[Any], values: NDArray[Any]) -> Model:
+    def with_values(
+        self, card: str, field_name: str, ids: NDArray[Any], values: NDArray[Any]
+    ) -> Model:
         """A copy with `field_name` of the rows with these ids replaced.
 
         Raises
@@ -202,10 +205,18 @@ def table(card: str, **columns: Any) -> Table:
 def stacked(a: Table, b: Table) -> Table:
     """The rows of a table and, behind them, those of one with the same columns."""
     columns = {k: _behind(a.columns[k], b.columns[k]) for k in a.columns}
-    return replace(a, columns=columns, file=np.concatenate([a.file, b.file]), line=np.concatenate([a.line, b.line]))
+    return replace(
+        a,
+        columns=columns,
+        file=np.concatenate([a.file, b.file]),
+        line=np.concatenate([a.line, b.line]),
+    )
 
 
 def _behind(a: NDArray[Any] | Ragged, b: NDArray[Any] | Ragged) -> NDArray[Any] | Ragged:
     if isinstance(a, Ragged) and isinstance(b, Ragged):
-        return Ragged(np.concatenate([a.values, b.values]), np.concatenate([a.offsets, a.offsets[-1] + b.offsets[1:]]))
+        return Ragged(
+            np.concatenate([a.values, b.values]),
+            np.concatenate([a.offsets, a.offsets[-1] + b.offsets[1:]]),
+        )
     return np.concatenate([np.asarray(a), np.asarray(b)])

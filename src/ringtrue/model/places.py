@@ -26,7 +26,9 @@ def called(model: Model, rows: Sequence[tuple[Table, int]]) -> str:
     """Rows of tables as a message calls them, with the lines of those that share a card and id."""
     names = [f"{t.card} {t.ids[i]}" for t, i in rows]
     told = [
-        f"{name} of line {line}" if names.count(name) > 1 and (line := _place(model, *row)[1]) else name
+        f"{name} of line {line}"
+        if names.count(name) > 1 and (line := _place(model, *row)[1])
+        else name
         for name, row in zip(names[:MOST], rows, strict=False)
     ]
     return ", ".join([*told, *(["..."] if len(rows) > MOST else [])])
@@ -34,4 +36,6 @@ def called(model: Model, rows: Sequence[tuple[Table, int]]) -> str:
 
 def _place(model: Model, table: Table, row: int) -> tuple[str | None, int | None]:
     file = int(table.file[row])
-    return (model.files[file], int(table.line[row])) if 0 <= file < len(model.files) else (None, None)
+    return (
+        (model.files[file], int(table.line[row])) if 0 <= file < len(model.files) else (None, None)
+    )

@@ -16,7 +16,9 @@ from ringtrue.model.model import Model
 
 @dataclass(frozen=True, slots=True)
 class ModesRequest:
-    """The lowest `count` modes, or all in `band` (Hz) if that is given; from 0 on with the rigid-body modes."""
+    """The lowest `count` modes, or all in `band` (Hz) if that is given; from 0 on with the
+    rigid-body modes.
+    """
 
     count: int = 20
     band: tuple[float, float] | None = None
@@ -39,8 +41,8 @@ class ModesResult:
     orthogonality : float
         max |ΦᵀMΦ − I|; NaN where the solver does not tell.
     autospc : DofSet
-        DOFs that were held because nothing stiffens them, in the displacement frames; empty where the solver does not
-        tell.
+        DOFs that were held because nothing stiffens them, in the displacement frames; empty where
+        the solver does not tell.
     """
 
     modes: ModeSet
@@ -69,7 +71,10 @@ class Analysis(Protocol):
     def __enter__(self) -> Self: ...
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None: ...
 
 
@@ -105,10 +110,11 @@ class Linearisation:
 
 
 class ObservedModel(Protocol):
-    """A model with parameters, seen at the channels of a test: all that `update` and `plan` need to know.
+    """A model with parameters, seen at the channels of a test: all that `update` and `plan` need to
+    know.
 
-    A full model solves anew at each x; a reduced one (`reduce.parametric`) projects. Both are exact derivatives of
-    what they return.
+    A full model solves anew at each x; a reduced one (`reduce.parametric`) projects. Both are exact
+    derivatives of what they return.
     """
 
     @property

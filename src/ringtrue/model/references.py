@@ -21,7 +21,9 @@ SOLID_MATERIALS = ("MAT1", "MAT9")
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """Field `card.field` holds ids of one of the cards `of`; `required`: 0 (blank) is no valid value."""
+    """Field `card.field` holds ids of one of the cards `of`; `required`: 0 (blank) is no valid
+    value.
+    """
 
     card: str
     field: str
@@ -68,8 +70,18 @@ REFERENCES: tuple[Reference, ...] = (
     *_nodes("CPENTA", _numbered(1, 6), _numbered(7, 15)),
     *_nodes("CHEXA", _numbered(1, 8), _numbered(9, 20)),
     *_nodes("CPYRAM", _numbered(1, 5), _numbered(6, 13)),
-    *(r for k in ("CELAS", "CMASS", "CDAMP") for i in (1, 2) for r in _nodes(f"{k}{i}", "", "G1 G2")),
-    *(r for k in ("CELAS", "CMASS", "CDAMP") for i in (3, 4) for r in _nodes(f"{k}{i}", "", "S1 S2")),
+    *(
+        r
+        for k in ("CELAS", "CMASS", "CDAMP")
+        for i in (1, 2)
+        for r in _nodes(f"{k}{i}", "", "G1 G2")
+    ),
+    *(
+        r
+        for k in ("CELAS", "CMASS", "CDAMP")
+        for i in (3, 4)
+        for r in _nodes(f"{k}{i}", "", "S1 S2")
+    ),
     *_nodes("CVISC", "G1 G2"),
     *_nodes("CBUSH", "GA", "GB G0"),
     *_nodes("CBUSH1D", "GA", "GB"),
@@ -110,7 +122,10 @@ REFERENCES: tuple[Reference, ...] = (
     Reference("CBUSH", "PID", ("PBUSH",)),
     Reference("CBUSH1D", "PID", ("PBUSH1D",)),
     Reference("CGAP", "PID", ("PGAP",)),
-    *(Reference(c, "MID", ("MAT1",)) for c in ("CONROD", "PROD", "PTUBE", "PBAR", "PBEAM", "PBEND", "PSHEAR", "PWELD")),
+    *(
+        Reference(c, "MID", ("MAT1",))
+        for c in ("CONROD", "PROD", "PTUBE", "PBAR", "PBEAM", "PBEND", "PSHEAR", "PWELD")
+    ),
     Reference("PSOLID", "MID", SOLID_MATERIALS),
     *(Reference(c, "MID", PLY_MATERIALS) for c in ("PCOMP", "PCOMPG")),
     *(Reference("PSHELL", f, PLY_MATERIALS, False) for f in ("MID1", "MID2", "MID3", "MID4")),
@@ -137,7 +152,9 @@ def unused(model: Model) -> dict[str, Int]:
                 named.setdefault(card, [np.empty(0, dtype=np.int64)])
                 if ref.card in model:
                     named[card].append(_values(model, ref)[0])
-    rows = {c: np.flatnonzero(~np.isin(model[c].ids, np.concatenate(ids))) for c, ids in named.items()}
+    rows = {
+        c: np.flatnonzero(~np.isin(model[c].ids, np.concatenate(ids))) for c, ids in named.items()
+    }
     return {card: at for card, at in rows.items() if at.size}
 
 
@@ -158,13 +175,16 @@ class Missing:
     ids: Int
 
 
-def missing(model: Model, elsewhere: Mapping[str, Collection[int]] | None = None) -> Iterator[Missing]:
+def missing(
+    model: Model, elsewhere: Mapping[str, Collection[int]] | None = None
+) -> Iterator[Missing]:
     """All references to what is not in the model.
 
     Parameters
     ----------
     elsewhere : mapping of str to collection of int
-        Ids that count as known though the model has no such rows (those of unsupported cards), by card.
+        Ids that count as known though the model has no such rows (those of unsupported cards), by
+        card.
     """
     known: dict[tuple[str, ...], Int] = {}
     for ref in REFERENCES:
@@ -172,7 +192,9 @@ def missing(model: Model, elsewhere: Mapping[str, Collection[int]] | None = None
             continue
         if ref.of not in known:
             more = [i for c in ref.of for i in (elsewhere or {}).get(c, ())]
-            known[ref.of] = np.concatenate([known_ids(model, ref.of), np.array(more, dtype=np.int64)])
+            known[ref.of] = np.concatenate(
+                [known_ids(model, ref.of), np.array(more, dtype=np.int64)]
+            )
         ids, rows = _values(model, ref)
         wrong = ~np.isin(ids, known[ref.of])
         if not ref.required:

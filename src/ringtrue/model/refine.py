@@ -1,4 +1,6 @@
-"""A model with its mesh refined once: every element in halves along each of its sides, on the same geometry."""
+"""A model with its mesh refined once: every element in halves along each of its sides, on the same
+geometry.
+"""
 
 from __future__ import annotations
 
@@ -40,14 +42,18 @@ def _midsides(model: Model, card: str) -> Bool:
 
 @dataclass(frozen=True, eq=False)
 class _Middles:
-    """New nodes: ids (n,), those between which they are (n, 8), ascending and padded in front with 0; places (n, 3)."""
+    """New nodes: ids (n,), those between which they are (n, 8), ascending and padded in front with
+    0; places (n, 3).
+    """
 
     ids: Int
     of: Int
     xyz: Float
 
     def corners(self, nodes: Int, pieces: Sequence[Part]) -> list[Int]:
-        """Nodes of the parts of elements of nodes (e, c), (e, k) a part; 0 where there is no such middle."""
+        """Nodes of the parts of elements of nodes (e, c), (e, k) a part; 0 where there is no such
+        middle.
+        """
         wanted = list(dict.fromkeys(c for part in pieces for c in part if len(c) > 1))
         keys = [_key(nodes[:, list(c)]) for c in wanted]
         _, same = np.unique(np.vstack([self.of, *keys]), axis=0, return_inverse=True)
@@ -68,7 +74,11 @@ class _Middles:
         """Positions (k,) of those that lie between members only."""
         nodes, new = self._about
         ends = zip(
-            *(np.searchsorted(nodes, np.unique(members), side=s).tolist() for s in ("left", "right")), strict=True
+            *(
+                np.searchsorted(nodes, np.unique(members), side=s).tolist()
+                for s in ("left", "right")
+            ),
+            strict=True,
         )
         found, count = np.unique(np.concatenate([new[a:b] for a, b in ends]), return_counts=True)
         return np.asarray(found[count == (self.of[found] > 0).sum(axis=1)])
@@ -81,16 +91,18 @@ def _key(nodes: Int) -> Int:
 def refined(model: Model) -> Model:
     """The model with its mesh refined once.
 
-    Bars, beams, shells and solids of the first and second order are split in halves along each side, rods where they
-    lie along such a side (by itself a rod in halves is a mechanism), tapered beams not. A new node lies midway on a
-    side; it is held where all the nodes about it are, and belongs to the RBE2 or RBE3 that all of these belong to;
-    edges joined node by node, rigidly or by MPC, stay joined. Springs, masses and other connectors stay at their nodes,
-    all of which keep their ids.
+    Bars, beams, shells and solids of the first and second order are split in halves along each
+    side, rods where they lie along such a side (by itself a rod in halves is a mechanism), tapered
+    beams not. A new node lies midway on a side; it is held where all the nodes about it are, and
+    belongs to the RBE2 or RBE3 that all of these belong to; edges joined node by node, rigidly or
+    by MPC, stay joined. Springs, masses and other connectors stay at their nodes, all of which keep
+    their ids.
 
     Raises
     ------
     UnsupportedError
-        If it has elements without some of their midside nodes, pyramids, or welds and masses that name elements.
+        If it has elements without some of their midside nodes, pyramids, or welds and masses that
+        name elements.
     """
     _refuse(model)
     middles = _middles(model)
@@ -99,7 +111,9 @@ def refined(model: Model) -> Model:
     tables = dict(model.tables)
     tables["GRID"] = stacked(model["GRID"], _grids(model, middles))
     first = 1 + max(
-        int(t.ids.max(initial=0)) for c, t in tables.items() if c.startswith(("C", "R")) and "EID" in t.columns
+        int(t.ids.max(initial=0))
+        for c, t in tables.items()
+        if c.startswith(("C", "R")) and "EID" in t.columns
     )
     for card in (c for c in NODES if c in model and len(model[c])):
         tables[card] = _split(model, card, middles, first)
@@ -116,18 +130,32 @@ def _refuse(model: Model) -> None:
     cards = dict.fromkeys(card for card, _ in CURVED.values() if card in model)
     there = {card: _midsides(model, card) for card in cards}
     names = [
-        f"{card} without some midside nodes" for card, m in there.items() if (m.any(axis=1) & ~m.all(axis=1)).any()
+        f"{card} without some midside nodes"
+        for card, m in there.items()
+        if (m.any(axis=1) & ~m.all(axis=1)).any()
     ]
-    names += [card for card in ("CTRIA6", "CQUAD8") if card in there and not there[card].any(axis=1).all()]
+    names += [
+        card for card in ("CTRIA6", "CQUAD8") if card in there and not there[card].any(axis=1).all()
+    ]
     if names or "CPYRAM" in model:
         raise UnsupportedError(
-            f"{', '.join(names) or 'CPYRAM'}: not refined; elements with all midside nodes or none are"
+            f"{', '.join(names) or 'CPYRAM'}: not refined; elements with all midside nodes or "
+            "none are"
         )
     if "CWELD" in model and model["CWELD"]["SHIDA"].any():
-        raise UnsupportedError("CWELD by the ids of shells (ELEMID) is not refined: give properties (PARTPAT)")
-    kinds = [str(k) for c in NONSTRUCTURAL if c in model and "TYPE" in model[c].columns for k in model[c]["TYPE"]]
+        raise UnsupportedError(
+            "CWELD by the ids of shells (ELEMID) is not refined: give properties (PARTPAT)"
+        )
+    kinds = [
+        str(k)
+        for c in NONSTRUCTURAL
+        if c in model and "TYPE" in model[c].columns
+        for k in model[c]["TYPE"]
+    ]
     if "ELEMENT" in kinds:
-        raise UnsupportedError("non-structural mass by the ids of elements is not refined: give it by properties")
+        raise UnsupportedError(
+            "non-structural mass by the ids of elements is not refined: give it by properties"
+        )
 
 
 def _middles(model: Model) -> _Middles:
@@ -148,7 +176,13 @@ def _middles(model: Model) -> _Middles:
 
 def _scalars(model: Model) -> list[int]:
     points = [model["SPOINT"].ragged("ID").values] if "SPOINT" in model else []
-    points += [t[e] for c, t in model.tables.items() if c[-1] in "34" for e in ("S1", "S2") if e in t.columns]
+    points += [
+        t[e]
+        for c, t in model.tables.items()
+        if c[-1] in "34"
+        for e in ("S1", "S2")
+        if e in t.columns
+    ]
     return [int(p.max(initial=0)) for p in points]
 
 
@@ -159,7 +193,10 @@ def _grids(model: Model, middles: _Middles) -> Table:
     there = middles.of > 0
     x, last = middles.xyz, at[:, -1]
     columns: dict[str, NDArray[Any]] = {n: np.asarray(c)[last] for n, c in grid.columns.items()}
-    held = [set.intersection(*(set(str(p)) for p in grid["PS"][row[ok]])) for row, ok in zip(at, there, strict=True)]
+    held = [
+        set.intersection(*(set(str(p)) for p in grid["PS"][row[ok]]))
+        for row, ok in zip(at, there, strict=True)
+    ]
     columns |= {
         "ID": middles.ids,
         "CP": np.zeros_like(last),
@@ -195,7 +232,10 @@ def _split(model: Model, card: str, middles: _Middles, first: int) -> Table:
             )
         )
         at = np.flatnonzero(able)
-        others += [_part(model, kind, p, e[at], rows[at], able[at]) for p, e in zip(pieces[1:], ends[1:], strict=True)]
+        others += [
+            _part(model, kind, p, e[at], rows[at], able[at])
+            for p, e in zip(pieces[1:], ends[1:], strict=True)
+        ]
     out = reduce(stacked, firsts + others)
     made = len(out) - len(whole)
     return out.with_column("EID", np.concatenate([out.ids[: len(whole)], first + np.arange(made)]))
@@ -221,7 +261,9 @@ def _part(model: Model, kind: str, part: Part, nodes: Int, at: Int, able: Bool) 
 
 
 def _bars(model: Model, piece: Table, part: Part, at: Int, able: Bool) -> Table:
-    """Halves of bars: pins at outer ends only, the offset of the middle midway, the orientation in basic."""
+    """Halves of bars: pins at outer ends only, the offset of the middle midway, the orientation in
+    basic.
+    """
     t, grid = model[piece.card], model["GRID"]
     row = grid.find(t.stack("GA", "GB")[at])
     x = positions(model)[row]
@@ -241,7 +283,9 @@ def _bars(model: Model, piece: Table, part: Part, at: Int, able: Bool) -> Table:
         np.einsum("ei,eij->ej", v, frame[:, 0]),
     )
     side = "B" if len(part[0]) == 1 else "A"
-    new = {f"W{k + 1}{side}": middle[:, k] for k in range(3)} | {f"X{k + 1}": v[:, k] for k in range(3)}
+    new = {f"W{k + 1}{side}": middle[:, k] for k in range(3)} | {
+        f"X{k + 1}": v[:, k] for k in range(3)
+    }
     new |= {
         f"P{side}": np.zeros_like(piece[f"P{side}"]),
         "OFFT": np.full(at.size, "BGG", dtype=offt.dtype),
@@ -256,12 +300,16 @@ def _last(grid: Table, row: Int) -> Int:
 
 
 def _whole(model: Model, card: str) -> Bool:
-    """Elements (n,) that stay whole: beams with ends that differ, offsets in the frame of the element."""
+    """Elements (n,) that stay whole: beams with ends that differ, offsets in the frame of the
+    element.
+    """
     t = model[card]
     whole = np.zeros(len(t), dtype=bool)
     if card in LINES:
         offt = np.char.ljust(np.char.upper(t["OFFT"].astype(str)), 3)
-        whole |= (np.char.find(offt, "O") >= 0) & (t.stack("W1A", "W2A", "W3A", "W1B", "W2B", "W3B") != 0).any(axis=1)
+        whole |= (np.char.find(offt, "O") >= 0) & (
+            t.stack("W1A", "W2A", "W3A", "W1B", "W2B", "W3B") != 0
+        ).any(axis=1)
     if card == "CBEAM" and "PBEAM" in model:
         p = model["PBEAM"]
         tapered = np.any(
@@ -309,7 +357,9 @@ def _constraints(model: Model) -> Iterator[tuple[int, str, Any]]:
 
 
 def _rigid(model: Model, middles: _Middles) -> Iterator[tuple[str, Table]]:
-    """RBE2 and RBE3 with the new nodes between those that they join, with the mean of the weights about them."""
+    """RBE2 and RBE3 with the new nodes between those that they join, with the mean of the weights
+    about them.
+    """
     for card, name, more in (("RBE2", "GM", ()), ("RBE3", "G", ("C", "WT"))):
         if card not in model:
             continue
@@ -320,14 +370,20 @@ def _rigid(model: Model, middles: _Middles) -> Iterator[tuple[str, Table]]:
             new = middles.within(np.concatenate([nodes, np.array(hub, dtype=np.int64)]))
             lists[name][i] = np.concatenate([nodes, middles.ids[new]])
             for n in more:
-                lists[n][i] = np.concatenate([lists[n][i], _common(nodes, lists[n][i], middles.of[new])])
-        made = {n: Ragged(np.concatenate(v), np.cumsum([0, *(x.size for x in v)])) for n, v in lists.items()}
+                lists[n][i] = np.concatenate(
+                    [lists[n][i], _common(nodes, lists[n][i], middles.of[new])]
+                )
+        made = {
+            n: Ragged(np.concatenate(v), np.cumsum([0, *(x.size for x in v)]))
+            for n, v in lists.items()
+        }
         grown = replace(t, columns={**t.columns, **made})
         yield card, grown
 
 
 def _joints(model: Model) -> tuple[Int, Int, NDArray[np.str_]]:
-    """Nodes that move as others do, ascending, those others and the components, (k,), by a card for each.
+    """Nodes that move as others do, ascending, those others and the components, (k,), by a card for
+    each.
 
     RBE2 of one dependent node, RBAR and RBAR1, MPC of equal motions of nodes at one place.
     """
@@ -335,7 +391,11 @@ def _joints(model: Model) -> tuple[Int, Int, NDArray[np.str_]]:
     if "RBE2" in model:
         t = model["RBE2"]
         nodes = map(t.ragged("GM").row, range(len(t)))
-        found += [(int(d[0]), int(g), str(c)) for d, g, c in zip(nodes, t["GN"], t["CM"], strict=True) if d.size == 1]
+        found += [
+            (int(d[0]), int(g), str(c))
+            for d, g, c in zip(nodes, t["GN"], t["CM"], strict=True)
+            if d.size == 1
+        ]
     for card, components in (("RBAR", "CMB"), ("RBAR1", "CB")):
         if card in model:
             t = model[card]
@@ -344,7 +404,11 @@ def _joints(model: Model) -> tuple[Int, Int, NDArray[np.str_]]:
             found += [(b, a, str(c) or _ALL) for a, b, n, c in each if n == _ALL]
     found += _ties(model)
     dependent, hub, named = zip(*sorted(found), strict=True) if found else ((), (), ())
-    return np.array(dependent, dtype=np.int64), np.array(hub, dtype=np.int64), np.array(named, dtype="<U6")
+    return (
+        np.array(dependent, dtype=np.int64),
+        np.array(hub, dtype=np.int64),
+        np.array(named, dtype="<U6"),
+    )
 
 
 def _ties(model: Model) -> list[tuple[int, int, str]]:
@@ -355,7 +419,13 @@ def _ties(model: Model) -> list[tuple[int, int, str]]:
     for i in np.flatnonzero(np.isin(t["SID"], taken_sets(model, "MPC"))).tolist():
         g, c, a = (t.ragged(n).row(i) for n in "GCA")
         at = grid.find(g)
-        if g.size == 2 and a[0] == -a[1] and c[0] == c[1] > 0 and (at >= 0).all() and np.allclose(x[at[0]], x[at[1]]):
+        if (
+            g.size == 2
+            and a[0] == -a[1]
+            and c[0] == c[1] > 0
+            and (at >= 0).all()
+            and np.allclose(x[at[0]], x[at[1]])
+        ):
             joined[int(g[0]), int(g[1])] = joined.get((int(g[0]), int(g[1])), "") + str(int(c[0]))
     return [(d, h, "".join(sorted(c))) for (d, h), c in joined.items()]
 
@@ -363,7 +433,11 @@ def _ties(model: Model) -> list[tuple[int, int, str]]:
 def _seams(model: Model, middles: _Middles, first: int) -> Table:
     """RBE2 between new nodes of two edges or faces that are joined node by node."""
     dependent, hubs_of, named = _joints(model)
-    hubs, more, like = [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=np.int64)]
+    hubs, more, like = (
+        [np.empty(0, dtype=np.int64)],
+        [np.empty(0, dtype=np.int64)],
+        [np.empty(0, dtype=np.int64)],
+    )
     for size in (2, 4) if dependent.size else ():
         new = np.flatnonzero((middles.of > 0).sum(axis=1) == size)
         nodes = middles.of[new, -size:]

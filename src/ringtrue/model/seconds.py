@@ -20,10 +20,11 @@ DASHPOTS = {  # card -> fields that hold a force over a velocity
 
 
 def in_seconds(model: Model, unit: UnitSystem) -> Model:
-    """The model with frequencies in Hz, whatever its unit of time; the same where that is the second.
+    """The model with frequencies in Hz, whatever its unit of time; the same where that is the
+    second.
 
-    Of K φ = λ M φ with λ in 1/T² the mass matrix times T² has λ in 1/s²: PARAM,WTMASS takes the factor, and CM2 for
-    masses of DMIG.
+    Of K φ = λ M φ with λ in 1/T² the mass matrix times T² has λ in 1/s²: PARAM,WTMASS takes the
+    factor, and CM2 for masses of DMIG.
 
     Raises
     ------
@@ -34,7 +35,8 @@ def in_seconds(model: Model, unit: UnitSystem) -> Model:
         return model
     if found := _dashpots(model):
         raise UnsupportedError(
-            f"{found}: dashpots of a deck whose unit of time is {unit.time:g} s are not read; leave them out, or write "
+            f"{found}: dashpots of a deck whose unit of time is {unit.time:g} s are not read; "
+            "leave them out, or write "
             "the deck in a system with seconds"
         )
     square = unit.time**2

@@ -1,8 +1,10 @@
-"""Section properties of PBARL and PBEAML; torsion and shear centres of thin walls after Young, Budynas (2002).
+"""Section properties of PBARL and PBEAML; torsion and shear centres of thin walls after Young,
+Budynas (2002).
 
-Sections stand in the y (up), z (right) axes of the element. I12 = ∫ yz dA about the centroid. N1 and N2 are y and z of
-the centroid (neutral axis) from the shear centre, absent where the two coincide. Shear areas are those of the walls
-along the force. The functions are generic in the kind of number, so that a complex step passes.
+Sections stand in the y (up), z (right) axes of the element. I12 = ∫ yz dA about the centroid. N1
+and N2 are y and z of the centroid (neutral axis) from the shear centre, absent where the two
+coincide. Shear areas are those of the walls along the force. The functions are generic in the kind
+of number, so that a complex step passes.
 """
 
 from __future__ import annotations
@@ -20,13 +22,27 @@ Properties = dict[str, Any]
 def _rod(radius: float) -> Properties:
     _positive(radius)
     inertia = pi * radius**4 / 4
-    return {"A": pi * radius**2, "I1": inertia, "I2": inertia, "J": 2 * inertia, "K1": 0.9, "K2": 0.9}
+    return {
+        "A": pi * radius**2,
+        "I1": inertia,
+        "I2": inertia,
+        "J": 2 * inertia,
+        "K1": 0.9,
+        "K2": 0.9,
+    }
 
 
 def _tube(outer: float, inner: float) -> Properties:
     _positive(outer, outer - inner)
     inertia = pi * (outer**4 - inner**4) / 4
-    return {"A": pi * (outer**2 - inner**2), "I1": inertia, "I2": inertia, "J": 2 * inertia, "K1": 0.5, "K2": 0.5}
+    return {
+        "A": pi * (outer**2 - inner**2),
+        "I1": inertia,
+        "I2": inertia,
+        "J": 2 * inertia,
+        "K1": 0.5,
+        "K2": 0.5,
+    }
 
 
 def _bar(width: float, height: float) -> Properties:
@@ -57,13 +73,19 @@ def _box(width: float, height: float, flange: float, web: float) -> Properties:
         "A": area,
         "I1": (width * height**3 - inside[0] * inside[1] ** 3) / 12,
         "I2": (height * width**3 - inside[1] * inside[0] ** 3) / 12,
-        "J": 2 * flange * web * (middle[0] * middle[1]) ** 2 / (middle[0] * web + middle[1] * flange),
+        "J": 2
+        * flange
+        * web
+        * (middle[0] * middle[1]) ** 2
+        / (middle[0] * web + middle[1] * flange),
         "K1": 2 * inside[1] * web / area,
         "K2": 2 * inside[0] * flange / area,
     }
 
 
-def _box1(width: float, height: float, top: float, bottom: float, right: float, left: float) -> Properties:
+def _box1(
+    width: float, height: float, top: float, bottom: float, right: float, left: float
+) -> Properties:
     """Four walls of different thickness; the shear centre is taken at the centroid."""
     clear, inside = height - top - bottom, width - left - right
     _positive(clear, inside, top, bottom, right, left)
@@ -99,15 +121,23 @@ def _rectangles(*parts: Part) -> tuple[Properties, tuple[float, float]]:
     }, (yc, zc)
 
 
-def _open(parts: tuple[Part, ...], strips: tuple[tuple[float, float], ...], centre: tuple[float, float]) -> Properties:
-    """Rectangles, with the torsion of strips (length of the middle line, thickness) and a shear centre (y, z)."""
+def _open(
+    parts: tuple[Part, ...], strips: tuple[tuple[float, float], ...], centre: tuple[float, float]
+) -> Properties:
+    """Rectangles, with the torsion of strips (length of the middle line, thickness) and a shear
+    centre (y, z).
+    """
     values, (yc, zc) = _rectangles(*parts)
     values["J"] = sum(length * t**3 for length, t in strips) / 3
     return values | {"N1": yc - centre[0], "N2": zc - centre[1]}
 
 
-def _i(height: float, bottom: float, top: float, web: float, t_bottom: float, t_top: float) -> Properties:
-    """DIM1 height, DIM2 and DIM3 the flange widths, DIM4 the web, DIM5 and DIM6 the flange thicknesses."""
+def _i(
+    height: float, bottom: float, top: float, web: float, t_bottom: float, t_top: float
+) -> Properties:
+    """DIM1 height, DIM2 and DIM3 the flange widths, DIM4 the web, DIM5 and DIM6 the flange
+    thicknesses.
+    """
     clear = height - t_bottom - t_top
     _positive(clear, bottom, top, web, t_bottom, t_top)
     parts = (
@@ -117,9 +147,14 @@ def _i(height: float, bottom: float, top: float, web: float, t_bottom: float, t_
     )
     between = height - (t_bottom + t_top) / 2
     up = between * t_top * top**3 / (t_top * top**3 + t_bottom * bottom**3)
-    values = _open(parts, ((bottom, t_bottom), (top, t_top), (between, web)), (t_bottom / 2 + up, 0.0))
+    values = _open(
+        parts, ((bottom, t_bottom), (top, t_top), (between, web)), (t_bottom / 2 + up, 0.0)
+    )
     area = values["A"]
-    return values | {"K1": clear * web / area, "K2": 5 / 6 * (bottom * t_bottom + top * t_top) / area}
+    return values | {
+        "K1": clear * web / area,
+        "K2": 5 / 6 * (bottom * t_bottom + top * t_top) / area,
+    }
 
 
 def _i1(flanges: float, web: float, clear: float, height: float) -> Properties:
@@ -129,7 +164,9 @@ def _i1(flanges: float, web: float, clear: float, height: float) -> Properties:
 
 
 def _h(inside: float, sides: float, height: float, bar: float) -> Properties:
-    """DIM1 between the uprights, DIM2 both uprights together, DIM4 the thickness of the cross bar."""
+    """DIM1 between the uprights, DIM2 both uprights together, DIM4 the thickness of the cross
+    bar.
+    """
     _positive(inside, sides, height, bar)
     side, z = sides / 2, inside / 2 + sides / 4
     parts = ((side, height, -z, 0.0), (side, height, z, 0.0), (inside, bar, 0.0, 0.0))
@@ -139,13 +176,18 @@ def _h(inside: float, sides: float, height: float, bar: float) -> Properties:
 
 
 def _cross(arms: float, upright: float, height: float, bar: float) -> Properties:
-    """DIM1 both horizontal arms beside the upright, DIM2 the upright's width, DIM4 the thickness of the arms."""
+    """DIM1 both horizontal arms beside the upright, DIM2 the upright's width, DIM4 the thickness of
+    the arms.
+    """
     _positive(arms, upright, height, bar, height - bar)
     z = upright / 2 + arms / 4
     parts = ((upright, height, 0.0, 0.0), (arms / 2, bar, -z, 0.0), (arms / 2, bar, z, 0.0))
     values = _open(parts, ((height, upright), (arms, bar)), (0.0, 0.0))
     area = values["A"]
-    return values | {"K1": 5 / 6 * upright * height / area, "K2": 5 / 6 * (arms + upright) * bar / area}
+    return values | {
+        "K1": 5 / 6 * upright * height / area,
+        "K2": 5 / 6 * (arms + upright) * bar / area,
+    }
 
 
 def _t(width: float, height: float, flange: float, web: float) -> Properties:
@@ -159,7 +201,9 @@ def _t(width: float, height: float, flange: float, web: float) -> Properties:
 
 
 def _t1(height: float, web: float, flange: float, bar: float) -> Properties:
-    """Upright flange on the right (DIM1 high, DIM3 thick), web to the left (DIM2 long, DIM4 thick)."""
+    """Upright flange on the right (DIM1 high, DIM3 thick), web to the left (DIM2 long, DIM4
+    thick).
+    """
     return _turned(_t(height, web + flange, flange, bar))
 
 
@@ -198,7 +242,9 @@ def _chan2(leg: float, base: float, height: float, width: float) -> Properties:
 
 
 def _l(width: float, height: float, foot: float, upright: float) -> Properties:
-    """Foot below, DIM3 thick; upright on the left, DIM4 thick. Shear centre where the middle lines meet."""
+    """Foot below, DIM3 thick; upright on the left, DIM4 thick. Shear centre where the middle lines
+    meet.
+    """
     clear, beside = height - foot, width - upright
     _positive(clear, beside, foot, upright)
     parts = ((width, foot, beside / 2, 0.0), (upright, clear, 0.0, height / 2))
@@ -237,7 +283,9 @@ def _hat(height: float, t: float, top: float, brim: float) -> Properties:
 
 
 def _hat_centre(h: float, a: float, c: float) -> float:
-    """Height of the shear centre above the brim, from the shear flow under a sideways force; middle lines."""
+    """Height of the shear centre above the brim, from the shear flow under a sideways force; middle
+    lines.
+    """
     end, side = a / 2 + c, a / 2
     foot = (end**2 - side**2) / 2  # the flow where brim and web meet, over t
     web = foot * h + side * h**2 / 2
@@ -247,7 +295,9 @@ def _hat_centre(h: float, a: float, c: float) -> float:
 
 
 def _hat1(width: float, height: float, top: float, t: float, base: float) -> Properties:
-    """A hat of thickness DIM4 and width DIM3 at its top, on a plate of DIM1 x DIM5; shear centre as in `_box1`."""
+    """A hat of thickness DIM4 and width DIM3 at its top, on a plate of DIM1 x DIM5; shear centre as
+    in `_box1`.
+    """
     clear = height - base - t
     _positive(clear, top - 2 * t, width - top, t, base)
     side, brim = (top - t) / 2, (width - top) / 2
@@ -261,22 +311,46 @@ def _hat1(width: float, height: float, top: float, t: float, base: float) -> Pro
     area, h = values["A"], height - (t + base) / 2
     cell = _cells([(2 * side * h, 2 * (side + h) / t + 2 * side / base)])
     lips = 2 * brim * (t + base) ** 3 / 3
-    return values | {"J": cell + lips, "K1": 2 * clear * t / area, "K2": (top * t + width * base) / area}
+    return values | {
+        "J": cell + lips,
+        "K1": 2 * clear * t / area,
+        "K2": (top * t + width * base) / area,
+    }
 
 
 def _dbox(
-    width: float, height: float, middle: float, left: float, web: float, right: float, *plates: float
+    width: float,
+    height: float,
+    middle: float,
+    left: float,
+    web: float,
+    right: float,
+    *plates: float,
 ) -> Properties:
-    """Two cells: DIM3 from the left side to the middle of the web, DIM7 to DIM10 top and bottom, left then right."""
+    """Two cells: DIM3 from the left side to the middle of the web, DIM7 to DIM10 top and bottom,
+    left then right.
+    """
     cells = (  # clear and middle width, left end of the plates, outer wall, top, bottom
         (middle - left - web / 2, middle - left / 2, left, left, *plates[:2]),
-        (width - middle - right - web / 2, width - middle - right / 2, middle + web / 2, right, *plates[2:]),
+        (
+            width - middle - right - web / 2,
+            width - middle - right / 2,
+            middle + web / 2,
+            right,
+            *plates[2:],
+        ),
     )
-    parts = [(t, height, z, height / 2) for t, z in ((left, left / 2), (web, middle), (right, width - right / 2))]
+    parts = [
+        (t, height, z, height / 2)
+        for t, z in ((left, left / 2), (web, middle), (right, width - right / 2))
+    ]
     loops, depths = [], []
     for clear, wide, z, wall, top, bottom in cells:
         _positive(clear, height - top - bottom, wall, web, top, bottom)
-        parts += [(clear, top, z + clear / 2, height - top / 2), (clear, bottom, z + clear / 2, bottom / 2)]
+        parts += [
+            (clear, top, z + clear / 2, height - top / 2),
+            (clear, bottom, z + clear / 2, bottom / 2),
+        ]
         depths.append(height - (top + bottom) / 2)
         loops.append((wide * depths[-1], wide / top + wide / bottom + depths[-1] / wall))
     shared = sum(depths) / 2 / web
@@ -289,7 +363,9 @@ def _dbox(
 
 
 def _cells(cells: Sequence[tuple[float, float]], shared: float = 0.0) -> Any:
-    """Bredt's torsion constant of one or two cells: area and ∮ ds/t of each, and ∫ ds/t of the wall between them."""
+    """Bredt's torsion constant of one or two cells: area and ∮ ds/t of each, and ∫ ds/t of the wall
+    between them.
+    """
     flow = np.diag([around for _, around in cells])
     if len(cells) > 1:
         flow[0, 1] = flow[1, 0] = -shared
@@ -298,14 +374,23 @@ def _cells(cells: Sequence[tuple[float, float]], shared: float = 0.0) -> Any:
 
 
 def _hexa(point: float, width: float, height: float) -> Properties:
-    """DIM1 the width of each pointed side, DIM2 the whole width; torsion of a solid after Saint-Venant."""
+    """DIM1 the width of each pointed side, DIM2 the whole width; torsion of a solid after
+    Saint-Venant.
+    """
     middle = width - 2 * point
     _positive(middle, point, height)
     area = height * (middle + point)
     i1 = middle * height**3 / 12 + point * height**3 / 24
     out = middle / 2 + point / 3
     i2 = height * middle**3 / 12 + 2 * (height * point**3 / 36 + height * point / 2 * out**2)
-    return {"A": area, "I1": i1, "I2": i2, "J": area**4 / (4 * pi**2 * (i1 + i2)), "K1": 5 / 6, "K2": 5 / 6}
+    return {
+        "A": area,
+        "I1": i1,
+        "I2": i2,
+        "J": area**4 / (4 * pi**2 * (i1 + i2)),
+        "K1": 5 / 6,
+        "K2": 5 / 6,
+    }
 
 
 def _real(x: complex) -> float:
@@ -314,15 +399,19 @@ def _real(x: complex) -> float:
 
 def _positive(*lengths: float) -> None:
     if min(map(_real, lengths)) <= 0:
-        raise ValueError("the dimensions do not make a section: a thickness or a clear width is not positive")
+        raise ValueError(
+            "the dimensions do not make a section: a thickness or a clear width is not positive"
+        )
 
 
 def _tube2(outer: float, wall: float) -> Properties:
     return _tube(outer, outer - wall)
 
 
-FALLBACK: Mapping[str, Mapping[int, int]] = MappingProxyType(  # a blank dimension (from 0) is that of another
-    {"DBOX": {4: 3, 5: 3, 6: 3, 7: 3, 8: 5, 9: 5}}
+FALLBACK: Mapping[str, Mapping[int, int]] = (
+    MappingProxyType(  # a blank dimension (from 0) is that of another
+        {"DBOX": {4: 3, 5: 3, 6: 3, 7: 3, 8: 5, 9: 5}}
+    )
 )
 SECTIONS: Mapping[str, tuple[int, Callable[..., Properties]]] = MappingProxyType(
     {

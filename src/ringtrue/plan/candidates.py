@@ -1,4 +1,6 @@
-"""Candidate points: nodes by sets, boxes and surfaces, less what is out of reach; nodes next to given places."""
+"""Candidate points: nodes by sets, boxes and surfaces, less what is out of reach; nodes next to
+given places.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,8 @@ def select_candidates(
     exclude: Sequence[int] = (),
     keep_out: Sequence[Sequence[float]] = (),
 ) -> Bool:
-    """Nodes (n,) that can carry a sensor: in a node set or box (all, where neither is given), and not excluded.
+    """Nodes (n,) that can carry a sensor: in a node set or box (all, where neither is given), and
+    not excluded.
 
     Parameters
     ----------
@@ -63,22 +66,28 @@ def select_candidates(
     wanted = np.array([n for group in sets for n in group], dtype=np.int64)
     lost = np.setdiff1d(np.concatenate([wanted, np.array(exclude, dtype=np.int64)]), nodes)
     if lost.size:
-        raise InputError(f"{lost.size} nodes of the candidates or exclusions are not there: {lost[:8].tolist()}")
+        raise InputError(
+            f"{lost.size} nodes of the candidates or exclusions are not there: {lost[:8].tolist()}"
+        )
     keep = np.full(nodes.size, not (wanted.size or len(boxes)))
     keep |= np.isin(nodes, wanted)
     keep |= in_boxes(xyz, boxes) if len(boxes) else False
     keep &= ~np.isin(nodes, np.array(exclude, dtype=np.int64))
     keep &= ~in_boxes(xyz, keep_out) if len(keep_out) else True
     if not keep.any():
-        raise InputError(f"none of {nodes.size} nodes is a candidate: widen the boxes or exclude less")
+        raise InputError(
+            f"none of {nodes.size} nodes is a candidate: widen the boxes or exclude less"
+        )
     return np.asarray(keep)
 
 
 def even_distance(xyz: Float, count: int) -> float:
-    """Half of the spacing that `count` points can keep, m: as least distance it parts clusters and is always possible.
+    """Half of the spacing that `count` points can keep, m: as least distance it parts clusters and
+    is always possible.
 
-    The spacing is that of points each of which is chosen farthest from all before it (Gonzalez 1985). However the
-    points are chosen then, in any set that none can be added to at least `count` are this far apart.
+    The spacing is that of points each of which is chosen farthest from all before it (Gonzalez
+    1985). However the points are chosen then, in any set that none can be added to at least `count`
+    are this far apart.
 
     Parameters
     ----------
@@ -151,11 +160,14 @@ def nearest_nodes(places: Float, xyz: Float, tolerance: float = np.inf) -> tuple
     if far.size:
         k = int(far[0])
         raise InputError(
-            f"place {np.asarray(places)[k].tolist()} is {distance[k]:.3g} m from the nearest node, {tolerance:g} m are "
+            f"place {np.asarray(places)[k].tolist()} is {distance[k]:.3g} m from the nearest "
+            f"node, {tolerance:g} m are "
             f"allowed ({far.size} such places): move it or refine the mesh"
         )
     values, count = np.unique(at, return_counts=True)
     if (count > 1).any():
         twice = np.flatnonzero(at == values[count > 1][0])
-        raise InputError(f"places {twice.tolist()} have the same nearest node: part them or refine the mesh")
+        raise InputError(
+            f"places {twice.tolist()} have the same nearest node: part them or refine the mesh"
+        )
     return at, distance

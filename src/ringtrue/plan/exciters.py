@@ -1,4 +1,6 @@
-"""Where to strike or shake: driving-point residues, QR of M·Φ, sets ranked by the mode they excite worst, MIF."""
+"""Where to strike or shake: driving-point residues, QR of M·Φ, sets ranked by the mode they excite
+worst, MIF.
+"""
 
 from __future__ import annotations
 
@@ -47,10 +49,12 @@ class ExciterSet:
 
 
 def qr_exciters(forces: Float, count: int) -> Int:
-    """Rows to excite by pivoted QR of (MΦ)ᵀ (Schedlinski and Link 1996): force patterns that part the modes best.
+    """Rows to excite by pivoted QR of (MΦ)ᵀ (Schedlinski and Link 1996): force patterns that part
+    the modes best.
 
-    A force f excites the modes with Φᵀf, and f = MΦ excites each alone; the rows of MΦ that are largest and least
-    alike come closest to it with few forces. When the modes are spanned, it starts again with the rows that are left.
+    A force f excites the modes with Φᵀf, and f = MΦ excites each alone; the rows of MΦ that are
+    largest and least alike come closest to it with few forces. When the modes are spanned, it
+    starts again with the rows that are left.
 
     Parameters
     ----------
@@ -78,8 +82,9 @@ def rank_sets(
 ) -> tuple[ExciterSet, ...]:
     """The best sets of `count` rows by the worst driving-point residue over all target modes.
 
-    All sets are looked at where there are few enough; otherwise those of a pool (for each mode the rows that reach it
-    best, the greedy choice, and the single rows that miss least), the best of them improved by exchanging single rows.
+    All sets are looked at where there are few enough; otherwise those of a pool (for each mode the
+    rows that reach it best, the greedy choice, and the single rows that miss least), the best of
+    them improved by exchanging single rows.
 
     Parameters
     ----------
@@ -106,7 +111,9 @@ def rank_sets(
     if pool.size == r:
         return best
     better = [_exchanged(share, b.rows) for b in best]
-    return _ranked(share, np.unique(np.stack([*better, *(b.rows for b in best)]), axis=0), limit, most)
+    return _ranked(
+        share, np.unique(np.stack([*better, *(b.rows for b in best)]), axis=0), limit, most
+    )
 
 
 def _pool(share: Float, count: int) -> Int:
@@ -114,16 +121,22 @@ def _pool(share: Float, count: int) -> Int:
     size = count
     while size < len(share) and comb(size + 1, count) <= _MOST_SETS:
         size += 1
-    by_mode = np.argsort(-share, axis=0, kind="stable")[:size].ravel()  # best of every mode, then the second best, ...
+    by_mode = np.argsort(-share, axis=0, kind="stable")[
+        :size
+    ].ravel()  # best of every mode, then the second best, ...
     level = np.argsort(-np.log(share + 1e-3).sum(axis=1), kind="stable")
     greedy = select_references(np.sqrt(share), count, np.ones(share.shape[1]))
-    mixed = np.concatenate([greedy, np.stack([level[:size], np.resize(by_mode, min(size, level.size))], 1).ravel()])
+    mixed = np.concatenate(
+        [greedy, np.stack([level[:size], np.resize(by_mode, min(size, level.size))], 1).ravel()]
+    )
     _, first = np.unique(mixed, return_index=True)
     return np.sort(mixed[np.sort(first)][:size])
 
 
 def _exchanged(share: Float, rows: Int) -> Int:
-    """The set with single rows replaced by any other as long as that helps the modes that are excited worst."""
+    """The set with single rows replaced by any other as long as that helps the modes that are
+    excited worst.
+    """
     rows = np.array(rows)
     while True:
         before = _worth(share[rows].max(axis=0))
@@ -158,8 +171,9 @@ def _exciter_set(share: Float, rows: Int, limit: float) -> ExciterSet:
 def mode_indicator(data: Complex) -> tuple[Float, Float]:
     """Multivariate mode indicator function and the forces that reach it.
 
-    The least of fᵀAf/fᵀ(A + B)f with A = HᵣᵀHᵣ and B = HᵢᵀHᵢ of the parts in phase and in quadrature (Williams,
-    Crowley and Vold 1985): it dips to 0 where real forces f drive all responses in quadrature, at a phase resonance.
+    The least of fᵀAf/fᵀ(A + B)f with A = HᵣᵀHᵣ and B = HᵢᵀHᵢ of the parts in phase and in
+    quadrature (Williams, Crowley and Vold 1985): it dips to 0 where real forces f drive all
+    responses in quadrature, at a phase resonance.
 
     Parameters
     ----------
@@ -174,24 +188,31 @@ def mode_indicator(data: Complex) -> tuple[Float, Float]:
     """
     a = data.real.transpose(0, 2, 1) @ data.real
     b = a + data.imag.transpose(0, 2, 1) @ data.imag
-    low = np.linalg.cholesky(b + 1e-14 * np.trace(b, axis1=1, axis2=2)[:, None, None] * np.eye(b.shape[1]))
+    low = np.linalg.cholesky(
+        b + 1e-14 * np.trace(b, axis1=1, axis2=2)[:, None, None] * np.eye(b.shape[1])
+    )
     half = np.linalg.solve(low, np.linalg.solve(low, a).transpose(0, 2, 1))
     values, vectors = np.linalg.eigh(0.5 * (half + half.transpose(0, 2, 1)))
     forces = np.linalg.solve(low.transpose(0, 2, 1), vectors)
     return np.clip(values, 0, 1), np.asarray(forces / np.linalg.norm(forces, axis=1, keepdims=True))
 
 
-def appropriate_exciters(data: Complex, count: int, *, noise: float = 0.01) -> tuple[Int, Float, Float]:
-    """Rows where real forces, all at once and tuned to each mode, come closest to a phase resonance of every mode.
+def appropriate_exciters(
+    data: Complex, count: int, *, noise: float = 0.01
+) -> tuple[Int, Float, Float]:
+    """Rows where real forces, all at once and tuned to each mode, come closest to a phase resonance
+    of every mode.
 
-    Grown one at a time by the mean logarithm of the least mode indicator, which lifts the mode that is isolated worst.
-    The indicator is that of responses with an error, so that a row that hardly moves the structure does not serve.
+    Grown one at a time by the mean logarithm of the least mode indicator, which lifts the mode that
+    is isolated worst. The indicator is that of responses with an error, so that a row that hardly
+    moves the structure does not serve.
 
     Parameters
     ----------
     data : (m, out, in) complex128
-        Accelerance at the frequency of each mode; `in` are the rows that can be excited. Only the Gram matrix of the
-        outputs counts: H = Φ_out G Φ_inᵀ may have the triangle R of Φ_out = QR in place of Φ_out.
+        Accelerance at the frequency of each mode; `in` are the rows that can be excited. Only the
+        Gram matrix of the outputs counts: H = Φ_out G Φ_inᵀ may have the triangle R of Φ_out = QR
+        in place of Φ_out.
     count : int
     noise : float
         Error of a response, over the response to the input that moves the mode most.
@@ -221,9 +242,13 @@ def appropriate_exciters(data: Complex, count: int, *, noise: float = 0.01) -> t
         step = max(1, _ENTRIES // (m * out * (len(chosen) + 1)))
         for at in range(0, rest.size, step):  # bounds the memory
             some = rest[at : at + step]
-            sets = np.column_stack([np.tile(np.array(chosen, dtype=np.int64), (some.size, 1)), some])
+            sets = np.column_stack(
+                [np.tile(np.array(chosen, dtype=np.int64), (some.size, 1)), some]
+            )
             trial = data[:, :, sets].transpose(2, 0, 1, 3).reshape(-1, out, sets.shape[1])
-            least = mode_indicator(_noisy(trial, np.tile(level, some.size)))[0][:, 0].reshape(some.size, m)
+            least = mode_indicator(_noisy(trial, np.tile(level, some.size)))[0][:, 0].reshape(
+                some.size, m
+            )
             cost[at : at + step] = np.log(least + 1e-3).mean(axis=1)
         chosen.append(int(rest[np.argmin(cost)]))
     values, forces = mode_indicator(_noisy(data[:, :, chosen], level))
@@ -233,13 +258,16 @@ def appropriate_exciters(data: Complex, count: int, *, noise: float = 0.01) -> t
 
 
 def _noisy(data: Complex, level: Float) -> Complex:
-    """FRFs (l, out, k) and k more outputs, each in phase with one input and as large as `level` (l,)."""
+    """FRFs (l, out, k) and k more outputs, each in phase with one input and as large as `level`
+    (l,).
+    """
     extra = level[:, None, None] * np.eye(data.shape[2])
     return np.concatenate([data, extra.astype(np.complex128)], axis=1)
 
 
 def appropriated_force(shapes: Float, mode: int) -> tuple[Float, Float]:
-    """Forces (r,) at the rows that excite one mode and least of the others, and what they do to each, (m,).
+    """Forces (r,) at the rows that excite one mode and least of the others, and what they do to
+    each, (m,).
 
     Least squares of Φᵀf = e_mode; with as many rows as modes the others stay still.
 
@@ -254,7 +282,11 @@ def appropriated_force(shapes: Float, mode: int) -> tuple[Float, Float]:
     return np.asarray(force), np.asarray(shapes.T @ force)
 
 
-def reciprocity_pairs(references: Sequence[str], channels: Sequence[str]) -> tuple[tuple[str, str], ...]:
-    """Pairs of references that are measured as responses too: H(a, b) must equal H(b, a) in the test."""
+def reciprocity_pairs(
+    references: Sequence[str], channels: Sequence[str]
+) -> tuple[tuple[str, str], ...]:
+    """Pairs of references that are measured as responses too: H(a, b) must equal H(b, a) in the
+    test.
+    """
     here = set(channels)
     return tuple((a, b) for a, b in combinations([r for r in references if r in here], 2))

@@ -1,8 +1,8 @@
 """Sensors by information: greedy log-determinant of what they tell about modes and parameters.
 
-Each aim is a set of unknowns with a prior; a point adds BᵀB to the information about them. The log-determinant is
-submodular, so that the greedy choice reaches at least 1 - 1/e of the best gain there is (Nemhauser, Wolsey and Fisher
-1978; Krause, Singh and Guestrin 2008 for sensors).
+Each aim is a set of unknowns with a prior; a point adds BᵀB to the information about them. The
+log-determinant is submodular, so that the greedy choice reaches at least 1 - 1/e of the best gain
+there is (Nemhauser, Wolsey and Fisher 1978; Krause, Singh and Guestrin 2008 for sensors).
 """
 
 from __future__ import annotations
@@ -42,7 +42,10 @@ class Aim:
         freeze_fields(self, rows=np.float64, prior=np.float64)
         k = self.rows.shape[-1]
         if self.rows.ndim != 3 or self.prior.shape != (k, k):
-            raise InputError(f"aim: rows {self.rows.shape} must be (point, measurement, unknown), prior {k} x {k}")
+            raise InputError(
+                f"aim: rows {self.rows.shape} must be (point, measurement, unknown), prior {k} x "
+                f"{k}"
+            )
 
 
 def mode_aim(shapes: Float, noise: float = 0.02, weight: float = 1.0) -> Aim:
@@ -52,7 +55,8 @@ def mode_aim(shapes: Float, noise: float = 0.02, weight: float = 1.0) -> Aim:
     ----------
     shapes : (n, d, m) float64
     noise : float
-        Standard deviation of a measured component over the RMS of the mode; the prior is one coordinate of 1.
+        Standard deviation of a measured component over the RMS of the mode; the prior is one
+        coordinate of 1.
     """
     size = np.sqrt((shapes**2).mean(axis=(0, 1)))
     return Aim(shapes / (noise * np.where(size > 0, size, 1.0)), np.eye(shapes.shape[2]), weight)
@@ -68,10 +72,11 @@ def parameter_aim(
     frequency_std: float = 0.005,
     weight: float = 1.0,
 ) -> Aim:
-    """Aim at the parameters x/σ_x, through shapes at the points and frequencies, which every layout finds.
+    """Aim at the parameters x/σ_x, through shapes at the points and frequencies, which every layout
+    finds.
 
-    The scale of a measured shape is unknown: the part of ∂φ/∂x along φ over all candidates tells nothing and is taken
-    out.
+    The scale of a measured shape is unknown: the part of ∂φ/∂x along φ over all candidates tells
+    nothing and is taken out.
 
     Parameters
     ----------
@@ -124,9 +129,11 @@ def greedy_logdet(
     budget: float = np.inf,
     progress: Progress | None = None,
 ) -> Int:
-    """Points that add most to the weighted sum of log-determinants, one at a time, per unit of cost.
+    """Points that add most to the weighted sum of log-determinants, one at a time, per unit of
+    cost.
 
-    Several aims at once serve modes and parameters together; one aim a sample of the prior makes the layout robust.
+    Several aims at once serve modes and parameters together; one aim a sample of the prior makes
+    the layout robust.
 
     Parameters
     ----------
@@ -156,14 +163,17 @@ def greedy_logdet(
     n = aims[0].rows.shape[0]
     price = np.ones(n) if cost is None else np.asarray(cost, dtype=np.float64)
     if (price <= 0).any() or price.shape != (n,) or any(a.rows.shape[0] != n for a in aims):
-        raise InputError(f"cost {price.shape}: one number > 0 for each of {n} candidates, in every aim")
+        raise InputError(
+            f"cost {price.shape}: one number > 0 for each of {n} candidates, in every aim"
+        )
     chosen = [] if fixed is None else np.flatnonzero(fixed).tolist()
     left = float(budget)
     while len(chosen) < count:
         free = _free(n, np.array(chosen, dtype=np.int64), xyz, min_distance)
         if not free.any():
             raise InputError(
-                f"{len(chosen)} points are {min_distance:g} m apart, {count} were asked for: lower min_distance or "
+                f"{len(chosen)} points are {min_distance:g} m apart, {count} were asked for: "
+                "lower min_distance or "
                 "name more candidates"
             )
         if not (free & (price <= left)).any():
@@ -190,13 +200,17 @@ def _free(n: int, chosen: Int, xyz: Float | None, distance: float) -> Bool:
 
 
 def prior_shapes(model: ObservedModel, count: int, rng: np.random.Generator) -> Float:
-    """Shapes (s, channel, m) at draws from the prior, s = 1 + count, the nominal ones first, in their order and sign.
+    """Shapes (s, channel, m) at draws from the prior, s = 1 + count, the nominal ones first, in
+    their order and sign.
 
-    Modes that cross keep the place of the nominal mode they look like; the prior is normal, cut at the bounds.
+    Modes that cross keep the place of the nominal mode they look like; the prior is normal, cut at
+    the bounds.
     """
     nominal = model.modes(np.zeros(len(model.parameters))).shapes
     low, high = model.parameters.bounds()
-    draws = np.clip(rng.standard_normal((count, len(model.parameters))) * model.parameters.std(), low, high)
+    draws = np.clip(
+        rng.standard_normal((count, len(model.parameters))) * model.parameters.std(), low, high
+    )
     return np.stack([nominal, *(_like(nominal, model.modes(x).shapes) for x in draws)])
 
 

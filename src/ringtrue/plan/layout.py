@@ -1,7 +1,7 @@
 """Where to measure and where to hit: effective independence, auto-MAC and driving-point residues.
 
-Kammer (1991), Sensor placement for on-orbit modal identification; Schedlinski and Link (1996) for the reference
-points: the information of the target modes at the candidates decides.
+Kammer (1991), Sensor placement for on-orbit modal identification; Schedlinski and Link (1996) for
+the reference points: the information of the target modes at the candidates decides.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ PAIRS = 1_000_000  # pairs of modes of candidates that are looked at together
 
 
 def independence(shapes: Float) -> Float:
-    """Effective independence of points, (n,): the share of the modes' information that each carries.
+    """Effective independence of points, (n,): the share of the modes' information that each
+    carries.
 
     Parameters
     ----------
@@ -62,7 +63,9 @@ def select_points(
     held = np.zeros(n, dtype=np.bool_) if fixed is None else np.asarray(fixed, dtype=np.bool_)
     count = max(count, int(held.sum()))
     if count * d < m:
-        raise InputError(f"{count} points with {d} directions cannot tell {m} modes apart; ask for more points")
+        raise InputError(
+            f"{count} points with {d} directions cannot tell {m} modes apart; ask for more points"
+        )
     keep = np.arange(n)
     if min_distance > 0:
         keep = thinned(independence(shapes), xyz, held, min_distance)
@@ -82,7 +85,8 @@ def select_points(
 
 
 def thinned(score: Float, xyz: Float, held: Bool, distance: float) -> Int:
-    """Candidates that are farther than `distance` apart, ascending: strongest first, each bans its neighbours.
+    """Candidates that are farther than `distance` apart, ascending: strongest first, each bans its
+    neighbours.
 
     Parameters
     ----------
@@ -114,10 +118,12 @@ def lower_auto_mac(
     min_distance: float = 0.0,
     worth: float = 0.0,
 ) -> Int:
-    """Adds the points that lower the worst off-diagonal auto-MAC most, until it is below `target` or `most` are in.
+    """Adds the points that lower the worst off-diagonal auto-MAC most, until it is below `target`
+    or `most` are in.
 
-    It ends before where no point is farther than `min_distance` from all that are in. Where the target is not reached,
-    the last additions that lower it by less than `worth` together are left out.
+    It ends before where no point is farther than `min_distance` from all that are in. Where the
+    target is not reached, the last additions that lower it by less than `worth` together are left
+    out.
 
     Parameters
     ----------
@@ -152,16 +158,19 @@ def lower_auto_mac(
 
 
 def _best_addition(gram: Float, shapes: Float) -> int:
-    """The first of the candidates `shapes` (r, d, m) whose addition to `gram` (m, m) leaves the least worst auto-MAC.
+    """The first of the candidates `shapes` (r, d, m) whose addition to `gram` (m, m) leaves the
+    least worst auto-MAC.
 
-    The pairs of modes that are worst now bound that of each candidate from below; only those whose bound stays under
-    the best are looked at in full.
+    The pairs of modes that are worst now bound that of each candidate from below; only those whose
+    bound stays under the best are looked at in full.
     """
     m = len(gram)
     i, j = np.triu_indices(m, 1)
     if not i.size:
         return 0
-    size = np.maximum(np.diag(gram) + (shapes**2).sum(axis=1), 1e-150)  # a mode that nothing moves in
+    size = np.maximum(
+        np.diag(gram) + (shapes**2).sum(axis=1), 1e-150
+    )  # a mode that nothing moves in
     now = np.abs(gram[i, j]) / np.sqrt(np.maximum(gram[i, i] * gram[j, j], 1e-300))
     hard = np.argsort(-now, kind="stable")[:HARD]
     bound = np.zeros(len(shapes))
@@ -188,7 +197,9 @@ def _best_addition(gram: Float, shapes: Float) -> int:
 
 
 def shares(shapes: Float, largest: Float | None = None) -> Float:
-    """Driving-point residues φ_im² of rows (r, m) over the largest of each mode, (m,), 0..1: of these if not given."""
+    """Driving-point residues φ_im² of rows (r, m) over the largest of each mode, (m,), 0..1: of
+    these if not given.
+    """
     square = np.asarray(shapes, dtype=np.float64) ** 2
     over = square.max(axis=0) if largest is None else largest
     return np.asarray(np.minimum(square / np.maximum(over, 1e-300), 1.0))
@@ -226,5 +237,7 @@ def select_references(shapes: Float, count: int, largest: Float | None = None) -
 
 
 def reached(shapes: Float, references: Int) -> Float:
-    """The largest share of each mode's best driving-point residue that the references reach, (m,)."""
+    """The largest share of each mode's best driving-point residue that the references reach,
+    (m,).
+    """
     return np.asarray(shares(shapes)[references].max(axis=0))

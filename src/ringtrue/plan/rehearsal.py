@@ -1,6 +1,8 @@
-"""A virtual test of the plan: signals with the planned points, hammer and sensors; identified and correlated.
+"""A virtual test of the plan: signals with the planned points, hammer and sensors; identified and
+correlated.
 
-What comes out are the modes that will be found, with which probability and which error, before anyone goes on site.
+What comes out are the modes that will be found, with which probability and which error, before
+anyone goes on site.
 """
 
 from __future__ import annotations
@@ -32,8 +34,8 @@ class Planned:
     Attributes
     ----------
     frequencies : (m,) float64, Hz
-        All modes that take part, those beside the band too; rigid-body modes, free or on a soft suspension, count as
-        mass lines: those below a tenth of `fmin` or a thousandth of `fmax`.
+        All modes that take part, those beside the band too; rigid-body modes, free or on a soft
+        suspension, count as mass lines: those below a tenth of `fmin` or a thousandth of `fmax`.
     outputs : (o, m) float64
         Mass-normalised shapes in SI at the channels.
     inputs : (i, m) float64
@@ -57,7 +59,8 @@ class Planned:
         m, o, i = self.frequencies.size, len(self.channels), len(self.references)
         if self.outputs.shape != (o, m) or self.inputs.shape != (i, m) or not i:
             raise InputError(
-                f"outputs {self.outputs.shape}, inputs {self.inputs.shape} for {m} modes, {o} channels, {i} references"
+                f"outputs {self.outputs.shape}, inputs {self.inputs.shape} for {m} modes, {o} "
+                f"channels, {i} references"
             )
         if not 0 <= self.fmin < self.fmax or not self.targets.any():
             raise InputError(f"no mode between {self.fmin:g} and {self.fmax:g} Hz")
@@ -84,8 +87,8 @@ class Conditions:
     background : float, N/√Hz
         White force at each reference all the time.
     coherence : float, optional, 0..1
-        In place of `background`: so strong that the FRFs of driving points have this coherence; each reference is a
-        channel then.
+        In place of `background`: so strong that the FRFs of driving points have this coherence;
+        each reference is a channel then.
     sensor : Sensor
         Of the responses; an accelerometer.
     hits : int
@@ -114,7 +117,8 @@ class Conditions:
             or min(self.damping_scatter, self.background) < 0
         ):
             raise InputError(
-                f"virtual test: trials {self.trials} and hits {self.hits} (1 or more), damping {self.damping} (0..1), "
+                f"virtual test: trials {self.trials} and hits {self.hits} (1 or more), damping "
+                f"{self.damping} (0..1), "
                 f"scatter and background {self.damping_scatter}, {self.background} (0 or more)"
             )
         if self.coherence is not None and not 0 < self.coherence <= 1:
@@ -134,7 +138,8 @@ class Rehearsal:
     at_least : (t,) float64, 0..1
         Lower 95 % confidence bound of that probability (Clopper and Pearson 1934).
     frequency_bias, frequency_std : (t,) float64
-        Relative, of the trials that found it; NaN where none did, the deviation where fewer than two did.
+        Relative, of the trials that found it; NaN where none did, the deviation where fewer than
+        two did.
     damping_bias, damping_std : (t,) float64
         Relative.
     mac : (t,) float64
@@ -162,7 +167,15 @@ class Rehearsal:
     background: float = 0.0
 
     def __post_init__(self) -> None:
-        names = ("frequencies", "found", "at_least", "frequency_bias", "frequency_std", "damping_bias", "damping_std")
+        names = (
+            "frequencies",
+            "found",
+            "at_least",
+            "frequency_bias",
+            "frequency_std",
+            "damping_bias",
+            "damping_std",
+        )
         freeze_fields(self, **dict.fromkeys((*names, "mac"), np.float64))
 
     def take(self, modes: Int) -> Rehearsal:
@@ -172,7 +185,8 @@ class Rehearsal:
 
 
 def modal_model(plan: Planned, frequencies: Float, damping: Float) -> ModalModel:
-    """The structure as poles and residues: φψᵀ/(2iω_d) at each pole, rigid-body modes as the term L/s².
+    """The structure as poles and residues: φψᵀ/(2iω_d) at each pole, rigid-body modes as the term
+    L/s².
 
     Parameters
     ----------
@@ -224,9 +238,15 @@ def trials(
     for k, stream in enumerate(rng.spawn(conditions.trials)):
         if progress:
             progress(k / conditions.trials, f"virtual test {k + 1} of {conditions.trials}")
-        f = plan.frequencies * (1 + conditions.frequency_scatter * stream.standard_normal(zeta.size))
-        z = np.minimum(zeta * np.exp(conditions.damping_scatter * stream.standard_normal(zeta.size)), 0.5)
-        truth = ModeSet(f[target], z[target], plan.outputs[:, target], plan.channels, Norm.MASS, "model")
+        f = plan.frequencies * (
+            1 + conditions.frequency_scatter * stream.standard_normal(zeta.size)
+        )
+        z = np.minimum(
+            zeta * np.exp(conditions.damping_scatter * stream.standard_normal(zeta.size)), 0.5
+        )
+        truth = ModeSet(
+            f[target], z[target], plan.outputs[:, target], plan.channels, Norm.MASS, "model"
+        )
         truth = truth.take(np.argsort(truth.frequencies, kind="stable"))
         back = np.argsort(f[target], kind="stable")
         try:
@@ -241,7 +261,9 @@ def trials(
 
 
 def _whole(modes: ModeSet, channels: tuple[str, ...]) -> ModeSet:
-    """The modes at all channels of the plan; nothing was seen at those that the test left out, as drowned in noise."""
+    """The modes at all channels of the plan; nothing was seen at those that the test left out, as
+    drowned in noise.
+    """
     shapes = np.zeros((len(channels), len(modes)), dtype=modes.shapes.dtype)
     kept = np.flatnonzero(np.isin(channels, modes.channels))
     shapes[kept] = modes.rows([channels[i] for i in kept.tolist()]).shapes
@@ -282,4 +304,8 @@ def _outcome(frequencies: Float, error: Float, invented: int, force: float) -> R
 def missed_words(result: Rehearsal, names: Sequence[str], least: float = 0.9) -> tuple[str, ...]:
     """A sentence for each mode that fewer than the share `least` of the trials found."""
     rows = zip(names, result.frequencies.tolist(), result.found.tolist(), strict=True)
-    return tuple(f"mode {n} at {f:.4g} Hz is found in {100 * p:.0f} % of the trials" for n, f, p in rows if p < least)
+    return tuple(
+        f"mode {n} at {f:.4g} Hz is found in {100 * p:.0f} % of the trials"
+        for n, f, p in rows
+        if p < least
+    )

@@ -1,4 +1,6 @@
-"""A virtual ambient test: the structure under broad random forces, recorded by the planned sensors and identified."""
+"""A virtual ambient test: the structure under broad random forces, recorded by the planned sensors
+and identified.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,9 @@ class Ambience:
 
     def __post_init__(self) -> None:
         if not (self.duration > 0 and self.density > 0):
-            raise InputError(f"virtual ambient test: {self.duration} s and {self.density} N/√Hz must be above 0")
+            raise InputError(
+                f"virtual ambient test: {self.duration} s and {self.density} N/√Hz must be above 0"
+            )
 
 
 def longest(channels: int, fmax: float) -> float:
@@ -55,7 +59,8 @@ def rehearse_ambient(
     *,
     progress: Progress | None = None,
 ) -> Rehearsal:
-    """Test an ambient plan on signals: record under random forces, identify by SSI and correlate, trial by trial.
+    """Test an ambient plan on signals: record under random forces, identify by SSI and correlate,
+    trial by trial.
 
     Parameters
     ----------
@@ -67,20 +72,28 @@ def rehearse_ambient(
     rng : Generator
     """
     settings = AmbientSettings(0.97 * plan.fmin or None, 1.03 * plan.fmax)
-    # forces at many rows are, for the modes, as many as there are modes: QR keeps the covariance of ΦᵀF
+    # forces at many rows are, for the modes, as many as there are modes: QR keeps the covariance of
+    # ΦᵀF
     inputs = np.asarray(np.linalg.qr(plan.inputs, mode="r"))
     few = replace(plan, inputs=inputs, references=tuple(f"F{k}" for k in range(len(inputs))))
 
     def find(model: ModalModel, stream: np.random.Generator) -> ModeSet:
-        return identify_ambient(recorded(model, ambience, conditions, RATE * plan.fmax, stream), settings).modes
+        return identify_ambient(
+            recorded(model, ambience, conditions, RATE * plan.fmax, stream), settings
+        ).modes
 
     return trials(few, conditions, find, rng, force=ambience.density, progress=progress)
 
 
 def recorded(
-    model: ModalModel, ambience: Ambience, conditions: Conditions, rate: float, rng: np.random.Generator
+    model: ModalModel,
+    ambience: Ambience,
+    conditions: Conditions,
+    rate: float,
+    rng: np.random.Generator,
 ) -> TimeHistory:
-    """The accelerations as the crew would have them, with the noise of the sensors; a range that they do not fill.
+    """The accelerations as the crew would have them, with the noise of the sensors; a range that
+    they do not fill.
 
     Parameters
     ----------
@@ -96,4 +109,6 @@ def recorded(
     wide = max(conditions.sensor.range, HEADROOM * conditions.sensor.sensitivity * float(loudest))
     chain = Chain.draw((replace(conditions.sensor, range=wide),) * len(model.outputs), rng)
     volts, _ = record(motion, chain, samples, rate, rng)
-    return TimeHistory(volts / conditions.sensor.sensitivity, rate, model.outputs, "virtual ambient test")
+    return TimeHistory(
+        volts / conditions.sensor.sensitivity, rate, model.outputs, "virtual ambient test"
+    )

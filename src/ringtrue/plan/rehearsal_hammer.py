@@ -1,4 +1,6 @@
-"""A virtual hammer test: blows at each reference, recorded by the planned sensors, made FRFs and identified."""
+"""A virtual hammer test: blows at each reference, recorded by the planned sensors, made FRFs and
+identified.
+"""
 
 from __future__ import annotations
 
@@ -28,8 +30,8 @@ SMALLEST = 200.0  # N, range of the smallest impact hammers
 def fitting_hammer(model: ModalModel, fmax: float, sensor: Sensor, *, hits: int = 5) -> HammerPlan:
     """A hammer whose blows fill half the sensors' range at most and reach to `fmax`.
 
-    The tip gives contact times of 0.4 to 0.7 over fmax (first zero of a half-sine at 1.5 over the time), the block
-    lasts until the slowest mode has decayed to 1 %.
+    The tip gives contact times of 0.4 to 0.7 over fmax (first zero of a half-sine at 1.5 over the
+    time), the block lasts until the slowest mode has decayed to 1 %.
 
     Parameters
     ----------
@@ -41,9 +43,20 @@ def fitting_hammer(model: ModalModel, fmax: float, sensor: Sensor, *, hits: int 
     rate = RATE * fmax
     contact = (0.4 / fmax, 0.7 / fmax)
     block = float(np.clip(decay_time(model, np.log(100)), 40 / fmax, 200.0))
-    peak = sensor.range / sensor.sensitivity / max(_peak_response(model, contact[0], block, rate), 1e-300)
+    peak = (
+        sensor.range
+        / sensor.sensitivity
+        / max(_peak_response(model, contact[0], block, rate), 1e-300)
+    )
     top = float(min(0.5 * peak, FORCE_CELL.range / FORCE_CELL.sensitivity))
-    return HammerPlan(hits, block, max(0.01 * block, 24 / rate), 0.3 * block, peak=(0.5 * top, top), contact=contact)
+    return HammerPlan(
+        hits,
+        block,
+        max(0.01 * block, 24 / rate),
+        0.3 * block,
+        peak=(0.5 * top, top),
+        contact=contact,
+    )
 
 
 def _peak_response(model: ModalModel, contact: float, block: float, rate: float) -> float:
@@ -51,9 +64,16 @@ def _peak_response(model: ModalModel, contact: float, block: float, rate: float)
     n = 2 * int(np.ceil(0.5 * min(block, 2000 / rate) * rate))
     top = 0.0
     for i in range(len(model.inputs)):  # a handful of references
-        blow = Pulses(np.array([4 / rate]), np.array([contact]), np.array([2 / np.pi * contact]), np.array([i]))
+        blow = Pulses(
+            np.array([4 / rate]),
+            np.array([contact]),
+            np.array([2 / np.pi * contact]),
+            np.array([i]),
+        )
         force = pulse_spectrum(blow, len(model.inputs), n, rate)
-        top = max(top, float(np.abs(fft.irfft(response_spectrum(model, force, lines(n, rate)), n)).max()))
+        top = max(
+            top, float(np.abs(fft.irfft(response_spectrum(model, force, lines(n, rate)), n)).max())
+        )
     return top
 
 
@@ -64,7 +84,8 @@ def rehearse(
     *,
     progress: Progress | None = None,
 ) -> Rehearsal:
-    """Test the plan on signals: strike, record, estimate FRFs, identify and correlate, trial by trial.
+    """Test the plan on signals: strike, record, estimate FRFs, identify and correlate, trial by
+    trial.
 
     Each trial draws other dampings, frequencies, calibration errors, blows and noise.
 
@@ -75,27 +96,41 @@ def rehearse(
     rng : Generator
     progress : callable, optional
     """
-    nominal = modal_model(plan, plan.frequencies, np.full(plan.frequencies.size, conditions.damping))
-    hammer = conditions.hammer or fitting_hammer(nominal, plan.fmax, conditions.sensor, hits=conditions.hits)
+    nominal = modal_model(
+        plan, plan.frequencies, np.full(plan.frequencies.size, conditions.damping)
+    )
+    hammer = conditions.hammer or fitting_hammer(
+        nominal, plan.fmax, conditions.sensor, hits=conditions.hits
+    )
     settings = HammerModes(0.97 * plan.fmin or None, 1.03 * plan.fmax)
     if conditions.coherence is not None:
-        density = background_density(nominal, hammer, conditions, (plan.fmin, plan.fmax), rng.spawn(1)[0])
+        density = background_density(
+            nominal, hammer, conditions, (plan.fmin, plan.fmax), rng.spawn(1)[0]
+        )
         conditions = replace(conditions, background=density)
 
     def find(model: ModalModel, stream: np.random.Generator) -> ModeSet:
-        return identify_hammer(measured(model, hammer, conditions, RATE * plan.fmax, stream), settings).modes
+        return identify_hammer(
+            measured(model, hammer, conditions, RATE * plan.fmax, stream), settings
+        ).modes
 
     result = trials(plan, conditions, find, rng, force=hammer.peak[1], progress=progress)
     return replace(result, background=conditions.background)
 
 
 def background_density(
-    model: ModalModel, hammer: HammerPlan, conditions: Conditions, band: tuple[float, float], rng: np.random.Generator
+    model: ModalModel,
+    hammer: HammerPlan,
+    conditions: Conditions,
+    band: tuple[float, float],
+    rng: np.random.Generator,
 ) -> float:
-    """White forces at all references that leave the driving points the coherence of `conditions`, N/√Hz.
+    """White forces at all references that leave the driving points the coherence of `conditions`,
+    N/√Hz.
 
-    γ² = 1/(1 + N/S), and N/S grows with the square of the density. One that would leave 0.98 of blows without windows
-    is mended by what FRFs of a virtual test tell; twice, as windows depend on noise.
+    γ² = 1/(1 + N/S), and N/S grows with the square of the density. One that would leave 0.98 of
+    blows without windows is mended by what FRFs of a virtual test tell; twice, as windows depend on
+    noise.
 
     Parameters
     ----------
@@ -120,9 +155,14 @@ def background_density(
 
 
 def measured(
-    model: ModalModel, hammer: HammerPlan, conditions: Conditions, rate: float, rng: np.random.Generator
+    model: ModalModel,
+    hammer: HammerPlan,
+    conditions: Conditions,
+    rate: float,
+    rng: np.random.Generator,
 ) -> FrfSet:
-    """FRFs as the crew would have them: blows at each input, recorded by the sensors with their noise.
+    """FRFs as the crew would have them: blows at each input, recorded by the sensors with their
+    noise.
 
     Parameters
     ----------
@@ -133,8 +173,14 @@ def measured(
     """
     sensors = (_cell(hammer.peak[1] / 0.85), *(conditions.sensor,) * len(model.outputs))
     chain = Chain.draw(sensors, rng)
-    records = [_record(model, i, hammer, chain, conditions, rate, rng) for i in range(len(model.inputs))]
-    full = {c.id: s.range / s.sensitivity for r in records for c, s in zip(r.channels, sensors, strict=True)}
+    records = [
+        _record(model, i, hammer, chain, conditions, rate, rng) for i in range(len(model.inputs))
+    ]
+    full = {
+        c.id: s.range / s.sensitivity
+        for r in records
+        for c, s in zip(r.channels, sensors, strict=True)
+    }
     block = round(hammer.block * rate) / rate
     settings = HammerSettings(block=block - hammer.pretrigger, pretrigger=hammer.pretrigger)
     return estimate_frf(records, settings, full_scale=full)[0]

@@ -36,9 +36,11 @@ class Resolution:
 
 
 def ambient_std(frequencies: Float, damping: Float | float, duration: float) -> tuple[Float, Float]:
-    """Relative standard deviations (m,) of frequency and damping from `duration` s of white excitation.
+    """Relative standard deviations (m,) of frequency and damping from `duration` s of white
+    excitation.
 
-    σ_f/f = √(ζ/(2π f T)), σ_ζ/ζ = √(1/(2π ζ f T)); Gersch (1974), the statistical floor of any method.
+    σ_f/f = √(ζ/(2π f T)), σ_ζ/ζ = √(1/(2π ζ f T)); Gersch (1974), the statistical floor of any
+    method.
     """
     z, f = np.asarray(damping, dtype=np.float64), np.asarray(frequencies, dtype=np.float64)
     n = 2 * np.pi * f * duration
@@ -46,7 +48,8 @@ def ambient_std(frequencies: Float, damping: Float | float, duration: float) -> 
 
 
 def frf_averages(error: float, coherence: float) -> int:
-    """Averages for a relative random error of |H|: (1 − γ²)/(2γ²·error²); Bendat and Piersol (2010), section 9.2.
+    """Averages for a relative random error of |H|: (1 − γ²)/(2γ²·error²); Bendat and Piersol
+    (2010), section 9.2.
 
     Parameters
     ----------

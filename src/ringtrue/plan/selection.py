@@ -1,4 +1,6 @@
-"""More ways to choose measuring points: QR with pivoting, kinetic-energy weighting, auto-MAC; and lost sensors."""
+"""More ways to choose measuring points: QR with pivoting, kinetic-energy weighting, auto-MAC; and
+lost sensors.
+"""
 
 from __future__ import annotations
 
@@ -17,10 +19,11 @@ _MOST_SUBSETS = 20_000
 
 
 def kinetic_weighted(shapes: Float, mass: Float) -> Float:
-    """Shapes (n, d, m) times the root of the mass at each point: effective independence of the kinetic energy.
+    """Shapes (n, d, m) times the root of the mass at each point: effective independence of the
+    kinetic energy.
 
-    Li, Li and Fritzen (2007): QR or effective independence of √m·φ prefers points that carry energy and so stand
-    above the noise.
+    Li, Li and Fritzen (2007): QR or effective independence of √m·φ prefers points that carry energy
+    and so stand above the noise.
 
     Parameters
     ----------
@@ -41,10 +44,12 @@ def qr_points(
     fixed: Bool | None = None,
     cost: Float | None = None,
 ) -> Int:
-    """Points by QR of the transposed modal matrix with column pivoting, the d rows of a point taken together.
+    """Points by QR of the transposed modal matrix with column pivoting, the d rows of a point taken
+    together.
 
-    Schedlinski and Link (1996), An approach to optimal pick-up and exciter placement. With one direction a point this
-    is the pivoted QR of LAPACK; when the modes are spanned, it starts again with the points that are left.
+    Schedlinski and Link (1996), An approach to optimal pick-up and exciter placement. With one
+    direction a point this is the pivoted QR of LAPACK; when the modes are spanned, it starts again
+    with the points that are left.
 
     Parameters
     ----------
@@ -78,14 +83,16 @@ def qr_points(
     while len(chosen) < count:
         if not free.any():
             raise InputError(
-                f"{len(chosen)} points are {min_distance:g} m apart, {count} were asked for: lower min_distance or "
+                f"{len(chosen)} points are {min_distance:g} m apart, {count} were asked for: "
+                "lower min_distance or "
                 "name more candidates"
             )
         norm = np.where(free, (rest**2).sum(axis=(1, 2)) / price, -1.0)
         if norm.max() <= 1e-20 * scale:
             if not (shapes[free] ** 2).sum() > 1e-20 * scale:
                 raise InputError(
-                    f"the candidates that are left do not move in any mode; {len(chosen)} points are useful"
+                    f"the candidates that are left do not move in any mode; {len(chosen)} points "
+                    "are useful"
                 )
             rest = np.array(shapes, dtype=np.float64)
             continue
@@ -122,7 +129,8 @@ def auto_mac_points(
     fixed: Bool | None = None,
     sweeps: int = 3,
 ) -> Int:
-    """Points of least worst off-diagonal auto-MAC: pivoted QR, additions, then exchanges until none helps.
+    """Points of least worst off-diagonal auto-MAC: pivoted QR, additions, then exchanges until none
+    helps.
 
     Carne and Dohrmann (1995) for the additions (a design for modal tests by the auto-MAC).
 
@@ -152,7 +160,9 @@ def auto_mac_points(
         keep = thinned(independence(shapes), xyz, held, min_distance)
         return keep[auto_mac_points(shapes[keep], count, fixed=held[keep], sweeps=sweeps)]
     if not -(-m // d) <= count <= n:
-        raise InputError(f"{count} points of {n} with {d} directions for {m} modes: ask for {-(-m // d)} to {n}")
+        raise InputError(
+            f"{count} points of {n} with {d} directions for {m} modes: ask for {-(-m // d)} to {n}"
+        )
     start = qr_points(shapes, max(-(-m // d), int(held.sum())), fixed=held)
     chosen = lower_auto_mac(shapes, start, -1.0, count)
     for _ in range(sweeps):
@@ -179,7 +189,8 @@ class Loss:
     points : (k,) int64
         Positions in the chosen points whose loss hurts most.
     left : float, 0..1
-        Information that stays about the combination of modes that suffers most; 0: modes become indistinguishable.
+        Information that stays about the combination of modes that suffers most; 0: modes become
+        indistinguishable.
     combination : (m,) float64
         That combination, in modal coordinates.
     exact : bool
@@ -198,8 +209,8 @@ class Loss:
 def worst_loss(shapes: Float, k: int) -> Loss:
     """The loss of k of the given points that hurts most.
 
-    With Φ = QR the information that stays, relative to the whole, has the least eigenvalue 1 - σ²(Q_lost) of the lost
-    rows Q_lost: no matrix larger than the lost rows is needed.
+    With Φ = QR the information that stays, relative to the whole, has the least eigenvalue 1 -
+    σ²(Q_lost) of the lost rows Q_lost: no matrix larger than the lost rows is needed.
 
     Parameters
     ----------
@@ -228,7 +239,11 @@ def worst_loss(shapes: Float, k: int) -> Loss:
     q, r = np.linalg.qr(flat)
     rows = q.reshape(c, d, m)
     exact = comb(c, k) <= _MOST_SUBSETS
-    subsets = np.array(list(combinations(range(c), k)), dtype=np.int64).reshape(-1, k) if exact else _built(rows, k)
+    subsets = (
+        np.array(list(combinations(range(c), k)), dtype=np.int64).reshape(-1, k)
+        if exact
+        else _built(rows, k)
+    )
     _, s, v = np.linalg.svd(rows[subsets].reshape(len(subsets), k * d, m), full_matrices=False)
     worst = int(np.argmax(s[:, 0]))
     left = float(np.clip(1 - s[worst, 0] ** 2, 0, 1))
@@ -260,9 +275,11 @@ def make_redundant(
     xyz: Float | None = None,
     min_distance: float = 0.0,
 ) -> Int:
-    """Adds points until at least the share `least` of the information about any mode survives the loss of any k.
+    """Adds points until at least the share `least` of the information about any mode survives the
+    loss of any k.
 
-    Each added point is the one that sees most of the combination of modes that the worst loss blinds.
+    Each added point is the one that sees most of the combination of modes that the worst loss
+    blinds.
 
     Parameters
     ----------
@@ -284,7 +301,8 @@ def make_redundant(
     Raises
     ------
     InputError
-        If the limit is not reached with `most` points, or with all that are far enough from each other.
+        If the limit is not reached with `most` points, or with all that are far enough from each
+        other.
     """
     points = np.array(chosen, dtype=np.int64)
     most = most or len(shapes)
@@ -294,9 +312,14 @@ def make_redundant(
     while (loss := worst_loss(shapes[points], k)).left < least:
         rest = np.flatnonzero(free)
         if points.size >= most or not rest.size:
-            lower = f", a distance below {min_distance:.2g} m" if min_distance > 0 and not rest.size else ""
+            lower = (
+                f", a distance below {min_distance:.2g} m"
+                if min_distance > 0 and not rest.size
+                else ""
+            )
             raise InputError(
-                f"with {points.size} points the loss of any {k} leaves {100 * loss.left:.2g} % of the information, "
+                f"with {points.size} points the loss of any {k} leaves {100 * loss.left:.2g} % "
+                "of the information, "
                 f"{100 * least:g} % are asked for: allow more points{lower} or less redundancy"
             )
         seen = ((shapes[rest] @ loss.combination) ** 2).sum(axis=1)

@@ -28,7 +28,8 @@ class Setups:
     seen : (m,) float64
         Rms of each mode at the references over that at all planned sensors.
     shift : (m,) float64
-        Largest relative difference of the loaded frequency between setups; 0 without a mass of the sensors.
+        Largest relative difference of the loaded frequency between setups; 0 without a mass of the
+        sensors.
     """
 
     setup: Int
@@ -54,11 +55,13 @@ class Setups:
 
 
 def roving_setups(shapes: Float, xyz: Float, at_hand: int, stay: Int | None = None) -> Setups:
-    """References that see every mode, and neighbours together in each setup, as many as are at hand.
+    """References that see every mode, and neighbours together in each setup, as many as are at
+    hand.
 
-    References are added one at a time, each by the sum over the modes of the logarithm of what the references see of
-    it, cut where that is as much as the typical point does; until all modes are seen so, or half of the sensors at
-    hand stay. The others are parted along their longest axis until each part can be measured at once.
+    References are added one at a time, each by the sum over the modes of the logarithm of what the
+    references see of it, cut where that is as much as the typical point does; until all modes are
+    seen so, or half of the sensors at hand stay. The others are parted along their longest axis
+    until each part can be measured at once.
 
     Parameters
     ----------
@@ -68,8 +71,8 @@ def roving_setups(shapes: Float, xyz: Float, at_hand: int, stay: Int | None = No
     at_hand : int
         Sensors that can be recorded at once, 2 to n - 1.
     stay : (k,) int64, optional
-        Sensors that are references in any case, as far as half of those at hand go: at the points struck, so that
-        each setup has driving points of its own.
+        Sensors that are references in any case, as far as half of those at hand go: at the points
+        struck, so that each setup has driving points of its own.
 
     Raises
     ------
@@ -78,7 +81,9 @@ def roving_setups(shapes: Float, xyz: Float, at_hand: int, stay: Int | None = No
     """
     n = len(shapes)
     if not 2 <= at_hand < n:
-        raise InputError(f"{at_hand} sensors at hand for {n} planned ones: setups need 2 to {n - 1}")
+        raise InputError(
+            f"{at_hand} sensors at hand for {n} planned ones: setups need 2 to {n - 1}"
+        )
     square = (np.asarray(shapes, dtype=np.float64) ** 2).sum(axis=1)
     share = square / np.maximum(square.mean(axis=0), 1e-300)
     most = max(1, int(STAY * at_hand))
@@ -91,7 +96,9 @@ def roving_setups(shapes: Float, xyz: Float, at_hand: int, stay: Int | None = No
     setup = np.full(n, -1, dtype=np.int64)
     rest = np.setdiff1d(np.arange(n), chosen)
     room = at_hand - len(chosen)
-    for k, part in enumerate(_parts(rest, np.asarray(xyz, dtype=np.float64), -(-rest.size // room))):
+    for k, part in enumerate(
+        _parts(rest, np.asarray(xyz, dtype=np.float64), -(-rest.size // room))
+    ):
         setup[part] = k
     return Setups(setup, np.sqrt(share[chosen].mean(axis=0)), np.zeros(share.shape[1]))
 

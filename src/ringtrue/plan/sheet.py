@@ -17,7 +17,14 @@ from ringtrue.plan.setups import Setups
 from ringtrue.virtual.logbook import direction, write_lines, write_sheet
 from ringtrue.virtual.sensors import Sensor
 
-NAMES = ("sensors.csv", "lines.csv", "excitation.csv", "modes.csv", "geometry.uff", "setups.csv")  # of a test sheet
+NAMES = (
+    "sensors.csv",
+    "lines.csv",
+    "excitation.csv",
+    "modes.csv",
+    "geometry.uff",
+    "setups.csv",
+)  # of a test sheet
 
 
 def write_test_sheet(
@@ -32,9 +39,10 @@ def write_test_sheet(
 ) -> tuple[Path, ...]:
     """Write the plan of a test.
 
-    `sensors.csv` (points, directions, channels: what `study.toml` and `read_sensor_sheet` take, with columns for the
-    crew to fill in), `lines.csv`, `excitation.csv` (where to strike and in which direction), `modes.csv` (targets and
-    how well they are excited) and `geometry.uff`; with setups, `setups.csv` (which sensor is where in each).
+    `sensors.csv` (points, directions, channels: what `study.toml` and `read_sensor_sheet` take,
+    with columns for the crew to fill in), `lines.csv`, `excitation.csv` (where to strike and in
+    which direction), `modes.csv` (targets and how well they are excited) and `geometry.uff`; with
+    setups, `setups.csv` (which sensor is where in each).
 
     Parameters
     ----------
@@ -62,7 +70,10 @@ def write_test_sheet(
         If a reference is not a channel, or `reach` does not fit.
     """
     if reach.shape != (len(references), frequencies.size):
-        raise InputError(f"reach {reach.shape}: must be (reference, mode) = {(len(references), frequencies.size)}")
+        raise InputError(
+            f"reach {reach.shape}: must be (reference, mode) = "
+            f"{(len(references), frequencies.size)}"
+        )
     struck = test.pick(references)
     folder.mkdir(parents=True, exist_ok=True)
     sensors, lines, excitation, modes, geometry, roving = (folder / n for n in NAMES)
@@ -94,7 +105,10 @@ def _places(test: TestModel, setups: Setups) -> list[tuple[object, ...]]:
     each = len(test.channels) // setups.setup.size
     out: list[tuple[object, ...]] = []
     for k in range(setups.count):
-        there = [*((s, "yes") for s in setups.references.tolist()), *((s, "") for s in setups.roving(k).tolist())]
+        there = [
+            *((s, "yes") for s in setups.references.tolist()),
+            *((s, "") for s in setups.roving(k).tolist()),
+        ]
         for number, (s, stays) in enumerate(there, start=1):
             channels = " ".join(test.channels[s * each : (s + 1) * each])
             out.append((k + 1, number, int(test.at[s * each]), channels, stays))
@@ -104,7 +118,9 @@ def _places(test: TestModel, setups: Setups) -> list[tuple[object, ...]]:
 def _blows(struck: TestModel, frequencies: Float, reach: Float) -> list[tuple[object, ...]]:
     """A row for each reference: where it is, and the target modes it excites best."""
     owner = reach.argmax(axis=0)
-    place = zip(struck.channels, struck.at.tolist(), struck.channel_xyz().tolist(), struck.axes, strict=True)
+    place = zip(
+        struck.channels, struck.at.tolist(), struck.channel_xyz().tolist(), struck.axes, strict=True
+    )
     return [
         (
             k + 1,

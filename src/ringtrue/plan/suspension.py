@@ -38,7 +38,8 @@ class Suspension:
 
 
 def quiet(shapes: Float) -> Float:
-    """Motion (n,) of each point in the mode that moves it most, squared, over the mode's largest: 0..1.
+    """Motion (n,) of each point in the mode that moves it most, squared, over the mode's largest:
+    0..1.
 
     Parameters
     ----------
@@ -54,10 +55,14 @@ def _motion(shapes: Float) -> Float:
     return np.asarray(square / np.maximum(square.max(axis=0), 1e-300))
 
 
-def suspension_points(shapes: Float, xyz: Float, count: int, cg: Float, *, min_distance: float = 0.0) -> Suspension:
-    """Points where the target modes move least, with the centre of gravity between them where possible.
+def suspension_points(
+    shapes: Float, xyz: Float, count: int, cg: Float, *, min_distance: float = 0.0
+) -> Suspension:
+    """Points where the target modes move least, with the centre of gravity between them where
+    possible.
 
-    The quietest candidates are combined fully; a set is judged by the mode that moves its points most.
+    The quietest candidates are combined fully; a set is judged by the mode that moves its points
+    most.
 
     Parameters
     ----------
@@ -83,7 +88,9 @@ def suspension_points(shapes: Float, xyz: Float, count: int, cg: Float, *, min_d
     gap = np.linalg.norm(xyz[sets][:, :, None] - xyz[sets][:, None], axis=3) + np.eye(count) * 1e300
     sets = sets[gap.min(axis=(1, 2)) >= min_distance]
     if not sets.size:
-        raise InputError(f"no {count} of the quietest points are {min_distance:g} m apart: lower min_distance")
+        raise InputError(
+            f"no {count} of the quietest points are {min_distance:g} m apart: lower min_distance"
+        )
     motion = _motion(shapes)[sets].mean(axis=1).max(axis=1)
     held = _between(xyz[sets][..., :2], np.asarray(cg, dtype=np.float64)[:2])
     best = int(np.lexsort((motion, ~held))[0])
@@ -105,7 +112,9 @@ def _pool(motion: Float, xyz: Float, count: int, distance: float) -> Int:
 
 
 def _between(plan: Float, point: Float) -> Bool:
-    """Whether `point` (2,) lies in the hull of each set of points (s, k, 2): in one of its triangles."""
+    """Whether `point` (2,) lies in the hull of each set of points (s, k, 2): in one of its
+    triangles.
+    """
     k = plan.shape[1]
     inside = np.zeros(len(plan), dtype=np.bool_)
     for tri in combinations(range(k), 3):  # a handful of points
@@ -121,11 +130,15 @@ def _cross(a: Float, b: Float) -> Float:
     return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
 
 
-def loaded_frequencies(frequencies: Float, shapes: Float, mass: Float, stiffness: Float | None = None) -> Float:
-    """Frequencies (m,) with masses and springs added at points, Hz, by Rayleigh-Ritz on the given modes.
+def loaded_frequencies(
+    frequencies: Float, shapes: Float, mass: Float, stiffness: Float | None = None
+) -> Float:
+    """Frequencies (m,) with masses and springs added at points, Hz, by Rayleigh-Ritz on the given
+    modes.
 
-    (Λ + ΦᵀkΦ)q = λ(I + ΦᵀmΦ)q: an upper bound that the number of modes drives down; with one mode it is
-    √((λ + Σkφ²)/(1 + Σmφ²)). Close modes mix, which the first-order shift -½Σmφ² of each alone misses.
+    (Λ + ΦᵀkΦ)q = λ(I + ΦᵀmΦ)q: an upper bound that the number of modes drives down; with one mode
+    it is √((λ + Σkφ²)/(1 + Σmφ²)). Close modes mix, which the first-order shift -½Σmφ² of each
+    alone misses.
 
     Parameters
     ----------

@@ -42,12 +42,15 @@ class Targets:
         """
         lost = " ".join(str(k + 1) for k in self.modes[~readable[self.modes]].tolist())
         told = (
-            f"no target, as no candidate sensor reads it, which turns nodes or moves across the sensors: mode {lost}",
+            "no target, as no candidate sensor reads it, which turns nodes or moves across the "
+            f"sensors: mode {lost}",
         )
         kept = np.flatnonzero(readable[self.modes])
         if not kept.size:
             raise InputError(told[0])
-        return Targets(self.modes[kept], tuple(self.reasons[i] for i in kept.tolist())), told if lost else ()
+        return Targets(
+            self.modes[kept], tuple(self.reasons[i] for i in kept.tolist())
+        ), told if lost else ()
 
 
 def in_band(frequencies: Float, low: float, high: float) -> Bool:
@@ -57,7 +60,8 @@ def in_band(frequencies: Float, low: float, high: float) -> Bool:
 
 
 def readable(shapes: Float, mass: float) -> Bool:
-    """Modes (m,) that a sensor reads: more than 1e-6 of what a rigid shift of the whole makes; below, it is round-off.
+    """Modes (m,) that a sensor reads: more than 1e-6 of what a rigid shift of the whole makes;
+    below, it is round-off.
 
     Parameters
     ----------
@@ -72,8 +76,8 @@ def readable(shapes: Float, mass: float) -> Bool:
 def effective_mass(shapes: Float, mass: Any, rigid: Float) -> Float:
     """Share of the whole mass that each mode moves along each rigid-body motion, (m, 6), 0..1.
 
-    (φᵀMr)²/(rᵀMr); over all modes of a held structure a column sums to the share of the mass that is free (Clough and
-    Penzien 1993, section 13-2).
+    (φᵀMr)²/(rᵀMr); over all modes of a held structure a column sums to the share of the mass that
+    is free (Clough and Penzien 1993, section 13-2).
 
     Parameters
     ----------
@@ -106,11 +110,12 @@ def kinetic_share(shapes: Float, mass: Any, regions: Sequence[Int]) -> Float:
 
 
 def telling_modes(d_lambda: Float, lam: Float, std: Float | float, prior: Float, count: int) -> Int:
-    """Modes whose frequencies tell the parameters apart, greedily by the gain in log-determinant of the information.
+    """Modes whose frequencies tell the parameters apart, greedily by the gain in log-determinant of
+    the information.
 
-    The information of a mode about x/σ_x is gᵀg/σ² with g = ∂λ/∂x·σ_x/λ and σ the relative standard deviation of λ
-    (D-optimal choice, Fedorov 1972); the prior adds the unit matrix, so that a direction that another mode has told
-    brings little more.
+    The information of a mode about x/σ_x is gᵀg/σ² with g = ∂λ/∂x·σ_x/λ and σ the relative standard
+    deviation of λ (D-optimal choice, Fedorov 1972); the prior adds the unit matrix, so that a
+    direction that another mode has told brings little more.
 
     Parameters
     ----------
@@ -143,7 +148,9 @@ def telling_modes(d_lambda: Float, lam: Float, std: Float | float, prior: Float,
     return np.array(chosen, dtype=np.int64)
 
 
-def choose_targets(frequencies: Float, criteria: Mapping[str, Bool], *, within: Bool | None = None) -> Targets:
+def choose_targets(
+    frequencies: Float, criteria: Mapping[str, Bool], *, within: Bool | None = None
+) -> Targets:
     """Modes that at least one criterion asks for.
 
     Parameters
@@ -160,9 +167,18 @@ def choose_targets(frequencies: Float, criteria: Mapping[str, Bool], *, within: 
         If no mode is left.
     """
     names = list(criteria)
-    asked = np.array([criteria[n] for n in names], dtype=np.bool_).reshape(len(names), np.size(frequencies))
+    asked = np.array([criteria[n] for n in names], dtype=np.bool_).reshape(
+        len(names), np.size(frequencies)
+    )
     asked = asked & (True if within is None else np.asarray(within, dtype=np.bool_))
     modes = np.flatnonzero(asked.any(axis=0))
     if not modes.size:
-        raise InputError(f"none of {np.size(frequencies)} modes meets {' or '.join(names)}: widen the criteria")
-    return Targets(modes, tuple(", ".join(n for n, yes in zip(names, asked[:, k], strict=True) if yes) for k in modes))
+        raise InputError(
+            f"none of {np.size(frequencies)} modes meets {' or '.join(names)}: widen the criteria"
+        )
+    return Targets(
+        modes,
+        tuple(
+            ", ".join(n for n, yes in zip(names, asked[:, k], strict=True) if yes) for k in modes
+        ),
+    )

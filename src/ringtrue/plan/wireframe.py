@@ -19,17 +19,22 @@ CHUNK = 20_000_000  # comparisons at once
 def mesh_edges(triangles: Int, lines: Int) -> Int:
     """Edges (e, 2) int64 of triangles (t, 3) and lines (l, 2), each once, ends ascending."""
     t = np.asarray(triangles, dtype=np.int64).reshape(-1, 3)
-    every = np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]], np.asarray(lines, dtype=np.int64).reshape(-1, 2)])
+    every = np.concatenate(
+        [t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]], np.asarray(lines, dtype=np.int64).reshape(-1, 2)]
+    )
     every = np.sort(every[every[:, 0] != every[:, 1]], axis=1)
     return np.asarray(np.unique(every, axis=0))
 
 
-def wireframe(xyz: Float, edges: Int, chosen: Int, *, detour: float = 1.6, bend: float = 1.3) -> Int:
+def wireframe(
+    xyz: Float, edges: Int, chosen: Int, *, detour: float = 1.6, bend: float = 1.3
+) -> Int:
     """Lines between measuring points whose neighbourhoods on the mesh touch.
 
-    Each node belongs to the point that is nearest along the mesh; two points are neighbours where an edge joins their
-    nodes (the dual of a Voronoi diagram, Erwig 2000). A line that is the longest of a triangle is left out where the
-    two others are hardly longer, and so is one that cuts through the air; the least spanning tree always stays.
+    Each node belongs to the point that is nearest along the mesh; two points are neighbours where
+    an edge joins their nodes (the dual of a Voronoi diagram, Erwig 2000). A line that is the
+    longest of a triangle is left out where the two others are hardly longer, and so is one that
+    cuts through the air; the least spanning tree always stays.
 
     Parameters
     ----------
@@ -38,7 +43,8 @@ def wireframe(xyz: Float, edges: Int, chosen: Int, *, detour: float = 1.6, bend:
         Positions in `xyz`.
     chosen : (c,) int64
     detour : float
-        Largest ratio of the way round to a line that is left out; 1 keeps nearly all, inf leaves the fewest.
+        Largest ratio of the way round to a line that is left out; 1 keeps nearly all, inf leaves
+        the fewest.
     bend : float
         Largest ratio of the way along the mesh to the straight line between two points.
 
@@ -54,13 +60,20 @@ def wireframe(xyz: Float, edges: Int, chosen: Int, *, detour: float = 1.6, bend:
     """
     n, c = len(xyz), np.asarray(chosen, dtype=np.int64)
     if np.unique(c).size != c.size or (c.size and not 0 <= c.min() <= c.max() < n):
-        raise InputError(f"measuring points: {c.size} positions, {np.unique(c).size} different; must be 0 to {n - 1}")
+        raise InputError(
+            f"measuring points: {c.size} positions, {np.unique(c).size} different; must be 0 to "
+            f"{n - 1}"
+        )
     length = np.linalg.norm(xyz[edges[:, 0]] - xyz[edges[:, 1]], axis=1)
     graph = _graph(edges, np.maximum(length, 1e-12), n)
-    far, _, owner = csgraph.dijkstra(graph, directed=False, indices=c, return_predecessors=True, min_only=True)
+    far, _, owner = csgraph.dijkstra(
+        graph, directed=False, indices=c, return_predecessors=True, min_only=True
+    )
     seat = np.full(n, -1, dtype=np.int64)
     seat[c] = np.arange(c.size)
-    home = np.where(owner >= 0, seat[np.maximum(owner, 0)], -1)  # -1 on a part of the mesh without a point
+    home = np.where(
+        owner >= 0, seat[np.maximum(owner, 0)], -1
+    )  # -1 on a part of the mesh without a point
     a, b = home[edges].T
     touch = (a != b) & (a >= 0) & (b >= 0)
     pair = np.sort(np.stack([a, b], axis=1)[touch], axis=1)
@@ -71,10 +84,11 @@ def wireframe(xyz: Float, edges: Int, chosen: Int, *, detour: float = 1.6, bend:
 
 
 def neighbours(xyz: Float, groups: Sequence[str]) -> Int:
-    """Lines between points where no mesh tells: the relative neighbours (Toussaint 1980) within each group.
+    """Lines between points where no mesh tells: the relative neighbours (Toussaint 1980) within
+    each group.
 
-    Two points are joined unless a third is nearer to both than they are to each other; the least spanning tree of
-    each group is among the lines.
+    Two points are joined unless a third is nearer to both than they are to each other; the least
+    spanning tree of each group is among the lines.
 
     Parameters
     ----------
@@ -93,8 +107,12 @@ def neighbours(xyz: Float, groups: Sequence[str]) -> Int:
         i, j = np.triu_indices(at.size, 1)
         order = np.argsort(gap[i, j], kind="stable")
         keep = np.zeros(i.size, dtype=np.bool_)
-        for part in np.array_split(order, -(-order.size * at.size // CHUNK) or 1):  # to bound the memory
-            nearer = np.maximum(gap[i[part]], gap[j[part]]) < gap[i[part], j[part]][:, None] * (1 - 1e-9)
+        for part in np.array_split(
+            order, -(-order.size * at.size // CHUNK) or 1
+        ):  # to bound the memory
+            nearer = np.maximum(gap[i[part]], gap[j[part]]) < gap[i[part], j[part]][:, None] * (
+                1 - 1e-9
+            )
             keep[part] = ~nearer.any(axis=1)
         out.append(np.stack([at[i[keep]], at[j[keep]]], axis=1))
     every = np.concatenate(out)
@@ -113,7 +131,9 @@ def _in_tree(pair: Int, way: Float, n: int) -> Bool:
 
 
 def _thinned(pair: Int, way: Float, n: int, detour: float) -> tuple[Int, Float]:
-    """The shortest way of each pair, less those that are the longest of a triangle and cheap to go round."""
+    """The shortest way of each pair, less those that are the longest of a triangle and cheap to go
+    round.
+    """
     order = np.lexsort((way, pair[:, 1], pair[:, 0]))
     pair, first = np.unique(pair[order], axis=0, return_index=True)
     if not len(pair):
@@ -129,10 +149,12 @@ def _thinned(pair: Int, way: Float, n: int, detour: float) -> tuple[Int, Float]:
 
 
 def shown(xyz: Float, edges: Int, chosen: Int, shapes: Float, seen: Float | None = None) -> Float:
-    """MAC (m,) of each mode with its own drawing: the motion of the points, spread over the mesh as a net would be.
+    """MAC (m,) of each mode with its own drawing: the motion of the points, spread over the mesh as
+    a net would be.
 
-    The nodes in between take the mean of their neighbours weighted by 1/length (harmonic interpolation on the graph);
-    a low value means that the points do not show the mode: it swings between them.
+    The nodes in between take the mean of their neighbours weighted by 1/length (harmonic
+    interpolation on the graph); a low value means that the points do not show the mode: it swings
+    between them.
 
     Parameters
     ----------
@@ -160,5 +182,8 @@ def shown(xyz: Float, edges: Int, chosen: Int, shapes: Float, seen: Float | None
         solve = factorized(laplace[free][:, free].tocsc())
         pull = weights[free][:, chosen] @ drawn[chosen]
         drawn[free] = np.column_stack([solve(pull[:, k]) for k in range(d * m)])
-    both = (x.reshape(n, d, m)[here].reshape(-1, m) for x in (drawn, np.asarray(shapes, dtype=np.float64)))
+    both = (
+        x.reshape(n, d, m)[here].reshape(-1, m)
+        for x in (drawn, np.asarray(shapes, dtype=np.float64))
+    )
     return paired_mac(*both)

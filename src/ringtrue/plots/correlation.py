@@ -1,4 +1,6 @@
-"""MAC and orthogonality matrices, frequency deviations, channels, and modes followed from model to model."""
+"""MAC and orthogonality matrices, frequency deviations, channels, and modes followed from model to
+model.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +48,8 @@ def matrix(
     diagonal: bool = True,
     name: str = "MAC",
 ) -> go.Figure:
-    """A MAC matrix in percent; `mac` (row, column) 0..1. Cells over 10 % carry their number, up to `TOLD` modes.
+    """A MAC matrix in percent; `mac` (row, column) 0..1. Cells over 10 % carry their number, up to
+    `TOLD` modes.
 
     `diagonal` False leaves out the ones of an auto-MAC; `name` is what the matrix holds.
     """
@@ -54,7 +57,13 @@ def matrix(
     size = max(percent.shape, default=1)
     fig = figure(
         height or int(np.clip(150 + 23 * percent.shape[0], 260, 720)),
-        xaxis=axis(column_title, type="category", tickangle=-90 if size > 8 else 0, showgrid=False, ticks=""),
+        xaxis=axis(
+            column_title,
+            type="category",
+            tickangle=-90 if size > 8 else 0,
+            showgrid=False,
+            ticks="",
+        ),
         yaxis=axis(row_title, type="category", autorange="reversed", showgrid=False, ticks=""),
     )
     for a in (fig.layout.xaxis, fig.layout.yaxis):
@@ -64,11 +73,23 @@ def matrix(
         np.fill_diagonal(told, False)
     bar = {"thickness": 10, "outlinewidth": 0, "ticksuffix": " %"}
     fig.add_heatmap(
-        z=f32(percent), x=list(columns), y=list(rows), zmin=0, zmax=100, colorscale=SEQUENTIAL, colorbar=bar
+        z=f32(percent),
+        x=list(columns),
+        y=list(rows),
+        zmin=0,
+        zmax=100,
+        colorscale=SEQUENTIAL,
+        colorbar=bar,
     )
     if size <= TOLD:
         text = np.where(told, np.char.mod("%.0f", percent), "")
-        fig.data[0].update(xgap=1, ygap=1, text=text, texttemplate="%{text}", textfont={"size": 9 if size > 12 else 10})
+        fig.data[0].update(
+            xgap=1,
+            ygap=1,
+            text=text,
+            texttemplate="%{text}",
+            textfont={"size": 9 if size > 12 else 10},
+        )
     fig.data[0].hovertemplate = f"%{{y}}<br>%{{x}}<br>{name} %{{z:.1f}} %<extra></extra>"
     fig.update_layout(plot_bgcolor="#eef1f4", margin={"t": 12, "r": 8, "l": 50, "b": 50})
     return fig
@@ -76,11 +97,15 @@ def matrix(
 
 def labels(frequencies: Float) -> list[str]:
     """`1: 13.42` for each mode."""
-    return [f"{i + 1}: {round(f, 2) + 0.0:.2f}" for i, f in enumerate(frequencies.tolist())]  # no -0.00
+    return [
+        f"{i + 1}: {round(f, 2) + 0.0:.2f}" for i, f in enumerate(frequencies.tolist())
+    ]  # no -0.00
 
 
 def table_matrix(table: CorrelationTable) -> go.Figure:
-    """The MAC matrix of a correlation, its pairs outlined, from the first column compared to just above the test."""
+    """The MAC matrix of a correlation, its pairs outlined, from the first column compared to just
+    above the test.
+    """
     a, b = (f"{name} mode, Hz" for name in table.names)
     first, last = _columns(table)
     names = labels(table.all_fe_hz)[first:last]
@@ -104,7 +129,9 @@ def _outline(row: int, column: int, color: str = TEST) -> dict[str, object]:
 
 
 def orthogonality(check: Check, table: CorrelationTable, height: int = 0) -> go.Figure:
-    """A self- or cross-orthogonality matrix; what is beyond the gate is outlined. Columns from the first pair on."""
+    """A self- or cross-orthogonality matrix; what is beyond the gate is outlined. Columns from the
+    first pair on.
+    """
     cross, of_model = check.kind == "cross", check.kind == "model"
     names = [labels(f) for f in (table.all_test_hz, table.all_fe_hz)]
     titles = [f"{name} mode, Hz" for name in table.names]
@@ -121,22 +148,34 @@ def orthogonality(check: Check, table: CorrelationTable, height: int = 0) -> go.
         diagonal=cross,
         name="orthogonality",
     )
-    fig.update_layout(shapes=[_outline(f.a, f.b - first, BAD) for f in check.verdict.failures[:OUTLINED]])
+    fig.update_layout(
+        shapes=[_outline(f.a, f.b - first, BAD) for f in check.verdict.failures[:OUTLINED]]
+    )
     return fig
 
 
 def channels(c: CompleteCorrelation) -> go.Figure:
-    """The worst channels by CoMAC and by eCoMAC, and the mean MAC as channels are left out one after the other."""
+    """The worst channels by CoMAC and by eCoMAC, and the mean MAC as channels are left out one
+    after the other.
+    """
     spans = ([0, 0.25], [0.38, 0.63], [0.75, 1])
     fig = figure(360, showlegend=False)
     sides = (("1 − CoMAC", 1 - c.comac, FE), ("eCoMAC", c.ecomac, QUALITATIVE[4]))
     for n, span, (name, value, color) in zip(("", "2"), spans, sides, strict=False):
-        fig.layout[f"xaxis{n}"] = axis(f"{name}, %", domain=span, anchor=f"y{n}", rangemode="tozero")
-        fig.layout[f"yaxis{n}"] = axis(anchor=f"x{n}", type="category", autorange="reversed", showgrid=False, ticks="")
+        fig.layout[f"xaxis{n}"] = axis(
+            f"{name}, %", domain=span, anchor=f"y{n}", rangemode="tozero"
+        )
+        fig.layout[f"yaxis{n}"] = axis(
+            anchor=f"x{n}", type="category", autorange="reversed", showgrid=False, ticks=""
+        )
         worst = np.argsort(-value, kind="stable")[:WORST]
         names = [c.channels[i] for i in worst.tolist()]
         fig.add_bar(y=names, x=f32(100 * value[worst]), orientation="h", marker_color=color)
-        fig.data[-1].update(xaxis=f"x{n}", yaxis=f"y{n}", hovertemplate=f"%{{y}}: {name} %{{x:.1f}} %<extra></extra>")
+        fig.data[-1].update(
+            xaxis=f"x{n}",
+            yaxis=f"y{n}",
+            hovertemplate=f"%{{y}}: {name} %{{x:.1f}} %<extra></extra>",
+        )
     fig.layout.xaxis3 = axis(
         "Channel left out, one by one", domain=spans[2], anchor="y3", tickangle=-60, showgrid=False
     )
@@ -144,14 +183,22 @@ def channels(c: CompleteCorrelation) -> go.Figure:
     fig.layout.yaxis3 = axis("Mean MAC, %", anchor="x3")
     x = ["none", *(c.channels[i] for i in c.elimination.order.tolist())]
     look = {"color": TEST, "width": 1.6}
-    fig.add_scatter(x=x, y=f32(100 * c.elimination.mean_mac), mode="lines+markers", line=look, xaxis="x3", yaxis="y3")
+    fig.add_scatter(
+        x=x,
+        y=f32(100 * c.elimination.mean_mac),
+        mode="lines+markers",
+        line=look,
+        xaxis="x3",
+        yaxis="y3",
+    )
     fig.data[-1].hovertemplate = "down to %{x}: %{y:.2f} %<extra></extra>"
     fig.update_layout(margin={"t": 10})
     return fig
 
 
 def followed(tracks: Tracks, table: CorrelationTable) -> go.Figure:
-    """Frequencies of the final model's modes back to the initial model, followed by shape, beside the test's.
+    """Frequencies of the final model's modes back to the initial model, followed by shape, beside
+    the test's.
 
     A dotted stretch: the shapes have so little in common that the mode may be another one.
     """
@@ -159,34 +206,53 @@ def followed(tracks: Tracks, table: CorrelationTable) -> go.Figure:
     fig = figure(
         460,
         showlegend=False,
-        xaxis=axis(tickvals=[0, 1, 2, 3], ticktext=list(steps), range=[-0.12, 3.12], showgrid=False),
+        xaxis=axis(
+            tickvals=[0, 1, 2, 3], ticktext=list(steps), range=[-0.12, 3.12], showgrid=False
+        ),
         yaxis=axis("Frequency, Hz"),
     )
     partner = {r.fe - 1: r for r in table.rows()}
-    for k in range(min(partner, default=0), tracks.index.shape[1]):  # from the first mode that has a partner
+    for k in range(
+        min(partner, default=0), tracks.index.shape[1]
+    ):  # from the first mode that has a partner
         f, overlap = tracks.frequencies[::-1, k], tracks.overlap[:0:-1, k]
         pair = partner.get(int(tracks.index[0, k]))
         color = FE if pair is not None else "#b4bec8"
         for i, sure in enumerate((overlap >= LOST).tolist()):
             line = {"width": 1.5, "color": color, "dash": "solid" if sure else "dot"}
-            fig.add_scatter(x=[i, i + 1], y=f32(f[i : i + 2]), mode="lines", line=line, hoverinfo="skip")
+            fig.add_scatter(
+                x=[i, i + 1], y=f32(f[i : i + 2]), mode="lines", line=line, hoverinfo="skip"
+            )
         numbers = tracks.index[::-1, k] + 1
         shared = ["", *(f", MAC with the step before {100 * o:.0f} %" for o in overlap)]
         text = [f"FE {n}: {x:.3f} Hz{s}" for n, x, s in zip(numbers, f, shared, strict=True)]
         mark = {"size": 6, "color": color}
         fig.add_scatter(
-            x=[0, 1, 2], y=f32(f), mode="markers", marker=mark, text=text, hovertemplate="%{text}<extra></extra>"
+            x=[0, 1, 2],
+            y=f32(f),
+            mode="markers",
+            marker=mark,
+            text=text,
+            hovertemplate="%{text}<extra></extra>",
         )
         if pair is not None:
             look = {"width": 1.5, "color": TEST}
             ends = f32(np.array([pair.fe_hz, pair.test_hz]))
-            fig.add_scatter(x=[2, 3], y=ends, mode="lines+markers", line=look, marker={"size": [0, 7], "color": TEST})
+            fig.add_scatter(
+                x=[2, 3],
+                y=ends,
+                mode="lines+markers",
+                line=look,
+                marker={"size": [0, 7], "color": TEST},
+            )
             fig.data[-1].hovertemplate = f"test {pair.test}: {pair.test_hz:.3f} Hz<extra></extra>"
     return fig
 
 
 def frf_agreement(e: FrfEvidence) -> go.Figure:
-    """Global shape and amplitude correlation over frequency, mean of the references, initial and final model."""
+    """Global shape and amplitude correlation over frequency, mean of the references, initial and
+    final model.
+    """
     fig = figure(
         330,
         xaxis=axis(domain=[0, 1], anchor="y", matches="x2", showticklabels=False),
@@ -203,12 +269,23 @@ def frf_agreement(e: FrfEvidence) -> go.Figure:
         x = f32(c.freqs)
         fig.add_scatter(x=x, y=f32(100 * c.mean_shape), name=name, line=line, legendgroup=name)
         y = f32(100 * c.mean_amplitude)
-        fig.add_scatter(x=x, y=y, xaxis="x2", yaxis="y2", name=name, line=line, legendgroup=name, showlegend=False)
+        fig.add_scatter(
+            x=x,
+            y=y,
+            xaxis="x2",
+            yaxis="y2",
+            name=name,
+            line=line,
+            legendgroup=name,
+            showlegend=False,
+        )
     return fig
 
 
 def fdac(values: Float, lines: Float, title: str) -> go.Figure:
-    """The FDAC, `values` (test line, model line) -1..1: a ridge beside the diagonal is a shift of frequency."""
+    """The FDAC, `values` (test line, model line) -1..1: a ridge beside the diagonal is a shift of
+    frequency.
+    """
     ends = [float(lines[0]), float(lines[-1])]
     fig = figure(
         400,
@@ -216,23 +293,40 @@ def fdac(values: Float, lines: Float, title: str) -> go.Figure:
         yaxis=axis("Test, Hz", showgrid=False, scaleanchor="x", constrain="domain", range=ends),
     )
     bar = {"thickness": 10, "outlinewidth": 0, "ticksuffix": " %"}
-    fig.add_heatmap(z=f32(100 * values), x=f32(lines), y=f32(lines), zmin=-100, zmax=100, colorscale=DIVERGING)
-    fig.data[0].update(colorbar=bar, hovertemplate="test %{y:.2f} Hz<br>model %{x:.2f} Hz<br>%{z:.0f} %<extra></extra>")
+    fig.add_heatmap(
+        z=f32(100 * values), x=f32(lines), y=f32(lines), zmin=-100, zmax=100, colorscale=DIVERGING
+    )
+    fig.data[0].update(
+        colorbar=bar,
+        hovertemplate="test %{y:.2f} Hz<br>model %{x:.2f} Hz<br>%{z:.0f} %<extra></extra>",
+    )
     fig.add_scatter(
-        x=ends, y=ends, mode="lines", line={"width": 0.8, "color": "#5c6b7a", "dash": "dot"}, hoverinfo="skip"
+        x=ends,
+        y=ends,
+        mode="lines",
+        line={"width": 0.8, "color": "#5c6b7a", "dash": "dot"},
+        hoverinfo="skip",
     )
     fig.update_layout(showlegend=False, margin={"t": 12})
     return fig
 
 
 def deviations(stages: Sequence[tuple[str, CorrelationTable]]) -> go.Figure:
-    """Frequency deviation and MAC of each test mode, one mark a stage; hollow marks were left out of the updating."""
+    """Frequency deviation and MAC of each test mode, one mark a stage; hollow marks were left out
+    of the updating.
+    """
     alone = all(t.alone for _, t in stages)
     low = 0.0 if alone else 0.44
     fig = figure(
         300 if alone else 470,
         xaxis=axis(type="category", anchor="y", matches="x2", showticklabels=False),
-        yaxis=axis("Δf, % of the test", domain=[low, 1], zeroline=True, zerolinecolor="#5c6b7a", zerolinewidth=1),
+        yaxis=axis(
+            "Δf, % of the test",
+            domain=[low, 1],
+            zeroline=True,
+            zerolinecolor="#5c6b7a",
+            zerolinewidth=1,
+        ),
         xaxis2=axis("Test mode, Hz", type="category", anchor="y2", tickangle=-45),
         yaxis2=axis("MAC, %", domain=[0, 0.38], anchor="x2"),
     )
@@ -244,21 +338,29 @@ def deviations(stages: Sequence[tuple[str, CorrelationTable]]) -> go.Figure:
         marks = ["circle" if r.used or name != "final" else "circle-open" for r in rows]
         look = {"size": size, "color": color, "symbol": marks, "line": {"width": 2, "color": color}}
         x, partner = [names[r.test] for r in rows], [f"FE {r.fe}" for r in rows]
-        drawn = {"x": x, "mode": "markers", "marker": look, "name": name, "text": partner, "legendgroup": name}
+        drawn = {
+            "x": x,
+            "mode": "markers",
+            "marker": look,
+            "name": name,
+            "text": partner,
+            "legendgroup": name,
+        }
         fig.add_scatter(y=f32(table.deviation_percent), **drawn)
         fig.data[-1].hovertemplate = f"{name}, %{{text}}: %{{y:.2f}} %<extra>%{{x}} Hz</extra>"
         if alone:
             continue
         fig.add_scatter(y=f32(table.mac_percent), xaxis="x2", yaxis="y2", showlegend=False, **drawn)
         fig.data[-1].customdata = f32(table.subspace_mac_percent)
-        fig.data[
-            -1
-        ].hovertemplate = (
-            f"{name}, %{{text}}: MAC %{{y:.1f}} %, subspace MAC %{{customdata:.1f}} %<extra>%{{x}} Hz</extra>"
+        fig.data[-1].hovertemplate = (
+            f"{name}, %{{text}}: MAC %{{y:.1f}} %, subspace MAC "
+            f"%{{customdata:.1f}} %<extra>%{{x}} Hz</extra>"
         )
     for a in (fig.layout.xaxis, fig.layout.xaxis2):
         a.update(categoryorder="array", categoryarray=list(names.values()))
     if alone:
-        fig.layout.xaxis.update(title=fig.layout.xaxis2.title, matches=None, showticklabels=True, tickangle=-45)
+        fig.layout.xaxis.update(
+            title=fig.layout.xaxis2.title, matches=None, showticklabels=True, tickangle=-45
+        )
         fig.update_layout(xaxis2=None, yaxis2=None)
     return fig

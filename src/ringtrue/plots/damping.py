@@ -26,17 +26,29 @@ def regions(found: DampedRegions) -> go.Figure:
     high = (found.expected + found.expected_std)[at]
     look = {"color": "#dfe5ea", "line": {"width": 0}}
     fig.add_bar(y=names, base=f32(low), x=f32(high - low), orientation="h", width=0.55, marker=look)
-    fig.data[-1].update(name="expected, ± 1 σ", hovertemplate="%{base:.3g} to %{x:.3g}<extra></extra>")
+    fig.data[-1].update(
+        name="expected, ± 1 σ", hovertemplate="%{base:.3g} to %{x:.3g}<extra></extra>"
+    )
     left = np.minimum(found.std, found.coefficients)[at]
-    bars = {"type": "data", "array": f32(found.std[at]), "arrayminus": f32(left), "thickness": 1.6, "width": 4}
+    bars = {
+        "type": "data",
+        "array": f32(found.std[at]),
+        "arrayminus": f32(left),
+        "thickness": 1.6,
+        "width": 4,
+    }
     mark = {"size": 9, "color": FINAL}
-    fig.add_scatter(x=f32(found.coefficients[at]), y=names, mode="markers", marker=mark, error_x=bars)
+    fig.add_scatter(
+        x=f32(found.coefficients[at]), y=names, mode="markers", marker=mark, error_x=bars
+    )
     fig.data[-1].update(name="found, ± 1 σ", hovertemplate="%{y}: %{x:.4f}<extra></extra>")
     return fig
 
 
 def modes(found: DampedModes) -> go.Figure:
-    """Damping ratios of the paired modes: test, before and by the regions; those left out are open."""
+    """Damping ratios of the paired modes: test, before and by the regions; those left out are
+    open.
+    """
     order = np.argsort(found.hertz)
     x = [f"{i + 1}: {f:.2f}" for i, f in enumerate(found.hertz[order].tolist())]
     y = axis("Damping ratio, %", rangemode="tozero")
@@ -55,7 +67,14 @@ def modes(found: DampedModes) -> go.Figure:
         percent, spread = 100 * ratio[order], 100 * std[order]
         bar = {"type": "data", "array": f32(spread), "thickness": 1.1, "width": 3}
         bar["arrayminus"] = f32(np.minimum(spread, np.maximum(percent - LEAST, 0.0)))
-        fig.add_scatter(x=x, y=f32(percent), mode="markers", marker=_marks(used, color, shape), error_y=bar, name=name)
+        fig.add_scatter(
+            x=x,
+            y=f32(percent),
+            mode="markers",
+            marker=_marks(used, color, shape),
+            error_y=bar,
+            name=name,
+        )
     return fig
 
 
@@ -68,7 +87,11 @@ def errors(found: DampedModes) -> tuple[list[str], Float, Float]:
     """Names and errors, %, before and after, of the modes with FRFs."""
     at = np.flatnonzero(np.isfinite(found.frf_after))
     at = at[np.argsort(found.hertz[at])]
-    return [f"{found.hertz[i]:.2f}" for i in at.tolist()], 100 * found.frf_before[at], 100 * found.frf_after[at]
+    return (
+        [f"{found.hertz[i]:.2f}" for i in at.tolist()],
+        100 * found.frf_before[at],
+        100 * found.frf_after[at],
+    )
 
 
 def frfs(found: DampedModes) -> go.Figure:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-# "<" could end the element or begin a comment; the two separators end a line in older scripts. JSON has all of them in
-# its strings alone, where their escapes are the same text.
+# "<" could end the element or begin a comment; the two separators end a line in older scripts. JSON
+# has all of them in its strings alone, where their escapes are the same text.
 _ESCAPES = str.maketrans({"<": "\\u003c", "\u2028": "\\u2028", "\u2029": "\\u2029"})
 
 

@@ -11,7 +11,18 @@ from ringtrue.core.arrays import Any_, Bool, Float
 from ringtrue.core.modes import ModeSet, elastic
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.identify.poles import StableDiagram
-from ringtrue.plots.style import FE, FINAL, MUTED, QUALITATIVE, TEST, axis, f32, figure, hertz, ticks
+from ringtrue.plots.style import (
+    FE,
+    FINAL,
+    MUTED,
+    QUALITATIVE,
+    TEST,
+    axis,
+    f32,
+    figure,
+    hertz,
+    ticks,
+)
 
 # What the colours of a stabilisation diagram mean.
 POLE_COLORS = (
@@ -24,12 +35,18 @@ POLE_COLORS = (
 LIMIT = 3000  # strokes of one kind in one diagram; beyond it every n-th is drawn
 
 
-def _strokes(diagram: StableDiagram, chosen: Bool, span: tuple[float, float]) -> tuple[Any_, Any_, str]:
+def _strokes(
+    diagram: StableDiagram, chosen: Bool, span: tuple[float, float]
+) -> tuple[Any_, Any_, str]:
     f, order = diagram.poles.frequencies, diagram.poles.order.astype(np.float64)
     at = np.flatnonzero(chosen & (f >= span[0]) & (f <= span[1]))
     every = -(-at.size // LIMIT) or 1
     at = at[::every]
-    step = float(np.diff(diagram.poles.orders).min(initial=2)) if diagram.poles.orders.size > 1 else 2.0
+    step = (
+        float(np.diff(diagram.poles.orders).min(initial=2))
+        if diagram.poles.orders.size > 1
+        else 2.0
+    )
     x, y = ticks(f[at], order[at] - 0.42 * step, order[at] + 0.42 * step)
     return x, y, f" (one in {every} drawn)" if every > 1 else ""
 
@@ -52,7 +69,9 @@ def stabilisation(diagram: StableDiagram, modes: ModeSet) -> go.Figure:
         240,
         xaxis=axis("Frequency, Hz", range=list(span)),
         yaxis=axis("Model order", rangemode="tozero"),
-        yaxis2=axis("Spectrum, dB", overlaying="y", side="right", showgrid=False, tickmode="auto", nticks=5),
+        yaxis2=axis(
+            "Spectrum, dB", overlaying="y", side="right", showgrid=False, tickmode="auto", nticks=5
+        ),
     )
     fig.update_layout(showlegend=False, margin={"r": 60, "t": 10})
     inside = np.flatnonzero((diagram.freqs >= span[0]) & (diagram.freqs <= span[1]))
@@ -72,30 +91,47 @@ def stabilisation(diagram: StableDiagram, modes: ModeSet) -> go.Figure:
     f = modes.band(*span).frequencies
     mark = {"symbol": "triangle-down", "size": 8, "color": TEST}
     hover = "%{x:.3f} Hz<extra>mode</extra>"
-    fig.add_scatter(x=f32(f), y=np.full(f.shape, top * 1.05), mode="markers", marker=mark, name="mode")
+    fig.add_scatter(
+        x=f32(f), y=np.full(f.shape, top * 1.05), mode="markers", marker=mark, name="mode"
+    )
     fig.data[-1].hovertemplate = hover
     return fig
 
 
-def damping(sets: list[tuple[str, ModeSet, Uncertainty | None]], used: tuple[Float, Float] | None) -> go.Figure:
-    """Damping ratios over frequency with one standard deviation; `used` (f, ζ) is what the elastic modes carry."""
+def damping(
+    sets: list[tuple[str, ModeSet, Uncertainty | None]], used: tuple[Float, Float] | None
+) -> go.Figure:
+    """Damping ratios over frequency with one standard deviation; `used` (f, ζ) is what the elastic
+    modes carry.
+    """
     x = hertz()
     fig = figure(320, xaxis=x, yaxis=axis("Damping ratio, %", rangemode="tozero"))
     for i, (name, modes, std) in enumerate(sets):
         color = (TEST, QUALITATIVE[0])[i % 2]
-        bar = {"type": "data", "array": f32(100 * std.damping), "thickness": 1, "width": 3} if std else None
+        bar = (
+            {"type": "data", "array": f32(100 * std.damping), "thickness": 1, "width": 3}
+            if std
+            else None
+        )
         mark = {"size": 8, "color": color, "symbol": ("circle", "diamond")[i % 2]}
         f, y = f32(modes.frequencies), f32(100 * modes.damping)
         fig.add_scatter(x=f, y=y, error_y=bar, mode="markers", marker=mark, name=name)
     if used is not None:
-        mark = {"size": 9, "color": FINAL, "symbol": "line-ew-open", "line": {"width": 2, "color": FINAL}}
+        mark = {
+            "size": 9,
+            "color": FINAL,
+            "symbol": "line-ew-open",
+            "line": {"width": 2, "color": FINAL},
+        }
         f, y = (f32(x[elastic(used[0])]) for x in (used[0], 100 * used[1]))
         fig.add_scatter(x=f, y=y, mode="markers", marker=mark, name="carried by the final model")
     return fig
 
 
 def precision(modes: ModeSet, std: Float, expected: Float) -> go.Figure:
-    """Relative standard deviation of each target frequency as planned; `std`, `expected` (target,) relative."""
+    """Relative standard deviation of each target frequency as planned; `std`, `expected` (target,)
+    relative.
+    """
     fig = figure(
         280,
         barmode="group",
@@ -110,14 +146,20 @@ def precision(modes: ModeSet, std: Float, expected: Float) -> go.Figure:
 
 
 def verified(rows: Sequence[Mapping[str, float]]) -> go.Figure:
-    """Standard deviations of the ambient modes over frequency: planned as lines, found as marks; `rows` in percent."""
+    """Standard deviations of the ambient modes over frequency: planned as lines, found as marks;
+    `rows` in percent.
+    """
     x = hertz()
     fig = figure(430, xaxis=x, yaxis=axis("Standard deviation, %", type="log", dtick=1))
     f = f32(np.array([r["frequency_hz"] for r in rows]))
     for name, color in (("frequency", FE), ("damping", QUALITATIVE[4])):
-        planned, found = (f32(np.array([r[f"{k}_{name}"] for r in rows])) for k in ("planned", "found"))
+        planned, found = (
+            f32(np.array([r[f"{k}_{name}"] for r in rows])) for k in ("planned", "found")
+        )
         line = {"width": 1.6, "color": color}
         fig.add_scatter(x=f, y=planned, mode="lines", line=line, name=f"{name}, planned")
-        fig.add_scatter(x=f, y=found, mode="markers", marker={"size": 7, "color": color}, name="found")
+        fig.add_scatter(
+            x=f, y=found, mode="markers", marker={"size": 7, "color": color}, name="found"
+        )
         fig.data[-1].hovertemplate = f"%{{x:.3f}} Hz: {name} %{{y:.2g}} %<extra></extra>"
     return fig

@@ -22,7 +22,12 @@ for (const [i, spec] of figures.entries())
 
 
 def figure_page(
-    title: str, figures: Sequence[tuple[str, go.Figure]], *, before: str = "", after: str = "", script: str = ""
+    title: str,
+    figures: Sequence[tuple[str, go.Figure]],
+    *,
+    before: str = "",
+    after: str = "",
+    script: str = "",
 ) -> str:
     """The page: a title, the figures each under its own heading, and the script library inside.
 
@@ -37,10 +42,13 @@ def figure_page(
         Runs after the figures are drawn.
     """
     specs = "[" + ",".join(str(f.to_json()) for _, f in figures) + "]"
-    divs = "".join(f'<h2>{html.escape(h)}</h2><div id="figure-{i}"></div>' for i, (h, _) in enumerate(figures))
+    divs = "".join(
+        f'<h2>{html.escape(h)}</h2><div id="figure-{i}"></div>' for i, (h, _) in enumerate(figures)
+    )
     name = html.escape(title)
     return (
-        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{name}</title><style>{_STYLE}</style>'
+        '<!doctype html><html lang="en"><head><meta '
+        f'charset="utf-8"><title>{name}</title><style>{_STYLE}</style>'
         f"<script>{get_plotlyjs()}</script></head><body><h1>{name}</h1>{before}{divs}{after}"
         f"<script>const figures = {script_json(specs)};{_DRAW}{script}</script></body></html>\n"
     )

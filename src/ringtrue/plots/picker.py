@@ -1,4 +1,6 @@
-"""Stabilisation diagrams as a page on which poles are picked and modes rejected: it writes the choice as TOML."""
+"""Stabilisation diagrams as a page on which poles are picked and modes rejected: it writes the
+choice as TOML.
+"""
 
 from __future__ import annotations
 
@@ -17,11 +19,13 @@ from ringtrue.plots.style import FE, QUALITATIVE, TEST, axis, f32, figure
 MOST = 4000  # poles of one kind in one diagram; beyond it every n-th is drawn
 
 _BEFORE = (
-    "<p>A click on a pole picks it, a click on a mode (triangle) rejects it; a second click takes it back. "
+    "<p>A click on a pole picks it, a click on a mode (triangle) rejects it; a second click "
+    "takes it back. "
     "Store the text below and replay it with <code>--choice FILE</code>.</p>"
 )
 _AFTER = (
-    '<h2>Choice</h2><p><button id="copy">Copy</button> <button id="save">Save choice.toml</button></p>'
+    '<h2>Choice</h2><p><button id="copy">Copy</button> <button id="save">Save '
+    "choice.toml</button></p>"
     '<pre id="choice"></pre>'
 )
 _SCRIPT = """
@@ -56,7 +60,8 @@ show();
 
 
 def picker_page(title: str, diagrams: Sequence[StableDiagram], modes: ModeSet) -> str:
-    """One self-contained HTML page: a click on a pole picks it, a click on a mode rejects it, a second one undoes it.
+    """One self-contained HTML page: a click on a pole picks it, a click on a mode rejects it, a
+    second one undoes it.
 
     Parameters
     ----------
@@ -97,19 +102,26 @@ def pick_figure(diagram: StableDiagram, modes: ModeSet) -> go.Figure:
     order = np.zeros(f.size)
     fig.add_scatter(x=f, y=np.full(f.size, top), mode="markers", marker=mark, name="mode")
     fig.data[-1].update(
-        customdata=np.stack([f, order], axis=1).tolist(), hovertemplate="mode, %{x:.5f} Hz<extra></extra>"
+        customdata=np.stack([f, order], axis=1).tolist(),
+        hovertemplate="mode, %{x:.5f} Hz<extra></extra>",
     )
     return fig
 
 
-def _poles(fig: go.Figure, diagram: StableDiagram, which: Bool, name: str, mark: dict[str, object]) -> None:
+def _poles(
+    fig: go.Figure, diagram: StableDiagram, which: Bool, name: str, mark: dict[str, object]
+) -> None:
     at = np.flatnonzero(which)
     every = -(-at.size // MOST) or 1
     p = diagram.poles.take(at[::every])
     note = f" (one in {every} drawn)" if every > 1 else ""
     fig.add_scatter(x=p.frequencies, y=p.order, mode="markers", marker=mark, name=name + note)
-    told = np.stack([p.frequencies, p.order, 100 * p.damping, np.nan_to_num(p.std_frequency)], axis=1)
+    told = np.stack(
+        [p.frequencies, p.order, 100 * p.damping, np.nan_to_num(p.std_frequency)], axis=1
+    )
     hover = (
-        "%{x:.5f} Hz ± %{customdata[3]:.1e}, order %{y}<br>damping %{customdata[2]:.3g} %<extra>" + name + "</extra>"
+        "%{x:.5f} Hz ± %{customdata[3]:.1e}, order %{y}<br>damping %{customdata[2]:.3g} %<extra>"
+        + name
+        + "</extra>"
     )
     fig.data[-1].update(customdata=told.tolist(), hovertemplate=hover)

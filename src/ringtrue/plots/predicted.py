@@ -25,20 +25,29 @@ def run_up(found: RunUp, outputs: Sequence[int], names: Sequence[str], service: 
     factor, unit = shown(found.units[outputs[0]])
     x, a = found.freqs, found.amplitude
     low, median, high = (factor * values for values in (a.low, a.median, a.high))
-    fig = figure(380, xaxis=axis("Speed, Hz", range=[0, float(x[-1])]), yaxis=log_axis(f"Amplitude, {unit}", dtick=1))
+    fig = figure(
+        380,
+        xaxis=axis("Speed, Hz", range=[0, float(x[-1])]),
+        yaxis=log_axis(f"Amplitude, {unit}", dtick=1),
+    )
     fig.layout.yaxis.range = _range(median[list(outputs)], high[list(outputs)])
     for k, (i, name) in enumerate(zip(outputs, names, strict=True)):
         color = QUALITATIVE[k % 8]
         both = np.concatenate([high[i], low[i][::-1]])
         around = np.concatenate([x, x[::-1]])
-        fig.add_scatter(x=f32(around), y=f32(both), fill="toself", fillcolor=_faint(color), line={"width": 0})
+        fig.add_scatter(
+            x=f32(around), y=f32(both), fill="toself", fillcolor=_faint(color), line={"width": 0}
+        )
         fig.data[-1].update(hoverinfo="skip", legendgroup=name, showlegend=False)
         line = {"color": color, "width": 1.6}
         fig.add_scatter(x=f32(x), y=f32(median[i]), line=line, name=name, legendgroup=name)
         fig.data[-1].hovertemplate = f"{name}<br>%{{x:.1f}} Hz: %{{y:.3g}} {unit}<extra></extra>"
     start, end = found.validated
     fig.update_layout(
-        shapes=[*(_beyond(a, b) for a, b in ((0.0, start), (end, float(x[-1]))) if b > a), _mark(service)],
+        shapes=[
+            *(_beyond(a, b) for a, b in ((0.0, start), (end, float(x[-1]))) if b > a),
+            _mark(service),
+        ],
         annotations=[_note(service, "service speed")],
     )
     return fig
@@ -58,12 +67,30 @@ def _faint(color: str) -> str:
 
 def _beyond(a: float, b: float) -> dict[str, object]:
     look = {"fillcolor": BEYOND, "line": {"width": 0}, "layer": "below"}
-    return {"type": "rect", "xref": "x", "yref": "paper", "x0": a, "x1": b, "y0": 0, "y1": 1, **look}
+    return {
+        "type": "rect",
+        "xref": "x",
+        "yref": "paper",
+        "x0": a,
+        "x1": b,
+        "y0": 0,
+        "y1": 1,
+        **look,
+    }
 
 
 def _mark(x: float) -> dict[str, object]:
     line = {"color": MUTED, "width": 1, "dash": "dot"}
-    return {"type": "line", "xref": "x", "yref": "paper", "x0": x, "x1": x, "y0": 0, "y1": 1, "line": line}
+    return {
+        "type": "line",
+        "xref": "x",
+        "yref": "paper",
+        "x0": x,
+        "x1": x,
+        "y0": 0,
+        "y1": 1,
+        "line": line,
+    }
 
 
 def _note(x: float, text: str) -> dict[str, object]:

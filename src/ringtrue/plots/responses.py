@@ -25,7 +25,13 @@ def responses(data: FrfSet, column: int) -> go.Figure:
         xaxis=axis(anchor="y", matches="x2", showticklabels=False),
         yaxis=log_axis(f"|H|, {frf_unit(data)}", domain=[0.36, 1], dtick=1),
         xaxis2=axis("Frequency, Hz", anchor="y2"),
-        yaxis2=axis("Phase, °", domain=[0, 0.28], anchor="x2", tickvals=[-180, -90, 0, 90, 180], range=[-190, 190]),
+        yaxis2=axis(
+            "Phase, °",
+            domain=[0, 0.28],
+            anchor="x2",
+            tickvals=[-180, -90, 0, 90, 180],
+            range=[-190, 190],
+        ),
     )
     x = f32(data.freqs)
     for i, c in enumerate(data.outputs):
@@ -33,5 +39,14 @@ def responses(data: FrfSet, column: int) -> go.Figure:
         size = np.where(h == 0, np.nan, np.abs(h))
         fig.add_scatter(x=x, y=f32(size), name=c.id, line=line, legendgroup=c.id)
         y = f32(np.degrees(np.angle(h)))
-        fig.add_scatter(x=x, y=y, name=c.id, line=line, legendgroup=c.id, showlegend=False, xaxis="x2", yaxis="y2")
+        fig.add_scatter(
+            x=x,
+            y=y,
+            name=c.id,
+            line=line,
+            legendgroup=c.id,
+            showlegend=False,
+            xaxis="x2",
+            yaxis="y2",
+        )
     return fig

@@ -45,11 +45,17 @@ def _skin(scene: Scene, colors: Sequence[str], alpha: Sequence[float]) -> dict[s
 
 def _test(test: TestModel) -> dict[str, Any]:
     order = np.argsort(test.points)
-    at = order[np.searchsorted(test.points[order], test.lines)] if test.lines.size else np.zeros((0, 2))
+    at = (
+        order[np.searchsorted(test.points[order], test.lines)]
+        if test.lines.size
+        else np.zeros((0, 2))
+    )
     return {
         "xyz": _pack(test.xyz, "<f4"),
         "line": _pack(at, "<u4"),
-        "names": [f"{p} {g}".strip() for p, g in zip(test.points.tolist(), test.groups, strict=True)],
+        "names": [
+            f"{p} {g}".strip() for p, g in zip(test.points.tolist(), test.groups, strict=True)
+        ],
     }
 
 
@@ -69,7 +75,9 @@ def _sensors(test: TestModel, kinds: Mapping[str, str]) -> list[dict[str, Any]]:
 
 
 def model(scene: Scene, test: TestModel | None, kinds: Mapping[str, str]) -> View:
-    """The model by group with its sensors; `kinds` names the kind of a channel (hammer point, ...)."""
+    """The model by group with its sensors; `kinds` names the kind of a channel (hammer point,
+    ...).
+    """
     colors = [SOFT[i % len(SOFT)] for i in range(len(scene.groups))]
     view: dict[str, Any] = {"kind": "model", "skin": _skin(scene, colors, [1.0] * len(colors))}
     view["legend"] = [{"name": g, "color": c} for g, c in zip(scene.groups, colors, strict=True)]
@@ -95,23 +103,32 @@ def regions(scene: Scene, changed: Mapping[str, Sequence[int]], notes: Mapping[s
 
 
 def painted(
-    scene: Scene, colors: Sequence[str], alpha: Sequence[float], legend: Sequence[tuple[str, str, str]]
+    scene: Scene,
+    colors: Sequence[str],
+    alpha: Sequence[float],
+    legend: Sequence[tuple[str, str, str]],
 ) -> View:
-    """Every group in a colour of its own; `legend` holds name, colour and note of those that are told."""
+    """Every group in a colour of its own; `legend` holds name, colour and note of those that are
+    told.
+    """
     told = [{"name": n, "color": c, "note": t} for n, c, t in legend]
     return View({"kind": "regions", "skin": _skin(scene, colors, alpha), "legend": told})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shown:
-    """One selectable shape: a model shape over the skin, a test shape over the wireframe, or both."""
+    """One selectable shape: a model shape over the skin, a test shape over the wireframe, or
+    both.
+    """
 
     stage: str
     label: str
     info: str
     fe: tuple[ModeSet, int] | None = None
     test: tuple[ModeSet, int] | None = None
-    seen: tuple[ModeSet, int] | None = None  # the model's shape at the channels, to bring the test to its phase
+    seen: tuple[ModeSet, int] | None = (
+        None  # the model's shape at the channels, to bring the test to its phase
+    )
 
 
 def _quantised(a: Float) -> dict[str, Any]:
@@ -143,7 +160,9 @@ def _at_points(test: TestModel, modes: ModeSet, values: Any_) -> Any_:
 
 
 def _phased(shown: Shown) -> Any_:
-    """The test shape turned and scaled onto the model's shape at the same channels (for drawing only)."""
+    """The test shape turned and scaled onto the model's shape at the same channels (for drawing
+    only).
+    """
     assert shown.test is not None
     modes, k = shown.test
     shape = np.nan_to_num(modes.shapes[:, k])
@@ -184,6 +203,8 @@ def modes(scene: Scene | None, test: TestModel | None, shown: Sequence[Shown]) -
 
 
 def channel_kinds(references: Sequence[str], ambient: Sequence[str]) -> dict[str, str]:
-    """What a channel is used for: hammer point, ambient and hammer test, or hammer test only (the rest)."""
+    """What a channel is used for: hammer point, ambient and hammer test, or hammer test only (the
+    rest).
+    """
     kinds = dict.fromkeys(ambient, "ambient and hammer tests")
     return kinds | dict.fromkeys(references, "hammer reference")

@@ -36,10 +36,14 @@ def frf_unit(data: FrfSet) -> str:
 
 
 def record(summary: RecordSummary, unit: str) -> go.Figure:
-    """Time previews on the left, power spectral densities on the right; `unit` of the channels, empty if mixed."""
+    """Time previews on the left, power spectral densities on the right; `unit` of the channels,
+    empty if mixed.
+    """
     unit = unit or "SI unit"
     ok = summary.psd_freqs > 0
-    names = summary.preview_channels[:1] if unit == "N" else summary.preview_channels  # the rest are not forces
+    names = (
+        summary.preview_channels[:1] if unit == "N" else summary.preview_channels
+    )  # the rest are not forces
     fig = figure(
         250,
         showlegend=True,
@@ -58,12 +62,23 @@ def record(summary: RecordSummary, unit: str) -> go.Figure:
         x, y = f32(summary.preview_time), f32(summary.preview[i])
         fig.add_scatter(x=x, y=y, name=name, line=line, legendgroup=name, opacity=0.85)
         x, y = (f32(a) for a in thinned_log(summary.psd_freqs[ok], summary.psd[i][ok], 500))
-        fig.add_scatter(x=x, y=y, line=line, xaxis="x2", yaxis="y2", legendgroup=name, showlegend=False, name=name)
+        fig.add_scatter(
+            x=x,
+            y=y,
+            line=line,
+            xaxis="x2",
+            yaxis="y2",
+            legendgroup=name,
+            showlegend=False,
+            name=name,
+        )
     return fig
 
 
 def _decades(psd: Float) -> dict[str, list[float]]:
-    """A range of at most ten decades below the peak: the roll-off of a filter is not what the reader looks for."""
+    """A range of at most ten decades below the peak: the roll-off of a filter is not what the
+    reader looks for.
+    """
     if not psd.size or not psd.max() > 0:
         return {}
     top = float(np.log10(psd.max()))
@@ -77,7 +92,9 @@ def _imaginary(frfs: FrfSet, column: int, shown: Bool) -> tuple[Float, Float]:
 
 
 def frfs(data: FrfSet, cmif: Float, marks: Float, top: float = np.inf) -> go.Figure:
-    """Imaginary parts of all FRFs over one another, the CMIF below, up to `top` Hz; `marks` (m,) Hz are modes."""
+    """Imaginary parts of all FRFs over one another, the CMIF below, up to `top` Hz; `marks` (m,) Hz
+    are modes.
+    """
     shown = data.freqs <= top
     fig = figure(
         560,
@@ -102,14 +119,25 @@ def frfs(data: FrfSet, cmif: Float, marks: Float, top: float = np.inf) -> go.Fig
         at, y = thinned(cmif[shown, j][None], 1500)
         line = {"width": 1.4 if j == 0 else 1.0, "color": QUALITATIVE[j % 8]}
         x = f32(data.freqs[shown][at])
-        fig.add_scatter(x=x, y=f32(y[0]), line=line, xaxis="x2", yaxis="y2", name=f"σ{j + 1}", showlegend=False)
+        fig.add_scatter(
+            x=x, y=f32(y[0]), line=line, xaxis="x2", yaxis="y2", name=f"σ{j + 1}", showlegend=False
+        )
     fig.update_layout(shapes=[_mark(f) for f in marks[marks <= top].tolist()])
     return fig
 
 
 def _mark(f: float) -> dict[str, object]:
     line = {"width": 0.8, "color": "#8b97a3", "dash": "dot"}
-    return {"type": "line", "xref": "x2", "yref": "paper", "x0": f, "x1": f, "y0": 0, "y1": 0.44, "line": line}
+    return {
+        "type": "line",
+        "xref": "x2",
+        "yref": "paper",
+        "x0": f,
+        "x1": f,
+        "y0": 0,
+        "y1": 0.44,
+        "line": line,
+    }
 
 
 def _modulus(h: Complex) -> Float:
@@ -122,11 +150,23 @@ def frf_pair(final: FinalStage, k: int, unit: str = "(m/s²)/N") -> go.Figure:
     ticks = [middle - 180, middle, middle + 180]
     fig = figure(
         300,
-        title={"text": final.frf_channels[k], "x": 0.99, "xanchor": "right", "y": 0.97, "font": {"size": 13}},
+        title={
+            "text": final.frf_channels[k],
+            "x": 0.99,
+            "xanchor": "right",
+            "y": 0.97,
+            "font": {"size": 13},
+        },
         xaxis=axis(anchor="y", matches="x2", showticklabels=False),
         yaxis=log_axis(f"|H|, {unit}", domain=[0.36, 1], dtick=1),
         xaxis2=axis("Frequency, Hz", anchor="y2"),
-        yaxis2=axis("Phase, °", domain=[0, 0.28], anchor="x2", tickvals=ticks, range=[ticks[0] - 10, ticks[-1] + 10]),
+        yaxis2=axis(
+            "Phase, °",
+            domain=[0, 0.28],
+            anchor="x2",
+            tickvals=ticks,
+            range=[ticks[0] - 10, ticks[-1] + 10],
+        ),
     )
     x = f32(final.frf_freqs)
     for name, h, color, width in (
@@ -138,5 +178,14 @@ def frf_pair(final: FinalStage, k: int, unit: str = "(m/s²)/N") -> go.Figure:
         fig.add_scatter(x=x, y=f32(_modulus(h[:, k])), name=name, line=line, legendgroup=name)
         y = f32((np.degrees(np.angle(h[:, k])) - ticks[0]) % 360 + ticks[0])
         mark = {"color": color, "width": 0.9}
-        fig.add_scatter(x=x, y=y, line=mark, xaxis="x2", yaxis="y2", showlegend=False, legendgroup=name, name=name)
+        fig.add_scatter(
+            x=x,
+            y=y,
+            line=mark,
+            xaxis="x2",
+            yaxis="y2",
+            showlegend=False,
+            legendgroup=name,
+            name=name,
+        )
     return fig

@@ -13,9 +13,30 @@ FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, s
 INK, MUTED, GRID, PAPER = "#1c2733", "#5c6b7a", "#e3e8ed", "#ffffff"
 TEST, FE, INITIAL, REMODELLED, FINAL = "#d55e00", "#24527a", "#9aa5b1", "#e0a526", "#0b7a75"
 # Okabe and Ito (2008), ordered for use on white: tells apart under all common colour blindness.
-QUALITATIVE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7a5c3e", "#5c6b7a")
-SEQUENTIAL = ((0.0, "#ffffff"), (0.25, "#d5e5ee"), (0.5, "#86b6cc"), (0.75, "#2f7ba3"), (1.0, "#0d3b5c"))
-DIVERGING = ((0.0, "#8c4a00"), (0.25, "#e3a458"), (0.5, "#f7f7f5"), (0.75, "#7fa9cf"), (1.0, "#1d4f86"))
+QUALITATIVE = (
+    "#0072b2",
+    "#d55e00",
+    "#009e73",
+    "#cc79a7",
+    "#e69f00",
+    "#56b4e9",
+    "#7a5c3e",
+    "#5c6b7a",
+)
+SEQUENTIAL = (
+    (0.0, "#ffffff"),
+    (0.25, "#d5e5ee"),
+    (0.5, "#86b6cc"),
+    (0.75, "#2f7ba3"),
+    (1.0, "#0d3b5c"),
+)
+DIVERGING = (
+    (0.0, "#8c4a00"),
+    (0.25, "#e3a458"),
+    (0.5, "#f7f7f5"),
+    (0.75, "#7fa9cf"),
+    (1.0, "#1d4f86"),
+)
 
 
 def axis(title: str = "", **more: Any) -> dict[str, Any]:
@@ -78,7 +99,9 @@ def f32(a: Any_) -> Any_:
 
 
 def joined(x: Float, y: Float) -> tuple[Any_, Any_]:
-    """Many curves `y` (curve, k) over one `x` (k,) as one broken line: a single path draws quickly."""
+    """Many curves `y` (curve, k) over one `x` (k,) as one broken line: a single path draws
+    quickly.
+    """
     rows = y.shape[0]
     gap = np.full((rows, 1), np.nan)
     xs = np.concatenate([np.broadcast_to(x, y.shape), gap], axis=1)
@@ -92,7 +115,9 @@ def ticks(x: Float, low: Float, high: Float) -> tuple[Any_, Any_]:
 
 
 def thinned_log(x: Float, y: Float, bins: int) -> tuple[Any_, Any_]:
-    """One curve over a logarithmic axis, `x` (k,) > 0 ascending: the largest `y` in each of about `bins` equal bins."""
+    """One curve over a logarithmic axis, `x` (k,) > 0 ascending: the largest `y` in each of about
+    `bins` equal bins.
+    """
     if x.size <= bins:
         return x, y
     place = np.floor(np.log(x / x[0]) / np.log(x[-1] / x[0]) * bins)
@@ -103,10 +128,14 @@ def thinned_log(x: Float, y: Float, bins: int) -> tuple[Any_, Any_]:
 
 
 def thinned(y: Float, bins: int) -> tuple[Any_, Any_]:
-    """Positions (b,) and values (curve, b) of the largest |y| in each of at most `bins` equal bins: peaks stay."""
+    """Positions (b,) and values (curve, b) of the largest |y| in each of at most `bins` equal bins:
+    peaks stay.
+    """
     curves, k = y.shape
     step = max(1, -(-k // bins))
     whole = k // step * step
     block = y[:, :whole].reshape(curves, -1, step)
     at = np.abs(block).argmax(axis=2)
-    return np.arange(0, whole, step) + step // 2, np.take_along_axis(block, at[:, :, None], 2)[:, :, 0]
+    return np.arange(0, whole, step) + step // 2, np.take_along_axis(block, at[:, :, None], 2)[
+        :, :, 0
+    ]

@@ -15,8 +15,9 @@ HALVINGS = 24  # of the size of a cell
 def thinned(scene: Scene, most: int) -> Scene:
     """The scene with at most `most` of its nodes, itself where it has no more.
 
-    Vertex clustering (Rossignac, Borrel 1993): the nodes of a cubic cell become the one nearest to their mean;
-    triangles and lines that collapse or come twice go. Cells are as small as `most` allows.
+    Vertex clustering (Rossignac, Borrel 1993): the nodes of a cubic cell become the one nearest to
+    their mean; triangles and lines that collapse or come twice go. Cells are as small as `most`
+    allows.
     """
     if scene.node.size <= most:
         return scene
@@ -52,7 +53,9 @@ def _cells(scene: Scene, most: int) -> Int:
         size = (small + large) / 2
         step = ((scene.xyz - corner) // size).astype(np.int64)
         top = step.max(axis=0) + 1
-        _, cell = np.unique((step[:, 0] * top[1] + step[:, 1]) * top[2] + step[:, 2], return_inverse=True)
+        _, cell = np.unique(
+            (step[:, 0] * top[1] + step[:, 1]) * top[2] + step[:, 2], return_inverse=True
+        )
         if int(cell.max()) < most:
             best, large = cell, size
         else:

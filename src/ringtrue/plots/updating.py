@@ -13,13 +13,26 @@ from ringtrue.study.results import SensitivityStage, SetResult
 def sensitivity(stage: SensitivityStage, values: Float, name: str, modes: Float) -> go.Figure:
     """Heat map of one (mode, candidate) table; `modes` (mode,) Hz, `name` with its unit."""
     peak = float(np.nanmax(np.abs(values), initial=1e-12))
-    y = [f"{i + 1}: {f:.2f} Hz" for i, f in zip(stage.fe_modes.tolist(), modes.tolist(), strict=True)]
+    y = [
+        f"{i + 1}: {f:.2f} Hz" for i, f in zip(stage.fe_modes.tolist(), modes.tolist(), strict=True)
+    ]
     fig = figure(
         120 + 17 * len(y) + 90,
         xaxis=axis(tickangle=-45, side="bottom", showgrid=False, showline=False, ticks=""),
-        yaxis=axis("FE mode", autorange="reversed", showgrid=False, showline=False, ticks="", tickfont={"size": 11}),
+        yaxis=axis(
+            "FE mode",
+            autorange="reversed",
+            showgrid=False,
+            showline=False,
+            ticks="",
+            tickfont={"size": 11},
+        ),
     )
-    bar = {"title": {"text": name, "side": "top", "font": {"size": 11}}, "thickness": 12, "outlinewidth": 0}
+    bar = {
+        "title": {"text": name, "side": "top", "font": {"size": 11}},
+        "thickness": 12,
+        "outlinewidth": 0,
+    }
     fig.add_heatmap(
         z=f32(values),
         x=list(stage.names),
@@ -46,31 +59,43 @@ def convergence(sets: tuple[SetResult, ...], chosen: int) -> go.Figure:
     """Objective, mean |Δf| and mean subspace MAC by iteration for every set."""
     seen = any(np.isfinite(s.subspace_mac).any() for s in sets)
     thirds = ([0, 0.25], [0.375, 0.625], [0.75, 1.0]) if seen else ([0, 0.44], [0.56, 1.0])
-    titles = ("Objective J, relative to the start", "Mean |Δf|, %", "Mean subspace MAC, %")[: len(thirds)]
+    titles = ("Objective J, relative to the start", "Mean |Δf|, %", "Mean subspace MAC, %")[
+        : len(thirds)
+    ]
     fig = figure(300)
     longest = max((s.objective.size for s in sets), default=1)
     for k, (domain, title) in enumerate(zip(thirds, titles, strict=True), start=1):
         n = "" if k == 1 else str(k)
-        fig.layout[f"xaxis{n}"] = axis("Iteration", domain=domain, anchor=f"y{n}", **_whole(longest, 7))
+        fig.layout[f"xaxis{n}"] = axis(
+            "Iteration", domain=domain, anchor=f"y{n}", **_whole(longest, 7)
+        )
         fig.layout[f"yaxis{n}"] = axis(title, anchor=f"x{n}")
     fig.layout.yaxis.update(type="log", exponentformat="power", dtick=1, tickfont={"size": 10})
     for i, s in enumerate(sets):
         look = {"color": QUALITATIVE[i % 8], "width": 2.6 if i == chosen else 1.4}
         name = s.name + (" (chosen)" if i == chosen else "")
         start = s.objective[0] if s.objective.size and s.objective[0] > 0 else 1.0
-        for k, y in enumerate((s.objective / start, s.deviation, s.subspace_mac)[: len(thirds)], start=1):
+        for k, y in enumerate(
+            (s.objective / start, s.deviation, s.subspace_mac)[: len(thirds)], start=1
+        ):
             n = "" if k == 1 else str(k)
             x = np.arange(y.size)
-            fig.add_scatter(x=x, y=f32(y), line=look, mode="lines+markers", marker={"size": 5}, name=name)
+            fig.add_scatter(
+                x=x, y=f32(y), line=look, mode="lines+markers", marker={"size": 5}, name=name
+            )
             fig.data[-1].update(xaxis=f"x{n}", yaxis=f"y{n}", legendgroup=name, showlegend=k == 1)
     return fig
 
 
 def factor_ticks(low: float, high: float) -> list[float]:
-    """Round factors from `low` to `high`: equal steps within a factor of two, else 1, 2, 3, 5, 7 of each decade."""
+    """Round factors from `low` to `high`: equal steps within a factor of two, else 1, 2, 3, 5, 7 of
+    each decade.
+    """
     if high > 2 * low:
         return [m * 10.0**k for k in range(-3, 4) for m in (1, 2, 3, 5, 7)]
-    step = next(s for s in (m * 10.0**k for k in range(-4, 4) for m in (1, 2, 5)) if high - low <= 8 * s)
+    step = next(
+        s for s in (m * 10.0**k for k in range(-4, 4) for m in (1, 2, 5)) if high - low <= 8 * s
+    )
     return [k * step for k in range(int(np.ceil(low / step)), int(high / step) + 1)]
 
 

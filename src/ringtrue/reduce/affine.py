@@ -1,4 +1,6 @@
-"""A model whose K and M are fixed matrices times functions of its parameters' factors, and where it is observed."""
+"""A model whose K and M are fixed matrices times functions of its parameters' factors, and where it
+is observed.
+"""
 
 from __future__ import annotations
 
@@ -41,19 +43,26 @@ class AffineSystem:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "terms", tuple(self.terms))
-        lost = [i for t in self.terms for i in t.function.which if not 0 <= i < len(self.parameters)]
+        lost = [
+            i for t in self.terms for i in t.function.which if not 0 <= i < len(self.parameters)
+        ]
         if lost:
             raise InputError(f"terms of parameters {lost}: there are {len(self.parameters)}")
 
     def alone(self, which: int) -> tuple[Pair, ...]:
-        """K and M that one parameter adds by itself: of each of its powers, or at some factors where it has others."""
+        """K and M that one parameter adds by itself: of each of its powers, or at some factors
+        where it has others.
+        """
         own = [t for t in self.terms if which in t.function.which]
         if all(isinstance(t.function, Product) for t in own):
             return tuple((t.stiffness, t.mass) for t in own if t.function.which == (which,))
         k, m = sparse.csr_array(self.stiffness.shape), sparse.csr_array(self.mass.shape)
         only = replace(self, stiffness=k, mass=m, terms=tuple(own))
         each = np.arange(len(self.parameters))
-        return tuple(only.at(np.where(each == which, x, 1.0), NONE) for x in on_axis(self.parameters.parameters[which]))
+        return tuple(
+            only.at(np.where(each == which, x, 1.0), NONE)
+            for x in on_axis(self.parameters.parameters[which])
+        )
 
     def at(self, factors: Float, least: float = 0.0) -> Pair:
         """K and M at the factors a (p,); without terms whose functions are up to `least` there."""
@@ -72,8 +81,13 @@ def observed_system(
     terms: Sequence[AffineTerm],
     observation: Observation,
 ) -> AffineSystem:
-    """The affine system of an assembled model; `transform` (full, f) goes from free to observed DOFs."""
+    """The affine system of an assembled model; `transform` (full, f) goes from free to observed
+    DOFs.
+    """
     if observation.matrix.shape[1] != transform.shape[0]:
-        raise InputError(f"the observation has {observation.matrix.shape[1]} DOFs, the model {transform.shape[0]}")
+        raise InputError(
+            f"the observation has {observation.matrix.shape[1]} DOFs, the model "
+            f"{transform.shape[0]}"
+        )
     observe = sparse.csr_array(observation.matrix @ transform)
     return AffineSystem(stiffness, mass, parameters, tuple(terms), observe)

@@ -1,4 +1,6 @@
-"""A reduced basis of an affine system: static sensitivities, their principal directions, and the projection on it."""
+"""A reduced basis of an affine system: static sensitivities, their principal directions, and the
+projection on it.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +54,11 @@ class Projection:
                 of.setdefault(which, []).append(i)
         object.__setattr__(self, "of", of)
         matrices = [k for _, k, _ in self.terms], [m for _, _, m in self.terms]
-        object.__setattr__(self, "acting", tuple({t: a for t, a in enumerate(each) if a.any()} for each in matrices))
+        object.__setattr__(
+            self,
+            "acting",
+            tuple({t: a for t, a in enumerate(each) if a.any()} for each in matrices),
+        )
 
     @property
     def size(self) -> int:
@@ -94,7 +100,9 @@ def project(system: AffineSystem, vectors: Float, old: Projection | None = None)
 def static_sensitivities(
     pencil: Pencil, modes: EigenModes, terms: Sequence[Pair], count: int, progress: Progress | None
 ) -> Float:
-    """(K − σM)⁻¹ (K_j − λ_k M_j) φ_k of each term and mode, free of the modes, scaled to the mode's energy."""
+    """(K − σM)⁻¹ (K_j − λ_k M_j) φ_k of each term and mode, free of the modes, scaled to the mode's
+    energy.
+    """
     found = []
     for done, t in enumerate(terms):
         load = np.zeros((pencil.size, count))
@@ -106,9 +114,16 @@ def static_sensitivities(
 
 
 def mixed_sensitivities(
-    pencil: Pencil, modes: EigenModes, terms: Sequence[Pair], count: int, columns: int, progress: Progress | None
+    pencil: Pencil,
+    modes: EigenModes,
+    terms: Sequence[Pair],
+    count: int,
+    columns: int,
+    progress: Progress | None,
 ) -> Float:
-    """As many random mixtures of all static sensitivities: their range, for a solve each (Halko et al. 2011, 4.1)."""
+    """As many random mixtures of all static sensitivities: their range, for a solve each (Halko et
+    al. 2011, 4.1).
+    """
     rng, load = np.random.default_rng(0), np.zeros((pencil.size, columns))
     for t in terms:  # over parameters and their powers
         rows, forces = _forces(modes, t, count)
@@ -125,7 +140,9 @@ def _forces(modes: EigenModes, t: Pair, count: int) -> tuple[Int, Float]:
     return rows, (stiffness[rows] @ phi - (mass[rows] @ phi) * lam) * scale
 
 
-def _answers(pencil: Pencil, modes: EigenModes, load: Float, progress: Progress | None = None) -> Float:
+def _answers(
+    pencil: Pencil, modes: EigenModes, load: Float, progress: Progress | None = None
+) -> Float:
     """Static responses to loads (f, k), both free of the modes."""
     factor, phi = pencil.at(modes.shift), modes.vectors
     mphi = pencil.mass @ phi
@@ -140,7 +157,9 @@ def _answers(pencil: Pencil, modes: EigenModes, load: Float, progress: Progress 
 
 
 def principal(energy: sparse.csr_array, x: Float, most: int, drop: float) -> Float:
-    """Principal directions of x in the energy K − σM, at most `most`, above `drop` of the largest, in their size."""
+    """Principal directions of x in the energy K − σM, at most `most`, above `drop` of the largest,
+    in their size.
+    """
     if not x.shape[1] or most <= 0:
         return x[:, :0]
     gram = x.T @ (energy @ x)
@@ -156,9 +175,11 @@ def compress(energy: sparse.csr_array, x: Float, most: int, drop: float) -> Floa
 
 
 def orthonormal_part(energy: sparse.csr_array, old: Float, x: Float) -> Float:
-    """Part of x outside `old`, orthonormal in the energy K − σM as `old` is; what is nearly inside is dropped.
+    """Part of x outside `old`, orthonormal in the energy K − σM as `old` is; what is nearly inside
+    is dropped.
 
-    Energy and not mass: a part too small to be seen in the mass may still be too stiff to be left out.
+    Energy and not mass: a part too small to be seen in the mass may still be too stiff to be left
+    out.
     """
     if not x.shape[1]:
         return x

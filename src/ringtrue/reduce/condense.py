@@ -1,4 +1,6 @@
-"""A reduced model reduced once more: to its modes at some points, for searches and sampling that need thousands."""
+"""A reduced model reduced once more: to its modes at some points, for searches and sampling that
+need thousands.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +19,8 @@ from ringtrue.reduce.parametric import ReducedModel
 def condensed(model: ReducedModel, points: Sequence[Float], size: int) -> ReducedModel:
     """The model on the principal directions of its modes at points x, in the energy K − σM.
 
-    Proper orthogonal decomposition: of all bases of that size the one that leaves the least energy of these modes out.
-    Good between the points; away from them it is too stiff.
+    Proper orthogonal decomposition: of all bases of that size the one that leaves the least energy
+    of these modes out. Good between the points; away from them it is too stiff.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Expansion of test shapes to all degrees of freedom of a model.
 
-Sources: Guyan (1965); Kidder (1973) for the dynamic one; O'Callahan, Avitabile and Riemer (1989) for SEREP; Balmès
-(2000) for the minimum of dynamic residual and test error.
+Sources: Guyan (1965); Kidder (1973) for the dynamic one; O'Callahan, Avitabile and Riemer (1989)
+for SEREP; Balmès (2000) for the minimum of dynamic residual and test error.
 """
 
 from __future__ import annotations
@@ -55,7 +55,9 @@ def _readings(shapes: Any_, observe: sparse.csr_array, frequencies: Float | None
     return y
 
 
-def _result(method: str, u: Any_, y: Any_, observe: sparse.csr_array, weight: Float | None = None) -> Expanded:
+def _result(
+    method: str, u: Any_, y: Any_, observe: sparse.csr_array, weight: Float | None = None
+) -> Expanded:
     size = np.linalg.norm(y, axis=0)
     misfit = np.linalg.norm(observe @ u - y, axis=0) / np.where(size > 0, size, 1.0)
     return Expanded(method, u, misfit, np.zeros(y.shape[1]) if weight is None else weight)
@@ -81,9 +83,14 @@ def expand_serep(modes: Float, observe: sparse.csr_array, shapes: Any_) -> Expan
 
 
 def expand_static(
-    stiffness: sparse.csr_array, observe: sparse.csr_array, shapes: Any_, *, labels: Labels | None = None
+    stiffness: sparse.csr_array,
+    observe: sparse.csr_array,
+    shapes: Any_,
+    *,
+    labels: Labels | None = None,
 ) -> Expanded:
-    """The motion of least strain energy that has the readings exactly (Guyan, for sensors anywhere).
+    """The motion of least strain energy that has the readings exactly (Guyan, for sensors
+    anywhere).
 
     Parameters
     ----------
@@ -112,10 +119,11 @@ def expand_dynamic(
     labels: Labels | None = None,
     progress: Progress | None = None,
 ) -> Expanded:
-    """The motion that has the readings exactly and needs no force but at the sensors, at each mode's own frequency.
+    """The motion that has the readings exactly and needs no force but at the sensors, at each
+    mode's own frequency.
 
-    Exact for a model without error; one factorisation a mode. Fails near a frequency that the structure has with all
-    readings held.
+    Exact for a model without error; one factorisation a mode. Fails near a frequency that the
+    structure has with all readings held.
 
     Parameters
     ----------
@@ -150,8 +158,9 @@ def expand_hybrid(
 ) -> Expanded:
     """The motion that balances the readings against the equation of motion of the model.
 
-    min ‖Cu − y‖² + γ β rᵀA⁻¹r with r = (K − ω²M)u and A = K + αCᵀC, over u in the span of the modes and of the static
-    shapes of the sensors: a Tikhonov problem a mode. β makes the two terms equal in size over that span.
+    min ‖Cu − y‖² + γ β rᵀA⁻¹r with r = (K − ω²M)u and A = K + αCᵀC, over u in the span of the modes
+    and of the static shapes of the sensors: a Tikhonov problem a mode. β makes the two terms equal
+    in size over that span.
 
     Parameters
     ----------
@@ -162,7 +171,8 @@ def expand_hybrid(
     modes : (f, k) float64
         Of the model; they may be more than the channels.
     noise : float, optional
-        Relative error of the readings, ‖e‖/‖y‖; γ is chosen so that the misfit is as large (Morozov, 1966).
+        Relative error of the readings, ‖e‖/‖y‖; γ is chosen so that the misfit is as large
+        (Morozov, 1966).
     weight : float, optional
         γ itself, > 0. One of the two must be given.
 
@@ -172,8 +182,14 @@ def expand_hybrid(
         Unless exactly one of `noise` and `weight` is given, above 0.
     """
     y = _readings(shapes, observe, frequencies)
-    if (noise is None) == (weight is None) or (noise or 0) < 0 or (weight is not None and weight <= 0):
-        raise ConfigError(f"hybrid expansion: noise {noise}, weight {weight}; give one of them, above 0")
+    if (
+        (noise is None) == (weight is None)
+        or (noise or 0) < 0
+        or (weight is not None and weight <= 0)
+    ):
+        raise ConfigError(
+            f"hybrid expansion: noise {noise}, weight {weight}; give one of them, above 0"
+        )
     basis = _Basis.of(stiffness, mass, observe, modes, labels)
     q = np.zeros((basis.vectors.shape[1], y.shape[1]), dtype=y.dtype)
     used = np.zeros(y.shape[1])
@@ -183,7 +199,14 @@ def expand_hybrid(
 
 
 def expand_reduced(
-    stiffness: Float, mass: Float, energy: Float, observe: Float, shapes: Any_, frequencies: Float, *, noise: float
+    stiffness: Float,
+    mass: Float,
+    energy: Float,
+    observe: Float,
+    shapes: Any_,
+    frequencies: Float,
+    *,
+    noise: float,
 ) -> Expanded:
     """`expand_hybrid` over all motions of a reduced model: coordinates of its basis, (r, m).
 
@@ -205,7 +228,10 @@ def expand_reduced(
     factor = linalg.cho_factor(energy)
     k, m = linalg.cho_solve(factor, stiffness), linalg.cho_solve(factor, mass)
     basis = _Basis(np.eye(len(mass)), observe, stiffness @ k, stiffness @ m, mass @ m)
-    found = [basis.solve(y[:, i], (2 * np.pi * f) ** 2, noise, None) for i, f in enumerate(frequencies.tolist())]
+    found = [
+        basis.solve(y[:, i], (2 * np.pi * f) ** 2, noise, None)
+        for i, f in enumerate(frequencies.tolist())
+    ]
     q = np.stack([c for _, c in found], axis=1) if found else np.zeros((len(mass), 0))
     return _result("hybrid", q, y, sparse.csr_array(observe), np.array([w for w, _ in found]))
 
@@ -239,7 +265,9 @@ class _Basis:
             static.close()
         return cls(vectors, observe @ vectors, K.T @ k, K.T @ m, M.T @ m)
 
-    def solve(self, y: Any_, lam: float, noise: float | None, weight: float | None) -> tuple[float, Any_]:
+    def solve(
+        self, y: Any_, lam: float, noise: float | None, weight: float | None
+    ) -> tuple[float, Any_]:
         """γ and the coordinates of the minimum, from D and R made diagonal together."""
         residual = self.kk - lam * (self.km + self.km.T) + lam**2 * self.mm
         data = self.seen.T @ self.seen
@@ -254,7 +282,9 @@ class _Basis:
             return np.asarray(v @ (load / np.maximum(share + gamma * (1 - share), 1e-14)))
 
         def excess(log: float) -> float:
-            return float(np.linalg.norm(self.seen @ at(float(np.exp(log))) - y) / np.linalg.norm(y)) - (noise or 0.0)
+            return float(
+                np.linalg.norm(self.seen @ at(float(np.exp(log))) - y) / np.linalg.norm(y)
+            ) - (noise or 0.0)
 
         gamma = weight if weight is not None else _root(excess)
         return gamma, at(gamma)

@@ -1,4 +1,6 @@
-"""The static flexibility at loaded channels in a reduced basis: residual vectors, for FRFs, their zeros and statics."""
+"""The static flexibility at loaded channels in a reduced basis: residual vectors, for FRFs, their
+zeros and statics.
+"""
 
 from __future__ import annotations
 
@@ -13,15 +15,20 @@ from ringtrue.errors import SingularModel
 from ringtrue.reduce.basis import CHUNK, orthonormal_part, project
 from ringtrue.reduce.parametric import ReducedModel
 
-DEPENDENT, MASSLESS = 1e-10, 1e-11  # shares of the energy below which a vector is one of others, or has no mode
+DEPENDENT, MASSLESS = (
+    1e-10,
+    1e-11,
+)  # shares of the energy below which a vector is one of others, or has no mode
 
 
 def with_responses(
     model: ReducedModel, channels: Int, x: Float, *, sensitivities: bool = False
 ) -> tuple[ReducedModel, float]:
-    """The model with the static responses of the full one to unit loads at channels added to its basis.
+    """The model with the static responses of the full one to unit loads at channels added to its
+    basis.
 
-    A structure that is free has none; the responses are then those of K − σM, which serve FRFs as well.
+    A structure that is free has none; the responses are then those of K − σM, which serve FRFs as
+    well.
 
     Parameters
     ----------
@@ -37,9 +44,11 @@ def with_responses(
     model : ReducedModel
         Its static deflections at x are those of the full model.
     error : float
-        Largest error of the old one's flexibility between these channels, relative to the largest flexibility.
+        Largest error of the old one's flexibility between these channels, relative to the largest
+        flexibility.
 
-    Sources: residual vectors, Craig and Kurdila (2006), Fundamentals of Structural Dynamics, sec. 17.
+    Sources: residual vectors, Craig and Kurdila (2006), Fundamentals of Structural Dynamics, sec.
+    17.
     """
     a = model.system.parameters.factors(model.full_vector(x))
     pencil = Pencil(*model.system.at(a), method=model.pencil.method, labels=model.pencil.labels)
@@ -52,7 +61,9 @@ def with_responses(
             fresh += [_solved(factor, k @ u - shift * (m @ u)) for k, m in model.system.alone(i)]
     pencil.close()
     true, found = load.T @ u, _flexibility(model, a, channels, shift)
-    error = float(np.abs(found - true).max(initial=0.0) / max(float(np.abs(true).max(initial=0.0)), 1e-300))
+    error = float(
+        np.abs(found - true).max(initial=0.0) / max(float(np.abs(true).max(initial=0.0)), 1e-300)
+    )
     new = np.hstack(fresh)
     new = new[:, np.abs(new).max(axis=0) > 0]
     energy = sparse.csr_array(model.system.stiffness - model.shift * model.system.mass)
@@ -61,8 +72,9 @@ def with_responses(
 
 
 def responding(model: ReducedModel, channels: Int, x: Float) -> tuple[Float, Float]:
-    """λ (r,) and vectors (f, r) of unit modal mass: the modes at x (p,) and, as modes of the space that they span
-    together, the static responses to unit loads at channels that are in the basis. Held channels have none.
+    """λ (r,) and vectors (f, r) of unit modal mass: the modes at x (p,) and, as modes of the space
+    that they span together, the static responses to unit loads at channels that are in the basis.
+    Held channels have none.
 
     Of a structure that is free the responses are those of K − σM.
     """
@@ -93,7 +105,9 @@ def _definite(pencil: Pencil, shift: float) -> tuple[float, Factor]:
 
 def _solved(factor: Factor, load: Float) -> Float:
     n = load.shape[1]
-    return np.concatenate([factor.solve(load[:, i : i + CHUNK]) for i in range(0, n, CHUNK)], axis=1)
+    return np.concatenate(
+        [factor.solve(load[:, i : i + CHUNK]) for i in range(0, n, CHUNK)], axis=1
+    )
 
 
 def _flexibility(model: ReducedModel, a: Float, channels: Int, shift: float) -> Float:

@@ -1,8 +1,10 @@
-"""A parametric reduced basis: modes, their static sensitivities and snapshots, projected once, solved many times.
+"""A parametric reduced basis: modes, their static sensitivities and snapshots, projected once,
+solved many times.
 
-K(a) = K + Σ_t g_t(a) K_t is a sum of fixed matrices times functions of the factors, so its projection is too; a point
-of the parameter space costs one small dense eigensolution. Sources: Balmès (1996) parametric families of reduced
-models; Noor, Peters (1980) reduced basis with path derivatives.
+K(a) = K + Σ_t g_t(a) K_t is a sum of fixed matrices times functions of the factors, so its
+projection is too; a point of the parameter space costs one small dense eigensolution. Sources:
+Balmès (1996) parametric families of reduced models; Noor, Peters (1980) reduced basis with path
+derivatives.
 """
 
 from __future__ import annotations
@@ -37,8 +39,12 @@ USUAL = 320  # vectors of a basis
 SOLVED, SPANNED = 0.3, 0.8  # of the progress of a basis: its modes are there, its vectors are there
 MANY = 2400  # sensitivity vectors from which on random mixtures of them stand for all
 AT_ONCE = 800  # sensitivity vectors whose principal directions are taken at once
-FAR = 100.0  # times the highest frequency returned: stiffer vectors of the basis have no sensitivity that can be used
-MASSLESS = 1e-14  # θ = 1/(λ − σ), relative to the largest, from which on a vector of the basis has no mass
+# times the highest frequency returned: stiffer vectors of the basis have no sensitivity that can be
+# used
+FAR = 100.0
+MASSLESS = (
+    1e-14  # θ = 1/(λ − σ), relative to the largest, from which on a vector of the basis has no mass
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +56,8 @@ class BasisOptions:
     extra : float
         Modes computed, as a multiple of those returned.
     size : int
-        Most vectors kept at the start; enrichment adds to it. 0: 320, or half as many again as modes if that is more.
+        Most vectors kept at the start; enrichment adds to it. 0: 320, or half as many again as
+        modes if that is more.
     drop : float
         Sensitivity vectors below this share of the largest (strain energy norm) are dropped.
     """
@@ -106,7 +113,11 @@ class ReducedModel:
         lost = [i for i in active if not 0 <= i < len(self.system.parameters)]
         if lost:
             raise InputError(f"parameters {lost}: there are {len(self.system.parameters)}")
-        return replace(self, active=tuple(active), base=self.base if base is None else np.array(base, dtype=float))
+        return replace(
+            self,
+            active=tuple(active),
+            base=self.base if base is None else np.array(base, dtype=float),
+        )
 
     def full_vector(self, x: Float) -> Float:
         """x of all parameters (P,) from that of the active ones (p,)."""
@@ -121,7 +132,10 @@ class ReducedModel:
         """Modes and exact sensitivities of the reduced model at x (p,)."""
         everything = self.full_vector(x)
         lam, y = self._solve(everything, all_modes=True)
-        a, slope = self.system.parameters.factors(everything), self.system.parameters.slope(everything)
+        a, slope = (
+            self.system.parameters.factors(everything),
+            self.system.parameters.slope(everything),
+        )
         m = self.count
         weights = np.zeros((len(self.active), len(self.basis.terms)))
         for i, which in enumerate(self.active):  # over parameters
@@ -134,7 +148,9 @@ class ReducedModel:
             c[i] = modal_coefficients(dk[i], dm[i], lam, low=self.scale)
         seen = self.basis.observe @ y
         d_shapes = np.moveaxis(seen @ c, 0, -1)
-        return Linearisation(np.array(x, dtype=float), frequencies(lam[:m]), seen[:, :m], d_lambda, d_shapes)
+        return Linearisation(
+            np.array(x, dtype=float), frequencies(lam[:m]), seen[:, :m], d_lambda, d_shapes
+        )
 
     def modes(self, x: Float) -> Linearisation:
         """Modes only (sensitivities with no columns)."""
@@ -163,7 +179,9 @@ class ReducedModel:
         return both
 
     def derivative(self, a: Float, which: int, slope: float = 1.0) -> tuple[Float, Float]:
-        """∂K/∂a and ∂M/∂a (r, r) of one parameter, by position, times da/dx, at the factors a of all."""
+        """∂K/∂a and ∂M/∂a (r, r) of one parameter, by position, times da/dx, at the factors a of
+        all.
+        """
         dk, dm = np.zeros_like(self.basis.stiffness), np.zeros_like(self.basis.mass)
         for i in self.basis.of.get(which, ()):
             f, kt, mt = self.basis.terms[i]
@@ -173,7 +191,9 @@ class ReducedModel:
         return dk, dm
 
     def _solve(self, everything: Float, *, all_modes: bool) -> tuple[Float, Float]:
-        """λ ascending and M-orthonormal y, from M y = θ (K − σM) y, which keeps the low modes exact."""
+        """λ ascending and M-orthonormal y, from M y = θ (K − σM) y, which keeps the low modes
+        exact.
+        """
         k, m = self.projected(self.system.parameters.factors(everything))
         r = k.shape[0]
         some = None if all_modes else (r - self.count, r - 1)
@@ -186,7 +206,9 @@ class ReducedModel:
             ) from e
         theta, y = theta[::-1], y[:, ::-1]
         moving = int(np.count_nonzero(theta[: self.count] > MASSLESS * theta[0]))
-        theta = np.maximum(theta, MASSLESS * theta[0])  # a motion without mass adds its flexibility, no mode
+        theta = np.maximum(
+            theta, MASSLESS * theta[0]
+        )  # a motion without mass adds its flexibility, no mode
         y = y / np.sqrt(theta)
         lam = self.shift + 1 / theta
         low = y[:, :moving]  # far from the shift, 1/θ has lost digits that Rayleigh quotients keep
@@ -195,9 +217,11 @@ class ReducedModel:
         return lam, y
 
     def error(self, x: Float, *, modes: int | None = None) -> float:
-        """An estimate of the largest relative frequency error at x, from residuals: ½ rᵀ(K₀ − σM₀)⁻¹r / (λ − σ).
+        """An estimate of the largest relative frequency error at x, from residuals: ½ rᵀ(K₀ −
+        σM₀)⁻¹r / (λ − σ).
 
-        The nominal factor stands for that at x, so it is an estimate, not a bound; `enrich` gives the truth.
+        The nominal factor stands for that at x, so it is an estimate, not a bound; `enrich` gives
+        the truth.
         """
         everything = self.full_vector(x)
         lam, phi = self.vectors(x)
@@ -215,7 +239,8 @@ class ReducedModel:
         return replace(self, basis=basis)
 
     def whole(self) -> ReducedModel:
-        """The same with all modes of the basis that are not drowned in rounding: sums over them hold its flexibility.
+        """The same with all modes of the basis that are not drowned in rounding: sums over them
+        hold its flexibility.
 
         They are counted at `base`, so that the number does not change from point to point.
         """
@@ -225,11 +250,15 @@ class ReducedModel:
         return replace(self, count=count, scale=self.scale or self.count)
 
     def on(self, vectors: Float) -> ReducedModel:
-        """The same model and parameters on another basis, independent vectors (f, r) of the free DOFs."""
+        """The same model and parameters on another basis, independent vectors (f, r) of the free
+        DOFs.
+        """
         energy = sparse.csr_array(self.system.stiffness - self.shift * self.system.mass)
         root = linalg.cholesky(vectors.T @ (energy @ vectors), lower=True)
         fresh = np.asarray(linalg.solve_triangular(root, vectors.T, lower=True)).T
-        return replace(self, basis=project(self.system, fresh), count=min(self.count, vectors.shape[1]))
+        return replace(
+            self, basis=project(self.system, fresh), count=min(self.count, vectors.shape[1])
+        )
 
     def enrich(
         self, x: Float, *, sensitivities: bool = False, progress: Progress | None = None
@@ -247,7 +276,8 @@ class ReducedModel:
         model : ReducedModel
             Exact at x.
         truth : Linearisation
-            The full model's modes at x, without sensitivities: compare with `modes(x)` of the old one.
+            The full model's modes at x, without sensitivities: compare with `modes(x)` of the old
+            one.
         """
         everything = self.full_vector(x)
         k, m = self.system.at(self.system.parameters.factors(everything))
@@ -266,15 +296,23 @@ class ReducedModel:
         seen = np.asarray(self.system.observe @ modes.vectors)
         n = modes.values.size
         truth = Linearisation(
-            np.array(x, dtype=float), modes.frequencies, seen, np.zeros((n, 0)), np.zeros((seen.shape[0], n, 0))
+            np.array(x, dtype=float),
+            modes.frequencies,
+            seen,
+            np.zeros((n, 0)),
+            np.zeros((seen.shape[0], n, 0)),
         )
         return replace(self, basis=basis), truth
 
 
 def _products(acting: dict[int, Float], weights: Float, y: Float, m: int) -> Float:
-    """yᵀ (Σ w A) y (p, r, m) of matrices A (r, r) by their terms, weights w (p, t) of these, and modes y (r, r)."""
+    """yᵀ (Σ w A) y (p, r, m) of matrices A (r, r) by their terms, weights w (p, t) of these, and
+    modes y (r, r).
+    """
     out = np.zeros((len(weights), y.shape[1], m))
-    for i, own in enumerate(weights):  # over parameters, of which there are fewer than terms that they have together
+    for i, own in enumerate(
+        weights
+    ):  # over parameters, of which there are fewer than terms that they have together
         if used := [t for t in acting if own[t]]:
             total = own[used[0]] * acting[used[0]]
             for t in used[1:]:
@@ -293,12 +331,16 @@ def _static(
     drop: float,
     progress: Progress | None,
 ) -> Float:
-    """Principal directions of the static sensitivities: of each, or of their mixtures where they are too many."""
+    """Principal directions of the static sensitivities: of each, or of their mixtures where they
+    are too many.
+    """
     todo = [t for i in range(len(system.parameters)) for t in system.alone(i)]
     if most <= 0:
         return np.zeros((pencil.size, 0))
     if len(todo) * count > max(MANY, 4 * most):
-        return compress(energy, mixed_sensitivities(pencil, modes, todo, count, 2 * most, progress), most, drop)
+        return compress(
+            energy, mixed_sensitivities(pencil, modes, todo, count, 2 * most, progress), most, drop
+        )
     x = np.zeros((pencil.size, 0))
     block = max(1, AT_ONCE // max(count, 1))
     for first in range(0, len(todo), block):  # principal directions of so many at a time
@@ -326,7 +368,8 @@ def reduced_model(
     shift: float | None = None,
     progress: Progress | None = None,
 ) -> ReducedModel:
-    """Build the basis: modes at x = 0, static sensitivities to every parameter, modes at further points.
+    """Build the basis: modes at x = 0, static sensitivities to every parameter, modes at further
+    points.
 
     Parameters
     ----------
@@ -339,7 +382,8 @@ def reduced_model(
     pencil : Pencil, optional
         Of the nominal K and M, if there is one already.
     modes : EigenModes, optional
-        The lowest of the nominal model, if they are there already: `modes_of(count, options)` or more.
+        The lowest of the nominal model, if they are there already: `modes_of(count, options)` or
+        more.
     shift : float, optional
         A good negative shift (rad/s)² to find them from; sought if not given.
     """
@@ -351,7 +395,9 @@ def reduced_model(
     n = min(count, modes.values.size)
     energy = sparse.csr_array(system.stiffness - modes.shift * system.mass)
     most = (options.size or max(USUAL, 3 * modes.values.size // 2)) - modes.values.size
-    x = _static(pencil, modes, system, n, energy, most, options.drop, part(progress, SOLVED, SPANNED))
+    x = _static(
+        pencil, modes, system, n, energy, most, options.drop, part(progress, SOLVED, SPANNED)
+    )
     if progress is not None:
         progress(SPANNED, "projection")
     base_modes = modes.vectors / np.sqrt(modes.values - modes.shift)

@@ -1,8 +1,9 @@
-"""A basis for the response to given loads up to a frequency: Krylov vectors at the lines where the residual is largest.
+"""A basis for the response to given loads up to a frequency: Krylov vectors at the lines where the
+residual is largest.
 
-A mode that the loads do not excite costs nothing, so it is far smaller than all modes of the band. Sources: Grimme
-(1997) rational Krylov; Beattie and Gugercin (2005) on second-order systems; the greedy choice of the lines is that of
-reduced basis methods (Veroy et al. 2003).
+A mode that the loads do not excite costs nothing, so it is far smaller than all modes of the band.
+Sources: Grimme (1997) rational Krylov; Beattie and Gugercin (2005) on second-order systems; the
+greedy choice of the lines is that of reduced basis methods (Veroy et al. 2003).
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ class ResponseBasis:
     vectors : (f, r) float64
         Mass-orthonormal.
     residual : (l,) float64
-        Norm of the residual over that of the load at each line, each DOF in the scale of its own stiffness.
+        Norm of the residual over that of the load at each line, each DOF in the scale of its own
+        stiffness.
     lines : tuple of float, Hz
         Where the dynamic stiffness was factorised, in order.
     """
@@ -64,7 +66,8 @@ def response_basis(
     stiffness, mass : (f, f) csr_array float64
     loads : (f, j) float64
     freqs : (l,) float64, Hz
-        Lines where the residual is watched; above 0, as close as the resonances are wide or somewhat wider.
+        Lines where the residual is watched; above 0, as close as the resonances are wide or
+        somewhat wider.
     start : (f, r) float64
         Vectors to begin with: modes of the lower part of the band.
     loss : float
@@ -83,7 +86,10 @@ def response_basis(
     """
     f, w2 = np.asarray(freqs, dtype=np.float64), (2 * np.pi * np.asarray(freqs)) ** 2
     if not f.size or f.min() <= 0 or not np.any(loads) or not loss > 0:
-        raise InputError(f"response basis: {f.size} lines above 0 Hz, a load and a loss factor {loss} > 0 are needed")
+        raise InputError(
+            f"response basis: {f.size} lines above 0 Hz, a load and a loss factor {loss} > 0 are "
+            "needed"
+        )
     pencil = Pencil(stiffness, mass)
     at = _Lines(stiffness, mass, loads, w2, loss)
     span = _Span.of(stiffness, mass, start).grown(pencil.at(-float(w2[0])), loads, 1)
@@ -160,8 +166,16 @@ class _Span:
         return _Span(self.k, self.m, np.hstack([self.vectors, x]), stiffness)
 
 
-def _krylov(factor: Factor, mass: sparse.csr_array, loads: Float, steps: int, first: Callable[[Float], Float]) -> Float:
-    """Mass-orthonormal vectors of a block Krylov space, (f, steps · j); `first` is applied to its first block."""
+def _krylov(
+    factor: Factor,
+    mass: sparse.csr_array,
+    loads: Float,
+    steps: int,
+    first: Callable[[Float], Float],
+) -> Float:
+    """Mass-orthonormal vectors of a block Krylov space, (f, steps · j); `first` is applied to its
+    first block.
+    """
     x = _orthonormal(mass, first(factor.solve(loads).reshape(loads.shape)))
     blocks = [x]
     for _ in range(steps - 1):  # each needs the one before
@@ -191,11 +205,15 @@ class _Lines:
         """The largest over the loads at some lines, (l,)."""
         v, w2, lossy = span.vectors, self.w2[at], 1 + 1j * self.loss
         lam, y = linalg.eigh(span.stiffness)
-        q = (y.T @ (v.T @ self.loads))[:, None] / (lam[:, None, None] * lossy - w2[:, None])  # (r, l, j)
+        q = (y.T @ (v.T @ self.loads))[:, None] / (
+            lam[:, None, None] * lossy - w2[:, None]
+        )  # (r, l, j)
         q = y @ q.reshape(lam.size, -1)
         x = v @ q.real + 1j * (v @ q.imag)  # the vectors stay real
         shape = (v.shape[0], w2.size, -1)
-        left = (self.stiffness @ x * lossy).reshape(shape) - w2[:, None] * (self.mass @ x).reshape(shape)
+        left = (self.stiffness @ x * lossy).reshape(shape) - w2[:, None] * (self.mass @ x).reshape(
+            shape
+        )
         scale = 1 / (self.stiffness.diagonal() + self.w2[-1] * self.mass.diagonal())
         wrong = np.einsum("f,flj->lj", scale, np.abs(left - self.loads[:, None]) ** 2)
         return np.asarray(np.sqrt((wrong / (scale @ self.loads**2)).max(axis=1)))

@@ -1,4 +1,6 @@
-"""Static condensation of Guyan (1965) and component modes of Craig and Bampton (1968), over one sparse factor."""
+"""Static condensation of Guyan (1965) and component modes of Craig and Bampton (1968), over one
+sparse factor.
+"""
 
 from __future__ import annotations
 
@@ -44,9 +46,14 @@ class Condensed:
 
 
 def guyan(
-    stiffness: sparse.csr_array, mass: sparse.csr_array, master: Any_, *, labels: Labels | None = None
+    stiffness: sparse.csr_array,
+    mass: sparse.csr_array,
+    master: Any_,
+    *,
+    labels: Labels | None = None,
 ) -> Condensed:
-    """Condense onto the DOFs `master`; exact in statics, the other DOFs move without inertia of their own.
+    """Condense onto the DOFs `master`; exact in statics, the other DOFs move without inertia of
+    their own.
 
     Parameters
     ----------
@@ -109,7 +116,9 @@ def craig_bampton(
         names: Labels | None = (lambda rows: labels(inner[rows])) if labels is not None else None
         pencil = Pencil(K, M, labels=names)
         try:
-            transform[inner] = _constraint_modes(pencil, sparse.csr_array(stiffness)[inner][:, kept])
+            transform[inner] = _constraint_modes(
+                pencil, sparse.csr_array(stiffness)[inner][:, kept]
+            )
             if count:
                 modes = solve_modes(pencil, count, progress=progress)
                 frequencies = modes.frequencies
@@ -125,14 +134,18 @@ def craig_bampton(
 def _rows(rows: Any_, size: int) -> Int:
     out = np.atleast_1d(np.asarray(rows, dtype=np.int64))
     if out.size and (out.min() < 0 or out.max() >= size):
-        raise InputError(f"row {out[(out < 0) | (out >= size)][0]} is to be kept; allowed are 0 to {size - 1}")
+        raise InputError(
+            f"row {out[(out < 0) | (out >= size)][0]} is to be kept; allowed are 0 to {size - 1}"
+        )
     if np.unique(out).size != out.size:
         raise InputError("a row to be kept is named twice")
     return out
 
 
 def _constraint_modes(pencil: Pencil, K_ib: sparse.csr_array) -> Float:
-    """-K_ii⁻¹ K_ib, a few columns at a time (K_ib is sparse, its dense copy need not exist at once)."""
+    """-K_ii⁻¹ K_ib, a few columns at a time (K_ib is sparse, its dense copy need not exist at
+    once).
+    """
     factor = pencil.at(0.0)
     out = np.zeros(K_ib.shape)
     columns = K_ib.tocsc()

@@ -1,10 +1,10 @@
 """Test-analysis models: the mass of a model at the channels of a test, for orthogonality checks.
 
-The channels see the model through `observe` (channel, f), so sensors may be skewed or off the nodes. A motion u of the
-model follows readings y by u = T y; the mass at the channels is TᵀMT.
+The channels see the model through `observe` (channel, f), so sensors may be skewed or off the
+nodes. A motion u of the model follows readings y by u = T y; the mass at the channels is TᵀMT.
 
-Sources: Guyan (1965); O'Callahan (1989) for IRS; O'Callahan, Avitabile and Riemer (1989) for SEREP; Craig and Bampton
-(1968); Kammer (1987, 1991) for the modal and the hybrid one.
+Sources: Guyan (1965); O'Callahan (1989) for IRS; O'Callahan, Avitabile and Riemer (1989) for SEREP;
+Craig and Bampton (1968); Kammer (1987, 1991) for the modal and the hybrid one.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ from ringtrue.reduce.static import Condensed, craig_bampton
 from ringtrue.shapes.orthogonality import pseudo_inverse
 
 CHUNK = 64  # right-hand sides solved at once
-DEPENDENT = 1e-10  # relative eigenvalue of the flexibility at the channels below which two channels read the same
+# relative eigenvalue of the flexibility at the channels below which two channels read the same
+DEPENDENT = 1e-10
 TamMethod = Literal["guyan", "irs", "serep", "hybrid"]
 
 
@@ -61,8 +62,9 @@ class TestAnalysisModel:
 class StaticShapes:
     """The motions of least strain energy with given readings: T = A⁻¹Cᵀ(CA⁻¹Cᵀ)⁻¹, A = K + αCᵀC.
 
-    With all readings given, αCᵀC adds the same energy to every candidate and changes nothing; it makes A definite for
-    a structure without supports. With sensors on DOFs this is Guyan's transform.
+    With all readings given, αCᵀC adds the same energy to every candidate and changes nothing; it
+    makes A definite for a structure without supports. With sensors on DOFs this is Guyan's
+    transform.
 
     Parameters
     ----------
@@ -79,10 +81,18 @@ class StaticShapes:
         If the structure can move without a reading.
     """
 
-    def __init__(self, stiffness: sparse.csr_array, observe: sparse.csr_array, *, labels: Labels | None = None) -> None:
+    def __init__(
+        self,
+        stiffness: sparse.csr_array,
+        observe: sparse.csr_array,
+        *,
+        labels: Labels | None = None,
+    ) -> None:
         self.observe = sparse.csr_array(observe)
         if self.observe.shape[1] != stiffness.shape[0] or not self.observe.shape[0]:
-            raise InputError(f"observation {self.observe.shape} for a model of {stiffness.shape[0]} rows")
+            raise InputError(
+                f"observation {self.observe.shape} for a model of {stiffness.shape[0]} rows"
+            )
         self._pencil = Pencil(*_held(stiffness, self.observe), labels=labels)
         self.factor: Factor = self._pencil.at(0.0)
         self.flexible = self.solve(self.observe.T.toarray())  # A⁻¹Cᵀ
@@ -91,14 +101,18 @@ class StaticShapes:
         size = np.abs(values)  # a dynamic stiffness may be indefinite
         if size.min() <= DEPENDENT * size.max():
             i = int(np.argmax(np.abs(vectors[:, np.argmin(size)])))
-            raise InputError(f"channel {i} (from 0) reads what others read already; leave it out of the reduced model")
+            raise InputError(
+                f"channel {i} (from 0) reads what others read already; leave it out of the "
+                "reduced model"
+            )
         self._inverse = (vectors / values) @ vectors.T
         self.transform = np.asarray(self.flexible @ self._inverse)
 
     def solve(self, load: Float) -> Float:
         """A⁻¹ load, (f, k)."""
         parts = [
-            self.factor.solve(load[:, s : s + CHUNK]).reshape(load.shape[0], -1) for s in range(0, load.shape[1], CHUNK)
+            self.factor.solve(load[:, s : s + CHUNK]).reshape(load.shape[0], -1)
+            for s in range(0, load.shape[1], CHUNK)
         ]
         return np.concatenate(parts, axis=1) if parts else np.zeros(load.shape)
 
@@ -112,18 +126,28 @@ class StaticShapes:
         self._pencil.close()
 
 
-def _held(stiffness: sparse.csr_array, observe: sparse.csr_array) -> tuple[sparse.csr_array, sparse.csr_array]:
+def _held(
+    stiffness: sparse.csr_array, observe: sparse.csr_array
+) -> tuple[sparse.csr_array, sparse.csr_array]:
     """K + αCᵀC with α of the size of K's diagonal, and a zero mass."""
     gram = sparse.csr_array(observe.T @ observe)
-    alpha = float(np.median(np.abs(stiffness.diagonal()[gram.diagonal() > 0]))) or float(np.abs(stiffness.data).max())
+    alpha = float(np.median(np.abs(stiffness.diagonal()[gram.diagonal() > 0]))) or float(
+        np.abs(stiffness.data).max()
+    )
     alpha /= float(gram.diagonal().max())
-    return sparse.csr_array(stiffness + alpha * gram), sparse.csr_array(stiffness.shape, dtype=np.float64)
+    return sparse.csr_array(stiffness + alpha * gram), sparse.csr_array(
+        stiffness.shape, dtype=np.float64
+    )
 
 
 def select(rows: Any_, size: int) -> sparse.csr_array:
     """The observation (channel, size) of channels that sit on the rows (channel,) int."""
     at = np.asarray(rows, dtype=np.int64)
-    if at.ndim != 1 or (at.size and (at.min() < 0 or at.max() >= size)) or np.unique(at).size != at.size:
+    if (
+        at.ndim != 1
+        or (at.size and (at.min() < 0 or at.max() >= size))
+        or np.unique(at).size != at.size
+    ):
         raise InputError(f"rows {at.tolist()[:8]}: must be different rows of a model of {size}")
     ones = (np.ones(at.size), (np.arange(at.size), at))
     return sparse.csr_array(sparse.coo_array(ones, shape=(at.size, size)))
@@ -146,9 +170,9 @@ def tam(
     observe : (channel, f) scipy.sparse.csr_array float64
         Reading of each channel; `select` for sensors on DOFs.
     method : {"guyan", "irs", "serep", "hybrid"}
-        "guyan": static shapes; wrong where inertia between the sensors counts. "irs": with the inertia of the static
-        model, to first order. "serep": exact for `modes` and blind to all else. "hybrid": exact for `modes`, static
-        for what lies outside of their span.
+        "guyan": static shapes; wrong where inertia between the sensors counts. "irs": with the
+        inertia of the static model, to first order. "serep": exact for `modes` and blind to all
+        else. "hybrid": exact for `modes`, static for what lies outside of their span.
     modes : (f, m) float64, mass-normalised
         Needed by "serep" and "hybrid", m <= channels.
     labels : callable, optional
@@ -189,16 +213,20 @@ def _irs(static: StaticShapes, stiffness: sparse.csr_array, mass: sparse.csr_arr
     return np.asarray(T + static.held(mass @ T) @ linalg.solve(m, k, assume_a="sym"))
 
 
-def _projected(method: str, transform: Float, stiffness: sparse.csr_array, mass: sparse.csr_array) -> TestAnalysisModel:
+def _projected(
+    method: str, transform: Float, stiffness: sparse.csr_array, mass: sparse.csr_array
+) -> TestAnalysisModel:
     k, m = (transform.T @ (x @ transform) for x in (stiffness, mass))
     return TestAnalysisModel(method, (m + m.T) / 2, (k + k.T) / 2, transform)
 
 
 def readings_kept(observe: sparse.csr_array) -> sparse.csr_array:
-    """S (f, f) of u = S [z, y]: the readings y = Cu in place of as many degrees of freedom, the others z kept.
+    """S (f, f) of u = S [z, y]: the readings y = Cu in place of as many degrees of freedom, the
+    others z kept.
 
-    Of the degrees of freedom that the channels read, those that a pivoted QR takes first are expressed by the readings
-    and the rest: sensors may be skewed or read several nodes, and SᵀKS stays sparse.
+    Of the degrees of freedom that the channels read, those that a pivoted QR takes first are
+    expressed by the readings and the rest: sensors may be skewed or read several nodes, and SᵀKS
+    stays sparse.
 
     Parameters
     ----------
@@ -218,7 +246,9 @@ def readings_kept(observe: sparse.csr_array) -> sparse.csr_array:
     if read.size < c or size[-1] <= DEPENDENT * size[0]:
         raise InputError(f"{c} channels: at least one reads what others read already, or nothing")
     gone, left = read[pivot[:c]], read[pivot[c:]]
-    inverse = np.linalg.inv(dense[:, pivot[:c]])  # of a well-conditioned block, one column a channel
+    inverse = np.linalg.inv(
+        dense[:, pivot[:c]]
+    )  # of a well-conditioned block, one column a channel
     kept = np.setdiff1d(np.arange(f), gone)
     place = np.searchsorted(kept, left)
     values, rows, columns = [np.ones(kept.size)], [kept], [np.arange(kept.size)]
@@ -232,9 +262,11 @@ def readings_kept(observe: sparse.csr_array) -> sparse.csr_array:
 def craig_bampton_of(
     stiffness: sparse.csr_array, mass: sparse.csr_array, observe: sparse.csr_array, count: int
 ) -> Condensed:
-    """The Craig-Bampton model of the readings of sensors anywhere, and of `count` modes with all readings held.
+    """The Craig-Bampton model of the readings of sensors anywhere, and of `count` modes with all
+    readings held.
 
-    Its kept coordinates are the readings in the order of the channels (`transform` is over `readings_kept`).
+    Its kept coordinates are the readings in the order of the channels (`transform` is over
+    `readings_kept`).
 
     Parameters
     ----------
@@ -255,13 +287,15 @@ def craig_bampton_of(
 def craig_bampton_coordinates(condensed: Condensed, shapes: Any_, frequencies: Float) -> Any_:
     """Coordinates (b + n, m) in a Craig-Bampton model of shapes read at its kept DOFs.
 
-    The modal coordinates that no sensor reads follow from the dynamics at each mode's own frequency:
-    q = −(K_qq − ω²M_qq)⁻¹(K_qb − ω²M_qb) y. The cross-orthogonality over `condensed.mass` is then taken of these.
+    The modal coordinates that no sensor reads follow from the dynamics at each mode's own
+    frequency: q = −(K_qq − ω²M_qq)⁻¹(K_qb − ω²M_qb) y. The cross-orthogonality over
+    `condensed.mass` is then taken of these.
 
     Parameters
     ----------
     condensed : Condensed
-        Of `craig_bampton_of`, or of `reduce.static.craig_bampton` with the DOFs of the sensors kept.
+        Of `craig_bampton_of`, or of `reduce.static.craig_bampton` with the DOFs of the sensors
+        kept.
     shapes : (b, m) float64 or complex128
         In the order of `condensed.kept`.
     frequencies : (m,) float64, Hz

@@ -85,8 +85,8 @@ def build(
     Parameters
     ----------
     stages : mapping of str to stage result
-        Any of model, plan, identify, compare, correlate, sensitivity, update, tune, final, provenance;
-        a section whose stages are absent is left out.
+        Any of model, plan, identify, compare, correlate, sensitivity, update, tune, final,
+        provenance; a section whose stages are absent is left out.
     out : Path
         The HTML file; it appears complete or not at all.
     title, system_text : str
@@ -128,7 +128,9 @@ def _refuse_lost(photos: Sequence[Photo], sections: Sequence[Section]) -> None:
     ids = [s.id for s in sections]
     for p in photos:
         if p.section not in ids:
-            raise ConfigError(f"photo {p.path}: no section {p.section!r}{did_you_mean(p.section, ids)}")
+            raise ConfigError(
+                f"photo {p.path}: no section {p.section!r}{did_you_mean(p.section, ids)}"
+            )
 
 
 @dataclass(slots=True)
@@ -158,7 +160,9 @@ class _Figures:
         return len(self.views) - 1
 
     def _shared(self, payload: dict[str, Any]) -> dict[str, Any]:
-        """The payload with the geometry of its skin, the same in every view, replaced by its position."""
+        """The payload with the geometry of its skin, the same in every view, replaced by its
+        position.
+        """
         if "skin" not in payload:
             return payload
         text = _json({k: v for k, v in payload["skin"].items() if k in GEOMETRY})

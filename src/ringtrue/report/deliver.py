@@ -15,7 +15,9 @@ from ringtrue.study.run import StudyRun, load_study
 from ringtrue.study.summary import finite, summarise
 
 
-def deliver(run: StudyRun, extra: Mapping[str, Any] | None = None, *, checks: Sequence[Check] | None = None) -> Path:
+def deliver(
+    run: StudyRun, extra: Mapping[str, Any] | None = None, *, checks: Sequence[Check] | None = None
+) -> Path:
     """Write summary.json and report.html into the folder of the run; returns the report.
 
     `checks` are what must hold; by default those of any study and the limits that this one states.
@@ -34,7 +36,9 @@ def report_from_store(store: Path, target: Path | None = None) -> Path:
 def _report(run: StudyRun, out: Path, checks: Sequence[Check] | None = None) -> Path:
     config: StudyConfig = run.config
     captions = [*config.report.captions, *[""] * len(config.report.photos)]
-    photos = [Photo(run.desk.base / p, t) for p, t in zip(config.report.photos, captions, strict=False)]
+    photos = [
+        Photo(run.desk.base / p, t) for p, t in zip(config.report.photos, captions, strict=False)
+    ]
     stages = {k: v for k, v in run.results.items() if v is not None}
     acceptance = Acceptance.of(config.correlate)
     return build(

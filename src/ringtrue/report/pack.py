@@ -13,18 +13,23 @@ from ringtrue.core.arrays import Any_
 
 
 def figure_json(figure: go.Figure) -> str:
-    """The JSON of a figure; traces whose `meta` says `overlay: n` (see plots.style.joined) are packed.
+    """The JSON of a figure; traces whose `meta` says `overlay: n` (see plots.style.joined) are
+    packed.
 
     The page unfolds them: the abscissa is stored once, ordinates as 16-bit parts of the largest.
     """
     text = str(figure.to_json())
-    marked = [i for i, t in enumerate(figure.data) if isinstance(t.meta, dict) and "overlay" in t.meta]
+    marked = [
+        i for i, t in enumerate(figure.data) if isinstance(t.meta, dict) and "overlay" in t.meta
+    ]
     if not marked:
         return text
     spec = json.loads(text)
     for i in marked:
         trace = figure.data[i]
-        spec["data"][i] |= _packed(np.asarray(trace.x), np.asarray(trace.y), int(trace.meta["overlay"]))
+        spec["data"][i] |= _packed(
+            np.asarray(trace.x), np.asarray(trace.y), int(trace.meta["overlay"])
+        )
     return json.dumps(spec, separators=(",", ":"), allow_nan=False)
 
 

@@ -61,7 +61,9 @@ class Photo:
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """A table cell that is more than text: `tone` in good, bad, warn, muted, chip, "" and a hint on hover."""
+    """A table cell that is more than text: `tone` in good, bad, warn, muted, chip, "" and a hint on
+    hover.
+    """
 
     text: str
     tone: str = ""
@@ -70,7 +72,9 @@ class Cell:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Rows of texts or cells; a head that starts with `|` is left-aligned text, others are numbers."""
+    """Rows of texts or cells; a head that starts with `|` is left-aligned text, others are
+    numbers.
+    """
 
     heads: Sequence[str]
     rows: Sequence[Sequence[str | Cell]]
@@ -81,14 +85,25 @@ class Table:
     kind: str = field(default="table", init=False)
 
     def without_blank(self, head: str) -> Table:
-        """The table without the columns with these words in their head, where no row has a number in them."""
-        blank = {i for i, h in enumerate(self.heads) if head in h and not any(_told(row[i]) for row in self.rows)}
+        """The table without the columns with these words in their head, where no row has a number
+        in them.
+        """
+        blank = {
+            i
+            for i, h in enumerate(self.heads)
+            if head in h and not any(_told(row[i]) for row in self.rows)
+        }
 
         def rest(cells: Sequence[str | Cell], first: int = 0) -> list[str | Cell]:
             return [c for i, c in enumerate(cells, start=first) if i not in blank]
 
         heads = [h for i, h in enumerate(self.heads) if i not in blank]
-        return replace(self, heads=heads, rows=[rest(r) for r in self.rows], foot=rest(self.foot, self.lead - 1))
+        return replace(
+            self,
+            heads=heads,
+            rows=[rest(r) for r in self.rows],
+            foot=rest(self.foot, self.lead - 1),
+        )
 
 
 def _told(cell: str | Cell) -> bool:
@@ -258,7 +273,9 @@ MISSING = "–"
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """A number with `digits` significant digits, plain where that is readable; `–` where unknown."""
+    """A number with `digits` significant digits, plain where that is readable; `–` where
+    unknown.
+    """
     if value is None or not math.isfinite(value):
         return MISSING
     if value == 0:

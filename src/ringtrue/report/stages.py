@@ -85,7 +85,9 @@ class Stages:
             if name not in KINDS:
                 raise ConfigError(f"no stage {name!r}{did_you_mean(name, KINDS)}")
             if value is not None and not isinstance(value, KINDS[name]):
-                raise ConfigError(f"stage {name}: got {type(value).__name__}, needs {KINDS[name].__name__}")
+                raise ConfigError(
+                    f"stage {name}: got {type(value).__name__}, needs {KINDS[name].__name__}"
+                )
             known[name] = value
         if (m := known.get("model")) is not None:
             most = min(max(DRAWN // max(len(m.modes), 1), FEWEST), MOST)
@@ -102,9 +104,13 @@ class Stages:
 
     @property
     def computed(self) -> Float:
-        """Frequencies of the initial deck, Hz: up to [model] fmax, or as far as the test asked for them."""
+        """Frequencies of the initial deck, Hz: up to [model] fmax, or as far as the test asked for
+        them.
+        """
         found = [
-            s.frequencies for s in (self.model and self.model.modes, self.correlate and self.correlate.fe_initial) if s
+            s.frequencies
+            for s in (self.model and self.model.modes, self.correlate and self.correlate.fe_initial)
+            if s
         ]
         return max(found, key=len, default=np.zeros(0))
 
@@ -114,4 +120,6 @@ class Stages:
         return self.correlate.reference if self.correlate is not None else None
 
 
-KINDS: dict[str, type] = {n: get_args(h)[0] for n, h in get_type_hints(Stages).items() if NoneType in get_args(h)}
+KINDS: dict[str, type] = {
+    n: get_args(h)[0] for n, h in get_type_hints(Stages).items() if NoneType in get_args(h)
+}

@@ -18,35 +18,47 @@ def mpc(shapes: Any_) -> Float:
     """
     p = np.asarray(shapes)
     energy = (np.abs(p) ** 2).sum(axis=0)
-    return np.asarray(np.abs((p * p).sum(axis=0)) ** 2 / np.where(energy > 0, energy, 1.0) ** 2, dtype=np.float64)
+    return np.asarray(
+        np.abs((p * p).sum(axis=0)) ** 2 / np.where(energy > 0, energy, 1.0) ** 2, dtype=np.float64
+    )
 
 
 def mean_phase(shapes: Any_) -> Float:
-    """Angle (m,), rad in (−π/2, π/2], of the line through the origin that fits the components best."""
+    """Angle (m,), rad in (−π/2, π/2], of the line through the origin that fits the components
+    best.
+    """
     p = np.asarray(shapes)
     return np.asarray(0.5 * np.angle((p * p).sum(axis=0)), dtype=np.float64)
 
 
 def mpd(shapes: Any_) -> Float:
-    """Mean phase deviation, (m,) rad: amplitude-weighted angle of the components from the mean (Reynders, 2012)."""
+    """Mean phase deviation, (m,) rad: amplitude-weighted angle of the components from the mean
+    (Reynders, 2012).
+    """
     p = np.asarray(shapes) * np.exp(-1j * mean_phase(shapes))
     weight = np.abs(p)
     angle = np.arctan2(np.abs(p.imag), np.abs(p.real))
     total = weight.sum(axis=0)
-    return np.asarray((weight * angle).sum(axis=0) / np.where(total > 0, total, 1.0), dtype=np.float64)
+    return np.asarray(
+        (weight * angle).sum(axis=0) / np.where(total > 0, total, 1.0), dtype=np.float64
+    )
 
 
 def mcf(shapes: Any_) -> Float:
-    """Modal complexity factor, (m,): area of the convex hull of the components over that of their circle.
+    """Modal complexity factor, (m,): area of the convex hull of the components over that of their
+    circle.
 
-    0 for a real shape, towards 1 for components of equal size at all phases (Imregun and Ewins, 1995, MCF1).
+    0 for a real shape, towards 1 for components of equal size at all phases (Imregun and Ewins,
+    1995, MCF1).
     """
     if not np.iscomplexobj(shapes):
         return np.zeros(np.shape(shapes)[1])
     p = np.asarray(shapes, dtype=np.complex128)
     radius = np.abs(p).max(axis=0, initial=0.0)
     z = p / np.where(radius > 0, radius, 1.0)
-    return np.array([_hull_area(z[:, k]) / np.pi for k in range(z.shape[1])])  # hulls do not vectorise over modes
+    return np.array(
+        [_hull_area(z[:, k]) / np.pi for k in range(z.shape[1])]
+    )  # hulls do not vectorise over modes
 
 
 def _hull_area(z: Any_) -> float:
@@ -58,7 +70,9 @@ def _hull_area(z: Any_) -> float:
 
 
 def _outside(z: Any_) -> Any_:
-    """The points not strictly inside the polygon of those farthest in 32 directions (Akl and Toussaint, 1978)."""
+    """The points not strictly inside the polygon of those farthest in 32 directions (Akl and
+    Toussaint, 1978).
+    """
     ways = np.exp(2j * np.pi * np.arange(32) / 32)
     corner = z[(z[:, None] * ways.conj()).real.argmax(axis=0)]
     edge = np.roll(corner, -1) - corner

@@ -10,7 +10,9 @@ from ringtrue.errors import InputError
 
 def _same_rows(a: Any_, b: Any_) -> None:
     if a.ndim != 2 or b.ndim != 2 or a.shape[0] != b.shape[0]:
-        raise InputError(f"shapes {a.shape} and {b.shape} must be (channel, mode) with the same channels")
+        raise InputError(
+            f"shapes {a.shape} and {b.shape} must be (channel, mode) with the same channels"
+        )
 
 
 def unit(shapes: Any_) -> Any_:
@@ -27,8 +29,9 @@ def unit(shapes: Any_) -> Any_:
 def above_rounding(shapes: Any_) -> Any_:
     """Shapes (n, m) with those columns at zero that are rounding beside the others.
 
-    A mode that does not move the channels still has values of rounding there, and a MAC of these is chance. The
-    eigenvector of an eigenvalue that is exact to rounding ε is exact to √ε, relative to the largest of the set.
+    A mode that does not move the channels still has values of rounding there, and a MAC of these is
+    chance. The eigenvector of an eigenvalue that is exact to rounding ε is exact to √ε, relative to
+    the largest of the set.
     """
     peak = np.abs(shapes).max(axis=0, initial=0.0)
     visible = peak > np.sqrt(np.finfo(np.float64).eps) * peak.max(initial=0.0)
@@ -58,7 +61,9 @@ def mac(a: Any_, b: Any_) -> Float:
 
 
 def auto_mac(a: Any_) -> Float:
-    """MAC of a set with itself, (m, m): off-diagonal terms tell which shapes the channels cannot separate."""
+    """MAC of a set with itself, (m, m): off-diagonal terms tell which shapes the channels cannot
+    separate.
+    """
     return mac(a, a)
 
 
@@ -73,4 +78,6 @@ def paired_mac(a: Any_, b: Any_) -> Float:
     """MAC of column k of `a` with column k of `b`, (m,)."""
     a, b = np.asarray(a), np.asarray(b)
     _same_rows(a, b)
-    return np.asarray(np.minimum(np.abs((unit(a).conj() * unit(b)).sum(axis=0)) ** 2, 1.0), dtype=np.float64)
+    return np.asarray(
+        np.minimum(np.abs((unit(a).conj() * unit(b)).sum(axis=0)) ** 2, 1.0), dtype=np.float64
+    )

@@ -15,7 +15,10 @@ RANK = 1e-8  # relative singular value below which the shapes at the channels co
 
 def _weighted(mass: Mass, shapes: Any_) -> Any_:
     if shapes.ndim != 2 or mass.shape != (shapes.shape[0], shapes.shape[0]):
-        raise InputError(f"mass {mass.shape} for shapes {shapes.shape}: it must be square over the rows of the shapes")
+        raise InputError(
+            f"mass {mass.shape} for shapes {shapes.shape}: it must be square over the rows of "
+            "the shapes"
+        )
     return np.asarray(mass @ shapes)
 
 
@@ -39,7 +42,8 @@ def mass_normalised(shapes: Any_, mass: Mass) -> Any_:
 
 
 def cross_orthogonality(a: Any_, b: Any_, mass: Mass) -> Float:
-    """|aᴴMb| of shapes of unit modal mass, (ma, mb) float64, 0..1: 1 for equal shapes, 0 for different modes.
+    """|aᴴMb| of shapes of unit modal mass, (ma, mb) float64, 0..1: 1 for equal shapes, 0 for
+    different modes.
 
     Parameters
     ----------
@@ -55,14 +59,19 @@ def cross_orthogonality(a: Any_, b: Any_, mass: Mass) -> Float:
     """
     a, b = np.asarray(a), np.asarray(b)
     right = _weighted(mass, mass_normalised(b, mass))
-    return np.asarray(np.abs(mass_normalised(a, mass).conj().T @ right).clip(0.0, 1.0), dtype=np.float64)
+    return np.asarray(
+        np.abs(mass_normalised(a, mass).conj().T @ right).clip(0.0, 1.0), dtype=np.float64
+    )
 
 
-def read_orthogonality(shapes: Any_, mass: Mass, error: Float, reading: Any_ | None = None) -> Float:
-    """Cross-orthogonality (m, m) to expect of shapes with the same ones read with random errors (columns).
+def read_orthogonality(
+    shapes: Any_, mass: Mass, error: Float, reading: Any_ | None = None
+) -> Float:
+    """Cross-orthogonality (m, m) to expect of shapes with the same ones read with random errors
+    (columns).
 
-    √(E|φ_iᴴM(φ_j + e)|² / E[(φ_j + e)ᴴM(φ_j + e)]), the errors e of the readings being independent. A mass that weighs
-    patterns which no mode has makes much of them.
+    √(E|φ_iᴴM(φ_j + e)|² / E[(φ_j + e)ᴴM(φ_j + e)]), the errors e of the readings being independent.
+    A mass that weighs patterns which no mode has makes much of them.
 
     Parameters
     ----------
@@ -82,7 +91,9 @@ def read_orthogonality(shapes: Any_, mass: Mass, error: Float, reading: Any_ | N
         seen, own = reading.T @ weighed, (reading * _weighted(mass, reading)).sum()
     scale = modal_mass(shapes, mass)
     relative = error**2 / np.where(scale > 0, scale, np.inf)
-    square = np.abs(phi.conj().T @ weighed) ** 2 + (np.abs(seen) ** 2).sum(axis=0)[:, None] * relative
+    square = (
+        np.abs(phi.conj().T @ weighed) ** 2 + (np.abs(seen) ** 2).sum(axis=0)[:, None] * relative
+    )
     return np.asarray(np.sqrt(square / (1 + own * relative)).clip(0.0, 1.0))
 
 
@@ -97,13 +108,14 @@ def mass_mac(a: Any_, b: Any_, mass: Mass) -> Float:
 
 
 def serep_mass(shapes: Any_) -> Float:
-    """Mass Φ⁺ᵀΦ⁺ (n, n), at the channels, of a SEREP test-analysis model (O'Callahan, Avitabile and Riemer, 1989).
+    """Mass Φ⁺ᵀΦ⁺ (n, n), at the channels, of a SEREP test-analysis model (O'Callahan, Avitabile and
+    Riemer, 1989).
 
     Parameters
     ----------
     shapes : (n, m) float64
-        Mass-normalised shapes of the model at the channels, m <= n. They are exactly orthonormal over this mass, whose
-        rank is m: what of a test shape lies outside their span has no mass.
+        Mass-normalised shapes of the model at the channels, m <= n. They are exactly orthonormal
+        over this mass, whose rank is m: what of a test shape lies outside their span has no mass.
 
     Raises
     ------
@@ -124,21 +136,26 @@ def pseudo_inverse(shapes: Any_) -> Float:
     """
     phi = np.asarray(shapes)
     if np.iscomplexobj(phi):
-        raise InputError("the shapes of the model are complex; make them real first (shapes.scale.realise)")
+        raise InputError(
+            "the shapes of the model are complex; make them real first (shapes.scale.realise)"
+        )
     q, r = linalg.qr(phi, mode="economic") if phi.size else (phi, phi[:0])
     s = linalg.svdvals(r) if r.size else np.zeros(0)
     if phi.shape[1] > phi.shape[0] or (s.size and s[-1] <= RANK * s[0]):
         rank = int((s > RANK * s[0]).sum()) if s.size and s[0] > 0 else 0
         raise InputError(
-            f"{phi.shape[0]} channels tell {rank} of {phi.shape[1]} shapes apart; take fewer modes or more channels"
+            f"{phi.shape[0]} channels tell {rank} of {phi.shape[1]} shapes apart; take fewer "
+            "modes or more channels"
         )
     return np.asarray(linalg.solve_triangular(r, q.T)) if phi.size else np.zeros(phi.shape[::-1])
 
 
 def poc(test: Any_, fe: Any_) -> Any_:
-    """Pseudo-orthogonality check |Φ⁺E|, (m_test, m_fe): modal coordinates of the test shapes, of unit length.
+    """Pseudo-orthogonality check |Φ⁺E|, (m_test, m_fe): modal coordinates of the test shapes, of
+    unit length.
 
-    The cross-orthogonality over the mass of a SEREP test-analysis model, in a form that needs no mass matrix.
+    The cross-orthogonality over the mass of a SEREP test-analysis model, in a form that needs no
+    mass matrix.
 
     Parameters
     ----------

@@ -16,7 +16,8 @@ Realisation = Literal["rotate", "amplitude"]
 
 
 def modal_scale_factor(a: Any_, b: Any_) -> Any_:
-    """The factor (m,) on each column of `b` that brings it closest to the same column of `a`: bᴴa/(bᴴb).
+    """The factor (m,) on each column of `b` that brings it closest to the same column of `a`:
+    bᴴa/(bᴴb).
 
     Parameters
     ----------
@@ -34,8 +35,8 @@ def realise(shapes: Any_, method: Realisation = "rotate") -> Float:
     ----------
     shapes : (n, m) complex128 or float64
     method : {"rotate", "amplitude"}
-        "rotate" turns each shape by its mean phase and keeps the real part (least change); "amplitude" keeps the
-        modulus and takes the sign of that real part.
+        "rotate" turns each shape by its mean phase and keeps the real part (least change);
+        "amplitude" keeps the modulus and takes the sign of that real part.
 
     Raises
     ------
@@ -51,7 +52,9 @@ def realise(shapes: Any_, method: Realisation = "rotate") -> Float:
 
 
 def realise_modes(modes: ModeSet) -> ModeSet:
-    """The modes with real shapes, rotated; a unit-modal-A scale has no meaning for them and becomes UNSCALED."""
+    """The modes with real shapes, rotated; a unit-modal-A scale has no meaning for them and becomes
+    UNSCALED.
+    """
     if not np.iscomplexobj(modes.shapes):
         return modes
     norm = modes.norm if modes.norm is Norm.MASS else Norm.UNSCALED

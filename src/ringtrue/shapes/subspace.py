@@ -20,7 +20,8 @@ def basis(b: Any_) -> Any_:
 
 
 def principal_angles(a: Any_, b: Any_) -> Float:
-    """Principal angles between the spans of `a` (n, ka) and `b` (n, kb), rad, ascending, (min(ra, rb),).
+    """Principal angles between the spans of `a` (n, ka) and `b` (n, kb), rad, ascending, (min(ra,
+    rb),).
 
     Source: Björck and Golub (1973); sine form for small angles (Knyazev and Argentati, 2002).
     """
@@ -48,10 +49,11 @@ def share_in(a: Any_, b: Any_) -> Float:
 
 
 def rotation(a: Any_, b: Any_) -> Any_:
-    """The matrix T (kb, ka), TᴴT = 1, that turns mass-normalised shapes `b` towards `a`: compare `b @ T` with `a`.
+    """The matrix T (kb, ka), TᴴT = 1, that turns mass-normalised shapes `b` towards `a`: compare `b
+    @ T` with `a`.
 
-    Close mass-normalised modes are defined up to such a T. The scale of `a` is free: `b⁺a` is scaled by column
-    before its polar factor is taken.
+    Close mass-normalised modes are defined up to such a T. The scale of `a` is free: `b⁺a` is
+    scaled by column before its polar factor is taken.
 
     Parameters
     ----------
@@ -64,7 +66,8 @@ def rotation(a: Any_, b: Any_) -> Any_:
 
 
 def fade(ratio: Float) -> tuple[Float, Float]:
-    """How far what holds up to a limit still holds, 1 up to ratio 1 and 0 from `FADE` on, and its derivative.
+    """How far what holds up to a limit still holds, 1 up to ratio 1 and 0 from `FADE` on, and its
+    derivative.
 
     Smooth, so that what rests on closeness does not jump where modes move apart.
     """
@@ -73,12 +76,15 @@ def fade(ratio: Float) -> tuple[Float, Float]:
 
 
 def gaps(ascending: Float) -> Float:
-    """Relative distance of each of (m,) ascending frequencies, Hz, from the one before it, (m - 1,)."""
+    """Relative distance of each of (m,) ascending frequencies, Hz, from the one before it, (m -
+    1,).
+    """
     return np.asarray(np.diff(ascending) / np.maximum(np.abs(ascending[1:]), NIL))
 
 
 def close_groups(frequencies: Float, close: float, largest: int = 4) -> tuple[tuple[int, ...], ...]:
-    """Positions of modes closer than `close` (relative) to their neighbour, as groups of at most `largest`.
+    """Positions of modes closer than `close` (relative) to their neighbour, as groups of at most
+    `largest`.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
 """Recorders whose clocks run apart: what a delay gains from one end of the record to the other.
 
-The delay of `phases` is sought in eight parts of the record, J_p(τ), where it may grow along it by g (clocks of quartz
-differ by 1 to 100 millionths):
+The delay of `phases` is sought in eight parts of the record, J_p(τ), where it may grow along it by
+g (clocks of quartz differ by 1 to 100 millionths):
 
-    J(τ, g) = Σ_p J_p(τ + g u_p) / Σ_p Σ_f w_p(f),  u from -1/2 at the first to 1/2 at the last part.
+    J(τ, g) = Σ_p J_p(τ + g u_p) / Σ_p Σ_f w_p(f),  u from -1/2 (first part) to 1/2 (last).
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ LEAST = 0.2  # samples
 
 
 def gained(lines: Any_, root: int, order: Int, starts: Int) -> Float:
-    """Samples that the delay of each channel after `root` gains from the first segment to the last, (ch,).
+    """Samples that the delay of each channel after `root` gains from the first segment to the last,
+    (ch,).
 
     Parameters
     ----------
@@ -54,7 +55,9 @@ def gained(lines: Any_, root: int, order: Int, starts: Int) -> Float:
 
 
 def turned_back(lines: Any_, gain: Float, starts: Int) -> Any_:
-    """The lines (freq, segment, ch) without delays that gain `gain` (ch,) samples along the record."""
+    """The lines (freq, segment, ch) without delays that gain `gain` (ch,) samples along the
+    record.
+    """
     if not gain.any():
         return lines
     f = np.linspace(0, 0.5, len(lines))
@@ -66,7 +69,9 @@ def turned_back(lines: Any_, gain: Float, starts: Int) -> Any_:
 
 
 def shared(values: Float, near: float) -> Float:
-    """Values within `near` of the next become their mean: channels of one recorder have one clock."""
+    """Values within `near` of the next become their mean: channels of one recorder have one
+    clock.
+    """
     order = np.argsort(values)
     out = np.empty_like(values)
     for run in np.split(order, np.flatnonzero(np.diff(values[order]) > near) + 1):
@@ -75,24 +80,31 @@ def shared(values: Float, near: float) -> Float:
 
 
 def _by_parts(lines: Any_, root: int, order: Int) -> tuple[Complex, Float]:
-    """Squared phase factors against the root, as of one motion, and weights, both (freq, part, ch)."""
+    """Squared phase factors against the root, as of one motion, and weights, both (freq, part,
+    ch).
+    """
     x = lines.reshape(len(lines), PARTS, -1, lines.shape[2])
     y = x[:, :, :, root]
     cross = np.einsum("fpsc,fps->fpc", x, y.conj())
     power = summed_power(x)
-    turned, coherence = in_one_motion(cross, power * power[:, :, [root]], x.shape[2], order - order[root])
+    turned, coherence = in_one_motion(
+        cross, power * power[:, :, [root]], x.shape[2], order - order[root]
+    )
     return turned, np.where(coherence > COHERENT, coherence**2, 0.0)
 
 
 def summed_power(x: Any_) -> Any_:
-    """(..., ch) float32 squared moduli of complex64 (..., segment, ch), summed over the segments."""
+    """(..., ch) float32 squared moduli of complex64 (..., segment, ch), summed over the
+    segments.
+    """
     parts = x.view(np.float32)
     both = np.einsum("...sk,...sk->...k", parts, parts)
     return np.asarray(both[..., ::2] + both[..., 1::2])
 
 
 def in_one_motion(cross: Any_, powers: Any_, segments: int, apart: Int) -> tuple[Any_, Any_]:
-    """Squared phase factors as of one motion, and squared coherences less the bias of few segments, (freq, ...) each.
+    """Squared phase factors as of one motion, and squared coherences less the bias of few segments,
+    (freq, ...) each.
 
     Parameters
     ----------
@@ -112,7 +124,9 @@ def in_one_motion(cross: Any_, powers: Any_, segments: int, apart: Int) -> tuple
 
 
 def _along(z: Complex, length: int) -> Float:
-    """J of each part (part, lag) from its weighted phases z (freq, part); the lags ascend, 2 `FINE` to a sample."""
+    """J of each part (part, lag) from its weighted phases z (freq, part); the lags ascend, 2 `FINE`
+    to a sample.
+    """
     n = FINE * length
     j = np.fft.fftshift(irfft(z.T, n, axis=1) * (n / 2), axes=1)
     reach = int(2 * FINE * FARTHEST * length)
@@ -126,7 +140,12 @@ def _best(j: Float, u: Float, grid: Float, alone: float) -> float:
     if 2 * room >= j.shape[1]:
         return 0.0
     width = j.shape[1] - 2 * room
-    tops = np.array([sum(x[room + k : room + k + width] for x, k in zip(j, row, strict=True)).max() for row in shift])
+    tops = np.array(
+        [
+            sum(x[room + k : room + k + width] for x, k in zip(j, row, strict=True)).max()
+            for row in shift
+        ]
+    )
     k = int(tops.argmax())
     if not (0 < k < grid.size - 1 and tops[k] > CLEAR and 1 - tops[k] < EXPLAINED * (1 - alone)):
         return 0.0

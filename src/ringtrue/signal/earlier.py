@@ -1,4 +1,6 @@
-"""Impulse and time of each blow in a record, and the blows before it: what `core.blows.Blows` keeps of them."""
+"""Impulse and time of each blow in a record, and the blows before it: what `core.blows.Blows` keeps
+of them.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,9 @@ from ringtrue.signal.hits import pulse_width
 _LINES = 128  # that the noise is kept at
 
 
-def blows_of(force: Float, rate: float, hits: Int, used: Int, pulses: Sequence[Float], quiet: Sequence[float]) -> Blows:
+def blows_of(
+    force: Float, rate: float, hits: Int, used: Int, pulses: Sequence[Float], quiet: Sequence[float]
+) -> Blows:
     """Blows of one record; the weights (blow, 1, 1) are their squared impulses.
 
     Parameters
@@ -31,7 +35,9 @@ def blows_of(force: Float, rate: float, hits: Int, used: Int, pulses: Sequence[F
     time = time / rate
     at = np.searchsorted(hits, used).tolist()
     step = max(1, pulses[0].size // _LINES)
-    noise = np.array([q / np.maximum(p[::step], max(q, 1e-300)) for p, q in zip(pulses, quiet, strict=True)])
+    noise = np.array(
+        [q / np.maximum(p[::step], max(q, 1e-300)) for p, q in zip(pulses, quiet, strict=True)]
+    )
     return Blows(
         padded([time[k] - time[:k] for k in at]),
         padded([impulse[:k] / impulse[k] for k in at]),

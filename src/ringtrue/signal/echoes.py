@@ -1,9 +1,11 @@
-"""A force that comes again (a rear axle on the track of the front one, a layer that reflects): found, and taken out.
+"""A force that comes again (a rear axle on the track of the front one, a layer that reflects):
+found, and taken out.
 
-The spectrum of f(t) + a f(t - τ) ripples over frequency with the period 1/τ, as 1 + a² + 2a cos ωτ; a resonance on the
-flank of a ripple is seen off its place. The power cepstrum has a at τ and -a²/2 at 2τ in all channels alike (Bogert,
-Healy and Tukey 1963). That of resonances differs from channel to channel; lines of machines and resonances at equal
-distances, as of a cable, have peaks of one sign.
+The spectrum of f(t) + a f(t - τ) ripples over frequency with the period 1/τ, as 1 + a² + 2a cos ωτ;
+a resonance on the flank of a ripple is seen off its place. The power cepstrum has a at τ and -a²/2
+at 2τ in all channels alike (Bogert, Healy and Tukey 1963). That of resonances differs from channel
+to channel; lines of machines and resonances at equal distances, as of a cable, have peaks of one
+sign.
 """
 
 from __future__ import annotations
@@ -20,18 +22,35 @@ from ringtrue.signal.listened import listened_spectrum
 
 SHORTEST, LONGEST = 16, 0.01  # samples, and share of the record
 SURE = 6.0  # standard deviations of a peak; half of them below 0 for that at 2τ
-TIP, AROUND, ABOVE = 2, 1.4, 2.0  # samples to each side; range of τ either way, over whose highest peak it must stand
+TIP, AROUND, ABOVE = (
+    2,
+    1.4,
+    2.0,
+)  # samples to each side; range of τ either way, over whose highest peak it must stand
 ALIKE = 0.3  # scatter over the channels, of the peak
 TWICE = 0.2, 1.0  # of the square of the factor, at 2τ: 1/2 but for resonances
-FEWEST, SAMPLES, JOIN = 3, 1 << 18, 8  # channels; samples that are looked at; lines of their transform in one
+FEWEST, SAMPLES, JOIN = (
+    3,
+    1 << 18,
+    8,
+)  # channels; samples that are looked at; lines of their transform in one
 LEAST = 1e-10  # of the mean power: below is the rounding of recorders
-FLOOR, LOUD = 0.05, 0.7  # of the lines: their level is that of noise, which has no echo; share of an echo that tells it
-ORDERS, MOST, TAIL = 4, 0.95, 60  # peaks that tell the factor, the largest factor, delays that its inverse lasts
+FLOOR, LOUD = (
+    0.05,
+    0.7,
+)  # of the lines: their level is that of noise, which has no echo; share of an echo that tells it
+ORDERS, MOST, TAIL = (
+    4,
+    0.95,
+    60,
+)  # peaks that tell the factor, the largest factor, delays that its inverse lasts
 
 
 @dataclass(frozen=True, slots=True)
 class Echo:
-    """Delay (s) after which the force comes again, its factor, and how much of that may be of resonances."""
+    """Delay (s) after which the force comes again, its factor, and how much of that may be of
+    resonances.
+    """
 
     delay: float
     factor: float
@@ -39,14 +58,17 @@ class Echo:
 
 
 def without_echo(history: TimeHistory) -> tuple[TimeHistory, Echo | None]:
-    """The record as the force makes it that comes once, and the echo; the same object where there is none.
+    """The record as the force makes it that comes once, and the echo; the same object where there
+    is none.
 
     A factor above 1 has the spectrum of its inverse, but for a level.
     """
     spectrum, n = listened_spectrum(replace(history, data=history.data[:, :SAMPLES]))
     if len(spectrum) < FEWEST:
         return history, None
-    lines = spectrum[:, : n // 2 // JOIN * JOIN].view(np.float32).reshape(len(spectrum), -1, 2 * JOIN)
+    lines = (
+        spectrum[:, : n // 2 // JOIN * JOIN].view(np.float32).reshape(len(spectrum), -1, 2 * JOIN)
+    )
     power = np.einsum("cfk,cfk->cf", lines, lines)
     log = np.log(np.maximum(power, LEAST * power.mean(axis=1, keepdims=True)))
     log -= log.mean(axis=1, keepdims=True)
@@ -64,7 +86,8 @@ def _measured(log: Float, turn: Float, at: int) -> tuple[float, float, Float]:
 
     `log` (line,) is a logarithmic spectrum, `turn` (line,) are the frequencies, radians a sample.
 
-    The peaks of the factor's cepstrum count by their order: what resonances add to them falls as one over it.
+    The peaks of the factor's cepstrum count by their order: what resonances add to them falls as
+    one over it.
     """
     near = at + np.linspace(-1, 1, 41)
     delay = float(near[np.argmax([abs(log @ np.cos(turn * x)) for x in near])])
@@ -79,17 +102,20 @@ def _measured(log: Float, turn: Float, at: int) -> tuple[float, float, Float]:
 
 
 def _shares(log: Any_, delay: float) -> tuple[Any_, Any_]:
-    """Level over a ripple of logarithmic spectra (..., line), and the share of each line that is not noise."""
+    """Level over a ripple of logarithmic spectra (..., line), and the share of each line that is
+    not noise.
+    """
     level: Any_ = uniform_filter1d(log, max(round(2 * log.shape[-1] / delay), 1), mode="nearest")
     floor = np.quantile(level, FLOOR, axis=-1, keepdims=True)
     return level, 1 - np.exp(floor - np.maximum(level, floor))
 
 
 def _peak(log: Any_, most: int) -> tuple[int, float]:
-    """The sample, up to `most`, of the highest peak of an echo in the cepstra of logarithmic spectra (ch, line).
+    """The sample, up to `most`, of the highest peak of an echo in the cepstra of logarithmic
+    spectra (ch, line).
 
-    0 if there is none; and the root mean square of what stands around it, over the peak. Noise flattens the ripple of
-    one channel more than that of another.
+    0 if there is none; and the root mean square of what stands around it, over the peak. Noise
+    flattens the ripple of one channel more than that of another.
     """
     cepstra = irfft(log, 2 * log.shape[1], axis=1)[:, : log.shape[1]]
     mean = cepstra.mean(axis=0)
@@ -102,14 +128,18 @@ def _peak(log: Any_, most: int) -> tuple[int, float]:
         second = float(twice[np.abs(twice).argmax()])
         if second < -0.5 * SURE * noise and size[k] > ABOVE * size[around].max():
             tips, share = cepstra[:, k], _shares(log, k)[1].mean(axis=1)
-            scatter = min(np.ptp(x) / abs(x.mean()) for x in (tips, tips / share))  # the level of noise is a guess
+            scatter = min(
+                np.ptp(x) / abs(x.mean()) for x in (tips, tips / share)
+            )  # the level of noise is a guess
             if scatter < ALIKE and TWICE[0] < -second * share.mean() / mean[k] ** 2 < TWICE[1]:
                 return int(k), float(np.sqrt(np.mean(size[around] ** 2))) / float(size[k])
     return 0, 0.0
 
 
 def _once(data: Any_, delay: float, factor: Float) -> Any_:
-    """Each signal (ch, sample) through 1/(1 + a e^-iωτ): τ in samples, a (line,) from 0 to half of the rate."""
+    """Each signal (ch, sample) through 1/(1 + a e^-iωτ): τ in samples, a (line,) from 0 to half of
+    the rate.
+    """
     samples = data.shape[1]
     n = int(next_fast_len(samples + int(min(TAIL * delay, samples)), real=True))
     cycles = np.arange(n // 2 + 1) / n

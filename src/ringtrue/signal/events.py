@@ -1,8 +1,8 @@
 """Events that nobody measured: jumps, dropped weights, blows, seen in the responses alone.
 
-Behind an event the structure rings freely, and the correlation of any later sample with any earlier one since then is
-a sum of decays, as that of ambient vibration is. A pair of samples with the event between them is not, and few
-events are too few to average it away: the earlier sample is not used.
+Behind an event the structure rings freely, and the correlation of any later sample with any earlier
+one since then is a sum of decays, as that of ambient vibration is. A pair of samples with the event
+between them is not, and few events are too few to average it away: the earlier sample is not used.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from ringtrue.signal.pyramid import Signals, lowered
 from ringtrue.signal.stream import decimator
 
 WIDTH = 16  # samples of a window
-LOUD = 10.0  # times the median power around and of the record: noise does not reach it in ten million windows
+# times the median power around and of the record: noise does not reach it in ten million windows
+LOUD = 10.0
 FADING = 0.05  # of the loudest window just before: what is below only rings
 MEMORY = 64  # windows in which that one is sought
 APART = 8  # windows without force between two events
@@ -29,10 +30,15 @@ LEAST_FRAMES = 16  # of the prediction, at a lower rate: fewer are foreseen by c
 LAST = 0.25  # of the time to the next event: when its decay is looked at
 CHANNELS = 4  # that are listened to
 DRIVEN = 0.5  # share of the power
-REGULAR = 8  # events: lines of fewer at equal intervals are nearer than the window of a periodogram tells
+REGULAR = (
+    8  # events: lines of fewer at equal intervals are nearer than the window of a periodogram tells
+)
 IN_STEP = 0.7  # mean phasor of the events at the frequency of a line that they make
 LEAST = 0.3  # share of the record that must stay
-DEARER, DEAR = 3.0, 0.1  # times the lost share, and share of the record, that lost stretches may take with them
+DEARER, DEAR = (
+    3.0,
+    0.1,
+)  # times the lost share, and share of the record, that lost stretches may take with them
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +55,8 @@ class Events:
     level : float, dB
         Median of their loudest windows over the median of all.
     share : float
-        Of the power: that of the responses which has died away before the next event, or that of the force.
+        Of the power: that of the responses which has died away before the next event, or that of
+        the force.
     times : (event,) float64, s
         When its largest force acts, to a sample.
     gone : (sample,) bool
@@ -73,14 +80,18 @@ class Events:
         return self.share > DRIVEN
 
     def in_step(self, frequencies: Float) -> Bool:
-        """(line,) whether lines at (line,) `frequencies`, Hz, are those of the events: they act at one phase of it."""
+        """(line,) whether lines at (line,) `frequencies`, Hz, are those of the events: they act at
+        one phase of it.
+        """
         if self.times.size < REGULAR:
             return np.zeros(frequencies.size, dtype=bool)
         turns = np.exp(-2j * np.pi * frequencies[:, None] * self.times)
         return np.asarray(np.abs(turns.mean(axis=1)) > IN_STEP)
 
     def lines_near(self, frequency: float) -> bool:
-        """Whether the events have lines about a frequency, Hz: at the multiple of their rate that is nearest to it."""
+        """Whether the events have lines about a frequency, Hz: at the multiple of their rate that
+        is nearest to it.
+        """
         if self.times.size < REGULAR:
             return False
         rate = (self.times.size - 1) / float(np.ptp(self.times))
@@ -89,7 +100,11 @@ class Events:
     @property
     def interval(self) -> float:
         """Median time between events, s; that of the record for a single one."""
-        return float(np.median(np.diff(self.times))) if self.times.size > 1 else self.struck.size * self.window
+        return (
+            float(np.median(np.diff(self.times)))
+            if self.times.size > 1
+            else self.struck.size * self.window
+        )
 
     @property
     def kept(self) -> float:
@@ -99,13 +114,18 @@ class Events:
     @property
     def breaks(self) -> float:
         """Number of lost stretches in a second of the record."""
-        return self.rate * np.count_nonzero(np.diff(self.gone, prepend=False) & self.gone) / max(self.gone.size, 1)
+        return (
+            self.rate
+            * np.count_nonzero(np.diff(self.gone, prepend=False) & self.gone)
+            / max(self.gone.size, 1)
+        )
 
     def free(self, samples: int, rate: float, lags: int) -> Any_ | None:
-        """(sample,) float32: 1 where a sample may be the earlier one of a pair, 0 elsewhere; None: all of them.
+        """(sample,) float32: 1 where a sample may be the earlier one of a pair, 0 elsewhere; None:
+        all of them.
 
-        All of them, too, where the events come so often that little would be left. Lost stretches so short and many
-        that far more than they would have to go stay, as straight lines.
+        All of them, too, where the events come so often that little would be left. Lost stretches
+        so short and many that far more than they would have to go stay, as straight lines.
         """
         ahead = _before(self.struck, 1 / self.window, samples, rate, lags)
         lost = _before(self.gone, self.rate, samples, rate, lags)
@@ -115,7 +135,9 @@ class Events:
 
 
 def _before(flags: Bool, flag_rate: float, samples: int, rate: float, lags: int) -> Bool:
-    """(sample,) of a signal at `rate` Hz: one of the flags at their own rate follows within so many lags, or stands."""
+    """(sample,) of a signal at `rate` Hz: one of the flags at their own rate follows within so many
+    lags, or stands.
+    """
     at = np.flatnonzero(flags)
     a = np.floor(at / flag_rate * rate).astype(np.int64) - lags - 1
     b = np.ceil((at + 1) / flag_rate * rate).astype(np.int64) + 1
@@ -131,10 +153,11 @@ NONE = Events(np.zeros(0, dtype=bool), 1.0, 0, 0.0, 0.0)
 def find_events(data: Any_, rate: float, gone: Bool | None = None) -> Events:
     """Events in responses (ch, sample) at `rate` Hz.
 
-    The error of a linear prediction is the force of the moment: decays are foreseen, and so are steady machines. An
-    event is seen by most channels: a spike of one sensor is none. Where the record shows none, it is looked at again at
-    lower rates that still hold half of its power: a soft impact is lost among the noise of a fast recorder. After
-    the first sample, and samples (sample,) that are `gone`, nothing is foreseen.
+    The error of a linear prediction is the force of the moment: decays are foreseen, and so are
+    steady machines. An event is seen by most channels: a spike of one sensor is none. Where the
+    record shows none, it is looked at again at lower rates that still hold half of its power: a
+    soft impact is lost among the noise of a fast recorder. After the first sample, and samples
+    (sample,) that are `gone`, nothing is foreseen.
     """
     lost = np.zeros(data.shape[1], dtype=bool) if gone is None else gone.copy()
     lost[:1] = True
@@ -147,12 +170,18 @@ def find_events(data: Any_, rate: float, gone: Bool | None = None) -> Events:
         found = _at_one_rate(part, rate / step, lost[::step])
         part, step = lowered(Signals.of(part), decimator(STEP)), STEP * step
         left = np.square(part).mean(axis=1, dtype=np.float64)
-        if found.count or part.shape[1] < LEAST_FRAMES * FRAME or np.median(left) < HELD * np.median(power):
+        if (
+            found.count
+            or part.shape[1] < LEAST_FRAMES * FRAME
+            or np.median(left) < HELD * np.median(power)
+        ):
             return found if gone is None else replace(found, gone=gone, rate=rate)
 
 
 def _at_one_rate(data: Any_, rate: float, lost: Bool) -> Events:
-    """Events of some channels (ch, sample) float32, none where samples (sample,) are lost or soon after."""
+    """Events of some channels (ch, sample) float32, none where samples (sample,) are lost or soon
+    after.
+    """
     force = np.stack([unforeseen(x) ** 2 for x in data])
     power = _in_windows(force)
     middle = np.median(power, axis=1) if power.size else np.zeros(len(data))
@@ -177,12 +206,16 @@ def _at_one_rate(data: Any_, rate: float, lost: Bool) -> Events:
     faded = _faded(_in_windows(np.square(data[alive])), ends)
     struck = np.asarray(maximum_filter1d(struck, 2 * SPREAD + 1))
     forced = float(power[struck].sum() / power.sum())
-    share = max(faded, forced)  # each is less than the truth: where decays last, and where sensors are noisy
+    share = max(
+        faded, forced
+    )  # each is less than the truth: where decays last, and where sensors are noisy
     return Events(struck, WIDTH / rate, len(runs), decibels, share, times)
 
 
 def _after_loss(lost: Bool, windows: int) -> Bool:
-    """(window,) whether one of the samples (sample,) in it, or before it in the reach of the prediction, is lost."""
+    """(window,) whether one of the samples (sample,) in it, or before it in the reach of the
+    prediction, is lost.
+    """
     within = lost[: windows * WIDTH].reshape(windows, WIDTH).any(axis=1)
     reach = -(-ORDER // WIDTH)
     return np.asarray(maximum_filter1d(within, 2 * reach + 1))
@@ -191,13 +224,17 @@ def _after_loss(lost: Bool, windows: int) -> Bool:
 def _in_windows(signals: Any_) -> Float:
     """(ch, window) means of signals (ch, sample)."""
     n = signals.shape[1] // WIDTH
-    return np.asarray(signals[:, : n * WIDTH].reshape(len(signals), n, WIDTH).mean(axis=2, dtype=np.float64))
+    return np.asarray(
+        signals[:, : n * WIDTH].reshape(len(signals), n, WIDTH).mean(axis=2, dtype=np.float64)
+    )
 
 
 def _faded(power: Float, ends: Int) -> float:
-    """Share of the power (ch, window) of the responses that is gone at the end of the times between events.
+    """Share of the power (ch, window) of the responses that is gone at the end of the times between
+    events.
 
-    `ends` (event, 2) are the first and the last window of each. The median of these times: some events may be missed.
+    `ends` (event, 2) are the first and the last window of each. The median of these times: some
+    events may be missed.
     """
     quiet = np.zeros(power.shape[1], dtype=bool)
     after = np.append(-1, ends[:, 1])
@@ -206,5 +243,7 @@ def _faded(power: Float, ends: Int) -> float:
         quiet[b - int(np.ceil(LAST * (b - a - 1))) : b] = True
     if not quiet.any():
         return 0.0
-    left = np.median(power[:, quiet], axis=1) / np.maximum(power.mean(axis=1), np.finfo(np.float64).tiny)
+    left = np.median(power[:, quiet], axis=1) / np.maximum(
+        power.mean(axis=1), np.finfo(np.float64).tiny
+    )
     return float(1 - np.median(left))

@@ -1,4 +1,6 @@
-"""Faults of channels in time: gaps, drop-outs, overloads, spikes, odd levels; pairs that are flipped or swapped."""
+"""Faults of channels in time: gaps, drop-outs, overloads, spikes, odd levels; pairs that are
+flipped or swapped.
+"""
 
 from __future__ import annotations
 
@@ -53,14 +55,17 @@ class Fault:
         return self.last - self.first + 1
 
 
-def find_faults(history: TimeHistory, full_scale: Mapping[str, float] | None = None) -> tuple[Fault, ...]:
+def find_faults(
+    history: TimeHistory, full_scale: Mapping[str, float] | None = None
+) -> tuple[Fault, ...]:
     """All faults of a record, by channel and time.
 
     Parameters
     ----------
     history : TimeHistory
     full_scale : mapping of str to float, optional
-        Range of each channel by id, in its unit; without it an overload is told by equal extreme samples.
+        Range of each channel by id, in its unit; without it an overload is told by equal extreme
+        samples.
     """
     found = []
     for channel, x in zip(history.channels, history.data, strict=True):
@@ -82,12 +87,20 @@ def _of_channel(x: Any_, limit: float) -> list[tuple[Kind, int, int, str]]:
     held = _held(x)
     low, high = good.min(), good.max()
     over = np.abs(x) >= _NEAR_FULL * limit if np.isfinite(limit) else _flat(x, low) | _flat(x, high)
-    out += [("overload", a, b, f"{b - a + 1} samples at {float(x[a]):.4g}") for a, b in runs(over & ~bad)]
+    out += [
+        ("overload", a, b, f"{b - a + 1} samples at {float(x[a]):.4g}")
+        for a, b in runs(over & ~bad)
+    ]
     lost = held & ~over
-    out += [("drop-out", a, b, f"{b - a + 1} samples held at {float(x[a]):.4g}") for a, b in runs(lost)]
+    out += [
+        ("drop-out", a, b, f"{b - a + 1} samples held at {float(x[a]):.4g}") for a, b in runs(lost)
+    ]
     spike, size = _spikes(np.where(bad, np.median(good), x))
     spike &= ~(over | held | bad)
-    out += [("spike", a, b, f"{float(size[a : b + 1].max()):.3g} standard deviations") for a, b in runs(spike)]
+    out += [
+        ("spike", a, b, f"{float(size[a : b + 1].max()):.3g} standard deviations")
+        for a, b in runs(spike)
+    ]
     return sorted(out, key=lambda f: f[1])
 
 
@@ -111,7 +124,9 @@ def _held(x: Any_) -> Bool:
 
 
 def _flat(x: Any_, level: float) -> Bool:
-    """Runs of at least three samples at an extreme, more than once or long: a peak of a coarse recorder is no clip."""
+    """Runs of at least three samples at an extreme, more than once or long: a peak of a coarse
+    recorder is no clip.
+    """
     first, length = equal_runs(x)
     at = (x[first] == level) & (length >= _FLAT)
     if int(length[at].sum()) <= max(4, x.size // 50000):
@@ -120,7 +135,9 @@ def _flat(x: Any_, level: float) -> Bool:
 
 
 def _spikes(x: Any_) -> tuple[Bool, Float]:
-    """Single or double samples that leave a quiet neighbourhood, and their size in robust standard deviations."""
+    """Single or double samples that leave a quiet neighbourhood, and their size in robust standard
+    deviations.
+    """
     off = np.abs(np.asarray(x, dtype=np.float64) - median_filter(x, 7, mode="nearest"))
     scale = 1.4826 * float(np.median(off[off > 0])) if (off > 0).any() else 1.0
     size = off / max(scale, 1e-300)
@@ -133,7 +150,9 @@ def _spikes(x: Any_) -> tuple[Bool, Float]:
     quiet = maximum_filter1d(around, reach, mode="nearest") < 0.3 * size
     steps = np.abs(np.diff(np.asarray(x, dtype=np.float64), append=x[-1]))
     steps[candidate | np.append(candidate[1:], False)] = 0.0  # into and out of the candidates
-    smooth = maximum_filter1d(steps, reach, mode="nearest") < 0.3 * off  # a crest of a smooth signal is no spike
+    smooth = (
+        maximum_filter1d(steps, reach, mode="nearest") < 0.3 * off
+    )  # a crest of a smooth signal is no spike
     return candidate & quiet & smooth, size
 
 
@@ -143,16 +162,23 @@ def _levels(history: TimeHistory, bad: set[str]) -> list[Fault]:
     rms = {i: float(np.std(history.data[i], dtype=np.float64)) for i in good}
     out = []
     for i in good:
-        same = [rms[j] for j in good if history.channels[j].quantity == history.channels[i].quantity]
+        same = [
+            rms[j] for j in good if history.channels[j].quantity == history.channels[i].quantity
+        ]
         ratio = rms[i] / max(float(np.median(same)), 1e-300)
         if len(same) > 2 and not 1 / _LEVEL < ratio < _LEVEL:
             why = f"{ratio:.2g} times the level of the others: unit or sensitivity?"
-            out.append(Fault(history.channels[i].id, "level", 0, history.data.shape[1] - 1, 0.0, why))
+            out.append(
+                Fault(history.channels[i].id, "level", 0, history.data.shape[1] - 1, 0.0, why)
+            )
     return out
 
 
-def mend(history: TimeHistory, faults: Sequence[Fault], *, longest: int = 5) -> tuple[TimeHistory, tuple[Fault, ...]]:
-    """The record with short stretches bridged by straight lines, and the faults that were too long to bridge.
+def mend(
+    history: TimeHistory, faults: Sequence[Fault], *, longest: int = 5
+) -> tuple[TimeHistory, tuple[Fault, ...]]:
+    """The record with short stretches bridged by straight lines, and the faults that were too long
+    to bridge.
 
     Parameters
     ----------
@@ -163,7 +189,9 @@ def mend(history: TimeHistory, faults: Sequence[Fault], *, longest: int = 5) -> 
         Samples that are bridged at most.
     """
     data = np.array(history.data)
-    short = [f for f in faults if f.samples <= longest and f.kind in ("not finite", "spike", "drop-out")]
+    short = [
+        f for f in faults if f.samples <= longest and f.kind in ("not finite", "spike", "drop-out")
+    ]
     for i, channel in enumerate(history.channels):
         bad = np.zeros(data.shape[1], dtype=bool)
         for f in short:  # a handful
@@ -196,9 +224,11 @@ class PairCheck:
 
 
 def check_pairs(history: TimeHistory, pairs: Sequence[tuple[str, str]]) -> tuple[PairCheck, ...]:
-    """Are sensors that should move alike (parallel ones of a point, of a stiff floor) connected and turned right?
+    """Are sensors that should move alike (parallel ones of a point, of a stiff floor) connected and
+    turned right?
 
-    A pair is swapped if its first channel goes, in size, better with the second one of another pair than with its own.
+    A pair is swapped if its first channel goes, in size, better with the second one of another pair
+    than with its own.
 
     Raises
     ------
@@ -209,7 +239,9 @@ def check_pairs(history: TimeHistory, pairs: Sequence[tuple[str, str]]) -> tuple
     x, y = (detrend(h.data) for h in (first, second))
     scale = np.outer(np.linalg.norm(x, axis=1), np.linalg.norm(y, axis=1))
     if not (np.isfinite(scale).all() and (scale > 0).all()):
-        raise DataError(f"{history.source}: a channel of the pairs is constant or not finite; see find_faults")
+        raise DataError(
+            f"{history.source}: a channel of the pairs is constant or not finite; see find_faults"
+        )
     r = (x @ y.T) / scale
     best = np.abs(r).argmax(axis=1)
     return tuple(_pair(i, pairs, r, int(best[i])) for i in range(len(pairs)))
@@ -234,5 +266,7 @@ def flip(history: TimeHistory, ids: Sequence[str]) -> TimeHistory:
         If a channel is not in the record.
     """
     history.pick(ids)
-    sign = np.array([-1.0 if c.id in set(ids) else 1.0 for c in history.channels], dtype=history.data.dtype)
+    sign = np.array(
+        [-1.0 if c.id in set(ids) else 1.0 for c in history.channels], dtype=history.data.dtype
+    )
     return replace(history, data=history.data * sign[:, None])

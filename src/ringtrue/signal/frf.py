@@ -31,13 +31,24 @@ from ringtrue.signal.setups import join_frfs
 
 log = logging.getLogger(__name__)
 
-_NO_FORCE = 1e-12  # power over the largest: a zero of the spectrum of a pulse without noise, rounding alone
+_NO_FORCE = (
+    1e-12  # power over the largest: a zero of the spectrum of a pulse without noise, rounding alone
+)
 _RISE = 8  # samples
 _HEARD = 10.0  # times the power of the noise on the force
-_QUIET, _FLOOR = 0.02, 6.0  # of the response; times the typical power, above which a line is no noise
-_SLOW, _FILTER = 3, 0.75  # lines that a drift takes; share of half the rate, that no filter rings at
+_QUIET, _FLOOR = (
+    0.02,
+    6.0,
+)  # of the response; times the typical power, above which a line is no noise
+_SLOW, _FILTER = (
+    3,
+    0.75,
+)  # lines that a drift takes; share of half the rate, that no filter rings at
 _PULSE = 16  # samples at least that the force is kept: an anti-aliasing filter rings on
-_SEEN, _MEDIAN = 4.0, 0.6745  # standard deviations that noise does not reach; median of their moduli
+_SEEN, _MEDIAN = (
+    4.0,
+    0.6745,
+)  # standard deviations that noise does not reach; median of their moduli
 _ENDS_AT = 0.01  # of its start, a response under an automatic exponential window
 
 
@@ -60,9 +71,10 @@ def estimate_frf(
 ) -> tuple[FrfSet, tuple[HitReport, ...]]:
     """FRFs from one or several hammer records.
 
-    Each record has one force channel, whose id names the point and direction hit (a leading `F:` is dropped).
-    Records of the same input and responses are averaged together; different ones become columns (roving hammer)
-    or rows (roving responses) of one set. Motions of several kinds become that of most responses.
+    Each record has one force channel, whose id names the point and direction hit (a leading `F:` is
+    dropped). Records of the same input and responses are averaged together; different ones become
+    columns (roving hammer) or rows (roving responses) of one set. Motions of several kinds become
+    that of most responses.
 
     Parameters
     ----------
@@ -75,14 +87,16 @@ def estimate_frf(
     Returns
     -------
     FrfSet
-        With the exponential window still in the data, its rate in `window_decay`, and `kept` of the response.
+        With the exponential window still in the data, its rate in `window_decay`, and `kept` of the
+        response.
     tuple of HitReport
         All hits, those left out with their reasons.
 
     Raises
     ------
     DataError
-        If a record has no hits or none can be used, rates differ, or a pair of response and input is absent.
+        If a record has no hits or none can be used, rates differ, or a pair of response and input
+        is absent.
     """
     records = [records] if isinstance(records, TimeHistory) else records
     columns, reports = estimate_columns(records, settings, full_scale=full_scale, progress=progress)
@@ -96,19 +110,25 @@ def estimate_columns(
     full_scale: Mapping[str, float] | None = None,
     progress: Progress | None = None,
 ) -> tuple[tuple[FrfSet, ...], tuple[HitReport, ...]]:
-    """The FRFs of each input with each set of responses, on the same lines, before `estimate_frf` joins them.
+    """The FRFs of each input with each set of responses, on the same lines, before `estimate_frf`
+    joins them.
 
-    Lines at which one of the pulses has no force are left out: the zeros of a pulse without noise, and all beyond the
-    last line where it stands out of its noise.
+    Lines at which one of the pulses has no force are left out: the zeros of a pulse without noise,
+    and all beyond the last line where it stands out of its noise.
     """
     settings = settings or HammerSettings()
     cuts = [_cut(r, settings) for r in records]
     settings = _with_room(cuts, settings)
     length = min(c.length for c in cuts)
     if len({c.record.rate for c in cuts}) > 1:
-        raise DataError(f"records of different rates: {sorted({c.record.rate for c in cuts})} Hz; resample them first")
+        raise DataError(
+            f"records of different rates: {sorted({c.record.rate for c in cuts})} Hz; resample "
+            "them first"
+        )
     if length < 16:
-        raise DataError(f"{records[0].source}: {length} samples between the hits; give HammerSettings.block")
+        raise DataError(
+            f"{records[0].source}: {length} samples between the hits; give HammerSettings.block"
+        )
     cuts, reports = _checked(cuts, length, settings, full_scale)
     good = [c.hits[[r.accepted for r in rep]] for c, rep in zip(cuts, reports, strict=True)]
     _check_used(cuts, reports)
@@ -123,7 +143,8 @@ def estimate_columns(
     source = ", ".join(dict.fromkeys(r.source for r in records if r.source))
     struck = np.all([s.ff > _NO_FORCE * s.ff.max(initial=0.0) for s in sums.values()], axis=0)
     last = max(
-        min(_last_heard(s) for s in sums.values()), int((settings.keep_to or 0.0) * length / cuts[0].record.rate)
+        min(_last_heard(s) for s in sums.values()),
+        int((settings.keep_to or 0.0) * length / cuts[0].record.rate),
     )
     struck &= np.arange(struck.size) <= last
     columns = tuple(_column(s, struck, decay, settings, source) for s in sums.values())
@@ -131,7 +152,9 @@ def estimate_columns(
 
 
 def _with_room(cuts: Sequence[_Cut], settings: HammerSettings) -> HammerSettings:
-    """A triggered record of one hit may have less before it than asked for: then that is the pretrigger."""
+    """A triggered record of one hit may have less before it than asked for: then that is the
+    pretrigger.
+    """
     room = min([float(c.hits[0]) / c.record.rate for c in cuts if c.hits.size == 1] or [np.inf])
     return replace(settings, pretrigger=min(settings.pretrigger, room))
 
@@ -142,7 +165,9 @@ def _check_used(cuts: Sequence[_Cut], reports: Sequence[Sequence[HitReport]]) ->
             told = "; ".join(f"{r.time:.2f} s: {', '.join(r.reasons)}" for r in rep[:5])
             spoilt = all(any(w.startswith("overload of ") for w in r.reasons) for r in rep)
             way = "; leave such responses out, or measure with a wider range" if spoilt else ""
-            raise DataError(f"{cut.record.source}: none of {len(rep)} hits can be used: {told}{way}")
+            raise DataError(
+                f"{cut.record.source}: none of {len(rep)} hits can be used: {told}{way}"
+            )
 
 
 def _cut(record: TimeHistory, settings: HammerSettings) -> _Cut:
@@ -170,8 +195,12 @@ def _without(cut: _Cut, lost: Sequence[str]) -> _Cut:
     """Without some responses."""
     kept = [c.id for c in cut.record.channels if c.id not in lost]
     if len(kept) == 1:
-        raise DataError(f"{cut.record.source}: no response is left: {' '.join(lost)} overload in most blows")
-    return replace(cut, record=cut.record.pick(kept), force=kept.index(cut.record.channels[cut.force].id))
+        raise DataError(
+            f"{cut.record.source}: no response is left: {' '.join(lost)} overload in most blows"
+        )
+    return replace(
+        cut, record=cut.record.pick(kept), force=kept.index(cut.record.channels[cut.force].id)
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -211,7 +240,9 @@ def _last_heard(s: _Sums) -> int:
 
 
 def _block(data: Any_, start: int, length: int) -> Float:
-    """(channel, length) float64 without the offset: the mean of the second half, where least is left of the blow."""
+    """(channel, length) float64 without the offset: the mean of the second half, where least is
+    left of the blow.
+    """
     block = np.asarray(data[:, start : start + length], dtype=np.float64)
     return np.asarray(block - block[:, length // 2 :].mean(axis=1, keepdims=True))
 
@@ -219,10 +250,11 @@ def _block(data: Any_, start: int, length: int) -> Float:
 def _lead(cut: _Cut, hits: Int) -> tuple[int, int]:
     """Samples of a block before the peak, and how many of them a smooth rise takes.
 
-    What rings on from the blow before would stand in the pretrigger, where the model of a blow has nothing; from the
-    blow on it decays as the response does. So a block begins with the pulse, at an edge. Where the anti-aliasing filter
-    rings before a short pulse, in force and response, an edge leaves a part of that at all lines: there, if the
-    structure is quiet, the block begins earlier and smoothly.
+    What rings on from the blow before would stand in the pretrigger, where the model of a blow has
+    nothing; from the blow on it decays as the response does. So a block begins with the pulse, at
+    an edge. Where the anti-aliasing filter rings before a short pulse, in force and response, an
+    edge leaves a part of that at all lines: there, if the structure is quiet, the block begins
+    earlier and smoothly.
     """
     force = np.asarray(cut.record.data[cut.force], dtype=np.float64)
     force = force - np.median(force)
@@ -267,14 +299,21 @@ def _decay(cut: _Cut, hits: Int, length: int, settings: HammerSettings) -> float
     return float(np.log(max(last / max(first, 1e-300) / _ENDS_AT, 1.0)) / duration)
 
 
-def _force_window(force: Float, pre: int, rate: float, settings: HammerSettings, noise: float) -> Float:
+def _force_window(
+    force: Float, pre: int, rate: float, settings: HammerSettings, noise: float
+) -> Float:
     """1 over the pulse, then a half cosine of the same length down to 0.
 
-    Unless it is given, no longer than the pulse stands out of the `noise`: what is kept of that moves the poles.
+    Unless it is given, no longer than the pulse stands out of the `noise`: what is kept of that
+    moves the poles.
     """
     half = np.flatnonzero(np.abs(force[pre:]) < 0.5 * abs(force[pre]))
     width = 2 * (int(half[0]) if half.size else 1)
-    keep = round(settings.force_window * rate) if settings.force_window else max(4 * width, round(0.001 * rate), _PULSE)
+    keep = (
+        round(settings.force_window * rate)
+        if settings.force_window
+        else max(4 * width, round(0.001 * rate), _PULSE)
+    )
     t = np.arange(force.size) - pre
     if not settings.force_window and noise > 0:
         seen = t[(np.abs(force) > _SEEN * noise) & (t >= -keep) & (t <= keep)]
@@ -313,15 +352,20 @@ def _spectra(cut: _Cut, hits: Int, length: int, decay: float, settings: HammerSe
         ff += pulses[-1]
         xf += x * f.conj()[:, None]
         xx += np.abs(x) ** 2
-    name, force = input_id(cut.record.channels[at].id), np.asarray(cut.record.data[at], dtype=np.float64)
+    name, force = (
+        input_id(cut.record.channels[at].id),
+        np.asarray(cut.record.data[at], dtype=np.float64),
+    )
     blows = blows_of(force - np.median(force), rate, cut.hits, hits, pulses, quiet)
     return _Sums(name, outputs, rate, length, int(hits.size), ff, xf, xx, kept, sum(quiet), blows)
 
 
 def estimators(ff: Float, xf: Complex, xx: Float, which: Estimator) -> tuple[Complex, Float]:
-    """FRF and coherence, each (freq, out), from spectra of force (freq,), cross and response (freq, out).
+    """FRF and coherence, each (freq, out), from spectra of force (freq,), cross and response (freq,
+    out).
 
-    H1 = G_xf/G_ff (noise on the response), H2 = G_xx/G_fx (noise on the force), Hv their geometric mean.
+    H1 = G_xf/G_ff (noise on the response), H2 = G_xx/G_fx (noise on the force), Hv their geometric
+    mean.
     """
     tiny = np.finfo(np.float64).tiny
     coherence = np.abs(xf) ** 2 / np.maximum(ff[:, None] * xx, tiny)
@@ -331,7 +375,9 @@ def estimators(ff: Float, xf: Complex, xx: Float, which: Estimator) -> tuple[Com
 
 
 def frf_variance(frfs: FrfSet) -> Float:
-    """(freq, out, in) variance of the real and the imaginary part, |H|²(1 − γ²)/(2 n γ²) (Bendat, Piersol 2010)."""
+    """(freq, out, in) variance of the real and the imaginary part, |H|²(1 − γ²)/(2 n γ²) (Bendat,
+    Piersol 2010).
+    """
     g = np.clip(frfs.coherence, 1e-12, 1.0)
     return np.asarray(np.abs(frfs.data) ** 2 * (1 - g) / (2 * frfs.averages * g))
 
@@ -346,7 +392,8 @@ def _column(s: _Sums, struck: Bool, decay: float, settings: HammerSettings, sour
     kinds = [LINEAR.get(c.quantity, c.quantity) for c in s.outputs]
     if not kinds or not set(kinds) <= set(FRF_KIND):
         raise DataError(
-            f"{source}: responses measure {', '.join(sorted(set(kinds)))}; all must be motions: leave the others out"
+            f"{source}: responses measure {', '.join(sorted(set(kinds)))}; all must be motions: "
+            "leave the others out"
         )
     kind = max(dict.fromkeys(kinds), key=kinds.count)
     h, coherence = estimators(s.ff, s.xf, s.xx, settings.estimator)
@@ -354,7 +401,11 @@ def _column(s: _Sums, struck: Bool, decay: float, settings: HammerSettings, sour
         coherence = np.full(coherence.shape, np.nan)  # one hit has coherence 1 whatever its noise
     freqs = np.fft.rfftfreq(s.length, 1 / s.rate)
     power = np.array([DERIVATIVE[kind] - DERIVATIVE[k] for k in kinds])
-    keep = struck & (freqs <= (settings.fmax or np.inf)) & ((freqs > 0) | (decay > 0) | (power == 0).all())
+    keep = (
+        struck
+        & (freqs <= (settings.fmax or np.inf))
+        & ((freqs > 0) | (decay > 0) | (power == 0).all())
+    )
     freqs, h, coherence = freqs[keep], h[keep], coherence[keep]
     if power.any():  # under the window the FRF stands at s + decay
         h = h * (2j * np.pi * freqs + decay)[:, None] ** power

@@ -17,7 +17,8 @@ _BANDS = 24
 
 @dataclass(frozen=True, slots=True)
 class DrivingPoint:
-    """A driving point: `passive` is the share of the real part in its mobility at resonances, 1 if all is well.
+    """A driving point: `passive` is the share of the real part in its mobility at resonances, 1 if
+    all is well.
 
     Attributes
     ----------
@@ -58,8 +59,11 @@ def mobility(frfs: FrfSet) -> Complex:
     return np.asarray(frfs.data * np.where(frfs.freqs > 0, factor, 0.0)[:, None, None])
 
 
-def check_driving_points(frfs: FrfSet, *, low: float = 0.0, high: float = np.inf) -> tuple[DrivingPoint, ...]:
-    """Does every driving point take power from the force? The real part of its mobility must be positive.
+def check_driving_points(
+    frfs: FrfSet, *, low: float = 0.0, high: float = np.inf
+) -> tuple[DrivingPoint, ...]:
+    """Does every driving point take power from the force? The real part of its mobility must be
+    positive.
 
     Lines of a band count by their size, so that the resonances decide, between `low` and `high` Hz.
     """
@@ -67,16 +71,22 @@ def check_driving_points(frfs: FrfSet, *, low: float = 0.0, high: float = np.inf
     for o, i in frfs.driving_points():
         share = passive(frfs, o, i, low=low, high=high)
         verdict: Literal["ok", "flipped", "doubtful"] = "ok" if share > _SURE else "doubtful"
-        out.append(DrivingPoint(frfs.inputs[i].id, share, "flipped" if share < _FLIPPED else verdict))
+        out.append(
+            DrivingPoint(frfs.inputs[i].id, share, "flipped" if share < _FLIPPED else verdict)
+        )
     return tuple(out)
 
 
-def passive(frfs: FrfSet, output: int, reference: int, *, low: float = 0.0, high: float = np.inf) -> float:
-    """Share of the real part of a driving point's mobility in its size at resonances, -1 to 1, `low` to `high` Hz.
+def passive(
+    frfs: FrfSet, output: int, reference: int, *, low: float = 0.0, high: float = np.inf
+) -> float:
+    """Share of the real part of a driving point's mobility in its size at resonances, -1 to 1,
+    `low` to `high` Hz.
 
-    Taken in bands of as many lines, each of which counts as far as it has a peak and a sign. A drift at the lowest
-    lines, which no weight by size would survive, is one band of many; and of lines between resonances, where mobility
-    is all but imaginary, a delay of a sample or less makes what sign it likes.
+    Taken in bands of as many lines, each of which counts as far as it has a peak and a sign. A
+    drift at the lowest lines, which no weight by size would survive, is one band of many; and of
+    lines between resonances, where mobility is all but imaginary, a delay of a sample or less makes
+    what sign it likes.
     """
     use = (frfs.freqs > max(low, 0.0)) & (frfs.freqs <= high)
     bands = np.array_split(mobility(frfs)[use, output, reference], min(_BANDS, int(use.sum()) or 1))
@@ -86,14 +96,18 @@ def passive(frfs: FrfSet, output: int, reference: int, *, low: float = 0.0, high
 
 
 def _sign_and_peak(h: Complex) -> tuple[float, float]:
-    """Share of the real part of lines in its size, and how far the largest lines stand out, 0 to 1."""
+    """Share of the real part of lines in its size, and how far the largest lines stand out, 0 to
+    1.
+    """
     size = np.abs(h)
     power = max(float((size**2).sum()), 1e-300)
     share = (h.real * size).sum() / max((np.abs(h.real) * size).sum(), 1e-300)
     return float(share), float(1 - size.sum() ** 2 / max(size.size, 1) / power)
 
 
-def check_reciprocity(frfs: FrfSet, *, low: float = 0.0, high: float = np.inf) -> tuple[Reciprocity, ...]:
+def check_reciprocity(
+    frfs: FrfSet, *, low: float = 0.0, high: float = np.inf
+) -> tuple[Reciprocity, ...]:
     """H_ab against H_ba of every pair of inputs that both have a response channel."""
     use = (frfs.freqs >= low) & (frfs.freqs <= high)
     points = frfs.driving_points()
@@ -103,5 +117,12 @@ def check_reciprocity(frfs: FrfSet, *, low: float = 0.0, high: float = np.inf) -
             ab, ba = frfs.data[use, oa, ib], frfs.data[use, ob, ia]
             cross, pa, pb = np.vdot(ba, ab), np.vdot(ab, ab).real, np.vdot(ba, ba).real
             share = float(abs(cross) ** 2 / max(pa * pb, 1e-300))
-            out.append(Reciprocity(frfs.inputs[ia].id, frfs.inputs[ib].id, share, float(cross.real / max(pb, 1e-300))))
+            out.append(
+                Reciprocity(
+                    frfs.inputs[ia].id,
+                    frfs.inputs[ib].id,
+                    share,
+                    float(cross.real / max(pb, 1e-300)),
+                )
+            )
     return tuple(out)

@@ -1,8 +1,9 @@
-"""Stretches that a recorder lost: samples that are not there (NaN), or a value held far longer than the resolution
-explains, as logged over a broken link.
+"""Stretches that a recorder lost: samples that are not there (NaN), or a value held far longer than
+the resolution explains, as logged over a broken link.
 
-Their steps would ring in every band, and a channel without its part of the motion has wrong shapes: the whole record is
-left out there. A few missing samples in a row are interpolated in their channel.
+Their steps would ring in every band, and a channel without its part of the motion has wrong shapes:
+the whole record is left out there. A few missing samples in a row are interpolated in their
+channel.
 """
 
 from __future__ import annotations
@@ -15,11 +16,19 @@ from ringtrue.core.arrays import Any_, Bool
 from ringtrue.core.signals import TimeHistory
 from ringtrue.signal.faults import equal_runs, runs
 
-HELD, TYPICAL = 16, 20.0  # samples, and more than these times the runs of the record but for 1 %, and those beside
+HELD, TYPICAL = (
+    16,
+    20.0,
+)  # samples, and more than these times the runs of the record but for 1 %, and those beside
 BESIDE = 8  # runs, to each side: in the rest between events all are long in a coarse record
-LEAP = 8.0  # median differences, by which a lost stretch leaves an extreme of the record; a clipped one does not
+# median differences, by which a lost stretch leaves an extreme of the record; a clipped one does
+# not
+LEAP = 8.0
 SHORT = 5  # missing samples in a row that are interpolated
-SCATTERED, EACH = 0.1, 2.0  # share of the record that single channels lose, and that over what one of them does
+SCATTERED, EACH = (
+    0.1,
+    2.0,
+)  # share of the record that single channels lose, and that over what one of them does
 MOST = 0.3  # of the record: a channel that others do not follow is left out beyond
 
 
@@ -52,7 +61,9 @@ class Gaps:
         return self.lost[end : end + samples]
 
     def marked(self, history: TimeHistory) -> TimeHistory:
-        """A record of as many samples with NaN in what is lost: for a bridged one that filters went over."""
+        """A record of as many samples with NaN in what is lost: for a bridged one that filters went
+        over.
+        """
         if not self.lost.any():
             return history
         data = np.array(history.data)
@@ -61,7 +72,9 @@ class Gaps:
 
 
 def bridged(history: TimeHistory) -> tuple[TimeHistory, Gaps]:
-    """The record with straight lines over what is lost, the same in all channels, without those that lost too much."""
+    """The record with straight lines over what is lost, the same in all channels, without those
+    that lost too much.
+    """
     history, missing, notes = _filled(history)
     size, held = history.data.shape[1], dict(missing)
     nothing = np.zeros(size, dtype=bool)
@@ -70,11 +83,15 @@ def bridged(history: TimeHistory) -> tuple[TimeHistory, Gaps]:
             held[c.id] = h | missing[c.id] if c.id in missing else h
     if not held:
         return history, Gaps(nothing, notes)
-    share = {c.id: np.count_nonzero(held[c.id]) / size if c.id in held else 0.0 for c in history.channels}
+    share = {
+        c.id: np.count_nonzero(held[c.id]) / size if c.id in held else 0.0 for c in history.channels
+    }
     typical = float(np.median(list(share.values())))
     keep = [i for i, part in share.items() if part <= typical + MOST]
     notes += tuple(
-        f"channel {i}: {100 * share[i]:.0f} % of its samples are lost; left out" for i in share if i not in keep
+        f"channel {i}: {100 * share[i]:.0f} % of its samples are lost; left out"
+        for i in share
+        if i not in keep
     )
     if len(keep) < len(share):
         history = history.pick(keep)
@@ -82,14 +99,26 @@ def bridged(history: TimeHistory) -> tuple[TimeHistory, Gaps]:
     lost = np.any([nothing, *held.values()], axis=0)
     history, common, said = _each_by_itself(history, held, lost)
     if said:
-        lost, held, notes = common, {i: h & common for i, h in held.items() if (h & common).any()}, (*notes, said)
+        lost, held, notes = (
+            common,
+            {i: h & common for i, h in held.items() if (h & common).any()},
+            (*notes, said),
+        )
     if not lost.any() or lost.all():
         return history, Gaps(nothing, notes)
     names = [i for i in keep if i in held]
     parts, first = len(runs(lost)), int(np.flatnonzero(lost)[0]) / history.rate
-    why = [w for w, some in (("samples are missing", missing), ("a value is held", held.keys() - missing)) if some]
+    why = [
+        w
+        for w, some in (
+            ("samples are missing", missing),
+            ("a value is held", held.keys() - missing),
+        )
+        if some
+    ]
     told = (
-        f"{'all channels' if len(names) == len(keep) > 1 else 'channel ' + ' '.join(names)}: lost {parts} "
+        f"{'all channels' if len(names) == len(keep) > 1 else 'channel ' + ' '.join(names)}: "
+        f"lost {parts} "
         f"time{'s' if parts > 1 else ''} ({', '.join(why)}), the first at {first:.4g} s, "
         f"{np.count_nonzero(lost) / history.rate:.3g} s in all; left out in all channels"
     )
@@ -99,8 +128,11 @@ def bridged(history: TimeHistory) -> tuple[TimeHistory, Gaps]:
     return replace(history, data=data), Gaps(lost, notes, told)
 
 
-def _each_by_itself(history: TimeHistory, held: dict[str, Bool], lost: Bool) -> tuple[TimeHistory, Bool, str]:
-    """The record, what most channels lost, and a note where others lost parts at times of their own (radio links).
+def _each_by_itself(
+    history: TimeHistory, held: dict[str, Bool], lost: Bool
+) -> tuple[TimeHistory, Bool, str]:
+    """The record, what most channels lost, and a note where others lost parts at times of their own
+    (radio links).
 
     To leave these out in all channels would leave little: each has a straight line there by itself.
     """
@@ -115,15 +147,22 @@ def _each_by_itself(history: TimeHistory, held: dict[str, Bool], lost: Bool) -> 
             _bridge(data[k], alone[c.id])
     count = sum(bool(h.any()) for h in alone.values())
     told = (
-        f"{count} channels lost parts at times of their own, {100 * most:.2g} % of one at most: straight lines there "
+        f"{count} channels lost parts at times of their own, {100 * most:.2g} % of one at most: "
+        "straight lines there "
         "in each by itself"
     )
     return replace(history, data=data), common, told
 
 
 def _filled(history: TimeHistory) -> tuple[TimeHistory, dict[str, Bool], tuple[str, ...]]:
-    """The record with straight lines over samples that are not finite, the long runs of these (sample,), and notes."""
-    bad = [i for i, x in enumerate(history.data) if x.size and not np.isfinite([x.min(), x.max()]).all()]
+    """The record with straight lines over samples that are not finite, the long runs of these
+    (sample,), and notes.
+    """
+    bad = [
+        i
+        for i, x in enumerate(history.data)
+        if x.size and not np.isfinite([x.min(), x.max()]).all()
+    ]
     if not bad:
         return history, {}, ()
     data = np.array(history.data)
@@ -138,7 +177,9 @@ def _filled(history: TimeHistory) -> tuple[TimeHistory, dict[str, Bool], tuple[s
         if long.any():
             missing[name] = long
         if count := np.count_nonzero(none & ~long):
-            notes.append(f"channel {name}: {count} missing sample{'s' if count > 1 else ''} interpolated")
+            notes.append(
+                f"channel {name}: {count} missing sample{'s' if count > 1 else ''} interpolated"
+            )
     return replace(history, data=data), missing, tuple(notes)
 
 

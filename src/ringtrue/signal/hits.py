@@ -30,8 +30,9 @@ class HammerSettings:
     Attributes
     ----------
     force : str
-        Id of the force channel, or a pattern of it (`Hammer*`); by default the only channel whose quantity is force,
-        or, where none is, the only one of unknown quantity with a name such as `Force` or `hammer`.
+        Id of the force channel, or a pattern of it (`Hammer*`); by default the only channel whose
+        quantity is force, or, where none is, the only one of unknown quantity with a name such as
+        `Force` or `hammer`.
     block : float, s, optional
         Length of a block; by default what fits between the hits.
     pretrigger : float, s
@@ -43,16 +44,17 @@ class HammerSettings:
     weak : float
         A hit below this share of the median hit is left out.
     force_window : float, s, optional
-        Length after the hit that the force is kept; by default four pulse widths, 1 ms and 16 samples at least, but
-        no longer than the pulse stands out of the noise between the blows.
+        Length after the hit that the force is kept; by default four pulse widths, 1 ms and 16
+        samples at least, but no longer than the pulse stands out of the noise between the blows.
     exp_end : float, optional
-        Value of the exponential window at the end of the block, 1 for none; by default what lets the responses end
-        at 1 % of their start.
+        Value of the exponential window at the end of the block, 1 for none; by default what lets
+        the responses end at 1 % of their start.
     estimator : {"H1", "H2", "Hv"}
     fmax : float, Hz, optional
         Highest line kept.
     keep_to : float, Hz, optional
-        Lines are kept up to here though the force be noise there; all are up to where it stands out of its noise.
+        Lines are kept up to here though the force be noise there; all are up to where it stands out
+        of its noise.
     """
 
     force: str = ""
@@ -69,13 +71,19 @@ class HammerSettings:
 
     def __post_init__(self) -> None:
         if self.estimator not in ("H1", "H2", "Hv"):
-            raise ConfigError(f"estimator {self.estimator!r}{did_you_mean(self.estimator, ('H1', 'H2', 'Hv'))}")
+            raise ConfigError(
+                f"estimator {self.estimator!r}{did_you_mean(self.estimator, ('H1', 'H2', 'Hv'))}"
+            )
         if not 0 < self.trigger < 1 or not 0 < self.double < 1:
-            raise ConfigError(f"trigger {self.trigger} and double {self.double} are shares between 0 and 1")
+            raise ConfigError(
+                f"trigger {self.trigger} and double {self.double} are shares between 0 and 1"
+            )
         if self.exp_end is not None and not 0 < self.exp_end <= 1:
             raise ConfigError(f"exp_end {self.exp_end} must be in (0, 1]")
         if self.block is not None and not self.block > self.pretrigger >= 0:
-            raise ConfigError(f"block {self.block} s must be longer than pretrigger {self.pretrigger} s >= 0")
+            raise ConfigError(
+                f"block {self.block} s must be longer than pretrigger {self.pretrigger} s >= 0"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,26 +131,36 @@ def force_channel(record: TimeHistory, settings: HammerSettings) -> int:
     if settings.force:
         like = [settings.force] if settings.force in ids else fnmatch.filter(ids, settings.force)
         if not like:
-            raise DataError(f"{record.source}: no channel {settings.force!r}{did_you_mean(settings.force, ids)}")
+            raise DataError(
+                f"{record.source}: no channel {settings.force!r}{did_you_mean(settings.force, ids)}"
+            )
         if len(like) > 1:
             raise DataError(
-                f"{record.source}: {settings.force!r} may be {' '.join(like[:20])}; there must be one force"
+                f"{record.source}: {settings.force!r} may be {' '.join(like[:20])}; there must "
+                "be one force"
             )
         return ids.index(like[0])
     at = [i for i, c in enumerate(record.channels) if c.quantity in FORCES]
-    at = at or [i for i, c in enumerate(record.channels) if c.quantity == "unknown" and _HAMMER.search(c.id)]
+    at = at or [
+        i for i, c in enumerate(record.channels) if c.quantity == "unknown" and _HAMMER.search(c.id)
+    ]
     if len(at) != 1:
         raise DataError(
-            f"{record.source}: {len(at)} force channels ({' '.join(ids[i] for i in at) or 'none'}) of "
+            f"{record.source}: {len(at)} force channels "
+            f"({' '.join(ids[i] for i in at) or 'none'}) of "
             f"{' '.join(ids[:20])}; there must be one, or name it: HammerSettings.force, --force, "
-            "`force_channel` of a log (of a shaken base the accelerometer on it); several are those of "
-            f"shakers that run all the time{'' if at else '; `ringtrue oma` takes records without a force'}"
+            "`force_channel` of a log (of a shaken base the accelerometer on it); several are "
+            "those of "
+            "shakers that run all the "
+            f"time{'' if at else '; `ringtrue oma` takes records without a force'}"
         )
     return at[0]
 
 
 def pulses(force: Float, rate: float, level: float) -> tuple[Int, Int]:
-    """First and peak sample of every pulse of |force| above a level; gaps under 0.5 ms do not divide a pulse."""
+    """First and peak sample of every pulse of |force| above a level; gaps under 0.5 ms do not
+    divide a pulse.
+    """
     above = np.flatnonzero(np.abs(force) > level)
     if not above.size:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
@@ -153,7 +171,8 @@ def pulses(force: Float, rate: float, level: float) -> tuple[Int, Int]:
 
 
 def find_hits(force: Float, rate: float, settings: HammerSettings) -> Int:
-    """Samples of the peaks of the hits, (h,), ascending; rebounds within 0.25 s or half a block are not hits.
+    """Samples of the peaks of the hits, (h,), ascending; rebounds within 0.25 s or half a block are
+    not hits.
 
     Parameters
     ----------
@@ -205,7 +224,8 @@ def check_hits(
         Samples of a block.
     settings : HammerSettings
     full_scale : mapping of str to float, optional
-        Range of each channel by id, in its unit; without it clipping is told by equal extreme samples.
+        Range of each channel by id, in its unit; without it clipping is told by equal extreme
+        samples.
     """
     force = np.asarray(record.data[at], dtype=np.float64)
     force = force - np.median(force)
@@ -215,7 +235,11 @@ def check_hits(
     limits = ceilings(record) | known
     reports = []
     responses = np.delete(np.arange(len(record.channels)), at)
-    unrest = [_unrest(record.data[responses, h - pre : h - pre + length], pre) for h in hits.tolist() if h >= pre]
+    unrest = [
+        _unrest(record.data[responses, h - pre : h - pre + length], pre)
+        for h in hits.tolist()
+        if h >= pre
+    ]
     quietest = min(unrest) if len(unrest) > 1 else 0.0
     blocks = [record.data[:, max(h - pre, 0) : h - pre + length] for h in hits.tolist()]
     over = [overloaded(record, b, limits) for b in blocks]
@@ -232,16 +256,32 @@ def check_hits(
         name = input_id(record.channels[at].id)
         width = pulse_width(force, hit) / record.rate
         told = tuple(why) or _begun(force[: hit + 1])
-        reports.append(HitReport(record.source, name, hit / record.rate, float(force[hit]), width, not why, told, lost))
+        reports.append(
+            HitReport(
+                record.source,
+                name,
+                hit / record.rate,
+                float(force[hit]),
+                width,
+                not why,
+                told,
+                lost,
+            )
+        )
     return tuple(reports)
 
 
 def _begun(rise: Float) -> tuple[str, ...]:
-    """A remark where the force never was near 0 before its peak: the record begins within the pulse."""
+    """A remark where the force never was near 0 before its peak: the record begins within the
+    pulse.
+    """
     share = np.sign(rise[-1]) * rise / max(abs(rise[-1]), 1e-300)
     if not share.min() > _BEGUN:
         return ()
-    return (f"the record begins within the pulse, at {100 * share[0]:.0f} % of its peak: no modal mass can be exact",)
+    return (
+        f"the record begins within the pulse, at {100 * share[0]:.0f} % of its peak: no modal "
+        "mass can be exact",
+    )
 
 
 def _place(start: int, stop: int, samples: int, later: Int, rate: float) -> list[str]:
@@ -251,7 +291,9 @@ def _place(start: int, stop: int, samples: int, later: Int, rate: float) -> list
     if stop > samples:
         why.append("the record ends before the block")
     if later.size and later[0] < stop:
-        why.append(f"the next hit comes {(stop - later[0]) / rate:.3g} s before the end of the block")
+        why.append(
+            f"the next hit comes {(stop - later[0]) / rate:.3g} s before the end of the block"
+        )
     return why
 
 
@@ -274,24 +316,33 @@ def _double(force: Float, hit: int, stop: int, rate: float, settings: HammerSett
         return []
     second = int(tail[down[0] :].argmax()) + int(down[0]) + 2 * width + 2
     share = sign * force[hit + second] / abs(force[hit])
-    return [f"double hit: {100 * share:.0f} % of the first pulse {1000 * second / rate:.3g} ms after it"]
+    return [
+        f"double hit: {100 * share:.0f} % of the first pulse {1000 * second / rate:.3g} ms after it"
+    ]
 
 
 def _unrest(responses: Any_, pre: int) -> float:
     """Level before the hit over that after it, 0 where it cannot be told.
 
-    The lower quartile of the channels: across the direction of the blow many show nothing but noise.
+    The lower quartile of the channels: across the direction of the blow many show nothing but
+    noise.
     """
     if pre < 4 or not responses.shape[0]:
         return 0.0
     centred = responses - np.median(responses, axis=1, keepdims=True)
     before = np.sqrt(np.mean(np.square(centred[:, : pre // 2], dtype=np.float64), axis=1))
-    after = np.sqrt(np.mean(np.square(centred[:, pre : pre + responses.shape[1] // 4], dtype=np.float64), axis=1))
+    after = np.sqrt(
+        np.mean(
+            np.square(centred[:, pre : pre + responses.shape[1] // 4], dtype=np.float64), axis=1
+        )
+    )
     return float(np.quantile(before / np.maximum(after, 1e-300), 0.25))
 
 
 def _ringing(share: float, quietest: float) -> list[str]:
-    """The structure still rings from the hit before; a level that all hits of the record have is noise."""
+    """The structure still rings from the hit before; a level that all hits of the record have is
+    noise.
+    """
     if share <= max(_BAD_RINGING, 3 * quietest):
         return []
     return [f"still ringing before the hit: {100 * share:.0f} % of the response"]

@@ -1,7 +1,9 @@
-"""What a record rests on: its offset, trend and slow drift are taken out, and its size brought near 1.
+"""What a record rests on: its offset, trend and slow drift are taken out, and its size brought near
+1.
 
-A drift may be many thousand times the vibration. What follows works in single precision, takes fourth powers, and
-lets the record begin and end in nothing: a step at its ends would be seen in all bands.
+A drift may be many thousand times the vibration. What follows works in single precision, takes
+fourth powers, and lets the record begin and end in nothing: a step at its ends would be seen in all
+bands.
 """
 
 from __future__ import annotations
@@ -13,14 +15,18 @@ from numpy.polynomial.legendre import legvander
 
 from ringtrue.core.signals import TimeHistory
 
-DEGREE = 24  # of the polynomials of a drift, at most: 8 cycles in the record, where bands begin at 50
+DEGREE = (
+    24  # of the polynomials of a drift, at most: 8 cycles in the record, where bands begin at 50
+)
 BLOCK = 1 << 16  # samples at a time: a basis of the whole record would not fit in memory
 
 
 def levelled(history: TimeHistory, low: float) -> TimeHistory:
-    """The record without what drifts far below `low` Hz, in channels where that is more than all else.
+    """The record without what drifts far below `low` Hz, in channels where that is more than all
+    else.
 
-    Least squares in Legendre polynomials, of a degree that leaves all from half of `low` on as it is.
+    Least squares in Legendre polynomials, of a degree that leaves all from half of `low` on as it
+    is.
 
     Parameters
     ----------
@@ -55,7 +61,9 @@ def levelled(history: TimeHistory, low: float) -> TimeHistory:
 
 
 def unit_factor(history: TimeHistory) -> float:
-    """The power of two that brings the typical standard deviation of the channels near 1; it changes no digit."""
+    """The power of two that brings the typical standard deviation of the channels near 1; it
+    changes no digit.
+    """
     exponent = np.frexp(np.median(history.data.std(axis=1, dtype=np.float64)))[1]
     return float(np.ldexp(1.0, -int(exponent)))
 

@@ -1,9 +1,10 @@
-"""Sines of constant frequency: seen in the periodogram of the whole record, and taken out without touching a mode.
+"""Sines of constant frequency: seen in the periodogram of the whole record, and taken out without
+touching a mode.
 
-A mode in random vibration spreads over ζ f T lines of a periodogram of the length T, a sine over the one of its
-window. So a sine stands out even on the peak of a mode where both run for long; fitted by least squares with a slow
-change of amplitude and phase, it takes with it a few lines of the mode only. What is left of a machine whose amplitude
-or speed wanders is the foot of its line.
+A mode in random vibration spreads over ζ f T lines of a periodogram of the length T, a sine over
+the one of its window. So a sine stands out even on the peak of a mode where both run for long;
+fitted by least squares with a slow change of amplitude and phase, it takes with it a few lines of
+the mode only. What is left of a machine whose amplitude or speed wanders is the foot of its line.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ from ringtrue.signal.listened import LONGEST, listened
 from ringtrue.signal.preprocess import Harmonic, line_name
 from ringtrue.signal.windows import window
 
-CYCLES = 3600.0  # in which the least damped structure (0.05 %) spreads over four lines of the periodogram
+# in which the least damped structure (0.05 %) spreads over four lines of the periodogram
+CYCLES = 3600.0
 ABOVE = 50.0  # times the median around; noise reaches it once in 2^50
 EMPTY = 1e-7  # of the record: no recorder has 140 dB
 ROUNDING = 1e-12  # of the strongest line: below is the rounding of single precision
@@ -38,8 +40,11 @@ MOST = 256  # lines of machines, the strongest: a shop's mains hum and shafts ha
 TOGETHER = 32  # lines that are fitted at a time: a fit of all would cost the square of their number
 
 
-def steady_lines(history: TimeHistory, *, low: float = 0.0, high: float = np.inf) -> tuple[Harmonic, ...]:
-    """Sines of constant frequency between `low` and `high` Hz, the strongest where there are more than `MOST`.
+def steady_lines(
+    history: TimeHistory, *, low: float = 0.0, high: float = np.inf
+) -> tuple[Harmonic, ...]:
+    """Sines of constant frequency between `low` and `high` Hz, the strongest where there are more
+    than `MOST`.
 
     Parameters
     ----------
@@ -68,9 +73,11 @@ def steady_lines(history: TimeHistory, *, low: float = 0.0, high: float = np.inf
 
 
 def with_feet(history: TimeHistory, frequencies: Sequence[float]) -> tuple[float, ...]:
-    """Those of the `frequencies` (Hz) of lines that were taken out where something is left beside them, on both sides.
+    """Those of the `frequencies` (Hz) of lines that were taken out where something is left beside
+    them, on both sides.
 
-    It may be a mode of little damping, but more likely is a machine whose amplitude or speed wanders.
+    It may be a mode of little damping, but more likely is a machine whose amplitude or speed
+    wanders.
     """
     if not len(frequencies):
         return ()
@@ -80,7 +87,9 @@ def with_feet(history: TimeHistory, frequencies: Sequence[float]) -> tuple[float
         k = round(f / step)
         if not FOOT_OUT < k < power.size - FOOT_OUT:
             continue
-        near = np.median(np.concatenate([power[k - FOOT_IN : k - LOBE], power[k + LOBE : k + FOOT_IN]]))
+        near = np.median(
+            np.concatenate([power[k - FOOT_IN : k - LOBE], power[k + LOBE : k + FOOT_IN]])
+        )
         sides = (power[k - FOOT_OUT : k - FOOT_OUT // 2], power[k + FOOT_OUT // 2 : k + FOOT_OUT])
         if near > FOOT * max(np.median(x) for x in sides):
             out.append(float(f))
@@ -90,11 +99,15 @@ def with_feet(history: TimeHistory, frequencies: Sequence[float]) -> tuple[float
 def _periodogram(history: TimeHistory) -> tuple[Float, float]:
     """(freq,) of some channels, of unit variance each, and the distance of its lines, Hz."""
     x = listened(history)
-    scale = np.maximum(x[:, :: max(1, x.shape[1] // 20000)].std(axis=1, dtype=np.float64, keepdims=True), 1e-300)
+    scale = np.maximum(
+        x[:, :: max(1, x.shape[1] // 20000)].std(axis=1, dtype=np.float64, keepdims=True), 1e-300
+    )
     x *= (1 / scale).astype(np.float32)
     x *= _taper(x.shape[1])
     n = int(next_fast_len(x.shape[1], real=True))
-    y = rfft(x, n, axis=1).view(np.float32)  # single precision is 120 dB below the record, and halves the time
+    y = rfft(x, n, axis=1).view(
+        np.float32
+    )  # single precision is 120 dB below the record, and halves the time
     y *= y
     return np.asarray((y[:, ::2] + y[:, 1::2]).sum(axis=0, dtype=np.float64)), history.rate / n
 
@@ -120,12 +133,19 @@ def without_lines(history: TimeHistory, frequencies: Sequence[float]) -> TimeHis
         return history
     data = np.array(history.data)
     parts = [frequencies[k : k + TOGETHER] for k in range(0, len(frequencies), TOGETHER)]
-    sweeps = 1 if len(parts) == 1 else 2  # the second mends what neighbours in two parts took of each other
+    sweeps = (
+        1 if len(parts) == 1 else 2
+    )  # the second mends what neighbours in two parts took of each other
     for part in parts * sweeps:
         _take_out(data, history.rate, part)
-    if (data.std(axis=1, dtype=np.float64) <= EMPTY * history.data.std(axis=1, dtype=np.float64)).all():
+    if (
+        data.std(axis=1, dtype=np.float64) <= EMPTY * history.data.std(axis=1, dtype=np.float64)
+    ).all():
         told = " ".join(f"{f:.5g}" for f in frequencies[:8])
-        raise DataError(f"{history.source}: nothing but steady lines at {told} Hz: a machine or a generator, no mode")
+        raise DataError(
+            f"{history.source}: nothing but steady lines at {told} Hz: a machine or a generator, "
+            "no mode"
+        )
     return replace(history, data=data)
 
 
@@ -142,11 +162,15 @@ def _take_out(data: Any_, rate: float, frequencies: Sequence[float]) -> None:
         right += weighted.T @ data[:, start : start + BLOCK].T.astype(np.float64)
     x = np.linalg.lstsq(gram, right)[0]
     for start in range(0, samples, BLOCK):
-        data[:, start : start + BLOCK] -= (_basis(rate, samples, frequencies, start) @ x).T.astype(data.dtype)
+        data[:, start : start + BLOCK] -= (_basis(rate, samples, frequencies, start) @ x).T.astype(
+            data.dtype
+        )
 
 
 def _basis(rate: float, samples: int, frequencies: Sequence[float], start: int) -> Float:
-    """(sample, column) sines and cosines times Legendre polynomials over the record, from a sample on."""
+    """(sample, column) sines and cosines times Legendre polynomials over the record, from a sample
+    on.
+    """
     t = np.arange(start, min(start + BLOCK, samples))
     slow = legvander(2 * t / samples - 1, SLOW - 1)
     turn = 2 * np.pi * t[:, None] * (np.asarray(frequencies) / rate)

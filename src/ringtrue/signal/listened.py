@@ -13,7 +13,9 @@ EYES, LONGEST = 4, 1 << 21  # channels (four transforms go in step) and samples
 
 
 def listened(history: TimeHistory) -> Any_:
-    """(ch, sample) float32, less about their means: at most `EYES` channels and `LONGEST` samples."""
+    """(ch, sample) float32, less about their means: at most `EYES` channels and `LONGEST`
+    samples.
+    """
     at = np.unique(np.linspace(0, len(history.channels) - 1, EYES).astype(np.int64))
     return Signals.of(history.data).part(0, min(history.data.shape[1], LONGEST), at)
 

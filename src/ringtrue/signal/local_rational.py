@@ -1,10 +1,12 @@
-"""FRFs from continuous forces without leakage: a local rational model around each line of the whole record.
+"""FRFs from continuous forces without leakage: a local rational model around each line of the whole
+record.
 
-The transform of a record that neither begins nor ends at rest is Y = H U + T: the transient T, which windows only
-spread, is as smooth over the lines as H is. Around a line the two are ratios of polynomials over one denominator, that
-of all responses and forces, whose poles are the same: D Y = B U + I, linear but for the weight 1/|D| of its error.
-Sources: McKelvey, Guérin (2012), Non-parametric frequency response estimation using a local rational model; Pintelon,
-Schoukens (2012), System Identification, chapter 7; Sanathanan, Koerner (1963) for the weight.
+The transform of a record that neither begins nor ends at rest is Y = H U + T: the transient T,
+which windows only spread, is as smooth over the lines as H is. Around a line the two are ratios of
+polynomials over one denominator, that of all responses and forces, whose poles are the same: D Y =
+B U + I, linear but for the weight 1/|D| of its error. Sources: McKelvey, Guérin (2012),
+Non-parametric frequency response estimation using a local rational model; Pintelon, Schoukens
+(2012), System Identification, chapter 7; Sanathanan, Koerner (1963) for the weight.
 """
 
 from __future__ import annotations
@@ -23,67 +25,93 @@ from ringtrue.signal.spectra import as_input, sorted_channels
 
 DEGREE = 2  # of every polynomial: two poles, and what other modes add
 TURNS = 3  # of the weight
-SPARE = 4.0  # lines of the record to an unknown of a window, at least: sweeps hardly tell T from H U at their ends
+# lines of the record to an unknown of a window, at least: sweeps hardly tell T from H U at their
+# ends
+SPARE = 4.0
 OVERLAP = 4  # windows that share a line of the record
 FILLED = 0.4  # of the lines carry a random force; fewer do of a periodic one
-SEEN = 4.0  # times its variance is the square of an FRF, mean over the responses, of a line that tells something
+# times its variance is the square of an FRF, mean over the responses, of a line that tells
+# something
+SEEN = 4.0
 CLOSE = 1e-3  # of its value at the middle, that the denominator is taken for at least
 BATCH = 2_000_000  # values in memory
 MOST_LINES, BAND = 8192, 0.999  # lines in the band that holds this share of the force
-LOUD, LONG = 0.1, 0.2  # of its largest value, that a force which runs all the time exceeds in this share of the samples
+LOUD, LONG = (
+    0.1,
+    0.2,
+)  # of its largest value, that a force which runs all the time exceeds in this share of the samples
 
 
 def runs_on(history: TimeHistory) -> bool:
-    """Whether every force of a record runs all the time, as that of a shaker does, and not in blows."""
-    forces = [x for c, x in zip(history.channels, history.data, strict=True) if c.quantity in FORCES]
+    """Whether every force of a record runs all the time, as that of a shaker does, and not in
+    blows.
+    """
+    forces = [
+        x for c, x in zip(history.channels, history.data, strict=True) if c.quantity in FORCES
+    ]
     size = [np.abs(x - np.median(x)) for x in forces]
     return bool(size) and all(float(np.mean(x > LOUD * x.max())) > LONG for x in size)
 
 
 def spacing(history: TimeHistory) -> float:
-    """Distance of lines, Hz, that the record allows: a quarter of a window of as few of its lines as there may be.
+    """Distance of lines, Hz, that the record allows: a quarter of a window of as few of its lines
+    as there may be.
 
     There are not more than some thousand in the band that the forces fill.
     """
     ordered, q = sorted_channels(history)
     lines = spectra(ordered.data[:q])
-    power = (np.abs(lines) ** 2 / np.maximum((np.abs(lines) ** 2).sum(axis=0), 1e-300)).sum(axis=1).cumsum()
+    power = (
+        (np.abs(lines) ** 2 / np.maximum((np.abs(lines) ** 2).sum(axis=0), 1e-300))
+        .sum(axis=1)
+        .cumsum()
+    )
     top = float(np.searchsorted(power, BAND * power[-1]))
-    return float(max(_width(lines, _unknowns(q)) / OVERLAP, top / MOST_LINES) * ordered.rate / ordered.data.shape[1])
+    return float(
+        max(_width(lines, _unknowns(q)) / OVERLAP, top / MOST_LINES)
+        * ordered.rate
+        / ordered.data.shape[1]
+    )
 
 
 def local_frfs(
     histories: Sequence[TimeHistory], resolution: float, *, inputs: Sequence[str] = ()
 ) -> tuple[FrfSet, ...]:
-    """FRFs of all responses against all forces of each record, on the lines where every force moves something.
+    """FRFs of all responses against all forces of each record, on the lines where every force moves
+    something.
 
     Parameters
     ----------
     histories : sequence of TimeHistory
     resolution : float, Hz
-        Distance of the frequency lines; each rests on the lines of the record twice as far to both sides, further where
-        these are few or carry no force.
+        Distance of the frequency lines; each rests on the lines of the record twice as far to both
+        sides, further where these are few or carry no force.
     inputs : sequence of str, optional
         Ids of the force channels; by default all channels whose quantity is force.
 
     Returns
     -------
     tuple of FrfSet
-        One a record. The coherence is that of each input with the others taken out, `frf.frf_variance` holds with it;
-        `averages` are degrees of freedom of a window.
+        One a record. The coherence is that of each input with the others taken out,
+        `frf.frf_variance` holds with it; `averages` are degrees of freedom of a window.
 
     Raises
     ------
     DataError
-        As `spectra.shaker_frfs` does; if a record is short, or there is no line where every force moves something.
+        As `spectra.shaker_frfs` does; if a record is short, or there is no line where every force
+        moves something.
     """
     found = [_frfs(h, resolution, inputs) for h in histories]
     least = min(f.freqs.size for f, _ in found)
     seen = np.all([s[:least] for _, s in found], axis=0)
     if np.count_nonzero(seen) < 3:
-        raise DataError(f"{histories[0].source}: there are no lines where every force moves something")
+        raise DataError(
+            f"{histories[0].source}: there are no lines where every force moves something"
+        )
     at = np.flatnonzero(seen)
-    return tuple(replace(f, data=f.data[at], freqs=f.freqs[at], coherence=f.coherence[at]) for f, _ in found)
+    return tuple(
+        replace(f, data=f.data[at], freqs=f.freqs[at], coherence=f.coherence[at]) for f, _ in found
+    )
 
 
 def _frfs(history: TimeHistory, resolution: float, inputs: Sequence[str]) -> tuple[FrfSet, Bool]:
@@ -100,17 +128,23 @@ def _frfs(history: TimeHistory, resolution: float, inputs: Sequence[str]) -> tup
     h, variance = _all_fits(lines, q, middle, first, width)
     freedom, power = width - unknowns + DEGREE - DEGREE / n_out, np.abs(h) ** 2
     coherence = power / np.maximum(power + 2 * freedom * variance, np.finfo(np.float64).tiny)
-    seen = (power / np.maximum(2 * variance, np.finfo(np.float64).tiny)).mean(axis=1).min(axis=1) > SEEN
+    seen = (power / np.maximum(2 * variance, np.finfo(np.float64).tiny)).mean(axis=1).min(
+        axis=1
+    ) > SEEN
     kind = MOTIONS[ordered.channels[q].quantity]
     forces = tuple(as_input(c) for c in ordered.channels[:q])
     responses, averages = ordered.channels[q:], np.full(q, freedom)
-    return FrfSet(h, freqs, responses, forces, coherence, averages, kind, 0.0, history.source, sharp=True), seen
+    return FrfSet(
+        h, freqs, responses, forces, coherence, averages, kind, 0.0, history.source, sharp=True
+    ), seen
 
 
 def spectra(data: Any_) -> Complex:
     """(freq, channel) transform of a record (channel, sample) without its means."""
     x = np.asarray(data, dtype=np.float64)
-    return np.asarray(rfft(x - x.mean(axis=1, keepdims=True), axis=1).T / np.sqrt(x.shape[1]), dtype=np.complex128)
+    return np.asarray(
+        rfft(x - x.mean(axis=1, keepdims=True), axis=1).T / np.sqrt(x.shape[1]), dtype=np.complex128
+    )
 
 
 def _unknowns(inputs: int) -> int:
@@ -119,13 +153,19 @@ def _unknowns(inputs: int) -> int:
 
 
 def _width(forces: Complex, unknowns: float) -> int:
-    """Lines of a window for so many unknowns: more where the forces (freq, in) carry few of them."""
+    """Lines of a window for so many unknowns: more where the forces (freq, in) carry few of
+    them.
+    """
     least = round(SPARE * unknowns)
     return round(least * max(1.0, FILLED / _filled(forces[1:], least)))
 
 
-def _all_fits(lines: Complex, q: int, middle: Float, first: Int, width: int) -> tuple[Complex, Float]:
-    """FRFs (window, out, in) and the variance of their parts at `middle` (in lines), a batch of windows at a time."""
+def _all_fits(
+    lines: Complex, q: int, middle: Float, first: Int, width: int
+) -> tuple[Complex, Float]:
+    """FRFs (window, out, in) and the variance of their parts at `middle` (in lines), a batch of
+    windows at a time.
+    """
     n_out = lines.shape[1] - q
     h, variance = (np.empty((middle.size, n_out, q), dtype=t) for t in (np.complex128, np.float64))
     size = max(1, BATCH // (width * n_out * (DEGREE + 1)))
@@ -137,7 +177,9 @@ def _all_fits(lines: Complex, q: int, middle: Float, first: Int, width: int) -> 
 
 
 def _filled(lines: Complex, width: int) -> float:
-    """Share of the lines (freq, in) that carry the force, (Σp)²/(nΣp²) where there is most of it."""
+    """Share of the lines (freq, in) that carry the force, (Σp)²/(nΣp²) where there is most of
+    it.
+    """
     count = max(lines.shape[0] // width, 1)
     p = np.abs(lines[: count * width].reshape(count, -1, lines.shape[1])) ** 2
     total, square = p.sum(axis=1), np.maximum((p**2).sum(axis=1), np.finfo(np.float64).tiny)
@@ -146,7 +188,9 @@ def _filled(lines: Complex, width: int) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Reduced:
-    """Triangle (window, p, p) of the regressors, their products (window, p, y) with the data, and what they leave."""
+    """Triangle (window, p, p) of the regressors, their products (window, p, y) with the data, and
+    what they leave.
+    """
 
     triangle: Complex
     product: Complex
@@ -154,7 +198,9 @@ class _Reduced:
 
 
 def _fit(u: Complex, y: Complex, r: Float) -> tuple[Complex, Float]:
-    """FRFs and variance of their parts, (window, out, in), at r = 0, from lines (window, row, in or out) at r."""
+    """FRFs and variance of their parts, (window, out, in), at r = 0, from lines (window, row, in or
+    out) at r.
+    """
     q = u.shape[2]
     powers = r[..., None] ** np.arange(DEGREE + 1)
     forced = (powers[..., :, None] * u[..., None, :]).reshape(*r.shape, -1)
@@ -163,7 +209,9 @@ def _fit(u: Complex, y: Complex, r: Float) -> tuple[Complex, Float]:
     return h, part[:, :, None] * gain[:, None]
 
 
-def solved(regressors: Complex, y: Complex, powers: Complex | Float, rows: int) -> tuple[Complex, Float, Float]:
+def solved(
+    regressors: Complex, y: Complex, powers: Complex | Float, rows: int
+) -> tuple[Complex, Float, Float]:
     """Least squares of D Y = B X + I in windows of lines.
 
     Parameters
@@ -195,9 +243,15 @@ def solved(regressors: Complex, y: Complex, powers: Complex | Float, rows: int) 
     noise = _error(rest, coefficients)
     product = reduced.product.reshape(shape[0], -1, n_out, DEGREE + 1)
     right = np.einsum("wpod,wd->wpo", product, coefficients)
-    inverse = np.linalg.inv(reduced.triangle)[:, :rows]  # of small triangles; its rows are the covariance, too
+    inverse = np.linalg.inv(reduced.triangle)[
+        :, :rows
+    ]  # of small triangles; its rows are the covariance, too
     free = shape[1] - regressors.shape[2] - DEGREE / n_out
-    return (inverse @ right).transpose(0, 2, 1), 0.5 * noise / free, (np.abs(inverse) ** 2).sum(axis=2)
+    return (
+        (inverse @ right).transpose(0, 2, 1),
+        0.5 * noise / free,
+        (np.abs(inverse) ** 2).sum(axis=2),
+    )
 
 
 def _error(rest: Complex, coefficients: Complex) -> Float:
@@ -215,11 +269,15 @@ def _reduced(regressors: Complex, data: Complex) -> _Reduced:
 
 
 def _denominator(rest: Complex, noise: Float) -> Complex:
-    """(window, DEGREE + 1) coefficients of D, 1 first, of least error in `rest` (window, row, out, DEGREE + 1)."""
+    """(window, DEGREE + 1) coefficients of D, 1 first, of least error in `rest` (window, row, out,
+    DEGREE + 1).
+    """
     weighted = (rest / np.sqrt(noise)[:, None, :, None]).reshape(rest.shape[0], -1, rest.shape[3])
     gram = weighted.conj().transpose(0, 2, 1) @ weighted
     scale = 1 / np.sqrt(np.maximum(np.einsum("wii->wi", gram).real, np.finfo(np.float64).tiny))
     gram = scale[:, :, None] * gram * scale[:, None]
     inner = gram[:, 1:, 1:] + 1e-12 * np.eye(DEGREE)
     solved = -np.linalg.solve(inner, gram[:, 1:, :1])[..., 0]
-    return np.concatenate([np.ones((rest.shape[0], 1)), solved * scale[:, 1:] / scale[:, :1]], axis=1)
+    return np.concatenate(
+        [np.ones((rest.shape[0], 1)), solved * scale[:, 1:] / scale[:, :1]], axis=1
+    )

@@ -1,8 +1,8 @@
 """Lines of one machine: their phases go together, however its speed wanders; those of modes do not.
 
-If two motions come from one shaft, at p and q times its speed, q φ_p − p φ_q stays the same along the record: the mean
-of its unit phasor is near 1. Of a random motion it is of the order of one over the root of the number of independent
-samples in the band.
+If two motions come from one shaft, at p and q times its speed, q φ_p − p φ_q stays the same along
+the record: the mean of its unit phasor is near 1. Of a random motion it is of the order of one over
+the root of the number of independent samples in the band.
 """
 
 from __future__ import annotations
@@ -17,13 +17,19 @@ from ringtrue.core.signals import TimeHistory
 from ringtrue.signal.listened import listened_spectrum
 
 NEAR = 0.03  # relative distance from a ratio of whole numbers
-WIDEST, LINES = 0.06, 30.0  # half a band over its frequency at most, and in lines of the record at least
+WIDEST, LINES = (
+    0.06,
+    30.0,
+)  # half a band over its frequency at most, and in lines of the record at least
 ORDERS = (1, 2, 3, 4, 6, 8, 9, 12)  # of one line over that of another
 LEAST, SURE = 0.35, 15.0  # mean phasor, and its square times the independent samples
 
 
-def locked(history: TimeHistory, frequencies: Float, damping: Float, machines: Sequence[bool]) -> tuple[str, ...]:
-    """Why a pole belongs to a machine that is known: their phases go together; empty where they do not.
+def locked(
+    history: TimeHistory, frequencies: Float, damping: Float, machines: Sequence[bool]
+) -> tuple[str, ...]:
+    """Why a pole belongs to a machine that is known: their phases go together; empty where they do
+    not.
 
     Parameters
     ----------
@@ -35,7 +41,12 @@ def locked(history: TimeHistory, frequencies: Float, damping: Float, machines: S
         Which are known to be lines of machines.
     """
     f, known, out = frequencies, np.array(machines, dtype=bool), [""] * frequencies.size
-    pairs = [(k, j, *r) for k in np.flatnonzero(~known) for j in np.flatnonzero(known) if (r := _ratio(f[k] / f[j]))]
+    pairs = [
+        (k, j, *r)
+        for k in np.flatnonzero(~known)
+        for j in np.flatnonzero(known)
+        if (r := _ratio(f[k] / f[j]))
+    ]
     if not pairs:
         return tuple(out)
     spectrum, n = listened_spectrum(history)
@@ -56,14 +67,20 @@ def locked(history: TimeHistory, frequencies: Float, damping: Float, machines: S
 
 
 def _ratio(x: float) -> tuple[int, int] | None:
-    """Whole numbers p, q with x = p/q but for a few per cent; None where there are none, or x is 1."""
-    pairs: Sequence[tuple[int, int]] = [(p, 1) for p in ORDERS[1:]] + [(1, q) for q in ORDERS[1:]] + [(3, 2), (2, 3)]
+    """Whole numbers p, q with x = p/q but for a few per cent; None where there are none, or x is
+    1.
+    """
+    pairs: Sequence[tuple[int, int]] = (
+        [(p, 1) for p in ORDERS[1:]] + [(1, q) for q in ORDERS[1:]] + [(3, 2), (2, 3)]
+    )
     p, q = min(pairs, key=lambda r: abs(x * r[1] / r[0] - 1))
     return (p, q) if abs(x * q / p - 1) < NEAR else None
 
 
 def _instants(spectrum: Any_, step: float, frequency: float, half: float, count: int) -> Complex:
-    """(count,) the one-sided band of a relative half width at instants of the record, of the channel loudest there."""
+    """(count,) the one-sided band of a relative half width at instants of the record, of the
+    channel loudest there.
+    """
     first, last = int(frequency * (1 - half) / step), int(np.ceil(frequency * (1 + half) / step))
     own = spectrum[:, first : last + 1]
     loud = own[int((np.abs(own) ** 2).sum(axis=1).argmax())]

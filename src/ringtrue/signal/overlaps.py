@@ -14,7 +14,11 @@ _LEAST = 64  # samples that are the same in all channels: fewer may be chance
 def overlap(before: TimeHistory, later: TimeHistory) -> int:
     """How many of the first samples of `later` are the last ones of `before`, or lie within it."""
     a, b = before.data, later.data
-    if a.shape[0] != b.shape[0] or min(a.shape[1], b.shape[1]) < _LEAST or not np.ptp(b[:, :_LEAST], axis=1).any():
+    if (
+        a.shape[0] != b.shape[0]
+        or min(a.shape[1], b.shape[1]) < _LEAST
+        or not np.ptp(b[:, :_LEAST], axis=1).any()
+    ):
         return 0
     begin = np.flatnonzero(a[0, : a.shape[1] - _LEAST + 1] == b[0, 0])
     for k in range(_LEAST):  # of coarse samples many begin alike
@@ -27,7 +31,9 @@ def overlap(before: TimeHistory, later: TimeHistory) -> int:
 
 
 def without_overlap(before: TimeHistory | None, later: TimeHistory) -> tuple[TimeHistory, str]:
-    """A record without the samples that the one before it ends with, and what is to be said of that."""
+    """A record without the samples that the one before it ends with, and what is to be said of
+    that.
+    """
     n = overlap(before, later) if before is not None else 0
     if not n or before is None:
         return later, ""

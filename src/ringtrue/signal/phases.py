@@ -1,8 +1,8 @@
 """Channels of recorders that did not start together: delays from the phases of cross spectra.
 
-Modes of little damping under forces that have nothing to do with each other have cross spectra that are real at all
-frequencies: their phase is 0 or half a turn. A delay τ between two channels turns it by 2π f τ. The square of the phase
-factor does not see the half turn, so
+Modes of little damping under forces that have nothing to do with each other have cross spectra that
+are real at all frequencies: their phase is 0 or half a turn. A delay τ between two channels turns
+it by 2π f τ. The square of the phase factor does not see the half turn, so
 
     J(τ) = Σ w(f) Re[(S/|S|)² e^{4πi f τ}] / Σ w(f),  w = γ⁴,
 
@@ -23,7 +23,10 @@ from ringtrue.signal.align import at_positions
 from ringtrue.signal.drifts import gained, in_one_motion, shared, summed_power, turned_back
 from ringtrue.signal.windows import window
 
-SEGMENTS, ROOTS = 64, 8  # of the record that are looked at, and channels that the others are held against
+SEGMENTS, ROOTS = (
+    64,
+    8,
+)  # of the record that are looked at, and channels that the others are held against
 SHORTEST, LONGEST = 1024, 4096  # samples of each
 FINE = 8  # values of J between those of the transform
 COHERENT = 0.25  # squared coherence of a line that says something
@@ -32,7 +35,10 @@ SURE = 0.93  # J at a delay
 AGREED = 0.8  # median J of channels among which one may be odd
 EXPLAINED = 0.25  # of what is missing to 1 without a delay may be missing with it
 APART = 0.15  # that no other delay comes near
-LEAST, FARTHEST = 0.25, 0.25  # samples (delays of sound channels scatter by a tenth), and of a segment
+LEAST, FARTHEST = (
+    0.25,
+    0.25,
+)  # samples (delays of sound channels scatter by a tenth), and of a segment
 TAPS, BETA = 24, 9.0  # to each side of the interpolation, and of its Kaiser window
 SAMPLED = 65_536  # samples that tell the size of a channel
 NEAR = 0.3  # samples: gains of channels of one recorder
@@ -51,7 +57,8 @@ class Phases:
     delay : (ch,) float64, s
         After most of the channels, in the middle of the record; 0 where none is told.
     drift : (ch,) float64
-        What the delay gains, s/s: the clock of a recorder that runs fast against that of most channels.
+        What the delay gains, s/s: the clock of a recorder that runs fast against that of most
+        channels.
     odd : (ch,) bool
         Of a phase that no delay explains, among channels that agree.
     """
@@ -64,14 +71,17 @@ class Phases:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Company:
-    """Channels (ch,) in phase among themselves, but not with the rest; and those in phase with one that is not odd."""
+    """Channels (ch,) in phase among themselves, but not with the rest; and those in phase with one
+    that is not odd.
+    """
 
     apart: Bool
     held: Bool
 
 
 def channel_phases(history: TimeHistory, derivatives: Sequence[int]) -> Phases:
-    """Delays and drifts of channels against most of the others, and channels out of phase with the rest.
+    """Delays and drifts of channels against most of the others, and channels out of phase with the
+    rest.
 
     Parameters
     ----------
@@ -84,7 +94,10 @@ def channel_phases(history: TimeHistory, derivatives: Sequence[int]) -> Phases:
     length = int(2 ** np.floor(np.log2(np.clip(2 * samples // SEGMENTS, SHORTEST, LONGEST))))
     if m < 2 or samples < 16 * length:
         return nothing
-    order, starts = np.asarray(derivatives), np.linspace(0, samples - length, SEGMENTS).astype(np.int64)
+    order, starts = (
+        np.asarray(derivatives),
+        np.linspace(0, samples - length, SEGMENTS).astype(np.int64),
+    )
     lines = _lines(history.data, length, starts)
     root, turned, coherence, company = _against_one(lines, order)
     gain = gained(lines, root, order, starts)
@@ -113,22 +126,27 @@ def channel_phases(history: TimeHistory, derivatives: Sequence[int]) -> Phases:
 
 
 def _lines(data: Any_, length: int, starts: Int) -> Any_:
-    """(freq, segment, ch) transforms of segments of the record, by a Hann window, each channel over its size.
+    """(freq, segment, ch) transforms of segments of the record, by a Hann window, each channel over
+    its size.
 
-    What comes of them takes fourth powers in single precision: counts of a converter would overflow, nm vanish.
+    What comes of them takes fourth powers in single precision: counts of a converter would
+    overflow, nm vanish.
     """
     win, size = window("hann", length), data[:, :: max(data.shape[1] // SAMPLED, 1)].std(axis=1)
     gain = (win / np.where(size > 0, size, 1.0)[:, None]).astype(np.float32)
     out = np.empty((length // 2 + 1, starts.size, len(data)), dtype=np.complex64)
     for k, start in enumerate(starts.tolist()):  # a segment of all channels is in the cache
         part = data[:, start : start + length]
-        out[:, k] = rfft((part - part.mean(axis=1, keepdims=True)).astype(np.float32) * gain, axis=1).T
+        out[:, k] = rfft(
+            (part - part.mean(axis=1, keepdims=True)).astype(np.float32) * gain, axis=1
+        ).T
     return out
 
 
 def _against_one(lines: Any_, order: Int) -> tuple[int, Complex, Float, _Company]:
-    """The channel, of eight, that most others are coherent and in phase with; squared phase factors of all against it,
-    as of one motion, and squared coherences less the bias of few segments, both (ch, freq); who else is in phase.
+    """The channel, of eight, that most others are coherent and in phase with; squared phase factors
+    of all against it, as of one motion, and squared coherences less the bias of few segments, both
+    (ch, freq); who else is in phase.
     """
     tried = np.unique(np.linspace(0, lines.shape[2] - 1, ROOTS).astype(np.int64))
     cross = lines.transpose(0, 2, 1) @ lines[:, :, tried].conj()
@@ -137,13 +155,19 @@ def _against_one(lines: Any_, order: Int) -> tuple[int, Complex, Float, _Company
     turned, coherence = in_one_motion(cross, powers, lines.shape[1], apart)
     k = int((coherence * turned.real).sum(axis=(0, 1)).argmax())
     company = _company(turned.real, coherence, tried, k)
-    return int(tried[k]), turned[:, :, k].T, np.asarray(coherence[:, :, k].T, dtype=np.float64), company
+    return (
+        int(tried[k]),
+        turned[:, :, k].T,
+        np.asarray(coherence[:, :, k].T, dtype=np.float64),
+        company,
+    )
 
 
 def _company(agreed: Any_, coherence: Any_, tried: Int, root: int) -> _Company:
     """From the squared phase factors (freq, ch, tried) of all channels against those `tried`.
 
-    A force that the modes share (waves, a machine) spreads the phases of all channels; a filter turns some.
+    A force that the modes share (waves, a machine) spreads the phases of all channels; a filter
+    turns some.
     """
     weight = np.where(coherence > COHERENT, coherence**2, 0.0)
     total = weight.sum(axis=0)
@@ -161,7 +185,9 @@ def _company(agreed: Any_, coherence: Any_, tried: Int, root: int) -> _Company:
 
 
 def _delays(z: Complex, length: int) -> tuple[Float, Float, Float]:
-    """Delay in samples, J there and the largest J beyond its lobe, each (ch,), of weighted phases z (ch, freq)."""
+    """Delay in samples, J there and the largest J beyond its lobe, each (ch,), of weighted phases z
+    (ch, freq).
+    """
     n = FINE * length
     j = irfft(z, n, axis=1) * n / 2
     lag = np.where(np.arange(n) < n // 2, np.arange(n), np.arange(n) - n) * length / (2.0 * n)
@@ -169,7 +195,9 @@ def _delays(z: Complex, length: int) -> tuple[Float, Float, Float]:
     top = j.argmax(axis=1)
     rows = np.arange(len(j))
     left, mid, right = (j[rows, (top + k) % n] for k in (-1, 0, 1))
-    at = lag[top] + 0.5 * (left - right) / np.minimum(left - 2 * mid + right, -1e-12) * length / (2.0 * n)
+    at = lag[top] + 0.5 * (left - right) / np.minimum(left - 2 * mid + right, -1e-12) * length / (
+        2.0 * n
+    )
     second = np.array([_beyond(x, int(k)) for x, k in zip(j, top, strict=True)])
     return at, mid, second
 
@@ -179,7 +207,10 @@ def _beyond(j: Float, top: int) -> float:
     x = np.roll(j, -top)
     fall = np.flatnonzero(np.diff(x) > 0)
     rise = np.flatnonzero(np.diff(x[::-1]) > 0)
-    first, last = int(fall[0]) if fall.size else 0, x.size - 1 - (int(rise[1]) if rise.size > 1 else 0)
+    first, last = (
+        int(fall[0]) if fall.size else 0,
+        x.size - 1 - (int(rise[1]) if rise.size > 1 else 0),
+    )
     return float(x[first : last + 1].max())
 
 
@@ -190,7 +221,8 @@ def _usual(delay: Float, near: float) -> float:
 
 
 def in_step(history: TimeHistory, delay: Float, drift: Float | None = None) -> TimeHistory:
-    """The record with its channels moved back by `delay` (ch,) s, without the ends that not all of them have.
+    """The record with its channels moved back by `delay` (ch,) s, without the ends that not all of
+    them have.
 
     With `drift` (ch,), by as much more or less as it adds from the middle of the record.
     """
@@ -199,15 +231,23 @@ def in_step(history: TimeHistory, delay: Float, drift: Float | None = None) -> T
     middle = np.arange(data.shape[1]) - 0.5 * (data.shape[1] - 1)
     for i in np.flatnonzero((delay != 0) | (drift != 0)):
         if drift[i]:
-            data[i] = at_positions(data[i : i + 1], np.arange(middle.size) + lag[i] + drift[i] * middle)[0]
+            data[i] = at_positions(
+                data[i : i + 1], np.arange(middle.size) + lag[i] + drift[i] * middle
+            )[0]
             continue
         whole = int(np.floor(lag[i]))
-        data[i] = np.convolve(np.roll(history.data[i], -whole), delayed_by(lag[i] - whole), mode="same")
+        data[i] = np.convolve(
+            np.roll(history.data[i], -whole), delayed_by(lag[i] - whole), mode="same"
+        )
     most = int(np.ceil((np.abs(lag) + np.abs(drift) * middle[-1]).max())) + TAPS
     return replace(history, data=data[:, most:-most])
 
 
 def delayed_by(part: float) -> Float:
-    """(2 TAPS + 1,) filter that moves a signal back by `part` of a sample, 0 to 1: a windowed sinc."""
+    """(2 TAPS + 1,) filter that moves a signal back by `part` of a sample, 0 to 1: a windowed
+    sinc.
+    """
     x = np.arange(-TAPS, TAPS + 1) + part
-    return np.asarray(np.sinc(x) * np.i0(BETA * np.sqrt(np.clip(1 - (x / (TAPS + 1)) ** 2, 0, 1))) / np.i0(BETA))
+    return np.asarray(
+        np.sinc(x) * np.i0(BETA * np.sqrt(np.clip(1 - (x / (TAPS + 1)) ** 2, 0, 1))) / np.i0(BETA)
+    )

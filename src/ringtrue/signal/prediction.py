@@ -13,7 +13,9 @@ ORDER = 60  # of the prediction
 
 
 def unforeseen(x: Any_) -> Any_:
-    """Error (sample,) of the linear prediction of a signal (sample,) from what went before (Yule and Walker)."""
+    """Error (sample,) of the linear prediction of a signal (sample,) from what went before (Yule
+    and Walker).
+    """
     from scipy.signal import oaconvolve  # slow to import, and few commands need it
 
     frames = x[: x.size // FRAME * FRAME].reshape(-1, FRAME)

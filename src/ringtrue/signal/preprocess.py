@@ -1,4 +1,6 @@
-"""Preparing a record: trend, bands (zero-phase, decimated), the state of the channels, harmonics of machines."""
+"""Preparing a record: trend, bands (zero-phase, decimated), the state of the channels, harmonics of
+machines.
+"""
 
 from __future__ import annotations
 
@@ -20,13 +22,27 @@ _LARGEST, _SMALLEST = 1e70, 1e-70  # fourth powers stay finite, and above nothin
 _LINES = 32  # channels that show the lines of machines, at most
 _BATCH = 8  # segments that are transformed together
 _CLEAR = 30.0, 10.0, 1.35  # times the power beside a steady line and around it, and its moment
-_DOUBT, _EVERY, _MANY = (15.0, 5.0, 1.6), 4, 100  # what each fourth segment of many shows of one at least
+_DOUBT, _EVERY, _MANY = (
+    (15.0, 5.0, 1.6),
+    4,
+    100,
+)  # what each fourth segment of many shows of one at least
 _FEW = 2000  # samples that most channels show themselves in
 _STILL = 5000  # samples to a change of the value: of slower ones nothing is to be learnt
-_LOOK, _LEVELS = 1 << 16, 32  # samples looked at for different values, and how few are a coarse recorder
+_LOOK, _LEVELS = (
+    1 << 16,
+    32,
+)  # samples looked at for different values, and how few are a coarse recorder
 _ODD = 100.0  # times the typical level of the channels of a quantity
-_PILE, _BESIDE, _HEAP = 30, 0.01, 5  # samples at an extreme; part of the range beside it; times those there
-_FEW_WRAPS, _LIKE_STEPS = 8, 2.0  # steps over half of the range; what is left of them, over the RMS of all others
+_PILE, _BESIDE, _HEAP = (
+    30,
+    0.01,
+    5,
+)  # samples at an extreme; part of the range beside it; times those there
+_FEW_WRAPS, _LIKE_STEPS = (
+    8,
+    2.0,
+)  # steps over half of the range; what is left of them, over the RMS of all others
 _FORESEEN = 0.7  # of the variance of the error of a prediction, without wraps
 _CUT = 2e-3  # share of the samples at an extreme that changes the statistics of the amplitude
 
@@ -66,7 +82,8 @@ class ChannelState:
 class Harmonic:
     """A spectral line of a machine or the mains: frequency in Hz and why it is taken for one.
 
-    `moment` is the normalised fourth moment of its amplitude: 1 of a steady sine, 2 of a mode in random vibration.
+    `moment` is the normalised fourth moment of its amplitude: 1 of a steady sine, 2 of a mode in
+    random vibration.
     """
 
     frequency: float
@@ -87,8 +104,8 @@ def detrend(data: Any_) -> Float:
 def band_signals(data: Any_, rate: float, bands: Sequence[Band]) -> tuple[tuple[Float, float], ...]:
     """Each band of the record, filtered with zero phase and decimated, by one FFT per channel.
 
-    The gain falls from 1 at 0.4 to 0 at 0.5 of the new rate (no edge where nothing is decimated) and from 1 at two
-    thirds to 0 at one third of the lower band limit.
+    The gain falls from 1 at 0.4 to 0 at 0.5 of the new rate (no edge where nothing is decimated)
+    and from 1 at two thirds to 0 at one third of the lower band limit.
 
     Parameters
     ----------
@@ -103,7 +120,10 @@ def band_signals(data: Any_, rate: float, bands: Sequence[Band]) -> tuple[tuple[
     samples = data.shape[1]
     n = int(next_fast_len(samples + samples // 50, real=True))
     freqs = rfftfreq(n, 1 / rate)
-    sizes = [n if b.rate >= rate else int(next_fast_len(round(n * b.rate / rate), real=True)) for b in bands]
+    sizes = [
+        n if b.rate >= rate else int(next_fast_len(round(n * b.rate / rate), real=True))
+        for b in bands
+    ]
     keep = [samples * m // n for m in sizes]
     out = [np.empty((len(data), k)) for k in keep]
     gains = []
@@ -112,7 +132,9 @@ def band_signals(data: Any_, rate: float, bands: Sequence[Band]) -> tuple[tuple[
         edge = step(f, 0.5 * new, 0.4 * new) if m < n else np.ones(f.size)
         gains.append(step(f, b.low / 3, b.low / 1.5) * edge * (m / n))
     batch = max(1, 8_000_000 // n)
-    for i in range(0, len(data), batch):  # the whole spectrum of all channels would double the memory
+    for i in range(
+        0, len(data), batch
+    ):  # the whole spectrum of all channels would double the memory
         spectrum = rfft(detrend(data[i : i + batch]), n, axis=1)
         for y, g, m, k in zip(out, gains, sizes, keep, strict=True):
             y[i : i + batch] = irfft(spectrum[:, : g.size] * g, m, axis=1)[:, :k]
@@ -120,9 +142,13 @@ def band_signals(data: Any_, rate: float, bands: Sequence[Band]) -> tuple[tuple[
 
 
 def decimate(history: TimeHistory, rate: float) -> TimeHistory:
-    """The record at a lower rate, Hz (zero phase; usable to 0.4 of the new rate, which is rounded)."""
+    """The record at a lower rate, Hz (zero phase; usable to 0.4 of the new rate, which is
+    rounded).
+    """
     if not 0 < rate < history.rate:
-        raise DataError(f"decimation to {rate} Hz: must be > 0 and below the rate {history.rate} Hz")
+        raise DataError(
+            f"decimation to {rate} Hz: must be > 0 and below the rate {history.rate} Hz"
+        )
     data, new = band_signals(history.data, history.rate, (Band(0.0, 0.4 * rate, rate),))[0]
     return replace(history, data=data, rate=new)
 
@@ -133,8 +159,8 @@ def _runs(flag: Bool) -> int:
 
 
 def channel_states(history: TimeHistory) -> tuple[ChannelState, ...]:
-    """What is wrong with the channels: dead, a straight line, not finite, wrapping (left out); clipped, coarse, of an
-    odd level, the same as another one (kept, but said).
+    """What is wrong with the channels: dead, a straight line, not finite, wrapping (left out);
+    clipped, coarse, of an odd level, the same as another one (kept, but said).
 
     Raises
     ------
@@ -142,30 +168,48 @@ def channel_states(history: TimeHistory) -> tuple[ChannelState, ...]:
         If values are so large that their squares overflow, or so small that these vanish.
     """
     data, ids = history.data, [c.id for c in history.channels]
-    ends = np.stack([data.max(1), data.min(1)]).astype(np.float64)  # not finite where a sample is not
+    ends = np.stack([data.max(1), data.min(1)]).astype(
+        np.float64
+    )  # not finite where a sample is not
     finite: Bool = np.asarray(np.isfinite(ends).all(0))
     top = np.where(finite, np.abs(ends).max(0), 0.0)
     for i in np.flatnonzero((top > _LARGEST) | ((top > 0) & (top < _SMALLEST)))[:1].tolist():
-        raise DataError(f"{history.source}: channel {ids[i]} reaches {top[i]:.2g}: no unit makes that")
+        raise DataError(
+            f"{history.source}: channel {ids[i]} reaches {top[i]:.2g}: no unit makes that"
+        )
     std = np.array([_std(x) if ok else np.nan for x, ok in zip(data, finite, strict=True)])
     lively = finite & (std > 0)
     typical = float(np.median(std[lively])) if lively.any() else 0.0
     out = []
     for i, (x, ok, s) in enumerate(zip(data, finite, std, strict=True)):
         if not ok:
-            out.append(ChannelState(ids[i], False, f"{int((~np.isfinite(x)).sum())} samples are not finite"))
+            out.append(
+                ChannelState(
+                    ids[i], False, f"{int((~np.isfinite(x)).sum())} samples are not finite"
+                )
+            )
         elif s <= 1e-12 * max(top[i], typical):
             out.append(ChannelState(ids[i], False, f"constant at {float(x[0]):.4g}: a dead sensor"))
         elif (changes := _changes(x)) < x.size // _STILL:
-            why = f"stands still but for {changes} change{'s' if changes > 1 else ''} of its value: a dead sensor"
+            why = (
+                f"stands still but for {changes} change{'s' if changes > 1 else ''} of its "
+                "value: a dead sensor"
+            )
             out.append(ChannelState(ids[i], False, why))
         elif _straight(x, s):
             out.append(ChannelState(ids[i], False, "a straight line: no signal"))
         elif wraps := _wraps(x, ends[:, i]):
-            why = f"wraps {wraps} times from one end of its range to the other: too few bits, or an overflow"
+            why = (
+                f"wraps {wraps} times from one end of its range to the other: too few bits, or "
+                "an overflow"
+            )
             out.append(ChannelState(ids[i], False, why))
         else:
-            peers = [std[k] for k, c in enumerate(history.channels) if lively[k] and _alike(c, history.channels[i])]
+            peers = [
+                std[k]
+                for k, c in enumerate(history.channels)
+                if lively[k] and _alike(c, history.channels[i])
+            ]
             said = (_ends(x, ends[:, i]), _level(s, peers), _twin(data, i, ids))
             out += [ChannelState(ids[i], True, w) for w in said if w]
     return tuple(out)
@@ -176,7 +220,9 @@ def _alike(a: Channel, b: Channel) -> bool:
 
 
 def _changes(x: Any_) -> int:
-    """How often the value is not that of the sample before; no more are counted where the first samples tell enough."""
+    """How often the value is not that of the sample before; no more are counted where the first
+    samples tell enough.
+    """
     few = int(np.count_nonzero(np.diff(x[:_FEW])))
     return few if few >= x.size // _STILL else int(np.count_nonzero(x[1:] != x[:-1]))
 
@@ -197,13 +243,20 @@ def _std(x: Any_) -> float:
 
 
 def _stuck(x: Any_, ends: Float) -> int:
-    """Samples that stand at an extreme: in runs of at least three, or all where they pile up there."""
+    """Samples that stand at an extreme: in runs of at least three, or all where they pile up
+    there.
+    """
     flags = [x == end for end in ends]
-    return max(int(at.sum()) if _piled(x, at, end, ends) else _runs(at) for at, end in zip(flags, ends, strict=True))
+    return max(
+        int(at.sum()) if _piled(x, at, end, ends) else _runs(at)
+        for at, end in zip(flags, ends, strict=True)
+    )
 
 
 def _piled(x: Any_, at: Bool, end: float, ends: Float) -> bool:
-    """Whether far more samples stand at an extreme than just below it: fast signals are clipped for a sample or two."""
+    """Whether far more samples stand at an extreme than just below it: fast signals are clipped for
+    a sample or two.
+    """
     count = np.count_nonzero(at)
     if count <= max(_PILE, x.size // 5000):
         return False
@@ -216,24 +269,36 @@ def _ends(x: Any_, ends: Float) -> str:
     if few and (levels := np.unique(x[:_LOOK]).size) < _LEVELS < x.size / 8:
         return f"coarse: {levels} different values only"
     stuck = _stuck(x, ends)
-    return f"clipped: {stuck} samples stand at its largest value" if stuck > max(4, x.size // 50000) else ""
+    return (
+        f"clipped: {stuck} samples stand at its largest value"
+        if stuck > max(4, x.size // 50000)
+        else ""
+    )
 
 
 def _wraps(x: Any_, ends: Float) -> int:
     """How often a signal leaves one end of its range and comes back at the other.
 
-    A step over more than half of the range is one where, less the range, it is like the steps between, and where the
-    signal can be predicted better without such steps; 0 of others, such as noise, telegraphs and clipped signals.
+    A step over more than half of the range is one where, less the range, it is like the steps
+    between, and where the signal can be predicted better without such steps; 0 of others, such as
+    noise, telegraphs and clipped signals.
     """
     top = float(ends[0] - ends[1])
     steps = np.diff(x.astype(np.float64))
     over = np.abs(steps) > 0.5 * top
     count = int(np.count_nonzero(over))
-    if count <= max(_FEW_WRAPS, x.size // 50000) or np.abs(np.sign(steps[over]).sum()) > 0.5 * count:
+    if (
+        count <= max(_FEW_WRAPS, x.size // 50000)
+        or np.abs(np.sign(steps[over]).sum()) > 0.5 * count
+    ):
         return 0
     left = float(np.median(top - np.abs(steps[over])))
     between = steps[~over]
-    if not between.any() or _ends(x, ends) or left > _LIKE_STEPS * np.sqrt(between @ between / between.size):
+    if (
+        not between.any()
+        or _ends(x, ends)
+        or left > _LIKE_STEPS * np.sqrt(between @ between / between.size)
+    ):
         return 0
     steps[over] -= np.sign(steps[over]) * top
     error, without = (unforeseen(detrend(y[None])[0]) for y in (x, np.cumsum(steps)))
@@ -241,7 +306,9 @@ def _wraps(x: Any_, ends: Float) -> int:
 
 
 def _level(std: float, peers: Sequence[float]) -> str:
-    """Far louder or quieter than the other channels of its quantity: the unit, the sensitivity or a node."""
+    """Far louder or quieter than the other channels of its quantity: the unit, the sensitivity or a
+    node.
+    """
     ratio = std / float(np.median(peers))
     if len(peers) < 3 or 1 / _ODD < ratio < _ODD:
         return ""
@@ -280,7 +347,10 @@ def usable(history: TimeHistory) -> tuple[TimeHistory, tuple[ChannelState, ...]]
     bad = {s.id for s in states if not s.usable}
     good = [c.id for c in history.channels if c.id not in bad]
     if not good:
-        raise DataError(f"{history.source}: no usable channel; {'; '.join(f'{s.id} {s.why}' for s in states[:6])}")
+        raise DataError(
+            f"{history.source}: no usable channel; "
+            f"{'; '.join(f'{s.id} {s.why}' for s in states[:6])}"
+        )
     return (history.pick(good) if bad else history), states
 
 
@@ -290,7 +360,8 @@ def block_bounds(samples: int, blocks: int) -> Int:
 
 
 def block_weights(power: Float) -> Float:
-    """(block,) weights, sum 1, of blocks of mean square `power` (block,): loud ones count as typical ones.
+    """(block,) weights, sum 1, of blocks of mean square `power` (block,): loud ones count as
+    typical ones.
 
     A jump or a blow would otherwise outweigh the rest of the record, and its variance with it.
     """
@@ -316,8 +387,9 @@ def line_name(f: float, resolution: float, found: Sequence[float]) -> str:
 def harmonics(history: TimeHistory, *, low: float = 0.0, cycles: int = 0) -> tuple[Harmonic, ...]:
     """Lines with a steady amplitude and no width: machines and mains hum, not modes.
 
-    The normalised fourth moment E|Y|⁴/(E|Y|²)² of the short-time spectra over time is 2 for a mode in random
-    vibration and 1 for a sine (Antoni 2006, spectral kurtosis); the line must also be as narrow as the window.
+    The normalised fourth moment E|Y|⁴/(E|Y|²)² of the short-time spectra over time is 2 for a mode
+    in random vibration and 1 for a sine (Antoni 2006, spectral kurtosis); the line must also be as
+    narrow as the window.
 
     Parameters
     ----------
@@ -331,7 +403,10 @@ def harmonics(history: TimeHistory, *, low: float = 0.0, cycles: int = 0) -> tup
     length = int(next_fast_len(max(256, 2 * data.shape[1] // (segments + 1)), real=True))
     if data.shape[1] < 16 * length // 2:
         return ()
-    if 2 * data.shape[1] > _MANY * length and not _steady(*_moments(data, length, every=_EVERY), *_DOUBT).size:
+    if (
+        2 * data.shape[1] > _MANY * length
+        and not _steady(*_moments(data, length, every=_EVERY), *_DOUBT).size
+    ):
         return ()
     second, kurtosis = _moments(data, length)
     line, freqs = _steady(second, kurtosis, *_CLEAR), rfftfreq(length, 1 / rate)
@@ -339,12 +414,16 @@ def harmonics(history: TimeHistory, *, low: float = 0.0, cycles: int = 0) -> tup
     names = [line_name(f, freqs[1], found[:i]) for i, f in enumerate(found)]
     return tuple(
         Harmonic(f, f"{name}: steady line (fourth moment {k:.2f}, a mode has 2)", k)
-        for f, name, k in zip(found, names, kurtosis[np.rint(found / freqs[1]).astype(np.int64)].tolist(), strict=True)
+        for f, name, k in zip(
+            found, names, kurtosis[np.rint(found / freqs[1]).astype(np.int64)].tolist(), strict=True
+        )
     )
 
 
 def _steady(second: Float, moment: Float, over_side: float, over_floor: float, limit: float) -> Int:
-    """Lines of the spectrum `second` (freq,) as narrow as the window, whose `moment` (freq,) is below the limit."""
+    """Lines of the spectrum `second` (freq,) as narrow as the window, whose `moment` (freq,) is
+    below the limit.
+    """
     floor = median_filter(second, size=41, mode="nearest")
     at = np.arange(8, second.size - 8)
     side = np.maximum(second[at - 5], second[at + 5])
@@ -356,18 +435,26 @@ def _steady(second: Float, moment: Float, over_side: float, over_floor: float, l
 def _moments(data: Any_, length: int, *, every: int = 1) -> tuple[Float, Float]:
     """Power (freq,) summed over normalised channels, and its normalised second moment over time.
 
-    Of half-overlapped segments of `length` samples, all or one of `every` so many. The moment is the mean of those of
-    the channels by their power: the sum of the powers of two modes in different directions would look steadier than
-    either.
+    Of half-overlapped segments of `length` samples, all or one of `every` so many. The moment is
+    the mean of those of the channels by their power: the sum of the powers of two modes in
+    different directions would look steadier than either.
     """
     win, total, moment = window("blackmanharris", length), *np.zeros((2, length // 2 + 1))
     room = np.empty((_BATCH, length), dtype=np.float32)
     for i in np.unique(np.linspace(0, len(data) - 1, _LINES).astype(np.int64)):
         some = data[i, :: max(1, data.shape[1] // 20000)]
-        level, scale = some.mean(dtype=np.float64), max(float(np.std(some, dtype=np.float64)), 1e-30)
-        gain, parts = (win / scale).astype(np.float32), sliding_window_view(data[i], length)[:: every * (length // 2)]
+        level, scale = (
+            some.mean(dtype=np.float64),
+            max(float(np.std(some, dtype=np.float64)), 1e-30),
+        )
+        gain, parts = (
+            (win / scale).astype(np.float32),
+            sliding_window_view(data[i], length)[:: every * (length // 2)],
+        )
         first, second = np.zeros((2, length // 2 + 1))
-        for k in range(0, len(parts), _BATCH):  # in the cache, and in place: most of the time is that of the transforms
+        for k in range(
+            0, len(parts), _BATCH
+        ):  # in the cache, and in place: most of the time is that of the transforms
             x = room[: min(_BATCH, len(parts) - k)]
             np.subtract(parts[k : k + _BATCH], level, out=x, casting="same_kind")
             x *= gain

@@ -33,7 +33,9 @@ class Welch:
 
     def __post_init__(self) -> None:
         if not self.resolution > 0 or not 0 <= self.overlap < 1:
-            raise ConfigError(f"Welch: resolution {self.resolution} must be > 0, overlap {self.overlap} in [0, 1)")
+            raise ConfigError(
+                f"Welch: resolution {self.resolution} must be > 0, overlap {self.overlap} in [0, 1)"
+            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +58,9 @@ class Csd:
     segments: int
 
     def singular_values(self) -> Float:
-        """(freq, ch) singular values, descending: the first is the spectrum to draw behind a diagram."""
+        """(freq, ch) singular values, descending: the first is the spectrum to draw behind a
+        diagram.
+        """
         return np.asarray(np.linalg.svd(self.data, compute_uv=False, hermitian=True))
 
 
@@ -65,7 +69,9 @@ def _starts(samples: int, length: int, hop: int) -> Int:
 
 
 def segments_spectrum(data: Any_, starts: Int, win: Any_) -> Any_:
-    """(segment, ch, freq) spectra of mean-free, windowed segments of `data` (ch, sample), precision as `win`."""
+    """(segment, ch, freq) spectra of mean-free, windowed segments of `data` (ch, sample), precision
+    as `win`.
+    """
     at = starts[:, None] + np.arange(win.size)
     seg = np.asarray(data[:, at], dtype=win.dtype)
     seg -= seg.mean(-1, keepdims=True)
@@ -73,7 +79,8 @@ def segments_spectrum(data: Any_, starts: Int, win: Any_) -> Any_:
 
 
 def csd(history: TimeHistory, settings: Welch) -> Csd:
-    """Welch estimate of all channels against all, (freq, ch, ch); a few segments in memory at a time.
+    """Welch estimate of all channels against all, (freq, ch, ch); a few segments in memory at a
+    time.
 
     Raises
     ------
@@ -92,7 +99,9 @@ def csd(history: TimeHistory, settings: Welch) -> Csd:
     total = np.zeros((length // 2 + 1, len(data), len(data)), dtype=np.complex128)
     batch = max(1, 4_000_000 // (length * len(data)))
     for i in range(0, starts.size, batch):  # streamed: a batch of segments is what is in memory
-        y = np.ascontiguousarray(segments_spectrum(data, starts[i : i + batch], win).transpose(2, 1, 0))
+        y = np.ascontiguousarray(
+            segments_spectrum(data, starts[i : i + batch], win).transpose(2, 1, 0)
+        )
         total += y @ y.conj().transpose(0, 2, 1)
     total *= 2.0 / (rate * length * starts.size)
     total[0] /= 2.0
@@ -104,8 +113,8 @@ def csd(history: TimeHistory, settings: Welch) -> Csd:
 def block_correlations(data: Float, references: Int, lags: int, bounds: Int) -> tuple[Float, Float]:
     """Correlations of each block of the record, each pair (t + k, t) of samples used once.
 
-    R_b[k] = Σ_t y(t + k) y_ref(t)ᵀ / n_b[k] over the t of block b; y(t + k) reaches into the next blocks, so the
-    weighted sum over the blocks is the exact correlation of the whole record.
+    R_b[k] = Σ_t y(t + k) y_ref(t)ᵀ / n_b[k] over the t of block b; y(t + k) reaches into the next
+    blocks, so the weighted sum over the blocks is the exact correlation of the whole record.
 
     Parameters
     ----------
@@ -137,12 +146,16 @@ def block_correlations(data: Float, references: Int, lags: int, bounds: Int) -> 
         left = np.ascontiguousarray(y.transpose(2, 0, 1))
         right = np.ascontiguousarray(x.conj().transpose(2, 1, 0))
         out[b] = irfft(left @ right, nfft, axis=0)[: lags + 1]
-    count = np.minimum(sizes[:, None], np.maximum(n - np.arange(lags + 1) - bounds[:-1, None], 0)).astype(np.float64)
+    count = np.minimum(
+        sizes[:, None], np.maximum(n - np.arange(lags + 1) - bounds[:-1, None], 0)
+    ).astype(np.float64)
     return out / np.maximum(count, 1.0)[:, :, None, None], count
 
 
 def correlations(data: Float, references: Int, lags: int) -> Float:
-    """R (lags + 1, ch, ref) float64 of the whole record `data` (ch, sample), R[k] = mean of y(t + k) y_ref(t)ᵀ."""
+    """R (lags + 1, ch, ref) float64 of the whole record `data` (ch, sample), R[k] = mean of y(t +
+    k) y_ref(t)ᵀ.
+    """
     size = max(20 * lags, 20000)
     bounds = np.append(np.arange(0, data.shape[1], size), data.shape[1]).astype(np.int64)
     r, count = block_correlations(np.asarray(data, dtype=np.float64), references, lags, bounds)

@@ -1,8 +1,10 @@
-"""One pass over a signal at one rate: correlations of its band by blocks, and the signals at the next rate.
+"""One pass over a signal at one rate: correlations of its band by blocks, and the signals at the
+next rate.
 
-Overlapped segments are transformed once, and their spectra give both, so that a pass costs little more than its FFT.
-The filters are symmetric and finite and the segments overlap by their lengths: nothing depends on where a segment
-begins, and the correlations are those of the whole filtered signal.
+Overlapped segments are transformed once, and their spectra give both, so that a pass costs little
+more than its FFT. The filters are symmetric and finite and the segments overlap by their lengths:
+nothing depends on where a segment begins, and the correlations are those of the whole filtered
+signal.
 """
 
 from __future__ import annotations
@@ -16,7 +18,10 @@ from scipy.fft import ihfft, irfft, next_fast_len, rfft
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.signal.stream import Fir
 
-AT_ONCE, MANY = 1 << 21, 48  # samples of all channels and segments that go together: they stay in the cache
+AT_ONCE, MANY = (
+    1 << 21,
+    48,
+)  # samples of all channels and segments that go together: they stay in the cache
 INVERSE = 10.0  # inverse transforms of a block over transforms of a segment: 8 references
 LONGEST = 5  # samples of a segment that count, over those that overlap
 LOOKS = 48  # segments that `glance` takes
@@ -52,13 +57,15 @@ class Segments:
 
 
 def segments(samples: int, blocks: int, lags: int, band: Fir, decimation: Fir) -> Segments:
-    """A cut of `samples` into equal blocks, with room for a filter of the band and one that decimates."""
+    """A cut of `samples` into equal blocks, with room for a filter of the band and one that
+    decimates.
+    """
     factor = decimation.factor
     lead = -(-(max(band.taps.size, decimation.taps.size) // 2 + 16) // factor) * factor
     beside = 2 * lead + lags
     block = -(-samples // blocks)
-    # long ones overlap less, but each block has the inverse transforms of all its correlations, and products of
-    # many short ones take less time
+    # long ones overlap less, but each block has the inverse transforms of all its correlations, and
+    # products of many short ones take less time
     each = max(1, round(max(np.sqrt(INVERSE * block / beside), block / (LONGEST * beside))))
     hop = -(-block // (each * factor)) * factor
     size = factor * int(next_fast_len(-(-(hop + beside) // factor), real=True))
@@ -67,7 +74,8 @@ def segments(samples: int, blocks: int, lags: int, band: Fir, decimation: Fir) -
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Signals:
-    """Signals less a level, which is taken off where they are read: a copy of a long record takes its time.
+    """Signals less a level, which is taken off where they are read: a copy of a long record takes
+    its time.
 
     Attributes
     ----------
@@ -93,13 +101,18 @@ class Signals:
         n = data.shape[1]
         t = np.linspace(-1.0, 1.0, n)
         t /= max(float(t @ t), 1.0)
-        line = np.array([[x.sum(dtype=np.float64) / max(n, 1), x @ t] for x in data])  # a channel is in the cache
+        line = np.array(
+            [[x.sum(dtype=np.float64) / max(n, 1), x @ t] for x in data]
+        )  # a channel is in the cache
         return cls(data, line[:, 0], line[:, 1])
 
     def power(self) -> Float:
         """(ch,) mean squares."""
         n, step = self.samples, max(1, AT_ONCE // self.level.size)
-        total, room = np.zeros(self.level.size), np.empty((self.level.size, min(step, n)), dtype=np.float32)
+        total, room = (
+            np.zeros(self.level.size),
+            np.empty((self.level.size, min(step, n)), dtype=np.float32),
+        )
         for k in range(0, n, step):
             x = self.part(k, min(k + step, n), out=room[:, : min(step, n - k)])
             total += np.einsum("cs,cs->c", x, x)
@@ -110,7 +123,9 @@ class Signals:
         """Of each channel."""
         return int(self.data.shape[1])
 
-    def part(self, start: int, stop: int, rows: Int | slice = slice(None), out: Any_ | None = None) -> Any_:
+    def part(
+        self, start: int, stop: int, rows: Int | slice = slice(None), out: Any_ | None = None
+    ) -> Any_:
         """(ch, stop − start) float32, zero beyond the ends; in `out`, if given."""
         a, b = max(start, 0), min(stop, self.samples)
         level = self.level[rows].astype(self.data.dtype)
@@ -137,7 +152,10 @@ def detrended(data: Any_) -> Signals:
     if not data.shape[1]:
         return Signals(data, np.zeros(len(data)))
     t = np.linspace(-1.0, 1.0, data.shape[1], dtype=np.float32)
-    mean, slope = np.full(t.size, 1 / t.size, dtype=np.float32), t / np.float32(max(float(t @ t), 1.0))
+    mean, slope = (
+        np.full(t.size, 1 / t.size, dtype=np.float32),
+        t / np.float32(max(float(t @ t), 1.0)),
+    )
     for x in data:
         x -= x @ mean
         x -= (x @ mean) + (x @ slope) * t
@@ -153,7 +171,9 @@ def _gain(fir: Fir, size: int) -> Any_:
 
 
 def glance(signals: Signals, cut: Segments, band: Fir) -> tuple[Float, Float]:
-    """Root mean squares (ch,) of the band, and correlations (ch, ch) at lag 1 in their units, from some segments."""
+    """Root mean squares (ch,) of the band, and correlations (ch, ch) at lag 1 in their units, from
+    some segments.
+    """
     every = cut.blocks * cut.each
     some = np.unique(np.linspace(0, every - 1, min(LOOKS, every)).round().astype(np.int64))
     gain = _gain(band, cut.size)
@@ -171,18 +191,27 @@ def glance(signals: Signals, cut: Segments, band: Fir) -> tuple[Float, Float]:
 
 
 def pairs(cut: Segments, samples: int, keep: Any_ | None = None) -> Float:
-    """(block, lags + 1) pairs of samples of each block, those whose earlier one is kept (sample,)."""
+    """(block, lags + 1) pairs of samples of each block, those whose earlier one is kept
+    (sample,).
+    """
     block = cut.each * cut.hop
     begin = np.arange(cut.blocks)[:, None] * block
     if keep is None:
-        return np.asarray(np.clip(samples - np.arange(cut.lags + 1) - begin, 1, block), dtype=np.float64)
+        return np.asarray(
+            np.clip(samples - np.arange(cut.lags + 1) - begin, 1, block), dtype=np.float64
+        )
     total = np.append(0.0, np.cumsum(keep, dtype=np.float64))
     last = (np.minimum(begin + block, samples - np.arange(cut.lags + 1))).clip(0, samples)
     return np.asarray(np.maximum(total[last] - total[np.minimum(begin, last)], 1.0))
 
 
 def run(
-    signals: Signals, cut: Segments, band: Fir, decimation: Fir, references: Int, keep: Any_ | None = None
+    signals: Signals,
+    cut: Segments,
+    band: Fir,
+    decimation: Fir,
+    references: Int,
+    keep: Any_ | None = None,
 ) -> tuple[Any_, Any_]:
     """One pass.
 
@@ -240,18 +269,24 @@ def lowered(signals: Signals, decimation: Fir) -> Any_:
         count = min(batch, cut.blocks * cut.each - k)
         start = k * cut.hop
         x = _cut_out(signals, cut, start, count, room)
-        out[:, start // q : (start + count * cut.hop) // q] = _decimated(_spectra(x, cut, count), cut, gain)
+        out[:, start // q : (start + count * cut.hop) // q] = _decimated(
+            _spectra(x, cut, count), cut, gain
+        )
     return out[:, : -(-n // q)]
 
 
 def _together(cut: Segments, ch: int, count: int) -> int:
-    """How many of `count` segments of `ch` channels are transformed at a time, in parts as equal as may be."""
+    """How many of `count` segments of `ch` channels are transformed at a time, in parts as equal as
+    may be.
+    """
     most = int(np.clip(AT_ONCE // (ch * cut.size), 1, MANY))
     return -(-count // -(-count // most))
 
 
 def _cut_out(signals: Signals, cut: Segments, start: int, count: int, room: Any_) -> Any_:
-    """(ch, sample) of `count` segments from `start`, with what leads and follows, in `room`: new memory costs time."""
+    """(ch, sample) of `count` segments from `start`, with what leads and follows, in `room`: new
+    memory costs time.
+    """
     first, wide = start - cut.lead, (count - 1) * cut.hop + cut.size
     return signals.part(first, first + wide, out=room[:, :wide])
 
@@ -282,7 +317,9 @@ def _references(x: Any_, cut: Segments, count: int, references: Int, keep: Any_ 
 
 
 def _decimated(y: Any_, cut: Segments, gain: Any_) -> Any_:
-    """(ch, sample) decimated signals of the spectra `y` (freq, ch, segment): what counts of each segment."""
+    """(ch, sample) decimated signals of the spectra `y` (freq, ch, segment): what counts of each
+    segment.
+    """
     q, m = cut.factor, cut.size // cut.factor
     z = irfft(y[: m // 2 + 1] * (gain[: m // 2 + 1, None, None] / np.float32(q)), m, axis=0)
     return z[cut.lead // q : (cut.lead + cut.hop) // q].transpose(1, 2, 0).reshape(y.shape[1], -1)

@@ -1,7 +1,8 @@
 """FRFs of a roving hammer: a few fixed sensors, many points struck.
 
-A linear structure without gyroscopic forces answers alike when response and force change places (Maxwell 1864, Betti
-1872; Ewins 2000, section 2.4), so the points struck serve as responses and the fixed sensors as references.
+A linear structure without gyroscopic forces answers alike when response and force change places
+(Maxwell 1864, Betti 1872; Ewins 2000, section 2.4), so the points struck serve as responses and the
+fixed sensors as references.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ MOTION = ("acceleration", "velocity", "displacement", "unknown")
 
 
 def exchanged(frfs: FrfSet) -> tuple[FrfSet, str]:
-    """FRFs with the responses at the many points of a roving hammer, and a note; as they are where they are not such.
+    """FRFs with the responses at the many points of a roving hammer, and a note; as they are where
+    they are not such.
 
     Parameters
     ----------
@@ -32,7 +34,8 @@ def exchanged(frfs: FrfSet) -> tuple[FrfSet, str]:
         frfs,
         data=frfs.data.swapaxes(1, 2),
         outputs=tuple(
-            Channel(c.id, quantity, unit) if quantity == "unknown" else channel(c.id, quantity) for c in frfs.inputs
+            Channel(c.id, quantity, unit) if quantity == "unknown" else channel(c.id, quantity)
+            for c in frfs.inputs
         ),
         inputs=tuple(channel(c.id, "force") for c in frfs.outputs),
         coherence=frfs.coherence.swapaxes(1, 2),
@@ -40,6 +43,7 @@ def exchanged(frfs: FrfSet) -> tuple[FrfSet, str]:
         blows=frfs.blows.exchanged() if frfs.blows else None,
     )
     return there, (
-        f"roving hammer: {len(frfs.inputs)} points struck, {len(frfs.outputs)} fixed sensors; by reciprocity the "
+        f"roving hammer: {len(frfs.inputs)} points struck, {len(frfs.outputs)} fixed sensors; by "
+        "reciprocity the "
         "shapes are at the points struck"
     )

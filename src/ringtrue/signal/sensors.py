@@ -1,4 +1,6 @@
-"""Sensors: transfer functions of geophones, accelerometers and calibration sheets, their deconvolution, integration."""
+"""Sensors: transfer functions of geophones, accelerometers and calibration sheets, their
+deconvolution, integration.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +52,8 @@ class Geophone:
 
 @dataclass(frozen=True, slots=True)
 class Accelerometer:
-    """A piezoelectric accelerometer: G · sτ/(1 + sτ) · ω₀²/(s² + 2ζω₀s + ω₀²), acceleration in, signal out.
+    """A piezoelectric accelerometer: G · sτ/(1 + sτ) · ω₀²/(s² + 2ζω₀s + ω₀²), acceleration in,
+    signal out.
 
     Attributes
     ----------
@@ -70,9 +73,15 @@ class Accelerometer:
     sensitivity: float = 1.0
 
     def __post_init__(self) -> None:
-        if not (self.time_constant > 0 and self.resonance > 0 and self.damping > 0 and self.sensitivity != 0):
+        if not (
+            self.time_constant > 0
+            and self.resonance > 0
+            and self.damping > 0
+            and self.sensitivity != 0
+        ):
             raise ConfigError(
-                f"accelerometer: time constant {self.time_constant}, resonance {self.resonance} and damping "
+                f"accelerometer: time constant {self.time_constant}, resonance {self.resonance} "
+                "and damping "
                 f"{self.damping} must be > 0, sensitivity {self.sensitivity} not 0"
             )
 
@@ -87,7 +96,8 @@ class Accelerometer:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """A sensor by its sheet: gain and phase at some frequencies, between them linear over the logarithm of frequency.
+    """A sensor by its sheet: gain and phase at some frequencies, between them linear over the
+    logarithm of frequency.
 
     Attributes
     ----------
@@ -105,10 +115,17 @@ class Calibration:
 
     def __post_init__(self) -> None:
         freeze_fields(self, freqs=np.float64, gain=np.float64, phase=np.float64)
-        ok = self.freqs.ndim == 1 and self.freqs.shape == self.gain.shape == self.phase.shape and self.freqs.size > 1
-        if not (ok and self.freqs[0] > 0 and (np.diff(self.freqs) > 0).all() and (self.gain > 0).all()):
+        ok = (
+            self.freqs.ndim == 1
+            and self.freqs.shape == self.gain.shape == self.phase.shape
+            and self.freqs.size > 1
+        )
+        if not (
+            ok and self.freqs[0] > 0 and (np.diff(self.freqs) > 0).all() and (self.gain > 0).all()
+        ):
             raise ConfigError(
-                "calibration: frequencies must rise from above 0, with a positive gain and a phase at each"
+                "calibration: frequencies must rise from above 0, with a positive gain and a "
+                "phase at each"
             )
 
     def response(self, freqs: Float) -> Complex:
@@ -121,8 +138,11 @@ class Calibration:
 Sensor = Geophone | Accelerometer | Calibration
 
 
-def usable_band(sensor: Sensor, rate: float, *, smallest: float = 0.1, largest: float = 10.0) -> tuple[float, float]:
-    """The band (Hz) around its middle where |H| is between `smallest` and `largest` times its median: to deconvolve in.
+def usable_band(
+    sensor: Sensor, rate: float, *, smallest: float = 0.1, largest: float = 10.0
+) -> tuple[float, float]:
+    """The band (Hz) around its middle where |H| is between `smallest` and `largest` times its
+    median: to deconvolve in.
 
     Raises
     ------
@@ -142,7 +162,9 @@ def usable_band(sensor: Sensor, rate: float, *, smallest: float = 0.1, largest: 
     return float(f[low]), float(f[high])
 
 
-def lowest_frequency(freqs: Float, signal_psd: Float, noise_psd: Float, *, snr_db: float = 10.0) -> float:
+def lowest_frequency(
+    freqs: Float, signal_psd: Float, noise_psd: Float, *, snr_db: float = 10.0
+) -> float:
     """The frequency (Hz) from which on every third-octave has the wanted signal-to-noise ratio.
 
     Third-octaves above the last good one (an anti-alias filter) do not count.
@@ -171,19 +193,23 @@ def lowest_frequency(freqs: Float, signal_psd: Float, noise_psd: Float, *, snr_d
     good = total > (1 + 10 ** (snr_db / 10)) * noise
     if not good.any():
         peak = float((10 * np.log10(np.maximum(total / noise - 1, 1e-30))).max())
-        raise DataError(f"signal over sensor noise is {peak:.3g} dB at most; wanted are {snr_db:.3g} dB")
+        raise DataError(
+            f"signal over sensor noise is {peak:.3g} dB at most; wanted are {snr_db:.3g} dB"
+        )
     top = int(np.flatnonzero(good)[-1])
     below = np.flatnonzero(~good[:top])
     first = int(below[-1]) + 1 if below.size else 0
     return float(f[ok][where == first].min())
 
 
-def deconvolve(history: TimeHistory, sensor: Sensor, *, low: float, high: float | None = None) -> TimeHistory:
+def deconvolve(
+    history: TimeHistory, sensor: Sensor, *, low: float, high: float | None = None
+) -> TimeHistory:
     """The motion (SI) from the signals of a sensor, between `low` and `high` Hz only.
 
-    The gain is that of 1/H inside the band and falls to 0 at half of `low`; where H is small, below the natural
-    frequency of a geophone as f², 1/H raises the noise: `low` must stand where the signal is above it, see
-    `lowest_frequency` and `usable_band`.
+    The gain is that of 1/H inside the band and falls to 0 at half of `low`; where H is small, below
+    the natural frequency of a geophone as f², 1/H raises the noise: `low` must stand where the
+    signal is above it, see `lowest_frequency` and `usable_band`.
     """
     top = _edge(history, low, high)
     quantity: Motion = "velocity"
@@ -198,7 +224,9 @@ def deconvolve(history: TimeHistory, sensor: Sensor, *, low: float, high: float 
     return replace(history, data=_filtered(history, gain, low, top), channels=channels)
 
 
-def convert(history: TimeHistory, to: Motion, *, low: float, high: float | None = None) -> TimeHistory:
+def convert(
+    history: TimeHistory, to: Motion, *, low: float, high: float | None = None
+) -> TimeHistory:
     """Integrate or differentiate to `to` in the frequency domain, between `low` and `high` Hz only.
 
     Raises
@@ -209,7 +237,8 @@ def convert(history: TimeHistory, to: Motion, *, low: float, high: float | None 
     here = {c.quantity for c in history.channels}
     if len(here) != 1 or not here <= set(DERIVATIVE):
         raise DataError(
-            f"{history.source}: quantities {sorted(here)}: must be one of displacement, velocity, acceleration"
+            f"{history.source}: quantities {sorted(here)}: must be one of displacement, "
+            "velocity, acceleration"
         )
     power = DERIVATIVE[to] - DERIVATIVE[here.pop()]
     top = _edge(history, low, high)
@@ -217,13 +246,19 @@ def convert(history: TimeHistory, to: Motion, *, low: float, high: float | None 
     def gain(f: Float) -> Complex:
         return np.asarray((2j * np.pi * np.maximum(f, low / 4)) ** power)
 
-    return replace(history, data=_filtered(history, gain, low, top), channels=_renamed(history, to, SI_UNIT[to]))
+    return replace(
+        history,
+        data=_filtered(history, gain, low, top),
+        channels=_renamed(history, to, SI_UNIT[to]),
+    )
 
 
 def _edge(history: TimeHistory, low: float, high: float | None) -> float:
     top = history.rate / 2 if high is None else high
     if not 0 < low < top <= history.rate / 2:
-        raise ConfigError(f"band {low} .. {top} Hz: must be 0 < low < high <= {history.rate / 2} Hz")
+        raise ConfigError(
+            f"band {low} .. {top} Hz: must be 0 < low < high <= {history.rate / 2} Hz"
+        )
     return top
 
 
@@ -231,8 +266,12 @@ def _renamed(history: TimeHistory, quantity: Quantity, unit: str) -> tuple[Chann
     return tuple(replace(c, quantity=quantity, unit=unit or c.unit) for c in history.channels)
 
 
-def _filtered(history: TimeHistory, gain: Callable[[Float], Complex], low: float, high: float) -> Float:
-    """Signals (ch, sample) through `gain(f)`, with smooth edges from low/2 to low and from high to 1.1 high."""
+def _filtered(
+    history: TimeHistory, gain: Callable[[Float], Complex], low: float, high: float
+) -> Float:
+    """Signals (ch, sample) through `gain(f)`, with smooth edges from low/2 to low and from high to
+    1.1 high.
+    """
     samples = history.data.shape[1]
     n = int(next_fast_len(samples + int(4 * history.rate / low), real=True))
     f = rfftfreq(n, 1 / history.rate)

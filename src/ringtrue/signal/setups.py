@@ -31,7 +31,8 @@ def setups_of(columns: Sequence[FrfSet]) -> tuple[FrfSet, ...]:
 def join_frfs(parts: Sequence[FrfSet]) -> FrfSet:
     """One set from several: roving responses (setups) and roving hammers.
 
-    A pair of response and input that was measured several times is averaged, weighted by the number of hits.
+    A pair of response and input that was measured several times is averaged, weighted by the number
+    of hits.
 
     Raises
     ------
@@ -46,11 +47,20 @@ def join_frfs(parts: Sequence[FrfSet]) -> FrfSet:
     inputs = {c.id: c for p in parts for c in p.inputs}
     row, column = {k: i for i, k in enumerate(outputs)}, {k: i for i, k in enumerate(inputs)}
     shape = (first.freqs.size, len(outputs), len(inputs))
-    data, weight, coherence = np.zeros(shape, dtype=np.complex128), np.zeros(shape[1:]), np.zeros(shape)
+    data, weight, coherence = (
+        np.zeros(shape, dtype=np.complex128),
+        np.zeros(shape[1:]),
+        np.zeros(shape),
+    )
     blows = []
     for p in parts:  # a few setups
-        at = np.array([row[c.id] for c in p.outputs])[:, None], np.array([column[c.id] for c in p.inputs])
-        n = np.broadcast_to(np.where(np.isfinite(p.averages), p.averages, 1.0), (len(p.outputs), len(p.inputs)))
+        at = (
+            np.array([row[c.id] for c in p.outputs])[:, None],
+            np.array([column[c.id] for c in p.inputs]),
+        )
+        n = np.broadcast_to(
+            np.where(np.isfinite(p.averages), p.averages, 1.0), (len(p.outputs), len(p.inputs))
+        )
         data[:, at[0], at[1]] += p.data * n
         coherence[:, at[0], at[1]] += p.coherence * n
         weight[at] += n
@@ -60,7 +70,8 @@ def join_frfs(parts: Sequence[FrfSet]) -> FrfSet:
     if (weight == 0).any():
         o, i = np.argwhere(weight == 0)[0]
         raise DataError(
-            f"no FRF from {list(inputs)[i]} to {list(outputs)[o]}: {int((weight == 0).sum())} pairs were not measured"
+            f"no FRF from {list(inputs)[i]} to {list(outputs)[o]}: {int((weight == 0).sum())} "
+            "pairs were not measured"
         )
     return replace(
         first,
@@ -82,21 +93,34 @@ def alike(parts: Sequence[FrfSet]) -> tuple[FrfSet, ...]:
     Raises
     ------
     DataError
-        If there is none, they share no more than half of the lines of the shortest, or windows differ.
+        If there is none, they share no more than half of the lines of the shortest, or windows
+        differ.
     """
     if not parts:
         raise DataError("no FRFs to join")
     first = parts[0]
     for p in parts[1:]:
         if abs(p.window_decay - first.window_decay) > 1e-9:
-            raise DataError(f"{p.source}: window of {p.window_decay:g} 1/s, {first.source} {first.window_decay:g} 1/s")
+            raise DataError(
+                f"{p.source}: window of {p.window_decay:g} 1/s, {first.source} "
+                f"{first.window_decay:g} 1/s"
+            )
     at = shared_lines([p.freqs for p in parts])
     if at is None:
-        told = ", ".join(f"{p.source} {_axis(p.freqs)}" for p in parts if not np.array_equal(p.freqs, first.freqs))
+        told = ", ".join(
+            f"{p.source} {_axis(p.freqs)}"
+            for p in parts
+            if not np.array_equal(p.freqs, first.freqs)
+        )
         raise DataError(f"{told}: other frequency lines than {first.source}, {_axis(first.freqs)}")
     if lost := max(p.freqs.size - a.size for p, a in zip(parts, at, strict=True)):
         told = _axis(first.freqs[at[0]])
-        log.warning("%s: frequency lines differ (%d at most); the shared ones are used, %s", first.source, lost, told)
+        log.warning(
+            "%s: frequency lines differ (%d at most); the shared ones are used, %s",
+            first.source,
+            lost,
+            told,
+        )
     return tuple(_part(p, a, first.kind) for p, a in zip(parts, at, strict=True))
 
 
@@ -111,4 +135,6 @@ def _part(p: FrfSet, at: Int, kind: FrfKind) -> FrfSet:
     motion, wanted = OF_KIND[p.kind], OF_KIND[kind]
     data = as_motion(p.data[at], p.freqs[at], motion, wanted, p.window_decay)
     outputs = tuple(replace(channel(c.id, wanted), sensor=c.sensor) for c in p.outputs)
-    return replace(p, data=data, freqs=p.freqs[at], coherence=p.coherence[at], outputs=outputs, kind=kind)
+    return replace(
+        p, data=data, freqs=p.freqs[at], coherence=p.coherence[at], outputs=outputs, kind=kind
+    )

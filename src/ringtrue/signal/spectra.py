@@ -26,8 +26,9 @@ class ShakerFrfs:
     Attributes
     ----------
     frfs : FrfSet
-        Its coherence is the partial one of each input with the others taken out, the ordinary one of a single input;
-        `frf.frf_variance` holds with it. `averages` are independent segments less the other inputs.
+        Its coherence is the partial one of each input with the others taken out, the ordinary one
+        of a single input; `frf.frf_variance` holds with it. `averages` are independent segments
+        less the other inputs.
     ordinary : (freq, out, in) float64
         Coherence of one input alone.
     multiple : (freq, out) float64
@@ -61,9 +62,10 @@ def shaker_frfs(
 ) -> ShakerFrfs:
     """FRFs of all responses against all forces at once.
 
-    H1 = G_yf G_ff⁻¹ (noise on the responses). Hv takes noise on both: the smallest eigenvector of the spectra of all
-    forces and one response, each scaled to unit power; of one input it is the geometric mean of H1 and H2.
-    Source: Bendat and Piersol (2010), Random Data, chapters 7 and 9; Rocklin, Crowley and Vold (1985) for Hv.
+    H1 = G_yf G_ff⁻¹ (noise on the responses). Hv takes noise on both: the smallest eigenvector of
+    the spectra of all forces and one response, each scaled to unit power; of one input it is the
+    geometric mean of H1 and H2. Source: Bendat and Piersol (2010), Random Data, chapters 7 and 9;
+    Rocklin, Crowley and Vold (1985) for Hv.
 
     Parameters
     ----------
@@ -77,8 +79,8 @@ def shaker_frfs(
     Raises
     ------
     DataError
-        If there is no force channel, a channel is constant or not finite, the responses are of different kinds, or the
-        record has too few segments for its inputs.
+        If there is no force channel, a channel is constant or not finite, the responses are of
+        different kinds, or the record has too few segments for its inputs.
     """
     if estimator not in _ESTIMATORS:
         raise ConfigError(f"estimator {estimator!r}{did_you_mean(estimator, _ESTIMATORS)}")
@@ -112,14 +114,16 @@ def sorted_channels(history: TimeHistory, inputs: Sequence[str] = ()) -> tuple[T
     Raises
     ------
     DataError
-        If there is no force channel, a channel is constant or not finite, or the responses are of different kinds.
+        If there is no force channel, a channel is constant or not finite, or the responses are of
+        different kinds.
     """
     forces = list(inputs) or [c.id for c in history.channels if c.quantity in FORCES]
     others = [c for c in history.channels if c.id not in forces and c.quantity not in FORCES]
     kinds = {LINEAR.get(c.quantity, c.quantity) for c in others}
     if not forces or len(kinds) != 1 or not kinds <= set(FRF_KIND):
         raise DataError(
-            f"{history.source}: {len(forces)} forces and responses of {', '.join(sorted(kinds)) or 'no kind'}; "
+            f"{history.source}: {len(forces)} forces and responses of "
+            f"{', '.join(sorted(kinds)) or 'no kind'}; "
             "there must be a force and one kind of motion"
         )
     ordered = history.pick([*forces, *(c.id for c in others)])
@@ -136,14 +140,20 @@ def _check(history: TimeHistory) -> None:
     for channel, x in zip(history.channels, history.data, strict=True):
         low, high = float(x.min()), float(x.max())
         if not (np.isfinite(low) and np.isfinite(high) and high > low):
-            raise DataError(f"{history.source}: channel {channel.id} is constant or not finite; leave it out")
+            raise DataError(
+                f"{history.source}: channel {channel.id} is constant or not finite; leave it out"
+            )
 
 
 def _estimate(g: Complex, q: int, estimator: str) -> tuple[Complex, Float, Float, Float, Float]:
-    """FRFs (f, out, in), partial and ordinary coherence (f, out, in), multiple (f, out), condition (f,)."""
+    """FRFs (f, out, in), partial and ordinary coherence (f, out, in), multiple (f, out), condition
+    (f,).
+    """
     power = np.maximum(np.einsum("fii->fi", g).real, np.finfo(np.float64).tiny)
     scale = np.sqrt(power)
-    c = g / (scale[:, :, None] * scale[:, None, :])  # scaled, so that no unit makes it ill-conditioned
+    c = g / (
+        scale[:, :, None] * scale[:, None, :]
+    )  # scaled, so that no unit makes it ill-conditioned
     ff, yf = c[:, :q, :q], c[:, q:, :q]
     values, vectors = np.linalg.eigh(ff)
     condition = values[:, -1] / np.maximum(values[:, 0], np.finfo(np.float64).tiny)
@@ -151,7 +161,9 @@ def _estimate(g: Complex, q: int, estimator: str) -> tuple[Complex, Float, Float
     inverse = (vectors / values[:, None, :]) @ vectors.conj().transpose(0, 2, 1)
     h1 = yf @ inverse
     multiple = np.clip(np.einsum("foi,foi->fo", h1, yf.conj()).real, 0.0, 1.0)
-    alone = np.abs(h1) ** 2 / np.einsum("fii->fi", inverse).real[:, None, :]  # power of one input, others taken out
+    alone = (
+        np.abs(h1) ** 2 / np.einsum("fii->fi", inverse).real[:, None, :]
+    )  # power of one input, others taken out
     partial = alone / np.maximum(alone + (1 - multiple)[:, :, None], np.finfo(np.float64).tiny)
     h = {"H1": h1, "H2": h1 / np.maximum(multiple, 1e-12)[:, :, None]}.get(estimator)
     h = _total(c, q) if h is None else h
@@ -160,7 +172,9 @@ def _estimate(g: Complex, q: int, estimator: str) -> tuple[Complex, Float, Float
 
 
 def _total(c: Complex, q: int) -> Complex:
-    """Total least squares of each response on all forces, scaled spectra (f, ch, ch) -> (f, out, in)."""
+    """Total least squares of each response on all forces, scaled spectra (f, ch, ch) -> (f, out,
+    in).
+    """
     at = [np.append(np.arange(q), q + k) for k in range(c.shape[1] - q)]
     both = np.stack([c[:, i][:, :, i] for i in at], axis=1)  # (f, out, q + 1, q + 1)
     v = np.linalg.eigh(both)[1][..., 0].conj()

@@ -1,4 +1,6 @@
-"""Records larger than the memory: filters and decimation from block to block, with nothing lost at the joints."""
+"""Records larger than the memory: filters and decimation from block to block, with nothing lost at
+the joints.
+"""
 
 from __future__ import annotations
 
@@ -28,9 +30,14 @@ class Fir:
     factor: int = 1
 
     def __post_init__(self) -> None:
-        if self.taps.size % 2 == 0 or self.factor < 1 or np.abs(self.taps - self.taps[::-1]).max() > 1e-12:
+        if (
+            self.taps.size % 2 == 0
+            or self.factor < 1
+            or np.abs(self.taps - self.taps[::-1]).max() > 1e-12
+        ):
             raise ConfigError(
-                f"{self.taps.size} taps and factor {self.factor}: odd, symmetric and 1 or more are needed"
+                f"{self.taps.size} taps and factor {self.factor}: odd, symmetric and 1 or more "
+                "are needed"
             )
 
 
@@ -44,7 +51,9 @@ def decimator(factor: int) -> Fir:
 def high_passer(corner: float, rate: float) -> Fir:
     """Gain 1 from `corner` Hz, 90 dB down below half of it."""
     if not 0 < corner < rate / 4:
-        raise ConfigError(f"high-pass at {corner} Hz: must be > 0 and below a quarter of the rate {rate} Hz")
+        raise ConfigError(
+            f"high-pass at {corner} Hz: must be > 0 and below a quarter of the rate {rate} Hz"
+        )
     taps = -_low_pass(0.5 * corner / rate, corner / rate)
     taps[taps.size // 2] += 1.0
     return Fir(taps)
@@ -71,7 +80,8 @@ def filtered(blocks: Iterable[TimeHistory], fir: Fir) -> Iterator[TimeHistory]:
     Yields
     ------
     TimeHistory
-        float64. Together they have a sample for each `factor` samples of the record, the first for the first.
+        float64. Together they have a sample for each `factor` samples of the record, the first for
+        the first.
 
     Raises
     ------
@@ -87,7 +97,9 @@ def filtered(blocks: Iterable[TimeHistory], fir: Fir) -> Iterator[TimeHistory]:
         if last is None:
             held, begin = np.zeros((len(block.channels), half)), -half
         elif block.channels != last.channels or block.rate != last.rate:
-            raise DataError(f"{block.source}: a block has other channels or another rate than the one before")
+            raise DataError(
+                f"{block.source}: a block has other channels or another rate than the one before"
+            )
         last = block
         held = np.concatenate([held, block.data], axis=1)
         part, wanted = _given(held, begin, wanted, fir)
@@ -96,7 +108,9 @@ def filtered(blocks: Iterable[TimeHistory], fir: Fir) -> Iterator[TimeHistory]:
         if part.shape[1]:
             yield replace(block, data=part, rate=block.rate / fir.factor)
     if last is not None:
-        part, _ = _given(np.concatenate([held, np.zeros((held.shape[0], half))], axis=1), begin, wanted, fir)
+        part, _ = _given(
+            np.concatenate([held, np.zeros((held.shape[0], half))], axis=1), begin, wanted, fir
+        )
         if part.shape[1]:
             yield replace(last, data=part, rate=last.rate / fir.factor)
 

@@ -1,8 +1,10 @@
-"""Blows of a machine in regular succession (a press, a pile driver): found, and the response to them taken out.
+"""Blows of a machine in regular succession (a press, a pile driver): found, and the response to
+them taken out.
 
-Correlations that reach from one blow to the next do not average out where the intervals are alike. Strokes whose
-times are known are an input: the mean response to one is the least-squares filter from them to the record. What is
-left of each varies from stroke to stroke without memory, and does no harm.
+Correlations that reach from one blow to the next do not average out where the intervals are alike.
+Strokes whose times are known are an input: the mean response to one is the least-squares filter
+from them to the record. What is left of each varies from stroke to stroke without memory, and does
+no harm.
 """
 
 from __future__ import annotations
@@ -39,8 +41,11 @@ class Strokes:
     interval: float
 
 
-def without_strokes(history: TimeHistory, heard: Any_ | None = None) -> tuple[TimeHistory, Strokes | None]:
-    """The record without the mean response to regular blows, and these; the same object where there are none.
+def without_strokes(
+    history: TimeHistory, heard: Any_ | None = None
+) -> tuple[TimeHistory, Strokes | None]:
+    """The record without the mean response to regular blows, and these; the same object where there
+    are none.
 
     `heard` are its `sweeps.mixes`, if known.
     """
@@ -49,7 +54,9 @@ def without_strokes(history: TimeHistory, heard: Any_ | None = None) -> tuple[Ti
         return history, None
     taps = min(TAPS, int(SHARE * history.data.shape[1]))
     usual = float(np.median(np.diff(at)))
-    return replace(history, data=_left(history.data, at, taps)), Strokes(at.size, usual / history.rate)
+    return replace(history, data=_left(history.data, at, taps)), Strokes(
+        at.size, usual / history.rate
+    )
 
 
 def _regular(at: Int) -> bool:
@@ -64,19 +71,25 @@ def _strokes(some: Any_) -> Int:
     """(k,) samples at which the signals (ch, sample) are struck."""
     error = np.stack([unforeseen(x) ** 2 for x in some])
     n = error.shape[1] // WINDOW * WINDOW
-    power = error[:, :n].reshape(len(error), -1, WINDOW) @ np.full(WINDOW, 1 / WINDOW, dtype=error.dtype)
+    power = error[:, :n].reshape(len(error), -1, WINDOW) @ np.full(
+        WINDOW, 1 / WINDOW, dtype=error.dtype
+    )
     typical = np.median(power, axis=1, keepdims=True)
     if not n or not (typical > 0).all():
         return np.empty(0, dtype=np.int64)
     power = (power / typical).mean(axis=0)
-    top = _with_faint(np.flatnonzero((power > ABOVE) & (power >= maximum_filter1d(power, 2 * APART + 1))), power)
+    top = _with_faint(
+        np.flatnonzero((power > ABOVE) & (power >= maximum_filter1d(power, 2 * APART + 1))), power
+    )
     around = np.clip(WINDOW * top[:, None] + np.arange(-2, WINDOW + 2), 0, error.shape[1] - 1)
     each = (error[:, around] / typical[:, :, None]).mean(axis=0)
     return np.asarray(np.unique(around[np.arange(top.size), each.argmax(axis=1)]), dtype=np.int64)
 
 
 def _with_faint(top: Int, power: Any_) -> Int:
-    """Windows (k,) of regular blows, with the faint ones that are due between them: one left in would sound on."""
+    """Windows (k,) of regular blows, with the faint ones that are due between them: one left in
+    would sound on.
+    """
     if not _regular(top):
         return top
     usual = float(np.median(np.diff(top)))
@@ -91,7 +104,9 @@ def _with_faint(top: Int, power: Any_) -> Int:
 
 
 def _left(data: Any_, at: Int, taps: int) -> Any_:
-    """`data` (ch, sample) less what a filter of so many `taps` makes of unit blows at the samples `at`."""
+    """`data` (ch, sample) less what a filter of so many `taps` makes of unit blows at the samples
+    `at`.
+    """
     samples = data.shape[1]
     n = int(next_fast_len(samples + taps, real=True))
     blows = rfft(np.bincount(at, minlength=samples).astype(np.float64), n)

@@ -1,8 +1,9 @@
-"""Tones of machines that change their speed: seen as moving ridges of the spectrogram, and taken out along these.
+"""Tones of machines that change their speed: seen as moving ridges of the spectrogram, and taken
+out along these.
 
-Where a run-up turns or rests it leaves a peak in the mean spectrum that looks like a mode, and a mode that it crosses
-is struck as by one force. A mode under random forces stays where it is: a ridge that moves by more than the width of
-any mode is none.
+Where a run-up turns or rests it leaves a peak in the mean spectrum that looks like a mode, and a
+mode that it crosses is struck as by one force. A mode under random forces stays where it is: a
+ridge that moves by more than the width of any mode is none.
 """
 
 from __future__ import annotations
@@ -21,7 +22,10 @@ FRAMES = (8192, 2048, 512, 128)  # samples: slow tones are sought first
 LEAST_FRAMES = 64  # of the record, for its medians to mean something
 EYES = 4  # channels that are looked at
 GROUP = 32  # bins with a common level
-LOW, HIGH = 4.0, 12.0  # times the level of bin and frame: what hangs together, and what noise does not reach
+LOW, HIGH = (
+    4.0,
+    12.0,
+)  # times the level of bin and frame: what hangs together, and what noise does not reach
 LEAST, ODD = 8, 2  # frames of a ridge, and how many at either end of its range may be by chance
 LOWEST = 4  # bin
 FEW, QUIET = 500, 0.5  # frames at most that tell what is typical; level of a frame at least
@@ -39,11 +43,14 @@ class Sweep:
     seconds: float
 
 
-def without_sweeps(history: TimeHistory, heard: Any_ | None = None) -> tuple[TimeHistory, tuple[Sweep, ...]]:
-    """The record without tones of changing frequency, and these; the same object where there are none.
+def without_sweeps(
+    history: TimeHistory, heard: Any_ | None = None
+) -> tuple[TimeHistory, tuple[Sweep, ...]]:
+    """The record without tones of changing frequency, and these; the same object where there are
+    none.
 
-    All channels lose the same cells of time and frequency; a mode that a tone rests on loses that time. `heard` are its
-    `mixes`, if known.
+    All channels lose the same cells of time and frequency; a mode that a tone rests on loses that
+    time. `heard` are its `mixes`, if known.
     """
     found, heard = list[Sweep](), mixes(history.data) if heard is None else heard
     for n in FRAMES:
@@ -57,7 +64,9 @@ def without_sweeps(history: TimeHistory, heard: Any_ | None = None) -> tuple[Tim
 
 
 def mixes(data: Any_) -> Any_:
-    """(2, sample) float32 sum and alternating sum of some channels of `data` (ch, sample), of unit variance each."""
+    """(2, sample) float32 sum and alternating sum of some channels of `data` (ch, sample), of unit
+    variance each.
+    """
     x = data[np.unique(np.linspace(0, len(data) - 1, EYES).astype(np.int64))].astype(np.float32)
     x -= x.mean(axis=1, keepdims=True)
     x /= np.maximum(x.std(axis=1, keepdims=True), np.finfo(np.float32).tiny)
@@ -70,14 +79,17 @@ def _window(n: int) -> Any_:
 
 
 def _frames(x: Any_, n: int) -> Any_:
-    """(frame, n) half-overlapped views of a signal (sample,), the first and last one half beyond its ends."""
+    """(frame, n) half-overlapped views of a signal (sample,), the first and last one half beyond
+    its ends.
+    """
     m = 2 * x.size // n + 2
     padded = np.pad(x, (n // 2, (m + 1) * (n // 2) - n // 2 - x.size))
     return sliding_window_view(padded, n)[:: n // 2]
 
 
 def _whitened(mixes: Any_, n: int) -> Any_:
-    """(frame, bin) power over the typical one of the bin in the record and of neighbouring bins in the frame.
+    """(frame, bin) power over the typical one of the bin in the record and of neighbouring bins in
+    the frame.
 
     Zero throughout where too few cells stand out for a ridge.
     """
@@ -86,7 +98,9 @@ def _whitened(mixes: Any_, n: int) -> Any_:
     for x in mixes:
         y = rfft(_frames(x, n) * taper, axis=1)[:, :bins]
         power = y.real**2 + y.imag**2
-        typical = _upper_median(power[:: -(-len(power) // FEW)].T)[:, 0] * np.float32(len(mixes) / np.log(2))
+        typical = _upper_median(power[:: -(-len(power) // FEW)].T)[:, 0] * np.float32(
+            len(mixes) / np.log(2)
+        )
         total += power / np.maximum(typical, np.finfo(np.float32).tiny)
     total[:, :LOWEST] = 0
     groups = total.reshape(len(total), -1, GROUP)
@@ -122,21 +136,29 @@ def _moving(white: Any_, step: float) -> tuple[Bool, list[Sweep]]:
         first = places[k][1].start
         if (ends := _ridge(power, first)) is not None:
             mask[places[k]] |= own
-            sweeps.append(Sweep(step * ends[0], step * ends[1], 0.5 * int((power > 0).any(axis=1).sum()) / step))
+            sweeps.append(
+                Sweep(
+                    step * ends[0], step * ends[1], 0.5 * int((power > 0).any(axis=1).sum()) / step
+                )
+            )
     if sweeps:
         mask = np.asarray(binary_dilation(mask, np.ones((1, 3), dtype=np.bool_)))
     return mask, sweeps
 
 
 def _ridge(power: Float, first: int) -> tuple[float, float] | None:
-    """Lowest and highest bin of a ridge `power` (frame, bin from `first` on) that moves smoothly; None for others."""
+    """Lowest and highest bin of a ridge `power` (frame, bin from `first` on) that moves smoothly;
+    None for others.
+    """
     seen = power.any(axis=1)
     if seen.sum() < LEAST:
         return None
     at = first + np.arange(power.shape[1])
     total = power[seen].sum(axis=1)
     centre = power[seen] @ at / total
-    width = 1 + 2 * float(np.median(np.sqrt((power[seen] * (at - centre[:, None]) ** 2).sum(axis=1) / total)))
+    width = 1 + 2 * float(
+        np.median(np.sqrt((power[seen] * (at - centre[:, None]) ** 2).sum(axis=1) / total))
+    )
     ranked = np.sort(centre)
     low, high = float(ranked[ODD]), float(ranked[-1 - ODD])
     jumps = float(np.median(np.abs(np.diff(centre)))) > STEADY * (high - low)

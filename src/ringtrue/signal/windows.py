@@ -12,7 +12,9 @@ WindowName = Literal["hann", "hamming", "blackmanharris", "flattop", "boxcar"]
 
 
 def window(name: WindowName, samples: int) -> Float:
-    """(sample,) float64 periodic window of unit mean square, so that a periodogram keeps its power."""
+    """(sample,) float64 periodic window of unit mean square, so that a periodogram keeps its
+    power.
+    """
     from scipy.signal import get_window  # slow to import, and few commands need it
 
     w = np.asarray(get_window(name, samples, fftbins=True), dtype=np.float64)
@@ -20,7 +22,9 @@ def window(name: WindowName, samples: int) -> Float:
 
 
 def step(freqs: Float, start: float, stop: float) -> Float:
-    """(f,) gain from 0 at `start` to 1 at `stop`, Hz, a squared-sine edge; reversed if start > stop."""
+    """(f,) gain from 0 at `start` to 1 at `stop`, Hz, a squared-sine edge; reversed if start >
+    stop.
+    """
     if start == stop:
         return np.asarray(freqs >= stop, dtype=np.float64)
     x = np.clip((np.asarray(freqs, dtype=np.float64) - start) / (stop - start), 0.0, 1.0)

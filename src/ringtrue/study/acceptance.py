@@ -1,4 +1,6 @@
-"""The user's own limits: which pairs miss them, and whether the model that the study delivers is accepted."""
+"""The user's own limits: which pairs miss them, and whether the model that the study delivers is
+accepted.
+"""
 
 from __future__ import annotations
 
@@ -58,25 +60,33 @@ class Acceptance:
         """As the study asks for it."""
         return cls(config.accept_percent, config.accept_hz, config.accept_mac)
 
-    def holds(self, deviation_percent: float, deviation_hz: float, subspace_mac_percent: float) -> bool:
+    def holds(
+        self, deviation_percent: float, deviation_hz: float, subspace_mac_percent: float
+    ) -> bool:
         """Whether a pair is accepted."""
         limits = [
             abs(value) <= limit
             for value, limit in ((deviation_percent, self.percent), (deviation_hz, self.hz))
             if limit is not None
         ]
-        return (any(limits) if limits else True) and (self.mac is None or subspace_mac_percent >= self.mac)
+        return (any(limits) if limits else True) and (
+            self.mac is None or subspace_mac_percent >= self.mac
+        )
 
     def missed(self, table: CorrelationTable) -> tuple[CorrelationRow, ...]:
         """The pairs of a table that are not accepted."""
         return tuple(
-            r for r in table.rows() if not self.holds(r.deviation_percent, r.deviation_hz, r.subspace_mac_percent)
+            r
+            for r in table.rows()
+            if not self.holds(r.deviation_percent, r.deviation_hz, r.subspace_mac_percent)
         )
 
     def words(self) -> str:
         """The rule in words."""
         limit = " or ".join(
-            f"|Δf| ≤ {value:.4g} {unit}" for value, unit in ((self.percent, "%"), (self.hz, "Hz")) if value is not None
+            f"|Δf| ≤ {value:.4g} {unit}"
+            for value, unit in ((self.percent, "%"), (self.hz, "Hz"))
+            if value is not None
         )
         mac = f"subspace MAC ≥ {self.mac:.4g} %" if self.mac is not None else ""
         return " and ".join(x for x in (limit, mac) if x) or "every pair"
@@ -84,8 +94,9 @@ class Acceptance:
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """The model that a study delivers, as far as it was run: its tables (those of other configurations last) and what
-    they rest on."""
+    """The model that a study delivers, as far as it was run: its tables (those of other
+    configurations last) and what they rest on.
+    """
 
     name: str
     tables: tuple[tuple[str, CorrelationTable], ...]
@@ -93,7 +104,8 @@ class Judged:
 
 
 def judged(config: StudyConfig, results: Mapping[str, Any]) -> Judged | None:
-    """The delivered deck, its rigid-body modes too where they were tuned; without anything to update the deck itself.
+    """The delivered deck, its rigid-body modes too where they were tuned; without anything to
+    update the deck itself.
 
     None where the study was not run so far.
     """
@@ -110,7 +122,9 @@ def judged(config: StudyConfig, results: Mapping[str, Any]) -> Judged | None:
 
 
 def missed_words(config: StudyConfig, results: Mapping[str, Any]) -> tuple[str, ...]:
-    """A sentence for each pair outside of limits that the study states; none where it states none."""
+    """A sentence for each pair outside of limits that the study states; none where it states
+    none.
+    """
     model = judged(config, results)
     if model is None or not PER_PAIR & config.correlate.model_fields_set:
         return ()
@@ -125,7 +139,9 @@ def missed_words(config: StudyConfig, results: Mapping[str, Any]) -> tuple[str, 
 
 
 def limits(config: StudyConfig, results: Mapping[str, Any]) -> tuple[Check, ...]:
-    """Whether the delivered model keeps the limits that the study states; empty where it states none."""
+    """Whether the delivered model keeps the limits that the study states; empty where it states
+    none.
+    """
     model, c = judged(config, results), config.correlate
     if model is None:
         return ()
@@ -138,14 +154,25 @@ def limits(config: StudyConfig, results: Mapping[str, Any]) -> tuple[Check, ...]
         out.append(Check(name, f"all {count}", str(good), good == count > 0))
     if c.accept_pairs is not None:
         n = len(table)
-        out.append(Check(f"{model.name}: pairs", f"≥ {c.accept_pairs}", str(n), n >= c.accept_pairs))
+        out.append(
+            Check(f"{model.name}: pairs", f"≥ {c.accept_pairs}", str(n), n >= c.accept_pairs)
+        )
     if c.accept_mean_percent is not None:
         mean, most = table.mean_deviation(), c.accept_mean_percent
-        out.append(Check(f"{model.name}: mean |Δf|", f"≤ {most:g} %", f"{mean:.2f} %", bool(mean <= most)))
+        out.append(
+            Check(f"{model.name}: mean |Δf|", f"≤ {most:g} %", f"{mean:.2f} %", bool(mean <= most))
+        )
     if c.accept_mean_mac is not None:
         mac = table.mean_subspace_mac()
         least = c.accept_mean_mac
-        out.append(Check(f"{model.name}: mean subspace MAC", f"≥ {least:g} %", f"{mac:.2f} %", bool(mac >= least)))
+        out.append(
+            Check(
+                f"{model.name}: mean subspace MAC",
+                f"≥ {least:g} %",
+                f"{mac:.2f} %",
+                bool(mac >= least),
+            )
+        )
     if ORTHOGONALITY & c.model_fields_set:
         out.append(_orthogonal(model, c))
     return tuple(out)
@@ -173,9 +200,11 @@ def convergence(results: Mapping[str, Any]) -> tuple[Check, ...]:
 
 
 def improvement(results: Mapping[str, Any]) -> tuple[Check, ...]:
-    """Whether the final model is nearer to the test than the initial one, in modes used and left out.
+    """Whether the final model is nearer to the test than the initial one, in modes used and left
+    out.
 
-    Judged by the modes with a partner in both: one that the updating wins a partner for is no worse for it.
+    Judged by the modes with a partner in both: one that the updating wins a partner for is no worse
+    for it.
     """
     final: FinalStage | None = results.get("final")
     before: CorrelateStage | None = results.get("correlate")
@@ -188,19 +217,30 @@ def improvement(results: Mapping[str, Any]) -> tuple[Check, ...]:
 
 
 def in_both(*tables: CorrelationTable, used: bool | None = None) -> tuple[Bool, ...]:
-    """Which pairs of each table, (k,), are of test modes with a partner in the first and in the last of them.
+    """Which pairs of each table, (k,), are of test modes with a partner in the first and in the
+    last of them.
 
     Of the modes that the updating has used, of those left out, or of all.
     """
-    a, b = (t.pairing.a if used is None else t.pairing.a[t.used == used] for t in (tables[0], tables[-1]))
+    a, b = (
+        t.pairing.a if used is None else t.pairing.a[t.used == used]
+        for t in (tables[0], tables[-1])
+    )
     both = np.intersect1d(a, b)
     return tuple(np.isin(t.pairing.a, both) for t in tables)
 
 
 def _improved(name: str, *tables: CorrelationTable, used: bool | None = None) -> list[Check]:
-    a, b = (t.mean_deviation(which) for t, which in zip(tables, in_both(*tables, used=used), strict=True))
+    a, b = (
+        t.mean_deviation(which)
+        for t, which in zip(tables, in_both(*tables, used=used), strict=True)
+    )
     there = np.isfinite(a)
-    return [Check(f"{name}: mean |Δf| improved", f"< {a:.2f} %", f"{b:.2f} %", bool(b < a))] if there else []
+    return (
+        [Check(f"{name}: mean |Δf| improved", f"< {a:.2f} %", f"{b:.2f} %", bool(b < a))]
+        if there
+        else []
+    )
 
 
 def _others_improved(results: Mapping[str, Any]) -> list[Check]:

@@ -1,4 +1,6 @@
-"""Where sensors can sit, and in which directions: on the candidate nodes, triaxial, in single axes, or normal."""
+"""Where sensors can sit, and in which directions: on the candidate nodes, triaxial, in single axes,
+or normal.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,8 @@ class Arrangement:
         Direction in the name of a channel.
     xyz : (s, 3) float64, m
     apart : (s, 3 or 4) float64, m
-        Where the least distance is measured: sensors in different single axes do not keep each other away.
+        Where the least distance is measured: sensors in different single axes do not keep each
+        other away.
     region : tuple (s) of str
     """
 
@@ -82,18 +85,30 @@ class Arrangement:
         return out
 
     def test_model(self, chosen: Int) -> TestModel:
-        """The sensors with lines between their points and the neighbours of the same region, for drawing."""
+        """The sensors with lines between their points and the neighbours of the same region, for
+        drawing.
+        """
         points, back = self.points(chosen)
-        first = np.array([int(np.argmax(back == k)) for k in range(points.size)], dtype=np.int64)  # tens of points
+        first = np.array(
+            [int(np.argmax(back == k)) for k in range(points.size)], dtype=np.int64
+        )  # tens of points
         xyz, groups = self.xyz[chosen][first], [self.region[i] for i in chosen[first].tolist()]
         lines = points[neighbours(xyz, groups)]
         axes = self.axes[chosen].reshape(-1, 3)
         return TestModel(
-            points, xyz, self.labels(chosen), np.repeat(points[back], self.each), axes, lines, tuple(groups)
+            points,
+            xyz,
+            self.labels(chosen),
+            np.repeat(points[back], self.each),
+            axes,
+            lines,
+            tuple(groups),
         )
 
 
-def arranged(nodes: Int, region: Sequence[str], xyz: Float, directions: str, scene: Scene) -> Arrangement:
+def arranged(
+    nodes: Int, region: Sequence[str], xyz: Float, directions: str, scene: Scene
+) -> Arrangement:
     """All sensors that candidate nodes can hold.
 
     Parameters
@@ -102,7 +117,8 @@ def arranged(nodes: Int, region: Sequence[str], xyz: Float, directions: str, sce
     region : sequence (n) of str
     xyz : (n, 3) float64, m
     directions : {"triaxial", "uniaxial", "normal"}
-        One sensor a node along the global axes together, one for each of the axes, or one along the normal of the skin.
+        One sensor a node along the global axes together, one for each of the axes, or one along the
+        normal of the skin.
 
     Raises
     ------
@@ -121,7 +137,9 @@ def arranged(nodes: Int, region: Sequence[str], xyz: Float, directions: str, sce
         names = (NORMAL,) * at.size
     place = xyz[at]
     apart = place
-    if directions == "uniaxial":  # a fourth coordinate keeps the axes farther apart than any two nodes are
+    if (
+        directions == "uniaxial"
+    ):  # a fourth coordinate keeps the axes farther apart than any two nodes are
         far = 10 * (1.0 + float(np.ptp(xyz, axis=0).max(initial=0.0)))
         apart = np.column_stack([place, far * np.tile(np.arange(3), n)])
     return Arrangement(nodes, at, axes, names, place, apart, tuple(region[i] for i in at.tolist()))
@@ -133,6 +151,8 @@ def _normals(nodes: Int, scene: Scene) -> tuple[Int, Float]:
     seat = np.searchsorted(scene.node, nodes).clip(max=scene.node.size - 1)
     here: Bool = (scene.node[seat] == nodes) & (np.linalg.norm(normal[seat], axis=1) > 0)
     if not here.any():
-        raise ConfigError('[plan] directions = "normal": no candidate lies on a shell or on the skin of solids')
+        raise ConfigError(
+            '[plan] directions = "normal": no candidate lies on a shell or on the skin of solids'
+        )
     at = np.flatnonzero(here)
     return at, normal[seat[at]][:, None, :]

@@ -1,4 +1,6 @@
-"""What each of many candidates does to what was measured beside the modes, before one reduced model holds them all."""
+"""What each of many candidates does to what was measured beside the modes, before one reduced model
+holds them all.
+"""
 
 from __future__ import annotations
 
@@ -77,32 +79,45 @@ class Beside:
 
     @cached_property
     def mass(self) -> tuple[Float, Float]:
-        """The rigid-body mass (6, 6) of the deck about the origin, and its slopes (p, 6, 6) to the factors."""
+        """The rigid-body mass (6, 6) of the deck about the origin, and its slopes (p, 6, 6) to the
+        factors.
+        """
         free = unconstrained(self.desk.remodelled.model)
         system = assemble(free)
         r = system.rigid_body()
         return np.asarray(r.T @ (system.mass @ r)), _projected(free, self.chosen, system, r)[1]
 
     def strained(self) -> tuple[Float, Float]:
-        """λ and vectors of the deck in which a candidate must have a part to be seen: modes and responses."""
+        """λ and vectors of the deck in which a candidate must have a part to be seen: modes and
+        responses.
+        """
         return responding(self.start, self.touched, np.zeros(0))
 
     def loaded(self, model: AtChannels) -> AtChannels:
         """With the responses to unit loads at the touched channels in its basis."""
         loads = self.desk.loaded(OWN)
-        more, read = flexible(model.model, self.desk.measured(OWN), loads), np.setdiff1d(self.touched, loads)
+        more, read = (
+            flexible(model.model, self.desk.measured(OWN), loads),
+            np.setdiff1d(self.touched, loads),
+        )
         if read.size:
             more, _ = with_responses(more, read, np.zeros(len(more.parameters)))
         return replace(model, model=more, loaded=loads)
 
     def problem(self, search: AtChannels, aim: Target) -> Problem:
         """Modes and data, over some of the candidates."""
-        return Problem((Configuration(search, aim, terms_of(self.desk, OWN, search, self.desk.config.update)),))
+        return Problem(
+            (Configuration(search, aim, terms_of(self.desk, OWN, search, self.desk.config.update)),)
+        )
 
-    def misfit(self, at: ReducedModel | None, x: Float, which: Sequence[int], aim: Target) -> tuple[Float, Float]:
-        """Weighted deviations (n,) at a point, and what each candidate does to them in units of its prior, (n, p).
+    def misfit(
+        self, at: ReducedModel | None, x: Float, which: Sequence[int], aim: Target
+    ) -> tuple[Float, Float]:
+        """Weighted deviations (n,) at a point, and what each candidate does to them in units of its
+        prior, (n, p).
 
-        Along the modes there and the responses to unit loads at the touched channels (Fox and Kapoor 1968).
+        Along the modes there and the responses to unit loads at the touched channels (Fox and
+        Kapoor 1968).
 
         Parameters
         ----------
@@ -117,7 +132,13 @@ class Beside:
         lam, vectors = responding(model, self.touched, x)
         dk, dm = _projected(deck.model, self.chosen, deck.analysis.system, vectors)
         dense = DenseModel(
-            np.diag(lam), np.eye(lam.size), dk, dm, model.system.observe @ vectors, self.chosen, lam.size
+            np.diag(lam),
+            np.eye(lam.size),
+            dk,
+            dm,
+            model.system.observe @ vectors,
+            self.chosen,
+            lam.size,
         )
         now = dense.linearise(np.zeros(p))
         none = np.zeros((0, 2), dtype=np.int64)
@@ -132,12 +153,19 @@ class Beside:
     def _rigid(self, x: Float) -> RigidMass:
         """About x (p,), linear in the factors."""
         mass, slopes = self.mass
-        none, here = sparse.csr_array((6, 6)), mass + np.tensordot(self.chosen.factors(x) - 1, slopes, axes=1)
+        none, here = (
+            sparse.csr_array((6, 6)),
+            mass + np.tensordot(self.chosen.factors(x) - 1, slopes, axes=1),
+        )
         terms = tuple(AffineTerm(power(i), none, sparse.csr_array(s)) for i, s in enumerate(slopes))
-        return RigidMass(AffineSystem(none, sparse.csr_array(here), self.chosen, terms, none), np.eye(6))
+        return RigidMass(
+            AffineSystem(none, sparse.csr_array(here), self.chosen, terms, none), np.eye(6)
+        )
 
 
-def _projected(model: Model, chosen: ParameterSet, system: System, vectors: Float) -> tuple[Float, Float]:
+def _projected(
+    model: Model, chosen: ParameterSet, system: System, vectors: Float
+) -> tuple[Float, Float]:
     """∂K/∂a and ∂M/∂a of each parameter along vectors (f, r), (p, r, r) each."""
     r = vectors.shape[1]
     out = np.zeros((2, len(chosen), r, r))

@@ -1,4 +1,6 @@
-"""Hammer records as a laboratory stores them, made into FRFs: which channel is the hammer, what was struck."""
+"""Hammer records as a laboratory stores them, made into FRFs: which channel is the hammer, what was
+struck.
+"""
 
 from __future__ import annotations
 
@@ -26,15 +28,16 @@ class BlowFiles:
     Attributes
     ----------
     force : tuple of str
-        Id of the force channel or a pattern of it (`Hammer*`), one for all files or one a file; by default found by its
-        quantity, or else by its name.
+        Id of the force channel or a pattern of it (`Hammer*`), one for all files or one a file; by
+        default found by its quantity, or else by its name.
     struck : tuple of str
-        Point and direction struck, such as `3+Z`, one for all files or one a file; by default the id of the force.
+        Point and direction struck, such as `3+Z`, one for all files or one a file; by default the
+        id of the force.
     leave_out : tuple of str
         Channels that are not used.
     quantity : str
-        What responses measure, acceleration, velocity or displacement, where no file tells it; by default
-        acceleration, and a note says so.
+        What responses measure, acceleration, velocity or displacement, where no file tells it; by
+        default acceleration, and a note says so.
     rate : float, Hz, optional
         Where the files have none.
     group : str
@@ -57,11 +60,14 @@ class BlowFiles:
     def of(self, k: int) -> BlowFiles:
         """How file k is to be read."""
         force, struck = (x[k : k + 1] or x[:1] for x in (self.force, self.struck))
-        return replace(self, force=force, struck=struck, channels=self.channels[k : k + 1] or self.channels[:1])
+        return replace(
+            self, force=force, struck=struck, channels=self.channels[k : k + 1] or self.channels[:1]
+        )
 
 
 def renamed(history: TimeHistory, names: Sequence[str], path: Path) -> TimeHistory:
-    """The channels by other names, in their order in the file; those with an empty name are left out.
+    """The channels by other names, in their order in the file; those with an empty name are left
+    out.
 
     Raises
     ------
@@ -71,13 +77,21 @@ def renamed(history: TimeHistory, names: Sequence[str], path: Path) -> TimeHisto
     if not names:
         return history
     old = [c.id for c in history.channels]
-    if isinstance(names, str) or len(names) != len(old) or not all(isinstance(n, str) for n in names):
-        raise DataError(f"{path}: `channels` must name all {len(old)} in their order: {' '.join(old[:40])}")
+    if (
+        isinstance(names, str)
+        or len(names) != len(old)
+        or not all(isinstance(n, str) for n in names)
+    ):
+        raise DataError(
+            f"{path}: `channels` must name all {len(old)} in their order: {' '.join(old[:40])}"
+        )
     given = [n for n in names if n]
     if twice := sorted({n for n in given if given.count(n) > 1}):
         raise DataError(f"{path}: `channels` names {' '.join(twice)} twice")
     kept = history.pick([i for i, name in zip(old, names, strict=True) if name])
-    return replace(kept, channels=tuple(replace(c, id=n) for c, n in zip(kept.channels, given, strict=True)))
+    return replace(
+        kept, channels=tuple(replace(c, id=n) for c, n in zip(kept.channels, given, strict=True))
+    )
 
 
 def full_scale(path: Path) -> dict[str, float]:
@@ -91,7 +105,8 @@ def full_scale(path: Path) -> dict[str, float]:
 def refused_blows(hits: Sequence[HitReport]) -> tuple[str, ...]:
     """A line for each blow that does not count, or of which something is to be said."""
     return tuple(
-        f"{h.source}, {h.time:.2f} s, {h.peak:.0f} N: {'used, but ' if h.accepted else ''}{', '.join(h.reasons)}"
+        f"{h.source}, {h.time:.2f} s, {h.peak:.0f} N: "
+        f"{'used, but ' if h.accepted else ''}{', '.join(h.reasons)}"
         for h in hits
         if h.reasons
     )
@@ -126,19 +141,23 @@ def read_blows(
     DataError
         If a file has no force channel, no motion, or samples that are constant or not finite.
     ConfigError
-        If there are neither one nor as many points struck, names of the force, or of the channels, as files, or no file
-        has a channel to be left out.
+        If there are neither one nor as many points struck, names of the force, or of the channels,
+        as files, or no file has a channel to be left out.
     """
     how = how or BlowFiles()
     options = {"--struck": how.struck, "--force": how.force, "--channels": how.channels}
     for option, given in options.items():
         if len(given) not in (0, 1, len(paths)):
-            raise ConfigError(f"{option}: given {len(given)} times for {len(paths)} files; once for all, or once each")
+            raise ConfigError(
+                f"{option}: given {len(given)} times for {len(paths)} files; once for all, or "
+                "once each"
+            )
     runs = [(i, p, *found) for i, p in enumerate(paths) for found in _runs(p, how.of(i))]
     known = {c.id for _, _, run, _ in runs for c in run.channels}
     if lost := [c for c in how.leave_out if c not in known]:
         raise ConfigError(
-            f"--leave-out {lost[0]}: no file has such a channel; there are {' '.join(sorted(known)[:40])}"
+            f"--leave-out {lost[0]}: no file has such a channel; there are "
+            f"{' '.join(sorted(known)[:40])}"
         )
     records, notes = [], dict[str, None]()
     for i, path, run, scaled in runs:
@@ -151,10 +170,13 @@ def read_blows(
     return tuple(records), ranges, tuple(notes)
 
 
-def read_file(path: Path, how: BlowFiles | None = None) -> tuple[tuple[TimeHistory, ...], tuple[str, ...]]:
+def read_file(
+    path: Path, how: BlowFiles | None = None
+) -> tuple[tuple[TimeHistory, ...], tuple[str, ...]]:
     """The acquisitions of one file as `read_blows` gives them, and what is to be said of them.
 
-    Channels of `leave_out` that the file does not have are no error: another file of the test may have them.
+    Channels of `leave_out` that the file does not have are no error: another file of the test may
+    have them.
 
     Raises
     ------
@@ -163,7 +185,9 @@ def read_file(path: Path, how: BlowFiles | None = None) -> tuple[tuple[TimeHisto
     """
     how = how or BlowFiles()
     ready = [(*_ready(path, run, how), scaled) for run, scaled in _runs(path, how)]
-    return tuple(r for r, *_ in ready), tuple(dict.fromkeys(n for _, said, scaled in ready for n in (*scaled, *said)))
+    return tuple(r for r, *_ in ready), tuple(
+        dict.fromkeys(n for _, said, scaled in ready for n in (*scaled, *said))
+    )
 
 
 def _ready(path: Path, run: TimeHistory, how: BlowFiles) -> tuple[TimeHistory, Sequence[str]]:
@@ -178,7 +202,9 @@ def _runs(path: Path, how: BlowFiles) -> Iterator[tuple[TimeHistory, tuple[str, 
     runs = read_runs(path, how.rate, group=how.group)
     names = how.channels[0] if how.channels else ()
     for k, run in enumerate(runs):
-        named = renamed(replace(run, source=str(path) if len(runs) == 1 else f"{path} #{k + 1}"), names, path)
+        named = renamed(
+            replace(run, source=str(path) if len(runs) == 1 else f"{path} #{k + 1}"), names, path
+        )
         yield how.sheet.scaled(named) if how.sheet else (named, ())
 
 
@@ -189,13 +215,17 @@ def _acting(c: Channel, name: str) -> Channel:
 
 
 def _prepared(record: TimeHistory, how: BlowFiles) -> tuple[TimeHistory, list[str]]:
-    """The force, named after the point struck, and the motions; several forces where shakers run together."""
+    """The force, named after the point struck, and the motions; several forces where shakers run
+    together.
+    """
     force, point = ("".join(x[:1]) for x in (how.force, how.struck))
     at = [i for i, c in enumerate(record.channels) if c.quantity in FORCES] if not force else []
     at = at if len(at) > 1 else [force_channel(record, HammerSettings(force=force))]
     notes = list[str]()
     if point and len(at) > 1:
-        raise ConfigError(f"--struck {point}: {record.source} has {len(at)} forces; their names tell their points")
+        raise ConfigError(
+            f"--struck {point}: {record.source} has {len(at)} forces; their names tell their points"
+        )
     rest = [i for i in range(len(record.channels)) if i not in at]
     motions = [i for i in rest if record.channels[i].quantity in MOTIONS]
     unknown = [i for i in rest if record.channels[i].quantity == "unknown"]
@@ -203,16 +233,24 @@ def _prepared(record: TimeHistory, how: BlowFiles) -> tuple[TimeHistory, list[st
     if not motions and unknown:
         motions = unknown
         if not how.quantity:
-            notes.append("no unit tells what the responses measure: taken as accelerations, m/s^2 (--quantity)")
+            notes.append(
+                "no unit tells what the responses measure: taken as accelerations, m/s^2 "
+                "(--quantity)"
+            )
     if bare := [record.channels[i].id for i in at if record.channels[i].quantity == "unknown"]:
         notes.append(f"{' '.join(bare)}: a force without a unit, taken as N (--sensors)")
     if lost := [record.channels[i].id for i in rest if i not in motions]:
         notes.append(f"channel {' '.join(lost)}: no motion, not used")
     if not motions:
-        raise DataError(f"{record.source}: no channel but the force {record.channels[at[0]].id} is a motion")
+        raise DataError(
+            f"{record.source}: no channel but the force {record.channels[at[0]].id} is a motion"
+        )
     channels = [
-        c if c.quantity in MOTIONS else Channel(c.id, quantity, SI_UNIT[quantity], c.sensor) for c in record.channels
+        c if c.quantity in MOTIONS else Channel(c.id, quantity, SI_UNIT[quantity], c.sensor)
+        for c in record.channels
     ]
     forces = [_acting(record.channels[i], f"F:{point}" if point else "") for i in at]
     data = np.asarray(record.data[[*at, *motions]])
-    return TimeHistory(data, record.rate, (*forces, *(channels[i] for i in motions)), record.source), notes
+    return TimeHistory(
+        data, record.rate, (*forces, *(channels[i] for i in motions)), record.source
+    ), notes

@@ -50,14 +50,20 @@ class ModelSection(_Section):
 
     deck: str
     units: UnitName = "SI"
-    fmax: float | None = Field(default=None, gt=0)  # Hz, modes are computed up to here; None: as high as a pair may be
-    solver: str = EMBEDDED  # of the modes of decks and of the updating: embedded, mystran, nastran, slepc, a plug-in
-    refine: int = Field(default=0, ge=0, le=3)  # how often the mesh is refined before anything is computed
+    fmax: float | None = Field(
+        default=None, gt=0
+    )  # Hz, modes are computed up to here; None: as high as a pair may be
+    # of the modes of decks and of the updating: embedded, mystran, nastran, slepc, a plug-in
+    solver: str = EMBEDDED
+    refine: int = Field(
+        default=0, ge=0, le=3
+    )  # how often the mesh is refined before anything is computed
     regions: dict[str, list[int]] = {}  # name -> property numbers, for drawing and naming
 
 
 class TestSection(_Section):
-    """The measurements: the sensor sheet, and a crew's log that lists the records, measured FRFs, or modes.
+    """The measurements: the sensor sheet, and a crew's log that lists the records, measured FRFs,
+    or modes.
 
     Without a sheet the modes are frequencies alone.
     """
@@ -65,8 +71,12 @@ class TestSection(_Section):
     sheet: str | None = None
     log: str | None = None
     frfs: list[str] = []  # .uff, .h5, .npz, in place of hammer records
-    modes: str | None = None  # .json, .h5, .uff, .csv, .xlsx: identified elsewhere, or by `ringtrue ema` or `oma`
-    leave_out: list[str] = []  # channels that are not used: broken, or on a part that the deck does not have
+    modes: str | None = (
+        None  # .json, .h5, .uff, .csv, .xlsx: identified elsewhere, or by `ringtrue ema` or `oma`
+    )
+    leave_out: list[
+        str
+    ] = []  # channels that are not used: broken, or on a part that the deck does not have
     lines: str | None = None  # pairs of points to draw
 
     @model_validator(mode="after")
@@ -74,7 +84,9 @@ class TestSection(_Section):
         if self.modes is not None and (self.log is not None or self.frfs):
             raise ValueError("modes take the place of a log and of frfs: give one of the two")
         if self.sheet is None and (self.modes is None or self.leave_out or self.lines):
-            raise ValueError("a test needs a `sheet`; only `modes` that are frequencies alone have no channels")
+            raise ValueError(
+                "a test needs a `sheet`; only `modes` that are frequencies alone have no channels"
+            )
         return self
 
 
@@ -86,7 +98,9 @@ class IdentifySection(_Section):
     hammer_fmin: float | None = None
     hammer_fmax: float | None = None
     confidence: float = Field(default=0.5, ge=0, le=1)  # modes below are not used, but listed
-    choice: str | None = None  # a choice of modes by hand, .toml or .json; records by their names, or "hammer"
+    choice: str | None = (
+        None  # a choice of modes by hand, .toml or .json; records by their names, or "hammer"
+    )
 
     @model_validator(mode="after")
     def _bands(self) -> Self:
@@ -129,12 +143,16 @@ def parse_target(text: str) -> tuple[Target, ...]:
     """`"PBUSH 3 K1,K2"` -> two targets."""
     words = text.split()
     if len(words) != 3 or not words[1].isdigit():
-        raise ValueError(f"{text!r} is not a target; the form is 'CARD id FIELD[,FIELD]', as in 'MAT1 7 E'")
+        raise ValueError(
+            f"{text!r} is not a target; the form is 'CARD id FIELD[,FIELD]', as in 'MAT1 7 E'"
+        )
     return tuple(Target(words[0].upper(), int(words[1]), f.upper()) for f in words[2].split(","))
 
 
 def target_words(parameter: Parameter) -> list[str]:
-    """What a candidate of study.toml has as `targets`, a card each; empty for factors on some elements only."""
+    """What a candidate of study.toml has as `targets`, a card each; empty for factors on some
+    elements only.
+    """
     fields: dict[str, list[str]] = {}
     for t in parameter.targets:
         fields.setdefault(f"{t.card} {t.id}", []).append(t.field)
@@ -147,12 +165,18 @@ class LocaliseSection(_Section):
 
     most: int = Field(default=8, gt=0)  # parameters that are proposed
     kinds: list[Kind] = ["material", "property", "spring", "lump"]
-    pool: int = Field(default=24, ge=0)  # candidates made from the deck that are looked at closely; 0: none is made
-    alike: float = Field(default=0.95, gt=0, le=1)  # |cosine| from which on the data cannot tell two apart
+    pool: int = Field(
+        default=24, ge=0
+    )  # candidates made from the deck that are looked at closely; 0: none is made
+    alike: float = Field(
+        default=0.95, gt=0, le=1
+    )  # |cosine| from which on the data cannot tell two apart
 
 
 class DampingRegionSection(_Section):
-    """A region with one loss factor, `targets = ["MAT1 7 GE"]`, or one dashpot, `targets = ["PBUSH 3 B1,B2"]`."""
+    """A region with one loss factor, `targets = ["MAT1 7 GE"]`, or one dashpot, `targets = ["PBUSH
+    3 B1,B2"]`.
+    """
 
     name: str
     targets: list[str]
@@ -176,7 +200,9 @@ class DampingSection(_Section):
     """Damping after stiffness and mass: loss factors and dashpots by region."""
 
     region: list[DampingRegionSection] = []  # empty: one a material and one a spring group
-    error: float = Field(default=0.1, gt=0)  # of a mode's damping by the model's shapes, relative, 1 sigma
+    error: float = Field(
+        default=0.1, gt=0
+    )  # of a mode's damping by the model's shapes, relative, 1 sigma
     write: bool = False  # into GE and B of a copy of the delivered deck, out/damped
 
 
@@ -196,14 +222,18 @@ class PredictSection(_Section):
 
 
 class ConfigurationSection(_Section):
-    """Another state of the structure with a test of its own; its deck, or cards that the deck of the study gets."""
+    """Another state of the structure with a test of its own; its deck, or cards that the deck of
+    the study gets.
+    """
 
     name: str
     deck: str | None = None
     cards: str | None = None  # a file; its cards are added to the (remodelled) deck of the study
     sheet: str | None = None
     log: str | None = None  # of the crew, or
-    modes: str | None = None  # test modes, as above; without a sheet channels are DOFs such as 101+Z
+    modes: str | None = (
+        None  # test modes, as above; without a sheet channels are DOFs such as 101+Z
+    )
     lines: str | None = None
     choice: str | None = None  # as under [identify], of this log
     left_out: int = Field(default=0, ge=0)  # modes that the updating must not see
@@ -212,14 +242,20 @@ class ConfigurationSection(_Section):
     @classmethod
     def _folder(cls, value: str) -> str:
         if not re.fullmatch(r"\w[\w .+-]*", value):
-            raise ValueError("a configuration is named by letters, digits, blanks and . + - _: it names a folder")
+            raise ValueError(
+                "a configuration is named by letters, digits, blanks and . + - _: it names a folder"
+            )
         return value
 
     @model_validator(mode="after")
     def _complete(self) -> Self:
         if (self.deck is None) == (self.cards is None):
-            raise ValueError("a configuration has a deck of its own or cards that are added, one of the two")
-        if (self.log is None) == (self.modes is None) or (self.log is not None and self.sheet is None):
+            raise ValueError(
+                "a configuration has a deck of its own or cards that are added, one of the two"
+            )
+        if (self.log is None) == (self.modes is None) or (
+            self.log is not None and self.sheet is None
+        ):
             raise ValueError("a configuration has a sheet and a log, or a file of modes")
         return self
 
@@ -265,7 +301,9 @@ class StudyConfig(_Section):
             raise ValueError("a study needs a [model], a [test] or both")
         names = [c.name for c in (*self.candidate, *self.suspension)]
         if twice := sorted({n for n in names if names.count(n) > 1}):
-            raise ValueError(f"candidates and suspensions need names of their own; twice: {', '.join(twice)}")
+            raise ValueError(
+                f"candidates and suspensions need names of their own; twice: {', '.join(twice)}"
+            )
         if len({c.name for c in self.configuration}) != len(self.configuration):
             raise ValueError("configurations need names of their own")
         if self.set and not self.candidate:
@@ -279,13 +317,15 @@ class StudyConfig(_Section):
             raise ValueError(f"[[residual]]: no configuration {lost[0]!r}")
         if self.residual and self.model is not None and self.model.solver != EMBEDDED:
             raise ValueError(
-                f"[[residual]] {self.residual[0].kind}: [model] solver {self.model.solver!r} gives modes alone; what "
+                f"[[residual]] {self.residual[0].kind}: [model] solver {self.model.solver!r} "
+                "gives modes alone; what "
                 "was measured beside them needs the embedded solver"
             )
         anywhere = "global" in (self.update.search, *(s.search for s in self.set))
         if anywhere and self.model is not None and self.model.solver != EMBEDDED:
             raise ValueError(
-                f'search = "global" takes thousands of points: [model] solver {self.model.solver!r} cannot'
+                'search = "global" takes thousands of points: [model] solver '
+                f"{self.model.solver!r} cannot"
             )
         if self.configuration and (self.model is None or self.test is None):
             raise ValueError("configurations need a [model] and a [test] that they are others of")
@@ -299,10 +339,17 @@ class StudyConfig(_Section):
         why = "[test] without a `sheet` is of frequencies alone"
         if self.alone and self.model is None:
             raise ValueError(f"{why}: it needs a [model] to compare them with")
-        asked = [f"[correlate] {name}" for name in sorted(OF_SHAPES & self.correlate.model_fields_set)]
+        asked = [
+            f"[correlate] {name}" for name in sorted(OF_SHAPES & self.correlate.model_fields_set)
+        ]
         given = self.update.residuals if "residuals" in self.update.model_fields_set else []
         asked += [f"[update] residuals {kind}" for kind in given if kind not in ALONE]
-        asked += [f"[[set]] residuals {kind}" for s in self.set for kind in s.residuals or [] if kind not in ALONE]
+        asked += [
+            f"[[set]] residuals {kind}"
+            for s in self.set
+            for kind in s.residuals or []
+            if kind not in ALONE
+        ]
         asked += ["[[configuration]]"] if self.configuration else []
         if self.alone and asked:
             raise ValueError(f"{why}: {asked[0]} asks for shapes")
@@ -310,13 +357,22 @@ class StudyConfig(_Section):
 
     def _refinable(self, solver: str) -> None:
         if solver != EMBEDDED:
-            raise ValueError(f"[model] refine: solver {solver!r} solves decks as they are; leave one of the two out")
-        targets = [parse_target(t)[0] for c in (*self.candidate, *self.suspension) for t in c.targets]
+            raise ValueError(
+                f"[model] refine: solver {solver!r} solves decks as they are; leave one of the "
+                "two out"
+            )
+        targets = [
+            parse_target(t)[0] for c in (*self.candidate, *self.suspension) for t in c.targets
+        ]
         if split := next((t.card for t in targets if t.card in NODES), None):
-            raise ValueError(f"[model] refine splits every {split}: a candidate may target its property instead")
+            raise ValueError(
+                f"[model] refine splits every {split}: a candidate may target its property instead"
+            )
 
     def check_names(self, candidates: Sequence[str]) -> None:
-        """Refuse sets, stages and constraints that name none of the candidates, by a ConfigError."""
+        """Refuse sets, stages and constraints that name none of the candidates, by a
+        ConfigError.
+        """
         named = {
             "update.stages": [n for stage in self.update.stages for n in stage],
             "[[constraint]]": [n for c in self.constraint for n in c.terms],
@@ -324,7 +380,9 @@ class StudyConfig(_Section):
         }
         for where, names in named.items():
             if wrong := [n for n in names if n not in candidates]:
-                raise ConfigError(f"{where}: no candidate {wrong[0]!r}{did_you_mean(wrong[0], candidates)}")
+                raise ConfigError(
+                    f"{where}: no candidate {wrong[0]!r}{did_you_mean(wrong[0], candidates)}"
+                )
 
     @property
     def alone(self) -> bool:
@@ -333,7 +391,9 @@ class StudyConfig(_Section):
 
     @property
     def lending(self) -> dict[str, Any] | None:
-        """What decides which modes of the deck frequencies alone are taken for; None where shapes were measured."""
+        """What decides which modes of the deck frequencies alone are taken for; None where shapes
+        were measured.
+        """
         if not self.alone or self.model is None:
             return None
         asked = self.correlate.model_dump(include={"frequency_gate", "lock", "forbid"})
@@ -349,7 +409,9 @@ class StudyConfig(_Section):
 
     @property
     def joint(self) -> bool:
-        """Whether sets are chosen by the general objective: more than eigenvalues and shapes of one deck."""
+        """Whether sets are chosen by the general objective: more than eigenvalues and shapes of one
+        deck.
+        """
         return bool(self.configuration or self.residual or self.constraint or not self.update.plain)
 
     @property

@@ -1,4 +1,6 @@
-"""What is wrong with a study.toml or a log, in words: where, what was found, and the nearest allowed key."""
+"""What is wrong with a study.toml or a log, in words: where, what was found, and the nearest
+allowed key.
+"""
 
 from __future__ import annotations
 
@@ -36,15 +38,25 @@ def _said(e: Mapping[str, Any], place: str) -> str:
     if e["type"] == "union_tag_invalid":
         allowed = [x.strip(" '") for x in about["expected_tags"].split(",")]
         return f"unknown kind {about['tag']!r}{did_you_mean(about['tag'], allowed)}"
-    got = f" (got {given!r})" if isinstance(given, str | int | float | list) and e["type"] != "missing" else ""
+    got = (
+        f" (got {given!r})"
+        if isinstance(given, str | int | float | list) and e["type"] != "missing"
+        else ""
+    )
     return str(e["msg"]).removeprefix("Value error, ") + got
 
 
 def _allowed(top: type[BaseModel], location: tuple[Any, ...]) -> list[str]:
-    """The keys of the section at a location; a step that is no key is the `kind` of one of several sections."""
+    """The keys of the section at a location; a step that is no key is the `kind` of one of several
+    sections.
+    """
     here = [top]
     for step in (s for s in location if not isinstance(s, int)):
-        of_kind = [m for m in here if "kind" in m.model_fields and step in get_args(m.model_fields["kind"].annotation)]
+        of_kind = [
+            m
+            for m in here
+            if "kind" in m.model_fields and step in get_args(m.model_fields["kind"].annotation)
+        ]
         fields = [m.model_fields[step].annotation for m in here if step in m.model_fields]
         here = of_kind or [m for f in fields for m in _sections(f)]
     return [name for m in here for name in m.model_fields]

@@ -17,7 +17,11 @@ Search = Literal["starts", "global"]
 Discrepancy = Literal["found", "assumed", "evidence"]
 Prior = Literal["study", "evidence", "gcv", "l-curve"]
 Robust = Literal["squares", "huber", "tukey"]
-BEGINS: dict[str, object] = {"search": "starts", "starts": 1, "stages": []}  # where an updating begins: at the deck
+BEGINS: dict[str, object] = {
+    "search": "starts",
+    "starts": 1,
+    "stages": [],
+}  # where an updating begins: at the deck
 
 
 class _Section(BaseModel):
@@ -35,22 +39,30 @@ class RemodelSection(_Section):
 class UpdateSection(_Section):
     """Updating."""
 
-    propose: bool = False  # the proposal of the localisation is a parameter set; the only one without [[candidate]]
+    # the proposal of the localisation is a parameter set; the only one without [[candidate]]
+    propose: bool = False
     choose: int = Field(default=6, gt=0)
     left_out: int | None = Field(default=None, ge=0)  # modes to judge by; None: a third, 5 at most
     step: Step = "trust-region"
     shape_weight: float = Field(default=1.0, ge=0)
     iterations: int = Field(default=30, gt=0)
     residuals: list[ModalKind] = ["eigenvalues", "shapes"]  # of the paired modes
-    frequency_error: Positive = 0.01  # relative, that the best model of this form keeps; the test's own is added
+    frequency_error: Positive = (
+        0.01  # relative, that the best model of this form keeps; the test's own is added
+    )
     mac_error: Positive = 0.05  # of 1 - MAC
     orthogonality_error: Positive = 0.05  # of a term of the cross-orthogonality
-    discrepancy: Discrepancy = "found"  # errors of the kinds of residuals: as left over, as given, or as likely
+    discrepancy: Discrepancy = (
+        "found"  # errors of the kinds of residuals: as left over, as given, or as likely
+    )
     prior: Prior = "study"  # rule for the weight of the prior
     loss: Robust = "squares"  # against a wrong mode
     starts: int = Field(default=1, gt=0)  # the first is the deck
-    search: Search = "starts"  # where it begins: at the best of these, or where a global search inside the bounds ends
-    stages: list[list[str]] = []  # growing sets of candidates that are freed one after the other; in place of both
+    # where it begins: at the best of these, or where a global search inside the bounds ends
+    search: Search = "starts"
+    stages: list[
+        list[str]
+    ] = []  # growing sets of candidates that are freed one after the other; in place of both
 
     @field_validator("residuals")
     @classmethod
@@ -65,7 +77,9 @@ class UpdateSection(_Section):
         return self
 
     def otherwise(self, change: Mapping[str, Any]) -> UpdateSection:
-        """The same but for some settings; one that says where it begins takes the place of all that do."""
+        """The same but for some settings; one that says where it begins takes the place of all that
+        do.
+        """
         dropped = BEGINS if any(n in BEGINS for n in change) else {}
         kept = {n: v for n, v in self.model_dump(exclude_unset=True).items() if n not in dropped}
         return UpdateSection.model_validate(kept | dict(change))
@@ -77,17 +91,28 @@ class UpdateSection(_Section):
 
     @property
     def sharpened(self) -> bool:
-        """Whether the last part of an updating weighs deviations by what the parts before have left.
+        """Whether the last part of an updating weighs deviations by what the parts before have
+        left.
 
-        Not where the user gives the errors and does not ask for it, and not with a robust loss: what a few wrong data
-        leave says nothing of the others.
+        Not where the user gives the errors and does not ask for it, and not with a robust loss:
+        what a few wrong data leave says nothing of the others.
         """
-        given = self.model_fields_set & {"frequency_error", "mac_error"} and "discrepancy" not in self.model_fields_set
-        return self.discrepancy == "found" and not given and self.loss == "squares" and self.step != "published"
+        given = (
+            self.model_fields_set & {"frequency_error", "mac_error"}
+            and "discrepancy" not in self.model_fields_set
+        )
+        return (
+            self.discrepancy == "found"
+            and not given
+            and self.loss == "squares"
+            and self.step != "published"
+        )
 
     @property
     def plain(self) -> bool:
-        """Whether eigenvalues and shapes are compared by squares, with a prior and errors as given or left over."""
+        """Whether eigenvalues and shapes are compared by squares, with a prior and errors as given
+        or left over.
+        """
         usual = self.loss == "squares" and self.prior == "study" and self.discrepancy != "evidence"
         at_the_deck = all(getattr(self, n) == v for n, v in BEGINS.items())
         return usual and set(self.residuals) == {"eigenvalues", "shapes"} and at_the_deck
@@ -109,7 +134,8 @@ def begins_once(settings: Mapping[str, object]) -> None:
     asked = [n for n, plain in BEGINS.items() if settings.get(n) not in (None, plain)]
     if len(asked) > 1:
         raise ValueError(
-            f'{" and ".join(asked)}: an updating begins in one way: starts = N, stages, or search = "global", which '
+            f"{' and '.join(asked)}: an updating begins in one way: starts = N, stages, or "
+            'search = "global", which '
             "needs neither"
         )
 
@@ -119,11 +145,22 @@ class UncertaintySection(_Section):
 
     folds: int = Field(default=5, ge=2)  # of the used modes, each left out once
     level: float = Field(default=0.9, gt=0, lt=1)  # of intervals and bands
-    samples: int = Field(default=0, ge=0)  # of the posterior by Markov chains; 0: the normal approximation alone
+    samples: int = Field(
+        default=0, ge=0
+    )  # of the posterior by Markov chains; 0: the normal approximation alone
 
 
-AUTOMATIC = frozenset({"proposal", "best subset", "orthogonal sensitivities", "largest sensitivities"})  # sets
-JUDGED = ("residuals", "shape_weight", "frequency_error", "mac_error", "orthogonality_error", "loss")
+AUTOMATIC = frozenset(
+    {"proposal", "best subset", "orthogonal sensitivities", "largest sensitivities"}
+)  # sets
+JUDGED = (
+    "residuals",
+    "shape_weight",
+    "frequency_error",
+    "mac_error",
+    "orthogonality_error",
+    "loss",
+)
 
 
 class SetSection(_Section):
@@ -150,7 +187,11 @@ class SetSection(_Section):
 
     def own(self) -> dict[str, object]:
         """What it does otherwise."""
-        return {k: v for k, v in self.model_dump(exclude={"name", "candidates"}).items() if v is not None}
+        return {
+            k: v
+            for k, v in self.model_dump(exclude={"name", "candidates"}).items()
+            if v is not None
+        }
 
     def settings(self, update: UpdateSection) -> UpdateSection:
         """[update] as this set has it."""
@@ -171,7 +212,9 @@ def _word(value: object) -> str:
 
 
 class ConstraintSection(_Section):
-    """Σ factor · x <= most over candidates by name; x is ln(updated/initial), or updated/initial − 1 where linear."""
+    """Σ factor · x <= most over candidates by name; x is ln(updated/initial), or updated/initial −
+    1 where linear.
+    """
 
     terms: dict[str, float]
     most: float = 0.0
@@ -180,7 +223,9 @@ class ConstraintSection(_Section):
     @classmethod
     def _some(cls, value: dict[str, float]) -> dict[str, float]:
         if not any(value.values()):
-            raise ValueError('a constraint needs at least one candidate: terms = { "a" = 1.0, "b" = -1.0 }')
+            raise ValueError(
+                'a constraint needs at least one candidate: terms = { "a" = 1.0, "b" = -1.0 }'
+            )
         return value
 
 
@@ -203,7 +248,9 @@ class FrfResidual(_Data):
     lines: list[Positive] = []  # Hz; chosen by hand
     outputs: list[str] = []  # channels; empty: all
     inputs: list[str] = []
-    damping: float | None = Field(default=None, ge=0)  # of all modes; None: as the test modes have, by frequency
+    damping: float | None = Field(
+        default=None, ge=0
+    )  # of all modes; None: as the test modes have, by frequency
 
 
 class AntiResonanceResidual(_Data):
@@ -233,7 +280,9 @@ class MassResidual(_Data):
     mass_error: Positive = 0.005  # relative
     center: list[float] | None = None  # m, basic frame; nan where not measured
     center_error: Positive = 0.01  # m
-    inertia: list[float] | None = None  # kg m², Ixx Iyy Izz Ixy Iyz Izx (tensor) about the centre of gravity
+    inertia: list[float] | None = (
+        None  # kg m², Ixx Iyy Izz Ixy Iyz Izx (tensor) about the centre of gravity
+    )
     inertia_error: Positive = 0.02  # relative to the largest
 
     @model_validator(mode="after")
@@ -241,7 +290,9 @@ class MassResidual(_Data):
         if self.mass is None and self.center is None and self.inertia is None:
             raise ValueError("a weighing gives mass, center or inertia")
         if len(self.center or [0.0] * 3) != 3 or len(self.inertia or [0.0] * 6) != 6:
-            raise ValueError("center is x y z, inertia Ixx Iyy Izz Ixy Iyz Izx; nan where not measured")
+            raise ValueError(
+                "center is x y z, inertia Ixx Iyy Izz Ixy Iyz Izx; nan where not measured"
+            )
         return self
 
 

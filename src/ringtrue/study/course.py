@@ -27,10 +27,11 @@ def course_of(u: UpdateSection) -> Course:
 
 
 def further(u: UpdateSection) -> UpdateSection | None:
-    """[update] from several starts, for an end that leaves used modes without partner; None where none are asked for.
+    """[update] from several starts, for an end that leaves used modes without partner; None where
+    none are asked for.
 
-    Modes that change places between the deck and the structure make minima in which each is paired with its neighbour,
-    and some without partner.
+    Modes that change places between the deck and the structure make minima in which each is paired
+    with its neighbour, and some without partner.
     """
     enough = u.starts >= STARTS or u.search == "global"
     return None if u.step == "published" or enough else u.otherwise({"starts": STARTS})
@@ -65,23 +66,33 @@ def begun(
     told: Progress | None = None,
     checkpoint: Path | None = None,
 ) -> Solution:
-    """Where the gates lead: from a global search, the best end of several starts, sets that grow, or the deck."""
+    """Where the gates lead: from a global search, the best end of several starts, sets that grow,
+    or the deck.
+    """
     method, limit = course.method, course.iterations
     if u.search == "global":
         return global_search(problem, np.random.default_rng([seed, 9]), method, progress=progress)
     if u.starts > 1:
         more = latin_hypercube(problem.parameters, u.starts - 1, np.random.default_rng([seed, 9]))
         starts = np.vstack([np.zeros(problem.size), more])
-        return multi_start(problem, starts, method, iterations=limit, finish=BEST, progress=progress).best
+        return multi_start(
+            problem, starts, method, iterations=limit, finish=BEST, progress=progress
+        ).best
     start = _grown(problem, u, method, progress)
-    return solve(problem, method, start=start, iterations=limit, checkpoint=checkpoint, progress=told)
+    return solve(
+        problem, method, start=start, iterations=limit, checkpoint=checkpoint, progress=told
+    )
 
 
 def _grown(problem: Problem, u: UpdateSection, method: Method, progress: Progress) -> Float:
-    """Where the sets of [update] stages end, (q,); the deck where none is smaller than the whole."""
+    """Where the sets of [update] stages end, (q,); the deck where none is smaller than the
+    whole.
+    """
     members = problem.parameters.names
     grown = [[n for n in stage if n in members] for stage in u.stages]
     grown = [g for g in grown if g and len(g) < len(members)]
     if not grown:
         return np.zeros(problem.size)
-    return np.array(staged(problem, grown, method, iterations=u.iterations, progress=progress)[-1].x)
+    return np.array(
+        staged(problem, grown, method, iterations=u.iterations, progress=progress)[-1].x
+    )

@@ -1,4 +1,6 @@
-"""Candidates of a study fitted to a file of test modes, without its stages: what `ringtrue update` does."""
+"""Candidates of a study fitted to a file of test modes, without its stages: what `ringtrue update`
+does.
+"""
 
 from __future__ import annotations
 
@@ -58,7 +60,8 @@ AGREE = 1e-4  # relative frequency error of the reduced model that is accepted a
 def read_target(
     config: StudyConfig, opened: Opened, test: Path
 ) -> tuple[StudyConfig, Target, ModeSet, tuple[str, ...]]:
-    """What a file of test modes says, less the channels that the study leaves out, and its modes; all are used.
+    """What a file of test modes says, less the channels that the study leaves out, and its modes;
+    all are used.
 
     Returns
     -------
@@ -90,16 +93,25 @@ def read_target(
     weights = Weights(u.frequency_error, u.mac_error, u.shape_weight)
     shapes = np.asarray(modes.shapes.real, dtype=np.float64)
     used = np.ones(len(modes), dtype=bool)
-    target = Target(modes.frequencies, shapes, relative, used, weights, settings(config), lent=modes.lent)
+    target = Target(
+        modes.frequencies, shapes, relative, used, weights, settings(config), lent=modes.lent
+    )
     return config, target, modes, notes
 
 
 def direct_problem(
-    opened: Opened, config: StudyConfig, target: Target, modes: ModeSet, base: Path, engine: ModalSolver | None
+    opened: Opened,
+    config: StudyConfig,
+    target: Target,
+    modes: ModeSet,
+    base: Path,
+    engine: ModalSolver | None,
 ) -> tuple[Problem, tuple[Data, ...], tuple[Seat, ...]]:
-    """The objective on a deck, what was measured beside the modes, and where the channels on a sheet are read.
+    """The objective on a deck, what was measured beside the modes, and where the channels on a
+    sheet are read.
 
-    On a reduced model, or on the modes that `engine` finds anew at each point; `base` is the folder of the study.
+    On a reduced model, or on the modes that `engine` finds anew at each point; `base` is the folder
+    of the study.
     """
     if engine is None:
         problem, data, seen = _reduced(opened, config, target, modes, base)
@@ -112,7 +124,8 @@ def direct_problem(
 
 
 def not_told_apart(problem: Problem) -> dict[str, tuple[str, ...]]:
-    """Candidates that are held at the deck's values, with those that stand for them (`identifiable.stood_for`).
+    """Candidates that are held at the deck's values, with those that stand for them
+    (`identifiable.stood_for`).
 
     Those of the largest effect stand for others.
     """
@@ -132,7 +145,9 @@ def unmoved_by(solution: Solution) -> Bool:
 def _reduced(
     opened: Opened, config: StudyConfig, target: Target, modes: ModeSet, base: Path
 ) -> tuple[Problem, tuple[Data, ...], Observation]:
-    """The objective on the reduced model of the deck, what was measured beside the modes, and the channels of both."""
+    """The objective on the reduced model of the deck, what was measured beside the modes, and the
+    channels of both.
+    """
     assert config.model is not None
     model, parameters, units = opened.model, config.candidates(), config.model.units
     found = _measured(config, modes, base)
@@ -149,11 +164,19 @@ def _reduced(
     check_moving(found, at, basis.basis.observe)
     seen = AtChannels(flexible(basis, found, loaded), np.arange(len(modes.channels)), loaded)
     every = tuple(range(len(parameters)))
-    data = tuple(residual_data(m, at, units, lambda: rigid_mass(model, parameters), every) for m in found)
-    modal = modal_terms(config.update, lambda: mass_at(opened, observation, modes.channels, config, top))
+    data = tuple(
+        residual_data(m, at, units, lambda: rigid_mass(model, parameters), every) for m in found
+    )
+    modal = modal_terms(
+        config.update, lambda: mass_at(opened, observation, modes.channels, config, top)
+    )
     terms = (*modal, *(Weighted(d.term, d.weight) for d in data))
     rows, limits = constraints(config, parameters)
-    return Problem((Configuration(seen, target, terms),), rows=rows, limits=limits), data, observation
+    return (
+        Problem((Configuration(seen, target, terms),), rows=rows, limits=limits),
+        data,
+        observation,
+    )
 
 
 def _measured(config: StudyConfig, modes: ModeSet, base: Path) -> list[Measured]:
@@ -165,26 +188,45 @@ def _measured(config: StudyConfig, modes: ModeSet, base: Path) -> list[Measured]
             frfs, _ = supplied_frfs(files, sheet, config.test.leave_out)
         if config.test.log and not files:
             why = (
-                f"`ringtrue run` makes FRFs of the hammer records of {config.test.log}, an updating by itself does not"
+                f"`ringtrue run` makes FRFs of the hammer records of {config.test.log}, an "
+                "updating by itself does not"
             )
     return [measured(s, base, modes, frfs, why) for s in config.residual]
 
 
 def _sheet(config: StudyConfig, base: Path) -> TestModel | None:
     """The sensor sheet of the study, if it has one."""
-    return read_sensor_sheet(base / config.test.sheet).model if config.test and config.test.sheet else None
+    return (
+        read_sensor_sheet(base / config.test.sheet).model
+        if config.test and config.test.sheet
+        else None
+    )
 
 
 def _observation(
-    opened: Opened, config: StudyConfig, channels: tuple[str, ...], base: Path, dofs: DofSet | None = None
+    opened: Opened,
+    config: StudyConfig,
+    channels: tuple[str, ...],
+    base: Path,
+    dofs: DofSet | None = None,
 ) -> Observation:
     """The channels of the test modes: on the sheet of the study, if it has one."""
-    sheet, c = base / config.test.sheet if config.test and config.test.sheet else None, config.correlate
-    return placed(opened, channels, sheet, tolerance=c.tolerance, method=c.match, align=c.align, dofs=dofs)
+    sheet, c = (
+        base / config.test.sheet if config.test and config.test.sheet else None,
+        config.correlate,
+    )
+    return placed(
+        opened, channels, sheet, tolerance=c.tolerance, method=c.match, align=c.align, dofs=dofs
+    )
 
 
 def _by_runs(
-    opened: Opened, config: StudyConfig, target: Target, modes: ModeSet, engine: ModalSolver, base: Path
+    opened: Opened,
+    config: StudyConfig,
+    target: Target,
+    modes: ModeSet,
+    engine: ModalSolver,
+    base: Path,
 ) -> tuple[Problem, Observation]:
     """The objective on the modes that a solver finds anew at each point, and the channels."""
     model, parameters = opened.model, config.candidates()
@@ -193,15 +235,20 @@ def _by_runs(
     full = FullModel(model, parameters, observation, ModesRequest(2 * len(modes)), engine)
     top = highest(target.frequencies, target.pairing)
     full = full.reaching(top)
-    terms = modal_terms(config.update, lambda: mass_at(opened, observation, modes.channels, config, top))
+    terms = modal_terms(
+        config.update, lambda: mass_at(opened, observation, modes.channels, config, top)
+    )
     rows, limits = constraints(config, parameters)
     return Problem((Configuration(full, target, terms),), rows=rows, limits=limits), observation
 
 
-def solved(problem: Problem, u: UpdateSection, seed: int, checkpoint: Path | None, show: Progress) -> Verified:
+def solved(
+    problem: Problem, u: UpdateSection, seed: int, checkpoint: Path | None, show: Progress
+) -> Verified:
     """As a study updates a set of parameters, on a basis verified by full solutions.
 
-    From further starts, too, where used modes that the model has are left without partner; the end of lower J.
+    From further starts, too, where used modes that the model has are left without partner; the end
+    of lower J.
     """
     if isinstance(problem.configurations[0].model, FullModel):
         return _on_full(problem, u, seed, checkpoint, show)
@@ -216,7 +263,9 @@ def solved(problem: Problem, u: UpdateSection, seed: int, checkpoint: Path | Non
     return min(done, other, key=lambda d: whole_cost(problem, d.solution.end))
 
 
-def _on_full(problem: Problem, u: UpdateSection, seed: int, checkpoint: Path | None, show: Progress) -> Verified:
+def _on_full(
+    problem: Problem, u: UpdateSection, seed: int, checkpoint: Path | None, show: Progress
+) -> Verified:
     """On modes that a solver finds anew at each point."""
     model, course = problem.configurations[0].model, course_of(u)
     assert isinstance(model, FullModel)
@@ -225,7 +274,9 @@ def _on_full(problem: Problem, u: UpdateSection, seed: int, checkpoint: Path | N
     return Verified(end.solution, end.problem, 0.0, model.ledger.runs)
 
 
-def _on_basis(problem: Problem, u: UpdateSection, seed: int, checkpoint: Path | None, show: Progress) -> Verified:
+def _on_basis(
+    problem: Problem, u: UpdateSection, seed: int, checkpoint: Path | None, show: Progress
+) -> Verified:
     def at(p: Problem, y: Float | None) -> tuple[Solution, Problem]:
         end = settled(p, u, seed, show, start=y, checkpoint=checkpoint)
         return end.solution, end.problem

@@ -1,4 +1,6 @@
-"""What a correlation rests on: orthogonality over the deck's mass, channels, close modes, modes followed, FRFs."""
+"""What a correlation rests on: orthogonality over the deck's mass, channels, close modes, modes
+followed, FRFs.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,8 @@ from ringtrue.study.opened import Opened
 from ringtrue.study.reference import Reference, settings
 from ringtrue.study.results import Evidence, FrfEvidence, IdentifyStage
 
-LARGEST = 100_000_000  # entries of the transform of a test-analysis model that are built without being asked for
+# entries of the transform of a test-analysis model that are built without being asked for
+LARGEST = 100_000_000
 LINES = 90  # of the FDAC: what can be told apart in a drawing
 
 
@@ -38,7 +41,9 @@ def gate(config: CorrelateSection) -> Gate:
     return Gate(own / 100, off / 100, f"{own:g} % / {off:g} %")
 
 
-def at_channels(opened: Opened, observation: Observation, channels: tuple[str, ...]) -> sparse.csr_array:
+def at_channels(
+    opened: Opened, observation: Observation, channels: tuple[str, ...]
+) -> sparse.csr_array:
     """Readings of the channels by the free DOFs of a model, (channel, f)."""
     here = {c: i for i, c in enumerate(observation.channels)}
     rows = observation.matrix[[here[c] for c in channels]]
@@ -67,7 +72,11 @@ NAMES = {"irs": "IRS", "guyan": "Guyan", "craig-bampton": "Craig-Bampton"}
 
 
 def channel_mass(
-    opened: Opened, observation: Observation, channels: tuple[str, ...], config: CorrelateSection, fmax: float
+    opened: Opened,
+    observation: Observation,
+    channels: tuple[str, ...],
+    config: CorrelateSection,
+    fmax: float,
 ) -> ChannelMass:
     """The deck's mass at the channels, by the test-analysis model of the study."""
     system = opened.analysis.system
@@ -75,15 +84,26 @@ def channel_mass(
     if config.tam == "serep":
         return ChannelMass()
     if size * len(channels) > LARGEST:
-        return ChannelMass(why=f"no {config.tam} mass: {size} DOFs and {len(channels)} channels take too much memory")
+        return ChannelMass(
+            why=f"no {config.tam} mass: {size} DOFs and {len(channels)} channels take too much "
+            "memory"
+        )
     observe = at_channels(opened, observation, channels)
     shapes = system.local @ opened.modes(fmax).modes.shapes if config.tam == "hybrid" else None
     try:
         if config.tam == "craig-bampton":  # with the channels held as many modes reach beyond fmax
-            held = craig_bampton_of(system.stiffness, system.mass, observe, len(opened.modes(fmax).modes))
-            return ChannelMass(held.mass, lift=lambda m: craig_bampton_coordinates(held, m.shapes, m.frequencies))
+            held = craig_bampton_of(
+                system.stiffness, system.mass, observe, len(opened.modes(fmax).modes)
+            )
+            return ChannelMass(
+                held.mass, lift=lambda m: craig_bampton_coordinates(held, m.shapes, m.frequencies)
+            )
         labels = opened.analysis.pencil.labels
-        return ChannelMass(tam(system.stiffness, system.mass, observe, config.tam, modes=shapes, labels=labels).mass)
+        return ChannelMass(
+            tam(
+                system.stiffness, system.mass, observe, config.tam, modes=shapes, labels=labels
+            ).mass
+        )
     except (InputError, NumericalError) as e:  # channels that read the same, or too few of them
         return ChannelMass(why=f"no {config.tam} mass: {e}")
 
@@ -126,7 +146,9 @@ def evidence(
 
 
 def followed(final: ModeSet, remodelled: ModeSet, initial: ModeSet, count: int) -> Tracks | None:
-    """The lowest `count` modes of the final model found again, by shape at the channels, in what it came from."""
+    """The lowest `count` modes of the final model found again, by shape at the channels, in what it
+    came from.
+    """
     sets = (final, remodelled, initial)
     count = min(count, *(len(s) for s in sets))
     if not count:
@@ -135,9 +157,17 @@ def followed(final: ModeSet, remodelled: ModeSet, initial: ModeSet, count: int) 
 
 
 def synthesised(
-    opened: Opened, observation: Observation, fe: ModeSet, zeta: Float, measured: FrfSet, units: str, *, fmax: float
+    opened: Opened,
+    observation: Observation,
+    fe: ModeSet,
+    zeta: Float,
+    measured: FrfSet,
+    units: str,
+    *,
+    fmax: float,
 ) -> FrfSet:
-    """FRFs of a model where and as those of the test are: its modes with the damping `zeta`, and the modes above.
+    """FRFs of a model where and as those of the test are: its modes with the damping `zeta`, and
+    the modes above.
 
     The flexibility of the modes that were not computed is exact near 0 Hz.
 
@@ -162,7 +192,9 @@ def synthesised(
     lam = w * np.abs(w)
     shift = low_shift(fmax)  # that of the modes, whose factor is often there still
     load = at_channels(opened, observation, inputs).T.toarray()
-    flexible = at_channels(opened, observation, outputs) @ opened.analysis.pencil.at(shift).solve(load)
+    flexible = at_channels(opened, observation, outputs) @ opened.analysis.pencil.at(shift).solve(
+        load
+    )
     rest = flexible.reshape(len(outputs), -1) - (out / (lam - shift)) @ into.T
     # an exponential window on the responses of the test damps them: s = iω + σ
     zeta = zeta + measured.window_decay / np.maximum(np.abs(w), 2 * np.pi * measured.freqs[0])
@@ -172,11 +204,15 @@ def synthesised(
 
 
 def on_sheet(found: IdentifyStage, low: float, high: float) -> FrfSet | None:
-    """The measured FRFs between two frequencies, Hz, at the outputs and inputs on the sheet; None where none is."""
+    """The measured FRFs between two frequencies, Hz, at the outputs and inputs on the sheet; None
+    where none is.
+    """
     frfs, known = found.frfs, set(found.test.channels)
     if frfs is None:
         return None
-    out, into = (np.flatnonzero([c.id in known for c in side]) for side in (frfs.outputs, frfs.inputs))
+    out, into = (
+        np.flatnonzero([c.id in known for c in side]) for side in (frfs.outputs, frfs.inputs)
+    )
     line = np.flatnonzero((frfs.freqs > low) & (frfs.freqs < high))
     if not (line.size and out.size and into.size):
         return None
@@ -194,17 +230,24 @@ def on_sheet(found: IdentifyStage, low: float, high: float) -> FrfSet | None:
 
 def _between(frfs: FrfSet, low: float, high: float) -> FrfSet:
     line = np.flatnonzero((frfs.freqs >= low) & (frfs.freqs <= high))
-    return replace(frfs, data=frfs.data[line], freqs=frfs.freqs[line], coherence=frfs.coherence[line])
+    return replace(
+        frfs, data=frfs.data[line], freqs=frfs.freqs[line], coherence=frfs.coherence[line]
+    )
 
 
 def frf_evidence(
     found: IdentifyStage, measured: FrfSet, initial: FrfSet, final: FrfSet, config: StudyConfig
 ) -> FrfEvidence | None:
-    """The FRFs in the band of the identified modes, by channel, by line, and line against line; None for few lines."""
+    """The FRFs in the band of the identified modes, by channel, by line, and line against line;
+    None for few lines.
+    """
     if found.hammer is None or not len(found.hammer):
         return None
     f = found.hammer.frequencies
-    low, high = config.identify.hammer_fmin or 0.9 * f.min(), config.identify.hammer_fmax or 1.1 * f.max()
+    low, high = (
+        config.identify.hammer_fmin or 0.9 * f.min(),
+        config.identify.hammer_fmax or 1.1 * f.max(),
+    )
     test, before, after = (_between(x, float(low), float(high)) for x in (measured, initial, final))
     if test.freqs.size < 2:
         return None

@@ -10,7 +10,13 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.observation import Observation
 from ringtrue.core.progress import Progress
 from ringtrue.errors import ConfigError, InputError, NumericalError
-from ringtrue.reduce.expand import Expanded, expand_dynamic, expand_hybrid, expand_serep, expand_static
+from ringtrue.reduce.expand import (
+    Expanded,
+    expand_dynamic,
+    expand_hybrid,
+    expand_serep,
+    expand_static,
+)
 from ringtrue.study.evidence import at_channels
 from ringtrue.study.opened import Opened
 from ringtrue.study.results import Scene
@@ -31,7 +37,8 @@ def expanded(
     test : ModeSet
         Real shapes.
     fmax : float, Hz
-        The modes of the deck up to here span what "serep" and, with the static shapes, "hybrid" can give.
+        The modes of the deck up to here span what "serep" and, with the static shapes, "hybrid" can
+        give.
 
     Raises
     ------
@@ -53,7 +60,9 @@ def expanded(
         # half as many as channels: with more of them noise is fitted
         return expand_serep(modes[:, : max(1, len(test.channels) // 2)], observe, y)
     except (InputError, NumericalError) as e:
-        raise ConfigError(f"correlate.expand {method!r}: {e}; try another of hybrid, serep, guyan, dynamic") from e
+        raise ConfigError(
+            f"correlate.expand {method!r}: {e}; try another of hybrid, serep, guyan, dynamic"
+        ) from e
 
 
 def on_scene(found: Expanded, opened: Opened, test: ModeSet, scene: Scene) -> ModeSet:
@@ -61,4 +70,6 @@ def on_scene(found: Expanded, opened: Opened, test: ModeSet, scene: Scene) -> Mo
     labels = opened.analysis.dofs
     assert isinstance(labels, DofSet)
     shapes: Float = np.asarray(opened.analysis.system.transform @ found.shapes)
-    return scene_modes(ModeSet(test.frequencies, test.damping, shapes, labels, test.norm, test.source), scene)
+    return scene_modes(
+        ModeSet(test.frequencies, test.damping, shapes, labels, test.norm, test.source), scene
+    )

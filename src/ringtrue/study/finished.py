@@ -1,4 +1,6 @@
-"""The parameter sets that an updating has finished, on disk: after an interruption it goes on with the next one."""
+"""The parameter sets that an updating has finished, on disk: after an interruption it goes on with
+the next one.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ FILE = "update.sets.h5"  # beside the store, gone when the stage is done
 
 @dataclass(frozen=True, slots=True)
 class FinishedSets:
-    """The result of each set by the name of its group; those of other settings, inputs or versions are not taken."""
+    """The result of each set by the name of its group; those of other settings, inputs or versions
+    are not taken.
+    """
 
     store: Store
     key: str

@@ -1,4 +1,6 @@
-"""A test that tells frequencies alone: its modes take the shapes of the deck's modes that they pair with."""
+"""A test that tells frequencies alone: its modes take the shapes of the deck's modes that they pair
+with.
+"""
 
 from __future__ import annotations
 
@@ -17,9 +19,11 @@ from ringtrue.study.placing import mesh_points
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lent:
-    """The modes of a test without channels, with the shapes of their partners in a deck at some of its nodes.
+    """The modes of a test without channels, with the shapes of their partners in a deck at some of
+    its nodes.
 
-    The shapes say which mode of the model a frequency belongs to while parameters change; they are no measurement.
+    The shapes say which mode of the model a frequency belongs to while parameters change; they are
+    no measurement.
 
     Attributes
     ----------
@@ -47,11 +51,14 @@ def lent(test: ModeSet, opened: Opened, gates: PairingSettings, locks: Locks) ->
     DataError
         If no mode has a partner.
     """
-    modes = opened.modes((1 + gates.frequency_gate) * float(test.frequencies.max(initial=0.0))).modes
+    modes = opened.modes(
+        (1 + gates.frequency_gate) * float(test.frequencies.max(initial=0.0))
+    ).modes
     pairing = pair_modes(test, modes.rows(()), gates, locks=locks)
     if not pairing.a.size:
         raise DataError(
-            f"{test.source}: no mode of the deck within {100 * gates.frequency_gate:.3g} % of one of the test"
+            f"{test.source}: no mode of the deck within {100 * gates.frequency_gate:.3g} % of "
+            "one of the test"
         )
     points = mesh_points(opened)
     look = opened.observation(points, np.inf)
@@ -63,7 +70,11 @@ def lent(test: ModeSet, opened: Opened, gates: PairingSettings, locks: Locks) ->
     listed = ", ".join(f"{i + 1} for {j + 1}" for i, j in pairs)
     lone = (f"mode {i + 1} is not used: {said[i]}" for i in pairing.lone_a.tolist())
     doubts = pairing.doubts()
-    decide = ("`lock` and `forbid` under [correlate] decide which mode a frequency is",) if doubts else ()
+    decide = (
+        ("`lock` and `forbid` under [correlate] decide which mode a frequency is",)
+        if doubts
+        else ()
+    )
     return Lent(
         replace(test, shapes=shapes, labels=points.channels, norm=Norm.LENT),
         points,

@@ -20,7 +20,16 @@ from ringtrue.fem.line_loads import LineKind, line_forces
 from ringtrue.fem.mesh import Mesh, mesh
 from ringtrue.fem.pressure import SURFACES, face, face_forces
 from ringtrue.fem.thermal import thermal_forces
-from ringtrue.io.nastran.loads import LINE_KINDS, LineLoad, Load, LoadCase, Moved, Pressure, Spin, Warmth
+from ringtrue.io.nastran.loads import (
+    LINE_KINDS,
+    LineLoad,
+    Load,
+    LoadCase,
+    Moved,
+    Pressure,
+    Spin,
+    Warmth,
+)
 from ringtrue.model.choices import taken_sets
 from ringtrue.model.frames import axes, positions
 from ringtrue.model.model import Model
@@ -64,7 +73,9 @@ def _summed(model: Model, dofs: DofSet, cases: Sequence[LoadCase]) -> Float:
             out[:, j] += ld.factor * spin_forces(mesh(model), *_axis(model, xyz, case, ld))
         if case.warmth is not None:
             out[:, j] += thermal_forces(mesh(model), _temperatures(model, case.name, case.warmth))
-    if gravity.any():  # all masses, those at supports too, which hang on what is free by a consistent mass
+    if (
+        gravity.any()
+    ):  # all masses, those at supports too, which hang on what is free by a consistent mass
         whole = assemble(unconstrained(model))
         out += whole.local.T @ (whole.mass @ (whole.rigid_body()[:, :3] @ gravity))
     return out
@@ -76,7 +87,9 @@ def _temperatures(model: Model, case: str, given: Warmth) -> Float:
     ids, values = np.array(given.nodes, dtype=np.float64).reshape(-1, 2).T
     rows = model["GRID"].find(ids.astype(np.int64))
     if (rows < 0).any():
-        raise InputError(f"{case}: TEMP names node {int(ids[int(rows.argmin())])}, which is not in the deck")
+        raise InputError(
+            f"{case}: TEMP names node {int(ids[int(rows.argmin())])}, which is not in the deck"
+        )
     out[rows] = values
     return out
 
@@ -88,7 +101,9 @@ def _axis(model: Model, xyz: Float, case: LoadCase, ld: Spin) -> tuple[Float, Fl
         if (row := int(model["GRID"].find(np.array([ld.node]))[0])) < 0:
             raise InputError(f"{case.name}: RFORCE names node {ld.node}, which is not in the deck")
         origin = xyz[row]
-    return origin, np.asarray(np.asarray(ld.vector) @ axes(model, np.array([ld.cid]), origin[None])[0])
+    return origin, np.asarray(
+        np.asarray(ld.vector) @ axes(model, np.array([ld.cid]), origin[None])[0]
+    )
 
 
 def support_motions(model: Model, dofs: DofSet, cases: Sequence[LoadCase]) -> tuple[Float, Float]:
@@ -99,7 +114,8 @@ def support_motions(model: Model, dofs: DofSet, cases: Sequence[LoadCase]) -> tu
     loads : (dof, case) float64
         Those that the displaced supports exert on what is free.
     moved : (dof, case) float64
-        Motions of the supports and of what rigid elements and MPCs tie to them, beside the answer to all loads.
+        Motions of the supports and of what rigid elements and MPCs tie to them, beside the answer
+        to all loads.
 
     Raises
     ------
@@ -114,7 +130,9 @@ def support_motions(model: Model, dofs: DofSet, cases: Sequence[LoadCase]) -> tu
         for j, at in enumerate(given):
             node, component = np.array(list(at), dtype=np.int64).reshape(-1, 2).T
             column = whole.free.find(node, component)
-            column = np.where(column < 0, whole.free.find(node, 0 * component), column)  # of a scalar point
+            column = np.where(
+                column < 0, whole.free.find(node, 0 * component), column
+            )  # of a scalar point
             q[column, j] = list(at.values())
         moved = np.asarray(whole.transform @ q)
         loads = -np.asarray(whole.local.T @ (whole.stiffness @ q))
@@ -126,7 +144,11 @@ def _displaced(model: Model) -> dict[tuple[int, int], float]:
     if not (rows := _displacing(model)).size:
         return {}
     table = model["SPC"]
-    return {(int(table["G"][i]), int(c)): float(table["D"][i]) for i in rows.tolist() for c in table["C"][i] or "0"}
+    return {
+        (int(table["G"][i]), int(c)): float(table["D"][i])
+        for i in rows.tolist()
+        for c in table["C"][i] or "0"
+    }
 
 
 def _displacing(model: Model) -> Int:
@@ -147,7 +169,9 @@ def _enforced(model: Model, case: LoadCase) -> dict[tuple[int, int], float]:
     for ld in given:
         row = int(m.dofs.find(np.array([ld.node]), np.array([ld.component]))[0])
         if row < 0 or not held[row]:
-            raise ld.error(f"node {ld.node} component {ld.component or ''} is held by no SPC, SPC1 or PS")
+            raise ld.error(
+                f"node {ld.node} component {ld.component or ''} is held by no SPC, SPC1 or PS"
+            )
         out[ld.node, ld.component] = out.get((ld.node, ld.component), 0.0) + ld.size
     return out
 
@@ -168,7 +192,9 @@ def refuse_displaced(model: Model) -> None:
 def _scalar(dofs: DofSet, case: LoadCase, ld: Load) -> int:
     """The row of a scalar point."""
     if (row := int(dofs.find(np.array([ld.node]), np.array([0]))[0])) < 0:
-        raise InputError(f"{case.name}: SLOAD names {ld.node}, which is no scalar point of the deck")
+        raise InputError(
+            f"{case.name}: SLOAD names {ld.node}, which is no scalar point of the deck"
+        )
     return row
 
 
@@ -177,7 +203,10 @@ def _vector(model: Model, xyz: Float, case: LoadCase, ld: Load) -> Float:
     nodes = [ld.node] * bool(ld.node) + list(ld.ends)
     rows = model["GRID"].find(np.array(nodes, dtype=np.int64))
     if (rows < 0).any():
-        raise InputError(f"{case.name}: {ld.card} names node {nodes[int(rows.argmin())]}, which is not in the deck")
+        raise InputError(
+            f"{case.name}: {ld.card} names node {nodes[int(rows.argmin())]}, which is not in the "
+            "deck"
+        )
     at = xyz[rows]
     if ld.ends:
         along = at[2] - at[1]
@@ -186,7 +215,8 @@ def _vector(model: Model, xyz: Float, case: LoadCase, ld: Load) -> Float:
         if not along.any():
             why = "which are at one place" if len(ld.ends) == 2 else "which span no plane"
             raise InputError(
-                f"{case.name}: {ld.card} from node {ld.ends[0]} to {', '.join(map(str, ld.ends[1:]))}, {why}"
+                f"{case.name}: {ld.card} from node {ld.ends[0]} to "
+                f"{', '.join(map(str, ld.ends[1:]))}, {why}"
             )
         return np.asarray(ld.vector[0] * along / np.linalg.norm(along))
     where = at[:1] if ld.node else np.zeros((1, 3))
@@ -202,10 +232,14 @@ def _press(out: Float, model: Model, xyz: Float, pressures: Sequence[Pressure]) 
         ids = np.array([nodes for nodes, _, _ in faces])
         rows = model["GRID"].find(ids)
         if (lost := (rows < 0) & (ids > 0)).any():
-            raise faces[int(np.argwhere(lost)[0, 0])][1].error("a node of the face is not in the deck")
+            raise faces[int(np.argwhere(lost)[0, 0])][1].error(
+                "a node of the face is not in the deck"
+            )
         x = np.where((ids > 0)[..., None], xyz[rows], np.nan)
         p = np.array([[sign * size for size in ld.sizes[: count // 2]] for _, ld, sign in faces])
-        along = None if normal else _towards(model, cid, np.array([ld.vector for _, ld, _ in faces]))
+        along = (
+            None if normal else _towards(model, cid, np.array([ld.vector for _, ld, _ in faces]))
+        )
         force = face_forces(x, p, along)
         np.add.at(out[: 6 * len(xyz)].reshape(-1, 6)[:, :3], rows[ids > 0], force[ids > 0])
 
@@ -232,7 +266,10 @@ def _load_beams(out: Float, model: Model, lines: Sequence[LineLoad]) -> None:
 def _of_beams(m: Mesh, card: str, at: Int, lines: Sequence[LineLoad]) -> Float:
     ends, sizes = (np.array([getattr(ld, name) for ld in lines]) for name in ("ends", "sizes"))
     own, fraction, projected = (
-        np.array(v) for v in zip(*((ld.kind.endswith("E"), ld.fraction, ld.projected) for ld in lines), strict=True)
+        np.array(v)
+        for v in zip(
+            *((ld.kind.endswith("E"), ld.fraction, ld.projected) for ld in lines), strict=True
+        )
     )
     length = np.where(fraction, 1.0, bar.measure(m, card, at))
     if (beyond := ends[:, 1] > length * (1 + SAME)).any():
@@ -254,7 +291,9 @@ def _towards(model: Model, cid: int, vectors: Float) -> Callable[[Float], Float]
 
 
 def _faces(model: Model, pressures: Sequence[Pressure]) -> Iterator[_Face]:
-    """Nodes of each loaded face, its pressure, and its sign along the normal; a pressure acts into a solid."""
+    """Nodes of each loaded face, its pressure, and its sign along the normal; a pressure acts into
+    a solid.
+    """
     known = [card for card in (*SURFACES, *SOLIDS) if card in model]
     ids = np.concatenate([np.empty(0, dtype=np.int64), *(model[card].ids for card in known)])
     order = np.argsort(ids)
@@ -268,7 +307,11 @@ def _faces(model: Model, pressures: Sequence[Pressure]) -> Iterator[_Face]:
         if not found.size:
             raise ld.error(f"names element {ld.first}, which is no shell or solid of the deck")
         for card, row in (where[i] for i in found.tolist()):
-            nodes = [int(model[card][name][row]) for name in model[card].columns if re.fullmatch(r"G\d+", name)]
+            nodes = [
+                int(model[card][name][row])
+                for name in model[card].columns
+                if re.fullmatch(r"G\d+", name)
+            ]
             if card in SOLIDS:
                 try:
                     yield face(card, nodes, *ld.nodes), ld, -1.0 if ld.vector is None else 1.0

@@ -1,4 +1,6 @@
-"""One run of a study at a time: a lock that the operating system releases when its process ends, however it ends."""
+"""One run of a study at a time: a lock that the operating system releases when its process ends,
+however it ends.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,8 @@ _FAR = 1 << 30  # where Windows locks a byte: what stands before it can be read
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Alone in the folder of a study, which is made if need be, and goes again where nothing was written.
+    """Alone in the folder of a study, which is made if need be, and goes again where nothing was
+    written.
 
     The file that a killed process has left is taken over: its lock is gone with it.
 
@@ -60,10 +63,15 @@ def _taken(path: Path) -> int:
             owner = os.read(handle, 200).decode(errors="replace") or "another process"
             os.close(handle)
             raise DataError(
-                f"{path.parent}: {owner} runs this study; wait for its end, or write elsewhere with --out"
+                f"{path.parent}: {owner} runs this study; wait for its end, or write elsewhere "
+                "with --out"
             ) from e
         except OSError as e:
-            _log.warning("%s: its file system has no locks (%s); start no second run on this study", path.parent, e)
+            _log.warning(
+                "%s: its file system has no locks (%s); start no second run on this study",
+                path.parent,
+                e,
+            )
             return handle
         os.close(handle)
 

@@ -1,4 +1,6 @@
-"""The crew's log: which records there are and what excited them, and the data sheets of the sensor types."""
+"""The crew's log: which records there are and what excited them, and the data sheets of the sensor
+types.
+"""
 
 from __future__ import annotations
 
@@ -66,7 +68,9 @@ class _Details(_Entry):
     def _cut(self) -> Self:
         block, pre = self.block_samples, self.pretrigger_samples
         if (block is None) != (pre is None):
-            raise ValueError(f"{'block' if block is None else 'pretrigger'}_samples missing; give both or none")
+            raise ValueError(
+                f"{'block' if block is None else 'pretrigger'}_samples missing; give both or none"
+            )
         if block is not None and pre is not None and pre >= block:
             raise ValueError(f"pretrigger_samples {pre} must be less than block_samples {block}")
         return self
@@ -89,7 +93,10 @@ class _Test(_Details):
         if not (isinstance(data, Mapping) and isinstance(records := data.get("records"), list)):
             return data
         mine = {k: v for k, v in data.items() if k in _Details.model_fields}
-        return {**data, "records": [{**mine, **r} if isinstance(r, Mapping) else r for r in records]}
+        return {
+            **data,
+            "records": [{**mine, **r} if isinstance(r, Mapping) else r for r in records],
+        }
 
 
 class _Log(_Entry):
@@ -110,7 +117,9 @@ class Logged(_Record):
         return self.path.stem
 
     def goes_on_in(self, later: Logged) -> bool:
-        """Whether another may be the next file of one measurement: alike but for numbers in its name, which rise."""
+        """Whether another may be the next file of one measurement: alike but for numbers in its
+        name, which rise.
+        """
         known = [k for k in (*_Record.model_fields, "test", "kind") if k != "file"]
         (words, numbers), (others, further) = _parts_of_name(self.path), _parts_of_name(later.path)
         alike = all(getattr(self, k) == getattr(later, k) for k in known)
@@ -136,7 +145,12 @@ def read_log(path: Path) -> tuple[list[Logged], dict[str, SensorType]]:
     except ValidationError as e:
         raise DataError(explain(path, e, _Log, "log")) from e
     records = [
-        Logged(**{k: getattr(r, k) for k in _Record.model_fields}, path=path.parent / r.file, test=t.name, kind=t.kind)
+        Logged(
+            **{k: getattr(r, k) for k in _Record.model_fields},
+            path=path.parent / r.file,
+            test=t.name,
+            kind=t.kind,
+        )
         for t in log.tests
         for r in t.records
     ]

@@ -1,4 +1,6 @@
-"""What was measured beside the modes, as residuals of the updating: FRFs, their zeros, static tests, a weighing."""
+"""What was measured beside the modes, as residuals of the updating: FRFs, their zeros, static
+tests, a weighing.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,13 @@ from ringtrue.model.model import Model
 from ringtrue.reduce.affine import AffineSystem
 from ringtrue.reduce.flexible import with_responses
 from ringtrue.reduce.parametric import ReducedModel
-from ringtrue.study.config_update import AntiResonanceResidual, DataResidual, FrfResidual, MassResidual, StaticResidual
+from ringtrue.study.config_update import (
+    AntiResonanceResidual,
+    DataResidual,
+    FrfResidual,
+    MassResidual,
+    StaticResidual,
+)
 from ringtrue.update.harmonic import Damping
 from ringtrue.update.residuals import Block, Term
 from ringtrue.update.residuals_frf import AntiResonances, Frf
@@ -35,7 +43,10 @@ from ringtrue.update.residuals_static import MassProperties, RigidMass, StaticDe
 
 DECIBEL = 20 / np.log(10)
 NO_FRFS = "the test has no FRFs"
-BAND = (0.8, 1.2)  # of the lowest and the highest mode of the test: where FRFs are compared if nothing is said
+BAND = (
+    0.8,
+    1.2,
+)  # of the lowest and the highest mode of the test: where FRFs are compared if nothing is said
 WEIGHED = ("mass", "x", "y", "z", "Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Izx")
 WEIGHED_UNITS = ("kg", *("m",) * 3, *("kg m²",) * 6)
 
@@ -86,7 +97,8 @@ class Data:
     scale : (n,) float64
         Shown value a unit of residual.
     lines : int
-        Rows that are one shown value, by their root mean square; 0: each row is one, measured − scale · residual.
+        Rows that are one shown value, by their root mean square; 0: each row is one, measured −
+        scale · residual.
     """
 
     name: str
@@ -105,12 +117,18 @@ class Data:
     def shown(self, block: Block) -> Float:
         """Values (n,) of the model at a point."""
         if self.lines:
-            return np.asarray(self.scale * np.sqrt(np.mean(block.value.reshape(-1, self.scale.size) ** 2, axis=0)))
+            return np.asarray(
+                self.scale * np.sqrt(np.mean(block.value.reshape(-1, self.scale.size) ** 2, axis=0))
+            )
         return np.asarray(self.measured - self.scale * block.value)
 
 
 def measured(
-    section: DataResidual, base: Path, modes: ModeSet, frfs: FrfSet | None = None, why: str = NO_FRFS
+    section: DataResidual,
+    base: Path,
+    modes: ModeSet,
+    frfs: FrfSet | None = None,
+    why: str = NO_FRFS,
 ) -> Measured:
     """Read what a [[residual]] names.
 
@@ -142,7 +160,9 @@ def measured(
     return Measured(section)
 
 
-def _frfs(section: FrfResidual, base: Path, modes: ModeSet, frfs: FrfSet | None, why: str) -> Measured:
+def _frfs(
+    section: FrfResidual, base: Path, modes: ModeSet, frfs: FrfSet | None, why: str
+) -> Measured:
     found = read_frfs(base / section.file) if section.file else frfs
     where = section.file or "the test"
     if found is None:
@@ -153,7 +173,9 @@ def _frfs(section: FrfResidual, base: Path, modes: ModeSet, frfs: FrfSet | None,
     at = np.ix_(lines, out, into)
     data = found.data[at]
     if not np.abs(data).all():
-        raise DataError(f"{where}: an FRF is zero at a chosen line; leave the channel or the line out")
+        raise DataError(
+            f"{where}: an FRF is zero at a chosen line; leave the channel or the line out"
+        )
     part = replace(
         found,
         data=data,
@@ -164,7 +186,9 @@ def _frfs(section: FrfResidual, base: Path, modes: ModeSet, frfs: FrfSet | None,
         averages=found.averages[into],
     )
     names, sources = (tuple(c.id for c in side) for side in (part.outputs, part.inputs))
-    return Measured(section, names, sources, frfs=part, damping=_damping(section, modes, found.window_decay))
+    return Measured(
+        section, names, sources, frfs=part, damping=_damping(section, modes, found.window_decay)
+    )
 
 
 def _picked(have: Sequence[str], asked: Sequence[str], what: str) -> Int:
@@ -184,18 +208,28 @@ def _lines(section: FrfResidual, freqs: Float, modes: Float, where: str) -> Int:
         at = np.abs(freqs[None, :] - asked[:, None]).argmin(axis=1)
         far = np.abs(freqs[at] - asked) > step
         if far.any():
-            raise DataError(f"{where}: no line at {asked[far][0]:g} Hz; there are {freqs[0]:g} to {freqs[-1]:g} Hz")
+            raise DataError(
+                f"{where}: no line at {asked[far][0]:g} Hz; there are {freqs[0]:g} to "
+                f"{freqs[-1]:g} Hz"
+            )
         return np.unique(at)
     low = BAND[0] * modes.min() if section.fmin is None else section.fmin
     high = BAND[1] * modes.max() if section.fmax is None else section.fmax
     inside = np.flatnonzero((freqs >= low) & (freqs <= high) & (freqs > 0))
     if not inside.size:
-        raise DataError(f"{where}: no line from {low:g} to {high:g} Hz; there are {freqs[0]:g} to {freqs[-1]:g} Hz")
-    return np.unique(inside[np.linspace(0, inside.size - 1, min(section.count, inside.size)).round().astype(int)])
+        raise DataError(
+            f"{where}: no line from {low:g} to {high:g} Hz; there are {freqs[0]:g} to "
+            f"{freqs[-1]:g} Hz"
+        )
+    return np.unique(
+        inside[np.linspace(0, inside.size - 1, min(section.count, inside.size)).round().astype(int)]
+    )
 
 
 def _damping(section: FrfResidual, modes: ModeSet, decay: float) -> Damping:
-    """Over frequency, from the modes of the test unless it is given; an exponential window adds to it."""
+    """Over frequency, from the modes of the test unless it is given; an exponential window adds to
+    it.
+    """
     order = np.argsort(modes.frequencies, kind="stable")
     f, at = np.unique(modes.frequencies[order], return_index=True)
     zeta = modes.damping[order][at]
@@ -205,12 +239,19 @@ def _damping(section: FrfResidual, modes: ModeSet, decay: float) -> Damping:
     elif good.any():
         f, zeta = f[good], zeta[good]
     else:
-        raise ConfigError(f"[[residual]] {section.name or 'frf'}: the test modes have no damping; give damping = ...")
+        raise ConfigError(
+            f"[[residual]] {section.name or 'frf'}: the test modes have no damping; give damping "
+            "= ..."
+        )
     return Damping(f, zeta + decay / (2 * np.pi * f))
 
 
 def residual_data(
-    found: Measured, at: Mapping[str, int], units: str, rigid: Callable[[], RigidMass], active: tuple[int, ...]
+    found: Measured,
+    at: Mapping[str, int],
+    units: str,
+    rigid: Callable[[], RigidMass],
+    active: tuple[int, ...],
 ) -> Data:
     """The residuals on a model.
 
@@ -247,11 +288,15 @@ def channels_of(found: Sequence[Measured]) -> tuple[str, ...]:
 
 def excited(found: Sequence[Measured], at: Mapping[str, int]) -> Int:
     """Positions of the channels at which something was struck or pulled."""
-    return np.array([at[c] for c in dict.fromkeys(c for m in found for c in m.inputs)], dtype=np.int64)
+    return np.array(
+        [at[c] for c in dict.fromkeys(c for m in found for c in m.inputs)], dtype=np.int64
+    )
 
 
 def flexible(model: ReducedModel, found: Sequence[Measured], loaded: Int) -> ReducedModel:
-    """With the static responses to what was struck or pulled; their derivatives where deflections were read."""
+    """With the static responses to what was struck or pulled; their derivatives where deflections
+    were read.
+    """
     if not loaded.size:
         return model
     static = any(m.statics is not None for m in found)
@@ -273,7 +318,9 @@ def check_moving(found: Sequence[Measured], at: Mapping[str, int], observe: Floa
     for m in found:
         need = m.inputs if m.statics is not None else (*m.outputs, *m.inputs)
         if still := [c for c in need if not observe[at[c]].any()]:
-            raise DataError(f"[[residual]] {m.name}: channel {still[0]} is held in the deck, it cannot move")
+            raise DataError(
+                f"[[residual]] {m.name}: channel {still[0]} is held in the deck, it cannot move"
+            )
 
 
 def _frf_data(found: Measured, s: FrfResidual, at: Mapping[str, int], units: str) -> Data:
@@ -305,7 +352,10 @@ def _static_data(found: Measured, s: StaticResidual, at: Mapping[str, int], unit
     tests = found.statics
     assert tests is not None
     rows, length = np.array([at[c] for c in tests.channels]), UNIT_SYSTEMS[units].length
-    loads, moved = np.zeros((len(at), len(tests.cases))), np.full((len(at), len(tests.cases)), np.nan)
+    loads, moved = (
+        np.zeros((len(at), len(tests.cases))),
+        np.full((len(at), len(tests.cases)), np.nan),
+    )
     loads[rows], moved[rows] = tests.loads, tests.deflections / length
     seen = np.isfinite(moved)
     names = {i: c for c, i in at.items()}
@@ -314,7 +364,16 @@ def _static_data(found: Measured, s: StaticResidual, at: Mapping[str, int], unit
     size = s.error * np.sqrt(np.nanmean(moved**2, axis=0)) * length
     scale = np.broadcast_to(size, seen.shape)[seen]
     term = StaticDeflections(loads, moved, s.error)
-    return Data(found.name, s.kind, term, s.weight, labels, ("m",) * len(labels), moved[seen] * length, scale)
+    return Data(
+        found.name,
+        s.kind,
+        term,
+        s.weight,
+        labels,
+        ("m",) * len(labels),
+        moved[seen] * length,
+        scale,
+    )
 
 
 def _mass_data(found: Measured, s: MassResidual, units: str, rigid: RigidMass) -> Data:
@@ -346,6 +405,8 @@ def rigid_mass(model: Model, parameters: ParameterSet) -> RigidMass:
     def seen(mass: sparse.csr_array) -> sparse.csr_array:
         return sparse.csr_array(r.T @ (mass @ r))
 
-    parts = tuple(AffineTerm(t.function, none, seen(t.mass)) for t in affine_terms(free, parameters, system))
+    parts = tuple(
+        AffineTerm(t.function, none, seen(t.mass)) for t in affine_terms(free, parameters, system)
+    )
     affine = AffineSystem(none, seen(system.mass), parameters, parts, none)
     return RigidMass(affine, np.eye(6))

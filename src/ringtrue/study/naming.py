@@ -39,7 +39,9 @@ def modes_by_sheet(modes: ModeSet, sheet: TestModel, path: Path) -> tuple[ModeSe
     check_channels(modes.channels, sheet, path)
     with about(path):
         names, sign = sheet.named(modes.channels)
-    return replace(modes, shapes=modes.shapes * sign[:, None], labels=names), other_names(modes.channels, names, sign)
+    return replace(modes, shapes=modes.shapes * sign[:, None], labels=names), other_names(
+        modes.channels, names, sign
+    )
 
 
 def frfs_by_sheet(frfs: FrfSet, sheet: TestModel) -> tuple[FrfSet, tuple[str, ...]]:
@@ -66,9 +68,11 @@ def frfs_by_sheet(frfs: FrfSet, sheet: TestModel) -> tuple[FrfSet, tuple[str, ..
 def supplied_frfs(
     paths: Sequence[Path], sheet: TestModel, lost: Sequence[str]
 ) -> tuple[FrfSet | None, tuple[str, ...]]:
-    """The FRFs of all files without the channels `lost` as one set, by the names of the sheet; None without a file.
+    """The FRFs of all files without the channels `lost` as one set, by the names of the sheet; None
+    without a file.
 
-    Responses are at the many points. Beside it a note on channels that have other names in the files.
+    Responses are at the many points. Beside it a note on channels that have other names in the
+    files.
 
     Raises
     ------
@@ -94,7 +98,9 @@ def without_channels(modes: ModeSet, lost: Sequence[str]) -> ModeSet:
     return modes.rows([c for c, i in zip(modes.channels, index.tolist(), strict=True) if i < 0])
 
 
-def _sides(channels: Sequence[Channel], sheet: TestModel, source: str) -> tuple[tuple[Channel, ...], Float]:
+def _sides(
+    channels: Sequence[Channel], sheet: TestModel, source: str
+) -> tuple[tuple[Channel, ...], Float]:
     with about(source):
         names, sign = sheet.named([c.id for c in channels])
     return tuple(replace(c, id=n) for c, n in zip(channels, names, strict=True)), sign

@@ -1,4 +1,6 @@
-"""What a study minimises: the kinds of residuals of each configuration, limits and links of the parameters."""
+"""What a study minimises: the kinds of residuals of each configuration, limits and links of the
+parameters.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,15 @@ from ringtrue.study.opened import Opened
 from ringtrue.study.parametric import AtChannels
 from ringtrue.study.workbench import OWN, Workbench
 from ringtrue.update.objective import Target
-from ringtrue.update.residuals import CrossOrthogonality, Eigenvalues, Frequencies, Mac, Shapes, Term, Weighted
+from ringtrue.update.residuals import (
+    CrossOrthogonality,
+    Eigenvalues,
+    Frequencies,
+    Mac,
+    Shapes,
+    Term,
+    Weighted,
+)
 from ringtrue.update.residuals_static import RigidMass
 from ringtrue.update.robust import Huber, Loss, Squares, Tukey
 from ringtrue.update.several import Configuration, Evaluated, Problem
@@ -35,7 +45,10 @@ def names_of(desk: Workbench) -> tuple[str, ...]:
 
 
 def problem_of(
-    desk: Workbench, models: Sequence[AtChannels | FullModel], aims: Sequence[Target], u: UpdateSection
+    desk: Workbench,
+    models: Sequence[AtChannels | FullModel],
+    aims: Sequence[Target],
+    u: UpdateSection,
 ) -> Problem:
     """The objective over all configurations, the parameters of the models free."""
     parts = [
@@ -44,19 +57,27 @@ def problem_of(
     ]
     problem = Problem(tuple(parts), loss=LOSSES[u.loss])
     rows, limits = constraints(desk.config, problem.parameters)
-    return Problem(problem.configurations, problem.parameters, loss=problem.loss, rows=rows, limits=limits)
+    return Problem(
+        problem.configurations, problem.parameters, loss=problem.loss, rows=rows, limits=limits
+    )
 
 
 def constraints(config: StudyConfig, parameters: ParameterSet) -> tuple[Float, Float]:
-    """Rows (c, p) and limits (c,) of the [[constraint]]s that name a parameter; those not there stay at x = 0."""
+    """Rows (c, p) and limits (c,) of the [[constraint]]s that name a parameter; those not there
+    stay at x = 0.
+    """
     rows = [[c.terms.get(n, 0.0) for n in parameters.names] for c in config.constraint]
     kept = [i for i, r in enumerate(rows) if any(r)]
     limits = np.array([config.constraint[i].most for i in kept])
     return np.array([rows[i] for i in kept]).reshape(len(kept), len(parameters)), limits
 
 
-def terms_of(desk: Workbench, name: str, model: AtChannels | FullModel, u: UpdateSection) -> tuple[Term, ...]:
-    """All kinds of residuals of a configuration: those of its modes, then what else was measured on it."""
+def terms_of(
+    desk: Workbench, name: str, model: AtChannels | FullModel, u: UpdateSection
+) -> tuple[Term, ...]:
+    """All kinds of residuals of a configuration: those of its modes, then what else was measured on
+    it.
+    """
     modal = modal_terms(u, lambda: _mass(desk, name))
     if isinstance(model, FullModel):  # modes alone
         return modal
@@ -64,7 +85,9 @@ def terms_of(desk: Workbench, name: str, model: AtChannels | FullModel, u: Updat
 
 
 def modal_terms(u: UpdateSection, mass: Callable[[], Float]) -> tuple[Term, ...]:
-    """The kinds of residuals of the paired modes; `mass` (channel, channel) of the deck at the channels."""
+    """The kinds of residuals of the paired modes; `mass` (channel, channel) of the deck at the
+    channels.
+    """
     made: dict[str, Term] = {
         "eigenvalues": Eigenvalues(u.frequency_error),
         "frequencies": Frequencies(u.frequency_error, "log"),
@@ -81,12 +104,17 @@ def _mass(desk: Workbench, name: str) -> Float:
     """The mass of the nominal deck at the channels of the test modes."""
     if name not in desk.masses:
         opened, seen = desk.deck_of(name)
-        desk.masses[name] = mass_at(opened, seen, desk.reference(name).channels, desk.config, desk.fmax)
+        desk.masses[name] = mass_at(
+            opened, seen, desk.reference(name).channels, desk.config, desk.fmax
+        )
     return desk.masses[name]
 
 
-def mass_at(opened: Opened, seen: Observation, channels: tuple[str, ...], config: StudyConfig, fmax: float) -> Float:
-    """The mass of a deck at channels, (channel, channel), by the test-analysis model of the study; `fmax` in Hz.
+def mass_at(
+    opened: Opened, seen: Observation, channels: tuple[str, ...], config: StudyConfig, fmax: float
+) -> Float:
+    """The mass of a deck at channels, (channel, channel), by the test-analysis model of the study;
+    `fmax` in Hz.
 
     Raises
     ------
@@ -94,7 +122,9 @@ def mass_at(opened: Opened, seen: Observation, channels: tuple[str, ...], config
         If there is none.
     """
     if config.correlate.tam in ("serep", "craig-bampton") or config.model is None:
-        raise ConfigError('update.residuals "orthogonality" needs a deck, and correlate.tam irs, guyan or hybrid')
+        raise ConfigError(
+            'update.residuals "orthogonality" needs a deck, and correlate.tam irs, guyan or hybrid'
+        )
     found = channel_mass(opened, seen, channels, config.correlate, fmax)
     if found.matrix is None:
         raise ConfigError(f'update.residuals "orthogonality": {found.why}')
@@ -113,8 +143,13 @@ def data_of(desk: Workbench, name: str, model: AtChannels) -> tuple[Data, ...]:
     if any(m.statics is not None for m in found):
         f = model.model.modes(np.zeros(len(model.parameters))).frequencies
         if not elastic(f)[0]:
-            raise DataError(f"a static test needs a structure that is held; mode 1 of the deck is at {f[0]:.3g} Hz")
-    check_moving(found, {c: i for i, c in enumerate(desk.channels(name))}, model.model.basis.observe)
+            raise DataError(
+                "a static test needs a structure that is held; mode 1 of the deck is at "
+                f"{f[0]:.3g} Hz"
+            )
+    check_moving(
+        found, {c: i for i, c in enumerate(desk.channels(name))}, model.model.basis.observe
+    )
     every = model.model.system.parameters
     return on_parameters(desk, name, lambda: _rigid(desk, name, every), tuple(model.model.active))
 
@@ -122,7 +157,9 @@ def data_of(desk: Workbench, name: str, model: AtChannels) -> tuple[Data, ...]:
 def on_parameters(
     desk: Workbench, name: str, rigid: Callable[[], RigidMass], active: tuple[int, ...]
 ) -> tuple[Data, ...]:
-    """What was measured beside the modes of a configuration, on the active of the parameters that `rigid` is over."""
+    """What was measured beside the modes of a configuration, on the active of the parameters that
+    `rigid` is over.
+    """
     at = {c: i for i, c in enumerate(desk.channels(name))}
     return tuple(residual_data(m, at, desk.deck.units, rigid, active) for m in desk.measured(name))
 
@@ -136,7 +173,8 @@ def _rigid(desk: Workbench, name: str, every: ParameterSet) -> RigidMass:
 
 
 def data_count(problem: Problem, at: Evaluated) -> float:
-    """Number of data: a frequency and a shape each used test mode, lost ones too, and what else was measured.
+    """Number of data: a frequency and a shape each used test mode, lost ones too, and what else was
+    measured.
 
     A kind beside the modes counts as many as its weight says.
     """

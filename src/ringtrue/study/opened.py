@@ -33,7 +33,8 @@ class Opened:
     length : float
         Metres a model unit.
     engine : ModalSolver, optional
-        Finds the modes in place of the embedded solver; matrices are the embedded solver's in any case.
+        Finds the modes in place of the embedded solver; matrices are the embedded solver's in any
+        case.
     """
 
     model: Model
@@ -60,7 +61,9 @@ class Opened:
         if fmax not in self._modes:
             request = ModesRequest(band=(-1.0, fmax))
             own = self.engine is None
-            self._modes[fmax] = self.analysis.modes(request, progress) if own else self._outside(request)
+            self._modes[fmax] = (
+                self.analysis.modes(request, progress) if own else self._outside(request)
+            )
         return self._modes[fmax]
 
     def _outside(self, request: ModesRequest) -> ModesResult:
@@ -78,7 +81,8 @@ class Opened:
     def seats(self) -> tuple[Int, Float]:
         """Nodes that a sensor may sit on, (n,), and where they are, (n, 3), model unit.
 
-        A spring of no length to the ground has two nodes at one place; a sensor there sits on the one that moves.
+        A spring of no length to the ground has two nodes at one place; a sensor there sits on the
+        one that moves.
         """
         ids, xyz, moves = self.model["GRID"].ids, positions(self.model), self.moves
         keep = moves.copy()
@@ -91,10 +95,17 @@ class Opened:
     def moves(self) -> Bool:
         """Whether any translation of a node is neither held nor without stiffness, (node,)."""
         system, n = self.analysis.system, len(self.model["GRID"].ids)
-        return np.asarray((np.diff(system.transform.indptr)[: 6 * n].reshape(n, 6)[:, :3] > 0).any(axis=1))
+        return np.asarray(
+            (np.diff(system.transform.indptr)[: 6 * n].reshape(n, 6)[:, :3] > 0).any(axis=1)
+        )
 
     def observation(
-        self, test: TestModel, tolerance: float | None = None, method: Method = "nearest", *, dofs: DofSet | None = None
+        self,
+        test: TestModel,
+        tolerance: float | None = None,
+        method: Method = "nearest",
+        *,
+        dofs: DofSet | None = None,
     ) -> Observation:
         """The bridge to the channels of a test.
 
@@ -119,4 +130,6 @@ class Opened:
     def seen(self, modes: ModeSet, test: TestModel, tolerance: float | None = None) -> ModeSet:
         """The modes at the channels."""
         shapes = self.observation(test, tolerance)(modes.shapes)
-        return ModeSet(modes.frequencies, modes.damping, shapes, test.channels, modes.norm, modes.source)
+        return ModeSet(
+            modes.frequencies, modes.damping, shapes, test.channels, modes.norm, modes.source
+        )

@@ -1,4 +1,6 @@
-"""The parametric model of a study: all candidates and suspensions on one reduced basis, seen at chosen channels."""
+"""The parametric model of a study: all candidates and suspensions on one reduced basis, seen at
+chosen channels.
+"""
 
 from __future__ import annotations
 
@@ -50,14 +52,18 @@ class AtChannels:
         return self.model.parameters
 
     def with_parameters(self, active: Sequence[int], base: Float | None = None) -> AtChannels:
-        """The same with other active parameters, by position among all; a short `base` is filled up with zeros."""
+        """The same with other active parameters, by position among all; a short `base` is filled up
+        with zeros.
+        """
         if base is not None:
             base = np.concatenate([base, np.zeros(len(self.model.system.parameters) - base.size)])
         return replace(self, model=self.model.with_parameters(active, base))
 
     def whole(self) -> Whole:
         """All modes of the basis at all channels."""
-        every = replace(self, model=self.model.whole(), rows=np.arange(self.model.basis.observe.shape[0]))
+        every = replace(
+            self, model=self.model.whole(), rows=np.arange(self.model.basis.observe.shape[0])
+        )
         return Whole(every, self.rows, self.model.count)
 
     def matrices(self, x: Float) -> Matrices:
@@ -65,7 +71,9 @@ class AtChannels:
         return matrices_at(self.model, x)
 
     def enrich(self, x: Float, *, sensitivities: bool = False) -> tuple[AtChannels, Linearisation]:
-        """The model with its full modes at x, and these; static responses of the loaded channels, too."""
+        """The model with its full modes at x, and these; static responses of the loaded channels,
+        too.
+        """
         better, truth = self.model.enrich(x, sensitivities=sensitivities)
         if self.loaded.size:
             better, _ = with_responses(better, self.loaded, x)
@@ -84,15 +92,23 @@ class AtChannels:
 
 
 def build(
-    opened: Opened, parameters: ParameterSet, observation: Observation, fmax: float, progress: Progress
+    opened: Opened,
+    parameters: ParameterSet,
+    observation: Observation,
+    fmax: float,
+    progress: Progress,
 ) -> ReducedModel:
     """Assemble, differentiate and project: all modes below `fmax` with every parameter."""
     system = opened.analysis.system
     parts = affine_terms(opened.model, parameters, system, progress=part(progress, 0.0, 0.4))
-    affine = observed_system(system.stiffness, system.mass, system.transform, parameters, parts, observation)
+    affine = observed_system(
+        system.stiffness, system.mass, system.transform, parameters, parts, observation
+    )
     count = len(opened.modes(fmax).modes)
     told = part(progress, 0.4, 1.0)
-    return reduced_model(affine, count, pencil=opened.analysis.pencil, shift=low_shift(fmax), progress=told)
+    return reduced_model(
+        affine, count, pencil=opened.analysis.pencil, shift=low_shift(fmax), progress=told
+    )
 
 
 def verified(model: AtChannels, x: Float) -> tuple[AtChannels, float]:
@@ -109,7 +125,9 @@ def verified(model: AtChannels, x: Float) -> tuple[AtChannels, float]:
 
 
 def frequency_error(found: Float, truth: Float) -> float:
-    """Largest relative error of the elastic frequencies that a reduced and a full model have in common."""
+    """Largest relative error of the elastic frequencies that a reduced and a full model have in
+    common.
+    """
     n = min(found.size, truth.size)
     moving = elastic(truth)[:n]
     return float(np.abs(found[:n][moving] / truth[:n][moving] - 1).max(initial=0.0))
@@ -118,6 +136,7 @@ def frequency_error(found: Float, truth: Float) -> float:
 def not_verified(error: float) -> NotConverged:
     """The error of a reduced model that does not follow the full one."""
     return NotConverged(
-        f"the reduced model is off by {100 * error:.2g} % after {ROUNDS} enrichments (allowed {100 * CLOSE:.2g} %): "
+        f"the reduced model is off by {100 * error:.2g} % after {ROUNDS} enrichments (allowed "
+        f"{100 * CLOSE:.2g} %): "
         "tighten the bounds of the parameters"
     )

@@ -26,7 +26,10 @@ from ringtrue.study.scene import make_scene
 ALIKE = 0.05  # of the largest motion: nodes at one place that differ by less tell a sensor the same
 MANY = 12  # points that are named
 MESHED = 400  # points of a deck that is held against another
-BAD, BETTER = 0.01, 0.2  # of the size of the deck: a fit that is looked into; of its error: what explains it
+BAD, BETTER = (
+    0.01,
+    0.2,
+)  # of the size of the deck: a fit that is looked into; of its error: what explains it
 OFF = 0.01  # of the size of a deck: sensors farther from their node read another motion
 LARGER = 1.5  # times the deck: a test that cannot lie on it
 SHARED = 0.1  # of the nodes of a deck: with fewer near another it is not of the same structure
@@ -45,8 +48,8 @@ def alignment(test: TestModel, opened: Opened, how: str) -> Alignment:
     Raises
     ------
     DataError
-        If the points do not decide: too few have the number of a node, or the geometry is symmetric; or if they have
-        another unit of length, or left-handed axes.
+        If the points do not decide: too few have the number of a node, or the geometry is
+        symmetric; or if they have another unit of length, or left-handed axes.
     """
     nodes, ids = positions(opened.model) * opened.length, opened.model["GRID"].ids
     if how == "nearest":
@@ -61,20 +64,26 @@ def alignment(test: TestModel, opened: Opened, how: str) -> Alignment:
                 raise DataError(f"correlate.align nearest: {_mirrored(off, mirrored)}")
         if found.rivals:
             raise DataError(
-                f"correlate.align nearest: {found.rivals} other placements fit as well, the geometry is symmetric; "
+                f"correlate.align nearest: {found.rivals} other placements fit as well, the "
+                "geometry is symmetric; "
                 'number three points or more by their nodes and use align = "points"'
             )
         return found
     same, of_test, of_deck = np.intersect1d(test.points, ids, return_indices=True)
     if same.size < 3:
-        raise DataError(f"correlate.align points: {same.size} points have the number of a node; three or more decide")
+        raise DataError(
+            f"correlate.align points: {same.size} points have the number of a node; three or "
+            "more decide"
+        )
     found = best_fit(test.xyz[of_test], nodes[of_deck])
     _look_into(found, test.xyz[of_test], nodes[of_deck])
     return found
 
 
 def _nearest_to_all(xyz: Float, keep: float = 0.9) -> Float:
-    """Most of the points (n, 3), the nearest to their median: a wrong place says nothing of the unit."""
+    """Most of the points (n, 3), the nearest to their median: a wrong place says nothing of the
+    unit.
+    """
     distance = np.linalg.norm(xyz - np.median(xyz, axis=0), axis=1)
     return np.asarray(xyz[np.argsort(distance, kind="stable")[: int(np.ceil(keep * len(xyz)))]])
 
@@ -96,8 +105,10 @@ def _look_into(found: Alignment, points: Float, nodes: Float) -> None:
 
 def _mirrored(off: float, mirrored: float) -> str:
     return (
-        f"the points are a mirror image of their nodes ({1e3 * off:.3g} mm off, {1e3 * mirrored:.3g} mm when "
-        "mirrored): the axes of the test are left-handed, turn one of them and the directions along it"
+        f"the points are a mirror image of their nodes ({1e3 * off:.3g} mm off, "
+        f"{1e3 * mirrored:.3g} mm when "
+        "mirrored): the axes of the test are left-handed, turn one of them and the directions "
+        "along it"
     )
 
 
@@ -108,25 +119,30 @@ def _off(fit: Alignment) -> float:
 
 def _other_size(times: float) -> str:
     return (
-        f"the points of the test are {times:.4g} times as far apart as the nodes of the deck: places on a sensor sheet "
+        f"the points of the test are {times:.4g} times as far apart as the nodes of the deck: "
+        "places on a sensor sheet "
         "are in m, those of the deck in the unit that [model] units names"
     )
 
 
 def words(found: Alignment) -> str:
     """The placement in words."""
-    angle = round(float(np.degrees(np.arccos(np.clip((np.trace(found.rotation) - 1) / 2, -1.0, 1.0)))), 3)
+    angle = round(
+        float(np.degrees(np.arccos(np.clip((np.trace(found.rotation) - 1) / 2, -1.0, 1.0)))), 3
+    )
     x, y, z = (np.round(found.shift, 6) + 0.0).tolist()  # to the micrometre
     lost = int((~found.used).sum())
     return (
-        f"the points of the test were turned by {angle:.3g}° and moved by ({x:.4g}, {y:.4g}, {z:.4g}) m onto the deck; "
+        f"the points of the test were turned by {angle:.3g}° and moved by ({x:.4g}, {y:.4g}, "
+        f"{z:.4g}) m onto the deck; "
         f"{int(found.used.sum())} of them fit within {round(1e3 * found.rms, 3):.3g} mm"
         + (f", {lost} do not and were set aside" if lost else "")
     )
 
 
 def shared_places(opened: Opened, test: TestModel, modes: ModeSet) -> tuple[str, ...]:
-    """A note on points at whose place the deck has several nodes that do not move alike, as at a joint.
+    """A note on points at whose place the deck has several nodes that do not move alike, as at a
+    joint.
 
     Points that have the number of one of them are read there.
 
@@ -144,16 +160,23 @@ def shared_places(opened: Opened, test: TestModel, modes: ModeSet) -> tuple[str,
     nearest = xyz[tree.query(place)[1]]
     shared = [
         (point, some)
-        for point, at in zip(points.tolist(), tree.query_ball_point(nearest, ROUNDING * diagonal(xyz)), strict=True)
-        if point not in (some := sorted(ids[at].tolist())) and _apart(opened.analysis.dofs, some, modes.shapes)
+        for point, at in zip(
+            points.tolist(), tree.query_ball_point(nearest, ROUNDING * diagonal(xyz)), strict=True
+        )
+        if point not in (some := sorted(ids[at].tolist()))
+        and _apart(opened.analysis.dofs, some, modes.shapes)
     ]
     if not shared:
         return ()
-    named = " ".join(str(point) for point, _ in shared[:MANY]) + (" ..." if len(shared) > MANY else "")
+    named = " ".join(str(point) for point, _ in shared[:MANY]) + (
+        " ..." if len(shared) > MANY else ""
+    )
     point, some = shared[0]
     return (
-        f"point {named}: nodes that do not move alike are at the place ({' and '.join(map(str, some))} at point "
-        f"{point}), and one of them is read; give the point the number of its node, or a place beside the joint",
+        f"point {named}: nodes that do not move alike are at the place "
+        f"({' and '.join(map(str, some))} at point "
+        f"{point}), and one of them is read; give the point the number of its node, or a place "
+        "beside the joint",
     )
 
 
@@ -165,14 +188,18 @@ def between_nodes(opened: Opened, seen: Observation, match: Method) -> tuple[str
     if not far.any():
         return ()
     return (
-        f"{far.sum()} of {far.size} channels are read at a node up to {opened.length * seen.distance.max():.2g} m from "
-        "their sensor, which lowers the MAC of shapes with short waves: with match = rigid ([correlate] match, "
+        f"{far.sum()} of {far.size} channels are read at a node up to "
+        f"{opened.length * seen.distance.max():.2g} m from "
+        "their sensor, which lowers the MAC of shapes with short waves: with match = rigid "
+        "([correlate] match, "
         "--match) they read the motion of the nodes around them",
     )
 
 
 def _apart(dofs: DofSet, nodes: Sequence[int], shapes: Float) -> bool:
-    """Whether in any mode (dof, mode) nodes at one place move apart by a share of its largest translation."""
+    """Whether in any mode (dof, mode) nodes at one place move apart by a share of its largest
+    translation.
+    """
     row = dofs.find(np.repeat(nodes, 3), np.tile([1, 2, 3], len(nodes)))
     motion = np.where(row[:, None] < 0, 0.0, shapes[row]).reshape(len(nodes), 3, -1)
     largest = np.abs(shapes[np.abs(dofs.direction) <= 3]).max(axis=0, initial=0.0)
@@ -189,10 +216,11 @@ def placed(
     align: str = "",
     dofs: DofSet | None = None,
 ) -> Observation:
-    """The channels of a test on a deck: by their places on a sensor sheet, or as DOFs of the deck without one.
+    """The channels of a test on a deck: by their places on a sensor sheet, or as DOFs of the deck
+    without one.
 
-    The one resolver of channel names. On a sheet `4-X` is the sensor `4+X` read the other way, and a name that the
-    sheet does not have is refused: point numbers of a test are not those of nodes.
+    The one resolver of channel names. On a sheet `4-X` is the sensor `4+X` read the other way, and
+    a name that the sheet does not have is refused: point numbers of a test are not those of nodes.
 
     Parameters
     ----------
@@ -215,10 +243,13 @@ def placed(
     """
     if sheet is None:
         try:
-            return at_dofs(tuple(channels), opened.analysis.dofs if dofs is None else dofs, opened.length)
+            return at_dofs(
+                tuple(channels), opened.analysis.dofs if dofs is None else dofs, opened.length
+            )
         except DataError as e:
             raise DataError(
-                f"{e}; where points have numbers of their own give --sensors, or [test] sheet of a study"
+                f"{e}; where points have numbers of their own give --sensors, or [test] sheet of "
+                "a study"
             ) from e
     test = sheet if isinstance(sheet, TestModel) else _motions(sheet, channels)
     with nullcontext() if isinstance(sheet, TestModel) else about(sheet):
@@ -228,8 +259,11 @@ def placed(
     return opened.observation(here, tolerance, method, dofs=dofs)
 
 
-def readings(test: ModeSet, modes: ModeSet, sheet: TestModel, seen: Callable[[TestModel], Observation]) -> Readings:
-    """Test modes beside those of a deck, with what the deck does along all axes of the sheet at each sensor.
+def readings(
+    test: ModeSet, modes: ModeSet, sheet: TestModel, seen: Callable[[TestModel], Observation]
+) -> Readings:
+    """Test modes beside those of a deck, with what the deck does along all axes of the sheet at
+    each sensor.
 
     Parameters
     ----------
@@ -253,33 +287,45 @@ def _motions(sheet: Path, channels: Sequence[str]) -> TestModel:
     names = found.model.named(channels)[0]
     if strain := [c for c, name in zip(channels, names, strict=True) if name in found.strain]:
         raise DataError(
-            f"{sheet}: channel {' '.join(strain[:8])} measures strain: take it out of the modes of the test"
+            f"{sheet}: channel {' '.join(strain[:8])} measures strain: take it out of the modes "
+            "of the test"
         )
     return found.model
 
 
 def mesh_points(opened: Opened) -> TestModel:
-    """Nodes that are drawn of a deck and move, `MESHED` at most all over it, as points with three directions each."""
+    """Nodes that are drawn of a deck and move, `MESHED` at most all over it, as points with three
+    directions each.
+    """
     scene = make_scene(opened.model, {}, opened.length)
     drawn = np.flatnonzero(np.isin(scene.node, opened.model["GRID"].ids[opened.moves]))
     at = drawn[np.unique(np.linspace(0, drawn.size - 1, min(MESHED, drawn.size)).astype(np.int64))]
     node, axes = scene.node[at], np.tile(np.eye(3), (at.size, 1))
     channels = tuple(f"{n}+{a}" for n in node.tolist() for a in "XYZ")
-    return TestModel(node, scene.xyz[at], channels, np.repeat(node, 3), axes, np.zeros((0, 2), dtype=np.int64))
+    return TestModel(
+        node, scene.xyz[at], channels, np.repeat(node, 3), axes, np.zeros((0, 2), dtype=np.int64)
+    )
 
 
 def near_mesh(test: TestModel, opened: Opened, tolerance: float | None) -> tuple[TestModel, float]:
-    """The channels of a test that are near a node of a deck, and what is near, m: `tolerance` or the default one."""
+    """The channels of a test that are near a node of a deck, and what is near, m: `tolerance` or
+    the default one.
+    """
     xyz = opened.seats[1] * opened.length
     one, other = diagonal(test.xyz), diagonal(xyz)
     if min(one, other) > 0 and max(one, other) > UNLIKE * min(one, other):
-        raise DataError(f"the one deck is {one:.3g} m in size, the other {other:.3g} m: check --units")
+        raise DataError(
+            f"the one deck is {one:.3g} m in size, the other {other:.3g} m: check --units"
+        )
     tree = KDTree(xyz)
     reach = default_tolerance(xyz) if tolerance is None else tolerance
     near = np.asarray(tree.query(test.channel_xyz())[0] <= reach)
     if near.mean() < SHARED:
         raise DataError(
-            f"{100 * near.mean():.0f} % of the nodes of the one deck are within {reach:.3g} m of a node of the other: "
+            f"{100 * near.mean():.0f} % of the nodes of the one deck are within {reach:.3g} m of "
+            "a node of the other: "
             "check their origins; of a whole and its part name the part first"
         )
-    return test.pick(tuple(c for c, yes in zip(test.channels, near.tolist(), strict=True) if yes)), reach
+    return test.pick(
+        tuple(c for c, yes in zip(test.channels, near.tolist(), strict=True) if yes)
+    ), reach

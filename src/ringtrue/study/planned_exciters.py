@@ -28,7 +28,8 @@ SAID = {
     "greedy": f"hammer points greedily {WORST}",
     "worst": f"the best set of hammer points {WORST}",
     "qr": "exciters by QR with pivoting of M·Φ, the forces that part the modes",
-    "mif": "exciters that come closest together to a phase resonance of every mode (mode indicator)",
+    "mif": "exciters that come closest together to a phase resonance of every mode (mode "
+    "indicator)",
 }
 
 
@@ -37,22 +38,30 @@ def node_rows(desk: Workbench, nodes: Int) -> Int:
     labels = desk.initial.analysis.dofs
     at = np.stack([labels.find(nodes, np.full(nodes.shape, i + 1)) for i in range(3)], axis=1)
     if (at < 0).any():
-        raise ConfigError(f"[plan.candidates]: node {int(nodes[(at < 0).any(axis=1)][0])} is not in the deck")
+        raise ConfigError(
+            f"[plan.candidates]: node {int(nodes[(at < 0).any(axis=1)][0])} is not in the deck"
+        )
     return at
 
 
 def exciters(
     desk: Workbench, plan: PlanSection, able: Arrangement, shapes: Float, chosen: Int, targets: Int
 ) -> tuple[Int, Float, Float]:
-    """Channels to excite by the method asked for; mode indicators (m,) and forces (m, k) where these were sought."""
+    """Channels to excite by the method asked for; mode indicators (m,) and forces (m, k) where
+    these were sought.
+    """
     rows = shapes[chosen].reshape(chosen.size * able.each, -1)
     count = min(plan.references, len(rows))
     none = np.zeros(0), np.zeros((0, 0))
     if plan.strike == "qr":
         analysis = desk.initial.analysis
-        pull = analysis.system.mass @ (analysis.system.local @ desk.initial.modes(desk.first_fmax).modes.shapes)
+        pull = analysis.system.mass @ (
+            analysis.system.local @ desk.initial.modes(desk.first_fmax).modes.shapes
+        )
         at = node_rows(desk, able.node[chosen])
-        forces = (analysis.system.transform[at.ravel()] @ pull[:, targets]).reshape(chosen.size, 3, -1)
+        forces = (analysis.system.transform[at.ravel()] @ pull[:, targets]).reshape(
+            chosen.size, 3, -1
+        )
         return (qr_exciters(along(forces, able.axes[chosen]).reshape(len(rows), -1), count), *none)
     if plan.strike == "mif":
         f = desk.get("model").modes.frequencies
@@ -68,13 +77,18 @@ def exciters(
 
 
 def within_reach(rows: Float, largest: Float) -> Bool:
-    """Which modes of rows (r, m) one of them excites well, (m,); all if none: what no point reaches ranks nothing."""
+    """Which modes of rows (r, m) one of them excites well, (m,); all if none: what no point reaches
+    ranks nothing.
+    """
     some = (rows**2).max(axis=0) >= MISSED * largest
     return np.asarray(some | ~some.any())
 
 
-def ranked(rows: Float, labels: Sequence[str], count: int, largest: Float) -> tuple[tuple[tuple[str, ...], ...], Float]:
-    """The best sets of up to two points fewer and two more than `count`, and the next best of as many.
+def ranked(
+    rows: Float, labels: Sequence[str], count: int, largest: Float
+) -> tuple[tuple[tuple[str, ...], ...], Float]:
+    """The best sets of up to two points fewer and two more than `count`, and the next best of as
+    many.
 
     Ranked by the modes that a point can reach.
 
@@ -96,6 +110,10 @@ def ranked(rows: Float, labels: Sequence[str], count: int, largest: Float) -> tu
     sizes = range(max(1, count - BESIDE), min(count + BESIDE, len(rows)) + 1)
     some = within_reach(rows, largest)
     few, top = rows[:, some], largest[some]
-    sets = [s.rows for k in sizes for s in rank_sets(few, k, largest=top, most=ALIKE if k == count else 1)]
+    sets = [
+        s.rows
+        for k in sizes
+        for s in rank_sets(few, k, largest=top, most=ALIKE if k == count else 1)
+    ]
     reach = np.stack([shares(rows, largest)[s].max(axis=0) for s in sets])
     return tuple(tuple(labels[i] for i in s.tolist()) for s in sets), reach

@@ -1,4 +1,6 @@
-"""The target modes of a plan: named, or those of the band that a criterion asks for, each with its reason."""
+"""The target modes of a plan: named, or those of the band that a criterion asks for, each with its
+reason.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,14 @@ import numpy as np
 from ringtrue.core.arrays import Bool, Float
 from ringtrue.core.modes import rigid_below
 from ringtrue.errors import ConfigError
-from ringtrue.plan.targets import Targets, choose_targets, effective_mass, in_band, kinetic_share, telling_modes
+from ringtrue.plan.targets import (
+    Targets,
+    choose_targets,
+    effective_mass,
+    in_band,
+    kinetic_share,
+    telling_modes,
+)
 from ringtrue.study.config_plan import PlanSection
 from ringtrue.study.workbench import Workbench
 
@@ -20,7 +29,9 @@ def planned_targets(desk: Workbench, plan: PlanSection, f: Float, edge: float) -
     low = max(rigid_below(f) if rigid else edge, plan.fmin)
     if plan.modes:
         if max(plan.modes) > f.size:
-            raise ConfigError(f"[plan] modes: {max(plan.modes)} of {f.size} modes below fmax of [model]; raise it")
+            raise ConfigError(
+                f"[plan] modes: {max(plan.modes)} of {f.size} modes below fmax of [model]; raise it"
+            )
         return choose_targets(f, {"named": np.isin(np.arange(1, f.size + 1), plan.modes)})
     within = in_band(f, low, plan.fmax)
     criteria = _criteria(desk, plan, within) or {f"{low:.4g} to {plan.fmax:.4g} Hz": within}
@@ -36,7 +47,9 @@ def _criteria(desk: Workbench, plan: PlanSection, within: Bool) -> dict[str, Boo
     free = np.asarray(analysis.system.local @ modes.shapes)
     if plan.effective_mass:
         share = effective_mass(free, analysis.system.mass, analysis.system.rigid_body())
-        criteria[f"effective mass over {100 * plan.effective_mass:g} %"] = share.max(axis=1) > plan.effective_mass
+        criteria[f"effective mass over {100 * plan.effective_mass:g} %"] = (
+            share.max(axis=1) > plan.effective_mass
+        )
     for name, least in plan.kinetic.items():
         rows = np.flatnonzero(np.isin(analysis.system.free.node, plan.candidates[name]))
         share = kinetic_share(free, analysis.system.mass, [rows])[:, 0]
@@ -47,10 +60,18 @@ def _criteria(desk: Workbench, plan: PlanSection, within: Bool) -> dict[str, Boo
     if plan.sensitive or plan.telling:
         lam = (2 * np.pi * modes.frequencies) ** 2
         slopes = analysis.slopes(parameters)
-        d = np.stack([np.einsum("fm,fm->m", free, s.stiffness @ free - (s.mass @ free) * lam) for s in slopes], axis=1)
+        d = np.stack(
+            [
+                np.einsum("fm,fm->m", free, s.stiffness @ free - (s.mass @ free) * lam)
+                for s in slopes
+            ],
+            axis=1,
+        )
         relative = np.where(within, 1 / np.where(within, lam, 1.0), 0.0)[:, None] * d
         if plan.sensitive:
-            criteria[f"sensitivity over {plan.sensitive:g}"] = np.abs(relative).sum(axis=1) > plan.sensitive
+            criteria[f"sensitivity over {plan.sensitive:g}"] = (
+                np.abs(relative).sum(axis=1) > plan.sensitive
+            )
         if plan.telling:
             x = relative * parameters.slope(np.zeros(len(parameters)))
             at = telling_modes(x, np.ones(len(x)), MODEL_ERROR, parameters.std(), plan.telling)

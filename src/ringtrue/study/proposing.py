@@ -1,4 +1,6 @@
-"""Parameters proposed from a deck and the modes of a test, without a study: what `ringtrue localise` does."""
+"""Parameters proposed from a deck and the modes of a test, without a study: what `ringtrue
+localise` does.
+"""
 
 from __future__ import annotations
 
@@ -73,8 +75,8 @@ def directly_proposed(
     ----------
     opened : Opened
     test : ModeSet
-        Real shapes at the channels of `bridge`; those at 0 Hz or below are left out. Of lent shapes (`study.lent`)
-        frequencies alone are compared.
+        Real shapes at the channels of `bridge`; those at 0 Hz or below are left out. Of lent shapes
+        (`study.lent`) frequencies alone are compared.
     bridge : Observation
     settings : CandidateSettings
     pool, most : int
@@ -94,7 +96,14 @@ def directly_proposed(
 
     def reduced_to(some: tuple[Candidate, ...], progress: Progress = quiet) -> ReducedModel:
         return reduced_candidates(
-            model, analysis.system, some, bridge, count, pencil=analysis.pencil, modes=modes, progress=progress
+            model,
+            analysis.system,
+            some,
+            bridge,
+            count,
+            pencil=analysis.pencil,
+            modes=modes,
+            progress=progress,
         )
 
     def small(whole: ReducedModel, some: tuple[Candidate, ...]) -> ReducedModel:
@@ -132,7 +141,9 @@ def directly_proposed(
         progress=part(progress, 0.55, 1.0),
     )
     names = {c.name for c in keep}
-    return Proposed(found, model, keep, lost, tuple(c.name for c in moved if c.name not in names), len(every))
+    return Proposed(
+        found, model, keep, lost, tuple(c.name for c in moved if c.name not in names), len(every)
+    )
 
 
 def _beyond(modes: int) -> int:
@@ -140,10 +151,16 @@ def _beyond(modes: int) -> int:
     return int(EXTRA * modes) + 4
 
 
-def with_lumps(opened: Opened, nodes: Int, settings: CandidateSettings) -> tuple[Model, tuple[Candidate, ...]]:
-    """The deck with places for masses that it may lack at nodes, ids (k,), and these as candidates (`update.lumps`)."""
+def with_lumps(
+    opened: Opened, nodes: Int, settings: CandidateSettings
+) -> tuple[Model, tuple[Candidate, ...]]:
+    """The deck with places for masses that it may lack at nodes, ids (k,), and these as candidates
+    (`update.lumps`).
+    """
     mass = mass_properties(opened.analysis.system).mass
-    return lumped(opened.model, nodes, mass / opened.model.param("WTMASS", 1.0), settings.of(opened.model))
+    return lumped(
+        opened.model, nodes, mass / opened.model.param("WTMASS", 1.0), settings.of(opened.model)
+    )
 
 
 def lump_places(opened: Opened, bridge: Observation) -> Int:
@@ -152,12 +169,16 @@ def lump_places(opened: Opened, bridge: Observation) -> Int:
     return places(opened.model, opened.moves, seen)
 
 
-def _errors(opened: Opened, reduced: ReducedModel, aim: Target, keep: tuple[Candidate, ...]) -> dict[str, Float]:
+def _errors(
+    opened: Opened, reduced: ReducedModel, aim: Target, keep: tuple[Candidate, ...]
+) -> dict[str, Float]:
     """Concentration of the local errors on each candidate."""
     pairs, _, _ = match(aim, reduced.modes(np.zeros(len(keep))))
     if not len(pairs) or aim.lent:
         return {}
     f, shapes = aim.frequencies[pairs[:, 0]], aim.shapes[:, pairs[:, 0]]
     rows = np.arange(len(reduced.basis.observe))
-    found, _ = reduced_errors(opened.model, opened.analysis.system, reduced, rows, f, shapes, pairs[:, 1])
+    found, _ = reduced_errors(
+        opened.model, opened.analysis.system, reduced, rows, f, shapes, pairs[:, 1]
+    )
     return dict(found.concentration(membership(opened.model, keep)))

@@ -38,11 +38,15 @@ class Reference:
     @classmethod
     def of(cls, found: CorrelateStage | ConfiguredTest) -> Reference:
         """The test modes that were kept with a correlation."""
-        return cls(found.reference, found.reference_uncertainty, found.rigid, found.rigid_uncertainty)
+        return cls(
+            found.reference, found.reference_uncertainty, found.rigid, found.rigid_uncertainty
+        )
 
 
 def split_frequency(frequencies: Float, below: float | None) -> float:
-    """Between rigid-body and elastic modes, Hz: as given, or the geometric middle of the widest gap."""
+    """Between rigid-body and elastic modes, Hz: as given, or the geometric middle of the widest
+    gap.
+    """
     f = np.sort(frequencies[frequencies > 0])
     if below is not None or f.size < 2:
         return below or 0.0
@@ -53,8 +57,9 @@ def split_frequency(frequencies: Float, below: float | None) -> float:
 def elastic_edge(frequencies: Float, config: StudyConfig) -> float:
     """Between rigid-body and elastic modes, Hz.
 
-    As stated in the study; else the widest gap where the study names a suspension. A structure without one is held or
-    free: it has no rigid-body modes but those at 0 Hz (to round-off, 1e-3 of the highest frequency).
+    As stated in the study; else the widest gap where the study names a suspension. A structure
+    without one is held or free: it has no rigid-body modes but those at 0 Hz (to round-off, 1e-3 of
+    the highest frequency).
     """
     below = config.correlate.rigid_below
     if below is None and not config.suspension:
@@ -65,11 +70,16 @@ def elastic_edge(frequencies: Float, config: StudyConfig) -> float:
 def measured_part(modes: ModeSet) -> tuple[Int, tuple[str, ...]]:
     """Positions of the modes, and the channels, of the largest part of the shapes that has no gap.
 
-    Records of other sensors leave gaps where one of them does not show a mode. Modes seen at fewer than half of the
-    channels go first; then, as long as modes times common channels grows, those that were seen at the same channels.
+    Records of other sensors leave gaps where one of them does not show a mode. Modes seen at fewer
+    than half of the channels go first; then, as long as modes times common channels grows, those
+    that were seen at the same channels.
     """
     known = np.isfinite(modes.shapes)
-    at = np.flatnonzero(known.mean(axis=0) >= 0.5) if known.size else np.arange(len(modes), dtype=np.int64)
+    at = (
+        np.flatnonzero(known.mean(axis=0) >= 0.5)
+        if known.size
+        else np.arange(len(modes), dtype=np.int64)
+    )
     size = at.size * known[:, at].all(axis=1).sum()
     while at.size > 1:
         _, kind = np.unique(known[:, at], axis=1, return_inverse=True)
@@ -83,7 +93,8 @@ def measured_part(modes: ModeSet) -> tuple[Int, tuple[str, ...]]:
 
 
 def at_common(modes: ModeSet) -> tuple[ModeSet, tuple[str, ...]]:
-    """The modes at the channels of `measured_part`, with zeros for those that it leaves out, and what is not used.
+    """The modes at the channels of `measured_part`, with zeros for those that it leaves out, and
+    what is not used.
 
     They keep their numbers; a mode of zeros looks like no other and finds no partner.
     """
@@ -112,14 +123,17 @@ def _gaps(modes: ModeSet) -> tuple[str, ...]:
 
 
 def reference_modes(found: IdentifyStage, config: StudyConfig) -> Reference:
-    """Pick the reference modes: rigid-body ones of the ambient tests, or else of the hammer test or the file.
+    """Pick the reference modes: rigid-body ones of the ambient tests, or else of the hammer test or
+    the file.
 
     Raises
     ------
     DataError
         If the test holds no elastic mode.
     """
-    every = np.concatenate([found.ambient.frequencies, found.hammer.frequencies if found.hammer else np.zeros(0)])
+    every = np.concatenate(
+        [found.ambient.frequencies, found.hammer.frequencies if found.hammer else np.zeros(0)]
+    )
     edge = elastic_edge(every, config)
     least = config.identify.confidence
     rigid, rigid_std = _rigid(found.ambient, found.ambient_uncertainty, edge, least)
@@ -137,19 +151,27 @@ def reference_modes(found: IdentifyStage, config: StudyConfig) -> Reference:
 
 
 def without_gaps(modes: ModeSet, std: Uncertainty, some: Int) -> tuple[ModeSet, Uncertainty]:
-    """Those of some modes that were seen at common channels, at these (`measured_part`), and their scatter."""
+    """Those of some modes that were seen at common channels, at these (`measured_part`), and their
+    scatter.
+    """
     at, channels = measured_part(modes.take(some))
     return modes.take(some[at]).rows(channels), std.take(some[at])
 
 
-def _full(modes: ModeSet, std: Uncertainty, edge: float) -> tuple[ModeSet, Uncertainty, tuple[str, ...]]:
-    """The modes from the edge on that were seen at common channels, and what is not used, in words."""
+def _full(
+    modes: ModeSet, std: Uncertainty, edge: float
+) -> tuple[ModeSet, Uncertainty, tuple[str, ...]]:
+    """The modes from the edge on that were seen at common channels, and what is not used, in
+    words.
+    """
     high = np.flatnonzero(modes.frequencies >= edge)
     seen, scatter = without_gaps(modes, std, high)
     return realise_modes(seen), scatter, _gaps(modes.take(high))
 
 
-def _rigid(modes: ModeSet, std: Uncertainty, edge: float, least: float) -> tuple[ModeSet, Uncertainty]:
+def _rigid(
+    modes: ModeSet, std: Uncertainty, edge: float, least: float
+) -> tuple[ModeSet, Uncertainty]:
     """The confident modes below the edge, at the channels that have seen them all."""
     low = np.flatnonzero((modes.frequencies < edge) & (modes.confidence >= least))
     if not low.size:
@@ -179,15 +201,19 @@ def reference_of_file(path: Path, config: StudyConfig) -> Reference:
 
 
 def beyond(modes: ModeSet, fmax: float) -> tuple[str, ...]:
-    """A note where the modes of the deck end too low for the test: partners above `fmax`, Hz, cannot be found."""
+    """A note where the modes of the deck end too low for the test: partners above `fmax`, Hz,
+    cannot be found.
+    """
     top = float(modes.frequencies.max(initial=0.0))
     if ABOVE * top <= fmax:
         return ()
     over = int((modes.frequencies > fmax).sum())
     more = f", {over} of them above it" if over else ""
     return (
-        f"the modes of the deck are computed to {fmax:g} Hz, the test modes reach {top:.4g} Hz{more}: a test mode may "
-        f"be paired wrongly for want of its partner. Set [model] fmax to {ABOVE * top:.3g} or more, or end the band of "
+        f"the modes of the deck are computed to {fmax:g} Hz, the test modes reach {top:.4g} "
+        f"Hz{more}: a test mode may "
+        f"be paired wrongly for want of its partner. Set [model] fmax to {ABOVE * top:.3g} or "
+        "more, or end the band of "
         "the test ([identify] hammer_fmax, ambient_fmax) lower",
     )
 
@@ -195,8 +221,8 @@ def beyond(modes: ModeSet, fmax: float) -> tuple[str, ...]:
 def left_out(modes: ModeSet, count: int | None, least: float) -> Int:
     """Positions of the modes kept from the updating: confident ones, evenly spread over the band.
 
-    Fixed by the test alone, before the model is looked at. Where no `count` is given a third, 5 at most: few modes are
-    needed to update by.
+    Fixed by the test alone, before the model is looked at. Where no `count` is given a third, 5 at
+    most: few modes are needed to update by.
     """
     sure = np.flatnonzero(modes.confidence >= least)
     count = min(5, sure.size // 3) if count is None else count
@@ -211,7 +237,10 @@ def fewer(count: int | None, out: Int) -> tuple[str, ...]:
     """That not as many modes are left out as asked for, in words."""
     if count is None or out.size >= count:
         return ()
-    return (f"update.left_out = {count}: {out.size} modes are left out, so that the updating keeps two confident ones",)
+    return (
+        f"update.left_out = {count}: {out.size} modes are left out, so that the updating keeps "
+        "two confident ones",
+    )
 
 
 def used_mask(n: int, out: Int) -> Bool:
@@ -225,7 +254,9 @@ def settings(config: StudyConfig) -> PairingSettings:
 
 
 def highest(frequencies: Float, gates: PairingSettings) -> float:
-    """Hz, up to where modes of a deck are computed for test modes at `frequencies`, Hz: as high as a partner may be."""
+    """Hz, up to where modes of a deck are computed for test modes at `frequencies`, Hz: as high as
+    a partner may be.
+    """
     return max(ROOM, 1 + gates.frequency_gate) * float(frequencies.max(initial=0.0))
 
 
@@ -235,8 +266,12 @@ def locks(config: StudyConfig) -> Locks:
 
 
 def rigid_settings(config: StudyConfig) -> PairingSettings:
-    """Gates for rigid-body modes: neighbours on soft springs turn into each other, so they are one subspace."""
-    return replace(settings(config), mac_gate=min(0.5, config.correlate.mac_gate), close=0.08, distinct=0.95)
+    """Gates for rigid-body modes: neighbours on soft springs turn into each other, so they are one
+    subspace.
+    """
+    return replace(
+        settings(config), mac_gate=min(0.5, config.correlate.mac_gate), close=0.08, distinct=0.95
+    )
 
 
 def positions(pairs: Sequence[str]) -> tuple[tuple[int, int], ...]:
@@ -245,7 +280,8 @@ def positions(pairs: Sequence[str]) -> tuple[tuple[int, int], ...]:
 
 
 def followed(reference: ModeSet, initial: ModeSet, config: StudyConfig) -> Followed | None:
-    """The pairs that the study decides, by the shapes of the initial deck at the channels of the test modes.
+    """The pairs that the study decides, by the shapes of the initial deck at the channels of the
+    test modes.
 
     Raises
     ------
@@ -260,7 +296,10 @@ def followed(reference: ModeSet, initial: ModeSet, config: StudyConfig) -> Follo
     for name, pairs in (("lock", positions(c.lock)), ("forbid", positions(c.forbid))):
         for t, j in pairs:
             if t >= len(reference) or j >= shapes.shape[1]:
-                n = f"{len(reference)} elastic test modes and {shapes.shape[1]} of the deck below fmax"
+                n = (
+                    f"{len(reference)} elastic test modes and {shapes.shape[1]} of the deck "
+                    "below fmax"
+                )
                 raise ConfigError(f"correlate.{name} {t + 1}:{j + 1}: there are {n}")
         sides.append((tuple(t for t, _ in pairs), shapes[:, [j for _, j in pairs]]))
     return Followed(*sides[0], *sides[1])
@@ -269,15 +308,27 @@ def followed(reference: ModeSet, initial: ModeSet, config: StudyConfig) -> Follo
 def elastic_table(
     reference: Reference, fe: ModeSet, config: StudyConfig, out: Int, initial: ModeSet | None = None
 ) -> CorrelationTable:
-    """Elastic test modes against the model's elastic modes at the channels; `initial` are those that locks name."""
+    """Elastic test modes against the model's elastic modes at the channels; `initial` are those
+    that locks name.
+    """
     gates = settings(config)
     edge = elastic_edge(fe.frequencies, config)
-    first = int((fe.frequencies < edge).sum()) if len(reference.rigid) or config.correlate.rigid_below else 0
+    first = (
+        int((fe.frequencies < edge).sum())
+        if len(reference.rigid) or config.correlate.rigid_below
+        else 0
+    )
     elastic = fe.take(np.arange(first, len(fe)))
     known = followed(reference.elastic, initial, config) if initial is not None else None
-    locks = known.locks(elastic.rows(reference.elastic.channels).shapes) if known is not None else NO_LOCKS
+    locks = (
+        known.locks(elastic.rows(reference.elastic.channels).shapes)
+        if known is not None
+        else NO_LOCKS
+    )
     pairing = pair_modes(reference.elastic, elastic, gates, first_b=first, locks=locks)
-    table = correlation_table(reference.elastic, elastic, pairing, std_hz=reference.elastic_std.frequency, left_out=out)
+    table = correlation_table(
+        reference.elastic, elastic, pairing, std_hz=reference.elastic_std.frequency, left_out=out
+    )
     mac = np.concatenate([np.zeros((len(reference.elastic), first)), table.mac], axis=1)
     if config.alone:
         pairing, mac = _unseen(pairing), np.zeros((0, 0))

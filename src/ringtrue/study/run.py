@@ -1,4 +1,6 @@
-"""One driver for all stages: what is up to date is loaded, the rest is run, each result is stored at once."""
+"""One driver for all stages: what is up to date is loaded, the rest is run, each result is stored
+at once.
+"""
 
 from __future__ import annotations
 
@@ -41,14 +43,18 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StudyRun:
-    """A finished run: results by stage, seconds by stage, and which stages were loaded rather than run."""
+    """A finished run: results by stage, seconds by stage, and which stages were loaded rather than
+    run.
+    """
 
     folder: Path
     desk: Workbench
     results: Mapping[str, Any]
     timings: Mapping[str, float] = field(default_factory=dict)
     loaded: tuple[str, ...] = ()
-    altered: tuple[str, ...] = ()  # inputs that were edited while it ran: it is of what they were at its start
+    altered: tuple[
+        str, ...
+    ] = ()  # inputs that were edited while it ran: it is of what they were at its start
 
     @property
     def config(self) -> StudyConfig:
@@ -80,12 +86,19 @@ def _digests(paths: Iterable[Path], base: Path) -> dict[str, str]:
     return {_seen_from(base, p): _digest(p) for p in dict.fromkeys(paths)}
 
 
-def stage_key(stage: Stage, desk: Workbench, upstream: Mapping[str, str], inputs: Mapping[str, str]) -> str:
-    """A hash over the stage's settings, its input files, the version and the keys of the stages it needs.
+def stage_key(
+    stage: Stage, desk: Workbench, upstream: Mapping[str, str], inputs: Mapping[str, str]
+) -> str:
+    """A hash over the stage's settings, its input files, the version and the keys of the stages it
+    needs.
 
-    The files are those that the run began with (`inputs`, SHA-256 by path): it has read the deck, and may read no more.
+    The files are those that the run began with (`inputs`, SHA-256 by path): it has read the deck,
+    and may read no more.
     """
-    settings = {name: json.loads(json.dumps(_plain(attrgetter(name)(desk.config)))) for name in stage.settings}
+    settings = {
+        name: json.loads(json.dumps(_plain(attrgetter(name)(desk.config))))
+        for name in stage.settings
+    }
     files = {name: inputs[name] for name in (_seen_from(desk.base, p) for p in stage.files(desk))}
     needs = {n: upstream[n] for n in stage.needs if n in upstream}
     text = json.dumps([__version__, stage.name, settings, files, needs], sort_keys=True)
@@ -115,7 +128,8 @@ def _span(desk: Workbench, first: str | None, until: str | None) -> tuple[int, i
     stop = _position(until) if until else len(STAGES) - 1
     if first and start > stop:
         raise ConfigError(
-            f"--from {first} comes after --until {until}; the order is {', '.join(s.name for s in STAGES)}"
+            f"--from {first} comes after --until {until}; the order is "
+            f"{', '.join(s.name for s in STAGES)}"
         )
     return start, stop
 
@@ -141,10 +155,15 @@ def _check_targets(desk: Workbench, todo: Iterable[Stage]) -> None:
         refuse_copy(desk.remodelled.model, desk.folder("updated"))
     if "configured" in names:
         for other in desk.config.configuration:
-            refuse_copy(desk.configured(other).model, desk.folder("configurations") / other.name / "updated")
+            refuse_copy(
+                desk.configured(other).model, desk.folder("configurations") / other.name / "updated"
+            )
     if desk.config.model is None:
         return
-    for kind, given in (("candidate", desk.config.candidates()), ("suspension", desk.config.suspensions())):
+    for kind, given in (
+        ("candidate", desk.config.candidates()),
+        ("suspension", desk.config.suspensions()),
+    ):
         for p in given.parameters:
             try:
                 apply_factors(desk.remodelled.model, ParameterSet((p,)), np.ones(1))
@@ -153,7 +172,9 @@ def _check_targets(desk: Workbench, todo: Iterable[Stage]) -> None:
 
 
 def _protect(desk: Workbench, files: Iterable[Path]) -> None:
-    """What the study reads is never replaced by what it writes: found before anything is computed, not after."""
+    """What the study reads is never replaced by what it writes: found before anything is computed,
+    not after.
+    """
     photos = [desk.base / p for p in desk.config.report.photos]
     reads(*files, *photos)
     writes(desk.store.path, *(desk.out / name for name in (SETS, "summary.json", "report.html")))
@@ -176,7 +197,8 @@ def run_study(
     out : Path, optional
         Where study.h5 and what is delivered go; the folder of the study by default.
     first : str, optional
-        Stages from here on are run anew even if they are up to date; earlier ones are taken from the store.
+        Stages from here on are run anew even if they are up to date; earlier ones are taken from
+        the store.
     until : str, optional
         The last stage to run.
     progress : callable
@@ -198,7 +220,14 @@ def run_study(
         return _run(desk, study, text, first, until, progress)
 
 
-def _run(desk: Workbench, study: Path, text: str, first: str | None, until: str | None, progress: Progress) -> StudyRun:
+def _run(
+    desk: Workbench,
+    study: Path,
+    text: str,
+    first: str | None,
+    until: str | None,
+    progress: Progress,
+) -> StudyRun:
     start, stop = _span(desk, first, until)
     todo = [s for s in STAGES[: stop + 1] if s.applies(desk)]
     files = [study, *(f for s in todo for f in s.files(desk))]
@@ -222,19 +251,26 @@ def _run(desk: Workbench, study: Path, text: str, first: str | None, until: str 
             desk.store.save(stage.name, key, result, seconds=seconds, drop=stale)
             ran = True
             log.info("%s: %.1f s", stage.name, seconds)
-    except BaseException:  # stopped by the user, too: what is stored can be reported, and the next run resumes
+    except (
+        BaseException
+    ):  # stopped by the user, too: what is stored can be reported, and the next run resumes
         if ran:
             _sign(desk, inputs, text)
         raise
     progress(1.0, f"{todo[-1].title}: done")
     results = {s.name: desk.get(s.name) for s in todo}
     made = _sign(desk, inputs, text)
-    altered = tuple(name for p in dict.fromkeys(files) if _now(p) != inputs[name := _seen_from(desk.base, p)])
-    return StudyRun(desk.out, desk, results | {"provenance": made}, made.timings, tuple(loaded), altered)
+    altered = tuple(
+        name for p in dict.fromkeys(files) if _now(p) != inputs[name := _seen_from(desk.base, p)]
+    )
+    return StudyRun(
+        desk.out, desk, results | {"provenance": made}, made.timings, tuple(loaded), altered
+    )
 
 
 def _intact_key(desk: Workbench, stage: str) -> str | None:
-    """The key of a stored result that can be read; None where it is none of this code, damaged, or not there.
+    """The key of a stored result that can be read; None where it is none of this code, damaged, or
+    not there.
 
     Without a key the stage is run anew, and what was made of it goes, too.
     """
@@ -299,4 +335,6 @@ def load_study(store: Path) -> StudyRun:
     desk = Workbench(config, store.parent / made.home, store.parent, held)
     there = held.stages()
     results = {s.name: held.load(s.name) for s in STAGES if s.name in there and s.applies(desk)}
-    return StudyRun(store.parent, desk, results | {"provenance": made}, made.timings, tuple(results))
+    return StudyRun(
+        store.parent, desk, results | {"provenance": made}, made.timings, tuple(results)
+    )

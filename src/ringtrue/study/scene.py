@@ -48,7 +48,9 @@ def _faces(model: Model) -> tuple[Int, Int]:
     kept = shell
     if solid:
         q = np.concatenate(solid)
-        key = np.sort(np.where(q[:, 3:4] == q[:, 2:3], q[:, [0, 1, 2, 4]] * [1, 1, 1, 0], q[:, :4]), axis=1)
+        key = np.sort(
+            np.where(q[:, 3:4] == q[:, 2:3], q[:, [0, 1, 2, 4]] * [1, 1, 1, 0], q[:, :4]), axis=1
+        )
         _, first, count = np.unique(key, axis=0, return_index=True, return_counts=True)
         kept = [q[np.sort(first[count == 1])], *shell]
     every = np.concatenate(kept) if kept else np.zeros((0, 5), dtype=np.int64)
@@ -58,12 +60,17 @@ def _faces(model: Model) -> tuple[Int, Int]:
 def _ends(model: Model, cards: Mapping[str, tuple[str, str]]) -> Int:
     """Ends and property number (l, 3); 0 for what has no property."""
     tables = [(model[c], names) for c, names in cards.items() if c in model]
-    rows = [np.column_stack([t.stack(*names), t["PID"] if "PID" in t.columns else 0 * t.ids]) for t, names in tables]
+    rows = [
+        np.column_stack([t.stack(*names), t["PID"] if "PID" in t.columns else 0 * t.ids])
+        for t, names in tables
+    ]
     return np.concatenate(rows) if rows else np.zeros((0, 3), dtype=np.int64)
 
 
 def _lines(model: Model) -> tuple[Int, Int]:
-    """Lines (l, 2) and property numbers; of a joint of no length or to the ground its ends, as points."""
+    """Lines (l, 2) and property numbers; of a joint of no length or to the ground its ends, as
+    points.
+    """
     lines, joints = _ends(model, _LINES), _ends(model, _JOINTS)
     xyz, at = positions(model), model["GRID"].find(joints[:, :2])
     length = np.linalg.norm(xyz[at[:, 0]] - xyz[at[:, 1]], axis=1)
@@ -82,7 +89,9 @@ def _groups(pids: Int, regions: Mapping[str, Sequence[int]]) -> tuple[Int, tuple
 
 
 def make_scene(model: Model, regions: Mapping[str, Sequence[int]], length: float = 1.0) -> Scene:
-    """The drawing of a model; `regions` names property numbers, `length` turns its unit to metres."""
+    """The drawing of a model; `regions` names property numbers, `length` turns its unit to
+    metres.
+    """
     quads, quad_pid = _faces(model)
     lines, line_pid = _lines(model)
     group, names = _groups(np.concatenate([quad_pid, line_pid]), regions)
@@ -103,9 +112,15 @@ def make_scene(model: Model, regions: Mapping[str, Sequence[int]], length: float
 
 
 def scene_modes(modes: ModeSet, scene: Scene) -> ModeSet:
-    """The translations of the scene's nodes, rows ordered node by node, X Y Z; single precision is enough to draw."""
-    labels = DofSet(np.repeat(scene.node, 3), np.tile(np.array([1, 2, 3], dtype=np.int8), scene.node.size))
+    """The translations of the scene's nodes, rows ordered node by node, X Y Z; single precision is
+    enough to draw.
+    """
+    labels = DofSet(
+        np.repeat(scene.node, 3), np.tile(np.array([1, 2, 3], dtype=np.int8), scene.node.size)
+    )
     assert isinstance(modes.labels, DofSet)
     at, sign = modes.labels.align(labels)
-    shapes: Float = np.asarray(modes.shapes[at] * sign[:, None]).astype(np.float32).astype(np.float64)
+    shapes: Float = (
+        np.asarray(modes.shapes[at] * sign[:, None]).astype(np.float32).astype(np.float64)
+    )
     return ModeSet(modes.frequencies, modes.damping, shapes, labels, modes.norm, modes.source)

@@ -1,4 +1,6 @@
-"""Which nodes of a deck the sensors of a test are read at: the map from points to nodes, for people."""
+"""Which nodes of a deck the sensors of a test are read at: the map from points to nodes, for
+people.
+"""
 
 from __future__ import annotations
 
@@ -53,7 +55,9 @@ def seats_json(found: Sequence[Seat]) -> list[dict[str, Any]]:
 
 
 def seat_words(found: Sequence[Seat]) -> tuple[str, ...]:
-    """The map from points to nodes, and channels that the sheet has by another name, a line each."""
+    """The map from points to nodes, and channels that the sheet has by another name, a line
+    each.
+    """
     if not found:
         return ()
     at = {s.point: s for s in found}
@@ -61,9 +65,13 @@ def seat_words(found: Sequence[Seat]) -> tuple[str, ...]:
     told = f"{len(at) - len(other)} of {len(at)} points are read at the node of their number"
     if other:
         told += "; point -> node: " + ", ".join(f"{s.point} -> {_nodes(s)}" for s in other[:SHOWN])
-        told += f" and {len(other) - SHOWN} more (--json, summary.json)" if len(other) > SHOWN else ""
+        told += (
+            f" and {len(other) - SHOWN} more (--json, summary.json)" if len(other) > SHOWN else ""
+        )
     told += f"; at most {max(s.distance for s in found):.2g} m away"
-    return told, *other_names([s.channel for s in found], [s.sensor for s in found], [s.sign for s in found])
+    return told, *other_names(
+        [s.channel for s in found], [s.sensor for s in found], [s.sign for s in found]
+    )
 
 
 def _nodes(s: Seat) -> str:

@@ -1,4 +1,6 @@
-"""The store of a study: one group of study.h5 a stage, replaced whole or not at all, read only as it was written."""
+"""The store of a study: one group of study.h5 a stage, replaced whole or not at all, read only as
+it was written.
+"""
 
 from __future__ import annotations
 
@@ -25,10 +27,11 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Store:
-    """`study.h5`: stage name -> result, with the key of the inputs that made it and the seconds that it took.
+    """`study.h5`: stage name -> result, with the key of the inputs that made it and the seconds
+    that it took.
 
-    The metadata of the file and each data set have HDF5's checksums, each stage a digest of its content: what has
-    changed since it was written is an error and never a result.
+    The metadata of the file and each data set have HDF5's checksums, each stage a digest of its
+    content: what has changed since it was written is an error and never a result.
     """
 
     path: Path
@@ -54,14 +57,25 @@ class Store:
                 out[stage] = float(f[stage].attrs[SECONDS])
         return out
 
-    def save(self, stage: str, key: str, result: object, *, seconds: float = 0.0, drop: Collection[str] = ()) -> None:
-        """Write a stage into a copy of the file, without the stages of `drop`, then put the copy in its place.
+    def save(
+        self,
+        stage: str,
+        key: str,
+        result: object,
+        *,
+        seconds: float = 0.0,
+        drop: Collection[str] = (),
+    ) -> None:
+        """Write a stage into a copy of the file, without the stages of `drop`, then put the copy in
+        its place.
 
-        The copy is made in memory: HDF5 does not survive a disk that is full. A stage that is too damaged to be
-        copied is left out.
+        The copy is made in memory: HDF5 does not survive a disk that is full. A stage that is too
+        damaged to be copied is left out.
         """
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        with h5py.File(self.path.name, "w", driver="core", backing_store=False, libver="latest") as new:
+        with h5py.File(
+            self.path.name, "w", driver="core", backing_store=False, libver="latest"
+        ) as new:
             if self.path.exists():
                 with self._open() as old:
                     for name in old:
@@ -84,7 +98,8 @@ class Store:
         Raises
         ------
         DataError
-            If the file or the stage is not there, is damaged, or was stored by a version with other results.
+            If the file or the stage is not there, is damaged, or was stored by a version with other
+            results.
         """
         if not self.path.exists():
             raise DataError(f"{self.path}: no such store; run the study first")
@@ -93,7 +108,8 @@ class Store:
                 there = stage in f
             if not there:
                 raise DataError(
-                    f"{self.path}: stage {stage!r} is not in the store; it holds {', '.join(f) or 'nothing'}"
+                    f"{self.path}: stage {stage!r} is not in the store; it holds "
+                    f"{', '.join(f) or 'nothing'}"
                 )
             with self._reading(stage):
                 if digest(f[stage]) != codec.text_of(f[stage].attrs.get(DIGEST, "")):
@@ -124,21 +140,29 @@ class Store:
         try:
             yield
         except DAMAGE as e:
-            raise DataError(f"{self.path}: stage {stage!r} is damaged ({e}); run the study again") from e
+            raise DataError(
+                f"{self.path}: stage {stage!r} is damaged ({e}); run the study again"
+            ) from e
 
     @contextmanager
     def _open(self) -> Iterator[h5py.File]:
         keeps_up(self.path)
-        with open_hdf5(self.path, "store", "move it away and the study runs from the beginning") as file:
+        with open_hdf5(
+            self.path, "store", "move it away and the study runs from the beginning"
+        ) as file:
             yield file
 
 
 def digest(group: h5py.Group) -> str:
-    """SHA-256 of the names, attributes, types, shapes and bytes of all that a group holds, whenever it was made."""
+    """SHA-256 of the names, attributes, types, shapes and bytes of all that a group holds, whenever
+    it was made.
+    """
     total = hashlib.sha256()
 
     def add(name: str, item: h5py.Group | h5py.Dataset) -> None:
-        attributes = {k: np.asarray(item.attrs[k]) for k in sorted(item.attrs) if k not in (DIGEST, SECONDS)}
+        attributes = {
+            k: np.asarray(item.attrs[k]) for k in sorted(item.attrs) if k not in (DIGEST, SECONDS)
+        }
         for k, value in attributes.items():
             total.update(f"{name}@{k} {value.dtype.str}".encode() + value.tobytes())
         if isinstance(item, h5py.Dataset):

@@ -37,7 +37,9 @@ from ringtrue.study.seats import seats_json
 
 
 def pairs(table: CorrelationTable) -> list[dict[str, Any]]:
-    """The pairs of a table as plain values; `deviation_std` is the deviation in standard deviations of the test."""
+    """The pairs of a table as plain values; `deviation_std` is the deviation in standard deviations
+    of the test.
+    """
     sure = table_significance(table)
     return [
         {
@@ -55,7 +57,9 @@ def pairs(table: CorrelationTable) -> list[dict[str, Any]]:
             "deviation_std": _number(z),
             "within_scatter": not beyond if np.isfinite(z) else None,
         }
-        for r, z, beyond in zip(table.rows(), sure.z.tolist(), sure.significant.tolist(), strict=True)
+        for r, z, beyond in zip(
+            table.rows(), sure.z.tolist(), sure.significant.tolist(), strict=True
+        )
     ]
 
 
@@ -74,7 +78,9 @@ def unpaired(table: CorrelationTable) -> list[dict[str, Any]]:
 
 
 def precision(plan: PlanStage, found: IdentifyStage) -> list[dict[str, float]]:
-    """Relative standard deviations of the ambient modes, %: as planned at their frequency, and as found."""
+    """Relative standard deviations of the ambient modes, %: as planned at their frequency, and as
+    found.
+    """
     modes, std = found.ambient, found.ambient_uncertainty
     planned = ambient_std(modes.frequencies, plan.damping, plan.record_length)
     columns = (
@@ -84,7 +90,13 @@ def precision(plan: PlanStage, found: IdentifyStage) -> list[dict[str, float]]:
         100 * planned[1],
         100 * std.damping / modes.damping,
     )
-    names = ("frequency_hz", "planned_frequency", "found_frequency", "planned_damping", "found_damping")
+    names = (
+        "frequency_hz",
+        "planned_frequency",
+        "found_frequency",
+        "planned_damping",
+        "found_damping",
+    )
     return [dict(zip(names, row, strict=True)) for row in np.stack(columns, axis=1).tolist()]
 
 
@@ -96,7 +108,12 @@ def setups_json(plan: PlanStage) -> dict[str, Any]:
 
 def plan_json(plan: PlanStage) -> dict[str, Any]:
     """What is measured and excited, and how well the target modes are reached."""
-    modes = zip((plan.target_modes + 1).tolist(), plan.target_frequencies.tolist(), plan.reach.tolist(), strict=True)
+    modes = zip(
+        (plan.target_modes + 1).tolist(),
+        plan.target_frequencies.tolist(),
+        plan.reach.tolist(),
+        strict=True,
+    )
     out: dict[str, Any] = {
         "rule": plan.rule,
         "channels": len(plan.test.channels),
@@ -106,7 +123,9 @@ def plan_json(plan: PlanStage) -> dict[str, Any]:
     }
     if plan.setups is not None:
         out["setups"] = setups_json(plan)
-    for m, value, forces in zip(out["modes"], plan.indicator.tolist(), plan.forces.tolist(), strict=False):
+    for m, value, forces in zip(
+        out["modes"], plan.indicator.tolist(), plan.forces.tolist(), strict=False
+    ):
         m |= {"indicator": value, "forces": forces}
     return out
 
@@ -167,14 +186,23 @@ def summarise(run: StudyRun) -> dict[str, Any]:
     out |= _configured(r)
     out["evidence"] = _all_evidence(r)
     out["acceptance"] = {
-        "limits": [{"what": c.name, "wanted": c.wanted, "got": c.got, "held": c.held} for c in limits(run.config, r)],
+        "limits": [
+            {"what": c.name, "wanted": c.wanted, "got": c.got, "held": c.held}
+            for c in limits(run.config, r)
+        ],
         "missed": list(missed_words(run.config, r)),
     }
     out["timings_s"] = dict(run.timings)
     return out
 
 
-BRIEF = ("auto_mac_worst", "worst_comac", "subspaces", "suspects", "notes")  # the rest is in study.h5
+BRIEF = (
+    "auto_mac_worst",
+    "worst_comac",
+    "subspaces",
+    "suspects",
+    "notes",
+)  # the rest is in study.h5
 
 
 def _all_evidence(r: Mapping[str, Any]) -> dict[str, Any]:
@@ -194,7 +222,9 @@ def _all_evidence(r: Mapping[str, Any]) -> dict[str, Any]:
 def _evidence(e: Evidence, table: CorrelationTable) -> dict[str, Any]:
     full = complete_json(e.measures, table.pairing)
     out = {k: full[k] for k in BRIEF}
-    out["orthogonality"] = [{k: v for k, v in c.items() if k != "matrix"} for c in full["orthogonality"]]
+    out["orthogonality"] = [
+        {k: v for k, v in c.items() if k != "matrix"} for c in full["orthogonality"]
+    ]
     if e.frfs is not None:
         sides = (("initial", e.frfs.initial), ("final", e.frfs.final))
         out["frfs"] = {name: [asdict(x) for x in side.by_input()] for name, side in sides}
@@ -211,11 +241,17 @@ def _configured(r: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "configurations": [
             {"name": c.name, "test": c.source, "notes": list(c.notes)}
-            | ({"carries": list(c.carried)} if c.carried else {})  # candidates made from the deck are not known yet
+            | (
+                {"carries": list(c.carried)} if c.carried else {}
+            )  # candidates made from the deck are not known yet
             | ({"sensors": seats_json(c.seats)} if c.seats else {})
             | ({"mendings": mendings_json(c.mendings)} if c.mendings else {})
             | {"initial": correlation_json(c.initial)}
-            | ({"final": correlation_json(f.table), "changes": list(f.changes)} if (f := after.get(c.name)) else {})
+            | (
+                {"final": correlation_json(f.table), "changes": list(f.changes)}
+                if (f := after.get(c.name))
+                else {}
+            )
             for c in before.items
         ]
     }
@@ -228,12 +264,22 @@ def _localised(r: Mapping[str, Any]) -> dict[str, Any]:
         return {}
     gathered = zip(found.regions, found.concentration.tolist(), strict=True)
     proposed = [
-        {"name": m.name, "factor": m.factor, "std": m.std, "worth": m.worth, "not_told_from": [*m.alike, *m.rivals]}
+        {
+            "name": m.name,
+            "factor": m.factor,
+            "std": m.std,
+            "worth": m.worth,
+            "not_told_from": [*m.alike, *m.rivals],
+        }
         | ({"added": m.added} if m.lump else {})
         for m in found.proposal.members
     ]
     rests = {"proposed_by": found.beside} if found.beside else {}
-    return {"error_concentration": {n: _number(x) for n, x in gathered}, "proposed": proposed, **rests}
+    return {
+        "error_concentration": {n: _number(x) for n, x in gathered},
+        "proposed": proposed,
+        **rests,
+    }
 
 
 def _known(r: Mapping[str, Any]) -> dict[str, Any]:
@@ -247,7 +293,9 @@ def _known(r: Mapping[str, Any]) -> dict[str, Any]:
             "level": found.level,
             "discrepancy_percent": (100 * found.discrepancy).tolist(),
             "intervals": dict(zip(found.parameters.names, found.interval.tolist(), strict=True)),
-            "unproven": [n for n, open_ in zip(found.parameters.names, found.unproven, strict=True) if open_],
+            "unproven": [
+                n for n, open_ in zip(found.parameters.names, found.unproven, strict=True) if open_
+            ],
             "flags": list(found.flags),
             "left_out_inside": [int((found.inside & out).sum()), int(out.sum())],
             "folds_inside": [int((found.held.inside(found.level) & held).sum()), int(held.sum())],
@@ -268,7 +316,9 @@ def _measured(update: UpdateStage) -> dict[str, Any]:
                 "configuration": d.configuration or None,
                 "values": [
                     dict(zip(heads, (label, unit, *(_number(float(v)) for v in row)), strict=True))
-                    for label, unit, *row in zip(d.labels, d.units, d.measured, d.before, d.after, d.error, strict=True)
+                    for label, unit, *row in zip(
+                        d.labels, d.units, d.measured, d.before, d.after, d.error, strict=True
+                    )
                 ],
             }
             | ({"sensors": seats_json(d.seats)} if d.seats else {})
@@ -309,25 +359,33 @@ def _updated(r: Mapping[str, Any]) -> dict[str, Any]:
                 "condition": s.condition,
                 "aicc": s.criterion,
                 "outcome": s.outcome,
-                "discrepancy_percent": dict(zip(("frequency", "mac"), map(_number, 100 * s.discrepancy), strict=True)),
+                "discrepancy_percent": dict(
+                    zip(("frequency", "mac"), map(_number, 100 * s.discrepancy), strict=True)
+                ),
             }
             | ({"settings": s.settings} if s.settings else {})
             for s in update.sets
         ]
         out |= _measured(update)
     if tune is not None:
-        out["suspension"] = [{"name": n, "factor": a, "std": tune.std[n] * a} for n, a in tune.factors.items()]
+        out["suspension"] = [
+            {"name": n, "factor": a, "std": tune.std[n] * a} for n, a in tune.factors.items()
+        ]
         if told := [*tune.ambiguity, *tune.flags, *tune.disagreeing]:
             out["suspension_notes"] = told
         if tune.others:
             out["suspension_configurations"] = [
-                {"name": o.name, "before": pairs(o.before), "after": pairs(o.after)} for o in tune.others
+                {"name": o.name, "before": pairs(o.before), "after": pairs(o.after)}
+                for o in tune.others
             ]
     if final is not None:
         out["final"] = pairs(final.table)
         out["left_out"] = [p for p in pairs(final.table) if not p["used"]]
         out["unpaired"] = unpaired(final.table)
-        out["rigid_body"] = {"before": pairs(r["correlate"].rigid_initial), "after": pairs(final.rigid)}
+        out["rigid_body"] = {
+            "before": pairs(r["correlate"].rigid_initial),
+            "after": pairs(final.rigid),
+        }
         out["rigid_body_unpaired"] = unpaired(final.rigid)
     return out
 
@@ -338,16 +396,24 @@ def _used(r: Mapping[str, Any]) -> dict[str, Any]:
     damping: DampingStage | None = r.get("damping")
     if damping is not None and damping.regions is not None and damping.modes is not None:
         d = damping.regions
-        values = zip(d.names, d.natures, d.targets, d.coefficients.tolist(), d.std.tolist(), strict=True)
+        values = zip(
+            d.names, d.natures, d.targets, d.coefficients.tolist(), d.std.tolist(), strict=True
+        )
         out["damping"] = {
-            "regions": [dict(zip(("name", "nature", "targets", "value", "std"), v, strict=True)) for v in values],
+            "regions": [
+                dict(zip(("name", "nature", "targets", "value", "std"), v, strict=True))
+                for v in values
+            ],
             "deviation_percent": [100 * x for x in damping.modes.spread(True)],
             "deviation_left_out_percent": [_number(100 * x) for x in damping.modes.spread(False)],
             "flags": list(damping.flags),
         }
         if damping.others:
             out["damping"]["configurations"] = [
-                {"name": o.name, "deviation_percent": [_number(100 * x) for x in o.modes.spread(True)]}
+                {
+                    "name": o.name,
+                    "deviation_percent": [_number(100 * x) for x in o.modes.spread(True)],
+                }
                 for o in damping.others
             ]
     predicted: PredictStage | None = r.get("predict")
@@ -357,7 +423,11 @@ def _used(r: Mapping[str, Any]) -> dict[str, Any]:
             "validated_hz": list(u.validated),
             "level": u.peak.level,
             "peaks": [
-                {"name": name, "unit": unit, "band": [float(b[i]) for b in (u.peak.low, u.peak.median, u.peak.high)]}
+                {
+                    "name": name,
+                    "unit": unit,
+                    "band": [float(b[i]) for b in (u.peak.low, u.peak.median, u.peak.high)],
+                }
                 for i, (name, unit) in enumerate(zip(u.names, u.units, strict=True))
             ],
         }

@@ -21,14 +21,20 @@ AMBIENT_SEED = 7927
 BLOWS = 20  # at a reference, at most
 
 
-def virtual_test(desk: Workbench, plan: PlanSection, stage: PlanStage, rows: Float, progress: Progress) -> Rehearsal:
-    """What virtual tests by a plan find of its target modes; `rows` (s, m) are shapes at its channels, by SI mass."""
+def virtual_test(
+    desk: Workbench, plan: PlanSection, stage: PlanStage, rows: Float, progress: Progress
+) -> Rehearsal:
+    """What virtual tests by a plan find of its target modes; `rows` (s, m) are shapes at its
+    channels, by SI mass.
+    """
     f = desk.get("model").modes.frequencies
     at = [stage.test.channels.index(r) for r in stage.references]
     band = _band(stage.target_frequencies, plan.damping)
     planned = Planned(f, rows, rows[at], stage.test.channels, stage.references, *band)
     rng = np.random.default_rng(desk.config.study.seed + SEED)
-    conditions = Conditions(trials=plan.trials, damping=plan.damping, hits=min(stage.averages, BLOWS))
+    conditions = Conditions(
+        trials=plan.trials, damping=plan.damping, hits=min(stage.averages, BLOWS)
+    )
     if plan.background is None:
         conditions = replace(conditions, coherence=plan.coherence)
     else:
@@ -40,9 +46,11 @@ def virtual_test(desk: Workbench, plan: PlanSection, stage: PlanStage, rows: Flo
 def virtual_ambient_test(
     desk: Workbench, plan: PlanSection, stage: PlanStage, rows: Float, progress: Progress
 ) -> tuple[Rehearsal, tuple[str, ...]]:
-    """What virtual ambient tests find of its modes, and notes; `rows` (s, m) are shapes at all channels, by SI mass.
+    """What virtual ambient tests find of its modes, and notes; `rows` (s, m) are shapes at all
+    channels, by SI mass.
 
-    Forces act along all channels; the sensors are those of the ambient tests, or all where these are not planned.
+    Forces act along all channels; the sensors are those of the ambient tests, or all where these
+    are not planned.
     """
     f = desk.get("model").modes.frequencies
     channels = stage.ambient or stage.test.channels
@@ -52,8 +60,13 @@ def virtual_ambient_test(
     rng = np.random.default_rng(desk.config.study.seed + AMBIENT_SEED)
     conditions = Conditions(trials=plan.trials, damping=plan.damping, sensor=ACCELEROMETER)
     duration = min(stage.record_length, longest(len(channels), band[1]))
-    cut = f"the virtual ambient tests last {duration:.4g} s of the {stage.record_length:.4g} s, as memory allows"
-    result = rehearse_ambient(planned, Ambience(duration, plan.ambient_force), conditions, rng, progress=progress)
+    cut = (
+        f"the virtual ambient tests last {duration:.4g} s of the {stage.record_length:.4g} s, "
+        "as memory allows"
+    )
+    result = rehearse_ambient(
+        planned, Ambience(duration, plan.ambient_force), conditions, rng, progress=progress
+    )
     found = result.take(np.searchsorted(np.flatnonzero(planned.targets), stage.expected_modes))
     return found, (cut,) if duration < stage.record_length else ()
 

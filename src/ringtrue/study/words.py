@@ -25,18 +25,24 @@ from ringtrue.study.results import (
 )
 from ringtrue.study.seats import seat_words
 
-MEND = "see such a channel's row in the sensor sheet (direction, place, unit); [test] leave_out = [...] leaves it out"
+MEND = (
+    "see such a channel's row in the sensor sheet (direction, place, unit); [test] leave_out "
+    "= [...] leaves it out"
+)
 
 HARDLY = 0.5  # of what the typical point sees of a mode
 
 NO_CHANGE = (
-    "no change of the candidates pays for its parameters (AICc): nothing is proposed, and the deck is delivered as it "
-    "is; first look for what is wrong with the pairs, the sensors, the mesh or the form of the model"
+    "no change of the candidates pays for its parameters (AICc): nothing is proposed, and the "
+    "deck is delivered as it "
+    "is; first look for what is wrong with the pairs, the sensors, the mesh or the form of the "
+    "model"
 )
 
 
 def told(r: Mapping[str, Any]) -> tuple[str, ...]:
-    """Modes found, pairs and deviations before and after, what was changed, and channels that look wrong.
+    """Modes found, pairs and deviations before and after, what was changed, and channels that look
+    wrong.
 
     Parameters
     ----------
@@ -44,7 +50,11 @@ def told(r: Mapping[str, Any]) -> tuple[str, ...]:
         As far as the study was run.
     """
     identify, correlate, final = r.get("identify"), r.get("correlate"), r.get("final")
-    out = [_found(identify), *identify.merge_notes, *_at_fault(identify)] if identify is not None else []
+    out = (
+        [_found(identify), *identify.merge_notes, *_at_fault(identify)]
+        if identify is not None
+        else []
+    )
     if correlate is not None:
         out += [m.text for m in correlate.mendings]
         out += _mended_tests(r.get("configurations"))
@@ -56,34 +66,53 @@ def told(r: Mapping[str, Any]) -> tuple[str, ...]:
     known: UncertaintyStage | None = r.get("uncertainty")
     for name, a, std in _factors(r):
         within = _interval(known, name)
-        out.append(_lump(name, lacking[name], a, std, within) if name in lacking else _factor(name, a, std, within))
+        out.append(
+            _lump(name, lacking[name], a, std, within)
+            if name in lacking
+            else _factor(name, a, std, within)
+        )
     if known is not None:
         out += _doubts(known)
     if correlate is not None and final is not None:
         line = worse(*_shared(correlate.remodelled, final.table, used=True))
         out += [line] if line else []
     update, localise = r.get("update"), r.get("localise")
-    beside = [f"{d.name}: {line}" for d in update.data for line in seat_words(d.seats)] if update is not None else []
+    beside = (
+        [f"{d.name}: {line}" for d in update.data for line in seat_words(d.seats)]
+        if update is not None
+        else []
+    )
     out += beside
     if update is not None and (line := weighed_by(update.sets[update.chosen].discrepancy.tolist())):
         out.append(line)
     alone = update is not None and update.sets[update.chosen].name == "proposal"
     if alone and localise is not None and not localise.proposal.members:
         out.append(NO_CHANGE)
-    evidence = final.evidence if final is not None else correlate.evidence if correlate is not None else None
+    evidence = (
+        final.evidence
+        if final is not None
+        else correlate.evidence
+        if correlate is not None
+        else None
+    )
     return (*out, *_suspects(evidence, r.get("compare")))
 
 
 def _mended_tests(found: ConfigurationsStage | None) -> list[str]:
     """Other mountings of the sensors of other configurations that explain their tests better."""
-    return [f"configuration {c.name}: {m.text}" for c in found.items for m in c.mendings] if found is not None else []
+    return (
+        [f"configuration {c.name}: {m.text}" for c in found.items for m in c.mendings]
+        if found is not None
+        else []
+    )
 
 
 def stand_ins(held: Mapping[str, Sequence[str]]) -> list[str]:
     """Candidates that are held at the deck's values, with those that stand for them."""
     return [
         f"{name} is held at the deck's value: the data cannot tell it from {', '.join(by)}, which "
-        f"{'stand' if len(by) > 1 else 'stands'} for it; one candidate with the targets of both changes them together"
+        f"{'stand' if len(by) > 1 else 'stands'} for it; one candidate with the targets of both "
+        "changes them together"
         for name, by in held.items()
     ]
 
@@ -97,43 +126,64 @@ def _doubts(known: UncertaintyStage) -> list[str]:
 
 
 def weighed_by(discrepancy: Sequence[float]) -> str:
-    """What an updating took for the deviations, of a frequency (relative) and of 1 − MAC, that its best model keeps."""
-    parts = [f"{100 * x:.2g} % of {what}" for x, what in zip(discrepancy, ("frequency", "MAC"), strict=True) if x > 0]
+    """What an updating took for the deviations, of a frequency (relative) and of 1 − MAC, that its
+    best model keeps.
+    """
+    parts = [
+        f"{100 * x:.2g} % of {what}"
+        for x, what in zip(discrepancy, ("frequency", "MAC"), strict=True)
+        if x > 0
+    ]
     return f"deviations that the model is taken to keep: {' and '.join(parts)}" if parts else ""
 
 
 def left_by_loss(plan: PlanStage) -> str:
     """What a plan still tells of the modes when the worst of its points fail."""
     what = "the most important point" if plan.lost == 1 else f"any {plan.lost} points"
-    return f"without {what} {100 * plan.left_by_loss:.0f} % of the information about any mode is left"
+    return (
+        f"without {what} {100 * plan.left_by_loss:.0f} % of the information about any mode is left"
+    )
 
 
 def missed(plan: PlanStage) -> list[str]:
-    """Target modes that the references miss: those that more of them could reach, and those that none could."""
+    """Target modes that the references miss: those that more of them could reach, and those that
+    none could.
+    """
     said = {
         "the references miss mode {}: strike at more points": plan.missed & ~plan.hopeless,
-        "no point that can be struck moves enough in mode {}: name others": plan.missed & plan.hopeless,
+        "no point that can be struck moves enough in mode {}: name others": plan.missed
+        & plan.hopeless,
     }
-    numbers = {text: (plan.target_modes[np.flatnonzero(at)] + 1).tolist() for text, at in said.items()}
+    numbers = {
+        text: (plan.target_modes[np.flatnonzero(at)] + 1).tolist() for text, at in said.items()
+    }
     return [text.format(", ".join(map(str, modes))) for text, modes in numbers.items() if modes]
 
 
 def setups(plan: PlanStage) -> list[str]:
-    """How the sensors at hand are moved, the modes that cannot be joined well, and those that their mass shifts."""
+    """How the sensors at hand are moved, the modes that cannot be joined well, and those that their
+    mass shifts.
+    """
     if (found := plan.setups) is None:
         return []
     at_once = found.references.size + max(found.roving(k).size for k in range(found.count))
-    told = [f"{found.count} setups of up to {at_once} sensors; those at {' '.join(map(str, plan.roving(-1)))} stay"]
+    told = [
+        f"{found.count} setups of up to {at_once} sensors; those at "
+        f"{' '.join(map(str, plan.roving(-1)))} stay"
+    ]
     names = np.array([str(k + 1) for k in plan.target_modes.tolist()])
     if (dim := found.seen < HARDLY).any():
         told.append(
-            f"the sensors that stay hardly see mode {', '.join(names[dim])}: strike elsewhere or take more sensors"
+            f"the sensors that stay hardly see mode {', '.join(names[dim])}: strike elsewhere or "
+            "take more sensors"
         )
     if (moved := found.shift > plan.damping).any():
         worst = int(np.nanargmax(found.shift))
         told.append(
-            f"moving the sensors shifts mode {', '.join(names[moved])} by more than half its resonance is wide (mode "
-            f"{names[worst]} by {100 * found.shift[worst]:.2g} %): rove with the hammer, or leave dummy masses"
+            f"moving the sensors shifts mode {', '.join(names[moved])} by more than half its "
+            "resonance is wide (mode "
+            f"{names[worst]} by {100 * found.shift[worst]:.2g} %): rove with the hammer, or "
+            "leave dummy masses"
         )
     return told
 
@@ -143,13 +193,15 @@ def validated(band: tuple[float, float]) -> str:
     low, high = band
     if high <= 0:
         return (
-            "the model is validated nowhere: it does not hold the lowest mode of the test; mend it, or leave that out"
+            "the model is validated nowhere: it does not hold the lowest mode of the test; "
+            "mend it, or leave that out"
         )
     return f"the model is validated from {low:.4g} to {high:.4g} Hz; beyond, no test has checked it"
 
 
 def worse(before: Float, after: Float) -> str:
-    """That an updating has made frequencies worse; nothing where it has not by a hundredth of a percent.
+    """That an updating has made frequencies worse; nothing where it has not by a hundredth of a
+    percent.
 
     Parameters
     ----------
@@ -160,17 +212,23 @@ def worse(before: Float, after: Float) -> str:
     if b <= a:
         return ""
     return (
-        f"the updating made frequencies worse: mean |Δf| of the {before.size} used modes paired before and after "
-        f"{a:.2f} -> {b:.2f} %. Shapes or other data were fitted at their cost; look at the pairs first, then weigh "
+        f"the updating made frequencies worse: mean |Δf| of the {before.size} used modes paired "
+        "before and after "
+        f"{a:.2f} -> {b:.2f} %. Shapes or other data were fitted at their cost; look at the "
+        "pairs first, then weigh "
         "the shapes less ([update] shape_weight)"
     )
 
 
 def _suspects(evidence: Evidence | None, tests: CompareStage | None) -> list[str]:
-    """Channels that contradict the model, and others that ambient and hammer test do not agree on."""
+    """Channels that contradict the model, and others that ambient and hammer test do not agree
+    on.
+    """
     found = evidence.measures.suspects if evidence is not None else ()
     out = [f"channel {s.channel} looks {s.fault}: {s.message}" for s in found]
-    more = tests.evidence.measures.suspects if tests is not None and tests.evidence is not None else ()
+    more = (
+        tests.evidence.measures.suspects if tests is not None and tests.evidence is not None else ()
+    )
     named = {s.channel for s in found}
     out += [
         f"channel {s.channel} looks {s.fault} in the ambient against the hammer test: {s.message}"
@@ -183,7 +241,10 @@ def _suspects(evidence: Evidence | None, tests: CompareStage | None) -> list[str
 def _at_fault(identify: IdentifyStage) -> list[str]:
     """What records and FRFs say of their channels, once for each of these."""
     notes: dict[str, list[str]] = {}
-    for name, said in (*((f"{r.name}: ", r.notes) for r in identify.records), ("", identify.frf_notes)):
+    for name, said in (
+        *((f"{r.name}: ", r.notes) for r in identify.records),
+        ("", identify.frf_notes),
+    ):
         for note in said:
             if note.startswith("channel "):
                 notes.setdefault(note.partition(":")[0], []).append(name + note)
@@ -202,7 +263,9 @@ def _found(identify: IdentifyStage) -> str:
 
 
 def _pairs(correlate: CorrelateStage, final: FinalStage | None) -> list[str]:
-    tables = [t for t in (correlate.initial, final.table if final is not None else None) if t is not None]
+    tables = [
+        t for t in (correlate.initial, final.table if final is not None else None) if t is not None
+    ]
     total = correlate.reference.frequencies.size
     mac = ""
     if not tables[0].alone:
@@ -220,22 +283,33 @@ def _pairs(correlate: CorrelateStage, final: FinalStage | None) -> list[str]:
 
 def _shared(before: CorrelationTable, after: CorrelationTable, *, used: bool) -> list[Float]:
     """Deviations, %, of the modes that are `in_both`."""
-    return [t.deviation_percent[w] for t, w in zip((before, after), in_both(before, after, used=used), strict=True)]
+    return [
+        t.deviation_percent[w]
+        for t, w in zip((before, after), in_both(before, after, used=used), strict=True)
+    ]
 
 
 def spared(before: CorrelationTable, after: CorrelationTable) -> str:
-    """How well the modes are met that the updating did not see, and which of them have a partner in one table only."""
+    """How well the modes are met that the updating did not see, and which of them have a partner in
+    one table only.
+    """
     both = _shared(before, after, used=False)
     out = "modes that the updating did not see: "
     if both[0].size:
         alone = both[0].size < max(int((~t.used).sum()) for t in (before, after))
         means = _arrow([f"{np.abs(x).mean():.2f}" for x in both])
-        out += f"mean |Δf|{f' of the {both[0].size} paired before and after' if alone else ''} {means} %"
+        out += (
+            f"mean |Δf|{f' of the {both[0].size} paired before and after' if alone else ''} "
+            f"{means} %"
+        )
     else:
         out += "none paired before and after"
     for when, t, other in (("before", before, after), ("after", after, before)):
         only = ~t.used & ~np.isin(t.pairing.a, other.pairing.a)
-        each = [f"{k + 1} ({x:+.1f} %)" for k, x in zip(t.pairing.a[only], t.deviation_percent[only], strict=True)]
+        each = [
+            f"{k + 1} ({x:+.1f} %)"
+            for k, x in zip(t.pairing.a[only], t.deviation_percent[only], strict=True)
+        ]
         out += f"; paired {when} only: {', '.join(each)}" if each else ""
     return out
 
@@ -260,7 +334,9 @@ def _factors(r: Mapping[str, Any]) -> list[tuple[str, float, float]]:
 
 
 def _interval(known: UncertaintyStage | None, name: str) -> tuple[float, float, float] | None:
-    """Level and ends of the interval of a factor: far wider than normal where few modes tell the size of the errors."""
+    """Level and ends of the interval of a factor: far wider than normal where few modes tell the
+    size of the errors.
+    """
     if known is None or name not in known.parameters.names:
         return None
     low, high = known.interval[known.parameters.names.index(name)].tolist()
@@ -269,19 +345,30 @@ def _interval(known: UncertaintyStage | None, name: str) -> tuple[float, float, 
 
 def _factor(name: str, factor: float, std: float, within: tuple[float, float, float] | None) -> str:
     digits = int(np.clip(1 - np.floor(np.log10(std)), 3, 6)) if np.isfinite(std) and std > 0 else 3
-    ends = f" ({100 * within[0]:g} %: {within[1]:.{digits}f} to {within[2]:.{digits}f})" if within else ""
+    ends = (
+        f" ({100 * within[0]:g} %: {within[1]:.{digits}f} to {within[2]:.{digits}f})"
+        if within
+        else ""
+    )
     return f"{name}: times {factor:.{digits}f} ± {std:.{digits}f}{ends}"
 
 
 def _lacking(r: Mapping[str, Any]) -> dict[str, float]:
     """Masses that the deck lacked and a factor of 2 adds, by the names of the parameters."""
     found: LocaliseStage | None = r.get("localise")
-    return {p.name: p.lump for p in found.parameters.parameters if p.lump} if found is not None else {}
+    return (
+        {p.name: p.lump for p in found.parameters.parameters if p.lump} if found is not None else {}
+    )
 
 
-def _lump(name: str, total: float, factor: float, std: float, within: tuple[float, float, float] | None) -> str:
+def _lump(
+    name: str, total: float, factor: float, std: float, within: tuple[float, float, float] | None
+) -> str:
     mass = f"{total * (factor - 1):.4g} ± {total * std:.2g}"
     if within:
         low, high = (total * max(a - 1, 0.0) for a in within[1:])
         mass += f" ({100 * within[0]:g} %: {low:.3g} to {high:.3g})"
-    return f"{name}: {mass} (units of the deck); is a part left out there? The updated deck has it as a CONM2"
+    return (
+        f"{name}: {mass} (units of the deck); is a part left out there? The updated deck has "
+        "it as a CONM2"
+    )

@@ -63,19 +63,33 @@ class Workbench:
     out: Path
     store: Store
     results: dict[str, Any] = field(default_factory=dict)
-    keys: dict[str, str] = field(default_factory=dict)  # of the stages of this run: what their results follow from
+    keys: dict[str, str] = field(
+        default_factory=dict
+    )  # of the stages of this run: what their results follow from
     delivered: Opened | None = None  # the deck that the final stage has written, while it is open
     generated: ParameterSet | None = None  # candidates that the localisation has made from the deck
-    lumped: Opened | None = None  # the remodelled deck with places for masses that it may lack (`update.lumps`)
+    lumped: Opened | None = (
+        None  # the remodelled deck with places for masses that it may lack (`update.lumps`)
+    )
     _model: ReducedModel | None = None
     _opened: dict[str, Opened] = field(default_factory=dict)  # decks of other configurations
     _others: dict[str, AtChannels] = field(default_factory=dict)  # their reduced models
-    _updated: tuple[SetResult, tuple[AtChannels, ...]] | None = None  # a parameter set, and the models at its end
+    _updated: tuple[SetResult, tuple[AtChannels, ...]] | None = (
+        None  # a parameter set, and the models at its end
+    )
     _measured: dict[str, tuple[Measured, ...]] = field(default_factory=dict)  # by configuration
-    masses: dict[str, Float] = field(default_factory=dict)  # at the channels of the test modes, by configuration
-    weighed: dict[tuple[str, tuple[str, ...]], RigidMass] = field(default_factory=dict)  # by configuration and names
-    _placed: dict[TestModel, TestModel] = field(default_factory=dict)  # sheets as laid onto the deck, by those measured
-    _seen: dict[str, Observation] = field(default_factory=dict)  # of the reduced models, by configuration
+    masses: dict[str, Float] = field(
+        default_factory=dict
+    )  # at the channels of the test modes, by configuration
+    weighed: dict[tuple[str, tuple[str, ...]], RigidMass] = field(
+        default_factory=dict
+    )  # by configuration and names
+    _placed: dict[TestModel, TestModel] = field(
+        default_factory=dict
+    )  # sheets as laid onto the deck, by those measured
+    _seen: dict[str, Observation] = field(
+        default_factory=dict
+    )  # of the reduced models, by configuration
 
     def get(self, stage: str) -> Any:
         """The result of a stage, from this run or from the store."""
@@ -88,9 +102,11 @@ class Workbench:
         self.results[stage] = result
 
     def folder(self, name: str) -> Path:
-        """Where decks of this name are written: `name` in the folder of the results, and beside it in a second round.
+        """Where decks of this name are written: `name` in the folder of the results, and beside it
+        in a second round.
 
-        A study whose deck is `updated/frame.bdf` writes `updated-2`, one of `updated-2/frame.bdf` writes `updated-3`.
+        A study whose deck is `updated/frame.bdf` writes `updated-2`, one of `updated-2/frame.bdf`
+        writes `updated-3`.
         """
         out, numbers = self.out.resolve(), [0]
         decks = [self.base / c.deck for c in self.config.configuration if c.deck]
@@ -122,8 +138,12 @@ class Workbench:
 
     @cached_property
     def fmax(self) -> float:
-        """Hz, up to where the modes of decks are computed: as given, or well above the modes of the test."""
-        return self.deck.fmax or self.up_to(reference_modes(self.get("identify"), self.config).elastic.frequencies)
+        """Hz, up to where the modes of decks are computed: as given, or well above the modes of the
+        test.
+        """
+        return self.deck.fmax or self.up_to(
+            reference_modes(self.get("identify"), self.config).elastic.frequencies
+        )
 
     def up_to(self, frequencies: Float) -> float:
         """The same for the test of another configuration, with modes at `frequencies`, Hz."""
@@ -153,7 +173,9 @@ class Workbench:
 
     @property
     def parameters(self) -> ParameterSet:
-        """The candidates: those of the study, else those that the localisation has made for the updating."""
+        """The candidates: those of the study, else those that the localisation has made for the
+        updating.
+        """
         given = self.config.candidates()
         if len(given) or not self.config.propose:
             return given
@@ -164,7 +186,9 @@ class Workbench:
         return self.generated
 
     def with_lumps(self, nodes: Int) -> tuple[Candidate, ...]:
-        """What the remodelled deck may lack at these nodes, ids (k,); it has a place for it from now on."""
+        """What the remodelled deck may lack at these nodes, ids (k,); it has a place for it from
+        now on.
+        """
         deck = self.steps[-1]
         model, found = with_lumps(deck, nodes, CandidateSettings(units=self.deck.units))
         self.lumped = deck.extended(model) if nodes.size else None
@@ -187,7 +211,9 @@ class Workbench:
         return build(self.remodelled, parameters, seen, self.fmax, progress)
 
     def _extended(self, seen: Observation, name: str, opened: Opened) -> Observation:
-        """With the channels of what was measured beside the modes, on the sheet of the configuration if it has one."""
+        """With the channels of what was measured beside the modes, on the sheet of the
+        configuration if it has one.
+        """
         sheet = self.sheet(name)
         for m in self.measured(name):
             with about(f"[[residual]] {m.name}"):
@@ -197,24 +223,32 @@ class Workbench:
         return seen
 
     def seats(self, name: str, seen: Observation) -> tuple[Seat, ...]:
-        """Where the channels of a configuration are read; nothing where they are DOFs of its deck."""
+        """Where the channels of a configuration are read; nothing where they are DOFs of its
+        deck.
+        """
         sheet = self.sheet(name)
         return seats(seen, sheet) if sheet is not None else ()
 
     def seats_beside(self, name: str, found: Measured) -> tuple[Seat, ...]:
-        """Where the channels of what was measured beside the modes are read, once the reduced model is built."""
+        """Where the channels of what was measured beside the modes are read, once the reduced model
+        is built.
+        """
         mine = set(channels_of([found]))
         return tuple(s for s in self.seats(name, self._seen[name]) if s.channel in mine)
 
     def sheet(self, name: str) -> TestModel | None:
-        """The sensor sheet of a configuration, or of the study (`OWN`); None where channels are DOFs of the deck."""
+        """The sensor sheet of a configuration, or of the study (`OWN`); None where channels are
+        DOFs of the deck.
+        """
         if name != OWN:
             return self._configured_test(name).test
         found: IdentifyStage = self.get("identify")
         return None if self.config.alone else found.test
 
     def channels(self, name: str) -> tuple[str, ...]:
-        """All channels of the reduced model of the deck of the study, or of another configuration."""
+        """All channels of the reduced model of the deck of the study, or of another
+        configuration.
+        """
         return self._seen[name].channels
 
     def loaded(self, name: str) -> Int:
@@ -222,13 +256,21 @@ class Workbench:
         return excited(self.measured(name), {c: i for i, c in enumerate(self.channels(name))})
 
     def measured(self, name: str) -> tuple[Measured, ...]:
-        """What was measured beside the modes on the deck of the study (`OWN`), or on another configuration."""
+        """What was measured beside the modes on the deck of the study (`OWN`), or on another
+        configuration.
+        """
         if name not in self._measured:
             mine = [s for s in self.config.residual if (s.configuration or OWN) == name]
             found: IdentifyStage | None = self.get("identify") if mine and name == OWN else None
             frfs = found.frfs if found is not None else None
-            why = NO_FRFS if name == OWN else "only FRFs of the study's own test are known without a file"
-            self._measured[name] = tuple(measured(s, self.base, self.reference(name), frfs, why) for s in mine)
+            why = (
+                NO_FRFS
+                if name == OWN
+                else "only FRFs of the study's own test are known without a file"
+            )
+            self._measured[name] = tuple(
+                measured(s, self.base, self.reference(name), frfs, why) for s in mine
+            )
         return self._measured[name]
 
     def reference(self, name: str) -> ModeSet:
@@ -243,15 +285,21 @@ class Workbench:
         return next(c for c in others.items if c.name == name)
 
     def _reduced(self, progress: Progress) -> ReducedModel:
-        """All candidates and suspensions on the remodelled deck, seen at every channel of the sheet."""
+        """All candidates and suspensions on the remodelled deck, seen at every channel of the
+        sheet.
+        """
         if self._model is None:
             model = self._built(self.everything, progress)
             self._model = flexible(model, self.measured(OWN), self.loaded(OWN))
         return self._model
 
     def apart(self, parameters: ParameterSet, progress: Progress) -> AtChannels:
-        """A reduced model over other parameters at the channels of the elastic reference modes; it is not kept."""
-        return AtChannels(self._built(parameters, progress), self.rows(self.reference(OWN).channels))
+        """A reduced model over other parameters at the channels of the elastic reference modes; it
+        is not kept.
+        """
+        return AtChannels(
+            self._built(parameters, progress), self.rows(self.reference(OWN).channels)
+        )
 
     def rows(self, channels: Sequence[str]) -> Int:
         """Positions of channels on the sheet of the study."""
@@ -266,7 +314,8 @@ class Workbench:
         return AtChannels(held, self.rows(self.reference(OWN).channels), self.loaded(OWN))
 
     def updated(self, best: SetResult, progress: Progress) -> tuple[AtChannels, ...]:
-        """`candidates` and `others` on bases that hold the full modes at the end of a parameter set, too.
+        """`candidates` and `others` on bases that hold the full modes at the end of a parameter
+        set, too.
 
         They follow from the deck and the factors as stored: a stage gets the same ones in any run.
         """
@@ -288,23 +337,34 @@ class Workbench:
         return self.updated(done.sets[done.chosen], progress)
 
     def suspended(self, channels: Sequence[str], progress: Progress) -> AtChannels:
-        """The updated model over all candidates and suspensions at the channels of the rigid-body reference modes."""
+        """The updated model over all candidates and suspensions at the channels of the rigid-body
+        reference modes.
+        """
         return AtChannels(self.delivered_models(progress)[0].model, self.rows(channels))
 
     def configured(self, section: ConfigurationSection) -> Opened:
-        """The deck of another configuration: its own, or that of the study with cards, in `out/configurations`."""
+        """The deck of another configuration: its own, or that of the study with cards, in
+        `out/configurations`.
+        """
         if section.name not in self._opened:
             if section.deck is not None:
                 main = self.base / section.deck
             else:
                 cards = (self.base / str(section.cards)).read_text(encoding="utf-8")
-                model, folder = self.remodelled.model, self.folder("configurations") / section.name / "initial"
+                model, folder = (
+                    self.remodelled.model,
+                    self.folder("configurations") / section.name / "initial",
+                )
                 main, *_ = add_cards(model, model.files[0], cards, folder)
             self._opened[section.name] = self.opened(main)
         return self._opened[section.name]
 
-    def observed(self, opened: Opened, test: TestModel | None, channels: Sequence[str]) -> Observation:
-        """The bridge from a deck to channels on a sheet, laid onto the deck; without a sheet they are DOFs of it."""
+    def observed(
+        self, opened: Opened, test: TestModel | None, channels: Sequence[str]
+    ) -> Observation:
+        """The bridge from a deck to channels on a sheet, laid onto the deck; without a sheet they
+        are DOFs of it.
+        """
         c = self.config.correlate
         if test is not None and c.align:
             if test is self.get("identify").test:
@@ -322,13 +382,17 @@ class Workbench:
 
     @cached_property
     def placed(self) -> tuple[Alignment, TestModel]:
-        """How the sheet of the study is laid onto the initial deck, and the sheet there: for all its states."""
+        """How the sheet of the study is laid onto the initial deck, and the sheet there: for all
+        its states.
+        """
         test = self.get("identify").test
         found = alignment(test, self.initial, self.config.correlate.align)
         return found, found.move(test)
 
     def others(self, progress: Progress) -> tuple[AtChannels, ...]:
-        """Reduced models of the other configurations over the candidates they carry, at their reference channels."""
+        """Reduced models of the other configurations over the candidates they carry, at their
+        reference channels.
+        """
         if not self.config.configuration:
             return ()
         found: ConfigurationsStage = self.get("configurations")
@@ -337,16 +401,25 @@ class Workbench:
                 opened, channels = self.configured(section), item.reference.channels
                 every = channels if item.test is None else item.test.channels
                 seen = self._extended(self.observed(opened, item.test, every), section.name, opened)
-                mine, count = carried(opened.model, self.everything), len(carried(opened.model, self.parameters))
+                mine, count = (
+                    carried(opened.model, self.everything),
+                    len(carried(opened.model, self.parameters)),
+                )
                 rows = np.array([seen.channels.index(c) for c in channels], dtype=np.int64)
                 loaded = self.loaded(section.name)
                 base = build(opened, mine, seen, self.up_to(item.reference.frequencies), progress)
-                model = AtChannels(flexible(base, self.measured(section.name), loaded), rows, loaded)
-                self._others[section.name] = model.with_parameters(range(count), np.zeros(len(mine)))
+                model = AtChannels(
+                    flexible(base, self.measured(section.name), loaded), rows, loaded
+                )
+                self._others[section.name] = model.with_parameters(
+                    range(count), np.zeros(len(mine))
+                )
         return tuple(self._others[s.name] for s in self.config.configuration)
 
     def deck_of(self, name: str) -> tuple[Opened, Observation]:
-        """A configuration's deck before the updating, and the bridge to the channels of its test."""
+        """A configuration's deck before the updating, and the bridge to the channels of its
+        test.
+        """
         if name == OWN:
             return self.remodelled, self.bridge(self.remodelled)
         section = next(c for c in self.config.configuration if c.name == name)
@@ -362,14 +435,22 @@ class Workbench:
 
     @cached_property
     def steps(self) -> tuple[Opened, ...]:
-        """The initial deck, and after each step of the stated remodelling, read from `out/remodelled`."""
+        """The initial deck, and after each step of the stated remodelling, read from
+        `out/remodelled`.
+        """
         out, files = [self.initial], [Path(f).resolve() for f in self.initial.model.files]
         for i, step in enumerate(self.config.remodel, start=1):
             model, file = out[-1].model, self.base / step.file
             if i > 1 and file.resolve() in files:
-                file = Path(model.files[files.index(file.resolve())])  # as the step before has left it
-            folder = self.folder("remodelled") / ("" if i == len(self.config.remodel) else f"step {i}")
-            main, *_ = add_cards(model, file, (self.base / step.cards).read_text(encoding="utf-8"), folder)
+                file = Path(
+                    model.files[files.index(file.resolve())]
+                )  # as the step before has left it
+            folder = self.folder("remodelled") / (
+                "" if i == len(self.config.remodel) else f"step {i}"
+            )
+            main, *_ = add_cards(
+                model, file, (self.base / step.cards).read_text(encoding="utf-8"), folder
+            )
             out.append(self.opened(main))
         return tuple(out)
 

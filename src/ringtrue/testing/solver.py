@@ -1,4 +1,6 @@
-"""The public contract of a modal solver: a plug-in's test calls `check_modal_solver(solver, model)`."""
+"""The public contract of a modal solver: a plug-in's test calls `check_modal_solver(solver,
+model)`.
+"""
 
 from __future__ import annotations
 
@@ -50,18 +52,24 @@ def check_modal_solver(
 def _check_modes(analysis: Analysis, result: ModesResult, count: int) -> None:
     m = result.modes
     assert len(m) == count, f"{count} modes asked for, {len(m)} returned"
-    assert m.labels is analysis.dofs or m.channels == analysis.dofs.labels(), "shapes are on other DOFs"
+    assert m.labels is analysis.dofs or m.channels == analysis.dofs.labels(), (
+        "shapes are on other DOFs"
+    )
     assert not np.iscomplexobj(m.shapes), "natural modes must be real"
     assert np.isfinite(m.shapes).all(), "shapes are not finite"
     assert np.isfinite(m.frequencies).all(), "frequencies are not finite"
     assert m.norm is Norm.MASS, f"norm {m.norm}; must be mass"
     assert (np.diff(m.frequencies) >= 0).all(), "frequencies are not ascending"
     assert (m.damping == 0).all(), "an undamped mode has damping"
-    assert result.residuals.shape == (count,), f"residuals {result.residuals.shape}; must be ({count},)"
+    assert result.residuals.shape == (count,), (
+        f"residuals {result.residuals.shape}; must be ({count},)"
+    )
     assert not (result.residuals > RESIDUAL).any(), f"a residual of {result.residuals.max():.1e}"
     assert result.proof, "no word about what was counted"
     nodes, sizes = np.unique(analysis.dofs.node, return_counts=True)
-    assert np.isin(sizes, (1, 6)).all(), f"node {nodes[~np.isin(sizes, (1, 6))][:1]} has not all of its six DOFs"
+    assert np.isin(sizes, (1, 6)).all(), (
+        f"node {nodes[~np.isin(sizes, (1, 6))][:1]} has not all of its six DOFs"
+    )
 
 
 def _check_repeatable(analysis: Analysis, result: ModesResult, count: int) -> None:
@@ -79,7 +87,9 @@ def _check_band(analysis: Analysis, result: ModesResult) -> None:
     band = analysis.modes(ModesRequest(band=(float(low), float(high)))).modes
     want = f[(f >= low) & (f <= high)]
     assert len(band) == want.size, f"{want.size} modes in the band, {len(band)} returned"
-    assert np.allclose(band.frequencies, want, rtol=1e-6), "a band request gives other frequencies than a count"
+    assert np.allclose(band.frequencies, want, rtol=1e-6), (
+        "a band request gives other frequencies than a count"
+    )
 
 
 def _check_derivatives(analysis: Analysis, result: ModesResult, parameters: ParameterSet) -> None:
@@ -87,6 +97,8 @@ def _check_derivatives(analysis: Analysis, result: ModesResult, parameters: Para
     d_lambda, d_phi = analysis.derivatives(modes, parameters)
     m, p = len(modes), len(parameters)
     assert d_lambda.shape == (m, p), f"d_lambda {d_lambda.shape}; must be {(m, p)}"
-    assert d_phi.shape == (len(analysis.dofs), m, p), f"d_phi {d_phi.shape}; must be {(len(analysis.dofs), m, p)}"
+    assert d_phi.shape == (len(analysis.dofs), m, p), (
+        f"d_phi {d_phi.shape}; must be {(len(analysis.dofs), m, p)}"
+    )
     assert np.isfinite(d_lambda).all(), "eigenvalue derivatives are not finite"
     assert np.isfinite(d_phi).all(), "eigenvector derivatives are not finite"

@@ -2,10 +2,11 @@
 
 What a model lacks at a place acts on all modes that strain or move there.
 
-Relative frequency errors of modes i and j that come of independent errors of stiffness at all elements and of mass at
-all nodes have the covariance Σ_e S_ei S_ej + Σ_n T_ni T_nj, with S and T the shares of strain and kinetic energy.
-Errors that are alike tell less of their size than as many independent ones. Errors of form bend a shape towards other
-shapes of the structure, noise bends it anywhere.
+Relative frequency errors of modes i and j that come of independent errors of stiffness at all
+elements and of mass at all nodes have the covariance Σ_e S_ei S_ej + Σ_n T_ni T_nj, with S and T
+the shares of strain and kinetic energy. Errors that are alike tell less of their size than as many
+independent ones. Errors of form bend a shape towards other shapes of the structure, noise bends it
+anywhere.
 """
 
 from __future__ import annotations
@@ -35,7 +36,9 @@ def energy_shares(model: Model, system: System, vectors: Float) -> Float:
     _, node = np.unique(system.free.node, return_inverse=True)
     kinetic = np.zeros((int(node.max(initial=-1)) + 1, vectors.shape[1]))
     np.add.at(kinetic, node, vectors * (system.mass @ vectors))
-    return np.concatenate([e / np.maximum(e.sum(axis=0), 1e-300) for e in (strain, np.maximum(kinetic, 0.0))])
+    return np.concatenate(
+        [e / np.maximum(e.sum(axis=0), 1e-300) for e in (strain, np.maximum(kinetic, 0.0))]
+    )
 
 
 def likeness(shares: Float) -> Float:
@@ -48,26 +51,33 @@ def likeness(shares: Float) -> Float:
 def effective_freedom(correlation: Float) -> float:
     """Degrees of freedom of the mean square of errors with this correlation, (m, m).
 
-    m²/ΣR² is that of the χ² with the same mean and variance (Satterthwaite 1946): m where the errors are independent,
-    1 where they are one and the same.
+    m²/ΣR² is that of the χ² with the same mean and variance (Satterthwaite 1946): m where the
+    errors are independent, 1 where they are one and the same.
     """
     m = len(correlation)
     return float(m**2 / (correlation**2).sum()) if m else 1.0
 
 
 def errors_of_shapes(target: Target, now: Linearisation) -> float:
-    """`independent_errors` of the used shapes of a test against a model at a point; 1 without a pair."""
+    """`independent_errors` of the used shapes of a test against a model at a point; 1 without a
+    pair.
+    """
     pairs, _, of = match(target, now)
     some = [(t, s) for t, s in zip(pairs[:, 0].tolist(), of, strict=True) if target.used[t]]
     rest = [span_residual(target.shapes, now, t, s)[0] for t, s in some]
-    return independent_errors(np.stack(rest, axis=1), np.array([s.size for _, s in some]), now.shapes) if rest else 1.0
+    return (
+        independent_errors(np.stack(rest, axis=1), np.array([s.size for _, s in some]), now.shapes)
+        if rest
+        else 1.0
+    )
 
 
 def independent_errors(rest: Float, own: Float, shapes: Float) -> float:
-    """Number of independent errors in a shape: 1 where they are errors of form, the channels where they are noise.
+    """Number of independent errors in a shape: 1 where they are errors of form, the channels where
+    they are noise.
 
-    Of noise the other shapes hold as large a share as the directions they span of all that are free; what they hold
-    beyond that is taken for one error, which any parameter may imitate.
+    Of noise the other shapes hold as large a share as the directions they span of all that are
+    free; what they hold beyond that is taken for one error, which any parameter may imitate.
 
     Parameters
     ----------

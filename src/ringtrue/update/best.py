@@ -1,4 +1,6 @@
-"""How close a model of a given form can come to given frequencies at all: a yardstick, not a method of updating."""
+"""How close a model of a given form can come to given frequencies at all: a yardstick, not a method
+of updating.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,9 @@ class BestPossible:
 
 
 def _errors(target: Target, now: Linearisation) -> tuple[Float, Float]:
-    """Relative frequency deviations (m,) of the used modes and ∂/∂x (m, p); `LOST` and 0 without a partner."""
+    """Relative frequency deviations (m,) of the used modes and ∂/∂x (m, p); `LOST` and 0 without a
+    partner.
+    """
     pairs, _, _ = match(target, now)
     pairs = pairs[target.used[pairs[:, 0]]]
     m, p = target.frequencies.size, now.d_lambda.shape[1]
@@ -53,13 +57,17 @@ def _errors(target: Target, now: Linearisation) -> tuple[Float, Float]:
 
 
 def least_absolute(error: Float, slope: Float, lower: Float, upper: Float) -> tuple[Float, float]:
-    """d (p,) in [lower, upper] with the smallest mean |error + slope d|, and that mean: one linear programme."""
+    """d (p,) in [lower, upper] with the smallest mean |error + slope d|, and that mean: one linear
+    programme.
+    """
     m, p = slope.shape
     eye = np.eye(m)
     rows = np.block([[slope, -eye], [-slope, -eye]])
     cost = np.concatenate([np.zeros(p), np.full(m, 1 / m)])
     box = [*zip(lower, upper, strict=True), *[(0.0, None)] * m]
-    found = linprog(cost, A_ub=rows, b_ub=np.concatenate([-error, error]), bounds=box, method="highs")
+    found = linprog(
+        cost, A_ub=rows, b_ub=np.concatenate([-error, error]), bounds=box, method="highs"
+    )
     if found.x is None or found.fun is None:
         raise NumericalError(f"no least-absolute step: {found.message}")
     return np.asarray(found.x[:p]), float(found.fun)
@@ -71,7 +79,9 @@ def descend(model: Candidates, target: Target, start: Float, limit: int) -> tupl
     x, radius = np.array(start), RADIUS
     error, slope = _errors(target, model.linearise(x))
     for _ in range(limit):
-        d, _ = least_absolute(error, slope, np.maximum(low - x, -radius), np.minimum(high - x, radius))
+        d, _ = least_absolute(
+            error, slope, np.maximum(low - x, -radius), np.minimum(high - x, radius)
+        )
         trial = _errors(target, model.linearise(np.clip(x + d, low, high)))
         if np.abs(trial[0]).mean() < np.abs(error).mean():
             x, (error, slope) = np.clip(x + d, low, high), trial
@@ -85,11 +95,12 @@ def descend(model: Candidates, target: Target, start: Float, limit: int) -> tupl
 def best_possible(
     model: Candidates, target: Target, count: int, *, starts: Sequence[Float] = (), limit: int = 15
 ) -> BestPossible:
-    """The smallest mean |Δf| of the used modes that `count` of the candidates reach, over subsets and starts.
+    """The smallest mean |Δf| of the used modes that `count` of the candidates reach, over subsets
+    and starts.
 
-    For each start (the nominal model first) subsets grow by forward selection on linear programmes, each confirmed by
-    successive linear programming; then members are exchanged while the mean falls. A search, not a proof: the true
-    minimum can only be lower.
+    For each start (the nominal model first) subsets grow by forward selection on linear programmes,
+    each confirmed by successive linear programming; then members are exchanged while the mean
+    falls. A search, not a proof: the true minimum can only be lower.
 
     Parameters
     ----------
@@ -116,12 +127,20 @@ def best_possible(
 def _grown(model: Candidates, target: Target, count: int, start: Float, limit: int) -> BestPossible:
     now = _descended(model, target, [], start, limit)
     while now.members.size < count:
-        now = _descended(model, target, _ranked(model, target, now, now.members.tolist())[0], now.x, limit)
+        now = _descended(
+            model, target, _ranked(model, target, now, now.members.tolist())[0], now.x, limit
+        )
     for _ in range(2 * count):
         options = [
-            o for out in now.members.tolist() for o in _ranked(model, target, now, np.setdiff1d(now.members, out))[:1]
+            o
+            for out in now.members.tolist()
+            for o in _ranked(model, target, now, np.setdiff1d(now.members, out))[:1]
         ]
-        trials = [_descended(model, target, o, now.x, limit) for o in options if set(o) != set(now.members.tolist())]
+        trials = [
+            _descended(model, target, o, now.x, limit)
+            for o in options
+            if set(o) != set(now.members.tolist())
+        ]
         better = min(trials, key=lambda b: b.deviation, default=now)
         if better.deviation >= now.deviation * (1 - 1e-3):
             break
@@ -129,7 +148,9 @@ def _grown(model: Candidates, target: Target, count: int, start: Float, limit: i
     return now
 
 
-def _descended(model: Candidates, target: Target, members: Sequence[int], x: Float, limit: int) -> BestPossible:
+def _descended(
+    model: Candidates, target: Target, members: Sequence[int], x: Float, limit: int
+) -> BestPossible:
     at = list(members)
     out = np.zeros(len(model.parameters))
     if not at:
@@ -139,12 +160,16 @@ def _descended(model: Candidates, target: Target, members: Sequence[int], x: Flo
     return BestPossible(np.array(at, dtype=np.int64), out, value)
 
 
-def _ranked(model: Candidates, target: Target, now: BestPossible, stay: Sequence[int] | Int) -> list[list[int]]:
+def _ranked(
+    model: Candidates, target: Target, now: BestPossible, stay: Sequence[int] | Int
+) -> list[list[int]]:
     """`stay` with each further candidate, the most promising by its linear programme first."""
     low, high = model.parameters.bounds()
     kept = [int(i) for i in stay]
     here = np.where(np.isin(np.arange(now.x.size), kept), now.x, 0.0)
     error, slope = _errors(target, model.linearise(here))
     sets = [[*kept, c] for c in range(now.x.size) if c not in kept]
-    value = [least_absolute(error, slope[:, s], low[s] - here[s], high[s] - here[s])[1] for s in sets]
+    value = [
+        least_absolute(error, slope[:, s], low[s] - here[s], high[s] - here[s])[1] for s in sets
+    ]
     return [sets[i] for i in np.argsort(value, kind="stable").tolist()]

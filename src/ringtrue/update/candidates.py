@@ -1,4 +1,5 @@
-"""A candidate parameter of a deck: a common factor on fields of the deck, with what it means and what it changes.
+"""A candidate parameter of a deck: a common factor on fields of the deck, with what it means and
+what it changes.
 
 `update.generate` makes candidates from the cards, `update.effects` holds them against the modes.
 """
@@ -64,9 +65,11 @@ class CandidateSettings:
     smallest : int
         Fewest elements of a region.
     spread : mapping of str to (float, float)
-        Prior standard deviation of ln(factor) and largest factor by quantity, in place of those of `SPREAD`.
+        Prior standard deviation of ln(factor) and largest factor by quantity, in place of those of
+        `SPREAD`.
     weighed : bool
-        Masses and densities of the deck are scaled by PARAM,WTMASS: the system has no name for their unit.
+        Masses and densities of the deck are scaled by PARAM,WTMASS: the system has no name for
+        their unit.
     """
 
     kinds: tuple[Kind, ...] = KINDS
@@ -81,12 +84,18 @@ class CandidateSettings:
             if kind not in KINDS:
                 raise InputError(f"candidates: no kind {kind!r}{did_you_mean(kind, KINDS)}")
         if self.units and self.units not in UNITS:
-            raise InputError(f"unit system {self.units!r} is not known{did_you_mean(self.units, UNITS)}")
+            raise InputError(
+                f"unit system {self.units!r} is not known{did_you_mean(self.units, UNITS)}"
+            )
         for quantity in self.spread:
             if quantity not in SPREAD:
-                raise InputError(f"candidates: no quantity {quantity!r}{did_you_mean(quantity, SPREAD)}")
+                raise InputError(
+                    f"candidates: no quantity {quantity!r}{did_you_mean(quantity, SPREAD)}"
+                )
         if self.pieces < 1 or self.smallest < 1:
-            raise InputError(f"candidates: pieces {self.pieces} and smallest {self.smallest} must be 1 or more")
+            raise InputError(
+                f"candidates: pieces {self.pieces} and smallest {self.smallest} must be 1 or more"
+            )
 
     def of(self, model: Model) -> CandidateSettings:
         """For the deck of a model."""
@@ -98,7 +107,11 @@ class CandidateSettings:
             return ""
         known = dict(zip(QUANTITIES, UNITS[self.units], strict=True))
         powers = {"area": 2, "inertia": 4}
-        return f"{known['length']}{powers[quantity]}" if quantity in powers else known.get(quantity, "")
+        return (
+            f"{known['length']}{powers[quantity]}"
+            if quantity in powers
+            else known.get(quantity, "")
+        )
 
 
 def parameters(candidates: Sequence[Candidate]) -> ParameterSet:
@@ -129,7 +142,11 @@ def amount(value: float, quantity: str, s: CandidateSettings) -> str:
 
 def given_fields(table: Table, row: int, fields: str) -> list[str]:
     """Those of the fields that hold a value other than 0."""
-    plain = [f for f in fields.split("+") if f in table.columns and not isinstance(table.columns[f], Ragged)]
+    plain = [
+        f
+        for f in fields.split("+")
+        if f in table.columns and not isinstance(table.columns[f], Ragged)
+    ]
     return [f for f in plain if np.isfinite(table[f][row]) and table[f][row] != 0]
 
 
@@ -151,7 +168,9 @@ def listed(ids: Sequence[int] | Int) -> str:
 
 def ids_of(model: Model, rows: Rows) -> Int:
     """Ids of the elements in these rows of their cards, (e,) int64."""
-    return np.concatenate([np.zeros(0, dtype=np.int64), *(model[c].ids[at] for c, at in rows.items())])
+    return np.concatenate(
+        [np.zeros(0, dtype=np.int64), *(model[c].ids[at] for c, at in rows.items())]
+    )
 
 
 def elements_of(model: Model) -> Int:
@@ -167,8 +186,13 @@ def membership(model: Model, candidates: Sequence[Candidate]) -> sparse.csr_arra
     ids = elements_of(model)
     order = np.argsort(ids, kind="stable")
     rows = [np.full(len(c.elements), i) for i, c in enumerate(candidates)]
-    wanted = np.concatenate([np.zeros(0, dtype=np.int64), *(np.array(c.elements, dtype=np.int64) for c in candidates)])
+    wanted = np.concatenate(
+        [np.zeros(0, dtype=np.int64), *(np.array(c.elements, dtype=np.int64) for c in candidates)]
+    )
     at = order[np.searchsorted(ids[order], wanted).clip(max=ids.size - 1)]
     there = ids[at] == wanted
-    entries = (np.ones(there.sum()), (np.concatenate([np.zeros(0, dtype=np.int64), *rows])[there], at[there]))
+    entries = (
+        np.ones(there.sum()),
+        (np.concatenate([np.zeros(0, dtype=np.int64), *rows])[there], at[there]),
+    )
     return sparse.csr_array(sparse.coo_array(entries, shape=(len(candidates), ids.size)))

@@ -1,4 +1,6 @@
-"""What is tried as a candidate parameter: fields of cards, how far each may be off, and units for the names."""
+"""What is tried as a candidate parameter: fields of cards, how far each may be off, and units for
+the names.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,11 @@ Catalogue = Mapping[str, tuple[tuple[str, str, str], ...]]
 SECTIONS = {
     "PSHELL": (("T", "thickness", "length"), ("NSM", "non-structural mass", "line")),
     "PSHEAR": (("T", "thickness", "length"), ("NSM", "non-structural mass", "line")),
-    "PROD": (("A", "area", "area"), ("J", "torsion constant", "inertia"), ("NSM", "non-structural mass", "line")),
+    "PROD": (
+        ("A", "area", "area"),
+        ("J", "torsion constant", "inertia"),
+        ("NSM", "non-structural mass", "line"),
+    ),
     "CONROD": (("A", "area", "area"), ("J", "torsion constant", "inertia")),
     "PTUBE": (("OD", "outer diameter", "length"), ("T", "wall", "length")),
     "PBAR": (
@@ -66,7 +72,11 @@ MATERIALS = {
 _TRANSLATION = tuple((f"K{i}", f"stiffness along axis {i}", "stiffness") for i in (1, 2, 3))
 _ROTATION = tuple((f"K{i + 3}", f"stiffness about axis {i}", "torsion") for i in (1, 2, 3))
 SPRINGS = {
-    "PBUSH": (("K1+K2+K3+K4+K5+K6", "stiffness in all directions", "stiffness"), *_TRANSLATION, *_ROTATION),
+    "PBUSH": (
+        ("K1+K2+K3+K4+K5+K6", "stiffness in all directions", "stiffness"),
+        *_TRANSLATION,
+        *_ROTATION,
+    ),
     **dict.fromkeys(("PBUSH1D", "PELAS", "CELAS2", "CELAS4"), (("K", "stiffness", "stiffness"),)),
 }
 MASSES = {

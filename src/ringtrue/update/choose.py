@@ -1,4 +1,6 @@
-"""Which parameters to update: subset selection on the objective itself, and simpler rules to compare it with."""
+"""Which parameters to update: subset selection on the objective itself, and simpler rules to
+compare it with.
+"""
 
 from __future__ import annotations
 
@@ -26,12 +28,16 @@ TRIALS = 3  # promising exchanges tried in one round
 TURNS = 6  # Gauss-Newton steps after each change of the set
 
 RULES = {
-    "best subset": "forward selection on J with re-linearisation after each choice, then, from it and from the two "
-    "simpler sets, exchange of members while J falls; each trial is a bounded Gauss-Newton prediction, confirmed by a "
+    "best subset": "forward selection on J with re-linearisation after each choice, then, from "
+    "it and from the two "
+    "simpler sets, exchange of members while J falls; each trial is a bounded Gauss-Newton "
+    "prediction, confirmed by a "
     "short updating",
-    "orthogonal sensitivities": "QR with column pivoting of the weighted sensitivities scaled by the prior: the "
+    "orthogonal sensitivities": "QR with column pivoting of the weighted sensitivities scaled by "
+    "the prior: the "
     "parameters that span most, whatever the residual",
-    "largest sensitivities": "the largest weighted sensitivities scaled by the prior, overlap ignored",
+    "largest sensitivities": "the largest weighted sensitivities scaled by the prior, overlap "
+    "ignored",
 }
 
 
@@ -71,10 +77,14 @@ def predicted(g: Float, r: Float, x: Float, w: Float, low: Float, high: Float) -
     return float(2 * lsq_linear(a, b, (low, high), method="bvls").cost)
 
 
-def short_update(model: Candidates, target: Target, members: Sequence[int], x: Float, turns: int = TURNS) -> Choice:
+def short_update(
+    model: Candidates, target: Target, members: Sequence[int], x: Float, turns: int = TURNS
+) -> Choice:
     """A short updating of some members from x."""
     at = list(members)
-    result = update(model.with_parameters(at, np.zeros(x.size)), target, iterations=turns, start=x[at])
+    result = update(
+        model.with_parameters(at, np.zeros(x.size)), target, iterations=turns, start=x[at]
+    )
     out = np.zeros(x.size)
     out[at] = result.x
     return Choice(np.array(at, dtype=np.int64), out, result.history[-1].value)
@@ -124,7 +134,9 @@ class _Search:
         return cls(problem.parameters, lambda x: problem.weighted(problem.evaluate(x)), updated)
 
     def promising(self, now: Choice, options: Sequence[list[int]]) -> list[list[int]]:
-        """The sets by J at the bounded minimum of its linearisation at a point, the lowest first."""
+        """The sets by J at the bounded minimum of its linearisation at a point, the lowest
+        first.
+        """
         low, high = self.parameters.bounds()
         w = 1 / self.parameters.std() ** 2
         r, g = self.linearised(now.x)
@@ -152,7 +164,9 @@ class _Search:
             at = self.promising(now, [[*now.members.tolist(), c] for c in rest])[0]
             now = self.updated(at, now.x)
             if progress is not None:
-                progress((k + 1) / (count + 2), f"parameter {k + 1}: {self.parameters.names[at[-1]]}")
+                progress(
+                    (k + 1) / (count + 2), f"parameter {k + 1}: {self.parameters.names[at[-1]]}"
+                )
         return now
 
     def exchanged(self, now: Choice) -> Choice:
@@ -173,7 +187,9 @@ def _different(sets: Sequence[Int]) -> list[list[int]]:
     return [s.tolist() for s in {tuple(sorted(s.tolist())): s for s in sets}.values()]
 
 
-def best_subset(model: Candidates, target: Target, count: int, progress: Progress | None = None) -> Choice:
+def best_subset(
+    model: Candidates, target: Target, count: int, progress: Progress | None = None
+) -> Choice:
     """Forward selection and exchange of `count` candidates on J.
 
     Raises
@@ -189,8 +205,11 @@ def best_subset(model: Candidates, target: Target, count: int, progress: Progres
     return min((near.exchanged(near.updated(s, x)) for s, x in rough), key=lambda c: c.value)
 
 
-def joint_subset(problem: Problem, count: int, starts: Sequence[Int] = (), progress: Progress | None = None) -> Choice:
-    """Forward selection and exchange of `count` parameters of a problem with several configurations, on its J.
+def joint_subset(
+    problem: Problem, count: int, starts: Sequence[Int] = (), progress: Progress | None = None
+) -> Choice:
+    """Forward selection and exchange of `count` parameters of a problem with several
+    configurations, on its J.
 
     Parameters
     ----------
@@ -207,14 +226,18 @@ def joint_subset(problem: Problem, count: int, starts: Sequence[Int] = (), progr
     """
     search = _Search.of_problem(problem)
     now = search.grown(count, progress)
-    found = [search.exchanged(search.updated(s, np.zeros(now.x.size))) for s in _different([now.members, *starts])]
+    found = [
+        search.exchanged(search.updated(s, np.zeros(now.x.size)))
+        for s in _different([now.members, *starts])
+    ]
     return min(found, key=lambda c: c.value)
 
 
 def weighted_sensitivities(model: Candidates, target: Target) -> Float:
     """√W ∂z/∂x scaled by the prior standard deviation of x, at x = 0, (r, p)."""
     return np.asarray(
-        _point(model, target, np.zeros(len(model.parameters))).slope * model.parameters.std(), dtype=np.float64
+        _point(model, target, np.zeros(len(model.parameters))).slope * model.parameters.std(),
+        dtype=np.float64,
     )
 
 
@@ -226,7 +249,9 @@ def orthogonal(sensitivities: Float, count: int) -> Int:
 
 def largest(sensitivities: Float, count: int) -> Int:
     """The columns of largest norm, (count,)."""
-    return np.argsort(-np.linalg.norm(sensitivities, axis=0), kind="stable")[:count].astype(np.int64)
+    return np.argsort(-np.linalg.norm(sensitivities, axis=0), kind="stable")[:count].astype(
+        np.int64
+    )
 
 
 def alike(sensitivities: Float, names: Sequence[str]) -> tuple[str, ...]:

@@ -1,9 +1,10 @@
-"""Damping after stiffness and mass: modal ratios, material loss factors and dashpots by region, from damping ratios.
+"""Damping after stiffness and mass: modal ratios, material loss factors and dashpots by region,
+from damping ratios.
 
-In the basis of the updated model's mass-normalised modes, D = Σ γ_k D_k and H = Σ γ_k H_k stand beside Λ. A linear
-bounded solution to first order starts a bounded nonlinear one on the data themselves, whose Gauss-Newton matrix gives
-the uncertainty; `damping_frf` does the same from FRFs. Friswell and Mottershead (1995), ch. 8; Pilkey and Inman (1998)
-on identifying damping matrices.
+In the basis of the updated model's mass-normalised modes, D = Σ γ_k D_k and H = Σ γ_k H_k stand
+beside Λ. A linear bounded solution to first order starts a bounded nonlinear one on the data
+themselves, whose Gauss-Newton matrix gives the uncertainty; `damping_frf` does the same from FRFs.
+Friswell and Mottershead (1995), ch. 8; Pilkey and Inman (1998) on identifying damping matrices.
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ class Mechanism:
     ----------
     name : str
     kind : {"viscous", "structural"}
-        The coefficient times `matrix` is part of ΦᵀDΦ (a dashpot), or of ΦᵀHΦ (a loss factor on a stiffness).
+        The coefficient times `matrix` is part of ΦᵀDΦ (a dashpot), or of ΦᵀHΦ (a loss factor on a
+        stiffness).
     matrix : (n, n) float64
         ΦᵀD_kΦ or ΦᵀK_kΦ, symmetric.
     lower, upper : float
@@ -53,9 +55,14 @@ class Mechanism:
         freeze_fields(self, matrix=np.float64)
         square = self.matrix.ndim == 2 and self.matrix.shape[0] == self.matrix.shape[1]
         if not square or self.kind not in ("viscous", "structural"):
-            raise InputError(f"mechanism {self.name}: matrix {self.matrix.shape}, kind {self.kind!r}")
+            raise InputError(
+                f"mechanism {self.name}: matrix {self.matrix.shape}, kind {self.kind!r}"
+            )
         if not self.lower < self.upper or not self.std > 0:
-            raise InputError(f"mechanism {self.name}: bounds {self.lower}, {self.upper} must rise, std {self.std} > 0")
+            raise InputError(
+                f"mechanism {self.name}: bounds {self.lower}, {self.upper} must rise, std "
+                f"{self.std} > 0"
+            )
 
 
 def modal(values: Float, *, upper: float = 0.3) -> tuple[Mechanism, ...]:
@@ -63,7 +70,9 @@ def modal(values: Float, *, upper: float = 0.3) -> tuple[Mechanism, ...]:
     n = values.size
     root = np.sqrt(np.maximum(values, 0.0))
     if (root == 0).any():
-        raise InputError("a rigid-body mode at 0 Hz has no damping ratio: leave it out or give it a dashpot")
+        raise InputError(
+            "a rigid-body mode at 0 Hz has no damping ratio: leave it out or give it a dashpot"
+        )
     eye = np.eye(n)
     return tuple(
         Mechanism(f"mode {i + 1}", "viscous", 2 * w * np.outer(e, e), upper=upper)
@@ -95,7 +104,8 @@ class DampingFit:
     names : tuple of str
     coefficients : (k,) float64
     covariance : (k, k) float64
-        With the size of the residuals as found (from poles not below the stated one); the bounds not counted.
+        With the size of the residuals as found (from poles not below the stated one); the bounds
+        not counted.
     start : (k,) float64
         The linear solution.
     shift : (n,) float64
@@ -106,7 +116,8 @@ class DampingFit:
     viscous, structural : (n, n) float64
         ΦᵀDΦ and ΦᵀHΦ with these coefficients.
     ratio : (k,) float64
-        Standard deviation over what it would be if this mechanism were alone: > 10, others stand for it.
+        Standard deviation over what it would be if this mechanism were alone: > 10, others stand
+        for it.
     """
 
     names: tuple[str, ...]
@@ -122,7 +133,9 @@ class DampingFit:
 
     def __post_init__(self) -> None:
         f = np.float64
-        freeze_fields(self, coefficients=f, covariance=f, start=f, shift=f, viscous=f, structural=f, ratio=f)
+        freeze_fields(
+            self, coefficients=f, covariance=f, start=f, shift=f, viscous=f, structural=f, ratio=f
+        )
 
     @property
     def std(self) -> Float:
@@ -165,12 +178,24 @@ def fit_poles(
     zeta, sigma = np.asarray(damping, dtype=np.float64), np.asarray(std, dtype=np.float64)
     at = np.asarray(modes, dtype=np.int64)
     check_mechanisms(mechanisms, values.size)
-    if not zeta.shape == sigma.shape == at.shape or not (sigma > 0).all() or np.unique(at).size != at.size:
-        raise InputError(f"damping {zeta.shape}, std {sigma.shape} (> 0), modes {at.shape} (each once)")
+    if (
+        not zeta.shape == sigma.shape == at.shape
+        or not (sigma > 0).all()
+        or np.unique(at).size != at.size
+    ):
+        raise InputError(
+            f"damping {zeta.shape}, std {sigma.shape} (> 0), modes {at.shape} (each once)"
+        )
     w = np.sqrt(values[at])
     by = np.array([2 * w if m.kind == "viscous" else 2 * w**2 for m in mechanisms])
-    first = np.array([np.diag(m.matrix)[at] for m in mechanisms]) / by  # ζ to first order: light damping
-    known = np.zeros(at.size) if base is None else np.diag(base[0])[at] / (2 * w) + np.diag(base[1])[at] / (2 * w**2)
+    first = (
+        np.array([np.diag(m.matrix)[at] for m in mechanisms]) / by
+    )  # ζ to first order: light damping
+    known = (
+        np.zeros(at.size)
+        if base is None
+        else np.diag(base[0])[at] / (2 * w) + np.diag(base[1])[at] / (2 * w**2)
+    )
     linear = _linear(first.T / sigma[:, None], (zeta - known) / sigma, mechanisms)
 
     def residual(c: Float) -> tuple[Float, Float]:
@@ -180,8 +205,11 @@ def fit_poles(
     return refined(residual, linear, mechanisms, values.size, shift=0.0, least=1.0, base=base)
 
 
-def mode_damping(values: Float, mechanisms: Sequence[Mechanism], fit: DampingFit, modes: Int) -> tuple[Float, Float]:
-    """Damping ratios of complex modes with identified damping, and their standard deviations from its covariance.
+def mode_damping(
+    values: Float, mechanisms: Sequence[Mechanism], fit: DampingFit, modes: Int
+) -> tuple[Float, Float]:
+    """Damping ratios of complex modes with identified damping, and their standard deviations from
+    its covariance.
 
     Parameters
     ----------
@@ -195,14 +223,18 @@ def mode_damping(values: Float, mechanisms: Sequence[Mechanism], fit: DampingFit
     -------
     damping, std : (t,) float64
     """
-    zeta, slope = _ratios(values, mechanisms, (fit.viscous, fit.structural), np.asarray(modes, dtype=np.int64))
+    zeta, slope = _ratios(
+        values, mechanisms, (fit.viscous, fit.structural), np.asarray(modes, dtype=np.int64)
+    )
     return zeta, np.asarray(np.sqrt(np.einsum("tk,kl,tl->t", slope, fit.covariance, slope)))
 
 
 def _ratios(
     values: Float, mechanisms: Sequence[Mechanism], damping: tuple[Float, Float], at: Int
 ) -> tuple[Float, Float]:
-    """ζ (t,) of the modes that descend from the real modes `at`, and ∂ζ/∂c (t, k), with ΦᵀDΦ and ΦᵀHΦ."""
+    """ζ (t,) of the modes that descend from the real modes `at`, and ∂ζ/∂c (t, k), with ΦᵀDΦ and
+    ΦᵀHΦ.
+    """
     found = complex_modes(values, *damping)
     if found.poles.size < values.size:
         raise InputError("a mode is overdamped: lower the bounds of the mechanisms")
@@ -220,7 +252,9 @@ def _ratios(
 
 
 def _descendants(share: Float) -> Int:
-    """The complex mode that each real mode has become, (n,), from shares (real, complex) of the motion."""
+    """The complex mode that each real mode has become, (n,), from shares (real, complex) of the
+    motion.
+    """
     rows, columns = linear_sum_assignment(-share)
     return np.asarray(columns[np.argsort(rows)])
 
@@ -229,7 +263,9 @@ def assembled(
     mechanisms: Sequence[Mechanism], c: Float, n: int, base: tuple[Float, Float] | None = None
 ) -> tuple[Float, Float]:
     """ΦᵀDΦ and ΦᵀHΦ, (n, n) each, of coefficients (k,), added to the known ones of `base`."""
-    d, h = (np.zeros((n, n)), np.zeros((n, n))) if base is None else (base[0].copy(), base[1].copy())
+    d, h = (
+        (np.zeros((n, n)), np.zeros((n, n))) if base is None else (base[0].copy(), base[1].copy())
+    )
     for m, value in zip(mechanisms, c.tolist(), strict=True):
         (d if m.kind == "viscous" else h)[...] += value * m.matrix
     return d, h
@@ -241,7 +277,9 @@ def check_mechanisms(mechanisms: Sequence[Mechanism], n: int) -> None:
         raise InputError("no mechanism of damping: give modal ratios, loss factors or dashpots")
     wrong = [m.name for m in mechanisms if m.matrix.shape != (n, n)]
     if wrong or len({m.name for m in mechanisms}) != len(mechanisms):
-        raise InputError(f"mechanisms need matrices ({n}, {n}) and names of their own; wrong: {' '.join(wrong)}")
+        raise InputError(
+            f"mechanisms need matrices ({n}, {n}) and names of their own; wrong: {' '.join(wrong)}"
+        )
 
 
 def _linear(rows: Float, rhs: Float, mechanisms: Sequence[Mechanism]) -> Float:
@@ -253,7 +291,10 @@ def _linear(rows: Float, rhs: Float, mechanisms: Sequence[Mechanism]) -> Float:
         lost = mechanisms[int(np.argmin(size))].name
         raise InputError(f"no datum depends on {lost!r}: leave it out, or give it a prior std")
     rhs = np.concatenate([rhs, weight * np.array([m.prior for m in mechanisms])])
-    bounds = np.array([m.lower for m in mechanisms]) * size, np.array([m.upper for m in mechanisms]) * size
+    bounds = (
+        np.array([m.lower for m in mechanisms]) * size,
+        np.array([m.upper for m in mechanisms]) * size,
+    )
     return np.asarray(lsq_linear(rows / size, rhs, bounds).x / size)
 
 
@@ -267,13 +308,16 @@ def refined(
     least: float,
     base: tuple[Float, Float] | None = None,
 ) -> DampingFit:
-    """Bounded nonlinear least squares from the linear solution, with priors; the covariance at the end.
+    """Bounded nonlinear least squares from the linear solution, with priors; the covariance at the
+    end.
 
     `least` is the smallest mean square of the residuals that is believed: 1 for a handful of poles.
     """
     k = len(mechanisms)
     prior = np.concatenate([[m.prior for m in mechanisms], np.zeros(start.size - k)])
-    weight = np.concatenate([[1 / m.std for m in mechanisms], np.full(start.size - k, 1 / (shift or 1.0))])
+    weight = np.concatenate(
+        [[1 / m.std for m in mechanisms], np.full(start.size - k, 1 / (shift or 1.0))]
+    )
     low = np.concatenate([[m.lower for m in mechanisms], np.full(start.size - k, -0.5)])
     high = np.concatenate([[m.upper for m in mechanisms], np.full(start.size - k, 0.5)])
     scale = 1 / np.maximum(np.linalg.norm(residual(np.clip(start, low, high))[1], axis=0), FAINT)
@@ -286,13 +330,17 @@ def refined(
         return np.asarray(np.concatenate([residual(u * scale)[1], np.diag(weight)]) * scale)
 
     inside = np.clip(start, low, high) / scale
-    found = least_squares(value, inside, slope, (low / scale, high / scale), x_scale="jac", method="trf", xtol=1e-12)
+    found = least_squares(
+        value, inside, slope, (low / scale, high / scale), x_scale="jac", method="trf", xtol=1e-12
+    )
     c = found.x * scale
     r, g = residual(c)
     covariance, alone, s2 = _uncertainty(r, g, weight, scale, least)
     std = np.sqrt(np.diag(covariance))
     at = (c - low < EDGE * std + FAINT) | (high - c < EDGE * std + FAINT)
-    c = np.where(c - low < FAINT * (std + scale), low, c)  # the search stays inside: a bound that holds is met
+    c = np.where(
+        c - low < FAINT * (std + scale), low, c
+    )  # the search stays inside: a bound that holds is met
     d, h = assembled(mechanisms, c[:k], n, base)
     delta = c[k:] if c.size > k else np.zeros(n)
     return DampingFit(
@@ -309,8 +357,11 @@ def refined(
     )
 
 
-def _uncertainty(r: Float, g: Float, weight: Float, scale: Float, least: float) -> tuple[Float, Float, float]:
-    """Covariance (c, c), standard deviation of each as if it were alone (c,), and mean square of the residuals.
+def _uncertainty(
+    r: Float, g: Float, weight: Float, scale: Float, least: float
+) -> tuple[Float, Float, float]:
+    """Covariance (c, c), standard deviation of each as if it were alone (c,), and mean square of
+    the residuals.
 
     Parameters
     ----------
@@ -324,7 +375,9 @@ def _uncertainty(r: Float, g: Float, weight: Float, scale: Float, least: float) 
     normal, own = (g.T @ g) * np.outer(scale, scale), np.diag((weight * scale) ** 2)
     total = normal + own
     if np.linalg.matrix_rank(total) < scale.size:
-        raise InputError("the data cannot tell the mechanisms apart: leave some out, or give them a prior std")
+        raise InputError(
+            "the data cannot tell the mechanisms apart: leave some out, or give them a prior std"
+        )
     inverse = linalg.inv(total)
     s2 = max(float(r @ r) / max(r.size - float(np.trace(inverse @ normal)), 1.0), least)
     covariance = inverse @ (s2 * normal + own) @ inverse * np.outer(scale, scale)

@@ -4,8 +4,8 @@ In the basis of the updated model's mass-normalised modes, with the D and H of `
 
     (Λ(1 + δ) − ω² + iωD + iH) q = Φᵀf.
 
-δ takes up what is left of the deviations of the eigenvalues, so that a shifted peak is not read as damping. A linear
-least-squares solution (equation error) starts the bounded nonlinear one.
+δ takes up what is left of the deviations of the eigenvalues, so that a shifted peak is not read as
+damping. A linear least-squares solution (equation error) starts the bounded nonlinear one.
 """
 
 from __future__ import annotations
@@ -18,7 +18,14 @@ from scipy.optimize import lsq_linear
 
 from ringtrue.core.arrays import Complex, Float, Int, freeze_fields
 from ringtrue.errors import InputError
-from ringtrue.update.damping import FAINT, DampingFit, Mechanism, assembled, check_mechanisms, refined
+from ringtrue.update.damping import (
+    FAINT,
+    DampingFit,
+    Mechanism,
+    assembled,
+    check_mechanisms,
+    refined,
+)
 
 SHIFT = 0.02  # prior standard deviation of δ
 
@@ -57,13 +64,24 @@ class FrfData:
         f = np.float64
         freeze_fields(self, freqs=f, measured=np.complex128, phi_out=f, phi_in=f)
         shape = (self.freqs.size, self.phi_out.shape[0], self.phi_in.shape[0])
-        if self.measured.shape != shape or not (np.asarray(self.std) > 0).all() or self.freqs.min(initial=1.0) <= 0:
-            raise InputError(f"FRFs {self.measured.shape} for {shape}; std must be > 0, lines above 0 Hz")
+        if (
+            self.measured.shape != shape
+            or not (np.asarray(self.std) > 0).all()
+            or self.freqs.min(initial=1.0) <= 0
+        ):
+            raise InputError(
+                f"FRFs {self.measured.shape} for {shape}; std must be > 0, lines above 0 Hz"
+            )
         if self.phi_out.shape[1] != self.phi_in.shape[1]:
-            raise InputError(f"shapes at outputs {self.phi_out.shape} and inputs {self.phi_in.shape}: modes differ")
+            raise InputError(
+                f"shapes at outputs {self.phi_out.shape} and inputs {self.phi_in.shape}: modes "
+                "differ"
+            )
 
 
-def fit_frfs(values: Float, mechanisms: Sequence[Mechanism], data: FrfData, *, shift: float = SHIFT) -> DampingFit:
+def fit_frfs(
+    values: Float, mechanisms: Sequence[Mechanism], data: FrfData, *, shift: float = SHIFT
+) -> DampingFit:
     """Coefficients from FRFs around the resonances.
 
     Parameters
@@ -89,19 +107,27 @@ def fit_frfs(values: Float, mechanisms: Sequence[Mechanism], data: FrfData, *, s
         r = (h - data.measured) / data.std
         g = slope / np.asarray(data.std)[..., None] if np.ndim(data.std) else slope / data.std
         flat = g.reshape(r.size, -1)
-        return np.concatenate([r.real.ravel(), r.imag.ravel()]), np.concatenate([flat.real, flat.imag])
+        return np.concatenate([r.real.ravel(), r.imag.ravel()]), np.concatenate(
+            [flat.real, flat.imag]
+        )
 
     return refined(residual, linear, mechanisms, values.size, shift=shift, least=0.0)
 
 
-def _equation_error(values: Float, mechanisms: Sequence[Mechanism], data: FrfData, shift: float) -> Float:
-    """Coefficients and δ by linear least squares on (Λ(1 + δ) − ω² + iωD + iH) q = Φᵀf, rows over the static λ.
+def _equation_error(
+    values: Float, mechanisms: Sequence[Mechanism], data: FrfData, shift: float
+) -> Float:
+    """Coefficients and δ by linear least squares on (Λ(1 + δ) − ω² + iωD + iH) q = Φᵀf, rows over
+    the static λ.
 
-    q comes from the measured responses by the pseudo-inverse of the shapes; noise in q biases it, so it only starts.
+    q comes from the measured responses by the pseudo-inverse of the shapes; noise in q biases it,
+    so it only starts.
     """
     n, k = values.size, len(mechanisms)
     if np.linalg.matrix_rank(data.phi_out) < n:
-        raise InputError(f"{data.phi_out.shape[0]} channels cannot tell {n} modes apart: keep fewer in the basis")
+        raise InputError(
+            f"{data.phi_out.shape[0]} channels cannot tell {n} modes apart: keep fewer in the basis"
+        )
     w = 2 * np.pi * data.freqs[:, None, None]
     q = np.linalg.pinv(data.phi_out) @ (data.measured - data.residual)  # (l, n, i)
     load = data.phi_in.T - (values[:, None] - w**2) * q
@@ -128,8 +154,14 @@ def _response(
     w = 2 * np.pi * data.freqs[:, None, None]
     z = np.diag(lam) - w**2 * np.eye(n) + 1j * w * d + 1j * h
     into = np.linalg.solve(z, np.broadcast_to(data.phi_in.T, (w.shape[0], *data.phi_in.T.shape)))
-    out = np.linalg.solve(z, np.broadcast_to(data.phi_out.T, (w.shape[0], *data.phi_out.T.shape))).swapaxes(1, 2)
+    out = np.linalg.solve(
+        z, np.broadcast_to(data.phi_out.T, (w.shape[0], *data.phi_out.T.shape))
+    ).swapaxes(1, 2)
     parts = [-(1j * w if m.kind == "viscous" else 1j) * (out @ m.matrix @ into) for m in mechanisms]
     if shifted:
-        parts += [-lam_0 * out[:, :, [j]] * into[:, [j], :] for j, lam_0 in enumerate(values.tolist())]
-    return np.asarray(data.phi_out @ into + data.residual), np.stack(parts, axis=-1).astype(np.complex128)
+        parts += [
+            -lam_0 * out[:, :, [j]] * into[:, [j], :] for j, lam_0 in enumerate(values.tolist())
+        ]
+    return np.asarray(data.phi_out @ into + data.residual), np.stack(parts, axis=-1).astype(
+        np.complex128
+    )

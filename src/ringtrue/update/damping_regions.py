@@ -1,7 +1,8 @@
-"""Regions of a deck with a loss factor or dashpots of their own, and what they dissipate in each pair of modes.
+"""Regions of a deck with a loss factor or dashpots of their own, and what they dissipate in each
+pair of modes.
 
-A loss factor is a GE of the region's materials or springs, a dashpot its B: the coefficient of a mechanism is the value
-of the field itself, so that it can be written into the deck.
+A loss factor is a GE of the region's materials or springs, a dashpot its B: the coefficient of a
+mechanism is the value of the field itself, so that it can be written into the deck.
 """
 
 from __future__ import annotations
@@ -33,12 +34,20 @@ DASHPOTS = {
     "CDAMP4": ("B",),
     "PVISC": ("CE", "CR"),
 }
-OWN_LOSS = ("MAT1", "MAT2", "MAT8", "MAT9", "PCOMP", "PCOMPG")  # a laminate has the loss factor of its property
+OWN_LOSS = (
+    "MAT1",
+    "MAT2",
+    "MAT8",
+    "MAT9",
+    "PCOMP",
+    "PCOMPG",
+)  # a laminate has the loss factor of its property
 STIFFNESS = {"PBUSH": ("K1", "K2", "K3", "K4", "K5", "K6"), "PELAS": ("K",)}
 SPRINGS = ("PBUSH", "PELAS", "CELAS2")
 PIECE = 300_000  # elements times vectors that are held at once
 FAINT = 1e-9  # of the energy of a mode
-# priors in units of the loss factor that all modes together show: a joint slips, a material does not
+# priors in units of the loss factor that all modes together show: a joint slips, a material does
+# not
 MATERIAL, JOINT, DASHPOT = (1.0, 1.0), (3.0, 5.0), (1.0, 5.0)
 LARGEST = {"material": 0.2, "joint": 1.0}  # loss factors
 RATIO = 0.5  # largest damping ratio that the dashpots of one region may give a mode
@@ -54,7 +63,8 @@ class DampingRegion:
     targets : tuple of Target
         Fields of one kind.
     lower, upper : float
-        Bounds of the coefficient; upper None: 0.2 for a material, 1 for springs, ζ = 0.5 for dashpots.
+        Bounds of the coefficient; upper None: 0.2 for a material, 1 for springs, ζ = 0.5 for
+        dashpots.
     expected, std : float or None
         What is known beforehand; None: from the damping that all modes together show.
     """
@@ -71,8 +81,10 @@ class DampingRegion:
         if wrong or len({_is_dashpot(t) for t in self.targets}) != 1:
             got = ", ".join(f"{t.card} {t.id} {t.field}" for t in wrong or self.targets)
             raise InputError(
-                f"damping region {self.name}: got {got or 'no target'}; allowed are loss factors (GE of "
-                f"{', '.join((*OWN_LOSS, *SPRINGS))}) or dashpots (B1 .. B6 of PBUSH, B of PDAMP, CDAMP2 and CDAMP4, "
+                f"damping region {self.name}: got {got or 'no target'}; allowed are loss factors "
+                "(GE of "
+                f"{', '.join((*OWN_LOSS, *SPRINGS))}) or dashpots (B1 .. B6 of PBUSH, B of "
+                "PDAMP, CDAMP2 and CDAMP4, "
                 "CE and CR of PVISC), not both in one region"
             )
 
@@ -104,11 +116,13 @@ def _is_loss(t: Target) -> bool:
 def default_regions(
     model: Model, suspension: ParameterSet, properties: Mapping[str, Sequence[int]]
 ) -> tuple[DampingRegion, ...]:
-    """A region for each material and each group of springs; the suspension gets dashpots in place of a loss factor.
+    """A region for each material and each group of springs; the suspension gets dashpots in place
+    of a loss factor.
 
-    MAT1 cards of one density and one Poisson's ratio are one material: a deck has several of them where the stiffness
-    of its regions is uncertain, and what dissipates in them is the same. So are laminates of the same materials, and
-    springs of the same stiffness are one make, unless they are regions of different names.
+    MAT1 cards of one density and one Poisson's ratio are one material: a deck has several of them
+    where the stiffness of its regions is uncertain, and what dissipates in them is the same. So are
+    laminates of the same materials, and springs of the same stiffness are one make, unless they are
+    regions of different names.
 
     Parameters
     ----------
@@ -121,13 +135,19 @@ def default_regions(
     sprung = [(p.name, [t for t in p.targets if _is_spring(t)]) for p in suspension.parameters]
     soft = {t.id for _, targets in sprung for t in targets}
     found = [
-        DampingRegion(_name(model, card, ids, properties), tuple(Target(card, i, "GE") for i in ids))
+        DampingRegion(
+            _name(model, card, ids, properties), tuple(Target(card, i, "GE") for i in ids)
+        )
         for card in (*OWN_LOSS, "PBUSH", "PELAS")
         if card in model
         for ids in _alike(model[card], properties, soft if card == "PBUSH" else ())
     ]
     if "CELAS2" in model:
-        found.append(DampingRegion("CELAS2", tuple(Target("CELAS2", int(i), "GE") for i in model["CELAS2"].ids)))
+        found.append(
+            DampingRegion(
+                "CELAS2", tuple(Target("CELAS2", int(i), "GE") for i in model["CELAS2"].ids)
+            )
+        )
     found += [
         DampingRegion(name, tuple(Target("PBUSH", t.id, f"B{t.field[1]}") for t in targets))
         for name, targets in sprung
@@ -140,7 +160,9 @@ def _is_spring(t: Target) -> bool:
     return t.card == "PBUSH" and re.fullmatch("K[1-6]", t.field) is not None
 
 
-def _alike(table: Table, properties: Mapping[str, Sequence[int]], left_out: Collection[int]) -> list[tuple[int, ...]]:
+def _alike(
+    table: Table, properties: Mapping[str, Sequence[int]], left_out: Collection[int]
+) -> list[tuple[int, ...]]:
     """Ids of the cards that are one region: materials, laminates or springs that are alike."""
     ids = table.ids.tolist()
     if table.card == "MAT1":  # of one density and Poisson's ratio
@@ -150,8 +172,13 @@ def _alike(table: Table, properties: Mapping[str, Sequence[int]], left_out: Coll
         keys = [frozenset(table.ragged("MID").row(i).tolist()) for i in range(len(table))]
     elif table.card in ("PBUSH", "PELAS"):
         stiffness = np.stack([table[k] for k in STIFFNESS[table.card]], axis=1)
-        named = [frozenset(name for name, members in properties.items() if i in members) for i in ids]
-        keys = [(name, *(f"{k:.9e}" for k in row)) for name, row in zip(named, stiffness.tolist(), strict=True)]
+        named = [
+            frozenset(name for name, members in properties.items() if i in members) for i in ids
+        ]
+        keys = [
+            (name, *(f"{k:.9e}" for k in row))
+            for name, row in zip(named, stiffness.tolist(), strict=True)
+        ]
     else:
         keys = list(ids)
     groups: dict[object, list[int]] = {}
@@ -161,8 +188,12 @@ def _alike(table: Table, properties: Mapping[str, Sequence[int]], left_out: Coll
     return sorted(tuple(dict.fromkeys(g)) for g in groups.values())
 
 
-def _name(model: Model, card: str, ids: Sequence[int], properties: Mapping[str, Sequence[int]]) -> str:
-    """The named regions of the cards; the cards themselves where they have none, their density where they are many."""
+def _name(
+    model: Model, card: str, ids: Sequence[int], properties: Mapping[str, Sequence[int]]
+) -> str:
+    """The named regions of the cards; the cards themselves where they have none, their density
+    where they are many.
+    """
     if card in ("PBUSH", "PELAS", "PCOMP", "PCOMPG"):
         mine = set(ids)
     else:
@@ -177,12 +208,17 @@ def _name(model: Model, card: str, ids: Sequence[int], properties: Mapping[str, 
     if 0 < len(names) <= 2 and mine <= {p for name in names for p in properties[name]}:
         return ", ".join(names)
     if card in ("PCOMP", "PCOMPG"):
-        made_of = np.unique(model[card].ragged("MID").row(int(model[card].find(np.array(ids[:1]))[0])))
+        made_of = np.unique(
+            model[card].ragged("MID").row(int(model[card].find(np.array(ids[:1]))[0]))
+        )
         return f"laminates of materials {', '.join(str(i) for i in made_of.tolist())}"
     if card in STIFFNESS:
         return f"{card} {listed(ids)}"
     if len(ids) > 1:
-        return f"material of density {float(model[card]['RHO'][model[card].find(np.array(ids[:1]))[0]]):g}"
+        return (
+            "material of density "
+            f"{float(model[card]['RHO'][model[card].find(np.array(ids[:1]))[0]]):g}"
+        )
     return f"{card} {ids[0]}"
 
 
@@ -190,7 +226,9 @@ def _told_apart(regions: Sequence[DampingRegion]) -> tuple[DampingRegion, ...]:
     """The card behind a name that two regions would share."""
     names = [r.name for r in regions]
     return tuple(
-        replace(r, name=f"{r.name} ({r.targets[0].card} {r.targets[0].id})") if names.count(r.name) > 1 else r
+        replace(r, name=f"{r.name} ({r.targets[0].card} {r.targets[0].id})")
+        if names.count(r.name) > 1
+        else r
         for r in regions
     )
 
@@ -198,12 +236,16 @@ def _told_apart(regions: Sequence[DampingRegion]) -> tuple[DampingRegion, ...]:
 def undamped(model: Model) -> Model:
     """A copy of the model without loss factors and dashpots."""
     fields = dict.fromkeys((*OWN_LOSS, *SPRINGS), ("GE",))
-    fields = {card: (*fields.get(card, ()), *DASHPOTS.get(card, ())) for card in {**fields, **DASHPOTS}}
+    fields = {
+        card: (*fields.get(card, ()), *DASHPOTS.get(card, ())) for card in {**fields, **DASHPOTS}
+    }
     tables = dict(model.tables)
     for card, names in fields.items():
         for name in names if card in tables else ():
             tables[card] = tables[card].with_column(name, np.zeros(len(tables[card])))
-    for name in (f"GE{i}" for i in range(2, 7)):  # a blank one goes with GE, the others have a value of their own
+    for name in (
+        f"GE{i}" for i in range(2, 7)
+    ):  # a blank one goes with GE, the others have a value of their own
         if "PBUSH" in tables and name in tables["PBUSH"].columns:
             tables["PBUSH"] = tables["PBUSH"].with_column(name, 0 * tables["PBUSH"][name])
     return replace(model, tables=tables)
@@ -309,9 +351,11 @@ def dampers(
 
 
 def joined_dampers(parts: Sequence[Dampers]) -> Dampers:
-    """The regions of several decks with common coefficients: modes of all of them side by side, uncoupled.
+    """The regions of several decks with common coefficients: modes of all of them side by side,
+    uncoupled.
 
-    A region that two decks share is one; what is known of it beforehand is what the first of them says.
+    A region that two decks share is one; what is known of it beforehand is what the first of them
+    says.
     """
     sizes = [len(p.base[0]) for p in parts]
     first = np.cumsum([0, *sizes])
@@ -319,7 +363,11 @@ def joined_dampers(parts: Sequence[Dampers]) -> Dampers:
     mechanisms: dict[str, Mechanism] = {}
     for i, part in enumerate(parts):
         for r, m in zip(part.regions, part.mechanisms, strict=True):
-            wide = np.zeros((first[-1], first[-1])) if r.name not in regions else mechanisms[r.name].matrix.copy()
+            wide = (
+                np.zeros((first[-1], first[-1]))
+                if r.name not in regions
+                else mechanisms[r.name].matrix.copy()
+            )
             wide[first[i] : first[i + 1], first[i] : first[i + 1]] = m.matrix
             mechanisms[r.name] = replace(mechanisms.get(r.name, m), matrix=wide)
             regions.setdefault(r.name, r)
@@ -330,7 +378,8 @@ def joined_dampers(parts: Sequence[Dampers]) -> Dampers:
 def matrices_of(
     model: Model, regions: Sequence[DampingRegion], shapes: Float, total: tuple[Float, Float]
 ) -> tuple[list[Float], tuple[Float, Float]]:
-    """What a unit of each region's coefficient adds to ΦᵀDΦ or ΦᵀHΦ, (n, n) each, and what else the deck holds.
+    """What a unit of each region's coefficient adds to ΦᵀDΦ or ΦᵀHΦ, (n, n) each, and what else the
+    deck holds.
 
     Parameters
     ----------
@@ -348,7 +397,9 @@ def matrices_of(
     """
     every = [t for r in regions for t in r.targets]
     if twice := [t for t in every if every.count(t) > 1]:
-        raise InputError(f"{twice[0].card} {twice[0].id} {twice[0].field} is in two damping regions")
+        raise InputError(
+            f"{twice[0].card} {twice[0].id} {twice[0].field} is in two damping regions"
+        )
     bare, found = undamped(model), []
     base = total
     for r in regions:
@@ -363,11 +414,17 @@ def matrices_of(
 
 
 def _known(region: DampingRegion, share: Float, ratio: float) -> tuple[float, float, float]:
-    """Expected coefficient, its standard deviation and the upper bound; `share` (n,) per unit coefficient."""
+    """Expected coefficient, its standard deviation and the upper bound; `share` (n,) per unit
+    coefficient.
+    """
     if region.nature == "dashpot":  # of the mode that it damps most
         unit, many, most = ratio / share.max(), DASHPOT, RATIO / share.max()
     else:
-        unit, many, most = 2 * ratio, MATERIAL if region.nature == "material" else JOINT, LARGEST[region.nature]
+        unit, many, most = (
+            2 * ratio,
+            MATERIAL if region.nature == "material" else JOINT,
+            LARGEST[region.nature],
+        )
     expected = region.expected if region.expected is not None else many[0] * unit
     std = region.std if region.std is not None else many[1] * unit
     upper = region.upper if region.upper is not None else max(most, 2 * expected)

@@ -1,4 +1,6 @@
-"""A model given as small dense matrices, seen at channels: a reduced model, or one from another program."""
+"""A model given as small dense matrices, seen at channels: a reduced model, or one from another
+program.
+"""
 
 from __future__ import annotations
 
@@ -37,11 +39,12 @@ class Matrices:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DenseModel:
-    """K(a) = K0 + Σ (a_i − 1) K_i and M(a) = M0 + Σ (a_i − 1) M_i; an `ObservedModel` with exact derivatives.
+    """K(a) = K0 + Σ (a_i − 1) K_i and M(a) = M0 + Σ (a_i − 1) M_i; an `ObservedModel` with exact
+    derivatives.
 
-    All modes are solved at each point, so the eigenvector derivatives come from the full modal expansion (Fox and
-    Kapoor, 1968). Within repeated eigenvalues the part of the derivative along the other members is left out: it is
-    not defined.
+    All modes are solved at each point, so the eigenvector derivatives come from the full modal
+    expansion (Fox and Kapoor, 1968). Within repeated eigenvalues the part of the derivative along
+    the other members is left out: it is not defined.
 
     Attributes
     ----------
@@ -65,13 +68,19 @@ class DenseModel:
         f = np.float64
         freeze_fields(self, stiffness=f, mass=f, d_stiffness=f, d_mass=f, observation=f)
         n, p = self.stiffness.shape[0], len(self.parameters)
-        if self.d_stiffness.shape != (p, n, n) or self.d_mass.shape != (p, n, n) or self.observation.shape[1] != n:
+        if (
+            self.d_stiffness.shape != (p, n, n)
+            or self.d_mass.shape != (p, n, n)
+            or self.observation.shape[1] != n
+        ):
             raise InputError(
                 f"{p} parameters and {n} DOFs: got d_stiffness {self.d_stiffness.shape}, "
                 f"d_mass {self.d_mass.shape}, observation {self.observation.shape}"
             )
         if n > 3000:
-            raise InputError(f"{n} DOFs: dense matrices are for 3000 and less; reduce the model first")
+            raise InputError(
+                f"{n} DOFs: dense matrices are for 3000 and less; reduce the model first"
+            )
 
     @classmethod
     def springs(
@@ -85,10 +94,20 @@ class DenseModel:
         """Stiffness parameters only, channels at the given DOFs (all)."""
         eye = np.eye(len(stiffness))
         seen = eye[list(channels)] if len(channels) else eye
-        return cls(stiffness, mass, d_stiffness, np.zeros_like(d_stiffness), seen, parameters, len(stiffness))
+        return cls(
+            stiffness,
+            mass,
+            d_stiffness,
+            np.zeros_like(d_stiffness),
+            seen,
+            parameters,
+            len(stiffness),
+        )
 
     def with_parameters(self, active: Sequence[int], base: Float | None = None) -> DenseModel:
-        """The model with some of its parameters, by position; the others stay at `base` (p,), nominal if not given."""
+        """The model with some of its parameters, by position; the others stay at `base` (p,),
+        nominal if not given.
+        """
         at = list(active)
         hold = np.zeros(len(self.parameters)) if base is None else np.array(base, dtype=np.float64)
         hold[at] = 0.0
@@ -121,7 +140,9 @@ class DenseModel:
         lam, phi = self._solve(x)
         c = min(self.count, lam.size)
         seen = self.observation @ phi[:, :c]
-        return Linearisation(np.asarray(x), _hertz(lam[:c]), seen, np.zeros((c, 0)), np.zeros((*seen.shape, 0)))
+        return Linearisation(
+            np.asarray(x), _hertz(lam[:c]), seen, np.zeros((c, 0)), np.zeros((*seen.shape, 0))
+        )
 
     def linearise(self, x: Float) -> Linearisation:
         """Modes and sensitivities at x (p,)."""
@@ -158,14 +179,19 @@ def matrices_at(model: object, x: Float) -> Matrices:
         return _reduced(model, x)
     give = getattr(model, "matrices", None)
     if give is None:
-        raise InputError(f"{type(model).__name__} has no small matrices; reduce the model (reduce.parametric)")
+        raise InputError(
+            f"{type(model).__name__} has no small matrices; reduce the model (reduce.parametric)"
+        )
     return give(x)  # type: ignore[no-any-return]
 
 
 def _reduced(model: ReducedModel, x: Float) -> Matrices:
     """The projected matrices."""
     everything = model.full_vector(x)
-    a, slope = model.system.parameters.factors(everything), model.system.parameters.slope(everything)
+    a, slope = (
+        model.system.parameters.factors(everything),
+        model.system.parameters.slope(everything),
+    )
     k, m = model.projected(a)
     both = [model.derivative(a, i, float(slope[i])) for i in model.active]
     dk, dm = (np.reshape([pair[j] for pair in both], (len(both), *k.shape)) for j in range(2))

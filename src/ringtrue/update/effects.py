@@ -1,4 +1,6 @@
-"""Candidates held against the modes: what no mode strains or moves cannot be found from modes, and is left out."""
+"""Candidates held against the modes: what no mode strains or moves cannot be found from modes, and
+is left out.
+"""
 
 from __future__ import annotations
 
@@ -27,9 +29,13 @@ from ringtrue.update.objective import Target, residual
 
 NEAR = 16  # modes of the model along which the force residual of a test mode is taken
 EXPANDED = 0.02  # relative error of a measured shape that its expansion may leave as misfit
-SHARP = 0.3  # what candidates shall explain is small beside the discrepancy that an updating assumes
+SHARP = (
+    0.3  # what candidates shall explain is small beside the discrepancy that an updating assumes
+)
 CLOSE = 1e-6  # relative distance of eigenvalues below which modes only rotate into each other
-LEAST = 1e-5  # share of a mode's strain and kinetic energy below which a candidate does not change it
+LEAST = (
+    1e-5  # share of a mode's strain and kinetic energy below which a candidate does not change it
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +56,8 @@ def effective(
 ) -> tuple[tuple[Candidate, ...], tuple[Dropped, ...]]:
     """Those candidates that change one of the modes, and those that do not.
 
-    Of a candidate that no mode strains or moves, ∂K φ = ∂M φ = 0: neither frequency nor shape depends on it.
+    Of a candidate that no mode strains or moves, ∂K φ = ∂M φ = 0: neither frequency nor shape
+    depends on it.
 
     Parameters
     ----------
@@ -71,7 +78,8 @@ def effective(
 def effects(
     model: Model, system: System, candidates: Sequence[Candidate], values: Float, vectors: Float
 ) -> tuple[Float, Float]:
-    """φᵀ(∂K/∂x)φ/λ and φᵀ(∂M/∂x)φ of each mode and candidate, (m, p) each; ∂ ln f/∂x is half their difference.
+    """φᵀ(∂K/∂x)φ/λ and φᵀ(∂M/∂x)φ of each mode and candidate, (m, p) each; ∂ ln f/∂x is half their
+    difference.
 
     Parameters
     ----------
@@ -92,7 +100,9 @@ def misfits(
     seen: Float,
     aim: Target,
 ) -> tuple[tuple[Float, Float], ...]:
-    """`paired_residual` and `force_residual`: what the test finds wrong near the model, and far from it."""
+    """`paired_residual` and `force_residual`: what the test finds wrong near the model, and far
+    from it.
+    """
     chosen = parameters(candidates)
     kinds = _paired(chosen, values, seen, aim), _force(chosen, values, seen, aim)
     return _evaluated(model, system, chosen, vectors, kinds)
@@ -138,12 +148,13 @@ def force_residual(
     seen: Float,
     aim: Target,
 ) -> tuple[Float, Float]:
-    """What the test's modes leave of the model's equation of motion, and what each candidate adds to it.
+    """What the test's modes leave of the model's equation of motion, and what each candidate adds
+    to it.
 
-    φ_kᵀ(K − ω²M)u of each used test mode, u being its shape expanded in the modes of the model, along the modes φ_k
-    nearest to it, and φ_kᵀ(∂K − ω²∂M)u: linear in the parameters, without a pairing and without a solution. Weighted by
-    `SHARP` times the errors that shape and frequency are assumed to keep (`Weights`). Fissette, Stavrinidis
-    and Ibrahim (1988).
+    φ_kᵀ(K − ω²M)u of each used test mode, u being its shape expanded in the modes of the model,
+    along the modes φ_k nearest to it, and φ_kᵀ(∂K − ω²∂M)u: linear in the parameters, without a
+    pairing and without a solution. Weighted by `SHARP` times the errors that shape and frequency
+    are assumed to keep (`Weights`). Fissette, Stavrinidis and Ibrahim (1988).
 
     Parameters
     ----------
@@ -191,11 +202,12 @@ def paired_residual(
     seen: Float,
     aim: Target,
 ) -> tuple[Float, Float]:
-    """Deviations of the modes that are paired, and what each candidate does to them: `residual` of the deck.
+    """Deviations of the modes that are paired, and what each candidate does to them: `residual` of
+    the deck.
 
-    Nothing is expanded, and noise of the shapes is told from errors that candidates could make, but modes far off have
-    no part in it. Derivatives of shapes along the modes nearest to each (Fox and Kapoor 1968). Arguments and results as
-    of `force_residual`.
+    Nothing is expanded, and noise of the shapes is told from errors that candidates could make, but
+    modes far off have no part in it. Derivatives of shapes along the modes nearest to each (Fox and
+    Kapoor 1968). Arguments and results as of `force_residual`.
     """
     chosen = parameters(candidates)
     return _evaluated(model, system, chosen, vectors, [_paired(chosen, values, seen, aim)])[0]
@@ -240,7 +252,8 @@ def reduced_candidates(
     modes: EigenModes | None = None,
     progress: Progress | None = None,
 ) -> ReducedModel:
-    """A reduced model over all candidates, as the choice needs it; `pencil` and `modes` as in `reduced_model`.
+    """A reduced model over all candidates, as the choice needs it; `pencil` and `modes` as in
+    `reduced_model`.
 
     Raises
     ------
@@ -249,5 +262,14 @@ def reduced_candidates(
     """
     chosen = parameters(candidates)
     parts = affine_terms(model, chosen, system, progress=part(progress, 0.0, 0.5))
-    affine = observed_system(system.stiffness, system.mass, system.transform, chosen, parts, observation)
-    return reduced_model(affine, count, options=options, pencil=pencil, modes=modes, progress=part(progress, 0.5, 1.0))
+    affine = observed_system(
+        system.stiffness, system.mass, system.transform, chosen, parts, observation
+    )
+    return reduced_model(
+        affine,
+        count,
+        options=options,
+        pencil=pencil,
+        modes=modes,
+        progress=part(progress, 0.5, 1.0),
+    )

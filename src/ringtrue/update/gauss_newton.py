@@ -1,7 +1,8 @@
 """Damped Gauss-Newton on J(p) = Δzᵀ W Δz + pᵀ W_p p inside bounds.
 
-The step solves (Gᵀ W G + W_p + μI) Δp = Gᵀ W Δz₀ − W_p p₀ on the free parameters. `published` leaves the last term
-out: equation (4) as printed, which is the case p₀ = 0 and not stationary for J elsewhere.
+The step solves (Gᵀ W G + W_p + μI) Δp = Gᵀ W Δz₀ − W_p p₀ on the free parameters. `published`
+leaves the last term out: equation (4) as printed, which is the case p₀ = 0 and not stationary for J
+elsewhere.
 """
 
 from __future__ import annotations
@@ -18,15 +19,21 @@ from ringtrue.errors import NumericalError, SolverError
 from ringtrue.model.ports import ObservedModel
 from ringtrue.update.objective import Residual, Target, objective, residual, shared_cost, used_up
 
-SAFE = 1e-3  # least eigenvalue, in units of the Gauss-Newton diagonal, of a Hessian with second derivatives
+# least eigenvalue, in units of the Gauss-Newton diagonal, of a Hessian with second derivatives
+SAFE = 1e-3
 NEAR = 0.3  # largest change of x over which a secant says something of the Hessian
 FREE = 0.1  # damping below which the length of a step is the method's own
-STEP, GRADIENT = 1e-5, 1e-6  # convergence: step in x; gradient relative to its size without cancellation
+STEP, GRADIENT = (
+    1e-5,
+    1e-6,
+)  # convergence: step in x; gradient relative to its size without cancellation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class State:
-    """A point, its residual, the damping for the next step and the secant estimate of Σ Δz ∂²Δz (p, p)."""
+    """A point, its residual, the damping for the next step and the secant estimate of Σ Δz ∂²Δz (p,
+    p).
+    """
 
     x: Float
     residual: Residual
@@ -46,7 +53,8 @@ class UpdateResult:
     x : (p,) float64
     factors : (p,) float64
     covariance : (p, p) float64
-        Of x, Laplace: s² (GᵀWG)… with the model discrepancy s² estimated from the residuals, W_p as prior.
+        Of x, Laplace: s² (GᵀWG)… with the model discrepancy s² estimated from the residuals, W_p as
+        prior.
     identifiability : (p,) float64
         Posterior over prior standard deviation of x.
     history : tuple of State
@@ -67,7 +75,13 @@ class UpdateResult:
     gradient: float
 
     def __post_init__(self) -> None:
-        freeze_fields(self, x=np.float64, factors=np.float64, covariance=np.float64, identifiability=np.float64)
+        freeze_fields(
+            self,
+            x=np.float64,
+            factors=np.float64,
+            covariance=np.float64,
+            identifiability=np.float64,
+        )
 
     @property
     def residual(self) -> Residual:
@@ -100,7 +114,11 @@ class GaussNewton:
 
     def init(self) -> State:
         """The nominal model, or the start given."""
-        x = np.zeros(len(self.model.parameters)) if self.least is None else np.array(self.least, dtype=np.float64)
+        x = (
+            np.zeros(len(self.model.parameters))
+            if self.least is None
+            else np.array(self.least, dtype=np.float64)
+        )
         r, value = self._at(x)
         return State(x, r, value, self.mu, np.inf, 0, np.zeros((x.size, x.size)))
 
@@ -127,12 +145,19 @@ class GaussNewton:
         x = np.clip(x + dx, low, high)
         try:
             r, value = self._at(x, state.residual)
-        except (NumericalError, SolverError):  # a trial point that cannot be solved is a rejected step
+        except (
+            NumericalError,
+            SolverError,
+        ):  # a trial point that cannot be solved is a rejected step
             return self._rejected(state)
         if self._better(x, r, state):
             curvature = np.zeros_like(normal) if self.published else _secant(state, x, r, w)
-            return State(x, r, value, max(state.mu / 5, 1e-8), float(np.abs(x - state.x).max()), 0, curvature)
-        if state.mu < FREE and (step := float(np.abs(x - state.x).max())) < STEP:  # what it gains is round-off of J
+            return State(
+                x, r, value, max(state.mu / 5, 1e-8), float(np.abs(x - state.x).max()), 0, curvature
+            )
+        if (
+            state.mu < FREE and (step := float(np.abs(x - state.x).max())) < STEP
+        ):  # what it gains is round-off of J
             return replace(state, step=step, rejected=state.rejected + 1)
         return self._rejected(state)
 
@@ -143,13 +168,16 @@ class GaussNewton:
         return State(state.x, state.residual, state.value, mu, state.step, state.rejected + 1, flat)
 
     def _better(self, x: Float, r: Residual, state: State) -> bool:
-        """Whether the trial keeps every mode and lowers J (published: keeps every mode) over the modes of the state.
+        """Whether the trial keeps every mode and lowers J (published: keeps every mode) over the
+        modes of the state.
 
         Where no pair costs more than a lost mode, J itself is compared.
         """
         if self.target.rule != "gates" and not self.published:
             std = self.model.parameters.std()
-            return objective(self.target, r, x, std) <= objective(self.target, state.residual, state.x, std)
+            return objective(self.target, r, x, std) <= objective(
+                self.target, state.residual, state.x, std
+            )
         now, before = shared_cost(r, state.residual), shared_cost(state.residual, state.residual)
         if now is None or before is None:
             return False
@@ -199,12 +227,17 @@ def update(
     return _result(method, accepted, run.outcome, last)
 
 
-def _result(method: GaussNewton, states: tuple[State, ...], outcome: Outcome, last: State) -> UpdateResult:
+def _result(
+    method: GaussNewton, states: tuple[State, ...], outcome: Outcome, last: State
+) -> UpdateResult:
     parameters = method.model.parameters
     g, prior = last.residual.slope, parameters.std()
-    # the expected size of a weighted residual is 1; a larger one is model discrepancy that W did not foresee
+    # the expected size of a weighted residual is 1; a larger one is model discrepancy that W did
+    # not foresee
     spread = _spread(last.residual, g.T @ g, prior, method.target.weights.data)
-    covariance: Float = np.asarray(np.linalg.inv(g.T @ g / spread + np.diag(1 / prior**2)), dtype=np.float64)
+    covariance: Float = np.asarray(
+        np.linalg.inv(g.T @ g / spread + np.diag(1 / prior**2)), dtype=np.float64
+    )
     scaled = g / np.maximum(np.linalg.norm(g, axis=0), 1e-300)
     start = float(np.linalg.norm(method.gradient(states[0]))) or 1.0
     return UpdateResult(
@@ -220,7 +253,8 @@ def _result(method: GaussNewton, states: tuple[State, ...], outcome: Outcome, la
 
 
 def _spread(r: Residual, normal: Float, prior: Float, each: float) -> float:
-    """Mean square of the weighted residuals over what the parameters have not used up; not below the expected 1.
+    """Mean square of the weighted residuals over what the parameters have not used up; not below
+    the expected 1.
 
     A mode gives as many data as `each`.
     """
@@ -232,14 +266,19 @@ def _positive(normal: Float, curvature: Float) -> Float:
     """`normal` + `curvature` if that is safely positive definite, else `normal` (p, p)."""
     both = normal + curvature
     size = np.sqrt(np.diag(normal))
-    return both if float(np.linalg.eigvalsh(both / np.outer(size, size)).min(initial=1.0)) > SAFE else normal
+    return (
+        both
+        if float(np.linalg.eigvalsh(both / np.outer(size, size)).min(initial=1.0)) > SAFE
+        else normal
+    )
 
 
 def _secant(before: State, x: Float, r: Residual, w: Float) -> Float:
-    """The part of the Hessian that Gauss-Newton leaves out, updated from one step; 0 where the pairs have changed.
+    """The part of the Hessian that Gauss-Newton leaves out, updated from one step; 0 where the
+    pairs have changed.
 
-    Structured secant of Dennis, Gay and Welsch (1981), NL2SOL, eq. 2.11 and the sizing of 3.1. It matters where the
-    residuals stay large: Gauss-Newton alone then converges linearly.
+    Structured secant of Dennis, Gay and Welsch (1981), NL2SOL, eq. 2.11 and the sizing of 3.1. It
+    matters where the residuals stay large: Gauss-Newton alone then converges linearly.
     """
     old = before.residual
     zero = np.zeros_like(before.curvature)
@@ -256,5 +295,7 @@ def _secant(before: State, x: Float, r: Residual, w: Float) -> Float:
     own = float(s @ before.curvature @ s)
     kept = before.curvature * (min(1.0, abs(float(s @ part) / own)) if own else 0.0)
     miss = part - kept @ s
-    update = (np.outer(miss, y) + np.outer(y, miss)) / along - float(miss @ s) / along**2 * np.outer(y, y)
+    update = (np.outer(miss, y) + np.outer(y, miss)) / along - float(
+        miss @ s
+    ) / along**2 * np.outer(y, y)
     return np.asarray(kept + update)

@@ -34,7 +34,8 @@ _ENDS = {"A": "AB", "I1": "I1B", "I2": "I2B", "J": "JB", "NSM": "NSMB"}
 
 
 def generate(model: Model, settings: CandidateSettings | None = None) -> tuple[Candidate, ...]:
-    """All candidates of a deck that an element uses, in the order material, property, region, spring, mass.
+    """All candidates of a deck that an element uses, in the order material, property, region,
+    spring, mass.
 
     Of two that are the same fields of the same elements, the first is kept.
 
@@ -46,7 +47,9 @@ def generate(model: Model, settings: CandidateSettings | None = None) -> tuple[C
     s = (settings or CandidateSettings()).of(model)
     makers: dict[Kind, Callable[[Model, CandidateSettings], Iterator[Candidate]]] = {
         "material": lambda m, s: _fields(m, s, "material", MATERIALS),
-        "property": lambda m, s: chain(_fields(m, s, "property", SECTIONS), _laminates(m, s), _outlines(m, s)),
+        "property": lambda m, s: chain(
+            _fields(m, s, "property", SECTIONS), _laminates(m, s), _outlines(m, s)
+        ),
         "region": regions,
         "spring": lambda m, s: _grouped(m, s, "spring", SPRINGS),
         "mass": lambda m, s: _grouped(m, s, "mass", MASSES),
@@ -67,23 +70,32 @@ def _effect(c: Candidate) -> object:
     return fields, c.parameter.substructures, c.elements
 
 
-def _fields(model: Model, s: CandidateSettings, kind: Kind, catalogue: Catalogue) -> Iterator[Candidate]:
+def _fields(
+    model: Model, s: CandidateSettings, kind: Kind, catalogue: Catalogue
+) -> Iterator[Candidate]:
     """One candidate a card and field."""
     for card, entries in catalogue.items():
         if card not in model:
             continue
         table = model[card]
         made = _made(model, card)
-        for row, ident in enumerate(table.ids.tolist()):  # over cards, of which a deck has hundreds, not elements
+        for row, ident in enumerate(
+            table.ids.tolist()
+        ):  # over cards, of which a deck has hundreds, not elements
             rows = rows_of(model, Target(card, ident, ""))
             if not rows or ident in made:
                 continue
             for fields, word, quantity in entries:
                 given = given_fields(table, row, fields)
                 if given:
-                    targets = [Target(card, ident, f) for f in given + _other_end(table, row, given)]
+                    targets = [
+                        Target(card, ident, f) for f in given + _other_end(table, row, given)
+                    ]
                     name = f"{card} {ident} {given[0]}"
-                    what = f"{word} {amount(float(table[given[0]][row]), quantity, s)} of {counted(rows)}"
+                    what = (
+                        f"{word} {amount(float(table[given[0]][row]), quantity, s)} of "
+                        f"{counted(rows)}"
+                    )
                     yield new_candidate(s, kind, name, what, quantity, ids_of(model, rows), targets)
 
 
@@ -104,37 +116,65 @@ def _laminates(model: Model, s: CandidateSettings) -> Iterator[Candidate]:
                 t = model[card].ragged("T").row(row)
                 targets = [Target(card, ident, f"T{k + 1}") for k in range(t.size)]
                 what = f"thickness of all {t.size} plies of {counted(rows)}"
-                yield new_candidate(s, "property", f"{card} {ident} T", what, "length", ids_of(model, rows), targets)
+                yield new_candidate(
+                    s, "property", f"{card} {ident} T", what, "length", ids_of(model, rows), targets
+                )
 
 
 def _made(model: Model, card: str) -> set[int]:
     """Ids of the PBAR or PBEAM that the deck gives by the dimensions of a section (`_outlines`)."""
-    return {i for source, made in MADE.items() if made == card and source in model for i in model[source].ids.tolist()}
+    return {
+        i
+        for source, made in MADE.items()
+        if made == card and source in model
+        for i in model[source].ids.tolist()
+    }
 
 
 def _outlines(model: Model, s: CandidateSettings) -> Iterator[Candidate]:
-    """All dimensions of a section by one factor, each by itself where it stays a section, its non-structural mass."""
+    """All dimensions of a section by one factor, each by itself where it stays a section, its
+    non-structural mass.
+    """
     for card in MADE:
         for row, ident in enumerate(model[card].ids.tolist() if card in model else []):
             table, rows = model[card], rows_of(model, Target(card, ident, ""))
             if not rows:
                 continue
             kind, where = table["TYPE"][row], ids_of(model, rows)
-            ends = {name: table.ragged(name).row(row) for name in ("DIM", "DIMB") if name in table.columns}
-            fields = [[f"{n}{k + 1}" for n, values in ends.items() if values.size] for k in range(ends["DIM"].size)]
+            ends = {
+                name: table.ragged(name).row(row)
+                for name in ("DIM", "DIMB")
+                if name in table.columns
+            }
+            fields = [
+                [f"{n}{k + 1}" for n, values in ends.items() if values.size]
+                for k in range(ends["DIM"].size)
+            ]
             of = f"of the {kind} section of {counted(rows)}"
             every = [Target(card, ident, f) for one in fields for f in one]
-            yield new_candidate(s, "property", f"{card} {ident} DIM", f"all dimensions {of}", "section", where, every)
+            yield new_candidate(
+                s,
+                "property",
+                f"{card} {ident} DIM",
+                f"all dimensions {of}",
+                "section",
+                where,
+                every,
+            )
             for k, one in enumerate(fields if len(fields) > 1 else []):
                 if all(_stays(kind, values.tolist(), k) for values in ends.values() if values.size):
                     what = f"dimension {k + 1} ({amount(float(ends['DIM'][k]), 'length', s)}) {of}"
                     alone = [Target(card, ident, f) for f in one]
-                    yield new_candidate(s, "property", f"{card} {ident} DIM{k + 1}", what, "length", where, alone)
+                    yield new_candidate(
+                        s, "property", f"{card} {ident} DIM{k + 1}", what, "length", where, alone
+                    )
             if given := given_fields(table, row, "NSM+NSMB"):
                 value = amount(float(table[given[0]][row]), "line", s)
                 what = f"non-structural mass {value} of {counted(rows)}"
                 masses = [Target(card, ident, f) for f in given]
-                yield new_candidate(s, "property", f"{card} {ident} {given[0]}", what, "line", where, masses)
+                yield new_candidate(
+                    s, "property", f"{card} {ident} {given[0]}", what, "line", where, masses
+                )
 
 
 def _stays(kind: str, dimensions: list[float], k: int) -> bool:
@@ -148,13 +188,19 @@ def _stays(kind: str, dimensions: list[float], k: int) -> bool:
     return True
 
 
-def _grouped(model: Model, s: CandidateSettings, kind: Kind, catalogue: Catalogue) -> Iterator[Candidate]:
-    """One candidate for all cards of equal value (one make of spring), and one for each card by itself."""
+def _grouped(
+    model: Model, s: CandidateSettings, kind: Kind, catalogue: Catalogue
+) -> Iterator[Candidate]:
+    """One candidate for all cards of equal value (one make of spring), and one for each card by
+    itself.
+    """
     for card, entries in catalogue.items():
         if card not in model:
             continue
         table = model[card]
-        used = np.array([bool(rows_of(model, Target(card, i, ""))) for i in table.ids.tolist()], dtype=bool)
+        used = np.array(
+            [bool(rows_of(model, Target(card, i, ""))) for i in table.ids.tolist()], dtype=bool
+        )
         for fields, word, quantity in entries:
             values = table[fields.split("+")[0]]
             live = np.flatnonzero(used & np.isfinite(values) & (values != 0))
@@ -174,10 +220,21 @@ def _equal(values: Float, live: Int) -> list[Int]:
 
 
 def _group(
-    model: Model, s: CandidateSettings, kind: Kind, table: Table, at: Int, fields: str, word: str, quantity: str
+    model: Model,
+    s: CandidateSettings,
+    kind: Kind,
+    table: Table,
+    at: Int,
+    fields: str,
+    word: str,
+    quantity: str,
 ) -> Candidate:
     ids = table.ids[at]
-    targets = [Target(table.card, int(table.ids[r]), f) for r in at.tolist() for f in given_fields(table, r, fields)]
+    targets = [
+        Target(table.card, int(table.ids[r]), f)
+        for r in at.tolist()
+        for f in given_fields(table, r, fields)
+    ]
     rows = union(rows_of(model, Target(table.card, i, "")) for i in ids.tolist())
     lead = fields.split("+")[0]
     field_name = "K" if fields.startswith("K1+") else lead
@@ -185,5 +242,11 @@ def _group(
     each = " each" if ids.size > 1 else ""
     name = f"{table.card} {listed(ids)} {field_name}"
     return new_candidate(
-        s, kind, name, f"{word} {value}{each} of {counted(rows)}", quantity, ids_of(model, rows), targets
+        s,
+        kind,
+        name,
+        f"{word} {value}{each} of {counted(rows)}",
+        quantity,
+        ids_of(model, rows),
+        targets,
     )

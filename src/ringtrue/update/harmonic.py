@@ -37,8 +37,16 @@ class Damping:
     def __post_init__(self) -> None:
         freeze_fields(self, frequencies=np.float64, ratios=np.float64)
         rising = self.frequencies.size > 0 and (np.diff(self.frequencies) > 0).all()
-        if self.frequencies.shape != self.ratios.shape or not rising or (self.ratios < 0).any() or self.std < 0:
-            raise InputError(f"damping: {self.frequencies.shape} rising frequencies, {self.ratios.shape} ratios >= 0")
+        if (
+            self.frequencies.shape != self.ratios.shape
+            or not rising
+            or (self.ratios < 0).any()
+            or self.std < 0
+        ):
+            raise InputError(
+                f"damping: {self.frequencies.shape} rising frequencies, {self.ratios.shape} "
+                "ratios >= 0"
+            )
 
     def at(self, frequencies: Float) -> Float:
         """ζ at frequencies in Hz, interpolated."""
@@ -59,7 +67,8 @@ class RegionDamping:
     coefficients : (k,) float64
     covariance : (k, k) float64
     matrices : (k, r, r) float64
-        What a unit of each coefficient adds to the damping matrix (dashpots) or to the imaginary stiffness.
+        What a unit of each coefficient adds to the damping matrix (dashpots) or to the imaginary
+        stiffness.
     viscous : (k,) bool
         True for dashpots.
     base : (r, r), (r, r) float64
@@ -79,11 +88,19 @@ class RegionDamping:
         f = np.float64
         freeze_fields(self, coefficients=f, covariance=f, matrices=f, viscous=np.bool_)
         k, r = self.coefficients.size, self.base[0].shape[0]
-        if self.matrices.shape != (k, r, r) or self.covariance.shape != (k, k) or self.viscous.shape != (k,):
-            raise InputError(f"damping of {k} regions: matrices {self.matrices.shape} for {r} vectors")
+        if (
+            self.matrices.shape != (k, r, r)
+            or self.covariance.shape != (k, k)
+            or self.viscous.shape != (k,)
+        ):
+            raise InputError(
+                f"damping of {k} regions: matrices {self.matrices.shape} for {r} vectors"
+            )
 
     def drawn(self, rng: np.random.Generator | None) -> Ratios:
-        """ζ of modes at the best point, or with coefficients and scatter as drawn; none is below 0."""
+        """ζ of modes at the best point, or with coefficients and scatter as drawn; none is below
+        0.
+        """
         c, own = self.coefficients, np.ones(self.base[0].shape[0])
         if rng is not None:
             c = np.maximum(c + covariance_root(self.covariance) @ rng.standard_normal(c.size), 0.0)
@@ -101,7 +118,8 @@ class RegionDamping:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rows:
-    """What is looked at, in the basis of the model's small matrices; it may change with the parameters.
+    """What is looked at, in the basis of the model's small matrices; it may change with the
+    parameters.
 
     Attributes
     ----------
@@ -132,12 +150,14 @@ def harmonic(
     *,
     scatter: Float | None = None,
 ) -> Complex:
-    """Responses (l, n) to harmonic loads, by superposition of all modes of the model's small matrices.
+    """Responses (l, n) to harmonic loads, by superposition of all modes of the model's small
+    matrices.
 
     Parameters
     ----------
     model : ObservedModel
-        With small matrices (`update.dense.matrices_at`); static answers to the loads should be in its basis.
+        With small matrices (`update.dense.matrices_at`); static answers to the loads should be in
+        its basis.
     x : (p,) float64
     freqs : (l,) float64, Hz
     loads : (r, j) float64

@@ -1,8 +1,9 @@
 """What the data can tell of each parameter, and which they cannot tell apart.
 
-Sensitivities are weighted and in units of the prior standard deviation (`choose.weighted_sensitivities`), so that
-GᵀG is the information of the data and the unit matrix that of the prior. Collinearity by hierarchical clustering of
-the columns; Cramér-Rao bounds; the directions of the parameter space that the data do not see.
+Sensitivities are weighted and in units of the prior standard deviation
+(`choose.weighted_sensitivities`), so that GᵀG is the information of the data and the unit matrix
+that of the prior. Collinearity by hierarchical clustering of the columns; Cramér-Rao bounds; the
+directions of the parameter space that the data do not see.
 """
 
 from __future__ import annotations
@@ -18,12 +19,16 @@ from scipy.spatial.distance import squareform
 from ringtrue.core.arrays import Float, Int, freeze_fields
 from ringtrue.errors import InputError
 
-ALIKE = 0.95  # |cosine| of two weighted sensitivity columns from which on the data cannot tell them apart
+# |cosine| of two weighted sensitivity columns from which on the data cannot tell them apart
+ALIKE = 0.95
 EQUAL = 9  # decimals, of the largest, to which effects are compared: rounding must not choose
-# in standard deviations of the data: what a change by the prior's standard deviation does beyond the other parameters,
-# from which on the data share a change out between them, however weakly; below it the prior alone does
+# in standard deviations of the data: what a change by the prior's standard deviation does beyond
+# the other parameters, from which on the data share a change out between them, however weakly;
+# below it the prior alone does
 SAME = 0.01
-BLIND = 1.0  # singular value, in units of the prior, below which the prior says more of a direction than the data
+# singular value, in units of the prior, below which the prior says more of a direction than the
+# data
+BLIND = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,7 +42,8 @@ class Identifiability:
     together : (p,) float64
         Posterior, all candidates free.
     bound : (p,) float64
-        Cramér-Rao without a prior, all candidates free; infinite where the data leave a direction open.
+        Cramér-Rao without a prior, all candidates free; infinite where the data leave a direction
+        open.
     inflation : (p,) float64
         bound² over that with all others known: what the others cost (variance inflation factor).
     """
@@ -71,7 +77,9 @@ def identifiability(sensitivities: Float) -> Identifiability:
 
 
 def _right(g: Float) -> tuple[Float, Float]:
-    """Singular values (p,) of g (r, p) and its right vectors (p, p); the left ones would be (r, r)."""
+    """Singular values (p,) of g (r, p) and its right vectors (p, p); the left ones would be (r,
+    r).
+    """
     _, s, vt = linalg.svd(g, full_matrices=g.shape[0] < g.shape[1])
     return np.concatenate([s, np.zeros(vt.shape[0] - s.size)]), np.asarray(vt)
 
@@ -87,15 +95,16 @@ def cosines(sensitivities: Float) -> Float:
 def blind_cosines(sensitivities: Float, level: float = BLIND) -> tuple[Float, Float]:
     """How parameters trade against each other where the data do not see.
 
-    The directions v with ‖G v‖ < `level` ‖v‖ span what is left open. A parameter alike to a *combination* of others has
-    a large share there though no single cosine shows it.
+    The directions v with ‖G v‖ < `level` ‖v‖ span what is left open. A parameter alike to a
+    *combination* of others has a large share there though no single cosine shows it.
 
     Returns
     -------
     share : (p,) float64
         Of each parameter's own direction, in the open space: 1 means the data say nothing of it.
     cosine : (p, p) float64
-        |cosine| between the projections of two parameters on the open space; near 1 they only trade with each other.
+        |cosine| between the projections of two parameters on the open space; near 1 they only trade
+        with each other.
     """
     g = _columns(sensitivities)
     s, vt = _right(g)
@@ -106,9 +115,11 @@ def blind_cosines(sensitivities: Float, level: float = BLIND) -> tuple[Float, Fl
 
 
 def clusters(sensitivities: Float, alike: float = ALIKE) -> Int:
-    """The cluster of each parameter, (p,) int64, numbered from 0 in the order of their first members.
+    """The cluster of each parameter, (p,) int64, numbered from 0 in the order of their first
+    members.
 
-    By complete linkage: no two with a |cosine| below `alike` are in one cluster. A column of zeros stands alone.
+    By complete linkage: no two with a |cosine| below `alike` are in one cluster. A column of zeros
+    stands alone.
 
     Raises
     ------
@@ -127,11 +138,12 @@ def clusters(sensitivities: Float, alike: float = ALIKE) -> Int:
 
 
 def told_apart(sensitivities: Float, order: Sequence[int]) -> tuple[Int, dict[int, Int]]:
-    """Which parameters of a set the data can tell apart, and which are to be held at nominal as they cannot.
+    """Which parameters of a set the data can tell apart, and which are to be held at nominal as
+    they cannot.
 
-    One after the other a parameter is kept unless those kept before it do the same: what they leave of its column is
-    below `SAME`, so that the prior alone would share a change out between them. One of which the data tell less than
-    its prior by itself is kept: that holds it.
+    One after the other a parameter is kept unless those kept before it do the same: what they leave
+    of its column is below `SAME`, so that the prior alone would share a change out between them.
+    One of which the data tell less than its prior by itself is kept: that holds it.
 
     Parameters
     ----------
@@ -165,7 +177,9 @@ def told_apart(sensitivities: Float, order: Sequence[int]) -> tuple[Int, dict[in
     return np.sort(np.array(kept, dtype=np.int64)), held
 
 
-def stood_for(sensitivities: Float, names: Sequence[str], first: Sequence[str] = ()) -> dict[str, tuple[str, ...]]:
+def stood_for(
+    sensitivities: Float, names: Sequence[str], first: Sequence[str] = ()
+) -> dict[str, tuple[str, ...]]:
     """Parameters that are held at nominal by `told_apart`, with those that stand for them.
 
     Parameters
@@ -175,7 +189,8 @@ def stood_for(sensitivities: Float, names: Sequence[str], first: Sequence[str] =
     names : sequence of str
         Of the parameters.
     first : sequence of str
-        These stand for others; of the rest those of the largest effect, and of equal ones the first.
+        These stand for others; of the rest those of the largest effect, and of equal ones the
+        first.
     """
     rank = {name: i for i, name in enumerate(first)}
     norm = np.linalg.norm(sensitivities, axis=0)

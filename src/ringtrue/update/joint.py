@@ -1,4 +1,6 @@
-"""A problem with several tests, and with what was measured beside modes, in the form of one test's residuals."""
+"""A problem with several tests, and with what was measured beside modes, in the form of one test's
+residuals.
+"""
 
 from __future__ import annotations
 
@@ -30,16 +32,29 @@ def joint_residual(problem: Problem, x: Float) -> Residual:
     kind, more = _kinds(problem, at)
     mac = np.concatenate([p.mac for p in at.points])
     return Residual(
-        value, slope, np.concatenate(pairs), mac, np.concatenate(error), np.concatenate(used), kind[at.kind], more
+        value,
+        slope,
+        np.concatenate(pairs),
+        mac,
+        np.concatenate(error),
+        np.concatenate(used),
+        kind[at.kind],
+        more,
     )
 
 
-def _kinds(problem: Problem, at: Evaluated) -> tuple[np.ndarray[tuple[int], np.dtype[np.int64]], float]:
-    """Of each term 0 for frequencies, 1 for shapes, 2 for the rest, and the number of data of the rest."""
+def _kinds(
+    problem: Problem, at: Evaluated
+) -> tuple[np.ndarray[tuple[int], np.dtype[np.int64]], float]:
+    """Of each term 0 for frequencies, 1 for shapes, 2 for the rest, and the number of data of the
+    rest.
+    """
     terms = [t for c in problem.configurations for t in c.terms]
     kind = np.array([_kind(t) for t in terms], dtype=np.int64)
     rows = np.bincount(at.kind, minlength=kind.size).tolist()
-    return kind, float(sum(t.factor * n for t, n in zip(terms, rows, strict=True) if isinstance(t, Weighted)))
+    return kind, float(
+        sum(t.factor * n for t, n in zip(terms, rows, strict=True) if isinstance(t, Weighted))
+    )
 
 
 def _kind(term: Term) -> int:
@@ -50,12 +65,16 @@ def _kind(term: Term) -> int:
 
 def weighed(problem: Problem, found: Weights) -> Problem:
     """With discrepancies of frequencies and shapes as found."""
-    every = (c.weighed(found.frequency, found.mac, found.independent) for c in problem.configurations)
+    every = (
+        c.weighed(found.frequency, found.mac, found.independent) for c in problem.configurations
+    )
     return replace(problem, configurations=tuple(every))
 
 
 def left_at(problem: Problem, y: Float) -> Weights:
-    """The weights with the discrepancies that an updating has left at y (q,); shapes as in the first configuration."""
+    """The weights with the discrepancies that an updating has left at y (q,); shapes as in the
+    first configuration.
+    """
     at, first = problem.evaluate(y), problem.configurations[0].target
     r, prior = joint_residual(problem, y), np.sqrt(np.diag(np.linalg.inv(problem.linked_precision)))
     many = errors_of_shapes(first, at.points[0].now)

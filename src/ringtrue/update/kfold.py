@@ -1,10 +1,12 @@
-"""Predictions on modes left out of the updating, fold by fold, with bands that hold what was measured.
+"""Predictions on modes left out of the updating, fold by fold, with bands that hold what was
+measured.
 
-The band of a left-out frequency has three parts: the parameters, the test, and the model discrepancy, which no
-parameter can remove. The parameters of a fold are known as well as errors of that size in the modes left to it allow:
-one that only the left-out mode tells of may be far off and says nothing of the model. The discrepancy is taken from
-all modes that are predicted unseen: those of the folds, and those that the updating does not use at all, which have had
-no say in the choice of the parameters either. That of a mode comes from all *others*, so that none helps to judge
+The band of a left-out frequency has three parts: the parameters, the test, and the model
+discrepancy, which no parameter can remove. The parameters of a fold are known as well as errors of
+that size in the modes left to it allow: one that only the left-out mode tells of may be far off and
+says nothing of the model. The discrepancy is taken from all modes that are predicted unseen: those
+of the folds, and those that the updating does not use at all, which have had no say in the choice
+of the parameters either. That of a mode comes from all *others*, so that none helps to judge
 itself; `with_discrepancy` puts the number of all into W, so that the posterior does not collapse.
 """
 
@@ -38,8 +40,8 @@ class Held:
         NaN where the mode found no partner, or was used and in no fold.
     mac : (m,) float64
     parameter_std, test_std, model_std : (m,) float64, relative
-        The three parts of the band; `model_std` from all other modes that are predicted. Parameters are known as
-        well as errors of the size found let them be.
+        The three parts of the band; `model_std` from all other modes that are predicted. Parameters
+        are known as well as errors of the size found let them be.
     fold : (m,) int64
         -1: in none; a mode that is not used is predicted by all that are.
     converged : bool
@@ -62,7 +64,17 @@ class Held:
 
     def __post_init__(self) -> None:
         f = np.float64
-        freeze_fields(self, test=f, predicted=f, mac=f, parameter_std=f, test_std=f, model_std=f, ends=f, fold=np.int64)
+        freeze_fields(
+            self,
+            test=f,
+            predicted=f,
+            mac=f,
+            parameter_std=f,
+            test_std=f,
+            model_std=f,
+            ends=f,
+            fold=np.int64,
+        )
 
     @property
     def in_turn(self) -> Bool:
@@ -71,7 +83,9 @@ class Held:
 
     @property
     def freedom(self) -> int:
-        """Degrees of freedom that the discrepancy is known with: as many errors as modes are predicted, less one."""
+        """Degrees of freedom that the discrepancy is known with: as many errors as modes are
+        predicted, less one.
+        """
         return max(int(np.isfinite(self.predicted).sum()) - 1, 1)
 
     @property
@@ -118,14 +132,21 @@ def folds_of(used: Bool, count: int) -> tuple[tuple[int, ...], ...]:
 
 
 def discrepancy(error: Float, known: Float, gain: Float | None = None) -> float:
-    """Relative standard deviation s of largest likelihood of errors ~ N(0, gain s² + known²), (m,) each; NaNs left out.
+    """Relative standard deviation s of largest likelihood of errors ~ N(0, gain s² + known²), (m,)
+    each; NaNs left out.
 
     `gain` is 1 if not given, larger where s has made the parameters uncertain, too.
     """
     seen = np.isfinite(error)
-    e2, k2, g = error[seen] ** 2, known[seen] ** 2, np.ones(int(seen.sum())) if gain is None else gain[seen]
+    e2, k2, g = (
+        error[seen] ** 2,
+        known[seen] ** 2,
+        np.ones(int(seen.sum())) if gain is None else gain[seen],
+    )
     if not e2.size:
-        raise InputError("no left-out mode has found a partner: widen the gates, or leave other modes out")
+        raise InputError(
+            "no left-out mode has found a partner: widen the gates, or leave other modes out"
+        )
     grid = np.geomspace(LEAST, max(10 * float(np.sqrt(e2.max())), 2 * LEAST), 200)
     total = grid[:, None] ** 2 * g + k2
     return float(grid[np.argmin((e2 / total + np.log(total)).sum(axis=1))])
@@ -140,7 +161,8 @@ def k_fold(
     others: Sequence[Configuration] = (),
     progress: Progress | None = None,
 ) -> Held:
-    """Update without each fold in turn and predict it; at last with all used modes, for those that are not used.
+    """Update without each fold in turn and predict it; at last with all used modes, for those that
+    are not used.
 
     Parameters
     ----------
@@ -148,9 +170,11 @@ def k_fold(
         Its target says which modes are used at all.
     folds : sequences of test modes
     start : (q,) float64, optional
-        Unknowns at the start of every fold; else each starts where the one before has ended, the first at 0.
+        Unknowns at the start of every fold; else each starts where the one before has ended, the
+        first at 0.
     others : sequence of Configuration
-        Further configurations that every fold sees whole; their parameters are among those of the first.
+        Further configurations that every fold sees whole; their parameters are among those of the
+        first.
 
     Raises
     ------
@@ -161,7 +185,12 @@ def k_fold(
     m = target.frequencies.size
     if len({i for f in folds for i in f}) != sum(len(f) for f in folds):
         raise InputError("a mode is in two folds")
-    predicted, mac, spread, of = np.full(m, np.nan), np.full(m, np.nan), np.full((m, 3), np.nan), np.full(m, -1)
+    predicted, mac, spread, of = (
+        np.full(m, np.nan),
+        np.full(m, np.nan),
+        np.full((m, 3), np.nan),
+        np.full(m, -1),
+    )
     begin, good, ends = start, True, []
     unused = np.flatnonzero(~target.used).tolist()
     for i, fold in enumerate([*folds, unused] if unused else folds):
@@ -212,30 +241,43 @@ def _from_others(error: Float, known: Float, gain: Float) -> Float:
 def predicted_fold(
     problem: Problem, at: Evaluated, fold: list[int], predicted: Float, mac: Float, spread: Float
 ) -> None:
-    """Fill in the frequencies (Hz), MAC and `variance_parts` (m, 3) of the frequencies of one fold, in place."""
+    """Fill in the frequencies (Hz), MAC and `variance_parts` (m, 3) of the frequencies of one fold,
+    in place.
+    """
     here = at.points[0]
     t, f = here.every.T
     which = np.isin(t, fold)
     t, f = t[which], f[which]
     predicted[t], mac[t] = here.now.frequencies[f], here.mac[which]
-    slope = here.now.d_lambda[f] / (8 * np.pi**2 * here.now.frequencies[f] ** 2)[:, None] @ problem.link
+    slope = (
+        here.now.d_lambda[f] / (8 * np.pi**2 * here.now.frequencies[f] ** 2)[:, None] @ problem.link
+    )
     spread[t] = np.einsum("mp,kpq,mq->mk", slope, variance_parts(problem, at), slope)
 
 
 def variance_parts(problem: Problem, at: Evaluated) -> Float:
-    """Covariance of the unknowns (3, q, q): a unit of the mean square error of frequencies, one of 1 − MAC, the rest.
+    """Covariance of the unknowns (3, q, q): a unit of the mean square error of frequencies, one of
+    1 − MAC, the rest.
 
-    A shape has as many independent errors as the weights say: one, as the parameters imitate it best, if not told.
+    A shape has as many independent errors as the weights say: one, as the parameters imitate it
+    best, if not told.
     """
     terms = [(t, c.target) for c in problem.configurations for t in c.terms]
     n = int(at.kind.max(initial=-1)) + 1
     of_f = np.array(
-        [(t.std**2 + np.mean(a.std**2)) ** -0.5 if isinstance(t, OF_FREQUENCY) else 0.0 for t, a in terms][:n]
+        [
+            (t.std**2 + np.mean(a.std**2)) ** -0.5 if isinstance(t, OF_FREQUENCY) else 0.0
+            for t, a in terms
+        ][:n]
     )
-    of_s = np.array([(t.factor / t.mac) ** 0.5 if isinstance(t, Shapes) else 0.0 for t, _ in terms][:n])
+    of_s = np.array(
+        [(t.factor / t.mac) ** 0.5 if isinstance(t, Shapes) else 0.0 for t, _ in terms][:n]
+    )
     many = problem.configurations[0].target.weights.independent
     other = np.where((of_f == 0) & (of_s == 0), 1.0, 0.0)
-    none, *each = (laplace(problem, at, k, independent=many).covariance for k in (0 * other, of_f, of_s, other))
+    none, *each = (
+        laplace(problem, at, k, independent=many).covariance for k in (0 * other, of_f, of_s, other)
+    )
     return np.stack([each[0] - none, each[1] - none, each[2]])
 
 
@@ -248,15 +290,16 @@ def with_discrepancy(
     others: Sequence[Configuration] = (),
     progress: Progress | None = None,
 ) -> tuple[Configuration, Held]:
-    """The configuration with the weights that its left-out modes ask for, and the predictions of these.
+    """The configuration with the weights that its left-out modes ask for, and the predictions of
+    these.
 
-    The folds are updated by the weights that are given, as the whole was: their errors are those of this way to update.
-    The discrepancy of a frequency is that of all frequencies that were predicted unseen, that of a shape the mean of
-    1 − MAC of such shapes.
+    The folds are updated by the weights that are given, as the whole was: their errors are those of
+    this way to update. The discrepancy of a frequency is that of all frequencies that were
+    predicted unseen, that of a shape the mean of 1 − MAC of such shapes.
 
     Notes
-    -----
-    Terms of frequencies, shapes and MAC get these weights, in the other configurations too; other kinds stay.
+    ----- Terms of frequencies, shapes and MAC get these weights, in the other configurations too;
+    other kinds stay.
     """
     held = k_fold(configuration, folds, method, start=start, others=others, progress=progress)
     return configuration.weighed(held.discrepancy, mean_miss(held.mac)), held

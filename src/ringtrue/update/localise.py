@@ -1,9 +1,11 @@
-"""Where a model is wrong: local error indicators by element, each normalised, and what they say of a candidate.
+"""Where a model is wrong: local error indicators by element, each normalised, and what they say of
+a candidate.
 
-Force residual: (K − ω²M)u of the expanded test shapes, by node (Fissette, Stavrinidis and Ibrahim 1988). Error in
-constitutive relation: with Kv = ω²Mu the energy of u − v by element (Ladevèze and Reynier 1989), u being the minimum
-of that error and of the misfit at the sensors. Modal strain energy change by element (Shi, Law and Zhang 1998).
-Variation of MAC and frequency: what a single candidate explains by itself.
+Force residual: (K − ω²M)u of the expanded test shapes, by node (Fissette, Stavrinidis and Ibrahim
+1988). Error in constitutive relation: with Kv = ω²Mu the energy of u − v by element (Ladevèze and
+Reynier 1989), u being the minimum of that error and of the misfit at the sensors. Modal strain
+energy change by element (Shi, Law and Zhang 1998). Variation of MAC and frequency: what a single
+candidate explains by itself.
 """
 
 from __future__ import annotations
@@ -60,7 +62,9 @@ class ElementErrors:
 
     def __post_init__(self) -> None:
         f = np.float64
-        freeze_fields(self, elements=np.int64, force=f, constitutive=f, energy=f, strain=f, relative=f)
+        freeze_fields(
+            self, elements=np.int64, force=f, constitutive=f, energy=f, strain=f, relative=f
+        )
 
     def shares(self, members: sparse.csr_array) -> dict[str, Float]:
         """Of each indicator, the share that falls on the elements of each candidate, (p,).
@@ -70,18 +74,27 @@ class ElementErrors:
         members : (p, e) scipy.sparse.csr_array
             As `candidates.membership` gives it.
         """
-        of = {"force": self.force, "constitutive": self.constitutive, "energy": self.energy, "strain": self.strain}
+        of = {
+            "force": self.force,
+            "constitutive": self.constitutive,
+            "energy": self.energy,
+            "strain": self.strain,
+        }
         return {name: np.asarray(members @ value) for name, value in of.items()}
 
     def concentration(self, members: sparse.csr_array) -> dict[str, Float]:
-        """Share of the error over share of the strain energy, (p,): 1 where the error is spread evenly.
+        """Share of the error over share of the strain energy, (p,): 1 where the error is spread
+        evenly.
 
-        0 for candidates with less than 1e-4 of the strain energy, of which the test shapes say nothing.
+        0 for candidates with less than 1e-4 of the strain energy, of which the test shapes say
+        nothing.
         """
         share = self.shares(members)
         strain = share.pop("strain")
         enough = strain > SCARCE
-        return {n: np.where(enough, v / np.where(enough, strain, 1.0), 0.0) for n, v in share.items()}
+        return {
+            n: np.where(enough, v / np.where(enough, strain, 1.0), 0.0) for n, v in share.items()
+        }
 
 
 def element_errors(
@@ -105,7 +118,8 @@ def element_errors(
         Of the test.
     shapes : (channel, m) float64
     modes : (f, k) float64
-        Of the model, unit modal mass; they span the expansion together with the static shapes of the sensors.
+        Of the model, unit modal mass; they span the expansion together with the static shapes of
+        the sensors.
     pairs : (n, 2) int64
         Test mode and model mode.
     noise : float
@@ -120,7 +134,9 @@ def element_errors(
     if not test.size:
         raise InputError("error indicators: no test mode is paired with one of the model")
     f = frequencies[test]
-    u = expand_hybrid(system.stiffness, system.mass, observe, shapes[:, test], f, modes, noise=noise).shapes
+    u = expand_hybrid(
+        system.stiffness, system.mass, observe, shapes[:, test], f, modes, noise=noise
+    ).shapes
     static = StaticShapes(system.stiffness, observe)
     found = expanded_errors(model, system, f, u, modes[:, fe], static.solve)
     static.close()
@@ -128,9 +144,16 @@ def element_errors(
 
 
 def reduced_errors(
-    model: Model, system: System, reduced: ReducedModel, rows: Int, frequencies: Float, shapes: Float, partners: Int
+    model: Model,
+    system: System,
+    reduced: ReducedModel,
+    rows: Int,
+    frequencies: Float,
+    shapes: Float,
+    partners: Int,
 ) -> tuple[ElementErrors, Float]:
-    """All indicators with the test shapes expanded in a reduced basis, and their misfit (m,): no factorisation.
+    """All indicators with the test shapes expanded in a reduced basis, and their misfit (m,): no
+    factorisation.
 
     Parameters
     ----------
@@ -143,7 +166,9 @@ def reduced_errors(
     """
     b = reduced.basis
     energy = b.stiffness - reduced.shift * b.mass
-    found = expand_reduced(b.stiffness, b.mass, energy, b.observe[rows], shapes, frequencies, noise=NOISE)
+    found = expand_reduced(
+        b.stiffness, b.mass, energy, b.observe[rows], shapes, frequencies, noise=NOISE
+    )
     _, own = reduced.coordinates(np.zeros(len(reduced.active)))
     u = b.vectors @ np.hstack([found.shapes, own[:, partners]])
     solve = reduced.pencil.at(reduced.shift).solve
@@ -152,7 +177,12 @@ def reduced_errors(
 
 
 def expanded_errors(
-    model: Model, system: System, frequencies: Float, shapes: Float, own: Float, solve: Callable[[Float], Float]
+    model: Model,
+    system: System,
+    frequencies: Float,
+    shapes: Float,
+    own: Float,
+    solve: Callable[[Float], Float],
 ) -> ElementErrors:
     """All indicators of test shapes on all degrees of freedom, each averaged over the modes.
 
@@ -199,7 +229,9 @@ def strain_energies(m: Mesh, system: System, vectors: Float) -> Float:
 
 
 def _energies_and_nodes(m: Mesh, system: System, vectors: Float) -> tuple[Float, sparse.csr_array]:
-    """uᵀK_e u (e, k), and which nodes each element touches, ones of (e, n): its matrices are made once."""
+    """uᵀK_e u (e, k), and which nodes each element touches, ones of (e, n): its matrices are made
+    once.
+    """
     full = system.transform @ vectors
     full = np.concatenate([full, np.zeros((1, full.shape[1]))])  # DOF -1 is the row of zeros
     first, grid = _first(m), 6 * len(m.xyz)
@@ -247,7 +279,8 @@ def _by_element(touch: sparse.csr_array, nodal: Float) -> Float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Variation:
-    """What each candidate explains by itself, at the minimum of J over it alone (linearised, inside its bounds).
+    """What each candidate explains by itself, at the minimum of J over it alone (linearised, inside
+    its bounds).
 
     Attributes
     ----------
@@ -289,7 +322,9 @@ def variation(target: Target, r: Residual, prior: Float, low: Float, high: Float
 
     def fall(rows: slice | Bool) -> Float:
         total = float(before[rows].sum())
-        return np.asarray(1 - after[rows].sum(axis=0) / total if total > EXACT else np.zeros(x.size))
+        return np.asarray(
+            1 - after[rows].sum(axis=0) / total if total > EXACT else np.zeros(x.size)
+        )
 
     of = (r.kinds == 0, r.kinds == 1) if r.kinds.size else (slice(0, k), slice(k, None))
     shapes = fall(of[1]) if target.weights.shape > 0 else np.zeros(x.size)

@@ -1,8 +1,8 @@
 """Candidates for masses that a deck lacks: a lump at each of some nodes that cover the structure.
 
-No field of a deck is the mass of what was left out. So the deck gets a CONM2 of no mass at each of these nodes, which
-changes nothing, and the candidate is that mass; its factor is that of the mass of the structure. It is never negative:
-too much mass is a factor on a density.
+No field of a deck is the mass of what was left out. So the deck gets a CONM2 of no mass at each of
+these nodes, which changes nothing, and the candidate is that mass; its factor is that of the mass
+of the structure. It is never negative: too much mass is a factor on a density.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ _FIELDS = ("M", "X1", "X2", "X3", "I11", "I21", "I22", "I31", "I32", "I33")
 
 
 def places(model: Model, free: Bool, seen: Sequence[int] | Int) -> Int:
-    """Nodes that cover the structure, ascending ids (k,): those that are seen, then the one farthest from all before.
+    """Nodes that cover the structure, ascending ids (k,): those that are seen, then the one
+    farthest from all before.
 
     Parameters
     ----------
@@ -48,7 +49,9 @@ def places(model: Model, free: Bool, seen: Sequence[int] | Int) -> Int:
     return np.sort(ids[out])
 
 
-def lumped(model: Model, nodes: Int, total: float, settings: CandidateSettings) -> tuple[Model, tuple[Candidate, ...]]:
+def lumped(
+    model: Model, nodes: Int, total: float, settings: CandidateSettings
+) -> tuple[Model, tuple[Candidate, ...]]:
     """A copy with a CONM2 of no mass at each node, and what is lacking there as candidates.
 
     Parameters
@@ -58,9 +61,13 @@ def lumped(model: Model, nodes: Int, total: float, settings: CandidateSettings) 
     total : float
         Mass of the structure as a CONM2 states it: PARAM,WTMASS is not applied.
     """
-    first = 1 + max((int(t.ids.max(initial=0)) for t in model.tables.values() if "EID" in t.columns), default=0)
+    first = 1 + max(
+        (int(t.ids.max(initial=0)) for t in model.tables.values() if "EID" in t.columns), default=0
+    )
     ids, frames = np.arange(first, first + nodes.size), np.zeros(nodes.size, dtype=np.int64)
-    made = table("CONM2", EID=ids, G=nodes, CID=frames, **dict.fromkeys(_FIELDS, np.zeros(nodes.size)))
+    made = table(
+        "CONM2", EID=ids, G=nodes, CID=frames, **dict.fromkeys(_FIELDS, np.zeros(nodes.size))
+    )
     whole = stacked(model["CONM2"], made) if "CONM2" in model else made
     at = positions(model)[model["GRID"].find(nodes)].tolist()
     every = zip(ids.tolist(), nodes.tolist(), at, strict=True)

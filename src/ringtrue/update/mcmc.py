@@ -1,8 +1,10 @@
-"""Sampling a posterior with an ensemble of walkers, blind to any linear stretching of the parameters.
+"""Sampling a posterior with an ensemble of walkers, blind to any linear stretching of the
+parameters.
 
-Goodman and Weare (2010), Comm. App. Math. Comp. Sci. 5, 65: the stretch move; the two halves of the ensemble move in
-turns (Foreman-Mackey et al. 2013, sec. 3). Convergence by the integrated autocorrelation time (Sokal 1997) and the
-split potential scale reduction (Gelman et al. 2013, eq. 11.4).
+Goodman and Weare (2010), Comm. App. Math. Comp. Sci. 5, 65: the stretch move; the two halves of the
+ensemble move in turns (Foreman-Mackey et al. 2013, sec. 3). Convergence by the integrated
+autocorrelation time (Sokal 1997) and the split potential scale reduction (Gelman et al. 2013, eq.
+11.4).
 """
 
 from __future__ import annotations
@@ -71,7 +73,8 @@ class Chains:
 
 
 def log_posterior(problem: Problem) -> Callable[[Float], Float]:
-    """ln p of points (n, q): −J/2 within the limits, −inf beyond them and where the model cannot be solved.
+    """ln p of points (n, q): −J/2 within the limits, −inf beyond them and where the model cannot be
+    solved.
 
     W of the problem must be the inverse covariance of its residuals (`posterior.as_likelihood`).
     """
@@ -105,7 +108,8 @@ def ensemble(
     log_density : callable (n, q) -> (n,)
         Up to a constant; -inf where the density is zero.
     start : (walker, q) float64
-        An even number of walkers, at least 2 q + 2, where the density is not zero; draws of the Laplace posterior.
+        An even number of walkers, at least 2 q + 2, where the density is not zero; draws of the
+        Laplace posterior.
     steps, burn : int
         Kept, and thrown away before.
     rng : Generator
@@ -118,12 +122,17 @@ def ensemble(
     x = np.array(start, dtype=np.float64)
     walkers, q = x.shape
     if walkers % 2 or walkers < 2 * q + 2 or np.linalg.matrix_rank(x - x.mean(axis=0)) < q:
-        raise InputError(f"{walkers} walkers for {q} unknowns: an even number >= {2 * q + 2}, spread in all directions")
+        raise InputError(
+            f"{walkers} walkers for {q} unknowns: an even number >= {2 * q + 2}, spread in all "
+            "directions"
+        )
     if steps < 4 or burn < 0:
         raise InputError(f"{steps} steps (>= 4), {burn} thrown away (>= 0)")
     here = log_density(x)
     if not np.isfinite(here).all():
-        raise InputError("a walker starts where the density is zero: draw the start closer to the best point")
+        raise InputError(
+            "a walker starts where the density is zero: draw the start closer to the best point"
+        )
     samples, logs, taken = np.empty((steps, walkers, q)), np.empty((steps, walkers)), 0
     for i in range(burn + steps):
         for move, rest in _halves(walkers, rng):
@@ -149,7 +158,9 @@ def _stretch(
     rest: np.ndarray,
     rng: np.random.Generator,
 ) -> int:
-    """Move one half along lines to walkers of the other, in place; the number accepted. Goodman and Weare, eq. 7."""
+    """Move one half along lines to walkers of the other, in place; the number accepted. Goodman and
+    Weare, eq. 7.
+    """
     z = ((STRETCH - 1) * rng.random(move.size) + 1) ** 2 / STRETCH
     other = x[rng.choice(rest, move.size)]
     trial = other + z[:, None] * (x[move] - other)
@@ -161,7 +172,9 @@ def _stretch(
 
 
 def autocorrelation_time(samples: Float) -> Float:
-    """Integrated autocorrelation time (q,), steps, of samples (step, walker, q), the walkers' functions averaged."""
+    """Integrated autocorrelation time (q,), steps, of samples (step, walker, q), the walkers'
+    functions averaged.
+    """
     n = samples.shape[0]
     d = samples - samples.mean(axis=(0, 1))
     power = np.abs(np.fft.rfft(d, 2 * n, axis=0)) ** 2

@@ -15,7 +15,8 @@ from ringtrue.errors import ConfigError, NumericalError, RingtrueError, SolverEr
 from ringtrue.update.several import Problem
 from ringtrue.update.trust import Method, Solution, solve
 
-SAME = 1e-3  # largest distance in x, relative to the range of the bounds, of two ends that are one minimum
+# largest distance in x, relative to the range of the bounds, of two ends that are one minimum
+SAME = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,7 +53,9 @@ class MultiStart:
         return float(np.mean(self.minimum == 0))
 
 
-def latin_hypercube(parameters: ParameterSet, count: int, rng: np.random.Generator, inside: float = 1.0) -> Float:
+def latin_hypercube(
+    parameters: ParameterSet, count: int, rng: np.random.Generator, inside: float = 1.0
+) -> Float:
     """Starts x (count, p), spread over the bounds drawn in towards 0 by the factor `inside`."""
     if count < 1 or not 0 < inside <= 1:
         raise ConfigError(f"{count} starts (>= 1) inside {inside} (0..1) of the bounds")
@@ -82,7 +85,8 @@ def multi_start(
     iterations : int
         Limit for each start.
     finish : int, optional
-        How many of the best that have not converged by then go on for ten times as long; none if not given.
+        How many of the best that have not converged by then go on for ten times as long; none if
+        not given.
 
     Raises
     ------
@@ -95,9 +99,13 @@ def multi_start(
         found.append(_one(problem, method, y, iterations))
         if progress is not None:
             progress((i + 1) / len(starts), f"start {i + 1} of {len(starts)}")
-    order = sorted((i for i, s in enumerate(found) if isinstance(s, Solution)), key=lambda i: _cost(found[i]))
+    order = sorted(
+        (i for i, s in enumerate(found) if isinstance(s, Solution)), key=lambda i: _cost(found[i])
+    )
     if not order:
-        raise NumericalError(f"none of {len(starts)} starts could be solved; {found[-1] if found else 'none given'}")
+        raise NumericalError(
+            f"none of {len(starts)} starts could be solved; {found[-1] if found else 'none given'}"
+        )
     for i in order[: finish or 0]:
         s = found[i]
         if isinstance(s, Solution) and not s.outcome.ok:
@@ -147,8 +155,8 @@ def global_search(
 ) -> Solution:
     """Differential evolution on J inside the bounds (Storn and Price 1997), finished by the method.
 
-    J needs modes only; a point that breaks a constraint stands for the nearest that keeps all, one that cannot be
-    solved is the worst there is.
+    J needs modes only; a point that breaks a constraint stands for the nearest that keeps all, one
+    that cannot be solved is the worst there is.
 
     Parameters
     ----------
@@ -162,8 +170,12 @@ def global_search(
     ConfigError
         If parameters are linked, or no point keeps all constraints.
     """
-    if problem.link.shape[0] != problem.link.shape[1] or not np.array_equal(problem.link, np.eye(problem.size)):
-        raise ConfigError("a global search needs bounds of the unknowns: leave the links out, or use multi_start")
+    if problem.link.shape[0] != problem.link.shape[1] or not np.array_equal(
+        problem.link, np.eye(problem.size)
+    ):
+        raise ConfigError(
+            "a global search needs bounds of the unknowns: leave the links out, or use multi_start"
+        )
     low, high = problem.parameters.bounds()
 
     def cost(y: Float) -> float:

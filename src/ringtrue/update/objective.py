@@ -1,4 +1,5 @@
-"""The objective J(p) = Δzᵀ W Δz + pᵀ W_p p: residuals of eigenvalues and mode shapes with their sensitivities.
+"""The objective J(p) = Δzᵀ W Δz + pᵀ W_p p: residuals of eigenvalues and mode shapes with their
+sensitivities.
 
 Friswell and Mottershead (1995), Finite Element Model Updating in Structural Dynamics, ch. 8 and 9.
 """
@@ -29,7 +30,8 @@ from ringtrue.model.ports import Linearisation
 from ringtrue.shapes.mac import above_rounding
 from ringtrue.update.spans import Span, span_residual, spans
 
-LOST = 100.0  # a used mode without a partner counts like a frequency deviation of ten standard deviations
+# a used mode without a partner counts like a frequency deviation of ten standard deviations
+LOST = 100.0
 DOUBT = 16.0  # four standard deviations
 SURE = 1e-6  # of the cost of a lost mode, by which a pair that the user decides is better
 
@@ -41,15 +43,15 @@ class Weights:
     Attributes
     ----------
     frequency : float
-        Standard deviation of a relative frequency deviation that the best model of this form is expected to keep
-        (model discrepancy); the test's own is added.
+        Standard deviation of a relative frequency deviation that the best model of this form is
+        expected to keep (model discrepancy); the test's own is added.
     mac : float
         The same for 1 − MAC.
     shape : float
         Factor on the whole shape part; 0 leaves the shapes out.
     independent : float
-        Number of independent errors in a shape, each a datum: 1 for what the model lacks, which is smooth, the channels
-        for noise (`alike.independent_errors`).
+        Number of independent errors in a shape, each a datum: 1 for what the model lacks, which is
+        smooth, the channels for noise (`alike.independent_errors`).
     """
 
     frequency: float = 0.01
@@ -84,9 +86,10 @@ class Target:
     weights : Weights
     pairing : PairingSettings
     rule : {"gates", "capped", "cost"}
-        How modes are paired anew at each point: inside the gates of `pairing`; so, or down to half the MAC gate where
-        nothing better is left, and no pair dearer than a lost mode; or where the objective itself is lowest. With
-        "cost" J is a minimum over assignments and continuous where pairs of visible modes change; it has no gates.
+        How modes are paired anew at each point: inside the gates of `pairing`; so, or down to half
+        the MAC gate where nothing better is left, and no pair dearer than a lost mode; or where the
+        objective itself is lowest. With "cost" J is a minimum over assignments and continuous where
+        pairs of visible modes change; it has no gates.
     lost : float
         Cost of a used mode without a partner; with "capped" and "cost" no pair costs more.
     fixed : (pairs (k, 2), their spans (k)), optional
@@ -94,7 +97,8 @@ class Target:
     followed : Followed, optional
         Pairs that the user decides.
     lent : bool
-        The shapes are those of the model's own modes: they tell which mode is which, and were not measured.
+        The shapes are those of the model's own modes: they tell which mode is which, and were not
+        measured.
     """
 
     frequencies: Float
@@ -113,24 +117,36 @@ class Target:
         f = np.float64
         freeze_fields(self, frequencies=f, shapes=f, std=f, used=np.bool_)
         m = self.frequencies.size
-        if self.shapes.ndim != 2 or self.shapes.shape[1] != m or self.std.shape != (m,) or self.used.shape != (m,):
+        if (
+            self.shapes.ndim != 2
+            or self.shapes.shape[1] != m
+            or self.std.shape != (m,)
+            or self.used.shape != (m,)
+        ):
             raise InputError(
-                f"{m} frequencies, shapes {self.shapes.shape}, std {self.std.shape}, used {self.used.shape}"
+                f"{m} frequencies, shapes {self.shapes.shape}, std {self.std.shape}, used "
+                f"{self.used.shape}"
             )
         if self.rule not in ("gates", "capped", "cost") or not self.lost > 0:
-            raise InputError(f"pairing rule {self.rule!r} (gates, capped, cost), cost of a lost mode {self.lost} (> 0)")
+            raise InputError(
+                f"pairing rule {self.rule!r} (gates, capped, cost), cost of a lost mode "
+                f"{self.lost} (> 0)"
+            )
 
     def doubting(self, spread: float = 1.0) -> Target:
         """The same for a point near the end: a mode that costs more than `DOUBT` has no partner.
 
-        A test mode that the model does not have then pulls no more than one without a partner. Shapes say which modes
-        belong together: in a dense band some mode always has the right frequency. `spread` is what the pairs deviate
-        by, in units of what the best model is expected to keep. Pairs of shapes that are lent stay: none was measured
-        that could look otherwise.
+        A test mode that the model does not have then pulls no more than one without a partner.
+        Shapes say which modes belong together: in a dense band some mode always has the right
+        frequency. `spread` is what the pairs deviate by, in units of what the best model is
+        expected to keep. Pairs of shapes that are lent stay: none was measured that could look
+        otherwise.
         """
         if self.lent:
             return self
-        return replace(self, rule="capped", lost=DOUBT * spread**2 * max(self.weights.data / 2, 1.0))
+        return replace(
+            self, rule="capped", lost=DOUBT * spread**2 * max(self.weights.data / 2, 1.0)
+        )
 
     def lowest(self, count: int) -> Target:
         """The same up to the highest of so many used modes, the lowest; pairs are made anew."""
@@ -149,10 +165,12 @@ class Target:
         )
 
     def settled(self, now: Linearisation, spread: float = 1.0) -> Target:
-        """The same with the pairs that `doubting` makes at a point, for good; modes without a partner are not used.
+        """The same with the pairs that `doubting` makes at a point, for good; modes without a
+        partner are not used.
 
-        J is then smooth: pairs and groups of close modes no longer change from step to step. Where no used mode has a
-        partner near enough, the point is no end, and the pairs are those of the own rule.
+        J is then smooth: pairs and groups of close modes no longer change from step to step. Where
+        no used mode has a partner near enough, the point is no end, and the pairs are those of the
+        own rule.
         """
         for aim in (self.doubting(spread), self):
             pairs, _, spread_out = match(aim, now)
@@ -181,7 +199,8 @@ class Residual:
     used : (k,) bool
         Pairs that the residual holds.
     kinds : (r,) int64
-        0: frequency, 1: shape, 2: what else was measured; empty: a frequency a used pair, then shapes.
+        0: frequency, 1: shape, 2: what else was measured; empty: a frequency a used pair, then
+        shapes.
     more : float
         Number of data beside the modes.
     """
@@ -196,15 +215,21 @@ class Residual:
     more: float = 0.0
 
 
-def match(target: Target, now: Linearisation, held: Bool | None = None) -> tuple[Int, Float, tuple[Span, ...]]:
-    """Pairs (k, 2), their MAC (k,) and what stands for each test mode, by one assignment over MAC and frequency.
+def match(
+    target: Target, now: Linearisation, held: Bool | None = None
+) -> tuple[Int, Float, tuple[Span, ...]]:
+    """Pairs (k, 2), their MAC (k,) and what stands for each test mode, by one assignment over MAC
+    and frequency.
 
-    Test modes in `held` (m,) keep a partner down to half the MAC gate: one that stands at the gate must not come and
-    go from step to step. With the rule "capped" these are all.
+    Test modes in `held` (m,) keep a partner down to half the MAC gate: one that stands at the gate
+    must not come and go from step to step. With the rule "capped" these are all.
     """
     if target.fixed is not None:
         pairs, of = target.fixed
-        rest = [span_residual(target.shapes, now, t, s)[0] for t, s in zip(pairs[:, 0].tolist(), of, strict=True)]
+        rest = [
+            span_residual(target.shapes, now, t, s)[0]
+            for t, s in zip(pairs[:, 0].tolist(), of, strict=True)
+        ]
         return pairs, np.array([1 - r @ r for r in rest]), of
     s = scores(target.frequencies, target.shapes, now.frequencies, now.shapes, target.pairing)
     locks = target.followed.locks(now.shapes) if target.followed is not None else NO_LOCKS
@@ -245,9 +270,10 @@ def _usable(now: Linearisation) -> Bool:
 def _trust(target: Target, now: Linearisation, s: Scores) -> Float:
     """How far each pair is trusted, (m, n): less than 1 with a mode that hardly moves the sensors.
 
-    Beside a global mode such a local one has nearly its shape at the sensors, and the test sees the global one. What
-    tells is how much better than the best of the visible modes in reach it matches: a test that has measured the faint
-    mode itself has its shape, and with exact data the trust is 1. Without shapes all are trusted.
+    Beside a global mode such a local one has nearly its shape at the sensors, and the test sees the
+    global one. What tells is how much better than the best of the visible modes in reach it
+    matches: a test that has measured the faint mode itself has its shape, and with exact data the
+    trust is 1. Without shapes all are trusted.
     """
     faint = peak_shares(now.shapes) < target.pairing.faint
     trust = np.ones(s.error.shape)
@@ -261,16 +287,26 @@ def _trust(target: Target, now: Linearisation, s: Scores) -> Float:
     return trust
 
 
-def _held(target: Target, s: Scores, lost: Bool, free: Bool, locks: Locks, trust: Float) -> tuple[Int, Int]:
-    """Partners of the test modes `lost` (m,) among the modes `free` (n,) of the model, inside wider gates."""
+def _held(
+    target: Target, s: Scores, lost: Bool, free: Bool, locks: Locks, trust: Float
+) -> tuple[Int, Int]:
+    """Partners of the test modes `lost` (m,) among the modes `free` (n,) of the model, inside wider
+    gates.
+    """
     gates = target.pairing
-    wide = replace(gates, mac_gate=HOLD * gates.mac_gate, frequency_gate=gates.frequency_gate / HOLD)
+    wide = replace(
+        gates, mac_gate=HOLD * gates.mac_gate, frequency_gate=gates.frequency_gate / HOLD
+    )
     return assign(s, wide, lost, free, Locks((), locks.forbidden), trust)
 
 
 def _cheapest(target: Target, now: Linearisation, s: Scores, locks: Locks) -> Int:
-    """Pairs (k, 2) of least total cost, `lost` for a mode without a partner: first the used modes, then the others."""
-    cost = target.lost + (np.minimum(_costs(target, s), target.lost) - target.lost) * _trust(target, now, s)
+    """Pairs (k, 2) of least total cost, `lost` for a mode without a partner: first the used modes,
+    then the others.
+    """
+    cost = target.lost + (np.minimum(_costs(target, s), target.lost) - target.lost) * _trust(
+        target, now, s
+    )
     cost[:, ~_usable(now)] = target.lost
     forced, free = locks.mask((cost.shape[0], cost.shape[1]))
     cost = np.where(free, cost, target.lost)
@@ -279,7 +315,9 @@ def _cheapest(target: Target, now: Linearisation, s: Scores, locks: Locks) -> In
     for rows in (np.flatnonzero(target.used), np.flatnonzero(~target.used)):
         free = np.setdiff1d(np.arange(now.frequencies.size), [j for _, j in found])
         alone = np.full((rows.size, rows.size), target.lost)
-        i, j = linear_sum_assignment(np.hstack([np.minimum(cost[np.ix_(rows, free)], target.lost), alone]))
+        i, j = linear_sum_assignment(
+            np.hstack([np.minimum(cost[np.ix_(rows, free)], target.lost), alone])
+        )
         keep = j < free.size
         found += zip(rows[i[keep]].tolist(), free[j[keep]].tolist(), strict=True)
     pairs = np.array(sorted(p for p in found if cost[p] < target.lost), dtype=np.int64)
@@ -307,7 +345,10 @@ def residual(target: Target, now: Linearisation, held: Bool | None = None) -> Re
     root = 0.5 / np.sqrt(w.frequency**2 + target.std[test[used]] ** 2)
     k, n = int(used.sum()), len(target.shapes) if w.shape > 0 else 0
     value, slope = np.empty(k * (1 + n)), np.empty((k * (1 + n), now.d_lambda.shape[1]))
-    value[:k], slope[:k] = root * (1 - lam / lam_test), root[:, None] * now.d_lambda[fe[used]] / lam_test[:, None]
+    value[:k], slope[:k] = (
+        root * (1 - lam / lam_test),
+        root[:, None] * now.d_lambda[fe[used]] / lam_test[:, None],
+    )
     if n:
         for i, k_th in enumerate(np.flatnonzero(used).tolist()):  # each pair has its own space
             r, g = span_residual(target.shapes, now, int(test[k_th]), of[k_th])
@@ -323,12 +364,16 @@ def objective(target: Target, r: Residual, x: Float, prior_std: Float) -> float:
 
 
 def used_up(normal: Float, precision: Float) -> float:
-    """How many data the parameters use up: the trace of the hat matrix, of GᵀG (p, p) and that of the prior (p, p)."""
+    """How many data the parameters use up: the trace of the hat matrix, of GᵀG (p, p) and that of
+    the prior (p, p).
+    """
     return float(np.trace(np.linalg.solve(normal + precision, normal)))
 
 
 def aicc(value: float, n: float, parameters: int) -> float:
-    """n ln(J/n) with a penalty on the parameters and the scale of J, J over `n` data; Burnham, Anderson, eq. 7."""
+    """n ln(J/n) with a penalty on the parameters and the scale of J, J over `n` data; Burnham,
+    Anderson, eq. 7.
+    """
     k = parameters + 1
     return float(n * np.log(max(value, 1e-300) / n) + 2 * k + 2 * k * (k + 1) / max(n - k - 1, 1))
 
@@ -336,11 +381,12 @@ def aicc(value: float, n: float, parameters: int) -> float:
 def comparable_criteria(
     target: Target, residuals: Sequence[Residual], points: Sequence[Float], priors: Sequence[Float]
 ) -> Float:
-    """AICc (k,) of parameter sets that may have paired different modes: the same modes are counted in all.
+    """AICc (k,) of parameter sets that may have paired different modes: the same modes are counted
+    in all.
 
-    Counted are the used modes that at least one set has paired; a set that has no partner for one of them pays
-    `target.lost`. So losing a mode never pays, and a mode that no set explains does not decide. Burnham and Anderson
-    (2002), eq. 7.
+    Counted are the used modes that at least one set has paired; a set that has no partner for one
+    of them pays `target.lost`. So losing a mode never pays, and a mode that no set explains does
+    not decide. Burnham and Anderson (2002), eq. 7.
 
     Parameters
     ----------
@@ -361,8 +407,8 @@ def comparable_criteria(
 def shared_cost(r: Residual, others: Residual) -> float | None:
     """Δzᵀ W Δz over the test modes that `others` uses; None if one of them has no partner in `r`.
 
-    Points with different pairs are compared by this: a mode that has just found a partner must not count against a
-    point, and losing one must not pay.
+    Points with different pairs are compared by this: a mode that has just found a partner must not
+    count against a point, and losing one must not pay.
     """
     mine, theirs = r.pairs[r.used, 0], others.pairs[others.used, 0]
     if not np.isin(theirs, mine).all():

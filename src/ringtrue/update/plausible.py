@@ -1,4 +1,6 @@
-"""Is an updated parameter plausible: flags at a bound, beyond the prior, and where it may stand for something else."""
+"""Is an updated parameter plausible: flags at a bound, beyond the prior, and where it may stand for
+something else.
+"""
 
 from __future__ import annotations
 
@@ -29,8 +31,8 @@ class Flag:
     ----------
     parameter : str
     kind : {"bound", "prior", "silent", "form"}
-        At a bound; changed by more than two prior standard deviations; moved though the data do not determine it; not
-        proven, so that it may take up an error of the model's form.
+        At a bound; changed by more than two prior standard deviations; moved though the data do not
+        determine it; not proven, so that it may take up an error of the model's form.
     factor : float
     text : str
     """
@@ -41,7 +43,9 @@ class Flag:
     text: str
 
 
-def plausibility(parameters: ParameterSet, x: Float, ratio: Float | None = None) -> tuple[Flag, ...]:
+def plausibility(
+    parameters: ParameterSet, x: Float, ratio: Float | None = None
+) -> tuple[Flag, ...]:
     """Flags of updated parameters, in their order; none if all is plausible.
 
     Parameters
@@ -63,19 +67,29 @@ def plausibility(parameters: ParameterSet, x: Float, ratio: Float | None = None)
     for i, p in enumerate(parameters.parameters):  # over parameters: text for people
         if x[i] <= low[i] + margin[i] or x[i] >= high[i] - margin[i]:
             side, end = ("lower", p.lower) if x[i] <= low[i] + margin[i] else ("upper", p.upper)
-            text = f"{_said(p, a[i])} is at its {side} bound {_found(p, end)}; the error may lie elsewhere"
+            text = (
+                f"{_said(p, a[i])} is at its {side} bound {_found(p, end)}; the error may lie "
+                "elsewhere"
+            )
             flags.append(Flag(p.name, "bound", float(a[i]), text))
         if abs(away[i]) > BEYOND:
-            text = f"{_said(p, a[i])} is {abs(away[i]):.1f} prior standard deviations from the nominal value"
+            text = (
+                f"{_said(p, a[i])} is {abs(away[i]):.1f} prior standard deviations from the "
+                "nominal value"
+            )
             flags.append(Flag(p.name, "prior", float(a[i]), text))
         if told[i] > SILENT and abs(away[i]) > 0.25:
-            text = f"{_said(p, a[i])}, but the data do not determine it (posterior/prior {told[i]:.2f})"
+            text = (
+                f"{_said(p, a[i])}, but the data do not determine it (posterior/prior "
+                f"{told[i]:.2f})"
+            )
             flags.append(Flag(p.name, "silent", float(a[i]), text))
     return tuple(flags)
 
 
 def kept(x: Float, ends: Float) -> Float:
-    """Least share of each change that is there with any fold of modes left out, (p,); below 0 it turns round.
+    """Least share of each change that is there with any fold of modes left out, (p,); below 0 it
+    turns round.
 
     Parameters
     ----------
@@ -89,7 +103,8 @@ def kept(x: Float, ends: Float) -> Float:
 
 
 def unproven(parameters: ParameterSet, factor: Float, interval: Float, share: Float) -> Bool:
-    """Changes (p,) that the test does not prove: the interval of the factor holds 1, or few modes carry the change.
+    """Changes (p,) that the test does not prove: the interval of the factor holds 1, or few modes
+    carry the change.
 
     Slight changes of what the deck has need no proof; masses that it lacks do, however light.
 
@@ -120,7 +135,8 @@ def _said(p: Parameter, factor: float) -> str:
 def form_flags(
     parameters: ParameterSet, factor: Float, interval: Float, share: Float, correlation: Float
 ) -> tuple[Flag, ...]:
-    """A flag for each change that is `unproven`; with others that the test tells only together with it, these instead.
+    """A flag for each change that is `unproven`; with others that the test tells only together with
+    it, these instead.
 
     Parameters
     ----------
@@ -130,15 +146,23 @@ def form_flags(
         Of x, posterior.
     """
     flags: list[Flag] = []
-    for i in np.flatnonzero(unproven(parameters, factor, interval, share)).tolist():  # over parameters: text for people
+    for i in np.flatnonzero(
+        unproven(parameters, factor, interval, share)
+    ).tolist():  # over parameters: text for people
         low, high = interval[i].tolist()
         open_ = low <= 1 <= high
         p = parameters.parameters[i]
-        why = [f"its interval, {_found(p, low, high)}, holds {'none' if p.lump else 1}"] if open_ else []
+        why = (
+            [f"its interval, {_found(p, low, high)}, holds {'none' if p.lump else 1}"]
+            if open_
+            else []
+        )
         if share[i] < KEPT:
             turned = "turns round" if share[i] < 0 else f"shrinks to {100 * share[i]:.0f} %"
             why.append(f"its change {turned} when some of the modes are left out")
-        tied = [n for j, n in enumerate(parameters.names) if j != i and abs(correlation[i, j]) > TIED]
+        tied = [
+            n for j, n in enumerate(parameters.names) if j != i and abs(correlation[i, j]) > TIED
+        ]
         whence = "it may take up an error of the model's form"
         if open_ and tied:
             whence = f"the test tells it and {', '.join(tied)} together, not each by itself"

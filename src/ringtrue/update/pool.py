@@ -26,9 +26,15 @@ KIND: dict[str, Kind] = {
 MASS_ONLY = {"RHO", "NSM", "NSMB", "M", "I11", "I21", "I22", "I31", "I32", "I33"}
 SMALL = 160  # vectors of the model that a proposal searches with
 DRAWS = 20  # points of the prior whose modes it holds, beside those of each candidate by itself
-MATE, MATES = 0.7, 2  # share of the best fall of J from which on a candidate may be meant in place of the best
-TOGETHER = 100  # matrices that those acting on one element may keep of all theirs: they take the memory
-FEW = 1000  # elements of a deck of which 100 matrices each are little: up to there it is counted what is kept
+MATE, MATES = (
+    0.7,
+    2,
+)  # share of the best fall of J from which on a candidate may be meant in place of the best
+TOGETHER = (
+    100  # matrices that those acting on one element may keep of all theirs: they take the memory
+)
+# elements of a deck of which 100 matrices each are little: up to there it is counted what is kept
+FEW = 1000
 EQUAL = 9  # decimals, in units of the largest, to which what candidates explain is compared
 NOISE = 2.0  # fall of J that one parameter of no meaning is good for
 
@@ -42,9 +48,11 @@ def close(
     stay: Sequence[int] = (),
     kept: Kept | None = None,
 ) -> Int:
-    """The candidates that are looked at closely, ascending: of those that can be taken apart the first that explain.
+    """The candidates that are looked at closely, ascending: of those that can be taken apart the
+    first that explain.
 
-    Half as many lumps come beside them: those that explain most among all, and they crowd none of the deck's own out.
+    Half as many lumps come beside them: those that explain most among all, and they crowd none of
+    the deck's own out.
 
     Parameters
     ----------
@@ -58,19 +66,33 @@ def close(
     lump = np.array([c.kind == "lump" for c in candidates], dtype=np.bool_)
     own = np.flatnonzero(~lump)
     first = [i for i in _in_turn(misfits, own, 2 * most, stay) if not lump[i]][: 2 * most]
-    near = np.array(first, dtype=np.int64)[tractable(model, [candidates[i] for i in first], most, kept)]
-    added = [i for i in _in_turn(misfits, np.arange(lump.size), 2 * most, stay) if lump[i]] if lump.any() else []
+    near = np.array(first, dtype=np.int64)[
+        tractable(model, [candidates[i] for i in first], most, kept)
+    ]
+    added = (
+        [i for i in _in_turn(misfits, np.arange(lump.size), 2 * most, stay) if lump[i]]
+        if lump.any()
+        else []
+    )
     return np.sort(np.append(near, np.array(added[: most // 2], dtype=np.int64)))
 
 
-def _in_turn(misfits: Sequence[tuple[Float, Float]], some: Int, most: int, stay: Sequence[int]) -> list[int]:
+def _in_turn(
+    misfits: Sequence[tuple[Float, Float]], some: Int, most: int, stay: Sequence[int]
+) -> list[int]:
     """Those that stay, then of some candidates the first that explain each misfit in turn."""
-    orders = [some[explaining(misfit, slopes[:, some], most)].tolist() for misfit, slopes in misfits]
-    return list(dict.fromkeys([*stay, *(i for turn in zip_longest(*orders) for i in turn if i is not None)]))
+    orders = [
+        some[explaining(misfit, slopes[:, some], most)].tolist() for misfit, slopes in misfits
+    ]
+    return list(
+        dict.fromkeys([*stay, *(i for turn in zip_longest(*orders) for i in turn if i is not None)])
+    )
 
 
 def passed_over(candidates: Sequence[Candidate], kept: Sequence[Candidate]) -> int:
-    """How many of the candidates are not kept; lumps, of which there are always as many, do not count."""
+    """How many of the candidates are not kept; lumps, of which there are always as many, do not
+    count.
+    """
     many, few = (sum(c.kind != "lump" for c in some) for some in (candidates, kept))
     return many - few
 
@@ -78,10 +100,11 @@ def passed_over(candidates: Sequence[Candidate], kept: Sequence[Candidate]) -> i
 def explaining(misfit: Float, slopes: Float, most: int) -> Int:
     """Candidates in the order of how much of the misfit each explains with those before free, (k,).
 
-    Forward selection on the score statistic with a prior, (gᵀC⁻¹r)²/(1 + gᵀC⁻¹g) with C = I + Σ ggᵀ over those chosen:
-    the fall of the linearised J. Rao (1948). With each come up to two that do nearly as well in its place. Where no
-    candidate explains more than noise, the rest are those of which the data tell most beside those chosen, gᵀC⁻¹g:
-    greedy on ln det(I + GᵀG). Those without effect are left out.
+    Forward selection on the score statistic with a prior, (gᵀC⁻¹r)²/(1 + gᵀC⁻¹g) with C = I + Σ ggᵀ
+    over those chosen: the fall of the linearised J. Rao (1948). With each come up to two that do
+    nearly as well in its place. Where no candidate explains more than noise, the rest are those of
+    which the data tell most beside those chosen, gᵀC⁻¹g: greedy on ln det(I + GᵀG). Those without
+    effect are left out.
 
     Parameters
     ----------
@@ -101,7 +124,11 @@ def explaining(misfit: Float, slopes: Float, most: int) -> Int:
         if len(out) >= most or told[best] <= 0:
             break
         order = falling(fall)
-        mates = order[(fall[order] > MATE * fall[best]) & ~np.isin(order, [*out, best])][:MATES] if some else order[:0]
+        mates = (
+            order[(fall[order] > MATE * fall[best]) & ~np.isin(order, [*out, best])][:MATES]
+            if some
+            else order[:0]
+        )
         out += [i for i in (best, *mates.tolist()) if i not in out]
         chosen.append(best)
         mine = both[:, best] / (1 + told[best])
@@ -111,22 +138,31 @@ def explaining(misfit: Float, slopes: Float, most: int) -> Int:
 
 
 def falling(value: Float) -> Int:
-    """Positions of values (n,) that are not negative, the largest first; of those that are as large the first.
+    """Positions of values (n,) that are not negative, the largest first; of those that are as large
+    the first.
 
     Candidates that do the same differ in rounding, which must not choose between them.
     """
-    return np.argsort(-np.round(value / max(float(value.max(initial=0.0)), 1e-300), EQUAL), kind="stable")
+    return np.argsort(
+        -np.round(value / max(float(value.max(initial=0.0)), 1e-300), EQUAL), kind="stable"
+    )
 
 
 def counted_once(model: Model) -> Kept:
-    """How many matrices parameters keep of an element together (`matrices_kept`), up to `TOGETHER`, remembered."""
+    """How many matrices parameters keep of an element together (`matrices_kept`), up to `TOGETHER`,
+    remembered.
+    """
     return cache(partial(matrices_kept, model, most=TOGETHER))
 
 
-def tractable(model: Model, candidates: Sequence[Candidate], most: int, kept: Kept | None = None) -> Int:
-    """The first whose matrices can be taken apart, in order, also where several act on the same elements.
+def tractable(
+    model: Model, candidates: Sequence[Candidate], most: int, kept: Kept | None = None
+) -> Int:
+    """The first whose matrices can be taken apart, in order, also where several act on the same
+    elements.
 
-    How many these keep together is at most the product of those of each; what it is is counted in small decks only.
+    How many these keep together is at most the product of those of each; what it is is counted in
+    small decks only.
 
     Parameters
     ----------
@@ -135,16 +171,22 @@ def tractable(model: Model, candidates: Sequence[Candidate], most: int, kept: Ke
     """
     count = kept or counted_once(model)
     members, out = membership(model, candidates), list[int]()
-    held = np.zeros(members.shape[1], dtype=np.int64)  # matrices of each element that those before may ask for
+    held = np.zeros(
+        members.shape[1], dtype=np.int64
+    )  # matrices of each element that those before may ask for
     for i, c in enumerate(candidates):
         mine, own = members[[i]].indices, count(c.parameter)
         if own is None:
             continue
-        both = (1 + own) * (1 + held[mine])  # at most the product of those of each, the nominal one counted
+        both = (1 + own) * (
+            1 + held[mine]
+        )  # at most the product of those of each, the nominal one counted
         if own and both.max(initial=0) > TOGETHER:
             if members.shape[1] > FEW:
                 continue
-            beside = [candidates[k].parameter for k in out if np.isin(members[[k]].indices, mine).any()]
+            beside = [
+                candidates[k].parameter for k in out if np.isin(members[[k]].indices, mine).any()
+            ]
             found = count(*beside, c.parameter)
             if found is None:
                 continue
@@ -172,7 +214,9 @@ def of_parameter(model: Model, parameter: Parameter) -> Candidate:
 
 
 def conflicts(model: Model, candidates: Sequence[Candidate]) -> Bool:
-    """Pairs (p, p) that scale the same field of an element, or one of them its stiffness as a whole."""
+    """Pairs (p, p) that scale the same field of an element, or one of them its stiffness as a
+    whole.
+    """
     members = membership(model, candidates)
     overlap = (members @ members.T).toarray() > 0
     fields = [{t.field for t in c.parameter.targets} for c in candidates]
@@ -187,7 +231,9 @@ def conflicts(model: Model, candidates: Sequence[Candidate]) -> Bool:
 
 
 def drawn(p: ParameterSet, apart: Bool, rng: np.random.Generator) -> list[Float]:
-    """Where a search will look: nominal, each candidate by itself, draws of the prior without two that stay apart."""
+    """Where a search will look: nominal, each candidate by itself, draws of the prior without two
+    that stay apart.
+    """
     (low, high), std = p.bounds(), p.std()
     points = [np.zeros(len(p)), *np.diag(std), *np.diag(-std)]
     for x in std * rng.standard_normal((DRAWS, len(p))):

@@ -1,9 +1,9 @@
 """The posterior of the parameters around the best point (Laplace), and what the data moved.
 
-The estimate is x̂ = argmin ‖√W Δz‖² + xᵀW_p x. With A = GᵀWG + W_p and S the true covariance of the weighted residuals
-its error has the covariance A⁻¹(GᵀSG + W_p)A⁻¹, which is A⁻¹ only where W⁻¹ is the covariance of the residuals
-(White 1982, eq. 3.3; Kleijn and van der Vaart 2012). So an objective that counts a shape as one datum keeps honest
-intervals.
+The estimate is x̂ = argmin ‖√W Δz‖² + xᵀW_p x. With A = GᵀWG + W_p and S the true covariance of the
+weighted residuals its error has the covariance A⁻¹(GᵀSG + W_p)A⁻¹, which is A⁻¹ only where W⁻¹ is
+the covariance of the residuals (White 1982, eq. 3.3; Kleijn and van der Vaart 2012). So an
+objective that counts a shape as one datum keeps honest intervals.
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ class Posterior:
     prior_std : (p,) float64
         Of x.
     freedom : float
-        Degrees of freedom that the size of the residuals was estimated from; inf where it was known.
+        Degrees of freedom that the size of the residuals was estimated from; inf where it was
+        known.
     """
 
     parameters: ParameterSet
@@ -50,11 +51,16 @@ class Posterior:
     freedom: float = np.inf
 
     def __post_init__(self) -> None:
-        freeze_fields(self, y=np.float64, covariance=np.float64, link=np.float64, prior_std=np.float64)
+        freeze_fields(
+            self, y=np.float64, covariance=np.float64, link=np.float64, prior_std=np.float64
+        )
         p, q = len(self.parameters), self.y.size
         shapes = self.covariance.shape, self.link.shape, self.prior_std.shape
         if shapes != ((q, q), (p, q), (p,)) or not self.freedom > 0:
-            raise InputError(f"posterior of {p} parameters, {q} unknowns: got {shapes}, freedom {self.freedom} (> 0)")
+            raise InputError(
+                f"posterior of {p} parameters, {q} unknowns: got {shapes}, freedom "
+                f"{self.freedom} (> 0)"
+            )
 
     @property
     def x(self) -> Float:
@@ -68,7 +74,9 @@ class Posterior:
 
     @property
     def ratio(self) -> Float:
-        """Posterior over prior standard deviation, (p,): near 1 the data said nothing, near 0 they said all."""
+        """Posterior over prior standard deviation, (p,): near 1 the data said nothing, near 0 they
+        said all.
+        """
         return np.asarray(self.std / self.prior_std)
 
     @property
@@ -131,12 +139,13 @@ def laplace(
     at : Evaluated
         The end of an updating, `Solution.end`.
     scale : (kind,) float64, optional
-        Factors on the standard deviations of the kinds of residuals, from `discrepancy_by_evidence` say. If not
-        given, one factor is taken from the size of the residuals, and the posterior is Student's.
+        Factors on the standard deviations of the kinds of residuals, from `discrepancy_by_evidence`
+        say. If not given, one factor is taken from the size of the residuals, and the posterior is
+        Student's.
     independent : float, optional
-        Number of independent errors in a datum of many rows (a shape); all its rows if not given. Model discrepancy
-        is smooth over the channels: a handful is the safe choice where it outweighs noise. 1 with `as_likelihood`,
-        whose rows have the variance 1 each.
+        Number of independent errors in a datum of many rows (a shape); all its rows if not given.
+        Model discrepancy is smooth over the channels: a handful is the safe choice where it
+        outweighs noise. 1 with `as_likelihood`, whose rows have the variance 1 each.
 
     Raises
     ------
@@ -146,12 +155,16 @@ def laplace(
     value, g = problem.weighted(at)
     rows = np.bincount(at.datum)
     errors = np.minimum(rows, rows if independent is None else independent)
-    share = 1.0 / errors[at.datum]  # variance of a row of a datum whose square sum has the expectation 1
+    share = (
+        1.0 / errors[at.datum]
+    )  # variance of a row of a datum whose square sum has the expectation 1
     precision = problem.linked_precision
     a = g.T @ g + precision
     freedom = np.inf
     if scale is None:
-        freedom, s2 = _size(value, linalg.solve(a, g.T, assume_a="pos"), g, share, float(errors.sum()))
+        freedom, s2 = _size(
+            value, linalg.solve(a, g.T, assume_a="pos"), g, share, float(errors.sum())
+        )
         square = np.full(value.size, s2)
     else:
         kinds = int(at.kind.max(initial=-1)) + 1
@@ -162,15 +175,20 @@ def laplace(
     half = linalg.solve(a, middle, assume_a="pos")
     covariance = linalg.solve(a, half.T, assume_a="pos")
     prior = np.sqrt(np.diag(linalg.inv(problem.precision)))
-    return Posterior(problem.parameters, at.y, (covariance + covariance.T) / 2, problem.link, prior, freedom)
+    return Posterior(
+        problem.parameters, at.y, (covariance + covariance.T) / 2, problem.link, prior, freedom
+    )
 
 
-def around(problem: Problem, at: Evaluated, free: Bool | None = None, *, freedom: float = np.inf) -> Posterior:
-    """The posterior about a point that is not its mean, where W is the inverse covariance of the residuals.
+def around(
+    problem: Problem, at: Evaluated, free: Bool | None = None, *, freedom: float = np.inf
+) -> Posterior:
+    """The posterior about a point that is not its mean, where W is the inverse covariance of the
+    residuals.
 
-    With more parameters free than were updated, the others may be off by their priors too: what the data leave open
-    between the two widens both. The covariance is the mean square error about the point, A⁻¹ + d dᵀ with d the
-    Gauss-Newton step from it to the mean.
+    With more parameters free than were updated, the others may be off by their priors too: what the
+    data leave open between the two widens both. The covariance is the mean square error about the
+    point, A⁻¹ + d dᵀ with d the Gauss-Newton step from it to the mean.
 
     Parameters
     ----------
@@ -190,20 +208,38 @@ def around(problem: Problem, at: Evaluated, free: Bool | None = None, *, freedom
     inverse = linalg.inv(g.T @ g + precision)
     d = inverse @ (g.T @ r - precision @ at.y[keep])
     prior = np.sqrt(np.diag(linalg.inv(problem.precision)))
-    return Posterior(problem.parameters, at.y[keep], inverse + np.outer(d, d), problem.link[:, keep], prior, freedom)
+    return Posterior(
+        problem.parameters,
+        at.y[keep],
+        inverse + np.outer(d, d),
+        problem.link[:, keep],
+        prior,
+        freedom,
+    )
 
 
-def _size(value: Float, inverse: Float, g: Float, share: Float, errors: float) -> tuple[float, float]:
-    """Degrees of freedom and mean square of the residuals; `inverse` = A⁻¹Gᵀ (q, r), expectation over (I − H)e."""
+def _size(
+    value: Float, inverse: Float, g: Float, share: Float, errors: float
+) -> tuple[float, float]:
+    """Degrees of freedom and mean square of the residuals; `inverse` = A⁻¹Gᵀ (q, r), expectation
+    over (I − H)e.
+    """
     hat = np.einsum("rq,qr->r", g, inverse)
-    kept = share.sum() - 2 * share @ hat + share @ np.einsum("qr,qs,sr->r", inverse, g.T @ g, inverse)
+    kept = (
+        share.sum() - 2 * share @ hat + share @ np.einsum("qr,qs,sr->r", inverse, g.T @ g, inverse)
+    )
     return max(errors - float(hat.sum()), 1.0), float(value @ value) / max(float(kept), 1e-12)
 
 
 def as_likelihood(
-    configuration: Configuration, frequency: float, shape: float, *, independent: float | None = None
+    configuration: Configuration,
+    frequency: float,
+    shape: float,
+    *,
+    independent: float | None = None,
 ) -> Configuration:
-    """The configuration with weights that are the inverse covariance of its residuals, as sampling needs them.
+    """The configuration with weights that are the inverse covariance of its residuals, as sampling
+    needs them.
 
     Parameters
     ----------
@@ -216,8 +252,8 @@ def as_likelihood(
         Number of independent errors in a shape; the channels if not given.
 
     Notes
-    -----
-    Replaces the kinds of residuals of the modes by eigenvalues and shapes; what else was measured stays.
+    ----- Replaces the kinds of residuals of the modes by eigenvalues and shapes; what else was
+    measured stays.
     """
     if not (frequency >= 0 and shape > 0):
         raise InputError(f"discrepancy of frequencies {frequency} (>= 0), of shapes {shape} (> 0)")

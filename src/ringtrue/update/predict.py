@@ -1,8 +1,9 @@
-"""What a validated model says of what was not tested, with bands: modes, responses, run-up of a rotor with unbalance.
+"""What a validated model says of what was not tested, with bands: modes, responses, run-up of a
+rotor with unbalance.
 
-Bands come from draws of the posterior of the parameters, of the model discrepancy (a relative error of each mode's
-frequency of its own, which no parameter removes) and of the damping. Beyond the band of the test they are a
-prediction that nothing has checked; `validated_band` says where that begins.
+Bands come from draws of the posterior of the parameters, of the model discrepancy (a relative error
+of each mode's frequency of its own, which no parameter removes) and of the damping. Beyond the band
+of the test they are a prediction that nothing has checked; `validated_band` says where that begins.
 """
 
 from __future__ import annotations
@@ -55,7 +56,10 @@ def bands(draws: Float, level: float = 0.9) -> Bands:
         If the level is not between 0 and 1, or there are too few draws for it.
     """
     if not 0 < level < 1 or draws.shape[0] * (1 - level) < 1:
-        raise InputError(f"{draws.shape[0]} draws for a band of {level}: level in 0..1, at least 1/(1 - level) draws")
+        raise InputError(
+            f"{draws.shape[0]} draws for a band of {level}: level in 0..1, at least 1/(1 - "
+            "level) draws"
+        )
     low, median, high = np.nanquantile(draws, [(1 - level) / 2, 0.5, (1 + level) / 2], axis=0)
     return Bands(low, median, high, level)
 
@@ -79,7 +83,10 @@ class Unbalance:
 
     def __post_init__(self) -> None:
         if not (self.mass > 0 and self.grade > 0 and self.service > 0):
-            raise ConfigError(f"unbalance: mass {self.mass}, grade {self.grade}, service {self.service} Hz must be > 0")
+            raise ConfigError(
+                f"unbalance: mass {self.mass}, grade {self.grade}, service {self.service} Hz "
+                "must be > 0"
+            )
 
     @property
     def moment(self) -> float:
@@ -92,7 +99,9 @@ class Unbalance:
 
 
 def plane(axis: str) -> tuple[int, int]:
-    """Directions 0..2 across a rotor's axis, such that a forward whirl goes from the first to the second."""
+    """Directions 0..2 across a rotor's axis, such that a forward whirl goes from the first to the
+    second.
+    """
     if axis not in PLANE:
         raise ConfigError(f"axis of the rotor {axis!r}{did_you_mean(axis, PLANE)}")
     return PLANE[axis]
@@ -195,7 +204,9 @@ def run_up(
     """
     if not outputs:
         raise InputError("no output: name nodes or springs")
-    amplitude = unbalance.force(freqs)[:, None] * np.array([1.0, -1j])  # e^{+iωt}: the second lags by 90°
+    amplitude = unbalance.force(freqs)[:, None] * np.array(
+        [1.0, -1j]
+    )  # e^{+iωt}: the second lags by 90°
     r = loads.shape[0]
     every, _ = _sizes(outputs)
     whole = _joined(outputs)
@@ -235,7 +246,10 @@ def _joined(outputs: Sequence[Output]) -> Rows:
     for o, (a, b) in zip(outputs, places, strict=True):
         for i, s in o.rows.slopes:
             slopes.setdefault(i, np.zeros((n, s.shape[1])))[a:b] += s
-    return Rows(np.concatenate([o.rows.nominal for o in outputs]), tuple(sorted(slopes.items(), key=lambda v: v[0])))
+    return Rows(
+        np.concatenate([o.rows.nominal for o in outputs]),
+        tuple(sorted(slopes.items(), key=lambda v: v[0])),
+    )
 
 
 def validated_band(test_hz: Float, held: Bool) -> tuple[float, float]:

@@ -1,7 +1,8 @@
-"""From many candidates to a few parameters: a ranked proposal, with the reason for each and its rivals.
+"""From many candidates to a few parameters: a ranked proposal, with the reason for each and its
+rivals.
 
-The sets come from `subsets`. Every member of the chosen one is put to the test: J without it, and with any other
-candidate in its place.
+The sets come from `subsets`. Every member of the chosen one is put to the test: J without it, and
+with any other candidate in its place.
 """
 
 from __future__ import annotations
@@ -25,10 +26,17 @@ from ringtrue.update.several import Problem
 from ringtrue.update.sparse import lasso_path
 from ringtrue.update.subsets import Subsets, aicc, subsets
 
-WORTH_A_LOOK, LOOKS = 1.3, 6  # predicted J of a rival, in units of the proposal's; most that are fitted
+WORTH_A_LOOK, LOOKS = (
+    1.3,
+    6,
+)  # predicted J of a rival, in units of the proposal's; most that are fitted
 LITTLE = 0.02  # share of the errors below which a parameter explains nothing by itself
 GATHERED = 1.1  # times its share of strain energy, from which on errors gather at a candidate
-KINDS = {"force": "force residual", "constitutive": "constitutive error", "energy": "strain energy change"}
+KINDS = {
+    "force": "force residual",
+    "constitutive": "constitutive error",
+    "energy": "strain energy change",
+}
 SHOWN = 10  # candidates of another rule
 
 
@@ -44,11 +52,13 @@ class Proposed:
     factor : float
         Where the short updating took it.
     std : float
-        Standard deviation of x about where the short updating took it, all candidates that may stand beside free.
+        Standard deviation of x about where the short updating took it, all candidates that may
+        stand beside free.
     worth : float
         Rise of AICc if it is left out and the others are fitted again.
     alike : tuple of str
-        Candidates of its cluster: |cosine| of the weighted sensitivities with all of them above the limit.
+        Candidates of its cluster: |cosine| of the weighted sensitivities with all of them above the
+        limit.
     rivals : tuple of str
         Others that do as well in its place (AICc within 2 of the proposal's).
     because : str
@@ -91,7 +101,8 @@ class Proposal:
     sizes : (k,) int64
         Numbers of parameters that were tried.
     criteria : (k,) float64
-        AICc of the best set of each size, plus twice the logarithm of the number of sets of that size.
+        AICc of the best set of each size, plus twice the logarithm of the number of sets of that
+        size.
     insensitive : tuple of str
         Candidates that the residuals do not depend on.
     clusters : (p,) int64
@@ -107,7 +118,8 @@ class Proposal:
     discrepancy : (2,) float64
         Relative frequency and 1 − MAC that the best set leaves: the weights of the search.
     orders : mapping of str to tuple of str
-        The first candidates by other rules, to compare: LASSO, orthogonal and largest sensitivities, single gain.
+        The first candidates by other rules, to compare: LASSO, orthogonal and largest
+        sensitivities, single gain.
     """
 
     members: tuple[Proposed, ...]
@@ -125,7 +137,16 @@ class Proposal:
 
     def __post_init__(self) -> None:
         f = np.float64
-        freeze_fields(self, sizes=np.int64, criteria=f, clusters=np.int64, x=f, mac=f, paired=np.int64, discrepancy=f)
+        freeze_fields(
+            self,
+            sizes=np.int64,
+            criteria=f,
+            clusters=np.int64,
+            x=f,
+            mac=f,
+            paired=np.int64,
+            discrepancy=f,
+        )
 
     def text(self) -> str:
         """The proposal in words, a line each."""
@@ -133,7 +154,10 @@ class Proposal:
             return f"no parameter: {self.unexplained()}"
         names = ", ".join(m.name for m in self.members)
         head = f"{_number(len(self.members))}: {names}"
-        lines = [head, *(f"{i}. {m.said()}: {m.because}" for i, m in enumerate(self.members, start=1))]
+        lines = [
+            head,
+            *(f"{i}. {m.said()}: {m.because}" for i, m in enumerate(self.members, start=1)),
+        ]
         told = [m.name for m in self.members]
         lost = [n for m in self.members for n in (*m.alike, *m.rivals) if n not in told]
         lost = list(dict.fromkeys(lost))
@@ -141,7 +165,9 @@ class Proposal:
             lines.append(f"{_number(len(lost))} cannot be told from these: {', '.join(lost)}")
         if self.insensitive:
             lines.append(f"{_number(len(self.insensitive))} change nothing that was measured")
-        mac = f"mean MAC {100 * self.mac[0]:.1f} -> {100 * self.mac[1]:.1f} %, " if self.seen else ""
+        mac = (
+            f"mean MAC {100 * self.mac[0]:.1f} -> {100 * self.mac[1]:.1f} %, " if self.seen else ""
+        )
         lines.append(
             f"mean |Δf| {100 * self.before:.2f} -> {100 * self.after:.2f} %, {mac}"
             f"pairs {self.paired[0]} -> {self.paired[1]}"
@@ -155,11 +181,14 @@ class Proposal:
 
     def unexplained(self) -> str:
         """Why nothing is proposed, in words."""
-        stays = f"mean |Δf| {100 * self.before:.2f} %" + (f", mean MAC {100 * self.mac[0]:.1f} %" if self.seen else "")
+        stays = f"mean |Δf| {100 * self.before:.2f} %" + (
+            f", mean MAC {100 * self.mac[0]:.1f} %" if self.seen else ""
+        )
         if self.before <= self.discrepancy[0]:
             return f"the model as it is ({stays}) explains the test as well as any change of it"
         return (
-            f"no change of a candidate explains what is left ({stays}): look for a part, joint or mesh that is another"
+            f"no change of a candidate explains what is left ({stays}): look for a part, "
+            "joint or mesh that is another"
         )
 
 
@@ -185,7 +214,8 @@ def propose(
     Parameters
     ----------
     model : Candidates
-        An `ObservedModel` over all candidates that can be held to some of them (`ReducedModel`, `DenseModel`).
+        An `ObservedModel` over all candidates that can be held to some of them (`ReducedModel`,
+        `DenseModel`).
     most : int
         Most parameters that are proposed.
     alike : float
@@ -193,13 +223,16 @@ def propose(
     apart : (p, p) bool, optional
         Pairs that must not be proposed together: factors on the same field (`pool.conflicts`).
     errors : mapping of str to (p,) float64, optional
-        Concentration of local errors on each candidate (`ElementErrors.concentration`), told among the reasons.
+        Concentration of local errors on each candidate (`ElementErrors.concentration`), told among
+        the reasons.
     words : sequence (p,) of str, optional
         What each candidate is.
     problem : Problem, optional
-        Other tests and what was measured beside modes, too: all of them, the first being `model` and `target`.
+        Other tests and what was measured beside modes, too: all of them, the first being `model`
+        and `target`.
     passed_over : int
-        Candidates that were left out since they explain less of the same test: the choice was among these, too.
+        Candidates that were left out since they explain less of the same test: the choice was among
+        these, too.
 
     Raises
     ------
@@ -221,14 +254,19 @@ def propose(
     return _explained(found, barred, errors or {}, words)
 
 
-def _explained(found: Subsets, faint: Sequence[int], errors: Mapping[str, Float], words: Sequence[str]) -> Proposal:
+def _explained(
+    found: Subsets, faint: Sequence[int], errors: Mapping[str, Float], words: Sequence[str]
+) -> Proposal:
     search, zero, best = found.search, found.start, found.path[-1]
     p = search.model.parameters
     end = search.point(best.x)
     alone = variation(search.target, zero, search.prior, search.low, search.high)
     stds = dict(zip(best.members.tolist(), stated_errors(search, best, end).tolist(), strict=True))
     image = mirrored(search, best, zero)
-    tested = [_tested(search, best, end, i, std, alone, errors, words, image.get(i)) for i, std in stds.items()]
+    tested = [
+        _tested(search, best, end, i, std, alone, errors, words, image.get(i))
+        for i, std in stds.items()
+    ]
     quiet = np.setdiff1d(np.arange(len(p)), [*search.pool.tolist(), *faint])
     return Proposal(
         tuple(sorted(tested, key=lambda m: -m.worth)),
@@ -239,7 +277,9 @@ def _explained(found: Subsets, faint: Sequence[int], errors: Mapping[str, Float]
         best.x,
         _mean(np.abs(zero.frequency_error[zero.used])),
         _mean(np.abs(found.end.frequency_error[found.end.used])),
-        np.array([np.nan if search.target.lent else _mean(r.mac[r.used]) for r in (zero, found.end)]),
+        np.array(
+            [np.nan if search.target.lent else _mean(r.mac[r.used]) for r in (zero, found.end)]
+        ),
         np.array([r.used.sum() for r in (zero, found.end)]),
         np.array([found.found.frequency, found.found.mac]),
         _orders(search, zero, alone),
@@ -262,15 +302,20 @@ def _tested(
     words: Sequence[str],
     image: int | None = None,
 ) -> Proposed:
-    """Leave one member out, then put others in its place; it cannot be told from its mirror image."""
+    """Leave one member out, then put others in its place; it cannot be told from its mirror
+    image.
+    """
     names = search.model.parameters.names
     stay = [m for m in best.members.tolist() if m != index]
-    without = search.fit(stay, np.where(np.arange(best.x.size) == index, 0.0, best.x)) if stay else None
+    without = (
+        search.fit(stay, np.where(np.arange(best.x.size) == index, 0.0, best.x)) if stay else None
+    )
     x = without.x if without is not None else np.zeros(best.x.size)
     r = search.point(x)
     twins = np.flatnonzero(search.groups == search.groups[index])
     free = np.setdiff1d(search.free(stay), twins)
-    # what acts like another member is barred from the search, but may be what is wrong in place of this one
+    # what acts like another member is barred from the search, but may be what is wrong in place of
+    # this one
     barred = search.pool[~search.apart[np.ix_(search.pool, stay)].any(axis=1)]
     barred = np.setdiff1d(barred, np.concatenate([free, twins, best.members]))
     # where modes are lost without it, the linearisation with it knows more
@@ -278,12 +323,18 @@ def _tested(
     at, from_x = (end, best.x) if lost else (r, x)
     base = end.value + end.slope[:, index] * best.x[index] if lost else r.value
     ahead = [search.best(at, from_x, stay, some, base) for some in (free, barred)]
-    options = [o for part in ahead for o in [o for j, o in part if j < WORTH_A_LOOK * best.value][:LOOKS]]
+    options = [
+        o for part in ahead for o in [o for j, o in part if j < WORTH_A_LOOK * best.value][:LOOKS]
+    ]
     start = np.where(np.arange(x.size) == index, 0.0, from_x)
-    tried = [search.fit(o, _foreseen(search, at, start, o, base) if lost else start) for o in options]
+    tried = [
+        search.fit(o, _foreseen(search, at, start, o, base) if lost else start) for o in options
+    ]
     sets = [best, Choice(np.array(stay, dtype=np.int64), x, 0.0), *tried]
     rise = (c := aicc(search, sets)) - c[0]
-    rivals = tuple(names[t.members[-1]] for t, d in zip(tried, rise[2:].tolist(), strict=True) if d < RIVAL)
+    rivals = tuple(
+        names[t.members[-1]] for t, d in zip(tried, rise[2:].tolist(), strict=True) if d < RIVAL
+    )
     twins = np.setdiff1d(twins if image is None else [*twins.tolist(), image], best.members)
     factor = float(search.model.parameters.take([index]).factors(best.x[[index]])[0])
     p = Proposed(
@@ -301,7 +352,9 @@ def _tested(
 
 
 def _foreseen(search: Search, r: Residual, x: Float, members: Sequence[int], base: Float) -> Float:
-    """x (p,) with the members at the minimum of the linearised J; at 0 a new one may leave modes without a partner."""
+    """x (p,) with the members at the minimum of the linearised J; at 0 a new one may leave modes
+    without a partner.
+    """
     i = list(members)
     g = r.slope[:, i]
     out = x.copy()
@@ -325,13 +378,24 @@ def _because(
     x = float(search.model.parameters.take([i]).vector(np.array([p.factor]))[0])
     if min(x - low[i], high[i] - x) < 1e-9:
         parts.append("at its bound")
-    parts.append(f"without it AICc rises by {p.worth:.1f} and {_loss(end, without, search.target.lent)}")
+    parts.append(
+        f"without it AICc rises by {p.worth:.1f} and {_loss(end, without, search.target.lent)}"
+    )
     shares = ((alone.frequency[i], "the squared frequency errors"), (alone.mac[i], "1 − MAC"))
     explained = [f"{100 * share:.0f} % of {what}" for share, what in shares if share > LITTLE]
-    parts.append(f"by itself it explains {' and '.join(explained) or 'little: it helps beside the others'}")
-    strong = [f"{KINDS.get(name, name)} {value[i]:.1f}" for name, value in errors.items() if value[i] > GATHERED]
+    parts.append(
+        f"by itself it explains {' and '.join(explained) or 'little: it helps beside the others'}"
+    )
+    strong = [
+        f"{KINDS.get(name, name)} {value[i]:.1f}"
+        for name, value in errors.items()
+        if value[i] > GATHERED
+    ]
     if strong:
-        parts.append(f"local errors gather there, for its share of strain energy ({', '.join(strong)} times average)")
+        parts.append(
+            f"local errors gather there, for its share of strain energy ({', '.join(strong)} "
+            "times average)"
+        )
     if p.alike:
         parts.append(f"the data cannot tell it from {_some(p.alike)}")
     if p.rivals:
@@ -352,7 +416,9 @@ def _loss(end: Residual, without: Residual, lent: bool) -> str:
     if lent:
         told.pop("mean 1 − MAC")
     changed = (f"{name} is {b} instead of {a} %" for name, (a, b) in told.items() if a != b)
-    return next(changed, f"{'Δf does not change' if lent else 'neither Δf nor MAC changes'} by 0.01 %")
+    return next(
+        changed, f"{'Δf does not change' if lent else 'neither Δf nor MAC changes'} by 0.01 %"
+    )
 
 
 def _some(names: Sequence[str]) -> str:

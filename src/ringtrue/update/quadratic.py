@@ -1,4 +1,6 @@
-"""The quadratic model of J: its minimum inside linear limits, its Hessian beyond Gauss-Newton, roots of covariances."""
+"""The quadratic model of J: its minimum inside linear limits, its Hessian beyond Gauss-Newton,
+roots of covariances.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +14,8 @@ from ringtrue.core.arrays import Float
 def least_distance(hessian: Float, gradient: Float, rows: Float, limits: Float) -> Float:
     """d (q,) of least ½dᵀHd + gᵀd with rows d <= limits; 0 where no d fulfils them.
 
-    H = RᵀR; with e = Rd + R⁻ᵀg the problem is least ‖e‖ inside inequalities, whose dual is a non-negative least-squares
-    problem (Lawson and Hanson 1974, eq. 23.27).
+    H = RᵀR; with e = Rd + R⁻ᵀg the problem is least ‖e‖ inside inequalities, whose dual is a
+    non-negative least-squares problem (Lawson and Hanson 1974, eq. 23.27).
 
     Parameters
     ----------
@@ -32,10 +34,15 @@ def least_distance(hessian: Float, gradient: Float, rows: Float, limits: Float) 
     a = linalg.solve_triangular(r, (rows[keep] * size / length[keep, None]).T, trans="T").T
     b = limits[keep] / length[keep] + a @ free
     scale = max(float(np.abs(b).max()), 1e-300)  # the dual is solved at unit size
-    u, gap = nnls(np.vstack([-a.T, -b[None] / scale]), np.append(np.zeros(free.size), 1.0), maxiter=50 * b.size)
+    u, gap = nnls(
+        np.vstack([-a.T, -b[None] / scale]),
+        np.append(np.zeros(free.size), 1.0),
+        maxiter=50 * b.size,
+    )
     if gap == 0.0:
         return np.zeros_like(plain)
-    # the constraints that hold as equations are known now, the point itself has lost digits to the dual
+    # the constraints that hold as equations are known now, the point itself has lost digits to the
+    # dual
     e = linalg.lstsq(a[u > 0], b[u > 0])[0]
     return np.asarray(linalg.solve_triangular(r, e - free) * size)
 
@@ -45,13 +52,23 @@ def positive(normal: Float, curvature: Float, safe: float = 1e-3) -> Float:
     if not curvature.any():
         return normal
     both, size = normal + curvature, np.sqrt(np.diag(normal))
-    return both if float(np.linalg.eigvalsh(both / np.outer(size, size)).min(initial=1.0)) > safe else normal
+    return (
+        both
+        if float(np.linalg.eigvalsh(both / np.outer(size, size)).min(initial=1.0)) > safe
+        else normal
+    )
 
 
 def secant(
-    kept: Float, s: Float, old: tuple[Float, Float], new: tuple[Float, Float], precision: Float, near: float = 0.3
+    kept: Float,
+    s: Float,
+    old: tuple[Float, Float],
+    new: tuple[Float, Float],
+    precision: Float,
+    near: float = 0.3,
 ) -> Float:
-    """Σ r ∂²r (q, q) updated from one step s; 0 for a long one. Dennis, Gay and Welsch (1981), eq. 2.11 and 3.1.
+    """Σ r ∂²r (q, q) updated from one step s; 0 for a long one. Dennis, Gay and Welsch (1981), eq.
+    2.11 and 3.1.
 
     Parameters
     ----------
@@ -74,10 +91,11 @@ def secant(
 
 
 def covariance_root(covariance: Float) -> Float:
-    """L (q, q) with L Lᵀ = covariance (q, q), which may be singular: the symmetric root of the correlation, scaled.
+    """L (q, q) with L Lᵀ = covariance (q, q), which may be singular: the symmetric root of the
+    correlation, scaled.
 
-    Draws L z of standard normal z are then the same whatever signs and rotations the eigenvectors come out with, which
-    differ from processor to processor.
+    Draws L z of standard normal z are then the same whatever signs and rotations the eigenvectors
+    come out with, which differ from processor to processor.
     """
     size = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     scale = np.where(size > 0, size, 1.0)

@@ -1,4 +1,6 @@
-"""Candidate parameters by region: the stiffness of each connected part of a property, and of pieces of it."""
+"""Candidate parameters by region: the stiffness of each connected part of a property, and of pieces
+of it.
+"""
 
 from __future__ import annotations
 
@@ -18,14 +20,22 @@ from ringtrue.update.candidates import Candidate, CandidateSettings, given_field
 
 _AIDS = ("G0", "SA", "SB")  # name a node, but do not stand on it
 _NODE_FIELDS = {
-    card: tuple(r.field for r in REFERENCES if r.card == card and "GRID" in r.of and r.field not in _AIDS)
+    card: tuple(
+        r.field for r in REFERENCES if r.card == card and "GRID" in r.of and r.field not in _AIDS
+    )
     for card in PROPERTY
 }
 
 
 def regions(model: Model, s: CandidateSettings) -> Iterator[Candidate]:
     """The stiffness of each connected part of a property, and of pieces of it."""
-    structural = ("CROD", "CTUBE", "CBAR", "CBEAM", *[c for c in affected_cards(model) if _is_continuum(c)])
+    structural = (
+        "CROD",
+        "CTUBE",
+        "CBAR",
+        "CBEAM",
+        *[c for c in affected_cards(model) if _is_continuum(c)],
+    )
     cards = [c for c in dict.fromkeys(structural) if c in model]
     if not cards:
         return
@@ -45,7 +55,13 @@ def regions(model: Model, s: CandidateSettings) -> Iterator[Candidate]:
             if len(pieces) > 1:
                 sets += [(f"{place} piece {j + 1}", whole[p]) for j, p in enumerate(pieces)]
             for label, at in sets:
-                yield _region(model, s, f"{_property(model, key)} {key[1]}{label}", eid[at], centre[at].mean(axis=0))
+                yield _region(
+                    model,
+                    s,
+                    f"{_property(model, key)} {key[1]}{label}",
+                    eid[at],
+                    centre[at].mean(axis=0),
+                )
 
 
 def _is_continuum(card: str) -> bool:
@@ -70,18 +86,24 @@ def _connectivity(model: Model, cards: Sequence[str]) -> sparse.csr_array:
         first += len(ids)
     at = (np.concatenate(rows), np.concatenate(cols))
     keep = at[1] >= 0
-    made = sparse.coo_array((np.ones(int(keep.sum())), (at[0][keep], at[1][keep])), shape=(first, len(grid)))
+    made = sparse.coo_array(
+        (np.ones(int(keep.sum())), (at[0][keep], at[1][keep])), shape=(first, len(grid))
+    )
     return sparse.csr_array(made)
 
 
 def _islands(nodes: sparse.csr_array) -> list[Int]:
     """Elements that hang together, in the order of their first."""
-    _, label = sparse.csgraph.connected_components(sparse.csr_array(nodes @ nodes.T), directed=False)
+    _, label = sparse.csgraph.connected_components(
+        sparse.csr_array(nodes @ nodes.T), directed=False
+    )
     return [np.flatnonzero(label == k) for k in range(int(label.max(initial=-1)) + 1)]
 
 
 def _cut(centre: Float, pieces: int) -> list[Int]:
-    """Cut points (e, 3) again and again across their longest axis into parts of about equal number."""
+    """Cut points (e, 3) again and again across their longest axis into parts of about equal
+    number.
+    """
     parts = [np.arange(len(centre))]
     while len(parts) < pieces:
         i = int(np.argmax([p.size for p in parts]))
@@ -94,8 +116,12 @@ def _cut(centre: Float, pieces: int) -> list[Int]:
     return parts
 
 
-def _region(model: Model, s: CandidateSettings, label: str, elements: Int, centre: Float) -> Candidate:
-    """Young's modulus as these elements see it; a factor on their stiffness where they are not isotropic."""
+def _region(
+    model: Model, s: CandidateSettings, label: str, elements: Int, centre: Float
+) -> Candidate:
+    """Young's modulus as these elements see it; a factor on their stiffness where they are not
+    isotropic.
+    """
     place = ", ".join(f"{x:.3g}" for x in centre.tolist())
     what = f"stiffness of {elements.size} elements around ({place}) {s.unit('length')}".strip()
     ids = tuple(np.unique(elements).tolist())
@@ -105,14 +131,20 @@ def _region(model: Model, s: CandidateSettings, label: str, elements: Int, centr
         targets += [Target("MAT1", mid, f, ids) for f in given_fields(model["MAT1"], row, "E+G")]
     if targets:
         return new_candidate(s, "region", f"{label} E", what, "modulus", elements, targets)
-    return new_candidate(s, "region", f"{label} K", what, "modulus", elements, (), [Substructure("stiffness", ids)])
+    return new_candidate(
+        s, "region", f"{label} K", what, "modulus", elements, (), [Substructure("stiffness", ids)]
+    )
 
 
 def _isotropic(model: Model, elements: Int) -> list[int]:
     """The MAT1 of the elements; none if one of them has another material."""
     found: set[int] = set()
     for card in affected_cards(model):
-        pid = model[card]["PID"][np.isin(model[card].ids, elements)] if "PID" in model[card].columns else np.zeros(0)
+        pid = (
+            model[card]["PID"][np.isin(model[card].ids, elements)]
+            if "PID" in model[card].columns
+            else np.zeros(0)
+        )
         prop = PROPERTY.get(card, "")
         if not pid.size:
             continue

@@ -1,7 +1,9 @@
-"""What a model can be compared with a test in: weighted residuals with their sensitivities, in any mix.
+"""What a model can be compared with a test in: weighted residuals with their sensitivities, in any
+mix.
 
-Each kind is a frozen value that is called with a `Point` and gives a `Block`. Those here read the paired modes of the
-point; `residuals_frf` its modes, `residuals_static` its matrices and a rigid-body mass.
+Each kind is a frozen value that is called with a `Point` and gives a `Block`. Those here read the
+paired modes of the point; `residuals_frf` its modes, `residuals_static` its matrices and a
+rigid-body mass.
 """
 
 from __future__ import annotations
@@ -38,7 +40,8 @@ class Point:
         All pairs, those of modes left out too.
     mac : (l,) float64
     whole : Linearisation
-        All modes at all channels that the model can give: more than the test's modes are compared with.
+        All modes at all channels that the model can give: more than the test's modes are compared
+        with.
     """
 
     model: ObservedModel
@@ -77,7 +80,9 @@ class Block:
 
 
 class Term(Protocol):
-    """A kind of residual; one with `whole = True` reads all modes and channels of the model, not the test's alone."""
+    """A kind of residual; one with `whole = True` reads all modes and channels of the model, not
+    the test's alone.
+    """
 
     def __call__(self, at: Point) -> Block:
         """Residuals at a point."""
@@ -119,16 +124,22 @@ def point(
     held: Int | None = None,
     whole: Linearisation | None = None,
 ) -> Point:
-    """The modes `now` of the model, paired with the test; test modes in `held` keep a partner below the gate."""
+    """The modes `now` of the model, paired with the test; test modes in `held` keep a partner below
+    the gate.
+    """
     keep = None if held is None else np.isin(np.arange(target.used.size), held)
     pairs, mac, of = match(target, now, keep)
     used = np.flatnonzero(target.used[pairs[:, 0]])
     stand = tuple(of[i] for i in used.tolist())
-    return Point(model, now, target, pairs[used], stand, pairs, mac, now if whole is None else whole)
+    return Point(
+        model, now, target, pairs[used], stand, pairs, mac, now if whole is None else whole
+    )
 
 
 def default_terms(target: Target) -> tuple[Term, ...]:
-    """Eigenvalues and shapes with the weights of the target: the objective of `update.objective`."""
+    """Eigenvalues and shapes with the weights of the target: the objective of
+    `update.objective`.
+    """
     w = target.weights
     shapes: tuple[Term, ...] = (Shapes(w.mac, w.shape),) if w.shape > 0 else ()
     return (Eigenvalues(w.frequency), *shapes)
@@ -168,16 +179,25 @@ def _shapes(parts: Sequence[tuple[Float, Float]], at: Point) -> Block:
 
 @dataclass(frozen=True, slots=True)
 class Eigenvalues:
-    """1 − λ/λ_test of each pair; `std` (relative, of a frequency) is the model discrepancy, the test's own is added."""
+    """1 − λ/λ_test of each pair; `std` (relative, of a frequency) is the model discrepancy, the
+    test's own is added.
+    """
 
     std: float = 0.01
 
     def __call__(self, at: Point) -> Block:
         """See `Term`."""
         t, f = at.pairs.T
-        root = 0.5 / np.hypot(self.std, at.target.std[t])  # a relative deviation of λ is twice that of f
-        lam_test, lam = (2 * np.pi * at.target.frequencies[t]) ** 2, (2 * np.pi * at.now.frequencies[f]) ** 2
-        return rows_block(root * (1 - lam / lam_test), root[:, None] * at.now.d_lambda[f] / lam_test[:, None], t)
+        root = 0.5 / np.hypot(
+            self.std, at.target.std[t]
+        )  # a relative deviation of λ is twice that of f
+        lam_test, lam = (
+            (2 * np.pi * at.target.frequencies[t]) ** 2,
+            (2 * np.pi * at.now.frequencies[f]) ** 2,
+        )
+        return rows_block(
+            root * (1 - lam / lam_test), root[:, None] * at.now.d_lambda[f] / lam_test[:, None], t
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,7 +223,8 @@ OF_FREQUENCY = (Eigenvalues, Frequencies)  # whose `std` is the model discrepanc
 
 @dataclass(frozen=True, slots=True)
 class Shapes:
-    """Differences of shapes, scaled: ψ − Φ(Φ⁺ψ), rotated within close groups; the square sum is 1 − MAC.
+    """Differences of shapes, scaled: ψ − Φ(Φ⁺ψ), rotated within close groups; the square sum is 1 −
+    MAC.
 
     Attributes
     ----------
@@ -212,8 +233,9 @@ class Shapes:
     factor : float
         On the whole part.
     scaling : {"fit", "largest"}
-        "fit": modal scale factor and rotation by least squares. "largest": both shapes are 1 at the channel where the
-        test's is largest, the square sum divided by that of the test's: no rotation.
+        "fit": modal scale factor and rotation by least squares. "largest": both shapes are 1 at the
+        channel where the test's is largest, the square sum divided by that of the test's: no
+        rotation.
     """
 
     mac: float = 0.05
@@ -225,7 +247,8 @@ class Shapes:
         root, shapes = np.sqrt(self.factor / self.mac), at.target.shapes
         if self.scaling == "fit":
             parts = [
-                span_residual(shapes, at.now, t, s) for t, s in zip(at.pairs[:, 0].tolist(), at.spans, strict=True)
+                span_residual(shapes, at.now, t, s)
+                for t, s in zip(at.pairs[:, 0].tolist(), at.spans, strict=True)
             ]
         else:
             parts = [_at_largest(shapes, at.now, t, f) for t, f in at.pairs.tolist()]
@@ -237,9 +260,13 @@ def _at_largest(shapes: Float, now: Linearisation, t: int, f: int) -> tuple[Floa
     psi, phi, d_phi = shapes[:, t], now.shapes[:, f], now.d_shapes[:, f]
     q = int(np.argmax(np.abs(psi)))
     if phi[q] == 0.0:
-        raise NumericalError(f"test mode {t + 1}: the FE shape is zero at channel {q + 1}, which scales it")
+        raise NumericalError(
+            f"test mode {t + 1}: the FE shape is zero at channel {q + 1}, which scales it"
+        )
     size = float(np.linalg.norm(psi / psi[q]))
-    return (psi / psi[q] - phi / phi[q]) / size, (d_phi - np.outer(phi / phi[q], d_phi[q])) / (phi[q] * size)
+    return (psi / psi[q] - phi / phi[q]) / size, (d_phi - np.outer(phi / phi[q], d_phi[q])) / (
+        phi[q] * size
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,7 +278,8 @@ class Mac:
     std : float
         Of the residual.
     form : {"difference", "ratio"}
-        1 − MAC, or (1 − √MAC)/√MAC (Moaveni et al., 2013), which keeps its slope near 1 and grows as MAC goes to 0.
+        1 − MAC, or (1 − √MAC)/√MAC (Moaveni et al., 2013), which keeps its slope near 1 and grows
+        as MAC goes to 0.
     """
 
     std: float = 0.05
@@ -261,7 +289,9 @@ class Mac:
         """See `Term`."""
         t = at.pairs[:, 0]
         value, slope = np.zeros(t.size), np.zeros((t.size, at.now.d_lambda.shape[1]))
-        for i, (k, span) in enumerate(zip(t.tolist(), at.spans, strict=True)):  # each pair has its own space
+        for i, (k, span) in enumerate(
+            zip(t.tolist(), at.spans, strict=True)
+        ):  # each pair has its own space
             rest, d_inside = span_residual(at.target.shapes, at.now, k, span)
             value[i], slope[i] = rest @ rest, 2 * rest @ d_inside
         if self.form == "ratio":
@@ -301,15 +331,20 @@ class CrossOrthogonality:
         left = (psi / np.sqrt(np.einsum("cm,cm->m", psi, self.mass @ psi))).T @ self.mass
         turn = np.sign(np.diag(left @ phi)) / size  # shapes have no sign
         terms = left @ phi * turn
-        d_terms = np.einsum("tc,cmp->tmp", left, d_phi) * turn[:, None] - terms[:, :, None] * (d_size / size[:, None])
+        d_terms = np.einsum("tc,cmp->tmp", left, d_phi) * turn[:, None] - terms[:, :, None] * (
+            d_size / size[:, None]
+        )
         same = np.eye(t.size, dtype=np.bool_)
         keep = (same & self.diagonal) | (~same & self.off_diagonal)
         rows = np.broadcast_to(t[:, None], keep.shape)[keep]
         return rows_block((same - terms)[keep] / self.std, d_terms[keep] / self.std, rows)
 
 
-def reweighed(terms: Sequence[Term], frequency: float, mac: float, independent: float = 1.0) -> tuple[Term, ...]:
-    """The kinds with other model discrepancies of a frequency (relative) and of 1 − MAC; the rest as it is.
+def reweighed(
+    terms: Sequence[Term], frequency: float, mac: float, independent: float = 1.0
+) -> tuple[Term, ...]:
+    """The kinds with other model discrepancies of a frequency (relative) and of 1 − MAC; the rest
+    as it is.
 
     `independent` is the number of independent errors in a shape.
     """
@@ -330,4 +365,8 @@ def widened(term: Term, by: float) -> Term:
         return replace(term, std=by * term.std)
     if isinstance(term, Shapes):
         return replace(term, mac=by**2 * term.mac)
-    return replace(term, factor=term.factor / by**2) if isinstance(term, Weighted) else Weighted(term, by**-2)
+    return (
+        replace(term, factor=term.factor / by**2)
+        if isinstance(term, Weighted)
+        else Weighted(term, by**-2)
+    )

@@ -1,4 +1,6 @@
-"""Residuals of frequency response functions and of their zeros, by superposition of a model's modes."""
+"""Residuals of frequency response functions and of their zeros, by superposition of a model's
+modes.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ from ringtrue.update.harmonic import Damping
 from ringtrue.update.residuals import NO_MODE, Block, Point, rows_block
 
 FAR = 30.0
-FLOOR = 1e-3  # of the root mean square of the FRFs at a line: what lies below, by symmetry or noise, has no logarithm
+# of the root mean square of the FRFs at a line: what lies below, by symmetry or noise, has no
+# logarithm
+FLOOR = 1e-3
 RIGID = 1e-9  # of the largest eigenvalue: below this a mode does not bound a zero of an FRF
 
 
@@ -41,12 +45,13 @@ class Frf:
     outputs, inputs : (o,), (i,) int64
         Channels; an input acts along its channel.
     damping : float, (m,) float64 or Damping
-        Ratio of all modes, of each, or by frequency (its change with the frequency is left out of the sensitivity).
+        Ratio of all modes, of each, or by frequency (its change with the frequency is left out of
+        the sensitivity).
     order : {0, 1, 2}
         Of differentiation: 0 receptance, 1 mobility, 2 accelerance.
     form : {"log", "complex"}
-        ln √(|H|² + ε²), ε 60 dB below the root mean square of the measured FRFs at that line; or H over the root mean
-        square of the measured one, real and imaginary parts.
+        ln √(|H|² + ε²), ε 60 dB below the root mean square of the measured FRFs at that line; or H
+        over the root mean square of the measured one, real and imaginary parts.
     std : float
         Of one value: of ln|H|, or of the scaled parts.
     """
@@ -62,9 +67,15 @@ class Frf:
     whole: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        freeze_fields(self, freqs=np.float64, measured=np.complex128, outputs=np.int64, inputs=np.int64)
+        freeze_fields(
+            self, freqs=np.float64, measured=np.complex128, outputs=np.int64, inputs=np.int64
+        )
         shape = (self.freqs.size, self.outputs.size, self.inputs.size)
-        if self.measured.shape != shape or self.order not in (0, 1, 2) or self.form not in ("log", "complex"):
+        if (
+            self.measured.shape != shape
+            or self.order not in (0, 1, 2)
+            or self.form not in ("log", "complex")
+        ):
             raise InputError(
                 f"FRFs {self.measured.shape} for (line, output, input) = {shape}; "
                 f"order {self.order} (0, 1, 2), form {self.form!r} (log, complex)"
@@ -73,12 +84,18 @@ class Frf:
     def response(self, at: Point) -> tuple[Complex, Complex]:
         """H (q, o, i) of the model and ∂H/∂x (q, o, i, p)."""
         lam, out, into, d_out, d_in = _modal(at, self.outputs, self.inputs)
-        given = self.damping.at(at.whole.frequencies) if isinstance(self.damping, Damping) else self.damping
+        given = (
+            self.damping.at(at.whole.frequencies)
+            if isinstance(self.damping, Damping)
+            else self.damping
+        )
         zeta = np.broadcast_to(np.asarray(given, dtype=np.float64), lam.shape)
         w = 2 * np.pi * self.freqs[:, None]
         g = 1 / (lam - w**2 + 2j * zeta * np.sqrt(lam) * w)
         h = np.einsum("qm,om,im->qoi", g, out, into, optimize=True)
-        d_h = modal_frf_derivatives(self.freqs, lam, zeta, out, into, at.whole.d_lambda, d_out, d_in)
+        d_h = modal_frf_derivatives(
+            self.freqs, lam, zeta, out, into, at.whole.d_lambda, d_out, d_in
+        )
         by = (1j * w[:, :, None]) ** self.order
         return h * by, d_h * by[..., None]
 
@@ -104,8 +121,8 @@ class Frf:
 class AntiResonances:
     """1 − f/f_test of the zeros of one FRF, paired by frequency.
 
-    The zeros are those of the superposed modes: give the model modes well above the highest. A zero of a transfer FRF
-    may be complex; it then has no partner here.
+    The zeros are those of the superposed modes: give the model modes well above the highest. A zero
+    of a transfer FRF may be complex; it then has no partner here.
 
     Attributes
     ----------
@@ -143,14 +160,16 @@ class AntiResonances:
 def zeros(now: Linearisation, output: int, into: int, top: float = np.inf) -> tuple[Float, Float]:
     """Real positive zeros μ (z,), (rad/s)², ascending, of Σ φ_o φ_i/(λ − μ), and ∂μ/∂x (z, p).
 
-    The zeros are the finite eigenvalues of [Λ φ_i; φ_oᵀ −r] against diag(I, 0), r the flexibility of the modes far
-    above; the sensitivities follow from the sum by implicit differentiation. He and Fu (2001), Modal Analysis, ch. 4.
+    The zeros are the finite eigenvalues of [Λ φ_i; φ_oᵀ −r] against diag(I, 0), r the flexibility
+    of the modes far above; the sensitivities follow from the sum by implicit differentiation. He
+    and Fu (2001), Modal Analysis, ch. 4.
 
     Parameters
     ----------
     top : float, Hz
-        Up to where zeros are looked for. Modes beyond `FAR` times that are first taken as static: the stiffest ones of
-        a reduced basis would drown the zeros in rounding. The zeros are those of the whole sum.
+        Up to where zeros are looked for. Modes beyond `FAR` times that are first taken as static:
+        the stiffest ones of a reduced basis would drown the zeros in rounding. The zeros are those
+        of the whole sum.
     """
     lam = (2 * np.pi * now.frequencies) ** 2
     a, b = now.shapes[output], now.shapes[into]
@@ -167,7 +186,9 @@ def zeros(now: Linearisation, output: int, into: int, top: float = np.inf) -> tu
     mu = high[finite] / low[finite] * scale
     real = (np.abs(mu.imag) < 1e-9 * np.abs(mu)) & (mu.real > RIGID * scale)
     mu = np.sort(mu.real[real])
-    mu = mu[np.abs(lam - mu[:, None]).min(axis=1, initial=np.inf) > 1e-12 * scale]  # a mode that does not take part
+    mu = mu[
+        np.abs(lam - mu[:, None]).min(axis=1, initial=np.inf) > 1e-12 * scale
+    ]  # a mode that does not take part
     for _ in range(2 if (~near).any() else 0):  # Newton on the whole sum
         gap = lam - mu[:, None]
         mu = mu - ((a * b) / gap).sum(axis=1) / ((a * b) / gap**2).sum(axis=1)

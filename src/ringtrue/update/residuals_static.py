@@ -40,9 +40,14 @@ class StaticDeflections:
         d_u = np.zeros((u.shape[0], u.shape[1], p))
         if p:
             load = np.einsum("pij,jl->ilp", m.d_stiffness, u)
-            d_u = -linalg.solve(m.stiffness, load.reshape(u.shape[0], -1), assume_a="sym").reshape(load.shape)
+            d_u = -linalg.solve(m.stiffness, load.reshape(u.shape[0], -1), assume_a="sym").reshape(
+                load.shape
+            )
         scale = self.std * np.sqrt(np.nanmean(np.square(self.measured), axis=0))
-        value, slope = (self.measured - m.observe @ u) / scale, np.tensordot(m.observe, d_u, 1) / scale[:, None]
+        value, slope = (
+            (self.measured - m.observe @ u) / scale,
+            np.tensordot(m.observe, d_u, 1) / scale[:, None],
+        )
         seen = np.isfinite(self.measured)
         return rows_block(value[seen], slope[seen], np.full(int(seen.sum()), NO_MODE))
 
@@ -55,8 +60,8 @@ class MassProperties:
     ----------
     rigid : RigidMass
     measured : (10,) float64
-        Mass; x, y, z of the centre of gravity; Ixx, Iyy, Izz, Ixy, Iyz, Izx about it (tensor components); NaN where
-        not measured.
+        Mass; x, y, z of the centre of gravity; Ixx, Iyy, Izz, Ixy, Iyz, Izx about it (tensor
+        components); NaN where not measured.
     std : (10,) float64
         In the same units.
     """
@@ -70,11 +75,15 @@ class MassProperties:
         p = at.now.d_lambda.shape[1]
         m6, d_m6 = self.rigid.at(at.now.x)
         value, slope = mass_properties(m6), np.zeros((10, p))
-        for i in range(p):  # over parameters: complex step through a rational function of ten numbers
+        for i in range(
+            p
+        ):  # over parameters: complex step through a rational function of ten numbers
             slope[:, i] = mass_properties(m6 + 1e-40j * d_m6[i]).imag / 1e-40
         seen = np.isfinite(self.measured)
         rest = ((np.asarray(self.measured) - value) / self.std)[seen]
-        return rows_block(rest, (slope / np.asarray(self.std)[:, None])[seen], np.full(rest.size, NO_MODE))
+        return rows_block(
+            rest, (slope / np.asarray(self.std)[:, None])[seen], np.full(rest.size, NO_MODE)
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,10 +120,16 @@ class RigidMass:
 
 
 def mass_properties(m6: Any_) -> Any_:
-    """Mass, centre of gravity and inertia about it (10,), as in `MassProperties`, from a rigid-body mass (6, 6)."""
+    """Mass, centre of gravity and inertia about it (10,), as in `MassProperties`, from a rigid-body
+    mass (6, 6).
+    """
     mass = (m6[0, 0] + m6[1, 1] + m6[2, 2]) / 3
     x, y, z = m6[1, 5] / mass, m6[2, 3] / mass, m6[0, 4] / mass
     i = m6[3:, 3:]
-    about = [i[0, 0] - mass * (y * y + z * z), i[1, 1] - mass * (x * x + z * z), i[2, 2] - mass * (x * x + y * y)]
+    about = [
+        i[0, 0] - mass * (y * y + z * z),
+        i[1, 1] - mass * (x * x + z * z),
+        i[2, 2] - mass * (x * x + y * y),
+    ]
     mixed = [i[0, 1] + mass * x * y, i[1, 2] + mass * y * z, i[2, 0] + mass * z * x]
     return np.array([mass, x, y, z, *about, *mixed])

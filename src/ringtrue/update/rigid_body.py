@@ -31,8 +31,9 @@ class RigidBody:
         Sensors, unit vectors.
     parameters : ParameterSet
     targets : tuple of str
-        What each parameter does: `k:3:0,1,2` a factor on the stiffness of springs 0, 1, 2 along z; `mass`; `cg:1`
-        moves the centre by (a − 1)·`reach` along x; `inertia:12` a factor on that entry, `inertia` on all.
+        What each parameter does: `k:3:0,1,2` a factor on the stiffness of springs 0, 1, 2 along z;
+        `mass`; `cg:1` moves the centre by (a − 1)·`reach` along x; `inertia:12` a factor on that
+        entry, `inertia` on all.
     reach : float
         Length for `cg`.
     """
@@ -51,15 +52,27 @@ class RigidBody:
     def __post_init__(self) -> None:
         f = np.float64
         freeze_fields(self, cg=f, inertia=f, at=f, stiffness=f, points=f, directions=f)
-        if len(self.targets) != len(self.parameters) or self.at.shape != self.stiffness.shape or not self.mass > 0:
+        if (
+            len(self.targets) != len(self.parameters)
+            or self.at.shape != self.stiffness.shape
+            or not self.mass > 0
+        ):
             raise InputError(
-                f"{len(self.targets)} targets for {len(self.parameters)} parameters; springs at {self.at.shape}, "
+                f"{len(self.targets)} targets for {len(self.parameters)} parameters; springs at "
+                f"{self.at.shape}, "
                 f"stiffness {self.stiffness.shape}; mass {self.mass:g} must be > 0"
             )
 
     def matrices(self, factors: Any_) -> tuple[Any_, Any_]:
-        """K and M (6, 6) at factors (p,), real or complex; motions at the nominal centre of gravity."""
-        k, m, c, j = self.stiffness + 0j, self.mass + 0j, np.zeros(3, dtype=complex), self.inertia + 0j
+        """K and M (6, 6) at factors (p,), real or complex; motions at the nominal centre of
+        gravity.
+        """
+        k, m, c, j = (
+            self.stiffness + 0j,
+            self.mass + 0j,
+            np.zeros(3, dtype=complex),
+            self.inertia + 0j,
+        )
         for target, a in zip(self.targets, factors, strict=True):
             what, *where = target.split(":")
             if what == "k":
@@ -72,7 +85,9 @@ class RigidBody:
                 r, s = (int(i) - 1 for i in where[0]) if where else (0, 0)
                 j = j * a if not where else _scaled(j, r, s, a)
             else:
-                raise InputError(f"target {target!r}: allowed are k:axis:springs, mass, cg:axis, inertia[:ij]")
+                raise InputError(
+                    f"target {target!r}: allowed are k:axis:springs, mass, cg:axis, inertia[:ij]"
+                )
         arms = _motion(self.at - self.cg)
         stiff = np.einsum("sai,sa,saj->ij", arms, k, arms)
         cross = _cross(c)
@@ -93,11 +108,16 @@ class RigidBody:
 
     def linearise(self, x: Float) -> Linearisation:
         """Modes and sensitivities at x (p,)."""
-        return replace(self._dense(x).linearise(np.zeros(len(self.parameters))), x=np.asarray(x, dtype=np.float64))
+        return replace(
+            self._dense(x).linearise(np.zeros(len(self.parameters))),
+            x=np.asarray(x, dtype=np.float64),
+        )
 
     def modes(self, x: Float) -> Linearisation:
         """Modes at x (p,)."""
-        return replace(self._dense(x).modes(np.zeros(len(self.parameters))), x=np.asarray(x, dtype=np.float64))
+        return replace(
+            self._dense(x).modes(np.zeros(len(self.parameters))), x=np.asarray(x, dtype=np.float64)
+        )
 
 
 def _scaled(j: Any_, r: int, s: int, a: Any_) -> Any_:
@@ -117,4 +137,6 @@ def _motion(r: Float) -> Float:
     zero = np.zeros(len(r))
     x, y, z = r.T
     turn = np.array([[zero, z, -y], [-z, zero, x], [y, -x, zero]])
-    return np.concatenate([np.broadcast_to(np.eye(3), (len(r), 3, 3)), np.moveaxis(turn, -1, 0)], axis=2)
+    return np.concatenate(
+        [np.broadcast_to(np.eye(3), (len(r), 3, 3)), np.moveaxis(turn, -1, 0)], axis=2
+    )

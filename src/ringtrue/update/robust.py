@@ -1,7 +1,9 @@
-"""Losses that keep a wrong datum (a mode paired wrongly, a bad channel) from pulling the whole model.
+"""Losses that keep a wrong datum (a mode paired wrongly, a bad channel) from pulling the whole
+model.
 
-The cost of a datum is ρ(s) of its squared weighted residual s, a shape being one datum. Minimised by weighting its
-rows with ρ'(s) (iteratively reweighted least squares). Huber (1964); Beaton and Tukey (1974).
+The cost of a datum is ρ(s) of its squared weighted residual s, a shape being one datum. Minimised
+by weighting its rows with ρ'(s) (iteratively reweighted least squares). Huber (1964); Beaton and
+Tukey (1974).
 """
 
 from __future__ import annotations
@@ -42,7 +44,9 @@ class Squares:
 
 @dataclass(frozen=True, slots=True)
 class Huber:
-    """Squares up to `limit` standard deviations, linear beyond: convex, an outlier pulls with constant force."""
+    """Squares up to `limit` standard deviations, linear beyond: convex, an outlier pulls with
+    constant force.
+    """
 
     limit: float = 2.0
 
@@ -61,7 +65,9 @@ class Huber:
 
 @dataclass(frozen=True, slots=True)
 class Tukey:
-    """Bisquare: a datum beyond `limit` standard deviations has no influence at all; not convex, so start near."""
+    """Bisquare: a datum beyond `limit` standard deviations has no influence at all; not convex, so
+    start near.
+    """
 
     limit: float = 6.0
 

@@ -1,8 +1,10 @@
-"""Which of many candidates are looked at closely: seen from the deck, then from where a first choice of them leads.
+"""Which of many candidates are looked at closely: seen from the deck, then from where a first
+choice of them leads.
 
-The slopes at a deck that is far off tell little of some candidates. So the set that is chosen among those that explain
-most from there only leads nearer, and all are weighed again with the modes found there (iterated screening: Fan and
-Lv 2008, sec. 4.1). Of many modes the lowest lead: those of a dense band find partners only once these are right.
+The slopes at a deck that is far off tell little of some candidates. So the set that is chosen among
+those that explain most from there only leads nearer, and all are weighed again with the modes found
+there (iterated screening: Fan and Lv 2008, sec. 4.1). Of many modes the lowest lead: those of a
+dense band find partners only once these are right.
 """
 
 from __future__ import annotations
@@ -32,8 +34,12 @@ LEADING = 60  # modes at most by which the first choice is made
 class Beside(Protocol):
     """What was measured beside the modes, over all candidates."""
 
-    def misfit(self, at: ReducedModel | None, x: Float, which: Sequence[int], aim: Target) -> tuple[Float, Float]:
-        """As those of `misfits`, at x (k,) of a model over the candidates `which`; of the deck without a model."""
+    def misfit(
+        self, at: ReducedModel | None, x: Float, which: Sequence[int], aim: Target
+    ) -> tuple[Float, Float]:
+        """As those of `misfits`, at x (k,) of a model over the candidates `which`; of the deck
+        without a model.
+        """
 
     def problem(self, search: Any, aim: Target) -> Problem:
         """Modes and data of a model that is searched with."""
@@ -68,14 +74,16 @@ def screened(
         Readings of the channels of the test by the free degrees of freedom.
     modes : (m,), (f, m) float64
         λ, (rad/s)², and shapes of unit modal mass of the deck.
-    look : callable (candidates) -> (model to search with, model whose modes are in the free degrees of freedom)
+    look : callable (candidates) -> (model to search with, model whose modes are in the free degrees
+    of freedom)
         The first needs modes for the `LEADING` lowest of the test only.
     pool, most : int
         Candidates that are kept, and parameters of the first choice.
     alike : float
         |cosine| from which on two candidates are one to the data.
     beside : Beside, optional
-        What else was measured: it counts with the modes, and a candidate that it alone sees is seen.
+        What else was measured: it counts with the modes, and a candidate that it alone sees is
+        seen.
     """
 
     def seen(
@@ -104,4 +112,6 @@ def screened(
     x[at] = best.x / whole.parameters.std()
     stay = at[np.isin(groups, groups[best.members])]
     near = [(r + g @ x, g) for r, g in seen(whole.vectors(best.x), whole, best.x, at.tolist())]
-    return tuple(candidates[i] for i in close(model, candidates, near, pool, stay=stay.tolist(), kept=kept))
+    return tuple(
+        candidates[i] for i in close(model, candidates, near, pool, stay=stay.tolist(), kept=kept)
+    )

@@ -1,4 +1,6 @@
-"""An updating from where the gates of the pairing lead to its end: pairs that are sure, then for good, weighed anew."""
+"""An updating from where the gates of the pairing lead to its end: pairs that are sure, then for
+good, weighed anew.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,8 @@ from ringtrue.update.several import Evaluated, Problem
 from ringtrue.update.trust import Method, Solution, solve
 from ringtrue.update.weights import LOOSE, Rule, discrepancy_by_evidence, in_turns, regularised
 
-REFUTED = 2.0  # deviation of the better half of the modes, in standard deviations, that these are not as assumed
+# deviation of the better half of the modes, in standard deviations, that these are not as assumed
+REFUTED = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,8 +38,8 @@ class Course:
     prior : str
         Rule for the weight of the prior; "given": as it is.
     discrepancy : {"found", "assumed", "evidence"}
-        Weights of the last part: with what the parts before have left, as they are, or those that make the data of
-        each kind of residuals most likely.
+        Weights of the last part: with what the parts before have left, as they are, or those that
+        make the data of each kind of residuals most likely.
     """
 
     method: Method = field(default_factory=Method)
@@ -65,21 +68,31 @@ class Settled:
 
 
 def settled(
-    problem: Problem, course: Course | None = None, *, start: Float | None = None, progress: Progress | None = None
+    problem: Problem,
+    course: Course | None = None,
+    *,
+    start: Float | None = None,
+    progress: Progress | None = None,
 ) -> Settled:
-    """Updated with no pair dearer than a lost mode, then with the pairs made there for good, weighed as asked for."""
+    """Updated with no pair dearer than a lost mode, then with the pairs made there for good,
+    weighed as asked for.
+    """
     course = course or Course()
     aims = [c.target for c in problem.configurations]
 
     def doubted(spread: float) -> Solution:
         doubting = _aimed(problem, [a.doubting(spread) for a in aims])
-        return solve(doubting, course.method, start=start, iterations=course.iterations, progress=progress)
+        return solve(
+            doubting, course.method, start=start, iterations=course.iterations, progress=progress
+        )
 
     near, spread = doubted(1.0), 1.0
     if (left := _majority(problem, near.y)) > REFUTED:
         wide = doubted(LOOSE)
         near, spread = (wide, LOOSE) if _majority(problem, wide.y) < left else (near, spread)
-    firm = _aimed(problem, [a.settled(p.now, spread) for a, p in zip(aims, near.end.points, strict=True)])
+    firm = _aimed(
+        problem, [a.settled(p.now, spread) for a, p in zip(aims, near.end.points, strict=True)]
+    )
     if course.discrepancy == "found":
         done, weighed = _sharpened(firm, near.y, lambda p, y: _solved(p, course, y, progress))
     else:
@@ -91,9 +104,11 @@ def settled(
 
 
 def _majority(problem: Problem, y: Float) -> float:
-    """What the better half of the frequencies deviate by at most, in units of what is assumed; infinite without a pair.
+    """What the better half of the frequencies deviate by at most, in units of what is assumed;
+    infinite without a pair.
 
-    Of n modes h = (n + q + 1)/2: q unknowns fit as many whatever the others do. Rousseeuw and Leroy (1987), sec. 3.4.
+    Of n modes h = (n + q + 1)/2: q unknowns fit as many whatever the others do. Rousseeuw and Leroy
+    (1987), sec. 3.4.
     """
     sizes = []
     for p in problem.evaluate(y).points:
@@ -107,7 +122,8 @@ def _majority(problem: Problem, y: Float) -> float:
 
 
 def kept(problem: Problem) -> Float:
-    """Deviations that the best model is expected to keep, of a frequency (relative) and of 1 − MAC, (2,).
+    """Deviations that the best model is expected to keep, of a frequency (relative) and of 1 − MAC,
+    (2,).
 
     Of the first configuration; NaN where it does not compare them by such a deviation.
     """
@@ -124,9 +140,11 @@ def lost(problem: Problem, at: Evaluated) -> int:
 
 
 def displaced(problem: Problem, at: Evaluated) -> int:
-    """How many of these have a shape that the model has, at the point or initially: other starts may pair them.
+    """How many of these have a shape that the model has, at the point or initially: other starts
+    may pair them.
 
-    A shape that no mode comes near, as of a local mode, is of something that the model does not have.
+    A shape that no mode comes near, as of a local mode, is of something that the model does not
+    have.
     """
     out, begin = 0, problem.evaluate(np.zeros(problem.size))
     for c, first, last in zip(problem.configurations, begin.points, at.points, strict=True):
@@ -141,7 +159,8 @@ def displaced(problem: Problem, at: Evaluated) -> int:
 
 
 def whole_cost(problem: Problem, at: Evaluated) -> float:
-    """J at an end, by the prior that was given, over all used test modes: none costs more than one without partner.
+    """J at an end, by the prior that was given, over all used test modes: none costs more than one
+    without partner.
 
     That is `DOUBT`.
     """
@@ -162,10 +181,14 @@ def _aimed(problem: Problem, aims: Sequence[Target]) -> Problem:
 def _solved(problem: Problem, course: Course, start: Float, progress: Progress | None) -> Solution:
     if course.prior != "given":
         return regularised(problem, course.prior, course.method, start=start).solution
-    return solve(problem, course.method, start=start, iterations=course.iterations, progress=progress)
+    return solve(
+        problem, course.method, start=start, iterations=course.iterations, progress=progress
+    )
 
 
-def _sharpened(problem: Problem, y: Float, solved: Callable[[Problem, Float], Solution]) -> tuple[Solution, Problem]:
+def _sharpened(
+    problem: Problem, y: Float, solved: Callable[[Problem, Float], Solution]
+) -> tuple[Solution, Problem]:
     """Updated with the discrepancy that is left over, until that stands."""
 
     def updated(w: Weights, y: Float) -> tuple[Solution, Float]:
@@ -178,9 +201,12 @@ def _sharpened(problem: Problem, y: Float, solved: Callable[[Problem, Float], So
 
 def _likely(problem: Problem, at: Evaluated) -> Problem:
     """The problem with the errors of each kind of residuals that make the data most likely."""
-    found = zip(np.unique(at.kind).tolist(), discrepancy_by_evidence(at, problem).tolist(), strict=True)
+    found = zip(
+        np.unique(at.kind).tolist(), discrepancy_by_evidence(at, problem).tolist(), strict=True
+    )
     by, kinds = dict(found), count()  # a kind may have no row: all its modes are lost
     parts = [
-        replace(c, terms=tuple(widened(t, by.get(next(kinds), 1.0)) for t in c.terms)) for c in problem.configurations
+        replace(c, terms=tuple(widened(t, by.get(next(kinds), 1.0)) for t in c.terms))
+        for c in problem.configurations
     ]
     return replace(problem, configurations=tuple(parts))

@@ -1,7 +1,9 @@
-"""The problem of updating: one parameter set, one or several configurations (decks with their tests), one objective.
+"""The problem of updating: one parameter set, one or several configurations (decks with their
+tests), one objective.
 
-J(x) = Σ ρ(Δzᵀ W Δz) over all configurations + xᵀ W_p x + the cost of modes without a partner. Parameters are found in
-the configurations by name, so that a part which two decks share is one parameter.
+J(x) = Σ ρ(Δzᵀ W Δz) over all configurations + xᵀ W_p x + the cost of modes without a partner.
+Parameters are found in the configurations by name, so that a part which two decks share is one
+parameter.
 """
 
 from __future__ import annotations
@@ -17,7 +19,16 @@ from ringtrue.errors import ConfigError, InputError, did_you_mean
 from ringtrue.model.ports import Linearisation, ObservedModel
 from ringtrue.update.objective import Target
 from ringtrue.update.quadratic import least_distance
-from ringtrue.update.residuals import NO_MODE, Block, Point, Term, Whole, default_terms, point, reweighed
+from ringtrue.update.residuals import (
+    NO_MODE,
+    Block,
+    Point,
+    Term,
+    Whole,
+    default_terms,
+    point,
+    reweighed,
+)
 from ringtrue.update.robust import Loss, Squares, squares
 
 OUTSIDE = 1e-9  # of an unknown, that is none
@@ -46,18 +57,25 @@ class Configuration:
         object.__setattr__(self, "terms", tuple(self.terms) or default_terms(self.target))
 
     def weighed(self, frequency: float, mac: float, independent: float = 1.0) -> Configuration:
-        """The same with other model discrepancies of a frequency (relative) and of 1 − MAC, in target and terms.
+        """The same with other model discrepancies of a frequency (relative) and of 1 − MAC, in
+        target and terms.
 
         `independent` is the number of independent errors in a shape.
         """
-        weights = replace(self.target.weights, frequency=frequency, mac=mac, independent=independent)
+        weights = replace(
+            self.target.weights, frequency=frequency, mac=mac, independent=independent
+        )
         terms = reweighed(self.terms, frequency, mac, independent)
         return replace(self, target=replace(self.target, weights=weights), terms=terms)
 
     def at(self, x: Float, held: Int | None = None, *, slopes: bool = True) -> Point:
-        """The modes at x, paired; all that the model can give where a kind of residuals reads more than the test's."""
+        """The modes at x, paired; all that the model can give where a kind of residuals reads more
+        than the test's.
+        """
         give = getattr(self.model, "whole", None)
-        whole: Whole | None = give() if give and any(getattr(t, "whole", False) for t in self.terms) else None
+        whole: Whole | None = (
+            give() if give and any(getattr(t, "whole", False) for t in self.terms) else None
+        )
         model = self.model if whole is None else whole.model
         now = model.linearise(x) if slopes else _bare(model.modes(x), x)
         return point(self.model, now if whole is None else whole.part(now), self.target, held, now)
@@ -137,7 +155,11 @@ class Problem:
         if not len(self.parameters):
             put(self, "parameters", joined([c.model.parameters for c in self.configurations]))
         p = len(self.parameters)
-        put(self, "precision", self.precision if self.precision.size else np.diag(1 / self.parameters.std() ** 2))
+        put(
+            self,
+            "precision",
+            self.precision if self.precision.size else np.diag(1 / self.parameters.std() ** 2),
+        )
         put(self, "link", self.link if self.link.size else np.eye(p))
         put(self, "rows", self.rows if self.rows.size else np.zeros((0, p)))
         shapes = self.precision.shape, self.link.shape[0], self.rows.shape
@@ -176,7 +198,10 @@ class Problem:
             return y
         out = y + least_distance(np.eye(y.size), np.zeros(y.size), rows, limits - rows @ y)
         if (rows @ out > at_most).any():
-            raise ConfigError("no point fulfils the bounds of the parameters and all constraints: widen one of them")
+            raise ConfigError(
+                "no point fulfils the bounds of the parameters and all constraints: widen one of "
+                "them"
+            )
         return np.asarray(out)
 
     def evaluate(self, y: Float, before: Evaluated | None = None) -> Evaluated:
@@ -188,7 +213,9 @@ class Problem:
         return self._evaluate(np.asarray(y, dtype=np.float64), before, slopes=False).cost
 
     def residuals(self, y: Float, before: Evaluated | None = None) -> Float:
-        """Weighted residuals (r,) at y (q,), modes only; their number changes where pairs change."""
+        """Weighted residuals (r,) at y (q,), modes only; their number changes where pairs
+        change.
+        """
         return self._evaluate(np.asarray(y, dtype=np.float64), before, slopes=False).value
 
     def _evaluate(self, y: Float, before: Evaluated | None, *, slopes: bool) -> Evaluated:
@@ -203,18 +230,27 @@ class Problem:
             blocks += [_shifted(t(here), wide, i) for t in c.terms]
         return self._joined(y, x, tuple(points), blocks, lost)
 
-    def _joined(self, y: Float, x: Float, points: tuple[Point, ...], blocks: list[Block], lost: float) -> Evaluated:
-        value, slope = np.concatenate([b.value for b in blocks]), np.concatenate([b.slope for b in blocks])
+    def _joined(
+        self, y: Float, x: Float, points: tuple[Point, ...], blocks: list[Block], lost: float
+    ) -> Evaluated:
+        value, slope = (
+            np.concatenate([b.value for b in blocks]),
+            np.concatenate([b.slope for b in blocks]),
+        )
         counts = [int(b.datum.max(initial=-1)) + 1 for b in blocks]
         first = np.cumsum([0, *counts[:-1]])
         datum = np.concatenate([b.datum + f for b, f in zip(blocks, first, strict=True)])
         mode = np.concatenate([b.mode for b in blocks])
         kind = np.repeat(np.arange(len(blocks)), [b.value.size for b in blocks])
         data = float(self.loss.cost(squares(value, datum)).sum())
-        return Evaluated(y, x, value, slope, datum, mode, kind, points, data, float(x @ self.precision @ x), lost)
+        return Evaluated(
+            y, x, value, slope, datum, mode, kind, points, data, float(x @ self.precision @ x), lost
+        )
 
     def weighted(self, at: Evaluated) -> tuple[Float, Float]:
-        """√ρ' r (r,) and √ρ' G (r, q): their least-squares gradient is that of the robust data part."""
+        """√ρ' r (r,) and √ρ' G (r, q): their least-squares gradient is that of the robust data
+        part.
+        """
         root = np.sqrt(self.loss.weight(squares(at.value, at.datum)))[at.datum]
         return at.value * root, at.slope * root[:, None]
 
@@ -224,7 +260,8 @@ class Problem:
         return np.asarray(self.linked_precision @ at.y - g.T @ r)
 
     def shared(self, at: Evaluated, other: Evaluated) -> float | None:
-        """J without the cost of lost modes, over the test modes that `other` has paired; None if one is lost in `at`.
+        """J without the cost of lost modes, over the test modes that `other` has paired; None if
+        one is lost in `at`.
 
         Configurations in which no pair costs more than a lost mode count whole, lost modes too.
         """
@@ -235,7 +272,11 @@ class Problem:
         free = ~gated[at.mode // APART] | (at.mode == NO_MODE)
         keep = free | np.isin(at.mode, other.mode)
         cost = self.loss.cost(squares(at.value[keep], at.datum[keep]))
-        open_lost = sum(_lost(c, p) for c, p, g in zip(self.configurations, at.points, gated, strict=True) if not g)
+        open_lost = sum(
+            _lost(c, p)
+            for c, p, g in zip(self.configurations, at.points, gated, strict=True)
+            if not g
+        )
         return float(cost.sum()) + at.prior + open_lost
 
 
@@ -246,12 +287,16 @@ def _lost(c: Configuration, at: Point) -> float:
 def _bare(now: Linearisation, x: Float) -> Linearisation:
     """Modes without sensitivities, x kept."""
     m = now.frequencies.size
-    return Linearisation(x, now.frequencies, now.shapes, np.zeros((m, 0)), np.zeros((*now.shapes.shape, 0)))
+    return Linearisation(
+        x, now.frequencies, now.shapes, np.zeros((m, 0)), np.zeros((*now.shapes.shape, 0))
+    )
 
 
 def _shifted(b: Block, wide: Float, i: int) -> Block:
     """Slopes to the unknowns, test modes numbered through all configurations."""
-    return Block(b.value, b.slope @ wide, b.datum, np.where(b.mode == NO_MODE, NO_MODE, b.mode + i * APART))
+    return Block(
+        b.value, b.slope @ wide, b.datum, np.where(b.mode == NO_MODE, NO_MODE, b.mode + i * APART)
+    )
 
 
 def _places(parameters: ParameterSet, c: Configuration) -> list[int]:
@@ -259,7 +304,9 @@ def _places(parameters: ParameterSet, c: Configuration) -> list[int]:
     at = {n: i for i, n in enumerate(parameters.names)}
     lost = [n for n in c.model.parameters.names if n not in at]
     if lost:
-        raise InputError(f"configuration {c.name}: no parameter {lost[0]!r}{did_you_mean(lost[0], at)}")
+        raise InputError(
+            f"configuration {c.name}: no parameter {lost[0]!r}{did_you_mean(lost[0], at)}"
+        )
     return [at[n] for n in c.model.parameters.names]
 
 
@@ -269,13 +316,16 @@ def joined(sets: Sequence[ParameterSet]) -> ParameterSet:
     Raises
     ------
     InputError
-        If two with the same name have different bounds, scale or prior: they would not be one parameter.
+        If two with the same name have different bounds, scale or prior: they would not be one
+        parameter.
     """
     found = {p.name: p for s in sets for p in s.parameters}
     for p in (p for s in sets for p in s.parameters):
         same = found[p.name]
         if (p.lower, p.upper, p.scale, p.std) != (same.lower, same.upper, same.scale, same.std):
-            raise InputError(f"parameter {p.name!r} has different bounds, scale or prior in two configurations")
+            raise InputError(
+                f"parameter {p.name!r} has different bounds, scale or prior in two configurations"
+            )
     return ParameterSet(tuple(found.values()))
 
 
@@ -306,7 +356,8 @@ def link_equal(parameters: ParameterSet, groups: Sequence[Sequence[str]]) -> Flo
 
 
 def held_to(problem: Problem, names: Sequence[str], base: Float | None = None) -> Problem:
-    """The problem with only some parameters free; the others stay at 0, without constraints on these alone.
+    """The problem with only some parameters free; the others stay at 0, without constraints on
+    these alone.
 
     Raises
     ------

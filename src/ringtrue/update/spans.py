@@ -1,8 +1,10 @@
-"""What the model has in place of a test mode in shape residuals: a mode, or a space that fades where modes move apart.
+"""What the model has in place of a test mode in shape residuals: a mode, or a space that fades
+where modes move apart.
 
-Where test modes are close, only the space that they span is well measured. The model's modes that stand for one are
-then its partner, the partners of the close ones, and what is close to it in the model. Each of these counts less and
-less as it moves away, so that residuals and their sensitivities are smooth.
+Where test modes are close, only the space that they span is well measured. The model's modes that
+stand for one are then its partner, the partners of the close ones, and what is close to it in the
+model. Each of these counts less and less as it moves away, so that residuals and their
+sensitivities are smooth.
 """
 
 from __future__ import annotations
@@ -49,7 +51,8 @@ class Span:
 def spans(
     frequencies: Float, used: Bool, pairs: Int, now: Linearisation, settings: PairingSettings
 ) -> tuple[Span, ...]:
-    """The span of each pair (k, 2) of a test mode and a mode of the model; a mode at 0 Hz stands alone.
+    """The span of each pair (k, 2) of a test mode and a mode of the model; a mode at 0 Hz stands
+    alone.
 
     Parameters
     ----------
@@ -58,7 +61,9 @@ def spans(
         Test modes whose partners stand for close ones, too.
     """
     partner = {t: f for t, f in pairs.tolist() if used[t]}
-    near = {t: g for g in close_groups(frequencies, settings.close, settings.largest_group) for t in g}
+    near = {
+        t: g for g in close_groups(frequencies, settings.close, settings.largest_group) for t in g
+    }
     return tuple(
         _around(now, f, {partner[s] for s in near[t] if s in partner}, settings)
         if len(near[t]) > 1 and now.frequencies[f] > 0
@@ -71,7 +76,9 @@ def _one(now: Linearisation, f: int) -> Span:
     return Span((np.array([f]),), np.ones(1), np.zeros((1, now.d_lambda.shape[1])))
 
 
-def _around(now: Linearisation, f: int, partners: Collection[int], settings: PairingSettings) -> Span:
+def _around(
+    now: Linearisation, f: int, partners: Collection[int], settings: PairingSettings
+) -> Span:
     """Mode `f`, those close to it, and partners of close test modes within `APART` times that."""
     limit = np.full(now.frequencies.size, settings.close)
     limit[list(partners)] *= APART
@@ -83,13 +90,18 @@ def _around(now: Linearisation, f: int, partners: Collection[int], settings: Pai
     at, (height, steep) = here[order], fade(ratio[order])
     d_log = now.d_lambda[at] / (2 * (2 * np.pi * now.frequencies[at, None]) ** 2)
     d_height = (steep * np.sign(log[order]) / limit[at])[:, None] * (d_log - d_log[:1])
-    weight, slope = -np.diff(height, append=0.0), -np.diff(d_height, axis=0, append=np.zeros((1, d_log.shape[1])))
+    weight, slope = (
+        -np.diff(height, append=0.0),
+        -np.diff(d_height, axis=0, append=np.zeros((1, d_log.shape[1]))),
+    )
     some = np.flatnonzero(weight > 0)
     return Span(tuple(at[: k + 1] for k in some.tolist()), weight[some], slope[some])
 
 
 def span_residual(shapes: Float, now: Linearisation, t: int, span: Span) -> tuple[Float, Float]:
-    """ψ − Σ w P ψ and ∂(Σ w P ψ)/∂x of test mode `t` of `shapes` (channel, m): (channel,) and (channel, p)."""
+    """ψ − Σ w P ψ and ∂(Σ w P ψ)/∂x of test mode `t` of `shapes` (channel, m): (channel,) and
+    (channel, p).
+    """
     if len(span.sets) == 1:  # as nearly always
         return shape_residual(shapes, now, t, span.sets[0])
     parts = [shape_residual(shapes, now, t, g) for g in span.sets]
@@ -106,7 +118,11 @@ def shape_residual(shapes: Float, now: Linearisation, t: int, group: Int) -> tup
     psi = unit(shapes[:, [t]])[:, 0]
     phi = now.shapes[:, group]
     alone = group.size == 1  # as nearly always: half the time
-    plus = phi.T / max(float((phi**2).sum()), np.finfo(np.float64).tiny) if alone else np.linalg.pinv(phi)
+    plus = (
+        phi.T / max(float((phi**2).sum()), np.finfo(np.float64).tiny)
+        if alone
+        else np.linalg.pinv(phi)
+    )
     inside = phi @ (plus @ psi)
     rest = psi - inside
     d_phi = now.d_shapes[:, group, :]

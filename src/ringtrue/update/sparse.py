@@ -1,7 +1,9 @@
-"""Sparse choice of parameters: the LASSO path inside a box, and by it the order in which candidates enter.
+"""Sparse choice of parameters: the LASSO path inside a box, and by it the order in which candidates
+enter.
 
-min ½‖r − G x‖² + κ Σ |x_j| with low <= x <= high, x in units of the prior standard deviation. Tibshirani (1996);
-coordinate descent with warm starts after Friedman, Hastie and Tibshirani (2010). low = 0 makes it non-negative.
+min ½‖r − G x‖² + κ Σ |x_j| with low <= x <= high, x in units of the prior standard deviation.
+Tibshirani (1996); coordinate descent with warm starts after Friedman, Hastie and Tibshirani (2010).
+low = 0 makes it non-negative.
 """
 
 from __future__ import annotations
@@ -49,7 +51,9 @@ class LassoPath:
         return order[first[order] < len(inside)].astype(np.int64)
 
 
-def lasso_path(slope: Float, value: Float, low: Float, high: Float, *, count: int = 40, end: float = 1e-3) -> LassoPath:
+def lasso_path(
+    slope: Float, value: Float, low: Float, high: Float, *, count: int = 40, end: float = 1e-3
+) -> LassoPath:
     """The path from the penalty that keeps every candidate out down to `end` of it.
 
     Parameters
@@ -69,10 +73,20 @@ def lasso_path(slope: Float, value: Float, low: Float, high: Float, *, count: in
         If the sizes differ or a box does not hold 0.
     """
     g, r = np.asarray(slope, dtype=np.float64), np.asarray(value, dtype=np.float64)
-    if g.ndim != 2 or r.shape != g.shape[:1] or low.shape != g.shape[1:] or high.shape != g.shape[1:]:
-        raise InputError(f"slope {g.shape}, value {r.shape}, bounds {low.shape} and {high.shape} do not fit together")
+    if (
+        g.ndim != 2
+        or r.shape != g.shape[:1]
+        or low.shape != g.shape[1:]
+        or high.shape != g.shape[1:]
+    ):
+        raise InputError(
+            f"slope {g.shape}, value {r.shape}, bounds {low.shape} and {high.shape} do not fit "
+            "together"
+        )
     if (low > 0).any() or (high < 0).any() or not 0 < end < 1 or count < 2:
-        raise InputError(f"LASSO path: each box must hold 0, end {end} be in 0..1 and count {count} 2 or more")
+        raise InputError(
+            f"LASSO path: each box must hold 0, end {end} be in 0..1 and count {count} 2 or more"
+        )
     gram, load = g.T @ g, g.T @ r
     top = float(_pull(load, low, high).max(initial=0.0))
     penalties = top * np.geomspace(1.0, end, count)
@@ -95,7 +109,9 @@ def _slack(gradient: Float, penalty: float, x: Float, low: Float, high: Float) -
     """Largest violation of the Karush-Kuhn-Tucker conditions."""
     at_zero = np.maximum(_pull(gradient, low, high) - penalty, 0.0)
     free = gradient - penalty * np.sign(x)
-    inside = np.where(x >= high, np.maximum(-free, 0), np.where(x <= low, np.maximum(free, 0), np.abs(free)))
+    inside = np.where(
+        x >= high, np.maximum(-free, 0), np.where(x <= low, np.maximum(free, 0), np.abs(free))
+    )
     return float(np.where(x == 0, at_zero, inside).max(initial=0.0))
 
 
@@ -114,8 +130,12 @@ def _descend(gram: Float, load: Float, penalty: float, x: Float, low: Float, hig
     return x
 
 
-def _sweep(gram: Float, load: Float, penalty: float, x: Float, low: Float, high: Float, members: Int) -> None:
-    """Cycle over the members, in place, until none moves: each has a closed form, so the loop is over coordinates."""
+def _sweep(
+    gram: Float, load: Float, penalty: float, x: Float, low: Float, high: Float, members: Int
+) -> None:
+    """Cycle over the members, in place, until none moves: each has a closed form, so the loop is
+    over coordinates.
+    """
     inner, rest = gram[np.ix_(members, members)], load[members]
     y, size = x[members].copy(), np.diag(inner)
     tiny = EXACT * float(np.abs(load).max(initial=0.0))

@@ -1,7 +1,9 @@
-"""Rigid-body tuning: springs, mass, centre of gravity and inertia from rigid-body modes whose pairing is uncertain.
+"""Rigid-body tuning: springs, mass, centre of gravity and inertia from rigid-body modes whose
+pairing is uncertain.
 
-Neighbouring rigid-body modes turn into each other as springs change, so which test mode is which model mode is itself
-unknown. Every assignment is a hypothesis h with a best point of its own; hypotheses weigh by their evidence
+Neighbouring rigid-body modes turn into each other as springs change, so which test mode is which
+model mode is itself unknown. Every assignment is a hypothesis h with a best point of its own;
+hypotheses weigh by their evidence
 
     p(h | data) ∝ exp(−J_h/2) det(GᵀG + W_p)^(−1/2)        (Laplace; MacKay 1992, eq. 2.6)
 
@@ -45,7 +47,8 @@ class Assignment:
     pairs : (m, 2) int64
         Test mode and model mode, in the order of frequency at the end.
     first : (m,) int64
-        The same model modes in the order of frequency at the start: what tells two assignments apart that end alike.
+        The same model modes in the order of frequency at the start: what tells two assignments
+        apart that end alike.
     x : (p,) float64
     covariance : (p, p) float64
     cost : float
@@ -112,7 +115,9 @@ class Suspended:
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     def ambiguity(self) -> tuple[str, ...]:
-        """In words, which test modes could be another model mode and what would change; empty if it is sure."""
+        """In words, which test modes could be another model mode and what would change; empty if it
+        is sure.
+        """
         if self.sure:
             return ()
         told, covered = [], 0.0
@@ -133,7 +138,9 @@ class Suspended:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _At:
-    """A point with the model modes under their labels (l,), residuals and slopes at fixed pairs of labels."""
+    """A point with the model modes under their labels (l,), residuals and slopes at fixed pairs of
+    labels.
+    """
 
     x: Float
     now: Linearisation
@@ -157,8 +164,8 @@ def tune(
     ----------
     model : ObservedModel
     target : Target
-        Rigid-body test modes; those not `used` take no part. Its gates are not asked, but `pairing.close` says which
-        model modes are rotated towards the test.
+        Rigid-body test modes; those not `used` take no part. Its gates are not asked, but
+        `pairing.close` says which model modes are rotated towards the test.
     start : (p,) float64, optional
         0 by default.
     keep : int
@@ -174,7 +181,9 @@ def tune(
     x = np.zeros(len(model.parameters)) if start is None else np.array(start, dtype=np.float64)
     tests = np.flatnonzero(target.used)
     now = model.linearise(x)
-    labels = np.arange(min(max(6, tests.size), now.frequencies.size))  # the lowest six, or as many as the test has
+    labels = np.arange(
+        min(max(6, tests.size), now.frequencies.size)
+    )  # the lowest six, or as many as the test has
     labels = labels[now.frequencies[labels] > 0]
     order, considered = _ranked(model, target, now, tests, labels)
     found: list[tuple[_At, Int]] = []
@@ -188,17 +197,26 @@ def tune(
         if progress is not None:
             progress((i + 1) / min(keep, len(order)), f"assignment {i + 1} of the rigid-body modes")
     if not found:
-        raise NotConverged("no assignment of rigid-body modes can be solved: look at bounds and start")
+        raise NotConverged(
+            "no assignment of rigid-body modes can be solved: look at bounds and start"
+        )
     return Suspended(model.parameters, _weighed(model, target, tests, labels, found), considered)
 
 
-def _ranked(model: ObservedModel, target: Target, now: Linearisation, tests: Int, labels: Int) -> tuple[Int, int]:
-    """Assignments (a, m) of positions in `labels`, the most probable by the linearised model first, and how many.
+def _ranked(
+    model: ObservedModel, target: Target, now: Linearisation, tests: Int, labels: Int
+) -> tuple[Int, int]:
+    """Assignments (a, m) of positions in `labels`, the most probable by the linearised model first,
+    and how many.
 
-    Frequencies by the prior predictive distribution N(−G x₀, S + G W_p⁻¹Gᵀ) about the point x₀; shapes by 1 − MAC, cut.
+    Frequencies by the prior predictive distribution N(−G x₀, S + G W_p⁻¹Gᵀ) about the point x₀;
+    shapes by 1 − MAC, cut.
     """
     if tests.size > labels.size or not tests.size:
-        raise InputError(f"{tests.size} rigid-body test modes for {labels.size} of the model: leave test modes out")
+        raise InputError(
+            f"{tests.size} rigid-body test modes for {labels.size} of the model: leave test "
+            "modes out"
+        )
     count = perm(labels.size, tests.size)
     if count > MOST:
         raise InputError(f"{count} assignments (at most {MOST}): name fewer model modes")
@@ -209,8 +227,13 @@ def _ranked(model: ObservedModel, target: Target, now: Linearisation, tests: Int
     miss = np.log(target.frequencies[tests, None] / now.frequencies[labels]) + slope @ (now.x / std)
     r = miss[np.arange(tests.size), choices]
     inner = slope @ slope.T
-    cov = inner[choices[:, :, None], choices[:, None, :]] + np.diag(w.frequency**2 + target.std[tests] ** 2)
-    cost = np.einsum("am,am->a", r, np.linalg.solve(cov, r[..., None])[..., 0]) + np.linalg.slogdet(cov)[1]
+    cov = inner[choices[:, :, None], choices[:, None, :]] + np.diag(
+        w.frequency**2 + target.std[tests] ** 2
+    )
+    cost = (
+        np.einsum("am,am->a", r, np.linalg.solve(cov, r[..., None])[..., 0])
+        + np.linalg.slogdet(cov)[1]
+    )
     alike = mac(target.shapes[:, tests], now.shapes[:, labels])
     shape = np.minimum((w.shape / w.mac if w.shape else 0.0) * (1 - alike), CAP)
     cost += shape[np.arange(tests.size), choices].sum(axis=1)
@@ -226,13 +249,18 @@ def _evaluate(
     root = 0.5 / np.hypot(w.frequency, target.std[tests])
     lam_test = (2 * np.pi * target.frequencies[tests]) ** 2
     lam = (2 * np.pi * now.frequencies[chosen]) ** 2 * np.sign(now.frequencies[chosen])
-    value, slope = [root * (1 - lam / lam_test)], [(root / lam_test)[:, None] * now.d_lambda[chosen]]
+    value, slope = (
+        [root * (1 - lam / lam_test)],
+        [(root / lam_test)[:, None] * now.d_lambda[chosen]],
+    )
     if w.shape > 0:
         group = _group_of(target, now)
         near = close_groups(target.frequencies, target.pairing.close, target.pairing.largest_group)
         alone = {t for g in near if len(g) == 1 for t in g}
         for t, j in zip(tests.tolist(), chosen.tolist(), strict=True):
-            r, g = shape_residual(target.shapes, now, t, np.array((j,) if t in alone else group.get(j, (j,))))
+            r, g = shape_residual(
+                target.shapes, now, t, np.array((j,) if t in alone else group.get(j, (j,)))
+            )
             value.append(np.sqrt(w.shape / w.mac) * r)
             slope.append(np.sqrt(w.shape / w.mac) * g)
     v, s = np.concatenate(value), np.concatenate(slope)
@@ -250,8 +278,12 @@ def _follow(before: Linearisation, modes: Int, now: Linearisation) -> Int:
     return np.asarray(columns[np.argsort(rows)])
 
 
-def _refine(model: ObservedModel, target: Target, first: Linearisation, tests: Int, labels: Int, choice: Int) -> _At:
-    """Levenberg-Marquardt in the bounds with the pairs fixed; modes keep their labels through crossings."""
+def _refine(
+    model: ObservedModel, target: Target, first: Linearisation, tests: Int, labels: Int, choice: Int
+) -> _At:
+    """Levenberg-Marquardt in the bounds with the pairs fixed; modes keep their labels through
+    crossings.
+    """
     std = model.parameters.std()
     low, high = model.parameters.bounds()
     x = np.clip(first.x, low, high)
@@ -286,7 +318,9 @@ def _same(model: ObservedModel, tests: Int, a: _At, choice: Int, b: _At, other: 
 def _weighed(
     model: ObservedModel, target: Target, tests: Int, labels: Int, ends: list[tuple[_At, Int]]
 ) -> tuple[Assignment, ...]:
-    """Assignments by their evidence, residuals larger than foreseen taken as model discrepancy of all of them."""
+    """Assignments by their evidence, residuals larger than foreseen taken as model discrepancy of
+    all of them.
+    """
     w = np.diag(1 / model.parameters.std() ** 2)
     inner = [e.slope.T @ e.slope for e, _ in ends]
     i = int(np.argmin([e.cost for e, _ in ends]))

@@ -1,7 +1,9 @@
-"""The methods of updating under one driver: Gauss-Newton, Levenberg-Marquardt, trust region; bounds and constraints.
+"""The methods of updating under one driver: Gauss-Newton, Levenberg-Marquardt, trust region; bounds
+and constraints.
 
-Each step minimises the same quadratic model ½dᵀHd + gᵀd, H = GᵀWG + W_p (+ S + μD), inside bounds, linear constraints,
-move limits and the trust region, by one least-squares problem with inequalities (Lawson and Hanson, 1974, ch. 23).
+Each step minimises the same quadratic model ½dᵀHd + gᵀd, H = GᵀWG + W_p (+ S + μD), inside bounds,
+linear constraints, move limits and the trust region, by one least-squares problem with inequalities
+(Lawson and Hanson, 1974, ch. 23).
 """
 
 from __future__ import annotations
@@ -29,7 +31,8 @@ from ringtrue.update.several import Evaluated, Problem, held_to
 Kind = Literal["gauss-newton", "published", "levenberg-marquardt", "trust-region"]
 KINDS = {
     "gauss-newton": "full steps inside the move limits, halved when they do not lower J",
-    "published": "equation (4) as printed: the prior restrains each step, not their sum; not stationary for J",
+    "published": "equation (4) as printed: the prior restrains each step, not their sum; not "
+    "stationary for J",
     "levenberg-marquardt": "steps damped by mu D, D the diagonal of the Hessian",
     "trust-region": "steps inside a box that grows and shrinks with how well J was predicted",
 }
@@ -67,9 +70,13 @@ class Method:
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
-            raise ConfigError(f"no method of updating {self.kind!r}{did_you_mean(self.kind, KINDS)}")
+            raise ConfigError(
+                f"no method of updating {self.kind!r}{did_you_mean(self.kind, KINDS)}"
+            )
         if min(self.move, self.radius, self.damping) <= 0:
-            raise ConfigError(f"move {self.move}, radius {self.radius}, damping {self.damping}: must be > 0")
+            raise ConfigError(
+                f"move {self.move}, radius {self.radius}, damping {self.damping}: must be > 0"
+            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,7 +172,15 @@ class Descent:
         """The start."""
         at = self.problem.evaluate(self.start)
         flat = np.zeros((at.y.size, at.y.size))
-        return State(at, self.radius or self.method.radius, self.damping or self.method.damping, np.inf, 0, "", flat)
+        return State(
+            at,
+            self.radius or self.method.radius,
+            self.damping or self.method.damping,
+            np.inf,
+            0,
+            "",
+            flat,
+        )
 
     def gradient(self, at: Evaluated) -> Float:
         """½ ∂J/∂y; without the prior where the published equation is asked for."""
@@ -212,14 +227,20 @@ class Descent:
         if now is None or before is None:
             return self._rejected(state, size, "the trial point loses a mode")
         fall = before - now
-        if not np.isfinite(now) or (fall < -SMALL * abs(before) and self.method.kind != "published"):
+        if not np.isfinite(now) or (
+            fall < -SMALL * abs(before) and self.method.kind != "published"
+        ):
             return self._rejected(state, size, "the trial point does not lower J")
         return self._accepted(state, trial, size, fall / promised if promised > 0 else 1.0)
 
     def _accepted(self, state: State, trial: Evaluated, size: float, ratio: float) -> State:
         secant = self._secant(state, trial) if self.method.secant else np.zeros_like(state.secant)
         grow = 2.0 if ratio > 0.75 else 1.0 if ratio > 0.25 else 0.5
-        radius = max(state.radius, 2 * size) if grow > 1 else grow * min(state.radius, size if grow < 1 else np.inf)
+        radius = (
+            max(state.radius, 2 * size)
+            if grow > 1
+            else grow * min(state.radius, size if grow < 1 else np.inf)
+        )
         damping = max(state.damping * {2.0: 0.2, 1.0: 1.0, 0.5: 4.0}[grow], 1e-12)
         made = State(trial, min(radius, self.method.move), damping, size, 0, "", secant)
         if self.keep is not None:
@@ -246,7 +267,9 @@ class Descent:
         if old.mode.tolist() != trial.mode.tolist() or self.method.kind == "published":
             return np.zeros_like(state.secant)
         (r0, g0), (r, g) = self.problem.weighted(old), self.problem.weighted(trial)
-        return secant(state.secant, trial.y - old.y, (r0, g0), (r, g), self.problem.linked_precision)
+        return secant(
+            state.secant, trial.y - old.y, (r0, g0), (r, g), self.problem.linked_precision
+        )
 
     def terminate(self, state: State) -> Outcome | None:
         """Small gradient or step, or many rejected steps in a row."""
@@ -257,10 +280,14 @@ class Descent:
     def reason(self, state: State) -> str:
         """Which tolerance is met; empty if none."""
         r, g = self.problem.weighted(state.at)
-        whole = np.abs(g).T @ np.abs(r) + np.abs(self.problem.linked_precision @ state.at.y) + 1e-300
+        whole = (
+            np.abs(g).T @ np.abs(r) + np.abs(self.problem.linked_precision @ state.at.y) + 1e-300
+        )
         slope = self.gradient(state.at)
         rows, limits = self.problem.inequalities()
-        if (np.abs(slope) <= self.method.gradient * whole).all() and (rows @ state.at.y <= limits + 1e-9).all():
+        if (np.abs(slope) <= self.method.gradient * whole).all() and (
+            rows @ state.at.y <= limits + 1e-9
+        ).all():
             return "the gradient of J is below its tolerance"
         # the undamped step: one that damping or a small region made short proves nothing
         h = self.hessian(state.at, state.secant)
@@ -270,7 +297,9 @@ class Descent:
             finished = state.rejected >= 2 and promised <= ROUNDING * state.at.cost
             return "J cannot be lowered by more than its rounding" if finished else ""
         at_limit = (rows @ state.at.y > limits - 1e-9).any()
-        return "the step is below its tolerance" + ("; bounds or constraints are reached" if at_limit else "")
+        return "the step is below its tolerance" + (
+            "; bounds or constraints are reached" if at_limit else ""
+        )
 
     def merit(self, state: State) -> float:
         """J."""
@@ -313,34 +342,63 @@ def solve(
     begin = np.zeros(problem.size) if start is None else np.array(start, dtype=np.float64)
     descent = Descent(problem, method, problem.nearest(begin))
     if checkpoint is not None:
-        descent = replace(_resumed(descent, checkpoint), keep=lambda s: write_checkpoint(checkpoint, problem, s))
+        descent = replace(
+            _resumed(descent, checkpoint), keep=lambda s: write_checkpoint(checkpoint, problem, s)
+        )
     run = iterate(descent, limit=iterations, progress=progress)
     last = run.last
-    history = tuple(s.at for i, s in enumerate(run.states) if i == 0 or s.at is not run.states[i - 1].at)
+    history = tuple(
+        s.at for i, s in enumerate(run.states) if i == 0 or s.at is not run.states[i - 1].at
+    )
     why = descent.reason(last) or last.why or run.outcome.value
     return _solution(problem, history, run.outcome, why, len(run.states))
 
 
-def _solution(problem: Problem, history: tuple[Evaluated, ...], outcome: Outcome, why: str, count: int) -> Solution:
+def _solution(
+    problem: Problem, history: tuple[Evaluated, ...], outcome: Outcome, why: str, count: int
+) -> Solution:
     end, precision = history[-1], problem.linked_precision
     _, g = problem.weighted(end)
     normal = g.T @ g
-    total = normal + precision + 1e-14 * np.eye(len(normal)) * float(np.diag(normal + precision).max(initial=1e-300))
+    total = (
+        normal
+        + precision
+        + 1e-14 * np.eye(len(normal)) * float(np.diag(normal + precision).max(initial=1e-300))
+    )
     spent = float(np.trace(linalg.solve(total, normal, assume_a="pos")))
-    many = problem.configurations[0].target.weights.independent  # errors in a shape, the datum of many rows
+    many = problem.configurations[
+        0
+    ].target.weights.independent  # errors in a shape, the datum of many rows
     data = float(np.where(np.bincount(end.datum) > 1, many, 1.0).sum())
-    spread = max(1.0, float(problem.loss.cost(squares(end.value, end.datum)).sum()) / max(data - spent, 1.0))
+    spread = max(
+        1.0, float(problem.loss.cost(squares(end.value, end.datum)).sum()) / max(data - spent, 1.0)
+    )
     posterior = normal / spread + total - normal
     covariance = linalg.solve(posterior, np.eye(len(normal)), assume_a="pos")
     prior = np.sqrt(np.maximum(np.diag(precision), 1e-300))
     told = np.sqrt(np.diag(covariance)) * prior
-    return Solution(end.x, problem.parameters.factors(end.x), end.y, covariance, told, history, outcome, why, count)
+    return Solution(
+        end.x,
+        problem.parameters.factors(end.x),
+        end.y,
+        covariance,
+        told,
+        history,
+        outcome,
+        why,
+        count,
+    )
 
 
 def write_checkpoint(path: Path, problem: Problem, state: State) -> None:
     """The point and the reach of a state as JSON, whole or not at all."""
     names = list(problem.parameters.names)
-    found = {"names": names, "y": state.at.y.tolist(), "radius": state.radius, "damping": state.damping}
+    found = {
+        "names": names,
+        "y": state.at.y.tolist(),
+        "radius": state.radius,
+        "damping": state.damping,
+    }
     with atomic_write(path) as part:
         part.write_text(json.dumps(found | {"cost": state.at.cost}), encoding="utf-8")
 
@@ -353,13 +411,20 @@ def _resumed(descent: Descent, path: Path) -> Descent:
     try:
         found = read_json(path)
         y = np.array(found["y"], dtype=np.float64)
-        same = found["names"] == list(descent.problem.parameters.names) and y.shape == (descent.problem.size,)
+        same = found["names"] == list(descent.problem.parameters.names) and y.shape == (
+            descent.problem.size,
+        )
         if same:
-            return replace(descent, start=y, radius=float(found["radius"]), damping=float(found["damping"]))
+            return replace(
+                descent, start=y, radius=float(found["radius"]), damping=float(found["damping"])
+            )
     except (ValueError, KeyError, TypeError) as e:
-        raise DataError(f"{path}: not a checkpoint of an updating: {e}; remove it to start anew") from e
+        raise DataError(
+            f"{path}: not a checkpoint of an updating: {e}; remove it to start anew"
+        ) from e
     raise DataError(
-        f"{path}: the checkpoint has other parameters ({', '.join(found['names'])}); remove it to start anew"
+        f"{path}: the checkpoint has other parameters ({', '.join(found['names'])}); remove it "
+        "to start anew"
     )
 
 

@@ -6,7 +6,8 @@ import numpy as np
 
 from ringtrue.core.arrays import Bool, Float
 
-STILL = 5e-5  # relative shift of a frequency: half of the last digit in which deviations are stated (0.01 %)
+# relative shift of a frequency: half of the last digit in which deviations are stated (0.01 %)
+STILL = 5e-5
 
 
 def unmoved(x: Float, std: Float, slopes: Float) -> Bool:

@@ -1,4 +1,6 @@
-"""Updating on a reduced basis that ends on full solutions: solve, compare with the full model, enrich, repeat."""
+"""Updating on a reduced basis that ends on full solutions: solve, compare with the full model,
+enrich, repeat.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,8 @@ class Verified:
     problem : Problem
         That it solves, with the enriched model in its first configuration.
     error : float
-        Largest relative frequency error of the basis, against a full solution at the last but one end.
+        Largest relative frequency error of the basis, against a full solution at the last but one
+        end.
     full_solutions : int
     """
 
@@ -64,7 +67,8 @@ def solve_verified(
 ) -> Verified:
     """Solve on the basis; at each end solve the full model and add its modes, until the two agree.
 
-    The static sensitivities at the ends are added, too: they cost one block of solves, no eigensolution.
+    The static sensitivities at the ends are added, too: they cost one block of solves, no
+    eigensolution.
 
     Parameters
     ----------
@@ -87,7 +91,9 @@ def solve_verified(
     only = problem.configurations[0]
     model = only.model
     if len(problem.configurations) != 1 or not isinstance(model, Enriched) or rounds < 1:
-        raise InputError("a verified updating needs one configuration, a ReducedModel, and one round or more")
+        raise InputError(
+            "a verified updating needs one configuration, a ReducedModel, and one round or more"
+        )
     solved = solved or (lambda p, y: (solve(p, method, start=y), p))
     (done, end), error, count = solved(problem, start), np.inf, 0
     while error > tolerance and count < rounds:
@@ -99,11 +105,20 @@ def solve_verified(
         problem = replace(problem, configurations=(replace(only, model=model),))
         done, end = solved(problem, done.y)
         if progress is not None:
-            progress(count / rounds, f"full solution {count}: frequencies of the basis off by {error:.1e}")
+            progress(
+                count / rounds,
+                f"full solution {count}: frequencies of the basis off by {error:.1e}",
+            )
     return Verified(done, end, error, count)
 
 
 def _off(basis: Float, truth: Float) -> float:
-    """Largest relative error of frequencies; where the structure is free to move they are rounding, and no error."""
+    """Largest relative error of frequencies; where the structure is free to move they are rounding,
+    and no error.
+    """
     change = basis * np.abs(basis) - truth * np.abs(truth)
-    return float((np.abs(change) / (2 * np.maximum(truth, max(rigid_below(truth), TINY)) ** 2)).max(initial=0.0))
+    return float(
+        (np.abs(change) / (2 * np.maximum(truth, max(rigid_below(truth), TINY)) ** 2)).max(
+            initial=0.0
+        )
+    )

@@ -1,7 +1,9 @@
-"""How much to trust the prior (W_p) and the data (W): L-curve, generalised cross-validation, evidence.
+"""How much to trust the prior (W_p) and the data (W): L-curve, generalised cross-validation,
+evidence.
 
-All rules for W_p choose one factor γ on a given W_p for the problem linearised at the current point,
-min ‖r + Gx₀ − Gx‖² + γ xᵀW_p x, and `regularised` repeats choice and updating until the factor stands.
+All rules for W_p choose one factor γ on a given W_p for the problem linearised at the current
+point, min ‖r + Gx₀ − Gx‖² + γ xᵀW_p x, and `regularised` repeats choice and updating until the
+factor stands.
 """
 
 from __future__ import annotations
@@ -63,7 +65,9 @@ class Standard:
 
 
 def standard(slope: Float, value: Float, x: Float, precision: Float) -> Standard:
-    """The standard form at x (q,) of residuals (r,) with slopes (r, q) and W_p (q, q), positive definite."""
+    """The standard form at x (q,) of residuals (r,) with slopes (r, q) and W_p (q, q), positive
+    definite.
+    """
     root = linalg.cholesky(precision)
     u, s, _ = linalg.svd(linalg.solve_triangular(root, slope.T, trans="T").T, full_matrices=False)
     if not s.any():
@@ -74,9 +78,11 @@ def standard(slope: Float, value: Float, x: Float, precision: Float) -> Standard
 
 
 def l_curve(problem: Standard) -> float:
-    """γ at the corner: largest curvature of ln ‖x‖ over ln ‖b − Gx‖. Hansen and O'Leary (1993), sec. 4.
+    """γ at the corner: largest curvature of ln ‖x‖ over ln ‖b − Gx‖. Hansen and O'Leary (1993),
+    sec. 4.
 
-    Between the squares of the least and the largest singular value: outside nothing changes but rounding.
+    Between the squares of the least and the largest singular value: outside nothing changes but
+    rounding.
     """
     s = problem.singular[problem.singular > 1e-8 * problem.singular.max()]
     g = np.geomspace(float(s.min()) ** 2, max(float(s.max()), 1.1 * float(s.min())) ** 2, 201)
@@ -84,13 +90,17 @@ def l_curve(problem: Standard) -> float:
     t = np.log(g)
     x, y = 0.5 * np.log(np.maximum(misfit, 1e-300)), 0.5 * np.log(np.maximum(size, 1e-300))
     dx, dy = np.gradient(x, t), np.gradient(y, t)
-    bend = (dx * np.gradient(dy, t) - dy * np.gradient(dx, t)) / np.maximum((dx**2 + dy**2) ** 1.5, 1e-12)
+    bend = (dx * np.gradient(dy, t) - dy * np.gradient(dx, t)) / np.maximum(
+        (dx**2 + dy**2) ** 1.5, 1e-12
+    )
     inner = slice(2, -2)  # one-sided differences bend
     return float(g[inner][np.argmax(np.abs(bend[inner]) * (bend[inner] > 0))])
 
 
 def gcv(problem: Standard) -> float:
-    """γ of least generalised cross-validation r ‖b − Gx‖²/(r − trace)². Golub, Heath and Wahba (1979), eq. 1.4."""
+    """γ of least generalised cross-validation r ‖b − Gx‖²/(r − trace)². Golub, Heath and Wahba
+    (1979), eq. 1.4.
+    """
     g = problem.grid()
     misfit, _, spent = problem.terms(g)
     score = problem.rows * misfit / np.maximum(problem.rows - spent, 1e-12) ** 2
@@ -103,7 +113,8 @@ def _gcv(problem: Standard, factor: float) -> float:
 
 
 def evidence(problem: Standard) -> float:
-    """γ = σ²_data/σ²_prior of largest marginal likelihood, the common scale of both integrated out at its best value.
+    """γ = σ²_data/σ²_prior of largest marginal likelihood, the common scale of both integrated out
+    at its best value.
 
     −2 ln p = r ln(bᵀ(I + GW_p⁻¹Gᵀ/γ)⁻¹b) + ln det(I + GW_p⁻¹Gᵀ/γ). MacKay (1992), sec. 4.
     """
@@ -127,7 +138,11 @@ def _refined(problem: Standard, score: Callable[[float], float], g: Float, i: in
     return float(np.exp(found.x))
 
 
-RULES: dict[str, Callable[[Standard], float]] = {"l-curve": l_curve, "gcv": gcv, "evidence": evidence}
+RULES: dict[str, Callable[[Standard], float]] = {
+    "l-curve": l_curve,
+    "gcv": gcv,
+    "evidence": evidence,
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -171,15 +186,20 @@ def regularised(
         If there is no such rule.
     """
     if rule not in RULES:
-        raise ConfigError(f"no rule for the weight of the prior {rule!r}{did_you_mean(rule, RULES)}")
+        raise ConfigError(
+            f"no rule for the weight of the prior {rule!r}{did_you_mean(rule, RULES)}"
+        )
     tried: list[float] = []
     y, now, settled = start, problem, False
     done = solve(now, method, start=y)
     for i in range(rounds):
         r, g = problem.weighted(done.end)
         factor = RULES[rule](standard(g, r, done.y, problem.linked_precision))
-        # the choice changes the linearisation that it rests on: shrinking steps keep the two from chasing one another
-        tried.append(factor if not tried else float(tried[-1] * (factor / tried[-1]) ** (1 / (i + 1))))
+        # the choice changes the linearisation that it rests on: shrinking steps keep the two from
+        # chasing one another
+        tried.append(
+            factor if not tried else float(tried[-1] * (factor / tried[-1]) ** (1 / (i + 1)))
+        )
         now = replace(problem, precision=tried[-1] * problem.precision)
         done = solve(now, method, start=done.y)
         settled = len(tried) > 1 and abs(np.log(tried[-1] / tried[-2])) < SETTLED
@@ -190,12 +210,16 @@ def regularised(
     return Regularised(tried[-1], now, done, np.array(tried), settled)
 
 
-def discrepancy_by_evidence(at: Evaluated, problem: Problem, kinds: Sequence[Sequence[int]] | None = None) -> Float:
-    """Factors s (k,) on the standard deviations of kinds of residuals that make the data most likely.
+def discrepancy_by_evidence(
+    at: Evaluated, problem: Problem, kinds: Sequence[Sequence[int]] | None = None
+) -> Float:
+    """Factors s (k,) on the standard deviations of kinds of residuals that make the data most
+    likely.
 
-    The data are Gaussian with covariance S² + G W_p⁻¹ Gᵀ about the linearisation at the point; S² is block-wise s².
-    Rows of one datum share it: of a shape with n channels each row has the variance s²/n, since it is its square sum,
-    1 − MAC, that has the expectation s². Multiply the standard deviations of `Weights` by s (1 − MAC by s²).
+    The data are Gaussian with covariance S² + G W_p⁻¹ Gᵀ about the linearisation at the point; S²
+    is block-wise s². Rows of one datum share it: of a shape with n channels each row has the
+    variance s²/n, since it is its square sum, 1 − MAC, that has the expectation s². Multiply the
+    standard deviations of `Weights` by s (1 − MAC by s²).
 
     Parameters
     ----------
@@ -213,7 +237,9 @@ def discrepancy_by_evidence(at: Evaluated, problem: Problem, kinds: Sequence[Seq
         before = scale.copy()
         for i, _group in enumerate(groups):
             found = minimize_scalar(
-                lambda t, i=i: _likelihood(b, inner, _variance(at, groups, _with(scale, i, t), unit)),
+                lambda t, i=i: _likelihood(
+                    b, inner, _variance(at, groups, _with(scale, i, t), unit)
+                ),
                 bounds=(-6.0, 6.0),
                 method="bounded",
             )
@@ -244,8 +270,11 @@ def _likelihood(b: Float, inner: Float, variance: Float) -> float:
     return float(z @ z + 2 * np.log(np.diag(factor)).sum())
 
 
-def left_over(assumed: Weights, r: Residual, slope: Float, data: float, independent: float) -> Weights:
-    """With the relative frequency and 1 − MAC that an updating leaves, over the data that its parameters have not used.
+def left_over(
+    assumed: Weights, r: Residual, slope: Float, data: float, independent: float
+) -> Weights:
+    """With the relative frequency and 1 − MAC that an updating leaves, over the data that its
+    parameters have not used.
 
     Parameters
     ----------
@@ -274,9 +303,12 @@ def left_over(assumed: Weights, r: Residual, slope: Float, data: float, independ
 
 
 def in_turns(
-    x: Float, updated: Callable[[Weights, Float], tuple[End, Float]], left: Callable[[Float], Weights]
+    x: Float,
+    updated: Callable[[Weights, Float], tuple[End, Float]],
+    left: Callable[[Float], Weights],
 ) -> tuple[End, Weights]:
-    """Updated with the discrepancy that is left over, in turns until that stands: the end, and the weights used there.
+    """Updated with the discrepancy that is left over, in turns until that stands: the end, and the
+    weights used there.
 
     Parameters
     ----------

@@ -29,8 +29,8 @@ class Ambient:
     correlation : float
         Share of the amplitude common to the three components, 0..1.
     force_density : float, N/√Hz
-        Air pressure and machinery at each point that carries such a force, above `force_corner`; below it the
-        density rises as 1/f, as sound and wind pressure do, and is flat under 0.3 Hz.
+        Air pressure and machinery at each point that carries such a force, above `force_corner`;
+        below it the density rises as 1/f, as sound and wind pressure do, and is flat under 0.3 Hz.
     force_corner : float, Hz
     machine_hz, machine_force : float, Hz, N
         Unbalance force of one rotating machine.
@@ -48,10 +48,12 @@ class Ambient:
 def ground_psd(freqs: Float, rms: float) -> Float:
     """Velocity of the ground, one-sided, (m/s)²/Hz.
 
-    A hump of ocean microseism at 0.28 Hz with 30 % of the variance and cultural noise between 2 and 40 Hz with the
-    rest (the shape of Peterson, 1993, new noise models, for a busy site).
+    A hump of ocean microseism at 0.28 Hz with 30 % of the variance and cultural noise between 2 and
+    40 Hz with the rest (the shape of Peterson, 1993, new noise models, for a busy site).
     """
-    return np.asarray(rms**2 * (0.3 * _normal(_microseism, freqs) + 0.7 * _normal(_cultural, freqs)))
+    return np.asarray(
+        rms**2 * (0.3 * _normal(_microseism, freqs) + 0.7 * _normal(_cultural, freqs))
+    )
 
 
 def _microseism(f: Float) -> Float:
@@ -70,13 +72,16 @@ def _normal(shape: Callable[[Float], Float], freqs: Float) -> Float:
 def force_psd(freqs: Float, ambient: Ambient) -> Float:
     """Small forces, one-sided, N²/Hz."""
     f = np.maximum(freqs, 0.3)
-    return np.asarray(ambient.force_density**2 * (1 + (ambient.force_corner / f) ** 2) * (freqs > 0))
+    return np.asarray(
+        ambient.force_density**2 * (1 + (ambient.force_corner / f) ** 2) * (freqs > 0)
+    )
 
 
 def input_psd(ids: Sequence[str], points: Sequence[str], freqs: Float, ambient: Ambient) -> Float:
     """(in, line) spectral density of each input, its own unit²/Hz, the machine left out.
 
-    Columns `ground+X` carry displacement, `groundv+X` velocity of the same motion; `points` carry small forces.
+    Columns `ground+X` carry displacement, `groundv+X` velocity of the same motion; `points` carry
+    small forces.
     """
     omega = np.where(freqs > 0, 2 * np.pi * freqs, np.inf)
     out = np.zeros((len(ids), freqs.size))
@@ -118,12 +123,16 @@ def ambient_forces(
     """
     at = {name: i for i, name in enumerate(ids)}
     if lost := [p for p in [*points, *([machine] if machine else [])] if p not in at]:
-        raise InputError(f"no input {' '.join(lost[:8])} in the modal model; there are {' '.join(list(at)[:40])}")
+        raise InputError(
+            f"no input {' '.join(lost[:8])} in the modal model; there are {' '.join(list(at)[:40])}"
+        )
     freqs = lines(samples, rate)
     out = np.zeros((len(ids), freqs.size), dtype=np.complex128)
     _ground(out, at, freqs, ambient, samples, rate, rng)
     force = force_psd(freqs, ambient)[None]
-    out[[at[p] for p in points]] = coloured(np.repeat(force, len(points), axis=0), samples, rate, rng)
+    out[[at[p] for p in points]] = coloured(
+        np.repeat(force, len(points), axis=0), samples, rate, rng
+    )
     if machine:
         out[at[machine]] += fft.rfft(machine_force(ambient, samples, rate, rng))
     return out
@@ -138,8 +147,12 @@ def _ground(
     rate: float,
     rng: np.random.Generator,
 ) -> None:
-    """Adds the ground's velocity to the columns `groundv`, its displacement to the columns `ground`."""
-    own = coloured(np.repeat(ground_psd(freqs, ambient.ground_rms)[None], 4, axis=0), samples, rate, rng)
+    """Adds the ground's velocity to the columns `groundv`, its displacement to the columns
+    `ground`.
+    """
+    own = coloured(
+        np.repeat(ground_psd(freqs, ambient.ground_rms)[None], 4, axis=0), samples, rate, rng
+    )
     velocity = np.sqrt(1 - ambient.correlation**2) * own[:3] + ambient.correlation * own[3]
     velocity[:2] *= ambient.lateral
     s = np.where(freqs > 0, 2j * np.pi * freqs, np.inf)

@@ -1,4 +1,6 @@
-"""Ambient tests: the same sensors under ambient excitation alone and with events of a known kind."""
+"""Ambient tests: the same sensors under ambient excitation alone and with events of a known
+kind.
+"""
 
 from __future__ import annotations
 
@@ -66,9 +68,13 @@ def expected_snr(test: AmbientTest) -> float:
 
 
 def on_a_day(test: AmbientTest, snr_db: float, bounds: tuple[float, float]) -> AmbientTest:
-    """The test with all ambient levels scaled for a ratio at resonance, ground motion within `bounds`, m/s rms."""
+    """The test with all ambient levels scaled for a ratio at resonance, ground motion within
+    `bounds`, m/s rms.
+    """
     gain = 10 ** ((snr_db - expected_snr(test)) / 20)
-    return replace(test, site=scaled(test.site, float(np.clip(test.site.ground_rms * gain, *bounds))))
+    return replace(
+        test, site=scaled(test.site, float(np.clip(test.site.ground_rms * gain, *bounds)))
+    )
 
 
 def scaled(site: Ambient, ground_rms: float) -> Ambient:
@@ -82,7 +88,9 @@ def scaled(site: Ambient, ground_rms: float) -> Ambient:
     )
 
 
-def measure(test: AmbientTest, events: Sequence[Pulses], samples: int, rng: np.random.Generator) -> tuple[Any_, float]:
+def measure(
+    test: AmbientTest, events: Sequence[Pulses], samples: int, rng: np.random.Generator
+) -> tuple[Any_, float]:
     """One record in the steady state; the tail of the last event stands at its begin.
 
     Returns
@@ -103,8 +111,12 @@ def measure(test: AmbientTest, events: Sequence[Pulses], samples: int, rng: np.r
     return volts, float(np.median(ratio_db(strength, noisy)))
 
 
-def measure_long(test: AmbientTest, segments: int, hop: int, fade: int, rng: np.random.Generator) -> Iterator[Any_]:
-    """A record of `segments`·`hop` samples, ambient only, block by block: (channel, hop) float32 volts."""
+def measure_long(
+    test: AmbientTest, segments: int, hop: int, fade: int, rng: np.random.Generator
+) -> Iterator[Any_]:
+    """A record of `segments`·`hop` samples, ambient only, block by block: (channel, hop) float32
+    volts.
+    """
     tail = int(decay_time(test.model) * test.rate)
     streams = rng.spawn(segments + 1)
 

@@ -1,4 +1,6 @@
-"""Short forces: hammer blows, a dropped weight, jumping people; as half-sine pulses with a known impulse."""
+"""Short forces: hammer blows, a dropped weight, jumping people; as half-sine pulses with a known
+impulse.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,9 @@ from ringtrue.errors import InputError
 from ringtrue.virtual.response import lines
 
 G = 9.80665  # m/s²
-OVERSAMPLE = 2048.0  # Hz at least: a 3 ms pulse spans 6 cells, each holding its exact share of the impulse
+OVERSAMPLE = (
+    2048.0  # Hz at least: a 3 ms pulse spans 6 cells, each holding its exact share of the impulse
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,7 +42,14 @@ class Pulses:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "flat", np.broadcast_to(self.flat, np.shape(self.start)))
-        freeze_fields(self, start=np.float64, duration=np.float64, impulse=np.float64, at=np.int64, flat=np.bool_)
+        freeze_fields(
+            self,
+            start=np.float64,
+            duration=np.float64,
+            impulse=np.float64,
+            at=np.int64,
+            flat=np.bool_,
+        )
 
     @property
     def peak(self) -> Float:
@@ -52,14 +63,17 @@ class Pulses:
     @staticmethod
     def join(parts: Sequence[Pulses]) -> Pulses:
         """All pulses of all parts."""
-        return Pulses(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Pulses)))
+        return Pulses(
+            *(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Pulses))
+        )
 
 
 def pulse_spectrum(pulses: Pulses, inputs: int, samples: int, rate: float) -> Complex:
     """Spectra (in, line) of band-limited pulses.
 
-    Built on a fine grid whose cells hold the exact impulse (the mean over a cell is taken out of the spectrum),
-    then cut at half the rate, as an ideal anti-aliasing filter does. What lies beyond the record is cut off.
+    Built on a fine grid whose cells hold the exact impulse (the mean over a cell is taken out of
+    the spectrum), then cut at half the rate, as an ideal anti-aliasing filter does. What lies
+    beyond the record is cut off.
     """
     if pulses.at.size and pulses.at.max() >= inputs:
         raise InputError(f"pulse at input {int(pulses.at.max())}: there are {inputs}")
@@ -79,7 +93,9 @@ def _sampled(p: Pulses, samples: int, rate: float) -> Float:
     first = np.floor(p.start * rate).astype(np.int64)
     edges = (first[:, None] + np.arange(width + 1) - 0.5) / rate
     x = np.clip((edges - p.start[:, None]) / p.duration[:, None], 0.0, 1.0)
-    given = np.where(p.flat[:, None], x, 0.5 - 0.5 * np.cos(np.pi * x))  # share of the impulse so far
+    given = np.where(
+        p.flat[:, None], x, 0.5 - 0.5 * np.cos(np.pi * x)
+    )  # share of the impulse so far
     force = p.impulse[:, None] * np.diff(given, axis=1) * rate
     cell = first[:, None] + np.arange(width)
     ok = (cell >= 0) & (cell < samples)
@@ -87,7 +103,9 @@ def _sampled(p: Pulses, samples: int, rate: float) -> Float:
 
 
 def event_times(spacing: Sequence[float], duration: float, rng: np.random.Generator) -> Float:
-    """(event,) starts, s: the given spacings in turn, ±5 %, the first after a tenth of one; none in the last."""
+    """(event,) starts, s: the given spacings in turn, ±5 %, the first after a tenth of one; none in
+    the last.
+    """
     if not len(spacing) or min(spacing) <= 0:
         raise InputError(f"event spacing {list(spacing)} s: must be positive")
     count = int(np.ceil(duration / min(spacing))) + 1
@@ -99,10 +117,11 @@ def event_times(spacing: Sequence[float], duration: float, rng: np.random.Genera
 def dropped_weight(
     times: Float, points: Int, rng: np.random.Generator, *, mass: float = 30.0, height: float = 1.5
 ) -> Pulses:
-    """A weight dropped on the floor, with two rebounds; forces downwards on inputs that are positive upwards.
+    """A weight dropped on the floor, with two rebounds; forces downwards on inputs that are
+    positive upwards.
 
-    The impact speed is √(2gh); the impulse of the first contact m·v·(1 + e), of the n-th eⁿ⁻¹ of it, after a flight
-    of 2·e·v/g.
+    The impact speed is √(2gh); the impulse of the first contact m·v·(1 + e), of the n-th eⁿ⁻¹ of
+    it, after a flight of 2·e·v/g.
 
     Parameters
     ----------
@@ -128,7 +147,9 @@ def sledge(
     peak: tuple[float, float] = (5e3, 25e3),
     contact: tuple[float, float] = (0.003, 0.008),
 ) -> Pulses:
-    """Blows of a 5.4 kg sledge: peak force and contact time drawn so that long contacts go with low peaks."""
+    """Blows of a 5.4 kg sledge: peak force and contact time drawn so that long contacts go with low
+    peaks.
+    """
     n = times.size
     hard = rng.uniform(0, 1, n)
     force = peak[0] + (peak[1] - peak[0]) * np.clip(hard + rng.normal(0, 0.1, n), 0, 1)
@@ -137,13 +158,19 @@ def sledge(
 
 
 def jumping(
-    times: Float, points: Sequence[int], rng: np.random.Generator, *, weight: float = 80.0, jumps: int = 6
+    times: Float,
+    points: Sequence[int],
+    rng: np.random.Generator,
+    *,
+    weight: float = 80.0,
+    jumps: int = 6,
 ) -> Pulses:
     """People jumping in bursts at about 2 Hz; the constant weight itself is left out.
 
-    One person per point. In each period the ground reaction is a half-sine over the contact ratio (Bachmann and
-    Ammann, 1987), with a heel strike of a few milliseconds at its start; both together have the impulse of the
-    weight over the period, and the constant weight, which stands there all day, is taken off.
+    One person per point. In each period the ground reaction is a half-sine over the contact ratio
+    (Bachmann and Ammann, 1987), with a heel strike of a few milliseconds at its start; both
+    together have the impulse of the weight over the period, and the constant weight, which stands
+    there all day, is taken off.
 
     Parameters
     ----------
@@ -153,13 +180,22 @@ def jumping(
     weight : float, kg
         Mean of the people.
     """
-    return Pulses.join([_jumper(times, p, rng, weight * rng.uniform(0.8, 1.2), jumps) for p in points])
+    return Pulses.join(
+        [_jumper(times, p, rng, weight * rng.uniform(0.8, 1.2), jumps) for p in points]
+    )
 
 
 def _jumper(times: Float, point: int, rng: np.random.Generator, mass: float, jumps: int) -> Pulses:
     shape = (times.size, jumps)
-    period = 0.5 * np.clip(rng.normal(1, 0.04, (times.size, 1)) * rng.normal(1, 0.04, shape), 0.8, 1.2)
-    start = times[:, None] + rng.uniform(0, 0.15, (times.size, 1)) + np.cumsum(period, axis=1) - period[:, :1]
+    period = 0.5 * np.clip(
+        rng.normal(1, 0.04, (times.size, 1)) * rng.normal(1, 0.04, shape), 0.8, 1.2
+    )
+    start = (
+        times[:, None]
+        + rng.uniform(0, 0.15, (times.size, 1))
+        + np.cumsum(period, axis=1)
+        - period[:, :1]
+    )
     weight = mass * G * period
     heel = rng.uniform(0.05, 0.12, shape) * weight
     parts = [
@@ -168,4 +204,9 @@ def _jumper(times: Float, point: int, rng: np.random.Generator, mass: float, jum
         (period, weight, True),
     ]
     at = np.full(start.size, point)
-    return Pulses.join([Pulses(start.ravel(), d.ravel(), i.ravel(), at, flat=np.full(at.size, c)) for d, i, c in parts])
+    return Pulses.join(
+        [
+            Pulses(start.ravel(), d.ravel(), i.ravel(), at, flat=np.full(at.size, c))
+            for d, i, c in parts
+        ]
+    )

@@ -45,9 +45,14 @@ class HammerPlan:
     contact: tuple[float, float] = (0.003, 0.008)
 
     def __post_init__(self) -> None:
-        if self.hits < 1 or not 0 < self.pretrigger < self.block or self.double + self.overload > 0.8:
+        if (
+            self.hits < 1
+            or not 0 < self.pretrigger < self.block
+            or self.double + self.overload > 0.8
+        ):
             raise InputError(
-                f"hammer plan: hits {self.hits} (1 or more), pretrigger {self.pretrigger} s within the block of "
+                f"hammer plan: hits {self.hits} (1 or more), pretrigger {self.pretrigger} s "
+                "within the block of "
                 f"{self.block} s, double + overload {self.double + self.overload:g} (at most 0.8)"
             )
 
@@ -79,7 +84,8 @@ def strike(plan: HammerPlan, at: int, limit: float, rate: float, rng: np.random.
     at : int
         Input struck; the force is downwards, negative.
     limit : float, N
-        Force range: overloads exceed it by 5 to 40 % as sampled at `rate`, clean hits stay below 0.9 of it.
+        Force range: overloads exceed it by 5 to 40 % as sampled at `rate`, clean hits stay below
+        0.9 of it.
     rate : float, Hz
     """
     double, overload = _attempts(plan, rng)
@@ -104,7 +110,10 @@ def strike(plan: HammerPlan, at: int, limit: float, rate: float, rng: np.random.
 
 def _attempts(plan: HammerPlan, rng: np.random.Generator) -> tuple[Bool, Bool]:
     draw = rng.uniform(0, 1, plan.hits * 10 + 50)
-    double, overload = draw < plan.double, (draw >= plan.double) & (draw < plan.double + plan.overload)
+    double, overload = (
+        draw < plan.double,
+        (draw >= plan.double) & (draw < plan.double + plan.overload),
+    )
     last = int(np.searchsorted(np.cumsum(~double & ~overload), plan.hits)) + 1
     return double[:last], overload[:last]
 
@@ -113,7 +122,9 @@ def _sampled_peak(pulses: Pulses, rate: float) -> Float:
     """(p,) largest magnitude of each pulse in samples at `rate`, N."""
     width = int(np.ceil(0.25 * rate)) * 2
     alone = replace(
-        pulses, start=np.arange(pulses.at.size) * width / rate + 0.25 + pulses.start % (1 / rate), at=0 * pulses.at
+        pulses,
+        start=np.arange(pulses.at.size) * width / rate + 0.25 + pulses.start % (1 / rate),
+        at=0 * pulses.at,
     )
     n = width * pulses.at.size
     spectrum = pulse_spectrum(alone, 1, n, rate)[0] * anti_alias(lines(n, rate), rate)

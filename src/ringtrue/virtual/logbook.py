@@ -41,9 +41,15 @@ def record_channels(
     ]
 
 
-def write_sheet(path: Path, test: TestModel, channels: Sequence[str], sensors: Sequence[Sensor] | None = None) -> None:
-    """A sensor sheet; without `sensors` only places, directions and groups, and points without channels too."""
-    place = dict(zip(test.points.tolist(), zip(test.xyz.tolist(), test.groups, strict=True), strict=True))
+def write_sheet(
+    path: Path, test: TestModel, channels: Sequence[str], sensors: Sequence[Sensor] | None = None
+) -> None:
+    """A sensor sheet; without `sensors` only places, directions and groups, and points without
+    channels too.
+    """
+    place = dict(
+        zip(test.points.tolist(), zip(test.xyz.tolist(), test.groups, strict=True), strict=True)
+    )
     here = {c: i for i, c in enumerate(test.channels)}
     rows = []
     for k, c in enumerate(channels):
@@ -51,11 +57,15 @@ def write_sheet(path: Path, test: TestModel, channels: Sequence[str], sensors: S
         xyz, group = place[point]
         s = sensors[k] if sensors else None
         tail = [s.quantity, s.unit, f"{s.sensitivity:g}", f"{s.range:g}", s.name] if s else [""] * 5
-        rows.append([point, *(f"{v:.6g}" for v in xyz), direction(test.axes[here[c]]), c, group, *tail])
+        rows.append(
+            [point, *(f"{v:.6g}" for v in xyz), direction(test.axes[here[c]]), c, group, *tail]
+        )
     if sensors is None:
         used = {r[0] for r in rows}
         bare = [p for p in np.unique(test.lines).tolist() if p not in used]
-        rows += [[p, *(f"{v:.6g}" for v in place[p][0]), "", "", place[p][1], *[""] * 5] for p in bare]
+        rows += [
+            [p, *(f"{v:.6g}" for v in place[p][0]), "", "", place[p][1], *[""] * 5] for p in bare
+        ]
     _table(path, HEADER, rows)
 
 
@@ -75,7 +85,12 @@ def write_lines(path: Path, test: TestModel) -> None:
 def write_log(path: Path, tests: Sequence[Mapping[str, object]], sensors: Sequence[Sensor]) -> None:
     """campaign.json: tests with their records, and the data sheets of the sensor types."""
     sheets = {
-        s.name: {"quantity": s.quantity, "corner_hz": s.corner, "damping": s.damping, "reaches_zero": s.corner == 0}
+        s.name: {
+            "quantity": s.quantity,
+            "corner_hz": s.corner,
+            "damping": s.damping,
+            "reaches_zero": s.corner == 0,
+        }
         for s in dict.fromkeys(sensors)
     }
     log = {"format": "ringtrue-campaign", "version": 1, "sensors": sheets, "tests": list(tests)}

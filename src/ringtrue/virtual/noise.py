@@ -1,4 +1,6 @@
-"""Random and periodic signals as spectra: coloured Gaussian noise, sensor noise, drift, mains hum."""
+"""Random and periodic signals as spectra: coloured Gaussian noise, sensor noise, drift, mains
+hum.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ class NoiseFloor:
     corner: float
 
     def psd(self, freqs: Float) -> Float:
-        """(line,) one-sided spectral density, unit²/Hz; 0 at 0 Hz, where an offset stands instead."""
+        """(line,) one-sided spectral density, unit²/Hz; 0 at 0 Hz, where an offset stands
+        instead.
+        """
         safe = np.where(freqs > 0, freqs, np.inf)
         return np.asarray(np.where(freqs > 0, self.density**2 * (1 + self.corner / safe), 0.0))
 
@@ -48,8 +52,12 @@ def coloured(psd: Float, samples: int, rate: float, rng: np.random.Generator) ->
     return np.asarray(normal)
 
 
-def white(count: int, density: float, samples: int, rate: float, rng: np.random.Generator) -> Complex:
-    """Spectra (count, line) of independent white noise of a density, unit/√Hz, without an offset: as of `coloured`."""
+def white(
+    count: int, density: float, samples: int, rate: float, rng: np.random.Generator
+) -> Complex:
+    """Spectra (count, line) of independent white noise of a density, unit/√Hz, without an offset:
+    as of `coloured`.
+    """
     psd = np.full((count, samples // 2 + 1), density**2)
     psd[:, 0] = 0.0
     return coloured(psd, samples, rate, rng)
@@ -69,7 +77,9 @@ def tone(freq: float, amplitude: Float, phase: Float, samples: int, rate: float)
     return out
 
 
-def hum(amplitude: Float, samples: int, rate: float, rng: np.random.Generator, mains: float = 50.0) -> Complex:
+def hum(
+    amplitude: Float, samples: int, rate: float, rng: np.random.Generator, mains: float = 50.0
+) -> Complex:
     """Mains hum and its third harmonic (30 %); lines above half the rate are filtered away.
 
     Returns
@@ -79,16 +89,22 @@ def hum(amplitude: Float, samples: int, rate: float, rng: np.random.Generator, m
     """
     at = hum_lines(samples, rate, mains)
     phase = rng.uniform(0, 2 * np.pi, (amplitude.size, 2))
-    return np.asarray(0.5 * samples * amplitude[:, None] * [1.0, 0.3] * np.exp(1j * phase) * (at > 0))
+    return np.asarray(
+        0.5 * samples * amplitude[:, None] * [1.0, 0.3] * np.exp(1j * phase) * (at > 0)
+    )
 
 
 def hum_lines(samples: int, rate: float, mains: float = 50.0) -> Int:
-    """(2,) lines nearest to the mains frequency and its third harmonic; 0 where beyond half the rate."""
+    """(2,) lines nearest to the mains frequency and its third harmonic; 0 where beyond half the
+    rate.
+    """
     at = np.round(np.array([1, 3]) * mains * samples / rate).astype(np.int64)
     return np.asarray(np.where(at < samples // 2, at, 0))
 
 
 def anti_alias(freqs: Float, rate: float, start: float = 0.4) -> Float:
-    """(line,) gain of the recorder's filter: flat to `start` of the rate, cosine to 0 at half of it."""
+    """(line,) gain of the recorder's filter: flat to `start` of the rate, cosine to 0 at half of
+    it.
+    """
     x = np.clip((freqs / rate - start) / (0.5 - start), 0.0, 1.0)
     return np.asarray(0.5 * (1 + np.cos(np.pi * x)))

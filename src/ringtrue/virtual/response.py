@@ -1,7 +1,8 @@
 """Response of a modal model to sampled forces, exact at every line of the discrete spectrum.
 
-Spectra here are unnormalised `numpy.fft.rfft` values of band-limited signals: X (row, line), lines at k·rate/n.
-A first-order hold would droop by sinc² (12 % at 0.2 of the rate) and bias every accelerance; the spectrum does not.
+Spectra here are unnormalised `numpy.fft.rfft` values of band-limited signals: X (row, line), lines
+at k·rate/n. A first-order hold would droop by sinc² (12 % at 0.2 of the rate) and bias every
+accelerance; the spectrum does not.
 """
 
 from __future__ import annotations
@@ -45,13 +46,18 @@ def response_spectrum(
     (out, line) complex128, unit of the quantity; 0 at 0 Hz.
     """
     if forces.shape != (model.participation.shape[1], freqs.size):
-        raise InputError(f"forces {forces.shape}: must be (in, line) = {(model.participation.shape[1], freqs.size)}")
+        raise InputError(
+            f"forces {forces.shape}: must be (in, line) = "
+            f"{(model.participation.shape[1], freqs.size)}"
+        )
     if quantity not in DERIVATIVE:
         raise InputError(f"quantity {quantity!r}: allowed are {', '.join(DERIVATIVE)}")
     out = np.empty((model.shapes.shape[0], freqs.size), dtype=np.complex128)
     for at in range(0, freqs.size, _CHUNK):  # bounds the memory of the modal coordinates
         part = slice(at, at + _CHUNK)
-        out[:, part] = _motion(model, forces[:, part], np.asarray(2j * np.pi * freqs[part]), DERIVATIVE[quantity])
+        out[:, part] = _motion(
+            model, forces[:, part], np.asarray(2j * np.pi * freqs[part]), DERIVATIVE[quantity]
+        )
     return out
 
 
@@ -59,7 +65,8 @@ def _motion(model: ModalModel, f: Complex, s: Complex, power: int) -> Complex:
     """(out, line) at s = iω.
 
     With u = Re(l)·f, v = Im(l)·f and s − s_k = S − iω_k, S = s − σ_k, a mode and its conjugate make
-    2·[Re(ψ)·(S·u − ω_k·v) − Im(ψ)·(S·v + ω_k·u)]/(S² + ω_k²): real matrices, one division a mode and line.
+    2·[Re(ψ)·(S·u − ω_k·v) − Im(ψ)·(S·v + ω_k·u)]/(S² + ω_k²): real matrices, one division a mode
+    and line.
     """
     sigma, omega = model.poles.real[:, None], model.poles.imag[:, None]
     u, v = _real_times(model.participation.real, f), _real_times(model.participation.imag, f)
@@ -96,8 +103,9 @@ def simulate(
     rate : float, Hz
     quantity : {"displacement", "velocity", "acceleration"}
     tail : float, s, optional
-        Zeros appended for the decay, so that nothing wraps round to the start; by default until e⁻⁹ of the
-        slowest mode. 0 makes the signals periodic: the steady state of a stationary excitation.
+        Zeros appended for the decay, so that nothing wraps round to the start; by default until e⁻⁹
+        of the slowest mode. 0 makes the signals periodic: the steady state of a stationary
+        excitation.
 
     Returns
     -------
@@ -108,7 +116,9 @@ def simulate(
     pad = decay_time(model) if tail is None else tail
     full = int(fft.next_fast_len(n + int(np.ceil(pad * rate)), real=True))
     full = n if tail == 0 else full
-    spectrum = response_spectrum(model, np.asarray(fft.rfft(forces, full)), lines(full, rate), quantity=quantity)
+    spectrum = response_spectrum(
+        model, np.asarray(fft.rfft(forces, full)), lines(full, rate), quantity=quantity
+    )
     return np.asarray(fft.irfft(spectrum, full, overwrite_x=True)[:, :n])
 
 
@@ -116,7 +126,10 @@ def at_outputs(model: ModalModel, ids: Sequence[str]) -> ModalModel:
     """The model seen at the named outputs only, in the given order."""
     here = {c.id: i for i, c in enumerate(model.outputs)}
     if lost := [c for c in ids if c not in here]:
-        raise InputError(f"no output {' '.join(lost[:8])} in the modal model; there are {' '.join(list(here)[:40])}")
+        raise InputError(
+            f"no output {' '.join(lost[:8])} in the modal model; there are "
+            f"{' '.join(list(here)[:40])}"
+        )
     at = [here[c] for c in ids]
     return replace(
         model,
@@ -132,12 +145,16 @@ def decay_time(model: ModalModel, nepers: float = 9.0) -> float:
     return float(nepers / np.abs(model.poles.real).min())
 
 
-def streamed(segment: Callable[[int, Float], Float], count: int, hop: int, fade: int, tail: int) -> Iterator[Float]:
-    """A long stationary record from independent segments, cross-faded with equal power and overlap-added.
+def streamed(
+    segment: Callable[[int, Float], Float], count: int, hop: int, fade: int, tail: int
+) -> Iterator[Float]:
+    """A long stationary record from independent segments, cross-faded with equal power and
+    overlap-added.
 
-    Segment b covers the samples b·hop .. b·hop + hop + fade; its window rises as a sine and falls as a cosine over
-    `fade` samples, so the variances of neighbours add up to one. Applied to the *force*, the response stays that of
-    a stationary force: each segment hands back its response with the decay, `hop + fade + tail` samples.
+    Segment b covers the samples b·hop .. b·hop + hop + fade; its window rises as a sine and falls
+    as a cosine over `fade` samples, so the variances of neighbours add up to one. Applied to the
+    *force*, the response stays that of a stationary force: each segment hands back its response
+    with the decay, `hop + fade + tail` samples.
 
     Parameters
     ----------

@@ -83,19 +83,47 @@ class Sensor:
         return float(2.0 * self.range / 2**self.bits)
 
     def noise_psd(self, freqs: Float, rate: float) -> Float:
-        """Self-noise and quantisation referred to the unit before the high pass, one-sided, unit²/Hz."""
+        """Self-noise and quantisation referred to the unit before the high pass, one-sided,
+        unit²/Hz.
+        """
         quantisation = self.step**2 / 6.0 / rate / self.sensitivity**2
-        return np.asarray((self.floor.psd(freqs) + quantisation) / np.maximum(np.abs(self.transfer(freqs)), 1e-9) ** 2)
+        return np.asarray(
+            (self.floor.psd(freqs) + quantisation)
+            / np.maximum(np.abs(self.transfer(freqs)), 1e-9) ** 2
+        )
 
 
 _UG = 9.80665e-6  # m/s² per µg
 
-ACCELEROMETER = Sensor("force-balance accelerometer", "acceleration", "m/s^2", 1.02, 2.5, NoiseFloor(0.1 * _UG, 1.0))
-GEOPHONE = Sensor(
-    "geophone 4.5 Hz", "velocity", "m/s", 28.8, 1.0, NoiseFloor(5e-9, 1.0), 4.5, 0.56, hum=3e-6, drift=2e-4
+ACCELEROMETER = Sensor(
+    "force-balance accelerometer", "acceleration", "m/s^2", 1.02, 2.5, NoiseFloor(0.1 * _UG, 1.0)
 )
-ICP = Sensor("ICP accelerometer", "acceleration", "m/s^2", 0.0102, 0.5, NoiseFloor(3 * _UG, 5.0), 0.25, 0.9, hum=1e-6)
-FORCE_CELL = Sensor("force cell", "force", "N", 2.3e-4, 5.0, NoiseFloor(0.02, 5.0), 0.01, 0.9, hum=1e-5)
+GEOPHONE = Sensor(
+    "geophone 4.5 Hz",
+    "velocity",
+    "m/s",
+    28.8,
+    1.0,
+    NoiseFloor(5e-9, 1.0),
+    4.5,
+    0.56,
+    hum=3e-6,
+    drift=2e-4,
+)
+ICP = Sensor(
+    "ICP accelerometer",
+    "acceleration",
+    "m/s^2",
+    0.0102,
+    0.5,
+    NoiseFloor(3 * _UG, 5.0),
+    0.25,
+    0.9,
+    hum=1e-6,
+)
+FORCE_CELL = Sensor(
+    "force cell", "force", "N", 2.3e-4, 5.0, NoiseFloor(0.02, 5.0), 0.01, 0.9, hum=1e-5
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -178,7 +206,9 @@ class Chain:
         return volts.astype(np.float32)
 
 
-def record(motion: Complex, chain: Chain, samples: int, rate: float, rng: np.random.Generator) -> tuple[Any_, Complex]:
+def record(
+    motion: Complex, chain: Chain, samples: int, rate: float, rng: np.random.Generator
+) -> tuple[Any_, Complex]:
     """Volts on disk from the spectra at the sensors.
 
     Parameters
@@ -197,7 +227,9 @@ def record(motion: Complex, chain: Chain, samples: int, rate: float, rng: np.ran
         raise InputError(f"{motion.shape[0]} motions for {len(chain.sensors)} sensors")
     chain.to_volts(motion, rate)
     noise = chain.noise(samples, rate, rng)
-    return chain.digitise(np.asarray(fft.irfft(motion + noise, samples, overwrite_x=True)), rate), noise
+    return chain.digitise(
+        np.asarray(fft.irfft(motion + noise, samples, overwrite_x=True)), rate
+    ), noise
 
 
 def _kinds(sensors: tuple[Sensor, ...]) -> tuple[list[Sensor], Int]:

@@ -1,4 +1,6 @@
-"""Signal-to-noise ratio at the resonances, from the parts of a simulation or ahead of it from the spectra."""
+"""Signal-to-noise ratio at the resonances, from the parts of a simulation or ahead of it from the
+spectra.
+"""
 
 from __future__ import annotations
 
@@ -23,11 +25,14 @@ def resonance_power(spectrum: Complex, poles: Complex, samples: int, rate: float
     (channel, m) float64, unit²/Hz
     """
     total = np.concatenate(
-        [np.zeros((spectrum.shape[0], 1)), np.cumsum(power(spectrum, samples, rate), axis=1)], axis=1
+        [np.zeros((spectrum.shape[0], 1)), np.cumsum(power(spectrum, samples, rate), axis=1)],
+        axis=1,
     )
     f, half = np.abs(poles) / (2 * np.pi), np.abs(poles.real) / (2 * np.pi)
     low = np.floor((f - half) * samples / rate).astype(np.int64).clip(1, spectrum.shape[1] - 1)
-    high = (np.ceil((f + half) * samples / rate).astype(np.int64) + 1).clip(low + 1, spectrum.shape[1])
+    high = (np.ceil((f + half) * samples / rate).astype(np.int64) + 1).clip(
+        low + 1, spectrum.shape[1]
+    )
     return np.asarray((total[:, high] - total[:, low]) / (high - low))
 
 
@@ -44,8 +49,12 @@ def ratio_db(signal: Float, noise: Float) -> Float:
 
 
 def expected_power(model: ModalModel, poles: Complex, input_psd: Float, quantity: Motion) -> Float:
-    """(out, m) spectral density at the resonances, inputs uncorrelated with `input_psd` (in, m) there."""
+    """(out, m) spectral density at the resonances, inputs uncorrelated with `input_psd` (in, m)
+    there.
+    """
     f = np.abs(poles) / (2 * np.pi)
     power_of_s = DERIVATIVE[quantity] - POWER[model.kind]
     h = np.moveaxis(model.synthesise(f), 0, -1)  # (out, in, m)
-    return np.asarray(np.einsum("oim,im->om", np.abs(h) ** 2, input_psd) * (2 * np.pi * f) ** (2 * power_of_s))
+    return np.asarray(
+        np.einsum("oim,im->om", np.abs(h) ** 2, input_psd) * (2 * np.pi * f) ** (2 * power_of_s)
+    )

@@ -1,4 +1,6 @@
-"""The best that six parameters of the deck could reach against the truth; known to nobody in the study."""
+"""The best that six parameters of the deck could reach against the truth; known to nobody in the
+study.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,9 @@ def _silent(fraction: float, text: str) -> None:
 
 
 def true_modes(run: StudyRun, twin: Twin) -> tuple[Int, Int]:
-    """Test modes of the final pairs and the as-built mode that each is, by MAC among those within 3 %."""
+    """Test modes of the final pairs and the as-built mode that each is, by MAC among those within 3
+    %.
+    """
     final: FinalStage = run.results["final"]
     found: CorrelateStage = run.results["correlate"]
     test = final.table.pairing.a
@@ -35,10 +39,11 @@ def true_modes(run: StudyRun, twin: Twin) -> tuple[Int, Int]:
 
 
 def best_possible(run: StudyRun, twin: Twin, desk: Workbench) -> float:
-    """Smallest mean |Δf|, %, that the best six candidates can reach on the true frequencies of the final pairs.
+    """Smallest mean |Δf|, %, that the best six candidates can reach on the true frequencies of the
+    final pairs.
 
-    From the best subset of the least-squares search and from each set that the study updated, the mean absolute
-    deviation itself is minimised by a sequence of linear programmes.
+    From the best subset of the least-squares search and from each set that the study updated, the
+    mean absolute deviation itself is minimised by a sequence of linear programmes.
     """
     _, true = true_modes(run, twin)
     found: CorrelateStage = run.results["correlate"]
@@ -46,7 +51,14 @@ def best_possible(run: StudyRun, twin: Twin, desk: Workbench) -> float:
     truth = twin.real_modes.rows(found.reference.channels).take(np.unique(true))
     m = len(truth)
     gates = PairingSettings(mac_gate=0.3)  # they are pairs already: none may count as lost
-    aim = Target(truth.frequencies, truth.shapes, np.zeros(m), np.ones(m, dtype=bool), Weights(shape=0.02), gates)
+    aim = Target(
+        truth.frequencies,
+        truth.shapes,
+        np.zeros(m),
+        np.ones(m, dtype=bool),
+        Weights(shape=0.02),
+        gates,
+    )
     model = desk.delivered_models(_silent)[0]
     names = model.parameters.names
     choice = best_subset(model, aim, min(6, len(names)))

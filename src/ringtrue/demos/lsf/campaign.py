@@ -1,4 +1,6 @@
-"""The virtual campaign: raw records of three tests, a sensor sheet and the crew's log, and nothing of the truth."""
+"""The virtual campaign: raw records of three tests, a sensor sheet and the crew's log, and nothing
+of the truth.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,9 @@ class TwinView(Protocol):
     """What the campaign may know of the structure."""
 
     @property
-    def modal(self) -> ModalModel: ...  # outputs: channels of `test`; inputs: force points and `ground…` columns
+    def modal(
+        self,
+    ) -> ModalModel: ...  # outputs: channels of `test`; inputs: force points and `ground…` columns
     @property
     def test(self) -> TestModel: ...
     @property
@@ -72,8 +76,8 @@ class CampaignPlan:
         Pauses between events, used in turn.
     hammer : HammerPlan
     snr_db : float
-        Median ratio at resonance that the day for the ambient tests is chosen for, as far as a ground motion of 0.3
-        to 3 µm/s allows.
+        Median ratio at resonance that the day for the ambient tests is chosen for, as far as a
+        ground motion of 0.3 to 3 µm/s allows.
     date : str
         ISO.
     """
@@ -94,9 +98,13 @@ class CampaignPlan:
 
     def __post_init__(self) -> None:
         if not self.foundation or not self.frame or not self.setups or not self.references:
-            raise InputError("campaign plan: foundation, frame, setups and references must each name something")
+            raise InputError(
+                "campaign plan: foundation, frame, setups and references must each name something"
+            )
         if not self.spacing or min(self.spacing) < 20 or max(self.spacing) > 80:
-            raise InputError(f"campaign plan: spacing {self.spacing} s, events must be 20 to 80 s apart")
+            raise InputError(
+                f"campaign plan: spacing {self.spacing} s, events must be 20 to 80 s apart"
+            )
 
     def shortened(self) -> CampaignPlan:
         """The same places with short records."""
@@ -117,8 +125,9 @@ class CampaignSummary:
     records : tuple of Path
     sheet, log : Path
     snr_db : dict
-        By test: median over channels and modes of the signal's over the noise's spectral density in the half-power
-        bands; for (a) and (b) of the record without events, for the hammer test of single blocks.
+        By test: median over channels and modes of the signal's over the noise's spectral density in
+        the half-power bands; for (a) and (b) of the record without events, for the hammer test of
+        single blocks.
     snr_record_db : dict
         The same by record.
     ground_rms : dict
@@ -143,7 +152,8 @@ def run_campaign(
     full: bool = False,
     progress: Progress | None = None,
 ) -> CampaignSummary:
-    """Measure the twin and write `*.h5`, `sensors*.csv`, `lines.csv` and `campaign.json` to a folder.
+    """Measure the twin and write `*.h5`, `sensors*.csv`, `lines.csv` and `campaign.json` to a
+    folder.
 
     Parameters
     ----------
@@ -175,9 +185,13 @@ def run_campaign(
         make = _long_record if long else _ambient_record
         snr[f"{name}-{kind}"] = make(tests[name], name, kind, twin, plan, folder, seed)
     hammer = _hammer_test(twin, plan, folder, seed, lambda f, text: tell(0.6 + 0.4 * f, text))
-    by_test = {name: snr[f"{name}-ambient"] for name in tests} | {"hammer": float(np.median(list(hammer.values())))}
+    by_test = {name: snr[f"{name}-ambient"] for name in tests} | {
+        "hammer": float(np.median(list(hammer.values())))
+    }
     _paperwork(twin, plan, folder)
-    log.info("signal-to-noise ratio at resonance, dB: %s", {k: round(v, 1) for k, v in by_test.items()})
+    log.info(
+        "signal-to-noise ratio at resonance, dB: %s", {k: round(v, 1) for k, v in by_test.items()}
+    )
     tell(1.0, "campaign written")
     snr |= hammer
     return CampaignSummary(
@@ -191,7 +205,9 @@ def run_campaign(
 
 
 def _rng(seed: int, name: str) -> np.random.Generator:
-    """A stream that depends on the seed and the name alone, so that records do not shift each other."""
+    """A stream that depends on the seed and the name alone, so that records do not shift each
+    other.
+    """
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(crc32(name.encode()),)))
 
 
@@ -204,7 +220,15 @@ def _prepare(twin: TwinView, plan: CampaignPlan, name: str, seed: int) -> Ambien
     model = at_outputs(twin.modal, channels)
     chain = Chain.draw((sensor,) * len(channels), _rng(seed, f"{name} sensors"))
     poles = in_band(model.poles, fmin, min(FMAX, 0.4 * rate))
-    test = AmbientTest(model, chain, Ambient(), _pushed(twin, plan), next(iter(twin.machine_points), None), rate, poles)
+    test = AmbientTest(
+        model,
+        chain,
+        Ambient(),
+        _pushed(twin, plan),
+        next(iter(twin.machine_points), None),
+        rate,
+        poles,
+    )
     return on_a_day(test, plan.snr_db, (QUIET, LOUD))
 
 
@@ -212,7 +236,9 @@ def _pushed(twin: TwinView, plan: CampaignPlan) -> tuple[str, ...]:
     """Where air and machines push: up to 16 of the force points, evenly chosen."""
     points = [*twin.machine_points, *twin.drop_points, *twin.sledge_points, *plan.references]
     points = list(dict.fromkeys(points))
-    return tuple(points[i] for i in np.unique(np.linspace(0, len(points) - 1, 16).round().astype(int)))
+    return tuple(
+        points[i] for i in np.unique(np.linspace(0, len(points) - 1, 16).round().astype(int))
+    )
 
 
 def _events(
@@ -236,7 +262,13 @@ def _even(duration: float, rate: float) -> int:
 
 
 def _ambient_record(
-    test: AmbientTest, name: str, kind: str, twin: TwinView, plan: CampaignPlan, folder: Path, seed: int
+    test: AmbientTest,
+    name: str,
+    kind: str,
+    twin: TwinView,
+    plan: CampaignPlan,
+    folder: Path,
+    seed: int,
 ) -> float:
     rng = _rng(seed, f"{name}-{kind}")
     samples = _even(plan.duration_a if name == "foundation" else plan.duration_b, test.rate)
@@ -247,11 +279,25 @@ def _ambient_record(
 
 
 def _long_record(
-    test: AmbientTest, name: str, kind: str, twin: TwinView, plan: CampaignPlan, folder: Path, seed: int
+    test: AmbientTest,
+    name: str,
+    kind: str,
+    twin: TwinView,
+    plan: CampaignPlan,
+    folder: Path,
+    seed: int,
 ) -> float:
     hop, fade = _even(SEGMENT_S, test.rate), 2 * int(0.5 * FADE_S * test.rate)
     segments = int(np.ceil(FULL_HOURS * 3600 * test.rate / hop))
-    _write(test, name, kind, twin, plan, folder, measure_long(test, segments, hop, fade, _rng(seed, f"{name}-{kind}")))
+    _write(
+        test,
+        name,
+        kind,
+        twin,
+        plan,
+        folder,
+        measure_long(test, segments, hop, fade, _rng(seed, f"{name}-{kind}")),
+    )
     return expected_snr(test)
 
 
@@ -266,10 +312,14 @@ def _write(
 ) -> None:
     ids = [c.id for c in test.model.outputs]
     table = record_channels(twin.test, ids, test.chain.sensors, plan.date)
-    write_record(folder / f"{name}-{kind}.h5", volts, test.rate, table, source=f"{name}, {kind}, {plan.date}")
+    write_record(
+        folder / f"{name}-{kind}.h5", volts, test.rate, table, source=f"{name}, {kind}, {plan.date}"
+    )
 
 
-def _hammer_test(twin: TwinView, plan: CampaignPlan, folder: Path, seed: int, tell: Progress) -> dict[str, float]:
+def _hammer_test(
+    twin: TwinView, plan: CampaignPlan, folder: Path, seed: int, tell: Progress
+) -> dict[str, float]:
     """Every setup struck at every reference; ratio by record, dB."""
     jobs = [(i, r) for i in range(len(plan.setups)) for r in plan.references]
     snr = {}
@@ -302,15 +352,25 @@ def _hammer_record(
     limit = FORCE_CELL.range / FORCE_CELL.sensitivity
     blows = strike(plan.hammer, here[reference], limit, rate, rng)
     samples = _even(float(blows.times[-1]) + plan.hammer.block + plan.hammer.rest, rate)
-    forces = ambient_forces(list(here), _pushed(twin, plan), None, scaled(Ambient(), QUIET), samples, rate, rng)
-    volts, signal, noise = hammer_record(model, blows, plan.hammer, chain, forces, samples, rate, rng)
+    forces = ambient_forces(
+        list(here), _pushed(twin, plan), None, scaled(Ambient(), QUIET), samples, rate, rng
+    )
+    volts, signal, noise = hammer_record(
+        model, blows, plan.hammer, chain, forces, samples, rate, rng
+    )
     table = [
         replace(c, id=f"F:{c.id}") if i == 0 else c
-        for i, c in enumerate(record_channels(twin.test, [reference, *channels], chain.sensors, plan.date))
+        for i, c in enumerate(
+            record_channels(twin.test, [reference, *channels], chain.sensors, plan.date)
+        )
     ]
-    write_record(folder / f"{name}.h5", volts, rate, table, source=f"hammer at {reference}, {plan.date}")
+    write_record(
+        folder / f"{name}.h5", volts, rate, table, source=f"hammer at {reference}, {plan.date}"
+    )
     poles = in_band(model.poles, GEOPHONE_FMIN, FMAX)
-    share = samples / (plan.hammer.block * rate) * clean_energy(blows)  # one clean blow in its own block
+    share = (
+        samples / (plan.hammer.block * rate) * clean_energy(blows)
+    )  # one clean blow in its own block
     power = resonance_power(signal, poles, samples, rate) * share
     return float(np.median(ratio_db(power, resonance_power(noise, poles, samples, rate))))
 
@@ -327,13 +387,26 @@ def _paperwork(twin: TwinView, plan: CampaignPlan, folder: Path) -> None:
     ):
         write_sheet(folder / f"sensors-{name}.csv", twin.test, channels, [sensor] * len(channels))
     write_lines(folder / "lines.csv", twin.test)
-    ambient = [_ambient_log(name, rate, plan) for name, rate in (("foundation", plan.rate_a), ("frame", plan.rate_b))]
-    write_log(folder / "campaign.json", [*ambient, _hammer_log(plan)], [ACCELEROMETER, GEOPHONE, ICP, FORCE_CELL])
+    ambient = [
+        _ambient_log(name, rate, plan)
+        for name, rate in (("foundation", plan.rate_a), ("frame", plan.rate_b))
+    ]
+    write_log(
+        folder / "campaign.json",
+        [*ambient, _hammer_log(plan)],
+        [ACCELEROMETER, GEOPHONE, ICP, FORCE_CELL],
+    )
 
 
 def _ambient_log(name: str, rate: float, plan: CampaignPlan) -> dict[str, object]:
     records = [{"file": f"{name}-{kind}.h5", "excitation": kind} for kind in EXCITATIONS]
-    head = {"name": name, "kind": "ambient", "date": plan.date, "rate_hz": rate, "sheet": f"sensors-{name}.csv"}
+    head = {
+        "name": name,
+        "kind": "ambient",
+        "date": plan.date,
+        "rate_hz": rate,
+        "sheet": f"sensors-{name}.csv",
+    }
     return {**head, "event_spacing_s": list(plan.spacing), "records": records}
 
 

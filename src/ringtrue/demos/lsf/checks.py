@@ -42,7 +42,9 @@ def checks(r: Mapping[str, Any]) -> tuple[Check, ...]:
     ]
     rigid = final.rigid
     out.append(Check("rigid-body modes paired one to one", "6", str(len(rigid)), len(rigid) == 6))
-    out.append(_limit("rigid-body modes: largest |Δf| after tuning", rigid.max_deviation(), 3.0, "%"))
+    out.append(
+        _limit("rigid-body modes: largest |Δf| after tuning", rigid.max_deviation(), 3.0, "%")
+    )
     return tuple(out)
 
 
@@ -63,5 +65,8 @@ def _unpaired_below(final: FinalStage) -> Check:
         if t.all_test_hz[i] < top and not why.startswith("confidence")
     ]
     return Check(
-        "final: confident test modes below the last pair without a partner", "≤ 4", str(len(sure)), len(sure) <= 4
+        "final: confident test modes below the last pair without a partner",
+        "≤ 4",
+        str(len(sure)),
+        len(sure) <= 4,
     )

@@ -40,7 +40,9 @@ def write(b: Builder, folder: Path, title: str) -> Path:
 
 
 def _main(title: str, parts: list[str]) -> str:
-    frames = format_card("CORD2C", [CYLINDER, 0, 0.0, *_CENTRE, 1.0, *_CENTRE, 0.0, S.AXIS_Y + 1.0, S.MID])
+    frames = format_card(
+        "CORD2C", [CYLINDER, 0, 0.0, *_CENTRE, 1.0, *_CENTRE, 0.0, S.AXIS_Y + 1.0, S.MID]
+    )
     tilted = format_card("CORD2R", [10, 0, 0.0, 0.0, 0.0, 0.0, -0.5, 0.8660254, 1.0, 0.0, 0.0])
     control = "".join(
         [
@@ -52,7 +54,8 @@ def _main(title: str, parts: list[str]) -> str:
     )
     includes = "".join(f"INCLUDE '{p}.bdf'\n" for p in [*parts, "properties"])
     return (
-        f"$ {title}\n$ Units: m, kg, s, N. x along the bay, y across, z up.\nSOL 103\nCEND\nTITLE = {title}\n"
+        f"$ {title}\n$ Units: m, kg, s, N. x along the bay, y across, z up.\nSOL "
+        f"103\nCEND\nTITLE = {title}\n"
         f"ECHO = NONE\nMETHOD = 1\nBEGIN BULK\n{control}"
         f"$ Frame of the vessel: z along the bay, theta from y to z\n{frames}"
         f"$ Frame of the motor mounts: inclined by 30 degrees about x\n{tilted}{includes}ENDDATA\n"
@@ -71,7 +74,9 @@ def _part(b: Builder, part: str) -> Iterable[str]:
         theta = np.degrees(np.arctan2(d[:, 2], d[:, 1]))
         xyz = np.stack([np.hypot(d[:, 1], d[:, 2]), theta, d[:, 0]], axis=1)
     for i, x in zip(mine, xyz.tolist(), strict=True):
-        yield format_card("GRID", [m.ids[i], frame or None, *(round(v, 6) for v in x), frame or None])
+        yield format_card(
+            "GRID", [m.ids[i], frame or None, *(round(v, 6) for v in x), frame or None]
+        )
     last = ""
     for where, card, fields in m.cards:
         if where != part:
@@ -112,7 +117,9 @@ def properties(b: Builder) -> Iterable[str]:
         yield f"$ {region}\n"
         for v in range(VARIANTS if b.spec.scatter else 1):
             pid = base + 1000 * v
-            factor = float(np.exp(b.spec.scatter * (rng.standard_normal()))) if b.spec.scatter else 1.0
+            factor = (
+                float(np.exp(b.spec.scatter * (rng.standard_normal()))) if b.spec.scatter else 1.0
+            )
             if pid in used:
                 yield _property(b.spec, region, pid, pid) + _material(b, region, pid, factor)
     done = set()
@@ -140,7 +147,9 @@ def _site_properties() -> Iterable[str]:
     yield "$ Partition wall, platform, pipe and what they hang on\n"
     yield format_card("PSOLID", [site.PARTITION, site.PARTITION])
     yield format_card("MAT1", [site.PARTITION, 2.9e10, None, 0.2, 2450.0, None, None, 0.01])
-    yield format_card("PSHELL", [site.PLATFORM, site.PLATFORM, 0.060, site.PLATFORM, None, site.PLATFORM])
+    yield format_card(
+        "PSHELL", [site.PLATFORM, site.PLATFORM, 0.060, site.PLATFORM, None, site.PLATFORM]
+    )
     yield format_card("MAT1", [site.PLATFORM, 4.0e10, None, 0.3, 1500.0, None, None, 0.01])
     yield format_card("PBEAM", [site.PIPE, site.PIPE, 0.0200, 6.0e-4, 6.0e-4, None, 1.2e-3, 60.0])
     yield format_card("MAT1", [site.PIPE, 2.0e11, None, 0.3, 7850.0, None, None, 0.01])
@@ -149,5 +158,9 @@ def _site_properties() -> Iterable[str]:
     hose = site.HOSE_BRIDGE * (2 * np.pi * 1.92) ** 2
     crane = site.CRANE * (2 * np.pi * 2.24) ** 2
     stiff = 6.0e9
-    yield format_card("PBUSH", [site.HOSE_LINK, "K", stiff, hose, stiff, None, None, None, None, "GE", 0.06])
-    yield format_card("PBUSH", [site.CRANE_LINK, "K", crane, stiff, stiff, None, None, None, None, "GE", 0.06])
+    yield format_card(
+        "PBUSH", [site.HOSE_LINK, "K", stiff, hose, stiff, None, None, None, None, "GE", 0.06]
+    )
+    yield format_card(
+        "PBUSH", [site.CRANE_LINK, "K", crane, stiff, stiff, None, None, None, None, "GE", 0.06]
+    )

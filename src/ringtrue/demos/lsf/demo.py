@@ -43,7 +43,12 @@ class DemoResult:
 
 
 def run_demo(
-    folder: Path, seed: int = SEED, *, fast: bool = False, full: bool = False, progress: Progress | None = None
+    folder: Path,
+    seed: int = SEED,
+    *,
+    fast: bool = False,
+    full: bool = False,
+    progress: Progress | None = None,
 ) -> DemoResult:
     """Write the deck, plan the test, measure the twin, validate the model, and report.
 
@@ -99,12 +104,19 @@ def campaign_plan(plan: PlanStage) -> CampaignPlan:
     group = dict(zip(test.points.tolist(), test.groups, strict=True))
     on = {c: group[int(p)] for c, p in zip(test.channels, test.at, strict=True)}
     foundation = tuple(c for c in plan.ambient if on[c] == "foundation")
-    frame = (*foundation[: len(foundation) // 2 // 3 * 3], *(c for c in plan.ambient if on[c] != "foundation"))
-    return CampaignPlan(foundation, frame, setups(test, plan.references), plan.references, hammer=HAMMER)
+    frame = (
+        *foundation[: len(foundation) // 2 // 3 * 3],
+        *(c for c in plan.ambient if on[c] != "foundation"),
+    )
+    return CampaignPlan(
+        foundation, frame, setups(test, plan.references), plan.references, hammer=HAMMER
+    )
 
 
 def setups(test: TestModel, references: tuple[str, ...]) -> tuple[tuple[str, ...], ...]:
-    """Channels in `SETUPS` batches along the regions; the driving points are measured in every one."""
+    """Channels in `SETUPS` batches along the regions; the driving points are measured in every
+    one.
+    """
     rest = [c for c in test.channels if c not in references]
     parts = np.array_split(np.arange(len(rest)), SETUPS)
     return tuple((*references, *(rest[i] for i in p.tolist())) for p in parts)
@@ -116,17 +128,20 @@ def _lines(run: StudyRun, twin: Twin, campaign: CampaignSummary, best: float) ->
     final = run.results["final"].table
     initial = run.results["correlate"].initial
     return (
-        f"twin {twin_hash()[:12]}, seed {run.config.study.seed}: {twin.dof} DOF as built, {summary['dof']} in the deck",
+        f"twin {twin_hash()[:12]}, seed {run.config.study.seed}: {twin.dof} DOF as built, "
+        f"{summary['dof']} in the deck",
         f"median signal-to-noise ratio at resonance: {snr}",
         _said("initial", initial),
         _said("final", final),
         f"best mean |Δf| that six parameters could reach: {best:.2f} %",
-        "parameters: " + "; ".join(f"{p['name']} x {p['factor']:.2f}" for p in summary["parameters"]),
+        "parameters: "
+        + "; ".join(f"{p['name']} x {p['factor']:.2f}" for p in summary["parameters"]),
     )
 
 
 def _said(name: str, table: CorrelationTable) -> str:
     return (
-        f"{name}: {len(table)} pairs, mean |Δf| {table.mean_deviation():.2f} %, largest {table.max_deviation():.1f} %, "
+        f"{name}: {len(table)} pairs, mean |Δf| {table.mean_deviation():.2f} %, largest "
+        f"{table.max_deviation():.1f} %, "
         f"mean MAC {table.mean_mac():.1f} %, mean subspace MAC {table.mean_subspace_mac():.1f} %"
     )

@@ -1,4 +1,6 @@
-"""The facility meshed from a `Spec`: foundation, frame, vessel, drivetrain, anchors and air springs."""
+"""The facility meshed from a `Spec`: foundation, frame, vessel, drivetrain, anchors and air
+springs.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +52,12 @@ class Builder:
         self.mesh.element("CBUSH", pid, a, b, None, None, None, cid)
 
     def beams(
-        self, card: str, region: str, nodes: Int, v: tuple[float, float, float], *tail: float | str | None
+        self,
+        card: str,
+        region: str,
+        nodes: Int,
+        v: tuple[float, float, float],
+        *tail: float | str | None,
     ) -> None:
         """Beam elements along a line of nodes (n,) with orientation v."""
         for a, b in zip(nodes[:-1].tolist(), nodes[1:].tolist(), strict=True):
@@ -62,7 +69,9 @@ def _line(a: Float | tuple[float, ...], b: Float | tuple[float, ...], n: int) ->
 
 
 def _ticks(stops: tuple[float, ...], counts: tuple[int, ...]) -> Float:
-    parts = [np.linspace(a, b, n + 1)[:-1] for a, b, n in zip(stops[:-1], stops[1:], counts, strict=True)]
+    parts = [
+        np.linspace(a, b, n + 1)[:-1] for a, b, n in zip(stops[:-1], stops[1:], counts, strict=True)
+    ]
     return np.concatenate([*parts, stops[-1:]])
 
 
@@ -92,12 +101,23 @@ def foundation(b: Builder) -> None:
         used[i + di, j + dj, k + dk] = True
     number = np.zeros(used.shape, dtype=np.int64)
     number[used] = m.lattice(grid[used])
-    corner = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
+    corner = [
+        (0, 0, 0),
+        (1, 0, 0),
+        (1, 1, 0),
+        (0, 1, 0),
+        (0, 0, 1),
+        (1, 0, 1),
+        (1, 1, 1),
+        (0, 1, 1),
+    ]
     nodes = np.stack([number[i + a, j + c, k + d] for a, c, d in corner], axis=1)
     name = {v: r for r, v in S.CONCRETE.items()}
     for value in (1, 2, 3):
         pick = region[i, j, k] == value
-        for pid, row in zip(b.properties(name[value], int(pick.sum())).tolist(), nodes[pick].tolist(), strict=True):
+        for pid, row in zip(
+            b.properties(name[value], int(pick.sum())).tolist(), nodes[pick].tolist(), strict=True
+        ):
             m.element("CHEXA", pid, *row)
     for row in nodes[region[i, j, k] == PARTITION].tolist():
         m.element("CHEXA", PARTITION, *row)
@@ -149,17 +169,29 @@ def frame(b: Builder) -> None:
         b.beams(
             "CBEAM",
             "cross beams",
-            m.lattice(np.stack([np.full_like(across, x), across, np.full_like(across, S.TOP)], axis=1)),
+            m.lattice(
+                np.stack([np.full_like(across, x), across, np.full_like(across, S.TOP)], axis=1)
+            ),
             (0.0, 0.0, 1.0),
         )
     for z in (S.MID, S.TOP):
         for y in S.SIDES:
             for a, c in zip(S.PORTALS[:-1], S.PORTALS[1:], strict=True):
-                b.beams("CBAR", "girders", m.lattice(_line((a, y, z), (c, y, z), n.span)), (0.0, 0.0, 1.0))
+                b.beams(
+                    "CBAR",
+                    "girders",
+                    m.lattice(_line((a, y, z), (c, y, z), n.span)),
+                    (0.0, 0.0, 1.0),
+                )
     _braces(b)
     for x in S.MOUNT_X:
         for y, inner in ((S.SIDES[0], S.AXIS_Y - S.RADIUS), (S.SIDES[1], S.AXIS_Y + S.RADIUS)):
-            b.beams("CBEAM", "brackets", m.lattice(_line((x, y, S.MID), (x, inner, S.MID), 3)), (0.0, 0.0, 1.0))
+            b.beams(
+                "CBEAM",
+                "brackets",
+                m.lattice(_line((x, y, S.MID), (x, inner, S.MID), 3)),
+                (0.0, 0.0, 1.0),
+            )
 
 
 def _braces(b: Builder) -> None:
@@ -172,12 +204,16 @@ def _braces(b: Builder) -> None:
         for i, low, high in storeys:
             a, c = bays[i]
             ends = b.mesh.lattice(np.array([(a, y, low), (c, y, high)]))
-            b.mesh.element("CBAR", b.property("braces"), *ends.tolist(), 0.0, 1.0, 0.0, None, "56", "56")
+            b.mesh.element(
+                "CBAR", b.property("braces"), *ends.tolist(), 0.0, 1.0, 0.0, None, "56", "56"
+            )
     for i in (0, 4):
         a, c = bays[i]
         for one, two in ((0, 1), (1, 0)):
             ends = b.mesh.lattice(np.array([(a, S.SIDES[one], S.TOP), (c, S.SIDES[two], S.TOP)]))
-            b.mesh.element("CBAR", b.property("braces"), *ends.tolist(), 0.0, 0.0, 1.0, None, "56", "56")
+            b.mesh.element(
+                "CBAR", b.property("braces"), *ends.tolist(), 0.0, 0.0, 1.0, None, "56", "56"
+            )
 
 
 def vessel(b: Builder) -> None:
@@ -188,19 +224,36 @@ def vessel(b: Builder) -> None:
     t = 2 * np.pi * np.arange(n.around) / n.around
     ring = np.stack([S.AXIS_Y + S.RADIUS * np.cos(t), S.MID + S.RADIUS * np.sin(t)], axis=1)
     points = np.concatenate(
-        [np.broadcast_to(x[:, None, None], (x.size, t.size, 1)), np.broadcast_to(ring, (x.size, t.size, 2))], axis=2
+        [
+            np.broadcast_to(x[:, None, None], (x.size, t.size, 1)),
+            np.broadcast_to(ring, (x.size, t.size, 2)),
+        ],
+        axis=2,
     )
     g = m.lattice(points)
     right = np.roll(g, -1, axis=1)
     quads = np.stack([g[:-1], right[:-1], right[1:], g[1:]], axis=-1).reshape(-1, 4)
-    for pid, row in zip(b.properties("vessel shell", len(quads)).tolist(), quads.tolist(), strict=True):
+    for pid, row in zip(
+        b.properties("vessel shell", len(quads)).tolist(), quads.tolist(), strict=True
+    ):
         m.element("CQUAD4", pid, *row)
     outward = (0.43, 0.0, 0.0)  # the rings stand outside the shell
     for stop in S.VESSEL_X:
         at = int(np.argmin(np.abs(x - stop)))
         loop = np.append(g[at], g[at, 0])
         for a, c in zip(loop[:-1].tolist(), loop[1:].tolist(), strict=True):
-            m.element("CBAR", b.property("vessel rings"), a, c, *_OUT, None, None, None, *outward, *outward)
+            m.element(
+                "CBAR",
+                b.property("vessel rings"),
+                a,
+                c,
+                *_OUT,
+                None,
+                None,
+                None,
+                *outward,
+                *outward,
+            )
     for end, sign in ((0, -1.0), (x.size - 1, 1.0)):
         _head(b, g[end], float(x[end]), t, sign)
     spread = 9 if n.around <= 48 else 21  # nodes that share a mount
@@ -221,12 +274,17 @@ def _head(b: Builder, rim: Int, x: float, t: Float, sign: float) -> None:
     for i in range(1, layers):
         r = S.RADIUS * (1 - i / layers)
         bulge = S.DISH * (1 - (r / S.RADIUS) ** 2)
-        pts = np.stack([np.full_like(t, x + sign * bulge), S.AXIS_Y + r * np.cos(t), S.MID + r * np.sin(t)], axis=1)
+        pts = np.stack(
+            [np.full_like(t, x + sign * bulge), S.AXIS_Y + r * np.cos(t), S.MID + r * np.sin(t)],
+            axis=1,
+        )
         inner = m.lattice(pts)
         for j in range(t.size):
             k = (j + 1) % t.size
             quad = [outer[j], outer[k], inner[k], inner[j]]
-            m.element("CQUAD4", b.property("vessel heads"), *map(int, quad if sign < 0 else quad[::-1]))
+            m.element(
+                "CQUAD4", b.property("vessel heads"), *map(int, quad if sign < 0 else quad[::-1])
+            )
         outer = inner
     pole = m.node(x + sign * S.DISH, S.AXIS_Y, S.MID)
     for j in range(t.size):
@@ -244,10 +302,26 @@ def drive(b: Builder) -> None:
     y = np.linspace(*S.DECK_Y, n.deck_y + 1)
     g = m.lattice(np.stack(np.meshgrid(x, y, [S.TOP], indexing="ij"), axis=-1)[:, :, 0])
     quads = np.stack([g[:-1, :-1], g[1:, :-1], g[1:, 1:], g[:-1, 1:]], axis=-1).reshape(-1, 4)
-    for pid, row in zip(b.properties("drive deck", len(quads)).tolist(), quads.tolist(), strict=True):
+    for pid, row in zip(
+        b.properties("drive deck", len(quads)).tolist(), quads.tolist(), strict=True
+    ):
         m.element("CQUAD4", pid, *row)
     for j in (0, n.deck_y // 4, n.deck_y // 2, n.deck_y - n.deck_y // 4, n.deck_y):
-        b.beams("CBEAM", "deck beams", g[:, j], (0.0, 0.0, 1.0), None, None, None, 0.0, 0.0, -0.33, 0.0, 0.0, -0.33)
+        b.beams(
+            "CBEAM",
+            "deck beams",
+            g[:, j],
+            (0.0, 0.0, 1.0),
+            None,
+            None,
+            None,
+            0.0,
+            0.0,
+            -0.33,
+            0.0,
+            0.0,
+            -0.33,
+        )
     motor = _machine(b, "motor mounts", S.MOTOR, 20_000.0, (9000.0, 26000.0, 28000.0), 0.8)
     gear = _machine(b, "gearbox mounts", S.GEARBOX, 9_000.0, (3500.0, 4200.0, 5000.0), 0.6)
     _shaft(b, motor, gear)
@@ -257,16 +331,34 @@ def _deck_node(m: Mesh, x: float, y: float) -> int:
     at = [
         (abs(m.xyz[i][0] - x) + abs(m.xyz[i][1] - y), m.ids[i])
         for i in range(len(m.ids))
-        if abs(m.xyz[i][2] - S.TOP) < 1e-6 and S.DECK_Y[0] - 1e-6 <= m.xyz[i][1] <= S.DECK_Y[1] + 1e-6
+        if abs(m.xyz[i][2] - S.TOP) < 1e-6
+        and S.DECK_Y[0] - 1e-6 <= m.xyz[i][1] <= S.DECK_Y[1] + 1e-6
     ]
     return min(at)[1]
 
 
-def _machine(b: Builder, region: str, x: float, mass: float, inertia: tuple[float, float, float], half: float) -> int:
+def _machine(
+    b: Builder, region: str, x: float, mass: float, inertia: tuple[float, float, float], half: float
+) -> int:
     """A rigid machine on four mounts; returns the node of its centre."""
     m = b.mesh
     centre = m.node(x, S.AXIS_Y, S.SHAFT_Z)
-    m.element("CONM2", centre, None, mass, None, None, None, None, inertia[0], None, inertia[1], None, None, inertia[2])
+    m.element(
+        "CONM2",
+        centre,
+        None,
+        mass,
+        None,
+        None,
+        None,
+        None,
+        inertia[0],
+        None,
+        inertia[1],
+        None,
+        None,
+        inertia[2],
+    )
     feet = []
     for dx in (-half, half):
         for dy in (-0.9, 0.9):
@@ -282,9 +374,28 @@ def _machine(b: Builder, region: str, x: float, mass: float, inertia: tuple[floa
 def _shaft(b: Builder, motor: int, gear: int) -> None:
     m = b.mesh
     stations = _ticks((S.MOTOR, S.BEARINGS[0], S.GEARBOX, S.BEARINGS[1], S.ROTOR), (3, 3, 4, 2))
-    nodes = m.lattice(np.stack([stations, np.full_like(stations, S.AXIS_Y), np.full_like(stations, S.SHAFT_Z)], axis=1))
+    nodes = m.lattice(
+        np.stack(
+            [stations, np.full_like(stations, S.AXIS_Y), np.full_like(stations, S.SHAFT_Z)], axis=1
+        )
+    )
     b.beams("CBAR", "shaft", nodes, (0.0, 0.0, 1.0))
-    m.element("CONM2", int(nodes[-1]), None, 2_500.0, None, None, None, None, 400.0, None, 250.0, None, None, 250.0)
+    m.element(
+        "CONM2",
+        int(nodes[-1]),
+        None,
+        2_500.0,
+        None,
+        None,
+        None,
+        None,
+        400.0,
+        None,
+        250.0,
+        None,
+        None,
+        250.0,
+    )
     for x in S.BEARINGS:
         foot = _deck_node(m, x, S.AXIS_Y)
         fx, fy, fz = m.xyz[m.ids.index(foot)]

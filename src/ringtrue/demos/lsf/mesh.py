@@ -1,4 +1,6 @@
-"""A small mesh builder: nodes merged by place, elements collected card by card, tables or deck text at the end."""
+"""A small mesh builder: nodes merged by place, elements collected card by card, tables or deck text
+at the end.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ class Mesh:
 
     nodes: dict[tuple[int, int, int], int] = field(default_factory=dict)
     xyz: list[tuple[float, float, float]] = field(default_factory=list)
-    cards: list[tuple[str, str, tuple[Value, ...]]] = field(default_factory=list)  # (part, card, fields)
+    cards: list[tuple[str, str, tuple[Value, ...]]] = field(
+        default_factory=list
+    )  # (part, card, fields)
     next_element: dict[str, int] = field(default_factory=dict)
     part: str = "main"
     part_of_node: list[str] = field(default_factory=list)

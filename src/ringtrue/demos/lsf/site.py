@@ -1,4 +1,6 @@
-"""What stands on the site and not in the analyst's deck: platform, piping, cabinets and two hung parts."""
+"""What stands on the site and not in the analyst's deck: platform, piping, cabinets and two hung
+parts.
+"""
 
 from __future__ import annotations
 
@@ -37,13 +39,17 @@ def _platform(b: Builder) -> None:
     g = m.lattice(np.stack(np.meshgrid(x, y, [S.MID], indexing="ij"), axis=-1)[:, :, 0])
     for i in range(x.size - 1):
         for j in range(y.size - 1):
-            m.element("CQUAD4", PLATFORM, *map(int, (g[i, j], g[i + 1, j], g[i + 1, j + 1], g[i, j + 1])))
+            m.element(
+                "CQUAD4", PLATFORM, *map(int, (g[i, j], g[i + 1, j], g[i + 1, j + 1], g[i, j + 1]))
+            )
 
 
 def _piping(b: Builder) -> None:
     m = b.mesh
     m.part = "site"
-    x = np.concatenate([np.linspace(a, c, 5)[:-1] for a, c in zip(S.PORTALS[:-1], S.PORTALS[1:], strict=True)])
+    x = np.concatenate(
+        [np.linspace(a, c, 5)[:-1] for a, c in zip(S.PORTALS[:-1], S.PORTALS[1:], strict=True)]
+    )
     x = np.append(x, S.PORTALS[-1])
     y, z = S.SIDES[1] - 0.6, S.MID + 0.5
     nodes = m.lattice(np.stack([x, np.full_like(x, y), np.full_like(x, z)], axis=1))
@@ -58,8 +64,18 @@ def _hung(b: Builder) -> None:
     m = b.mesh
     m.part = "site"
     for point, place, mass, pid in (
-        (m.nearest("foundation", (25.0, 5.0, S.WALL_TOP))[0], (25.0, 5.0, S.WALL_TOP), HOSE_BRIDGE, HOSE_LINK),
-        (m.nearest("foundation", (0.0, 5.0, S.WALL_TOP))[0], (0.0, 5.0, S.WALL_TOP), CRANE, CRANE_LINK),
+        (
+            m.nearest("foundation", (25.0, 5.0, S.WALL_TOP))[0],
+            (25.0, 5.0, S.WALL_TOP),
+            HOSE_BRIDGE,
+            HOSE_LINK,
+        ),
+        (
+            m.nearest("foundation", (0.0, 5.0, S.WALL_TOP))[0],
+            (0.0, 5.0, S.WALL_TOP),
+            CRANE,
+            CRANE_LINK,
+        ),
     ):
         hung = m.node(*place, new=True)
         m.element("CONM2", hung, None, mass)

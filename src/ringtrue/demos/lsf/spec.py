@@ -1,6 +1,8 @@
-"""The large spinning facility in numbers: one frozen description, filled in differently by analyst and builder.
+"""The large spinning facility in numbers: one frozen description, filled in differently by analyst
+and builder.
 
-SI throughout. x along the bay (25 m), y across (10 m), z up; the origin is a lower corner of the foundation.
+SI throughout. x along the bay (25 m), y across (10 m), z up; the origin is a lower corner of the
+foundation.
 """
 
 from __future__ import annotations
@@ -25,7 +27,9 @@ MOTOR, GEARBOX, ROTOR, BEARINGS = 9.1, 12.5, 16.4, (10.8, 15.4)
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A beam section: area, second moments about element z and y, torsion constant, shear factors."""
+    """A beam section: area, second moments about element z and y, torsion constant, shear
+    factors.
+    """
 
     area: float
     i1: float
@@ -55,8 +59,8 @@ class Section:
         return Section(f * self.area, f * self.i1, f * self.i2, f * self.j, self.k1, self.k2)
 
 
-# region -> (material kind, elastic modulus or stiffness as the analyst took it); a region is one thing that was
-# poured, welded or bolted together, and one candidate for updating
+# region -> (material kind, elastic modulus or stiffness as the analyst took it); a region is one
+# thing that was poured, welded or bolted together, and one candidate for updating
 CONCRETE = {"slab": 1, "long walls": 2, "end walls": 3, "haunches": 4}
 STEEL = {
     "columns": 11,
@@ -72,7 +76,12 @@ STEEL = {
     "pedestals": 33,
     "shaft": 34,
 }
-JOINTED = ("columns", "girders", "cross beams", "brackets")  # modulus lowered by the analyst for bolted joints
+JOINTED = (
+    "columns",
+    "girders",
+    "cross beams",
+    "brackets",
+)  # modulus lowered by the analyst for bolted joints
 BUSHES = {
     "anchors front": 51,
     "anchors middle": 52,
@@ -111,7 +120,9 @@ class Spec:
     mesh: Mesh3 = field(default_factory=Mesh3)
     modulus: Mapping[str, float] = field(
         default_factory=lambda: (
-            dict.fromkeys(CONCRETE, 17.0e9) | dict.fromkeys(STEEL, 2.06e11) | dict.fromkeys(JOINTED, 1.70e11)
+            dict.fromkeys(CONCRETE, 17.0e9)
+            | dict.fromkeys(STEEL, 2.06e11)
+            | dict.fromkeys(JOINTED, 1.70e11)
         )
     )
     density: Mapping[str, float] = field(
@@ -130,7 +141,9 @@ class Spec:
             "air springs": (7.45e5, 9.6e5, 2.6e6, 0.0, 0.0, 0.0),
         }
     )
-    section: Mapping[str, float] = field(default_factory=dict)  # region -> factor on its beam section
+    section: Mapping[str, float] = field(
+        default_factory=dict
+    )  # region -> factor on its beam section
     loss: Mapping[str, float] = field(default_factory=dict)  # region -> structural loss factor
     dashpot: tuple[float, float, float] = (0.0, 0.0, 0.0)  # N s/m at each air spring
     scatter: float = 0.0  # log standard deviation of stiffness within a region

@@ -11,7 +11,11 @@ from ringtrue.demos.lsf.facility import Builder
 from ringtrue.io.nastran.writer import format_card
 
 STUDY, BRACES = "study.toml", "remodel/braces.bdf"
-FRAME = ("columns", "girders", "cross beams")  # one assumption of the analyst: the modulus lowered for bolted joints
+FRAME = (
+    "columns",
+    "girders",
+    "cross beams",
+)  # one assumption of the analyst: the modulus lowered for bolted joints
 TEST_REGIONS = ("foundation", "frame", "vessel", "drive")
 
 _SYSTEM = """The large spinning facility is a test bay for spinning large rotors: a ferro-concrete foundation of \
@@ -55,7 +59,11 @@ def braces(b: Builder) -> str:
     for y in S.SIDES:
         for i in S.BAYS_LEFT_OUT:
             ends = [at[(S.PORTALS[i], y, S.MID)], at[(S.PORTALS[i + 1], y, S.TOP)]]
-            lines.append(format_card("CBAR", [eid, S.STEEL["braces"], *ends, 0.0, 1.0, 0.0, None, "56", "56"]))
+            lines.append(
+                format_card(
+                    "CBAR", [eid, S.STEEL["braces"], *ends, 0.0, 1.0, 0.0, None, "56", "56"]
+                )
+            )
             eid += 1
     return "$ Braces of bays 2 and 4, found on site\n" + "".join(lines)
 
@@ -69,14 +77,22 @@ def access(b: Builder) -> dict[str, list[int]]:
             out[part].append(n)
     dependent = {f[2] for _, card, f in m.cards if card == "RBE3"}
     for part in TEST_REGIONS[1:]:
-        members = [n for n, p in zip(m.ids, m.part_of_node, strict=True) if p == part and n not in dependent]
+        members = [
+            n
+            for n, p in zip(m.ids, m.part_of_node, strict=True)
+            if p == part and n not in dependent
+        ]
         out[part] = members[:: 2 if part == "frame" else 3]
     return out
 
 
 def _reachable(x: float, y: float, z: float) -> bool:
     top_of_wall = abs(z - S.WALL_TOP) < 1e-6
-    floor = abs(z - S.SLAB) < 1e-6 and S.WALL < y < S.WIDTH - S.WALL and S.END_WALL < x < S.LENGTH - S.END_WALL
+    floor = (
+        abs(z - S.SLAB) < 1e-6
+        and S.WALL < y < S.WIDTH - S.WALL
+        and S.END_WALL < x < S.LENGTH - S.END_WALL
+    )
     outside = z > S.SLAB and (x in (0.0, S.LENGTH) or y in (0.0, S.WIDTH))
     return top_of_wall or floor or outside
 
@@ -141,7 +157,11 @@ def write_study(b: Builder, folder: Path, seed: int) -> Path:
         ("air springs, along", "K1"),
         ("air springs, across", "K2"),
     ):
-        lines += ["[[suspension]]", f'name = "{name}"', f'targets = ["PBUSH {S.BUSHES["air springs"]} {field}"]']
+        lines += [
+            "[[suspension]]",
+            f'name = "{name}"',
+            f'targets = ["PBUSH {S.BUSHES["air springs"]} {field}"]',
+        ]
     at = {tuple(x): n for x, n in zip(b.mesh.xyz, b.mesh.ids, strict=True)}
     lines += [
         "",
@@ -151,7 +171,10 @@ def write_study(b: Builder, folder: Path, seed: int) -> Path:
         "mass = 2500.0",
         'axis = "X"',
         "[predict.springs]",
-        *(f'"{name}" = {_toml_list([S.BUSHES[r] for r in group])}' for name, group in _SPRINGS.items()),
+        *(
+            f'"{name}" = {_toml_list([S.BUSHES[r] for r in group])}'
+            for name, group in _SPRINGS.items()
+        ),
     ]
     (folder / STUDY).write_text("\n".join(lines) + "\n")
     return folder / STUDY

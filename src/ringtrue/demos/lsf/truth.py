@@ -1,6 +1,7 @@
 """The as-built facility: what is really there, drawn by seed. No stage of a study may import this.
 
-The twin is versioned. `HASH` covers every module that defines it, so that a result names the twin it was made with.
+The twin is versioned. `HASH` covers every module that defines it, so that a result names the twin
+it was made with.
 """
 
 from __future__ import annotations
@@ -32,9 +33,15 @@ FINE = Mesh3(
     deck_y=12,
 )
 # cause -> range of the ratio as built / as modelled
-CONCRETE_DYNAMIC = (1.98, 2.18)  # uncracked, dynamic modulus (33 to 37 GPa) where the analyst took 17 GPa
+CONCRETE_DYNAMIC = (
+    1.98,
+    2.18,
+)  # uncracked, dynamic modulus (33 to 37 GPa) where the analyst took 17 GPa
 CONCRETE_OTHER = (1.4, 1.8)  # end walls and haunches, cracked in places
-WELDED = (1.176, 1.247)  # joints as stiff as the members (200 to 212 GPa) where the analyst took 170 GPa
+WELDED = (
+    1.176,
+    1.247,
+)  # joints as stiff as the members (200 to 212 GPa) where the analyst took 170 GPa
 GROUTED = (3.0, 4.0)  # anchors fully grouted over their length
 HALF_GROUTED = (2.2, 2.8)  # some of the anchors of a group
 THICKER = (1.1, 1.25)  # sections with thicker plates than on the drawings
@@ -48,7 +55,13 @@ LOSS_STEEL = (0.002, 0.004)
 LOSS_JOINT = (0.01, 0.12)
 _ANCHORS = ("anchors front", "anchors middle", "anchors rear")
 _THICKER = ("brackets", "vessel rings", "braces", "deck beams")
-_MOUNTS = ("vessel mounts front", "vessel mounts rear", "motor mounts", "gearbox mounts", "bearing mounts")
+_MOUNTS = (
+    "vessel mounts front",
+    "vessel mounts rear",
+    "motor mounts",
+    "gearbox mounts",
+    "bearing mounts",
+)
 
 
 def twin_hash() -> str:
@@ -60,7 +73,9 @@ def twin_hash() -> str:
 
 
 def ratios(seed: int) -> dict[str, float]:
-    """Ratio of modulus or spring stiffness as built to as modelled for each region; drawn by seed."""
+    """Ratio of modulus or spring stiffness as built to as modelled for each region; drawn by
+    seed.
+    """
     rng = np.random.default_rng([seed, 325])
     out = {r: float(rng.uniform(*STEEL)) for r in S.STEEL}
     out |= {r: float(rng.uniform(*WELDED)) for r in S.JOINTED}
@@ -87,7 +102,9 @@ def as_built(seed: int) -> Spec:
     rng = np.random.default_rng([seed, 2])
     loss = {c: float(rng.uniform(*LOSS_CONCRETE)) for c in S.CONCRETE}
     loss |= {s: float(rng.uniform(*LOSS_STEEL)) for s in S.STEEL}
-    loss |= {b: float(np.exp(rng.uniform(*np.log(LOSS_JOINT)))) for b in S.BUSHES if b != "air springs"}
+    loss |= {
+        b: float(np.exp(rng.uniform(*np.log(LOSS_JOINT)))) for b in S.BUSHES if b != "air springs"
+    }
     return replace(
         deck,
         mesh=FINE,

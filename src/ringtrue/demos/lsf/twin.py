@@ -33,7 +33,11 @@ AXES = ("X", "Y", "Z")
 # where people jump and weights fall (on the slab), where machines shake: point numbers of their own
 DROPS = {900001: (3.0, 3.0, S.SLAB), 900002: (22.0, 7.0, S.SLAB), 900003: (12.4, 2.2, S.SLAB)}
 JUMPS = {900011: (3.0, 2.4, S.SLAB), 900012: (3.6, 7.0, S.SLAB), 900013: (21.6, 3.2, S.SLAB)}
-SLEDGE = {900021: (1.5, 0.45, S.WALL_TOP), 900022: (23.5, 9.55, S.WALL_TOP), 900023: (12.5, 0.45, S.WALL_TOP)}
+SLEDGE = {
+    900021: (1.5, 0.45, S.WALL_TOP),
+    900022: (23.5, 9.55, S.WALL_TOP),
+    900023: (12.5, 0.45, S.WALL_TOP),
+}
 MACHINES = {900031: (12.5, 5.0, S.TOP), 900032: (23.0, 2.5, S.SLAB), 900033: (2.0, 5.0, S.SLAB)}
 
 
@@ -44,9 +48,9 @@ class Twin:
     Attributes
     ----------
     modal : ModalModel
-        Complex modes below 100 Hz and the residual flexibility of the rest. Outputs are the channels of `test`;
-        inputs are the hammer points, `DROPS`, `JUMPS`, `SLEDGE`, `MACHINES` and the ground (`ground+X` for a unit
-        displacement, `groundv+X` for a unit velocity).
+        Complex modes below 100 Hz and the residual flexibility of the rest. Outputs are the
+        channels of `test`; inputs are the hammer points, `DROPS`, `JUMPS`, `SLEDGE`, `MACHINES` and
+        the ground (`ground+X` for a unit displacement, `groundv+X` for a unit velocity).
     test : TestModel
     dof : int
     mass : float, kg
@@ -82,13 +86,20 @@ def _extra_points() -> tuple[TestModel, dict[str, tuple[str, ...]]]:
         names += mine
     xyz = np.array(list(points.values()))
     model = TestModel(
-        np.array(list(points)), xyz, tuple(names), np.array(at), np.array(axes), np.zeros((0, 2), dtype=np.int64)
+        np.array(list(points)),
+        xyz,
+        tuple(names),
+        np.array(at),
+        np.array(axes),
+        np.zeros((0, 2), dtype=np.int64),
     )
     return model, kinds
 
 
 def _ground(model: Model, dofs: DofSet) -> tuple[Int, Float, Float]:
-    """Positions of the spring nodes' translations in `dofs` (s, 3), their stiffness (s, 3) and dashpots (s, 3)."""
+    """Positions of the spring nodes' translations in `dofs` (s, 3), their stiffness (s, 3) and
+    dashpots (s, 3).
+    """
     bush, prop = model["CBUSH"], model["PBUSH"]
     grounded = bush["GB"] == 0
     row = prop.find(bush["PID"][grounded])
@@ -101,12 +112,18 @@ def _participation(shapes: Any_, model: Model, dofs: DofSet) -> tuple[Complex, t
     """Modal forces (m, 6) of a unit ground displacement and velocity in X, Y, Z."""
     at, k, c = _ground(model, dofs)
     moved = shapes[at]  # (spring, axis, mode)
-    force = np.concatenate([np.einsum("sam,sa->ma", moved, k), np.einsum("sam,sa->ma", moved, c)], axis=1)
-    return np.asarray(force, dtype=np.complex128), tuple(f"{g}+{a}" for g in ("ground", "groundv") for a in AXES)
+    force = np.concatenate(
+        [np.einsum("sam,sa->ma", moved, k), np.einsum("sam,sa->ma", moved, c)], axis=1
+    )
+    return np.asarray(force, dtype=np.complex128), tuple(
+        f"{g}+{a}" for g in ("ground", "groundv") for a in AXES
+    )
 
 
 def _damped(system: System, real: ModeSet) -> damped.ComplexModes:
-    """Complex modes in the basis of the real ones: dashpots and the loss factors of materials and bushes."""
+    """Complex modes in the basis of the real ones: dashpots and the loss factors of materials and
+    bushes.
+    """
     phi = np.asarray(system.local @ real.shapes)
     viscous, structural = damped.project(phi, system.viscous, system.structural)
     return damped.complex_modes((2 * np.pi * real.frequencies) ** 2, viscous, structural)
@@ -165,7 +182,17 @@ def make_twin(
         "receptance",
         Norm.MODAL_A,
     )
-    seen = ModeSet(real.frequencies, lossy.damping, see(real.shapes), test.channels, Norm.MASS, "as built")
+    seen = ModeSet(
+        real.frequencies, lossy.damping, see(real.shapes), test.channels, Norm.MASS, "as built"
+    )
     return Twin(
-        modal, test, kinds["drop"], kinds["jump"], kinds["sledge"], kinds["machine"], int(dof), float(mass), seen
+        modal,
+        test,
+        kinds["drop"],
+        kinds["jump"],
+        kinds["sledge"],
+        kinds["machine"],
+        int(dof),
+        float(mass),
+        seen,
     )

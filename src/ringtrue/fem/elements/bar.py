@@ -1,4 +1,6 @@
-"""CBAR and CBEAM: the exact Timoshenko beam with taper, offsets, releases and an eccentric neutral axis."""
+"""CBAR and CBEAM: the exact Timoshenko beam with taper, offsets, releases and an eccentric neutral
+axis.
+"""
 
 from __future__ import annotations
 
@@ -16,20 +18,30 @@ from ringtrue.model.model import Table
 PLANE1, PLANE2 = [1, 5, 7, 11], [2, 4, 8, 10]  # (v, θz) and (w, θy) at both ends
 _PAIR = np.array([[1.0, -1.0], [-1.0, 1.0]])
 _SIGN = np.array([1.0, -1.0, 1.0, -1.0])  # the slope of w is -θy
-# Points on (-½, ½) of each part between two stations. Sixteen: I 10:1 to nine digits. Four: cubic shapes and a linear
-# mass exactly.
+# Points on (-½, ½) of each part between two stations. Sixteen: I 10:1 to nine digits. Four: cubic
+# shapes and a linear mass exactly.
 _FLEXIBILITY, _MASS = (np.stack(np.polynomial.legendre.leggauss(n), axis=1) / 2 for n in (16, 4))
-OFFSETS = ("GGG", "BGG", "GGO", "BGO", "GOG", "BOG", "GOO", "BOO")  # OFFT: orientation, offset A, offset B
+OFFSETS = (
+    "GGG",
+    "BGG",
+    "GGO",
+    "BGO",
+    "GOG",
+    "BOG",
+    "GOO",
+    "BOO",
+)  # OFFT: orientation, offset A, offset B
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Section:
-    """Beam sections at stations, (e, s): area, second moments, torsion constant, masses; linear between.
+    """Beam sections at stations, (e, s): area, second moments, torsion constant, masses; linear
+    between.
 
-    `x` (e, s): place over the length, from 0 at end A to 1 at end B, ascending. `k1`, `k2` (e,): shear factors, 0 for
-    no shear flexibility. `nsm`, `nsm_polar`: non-structural mass a length and its inertia about its own centre.
-    `neutral`, `nsm_at` (e, 2, 2): y, z of the neutral axis and of the non-structural mass from the shear centre, at
-    each end.
+    `x` (e, s): place over the length, from 0 at end A to 1 at end B, ascending. `k1`, `k2` (e,):
+    shear factors, 0 for no shear flexibility. `nsm`, `nsm_polar`: non-structural mass a length and
+    its inertia about its own centre. `neutral`, `nsm_at` (e, 2, 2): y, z of the neutral axis and of
+    the non-structural mass from the shear centre, at each end.
     """
 
     x: Float
@@ -46,7 +58,9 @@ class Section:
     nsm_at: Any_
 
     def integrated(self) -> Bool:
-        """Which beams (e,) need the flexibility integral: tapered, or I12 together with shear flexibility."""
+        """Which beams (e,) need the flexibility integral: tapered, or I12 together with shear
+        flexibility.
+        """
         every = np.stack([self.A, self.I1, self.I2, self.I12, self.J], axis=-1)
         taper = (every != every[:, :1]).any(axis=(1, 2))
         coupled = (self.I12 != 0).any(axis=1) & ((self.k1 != 0) | (self.k2 != 0))
@@ -77,7 +91,9 @@ def _rows(s: Section, at: Int) -> Section:
 
 
 def uniform(L: Float, iso: Isotropic, s: Section) -> Any_:
-    """Stiffness with the mean of the stations (Przemieniecki 1968, eq. 5.116; I12 without shear)."""
+    """Stiffness with the mean of the stations (Przemieniecki 1968, eq. 5.116; I12 without
+    shear).
+    """
     A, I1, I2, I12, J = (v.mean(axis=1) for v in (s.A, s.I1, s.I2, s.I12, s.J))
     b0, b1 = _curvature(L)
     constant, linear = (np.einsum("e,ei,ej->eij", c, b, b) for c, b in ((L, b0), (L / 3, b1)))
@@ -107,27 +123,39 @@ def _shear(iso: Isotropic, A: Any_, I: Any_, k: Any_, L: Float) -> Any_:
 
 
 def flexible(L: Float, E: Any_, G: Any_, s: Section) -> Any_:
-    """Stiffness (e, 12, 12) of beams whose sections vary linearly from station to station, from the flexibility.
+    """Stiffness (e, 12, 12) of beams whose sections vary linearly from station to station, from the
+    flexibility.
 
-    End B moves by F f under its end forces f, F = ∫ bᵀ(x) C(x) b(x) dx with b from equilibrium and C the compliance
-    of the section (Przemieniecki 1968, section 5.6; force-based, so exact for end loads whatever the taper).
+    End B moves by F f under its end forces f, F = ∫ bᵀ(x) C(x) b(x) dx with b from equilibrium and
+    C the compliance of the section (Przemieniecki 1968, section 5.6; force-based, so exact for end
+    loads whatever the taper).
     """
     dtype = np.result_type(float, E, G, s.A, s.I1, s.I2, s.I12, s.J, s.k1, s.k2)
     axial, twist = np.zeros(len(L), dtype=dtype), np.zeros(len(L), dtype=dtype)
     F = np.zeros((len(L), 4, 4), dtype=dtype)  # of (Fy, Mz/L, Fz, -My/L)
-    none = [np.asarray((v == 0).all(axis=1) | (c == 0)) for v, c in ((s.A, E), (s.J, G), (s.I1, E), (s.I2, E))]
+    none = [
+        np.asarray((v == 0).all(axis=1) | (c == 0))
+        for v, c in ((s.A, E), (s.J, G), (s.I1, E), (s.I2, E))
+    ]
     E = np.where(E == 0, 1.0, E)
     for x, w, value in _along(s.x, _FLEXIBILITY):
         A, I1, I2, I12, J = (value(v) for v in (s.A, s.I1, s.I2, s.I12, s.J))
         axial += w * L / np.where(none[0], 1.0, E * A)
         twist += w * L / np.where(none[1], 1.0, G * J)
         I1, I2 = np.where(none[2], 1.0, I1), np.where(none[3], 1.0, I2)
-        C = scaled(w * L**3 / (E * (I1 * I2 - I12**2)), np.stack([np.stack([I2, -I12], 1), np.stack([-I12, I1], 1)], 1))
-        b = np.stack([1 - x, np.ones_like(x)], axis=1)  # bending moment at x by end force and end moment, over L
+        C = scaled(
+            w * L**3 / (E * (I1 * I2 - I12**2)),
+            np.stack([np.stack([I2, -I12], 1), np.stack([-I12, I1], 1)], 1),
+        )
+        b = np.stack(
+            [1 - x, np.ones_like(x)], axis=1
+        )  # bending moment at x by end force and end moment, over L
         F += np.einsum("epq,ei,ej->epiqj", C, b, b).reshape(-1, 4, 4)
         for plane, k in enumerate((s.k1, s.k2)):
             rigid = (k == 0) | (A == 0) | (G == 0)
-            F[:, 2 * plane, 2 * plane] += np.where(rigid, 0.0, w * L / np.where(rigid, 1.0, k * G * A))
+            F[:, 2 * plane, 2 * plane] += np.where(
+                rigid, 0.0, w * L / np.where(rigid, 1.0, k * G * A)
+            )
     bending = np.linalg.solve(F, np.broadcast_to(np.eye(4), F.shape))  # scaled by the length
     for plane, absent in enumerate(none[2:]):
         at = slice(2 * plane, 2 * plane + 2)
@@ -144,8 +172,12 @@ def flexible(L: Float, E: Any_, G: Any_, s: Section) -> Any_:
 
 
 def _along(x: Float, rule: Float) -> Iterator[tuple[Float, Float, Callable[[Any_], Any_]]]:
-    """Points of integration over the length: place (e,), weight (e,) and what gives values (e, s) there."""
-    for k in range(x.shape[1] - 1):  # over the parts between stations, of a length of nothing where a beam has fewer
+    """Points of integration over the length: place (e,), weight (e,) and what gives values (e, s)
+    there.
+    """
+    for k in range(
+        x.shape[1] - 1
+    ):  # over the parts between stations, of a length of nothing where a beam has fewer
         part = x[:, k + 1] - x[:, k]
         for p, w in rule.tolist():  # a fixed number of points
 
@@ -156,9 +188,11 @@ def _along(x: Float, rule: Float) -> Iterator[tuple[Float, Float, Callable[[Any_
 
 
 def consistent(L: Float, per_length: Any_, polar: Any_, x: Float) -> Any_:
-    """Coupled local mass (e, 12, 12) of mass a length and polar inertia a length at the stations x, (e, s) each.
+    """Coupled local mass (e, 12, 12) of mass a length and polar inertia a length at the stations x,
+    (e, s) each.
 
-    Cubic transverse and linear torsional shapes; axial the mean of lumped and consistent, as for a rod.
+    Cubic transverse and linear torsional shapes; axial the mean of lumped and consistent, as for a
+    rod.
     """
     plane, linear = _moments(L, per_length, x, _hermite), _moments(L, per_length, x, _linear)
     axial = (linear + linear.sum(axis=2)[:, :, None] * np.eye(2)) / 2
@@ -182,12 +216,20 @@ def _linear(x: Float, L: Float) -> Float:
 def _hermite(x: Float, L: Float) -> Float:
     """The cubic shapes (e, 4) of (v1, θ1, v2, θ2)."""
     return np.stack(
-        [1 - 3 * x**2 + 2 * x**3, L * (x - 2 * x**2 + x**3), 3 * x**2 - 2 * x**3, L * (x**3 - x**2)], axis=1
+        [
+            1 - 3 * x**2 + 2 * x**3,
+            L * (x - 2 * x**2 + x**3),
+            3 * x**2 - 2 * x**3,
+            L * (x**3 - x**2),
+        ],
+        axis=1,
     )
 
 
 def lumped(L: Float, per_length: Any_, polar: Any_, x: Float) -> Any_:
-    """The mass at the two ends that keeps mass and centre, local (e, 12, 12); values (e, s) at the stations x."""
+    """The mass at the two ends that keeps mass and centre, local (e, 12, 12); values (e, s) at the
+    stations x.
+    """
     ends = np.zeros((len(L), 2, 6), dtype=np.result_type(per_length, polar))
     ends[..., :3] = _moments(L, per_length, x, _linear).sum(axis=2)[..., None]
     ends[..., 3] = _moments(L, polar, x, _linear).sum(axis=2)
@@ -202,14 +244,22 @@ def release(K: Any_, pins: Any_) -> Any_:
     patterns, which = np.unique(pins, axis=0, return_inverse=True)
     for i, p in enumerate(patterns):  # a handful of patterns in a deck
         if p.any():
-            keep, drop, rows = np.flatnonzero(~p), np.flatnonzero(p), np.flatnonzero(which.reshape(-1) == i)
+            keep, drop, rows = (
+                np.flatnonzero(~p),
+                np.flatnonzero(p),
+                np.flatnonzero(which.reshape(-1) == i),
+            )
             out[rows] = 0.0
-            out[rows[:, None, None], keep[:, None], keep] = condense(_stiff(K[rows], drop), keep, drop)
+            out[rows[:, None, None], keep[:, None], keep] = condense(
+                _stiff(K[rows], drop), keep, drop
+            )
     return out
 
 
 def _stiff(K: Any_, drop: Int) -> Any_:
-    """K with a unit on the diagonal of released DOFs that carry no stiffness (a torsion release where J = 0)."""
+    """K with a unit on the diagonal of released DOFs that carry no stiffness (a torsion release
+    where J = 0).
+    """
     out = K.copy()
     out[:, drop, drop] += np.where(out[:, drop, drop] == 0, 1.0, 0.0)
     return out
@@ -225,32 +275,50 @@ def _pbar(m: Mesh, card: str, at: Int) -> tuple[Isotropic, Section]:
     t = m.model[card]
     row = lookup(m.model, "PBAR", t["PID"][at], t, at)
     p = m.model["PBAR"]
-    A, I1, I2, I12, J, nsm = (np.stack([p[c][row]] * 2, axis=1) for c in ("A", "I1", "I2", "I12", "J", "NSM"))
+    A, I1, I2, I12, J, nsm = (
+        np.stack([p[c][row]] * 2, axis=1) for c in ("A", "I1", "I2", "I12", "J", "NSM")
+    )
     nsm = nsm + m.nsm(card, at)[:, None]
-    k1, k2 = (np.where(np.isnan(p[k][row]) | (I12[:, 0].real != 0), 0.0, p[k][row]) for k in ("K1", "K2"))
-    o, none, x = np.zeros((at.size, 2)), np.zeros((at.size, 2, 2)), np.tile([0.0, 1.0], (at.size, 1))
-    return isotropic(m.model, p["MID"][row], p, row), Section(x, A, I1, I2, I12, J, k1, k2, nsm, o, none, none)
+    k1, k2 = (
+        np.where(np.isnan(p[k][row]) | (I12[:, 0].real != 0), 0.0, p[k][row]) for k in ("K1", "K2")
+    )
+    o, none, x = (
+        np.zeros((at.size, 2)),
+        np.zeros((at.size, 2, 2)),
+        np.tile([0.0, 1.0], (at.size, 1)),
+    )
+    return isotropic(m.model, p["MID"][row], p, row), Section(
+        x, A, I1, I2, I12, J, k1, k2, nsm, o, none, none
+    )
 
 
 def _pbeam(m: Mesh, card: str, at: Int) -> tuple[Isotropic, Section]:
     t = m.model[card]
     warping = t.stack("SA", "SB")[at].any(axis=1)
     if warping.any():
-        raise unsupported(m.model, t, int(at[warping][0]), "has warping points SA, SB; leave them out")
+        raise unsupported(
+            m.model, t, int(at[warping][0]), "has warping points SA, SB; leave them out"
+        )
     row = lookup(m.model, "PBEAM", t["PID"][at], t, at)
     p = m.model["PBEAM"]
     x, order = _stations(p, row)
-    A, I1, I2, I12, J, nsm = (_at_stations(p, row, name, x, order) for name in ("A", "I1", "I2", "I12", "J", "NSM"))
+    A, I1, I2, I12, J, nsm = (
+        _at_stations(p, row, name, x, order) for name in ("A", "I1", "I2", "I12", "J", "NSM")
+    )
     k1, k2 = (np.where(np.isnan(p[k][row]), 0.0, p[k][row]) for k in ("K1", "K2"))
     nsm = nsm + m.nsm(card, at)[:, None]
     polar = _between(p["NSIA"][row], p["NSIB"][row], x)
-    neutral, nsm_at = (p.stack(*(f"{c}{i}{end}" for end in "AB" for i in (1, 2)))[row].reshape(-1, 2, 2) for c in "NM")
+    neutral, nsm_at = (
+        p.stack(*(f"{c}{i}{end}" for end in "AB" for i in (1, 2)))[row].reshape(-1, 2, 2)
+        for c in "NM"
+    )
     iso = isotropic(m.model, p["MID"][row], p, row)
     return iso, Section(x, A, I1, I2, I12, J, k1, k2, nsm, polar, neutral, nsm_at)
 
 
 def _stations(p: Table, row: Int) -> tuple[Float, Int]:
-    """Places (e, s) of the stations of rows of PBEAM, ends included, and which entry each is, -1 for an end.
+    """Places (e, s) of the stations of rows of PBEAM, ends included, and which entry each is, -1
+    for an end.
 
     A beam with fewer stations than others has end B several times.
     """
@@ -269,7 +337,9 @@ def _stations(p: Table, row: Int) -> tuple[Float, Int]:
 
 
 def _at_stations(p: Table, row: Int, name: str, x: Float, entry: Int) -> Any_:
-    """A field of PBEAM at the stations (e, s); a blank one is on the straight line between the ends."""
+    """A field of PBEAM at the stations (e, s); a blank one is on the straight line between the
+    ends.
+    """
     line = _between(p[name][row], p[f"{name}B"][row], x)
     if (entry < 0).all():
         return line
@@ -282,7 +352,8 @@ def _between(a: Any_, b: Any_, x: Float) -> Any_:
 
 
 def offsets(m: Mesh, card: str, at: Int, nodes: Int) -> Float:
-    """Arms (e, 2, 3) in basic from the nodes to the ends: W in the CD frames or, by OFFT, in the element's frame.
+    """Arms (e, 2, 3) in basic from the nodes to the ends: W in the CD frames or, by OFFT, in the
+    element's frame.
 
     Raises
     ------
@@ -296,7 +367,9 @@ def offsets(m: Mesh, card: str, at: Int, nodes: Int) -> Float:
     offt = np.where(offt == "", OFFSETS[0], offt)
     other = used.any(axis=1) & ~np.isin(offt, OFFSETS)
     if other.any():
-        raise unsupported(m.model, t, int(at[other][0]), f"has OFFT {offt[other][0]}; allowed are {OFFSETS}")
+        raise unsupported(
+            m.model, t, int(at[other][0]), f"has OFFT {offt[other][0]}; allowed are {OFFSETS}"
+        )
     frame = m.cd[nodes]
     letters = np.char.ljust(offt, 3).astype("U3").view("U1").reshape(-1, 3)
     own = (letters[:, 1:] == "O") & used
@@ -331,14 +404,20 @@ def _mass(L: Float, iso: Isotropic, s: Section, coupled: bool, beam: bool) -> An
     polar = rho * (s.I1 + s.I2) if beam else np.zeros_like(s.A)
     form = consistent if coupled else lumped
     M = _placed(form(L, rho * s.A, polar, s.x), s.neutral)
-    return M + _placed(form(L, s.nsm, s.nsm_polar, s.x), s.nsm_at) if np.any(s.nsm) or np.any(s.nsm_polar) else M
+    return (
+        M + _placed(form(L, s.nsm, s.nsm_polar, s.x), s.nsm_at)
+        if np.any(s.nsm) or np.any(s.nsm_polar)
+        else M
+    )
 
 
 def _placed(M: Any_, at: Any_) -> Any_:
     """A mass that lies at y, z (e, 2, 2) of the ends."""
     if not np.any(at):
         return M
-    return congruent(nodal(np.stack([_eccentric(at[:, end, 0], at[:, end, 1]) for end in (0, 1)], axis=1)), M)
+    return congruent(
+        nodal(np.stack([_eccentric(at[:, end, 0], at[:, end, 1]) for end in (0, 1)], axis=1)), M
+    )
 
 
 def measure(m: Mesh, card: str, at: Int) -> Float:
@@ -350,10 +429,11 @@ def measure(m: Mesh, card: str, at: Int) -> Float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Placed:
-    """Beams where they stand: node rows (e, 2), lengths (e,), axes (e, 3, 3) as rows, `local` (e, 12, 12).
+    """Beams where they stand: node rows (e, 2), lengths (e,), axes (e, 3, 3) as rows, `local` (e,
+    12, 12).
 
-    `local` gives the motions of the ends, offsets included, in the axes from those of the nodes in basic. `released`
-    (e, 12) are the pin flags.
+    `local` gives the motions of the ends, offsets included, in the axes from those of the nodes in
+    basic. `released` (e, 12) are the pin flags.
     """
 
     nodes: Int
@@ -383,11 +463,19 @@ def place(m: Mesh, card: str, at: Int) -> Placed:
     local = rotation(R, 2)
     if arms.any():
         local = local @ nodal(arm(arms))
-    return Placed(nodes, L, R, local, np.concatenate([components(t["PA"][at]), components(t["PB"][at])], axis=1))
+    return Placed(
+        nodes,
+        L,
+        R,
+        local,
+        np.concatenate([components(t["PA"][at]), components(t["PB"][at])], axis=1),
+    )
 
 
 def stiffness(L: Float, iso: Isotropic, s: Section) -> Any_:
-    """Local stiffness (e, 12, 12) at the shear centres of the ends, whose neutral axis may be elsewhere."""
+    """Local stiffness (e, 12, 12) at the shear centres of the ends, whose neutral axis may be
+    elsewhere.
+    """
     K = kernel(L, iso, s)
     return congruent(_axial_at(s.neutral, L), K) if np.any(s.neutral) else K
 
@@ -404,4 +492,10 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     iso, s = section(m, card, at)
     K = release(stiffness(p.L, iso, s), p.released)
     M = _mass(p.L, iso, s, m.model.param("COUPMASS", -1) > 0, card == "CBEAM")
-    return Matrices(node_dofs(p.nodes), congruent(p.local, K), congruent(p.local, M), iso.loss, np.empty((0, 12, 12)))
+    return Matrices(
+        node_dofs(p.nodes),
+        congruent(p.local, K),
+        congruent(p.local, M),
+        iso.loss,
+        np.empty((0, 12, 12)),
+    )

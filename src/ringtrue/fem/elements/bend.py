@@ -1,9 +1,10 @@
 """CBEND: a beam or pipe along a circular arc, from its exact flexibility.
 
-Loaded at its ends the arc carries forces that equilibrium alone gives; with the compliance c of the section end B moves
-against end A by F f, F = ∫ b c bᵀ ds, and the stiffness is Dᵀ F⁻¹ D, as for straight beams. The section is that of
-Winkler and Bach (Timoshenko, Strength of Materials II, 1956, article 16): with the neutral axis e nearer to the centre
-than the centroid, ε = N/EA + e M/EI1 and κ = M/EI1 + e N/EI1; exact for e = I1/(A R).
+Loaded at its ends the arc carries forces that equilibrium alone gives; with the compliance c of the
+section end B moves against end A by F f, F = ∫ b c bᵀ ds, and the stiffness is Dᵀ F⁻¹ D, as for
+straight beams. The section is that of Winkler and Bach (Timoshenko, Strength of Materials II, 1956,
+article 16): with the neutral axis e nearer to the centre than the centroid, ε = N/EA + e M/EI1 and
+κ = M/EI1 + e N/EI1; exact for e = I1/(A R).
 """
 
 from __future__ import annotations
@@ -43,7 +44,9 @@ class Arc:
     angle: Any_
 
     def axes(self, share: float) -> Any_:
-        """Axes (e, 3, 3) as rows, R outward, θ along the arc and Z, at -1 (A) to 1 (B) of the arc."""
+        """Axes (e, 3, 3) as rows, R outward, θ along the arc and Z, at -1 (A) to 1 (B) of the
+        arc.
+        """
         phi = (share / 2 * self.angle)[:, None]
         R = np.cos(phi) * self.out + np.sin(phi) * self.along
         theta = np.cos(phi) * self.along - np.sin(phi) * self.out
@@ -57,9 +60,11 @@ class Arc:
 
 
 def _arc(m: Mesh, t: Table, at: Int, nodes: Int, p: dict[str, Any_]) -> Arc:
-    """Arcs by GEOM: 1 the centre is on v, 2 v is the tangent at A, 3 the radius is given, 4 the angle is.
+    """Arcs by GEOM: 1 the centre is on v, 2 v is the tangent at A, 3 the radius is given, 4 the
+    angle is.
 
-    In 2 to 4 the arc is on that side of the chord to which v points. Source: MSC Nastran Quick Reference Guide, CBEND.
+    In 2 to 4 the arc is on that side of the chord to which v points. Source: MSC Nastran Quick
+    Reference Guide, CBEND.
     """
     x, geom = m.xyz[nodes], t["GEOM"][at]
     v, d = orientation(m, t, at, nodes[:, 0]), x[:, 1] - x[:, 0]
@@ -70,20 +75,46 @@ def _arc(m: Mesh, t: Table, at: Int, nodes: Int, p: dict[str, Any_]) -> Arc:
     forward = np.einsum("ei,ei->e", v, along)
     side = v - forward[:, None] * along
     height = np.linalg.norm(side, axis=1)
-    _refuse(m, t, at, height <= 1e-8 * np.linalg.norm(v, axis=1), "the vector v is zero or along the chord")
-    _refuse(m, t, at, (geom == 1) & (np.abs(forward) <= 1e-12 * height), "the centre on v is at infinity")
-    sine = np.abs(forward) / np.hypot(forward, height)  # of half the angle where v leads to the centre
+    _refuse(
+        m,
+        t,
+        at,
+        height <= 1e-8 * np.linalg.norm(v, axis=1),
+        "the vector v is zero or along the chord",
+    )
+    _refuse(
+        m,
+        t,
+        at,
+        (geom == 1) & (np.abs(forward) <= 1e-12 * height),
+        "the centre on v is at infinity",
+    )
+    sine = np.abs(forward) / np.hypot(
+        forward, height
+    )  # of half the angle where v leads to the centre
     half = np.where(geom == 1, np.arcsin(sine), np.arctan2(height, forward))
     radius = p["RB"] - p["RC"]
-    _refuse(m, t, at, (geom == 3) & (np.real(radius) < chord / 2 * (1 - 1e-9)), "RB is less than half the chord")
+    _refuse(
+        m,
+        t,
+        at,
+        (geom == 3) & (np.real(radius) < chord / 2 * (1 - 1e-9)),
+        "RB is less than half the chord",
+    )
     ratio = chord / 2 / np.where(geom == 3, radius, chord)
     half = np.where(geom == 3, np.arcsin(np.where(np.real(ratio) > 1, 1.0, ratio)), half)
     half = np.where(geom == 4, p["THETAB"] * (np.pi / 360), half)
     _refuse(
-        m, t, at, (np.real(half) <= 0) | (np.real(half) >= np.pi), "the angle of the arc must be in 0 to 360 degrees"
+        m,
+        t,
+        at,
+        (np.real(half) <= 0) | (np.real(half) >= np.pi),
+        "the angle of the arc must be in 0 to 360 degrees",
     )
     away = np.where((geom == 1) & (forward > 0), -1.0, 1.0)
-    return Arc(x.mean(axis=1), unit(side) * away[:, None], along, chord / 2 / np.sin(half), 2 * half)
+    return Arc(
+        x.mean(axis=1), unit(side) * away[:, None], along, chord / 2 / np.sin(half), 2 * half
+    )
 
 
 def _refuse(m: Mesh, t: Table, at: Int, bad: Any_, why: str) -> None:
@@ -92,7 +123,8 @@ def _refuse(m: Mesh, t: Table, at: Int, bad: Any_, why: str) -> None:
 
 
 def pipe(middle: Any_, wall: Any_, radius: Any_) -> tuple[Any_, Any_, Any_]:
-    """Area, second moment and offset e of the neutral axis of a pipe bent to `radius`; a wall of 0 is a solid rod.
+    """Area, second moment and offset e of the neutral axis of a pipe bent to `radius`; a wall of 0
+    is a solid rod.
 
     e = R − A / ∫ dA/r, exact for a ring (Timoshenko 1956, article 17).
     """
@@ -109,7 +141,9 @@ def _section(m: Mesh, p: dict[str, Any_], radius: Any_, t: Table, row: Int) -> d
     tube = p["FSI"] > 0
     room = ~tube | (np.real(p["RM"] + p["T"] / 2) < np.real(radius))
     _refuse(m, t, row, ~room, "RM + T/2 must be less than the radius of the arc")
-    area, second, e = pipe(np.where(tube, p["RM"], 0.1), np.where(tube, p["T"], 0.0), np.where(tube, radius, 1.0))
+    area, second, e = pipe(
+        np.where(tube, p["RM"], 0.1), np.where(tube, p["T"], 0.0), np.where(tube, radius, 1.0)
+    )
     out = {"A": np.where(tube, area, p["A"])}
     out |= {n: np.where(tube, c * second, p[n]) for n, c in (("I1", 1), ("I2", 1), ("J", 2))}
     for name in ("A", "I1", "I2", "J"):
@@ -120,7 +154,9 @@ def _section(m: Mesh, p: dict[str, Any_], radius: Any_, t: Table, row: Int) -> d
 
 
 def _compliance(s: dict[str, Any_], E: Any_, G: Any_, shear: tuple[Any_, Any_]) -> Any_:
-    """Section's compliance (e, 6, 6) for forces and moments along and about R, θ, Z; K1, K2 of 0 are rigid."""
+    """Section's compliance (e, 6, 6) for forces and moments along and about R, θ, Z; K1, K2 of 0
+    are rigid.
+    """
     terms = [E * s["A"], E * s["I1"], E * s["I2"], G * s["J"]]
     c = np.zeros((len(s["A"]), 6, 6), dtype=np.result_type(*terms, *shear, s["e"]))
     for axis, k in zip((0, 2), shear, strict=True):
@@ -132,7 +168,9 @@ def _compliance(s: dict[str, Any_], E: Any_, G: Any_, shear: tuple[Any_, Any_]) 
 
 
 def flexibility(arc: Arc, radius: Any_, height: Any_, compliance: Any_, to: float = 1.0) -> Any_:
-    """Motion at `to` (1 is end B) of the line of centroids against end A by the forces on B, (e, 6, 6) in basic."""
+    """Motion at `to` (1 is end B) of the line of centroids against end A by the forces on B, (e, 6,
+    6) in basic.
+    """
     end, here = (arc.place(share, radius, height) for share in (1.0, to))
     reach = (to + 1) / 2  # of the arc
     F: Any_ = np.zeros((len(end), 6, 6))
@@ -141,26 +179,34 @@ def flexibility(arc: Arc, radius: Any_, height: Any_, compliance: Any_, to: floa
         R, place = arc.axes(there), arc.place(there, radius, height)
         turn = scatter(len(R), 6, ([0, 1, 2], R), ([3, 4, 5], R))
         force, moved = (turn @ arm(x - place).swapaxes(1, 2) for x in (end, here))
-        F = F + scaled(w / 2 * reach * arc.angle * radius, moved.swapaxes(1, 2) @ compliance @ force)
+        F = F + scaled(
+            w / 2 * reach * arc.angle * radius, moved.swapaxes(1, 2) @ compliance @ force
+        )
     return F
 
 
-def _coupled(arc: Arc, radius: Any_, height: Any_, compliance: Any_, first: Any_, forces: Any_) -> Any_:
+def _coupled(
+    arc: Arc, radius: Any_, height: Any_, compliance: Any_, first: Any_, forces: Any_
+) -> Any_:
     """∫ NᵀN ds of the motions N that loads at the ends make: (e, 12, 12).
 
-    `first` (e, 6, 6) is the motion of end A by that of its node, `forces` (e, 6, 12) are those on end B.
+    `first` (e, 6, 6) is the motion of end A by that of its node, `forces` (e, 6, 12) are those on
+    end B.
     """
     start = arc.place(-1.0, radius, height)
     M: Any_ = np.zeros((len(start), 12, 12))
     for to, w in zip(*(v.tolist() for v in _LINE), strict=True):
         N = flexibility(arc, radius, height, compliance, to) @ forces
-        N = N + np.concatenate([arm(arc.place(to, radius, height) - start) @ first, np.zeros_like(first)], axis=2)
+        N = N + np.concatenate(
+            [arm(arc.place(to, radius, height) - start) @ first, np.zeros_like(first)], axis=2
+        )
         M = M + scaled(w / 2 * arc.angle * radius, N[:, :3].swapaxes(1, 2) @ N[:, :3])
     return M
 
 
 def build(m: Mesh, card: str, at: Int) -> Matrices:
-    """Matrices of the rows `at` (e,) of CBEND; half the mass at each end of the line of centroids, or coupled.
+    """Matrices of the rows `at` (e,) of CBEND; half the mass at each end of the line of centroids,
+    or coupled.
 
     Raises
     ------
@@ -189,5 +235,11 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     else:
         half = line * radius * arc.angle / 2
         body = scaled(half, np.broadcast_to(np.diag([1.0, 1, 1, 0, 0, 0]), (at.size, 6, 6)))
-        M = scatter(at.size, 12, *((list(range(6 * k, 6 * k + 6)), congruent(A, body)) for k, A in enumerate(arms)))
-    return Matrices(node_dofs(nodes), (K + K.swapaxes(1, 2)) / 2, M, iso.loss, np.empty((0, 12, 12)))
+        M = scatter(
+            at.size,
+            12,
+            *((list(range(6 * k, 6 * k + 6)), congruent(A, body)) for k, A in enumerate(arms)),
+        )
+    return Matrices(
+        node_dofs(nodes), (K + K.swapaxes(1, 2)) / 2, M, iso.loss, np.empty((0, 12, 12))
+    )

@@ -29,10 +29,14 @@ def _axes(m: Mesh, card: str, at: Int, a: Int, x: Float, grounded: Any_) -> Floa
 
 
 def _spring_point(m: Mesh, card: str, at: Int, x: Float) -> Float:
-    """Where the spring stands, (e, 3) in basic: S of the way from A to B, or S1-S3 from A in OCID."""
+    """Where the spring stands, (e, 3) in basic: S of the way from A to B, or S1-S3 from A in
+    OCID.
+    """
     t = m.model[card]
     s, ocid = t["S"][at][:, None], t["OCID"][at]
-    own = np.einsum("ei,eij->ej", t.stack("S1", "S2", "S3")[at], frame(m, np.maximum(ocid, 0), x[:, 0]))
+    own = np.einsum(
+        "ei,eij->ej", t.stack("S1", "S2", "S3")[at], frame(m, np.maximum(ocid, 0), x[:, 0])
+    )
     return np.where(ocid[:, None] >= 0, x[:, 0] + own, (1 - s) * x[:, 0] + s * x[:, 1])
 
 
@@ -55,12 +59,16 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     row = lookup(m.model, "PBUSH", t["PID"][at], t, at)
     p = m.model["PBUSH"]
     stiffness, loss = p.stack(*(f"K{i}" for i in range(1, 7)))[row], losses(p)[row]
-    motion = _relative(_axes(m, card, at, a, x, grounded), _spring_point(m, card, at, x)[:, None] - x, grounded)
+    motion = _relative(
+        _axes(m, card, at, a, x, grounded), _spring_point(m, card, at, x)[:, None] - x, grounded
+    )
     K, H, B = (
         congruent(motion, values[:, :, None] * np.eye(6))
         for values in (stiffness, loss * stiffness, p.stack(*(f"B{i}" for i in range(1, 7)))[row])
     )
-    ends = np.tile([0.5, 0.5, 0.5, 0.0, 0.0, 0.0], 2) * np.repeat(np.stack([~grounded | True, ~grounded], 1), 6, axis=1)
+    ends = np.tile([0.5, 0.5, 0.5, 0.0, 0.0, 0.0], 2) * np.repeat(
+        np.stack([~grounded | True, ~grounded], 1), 6, axis=1
+    )
     dofs = node_dofs(np.stack([a, b], axis=1))
     dofs[grounded, 6:] = -1
     same = (loss == loss[:, :1]).all()
@@ -68,13 +76,17 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
 
 
 def losses(p: Table) -> Any_:
-    """Loss factors (n, 6) of rows of PBUSH: GE1 for all directions where GE2 to GE6 are blank, else blanks are 0."""
+    """Loss factors (n, 6) of rows of PBUSH: GE1 for all directions where GE2 to GE6 are blank, else
+    blanks are 0.
+    """
     first = p["GE"]
     if "GE2" not in p.columns:
         return np.repeat(first[:, None], 6, axis=1)
     rest = p.stack(*(f"GE{i}" for i in range(2, 7)))
     alone = np.isnan(rest).all(axis=1)[:, None]
-    return np.concatenate([first[:, None], np.where(alone, first[:, None], np.nan_to_num(rest))], axis=1)
+    return np.concatenate(
+        [first[:, None], np.where(alone, first[:, None], np.nan_to_num(rest))], axis=1
+    )
 
 
 def _relative(R: Float, arms: Float, grounded: Any_) -> Float:

@@ -1,4 +1,6 @@
-"""CDAMP1-4: a dashpot between two components or scalar points; CVISC: one along and about a line."""
+"""CDAMP1-4: a dashpot between two components or scalar points; CVISC: one along and about a
+line.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""CFAST: six springs between two surfaces of shells, each end on a square as large as the fastener."""
+"""CFAST: six springs between two surfaces of shells, each end on a square as large as the
+fastener.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,8 @@ _STIFFNESS = ("KT1", "KT2", "KT3", "KR1", "KR2", "KR3")
 
 
 def _axes(axis: Float) -> Float:
-    """Frames (e, 3, 3) of MCID -1: x along the axis, y in the plane of it and the axis of basic most across it.
+    """Frames (e, 3, 3) of MCID -1: x along the axis, y in the plane of it and the axis of basic
+    most across it.
 
     Of two that are equally across the first is taken (MSC Nastran Quick Reference Guide, PFAST).
     """
@@ -35,7 +38,8 @@ def ends(m: Mesh, card: str, at: Int) -> tuple[End, End]:
 
 
 def build(m: Mesh, card: str, at: Int) -> Matrices:
-    """Matrices of the rows `at` (e,) of CFAST: KT, KR half way between the ends, half of MASS at each.
+    """Matrices of the rows `at` (e,) of CFAST: KT, KR half way between the ends, half of MASS at
+    each.
 
     Raises
     ------

@@ -1,4 +1,6 @@
-"""CBUSH1D: a spring and dashpot along one axis; CGAP: the springs of a gap as a linear solution takes them."""
+"""CBUSH1D: a spring and dashpot along one axis; CGAP: the springs of a gap as a linear solution
+takes them.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,9 @@ _PAIR = np.array([[1.0, -1.0], [-1.0, 1.0]])
 
 
 def _ends(m: Mesh, card: str, at: Int) -> tuple[Int, Float, Bool]:
-    """Nodes (e, 2), the axis (e, 3) along T1 of CID, else from GA to GB, and which have a blank GB."""
+    """Nodes (e, 2), the axis (e, 3) along T1 of CID, else from GA to GB, and which have a blank
+    GB.
+    """
     t = m.model[card]
     ga, gb, cid = t["GA"][at], t["GB"][at], t["CID"][at]
     if (ga == 0).any():
@@ -26,14 +30,23 @@ def _ends(m: Mesh, card: str, at: Int) -> tuple[Int, Float, Bool]:
     lost = (cid < 0) & (L == 0)
     if lost.any():
         raise error(
-            m.model, t, int(at[lost][0]), "its ends are at one place, or GB is blank; give CID, whose T1 it takes"
+            m.model,
+            t,
+            int(at[lost][0]),
+            "its ends are at one place, or GB is blank; give CID, whose T1 it takes",
         )
     along = d / np.where(L == 0, 1.0, L)[:, None]
-    return nodes, np.where((cid >= 0)[:, None], frame(m, np.maximum(cid, 0), x[:, 0])[:, 0], along), grounded
+    return (
+        nodes,
+        np.where((cid >= 0)[:, None], frame(m, np.maximum(cid, 0), x[:, 0])[:, 0], along),
+        grounded,
+    )
 
 
 def _pair(block: Any_) -> Any_:
-    """Stiffness (e, 6, 6) between the translations of two nodes, by that of the spring (e, 3, 3)."""
+    """Stiffness (e, 6, 6) between the translations of two nodes, by that of the spring (e, 3,
+    3).
+    """
     return np.asarray(np.einsum("kl,eij->ekilj", _PAIR, block).reshape(-1, 6, 6))
 
 
@@ -64,7 +77,8 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
 
 
 def build_gap(m: Mesh, card: str, at: Int) -> Matrices:
-    """Matrices of the rows `at` (e,) of CGAP: closed (U0 <= 0) KA along and KT across, open KB along.
+    """Matrices of the rows `at` (e,) of CGAP: closed (U0 <= 0) KA along and KT across, open KB
+    along.
 
     A blank KB is 10⁻¹⁴ KA, a blank KT is MU1 KA (MSC Nastran Quick Reference Guide, PGAP).
 
@@ -86,4 +100,6 @@ def build_gap(m: Mesh, card: str, at: Int) -> Matrices:
     along, across = np.where(closed, KA, KB), np.where(closed, KT, 0.0)
     way = np.einsum("ei,ej->eij", axis, axis)
     K = _pair(along[:, None, None] * way + across[:, None, None] * (np.eye(3) - way))
-    return Matrices(_dofs(nodes, grounded), K, np.zeros((at.size, 6)), np.zeros(at.size), np.empty((0, 6, 6)))
+    return Matrices(
+        _dofs(nodes, grounded), K, np.zeros((at.size, 6)), np.zeros(at.size), np.empty((0, 6, 6))
+    )

@@ -1,8 +1,9 @@
-"""GENEL: stiffness or flexibility between listed components, with the rigid motion that others give them.
+"""GENEL: stiffness or flexibility between listed components, with the rigid motion that others give
+them.
 
-With the components u_i of UI and u_d of UD: u_i = Z f_i + S u_d and f_d = −Sᵀ f_i (MSC Nastran Quick Reference Guide,
-GENEL), so that K = [I −S]ᵀ Z⁻¹ [I −S]. Where S is not given, six components of UD hold a rigid body, and S is that
-body's motion.
+With the components u_i of UI and u_d of UD: u_i = Z f_i + S u_d and f_d = −Sᵀ f_i (MSC Nastran
+Quick Reference Guide, GENEL), so that K = [I −S]ᵀ Z⁻¹ [I −S]. Where S is not given, six components
+of UD hold a rigid body, and S is that body's motion.
 """
 
 from __future__ import annotations
@@ -35,7 +36,9 @@ def _listed(t: Table, name: str, at: Int) -> Any_:
 
 
 def _components(m: Mesh, t: Table, kind: str, at: Int) -> tuple[Int, Float]:
-    """Full DOFs (e, n, 3) of the components in UI or UD, -1 for none, and their directions in them."""
+    """Full DOFs (e, n, 3) of the components in UI or UD, -1 for none, and their directions in
+    them.
+    """
     ids, c = _listed(t, f"U{kind}", at), _listed(t, f"C{kind}", at)
     dofs, way = spread(m, ids.reshape(-1), c.reshape(-1), t, np.repeat(at, ids.shape[1]))
     return dofs.reshape(*ids.shape, 3), way.reshape(*ids.shape, 3)
@@ -60,7 +63,10 @@ def _motion(m: Mesh, t: Table, at: Int, n: int, d: int) -> Any_:
         return S
     if d != 6:
         raise error(
-            m.model, t, int(rest[0]), f"UD has {d} components and S is missing; give S, or six that hold a body"
+            m.model,
+            t,
+            int(rest[0]),
+            f"UD has {d} components and S is missing; give S, or six that hold a body",
         )
     listed = [_listed(t, c, rest) for c in ("UI", "CI", "UD", "CD")]
     ui, ci, ud, cd = listed
@@ -69,7 +75,12 @@ def _motion(m: Mesh, t: Table, at: Int, n: int, d: int) -> Any_:
     values = np.linalg.svd(phi[:, n:], compute_uv=False)
     loose = values[:, -1] < 1e-9 * values[:, 0]
     if loose.any():
-        raise error(m.model, t, int(rest[loose.argmax()]), "UD leaves a rigid motion free; give S, or other components")
+        raise error(
+            m.model,
+            t,
+            int(rest[loose.argmax()]),
+            "UD leaves a rigid motion free; give S, or other components",
+        )
     S[~given] = np.linalg.solve(phi[:, n:].swapaxes(1, 2), phi[:, :n].swapaxes(1, 2)).swapaxes(1, 2)
     return S
 
@@ -92,9 +103,13 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     if singular.any():
         raise error(m.model, t, int(at[flexible][singular.argmax()]), "Z cannot be inverted")
     K[flexible] = np.linalg.inv(K[flexible])
-    A = np.concatenate([np.broadcast_to(np.eye(n), (at.size, n, n)), -_motion(m, t, at, n, d)], axis=2)
+    A = np.concatenate(
+        [np.broadcast_to(np.eye(n), (at.size, n, n)), -_motion(m, t, at, n, d)], axis=2
+    )
     K = A.swapaxes(1, 2) @ K @ A
     dofs, way = (np.concatenate(x, axis=1) for x in zip(*parts, strict=True))
     k = 3 * (n + d)
     full = np.einsum("eia,eij,ejb->eiajb", way, K, way, optimize=True).reshape(-1, k, k)
-    return Matrices(dofs.reshape(-1, k), full, np.zeros((at.size, k)), np.zeros(at.size), np.empty((0, k, k)))
+    return Matrices(
+        dofs.reshape(-1, k), full, np.zeros((at.size, k)), np.zeros(at.size), np.empty((0, k, k))
+    )

@@ -1,4 +1,6 @@
-"""CHEXA: 8 nodes with three incompatible modes (Wilson; Taylor, Beresford and Wilson 1976), 9 to 20 serendipity."""
+"""CHEXA: 8 nodes with three incompatible modes (Wilson; Taylor, Beresford and Wilson 1976), 9 to 20
+serendipity.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,16 @@ from ringtrue.fem.elements.solid_material import between, nearest
 from ringtrue.fem.elements.solid_rule import Rule, cube, over
 
 _SIGNS = np.array(
-    [[-1, -1, -1], [1, -1, -1], [1, 1, -1], [-1, 1, -1], [-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]],
+    [
+        [-1, -1, -1],
+        [1, -1, -1],
+        [1, 1, -1],
+        [-1, 1, -1],
+        [-1, -1, 1],
+        [1, -1, 1],
+        [1, 1, 1],
+        [-1, 1, 1],
+    ],
     dtype=float,
 )
 EDGES = (
@@ -30,7 +41,9 @@ def _linear(p: Float) -> tuple[Float, Float]:
 
 
 def quadratic(p: Float) -> tuple[Float, Float]:
-    """Values (gp, 20) and derivatives (gp, 20, 3) of the serendipity functions at points (gp, 3)."""
+    """Values (gp, 20) and derivatives (gp, 20, 3) of the serendipity functions at points (gp,
+    3).
+    """
     along = _MIDDLES == 0
     f = np.where(along, 1 - p[:, None, :] ** 2, 1 + p[:, None, :] * _MIDDLES)
     df = np.where(along, -2 * p[:, None, :], np.broadcast_to(_MIDDLES, f.shape))
@@ -39,7 +52,9 @@ def quadratic(p: Float) -> tuple[Float, Float]:
 
 
 def _axes(x: Any_) -> Any_:
-    """As near as can be to the lines that join the centres of opposite faces (Quick Reference Guide, CHEXA)."""
+    """As near as can be to the lines that join the centres of opposite faces (Quick Reference
+    Guide, CHEXA).
+    """
     R = between(x, [0, 3, 4, 7], [1, 2, 5, 6])
     S = between(x, [0, 1, 4, 5], [2, 3, 6, 7])
     T = between(x, [0, 1, 2, 3], [4, 5, 6, 7])

@@ -1,8 +1,10 @@
-"""PCOMP, PCOMPG: classical lamination theory with the transverse shear of the layers in equilibrium.
+"""PCOMP, PCOMPG: classical lamination theory with the transverse shear of the layers in
+equilibrium.
 
-Jones (1999) for A, B and D; Rolfes and Rohwer (1997), "Improved transverse shear stresses in composite finite
-elements based on first order shear deformation theory", for the shear stiffness: the complementary energy of the
-stresses that are in equilibrium with the bending moments of two cylindrical bendings. A homogeneous plate gets 5/6.
+Jones (1999) for A, B and D; Rolfes and Rohwer (1997), "Improved transverse shear stresses in
+composite finite elements based on first order shear deformation theory", for the shear stiffness:
+the complementary energy of the stresses that are in equilibrium with the bending moments of two
+cylindrical bendings. A homogeneous plate gets 5/6.
 """
 
 from __future__ import annotations
@@ -17,7 +19,12 @@ from ringtrue.fem.mesh import error, unsupported
 from ringtrue.model.model import Model, Table
 
 _GAUSS = np.polynomial.legendre.leggauss(3)
-MIRRORED = {"SYM": "", "SYMEM": "MEM", "SYBEND": "BEND", "SYSMEAR": "SMEAR"}  # LAM of half the plies and of all
+MIRRORED = {
+    "SYM": "",
+    "SYMEM": "MEM",
+    "SYBEND": "BEND",
+    "SYSMEAR": "SMEAR",
+}  # LAM of half the plies and of all
 SIMPLER = ("MEM", "BEND", "SMEAR", "SMCORE")
 OPTIONS = ("", *MIRRORED, *SIMPLER)
 _SHORT = {"SME": "SMEAR", "SMC": "SMCORE"}  # Autodesk Nastran
@@ -39,7 +46,9 @@ class Plies:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Laminate:
-    """Sections of laminates (p,): N = A ε + B κ, M = B ε + D κ, Q = S γ; mass per area; G t for the drilling spring."""
+    """Sections of laminates (p,): N = A ε + B κ, M = B ε + D κ, Q = S γ; mass per area; G t for the
+    drilling spring.
+    """
 
     membrane: Any_
     coupling: Any_
@@ -55,14 +64,17 @@ def laminates(model: Model, card: str, rows: Int) -> Laminate:
     Raises
     ------
     DeckError, UnsupportedCard
-        On a laminate without thickness or with a ply that is singular, an absent material, or an unknown LAM.
+        On a laminate without thickness or with a ply that is singular, an absent material, or an
+        unknown LAM.
     """
     t = model[card]
     option = _options(model, t, rows)
     plies = _plies(model, t, rows, option)
     total = plies.height.sum(axis=1)
     if (total.real <= 0).any():
-        raise error(model, t, int(rows[np.flatnonzero(total.real <= 0)[0]]), "its plies have no thickness")
+        raise error(
+            model, t, int(rows[np.flatnonzero(total.real <= 0)[0]]), "its plies have no thickness"
+        )
     A, B, D = stiffness(plies)
     _refuse_singular(model, t, rows, plies, A)
     S = transverse_shear(plies, A, B, D)
@@ -71,24 +83,31 @@ def laminates(model: Model, card: str, rows: Int) -> Laminate:
 
 
 def _refuse_singular(model: Model, t: Table, rows: Int, p: Plies, A: Any_) -> None:
-    """Refuse laminates whose plies have no stiffness in transverse shear, or together none in a direction of the plane.
+    """Refuse laminates whose plies have no stiffness in transverse shear, or together none in a
+    direction of the plane.
 
     The stresses of a laminate follow from those of its plies, so that each must resist shear.
     """
     laminate, ply = np.nonzero((p.height.real > 0) & _singular(p.through))
     if laminate.size:
         why = (
-            f"ply {ply[0] + 1} has no stiffness in transverse shear; give its material G12, or G1Z and G2Z (MAT8), "
+            f"ply {ply[0] + 1} has no stiffness in transverse shear; give its material G12, or "
+            "G1Z and G2Z (MAT8), "
             "G33 (MAT2), or E and NU (MAT1)"
         )
         raise error(model, t, int(rows[laminate[0]]), why)
     if (flat := np.flatnonzero(_singular(A))).size:
-        why = "its plies have no stiffness in a direction of their plane; check E2 and G12, or G11 to G33"
+        why = (
+            "its plies have no stiffness in a direction of their plane; check E2 and G12, or "
+            "G11 to G33"
+        )
         raise error(model, t, int(rows[flat[0]]), why)
 
 
 def _singular(matrices: Any_) -> Bool:
-    """Which matrices (..., k, k) are singular to rounding, (...); complex steps have complex ones."""
+    """Which matrices (..., k, k) are singular to rounding, (...); complex steps have complex
+    ones.
+    """
     size = np.linalg.svd(matrices, compute_uv=False)
     return np.asarray(size.min(axis=-1) <= np.finfo(np.float64).eps * size.max(axis=-1))
 
@@ -100,7 +119,12 @@ def _options(model: Model, t: Table, rows: Int) -> Any_:
     strange = ~np.isin(text, OPTIONS)
     if strange.any():
         i = int(np.flatnonzero(strange)[0])
-        raise unsupported(model, t, int(rows[i]), f"has LAM {text[i]}; allowed are blank, {', '.join(OPTIONS[1:])}")
+        raise unsupported(
+            model,
+            t,
+            int(rows[i]),
+            f"has LAM {text[i]}; allowed are blank, {', '.join(OPTIONS[1:])}",
+        )
     return text
 
 
@@ -118,7 +142,9 @@ def _plies(model: Model, t: Table, rows: Int, option: Any_) -> Plies:
     used = layers(model, mid.values[at].ravel(), t, np.repeat(rows, at.shape[1]))
     angle = np.radians(1.0) * theta.values[at]
     through = used.through.reshape(*at.shape, 2, 2)
-    plane, through = turned(used.plane.reshape(*at.shape, 3, 3), through, np.cos(angle), np.sin(angle))
+    plane, through = turned(
+        used.plane.reshape(*at.shape, 3, 3), through, np.cos(angle), np.sin(angle)
+    )
     z0 = t["Z0"][rows]
     z0 = np.where(np.isnan(z0), -height.sum(axis=1) / 2, z0)
     z = z0[:, None] + np.cumsum(height, axis=1) - height
@@ -143,11 +169,15 @@ def stiffness(p: Plies) -> tuple[Any_, Any_, Any_]:
 def transverse_shear(p: Plies, A: Any_, B: Any_, D: Any_) -> Any_:
     """Transverse shear stiffness (p, 2, 2): Rolfes and Rohwer (1997), eqs. 14-20."""
     low = B.swapaxes(1, 2)
-    neutral = np.linalg.solve(A, B)  # strain of the reference plane per curvature without a normal force, negative
+    neutral = np.linalg.solve(
+        A, B
+    )  # strain of the reference plane per curvature without a normal force, negative
     bending = D - low @ neutral
     a = np.cumsum(p.height[..., None, None] * p.plane, axis=1)
     b = np.cumsum((p.height * (p.z + p.height / 2))[..., None, None] * p.plane, axis=1)
-    a, b = (np.concatenate([0 * x[:, :1], x[:, :-1]], axis=1) for x in (a, b))  # up to the lower face of each ply
+    a, b = (
+        np.concatenate([0 * x[:, :1], x[:, :-1]], axis=1) for x in (a, b)
+    )  # up to the lower face of each ply
     flexible = np.linalg.inv(p.through)
     compliance: Any_ = np.zeros_like(p.through[:, 0])
     for at, w in zip(*_GAUSS, strict=True):  # τ² is of degree four in a ply: exact
@@ -156,13 +186,25 @@ def transverse_shear(p: Plies, A: Any_, B: Any_, D: Any_) -> Any_:
         here_b = b + (up * (p.z + up / 2))[..., None, None] * p.plane
         F: Any_ = (here_a @ neutral[:, None] - here_b).swapaxes(-1, -2)
         F = np.linalg.solve(bending[:, None].swapaxes(-1, -2), F).swapaxes(-1, -2)
-        f = np.stack([np.stack([F[..., 0, 0], F[..., 2, 1]], -1), np.stack([F[..., 2, 0], F[..., 1, 1]], -1)], -2)
-        compliance = compliance + np.einsum("pl,plji,pljk,plkm->pim", p.height * w / 2, f, flexible, f, optimize=True)
+        f = np.stack(
+            [
+                np.stack([F[..., 0, 0], F[..., 2, 1]], -1),
+                np.stack([F[..., 2, 0], F[..., 1, 1]], -1),
+            ],
+            -2,
+        )
+        compliance = compliance + np.einsum(
+            "pl,plji,pljk,plkm->pim", p.height * w / 2, f, flexible, f, optimize=True
+        )
     return np.asarray(np.linalg.inv(compliance))
 
 
-def _smeared(option: Any_, p: Plies, A: Any_, B: Any_, D: Any_, S: Any_) -> tuple[Any_, Any_, Any_, Any_]:
-    """The sections where LAM simplifies them: MEM, BEND, SMEAR, SMCORE (the last ply is the core)."""
+def _smeared(
+    option: Any_, p: Plies, A: Any_, B: Any_, D: Any_, S: Any_
+) -> tuple[Any_, Any_, Any_, Any_]:
+    """The sections where LAM simplifies them: MEM, BEND, SMEAR, SMCORE (the last ply is the
+    core).
+    """
     membrane, flat, smear, core = (_flag(option, o) for o in SIMPLER)
     total = p.height.sum(axis=1)[:, None, None]
     B = np.where(membrane | flat | smear | core, 0.0, B)

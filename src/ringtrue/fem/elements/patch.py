@@ -1,4 +1,6 @@
-"""Ends of welds and fasteners: at a node, on the patch of one shell, or on a square over several shells."""
+"""Ends of welds and fasteners: at a node, on the patch of one shell, or on a square over several
+shells.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ from ringtrue.model.model import Table
 
 SHELLS = {"CQUAD4": 4, "CQUADR": 4, "CTRIA3": 3, "CTRIAR": 3}
 _STEPS = 12  # Newton steps to the foot of a point on a patch; two suffice on a flat one
-_SLACK = 0.02  # by which a foot may lie outside of its patch, in natural coordinates (SWLDPRM, PROJTOL)
+_SLACK = (
+    0.02  # by which a foot may lie outside of its patch, in natural coordinates (SWLDPRM, PROJTOL)
+)
 _FAR = 5.0  # natural coordinates beyond which a foot is not followed
 _NEAREST = 16  # shells that are tried, by the distance of their centres
 
@@ -43,17 +47,23 @@ class End:
 
 
 def _shapes(r: Float, s: Float, triangle: Bool) -> tuple[Float, Float]:
-    """Shape functions (e, 4) and their derivatives (e, 2, 4) of quadrilaterals (-1 to 1) and triangles (0 to 1)."""
+    """Shape functions (e, 4) and their derivatives (e, 2, 4) of quadrilaterals (-1 to 1) and
+    triangles (0 to 1).
+    """
     one, none = np.ones_like(r), np.zeros_like(r)
     quad, dquad = bilinear(np.stack([r, s], axis=1))
     flat = np.stack([1 - r - s, r, s, none], axis=1)
-    slope = np.stack([np.stack([-one, one, none, none], 1), np.stack([-one, none, one, none], 1)], axis=1)
+    slope = np.stack(
+        [np.stack([-one, one, none, none], 1), np.stack([-one, none, one, none], 1)], axis=1
+    )
     pick = triangle[:, None]
     return np.where(pick, flat, quad), np.where(pick[:, None], slope, dquad.swapaxes(1, 2))
 
 
 def _foot(x: Float, point: Float, triangle: Bool) -> tuple[Float, Float, Float, Float]:
-    """Natural coordinates (e,) of the feet of points (e, 3) on patches (e, 4, 3), with shapes and derivatives there."""
+    """Natural coordinates (e,) of the feet of points (e, 3) on patches (e, 4, 3), with shapes and
+    derivatives there.
+    """
     r = np.where(triangle, 1 / 3, 0.0)
     s = r.copy()
     for _ in range(_STEPS):
@@ -61,7 +71,9 @@ def _foot(x: Float, point: Float, triangle: Bool) -> tuple[Float, Float, Float, 
         tangent = dN @ x
         off = point - np.einsum("ei,eij->ej", N, x)
         metric = tangent @ tangent.swapaxes(1, 2)
-        metric += 1e-14 * np.trace(metric, axis1=1, axis2=2)[:, None, None] * np.eye(2)  # a collapsed shell near by
+        metric += (
+            1e-14 * np.trace(metric, axis1=1, axis2=2)[:, None, None] * np.eye(2)
+        )  # a collapsed shell near by
         step = np.linalg.solve(metric, np.einsum("ekj,ej->ek", tangent, off)[..., None])[..., 0]
         r, s = (np.clip(x_ + step[:, i], -_FAR, _FAR) for i, x_ in enumerate((r, s)))
     return r, s, *_shapes(r, s, triangle)
@@ -69,11 +81,15 @@ def _foot(x: Float, point: Float, triangle: Bool) -> tuple[Float, Float, Float, 
 
 def _margin(r: Float, s: Float, triangle: Bool) -> Float:
     """How far inside of its patch a place is, (e,), in natural coordinates; negative outside."""
-    return np.where(triangle, np.minimum(np.minimum(r, s), 1 - r - s), 1 - np.maximum(np.abs(r), np.abs(s)))
+    return np.where(
+        triangle, np.minimum(np.minimum(r, s), 1 - r - s), 1 - np.maximum(np.abs(r), np.abs(s))
+    )
 
 
 def on_patch(m: Mesh, card: str, at: Int, nodes: Int, point: Float) -> End:
-    """Ends on patches of corner nodes (e, 4), the fourth -1 for triangles, at the feet of points (e, 3)."""
+    """Ends on patches of corner nodes (e, 4), the fourth -1 for triangles, at the feet of points
+    (e, 3).
+    """
     t = m.model[card]
     triangle = nodes[:, 3] < 0
     x = m.xyz[nodes]
@@ -83,7 +99,9 @@ def on_patch(m: Mesh, card: str, at: Int, nodes: Int, point: Float) -> End:
         raise error(m.model, t, int(at[flat][0]), "the corners of a patch lie on one line")
     r, s, N, dN = _foot(x, point, triangle)
     if (outside := _margin(r, s, triangle) < -_SLACK).any():
-        raise error(m.model, t, int(at[outside][0]), "the foot of its point lies outside of a patch")
+        raise error(
+            m.model, t, int(at[outside][0]), "the foot of its point lies outside of a patch"
+        )
     tangent = dN @ x
     n = unit(np.cross(tangent[:, 0], tangent[:, 1]))
     g = np.linalg.solve(tangent @ tangent.swapaxes(1, 2), dN).swapaxes(1, 2) @ tangent
@@ -107,7 +125,9 @@ def on_node(m: Mesh, node: Int) -> End:
 def merged(size: int, parts: list[tuple[Int, End]]) -> End:
     """Ends (size,) from those of some rows each."""
     k = max(part.nodes.shape[1] for _, part in parts)
-    out = End(np.full((size, k), -1), np.zeros((size, 3)), np.zeros((size, 3)), np.zeros((size, 6, 6 * k)))
+    out = End(
+        np.full((size, k), -1), np.zeros((size, 3)), np.zeros((size, 3)), np.zeros((size, 6, 6 * k))
+    )
     for rows, part in parts:
         own = part.nodes.shape[1]
         out.nodes[rows, :own], out.follow[rows, :, : 6 * own] = part.nodes, part.follow
@@ -131,26 +151,34 @@ class Skin:
             if card in m.model:
                 t = m.model[card]
                 rows = np.full((len(t), 4), -1)
-                rows[:, :count] = m.nodes(t.stack(*(f"G{i}" for i in range(1, count + 1))), t, np.arange(len(t)))
+                rows[:, :count] = m.nodes(
+                    t.stack(*(f"G{i}" for i in range(1, count + 1))), t, np.arange(len(t))
+                )
                 ids.append(t.ids)
                 pids.append(t["PID"])
                 corners.append(rows)
         return cls(np.concatenate(ids), np.concatenate(pids), np.concatenate(corners))
 
     def of_property(self, m: Mesh, pid: Int, point: Float) -> Int:
-        """The shells (e, k) of the property `pid` (e,) with the centres nearest to a point (e, 3), -1 for none."""
+        """The shells (e, k) of the property `pid` (e,) with the centres nearest to a point (e, 3),
+        -1 for none.
+        """
         out = np.full((pid.size, _NEAREST), -1)
         for one in np.unique(pid).tolist():
             mine, rows = np.flatnonzero(self.pid == one), np.flatnonzero(pid == one)
             if mine.size:
                 there = (self.corners[mine] >= 0)[:, :, None]
-                centre = np.where(there, m.xyz[self.corners[mine]], 0.0).sum(axis=1) / there.sum(axis=1)
+                centre = np.where(there, m.xyz[self.corners[mine]], 0.0).sum(axis=1) / there.sum(
+                    axis=1
+                )
                 k = min(_NEAREST, mine.size)
                 out[rows, :k] = mine[cKDTree(centre).query(point[rows], k)[1].reshape(-1, k)]
         return out
 
     def around(self, shell: Int) -> Int:
-        """Each shell (e,) first and behind it those that share a node with it (e, k), -1 for none."""
+        """Each shell (e,) first and behind it those that share a node with it (e, k), -1 for
+        none.
+        """
         there = self.corners >= 0
         row, node = np.nonzero(there)[0], self.corners[there]
         on = sp.csr_array((np.ones(row.size), (row, node)), shape=(self.ids.size, node.max() + 1))
@@ -166,7 +194,8 @@ class Skin:
         return out
 
     def foot(self, m: Mesh, found: Int, point: Float, own: Bool) -> Int:
-        """The one of the shells `found` (e, k) on which the foot of a point (e, 3) is nearest, -1 for none.
+        """The one of the shells `found` (e, k) on which the foot of a point (e, 3) is nearest, -1
+        for none.
 
         The first of them comes before the others where `own` (e,).
         """
@@ -192,7 +221,9 @@ def _place(m: Mesh, t: Table, at: Int, side: str) -> Float:
     own = np.where(own > 0, own, t["GS"][at])
     out = t.stack("XS", "YS", "ZS")[at]
     if (bare := (own == 0) & np.isnan(out).any(axis=1)).any():
-        raise error(m.model, t, int(at[bare][0]), f"GS, G{side} or XS, YS and ZS must say where it is")
+        raise error(
+            m.model, t, int(at[bare][0]), f"GS, G{side} or XS, YS and ZS must say where it is"
+        )
     used = own > 0
     out[used] = m.xyz[m.nodes(own[used], t, at[used])]
     return out
@@ -203,16 +234,24 @@ def _row(m: Mesh, t: Table, at: Int, skin: Skin, ids: Int) -> Int:
     order = np.argsort(skin.ids, kind="stable")
     found = np.searchsorted(skin.ids[order], ids).clip(max=max(skin.ids.size - 1, 0))
     row = order[found] if skin.ids.size else np.full(ids.shape, -1)
-    if (lost := (row < 0) | (skin.ids[row] != ids) if skin.ids.size else np.ones(ids.shape, dtype=bool)).any():
-        raise error(m.model, t, int(at[lost][0]), f"{ids[lost][0]} is no shell with three or four corners")
+    if (
+        lost := (row < 0) | (skin.ids[row] != ids)
+        if skin.ids.size
+        else np.ones(ids.shape, dtype=bool)
+    ).any():
+        raise error(
+            m.model, t, int(at[lost][0]), f"{ids[lost][0]} is no shell with three or four corners"
+        )
     return np.asarray(row)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Surface:
-    """The shells on which the ends (e,) may stand: of a property, or of a shell and its neighbours where `shell` >= 0.
+    """The shells on which the ends (e,) may stand: of a property, or of a shell and its neighbours
+    where `shell` >= 0.
 
-    Two sheets of one property are told apart by their shells (MSC Nastran: up to 3 x 3 shells around SHIDA).
+    Two sheets of one property are told apart by their shells (MSC Nastran: up to 3 x 3 shells
+    around SHIDA).
     """
 
     skin: Skin
@@ -246,8 +285,8 @@ class _Surface:
 def _on_square(m: Mesh, t: Table, at: Int, on: _Surface, point: Float, diameter: Float) -> End:
     """Ends on a surface: the mean motion of the corners of a square as large as the circle (e,).
 
-    The corners follow the shells that they stand on; the end follows them as an RBE3 of equal weights does (MSC Nastran
-    Quick Reference Guide, CWELD PARTPAT and CFAST).
+    The corners follow the shells that they stand on; the end follows them as an RBE3 of equal
+    weights does (MSC Nastran Quick Reference Guide, CWELD PARTPAT and CFAST).
     """
     shell = on.foot(m, point)
     if (bad := np.flatnonzero(shell < 0)).size:
@@ -275,9 +314,17 @@ def _on_square(m: Mesh, t: Table, at: Int, on: _Surface, point: Float, diameter:
 
 
 def on_squares(
-    m: Mesh, t: Table, at: Int, diameter: Float, by_shell: Bool, properties: Sequence[str], shells: Sequence[str]
+    m: Mesh,
+    t: Table,
+    at: Int,
+    diameter: Float,
+    by_shell: Bool,
+    properties: Sequence[str],
+    shells: Sequence[str],
 ) -> tuple[End, End]:
-    """Ends A and B on the shells of the property that the card names, or on the shell that it names (`by_shell`)."""
+    """Ends A and B on the shells of the property that the card names, or on the shell that it names
+    (`by_shell`).
+    """
     skin, made = Skin.of(m), []
     for side, own, shell in zip("AB", properties, shells, strict=True):
         row = np.full(at.size, -1)

@@ -1,4 +1,6 @@
-"""CPENTA: 6 nodes with incompatible modes 1 - ζ² and the three edge bubbles of the triangle; 7 to 15 serendipity."""
+"""CPENTA: 6 nodes with incompatible modes 1 - ζ² and the three edge bubbles of the triangle; 7 to
+15 serendipity.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,9 @@ def _linear(p: Float) -> tuple[Float, Float]:
 
 
 def quadratic(p: Float) -> tuple[Float, Float]:
-    """Values (gp, 15) and derivatives (gp, 15, 3) of the serendipity functions at points (r, s, ζ)."""
+    """Values (gp, 15) and derivatives (gp, 15, 3) of the serendipity functions at points (r, s,
+    ζ).
+    """
     L, z = _area(p), p[:, 2, None]
     (low, high), (d_low, d_high) = ((1 - z) / 2, (1 + z) / 2), (-0.5, 0.5)
     i, j = np.array(_TRIANGLE).T
@@ -61,7 +65,9 @@ def _product(flat: tuple[Float, Float], along: tuple[Float, Float]) -> tuple[Flo
 
 
 def _axes(x: Any_) -> Any_:
-    """x and y in the middle surface, x from the middle of G1-G4 to that of G2-G5 (Quick Reference Guide, CPENTA)."""
+    """x and y in the middle surface, x from the middle of G1-G4 to that of G2-G5 (Quick Reference
+    Guide, CPENTA).
+    """
     return by_normal(between(x, [0, 3], [1, 4]), between(x, [0, 3], [2, 5]))
 
 

@@ -1,7 +1,9 @@
-"""CPYRAM with 5 nodes, or 6 to 13: the pyramid as a hexahedron with a face drawn together (Bedrosian 1992).
+"""CPYRAM with 5 nodes, or 6 to 13: the pyramid as a hexahedron with a face drawn together
+(Bedrosian 1992).
 
-On the natural pyramid with base [-1, 1]² and apex (0, 0, 1), ξ = a (1 - ζ) and η = b (1 - ζ). In (a, b, ζ) the
-rational shape functions are polynomials, and the quadrature is a product that keeps off the apex.
+On the natural pyramid with base [-1, 1]² and apex (0, 0, 1), ξ = a (1 - ζ) and η = b (1 - ζ). In
+(a, b, ζ) the rational shape functions are polynomials, and the quadrature is a product that keeps
+off the apex.
 """
 
 from __future__ import annotations
@@ -20,7 +22,9 @@ EDGES = ((0, 1), (1, 2), (2, 3), (3, 0), (0, 4), (1, 4), (2, 4), (3, 4))
 
 
 def _faces(p: Float, signs: Float) -> tuple[Float, Float]:
-    """Products over a and b of 1 + s a, or of 1 - a² where s is 0: (gp, 4), and derivatives (gp, 4, 2)."""
+    """Products over a and b of 1 + s a, or of 1 - a² where s is 0: (gp, 4), and derivatives (gp, 4,
+    2).
+    """
     q = p[:, None, :2]
     f = np.where(signs == 0, 1 - q**2, 1 + q * signs)
     df = np.where(signs == 0, -2 * q, np.broadcast_to(signs, f.shape))
@@ -30,7 +34,9 @@ def _faces(p: Float, signs: Float) -> tuple[Float, Float]:
 def _times(base: tuple[Float, Float], h: Float, dh: Float) -> tuple[Float, Float]:
     """Functions of (a, b) times h(ζ) (gp,): values (gp, 4), derivatives (gp, 4, 3) by (a, b, ζ)."""
     f, df = base
-    return f * h[:, None], np.concatenate([df * h[:, None, None], (f * dh[:, None])[..., None]], axis=2)
+    return f * h[:, None], np.concatenate(
+        [df * h[:, None, None], (f * dh[:, None])[..., None]], axis=2
+    )
 
 
 def _linear(p: Float) -> tuple[Float, Float]:
@@ -46,12 +52,17 @@ def quadratic(p: Float) -> tuple[Float, Float]:
     z = p[:, 2]
     base, d_base = _times(_faces(p, _MIDDLES), (1 - z) ** 2 / 2, z - 1)
     rise, d_rise = _times(_faces(p, _SIGNS), z * (1 - z), 1 - 2 * z)
-    middle, d_middle = np.concatenate([base, rise], axis=1), np.concatenate([d_base, d_rise], axis=1)
+    middle, d_middle = (
+        np.concatenate([base, rise], axis=1),
+        np.concatenate([d_base, d_rise], axis=1),
+    )
     return over(EDGES, *_linear(p), middle, d_middle)
 
 
 def _conical(n: int) -> tuple[Float, Float]:
-    """Gauss points (a, b, ζ) and weights on the pyramid; the factor (1 - ζ)² is left to the Jacobian."""
+    """Gauss points (a, b, ζ) and weights on the pyramid; the factor (1 - ζ)² is left to the
+    Jacobian.
+    """
     x, w = line(n)
     t, v = roots_jacobi(n, 2, 0)
     z = (t + 1) / 2
@@ -60,7 +71,9 @@ def _conical(n: int) -> tuple[Float, Float]:
 
 
 def _axes(x: Any_) -> Any_:
-    """z from the middle of the base to the apex, y normal to it and to the line from edge G1-G4 to G2-G3."""
+    """z from the middle of the base to the apex, y normal to it and to the line from edge G1-G4 to
+    G2-G3.
+    """
     z, r = between(x, [0, 1, 2, 3], [4]), between(x, [0, 3], [1, 2])
     y = np.cross(z, r)
     rows = np.stack([np.cross(y, z), y, z], axis=1)
@@ -76,7 +89,11 @@ PYRAMID = Shape(
     "CPYRAM",
     Linear(RULE, RULE, pressure=np.ones((len(_P), 1))),
     Quadratic(
-        FULL, FULL, np.column_stack([np.ones(len(_RISE)), _FINE[:, 0] * _RISE, _FINE[:, 1] * _RISE, _FINE[:, 2]])
+        FULL,
+        FULL,
+        np.column_stack(
+            [np.ones(len(_RISE)), _FINE[:, 0] * _RISE, _FINE[:, 1] * _RISE, _FINE[:, 2]]
+        ),
     ),
     EDGES,
     _axes,

@@ -16,7 +16,9 @@ def kernel(x: Float, EA: Any_, GJ: Any_) -> Any_:
     """Stiffness in basic: x (e, 2, 3), EA and GJ (e,) -> (e, 12, 12)."""
     L, axis = segment(x)
     direction = np.einsum("ei,ej->eij", axis, axis)
-    K = np.zeros((len(x), 2, 2, 3, 2, 2, 3), dtype=np.result_type(EA, GJ))  # node, kind, axis, twice
+    K = np.zeros(
+        (len(x), 2, 2, 3, 2, 2, 3), dtype=np.result_type(EA, GJ)
+    )  # node, kind, axis, twice
     for kind, c in enumerate((EA / L, GJ / L)):
         K[:, :, kind, :, :, kind, :] = np.einsum("e,kl,eij->ekilj", c, _PAIR, direction)
     return K.reshape(-1, 12, 12)
@@ -25,7 +27,8 @@ def kernel(x: Float, EA: Any_, GJ: Any_) -> Any_:
 def mass(x: Float, per_length: Any_, coupled: bool) -> Any_:
     """Half the mass at each end (e, 12), or the coupled matrix (e, 12, 12).
 
-    Coupled is, along the axis, the mean of lumped and consistent: 5/12 and 1/12 of the mass (fourth order).
+    Coupled is, along the axis, the mean of lumped and consistent: 5/12 and 1/12 of the mass (fourth
+    order).
     """
     L, axis = segment(x)
     ends = np.tile([0.5, 0.5, 0.5, 0.0, 0.0, 0.0], 2)
@@ -78,4 +81,6 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
         raise error(m.model, t, int(at[short][0]), "its two ends are at one place")
     iso, A, J, nsm = _section(m, card, at)
     M = mass(x, iso.rho * A + nsm + m.nsm(card, at), m.model.param("COUPMASS", -1) > 0)
-    return Matrices(node_dofs(nodes), kernel(x, iso.E * A, iso.G * J), M, iso.loss, np.empty((0, 12, 12)))
+    return Matrices(
+        node_dofs(nodes), kernel(x, iso.E * A, iso.G * J), M, iso.loss, np.empty((0, 12, 12))
+    )

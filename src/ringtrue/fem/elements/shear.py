@@ -1,10 +1,12 @@
 """CSHEAR: a panel that carries shear between the stringers on its edges, flat or warped.
 
-The stress is that of Garvey (The quadrilateral shear panel, Aircraft Engineering 23, 1951; NASTRAN Theoretical Manual
-section 5.3): every line through the intersection of two opposite edges carries shear alone. With the distances ρ1, ρ2
-from the two intersections and p from the line that joins them, that is σ = (ρ1 ρ2ᵀ + ρ2 ρ1ᵀ) / p³, which is in
-equilibrium on any quadrilateral. In homogeneous coordinates parallel edges, whose intersection is at infinity, need no
-case of their own. The forces of the corners act along the diagonals, so that a warped panel is in equilibrium, too.
+The stress is that of Garvey (The quadrilateral shear panel, Aircraft Engineering 23, 1951; NASTRAN
+Theoretical Manual section 5.3): every line through the intersection of two opposite edges carries
+shear alone. With the distances ρ1, ρ2 from the two intersections and p from the line that joins
+them, that is σ = (ρ1 ρ2ᵀ + ρ2 ρ1ᵀ) / p³, which is in equilibrium on any quadrilateral. In
+homogeneous coordinates parallel edges, whose intersection is at infinity, need no case of their
+own. The forces of the corners act along the diagonals, so that a warped panel is in equilibrium,
+too.
 """
 
 from __future__ import annotations
@@ -18,14 +20,18 @@ from ringtrue.fem.elements.shell_rule import bilinear
 from ringtrue.fem.mesh import Isotropic, Matrices, Mesh, error, isotropic, lookup
 from ringtrue.fem.place import node_dofs
 
-_POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(12)  # eight digits where the panel is tapered 8 : 1
+_POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(
+    12
+)  # eight digits where the panel is tapered 8 : 1
 _EDGES = np.array([[0, 1], [1, 2], [2, 3], [3, 0]])
 _CORNERS = np.array([[0, 1, 2], [1, 2, 3], [2, 3, 0], [3, 0, 1]])
 FULL = 1.01  # an F up to this is a share of the panel, over it a width in thicknesses
 
 
 def flat(x: Float) -> tuple[Float, Float]:
-    """Corners in the mean plane with edge 1-2 along x, (e, 4, 2), and the projected area (e,); x (e, 4, 3)."""
+    """Corners in the mean plane with edge 1-2 along x, (e, 4, 2), and the projected area (e,); x
+    (e, 4, 3).
+    """
     normal = np.cross(x[:, 2] - x[:, 0], x[:, 3] - x[:, 1])
     area = np.linalg.norm(normal, axis=1) / 2
     k = normal / np.where(area == 0, 1.0, 2 * area)[:, None]
@@ -41,14 +47,20 @@ def _turned(a: Float, b: Float) -> Float:
 
 
 def is_convex(x: Float) -> Any_:
-    """Whether all inner angles are less than 180 degrees in the mean plane, (e,) bool; x (e, 4, 3)."""
+    """Whether all inner angles are less than 180 degrees in the mean plane, (e,) bool; x (e, 4,
+    3).
+    """
     xy, area = flat(x)
     side = np.roll(xy, -1, axis=1) - xy
-    return (_turned(side, np.roll(side, -1, axis=1)) > 1e-9 * area[:, None]).all(axis=1) & (area > 0)
+    return (_turned(side, np.roll(side, -1, axis=1)) > 1e-9 * area[:, None]).all(axis=1) & (
+        area > 0
+    )
 
 
 def _from(P: Float, at: Float) -> Float:
-    """Directions (e, n, 2) from homogeneous points P (e, 3) to points (e, n, 2), in units that each P has."""
+    """Directions (e, n, 2) from homogeneous points P (e, 3) to points (e, n, 2), in units that each
+    P has.
+    """
     return P[:, None, 2:] * at - P[:, None, :2]
 
 
@@ -101,9 +113,14 @@ def kernel(x: Float, G: Any_, nu: Any_, thickness: Any_) -> Any_:
     xy, _ = flat(x)
     v = xy[:, 1:] - xy[:, :1]
     back = xy - xy[:, 1:2]
-    along = _turned(v[:, 0], v[:, 2]) / _turned(v[:, 1], v[:, 2])  # of edge 1-2 in the diagonals 1-3 and 4-2
+    along = _turned(v[:, 0], v[:, 2]) / _turned(
+        v[:, 1], v[:, 2]
+    )  # of edge 1-2 in the diagonals 1-3 and 4-2
     across = _turned(-v[:, 0], back[:, 2]) / _turned(back[:, 3], back[:, 2])
-    first, second = along[:, None] * (x[:, 2] - x[:, 0]) / 2, across[:, None] * (x[:, 3] - x[:, 1]) / 2
+    first, second = (
+        along[:, None] * (x[:, 2] - x[:, 0]) / 2,
+        across[:, None] * (x[:, 3] - x[:, 1]) / 2,
+    )
     forces = np.concatenate([first, -second, -first, second], axis=1)
     plain, skew = flexibility(x)
     c = G * thickness / (plain + skew / (1 + nu))
@@ -111,18 +128,25 @@ def kernel(x: Float, G: Any_, nu: Any_, thickness: Any_) -> Any_:
 
 
 def areas(share: Any_, thickness: Any_, area: Float, length: Float) -> Any_:
-    """Area (e,) of the rod on each of two opposite edges whose lengths add up to `length`, for F1 or F2.
+    """Area (e,) of the rod on each of two opposite edges whose lengths add up to `length`, for F1
+    or F2.
 
     Source: MSC Nastran Quick Reference Guide, PSHEAR.
     """
-    return np.asarray(np.where(np.real(share) <= FULL, share * thickness * area / length, 0.5 * share * thickness**2))
+    return np.asarray(
+        np.where(
+            np.real(share) <= FULL, share * thickness * area / length, 0.5 * share * thickness**2
+        )
+    )
 
 
 def stringers(x: Float, E: Any_, F1: Any_, F2: Any_, thickness: Any_) -> Any_:
     """Stiffness (e, 12, 12) of the rods on the edges that stand for the panel's extension."""
     length = np.linalg.norm(np.roll(x, -1, axis=1) - x, axis=2)
     area = flat(x)[1]
-    opposite = [areas(F, thickness, area, length[:, i] + length[:, i + 2]) for i, F in enumerate((F1, F2))]
+    opposite = [
+        areas(F, thickness, area, length[:, i] + length[:, i + 2]) for i, F in enumerate((F1, F2))
+    ]
     K = np.zeros((len(x), 4, 3, 4, 3), dtype=np.result_type(E, F1, F2, thickness))
     for i, edge in enumerate(_EDGES):
         EA = E * opposite[i % 2]
@@ -132,9 +156,13 @@ def stringers(x: Float, E: Any_, F1: Any_, F2: Any_, thickness: Any_) -> Any_:
 
 
 def corner_areas(x: Float) -> Float:
-    """Share of the area (e, 4) that each corner carries: thirds of four triangles that cover the panel twice."""
+    """Share of the area (e, 4) that each corner carries: thirds of four triangles that cover the
+    panel twice.
+    """
     t = x[:, _CORNERS]
-    triangle = np.linalg.norm(np.cross(t[:, :, 1] - t[:, :, 0], t[:, :, 2] - t[:, :, 0]), axis=2) / 2
+    triangle = (
+        np.linalg.norm(np.cross(t[:, :, 1] - t[:, :, 0], t[:, :, 2] - t[:, :, 0]), axis=2) / 2
+    )
     out = np.zeros((len(x), 4))
     for k, corners in enumerate(_CORNERS):
         out[:, corners] += triangle[:, k, None] / 6
@@ -148,7 +176,10 @@ def _points(m: Mesh, card: str, at: Int) -> tuple[Int, Float]:
     bad = ~is_convex(x)
     if bad.any():
         raise error(
-            m.model, t, int(at[bad][0]), "its nodes do not go round a panel with inner angles under 180 degrees"
+            m.model,
+            t,
+            int(at[bad][0]),
+            "its nodes do not go round a panel with inner angles under 180 degrees",
         )
     return nodes, x
 
@@ -164,7 +195,8 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     Raises
     ------
     DeckError
-        If the panel is folded or not convex, its thickness is 0, or a node, property or MAT1 is absent.
+        If the panel is folded or not convex, its thickness is 0, or a node, property or MAT1 is
+        absent.
     """
     t = m.model[card]
     nodes, x = _points(m, card, at)
@@ -173,7 +205,14 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     iso: Isotropic = isotropic(m.model, p["MID"][row], p, row)
     T, nsm, F1, F2 = (p[c][row] for c in ("T", "NSM", "F1", "F2"))
     if (T == 0).any():
-        raise error(m.model, p, int(row[np.flatnonzero(T == 0)[0]]), "T is 0 or blank; a shear panel has a thickness")
+        raise error(
+            m.model,
+            p,
+            int(row[np.flatnonzero(T == 0)[0]]),
+            "T is 0 or blank; a shear panel has a thickness",
+        )
     K = kernel(x, iso.G, iso.nu, T) + stringers(x, iso.E, F1, F2, T)
     lumped = (iso.rho * T + nsm + m.nsm(card, at))[:, None] * corner_areas(x)
-    return Matrices(node_dofs(nodes, 3), K, np.repeat(lumped, 3, axis=1), iso.loss, np.empty((0, 12, 12)))
+    return Matrices(
+        node_dofs(nodes, 3), K, np.repeat(lumped, 3, axis=1), iso.loss, np.empty((0, 12, 12))
+    )

@@ -17,18 +17,24 @@ TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])  # slopes (βx, βy) = (θy, -θx)
 
 
 def in_spans(e: int, kernel: Callable[[slice], Any_]) -> Any_:
-    """What `kernel` gives for spans of e elements, one after the other: bounds the memory of the strain rows."""
+    """What `kernel` gives for spans of e elements, one after the other: bounds the memory of the
+    strain rows.
+    """
     return np.concatenate([kernel(slice(i, i + SPAN)) for i in range(0, max(e, 1), SPAN)])
 
 
 def condensed(K: Any_, inner: int) -> Any_:
-    """Condense the last `inner` parameters out; elements in which they have no stiffness are left as they are."""
+    """Condense the last `inner` parameters out; elements in which they have no stiffness are left
+    as they are.
+    """
     n = K.shape[1] - inner
     return condense(K, slice(n), slice(n, None))
 
 
 def place(K: Any_, rows: list[int], block: Any_, columns: list[int] | None = None) -> None:
-    """Add a block (e, k r, k c) of DOFs `rows` (r) and `columns` (c, or as the rows) a node into K (e, k, 6, k, 6)."""
+    """Add a block (e, k r, k c) of DOFs `rows` (r) and `columns` (c, or as the rows) a node into K
+    (e, k, 6, k, 6).
+    """
     k, columns = K.shape[1], columns or rows
     block = block.reshape(-1, k, len(rows), k, len(columns))
     for i, a in enumerate(rows):
@@ -43,7 +49,9 @@ def of_rotations(slopes: Any_) -> Any_:
 
 
 def drilling(N: Float, gradients: Any_, w: Any_) -> Any_:
-    """∫ (θz - (∂v/∂x - ∂u/∂y)/2)² over (u, v, θz) of each node: (e, 3k, 3k); N (gp, k), w (e, gp)."""
+    """∫ (θz - (∂v/∂x - ∂u/∂y)/2)² over (u, v, θz) of each node: (e, 3k, 3k); N (gp, k), w (e,
+    gp).
+    """
     e, g, k = gradients.shape[:3]
     row = np.empty((e, g, k, 3), dtype=gradients.dtype)
     row[..., 0], row[..., 1] = gradients[..., 1] / 2, -gradients[..., 0] / 2
@@ -55,8 +63,8 @@ def drilling(N: Float, gradients: Any_, w: Any_) -> Any_:
 def to_nodes(K: Any_, section: Section, axes: Any_, heights: Any_) -> Any_:
     """Local stiffness (e, k, 6, k, 6) of corners to that of the nodes in basic, (e, 6k, 6k).
 
-    `heights` (e, k) are the nodes above the mean plane: each is joined to its projection by a rigid arm along the
-    normal, so that a warped element has no energy in a rigid motion.
+    `heights` (e, k) are the nodes above the mean plane: each is joined to its projection by a rigid
+    arm along the normal, so that a warped element has no energy in a rigid motion.
     """
     e, k = heights.shape
     arms = np.zeros((e, k, 3), dtype=np.result_type(section.offset, heights))
@@ -74,7 +82,8 @@ def finish(m: Mesh, nodes: Int, K: Any_, section: Section, axes: Any_, mass: Any
 
 
 def masses(m: Mesh, arms: Any_, mass: Any_, pattern: Any_) -> Any_:
-    """Lumped (e, 6k) or full (e, 6k, 6k) mass of nodal masses (e, k) at arms (e, k, 3) from the nodes.
+    """Lumped (e, 6k) or full (e, 6k, 6k) mass of nodal masses (e, k) at arms (e, k, 3) from the
+    nodes.
 
     PARAM,COUPMASS takes `pattern` (k, k) or (e, k, k), which sums to one, times the whole mass.
     """
@@ -86,7 +95,9 @@ def masses(m: Mesh, arms: Any_, mass: Any_, pattern: Any_) -> Any_:
         return np.asarray(lumped.reshape(e, 6 * k))
     M = lumped.reshape(e, -1)[:, :, None] * np.eye(6 * k)
     if coupled:
-        full = np.einsum("...ij,ab->...iajb", pattern, np.diag(ends)).reshape(*pattern.shape[:-2], 6 * k, 6 * k)
+        full = np.einsum("...ij,ab->...iajb", pattern, np.diag(ends)).reshape(
+            *pattern.shape[:-2], 6 * k, 6 * k
+        )
         M = scaled(mass.sum(1), np.broadcast_to(full, (e, 6 * k, 6 * k)))
     return congruent(nodal(arm(arms)), M) if np.any(arms) else M
 

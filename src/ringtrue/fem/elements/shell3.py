@@ -1,8 +1,10 @@
-"""CTRIA3, CTRIAR: discrete Kirchhoff bending (DKT; Batoz, Bathe and Ho 1980), constant membrane strain, drilling.
+"""CTRIA3, CTRIAR: discrete Kirchhoff bending (DKT; Batoz, Bathe and Ho 1980), constant membrane
+strain, drilling.
 
-Where the section asks for it (laminates, and PSHELL with a shear material other than that of bending) the transverse
-shear is that of the DKMT (Katili 1993), which is the DKT in the limit. A homogeneous plate is without it: its bending
-stiffness is then exactly proportional to t³, on which the reduced models of the updating rest.
+Where the section asks for it (laminates, and PSHELL with a shear material other than that of
+bending) the transverse shear is that of the DKMT (Katili 1993), which is the DKT in the limit. A
+homogeneous plate is without it: its bending stiffness is then exactly proportional to t³, on which
+the reduced models of the updating rest.
 """
 
 from __future__ import annotations
@@ -57,8 +59,9 @@ def _turns(t: Any_, length: Any_) -> Any_:
 def _slopes(t: Any_, R: Any_, phi: Any_) -> Any_:
     """(βx, βy) at corners and mid-sides over (w, θx, θy) of each node: (e, 6, 2, 3, 3).
 
-    At a mid-side the slope is the mean of its ends, and along it -3/2 R/(1 + φ) more (R of `_turns`): that of a cubic
-    w for φ = 0 (Batoz, Bathe and Ho 1980), with the shear of the side for φ > 0 (Katili 1993, eq. 31).
+    At a mid-side the slope is the mean of its ends, and along it -3/2 R/(1 + φ) more (R of
+    `_turns`): that of a cubic w for φ = 0 (Batoz, Bathe and Ho 1980), with the shear of the side
+    for φ > 0 (Katili 1993, eq. 31).
     """
     H = np.zeros((len(t), 6, 2, 3, 3), dtype=np.result_type(R, phi))
     for k in range(3):
@@ -70,7 +73,9 @@ def _slopes(t: Any_, R: Any_, phi: Any_) -> Any_:
 
 
 def _flexibility(t: Any_, length: Any_, s: Section) -> Any_:
-    """φ = 12 D/(S l²) along each side (e, 3), D and S of that direction; 0 where the shear is rigid."""
+    """φ = 12 D/(S l²) along each side (e, 3), D and S of that direction; 0 where the shear is
+    rigid.
+    """
     c, n = t[..., 0], t[..., 1]
     q = np.stack([c * c, n * n, 2 * c * n], axis=-1)
     D = np.einsum("esi,eij,esj->es", q, s.bending, q)
@@ -80,7 +85,9 @@ def _flexibility(t: Any_, length: Any_, s: Section) -> Any_:
 
 
 def _shear(t: Any_, R: Any_, phi: Any_) -> Any_:
-    """Transverse shear strain (e, gp, 2, 9): that of the sides, φ/(1 + φ) R, carried to the corners, linear between."""
+    """Transverse shear strain (e, gp, 2, 9): that of the sides, φ/(1 + φ) R, carried to the
+    corners, linear between.
+    """
     along = (phi / (1 + phi))[..., None] * R.reshape(-1, 3, 9)
     corner = np.empty((len(t), 3, 2, 9), dtype=along.dtype)
     for k, pair in enumerate(((2, 0), (0, 1), (1, 2))):
@@ -144,4 +151,6 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
         raise error(m.model, t, int(at[area == 0][0]), "it has no area; check its nodes")
     s = oriented(m, card, at, section(m, card, at, 3), axes, m.xyz[nodes])
     mass = s.masses(np.repeat(area[:, None] / 3, 3, axis=1), _L) @ _L
-    return finish(m, nodes, to_nodes(kernel(xy, area, s), s, axes, np.zeros((len(at), 3))), s, axes, mass)
+    return finish(
+        m, nodes, to_nodes(kernel(xy, area, s), s, axes, np.zeros((len(at), 3))), s, axes, mass
+    )

@@ -1,8 +1,9 @@
-"""CQUAD4: MITC4 bending and shear, membrane with incompatible modes, drilling, flat with rigid arms to the nodes.
+"""CQUAD4: MITC4 bending and shear, membrane with incompatible modes, drilling, flat with rigid arms
+to the nodes.
 
-Bathe and Dvorkin (1985) for the transverse shear; Taylor, Beresford and Wilson (1976) for the membrane. Every part
-is linear in E and in t or t³, so that the parts of a thickness parameter are exact. Membrane and drilling are those of
-MSC Nastran, to all digits of recorded element matrices.
+Bathe and Dvorkin (1985) for the transverse shear; Taylor, Beresford and Wilson (1976) for the
+membrane. Every part is linear in E and in t or t³, so that the parts of a thickness parameter are
+exact. Membrane and drilling are those of MSC Nastran, to all digits of recorded element matrices.
 """
 
 from __future__ import annotations
@@ -11,7 +12,15 @@ import numpy as np
 
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.fem.algebra import arm, congruent, nodal, unit
-from ringtrue.fem.elements.shell import condensed, drilling, finish, in_spans, of_rotations, place, to_nodes
+from ringtrue.fem.elements.shell import (
+    condensed,
+    drilling,
+    finish,
+    in_spans,
+    of_rotations,
+    place,
+    to_nodes,
+)
 from ringtrue.fem.elements.shell_curved import drilling as director_drilling
 from ringtrue.fem.elements.shell_curved import law, strains
 from ringtrue.fem.elements.shell_material import contract
@@ -36,7 +45,9 @@ _N, _DN = _shape(_POINTS)
 _BUBBLES = -2 * _POINTS[:, :, None] * np.eye(2)
 _SLOPES = _shape(_SIGNS)[1]
 _CENTRE = _shape(np.zeros((1, 2)))[1]
-_MID = _shape(np.array([[0.0, -1.0], [0.0, 1.0], [-1.0, 0.0], [1.0, 0.0]]))  # of the sides η = ∓1, ξ = ∓1
+_MID = _shape(
+    np.array([[0.0, -1.0], [0.0, 1.0], [-1.0, 0.0], [1.0, 0.0]])
+)  # of the sides η = ∓1, ξ = ∓1
 
 
 def flatten(x: Any_) -> tuple[Any_, Any_, Any_]:
@@ -91,12 +102,16 @@ def kernel(xy: Any_, s: Section) -> Any_:
 
 
 def curved_kernel(x: Any_, heights: Any_, normals: Any_, axes: Any_, s: Section) -> Any_:
-    """Stiffness (e, 24, 24) in basic of elements with nodes x (e, 4, 3) and normals (e, 4, 3) of a curved surface.
+    """Stiffness (e, 24, 24) in basic of elements with nodes x (e, 4, 3) and normals (e, 4, 3) of a
+    curved surface.
 
-    The element stays flat: each node is joined to the plane (or the offset plane) by a rigid arm along its normal.
+    The element stays flat: each node is joined to the plane (or the offset plane) by a rigid arm
+    along its normal.
     """
     e = len(x)
-    arms = ((s.offset[:, None] - heights) / np.einsum("eka,ea->ek", normals, axes[:, 2]))[..., None] * normals
+    arms = ((s.offset[:, None] - heights) / np.einsum("eka,ea->ek", normals, axes[:, 2]))[
+        ..., None
+    ] * normals
     x = x + arms
     xy = np.einsum("eij,ekj->eki", axes[:, :2], x - x.mean(axis=1, keepdims=True))
     J, det, _ = jacobian(_DN, xy)
@@ -115,16 +130,26 @@ def curved_kernel(x: Any_, heights: Any_, normals: Any_, axes: Any_, s: Section)
 
 
 def _plane(g: Any_, det: Any_, s: Section) -> tuple[Any_, Any_, Any_]:
-    """Membrane, membrane-bending (empty if there is none) and bending stiffness, (e, 8, 8), the bubbles condensed."""
+    """Membrane, membrane-bending (empty if there is none) and bending stiffness, (e, 8, 8), the
+    bubbles condensed.
+    """
     grams = [gram(g, s.weights(det, _N, 1))]
-    grams += [grams[0]] * 2 if (s.profile == 1).all() else [gram(g, s.weights(det, _N, p)) for p in (2, 3)]
+    grams += (
+        [grams[0]] * 2
+        if (s.profile == 1).all()
+        else [gram(g, s.weights(det, _N, p)) for p in (2, 3)]
+    )
     stretch = contract(grams[0], s.membrane)
     bend = contract(grams[2][:, :4, :, :4], s.bending)
     if not np.any(s.coupling):
         return condensed(stretch, 4), np.empty((0, 8, 8)), bend
     mixed = contract(grams[1][:, :, :, :4], s.coupling)
     K = np.concatenate(
-        [np.concatenate([stretch, mixed], axis=2), np.concatenate([mixed.swapaxes(1, 2), bend], axis=2)], axis=1
+        [
+            np.concatenate([stretch, mixed], axis=2),
+            np.concatenate([mixed.swapaxes(1, 2), bend], axis=2),
+        ],
+        axis=1,
     )
     order = np.r_[:8, 12:20, 8:12]
     K = condensed(K[:, order[:, None], order], 4)
@@ -167,7 +192,12 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     bent = ~(determinants(_SLOPES, xy.real) > 0).all(axis=1)
     if bent.any():
         bad = int(at[np.flatnonzero(bent)[0]])
-        raise error(m.model, t, bad, "a corner of 180 degrees or more, or sides that cross; check its node order")
+        raise error(
+            m.model,
+            t,
+            bad,
+            "a corner of 180 degrees or more, or sides that cross; check its node order",
+        )
     s = oriented(m, card, at, section(m, card, at, 4), axes, m.xyz[nodes])
     mass = np.einsum("eg,gn->en", s.masses(jacobian(_DN, xy)[1], _N), _N)
     K = _stiffness(m.xyz[nodes], xy, heights, node_normals(m, nodes, axes[:, 2]), axes, s)
@@ -175,7 +205,9 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
 
 
 def _stiffness(x: Any_, xy: Any_, heights: Any_, normals: Any_, axes: Any_, s: Section) -> Any_:
-    """Stiffness (e, 24, 24) in basic: of a curved surface where normals at the nodes are not the element's own."""
+    """Stiffness (e, 24, 24) in basic: of a curved surface where normals at the nodes are not the
+    element's own.
+    """
     flat = (normals == axes[:, None, 2]).all(axis=(1, 2))
     if flat.all():
         return to_nodes(kernel(xy, s), s, axes, heights)

@@ -1,4 +1,6 @@
-"""CQUAD8 and CTRIA6: curved shells of second order with assumed strains, six DOFs a node (see `shell_curved`)."""
+"""CQUAD8 and CTRIA6: curved shells of second order with assumed strains, six DOFs a node (see
+`shell_curved`).
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,14 @@ import numpy as np
 from ringtrue.core.arrays import Any_, Bool, Int
 from ringtrue.fem.algebra import arm, congruent, nodal, unit
 from ringtrue.fem.elements.shell import condensed, in_spans, masses
-from ringtrue.fem.elements.shell_curved import drilling, law, length, missing_mean, strains, tangents
+from ringtrue.fem.elements.shell_curved import (
+    drilling,
+    law,
+    length,
+    missing_mean,
+    strains,
+    tangents,
+)
 from ringtrue.fem.elements.shell_rule import QUAD8, TRIA6, Rule
 from ringtrue.fem.elements.shell_section import Section, directed, material_axis, section
 from ringtrue.fem.mesh import Matrices, Mesh, error
@@ -17,7 +26,8 @@ _RULES = {"CQUAD8": QUAD8, "CTRIA6": TRIA6}
 
 
 def build(m: Mesh, card: str, at: Int) -> Matrices:
-    """Matrices of the rows `at` (e,) of CQUAD8 or CTRIA6; a mid-side node may be blank: its side is linear.
+    """Matrices of the rows `at` (e,) of CQUAD8 or CTRIA6; a mid-side node may be blank: its side is
+    linear.
 
     Raises
     ------
@@ -44,7 +54,9 @@ def measure(m: Mesh, card: str, at: Int) -> Any_:
 
 
 def _nodes(m: Mesh, card: str, at: Int, rule: Rule) -> tuple[Int, Bool, Any_]:
-    """Rows of GRID (e, k), which nodes are absent, and places (e, k, 3), those of absent ones amid their sides."""
+    """Rows of GRID (e, k), which nodes are absent, and places (e, k, 3), those of absent ones amid
+    their sides.
+    """
     t = m.model[card]
     ids = t.stack(*(f"G{i + 1}" for i in range(len(rule.nodes))))[at]
     absent = ids <= 0
@@ -69,14 +81,18 @@ def _check(m: Mesh, card: str, at: Int, rule: Rule, x: Any_) -> None:
 
 
 def kernel(m: Mesh, card: str, at: Int, x: Any_, s: Section) -> Any_:
-    """Stiffness (e, 6k, 6k) in basic over (u, θ) of each node, with nodes x (e, k, 3); the offset is in it."""
+    """Stiffness (e, 6k, 6k) in basic over (u, θ) of each node, with nodes x (e, k, 3); the offset
+    is in it.
+    """
     rule, e = _RULES[card], len(x)
     n = unit(tangents(rule.shapes(rule.nodes)[1], x)[1])
     x = x + s.offset[:, None, None] * n
     N, d = rule.shapes(rule.points)
     g, up = tangents(d, x)
     w = length(up) * rule.weights
-    frame = _frames(m, card, at, np.einsum("pn,ena->epa", N, x), unit(g[:, :, 0]), unit(up), directed(s))
+    frame = _frames(
+        m, card, at, np.einsum("pn,ena->epa", N, x), unit(g[:, :, 0]), unit(up), directed(s)
+    )
     back = np.linalg.inv(np.einsum("epra,epia->epri", g, frame))  # ∂ξ_r/∂x_i, (e, p, i, r)
     rows = strains(rule, x, n, back)
     if rule.corners == 4:
@@ -85,14 +101,17 @@ def kernel(m: Mesh, card: str, at: Int, x: Any_, s: Section) -> Any_:
         rows = np.concatenate([rows, _bubbles(rule, x, frame, back)], axis=3)
     loaded = (law(s, w, rule.corner_shapes(rule.points)) @ rows).reshape(e, -1, rows.shape[-1])
     K = rows.reshape(e, -1, rows.shape[-1]).swapaxes(1, 2) @ loaded
-    K = condensed(K, rows.shape[-1] - 6 * x.shape[1]) + drilling(rule, x, s, rule.mass_points, rule.mass_weights)
+    K = condensed(K, rows.shape[-1] - 6 * x.shape[1]) + drilling(
+        rule, x, s, rule.mass_points, rule.mass_weights
+    )
     if not np.any(s.offset):
         return K
     return congruent(nodal(arm(s.offset[:, None, None] * n)), K)
 
 
 def _bubbles(rule: Rule, x: Any_, frame: Any_, back: Any_) -> Any_:
-    """Rows (e, p, 8, 2) of two turns with the bubble 27 L1 L2 L3, about the local axes: the MITC7 without its centre.
+    """Rows (e, p, 8, 2) of two turns with the bubble 27 L1 L2 L3, about the local axes: the MITC7
+    without its centre.
 
     Without them the shear at the centre locks a thin triangle.
     """
@@ -108,18 +127,28 @@ def _bubbles(rule: Rule, x: Any_, frame: Any_, back: Any_) -> Any_:
     return out
 
 
-def _frames(m: Mesh, card: str, at: Int, x: Any_, tangent: Any_, normal: Any_, turned: Bool) -> Any_:
-    """Material axes in the tangent plane of each point as rows, (e, p, 2, 3); THETA is from the tangent along r."""
+def _frames(
+    m: Mesh, card: str, at: Int, x: Any_, tangent: Any_, normal: Any_, turned: Bool
+) -> Any_:
+    """Material axes in the tangent plane of each point as rows, (e, p, 2, 3); THETA is from the
+    tangent along r.
+    """
     e, p = x.shape[:2]
     x, along, up = (v.reshape(-1, 3) for v in (x, tangent, normal))
-    one = material_axis(m, card, np.repeat(at, p), x, along, up, np.repeat(turned, p)).reshape(e, p, 3)
+    one = material_axis(m, card, np.repeat(at, p), x, along, up, np.repeat(turned, p)).reshape(
+        e, p, 3
+    )
     return np.stack([one, np.cross(normal, one)], axis=2)
 
 
 def _mass(m: Mesh, rule: Rule, x: Any_, s: Section) -> Any_:
-    """Lumped by the diagonal of the consistent mass (Hinton, Rock and Zienkiewicz 1976), or consistent."""
+    """Lumped by the diagonal of the consistent mass (Hinton, Rock and Zienkiewicz 1976), or
+    consistent.
+    """
     N, d = rule.shapes(rule.mass_points)
-    w = s.masses(length(tangents(d, x)[1]) * rule.mass_weights, rule.corner_shapes(rule.mass_points))
+    w = s.masses(
+        length(tangents(d, x)[1]) * rule.mass_weights, rule.corner_shapes(rule.mass_points)
+    )
     full = np.einsum("eg,gi,gj->eij", w, N, N, optimize=True)
     total = w.sum(axis=1)[:, None]
     share = np.einsum("eii->ei", full)

@@ -1,8 +1,9 @@
-"""Strains of a curved shell from its nodes and the normals there, with assumed strains; basic axes, six DOFs a node.
+"""Strains of a curved shell from its nodes and the normals there, with assumed strains; basic axes,
+six DOFs a node.
 
-The shell is x = Σ N_i (x_i + z n_i), its motion u = Σ N_i (u_i + z θ_i x n_i); strains are taken to first order in z,
-so that the section's A, B, D and S apply. With x,d and u,d along a natural direction d, the normal field n and the
-turn ψ = Σ N_i θ_i x n_i:
+The shell is x = Σ N_i (x_i + z n_i), its motion u = Σ N_i (u_i + z θ_i x n_i); strains are taken to
+first order in z, so that the section's A, B, D and S apply. With x,d and u,d along a natural
+direction d, the normal field n and the turn ψ = Σ N_i θ_i x n_i:
 
     membrane   e_d = x,d · u,d
     curvature  k_d = x,d · ψ,d + n,d · u,d
@@ -21,7 +22,9 @@ from ringtrue.fem.elements.shell_section import Section
 
 
 def tangents(d: Any_, x: Any_) -> tuple[Any_, Any_]:
-    """Tangents (e, p, 2, 3) and their cross product (e, p, 3) from natural derivatives (p, k, 2)."""
+    """Tangents (e, p, 2, 3) and their cross product (e, p, 3) from natural derivatives (p, k,
+    2).
+    """
     g = np.einsum("pnr,ena->epra", d, x)
     return g, np.cross(g[:, :, 0], g[:, :, 1])
 
@@ -31,9 +34,13 @@ def length(v: Any_) -> Any_:
 
 
 def law(s: Section, w: Any_, corner: Any_) -> Any_:
-    """Section matrices (e, p, 8, 8) over (ε, κ, γ) times the weights w (e, p); corner shapes (p, corners)."""
+    """Section matrices (e, p, 8, 8) over (ε, κ, γ) times the weights w (e, p); corner shapes (p,
+    corners).
+    """
     w1, w2, w3 = (s.weights(w, corner, p)[..., None, None] for p in (1, 2, 3))
-    C = np.zeros((*w.shape, 8, 8), dtype=np.result_type(s.membrane, s.coupling, s.bending, s.shear, w1))
+    C = np.zeros(
+        (*w.shape, 8, 8), dtype=np.result_type(s.membrane, s.coupling, s.bending, s.shear, w1)
+    )
     C[..., :3, :3], C[..., 3:6, 3:6] = s.membrane[:, None] * w1, s.bending[:, None] * w3
     C[..., :3, 3:6] = C[..., 3:6, :3] = s.coupling[:, None] * w2
     C[..., 6:, 6:] = s.shear[:, None] * w1
@@ -50,14 +57,20 @@ def strains(rule: Rule, x: Any_, n: Any_, back: Any_) -> Any_:
             np.stack([p[..., 0] ** 2, p[..., 1] ** 2, p[..., 0] * p[..., 1]], axis=-1),
             np.stack([q[..., 0] ** 2, q[..., 1] ** 2, q[..., 0] * q[..., 1]], axis=-1),
             np.stack(
-                [2 * p[..., 0] * q[..., 0], 2 * p[..., 1] * q[..., 1], p[..., 0] * q[..., 1] + p[..., 1] * q[..., 0]],
+                [
+                    2 * p[..., 0] * q[..., 0],
+                    2 * p[..., 1] * q[..., 1],
+                    p[..., 0] * q[..., 1] + p[..., 1] * q[..., 0],
+                ],
                 axis=-1,
             ),
         ],
         axis=-2,
     )
     inside = [T @ _carried(plane, rows) for rows in (membrane, curvature)]
-    return np.concatenate([*inside, back @ _carried(shear, _shear_samples(rule, shear, x, n))], axis=2)
+    return np.concatenate(
+        [*inside, back @ _carried(shear, _shear_samples(rule, shear, x, n))], axis=2
+    )
 
 
 def _carried(s: Samples, rows: Any_) -> Any_:
@@ -93,9 +106,11 @@ def _rows(u: Any_, theta: Any_) -> Any_:
 
 
 def missing_mean(rows: Any_, gradients: Any_, frame: Any_, n: Any_, w: Any_) -> Any_:
-    """What the mean (ε, κ) of the displacements themselves is more than that of `rows`: (e, 1, 6, 6k).
+    """What the mean (ε, κ) of the displacements themselves is more than that of `rows`: (e, 1, 6,
+    6k).
 
-    With it a constant stress does the right work on every motion: the patch test holds on any distortion.
+    With it a constant stress does the right work on every motion: the patch test holds on any
+    distortion.
     """
     slope = np.einsum("epni,ena->epia", gradients, n)
     first, second = gradients[..., 0, None], gradients[..., 1, None]
@@ -103,19 +118,25 @@ def missing_mean(rows: Any_, gradients: Any_, frame: Any_, n: Any_, w: Any_) -> 
     stretch = [first * e1, second * e2, second * e1 + first * e2]
     bent = [first * n1, second * n2, second * n1 + first * n2]
     turn = [np.cross(n[:, None], v) for v in stretch]
-    exact = [_rows(v, 0 * v) for v in stretch] + [_rows(u, v) for u, v in zip(bent, turn, strict=True)]
+    exact = [_rows(v, 0 * v) for v in stretch] + [
+        _rows(u, v) for u, v in zip(bent, turn, strict=True)
+    ]
     missing = np.stack(exact, axis=2) - rows[:, :, :6]
     return np.asarray(np.einsum("ep,epcd->ecd", w / w.sum(axis=1, keepdims=True), missing)[:, None])
 
 
 def drilling(rule: Rule, x: Any_, s: Section, points: Float, weights: Float) -> Any_:
-    """G t K6ROT 1e-6 ∫ (θ·n - (∂u2/∂x1 - ∂u1/∂x2)/2)² by points (p, 2) and weights (p,): (e, 6k, 6k)."""
+    """G t K6ROT 1e-6 ∫ (θ·n - (∂u2/∂x1 - ∂u1/∂x2)/2)² by points (p, 2) and weights (p,): (e, 6k,
+    6k).
+    """
     N, d = rule.shapes(points)
     g, up = tangents(d, x)
     size = length(up)
     normal = up / size[..., None]
     # ∂u1/∂x2 - ∂u2/∂x1 is (g_r · u,s - g_s · u,r) over the area, in any axes of the plane
-    u = (d[None, :, :, 1, None] * g[:, :, None, 0] - d[None, :, :, 0, None] * g[:, :, None, 1]) / size[..., None, None]
+    u = (
+        d[None, :, :, 1, None] * g[:, :, None, 0] - d[None, :, :, 0, None] * g[:, :, None, 1]
+    ) / size[..., None, None]
     rows = _rows(u / 2, N[..., None] * normal[:, :, None])
     w = s.weights(size * weights, rule.corner_shapes(points), 1) * s.drill[:, None]
     return np.asarray((rows * w[..., None]).swapaxes(1, 2) @ rows)

@@ -1,8 +1,9 @@
-"""Normals at the nodes of flat shells on a curved surface: the mean of the elements around, as PARAM,SNORM has it.
+"""Normals at the nodes of flat shells on a curved surface: the mean of the elements around, as
+PARAM,SNORM has it.
 
-Between flat elements at an angle a twist turns into a rotation about the normal of the next one, which only the
-drilling stiffness holds (Raasch's hook: refinement makes it worse; MacNeal, Wilson, Harder and Hoff 1998). Elements
-that share one normal at a node have no such mechanism.
+Between flat elements at an angle a twist turns into a rotation about the normal of the next one,
+which only the drilling stiffness holds (Raasch's hook: refinement makes it worse; MacNeal, Wilson,
+Harder and Hoff 1998). Elements that share one normal at a node have no such mechanism.
 """
 
 from __future__ import annotations
@@ -26,8 +27,8 @@ _SPAN = {4: (0, 2, 1, 3), 3: (0, 1, 0, 2)}  # the normal is ab x cd
 def node_normals(m: Mesh, nodes: Int, own: Any_) -> Any_:
     """Normals (e, k, 3) at the nodes (e, k) of elements with normals `own` (e, 3).
 
-    The mean of the unit normals of all flat shells at the node, if each of them is within PARAM,SNORM degrees of it (20
-    unless given; 0 is off); else the element's own.
+    The mean of the unit normals of all flat shells at the node, if each of them is within
+    PARAM,SNORM degrees of it (20 unless given; 0 is off); else the element's own.
     """
     out = np.broadcast_to(own[:, None], (*nodes.shape, 3))
     limit = m.model.param("SNORM", SNORM)
@@ -52,7 +53,9 @@ def node_normals(m: Mesh, nodes: Int, own: Any_) -> Any_:
 
 
 def _around(m: Mesh, nodes: Int) -> Iterable[tuple[Int, Any_]]:
-    """Corner nodes (., k) and unit normals (., 3) of the flat shells that share one of the nodes."""
+    """Corner nodes (., k) and unit normals (., 3) of the flat shells that share one of the
+    nodes.
+    """
     mine = np.unique(m.model["GRID"].ids[np.unique(nodes)])
     for card, k in FLAT.items():
         if card not in m.model:
@@ -60,7 +63,9 @@ def _around(m: Mesh, nodes: Int) -> Iterable[tuple[Int, Any_]]:
         ids = _corners(m.model, card, k)
         near = ids[np.isin(ids, mine).any(axis=1)]
         corners = m.model["GRID"].find(near)
-        corners = corners[(corners >= 0).all(axis=1)]  # a node that is absent is told by the element's own builder
+        corners = corners[
+            (corners >= 0).all(axis=1)
+        ]  # a node that is absent is told by the element's own builder
         x, (a, b, c, d) = m.xyz[corners], _SPAN[k]
         n = np.cross(x[:, b] - x[:, a], x[:, d] - x[:, c])
         there = (n != 0).any(axis=1)
@@ -72,11 +77,15 @@ def _corners(model: Model, card: str, k: int) -> Int:
 
 
 def with_neighbours(model: Model, rows: Rows) -> Rows:
-    """Rows of element cards, and the quadrilaterals whose node normals depend on the flat shells among them."""
+    """Rows of element cards, and the quadrilaterals whose node normals depend on the flat shells
+    among them.
+    """
     if model.param("SNORM", SNORM) <= 0 or not any(c in rows for c in FLAT):
         return rows
     touched = np.unique(
-        np.concatenate([_corners(model, c, FLAT[c])[at].ravel() for c, at in rows.items() if c in FLAT])
+        np.concatenate(
+            [_corners(model, c, FLAT[c])[at].ravel() for c, at in rows.items() if c in FLAT]
+        )
     )
     found = [rows]
     for card in ("CQUAD4", "CQUADR"):

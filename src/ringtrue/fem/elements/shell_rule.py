@@ -1,12 +1,15 @@
-"""Shape functions, sampling and integration of the shells with assumed strains: CQUAD8, CTRIA6, and CQUAD4 on a curve.
+"""Shape functions, sampling and integration of the shells with assumed strains: CQUAD8, CTRIA6, and
+CQUAD4 on a curve.
 
-Each covariant strain is sampled as a directional strain at tying points, from which a polynomial carries it to the
-integration points:
+Each covariant strain is sampled as a directional strain at tying points, from which a polynomial
+carries it to the integration points:
 
-* CQUAD8: transverse shear after MITC8 (Bathe and Dvorkin 1986), of which e_rt is in span{1, r, s, rs, s²} from
-  r = ±1/√3, s = ±1, and the mean of r = ±1/√3 on s = 0, which is blind to what eight nodes lack of a quadratic w; in
-  the plane e_rr from r = ±1/√3, s = 0, ±√0.6, e_rs from 2 x 2 points (Huang and Hinton 1986).
-* CTRIA6: MITC6 (Lee and Bathe 2004): e_rr, e_ss, e_qq and the shear are linear, the shear from two points a side.
+* CQUAD8: transverse shear after MITC8 (Bathe and Dvorkin 1986), of which e_rt is in span{1, r, s,
+  rs, s²} from r = ±1/√3, s = ±1, and the mean of r = ±1/√3 on s = 0, which is blind to what eight
+  nodes lack of a quadratic w; in the plane e_rr from r = ±1/√3, s = 0, ±√0.6, e_rs from 2 x 2
+  points (Huang and Hinton 1986).
+* CTRIA6: MITC6 (Lee and Bathe 2004): e_rr, e_ss, e_qq and the shear are linear, the shear from two
+  points a side.
 """
 
 from __future__ import annotations
@@ -22,7 +25,8 @@ _A, _B = 1 / np.sqrt(3), np.sqrt(0.6)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Samples:
-    """Directional strains at points (k, 2) along `direction` (k, 2) in (r, s), and the way to the integration points.
+    """Directional strains at points (k, 2) along `direction` (k, 2) in (r, s), and the way to the
+    integration points.
 
     `carry` (gp, c, k) gives the covariant components: (e_rr, e_ss, 2 e_rs), or (γ_r, γ_s).
     """
@@ -62,9 +66,13 @@ _MIDDLES = np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]])
 
 
 def bilinear(p: Float) -> tuple[Float, Float]:
-    """Shape functions (k, 4) of the four-node quadrilateral at places (k, 2), and natural derivatives (k, 4, 2)."""
+    """Shape functions (k, 4) of the four-node quadrilateral at places (k, 2), and natural
+    derivatives (k, 4, 2).
+    """
     f = 1 + p[:, None, :] * _CORNERS
-    return f.prod(axis=2) / 4, np.stack([_CORNERS[:, 0] * f[..., 1], _CORNERS[:, 1] * f[..., 0]], axis=2) / 4
+    return f.prod(axis=2) / 4, np.stack(
+        [_CORNERS[:, 0] * f[..., 1], _CORNERS[:, 1] * f[..., 0]], axis=2
+    ) / 4
 
 
 def _quad(p: Float) -> tuple[Float, Float]:
@@ -114,7 +122,9 @@ def _quad_plane(p: Float) -> Samples:
     carry = np.zeros((len(p), 3, 20))
     carry[:, 0, :6] = _outer(_lagrange(two, r), _lagrange(three, s))
     carry[:, 1, 6:12] = _outer(_lagrange(three, r), _lagrange(two, s))
-    both = _outer(_lagrange(two, r), _lagrange(two, s)) / 2  # 2 e_rs = (e along r + s less e along r - s)/2
+    both = (
+        _outer(_lagrange(two, r), _lagrange(two, s)) / 2
+    )  # 2 e_rs = (e along r + s less e along r - s)/2
     carry[:, 2, 12:16], carry[:, 2, 16:] = both, -both
     return Samples(points, direction, carry)
 
@@ -138,7 +148,9 @@ def _quad_shear(p: Float) -> Samples:
 def _linear(points: Float, p: Float) -> Float:
     """The linear function of three values, (p, 3)."""
     one = np.ones((len(p), 1))
-    return np.asarray(np.linalg.solve(np.hstack([np.ones((3, 1)), points]).T, np.hstack([one, p]).T).T)
+    return np.asarray(
+        np.linalg.solve(np.hstack([np.ones((3, 1)), points]).T, np.hstack([one, p]).T).T
+    )
 
 
 def _triangle_plane(p: Float) -> Samples:
@@ -154,17 +166,30 @@ def _triangle_plane(p: Float) -> Samples:
 
 
 def _triangle_shear(p: Float) -> Samples:
-    """(γ_r, γ_s) in P1 x P1 + (s, -r) span{r, s}: two points a side and both components at the centre."""
+    """(γ_r, γ_s) in P1 x P1 + (s, -r) span{r, s}: two points a side and both components at the
+    centre.
+    """
 
     def basis(x: Float) -> Float:
         r, s = x.T
         one, zero = np.ones(len(x)), np.zeros(len(x))
         first = np.stack([one, r, s, zero, zero, zero, r * s, s * s], axis=1)
-        return np.stack([first, np.stack([zero, zero, zero, one, r, s, -r * r, -r * s], axis=1)], axis=1)
+        return np.stack(
+            [first, np.stack([zero, zero, zero, one, r, s, -r * r, -r * s], axis=1)], axis=1
+        )
 
     near, far = (1 - _A) / 2, (1 + _A) / 2
     points = np.array(
-        [[near, 0], [far, 0], [0, near], [0, far], [near, far], [far, near], [1 / 3, 1 / 3], [1 / 3, 1 / 3]]
+        [
+            [near, 0],
+            [far, 0],
+            [0, near],
+            [0, far],
+            [near, far],
+            [far, near],
+            [1 / 3, 1 / 3],
+            [1 / 3, 1 / 3],
+        ]
     )
     direction = np.repeat([[1.0, 0.0], [0.0, 1.0], [-1.0, 1.0], [1.0, 0.0]], 2, axis=0)
     direction[7] = 0.0, 1.0
@@ -173,7 +198,9 @@ def _triangle_shear(p: Float) -> Samples:
 
 
 def _flat_rule() -> Rule:
-    """Four nodes: strains of the displacements, transverse shear of the MITC4 (Dvorkin and Bathe 1984)."""
+    """Four nodes: strains of the displacements, transverse shear of the MITC4 (Dvorkin and Bathe
+    1984).
+    """
     p, w, k = _CORNERS * _A, np.ones(4), np.arange(4)
     carry = np.zeros((4, 3, 16))
     carry[k, 0, k], carry[k, 1, 4 + k] = 1.0, 1.0
@@ -185,7 +212,9 @@ def _flat_rule() -> Rule:
     low = np.stack([(1 - s) / 2, (1 + s) / 2, zero, zero], axis=1)
     side = np.stack([zero, zero, (1 - r) / 2, (1 + r) / 2], axis=1)
     middle = np.array([[0.0, -1.0], [0.0, 1.0], [-1.0, 0.0], [1.0, 0.0]])
-    shear = Samples(middle, np.repeat([[1.0, 0.0], [0.0, 1.0]], 2, axis=0), np.stack([low, side], axis=1))
+    shear = Samples(
+        middle, np.repeat([[1.0, 0.0], [0.0, 1.0]], 2, axis=0), np.stack([low, side], axis=1)
+    )
     return Rule(4, np.empty((0, 2), dtype=np.int64), _CORNERS, p, w, p, w, plane, shear)
 
 
@@ -193,16 +222,30 @@ def _quad_rule() -> Rule:
     x, w = np.polynomial.legendre.leggauss(3)
     p, weights = _grid(x, x), np.outer(w, w).ravel()
     sides = np.array([[0, 1], [1, 2], [2, 3], [3, 0]])
-    return Rule(4, sides, np.vstack([_CORNERS, _MIDDLES]), p, weights, p, weights, _quad_plane(p), _quad_shear(p))
+    return Rule(
+        4,
+        sides,
+        np.vstack([_CORNERS, _MIDDLES]),
+        p,
+        weights,
+        p,
+        weights,
+        _quad_plane(p),
+        _quad_shear(p),
+    )
 
 
 def _triangle_rule() -> Rule:
     a, b = 0.445948490915965, 0.091576213509771  # six points, degree four (Dunavant 1985)
-    dense = np.array([[a, a], [1 - 2 * a, a], [a, 1 - 2 * a], [b, b], [1 - 2 * b, b], [b, 1 - 2 * b]])
+    dense = np.array(
+        [[a, a], [1 - 2 * a, a], [a, 1 - 2 * a], [b, b], [1 - 2 * b, b], [b, 1 - 2 * b]]
+    )
     wide = np.repeat([0.223381589678011, 0.109951743655322], 3) / 2
     nodes = np.array([[0, 0], [1, 0], [0, 1], [0.5, 0], [0.5, 0.5], [0, 0.5]])
     sides = np.array([[0, 1], [1, 2], [2, 0]])
-    return Rule(3, sides, nodes, dense, wide, dense, wide, _triangle_plane(dense), _triangle_shear(dense))
+    return Rule(
+        3, sides, nodes, dense, wide, dense, wide, _triangle_plane(dense), _triangle_shear(dense)
+    )
 
 
 QUAD4, QUAD8, TRIA6 = _flat_rule(), _quad_rule(), _triangle_rule()

@@ -1,4 +1,6 @@
-"""Sections of shells, integrated over the thickness: PSHELL, PCOMP, PCOMPG, thickness at the corners, offset."""
+"""Sections of shells, integrated over the thickness: PSHELL, PCOMP, PCOMPG, thickness at the
+corners, offset.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,8 @@ class Section:
         Mass per area that goes with the thickness, and that which does not.
     loss, offset : (e,)
     flexible : (e,) bool
-        A triangle must follow the transverse shear: laminates, and PSHELL with a shear material of its own.
+        A triangle must follow the transverse shear: laminates, and PSHELL with a shear material of
+        its own.
     profile : (e, k)
         Thickness of the corners over the mean.
     """
@@ -54,7 +57,9 @@ class Section:
         return Section(*(getattr(self, f.name)[rows] for f in fields(Section)))
 
     def weights(self, w: Any_, N: Float, power: int) -> Any_:
-        """Integration weights w (e, gp) times the relative thickness to a power; corner shapes N (gp, k)."""
+        """Integration weights w (e, gp) times the relative thickness to a power; corner shapes N
+        (gp, k).
+        """
         if (self.profile == 1).all():
             return w
         return np.asarray(w * (self.profile @ N.T) ** power)
@@ -75,23 +80,32 @@ def section(m: Mesh, card: str, at: Int, corners: int) -> Section:
     t = m.model[card]
     pid = t["PID"][at]
     found = {c: m.model[c].find(pid) for c in LAMINATES if c in m.model}
-    shell = np.logical_and.reduce([np.ones(at.size, dtype=bool), *(rows < 0 for rows in found.values())])
+    shell = np.logical_and.reduce(
+        [np.ones(at.size, dtype=bool), *(rows < 0 for rows in found.values())]
+    )
     parts = [(shell, _pshell(m, t, at[shell], corners))] if shell.any() else []
-    parts += [(rows >= 0, _laminate(m, c, rows[rows >= 0], t, at[rows >= 0], corners)) for c, rows in found.items()]
+    parts += [
+        (rows >= 0, _laminate(m, c, rows[rows >= 0], t, at[rows >= 0], corners))
+        for c, rows in found.items()
+    ]
     parts = [p for p in parts if p[0].any()]
     if len(parts) == 1:
         return parts[0][1]
     made = {}
     for f in (f.name for f in fields(Section)):
         values = [(where, getattr(s, f)) for where, s in parts]
-        made[f] = np.zeros((at.size, *values[0][1].shape[1:]), dtype=np.result_type(*(v.dtype for _, v in values)))
+        made[f] = np.zeros(
+            (at.size, *values[0][1].shape[1:]), dtype=np.result_type(*(v.dtype for _, v in values))
+        )
         for where, v in values:
             made[f][where] = v
     return Section(**made)
 
 
 def in_axes(s: Section, turn: Any_) -> Section:
-    """The sections in axes in which their material axis has the direction `turn` (e, 2); isotropic ones stay as is."""
+    """The sections in axes in which their material axis has the direction `turn` (e, 2); isotropic
+    ones stay as is.
+    """
     some = directed(s)
     if not some.any():
         return s
@@ -130,11 +144,14 @@ def oriented(m: Mesh, card: str, at: Int, s: Section, axes: Any_, x: Any_) -> Se
     return in_axes(s, np.einsum("eij,ej->ei", axes[:, :2], axis))
 
 
-def material_axis(m: Mesh, card: str, at: Int, x: Any_, tangent: Any_, normal: Any_, turned: Bool) -> Any_:
+def material_axis(
+    m: Mesh, card: str, at: Int, x: Any_, tangent: Any_, normal: Any_, turned: Bool
+) -> Any_:
     """Direction (e, 3) of the material axis in the plane of `normal` (e, 3) at points x (e, 3).
 
-    THETA turns it from `tangent` (e, 3), in the plane; MCID projects the x axis of that frame. Sections that do not
-    depend on their direction, others than `turned` (e,), may have it along the normal.
+    THETA turns it from `tangent` (e, 3), in the plane; MCID projects the x axis of that frame.
+    Sections that do not depend on their direction, others than `turned` (e,), may have it along the
+    normal.
 
     Raises
     ------
@@ -152,14 +169,21 @@ def material_axis(m: Mesh, card: str, at: Int, x: Any_, tangent: Any_, normal: A
         along = named[np.abs(flat).max(axis=1) < 1e-6]
         if turned[along].any():
             bad = int(at[along[turned[along]][0]])
-            raise error(m.model, t, bad, "the x axis of its frame MCID is along the normal; name another frame")
+            raise error(
+                m.model,
+                t,
+                bad,
+                "the x axis of its frame MCID is along the normal; name another frame",
+            )
         out, use = out.astype(np.result_type(out, flat)), ~np.isin(at[named], at[along])
         out[named[use]] = unit(flat[use])
     return np.asarray(out)
 
 
 def thickness(t: Table, at: Int, corners: int, T: Any_) -> tuple[Any_, Any_]:
-    """Mean thickness (e,) and that of the corners over it (e, k): Ti where given (times T for TFLAG 1), else T."""
+    """Mean thickness (e,) and that of the corners over it (e, k): Ti where given (times T for TFLAG
+    1), else T.
+    """
     own = t.stack(*(f"T{i}" for i in range(1, corners + 1)))[at]
     if np.isnan(own).all():
         return T, np.ones(own.shape)
@@ -182,11 +206,16 @@ def _pshell(m: Mesh, t: Table, at: Int, corners: int) -> Section:
     T, profile = thickness(t, at, corners, p["T"][row])
     if (lost := (T == 0) & ((mid1 > 0) | (mid2 > 0))).any():
         i = int(np.flatnonzero(lost)[0])
-        raise error(m.model, p, int(row[i]), f"{t.card} {t.ids[at[i]]} has no thickness: T is blank or 0")
+        raise error(
+            m.model, p, int(row[i]), f"{t.card} {t.ids[at[i]]} has no thickness: T is blank or 0"
+        )
     stretch = layers(m.model, mid1, p, row, confined=mid2 < 0)
     bend = layers(m.model, mid2, p, row)
     own = (mid2 > 0) & (mid3 > 0)
-    core = layers(m.model, np.where(own, mid3, 0), p, row, core=True).through * p["TST"][row][:, None, None]
+    core = (
+        layers(m.model, np.where(own, mid3, 0), p, row, core=True).through
+        * p["TST"][row][:, None, None]
+    )
     rigid = (bend.plane[:, 2, 2] * RIGID_SHEAR * 5 / 6)[:, None, None] * np.eye(2)
     couple = layers(m.model, mid4, p, row).plane
     first = mid1 > 0
@@ -208,7 +237,9 @@ def _pshell(m: Mesh, t: Table, at: Int, corners: int) -> Section:
 
 
 def _laminate(m: Mesh, card: str, row: Int, t: Table, at: Int, corners: int) -> Section:
-    """PCOMP, PCOMPG; T1.. of the element do not change it, and its loss is the GE of the property."""
+    """PCOMP, PCOMPG; T1.. of the element do not change it, and its loss is the GE of the
+    property.
+    """
     rows, inverse = np.unique(row, return_inverse=True)
     L = laminates(m.model, card, rows)
     p = m.model[card]

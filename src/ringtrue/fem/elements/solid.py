@@ -10,14 +10,22 @@ import numpy as np
 from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.errors import InputError
 from ringtrue.fem.algebra import condense, scaled
-from ringtrue.fem.elements.solid_material import Anisotropic, anisotropic, bulk, is_anisotropic, moduli
+from ringtrue.fem.elements.solid_material import (
+    Anisotropic,
+    anisotropic,
+    bulk,
+    is_anisotropic,
+    moduli,
+)
 from ringtrue.fem.elements.solid_rule import Rule, kept
 from ringtrue.fem.isotropy import determinants, elastic, gram, incompatible, jacobian, solid
 from ringtrue.fem.mesh import Isotropic, Matrices, Mesh, error, lookup, unsupported
 from ringtrue.fem.place import node_dofs
 from ringtrue.model.model import Model
 
-_CACHED = 2**16  # numbers in the matrices of a slice: with its temporaries it stays in the cache of one core
+_CACHED = (
+    2**16
+)  # numbers in the matrices of a slice: with its temporaries it stays in the cache of one core
 FLAT = 1e-12  # of the cube on the longest extent: less volume is none
 
 
@@ -94,7 +102,8 @@ class Shape:
         return out
 
     def build(self, m: Mesh, card: str, at: Int) -> Matrices:
-        """Matrices of rows `at` (e,), which have the same midside nodes and kind of material (see `alike`).
+        """Matrices of rows `at` (e,), which have the same midside nodes and kind of material (see
+        `alike`).
 
         Raises
         ------
@@ -107,7 +116,9 @@ class Shape:
         """
         present = self.present(m.model, at)
         if (present != present[0]).any():
-            raise InputError(f"{card}: rows with different midside nodes in one batch; split them by solid.alike")
+            raise InputError(
+                f"{card}: rows with different midside nodes in one batch; split them by solid.alike"
+            )
         t = m.model[card]
         names = [f"G{k + 1}" for k in np.flatnonzero(present[0])]
         nodes = m.nodes(np.stack([t[name][at] for name in names], axis=1), t, at)
@@ -123,21 +134,30 @@ class Shape:
             material = moduli(m, row)
         if (bad := self._inside_out(x.real, present[0])).any():
             why = (
-                "inside out or too distorted (its Jacobian is not positive); check its node order: the corners go "
+                "inside out or too distorted (its Jacobian is not positive); check its node "
+                "order: the corners go "
                 "round one face, then round the opposite one, not row by row"
             )
             raise error(m.model, t, int(at[bad][0]), why)
         K, _, rule = self._stiffness(x, material, present[0])
         M = mass(x, material.rho, rule, m.model.param("COUPMASS", -1) > 0)
-        return Matrices(node_dofs(nodes, 3), K, M, material.loss, np.empty((0, K.shape[1], K.shape[1])))
+        return Matrices(
+            node_dofs(nodes, 3), K, M, material.loss, np.empty((0, K.shape[1], K.shape[1]))
+        )
 
     def _flat(self, x: Float) -> Bool:
-        """Which elements (e,) with nodes x (e, n, 3) are collapsed to a plane, a line or a point."""
+        """Which elements (e,) with nodes x (e, n, 3) are collapsed to a plane, a line or a
+        point.
+        """
         det = determinants(self.linear.stiffness.derivatives, x[:, : self.corners])
-        return np.asarray((abs(det) <= FLAT * np.ptp(x, axis=1).max(axis=1)[:, None] ** 3).any(axis=1))
+        return np.asarray(
+            (abs(det) <= FLAT * np.ptp(x, axis=1).max(axis=1)[:, None] ** 3).any(axis=1)
+        )
 
     def _inside_out(self, x: Float, present: Bool) -> Bool:
-        """Which elements (e,) with nodes x (e, n, 3) have a Jacobian that is not positive at a point of their rules."""
+        """Which elements (e,) with nodes x (e, n, 3) have a Jacobian that is not positive at a
+        point of their rules.
+        """
         if present[self.corners :].any():
             points = [kept(self.quadratic.stiffness, self.edges, present).derivatives]
         else:
@@ -145,19 +165,32 @@ class Shape:
             points += [] if self.linear.centre is None else [self.linear.centre]
         return np.asarray((determinants(np.concatenate(points), x) <= 0).any(axis=1))
 
-    def _stiffness(self, x: Any_, material: Isotropic | Anisotropic, present: Bool) -> tuple[Any_, Any_, Rule]:
+    def _stiffness(
+        self, x: Any_, material: Isotropic | Anisotropic, present: Bool
+    ) -> tuple[Any_, Any_, Rule]:
         """Stiffness, determinants, and the rule for the mass; in slices that stay in the cache."""
         size = max(1, _CACHED // (3 * present.sum()) ** 2)
-        parts = [self._slice(x[k : k + size], _part(material, k, size), present) for k in range(0, len(x), size)]
-        return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts]), parts[0][2]
+        parts = [
+            self._slice(x[k : k + size], _part(material, k, size), present)
+            for k in range(0, len(x), size)
+        ]
+        return (
+            np.concatenate([p[0] for p in parts]),
+            np.concatenate([p[1] for p in parts]),
+            parts[0][2],
+        )
 
-    def _slice(self, x: Any_, material: Isotropic | Anisotropic, present: Bool) -> tuple[Any_, Any_, Rule]:
+    def _slice(
+        self, x: Any_, material: Isotropic | Anisotropic, present: Bool
+    ) -> tuple[Any_, Any_, Rule]:
         if not present[self.corners :].any():
             lin = self.linear
             if lin.pressure is not None:
                 return *projected(x, material, lin.stiffness, lin.pressure), lin.mass
             return *kernel(x, material, lin.stiffness, lin.bubbles, lin.centre), lin.mass
-        rules = [kept(r, self.edges, present) for r in (self.quadratic.stiffness, self.quadratic.mass)]
+        rules = [
+            kept(r, self.edges, present) for r in (self.quadratic.stiffness, self.quadratic.mass)
+        ]
         return *projected(x, material, rules[0], self.quadratic.pressure), rules[1]
 
 
@@ -165,19 +198,25 @@ def _refuse_fluid(model: Model, row: Int) -> None:
     p = model["PSOLID"]
     fluid = np.char.startswith(p["FCTN"][row].astype(str), "PFLUID")
     if fluid.any():
-        raise unsupported(model, p, int(row[fluid][0]), "is a fluid (FCTN PFLUID); allowed is SMECH or blank")
+        raise unsupported(
+            model, p, int(row[fluid][0]), "is a fluid (FCTN PFLUID); allowed is SMECH or blank"
+        )
 
 
 def _part(material: Isotropic | Anisotropic, first: int, size: int) -> Isotropic | Anisotropic:
     """Elements first..first + size - 1 of a material."""
-    return type(material)(*(getattr(material, f.name)[first : first + size] for f in fields(material)))
+    return type(material)(
+        *(getattr(material, f.name)[first : first + size] for f in fields(material))
+    )
 
 
 def alike(shape: Shape, model: Model, at: Int) -> Iterable[Int]:
     """The rows `at` (e,) in groups with the same midside nodes and kind of material."""
     present = shape.present(model, at)
     other = is_anisotropic(model, model[shape.card]["PID"][at])
-    code = np.column_stack([present[:, shape.corners :], other]) @ (1 << np.arange(len(shape.edges) + 1))
+    code = np.column_stack([present[:, shape.corners :], other]) @ (
+        1 << np.arange(len(shape.edges) + 1)
+    )
     for c in np.unique(code):
         yield at[code == c]
 
@@ -206,10 +245,14 @@ def kernel(
     return K, det
 
 
-def projected(x: Any_, material: Isotropic | Anisotropic, rule: Rule, pressure: Float) -> tuple[Any_, Any_]:
-    """As `kernel`, with the dilatation of an isotropic body projected on `pressure` (gp, k), against locking.
+def projected(
+    x: Any_, material: Isotropic | Anisotropic, rule: Rule, pressure: Float
+) -> tuple[Any_, Any_]:
+    """As `kernel`, with the dilatation of an isotropic body projected on `pressure` (gp, k),
+    against locking.
 
-    The B-bar method (Hughes 1980) with the least squares fit over the element: constant strains are untouched.
+    The B-bar method (Hughes 1980) with the least squares fit over the element: constant strains are
+    untouched.
     """
     if isinstance(material, Anisotropic) or pressure.shape[0] == pressure.shape[1]:
         return kernel(x, material, rule)
@@ -223,7 +266,9 @@ def projected(x: Any_, material: Isotropic | Anisotropic, rule: Rule, pressure: 
 
 
 def general(A: Any_, C: Any_) -> Any_:
-    """Stiffness (e, 3n, 3n), K[i,p,j,q] = C[p,a,q,b] ∫ ∂aNi ∂bNj, from the Gram matrix (e, n, 3, n, 3)."""
+    """Stiffness (e, 3n, 3n), K[i,p,j,q] = C[p,a,q,b] ∫ ∂aNi ∂bNj, from the Gram matrix (e, n, 3, n,
+    3).
+    """
     e, n = A.shape[:2]
     flat = A.transpose(0, 1, 3, 2, 4).reshape(e, n * n, 9)
     K = flat @ C.transpose(0, 2, 4, 1, 3).reshape(e, 9, 9)
@@ -231,7 +276,9 @@ def general(A: Any_, C: Any_) -> Any_:
 
 
 def mass(x: Any_, rho: Any_, rule: Rule, coupled: bool) -> Any_:
-    """Consistent (e, 3n, 3n), or lumped by its scaled diagonal (e, 3n) (Hinton, Rock and Zienkiewicz 1976)."""
+    """Consistent (e, 3n, 3n), or lumped by its scaled diagonal (e, 3n) (Hinton, Rock and
+    Zienkiewicz 1976).
+    """
     w = determinants(rule.derivatives, x) * rule.weights
     n = rule.values.shape[1]
     if coupled:

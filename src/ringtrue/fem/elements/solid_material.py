@@ -19,7 +19,9 @@ _TERMS = tuple((i, j, f"G{i + 1}{j + 1}") for i in range(6) for j in range(i, 6)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Anisotropic:
-    """MAT9 rows, one an element: `tensor` (e, 3, 3, 3, 3) in basic, `rho, loss` (e,), real or complex."""
+    """MAT9 rows, one an element: `tensor` (e, 3, 3, 3, 3) in basic, `rho, loss` (e,), real or
+    complex.
+    """
 
     tensor: Any_
     rho: Any_
@@ -56,8 +58,8 @@ def anisotropic(m: Mesh, psolid: Int, x: Any_, element_axes: Any_) -> Anisotropi
     Parameters
     ----------
     psolid : (e,) int64
-        Row of PSOLID. Its CORDM is 0 (basic), -1 (`element_axes`, (e, 3, 3)) or a frame, taken at the mean of the
-        nodes x (e, n, 3).
+        Row of PSOLID. Its CORDM is 0 (basic), -1 (`element_axes`, (e, 3, 3)) or a frame, taken at
+        the mean of the nodes x (e, n, 3).
     """
     p, t = m.model["PSOLID"], m.model["MAT9"]
     row = lookup(m.model, "MAT9", p["MID"][psolid], p, psolid)
@@ -83,7 +85,10 @@ def _positive(m: Mesh, C: Any_, row: Int) -> None:
     if bad.size:
         at = int(row[first[bad[0]]])
         raise error(
-            m.model, m.model["MAT9"], at, "its matrix G is not positive; check the signs and places of its terms"
+            m.model,
+            m.model["MAT9"],
+            at,
+            "its matrix G is not positive; check the signs and places of its terms",
         )
 
 
@@ -104,7 +109,8 @@ def bulk(iso: Isotropic) -> tuple[Any_, Any_, Any_]:
 
 
 def nearest(R: Any_) -> Any_:
-    """The rotation nearest to vectors R (e, 3, 3), given as rows: R Qᵀ is symmetric (polar decomposition).
+    """The rotation nearest to vectors R (e, 3, 3), given as rows: R Qᵀ is symmetric (polar
+    decomposition).
 
     By Newton's iteration (Higham 1986), through which a complex step passes.
     """

@@ -1,4 +1,6 @@
-"""CELAS1-4 and CMASS1-4: a spring or mass between two components, in the CD frames, or two scalar points."""
+"""CELAS1-4 and CMASS1-4: a spring or mass between two components, in the CD frames, or two scalar
+points.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,9 @@ from ringtrue.model.model import Table
 
 
 def spread(m: Mesh, ids: Int, component: Int, t: Table, at: Int) -> tuple[Int, Float]:
-    """Three full DOFs (k, 3) of components of nodes or scalar points (k,), -1 for none, and their direction in them."""
+    """Three full DOFs (k, 3) of components of nodes or scalar points (k,), -1 for none, and their
+    direction in them.
+    """
     dof = m.dof(ids, component, t, at)
     node = dof < 6 * len(m.xyz)
     first = np.where(node, dof - dof % 3, dof)
@@ -23,7 +27,9 @@ def spread(m: Mesh, ids: Int, component: Int, t: Table, at: Int) -> tuple[Int, F
 
 
 def _end(m: Mesh, card: str, at: Int, end: int) -> tuple[Int, Float]:
-    """Three full DOFs (e, 3) of an end, -1 where grounded, and the direction of the component in them."""
+    """Three full DOFs (e, 3) of an end, -1 where grounded, and the direction of the component in
+    them.
+    """
     t = m.model[card]
     scalar = f"S{end}" in t.columns
     ids = t[f"S{end}" if scalar else f"G{end}"][at]

@@ -28,7 +28,9 @@ def quadratic(p: Float) -> tuple[Float, Float]:
     corner, d_corner = L * (2 * L - 1), (4 * L - 1)[..., None] * _DL
     i, j = np.array(EDGES).T
     d_edge = 4 * (L[:, i, None] * _DL[j] + L[:, j, None] * _DL[i])
-    return np.concatenate([corner, 4 * L[:, i] * L[:, j]], axis=1), np.concatenate([d_corner, d_edge], axis=1)
+    return np.concatenate([corner, 4 * L[:, i] * L[:, j]], axis=1), np.concatenate(
+        [d_corner, d_edge], axis=1
+    )
 
 
 def _conical(n: int) -> tuple[Float, Float]:
@@ -42,7 +44,9 @@ def _conical(n: int) -> tuple[Float, Float]:
 
 
 def _axes(x: Any_) -> Any_:
-    """As near as can be to the lines that join the middles of opposite edges (Quick Reference Guide, CTETRA)."""
+    """As near as can be to the lines that join the middles of opposite edges (Quick Reference
+    Guide, CTETRA).
+    """
     lines = (([0, 1], [2, 3]), ([0, 2], [1, 3]), ([0, 3], [1, 2]))
     return nearest(np.stack([between(x, a, b) for a, b in lines], axis=1))
 

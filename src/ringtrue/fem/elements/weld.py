@@ -1,10 +1,12 @@
-"""CWELD: a short round beam between two patches or surfaces of shells, a patch and a node, or two nodes.
+"""CWELD: a short round beam between two patches or surfaces of shells, a patch and a node, or two
+nodes.
 
-The end on a patch follows its corners: u = Σ N u_I, and the rotation is that of the surface, θ = Σ (∇N × n)(n·u_I) +
-n (n·(∇N × u_I))/2 (MSC Nastran Linear Static Analysis User's Guide, connector elements: Kirchhoff shell, only the
-translations of the patch). About its middle a uniform beam is six springs: EA/Le, GJ/Le, EI/Le, and across
-1/(Le/kGA + L² Le/12EI), which holds for a length of 0, too. Le is the length, not less than LDMIN and not more than
-LDMAX diameters (PWELD); for TYPE SPOT between two sheets it is half the sum of their thicknesses.
+The end on a patch follows its corners: u = Σ N u_I, and the rotation is that of the surface, θ = Σ
+(∇N × n)(n·u_I) + n (n·(∇N × u_I))/2 (MSC Nastran Linear Static Analysis User's Guide, connector
+elements: Kirchhoff shell, only the translations of the patch). About its middle a uniform beam is
+six springs: EA/Le, GJ/Le, EI/Le, and across 1/(Le/kGA + L² Le/12EI), which holds for a length of 0,
+too. Le is the length, not less than LDMIN and not more than LDMAX diameters (PWELD); for TYPE SPOT
+between two sheets it is half the sum of their thicknesses.
 """
 
 from __future__ import annotations
@@ -23,7 +25,9 @@ SHEAR = 0.9  # shear area of a round section over its area
 
 
 def patches(m: Mesh, card: str, at: Int, side: str) -> tuple[Int, Bool]:
-    """Corner nodes (e, 4) of patch A or B by GRIDID or ELEMID, -1 for none, and which rows have such a patch."""
+    """Corner nodes (e, 4) of patch A or B by GRIDID or ELEMID, -1 for none, and which rows have
+    such a patch.
+    """
     t = m.model[card]
     ids = t.stack(*(f"G{side}{i}" for i in range(1, 5)))[at]
     shell = t[f"SHID{side}"][at]
@@ -32,7 +36,9 @@ def patches(m: Mesh, card: str, at: Int, side: str) -> tuple[Int, Bool]:
         if name in m.model:
             row = m.model[name].find(shell)
             hit = left & (row >= 0)
-            ids[hit, :count] = m.model[name].stack(*(f"G{i}" for i in range(1, count + 1)))[row[hit]]
+            ids[hit, :count] = m.model[name].stack(*(f"G{i}" for i in range(1, count + 1)))[
+                row[hit]
+            ]
             left = left & ~hit
     if left.any():
         why = f"SHID{side} {shell[left][0]} is none of {', '.join(SHELLS)}"
@@ -52,7 +58,8 @@ def _wide(m: Mesh, card: str, at: Int) -> tuple[End, End]:
 
 
 def ends(m: Mesh, card: str, at: Int) -> tuple[End, End]:
-    """Both ends of the rows `at` (e,): on a patch below GS (or GA, GB), else at GS; by ALIGN at GA and GB.
+    """Both ends of the rows `at` (e,): on a patch below GS (or GA, GB), else at GS; by ALIGN at GA
+    and GB.
 
     PARTPAT and ELPAT take squares over several shells.
     """
@@ -61,7 +68,9 @@ def ends(m: Mesh, card: str, at: Int) -> tuple[End, End]:
     if wide.any():
         both = [(np.flatnonzero(wide), _wide(m, card, at[wide]))]
         both += [(np.flatnonzero(~wide), ends(m, card, at[~wide]))] if not wide.all() else []
-        return merged(at.size, [(r, pair[0]) for r, pair in both]), merged(at.size, [(r, pair[1]) for r, pair in both])
+        return merged(at.size, [(r, pair[0]) for r, pair in both]), merged(
+            at.size, [(r, pair[1]) for r, pair in both]
+        )
     align = t["TYPE"][at] == "ALIGN"
     made = []
     for side in "AB":
@@ -72,7 +81,9 @@ def ends(m: Mesh, card: str, at: Int) -> tuple[End, End]:
             raise error(m.model, t, int(at[bare][0]), f"end {side} has neither a patch nor a node")
         point = np.where(there & (given > 0), given, own)
         if (bare := point == 0).any():
-            raise error(m.model, t, int(at[bare][0]), f"no GS or G{side} says where it pierces patch {side}")
+            raise error(
+                m.model, t, int(at[bare][0]), f"no GS or G{side} says where it pierces patch {side}"
+            )
         node = m.nodes(point, t, at)
         p = np.flatnonzero(there)
         q = np.flatnonzero(~there)
@@ -88,7 +99,9 @@ def lengths(L: Float, D: Any_, least: Float, most: Float) -> Any_:
 
 
 def _sheets(m: Mesh, t: Table, at: Int) -> Any_:
-    """Half the thickness of both sheets (e,) of the rows `at` (e,): the effective length of a spot weld."""
+    """Half the thickness of both sheets (e,) of the rows `at` (e,): the effective length of a spot
+    weld.
+    """
     skin = Skin.of(m)
     order = np.argsort(skin.ids, kind="stable")
     total: Any_ = np.zeros(at.size)
@@ -98,7 +111,10 @@ def _sheets(m: Mesh, t: Table, at: Int) -> Any_:
         pid = np.where(shell > 0, skin.pid[named], t[f"PID{side}"][at])
         row = m.model["PSHELL"].find(pid) if "PSHELL" in m.model else np.full(pid.shape, -1)
         if (bad := row < 0).any():
-            why = f"its sheet {side} is no PSHELL, whose thickness is the length of a weld of TYPE SPOT"
+            why = (
+                f"its sheet {side} is no PSHELL, whose thickness is the length of a weld of "
+                "TYPE SPOT"
+            )
             raise error(m.model, t, int(at[bad][0]), why)
         total = total + m.model["PSHELL"]["T"][row] / 2
     return total
@@ -109,7 +125,9 @@ def springs(L: Float, length: Any_, D: Any_, E: Any_, G: Any_) -> Any_:
     area, second = np.pi / 4 * D**2, np.pi / 64 * D**4
     across = 1 / (length / (SHEAR * G * area) + L**2 * length / (12 * E * second))
     bending = E * second / length
-    return np.stack([E * area / length, across, across, 2 * G * second / length, bending, bending], axis=1)
+    return np.stack(
+        [E * area / length, across, across, 2 * G * second / length, bending, bending], axis=1
+    )
 
 
 def between(a: End, b: End) -> tuple[Float, Float]:
@@ -120,7 +138,9 @@ def between(a: End, b: End) -> tuple[Float, Float]:
 
 
 def joined(a: End, b: End, axes: Float, springs: Any_, half: Any_, loss: Any_) -> Matrices:
-    """Matrices by springs (e, 6) half way between the ends, along and about `axes` (e, 3, 3); half the mass at each."""
+    """Matrices by springs (e, 6) half way between the ends, along and about `axes` (e, 3, 3); half
+    the mass at each.
+    """
     middle, local = (a.place + b.place) / 2, rotation(axes, 1)
     move = [local @ arm(middle - end.place) @ end.follow for end in (a, b)]
     K = congruent(np.concatenate([-move[0], move[1]], axis=2), springs[:, :, None] * np.eye(6))
@@ -129,7 +149,9 @@ def joined(a: End, b: End, axes: Float, springs: Any_, half: Any_, loss: Any_) -
     first = 0
     for end in (a, b):
         shift, size = end.follow[:, :3], end.follow.shape[2]
-        M[:, first : first + size, first : first + size] = half[:, None, None] * (shift.swapaxes(1, 2) @ shift)
+        M[:, first : first + size, first : first + size] = half[:, None, None] * (
+            shift.swapaxes(1, 2) @ shift
+        )
         first += size
     nodes = np.concatenate([a.nodes, b.nodes], axis=1)
     dofs = np.where(np.repeat(nodes, 6, axis=1) >= 0, node_dofs(nodes), -1)
@@ -142,14 +164,20 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     Raises
     ------
     DeckError
-        If an end is not determined, a foot lies outside of its patch, or a node, property or material is absent.
+        If an end is not determined, a foot lies outside of its patch, or a node, property or
+        material is absent.
     """
     t = m.model[card]
     row = lookup(m.model, "PWELD", t["PID"][at], t, at)
     p = m.model["PWELD"]
     iso, D = isotropic(m.model, p["MID"][row], p, row), p["D"][row]
     if (bad := (np.real(D) <= 0) | (np.real(iso.G) == 0)).any():
-        raise error(m.model, p, int(row[bad][0]), "D must be greater than 0, and its MAT1 have a shear modulus")
+        raise error(
+            m.model,
+            p,
+            int(row[bad][0]),
+            "D must be greater than 0, and its MAT1 have a shear modulus",
+        )
     a, b = ends(m, card, at)
     L, axis = between(a, b)
     length = lengths(L, D, p["LDMIN"][row], p["LDMAX"][row])

@@ -47,7 +47,9 @@ def read_npz(path: str | Path) -> dict[str, Any_]:
         with zipfile.ZipFile(path) as archive:
             size = sum(part.file_size for part in archive.infolist())
         if size > _CHECKED and size > _PACKED * path.stat().st_size:
-            raise DataError(f"{path}: {path.stat().st_size} bytes unfold to {size}: the file is damaged")
+            raise DataError(
+                f"{path}: {path.stat().st_size} bytes unfold to {size}: the file is damaged"
+            )
         with np.load(path, allow_pickle=False) as found:
             parts = {name: found[name] for name in found.files}
         arrays = {name: part for name, part in parts.items() if isinstance(part, np.ndarray)}
@@ -64,7 +66,9 @@ def _check_characters(texts: Any_) -> None:
         raise ValueError("a text with characters that there are not")
 
 
-def compressed_matrix(kind: str, data: Any_, indices: Any_, starts: Any_, shape: tuple[int, int]) -> sparse.csr_array:
+def compressed_matrix(
+    kind: str, data: Any_, indices: Any_, starts: Any_, shape: tuple[int, int]
+) -> sparse.csr_array:
     """A matrix of compressed rows (`csr`) or columns (`csc`).
 
     Raises
@@ -75,30 +79,48 @@ def compressed_matrix(kind: str, data: Any_, indices: Any_, starts: Any_, shape:
     data, indices, starts = (np.ravel(part) for part in (data, indices, starts))
     check_compressed(kind, data, indices, starts, shape)
     made: dict[str, Any] = {"csr": sparse.csr_array, "csc": sparse.csc_array}
-    return sparse.csr_array(made[kind]((data, indices.astype(np.int64), starts.astype(np.int64)), shape=shape))
+    return sparse.csr_array(
+        made[kind]((data, indices.astype(np.int64), starts.astype(np.int64)), shape=shape)
+    )
 
 
-def check_compressed(kind: str, data: Any_, indices: Any_, starts: Any_, shape: tuple[int, int]) -> None:
-    """Refuse indices that are none of the matrix: scipy's C code believes them, and ends the process.
+def check_compressed(
+    kind: str, data: Any_, indices: Any_, starts: Any_, shape: tuple[int, int]
+) -> None:
+    """Refuse indices that are none of the matrix: scipy's C code believes them, and ends the
+    process.
 
     Raises
     ------
     DataError
-        If an index leaves the matrix, or the starts of the rows (columns) do not rise to the number of values.
+        If an index leaves the matrix, or the starts of the rows (columns) do not rise to the number
+        of values.
     """
     _check_shape(shape)
     lines, across = shape if kind == "csr" else shape[::-1]
-    if any(part.dtype.kind not in "iu" for part in (indices, starts)) or data.dtype.kind not in "fciub":
-        raise DataError(f"indices of {indices.dtype}, values of {data.dtype}: a sparse matrix has integers and numbers")
+    if (
+        any(part.dtype.kind not in "iu" for part in (indices, starts))
+        or data.dtype.kind not in "fciub"
+    ):
+        raise DataError(
+            f"indices of {indices.dtype}, values of {data.dtype}: a sparse matrix has integers "
+            "and numbers"
+        )
     if starts.size != lines + 1 or indices.size != data.size:
-        raise DataError(f"{starts.size} starts, {indices.size} indices and {data.size} values for {shape}")
+        raise DataError(
+            f"{starts.size} starts, {indices.size} indices and {data.size} values for {shape}"
+        )
     if starts[0] != 0 or starts[-1] != data.size or (starts[1:] < starts[:-1]).any():
         raise DataError(f"the starts of rows or columns do not rise from 0 to {data.size}")
     if indices.size and not (indices.min() >= 0 and indices.max() < across):
-        raise DataError(f"indices {indices.min()} to {indices.max()} for a matrix of {shape[0]} x {shape[1]}")
+        raise DataError(
+            f"indices {indices.min()} to {indices.max()} for a matrix of {shape[0]} x {shape[1]}"
+        )
 
 
-def triplet_matrix(data: Any_, rows: Any_, columns: Any_, shape: tuple[int, int] | None = None) -> sparse.csr_array:
+def triplet_matrix(
+    data: Any_, rows: Any_, columns: Any_, shape: tuple[int, int] | None = None
+) -> sparse.csr_array:
     """A matrix of values with their rows and columns; of a shape that holds them if none is given.
 
     Raises
@@ -107,18 +129,29 @@ def triplet_matrix(data: Any_, rows: Any_, columns: Any_, shape: tuple[int, int]
         If an index leaves the matrix, or there are not as many of each.
     """
     data, rows, columns = (np.ravel(part) for part in (data, rows, columns))
-    if any(part.dtype.kind not in "iu" for part in (rows, columns)) or data.dtype.kind not in "fciub":
-        raise DataError(f"rows of {rows.dtype}, values of {data.dtype}: a sparse matrix has integers and numbers")
+    if (
+        any(part.dtype.kind not in "iu" for part in (rows, columns))
+        or data.dtype.kind not in "fciub"
+    ):
+        raise DataError(
+            f"rows of {rows.dtype}, values of {data.dtype}: a sparse matrix has integers and "
+            "numbers"
+        )
     if not rows.size == columns.size == data.size or (shape is None and not data.size):
         raise DataError(f"{rows.size} rows, {columns.size} columns and {data.size} values")
     shape = shape or (int(rows.max()) + 1, int(columns.max()) + 1)
     _check_shape(shape)
     for name, found, size in (("row", rows, shape[0]), ("column", columns, shape[1])):
         if found.size and not (found.min() >= 0 and found.max() < size):
-            raise DataError(f"{name}s {found.min()} to {found.max()} for a matrix of {shape[0]} x {shape[1]}")
+            raise DataError(
+                f"{name}s {found.min()} to {found.max()} for a matrix of {shape[0]} x {shape[1]}"
+            )
     return sparse.csr_array((data, (rows.astype(np.int64), columns.astype(np.int64))), shape=shape)
 
 
 def _check_shape(shape: tuple[int, int]) -> None:
     if len(shape) != 2 or not all(0 <= n < _ROWS for n in shape):
-        raise DataError(f"a matrix of {' x '.join(map(str, shape))}; it must have less than {_ROWS} rows and columns")
+        raise DataError(
+            f"a matrix of {' x '.join(map(str, shape))}; it must have less than {_ROWS} rows and "
+            "columns"
+        )

@@ -1,4 +1,6 @@
-"""The process that `process` starts: parsers in C, and their results as plain arrays, texts, lists and dicts."""
+"""The process that `process` starts: parsers in C, and their results as plain arrays, texts, lists
+and dicts.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ import numpy as np
 
 from ringtrue.io.foreign.door import DAMAGE
 
-if TYPE_CHECKING:  # a parser is imported where it is used: a start with all of them takes twice the time
+if (
+    TYPE_CHECKING
+):  # a parser is imported where it is used: a start with all of them takes twice the time
     import h5py
 
 try:
@@ -25,8 +29,11 @@ except ImportError:  # Windows: the parent's clock is the only limit
 
 _PAGES = Path("/proc/self/statm")  # Linux
 _SAME_FILE = "."  # the name that a virtual data set has for its own file
-_WHOLE = 1 << 26  # bytes up to which a data set is read whole; the samples of larger ones lie in plain blocks
-_PACKED = 1000  # times that a data set may be larger than its file: records of constants are packed 200 times
+_WHOLE = (
+    1 << 26
+)  # bytes up to which a data set is read whole; the samples of larger ones lie in plain blocks
+# times that a data set may be larger than its file: records of constants are packed 200 times
+_PACKED = 1000
 _LATER = 5  # seconds that the parent's clock has to stop this process before its own does
 
 
@@ -56,7 +63,9 @@ def serve() -> None:
 
 
 def _limit(seconds: float, memory: int) -> None:
-    """So that a parser without end does not outlive a parent that was killed, nor takes the machine's memory."""
+    """So that a parser without end does not outlive a parent that was killed, nor takes the
+    machine's memory.
+    """
     if resource is None:
         return
     signal.alarm(int(seconds) + _LATER)
@@ -79,10 +88,14 @@ def _matrix_market(path: str) -> Any:
 
 
 def _matlab(path: str) -> dict[str, Any]:
-    """Arrays, sparse matrices (csr), texts (str), cells (object arrays) and structures (dict) by name."""
+    """Arrays, sparse matrices (csr), texts (str), cells (object arrays) and structures (dict) by
+    name.
+    """
     from scipy import io
 
-    found = io.loadmat(path, spmatrix=False, appendmat=False)  # mat_dtype=True drops imaginary parts
+    found = io.loadmat(
+        path, spmatrix=False, appendmat=False
+    )  # mat_dtype=True drops imaginary parts
     plain = {name: _plain(value) for name, value in found.items() if not name.startswith("__")}
     return {name: value for name, value in plain.items() if value is not None}
 
@@ -110,7 +123,9 @@ def _plain(value: Any) -> Any:
 
 
 def _structure(value: Any) -> dict[str, Any] | None:
-    """Fields of a structure; of an array of several, each field as an object array of its values."""
+    """Fields of a structure; of an array of several, each field as an object array of its
+    values.
+    """
     names = value.dtype.names
     if value.size == 1:
         only = value.reshape(-1)[0]
@@ -125,10 +140,11 @@ def _structure(value: Any) -> dict[str, Any] | None:
 
 
 def _hdf5(path: str) -> str:
-    """Read what a reader may read: if HDF5 does not come back from it, ends or takes all memory, it does so here.
+    """Read what a reader may read: if HDF5 does not come back from it, ends or takes all memory, it
+    does so here.
 
-    Errors are left to the reader, who may not touch what is damaged; those of memory are passed on, as this process is
-    given less of it, and those of attributes that cannot be listed.
+    Errors are left to the reader, who may not touch what is damaged; those of memory are passed on,
+    as this process is given less of it, and those of attributes that cannot be listed.
 
     Returns
     -------
@@ -150,7 +166,9 @@ def _hdf5(path: str) -> str:
                     continue
                 seen.add(address)
                 for name in _attributes(item):
-                    with suppress(OSError, TypeError, ValueError):  # of a type that numpy does not have
+                    with suppress(
+                        OSError, TypeError, ValueError
+                    ):  # of a type that numpy does not have
                         item.attrs[name]
                 if isinstance(item, h5py.Group):
                     todo += _children(item, outside)
@@ -159,7 +177,9 @@ def _hdf5(path: str) -> str:
                 elif others := _stored_elsewhere(item):
                     outside.append(f"the samples of {item.name} stand in {others[0]}")
                 elif (item.size or 0) * item.dtype.itemsize > max(_WHOLE, _PACKED * size):
-                    raise MemoryError(f"{item.name} announces shape {item.shape}, the file holds {size} bytes")
+                    raise MemoryError(
+                        f"{item.name} announces shape {item.shape}, the file holds {size} bytes"
+                    )
                 else:
                     _touch(item)
             except (MemoryError, _Damaged):
@@ -171,7 +191,9 @@ def _hdf5(path: str) -> str:
 
 
 def _attributes(item: Any) -> list[str]:
-    """Names of the attributes; where they cannot be listed, HDF5 may not come back from reading one by its name."""
+    """Names of the attributes; where they cannot be listed, HDF5 may not come back from reading one
+    by its name.
+    """
     try:
         return list(item.attrs)
     except DAMAGE as exc:
@@ -203,7 +225,9 @@ def _stored_elsewhere(data: h5py.Dataset) -> list[str]:
     if made.get_external_count():
         return [os.fsdecode(made.get_external(0)[0])]
     if made.get_layout() == h5py.h5d.VIRTUAL:
-        return [source.file_name for source in data.virtual_sources() if source.file_name != _SAME_FILE]
+        return [
+            source.file_name for source in data.virtual_sources() if source.file_name != _SAME_FILE
+        ]
     return []
 
 

@@ -1,4 +1,6 @@
-"""What a foreign parser raises on a damaged file becomes an error that names the file and says what to try."""
+"""What a foreign parser raises on a damaged file becomes an error that names the file and says what
+to try.
+"""
 
 from __future__ import annotations
 
@@ -44,12 +46,14 @@ _SHOWN = 200  # characters of what the parser says
 def door(
     path: str | Path, kind: str, error: type[InputError] = DataError, advice: str = EXPORT_AGAIN
 ) -> Iterator[None]:
-    """What is raised within, as `error`: "`path`: not a readable `kind`, or damaged (what the parser said): `advice`".
+    """What is raised within, as `error`: "`path`: not a readable `kind`, or damaged (what the
+    parser said): `advice`".
 
     Raises
     ------
     InputError
-        Of the class `error`. Errors of ringtrue's own pass as they are, and so does a file that may not be opened.
+        Of the class `error`. Errors of ringtrue's own pass as they are, and so does a file that may
+        not be opened.
     """
     try:
         yield

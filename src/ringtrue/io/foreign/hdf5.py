@@ -1,4 +1,6 @@
-"""HDF5 files for reading; links and storage outside of them are refused, unless `RINGTRUE_HDF5_OUTSIDE=1` is set."""
+"""HDF5 files for reading; links and storage outside of them are refused, unless
+`RINGTRUE_HDF5_OUTSIDE=1` is set.
+"""
 
 from __future__ import annotations
 
@@ -19,26 +21,32 @@ _PARSER = "hdf5"
 
 
 @contextmanager
-def open_hdf5(path: str | Path, kind: str = "HDF5 file", advice: str = EXPORT_AGAIN) -> Iterator[h5py.File]:
+def open_hdf5(
+    path: str | Path, kind: str = "HDF5 file", advice: str = EXPORT_AGAIN
+) -> Iterator[h5py.File]:
     """The file for reading; all that HDF5 raises on damage within the block names it.
 
     Raises
     ------
     DataError
-        If the file is missing, damaged, or has data in other files: one that was sent could else show what stands in
-        any file that its reader may open.
+        If the file is missing, damaged, or has data in other files: one that was sent could else
+        show what stands in any file that its reader may open.
     """
     path = existing(path)
     with door(path, kind, advice=advice):
         outside = tried_apart(_PARSER, path, kind, advice)
         if outside and os.environ.get(OUTSIDE) != "1":
-            raise DataError(f"{path}: {outside}, outside of the file; if you trust it, set {OUTSIDE}=1")
+            raise DataError(
+                f"{path}: {outside}, outside of the file; if you trust it, set {OUTSIDE}=1"
+            )
         with h5py.File(path, "r") as file:
             yield file
 
 
 def trust_hdf5(path: str | Path) -> None:
-    """Note that this process has written the file as it stands: it is not tried before it is opened."""
+    """Note that this process has written the file as it stands: it is not tried before it is
+    opened.
+    """
     need_not_try(_PARSER, Path(path), "")
 
 

@@ -1,8 +1,10 @@
-"""Reads in a process of their own, for parsers in C that end the process or never come back on some damaged files.
+"""Reads in a process of their own, for parsers in C that end the process or never come back on some
+damaged files.
 
-scipy 1.17: `mmread` ends the process on 0.1 % of the damaged MatrixMarket files, `loadmat` on 4 % of the MATLAB files.
-HDF5 2.0: of 10,000 damaged files one hangs, one ends the process and one takes gigabytes; `tried_apart` opens it first.
-One child serves all reads of a process, so that a file costs its start once; it has limits of time and memory.
+scipy 1.17: `mmread` ends the process on 0.1 % of the damaged MatrixMarket files, `loadmat` on 4 %
+of the MATLAB files. HDF5 2.0: of 10,000 damaged files one hangs, one ends the process and one takes
+gigabytes; `tried_apart` opens it first. One child serves all reads of a process, so that a file
+costs its start once; it has limits of time and memory.
 """
 
 from __future__ import annotations
@@ -25,7 +27,9 @@ _SECONDS = 5.0  # for any file
 _RATE = 5 * MEGABYTE  # bytes a second that a parser reads at least
 _MEMORY = 512 * MEGABYTE  # for any file
 _TIMES = 16  # and that many times its size
-_START = "import sys; sys.path[:] = sys.argv[1:]; from ringtrue.io.foreign.child import serve; serve()"
+_START = (
+    "import sys; sys.path[:] = sys.argv[1:]; from ringtrue.io.foreign.child import serve; serve()"
+)
 
 
 class _Child:
@@ -45,7 +49,9 @@ class _Child:
         self.process.stdout.read(1)  # it is there: its start is no time of a parser
 
     def ask(self, parser: str, path: Path, seconds: float, memory: int) -> tuple[str, Any]:
-        """`done` with the value, `failed` with what the parser said, `ended` with `late` or nothing."""
+        """`done` with the value, `failed` with what the parser said, `ended` with `late` or
+        nothing.
+        """
         assert self.process.stdin is not None
         assert self.process.stdout is not None
         watch = threading.Timer(seconds, self._stop)
@@ -57,7 +63,9 @@ class _Child:
             return answer
         except (EOFError, BrokenPipeError, pickle.UnpicklingError):
             return "ended", "late" if self.late else ""
-        except BaseException:  # of Ctrl-C, too: what is left of this answer must not be taken for the next one
+        except (
+            BaseException
+        ):  # of Ctrl-C, too: what is left of this answer must not be taken for the next one
             self.process.kill()
             self.process.wait()
             raise
@@ -138,7 +146,9 @@ def _state(path: Path) -> tuple[int, int, int, int]:
 
 
 def _running() -> _Child:
-    """The child of this process; a new one where there is none, it has ended, or it is that of the parent."""
+    """The child of this process; a new one where there is none, it has ended, or it is that of the
+    parent.
+    """
     global _child
     with _choose:
         if _child is None or _child.owner != os.getpid() or _child.process.poll() is not None:

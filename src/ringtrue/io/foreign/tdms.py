@@ -1,4 +1,6 @@
-"""National Instruments TDMS files, opened by nptdms once their segments are known to lie in the file."""
+"""National Instruments TDMS files, opened by nptdms once their segments are known to lie in the
+file.
+"""
 
 from __future__ import annotations
 
@@ -49,11 +51,16 @@ def _check_segments(raw: bytes, path: Path) -> None:
         if order == ">":
             after, data_at = struct.unpack_from(">QQ", raw, at + 12)
         if after != _OPEN_END and (data_at > after or at + _LEAD_IN.size + data_at > len(raw)):
-            raise DataError(f"{path}: segment {seen} has its samples {data_at} bytes on, past its end: the file is cut")
+            raise DataError(
+                f"{path}: segment {seen} has its samples {data_at} bytes on, past its end: the "
+                "file is cut"
+            )
         if mask & 2 and at + _LEAD_IN.size + 4 <= len(raw):
             (objects,) = struct.unpack_from(f"{order}I", raw, at + _LEAD_IN.size)
             if objects > min(_TOO_MANY, len(raw)):
-                raise DataError(f"{path}: segment {seen} announces {objects} objects: the file is damaged")
+                raise DataError(
+                    f"{path}: segment {seen} announces {objects} objects: the file is damaged"
+                )
         at = at + _LEAD_IN.size + after if after != _OPEN_END else len(raw)
     if not seen:
         raise DataError(f"{path}: not a TDMS file")

@@ -22,8 +22,8 @@ def read_json(path: str | Path, error: type[InputError] = DataError) -> Any:
     Raises
     ------
     InputError
-        Of the class `error`: the file is missing or not JSON, its lists are nested more than `DEEPEST` deep, or an
-        integer has more than 64 bits.
+        Of the class `error`: the file is missing or not JSON, its lists are nested more than
+        `DEEPEST` deep, or an integer has more than 64 bits.
     """
     path = existing(path)
     check_size(path, LARGEST, "JSON file", error)
@@ -71,7 +71,10 @@ def _bounded(value: Any, path: str | Path, error: type[InputError]) -> Any:
             elif isinstance(part, list):
                 inside += part
             elif isinstance(part, int) and not -_WIDEST <= part < _WIDEST:
-                raise error(f"{path}: an integer of {len(str(abs(part)))} digits; it must have 64 bits or less")
+                raise error(
+                    f"{path}: an integer of {len(str(abs(part)))} digits; it must have 64 bits "
+                    "or less"
+                )
         if not inside:
             return value
         level = inside
@@ -79,4 +82,7 @@ def _bounded(value: Any, path: str | Path, error: type[InputError]) -> Any:
 
 
 def _too_deep(path: str | Path, error: type[InputError]) -> InputError:
-    return error(f"{path}: lists or tables nested more than {DEEPEST} deep: this is no file of settings or modes")
+    return error(
+        f"{path}: lists or tables nested more than {DEEPEST} deep: this is no file of settings "
+        "or modes"
+    )

@@ -1,4 +1,6 @@
-"""Universal files written by pyuff; `ringtrue.io.uff` reads them, and knows what vendors make of the standard."""
+"""Universal files written by pyuff; `ringtrue.io.uff` reads them, and knows what vendors make of
+the standard.
+"""
 
 from __future__ import annotations
 

@@ -20,7 +20,8 @@ _OPEN_ENDS = (0, 0xFFFFFFFF)  # lengths of a file that its recorder did not clos
 
 
 def read_wave(path: str | Path) -> tuple[float, Any_]:
-    """Rate (Hz) and samples (sample, channel), as scipy gives them: 24 bits stand in the upper bytes of 32.
+    """Rate (Hz) and samples (sample, channel), as scipy gives them: 24 bits stand in the upper
+    bytes of 32.
 
     Raises
     ------
@@ -28,7 +29,9 @@ def read_wave(path: str | Path) -> tuple[float, Any_]:
         If it is no WAVE file, compressed or damaged.
     """
     path = existing(path)
-    raw = bytearray(path.read_bytes())  # in memory a damaged length cannot ask for more than there is
+    raw = bytearray(
+        path.read_bytes()
+    )  # in memory a damaged length cannot ask for more than there is
     with door(path, "WAVE file of PCM or floats"):
         if raw[:4] == b"RIFF" and struct.unpack("<I", raw[4:8])[0] in _OPEN_ENDS:
             raw[4:8] = struct.pack("<I", min(len(raw) - 8, 0xFFFFFFFE))

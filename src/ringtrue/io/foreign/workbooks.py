@@ -51,7 +51,9 @@ def read_sheet(path: str | Path, sheet: str | None = None) -> list[list[object]]
         for row in page.iter_rows(values_only=True):
             cells += len(row) + 1
             if cells > MOST_CELLS:
-                raise DataError(f"{path}: sheet {page.title!r} has more than {MOST_CELLS} cells: {_SAVE_AGAIN}")
+                raise DataError(
+                    f"{path}: sheet {page.title!r} has more than {MOST_CELLS} cells: {_SAVE_AGAIN}"
+                )
             values = list(row)
             while values and values[-1] is None:
                 values.pop()
@@ -66,7 +68,10 @@ def _opened(path: str | Path) -> Iterator[Any]:
         with zipfile.ZipFile(path) as archive:
             for part in archive.infolist():
                 if part.filename.lower().endswith((".xml", ".rels")) and part.file_size > _UNPACKED:
-                    size = f"{part.file_size / MEGABYTE:.0f} MB, the file {path.stat().st_size / MEGABYTE:.1f} MB"
+                    size = (
+                        f"{part.file_size / MEGABYTE:.0f} MB, the file "
+                        f"{path.stat().st_size / MEGABYTE:.1f} MB"
+                    )
                     raise DataError(f"{path}: {part.filename} unfolds to {size}: {_SAVE_AGAIN}")
         book = openpyxl.load_workbook(path, read_only=True, data_only=True)
         try:

@@ -1,4 +1,6 @@
-"""Non-structural mass of chosen lists: NSM, NSML (pairs of an id and a value), NSM1, NSML1 (a value and ids)."""
+"""Non-structural mass of chosen lists: NSM, NSML (pairs of an id and a value), NSM1, NSML1 (a value
+and ids).
+"""
 
 from __future__ import annotations
 
@@ -52,7 +54,9 @@ def lists(cards: Sequence[Card], files: Files) -> Table:
 def _reader(card: Card, files: Files) -> Reader:
     r = Reader(card, files)
     if "DISTR" in card.fields:
-        raise UnsupportedCard(card.name, path=files[card.file], line=card.line, why="DISTR; leave it out")
+        raise UnsupportedCard(
+            card.name, path=files[card.file], line=card.line, why="DISTR; leave it out"
+        )
     return r
 
 
@@ -74,6 +78,8 @@ def _ids(r: Reader) -> list[int]:
             step = r.whole(at[1], "ID")
             at = at[2:]
         if last < out[-1] or step < 1:
-            raise r.fail("ID", f"a THRU b BY c needs a <= b and c >= 1, got {out[-1]} THRU {last} BY {step}")
+            raise r.fail(
+                "ID", f"a THRU b BY c needs a <= b and c >= 1, got {out[-1]} THRU {last} BY {step}"
+            )
         out += range(out[-1] + step, last + 1, step)
     return out

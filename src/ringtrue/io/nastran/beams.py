@@ -1,8 +1,9 @@
-"""Beam properties: PBEAM with its stations, PBCOMP from its areas, PBARL and PBEAML from their sections.
+"""Beam properties: PBEAM with its stations, PBCOMP from its areas, PBARL and PBEAML from their
+sections.
 
-A row of the PBEAM table holds both ends; its ragged columns hold the stations between them in the order of the card,
-`X` their place over the length, `AX` .. `NSMX` what stands there, nan for a blank: on the straight line between
-the ends (MSC Nastran Quick Reference Guide, PBEAM, remark 5).
+A row of the PBEAM table holds both ends; its ragged columns hold the stations between them in the
+order of the card, `X` their place over the length, `AX` .. `NSMX` what stands there, nan for a
+blank: on the straight line between the ends (MSC Nastran Quick Reference Guide, PBEAM, remark 5).
 """
 
 from __future__ import annotations
@@ -34,7 +35,9 @@ def pbeam(cards: Sequence[Card], files: Files) -> Table:
 
 
 def pbcomp(cards: Sequence[Card], files: Files) -> Table:
-    """PBCOMP as a table of PBEAM; lumped areas of other materials than the card's own are refused."""
+    """PBCOMP as a table of PBEAM; lumped areas of other materials than the card's own are
+    refused.
+    """
     return _table("PBEAM", [(c, _lumped(Reader(c, files))) for c in cards], files)
 
 
@@ -52,17 +55,22 @@ def _table(card: str, rows: Sequence[tuple[Card, Row]], files: Files) -> Table:
     made: dict[str, NDArray[Any] | Ragged] = {}
     for spec in columns(card):
         if spec.name in ("PID", "MID"):
-            values: list[Any] = [Reader(c, files).whole(("PID", "MID").index(spec.name), spec.name) for c, _ in rows]
+            values: list[Any] = [
+                Reader(c, files).whole(("PID", "MID").index(spec.name), spec.name) for c, _ in rows
+            ]
             made[spec.name] = np.array(values, dtype=np.int64)
         elif spec.tail:
             made[spec.name] = ragged([row.get(spec.name, []) for _, row in rows], np.float64)  # type: ignore[misc]
         elif not spec.blank:
-            made[spec.name] = np.array([row.get(spec.name, spec.default) for _, row in rows], dtype=np.float64)
+            made[spec.name] = np.array(
+                [row.get(spec.name, spec.default) for _, row in rows], dtype=np.float64
+            )
     return Table(card, made, *places([c for c, _ in rows]))
 
 
 def beam_stations(r: Reader) -> tuple[list[tuple[float, int]], int]:
-    """Stations behind end A of a PBEAM: x / length with the place of A, and the field behind the stations.
+    """Stations behind end A of a PBEAM: x / length with the place of A, and the field behind the
+    stations.
 
     Raises
     ------
@@ -73,14 +81,18 @@ def beam_stations(r: Reader) -> tuple[list[tuple[float, int]], int]:
     found = []
     while (flag := r.text(at).upper()) in _STATION:
         found.append((_place(r, at + 1), at + 2))
-        at += 16 if flag == "YES" and r.text(at + 8).upper() not in _STATION else 8  # YESA and NO: no stress points
+        at += (
+            16 if flag == "YES" and r.text(at + 8).upper() not in _STATION else 8
+        )  # YESA and NO: no stress points
     return found, at
 
 
 def _place(r: Reader, at: int) -> float:
     x = r.real(at, "X/XB", 1.0)
     if not 0 < x <= 1:
-        raise r.fail("X/XB", f"a station at {x:g} of the length; allowed are places behind 0 up to 1, end B")
+        raise r.fail(
+            "X/XB", f"a station at {x:g} of the length; allowed are places behind 0 up to 1, end B"
+        )
     return x
 
 
@@ -90,7 +102,10 @@ def _beam_row(r: Reader) -> Row:
     stations, at = beam_stations(r)
     for x, place in stations:
         if x == 1.0:
-            row |= {b: r.real(place + k, b, row[a]) for k, (a, b) in enumerate(zip(END_A, END_B, strict=True))}
+            row |= {
+                b: r.real(place + k, b, row[a])
+                for k, (a, b) in enumerate(zip(END_A, END_B, strict=True))
+            }
     row |= {n: r.real(at + k, n, 1.0 if n in ("K1", "K2") else 0.0) for k, n in enumerate(_TAIL)}
     row |= {n: r.real(at + 8 + k, n, 0.0) for k, n in enumerate(_TAIL2)}
     if not r.text(at + 5):
@@ -104,7 +119,9 @@ def _beam_row(r: Reader) -> Row:
 
 
 def _lumped(r: Reader) -> Row:
-    """The PBEAM of a PBCOMP; lumped areas give A, I1, I2, I12 and the neutral axis (QRG, PBCOMP, remark 7)."""
+    """The PBEAM of a PBCOMP; lumped areas give A, I1, I2, I12 and the neutral axis (QRG, PBCOMP,
+    remark 7).
+    """
     row = {n: r.real(2 + k, n, 0.0) for k, n in enumerate(END_A)}
     row |= {n: r.real(8 + k, n, 1.0) for k, n in enumerate(("K1", "K2"))}
     at = {n: r.real(10 + k, n, 0.0) for k, n in enumerate(("M1", "M2", "N1", "N2"))}
@@ -112,7 +129,10 @@ def _lumped(r: Reader) -> Row:
     if total := share.sum():
         at["N1"], at["N2"] = share @ y / total, share @ z / total
         y, z = y - at["N1"], z - at["N2"]
-        row |= {n: row["A"] * float(share @ v) for n, v in (("I1", y * y), ("I2", z * z), ("I12", y * z))}
+        row |= {
+            n: row["A"] * float(share @ v)
+            for n, v in (("I1", y * y), ("I2", z * z), ("I12", y * z))
+        }
         row["A"] *= float(total)
     row |= {b: row[a] for a, b in zip(END_A, END_B, strict=True)}
     return {**row, **{f"{n}{end}": float(v) for n, v in at.items() for end in "AB"}}
@@ -121,21 +141,31 @@ def _lumped(r: Reader) -> Row:
 def _areas(r: Reader) -> NDArray[np.float64]:
     """y, z and share of the area of each lumped area of a PBCOMP, (3, n)."""
     at = range(16, len(r.card.fields), 8)
-    given = np.array([[r.real(i + k, n, 0.0) for i in at] for k, n in enumerate(("Yi", "Zi", "Ci"))])
+    given = np.array(
+        [[r.real(i + k, n, 0.0) for i in at] for k, n in enumerate(("Yi", "Zi", "Ci"))]
+    )
     symmetry = r.whole(14, "SYMOPT", 0)
     other = any(r.text(i + 3) and r.whole(i + 3, "MIDi") != r.whole(1, "MID") for i in at)
-    why = "lumped areas of several materials; give PBEAM with A, I1, I2, I12 weighted by the moduli" if other else ""
+    why = (
+        "lumped areas of several materials; give PBEAM with A, I1, I2, I12 weighted by the moduli"
+        if other
+        else ""
+    )
     if given.any() and symmetry not in (0, 1, 5):
         why = f"SYMOPT {symmetry}; give all areas (SYMOPT 0), or those of a quarter (1)"
     if why:
         raise UnsupportedCard("PBCOMP", path=r.files[r.card.file], line=r.card.line, why=why)
     if symmetry == 1:
-        given = np.hstack([given * np.array([[a], [b], [1.0]]) for a in (1.0, -1.0) for b in (1.0, -1.0)])
+        given = np.hstack(
+            [given * np.array([[a], [b], [1.0]]) for a in (1.0, -1.0) for b in (1.0, -1.0)]
+        )
     return given
 
 
 def _dimensions(r: Reader, at: int) -> tuple[list[float], float, int]:
-    """Dimensions from field `at` on, nan for a blank that is that of another, NSM, and the field behind."""
+    """Dimensions from field `at` on, nan for a blank that is that of another, NSM, and the field
+    behind.
+    """
     c, kind = r.card, r.text(3).upper()
     if kind not in SECTIONS:
         why = f"section {kind!r}; supported are {', '.join(sorted(SECTIONS))}"
@@ -146,7 +176,9 @@ def _dimensions(r: Reader, at: int) -> tuple[list[float], float, int]:
 
 
 def _stations(r: Reader, at: int) -> list[tuple[float, list[float], float, int]]:
-    """Places over the length of the sections behind end A, their dimensions and NSM, and where the first stands."""
+    """Places over the length of the sections behind end A, their dimensions and NSM, and where the
+    first stands.
+    """
     found = []
     while r.text(at).upper() in _STATION:
         x = _place(r, at + 1)
@@ -184,7 +216,9 @@ def dimensions(cards: Sequence[Card], files: Files) -> Table:
         for name, value in zip(("PID", "TYPE", "NSM", "DIM", "NSMB", "DIMB"), values, strict=True):
             if name in rows:
                 rows[name].append(value)
-    made = {n: ragged(v, np.float64) if n.startswith("DIM") else np.array(v) for n, v in rows.items()}
+    made = {
+        n: ragged(v, np.float64) if n.startswith("DIM") else np.array(v) for n, v in rows.items()
+    }
     return Table(cards[0].name, made, *places(cards))
 
 
@@ -221,7 +255,9 @@ def bend_places(fields: Sequence[str]) -> Mapping[str, int]:
 
 
 def pbend(cards: Sequence[Card], files: Files) -> Table:
-    """PBEND of either form; a pipe with flexibility factors other than 1, or as NX has it, is refused."""
+    """PBEND of either form; a pipe with flexibility factors other than 1, or as NX has it, is
+    refused.
+    """
     names = tuple(n for n in dict.fromkeys((*_PIPE, *_BEND)) if n != "FSI")
     cols: dict[str, list[float]] = {n: [] for n in ("PID", "MID", "FSI", *names)}
     for c in cards:
@@ -230,7 +266,10 @@ def pbend(cards: Sequence[Card], files: Files) -> Table:
         if at is _PIPE:
             foreign = any(r.text(i) for i in (8, 9, *range(13, len(c.fields))))
             if r.whole(2, "FSI") != 1 or foreign:
-                why = "of pipes FSI = 1, NSM, RC and ZC are; give A, I1, I2, J with the flexibility in I1 and I2"
+                why = (
+                    "of pipes FSI = 1, NSM, RC and ZC are; give A, I1, I2, J with the "
+                    "flexibility in I1 and I2"
+                )
                 raise UnsupportedCard("PBEND", path=files[c.file], line=c.line, why=why)
         cols["PID"].append(r.whole(0, "PID"))
         cols["MID"].append(r.whole(1, "MID"))
@@ -240,5 +279,7 @@ def pbend(cards: Sequence[Card], files: Files) -> Table:
             cols[n].append(r.real(at[n], n, blank) if n in at else blank)
     whole = ("PID", "MID", "FSI")
     return Table(
-        "PBEND", {n: np.array(v, np.int64 if n in whole else np.float64) for n, v in cols.items()}, *places(cards)
+        "PBEND",
+        {n: np.array(v, np.int64 if n in whole else np.float64) for n, v in cols.items()},
+        *places(cards),
     )

@@ -22,7 +22,8 @@ Text = NDArray[np.str_]
 
 
 def write_bulk(model: Model, *, without: Collection[str] = NOT_MODEL) -> str:
-    """The model as bulk data cards: small fields where they hold the values exactly, large ones elsewhere.
+    """The model as bulk data cards: small fields where they hold the values exactly, large ones
+    elsewhere.
 
     Parameters
     ----------
@@ -45,7 +46,17 @@ def write_bulk(model: Model, *, without: Collection[str] = NOT_MODEL) -> str:
         for name, value in model.params.items()
         if name not in without
     ]
-    return "".join([*params, *(text for card, t in model.tables.items() if card not in without for text in _cards(t))])
+    return "".join(
+        [
+            *params,
+            *(
+                text
+                for card, t in model.tables.items()
+                if card not in without
+                for text in _cards(t)
+            ),
+        ]
+    )
 
 
 def _short(value: float) -> str:
@@ -93,7 +104,9 @@ def _column(table: Table, spec: FieldSpec, width: int) -> Text:
 
 
 def _reals(values: Float, width: int) -> Text:
-    """Reals as text, defaults too: MYSTRAN has 0 for a blank S of a CBUSH. Each different value is formatted once."""
+    """Reals as text, defaults too: MYSTRAN has 0 for a blank S of a CBUSH. Each different value is
+    formatted once.
+    """
     unique, at = np.unique(values, return_inverse=True)
     text = ["" if np.isnan(v) else format_real(v, width) for v in unique.tolist()]
     return np.array(text, dtype=f"U{width}")[at.reshape(-1)]
@@ -125,7 +138,9 @@ def _exact(table: Table, specs: Sequence[FieldSpec], small: Text) -> bool:
             text, first = np.unique(small[:, j], return_index=True)
             given = text != ""
             back = np.array([_value(t) for t in text[given].tolist()])
-            if (back != table[spec.name][first[given]]).any() or np.unique(table[spec.name]).size > text.size:
+            if (back != table[spec.name][first[given]]).any() or np.unique(
+                table[spec.name]
+            ).size > text.size:
                 return False
     return True
 
@@ -140,7 +155,9 @@ def _value(text: str) -> float:
 
 
 def _lines(card: str, cells: Text, width: int) -> str:
-    """Cards of (row, field) text in fixed columns; blank lines at the end of a card are left out."""
+    """Cards of (row, field) text in fixed columns; blank lines at the end of a card are left
+    out.
+    """
     per_line = 64 // width
     n = -(-cells.shape[1] // per_line)
     padded = np.full((len(cells), n * per_line), "", dtype=cells.dtype)
@@ -148,14 +165,18 @@ def _lines(card: str, cells: Text, width: int) -> str:
     used = np.where(padded != "", np.arange(padded.shape[1]) // per_line + 1, 1).max(axis=1)
     if width == 16:
         used += used % 2  # large-field lines come in pairs
-    head = [card.ljust(8) if width == 8 else f"{card}*".ljust(8)] + [("" if width == 8 else "*").ljust(8)] * n
+    head = [card.ljust(8) if width == 8 else f"{card}*".ljust(8)] + [
+        ("" if width == 8 else "*").ljust(8)
+    ] * n
     out = np.empty(len(cells), dtype=object)
     for k in np.unique(used).tolist():
         rows = np.flatnonzero(used == k)
         block = np.strings.rjust(padded[rows, : min(k, n) * per_line], width)
         text = "".join
         out[rows] = [
-            "\n".join((head[i] + text(row[i * per_line : (i + 1) * per_line])).rstrip() for i in range(k))
+            "\n".join(
+                (head[i] + text(row[i * per_line : (i + 1) * per_line])).rstrip() for i in range(k)
+            )
             for row in block.tolist()
         ]
     return "\n".join(out.tolist()) + "\n"

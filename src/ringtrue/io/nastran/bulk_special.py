@@ -1,4 +1,6 @@
-"""Cards of special layout as text: constraints, laminates, beams, bushes and matrices, a card at a time."""
+"""Cards of special layout as text: constraints, laminates, beams, bushes and matrices, a card at a
+time.
+"""
 
 from __future__ import annotations
 
@@ -38,15 +40,21 @@ def _mpc(t: Table) -> Iterator[str]:
 
 def _rbe3(t: Table) -> Iterator[str]:
     g, c, w = (t.ragged(k) for k in ("G", "C", "WT"))
-    for i, (eid, ref, refc) in enumerate(zip(*(t[k].tolist() for k in ("EID", "REFGRID", "REFC")), strict=True)):
+    for i, (eid, ref, refc) in enumerate(
+        zip(*(t[k].tolist() for k in ("EID", "REFGRID", "REFC")), strict=True)
+    ):
         fields: list[Value] = [eid, None, ref, refc]
         before: tuple[float, str] | None = None
-        for node, comp, weight in zip(g.row(i).tolist(), c.row(i).tolist(), w.row(i).tolist(), strict=True):
+        for node, comp, weight in zip(
+            g.row(i).tolist(), c.row(i).tolist(), w.row(i).tolist(), strict=True
+        ):
             if (weight, comp) != before:
                 fields += [weight, comp]
                 before = (weight, comp)
             fields.append(node)
-        dependent = [v for k in ("GM", "CM") if k in t.columns for v in [t.ragged(k).row(i).tolist()]]
+        dependent = [
+            v for k in ("GM", "CM") if k in t.columns for v in [t.ragged(k).row(i).tolist()]
+        ]
         for k, pair in enumerate(zip(*dependent, strict=True)):
             if k % 3 == 0:  # UM opens a line, three pairs stand on each
                 fields += [None] * (-len(fields) % 8) + (["UM"] if not k else [None])
@@ -60,7 +68,9 @@ def _pbush(t: Table) -> Iterator[str]:
         for flag, names in BUSH.items():
             values = [float(t[n][i]) for n in names if n in t.columns]
             if np.nan_to_num(values).any():
-                written = (None if np.isnan(v) or (v == 0 and flag != "GE") else v for v in values)  # a 0 in GE counts
+                written = (
+                    None if np.isnan(v) or (v == 0 and flag != "GE") else v for v in values
+                )  # a 0 in GE counts
                 lines.append([flag, *written, *[None] * (6 - len(values))])
         fields: list[Value] = [pid]
         for k, line in enumerate(lines or _NO_STIFFNESS):
@@ -83,7 +93,9 @@ def _pbeam(t: Table) -> Iterator[str]:
 
         blank: list[Value] = [None] * 8
         fields = [int(t["PID"][i]), int(t["MID"][i]), *values(_BEAM_A), *blank]
-        for station in zip(*(t.ragged(n).row(i).tolist() for n in _BEAM_X if n in t.columns), strict=True):
+        for station in zip(
+            *(t.ragged(n).row(i).tolist() for n in _BEAM_X if n in t.columns), strict=True
+        ):
             fields += ["NO", *(None if np.isnan(v) else v for v in station)]
         fields += ["YES", 1.0, *values(_BEAM_B), *blank]
         fields += [*values(_BEAM_TAIL), None, None, *values(_BEAM_AXIS)]
@@ -95,7 +107,13 @@ def _pbend(t: Table) -> Iterator[str]:
         at = bend_places(["", "", "1" if pipe else ""])
         fields: list[Value] = [int(t["PID"][i]), int(t["MID"][i]), *[None] * max(at.values())]
         for name, k in at.items():
-            fields[k] = int(t[name][i]) if name == "FSI" else None if np.isnan(t[name][i]) else float(t[name][i])
+            fields[k] = (
+                int(t[name][i])
+                if name == "FSI"
+                else None
+                if np.isnan(t[name][i])
+                else float(t[name][i])
+            )
         yield large_card("PBEND", fields)
 
 
@@ -106,7 +124,9 @@ def _nsm_pairs(t: Table) -> Iterator[str]:
 
 def _nsm_lists(t: Table) -> Iterator[str]:
     for i, head in enumerate(zip(*(t[k].tolist() for k in ("SID", "TYPE", "VALUE")), strict=True)):
-        yield large_card(t.card, [*head, *("ALL" if g == 0 else g for g in t.ragged("ID").row(i).tolist())])
+        yield large_card(
+            t.card, [*head, *("ALL" if g == 0 else g for g in t.ragged("ID").row(i).tolist())]
+        )
 
 
 def _rbe1(t: Table) -> Iterator[str]:
@@ -126,14 +146,18 @@ def _rspline(t: Table) -> Iterator[str]:
     g, c = t.ragged("G"), t.ragged("C")
     for i, (eid, ratio) in enumerate(zip(t["EID"].tolist(), t["DL"].tolist(), strict=True)):
         pairs = list(zip(g.row(i).tolist(), c.row(i).tolist(), strict=True))
-        yield format_card("RSPLINE", [eid, ratio, pairs[0][0], *(v or None for pair in pairs[1:] for v in pair)])
+        yield format_card(
+            "RSPLINE", [eid, ratio, pairs[0][0], *(v or None for pair in pairs[1:] for v in pair)]
+        )
 
 
 def _genel(t: Table) -> Iterator[str]:
     lists = {k: t.ragged(k) for k in ("UI", "CI", "UD", "CD", "KZ", "S")}
     for i, (eid, form) in enumerate(zip(t["EID"].tolist(), t["FORM"].tolist(), strict=True)):
         row = {k: v.row(i).tolist() for k, v in lists.items()}
-        ui, ud = ([v for p in zip(row[f"U{k}"], row[f"C{k}"], strict=True) for v in p] for k in "ID")
+        ui, ud = (
+            [v for p in zip(row[f"U{k}"], row[f"C{k}"], strict=True) for v in p] for k in "ID"
+        )
         fields: list[Value] = [eid, None, *ui]
         for name, values in (("UD", [None, *ud] if ud else []), (form, row["KZ"]), ("S", row["S"])):
             if values:
@@ -158,13 +182,20 @@ def _dmig(t: Table) -> Iterator[str]:
     terms = {k: t.ragged(k) for k in ("GJ", "CJ", "GI", "CI", "A", "B")}
     for i, name in enumerate(t["NAME"].tolist()):
         head = [int(t[k][i]) for k in ("IFO", "TIN", "TOUT", "POLAR")]
-        yield format_card("DMIG", (name, 0, *(h or None for h in head), None, int(t["NCOL"][i]) or None))
+        yield format_card(
+            "DMIG", (name, 0, *(h or None for h in head), None, int(t["NCOL"][i]) or None)
+        )
         rows = {k: v.row(i) for k, v in terms.items()}
         column = rows["GJ"] * 8 + rows["CJ"]
         for key in np.unique(column).tolist():
             fields: list[Value] = [name, key // 8, key % 8, None]
             for at in np.flatnonzero(column == key).tolist():
-                fields += [int(rows["GI"][at]), int(rows["CI"][at]), float(rows["A"][at]), float(rows["B"][at]) or None]
+                fields += [
+                    int(rows["GI"][at]),
+                    int(rows["CI"][at]),
+                    float(rows["A"][at]),
+                    float(rows["B"][at]) or None,
+                ]
             yield large_card("DMIG", fields)
 
 

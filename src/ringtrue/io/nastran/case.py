@@ -11,18 +11,23 @@ from ringtrue.io.nastran.lexer import real
 from ringtrue.model.cards import PRELOADS
 from ringtrue.model.model import CaseControl
 
-_COMMAND = re.compile(r"\s*([A-Z]\w*)\s*(\([^)]*\))?(?:\s*=\s*|\s+)(.*?)\s*", re.I | re.S)  # a blank may stand for =
+_COMMAND = re.compile(
+    r"\s*([A-Z]\w*)\s*(\([^)]*\))?(?:\s*=\s*|\s+)(.*?)\s*", re.I | re.S
+)  # a blank may stand for =
 _SUBCASE = re.compile(r"\s*SUBC\w*[\s=]*(\d{1,9})?", re.I)
 _CHOICES = ("TITLE", "METHOD", "SPC", "MPC", "NSM", "AUTOSPC", "SDAMPING")
 _SETS = ("SPC", "MPC", "NSM", "K2GG", "M2GG", "B2GG")
-STIFFENING = {  # commands that bring in stiffness which is not read, and how the names of their cards begin
+# commands that bring in stiffness which is not read, and how the names of their cards begin
+STIFFENING = {
     "TEMPERATURE": ("MATT",),
     "BGSET": ("BGSET", "BGADD"),
     "BCSET": ("BCTSET", "BCTADD"),
     "BCONTACT": ("BCBODY", "BCTABL"),
     **dict.fromkeys(("STATSUB", "NLIC"), (*PRELOADS, "BOLTFOR", "BOLTFRC", "PRETENS", "SPCR")),
 }
-_PRESTRESS = re.compile(r"\s*SOL[\s=]+(18[2-9]|.*PRESTRESS)", re.I)  # modes and responses under load, by Autodesk
+_PRESTRESS = re.compile(
+    r"\s*SOL[\s=]+(18[2-9]|.*PRESTRESS)", re.I
+)  # modes and responses under load, by Autodesk
 _MATRICES = ("K2GG", "M2GG", "B2GG", "K2PP", "M2PP", "B2PP")
 _UNREAD = ("K42GG", "A2GG", "TFL")  # matrices of other solutions
 _LOADING = ("TEMP(INIT)", "DEFORM", "P2G")  # what else acts in statics, and is not read
@@ -53,9 +58,15 @@ def commands(top: Sequence[str]) -> dict[str, str]:
 
 
 def stiffening(top: Sequence[str]) -> tuple[str, ...]:
-    """How the names of cards begin that carry stiffness because case control chooses them: glue, contact, MATT1."""
-    chosen = set(commands(top)) | ({"STATSUB"} if any(_PRESTRESS.match(line) for line in top) else set())
-    return tuple(start for command, names in STIFFENING.items() if command in chosen for start in names)
+    """How the names of cards begin that carry stiffness because case control chooses them: glue,
+    contact, MATT1.
+    """
+    chosen = set(commands(top)) | (
+        {"STATSUB"} if any(_PRESTRESS.match(line) for line in top) else set()
+    )
+    return tuple(
+        start for command, names in STIFFENING.items() if command in chosen for start in names
+    )
 
 
 def _sections(top: Sequence[str]) -> list[tuple[int, dict[str, str]]]:
@@ -71,7 +82,9 @@ def _sections(top: Sequence[str]) -> list[tuple[int, dict[str, str]]]:
         name = _SHORT.get(name[:4], name)
         if begun and found and name in _NAMES and (found[2] or "").upper() != "(FLUID)":
             sections[-1][1][name] = found[3]
-            if name == "TEMPERATURE" and (kind := re.match(r"\(?\s*(MAT|INIT|)", (found[2] or "").upper())):
+            if name == "TEMPERATURE" and (
+                kind := re.match(r"\(?\s*(MAT|INIT|)", (found[2] or "").upper())
+            ):
                 of = {"MAT": "TEMP(MAT)", "INIT": "TEMP(INIT)"}.get(kind[1], "TEMP(LOAD)")
                 sections[-1][1][of] = found[3]
     return sections
@@ -81,30 +94,38 @@ def _not_taken(top: Sequence[str], found: Mapping[str, str]) -> tuple[int, ...]:
     """Further subcases that compute modes, of other sets."""
     (_, common), *subcases = _sections(top)
     every = [(number, {**common, **choices}) for number, choices in subcases]
-    return tuple(n for n, c in every if "METHOD" in c and any(c.get(k) != found.get(k) for k in _SETS))
+    return tuple(
+        n for n, c in every if "METHOD" in c and any(c.get(k) != found.get(k) for k in _SETS)
+    )
 
 
 def load_sets(top: Sequence[str]) -> list[tuple[str, int, int]]:
-    """Names of the subcases with a LOAD or TEMPERATURE(LOAD), and the numbers of their sets, 0 for none.
+    """Names of the subcases with a LOAD or TEMPERATURE(LOAD), and the numbers of their sets, 0 for
+    none.
 
     Raises
     ------
     DeckError
-        If one is no number, or a subcase has other sets of SPC or MPC than those that count for modes, or acts by
-        deformations and the like, too.
+        If one is no number, or a subcase has other sets of SPC or MPC than those that count for
+        modes, or acts by deformations and the like, too.
     """
     (_, common), *subcases = _sections(top)
-    every = [(f"SUBCASE {n}", {**common, **choices}) for n, choices in subcases] or [("LOAD", common)]
+    every = [(f"SUBCASE {n}", {**common, **choices}) for n, choices in subcases] or [
+        ("LOAD", common)
+    ]
     taken, out = commands(top), []
     for name, choices in every:
         if not {"LOAD", "TEMP(LOAD)"} & choices.keys():
             continue
         if any(choices.get(k) != taken.get(k) for k in _SETS):
-            raise DeckError(f"{name} has other {', '.join(_SETS)} than the subcase that is taken; give it alone")
+            raise DeckError(
+                f"{name} has other {', '.join(_SETS)} than the subcase that is taken; give it alone"
+            )
         unread = _LOADING if "TEMP(LOAD)" in choices else _LOADING[1:]
         if other := next((k for k in unread if k in choices), None):
             raise DeckError(
-                f"{name} has {other} = {choices[other]}: of static loads those of LOAD and TEMP(LOAD) are read"
+                f"{name} has {other} = {choices[other]}: of static loads those of LOAD and "
+                "TEMP(LOAD) are read"
             )
         numbers = [choices.get(kind, "0") for kind in ("LOAD", "TEMP(LOAD)")]
         for kind, text in zip(("LOAD", "TEMP(LOAD)"), numbers, strict=True):
@@ -129,7 +150,9 @@ def modal_damping_set(top: Sequence[str]) -> int:
 
 
 def _joined(top: Iterable[str]) -> list[str]:
-    """Commands without comments and those that SKIPON passes over; a line that ends in a comma goes on in the next."""
+    """Commands without comments and those that SKIPON passes over; a line that ends in a comma goes
+    on in the next.
+    """
     out: list[str] = []
     skipped = False
     for raw in top:
@@ -156,7 +179,9 @@ def case_control(top: Sequence[str]) -> CaseControl:
     found = commands(top)
     for kind in ("NSM", "SPC", "MPC"):
         if not re.fullmatch(r"\d{1,18}|NONE", found.get(kind, "0"), re.A | re.I):
-            raise DeckError(f"{kind} = {found[kind]} in case control: it must be the number of a set")
+            raise DeckError(
+                f"{kind} = {found[kind]} in case control: it must be the number of a set"
+            )
     number = {k: int(v) for k, v in found.items() if re.fullmatch(r"\d{1,18}", v, re.A)}
     return CaseControl(
         found.get("TITLE", ""),
@@ -176,11 +201,15 @@ def _matrices(name: str, found: Mapping[str, str]) -> tuple[tuple[float, str], .
     for part in found[name].split(",") if name in found else ():
         term = _TERM.fullmatch(part.strip())
         try:
-            made.append((real(term[1]) if term and term[1] else 1.0, term[2].upper() if term else ""))
+            made.append(
+                (real(term[1]) if term and term[1] else 1.0, term[2].upper() if term else "")
+            )
         except ValueError:
             term = None
         if term is None:
-            raise DeckError(f"{name} = {found[name]}: allowed are names of DMIG matrices, as in 1.5*KA, KB")
+            raise DeckError(
+                f"{name} = {found[name]}: allowed are names of DMIG matrices, as in 1.5*KA, KB"
+            )
     return tuple(made)
 
 

@@ -21,7 +21,9 @@ def sets(tables: Mapping[str, Table], kind: str) -> list[int]:
 
 
 def only_sets(case: CaseControl, tables: Mapping[str, Table]) -> CaseControl:
-    """The choice of a deck without case control: its only SPC and MPC set, or the one that unites others."""
+    """The choice of a deck without case control: its only SPC and MPC set, or the one that unites
+    others.
+    """
     return replace(case, spc=_only(tables, "SPC"), mpc=_only(tables, "MPC"))
 
 
@@ -46,17 +48,30 @@ def unclear_sets(model: Model, *, chosen: bool) -> list[DeckError]:
         names = ", ".join(map(str, there))
         where = model.files[0] if model.files else None
         if asked and there and asked not in there:
-            out.append(DeckError(f"case control asks for {kind} = {asked}; the deck has {names}", path=where))
+            out.append(
+                DeckError(
+                    f"case control asks for {kind} = {asked}; the deck has {names}", path=where
+                )
+            )
         elif not asked and not chosen and there:
-            why = f"without case control, which of the {kind} sets {names} holds? Write {kind} = n above BEGIN BULK"
+            why = (
+                f"without case control, which of the {kind} sets {names} holds? Write {kind} = "
+                "n above BEGIN BULK"
+            )
             out.append(DeckError(why, path=where))
     return out
 
 
 def empty_choices(model: Model) -> list[str]:
-    """What case control chooses and the deck has none of: the structure is free of it, its modes are not limited."""
+    """What case control chooses and the deck has none of: the structure is free of it, its modes
+    are not limited.
+    """
     chosen = {kind: int(getattr(model.case, kind.lower())) for kind in CONSTRAINTS}
-    out = [f"{kind} = {n}: the deck has no {kind}" for kind, n in chosen.items() if n and not sets(model.tables, kind)]
+    out = [
+        f"{kind} = {n}: the deck has no {kind}"
+        for kind, n in chosen.items()
+        if n and not sets(model.tables, kind)
+    ]
     methods = [i for card in METHODS if card in model for i in model[card].ids.tolist()]
     if model.case.method not in (0, *methods) and "EIGB" not in model.kept:
         out.append(f"METHOD = {model.case.method}: the deck has no EIGRL or EIGR of that number")

@@ -28,7 +28,10 @@ def modal_damping(found: Cards, *, structural: bool = False) -> ModalDamping | N
     for r in (Reader(c, found.deck.files) for c in written_out(found, "TABDMP1")):
         if r.whole(0, "TID") == number:
             return _table(r, structural)
-    raise DeckError(f"case control has SDAMPING = {number}: the deck has no such TABDMP1", path=found.deck.files[0])
+    raise DeckError(
+        f"case control has SDAMPING = {number}: the deck has no such TABDMP1",
+        path=found.deck.files[0],
+    )
 
 
 def _table(r: Reader, structural: bool) -> ModalDamping:
@@ -48,4 +51,6 @@ def _table(r: Reader, structural: bool) -> ModalDamping:
         raise r.fail("f", "frequencies must be given, and rise")
     if kind == "Q" and (g <= 0).any():
         raise r.fail("g", "Q must be above 0")
-    return ModalDamping(f, _RATIO[kind] * (1 / g if kind == "Q" else g), r.text(2) == "1", structural)
+    return ModalDamping(
+        f, _RATIO[kind] * (1 / g if kind == "Q" else g), r.text(2) == "1", structural
+    )

@@ -18,7 +18,9 @@ from ringtrue.io.files import absence
 from ringtrue.io.nastran.foreign import BEGINNING, other_program
 
 log = logging.getLogger(__name__)
-_INCLUDE = re.compile(rb"(?i)[ \t]*INCLUDE(?=[ \t'\"])[ \t]*(?:'([^']*)'|\"([^\"]*)\"|([^\s$'\"][^\r\n$]*))[^\n]*\n?")
+_INCLUDE = re.compile(
+    rb"(?i)[ \t]*INCLUDE(?=[ \t'\"])[ \t]*(?:'([^']*)'|\"([^\"]*)\"|([^\s$'\"][^\r\n$]*))[^\n]*\n?"
+)
 _BEGIN = re.compile(rb"(?i)[ \t]*BEGIN\w*[^\r\n$]*")
 _CEND = re.compile(rb"(?i)[ \t]*CEND\b")
 WIDTH = 80
@@ -70,7 +72,9 @@ class _Reading:
         self.main = main.resolve()
         self.files: dict[Path, int] = {}
         self.pieces: list[_Piece] = []
-        self.left_out: list[str] = []  # why, for each include of the executive control that is not there
+        self.left_out: list[
+            str
+        ] = []  # why, for each include of the executive control that is not there
         self.includes = 0
         self.again = 0  # bytes of files that are read another time
 
@@ -79,7 +83,9 @@ class _Reading:
         data = _text(path)
         number = self.files.setdefault(path, len(self.files))
         upper = data.upper()
-        limit = next(_lines_of(upper, b"ENDDATA"), len(data.rstrip(b"\x1a")))  # Ctrl-Z ended files of DOS
+        limit = next(
+            _lines_of(upper, b"ENDDATA"), len(data.rstrip(b"\x1a"))
+        )  # Ctrl-Z ended files of DOS
         at = 0
         for begin in _lines_of(upper, b"INCLUDE", limit):
             found = _INCLUDE.match(data, begin, limit)
@@ -102,7 +108,9 @@ class _Reading:
         return limit < len(data.rstrip(b"\x1a"))
 
     def _bound(self, child: Path, chain: tuple[Path, ...], line: int) -> None:
-        """Refuse a file that includes itself, and includes that would never end or fill the memory."""
+        """Refuse a file that includes itself, and includes that would never end or fill the
+        memory.
+        """
         path = chain[-1]
         self.includes += 1
         if child in self.files:
@@ -113,9 +121,15 @@ class _Reading:
         elif len(chain) > DEPTH:
             why = f"files include each other more than {DEPTH} deep"
         elif self.includes > INCLUDES:
-            why = f"the deck has more than {INCLUDES} INCLUDEs: do its files include each other again and again?"
+            why = (
+                f"the deck has more than {INCLUDES} INCLUDEs: do its files include each other "
+                "again and again?"
+            )
         elif self.again > AGAIN:
-            why = f"files that were included before make more than {AGAIN / 1e6:g} MB: include each once"
+            why = (
+                f"files that were included before make more than {AGAIN / 1e6:g} MB: include "
+                "each once"
+            )
         if why:
             raise DeckError(why, path=path, line=line, card="INCLUDE")
 
@@ -124,7 +138,9 @@ class _Reading:
             line = data.count(b"\n", 0, a) + 1
             self.pieces.append(_Piece(number, line, memoryview(data)[a:b]))
             if data[b - 1] != 10:
-                self.pieces.append(_Piece(number, line + data.count(b"\n", a, b), memoryview(b"\n")))
+                self.pieces.append(
+                    _Piece(number, line + data.count(b"\n", a, b), memoryview(b"\n"))
+                )
 
     def _locate(self, quoted: bytes, path: Path, line: int) -> Path:
         names = [Path(n) for n in _spellings(quoted)]
@@ -133,27 +149,42 @@ class _Reading:
             if candidate.is_file():
                 return candidate.resolve()
         places = ", ".join(dict.fromkeys(str(t) for t in tried))
-        raise DeckError(f"the included file is not there; looked for {places}", path=path, line=line, card="INCLUDE")
+        raise DeckError(
+            f"the included file is not there; looked for {places}",
+            path=path,
+            line=line,
+            card="INCLUDE",
+        )
 
 
 def _any_case(path: Path) -> Path | None:
-    """The one file of this name in any case, as decks of Windows may name it; None without one or with several."""
+    """The one file of this name in any case, as decks of Windows may name it; None without one or
+    with several.
+    """
     found = [Path(path.anchor or ".")]
     for part in path.parts[bool(path.anchor) :]:
         inside = [f / part for f in found] if part == ".." else []
-        found = inside or [e for f in found if f.is_dir() for e in f.iterdir() if e.name.lower() == part.lower()]
+        found = inside or [
+            e for f in found if f.is_dir() for e in f.iterdir() if e.name.lower() == part.lower()
+        ]
     return found[0] if len(found) == 1 else None
 
 
 def _spellings(quoted: bytes) -> list[str]:
-    """What a name may be that is broken over lines: put together as it is, or with one blank where it was broken."""
+    """What a name may be that is broken over lines: put together as it is, or with one blank where
+    it was broken.
+    """
     parts = [part.strip().decode("utf-8", "surrogateescape") for part in quoted.splitlines()]
     names = [glue.join(parts).strip().replace("\\", "/") for glue in ("", " ")]
-    return list(dict.fromkeys(spelling for name in names for spelling in (name, *_by_logical_name(name))))
+    return list(
+        dict.fromkeys(spelling for name in names for spelling in (name, *_by_logical_name(name)))
+    )
 
 
 def _by_logical_name(name: str) -> list[str]:
-    """`SYMBOL:file` by the environment variable SYMBOL, as Nastran takes it, and the file beside the deck."""
+    """`SYMBOL:file` by the environment variable SYMBOL, as Nastran takes it, and the file beside
+    the deck.
+    """
     symbol, colon, rest = name.partition(":")
     if not colon or not re.fullmatch(r"[A-Za-z_]\w+", symbol):  # one letter is a drive
         return []
@@ -177,7 +208,8 @@ def load(path: str | Path) -> Deck:
     Raises
     ------
     DeckError
-        If the deck or an included file is not there, no plain text or of another program, or a file includes itself.
+        If the deck or an included file is not there, no plain text or of another program, or a file
+        includes itself.
     """
     path = Path(path)
     if not path.is_file():
@@ -185,17 +217,25 @@ def load(path: str | Path) -> Deck:
     with path.open("rb") as opened:
         program = other_program(opened.read(BEGINNING))
     if program:
-        raise DeckError(f"this is a deck of {program}; ringtrue reads decks of Nastran: convert it", path=path)
+        raise DeckError(
+            f"this is a deck of {program}; ringtrue reads decks of Nastran: convert it", path=path
+        )
     reading = _Reading(path)
     reading.read(reading.main)
     reads(*reading.files)
     if lost := reading.left_out:
         more = f" ({len(lost) - 1} more like it)" if len(lost) > 1 else ""
-        log.warning("%s%s; left out, as the executive control above CEND changes no model", lost[0], more)
+        log.warning(
+            "%s%s; left out, as the executive control above CEND changes no model", lost[0], more
+        )
     raw = b"".join([*(p.data for p in reading.pieces), b" " * WIDTH])
     start, stop, file, line = _lines(reading.pieces, raw)
     first, last, supers = _bulk_range(raw, start, path)
-    top = tuple(raw[a:b].decode("latin-1") for a, b in zip(start[:first], stop[:first], strict=True)) if first else ()
+    top = (
+        tuple(raw[a:b].decode("latin-1") for a, b in zip(start[:first], stop[:first], strict=True))
+        if first
+        else ()
+    )
     used = slice(first, last)
     stop = _without_comments(raw, start, stop)
     return Deck(
@@ -211,7 +251,9 @@ def load(path: str | Path) -> Deck:
 
 
 def _lines_of(upper: bytes, word: bytes, stop: int | None = None, after: int = 0) -> Iterator[int]:
-    """Where the lines begin that have nothing but blanks before `word`; a plain search is fast in large decks."""
+    """Where the lines begin that have nothing but blanks before `word`; a plain search is fast in
+    large decks.
+    """
     at = upper.find(word, after, stop)
     while at >= 0:
         begin = upper.rfind(b"\n", 0, at) + 1
@@ -226,7 +268,9 @@ def _lines(pieces: list[_Piece], raw: bytes) -> tuple[Int, Int, Int, Int]:
     edges = np.cumsum([0, *(len(p.data) for p in pieces)])
     count = np.diff(np.searchsorted(ends, edges))
     file = np.repeat(np.array([p.file for p in pieces], dtype=np.int64), count)
-    line = np.repeat(np.array([p.first_line for p in pieces], dtype=np.int64) - (np.cumsum(count) - count), count)
+    line = np.repeat(
+        np.array([p.first_line for p in pieces], dtype=np.int64) - (np.cumsum(count) - count), count
+    )
     line = line + np.arange(ends.size)
     data = np.frombuffer(raw, dtype=np.uint8)
     return start, ends - ((ends > start) & (data[ends - 1] == 13)), file, line
@@ -237,7 +281,9 @@ def _bulk_range(raw: bytes, start: Int, path: Path) -> tuple[int, int, int | Non
     upper = raw.upper()
     found = ((at, _BEGIN.match(upper, at)) for at in _lines_of(upper, b"BEGIN"))
     begins = [(int(np.searchsorted(start, at)), m.group()) for at, m in found if m]
-    begins = [(at, text) for at, text in begins if re.search(rb"\bBULK\b|\bSUPER\b|\bAUX|BEGIN\s*$", text)]
+    begins = [
+        (at, text) for at, text in begins if re.search(rb"\bBULK\b|\bSUPER\b|\bAUX|BEGIN\s*$", text)
+    ]
     other = next((at for at, text in begins if re.search(rb"SUPER|AUX", text)), None)
     main = next((at for at, text in begins if not re.search(rb"SUPER|AUX", text)), None)
     if main is None:

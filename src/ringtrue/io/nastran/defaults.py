@@ -1,4 +1,6 @@
-"""What cards leave blank and others say: GRDSET, BAROR, BEAMOR, and scalar points named by elements only."""
+"""What cards leave blank and others say: GRDSET, BAROR, BEAMOR, and scalar points named by elements
+only.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ from ringtrue.io.nastran.gather import Cards
 from ringtrue.io.nastran.lexer import is_real
 from ringtrue.model.model import Ragged, Table
 
-DEFAULTS: Mapping[str, str] = MappingProxyType({"GRDSET": "GRID", "BAROR": "CBAR", "BEAMOR": "CBEAM"})
+DEFAULTS: Mapping[str, str] = MappingProxyType(
+    {"GRDSET": "GRID", "BAROR": "CBAR", "BEAMOR": "CBEAM"}
+)
 _GRID = {"CP": 1, "CD": 5, "PS": 6}  # places of the data fields, from 0
 _VECTOR = {"X1": 4, "X2": 5, "X3": 6}
 _SCALAR = tuple(f"C{kind}{i}" for kind in ("ELAS", "MASS", "DAMP") for i in (3, 4))
@@ -29,7 +33,9 @@ def written_out(found: Cards, name: str) -> list[Card]:
         text = np.char.decode(cells, "latin-1").tolist()
         made += [
             (row, Card(name, fields, f, at))
-            for row, fields, f, at in zip(rows.tolist(), text, file.tolist(), line.tolist(), strict=True)
+            for row, fields, f, at in zip(
+                rows.tolist(), text, file.tolist(), line.tolist(), strict=True
+            )
         ]
     return [card for _, card in sorted(made, key=lambda m: m[0])]
 
@@ -67,10 +73,14 @@ def _grid(table: Table, r: Reader, found: Cards) -> Table:
 
 
 def _bars(table: Table, r: Reader, found: Cards) -> Table:
-    """PID, orientation and OFFT; an orientation is taken field by field, a node G0 only where all three are blank."""
+    """PID, orientation and OFFT; an orientation is taken field by field, a node G0 only where all
+    three are blank.
+    """
     card = table.card
     if r.text(1):
-        table = table.with_column("PID", np.where(_blank(found, card, 1), r.whole(1, "PID"), table["PID"]))
+        table = table.with_column(
+            "PID", np.where(_blank(found, card, 1), r.whole(1, "PID"), table["PID"])
+        )
     blank = {name: _blank(found, card, at) for name, at in _VECTOR.items()}
     text = r.text(4)
     if text and not is_real(np.array([text.encode("latin-1")]))[0]:
@@ -82,7 +92,9 @@ def _bars(table: Table, r: Reader, found: Cards) -> Table:
                 mine = blank[name] & (table["G0"] == 0)
                 table = table.with_column(name, np.where(mine, r.real(at, name), table[name]))
     if r.text(7):
-        table = table.with_column("OFFT", np.where(_blank(found, card, 7), r.text(7), table["OFFT"]))
+        table = table.with_column(
+            "OFFT", np.where(_blank(found, card, 7), r.text(7), table["OFFT"])
+        )
     return table
 
 
@@ -94,8 +106,14 @@ def _blank(found: Cards, card: str, field: int) -> Bool:
 
 
 def implied_points(tables: Mapping[str, Table]) -> dict[str, Table]:
-    """SPOINT with a row for each scalar point that only a scalar element names; it needs no card of its own."""
-    ids, file, line = [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=np.int64)]
+    """SPOINT with a row for each scalar point that only a scalar element names; it needs no card of
+    its own.
+    """
+    ids, file, line = (
+        [np.empty(0, dtype=np.int64)],
+        [np.empty(0, dtype=np.int64)],
+        [np.empty(0, dtype=np.int64)],
+    )
     for card in _SCALAR:
         if card in tables:
             t = tables[card]
@@ -111,9 +129,17 @@ def implied_points(tables: Mapping[str, Table]) -> dict[str, Table]:
         return {}
     points, at = points[new], at[new]
     old = tables.get("SPOINT")
-    before = old.ragged("ID") if old else Ragged(np.empty(0, dtype=np.int64), np.zeros(1, dtype=np.int64))
+    before = (
+        old.ragged("ID")
+        if old
+        else Ragged(np.empty(0, dtype=np.int64), np.zeros(1, dtype=np.int64))
+    )
     offsets = np.concatenate([before.offsets, before.offsets[-1] + np.arange(1, points.size + 1)])
     where = [np.concatenate(x)[at] for x in (file, line)]
     if old:
         where = [np.concatenate([a, b]) for a, b in zip((old.file, old.line), where, strict=True)]
-    return {"SPOINT": Table("SPOINT", {"ID": Ragged(np.concatenate([before.values, points]), offsets)}, *where)}
+    return {
+        "SPOINT": Table(
+            "SPOINT", {"ID": Ragged(np.concatenate([before.values, points]), offsets)}, *where
+        )
+    }

@@ -30,9 +30,10 @@ Place = tuple[int, int]  # file number, line from 1
 def edit_fields(model: Model, changes: Sequence[FieldChange], out_dir: str | Path) -> list[Path]:
     """Copy a deck with all its includes, changing only the characters of the given fields.
 
-    A field keeps the format of its line (small, large, free); the value is written with the digits that fit. A
-    blank field is filled; a field behind the end of its card gets the continuation lines it needs. A CONM2 of the model
-    that stands in none of the files is added to the main deck with its mass.
+    A field keeps the format of its line (small, large, free); the value is written with the digits
+    that fit. A blank field is filled; a field behind the end of its card gets the continuation
+    lines it needs. A CONM2 of the model that stands in none of the files is added to the main deck
+    with its mass.
 
     Returns
     -------
@@ -42,8 +43,8 @@ def edit_fields(model: Model, changes: Sequence[FieldChange], out_dir: str | Pat
     Raises
     ------
     InputError, DeckError
-        If a change names what is not in the deck, or a field that is no single field of its card. Nothing is
-        written then.
+        If a change names what is not in the deck, or a field that is no single field of its card.
+        Nothing is written then.
     """
     found, files, contents = _loaded(model)
     groups: dict[int, list[FieldChange]] = {}
@@ -72,7 +73,8 @@ def _lump(model: Model, change: FieldChange) -> str:
 
 
 def unwritable(model: Model, targets: Sequence[Target]) -> dict[Target, str]:
-    """Which fields `edit_fields` cannot change, and why not: replicated cards, sections made of another card.
+    """Which fields `edit_fields` cannot change, and why not: replicated cards, sections made of
+    another card.
 
     Raises
     ------
@@ -112,7 +114,8 @@ def _loaded(model: Model) -> tuple[Cards, list[Path], list[_File]]:
 
 
 def add_cards(model: Model, file: str | Path, text: str, out_dir: str | Path) -> list[Path]:
-    """Copy a deck with cards added: before ENDDATA of `file` (one of `model.files`), at its end if it has none.
+    """Copy a deck with cards added: before ENDDATA of `file` (one of `model.files`), at its end if
+    it has none.
 
     Returns
     -------
@@ -132,7 +135,9 @@ def add_cards(model: Model, file: str | Path, text: str, out_dir: str | Path) ->
 
 
 def unified_diff(old: Sequence[str | Path], new: Sequence[str | Path]) -> str:
-    """The differences between files pair by pair, in the form of `diff -u`; "" if there are none."""
+    """The differences between files pair by pair, in the form of `diff -u`; "" if there are
+    none.
+    """
     parts: list[str] = []
     for a, b in zip(map(Path, old), map(Path, new), strict=True):
         before, after = a.read_bytes(), b.read_bytes()
@@ -155,7 +160,9 @@ def _number(files: Sequence[Path], wanted: Path) -> int:
     for i, f in enumerate(files):
         if f in candidates:
             return i
-    raise InputError(f"{wanted} is not a file of the deck; its files are {', '.join(str(f) for f in files)}")
+    raise InputError(
+        f"{wanted} is not a file of the deck; its files are {', '.join(str(f) for f in files)}"
+    )
 
 
 def _inserted(data: bytes, text: str) -> bytes:
@@ -182,7 +189,9 @@ def refuse_copy(model: Model, out_dir: str | Path) -> None:
 
 
 def _write(files: Sequence[Path], data: Sequence[bytes], out_dir: Path) -> list[Path]:
-    """Write the files in their layout; the main deck stands in `out_dir` unless an include lies elsewhere."""
+    """Write the files in their layout; the main deck stands in `out_dir` unless an include lies
+    elsewhere.
+    """
     targets = _copies(files, data, out_dir)
     for target, content in zip(targets, data, strict=True):
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -192,7 +201,9 @@ def _write(files: Sequence[Path], data: Sequence[bytes], out_dir: Path) -> list[
 
 
 def _copies(files: Sequence[Path], data: Sequence[bytes], out_dir: Path) -> list[Path]:
-    """Where the copies of the files go; refused before any is written if they would not stand by themselves."""
+    """Where the copies of the files go; refused before any is written if they would not stand by
+    themselves.
+    """
     root = Path(os.path.commonpath([f.parent for f in files]))
     with one_run(), TemporaryDirectory(prefix="ringtrue-") as trial:
         home = Path(trial).resolve()
@@ -203,11 +214,14 @@ def _copies(files: Sequence[Path], data: Sequence[bytes], out_dir: Path) -> list
         try:
             found = load(home / files[0].relative_to(root)).files
         except DeckError as e:
-            raise DeckError(f"a copy of the deck would not find its INCLUDE files: {e}", path=files[0]) from e
+            raise DeckError(
+                f"a copy of the deck would not find its INCLUDE files: {e}", path=files[0]
+            ) from e
         strangers = [f for f in found if not Path(f).is_relative_to(home)]
     if strangers:
         raise DeckError(
-            f"a copy of the deck would still include {strangers[0]}: make the path of that INCLUDE relative",
+            f"a copy of the deck would still include {strangers[0]}: make the path of that "
+            "INCLUDE relative",
             path=files[0],
         )
     targets = [out_dir / f.relative_to(root) for f in files]
@@ -222,7 +236,11 @@ class _File:
     """The lines of a file, each with its line ending."""
 
     def __init__(self, data: bytes) -> None:
-        self.lines = data.splitlines(keepends=True) if b"\n" not in data else re.findall(rb"[^\n]*\n|[^\n]+", data)
+        self.lines = (
+            data.splitlines(keepends=True)
+            if b"\n" not in data
+            else re.findall(rb"[^\n]*\n|[^\n]+", data)
+        )
 
     def joined(self) -> bytes:
         return b"".join(self.lines)
@@ -247,25 +265,40 @@ def _finder(model: Model, found: Cards) -> Callable[[FieldChange], int]:
         rows = resolve_target(model, change)
         table = model[change.card]
         if len(rows) > 1:
-            raise InputError(f"{change.card} {change.id} stands {len(rows)} times in the deck: which one is meant?")
+            raise InputError(
+                f"{change.card} {change.id} stands {len(rows)} times in the deck: which one is "
+                "meant?"
+            )
         if other := _taken(model, change, int(rows[0])):
-            raise InputError(f"{change.card} {change.id} has no {change.field}: it stands where the card names {other}")
+            raise InputError(
+                f"{change.card} {change.id} has no {change.field}: it stands where the card "
+                f"names {other}"
+            )
         at = (int(table.file[rows[0]]), int(table.line[rows[0]]))
         hit = np.flatnonzero((key[:, 0] == at[0]) & (key[:, 1] == at[1]))
         if not hit.size:
-            raise InputError(f"{change.card} {change.id} is not where it was read: the deck has changed since")
+            raise InputError(
+                f"{change.card} {change.id} is not where it was read: the deck has changed since"
+            )
         card = int(order[hit[0]])
         if hit.size > 1 or found.style[found.head[card]] == 4 or card in found.copied:
-            why = "it is written by replication (=), or a replicated card repeats it; write the cards out first"
+            why = (
+                "it is written by replication (=), or a replicated card repeats it; write the "
+                "cards out first"
+            )
             path, first = found.place(card)
-            raise DeckError(why, path=path, line=first, card=f"{change.card} {change.id}", field=change.field)
+            raise DeckError(
+                why, path=path, line=first, card=f"{change.card} {change.id}", field=change.field
+            )
         return card
 
     return find
 
 
 def _taken(model: Model, change: FieldChange, row: int) -> str:
-    """The frame or node that a card names in the field of this change, such as `MCID 4` for THETA; "" for none."""
+    """The frame or node that a card names in the field of this change, such as `MCID 4` for THETA;
+    "" for none.
+    """
     specs = columns(change.card) if change.card in CARDS else ()
     other = next((s for s in specs if s.other and s.name == change.field), None)
     number = int(model[change.card][other.other][row]) if other else 0
@@ -282,7 +315,9 @@ def _edit_card(found: Cards, contents: Sequence[_File], group: _Group) -> None:
     for change in group.changes:
         if change.card != name:
             why = f"it was made from a {name}; change that card's own fields"
-            raise DeckError(why, path=path, line=line, card=f"{change.card} {change.id}", field=change.field)
+            raise DeckError(
+                why, path=path, line=line, card=f"{change.card} {change.id}", field=change.field
+            )
         place = field_place(name, _texts(lines), change.id, change.field)
         if _inherits(change, place, lines, given):
             continue
@@ -290,7 +325,9 @@ def _edit_card(found: Cards, contents: Sequence[_File], group: _Group) -> None:
             place = _bush_place(lines, change.id, change.field)
         if place is None:
             why = "the card has no place for it"
-            raise DeckError(why, path=path, line=line, card=f"{change.card} {change.id}", field=change.field)
+            raise DeckError(
+                why, path=path, line=line, card=f"{change.card} {change.id}", field=change.field
+            )
         follower = inherited(name, _texts(lines), change.field)
         if follower and follower[1]:  # the next ply keeps what it has
             at_next, text = follower
@@ -309,7 +346,10 @@ def _bush_place(lines: list[_Line], id: int, field: str) -> int | None:
 
 
 def _inherits(
-    change: FieldChange, place: int | None, lines: Sequence[_Line], given: Mapping[tuple[int, str], object]
+    change: FieldChange,
+    place: int | None,
+    lines: Sequence[_Line],
+    given: Mapping[tuple[int, str], object],
 ) -> bool:
     """Whether a blank field of end B of a PBEAM follows end A, which gets the same value."""
     partner = next((a for a, b in BOTH_ENDS.items() if b == change.field), None)
@@ -324,7 +364,9 @@ def _typed(change: FieldChange) -> int | float | str:
     if kind == "f":
         return float(change.value)
     if kind == "i" and not isinstance(change.value, int | np.integer):
-        raise InputError(f"{change.card} {change.id} {change.field} must be an integer, got {change.value!r}")
+        raise InputError(
+            f"{change.card} {change.id} {change.field} must be an integer, got {change.value!r}"
+        )
     return change.value
 
 
@@ -374,7 +416,9 @@ def _texts(lines: Sequence[_Line]) -> list[str]:
 
 
 def _set(lines: list[_Line], place: int, value: int | float | str) -> None:
-    """Write a value into data field `place` (from 0) of a card, with new lines where there are too few."""
+    """Write a value into data field `place` (from 0) of a card, with new lines where there are too
+    few.
+    """
     while place >= _starts(lines)[-1]:
         lines.append(_continuation(lines[-1]))
     starts = _starts(lines)
@@ -388,12 +432,16 @@ def _set(lines: list[_Line], place: int, value: int | float | str) -> None:
 
 
 def _continuation(last: _Line) -> _Line:
-    """An empty line to continue the card, in the style of its last line (which gets a line ending if need be)."""
+    """An empty line to continue the card, in the style of its last line (which gets a line ending
+    if need be).
+    """
     ending = last.ending or b"\n"
     last.ending = ending
     if last.fields.style == "free":
         return _Line((b"*," if last.is_large else b"+,") + ending)
-    tag = last.text.expandtabs(8)[73:80].strip() if last.fields.end >= 72 else b""  # column 73 is no part of the name
+    tag = (
+        last.text.expandtabs(8)[73:80].strip() if last.fields.end >= 72 else b""
+    )  # column 73 is no part of the name
     return _Line((b"*" if last.is_large else b"+") + tag + ending)
 
 

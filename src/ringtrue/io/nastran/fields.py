@@ -68,7 +68,9 @@ class Reader:
 
 
 def places(rows: Sequence[Card]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    return np.array([c.file for c in rows], dtype=np.int64), np.array([c.line for c in rows], dtype=np.int64)
+    return np.array([c.file for c in rows], dtype=np.int64), np.array(
+        [c.line for c in rows], dtype=np.int64
+    )
 
 
 def ragged(rows: Sequence[Sequence[Any]], dtype: Any) -> Ragged:

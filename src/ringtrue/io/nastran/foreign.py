@@ -6,7 +6,8 @@ import re
 
 _KEYWORD = re.compile(rb"\*([A-Z][A-Z0-9_ ]*)")
 _ABAQUS = frozenset(
-    b"AMPLITUDE ASSEMBLY BEAM BOUNDARY DENSITY ELASTIC ELEMENT ELSET END HEADING INCLUDE INSTANCE MATERIAL NODE NSET "
+    b"AMPLITUDE ASSEMBLY BEAM BOUNDARY DENSITY ELASTIC ELEMENT ELSET END HEADING INCLUDE "
+    b"INSTANCE MATERIAL NODE NSET "
     b"ORIENTATION PARAMETER PART PREPRINT RESTART SHELL SOLID STEP SURFACE SYSTEM".split()
 )
 _ANSYS = re.compile(
@@ -17,7 +18,8 @@ BEGINNING = 65_536  # bytes that tell the program
 
 
 def other_program(data: bytes) -> str:
-    """The program that a deck, of which these are the first bytes, is of; "" where it may be Nastran's.
+    """The program that a deck, of which these are the first bytes, is of; "" where it may be
+    Nastran's.
 
     A line that begins with an asterisk continues a card of Nastran, so that none can come first.
 

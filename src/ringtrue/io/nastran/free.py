@@ -24,7 +24,8 @@ class FreeLines:
     ----------
     deck : Deck
     comma : (c,) int64
-        Places in `deck.raw`, comments left out; also those of blanks that stand for a comma behind the name.
+        Places in `deck.raw`, comments left out; also those of blanks that stand for a comma behind
+        the name.
     first : (n,) int64
         The first of each line in `comma`.
     count : (n,) int64
@@ -37,7 +38,9 @@ class FreeLines:
     count: Int
 
     def span(self, rows: Int, k: int) -> tuple[Int, Int]:
-        """Range in `deck.raw` of field k (0 the name) of lines (n,); empty where a line has fewer."""
+        """Range in `deck.raw` of field k (0 the name) of lines (n,); empty where a line has
+        fewer.
+        """
         last = max(self.comma.size - 1, 0)
         count, first = self.count[rows], self.first[rows]
         stop = self.deck.stop[rows]
@@ -57,7 +60,9 @@ class FreeLines:
         return np.asarray(np.strings.strip(cut.view(f"S{width}")[:, 0]))
 
     def regular(self, rows: Int) -> Bool:
-        """Lines with at most ten fields, each of at most 80 characters; the others are read one by one."""
+        """Lines with at most ten fields, each of at most 80 characters; the others are read one by
+        one.
+        """
         length = self.deck.stop[rows] - self.deck.start[rows]
         return np.asarray((self.count[rows] <= _LINE + 1) & (length <= WIDTH))
 
@@ -106,7 +111,9 @@ def _blanks(lines: FreeLines) -> list[int]:
     return out
 
 
-def upper_slices(raw: NDArray[np.uint8], begin: Int, end: Int, width: int, pad: int) -> NDArray[np.uint8]:
+def upper_slices(
+    raw: NDArray[np.uint8], begin: Int, end: Int, width: int, pad: int
+) -> NDArray[np.uint8]:
     """Upper-case bytes raw[begin:end], cut or padded to `width`: (n, width)."""
     block = sliding_window_view(raw, width)[begin]
     np.putmask(block, np.arange(width) >= (end - begin)[:, None], pad)

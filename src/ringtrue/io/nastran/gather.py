@@ -1,4 +1,6 @@
-"""Bulk data lines gathered into logical cards: continuations joined, replications written out, fields cut."""
+"""Bulk data lines gathered into logical cards: continuations joined, replications written out,
+fields cut.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,8 @@ class Cards:
     text : (line, 80) uint8
         Upper-case columns; a free-format line holds only its first field and its continuation name.
     style : (line,) int8
-        0 small, 1 large, 2 free format, 3 free format with large fields, 4 a replicated card written out.
+        0 small, 1 large, 2 free format, 3 free format with large fields, 4 a replicated card
+        written out.
     raw_of : (line,) int64
         Row of each line in `deck`.
     head, count : (card,) int64
@@ -79,7 +82,9 @@ class Cards:
         return self.deck.file[at], self.deck.line[at]
 
     def cells(self, name: str) -> Iterator[tuple[Int, NDArray[np.bytes_]]]:
-        """Cards of one name in groups of equal layout: card numbers (n,) and stripped data fields (n, k)."""
+        """Cards of one name in groups of equal layout: card numbers (n,) and stripped data fields
+        (n, k).
+        """
         mine = self.named(name)
         for lines in np.unique(self.count[mine]).tolist():
             group = mine[self.count[mine] == lines]
@@ -107,7 +112,9 @@ class Cards:
         return np.asarray(np.strings.strip(block.reshape(cards.size, -1).view(f"S{width}")))
 
     def _mixed(self, cards: Int, lines: int) -> NDArray[np.bytes_]:
-        rows = [self.fields(card) for card in cards.tolist()]  # free format has no columns: measured 4 us a line
+        rows = [
+            self.fields(card) for card in cards.tolist()
+        ]  # free format has no columns: measured 4 us a line
         widest = max(len(r) for r in rows)
         return np.array([r + [b""] * (widest - len(r)) for r in rows], dtype=np.bytes_)
 
@@ -134,7 +141,8 @@ class Cards:
         size = 4 if style == 3 else 8
         if any(parts[size + 2 :]):
             raise DeckError(
-                f"a free-format line has at most {size} data fields and a continuation name, this one has "
+                f"a free-format line has at most {size} data fields and a continuation name, "
+                "this one has "
                 f"{len(parts) - 1}; put the rest on a continuation line",
                 path=self.deck.files[self.deck.file[row]],
                 line=int(self.deck.line[row]),
@@ -159,7 +167,9 @@ def cards(deck: Deck) -> Cards:
     first = np.ascontiguousarray(text[:, :8])
     blank = first.view(np.uint64)[:, 0] == _BLANKS
     follows = blank | (first[:, 0] == 43) | (first[:, 0] == 42)
-    indented = np.flatnonzero((first[:, 0] == 32) & ~blank)  # column 1 may be blank before the name, too
+    indented = np.flatnonzero(
+        (first[:, 0] == 32) & ~blank
+    )  # column 1 may be blank before the name, too
     if indented.size:
         begins = np.strings.lstrip(first[indented].view("S8")[:, 0]).astype("S1")
         follows[indented] = (begins == b"+") | (begins == b"*")
@@ -169,7 +179,13 @@ def cards(deck: Deck) -> Cards:
     _warn_of_tenth(deck, text, np.flatnonzero(free), follows, keep)
     order = _continuation_order(deck, text, follows, keep)
     if order is not None:
-        text, style, keep, field_1, follows = text[order], style[order], keep[order], field_1[order], follows[order]
+        text, style, keep, field_1, follows = (
+            text[order],
+            style[order],
+            keep[order],
+            field_1[order],
+            follows[order],
+        )
     if follows.size and follows[0]:
         raise _at(deck, int(keep[0]), "a continuation line has no card before it")
     head = np.flatnonzero(~follows).astype(np.int64)
@@ -183,7 +199,9 @@ def cards(deck: Deck) -> Cards:
             at = int(keep[head[begin[np.flatnonzero(which == i)[0]]]])
             raise _at(deck, at, f"{name.decode('latin-1')!r} in columns 1-8 is not a card name")
         plain[i] = SYNONYMS.get(name, name)
-    return _replicated(Cards(deck, text, style, keep, head, count, plain[np.repeat(which, size)], lines))
+    return _replicated(
+        Cards(deck, text, style, keep, head, count, plain[np.repeat(which, size)], lines)
+    )
 
 
 def _runs(name: NDArray[np.bytes_]) -> Int:
@@ -220,7 +238,16 @@ def _replicated(cards: Cards) -> Cards:
     count = np.diff(np.append(head, line.size))
     fields = dict(zip(at.tolist(), made, strict=True))
     return Cards(
-        cards.deck, cards.text[source], style, cards.raw_of[source], head, count, name, cards.free, fields, again
+        cards.deck,
+        cards.text[source],
+        style,
+        cards.raw_of[source],
+        head,
+        count,
+        name,
+        cards.free,
+        fields,
+        again,
     )
 
 
@@ -230,8 +257,12 @@ def _read_here(name: NDArray[np.bytes_]) -> Bool:
     return np.asarray(np.isin(name, known) | (np.strings.find(name, b"=") == 0))
 
 
-def _expanded(cards: Cards, suspect: Int) -> tuple[list[Int], list[list[bytes]], list[bytes], set[int]]:
-    """Lines in order (-1 - line for one that is made), data fields and names of the made ones, cards repeated."""
+def _expanded(
+    cards: Cards, suspect: Int
+) -> tuple[list[Int], list[list[bytes]], list[bytes], set[int]]:
+    """Lines in order (-1 - line for one that is made), data fields and names of the made ones,
+    cards repeated.
+    """
     pieces: list[Int] = []
     made: list[list[bytes]] = []
     names: list[bytes] = []
@@ -278,7 +309,9 @@ def _columns(deck: Deck, lines: FreeLines) -> tuple[NDArray[np.uint8], Bool]:
 
 
 def _free_columns(text: NDArray[np.uint8], rows: Int, lines: FreeLines) -> None:
-    """The first field and the continuation name of free-format lines, put where fixed-format lines have them."""
+    """The first field and the continuation name of free-format lines, put where fixed-format lines
+    have them.
+    """
     for a in range(0, rows.size, BLOCK):
         at = rows[a : a + BLOCK]
         first = lines.field(at, 0)
@@ -300,8 +333,12 @@ def _lines_with(raw: NDArray[np.uint8], code: int, deck: Deck) -> Bool:
     return out
 
 
-def _continuation_order(deck: Deck, text: NDArray[np.uint8], follows: Bool, keep: Int) -> Int | None:
-    """A reordering that puts named continuations behind the line that calls them, None if all are in order."""
+def _continuation_order(
+    deck: Deck, text: NDArray[np.uint8], follows: Bool, keep: Int
+) -> Int | None:
+    """A reordering that puts named continuations behind the line that calls them, None if all are
+    in order.
+    """
     if not follows.any():
         return None
     mine, calls = np.zeros(len(text), dtype="S8"), np.zeros(len(text), dtype="S8")
@@ -323,16 +360,26 @@ def _continuation_order(deck: Deck, text: NDArray[np.uint8], follows: Bool, keep
         found = parents.get(bytes(mine[i]), [])
         if len(found) == 1:
             after[found[0]] = i
-        elif i and (calls[i - 1] == b"" or text[i - 1, 73:80].tobytes().strip() == mine[i]):  # column 73 is free
+        elif i and (
+            calls[i - 1] == b"" or text[i - 1, 73:80].tobytes().strip() == mine[i]
+        ):  # column 73 is free
             log.debug("continuation %r taken for the line before it", bytes(mine[i]))
         else:
             why = "no line calls it" if not found else f"{len(found)} lines call it"
-            raise _at(deck, int(keep[i]), f"continuation {mine[i].decode('latin-1')!r} has no parent: {why}")
+            raise _at(
+                deck,
+                int(keep[i]),
+                f"continuation {mine[i].decode('latin-1')!r} has no parent: {why}",
+            )
     return _chain(len(text), follows, after) if after else None
 
 
-def _warn_of_tenth(deck: Deck, text: NDArray[np.uint8], free: Int, follows: Bool, keep: Int) -> None:
-    """Say where a free-format line has a number in the place of a continuation name, and no line of that name."""
+def _warn_of_tenth(
+    deck: Deck, text: NDArray[np.uint8], free: Int, follows: Bool, keep: Int
+) -> None:
+    """Say where a free-format line has a number in the place of a continuation name, and no line of
+    that name.
+    """
     digit = (text[free, 72] - np.uint8(48) <= 9) | np.isin(text[free, 72], (45, 46))
     lines = free[digit]
     lines = lines[~np.isin(_tags(text[lines, 72:80]), _tags(text[follows, :8]))]
@@ -341,14 +388,17 @@ def _warn_of_tenth(deck: Deck, text: NDArray[np.uint8], free: Int, follows: Bool
         more = f" ({lines.size - 1} more like it)" if lines.size > 1 else ""
         tag = text[lines[0], 72:80].tobytes().decode("latin-1").strip()
         log.warning(
-            "%s:%d: %r stands behind the eight data fields of its line, where a continuation is named: it is not read; "
+            "%s:%d: %r stands behind the eight data fields of its line, where a continuation is "
+            "named: it is not read; "
             "put it on a line of its own that begins with a comma%s",
             *(deck.files[deck.file[row]], deck.line[row], tag, more),
         )
 
 
 def _chain(n: int, follows: Bool, after: dict[int, int]) -> Int:
-    """Order of the lines once the block that begins at `after[i]` stands behind the block that holds line i."""
+    """Order of the lines once the block that begins at `after[i]` stands behind the block that
+    holds line i.
+    """
     begins = ~follows
     begins[list(after.values())] = True
     starts = np.flatnonzero(begins)

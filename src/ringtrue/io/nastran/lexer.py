@@ -34,7 +34,9 @@ def _decimal(c: NDArray[np.uint8], use: Bool) -> Int:
 
 
 def _blocks(cells: NDArray[np.bytes_]) -> Iterator[tuple[slice, NDArray[np.uint8]]]:
-    """Character codes (width, n), character by character as reductions are fast then, in blocks that fit the cache."""
+    """Character codes (width, n), character by character as reductions are fast then, in blocks
+    that fit the cache.
+    """
     c = characters(cells)
     for a in range(0, len(c), _BLOCK):
         block = np.ascontiguousarray(c[a : a + _BLOCK].T)
@@ -57,10 +59,11 @@ def integers(cells: NDArray[np.bytes_]) -> tuple[Int, Bool]:
 
 
 def reals(cells: NDArray[np.bytes_]) -> tuple[Float, Bool]:
-    """Nastran reals (`7.`, `.5`, `1.5-3`, `1.D+3`, also integers) of stripped upper-case cells (n,).
+    """Nastran reals (`7.`, `.5`, `1.5-3`, `1.D+3`, also integers) of stripped upper-case cells
+    (n,).
 
-    Exactly rounded: up to 15 digits and |exponent| <= 22 by one multiplication or division (Clinger, 1990), the
-    rest by `float`.
+    Exactly rounded: up to 15 digits and |exponent| <= 22 by one multiplication or division
+    (Clinger, 1990), the rest by `float`.
 
     Returns
     -------
@@ -144,7 +147,8 @@ class LineFields:
     name : str
         Field 1 without `*`, upper case; "" on a continuation.
     spans : tuple of (int, int)
-        Byte range of each data field (8 for small, 4 for large; as many as there are for free), in the line.
+        Byte range of each data field (8 for small, 4 for large; as many as there are for free), in
+        the line.
     end : int
         Where the data of the line end: the comment or the end of the line.
     """
@@ -173,7 +177,9 @@ def split_line(line: bytes) -> LineFields:
 
 
 def cuts(line: bytes) -> list[int]:
-    """Where a free-format line is cut: at its commas, and at blanks between its name and field 2."""
+    """Where a free-format line is cut: at its commas, and at blanks between its name and field
+    2.
+    """
     commas = [i for i, b in enumerate(line) if b == 44]
     begins = [found.start() for found in _TOKEN.finditer(line[: commas[0]])] if commas else []
     if len(begins) != 2 or line[begins[0]] in b"+*":

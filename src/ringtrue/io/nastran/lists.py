@@ -29,13 +29,21 @@ BUSH = {  # lines of a PBUSH
     "M": ["M"],
 }
 PLY = {"PCOMP": ("MID", "T", "THETA", "SOUT"), "PCOMPG": ("GPLYID", "MID", "T", "THETA", "SOUT")}
-_KIND: dict[str, Any] = {"GPLYID": np.int64, "MID": np.int64, "T": np.float64, "THETA": np.float64, "SOUT": np.str_}
+_KIND: dict[str, Any] = {
+    "GPLYID": np.int64,
+    "MID": np.int64,
+    "T": np.float64,
+    "THETA": np.float64,
+    "SOUT": np.str_,
+}
 _PITCH = {"PCOMP": 4, "PCOMPG": 8}  # fields from ply to ply
 _FIRST = 8
 
 
 def ply_places(name: str, fields: Sequence[str]) -> list[int]:
-    """Where on a PCOMP or PCOMPG the fields of each ply begin; a ply is there if one of its fields is."""
+    """Where on a PCOMP or PCOMPG the fields of each ply begin; a ply is there if one of its fields
+    is.
+    """
     size = len(PLY[name])
     return [i for i in range(_FIRST, len(fields), _PITCH[name]) if any(fields[i : i + size])]
 
@@ -75,7 +83,9 @@ def _laminate(name: str, cards: Sequence[Card], files: Files) -> Table:
 
 
 def pcomp(cards: Sequence[Card], files: Files) -> Table:
-    """PCOMP: a row a laminate, an entry of the ragged columns a ply; a blank MID or T is that of the ply before."""
+    """PCOMP: a row a laminate, an entry of the ragged columns a ply; a blank MID or T is that of
+    the ply before.
+    """
     return _laminate("PCOMP", cards, files)
 
 
@@ -93,21 +103,36 @@ def rbe1(cards: Sequence[Card], files: Files) -> Table:
         eid.append(r.whole(0, "EID"))
         marks = [i for i in range(8, len(c.fields), 8) if r.text(i).upper() == "UM"]
         if not marks:
-            raise r.fail("UM", "the dependent DOFs are missing: write UM in field 2 of a continuation before them")
-        for (g, comp), first, last in ((("GN", "CN"), 0, marks[0]), (("GM", "CM"), marks[0], len(c.fields))):
+            raise r.fail(
+                "UM",
+                "the dependent DOFs are missing: write UM in field 2 of a continuation before them",
+            )
+        for (g, comp), first, last in (
+            (("GN", "CN"), 0, marks[0]),
+            (("GM", "CM"), marks[0], len(c.fields)),
+        ):
             # three pairs on a line of eight fields, behind its first
-            at = [i for k in range(first, last, 8) for i in (k + 1, k + 3, k + 5) if r.text(i) and r.text(i + 1)]
+            at = [
+                i
+                for k in range(first, last, 8)
+                for i in (k + 1, k + 3, k + 5)
+                if r.text(i) and r.text(i + 1)
+            ]
             pairs[g].append([r.whole(i, g) for i in at])
             pairs[comp].append([r.text(i + 1) for i in at])
             if not at:
                 raise r.fail(g, "no node with components")
     cols: dict[str, NDArray[Any] | Ragged] = {"EID": np.array(eid, dtype=np.int64)}
-    cols |= {key: ragged(values, np.int64 if key[0] == "G" else np.str_) for key, values in pairs.items()}
+    cols |= {
+        key: ragged(values, np.int64 if key[0] == "G" else np.str_) for key, values in pairs.items()
+    }
     return Table("RBE1", cols, *places(cards))
 
 
 def rspline(cards: Sequence[Card], files: Files) -> Table:
-    """RSPLINE: its nodes in order, each with its dependent components; the first and the last have none."""
+    """RSPLINE: its nodes in order, each with its dependent components; the first and the last have
+    none.
+    """
     cols: dict[str, NDArray[Any] | Ragged] = {}
     readers = [Reader(c, files) for c in cards]
     cols["EID"] = np.array([r.whole(0, "EID") for r in readers], dtype=np.int64)
@@ -120,7 +145,9 @@ def rspline(cards: Sequence[Card], files: Files) -> Table:
             raise r.fail("G", "the last node is independent: no components stand behind it")
     g = [[r.whole(i, "G") for i in at] for r, at in zip(readers, places_, strict=True)]
     c = [["", *(r.text(i + 1) for i in at[1:])] for r, at in zip(readers, places_, strict=True)]
-    return Table("RSPLINE", cols | {"G": ragged(g, np.int64), "C": ragged(c, np.str_)}, *places(cards))
+    return Table(
+        "RSPLINE", cols | {"G": ragged(g, np.int64), "C": ragged(c, np.str_)}, *places(cards)
+    )
 
 
 _BLOCKS = {"": 2, "UD": 2, "K": 1, "Z": 1, "S": 1}  # what opens a line, and where its entries begin
@@ -134,7 +161,9 @@ def _genel_blocks(r: Reader) -> dict[str, range]:
     if len(set(found)) < len(found) or found.count("K") + found.count("Z") != 1:
         raise r.fail("K", "one block K or Z is needed, and each block once")
     ends = [*(i for i, _ in marks[1:]), len(r.card.fields)]
-    blocks = {name: range(i + _BLOCKS[name], end) for (i, name), end in zip(marks, ends, strict=True)}
+    blocks = {
+        name: range(i + _BLOCKS[name], end) for (i, name), end in zip(marks, ends, strict=True)
+    }
     return {"": range(2, marks[0][0]), **blocks}
 
 
@@ -147,7 +176,9 @@ def _genel_reals(r: Reader, name: str, at: range, count: int) -> list[float]:
 
 
 def genel(cards: Sequence[Card], files: Files) -> Table:
-    """GENEL: pairs (UI, CI) and (UD, CD), the lower triangle of K or Z by columns, and S by rows."""
+    """GENEL: pairs (UI, CI) and (UD, CD), the lower triangle of K or Z by columns, and S by
+    rows.
+    """
     head: dict[str, list[Any]] = {"EID": [], "FORM": []}
     lists: dict[str, list[list[Any]]] = {key: [] for key in ("UI", "CI", "UD", "CD", "KZ", "S")}
     for c in cards:
@@ -166,7 +197,9 @@ def genel(cards: Sequence[Card], files: Files) -> Table:
         lists["KZ"].append(_genel_reals(r, form, blocks[form], n * (n + 1) // 2))
         lists["S"].append(_genel_reals(r, "S", blocks["S"], n * d) if "S" in blocks else [])
     cols: dict[str, NDArray[Any] | Ragged] = {key: np.array(values) for key, values in head.items()}
-    cols |= {key: ragged(v, np.float64 if key in ("KZ", "S") else np.int64) for key, v in lists.items()}
+    cols |= {
+        key: ragged(v, np.float64 if key in ("KZ", "S") else np.int64) for key, v in lists.items()
+    }
     return Table("GENEL", cols, *places(cards))
 
 
@@ -175,7 +208,9 @@ _TERM = ("GI", "CI", "A", "B")
 
 
 def dmig(cards: Sequence[Card], files: Files) -> Table:
-    """DMIG: a row a matrix, numbered in the order of their headers; an entry of the ragged columns a term."""
+    """DMIG: a row a matrix, numbered in the order of their headers; an entry of the ragged columns
+    a term.
+    """
     heads = [c for c in cards if len(c.fields) > 1 and c.fields[1] == "0"]
     number: dict[str, int] = {}
     for i, c in enumerate(heads):
@@ -186,7 +221,9 @@ def dmig(cards: Sequence[Card], files: Files) -> Table:
     columns = [c for c in cards if not (len(c.fields) > 1 and c.fields[1] == "0")]
     for c in columns:
         if not c.fields or c.fields[0] not in number:
-            raise Reader(c, files).fail("NAME", f"{c.fields[0] if c.fields else ''!r} has no header (0 in field 3)")
+            raise Reader(c, files).fail(
+                "NAME", f"{c.fields[0] if c.fields else ''!r} has no header (0 in field 3)"
+            )
     readers = [Reader(c, files) for c in heads]
     cols: dict[str, NDArray[Any] | Ragged] = {"ID": np.arange(1, len(heads) + 1)}
     cols["NAME"] = np.array([c.fields[0] for c in heads], dtype=np.str_)
@@ -197,20 +234,30 @@ def dmig(cards: Sequence[Card], files: Files) -> Table:
     return Table("DMIG", cols | _terms(columns, owner, len(heads), files), *places(heads))
 
 
-def _terms(cards: Sequence[Card], owner: Int, rows: int, files: Files) -> dict[str, NDArray[Any] | Ragged]:
+def _terms(
+    cards: Sequence[Card], owner: Int, rows: int, files: Files
+) -> dict[str, NDArray[Any] | Ragged]:
     """All terms of column cards at once: GJ, CJ of the card, GI, CI, A, B of the term."""
     starts = [range(4, len(c.fields), 4) for c in cards]
     at = [[i for i in s if c.fields[i]] for c, s in zip(cards, starts, strict=True)]
     count = np.array([len(a) for a in at], dtype=np.int64)
     of = np.repeat(np.arange(len(cards)), count)
     order = np.argsort(owner[of], kind="stable")
-    offsets = np.concatenate([[0], np.cumsum(np.bincount(owner[of], minlength=rows))]).astype(np.int64)
+    offsets = np.concatenate([[0], np.cumsum(np.bincount(owner[of], minlength=rows))]).astype(
+        np.int64
+    )
     out: dict[str, NDArray[Any] | Ragged] = {}
     for k, key in enumerate(("GJ", "CJ")):
-        values = _numbers([c.fields[1 + k] if len(c.fields) > 1 + k else "" for c in cards], cards, key, files)
+        values = _numbers(
+            [c.fields[1 + k] if len(c.fields) > 1 + k else "" for c in cards], cards, key, files
+        )
         out[key] = Ragged(values[of][order].astype(np.int64), offsets)
     for k, key in enumerate(_TERM):
-        text = [c.fields[i + k] if i + k < len(c.fields) else "" for c, a in zip(cards, at, strict=True) for i in a]
+        text = [
+            c.fields[i + k] if i + k < len(c.fields) else ""
+            for c, a in zip(cards, at, strict=True)
+            for i in a
+        ]
         values = _numbers(text, [cards[i] for i in of.tolist()], key, files)
         out[key] = Ragged(values[order], offsets)
     return out

@@ -21,10 +21,12 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class Load:
-    """A force or moment at `node`, or an acceleration of all masses (GRAV, node 0), in frame `cid`; deck units.
+    """A force or moment at `node`, or an acceleration of all masses (GRAV, node 0), in frame `cid`;
+    deck units.
 
-    With `ends`, two nodes, only the size of the vector counts: its direction is from the one to the other (FORCE1), of
-    four nodes across both pairs (FORCE2). At a scalar point (SLOAD) the vector is its size alone.
+    With `ends`, two nodes, only the size of the vector counts: its direction is from the one to the
+    other (FORCE1), of four nodes across both pairs (FORCE2). At a scalar point (SLOAD) the vector
+    is its size alone.
     """
 
     card: str
@@ -41,10 +43,11 @@ class Load:
 
 @dataclass(frozen=True, slots=True)
 class Pressure:
-    """A pressure `sizes` at the corners of elements or, for PLOAD, of the face between `nodes`; deck units.
+    """A pressure `sizes` at the corners of elements or, for PLOAD, of the face between `nodes`;
+    deck units.
 
-    `first` to `last` are the elements, `nodes` what names a face of a solid (G1 and G3 or G4, 0 for none). It acts
-    along `vector` in frame `cid`, or without one along the normal, into a solid.
+    `first` to `last` are the elements, `nodes` what names a face of a solid (G1 and G3 or G4, 0 for
+    none). It acts along `vector` in frame `cid`, or without one along the normal, into a solid.
     """
 
     card: str
@@ -69,9 +72,10 @@ class Pressure:
 class LineLoad:
     """A force or moment (PLOAD1) on the beam `element`; deck units.
 
-    `kind` is its TYPE, such as FZ (basic) or MYE (axes of the element). It acts from `ends[0]` to `ends[1]`, lengths
-    or with `fraction` shares of the length, with sizes a length that are linear between, or where the two are one as a
-    single load `sizes[0]`. `projected`: a length is that which a view along the load sees.
+    `kind` is its TYPE, such as FZ (basic) or MYE (axes of the element). It acts from `ends[0]` to
+    `ends[1]`, lengths or with `fraction` shares of the length, with sizes a length that are linear
+    between, or where the two are one as a single load `sizes[0]`. `projected`: a length is that
+    which a view along the load sees.
     """
 
     place: tuple[str, int]
@@ -110,7 +114,9 @@ class Spin:
 
 @dataclass(frozen=True, slots=True)
 class Moved:
-    """A held component of `node` displaced by `size` (SPCD), in its displacement frame; deck units."""
+    """A held component of `node` displaced by `size` (SPCD), in its displacement frame; deck
+    units.
+    """
 
     place: tuple[str, int]
     node: int
@@ -152,7 +158,8 @@ def load_cases(found: Cards) -> tuple[LoadCase, ...]:
     Raises
     ------
     DeckError
-        If there is none, a set is not in the deck, a field is no number, or subcases have other SPC or MPC.
+        If there is none, a set is not in the deck, a field is no number, or subcases have other SPC
+        or MPC.
     UnsupportedCard
         If a set has loads of other cards, such as ACCEL1 or TEMPP1.
     """
@@ -165,7 +172,9 @@ def load_cases(found: Cards) -> tuple[LoadCase, ...]:
 
 
 def _warmth(found: Cards, number: int) -> Warmth:
-    """The temperatures of a set: TEMP: SID G1 T1 G2 T2 G3 T3, and TEMPD: SID1 T1 SID2 T2 and so on."""
+    """The temperatures of a set: TEMP: SID G1 T1 G2 T2 G3 T3, and TEMPD: SID1 T1 SID2 T2 and so
+    on.
+    """
     nodes, others = dict[int, float](), float("nan")
     for name in (n.decode() for n in found.kinds()[0].tolist() if n.startswith(b"TEMP")):
         for c in written_out(found, name):
@@ -187,7 +196,11 @@ def _of_set(found: Cards, number: int) -> tuple[AnyLoad, ...]:
     for r in (Reader(c, found.deck.files) for c in written_out(found, "LOAD")):
         if r.whole(0, "SID") == number:
             every, last = r.real(1, "S", 0.0), len(r.card.fields) - 1
-            pairs = [(every * r.real(i, "Si", 0.0), r.whole(i + 1, "Li")) for i in range(2, last, 2) if r.text(i + 1)]
+            pairs = [
+                (every * r.real(i, "Si", 0.0), r.whole(i + 1, "Li"))
+                for i in range(2, last, 2)
+                if r.text(i + 1)
+            ]
             return tuple(ld.times(f) for f, of in pairs for ld in _alone(found, of))
     return _alone(found, number)
 
@@ -237,7 +250,11 @@ def _between(r: Reader) -> list[AnyLoad]:
 
 def _sload(r: Reader) -> list[AnyLoad]:
     """SLOAD: SID S1 F1 S2 F2 S3 F3."""
-    return [Load("SLOAD", r.whole(i, "S"), 0, (r.real(i + 1, "F"), 0.0, 0.0)) for i in (1, 3, 5) if r.text(i)]
+    return [
+        Load("SLOAD", r.whole(i, "S"), 0, (r.real(i + 1, "F"), 0.0, 0.0))
+        for i in (1, 3, 5)
+        if r.text(i)
+    ]
 
 
 def _place(r: Reader) -> tuple[str, int]:
@@ -267,7 +284,11 @@ def _pload4(r: Reader) -> list[AnyLoad]:
     first = r.real(2, "P1", 0.0)
     sizes = tuple(r.real(i, f"P{i - 1}", first) for i in (2, 3, 4, 5))
     eid, ranged = r.whole(1, "EID"), r.text(6).upper() == "THRU"
-    last, nodes = (r.whole(7, "EID2"), (0, 0)) if ranged else (eid, (r.whole(6, "G1", 0), r.whole(7, "G3", 0)))
+    last, nodes = (
+        (r.whole(7, "EID2"), (0, 0))
+        if ranged
+        else (eid, (r.whole(6, "G1", 0), r.whole(7, "G3", 0)))
+    )
     vector = _vector(r, 9) if any(r.text(i) for i in (9, 10, 11)) else None
     if r.text(12).upper() not in ("", "SURF") or r.text(13).upper() not in ("", "NORM"):
         raise r.fail("SORL", "loads along edges (LINE) and LDIR are not read; give FORCE")
@@ -299,7 +320,11 @@ def _pload1(r: Reader) -> list[AnyLoad]:
 def _rforce(r: Reader) -> list[AnyLoad]:
     """RFORCE: SID G CID A R1 R2 R3 METHOD RACC MB IDRF; A in revolutions per unit of time."""
     if r.real(8, "RACC", 0.0) or r.whole(10, "IDRF", 0):
-        raise r.fail("RACC", "angular accelerations and sets of elements (IDRF) are not read; a steady spin of all is")
+        raise r.fail(
+            "RACC",
+            "angular accelerations and sets of elements (IDRF) are not read; a steady spin of "
+            "all is",
+        )
     turns = 2 * np.pi * r.real(3, "A", 0.0)
     x, y, z = _vector(r, 4)
     return [Spin(r.whole(1, "G", 0), r.whole(2, "CID", 0), (turns * x, turns * y, turns * z))]

@@ -11,8 +11,12 @@ from ringtrue.model.cards import columns
 from ringtrue.model.method import METHODS
 from ringtrue.model.model import Ragged, Table
 
-LARGEST = 1e50  # of any unit: the product of six fields stays below 1.8e308, the largest double; 1/LARGEST the smallest
-_ALLOWED = f"is beyond what can be computed with; allowed are 0 and {1 / LARGEST:g} to {LARGEST:g} in size"
+# of any unit: the product of six fields stays below 1.8e308, the largest double; 1/LARGEST the
+# smallest
+LARGEST = 1e50
+_ALLOWED = (
+    f"is beyond what can be computed with; allowed are 0 and {1 / LARGEST:g} to {LARGEST:g} in size"
+)
 _LIMITS = {  # allowable stresses, in which a large number stands for none; no matrix uses them
     "MAT1": ("ST", "SC", "SS"),
     "MAT2": ("ST", "SC", "SS"),
@@ -32,7 +36,11 @@ def refuse_magnitudes(tables: Iterable[Table], files: tuple[str, ...]) -> None:
         if table.card in METHODS:  # a large limit of the band stands for none
             continue
         for spec in columns(table.card):
-            if spec.kind != "f" or spec.name not in table.columns or spec.name in _LIMITS.get(table.card, ()):
+            if (
+                spec.kind != "f"
+                or spec.name not in table.columns
+                or spec.name in _LIMITS.get(table.card, ())
+            ):
                 continue
             column = table.columns[spec.name]
             values = column.values if isinstance(column, Ragged) else column

@@ -11,11 +11,18 @@ from ringtrue.model.frames import positions
 from ringtrue.model.model import Model
 from ringtrue.model.places import error
 
-_ACROSS = (("K2", "K3"), ("K5", "K6"), ("B2", "B3"), ("B5", "B6"))  # alike, the axes across the line do not matter
+_ACROSS = (
+    ("K2", "K3"),
+    ("K5", "K6"),
+    ("B2", "B3"),
+    ("B5", "B6"),
+)  # alike, the axes across the line do not matter
 
 
 def open_bushes(model: Model) -> Iterator[DeckError]:
-    """The first CBUSH of some length without orientation and CID whose springs across it are not alike."""
+    """The first CBUSH of some length without orientation and CID whose springs across it are not
+    alike.
+    """
     if not all(card in model for card in ("CBUSH", "PBUSH", "GRID")):
         return
     table, p, grid = model["CBUSH"], model["PBUSH"], model["GRID"]
@@ -29,5 +36,8 @@ def open_bushes(model: Model) -> Iterator[DeckError]:
         at = at[(xyz[a[at]] != xyz[b[at]]).any(axis=1)]
     if at.size:
         more = f" ({at.size - 1} more like it)" if at.size > 1 else ""
-        why = f"its springs across the line of its ends are not alike, and no CID, G0 or X1-X3 orients them{more}"
+        why = (
+            "its springs across the line of its ends are not alike, and no CID, G0 or X1-X3 "
+            f"orients them{more}"
+        )
         yield error(model, table, int(at[0]), why)

@@ -41,7 +41,8 @@ _BEAM = (
 
 
 def field_place(name: str, fields: Sequence[str], id: int, field: str) -> int | None:
-    """Number (from 0) of a data field of a card with the data fields `fields`; None where it has no place.
+    """Number (from 0) of a data field of a card with the data fields `fields`; None where it has no
+    place.
 
     Raises
     ------
@@ -88,11 +89,17 @@ def _of_laminate(name: str, fields: Sequence[str], field: str) -> int | None:
         return head.index(field)
     key, number = ply_field(field) or ("", 0)
     plies = ply_places(name, fields)
-    return plies[number - 1] + PLY[name].index(key) if key in PLY[name] and 1 <= number <= len(plies) else None
+    return (
+        plies[number - 1] + PLY[name].index(key)
+        if key in PLY[name] and 1 <= number <= len(plies)
+        else None
+    )
 
 
 def inherited(name: str, fields: Sequence[str], field: str) -> tuple[int, str] | None:
-    """The blank field of the next ply that takes its MID or T from this one: its place, and the text it stands for."""
+    """The blank field of the next ply that takes its MID or T from this one: its place, and the
+    text it stands for.
+    """
     key, number = ply_field(field) or ("", 0)
     if name not in PLY or key not in ("MID", "T"):
         return None
@@ -122,5 +129,9 @@ def _of_beam(fields: Sequence[str], field: str) -> int | None:
     key, number = ply_field(field) or ("", 0)
     if key in ("X", *BETWEEN):
         between = [p for x, p in stations if x < 1.0]
-        return between[number - 1] + ("X", *BETWEEN).index(key) - 1 if 1 <= number <= len(between) else None
+        return (
+            between[number - 1] + ("X", *BETWEEN).index(key) - 1
+            if 1 <= number <= len(between)
+            else None
+        )
     return behind + _BEAM.index(field)

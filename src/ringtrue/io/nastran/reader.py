@@ -86,7 +86,9 @@ def read_loaded_deck(path: str | Path) -> tuple[Model, tuple[LoadCase, ...]]:
 
 
 def read_damped_deck(path: str | Path) -> tuple[Model, ModalDamping | None]:
-    """Read a deck, as `read_deck` does, and the modal damping that its case control asks for (SDAMPING)."""
+    """Read a deck, as `read_deck` does, and the modal damping that its case control asks for
+    (SDAMPING).
+    """
     model, found = _read(load(path))
     return model, modal_damping(found, structural=model.params.get("KDAMP", 1) == -1)
 
@@ -94,7 +96,9 @@ def read_damped_deck(path: str | Path) -> tuple[Model, ModalDamping | None]:
 def _read(deck: Deck) -> tuple[Model, Cards]:
     if deck.superelements:
         file, line = deck.superelements
-        raise UnsupportedCard("BEGIN SUPER", path=deck.files[file], line=line, why=reason("BEGIN SUPER"))
+        raise UnsupportedCard(
+            "BEGIN SUPER", path=deck.files[file], line=line, why=reason("BEGIN SUPER")
+        )
     found, path = cards(deck), deck.files[0]
     _refuse(found)
     model, skipped = _model(found)
@@ -105,7 +109,11 @@ def _read(deck: Deck) -> tuple[Model, Cards]:
     for text in empty_choices(model):
         log.warning("%s: case control asks for %s", path, text)
     if model.case.others:
-        log.warning("%s: SUBCASE %s not taken, only the first with a METHOD is", path, list(model.case.others))
+        log.warning(
+            "%s: SUBCASE %s not taken, only the first with a METHOD is",
+            path,
+            list(model.case.others),
+        )
     for text in left_out(model):
         log.warning("%s: %s", path, text)
     out = idle(model)
@@ -130,7 +138,10 @@ def survey(path: str | Path) -> Survey:
     unsupported = {name: "{}:{}".format(*found.place(at)) for at, name in _stopping(found)}
     if deck.superelements:
         unsupported["BEGIN SUPER"] = f"{deck.files[deck.superelements[0]]}:{deck.superelements[1]}"
-    unsupported = {card: ": ".join(t for t in (place, reason(card)) if t) for card, place in unsupported.items()}
+    unsupported = {
+        card: ": ".join(t for t in (place, reason(card)) if t)
+        for card, place in unsupported.items()
+    }
     model, skipped = _model(found)
     unsupported |= {card: f"{place[0]}:{place[1]}: {why}" for card, (why, place) in skipped.items()}
     faults = [_dangling(model, f) for f in missing(model, _foreign_ids(found, unsupported))]
@@ -142,7 +153,9 @@ def survey(path: str | Path) -> Survey:
 
 
 def _stops(name: str, more: tuple[str, ...]) -> bool:
-    """Whether a card must not be passed over; `more`: beginnings of names that case control makes count."""
+    """Whether a card must not be passed over; `more`: beginnings of names that case control makes
+    count.
+    """
     return name not in EXPAND and (is_unsupported(name) or name[0] == "/" or name.startswith(more))
 
 
@@ -166,7 +179,9 @@ def _refuse(found: Cards) -> None:
 
 
 def _foreign_ids(found: Cards, unsupported: Collection[str]) -> dict[str, set[int]]:
-    """Ids of unsupported properties and materials, under the names of the cards that stand for them."""
+    """Ids of unsupported properties and materials, under the names of the cards that stand for
+    them.
+    """
     out: dict[str, set[int]] = {}
     ids = set()
     for name in unsupported:
@@ -194,7 +209,10 @@ def _model(found: Cards) -> tuple[Model, dict[str, tuple[str, tuple[str, int]]]]
             try:
                 made = EXPAND[name](written_out(found, name), found.deck.files)
             except UnsupportedCard as e:
-                skipped[name] = (str(e).partition(" is not supported: ")[2], (str(e.path), e.line or 0))
+                skipped[name] = (
+                    str(e).partition(" is not supported: ")[2],
+                    (str(e.path), e.line or 0),
+                )
                 continue
             tables[made.card] = stacked(tables[made.card], made) if made.card in tables else made
             if name in MADE:
@@ -208,7 +226,9 @@ def _model(found: Cards) -> tuple[Model, dict[str, tuple[str, tuple[str, int]]]]
         tables |= fill(default, tables, found)
     _refuse_both(tables, found.deck.files)
     tables |= implied_points(tables)
-    if "SPOINT" in tables and "GRID" not in tables:  # springs and masses between scalar points alone
+    if (
+        "SPOINT" in tables and "GRID" not in tables
+    ):  # springs and masses between scalar points alone
         tables["GRID"] = empty("GRID")
     if b"SPC1" in names:  # a THRU passes over points that are not there
         tables["SPC1"] = make_table(found, "SPC1", _points(tables))
@@ -225,14 +245,21 @@ def _params(found: Cards) -> dict[str, int | float | str]:
     for card in written_out(found, "PARAM"):
         name, text = card.fields[0], card.fields[1]
         if not name:
-            raise DeckError("a PARAM without a name", path=found.deck.files[card.file], line=card.line, card="PARAM")
+            raise DeckError(
+                "a PARAM without a name",
+                path=found.deck.files[card.file],
+                line=card.line,
+                card="PARAM",
+            )
         out[name] = value(text)
         refuse_parameter(name, out[name], found.deck.files[card.file], card.line)
     return out | params(found.deck.top)
 
 
 def _points(tables: Mapping[str, Table]) -> Int:
-    scalar = tables["SPOINT"].ragged("ID").values if "SPOINT" in tables else np.empty(0, dtype=np.int64)
+    scalar = (
+        tables["SPOINT"].ragged("ID").values if "SPOINT" in tables else np.empty(0, dtype=np.int64)
+    )
     return np.union1d(tables["GRID"].ids if "GRID" in tables else scalar, scalar)
 
 
@@ -259,7 +286,9 @@ def _refuse_shared(tables: Sequence[Table], files: tuple[str, ...]) -> None:
     for i, table in enumerate(tables):
         for other in tables[:i]:
             if (rows := np.flatnonzero(np.isin(table.ids, other.ids))).size:
-                raise _twice(table, int(rows[0]), other, int(other.find(table.ids[rows[:1]])[0]), files)
+                raise _twice(
+                    table, int(rows[0]), other, int(other.find(table.ids[rows[:1]])[0]), files
+                )
 
 
 def _refuse_both(tables: Mapping[str, Table], files: tuple[str, ...]) -> None:
@@ -270,13 +299,16 @@ def _refuse_both(tables: Mapping[str, Table], files: tuple[str, ...]) -> None:
         if (both := np.flatnonzero(np.isin(ids.values, grid.ids))).size:
             node, row = ids.values[both[0]], int(ids.owner[both[0]])
             path, line = files[points.file[row]], int(points.line[row])
-            raise DeckError(f"{node} is the number of a GRID, too", path=path, line=line, card="SPOINT")
+            raise DeckError(
+                f"{node} is the number of a GRID, too", path=path, line=line, card="SPOINT"
+            )
 
 
 def _twice(table: Table, row: int, other: Table, before: int, files: tuple[str, ...]) -> DeckError:
     first = f"{files[other.file[before]]}:{other.line[before]}"
     return DeckError(
-        f"{table.ids[row]} is defined twice, first {'' if other is table else f'as {other.card} '}at {first}",
+        f"{table.ids[row]} is defined twice, first "
+        f"{'' if other is table else f'as {other.card} '}at {first}",
         path=files[table.file[row]],
         line=int(table.line[row]),
         card=table.card,
@@ -292,7 +324,11 @@ def _dangling(model: Model, lost: Missing) -> DeckError:
     row, wanted = int(lost.rows[0]), int(lost.ids[0])
     of = lost.reference.names
     more = f" ({lost.rows.size - 1} more like it)" if lost.rows.size > 1 else ""
-    what = f"names {of} {wanted}, which is not in the deck" if wanted else f"is blank; it must name a {of}"
+    what = (
+        f"names {of} {wanted}, which is not in the deck"
+        if wanted
+        else f"is blank; it must name a {of}"
+    )
     if "MAT9" in of and "MAT10" in model.kept:
         what += f"; MAT10 makes a fluid ({reason('MFLUID')})"
     return DeckError(
@@ -307,14 +343,17 @@ def _dangling(model: Model, lost: Missing) -> DeckError:
 def _misnamed(model: Model) -> Iterator[DeckError]:
     """Lists of components with more than the digits 1 to 6, the first of each field."""
     for table in model.tables.values():
-        for name in (s.name for s in columns(table.card) if s.kind == "c" and s.name in table.columns):
+        for name in (
+            s.name for s in columns(table.card) if s.kind == "c" and s.name in table.columns
+        ):
             column = table.columns[name]
             text = column.values if isinstance(column, Ragged) else column
             bad = np.flatnonzero((np.char.strip(text, "123456") != "") & (text != "0"))
             if bad.size:
                 row = int(column.owner[bad[0]] if isinstance(column, Ragged) else bad[0])
                 yield DeckError(
-                    f"{str(text[bad[0]])!r} is no list of components; allowed are the digits 1 to 6",
+                    f"{str(text[bad[0]])!r} is no list of components; allowed are the digits 1 "
+                    "to 6",
                     path=model.files[table.file[row]],
                     line=int(table.line[row]),
                     card=f"{table.card} {table.ids[row]}",

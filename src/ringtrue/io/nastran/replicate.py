@@ -1,8 +1,8 @@
 """Replicated cards written out: `=` and `==` fields, increments `*(x)`, repetitions `=(n)`.
 
-Source: MSC Nastran Quick Reference Guide, section 8, "Replication". A field `=` is that of the card before, `==` this
-and all later fields of its line, `*(x)` that of the card before plus x; a card `=(n)` or `=n` goes on n times with
-the increments of the card before it.
+Source: MSC Nastran Quick Reference Guide, section 8, "Replication". A field `=` is that of the card
+before, `==` this and all later fields of its line, `*(x)` that of the card before plus x; a card
+`=(n)` or `=n` goes on n times with the increments of the card before it.
 """
 
 from __future__ import annotations
@@ -49,7 +49,9 @@ class Replication:
         if count:
             return self._repeat(int(count[1]))
         if name[:1] == b"=" and name not in (b"=", b"=="):
-            raise ValueError(f"{name.decode('latin-1')!r} is no replication; allowed are =, =n and =(n)")
+            raise ValueError(
+                f"{name.decode('latin-1')!r} is no replication; allowed are =, =n and =(n)"
+            )
         if name[:1] != b"=":
             self.name = name
         self.fields, self.steps = self._next([b"=="] if name == b"==" else fields)
@@ -64,7 +66,8 @@ class Replication:
 
     def _raised(self, times: int) -> Fields:
         return [
-            _plus(f, self.steps[j], times) if j in self.steps else f for j, f in enumerate(self.fields)
+            _plus(f, self.steps[j], times) if j in self.steps else f
+            for j, f in enumerate(self.fields)
         ]  # from the last card, so that sums do not drift
 
     def _next(self, fields: Fields) -> tuple[Fields, dict[int, bytes]]:

@@ -1,4 +1,6 @@
-"""Cards with a pattern of their own: SPC, MPC, RBE3, PELAS, PMASS, PDAMP, PVISC, PBUSH; more in `beams`, `lists`."""
+"""Cards with a pattern of their own: SPC, MPC, RBE3, PELAS, PMASS, PDAMP, PVISC, PBUSH; more in
+`beams`, `lists`.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,9 @@ def _spc(cards: Sequence[Card], files: Files) -> Table:
 def _several(
     card: str, id_name: str, names: Sequence[str], pitch: int = 0, *, whole: bool = False
 ) -> Callable[[Sequence[Card], Files], Table]:
-    """A card that holds several rows of 1 + len(names) fields, real or `whole` numbers, `pitch` fields apart."""
+    """A card that holds several rows of 1 + len(names) fields, real or `whole` numbers, `pitch`
+    fields apart.
+    """
 
     def read(cards: Sequence[Card], files: Files) -> Table:
         ids: list[int] = []
@@ -171,7 +175,9 @@ def _pbush(cards: Sequence[Card], files: Files) -> Table:
                 row[name] = r.real(start + 1 + k, name, blank[name])
         for name, value in row.items():
             cols[name].append(value)
-    data = {"PID": np.array(pid, dtype=np.int64)} | {n: np.array(v, dtype=np.float64) for n, v in cols.items()}
+    data = {"PID": np.array(pid, dtype=np.int64)} | {
+        n: np.array(v, dtype=np.float64) for n, v in cols.items()
+    }
     return Table("PBUSH", data, *places(cards))
 
 
@@ -184,7 +190,9 @@ EXPAND: Mapping[str, Callable[[Sequence[Card], Files], Table]] = MappingProxyTyp
         "RSPLINE": rspline,
         "GENEL": genel,
         "CWELD": cweld,
-        **{f"CORD1{k}": _several(f"CORD1{k}", "CID", ("G1", "G2", "G3"), whole=True) for k in "RCS"},
+        **{
+            f"CORD1{k}": _several(f"CORD1{k}", "CID", ("G1", "G2", "G3"), whole=True) for k in "RCS"
+        },
         "PELAS": _several("PELAS", "PID", ("K", "GE", "S")),
         "PMASS": _several("PMASS", "PID", ("M",)),
         "PDAMP": _several("PDAMP", "PID", ("B",)),

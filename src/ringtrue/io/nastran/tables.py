@@ -19,7 +19,19 @@ Cells = NDArray[np.bytes_]
 _KINDS = {"i": "an integer", "f": "a real"}
 _OWN_PROPERTY = frozenset(  # a blank PID is the element's own number
     (
-        *("CROD", "CTUBE", "CBAR", "CBEAM", "CVISC", "CBUSH", "CTRIA3", "CQUAD4", "CTRIAR", "CQUADR", "CTRIA6"),
+        *(
+            "CROD",
+            "CTUBE",
+            "CBAR",
+            "CBEAM",
+            "CVISC",
+            "CBUSH",
+            "CTRIA3",
+            "CQUAD4",
+            "CTRIAR",
+            "CQUADR",
+            "CTRIA6",
+        ),
         *(
             "CQUAD8",
             "CELAS1",
@@ -90,7 +102,9 @@ def _joined(parts: Sequence[NDArray[Any] | Ragged], order: Int) -> NDArray[Any] 
     return Ragged(frozen(values[take]), frozen(offsets))
 
 
-def _parse(cards: Cards, name: str, rows: Int, cells: Cells, there: Int | None) -> dict[str, NDArray[Any] | Ragged]:
+def _parse(
+    cards: Cards, name: str, rows: Int, cells: Cells, there: Int | None
+) -> dict[str, NDArray[Any] | Ragged]:
     specs = columns(name)
     _refuse_surplus(cards, specs, rows, cells)
     made: dict[str, NDArray[Any] | Ragged] = {}
@@ -104,7 +118,10 @@ def _parse(cards: Cards, name: str, rows: Int, cells: Cells, there: Int | None) 
         if spec.other:
             whole = ~is_real(cell) & (cell != b"")
             made[spec.other] = _column(
-                cards, FieldSpec(spec.other, default=spec.other_default), rows, np.where(whole, cell, b"")
+                cards,
+                FieldSpec(spec.other, default=spec.other_default),
+                rows,
+                np.where(whole, cell, b""),
             )
             cell = np.where(whole, b"", cell)
         made[spec.name] = _column(cards, spec, rows, cell)
@@ -115,9 +132,15 @@ def _parse(cards: Cards, name: str, rows: Int, cells: Cells, there: Int | None) 
 
 
 def _refuse_surplus(cards: Cards, specs: Sequence[FieldSpec], rows: Int, cells: Cells) -> None:
-    """An element with more fields than it has is a card of another make: never cut it short in silence."""
+    """An element with more fields than it has is a card of another make: never cut it short in
+    silence.
+    """
     card = cards.name[rows[0]].decode()
-    if specs[-1].tail or cells.shape[1] <= len(specs) or not (specs[0].name == "EID" or card in _SURPLUS):
+    if (
+        specs[-1].tail
+        or cells.shape[1] <= len(specs)
+        or not (specs[0].name == "EID" or card in _SURPLUS)
+    ):
         return
     extra = (cells[:, len(specs) :] != b"").any(axis=1)
     if extra.any():
@@ -148,7 +171,9 @@ def _column(cards: Cards, spec: FieldSpec, rows: Int, cell: Cells) -> NDArray[An
 
 
 def _tail(cards: Cards, spec: FieldSpec, rows: Int, cells: Cells, there: Int | None) -> Ragged:
-    """Integers to the end of the card; `THRU` and `BY` expanded, a final real (ALPHA of RBE2) left out."""
+    """Integers to the end of the card; `THRU` and `BY` expanded, a final real (ALPHA of RBE2) left
+    out.
+    """
     given: Bool = cells != b""
     words = cells == b"THRU"
     special = (words | is_real(cells.reshape(-1)).reshape(cells.shape)).any(axis=1)
@@ -159,14 +184,18 @@ def _tail(cards: Cards, spec: FieldSpec, rows: Int, cells: Cells, there: Int | N
         text = cells[given & ~special[:, None]][at].decode("latin-1")
         raise fault(cards, int(rows[owner[at]]), f"{text!r} is not an integer", spec.name)
     which = np.flatnonzero(special)
-    lists = [_expanded(cards, int(rows[i]), cells[i][given[i]].tolist(), spec.name, there) for i in which]
+    lists = [
+        _expanded(cards, int(rows[i]), cells[i][given[i]].tolist(), spec.name, there) for i in which
+    ]
     values = np.concatenate([values, *lists])
     owner = np.concatenate([owner, np.repeat(which, [x.size for x in lists])])
     count = np.bincount(owner, minlength=rows.size)
     return Ragged(values[np.argsort(owner, kind="stable")], np.concatenate([[0], np.cumsum(count)]))
 
 
-def _expanded(cards: Cards, card: int, words: Sequence[bytes], field: str, there: Int | None) -> Int:
+def _expanded(
+    cards: Cards, card: int, words: Sequence[bytes], field: str, there: Int | None
+) -> Int:
     """`1 THRU 9 BY 2` as integers, of `there` if given; the list ends at a real."""
     out = [np.empty(0, dtype=np.int64)]
     i = 0
@@ -178,16 +207,27 @@ def _expanded(cards: Cards, card: int, words: Sequence[bytes], field: str, there
             if words[i : i + 1] == [b"BY"]:
                 step, i = _whole(cards, card, words[i + 1] if words[i + 1 :] else b"", field), i + 2
             if last < first or step < 1:
-                raise fault(cards, card, f"a THRU b needs a <= b, got {b' '.join(words).decode('latin-1')}", field)
+                raise fault(
+                    cards,
+                    card,
+                    f"a THRU b needs a <= b, got {b' '.join(words).decode('latin-1')}",
+                    field,
+                )
             if there is not None:
-                out.append(there[(there >= first) & (there <= last) & ((there - first) % step == 0)])
+                out.append(
+                    there[(there >= first) & (there <= last) & ((there - first) % step == 0)]
+                )
                 continue
         out.append(np.arange(first, last + 1, step))
     return np.concatenate(out)
 
 
 def _whole(cards: Cards, card: int, word: bytes, field: str) -> int:
-    value, good = integers(np.array([word], dtype=np.bytes_)) if word else (np.zeros(1), np.zeros(1, dtype=bool))
+    value, good = (
+        integers(np.array([word], dtype=np.bytes_))
+        if word
+        else (np.zeros(1), np.zeros(1, dtype=bool))
+    )
     if not good[0]:
         raise fault(cards, card, f"{word.decode('latin-1')!r} is not an integer", field)
     return int(value[0])

@@ -42,13 +42,18 @@ def cweld(cards: Sequence[Card], files: Files) -> Table:
             why = f"type {kind or 'blank'}" if kind not in _MORE else "patches with midside nodes"
             why += f"; allowed are {', '.join(_MORE)} on corners"
             raise UnsupportedCard("CWELD", path=files[c.file], line=c.line, why=why)
-        row: dict[str, int | float | str] = {s.name: s.default for s in specs} | {"TYPE": kind, "SPTYP": r.text(6)}
+        row: dict[str, int | float | str] = {s.name: s.default for s in specs} | {
+            "TYPE": kind,
+            "SPTYP": r.text(6),
+        }
         row |= {name: r.whole(i, name, 0) for name, i in (_AT | _MORE[kind]).items()}
         row["PID"] = r.whole(1, "PID", int(row["EID"]))
         if kind in ("PARTPAT", "ELPAT"):
             row |= {name: r.real(i, name, float("nan")) for name, i in _PLACE.items()}
         rows.append(row)
-    return Table("CWELD", {s.name: np.array([row[s.name] for row in rows]) for s in specs}, *places(cards))
+    return Table(
+        "CWELD", {s.name: np.array([row[s.name] for row in rows]) for s in specs}, *places(cards)
+    )
 
 
 def write_cweld(t: Table) -> Iterator[str]:

@@ -11,9 +11,11 @@ Value = int | float | str | None
 
 
 def format_real(value: float, width: int = 8) -> str:
-    """A real in Nastran's shortest forms, at most `width` characters, as near to `value` as they allow.
+    """A real in Nastran's shortest forms, at most `width` characters, as near to `value` as they
+    allow.
 
-    Exact where the shortest decimal that names the double fits; `-1.234-5`, `12346.+7` and `.12346-9` else.
+    Exact where the shortest decimal that names the double fits; `-1.234-5`, `12346.+7` and
+    `.12346-9` else.
 
     Raises
     ------
@@ -99,6 +101,8 @@ def format_card(name: str, fields: Sequence[Value], *, large: bool = False) -> s
     lines = []
     for start in range(0, max(len(values), 1), per_line):
         head = (f"{name}*" if large else name) if start == 0 else ("*" if large else "")
-        body = "".join(format_field(v, width).rjust(width) for v in values[start : start + per_line])
+        body = "".join(
+            format_field(v, width).rjust(width) for v in values[start : start + per_line]
+        )
         lines.append((head.ljust(8) + body).rstrip() or "+")
     return "\n".join(lines) + "\n"

@@ -17,14 +17,19 @@ from ringtrue.io.nastran_results.recorded import RecordedModes, gathered
 
 _NUMBER = rb"[-+]?\d+\.\d*(?:E?[-+]\d+)?"
 _VALUES = re.compile(rb"R E A L   E I G E N V A L U E S")
-_VALUE_ROWS = re.compile(rb"^[ 0]?[ ]*(\d+)[ ]+\d+((?:[ ]+" + _NUMBER + rb"[*]?){5})[ ]*(?:\d+\.?)?[ ]*\r?$", re.M)
+_VALUE_ROWS = re.compile(
+    rb"^[ 0]?[ ]*(\d+)[ ]+\d+((?:[ ]+" + _NUMBER + rb"[*]?){5})[ ]*(?:\d+\.?)?[ ]*\r?$", re.M
+)
 _VECTOR = re.compile(
-    rb"R E A L   E I G E N V E C T O R   N O \.[ ]+(\d+)|^[ ]*OUTPUT FOR EIGENVECTOR[ ]+(\d+)[ ]*\r?$", re.M
+    rb"R E A L   E I G E N V E C T O R   N O \.[ ]+(\d+)|^[ ]*OUTPUT FOR EIGENVECTOR[ ]+(\d+)[ ]*\r?$",
+    re.M,
 )
 _ROWS_BEGIN = re.compile(rb"POINT ID\.[ ]+TYPE[^\n]*\n|GRID[ ]+COORD[^\n]*\n[^\n]*SYS[^\n]*\n")
 _ROWS = re.compile(rb"(?:^[ 0]?[ ]*\d+[ ]+[A-Z0-9]+(?:[ ]+" + _NUMBER + rb")+[ ]*\r?\n)+", re.M)
 _ROW = re.compile(rb"^[ 0]?[ ]*(\d+)[ ]+([A-Z0-9]+)[ ]+([^\r\n]*)", re.M)
-_STURM = re.compile(rb"CYCLES *= *(" + _NUMBER + rb") +NUMBER OF EIGENVALUES BELOW THIS VALUE *= *(\d+)")
+_STURM = re.compile(
+    rb"CYCLES *= *(" + _NUMBER + rb") +NUMBER OF EIGENVALUES BELOW THIS VALUE *= *(\d+)"
+)
 _COMPLEX = re.compile(rb"C O M P L E X   E I G E N V E C T O R")
 _FATAL = re.compile(
     rb"^.*(?:(?:USER|SYSTEM) FATAL MESSAGE|\*ERROR +(?:\d+|:)|FATAL ERROR|PROCESSING TERMINATED).*(?:\n.*){0,3}",
@@ -62,7 +67,11 @@ def _mapped(path: Path) -> Bytes:
 def _read(data: Bytes) -> RecordedModes:
     pages = [(int(m[1] or m[2]), m.end()) for m in _VECTOR.finditer(data)]
     if not pages:
-        why = "its modes are complex" if _COMPLEX.search(data) else "ask for DISPLACEMENT(PRINT) = ALL"
+        why = (
+            "its modes are complex"
+            if _COMPLEX.search(data)
+            else "ask for DISPLACEMENT(PRINT) = ALL"
+        )
         raise DataError(f"no printed real eigenvectors: {why}")
     ends = [at for _, at in pages[1:]] + [len(data)]
     parts: dict[int, list[tuple[Int, Bool, Float]]] = {}
@@ -77,7 +86,9 @@ def _read(data: Bytes) -> RecordedModes:
     table = _eigenvalues(data, pages[0][1])
     lost = sorted(set(parts) - set(table))
     if lost or not parts:
-        raise DataError(f"the eigenvalue table has no mode {lost[0] if lost else 1}: the file is cut off?")
+        raise DataError(
+            f"the eigenvalue table has no mode {lost[0] if lost else 1}: the file is cut off?"
+        )
     lam, mass = np.array([table[k] for k in parts]).T
     return gathered(lam, mass, [_joined(p) for p in parts.values()])
 
@@ -92,7 +103,9 @@ def _page(data: Bytes, start: int, end: int) -> tuple[Int, Bool, Float] | None:
     nodes: list[int] = []
     scalar: list[bool] = []
     words: list[list[bytes]] = []
-    for point, kind, text in _ROW.findall(data, rows.start(), rows.end()):  # pages hold some fifty rows
+    for point, kind, text in _ROW.findall(
+        data, rows.start(), rows.end()
+    ):  # pages hold some fifty rows
         values = text.split()
         if kind == b"S":  # consecutive scalar points side by side
             nodes += [int(point) + k for k in range(len(values))]
@@ -120,7 +133,9 @@ def _joined(pages: list[tuple[Int, Bool, Float]]) -> tuple[Int, Bool, Float]:
 
 
 def _eigenvalues(data: Bytes, before: int) -> dict[int, tuple[float, float]]:
-    """λ and modal mass by mode of the last table in front of the eigenvectors (continued over pages)."""
+    """λ and modal mass by mode of the last table in front of the eigenvectors (continued over
+    pages).
+    """
     found: dict[int, tuple[float, float]] = {}
     heads = [m.end() for m in _VALUES.finditer(data, 0, before)]
     for start, end in zip(heads, heads[1:] + [before] * bool(heads), strict=True):
@@ -142,7 +157,9 @@ def _real(text: bytes) -> float:
 
 
 def sturm_counts(path: str | Path) -> tuple[tuple[float, int], ...]:
-    """Trial frequencies (Hz) and the number of modes below each, as Nastran's Lanczos method counted them."""
+    """Trial frequencies (Hz) and the number of modes below each, as Nastran's Lanczos method
+    counted them.
+    """
     path = Path(path)
     if not path.is_file():
         return ()
@@ -150,7 +167,9 @@ def sturm_counts(path: str | Path) -> tuple[tuple[float, int], ...]:
 
 
 def fatal_messages(path: str | Path, limit: int = 5) -> tuple[str, ...]:
-    """The fatal messages of a printed file, with the lines that follow each; () if there are none or no file."""
+    """The fatal messages of a printed file, with the lines that follow each; () if there are none
+    or no file.
+    """
     path = Path(path)
     if not path.is_file():
         return ()

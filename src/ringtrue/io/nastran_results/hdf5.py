@@ -57,7 +57,9 @@ def _read(file: h5py.File) -> RecordedModes:
 
 def _domains(domains: Any, used: Int) -> Any:
     """The rows of real modes of one subcase and superelement, by mode."""
-    found = domains[(domains["ANALYSIS"] == _MODES) & np.isin(domains["ID"], used) & (domains["MODE"] > 0)]
+    found = domains[
+        (domains["ANALYSIS"] == _MODES) & np.isin(domains["ID"], used) & (domains["MODE"] > 0)
+    ]
     if not found.size:
         raise DataError("no domain of real modes")
     found = found[found["SUBCASE"] == found["SUBCASE"].min()]
@@ -74,7 +76,9 @@ def _masses(file: h5py.File, modes: Int, lam: Any) -> Any:
     if at in file:
         table = file[at][()]
         for k, (mode, value) in enumerate(zip(modes.tolist(), lam.tolist(), strict=True)):
-            same = table[(table["MODE"] == mode) & np.isclose(table["EIGEN"], value, rtol=1e-6, atol=1e-12)]
+            same = table[
+                (table["MODE"] == mode) & np.isclose(table["EIGEN"], value, rtol=1e-6, atol=1e-12)
+            ]
             mass[k] = same["MASS"][0] if same.size else np.nan
     return mass
 

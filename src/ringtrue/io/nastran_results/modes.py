@@ -38,7 +38,9 @@ def read_recorded(path: str | Path) -> RecordedModes:
     return READERS[ext](path)
 
 
-def read_nastran_modes(path: str | Path, model: Model | None = None, *, mass_normalised: bool = False) -> ModeSet:
+def read_nastran_modes(
+    path: str | Path, model: Model | None = None, *, mass_normalised: bool = False
+) -> ModeSet:
     """Modes of a results file in the basic frame.
 
     Parameters
@@ -46,7 +48,8 @@ def read_nastran_modes(path: str | Path, model: Model | None = None, *, mass_nor
     path : path
         .op2, .f06 (.out), .pch or .h5 (of MSC Nastran).
     model : Model, optional
-        The deck of the run: turns shapes from the displacement frames (CD) and knows how they were scaled.
+        The deck of the run: turns shapes from the displacement frames (CD) and knows how they were
+        scaled.
     mass_normalised : bool
         The shapes have unit modal mass although the file does not say so.
 
@@ -64,8 +67,13 @@ def read_nastran_modes(path: str | Path, model: Model | None = None, *, mass_nor
 
 
 def asks_for_unit_mass(model: Model) -> bool:
-    """Whether the deck's EIGRL, EIGRA or EIGR scales the shapes to unit modal mass, as it does if it says nothing."""
+    """Whether the deck's EIGRL, EIGRA or EIGR scales the shapes to unit modal mass, as it does if
+    it says nothing.
+    """
     tables = [model[card] for card in METHODS if card in model]
-    named = [t["NORM"][(t["SID"] == model.case.method) | (model.case.method == 0)].tolist() for t in tables]
+    named = [
+        t["NORM"][(t["SID"] == model.case.method) | (model.case.method == 0)].tolist()
+        for t in tables
+    ]
     chosen = [str(n).upper() for names in named for n in names]
     return bool(chosen) and all(n in ("", "MASS") for n in chosen)

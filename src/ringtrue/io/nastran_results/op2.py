@@ -1,7 +1,7 @@
 """OP2: Fortran records of tables and matrices, either byte order, words of 4 or 8 bytes.
 
-Layout: MSC Nastran DMAP Programmer's Guide, OUTPUT2; each record is [length] data [length], each item is announced
-by a key, a record of one integer word.
+Layout: MSC Nastran DMAP Programmer's Guide, OUTPUT2; each record is [length] data [length], each
+item is announced by a key, a record of one integer word.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ from ringtrue.io.nastran_results.recorded import RecordedModes, gathered
 _MODES, _REAL = 2, 8  # approach code; words a node of a real result
 _EIGENVALUES, _EIGENVECTORS = 6, 7  # table codes
 _GRID_KEY = (4501, 45)
-# The names are whole: ROUGV1 (motion relative to a moved base), BOPHIGF (of a fluid), LAMAF and GEOM1EX are others.
+# The names are whole: ROUGV1 (motion relative to a moved base), BOPHIGF (of a fluid), LAMAF and
+# GEOM1EX are others.
 _LAMA = frozenset({"LAMA", "LAMAS"})
 _GEOMETRY = frozenset({"GEOM1", "GEOM1S", "GEOM1N"})
 _IN_BASIC = frozenset({"BOUGV1", "BOPHIG"})  # PARAM,OUGCORD,BASIC
@@ -61,11 +62,15 @@ class Op2Table:
 
     def ints(self, data: bytes) -> Int:
         """The words as integers, (k,) int64."""
-        return np.frombuffer(data[: len(data) // self.word * self.word], f"{self.order}i{self.word}").astype(np.int64)
+        return np.frombuffer(
+            data[: len(data) // self.word * self.word], f"{self.order}i{self.word}"
+        ).astype(np.int64)
 
     def floats(self, data: bytes) -> Float:
         """The words as reals, (k,) float64."""
-        return np.frombuffer(data[: len(data) // self.word * self.word], f"{self.order}f{self.word}").astype(np.float64)
+        return np.frombuffer(
+            data[: len(data) // self.word * self.word], f"{self.order}f{self.word}"
+        ).astype(np.float64)
 
     def doubles(self, data: bytes) -> Float:
         """Double-precision reals, (k,) float64."""
@@ -78,18 +83,26 @@ class _File:
     def __init__(self, path: Path) -> None:
         self.path, self.at = path, 0
         self.data: NDArray[np.uint8] = (
-            np.memmap(path, dtype=np.uint8, mode="r") if path.stat().st_size else np.empty(0, dtype=np.uint8)
+            np.memmap(path, dtype=np.uint8, mode="r")
+            if path.stat().st_size
+            else np.empty(0, dtype=np.uint8)
         )
         head = self.data[:4].tobytes()
         found = {(4).to_bytes(4, o): (o, 4) for o in ("little", "big")}
         found |= {(8).to_bytes(4, o): (o, 8) for o in ("little", "big")}
         if head not in found:
-            raise DataError(f"{path}: not an OP2 file (it begins with {head!r}; expected is a record of 4 or 8 bytes)")
+            raise DataError(
+                f"{path}: not an OP2 file (it begins with {head!r}; expected is a record of 4 or "
+                "8 bytes)"
+            )
         name, self.word = found[head]
         self.order = "<" if name == "little" else ">"
 
     def fail(self, why: str) -> DataError:
-        return DataError(f"{self.path}: {why} at byte {self.at} of {self.data.size}: the file is cut off or damaged")
+        return DataError(
+            f"{self.path}: {why} at byte {self.at} of {self.data.size}: the file is cut off or "
+            "damaged"
+        )
 
     def block(self) -> bytes:
         """The data of one Fortran record."""
@@ -154,7 +167,8 @@ def read_tables(path: str | Path) -> Iterator[Op2Table]:
 def _name(file: _File) -> str:
     """The label of the file or the name of a table, up to its closing key -1.
 
-    The enhanced format of MSC Nastran (PARAM,POST,1) adds a block of six words: its version and qualifiers.
+    The enhanced format of MSC Nastran (PARAM,POST,1) adds a block of six words: its version and
+    qualifiers.
     """
     name = file.text(file.block())
     while (key := file.key()) > 0:
@@ -184,9 +198,11 @@ def _table(file: _File) -> Op2Table:
 
 
 def read_op2(path: str | Path) -> RecordedModes:
-    """Modes of an OP2 file: the first table of real eigenvectors, with LAMA's eigenvalues and modal masses.
+    """Modes of an OP2 file: the first table of real eigenvectors, with LAMA's eigenvalues and modal
+    masses.
 
-    Tables are known by their names (OUG1, OUGV1, OPHIG, OPHG1; BOUGV1, BOPHIG in the basic frame) and their codes.
+    Tables are known by their names (OUG1, OUGV1, OPHIG, OPHG1; BOUGV1, BOPHIG in the basic frame)
+    and their codes.
 
     Raises
     ------
@@ -211,7 +227,10 @@ def read_op2(path: str | Path) -> RecordedModes:
                 shapes.append(table)
     if not shapes:
         but = (
-            f" but those of {', '.join(dict.fromkeys(others))}, which are not of the whole structure" if others else ""
+            f" but those of {', '.join(dict.fromkeys(others))}, which are not of the whole "
+            "structure"
+            if others
+            else ""
         )
         raise DataError(
             f"{path}: no real eigenvectors in a table {', '.join(sorted(_SHAPES))}{but}; "
@@ -219,11 +238,16 @@ def read_op2(path: str | Path) -> RecordedModes:
         )
     try:
         return _gather(shapes, lama, frames)
-    except (DataError, ValueError) as e:  # a table without a pair of records, an identification cut short
+    except (
+        DataError,
+        ValueError,
+    ) as e:  # a table without a pair of records, an identification cut short
         raise DataError(f"{path}: {e}") from e
 
 
-def _gather(shapes: list[Op2Table], lama: tuple[Float, Float] | None, frames: dict[int, int]) -> RecordedModes:
+def _gather(
+    shapes: list[Op2Table], lama: tuple[Float, Float] | None, frames: dict[int, int]
+) -> RecordedModes:
     modes: list[int] = []
     values, rows = [], []
     for table in shapes:
@@ -244,7 +268,9 @@ def _gather(shapes: list[Op2Table], lama: tuple[Float, Float] | None, frames: di
 
 
 def _eigenvectors(table: Op2Table) -> bool:
-    """Whether a table says that it holds real eigenvectors of normal modes, a mode after the other."""
+    """Whether a table says that it holds real eigenvectors of normal modes, a mode after the
+    other.
+    """
     if len(table.records) < 3:
         return False
     words = table.ints(b"".join(table.records[1].blocks))
@@ -256,7 +282,9 @@ def _eigenvectors(table: Op2Table) -> bool:
 def _nodes(table: Op2Table, body: bytes) -> tuple[Int, NDArray[np.bool_], Float]:
     whole = len(body) // (_REAL * table.word) * _REAL * table.word
     if whole != len(body) or not whole:
-        raise DataError(f"table {table.name}: a record of {len(body)} bytes is not of {_REAL} words a node")
+        raise DataError(
+            f"table {table.name}: a record of {len(body)} bytes is not of {_REAL} words a node"
+        )
     words = table.ints(body).reshape(-1, _REAL)
     scalar = words[:, 1] == 2
     motion = table.floats(body).reshape(-1, _REAL)[:, 2:].copy()
@@ -278,13 +306,17 @@ def _lama(table: Op2Table) -> tuple[Float, Float] | None:
 
 
 def _frames(table: Op2Table) -> dict[int, int]:
-    """The displacement frame of each GRID; coordinates are single or (in newer files) double precision."""
+    """The displacement frame of each GRID; coordinates are single or (in newer files) double
+    precision.
+    """
     for record in table.records[1:]:
         data = b"".join(record.blocks)
         words = table.ints(data)
         if tuple(words[:2].tolist()) == _GRID_KEY:
             body = words[3:]
-            width, cd = (8, 5) if table.word == 8 or words[2] in (1, 0) or body.size % 11 else (11, 8)
+            width, cd = (
+                (8, 5) if table.word == 8 or words[2] in (1, 0) or body.size % 11 else (11, 8)
+            )
             if body.size % width == 0:
                 rows = body.reshape(-1, width)
                 return dict(zip(rows[:, 0].tolist(), rows[:, cd].tolist(), strict=True))
@@ -292,7 +324,8 @@ def _frames(table: Op2Table) -> dict[int, int]:
 
 
 def matrix(table: Op2Table) -> NDArray[Any]:
-    """A real matrix (rows, columns) float64; trailer: columns, rows, form, type (1 single, 2 double).
+    """A real matrix (rows, columns) float64; trailer: columns, rows, form, type (1 single, 2
+    double).
 
     Raises
     ------
@@ -300,8 +333,12 @@ def matrix(table: Op2Table) -> NDArray[Any]:
         If it is complex or a string of numbers leaves the matrix.
     """
     columns, rows, _, kind = (int(x) for x in table.trailer[1:5])
-    if kind not in (1, 2) or not (0 < rows < 10**8 and 0 < columns < 10**8 and rows * columns < 10**9):
-        raise DataError(f"matrix {table.name} of type {kind}, {rows} x {columns}: allowed is a real one")
+    if kind not in (1, 2) or not (
+        0 < rows < 10**8 and 0 < columns < 10**8 and rows * columns < 10**9
+    ):
+        raise DataError(
+            f"matrix {table.name} of type {kind}, {rows} x {columns}: allowed is a real one"
+        )
     out = np.zeros((rows, columns))
     for j, record in enumerate(r for r in table.records if r.flag):
         for block in record.blocks:
@@ -309,6 +346,8 @@ def matrix(table: Op2Table) -> NDArray[Any]:
             read = table.doubles if kind == 2 else table.floats
             values = read(block[table.word :])
             if j >= columns or first < 0 or first + values.size > rows:
-                raise DataError(f"matrix {table.name}: column {j + 1} leaves the matrix of {rows} x {columns}")
+                raise DataError(
+                    f"matrix {table.name}: column {j + 1} leaves the matrix of {rows} x {columns}"
+                )
             out[first : first + values.size, j] = values
     return out

@@ -14,7 +14,9 @@ from ringtrue.io.files import existing
 from ringtrue.io.nastran_results.recorded import RecordedModes, gathered
 
 _EIGENVALUE = re.compile(r"\$EIGENVALUE *= *(\S+) +MODE *= *(\d+)")
-_SECTION = re.compile(r"\$(EIGENVECTOR|DISPLACEMENTS|SPCF|MPCF|OLOADS|ELEMENT|VELOCITY|ACCELERATION)", re.I)
+_SECTION = re.compile(
+    r"\$(EIGENVECTOR|DISPLACEMENTS|SPCF|MPCF|OLOADS|ELEMENT|VELOCITY|ACCELERATION)", re.I
+)
 
 
 def read_punch(path: str | Path) -> RecordedModes:
@@ -30,7 +32,9 @@ def read_punch(path: str | Path) -> RecordedModes:
         with path.open(encoding="latin-1") as lines:
             found = list(_modes(lines))
         values = np.array([value for _, value, _ in found])
-        return gathered(values, np.full(values.size, np.nan), [_points(rows) for _, _, rows in found])
+        return gathered(
+            values, np.full(values.size, np.nan), [_points(rows) for _, _, rows in found]
+        )
     except ValueError as e:
         raise DataError(f"{path}: {e}") from e
 
@@ -67,7 +71,9 @@ def _points(rows: list[str]) -> tuple[Int, Bool, Float]:
     if len(first) != len(second) or any(r[:6] != "-CONT-" for r in second):
         raise DataError("a point without its second line: the file is cut off?")
     head = np.array([(r[:10], r[10:18].strip()) for r in first])
-    motion = np.array([[_cell(r, k) for r in pair for k in range(3)] for pair in zip(first, second, strict=True)])
+    motion = np.array(
+        [[_cell(r, k) for r in pair for k in range(3)] for pair in zip(first, second, strict=True)]
+    )
     scalar = head[:, 1] == "S"
     motion[scalar, 1:] = 0.0
     keep = scalar | (head[:, 1] == "G")

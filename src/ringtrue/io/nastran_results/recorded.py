@@ -1,4 +1,6 @@
-"""Modes as a program recorded them, and what makes a `ModeSet` of them: frames, scale and labels."""
+"""Modes as a program recorded them, and what makes a `ModeSet` of them: frames, scale and
+labels.
+"""
 
 from __future__ import annotations
 
@@ -56,10 +58,16 @@ class RecordedModes:
         n, m = self.nodes.size, self.eigenvalues.size
         if not m or not n:
             raise DataError("no modes with shapes: ask the program for DISPLACEMENT = ALL")
-        if self.motion.shape != (n, 6, m) or self.modal_mass.shape != (m,) or self.scalar.shape != (n,):
+        if (
+            self.motion.shape != (n, 6, m)
+            or self.modal_mass.shape != (m,)
+            or self.scalar.shape != (n,)
+        ):
             raise DataError(f"{m} eigenvalues and {n} nodes do not fit shapes {self.motion.shape}")
         if np.unique(self.nodes).size != n:
-            raise DataError("a node occurs twice in a mode: the file holds several subcases or superelements")
+            raise DataError(
+                "a node occurs twice in a mode: the file holds several subcases or superelements"
+            )
         if not (np.isfinite(self.eigenvalues).all() and np.isfinite(self.motion).all()):
             raise DataError("a number is not finite")
         refuse_large(self.eigenvalues, "eigenvalue")
@@ -67,9 +75,13 @@ class RecordedModes:
 
 
 def gathered(
-    eigenvalues: Float, modal_mass: Float, rows: Sequence[tuple[Int, Bool, Float]], frames: dict[int, int] | None = None
+    eigenvalues: Float,
+    modal_mass: Float,
+    rows: Sequence[tuple[Int, Bool, Float]],
+    frames: dict[int, int] | None = None,
 ) -> RecordedModes:
-    """One object of the rows of each mode: nodes (n,), scalar (n,), motion (n, 6), equal nodes in all modes.
+    """One object of the rows of each mode: nodes (n,), scalar (n,), motion (n, 6), equal nodes in
+    all modes.
 
     Raises
     ------
@@ -82,23 +94,32 @@ def gathered(
     for k, (other, _, _) in enumerate(rows):
         if not np.array_equal(other, nodes):
             raise DataError(
-                f"mode {k + 1} is given at {other.size} nodes, mode 1 at {nodes.size}: the file is cut off?"
+                f"mode {k + 1} is given at {other.size} nodes, mode 1 at {nodes.size}: the file "
+                "is cut off?"
             )
     known = frames or {}
     cd = np.array([known.get(n, -1) for n in nodes.tolist()], dtype=np.int64)
-    return RecordedModes(eigenvalues, modal_mass, nodes, scalar, np.stack([r[2] for r in rows], axis=2), cd)
+    return RecordedModes(
+        eigenvalues, modal_mass, nodes, scalar, np.stack([r[2] for r in rows], axis=2), cd
+    )
 
 
 def to_mode_set(
-    found: RecordedModes, model: Model | None = None, *, mass_normalised: bool = False, source: str = ""
+    found: RecordedModes,
+    model: Model | None = None,
+    *,
+    mass_normalised: bool = False,
+    source: str = "",
 ) -> ModeSet:
-    """Modes in ascending frequency, in the basic frame, of unit modal mass where the file gives the masses.
+    """Modes in ascending frequency, in the basic frame, of unit modal mass where the file gives the
+    masses.
 
     Parameters
     ----------
     found : RecordedModes
     model : Model, optional
-        The deck; its displacement frames (CD) turn the shapes to basic. Rows then follow the order of its GRID cards.
+        The deck; its displacement frames (CD) turn the shapes to basic. Rows then follow the order
+        of its GRID cards.
     mass_normalised : bool
         The shapes are known to have unit modal mass although the file does not say so.
     source : str
@@ -106,7 +127,8 @@ def to_mode_set(
     Raises
     ------
     DataError
-        If a node is not in the model, or shapes are in displacement frames that only the deck defines.
+        If a node is not in the model, or shapes are in displacement frames that only the deck
+        defines.
     """
     found = _basic(found, model)
     shapes, norm = _scaled(found, mass_normalised)
@@ -127,7 +149,9 @@ def _scaled(found: RecordedModes, mass_normalised: bool) -> tuple[Float, Norm]:
 
 
 def _labels(found: RecordedModes) -> tuple[DofSet, Int]:
-    """Six DOFs a grid point and one a scalar point, grid points first, and their places in (node, 6)."""
+    """Six DOFs a grid point and one a scalar point, grid points first, and their places in (node,
+    6).
+    """
     order = np.argsort(found.scalar, kind="stable")
     n = np.where(found.scalar[order], 1, 6)
     node = np.repeat(found.nodes[order], n)
@@ -141,7 +165,8 @@ def _basic(found: RecordedModes, model: Model | None) -> RecordedModes:
         turned = (found.frames > 0) & ~found.scalar
         if turned.any():
             raise DataError(
-                f"node {found.nodes[turned][0]} moves in displacement frame {found.frames[turned][0]}; "
+                f"node {found.nodes[turned][0]} moves in displacement frame "
+                f"{found.frames[turned][0]}; "
                 "name the deck, too, to turn its shapes to the basic frame"
             )
         return found
@@ -149,7 +174,9 @@ def _basic(found: RecordedModes, model: Model | None) -> RecordedModes:
     at = grid.find(found.nodes)
     lost = (at < 0) & ~found.scalar & ~np.isin(found.nodes, _scalar_points(model))
     if lost.any():
-        raise DataError(f"node {found.nodes[lost][0]} is not in the deck: the results are of another model")
+        raise DataError(
+            f"node {found.nodes[lost][0]} is not in the deck: the results are of another model"
+        )
     scalar = at < 0
     order = np.lexsort((np.arange(at.size), at, scalar))
     at, frames = at[order], found.frames[order]
@@ -159,7 +186,9 @@ def _basic(found: RecordedModes, model: Model | None) -> RecordedModes:
     local = found.motion[order].reshape(at.size, 2, 3, -1)
     basic = np.einsum("nji,nkjm->nkim", turn, local).reshape(at.size, 6, -1)
     zero = np.zeros(at.size, dtype=np.int64)
-    return RecordedModes(found.eigenvalues, found.modal_mass, found.nodes[order], scalar[order], basic, zero)
+    return RecordedModes(
+        found.eigenvalues, found.modal_mass, found.nodes[order], scalar[order], basic, zero
+    )
 
 
 def _scalar_points(model: Model) -> Int:

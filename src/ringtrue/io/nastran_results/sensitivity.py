@@ -1,4 +1,6 @@
-"""The design sensitivity matrix of SOL 200: DSCM2 with DSCMCOL in OP2 and HDF5, printed in F06, or as CSV."""
+"""The design sensitivity matrix of SOL 200: DSCM2 with DSCMCOL in OP2 and HDF5, printed in F06, or
+as CSV.
+"""
 
 from __future__ import annotations
 
@@ -54,7 +56,9 @@ class Sensitivities:
         if not r or not v:
             raise DataError("no design sensitivities")
         if self.values.shape != (r, v) or self.grid.shape != (r,) or self.component.shape != (r,):
-            raise DataError(f"{r} responses and {v} design variables do not fit a matrix of {self.values.shape}")
+            raise DataError(
+                f"{r} responses and {v} design variables do not fit a matrix of {self.values.shape}"
+            )
         if not np.isfinite(self.values).all():
             raise DataError("a sensitivity is not finite")
         refuse_large(self.values, "sensitivity")
@@ -84,10 +88,16 @@ def _op2(path: Path) -> Sensitivities:
     for table in read_tables(path):
         found[table.name] = table  # the last design cycle
     if "DSCM2" not in found or "DSCMCOL" not in found:
-        raise DataError("no DSCM2 and DSCMCOL: ask for DSAPRT(EXPORT,END=SENS) = ALL and PARAM,POST,-1")
+        raise DataError(
+            "no DSCM2 and DSCMCOL: ask for DSAPRT(EXPORT,END=SENS) = ALL and PARAM,POST,-1"
+        )
     columns = found["DSCMCOL"]
     words = [columns.ints(b"".join(r.blocks)) for r in columns.records[1:]]
-    first = words[0].reshape(-1, _WORDS) if words and words[0].size % _WORDS == 0 else np.empty((0, _WORDS), np.int64)
+    first = (
+        words[0].reshape(-1, _WORDS)
+        if words and words[0].size % _WORDS == 0
+        else np.empty((0, _WORDS), np.int64)
+    )
     values = matrix(found["DSCM2"]).T
     return _labelled(first, values[: len(first)], _variables(found.get("DESTAB"), values.shape[1]))
 
@@ -110,7 +120,9 @@ def _labelled(columns: Int, values: Float, variables: Int) -> Sensitivities:
 
 _RESPONSE = re.compile(r"DRESP1\s+ID\s*=\s*(\d+)\s+RESPONSE\s+TYPE\s*=\s*(\w+)")
 _GRID = re.compile(r"GRID\s+ID\s*=\s*(\d+)\s+COMP(?:ONENT)?\s*(?:NO\.?)?\s*=\s*(\d+)")
-_PAIR = re.compile(r"(?<![\w.])(\d+)\s+(?:([A-Z]\w{0,7})\s+)?([-+]?\d\.\d+(?:E[-+]?\d+|[-+]\d+))(?![\w.])")
+_PAIR = re.compile(
+    r"(?<![\w.])(\d+)\s+(?:([A-Z]\w{0,7})\s+)?([-+]?\d\.\d+(?:E[-+]?\d+|[-+]\d+))(?![\w.])"
+)
 
 
 def _f06(path: Path) -> Sensitivities:
@@ -127,7 +139,8 @@ _VALUES = re.compile(r"^\s+(\d+)\)\s+(\S.*)$")
 
 
 def _matrix(lines: Sequence[str]) -> Sensitivities:
-    """Matrix DSCM2 of the last design cycle and the table of its columns; columns of DRESP2 and 3 are left out.
+    """Matrix DSCM2 of the last design cycle and the table of its columns; columns of DRESP2 and 3
+    are left out.
 
     A column goes on over pages; what is not printed is 0.
     """
@@ -138,7 +151,9 @@ def _matrix(lines: Sequence[str]) -> Sensitivities:
             values, section, done = _zeros(int(found[1]), int(found[2])), "DSCM2", False
         elif "THE NUMBER OF NON-ZERO TERMS" in line and section == "DSCM2":
             section, done = "", True
-        elif found := re.search(r"ASSOCIATED WITH (DRESP\d)|-----\s+(DESIGN VARIABLES)\s+-----", line):
+        elif found := re.search(
+            r"ASSOCIATED WITH (DRESP\d)|-----\s+(DESIGN VARIABLES)\s+-----", line
+        ):
             section = found[1] or found[2]
         elif section == "DSCM2" and (found := _COLUMN.search(line)):
             column = int(found[1])
@@ -183,9 +198,15 @@ def _blocks(lines: Sequence[str]) -> Sensitivities:
     variables = sorted({v for row in values for v in row})
     if not rows or not variables:
         raise DataError("no printed design sensitivities: ask for DSAPRT(FORMATTED,END=SENS) = ALL")
-    lost = next(((r[0], v) for r, row in zip(rows, values, strict=True) for v in variables if v not in row), None)
+    lost = next(
+        ((r[0], v) for r, row in zip(rows, values, strict=True) for v in variables if v not in row),
+        None,
+    )
     if lost:
-        raise DataError(f"response {lost[0]} has no coefficient of design variable {lost[1]}: the file is cut off?")
+        raise DataError(
+            f"response {lost[0]} has no coefficient of design variable {lost[1]}: the file is "
+            "cut off?"
+        )
     labels = np.array(rows, dtype=np.int64)
     table = np.array([[row[v] for v in variables] for row in values])
     return Sensitivities(labels[:, 0], labels[:, 1], labels[:, 2], np.array(variables), table)
@@ -196,7 +217,9 @@ def _real(text: str) -> float:
 
 
 def _h5(path: Path) -> Sensitivities:
-    """The same data blocks as in OP2, wherever they stand in the file: `DSCM2` (row, column) and `DSCMCOL`."""
+    """The same data blocks as in OP2, wherever they stand in the file: `DSCM2` (row, column) and
+    `DSCMCOL`.
+    """
     found: dict[str, Any] = {}
 
     def visit(name: str, item: Any) -> None:
@@ -224,10 +247,14 @@ def _csv(path: Path) -> Sensitivities:
         lines = [line for line in table if any(c.strip() for c in line)]
     head = [c.strip() for c in lines[0]] if lines else []
     if [h.lower() for h in head[:3]] != ["response", "grid", "component"]:
-        raise DataError(f"the head must begin with response,grid,component; got {','.join(head[:3])!r}")
+        raise DataError(
+            f"the head must begin with response,grid,component; got {','.join(head[:3])!r}"
+        )
     if any(len(line) != len(head) for line in lines):
         raise DataError(f"a line has not {len(head)} cells: the file is cut off?")
     cells = np.array(lines[1:], dtype=np.str_).reshape(-1, len(head))
     labels = cells[:, :3].astype(np.int64)
     variables = np.array(head[3:]).astype(np.int64)
-    return Sensitivities(labels[:, 0], labels[:, 1], labels[:, 2], variables, cells[:, 3:].astype(np.float64))
+    return Sensitivities(
+        labels[:, 0], labels[:, 1], labels[:, 2], variables, cells[:, 3:].astype(np.float64)
+    )

@@ -1,4 +1,6 @@
-"""Numbers of the text of universal files: free columns, fixed columns without blanks, D exponents."""
+"""Numbers of the text of universal files: free columns, fixed columns without blanks, D
+exponents.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,9 @@ from ringtrue.errors import DataError
 
 _D = bytes.maketrans(b"Dd", b"Ee")
 _TOUCHING = re.compile(rb"(?<=\d)(?=[+-]\d?\.)")
-_NO_LETTER = re.compile(r"^([+-]?[\d.]+)([+-]\d+)$")  # 1.00000-101: Fortran drops the letter before 3 digits
+_NO_LETTER = re.compile(
+    r"^([+-]?[\d.]+)([+-]\d+)$"
+)  # 1.00000-101: Fortran drops the letter before 3 digits
 
 
 def parse_real(text: str) -> float:
@@ -62,7 +66,9 @@ def reals(text: bytes, widths: Sequence[int], count: int) -> Float:
     if values is None or not _fits(values.size, count, len(widths)):
         values = _fixed(text, widths)
     if values.size < count:
-        raise DataError(f"{values.size} numbers where {count} are announced; the file is cut or damaged")
+        raise DataError(
+            f"{values.size} numbers where {count} are announced; the file is cut or damaged"
+        )
     return values[:count]
 
 
@@ -72,7 +78,9 @@ def _fits(size: int, count: int, per_line: int) -> bool:
 
 def _free(text: bytes) -> Float | None:
     with warnings.catch_warnings():
-        warnings.simplefilter("error", DeprecationWarning)  # NumPy's way to say that it stopped before the end
+        warnings.simplefilter(
+            "error", DeprecationWarning
+        )  # NumPy's way to say that it stopped before the end
         try:
             return np.fromstring(text, dtype=np.float64, sep=" ")
         except (DeprecationWarning, ValueError):
@@ -84,11 +92,15 @@ def _fixed(text: bytes, widths: Sequence[int]) -> Float:
     bounds = list(zip([0, *ends[:-1]], ends, strict=True))
     lines = text.decode("latin-1").splitlines()
     # a loop over fields: only files whose columns touch come here, 1 µs a field
-    return np.array([parse_real(x[a:b]) for x in lines for a, b in bounds if x[a:b].strip()], dtype=np.float64)
+    return np.array(
+        [parse_real(x[a:b]) for x in lines for a, b in bounds if x[a:b].strip()], dtype=np.float64
+    )
 
 
 def numbers(line: str, widths: Sequence[int]) -> list[float]:
-    """The numbers of one line by its columns, or by blanks where there are as many words as columns."""
+    """The numbers of one line by its columns, or by blanks where there are as many words as
+    columns.
+    """
     words = line.split()
     if len(words) == len(widths):
         return [parse_real(x) for x in words]
@@ -119,5 +131,7 @@ def row(lines: Sequence[str], at: int) -> str:
         If the data set ends before it.
     """
     if not 0 <= at < len(lines):
-        raise DataError(f"ends after {len(lines)} lines; line {at + 1} is missing: the file is cut or damaged")
+        raise DataError(
+            f"ends after {len(lines)} lines; line {at + 1} is missing: the file is cut or damaged"
+        )
     return lines[at]

@@ -1,4 +1,6 @@
-"""Data set 58 and 58b, one function: header, abscissa and ordinates, in every case of the standard."""
+"""Data set 58 and 58b, one function: header, abscissa and ordinates, in every case of the
+standard.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,9 @@ _WIDTHS = {  # ordinate type, even spacing: columns of a line
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """What an axis measures: specific data type, exponents of length, force and temperature, label, unit."""
+    """What an axis measures: specific data type, exponents of length, force and temperature, label,
+    unit.
+    """
 
     data_type: int
     exponents: tuple[int, int, int]
@@ -49,7 +53,8 @@ class Function:
     Attributes
     ----------
     kind : int
-        Function type: 1 time, 2 auto spectrum, 3 cross spectrum, 4 FRF, 5 transmissibility, 6 coherence, ...
+        Function type: 1 time, 2 auto spectrum, 3 cross spectrum, 4 FRF, 5 transmissibility, 6
+        coherence, ...
     ids : tuple of str
         The five lines of text.
     response, reference : (node, direction)
@@ -89,10 +94,14 @@ def read_function(block: Block) -> Function:
     kind, rsp, ref, names = _place(place, row(lines, 5))
     form = numbers(row(lines, 6), _FORM)
     if not np.isfinite(form).all():
-        raise DataError(f"the line of the form has values that are not finite: {row(lines, 6).strip()!r}")
+        raise DataError(
+            f"the line of the form has values that are not finite: {row(lines, 6).strip()!r}"
+        )
     ordinate, count, even = int(form[0]), int(form[1]), form[2] != 0
     if (ordinate, even) not in _WIDTHS or count < 1:
-        raise DataError(f"ordinate type {ordinate} with {count} points; types are 2, 4, 5, 6 with 1 or more")
+        raise DataError(
+            f"ordinate type {ordinate} with {count} points; types are 2, 4, 5, 6 with 1 or more"
+        )
     values = _samples(block, ordinate, count, even)
     x, y = _split(values, ordinate, even, form[3], form[4], count)
     axes = tuple(_axis(words(x_, _AXIS)) for x_ in lines[7:11])
@@ -101,7 +110,9 @@ def read_function(block: Block) -> Function:
 
 
 def _head(block: Block) -> list[str]:
-    text = block.text if block.binary is not None else b"\n".join(_split_lines(block.text, _HEADER)[0])
+    text = (
+        block.text if block.binary is not None else b"\n".join(_split_lines(block.text, _HEADER)[0])
+    )
     lines = text.decode("latin-1").splitlines()
     if len(lines) < _HEADER:
         raise DataError(f"the header of data set 58 has {len(lines)} of {_HEADER} lines")
@@ -120,10 +131,15 @@ def _split_lines(text: bytes, count: int) -> tuple[list[bytes], bytes]:
     return lines, text[at:]
 
 
-def _place(place: Sequence[str], line: str) -> tuple[int, tuple[int, int], tuple[int, int], tuple[str, str]]:
+def _place(
+    place: Sequence[str], line: str
+) -> tuple[int, tuple[int, int], tuple[int, int], tuple[str, str]]:
     try:
         kind, *_ = (parse_int(p) for p in place[:4])
-        rsp, ref = (parse_int(place[5]), parse_int(place[6])), (parse_int(place[8]), parse_int(place[9]))
+        rsp, ref = (
+            (parse_int(place[5]), parse_int(place[6])),
+            (parse_int(place[8]), parse_int(place[9])),
+        )
         return kind, rsp, ref, (place[4], place[7])
     except DataError:  # columns shifted by the vendor: names without blanks, divided by blanks
         free = line.split()
@@ -153,23 +169,33 @@ def _samples(block: Block, ordinate: int, count: int, even: bool) -> Float:
         return reals(_split_lines(block.text, _HEADER)[1], _WIDTHS[ordinate, even], wanted)
     order = ">" if block.big_endian else "<"
     double = ordinate in (_REAL_DOUBLE, _COMPLEX_DOUBLE)
-    if double and not even and len(block.binary) < wanted * 8:  # the abscissa of uneven double data is single
+    if (
+        double and not even and len(block.binary) < wanted * 8
+    ):  # the abscissa of uneven double data is single
         return _mixed(block.binary, order, _per_point(ordinate, even) - 1, count)
     size = 8 if double else 4
     if len(block.binary) < wanted * size:
-        raise DataError(f"{len(block.binary)} bytes of samples where {wanted * size} are announced; the file is cut")
+        raise DataError(
+            f"{len(block.binary)} bytes of samples where {wanted * size} are announced; the file "
+            "is cut"
+        )
     return np.frombuffer(block.binary, f"{order}f{size}", wanted).astype(np.float64)
 
 
 def _mixed(raw: bytes, order: str, ordinates: int, count: int) -> Float:
     point = np.dtype([("x", f"{order}f4"), ("y", f"{order}f8", (ordinates,))])
     if len(raw) < count * point.itemsize:
-        raise DataError(f"{len(raw)} bytes of samples where {count * point.itemsize} are announced; the file is cut")
+        raise DataError(
+            f"{len(raw)} bytes of samples where {count * point.itemsize} are announced; the file "
+            "is cut"
+        )
     table = np.frombuffer(raw, point, count)
     return np.asarray(np.column_stack([table["x"], table["y"]]), dtype=np.float64).ravel()
 
 
-def _split(values: Float, ordinate: int, even: bool, low: float, step: float, count: int) -> tuple[Float, Any_]:
+def _split(
+    values: Float, ordinate: int, even: bool, low: float, step: float, count: int
+) -> tuple[Float, Any_]:
     table = values.reshape(count, -1)
     x: Float = low + step * np.arange(count, dtype=np.float64) if even else table[:, 0].copy()
     y = table if even else table[:, 1:]
@@ -197,20 +223,28 @@ def write_function(
     y : (n,) float64 or complex128
     response, reference : (node, direction)
     codes : (abscissa, ordinate, denominator)
-        Specific data types, 17 time, 18 frequency, 8 displacement, 11 velocity, 12 acceleration, 13 force.
+        Specific data types, 17 time, 18 frequency, 8 displacement, 11 velocity, 12 acceleration, 13
+        force.
     text : str
         First line of text.
     binary : bool
         58b, little endian.
     """
-    flat = np.ascontiguousarray(y, dtype=np.complex128 if np.iscomplexobj(y) else np.float64).view(np.float64)
+    flat = np.ascontiguousarray(y, dtype=np.complex128 if np.iscomplexobj(y) else np.float64).view(
+        np.float64
+    )
     ordinate = _COMPLEX_DOUBLE if np.iscomplexobj(y) else _REAL_DOUBLE
     step = float(x[-1] - x[0]) / (x.size - 1) if x.size > 1 else 1.0
     even = x.size < 2 or bool(np.abs(np.diff(x) - step).max() < 1e-3 * abs(step))
     binary = binary and even
-    names = f"{'NONE':<10}{response[0]:10d}{response[1]:4d} {'NONE':<10}{reference[0]:10d}{reference[1]:4d}"
+    names = (
+        f"{'NONE':<10}{response[0]:10d}{response[1]:4d} "
+        f"{'NONE':<10}{reference[0]:10d}{reference[1]:4d}"
+    )
     head = [text[:80] or "NONE", *("NONE",) * 4, f"{kind:5d}{0:10d}{0:5d}{0:10d} {names}"]
-    head.append(f"{ordinate:10d}{x.size:10d}{int(even):10d}{float(x[0]):13.6E}{step:13.6E}{0.0:13.5E}")
+    head.append(
+        f"{ordinate:10d}{x.size:10d}{int(even):10d}{float(x[0]):13.6E}{step:13.6E}{0.0:13.5E}"
+    )
     head += [f"{c:10d}{0:5d}{0:5d}{0:5d} {'NONE':<20} {'NONE':<20}" for c in (*codes, 0)]
     number = f"{58:6d}"
     if binary:

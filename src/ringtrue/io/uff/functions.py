@@ -13,7 +13,17 @@ import numpy as np
 from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
 from ringtrue.core.dofs import NAMES
 from ringtrue.core.lines import shared_lines
-from ringtrue.core.motions import ANGULAR, FORCES, FRF_KIND, LINEAR, SI_UNIT, UNIT, as_motion, base_motion, channel
+from ringtrue.core.motions import (
+    ANGULAR,
+    FORCES,
+    FRF_KIND,
+    LINEAR,
+    SI_UNIT,
+    UNIT,
+    as_motion,
+    base_motion,
+    channel,
+)
 from ringtrue.core.signals import Channel, FrfSet, Quantity
 from ringtrue.errors import DataError, about
 from ringtrue.io.contents import functions_held, sets_held
@@ -21,7 +31,16 @@ from ringtrue.io.frf_lines import known_lines, say_accelerances
 from ringtrue.io.plain import RawTable
 from ringtrue.io.si import known, to_si
 from ringtrue.io.times import even_rate
-from ringtrue.io.uff.function58 import COHERENCE, FRF, TIME, TIME_AXIS, TRANSMISSIBILITY, Axis, Function, read_function
+from ringtrue.io.uff.function58 import (
+    COHERENCE,
+    FRF,
+    TIME,
+    TIME_AXIS,
+    TRANSMISSIBILITY,
+    Axis,
+    Function,
+    read_function,
+)
 from ringtrue.io.uff.scan import scan
 from ringtrue.io.uff.tables import Units, read_units
 
@@ -57,7 +76,9 @@ def _functions(path: str | Path) -> tuple[tuple[Function, ...], Units | None]:
     blocks = scan(path)
     sets = [b for b in blocks if b.kind == 58]
     if not sets:
-        raise DataError(f"{path}: no records and no FRFs (data set 58); {sets_held(b.kind for b in blocks)}")
+        raise DataError(
+            f"{path}: no records and no FRFs (data set 58); {sets_held(b.kind for b in blocks)}"
+        )
     with about(path):
         units = [read_units(b) for b in blocks if b.kind == 164]
         return tuple(read_function(b) for b in sets), units[0] if units else None
@@ -71,13 +92,17 @@ def label(node: int, direction: int) -> str:
 
 
 def read_time(path: Path) -> RawTable:
-    """The time functions of a universal file as (channel, sample); all must have one rate and length."""
+    """The time functions of a universal file as (channel, sample); all must have one rate and
+    length.
+    """
     functions, units = _functions(path)
     return _time_table(_time_functions(functions, path), units, path)
 
 
 def read_time_runs(path: Path) -> tuple[RawTable, ...]:
-    """A table for each acquisition where every channel comes as often: triggered blows, one after the other."""
+    """A table for each acquisition where every channel comes as often: triggered blows, one after
+    the other.
+    """
     functions, units = _functions(path)
     found = _time_functions(functions, path)
     keys = [(*f.response, _signal(f, units)[0]) for f in found]
@@ -93,7 +118,11 @@ def read_time_runs(path: Path) -> tuple[RawTable, ...]:
 
 
 def _time_functions(functions: Sequence[Function], path: Path) -> list[Function]:
-    found = [f for f in functions if f.kind == TIME or (f.kind, f.axes[0].data_type) == (_GENERAL, TIME_AXIS)]
+    found = [
+        f
+        for f in functions
+        if f.kind == TIME or (f.kind, f.axes[0].data_type) == (_GENERAL, TIME_AXIS)
+    ]
     if not found:
         raise DataError(f"{path}: no time records; {functions_held(f.kind for f in functions)}")
     return found
@@ -102,11 +131,15 @@ def _time_functions(functions: Sequence[Function], path: Path) -> list[Function]
 def _time_table(found: Sequence[Function], units: Units | None, path: Path) -> RawTable:
     rates = [_rate(f, path) for f in found]
     if max(rates) - min(rates) > 1e-4 * max(rates):
-        raise DataError(f"{path}: different rates, {min(rates):g} to {max(rates):g} Hz; split the file")
+        raise DataError(
+            f"{path}: different rates, {min(rates):g} to {max(rates):g} Hz; split the file"
+        )
     length = min(f.y.size for f in found)
     kinds, factors = zip(*(_signal(f, units) for f in found), strict=True)
     data = np.stack([np.real(f.y[:length]) * x for f, x in zip(found, factors, strict=True)])
-    return RawTable(data, rates[0], _names(found, kinds), tuple(UNIT.get(k, "") for k in kinds), tuple(kinds))
+    return RawTable(
+        data, rates[0], _names(found, kinds), tuple(UNIT.get(k, "") for k in kinds), tuple(kinds)
+    )
 
 
 def _rate(f: Function, path: Path) -> float:
@@ -119,7 +152,9 @@ def _rate(f: Function, path: Path) -> float:
 
 
 def _plain_rate(step: float) -> float:
-    """The rate of fewest digits whose step is the given one to the six digits that data set 58 holds."""
+    """The rate of fewest digits whose step is the given one to the six digits that data set 58
+    holds.
+    """
     unit = 10.0 ** (np.floor(np.log10(step)) - _DIGITS)
     rates = (float(f"{1 / step:.{k}e}") for k in range(_DIGITS + 1))
     return next((r for r in rates if abs(1 / r - step) <= 0.5001 * unit), 1 / step)
@@ -130,7 +165,11 @@ def _factor(quantity: str, units: Units | None) -> float:
     if units is None:
         return 1.0
     bare = ("strain", "unknown", *(ANGULAR[motion] for motion in SI_UNIT))
-    one: dict[str, float] = {"force": units.force, "moment": units.force * units.length, **dict.fromkeys(bare, 1.0)}
+    one: dict[str, float] = {
+        "force": units.force,
+        "moment": units.force * units.length,
+        **dict.fromkeys(bare, 1.0),
+    }
     return 1 / one.get(quantity, units.length)
 
 
@@ -148,12 +187,16 @@ def _names(functions: Sequence[Function], kinds: Sequence[str]) -> tuple[str, ..
 
 
 def _name(function: Function) -> str:
-    """Of a skewed sensor, for which there is no code, the name that `write_time` keeps as first line of text."""
+    """Of a skewed sensor, for which there is no code, the name that `write_time` keeps as first
+    line of text.
+    """
     return function.ids[0] if _SKEWED.fullmatch(function.ids[0]) else label(*function.response)
 
 
 def _titles(functions: Sequence[Function]) -> list[str]:
-    """Where no response has a point, what else names each: its entity, the label of its axis, its first text."""
+    """Where no response has a point, what else names each: its entity, the label of its axis, its
+    first text.
+    """
     if any(f.response[0] for f in functions):
         return []
     for texts in zip(*((f.names[0], f.axes[1].label, f.ids[0]) for f in functions), strict=True):
@@ -169,28 +212,34 @@ def frf_ends(path: str | Path) -> tuple[str, ...]:
 
 
 def read_frf_sets(path: str | Path, leave_out: Sequence[str] = ()) -> FrfSet:
-    """Frequency response functions of a universal file, SI (by data set 164 where it is there); repeated ones averaged.
+    """Frequency response functions of a universal file, SI (by data set 164 where it is there);
+    repeated ones averaged.
 
     Those of the responses and references to `leave_out` are not looked at.
 
     Raises
     ------
     DataError
-        If there are none, several references have no name, they share no more than half of their lines, one lacks
-        values, or so many pairs of response and reference are absent that most functions are of no use; where few are,
-        their response or reference is left out, and said.
+        If there are none, several references have no name, they share no more than half of their
+        lines, one lacks values, or so many pairs of response and reference are absent that most
+        functions are of no use; where few are, their response or reference is left out, and said.
     """
     functions, units = _functions(path)
     frfs = [f for f in functions if f.kind in (FRF, TRANSMISSIBILITY)]
     if not frfs:
-        raise DataError(f"{path}: no FRFs (58, function type 4 or 5); {functions_held(f.kind for f in functions)}")
+        raise DataError(
+            f"{path}: no FRFs (58, function type 4 or 5); "
+            f"{functions_held(f.kind for f in functions)}"
+        )
     ends = _ends(frfs)
     kept = [k for k, both in enumerate(ends) if not set(both) & set(leave_out)]
     if not kept:
         raise DataError(f"{path}: without {' '.join(leave_out)} no function is left")
     frfs, ends = [frfs[k] for k in kept], [ends[k] for k in kept]
     if all(f.reference[0] == 0 for f in frfs) and len(set(ends)) < len(frfs):
-        raise DataError(f"{path}: the functions name no reference point; its node is 0 in all {len(frfs)}")
+        raise DataError(
+            f"{path}: the functions name no reference point; its node is 0 in all {len(frfs)}"
+        )
     frfs = _on_shared_lines(frfs, ends, path)
     freqs = frfs[0].x
     motions, factors = zip(*(_si(f, units) for f in frfs), strict=True)
@@ -198,8 +247,13 @@ def read_frf_sets(path: str | Path, leave_out: Sequence[str] = ()) -> FrfSet:
     if kind == "unknown":
         say_accelerances(path)
     outputs, inputs = _channels(ends, kind)
-    scaled = (as_motion(_finite(f.y) * x, freqs, m, kind) for f, m, x in zip(frfs, motions, factors, strict=True))
-    data = _place([replace(f, y=y) for f, y in zip(frfs, scaled, strict=True)], ends, freqs, outputs, inputs)
+    scaled = (
+        as_motion(_finite(f.y) * x, freqs, m, kind)
+        for f, m, x in zip(frfs, motions, factors, strict=True)
+    )
+    data = _place(
+        [replace(f, y=y) for f, y in zip(frfs, scaled, strict=True)], ends, freqs, outputs, inputs
+    )
     absent = np.asarray(np.isnan(data).all(axis=0))
     if absent.any():
         rows, columns = _whole(absent)
@@ -223,7 +277,9 @@ def read_frf_sets(path: str | Path, leave_out: Sequence[str] = ()) -> FrfSet:
 
 
 def _whole(absent: Bool) -> tuple[Int, Int]:
-    """Responses and references that are left when the one that lacks most of its pairs goes, until none is absent."""
+    """Responses and references that are left when the one that lacks most of its pairs goes, until
+    none is absent.
+    """
     rows, columns = np.arange(absent.shape[0]), np.arange(absent.shape[1])
     while (part := absent[np.ix_(rows, columns)]).any():
         a, b = part.mean(axis=1), part.mean(axis=0)
@@ -235,43 +291,75 @@ def _whole(absent: Bool) -> tuple[Int, Int]:
 
 
 def _tell_left_out(
-    absent: Bool, rows: Int, columns: Int, outputs: Sequence[Channel], inputs: Sequence[Channel], path: str | Path
+    absent: Bool,
+    rows: Int,
+    columns: Int,
+    outputs: Sequence[Channel],
+    inputs: Sequence[Channel],
+    path: str | Path,
 ) -> None:
     o, i = (int(k) for k in np.argwhere(absent)[0])
-    why = f"{path}: no values from {inputs[i].id} to {outputs[o].id} ({int(absent.sum())} pairs are absent)"
+    why = (
+        f"{path}: no values from {inputs[i].id} to {outputs[o].id} ({int(absent.sum())} pairs "
+        "are absent)"
+    )
     left = [c.id for k, c in enumerate(outputs) if k not in rows]
     without = [c.id for k, c in enumerate(inputs) if k not in columns]
     if rows.size * columns.size < _REST * int((~absent).sum()):
-        raise DataError(f"{why}; without gaps {rows.size} responses and {columns.size} references are left")
-    told = [f"{what} {' '.join(ids)}" for what, ids in (("response", left), ("reference", without)) if ids]
+        raise DataError(
+            f"{why}; without gaps {rows.size} responses and {columns.size} references are left"
+        )
+    told = [
+        f"{what} {' '.join(ids)}"
+        for what, ids in (("response", left), ("reference", without))
+        if ids
+    ]
     log.warning("%s; left out: %s", why, ", ".join(told))
 
 
-def _one_kind(motions: Sequence[Quantity], ends: Sequence[tuple[str, str]], path: str | Path) -> Quantity:
+def _one_kind(
+    motions: Sequence[Quantity], ends: Sequence[tuple[str, str]], path: str | Path
+) -> Quantity:
     """The quantity of most functions; a force is none."""
-    if wrong := dict.fromkeys(out for m, (out, _) in zip(motions, ends, strict=True) if m == "force"):
-        raise DataError(f"{path}: the response {' '.join([*wrong][:8])} is a force; an FRF here is motion over force")
+    if wrong := dict.fromkeys(
+        out for m, (out, _) in zip(motions, ends, strict=True) if m == "force"
+    ):
+        raise DataError(
+            f"{path}: the response {' '.join([*wrong][:8])} is a force; an FRF here is motion "
+            "over force"
+        )
     return max(dict.fromkeys(motions), key=motions.count)
 
 
 def _si(f: Function, units: Units | None) -> tuple[Quantity, float]:
-    """Quantity of the response of an FRF and the factor to SI: by the units on its axes, else by data set 164.
+    """Quantity of the response of an FRF and the factor to SI: by the units on its axes, else by
+    data set 164.
 
-    A motion over the same motion of a base is taken as an acceleration: the base is what forces of inertia act for.
-    Motions about an axis are those along it by name; their unit is radian.
+    A motion over the same motion of a base is taken as an acceleration: the base is what forces of
+    inertia act for. Motions about an axis are those along it by name; their unit is radian.
     """
     over, under = f.axes[1], f.axes[2]
     about, turned = (abs(end[1]) > 3 for end in (f.response, f.reference))
     text, tail = over.unit.strip(), under.unit.strip()
     base = _QUANTITY.get(under.data_type, "unknown")
     if _on_base(f):
-        (what, size), (_, moved) = _motion(over, text, units, about), _motion(under, tail, units, turned)
+        (what, size), (_, moved) = (
+            _motion(over, text, units, about),
+            _motion(under, tail, units, turned),
+        )
         what = LINEAR.get(what, what)
-        return "acceleration" if what in ("unknown", base) or base == "unknown" else what, size / moved
+        return "acceleration" if what in (
+            "unknown",
+            base,
+        ) or base == "unknown" else what, size / moved
     if not _acts(tail) and _acts(text.rpartition("/")[2]):
         text, _, tail = text.rpartition("/")
     quantity, motion = _motion(over, text, units, about)
-    force = to_si(tail.strip("() "))[1] if _acts(tail) else _factor("moment" if turned else "force", units)
+    force = (
+        to_si(tail.strip("() "))[1]
+        if _acts(tail)
+        else _factor("moment" if turned else "force", units)
+    )
     return LINEAR.get(quantity, quantity), motion / force
 
 
@@ -281,7 +369,9 @@ def _on_base(f: Function) -> bool:
 
 
 def _motion(axis: Axis, unit: str, units: Units | None, about: bool) -> tuple[Quantity, float]:
-    """Quantity of an axis and its factor to SI; the unit counts where it is known and not another quantity's."""
+    """Quantity of an axis and its factor to SI; the unit counts where it is known and not another
+    quantity's.
+    """
     quantity = _QUANTITY.get(axis.data_type, "unknown")
     unit = unit.strip("() ")
     if unit and known(unit):
@@ -310,7 +400,9 @@ def _ends(functions: Sequence[Function]) -> list[tuple[str, str]]:
 
 
 def _references(functions: Sequence[Function], responses: Sequence[str]) -> list[str]:
-    """The point of each reference; where none has one, what else tells them apart: the entity, or the direction."""
+    """The point of each reference; where none has one, what else tells them apart: the entity, or
+    the direction.
+    """
     if any(f.reference[0] for f in functions):
         return [label(*f.reference) for f in functions]
     entities = [f.names[1] for f in functions]
@@ -318,12 +410,18 @@ def _references(functions: Sequence[Function], responses: Sequence[str]) -> list
     alone = len(set(responses)) == len(functions)
     for names in (entities, directions):
         pairs = set(zip(responses, names, strict=True))
-        if not alone and len(pairs) == len(functions) and not set(_UNNAMED) & {n.upper() for n in names}:
+        if (
+            not alone
+            and len(pairs) == len(functions)
+            and not set(_UNNAMED) & {n.upper() for n in names}
+        ):
             return names
     return [_NO_REFERENCE] * len(functions)
 
 
-def _on_shared_lines(frfs: list[Function], ends: Sequence[tuple[str, str]], path: str | Path) -> list[Function]:
+def _on_shared_lines(
+    frfs: list[Function], ends: Sequence[tuple[str, str]], path: str | Path
+) -> list[Function]:
     """The functions at the lines that all have."""
     at = shared_lines([f.x for f in frfs])
     if at is None:
@@ -351,7 +449,9 @@ def _on_lines(f: Function, freqs: Float) -> Function | None:
     return replace(f, x=freqs, y=f.y[at[0]]) if at and at[0].size == freqs.size else None
 
 
-def _channels(ends: Sequence[tuple[str, str]], kind: Quantity) -> tuple[tuple[Channel, ...], tuple[Channel, ...]]:
+def _channels(
+    ends: Sequence[tuple[str, str]], kind: Quantity
+) -> tuple[tuple[Channel, ...], tuple[Channel, ...]]:
     outputs, inputs = (dict.fromkeys(both[k] for both in ends) for k in (0, 1))
     return tuple(channel(n, kind) for n in outputs), tuple(channel(n, "force") for n in inputs)
 
@@ -367,9 +467,13 @@ def _place(
     column = {c.id: i for i, c in enumerate(inputs)}
     data = np.full((freqs.size, len(outputs), len(inputs)), np.nan, dtype=np.complex128)
     times = np.zeros(data.shape[1:])
-    for f, (out, ref) in zip(functions, ends, strict=True):  # a pair measured several times is averaged
+    for f, (out, ref) in zip(
+        functions, ends, strict=True
+    ):  # a pair measured several times is averaged
         if out in row and ref in column:
             at = row[out], column[ref]
-            data[:, *at] = f.y if not times[at] else data[:, *at] + (f.y - data[:, *at]) / (times[at] + 1)
+            data[:, *at] = (
+                f.y if not times[at] else data[:, *at] + (f.y - data[:, *at]) / (times[at] + 1)
+            )
             times[at] += 1
     return data

@@ -29,11 +29,17 @@ def read_shapes(path: str | Path) -> tuple[Shape, ...]:
     """
     with about(path):
         blocks = scan(path)
-        found = [read_shape55(b) if b.kind == 55 else read_shape2414(b) for b in blocks if b.kind in (55, 2414)]
+        found = [
+            read_shape55(b) if b.kind == 55 else read_shape2414(b)
+            for b in blocks
+            if b.kind in (55, 2414)
+        ]
         shapes = tuple(s for s in found if s is not None)
         if not shapes:
             held = sets_held(b.kind for b in blocks)
-            raise DataError(f"{path}: no mode shapes (data set 55 or 2414 with values at nodes); {held}")
+            raise DataError(
+                f"{path}: no mode shapes (data set 55 or 2414 with values at nodes); {held}"
+            )
         return shapes
 
 
@@ -72,7 +78,8 @@ def _pole(s: Shape) -> tuple[float, float]:
 
 
 def write_mode_sets(path: str | Path, modes: ModeSet) -> None:
-    """Write the modes as data sets 55, three translations a node; directions without a channel are 0.
+    """Write the modes as data sets 55, three translations a node; directions without a channel are
+    0.
 
     Raises
     ------

@@ -1,4 +1,6 @@
-"""The data sets of a universal file: where each begins and ends, text or binary (58b), whatever the line ends are."""
+"""The data sets of a universal file: where each begins and ends, text or binary (58b), whatever the
+line ends are.
+"""
 
 from __future__ import annotations
 
@@ -57,12 +59,15 @@ def scan(path: str | Path) -> tuple[Block, ...]:
     Raises
     ------
     DataError
-        If there is no such file or no data set in it, or a binary one has a form that IEEE machines do not write.
+        If there is no such file or no data set in it, or a binary one has a form that IEEE machines
+        do not write.
     """
     path = existing(path)
     blocks = tuple(_blocks(path.read_bytes(), path))
     if not blocks:
-        raise DataError(f"{path}: not a readable universal file: no data set between lines of `    -1`")
+        raise DataError(
+            f"{path}: not a readable universal file: no data set between lines of `    -1`"
+        )
     return blocks
 
 
@@ -88,7 +93,9 @@ def _blocks(raw: bytes, path: Path) -> Iterator[Block]:
 
 
 def _find(raw: bytes, at: int, usual: bool) -> re.Match[bytes] | None:
-    """The next line that is a mark; the search for its usual form is 20 times as fast as that for any."""
+    """The next line that is a mark; the search for its usual form is 20 times as fast as that for
+    any.
+    """
     if not usual:
         return _MARK.search(raw, at)
     while (at := raw.find(_USUAL, at)) >= 0:
@@ -105,11 +112,15 @@ def _next_line(raw: bytes, at: int) -> int:
 
 
 def _binary(raw: bytes, start: int, end: int, path: Path) -> tuple[Block, int]:
-    """A 58b and the place after it; a wrong count of bytes is replaced by that of its points, or the next mark."""
+    """A 58b and the place after it; a wrong count of bytes is replaced by that of its points, or
+    the next mark.
+    """
     fields = re.findall(rb"\d{1,18}", raw[start:end].replace(b"b", b" ").replace(b"B", b" "))
     order, form = (int(x) for x in (*fields[1:3], b"1", b"2")[:2])
     if form != 2:
-        raise DataError(f"{path}: binary data set 58 in floating point format {form}; only IEEE (2) can be read")
+        raise DataError(
+            f"{path}: binary data set 58 in floating point format {form}; only IEEE (2) can be read"
+        )
     body = end
     for _ in range(_ASCII_LINES):
         body = _next_line(raw, body)

@@ -25,7 +25,8 @@ class Shape:
     Attributes
     ----------
     analysis : int
-        0 unknown, 1 static, 2 normal mode, 3 complex mode, 4 transient, 5 frequency response, 7 complex, 2nd order.
+        0 unknown, 1 static, 2 normal mode, 3 complex mode, 4 transient, 5 frequency response, 7
+        complex, 2nd order.
     number : int
         Of the mode; 0 where it is no mode.
     frequency : float, Hz
@@ -59,17 +60,34 @@ def read_shape55(block: Block) -> Shape:
     analysis, kind, width = int(head[1]), int(head[4]), int(head[5])
     counts = integers([row(lines, 6)])
     whole, real, at = _specific(lines, counts)
-    frequency, mass, viscous, hysteretic = ([*real, 0.0, 0.0, 0.0, 0.0])[:4] if analysis != COMPLEX else (0.0,) * 4
+    frequency, mass, viscous, hysteretic = (
+        ([*real, 0.0, 0.0, 0.0, 0.0])[:4] if analysis != COMPLEX else (0.0,) * 4
+    )
     pole = complex(*real[:2]) if analysis == COMPLEX and len(real) > 1 else 0j
     number = whole[1] if analysis in (NORMAL, COMPLEX) and len(whole) > 1 else 0
     nodes, values = _values(lines[at:], width, kind in (5, 6))
-    return Shape(analysis, number, frequency, mass, viscous, hysteretic, pole, nodes, values, row(lines, 0).strip())
+    return Shape(
+        analysis,
+        number,
+        frequency,
+        mass,
+        viscous,
+        hysteretic,
+        pole,
+        nodes,
+        values,
+        row(lines, 0).strip(),
+    )
 
 
 def _specific(lines: Sequence[str], counts: Int) -> tuple[list[int], list[float], int]:
-    """Integers and reals of the analysis, and the line after them; both may go over several lines."""
+    """Integers and reals of the analysis, and the line after them; both may go over several
+    lines.
+    """
     if counts.size < 2 or not (0 <= counts[0] <= 80 and 0 <= counts[1] <= 80):
-        raise DataError(f"data set 55: record 7 begins with {counts[:2].tolist()}, counts of integers and reals")
+        raise DataError(
+            f"data set 55: record 7 begins with {counts[:2].tolist()}, counts of integers and reals"
+        )
     n_int, n_real = int(counts[0]), int(counts[1])
     whole = counts[2:].tolist()
     at = 7
@@ -98,7 +116,8 @@ def _values(lines: Sequence[str], width: int, is_complex: bool) -> tuple[Int, An
     rows = -(-count // 6)
     if len(lines) % (1 + rows):
         raise DataError(
-            f"{len(lines)} lines of values, not a multiple of {1 + rows} a node: the file is cut or damaged"
+            f"{len(lines)} lines of values, not a multiple of {1 + rows} a node: the file is cut "
+            "or damaged"
         )
     nodes = np.array([_node(x) for x in lines[:: 1 + rows]], dtype=np.int64)
     body = [x for i, x in enumerate(lines) if i % (1 + rows)]
@@ -138,4 +157,6 @@ def read_shape2414(block: Block) -> Shape | None:
     pole = complex(second[0], second[1]) if analysis == COMPLEX else 0j
     number = int(specific[5]) if len(specific) > 5 else 0
     name = row(lines, 1).strip()
-    return Shape(analysis, number, first[1], first[3], first[4], first[5], pole, nodes, values, name)
+    return Shape(
+        analysis, number, first[1], first[3], first[4], first[5], pole, nodes, values, name
+    )

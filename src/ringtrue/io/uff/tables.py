@@ -1,5 +1,6 @@
-"""Geometry and tables of universal files: nodes 15 2411, elements 2412, lines 82, systems 18 2420, groups 2467,
-units 164, headers 151 2400, qualifiers 1858."""
+"""Geometry and tables of universal files: nodes 15 2411, elements 2412, lines 82, systems 18 2420,
+groups 2467, units 164, headers 151 2400, qualifiers 1858.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +42,9 @@ class Nodes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Element:
-    """An element of data set 2412: label, FE descriptor, property and material numbers, nodes (k,)."""
+    """An element of data set 2412: label, FE descriptor, property and material numbers, nodes
+    (k,).
+    """
 
     label: int
     descriptor: int
@@ -61,7 +64,9 @@ class TraceLine:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CoordinateSystem:
-    """A coordinate system: type 0 cartesian, 1 cylindrical, 2 spherical; origin (3,) and rows of axes (3, 3)."""
+    """A coordinate system: type 0 cartesian, 1 cylindrical, 2 spherical; origin (3,) and rows of
+    axes (3, 3).
+    """
 
     label: int
     name: str
@@ -134,7 +139,10 @@ def read_geometry(path: str | Path) -> Geometry:
     """
     blocks = scan(path)
     with about(path):
-        by = {k: [b for b in blocks if b.kind == k] for k in (15, 18, 82, 151, 164, 1858, 2400, 2411, 2412, 2420, 2467)}
+        by = {
+            k: [b for b in blocks if b.kind == k]
+            for k in (15, 18, 82, 151, 164, 1858, 2400, 2411, 2412, 2420, 2467)
+        }
         units = [read_units(b) for b in by[164]]
         nodes = [_nodes15(b) for b in by[15]] + [_nodes2411(b) for b in by[2411]]
         return Geometry(
@@ -145,7 +153,8 @@ def read_geometry(path: str | Path) -> Geometry:
             + tuple(s for b in by[2420] for s in _systems2420(b.lines())),
             tuple(g for b in by[2467] for g in _groups(b.lines())),
             tuple(_qualifier(b.lines()) for b in by[1858]),
-            tuple(_header151(b.lines()) for b in by[151]) + tuple(_header2400(b.lines()) for b in by[2400]),
+            tuple(_header151(b.lines()) for b in by[151])
+            + tuple(_header2400(b.lines()) for b in by[2400]),
             units[0] if units else None,
             tuple(b.kind for b in blocks),
         )
@@ -169,12 +178,17 @@ def _joined(parts: Sequence[Nodes], factor: float) -> Nodes | None:
     label = np.concatenate([p.label for p in parts])
     _, last = np.unique(label[::-1], return_index=True)
     at = np.sort(label.size - 1 - last)
-    join = [np.concatenate([getattr(p, n) for p in parts])[at] for n in ("definition", "displacement", "place")]
+    join = [
+        np.concatenate([getattr(p, n) for p in parts])[at]
+        for n in ("definition", "displacement", "place")
+    ]
     return Nodes(label[at], join[0], join[1], join[2] / factor)
 
 
 def _nodes15(block: Block) -> Nodes:
-    table = np.array([numbers(x, (10, 10, 10, 10, 13, 13, 13)) for x in block.lines()]).reshape(-1, 7)
+    table = np.array([numbers(x, (10, 10, 10, 10, 13, 13, 13)) for x in block.lines()]).reshape(
+        -1, 7
+    )
     whole = table[:, :3].astype(np.int64)
     return Nodes(whole[:, 0], whole[:, 1], whole[:, 2], table[:, 4:])
 
@@ -182,9 +196,13 @@ def _nodes15(block: Block) -> Nodes:
 def _nodes2411(block: Block) -> Nodes:
     lines = block.lines()
     if len(lines) % 2:
-        raise DataError(f"data set 2411 has {len(lines)} lines; a node has two: the file is cut or damaged")
+        raise DataError(
+            f"data set 2411 has {len(lines)} lines; a node has two: the file is cut or damaged"
+        )
     whole = np.array([_integers(x, 4) for x in lines[::2]], dtype=np.int64).reshape(-1, 4)
-    place = reals("\n".join(lines[1::2]).encode("latin-1", "replace"), (25, 25, 25), 3 * whole.shape[0])
+    place = reals(
+        "\n".join(lines[1::2]).encode("latin-1", "replace"), (25, 25, 25), 3 * whole.shape[0]
+    )
     return Nodes(whole[:, 0], whole[:, 1], whole[:, 2], place.reshape(-1, 3))
 
 
@@ -198,7 +216,9 @@ def _integers(line: str, least: int) -> list[int]:
 def _take(lines: Sequence[str], at: int, count: int) -> tuple[Int, int]:
     """`count` integers from line `at` on, and the line after them."""
     if not 0 <= count <= 20 * len(lines):
-        raise DataError(f"{count} integers are announced in {len(lines)} lines; the file is cut or damaged")
+        raise DataError(
+            f"{count} integers are announced in {len(lines)} lines; the file is cut or damaged"
+        )
     found: list[Int] = []
     while sum(f.size for f in found) < count:
         found.append(integers([row(lines, at)]))
@@ -231,7 +251,9 @@ def _systems18(lines: Sequence[str]) -> Iterator[CoordinateSystem]:
         if len(values) < 9:
             raise DataError(f"data set 18, system {label}: {len(values)} of 9 coordinates")
         origin, on_x, in_xz = np.array(values[:9]).reshape(3, 3)
-        yield CoordinateSystem(label, lines[at + 1].strip(), kind, origin, _axes(on_x - origin, in_xz - origin, label))
+        yield CoordinateSystem(
+            label, lines[at + 1].strip(), kind, origin, _axes(on_x - origin, in_xz - origin, label)
+        )
         at += 4
 
 
@@ -245,7 +267,9 @@ def _axes(x: Float, xz: Float, label: int) -> Float:
 
 
 def _systems2420(lines: Sequence[str]) -> Iterator[CoordinateSystem]:
-    """Part number and name, then label, name and a 4 x 3 matrix: three rows of axes and the origin."""
+    """Part number and name, then label, name and a 4 x 3 matrix: three rows of axes and the
+    origin.
+    """
     at = 2
     while at < len(lines):
         label, kind = _integers(lines[at], 2)
@@ -276,4 +300,6 @@ def _header151(lines: Sequence[str]) -> ModelHeader:
 
 
 def _header2400(lines: Sequence[str]) -> ModelHeader:
-    return ModelHeader(row(lines, 1).strip(), parse_int(row(lines, 0)[:12]), tuple(x.strip() for x in lines))
+    return ModelHeader(
+        row(lines, 1).strip(), parse_int(row(lines, 0)[:12]), tuple(x.strip() for x in lines)
+    )

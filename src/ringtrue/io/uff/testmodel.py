@@ -37,9 +37,14 @@ def write_test_model(path: str | Path, test: TestModel) -> None:
     if not test.points.size or test.points.max() > _MOST or test.points.min() < 1:
         raise DataError(f"{path}: {test.points.size} points; their numbers must be 1 to {_MOST}")
     x, y, z = test.xyz.T
-    sets: list[dict[str, object]] = [_UNITS, {"type": 15, "node_nums": test.points, "x": x, "y": y, "z": z}]
+    sets: list[dict[str, object]] = [
+        _UNITS,
+        {"type": 15, "node_nums": test.points, "x": x, "y": y, "z": z},
+    ]
     if len(test.lines):
-        trace = np.column_stack([test.lines, np.zeros(len(test.lines), dtype=np.int64)]).ravel()  # 0 lifts the pen
+        trace = np.column_stack(
+            [test.lines, np.zeros(len(test.lines), dtype=np.int64)]
+        ).ravel()  # 0 lifts the pen
         sets.append({"type": 82, "trace_num": 1, "id": "measuring points", "nodes": trace})
     with atomic_write(path) as part:
         write_sets(part, sets)

@@ -34,19 +34,35 @@ def _agreement(e: FrfEvidence) -> list[Block]:
     """FRFs reference by reference, over frequency, and line against line."""
     span = f"{number(float(e.final.freqs[0]), 3)} to {number(float(e.final.freqs[-1]), 3)} Hz"
     rows = [_reference(a, b) for a, b in zip(e.initial.by_input(), e.final.by_input(), strict=True)]
-    heads = ("|Reference", "FRAC, %", "Level, dB", "Shape, %", "Amplitude, %", "|Least FRAC of the final model")
+    heads = (
+        "|Reference",
+        "FRAC, %",
+        "Level, dB",
+        "Shape, %",
+        "Amplitude, %",
+        "|Least FRAC of the final model",
+    )
     caption = (
-        f"All FRFs of each reference from {span}, initial → final model. FRAC and level difference (root mean square): "
+        f"All FRFs of each reference from {span}, initial → final model. FRAC and level "
+        "difference (root mean square): "
         "medians of the responses; global shape and amplitude correlation: means over the lines."
     )
     over = (
-        "Shape and amplitude correlation of all responses at each line, mean of the references (100 %: equal; the "
+        "Shape and amplitude correlation of all responses at each line, mean of the references "
+        "(100 %: equal; the "
         "shape is blind to scale)."
     )
     out: list[Block] = [Table(heads, rows, caption), Plot(correlation.frf_agreement(e), over)]
-    ridge = "FDAC of all responses, {} model: a ridge on the diagonal means that every response comes at its frequency."
+    ridge = (
+        "FDAC of all responses, {} model: a ridge on the diagonal means that every response "
+        "comes at its frequency."
+    )
     both = (("initial", e.fdac_initial), ("final", e.fdac_final))
-    out.append(Columns([[Plot(correlation.fdac(v, e.lines, f"{k} model"), ridge.format(k))] for k, v in both]))
+    out.append(
+        Columns(
+            [[Plot(correlation.fdac(v, e.lines, f"{k} model"), ridge.format(k))] for k, v in both]
+        )
+    )
     each = [(o.name, fixed(100 * o.frac, 1), fixed(o.deviation, 1)) for o in e.final.by_output()]
     text = "Responses of the final model, the worst first: medians over the references."
     table = Table(("|Response", "FRAC, %", "Level difference, dB"), each, text, scroll=True)
@@ -72,10 +88,16 @@ def _damping_plot(data: Stages) -> Plot:
     if data.identify is not None:
         i = data.identify
         sets += [("ambient", i.ambient, i.ambient_uncertainty)] if len(i.ambient) else []
-        sets += [(i.source.removesuffix(" test"), i.hammer, i.hammer_uncertainty)] if i.hammer is not None else []
+        sets += (
+            [(i.source.removesuffix(" test"), i.hammer, i.hammer_uncertainty)]
+            if i.hammer is not None
+            else []
+        )
     assert data.final is not None
     used = (data.final.modes.frequencies, data.final.damping)
-    text = "Damping ratios identified, with one standard deviation, and those the final model carries."
+    text = (
+        "Damping ratios identified, with one standard deviation, and those the final model carries."
+    )
     return Plot(identification.damping(sets, used), text)
 
 
@@ -91,4 +113,9 @@ def _damping_table(data: Stages) -> Table:
         )
         for k in range(int(np.size(f.damping)))
     ]
-    return Table(("FE #", "f, Hz", "ζ, %", "|Taken from"), rows, "Damping of the final model.", scroll=len(rows) > 16)
+    return Table(
+        ("FE #", "f, Hz", "ζ, %", "|Taken from"),
+        rows,
+        "Damping of the final model.",
+        scroll=len(rows) > 16,
+    )

@@ -20,14 +20,26 @@ def section(data: Stages) -> Section | None:
     else:
         return None
     one = plots.sensitivity(s, s.d_frequency, "∂ ln f / ∂x", f)
-    caption = "Sensitivity of the {} to the candidates; x = ln(factor) of logarithmic parameters, else factor − 1."
+    caption = (
+        "Sensitivity of the {} to the candidates; x = ln(factor) of logarithmic "
+        "parameters, else factor − 1."
+    )
     frequencies = Plot(one, caption.format("natural frequencies"))
     blocks: list[Block] = [frequencies]
     if s.d_mac.size:
-        two = Plot(plots.sensitivity(s, s.d_mac, "∂ MAC / ∂x", f), caption.format("MAC with the paired test shape"))
+        two = Plot(
+            plots.sensitivity(s, s.d_mac, "∂ MAC / ∂x", f),
+            caption.format("MAC with the paired test shape"),
+        )
         blocks = [Tabs([("Frequencies", [frequencies]), ("Mode shapes", [two])])]
     rows = [(k, str(len(v)), ", ".join(v), sentence(s.rules.get(k, ""))) for k, v in s.sets.items()]
-    blocks.append(Table(("|Set", "Size", "|Parameters", "|Rule"), rows, "Parameter sets and how each was chosen."))
+    blocks.append(
+        Table(
+            ("|Set", "Size", "|Parameters", "|Rule"),
+            rows,
+            "Parameter sets and how each was chosen.",
+        )
+    )
     held = dict.fromkeys(line for found in s.held.values() for line in stand_ins(found))
     if held:
         blocks.append(Items(tuple(held), "Held at the deck's values"))

@@ -1,4 +1,6 @@
-"""The other configurations that were updated together with the deck of the study, before and after."""
+"""The other configurations that were updated together with the deck of the study, before and
+after.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,8 @@ def section(data: Stages) -> Section | None:
     items = data.configurations.items
     lead = "Each configuration has a deck and a test of its own. "
     lead += (
-        "One parameter set was updated over all of them and over the deck of the study; every deck that has a changed "
+        "One parameter set was updated over all of them and over the deck of the study; every "
+        "deck that has a changed "
         "field was edited in place, read back and judged by its own test."
         if after
         else "Nothing has been updated yet."
@@ -41,17 +44,32 @@ def section(data: Stages) -> Section | None:
     return Section("configurations", "Other configurations", body)
 
 
-def _overview(data: Stages, items: tuple[ConfiguredTest, ...], after: dict[str, DeliveredConfiguration]) -> Table:
+def _overview(
+    data: Stages, items: tuple[ConfiguredTest, ...], after: dict[str, DeliveredConfiguration]
+) -> Table:
     rows = []
     if data.correlate is not None:
         last = data.final.table if data.final else None
         deck = Path(data.model.files[0]).name if data.model else ""
         modes = f"{len(data.correlate.reference)} modes"
-        rows.append(["the deck of the study", deck, modes, *_values(data.correlate.remodelled, last)])
+        rows.append(
+            ["the deck of the study", deck, modes, *_values(data.correlate.remodelled, last)]
+        )
     for c in items:
         done = after.get(c.name)
-        rows.append([c.name, Path(c.files[0]).name, c.source, *_values(c.initial, done.table if done else None)])
-    return Table(HEADS, rows, "Every configuration before → after the updating; modes left out are counted, too.")
+        rows.append(
+            [
+                c.name,
+                Path(c.files[0]).name,
+                c.source,
+                *_values(c.initial, done.table if done else None),
+            ]
+        )
+    return Table(
+        HEADS,
+        rows,
+        "Every configuration before → after the updating; modes left out are counted, too.",
+    )
 
 
 def _values(before: CorrelationTable, after: CorrelationTable | None) -> list[str]:
@@ -69,12 +87,16 @@ def _values(before: CorrelationTable, after: CorrelationTable | None) -> list[st
 
 
 def _one(data: Stages, c: ConfiguredTest, after: DeliveredConfiguration | None) -> list[Block]:
-    before = blocks(c.initial, data, f"{c.name}: the deck before the updating against its test.", updating=True)
+    before = blocks(
+        c.initial, data, f"{c.name}: the deck before the updating against its test.", updating=True
+    )
     out: list[Block] = [Heading(c.name)]
     out += [Text(sentence(m.text)) for m in c.mendings]
     out += [Items([sentence(n) for n in c.notes], "Where its deck differs")] if c.notes else []
     if after is None:
         return [*out, *before]
-    out += blocks(after.table, data, f"{c.name}: the delivered deck against its test.", updating=True)
+    out += blocks(
+        after.table, data, f"{c.name}: the delivered deck against its test.", updating=True
+    )
     out.append(Fold(f"{c.name}: before the updating", before))
     return [*out, *changes(after.files, after.changes)]

@@ -34,11 +34,17 @@ FEW = 8  # modes above the other set's band that are still listed one by one
 
 
 def pairs(
-    table: CorrelationTable, data: Stages, caption: str, updating: bool, judged: Significance | None = None
+    table: CorrelationTable,
+    data: Stages,
+    caption: str,
+    updating: bool,
+    judged: Significance | None = None,
 ) -> Table:
-    """The table of pairs, with acceptance, significance and flags; with `updating` whether the updating used them.
+    """The table of pairs, with acceptance, significance and flags; with `updating` whether the
+    updating used them.
 
-    `judged` is the significance of the deviations where both sets are uncertain; else that of the test decides.
+    `judged` is the significance of the deviations where both sets are uncertain; else that of the
+    test decides.
     """
     a, b = table.names
     sure = judged or table_significance(table)
@@ -57,7 +63,10 @@ def pairs(
     ]
     heads += ["|Updating", "|"] if updating else ["|"]
     scatter = zip(sure.z.tolist(), sure.significant.tolist(), strict=True)
-    rows = [_row(i + 1, r, data, updating, s) for i, (r, s) in enumerate(zip(table.rows(), scatter, strict=True))]
+    rows = [
+        _row(i + 1, r, data, updating, s)
+        for i, (r, s) in enumerate(zip(table.rows(), scatter, strict=True))
+    ]
     mean = [fixed(table.mean_deviation(), 2), ""]
     mean += [fixed(table.mean_mac(), 1), fixed(table.mean_subspace_mac(), 1)]
     foot = ["Mean, of |Δf|", *mean, *[""] * (len(heads) - 9)]
@@ -71,14 +80,23 @@ def _scatter(sure: Significance) -> str:
         return ""
     inside = int((known & ~sure.significant).sum())
     return (
-        f" Δf/σ: in standard deviations of the measurement; {inside} of {int(known.sum())} are within its scatter "
+        f" Δf/σ: in standard deviations of the measurement; {inside} of {int(known.sum())} are "
+        "within its scatter "
         f"(false discovery rate {100 * sure.rate:g} %)."
     )
 
 
-def _row(number: int, r: CorrelationRow, data: Stages, updating: bool, scatter: tuple[float, bool]) -> list[str | Cell]:
+def _row(
+    number: int, r: CorrelationRow, data: Stages, updating: bool, scatter: tuple[float, bool]
+) -> list[str | Cell]:
     ok = data.acceptance.holds(r.deviation_percent, r.deviation_hz, r.subspace_mac_percent)
-    row: list[str | Cell] = [str(number), str(r.test), str(r.fe), fixed(r.test_hz, 3), fixed(r.fe_hz, 3)]
+    row: list[str | Cell] = [
+        str(number),
+        str(r.test),
+        str(r.fe),
+        fixed(r.test_hz, 3),
+        fixed(r.fe_hz, 3),
+    ]
     row += [fixed(r.deviation_percent, 2, sign=True), fixed(r.deviation_hz, 3, sign=True)]
     row += [fixed(r.mac_percent, 1), fixed(r.subspace_mac_percent, 1)]
     z, beyond = scatter
@@ -88,7 +106,14 @@ def _row(number: int, r: CorrelationRow, data: Stages, updating: bool, scatter: 
     if updating:
         row.append("used" if r.used else Cell("left out", "chip"))
     if r.beyond:
-        return [*row, Cell("beyond the gate", "chip", "beyond the frequency gate, but alike and like no other mode")]
+        return [
+            *row,
+            Cell(
+                "beyond the gate",
+                "chip",
+                "beyond the frequency gate, but alike and like no other mode",
+            ),
+        ]
     return [*row, Cell("close modes", "chip", "compared as a subspace") if r.subspace else ""]
 
 
@@ -101,25 +126,37 @@ def unpaired(table: CorrelationTable) -> list[Block]:
         (table.names[0], p.lone_a, p.why_a, table.all_test_hz),
         (table.names[1], p.lone_b, p.why_b, table.all_fe_hz),
     ):
-        every = [(str(k + 1), fixed(float(f[k]), 3), signs(why)) for k, why in zip(lone.tolist(), reasons, strict=True)]
+        every = [
+            (str(k + 1), fixed(float(f[k]), 3), signs(why))
+            for k, why in zip(lone.tolist(), reasons, strict=True)
+        ]
         below = [row for row, k in zip(every, lone.tolist(), strict=True) if f[k] <= top]
         rows = every if len(every) - len(below) <= FEW else below
         caption = f"{name[:1].upper()}{name[1:]} modes without a partner."
         if len(rows) < len(every):
-            caption += f" {len(every) - len(rows)} more lie above the highest {table.names[0]} mode."
+            caption += (
+                f" {len(every) - len(rows)} more lie above the highest {table.names[0]} mode."
+            )
         if rows:
             out.append(Table(("#", "f, Hz", "|Reason"), rows, caption))
     return out
 
 
 def blocks(
-    table: CorrelationTable, data: Stages, caption: str, updating: bool, judged: Significance | None = None
+    table: CorrelationTable,
+    data: Stages,
+    caption: str,
+    updating: bool,
+    judged: Significance | None = None,
 ) -> list[Block]:
     """Pairs, MAC matrix, unpaired."""
     a, b = table.names
     out: list[Block] = [pairs(table, data, caption, updating, judged)]
     if table.mac.size:
-        text = f"MAC of single shapes between {a} (rows) and {b} (columns) modes; numbers from 10 %, pairs outlined."
+        text = (
+            f"MAC of single shapes between {a} (rows) and {b} (columns) modes; numbers from "
+            "10 %, pairs outlined."
+        )
         out.append(Plot(plots.table_matrix(table), text))
     return out + unpaired(table)
 
@@ -130,8 +167,14 @@ def tests(data: Stages) -> Section | None:
         return None
     table, e = data.compare.table, data.compare.evidence
     caption = "The two tests at their common channels."
-    body = blocks(table, data, caption, updating=False, judged=e.measures.significance if e else None)
-    return Section("tests", "Ambient against hammer", [*body, *evidence.brief(e, table, "Channels and close modes")])
+    body = blocks(
+        table, data, caption, updating=False, judged=e.measures.significance if e else None
+    )
+    return Section(
+        "tests",
+        "Ambient against hammer",
+        [*body, *evidence.brief(e, table, "Channels and close modes")],
+    )
 
 
 def initial(data: Stages) -> Section | None:
@@ -142,9 +185,17 @@ def initial(data: Stages) -> Section | None:
     body: list[Block] = [Text(sentence(m.text)) for m in c.mendings]
     body += [Text(sentence(c.placed))] if c.placed else []
     body += [Items(c.gaps, f"Notes on the test ({len(c.gaps)})")] if c.gaps else []
-    body += [Fold(f"Where the sensors are read ({len(c.seats)} channels)", [seats(c.seats)])] if c.seats else []
+    body += (
+        [Fold(f"Where the sensors are read ({len(c.seats)} channels)", [seats(c.seats)])]
+        if c.seats
+        else []
+    )
     body += blocks(c.initial, data, "The initial model against the test.", updating=True)
-    return Section("initial", "Initial correlation", [*body, *evidence.brief(c.evidence_initial, c.initial, FOLDED)])
+    return Section(
+        "initial",
+        "Initial correlation",
+        [*body, *evidence.brief(c.evidence_initial, c.initial, FOLDED)],
+    )
 
 
 def seats(found: Sequence[Seat]) -> Table:
@@ -152,8 +203,19 @@ def seats(found: Sequence[Seat]) -> Table:
     rows = []
     for s in found:
         sensor = s.sensor + (" turned" if s.sign < 0 else "")
-        rows.append([s.channel, sensor, str(s.point), " ".join(map(str, s.nodes)), fixed(1e3 * s.distance, 1)])
-    text = "The nodes of the deck at which each channel is read; numbers of points are those of the sensor sheet."
+        rows.append(
+            [
+                s.channel,
+                sensor,
+                str(s.point),
+                " ".join(map(str, s.nodes)),
+                fixed(1e3 * s.distance, 1),
+            ]
+        )
+    text = (
+        "The nodes of the deck at which each channel is read; numbers of points are those of "
+        "the sensor sheet."
+    )
     heads = ("|Channel", "|On the sheet", "Point", "|Node", "Distance, mm")
     return Table(heads, rows, text, scroll=len(rows) > 20)
 
@@ -167,7 +229,9 @@ def remodelled(data: Stages) -> Section | None:
     body += [_history(c.history)] if len(c.history) > 2 else []
     body += [Diff(c.diff, "The remodelling as a change of the deck.")] if c.diff else []
     body += blocks(c.remodelled, data, "The remodelled deck against the test.", updating=True)
-    return Section("remodelled", "Remodelling", [*body, *evidence.brief(c.evidence, c.remodelled, FOLDED)])
+    return Section(
+        "remodelled", "Remodelling", [*body, *evidence.brief(c.evidence, c.remodelled, FOLDED)]
+    )
 
 
 def _history(steps: Sequence[RemodelStep]) -> Table:
@@ -184,7 +248,15 @@ def _history(steps: Sequence[RemodelStep]) -> Table:
         ]
         for i, s in enumerate(steps)
     ]
-    heads = ("Step", "|What", "Pairs", "Mean |Δf|, %", "Max |Δf|, %", "Mean MAC, %", "Mean subspace MAC, %")
+    heads = (
+        "Step",
+        "|What",
+        "Pairs",
+        "Mean |Δf|, %",
+        "Max |Δf|, %",
+        "Mean MAC, %",
+        "Mean subspace MAC, %",
+    )
     text = "The initial deck and that after each step of the remodelling, against the test."
     return Table(heads, rows, text).without_blank("MAC")
 
@@ -194,13 +266,19 @@ def final(data: Stages) -> Section | None:
     f = data.final
     if f is None:
         return None
-    body: list[Block] = [Text("The final model is the delivered deck, read back from its files after all changes.")]
+    body: list[Block] = [
+        Text("The final model is the delivered deck, read back from its files after all changes.")
+    ]
     body += blocks(f.table, data, "The final model against the test.", updating=True)
     if len(f.rigid):
         body.append(pairs(f.rigid, data, "Rigid-body modes of the final model.", updating=False))
     body += evidence.whole(f.evidence, f.table)
     deck = changes(f.files, f.changes)
-    return Section("final", "Final correlation", [*body, Heading("Changes of the deck"), *deck] if deck else body)
+    return Section(
+        "final",
+        "Final correlation",
+        [*body, Heading("Changes of the deck"), *deck] if deck else body,
+    )
 
 
 def changes(files: Sequence[str], lines: Sequence[str]) -> list[Block]:
@@ -208,7 +286,10 @@ def changes(files: Sequence[str], lines: Sequence[str]) -> list[Block]:
     caption = f"Changed fields of the deck ({', '.join(Path(f).name for f in files)})."
     parts = [x.split() for x in lines]
     if all(len(p) == 7 and p[5] == "->" for p in parts):
-        rows = [(place, f"{card} {ident}", field, old, new) for place, card, ident, field, old, _, new in parts]
+        rows = [
+            (place, f"{card} {ident}", field, old, new)
+            for place, card, ident, field, old, _, new in parts
+        ]
         heads: tuple[str, ...] = ("|File:line", "|Card", "|Field", "Initial", "Updated")
         return [Table(heads, rows, caption, scroll=len(rows) > 20)] if rows else []
     return [Table(("|Change",), [(signs(x),) for x in lines], caption, scroll=True)]

@@ -1,4 +1,6 @@
-"""What a correlation rests on: orthogonality, channels, close modes, and whether deviations are beyond the scatter."""
+"""What a correlation rests on: orthogonality, channels, close modes, and whether deviations are
+beyond the scatter.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,18 @@ from ringtrue.correlate.faults import Suspect
 from ringtrue.correlate.gates import Failure
 from ringtrue.correlate.table import CorrelationTable
 from ringtrue.plots import correlation as plots
-from ringtrue.report.parts import Block, Cell, Columns, Fold, Heading, Plot, Table, Text, fixed, sentence
+from ringtrue.report.parts import (
+    Block,
+    Cell,
+    Columns,
+    Fold,
+    Heading,
+    Plot,
+    Table,
+    Text,
+    fixed,
+    sentence,
+)
 from ringtrue.study.results import Evidence
 
 WHOSE = {"model": "the model's own modes", "self": "test modes", "cross": "test against model"}
@@ -22,7 +35,12 @@ def brief(e: Evidence | None, table: CorrelationTable, title: str) -> list[Block
     """Suspected channels in the open, all else folded away."""
     if e is None:
         return []
-    inner = [*orthogonality(e, table), *channels(e.measures), *close(e.measures, table), *_notes(e.measures)]
+    inner = [
+        *orthogonality(e, table),
+        *channels(e.measures),
+        *close(e.measures, table),
+        *_notes(e.measures),
+    ]
     return [suspects(e.measures, table), *([Fold(title, inner)] if inner else [])]
 
 
@@ -37,8 +55,10 @@ def whole(e: Evidence | None, table: CorrelationTable) -> list[Block]:
         out += [Heading("Close modes"), *near]
     if e.tracks is not None:
         caption = (
-            "The modes of the final model followed back to the initial one by their shapes at the channels, beside the "
-            "test. Grey: no partner; dotted: the shapes have less than 60 % MAC, the mode may be another one."
+            "The modes of the final model followed back to the initial one by their shapes at "
+            "the channels, beside the "
+            "test. Grey: no partner; dotted: the shapes have less than 60 % MAC, the mode may be "
+            "another one."
         )
         out += [Heading("Modes followed"), Plot(plots.followed(e.tracks, table), caption)]
     return out + _notes(e.measures)
@@ -51,12 +71,15 @@ def orthogonality(e: Evidence, table: CorrelationTable) -> list[Block]:
         return []
     gate = checks[0].verdict.gate
     caption = (
-        f"Orthogonality at the channels with the gate {gate.name}: at least {100 * gate.diagonal:g} % of a pair, at "
-        f"most {100 * gate.off_diagonal:g} % between different modes. Close modes are turned as they were paired."
+        f"Orthogonality at the channels with the gate {gate.name}: at least "
+        f"{100 * gate.diagonal:g} % of a pair, at "
+        f"most {100 * gate.off_diagonal:g} % between different modes. Close modes are turned as "
+        "they were paired."
     )
     if any(c.kind == "model" for c in checks):
         caption += (
-            " A mass that does not keep the model's own modes apart, read with an error of 2 %, is not fit to judge by."
+            " A mass that does not keep the model's own modes apart, read with an error "
+            "of 2 %, is not fit to judge by."
         )
     heads = ("|Mass", "|Of", "Least pair, %", "Largest other, %", "|Verdict", "|Beyond the gate")
     out: list[Block] = [Table(heads, [_check(c, e.measures) for c in checks], caption)]
@@ -90,7 +113,10 @@ def _beyond(kind: str, failures: Sequence[Failure]) -> str:
     once = [f for f in failures if kind == "cross" or f.a < f.b]
     sides = {"model": ("FE", "FE"), "self": ("", ""), "cross": ("", "FE ")}[kind]
     gap = {"model": " ", "self": "", "cross": ""}[kind]
-    told = [f"{sides[0]}{gap}{f.a + 1} – {sides[1]}{gap}{f.b + 1}: {100 * f.value:.0f} %" for f in once[:MOST]]
+    told = [
+        f"{sides[0]}{gap}{f.a + 1} – {sides[1]}{gap}{f.b + 1}: {100 * f.value:.0f} %"
+        for f in once[:MOST]
+    ]
     return ", ".join(told) + (f" and {len(once) - MOST} more" if len(once) > MOST else "")
 
 
@@ -98,16 +124,33 @@ def suspects(c: CompleteCorrelation, table: CorrelationTable) -> Table | Text:
     """Channels that contradict the other set: named, never mended."""
     if not c.suspects:
         judged = len(table) >= 3
-        told = "no channel looks reversed, swapped, mis-scaled or dead" if judged else "channels are not judged"
-        return Text(f"Against the {table.names[1]} modes {told}." if judged else f"With fewer than 3 pairs {told}.")
-    caption = "Channels to look at; nothing was mended. A region that is wrong in the model may look like a fault."
+        told = (
+            "no channel looks reversed, swapped, mis-scaled or dead"
+            if judged
+            else "channels are not judged"
+        )
+        return Text(
+            f"Against the {table.names[1]} modes {told}."
+            if judged
+            else f"With fewer than 3 pairs {told}."
+        )
+    caption = (
+        "Channels to look at; nothing was mended. A region that is wrong in the model may "
+        "look like a fault."
+    )
     heads = ("|Channel", "|Looks", "|What is seen", "MAC now, %", "MAC if mended, %")
     return Table(heads, [_suspect(s) for s in c.suspects], caption)
 
 
 def _suspect(s: Suspect) -> list[str | Cell]:
     told = sentence(s.message.split("; ")[0])
-    return [s.channel, Cell(s.fault, "warn"), told, fixed(100 * s.mac_now, 1), fixed(100 * s.mac_mended, 1)]
+    return [
+        s.channel,
+        Cell(s.fault, "warn"),
+        told,
+        fixed(100 * s.mac_now, 1),
+        fixed(100 * s.mac_mended, 1),
+    ]
 
 
 def channels(c: CompleteCorrelation) -> list[Block]:
@@ -115,8 +158,10 @@ def channels(c: CompleteCorrelation) -> list[Block]:
     if not c.scale.size:
         return []
     caption = (
-        "The channels with the lowest CoMAC; those with the highest eCoMAC, which sees signs and what moves; the "
-        "mean MAC of the pairs if the channels that spoil it most were left out one by one. Nothing was left out."
+        "The channels with the lowest CoMAC; those with the highest eCoMAC, which sees signs and "
+        "what moves; the "
+        "mean MAC of the pairs if the channels that spoil it most were left out one by one. "
+        "Nothing was left out."
     )
     order = c.comac.argsort(kind="stable").tolist()
     rows = [
@@ -129,7 +174,10 @@ def channels(c: CompleteCorrelation) -> list[Block]:
         for i in order
     ]
     heads = ("|Channel", "CoMAC, %", "eCoMAC, %", "Contribution to the MAC, %")
-    text = "All channels, the worst first. The contributions add up to the mean MAC; a negative one works against it."
+    text = (
+        "All channels, the worst first. The contributions add up to the mean MAC; a negative "
+        "one works against it."
+    )
     every = Fold(f"All {len(rows)} channels", [Table(heads, rows, text, scroll=True)])
     return [Plot(plots.channels(c), caption), every]
 
@@ -141,7 +189,8 @@ def close(c: CompleteCorrelation, table: CorrelationTable) -> list[Block]:
     a, b = table.names
     heads = (f"|{a} modes", f"|f {a}, Hz", f"|{b} modes", f"|f {b}, Hz", "|Principal angles, °")
     caption = (
-        "Close modes compared as spaces: principal angles, 0° where one set can be turned into the other; a large one "
+        "Close modes compared as spaces: principal angles, 0° where one set can be turned into "
+        "the other; a large one "
         "means that a shape of one set is missing in the other."
     )
     return [Table(heads, [_close(s, table) for s in c.subspaces], caption)]
@@ -150,7 +199,10 @@ def close(c: CompleteCorrelation, table: CorrelationTable) -> list[Block]:
 def _close(s: Subspace, table: CorrelationTable) -> list[str | Cell]:
     sides: list[str | Cell] = []
     for modes, f in ((s.a, table.all_test_hz), (s.b, table.all_fe_hz)):
-        sides += [", ".join(str(i + 1) for i in modes), ", ".join(fixed(float(f[i]), 2) for i in modes)]
+        sides += [
+            ", ".join(str(i + 1) for i in modes),
+            ", ".join(fixed(float(f[i]), 2) for i in modes),
+        ]
     told = ", ".join(fixed(math.degrees(x), 1) for x in s.angles)
     return [*sides, Cell(told, "warn" if max(s.angles) > TURNED else "")]
 

@@ -32,22 +32,34 @@ def section(data: Stages) -> Section | None:
     ident = data.identify
     if ident is None:
         return None
-    tabs = [(r.record, _diagrams(r.record, r.diagrams, r.modes)) for r in ident.ambient_records if r.diagrams]
+    tabs = [
+        (r.record, _diagrams(r.record, r.diagrams, r.modes))
+        for r in ident.ambient_records
+        if r.diagrams
+    ]
     if ident.hammer is not None and ident.hammer_diagrams:
         name = ident.source.removesuffix(" test")
         tabs.append((name, _diagrams(name, ident.hammer_diagrams, ident.hammer)))
-    blocks: list[Block] = [Heading("Stabilisation diagrams"), Key(plots.POLE_COLORS), Tabs(tabs)] if tabs else []
+    blocks: list[Block] = (
+        [Heading("Stabilisation diagrams"), Key(plots.POLE_COLORS), Tabs(tabs)] if tabs else []
+    )
     sides: list[list[Block]] = []
     if len(ident.ambient):
         modes, std = ident.ambient, ident.ambient_uncertainty
-        sides.append([_modes(modes, std, ident.ambient_reasons, "Ambient modes, merged over the records.")])
+        sides.append(
+            [_modes(modes, std, ident.ambient_reasons, "Ambient modes, merged over the records.")]
+        )
     if ident.hammer is not None:
         caption = f"Modes of the {ident.source}."
-        sides.append([_modes(ident.hammer, ident.hammer_uncertainty, ident.hammer_reasons, caption)])
+        sides.append(
+            [_modes(ident.hammer, ident.hammer_uncertainty, ident.hammer_reasons, caption)]
+        )
     if sides:
         blocks.append(Columns(sides) if len(sides) > 1 else sides[0][0])
     if ident.merge_notes:
-        blocks.append(Items([sentence(n) for n in ident.merge_notes], "Channels undone before merging"))
+        blocks.append(
+            Items([sentence(n) for n in ident.merge_notes], "Channels undone before merging")
+        )
     if len(ident.ambient_records) > 1:
         blocks.append(_by_record(data))
     return Section("identification", "Identification", blocks)
@@ -55,8 +67,12 @@ def section(data: Stages) -> Section | None:
 
 def _diagrams(name: str, diagrams: Sequence[StableDiagram], modes: ModeSet) -> list[Block]:
     telling = [d for d in diagrams if (d.cluster >= 0).any()] or list(diagrams)
-    drawn: list[Block] = [Plot(plots.stabilisation(d, modes), f"{name}, {_span(d)}.") for d in telling]
-    out: list[Block] = [Columns([drawn[k : k + 1], drawn[k + 1 : k + 2]]) for k in range(0, len(drawn), 2)]
+    drawn: list[Block] = [
+        Plot(plots.stabilisation(d, modes), f"{name}, {_span(d)}.") for d in telling
+    ]
+    out: list[Block] = [
+        Columns([drawn[k : k + 1], drawn[k + 1 : k + 2]]) for k in range(0, len(drawn), 2)
+    ]
     if len(telling) < len(diagrams):
         rest = ", ".join(_span(d) for d in diagrams if not (d.cluster >= 0).any())
         out.append(Text(f"Not drawn, without a mode: {rest}.", "note"))
@@ -90,8 +106,16 @@ def _modes(modes: ModeSet, std: Uncertainty | None, reasons: Sequence[str], capt
 def _by_record(data: Stages) -> Block:
     assert data.identify is not None
     rows = [
-        (r.record, str(len(r.modes)), "  ".join(fixed(f, 2) for f in r.modes.frequencies.tolist()) or "–")
+        (
+            r.record,
+            str(len(r.modes)),
+            "  ".join(fixed(f, 2) for f in r.modes.frequencies.tolist()) or "–",
+        )
         for r in data.identify.ambient_records
     ]
-    table = Table(("|Record", "Modes", "|Frequencies, Hz"), rows, "Modes by excitation record, before merging.")
+    table = Table(
+        ("|Record", "Modes", "|Frequencies, Hz"),
+        rows,
+        "Modes by excitation record, before merging.",
+    )
     return table if rows else Text("")

@@ -26,11 +26,14 @@ from ringtrue.study.results import LocaliseStage
 from ringtrue.update.proposal import Proposed
 
 LEAD = (
-    "The test shapes, expanded to the whole model by {0}, do not fulfil its equation of motion. Where the error "
-    "gathers beyond its share of strain energy (above 1), stiffness or mass is likely wrong there, or nearby."
+    "The test shapes, expanded to the whole model by {0}, do not fulfil its equation of motion. "
+    "Where the error "
+    "gathers beyond its share of strain energy (above 1), stiffness or mass is likely wrong "
+    "there, or nearby."
 )
 NO_SHAPES = (
-    "No shapes were measured. Frequencies tell stiffness over mass, not on which of like parts of the structure, and "
+    "No shapes were measured. Frequencies tell stiffness over mass, not on which of like parts "
+    "of the structure, and "
     "fewer parameters than there are modes."
 )
 EXPANSIONS = {
@@ -43,7 +46,8 @@ SHOWN = 30  # names of candidates that were not looked at closely
 FALLS = 10.0  # % of mean MAC, from which on a proposal is doubted
 REGIONS = 6  # of a candidate that are named
 LACKING = (
-    " A mass that the deck lacks is in units of the deck; its factor in later tables is that of the structure's mass."
+    " A mass that the deck lacks is in units of the deck; its factor in later tables is "
+    "that of the structure's mass."
 )
 FEW = 14  # candidates that are not folded away
 
@@ -54,13 +58,20 @@ def section(data: Stages) -> Section | None:
     if s is None:
         return None
     which = f", the {plots.BARS} largest of {len(s.regions)}" if len(s.regions) > plots.BARS else ""
-    bars = Plot(plots.regions(s), f"Concentration of error by region{which}; dotted: an error that is spread evenly.")
+    bars = Plot(
+        plots.regions(s),
+        f"Concentration of error by region{which}; dotted: an error that is spread evenly.",
+    )
     if not s.modes.size:
-        return Section("localisation", "Where the model is wrong", [Text(NO_SHAPES, "lead"), *_proposal(s)])
+        return Section(
+            "localisation", "Where the model is wrong", [Text(NO_SHAPES, "lead"), *_proposal(s)]
+        )
     blocks: list[Block] = [Text(LEAD.format(EXPANSIONS[s.expansion]), "lead"), bars]
     if data.model is not None:
         view = Scene3D(
-            plots.view(data.model.scene, s), "The same on the model: amber to red is more than its share.", 430
+            plots.view(data.model.scene, s),
+            "The same on the model: amber to red is more than its share.",
+            430,
         )
         blocks = [blocks[0], Columns([[bars], [view]])]
     blocks += [Fold("All indicators by region", [_regions(s)]), Heading("Proposal"), *_proposal(s)]
@@ -68,21 +79,48 @@ def section(data: Stages) -> Section | None:
 
 
 def _regions(s: LocaliseStage) -> Table:
-    heads = ("|Region", "Strain energy, %", "Constitutive error, %", "×", "Force residual, %", "Energy change, %", "×")
+    heads = (
+        "|Region",
+        "Strain energy, %",
+        "Constitutive error, %",
+        "×",
+        "Force residual, %",
+        "Energy change, %",
+        "×",
+    )
     value = s.concentration
     rows = []
     for i in np.argsort(-np.nan_to_num(value), kind="stable").tolist():
         change = s.energy[i] / s.strain[i] if np.isfinite(value[i]) else np.nan
-        told = Cell(fixed(float(value[i]), 2), "warn") if value[i] > 1 else fixed(float(value[i]), 2)
-        shares = [fixed(100 * float(v[i]), 1) for v in (s.strain, s.constitutive, s.force, s.energy)]
-        rows.append([s.regions[i], shares[0], shares[1], told, shares[2], shares[3], fixed(float(change), 2)])
+        told = (
+            Cell(fixed(float(value[i]), 2), "warn") if value[i] > 1 else fixed(float(value[i]), 2)
+        )
+        shares = [
+            fixed(100 * float(v[i]), 1) for v in (s.strain, s.constitutive, s.force, s.energy)
+        ]
+        rows.append(
+            [
+                s.regions[i],
+                shares[0],
+                shares[1],
+                told,
+                shares[2],
+                shares[3],
+                fixed(float(change), 2),
+            ]
+        )
     text = (
-        f"Shares of the regions in the expanded shapes of {s.modes.size} used modes; ×: over their share of strain "
-        "energy. Error in constitutive relation (Ladevèze and Reynier 1989), force residual (shared by all that meet "
+        f"Shares of the regions in the expanded shapes of {s.modes.size} used modes; ×: over "
+        "their share of strain "
+        "energy. Error in constitutive relation (Ladevèze and Reynier 1989), force residual "
+        "(shared by all that meet "
         "at a node), change of modal strain energy."
     )
     if s.misfit.size:
-        text += f" The expanded shapes miss the readings by {number(100 * float(s.misfit.max()), 2)} % at most."
+        text += (
+            " The expanded shapes miss the readings by "
+            f"{number(100 * float(s.misfit.max()), 2)} % at most."
+        )
     return Table(heads, rows, text, scroll=True)
 
 
@@ -92,45 +130,96 @@ def _proposal(s: LocaliseStage) -> list[Block]:
     if s.beside:
         origin += f" The proposal rests on {s.beside}, too."
     if not p.members:
-        return [Text(f"{origin} {sentence(f'no parameter is proposed: {p.unexplained()}')}"), _candidates(s)]
+        return [
+            Text(f"{origin} {sentence(f'no parameter is proposed: {p.unexplained()}')}"),
+            _candidates(s),
+        ]
     before, after = (100 * float(x) for x in p.mac[:2])
-    mac = f", mean MAC {'rises' if after >= before else 'falls'} from {fixed(before, 1)} to {fixed(after, 1)} %"
+    mac = (
+        f", mean MAC {'rises' if after >= before else 'falls'} from {fixed(before, 1)} to "
+        f"{fixed(after, 1)} %"
+    )
     mac = mac if p.seen else ""
     gain = (
         f"With {_count(len(p.members))} of them mean |Δf| of the used modes "
         f"{'falls' if p.after <= p.before else 'rises'} from {fixed(100 * p.before, 2)} to "
-        f"{fixed(100 * p.after, 2)} %{mac}, and {p.paired[1]} modes have a partner ({p.paired[0]} before)."
+        f"{fixed(100 * p.after, 2)} %{mac}, and {p.paired[1]} modes have a partner "
+        f"({p.paired[0]} before)."
     )
     if after < before - FALLS:
-        gain += " The frequencies are reached with partners that look otherwise: check the pairs before it is used."
+        gain += (
+            " The frequencies are reached with partners that look otherwise: check the pairs "
+            "before it is used."
+        )
     where = ("|Region",) if s.made else ()  # those that are given have names
-    heads = ("#", "|Parameter", *where, "|Changes", "Factor", "σ, %", "Worth, AICc", "|Not told from it")
+    heads = (
+        "#",
+        "|Parameter",
+        *where,
+        "|Changes",
+        "Factor",
+        "σ, %",
+        "Worth, AICc",
+        "|Not told from it",
+    )
     rows = [_row(s, i, m) for i, m in enumerate(p.members, start=1)]
     caption = (
-        "Proposed parameters, ranked by their worth: the rise of AICc if one is left out and the others are updated "
+        "Proposed parameters, ranked by their worth: the rise of AICc if one is left out and the "
+        "others are updated "
         "again. Not told from it: same effect on the data, or as good in its place."
         + (LACKING if any(m.lump for m in p.members) else "")
     )
-    reasons = [f"{m.name}: {sentence(m.because.removeprefix(f'{s.what[m.index]}; '))}" for m in p.members]
-    price = "AICc of the best set of each size, with the price of the search (the logarithm of the number of sets)."
-    blocks: list[Block] = [Text(f"{origin} {gain}"), Table(heads, rows, caption), Items(reasons, "Why")]
+    reasons = [
+        f"{m.name}: {sentence(m.because.removeprefix(f'{s.what[m.index]}; '))}" for m in p.members
+    ]
+    price = (
+        "AICc of the best set of each size, with the price of the search (the logarithm of "
+        "the number of sets)."
+    )
+    blocks: list[Block] = [
+        Text(f"{origin} {gain}"),
+        Table(heads, rows, caption),
+        Items(reasons, "Why"),
+    ]
     orders = [(rule, ", ".join(names[: len(p.members)])) for rule, names in p.orders.items()]
-    others = Table(("|Rule", "|First candidates"), orders, "As many candidates by simpler rules, one a cluster.")
+    others = Table(
+        ("|Rule", "|First candidates"),
+        orders,
+        "As many candidates by simpler rules, one a cluster.",
+    )
     blocks.append(Columns([[Plot(plots.sizes(s), price)], [others]]))
     return [*blocks, _candidates(s)]
 
 
 def _made(s: LocaliseStage) -> str:
     text = (
-        f"{s.made} candidates are made from the deck; {len(s.what)} that explain most of the deviations, each in a way "
+        f"{s.made} candidates are made from the deck; {len(s.what)} that explain most of the "
+        "deviations, each in a way "
     )
     text += "of its own, are looked at closely."
-    lost = f" {_count(len(s.dropped)).capitalize()} change{'s' if len(s.dropped) == 1 else ''} no mode."
+    lost = (
+        f" {_count(len(s.dropped)).capitalize()} change{'s' if len(s.dropped) == 1 else ''} "
+        "no mode."
+    )
     return text + (lost if s.dropped else "")
 
 
 def _count(n: int) -> str:
-    words = ["no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve"]
+    words = [
+        "no",
+        "one",
+        "two",
+        "three",
+        "four",
+        "five",
+        "six",
+        "seven",
+        "eight",
+        "nine",
+        "ten",
+        "eleven",
+        "twelve",
+    ]
     return words[n] if n < len(words) else str(n)
 
 
@@ -148,7 +237,11 @@ def _row(s: LocaliseStage, rank: int, m: Proposed) -> list[str | Cell]:
 def _few(regions: str) -> str:
     """The first of the regions that a candidate is in, where there are many."""
     names = regions.split(", ")
-    return regions if len(names) <= REGIONS else f"{', '.join(names[:REGIONS])} and {len(names) - REGIONS} more"
+    return (
+        regions
+        if len(names) <= REGIONS
+        else f"{', '.join(names[:REGIONS])} and {len(names) - REGIONS} more"
+    )
 
 
 def _candidates(s: LocaliseStage) -> Block:
@@ -159,7 +252,16 @@ def _candidates(s: LocaliseStage) -> Block:
         verdict |= {n: f"as good in place of {m.name}" for n in m.rivals if n not in verdict}
     verdict |= {m.name: Cell("proposed", "good") for m in p.members}
     verdict |= {n: Cell("no effect on the data", "muted") for n in p.insensitive}
-    heads = ("|Candidate", "|Changes", "|Region", "Effect", "Explains alone, %", "Known alone", "Known, all free", "|")
+    heads = (
+        "|Candidate",
+        "|Changes",
+        "|Region",
+        "Effect",
+        "Explains alone, %",
+        "Known alone",
+        "Known, all free",
+        "|",
+    )
     rows = []
     for i in np.argsort(-s.effect, kind="stable").tolist():
         name = s.parameters.names[i]
@@ -177,12 +279,17 @@ def _candidates(s: LocaliseStage) -> Block:
             ]
         )
     text = (
-        "All candidates. Effect: of one prior standard deviation, in standard deviations of the residuals. Explains "
-        "alone: share of the squared frequency errors. Known: posterior over prior standard deviation at the proposed "
+        "All candidates. Effect: of one prior standard deviation, in standard deviations of the "
+        "residuals. Explains "
+        "alone: share of the squared frequency errors. Known: posterior over prior standard "
+        "deviation at the proposed "
         "point, the others known or all free; 1 means that the data say nothing."
     )
     blocks: list[Block] = [Table(heads, rows, text, scroll=len(rows) > FEW)]
-    for names, what in ((s.screened, "Not looked at closely"), (s.held, "Tuned as the suspension, not proposed")):
+    for names, what in (
+        (s.screened, "Not looked at closely"),
+        (s.held, "Tuned as the suspension, not proposed"),
+    ):
         if names:
             more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
             blocks.append(Text(f"{what}: {', '.join(names[:SHOWN])}{more}.", "note"))

@@ -25,7 +25,10 @@ def _test(records: list[RecordSummary]) -> list[Block]:
     out = [_record(r) for r in records if r.preview_channels]
     setups = list(dict.fromkeys(r.setup for r in records))
     if len(setups) > 1:
-        told = f"Setup {setups[0]} of {', '.join(setups[:-1])} and {setups[-1]}; all of them are in the list of tests."
+        told = (
+            f"Setup {setups[0]} of {', '.join(setups[:-1])} and {setups[-1]}; all of them are "
+            "in the list of tests."
+        )
         return [Text(told, "note"), *out]
     return out
 
@@ -45,7 +48,8 @@ def functions(data: Stages) -> Section | None:
     count = f"{len(frfs.outputs)} responses × {len(frfs.inputs)} references"
     top = 1.6 * float(marks.max()) if marks.size else float(frfs.freqs[-1])
     caption = (
-        f"Imaginary parts of all {len(frfs.outputs) * len(frfs.inputs)} FRFs ({count}) and the complex mode "
+        f"Imaginary parts of all {len(frfs.outputs) * len(frfs.inputs)} FRFs ({count}) and the "
+        "complex mode "
         "indicator function; dotted: identified modes."
     )
     if top < frfs.freqs[-1]:
@@ -55,8 +59,21 @@ def functions(data: Stages) -> Section | None:
         blocks.append(Items(ident.frf_notes, "Notes"))
     if ident.synthesis_error.size:
         middle, worst = np.nanmedian(ident.synthesis_error), np.nanmax(ident.synthesis_error)
-        text = f"The FRFs synthesised from the identified modes differ from the measured ones by {100 * middle:.1f} % "
-        blocks.append(Text(text + f"in the median and {100 * worst:.1f} % at worst (relative norm over the band)."))
+        text = (
+            "The FRFs synthesised from the identified modes differ from the measured ones by "
+            f"{100 * middle:.1f} % "
+        )
+        blocks.append(
+            Text(
+                text
+                + f"in the median and {100 * worst:.1f} % at worst (relative norm over the band)."
+            )
+        )
     if ident.rejected_hits:
-        blocks.append(Items([signs(h) for h in ident.rejected_hits], f"Rejected hits ({len(ident.rejected_hits)})"))
+        blocks.append(
+            Items(
+                [signs(h) for h in ident.rejected_hits],
+                f"Rejected hits ({len(ident.rejected_hits)})",
+            )
+        )
     return Section("frfs", "Frequency response functions", blocks)

@@ -23,9 +23,15 @@ def section(data: Stages) -> Section | None:
     run = [("ringtrue", p.version), ("Python", p.python), ("Platform", p.platform)]
     run += [("Seed", str(p.seed)), ("Started", p.started.replace("T", " ")), *p.packages.items()]
     spent = [(k, fixed(v, 1)) for k, v in p.timings.items()]
-    timings = Table(("|Stage", "Time, s"), spent, "Timings.", ("total", fixed(sum(p.timings.values()), 1)))
-    blocks: list[Block] = [Columns([[Table(("|What", "|Version or value"), run, "The run.")], [timings]])]
+    timings = Table(
+        ("|Stage", "Time, s"), spent, "Timings.", ("total", fixed(sum(p.timings.values()), 1))
+    )
+    blocks: list[Block] = [
+        Columns([[Table(("|What", "|Version or value"), run, "The run.")], [timings]])
+    ]
     inputs = [(name, Cell(sha, "mono")) for name, sha in p.inputs.items()]
-    blocks.append(Table(("|Input", "|SHA-256"), inputs, "The input files.", scroll=len(inputs) > 16))
+    blocks.append(
+        Table(("|Input", "|SHA-256"), inputs, "The input files.", scroll=len(inputs) > 16)
+    )
     blocks.append(Code("Resolved settings", _shortened(p.settings)))
     return Section("provenance", "Provenance", blocks)

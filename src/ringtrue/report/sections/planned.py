@@ -52,21 +52,30 @@ def section(data: Stages) -> Section | None:
     ]
     blocks += [Text(sentence(n)) for n in (*setups(plan), *plan.notes, *missed(plan))]
     names = [str(i + 1) for i in plan.target_modes.tolist()]
-    auto = correlation.matrix(plan.auto_mac, names, names, "FE mode", "FE mode", height=430, diagonal=False)
+    auto = correlation.matrix(
+        plan.auto_mac, names, names, "FE mode", "FE mode", height=430, diagonal=False
+    )
     left: list[Block] = [Plot(auto, "Auto-MAC of the target modes at the chosen channels.")]
     right = _precision(data, plan)
     blocks += [Columns([left, right])] if right else left
     if plan.suspension:
         blocks.append(Text(_hung(plan)))
     if plan.rehearsal is not None:
-        blocks += _foreseen(plan.target_modes, plan.rehearsal, "Virtual test of the plan", "target modes")
+        blocks += _foreseen(
+            plan.target_modes, plan.rehearsal, "Virtual test of the plan", "target modes"
+        )
     if (r := plan.ambient_rehearsal) is not None:
-        blocks += _foreseen(plan.expected_modes, r, "Virtual ambient test", "modes of the ambient plan")
+        blocks += _foreseen(
+            plan.expected_modes, r, "Virtual ambient test", "modes of the ambient plan"
+        )
     if plan.indicator.size:
         blocks.append(_appropriated(plan))
     if plan.sets:
         blocks.append(_ranked(plan))
-    lists: list[Block] = [*([_targets(plan)] if plan.target_frequencies.size else []), _points(plan)]
+    lists: list[Block] = [
+        *([_targets(plan)] if plan.target_frequencies.size else []),
+        _points(plan),
+    ]
     if plan.ambient_rehearsal is not None:
         lists.append(_ambient(plan, plan.ambient_rehearsal))
     if data.identify is None:
@@ -80,7 +89,11 @@ def section(data: Stages) -> Section | None:
 
 
 def _references(plan: PlanStage) -> str:
-    both = " All are channels, too: each pair of them checks reciprocity." if len(plan.references) > 1 else ""
+    both = (
+        " All are channels, too: each pair of them checks reciprocity."
+        if len(plan.references) > 1
+        else ""
+    )
     return f"Hammer references: {', '.join(plan.references)}.{both}"
 
 
@@ -89,7 +102,8 @@ def _precision(data: Stages, plan: PlanStage) -> list[Block]:
     if data.identify is not None and len(data.identify.ambient):
         fig = identification.verified(precision(plan, data.identify))
         text = (
-            "The plan verified: standard deviations planned for one ambient record (lines) and found of the merged "
+            "The plan verified: standard deviations planned for one ambient record (lines) and "
+            "found of the merged "
             "ambient modes (marks)."
         )
         return [Plot(fig, text)]
@@ -98,7 +112,9 @@ def _precision(data: Stages, plan: PlanStage) -> list[Block]:
     modes = data.model.modes.take(plan.expected_modes)
     fig = identification.precision(modes, plan.expected_std_frequency, plan.expected_std_damping)
     fig.update_layout(height=430)
-    return [Plot(fig, "Standard deviations to expect from the planned length of the ambient record.")]
+    return [
+        Plot(fig, "Standard deviations to expect from the planned length of the ambient record.")
+    ]
 
 
 def _hung(plan: PlanStage) -> str:
@@ -106,7 +122,8 @@ def _hung(plan: PlanStage) -> str:
     steady = "between them" if plan.steady else "not between them: the structure needs a guy"
     return (
         f"Suspension at nodes {nodes}, whose RMS motion is at most "
-        f"{number(100 * math.sqrt(plan.suspension_motion), 2)} % of the largest vertical motion of any target mode; "
+        f"{number(100 * math.sqrt(plan.suspension_motion), 2)} % of the largest vertical motion "
+        "of any target mode; "
         f"the centre of gravity hangs {steady}."
     )
 
@@ -116,7 +133,8 @@ def _foreseen(modes: Int, r: Rehearsal, what: str, whose: str) -> list[Block]:
     names = [str(k + 1) for k in modes.tolist()]
     missed = missed_words(r, names, SURE)
     told = (
-        f"{what}: {len(names) - len(missed)} of {len(names)} {whose} were found in at least {100 * SURE:.0f} % of "
+        f"{what}: {len(names) - len(missed)} of {len(names)} {whose} were found in at least "
+        f"{100 * SURE:.0f} % of "
         f"{r.trials} tests."
     )
     return [Text(told), *([Items(missed, "Modes that the test may miss")] if missed else [])]
@@ -143,22 +161,27 @@ def _targets(plan: PlanStage) -> Table:
         heads.insert(1, "|why")
         columns.insert(1, list(plan.reasons))
     caption = (
-        "Target modes. Reach: best driving-point residue of the references over that of all channels; shown: MAC of "
+        "Target modes. Reach: best driving-point residue of the references over that of all "
+        "channels; shown: MAC of "
         "the mode with its drawing on the measuring points."
     )
     if plan.rehearsal is not None:
         heads += ["found, %", "σ of f, %", "σ of ζ, %", "MAC, %"]
         columns += _found(plan.rehearsal)
         caption += (
-            f" Found and the standard deviations: {plan.rehearsal.trials} virtual tests with blows up to "
-            f"{number(plan.rehearsal.force, 2)} N under {number(plan.rehearsal.background, 2)} N/√Hz of noise at each "
+            f" Found and the standard deviations: {plan.rehearsal.trials} virtual tests with "
+            "blows up to "
+            f"{number(plan.rehearsal.force, 2)} N under {number(plan.rehearsal.background, 2)} "
+            "N/√Hz of noise at each "
             f"reference, {number(plan.rehearsal.invented, 2)} modes a test invented."
         )
     return Table(heads, list(zip(*columns, strict=True)), caption, scroll=True)
 
 
 def _ambient(plan: PlanStage, r: Rehearsal) -> Table:
-    """What virtual ambient tests made of the modes expected of them, beside the floor of their errors."""
+    """What virtual ambient tests made of the modes expected of them, beside the floor of their
+    errors.
+    """
     columns: list[list[str | Cell]] = [
         [str(k + 1) for k in plan.expected_modes.tolist()],
         [fixed(f, 3) for f in r.frequencies.tolist()],
@@ -166,10 +189,21 @@ def _ambient(plan: PlanStage, r: Rehearsal) -> Table:
         [number(100 * x, 2) for x in plan.expected_std_frequency.tolist()],
         [number(100 * x, 2) for x in plan.expected_std_damping.tolist()],
     ]
-    heads = ("FE mode", "f, Hz", "found, %", "σ of f, %", "σ of ζ, %", "MAC, %", "least σ of f, %", "least σ of ζ, %")
+    heads = (
+        "FE mode",
+        "f, Hz",
+        "found, %",
+        "σ of f, %",
+        "σ of ζ, %",
+        "MAC, %",
+        "least σ of f, %",
+        "least σ of ζ, %",
+    )
     caption = (
-        f"{r.trials} virtual ambient tests under white forces of {number(r.force, 2)} N/√Hz along each channel, "
-        f"{number(r.invented, 2)} modes a test invented; least: the statistical floor for the planned record."
+        f"{r.trials} virtual ambient tests under white forces of {number(r.force, 2)} N/√Hz "
+        "along each channel, "
+        f"{number(r.invented, 2)} modes a test invented; least: the statistical floor for the "
+        "planned record."
     )
     return Table(heads, list(zip(*columns, strict=True)), caption, scroll=True)
 
@@ -189,11 +223,19 @@ def _ranked(plan: PlanStage) -> Table:
     """Sets of points to strike: the best of so many, and what they miss."""
     names = (plan.target_modes + 1).tolist()
     rows = [
-        (str(len(s)), ", ".join(s), fixed(100 * least, 0), ", ".join(f"{names[i]}" for i in missed) or "none")
-        for s, least, missed in zip(plan.sets, plan.least_reach.tolist(), plan.missed_by_sets, strict=True)
+        (
+            str(len(s)),
+            ", ".join(s),
+            fixed(100 * least, 0),
+            ", ".join(f"{names[i]}" for i in missed) or "none",
+        )
+        for s, least, missed in zip(
+            plan.sets, plan.least_reach.tolist(), plan.missed_by_sets, strict=True
+        )
     ]
     caption = (
-        "Points to strike, ranked by the mode that they excite worst, of those that a point can reach: what fewer and "
+        "Points to strike, ranked by the mode that they excite worst, of those that a point can "
+        "reach: what fewer and "
         "more of them reach."
     )
     return Table(("points", "|strike", "least reach, %", "|modes missed"), rows, caption)
@@ -212,7 +254,8 @@ def _appropriated(plan: PlanStage) -> Table:
         )
     ]
     caption = (
-        "Force appropriation: forces at all references at once that drive each mode, and the mode indicator that they "
+        "Force appropriation: forces at all references at once that drive each mode, and the "
+        "mode indicator that they "
         "reach with the expected damping; 0: the mode responds alone."
     )
     return Table(("FE mode", "f, Hz", "indicator", *plan.references), rows, caption, scroll=True)
@@ -220,14 +263,23 @@ def _appropriated(plan: PlanStage) -> Table:
 
 def _points(plan: PlanStage) -> Table:
     """Measuring points, and what is struck there; the struck ones first."""
-    struck = {p: [r for r in plan.references if r.startswith((f"{p}+", f"{p}-"))] for p in plan.test.points.tolist()}
+    struck = {
+        p: [r for r in plan.references if r.startswith((f"{p}+", f"{p}-"))]
+        for p in plan.test.points.tolist()
+    }
     read: dict[int, list[str]] = {}
     for p, name in zip(plan.test.at.tolist(), plan.test.channels, strict=True):
         read.setdefault(p, []).append(name.removeprefix(str(p)))
-    there = {p: str(k + 1) for k in range(plan.setups.count) for p in plan.roving(k)} if plan.setups else {}
+    there = (
+        {p: str(k + 1) for k in range(plan.setups.count) for p in plan.roving(k)}
+        if plan.setups
+        else {}
+    )
     parts = any(plan.test.groups)
     rows: list[tuple[str, ...]] = []
-    for p, xyz, group in zip(plan.test.points.tolist(), plan.test.xyz.tolist(), plan.test.groups, strict=True):
+    for p, xyz, group in zip(
+        plan.test.points.tolist(), plan.test.xyz.tolist(), plan.test.groups, strict=True
+    ):
         setup, part = (there.get(p, "all"),) if plan.setups else (), (group,) if parts else ()
         place = (fixed(v, 3) for v in xyz)
         rows.append((str(p), *part, *place, " ".join(read.get(p, [])), *setup, " ".join(struck[p])))
@@ -239,10 +291,14 @@ def _points(plan: PlanStage) -> Table:
 
 def _verified(plan: PlanStage, found: IdentifyStage) -> Table:
     """Planned precision against that of the modes found."""
-    rows = [(fixed(r.pop("frequency_hz"), 3), *(number(v, 2) for v in r.values())) for r in precision(plan, found)]
+    rows = [
+        (fixed(r.pop("frequency_hz"), 3), *(number(v, 2) for v in r.values()))
+        for r in precision(plan, found)
+    ]
     heads = ("f, Hz", "planned σ of f, %", "found, %", "planned σ of ζ, %", "found, %")
     caption = (
-        f"The plan verified: standard deviations of one ambient record with {100 * plan.damping:g} % damping as "
+        "The plan verified: standard deviations of one ambient record with "
+        f"{100 * plan.damping:g} % damping as "
         "planned, and those of the merged ambient modes."
     )
     return Table(heads, rows, caption)

@@ -5,7 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from ringtrue.plots import predicted as plots
-from ringtrue.report.parts import Block, Cell, Plot, Section, Table, Tabs, Text, number, plain, sentence
+from ringtrue.report.parts import (
+    Block,
+    Cell,
+    Plot,
+    Section,
+    Table,
+    Tabs,
+    Text,
+    number,
+    plain,
+    sentence,
+)
 from ringtrue.report.stages import Stages
 from ringtrue.study.results import PredictStage
 from ringtrue.study.words import validated
@@ -27,8 +38,14 @@ def section(data: Stages) -> Section | None:
 
 def _lead(p: PredictStage) -> str:
     u = p.unbalance
-    text = f"A rotor of {number(u.mass, 4)} kg at node {p.rotor}, turning about {p.axis} and balanced to G "
-    text += f"{plain(u.grade)} for {plain(u.service)} Hz, has an unbalance of {number(u.moment, 3)} kg m. "
+    text = (
+        f"A rotor of {number(u.mass, 4)} kg at node {p.rotor}, turning about {p.axis} and "
+        "balanced to G "
+    )
+    text += (
+        f"{plain(u.grade)} for {plain(u.service)} Hz, has an unbalance of "
+        f"{number(u.moment, 3)} kg m. "
+    )
     text += f"It is run up to {plain(float(p.run_up.freqs[-1]))} Hz. "
     return text + sentence(validated(p.run_up.validated))
 
@@ -53,16 +70,33 @@ def _peaks(p: PredictStage) -> Table:
         factor, unit = plots.shown(r.units[i])
         speed = float(r.peak_speed.median[i])
         inside = r.validated[0] <= speed <= r.validated[1]
-        mark = Cell("validated", "good") if inside else Cell("beyond", "warn", "no test has checked the model there")
-        now = Bands(r.amplitude.low[:, at], r.amplitude.median[:, at], r.amplitude.high[:, at], r.amplitude.level)
+        mark = (
+            Cell("validated", "good")
+            if inside
+            else Cell("beyond", "warn", "no test has checked the model there")
+        )
+        now = Bands(
+            r.amplitude.low[:, at],
+            r.amplitude.median[:, at],
+            r.amplitude.high[:, at],
+            r.amplitude.level,
+        )
         served = _banded(now, i, factor) if r.freqs[-1] >= p.unbalance.service else ["–", "–"]
-        rows.append([name, unit, *_banded(r.peak, i, factor), *_banded(r.peak_speed, i, 1.0), mark, *served])
-    return Table(heads, rows, "Largest amplitudes of the run-up, and those at service speed; medians and bands.")
+        rows.append(
+            [name, unit, *_banded(r.peak, i, factor), *_banded(r.peak_speed, i, 1.0), mark, *served]
+        )
+    return Table(
+        heads,
+        rows,
+        "Largest amplitudes of the run-up, and those at service speed; medians and bands.",
+    )
 
 
 def _banded(values: Bands, i: int, factor: float) -> list[str]:
     """Median and band."""
-    low, median, high = (number(factor * float(x[i])) for x in (values.low, values.median, values.high))
+    low, median, high = (
+        number(factor * float(x[i])) for x in (values.low, values.median, values.high)
+    )
     return [median, f"{low} to {high}"]
 
 
@@ -77,10 +111,22 @@ def _groups(p: PredictStage) -> dict[str, list[int]]:
 def _curves(p: PredictStage, name: str, at: list[int]) -> Plot:
     names = [p.run_up.names[i].rpartition(", ")[2] for i in at]
     text = f"Run-up, {name}: median and {100 * p.run_up.amplitude.level:.0f} % band at each speed. "
-    return Plot(plots.run_up(p.run_up, at, names, p.unbalance.service), text + "Grey: outside the validated band.")
+    return Plot(
+        plots.run_up(p.run_up, at, names, p.unbalance.service),
+        text + "Grey: outside the validated band.",
+    )
 
 
 def _basis(p: PredictStage) -> str:
-    text = "The bands come from the uncertainty of the updated parameters, from a discrepancy of each frequency of "
-    text += f"{100 * p.discrepancy:.1f} % that no parameter removes, and from the damping ({p.damping}). "
-    return text + f"Residual of the reduced model at the worst speed: {100 * p.residual:.1f} % of the load."
+    text = (
+        "The bands come from the uncertainty of the updated parameters, from a discrepancy of "
+        "each frequency of "
+    )
+    text += (
+        f"{100 * p.discrepancy:.1f} % that no parameter removes, and from the damping "
+        f"({p.damping}). "
+    )
+    return (
+        text
+        + f"Residual of the reduced model at the worst speed: {100 * p.residual:.1f} % of the load."
+    )

@@ -12,13 +12,28 @@ from ringtrue.report.stages import Stages
 def section(data: Stages) -> Section | None:
     """One viewer for all stages and modes."""
     scene = data.model.scene if data.model is not None else None
-    shown = _final(data) + _initial(data) + _remodelled(data) + _expanded(data) + _model_only(data) + _test_only(data)
+    shown = (
+        _final(data)
+        + _initial(data)
+        + _remodelled(data)
+        + _expanded(data)
+        + _model_only(data)
+        + _test_only(data)
+    )
     if not shown:
         return None
-    parts = ["Mode shapes: the model's skin, coloured by its displacement" if scene is not None else "Mode shapes"]
+    parts = [
+        "Mode shapes: the model's skin, coloured by its displacement"
+        if scene is not None
+        else "Mode shapes"
+    ]
     if data.test is not None:
         parts.append("the test's wireframe in orange, turned and scaled onto the model's shape")
-    return Section("shapes", "Mode shapes", [Scene3D(modes(scene, data.test, shown), "; ".join(parts) + ".", 540)])
+    return Section(
+        "shapes",
+        "Mode shapes",
+        [Scene3D(modes(scene, data.test, shown), "; ".join(parts) + ".", 540)],
+    )
 
 
 def first(data: Stages) -> Scene3D | None:
@@ -27,12 +42,16 @@ def first(data: Stages) -> Scene3D | None:
     if not shown or data.model is None:
         return None
     caption = (
-        "First pair: test in orange over the final model." if data.test is not None else "First pair, final model."
+        "First pair: test in orange over the final model."
+        if data.test is not None
+        else "First pair, final model."
     )
     return Scene3D(modes(data.model.scene, data.test, shown[:1]), caption, 350)
 
 
-def _paired(stage: str, table: CorrelationTable, test: ModeSet, seen: ModeSet, skin: ModeSet | None) -> list[Shown]:
+def _paired(
+    stage: str, table: CorrelationTable, test: ModeSet, seen: ModeSet, skin: ModeSet | None
+) -> list[Shown]:
     out = []
     for r in table.rows():
         t, k = r.test - 1, r.fe - 1
@@ -76,9 +95,19 @@ def _expanded(data: Stages) -> list[Shown]:
         return []
     test, out = data.correlate.reference, []
     for k, (f, misfit) in enumerate(zip(test.frequencies.tolist(), e.misfit.tolist(), strict=True)):
-        info = f"{fixed(f, 3)} Hz, expanded ({e.method}), misses the readings by {fixed(100 * misfit, 1)} %"
+        info = (
+            f"{fixed(f, 3)} Hz, expanded ({e.method}), misses the readings by "
+            f"{fixed(100 * misfit, 1)} %"
+        )
         out.append(
-            Shown("Test, expanded", f"mode {k + 1} · {fixed(f, 2)} Hz", info, (e.modes, k), (test, k), (test, k))
+            Shown(
+                "Test, expanded",
+                f"mode {k + 1} · {fixed(f, 2)} Hz",
+                info,
+                (e.modes, k),
+                (test, k),
+                (test, k),
+            )
         )
     return out
 
@@ -95,13 +124,18 @@ def _test_only(data: Stages) -> list[Shown]:
         return []
     out = []
     word = data.identify.source
-    for name, m in (("Ambient test", data.identify.ambient), (word[:1].upper() + word[1:], data.identify.hammer)):
+    for name, m in (
+        ("Ambient test", data.identify.ambient),
+        (word[:1].upper() + word[1:], data.identify.hammer),
+    ):
         if m is not None:
             out += [_alone(name, m, k, None, (m, k)) for k in range(len(m))]
     return out
 
 
-def _alone(stage: str, m: ModeSet, k: int, fe: tuple[ModeSet, int] | None, test: tuple[ModeSet, int] | None) -> Shown:
+def _alone(
+    stage: str, m: ModeSet, k: int, fe: tuple[ModeSet, int] | None, test: tuple[ModeSet, int] | None
+) -> Shown:
     f, zeta = float(m.frequencies[k]), float(m.damping[k])
     info = f"{fixed(f, 3)} Hz" + (f", damping {fixed(100 * zeta, 2)} %" if zeta > 0 else "")
     return Shown(stage, f"mode {k + 1} · {fixed(f, 2)} Hz", info, fe, test)

@@ -66,7 +66,9 @@ def _facts(now: CorrelationTable, before: CorrelationTable | None) -> Facts:
         ("Paired modes", ""),
     )
     both = zip(labels, _figures(now), old, strict=True)
-    return Facts([Fact(label, value, unit, was) for (label, unit), value, was in both if value != MISSING])
+    return Facts(
+        [Fact(label, value, unit, was) for (label, unit), value, was in both if value != MISSING]
+    )
 
 
 def _figures(table: CorrelationTable) -> tuple[str, ...]:
@@ -116,14 +118,26 @@ def _evidence(data: Stages) -> list[Block]:
     e, table = final.evidence.measures, final.table
     missed = len(data.acceptance.missed(table))
     rows: list[tuple[str, str, str | Cell]] = [
-        (f"Pairs with {data.acceptance.words()}", f"{len(table) - missed} of {len(table)}", BAD if missed else GOOD)
+        (
+            f"Pairs with {data.acceptance.words()}",
+            f"{len(table) - missed} of {len(table)}",
+            BAD if missed else GOOD,
+        )
     ]
     rows += [_orthogonality(e.cross, e)] if e.cross else []
     names = ", ".join(dict.fromkeys(s.channel for s in e.suspects))
-    rows.append(("Channels that look faulty", names or "none", Cell("look", "warn") if names else GOOD))
+    rows.append(
+        ("Channels that look faulty", names or "none", Cell("look", "warn") if names else GOOD)
+    )
     if (frfs := final.evidence.frfs) is not None:
         before, after = (100 * float(c.shape.mean()) for c in (frfs.initial, frfs.final))
-        rows.append(("Shape correlation of the FRFs, mean of the lines", f"{before:.0f} → {after:.0f} %", ""))
+        rows.append(
+            (
+                "Shape correlation of the FRFs, mean of the lines",
+                f"{before:.0f} → {after:.0f} %",
+                "",
+            )
+        )
     caption = "The evidence of the final correlation, in short."
     return [Heading("What it rests on"), Table(("|Evidence", "|Found", "|"), rows, caption)]
 
@@ -133,7 +147,11 @@ def _orthogonality(cross: Check, measures: CompleteCorrelation) -> tuple[str, st
     v = cross.verdict
     name = f"Cross-orthogonality, {cross.mass} mass, gate {v.gate.name}"
     if not measures.judges(cross):
-        return name, "not to be judged: at these channels it does not keep the model's own modes apart", UNFIT
+        return (
+            name,
+            "not to be judged: at these channels it does not keep the model's own modes apart",
+            UNFIT,
+        )
     told = f"pairs ≥ {100 * v.least_diagonal:.0f} %, others ≤ {100 * v.largest_off_diagonal:.0f} %"
     return name, told, GOOD if v.passed else BAD
 
@@ -145,7 +163,9 @@ def _beside(left: list[Block], right: Block | None) -> list[Block]:
 
 
 def stages_table(data: Stages) -> Table:
-    """Deviations and MAC of each state of the model; means of the same modes in the first and the last."""
+    """Deviations and MAC of each state of the model; means of the same modes in the first and the
+    last.
+    """
     rows, named = [], _tables(data)
     used, out = (in_both(*(t for _, t in named), used=u) for u in (True, False))
     for (name, table), seen, unseen in zip(named, used, out, strict=True):
@@ -153,16 +173,32 @@ def stages_table(data: Stages) -> Table:
             count = len(table) if which is None else int(which.sum())
             if not count:
                 continue
-            deviation = (fixed(table.mean_deviation(which), 2), fixed(table.max_deviation(which), 2))
+            deviation = (
+                fixed(table.mean_deviation(which), 2),
+                fixed(table.max_deviation(which), 2),
+            )
             mac = (fixed(table.mean_mac(which), 1), fixed(table.min_mac(which), 1))
-            subspace = (fixed(table.mean_subspace_mac(which), 1), fixed(table.min_subspace_mac(which), 1))
+            subspace = (
+                fixed(table.mean_subspace_mac(which), 1),
+                fixed(table.min_subspace_mac(which), 1),
+            )
             model = name.capitalize() if which is None else ""
             rows.append((model, label, str(count), *deviation, *mac, *subspace))
-    heads = ["|Model", "|Modes", "Pairs", "Mean |Δf|, %", "Max |Δf|, %", "Mean MAC, %", "Min MAC, %"]
+    heads = [
+        "|Model",
+        "|Modes",
+        "Pairs",
+        "Mean |Δf|, %",
+        "Max |Δf|, %",
+        "Mean MAC, %",
+        "Min MAC, %",
+    ]
     heads += ["Mean subspace MAC, %", "Min subspace MAC, %"]
     text = (
-        "The stages of the model against the test. Modes that were used or left out are those with a partner in the "
-        "first stage and the last; the ones left out judge the prediction. Subspace MAC: close modes are rotated "
+        "The stages of the model against the test. Modes that were used or left out are those "
+        "with a partner in the "
+        "first stage and the last; the ones left out judge the prediction. Subspace MAC: close "
+        "modes are rotated "
         "inside their subspace towards the test."
     )
     return Table(heads, rows, text).without_blank("MAC")

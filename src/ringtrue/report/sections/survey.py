@@ -8,7 +8,18 @@ import numpy as np
 
 from ringtrue.core.arrays import Float
 from ringtrue.core.units import UNIT_SYSTEMS
-from ringtrue.report.parts import Block, Fold, Heading, Items, Section, Table, Text, fixed, number, plain
+from ringtrue.report.parts import (
+    Block,
+    Fold,
+    Heading,
+    Items,
+    Section,
+    Table,
+    Text,
+    fixed,
+    number,
+    plain,
+)
 from ringtrue.report.stages import Stages
 from ringtrue.study.results import ModelStage, RecordSummary
 
@@ -31,7 +42,11 @@ def _system(model: ModelStage, computed: Float) -> Table:
         *([("Model", model.title, "")] if model.title else []),
         ("Mass", number(mass, 4), unit),
         ("Centre of gravity x, y, z", f"{x}, {y}, {z}", "m"),
-        ("Moments of inertia xx, yy, zz", ", ".join(number(float(v), 4) for v in inertia), f"{unit}·m²"),
+        (
+            "Moments of inertia xx, yy, zz",
+            ", ".join(number(float(v), 4) for v in inertia),
+            f"{unit}·m²",
+        ),
         ("Nodes; degrees of freedom", f"{model.nodes:,}; {model.dof:,}".replace(",", "\u202f"), ""),
         ("Modes computed", _span(computed), "Hz"),
     ]
@@ -59,12 +74,16 @@ def _tests(records: tuple[RecordSummary, ...]) -> list[Block]:
     roving = [[r] for mine in setups.values() if len(mine) > 1 for r in mine]
     out = _listed(list(setups.values()), "The records of the tests.")
     if roving:
-        out.append(Fold(f"The {len(roving)} records of the setups", _listed(roving, "Records one by one.")))
+        out.append(
+            Fold(f"The {len(roving)} records of the setups", _listed(roving, "Records one by one."))
+        )
     return out
 
 
 def _listed(parts: list[list[RecordSummary]], caption: str) -> list[Block]:
-    """A row a part, one record or a setup of several, and below what is to be said of which: notes are long."""
+    """A row a part, one record or a setup of several, and below what is to be said of which: notes
+    are long.
+    """
     told: dict[str, list[str]] = {}
     for mine in parts:
         for note in _notes(mine):
@@ -76,7 +95,14 @@ def _listed(parts: list[list[RecordSummary]], caption: str) -> list[Block]:
 
 def _row(mine: list[RecordSummary]) -> tuple[str, ...]:
     first, minutes = mine[0], sum(r.duration for r in mine) / 60
-    return first.test, _name(mine), first.excitation, str(first.channels), plain(first.rate), fixed(minutes, 1)
+    return (
+        first.test,
+        _name(mine),
+        first.excitation,
+        str(first.channels),
+        plain(first.rate),
+        fixed(minutes, 1),
+    )
 
 
 def _name(mine: list[RecordSummary]) -> str:

@@ -37,13 +37,19 @@ def section(data: Stages) -> Section | None:
     percent = f"{100 * s.level:g} %"
     blocks: list[Block] = [_facts(s), Text(_lead(s), "lead"), Heading("Predicted frequencies")]
     caption = (
-        f"Deviation of the final model from the test, with the {percent} band of the prediction: the parameters, "
+        f"Deviation of the final model from the test, with the {percent} band of the prediction: "
+        "the parameters, "
         "the model and the test. A band that reaches the zero line holds the measured frequency."
     )
     blocks += [Plot(plots.bands(s), caption), Fold("The bands mode by mode", [_modes(s)])]
     blocks += [Heading("Modes left out in turn"), _folds(s), Heading("Parameters")]
-    told = Plot(plots.parameters(s), f"The parameters before and after the test, {percent} intervals.")
-    trade = Plot(plots.correlation(s), "Correlation of the parameters: near ±1 two of them trade for each other.")
+    told = Plot(
+        plots.parameters(s), f"The parameters before and after the test, {percent} intervals."
+    )
+    trade = Plot(
+        plots.correlation(s),
+        "Correlation of the parameters: near ±1 two of them trade for each other.",
+    )
     blocks.append(Columns([[told], [trade]]) if len(s.parameters) > 1 else told)
     blocks.append(_parameters(s))
     if s.flags:
@@ -59,10 +65,16 @@ def _facts(s: UncertaintyStage) -> Facts:
     there, percent = np.isfinite(s.predicted), f"{100 * s.level:g} %"
     facts = [Fact("Model discrepancy, frequency", fixed(100 * float(s.discrepancy[0]), 2), "%")]
     if (there & ~s.used).any():
-        facts.append(Fact(f"Left-out modes in their {percent} bands", _share(s.inside, there & ~s.used)))
+        facts.append(
+            Fact(f"Left-out modes in their {percent} bands", _share(s.inside, there & ~s.used))
+        )
     in_turn = s.held.in_turn
-    facts.append(Fact("Used modes, left out in turn, in theirs", _share(s.held.inside(s.level), in_turn)))
-    facts.append(Fact("Parameters that the test has told", f"{int(s.moved.sum())} of {s.moved.size}"))
+    facts.append(
+        Fact("Used modes, left out in turn, in theirs", _share(s.held.inside(s.level), in_turn))
+    )
+    facts.append(
+        Fact("Parameters that the test has told", f"{int(s.moved.sum())} of {s.moved.size}")
+    )
     return Facts(facts)
 
 
@@ -72,10 +84,14 @@ def _lead(s: UncertaintyStage) -> str:
     times = f / max(100 * float(np.median(s.parts[:, 1])), 1e-9)
     exact = f"; the test is about {float(f'{times:.1g}'):.0f} times more exact" if times > 2 else ""
     seen = np.isfinite(m)
-    of_mac, and_mac = (f" and {fixed(m, 1)} % of MAC", f" and {number(assumed[1], 2)}") if seen else ("", "")
+    of_mac, and_mac = (
+        (f" and {fixed(m, 1)} % of MAC", f" and {number(assumed[1], 2)}") if seen else ("", "")
+    )
     return (
-        "What no parameter can explain is the discrepancy of the model. Estimated from modes predicted unseen it is "
-        f"{fixed(f, 2)} % of a frequency{of_mac} (the updating assumed {number(assumed[0], 2)}{and_mac} %){exact}. "
+        "What no parameter can explain is the discrepancy of the model. Estimated from modes "
+        "predicted unseen it is "
+        f"{fixed(f, 2)} % of a frequency{of_mac} (the updating assumed "
+        f"{number(assumed[0], 2)}{and_mac} %){exact}. "
         "It is part of every interval and band below."
     )
 
@@ -97,11 +113,19 @@ def _modes(s: UncertaintyStage) -> Table:
     for i in np.flatnonzero(np.isfinite(s.predicted)).tolist():
         f, g = float(s.test[i]), float(s.predicted[i])
         reach = 100 * float(s.band[i, 1] - g) / f
-        row: list[str | Cell] = [str(i + 1), fixed(f, 3), fixed(g, 3), fixed(100 * (g / f - 1), 2, sign=True)]
+        row: list[str | Cell] = [
+            str(i + 1),
+            fixed(f, 3),
+            fixed(g, 3),
+            fixed(100 * (g / f - 1), 2, sign=True),
+        ]
         row += [fixed(reach, 2), *(number(100 * float(x), 2) for x in s.parts[i])]
         row.append("used" if s.used[i] else Cell("left out", "chip"))
         rows.append([*row, Cell("inside", "good") if s.inside[i] else Cell("outside", "bad")])
-    text = "Predicted frequencies and their bands; standard deviations from the parameters, the test and the model."
+    text = (
+        "Predicted frequencies and their bands; standard deviations from the parameters, the "
+        "test and the model."
+    )
     return Table(heads, rows, text, scroll=len(rows) > 16)
 
 
@@ -110,12 +134,20 @@ def _folds(s: UncertaintyStage) -> Table:
     inside, band = h.inside(s.level), h.band(s.level)
     for k in range(int(h.fold.max(initial=-1)) + 1):
         for j, i in enumerate(np.flatnonzero(h.fold == k).tolist()):
-            row: list[str | Cell] = [str(k + 1) if j == 0 else "", str(i + 1), fixed(float(h.test[i]), 3)]
+            row: list[str | Cell] = [
+                str(k + 1) if j == 0 else "",
+                str(i + 1),
+                fixed(float(h.test[i]), 3),
+            ]
             if not np.isfinite(h.predicted[i]):
                 rows.append([*row, "–", "–", "–", "–", Cell("no partner", "warn")])
                 continue
             reach = 100 * float(band[i, 1] - h.predicted[i]) / float(h.test[i])
-            row += [fixed(float(h.predicted[i]), 3), fixed(100 * float(h.error[i]), 2, sign=True), fixed(reach, 2)]
+            row += [
+                fixed(float(h.predicted[i]), 3),
+                fixed(100 * float(h.error[i]), 2, sign=True),
+                fixed(reach, 2),
+            ]
             verdict = Cell("inside", "good") if inside[i] else Cell("outside", "bad")
             rows.append([*row, fixed(100 * float(h.mac[i]), 1), verdict])
     heads = ("Fold", "Test #", "f test, Hz", "Predicted, Hz", "Δf, %", "Band, ± %", "MAC, %", "|")
@@ -123,8 +155,10 @@ def _folds(s: UncertaintyStage) -> Table:
     off = fixed(100 * float(np.abs(h.error[seen]).mean()), 2)
     text = (
         "The model is updated again without the modes of each fold, which it then predicts: "
-        f"{int(seen.sum())} modes, mean |Δf| {off} %; {fixed(100 * h.coverage(s.level), 0)} % are in their "
-        f"{100 * s.level:g} % bands. The discrepancy of a band comes from all other modes that were predicted unseen."
+        f"{int(seen.sum())} modes, mean |Δf| {off} %; {fixed(100 * h.coverage(s.level), 0)} % "
+        "are in their "
+        f"{100 * s.level:g} % bands. The discrepancy of a band comes from all other modes that "
+        "were predicted unseen."
     )
     text += "" if h.converged else " Not every updating converged."
     return Table(heads, rows, text, scroll=len(rows) > 12).without_blank("MAC")
@@ -132,26 +166,43 @@ def _folds(s: UncertaintyStage) -> Table:
 
 def _parameters(s: UncertaintyStage) -> Table:
     sampled = len(s.sampled) > 0
-    heads = ["|Parameter", "Factor", f"{100 * s.level:g} % after the test", "before it", "σ after / before"]
+    heads = [
+        "|Parameter",
+        "Factor",
+        f"{100 * s.level:g} % after the test",
+        "before it",
+        "σ after / before",
+    ]
     heads += ["Change kept, %"]
     heads += ["sampled"] if sampled else []
     rows: list[list[str | Cell]] = []
     for i, name in enumerate(s.parameters.names):
-        row: list[str | Cell] = [name, fixed(float(s.factor[i]), 3), _span(s.interval[i]), _span(s.prior[i])]
+        row: list[str | Cell] = [
+            name,
+            fixed(float(s.factor[i]), 3),
+            _span(s.interval[i]),
+            _span(s.prior[i]),
+        ]
         row += [number(float(s.ratio[i]), 2), fixed(100 * float(s.kept[i]), 0)]
         row += [_span(s.sampled[i])] if sampled else []
         chip: str | Cell = Cell("not proven", "warn") if s.unproven[i] else ""
         rows.append([*row, chip if s.moved[i] else Cell("the test says little", "warn")])
     text = (
-        "Intervals of the factors, around the final values, with the discrepancy of the model as the error and the "
-        "candidates that were not chosen as wide as their priors. Change kept: the least that is left of a change that "
-        "is not slight when a fold of modes is left out. Where the interval holds 1, or less than half is kept, the "
-        "parameter may take up an error of the model's form, or the test tells it only together with others."
+        "Intervals of the factors, around the final values, with the discrepancy of the model as "
+        "the error and the "
+        "candidates that were not chosen as wide as their priors. Change kept: the least that is "
+        "left of a change that "
+        "is not slight when a fold of modes is left out. Where the interval holds 1, or less "
+        "than half is kept, the "
+        "parameter may take up an error of the model's form, or the test tells it only together "
+        "with others."
     )
     if sampled:
         text += (
-            f" Sampled by {len(s.draws)} stored draws of an ensemble (Goodman and Weare 2010): as good as "
-            f"{number(s.independent, 2)} independent ones, {fixed(100 * s.acceptance, 0)} % of the moves accepted"
+            f" Sampled by {len(s.draws)} stored draws of an ensemble (Goodman and Weare 2010): "
+            "as good as "
+            f"{number(s.independent, 2)} independent ones, {fixed(100 * s.acceptance, 0)} % of "
+            "the moves accepted"
             f"{'' if s.converged else '; too short to rest on'}."
         )
     return Table([*heads, "|"], rows, text)

@@ -37,7 +37,10 @@ def section(data: Stages) -> Section | None:
     blocks: list[Block] = [_compared(u), Text(sentence(u.why))]
     if u.runs:
         blocks.append(Text(_engines(data, u)))
-    caption = "Convergence of every parameter set. Modes are paired anew at each iteration: where a mode is gained or "
+    caption = (
+        "Convergence of every parameter set. Modes are paired anew at each iteration: "
+        "where a mode is gained or "
+    )
     caption += "lost, J and the mean values jump."
     blocks.append(Plot(plots.convergence(u.sets, u.chosen), caption))
     std = best.std if data.uncertainty is None else data.uncertainty.relative
@@ -48,10 +51,17 @@ def section(data: Stages) -> Section | None:
     blocks.append(Plot(plots.path(best), text))
     blocks += [_measured(d) for d in u.data]
     if data.model is not None and u.regions:
-        notes = {p: f"× {number(f, 3)}" for p, f in zip(best.parameters, best.factor.tolist(), strict=True)}
+        notes = {
+            p: f"× {number(f, 3)}"
+            for p, f in zip(best.parameters, best.factor.tolist(), strict=True)
+        }
         view = scene.regions(data.model.scene, u.regions, notes)
         blocks.append(
-            Scene3D(view, "The updated regions, each with its factor updated / initial; springs are dots.", 460)
+            Scene3D(
+                view,
+                "The updated regions, each with its factor updated / initial; springs are dots.",
+                460,
+            )
         )
     return Section("updating", "Updating", blocks)
 
@@ -59,13 +69,16 @@ def section(data: Stages) -> Section | None:
 def _engines(data: Stages, u: UpdateStage) -> str:
     """Which solver has done what."""
     text = (
-        f"Modes of the decks and of the updating are by {u.solver}, found anew at each point in {u.runs} runs. "
-        "Localisation, choice of the sets, tuning of the suspension, uncertainty, damping and the run-up of a rotor "
+        f"Modes of the decks and of the updating are by {u.solver}, found anew at each point in "
+        f"{u.runs} runs. "
+        "Localisation, choice of the sets, tuning of the suspension, uncertainty, damping and "
+        "the run-up of a rotor "
         "rest on the matrices of the embedded solver."
     )
     if data.final is not None and data.uncertainty is None:
         text += (
-            f" No uncertainty is told: fewer than four modes were used, or its modes differ from those of {u.solver}."
+            " No uncertainty is told: fewer than four modes were used, or its modes differ "
+            f"from those of {u.solver}."
         )
     return text
 
@@ -78,7 +91,10 @@ def _measured(d: DataResult) -> Table:
         [label, unit, *(number(float(v), 4) for v in row)]
         for label, unit, *row in zip(d.labels, d.units, *columns, strict=True)
     ]
-    text = f"{d.name}: {d.kind}{where}; the model before and after the updating, with the error (1 σ) that is allowed."
+    text = (
+        f"{d.name}: {d.kind}{where}; the model before and after the updating, with the error "
+        "(1 σ) that is allowed."
+    )
     if np.isnan(d.measured).any():
         text += " Before and after are deviations from the measured curve."
     text += "".join(f" {sentence(line)}" for line in seat_words(d.seats))
@@ -91,15 +107,31 @@ def _compared(u: UpdateStage) -> Table:
     rows = []
     for i, s in enumerate(u.sets):
         name = Cell(s.name, "chosen", "chosen") if i == u.chosen else s.name
-        values = [fixed(s.mean_deviation, 2), fixed(s.max_deviation, 2), fixed(s.mean_subspace_mac, 1)]
-        values += [fixed(s.mean_deviation_left_out, 2), number(s.condition, 3), fixed(s.criterion, 1)]
+        values = [
+            fixed(s.mean_deviation, 2),
+            fixed(s.max_deviation, 2),
+            fixed(s.mean_subspace_mac, 1),
+        ]
+        values += [
+            fixed(s.mean_deviation_left_out, 2),
+            number(s.condition, 3),
+            fixed(s.criterion, 1),
+        ]
         outcome = s.outcome.split(":")[0]
         rows.append(
-            [name, str(len(s.parameters)), *values, str(max(len(s.objective) - 1, 0)), Cell(outcome, "", s.outcome)]
+            [
+                name,
+                str(len(s.parameters)),
+                *values,
+                str(max(len(s.objective) - 1, 0)),
+                Cell(outcome, "", s.outcome),
+            ]
         )
     other = [f"{s.name}: {s.settings}" for s in u.sets if s.settings]
     text = "Parameter sets updated and compared; the chosen one is marked."
-    return Table(heads, rows, " ".join([text, *(f"{sentence(o)}" for o in other)])).without_blank("MAC")
+    return Table(heads, rows, " ".join([text, *(f"{sentence(o)}" for o in other)])).without_blank(
+        "MAC"
+    )
 
 
 def _parameters(u: UpdateStage, s: SetResult, std: Float) -> Table:
@@ -110,10 +142,17 @@ def _parameters(u: UpdateStage, s: SetResult, std: Float) -> Table:
         factor = float(s.factor[j])
         at_bound = min(abs(factor / low - 1), abs(factor / high - 1)) < 0.01
         shown = Cell(fixed(factor, 3), "warn", "at its bound") if at_bound else fixed(factor, 3)
-        values = [number(u.initial_values.get(name), 4), number(u.updated_values.get(name), 4), shown]
+        values = [
+            number(u.initial_values.get(name), 4),
+            number(u.updated_values.get(name), 4),
+            shown,
+        ]
         spread = [number(100 * float(std[j]), 2), f"{plain(low)} to {plain(high)}"]
         rows.append([name, *values, *spread, number(float(s.identifiability[j]), 2)])
-    text = "The updated parameters, deck units. σ after / before, with the errors that the updating assumed, near 1: "
+    text = (
+        "The updated parameters, deck units. σ after / before, with the errors that the "
+        "updating assumed, near 1: "
+    )
     text += "the data say nothing about it."
     return Table(heads, rows, text)
 
@@ -132,8 +171,17 @@ def suspension(data: Stages) -> Section | None:
             pairs(table, data, f"{o.name}: rigid-body modes {when} tuning.", updating=False)
             for table, when in ((o.before, "before"), (o.after, "after"))
         ]
-    rows = [(k, fixed(v, 3), number(100 * t.std[k] if k in t.std else None, 2)) for k, v in t.factors.items()]
-    blocks.append(Table(("|Suspension parameter", "Factor", "σ, %"), rows, "Tuned stiffnesses of the suspension."))
+    rows = [
+        (k, fixed(v, 3), number(100 * t.std[k] if k in t.std else None, 2))
+        for k, v in t.factors.items()
+    ]
+    blocks.append(
+        Table(
+            ("|Suspension parameter", "Factor", "σ, %"),
+            rows,
+            "Tuned stiffnesses of the suspension.",
+        )
+    )
     blocks += [Text(f"The pairing is not certain. {v}.") for v in t.ambiguity]
     blocks += [Text(sentence(v)) for v in (*t.flags, *t.disagreeing)]
     return Section("suspension", "Rigid-body tuning", blocks)

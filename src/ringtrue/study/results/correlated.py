@@ -1,4 +1,6 @@
-"""Test against test and model against test, of the deck of the study and of other configurations."""
+"""Test against test and model against test, of the deck of the study and of other
+configurations.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,9 @@ class Seat:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrfEvidence:
-    """Measured FRFs against those of the initial and of the final model, in the band of the identified modes."""
+    """Measured FRFs against those of the initial and of the final model, in the band of the
+    identified modes.
+    """
 
     initial: FrfComparison
     final: FrfComparison
@@ -44,7 +48,9 @@ class Evidence:
 
     measures: CompleteCorrelation
     auto_mac: Float  # (a, a) of the first set
-    tracks: Tracks | None = None  # FE modes followed by their shapes at the channels: final, remodelled, initial
+    tracks: Tracks | None = (
+        None  # FE modes followed by their shapes at the channels: final, remodelled, initial
+    )
     frfs: FrfEvidence | None = None
 
 
@@ -97,10 +103,16 @@ class CorrelateStage:
     evidence: Evidence | None = None  # of the remodelled deck
     placed: str = ""  # how the test was laid onto the deck, in words
     history: tuple[RemodelStep, ...] = ()  # the initial deck, then each step
-    expanded: Expansion | None = None  # the elastic test shapes on the remodelled deck, where the study asks for them
-    gaps: tuple[str, ...] = ()  # what of the test is not used, and partners that cannot be found, in words
+    expanded: Expansion | None = (
+        None  # the elastic test shapes on the remodelled deck, where the study asks for them
+    )
+    gaps: tuple[
+        str, ...
+    ] = ()  # what of the test is not used, and partners that cannot be found, in words
     seats: tuple[Seat, ...] = ()  # where the channels of the sheet are read on the initial deck
-    mendings: tuple[Mending, ...] = ()  # other mountings of the sensors that explain the test better
+    mendings: tuple[
+        Mending, ...
+    ] = ()  # other mountings of the sensors that explain the test better
 
     @property
     def changed(self) -> bool:

@@ -62,6 +62,10 @@ class IdentifyStage:
     hammer_reasons: tuple[str, ...]
     hammer_diagrams: tuple[StableDiagram, ...]
     synthesis_error: Float  # (out, in) relative
-    frf_notes: tuple[str, ...] = ()  # of FRFs that were given as such; those of hammer records are with the records
+    frf_notes: tuple[
+        str, ...
+    ] = ()  # of FRFs that were given as such; those of hammer records are with the records
     merge_notes: tuple[str, ...] = ()  # what was undone in an ambient record before merging
-    source: str = "hammer test"  # where the modes in `hammer` come from: also FRFs, or a file of modes
+    source: str = (
+        "hammer test"  # where the modes in `hammer` come from: also FRFs, or a file of modes
+    )

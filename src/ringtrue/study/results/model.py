@@ -74,30 +74,49 @@ class PlanStage:
     block: float  # s
     record_length: float  # s
     damping: float  # assumed ratio
-    expected_modes: Int  # positions in the deck's modes: rigid-body and first elastic ones, of the ambient tests
+    # positions in the deck's modes: rigid-body and first elastic ones, of the ambient tests
+    expected_modes: Int
     expected_std_frequency: Float  # (expected,) relative, 1 sigma
     expected_std_damping: Float  # (expected,) relative
     rule: str  # the selection rule in words
     target_frequencies: Float = field(default_factory=lambda: np.zeros(0))  # (target,) Hz
     reasons: tuple[str, ...] = ()  # why each target mode is one
-    reach: Float = field(default_factory=lambda: np.zeros(0))  # (target,) share of the best driving-point residue
-    reachable: Float = field(default_factory=lambda: np.zeros(0))  # (target,) as reach, of all that can be struck
-    shown: Float = field(default_factory=lambda: np.zeros(0))  # (target,) MAC of the mode with its drawing
+    reach: Float = field(
+        default_factory=lambda: np.zeros(0)
+    )  # (target,) share of the best driving-point residue
+    reachable: Float = field(
+        default_factory=lambda: np.zeros(0)
+    )  # (target,) as reach, of all that can be struck
+    shown: Float = field(
+        default_factory=lambda: np.zeros(0)
+    )  # (target,) MAC of the mode with its drawing
     left_by_loss: float = 1.0  # least share of information left when the worst points fail
     lost: int = 1  # so many points
     averages: int = 0  # blows at each reference for the wanted error of the FRFs
     segments: int = 0  # blocks of that length in the ambient record
     notes: tuple[str, ...] = ()  # what the plan asks for in vain
-    loaded: Float = field(default_factory=lambda: np.zeros(0))  # (target,) relative, by mass of sensors; NaN at 0 Hz
+    loaded: Float = field(
+        default_factory=lambda: np.zeros(0)
+    )  # (target,) relative, by mass of sensors; NaN at 0 Hz
     suspension: tuple[int, ...] = ()  # nodes to hang from
-    suspension_motion: float = 0.0  # their largest motion in a target mode, squared, over the largest of the mode
+    suspension_motion: float = (
+        0.0  # their largest motion in a target mode, squared, over the largest of the mode
+    )
     steady: bool = False  # the centre of gravity hangs between them
     rehearsal: Rehearsal | None = None  # the virtual test
     ambient_rehearsal: Rehearsal | None = None  # of the expected modes, by virtual ambient tests
-    indicator: Float = field(default_factory=lambda: np.zeros(0))  # (target,) least mode indicator of all references
-    forces: Float = field(default_factory=lambda: np.zeros((0, 0)))  # (target, reference) real forces that reach it
-    sets: tuple[tuple[str, ...], ...] = ()  # references ranked by the mode that they excite worst, also fewer and more
-    set_reach: Float = field(default_factory=lambda: np.zeros((0, 0)))  # (set, target) as reach, of each
+    indicator: Float = field(
+        default_factory=lambda: np.zeros(0)
+    )  # (target,) least mode indicator of all references
+    forces: Float = field(
+        default_factory=lambda: np.zeros((0, 0))
+    )  # (target, reference) real forces that reach it
+    sets: tuple[
+        tuple[str, ...], ...
+    ] = ()  # references ranked by the mode that they excite worst, also fewer and more
+    set_reach: Float = field(
+        default_factory=lambda: np.zeros((0, 0))
+    )  # (set, target) as reach, of each
     setups: Setups | None = None  # of the planned sensors, where fewer are at hand
 
     @property
@@ -107,12 +126,20 @@ class PlanStage:
 
     @property
     def hopeless(self) -> Bool:
-        """Which target modes no point that can be struck excites well; none of a plan stored before this was asked."""
-        return np.asarray(self.reachable < MISSED) if self.reachable.size else np.zeros_like(self.missed)
+        """Which target modes no point that can be struck excites well; none of a plan stored before
+        this was asked.
+        """
+        return (
+            np.asarray(self.reachable < MISSED)
+            if self.reachable.size
+            else np.zeros_like(self.missed)
+        )
 
     @property
     def least_reach(self) -> Float:
-        """Reach, by each of `sets`, of the mode that it excites worst of those that a point can reach (all if none)."""
+        """Reach, by each of `sets`, of the mode that it excites worst of those that a point can
+        reach (all if none).
+        """
         some = ~self.hopeless if not self.hopeless.all() else self.hopeless
         return np.asarray(self.set_reach[:, some].min(axis=1, initial=1.0))
 

@@ -1,4 +1,6 @@
-"""Where the model is wrong, what was changed, how it stands then, how well that is known, and what it predicts."""
+"""Where the model is wrong, what was changed, how it stands then, how well that is known, and what
+it predicts.
+"""
 
 from __future__ import annotations
 
@@ -42,14 +44,22 @@ class LocaliseStage:
     screened: tuple[str, ...]  # of these, those that were not looked at closely
     proposal: Proposal
     expansion: str = "hybrid"  # of the test shapes
-    misfit: Float = field(default_factory=lambda: np.zeros(0))  # (m,) readings that it does not reproduce, relative
+    misfit: Float = field(
+        default_factory=lambda: np.zeros(0)
+    )  # (m,) readings that it does not reproduce, relative
     beside: str = ""  # what the proposal rests on beside the modes of the study's own test
-    places: Int = field(default_factory=lambda: np.zeros(0, dtype=np.int64))  # (k,) nodes where a mass may be lacking
-    held: tuple[str, ...] = ()  # candidates that scale a field of the suspension, which its tuning finds
+    places: Int = field(
+        default_factory=lambda: np.zeros(0, dtype=np.int64)
+    )  # (k,) nodes where a mass may be lacking
+    held: tuple[
+        str, ...
+    ] = ()  # candidates that scale a field of the suspension, which its tuning finds
 
     @property
     def concentration(self) -> Float:
-        """Error in constitutive relation over strain energy, share by share, (g,); NaN where nothing is strained."""
+        """Error in constitutive relation over strain energy, share by share, (g,); NaN where
+        nothing is strained.
+        """
         known = self.strain > SCARCE
         return np.where(known, self.constitutive / np.where(known, self.strain, 1.0), np.nan)
 
@@ -65,7 +75,9 @@ class SensitivityStage:
     sets: dict[str, tuple[str, ...]]  # named parameter sets
     rules: dict[str, str]  # how each set was chosen
     clusters: tuple[str, ...]  # candidates that the data cannot tell apart, in words
-    held: dict[str, dict[str, tuple[str, ...]]] = field(default_factory=dict)  # set -> held candidate -> its stand-ins
+    held: dict[str, dict[str, tuple[str, ...]]] = field(
+        default_factory=dict
+    )  # set -> held candidate -> its stand-ins
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,7 +104,9 @@ class SetResult:
     path: Float  # (iteration, p) factors
     gradient: float  # norm at the end, relative to the start
     settings: str = ""  # what it does otherwise than [update], in words
-    discrepancy: Float = field(default_factory=lambda: np.full(2, np.nan))  # of f, 1 - MAC: what the end was weighed by
+    discrepancy: Float = field(
+        default_factory=lambda: np.full(2, np.nan)
+    )  # of f, 1 - MAC: what the end was weighed by
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,7 +120,9 @@ class FinishedSet:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DataResult:
-    """What was measured beside the modes, (n,) each, against the model before and after the updating."""
+    """What was measured beside the modes, (n,) each, against the model before and after the
+    updating.
+    """
 
     name: str
     kind: str  # frf, anti-resonances, static or mass
@@ -138,7 +154,9 @@ class UpdateStage:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TunedConfiguration:
-    """The rigid-body modes of another configuration before and after the tuning of the shared suspension."""
+    """The rigid-body modes of another configuration before and after the tuning of the shared
+    suspension.
+    """
 
     name: str
     before: CorrelationTable
@@ -153,10 +171,14 @@ class TuneStage:
     after: CorrelationTable
     factors: dict[str, float]
     std: dict[str, float]
-    ambiguity: tuple[str, ...] = ()  # pairings that the test leaves open, with their weight, in words
+    ambiguity: tuple[
+        str, ...
+    ] = ()  # pairings that the test leaves open, with their weight, in words
     flags: tuple[str, ...] = ()  # factors that are not plausible
     others: tuple[TunedConfiguration, ...] = ()  # configurations that were tuned to as well
-    disagreeing: tuple[str, ...] = ()  # elastic test modes that strain it and that its tuning puts off, in words
+    disagreeing: tuple[
+        str, ...
+    ] = ()  # elastic test modes that strain it and that its tuning puts off, in words
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -214,11 +236,16 @@ class DampedModes:
     frf_after: Float
 
     def spread(self, used: bool) -> tuple[float, float]:
-        """Root mean square relative deviation from the test before and after, of the modes used or left out."""
+        """Root mean square relative deviation from the test before and after, of the modes used or
+        left out.
+        """
         at = self.used == used
         if not at.any():
             return float("nan"), float("nan")
-        before, after = (float(np.sqrt(np.mean((x / self.measured - 1)[at] ** 2))) for x in (self.before, self.after))
+        before, after = (
+            float(np.sqrt(np.mean((x / self.measured - 1)[at] ** 2)))
+            for x in (self.before, self.after)
+        )
         return before, after
 
 
@@ -247,7 +274,9 @@ class DampingStage:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UncertaintyStage:
-    """How well the chosen parameters are known, and what the delivered model predicts with bands."""
+    """How well the chosen parameters are known, and what the delivered model predicts with
+    bands.
+    """
 
     parameters: ParameterSet
     factor: Float  # (p,) as delivered
@@ -268,7 +297,9 @@ class UncertaintyStage:
     inside: Bool  # (m,) the band holds the measured frequency
     held: Held  # the used modes, predicted fold by fold
     flags: tuple[str, ...]  # what of it is not plausible
-    draws: Float = field(default_factory=lambda: np.zeros((0, 0)))  # (s, p) factors sampled from the posterior
+    draws: Float = field(
+        default_factory=lambda: np.zeros((0, 0))
+    )  # (s, p) factors sampled from the posterior
     sampled: Float = field(default_factory=lambda: np.zeros((0, 2)))  # (p, 2) their intervals
     acceptance: float = 0.0  # share of accepted moves
     independent: float = 0.0  # effective number of draws
@@ -277,11 +308,15 @@ class UncertaintyStage:
     @property
     def relative(self) -> Float:
         """Standard deviation of the factors, relative, (p,)."""
-        return np.asarray(self.parameters.slope(self.parameters.vector(self.factor)) * self.std / self.factor)
+        return np.asarray(
+            self.parameters.slope(self.parameters.vector(self.factor)) * self.std / self.factor
+        )
 
     @property
     def kept(self) -> Float:
-        """Least share of each change that is there with any fold of modes left out, (p,); NaN where it is slight."""
+        """Least share of each change that is there with any fold of modes left out, (p,); NaN where
+        it is slight.
+        """
         share = kept(self.parameters.vector(self.factor), self.held.ends)
         return np.where(np.abs(self.factor - 1) > SLIGHT, share, np.nan)
 
@@ -300,7 +335,8 @@ class PredictStage:
     unbalance: Unbalance
     run_up: RunUp
     posterior: Posterior  # of the elastic and suspension parameters
-    discrepancy: float  # relative, of a frequency, from the modes left out of the updating (all pairs if none was)
+    # relative, of a frequency, from the modes left out of the updating (all pairs if none was)
+    discrepancy: float
     damping: str  # where it comes from, in words
     residual: float  # of the reduced model at the worst speed, relative to the load
     flags: tuple[str, ...]  # parameters that are not plausible

@@ -1,4 +1,6 @@
-"""The stages of a study in order: what each needs, and which settings and files decide whether it is up to date."""
+"""The stages of a study in order: what each needs, and which settings and files decide whether it
+is up to date.
+"""
 
 from __future__ import annotations
 
@@ -96,7 +98,15 @@ STAGES = (
         identify.files,
         ("test",),
     ),
-    Stage("compare", "ambient against hammer", compare.run, ("correlate",), ("identify",), _nothing, ("test",)),
+    Stage(
+        "compare",
+        "ambient against hammer",
+        compare.run,
+        ("correlate",),
+        ("identify",),
+        _nothing,
+        ("test",),
+    ),
     Stage(
         "correlate",
         "model against test",

@@ -1,4 +1,6 @@
-"""Modes of ambient records, each of one file or of several that go on with each other, and what is shown of records."""
+"""Modes of ambient records, each of one file or of several that go on with each other, and what is
+shown of records.
+"""
 
 from __future__ import annotations
 
@@ -32,12 +34,17 @@ SHOWN, POINTS = 4, 1500  # channels and samples of a preview
 
 
 def check_sheet(path: Path, channels: Sequence[Channel], sheet: TestModel) -> None:
-    """Every response in a record must have its place on the sheet; a force channel names its point itself."""
+    """Every response in a record must have its place on the sheet; a force channel names its point
+    itself.
+    """
     check_channels([c.id for c in channels if c.quantity != "force"], sheet, path)
 
 
-def _history(record: Logged, sheet: SensorSheet, lost: Sequence[str]) -> tuple[TimeHistory, tuple[str, ...]]:
-    """A record without the channels `lost`, and what the sheet told; the others are checked and must be on the sheet.
+def _history(
+    record: Logged, sheet: SensorSheet, lost: Sequence[str]
+) -> tuple[TimeHistory, tuple[str, ...]]:
+    """A record without the channels `lost`, and what the sheet told; the others are checked and
+    must be on the sheet.
 
     Samples may be missing.
     """
@@ -52,34 +59,53 @@ def _history(record: Logged, sheet: SensorSheet, lost: Sequence[str]) -> tuple[T
 def corrected(
     history: TimeHistory, sensors: Mapping[str, SensorType], low: float | None = None
 ) -> tuple[TimeHistory, float, str]:
-    """The history with the corners of its geophones taken out where the signals allow, from which frequency, and why.
+    """The history with the corners of its geophones taken out where the signals allow, from which
+    frequency, and why.
 
     Channels of other sensors stay as they are. With `low`, Hz, they are taken out from there on.
     """
-    types = sorted({c.sensor for c in history.channels} & {t for t, sheet in sensors.items() if sheet.corrected})
+    types = sorted(
+        {c.sensor for c in history.channels}
+        & {t for t, sheet in sensors.items() if sheet.corrected}
+    )
     if not types:
         return history, 0.0, ""
     parts = {t: history.pick([c.id for c in history.channels if c.sensor == t]) for t in types}
     low = low or max(_lowest(parts[t], sensors[t]) for t in types)
     fixed: dict[str, tuple[Channel, Float]] = {}
     for t, part_ in parts.items():
-        whole = deconvolve(part_, Geophone(sensors[t].corner_hz, sensors[t].damping or 0.0), low=low)
-        fixed |= {c.id: (w, d) for c, w, d in zip(part_.channels, whole.channels, whole.data, strict=True)}
+        whole = deconvolve(
+            part_, Geophone(sensors[t].corner_hz, sensors[t].damping or 0.0), low=low
+        )
+        fixed |= {
+            c.id: (w, d) for c, w, d in zip(part_.channels, whole.channels, whole.data, strict=True)
+        }
     every = [fixed.get(c.id, (c, d)) for c, d in zip(history.channels, history.data, strict=True)]
     corners = " and ".join(f"{sensors[t].corner_hz:g}" for t in types)
     note = f"{corners} Hz corner corrected from {low:.2f} Hz on"
-    return replace(history, channels=tuple(c for c, _ in every), data=np.stack([d for _, d in every])), low, note
+    return (
+        replace(history, channels=tuple(c for c, _ in every), data=np.stack([d for _, d in every])),
+        low,
+        note,
+    )
 
 
 def _lowest(history: TimeHistory, sheet: SensorType) -> float:
     """From where on the signals of geophones stand above their noise, Hz."""
     psd = csd(history, Welch(0.1))
     level = np.median(np.real(np.einsum("fii->fi", psd.data)), axis=1)
-    return max(lowest_frequency(psd.freqs, level, np.full(psd.freqs.shape, sheet.noise**2)), sheet.corner_hz * 0.6)
+    return max(
+        lowest_frequency(psd.freqs, level, np.full(psd.freqs.shape, sheet.noise**2)),
+        sheet.corner_hz * 0.6,
+    )
 
 
-def summary(record: Logged, history: TimeHistory, notes: Sequence[str], *, draw: bool = True) -> RecordSummary:
-    """What the report shows of a record: channels of one unit, thinned so that no peak is lost; none unless `draw`."""
+def summary(
+    record: Logged, history: TimeHistory, notes: Sequence[str], *, draw: bool = True
+) -> RecordSummary:
+    """What the report shows of a record: channels of one unit, thinned so that no peak is lost;
+    none unless `draw`.
+    """
     unit = history.channels[0].unit
     at = [i for i, c in enumerate(history.channels) if c.unit == unit][: SHOWN if draw else 0]
     if not at:
@@ -114,7 +140,9 @@ def _listed(record: Logged, history: TimeHistory, notes: Sequence[str]) -> Recor
     line, curves = np.zeros(0), np.zeros((0, 0))
     what = (record.name, record.test, record.excitation, record.path.name)
     size = (len(history.channels), history.rate, history.duration)
-    return RecordSummary(*what, *size, line, curves, (), line, curves, tuple(notes), setup=str(record.setup))
+    return RecordSummary(
+        *what, *size, line, curves, (), line, curves, tuple(notes), setup=str(record.setup)
+    )
 
 
 def _peaks(data: Float, step: int) -> Float:
@@ -126,7 +154,9 @@ def _peaks(data: Float, step: int) -> Float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _File:
-    """A file of an ambient record: its history, bridged, with the corners of its sensors taken out from `low` Hz on."""
+    """A file of an ambient record: its history, bridged, with the corners of its sensors taken out
+    from `low` Hz on.
+    """
 
     history: TimeHistory
     gaps: Gaps
@@ -140,9 +170,13 @@ class _File:
 
 
 def _files_of_one(
-    todo: list[Logged], read: Callable[[Logged, float | None], _File], choice: Choice, shown: list[RecordSummary]
+    todo: list[Logged],
+    read: Callable[[Logged, float | None], _File],
+    choice: Choice,
+    shown: list[RecordSummary],
 ) -> Iterator[_File]:
-    """The first of the records `todo` and those that go on with it, each taken out when it is read; what to show of it.
+    """The first of the records `todo` and those that go on with it, each taken out when it is read;
+    what to show of it.
 
     A record with a choice by hand of its own is not joined.
     """
@@ -163,9 +197,15 @@ def _as_one(files: Sequence[RecordSummary], notes: Sequence[str]) -> RecordSumma
     """What is shown of a record of some files, with the `notes` of its identification."""
     first, *more = files
     names = f"{len(files)} files, {first.file} to {files[-1].file}"
-    said = (f"{names}, are one record with pauses (a `setup` for each in the log keeps them apart)",) if more else ()
+    said = (
+        (f"{names}, are one record with pauses (a `setup` for each in the log keeps them apart)",)
+        if more
+        else ()
+    )
     told = tuple(f"{x.file}: {n}" for x in more for n in x.notes if n not in first.notes)
-    return replace(first, duration=sum(x.duration for x in files), notes=(*said, *first.notes, *told, *notes))
+    return replace(
+        first, duration=sum(x.duration for x in files), notes=(*said, *first.notes, *told, *notes)
+    )
 
 
 def ambient(
@@ -177,7 +217,9 @@ def ambient(
     choice: Choice,
     progress: Progress,
 ) -> tuple[list[IdentifiedRecord], list[RecordSummary]]:
-    """Modes of each ambient record without the channels `lost`; files that go on with each other are one record."""
+    """Modes of each ambient record without the channels `lost`; files that go on with each other
+    are one record.
+    """
 
     def read(record: Logged, low: float | None) -> _File:
         history, told = _history(record, sheet, lost)
@@ -192,9 +234,15 @@ def ambient(
         files = _files_of_one(todo, read, choice, mine)
         first = next(files)
         stretches = (x.gaps.marked(x.history) for x in chain((first,), files))
-        band = AmbientSettings(fmin=max(first.low, settings.ambient_fmin or 0.0) or None, fmax=settings.ambient_fmax)
+        band = AmbientSettings(
+            fmin=max(first.low, settings.ambient_fmin or 0.0) or None, fmax=settings.ambient_fmax
+        )
         with about(record.path):
             result = identify_stretches(stretches, band, choice=choice.of(record.name))
-        found.append(IdentifiedRecord(record.name, result.modes, result.uncertainty, result.reasons, result.diagrams))
+        found.append(
+            IdentifiedRecord(
+                record.name, result.modes, result.uncertainty, result.reasons, result.diagrams
+            )
+        )
         shown.append(_as_one(mine, result.notes))
     return found, shown

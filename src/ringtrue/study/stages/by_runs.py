@@ -1,4 +1,6 @@
-"""A parameter set updated through another solver: modes found anew at each point, by runs of its program."""
+"""A parameter set updated through another solver: modes found anew at each point, by runs of its
+program.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,8 @@ def by_runs(
 ) -> tuple[SetResult, int]:
     """Update on the full decks of all configurations; the result, and how many runs it took.
 
-    `u` stands in for the [update] of the study. A run that fails at a trial point is a rejected step.
+    `u` stands in for the [update] of the study. A run that fails at a trial point is a rejected
+    step.
 
     Raises
     ------
@@ -56,7 +59,9 @@ def by_runs(
 
 
 def _full(desk: Workbench, name: str, members: Sequence[str]) -> FullModel:
-    """A deck over those of the parameters that it has, at the channels of its test, with all its modes up to fmax."""
+    """A deck over those of the parameters that it has, at the channels of its test, with all its
+    modes up to fmax.
+    """
     assert desk.engine is not None
     opened, look = desk.deck_of(name)
     names = desk.parameters.names

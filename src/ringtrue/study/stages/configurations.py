@@ -1,4 +1,6 @@
-"""Other configurations of the structure, each with its deck and its test: correlated before the updating."""
+"""Other configurations of the structure, each with its deck and its test: correlated before the
+updating.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,13 @@ from ringtrue.model.model import Model
 from ringtrue.study.config import ConfigurationSection, TestSection
 from ringtrue.study.naming import modes_by_sheet
 from ringtrue.study.opened import Opened
-from ringtrue.study.reference import Reference, elastic_table, left_out, reference_modes, reference_of_file
+from ringtrue.study.reference import (
+    Reference,
+    elastic_table,
+    left_out,
+    reference_modes,
+    reference_of_file,
+)
 from ringtrue.study.results import ConfigurationsStage, ConfiguredTest
 from ringtrue.study.seats import seats
 from ringtrue.study.stages import identify
@@ -59,7 +67,9 @@ def _at_test(desk: Workbench, section: ConfigurationSection) -> Workbench:
 
 def _one(desk: Workbench, section: ConfigurationSection, progress: Progress) -> ConfiguredTest:
     opened = desk.configured(section)
-    parameters = ParameterSet((*desk.config.candidates().parameters, *desk.config.suspensions().parameters))
+    parameters = ParameterSet(
+        (*desk.config.candidates().parameters, *desk.config.suspensions().parameters)
+    )
     mine = carried(opened.model, parameters)
     _check(section, opened.model, parameters, mine)
     reference, test, source = _reference(desk, section, part(progress, 0.0, 0.7))
@@ -111,15 +121,28 @@ def seen(desk: Workbench, opened: Opened, test: TestModel | None, reference: Mod
     """The modes of a deck at the channels of the test modes of a configuration."""
     modes = opened.modes(desk.up_to(reference.frequencies)).modes
     look = desk.observed(opened, test, reference.channels if test is None else test.channels)
-    there = ModeSet(modes.frequencies, modes.damping, look(modes.shapes), look.channels, modes.norm, modes.source)
+    there = ModeSet(
+        modes.frequencies,
+        modes.damping,
+        look(modes.shapes),
+        look.channels,
+        modes.norm,
+        modes.source,
+    )
     return there.rows(list(reference.channels))
 
 
-def _check(section: ConfigurationSection, model: Model, every: ParameterSet, mine: ParameterSet) -> None:
+def _check(
+    section: ConfigurationSection, model: Model, every: ParameterSet, mine: ParameterSet
+) -> None:
     """A deck that carries no candidate, or one that cannot be scaled, is found before the work."""
     if len(every) and not len(mine):
-        fields = ", ".join(sorted({f"{t.card} {t.id}" for p in every.parameters for t in p.targets}))
-        raise ConfigError(f"configuration {section.name}: its deck has no card of a candidate ({fields})")
+        fields = ", ".join(
+            sorted({f"{t.card} {t.id}" for p in every.parameters for t in p.targets})
+        )
+        raise ConfigError(
+            f"configuration {section.name}: its deck has no card of a candidate ({fields})"
+        )
     try:
         apply_factors(model, mine, np.ones(len(mine)))
     except InputError as e:
@@ -127,7 +150,9 @@ def _check(section: ConfigurationSection, model: Model, every: ParameterSet, min
 
 
 def _notes(base: Model, model: Model, every: ParameterSet, mine: ParameterSet) -> tuple[str, ...]:
-    """Fields of candidates that its deck lacks, or has with another value than the deck of the study."""
+    """Fields of candidates that its deck lacks, or has with another value than the deck of the
+    study.
+    """
     out, have = [], {p.name: len(p.targets) for p in mine.parameters}
     for p in every.parameters:
         if not (count := have.get(p.name, 0)):
@@ -137,5 +162,8 @@ def _notes(base: Model, model: Model, every: ParameterSet, mine: ParameterSet) -
     for t in (t for p in mine.parameters for t in p.targets):
         here, there = float(field_value(model, t)), float(field_value(base, t))
         if abs(here - there) > SAME * abs(there):
-            out.append(f"{t.card} {t.id} {t.field} is {here:.6g} here and {there:.6g} in the deck of the study")
+            out.append(
+                f"{t.card} {t.id} {t.field} is {here:.6g} here and {there:.6g} in the deck of "
+                "the study"
+            )
     return tuple(out)

@@ -45,13 +45,22 @@ def seen(desk: Workbench, opened: Opened, progress: Progress | None = None) -> M
     """The modes of a model at all channels of the sheet."""
     modes = opened.modes(desk.fmax, progress).modes
     there = desk.bridge(opened)
-    return ModeSet(modes.frequencies, modes.damping, there(modes.shapes), there.channels, modes.norm, modes.source)
+    return ModeSet(
+        modes.frequencies,
+        modes.damping,
+        there(modes.shapes),
+        there.channels,
+        modes.norm,
+        modes.source,
+    )
 
 
 def judged(
     desk: Workbench, opened: Opened, reference: Reference, fe: ModeSet, table: CorrelationTable
 ) -> Evidence | None:
-    """What an elastic correlation rests on, with the mass of the deck at the channels; None without measured shapes."""
+    """What an elastic correlation rests on, with the mass of the deck at the channels; None without
+    measured shapes.
+    """
     if desk.config.alone:
         return None
     config = desk.config.correlate
@@ -71,7 +80,9 @@ def run(desk: Workbench, progress: Progress) -> CorrelateStage:
     tables = [elastic_table(reference, fe, config, out, initial) for fe in (initial, remodelled)]
     progress(0.6, "mass at the channels")
     told = judged(desk, desk.remodelled, reference, remodelled, tables[1])
-    first = evidence(reference, initial, tables[0].pairing, config) if config.remodel and told else told
+    first = (
+        evidence(reference, initial, tables[0].pairing, config) if config.remodel and told else told
+    )
     files = desk.initial.model.files, desk.remodelled.model.files
     return CorrelateStage(
         reference.elastic,
@@ -107,7 +118,9 @@ def run(desk: Workbench, progress: Progress) -> CorrelateStage:
 def mendings(
     desk: Workbench, opened: Opened, sheet: TestModel | None, test: ModeSet, fmax: float
 ) -> tuple[Mending, ...]:
-    """Other mountings of the sensors on a sheet that explain a test better; none without a sheet."""
+    """Other mountings of the sensors on a sheet that explain a test better; none without a
+    sheet.
+    """
     if sheet is None:
         return ()
     modes = opened.modes(fmax).modes
@@ -121,7 +134,9 @@ def _mesh(desk: Workbench, table: CorrelationTable) -> tuple[str, ...]:
     if desk.engine is not None or len(opened.model["GRID"]) > SOON:
         return ()
     try:
-        errors = mesh_errors(opened.model, opened.modes(desk.fmax).modes.take(paired), EmbeddedSolver())
+        errors = mesh_errors(
+            opened.model, opened.modes(desk.fmax).modes.take(paired), EmbeddedSolver()
+        )
     except RingtrueError as e:  # a check is no reason for a study to end
         _log.info("mesh error: %s", e)
         return ()
@@ -130,7 +145,9 @@ def _mesh(desk: Workbench, table: CorrelationTable) -> tuple[str, ...]:
 
 
 def _far(table: CorrelationTable) -> tuple[str, ...]:
-    """Pairs beyond the frequency gate, and lone test modes that it keeps from one of the deck that looks alike."""
+    """Pairs beyond the frequency gate, and lone test modes that it keeps from one of the deck that
+    looks alike.
+    """
     p = table.pairing
     lone = zip(p.lone_a, p.why_a, strict=True)
     return (*p.far(), *(f"test mode {i + 1}: {w}" for i, w in lone if BEYOND_THE_GATE in w))
@@ -157,16 +174,26 @@ def _expanded(desk: Workbench, reference: Reference, progress: Progress) -> Expa
 
 def _reasons(config: StudyConfig) -> str:
     steps = [s.reason for s in config.remodel]
-    return steps[0] if len(steps) == 1 else "; ".join(f"{i}. {reason}" for i, reason in enumerate(steps, start=1))
+    return (
+        steps[0]
+        if len(steps) == 1
+        else "; ".join(f"{i}. {reason}" for i, reason in enumerate(steps, start=1))
+    )
 
 
 def _history(
-    desk: Workbench, reference: Reference, out: Int, initial: ModeSet, ends: Sequence[CorrelationTable]
+    desk: Workbench,
+    reference: Reference,
+    out: Int,
+    initial: ModeSet,
+    ends: Sequence[CorrelationTable],
 ) -> tuple[RemodelStep, ...]:
     """The initial deck and that after each step, against the test."""
     if not desk.config.remodel:
         return ()
-    between = [elastic_table(reference, seen(desk, o), desk.config, out, initial) for o in desk.steps[1:-1]]
+    between = [
+        elastic_table(reference, seen(desk, o), desk.config, out, initial) for o in desk.steps[1:-1]
+    ]
     names = ("the initial deck", *(s.reason for s in desk.config.remodel))
     return tuple(
         RemodelStep(

@@ -1,8 +1,9 @@
-"""Damping of the delivered deck: loss factors and dashpots by region from the damping of the identified modes.
+"""Damping of the delivered deck: loss factors and dashpots by region from the damping of the
+identified modes.
 
-The modes are the complex ones that the identification fitted to the FRFs around the resonances (and to the ambient
-records). The FRFs themselves are the check: with shapes that are a few per cent off, a direct fit reads an error of
-amplitude as damping.
+The modes are the complex ones that the identification fitted to the FRFs around the resonances (and
+to the ambient records). The FRFs themselves are the check: with shapes that are a few per cent off,
+a direct fit reads an error of amplitude as damping.
 """
 
 from __future__ import annotations
@@ -24,12 +25,24 @@ from ringtrue.model.edit import field_value
 from ringtrue.study.evidence import on_sheet
 from ringtrue.study.opened import Opened
 from ringtrue.study.reference import Reference, rigid_table
-from ringtrue.study.results import DampedConfiguration, DampedModes, DampedRegions, DampingStage, FinalStage
+from ringtrue.study.results import (
+    DampedConfiguration,
+    DampedModes,
+    DampedRegions,
+    DampingStage,
+    FinalStage,
+)
 from ringtrue.study.stages.configured import deliver as deliver_other
 from ringtrue.study.stages.final import deliver, said
 from ringtrue.study.workbench import OWN, Workbench
 from ringtrue.update.damping import DampingFit, fit_poles, mode_damping
-from ringtrue.update.damping_regions import Dampers, DampingRegion, dampers, default_regions, joined_dampers
+from ringtrue.update.damping_regions import (
+    Dampers,
+    DampingRegion,
+    dampers,
+    default_regions,
+    joined_dampers,
+)
 
 SPAN = 3.0  # half-power half-bandwidths around a resonance in which FRFs are compared
 SILENT = 0.8  # standard deviation over that before the data: they said little
@@ -50,8 +63,11 @@ class _Measured:
     elastic: Bool
 
 
-def measured(reference: Reference, table: CorrelationTable, rigid: CorrelationTable, hertz: Float) -> _Measured:
-    """The rigid-body modes of the ambient test and the elastic reference modes, those with damping above 0.
+def measured(
+    reference: Reference, table: CorrelationTable, rigid: CorrelationTable, hertz: Float
+) -> _Measured:
+    """The rigid-body modes of the ambient test and the elastic reference modes, those with damping
+    above 0.
 
     A test that does not tell how well it knows its damping adds nothing to the error of the shapes.
 
@@ -112,10 +128,14 @@ class _Part:
 def _part(desk: Workbench, name: str, opened: Opened, test: _Measured) -> _Part:
     modes, system = opened.modes(desk.fmax).modes, opened.analysis.system
     f = modes.frequencies
-    moving = np.union1d(np.flatnonzero(elastic(f)), test.fe)  # what the test tells moves, slow as it may be
+    moving = np.union1d(
+        np.flatnonzero(elastic(f)), test.fe
+    )  # what the test tells moves, slow as it may be
     phi = np.asarray(system.local @ modes.shapes[:, moving])
     total = project(phi, system.viscous, system.structural)
-    return _Part(name, opened, test, moving, (2 * np.pi * f[moving]) ** 2, modes.shapes[:, moving], total)
+    return _Part(
+        name, opened, test, moving, (2 * np.pi * f[moving]) ** 2, modes.shapes[:, moving], total
+    )
 
 
 def _others(desk: Workbench, progress: Progress) -> list[_Part]:
@@ -151,22 +171,34 @@ def run(desk: Workbench, progress: Progress) -> DampingStage:
     progress(0.5, "damping of the regions")
     common, wanted = float(np.median(test.ratio[test.used])), regions(desk, opened)
     mine = [wanted, *(_held(wanted, p.opened) for p in parts[1:])]
-    found = [dampers(p.opened.model, r, p.values, p.shapes, p.total, common) for p, r in zip(parts, mine, strict=True)]
+    found = [
+        dampers(p.opened.model, r, p.values, p.shapes, p.total, common)
+        for p, r in zip(parts, mine, strict=True)
+    ]
     if not found[0].regions:
         return nothing("no region takes part in any mode")
     whole, first = joined_dampers(found), np.cumsum([0, *(p.values.size for p in parts)]).tolist()
     values = np.concatenate([p.values for p in parts])
     at = np.concatenate([p.at + k for p, k in zip(parts, first, strict=False)])
-    ratio, std, use = (np.concatenate([getattr(p.test, n) for p in parts]) for n in ("ratio", "std", "used"))
-    std = np.hypot(np.nan_to_num(std), desk.config.damping.error * ratio)  # of modes of a file it may not be known
+    ratio, std, use = (
+        np.concatenate([getattr(p.test, n) for p in parts]) for n in ("ratio", "std", "used")
+    )
+    std = np.hypot(
+        np.nan_to_num(std), desk.config.damping.error * ratio
+    )  # of modes of a file it may not be known
     fit = fit_poles(values, whole.mechanisms, ratio[use], std[use], at[use], base=whole.base)
     after = mode_damping(values, whole.mechanisms, fit, at)
     ends = np.cumsum([0, *(p.at.size for p in parts)]).tolist()
     progress(0.8, "FRFs around the resonances")
     before, words = _before(own.values, own.total, common)
     n = own.values.size
-    errors = frf_errors(desk, test, own.moving, (before, (fit.viscous[:n, :n], fit.structural[:n, :n])))
-    told = [_modes(p, common, [x[a:b] for x in after]) for p, a, b in zip(parts, ends, ends[1:], strict=False)]
+    errors = frf_errors(
+        desk, test, own.moving, (before, (fit.viscous[:n, :n], fit.structural[:n, :n]))
+    )
+    told = [
+        _modes(p, common, [x[a:b] for x in after])
+        for p, a, b in zip(parts, ends, ends[1:], strict=False)
+    ]
     changes, files = _written(desk, opened, whole, fit)
     return DampingStage(
         "",
@@ -184,14 +216,21 @@ def run(desk: Workbench, progress: Progress) -> DampingStage:
 def _modes(part: _Part, common: float, after: Sequence[Float]) -> DampedModes:
     """The paired modes of a deck; errors of FRFs are not known."""
     t, none = part.test, np.full(part.test.hertz.size, np.nan)
-    before = complex_modes(part.values, *_before(part.values, part.total, common)[0]).damping[part.at]
-    return DampedModes(t.fe, t.names, t.used, t.hertz, t.ratio, t.std, before, after[0], after[1], none, none)
+    before = complex_modes(part.values, *_before(part.values, part.total, common)[0]).damping[
+        part.at
+    ]
+    return DampedModes(
+        t.fe, t.names, t.used, t.hertz, t.ratio, t.std, before, after[0], after[1], none, none
+    )
 
 
 def _held(wanted: Sequence[DampingRegion], opened: Opened) -> tuple[DampingRegion, ...]:
     """Those of the regions that a deck has, as far as it has their fields."""
     model = opened.model
-    there = [[t for t in r.targets if t.card in model and (model[t.card].ids == t.id).any()] for r in wanted]
+    there = [
+        [t for t in r.targets if t.card in model and (model[t.card].ids == t.id).any()]
+        for r in wanted
+    ]
     return tuple(replace(r, targets=tuple(ts)) for r, ts in zip(wanted, there, strict=True) if ts)
 
 
@@ -203,16 +242,26 @@ def regions(desk: Workbench, opened: Opened) -> tuple[DampingRegion, ...]:
     return default_regions(opened.model, desk.config.suspensions(), desk.deck.regions)
 
 
-def _before(values: Float, total: tuple[Float, Float], common: float) -> tuple[tuple[Float, Float], str]:
-    """ΦᵀDΦ and ΦᵀHΦ before: the deck's own damping, or one ratio for all modes where it has none."""
+def _before(
+    values: Float, total: tuple[Float, Float], common: float
+) -> tuple[tuple[Float, Float], str]:
+    """ΦᵀDΦ and ΦᵀHΦ before: the deck's own damping, or one ratio for all modes where it has
+    none.
+    """
     if any(a.any() for a in total):
         return total, "the damping of the deck"
     viscous = np.diag(2 * common * np.sqrt(values))
-    return (viscous, np.zeros_like(viscous)), f"{100 * common:.2f} % for all modes, the median of the test"
+    return (
+        viscous,
+        np.zeros_like(viscous),
+    ), f"{100 * common:.2f} % for all modes, the median of the test"
 
 
-def frf_errors(desk: Workbench, test: _Measured, moving: Int, damped: tuple[tuple[Float, Float], ...]) -> list[Float]:
-    """‖H − H_test‖/‖H_test‖ over all FRFs around each test mode, (t,) for each damping; NaN where there is no FRF.
+def frf_errors(
+    desk: Workbench, test: _Measured, moving: Int, damped: tuple[tuple[Float, Float], ...]
+) -> list[Float]:
+    """‖H − H_test‖/‖H_test‖ over all FRFs around each test mode, (t,) for each damping; NaN where
+    there is no FRF.
 
     Paired modes stand at the frequency of the test: what is compared is damping and shape.
     """
@@ -222,18 +271,29 @@ def frf_errors(desk: Workbench, test: _Measured, moving: Int, damped: tuple[tupl
         return [np.full(test.hertz.size, np.nan) for _ in damped]
     at = {c: i for i, c in enumerate(final.observed.channels)}
     phi_out, phi_in = (
-        final.observed.shapes[[at[c.id] for c in side]][:, moving] for side in (frfs.outputs, frfs.inputs)
+        final.observed.shapes[[at[c.id] for c in side]][:, moving]
+        for side in (frfs.outputs, frfs.inputs)
     )
     hertz = final.observed.frequencies.copy()
     hertz[test.fe] = test.hertz
     values = (2 * np.pi * hertz[moving]) ** 2
-    near = np.abs(frfs.freqs[:, None] - test.hertz) <= SPAN * test.ratio * test.hertz  # (line, mode)
-    near[:, ~test.elastic] = False  # rigid-body modes are seen by the ambient test, not by the hammer
+    near = (
+        np.abs(frfs.freqs[:, None] - test.hertz) <= SPAN * test.ratio * test.hertz
+    )  # (line, mode)
+    near[:, ~test.elastic] = (
+        False  # rigid-body modes are seen by the ambient test, not by the hammer
+    )
     lines = np.flatnonzero(near.any(axis=1))
     data = frfs.data[lines] * desk.unit.kilograms
-    window = 2 * frfs.window_decay * np.eye(moving.size)  # an exponential window damps every mode alike
+    window = (
+        2 * frfs.window_decay * np.eye(moving.size)
+    )  # an exponential window damps every mode alike
     return [
-        _relative(coupled(frfs.freqs[lines], values, d + window, h, phi_out, phi_in, kind=frfs.kind), data, near[lines])
+        _relative(
+            coupled(frfs.freqs[lines], values, d + window, h, phi_out, phi_in, kind=frfs.kind),
+            data,
+            near[lines],
+        )
         for d, h in damped
     ]
 
@@ -241,12 +301,16 @@ def frf_errors(desk: Workbench, test: _Measured, moving: Int, damped: tuple[tupl
 def _relative(model: Complex, data: Complex, near: Bool) -> Float:
     """Norm of the difference over that of the data, (t,), over the lines near (l, t) each mode."""
     wrong, size = ((np.abs(x) ** 2).sum(axis=(1, 2)) @ near for x in (model - data, data))
-    return np.asarray(np.sqrt(np.divide(wrong, size, out=np.full(size.shape, np.nan), where=size > 0)))
+    return np.asarray(
+        np.sqrt(np.divide(wrong, size, out=np.full(size.shape, np.nan), where=size > 0))
+    )
 
 
 def _regions(found: Dampers, fit: DampingFit) -> DampedRegions:
     expected, spread = np.array([(m.prior, m.std) for m in found.mechanisms]).T
-    shrink = np.minimum(spread / fit.std, 1.0)  # a model that misfits takes nothing away from what was known
+    shrink = np.minimum(
+        spread / fit.std, 1.0
+    )  # a model that misfits takes nothing away from what was known
     return DampedRegions(
         fit.names,
         tuple(_words(r) for r in found.regions),
@@ -268,15 +332,29 @@ def _words(region: DampingRegion) -> str:
 
 
 def flags(found: Dampers, fit: DampingFit) -> tuple[str, ...]:
-    """What an engineer should look at: upper bounds reached, and coefficients far from what was expected."""
+    """What an engineer should look at: upper bounds reached, and coefficients far from what was
+    expected.
+    """
     out = []
-    for m, c, at in zip(found.mechanisms, fit.coefficients.tolist(), fit.at_bound.tolist(), strict=True):
+    for m, c, at in zip(
+        found.mechanisms, fit.coefficients.tolist(), fit.at_bound.tolist(), strict=True
+    ):
         away = (c - m.prior) / m.std
         if at and c > (m.lower + m.upper) / 2:
-            out.append(f"{m.name}: {c:.3g} is at its upper bound; dissipation that no region has may be lumped here")
+            out.append(
+                f"{m.name}: {c:.3g} is at its upper bound; dissipation that no region has may be "
+                "lumped here"
+            )
         elif away > BEYOND:
-            out.append(f"{m.name}: {c:.3g} is {away:.1f} standard deviations above the expected {m.prior:.2g}")
-    lost = [m.name for m, s in zip(found.mechanisms, fit.std.tolist(), strict=True) if s > SILENT * m.std]
+            out.append(
+                f"{m.name}: {c:.3g} is {away:.1f} standard deviations above the expected "
+                f"{m.prior:.2g}"
+            )
+    lost = [
+        m.name
+        for m, s in zip(found.mechanisms, fit.std.tolist(), strict=True)
+        if s > SILENT * m.std
+    ]
     if lost:
         more = f" and {len(lost) - MANY} more" if len(lost) > MANY + 1 else ""
         named = ", ".join(lost[:MANY] if more else lost) + more
@@ -287,10 +365,18 @@ def flags(found: Dampers, fit: DampingFit) -> tuple[str, ...]:
 def _written(
     desk: Workbench, opened: Opened, found: Dampers, fit: DampingFit
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """The changed fields, and the files of a copy of the delivered deck with them; none unless asked for."""
+    """The changed fields, and the files of a copy of the delivered deck with them; none unless
+    asked for.
+    """
     if not desk.config.damping.write:
         return (), ()
-    every = [c for r, v in zip(found.regions, fit.coefficients.tolist(), strict=True) for c in r.changes(v)]
-    changes = [c for c in every if c.value != np.nan_to_num(field_value(opened.model, c))]  # a blank is 0
+    every = [
+        c
+        for r, v in zip(found.regions, fit.coefficients.tolist(), strict=True)
+        for c in r.changes(v)
+    ]
+    changes = [
+        c for c in every if c.value != np.nan_to_num(field_value(opened.model, c))
+    ]  # a blank is 0
     files = edit_fields(opened.model, changes, desk.folder("damped"))
     return tuple(said(opened.model, c) for c in changes), tuple(str(f) for f in files)

@@ -53,17 +53,26 @@ def said(model: Model, change: FieldChange) -> str:
     table = model[change.card]
     row = int(table.find(np.array([change.id]))[0])
     if is_new(model, change):
-        return f"added: CONM2 {change.id} of {float(change.value):.6g} at GRID {int(table['G'][row])}"
+        return (
+            f"added: CONM2 {change.id} of {float(change.value):.6g} at GRID {int(table['G'][row])}"
+        )
     place = f"{Path(model.files[int(table.file[row])]).name}:{int(table.line[row])}"
     old = float(field_value(model, change))
-    return f"{place} {change.card} {change.id} {change.field} {old:.6g} -> {float(change.value):.6g}"
+    return (
+        f"{place} {change.card} {change.id} {change.field} {old:.6g} -> {float(change.value):.6g}"
+    )
 
 
-def damping_of(modes: ModeSet, elastic: Pairing, rigid: Pairing, reference: Reference) -> tuple[Float, tuple[str, ...]]:
+def damping_of(
+    modes: ModeSet, elastic: Pairing, rigid: Pairing, reference: Reference
+) -> tuple[Float, tuple[str, ...]]:
     """Damping of each FE mode: its test partner's, or interpolated over frequency."""
     zeta = np.full(len(modes), np.nan)
     source = ["interpolated"] * len(modes)
-    for pairing, test, what in ((rigid, reference.rigid, "ambient"), (elastic, reference.elastic, "test")):
+    for pairing, test, what in (
+        (rigid, reference.rigid, "ambient"),
+        (elastic, reference.elastic, "test"),
+    ):
         for a, b in zip(pairing.a.tolist(), pairing.b.tolist(), strict=True):
             zeta[b] = test.damping[a]
             source[b] = f"{what} mode {a + 1}"
@@ -110,7 +119,12 @@ def run(desk: Workbench, progress: Progress) -> FinalStage:
 
 
 def _frfs(
-    desk: Workbench, reference: Reference, before: CorrelateStage, opened: Opened, fe: ModeSet, zeta: Float
+    desk: Workbench,
+    reference: Reference,
+    before: CorrelateStage,
+    opened: Opened,
+    fe: ModeSet,
+    zeta: Float,
 ) -> tuple[FrfSet, FrfSet, FrfSet] | None:
     """Measured FRFs, those of the initial and of the final model; None without measured ones."""
     found: IdentifyStage = desk.get("identify")
@@ -118,9 +132,14 @@ def _frfs(
     measured = on_sheet(found, low, desk.fmax)
     if measured is None:
         return None
-    first, _ = damping_of(before.fe_initial, before.initial.pairing, before.rigid_initial.pairing, reference)
+    first, _ = damping_of(
+        before.fe_initial, before.initial.pairing, before.rigid_initial.pairing, reference
+    )
     models = ((desk.initial, before.fe_initial, first), (opened, fe, zeta))
-    made = [synthesised(o, desk.bridge(o), m, z, measured, desk.deck.units, fmax=desk.fmax) for o, m, z in models]
+    made = [
+        synthesised(o, desk.bridge(o), m, z, measured, desk.deck.units, fmax=desk.fmax)
+        for o, m, z in models
+    ]
     return measured, made[0], made[1]
 
 

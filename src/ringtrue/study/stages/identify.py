@@ -1,4 +1,6 @@
-"""Modes from raw signals: each ambient record, their merger, and the test with hammer or shakers."""
+"""Modes from raw signals: each ambient record, their merger, and the test with hammer or
+shakers.
+"""
 
 from __future__ import annotations
 
@@ -72,13 +74,21 @@ def _reason(parts: Sequence[Contribution], found: Sequence[IdentifiedRecord]) ->
     """Why a merged mode is believed, and where it was chosen by hand."""
     reasons = {r.record: r.reasons for r in found}
     mine = [(c.record, reasons[c.record][c.mode].split(";")[0]) for c in parts]
-    return "; ".join([*(c.why for c in parts), *(f"{r}: {why}" for r, why in mine if "by hand" in why)])
+    return "; ".join(
+        [*(c.why for c in parts), *(f"{r}: {why}" for r, why in mine if "by hand" in why)]
+    )
 
 
 def struck(
-    records: Sequence[Logged], sheet: SensorSheet, lost: Sequence[str], fmax: float | None, progress: Progress
+    records: Sequence[Logged],
+    sheet: SensorSheet,
+    lost: Sequence[str],
+    fmax: float | None,
+    progress: Progress,
 ) -> tuple[FrfSet, list[RecordSummary], tuple[str, ...], tuple[FrfSet, ...]]:
-    """FRFs of all setups, what is shown of the records, the hits that do not count, and the FRFs of each setup."""
+    """FRFs of all setups, what is shown of the records, the hits that do not count, and the FRFs of
+    each setup.
+    """
     read = [_blows(r, sheet, lost) for r in records]
     ranges: dict[str, float] = {}
     for r in records:
@@ -97,7 +107,9 @@ def struck(
     return join_frfs(columns), shown, refused_blows(found.hits), setups_of(columns)
 
 
-def _blows(record: Logged, sheet: SensorSheet, lost: Sequence[str]) -> tuple[tuple[TimeHistory, ...], tuple[str, ...]]:
+def _blows(
+    record: Logged, sheet: SensorSheet, lost: Sequence[str]
+) -> tuple[tuple[TimeHistory, ...], tuple[str, ...]]:
     """The acquisitions of a hammer record, and what is to be said of them."""
     how = BlowFiles(
         force=(record.force_channel,) if record.force_channel else (),
@@ -110,16 +122,22 @@ def _blows(record: Logged, sheet: SensorSheet, lost: Sequence[str]) -> tuple[tup
     runs, notes = read_file(record.path, how)
     for run in runs:
         check_sheet(record.path, run.channels, sheet.model)
-    names = [record.name] if len(runs) == 1 else [f"{record.name} #{k + 1}" for k in range(len(runs))]
+    names = (
+        [record.name] if len(runs) == 1 else [f"{record.name} #{k + 1}" for k in range(len(runs))]
+    )
     return tuple(replace(r, source=name) for r, name in zip(runs, names, strict=True)), notes
 
 
 def _block(record: Logged, rate: float) -> HammerSettings:
-    """The block of a blow that the log tells; without, as long as the blows are apart or the acquisition lasts."""
+    """The block of a blow that the log tells; without, as long as the blows are apart or the
+    acquisition lasts.
+    """
     if record.block_samples is None or record.pretrigger_samples is None:
         return HammerSettings()
     block, pre = record.block_samples / rate, record.pretrigger_samples / rate
-    return HammerSettings(block=block - pre, pretrigger=pre)  # the peak comes a little after the trigger
+    return HammerSettings(
+        block=block - pre, pretrigger=pre
+    )  # the peak comes a little after the trigger
 
 
 def _in_a_row(blows: Sequence[TimeHistory]) -> TimeHistory:
@@ -134,7 +152,9 @@ def _lines(test: TestModel) -> Int:
 
 
 def _floored(found: IdentifiedRecord, duration: float) -> Uncertainty:
-    """Standard deviations not below what `duration` s of any record can tell: a record that claims more would rule."""
+    """Standard deviations not below what `duration` s of any record can tell: a record that claims
+    more would rule.
+    """
     u, modes = found.uncertainty, found.modes
     frequency, damping = ambient_std(modes.frequencies, np.maximum(modes.damping, 1e-4), duration)
     return replace(
@@ -149,17 +169,25 @@ def run(desk: Workbench, progress: Progress) -> IdentifyStage:
     test = section(desk)
     if test.sheet is None:
         return supplied_frequencies(desk.base / str(test.modes), desk.initial, desk.config)
-    sheet = read_sensor_sheet(desk.base / test.sheet, desk.base / test.lines if test.lines else None)
-    model = sheet.model if sheet.model.lines.size else replace(sheet.model, lines=_lines(sheet.model))
+    sheet = read_sensor_sheet(
+        desk.base / test.sheet, desk.base / test.lines if test.lines else None
+    )
+    model = (
+        sheet.model if sheet.model.lines.size else replace(sheet.model, lines=_lines(sheet.model))
+    )
     lost, _ = model.named(test.leave_out)
     if unknown := [c for c in lost if c not in set(model.channels)]:
-        raise ConfigError(f"[test] leave_out {unknown[0]!r}{did_you_mean(unknown[0], model.channels)}")
+        raise ConfigError(
+            f"[test] leave_out {unknown[0]!r}{did_you_mean(unknown[0], model.channels)}"
+        )
     found = _identified(desk, replace(sheet, model=model), (*lost, *sheet.strain), progress)
     strain = tuple(f"channel {c}: measures strain, not used" for c in sheet.strain)
     return replace(found, frf_notes=(*strain, *found.frf_notes))
 
 
-def _identified(desk: Workbench, sheet: SensorSheet, lost: Sequence[str], progress: Progress) -> IdentifyStage:
+def _identified(
+    desk: Workbench, sheet: SensorSheet, lost: Sequence[str], progress: Progress
+) -> IdentifyStage:
     """Of all channels of the sheet but those in `lost`."""
     test, model = section(desk), sheet.model
     if test.modes:
@@ -170,8 +198,14 @@ def _identified(desk: Workbench, sheet: SensorSheet, lost: Sequence[str], progre
     if hits and test.frfs:
         raise ConfigError(f"[test] frfs and the hammer records of {test.log}: give one of the two")
     choice = _by_hand(desk, records)
-    found, shown = ambient(quiet, sensors, sheet, desk.config.identify, lost, choice, part(progress, 0.0, 0.5))
-    parts = [(r.modes, _floored(r, s.duration), r.record) for r, s in zip(found, shown, strict=True) if len(r.modes)]
+    found, shown = ambient(
+        quiet, sensors, sheet, desk.config.identify, lost, choice, part(progress, 0.0, 0.5)
+    )
+    parts = [
+        (r.modes, _floored(r, s.duration), r.record)
+        for r, s in zip(found, shown, strict=True)
+        if len(r.modes)
+    ]
     merged = merge_modes(parts) if parts else None
     frfs, renamed = supplied_frfs([desk.base / f for f in test.frfs], model, lost)
     rejected = tuple[str, ...]()
@@ -181,7 +215,9 @@ def _identified(desk: Workbench, sheet: SensorSheet, lost: Sequence[str], progre
         frfs, more, rejected, batches = struck(hits, sheet, lost, fmax, part(progress, 0.5, 0.7))
         frfs = exchanged(frfs)[0]
         shown += more
-    result = _of_frfs(frfs, desk.config.identify, choice, part(progress, 0.7, 1.0)) if frfs else None
+    result = (
+        _of_frfs(frfs, desk.config.identify, choice, part(progress, 0.7, 1.0)) if frfs else None
+    )
     if frfs and result is not None and choice.of(HAMMER) is None:
         batches = batches if len(batches) > 1 else (frfs,)
         result = told_apart(result, batches, _band(desk.config.identify))
@@ -209,7 +245,9 @@ def _identified(desk: Workbench, sheet: SensorSheet, lost: Sequence[str], progre
     )
 
 
-def _of_frfs(frfs: FrfSet, settings: IdentifySection, choice: Choice, progress: Progress) -> HammerResult:
+def _of_frfs(
+    frfs: FrfSet, settings: IdentifySection, choice: Choice, progress: Progress
+) -> HammerResult:
     return identify_hammer(frfs, _band(settings), choice=choice.of(HAMMER), progress=progress)
 
 

@@ -1,4 +1,6 @@
-"""Where the remodelled deck is wrong: error indicators by region, and a ranked proposal of parameters."""
+"""Where the remodelled deck is wrong: error indicators by region, and a ranked proposal of
+parameters.
+"""
 
 from __future__ import annotations
 
@@ -39,11 +41,13 @@ from ringtrue.update.screening import screened
 from ringtrue.update.several import Problem
 
 NO_CANDIDATE = (
-    "no candidate made from the deck changes a mode and can be written into it: give [[candidate]], or further "
+    "no candidate made from the deck changes a mode and can be written into it: give "
+    "[[candidate]], or further "
     "`kinds` under [localise] (region, a part of a property, is only looked at)"
 )
 NO_PAIR = (
-    "no mode of the model is paired with one that the updating may see: nothing can be localised; look at the deck, "
+    "no mode of the model is paired with one that the updating may see: nothing can be "
+    "localised; look at the deck, "
     "the sensor sheet and correlate.mac_gate"
 )
 
@@ -83,17 +87,25 @@ def run(desk: Workbench, progress: Progress) -> LocaliseStage | None:
     errors, misfit = _errors(desk, model, aim, pairs)
     member = membership(desk.steps[-1].model, pool.candidates)
     others = desk.others(progress) if desk.config.configuration and _shared(desk) else ()
-    proposal = _proposal(desk, model, others, aim, pool, errors.concentration(member), part(progress, 0.7, 1.0))
-    return _result(desk, model, _problem(desk, model, others), aim, pool, pairs, errors, misfit, proposal)
+    proposal = _proposal(
+        desk, model, others, aim, pool, errors.concentration(member), part(progress, 0.7, 1.0)
+    )
+    return _result(
+        desk, model, _problem(desk, model, others), aim, pool, pairs, errors, misfit, proposal
+    )
 
 
 def _shared(desk: Workbench) -> bool:
-    """Whether the candidates are those of the updating: only then do other tests and data know them."""
+    """Whether the candidates are those of the updating: only then do other tests and data know
+    them.
+    """
     return bool(len(desk.config.candidates())) or desk.config.propose
 
 
 def _problem(desk: Workbench, model: AtChannels, others: Sequence[AtChannels]) -> Problem | None:
-    """All tests and what was measured beside modes; None where there are the study's own modes alone."""
+    """All tests and what was measured beside modes; None where there are the study's own modes
+    alone.
+    """
     if not (others or (desk.config.residual and _shared(desk))):
         return None
     return problem_of(desk, (model, *others), targets(desk), desk.config.update)
@@ -145,12 +157,20 @@ def _pool(desk: Workbench, found: CorrelateStage, progress: Progress) -> _Pool:
         beside=beside,
     )
     far = tuple(c.name for c in some if c not in near)
-    return _Pool(near, len(every), tuple(d.name for d in lost), far, passed_over(some, near), tuple(held))
+    return _Pool(
+        near, len(every), tuple(d.name for d in lost), far, passed_over(some, near), tuple(held)
+    )
 
 
 def _lumps(desk: Workbench) -> tuple[Candidate, ...]:
-    """Masses that the deck may lack; not where other decks or another solver would have to have them, too."""
-    if "lump" not in desk.config.localise.kinds or desk.config.configuration or desk.engine is not None:
+    """Masses that the deck may lack; not where other decks or another solver would have to have
+    them, too.
+    """
+    if (
+        "lump" not in desk.config.localise.kinds
+        or desk.config.configuration
+        or desk.engine is not None
+    ):
         return ()
     deck = desk.steps[-1]
     return desk.with_lumps(lump_places(deck, desk.bridge(deck)))
@@ -177,8 +197,12 @@ def _model(desk: Workbench, pool: _Pool, progress: Progress) -> AtChannels:
     return desk.apart(parameters(pool.candidates), progress)
 
 
-def _errors(desk: Workbench, model: AtChannels, aim: Target, pairs: Int) -> tuple[ElementErrors, Float]:
-    """Indicators by element, and the misfit (m,) of the expanded test shapes: in the reduced basis, or as asked for."""
+def _errors(
+    desk: Workbench, model: AtChannels, aim: Target, pairs: Int
+) -> tuple[ElementErrors, Float]:
+    """Indicators by element, and the misfit (m,) of the expanded test shapes: in the reduced basis,
+    or as asked for.
+    """
     test, fe = pairs.T
     reduced: ReducedModel = model.model
     method, opened = desk.config.correlate.expand, desk.steps[-1]
@@ -186,7 +210,9 @@ def _errors(desk: Workbench, model: AtChannels, aim: Target, pairs: Int) -> tupl
     if method in ("", "hybrid"):
         return reduced_errors(opened.model, system, reduced, model.rows, f, shapes, fe)
     _, own = reduced.coordinates(np.zeros(len(reduced.active)))
-    found = expanded(method, opened, desk.bridge(opened), desk.reference(OWN).take(test), desk.fmax, quiet)
+    found = expanded(
+        method, opened, desk.bridge(opened), desk.reference(OWN).take(test), desk.fmax, quiet
+    )
     mine, solve = reduced.basis.vectors @ own[:, fe], reduced.pencil.at(reduced.shift).solve
     return expanded_errors(opened.model, system, f, found.shapes, mine, solve), found.misfit
 
@@ -223,7 +249,9 @@ def _proposal(
 
 
 def _small(desk: Workbench, name: str, model: AtChannels, points: Sequence[Float]) -> AtChannels:
-    """The model on its modes around the points, and on the static responses to what was struck or pulled."""
+    """The model on its modes around the points, and on the static responses to what was struck or
+    pulled.
+    """
     small = _condensed(model, points)
     if desk.config.residual and _shared(desk):
         small = replace(small, model=flexible(small.model, desk.measured(name), model.loaded))
@@ -266,7 +294,9 @@ def _result(
         errors.relative,
         p,
         tuple(c.what for c in pool.candidates),
-        tuple(", ".join(dict.fromkeys(labels[e] for e in member[[i]].indices)) for i in range(len(p))),
+        tuple(
+            ", ".join(dict.fromkeys(labels[e] for e in member[[i]].indices)) for i in range(len(p))
+        ),
         np.linalg.norm(start.slope * p.std(), axis=0),
         known.alone,
         known.together,
@@ -291,7 +321,9 @@ def _beside(desk: Workbench) -> str:
 
 
 def element_regions(model: Model, regions: Mapping[str, Sequence[int]]) -> list[str]:
-    """The region of each element, in the order of `candidates.elements_of`: that of its property, or its card."""
+    """The region of each element, in the order of `candidates.elements_of`: that of its property,
+    or its card.
+    """
     named = {pid: name for name, members in regions.items() for pid in members}
     out: list[str] = []
     for card in affected_cards(model):

@@ -20,7 +20,9 @@ def run(desk: Workbench, progress: Progress) -> ModelStage:
     report = check_deck(opened.model, units=desk.deck.units)
     progress(0.2, "modes of the deck")
     result = opened.modes(desk.first_fmax, part(progress, 0.2, 1.0))
-    held = any(c in opened.model for c in ("SPC", "SPC1")) or (opened.model["GRID"]["PS"] != "").any()
+    held = (
+        any(c in opened.model for c in ("SPC", "SPC1")) or (opened.model["GRID"]["PS"] != "").any()
+    )
     findings = [*report.findings, *autospc_findings(opened.analysis.system)]
     mass = whole_mass(opened.model) if held else mass_properties(opened.analysis.system)
     scene = make_scene(opened.model, desk.deck.regions, desk.length)

@@ -1,4 +1,6 @@
-"""The test plan: target modes, measuring points, hammer points, resolution, and a virtual test of it."""
+"""The test plan: target modes, measuring points, hammer points, resolution, and a virtual test of
+it.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,13 @@ from ringtrue.plan.candidates import even_distance, select_candidates
 from ringtrue.plan.information import Aim, greedy_logdet, mode_aim, parameter_aim, prior_shapes
 from ringtrue.plan.layout import lower_auto_mac, reached, select_points, shares
 from ringtrue.plan.resolution import resolution
-from ringtrue.plan.selection import auto_mac_points, kinetic_weighted, make_redundant, qr_points, worst_loss
+from ringtrue.plan.selection import (
+    auto_mac_points,
+    kinetic_weighted,
+    make_redundant,
+    qr_points,
+    worst_loss,
+)
 from ringtrue.plan.setups import Setups, roving_setups, roving_shift
 from ringtrue.plan.suspension import loaded_frequencies, suspension_points
 from ringtrue.plan.targets import readable
@@ -32,10 +40,15 @@ from ringtrue.study.results import ModelStage, PlanStage
 from ringtrue.study.virtual_test import virtual_ambient_test, virtual_test
 from ringtrue.study.workbench import Workbench
 
-WORTH = 0.02  # of the auto-MAC: points that lower it by less, and not to what was asked for, are left out
+# of the auto-MAC: points that lower it by less, and not to what was asked for, are left out
+WORTH = 0.02
 STILL = 1e-9  # of the largest motion: a node that is held is no candidate
 APART = 0.8  # m, most that measuring points must be apart where nothing is said
-SENSORS = {"triaxial": "triaxial points", "uniaxial": "sensors along single axes", "normal": "sensors along normals"}
+SENSORS = {
+    "triaxial": "triaxial points",
+    "uniaxial": "sensors along single axes",
+    "normal": "sensors along normals",
+}
 METHODS = {
     "independence": "by effective independence (backward elimination)",
     "qr": "by QR with pivoting of the modal matrix",
@@ -54,7 +67,9 @@ def _candidates(plan: PlanSection, model: ModelStage) -> tuple[Int, tuple[str, .
     return np.array(list(first)), tuple(first.values())
 
 
-def _within(desk: Workbench, plan: PlanSection, nodes: Int, region: tuple[str, ...]) -> tuple[Int, tuple[str, ...]]:
+def _within(
+    desk: Workbench, plan: PlanSection, nodes: Int, region: tuple[str, ...]
+) -> tuple[Int, tuple[str, ...]]:
     """The candidates less those that boxes and exclusions take away; fixed nodes always stay."""
     if not (plan.boxes or plan.keep_out or plan.exclude or plan.fixed):
         return nodes, region
@@ -92,8 +107,8 @@ def _able(desk: Workbench, plan: PlanSection, model: ModelStage) -> tuple[Arrang
 def run(desk: Workbench, progress: Progress) -> PlanStage:
     """Choose where to measure and where to hit.
 
-    The ambient tests use the sensors that tell the rigid-body and first elastic modes apart; they stay in the hammer
-    test, so that the two can be compared.
+    The ambient tests use the sensors that tell the rigid-body and first elastic modes apart; they
+    stay in the hammer test, so that the two can be compared.
     """
     plan = desk.config.plan
     if plan is None:
@@ -107,13 +122,21 @@ def run(desk: Workbench, progress: Progress) -> PlanStage:
     wanted, unseen = planned_targets(desk, plan, f, edge).among(seen)
     targets = wanted.modes
     flexible = elastic(f)
-    timed = targets[flexible[targets]] if flexible[targets].any() else targets  # what decays; rigid bodies do not
+    timed = (
+        targets[flexible[targets]] if flexible[targets].any() else targets
+    )  # what decays; rigid bodies do not
     first = np.union1d(np.flatnonzero(flexible & seen & (f <= edge)), timed[: plan.ambient_sensors])
     apart = _apart(plan, able.apart, plan.sensors)
-    ambient_at = _ambient(plan, able, shapes[:, :, first], apart) if plan.ambient else np.zeros(0, dtype=np.int64)
+    ambient_at = (
+        _ambient(plan, able, shapes[:, :, first], apart)
+        if plan.ambient
+        else np.zeros(0, dtype=np.int64)
+    )
     fixed = np.isin(np.arange(able.at.size), ambient_at) | np.isin(able.node, plan.fixed)
     progress(0.3, "measuring points")
-    spots = np.flatnonzero(np.isin(able.node, plan.strike_at))  # where alone may be struck: chosen before the points
+    spots = np.flatnonzero(
+        np.isin(able.node, plan.strike_at)
+    )  # where alone may be struck: chosen before the points
     if plan.strike_at and not spots.size:
         raise ConfigError(f"[plan] strike_at: none of {plan.strike_at[:8]} is a candidate")
     if spots.size:
@@ -129,7 +152,10 @@ def run(desk: Workbench, progress: Progress) -> PlanStage:
     else:
         hits, values, forces = exciters(desk, plan, able, shapes, chosen, targets)
     where = spots if spots.size else chosen
-    able_rows, largest = shapes[where][:, :, targets].reshape(-1, targets.size), (rows**2).max(axis=0)
+    able_rows, largest = (
+        shapes[where][:, :, targets].reshape(-1, targets.size),
+        (rows**2).max(axis=0),
+    )
     sets, set_reach = ranked(able_rows, able.labels(where), hits.size, largest)
     mac = auto_mac(rows)
     lost = min(max(1, plan.redundancy), chosen.size)
@@ -150,14 +176,17 @@ def run(desk: Workbench, progress: Progress) -> PlanStage:
         first,
         every.std_frequency,
         every.std_damping,
-        f"{SENSORS[plan.directions]} {METHODS[plan.method]} of {targets.size} target modes, at least "
+        f"{SENSORS[plan.directions]} {METHODS[plan.method]} of {targets.size} target modes, at "
+        "least "
         f"{apart:g} m apart, then points that lower the worst auto-MAC; {SAID[plan.strike]} "
         f"(least share reached {100 * float(reached(rows, hits).min()):.0f} %)",
         target_frequencies=f[targets],
         reach=reached(rows, hits),
         reachable=shares(able_rows, largest).max(axis=0),
         reasons=wanted.reasons,
-        left_by_loss=worst_loss(shapes[chosen][:, :, targets], lost).left if lost < chosen.size else 0.0,
+        left_by_loss=worst_loss(shapes[chosen][:, :, targets], lost).left
+        if lost < chosen.size
+        else 0.0,
         lost=lost,
         averages=need.averages,
         segments=int(every.record // need.block),
@@ -175,23 +204,31 @@ def _in_vain(desk: Workbench, plan: PlanSection, able: Arrangement) -> tuple[str
     """Nodes that the plan names in vain, in words."""
     lost = {
         "strike_at names nodes that are no candidates": np.setdiff1d(plan.strike_at, able.node),
-        "exclude names nodes that are not in the deck": np.setdiff1d(plan.exclude, desk.initial.model["GRID"].ids),
+        "exclude names nodes that are not in the deck": np.setdiff1d(
+            plan.exclude, desk.initial.model["GRID"].ids
+        ),
     }
     return tuple(
-        f"{t}: {' '.join(str(int(n)) for n in x[:8])}{' ...' * (x.size > 8)}" for t, x in lost.items() if x.size
+        f"{t}: {' '.join(str(int(n)) for n in x[:8])}{' ...' * (x.size > 8)}"
+        for t, x in lost.items()
+        if x.size
     )
 
 
 def _alike(mac: Float, targets: Int, wanted: float) -> tuple[str, ...]:
-    """Target modes that the points do not tell apart as well as wanted, in words; the worst pair and how many."""
+    """Target modes that the points do not tell apart as well as wanted, in words; the worst pair
+    and how many.
+    """
     above = np.triu(mac, 1)
     a, b = np.unravel_index(int(np.argmax(above)), above.shape)
     if above[a, b] <= wanted:
         return ()
     pairs, of = np.count_nonzero(above > wanted), targets.size * (targets.size - 1) // 2
     return (
-        f"modes {targets[a] + 1} and {targets[b] + 1} look alike at the points, auto-MAC {100 * above[a, b]:.0f} %; "
-        f"{pairs} of {of} pairs above {100 * wanted:g} %: more points, or closer ones, may tell them apart",
+        f"modes {targets[a] + 1} and {targets[b] + 1} look alike at the points, auto-MAC "
+        f"{100 * above[a, b]:.0f} %; "
+        f"{pairs} of {of} pairs above {100 * wanted:g} %: more points, or closer ones, may tell "
+        "them apart",
     )
 
 
@@ -204,7 +241,13 @@ def _apart(plan: PlanSection, places: Float, count: int) -> float:
 
 
 def _points(
-    desk: Workbench, plan: PlanSection, able: Arrangement, shapes: Float, targets: Int, fixed: Bool, apart: float
+    desk: Workbench,
+    plan: PlanSection,
+    able: Arrangement,
+    shapes: Float,
+    targets: Int,
+    fixed: Bool,
+    apart: float,
 ) -> Int:
     """Sensors by the method asked for, with the auto-MAC lowered and the redundancy asked for."""
     phi, xyz = shapes[:, :, targets], able.apart
@@ -220,34 +263,51 @@ def _points(
     else:
         aims = _aims(desk, plan, able, seen, phi, targets)
         chosen = greedy_logdet(aims, count, xyz=xyz, min_distance=apart, fixed=fixed, cost=cost)
-    kept = 0.0 if plan.min_distance is None else apart  # what was asked for holds for additions, too
+    kept = (
+        0.0 if plan.min_distance is None else apart
+    )  # what was asked for holds for additions, too
     most = plan.at_hand if plan.at_hand >= plan.sensors else plan.sensors + 15
-    chosen = lower_auto_mac(phi, np.sort(chosen), plan.max_auto_mac, most, xyz=xyz, min_distance=kept, worth=WORTH)
+    chosen = lower_auto_mac(
+        phi, np.sort(chosen), plan.max_auto_mac, most, xyz=xyz, min_distance=kept, worth=WORTH
+    )
     if plan.redundancy:
         most = 2 * plan.sensors + 15
-        chosen = np.sort(make_redundant(phi, chosen, plan.redundancy, most=most, xyz=xyz, min_distance=kept))
+        chosen = np.sort(
+            make_redundant(phi, chosen, plan.redundancy, most=most, xyz=xyz, min_distance=kept)
+        )
     return chosen
 
 
 def _mass(desk: Workbench, able: Arrangement) -> Float:
-    """Mean translational mass on the diagonal of the mass matrix at the sensors, (s,); 0 where a node is held."""
+    """Mean translational mass on the diagonal of the mass matrix at the sensors, (s,); 0 where a
+    node is held.
+    """
     system, nodes = desk.initial.analysis.system, able.nodes
     at = np.flatnonzero((system.free.direction != 0) & (np.abs(system.free.direction) <= 3))
     order = np.argsort(nodes)
-    seat = order[np.searchsorted(nodes, system.free.node[at], sorter=order).clip(max=nodes.size - 1)]
+    seat = order[
+        np.searchsorted(nodes, system.free.node[at], sorter=order).clip(max=nodes.size - 1)
+    ]
     here = nodes[seat] == system.free.node[at]
-    return np.asarray(np.bincount(seat[here], system.mass.diagonal()[at][here], nodes.size)[able.at] / 3)
+    return np.asarray(
+        np.bincount(seat[here], system.mass.diagonal()[at][here], nodes.size)[able.at] / 3
+    )
 
 
-def _aims(desk: Workbench, plan: PlanSection, able: Arrangement, seen: Float, phi: Float, targets: Int) -> list[Aim]:
-    """The modes, as they are and at draws of the prior, and the candidates for the updating where there are some."""
+def _aims(
+    desk: Workbench, plan: PlanSection, able: Arrangement, seen: Float, phi: Float, targets: Int
+) -> list[Aim]:
+    """The modes, as they are and at draws of the prior, and the candidates for the updating where
+    there are some.
+    """
     parameters = desk.config.candidates()
     aims = [mode_aim(seen)]
     if plan.draws:
         aims = [mode_aim(s, weight=1 / (plan.draws + 1)) for s in _drawn(desk, plan, able, targets)]
     if len(parameters) and desk.engine is not None:
         raise ConfigError(
-            f'[plan] method "information" needs derivatives of the modes of {desk.deck.solver}: use another'
+            f'[plan] method "information" needs derivatives of the modes of {desk.deck.solver}: '
+            "use another"
         )
     if len(parameters):
         found = desk.initial.modes(desk.first_fmax).modes.take(targets)
@@ -258,22 +318,37 @@ def _aims(desk: Workbench, plan: PlanSection, able: Arrangement, seen: Float, ph
         d_seen = able.seen(d_nodes.reshape(*d_nodes.shape[:2], -1))
         aims.append(
             parameter_aim(
-                phi, d_seen.reshape(*d_seen.shape[:2], *d_nodes.shape[2:]), parameters.std(), relative=relative
+                phi,
+                d_seen.reshape(*d_seen.shape[:2], *d_nodes.shape[2:]),
+                parameters.std(),
+                relative=relative,
             )
         )
     return aims
 
 
 def _drawn(desk: Workbench, plan: PlanSection, able: Arrangement, targets: Int) -> Float:
-    """Target shapes at the sensors at draws of the prior, the nominal ones first, (draw, s, d, m)."""
+    """Target shapes at the sensors at draws of the prior, the nominal ones first, (draw, s, d,
+    m).
+    """
     parameters = desk.config.candidates()
     if not len(parameters):
         raise ConfigError("[plan] draws needs a [[candidate]]: the prior is theirs")
     labels = tuple(f"{n}+{a}" for n in able.nodes.tolist() for a in AXES)
-    model = build(desk.initial, parameters, at_dofs(labels, desk.initial.analysis.dofs), desk.first_fmax, quiet)
-    found = prior_shapes(model, plan.draws, np.random.default_rng([desk.config.study.seed, 10]))[:, :, targets]
+    model = build(
+        desk.initial,
+        parameters,
+        at_dofs(labels, desk.initial.analysis.dofs),
+        desk.first_fmax,
+        quiet,
+    )
+    found = prior_shapes(model, plan.draws, np.random.default_rng([desk.config.study.seed, 10]))[
+        :, :, targets
+    ]
     mass = _mass(desk, able) if plan.weigh else np.ones(able.at.size)
-    return np.stack([kinetic_weighted(able.seen(s.reshape(able.nodes.size, 3, -1)), mass) for s in found])
+    return np.stack(
+        [kinetic_weighted(able.seen(s.reshape(able.nodes.size, 3, -1)), mass) for s in found]
+    )
 
 
 def _judged(
@@ -294,7 +369,9 @@ def _judged(
     if (model.scene.node[seat] == points).all():  # all points lie on what is drawn
         edges = mesh_edges(model.scene.triangles, model.scene.lines)
         drawn = model.modes.shapes.reshape(model.scene.node.size, 3, -1)[:, :, targets]
-        stage = replace(stage, shown=shown(model.scene.xyz, edges, seat, drawn, able.measured(chosen)))
+        stage = replace(
+            stage, shown=shown(model.scene.xyz, edges, seat, drawn, able.measured(chosen))
+        )
         if plan.lines == "mesh":
             lines = points[wireframe(model.scene.xyz, edges, seat)]
             stage = replace(stage, test=replace(stage.test, lines=lines))
@@ -309,7 +386,9 @@ def _judged(
     if 0 < plan.at_hand < chosen.size:
         stage = replace(stage, setups=_setups(plan, stage, able, chosen, f, si * motion))
     if plan.suspension:
-        xyz = positions(desk.initial.model)[desk.initial.model["GRID"].find(able.nodes)] * desk.length
+        xyz = (
+            positions(desk.initial.model)[desk.initial.model["GRID"].find(able.nodes)] * desk.length
+        )
         hung = suspension_points(
             motion[:, 2:, targets], xyz, plan.suspension, model.cg * desk.length, min_distance=apart
         )
@@ -318,18 +397,28 @@ def _judged(
     if plan.trials:
         progress(0.7, "virtual test")
         rows = si * able.seen(motion)[chosen].reshape(-1, f.size)
-        stage = replace(stage, rehearsal=virtual_test(desk, plan, stage, rows, part(progress, 0.7, 0.85)))
+        stage = replace(
+            stage, rehearsal=virtual_test(desk, plan, stage, rows, part(progress, 0.7, 0.85))
+        )
         if plan.ambient_force:
             found, notes = virtual_ambient_test(desk, plan, stage, rows, part(progress, 0.85, 1.0))
             stage = replace(stage, ambient_rehearsal=found, notes=(*stage.notes, *notes))
     return stage
 
 
-def _setups(plan: PlanSection, stage: PlanStage, able: Arrangement, chosen: Int, f: Float, motion: Float) -> Setups:
-    """Which sensors stay and which rove, and what their mass does to the target modes; motion in SI."""
+def _setups(
+    plan: PlanSection, stage: PlanStage, able: Arrangement, chosen: Int, f: Float, motion: Float
+) -> Setups:
+    """Which sensors stay and which rove, and what their mass does to the target modes; motion in
+    SI.
+    """
     targets = stage.target_modes
-    struck = np.array([stage.test.channels.index(r) // able.each for r in stage.references], dtype=np.int64)
-    found = roving_setups(able.seen(motion)[chosen][:, :, targets], able.xyz[chosen], plan.at_hand, struck)
+    struck = np.array(
+        [stage.test.channels.index(r) // able.each for r in stage.references], dtype=np.int64
+    )
+    found = roving_setups(
+        able.seen(motion)[chosen][:, :, targets], able.xyz[chosen], plan.at_hand, struck
+    )
     if not plan.sensor_mass:
         return found
     flexible, shift = elastic(f), np.full(f.size, np.nan)
@@ -347,7 +436,9 @@ def _ambient(plan: PlanSection, able: Arrangement, shapes: Float, apart: float) 
         count = max(plan.ambient_sensors // len(names), -(-shapes.shape[2] // able.each))
         count = min(count, at.size)
         wide = (
-            2 * apart if isinstance(plan.min_distance, float) else min(2 * apart, even_distance(able.apart[at], count))
+            2 * apart
+            if isinstance(plan.min_distance, float)
+            else min(2 * apart, even_distance(able.apart[at], count))
         )
         out.append(at[select_points(shapes[at], able.apart[at], count, min_distance=wide)])
     return np.sort(np.concatenate(out))

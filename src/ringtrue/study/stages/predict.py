@@ -1,4 +1,6 @@
-"""What a finished study says of running the rotor: run-up with unbalance on the updated model, with bands."""
+"""What a finished study says of running the rotor: run-up with unbalance on the updated model, with
+bands.
+"""
 
 from __future__ import annotations
 
@@ -113,22 +115,28 @@ def predict(
     Raises
     ------
     ConfigError
-        If the study was not run to its end, node or springs are not in the deck, or the test modes have no damping.
+        If the study was not run to its end, node or springs are not in the deck, or the test modes
+        have no damping.
     """
     if "final" not in desk.store.stages():
-        raise ConfigError("the study has no updated model yet: `ringtrue run` it to its final stage first")
+        raise ConfigError(
+            "the study has no updated model yet: `ringtrue run` it to its final stage first"
+        )
     posterior, error = _posterior(desk, part(progress, 0.0, 0.3))
     opened, final = desk.remodelled, desk.get("final")
     if not np.median(final.damping) > 0:
         raise ConfigError(
-            "a run-up needs damping; that of the test modes is 0. Where it is not known leave it out: 1 % is assumed"
+            "a run-up needs damping; that of the test modes is 0. Where it is not known leave it "
+            "out: 1 % is assumed"
         )
     across = plane(axis)
     motion = _translations(opened.analysis.system, rotor)
     loads = motion[list(across)].toarray().T
     model, residual = _model(desk, posterior.parameters, loads, freqs, part(progress, 0.3, 0.6))
     v = model.basis.vectors
-    outputs = [Output(f"rotor, node {rotor}", "m", Rows(np.asarray(motion @ v) * desk.unit.length), 3)]
+    outputs = [
+        Output(f"rotor, node {rotor}", "m", Rows(np.asarray(motion @ v) * desk.unit.length), 3)
+    ]
     for name, ids in springs.items():
         outputs += _forces(opened, model.system.parameters, name, ids, v * desk.unit.force)
     progress(0.6, "damping")
@@ -154,12 +162,18 @@ def predict(
 
 
 def _damping(desk: Workbench, v: Float) -> tuple[Damping | RegionDamping, str]:
-    """Of the regions, where the study has found them; else the ratios of the test over frequency. And in words."""
-    found: DampingStage | None = desk.get("damping") if "damping" in (*desk.results, *desk.store.stages()) else None
+    """Of the regions, where the study has found them; else the ratios of the test over frequency.
+    And in words.
+    """
+    found: DampingStage | None = (
+        desk.get("damping") if "damping" in (*desk.results, *desk.store.stages()) else None
+    )
     if found is not None and found.regions is not None:
         own = scatter(found.modes) if found.modes is not None else 0.0
         each = f"{100 * own:.0f}"
-        words = "loss factors and dashpots by region" + (f", ± {each} % from mode to mode" if each != "0" else "")
+        words = "loss factors and dashpots by region" + (
+            f", ± {each} % from mode to mode" if each != "0" else ""
+        )
         return replace(_by_region(desk, found.regions, v), scatter=own), words
     final: FinalStage = desk.get("final")
     f, at = np.unique(final.observed.frequencies, return_index=True)
@@ -169,7 +183,9 @@ def _damping(desk: Workbench, v: Float) -> tuple[Damping | RegionDamping, str]:
 
 
 def scatter(modes: DampedModes) -> float:
-    """Standard deviation of ln ζ that the tested modes have beside the damping of the regions and its errors."""
+    """Standard deviation of ln ζ that the tested modes have beside the damping of the regions and
+    its errors.
+    """
     damped = (modes.measured > 0) & (modes.after > 0)
     if not damped.any():
         return 0.0
@@ -182,7 +198,9 @@ def _by_region(desk: Workbench, found: DampedRegions, v: Float) -> RegionDamping
     opened = desk.delivered or deliver(desk)[0]
     mine = {r.name: r for r in regions(desk, opened)}
     if lost := [n for n in found.names if n not in mine]:
-        raise ConfigError(f"damping region {lost[0]!r} is not in the study any more: `ringtrue run` it again")
+        raise ConfigError(
+            f"damping region {lost[0]!r} is not in the study any more: `ringtrue run` it again"
+        )
     kept = [mine[n] for n in found.names]
     system = opened.analysis.system
     total = project(v, system.viscous, system.structural)
@@ -192,11 +210,17 @@ def _by_region(desk: Workbench, found: DampedRegions, v: Float) -> RegionDamping
 
 
 def _validated(desk: Workbench, final: FinalStage) -> tuple[float, float]:
-    """The band of the test modes that the delivered model holds, wider by the deviation that is accepted."""
+    """The band of the test modes that the delivered model holds, wider by the deviation that is
+    accepted.
+    """
     found: CorrelateStage = desk.get("correlate")
     sure = found.reference.confidence >= desk.config.identify.confidence
     held = np.zeros(len(found.reference), dtype=bool)
-    held[final.table.pairing.a[np.abs(final.table.deviation_percent) <= desk.config.correlate.accept_percent]] = True
+    held[
+        final.table.pairing.a[
+            np.abs(final.table.deviation_percent) <= desk.config.correlate.accept_percent
+        ]
+    ] = True
     low, high = validated_band(found.reference.frequencies[sure], held[sure])
     if len(found.rigid) and high > 0:
         low = min(low, float(found.rigid.frequencies.min()))
@@ -205,7 +229,9 @@ def _validated(desk: Workbench, final: FinalStage) -> tuple[float, float]:
 
 
 def _posterior(desk: Workbench, progress: Progress) -> tuple[Posterior, float]:
-    """Of the chosen parameters and the suspension, and the discrepancy of the left-out frequencies."""
+    """Of the chosen parameters and the suspension, and the discrepancy of the left-out
+    frequencies.
+    """
     done: UpdateStage = desk.get("update")
     final: FinalStage = desk.get("final")
     best = done.sets[done.chosen]
@@ -218,7 +244,9 @@ def _posterior(desk: Workbench, progress: Progress) -> tuple[Posterior, float]:
     active = model.with_parameters(at, np.zeros(len(every)))
     wide = max(error, aim.weights.frequency)
     first = Configuration(active, aim, terms_of(desk, OWN, active, desk.config.update))
-    every_one = tuple(c.weighed(wide, aim.weights.mac) for c in (first, *others_at(desk, best, progress)))
+    every_one = tuple(
+        c.weighed(wide, aim.weights.mac) for c in (first, *others_at(desk, best, progress))
+    )
     parts = [_laplace(every_one, best.factor)]
     if desk.config.suspension:
         springs = suspended(desk, progress)
@@ -243,23 +271,28 @@ def _together(parts: Sequence[Posterior]) -> Posterior:
     for p in parts:
         covariance[first : first + p.y.size, first : first + p.y.size] = p.covariance
         first += p.y.size
-    return Posterior(names, y, covariance, np.eye(y.size), np.concatenate([p.prior_std for p in parts]))
+    return Posterior(
+        names, y, covariance, np.eye(y.size), np.concatenate([p.prior_std for p in parts])
+    )
 
 
 def _model(
     desk: Workbench, parameters: ParameterSet, loads: Float, freqs: Float, progress: Progress
 ) -> tuple[ReducedModel, float]:
-    """The remodelled deck over some of its parameters, on a basis for the response to the loads at the updated point.
+    """The remodelled deck over some of its parameters, on a basis for the response to the loads at
+    the updated point.
 
-    And the largest residual of that response, relative to the load. The basis is that of one point: for the changes
-    that the posterior leaves it is exact to second order.
+    And the largest residual of that response, relative to the load. The basis is that of one point:
+    for the changes that the posterior leaves it is exact to second order.
     """
     model = desk.delivered_models(part(progress, 0.0, 0.3))[0].model
     every = model.system.parameters
     known = dict(zip(desk.parameters.names, chosen_factors(desk).tolist(), strict=True))
     known |= desk.get("tune").factors if desk.config.suspension else {}
     factors = np.array([known[n] for n in every.names])
-    start = model.with_parameters(range(len(every)), np.zeros(len(every))).vectors(every.vector(factors))[1]
+    start = model.with_parameters(range(len(every)), np.zeros(len(every))).vectors(
+        every.vector(factors)
+    )[1]
     final: FinalStage = desk.get("final")
     found = response_basis(
         *model.system.at(factors),
@@ -270,7 +303,9 @@ def _model(
         progress=part(progress, 0.3, 1.0),
     )
     at = [every.names.index(n) for n in parameters.names]
-    return model.on(found.vectors).with_parameters(at, np.zeros(len(every))), float(found.residual.max())
+    return model.on(found.vectors).with_parameters(at, np.zeros(len(every))), float(
+        found.residual.max()
+    )
 
 
 def _translations(system: System, node: int) -> sparse.csr_array:
@@ -281,7 +316,9 @@ def _translations(system: System, node: int) -> sparse.csr_array:
     return sparse.csr_array(system.transform[at])
 
 
-def _forces(opened: Opened, parameters: ParameterSet, name: str, ids: Sequence[int], v: Float) -> list[Output]:
+def _forces(
+    opened: Opened, parameters: ParameterSet, name: str, ids: Sequence[int], v: Float
+) -> list[Output]:
     """The largest force in one spring of a group, and the sum over the group along each axis.
 
     `parameters` are those of the reduced system, all of them in its order: `Rows` counts them so.
@@ -292,7 +329,9 @@ def _forces(opened: Opened, parameters: ParameterSet, name: str, ids: Sequence[i
     rows = _spring_rows(model, at, system.dofs)
     slopes = []
     for i, p in enumerate(parameters.parameters):
-        mine = [x for x in p.targets if x.card == "PBUSH" and x.id in ids and x.field.startswith("K")]
+        mine = [
+            x for x in p.targets if x.card == "PBUSH" and x.id in ids and x.field.startswith("K")
+        ]
         if mine:  # linear in the factor: one more build gives the slope
             twice = _spring_rows(changed(model, p.name, mine, 2.0), at, system.dofs)
             slopes.append((i, np.asarray((twice - rows) @ t @ v)))
@@ -300,7 +339,11 @@ def _forces(opened: Opened, parameters: ParameterSet, name: str, ids: Sequence[i
     total = np.tile(np.eye(3), at.size)
     summed = Rows(total @ each.nominal, tuple((i, total @ s) for i, s in slopes))
     axes = [
-        Output(f"{name}, sum along {a}", "N", Rows(summed.nominal[[k]], tuple((i, s[[k]]) for i, s in summed.slopes)))
+        Output(
+            f"{name}, sum along {a}",
+            "N",
+            Rows(summed.nominal[[k]], tuple((i, s[[k]]) for i, s in summed.slopes)),
+        )
         for k, a in enumerate("XYZ")
     ]
     return [Output(f"{name}, largest in one of {at.size}", "N", each, 3), *axes]
@@ -333,9 +376,11 @@ def _bushes(model: Model, name: str, ids: Sequence[int]) -> Int:
 
 
 def _spring_rows(model: Model, at: Int, dofs: DofSet) -> sparse.csr_array:
-    """Rows (3 · spring, full) that give the force through each spring, basic frame, from the motion of the nodes.
+    """Rows (3 · spring, full) that give the force through each spring, basic frame, from the motion
+    of the nodes.
 
-    The force that passes from GA to GB or to the ground; dashpots of the springs are not part of it.
+    The force that passes from GA to GB or to the ground; dashpots of the springs are not part of
+    it.
     """
     part = bush(mesh(model), "CBUSH", at)
     k = np.asarray(part.stiffness, dtype=np.float64)[:, :3]

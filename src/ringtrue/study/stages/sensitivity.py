@@ -21,7 +21,8 @@ from ringtrue.update.identifiable import stood_for
 from ringtrue.update.objective import Target, Weights, match
 
 RULES = choose.RULES | {
-    "proposal": "the ranked proposal of the localisation: from all candidates at once the least useful are left out, "
+    "proposal": "the ranked proposal of the localisation: from all candidates at once the least "
+    "useful are left out, "
     "the rest exchanged while J falls; as many as AICc supports"
 }
 
@@ -37,16 +38,24 @@ def target(desk: Workbench, u: UpdateSection | None = None) -> Target:
 def targets(desk: Workbench, u: UpdateSection | None = None) -> tuple[Target, ...]:
     """The same of all configurations, the study's own first."""
     u = u or desk.config.update
-    others: tuple[ConfiguredTest, ...] = desk.get("configurations").items if desk.config.configuration else ()
+    others: tuple[ConfiguredTest, ...] = (
+        desk.get("configurations").items if desk.config.configuration else ()
+    )
     return (target(desk, u), *(_target(desk, c, u) for c in others))
 
 
 def _target(desk: Workbench, found: CorrelateStage | ConfiguredTest, u: UpdateSection) -> Target:
     sure = found.reference.confidence >= desk.config.identify.confidence
     used = used_mask(len(found.reference), found.left_out) & sure
-    std = np.nan_to_num(found.reference_uncertainty.frequency / found.reference.frequencies, nan=0.0)
+    std = np.nan_to_num(
+        found.reference_uncertainty.frequency / found.reference.frequencies, nan=0.0
+    )
     weights = Weights(u.frequency_error, u.mac_error, u.shape_weight)
-    known = followed(found.reference, found.fe_initial, desk.config) if isinstance(found, CorrelateStage) else None
+    known = (
+        followed(found.reference, found.fe_initial, desk.config)
+        if isinstance(found, CorrelateStage)
+        else None
+    )
     return Target(
         found.reference.frequencies,
         found.reference.shapes,
@@ -60,11 +69,15 @@ def _target(desk: Workbench, found: CorrelateStage | ConfiguredTest, u: UpdateSe
 
 
 def _sets(desk: Workbench, model: AtChannels, progress: Progress) -> tuple[dict[str, Int], Float]:
-    """Parameter sets by their rule, and the weighted sensitivities (r, p) that the simple ones come from."""
+    """Parameter sets by their rule, and the weighted sensitivities (r, p) that the simple ones come
+    from.
+    """
     names, count = model.parameters.names, min(desk.config.update.choose, len(model.parameters))
     several = None
     if desk.config.joint:
-        several = problem_of(desk, (model, *desk.others(progress)), targets(desk), desk.config.update)
+        several = problem_of(
+            desk, (model, *desk.others(progress)), targets(desk), desk.config.update
+        )
     if several is None:
         weighted = choose.weighted_sensitivities(model, target(desk))
     else:
@@ -72,20 +85,28 @@ def _sets(desk: Workbench, model: AtChannels, progress: Progress) -> tuple[dict[
     out: dict[str, Int] = {}
     if desk.config.propose:
         out["proposal"] = np.array([names.index(n) for n in proposed(desk)], dtype=np.int64)
-    if not len(desk.config.candidates()):  # those made from the deck may scale the same field: the proposal knows
+    if not len(
+        desk.config.candidates()
+    ):  # those made from the deck may scale the same field: the proposal knows
         return out, weighted
     orthogonal, largest = choose.orthogonal(weighted, count), choose.largest(weighted, count)
     progress(0.0, "choosing parameters")
     if several is None:
         out["best subset"] = choose.best_subset(model, target(desk), count, progress).members
     else:
-        out["best subset"] = choose.joint_subset(several, count, (orthogonal, largest), progress).members
+        out["best subset"] = choose.joint_subset(
+            several, count, (orthogonal, largest), progress
+        ).members
     out |= {"orthogonal sensitivities": orthogonal, "largest sensitivities": largest}
-    named = {s.name: np.array([names.index(n) for n in s.candidates or names]) for s in desk.config.set}
+    named = {
+        s.name: np.array([names.index(n) for n in s.candidates or names]) for s in desk.config.set
+    }
     return out | named, weighted
 
 
-def _not_told_apart(desk: Workbench, weighted: Float, names: Sequence[str], members: Int) -> dict[str, tuple[str, ...]]:
+def _not_told_apart(
+    desk: Workbench, weighted: Float, names: Sequence[str], members: Int
+) -> dict[str, tuple[str, ...]]:
     """Members of a set that are held at the deck's values, with those that stand for them.
 
     Those of the proposal stand for others, then those of the largest effect.
@@ -98,7 +119,10 @@ def _not_told_apart(desk: Workbench, weighted: Float, names: Sequence[str], memb
 def _rules(desk: Workbench, sets: Mapping[str, Int]) -> dict[str, str]:
     """How each set was chosen, in words."""
     several = desk.config.configuration
-    out = {s.name: "named in the study" + (f"; {s.words()}" if s.own() else "") for s in desk.config.set}
+    out = {
+        s.name: "named in the study" + (f"; {s.words()}" if s.own() else "")
+        for s in desk.config.set
+    }
     made = {rule: RULES[rule] + (ALL if several else "") for rule in sets if rule not in out}
     return made | out
 
@@ -119,7 +143,9 @@ def proposed(desk: Workbench) -> tuple[str, ...]:
 
 
 def _known(desk: Workbench) -> tuple[str, ...]:
-    """All candidates; also those made from the deck that the data do not ask for, which stay at nominal."""
+    """All candidates; also those made from the deck that the data do not ask for, which stay at
+    nominal.
+    """
     names = desk.parameters.names
     if len(desk.config.candidates()) or not desk.config.propose:
         return names
@@ -133,7 +159,8 @@ def run(desk: Workbench, progress: Progress) -> SensitivityStage:
     Raises
     ------
     ConfigError
-        If [update] stages or a [[constraint]] names what is no candidate that was made from the deck.
+        If [update] stages or a [[constraint]] names what is no candidate that was made from the
+        deck.
     """
     desk.config.check_names(_known(desk))
     aim = target(desk)
@@ -143,10 +170,14 @@ def run(desk: Workbench, progress: Progress) -> SensitivityStage:
     pairs, _, _ = match(aim, point)
     fe = pairs[:, 1]
     lam = (2 * np.pi * point.frequencies[fe]) ** 2
-    d_mac = np.array([mac_slope(aim.shapes[:, t], point, f) for t, f in pairs.tolist() if not aim.lent])
+    d_mac = np.array(
+        [mac_slope(aim.shapes[:, t], point, f) for t, f in pairs.tolist() if not aim.lent]
+    )
     members, weighted = _sets(desk, model, part(progress, 0.6, 1.0))
     held = {rule: _not_told_apart(desk, weighted, names, at) for rule, at in members.items()}
-    members = {rule: at[[names[i] not in held[rule] for i in at.tolist()]] for rule, at in members.items()}
+    members = {
+        rule: at[[names[i] not in held[rule] for i in at.tolist()]] for rule, at in members.items()
+    }
     return SensitivityStage(
         names,
         0.5 * point.d_lambda[fe] / lam[:, None],

@@ -26,7 +26,8 @@ NOT_KNOWN = Uncertainty.independent(np.zeros(0), np.zeros(0), np.zeros((0, 0)))
 
 
 def supplied_modes(path: Path, sheet: TestModel, lost: Sequence[str]) -> IdentifyStage:
-    """The modes of a file as those of a test, without the channels `lost`; standard deviations where the file has them.
+    """The modes of a file as those of a test, without the channels `lost`; standard deviations
+    where the file has them.
 
     Raises
     ------
@@ -38,13 +39,17 @@ def supplied_modes(path: Path, sheet: TestModel, lost: Sequence[str]) -> Identif
     if not len(modes):
         raise DataError(f"{path}: no mode in the file")
     if not modes.channels:
-        raise DataError(f"{path}: frequencies without shapes: leave `sheet` out of [test], and they are compared alone")
+        raise DataError(
+            f"{path}: frequencies without shapes: leave `sheet` out of [test], and they are "
+            "compared alone"
+        )
     why = (f"as given in {path.name}",) * len(modes)
     return replace(_stage(path, sheet, modes, why, (spread, damping)), frf_notes=notes)
 
 
 def supplied_frequencies(path: Path, opened: Opened, config: StudyConfig) -> IdentifyStage:
-    """Frequencies alone as a test: they take the shapes of modes of the deck, and are no test of these.
+    """Frequencies alone as a test: they take the shapes of modes of the deck, and are no test of
+    these.
 
     Raises
     ------
@@ -55,7 +60,9 @@ def supplied_frequencies(path: Path, opened: Opened, config: StudyConfig) -> Ide
     if not len(modes):
         raise DataError(f"{path}: no mode in the file")
     if modes.channels:
-        raise DataError(f"{path}: has shapes; give the `sheet` of [test] that says where its channels are")
+        raise DataError(
+            f"{path}: has shapes; give the `sheet` of [test] that says where its channels are"
+        )
     found = lent(modes, opened, settings(config), locks(config))
     return replace(_stage(path, found.points, found.modes, found.taken, std), frf_notes=found.notes)
 

@@ -1,4 +1,6 @@
-"""A parameter set updated on the whole objective: all configurations and kinds of residuals, each model verified."""
+"""A parameter set updated on the whole objective: all configurations and kinds of residuals, each
+model verified.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,14 @@ from ringtrue.model.ports import Linearisation
 from ringtrue.study.config_update import UpdateSection
 from ringtrue.study.course import settled
 from ringtrue.study.objective import data_count, data_of, names_of, problem_of, terms_of
-from ringtrue.study.parametric import CLOSE, ROUNDS, AtChannels, frequency_error, not_verified, verified
+from ringtrue.study.parametric import (
+    CLOSE,
+    ROUNDS,
+    AtChannels,
+    frequency_error,
+    not_verified,
+    verified,
+)
 from ringtrue.study.results import ConfiguredStage, DataResult, SetResult
 from ringtrue.study.stages.sensitivity import targets
 from ringtrue.study.workbench import Workbench
@@ -34,10 +43,12 @@ def together(
     u: UpdateSection | None = None,
     factors: Mapping[str, float] | None = None,
 ) -> tuple[SetResult, int]:
-    """Update on the reduced models of all configurations until the full ones agree at the end point.
+    """Update on the reduced models of all configurations until the full ones agree at the end
+    point.
 
-    `u` stands in for the [update] of the study; with `factors` of the members it starts there, not at the deck.
-    Beside the result the number of used modes without partner whose shape the model has.
+    `u` stands in for the [update] of the study; with `factors` of the members it starts there, not
+    at the deck. Beside the result the number of used modes without partner whose shape the model
+    has.
 
     Raises
     ------
@@ -53,7 +64,13 @@ def together(
     path: list[Evaluated] = []
     error = np.inf
     for _ in range(ROUNDS):
-        end = settled(_problem(desk, u, models, aims, members), u, desk.config.study.seed, progress, start=start)
+        end = settled(
+            _problem(desk, u, models, aims, members),
+            u,
+            desk.config.study.seed,
+            progress,
+            start=start,
+        )
         path += end.path[1:] if path else end.path
         start = end.solution.y
         models, error = _verified(models, members, end.solution)
@@ -63,13 +80,17 @@ def together(
         raise not_verified(error)
     problem = _problem(desk, u, models, aims, members)
     end = settled(problem, u, desk.config.study.seed, progress, start=start)
-    return summary(problem, aims, name, replace(end, path=(*path, *end.path[1:]))), displaced(problem, end.solution.end)
+    return summary(problem, aims, name, replace(end, path=(*path, *end.path[1:]))), displaced(
+        problem, end.solution.end
+    )
 
 
 def told_data(desk: Workbench, best: SetResult, progress: Progress) -> tuple[DataResult, ...]:
     """What was measured beside the modes, by the model before and after the updating."""
     models = [_held(m, best.parameters) for m in desk.updated(best, progress)]
-    x = desk.parameters.take([desk.parameters.names.index(n) for n in best.parameters]).vector(best.factor)
+    x = desk.parameters.take([desk.parameters.names.index(n) for n in best.parameters]).vector(
+        best.factor
+    )
     at = dict(zip(best.parameters, x.tolist(), strict=True))
     out = []
     for name, model, aim in zip(names_of(desk), models, targets(desk), strict=True):
@@ -78,18 +99,35 @@ def told_data(desk: Workbench, best: SetResult, progress: Progress) -> tuple[Dat
             one = Configuration(model, aim, (d.term,))
             before, after = (d.shown(d.term(one.at(v, slopes=False))) for v in (0 * y, y))
             places = desk.seats_beside(name, m)
-            out.append(DataResult(d.name, d.kind, name, d.labels, d.units, d.measured, before, after, d.scale, places))
+            out.append(
+                DataResult(
+                    d.name,
+                    d.kind,
+                    name,
+                    d.labels,
+                    d.units,
+                    d.measured,
+                    before,
+                    after,
+                    d.scale,
+                    places,
+                )
+            )
     return tuple(out)
 
 
 def others_at(desk: Workbench, best: SetResult, progress: Progress) -> tuple[Configuration, ...]:
-    """The other configurations over the parameters of a set, springs as tuned; the pairs of the delivered decks."""
+    """The other configurations over the parameters of a set, springs as tuned; the pairs of the
+    delivered decks.
+    """
     if not desk.config.configuration:
         return ()
     delivered: ConfiguredStage = desk.get("configured")
     factor = dict(zip(best.parameters, best.factor.tolist(), strict=True))
     out = []
-    for model, aim, done in zip(desk.delivered_models(progress)[1:], targets(desk)[1:], delivered.items, strict=True):
+    for model, aim, done in zip(
+        desk.delivered_models(progress)[1:], targets(desk)[1:], delivered.items, strict=True
+    ):
         active, x = as_delivered(desk, model, factor, done.observed.frequencies, progress)
         terms = terms_of(desk, done.name, active, desk.config.update)
         out.append(Configuration(active, aim.settled(active.linearise(x)), terms, done.name))
@@ -97,7 +135,11 @@ def others_at(desk: Workbench, best: SetResult, progress: Progress) -> tuple[Con
 
 
 def as_delivered(
-    desk: Workbench, model: AtChannels, factor: Mapping[str, float], truth: Float, progress: Progress
+    desk: Workbench,
+    model: AtChannels,
+    factor: Mapping[str, float],
+    truth: Float,
+    progress: Progress,
 ) -> tuple[AtChannels, Float]:
     """The model over those of the parameters that it has, springs as tuned, and x at their factors.
 
@@ -106,7 +148,9 @@ def as_delivered(
     every, mine = model.model.system.parameters, model.parameters.names
     springs = every.take(range(len(mine), len(every)))
     tuned = desk.get("tune").factors if len(springs) else {}
-    base = np.concatenate([np.zeros(len(mine)), springs.vector(np.array([tuned[n] for n in springs.names]))])
+    base = np.concatenate(
+        [np.zeros(len(mine)), springs.vector(np.array([tuned[n] for n in springs.names]))]
+    )
     active = model.with_parameters([mine.index(m) for m in factor if m in mine], base)
     x = active.parameters.vector(np.array([factor[n] for n in active.parameters.names]))
     if frequency_error(active.modes(x).frequencies, truth) >= CLOSE:
@@ -118,17 +162,27 @@ def as_delivered(
 def _held(model: AtChannels, members: Sequence[str]) -> AtChannels:
     """The model over those of the parameters that it has."""
     every = model.parameters.names
-    return model.with_parameters([every.index(m) for m in members if m in every], np.zeros(len(every)))
+    return model.with_parameters(
+        [every.index(m) for m in members if m in every], np.zeros(len(every))
+    )
 
 
 def _problem(
-    desk: Workbench, u: UpdateSection, models: Sequence[AtChannels], aims: Sequence[Target], members: Sequence[str]
+    desk: Workbench,
+    u: UpdateSection,
+    models: Sequence[AtChannels],
+    aims: Sequence[Target],
+    members: Sequence[str],
 ) -> Problem:
     return problem_of(desk, [_held(m, members) for m in models], aims, u)
 
 
-def _verified(models: Sequence[AtChannels], members: Sequence[str], done: Solution) -> tuple[list[AtChannels], float]:
-    """The models with their full solutions at the end, and the largest frequency error that they had there."""
+def _verified(
+    models: Sequence[AtChannels], members: Sequence[str], done: Solution
+) -> tuple[list[AtChannels], float]:
+    """The models with their full solutions at the end, and the largest frequency error that they
+    had there.
+    """
     better, errors, at = [], [], dict(zip(members, done.x.tolist(), strict=True))
     for m in models:
         active = _held(m, members)
@@ -140,7 +194,9 @@ def _verified(models: Sequence[AtChannels], members: Sequence[str], done: Soluti
 
 
 def _errors(aims: Sequence[Target], at: Evaluated) -> tuple[Float, Float, Bool]:
-    """Relative frequency errors and MAC (k,) of all pairs of all configurations, and which of them are used."""
+    """Relative frequency errors and MAC (k,) of all pairs of all configurations, and which of them
+    are used.
+    """
     error, mac, used = [], [], []
     for aim, p in zip(aims, at.points, strict=True):
         test, fe = p.every.T
@@ -151,12 +207,16 @@ def _errors(aims: Sequence[Target], at: Evaluated) -> tuple[Float, Float, Bool]:
 
 
 def percent(of: Callable[[Float], np.floating[Any]], values: Float, which: Bool) -> float:
-    """100 times the mean, or whatever `of` takes, of the sizes of the values that count; NaN of none."""
+    """100 times the mean, or whatever `of` takes, of the sizes of the values that count; NaN of
+    none.
+    """
     return float(100 * of(np.abs(values[which]))) if which.any() else float("nan")
 
 
 def spared(aims: Sequence[Target], ends: Sequence[Linearisation]) -> float:
-    """Mean |Δf|, %, of the modes left out, paired by the gates: the pairs of the updating drop those far off."""
+    """Mean |Δf|, %, of the modes left out, paired by the gates: the pairs of the updating drop
+    those far off.
+    """
     blind = [r.frequency_error[~r.used] for r in map(residual, aims, ends)]
     error = np.concatenate(blind)
     return percent(np.mean, error, np.ones(error.size, dtype=bool))

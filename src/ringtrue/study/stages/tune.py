@@ -15,7 +15,13 @@ from ringtrue.errors import DataError
 from ringtrue.model.ports import Linearisation, ObservedModel
 from ringtrue.study.parametric import AtChannels
 from ringtrue.study.reference import Reference, reference_modes, rigid_settings, rigid_table
-from ringtrue.study.results import ConfigurationsStage, ConfiguredTest, CorrelateStage, TunedConfiguration, TuneStage
+from ringtrue.study.results import (
+    ConfigurationsStage,
+    ConfiguredTest,
+    CorrelateStage,
+    TunedConfiguration,
+    TuneStage,
+)
 from ringtrue.study.stages.sensitivity import target as elastic_target
 from ringtrue.study.stages.update import chosen_factors
 from ringtrue.study.workbench import OWN, Workbench
@@ -29,7 +35,9 @@ from ringtrue.update.trust import Solution, solve
 
 # a rigid-body mode on springs leaves no room for model discrepancy but the mass distribution
 WEIGHTS = Weights(frequency=0.005, mac=0.1, shape=0.1)
-STRAINED = 0.1  # share of an elastic mode's strain energy in the suspension from which on its tuning is told to move it
+# share of an elastic mode's strain energy in the suspension from which on its tuning is told to
+# move it
+STRAINED = 0.1
 ALLOWED = 2.0  # standard deviations that it may be off
 
 
@@ -54,7 +62,9 @@ def _target(desk: Workbench, found: CorrelateStage | ConfiguredTest) -> Target:
     n = len(found.rigid)
     std = np.fmax(found.rigid_uncertainty.frequency / found.rigid.frequencies, 1e-4)
     gates = rigid_settings(desk.config)
-    return Target(found.rigid.frequencies, found.rigid.shapes, std, np.ones(n, dtype=bool), WEIGHTS, gates)
+    return Target(
+        found.rigid.frequencies, found.rigid.shapes, std, np.ones(n, dtype=bool), WEIGHTS, gates
+    )
 
 
 def suspended(desk: Workbench, progress: Progress) -> AtChannels:
@@ -76,7 +86,8 @@ def tuned(active: AtChannels, aim: Target, iterations: int, progress: Progress) 
     used = np.isin(np.arange(aim.used.size), near.residual.pairs[near.residual.used, 0])
     if not used.any():
         raise DataError(
-            "rigid-body tuning: no rigid-body mode of the test has a partner in the model; look at the bounds of "
+            "rigid-body tuning: no rigid-body mode of the test has a partner in the model; look "
+            "at the bounds of "
             "[[suspension]], at the directions of the channels, or at correlate.mac_gate"
         )
     return tune(active, replace(aim, used=used), start=near.x, progress=progress)
@@ -84,7 +95,9 @@ def tuned(active: AtChannels, aim: Target, iterations: int, progress: Progress) 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Other:
-    """Another configuration whose test holds rigid-body modes and whose deck has part of the suspension."""
+    """Another configuration whose test holds rigid-body modes and whose deck has part of the
+    suspension.
+    """
 
     test: ConfiguredTest
     active: AtChannels
@@ -108,14 +121,24 @@ def _others(desk: Workbench, progress: Progress) -> tuple[_Other, ...]:
         springs = range(len(mine), len(every))
         if not (len(test.rigid) and len(springs)):
             continue
-        base = np.concatenate([mine.vector(np.array([known[n] for n in mine.names])), np.zeros(len(springs))])
+        base = np.concatenate(
+            [mine.vector(np.array([known[n] for n in mine.names])), np.zeros(len(springs))]
+        )
         channels = desk.channels(test.name)
         rows = np.array([channels.index(c) for c in test.rigid.channels], dtype=np.int64)
-        out.append(_Other(test, AtChannels(model.model, rows).with_parameters(springs, base), _target(desk, test)))
+        out.append(
+            _Other(
+                test,
+                AtChannels(model.model, rows).with_parameters(springs, base),
+                _target(desk, test),
+            )
+        )
     return tuple(out)
 
 
-def _jointly(first: Configuration, start: Float, others: Sequence[_Other], iterations: int) -> Solution:
+def _jointly(
+    first: Configuration, start: Float, others: Sequence[_Other], iterations: int
+) -> Solution:
     """Over all tests from the point that the study's own leads to."""
     every = (first, *(Configuration(o.active, o.aim, name=o.test.name) for o in others))
     far = solve(Problem(every), start=start, iterations=iterations)
@@ -125,7 +148,8 @@ def _jointly(first: Configuration, start: Float, others: Sequence[_Other], itera
 def disagreeing(model: ObservedModel, aim: Target, x: Float, std: Float) -> tuple[str, ...]:
     """Elastic test modes that strain the suspension and that its tuning puts off, in words.
 
-    Springs of rubber, say, are stiffer at their frequencies; or the tuning stands for another error.
+    Springs of rubber, say, are stiffer at their frequencies; or the tuning stands for another
+    error.
 
     Parameters
     ----------
@@ -139,16 +163,27 @@ def disagreeing(model: ObservedModel, aim: Target, x: Float, std: Float) -> tupl
     for t in sorted(before | after):  # over modes: text for people
         at, fe = (now, after[t]) if t in after else (then, before[t])
         rate = at.d_lambda[fe] / (2 * (2 * np.pi * at.frequencies[fe]) ** 2)  # ∂ ln f/∂x
-        share = float(np.maximum(2 * rate * model.parameters.factors(at.x) / model.parameters.slope(at.x), 0.0).sum())
-        known = float(np.sqrt(aim.weights.frequency**2 + aim.std[t] ** 2 + ((rate * std) ** 2).sum()))
+        share = float(
+            np.maximum(
+                2 * rate * model.parameters.factors(at.x) / model.parameters.slope(at.x), 0.0
+            ).sum()
+        )
+        known = float(
+            np.sqrt(aim.weights.frequency**2 + aim.std[t] ** 2 + ((rate * std) ** 2).sum())
+        )
         was, off = (_off(aim, p, k, t) for p, k in ((then, before), (now, after)))
-        if share <= STRAINED or (off is not None and abs(off) <= max(ALLOWED * known, abs(was or 0.0))):
+        if share <= STRAINED or (
+            off is not None and abs(off) <= max(ALLOWED * known, abs(was or 0.0))
+        ):
             continue
         told = [f"{100 * d:+.1f} % off" if d is not None else "without partner" for d in (was, off)]
         out.append(
-            f"elastic test mode {t + 1} ({aim.frequencies[t]:.4g} Hz) has {100 * share:.0f} % of its strain energy in "
-            f"the suspension and is {told[0]} before and {told[1]} after the tuning, where {100 * ALLOWED * known:.1f} "
-            "% was to be expected: its springs may be others at that frequency, or stand for another error"
+            f"elastic test mode {t + 1} ({aim.frequencies[t]:.4g} Hz) has {100 * share:.0f} % of "
+            "its strain energy in "
+            f"the suspension and is {told[0]} before and {told[1]} after the tuning, where "
+            f"{100 * ALLOWED * known:.1f} "
+            "% was to be expected: its springs may be others at that frequency, or stand for "
+            "another error"
         )
     return tuple(out)
 
@@ -163,13 +198,16 @@ def _elastic(desk: Workbench, x: Float, std: Float) -> tuple[str, ...]:
     first = len(desk.parameters)
     base = np.concatenate([desk.parameters.vector(chosen_factors(desk)), np.zeros(x.size)])
     every = desk.suspended(desk.reference(OWN).channels, quiet)
-    return disagreeing(every.with_parameters(range(first, first + x.size), base), elastic_target(desk), x, std)
+    return disagreeing(
+        every.with_parameters(range(first, first + x.size), base), elastic_target(desk), x, std
+    )
 
 
 def run(desk: Workbench, progress: Progress) -> TuneStage:
     """Tune the suspension with the elastic parameters held at their updated values.
 
-    Every pairing of the study's own test is weighed; configurations with rigid-body modes join from there.
+    Every pairing of the study's own test is weighed; configurations with rigid-body modes join from
+    there.
     """
     aim = target(desk)
     active = suspended(desk, part(progress, 0.0, 0.6))
@@ -185,7 +223,9 @@ def run(desk: Workbench, progress: Progress) -> TuneStage:
     slope = parameters.slope(x) / factors
     reference = reference_modes(desk.get("identify"), desk.config)
     channels = desk.get("correlate").rigid.channels
-    before, after = (rigid_table(reference, _seen(active, at, channels), desk.config) for at in (0 * x, x))
+    before, after = (
+        rigid_table(reference, _seen(active, at, channels), desk.config) for at in (0 * x, x)
+    )
     at = dict(zip(parameters.names, x.tolist(), strict=True))
     of = [np.array([at[n] for n in o.active.parameters.names]) for o in others]
     return TuneStage(
@@ -205,4 +245,10 @@ def run(desk: Workbench, progress: Progress) -> TuneStage:
 
 def _seen(active: AtChannels, x: Float, channels: tuple[str, ...]) -> ModeSet:
     point = active.modes(x)
-    return ModeSet(point.frequencies, np.zeros(point.frequencies.size), point.shapes, channels, source="reduced")
+    return ModeSet(
+        point.frequencies,
+        np.zeros(point.frequencies.size),
+        point.shapes,
+        channels,
+        source="reduced",
+    )

@@ -1,4 +1,6 @@
-"""How well the chosen parameters are known, and whether bands around the predictions hold what was measured."""
+"""How well the chosen parameters are known, and whether bands around the predictions hold what was
+measured.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,8 @@ from ringtrue.update.several import Configuration, Problem
 from ringtrue.update.spans import spans
 
 SMALL = 100  # vectors of the model that is updated fold by fold and sampled
-DRAWS = 12  # points around the updated one whose modes it holds, beside those of each parameter by itself
+# points around the updated one whose modes it holds, beside those of each parameter by itself
+DRAWS = 12
 REACH, LEAST_REACH = 3.0, 0.1  # how far these points lie apart: standard deviations, and x
 FEWEST = 4  # used modes below which none can be left out
 ALIKE = 0.8  # MAC from which on modes of two solvers are the same
@@ -41,9 +44,11 @@ BURN = 0.5  # steps that are thrown away, over those kept
 
 
 def run(desk: Workbench, progress: Progress) -> UncertaintyStage | None:
-    """Discrepancy from modes left out in turn, posterior and bands; None where fewer than four modes were used.
+    """Discrepancy from modes left out in turn, posterior and bands; None where fewer than four
+    modes were used.
 
-    By the embedded solver in any case; None where its modes are not those that another solver has delivered.
+    By the embedded solver in any case; None where its modes are not those that another solver has
+    delivered.
     """
     done: UpdateStage = desk.get("update")
     final: FinalStage = desk.get("final")
@@ -52,7 +57,9 @@ def run(desk: Workbench, progress: Progress) -> UncertaintyStage | None:
     whole = dict.fromkeys(desk.parameters.names, 1.0) | factor
 
     early = part(progress, 0.0, 0.4)
-    every, at = as_delivered(desk, desk.delivered_models(early)[0], whole, final.observed.frequencies, early)
+    every, at = as_delivered(
+        desk, desk.delivered_models(early)[0], whole, final.observed.frequencies, early
+    )
     model, x = as_delivered(desk, every, factor, final.observed.frequencies, early)
     if desk.engine is not None and not _same(desk, model, final, x):
         return None
@@ -62,7 +69,9 @@ def run(desk: Workbench, progress: Progress) -> UncertaintyStage | None:
         return None
     small = _near(desk, model, x, best.std, np.random.default_rng([desk.config.study.seed, 6]))
     first = Configuration(small, paired, terms_of(desk, OWN, small, desk.config.update))
-    others = _others(desk, best, rng=np.random.default_rng([desk.config.study.seed, 8]), progress=progress)
+    others = _others(
+        desk, best, rng=np.random.default_rng([desk.config.study.seed, 8]), progress=progress
+    )
     if desk.config.update.sharpened:
         w = left_at(Problem((first, *others)), x)
         first, others = _weighed(first, w), tuple(_weighed(c, w) for c in others)
@@ -79,14 +88,18 @@ def run(desk: Workbench, progress: Progress) -> UncertaintyStage | None:
     )
     freedom = _freedom(desk, every, at, final, held, likely.target)
     many = errors_of_shapes(replace(paired, used=np.ones_like(paired.used)), model.modes(x))
-    among, slope = _posterior(desk, full, likely.target.weights, whole, best.parameters, freedom, many)
+    among, slope = _posterior(
+        desk, full, likely.target.weights, whole, best.parameters, freedom, many
+    )
     posterior = among.take([every.parameters.names.index(n) for n in best.parameters])
     told = _result(posterior, among, aim, likely.target, slope, final, held, asked.level)
     if not asked.samples:
         return told
     rng = np.random.default_rng([desk.config.study.seed, 7])
     w = likely.target.weights
-    problem = Problem(tuple(_likelihood(c.weighed(w.frequency, w.mac), many) for c in (likely, *others)))
+    problem = Problem(
+        tuple(_likelihood(c.weighed(w.frequency, w.mac), many) for c in (likely, *others))
+    )
     chains = _sampled(problem, posterior, asked.samples, rng, part(progress, 0.8, 1.0))
     return _with_draws(told, chains, posterior.parameters)
 
@@ -96,9 +109,11 @@ def _weighed(c: Configuration, w: Weights) -> Configuration:
 
 
 def _same(desk: Workbench, model: AtChannels, final: FinalStage, x: Float) -> bool:
-    """Whether the paired modes of the delivered deck have the same place, shape and frequency in the model.
+    """Whether the paired modes of the delivered deck have the same place, shape and frequency in
+    the model.
 
-    Frequencies within the error that the updating allows a model: else what fits the test is not what was delivered.
+    Frequencies within the error that the updating allows a model: else what fits the test is not
+    what was delivered.
     """
     now, at = model.modes(x), final.table.pairing.b
     if at.size and at.max() >= now.frequencies.size:
@@ -127,7 +142,11 @@ def _whole(
     desk: Workbench, best: SetResult, factor: Mapping[str, float], progress: Progress
 ) -> tuple[Configuration, ...]:
     """The other configurations over all candidates."""
-    return others_at(desk, replace(best, parameters=tuple(factor), factor=np.array(list(factor.values()))), progress)
+    return others_at(
+        desk,
+        replace(best, parameters=tuple(factor), factor=np.array(list(factor.values()))),
+        progress,
+    )
 
 
 def _posterior(
@@ -139,10 +158,11 @@ def _posterior(
     freedom: float,
     independent: float,
 ) -> tuple[Posterior, Float]:
-    """About the delivered point, with errors as found, where the candidates that were not chosen may be off, too.
+    """About the delivered point, with errors as found, where the candidates that were not chosen
+    may be off, too.
 
-    Those that scale a field of a chosen one are held: it stands for them. Masses that the deck may lack elsewhere
-    are held, too: that something was left out is rare. The errors of the other
+    Those that scale a field of a chosen one are held: it stands for them. Masses that the deck may
+    lack elsewhere are held, too: that something was left out is rare. The errors of the other
     configurations are taken to be like those of the first, the deck of the study.
 
     Returns
@@ -152,7 +172,11 @@ def _posterior(
     slope : (m, p) float64
         ∂λ/∂x of the modes of the first.
     """
-    problem = Problem(tuple(_likelihood(c.weighed(found.frequency, found.mac), independent) for c in configurations))
+    problem = Problem(
+        tuple(
+            _likelihood(c.weighed(found.frequency, found.mac), independent) for c in configurations
+        )
+    )
     p, model = problem.parameters, desk.remodelled.model
     at = problem.evaluate(p.vector(np.array([factor[n] for n in p.names])))
     mine = np.isin(p.names, list(chosen))
@@ -161,7 +185,9 @@ def _posterior(
     return around(problem, at, mine | ~(same | rare), freedom=freedom), at.points[0].now.d_lambda
 
 
-def _freedom(desk: Workbench, every: AtChannels, x: Float, final: FinalStage, held: Held, likely: Target) -> float:
+def _freedom(
+    desk: Workbench, every: AtChannels, x: Float, final: FinalStage, held: Held, likely: Target
+) -> float:
     """Degrees of freedom that the size of the errors is known with, those of the test being known.
 
     Errors of form are alike in modes that strain and move alike: few are independent.
@@ -172,7 +198,10 @@ def _freedom(desk: Workbench, every: AtChannels, x: Float, final: FinalStage, he
     of_form = likely.weights.frequency**2
     share = of_form / (of_form + float(np.mean(likely.std**2)))
     opened = desk.remodelled
-    return effective_freedom(likeness(energy_shares(opened.model, opened.analysis.system, vectors))) / share**2
+    return (
+        effective_freedom(likeness(energy_shares(opened.model, opened.analysis.system, vectors)))
+        / share**2
+    )
 
 
 def _likelihood(found: Configuration, independent: float) -> Configuration:
@@ -185,7 +214,9 @@ def _likelihood(found: Configuration, independent: float) -> Configuration:
 
 
 def _paired(aim: Target, model: AtChannels, final: FinalStage, x: Float) -> Target:
-    """The pairs of the delivered deck for good; used modes that the updating has doubted take no part."""
+    """The pairs of the delivered deck for good; used modes that the updating has doubted take no
+    part.
+    """
     now = model.linearise(x)
     pairs = np.stack([final.table.pairing.a, final.table.pairing.b], axis=1)
     pairs = pairs[pairs[:, 1] < now.frequencies.size]
@@ -194,15 +225,24 @@ def _paired(aim: Target, model: AtChannels, final: FinalStage, x: Float) -> Targ
     return replace(aim, used=used, fixed=(pairs, tuple(s.held() for s in of)))
 
 
-def _near(desk: Workbench, model: AtChannels, x: Float, std: Float, rng: np.random.Generator) -> AtChannels:
+def _near(
+    desk: Workbench, model: AtChannels, x: Float, std: Float, rng: np.random.Generator
+) -> AtChannels:
     """The model on its modes around a point; as it is where more than modes was measured."""
     if desk.config.residual:
         return model
     low, high = model.parameters.bounds()
     reach = np.maximum(REACH * std, LEAST_REACH)
-    steps = [np.zeros(x.size), *np.diag(reach), *np.diag(-reach), *(reach * rng.standard_normal((DRAWS, x.size)))]
+    steps = [
+        np.zeros(x.size),
+        *np.diag(reach),
+        *np.diag(-reach),
+        *(reach * rng.standard_normal((DRAWS, x.size))),
+    ]
     size = max(SMALL, 2 * model.model.count)
-    return replace(model, model=condensed(model.model, [np.clip(x + s, low, high) for s in steps], size))
+    return replace(
+        model, model=condensed(model.model, [np.clip(x + s, low, high) for s in steps], size)
+    )
 
 
 def _result(
@@ -222,7 +262,10 @@ def _result(
     rows = slope[pairing.b[known]] / (8 * np.pi**2 * f[pairing.a[known]] ** 2)[:, None] @ among.link
     parts = np.full((f.size, 3), np.nan)
     parts[pairing.a[known], 0] = np.sqrt(np.einsum("mp,pq,mq->m", rows, among.covariance, rows))
-    parts[:, 1], parts[:, 2] = aim.std, np.where(np.isfinite(held.model_std), held.model_std, likely.weights.frequency)
+    parts[:, 1], parts[:, 2] = (
+        aim.std,
+        np.where(np.isfinite(held.model_std), held.model_std, likely.weights.frequency),
+    )
     reach = float(stdtrit(held.freedom, 0.5 + level / 2)) * np.sqrt((parts**2).sum(axis=1)) * f
     band = np.stack([f - reach, f + reach], axis=1)
     factor, interval = p.factors(posterior.x), posterior.interval(level)
@@ -258,17 +301,25 @@ def _prior(p: ParameterSet, level: float) -> Float:
     """Intervals of the factors before the test, cut at the bounds, (p, 2)."""
     low, high = p.bounds()
     reach = float(ndtri(0.5 + level / 2)) * p.std()
-    return np.stack([p.factors(np.maximum(-reach, low)), p.factors(np.minimum(reach, high))], axis=1)
+    return np.stack(
+        [p.factors(np.maximum(-reach, low)), p.factors(np.minimum(reach, high))], axis=1
+    )
 
 
 def _sampled(
-    problem: Problem, posterior: Posterior, samples: int, rng: np.random.Generator, progress: Progress
+    problem: Problem,
+    posterior: Posterior,
+    samples: int,
+    rng: np.random.Generator,
+    progress: Progress,
 ) -> Chains:
     """Walkers from the normal approximation."""
     walkers = 2 * problem.size + 2
     steps = max(-(-samples // walkers), 4)
     start = posterior.sample(walkers, rng)
-    return ensemble(log_posterior(problem), start, steps, rng, burn=int(BURN * steps), progress=progress)
+    return ensemble(
+        log_posterior(problem), start, steps, rng, burn=int(BURN * steps), progress=progress
+    )
 
 
 def _with_draws(told: UncertaintyStage, chains: Chains, p: ParameterSet) -> UncertaintyStage:

@@ -34,7 +34,8 @@ from ringtrue.update.unmoved import unmoved
 _log = logging.getLogger(__name__)
 
 WHY = (
-    "{name}: the lowest AICc ({value:.1f}); it weighs the fit of the used modes, those that lost their partner among "
+    "{name}: the lowest AICc ({value:.1f}); it weighs the fit of the used modes, those that lost "
+    "their partner among "
     "them, against the number of parameters and does not look at the modes left out"
 )
 OTHER = "; sets that weigh the data otherwise are shown and not chosen from: their J is another"
@@ -52,7 +53,9 @@ def run(desk: Workbench, progress: Progress) -> UpdateStage:
         told = part(progress, i / len(sets.sets), (i + 1) / len(sets.sets))
         told(0.0, f"updating: {name}")
         own = named[name].own() if name in named else {}
-        same = next((r for r in results if set(r.parameters) == set(members) and not r.settings), None)
+        same = next(
+            (r for r in results if set(r.parameters) == set(members) and not r.settings), None
+        )
         if same is not None and not own:  # two rules, one choice
             results.append(replace(same, name=name))
             continue
@@ -90,7 +93,11 @@ def run(desk: Workbench, progress: Progress) -> UpdateStage:
 
 
 def _finished(
-    desk: Workbench, name: str, members: Sequence[str], progress: Progress, asked: UpdateSection | None
+    desk: Workbench,
+    name: str,
+    members: Sequence[str],
+    progress: Progress,
+    asked: UpdateSection | None,
 ) -> FinishedSet:
     """A set updated on the reduced models, or by runs of another solver."""
     if desk.engine is not None:
@@ -101,7 +108,9 @@ def _finished(
 
 
 def _without_unmoved(desk: Workbench, best: SetResult) -> SetResult:
-    """The set with a factor of 1 for what has not changed beyond its own error and moves no mode: it is not written."""
+    """The set with a factor of 1 for what has not changed beyond its own error and moves no mode:
+    it is not written.
+    """
     names, sets = desk.parameters.names, desk.get("sensitivity")
     at = [names.index(n) for n in best.parameters]
     x = desk.parameters.take(at).vector(best.factor)
@@ -121,24 +130,33 @@ def _values(desk: Workbench, best: SetResult, factor: Float) -> list[float]:
 
 
 def regions(desk: Workbench, name: str) -> tuple[int, ...]:
-    """Groups of the scene that a parameter changes: those of the elements that use what it targets."""
+    """Groups of the scene that a parameter changes: those of the elements that use what it
+    targets.
+    """
     model = desk.remodelled.model
     parameter = desk.parameters.take([desk.parameters.names.index(name)]).parameters[0]
     mine = np.isin(elements_of(model), of_parameter(model, parameter).elements)
     labels = element_regions(model, desk.deck.regions)
     touched = {labels[i] for i in np.flatnonzero(mine).tolist()}
-    return tuple(i for i, g in enumerate(desk.get("model").scene.groups) if g in touched or g == name)
+    return tuple(
+        i for i, g in enumerate(desk.get("model").scene.groups) if g in touched or g == name
+    )
 
 
 def _least(results: Sequence[SetResult], alike: Sequence[bool]) -> int:
     """The set of lowest AICc among those that weigh the data as the study does."""
-    return int(np.argmin([r.criterion if good else np.inf for r, good in zip(results, alike, strict=True)]))
+    return int(
+        np.argmin([r.criterion if good else np.inf for r, good in zip(results, alike, strict=True)])
+    )
 
 
-def _with_further_starts(desk: Workbench, results: list[SetResult], chosen: int, progress: Progress) -> list[SetResult]:
+def _with_further_starts(
+    desk: Workbench, results: list[SetResult], chosen: int, progress: Progress
+) -> list[SetResult]:
     """The sets, the one to be chosen from further starts as well where these end in a lower J.
 
-    One is where the proposal was found: its search has left minima in which the way from the deck may end.
+    One is where the proposal was found: its search has left minima in which the way from the deck
+    may end.
     """
     best, more = results[chosen], further(desk.config.update)
     found: LocaliseStage | None = desk.get("localise")
@@ -156,7 +174,10 @@ def _with_further_starts(desk: Workbench, results: list[SetResult], chosen: int,
             continue
         if other.criterion < best.criterion:
             best = replace(other, name=best.name)
-    return [replace(best, name=r.name) if r.parameters == best.parameters and not r.settings else r for r in results]
+    return [
+        replace(best, name=r.name) if r.parameters == best.parameters and not r.settings else r
+        for r in results
+    ]
 
 
 def chosen_factors(desk: Workbench) -> Float:
