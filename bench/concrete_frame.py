@@ -24,11 +24,11 @@ from pathlib import Path
 import numpy as np
 from scipy.io import loadmat
 
-from ringtrue.backends.embedded import EmbeddedSolver
-from ringtrue.backends.matrices import MatrixModel
 from ringtrue.core.arrays import Int
 from ringtrue.core.parameters import Parameter, ParameterSet, Target
-from ringtrue.io.nastran.reader import read_deck
+from ringtrue.decks.nastran.reader import read_deck
+from ringtrue.solvers.embedded import EmbeddedSolver
+from ringtrue.solvers.matrices import MatrixModel
 
 PUBLISHED = (
     Path(__file__).parents[2] / "shared/data/updating/concrete_frame/ConcreteBuildingFrame.mat"

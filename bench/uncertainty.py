@@ -25,8 +25,8 @@ from scipy.special import stdtrit
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "verification"))
 import localise_twin as twin
 
-from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.model.ports import ModesRequest
+from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.study.results import UncertaintyStage
 from ringtrue.study.run import run_study
 from ringtrue.study.store import Store

@@ -35,17 +35,17 @@ from concrete_frame import PUBLISHED, own_frame, published_frame
 from outcome import Check, Peer, Report, arguments, at_least, at_most, sized
 from scipy.optimize import least_squares
 
-from ringtrue.backends.matrices import MatrixModel, ObservedMatrices
 from ringtrue.core.arrays import Float, Int
-from ringtrue.correlate.assign import PairingSettings
+from ringtrue.correlation.assign import PairingSettings
 from ringtrue.eigen.factor import Pencil
 from ringtrue.model.ports import ModesRequest
-from ringtrue.reduce.parametric import ReducedModel
-from ringtrue.update.multistart import multi_start
-from ringtrue.update.objective import Target, Weights
-from ringtrue.update.several import Configuration, Problem
-from ringtrue.update.trust import Method, Solution, solve
-from ringtrue.update.verified import solve_verified
+from ringtrue.reduction.parametric import ReducedModel
+from ringtrue.solvers.matrices import MatrixModel, ObservedMatrices
+from ringtrue.updating.multistart import multi_start
+from ringtrue.updating.objective import Target, Weights
+from ringtrue.updating.several import Configuration, Problem
+from ringtrue.updating.trust import Method, Solution, solve
+from ringtrue.updating.verified import solve_verified
 
 MODES, SPARE = 6, 4  # measured; more that the model returns, so that modes may cross
 PUBLISHED_START = 31.0  # s, one start of the published study

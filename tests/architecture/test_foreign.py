@@ -34,8 +34,8 @@ CALLS = {
 ALLOWED = {
     ("report/pack.py", "json.loads"): "text that plotly made a line above",
     ("study/run.py", "json.loads"): "text that json made in the same line",
-    ("backends/slepc_worker.py", "json.loads"): "runs without ringtrue; files of its parent",
-    ("backends/slepc_worker.py", "numpy.load"): "runs without ringtrue; files of its parent",
+    ("solvers/slepc_worker.py", "json.loads"): "runs without ringtrue; files of its parent",
+    ("solvers/slepc_worker.py", "numpy.load"): "runs without ringtrue; files of its parent",
     ("io/delimited.py", "numpy.loadtxt"): "lines of text that the reader has taken apart",
 }
 FILES = [p for p in sorted(SRC.rglob("*.py")) if DOOR not in p.parents]

@@ -8,8 +8,8 @@ import numpy as np
 
 from ringtrue.core.parameters import Parameter, ParameterSet, Target
 from ringtrue.study import results as r
-from ringtrue.update.kfold import Held
-from ringtrue.update.proposal import Proposal, Proposed
+from ringtrue.updating.kfold import Held
+from ringtrue.updating.proposal import Proposal, Proposed
 
 RNG = np.random.default_rng(11)
 

@@ -14,15 +14,15 @@ from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.core.testmodel import TestModel
 from ringtrue.core.uncertainty import Uncertainty
-from ringtrue.correlate.complete import complete
-from ringtrue.correlate.faults import Suspect
-from ringtrue.correlate.frf import compare_frfs, fdac
-from ringtrue.correlate.table import CorrelationTable
-from ringtrue.correlate.track import track
-from ringtrue.identify.poles import PoleSet, StableDiagram
+from ringtrue.correlation.complete import complete
+from ringtrue.correlation.faults import Suspect
+from ringtrue.correlation.frf import compare_frfs, fdac
+from ringtrue.correlation.table import CorrelationTable
+from ringtrue.correlation.track import track
+from ringtrue.identification.poles import PoleSet, StableDiagram
 from ringtrue.study import results as r
-from ringtrue.update.posterior import Posterior
-from ringtrue.update.predict import Bands, RunUp, Unbalance
+from ringtrue.updating.posterior import Posterior
+from ringtrue.updating.predict import Bands, RunUp, Unbalance
 
 RNG = np.random.default_rng(7)
 ELASTIC = np.array(

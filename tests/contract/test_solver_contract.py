@@ -11,12 +11,12 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "verification"))
 from eigen_shell import parameters, shell
 
-from ringtrue.backends.embedded import EmbeddedSolver
-from ringtrue.backends.registry import names, solver
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import Norm
 from ringtrue.errors import ConfigError, SingularModel, SolverMissing
 from ringtrue.model.ports import ModesRequest
+from ringtrue.solvers.embedded import EmbeddedSolver
+from ringtrue.solvers.registry import names, solver
 from ringtrue.testing.solver import check_modal_solver
 
 

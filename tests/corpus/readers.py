@@ -11,13 +11,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from ringtrue.decks.nastran.reader import read_deck
+from ringtrue.decks.nastran.results.modes import read_recorded
+from ringtrue.decks.nastran.results.sensitivity import read_sensitivities
 from ringtrue.io.choices import read_choice
 from ringtrue.io.frfs import holds_frfs, read_frfs
 from ringtrue.io.matrices import read_matrices
 from ringtrue.io.modes_json import read_modes, read_std
-from ringtrue.io.nastran.reader import read_deck
-from ringtrue.io.nastran_results.modes import read_recorded
-from ringtrue.io.nastran_results.sensitivity import read_sensitivities
 from ringtrue.io.records import read_record, read_runs
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.io.statics import read_statics

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.checks.deck import check_deck
+from ringtrue.decks.nastran.reader import read_deck, survey
 from ringtrue.errors import RingtrueError
-from ringtrue.io.nastran.reader import read_deck, survey
 from ringtrue.model.ports import ModesRequest
+from ringtrue.solvers.embedded import EmbeddedSolver
 
 NODES = """GRID,1,,0.,0.,0.
 GRID,2,,1.,0.,.1

@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ringtrue.decks.nastran.edit import edit_fields
+from ringtrue.decks.nastran.lexer import integers, real
+from ringtrue.decks.nastran.reader import read_deck, survey
+from ringtrue.decks.nastran.writer import format_card, format_field, format_real
 from ringtrue.errors import RingtrueError
-from ringtrue.io.nastran.edit import edit_fields
-from ringtrue.io.nastran.lexer import integers, real
-from ringtrue.io.nastran.reader import read_deck, survey
-from ringtrue.io.nastran.writer import format_card, format_field, format_real
 from ringtrue.model.cards import columns
 from ringtrue.model.edit import FieldChange
 

@@ -31,10 +31,10 @@ import h5py
 import numpy as np
 import small_study
 
+from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import DataError
 from ringtrue.io import codec
 from ringtrue.io.modes_json import write_modes
-from ringtrue.io.nastran.reader import read_deck
 from ringtrue.report.deliver import deliver
 from ringtrue.study.finished import FILE as SETS
 from ringtrue.study.opened import Opened

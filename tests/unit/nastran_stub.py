@@ -16,15 +16,15 @@ import h5py
 import numpy as np
 from op2_writer import Op2Writer
 
-from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.parameters import Shape
+from ringtrue.decks.nastran.lexer import real
+from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.fem.change import moved
-from ringtrue.io.nastran.lexer import real
-from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.frames import axes, positions
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
+from ringtrue.solvers.embedded import EmbeddedSolver
 
 STEP = 1e-3
 

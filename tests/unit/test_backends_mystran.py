@@ -15,16 +15,16 @@ from eigen_shell import shell
 from fem_cases import cards, grid, steel
 from solid_meshes import box, cut, elements, kind, psolid
 
-from ringtrue.backends.embedded import EmbeddedSolver
-from ringtrue.backends.mystran import MystranSolver, find_mystran
-from ringtrue.backends.runner import run_program
-from ringtrue.backends.runner_deck import modes_deck
+from ringtrue.decks.nastran.reader import read_deck
+from ringtrue.decks.nastran.results.modes import read_nastran_modes
 from ringtrue.errors import SolverFailed, SolverMissing
 from ringtrue.fem.assembly import assemble
-from ringtrue.io.nastran.reader import read_deck
-from ringtrue.io.nastran_results.modes import read_nastran_modes
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
+from ringtrue.solvers.embedded import EmbeddedSolver
+from ringtrue.solvers.mystran import MystranSolver, find_mystran
+from ringtrue.solvers.runner import run_program
+from ringtrue.solvers.runner_deck import modes_deck
 
 DATA = Path(__file__).parents[3] / "shared" / "data" / "fe"
 

@@ -15,18 +15,18 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "verification"))
 from eigen_shell import parameters, shell
 
-from ringtrue.backends.embedded import EmbeddedSolver
-from ringtrue.backends.nastran import NastranSolver, nastran_command, nastran_make, sensitivity_deck
-from ringtrue.backends.nastran_design import design_cards
-from ringtrue.backends.registry import time_limits
-from ringtrue.backends.runner_deck import modes_deck
 from ringtrue.cli.main import run
 from ringtrue.core.parameters import Parameter, ParameterSet, Shape, Target
+from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, SolverFailed, SolverMissing, UnsupportedError
-from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.frames import positions
 from ringtrue.model.model import Model, table
 from ringtrue.model.ports import ModesRequest
+from ringtrue.solvers.embedded import EmbeddedSolver
+from ringtrue.solvers.nastran import NastranSolver, nastran_command, nastran_make, sensitivity_deck
+from ringtrue.solvers.nastran_design import design_cards
+from ringtrue.solvers.registry import time_limits
+from ringtrue.solvers.runner_deck import modes_deck
 from ringtrue.testing.solver import check_modal_solver
 
 STUB = Path(__file__).with_name("nastran_stub.py")

@@ -11,11 +11,11 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "verification"))
 from eigen_shell import shell
 
-from ringtrue.backends.embedded import EmbeddedSolver
-from ringtrue.backends.registry import solver
-from ringtrue.backends.slepc import SlepcSolver, find_slepc
 from ringtrue.errors import ConfigError, SolverMissing
 from ringtrue.model.ports import ModesRequest
+from ringtrue.solvers.embedded import EmbeddedSolver
+from ringtrue.solvers.registry import solver
+from ringtrue.solvers.slepc import SlepcSolver, find_slepc
 from ringtrue.testing.solver import check_modal_solver
 
 

@@ -18,9 +18,9 @@ from test_cli import Capture, call, frf, parsed, refused
 
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import Channel, TimeHistory
-from ringtrue.identify.ambient import AmbientResult, AmbientSettings, identify_ambient
-from ringtrue.identify.ambient_record import with_nothing_found
-from ringtrue.identify.ambient_verdict import overtones
+from ringtrue.identification.ambient import AmbientResult, AmbientSettings, identify_ambient
+from ringtrue.identification.ambient_record import with_nothing_found
+from ringtrue.identification.ambient_verdict import overtones
 from ringtrue.io.records import write_history
 from ringtrue.signal.harmonics import families, steady_amplitudes, without_machines
 from ringtrue.signal.preprocess import Band, channel_states, harmonics

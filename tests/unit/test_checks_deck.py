@@ -11,9 +11,9 @@ from ringtrue.checks.deck import DeckReport, check_deck
 from ringtrue.checks.edges import free_edges_in_words, shell_edges
 from ringtrue.checks.ground import GroundCheck, ground_check, ground_findings
 from ringtrue.checks.mass import from_rigid_body_mass, mass_properties, unconstrained, whole_mass
+from ringtrue.decks.nastran.reader import read_deck, survey
 from ringtrue.errors import InputError, NumericalError
 from ringtrue.fem.assembly import assemble
-from ringtrue.io.nastran.reader import read_deck, survey
 
 DATA = Path(__file__).parents[2].parent / "shared/data/fe"
 SQUARE = "GRID,1,,0.,0.,0.\nGRID,2,,1.,0.,0.\nGRID,3,,1.,1.,0.\nGRID,4,,0.,1.,0.\n"

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ringtrue.backends.registry import solver
 from ringtrue.checks.deck import check_deck
-from ringtrue.io.nastran.reader import read_deck
+from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
+from ringtrue.solvers.registry import solver
 
 CORNERS = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
 REST = "PSOLID,1,1\nMAT1,1,7.+10,,.3,2700.\nSPC1,1,123,1,2,3,4\n"

@@ -12,9 +12,9 @@ from test_cli import Capture, call, frf, parsed, record, refused
 
 from ringtrue.core.choice import Choice, Merge, Pick, Reject
 from ringtrue.errors import ConfigError, DataError
-from ringtrue.identify.choice import as_choice, match, modes_by_hand
-from ringtrue.identify.hammer import HammerModes, HammerResult, identify_hammer
-from ringtrue.identify.poles import PoleSet
+from ringtrue.identification.choice import as_choice, match, modes_by_hand
+from ringtrue.identification.hammer import HammerModes, HammerResult, identify_hammer
+from ringtrue.identification.poles import PoleSet
 from ringtrue.io.choices import read_choice, write_choice
 from ringtrue.io.frfs import read_frfs
 from ringtrue.study.config import read_config

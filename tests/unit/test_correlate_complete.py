@@ -14,16 +14,16 @@ from ringtrue.cli.main import run
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.core.uncertainty import Uncertainty
-from ringtrue.correlate.complete import complete, complete_json
-from ringtrue.correlate.frf import (
+from ringtrue.correlation.complete import complete, complete_json
+from ringtrue.correlation.frf import (
     amplitude_correlation,
     band_levels,
     compare_frfs,
     shape_correlation,
 )
-from ringtrue.correlate.gates import Gate
-from ringtrue.correlate.pairing import pair_modes
-from ringtrue.correlate.turning import turning
+from ringtrue.correlation.gates import Gate
+from ringtrue.correlation.pairing import pair_modes
+from ringtrue.correlation.turning import turning
 from ringtrue.errors import InputError
 from ringtrue.io.modes_json import read_std, write_modes
 from ringtrue.shapes.orthogonality import read_orthogonality, serep_mass

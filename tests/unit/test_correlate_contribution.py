@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from ringtrue.core.modes import ModeSet
-from ringtrue.correlate.assign import Locks
-from ringtrue.correlate.contribution import eliminate, mac_contribution, mac_without
-from ringtrue.correlate.pairing import pair_modes
+from ringtrue.correlation.assign import Locks
+from ringtrue.correlation.contribution import eliminate, mac_contribution, mac_without
+from ringtrue.correlation.pairing import pair_modes
 from ringtrue.errors import ConfigError, InputError
 from ringtrue.shapes.mac import paired_mac
 

@@ -22,8 +22,8 @@ import small_study
 
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.testmodel import TestModel
-from ringtrue.correlate.mounting import Mending, Readings, find_mendings
-from ringtrue.io.nastran.reader import read_deck
+from ringtrue.correlation.mounting import Mending, Readings, find_mendings
+from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.model.ports import ModesRequest
 from ringtrue.study.opened import Opened
 

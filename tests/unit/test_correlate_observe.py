@@ -8,11 +8,11 @@ import pytest
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.testmodel import TestModel
-from ringtrue.correlate.comac import comac, ecomac
-from ringtrue.correlate.faults import suspect_channels
-from ringtrue.correlate.frf import fdac, frac, magnitude_deviation
-from ringtrue.correlate.observe import at_dofs, default_tolerance, observe
-from ringtrue.correlate.pairing import pair_modes
+from ringtrue.correlation.comac import comac, ecomac
+from ringtrue.correlation.faults import suspect_channels
+from ringtrue.correlation.frf import fdac, frac, magnitude_deviation
+from ringtrue.correlation.observe import at_dofs, default_tolerance, observe
+from ringtrue.correlation.pairing import pair_modes
 from ringtrue.errors import ConfigError, DataError, InputError
 
 

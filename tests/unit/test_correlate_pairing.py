@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from ringtrue.core.modes import ModeSet, Norm
-from ringtrue.correlate.assign import Followed, Locks
-from ringtrue.correlate.pairing import PairingSettings, pair_modes
-from ringtrue.correlate.table import correlation_table
-from ringtrue.correlate.turning import paired_shapes, turning
+from ringtrue.correlation.assign import Followed, Locks
+from ringtrue.correlation.pairing import PairingSettings, pair_modes
+from ringtrue.correlation.table import correlation_table
+from ringtrue.correlation.turning import paired_shapes, turning
 from ringtrue.errors import ConfigError, InputError
 
 CHANNELS = tuple("abcdefghij")

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy import linalg, sparse
 
-from ringtrue.correlate.gates import Gate, judge, verdict_json
+from ringtrue.correlation.gates import Gate, judge, verdict_json
 from ringtrue.errors import ConfigError, InputError, SingularModel
-from ringtrue.reduce.expand import expand_dynamic, expand_hybrid, expand_serep, expand_static
-from ringtrue.reduce.static import craig_bampton, guyan
-from ringtrue.reduce.tam import (
+from ringtrue.reduction.expand import expand_dynamic, expand_hybrid, expand_serep, expand_static
+from ringtrue.reduction.static import craig_bampton, guyan
+from ringtrue.reduction.tam import (
     craig_bampton_coordinates,
     craig_bampton_of,
     readings_kept,

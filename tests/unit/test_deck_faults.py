@@ -11,17 +11,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ringtrue.backends.embedded import EmbeddedSolver
-from ringtrue.backends.runner import run_program
+from ringtrue.decks.nastran.deck import DEPTH, INCLUDES
+from ringtrue.decks.nastran.foreign import other_program
+from ringtrue.decks.nastran.reader import read_deck
+from ringtrue.decks.nastran.results.f06 import fatal_messages
+from ringtrue.decks.nastran.results.modes import read_recorded
 from ringtrue.errors import DataError, DeckError, SolverFailed
 from ringtrue.fem.assembly import assemble
-from ringtrue.io.nastran.deck import DEPTH, INCLUDES
-from ringtrue.io.nastran.foreign import other_program
-from ringtrue.io.nastran.reader import read_deck
-from ringtrue.io.nastran_results.f06 import fatal_messages
-from ringtrue.io.nastran_results.modes import read_recorded
 from ringtrue.io.op4 import read_op4
 from ringtrue.model.ports import ModesRequest
+from ringtrue.solvers.embedded import EmbeddedSolver
+from ringtrue.solvers.runner import run_program
 
 FAULTS = Path(__file__).parents[1] / "corpus" / "faults"
 REFUSED = {
@@ -85,7 +85,7 @@ def test_includes_have_a_depth(tmp_path: Path, links: int) -> None:
 
 
 def test_what_is_included_again_has_a_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ringtrue.io.nastran.deck.AGAIN", 1000)
+    monkeypatch.setattr("ringtrue.decks.nastran.deck.AGAIN", 1000)
     (tmp_path / "d.bdf").write_text("BEGIN BULK\n" + "INCLUDE 'a.inc'\n" * 3)
     (tmp_path / "a.inc").write_text("$" + "x" * 400 + "\n")
     (tmp_path / "b.bdf").write_text("BEGIN BULK\n" + "INCLUDE 'a.inc'\n" * 4)

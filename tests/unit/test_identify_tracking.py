@@ -14,10 +14,10 @@ from test_cli import Capture, call, parsed, refused
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError, InputError
-from ringtrue.identify.environment import fit_environment
-from ringtrue.identify.gains import with_equal_gains
-from ringtrue.identify.inertia import Followed, behind, thermal_lag
-from ringtrue.identify.tracking import Stretch, TrackSettings, track_modes, unseen
+from ringtrue.identification.environment import fit_environment
+from ringtrue.identification.gains import with_equal_gains
+from ringtrue.identification.inertia import Followed, behind, thermal_lag
+from ringtrue.identification.tracking import Stretch, TrackSettings, track_modes, unseen
 
 CHANNELS = tuple(f"{i}+Z" for i in range(1, 7))
 PHI = np.linalg.qr(np.random.default_rng(1).standard_normal((6, 4)))[0]

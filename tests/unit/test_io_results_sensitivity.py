@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from op2_writer import Op2Writer
 
+from ringtrue.decks.nastran.results.sensitivity import read_sensitivities
 from ringtrue.errors import DataError
-from ringtrue.io.nastran_results.sensitivity import read_sensitivities
 
 COLUMNS = np.array(
     [[1, 1, 4, 1, 0, 1, 0, 0, 0], [2, 9, 5, 12, 3, 1, 0, 0, 0], [3, 9, 5, 40, 3, 1, 0, 0, 0]]

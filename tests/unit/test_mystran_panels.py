@@ -13,10 +13,10 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "verification"))
 from fem_cases import cards, grid, modes, ragged
 
-from ringtrue.backends.mystran import MystranSolver, find_mystran
 from ringtrue.errors import SolverMissing
 from ringtrue.model.model import CaseControl, Model
 from ringtrue.model.ports import ModesRequest
+from ringtrue.solvers.mystran import MystranSolver, find_mystran
 
 
 @pytest.mark.solver

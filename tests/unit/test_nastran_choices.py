@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.checks.deck import check_deck
+from ringtrue.decks.nastran.reader import read_deck, survey
 from ringtrue.errors import DeckError, UnsupportedCard
 from ringtrue.fem.assembly import assemble
-from ringtrue.io.nastran.reader import read_deck, survey
 from ringtrue.model.method import asked_modes
 from ringtrue.model.ports import ModesRequest
+from ringtrue.solvers.embedded import EmbeddedSolver
 
 SPRING = "GRID,1,,,,,,23456\nCONM2,2,1,,4.\nCELAS2,3,9.,1,1\n"
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from ringtrue.decks.nastran.bulk import write_bulk
+from ringtrue.decks.nastran.edit import edit_fields
+from ringtrue.decks.nastran.reader import read_deck, survey
 from ringtrue.errors import DeckError, UnsupportedCard
-from ringtrue.io.nastran.bulk import write_bulk
-from ringtrue.io.nastran.edit import edit_fields
-from ringtrue.io.nastran.reader import read_deck, survey
 from ringtrue.model.edit import FieldChange
 from ringtrue.model.model import Model, Ragged
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ringtrue.io.nastran.lexer import integers, real, reals, split_line
+from ringtrue.decks.nastran.lexer import integers, real, reals, split_line
 
 
 @pytest.mark.parametrize(

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.signal import oaconvolve
 
-from ringtrue.identify import variance as var
-from ringtrue.identify.bands import MOST_BLOCKS, begin, joined, of_stretch
-from ringtrue.identify.mixing import unmix
-from ringtrue.identify.ssi import SsiCov
-from ringtrue.identify.whittle import SpectralBins
+from ringtrue.identification import variance as var
+from ringtrue.identification.bands import MOST_BLOCKS, begin, joined, of_stretch
+from ringtrue.identification.mixing import unmix
+from ringtrue.identification.ssi import SsiCov
+from ringtrue.identification.whittle import SpectralBins
 from ringtrue.signal import pyramid
 from ringtrue.signal.preprocess import Band, detrend
 from ringtrue.signal.pyramid import Signals, segments

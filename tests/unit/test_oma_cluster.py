@@ -14,13 +14,13 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, InputError
-from ringtrue.identify.ambient import AmbientSettings, bands_for
-from ringtrue.identify.ambient_verdict import settled, without_echoes, without_noise
-from ringtrue.identify.cluster import cluster_poles
-from ringtrue.identify.merge import merge_modes
-from ringtrue.identify.ssi import SsiCov, decompose, hankel_gram, squared_hankel, ssi_cov
-from ringtrue.identify.stabilise import Candidates
-from ringtrue.identify.variance import frequency_damping, hankel, perturb
+from ringtrue.identification.ambient import AmbientSettings, bands_for
+from ringtrue.identification.ambient_verdict import settled, without_echoes, without_noise
+from ringtrue.identification.cluster import cluster_poles
+from ringtrue.identification.merge import merge_modes
+from ringtrue.identification.ssi import SsiCov, decompose, hankel_gram, squared_hankel, ssi_cov
+from ringtrue.identification.stabilise import Candidates
+from ringtrue.identification.variance import frequency_damping, hankel, perturb
 from ringtrue.shapes.mac import mac
 
 

@@ -12,8 +12,8 @@ from scipy import linalg, sparse
 from scipy.sparse import csgraph
 
 from ringtrue.errors import InputError
-from ringtrue.plan import exciters
-from ringtrue.plan.exciters import (
+from ringtrue.planning import exciters
+from ringtrue.planning.exciters import (
     appropriate_exciters,
     appropriated_force,
     mode_indicator,
@@ -21,8 +21,8 @@ from ringtrue.plan.exciters import (
     rank_sets,
     reciprocity_pairs,
 )
-from ringtrue.plan.suspension import loaded_frequencies, quiet, suspension_points
-from ringtrue.plan.wireframe import mesh_edges, neighbours, shown, wireframe
+from ringtrue.planning.suspension import loaded_frequencies, quiet, suspension_points
+from ringtrue.planning.wireframe import mesh_edges, neighbours, shown, wireframe
 
 
 def sines(n: int, m: int) -> np.ndarray:

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from ringtrue.errors import InputError
-from ringtrue.plan.candidates import even_distance
-from ringtrue.plan.layout import (
+from ringtrue.planning.candidates import even_distance
+from ringtrue.planning.layout import (
     independence,
     lower_auto_mac,
     reached,
     select_points,
     select_references,
 )
-from ringtrue.plan.resolution import ambient_std, frf_averages, resolution
+from ringtrue.planning.resolution import ambient_std, frf_averages, resolution
 from ringtrue.shapes.mac import auto_mac, worst_off_diagonal
 
 

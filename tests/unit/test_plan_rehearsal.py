@@ -23,11 +23,16 @@ from ringtrue.errors import ConfigError, DataError, InputError
 from ringtrue.fem.response import frf
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.io.uff.testmodel import write_test_model
-from ringtrue.plan.rehearsal import Conditions, Planned, missed_words, modal_model, trials
-from ringtrue.plan.rehearsal_ambient import Ambience, rehearse_ambient
-from ringtrue.plan.rehearsal_hammer import background_density, fitting_hammer, measured, rehearse
-from ringtrue.plan.resolution import ambient_std
-from ringtrue.plan.sheet import reach_of, write_test_sheet
+from ringtrue.planning.rehearsal import Conditions, Planned, missed_words, modal_model, trials
+from ringtrue.planning.rehearsal_ambient import Ambience, rehearse_ambient
+from ringtrue.planning.rehearsal_hammer import (
+    background_density,
+    fitting_hammer,
+    measured,
+    rehearse,
+)
+from ringtrue.planning.resolution import ambient_std
+from ringtrue.planning.sheet import reach_of, write_test_sheet
 from ringtrue.report.deliver import report_from_store
 from ringtrue.study.run import run_study
 from ringtrue.virtual.sensors import ACCELEROMETER, ICP

@@ -14,14 +14,14 @@ import pytest
 from scipy import linalg
 
 from ringtrue.errors import InputError
-from ringtrue.plan.candidates import (
+from ringtrue.planning.candidates import (
     along,
     in_boxes,
     nearest_nodes,
     select_candidates,
     surface_normals,
 )
-from ringtrue.plan.information import (
+from ringtrue.planning.information import (
     Aim,
     gains,
     greedy_logdet,
@@ -30,8 +30,8 @@ from ringtrue.plan.information import (
     parameter_aim,
     prior_shapes,
 )
-from ringtrue.plan.layout import select_points
-from ringtrue.plan.selection import (
+from ringtrue.planning.layout import select_points
+from ringtrue.planning.selection import (
     auto_mac_points,
     kinetic_weighted,
     make_redundant,

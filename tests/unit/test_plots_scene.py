@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ringtrue.io.nastran.reader import read_deck
+from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.plots.scene import regions
 from ringtrue.study.results import Scene
 from ringtrue.study.run import run_study

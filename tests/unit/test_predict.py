@@ -17,25 +17,25 @@ import numpy as np
 import pytest
 from small_study import FULL, write_study
 
-from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.cli.main import run
 from ringtrue.cli.predict import settings
 from ringtrue.core.parameters import Parameter, ParameterSet, Target
+from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, InputError
 from ringtrue.io.modes_json import write_modes
-from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.edit import apply_factors
 from ringtrue.model.ports import ModesRequest
 from ringtrue.report.deliver import deliver
+from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.study.config import PredictSection
 from ringtrue.study.opened import Opened
 from ringtrue.study.results import DampedModes
 from ringtrue.study.run import run_study
 from ringtrue.study.stages.predict import _forces, scatter
 from ringtrue.study.words import validated
-from ringtrue.update.dense import DenseModel
-from ringtrue.update.harmonic import Damping, RegionDamping, Rows
-from ringtrue.update.predict import Output, RunUp, Unbalance, bands, plane, run_up, validated_band
+from ringtrue.updating.dense import DenseModel
+from ringtrue.updating.harmonic import Damping, RegionDamping, Rows
+from ringtrue.updating.predict import Output, RunUp, Unbalance, bands, plane, run_up, validated_band
 
 K, M, ZETA = 4e6, 100.0, 0.02
 F1 = float(np.sqrt(K / M) / (2 * np.pi))

@@ -13,14 +13,14 @@ from pathlib import Path
 
 import pytest
 
-from ringtrue.backends.runner import run_program
 from ringtrue.errors import SolverFailed, SolverMissing
+from ringtrue.solvers.runner import run_program
 
 SOLVER = "sleep 300 & echo $! $$ > pids; wait"  # a launcher and its program, as those of Nastran
 PARENT = """
 import sys
 from pathlib import Path
-from ringtrue.backends.runner import run_program
+from ringtrue.solvers.runner import run_program
 run_program(["sh", "-c", sys.argv[2]], Path(sys.argv[1]), name="solver", timeout=300.0)
 """
 PATIENCE = 60.0  # s, on a machine under load

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from five_modes import PHI, F, Z, motion, record
 
-from ringtrue.identify.ambient import identify_ambient, identify_stretches
-from ringtrue.identify.ambient_methods import identify_ambient_by
-from ringtrue.identify.whittle import SpectralBins
+from ringtrue.identification.ambient import identify_ambient, identify_stretches
+from ringtrue.identification.ambient_methods import identify_ambient_by
+from ringtrue.identification.whittle import SpectralBins
 from ringtrue.shapes.mac import mac
 from ringtrue.signal.events import NONE
 from ringtrue.signal.gaps import bridged

@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import ConfigError, DataError
-from ringtrue.identify.ambient import identify_ambient
+from ringtrue.identification.ambient import identify_ambient
 from ringtrue.signal.harmonics import (
     edit_cepstrum,
     line_statistics,

@@ -15,7 +15,7 @@ from scipy.signal import chirp, lfilter
 
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import DataError
-from ringtrue.identify.hammer import HammerModes, identify_hammer
+from ringtrue.identification.hammer import HammerModes, identify_hammer
 from ringtrue.signal.frf import frf_variance
 from ringtrue.signal.local_rational import local_frfs, runs_on, spacing
 from ringtrue.signal.periodic import period, periodic_frfs

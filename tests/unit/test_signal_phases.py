@@ -9,8 +9,8 @@ import pytest
 from five_modes import PHI, RATE, F, motion, record
 from scipy.signal import butter, hilbert, sosfilt
 
-from ringtrue.identify.ambient import identify_ambient
-from ringtrue.identify.ambient_record import in_phase
+from ringtrue.identification.ambient import identify_ambient
+from ringtrue.identification.ambient_record import in_phase
 from ringtrue.shapes.mac import mac
 from ringtrue.signal.align import at_positions
 from ringtrue.signal.phases import channel_phases, in_step

@@ -22,19 +22,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.cli.main import run
 from ringtrue.core.channels import match_channels
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
+from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.fem.response import frf
 from ringtrue.io.frfs import write_frfs
 from ringtrue.io.modes_json import write_modes
-from ringtrue.io.nastran.reader import read_deck
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.model.ports import ModesRequest
 from ringtrue.report.build import build
+from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.study.naming import frfs_by_sheet
 from ringtrue.study.run import run_study
 from ringtrue.study.summary import summarise

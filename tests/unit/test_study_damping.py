@@ -11,8 +11,8 @@ import pytest
 import small_study
 
 from ringtrue.core.progress import quiet
+from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError
-from ringtrue.io.nastran.reader import read_deck
 from ringtrue.report.build import build
 from ringtrue.study.config import parse_config
 from ringtrue.study.run import StudyRun, run_study

@@ -18,7 +18,7 @@ import small_study
 from ringtrue.cli.main import run as command
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.pairing import Pairing
-from ringtrue.correlate.table import CorrelationTable
+from ringtrue.correlation.table import CorrelationTable
 from ringtrue.model.ports import ModesRequest
 from ringtrue.report.deliver import deliver
 from ringtrue.report.parts import Items, Table

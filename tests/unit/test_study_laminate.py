@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.core.parameters import Parameter, ParameterSet, Target
+from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.io.modes_json import write_modes
-from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.edit import apply_factors
 from ringtrue.model.ports import ModesRequest
 from ringtrue.report.deliver import deliver
+from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.study.run import run_study
 
 NX, NY = 8, 6

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 import small_study
 
+from ringtrue.decks.nastran.edit import unified_diff
+from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, DataError
-from ringtrue.io.nastran.edit import unified_diff
-from ringtrue.io.nastran.reader import read_deck
 from ringtrue.report.deliver import deliver
 from ringtrue.study.reference import beyond
 from ringtrue.study.run import StudyRun, run_study

@@ -17,15 +17,15 @@ import numpy as np
 import pytest
 import small_study
 
-from ringtrue.backends import registry
-from ringtrue.backends.embedded import EmbeddedAnalysis, EmbeddedSolver
-from ringtrue.backends.mystran import MystranSolver, find_mystran
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.errors import ConfigError, SolverMissing
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest, ModesResult
 from ringtrue.report.deliver import deliver
+from ringtrue.solvers import registry
+from ringtrue.solvers.embedded import EmbeddedAnalysis, EmbeddedSolver
+from ringtrue.solvers.mystran import MystranSolver, find_mystran
 from ringtrue.study.config import parse_config
 from ringtrue.study.run import StudyRun, run_study
 

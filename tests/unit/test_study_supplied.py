@@ -13,23 +13,23 @@ import numpy as np
 import pytest
 import small_study
 
-from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.cli.main import run
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.core.testmodel import TestModel
-from ringtrue.correlate.complete import complete
-from ringtrue.correlate.pairing import pair_modes
-from ringtrue.correlate.table import correlation_table
+from ringtrue.correlation.complete import complete
+from ringtrue.correlation.pairing import pair_modes
+from ringtrue.correlation.table import correlation_table
+from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, DataError
-from ringtrue.identify.hammer import HammerModes, identify_hammer
+from ringtrue.identification.hammer import HammerModes, identify_hammer
 from ringtrue.io.frfs import write_frfs
 from ringtrue.io.modes_json import write_modes
-from ringtrue.io.nastran.reader import read_deck
 from ringtrue.io.records import read_record, write_history
 from ringtrue.model.ports import ModesRequest
 from ringtrue.report.deliver import deliver
 from ringtrue.shapes.mac import auto_mac
+from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.study.results import CompareStage, Evidence
 from ringtrue.study.run import run_study
 from ringtrue.study.words import told

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from ringtrue.core.parameters import Parameter, ParameterSet
-from ringtrue.correlate.assign import PairingSettings
+from ringtrue.correlation.assign import PairingSettings
 from ringtrue.study.stages.tune import ALLOWED, disagreeing
-from ringtrue.update.dense import DenseModel
-from ringtrue.update.objective import Target, Weights
+from ringtrue.updating.dense import DenseModel
+from ringtrue.updating.objective import Target, Weights
 
 N, STIFF = 8, np.array([np.log(2.0)])
 STD = np.array([0.02])

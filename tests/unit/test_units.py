@@ -20,13 +20,13 @@ from ringtrue.cli.main import run
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.units import UNIT_SYSTEMS
+from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import UnsupportedError
 from ringtrue.io.modes_json import write_modes
-from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.seconds import in_seconds
 from ringtrue.study.opened import Opened
 from ringtrue.study.proposing import with_lumps
-from ringtrue.update.candidates import CandidateSettings
+from ringtrue.updating.candidates import CandidateSettings
 
 Capture = pytest.CaptureFixture[str]
 ELEMENTS = 10

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.special import stdtrit
 
-from ringtrue.backends.embedded import EmbeddedSolver
-from ringtrue.io.nastran.reader import read_deck
+from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.model.ports import ModesRequest
-from ringtrue.update.alike import effective_freedom, energy_shares, independent_errors, likeness
+from ringtrue.solvers.embedded import EmbeddedSolver
+from ringtrue.updating.alike import effective_freedom, energy_shares, independent_errors, likeness
 
 N, LENGTH = 60, 3.0
 

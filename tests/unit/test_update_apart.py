@@ -18,12 +18,12 @@ from ringtrue.cli.study import settles
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.outcome import Outcome
+from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.io.modes_json import write_modes
-from ringtrue.io.nastran.reader import read_deck
 from ringtrue.study.acceptance import Check
 from ringtrue.study.opened import Opened
-from ringtrue.update.identifiable import stood_for, told_apart
-from ringtrue.update.unmoved import unmoved
+from ringtrue.updating.identifiable import stood_for, told_apart
+from ringtrue.updating.unmoved import unmoved
 
 Capture = pytest.CaptureFixture[str]
 NODES = range(2, 12)

@@ -12,8 +12,8 @@ from scipy import linalg
 from ringtrue.eigen.damped import complex_modes
 from ringtrue.errors import InputError
 from ringtrue.fem.response import coupled, frf
-from ringtrue.update.damping import Mechanism, assembled, dashpot, fit_poles, loss_factor, modal
-from ringtrue.update.damping_frf import FrfData, fit_frfs, near_resonances
+from ringtrue.updating.damping import Mechanism, assembled, dashpot, fit_poles, loss_factor, modal
+from ringtrue.updating.damping_frf import FrfData, fit_frfs, near_resonances
 
 N = 8
 TRUTH = np.array([0.02, 0.05, 3.0])  # two loss factors, N s/m

@@ -16,13 +16,13 @@ import numpy as np
 import pytest
 
 from ringtrue.core.parameters import Parameter, ParameterSet, Target
+from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.eigen.damped import complex_modes, project
 from ringtrue.errors import InputError
-from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.model import Model
 from ringtrue.study.opened import Opened
-from ringtrue.update.damping import Mechanism, fit_poles, mode_damping
-from ringtrue.update.damping_regions import (
+from ringtrue.updating.damping import Mechanism, fit_poles, mode_damping
+from ringtrue.updating.damping_regions import (
     Dampers,
     DampingRegion,
     dampers,

@@ -13,13 +13,13 @@ import pytest
 
 from ringtrue.core.parameters import Parameter, ParameterSet, Target
 from ringtrue.core.progress import Progress, quiet
-from ringtrue.update.choose import Choice
-from ringtrue.update.dense import DenseModel
-from ringtrue.update.lacking import with_lumps
-from ringtrue.update.objective import Target as Aim
-from ringtrue.update.objective import residual
-from ringtrue.update.search import Search
-from ringtrue.update.subsets import Subsets, subsets
+from ringtrue.updating.choose import Choice
+from ringtrue.updating.dense import DenseModel
+from ringtrue.updating.lacking import with_lumps
+from ringtrue.updating.objective import Target as Aim
+from ringtrue.updating.objective import residual
+from ringtrue.updating.search import Search
+from ringtrue.updating.subsets import Subsets, subsets
 
 N, TOTAL, PLACES = 10, 20.0, (2, 7)
 LUMPS = [5, 6]

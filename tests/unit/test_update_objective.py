@@ -11,14 +11,14 @@ import pytest
 
 from ringtrue.core.outcome import Outcome
 from ringtrue.core.parameters import Parameter, ParameterSet
-from ringtrue.correlate.assign import Followed, PairingSettings, peak_shares
+from ringtrue.correlation.assign import Followed, PairingSettings, peak_shares
 from ringtrue.errors import InputError
 from ringtrue.model.ports import Linearisation
 from ringtrue.shapes.mac import mac
 from ringtrue.study.stages.together import spared
-from ringtrue.update.dense import DenseModel
-from ringtrue.update.gauss_newton import update
-from ringtrue.update.objective import (
+from ringtrue.updating.dense import DenseModel
+from ringtrue.updating.gauss_newton import update
+from ringtrue.updating.objective import (
     DOUBT,
     LOST,
     Target,
@@ -28,9 +28,9 @@ from ringtrue.update.objective import (
     residual,
     shared_cost,
 )
-from ringtrue.update.settle import Course, displaced, lost, settled, whole_cost
-from ringtrue.update.several import Configuration, Problem
-from ringtrue.update.trust import solve
+from ringtrue.updating.settle import Course, displaced, lost, settled, whole_cost
+from ringtrue.updating.several import Configuration, Problem
+from ringtrue.updating.trust import solve
 
 
 def chain(n: int, groups: int, *, kind: str = "log") -> DenseModel:

@@ -14,14 +14,14 @@ from scipy import linalg
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.core.parameters import Target as Place
 from ringtrue.errors import InputError
-from ringtrue.update.dense import DenseModel
-from ringtrue.update.kfold import discrepancy, folds_of, k_fold, variance_parts, with_discrepancy
-from ringtrue.update.mcmc import autocorrelation_time, ensemble, log_posterior
-from ringtrue.update.objective import Target, Weights
-from ringtrue.update.plausible import form_flags, kept, plausibility
-from ringtrue.update.posterior import Posterior, around, as_likelihood, laplace
-from ringtrue.update.several import Configuration, Problem, held_to
-from ringtrue.update.trust import solve
+from ringtrue.updating.dense import DenseModel
+from ringtrue.updating.kfold import discrepancy, folds_of, k_fold, variance_parts, with_discrepancy
+from ringtrue.updating.mcmc import autocorrelation_time, ensemble, log_posterior
+from ringtrue.updating.objective import Target, Weights
+from ringtrue.updating.plausible import form_flags, kept, plausibility
+from ringtrue.updating.posterior import Posterior, around, as_likelihood, laplace
+from ringtrue.updating.several import Configuration, Problem, held_to
+from ringtrue.updating.trust import solve
 
 N, GROUPS, MODES = 12, 4, 8
 NOISE_F, NOISE_SHAPE = 2e-3, 0.02  # relative; of the root mean square of a shape
@@ -276,7 +276,7 @@ def test_draws_do_not_depend_on_signs_of_eigenvectors(monkeypatch: pytest.Monkey
         value, vectors = plain(a)
         return value, -vectors
 
-    monkeypatch.setattr("ringtrue.update.quadratic.linalg.eigh", turned)
+    monkeypatch.setattr("ringtrue.updating.quadratic.linalg.eigh", turned)
     np.testing.assert_allclose(
         posterior.sample(20_000, np.random.default_rng(0)), first, rtol=1e-9, atol=1e-15
     )

@@ -16,11 +16,11 @@ from scipy import linalg, sparse
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.errors import InputError, NumericalError
 from ringtrue.fem.functions import AffineTerm, power
-from ringtrue.reduce.affine import AffineSystem
-from ringtrue.reduce.parametric import reduced_model
-from ringtrue.update.dense import DenseModel, matrices_at
-from ringtrue.update.objective import Target, Weights, residual
-from ringtrue.update.residuals import (
+from ringtrue.reduction.affine import AffineSystem
+from ringtrue.reduction.parametric import reduced_model
+from ringtrue.updating.dense import DenseModel, matrices_at
+from ringtrue.updating.objective import Target, Weights, residual
+from ringtrue.updating.residuals import (
     CrossOrthogonality,
     Eigenvalues,
     Frequencies,
@@ -30,8 +30,8 @@ from ringtrue.update.residuals import (
     default_terms,
     point,
 )
-from ringtrue.update.residuals_frf import AntiResonances, Frf, zeros
-from ringtrue.update.residuals_static import (
+from ringtrue.updating.residuals_frf import AntiResonances, Frf, zeros
+from ringtrue.updating.residuals_static import (
     MassProperties,
     RigidMass,
     StaticDeflections,

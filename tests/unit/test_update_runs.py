@@ -15,20 +15,20 @@ import numpy as np
 import pytest
 import small_study
 
-from ringtrue.backends import registry
-from ringtrue.backends.embedded import EmbeddedAnalysis, EmbeddedSolver
-from ringtrue.backends.mystran import MystranSolver, find_mystran
-from ringtrue.backends.observed import FullModel
 from ringtrue.cli.main import run
 from ringtrue.core.arrays import Any_, Float
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.parameters import Parameter, ParameterSet, Target
-from ringtrue.correlate.observe import at_dofs
+from ringtrue.correlation.observe import at_dofs
+from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import SolverFailed, SolverMissing
 from ringtrue.io.modes_json import write_modes
-from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModalSolver, ModesRequest, ModesResult
+from ringtrue.solvers import registry
+from ringtrue.solvers.embedded import EmbeddedAnalysis, EmbeddedSolver
+from ringtrue.solvers.mystran import MystranSolver, find_mystran
+from ringtrue.solvers.observed import FullModel
 from ringtrue.study.run import run_study
 from ringtrue.virtual.logbook import write_sheet
 

@@ -15,15 +15,15 @@ import pytest
 
 from ringtrue.core.outcome import Outcome
 from ringtrue.core.parameters import Parameter, ParameterSet
-from ringtrue.correlate.assign import APART, PairingSettings
+from ringtrue.correlation.assign import APART, PairingSettings
 from ringtrue.shapes.subspace import FADE
-from ringtrue.update.dense import DenseModel
-from ringtrue.update.gauss_newton import update
-from ringtrue.update.objective import Target, Weights, match
-from ringtrue.update.residuals import Eigenvalues, Mac, Shapes
-from ringtrue.update.several import Configuration, Problem
-from ringtrue.update.spans import spans
-from ringtrue.update.trust import Method, solve
+from ringtrue.updating.dense import DenseModel
+from ringtrue.updating.gauss_newton import update
+from ringtrue.updating.objective import Target, Weights, match
+from ringtrue.updating.residuals import Eigenvalues, Mac, Shapes
+from ringtrue.updating.several import Configuration, Problem
+from ringtrue.updating.spans import spans
+from ringtrue.updating.trust import Method, solve
 
 N, MODES = 6, 4
 CLOSE = PairingSettings().close

@@ -15,24 +15,24 @@ from scipy import sparse
 sys.path.insert(0, str(Path(__file__).parents[1] / "verification"))
 import localise_twin as twin
 
-from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.core.parameters import Parameter, ParameterSet, Substructure, Target
 from ringtrue.errors import ConfigError, InputError
 from ringtrue.model.ports import ModesRequest
-from ringtrue.reduce.condense import condensed
-from ringtrue.reduce.expand import expand_hybrid, expand_reduced
-from ringtrue.update.alike import errors_of_shapes
-from ringtrue.update.choose import Choice
-from ringtrue.update.claims import stated_errors
-from ringtrue.update.dense import DenseModel
-from ringtrue.update.effects import SHARP, effects, force_residual, paired_residual
-from ringtrue.update.generate import generate
-from ringtrue.update.identifiable import blind_cosines, identifiability
-from ringtrue.update.objective import Residual, Weights, residual
-from ringtrue.update.objective import Target as Aim
-from ringtrue.update.pool import conflicts, explaining, of_parameter
-from ringtrue.update.proposal import propose
-from ringtrue.update.search import Search
+from ringtrue.reduction.condense import condensed
+from ringtrue.reduction.expand import expand_hybrid, expand_reduced
+from ringtrue.solvers.embedded import EmbeddedSolver
+from ringtrue.updating.alike import errors_of_shapes
+from ringtrue.updating.choose import Choice
+from ringtrue.updating.claims import stated_errors
+from ringtrue.updating.dense import DenseModel
+from ringtrue.updating.effects import SHARP, effects, force_residual, paired_residual
+from ringtrue.updating.generate import generate
+from ringtrue.updating.identifiable import blind_cosines, identifiability
+from ringtrue.updating.objective import Residual, Weights, residual
+from ringtrue.updating.objective import Target as Aim
+from ringtrue.updating.pool import conflicts, explaining, of_parameter
+from ringtrue.updating.proposal import propose
+from ringtrue.updating.search import Search
 
 
 def test_factors_on_one_field_stay_apart_a_product_does_not() -> None:

@@ -16,9 +16,9 @@ import pytest
 
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.errors import InputError
-from ringtrue.update.objective import Target, Weights
-from ringtrue.update.rigid_body import RigidBody
-from ringtrue.update.suspension import tune
+from ringtrue.updating.objective import Target, Weights
+from ringtrue.updating.rigid_body import RigidBody
+from ringtrue.updating.suspension import tune
 
 WEIGHTS = Weights(0.003, 0.05, 0.2)
 

@@ -23,21 +23,21 @@ import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 
-from ringtrue.backends.embedded import EmbeddedAnalysis, EmbeddedSolver
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.observation import Observation
 from ringtrue.core.uncertainty import Uncertainty
+from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.io.modes_json import write_modes
-from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.frames import positions
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
-from ringtrue.reduce.parametric import BasisOptions, ReducedModel
-from ringtrue.update.candidates import Candidate, CandidateSettings
-from ringtrue.update.effects import effective, reduced_candidates
-from ringtrue.update.generate import generate
-from ringtrue.update.objective import Target
+from ringtrue.reduction.parametric import BasisOptions, ReducedModel
+from ringtrue.solvers.embedded import EmbeddedAnalysis, EmbeddedSolver
+from ringtrue.updating.candidates import Candidate, CandidateSettings
+from ringtrue.updating.effects import effective, reduced_candidates
+from ringtrue.updating.generate import generate
+from ringtrue.updating.objective import Target
 
 Array = npt.NDArray[np.float64]
 

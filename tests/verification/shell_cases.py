@@ -9,9 +9,9 @@ from collections.abc import Callable
 import numpy as np
 from fem_cases import cards, ragged
 
-from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.model.model import Model, Table
+from ringtrue.solvers.embedded import EmbeddedSolver
 
 SHELLS = ("CQUAD4", "CTRIA3", "CQUAD8", "CTRIA6")
 SECOND = ("CQUAD8", "CTRIA6")

@@ -14,7 +14,6 @@ import pytest
 from eigen_shell import shell
 from scipy import linalg, sparse
 
-from ringtrue.backends.embedded import EmbeddedAnalysis
 from ringtrue.core.dofs import DofSet
 from ringtrue.eigen.damped import full_modes
 from ringtrue.eigen.dynamic import DynamicStiffness
@@ -26,6 +25,7 @@ from ringtrue.errors import InputError, SingularModel
 from ringtrue.fem.assembly import assemble
 from ringtrue.fem.response import direct
 from ringtrue.model.ports import ModesRequest
+from ringtrue.solvers.embedded import EmbeddedAnalysis
 
 ENGINES = installed()
 

@@ -9,7 +9,6 @@ from eigen_shell import shell
 from fem_cases import cards, ragged
 from scipy import sparse
 
-from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.core.arrays import Float
 from ringtrue.core.parameters import Parameter, ParameterSet, Shape
 from ringtrue.eigen.derivatives import (
@@ -25,6 +24,7 @@ from ringtrue.errors import InputError, NotConverged
 from ringtrue.fem.change import scaled
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
+from ringtrue.solvers.embedded import EmbeddedSolver
 
 N, M = 14, 8
 

@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ringtrue.backends.embedded import EmbeddedSolver
+from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import SingularModel
-from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
+from ringtrue.solvers.embedded import EmbeddedSolver
 
 E, AREA, WEAK, RHO, LENGTH = 2.1e11, 1e-4, 1e-9, 7850.0, 1.0
 LINES = [(1.0, 0.0, 0.0), (1.0, 1.0, 0.0), (0.3, 0.5, 0.7)]

@@ -9,12 +9,12 @@ import pytest
 from eigen_shell import parameters, shell
 from scipy import sparse
 
-from ringtrue.backends.observed import FullModel, reduced
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.observation import Observation
 from ringtrue.errors import InputError
 from ringtrue.fem.assembly import assemble
 from ringtrue.model.ports import ModesRequest
+from ringtrue.solvers.observed import FullModel, reduced
 
 COUNT = 14
 ROUNDING = (

@@ -16,13 +16,13 @@ import pytest
 from ringtrue.core.modes import Norm
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.errors import DataError
-from ringtrue.identify.bands_hammer import choose_bands
-from ringtrue.identify.frf_input import sound_pairs
-from ringtrue.identify.hammer import HammerModes, HammerResult, identify_hammer
-from ringtrue.identify.lsfd import lsfd, noise, prepare
-from ringtrue.identify.peaks import cmif
-from ringtrue.identify.plscf import Plscf, cluster_poles, plscf
-from ringtrue.identify.refine import refine
+from ringtrue.identification.bands_hammer import choose_bands
+from ringtrue.identification.frf_input import sound_pairs
+from ringtrue.identification.hammer import HammerModes, HammerResult, identify_hammer
+from ringtrue.identification.lsfd import lsfd, noise, prepare
+from ringtrue.identification.peaks import cmif
+from ringtrue.identification.plscf import Plscf, cluster_poles, plscf
+from ringtrue.identification.refine import refine
 from ringtrue.io.frfs import read_frfs
 from ringtrue.shapes.mac import mac
 from ringtrue.signal.frf_checks import check_driving_points

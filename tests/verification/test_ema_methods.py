@@ -18,16 +18,16 @@ from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import DataError, InputError
-from ringtrue.identify.hammer import HammerModes, identify_hammer
-from ringtrue.identify.linearity import level_dependence
-from ringtrue.identify.local import identify_batches, told_apart
-from ringtrue.identify.lsce import Lsce, lsce
-from ringtrue.identify.normal import niedbal, normal_modes, rotated
-from ringtrue.identify.peaks import CmifPeaks, cmif_modes, single_mode
-from ringtrue.identify.plscf import cluster_poles
-from ringtrue.identify.poles import PoleSet
-from ringtrue.identify.reciprocity import reciprocity
-from ringtrue.identify.rfp import Rfp, orthogonal, rfp
+from ringtrue.identification.hammer import HammerModes, identify_hammer
+from ringtrue.identification.linearity import level_dependence
+from ringtrue.identification.local import identify_batches, told_apart
+from ringtrue.identification.lsce import Lsce, lsce
+from ringtrue.identification.normal import niedbal, normal_modes, rotated
+from ringtrue.identification.peaks import CmifPeaks, cmif_modes, single_mode
+from ringtrue.identification.plscf import cluster_poles
+from ringtrue.identification.poles import PoleSet
+from ringtrue.identification.reciprocity import reciprocity
+from ringtrue.identification.rfp import Rfp, orthogonal, rfp
 from ringtrue.shapes.mac import mac
 from ringtrue.signal.setups import join_frfs
 

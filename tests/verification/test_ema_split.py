@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from ringtrue.core.signals import Channel, FrfSet
-from ringtrue.identify.hammer import identify_hammer
-from ringtrue.identify.local import told_apart
+from ringtrue.identification.hammer import identify_hammer
+from ringtrue.identification.local import told_apart
 from ringtrue.shapes.mac import mac
 
 FN = np.array([90.0, 170, 262, 380, 455, 610])

@@ -15,11 +15,11 @@ from fem_cases import cards, grid, model, modes, spc, steel
 from scipy.integrate import quad
 
 from ringtrue.core.arrays import Any_, Float
+from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import UnsupportedCard
 from ringtrue.fem.assembly import System, assemble
 from ringtrue.fem.elements import bar
 from ringtrue.fem.mesh import mesh
-from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.model import Model, Table
 from ringtrue.model.sections import SECTIONS
 

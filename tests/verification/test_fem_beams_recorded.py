@@ -19,13 +19,13 @@ import pytest
 from scipy.io import loadmat
 from scipy.linalg import eigh
 
-from ringtrue.backends.registry import solver
 from ringtrue.core.arrays import Any_, Float, Int
+from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.fem.assembly import System, assemble
-from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.ports import ModesRequest
-from ringtrue.reduce.static import Condensed, craig_bampton, guyan
+from ringtrue.reduction.static import Condensed, craig_bampton, guyan
 from ringtrue.shapes.mac import mac
+from ringtrue.solvers.registry import solver
 
 FE = Path(__file__).parents[2].parent / "shared/data/fe/msc2019"
 PRINTED = 2e-6  # seven digits in the f06

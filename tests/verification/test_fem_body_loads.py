@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.core.arrays import Float
+from ringtrue.decks.nastran.reader import read_loaded_deck
 from ringtrue.errors import DeckError
-from ringtrue.io.nastran.reader import read_loaded_deck
+from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.study.loads import load_vectors, support_motions
 
 E, RHO, A, TURNS = 2e11, 8000.0, 1e-3, 5.0

@@ -11,7 +11,7 @@ import pytest
 from fem_slopes import check_slopes
 
 from ringtrue.core.parameters import Parameter, Shape, Target
-from ringtrue.io.nastran.reader import read_deck
+from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.model.model import Model
 
 BEAM = """SOL 103

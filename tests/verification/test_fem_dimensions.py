@@ -11,13 +11,13 @@ import pytest
 from scipy import sparse
 
 from ringtrue.core.parameters import Parameter, ParameterSet, Target
+from ringtrue.decks.nastran.bulk import write_bulk
+from ringtrue.decks.nastran.edit import edit_fields
+from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import DeckError, InputError
 from ringtrue.fem.assembly import assemble
 from ringtrue.fem.change import scaled
 from ringtrue.fem.derivatives import matrix_derivatives
-from ringtrue.io.nastran.bulk import write_bulk
-from ringtrue.io.nastran.edit import edit_fields
-from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.edit import apply_factors, field_changes
 from ringtrue.model.model import Model
 from ringtrue.model.sections import FALLBACK, SECTIONS, section

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.core.arrays import Float
+from ringtrue.decks.nastran.reader import read_loaded_deck
 from ringtrue.errors import DeckError
 from ringtrue.fem.mesh import mesh
-from ringtrue.io.nastran.reader import read_loaded_deck
+from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.study.loads import load_vectors
 
 E, A, I1, L, Q = 2e11, 1e-3, 2e-6, 2.0, 1000.0

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from fem_cases import cards, frequencies, grid, model, pshell, ragged, shells, spc, square, steel
 
-from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.errors import DeckError, SingularModel
 from ringtrue.fem.assembly import assemble
 from ringtrue.model.model import Model, Table
 from ringtrue.model.ports import ModesRequest
+from ringtrue.solvers.embedded import EmbeddedSolver
 
 MASS = cards("CONM2", EID=[50], G=1, M=4.0)
 

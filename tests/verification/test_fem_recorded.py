@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from fem_cases import modes
 
-from ringtrue.io.nastran.reader import read_deck
+from ringtrue.decks.nastran.reader import read_deck
 
 DATA = Path(__file__).parents[2].parent / "shared/data/fe"
 SYSTEM = "msc2019/system_verification"

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from fem_cases import cards, grid, model, modes, pshell, ragged, shells, spc, square, steel
 
-from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.core.arrays import Float
 from ringtrue.core.parameters import Parameter, ParameterSet, Target
+from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import DeckError, InputError, SingularModel, UnsupportedCard
 from ringtrue.fem.assembly import assemble
-from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.model import CaseControl, Model, Table
 from ringtrue.model.ports import ModesRequest
+from ringtrue.solvers.embedded import EmbeddedSolver
 
 EXACT = 1e-12  # some hundred operations
 XYZ = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0.3, 0.2, 0.5], [2, 2, 1.0]])

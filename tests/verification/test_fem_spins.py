@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from fem_cases import cards, grid, model, ragged, spc, steel
 
-from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.core.arrays import Float
 from ringtrue.core.parameters import Parameter, ParameterSet, Target
 from ringtrue.errors import SingularModel
@@ -19,6 +18,7 @@ from ringtrue.fem.assembly import assemble
 from ringtrue.fem.spins import spins
 from ringtrue.model.model import Model, Table
 from ringtrue.model.ports import ModesRequest
+from ringtrue.solvers.embedded import EmbeddedSolver
 
 L, BETA = 2.0, np.array([4.730041, 7.853205])
 I1, I2 = 2e-5, 1e-5

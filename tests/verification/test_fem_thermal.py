@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.cli.main import run
 from ringtrue.core.arrays import Float
+from ringtrue.decks.nastran.reader import read_loaded_deck
 from ringtrue.fem.algebra import arm
-from ringtrue.io.nastran.reader import read_loaded_deck
 from ringtrue.model.frames import positions
+from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.study.loads import load_vectors
 
 ALPHA, TREF = 1.2e-5, 20.0

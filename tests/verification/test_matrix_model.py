@@ -11,15 +11,15 @@ import pytest
 from eigen_plate import held, plate
 from scipy import sparse
 
-from ringtrue.backends.matrices import MatrixModel, MatrixSolver
 from ringtrue.core.parameters import Parameter, ParameterSet, Target
 from ringtrue.errors import InputError
 from ringtrue.io.matrices import read_matrices
 from ringtrue.model.ports import ModesRequest, ObservedModel
+from ringtrue.solvers.matrices import MatrixModel, MatrixSolver
 from ringtrue.testing.solver import check_modal_solver
-from ringtrue.update.gauss_newton import update
-from ringtrue.update.objective import Target as Aim
-from ringtrue.update.objective import Weights
+from ringtrue.updating.gauss_newton import update
+from ringtrue.updating.objective import Target as Aim
+from ringtrue.updating.objective import Weights
 
 FRAME = (
     Path(__file__).parents[3]

@@ -14,7 +14,6 @@ from fem_cases import cards, grid, model, pshell, ragged, spc, square, steel
 from shell_cases import net, rectangle, shell
 from solid_meshes import box, cut, elements, psolid
 
-from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.checks.mesh import mesh_errors
 from ringtrue.core.arrays import Float, Int
 from ringtrue.errors import UnsupportedError
@@ -23,6 +22,7 @@ from ringtrue.model.frames import positions
 from ringtrue.model.model import Model, Table, stacked
 from ringtrue.model.ports import ModesRequest
 from ringtrue.model.refine import refined
+from ringtrue.solvers.embedded import EmbeddedSolver
 
 SAME = 1e-8  # of frequencies of one mesh with its nodes in another order
 FIRST = 2e-4  # the same where a curved triangle of six nodes begins at another corner

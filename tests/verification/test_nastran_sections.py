@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ringtrue.backends.registry import solver
+from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import UnsupportedCard
-from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.ports import ModesRequest
 from ringtrue.model.sections import SECTIONS
+from ringtrue.solvers.registry import solver
 
 DECK = Path(__file__).parents[2].parent / "shared/data/fe/beam_modes/beam_modes.dat"
 RECORDED = [

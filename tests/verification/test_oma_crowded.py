@@ -9,8 +9,8 @@ import pytest
 from scipy.signal import lfilter
 
 from ringtrue.core.signals import Channel, TimeHistory
-from ringtrue.identify import ambient_band, ambient_verdict
-from ringtrue.identify.ambient import AmbientSettings, identify_ambient
+from ringtrue.identification import ambient_band, ambient_verdict
+from ringtrue.identification.ambient import AmbientSettings, identify_ambient
 from ringtrue.shapes.mac import mac
 
 RATE, SECONDS, CHANNELS = 40.0, 600, 20

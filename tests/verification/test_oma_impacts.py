@@ -16,7 +16,7 @@ import pytest
 from scipy.signal import lfilter
 
 from ringtrue.core.signals import Channel, TimeHistory
-from ringtrue.identify.ambient import AmbientResult, identify_ambient
+from ringtrue.identification.ambient import AmbientResult, identify_ambient
 from ringtrue.signal.events import find_events
 from ringtrue.signal.lines import MOST, steady_lines, without_lines
 

@@ -9,8 +9,8 @@ import pytest
 from scipy.signal import lfilter
 
 from ringtrue.core.signals import Channel, TimeHistory
-from ringtrue.identify.ambient import AmbientResult, identify_ambient
-from ringtrue.identify.ambient_verdict import feet
+from ringtrue.identification.ambient import AmbientResult, identify_ambient
+from ringtrue.identification.ambient_verdict import feet
 from ringtrue.signal.strokes import without_strokes
 from ringtrue.signal.sweeps import without_sweeps
 

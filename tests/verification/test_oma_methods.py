@@ -21,13 +21,13 @@ from scipy.signal import firwin, lfilter
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import ConfigError, DataError, InputError
-from ringtrue.identify.bayes import BayesResult, bayes_fft
-from ringtrue.identify.era import era, next_era
-from ringtrue.identify.fdd import FddSettings, fdd, log_decrement, random_decrement
-from ringtrue.identify.pick import modes_of
-from ringtrue.identify.setups import preger
-from ringtrue.identify.ssi import SsiCov
-from ringtrue.identify.ssi_data import project, ssi_data
+from ringtrue.identification.bayes import BayesResult, bayes_fft
+from ringtrue.identification.era import era, next_era
+from ringtrue.identification.fdd import FddSettings, fdd, log_decrement, random_decrement
+from ringtrue.identification.pick import modes_of
+from ringtrue.identification.setups import preger
+from ringtrue.identification.ssi import SsiCov
+from ringtrue.identification.ssi_data import project, ssi_data
 from ringtrue.shapes.mac import mac, paired_mac
 from ringtrue.signal.preprocess import decimate
 

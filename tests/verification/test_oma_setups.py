@@ -9,13 +9,13 @@ from scipy.signal import lfilter
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.core.uncertainty import Uncertainty
-from ringtrue.identify.merge import merge_modes
-from ringtrue.identify.pick import modes_of
-from ringtrue.identify.poles import PoleSet
-from ringtrue.identify.setups import preger
-from ringtrue.identify.ssi import SsiCov
-from ringtrue.identify.variance import frequency_damping
-from ringtrue.identify.variance import std as root_sum
+from ringtrue.identification.merge import merge_modes
+from ringtrue.identification.pick import modes_of
+from ringtrue.identification.poles import PoleSet
+from ringtrue.identification.setups import preger
+from ringtrue.identification.ssi import SsiCov
+from ringtrue.identification.variance import frequency_damping
+from ringtrue.identification.variance import std as root_sum
 
 F, Z, RATE = np.array([1.1, 1.9, 2.3, 3.4]), np.array([0.012, 0.01, 0.015, 0.02]), 12.5
 PHI = np.random.default_rng(5).standard_normal((11, 4))

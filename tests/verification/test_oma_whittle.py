@@ -15,7 +15,7 @@ import pytest
 from scipy.signal import lfilter
 
 from ringtrue.errors import DataError
-from ringtrue.identify.whittle import Fitted, refine, spectral_bins
+from ringtrue.identification.whittle import Fitted, refine, spectral_bins
 
 F, Z = np.array([5.0, 5.15]), np.array([0.01, 0.015])
 RATE, SECONDS, RECORDS = 50.0, 400, 60

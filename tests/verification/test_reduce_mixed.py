@@ -13,8 +13,8 @@ from scipy import linalg, sparse
 
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.fem.functions import AffineTerm, power
-from ringtrue.reduce import basis, parametric
-from ringtrue.reduce.affine import AffineSystem
+from ringtrue.reduction import basis, parametric
+from ringtrue.reduction.affine import AffineSystem
 
 SIDE, FIELDS, COUNT = 24, 8, 40
 

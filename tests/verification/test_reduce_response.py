@@ -13,7 +13,7 @@ from scipy import linalg, sparse
 
 from ringtrue.eigen.dynamic import DynamicStiffness
 from ringtrue.errors import InputError
-from ringtrue.reduce.response import response_basis
+from ringtrue.reduction.response import response_basis
 
 LOSS, TOLERANCE = 0.02, 1e-3
 NX, NY = 20, 12

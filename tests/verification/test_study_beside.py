@@ -20,16 +20,16 @@ import small_study
 
 from ringtrue.checks.mass import whole_mass
 from ringtrue.core.progress import quiet
-from ringtrue.correlate.observe import at_dofs
+from ringtrue.correlation.observe import at_dofs
+from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError
 from ringtrue.io.modes_json import write_modes
-from ringtrue.io.nastran.reader import read_deck
 from ringtrue.study.beside import Beside
 from ringtrue.study.opened import Opened
 from ringtrue.study.run import StudyRun, run_study
 from ringtrue.study.stages.sensitivity import target
-from ringtrue.update.candidates import CandidateSettings, parameters
-from ringtrue.update.generate import generate
+from ringtrue.updating.candidates import CandidateSettings, parameters
+from ringtrue.updating.generate import generate
 from ringtrue.virtual.logbook import write_sheet
 
 WRONG, SOFT = 0.75, 0.5  # columns of the first storey, the hanger

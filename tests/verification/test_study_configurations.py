@@ -20,9 +20,9 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "unit"))
 import small_study
 
+from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError
 from ringtrue.io.modes_json import write_modes
-from ringtrue.io.nastran.reader import read_deck
 from ringtrue.report.deliver import deliver
 from ringtrue.study.acceptance import missed_words, verdict
 from ringtrue.study.config import parse_config

@@ -22,10 +22,10 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "unit"))
 import small_study
 
 from ringtrue.checks.mass import whole_mass
-from ringtrue.correlate.align import Alignment
+from ringtrue.correlation.align import Alignment
+from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.modes_json import write_modes
-from ringtrue.io.nastran.reader import read_deck
 from ringtrue.report.deliver import deliver
 from ringtrue.study import workbench
 from ringtrue.study.config import parse_config

@@ -12,23 +12,23 @@ import pytest
 from scipy import sparse
 from scipy.optimize import lsq_linear
 
-from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.core.parameters import Parameter, ParameterSet, Target
+from ringtrue.decks.nastran.edit import unwritable
+from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import InputError, NumericalError
 from ringtrue.fem.functions import AffineTerm, power
 from ringtrue.fem.mesh import mesh
-from ringtrue.io.nastran.edit import unwritable
-from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.edit import apply_factors
 from ringtrue.model.ports import ModesRequest
-from ringtrue.reduce.affine import AffineSystem
-from ringtrue.reduce.parametric import reduced_model
-from ringtrue.update.candidates import CandidateSettings, elements_of, membership
-from ringtrue.update.effects import effective
-from ringtrue.update.generate import generate
-from ringtrue.update.identifiable import blind_cosines, clusters, cosines, identifiability
-from ringtrue.update.localise import element_errors, strain_energies
-from ringtrue.update.sparse import lasso_path
+from ringtrue.reduction.affine import AffineSystem
+from ringtrue.reduction.parametric import reduced_model
+from ringtrue.solvers.embedded import EmbeddedSolver
+from ringtrue.updating.candidates import CandidateSettings, elements_of, membership
+from ringtrue.updating.effects import effective
+from ringtrue.updating.generate import generate
+from ringtrue.updating.identifiable import blind_cosines, clusters, cosines, identifiability
+from ringtrue.updating.localise import element_errors, strain_energies
+from ringtrue.updating.sparse import lasso_path
 
 
 def test_candidates_know_their_elements_and_units() -> None:

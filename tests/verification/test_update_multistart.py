@@ -18,16 +18,16 @@ from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.errors import ConfigError, InputError, NumericalError
 from ringtrue.fem.functions import AffineTerm, power
 from ringtrue.model.ports import Linearisation
-from ringtrue.reduce.affine import AffineSystem
-from ringtrue.reduce.parametric import BasisOptions, reduced_model
+from ringtrue.reduction.affine import AffineSystem
+from ringtrue.reduction.parametric import BasisOptions, reduced_model
 from ringtrue.study.config_update import UpdateSection
 from ringtrue.study.course import begun, course_of
-from ringtrue.update.dense import DenseModel
-from ringtrue.update.multistart import global_search, latin_hypercube, multi_start
-from ringtrue.update.objective import Target, Weights
-from ringtrue.update.several import Configuration, Problem, link_equal
-from ringtrue.update.trust import solve
-from ringtrue.update.verified import solve_verified
+from ringtrue.updating.dense import DenseModel
+from ringtrue.updating.multistart import global_search, latin_hypercube, multi_start
+from ringtrue.updating.objective import Target, Weights
+from ringtrue.updating.several import Configuration, Problem, link_equal
+from ringtrue.updating.trust import solve
+from ringtrue.updating.verified import solve_verified
 
 TRUTH = np.array([0.6, 0.1, -0.5])
 

@@ -16,14 +16,14 @@ from ringtrue.fem.assembly import assemble
 from ringtrue.fem.dependence import affine_terms, matrices_kept
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
-from ringtrue.reduce.parametric import ReducedModel
-from ringtrue.update import pool
-from ringtrue.update.candidates import Candidate, CandidateSettings, parameters
-from ringtrue.update.effects import misfits, reduced_candidates
-from ringtrue.update.generate import generate
-from ringtrue.update.identifiable import ALIKE
-from ringtrue.update.pool import close, tractable
-from ringtrue.update.screening import screened
+from ringtrue.reduction.parametric import ReducedModel
+from ringtrue.updating import pool
+from ringtrue.updating.candidates import Candidate, CandidateSettings, parameters
+from ringtrue.updating.effects import misfits, reduced_candidates
+from ringtrue.updating.generate import generate
+from ringtrue.updating.identifiable import ALIKE
+from ringtrue.updating.pool import close, tractable
+from ringtrue.updating.screening import screened
 
 
 def laminate(across: float) -> Model:

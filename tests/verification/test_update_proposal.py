@@ -15,24 +15,24 @@ import numpy as np
 import pytest
 from test_update_recovery import aim_at, chain, parameters
 
-from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.cli.main import run
 from ringtrue.core.modes import ModeSet
-from ringtrue.correlate.observe import at_dofs
+from ringtrue.correlation.observe import at_dofs
+from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import InputError
 from ringtrue.io.modes_json import write_modes
-from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.ports import ModesRequest
+from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.study.config import parse_config, parse_target, target_words
-from ringtrue.update.candidates import CandidateSettings
-from ringtrue.update.dense import DenseModel
-from ringtrue.update.effects import reduced_candidates
-from ringtrue.update.generate import generate
-from ringtrue.update.localise import variation
-from ringtrue.update.objective import Target, Weights, residual
-from ringtrue.update.pool import conflicts
-from ringtrue.update.proposal import Proposal, propose
-from ringtrue.update.subsets import DECIMALS
+from ringtrue.updating.candidates import CandidateSettings
+from ringtrue.updating.dense import DenseModel
+from ringtrue.updating.effects import reduced_candidates
+from ringtrue.updating.generate import generate
+from ringtrue.updating.localise import variation
+from ringtrue.updating.objective import Target, Weights, residual
+from ringtrue.updating.pool import conflicts
+from ringtrue.updating.proposal import Proposal, propose
+from ringtrue.updating.subsets import DECIMALS
 
 
 def test_chain_names_the_springs_that_changed_and_no_other() -> None:

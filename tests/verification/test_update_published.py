@@ -21,19 +21,19 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
-from ringtrue.backends.matrices import MatrixModel
 from ringtrue.core.observation import Observation
 from ringtrue.core.parameters import Parameter, ParameterSet
-from ringtrue.correlate.assign import PairingSettings, peak_shares
+from ringtrue.correlation.assign import PairingSettings, peak_shares
 from ringtrue.model.ports import ModesRequest
-from ringtrue.update.dense import DenseModel
-from ringtrue.update.gauss_newton import update
-from ringtrue.update.multistart import latin_hypercube, multi_start
-from ringtrue.update.objective import Target, Weights
-from ringtrue.update.residuals import Frequencies, Mac, Shapes
-from ringtrue.update.several import Configuration, Problem
-from ringtrue.update.trust import KINDS, Method, solve
-from ringtrue.update.verified import solve_verified
+from ringtrue.solvers.matrices import MatrixModel
+from ringtrue.updating.dense import DenseModel
+from ringtrue.updating.gauss_newton import update
+from ringtrue.updating.multistart import latin_hypercube, multi_start
+from ringtrue.updating.objective import Target, Weights
+from ringtrue.updating.residuals import Frequencies, Mac, Shapes
+from ringtrue.updating.several import Configuration, Problem
+from ringtrue.updating.trust import KINDS, Method, solve
+from ringtrue.updating.verified import solve_verified
 
 DATA = Path(__file__).parents[2].parent / "shared/data/updating"
 pytestmark = [

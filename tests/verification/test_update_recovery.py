@@ -15,11 +15,11 @@ import pytest
 
 from ringtrue.core.outcome import Outcome
 from ringtrue.core.parameters import Parameter, ParameterSet
-from ringtrue.update.best import best_possible
-from ringtrue.update.choose import alike, best_subset, largest, orthogonal, weighted_sensitivities
-from ringtrue.update.dense import DenseModel
-from ringtrue.update.gauss_newton import update
-from ringtrue.update.objective import Target, Weights, objective, residual
+from ringtrue.updating.best import best_possible
+from ringtrue.updating.choose import alike, best_subset, largest, orthogonal, weighted_sensitivities
+from ringtrue.updating.dense import DenseModel
+from ringtrue.updating.gauss_newton import update
+from ringtrue.updating.objective import Target, Weights, objective, residual
 
 EXACT = 1e-4  # noise-free recovery; the weak prior pulls by this much at most
 

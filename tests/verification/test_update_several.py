@@ -17,9 +17,9 @@ from ringtrue.core.outcome import Outcome
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.errors import ConfigError, DataError, InputError, NumericalError
 from ringtrue.model.ports import Linearisation
-from ringtrue.update.dense import DenseModel
-from ringtrue.update.gauss_newton import update
-from ringtrue.update.objective import (
+from ringtrue.updating.dense import DenseModel
+from ringtrue.updating.gauss_newton import update
+from ringtrue.updating.objective import (
     LOST,
     Target,
     Weights,
@@ -27,11 +27,11 @@ from ringtrue.update.objective import (
     objective,
     residual,
 )
-from ringtrue.update.quadratic import least_distance
-from ringtrue.update.residuals import Eigenvalues, Frequencies, Mac, Shapes
-from ringtrue.update.robust import Huber, Squares, Tukey
-from ringtrue.update.several import Configuration, Problem, held_to, joined, link_equal
-from ringtrue.update.trust import KINDS, Method, solve, staged
+from ringtrue.updating.quadratic import least_distance
+from ringtrue.updating.residuals import Eigenvalues, Frequencies, Mac, Shapes
+from ringtrue.updating.robust import Huber, Squares, Tukey
+from ringtrue.updating.several import Configuration, Problem, held_to, joined, link_equal
+from ringtrue.updating.trust import KINDS, Method, solve, staged
 
 TRUTH = np.array([0.4, -0.3, 0.2, -0.25])
 EXACT = 1e-4  # noise-free recovery; the weak prior pulls by this much at most

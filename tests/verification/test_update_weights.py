@@ -14,12 +14,12 @@ import pytest
 
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.errors import ConfigError, InputError
-from ringtrue.update.dense import DenseModel
-from ringtrue.update.kfold import with_discrepancy
-from ringtrue.update.objective import Target, Weights
-from ringtrue.update.several import Configuration, Problem
-from ringtrue.update.trust import solve
-from ringtrue.update.weights import (
+from ringtrue.updating.dense import DenseModel
+from ringtrue.updating.kfold import with_discrepancy
+from ringtrue.updating.objective import Target, Weights
+from ringtrue.updating.several import Configuration, Problem
+from ringtrue.updating.trust import solve
+from ringtrue.updating.weights import (
     RULES,
     discrepancy_by_evidence,
     evidence,

@@ -11,7 +11,7 @@ import numpy as np
 from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
-from ringtrue.correlate.pairing import pair_modes
+from ringtrue.correlation.pairing import pair_modes
 from ringtrue.fem.algebra import arm
 from ringtrue.model.frames import positions
 from ringtrue.model.model import Model

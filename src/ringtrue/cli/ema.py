@@ -34,11 +34,11 @@ from ringtrue.cli.show import Json, file_to, progress, tell, write_json
 from ringtrue.core.progress import Progress, part
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.errors import ConfigError, about
-from ringtrue.identify.frf_methods import identify_frfs_by
-from ringtrue.identify.hammer import HammerModes, identify_hammer
-from ringtrue.identify.linearity import level_dependence
-from ringtrue.identify.local import told_apart
-from ringtrue.identify.lsfd import driving_pairs
+from ringtrue.identification.frf_methods import identify_frfs_by
+from ringtrue.identification.hammer import HammerModes, identify_hammer
+from ringtrue.identification.linearity import level_dependence
+from ringtrue.identification.local import told_apart
+from ringtrue.identification.lsfd import driving_pairs
 from ringtrue.io.frfs import frf_ids, holds_frfs, read_frfs, write_frfs
 from ringtrue.io.modes_json import modes_to_json
 from ringtrue.io.sheets import read_sensor_sheet

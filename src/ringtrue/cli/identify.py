@@ -20,13 +20,13 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError, about, did_you_mean
-from ringtrue.identify.ambient import AmbientResult, AmbientSettings, identify_stretches
-from ringtrue.identify.ambient_methods import identify_ambient_by
-from ringtrue.identify.choice import as_choice
-from ringtrue.identify.hammer import HammerResult
-from ringtrue.identify.opinion import SecondOpinion
-from ringtrue.identify.poles import StableDiagram
-from ringtrue.identify.stretches import SHORTEST
+from ringtrue.identification.ambient import AmbientResult, AmbientSettings, identify_stretches
+from ringtrue.identification.ambient_methods import identify_ambient_by
+from ringtrue.identification.choice import as_choice
+from ringtrue.identification.hammer import HammerResult
+from ringtrue.identification.opinion import SecondOpinion
+from ringtrue.identification.poles import StableDiagram
+from ringtrue.identification.stretches import SHORTEST
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.choices import read_choice, write_choice
 from ringtrue.io.modes_json import modes_to_json

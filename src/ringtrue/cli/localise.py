@@ -12,9 +12,9 @@ from ringtrue.cli.show import Json, Tolerance, Units, out, progress, rows, tell,
 from ringtrue.cli.stated import stated
 from ringtrue.core.progress import part
 from ringtrue.core.units import UNIT_SYSTEMS
-from ringtrue.correlate.assign import NO_LOCKS
+from ringtrue.correlation.assign import NO_LOCKS
+from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.io.modes_json import read_modes
-from ringtrue.io.nastran.reader import read_deck
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.shapes.scale import realise_modes
 from ringtrue.study.config import LocaliseSection, target_words
@@ -26,8 +26,8 @@ from ringtrue.study.proposing import Proposed, directly_proposed
 from ringtrue.study.reference import measured_part
 from ringtrue.study.results import Seat
 from ringtrue.study.seats import seat_words, seats, seats_json
-from ringtrue.update.candidates import CandidateSettings
-from ringtrue.update.proposal import Proposed as Member
+from ringtrue.updating.candidates import CandidateSettings
+from ringtrue.updating.proposal import Proposed as Member
 
 POOL: int = LocaliseSection.model_fields["pool"].default
 

@@ -31,21 +31,21 @@ from ringtrue.core.observation import Observation
 from ringtrue.core.progress import part
 from ringtrue.core.testmodel import TestModel
 from ringtrue.core.units import UNIT_SYSTEMS
-from ringtrue.correlate.complete import CompleteCorrelation, complete, complete_json
-from ringtrue.correlate.mounting import (
+from ringtrue.correlation.complete import CompleteCorrelation, complete, complete_json
+from ringtrue.correlation.mounting import (
     AXES,
     Readings,
     find_mendings,
     mendings_json,
     readings_by_name,
 )
-from ringtrue.correlate.observe import Method, at_dofs
-from ringtrue.correlate.pairing import Locks, pair_modes
-from ringtrue.correlate.table import correlation_table
+from ringtrue.correlation.observe import Method, at_dofs
+from ringtrue.correlation.pairing import Locks, pair_modes
+from ringtrue.correlation.table import correlation_table
+from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, DataError, about
 from ringtrue.io.matrices import read_matrices
 from ringtrue.io.modes_json import READ, read_modes, read_std
-from ringtrue.io.nastran.reader import read_deck
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.model.ports import ModesRequest
 from ringtrue.study.config_correlate import CorrelateSection, Tam

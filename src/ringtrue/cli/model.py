@@ -10,8 +10,6 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from ringtrue.backends.embedded import EmbeddedAnalysis
-from ringtrue.backends.registry import EMBEDDED, solver, time_limits
 from ringtrue.checks.autospc import autospc_findings
 from ringtrue.checks.deck import check_deck
 from ringtrue.checks.edges import free_edges_in_words, shell_edges
@@ -24,12 +22,14 @@ from ringtrue.cli.show import Json, file_to, json_file, one_of, out, progress, r
 from ringtrue.core.arrays import Float
 from ringtrue.core.progress import part
 from ringtrue.core.units import UNIT_SYSTEMS
+from ringtrue.decks.nastran.reader import Survey, read_deck, survey
 from ringtrue.errors import ConfigError, DeckError, RingtrueError
 from ringtrue.fem.assembly import assemble
 from ringtrue.io.modes_json import WRITTEN, dump_modes, write_modes
-from ringtrue.io.nastran.reader import Survey, read_deck, survey
 from ringtrue.model.method import asked_modes
 from ringtrue.model.ports import Analysis, ModesRequest, ModesResult
+from ringtrue.solvers.embedded import EmbeddedAnalysis
+from ringtrue.solvers.registry import EMBEDDED, solver, time_limits
 
 ROUNDING = 1e-12  # of the largest value: below is 0
 

@@ -12,19 +12,19 @@ from typing import Annotated, Any, get_args
 import numpy as np
 import typer
 
-from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.cli.show import Json, one_of, progress, rows, tell, write_json
 from ringtrue.cli.stated import stated
 from ringtrue.core.modes import elastic
 from ringtrue.core.units import UNIT_SYSTEMS
+from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError
 from ringtrue.io.atomic import atomic_write, writes
-from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.ports import ModesRequest
-from ringtrue.plan.exciters import reciprocity_pairs
-from ringtrue.plan.rehearsal import Rehearsal, missed_words
-from ringtrue.plan.sheet import NAMES, reach_of, write_test_sheet
+from ringtrue.planning.exciters import reciprocity_pairs
+from ringtrue.planning.rehearsal import Rehearsal, missed_words
+from ringtrue.planning.sheet import NAMES, reach_of, write_test_sheet
 from ringtrue.report.deliver import deliver
+from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.study.config_plan import Directions, Method, Strike
 from ringtrue.study.results import PlanStage
 from ringtrue.study.run import StudyRun, run_study

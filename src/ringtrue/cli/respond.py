@@ -10,7 +10,6 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from ringtrue.backends.embedded import EmbeddedAnalysis, EmbeddedSolver
 from ringtrue.cli.ema import Motion
 from ringtrue.cli.model import Deck
 from ringtrue.cli.show import Json, Units, err, file_to, progress, rows, write_json
@@ -21,15 +20,16 @@ from ringtrue.core.motions import FRF_KIND, channel
 from ringtrue.core.progress import part
 from ringtrue.core.signals import Channel, FrfKind, FrfSet
 from ringtrue.core.units import UNIT_SYSTEMS
+from ringtrue.decks.nastran.reader import read_damped_deck, read_deck, read_loaded_deck
 from ringtrue.errors import ConfigError, InputError
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.frfs import write_frfs
-from ringtrue.io.nastran.reader import read_damped_deck, read_deck, read_loaded_deck
 from ringtrue.io.statics import COLUMNS
 from ringtrue.model.choices import responding
 from ringtrue.model.damping import ModalDamping
 from ringtrue.model.ports import ModesRequest
 from ringtrue.plots.responses import frf_page
+from ringtrue.solvers.embedded import EmbeddedAnalysis, EmbeddedSolver
 from ringtrue.study.loads import load_vectors, refuse_displaced, support_motions
 
 _SIDES = ("metre", "radian")

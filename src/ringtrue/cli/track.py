@@ -19,11 +19,11 @@ from ringtrue.core.arrays import Float
 from ringtrue.core.progress import Progress
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import ConfigError, DataError, about, did_you_mean
-from ringtrue.identify.ambient import AmbientSettings, identify_ambient
-from ringtrue.identify.environment import EnvironmentFit, fit_environment
-from ringtrue.identify.gains import with_equal_gains
-from ringtrue.identify.inertia import Followed, behind, thermal_lag
-from ringtrue.identify.tracking import ModeTrack, Stretch, Tracked, ticks, track_modes, unseen
+from ringtrue.identification.ambient import AmbientSettings, identify_ambient
+from ringtrue.identification.environment import EnvironmentFit, fit_environment
+from ringtrue.identification.gains import with_equal_gains
+from ringtrue.identification.inertia import Followed, behind, thermal_lag
+from ringtrue.identification.tracking import ModeTrack, Stretch, Tracked, ticks, track_modes, unseen
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.files import existing, read_text
 from ringtrue.io.foreign.door import door

@@ -10,18 +10,18 @@ from typing import Annotated, Any, get_args
 import numpy as np
 import typer
 
-from ringtrue.backends.registry import EMBEDDED, solver
 from ringtrue.cli.model import TimeLimit
 from ringtrue.cli.show import Json, err, one_of, progress, write_json
 from ringtrue.cli.stated import stated
 from ringtrue.cli.updated import show_summary, summary_of
 from ringtrue.core.progress import part
 from ringtrue.core.units import UNIT_SYSTEMS
+from ringtrue.decks.nastran.edit import edit_fields, refuse_copy, refuse_unwritable
+from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, did_you_mean
-from ringtrue.io.nastran.edit import edit_fields, refuse_copy, refuse_unwritable
-from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.edit import field_changes
 from ringtrue.model.model import Model
+from ringtrue.solvers.registry import EMBEDDED, solver
 from ringtrue.study.config import StudyConfig, read_config
 from ringtrue.study.config_update import (
     DataResidual,
@@ -45,9 +45,9 @@ from ringtrue.study.objective import LOSSES
 from ringtrue.study.opened import Opened
 from ringtrue.study.seats import seat_words, seats_json
 from ringtrue.study.words import stand_ins
-from ringtrue.update.trust import KINDS
-from ringtrue.update.verified import Verified
-from ringtrue.update.weights import RULES
+from ringtrue.updating.trust import KINDS
+from ringtrue.updating.verified import Verified
+from ringtrue.updating.weights import RULES
 
 
 def update(

@@ -9,19 +9,19 @@ from typing import Any
 
 import numpy as np
 
-from ringtrue.backends.registry import EMBEDDED
 from ringtrue.cli.show import out, rows, tell
 from ringtrue.core.arrays import Float
 from ringtrue.shapes.mac import paired_mac
+from ringtrue.solvers.registry import EMBEDDED
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.measured import Data
 from ringtrue.study.words import weighed_by, worse
-from ringtrue.update.objective import Target
-from ringtrue.update.plausible import plausibility
-from ringtrue.update.residuals import Point
-from ringtrue.update.settle import kept
-from ringtrue.update.several import Evaluated, Problem
-from ringtrue.update.verified import Verified
+from ringtrue.updating.objective import Target
+from ringtrue.updating.plausible import plausibility
+from ringtrue.updating.residuals import Point
+from ringtrue.updating.settle import kept
+from ringtrue.updating.several import Evaluated, Problem
+from ringtrue.updating.verified import Verified
 
 SIDES = ("measured", "before", "after")
 

@@ -1,5 +1,6 @@
-"""Files to dataclasses and back. `nastran` decks, `nastran_results` of solvers, `uff` universal
-files.
+"""Files to dataclasses and back.
+
+`uff` universal files.
 
 Records: `records` of any format: `delimited`, `lvm`, `matfile`, `plain`, `tdms`, `wav`,
 `record_layout` (our own); `clock`, `times`, `complex_cells` and `si` what stands in their cells,

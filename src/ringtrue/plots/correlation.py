@@ -10,10 +10,10 @@ import numpy as np
 import plotly.graph_objects as go
 
 from ringtrue.core.arrays import Float
-from ringtrue.correlate.complete import Check, CompleteCorrelation
-from ringtrue.correlate.frf import FrfComparison
-from ringtrue.correlate.table import CorrelationTable
-from ringtrue.correlate.track import Tracks
+from ringtrue.correlation.complete import Check, CompleteCorrelation
+from ringtrue.correlation.frf import FrfComparison
+from ringtrue.correlation.table import CorrelationTable
+from ringtrue.correlation.track import Tracks
 from ringtrue.plots.style import (
     DIVERGING,
     FE,

@@ -9,8 +9,8 @@ import numpy as np
 import plotly.graph_objects as go
 
 from ringtrue.core.arrays import Float
-from ringtrue.identify.environment import EnvironmentFit
-from ringtrue.identify.tracking import ModeTrack, Tracked
+from ringtrue.identification.environment import EnvironmentFit
+from ringtrue.identification.tracking import ModeTrack, Tracked
 from ringtrue.plots.page import figure_page
 from ringtrue.plots.style import INITIAL, QUALITATIVE, TEST, axis, f32, figure
 

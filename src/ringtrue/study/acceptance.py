@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ringtrue.core.arrays import Bool
-from ringtrue.correlate.table import CorrelationRow, CorrelationTable
+from ringtrue.correlation.table import CorrelationRow, CorrelationTable
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.config_correlate import CorrelateSection
 from ringtrue.study.results import (

@@ -12,8 +12,8 @@ import numpy as np
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import ConfigError
-from ringtrue.plan.candidates import along, surface_normals
-from ringtrue.plan.wireframe import neighbours
+from ringtrue.planning.candidates import along, surface_normals
+from ringtrue.planning.wireframe import neighbours
 from ringtrue.study.results import Scene
 
 AXES = ("X", "Y", "Z")

@@ -9,13 +9,13 @@ from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from ringtrue.backends.registry import EMBEDDED
 from ringtrue.core.parameters import Parameter, ParameterSet, Target
 from ringtrue.core.units import UnitName
 from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.io.files import read_text
 from ringtrue.io.foreign.texts import toml_value
 from ringtrue.model.halves import NODES
+from ringtrue.solvers.registry import EMBEDDED
 from ringtrue.study.config_correlate import OF_SHAPES, CorrelateSection
 from ringtrue.study.config_errors import explain
 from ringtrue.study.config_plan import PlanSection, rising
@@ -29,8 +29,8 @@ from ringtrue.study.config_update import (
     UncertaintySection,
     UpdateSection,
 )
-from ringtrue.update.candidates import Kind
-from ringtrue.update.damping_regions import DampingRegion
+from ringtrue.updating.candidates import Kind
+from ringtrue.updating.damping_regions import DampingRegion
 
 
 class _Section(BaseModel):

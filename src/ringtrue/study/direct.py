@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from ringtrue.backends.observed import PRINTED, UNTOLD, FullModel, reduced
 from ringtrue.core.arrays import Bool, Float
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
@@ -21,6 +20,7 @@ from ringtrue.io.modes_json import read_modes, read_std
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.model.ports import ModalSolver, ModesRequest
 from ringtrue.shapes.scale import realise_modes
+from ringtrue.solvers.observed import PRINTED, UNTOLD, FullModel, reduced
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.config_update import UpdateSection
 from ringtrue.study.course import course_of, further, settled
@@ -45,14 +45,14 @@ from ringtrue.study.placing import placed
 from ringtrue.study.reference import highest, locks, measured_part, settings
 from ringtrue.study.results import Seat
 from ringtrue.study.seats import seats
-from ringtrue.update.identifiable import stood_for
-from ringtrue.update.objective import Target, Weights
-from ringtrue.update.residuals import Weighted
-from ringtrue.update.settle import displaced, whole_cost
-from ringtrue.update.several import Configuration, Problem
-from ringtrue.update.trust import Solution
-from ringtrue.update.unmoved import unmoved
-from ringtrue.update.verified import Verified, solve_verified
+from ringtrue.updating.identifiable import stood_for
+from ringtrue.updating.objective import Target, Weights
+from ringtrue.updating.residuals import Weighted
+from ringtrue.updating.settle import displaced, whole_cost
+from ringtrue.updating.several import Configuration, Problem
+from ringtrue.updating.trust import Solution
+from ringtrue.updating.unmoved import unmoved
+from ringtrue.updating.verified import Verified, solve_verified
 
 AGREE = 1e-4  # relative frequency error of the reduced model that is accepted at the end
 

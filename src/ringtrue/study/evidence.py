@@ -15,14 +15,14 @@ from ringtrue.core.observation import Observation
 from ringtrue.core.pairing import Pairing
 from ringtrue.core.signals import FrfSet
 from ringtrue.core.units import UNIT_SYSTEMS
-from ringtrue.correlate.complete import Lift, complete
-from ringtrue.correlate.frf import compare_frfs, fdac
-from ringtrue.correlate.gates import Gate
-from ringtrue.correlate.track import Tracks, track
+from ringtrue.correlation.complete import Lift, complete
+from ringtrue.correlation.frf import compare_frfs, fdac
+from ringtrue.correlation.gates import Gate
+from ringtrue.correlation.track import Tracks, track
 from ringtrue.eigen.solve import low_shift
 from ringtrue.errors import InputError, NumericalError
 from ringtrue.fem.response import frf
-from ringtrue.reduce.tam import craig_bampton_coordinates, craig_bampton_of, tam
+from ringtrue.reduction.tam import craig_bampton_coordinates, craig_bampton_of, tam
 from ringtrue.shapes.mac import auto_mac
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.config_correlate import CorrelateSection

@@ -10,8 +10,8 @@ import numpy as np
 
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.core.testmodel import TestModel
-from ringtrue.correlate.assign import Locks
-from ringtrue.correlate.pairing import PairingSettings, pair_modes
+from ringtrue.correlation.assign import Locks
+from ringtrue.correlation.pairing import PairingSettings, pair_modes
 from ringtrue.errors import DataError
 from ringtrue.study.opened import Opened
 from ringtrue.study.placing import mesh_points

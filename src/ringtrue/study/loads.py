@@ -10,6 +10,16 @@ import numpy as np
 from ringtrue.checks.mass import unconstrained
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.dofs import DofSet
+from ringtrue.decks.nastran.loads import (
+    LINE_KINDS,
+    LineLoad,
+    Load,
+    LoadCase,
+    Moved,
+    Pressure,
+    Spin,
+    Warmth,
+)
 from ringtrue.errors import InputError
 from ringtrue.fem.assembly import assemble
 from ringtrue.fem.body_loads import spin_forces
@@ -20,16 +30,6 @@ from ringtrue.fem.line_loads import LineKind, line_forces
 from ringtrue.fem.mesh import Mesh, mesh
 from ringtrue.fem.pressure import SURFACES, face, face_forces
 from ringtrue.fem.thermal import thermal_forces
-from ringtrue.io.nastran.loads import (
-    LINE_KINDS,
-    LineLoad,
-    Load,
-    LoadCase,
-    Moved,
-    Pressure,
-    Spin,
-    Warmth,
-)
 from ringtrue.model.choices import taken_sets
 from ringtrue.model.frames import axes, positions
 from ringtrue.model.model import Model

@@ -26,9 +26,9 @@ from ringtrue.fem.functions import AffineTerm
 from ringtrue.io.frfs import read_frfs
 from ringtrue.io.statics import StaticTests, read_statics
 from ringtrue.model.model import Model
-from ringtrue.reduce.affine import AffineSystem
-from ringtrue.reduce.flexible import with_responses
-from ringtrue.reduce.parametric import ReducedModel
+from ringtrue.reduction.affine import AffineSystem
+from ringtrue.reduction.flexible import with_responses
+from ringtrue.reduction.parametric import ReducedModel
 from ringtrue.study.config_update import (
     AntiResonanceResidual,
     DataResidual,
@@ -36,10 +36,10 @@ from ringtrue.study.config_update import (
     MassResidual,
     StaticResidual,
 )
-from ringtrue.update.harmonic import Damping
-from ringtrue.update.residuals import Block, Term
-from ringtrue.update.residuals_frf import AntiResonances, Frf
-from ringtrue.update.residuals_static import MassProperties, RigidMass, StaticDeflections
+from ringtrue.updating.harmonic import Damping
+from ringtrue.updating.residuals import Block, Term
+from ringtrue.updating.residuals_frf import AntiResonances, Frf
+from ringtrue.updating.residuals_static import MassProperties, RigidMass, StaticDeflections
 
 DECIBEL = 20 / np.log(10)
 NO_FRFS = "the test has no FRFs"

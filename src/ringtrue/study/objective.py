@@ -8,12 +8,12 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from ringtrue.backends.observed import FullModel
 from ringtrue.core.arrays import Float
 from ringtrue.core.modes import elastic
 from ringtrue.core.observation import Observation
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.errors import ConfigError, DataError
+from ringtrue.solvers.observed import FullModel
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.config_update import UpdateSection
 from ringtrue.study.evidence import channel_mass
@@ -21,8 +21,8 @@ from ringtrue.study.measured import Data, check_moving, residual_data, rigid_mas
 from ringtrue.study.opened import Opened
 from ringtrue.study.parametric import AtChannels
 from ringtrue.study.workbench import OWN, Workbench
-from ringtrue.update.objective import Target
-from ringtrue.update.residuals import (
+from ringtrue.updating.objective import Target
+from ringtrue.updating.residuals import (
     CrossOrthogonality,
     Eigenvalues,
     Frequencies,
@@ -31,9 +31,9 @@ from ringtrue.update.residuals import (
     Term,
     Weighted,
 )
-from ringtrue.update.residuals_static import RigidMass
-from ringtrue.update.robust import Huber, Loss, Squares, Tukey
-from ringtrue.update.several import Configuration, Evaluated, Problem
+from ringtrue.updating.residuals_static import RigidMass
+from ringtrue.updating.robust import Huber, Loss, Squares, Tukey
+from ringtrue.updating.several import Configuration, Evaluated, Problem
 
 LOSSES: dict[str, Loss] = {"squares": Squares(), "huber": Huber(), "tukey": Tukey()}
 KINDS = ("eigenvalues", "frequencies", "shapes", "mac", "orthogonality")

@@ -8,17 +8,17 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import KDTree
 
-from ringtrue.backends.embedded import EmbeddedAnalysis, EmbeddedSolver
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.observation import Observation
 from ringtrue.core.progress import Progress
 from ringtrue.core.testmodel import TestModel
-from ringtrue.correlate.observe import Method, observe
+from ringtrue.correlation.observe import Method, observe
 from ringtrue.model.frames import diagonal, positions
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModalSolver, ModesRequest, ModesResult
+from ringtrue.solvers.embedded import EmbeddedAnalysis, EmbeddedSolver
 
 ROUNDING = 1e-6  # of the size of the structure: nodes closer than this are at one place
 

@@ -14,9 +14,9 @@ from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.observation import Observation
 from ringtrue.core.testmodel import TestModel
-from ringtrue.correlate.align import Alignment, best_fit, nearest_fit
-from ringtrue.correlate.mounting import Readings
-from ringtrue.correlate.observe import Method, at_dofs, default_tolerance
+from ringtrue.correlation.align import Alignment, best_fit, nearest_fit
+from ringtrue.correlation.mounting import Readings
+from ringtrue.correlation.observe import Method, at_dofs, default_tolerance
 from ringtrue.errors import DataError, InputError, about
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.model.frames import diagonal, positions

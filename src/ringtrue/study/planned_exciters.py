@@ -9,9 +9,9 @@ import numpy as np
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.errors import ConfigError
 from ringtrue.fem.response import frf
-from ringtrue.plan.candidates import along
-from ringtrue.plan.exciters import appropriate_exciters, qr_exciters, rank_sets
-from ringtrue.plan.layout import select_references, shares
+from ringtrue.planning.candidates import along
+from ringtrue.planning.exciters import appropriate_exciters, qr_exciters, rank_sets
+from ringtrue.planning.layout import select_references, shares
 from ringtrue.study.arrangement import Arrangement
 from ringtrue.study.config_plan import PlanSection
 from ringtrue.study.results.model import MISSED

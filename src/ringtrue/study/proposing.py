@@ -16,19 +16,19 @@ from ringtrue.core.observation import Observation
 from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
-from ringtrue.reduce.condense import condensed
-from ringtrue.reduce.parametric import ReducedModel, modes_of
+from ringtrue.reduction.condense import condensed
+from ringtrue.reduction.parametric import ReducedModel, modes_of
 from ringtrue.study.opened import Opened
-from ringtrue.update.candidates import Candidate, CandidateSettings, membership
-from ringtrue.update.effects import Dropped, effective, reduced_candidates
-from ringtrue.update.generate import generate
-from ringtrue.update.identifiable import ALIKE
-from ringtrue.update.localise import reduced_errors
-from ringtrue.update.lumps import lumped, places
-from ringtrue.update.objective import Target, Weights, match
-from ringtrue.update.pool import SMALL, conflicts, drawn, passed_over
-from ringtrue.update.proposal import Proposal, propose
-from ringtrue.update.screening import LEADING, screened
+from ringtrue.updating.candidates import Candidate, CandidateSettings, membership
+from ringtrue.updating.effects import Dropped, effective, reduced_candidates
+from ringtrue.updating.generate import generate
+from ringtrue.updating.identifiable import ALIKE
+from ringtrue.updating.localise import reduced_errors
+from ringtrue.updating.lumps import lumped, places
+from ringtrue.updating.objective import Target, Weights, match
+from ringtrue.updating.pool import SMALL, conflicts, drawn, passed_over
+from ringtrue.updating.proposal import Proposal, propose
+from ringtrue.updating.screening import LEADING, screened
 
 EXTRA = 1.5  # modes of the model, as a multiple of those of the test
 

@@ -12,9 +12,9 @@ from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.modes import ModeSet, rigid_below
 from ringtrue.core.pairing import Pairing
 from ringtrue.core.uncertainty import Uncertainty
-from ringtrue.correlate.assign import NO_LOCKS, Followed, Locks, PairingSettings
-from ringtrue.correlate.pairing import pair_modes
-from ringtrue.correlate.table import CorrelationTable, correlation_table
+from ringtrue.correlation.assign import NO_LOCKS, Followed, Locks, PairingSettings
+from ringtrue.correlation.pairing import pair_modes
+from ringtrue.correlation.table import CorrelationTable, correlation_table
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.modes_json import read_modes, read_std
 from ringtrue.shapes.scale import realise_modes

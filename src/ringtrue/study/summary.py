@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from ringtrue.core.units import UNIT_SYSTEMS
-from ringtrue.correlate.complete import complete_json
-from ringtrue.correlate.mounting import mendings_json
-from ringtrue.correlate.significance import table_significance
-from ringtrue.correlate.table import CorrelationTable
-from ringtrue.plan.resolution import ambient_std
+from ringtrue.correlation.complete import complete_json
+from ringtrue.correlation.mounting import mendings_json
+from ringtrue.correlation.significance import table_significance
+from ringtrue.correlation.table import CorrelationTable
+from ringtrue.planning.resolution import ambient_std
 from ringtrue.study.acceptance import limits, missed_words
 from ringtrue.study.results import (
     CompareStage,

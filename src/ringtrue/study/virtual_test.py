@@ -8,9 +8,9 @@ import numpy as np
 
 from ringtrue.core.arrays import Float
 from ringtrue.core.progress import Progress
-from ringtrue.plan.rehearsal import Conditions, Planned, Rehearsal
-from ringtrue.plan.rehearsal_ambient import Ambience, longest, rehearse_ambient
-from ringtrue.plan.rehearsal_hammer import rehearse
+from ringtrue.planning.rehearsal import Conditions, Planned, Rehearsal
+from ringtrue.planning.rehearsal_ambient import Ambience, longest, rehearse_ambient
+from ringtrue.planning.rehearsal_hammer import rehearse
 from ringtrue.study.config_plan import PlanSection
 from ringtrue.study.results import PlanStage
 from ringtrue.study.workbench import Workbench

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ringtrue.core.arrays import Float
-from ringtrue.correlate.table import CorrelationTable
+from ringtrue.correlation.table import CorrelationTable
 from ringtrue.study.acceptance import in_both
 from ringtrue.study.results import (
     CompareStage,

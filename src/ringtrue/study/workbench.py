@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from ringtrue.backends.registry import EMBEDDED, solver
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.observation import Observation
@@ -19,15 +18,16 @@ from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress
 from ringtrue.core.testmodel import TestModel
 from ringtrue.core.units import UNIT_SYSTEMS, UnitSystem
-from ringtrue.correlate.align import Alignment
+from ringtrue.correlation.align import Alignment
+from ringtrue.decks.nastran.edit import add_cards
+from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, about
-from ringtrue.io.nastran.edit import add_cards
-from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.edit import carried
 from ringtrue.model.ports import ModalSolver
 from ringtrue.model.refine import refined
 from ringtrue.model.seconds import in_seconds
-from ringtrue.reduce.parametric import ReducedModel
+from ringtrue.reduction.parametric import ReducedModel
+from ringtrue.solvers.registry import EMBEDDED, solver
 from ringtrue.study.config import ConfigurationSection, ModelSection, StudyConfig
 from ringtrue.study.measured import NO_FRFS, Measured, channels_of, excited, flexible, measured
 from ringtrue.study.opened import Opened
@@ -47,8 +47,8 @@ from ringtrue.study.results import (
 )
 from ringtrue.study.seats import seats
 from ringtrue.study.store import Store
-from ringtrue.update.candidates import Candidate, CandidateSettings
-from ringtrue.update.residuals_static import RigidMass
+from ringtrue.updating.candidates import Candidate, CandidateSettings
+from ringtrue.updating.residuals_static import RigidMass
 
 OWN = ""  # the deck of the study among the configurations
 FMAX = 100.0  # Hz, where neither the study nor a test says

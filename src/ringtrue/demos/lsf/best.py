@@ -7,15 +7,15 @@ from __future__ import annotations
 import numpy as np
 
 from ringtrue.core.arrays import Int
-from ringtrue.correlate.assign import PairingSettings
+from ringtrue.correlation.assign import PairingSettings
 from ringtrue.demos.lsf.twin import Twin
 from ringtrue.shapes.mac import mac
 from ringtrue.study.results import CorrelateStage, FinalStage, UpdateStage
 from ringtrue.study.run import StudyRun
 from ringtrue.study.workbench import Workbench
-from ringtrue.update.best import descend
-from ringtrue.update.choose import best_subset
-from ringtrue.update.objective import Target, Weights
+from ringtrue.updating.best import descend
+from ringtrue.updating.choose import best_subset
+from ringtrue.updating.objective import Target, Weights
 
 TURNS = 12  # linear programmes from each start
 

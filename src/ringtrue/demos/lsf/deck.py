@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
+from ringtrue.decks.nastran.writer import format_card
 from ringtrue.demos.lsf import site
 from ringtrue.demos.lsf import spec as S
 from ringtrue.demos.lsf.facility import VARIANTS, Builder
 from ringtrue.demos.lsf.mesh import Value
 from ringtrue.demos.lsf.spec import Spec
-from ringtrue.io.nastran.writer import format_card
 
 CYLINDER = 20  # the vessel's frame
 FILES = ("foundation", "springs", "frame", "vessel", "drive", "site")

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ringtrue.core.testmodel import TestModel
-from ringtrue.correlate.table import CorrelationTable
+from ringtrue.correlation.table import CorrelationTable
 from ringtrue.demos.lsf import deck, facility
 from ringtrue.demos.lsf.best import best_possible
 from ringtrue.demos.lsf.campaign import CampaignPlan, CampaignSummary, run_campaign

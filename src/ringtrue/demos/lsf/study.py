@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+from ringtrue.decks.nastran.writer import format_card
 from ringtrue.demos.lsf import spec as S
 from ringtrue.demos.lsf.deck import MAIN
 from ringtrue.demos.lsf.facility import Builder
-from ringtrue.io.nastran.writer import format_card
 
 STUDY, BRACES = "study.toml", "remodel/braces.bdf"
 FRAME = (

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.checks.mass import mass_properties
 from ringtrue.core.arrays import Any_, Complex, Float, Int
 from ringtrue.core.dofs import DofSet
@@ -17,16 +16,17 @@ from ringtrue.core.modal import ModalModel
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.core.signals import Channel
 from ringtrue.core.testmodel import TestModel
-from ringtrue.correlate.observe import observe
+from ringtrue.correlation.observe import observe
+from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.demos.lsf import deck, facility
 from ringtrue.demos.lsf import spec as S
 from ringtrue.demos.lsf.truth import as_built
 from ringtrue.eigen import damped
 from ringtrue.fem.assembly import System
-from ringtrue.io.nastran.reader import read_deck
 from ringtrue.model.frames import positions
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
+from ringtrue.solvers.embedded import EmbeddedSolver
 
 FMAX = 100.0  # Hz, modes kept; the rest is in the residual flexibility
 AXES = ("X", "Y", "Z")

@@ -6,7 +6,7 @@ import numpy as np
 
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.uncertainty import Uncertainty
-from ringtrue.correlate.frf import InputSummary
+from ringtrue.correlation.frf import InputSummary
 from ringtrue.plots import correlation, identification, signals
 from ringtrue.report.parts import Block, Columns, Fold, Heading, Plot, Section, Table, fixed, number
 from ringtrue.report.stages import Stages

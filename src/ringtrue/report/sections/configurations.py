@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ringtrue.correlate.table import CorrelationTable
+from ringtrue.correlation.table import CorrelationTable
 from ringtrue.report.parts import Block, Fold, Heading, Items, Section, Table, Text, fixed, sentence
 from ringtrue.report.sections.correlation import blocks, changes
 from ringtrue.report.stages import Stages

@@ -7,10 +7,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from ringtrue.correlate.complete import Check, CompleteCorrelation, Subspace
-from ringtrue.correlate.faults import Suspect
-from ringtrue.correlate.gates import Failure
-from ringtrue.correlate.table import CorrelationTable
+from ringtrue.correlation.complete import Check, CompleteCorrelation, Subspace
+from ringtrue.correlation.faults import Suspect
+from ringtrue.correlation.gates import Failure
+from ringtrue.correlation.table import CorrelationTable
 from ringtrue.plots import correlation as plots
 from ringtrue.report.parts import (
     Block,

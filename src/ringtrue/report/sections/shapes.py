@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ringtrue.core.modes import ModeSet
-from ringtrue.correlate.table import CorrelationTable
+from ringtrue.correlation.table import CorrelationTable
 from ringtrue.plots.scene import Shown, modes
 from ringtrue.report.parts import Scene3D, Section, fixed
 from ringtrue.report.stages import Stages

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from ringtrue.correlate.complete import Check, CompleteCorrelation
-from ringtrue.correlate.table import CorrelationTable
+from ringtrue.correlation.complete import Check, CompleteCorrelation
+from ringtrue.correlation.table import CorrelationTable
 from ringtrue.plots import correlation as plots
 from ringtrue.report.parts import (
     MISSING,

@@ -10,11 +10,11 @@ from ringtrue.core.arrays import Float, Int
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.testmodel import TestModel
 from ringtrue.core.uncertainty import Uncertainty
-from ringtrue.correlate.complete import CompleteCorrelation
-from ringtrue.correlate.frf import FrfComparison
-from ringtrue.correlate.mounting import Mending
-from ringtrue.correlate.table import CorrelationTable
-from ringtrue.correlate.track import Tracks
+from ringtrue.correlation.complete import CompleteCorrelation
+from ringtrue.correlation.frf import FrfComparison
+from ringtrue.correlation.mounting import Mending
+from ringtrue.correlation.table import CorrelationTable
+from ringtrue.correlation.track import Tracks
 
 
 @dataclass(frozen=True, slots=True)

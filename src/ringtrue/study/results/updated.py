@@ -11,14 +11,14 @@ import numpy as np
 from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.parameters import ParameterSet
-from ringtrue.correlate.table import CorrelationTable
+from ringtrue.correlation.table import CorrelationTable
 from ringtrue.study.results.correlated import Evidence, Seat
-from ringtrue.update.kfold import Held
-from ringtrue.update.localise import SCARCE
-from ringtrue.update.plausible import SLIGHT, kept, unproven
-from ringtrue.update.posterior import Posterior
-from ringtrue.update.predict import RunUp, Unbalance
-from ringtrue.update.proposal import Proposal
+from ringtrue.updating.kfold import Held
+from ringtrue.updating.localise import SCARCE
+from ringtrue.updating.plausible import SLIGHT, kept, unproven
+from ringtrue.updating.posterior import Posterior
+from ringtrue.updating.predict import RunUp, Unbalance
+from ringtrue.updating.proposal import Proposal
 
 
 @dataclass(frozen=True, slots=True, eq=False)

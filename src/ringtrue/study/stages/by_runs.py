@@ -10,11 +10,11 @@ from dataclasses import replace
 import numpy as np
 from scipy import sparse
 
-from ringtrue.backends.observed import PRINTED, UNTOLD, FullModel
 from ringtrue.core.observation import Observation
 from ringtrue.core.progress import Progress
 from ringtrue.model.edit import carried
 from ringtrue.model.ports import ModesRequest
+from ringtrue.solvers.observed import PRINTED, UNTOLD, FullModel
 from ringtrue.study.config_update import UpdateSection
 from ringtrue.study.course import course_of, settled
 from ringtrue.study.objective import names_of, problem_of

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from ringtrue.core.progress import Progress
-from ringtrue.correlate.complete import complete
-from ringtrue.correlate.pairing import pair_modes
-from ringtrue.correlate.table import correlation_table
+from ringtrue.correlation.complete import complete
+from ringtrue.correlation.pairing import pair_modes
+from ringtrue.correlation.table import correlation_table
 from ringtrue.shapes.mac import auto_mac
 from ringtrue.study.reference import elastic_edge, settings, without_gaps
 from ringtrue.study.results import CompareStage, Evidence, IdentifyStage

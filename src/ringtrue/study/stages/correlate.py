@@ -8,17 +8,17 @@ from pathlib import Path
 
 import numpy as np
 
-from ringtrue.backends.embedded import EmbeddedSolver
 from ringtrue.checks.mesh import mesh_errors
 from ringtrue.core.arrays import Int
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.core.testmodel import TestModel
-from ringtrue.correlate.mounting import Mending, find_mendings
-from ringtrue.correlate.pairing import BEYOND_THE_GATE
-from ringtrue.correlate.table import CorrelationTable
+from ringtrue.correlation.mounting import Mending, find_mendings
+from ringtrue.correlation.pairing import BEYOND_THE_GATE
+from ringtrue.correlation.table import CorrelationTable
+from ringtrue.decks.nastran.edit import unified_diff
 from ringtrue.errors import RingtrueError
-from ringtrue.io.nastran.edit import unified_diff
+from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.evidence import channel_mass, evidence
 from ringtrue.study.expansion import expanded, on_scene

@@ -17,10 +17,10 @@ from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.core.modes import ModeSet, elastic
 from ringtrue.core.progress import Progress
 from ringtrue.core.uncertainty import Uncertainty
-from ringtrue.correlate.table import CorrelationTable
+from ringtrue.correlation.table import CorrelationTable
+from ringtrue.decks.nastran.edit import edit_fields
 from ringtrue.eigen.damped import complex_modes, project
 from ringtrue.fem.response import coupled
-from ringtrue.io.nastran.edit import edit_fields
 from ringtrue.model.edit import field_value
 from ringtrue.study.evidence import on_sheet
 from ringtrue.study.opened import Opened
@@ -35,8 +35,8 @@ from ringtrue.study.results import (
 from ringtrue.study.stages.configured import deliver as deliver_other
 from ringtrue.study.stages.final import deliver, said
 from ringtrue.study.workbench import OWN, Workbench
-from ringtrue.update.damping import DampingFit, fit_poles, mode_damping
-from ringtrue.update.damping_regions import (
+from ringtrue.updating.damping import DampingFit, fit_poles, mode_damping
+from ringtrue.updating.damping_regions import (
     Dampers,
     DampingRegion,
     dampers,

@@ -17,14 +17,14 @@ from ringtrue.core.signals import FrfSet, TimeHistory
 from ringtrue.core.testmodel import TestModel
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, did_you_mean
-from ringtrue.identify.hammer import HammerModes, HammerResult, identify_hammer
-from ringtrue.identify.local import told_apart
-from ringtrue.identify.merge import Contribution, merge_modes
-from ringtrue.identify.peaks import cmif
+from ringtrue.identification.hammer import HammerModes, HammerResult, identify_hammer
+from ringtrue.identification.local import told_apart
+from ringtrue.identification.merge import Contribution, merge_modes
+from ringtrue.identification.peaks import cmif
 from ringtrue.io.choices import read_choice
 from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
-from ringtrue.plan.resolution import ambient_std
-from ringtrue.plan.wireframe import neighbours
+from ringtrue.planning.resolution import ambient_std
+from ringtrue.planning.wireframe import neighbours
 from ringtrue.signal.hits import HammerSettings
 from ringtrue.signal.reciprocal import exchanged
 from ringtrue.signal.setups import join_frfs, setups_of

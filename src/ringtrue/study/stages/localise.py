@@ -11,13 +11,13 @@ import numpy as np
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.progress import Progress, part, quiet
+from ringtrue.decks.nastran.edit import refuse_unwritable, unwritable
 from ringtrue.errors import DataError
 from ringtrue.fem.change import affected_cards
-from ringtrue.io.nastran.edit import refuse_unwritable, unwritable
 from ringtrue.model.edit import has_fields
 from ringtrue.model.model import Model
-from ringtrue.reduce.condense import condensed
-from ringtrue.reduce.parametric import ReducedModel
+from ringtrue.reduction.condense import condensed
+from ringtrue.reduction.parametric import ReducedModel
 from ringtrue.study.beside import Beside
 from ringtrue.study.evidence import at_channels
 from ringtrue.study.expansion import expanded
@@ -28,17 +28,17 @@ from ringtrue.study.proposing import lump_places
 from ringtrue.study.results import CorrelateStage, LocaliseStage
 from ringtrue.study.stages.sensitivity import target, targets
 from ringtrue.study.workbench import OWN, Workbench
-from ringtrue.update.candidates import Candidate, CandidateSettings, membership, parameters
-from ringtrue.update.effects import effective
-from ringtrue.update.generate import generate
-from ringtrue.update.identifiable import identifiability
-from ringtrue.update.joint import joint_residual
-from ringtrue.update.localise import ElementErrors, expanded_errors, reduced_errors, variation
-from ringtrue.update.objective import Target, match, residual
-from ringtrue.update.pool import SMALL, conflicts, drawn, of_parameter, passed_over
-from ringtrue.update.proposal import Proposal, propose
-from ringtrue.update.screening import screened
-from ringtrue.update.several import Problem
+from ringtrue.updating.candidates import Candidate, CandidateSettings, membership, parameters
+from ringtrue.updating.effects import effective
+from ringtrue.updating.generate import generate
+from ringtrue.updating.identifiable import identifiability
+from ringtrue.updating.joint import joint_residual
+from ringtrue.updating.localise import ElementErrors, expanded_errors, reduced_errors, variation
+from ringtrue.updating.objective import Target, match, residual
+from ringtrue.updating.pool import SMALL, conflicts, drawn, of_parameter, passed_over
+from ringtrue.updating.proposal import Proposal, propose
+from ringtrue.updating.screening import screened
+from ringtrue.updating.several import Problem
 
 NO_CANDIDATE = (
     "no candidate made from the deck changes a mode and can be written into it: give "

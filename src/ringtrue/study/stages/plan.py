@@ -11,24 +11,24 @@ import numpy as np
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.modes import elastic
 from ringtrue.core.progress import Progress, part, quiet
-from ringtrue.correlate.observe import at_dofs
+from ringtrue.correlation.observe import at_dofs
 from ringtrue.errors import ConfigError
 from ringtrue.model.frames import positions
-from ringtrue.plan.candidates import even_distance, select_candidates
-from ringtrue.plan.information import Aim, greedy_logdet, mode_aim, parameter_aim, prior_shapes
-from ringtrue.plan.layout import lower_auto_mac, reached, select_points, shares
-from ringtrue.plan.resolution import resolution
-from ringtrue.plan.selection import (
+from ringtrue.planning.candidates import even_distance, select_candidates
+from ringtrue.planning.information import Aim, greedy_logdet, mode_aim, parameter_aim, prior_shapes
+from ringtrue.planning.layout import lower_auto_mac, reached, select_points, shares
+from ringtrue.planning.resolution import resolution
+from ringtrue.planning.selection import (
     auto_mac_points,
     kinetic_weighted,
     make_redundant,
     qr_points,
     worst_loss,
 )
-from ringtrue.plan.setups import Setups, roving_setups, roving_shift
-from ringtrue.plan.suspension import loaded_frequencies, suspension_points
-from ringtrue.plan.targets import readable
-from ringtrue.plan.wireframe import mesh_edges, shown, wireframe
+from ringtrue.planning.setups import Setups, roving_setups, roving_shift
+from ringtrue.planning.suspension import loaded_frequencies, suspension_points
+from ringtrue.planning.targets import readable
+from ringtrue.planning.wireframe import mesh_edges, shown, wireframe
 from ringtrue.shapes.mac import auto_mac, worst_off_diagonal
 from ringtrue.study.arrangement import AXES, Arrangement, arranged
 from ringtrue.study.config_plan import PlanSection

@@ -21,8 +21,8 @@ from ringtrue.fem.change import changed
 from ringtrue.fem.elements.bush import build as bush
 from ringtrue.fem.mesh import mesh
 from ringtrue.model.model import Model
-from ringtrue.reduce.parametric import ReducedModel
-from ringtrue.reduce.response import response_basis
+from ringtrue.reduction.parametric import ReducedModel
+from ringtrue.reduction.response import response_basis
 from ringtrue.study.config import PredictSection
 from ringtrue.study.objective import terms_of
 from ringtrue.study.opened import Opened
@@ -43,13 +43,13 @@ from ringtrue.study.stages.tune import suspended
 from ringtrue.study.stages.tune import target as rigid_target
 from ringtrue.study.stages.update import chosen_factors
 from ringtrue.study.workbench import OWN, Workbench
-from ringtrue.update.damping_regions import matrices_of
-from ringtrue.update.harmonic import Damping, RegionDamping, Rows
-from ringtrue.update.kfold import discrepancy
-from ringtrue.update.plausible import plausibility
-from ringtrue.update.posterior import Posterior, laplace
-from ringtrue.update.predict import Output, Unbalance, plane, run_up, validated_band
-from ringtrue.update.several import Configuration, Problem
+from ringtrue.updating.damping_regions import matrices_of
+from ringtrue.updating.harmonic import Damping, RegionDamping, Rows
+from ringtrue.updating.kfold import discrepancy
+from ringtrue.updating.plausible import plausibility
+from ringtrue.updating.posterior import Posterior, laplace
+from ringtrue.updating.predict import Output, Unbalance, plane, run_up, validated_band
+from ringtrue.updating.several import Configuration, Problem
 
 LOWEST = 0.005  # of the highest speed: the first line
 WATCHED = 40  # speeds at which the residual is watched

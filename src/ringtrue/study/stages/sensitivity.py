@@ -16,9 +16,9 @@ from ringtrue.study.parametric import AtChannels
 from ringtrue.study.reference import followed, settings, used_mask
 from ringtrue.study.results import ConfiguredTest, CorrelateStage, LocaliseStage, SensitivityStage
 from ringtrue.study.workbench import Workbench
-from ringtrue.update import choose
-from ringtrue.update.identifiable import stood_for
-from ringtrue.update.objective import Target, Weights, match
+from ringtrue.updating import choose
+from ringtrue.updating.identifiable import stood_for
+from ringtrue.updating.objective import Target, Weights, match
 
 RULES = choose.RULES | {
     "proposal": "the ranked proposal of the localisation: from all candidates at once the least "

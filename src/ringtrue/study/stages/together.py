@@ -28,11 +28,11 @@ from ringtrue.study.parametric import (
 from ringtrue.study.results import ConfiguredStage, DataResult, SetResult
 from ringtrue.study.stages.sensitivity import targets
 from ringtrue.study.workbench import Workbench
-from ringtrue.update import settle
-from ringtrue.update.objective import Target, aicc, residual
-from ringtrue.update.settle import Settled, displaced, whole_cost
-from ringtrue.update.several import Configuration, Evaluated, Problem
-from ringtrue.update.trust import Solution
+from ringtrue.updating import settle
+from ringtrue.updating.objective import Target, aicc, residual
+from ringtrue.updating.settle import Settled, displaced, whole_cost
+from ringtrue.updating.several import Configuration, Evaluated, Problem
+from ringtrue.updating.trust import Solution
 
 
 def together(

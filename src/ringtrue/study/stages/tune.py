@@ -10,7 +10,7 @@ import numpy as np
 from ringtrue.core.arrays import Float
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.progress import Progress, part, quiet
-from ringtrue.correlate.table import CorrelationTable
+from ringtrue.correlation.table import CorrelationTable
 from ringtrue.errors import DataError
 from ringtrue.model.ports import Linearisation, ObservedModel
 from ringtrue.study.parametric import AtChannels
@@ -25,13 +25,13 @@ from ringtrue.study.results import (
 from ringtrue.study.stages.sensitivity import target as elastic_target
 from ringtrue.study.stages.update import chosen_factors
 from ringtrue.study.workbench import OWN, Workbench
-from ringtrue.update.gauss_newton import update
-from ringtrue.update.objective import Target, Weights, match
-from ringtrue.update.plausible import plausibility
-from ringtrue.update.settle import Course, settled
-from ringtrue.update.several import Configuration, Problem
-from ringtrue.update.suspension import Suspended, tune
-from ringtrue.update.trust import Solution, solve
+from ringtrue.updating.gauss_newton import update
+from ringtrue.updating.objective import Target, Weights, match
+from ringtrue.updating.plausible import plausibility
+from ringtrue.updating.settle import Course, settled
+from ringtrue.updating.several import Configuration, Problem
+from ringtrue.updating.suspension import Suspended, tune
+from ringtrue.updating.trust import Solution, solve
 
 # a rigid-body mode on springs leaves no room for model discrepancy but the mass distribution
 WEIGHTS = Weights(frequency=0.005, mac=0.1, shape=0.1)

@@ -1,0 +1,1 @@
+"""Decks of finite element programs: a folder each."""

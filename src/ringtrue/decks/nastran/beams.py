@@ -1,0 +1,285 @@
+"""Beam properties: PBEAM with its stations, PBCOMP from its areas, PBARL and PBEAML from their
+sections.
+
+A row of the PBEAM table holds both ends; its ragged columns hold the stations between them in the
+order of the card, `X` their place over the length, `AX` .. `NSMX` what stands there, nan for a
+blank: on the straight line between the ends (MSC Nastran Quick Reference Guide, PBEAM, remark 5).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ringtrue.decks.nastran.fields import Card, Files, Reader, places, ragged
+from ringtrue.errors import UnsupportedCard
+from ringtrue.model.cards import columns
+from ringtrue.model.dimensions import END_A, END_B, properties
+from ringtrue.model.edit import ply_field
+from ringtrue.model.model import Ragged, Table
+from ringtrue.model.sections import FALLBACK, SECTIONS
+
+BETWEEN = ("AX", "I1X", "I2X", "I12X", "JX", "NSMX")
+_TAIL = ("K1", "K2", "S1", "S2", "NSIA", "NSIB")  # CWA and CWB count with SA and SB of a CBEAM only
+_TAIL2 = ("M1A", "M2A", "M1B", "M2B", "N1A", "N2A", "N1B", "N2B")
+_STATION = ("YES", "YESA", "NO")
+Row = Mapping[str, float | list[float]]
+
+
+def pbeam(cards: Sequence[Card], files: Files) -> Table:
+    """PBEAM: a row a property; a blank end B is that of end A."""
+    return _table("PBEAM", [(c, _beam_row(Reader(c, files))) for c in cards], files)
+
+
+def pbcomp(cards: Sequence[Card], files: Files) -> Table:
+    """PBCOMP as a table of PBEAM; lumped areas of other materials than the card's own are
+    refused.
+    """
+    return _table("PBEAM", [(c, _lumped(Reader(c, files))) for c in cards], files)
+
+
+def pbarl(cards: Sequence[Card], files: Files) -> Table:
+    """PBARL as a table of PBAR."""
+    return _table("PBAR", [(c, _made(Reader(c, files))) for c in cards], files)
+
+
+def pbeaml(cards: Sequence[Card], files: Files) -> Table:
+    """PBEAML as a table of PBEAM."""
+    return _table("PBEAM", [(c, _made(Reader(c, files))) for c in cards], files)
+
+
+def _table(card: str, rows: Sequence[tuple[Card, Row]], files: Files) -> Table:
+    made: dict[str, NDArray[Any] | Ragged] = {}
+    for spec in columns(card):
+        if spec.name in ("PID", "MID"):
+            values: list[Any] = [
+                Reader(c, files).whole(("PID", "MID").index(spec.name), spec.name) for c, _ in rows
+            ]
+            made[spec.name] = np.array(values, dtype=np.int64)
+        elif spec.tail:
+            made[spec.name] = ragged([row.get(spec.name, []) for _, row in rows], np.float64)  # type: ignore[misc]
+        elif not spec.blank:
+            made[spec.name] = np.array(
+                [row.get(spec.name, spec.default) for _, row in rows], dtype=np.float64
+            )
+    return Table(card, made, *places([c for c, _ in rows]))
+
+
+def beam_stations(r: Reader) -> tuple[list[tuple[float, int]], int]:
+    """Stations behind end A of a PBEAM: x / length with the place of A, and the field behind the
+    stations.
+
+    Raises
+    ------
+    DeckError
+        If a station is not between 0 and 1.
+    """
+    at = 8 if r.text(8).upper() in _STATION else 16  # the stress points may be left out
+    found = []
+    while (flag := r.text(at).upper()) in _STATION:
+        found.append((_place(r, at + 1), at + 2))
+        at += (
+            16 if flag == "YES" and r.text(at + 8).upper() not in _STATION else 8
+        )  # YESA and NO: no stress points
+    return found, at
+
+
+def _place(r: Reader, at: int) -> float:
+    x = r.real(at, "X/XB", 1.0)
+    if not 0 < x <= 1:
+        raise r.fail(
+            "X/XB", f"a station at {x:g} of the length; allowed are places behind 0 up to 1, end B"
+        )
+    return x
+
+
+def _beam_row(r: Reader) -> Row:
+    row = {n: r.real(2 + k, n, 0.0) for k, n in enumerate(END_A)}
+    row |= dict(zip(END_B, row.values(), strict=True))
+    stations, at = beam_stations(r)
+    for x, place in stations:
+        if x == 1.0:
+            row |= {
+                b: r.real(place + k, b, row[a])
+                for k, (a, b) in enumerate(zip(END_A, END_B, strict=True))
+            }
+    row |= {n: r.real(at + k, n, 1.0 if n in ("K1", "K2") else 0.0) for k, n in enumerate(_TAIL)}
+    row |= {n: r.real(at + 8 + k, n, 0.0) for k, n in enumerate(_TAIL2)}
+    if not r.text(at + 5):
+        row["NSIB"] = row["NSIA"]
+    for a, b in (("M1A", "M1B"), ("M2A", "M2B"), ("N1A", "N1B"), ("N2A", "N2B")):
+        if not r.text(at + 8 + _TAIL2.index(b)):
+            row[b] = row[a]
+    between = [(x, place) for x, place in stations if x < 1.0]
+    inner = {n: [r.real(p + k, n, np.nan) for _, p in between] for k, n in enumerate(BETWEEN)}
+    return row | {"X": [x for x, _ in between]} | inner
+
+
+def _lumped(r: Reader) -> Row:
+    """The PBEAM of a PBCOMP; lumped areas give A, I1, I2, I12 and the neutral axis (QRG, PBCOMP,
+    remark 7).
+    """
+    row = {n: r.real(2 + k, n, 0.0) for k, n in enumerate(END_A)}
+    row |= {n: r.real(8 + k, n, 1.0) for k, n in enumerate(("K1", "K2"))}
+    at = {n: r.real(10 + k, n, 0.0) for k, n in enumerate(("M1", "M2", "N1", "N2"))}
+    y, z, share = _areas(r)
+    if total := share.sum():
+        at["N1"], at["N2"] = share @ y / total, share @ z / total
+        y, z = y - at["N1"], z - at["N2"]
+        row |= {
+            n: row["A"] * float(share @ v)
+            for n, v in (("I1", y * y), ("I2", z * z), ("I12", y * z))
+        }
+        row["A"] *= float(total)
+    row |= {b: row[a] for a, b in zip(END_A, END_B, strict=True)}
+    return {**row, **{f"{n}{end}": float(v) for n, v in at.items() for end in "AB"}}
+
+
+def _areas(r: Reader) -> NDArray[np.float64]:
+    """y, z and share of the area of each lumped area of a PBCOMP, (3, n)."""
+    at = range(16, len(r.card.fields), 8)
+    given = np.array(
+        [[r.real(i + k, n, 0.0) for i in at] for k, n in enumerate(("Yi", "Zi", "Ci"))]
+    )
+    symmetry = r.whole(14, "SYMOPT", 0)
+    other = any(r.text(i + 3) and r.whole(i + 3, "MIDi") != r.whole(1, "MID") for i in at)
+    why = (
+        "lumped areas of several materials; give PBEAM with A, I1, I2, I12 weighted by the moduli"
+        if other
+        else ""
+    )
+    if given.any() and symmetry not in (0, 1, 5):
+        why = f"SYMOPT {symmetry}; give all areas (SYMOPT 0), or those of a quarter (1)"
+    if why:
+        raise UnsupportedCard("PBCOMP", path=r.files[r.card.file], line=r.card.line, why=why)
+    if symmetry == 1:
+        given = np.hstack(
+            [given * np.array([[a], [b], [1.0]]) for a in (1.0, -1.0) for b in (1.0, -1.0)]
+        )
+    return given
+
+
+def _dimensions(r: Reader, at: int) -> tuple[list[float], float, int]:
+    """Dimensions from field `at` on, nan for a blank that is that of another, NSM, and the field
+    behind.
+    """
+    c, kind = r.card, r.text(3).upper()
+    if kind not in SECTIONS:
+        why = f"section {kind!r}; supported are {', '.join(sorted(SECTIONS))}"
+        raise UnsupportedCard(c.name, path=r.files[c.file], line=c.line, why=why)
+    count, may = SECTIONS[kind][0], FALLBACK.get(kind, {})
+    dims = [r.real(at + k, f"DIM{k + 1}", np.nan if k in may else None) for k in range(count)]
+    return dims, r.real(at + count, "NSM", 0.0), at + count + 1
+
+
+def _stations(r: Reader, at: int) -> list[tuple[float, list[float], float, int]]:
+    """Places over the length of the sections behind end A, their dimensions and NSM, and where the
+    first stands.
+    """
+    found = []
+    while r.text(at).upper() in _STATION:
+        x = _place(r, at + 1)
+        if not r.text(at + 2):  # a blank section is that of end A
+            break
+        dims, nsm, behind = _dimensions(r, at + 2)
+        found.append((x, dims, nsm, at + 2))
+        at = behind
+    return found
+
+
+def _made(r: Reader) -> Row:
+    """The PBAR or PBEAM of a PBARL or PBEAML."""
+    name, kind = r.card.name, r.text(3).upper()
+    dims, nsm, at = _dimensions(r, 8)
+    stations = _stations(r, at) if name == "PBEAML" else []
+    end_b = next(((d, m) for x, d, m, _ in stations if x == 1.0), None)
+    try:
+        row = properties(name, kind, (dims, nsm), end_b)
+        inner = [(x, properties("PBARL", kind, (d, m), None)) for x, d, m, _ in stations if x < 1.0]
+    except (ValueError, ArithmeticError) as e:
+        raise r.fail("DIM1", str(e)) from None
+    between = {b: [p.get(a, 0.0) for _, p in inner] for a, b in zip(END_A, BETWEEN, strict=True)}
+    return row | {"X": [x for x, _ in inner]} | between
+
+
+def dimensions(cards: Sequence[Card], files: Files) -> Table:
+    """The dimensions that PBARL or PBEAML give, for the ends of the beam; a row a property."""
+    rows: dict[str, list[Any]] = {s.name: [] for s in columns(cards[0].name)}
+    for c in cards:
+        r = Reader(c, files)
+        dims, nsm, at = _dimensions(r, 8)
+        end_b = next(((d, m) for x, d, m, _ in _stations(r, at) if x == 1.0), ([], np.nan))
+        values = (r.whole(0, "PID"), r.text(3).upper(), nsm, dims, end_b[1], end_b[0])
+        for name, value in zip(("PID", "TYPE", "NSM", "DIM", "NSMB", "DIMB"), values, strict=True):
+            if name in rows:
+                rows[name].append(value)
+    made = {
+        n: ragged(v, np.float64) if n.startswith("DIM") else np.array(v) for n, v in rows.items()
+    }
+    return Table(cards[0].name, made, *places(cards))
+
+
+def dimension_place(fields: Sequence[str], field: str) -> int | None:
+    """Field of NSM, DIM1 .. or, at end B, of NSMB, DIMB1 .. on a PBARL or PBEAML; None without."""
+    r = Reader(Card("PBEAML", list(fields), 0, 0), ("",))
+    count, (_, _, behind) = SECTIONS[r.text(3).upper()][0], _dimensions(r, 8)
+    end_b = next((at for x, _, _, at in _stations(r, behind) if x == 1.0), None)
+    name, number = ply_field(field) or (field, count + 1)
+    at = {"DIM": 8, "NSM": 8, "DIMB": end_b, "NSMB": end_b}.get(name)
+    return None if at is None else at + number - 1
+
+
+_BEND = {
+    "A": 2,
+    "I1": 3,
+    "I2": 4,
+    "J": 5,
+    "RB": 6,
+    "THETAB": 7,
+    "K1": 16,
+    "K2": 17,
+    "NSM": 18,
+    "RC": 19,
+    "ZC": 20,
+    "DELTAN": 21,
+}
+_PIPE = {"FSI": 2, "RM": 3, "T": 4, "P": 5, "RB": 6, "THETAB": 7, "NSM": 10, "RC": 11, "ZC": 12}
+
+
+def bend_places(fields: Sequence[str]) -> Mapping[str, int]:
+    """Where the fields of a PBEND stand: a pipe if the first behind MID is an integer."""
+    return _PIPE if len(fields) > 2 and fields[2].isdigit() else _BEND
+
+
+def pbend(cards: Sequence[Card], files: Files) -> Table:
+    """PBEND of either form; a pipe with flexibility factors other than 1, or as NX has it, is
+    refused.
+    """
+    names = tuple(n for n in dict.fromkeys((*_PIPE, *_BEND)) if n != "FSI")
+    cols: dict[str, list[float]] = {n: [] for n in ("PID", "MID", "FSI", *names)}
+    for c in cards:
+        r = Reader(c, files)
+        at = bend_places(c.fields)
+        if at is _PIPE:
+            foreign = any(r.text(i) for i in (8, 9, *range(13, len(c.fields))))
+            if r.whole(2, "FSI") != 1 or foreign:
+                why = (
+                    "of pipes FSI = 1, NSM, RC and ZC are; give A, I1, I2, J with the "
+                    "flexibility in I1 and I2"
+                )
+                raise UnsupportedCard("PBEND", path=files[c.file], line=c.line, why=why)
+        cols["PID"].append(r.whole(0, "PID"))
+        cols["MID"].append(r.whole(1, "MID"))
+        cols["FSI"].append(int(at is _PIPE))
+        for n in names:
+            blank = float("nan") if n == "DELTAN" else 0.0
+            cols[n].append(r.real(at[n], n, blank) if n in at else blank)
+    whole = ("PID", "MID", "FSI")
+    return Table(
+        "PBEND",
+        {n: np.array(v, np.int64 if n in whole else np.float64) for n, v in cols.items()},
+        *places(cards),
+    )

@@ -1,0 +1,234 @@
+"""Case control: the choices of the subcase that computes modes."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+
+from ringtrue.decks.nastran.fields import whole
+from ringtrue.decks.nastran.lexer import real
+from ringtrue.errors import DeckError
+from ringtrue.model.cards import PRELOADS
+from ringtrue.model.model import CaseControl
+
+_COMMAND = re.compile(
+    r"\s*([A-Z]\w*)\s*(\([^)]*\))?(?:\s*=\s*|\s+)(.*?)\s*", re.I | re.S
+)  # a blank may stand for =
+_SUBCASE = re.compile(r"\s*SUBC\w*[\s=]*(\d{1,9})?", re.I)
+_CHOICES = ("TITLE", "METHOD", "SPC", "MPC", "NSM", "AUTOSPC", "SDAMPING")
+_SETS = ("SPC", "MPC", "NSM", "K2GG", "M2GG", "B2GG")
+# commands that bring in stiffness which is not read, and how the names of their cards begin
+STIFFENING = {
+    "TEMPERATURE": ("MATT",),
+    "BGSET": ("BGSET", "BGADD"),
+    "BCSET": ("BCTSET", "BCTADD"),
+    "BCONTACT": ("BCBODY", "BCTABL"),
+    **dict.fromkeys(("STATSUB", "NLIC"), (*PRELOADS, "BOLTFOR", "BOLTFRC", "PRETENS", "SPCR")),
+}
+_PRESTRESS = re.compile(
+    r"\s*SOL[\s=]+(18[2-9]|.*PRESTRESS)", re.I
+)  # modes and responses under load, by Autodesk
+_MATRICES = ("K2GG", "M2GG", "B2GG", "K2PP", "M2PP", "B2PP")
+_UNREAD = ("K42GG", "A2GG", "TFL")  # matrices of other solutions
+_LOADING = ("TEMP(INIT)", "DEFORM", "P2G")  # what else acts in statics, and is not read
+_NAMES = (*_CHOICES, *_MATRICES, *STIFFENING, *_UNREAD, *_LOADING, "LOAD", "TEMP(LOAD)")
+_SHORT = {
+    "METH": "METHOD",
+    "TITL": "TITLE",
+    "AUTO": "AUTOSPC",
+    "TEMP": "TEMPERATURE",
+    "STAT": "STATSUB",
+    "SDAM": "SDAMPING",
+}  # Nastran reads the first four characters
+_TEXT = re.compile(r"\s*(TITL|SUBT|LABE)", re.I)
+_TERM = re.compile(r"(?:\(?\s*([^*()\s]+?)\s*\)?\s*\*)?\s*([A-Z]\w*)", re.I)
+
+
+def commands(top: Sequence[str]) -> dict[str, str]:
+    """The choices that hold in the first subcase with a METHOD, else in the first subcase.
+
+    Parameters
+    ----------
+    top : sequence of str
+        Executive and case control lines.
+    """
+    common, *subcases = (choices for _, choices in _sections(top))
+    chosen = next((s for s in subcases if "METHOD" in s), subcases[0] if subcases else {})
+    return {**common, **chosen}
+
+
+def stiffening(top: Sequence[str]) -> tuple[str, ...]:
+    """How the names of cards begin that carry stiffness because case control chooses them: glue,
+    contact, MATT1.
+    """
+    chosen = set(commands(top)) | (
+        {"STATSUB"} if any(_PRESTRESS.match(line) for line in top) else set()
+    )
+    return tuple(
+        start for command, names in STIFFENING.items() if command in chosen for start in names
+    )
+
+
+def _sections(top: Sequence[str]) -> list[tuple[int, dict[str, str]]]:
+    """The choices above all subcases, under 0, and those of each subcase with its number."""
+    begun = not any(re.match(r"\s*CEND\b", line, re.I) for line in top)
+    sections: list[tuple[int, dict[str, str]]] = [(0, {})]
+    for line in _joined(top):
+        begun = begun or bool(re.match(r"\s*CEND\b", line, re.I))
+        if begun and (subcase := _SUBCASE.match(line)):
+            sections.append((int(subcase[1] or 0), {}))
+        found = _COMMAND.fullmatch(line)
+        name = found[1].upper() if found else ""
+        name = _SHORT.get(name[:4], name)
+        if begun and found and name in _NAMES and (found[2] or "").upper() != "(FLUID)":
+            sections[-1][1][name] = found[3]
+            if name == "TEMPERATURE" and (
+                kind := re.match(r"\(?\s*(MAT|INIT|)", (found[2] or "").upper())
+            ):
+                of = {"MAT": "TEMP(MAT)", "INIT": "TEMP(INIT)"}.get(kind[1], "TEMP(LOAD)")
+                sections[-1][1][of] = found[3]
+    return sections
+
+
+def _not_taken(top: Sequence[str], found: Mapping[str, str]) -> tuple[int, ...]:
+    """Further subcases that compute modes, of other sets."""
+    (_, common), *subcases = _sections(top)
+    every = [(number, {**common, **choices}) for number, choices in subcases]
+    return tuple(
+        n for n, c in every if "METHOD" in c and any(c.get(k) != found.get(k) for k in _SETS)
+    )
+
+
+def load_sets(top: Sequence[str]) -> list[tuple[str, int, int]]:
+    """Names of the subcases with a LOAD or TEMPERATURE(LOAD), and the numbers of their sets, 0 for
+    none.
+
+    Raises
+    ------
+    DeckError
+        If one is no number, or a subcase has other sets of SPC or MPC than those that count for
+        modes, or acts by deformations and the like, too.
+    """
+    (_, common), *subcases = _sections(top)
+    every = [(f"SUBCASE {n}", {**common, **choices}) for n, choices in subcases] or [
+        ("LOAD", common)
+    ]
+    taken, out = commands(top), []
+    for name, choices in every:
+        if not {"LOAD", "TEMP(LOAD)"} & choices.keys():
+            continue
+        if any(choices.get(k) != taken.get(k) for k in _SETS):
+            raise DeckError(
+                f"{name} has other {', '.join(_SETS)} than the subcase that is taken; give it alone"
+            )
+        unread = _LOADING if "TEMP(LOAD)" in choices else _LOADING[1:]
+        if other := next((k for k in unread if k in choices), None):
+            raise DeckError(
+                f"{name} has {other} = {choices[other]}: of static loads those of LOAD and "
+                "TEMP(LOAD) are read"
+            )
+        numbers = [choices.get(kind, "0") for kind in ("LOAD", "TEMP(LOAD)")]
+        for kind, text in zip(("LOAD", "TEMP(LOAD)"), numbers, strict=True):
+            if not re.fullmatch(r"\d{1,18}", text, re.A):
+                raise DeckError(f"{kind} = {text} in case control: it must be the number of a set")
+        out.append((name, int(numbers[0]), int(numbers[1])))
+    return out
+
+
+def modal_damping_set(top: Sequence[str]) -> int:
+    """The table of SDAMPING, 0 without.
+
+    Raises
+    ------
+    DeckError
+        If it is no number.
+    """
+    text = commands(top).get("SDAMPING", "0")
+    if not re.fullmatch(r"\d{1,18}|NONE", text, re.A | re.I):
+        raise DeckError(f"SDAMPING = {text} in case control: it must be the number of a TABDMP1")
+    return 0 if text.upper() == "NONE" else int(text)
+
+
+def _joined(top: Iterable[str]) -> list[str]:
+    """Commands without comments and those that SKIPON passes over; a line that ends in a comma goes
+    on in the next.
+    """
+    out: list[str] = []
+    skipped = False
+    for raw in top:
+        line = raw.split("$")[0].rstrip()
+        if told := re.match(r"\s*SKIP(ON|OFF)\b", line, re.I):
+            skipped = told[1].upper() == "ON"
+        if told or skipped:
+            continue
+        if out and out[-1].endswith(",") and not _TEXT.match(out[-1]):
+            out[-1] += " " + line.strip()
+        elif line:
+            out.append(line)
+    return out
+
+
+def case_control(top: Sequence[str]) -> CaseControl:
+    """The choices of the lines above BEGIN BULK.
+
+    Raises
+    ------
+    DeckError
+        If K2GG or its like names no matrices, or NSM, SPC or MPC no set.
+    """
+    found = commands(top)
+    for kind in ("NSM", "SPC", "MPC"):
+        if not re.fullmatch(r"\d{1,18}|NONE", found.get(kind, "0"), re.A | re.I):
+            raise DeckError(
+                f"{kind} = {found[kind]} in case control: it must be the number of a set"
+            )
+    number = {k: int(v) for k, v in found.items() if re.fullmatch(r"\d{1,18}", v, re.A)}
+    return CaseControl(
+        found.get("TITLE", ""),
+        number.get("METHOD", 0),
+        number.get("SPC", 0),
+        number.get("MPC", 0),
+        number.get("NSM", 0),
+        **{name.lower(): _matrices(name, found) for name in _MATRICES},
+        others=_not_taken(top, found),
+        unread=tuple(f"{name} = {found[name]}" for name in _UNREAD if name in found),
+    )
+
+
+def _matrices(name: str, found: Mapping[str, str]) -> tuple[tuple[float, str], ...]:
+    """`1.25*KA, KB` as factors and names."""
+    made = []
+    for part in found[name].split(",") if name in found else ():
+        term = _TERM.fullmatch(part.strip())
+        try:
+            made.append(
+                (real(term[1]) if term and term[1] else 1.0, term[2].upper() if term else "")
+            )
+        except ValueError:
+            term = None
+        if term is None:
+            raise DeckError(
+                f"{name} = {found[name]}: allowed are names of DMIG matrices, as in 1.5*KA, KB"
+            )
+    return tuple(made)
+
+
+def params(top: Sequence[str]) -> dict[str, int | float | str]:
+    """PARAM and AUTOSPC commands above BEGIN BULK; they go before those in the bulk data."""
+    out: dict[str, int | float | str] = {}
+    for line in _joined(top):
+        parts = [p.strip() for p in line.split(",")]
+        if parts[0].upper() == "PARAM" and len(parts) > 2 and parts[1]:
+            out[parts[1].upper()] = value(parts[2].upper())
+    auto = commands(top).get("AUTOSPC", "").upper()
+    return out | ({"AUTOSPC": auto} if auto in ("YES", "NO") else {})
+
+
+def value(text: str) -> int | float | str:
+    """The value of a PARAM: an integer, a real or a word."""
+    for read in (whole, real):
+        try:
+            return read(text)
+        except ValueError:
+            continue
+    return text

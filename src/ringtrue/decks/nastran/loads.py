@@ -1,0 +1,352 @@
+"""Static loads of a deck, as LOAD adds them up for the subcases."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ringtrue.decks.nastran.case import load_sets
+from ringtrue.decks.nastran.defaults import written_out
+from ringtrue.decks.nastran.fields import Reader
+from ringtrue.decks.nastran.gather import Cards
+from ringtrue.errors import DeckError, UnsupportedCard
+from ringtrue.model.cards import PRELOADS
+
+LINE_KINDS = tuple(f"{what}{axis}{own}" for own in ("", "E") for what in "FM" for axis in "XYZ")
+LINE_SCALES = ("LE", "FR", "LEPR", "FRPR")
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Load:
+    """A force or moment at `node`, or an acceleration of all masses (GRAV, node 0), in frame `cid`;
+    deck units.
+
+    With `ends`, two nodes, only the size of the vector counts: its direction is from the one to the
+    other (FORCE1), of four nodes across both pairs (FORCE2). At a scalar point (SLOAD) the vector
+    is its size alone.
+    """
+
+    card: str
+    node: int
+    cid: int
+    vector: Vector
+    ends: tuple[int, ...] = ()
+
+    def times(self, factor: float) -> Load:
+        """The load multiplied."""
+        x, y, z = self.vector
+        return replace(self, vector=(factor * x, factor * y, factor * z))
+
+
+@dataclass(frozen=True, slots=True)
+class Pressure:
+    """A pressure `sizes` at the corners of elements or, for PLOAD, of the face between `nodes`;
+    deck units.
+
+    `first` to `last` are the elements, `nodes` what names a face of a solid (G1 and G3 or G4, 0 for
+    none). It acts along `vector` in frame `cid`, or without one along the normal, into a solid.
+    """
+
+    card: str
+    place: tuple[str, int]
+    sizes: tuple[float, ...]
+    first: int = 0
+    last: int = 0
+    nodes: tuple[int, ...] = (0, 0)
+    cid: int = 0
+    vector: Vector | None = None
+
+    def times(self, factor: float) -> Pressure:
+        """The pressure multiplied."""
+        return replace(self, sizes=tuple(factor * p for p in self.sizes))
+
+    def error(self, why: str) -> DeckError:
+        """An error at the place of the card."""
+        return DeckError(why, path=self.place[0], line=self.place[1], card=self.card)
+
+
+@dataclass(frozen=True, slots=True)
+class LineLoad:
+    """A force or moment (PLOAD1) on the beam `element`; deck units.
+
+    `kind` is its TYPE, such as FZ (basic) or MYE (axes of the element). It acts from `ends[0]` to
+    `ends[1]`, lengths or with `fraction` shares of the length, with sizes a length that are linear
+    between, or where the two are one as a single load `sizes[0]`. `projected`: a length is that
+    which a view along the load sees.
+    """
+
+    place: tuple[str, int]
+    element: int
+    kind: str
+    ends: tuple[float, float]
+    sizes: tuple[float, float]
+    fraction: bool
+    projected: bool
+
+    def times(self, factor: float) -> LineLoad:
+        """The load multiplied."""
+        return replace(self, sizes=(factor * self.sizes[0], factor * self.sizes[1]))
+
+    def error(self, why: str) -> DeckError:
+        """An error at the place of the card."""
+        return DeckError(why, path=self.place[0], line=self.place[1], card="PLOAD1")
+
+
+@dataclass(frozen=True, slots=True)
+class Spin:
+    """Centrifugal forces (RFORCE) about an axis through `node`, 0 for the origin of basic.
+
+    `vector`, rad/s, is along the axis in frame `cid`; the forces are multiplied by `factor`.
+    """
+
+    node: int
+    cid: int
+    vector: Vector
+    factor: float = 1.0
+
+    def times(self, factor: float) -> Spin:
+        """The forces multiplied."""
+        return replace(self, factor=factor * self.factor)
+
+
+@dataclass(frozen=True, slots=True)
+class Moved:
+    """A held component of `node` displaced by `size` (SPCD), in its displacement frame; deck
+    units.
+    """
+
+    place: tuple[str, int]
+    node: int
+    component: int
+    size: float
+
+    def times(self, factor: float) -> Moved:
+        """The displacement multiplied."""
+        return replace(self, size=factor * self.size)
+
+    def error(self, why: str) -> DeckError:
+        """An error at the place of the card."""
+        return DeckError(why, path=self.place[0], line=self.place[1], card="SPCD")
+
+
+@dataclass(frozen=True, slots=True)
+class Warmth:
+    """Temperatures of nodes (TEMP), and of all others (TEMPD, NaN without)."""
+
+    nodes: tuple[tuple[int, float], ...]
+    others: float
+
+
+AnyLoad = Load | Pressure | LineLoad | Spin | Moved
+
+
+@dataclass(frozen=True, slots=True)
+class LoadCase:
+    """What acts in a subcase."""
+
+    name: str
+    loads: tuple[AnyLoad, ...]
+    warmth: Warmth | None = None
+
+
+def load_cases(found: Cards) -> tuple[LoadCase, ...]:
+    """The load cases of a deck: its subcases with a LOAD, in order.
+
+    Raises
+    ------
+    DeckError
+        If there is none, a set is not in the deck, a field is no number, or subcases have other SPC
+        or MPC.
+    UnsupportedCard
+        If a set has loads of other cards, such as ACCEL1 or TEMPP1.
+    """
+    if not (asked := load_sets(found.deck.top)):
+        raise DeckError("case control has no LOAD: give one, or --force", path=found.deck.files[0])
+    return tuple(
+        LoadCase(name, _of_set(found, load) if load else (), _warmth(found, warm) if warm else None)
+        for name, load, warm in asked
+    )
+
+
+def _warmth(found: Cards, number: int) -> Warmth:
+    """The temperatures of a set: TEMP: SID G1 T1 G2 T2 G3 T3, and TEMPD: SID1 T1 SID2 T2 and so
+    on.
+    """
+    nodes, others = dict[int, float](), float("nan")
+    for name in (n.decode() for n in found.kinds()[0].tolist() if n.startswith(b"TEMP")):
+        for c in written_out(found, name):
+            r = Reader(c, found.deck.files)
+            if name == "TEMPD":
+                sets = {r.whole(i, "SID"): r.real(i + 1, "T") for i in (0, 2, 4, 6) if r.text(i)}
+                others = sets.get(number, others)
+            elif r.text(0) == str(number) and name != "TEMP":
+                why = "of temperatures, TEMP and TEMPD are read"
+                raise UnsupportedCard(name, path=found.deck.files[c.file], line=c.line, why=why)
+            elif r.text(0) == str(number):
+                nodes |= {r.whole(i, "G"): r.real(i + 1, "T") for i in (1, 3, 5) if r.text(i)}
+    if not nodes and np.isnan(others):
+        raise DeckError(f"temperature set {number} is not in the deck", path=found.deck.files[0])
+    return Warmth(tuple(nodes.items()), others)
+
+
+def _of_set(found: Cards, number: int) -> tuple[AnyLoad, ...]:
+    for r in (Reader(c, found.deck.files) for c in written_out(found, "LOAD")):
+        if r.whole(0, "SID") == number:
+            every, last = r.real(1, "S", 0.0), len(r.card.fields) - 1
+            pairs = [
+                (every * r.real(i, "Si", 0.0), r.whole(i + 1, "Li"))
+                for i in range(2, last, 2)
+                if r.text(i + 1)
+            ]
+            return tuple(ld.times(f) for f, of in pairs for ld in _alone(found, of))
+    return _alone(found, number)
+
+
+def _alone(found: Cards, number: int) -> tuple[AnyLoad, ...]:
+    """The loads of a set, without LOAD."""
+    out = list[AnyLoad]()
+    for name in (n.decode() for n in found.kinds()[0].tolist()):
+        if name == "LOAD" or name.startswith("TEMP") or not name.startswith(PRELOADS):
+            continue
+        for c in written_out(found, name):  # over the loads, which are few beside the elements
+            r = Reader(c, found.deck.files)
+            if r.text(0) != str(number):
+                continue
+            if name not in _READ:
+                why = f"of a static load, {', '.join(_READ)} are read"
+                raise UnsupportedCard(name, path=found.deck.files[c.file], line=c.line, why=why)
+            out += _READ[name](r)
+    if not out:
+        raise DeckError(f"load set {number} is not in the deck", path=found.deck.files[0])
+    return tuple(out)
+
+
+def _vector(r: Reader, at: int) -> Vector:
+    return r.real(at, "N1", 0.0), r.real(at + 1, "N2", 0.0), r.real(at + 2, "N3", 0.0)
+
+
+def _node(r: Reader) -> int:
+    node = r.whole(1, "G")
+    if node < 1:
+        raise r.fail("G", f"{node} is no node")
+    return node
+
+
+def _force(r: Reader) -> list[AnyLoad]:
+    """FORCE and MOMENT: SID G CID F N1 N2 N3; GRAV: SID CID A N1 N2 N3."""
+    at = 1 if r.card.name == "GRAV" else 2
+    node, cid = 0 if at == 1 else _node(r), r.whole(at, "CID", 0)
+    return [Load(r.card.name, node, cid, _vector(r, at + 2)).times(r.real(at + 1, "the size", 0.0))]
+
+
+def _between(r: Reader) -> list[AnyLoad]:
+    """FORCE1 and MOMENT1: SID G F G1 G2; FORCE2 and MOMENT2: SID G F G1 G2 G3 G4."""
+    ends = tuple(r.whole(i, f"G{i - 2}") for i in range(3, 7 if r.card.name.endswith("2") else 5))
+    return [Load(r.card.name[:-1], _node(r), 0, (r.real(2, "F"), 0.0, 0.0), ends)]
+
+
+def _sload(r: Reader) -> list[AnyLoad]:
+    """SLOAD: SID S1 F1 S2 F2 S3 F3."""
+    return [
+        Load("SLOAD", r.whole(i, "S"), 0, (r.real(i + 1, "F"), 0.0, 0.0))
+        for i in (1, 3, 5)
+        if r.text(i)
+    ]
+
+
+def _place(r: Reader) -> tuple[str, int]:
+    return r.files[r.card.file], r.card.line
+
+
+def _pload(r: Reader) -> list[AnyLoad]:
+    """PLOAD: SID P G1 G2 G3 G4."""
+    nodes = tuple(r.whole(i, f"G{i - 1}", 0) for i in (2, 3, 4, 5))
+    if min(nodes[:3]) < 1:
+        raise r.fail("G1", "three or four nodes span a face")
+    return [Pressure("PLOAD", _place(r), (r.real(1, "P"),) * 4, nodes=nodes)]
+
+
+def _pload2(r: Reader) -> list[AnyLoad]:
+    """PLOAD2: SID P and elements, or a range of them."""
+    size = (r.real(1, "P"),) * 4
+    if r.text(3).upper() == "THRU":
+        ranges = [(r.whole(2, "EID1"), r.whole(4, "EID2"))]
+    else:
+        ranges = [(r.whole(i, "EID"),) * 2 for i in range(2, len(r.card.fields)) if r.text(i)]
+    return [Pressure("PLOAD2", _place(r), size, a, b) for a, b in ranges]
+
+
+def _pload4(r: Reader) -> list[AnyLoad]:
+    """PLOAD4: SID EID P1 P2 P3 P4 and G1 G3, or THRU EID2; CID N1 N2 N3 SORL LDIR."""
+    first = r.real(2, "P1", 0.0)
+    sizes = tuple(r.real(i, f"P{i - 1}", first) for i in (2, 3, 4, 5))
+    eid, ranged = r.whole(1, "EID"), r.text(6).upper() == "THRU"
+    last, nodes = (
+        (r.whole(7, "EID2"), (0, 0))
+        if ranged
+        else (eid, (r.whole(6, "G1", 0), r.whole(7, "G3", 0)))
+    )
+    vector = _vector(r, 9) if any(r.text(i) for i in (9, 10, 11)) else None
+    if r.text(12).upper() not in ("", "SURF") or r.text(13).upper() not in ("", "NORM"):
+        raise r.fail("SORL", "loads along edges (LINE) and LDIR are not read; give FORCE")
+    if vector is not None and not np.any(vector):
+        raise r.fail("N1", "a direction without length")
+    return [Pressure("PLOAD4", _place(r), sizes, eid, last, nodes, r.whole(8, "CID", 0), vector)]
+
+
+def _pload1(r: Reader) -> list[AnyLoad]:
+    """PLOAD1: SID EID TYPE SCALE X1 P1 X2 P2."""
+    kind, scale = r.text(2).upper(), r.text(3).upper()
+    if kind not in LINE_KINDS:
+        raise r.fail("TYPE", f"{kind or 'blank'}; allowed are {' '.join(LINE_KINDS)}")
+    if scale not in LINE_SCALES:
+        raise r.fail("SCALE", f"{scale or 'blank'}; allowed are {' '.join(LINE_SCALES)}")
+    first, size, single = r.real(4, "X1"), r.real(5, "P1"), not r.text(6)
+    last = first if single else r.real(6, "X2")
+    if not 0 <= first <= last:
+        raise r.fail("X1", f"from {first:g} to {last:g}; must be 0 <= X1 <= X2")
+    single = single or last == first
+    projected = scale.endswith("PR")
+    if projected and not single and (kind.endswith("E") or kind[0] == "M"):
+        raise r.fail("SCALE", f"{scale} is read with FX, FY and FZ; for {kind} give {scale[:2]}")
+    sizes = (size, size if single else r.real(7, "P2"))
+    eid = r.whole(1, "EID")
+    return [LineLoad(_place(r), eid, kind, (first, last), sizes, scale[:2] == "FR", projected)]
+
+
+def _rforce(r: Reader) -> list[AnyLoad]:
+    """RFORCE: SID G CID A R1 R2 R3 METHOD RACC MB IDRF; A in revolutions per unit of time."""
+    if r.real(8, "RACC", 0.0) or r.whole(10, "IDRF", 0):
+        raise r.fail(
+            "RACC",
+            "angular accelerations and sets of elements (IDRF) are not read; a steady spin of "
+            "all is",
+        )
+    turns = 2 * np.pi * r.real(3, "A", 0.0)
+    x, y, z = _vector(r, 4)
+    return [Spin(r.whole(1, "G", 0), r.whole(2, "CID", 0), (turns * x, turns * y, turns * z))]
+
+
+def _spcd(r: Reader) -> list[AnyLoad]:
+    """SPCD: SID G1 C1 D1 G2 C2 D2; components as in SPC, 0 or blank for a scalar point."""
+    out = list[AnyLoad]()
+    for at in (i for i in (1, 4) if r.text(i)):
+        node, size = r.whole(at, "G"), r.real(at + 2, "D", 0.0)
+        out += [Moved(_place(r), node, int(c), size) for c in r.text(at + 1) or "0"]
+    return out
+
+
+_READ: Mapping[str, Callable[[Reader], list[AnyLoad]]] = {
+    **dict.fromkeys(("FORCE", "MOMENT", "GRAV"), _force),
+    **dict.fromkeys(("FORCE1", "MOMENT1", "FORCE2", "MOMENT2"), _between),
+    "SLOAD": _sload,
+    "PLOAD": _pload,
+    "PLOAD1": _pload1,
+    "PLOAD2": _pload2,
+    "PLOAD4": _pload4,
+    "RFORCE": _rforce,
+    "SPCD": _spcd,
+}

@@ -1,0 +1,361 @@
+"""A Nastran deck to a `Model`: case control, parameters and one table a card."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ringtrue.core.arrays import Any_, Int
+from ringtrue.decks.nastran.beams import dimensions
+from ringtrue.decks.nastran.case import case_control, params, stiffening, value
+from ringtrue.decks.nastran.constraint_sets import empty_choices, only_sets, unclear_sets
+from ringtrue.decks.nastran.damping import modal_damping
+from ringtrue.decks.nastran.deck import Deck, load
+from ringtrue.decks.nastran.defaults import DEFAULTS, fill, implied_points, written_out
+from ringtrue.decks.nastran.gather import Cards, cards
+from ringtrue.decks.nastran.loads import LoadCase, load_cases
+from ringtrue.decks.nastran.magnitudes import refuse_magnitudes, refuse_parameter
+from ringtrue.decks.nastran.orientations import open_bushes
+from ringtrue.decks.nastran.special import EXPAND
+from ringtrue.decks.nastran.tables import empty, fault, make_table
+from ringtrue.errors import DeckError, UnsupportedCard
+from ringtrue.model.cards import CARDS, NONSTRUCTURAL, columns, is_unsupported, reason
+from ringtrue.model.choices import idle, left_out
+from ringtrue.model.damping import ModalDamping
+from ringtrue.model.dimensions import MADE
+from ringtrue.model.model import Model, Ragged, Table, stacked
+from ringtrue.model.references import Missing, missing
+
+log = logging.getLogger(__name__)
+_SHARED_IDS = frozenset(  # several cards of one id belong together
+    ("SPC", "SPC1", "MPC", "SPOINT", "SPCADD", "MPCADD", *NONSTRUCTURAL)
+)
+
+
+_ONE_NUMBER = (  # cards that share their numbers: a field that names one does not say of which card
+    ("MAT1", "MAT2", "MAT8", "MAT9"),
+    ("PSHELL", "PCOMP", "PCOMPG"),
+    ("CORD1R", "CORD1C", "CORD1S", "CORD2R", "CORD2C", "CORD2S"),
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Survey:
+    """What a deck holds, without refusing any of it.
+
+    Attributes
+    ----------
+    model : Model
+        Of the supported cards.
+    cards : mapping of str to int
+        Every card and how many.
+    unsupported : mapping of str to str
+        What would stop `read_deck`, with the first place (`path:line`) of each.
+    faults : tuple of DeckError
+        References to what is not in the deck.
+    """
+
+    model: Model
+    cards: Mapping[str, int]
+    unsupported: Mapping[str, str]
+    faults: tuple[DeckError, ...]
+
+
+def read_deck(path: str | Path) -> Model:
+    """Read a deck with its includes.
+
+    Raises
+    ------
+    DeckError
+        On anything malformed, missing or twice, with file, line, card and field.
+    UnsupportedCard
+        On a card that carries stiffness, mass or constraint and is not supported.
+    """
+    return _read(load(path))[0]
+
+
+def read_loaded_deck(path: str | Path) -> tuple[Model, tuple[LoadCase, ...]]:
+    """Read a deck, as `read_deck` does, and its static load cases, as `load_cases` does."""
+    model, found = _read(load(path))
+    return model, load_cases(found)
+
+
+def read_damped_deck(path: str | Path) -> tuple[Model, ModalDamping | None]:
+    """Read a deck, as `read_deck` does, and the modal damping that its case control asks for
+    (SDAMPING).
+    """
+    model, found = _read(load(path))
+    return model, modal_damping(found, structural=model.params.get("KDAMP", 1) == -1)
+
+
+def _read(deck: Deck) -> tuple[Model, Cards]:
+    if deck.superelements:
+        file, line = deck.superelements
+        raise UnsupportedCard(
+            "BEGIN SUPER", path=deck.files[file], line=line, why=reason("BEGIN SUPER")
+        )
+    found, path = cards(deck), deck.files[0]
+    _refuse(found)
+    model, skipped = _model(found)
+    for card, (why, place) in skipped.items():
+        raise UnsupportedCard(card, path=place[0], line=place[1], why=why)
+    for wrong in unclear_sets(model, chosen=bool(deck.top)):
+        raise wrong
+    for text in empty_choices(model):
+        log.warning("%s: case control asks for %s", path, text)
+    if model.case.others:
+        log.warning(
+            "%s: SUBCASE %s not taken, only the first with a METHOD is",
+            path,
+            list(model.case.others),
+        )
+    for text in left_out(model):
+        log.warning("%s: %s", path, text)
+    out = idle(model)
+    for fault_ in missing(model):
+        if not np.isin(fault_.rows, out.get(fault_.reference.card, ())).all():
+            raise _dangling(model, fault_)
+    for wrong in (*_misnamed(model), *open_bushes(model)):
+        raise wrong
+    return model, found
+
+
+def survey(path: str | Path) -> Survey:
+    """Read what can be read and list the rest.
+
+    Raises
+    ------
+    DeckError
+        On anything malformed.
+    """
+    deck = load(path)
+    found = cards(deck)
+    unsupported = {name: "{}:{}".format(*found.place(at)) for at, name in _stopping(found)}
+    if deck.superelements:
+        unsupported["BEGIN SUPER"] = f"{deck.files[deck.superelements[0]]}:{deck.superelements[1]}"
+    unsupported = {
+        card: ": ".join(t for t in (place, reason(card)) if t)
+        for card, place in unsupported.items()
+    }
+    model, skipped = _model(found)
+    unsupported |= {card: f"{place[0]}:{place[1]}: {why}" for card, (why, place) in skipped.items()}
+    faults = [_dangling(model, f) for f in missing(model, _foreign_ids(found, unsupported))]
+    faults += [*unclear_sets(model, chosen=bool(deck.top)), *_misnamed(model)]
+    faults += [] if faults else open_bushes(model)
+    names, _, count = found.kinds()
+    counts = {n.decode(): c for n, c in zip(names.tolist(), count.tolist(), strict=True)}
+    return Survey(model, counts, unsupported, tuple(faults))
+
+
+def _stops(name: str, more: tuple[str, ...]) -> bool:
+    """Whether a card must not be passed over; `more`: beginnings of names that case control makes
+    count.
+    """
+    return name not in EXPAND and (is_unsupported(name) or name[0] == "/" or name.startswith(more))
+
+
+def _stopping(found: Cards) -> list[tuple[int, str]]:
+    """The first card of each name that must not be passed over, in order."""
+    names, first, _ = found.kinds()
+    more = stiffening(found.deck.top)
+    out = [(at, name.decode()) for at, name in zip(first.tolist(), names.tolist(), strict=True)]
+    out = [(at, name) for at, name in out if _stops(name, more)]
+    cut = [
+        (at, "BOLT") for at in found.named("BOLT").tolist() if b"TOP" in found.fields(at)
+    ]  # MSC's; NX lists elements
+    return sorted([*out, *cut[:1]])
+
+
+def _refuse(found: Cards) -> None:
+    if stopping := _stopping(found):
+        at, name = stopping[0]
+        path, line = found.place(at)
+        raise UnsupportedCard(name, path=path, line=line, why=reason(name))
+
+
+def _foreign_ids(found: Cards, unsupported: Collection[str]) -> dict[str, set[int]]:
+    """Ids of unsupported properties and materials, under the names of the cards that stand for
+    them.
+    """
+    out: dict[str, set[int]] = {}
+    ids = set()
+    for name in unsupported:
+        if name.startswith(("P", "MAT")):
+            for _, cells in found.cells(name):
+                ids |= {int(c) for c in cells[:, 0].tolist() if c.isdigit()}
+    for card in ("PSHELL", "PCOMP", "PBAR", "PBEAM", "PSOLID", "PROD", "PBUSH", "PELAS", "MAT1"):
+        out[card] = ids
+    return out
+
+
+def _model(found: Cards) -> tuple[Model, dict[str, tuple[str, tuple[str, int]]]]:
+    """The model, and special cards that were met in a form that is not supported: why and where."""
+    names, _, count = found.kinds()
+    case = case_control(found.deck.top)
+    tables: dict[str, Table] = {}
+    kept: dict[str, int] = {}
+    skipped: dict[str, tuple[str, tuple[str, int]]] = {}
+    for name, n in zip((x.decode() for x in names.tolist()), count.tolist(), strict=True):
+        if name in NONSTRUCTURAL and not case.nsm:  # counts only where case control chooses it
+            kept[name] = n
+        elif name in CARDS and name not in EXPAND and name != "SPC1":
+            tables[name] = make_table(found, name)
+        elif name in EXPAND:
+            try:
+                made = EXPAND[name](written_out(found, name), found.deck.files)
+            except UnsupportedCard as e:
+                skipped[name] = (
+                    str(e).partition(" is not supported: ")[2],
+                    (str(e.path), e.line or 0),
+                )
+                continue
+            tables[made.card] = stacked(tables[made.card], made) if made.card in tables else made
+            if name in MADE:
+                tables[name] = dimensions(written_out(found, name), found.deck.files)
+        elif name not in DEFAULTS and name not in ("PARAM", "SPC1"):
+            kept[name] = n
+    if "INCLUDE" in kept:
+        at = int(np.flatnonzero(found.name == b"INCLUDE")[0])
+        raise fault(found, at, "write the file name behind INCLUDE, in quotes")
+    for default in DEFAULTS:
+        tables |= fill(default, tables, found)
+    _refuse_both(tables, found.deck.files)
+    tables |= implied_points(tables)
+    if (
+        "SPOINT" in tables and "GRID" not in tables
+    ):  # springs and masses between scalar points alone
+        tables["GRID"] = empty("GRID")
+    if b"SPC1" in names:  # a THRU passes over points that are not there
+        tables["SPC1"] = make_table(found, "SPC1", _points(tables))
+    tables = {n: t if n in _SHARED_IDS else _unique(t, found.deck.files) for n, t in tables.items()}
+    refuse_magnitudes(tables.values(), found.deck.files)
+    for group in _ONE_NUMBER:
+        _refuse_shared([tables[card] for card in group if card in tables], found.deck.files)
+    case = case if found.deck.top else only_sets(case, tables)
+    return Model(tables, _params(found), case, found.deck.files, kept), skipped
+
+
+def _params(found: Cards) -> dict[str, int | float | str]:
+    out: dict[str, int | float | str] = {}
+    for card in written_out(found, "PARAM"):
+        name, text = card.fields[0], card.fields[1]
+        if not name:
+            raise DeckError(
+                "a PARAM without a name",
+                path=found.deck.files[card.file],
+                line=card.line,
+                card="PARAM",
+            )
+        out[name] = value(text)
+        refuse_parameter(name, out[name], found.deck.files[card.file], card.line)
+    return out | params(found.deck.top)
+
+
+def _points(tables: Mapping[str, Table]) -> Int:
+    scalar = (
+        tables["SPOINT"].ragged("ID").values if "SPOINT" in tables else np.empty(0, dtype=np.int64)
+    )
+    return np.union1d(tables["GRID"].ids if "GRID" in tables else scalar, scalar)
+
+
+def _unique(table: Table, files: tuple[str, ...]) -> Table:
+    """The table; nodes and frames that are said twice alike are dropped, as Nastran does."""
+    ids = table.ids
+    if (ids[1:] > ids[:-1]).all():
+        return table
+    _, first, inverse = np.unique(ids, return_index=True, return_inverse=True)
+    if first.size == ids.size:
+        return table
+    again = np.flatnonzero(first[inverse] != np.arange(ids.size))
+    if table.card.startswith(("GRID", "CORD")):
+        again = again[~_same(table, again, first[inverse[again]])]
+    if again.size:
+        raise _twice(table, int(again[0]), table, int(first[inverse[again[0]]]), files)
+    keep = np.sort(first)
+    columns: dict[str, Any_ | Ragged] = {name: table[name][keep] for name in table.columns}
+    return replace(table, columns=columns, file=table.file[keep], line=table.line[keep])
+
+
+def _refuse_shared(tables: Sequence[Table], files: tuple[str, ...]) -> None:
+    """Refuse two cards of these tables with one number."""
+    for i, table in enumerate(tables):
+        for other in tables[:i]:
+            if (rows := np.flatnonzero(np.isin(table.ids, other.ids))).size:
+                raise _twice(
+                    table, int(rows[0]), other, int(other.find(table.ids[rows[:1]])[0]), files
+                )
+
+
+def _refuse_both(tables: Mapping[str, Table], files: tuple[str, ...]) -> None:
+    """Refuse an SPOINT with the number of a GRID: which of the two a card names would be open."""
+    if "SPOINT" in tables and "GRID" in tables:
+        points, grid = tables["SPOINT"], tables["GRID"]
+        ids = points.ragged("ID")
+        if (both := np.flatnonzero(np.isin(ids.values, grid.ids))).size:
+            node, row = ids.values[both[0]], int(ids.owner[both[0]])
+            path, line = files[points.file[row]], int(points.line[row])
+            raise DeckError(
+                f"{node} is the number of a GRID, too", path=path, line=line, card="SPOINT"
+            )
+
+
+def _twice(table: Table, row: int, other: Table, before: int, files: tuple[str, ...]) -> DeckError:
+    first = f"{files[other.file[before]]}:{other.line[before]}"
+    return DeckError(
+        f"{table.ids[row]} is defined twice, first "
+        f"{'' if other is table else f'as {other.card} '}at {first}",
+        path=files[table.file[row]],
+        line=int(table.line[row]),
+        card=table.card,
+    )
+
+
+def _same(table: Table, a: Int, b: Int) -> NDArray[np.bool_]:
+    return np.asarray(np.all([table[name][a] == table[name][b] for name in table.columns], axis=0))
+
+
+def _dangling(model: Model, lost: Missing) -> DeckError:
+    table = model[lost.reference.card]
+    row, wanted = int(lost.rows[0]), int(lost.ids[0])
+    of = lost.reference.names
+    more = f" ({lost.rows.size - 1} more like it)" if lost.rows.size > 1 else ""
+    what = (
+        f"names {of} {wanted}, which is not in the deck"
+        if wanted
+        else f"is blank; it must name a {of}"
+    )
+    if "MAT9" in of and "MAT10" in model.kept:
+        what += f"; MAT10 makes a fluid ({reason('MFLUID')})"
+    return DeckError(
+        f"{what}{more}",
+        path=model.files[table.file[row]],
+        line=int(table.line[row]),
+        card=f"{table.card} {table.ids[row]}",
+        field=lost.reference.field,
+    )
+
+
+def _misnamed(model: Model) -> Iterator[DeckError]:
+    """Lists of components with more than the digits 1 to 6, the first of each field."""
+    for table in model.tables.values():
+        for name in (
+            s.name for s in columns(table.card) if s.kind == "c" and s.name in table.columns
+        ):
+            column = table.columns[name]
+            text = column.values if isinstance(column, Ragged) else column
+            bad = np.flatnonzero((np.char.strip(text, "123456") != "") & (text != "0"))
+            if bad.size:
+                row = int(column.owner[bad[0]] if isinstance(column, Ragged) else bad[0])
+                yield DeckError(
+                    f"{str(text[bad[0]])!r} is no list of components; allowed are the digits 1 "
+                    "to 6",
+                    path=model.files[table.file[row]],
+                    line=int(table.line[row]),
+                    card=f"{table.card} {table.ids[row]}",
+                    field=name,
+                )

@@ -1,0 +1,353 @@
+"""OP2: Fortran records of tables and matrices, either byte order, words of 4 or 8 bytes.
+
+Layout: MSC Nastran DMAP Programmer's Guide, OUTPUT2; each record is [length] data [length], each
+item is announced by a key, a record of one integer word.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ringtrue.core.arrays import Float, Int
+from ringtrue.decks.nastran.results.recorded import RecordedModes, gathered
+from ringtrue.errors import DataError
+from ringtrue.io.files import existing
+
+_MODES, _REAL = 2, 8  # approach code; words a node of a real result
+_EIGENVALUES, _EIGENVECTORS = 6, 7  # table codes
+_GRID_KEY = (4501, 45)
+# The names are whole: ROUGV1 (motion relative to a moved base), BOPHIGF (of a fluid), LAMAF and
+# GEOM1EX are others.
+_LAMA = frozenset({"LAMA", "LAMAS"})
+_GEOMETRY = frozenset({"GEOM1", "GEOM1S", "GEOM1N"})
+_IN_BASIC = frozenset({"BOUGV1", "BOPHIG"})  # PARAM,OUGCORD,BASIC
+_SHAPES = frozenset({"OUG1", "OUGV1", "OPHIG", "OPHG1"}) | _IN_BASIC
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """A logical record: its blocks, and flag 0 for a table, else the column of a matrix."""
+
+    flag: int
+    blocks: tuple[bytes, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Op2Table:
+    """A data block of the file.
+
+    Attributes
+    ----------
+    name : str
+    trailer : (7,) int64
+    records : tuple of Record
+        The first is the header.
+    order : {"<", ">"}
+        Byte order.
+    word : {4, 8}
+        Bytes in a word.
+    """
+
+    name: str
+    trailer: Int
+    records: tuple[Record, ...]
+    order: str
+    word: int
+
+    def ints(self, data: bytes) -> Int:
+        """The words as integers, (k,) int64."""
+        return np.frombuffer(
+            data[: len(data) // self.word * self.word], f"{self.order}i{self.word}"
+        ).astype(np.int64)
+
+    def floats(self, data: bytes) -> Float:
+        """The words as reals, (k,) float64."""
+        return np.frombuffer(
+            data[: len(data) // self.word * self.word], f"{self.order}f{self.word}"
+        ).astype(np.float64)
+
+    def doubles(self, data: bytes) -> Float:
+        """Double-precision reals, (k,) float64."""
+        return np.frombuffer(data[: len(data) // 8 * 8], f"{self.order}f8").astype(np.float64)
+
+
+class _File:
+    """The bytes of a file and a place in them; every step is checked against the end."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.at = path, 0
+        self.data: NDArray[np.uint8] = (
+            np.memmap(path, dtype=np.uint8, mode="r")
+            if path.stat().st_size
+            else np.empty(0, dtype=np.uint8)
+        )
+        head = self.data[:4].tobytes()
+        found = {(4).to_bytes(4, o): (o, 4) for o in ("little", "big")}
+        found |= {(8).to_bytes(4, o): (o, 8) for o in ("little", "big")}
+        if head not in found:
+            raise DataError(
+                f"{path}: not an OP2 file (it begins with {head!r}; expected is a record of 4 or "
+                "8 bytes)"
+            )
+        name, self.word = found[head]
+        self.order = "<" if name == "little" else ">"
+
+    def fail(self, why: str) -> DataError:
+        return DataError(
+            f"{self.path}: {why} at byte {self.at} of {self.data.size}: the file is cut off or "
+            "damaged"
+        )
+
+    def block(self) -> bytes:
+        """The data of one Fortran record."""
+        n = self._length(self.at)
+        end = self.at + 4 + n
+        if n < 0 or end + 4 > self.data.size or self._length(end) != n:
+            raise self.fail("a record without its end")
+        out = self.data[self.at + 4 : end].tobytes()
+        self.at = end + 4
+        return out
+
+    def _length(self, at: int) -> int:
+        if at + 4 > self.data.size:
+            raise self.fail("a record without its length")
+        return int(self.data[at : at + 4].view(f"{self.order}i4")[0])
+
+    def key(self) -> int:
+        data = self.block()
+        if len(data) != self.word:
+            raise self.fail(f"a key of {len(data)} bytes")
+        return int(np.frombuffer(data, f"{self.order}i{self.word}")[0])
+
+    def text(self, data: bytes) -> str:
+        if self.word == 8:  # four characters in a word of eight bytes
+            data = b"".join(data[i : i + 4] for i in range(0, len(data), 8))
+        return data.decode("latin-1").strip("\x00 ")
+
+
+def read_tables(path: str | Path) -> Iterator[Op2Table]:
+    """The tables and matrices of an OP2 file in their order.
+
+    Raises
+    ------
+    DataError
+        If the file is missing, not an OP2, cut off or damaged.
+    """
+    path = existing(path)
+    file = _File(path)
+    key = file.key()
+    if key == 3:  # the date, the tape code and a label come first
+        file.block()
+        if file.key() != 7:
+            raise file.fail("a broken file header")
+        file.block()
+        if file.key() != 2:
+            raise file.fail("a broken file header")
+        _name(file)
+        if file.key() != 0:
+            raise file.fail("a broken file header")
+        if file.at >= file.data.size:
+            return
+        key = file.key()
+    while key:
+        if key != 2:
+            raise file.fail(f"a table name of {key} words")
+        yield _table(file)
+        if file.at >= file.data.size:
+            return
+        key = file.key()
+
+
+def _name(file: _File) -> str:
+    """The label of the file or the name of a table, up to its closing key -1.
+
+    The enhanced format of MSC Nastran (PARAM,POST,1) adds a block of six words: its version and
+    qualifiers.
+    """
+    name = file.text(file.block())
+    while (key := file.key()) > 0:
+        file.block()
+    if key != -1:
+        raise file.fail(f"the name {name!r} has no end")
+    return name
+
+
+def _table(file: _File) -> Op2Table:
+    name = _name(file)
+    if file.key() <= 0:
+        raise file.fail(f"table {name} without a trailer")
+    trailer = np.frombuffer(file.block(), f"{file.order}i{file.word}").astype(np.int64)
+    records = []
+    key = file.key()
+    while key:
+        if key > 0 or file.key() != 1:
+            raise file.fail(f"table {name}: a broken record key")
+        flag = file.key()
+        blocks = []
+        while (key := file.key()) > 0:
+            blocks.append(file.block())
+        if blocks:
+            records.append(Record(flag, tuple(blocks)))
+    return Op2Table(name, trailer, tuple(records), file.order, file.word)
+
+
+def read_op2(path: str | Path) -> RecordedModes:
+    """Modes of an OP2 file: the first table of real eigenvectors, with LAMA's eigenvalues and modal
+    masses.
+
+    Tables are known by their names (OUG1, OUGV1, OPHIG, OPHG1; BOUGV1, BOPHIG in the basic frame)
+    and their codes.
+
+    Raises
+    ------
+    DataError
+        If the file is damaged or holds no real modes.
+    """
+    lama: tuple[Float, Float] | None = None
+    shapes: list[Op2Table] = []
+    frames: dict[int, int] = {}
+    others: list[str] = []
+    for table in read_tables(path):
+        if table.name in _LAMA:
+            lama = lama or _lama(table)
+        elif table.name in _GEOMETRY:
+            frames |= _frames(table)
+        elif _eigenvectors(table) and table.name not in _SHAPES:
+            others.append(table.name)
+        elif _eigenvectors(table):
+            if shapes and shapes[0].name in _IN_BASIC and table.name not in _IN_BASIC:
+                shapes = []
+            if not shapes or shapes[0].name == table.name:  # MYSTRAN writes a table for each mode
+                shapes.append(table)
+    if not shapes:
+        but = (
+            f" but those of {', '.join(dict.fromkeys(others))}, which are not of the whole "
+            "structure"
+            if others
+            else ""
+        )
+        raise DataError(
+            f"{path}: no real eigenvectors in a table {', '.join(sorted(_SHAPES))}{but}; "
+            "ask for DISPLACEMENT(PLOT) = ALL and PARAM,POST,-1"
+        )
+    try:
+        return _gather(shapes, lama, frames)
+    except (
+        DataError,
+        ValueError,
+    ) as e:  # a table without a pair of records, an identification cut short
+        raise DataError(f"{path}: {e}") from e
+
+
+def _gather(
+    shapes: list[Op2Table], lama: tuple[Float, Float] | None, frames: dict[int, int]
+) -> RecordedModes:
+    modes: list[int] = []
+    values, rows = [], []
+    for table in shapes:
+        data = [b"".join(r.blocks) for r in table.records[1:]]
+        for ident, body in zip(data[::2], data[1::2], strict=True):
+            mode = int(table.ints(ident)[4])
+            if modes and mode <= modes[-1]:  # the next subcase
+                break
+            modes.append(mode)
+            values.append(float(table.floats(ident)[5]))
+            rows.append(_nodes(table, body))
+    lam, mass = np.array(values), np.full(len(values), np.nan)
+    if lama is not None and modes and max(modes) <= lama[0].size and min(modes) > 0:
+        lam, mass = lama[0][np.array(modes) - 1], lama[1][np.array(modes) - 1]
+    if shapes[0].name in _IN_BASIC:
+        frames = dict.fromkeys(rows[0][0].tolist(), 0) if rows else {}
+    return gathered(lam, mass, rows, frames)
+
+
+def _eigenvectors(table: Op2Table) -> bool:
+    """Whether a table says that it holds real eigenvectors of normal modes, a mode after the
+    other.
+    """
+    if len(table.records) < 3:
+        return False
+    words = table.ints(b"".join(table.records[1].blocks))
+    if words.size < 10:
+        return False
+    return bool(words[0] // 10 == _MODES and words[1] == _EIGENVECTORS and words[9] == _REAL)
+
+
+def _nodes(table: Op2Table, body: bytes) -> tuple[Int, NDArray[np.bool_], Float]:
+    whole = len(body) // (_REAL * table.word) * _REAL * table.word
+    if whole != len(body) or not whole:
+        raise DataError(
+            f"table {table.name}: a record of {len(body)} bytes is not of {_REAL} words a node"
+        )
+    words = table.ints(body).reshape(-1, _REAL)
+    scalar = words[:, 1] == 2
+    motion = table.floats(body).reshape(-1, _REAL)[:, 2:].copy()
+    motion[scalar, 1:] = 0.0
+    keep = words[:, 1] <= 2  # not the extra and modal points
+    return words[keep, 0] // 10, scalar[keep], motion[keep]
+
+
+def _lama(table: Op2Table) -> tuple[Float, Float] | None:
+    """Eigenvalues and modal masses; words: mode, order, λ, ω, f, mass, stiffness."""
+    data = [b"".join(r.blocks) for r in table.records[1:]]
+    if len(data) < 2 or len(data[1]) % (7 * table.word):
+        return None
+    code = table.ints(data[0][: 2 * table.word]).tolist()
+    if code[0] // 10 != _MODES or code[1] != _EIGENVALUES:
+        return None
+    rows = table.floats(data[1]).reshape(-1, 7)
+    return rows[:, 2], rows[:, 5]
+
+
+def _frames(table: Op2Table) -> dict[int, int]:
+    """The displacement frame of each GRID; coordinates are single or (in newer files) double
+    precision.
+    """
+    for record in table.records[1:]:
+        data = b"".join(record.blocks)
+        words = table.ints(data)
+        if tuple(words[:2].tolist()) == _GRID_KEY:
+            body = words[3:]
+            width, cd = (
+                (8, 5) if table.word == 8 or words[2] in (1, 0) or body.size % 11 else (11, 8)
+            )
+            if body.size % width == 0:
+                rows = body.reshape(-1, width)
+                return dict(zip(rows[:, 0].tolist(), rows[:, cd].tolist(), strict=True))
+    return {}
+
+
+def matrix(table: Op2Table) -> NDArray[Any]:
+    """A real matrix (rows, columns) float64; trailer: columns, rows, form, type (1 single, 2
+    double).
+
+    Raises
+    ------
+    DataError
+        If it is complex or a string of numbers leaves the matrix.
+    """
+    columns, rows, _, kind = (int(x) for x in table.trailer[1:5])
+    if kind not in (1, 2) or not (
+        0 < rows < 10**8 and 0 < columns < 10**8 and rows * columns < 10**9
+    ):
+        raise DataError(
+            f"matrix {table.name} of type {kind}, {rows} x {columns}: allowed is a real one"
+        )
+    out = np.zeros((rows, columns))
+    for j, record in enumerate(r for r in table.records if r.flag):
+        for block in record.blocks:
+            first = int(table.ints(block[: table.word])[0]) - 1
+            read = table.doubles if kind == 2 else table.floats
+            values = read(block[table.word :])
+            if j >= columns or first < 0 or first + values.size > rows:
+                raise DataError(
+                    f"matrix {table.name}: column {j + 1} leaves the matrix of {rows} x {columns}"
+                )
+            out[first : first + values.size, j] = values
+    return out

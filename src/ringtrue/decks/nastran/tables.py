@@ -1,0 +1,233 @@
+"""Logical cards to tables: each field of all cards of a name is parsed at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ringtrue.core.arrays import Bool, Int, frozen
+from ringtrue.decks.nastran.gather import Cards
+from ringtrue.decks.nastran.lexer import integers, is_real, reals
+from ringtrue.errors import DeckError
+from ringtrue.model.cards import FieldSpec, columns
+from ringtrue.model.model import Ragged, Table
+
+Cells = NDArray[np.bytes_]
+_KINDS = {"i": "an integer", "f": "a real"}
+_OWN_PROPERTY = frozenset(  # a blank PID is the element's own number
+    (
+        *(
+            "CROD",
+            "CTUBE",
+            "CBAR",
+            "CBEAM",
+            "CVISC",
+            "CBUSH",
+            "CTRIA3",
+            "CQUAD4",
+            "CTRIAR",
+            "CQUADR",
+            "CTRIA6",
+        ),
+        *(
+            "CQUAD8",
+            "CELAS1",
+            "CELAS3",
+            "CMASS1",
+            "CMASS3",
+            "CDAMP1",
+            "CDAMP3",
+            "CSHEAR",
+            "CBUSH1D",
+            "CGAP",
+            "CBEND",
+            "CFAST",
+        ),
+    )
+)
+
+_SURPLUS = {"PSHELL": "; give THETA, ZOFFS and the like of Autodesk and OptiStruct on the elements"}
+
+
+def fault(cards: Cards, card: int, message: str, field: str = "") -> DeckError:
+    """The error of a card, at its place."""
+    path, line = cards.place(card)
+    return DeckError(message, path=path, line=line, card=cards.name[card].decode(), field=field)
+
+
+def make_table(cards: Cards, name: str, there: Int | None = None) -> Table:
+    """All cards of one name by the schema of `model.cards`.
+
+    Parameters
+    ----------
+    there : (n,) int64, optional
+        What a `THRU` may name; the rest of its range is left out.
+
+    Raises
+    ------
+    DeckError
+        On a malformed number.
+    """
+    groups = list(cards.cells(name))
+    every = np.concatenate([rows for rows, _ in groups])
+    order = np.argsort(every, kind="stable")
+    parts = [_parse(cards, name, rows, cells, there) for rows, cells in groups]
+    made = {key: _joined([p[key] for p in parts], order) for key in parts[0]}
+    file, line = cards.places(every[order])
+    return Table(name, made, file, line)
+
+
+def empty(name: str) -> Table:
+    """A table without rows of a card that has no list."""
+    kinds = {"i": np.int64, "f": np.float64, "s": np.str_, "c": np.str_}
+    specs = [s for s in columns(name) if not s.blank]
+    none = np.empty(0, dtype=np.int64)
+    return Table(name, {s.name: np.empty(0, dtype=kinds[s.kind]) for s in specs}, none, none)
+
+
+def _joined(parts: Sequence[NDArray[Any] | Ragged], order: Int) -> NDArray[Any] | Ragged:
+    plain = [p for p in parts if not isinstance(p, Ragged)]
+    if plain:
+        sorted_ = len(plain) == 1 and bool((order[1:] > order[:-1]).all())
+        return frozen(plain[0] if sorted_ else np.concatenate(plain)[order])
+    ragged = [p for p in parts if isinstance(p, Ragged)]
+    values = np.concatenate([p.values for p in ragged])
+    count = np.concatenate([p.sizes for p in ragged])
+    start = np.cumsum(count) - count
+    offsets = np.concatenate([[0], np.cumsum(count[order])])
+    take = np.repeat(start[order] - offsets[:-1], count[order]) + np.arange(offsets[-1])
+    return Ragged(frozen(values[take]), frozen(offsets))
+
+
+def _parse(
+    cards: Cards, name: str, rows: Int, cells: Cells, there: Int | None
+) -> dict[str, NDArray[Any] | Ragged]:
+    specs = columns(name)
+    _refuse_surplus(cards, specs, rows, cells)
+    made: dict[str, NDArray[Any] | Ragged] = {}
+    for j, spec in enumerate(specs):
+        if spec.blank:
+            continue
+        if spec.tail:
+            made[spec.name] = _tail(cards, spec, rows, cells[:, j:], there)
+            continue
+        cell = cells[:, j] if j < cells.shape[1] else np.full(rows.size, b"", dtype="S1")
+        if spec.other:
+            whole = ~is_real(cell) & (cell != b"")
+            made[spec.other] = _column(
+                cards,
+                FieldSpec(spec.other, default=spec.other_default),
+                rows,
+                np.where(whole, cell, b""),
+            )
+            cell = np.where(whole, b"", cell)
+        made[spec.name] = _column(cards, spec, rows, cell)
+    if name in _OWN_PROPERTY:
+        eid = integers(cells[:, 0])[0]
+        made["PID"] = np.where(cells[:, 1] == b"", eid, np.asarray(made["PID"]))
+    return made
+
+
+def _refuse_surplus(cards: Cards, specs: Sequence[FieldSpec], rows: Int, cells: Cells) -> None:
+    """An element with more fields than it has is a card of another make: never cut it short in
+    silence.
+    """
+    card = cards.name[rows[0]].decode()
+    if (
+        specs[-1].tail
+        or cells.shape[1] <= len(specs)
+        or not (specs[0].name == "EID" or card in _SURPLUS)
+    ):
+        return
+    extra = (cells[:, len(specs) :] != b"").any(axis=1)
+    if extra.any():
+        what = f"more than {len(specs)} data fields{_SURPLUS.get(card, '')}"
+        raise fault(cards, int(rows[extra.argmax()]), what)
+
+
+def _column(cards: Cards, spec: FieldSpec, rows: Int, cell: Cells) -> NDArray[Any]:
+    if spec.kind in "sc":
+        if not (cell != b"").any():
+            return np.full(rows.size, str(spec.default))
+        return np.where(cell == b"", str(spec.default), np.char.decode(cell, "latin-1"))
+    given = cell != b""
+    parse = integers if spec.kind == "i" else reals
+    if not given.any():
+        return np.full(rows.size, spec.default, dtype=np.int64 if spec.kind == "i" else np.float64)
+    full = bool(given.all())
+    values, good = parse(cell if full else cell[given])
+    if not good.all():
+        at = np.flatnonzero(given)[~good][0]
+        text = cell[at].decode("latin-1")
+        raise fault(cards, int(rows[at]), f"{text!r} is not {_KINDS[spec.kind]}", spec.name)
+    if full:
+        return values
+    out = np.full(rows.size, spec.default, dtype=np.int64 if spec.kind == "i" else np.float64)
+    out[given] = values
+    return out
+
+
+def _tail(cards: Cards, spec: FieldSpec, rows: Int, cells: Cells, there: Int | None) -> Ragged:
+    """Integers to the end of the card; `THRU` and `BY` expanded, a final real (ALPHA of RBE2) left
+    out.
+    """
+    given: Bool = cells != b""
+    words = cells == b"THRU"
+    special = (words | is_real(cells.reshape(-1)).reshape(cells.shape)).any(axis=1)
+    values, good = integers(cells[given & ~special[:, None]])
+    owner = np.broadcast_to(np.arange(rows.size)[:, None], cells.shape)[given & ~special[:, None]]
+    if not good.all():
+        at = int(np.flatnonzero(~good)[0])
+        text = cells[given & ~special[:, None]][at].decode("latin-1")
+        raise fault(cards, int(rows[owner[at]]), f"{text!r} is not an integer", spec.name)
+    which = np.flatnonzero(special)
+    lists = [
+        _expanded(cards, int(rows[i]), cells[i][given[i]].tolist(), spec.name, there) for i in which
+    ]
+    values = np.concatenate([values, *lists])
+    owner = np.concatenate([owner, np.repeat(which, [x.size for x in lists])])
+    count = np.bincount(owner, minlength=rows.size)
+    return Ragged(values[np.argsort(owner, kind="stable")], np.concatenate([[0], np.cumsum(count)]))
+
+
+def _expanded(
+    cards: Cards, card: int, words: Sequence[bytes], field: str, there: Int | None
+) -> Int:
+    """`1 THRU 9 BY 2` as integers, of `there` if given; the list ends at a real."""
+    out = [np.empty(0, dtype=np.int64)]
+    i = 0
+    while i < len(words) and b"." not in words[i]:
+        first = last = _whole(cards, card, words[i], field)
+        step, i = 1, i + 1
+        if words[i : i + 1] == [b"THRU"]:
+            last, i = _whole(cards, card, words[i + 1] if words[i + 1 :] else b"", field), i + 2
+            if words[i : i + 1] == [b"BY"]:
+                step, i = _whole(cards, card, words[i + 1] if words[i + 1 :] else b"", field), i + 2
+            if last < first or step < 1:
+                raise fault(
+                    cards,
+                    card,
+                    f"a THRU b needs a <= b, got {b' '.join(words).decode('latin-1')}",
+                    field,
+                )
+            if there is not None:
+                out.append(
+                    there[(there >= first) & (there <= last) & ((there - first) % step == 0)]
+                )
+                continue
+        out.append(np.arange(first, last + 1, step))
+    return np.concatenate(out)
+
+
+def _whole(cards: Cards, card: int, word: bytes, field: str) -> int:
+    value, good = (
+        integers(np.array([word], dtype=np.bytes_))
+        if word
+        else (np.zeros(1), np.zeros(1, dtype=bool))
+    )
+    if not good[0]:
+        raise fault(cards, card, f"{word.decode('latin-1')!r} is not an integer", field)
+    return int(value[0])

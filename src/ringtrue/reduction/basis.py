@@ -1,0 +1,196 @@
+"""A reduced basis of an affine system: static sensitivities, their principal directions, and the
+projection on it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy import linalg, sparse
+
+from ringtrue.core.arrays import Float, Int
+from ringtrue.core.progress import Progress
+from ringtrue.eigen.factor import Pencil
+from ringtrue.eigen.problem import EigenModes
+from ringtrue.fem.functions import Function
+from ringtrue.fem.powers import Pair
+from ringtrue.reduction.affine import AffineSystem
+
+CHUNK = 32  # right-hand sides solved together
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Projection:
+    """The projected system.
+
+    Attributes
+    ----------
+    vectors : (f, r) float64
+        Orthonormal in the nominal energy K − σM.
+    stiffness, mass : (r, r) float64
+        At a = 1.
+    terms : tuple of (function, stiffness (r, r), mass (r, r))
+    observe : (channel, r) float64
+    of : dict
+        Positions of the terms that depend on each parameter.
+    acting : tuple of two dicts
+        The stiffnesses, and the masses, that are not 0, by the positions of their terms.
+    """
+
+    vectors: Float
+    stiffness: Float
+    mass: Float
+    terms: tuple[tuple[Function, Float, Float], ...]
+    observe: Float
+    of: dict[int, list[int]] = field(init=False)
+    acting: tuple[dict[int, Float], dict[int, Float]] = field(init=False)
+
+    def __post_init__(self) -> None:
+        of: dict[int, list[int]] = {}
+        for i, (function, _, _) in enumerate(self.terms):
+            for which in function.which:
+                of.setdefault(which, []).append(i)
+        object.__setattr__(self, "of", of)
+        matrices = [k for _, k, _ in self.terms], [m for _, _, m in self.terms]
+        object.__setattr__(
+            self,
+            "acting",
+            tuple({t: a for t, a in enumerate(each) if a.any()} for each in matrices),
+        )
+
+    @property
+    def size(self) -> int:
+        """Number of vectors."""
+        return int(self.vectors.shape[1])
+
+
+def project(system: AffineSystem, vectors: Float, old: Projection | None = None) -> Projection:
+    """Project on `vectors`; the leading ones are those of `old`, whose products are kept."""
+    n = 0 if old is None else old.size
+    fresh = vectors[:, n:]
+
+    def block(a: sparse.csr_array, kept: Float | None) -> Float:
+        rows = np.flatnonzero(np.diff(a.indptr))  # a region touches few DOFs
+        some = 2 * rows.size < a.shape[0]
+        right = vectors[rows].T @ (a[rows] @ fresh) if some else vectors.T @ (a @ fresh)
+        if kept is None:
+            return np.asarray((right + right.T) / 2)
+        corner = (right[n:] + right[n:].T) / 2
+        return np.block([[kept, right[:n]], [right[:n].T, corner]])
+
+    terms = tuple(
+        (
+            t.function,
+            block(t.stiffness, None if old is None else old.terms[i][1]),
+            block(t.mass, None if old is None else old.terms[i][2]),
+        )
+        for i, t in enumerate(system.terms)
+    )
+    return Projection(
+        vectors,
+        block(system.stiffness, None if old is None else old.stiffness),
+        block(system.mass, None if old is None else old.mass),
+        terms,
+        np.asarray(system.observe @ vectors),
+    )
+
+
+def static_sensitivities(
+    pencil: Pencil, modes: EigenModes, terms: Sequence[Pair], count: int, progress: Progress | None
+) -> Float:
+    """(K − σM)⁻¹ (K_j − λ_k M_j) φ_k of each term and mode, free of the modes, scaled to the mode's
+    energy.
+    """
+    found = []
+    for done, t in enumerate(terms):
+        load = np.zeros((pencil.size, count))
+        rows, load[rows] = _forces(modes, t, count)
+        found.append(_answers(pencil, modes, load))
+        if progress is not None:
+            progress((done + 1) / len(terms), "static sensitivities")
+    return np.concatenate(found, axis=1) if found else np.zeros((pencil.size, 0))
+
+
+def mixed_sensitivities(
+    pencil: Pencil,
+    modes: EigenModes,
+    terms: Sequence[Pair],
+    count: int,
+    columns: int,
+    progress: Progress | None,
+) -> Float:
+    """As many random mixtures of all static sensitivities: their range, for a solve each (Halko et
+    al. 2011, 4.1).
+    """
+    rng, load = np.random.default_rng(0), np.zeros((pencil.size, columns))
+    for t in terms:  # over parameters and their powers
+        rows, forces = _forces(modes, t, count)
+        load[rows] += forces @ (rng.standard_normal((count, columns)) / np.sqrt(columns))
+    return _answers(pencil, modes, load, progress)
+
+
+def _forces(modes: EigenModes, t: Pair, count: int) -> tuple[Int, Float]:
+    """The rows that a term touches, and its forces (r, count) there."""
+    rows = np.union1d(*(np.flatnonzero(np.diff(a.indptr)) for a in t))
+    phi, lam = modes.vectors[:, :count], modes.values[:count]
+    scale = 1 / np.sqrt(np.maximum(lam - modes.shift, np.abs(modes.shift)))
+    stiffness, mass = t
+    return rows, (stiffness[rows] @ phi - (mass[rows] @ phi) * lam) * scale
+
+
+def _answers(
+    pencil: Pencil, modes: EigenModes, load: Float, progress: Progress | None = None
+) -> Float:
+    """Static responses to loads (f, k), both free of the modes."""
+    factor, phi = pencil.at(modes.shift), modes.vectors
+    mphi = pencil.mass @ phi
+    x = np.empty(load.shape)
+    for s in range(0, load.shape[1], CHUNK):
+        some = load[:, s : s + CHUNK]
+        part = factor.solve(some - mphi @ (phi.T @ some))
+        x[:, s : s + CHUNK] = part - phi @ (mphi.T @ part)
+        if progress is not None:
+            progress(min(1.0, (s + CHUNK) / load.shape[1]), "static sensitivities")
+    return x
+
+
+def principal(energy: sparse.csr_array, x: Float, most: int, drop: float) -> Float:
+    """Principal directions of x in the energy K − σM, at most `most`, above `drop` of the largest,
+    in their size.
+    """
+    if not x.shape[1] or most <= 0:
+        return x[:, :0]
+    gram = x.T @ (energy @ x)
+    s, u = linalg.eigh((gram + gram.T) / 2)
+    keep = np.flatnonzero(s > drop**2 * s[-1])[::-1][:most]
+    return np.asarray(x @ u[:, keep])
+
+
+def compress(energy: sparse.csr_array, x: Float, most: int, drop: float) -> Float:
+    """The principal directions of x, each of unit energy."""
+    x = principal(energy, x, most, drop)
+    return np.asarray(x / np.sqrt(np.einsum("ij,ij->j", x, energy @ x)))
+
+
+def orthonormal_part(energy: sparse.csr_array, old: Float, x: Float) -> Float:
+    """Part of x outside `old`, orthonormal in the energy K − σM as `old` is; what is nearly inside
+    is dropped.
+
+    Energy and not mass: a part too small to be seen in the mass may still be too stiff to be left
+    out.
+    """
+    if not x.shape[1]:
+        return x
+    x = x / np.sqrt(np.einsum("ij,ij->j", x, energy @ x))
+    for _ in range(2):
+        x = x - old @ (old.T @ (energy @ x))
+    s, u = linalg.eigh(x.T @ (energy @ x))
+    keep = s > 1e-13
+    q = x @ (u[:, keep] / np.sqrt(s[keep]))
+    for _ in range(2):  # what was kept may have been small
+        q = q - old @ (old.T @ (energy @ q))
+        s, u = linalg.eigh(q.T @ (energy @ q))
+        q = q @ (u / np.sqrt(s))
+    return np.asarray(q)

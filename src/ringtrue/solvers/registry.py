@@ -1,0 +1,91 @@
+"""Solvers by name: built-ins, and plug-ins from the entry points `ringtrue.solvers`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib.metadata import EntryPoint, entry_points
+from inspect import signature
+from typing import Any
+
+from ringtrue.core.progress import Progress
+from ringtrue.errors import ConfigError, did_you_mean
+from ringtrue.model.ports import ModalSolver
+from ringtrue.solvers.embedded import EmbeddedSolver
+from ringtrue.solvers.mystran import MystranSolver
+from ringtrue.solvers.nastran import NastranSolver
+from ringtrue.solvers.slepc import SlepcSolver
+
+GROUP = "ringtrue.solvers"
+EMBEDDED = "embedded"
+BUILT_IN: dict[str, Callable[..., ModalSolver]] = {
+    EMBEDDED: EmbeddedSolver,
+    "mystran": MystranSolver,
+    "nastran": NastranSolver,
+    "slepc": SlepcSolver,
+}
+
+
+def names() -> tuple[str, ...]:
+    """All known solvers, sorted."""
+    return tuple(sorted({*BUILT_IN, *_plugins()}))
+
+
+def time_limits() -> dict[str, float]:
+    """Time limit in s of a run of each built-in solver that is another program, where none is
+    given.
+    """
+    limits = {name: signature(made).parameters.get("timeout") for name, made in BUILT_IN.items()}
+    return {name: float(limit.default) for name, limit in limits.items() if limit is not None}
+
+
+def solver(
+    name: str = EMBEDDED,
+    *,
+    ranks: int | None = None,
+    timeout: float | None = None,
+    progress: Progress | None = None,
+) -> ModalSolver:
+    """The solver of that name, with its default settings.
+
+    Parameters
+    ----------
+    name : str
+    ranks : int, optional
+        Processes; only for a solver that takes them.
+    timeout : float, s, optional
+        Longest time that a run may take; only for a solver that takes one.
+    progress : callable, optional
+        Called with (share done, what) by the embedded solver; the others tell nothing.
+
+    Raises
+    ------
+    ConfigError
+        If there is none, a plug-in's object is not a solver, or it takes no ranks or no time limit.
+    """
+    limit: dict[str, Any] = {} if timeout is None else {"timeout": timeout}
+    if timeout is not None and not timeout > 0:
+        raise ConfigError(f"solver {name!r}: a time limit of {timeout:g} s; must be above 0")
+    if ranks is not None:
+        if name != "slepc":
+            raise ConfigError(f"solver {name!r} runs in one process; ranks are for 'slepc'")
+        return SlepcSolver(ranks=ranks, **limit)
+    if name == EMBEDDED and timeout is None:
+        return EmbeddedSolver(progress=progress)
+    plugins = _plugins()
+    if name not in {*BUILT_IN, *plugins}:
+        raise ConfigError(f"no solver {name!r}{did_you_mean(name, names())}")
+    make = BUILT_IN[name] if name in BUILT_IN else plugins[name].load()
+    if limit and "timeout" not in signature(make).parameters:
+        raise ConfigError(
+            f"solver {name!r} has no time limit; those that have one: {', '.join(time_limits())}"
+        )
+    made = make(**limit)
+    if not isinstance(made, ModalSolver):
+        raise ConfigError(
+            f"plug-in {plugins[name].value} ({GROUP}) made a {type(made).__name__} without open()"
+        )
+    return made
+
+
+def _plugins() -> dict[str, EntryPoint]:
+    return {p.name: p for p in entry_points(group=GROUP)}

@@ -1,0 +1,216 @@
+"""SLEPc with MUMPS under mpiexec, for models that outgrow one process; the matrices go over by
+files.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from scipy import sparse
+
+from ringtrue.core.arrays import Any_, Float
+from ringtrue.core.modes import ModeSet, Norm
+from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.progress import Progress
+from ringtrue.eigen.problem import eigenvalue, frequencies, polish
+from ringtrue.eigen.solve import start_shift, suitable_shift
+from ringtrue.errors import ConfigError, SolverFailed, SolverMissing, UnsupportedError
+from ringtrue.fem.assembly import System, assemble, refuse_held
+from ringtrue.fem.spins import without_spins
+from ringtrue.io.foreign.arrays import read_npy
+from ringtrue.io.foreign.texts import read_json
+from ringtrue.model.model import Model
+from ringtrue.model.ports import ModesRequest, ModesResult
+from ringtrue.solvers.runner import run_program, tail
+
+PYTHON = "RINGTRUE_SLEPC_PYTHON"
+WORKER = Path(__file__).with_name("slepc_worker.py")
+GOOD = 1e-7  # a residual above it asks for a better shift
+_INSTALL = (
+    "install it with `pip install dolfinx-solver-real mpich` in a Python >= 3.12 or with Debian's "
+    f"python3-slepc4py-real, and set {PYTHON} to that Python"
+)
+
+
+def find_slepc() -> tuple[Path, Path]:
+    """The Python with slepc4py (RINGTRUE_SLEPC_PYTHON, else this one) and its mpiexec.
+
+    Raises
+    ------
+    SolverMissing
+        Saying how to install it.
+    """
+    python = Path(os.environ.get(PYTHON, sys.executable))
+    beside = python.with_name("mpiexec")
+    launcher = beside if beside.is_file() else Path(shutil.which("mpiexec") or "")
+    if not launcher.is_file():
+        raise SolverMissing(f"slepc: no mpiexec beside {python} or on the PATH; {_INSTALL}")
+    try:
+        tried = subprocess.run(
+            [python, "-c", "from mpi4py import MPI; import petsc4py, slepc4py.SLEPc"],
+            capture_output=True,
+            stdin=subprocess.DEVNULL,
+            timeout=120,
+            check=False,
+        )
+    except OSError as e:
+        raise SolverMissing(f"slepc: {python} cannot be started ({e.strerror}); {_INSTALL}") from e
+    if tried.returncode:
+        why = tried.stderr.decode("utf-8", "replace").strip().splitlines()[-1:]
+        raise SolverMissing(f"slepc: {python} has no working slepc4py ({''.join(why)}); {_INSTALL}")
+    return python, launcher
+
+
+class SlepcAnalysis:
+    """An assembled model, solved by ranks of their own; see `ringtrue.model.ports.Analysis`."""
+
+    capabilities = frozenset({"modes"})
+
+    def __init__(
+        self,
+        system: System,
+        command: Sequence[str | Path],
+        *,
+        timeout: float,
+        progress: Progress | None,
+    ):
+        self.system, self.dofs = system, system.dofs
+        self._command, self._timeout, self._progress = command, timeout, progress
+        self._folder = Path(tempfile.mkdtemp(prefix="ringtrue-slepc-"))
+        for name, matrix in (("K", system.stiffness), ("M", system.mass)):
+            _hand_over(self._folder, name, matrix)
+        self._shift = start_shift(system.stiffness, system.mass)
+        self._done: dict[ModesRequest, ModesResult] = {}
+
+    def modes(self, request: ModesRequest) -> ModesResult:
+        """Natural modes with residuals and an inertia count.
+
+        Raises
+        ------
+        SolverFailed
+            If a rank fails or writes no modes.
+        """
+        if request not in self._done:
+            self._done[request] = self._modes(request)
+        return self._done[request]
+
+    def _modes(self, request: ModesRequest) -> ModesResult:
+        values, vectors, residuals, result = self._solve(request)
+        if (
+            residuals > GOOD
+        ).any():  # a shift much nearer to zero than the first elastic mode loses digits
+            self._shift = -suitable_shift(values)
+            values, vectors, residuals, result = self._solve(request)
+        shapes = self.system.transform @ vectors
+        f = frequencies(values)
+        modes = ModeSet(f, np.zeros(f.size), shapes, self.dofs, Norm.MASS, "slepc")
+        return ModesResult(modes, residuals, bool(result["complete"]), str(result["proof"]))
+
+    def _solve(self, request: ModesRequest) -> tuple[Float, Float, Float, dict[str, object]]:
+        band = None
+        if request.band is not None:
+            low, high = (eigenvalue(f) for f in request.band)
+            band = (self._shift if low <= 0 else low, high)
+        count = min(request.count, self.system.stiffness.shape[0])
+        job = {"count": count, "band": band, "shift": self._shift}
+        (self._folder / "job.json").write_text(json.dumps(job))
+        (self._folder / "result.json").unlink(missing_ok=True)
+        if self._progress:
+            self._progress(0.0, "slepc runs")
+        done = run_program(
+            [*self._command, WORKER, self._folder],
+            self._folder,
+            name="slepc",
+            timeout=self._timeout,
+        )
+        if done.status or not (self._folder / "result.json").is_file():
+            raise SolverFailed(f"slepc ended with exit status {done.status}{tail(done.log)}")
+        result = read_json(self._folder / "result.json")
+        values, vectors = (
+            np.array(read_npy(self._folder / "values.npy")),
+            np.array(read_npy(self._folder / "vectors.npy")).T,
+        )
+        if not values.size:
+            return values, vectors.reshape(self.system.stiffness.shape[0], 0), np.empty(0), result
+        values, vectors, residuals, _ = polish(
+            self.system.stiffness, self.system.mass, values, vectors
+        )
+        return values, vectors, residuals, result
+
+    def derivatives(self, modes: ModeSet, parameters: ParameterSet) -> tuple[Float, Any_]:
+        """Not offered.
+
+        Raises
+        ------
+        UnsupportedError
+            Always; `capabilities` says so beforehand.
+        """
+        raise UnsupportedError("slepc gives no derivatives; use the embedded solver")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+
+def _hand_over(folder: Path, name: str, matrix: sparse.csr_array) -> None:
+    """Plain arrays that each rank can map and read its rows of."""
+    for part, values in (
+        ("p", matrix.indptr.astype(np.int64)),
+        ("i", matrix.indices),
+        ("x", matrix.data),
+    ):
+        np.save(folder / f"{name}_{part}.npy", values)
+
+
+class SlepcSolver:
+    """`with SlepcSolver(ranks=4).open(model) as analysis: analysis.modes(ModesRequest(20))`.
+
+    Parameters
+    ----------
+    ranks : int
+        MPI processes.
+    timeout : float, s
+    progress : callable, optional
+    """
+
+    name = "slepc"
+
+    def __init__(
+        self, *, ranks: int = 1, timeout: float = 24 * 3600.0, progress: Progress | None = None
+    ) -> None:
+        if ranks < 1:
+            raise ConfigError(f"slepc: {ranks} ranks; at least 1")
+        self.ranks, self.timeout, self.progress = ranks, timeout, progress
+
+    def open(self, model: Model, parameters: Sequence[ParameterSet] = ()) -> SlepcAnalysis:
+        """Assemble the model and hand its matrices over.
+
+        Raises
+        ------
+        SolverMissing
+            If mpiexec or slepc4py is not installed.
+        InputError
+            If nothing is free to move.
+        """
+        python, launcher = find_slepc()
+        system, _ = without_spins(model, assemble(model))
+        refuse_held(system)
+        command = (launcher, "-n", str(self.ranks), python)
+        return SlepcAnalysis(system, command, timeout=self.timeout, progress=self.progress)

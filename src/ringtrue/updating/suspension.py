@@ -1,0 +1,351 @@
+"""Rigid-body tuning: springs, mass, centre of gravity and inertia from rigid-body modes whose
+pairing is uncertain.
+
+Neighbouring rigid-body modes turn into each other as springs change, so which test mode is which
+model mode is itself unknown. Every assignment is a hypothesis h with a best point of its own;
+hypotheses weigh by their evidence
+
+    p(h | data) ∝ exp(−J_h/2) det(GᵀG + W_p)^(−1/2)        (Laplace; MacKay 1992, eq. 2.6)
+
+and the posterior is their mixture. What the weights do not settle is reported, not hidden.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import permutations
+from math import perm
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from ringtrue.core.arrays import Float, Int, freeze_fields
+from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.progress import Progress
+from ringtrue.errors import InputError, NotConverged, NumericalError, SolverError
+from ringtrue.model.ports import Linearisation, ObservedModel
+from ringtrue.shapes.mac import mac
+from ringtrue.shapes.subspace import close_groups
+from ringtrue.updating.objective import Target, used_up
+from ringtrue.updating.spans import shape_residual
+
+MOST = 50_000  # assignments that are ranked
+KEPT = 24  # of these refined at most
+MARGIN = 60.0  # in −2 ln p: an assignment this far behind the best is not refined
+CAP = 20.0  # −2 ln p that a shape alone may cost before refinement: shapes change where modes cross
+SURE = 0.95  # weight of the best assignment from which the pairing is unambiguous
+SAME = 1e-3  # prior standard deviations between two ends that are one
+STEPS, SMALL = 60, 1e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Assignment:
+    """One pairing of all test modes, tuned.
+
+    Attributes
+    ----------
+    pairs : (m, 2) int64
+        Test mode and model mode, in the order of frequency at the end.
+    first : (m,) int64
+        The same model modes in the order of frequency at the start: what tells two assignments
+        apart that end alike.
+    x : (p,) float64
+    covariance : (p, p) float64
+    cost : float
+        J.
+    weight : float
+        Probability among all assignments.
+    frequencies : (m,) float64, Hz
+        Of the model for each test mode.
+    mac : (m,) float64
+    """
+
+    pairs: Int
+    first: Int
+    x: Float
+    covariance: Float
+    cost: float
+    weight: float
+    frequencies: Float
+    mac: Float
+
+    def __post_init__(self) -> None:
+        f = np.float64
+        freeze_fields(self, pairs=np.int64, first=np.int64, x=f, covariance=f, frequencies=f, mac=f)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Suspended:
+    """A tuned suspension.
+
+    Attributes
+    ----------
+    parameters : ParameterSet
+    assignments : tuple of Assignment
+        The most probable first.
+    considered : int
+        Assignments that were ranked; only the promising ones were refined.
+    """
+
+    parameters: ParameterSet
+    assignments: tuple[Assignment, ...]
+    considered: int
+
+    @property
+    def best(self) -> Assignment:
+        """The most probable one."""
+        return self.assignments[0]
+
+    @property
+    def sure(self) -> bool:
+        """Whether the pairing is unambiguous."""
+        return self.best.weight >= SURE
+
+    @property
+    def covariance(self) -> Float:
+        """Of x about the best point, over all assignments: their spread is part of it, (p, p)."""
+        w = np.array([a.weight for a in self.assignments])
+        away = np.array([a.x - self.best.x for a in self.assignments])
+        within = np.tensordot(w, np.array([a.covariance for a in self.assignments]), axes=1)
+        return np.asarray(within + np.einsum("a,ap,aq->pq", w, away, away))
+
+    @property
+    def std(self) -> Float:
+        """Of x, (p,)."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    def ambiguity(self) -> tuple[str, ...]:
+        """In words, which test modes could be another model mode and what would change; empty if it
+        is sure.
+        """
+        if self.sure:
+            return ()
+        told, covered = [], 0.0
+        for a in self.assignments:
+            if covered >= SURE:
+                break
+            covered += a.weight
+            both = zip(a.pairs[:, 0].tolist(), a.first.tolist(), strict=True)
+            pairs = ", ".join(f"{t + 1}:{f + 1}" for t, f in both)
+            factors = self.parameters.factors(a.x)
+            names = zip(self.parameters.names, factors.tolist(), strict=True)
+            told.append(
+                f"{100 * a.weight:.0f} %: test:model before tuning {pairs}; "
+                + ", ".join(f"{n} {v:.3g}" for n, v in names)
+            )
+        return tuple(told)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _At:
+    """A point with the model modes under their labels (l,), residuals and slopes at fixed pairs of
+    labels.
+    """
+
+    x: Float
+    now: Linearisation
+    modes: Int
+    value: Float
+    slope: Float
+    cost: float
+
+
+def tune(
+    model: ObservedModel,
+    target: Target,
+    *,
+    start: Float | None = None,
+    keep: int = KEPT,
+    progress: Progress | None = None,
+) -> Suspended:
+    """Tune the suspension under every pairing that the data leave open.
+
+    Parameters
+    ----------
+    model : ObservedModel
+    target : Target
+        Rigid-body test modes; those not `used` take no part. Its gates are not asked, but
+        `pairing.close` says which model modes are rotated towards the test.
+    start : (p,) float64, optional
+        0 by default.
+    keep : int
+        Assignments refined at most.
+
+    Raises
+    ------
+    InputError
+        If there are more test modes than model modes, or too many assignments to rank.
+    NotConverged
+        If no assignment can be refined.
+    """
+    x = np.zeros(len(model.parameters)) if start is None else np.array(start, dtype=np.float64)
+    tests = np.flatnonzero(target.used)
+    now = model.linearise(x)
+    labels = np.arange(
+        min(max(6, tests.size), now.frequencies.size)
+    )  # the lowest six, or as many as the test has
+    labels = labels[now.frequencies[labels] > 0]
+    order, considered = _ranked(model, target, now, tests, labels)
+    found: list[tuple[_At, Int]] = []
+    for i, choice in enumerate(order[:keep]):
+        try:
+            end = _refine(model, target, now, tests, labels, choice)
+        except (NumericalError, SolverError):
+            continue
+        if not any(_same(model, tests, end, choice, other, c) for other, c in found):
+            found.append((end, choice))
+        if progress is not None:
+            progress((i + 1) / min(keep, len(order)), f"assignment {i + 1} of the rigid-body modes")
+    if not found:
+        raise NotConverged(
+            "no assignment of rigid-body modes can be solved: look at bounds and start"
+        )
+    return Suspended(model.parameters, _weighed(model, target, tests, labels, found), considered)
+
+
+def _ranked(
+    model: ObservedModel, target: Target, now: Linearisation, tests: Int, labels: Int
+) -> tuple[Int, int]:
+    """Assignments (a, m) of positions in `labels`, the most probable by the linearised model first,
+    and how many.
+
+    Frequencies by the prior predictive distribution N(−G x₀, S + G W_p⁻¹Gᵀ) about the point x₀;
+    shapes by 1 − MAC, cut.
+    """
+    if tests.size > labels.size or not tests.size:
+        raise InputError(
+            f"{tests.size} rigid-body test modes for {labels.size} of the model: leave test "
+            "modes out"
+        )
+    count = perm(labels.size, tests.size)
+    if count > MOST:
+        raise InputError(f"{count} assignments (at most {MOST}): name fewer model modes")
+    choices = np.array(list(permutations(range(labels.size), tests.size)))
+    std, w = model.parameters.std(), target.weights
+    # in ln f the model is close to linear in log stiffness, so it holds over a wide prior
+    slope = now.d_lambda[labels] / (8 * np.pi**2 * now.frequencies[labels] ** 2)[:, None] * std
+    miss = np.log(target.frequencies[tests, None] / now.frequencies[labels]) + slope @ (now.x / std)
+    r = miss[np.arange(tests.size), choices]
+    inner = slope @ slope.T
+    cov = inner[choices[:, :, None], choices[:, None, :]] + np.diag(
+        w.frequency**2 + target.std[tests] ** 2
+    )
+    cost = (
+        np.einsum("am,am->a", r, np.linalg.solve(cov, r[..., None])[..., 0])
+        + np.linalg.slogdet(cov)[1]
+    )
+    alike = mac(target.shapes[:, tests], now.shapes[:, labels])
+    shape = np.minimum((w.shape / w.mac if w.shape else 0.0) * (1 - alike), CAP)
+    cost += shape[np.arange(tests.size), choices].sum(axis=1)
+    order = np.argsort(cost, kind="stable")
+    return choices[order[cost[order] <= cost.min() + MARGIN]], count
+
+
+def _evaluate(
+    target: Target, now: Linearisation, tests: Int, chosen: Int, std: Float, x: Float
+) -> tuple[Float, Float, float]:
+    """Residuals, slopes and J with test mode tests[i] paired with model mode chosen[i]."""
+    w = target.weights
+    root = 0.5 / np.hypot(w.frequency, target.std[tests])
+    lam_test = (2 * np.pi * target.frequencies[tests]) ** 2
+    lam = (2 * np.pi * now.frequencies[chosen]) ** 2 * np.sign(now.frequencies[chosen])
+    value, slope = (
+        [root * (1 - lam / lam_test)],
+        [(root / lam_test)[:, None] * now.d_lambda[chosen]],
+    )
+    if w.shape > 0:
+        group = _group_of(target, now)
+        near = close_groups(target.frequencies, target.pairing.close, target.pairing.largest_group)
+        alone = {t for g in near if len(g) == 1 for t in g}
+        for t, j in zip(tests.tolist(), chosen.tolist(), strict=True):
+            r, g = shape_residual(
+                target.shapes, now, t, np.array((j,) if t in alone else group.get(j, (j,)))
+            )
+            value.append(np.sqrt(w.shape / w.mac) * r)
+            slope.append(np.sqrt(w.shape / w.mac) * g)
+    v, s = np.concatenate(value), np.concatenate(slope)
+    return v, s, float(v @ v + (x / std) @ (x / std))
+
+
+def _group_of(target: Target, now: Linearisation) -> dict[int, tuple[int, ...]]:
+    groups = close_groups(now.frequencies, target.pairing.close, target.pairing.largest_group)
+    return {j: g for g in groups for j in g}
+
+
+def _follow(before: Linearisation, modes: Int, now: Linearisation) -> Int:
+    """The modes of `now` that continue `modes` of `before`, by one assignment over MAC."""
+    rows, columns = linear_sum_assignment(-mac(before.shapes[:, modes], now.shapes))
+    return np.asarray(columns[np.argsort(rows)])
+
+
+def _refine(
+    model: ObservedModel, target: Target, first: Linearisation, tests: Int, labels: Int, choice: Int
+) -> _At:
+    """Levenberg-Marquardt in the bounds with the pairs fixed; modes keep their labels through
+    crossings.
+    """
+    std = model.parameters.std()
+    low, high = model.parameters.bounds()
+    x = np.clip(first.x, low, high)
+    at = _At(x, first, labels, *_evaluate(target, first, tests, labels[choice], std, x))
+    mu = 1e-3
+    for _ in range(STEPS):
+        gradient = at.x / std**2 - at.slope.T @ at.value
+        stuck = ((at.x <= low) & (gradient > 0)) | ((at.x >= high) & (gradient < 0))
+        free = np.flatnonzero(~stuck)
+        normal = (at.slope.T @ at.slope + np.diag(1 / std**2))[np.ix_(free, free)]
+        dx = np.zeros_like(at.x)
+        dx[free] = -np.linalg.solve(normal + mu * np.diag(np.diag(normal)), gradient[free])
+        dx *= min(1.0, 0.5 / max(float(np.abs(dx).max(initial=0.0)), 1e-300))
+        trial = np.clip(at.x + dx, low, high)
+        if float(np.abs(trial - at.x).max(initial=0.0)) < SMALL * min(1.0, float(std.min())):
+            break
+        now = model.linearise(trial)
+        modes = _follow(at.now, at.modes, now)
+        new = _At(trial, now, modes, *_evaluate(target, now, tests, modes[choice], std, trial))
+        at, mu = (new, max(mu / 5, 1e-9)) if new.cost < at.cost else (at, 8 * mu)
+        if mu > 1e8:
+            break
+    return at
+
+
+def _same(model: ObservedModel, tests: Int, a: _At, choice: Int, b: _At, other: Int) -> bool:
+    """Whether two ends are one: the same pairs at the same point."""
+    near = float(np.abs((a.x - b.x) / model.parameters.std()).max(initial=0.0)) < SAME
+    return near and bool((a.modes[choice] == b.modes[other]).all())
+
+
+def _weighed(
+    model: ObservedModel, target: Target, tests: Int, labels: Int, ends: list[tuple[_At, Int]]
+) -> tuple[Assignment, ...]:
+    """Assignments by their evidence, residuals larger than foreseen taken as model discrepancy of
+    all of them.
+    """
+    w = np.diag(1 / model.parameters.std() ** 2)
+    inner = [e.slope.T @ e.slope for e, _ in ends]
+    i = int(np.argmin([e.cost for e, _ in ends]))
+    data, spent = target.weights.data * tests.size, used_up(inner[i], w)
+    s2 = max(1.0, float(ends[i][0].value @ ends[i][0].value) / max(data - spent, 1.0))
+    normal = [n / s2 + w for n in inner]
+    fit = np.array([e.value @ e.value / s2 + e.x @ w @ e.x for e, _ in ends])
+    log = -0.5 * fit - 0.5 * np.array([np.linalg.slogdet(n)[1] for n in normal])
+    weight = np.exp(log - log.max())
+    weight /= weight.sum()
+    out = []
+    for (e, choice), n, share in zip(ends, normal, weight.tolist(), strict=True):
+        chosen = e.modes[choice]
+        alike = mac(target.shapes[:, tests], e.now.shapes[:, chosen]).diagonal()
+        pairs = np.stack([tests, chosen], axis=1)
+        out.append(
+            Assignment(
+                pairs,
+                labels[choice],
+                e.x,
+                np.asarray(np.linalg.inv(n), dtype=np.float64),
+                e.cost,
+                share,
+                e.now.frequencies[chosen],
+                alike,
+            )
+        )
+    return tuple(sorted(out, key=lambda a: -a.weight))
