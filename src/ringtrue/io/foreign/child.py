@@ -144,7 +144,8 @@ def _hdf5(path: str) -> str:
     does so here.
 
     Errors are left to the reader, who may not touch what is damaged; those of memory are passed on,
-    as this process is given less of it, and those of attributes that cannot be listed.
+    as this process is given less of it, and those of damaged headers and of attributes that cannot
+    be listed.
 
     Returns
     -------
@@ -161,7 +162,7 @@ def _hdf5(path: str) -> str:
         while todo:
             item = todo.pop()
             try:
-                address = h5py.h5o.get_info(item.id).addr
+                address = _address(item)
                 if address in seen:
                     continue
                 seen.add(address)
@@ -188,6 +189,18 @@ def _hdf5(path: str) -> str:
                 if "alloc" in str(exc):
                     raise MemoryError(str(exc)) from exc
     return outside[0] if outside else ""
+
+
+def _address(item: Any) -> int:
+    """Where an object stands; of a damaged header HDF5 may not come back in reading an
+    attribute.
+    """
+    import h5py
+
+    try:
+        return int(h5py.h5o.get_info(item.id).addr)
+    except DAMAGE as exc:
+        raise _Damaged(f"the header of {item.name} is damaged: {exc}") from exc
 
 
 def _attributes(item: Any) -> list[str]:
