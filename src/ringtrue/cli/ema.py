@@ -61,8 +61,6 @@ class FrfMethod(StrEnum):
     """How modes are found in FRFs."""
 
     PLSCF = "plscf"
-    LSCE = "lsce"
-    RFP = "rfp"
     CMIF = "cmif"
 
 
@@ -190,8 +188,7 @@ def ema(
     In time records the blows are found; double hits, overloads and blows on a structure that still
     rings are left out and listed; the damping of the exponential window is taken out again. A force
     that runs all the time is that of a shaker. Several files are one test: a roving hammer, moved
-    sensors or more blows. Other methods (--method): LSCE, rational fraction polynomials, CMIF
-    peaks.
+    sensors or more blows. Another method (--method): CMIF peaks.
 
     Where sensors were moved and their mass shifts the modes from file to file beyond doubt, each
     file is fitted alone.

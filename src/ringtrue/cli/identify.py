@@ -51,7 +51,6 @@ class AmbientMethod(StrEnum):
     EFDD = "efdd"
     FSDD = "fsdd"
     RANDOM_DECREMENT = "random-decrement"
-    BAYES = "bayes"
 
 
 class Removal(StrEnum):
@@ -220,9 +219,7 @@ def oma(
     ] = AmbientMethod.SSI,
     near: Annotated[
         list[float] | None,
-        typer.Option(
-            "--near", metavar="HZ", help="Peak of the FDD methods, guess of bayes; may be repeated."
-        ),
+        typer.Option("--near", metavar="HZ", help="Peak of the FDD methods; may be repeated."),
     ] = None,
     leave_out: LeaveOut = None,
     sensors: Sensors = None,
@@ -241,8 +238,7 @@ def oma(
     """Modes from an ambient record: automatic covariance-driven SSI with standard deviations.
 
     Other methods (--method): poly-reference LSCF on half spectra, ERA/NExT, SSI-data, FDD with the
-    damping of FSDD, of EFDD or of random decrement, and the Bayesian FFT in a narrow band (--fmin,
-    --fmax).
+    damping of FSDD, of EFDD or of random decrement.
 
     Example: ringtrue oma tower.npy --rate 100 --fmax 10 --write-choice tower.toml
     """

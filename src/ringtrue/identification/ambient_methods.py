@@ -14,10 +14,9 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.progress import Progress, quiet
 from ringtrue.core.signals import TimeHistory
 from ringtrue.core.uncertainty import Uncertainty
-from ringtrue.errors import ConfigError, DataError, did_you_mean
+from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.identification.ambient import AmbientSettings, bands_for, lowest
 from ringtrue.identification.ambient_record import AT_EDGE, filter_edges, long_enough
-from ringtrue.identification.bayes import bayes_fft
 from ringtrue.identification.era import next_era
 from ringtrue.identification.fdd import FddSettings, fdd
 from ringtrue.identification.fdd import Method as FddMethod
@@ -32,7 +31,7 @@ from ringtrue.signal.gaps import bridged
 from ringtrue.signal.levels import levelled, scaled, unit_factor
 from ringtrue.signal.preprocess import Band, band_signals, usable
 
-Method = Literal["plscf", "era", "ssi-data", "fdd", "efdd", "fsdd", "random-decrement", "bayes"]
+Method = Literal["plscf", "era", "ssi-data", "fdd", "efdd", "fsdd", "random-decrement"]
 METHODS: tuple[str, ...] = get_args(Method)
 NAMES = {
     "plscf": "pLSCF on half spectra",
@@ -42,7 +41,6 @@ NAMES = {
     "efdd": "EFDD",
     "fsdd": "FSDD",
     "random-decrement": "FDD with random decrement",
-    "bayes": "Bayesian FFT",
 }
 NO_STD = {
     "plscf": "no standard deviations: pLSCF on half spectra has none here",
@@ -77,14 +75,13 @@ def identify_ambient_by(
     settings : AmbientSettings
         Band and references.
     near : sequence of float, Hz
-        Peaks of the FDD family; first guesses of the Bayesian FFT, by default the highest peak of
-        the band.
+        Peaks of the FDD family.
     progress : callable, optional
 
     Raises
     ------
     ConfigError
-        If there is no such method, or the Bayesian FFT has no band.
+        If there is no such method.
     DataError
         If no channel is usable or the record is too short.
     """
@@ -97,9 +94,7 @@ def identify_ambient_by(
     good = scaled(good, unit_factor(good))
     notes = gaps.notes + tuple(c.note for c in states)
     tell(0.0, NAMES[method])
-    if method == "bayes":
-        modes, std = _bayes(good, s, near)
-    elif method in _FDD:
+    if method in _FDD:
         found = fdd(
             good, FddSettings(_FDD[method], fmin=s.fmin or 0.0, fmax=s.fmax or 0.0), near=near
         )
@@ -117,39 +112,15 @@ def identify_ambient_by(
         if len(modes)
         else ()
     )
-    return SecondOpinion(modes, std, reasons, (*notes, *(more if method != "bayes" else ())))
+    return SecondOpinion(modes, std, reasons, (*notes, *more))
 
 
 def _reason(method: str, confidence: float) -> str:
-    if method == "bayes":
-        return "most probable in its band"
     what = "mean MAC over the bell" if method in _FDD else "share of the orders times MPC"
     if method == "plscf":
         what = "verdict on the fit"
     also = " and agreement of both halves of the record" if method in ("plscf", "era") else ""
     return f"{NAMES[method]}: {what}{also} {confidence:.2f}"
-
-
-def _bayes(
-    history: TimeHistory, s: AmbientSettings, near: Sequence[float]
-) -> tuple[ModeSet, Uncertainty]:
-    if s.fmin is None or s.fmax is None:
-        raise ConfigError(
-            "the Bayesian FFT needs a narrow band that holds its modes and no other: give fmin "
-            "and fmax"
-        )
-    guesses = list(near)
-    if not guesses:
-        found = fdd(history, FddSettings("efdd", fmin=s.fmin, fmax=s.fmax))
-        inside = found.modes.band(s.fmin, s.fmax).frequencies
-        if not inside.size:
-            at = (found.freqs > s.fmin) & (found.freqs < s.fmax)
-            if not at.any():
-                raise DataError(f"{history.source}: no line between {s.fmin:g} and {s.fmax:g} Hz")
-            inside = found.freqs[at][[found.singular[at, 0].argmax()]]
-        guesses = inside[:1].tolist() if inside.size == 1 else inside.tolist()
-    result = bayes_fft(history, (s.fmin, s.fmax), guesses)
-    return result.modes, result.uncertainty
 
 
 def _in_bands(

@@ -15,11 +15,9 @@ from scipy.optimize import linear_sum_assignment
 from ringtrue.core.arrays import Complex, Float, Int
 from ringtrue.core.choice import Choice, Pick
 from ringtrue.core.modes import ModeSet
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import DataError
 from ringtrue.identification.ambient_verdict import Found
 from ringtrue.identification.cluster import CUT, cluster_poles, distances
-from ringtrue.identification.pick import centre
 from ringtrue.identification.poles import PoleSet, unit
 from ringtrue.identification.ssi import BandPoles
 from ringtrue.identification.stabilise import Candidates, groups_table, stacked
@@ -302,45 +300,3 @@ def _mean_shape(shapes: Complex, weights: Float, first: int) -> Complex:
     """(ch, 1) weighted mean of shapes (ch, m) turned to the phase of one of them."""
     turn = shapes[:, first].conj() @ shapes
     return unit((shapes * (turn.conj() / np.maximum(np.abs(turn), 1e-300))) @ weights[:, None])
-
-
-def modes_by_hand(
-    poles: PoleSet, channels: tuple[str, ...], choice: Choice, *, source: str = ""
-) -> tuple[ModeSet, Uncertainty, tuple[str, ...]]:
-    """Modes picked from the poles of any method; rejects and merges have nothing to work on and are
-    not used.
-
-    With an order the pole itself is taken; without one, frequency and damping are means over the
-    largest group of poles there, by inverse variance where standard deviations are known, and the
-    shape is that of its middle.
-
-    Parameters
-    ----------
-    poles : PoleSet
-    channels : tuple of str
-        Rows of the shapes.
-    choice : Choice
-    source : str
-
-    Raises
-    ------
-    DataError
-        If a pick means no pole.
-    """
-    groups = []
-    for pick in choice.picks:
-        at = np.array([pole_of(poles, pick)]) if pick.order else group_of(poles, pick.frequency)
-        if not at.size or at[0] < 0:
-            raise nothing_there(source or choice.source or "choice", pick, [poles])
-        groups.append(at)
-    rows = np.array([centre(poles, g) for g in groups]).reshape(len(groups), 5)
-    rank = np.argsort(rows[:, 0], kind="stable")
-    rows = rows[rank]
-    shape = unit(poles.shape[:, rows[:, 4].astype(np.int64)])
-    modes = ModeSet(rows[:, 0], rows[:, 1], shape, channels, source=source)
-    said = tuple(f"chosen by hand: {groups[k].size} of {poles.orders.size} orders" for k in rank)
-    return (
-        modes,
-        Uncertainty.independent(rows[:, 2], rows[:, 3], np.full(shape.shape, np.nan)),
-        said,
-    )

@@ -8,10 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ringtrue.core.arrays import Bool, Complex, Float, Int
+from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.uncertainty import Uncertainty
-from ringtrue.identification import variance as var
 from ringtrue.identification.cluster import cluster_poles
 from ringtrue.identification.poles import PoleSet, unit
 from ringtrue.identification.stabilise import seen_in_halves
@@ -26,8 +25,6 @@ def modes_of(
     share: float = 0.5,
     damping_max: float = 0.2,
     source: str = "",
-    shape_std: Float | None = None,
-    deviation: Complex | None = None,
 ) -> tuple[ModeSet, Uncertainty]:
     """One mode for each cluster of stable poles that `share` of the orders, from the first that
     shows it, show.
@@ -50,14 +47,9 @@ def modes_of(
     damping_max : float
         Poles with more are dropped.
     source : str
-    shape_std : (ch, k) float64, optional
-        Standard deviations of the shapes of all poles.
-    deviation : (k, block) complex128, rad/s, optional
-        What each block of the record does to all poles: the standard deviations then are those of
-        the means.
     """
     known = _physical(poles, damping_max)
-    good, moved = poles.take(known), None if deviation is None else deviation[known]
+    good = poles.take(known)
     label = cluster_poles(good.pole, good.shape, good.order)
     groups = [np.flatnonzero(label == g) for g in range(int(label.max(initial=-1)) + 1)]
     shown = np.array(
@@ -65,13 +57,13 @@ def modes_of(
     )
     groups = [g for g, s in zip(groups, shown, strict=True) if s >= share and g.size > 2]
     part = shown[[i for i, s in enumerate(shown) if s >= share and (label == i).sum() > 2]]
-    rows = np.array([centre(good, g, moved) for g in groups]).reshape(len(groups), 5)
+    rows = np.array([centre(good, g) for g in groups]).reshape(len(groups), 5)
     rank = np.argsort(rows[:, 0], kind="stable")
     rows, at = rows[rank], rows[rank, 4].astype(np.int64)
     shape = unit(good.shape[:, at])
     confidence = np.clip(part[rank] * np.sqrt(mpc(shape)), 0, 1) if at.size else np.empty(0)
     modes = ModeSet(rows[:, 0], rows[:, 1], shape, channels, source=source, confidence=confidence)
-    std = np.full(shape.shape, np.nan) if shape_std is None else shape_std[:, known][:, at]
+    std = np.full(shape.shape, np.nan)
     return modes, Uncertainty.independent(rows[:, 2], rows[:, 3], std)
 
 
@@ -113,13 +105,9 @@ def _physical(poles: PoleSet, damping_max: float) -> Bool:
     return np.asarray(ok & (before & like & (mac(psi, psi) > 0.98)).any(1))
 
 
-def centre(
-    p: PoleSet, at: Int, deviation: Complex | None = None
-) -> tuple[float, float, float, float, float]:
-    """Frequency, damping, their standard deviations, and the most typical pole of the cluster `at`.
-
-    `deviation` (k, block) are those of the poles by the blocks of the record: that of a mean over
-    orders is less than that of each, as far as they do not move together.
+def centre(p: PoleSet, at: Int) -> tuple[float, float, float, float, float]:
+    """Frequency, damping, their standard deviations, and the most typical pole of the cluster
+    `at`.
     """
     f, z, sf, sz = p.frequencies[at], p.damping[at], p.std_frequency[at], p.std_damping[at]
     known = np.isfinite(sf).all() and (sf > 0).all()
@@ -128,10 +116,5 @@ def centre(
     w = z / (sf / f) ** 2 if known else np.ones(at.size)
     mf, mz = (float(w @ x / w.sum()) if known else float(np.median(x)) for x in (f, z))
     best = at[np.argmin((f / mf - 1) ** 2 + (0.01 * (z / mz - 1)) ** 2)]
-    if deviation is not None and known and deviation.shape[1]:
-        sf, sz = (
-            var.std(w @ d / w.sum()) for d in var.frequency_damping(p.pole[at], deviation[at])
-        )
-        return mf, mz, float(sf), float(sz), float(best)
     # the orders see one record: their mean is no better known than they are in the mean
     return mf, mz, float(w @ sf / w.sum()), float(w @ sz / w.sum()), float(best)
