@@ -16,7 +16,7 @@ from numpy.lib.stride_tricks import as_strided
 from scipy.fft import ihfft, irfft, next_fast_len, rfft
 
 from ringtrue.core.arrays import Any_, Float, Int
-from ringtrue.signal.stream import Fir
+from ringtrue.signal.decimation import Fir
 
 AT_ONCE, MANY = (
     1 << 21,
