@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 from scipy.signal import oaconvolve
 
-from ringtrue.core.threads import ABREAST, abreast, threads
 from ringtrue.identification import variance as var
 from ringtrue.identification.bands import MOST_BLOCKS, begin, joined, of_stretch
 from ringtrue.identification.mixing import unmix
 from ringtrue.identification.ssi import SsiCov
 from ringtrue.identification.whittle import SpectralBins
 from ringtrue.signal import band_correlations
-from ringtrue.signal.band_correlations import Signals, segments
+from ringtrue.signal.band_correlations import ABREAST, Signals, abreast, segments, threads
 from ringtrue.signal.decimation import Band, decimator, detrend, high_passer
 
 HIGH, DOWN = high_passer(4.0, 100.0), decimator(4)

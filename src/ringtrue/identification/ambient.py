@@ -18,7 +18,6 @@ from ringtrue.core.choice import Choice
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.progress import Progress, quiet
 from ringtrue.core.signals import TimeHistory
-from ringtrue.core.threads import abreast
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.identification.ambient_band import modes_of_band
@@ -64,6 +63,7 @@ from ringtrue.identification.stretches import (
     with_more_lags,
     without_strokes_sweeps_and_echoes,
 )
+from ringtrue.signal.band_correlations import abreast
 from ringtrue.signal.channel_checks import uncut, usable
 from ringtrue.signal.decimation import Band, levelled, scaled, unit_factor
 from ringtrue.signal.gaps import bridged

@@ -12,11 +12,11 @@ import numpy as np
 from ringtrue.core.arrays import Int
 from ringtrue.core.progress import Progress
 from ringtrue.core.signals import TimeHistory
-from ringtrue.core.threads import abreast
 from ringtrue.errors import DataError
 from ringtrue.identification.bands import BandSums, begin, joined, of_stretch
 from ringtrue.identification.same_setup import MOVED, likeness
 from ringtrue.identification.ssi import SsiCov
+from ringtrue.signal.band_correlations import abreast
 from ringtrue.signal.decimation import Band, levelled
 from ringtrue.signal.echoes import Echo, without_echo
 from ringtrue.signal.gaps import Gaps, bridged
