@@ -24,7 +24,7 @@ from ringtrue.identification.local import identify_batches, told_apart
 from ringtrue.identification.peaks import CmifPeaks, cmif_modes, single_mode
 from ringtrue.identification.reciprocity import reciprocity
 from ringtrue.shapes.mac import mac
-from ringtrue.signal.setups import join_frfs
+from ringtrue.signal.frf_sets import join_frfs
 
 MASS = np.array([1.0, 1.2, 0.9, 1.1, 1.0, 0.8, 1.0, 1.1])
 N = MASS.size

@@ -106,7 +106,7 @@ def test_methods_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFix
         run(["ema", str(tmp_path / "h.h5"), "--method", "cmif", "--fmin", "3", "--fmax", "35"]) == 0
     )
     out = capsys.readouterr().out
-    assert "8 modes" in out
+    assert "6 modes" in out
     assert "no standard deviations: CMIF" in out
     for wrong in (
         ["oma", str(tmp_path / "r.h5"), "--method", "bayes"],

@@ -25,6 +25,16 @@ from ringtrue.io.records import read_record, record_blocks, record_info
 from ringtrue.plots.tracking import tracking_page
 
 HOUR = 3600.0
+HEADS = (
+    "time_h",
+    "mode",
+    "frequency_hz",
+    "std_frequency_hz",
+    "damping",
+    "std_damping",
+    "confidence",
+    "mac",
+)
 
 
 def _parts(path: Path, rate: float | None, seconds: float) -> Iterator[TimeHistory]:
@@ -219,18 +229,7 @@ def _columns(t: ModeTrack) -> dict[str, Float]:
 def _csv(tracked: Tracked) -> str:
     text = io.StringIO()
     write = csv.writer(text, lineterminator="\n")
-    write.writerow(
-        [
-            "time_h",
-            "mode",
-            "frequency_hz",
-            "std_frequency_hz",
-            "damping",
-            "std_damping",
-            "confidence",
-            "mac",
-        ]
-    )
+    write.writerow(HEADS)
     for t in tracked.tracks:
         values = np.array(list(_columns(t).values())).T
         for at, row in zip(t.at.tolist(), values, strict=True):

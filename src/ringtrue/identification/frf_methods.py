@@ -19,7 +19,7 @@ from ringtrue.identification.hammer import HammerModes
 from ringtrue.identification.opinion import SecondOpinion
 from ringtrue.identification.peaks import CmifPeaks, cmif_modes
 from ringtrue.identification.scale import mode_scale
-from ringtrue.signal.reciprocal import exchanged
+from ringtrue.signal.frf_sets import exchanged
 
 Method = Literal["cmif"]
 METHODS: tuple[str, ...] = get_args(Method)
