@@ -22,8 +22,8 @@ import test_oma_setups as made
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import TimeHistory
 from ringtrue.core.uncertainty import Uncertainty
-from ringtrue.identification.ambient import identify_ambient
-from ringtrue.identification.merge import merge_modes
+from ringtrue.identification.ambient.pipeline import identify_ambient
+from ringtrue.identification.common.merging import merge_modes
 
 MINUTES = 30
 FOUND_LEAST = 0.97  # of the modes

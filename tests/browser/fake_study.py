@@ -19,7 +19,7 @@ from ringtrue.correlation.faults import Suspect
 from ringtrue.correlation.frf import compare_frfs, fdac
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.correlation.track import track
-from ringtrue.identification.poles import PoleSet, StableDiagram
+from ringtrue.identification.common.poles import PoleSet, StableDiagram
 from ringtrue.study import results as r
 from ringtrue.updating.posterior import Posterior
 from ringtrue.updating.predict import Bands, RunUp, Unbalance

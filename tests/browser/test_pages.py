@@ -14,8 +14,8 @@ import pytest
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.core.uncertainty import Uncertainty
-from ringtrue.identification.poles import PoleSet, StableDiagram
-from ringtrue.identification.tracking import Stretch, track_modes
+from ringtrue.identification.common.poles import PoleSet, StableDiagram
+from ringtrue.identification.common.tracking import Stretch, track_modes
 from ringtrue.io.choices import read_choice
 from ringtrue.plots.picker import picker_page
 from ringtrue.plots.responses import frf_page

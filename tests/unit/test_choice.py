@@ -12,8 +12,8 @@ from test_cli import Capture, call, frf, parsed, record, refused
 
 from ringtrue.core.choice import Choice, Merge, Pick, Reject
 from ringtrue.errors import ConfigError, DataError
-from ringtrue.identification.choice import as_choice, match
-from ringtrue.identification.hammer import HammerModes, HammerResult, identify_hammer
+from ringtrue.identification.common.manual_selection import as_choice, match
+from ringtrue.identification.frf.pipeline import HammerModes, HammerResult, identify_hammer
 from ringtrue.io.choices import read_choice, write_choice
 from ringtrue.io.frfs import read_frfs
 from ringtrue.study.config import read_config

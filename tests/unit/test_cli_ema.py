@@ -22,7 +22,7 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError
-from ringtrue.identification.hammer import HammerModes, identify_hammer
+from ringtrue.identification.frf.pipeline import HammerModes, identify_hammer
 from ringtrue.io.frfs import read_frfs, write_frfs
 from ringtrue.io.modes_json import read_modes
 from ringtrue.io.records import read_record, read_runs, write_history

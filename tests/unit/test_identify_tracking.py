@@ -12,7 +12,7 @@ from test_cli import Capture, call, parsed, refused
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError
-from ringtrue.identification.tracking import Stretch, TrackSettings, track_modes, unseen
+from ringtrue.identification.common.tracking import Stretch, TrackSettings, track_modes, unseen
 
 CHANNELS = tuple(f"{i}+Z" for i in range(1, 7))
 PHI = np.linalg.qr(np.random.default_rng(1).standard_normal((6, 4)))[0]

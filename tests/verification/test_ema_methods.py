@@ -18,11 +18,11 @@ from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import DataError, InputError
-from ringtrue.identification.hammer import HammerModes, identify_hammer
-from ringtrue.identification.linearity import level_dependence
-from ringtrue.identification.local import identify_batches, told_apart
-from ringtrue.identification.peaks import CmifPeaks, cmif_modes, single_mode
-from ringtrue.identification.reciprocity import reciprocity
+from ringtrue.identification.frf.cmif import CmifPeaks, cmif_modes, single_mode
+from ringtrue.identification.frf.linearity import level_dependence
+from ringtrue.identification.frf.local_fits import identify_batches, with_local_fits
+from ringtrue.identification.frf.pipeline import HammerModes, identify_hammer
+from ringtrue.identification.frf.scaling import reciprocity
 from ringtrue.shapes.mac import mac
 from ringtrue.signal.frf_sets import join_frfs
 
@@ -174,13 +174,13 @@ def test_batches_loaded_by_moved_sensors() -> None:
     assert np.median(same.chance) > 0.02
     settings = HammerModes(3.0, 35.0)
     joint = identify_hammer(join_frfs(loaded), settings)
-    apart = told_apart(joint, loaded, settings)
+    apart = with_local_fits(joint, loaded, settings)
     assert len(apart.modes) == N
     assert "the batches disagree" in apart.notes[-1]
     assert len(apart.modes.channels) == N
     alike = [frfs(chain(), rng, s) for s in sets]
     result = identify_hammer(join_frfs(alike), settings)
-    assert told_apart(result, alike, settings) is result
+    assert with_local_fits(result, alike, settings) is result
     other = replace(loaded[0], inputs=loaded[0].inputs[::-1])
     with pytest.raises(InputError, match="same inputs"):
         identify_batches([loaded[0], other])

@@ -21,11 +21,11 @@ from scipy.signal import firwin, lfilter
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import DataError
-from ringtrue.identification.era import era, next_era
-from ringtrue.identification.fdd import FddSettings, fdd, log_decrement, random_decrement
-from ringtrue.identification.pick import modes_of
-from ringtrue.identification.ssi import SsiCov
-from ringtrue.identification.ssi_data import project, ssi_data
+from ringtrue.identification.ambient.era import era, next_era
+from ringtrue.identification.ambient.fdd import FddSettings, fdd, log_decrement, random_decrement
+from ringtrue.identification.ambient.ssi_cov import SsiCov
+from ringtrue.identification.ambient.ssi_data import project, ssi_data
+from ringtrue.identification.common.stabilisation import modes_of
 from ringtrue.shapes.mac import mac
 from ringtrue.signal.decimation import decimate
 

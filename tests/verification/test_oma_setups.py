@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.core.uncertainty import Uncertainty
-from ringtrue.identification.merge import merge_modes
+from ringtrue.identification.common.merging import merge_modes
 
 F, Z, RATE = np.array([1.1, 1.9, 2.3, 3.4]), np.array([0.012, 0.01, 0.015, 0.02]), 12.5
 PHI = np.random.default_rng(5).standard_normal((11, 4))

@@ -34,11 +34,11 @@ from ringtrue.cli.show import Json, file_to, progress, tell, write_json
 from ringtrue.core.progress import Progress, part
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.errors import ConfigError, about
-from ringtrue.identification.frf_methods import identify_frfs_by
-from ringtrue.identification.hammer import HammerModes, identify_hammer
-from ringtrue.identification.linearity import level_dependence
-from ringtrue.identification.local import told_apart
-from ringtrue.identification.lsfd import driving_pairs
+from ringtrue.identification.frf.cmif import identify_frfs_by
+from ringtrue.identification.frf.linearity import level_dependence
+from ringtrue.identification.frf.local_fits import with_local_fits
+from ringtrue.identification.frf.pipeline import HammerModes, identify_hammer
+from ringtrue.identification.frf.residues import driving_pairs
 from ringtrue.io.frfs import frf_ids, holds_frfs, read_frfs, write_frfs
 from ringtrue.io.modes_json import modes_to_json
 from ringtrue.io.sheets import read_sensor_sheet
@@ -229,7 +229,7 @@ def ema(
             found = identify_hammer(frfs, band, choice=by_hand, progress=show)
         if by_hand is None:
             batches = [_windowed(b, window_decay) for b in measured.batches or (frfs,)]
-            found = told_apart(found, batches, band, progress=show)
+            found = with_local_fits(found, batches, band, progress=show)
     write_pages(files[0], (found.modes, found.reasons, found.diagrams), choice_to, diagram)
     none = ("no mode is believed in this band", *found.rejected[-5:])
     return told(title, found, measured.notes, json, more=_blows_json(measured.hits), if_none=none)

@@ -20,13 +20,16 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError, about, did_you_mean
-from ringtrue.identification.ambient import AmbientResult, AmbientSettings, identify_stretches
-from ringtrue.identification.ambient_methods import identify_ambient_by
-from ringtrue.identification.choice import as_choice
-from ringtrue.identification.hammer import HammerResult
-from ringtrue.identification.opinion import SecondOpinion
-from ringtrue.identification.poles import StableDiagram
-from ringtrue.identification.stretches import SHORTEST
+from ringtrue.identification.ambient.other_methods import SecondOpinion, identify_ambient_by
+from ringtrue.identification.ambient.pipeline import (
+    AmbientResult,
+    AmbientSettings,
+    identify_stretches,
+)
+from ringtrue.identification.ambient.record_bands import SHORTEST
+from ringtrue.identification.common.manual_selection import as_choice
+from ringtrue.identification.common.poles import StableDiagram
+from ringtrue.identification.frf.pipeline import HammerResult
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.choices import read_choice, write_choice
 from ringtrue.io.modes_json import modes_to_json

@@ -18,8 +18,8 @@ from ringtrue.core.arrays import Float
 from ringtrue.core.progress import Progress
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import ConfigError, DataError, about, did_you_mean
-from ringtrue.identification.ambient import AmbientSettings, identify_ambient
-from ringtrue.identification.tracking import ModeTrack, Stretch, Tracked, track_modes, unseen
+from ringtrue.identification.ambient.pipeline import AmbientSettings, identify_ambient
+from ringtrue.identification.common.tracking import ModeTrack, Stretch, Tracked, track_modes, unseen
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.records import read_record, record_blocks, record_info
 from ringtrue.plots.tracking import tracking_page

@@ -9,7 +9,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from ringtrue.core.arrays import Float
-from ringtrue.identification.tracking import ModeTrack, Tracked
+from ringtrue.identification.common.tracking import ModeTrack, Tracked
 from ringtrue.plots.page import figure_page
 from ringtrue.plots.style import QUALITATIVE, axis, f32, figure
 
