@@ -10,10 +10,9 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.progress import Progress, quiet
 from ringtrue.core.signals import TimeHistory
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.identification.ambient import AmbientSettings, bands_for, lowest
 from ringtrue.identification.ambient_record import AT_EDGE, filter_edges, long_enough

@@ -12,10 +12,9 @@ from scipy.linalg import qr
 
 from ringtrue.core.arrays import Complex, Float
 from ringtrue.core.modal import ModalModel
-from ringtrue.core.modes import ModeSet, Norm
+from ringtrue.core.modes import ModeSet, Norm, Uncertainty
 from ringtrue.core.progress import Progress, quiet
 from ringtrue.core.signals import FrfSet
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.identification.bands_hammer import (
     MOST_PEAKS,

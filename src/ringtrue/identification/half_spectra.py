@@ -16,9 +16,8 @@ from dataclasses import replace
 import numpy as np
 
 from ringtrue.core.arrays import Complex, Float, Int
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.signals import FrfSet, TimeHistory
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import DataError
 from ringtrue.identification.bands_hammer import grouped, merged
 from ringtrue.identification.judge import Candidates, judge

@@ -21,9 +21,8 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from ringtrue.core.arrays import Any_, Complex, Float
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.signals import TimeHistory
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import InputError
 from ringtrue.identification import variance as var
 from ringtrue.identification.pick import modes_of

@@ -16,10 +16,9 @@ from scipy.special import betaincinv
 from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
 from ringtrue.core.modal import ModalModel
 from ringtrue.core.modes import ModeSet, Norm
-from ringtrue.core.pairing import Pairing
 from ringtrue.core.progress import Progress
 from ringtrue.core.signals import Channel
-from ringtrue.correlation.pairing import PairingSettings, pair_modes
+from ringtrue.correlation.pairing import Pairing, PairingSettings, pair_modes
 from ringtrue.errors import DataError, InputError
 from ringtrue.virtual.hammer import HammerPlan
 from ringtrue.virtual.sensors import ICP, Sensor

@@ -10,9 +10,8 @@ import numpy as np
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.blows import joined
-from ringtrue.core.lines import shared_lines
 from ringtrue.core.motions import OF_KIND, as_motion, channel
-from ringtrue.core.signals import FrfKind, FrfSet
+from ringtrue.core.signals import FrfKind, FrfSet, shared_lines
 from ringtrue.errors import DataError
 
 log = logging.getLogger(__name__)
