@@ -12,7 +12,7 @@ import pytest
 from eigen_shell import shell
 from scipy import sparse
 
-from ringtrue.core.parameters import Parameter, Target
+from ringtrue.core.parameters import CardField, Parameter
 from ringtrue.eigen import complement, derivatives
 from ringtrue.eigen.derivatives import Slope, eigenvector_derivatives
 from ringtrue.eigen.eigenpairs import EigenModes
@@ -34,7 +34,9 @@ def case() -> tuple[Pencil, EigenModes, list[Slope]]:
         (card, r, f) for r in range(1, REGIONS + 1) for card, f in (("MAT1", "E"), ("PSHELL", "T"))
     ]
     system = assemble(model)
-    slopes = system_derivatives(model, [Parameter(f"{t}", (Target(*t),)) for t in fields], system)
+    slopes = system_derivatives(
+        model, [Parameter(f"{t}", (CardField(*t),)) for t in fields], system
+    )
     pencil = Pencil(system.stiffness, system.mass)
     return pencil, solve_modes(pencil, M + 4), slopes
 

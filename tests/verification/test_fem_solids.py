@@ -13,7 +13,7 @@ from fem_cases import cards, grid, model, steel
 from solid_meshes import ELEMENTS, SECOND, box, cut, distorted, elements, kind, psolid
 
 from ringtrue.core.arrays import Float, Int
-from ringtrue.core.parameters import Target
+from ringtrue.core.parameters import CardField
 from ringtrue.errors import DeckError, UnsupportedCard
 from ringtrue.fem.assembly import assemble
 from ringtrue.fem.element_cards import SOLIDS, batches
@@ -400,8 +400,8 @@ def test_elements_that_a_material_affects() -> None:
     """Through the property, MAT9 as MAT1."""
     xyz, nodes = cube("CPYRAM5", 1, 0.0)
     m = body("CPYRAM5", xyz, nodes, steel(), mat9(crystal()), psolid(2))
-    assert rows_of(m, Target("MAT9", 2, ""))["CPYRAM"].size == 6
-    assert rows_of(m, Target("MAT1", 1, "")) == {}
+    assert rows_of(m, CardField("MAT9", 2, ""))["CPYRAM"].size == 6
+    assert rows_of(m, CardField("MAT1", 1, "")) == {}
 
 
 @pytest.mark.parametrize(("a", "b"), list(combinations(SECOND, 2)))

@@ -12,7 +12,7 @@ import pytest
 from fem_cases import cards, grid, model, ragged, spc, steel
 
 from ringtrue.core.arrays import Float
-from ringtrue.core.parameters import Parameter, ParameterSet, Target
+from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.errors import SingularModel
 from ringtrue.fem.assembly import assemble
 from ringtrue.fem.massless_rotations import massless_rotations
@@ -169,7 +169,7 @@ def test_a_spin_that_is_not_held_is_named(n: int) -> None:
 
 def test_statics_and_derivatives() -> None:
     """A spin has no static answer; λ is proportional to E."""
-    parameters = ParameterSet((Parameter("E", (Target("MAT1", 1, "E"),)),))
+    parameters = ParameterSet((Parameter("E", (CardField("MAT1", 1, "E"),)),))
     with EmbeddedSolver().open(free(10, (1, 2, 3))) as analysis:
         with pytest.raises(SingularModel, match="mechanism"):
             analysis.static(np.zeros(66))

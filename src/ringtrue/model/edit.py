@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ringtrue.core.arrays import Float, Int
-from ringtrue.core.parameters import Parameter, ParameterSet, Target
+from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.core.units import UnitSystem
 from ringtrue.errors import InputError, UnsupportedError, did_you_mean
 from ringtrue.model.cards import NONSTRUCTURAL
@@ -36,7 +36,7 @@ class FieldChange:
     value: int | float | str
 
 
-def resolve_target(model: Model, target: Target | FieldChange) -> Int:
+def resolve_target(model: Model, target: CardField | FieldChange) -> Int:
     """Rows of the target's table that it means, (k,) int64, k >= 1.
 
     Raises
@@ -93,7 +93,7 @@ def _is_ply(table: Table, field: str) -> bool:
     return ply is not None and isinstance(table.columns.get(ply[0]), Ragged)
 
 
-def field_value(model: Model, target: Target | FieldChange) -> Any:
+def field_value(model: Model, target: CardField | FieldChange) -> Any:
     """The value of a target in the first of its rows, of one ply for a field such as T3 of a
     PCOMP.
     """
@@ -105,7 +105,7 @@ def field_value(model: Model, target: Target | FieldChange) -> Any:
     return table.ragged(name).row(row)[number - 1]
 
 
-def companions(model: Model, target: Target) -> tuple[Target, ...]:
+def companions(model: Model, target: CardField) -> tuple[CardField, ...]:
     """The target, and the same field at end B and at the stations of a PBEAM that are equal
     there.
     """
@@ -123,7 +123,7 @@ def companions(model: Model, target: Target) -> tuple[Target, ...]:
     return tuple(same)
 
 
-def _nominal(model: Model, parameter: Parameter, target: Target) -> float:
+def _nominal(model: Model, parameter: Parameter, target: CardField) -> float:
     value = field_value(model, target)
     where = f"parameter {parameter.name}: {target.card} {target.id} {target.field}"
     if not isinstance(value, np.floating):
@@ -164,7 +164,7 @@ def carried(model: Model, parameters: ParameterSet) -> ParameterSet:
     return ParameterSet(tuple(p for p in mine if p.targets or p.shapes or p.substructures))
 
 
-def _has(model: Model, target: Target) -> bool:
+def _has(model: Model, target: CardField) -> bool:
     return target.card in model and bool((model[target.card].ids == target.id).any())
 
 
@@ -180,7 +180,7 @@ def field_changes(model: Model, parameters: ParameterSet, factors: Float) -> lis
     a = np.asarray(factors, dtype=np.float64)
     if a.shape != (len(parameters),):
         raise InputError(f"factors must have shape ({len(parameters)},), got {a.shape}")
-    values: dict[Target, float] = {}
+    values: dict[CardField, float] = {}
     for parameter, factor in zip(parameters.parameters, a.tolist(), strict=True):
         _refuse_what_no_field_holds(parameter)
         for target in parameter.targets:

@@ -13,7 +13,7 @@ from scipy import sparse
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.dofs import DofSet
-from ringtrue.core.parameters import Parameter, ParameterSet, Target
+from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.core.progress import Progress
 from ringtrue.core.testmodel import Observation
 from ringtrue.eigen.derivatives import Slope
@@ -99,7 +99,7 @@ class MatrixModel:
         made = [
             Parameter(
                 f"{kind[0].replace('S', 'K')}{i}",
-                (Target(kind, i, "FACTOR"),),
+                (CardField(kind, i, "FACTOR"),),
                 lower,
                 upper,
                 "linear",

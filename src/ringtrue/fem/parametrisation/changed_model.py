@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ringtrue.core.arrays import Bool, Int
-from ringtrue.core.parameters import Parameter, Shape, Target
+from ringtrue.core.parameters import CardField, Parameter, Shape
 from ringtrue.errors import InputError, did_you_mean
 from ringtrue.fem.element_cards import ELEMENTS
 from ringtrue.fem.elements.curved_shell import with_neighbours
@@ -61,7 +61,7 @@ def scaled(model: Model, parameter: Parameter, factor: Factor) -> Model:
     return model
 
 
-def changed(model: Model, name: str, targets: Sequence[Target], factor: Factor) -> Model:
+def changed(model: Model, name: str, targets: Sequence[CardField], factor: Factor) -> Model:
     """A copy with the fields of `targets` at `factor`, whatever elements they are meant for.
 
     Raises
@@ -208,7 +208,7 @@ def moved(model: Model, shape: Shape, amount: float) -> Model:
     return replace(model, tables={**model.tables, "GRID": grid.with_column("CP", frame)})
 
 
-def rows_of(model: Model, target: Target) -> Rows:
+def rows_of(model: Model, target: CardField) -> Rows:
     """Rows of each element card that the target changes; all users of the card where no elements
     are named.
     """
@@ -329,7 +329,7 @@ def _on(table: Table, nodes: Int) -> Bool:
     return hit
 
 
-def _own(model: Model, name: str, target: Target) -> tuple[Model, Target]:
+def _own(model: Model, name: str, target: CardField) -> tuple[Model, CardField]:
     """The model with a copy of the target's card for the elements it is meant for, and the target
     on that copy.
     """

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import sparse
 
 from ringtrue.core.arrays import Float, Int
-from ringtrue.core.parameters import Parameter, Target
+from ringtrue.core.parameters import CardField, Parameter
 from ringtrue.eigen.derivatives import Slope
 from ringtrue.fem.algebra import applied
 from ringtrue.fem.assembly import System, full_matrices, rayleigh, sum_up, turn
@@ -113,7 +113,7 @@ def _moved(
     transform: Callable[[Model, System], sparse.csr_array],
 ) -> sparse.csr_array | None:
     """The derivative of a transform at a = 1; None if no node moves."""
-    moves: list[tuple[Target | None, int, float]] = [
+    moves: list[tuple[CardField | None, int, float]] = [
         (t, 0, abs(t.step) or 1.0) for t in p.targets if moves_nodes(t)
     ]
     moves += [(None, k, float(np.abs(s.vectors).max(initial=0.0))) for k, s in enumerate(p.shapes)]

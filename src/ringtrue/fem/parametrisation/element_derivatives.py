@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
-from ringtrue.core.parameters import Parameter, Target
+from ringtrue.core.parameters import CardField, Parameter
 from ringtrue.fem.element_cards import MATERIAL, PROPERTY, batches
 from ringtrue.fem.mesh import Matrices, Mesh, Rows, mesh, union
 from ringtrue.fem.parametrisation.changed_model import (
@@ -71,17 +71,17 @@ class _Sweep:
     not its own.
     """
 
-    targets: tuple[Target, ...]
+    targets: tuple[CardField, ...]
     rows: list[tuple[int, Rows]] = field(default_factory=list)
     taken: dict[str, Bool] = field(default_factory=dict)
 
 
-def is_place(target: Target) -> bool:
+def is_place(target: CardField) -> bool:
     """Whether a field is the place of a node or of a beam's end, or a direction."""
     return moves_nodes(target) or (target.field in _PLACES and target.card not in _SECTION_PLACES)
 
 
-def moves_nodes(target: Target) -> bool:
+def moves_nodes(target: CardField) -> bool:
     """Whether nodes, rigid elements and displacement frames may move with a field."""
     return (
         target.card == "GRID"
@@ -118,10 +118,10 @@ def _bundles(
     """Parameters on the same fields and of disjoint elements share a sweep; and layers of owners of
     moduli.
     """
-    made: dict[tuple[Target, ...], list[_Sweep]] = {}
-    layers, reach = list[_Sweep](), dict[tuple[Target, ...], _Reach]()
+    made: dict[tuple[CardField, ...], list[_Sweep]] = {}
+    layers, reach = list[_Sweep](), dict[tuple[CardField, ...], _Reach]()
     for i, p in enumerate(parameters):
-        by_elements: dict[tuple[int, ...], list[Target]] = {}
+        by_elements: dict[tuple[int, ...], list[CardField]] = {}
         for t in p.targets:
             if not is_place(t):
                 by_elements.setdefault(t.elements, []).append(replace(t, elements=()))
@@ -161,7 +161,7 @@ class _Reach:
     moduli: dict[str, Bool]
 
     @classmethod
-    def of(cls, model: Model, targets: tuple[Target, ...]) -> _Reach:
+    def of(cls, model: Model, targets: tuple[CardField, ...]) -> _Reach:
         rows, order = union(rows_of(model, t) for t in targets), {}
         for card, at in rows.items():
             ids = model[card].ids[at]
@@ -189,7 +189,7 @@ class _Reach:
         return bool(self.moduli) and all(self.moduli[c][at].all() for c, at in rows.items())
 
 
-def _moduli(model: Model, targets: Sequence[Target]) -> tuple[int, ...]:
+def _moduli(model: Model, targets: Sequence[CardField]) -> tuple[int, ...]:
     """Materials of which the targets are all moduli that are given; none if they are anything else,
     too.
     """
@@ -214,7 +214,7 @@ def _owners(s: _Sweep) -> dict[str, Int]:
 
 
 def _join(
-    model: Model, bundle: list[_Sweep], targets: tuple[Target, ...], i: int, rows: Rows
+    model: Model, bundle: list[_Sweep], targets: tuple[CardField, ...], i: int, rows: Rows
 ) -> None:
     for s in bundle:
         if not any(s.taken[c][at].any() for c, at in rows.items() if c in s.taken):
@@ -338,7 +338,7 @@ def _placed(m: Mesh, i: int, p: Parameter) -> Iterator[ElementDerivatives]:
         )
 
 
-def _value(model: Model, name: str, t: Target) -> float:
+def _value(model: Model, name: str, t: CardField) -> float:
     changed(model, name, [t], 1.0)
     return float(model[t.card][t.field][model[t.card].find(np.array([t.id]))[0]])
 
@@ -350,7 +350,7 @@ def _differences(
     rows: Rows,
     size: float,
     *,
-    target: Target | None = None,
+    target: CardField | None = None,
     shape: int = 0,
 ) -> Iterator[ElementDerivatives]:
     if size == 0 or not rows:
@@ -367,7 +367,7 @@ def _differences(
 
 
 def displaced(
-    model: Model, p: Parameter, amount: float, *, target: Target | None, shape: int
+    model: Model, p: Parameter, amount: float, *, target: CardField | None, shape: int
 ) -> Model:
     """The model with one place of the parameter at a = 1 + amount."""
     if target is not None:

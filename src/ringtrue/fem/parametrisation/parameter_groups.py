@@ -14,7 +14,7 @@ import numpy as np
 from scipy import sparse
 
 from ringtrue.core.arrays import Any_, Int
-from ringtrue.core.parameters import Parameter, Target
+from ringtrue.core.parameters import CardField, Parameter
 from ringtrue.errors import DeckError, UnsupportedError
 from ringtrue.fem.assembly import full_matrices
 from ringtrue.fem.element_cards import batches
@@ -42,7 +42,7 @@ class Group:
         Rows of each element card that it changes.
     reach : dict
         Rows that feel its fields: with a target for some elements only, more than those.
-    targets : tuple of Target
+    targets : tuple of CardField
     matrix : str
         "stiffness" or "mass" where it is a factor on that.
     """
@@ -51,7 +51,7 @@ class Group:
     parameter: Parameter
     rows: Rows
     reach: Rows
-    targets: tuple[Target, ...] = ()
+    targets: tuple[CardField, ...] = ()
     matrix: str = ""
 
     @property
@@ -92,7 +92,7 @@ def groups_of(model: Model, which: int, parameter: Parameter) -> list[Group]:
             "materials, springs and "
             "masses only (try a solver that is run anew at each point)"
         )
-    by_elements: dict[tuple[int, ...], list[Target]] = {}
+    by_elements: dict[tuple[int, ...], list[CardField]] = {}
     for t in parameter.targets:
         by_elements.setdefault(t.elements, []).append(t)
     found = []
