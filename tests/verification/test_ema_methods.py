@@ -28,7 +28,7 @@ from ringtrue.identification.poles import PoleSet
 from ringtrue.identification.reciprocity import reciprocity
 from ringtrue.identification.rfp import Rfp, orthogonal, rfp
 from ringtrue.shapes.mac import mac
-from ringtrue.signal.setups import join_frfs
+from ringtrue.signal.frf_sets import join_frfs
 
 MASS = np.array([1.0, 1.2, 0.9, 1.1, 1.0, 0.8, 1.0, 1.1])
 N = MASS.size

@@ -32,11 +32,10 @@ from ringtrue.io.modes_json import modes_to_json
 from ringtrue.io.records import read_record, refuse_bad_samples
 from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
 from ringtrue.plots.picker import picker_page
-from ringtrue.signal.faults import find_faults
-from ringtrue.signal.gaps import bridged
-from ringtrue.signal.harmonics import without_machines
-from ringtrue.signal.overlaps import without_overlap
-from ringtrue.signal.preprocess import harmonics
+from ringtrue.signal.channel_checks import find_faults
+from ringtrue.signal.gaps import bridged, without_overlap
+from ringtrue.signal.order_tracking import without_machines
+from ringtrue.signal.tonal_lines import harmonics
 
 
 class AmbientMethod(StrEnum):

@@ -4,7 +4,7 @@ Matrices: `mesh` resolves what elements need, `elements` holds their kernels, `e
 card has which, `assembly` sums them; `nonstructural_mass` of lists, `negative_stiffness` refused;
 `algebra` of small matrices.
 
-Constraints: `constraint_equations` and `rigid_elements`; `constraints` makes one elimination of all;
+Constraints: `constraint_equations` and `rigid_elements`, which `constraints` makes one elimination;
 `autospc` and `massless_rotations` hold what nothing stiffens.
 
 Parameters: `parametrisation` changes a model and gives the derivatives of its matrices, and K and M

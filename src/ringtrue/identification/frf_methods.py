@@ -35,7 +35,7 @@ from ringtrue.identification.poles import PoleSet
 from ringtrue.identification.refine import refine
 from ringtrue.identification.rfp import Rfp, rfp
 from ringtrue.identification.scale import mode_scale
-from ringtrue.signal.reciprocal import exchanged
+from ringtrue.signal.frf_sets import exchanged
 
 Method = Literal["lsce", "rfp", "cmif"]
 METHODS: tuple[str, ...] = get_args(Method)

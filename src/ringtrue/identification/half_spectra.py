@@ -28,7 +28,7 @@ from ringtrue.identification.poles import PoleSet, unit
 from ringtrue.identification.refine import Refined, refine
 from ringtrue.identification.ssi import choose_references, prepared
 from ringtrue.shapes.mac import mac
-from ringtrue.signal.psd import correlations
+from ringtrue.signal.spectra import correlations
 
 LAGS, ENDS_AT = (
     400,

@@ -57,7 +57,7 @@ from ringtrue.identification.split import (
     split_modes,
     split_note,
 )
-from ringtrue.signal.reciprocal import exchanged
+from ringtrue.signal.frf_sets import exchanged
 
 TURNS = 6
 LAST_ITERATIONS = 60

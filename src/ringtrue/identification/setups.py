@@ -28,8 +28,7 @@ from ringtrue.identification import variance as var
 from ringtrue.identification.pick import modes_of
 from ringtrue.identification.poles import PoleSet, unit
 from ringtrue.identification.ssi import SsiCov, decompose, positions, prepared
-from ringtrue.signal.preprocess import block_bounds
-from ringtrue.signal.psd import block_correlations
+from ringtrue.signal.spectra import block_bounds, block_correlations
 
 MOST_BLOCKS = 12  # of a setup
 

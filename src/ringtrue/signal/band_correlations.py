@@ -9,14 +9,19 @@ signal.
 
 from __future__ import annotations
 
+import os
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
 from scipy.fft import ihfft, irfft, next_fast_len, rfft
 
 from ringtrue.core.arrays import Any_, Float, Int
-from ringtrue.signal.stream import Fir
+from ringtrue.signal.decimation import Fir
 
 AT_ONCE, MANY = (
     1 << 21,
@@ -25,6 +30,10 @@ AT_ONCE, MANY = (
 INVERSE = 10.0  # inverse transforms of a block over transforms of a segment: 8 references
 LONGEST = 5  # samples of a segment that count, over those that overlap
 LOOKS = 48  # segments that `glance` takes
+
+T = TypeVar("T")
+R = TypeVar("R")
+ABREAST = 2  # items under way, however many threads there are: all of them are in memory
 
 
 @dataclass(frozen=True, slots=True)
@@ -323,3 +332,25 @@ def _decimated(y: Any_, cut: Segments, gain: Any_) -> Any_:
     q, m = cut.factor, cut.size // cut.factor
     z = irfft(y[: m // 2 + 1] * (gain[: m // 2 + 1, None, None] / np.float32(q)), m, axis=0)
     return z[cut.lead // q : (cut.lead + cut.hop) // q].transpose(1, 2, 0).reshape(y.shape[1], -1)
+
+
+def threads() -> int:
+    """How many work at once: as many as OMP_NUM_THREADS says or, where it is not set, as there are
+    cores.
+    """
+    asked = os.environ.get("OMP_NUM_THREADS", "").split(",")[0].strip()
+    return min(max(int(asked), 1) if asked.isdecimal() else os.cpu_count() or 1, ABREAST)
+
+
+def abreast(work: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
+    """Results in the order of the items; the next item is taken when the result before the last one
+    has been given.
+    """
+    under_way: deque[Future[R]] = deque()
+    with ThreadPoolExecutor(threads()) as pool:
+        for item in items:
+            under_way.append(pool.submit(work, item))
+            if len(under_way) == ABREAST:
+                yield under_way.popleft().result()
+        while under_way:
+            yield under_way.popleft().result()

@@ -1,4 +1,5 @@
-"""Channels of recorders that did not start together: delays from the phases of cross spectra.
+"""Channels of recorders that did not start together, or whose clocks drift apart: delays from the
+phases of cross spectra.
 
 Modes of little damping under forces that have nothing to do with each other have cross spectra that
 are real at all frequencies: their phase is 0 or half a turn. A delay τ between two channels turns
@@ -6,7 +7,11 @@ it by 2π f τ. The square of the phase factor does not see the half turn, so
 
     J(τ) = Σ w(f) Re[(S/|S|)² e^{4πi f τ}] / Σ w(f),  w = γ⁴,
 
-is 1 at the delay, and its Fourier transform gives all delays at once.
+is 1 at the delay, and its Fourier transform gives all delays at once. Where clocks run apart
+(quartz differs by 1 to 100 millionths), it is sought in eight parts of the record, J_p(τ), where it
+may grow along it by g:
+
+    J(τ, g) = Σ_p J_p(τ + g u_p) / Σ_p Σ_f w_p(f),  u from -1/2 (first part) to 1/2 (last).
 """
 
 from __future__ import annotations
@@ -15,13 +20,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.fft import irfft, rfft
 
 from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
 from ringtrue.core.signals import TimeHistory
-from ringtrue.signal.align import at_positions
-from ringtrue.signal.drifts import gained, in_one_motion, shared, summed_power, turned_back
-from ringtrue.signal.windows import window
+from ringtrue.signal.spectra import window
 
 SEGMENTS, ROOTS = (
     64,
@@ -44,6 +48,19 @@ SAMPLED = 65_536  # samples that tell the size of a channel
 NEAR = 0.3  # samples: gains of channels of one recorder
 ODD = 0.5  # J of a channel whose phase is neither
 OFF, TOGETHER = 0.9, 0.97  # J of several such against the others, and among themselves
+PARTS = 8
+MOST_DRIFT = 3e-4  # drift of one clock against another
+DRIFT_STEP = 0.25  # samples
+DRIFT_FINE = 4  # values of J between those of the transform: eight to a sample
+DRIFT_FARTHEST = 0.25  # of a segment
+PART_COHERENT = 0.4  # squared coherence, of the few segments of a part
+PART_LINES = 10.0  # sum of squared coherences, of a part
+LOST = 0.03  # of J by one delay for the whole record, from where on a gain is looked for
+CLEAR, DRIFT_EXPLAINED = 0.8, 0.5  # J with it, and what of the rest to 1 without it may be left
+LEAST_DRIFT = 0.2  # samples
+_TAPS = 24  # taps each side of the interpolation, Kaiser window of 90 dB: flat to 0.43 of the rate
+_TAPS_BETA = 9.0
+_ROWS = 1024  # of the table of taps; straight between them is 4e-7 off
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -251,3 +268,164 @@ def delayed_by(part: float) -> Float:
     return np.asarray(
         np.sinc(x) * np.i0(BETA * np.sqrt(np.clip(1 - (x / (TAPS + 1)) ** 2, 0, 1))) / np.i0(BETA)
     )
+
+
+def gained(lines: Any_, root: int, order: Int, starts: Int) -> Float:
+    """Samples that the delay of each channel after `root` gains from the first segment to the last,
+    (ch,).
+
+    Parameters
+    ----------
+    lines : (freq, segment, ch) complex64
+        Transforms of segments.
+    order : (ch,) int
+        Derivatives of the displacement that each channel measures.
+    starts : (segment,) int
+        First samples of them.
+    """
+    length = 2 * (len(lines) - 1)
+    turned, weight = _by_parts(lines, root, order)
+    total = weight.sum(axis=(0, 1))
+    out = np.zeros(lines.shape[2])
+    middle = starts.reshape(PARTS, -1).mean(axis=1)
+    u = np.asarray((middle - middle.mean()) / np.ptp(starts), dtype=np.float64)
+    most = max(int(np.ceil(MOST_DRIFT * np.ptp(starts) / DRIFT_STEP)), 1)
+    grid = DRIFT_STEP * np.arange(-most, most + 1, dtype=np.float64)
+    for i in np.flatnonzero((total > PARTS * PART_LINES) & (np.arange(out.size) != root)):
+        j = _along(turned[:, :, i] * weight[:, :, i] / total[i], length)
+        alone = float(j.sum(axis=0).max())
+        if j.max(axis=1).sum() - alone > LOST:
+            out[i] = _best(j, u, grid, alone)
+    return out
+
+
+def turned_back(lines: Any_, gain: Float, starts: Int) -> Any_:
+    """The lines (freq, segment, ch) without delays that gain `gain` (ch,) samples along the
+    record.
+    """
+    if not gain.any():
+        return lines
+    f = np.linspace(0, 0.5, len(lines))
+    u = (starts - starts.mean()) / np.ptp(starts)
+    out = lines.copy()
+    for i in np.flatnonzero(gain):
+        out[:, :, i] *= np.exp(2j * np.pi * f[:, None] * (gain[i] * u)).astype(np.complex64)
+    return out
+
+
+def shared(values: Float, near: float) -> Float:
+    """Values within `near` of the next become their mean: channels of one recorder have one
+    clock.
+    """
+    order = np.argsort(values)
+    out = np.empty_like(values)
+    for run in np.split(order, np.flatnonzero(np.diff(values[order]) > near) + 1):
+        out[run] = 0.0 if (values[run] == 0).any() else values[run].mean()
+    return out
+
+
+def _by_parts(lines: Any_, root: int, order: Int) -> tuple[Complex, Float]:
+    """Squared phase factors against the root, as of one motion, and weights, both (freq, part,
+    ch).
+    """
+    x = lines.reshape(len(lines), PARTS, -1, lines.shape[2])
+    y = x[:, :, :, root]
+    cross = np.einsum("fpsc,fps->fpc", x, y.conj())
+    power = summed_power(x)
+    turned, coherence = in_one_motion(
+        cross, power * power[:, :, [root]], x.shape[2], order - order[root]
+    )
+    return turned, np.where(coherence > PART_COHERENT, coherence**2, 0.0)
+
+
+def summed_power(x: Any_) -> Any_:
+    """(..., ch) float32 squared moduli of complex64 (..., segment, ch), summed over the
+    segments.
+    """
+    parts = x.view(np.float32)
+    both = np.einsum("...sk,...sk->...k", parts, parts)
+    return np.asarray(both[..., ::2] + both[..., 1::2])
+
+
+def in_one_motion(cross: Any_, powers: Any_, segments: int, apart: Int) -> tuple[Any_, Any_]:
+    """Squared phase factors as of one motion, and squared coherences less the bias of few segments,
+    (freq, ...) each.
+
+    Parameters
+    ----------
+    cross : (freq, ...) complex64
+        Sums over so many segments.
+    powers : (freq, ...) float32
+        Products of both powers.
+    apart : (...) int
+        By how many derivatives the two motions are apart.
+    """
+    tiny = np.finfo(np.float32).tiny
+    square = cross.real**2 + cross.imag**2
+    coherence = np.clip(square / np.maximum(powers, tiny) - 2 / segments, 0, 1)
+    coherence[:2] = coherence[-2:] = 0.0
+    quarters = ((-1.0) ** apart).astype(np.float32)
+    return cross * cross * (quarters / np.maximum(square, tiny)), coherence
+
+
+def _along(z: Complex, length: int) -> Float:
+    """J of each part (part, lag) from its weighted phases z (freq, part); the lags ascend, 2
+    `DRIFT_FINE` to a sample.
+    """
+    n = DRIFT_FINE * length
+    j = np.fft.fftshift(irfft(z.T, n, axis=1) * (n / 2), axes=1)
+    reach = int(2 * DRIFT_FINE * DRIFT_FARTHEST * length)
+    return np.asarray(j[:, n // 2 - reach : n // 2 + reach + 1])
+
+
+def _best(j: Float, u: Float, grid: Float, alone: float) -> float:
+    """The gain with the largest J, 0 if that is not clearly more than `alone`."""
+    shift = np.rint(2 * DRIFT_FINE * grid[:, None] * u).astype(np.int64)
+    room = int(np.abs(shift).max())
+    if 2 * room >= j.shape[1]:
+        return 0.0
+    width = j.shape[1] - 2 * room
+    tops = np.array(
+        [
+            sum(x[room + k : room + k + width] for x, k in zip(j, row, strict=True)).max()
+            for row in shift
+        ]
+    )
+    k = int(tops.argmax())
+    if not (
+        0 < k < grid.size - 1 and tops[k] > CLEAR and 1 - tops[k] < DRIFT_EXPLAINED * (1 - alone)
+    ):
+        return 0.0
+    left, mid, right = tops[k - 1 : k + 2]
+    gain = float(grid[k] + 0.5 * DRIFT_STEP * (left - right) / min(left - 2 * mid + right, -1e-12))
+    return gain if abs(gain) > LEAST_DRIFT else 0.0
+
+
+def at_positions(data: Any_, positions: Float) -> Float:
+    """(ch, position) values between the samples of `data` (ch, sample), by a windowed sinc; 0
+    outside the record.
+    """
+    out = np.empty((data.shape[0], positions.size))
+    part = np.linspace(0, 1, _ROWS + 1)[:, None] + np.arange(_TAPS - 1, -_TAPS - 1, -1)
+    table = (
+        np.sinc(part)
+        * np.i0(_TAPS_BETA * np.sqrt(np.clip(1 - (part / _TAPS) ** 2, 0, 1)))
+        / np.i0(_TAPS_BETA)
+    )
+    padded = np.pad(data, ((0, 0), (_TAPS, _TAPS)))
+    size = 1 << 14
+    for i in range(
+        0, positions.size, size
+    ):  # blocks, as the taps take 48 times the memory of the samples
+        p = np.clip(positions[i : i + size], 0, data.shape[1] - 1)
+        base = p.astype(np.int64)
+        at = (p - base) * _ROWS
+        row = at.astype(np.int64)
+        share = (at - row)[:, None]
+        weight = (1 - share) * table[row] + share * table[row + 1]
+        weight[p != positions[i : i + size]] = 0.0
+        for x, y in zip(padded, out, strict=True):
+            y[i : i + size] = np.einsum(
+                "pt,pt->p", sliding_window_view(x, 2 * _TAPS)[base + 1], weight
+            )
+    return out

@@ -1,26 +1,30 @@
-"""Hammer hits in a record: where they are and which of them can be used."""
+"""Impacts of a hammer in a record: where they are, which of them can be used, and what rings on
+from earlier ones.
+"""
 
 from __future__ import annotations
 
 import fnmatch
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Float, Int
+from ringtrue.core.blows import Blows, padded
 from ringtrue.core.channels import input_id
 from ringtrue.core.motions import FORCES
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import ConfigError, DataError, did_you_mean
-from ringtrue.signal.overloads import ceilings, mostly, overloaded
+from ringtrue.signal.channel_checks import ceilings, mostly, overloaded
 
 Estimator = Literal["H1", "H2", "Hv"]
 _HAMMER = re.compile(r"(?<![a-z])(force|hammer|impact|impulse|kraft|f)(?![a-z])", re.IGNORECASE)
 _BEGUN = 0.05  # of the peak, that no sample before it is below
 _BAD_RINGING = 0.2  # rms before the hit to rms after it
+_NOISE_LINES = 128  # that the noise is kept at
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +184,7 @@ def find_hits(force: Float, rate: float, settings: HammerSettings) -> Int:
     rate : float, Hz
     settings : HammerSettings
     """
-    level = max(settings.trigger * np.abs(force).max(), 6 * _noise(force))
+    level = max(settings.trigger * np.abs(force).max(), 6 * _robust_std(force))
     _, peak = pulses(force, rate, level)
     hold = round(rate * min(0.25, 0.5 * (settings.block or 1.0)))
     hits: list[int] = []
@@ -190,7 +194,7 @@ def find_hits(force: Float, rate: float, settings: HammerSettings) -> Int:
     return np.array(hits, dtype=np.int64)
 
 
-def _noise(x: Float) -> float:
+def _robust_std(x: Float) -> float:
     """Robust standard deviation."""
     return float(1.4826 * np.median(np.abs(x - np.median(x))))
 
@@ -310,7 +314,7 @@ def _double(force: Float, hit: int, stop: int, rate: float, settings: HammerSett
     sign = np.sign(force[hit])
     width = pulse_width(force, hit)
     tail = sign * force[hit + 2 * width + 2 : min(stop, hit + round(0.5 * rate))]
-    level = max(settings.double * abs(force[hit]), 8 * _noise(force))
+    level = max(settings.double * abs(force[hit]), 8 * _robust_std(force))
     down = np.flatnonzero(tail < 0.5 * level)
     if not down.size or not (tail[down[0] :] > level).any():
         return []
@@ -346,3 +350,44 @@ def _ringing(share: float, quietest: float) -> list[str]:
     if share <= max(_BAD_RINGING, 3 * quietest):
         return []
     return [f"still ringing before the hit: {100 * share:.0f} % of the response"]
+
+
+def blows_of(
+    force: Float, rate: float, hits: Int, used: Int, pulses: Sequence[Float], quiet: Sequence[float]
+) -> Blows:
+    """Blows of one record; the weights (blow, 1, 1) are their squared impulses.
+
+    Parameters
+    ----------
+    force : (sample,) float64, N, without offset
+    rate : float, Hz
+    hits, used : (h,), (u,) int64
+        Samples of the peaks of all hits, and of those in the FRFs.
+    pulses : u of (freq,) float64
+        Power spectra of the pulses, up to half the rate.
+    quiet : u of float
+        Power of the noise at a line of each.
+    """
+    impulse, time = np.transpose([_impulse(force, h) for h in hits.tolist()])
+    time = time / rate
+    at = np.searchsorted(hits, used).tolist()
+    step = max(1, pulses[0].size // _NOISE_LINES)
+    noise = np.array(
+        [q / np.maximum(p[::step], max(q, 1e-300)) for p, q in zip(pulses, quiet, strict=True)]
+    )
+    return Blows(
+        padded([time[k] - time[:k] for k in at]),
+        padded([impulse[:k] / impulse[k] for k in at]),
+        (impulse[at] ** 2)[:, None, None],
+        0.5 * rate * np.arange(0, pulses[0].size, step) / (pulses[0].size - 1),
+        noise,
+    )
+
+
+def _impulse(force: Float, hit: int) -> tuple[float, float]:
+    """Sum of the samples of a pulse and where its centre is, in samples."""
+    half = 2 * pulse_width(force, hit) + 2
+    first = max(hit - half, 0)
+    pulse = force[first : hit + half + 1]
+    impulse = float(pulse.sum())
+    return impulse, first + float(np.arange(pulse.size) @ pulse) / impulse

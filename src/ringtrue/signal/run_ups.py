@@ -2,7 +2,7 @@
 out along these.
 
 Where a run-up turns or rests it leaves a peak in the mean spectrum that looks like a mode, and a
-mode that it crosses is struck as by one force. A mode under random forces stays where it is: a
+mode that it crosses is excited as by one force. A mode under random forces stays where it is: a
 ridge that moves by more than the width of any mode is none.
 """
 

@@ -1,5 +1,5 @@
-"""Sensors: transfer functions of geophones, accelerometers and calibration sheets, their
-deconvolution, integration.
+"""Transfer functions of geophones, accelerometers and calibration sheets, their deconvolution;
+integration of motions.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from ringtrue.core.arrays import Complex, Float, freeze_fields
 from ringtrue.core.motions import DERIVATIVE, SI_UNIT, Motion
 from ringtrue.core.signals import Channel, Quantity, TimeHistory
 from ringtrue.errors import ConfigError, DataError
-from ringtrue.signal.preprocess import detrend
-from ringtrue.signal.windows import step
+from ringtrue.signal.decimation import detrend
+from ringtrue.signal.spectra import step
 
 
 @dataclass(frozen=True, slots=True)
