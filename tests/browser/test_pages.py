@@ -11,9 +11,8 @@ import chromium
 import numpy as np
 import pytest
 
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.signals import Channel, FrfSet
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.identification.common.poles import PoleSet, StableDiagram
 from ringtrue.identification.common.tracking import Stretch, track_modes
 from ringtrue.io.choices import read_choice

@@ -9,8 +9,7 @@ import pytest
 from scipy.signal import lfilter
 from test_cli import Capture, call, parsed, refused
 
-from ringtrue.core.modes import ModeSet
-from ringtrue.core.uncertainty import Uncertainty
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.identification.common.tracking import Stretch, TrackSettings, track_modes, unseen
 

@@ -10,9 +10,8 @@ import pytest
 from numpy.lib.stride_tricks import as_strided
 from scipy.signal import lfilter
 
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.signals import Channel, TimeHistory
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, InputError
 from ringtrue.identification.ambient.candidates import CandidateModes
 from ringtrue.identification.ambient.confidence import all_clear, without_echoes, without_noise

@@ -14,9 +14,8 @@ import pytest
 from scipy.linalg import eig
 
 from ringtrue.core.modal import ModalModel
-from ringtrue.core.modes import ModeSet, Norm
+from ringtrue.core.modes import ModeSet, Norm, Uncertainty
 from ringtrue.core.signals import Channel, FrfSet
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import DataError, InputError
 from ringtrue.identification.frf.cmif import CmifPeaks, cmif_modes, single_mode
 from ringtrue.identification.frf.linearity import level_dependence

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import lfilter
 
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.signals import Channel, TimeHistory
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.identification.common.merging import merge_modes
 
 F, Z, RATE = np.array([1.1, 1.9, 2.3, 3.4]), np.array([0.012, 0.01, 0.015, 0.02]), 12.5

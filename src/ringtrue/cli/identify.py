@@ -16,9 +16,8 @@ import typer
 
 from ringtrue.cli.show import Json, file_to, progress, rows, tell, write_json
 from ringtrue.core.choice import Choice
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.signals import Channel, TimeHistory
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError, about, did_you_mean
 from ringtrue.identification.ambient.other_methods import SecondOpinion, identify_ambient_by
 from ringtrue.identification.ambient.pipeline import (

@@ -17,10 +17,9 @@ from scipy.special import betaincinv
 from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
 from ringtrue.core.modal import ModalModel
 from ringtrue.core.modes import ModeSet, Norm
-from ringtrue.core.pairing import Pairing
 from ringtrue.core.progress import Progress
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
-from ringtrue.correlation.pairing import PairingSettings, pair_modes
+from ringtrue.correlation.pairing import Pairing, PairingSettings, pair_modes
 from ringtrue.errors import DataError, InputError
 from ringtrue.identification.ambient.pipeline import AmbientSettings, identify_ambient
 from ringtrue.identification.frf.pipeline import HammerModes, identify_hammer

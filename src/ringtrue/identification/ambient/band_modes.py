@@ -239,7 +239,7 @@ def frequency_wander(c: CandidateModes, at: Int, blocks: int) -> Float:
 
 
 def with_wander_doubt(c: CandidateModes, wandering: Float) -> CandidateModes:
-    """The candidates with what a wandering frequency may add to the damping, in a column of each."""
+    """The candidates with what a wandering frequency may add to the damping, a column each."""
     rows = np.flatnonzero(wandering)
     if not rows.size:
         return c

@@ -1,4 +1,4 @@
-"""Confidence of the candidate modes of all bands, and the selection of those to report, each once."""
+"""Confidence of the candidate modes of all bands, and the selection of those to report."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int
-from ringtrue.core.uncertainty import Uncertainty
+from ringtrue.core.modes import Uncertainty
 from ringtrue.identification.ambient.candidates import CandidateModes
 from ringtrue.identification.common import uncertainty as var
 from ringtrue.identification.common.poles import StableDiagram

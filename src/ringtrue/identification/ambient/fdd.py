@@ -18,9 +18,8 @@ from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares
 
 from ringtrue.core.arrays import Complex, Float, Int
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.signals import TimeHistory
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.identification.common.poles import unit
 from ringtrue.signal.decimation import detrend

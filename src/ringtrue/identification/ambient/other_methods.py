@@ -8,10 +8,9 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.progress import Progress, quiet
 from ringtrue.core.signals import TimeHistory
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.identification.ambient.era import next_era
 from ringtrue.identification.ambient.fdd import FddSettings, fdd

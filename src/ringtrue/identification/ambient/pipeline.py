@@ -15,10 +15,9 @@ from itertools import chain
 import numpy as np
 
 from ringtrue.core.choice import Choice
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.progress import Progress, quiet
 from ringtrue.core.signals import TimeHistory
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.identification.ambient.band_modes import modes_of_band, with_echo_doubt
 from ringtrue.identification.ambient.confidence import (

@@ -16,9 +16,8 @@ from dataclasses import replace
 import numpy as np
 
 from ringtrue.core.arrays import Complex, Float, Int
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.signals import FrfSet, TimeHistory
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import DataError
 from ringtrue.identification.ambient.ssi_cov import choose_references, prepared
 from ringtrue.identification.common.poles import PoleSet, unit

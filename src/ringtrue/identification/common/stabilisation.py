@@ -9,8 +9,7 @@ from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial.distance import squareform
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int
-from ringtrue.core.modes import ModeSet
-from ringtrue.core.uncertainty import Uncertainty
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.identification.common.poles import PoleSet, unit
 from ringtrue.shapes.complexity import mpc
 from ringtrue.shapes.mac import mac

@@ -14,11 +14,10 @@ import numpy as np
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.core.modal import ModalModel
-from ringtrue.core.modes import ModeSet, Norm
+from ringtrue.core.modes import ModeSet, Norm, Uncertainty
 from ringtrue.core.motions import POWER
 from ringtrue.core.progress import Progress, quiet
 from ringtrue.core.signals import FrfSet
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.identification.ambient.other_methods import SecondOpinion
 from ringtrue.identification.frf.data_checks import (

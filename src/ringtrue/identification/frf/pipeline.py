@@ -11,12 +11,11 @@ import numpy as np
 
 from ringtrue.core.arrays import Complex, Float, freeze_fields
 from ringtrue.core.choice import Choice
+from ringtrue.core.iterate import Outcome
 from ringtrue.core.modal import ModalModel
-from ringtrue.core.modes import ModeSet, Norm
-from ringtrue.core.outcome import Outcome
+from ringtrue.core.modes import ModeSet, Norm, Uncertainty
 from ringtrue.core.progress import Progress, quiet
 from ringtrue.core.signals import FrfSet
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import DataError
 from ringtrue.identification.common.poles import PoleSet, StableDiagram
 from ringtrue.identification.frf.added_modes import missed, support, twins, united

@@ -20,7 +20,7 @@ from scipy.linalg import lapack
 from scipy.special import ndtri, stdtrit
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int
-from ringtrue.core.outcome import Outcome
+from ringtrue.core.iterate import Outcome
 from ringtrue.identification.frf.lines import Lines, augment, condensed, functions_slopes
 from ringtrue.identification.frf.residues import weighted_rest
 

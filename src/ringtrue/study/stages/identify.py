@@ -12,10 +12,10 @@ import numpy as np
 
 from ringtrue.core.arrays import Int
 from ringtrue.core.choice import Choice
+from ringtrue.core.modes import Uncertainty
 from ringtrue.core.progress import Progress, part
 from ringtrue.core.signals import FrfSet, TimeHistory
 from ringtrue.core.testmodel import TestModel
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.identification.common.merging import Contribution, merge_modes
 from ringtrue.identification.frf.cmif import cmif

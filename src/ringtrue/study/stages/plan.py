@@ -11,7 +11,7 @@ import numpy as np
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.modes import elastic
 from ringtrue.core.progress import Progress, part, quiet
-from ringtrue.correlation.observe import at_dofs
+from ringtrue.correlation.sensor_mapping import at_dofs
 from ringtrue.errors import ConfigError
 from ringtrue.model.frames import positions
 from ringtrue.planning.exciters import reached, shares
