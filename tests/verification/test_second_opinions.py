@@ -16,7 +16,7 @@ from ringtrue.cli.main import run
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.identification.ambient.other_methods import METHODS, identify_ambient_by
-from ringtrue.identification.frf.cmif import identify_frfs_by
+from ringtrue.identification.frf.other_methods import identify_frfs_by
 from ringtrue.identification.frf.pipeline import HammerModes
 from ringtrue.io.frfs import write_frfs
 from ringtrue.io.records import write_history
