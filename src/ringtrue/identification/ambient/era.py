@@ -44,7 +44,8 @@ def era(decays: Float, rate: float, settings: SsiCov | None = None) -> PoleSet:
             f"{decays.shape[0]} lags are too few for {s.block_rows} block rows; needed: "
             f"{2 * s.block_rows + 1}"
         )
-    h0, h1 = hankel(decays, s.block_rows), hankel(decays[1:], s.block_rows)
+    h0 = hankel(decays, s.block_rows)
+    h1 = hankel(decays[1:], s.block_rows)
     u, sv, v = decompose(h0, min(s.order_max, min(h0.shape)))
     n = int((sv > 1e-12 * sv[0]).sum())
     root = np.sqrt(sv[:n])
@@ -76,11 +77,11 @@ def gathered(orders: Sequence[int], parts: Sequence[tuple[Complex, Complex]]) ->
     order: Int = np.repeat(np.asarray(orders, dtype=np.int64), [x[0].size for x in parts])
     unknown = np.full(order.size, np.nan)
     return PoleSet(
-        order,
-        np.concatenate([x[0] for x in parts]),
-        unit(np.concatenate([x[1] for x in parts], axis=1)),
-        unknown,
-        unknown,
+        order=order,
+        pole=np.concatenate([x[0] for x in parts]),
+        shape=unit(np.concatenate([x[1] for x in parts], axis=1)),
+        std_frequency=unknown,
+        std_damping=unknown,
     )
 
 

@@ -51,7 +51,9 @@ _FDD: dict[str, FddMethod] = {
     "random-decrement": "random decrement",
 }
 ORDERS = {"era": 60, "ssi-data": 40}
-SAME_F, SAME_MAC = 0.01, 0.8  # one mode in two overlapping bands
+# one mode in two overlapping bands
+SAME_F = 0.01
+SAME_MAC = 0.8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,7 +103,8 @@ def identify_ambient_by(
     """
     if method not in METHODS:
         raise ConfigError(f"method {method!r}{did_you_mean(method, METHODS)}")
-    s, tell = settings or AmbientSettings(), progress or quiet
+    s = settings or AmbientSettings()
+    tell = progress or quiet
     whole, gaps = bridged(history)
     good, states = usable(whole)
     good = levelled(good, lowest(good.duration, s))
@@ -112,13 +115,15 @@ def identify_ambient_by(
         found = fdd(
             good, FddSettings(_FDD[method], fmin=s.fmin or 0.0, fmax=s.fmax or 0.0), near=near
         )
-        modes, std = found.modes, found.uncertainty
+        modes = found.modes
+        std = found.uncertainty
     else:
         (modes, std), short = _in_bands(method, good, s, tell)
         notes += short
     edge = np.array(filter_edges(good, modes.frequencies, modes.damping), dtype=bool)
     notes += tuple(f"pole at {f:.4g} Hz {AT_EDGE}" for f in modes.frequencies[edge])
-    modes, std = modes.take(np.flatnonzero(~edge)), std.take(np.flatnonzero(~edge))
+    modes = modes.take(np.flatnonzero(~edge))
+    std = std.take(np.flatnonzero(~edge))
     modes = replace(modes, source=f"{history.source or 'record'}: {NAMES[method]}")
     reasons = tuple(_reason(method, c) for c in modes.confidence)
     more = (
@@ -178,7 +183,8 @@ def _in_bands(
 
 def _fewest(method: str, channels: int, s: AmbientSettings) -> int:
     """Samples of a band that a method needs, and a few that decimation cuts."""
-    rows, references = _data_rows(channels, s), len(s.references) or min(channels, MAX_REFERENCES)
+    rows = _data_rows(channels, s)
+    references = len(s.references) or min(channels, MAX_REFERENCES)
     needed = {
         "plscf": SAMPLES_A_LAG * FEWEST_LAGS,
         "era": 8 * s.block_rows,

@@ -30,17 +30,14 @@ from ringtrue.identification.frf.refinement import Refined, refine
 from ringtrue.shapes.mac import mac
 from ringtrue.signal.spectra import correlations
 
-LAGS, ENDS_AT = (
-    400,
-    0.01,
-)  # of a half spectrum, and what the exponential window leaves at the last of them
-FEWEST_LAGS, SAMPLES_A_LAG = 64, 8
+LAGS = 400  # of a half spectrum
+ENDS_AT = 0.01  # and what the exponential window leaves at the last of them
+FEWEST_LAGS = 64
+SAMPLES_A_LAG = 8
 STATES = 120  # order times references
 DAMPING_MAX = 0.2
-APART, BANDWIDTH = (
-    6.0,
-    0.5,
-)  # of poles of both halves: in deviations of the record's, and half bandwidths
+APART = 6.0  # of poles of both halves: in deviations of the record's
+BANDWIDTH = 0.5  # and half bandwidths
 
 
 def half_spectra_modes(
@@ -74,7 +71,8 @@ def half_spectra_modes(
         If the record is too short for its lags.
     """
     data, scale = prepared(history)
-    refs, lags = choose_references(history, data, references), _lags(history)
+    refs = choose_references(history, data, references)
+    lags = _lags(history)
     whole, *halves = (
         _half_spectra(replace(history, data=x), band, refs, lags)
         for x in (data, *np.array_split(data, 2, axis=1))
@@ -83,12 +81,16 @@ def half_spectra_modes(
         np.sqrt((np.abs(whole.data) ** 2).mean(axis=(1, 2))), np.ones(len(data)), np.ones(refs.size)
     )
     everywhere = np.ones(whole.freqs.size, dtype=np.bool_)
-    found = grouped(_poles(whole), whole.data, level, whole, everywhere)[1]
+    found = grouped(_poles(whole), whole.data, sigma=level, frfs=whole, at=everywhere)[1]
     start = merged([found], whole.freqs, whole.window_decay)
-    pole, shape, sure = _settled(start, whole, halves, level, history.duration, least)
+    pole, shape, sure = _settled(
+        start, whole, halves=halves, level=level, duration=history.duration, least=least
+    )
     rank = np.argsort(np.abs(pole), kind="stable")
-    pole, shape = pole[rank], unit(shape[:, rank] * scale[:, None])
-    ids, none = tuple(c.id for c in history.channels), np.full(pole.size, np.nan)
+    pole = pole[rank]
+    shape = unit(shape[:, rank] * scale[:, None])
+    ids = tuple(c.id for c in history.channels)
+    none = np.full(pole.size, np.nan)
     modes = ModeSet(
         np.abs(pole) / (2 * np.pi), -pole.real / np.abs(pole), shape, ids, confidence=sure[rank]
     )
@@ -111,9 +113,8 @@ def _half_spectra(part: TimeHistory, band: tuple[float, float], refs: Int, lags:
     tapered = np.exp(-decay * np.arange(1, lags + 1) / part.rate)[:, None, None]
     r = correlations(part.data, refs, lags)[1:] * tapered
     freqs = np.arange(lags // 2 + 1) * part.rate / lags
-    half = (
-        np.fft.rfft(r, axis=0) * np.exp(-2j * np.pi * freqs / part.rate)[:, None, None]
-    )  # lag 0, noise, is out
+    # lag 0, noise, is out
+    half = np.fft.rfft(r, axis=0) * np.exp(-2j * np.pi * freqs / part.rate)[:, None, None]
     at = (freqs >= 0.9 * band[0]) & (freqs <= min(1.1 * band[1], 0.48 * part.rate)) & (freqs > 0)
     inputs = tuple(part.channels[i] for i in refs)
     return FrfSet(half[at], freqs[at], part.channels, inputs, kind="receptance", window_decay=decay)

@@ -53,7 +53,8 @@ def identify_frfs_by(
     """
     if method not in METHODS:
         raise ConfigError(f"method {method!r}{did_you_mean(method, METHODS)}")
-    settings, tell = settings or HammerModes(), progress or quiet
+    settings = settings or HammerModes()
+    tell = progress or quiet
     refuse_bad_frfs(frfs)
     frfs, roving = exchanged(frfs)
     low, high = band_limits(frfs, settings.fmin, settings.fmax)
@@ -77,11 +78,11 @@ def _modes(model: ModalModel, sure: Float, source: str) -> ModeSet:
     norm = Norm.UNSCALED if model.norm is Norm.UNSCALED else Norm.MASS
     labels = tuple(c.id for c in model.outputs)
     return ModeSet(
-        model.frequencies,
-        model.damping,
-        model.shapes * mode_scale(model),
-        labels,
-        norm,
-        source,
-        sure,
+        frequencies=model.frequencies,
+        damping=model.damping,
+        shapes=model.shapes * mode_scale(model),
+        labels=labels,
+        norm=norm,
+        source=source,
+        confidence=sure,
     )
