@@ -21,6 +21,7 @@ from ringtrue.core.arrays import Complex, Float, Int
 from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import ConfigError, DataError
+from ringtrue.identification.ambient.pipeline import AmbientSettings
 from ringtrue.identification.common.poles import unit
 from ringtrue.signal.decimation import detrend
 from ringtrue.signal.spectra import Csd, Welch, csd, window
@@ -159,6 +160,15 @@ def fdd(
         singular=spectra.singular_values(),
         bells=tuple((b.first, b.last) for b in bells),
     )
+
+
+def peak_modes(
+    method: Method, history: TimeHistory, settings: AmbientSettings, near: Sequence[float]
+) -> tuple[ModeSet, Uncertainty]:
+    """Modes of the peaks in the band of the settings, or `near` some frequencies, Hz."""
+    own = FddSettings(method, fmin=settings.fmin or 0.0, fmax=settings.fmax or 0.0)
+    found = fdd(history, own, near=near)
+    return found.modes, found.uncertainty
 
 
 def _near(freqs: Float, level: Float, near: Sequence[float]) -> Int:

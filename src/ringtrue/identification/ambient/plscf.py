@@ -19,6 +19,7 @@ from ringtrue.core.arrays import Complex, Float, Int
 from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.signals import FrfSet, TimeHistory
 from ringtrue.errors import DataError
+from ringtrue.identification.ambient.pipeline import AmbientSettings
 from ringtrue.identification.ambient.ssi_cov import choose_references, prepared
 from ringtrue.identification.common.poles import PoleSet, unit
 from ringtrue.identification.common.stabilisation import least_deviations
@@ -41,10 +42,7 @@ BANDWIDTH = 0.5  # and half bandwidths
 
 
 def half_spectra_modes(
-    history: TimeHistory,
-    band: tuple[float, float],
-    references: Sequence[str] | None = None,
-    least: float = 0.33,
+    history: TimeHistory, band: tuple[float, float], settings: AmbientSettings
 ) -> tuple[ModeSet, Uncertainty]:
     """Modes of a band (Hz): poles that stay in place over the orders, refined, and seen in both
     halves of the record.
@@ -53,15 +51,14 @@ def half_spectra_modes(
     ----------
     history : TimeHistory
     band : (float, float), Hz
-    references : sequence of str, optional
-        Channel ids; None: all channels, or the 8 that span the motion best.
-    least : float
-        Modes of less confidence are left out, and the others fitted anew.
+    settings : AmbientSettings
+        References, and the least confidence: modes of less are left out, and the others fitted
+        anew.
 
     Returns
     -------
     ModeSet
-        The confidence is that of the fit (`identify.judge`) times the agreement of both halves.
+        The confidence is that of the fit times the agreement of both halves.
     Uncertainty
         All NaN.
 
@@ -71,7 +68,7 @@ def half_spectra_modes(
         If the record is too short for its lags.
     """
     data, scale = prepared(history)
-    refs = choose_references(history, data, references)
+    refs = choose_references(history, data, settings.references or None)
     lags = _lags(history)
     whole, *halves = (
         _half_spectra(replace(history, data=x), band, refs, lags)
@@ -84,7 +81,12 @@ def half_spectra_modes(
     found = grouped(_poles(whole), whole.data, sigma=level, frfs=whole, at=everywhere)[1]
     start = merged([found], whole.freqs, whole.window_decay)
     pole, shape, sure = _settled(
-        start, whole, halves=halves, level=level, duration=history.duration, least=least
+        start,
+        whole,
+        halves=halves,
+        level=level,
+        duration=history.duration,
+        least=settings.confidence_min,
     )
     rank = np.argsort(np.abs(pole), kind="stable")
     pole = pole[rank]
@@ -95,6 +97,11 @@ def half_spectra_modes(
         np.abs(pole) / (2 * np.pi), -pole.real / np.abs(pole), shape, ids, confidence=sure[rank]
     )
     return modes, Uncertainty.independent(none, none, np.full(shape.shape, np.nan))
+
+
+def fewest_samples(channels: int, settings: AmbientSettings) -> int:
+    """Samples of a band that the half spectra need, whatever the channels."""
+    return SAMPLES_A_LAG * FEWEST_LAGS
 
 
 def _lags(history: TimeHistory) -> int:

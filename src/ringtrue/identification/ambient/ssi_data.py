@@ -17,10 +17,13 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy.linalg import qr, solve_triangular
 
 from ringtrue.core.arrays import Any_, Float, Int
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.progress import Progress
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError
+from ringtrue.identification.ambient.pipeline import AmbientSettings
 from ringtrue.identification.ambient.ssi_cov import (
+    MAX_REFERENCES,
     SsiCov,
     Subspace,
     all_orders,
@@ -30,6 +33,7 @@ from ringtrue.identification.ambient.ssi_cov import (
 )
 from ringtrue.identification.common import uncertainty as var
 from ringtrue.identification.common.poles import PoleSet
+from ringtrue.identification.common.stabilisation import modes_of
 from ringtrue.signal.spectra import block_bounds
 
 CHUNK = 4  # rows of a stretch over its columns: the triangle is refactored a few times only
@@ -179,3 +183,26 @@ def ssi_data(
     )
     poles = all_orders(sub, _perturbations(p, sub), s, (0.0, history.rate / 2))[0]
     return poles.rescaled(scale)
+
+
+ORDER_MAX = 40  # of a band, in `ssi_data_modes`
+MOST_PAST = 400  # block rows times channels: the cost grows with its square
+
+
+def ssi_data_modes(
+    part: TimeHistory, band: tuple[float, float], settings: AmbientSettings
+) -> tuple[ModeSet, Uncertainty]:
+    """Modes of one band (Hz) that most orders show."""
+    own = SsiCov(_block_rows(len(part.channels), settings), ORDER_MAX)
+    poles = ssi_data(part, own, references=settings.references or None)
+    return modes_of(poles, tuple(c.id for c in part.channels))
+
+
+def fewest_samples(channels: int, settings: AmbientSettings) -> int:
+    """Samples of a band that the projection needs."""
+    references = len(settings.references) or min(channels, MAX_REFERENCES)
+    return 2 * _block_rows(channels, settings) * (channels + references + 1)
+
+
+def _block_rows(channels: int, settings: AmbientSettings) -> int:
+    return max(4, min(settings.block_rows, MOST_PAST // max(channels, 1)) // 2)

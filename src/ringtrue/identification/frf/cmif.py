@@ -97,6 +97,11 @@ def cmif_modes(frfs: FrfSet, settings: CmifPeaks | None = None) -> ModalModel:
     return lsfd(used, poles[seen], part[seen])
 
 
+def cmif_peaks(frfs: FrfSet, low: float, high: float) -> ModalModel:
+    """Modes at the peaks of a band, Hz."""
+    return cmif_modes(frfs, CmifPeaks(low, high))
+
+
 def _cut(frfs: FrfSet, at: Bool) -> FrfSet:
     return replace(frfs, data=frfs.data[at], freqs=frfs.freqs[at], coherence=frfs.coherence[at])
 
