@@ -18,8 +18,7 @@ from ringtrue.identification.environment import fit_environment
 from ringtrue.identification.poles import PoleSet, StableDiagram
 from ringtrue.identification.tracking import Stretch, track_modes
 from ringtrue.io.choices import read_choice
-from ringtrue.plots.picker import picker_page
-from ringtrue.plots.responses import frf_page
+from ringtrue.plots.pages import frf_page, picker_page
 from ringtrue.plots.tracking import tracking_page
 
 needs_browser = pytest.mark.skipif(

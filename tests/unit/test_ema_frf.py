@@ -21,7 +21,7 @@ from ringtrue.signal.hits import HammerSettings
 from ringtrue.signal.overloads import ceilings
 from ringtrue.signal.reciprocal import exchanged
 from ringtrue.signal.setups import join_frfs
-from ringtrue.study.forced import forced_frfs
+from ringtrue.study.hammer_records import forced_frfs
 
 RATE = 512.0
 FN = np.array([12.0, 15.0, 15.3, 55.0])

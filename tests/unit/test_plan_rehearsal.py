@@ -33,7 +33,7 @@ from ringtrue.planning.rehearsal_hammer import (
 )
 from ringtrue.planning.resolution import ambient_std
 from ringtrue.planning.sheet import reach_of, write_test_sheet
-from ringtrue.report.deliver import report_from_store
+from ringtrue.report.build import report_from_store
 from ringtrue.study.run import run_study
 from ringtrue.virtual.sensors import ACCELEROMETER, ICP
 

@@ -28,7 +28,7 @@ from ringtrue.io.statics import COLUMNS
 from ringtrue.model.choices import responding
 from ringtrue.model.damping import ModalDamping
 from ringtrue.model.ports import ModesRequest
-from ringtrue.plots.responses import frf_page
+from ringtrue.plots.pages import frf_page
 from ringtrue.solvers.embedded import EmbeddedAnalysis, EmbeddedSolver
 from ringtrue.study.loads import load_vectors, refuse_displaced, support_motions
 

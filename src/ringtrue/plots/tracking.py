@@ -11,7 +11,7 @@ import plotly.graph_objects as go
 from ringtrue.core.arrays import Float
 from ringtrue.identification.environment import EnvironmentFit
 from ringtrue.identification.tracking import ModeTrack, Tracked
-from ringtrue.plots.page import figure_page
+from ringtrue.plots.pages import figure_page
 from ringtrue.plots.style import INITIAL, QUALITATIVE, TEST, axis, f32, figure
 
 Units = Mapping[str, str]

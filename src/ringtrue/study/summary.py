@@ -15,6 +15,7 @@ from ringtrue.correlation.significance import table_significance
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.planning.resolution import ambient_std
 from ringtrue.study.acceptance import limits, missed_words
+from ringtrue.study.placing import seats_json
 from ringtrue.study.results import (
     CompareStage,
     ConfigurationsStage,
@@ -33,7 +34,6 @@ from ringtrue.study.results import (
     UpdateStage,
 )
 from ringtrue.study.run import StudyRun
-from ringtrue.study.seats import seats_json
 
 
 def pairs(table: CorrelationTable) -> list[dict[str, Any]]:
