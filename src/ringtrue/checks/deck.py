@@ -23,7 +23,7 @@ from ringtrue.checks.materials import check_materials, check_units
 from ringtrue.core.arrays import Int
 from ringtrue.decks.nastran.constraint_sets import empty_choices
 from ringtrue.model.cards import TABLES, columns
-from ringtrue.model.choices import CONSTRAINTS, idle, left_out, untaken_matrices
+from ringtrue.model.case_control import CONSTRAINTS, idle, left_out, untaken_matrices
 from ringtrue.model.frames import diagonal, positions
 from ringtrue.model.model import Model, Ragged
 from ringtrue.model.references import NODES, REFERENCES, missing, unused

@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components
 
 from ringtrue.checks import Finding, at_rows
 from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
-from ringtrue.fem.kinds import SOLIDS
+from ringtrue.fem.element_cards import SOLIDS
 from ringtrue.model.frames import diagonal, positions
 from ringtrue.model.model import Model, Ragged
 from ringtrue.model.references import NODES, REFERENCES, SHELLS

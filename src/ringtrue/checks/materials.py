@@ -10,7 +10,11 @@ from ringtrue.checks import Finding, Severity, at_rows
 from ringtrue.core.arrays import Bool, Float
 from ringtrue.core.units import UNIT_SYSTEMS, UnitSystem
 from ringtrue.errors import InputError, did_you_mean
-from ringtrue.fem.negative import asks_for_negative_stiffness, negative_springs, negative_stiffness
+from ringtrue.fem.negative_stiffness import (
+    asks_for_negative_stiffness,
+    negative_springs,
+    negative_stiffness,
+)
 from ringtrue.model.frames import extent
 from ringtrue.model.model import Model, Table
 

@@ -12,7 +12,7 @@ from plotly.offline import get_plotlyjs
 from ringtrue.core.arrays import Bool
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import FrfSet
-from ringtrue.identification.poles import StableDiagram
+from ringtrue.identification.common.poles import StableDiagram
 from ringtrue.plots.identification import pole_span
 from ringtrue.plots.signals import frf_unit
 from ringtrue.plots.style import FE, FONT, INK, QUALITATIVE, TEST, axis, f32, figure, log_axis

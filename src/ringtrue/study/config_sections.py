@@ -8,9 +8,9 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from ringtrue.core.parameters import Parameter, Target
+from ringtrue.core.parameters import CardField, Parameter
 from ringtrue.core.units import UnitName
-from ringtrue.correlation.assign import PairingSettings
+from ringtrue.correlation.assignment import PairingSettings
 from ringtrue.errors import did_you_mean
 from ringtrue.solvers.registry import EMBEDDED
 from ringtrue.updating.candidates import Kind
@@ -308,14 +308,14 @@ class Candidate(Section):
         return Parameter(self.name, targets, self.lower, self.upper, self.scale, self.std)
 
 
-def parse_target(text: str) -> tuple[Target, ...]:
+def parse_target(text: str) -> tuple[CardField, ...]:
     """`"PBUSH 3 K1,K2"` -> two targets."""
     words = text.split()
     if len(words) != 3 or not words[1].isdigit():
         raise ValueError(
             f"{text!r} is not a target; the form is 'CARD id FIELD[,FIELD]', as in 'MAT1 7 E'"
         )
-    return tuple(Target(words[0].upper(), int(words[1]), f.upper()) for f in words[2].split(","))
+    return tuple(CardField(words[0].upper(), int(words[1]), f.upper()) for f in words[2].split(","))
 
 
 def target_words(parameter: Parameter) -> list[str]:

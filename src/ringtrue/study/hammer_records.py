@@ -15,13 +15,12 @@ from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.records import read_runs, record_info, refuse_bad_samples
 from ringtrue.io.sheets import SensorSheet
+from ringtrue.signal.channel_checks import clipping, clipping_told
 from ringtrue.signal.frf import estimate_columns
-from ringtrue.signal.hits import Estimator, HammerSettings, HitReport, force_channel
-from ringtrue.signal.local_rational import local_frfs, runs_on, spacing
-from ringtrue.signal.overloads import clipping, clipping_told
-from ringtrue.signal.periodic import period, periodic_frfs
-from ringtrue.signal.psd import Welch
-from ringtrue.signal.spectra import shaker_frfs
+from ringtrue.signal.impacts import Estimator, HammerSettings, HitReport, force_channel
+from ringtrue.signal.local_rational import local_frfs, period, periodic_frfs, runs_on, spacing
+from ringtrue.signal.shaker_frf import shaker_frfs
+from ringtrue.signal.spectra import Welch
 
 OWN = (".h5", ".hdf5")  # endings of records that may tell their full scale
 

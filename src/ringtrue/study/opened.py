@@ -14,15 +14,14 @@ from ringtrue.checks.mass import mass_properties
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet, elastic
-from ringtrue.core.observation import Observation
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress, part
-from ringtrue.core.testmodel import TestModel
-from ringtrue.correlation.observe import Method, observe
-from ringtrue.eigen.solve import low_shift
+from ringtrue.core.testmodel import Observation, TestModel
+from ringtrue.correlation.sensor_mapping import Method, observe
+from ringtrue.eigen.modes import low_shift
 from ringtrue.errors import NotConverged
-from ringtrue.fem.dependence import affine_terms
-from ringtrue.fem.pressure import FACES, SURFACES
+from ringtrue.fem.loads import FACES, SURFACES
+from ringtrue.fem.parametrisation.affine import affine_terms
 from ringtrue.model.frames import diagonal, positions
 from ringtrue.model.model import Model
 from ringtrue.model.ports import Linearisation, ModalSolver, ModesRequest, ModesResult

@@ -13,13 +13,15 @@ from ringtrue.core.progress import Progress
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import ConfigError
 from ringtrue.fem.response import frf
-from ringtrue.planning.candidates import along, surface_normals
-from ringtrue.planning.exciters import appropriate_exciters, qr_exciters, rank_sets
-from ringtrue.planning.layout import select_references, shares
-from ringtrue.planning.rehearsal import Conditions, Planned, Rehearsal
-from ringtrue.planning.rehearsal_ambient import Ambience, longest, rehearse_ambient
-from ringtrue.planning.rehearsal_hammer import rehearse
-from ringtrue.planning.targets import (
+from ringtrue.planning.exciters import (
+    appropriate_exciters,
+    qr_exciters,
+    rank_sets,
+    select_references,
+    shares,
+)
+from ringtrue.planning.geometry import along, relative_neighbours, surface_normals
+from ringtrue.planning.resolution import (
     Targets,
     choose_targets,
     effective_mass,
@@ -27,7 +29,15 @@ from ringtrue.planning.targets import (
     kinetic_share,
     telling_modes,
 )
-from ringtrue.planning.wireframe import neighbours
+from ringtrue.planning.virtual_test import (
+    Ambience,
+    Conditions,
+    Planned,
+    Rehearsal,
+    longest,
+    rehearse,
+    rehearse_ambient,
+)
 from ringtrue.study.config_sections import PlanSection
 from ringtrue.study.results import PlanStage, Scene
 from ringtrue.study.results.model import MISSED
@@ -170,7 +180,7 @@ class Arrangement:
             [int(np.argmax(back == k)) for k in range(points.size)], dtype=np.int64
         )  # tens of points
         xyz, groups = self.xyz[chosen][first], [self.region[i] for i in chosen[first].tolist()]
-        lines = points[neighbours(xyz, groups)]
+        lines = points[relative_neighbours(xyz, groups)]
         axes = self.axes[chosen].reshape(-1, 3)
         return TestModel(
             points,

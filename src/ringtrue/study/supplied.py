@@ -10,17 +10,15 @@ import numpy as np
 
 from ringtrue.core.arrays import Float
 from ringtrue.core.channels import match_channels, opposite, other_names
-from ringtrue.core.modes import ModeSet, Norm
+from ringtrue.core.modes import ModeSet, Norm, Uncertainty
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.core.testmodel import TestModel
-from ringtrue.core.uncertainty import Uncertainty
-from ringtrue.correlation.assign import Locks
+from ringtrue.correlation.assignment import Locks
 from ringtrue.correlation.pairing import PairingSettings, pair_modes
 from ringtrue.errors import DataError, about
 from ringtrue.io.frfs import read_frfs
 from ringtrue.io.modes_json import read_modes, read_std
-from ringtrue.signal.reciprocal import exchanged
-from ringtrue.signal.setups import join_frfs
+from ringtrue.signal.frf_sets import exchanged, join_frfs
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.opened import Opened
 from ringtrue.study.placing import mesh_points

@@ -6,8 +6,7 @@ import math
 
 import numpy as np
 
-from ringtrue.core.modes import ModeSet
-from ringtrue.core.uncertainty import Uncertainty
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.correlation.frf import InputSummary
 from ringtrue.plots import correlation, identification, signals
 from ringtrue.plots import predicted as plots

@@ -15,9 +15,9 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.core.testmodel import TestModel
-from ringtrue.correlation.complete import complete
-from ringtrue.correlation.mounting import Mending, find_mendings
+from ringtrue.correlation.measures import complete
 from ringtrue.correlation.pairing import BEYOND_THE_GATE, pair_modes
+from ringtrue.correlation.sensor_mounting import Mending, find_mendings
 from ringtrue.correlation.table import CorrelationTable, correlation_table
 from ringtrue.decks.nastran.edit import unified_diff
 from ringtrue.errors import ConfigError, InputError, RingtrueError, about

@@ -16,9 +16,9 @@ from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.decks.nastran.edit import refuse_unwritable, unwritable
 from ringtrue.errors import DataError
 from ringtrue.fem.assembly import System, assemble
-from ringtrue.fem.change import affected_cards
-from ringtrue.fem.derivatives import congruent
-from ringtrue.fem.functions import AffineTerm, power
+from ringtrue.fem.parametrisation.changed_model import affected_cards
+from ringtrue.fem.parametrisation.derivatives import congruent
+from ringtrue.fem.parametrisation.polynomials import AffineTerm, power
 from ringtrue.model.edit import has_fields
 from ringtrue.model.model import Model
 from ringtrue.reduction.affine import AffineSystem

@@ -11,8 +11,8 @@ import numpy as np
 from scipy import sparse
 
 from ringtrue.core.arrays import Bool, Float
-from ringtrue.core.observation import Observation
 from ringtrue.core.progress import Progress
+from ringtrue.core.testmodel import Observation
 from ringtrue.model.edit import carried
 from ringtrue.model.ports import Linearisation, ModesRequest
 from ringtrue.solvers.observed import PRINTED, UNTOLD, FullModel
