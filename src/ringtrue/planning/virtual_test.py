@@ -21,8 +21,8 @@ from ringtrue.core.progress import Progress
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.correlation.pairing import Pairing, PairingSettings, pair_modes
 from ringtrue.errors import DataError, InputError
-from ringtrue.identification.ambient import AmbientSettings, identify_ambient
-from ringtrue.identification.hammer import HammerModes, identify_hammer
+from ringtrue.identification.ambient.pipeline import AmbientSettings, identify_ambient
+from ringtrue.identification.frf.pipeline import HammerModes, identify_hammer
 from ringtrue.signal.frf import estimate_frf
 from ringtrue.signal.impacts import HammerSettings
 from ringtrue.virtual.excitation import Pulses, pulse_spectrum
