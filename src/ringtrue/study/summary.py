@@ -66,8 +66,8 @@ def unpaired(table: CorrelationTable) -> list[dict[str, Any]]:
     """Modes without a partner, with the reason."""
     p = table.pairing
     sets = (
-        (table.names[0], p.lone_a, table.all_test_hz, p.why_a),
-        (table.names[1], p.lone_b, table.all_fe_hz, p.why_b),
+        (table.names[0], p.unpaired_a, table.all_test_hz, p.reasons_a),
+        (table.names[1], p.unpaired_b, table.all_fe_hz, p.reasons_b),
     )
     return [
         {"set": name, "mode": i + 1, "frequency_hz": float(f[i]), "reason": why}

@@ -199,7 +199,7 @@ def _beyond_gate(table: CorrelationTable) -> tuple[str, ...]:
     looks alike.
     """
     p = table.pairing
-    lone = zip(p.lone_a, p.why_a, strict=True)
+    lone = zip(p.unpaired_a, p.reasons_a, strict=True)
     return (*p.far(), *(f"test mode {i + 1}: {w}" for i, w in lone if BEYOND_THE_GATE in w))
 
 

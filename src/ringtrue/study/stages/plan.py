@@ -333,7 +333,7 @@ def _aims(
     if len(parameters):
         found = session.initial.modes(session.first_fmax).modes.take(targets)
         d_lambda, d_phi = session.initial.analysis.derivatives(found, parameters)
-        slope = parameters.slope(np.zeros(len(parameters)))
+        slope = parameters.derivative(np.zeros(len(parameters)))
         relative = d_lambda * slope / (2 * np.pi * found.frequencies[:, None]) ** 2
         d_nodes = d_phi[node_rows(session, able.nodes)] * slope
         d_seen = able.seen(d_nodes.reshape(*d_nodes.shape[:2], -1))
