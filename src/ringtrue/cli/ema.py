@@ -45,8 +45,14 @@ from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.signal.channel_checks import clipping_told
 from ringtrue.signal.frf_sets import alike, join_frfs, setups_of
 from ringtrue.signal.impacts import HammerSettings, HitReport
-from ringtrue.study.blows import BlowFiles, kept_blows, read_blows, refused_blows
-from ringtrue.study.forced import Forced, forced_frfs
+from ringtrue.study.hammer_records import (
+    Forced,
+    ForceRecordFormat,
+    accepted_hits,
+    forced_frfs,
+    read_force_records,
+    rejected_hits,
+)
 
 
 class Estimator(StrEnum):
@@ -199,7 +205,7 @@ def ema(
     named, points, lost = (tuple(x or ()) for x in (force, struck, leave_out))
     sheet = read_sensor_sheet(sensors) if sensors else None
     names = tuple(tuple(n.strip() for n in text.split(",")) for text in channels or ())
-    how = BlowFiles(
+    how = ForceRecordFormat(
         named, points, lost, quantity.value if quantity else "", rate, group, names, sheet
     )
     want = HammerSettings(
@@ -235,7 +241,7 @@ def ema(
 def _at_levels(
     levels: Sequence[float],
     files: Sequence[Path],
-    how: tuple[BlowFiles, HammerSettings, float | None, float | None],
+    how: tuple[ForceRecordFormat, HammerSettings, float | None, float | None],
     band: HammerModes,
     json: str | None,
 ) -> int:
@@ -284,7 +290,7 @@ def _windowed(frfs: FrfSet, decay: float | None) -> FrfSet:
 
 def _measured(
     files: Sequence[Path],
-    how: BlowFiles,
+    how: ForceRecordFormat,
     want: HammerSettings,
     shaker: float | None,
     show: Progress,
@@ -307,7 +313,7 @@ def _measured(
             kept_channels(files[0], [Channel(c, "unknown", "") for c in known], how.leave_out)
         found = alike([read_frfs(f, how.leave_out) for f in files])
         return _Measured(join_frfs(found), batches=found) if len(found) > 1 else _Measured(found[0])
-    records, ranges, notes = read_blows(files, how)
+    records, ranges, notes = read_force_records(files, how)
     forced = forced_frfs(records, want, shaker, full_scale=ranges, progress=part(show, 0.0, 0.05))
     frfs = join_frfs(forced.columns)
     said = _said(frfs, forced) if forced.hits else (*forced.notes, *forced.clipped)
@@ -317,7 +323,7 @@ def _measured(
 def _said(frfs: FrfSet, forced: Forced) -> tuple[str, ...]:
     """Blows kept and left out, windows, coherence, driving points."""
     known = frfs.coherence[np.isfinite(frfs.coherence)]
-    out = [kept_blows(forced.hits), *refused_blows(forced.hits), *forced.notes]
+    out = [accepted_hits(forced.hits), *rejected_hits(forced.hits), *forced.notes]
     if frfs.window_decay > 0:
         out.append(f"exponential window of {frfs.window_decay:.3g} 1/s, taken out of the damping")
     out.append(

@@ -40,7 +40,7 @@ from ringtrue.io.choices import read_choice, write_choice
 from ringtrue.io.modes_json import modes_to_json
 from ringtrue.io.records import read_record, refuse_bad_samples
 from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
-from ringtrue.plots.picker import picker_page
+from ringtrue.plots.pages import picker_page
 from ringtrue.signal.channel_checks import find_faults
 from ringtrue.signal.gaps import bridged, without_overlap
 from ringtrue.signal.order_tracking import without_machines
