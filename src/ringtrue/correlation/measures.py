@@ -197,9 +197,11 @@ def complete(
         notes.append("orthogonality not checked: no mode has a partner")
     else:
         checks = (
-            _over_mass(a, b, pairing, turn, mass, mass_name, gate, lift) if mass is not None else ()
+            _over_mass(a, b, pairing, turn=turn, mass=mass, name=mass_name, gate=gate, lift=lift)
+            if mass is not None
+            else ()
         )
-        checks += _over_serep(a, b, pairing, turn, gate, notes, quiet=bool(checks))
+        checks += _over_serep(a, b, pairing, turn=turn, gate=gate, notes=notes, quiet=bool(checks))
     suspects: tuple[Suspect, ...] = ()
     if len(pairing) < 3:
         notes.append(f"channels not judged: {len(pairing)} pairs, at least 3 are needed")
@@ -213,23 +215,23 @@ def complete(
     if not np.isfinite(std).any():
         notes.append("deviations not judged: no standard deviation of a frequency is known")
     return CompleteCorrelation(
-        a.channels,
-        np.array([worst_off_diagonal(auto_mac(above_rounding(m.shapes))) for m in (a, b)]),
-        comac(left, right),
-        ecomac(left, right),
-        share.mean(axis=1) if len(pairing) else np.zeros(len(a.channels)),
-        eliminate(left, right)
+        channels=a.channels,
+        auto_mac=np.array([worst_off_diagonal(auto_mac(above_rounding(m.shapes))) for m in (a, b)]),
+        comac=comac(left, right),
+        ecomac=ecomac(left, right),
+        contribution=share.mean(axis=1) if len(pairing) else np.zeros(len(a.channels)),
+        elimination=eliminate(left, right)
         if len(pairing)
         else Elimination(np.zeros(0, dtype=np.int64), np.zeros((1, 0))),
-        modal_scale_factor(left, right),
-        mpc(a.shapes),
-        mpd(a.shapes),
-        mcf(a.shapes),
-        checks,
-        subspaces(a, b, pairing, settings),
-        suspects,
-        significance(a.frequencies[pairing.a], b.frequencies[pairing.b], *std),
-        tuple(notes),
+        scale=modal_scale_factor(left, right),
+        mpc=mpc(a.shapes),
+        mpd=mpd(a.shapes),
+        mcf=mcf(a.shapes),
+        checks=checks,
+        subspaces=subspaces(a, b, pairing, settings),
+        suspects=suspects,
+        significance=significance(a.frequencies[pairing.a], b.frequencies[pairing.b], *std),
+        notes=tuple(notes),
     )
 
 
@@ -244,7 +246,9 @@ def _over_mass(
     lift: Lift | None,
 ) -> tuple[Check, ...]:
     """The modes of B up to the last that has a partner, those of A, and both, over a mass."""
-    rows, cols, upto = pairing.a, pairing.b, np.arange(int(pairing.b.max(initial=-1)) + 1)
+    rows = pairing.a
+    cols = pairing.b
+    upto = np.arange(int(pairing.b.max(initial=-1)) + 1)
     one, two = (m.shapes if lift is None else lift(m) for m in (a, b))
     model = _read(b.take(upto), two[:, upto], mass, lift)
     own = self_orthogonality(one, mass)
@@ -252,21 +256,25 @@ def _over_mass(
     return (
         _of_model(model, gate, name),
         Check(
-            f"self-orthogonality, {name} mass", own, judge(own, gate, a=rows, b=rows), "self", name
+            name=f"self-orthogonality, {name} mass",
+            matrix=own,
+            verdict=judge(own, gate, a=rows, b=rows),
+            kind="self",
+            mass=name,
         ),
         Check(
-            f"cross-orthogonality, {name} mass",
-            cross,
-            judge(cross, gate, a=rows, b=cols),
-            "cross",
-            name,
+            name=f"cross-orthogonality, {name} mass",
+            matrix=cross,
+            verdict=judge(cross, gate, a=rows, b=cols),
+            kind="cross",
+            mass=name,
         ),
     )
 
 
 def _of_model(matrix: Float, gate: Gate, name: str) -> Check:
     told = f"modes of the model read with {100 * READ:g} % error, {name} mass"
-    return Check(told, matrix, judge(matrix, gate), "model", name)
+    return Check(name=told, matrix=matrix, verdict=judge(matrix, gate), kind="model", mass=name)
 
 
 def _read(b: ModeSet, coordinates: Any_, mass: Any_ | sparse.csr_array, lift: Lift | None) -> Float:
@@ -274,11 +282,21 @@ def _read(b: ModeSet, coordinates: Any_, mass: Any_ | sparse.csr_array, lift: Li
     error = READ * np.sqrt((np.abs(b.shapes) ** 2).mean(axis=0))
     if lift is None:
         return read_orthogonality(coordinates, mass, error)
-    n, out = len(b.channels), np.zeros((len(b), len(b)))
+    n = len(b.channels)
+    out = np.zeros((len(b), len(b)))
     for j, f in enumerate(
         b.frequencies.tolist()
     ):  # tens of modes, each lifted at its own frequency
-        units = lift(ModeSet(np.full(n, f), np.zeros(n), np.eye(n), b.channels, b.norm, b.source))
+        units = lift(
+            ModeSet(
+                frequencies=np.full(n, f),
+                damping=np.zeros(n),
+                shapes=np.eye(n),
+                labels=b.channels,
+                norm=b.norm,
+                source=b.source,
+            )
+        )
         one = np.where(np.arange(len(b)) == j, error, 0.0)
         out[:, j] = read_orthogonality(coordinates, mass, one, units)[:, j]
     return out
@@ -297,7 +315,9 @@ def _over_serep(
     """A, and A with B, over the mass that mass-normalised real shapes of B give; `quiet`: another
     mass is there.
     """
-    rows, cols, name = pairing.a, pairing.b, "SEREP"
+    rows = pairing.a
+    cols = pairing.b
+    name = "SEREP"
     if b.norm is not Norm.MASS:
         if not quiet:
             notes.append(
@@ -310,22 +330,28 @@ def _over_serep(
     except InputError as e:
         notes.append(f"orthogonality over the SEREP mass not checked: {e}")
         return ()
-    coordinates, one = back @ a.shapes, np.eye(len(b))
+    coordinates = back @ a.shapes
+    one = np.eye(len(b))
     upto = np.arange(int(cols.max(initial=-1)) + 1)
     error = READ * np.sqrt((b.shapes**2).mean(axis=0))
     model = read_orthogonality(one, one, error, back)[np.ix_(upto, upto)]
-    own, q = auto_mac(coordinates) ** 0.5, np.abs(unit(turn.conj().T @ coordinates)).T
+    own = auto_mac(coordinates) ** 0.5
+    q = np.abs(unit(turn.conj().T @ coordinates)).T
     return (
         _of_model(model, gate, name),
         Check(
-            f"self-orthogonality, {name} mass", own, judge(own, gate, a=rows, b=rows), "self", name
+            name=f"self-orthogonality, {name} mass",
+            matrix=own,
+            verdict=judge(own, gate, a=rows, b=rows),
+            kind="self",
+            mass=name,
         ),
         Check(
-            f"pseudo-orthogonality (POC), {name} mass",
-            q,
-            judge(q, gate, a=rows, b=cols),
-            "cross",
-            name,
+            name=f"pseudo-orthogonality (POC), {name} mass",
+            matrix=q,
+            verdict=judge(q, gate, a=rows, b=cols),
+            kind="cross",
+            mass=name,
         ),
     )
 
@@ -354,7 +380,8 @@ def subspaces(
 
 def complete_json(c: CompleteCorrelation, pairing: Pairing) -> dict[str, Any]:
     """Plain values; modes count from 1. Matrices over more than 30 modes are left out."""
-    s, worst = c.significance, _worst(c.comac)
+    s = c.significance
+    worst = _worst(c.comac)
     total, count, chance = s.chi_square
     return {
         "auto_mac_worst": c.auto_mac.tolist(),

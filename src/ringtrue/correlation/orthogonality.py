@@ -104,14 +104,23 @@ def judge(
     """
     rows, cols = _paired_rows(np.asarray(matrix), a, b)
     block = np.abs(np.asarray(matrix, dtype=np.float64)[np.ix_(rows, cols)])
-    own, off = np.diag(block), block.copy()
+    own = np.diag(block)
+    off = block.copy()
     np.fill_diagonal(off, 0.0)
     found = [
-        Failure(int(rows[i]), int(cols[i]), float(own[i]), gate.diagonal, True)
+        Failure(
+            a=int(rows[i]), b=int(cols[i]), value=float(own[i]), limit=gate.diagonal, diagonal=True
+        )
         for i in np.flatnonzero(own < gate.diagonal)
     ]
     found += [
-        Failure(int(rows[i]), int(cols[j]), float(off[i, j]), gate.off_diagonal, False)
+        Failure(
+            a=int(rows[i]),
+            b=int(cols[j]),
+            value=float(off[i, j]),
+            limit=gate.off_diagonal,
+            diagonal=False,
+        )
         for i, j in np.argwhere(off > gate.off_diagonal).tolist()
     ]
     # the farthest beyond its limit first; the halves of a symmetric matrix differ in rounding,
@@ -119,7 +128,11 @@ def judge(
     found.sort(key=lambda f: (-round(abs(f.value - f.limit), DECIMALS), f.a, f.b))
     least = float(own.min()) if own.size else float("nan")
     return Verdict(
-        gate, bool(own.size) and not found, least, float(off.max(initial=0.0)), tuple(found)
+        gate=gate,
+        passed=bool(own.size) and not found,
+        least_diagonal=least,
+        largest_off_diagonal=float(off.max(initial=0.0)),
+        failures=tuple(found),
     )
 
 

@@ -68,7 +68,9 @@ class Pairing:
     beyond: Bool = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
 
     def __post_init__(self) -> None:
-        i, f, yes = np.int64, np.float64, np.bool_
+        i = np.int64
+        f = np.float64
+        yes = np.bool_
         freeze_fields(
             self,
             a=i,
@@ -117,7 +119,9 @@ __all__ = [
 ]
 
 BEYOND_THE_GATE = "beyond the gate"  # in the reason of such a mode
-BEYOND, ALIKE = 2.0, 0.8  # times the frequency gate, and MAC, of a mode that is told of a lone one
+# times the frequency gate, and MAC, of a mode that is told of a lone one
+BEYOND = 2.0
+ALIKE = 0.8
 
 
 def pair_modes(
@@ -176,31 +180,59 @@ def pair_modes(
     sure = a.confidence >= settings.min_confidence
     if a.channels:
         sure &= a.shapes.any(axis=0)
-    s = scores(a.frequencies, a.shapes, b.frequencies, b.shapes, settings)
+    s = scores(a.frequencies, a.shapes, b.frequencies, b=b.shapes, settings=settings)
     plain = np.array([not why for why in hidden], dtype=np.bool_)
     if a.channels:
-        (rows, cols), rival = assign(s, settings, sure, plain, locks), np.zeros(0, dtype=np.int64)
+        (rows, cols), rival = (
+            assign(s, settings, sure, usable_b=plain, locks=locks),
+            np.zeros(0, dtype=np.int64),
+        )
         free = np.logical_and.outer(sure, plain) & locks.mask((len(a), len(b)))[1]
         more = pairs_by_shape(
-            a.frequencies, a.shapes, b.frequencies, b.shapes, s, (rows, cols), free, settings
+            a.frequencies,
+            a.shapes,
+            b.frequencies,
+            b=b.shapes,
+            score=s,
+            paired=(rows, cols),
+            free=free,
+            gates=settings,
         )
-        rows, cols, s, beyond = more.rows, more.columns, more.score, more.beyond
+        rows = more.rows
+        cols = more.columns
+        s = more.score
+        beyond = more.beyond
     else:
         wide = within(
-            s, replace(settings, frequency_gate=settings.frequency_gate / HOLD), sure, plain, locks
+            s,
+            replace(settings, frequency_gate=settings.frequency_gate / HOLD),
+            sure,
+            usable_b=plain,
+            locks=locks,
         )[0]
         found = by_frequency(
-            a.frequencies, b.frequencies, *within(s, settings, sure, plain, locks), wide
+            a.frequencies,
+            b.frequencies,
+            *within(s, settings, sure, usable_b=plain, locks=locks),
+            wide,
         )
-        rows, cols, rival, beyond = (
-            found.rows,
-            found.columns,
-            found.rival,
-            np.zeros(0, dtype=np.bool_),
-        )
+        rows = found.rows
+        cols = found.columns
+        rival = found.rival
+        beyond = np.zeros(0, dtype=np.bool_)
     unpaired_a = np.setdiff1d(np.arange(len(a)), rows)
     unpaired_b = np.setdiff1d(np.arange(len(b)), cols)
-    why = _Reasons(s, settings, rows, cols, names, first_b, locks, sure, tuple(hidden))
+    why = _Reasons(
+        score=s,
+        settings=settings,
+        rows=rows,
+        cols=cols,
+        names=names,
+        first_b=first_b,
+        locks=locks,
+        sure=sure,
+        hidden=tuple(hidden),
+    )
     return Pairing(
         a=rows,
         b=cols,
@@ -238,7 +270,8 @@ def _unseen(a: ModeSet, i: int) -> str:
 
 def _hidden(b: ModeSet, settings: PairingSettings, visible: Float | None) -> list[str]:
     """For each mode of B why no sensor sees it, or an empty text."""
-    share, out = peak_shares(b.shapes), []
+    share = peak_shares(b.shapes)
+    out = []
     for j in range(len(b)):
         if b.channels and share[j] == 0:
             out.append("not observable: it does not move the channels that are compared")
@@ -275,21 +308,19 @@ class _Reasons:
         return not np.isnan(self.score.mac).all()
 
     def of_a(self, i: int) -> str:
-        macs, errors, barred = (
-            self.score.merged[i],
-            self.score.error[i],
-            [q for p, q in self.locks.forbidden if p == i],
-        )
+        macs = self.score.merged[i]
+        errors = self.score.error[i]
+        barred = [q for p, q in self.locks.forbidden if p == i]
         why = self._of(
             macs,
             errors,
             barred,
-            self.names[1],
-            self.cols,
-            self.rows,
-            self.names[0],
-            self.first_b,
-            0,
+            theirs=self.names[1],
+            taken=self.cols,
+            by=self.rows,
+            mine=self.names[0],
+            their_first=self.first_b,
+            my_first=0,
         )
         return why + self._beyond(macs, errors)
 
@@ -317,7 +348,8 @@ class _Reasons:
                 f"outside of the {self.names[0]} band {a.frequencies.min():.4g} to "
                 f"{a.frequencies.max():.4g} Hz"
             )
-        macs, errors = self.score.merged[:, j], self.score.error[:, j]
+        macs = self.score.merged[:, j]
+        errors = self.score.error[:, j]
         barred = [p for p, q in self.locks.forbidden if q == j]
         near = np.flatnonzero((np.abs(errors) <= gate) & (macs >= self.settings.mac_gate))
         best = int(near[np.argmax(macs[near])]) if near.size else -1
@@ -330,12 +362,12 @@ class _Reasons:
             macs,
             errors,
             barred,
-            self.names[0],
-            self.rows,
-            self.cols,
-            self.names[1],
-            0,
-            self.first_b,
+            theirs=self.names[0],
+            taken=self.rows,
+            by=self.cols,
+            mine=self.names[1],
+            their_first=0,
+            my_first=self.first_b,
         )
 
     def _of(
@@ -350,7 +382,8 @@ class _Reasons:
         their_first: int,
         my_first: int,
     ) -> str:
-        gate, least = self.settings.frequency_gate, self.settings.mac_gate
+        gate = self.settings.frequency_gate
+        least = self.settings.mac_gate
         near = np.flatnonzero(np.abs(errors) <= gate)
         if not near.size:
             return f"no {theirs} mode within {100 * gate:.3g} %"

@@ -62,7 +62,8 @@ def follow(old: Any_, new: Any_, mass: Mass | None = None) -> Step:
     InputError
         If there are fewer new modes than followed ones.
     """
-    old, new = np.asarray(old), np.asarray(new)
+    old = np.asarray(old)
+    new = np.asarray(new)
     m = old.shape[1]
     if new.shape[1] < m:
         raise InputError(
@@ -130,14 +131,21 @@ def track(
     if len(frequencies) != len(shapes) or not len(shapes):
         raise InputError(f"{len(frequencies)} sets of frequencies for {len(shapes)} sets of shapes")
     m = np.shape(shapes[0])[1] if count is None else count
-    index, overlap = [np.arange(m)], [np.ones(m)]
+    index = [np.arange(m)]
+    overlap = [np.ones(m)]
     for before, now in pairwise(shapes):  # each point rests on the one before
         step = follow(np.asarray(before)[:, index[-1]], now, mass)
         index.append(step.index)
         overlap.append(step.overlap)
     where = np.arange(len(shapes), dtype=np.float64)[:, None]
     f = np.array([np.asarray(f)[i] for f, i in zip(frequencies, index, strict=True)])
-    return Tracks(where, np.array(index), f, np.array(overlap), len(shapes))
+    return Tracks(
+        points=where,
+        index=np.array(index),
+        frequencies=f,
+        overlap=np.array(overlap),
+        solves=len(shapes),
+    )
 
 
 def track_along(
@@ -170,12 +178,18 @@ def track_along(
     most_solves : int
         Afterwards the steps are taken as they are; `Tracks.worst` tells.
     """
-    start, end = np.atleast_1d(np.asarray(start, float)), np.atleast_1d(np.asarray(end, float))
+    start = np.atleast_1d(np.asarray(start, float))
+    end = np.atleast_1d(np.asarray(end, float))
     f, phi = solve(start)
     if np.shape(phi)[1] < count:
         raise InputError(f"{count} modes to follow, {np.shape(phi)[1]} computed")
-    at, index, solves = 0.0, np.arange(count), 1
-    path, all_index, all_f, overlaps = [start], [index], [f[:count]], [np.ones(count)]
+    at = 0.0
+    index = np.arange(count)
+    solves = 1
+    path = [start]
+    all_index = [index]
+    all_f = [f[:count]]
+    overlaps = [np.ones(count)]
     waiting = [(1.0, *solve(end))]
     solves += 1
     while waiting:
@@ -187,9 +201,17 @@ def track_along(
             solves += 1
             continue
         waiting.pop()
-        at, phi, index = to, phi_new, step.index
+        at = to
+        phi = phi_new
+        index = step.index
         path.append(start + at * (end - start))
         all_index.append(index)
         all_f.append(f_new[index])
         overlaps.append(step.overlap)
-    return Tracks(np.array(path), np.array(all_index), np.array(all_f), np.array(overlaps), solves)
+    return Tracks(
+        points=np.array(path),
+        index=np.array(all_index),
+        frequencies=np.array(all_f),
+        overlap=np.array(overlaps),
+        solves=solves,
+    )

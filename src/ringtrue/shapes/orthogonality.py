@@ -57,7 +57,8 @@ def cross_orthogonality(a: Any_, b: Any_, mass: Mass) -> Float:
     InputError
         If the sizes do not fit.
     """
-    a, b = np.asarray(a), np.asarray(b)
+    a = np.asarray(a)
+    b = np.asarray(b)
     right = _weighted(mass, mass_normalised(b, mass))
     return np.asarray(
         np.abs(mass_normalised(a, mass).conj().T @ right).clip(0.0, 1.0), dtype=np.float64
@@ -86,9 +87,11 @@ def read_orthogonality(
     phi = mass_normalised(shapes, mass)
     weighed = _weighted(mass, phi)
     if reading is None:
-        seen, own = weighed, mass.diagonal().sum()
+        seen = weighed
+        own = mass.diagonal().sum()
     else:
-        seen, own = reading.T @ weighed, (reading * _weighted(mass, reading)).sum()
+        seen = reading.T @ weighed
+        own = (reading * _weighted(mass, reading)).sum()
     scale = modal_mass(shapes, mass)
     relative = error**2 / np.where(scale > 0, scale, np.inf)
     square = (
