@@ -47,7 +47,7 @@ class PairingSettings:
         Largest |f_B − f_A|/f_A of a pair.
     reach : float
         Largest ratio of the frequencies of a pair beyond that gate; only modes that look alike and
-        like no other are taken there (`beyond.uncontested`). 1: none.
+        like no other are taken there (`one_criterion.pairs_by_shape`). 1: none.
     close : float
         Relative distance below which neighbours of one set are one subspace; from there to `FADE`
         times it ever less.

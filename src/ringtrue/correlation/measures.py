@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -13,7 +13,16 @@ from ringtrue.core.arrays import Any_, Float, Int, freeze_fields
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.correlation.assignment import PairingSettings
 from ringtrue.correlation.channel_faults import Suspect, suspect_channels
-from ringtrue.correlation.orthogonality import TRADE, Gate, Verdict, judge, verdict_json
+from ringtrue.correlation.orthogonality import (
+    TRADE,
+    Check,
+    Gate,
+    Lift,
+    PairedSets,
+    over_mass,
+    over_serep_mass,
+    verdict_json,
+)
 from ringtrue.correlation.paired_shapes import (
     Elimination,
     comac,
@@ -32,45 +41,10 @@ from ringtrue.shapes.mac import (
     auto_mac,
     close_groups,
     principal_angles,
-    unit,
     worst_off_diagonal,
 )
-from ringtrue.shapes.orthogonality import (
-    cross_orthogonality,
-    pseudo_inverse,
-    read_orthogonality,
-    self_orthogonality,
-)
 
-Lift = Callable[[ModeSet], Any_]
-READ = 0.02  # error of a reading over the RMS of its mode, as of ordinary tests
 WHOLE = 30  # modes up to which whole matrices are written to JSON
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Check:
-    """An orthogonality matrix and what the gate says of it.
-
-    Attributes
-    ----------
-    name : str
-    matrix : (ma, mb) float64, 0..1
-    verdict : Verdict
-    kind : {"model", "self", "cross"}
-        B with itself as read with 2 % error, which says whether the mass is fit to judge by; A with
-        itself; A with B.
-    mass : str
-        What the mass is called.
-    """
-
-    name: str
-    matrix: Float
-    verdict: Verdict
-    kind: Literal["model", "self", "cross"]
-    mass: str
-
-    def __post_init__(self) -> None:
-        freeze_fields(self, matrix=np.float64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,17 +165,23 @@ def complete(
     b = b.rows(a.channels)
     left, right = paired_shapes(a, b, pairing, settings)
     notes: list[str] = []
-    turn = turning(a, b, pairing, settings)
     checks: tuple[Check, ...] = ()
-    if not len(pairing):
-        notes.append("orthogonality not checked: no mode has a partner")
+    if len(pairing):
+        pairs = PairedSets(a, b, pairing.a, pairing.b, turning(a, b, pairing, settings))
+        if mass is not None:
+            checks = over_mass(pairs, mass, gate, name=mass_name, lift=lift)
+        if b.norm is Norm.MASS:
+            try:
+                checks += over_serep_mass(pairs, gate)
+            except InputError as e:
+                notes.append(f"orthogonality over the SEREP mass not checked: {e}")
+        elif not checks:
+            notes.append(
+                "orthogonality not checked: no mass given, and the shapes of the second set are "
+                "not mass-normalised"
+            )
     else:
-        checks = (
-            _over_mass(a, b, pairing, turn=turn, mass=mass, name=mass_name, gate=gate, lift=lift)
-            if mass is not None
-            else ()
-        )
-        checks += _over_serep(a, b, pairing, turn=turn, gate=gate, notes=notes, quiet=bool(checks))
+        notes.append("orthogonality not checked: no mode has a partner")
     suspects: tuple[Suspect, ...] = ()
     if len(pairing) < 3:
         notes.append(f"channels not judged: {len(pairing)} pairs, at least 3 are needed")
@@ -232,127 +212,6 @@ def complete(
         suspects=suspects,
         significance=significance(a.frequencies[pairing.a], b.frequencies[pairing.b], *std),
         notes=tuple(notes),
-    )
-
-
-def _over_mass(
-    a: ModeSet,
-    b: ModeSet,
-    pairing: Pairing,
-    turn: Any_,
-    mass: Any_ | sparse.csr_array,
-    name: str,
-    gate: Gate,
-    lift: Lift | None,
-) -> tuple[Check, ...]:
-    """The modes of B up to the last that has a partner, those of A, and both, over a mass."""
-    rows = pairing.a
-    cols = pairing.b
-    upto = np.arange(int(pairing.b.max(initial=-1)) + 1)
-    one, two = (m.shapes if lift is None else lift(m) for m in (a, b))
-    model = _read(b.take(upto), two[:, upto], mass, lift)
-    own = self_orthogonality(one, mass)
-    cross = cross_orthogonality(one, two @ turn, mass)
-    return (
-        _of_model(model, gate, name),
-        Check(
-            name=f"self-orthogonality, {name} mass",
-            matrix=own,
-            verdict=judge(own, gate, a=rows, b=rows),
-            kind="self",
-            mass=name,
-        ),
-        Check(
-            name=f"cross-orthogonality, {name} mass",
-            matrix=cross,
-            verdict=judge(cross, gate, a=rows, b=cols),
-            kind="cross",
-            mass=name,
-        ),
-    )
-
-
-def _of_model(matrix: Float, gate: Gate, name: str) -> Check:
-    told = f"modes of the model read with {100 * READ:g} % error, {name} mass"
-    return Check(name=told, matrix=matrix, verdict=judge(matrix, gate), kind="model", mass=name)
-
-
-def _read(b: ModeSet, coordinates: Any_, mass: Any_ | sparse.csr_array, lift: Lift | None) -> Float:
-    """Modes with themselves over a mass, read with the errors of an ordinary test."""
-    error = READ * np.sqrt((np.abs(b.shapes) ** 2).mean(axis=0))
-    if lift is None:
-        return read_orthogonality(coordinates, mass, error)
-    n = len(b.channels)
-    out = np.zeros((len(b), len(b)))
-    for j, f in enumerate(
-        b.frequencies.tolist()
-    ):  # tens of modes, each lifted at its own frequency
-        units = lift(
-            ModeSet(
-                frequencies=np.full(n, f),
-                damping=np.zeros(n),
-                shapes=np.eye(n),
-                labels=b.channels,
-                norm=b.norm,
-                source=b.source,
-            )
-        )
-        one = np.where(np.arange(len(b)) == j, error, 0.0)
-        out[:, j] = read_orthogonality(coordinates, mass, one, units)[:, j]
-    return out
-
-
-def _over_serep(
-    a: ModeSet,
-    b: ModeSet,
-    pairing: Pairing,
-    turn: Any_,
-    gate: Gate,
-    notes: list[str],
-    *,
-    quiet: bool,
-) -> tuple[Check, ...]:
-    """A, and A with B, over the mass that mass-normalised real shapes of B give; `quiet`: another
-    mass is there.
-    """
-    rows = pairing.a
-    cols = pairing.b
-    name = "SEREP"
-    if b.norm is not Norm.MASS:
-        if not quiet:
-            notes.append(
-                "orthogonality not checked: no mass given, and the shapes of the second set are "
-                "not mass-normalised"
-            )
-        return ()
-    try:
-        back = pseudo_inverse(b.shapes)
-    except InputError as e:
-        notes.append(f"orthogonality over the SEREP mass not checked: {e}")
-        return ()
-    coordinates = back @ a.shapes
-    one = np.eye(len(b))
-    upto = np.arange(int(cols.max(initial=-1)) + 1)
-    error = READ * np.sqrt((b.shapes**2).mean(axis=0))
-    model = read_orthogonality(one, one, error, back)[np.ix_(upto, upto)]
-    own = auto_mac(coordinates) ** 0.5
-    q = np.abs(unit(turn.conj().T @ coordinates)).T
-    return (
-        _of_model(model, gate, name),
-        Check(
-            name=f"self-orthogonality, {name} mass",
-            matrix=own,
-            verdict=judge(own, gate, a=rows, b=rows),
-            kind="self",
-            mass=name,
-        ),
-        Check(
-            name=f"pseudo-orthogonality (POC), {name} mass",
-            matrix=q,
-            verdict=judge(q, gate, a=rows, b=cols),
-            kind="cross",
-            mass=name,
-        ),
     )
 
 

@@ -171,15 +171,6 @@ def mac_contribution(a: Any_, b: Any_) -> Float:
     )
 
 
-def mac_without(a: Any_, b: Any_) -> Float:
-    """MAC of paired modes if one channel were left out, (n, m): row i without channel i."""
-    a, b = _checked(a, b)
-    part = a.conj() * b
-    aa = np.abs(a) ** 2
-    bb = np.abs(b) ** 2
-    return _mac(part.sum(axis=0) - part, aa.sum(axis=0) - aa, bb.sum(axis=0) - bb)
-
-
 def _mac(cross: Any_, aa: Float, bb: Float) -> Float:
     below = aa * bb
     return np.asarray(

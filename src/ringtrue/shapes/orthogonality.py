@@ -7,7 +7,6 @@ from scipy import linalg, sparse
 
 from ringtrue.core.arrays import Any_, Float
 from ringtrue.errors import InputError
-from ringtrue.shapes.mac import unit
 
 Mass = Any_ | sparse.csr_array
 RANK = 1e-8  # relative singular value below which the shapes at the channels count as dependent
@@ -151,19 +150,3 @@ def pseudo_inverse(shapes: Any_) -> Float:
             "modes or more channels"
         )
     return np.asarray(linalg.solve_triangular(r, q.T)) if phi.size else np.zeros(phi.shape[::-1])
-
-
-def poc(test: Any_, fe: Any_) -> Any_:
-    """Pseudo-orthogonality check |Φ⁺E|, (m_test, m_fe): modal coordinates of the test shapes, of
-    unit length.
-
-    The cross-orthogonality over the mass of a SEREP test-analysis model, in a form that needs no
-    mass matrix.
-
-    Parameters
-    ----------
-    test : (n, m_test) float64 or complex128
-    fe : (n, m_fe) float64, mass-normalised
-        All modes that the test shapes may contain; not only those paired.
-    """
-    return np.asarray(np.abs(unit(pseudo_inverse(fe) @ np.asarray(test))).T, dtype=np.float64)

@@ -176,7 +176,7 @@ def learn(m: Mesh, some: Sequence[Region], most: int = MOST) -> list[Nodes]:
 
     The points lie first on the axes, where only one parameter is not at nominal, then anywhere
     between the bounds. No region feels the fields of a group that acts on another only
-    (`regions.apart`).
+    (`parameter_groups.apart`).
 
     Raises
     ------

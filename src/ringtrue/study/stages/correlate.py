@@ -13,7 +13,6 @@ from ringtrue.core.arrays import Int
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.core.testmodel import TestModel
-from ringtrue.correlation.pairing import BEYOND_THE_GATE
 from ringtrue.correlation.sensor_mounting import Mending, find_mendings
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.decks.nastran.edit import unified_diff
@@ -145,12 +144,12 @@ def _mesh(desk: Workbench, table: CorrelationTable) -> tuple[str, ...]:
 
 
 def _far(table: CorrelationTable) -> tuple[str, ...]:
-    """Pairs beyond the frequency gate, and lone test modes that it keeps from one of the deck that
-    looks alike.
+    """Pairs beyond the frequency gate, and unpaired test modes that it keeps from one of the deck
+    that looks alike.
     """
     p = table.pairing
-    lone = zip(p.unpaired_a, p.reasons_a, strict=True)
-    return (*p.far(), *(f"test mode {i + 1}: {w}" for i, w in lone if BEYOND_THE_GATE in w))
+    unpaired = zip(p.unpaired_a, p.reasons_a, p.gated_a, strict=True)
+    return (*p.far(), *(f"test mode {i + 1}: {why}" for i, why, gated in unpaired if gated))
 
 
 def _shared(desk: Workbench) -> tuple[str, ...]:
