@@ -29,12 +29,12 @@ from eigen_shell import shell
 from ringtrue.core.arrays import Float
 from ringtrue.core.parameters import CardField, Parameter
 from ringtrue.eigen.derivatives import Slope, eigenvalue_derivatives, eigenvector_derivatives
-from ringtrue.eigen.factor import Pencil
-from ringtrue.eigen.problem import EigenModes
-from ringtrue.eigen.responses import adjoint, mac_gradient
-from ringtrue.eigen.solve import solve_modes
+from ringtrue.eigen.eigenpairs import EigenModes
+from ringtrue.eigen.modes import solve_modes
+from ringtrue.eigen.pencil import Pencil
+from ringtrue.eigen.response_derivatives import adjoint, mac_gradient
 from ringtrue.fem.assembly import System, assemble
-from ringtrue.fem.derivatives import bilinear, system_derivatives
+from ringtrue.fem.parametrisation.derivatives import bilinear, system_derivatives
 from ringtrue.model.model import Model
 
 MODES, BUFFER, RIGID = 30, 4, 6
