@@ -15,13 +15,19 @@ from ringtrue.core.arrays import Float, Int
 from ringtrue.core.channels import match_channels, split_label
 from ringtrue.core.display import Displayed, plot
 from ringtrue.core.modes import ModeSet, elastic
-from ringtrue.core.observation import Observation
 from ringtrue.core.progress import Progress, part, quiet
-from ringtrue.core.testmodel import TestModel
-from ringtrue.correlation.complete import CompleteCorrelation, complete
-from ringtrue.correlation.mounting import AXES, Mending, Readings, find_mendings, readings_by_name
-from ringtrue.correlation.observe import at_dofs
-from ringtrue.correlation.pairing import Locks, pair_modes
+from ringtrue.core.testmodel import Observation, TestModel
+from ringtrue.correlation.assignment import Locks
+from ringtrue.correlation.measures import CompleteCorrelation, complete
+from ringtrue.correlation.pairing import pair_modes
+from ringtrue.correlation.sensor_mapping import at_dofs
+from ringtrue.correlation.sensor_mounting import (
+    AXES,
+    Mending,
+    Readings,
+    find_mendings,
+    readings_by_name,
+)
 from ringtrue.correlation.table import CorrelationTable, correlation_table
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
@@ -172,7 +178,8 @@ def correlate(
     >>> import ringtrue as rt
     >>> model = rt.read_deck(rt.example_deck())
     >>> fe = rt.solve_modes(model, band=(0, 100))
-    >>> test = rt.modes_of_test([2.2, 6.4], fe.modes.rows(["2+X", "3+X"]).shapes[:, :2], ["2+X", "3+X"])
+    >>> names = ["2+X", "3+X"]
+    >>> test = rt.modes_of_test([2.2, 6.4], fe.at(names).shapes[:, :2], names)
     >>> rt.correlate(test, fe).deviation_percent.round(1)
     array([ 1.8, -1.9])
     """
@@ -187,7 +194,7 @@ def correlate(
     else:
         reference = modes_at(test)
     reference, gaps = at_common(reference)
-    if isinstance(fe, FeModes) or isinstance(fe, Model):
+    if isinstance(fe, FeModes | Model):
         held = _of_model(fe, reference, points, asked, progress)
     else:
         there, missing = at_common(modes_at(fe))

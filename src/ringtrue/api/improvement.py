@@ -13,18 +13,18 @@ from ringtrue.api.measurements import TestModes, modes_at
 from ringtrue.api.models import open_model
 from ringtrue.core.arrays import Float
 from ringtrue.core.display import Displayed, plot
+from ringtrue.core.iterate import Outcome
 from ringtrue.core.modes import ModeSet, elastic
-from ringtrue.core.outcome import Outcome
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.core.progress import Progress, part, quiet
-from ringtrue.correlation.assign import NO_LOCKS, PairingSettings
+from ringtrue.correlation.assignment import NO_LOCKS, PairingSettings
 from ringtrue.correlation.pairing import pair_modes
 from ringtrue.correlation.table import CorrelationTable, correlation_table
 from ringtrue.eigen.damped import project
 from ringtrue.errors import DataError, InputError
 from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
 from ringtrue.model.model import Model
-from ringtrue.shapes.scale import realise_modes
+from ringtrue.shapes.complexity import realise_modes
 from ringtrue.solvers.matrices import MatrixModel
 from ringtrue.solvers.observed import at_factors, reduced
 from ringtrue.study.config import LocaliseSection, parse_target
@@ -161,9 +161,9 @@ def localise(
     --------
     >>> import ringtrue as rt
     >>> model = rt.read_deck(rt.example_deck())
-    >>> true = rt.solve_modes(rt.at_factors(model, rt.ParameterSet([rt.parameter("foot", "PELAS 1 K")]), [0.7]))
-    >>> test = rt.modes_of_test(true.frequencies, true.modes.rows(["2+X", "3+X", "4+X"]).shapes, ["2+X", "3+X", "4+X"])
-    >>> len(rt.localise(model, test).proposal) > 0
+    >>> foot = rt.ParameterSet([rt.parameter("foot", "PELAS 1 K")])
+    >>> true = rt.solve_modes(rt.at_factors(model, foot, [0.7]))
+    >>> len(rt.localise(model, true.at(["2+X", "3+X", "4+X"])).proposal) > 0
     True
     """
     opened = open_model(model)
@@ -319,8 +319,7 @@ def update(
     >>> model = rt.read_deck(rt.example_deck())
     >>> foot = rt.ParameterSet([rt.parameter("foot", "PELAS 1 K")])
     >>> true = rt.solve_modes(rt.at_factors(model, foot, [0.7]))
-    >>> test = rt.modes_of_test(true.frequencies, true.modes.rows(["2+X", "4+X"]).shapes, ["2+X", "4+X"])
-    >>> result = rt.update(model, test, foot)
+    >>> result = rt.update(model, true.at(["2+X", "4+X"]), foot)
     >>> result.factors.round(3), result.outcome.ok
     (array([0.7]), True)
     """
@@ -514,9 +513,7 @@ def tune_suspension(
     >>> model = rt.read_deck(rt.example_deck())
     >>> foot = [rt.parameter("foot", "PELAS 1 K")]
     >>> true = rt.solve_modes(rt.at_factors(model, rt.ParameterSet(foot), [0.7]), count=1)
-    >>> names = ["2+X", "3+X", "4+X"]
-    >>> test = rt.modes_of_test(true.frequencies, true.modes.rows(names).shapes, names)
-    >>> rt.tune_suspension(model, test, foot).factors.round(2)
+    >>> rt.tune_suspension(model, true.at(["2+X", "3+X", "4+X"]), foot).factors.round(2)
     array([0.7])
     """
     every = parameters if isinstance(parameters, ParameterSet) else ParameterSet(tuple(parameters))
@@ -619,8 +616,7 @@ def fit_damping(
     >>> model = rt.read_deck(rt.example_deck())
     >>> fe = rt.solve_modes(model)
     >>> names = ["2+X", "3+X", "4+X"]
-    >>> shapes = fe.modes.rows(names).shapes
-    >>> test = rt.modes_of_test(fe.frequencies, shapes, names, damping=[0.01, 0.01, 0.01])
+    >>> test = rt.modes_of_test(fe.frequencies, fe.at(names).shapes, names, damping=[0.01] * 3)
     >>> bool(abs(rt.fit_damping(model, test).model_damping - 0.01).max() < 1e-3)
     True
     """

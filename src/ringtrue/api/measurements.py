@@ -15,35 +15,35 @@ from ringtrue.core.arrays import Any_, Float
 from ringtrue.core.choice import Choice
 from ringtrue.core.display import Displayed, plot
 from ringtrue.core.dofs import DofSet
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.decks.nastran.results.hdf5 import is_nastran_h5
 from ringtrue.decks.nastran.results.modes import READERS, read_nastran_modes
 from ringtrue.errors import ConfigError, DataError, InputError, did_you_mean
-from ringtrue.identification.ambient import AmbientResult, AmbientSettings, identify_stretches
-from ringtrue.identification.ambient_methods import identify_ambient_by
-from ringtrue.identification.frf_methods import identify_frfs_by
-from ringtrue.identification.hammer import HammerModes, HammerResult, identify_hammer
-from ringtrue.identification.linearity import LevelDependence, level_dependence
-from ringtrue.identification.local import told_apart
-from ringtrue.identification.lsfd import driving_pairs
-from ringtrue.identification.opinion import SecondOpinion
-from ringtrue.identification.poles import StableDiagram
-from ringtrue.identification.stretches import SHORTEST
+from ringtrue.identification.ambient.other_methods import SecondOpinion, identify_ambient_by
+from ringtrue.identification.ambient.pipeline import (
+    AmbientResult,
+    AmbientSettings,
+    identify_stretches,
+)
+from ringtrue.identification.ambient.record_bands import SHORTEST
+from ringtrue.identification.common.poles import StableDiagram
+from ringtrue.identification.frf.linearity import LevelDependence, level_dependence
+from ringtrue.identification.frf.local_fits import with_local_fits
+from ringtrue.identification.frf.other_methods import identify_frfs_by
+from ringtrue.identification.frf.pipeline import HammerModes, HammerResult, identify_hammer
+from ringtrue.identification.frf.residues import driving_pairs
 from ringtrue.io import frfs as frf_files
 from ringtrue.io import modes_json, records
 from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
 from ringtrue.model.model import Model
-from ringtrue.signal.faults import find_faults
-from ringtrue.signal.gaps import bridged
-from ringtrue.signal.harmonics import without_machines
-from ringtrue.signal.hits import HammerSettings, HitReport
-from ringtrue.signal.overlaps import without_overlap
-from ringtrue.signal.overloads import clipping_told
-from ringtrue.signal.preprocess import harmonics
-from ringtrue.signal.setups import alike, join_frfs, setups_of
+from ringtrue.signal.channel_checks import clipping_told, find_faults
+from ringtrue.signal.frf_sets import alike, join_frfs, setups_of
+from ringtrue.signal.gaps import bridged, without_overlap
+from ringtrue.signal.impacts import HammerSettings, HitReport
+from ringtrue.signal.order_tracking import without_machines
+from ringtrue.signal.tonal_lines import harmonics
 from ringtrue.study.blows import BlowFiles, kept_blows, read_blows, refused_blows
 from ringtrue.study.forced import Forced, forced_frfs
 from ringtrue.study.run import load_study
@@ -555,7 +555,7 @@ def identify_frfs(
     with clipping_told(measured.clipped):
         found = identify_hammer(data, band, choice=choice, progress=progress)
     if choice is None:
-        found = told_apart(found, setups, band, progress=progress)
+        found = with_local_fits(found, setups, band, progress=progress)
     return TestModes(
         found.modes,
         found.uncertainty,
@@ -666,8 +666,8 @@ def identify_ambient(
     >>> for k in range(2, 20000):  # a mode of 1.6 Hz at 1 %, sampled at 20 Hz
     ...     x[:, k] = 1.7434 * x[:, k - 1] - 0.9900 * x[:, k - 2] + rng.standard_normal()
     >>> x = x * [[1.0], [-0.5]] + 0.1 * rng.standard_normal(x.shape)
-    >>> names = (rt.Channel("1+Z", "acceleration", "m/s^2"), rt.Channel("2+Z", "acceleration", "m/s^2"))
-    >>> test = rt.identify_ambient(rt.TimeHistory(x, 20.0, names))
+    >>> names = [rt.Channel(name, "acceleration", "m/s^2") for name in ("1+Z", "2+Z")]
+    >>> test = rt.identify_ambient(rt.TimeHistory(x, 20.0, tuple(names)))
     >>> bool(abs(test.frequencies[0] - 1.6) < 0.02)
     True
     """

@@ -21,15 +21,13 @@ from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.decks.nastran import reader
 from ringtrue.decks.nastran.edit import edit_fields
 from ringtrue.errors import ConfigError, InputError, UnsupportedError, did_you_mean
-from ringtrue.model.choices import responding
-from ringtrue.model.damping import ModalDamping
+from ringtrue.model.case_control import ModalDamping, asked_modes, responding
 from ringtrue.model.dimensions import MADE
-from ringtrue.model.edit import FieldChange
-from ringtrue.model.method import asked_modes
+from ringtrue.model.edit import FieldChange, in_seconds
 from ringtrue.model.model import Model, Ragged, Table
 from ringtrue.model.ports import ModesRequest, ModesResult
-from ringtrue.model.seconds import in_seconds
 from ringtrue.solvers.embedded import EmbeddedAnalysis, EmbeddedSolver
+from ringtrue.solvers.matrices import MatrixModel
 from ringtrue.solvers.registry import EMBEDDED, solver
 from ringtrue.study.loads import load_vectors, refuse_displaced, support_motions
 from ringtrue.study.opened import Opened
@@ -104,7 +102,7 @@ class FeModes(Displayed):
 
     UNITS: ClassVar[Mapping[str, str]] = {"frequencies": "Hz", "damping": "-", "residuals": "-"}
 
-    model: Model
+    model: Model | MatrixModel
     frequencies: Float
     damping: Float
     residuals: Float
@@ -124,9 +122,15 @@ class FeModes(Displayed):
         assert isinstance(self.modes.labels, DofSet)
         return self.modes.labels
 
+    def at(self, channels: Sequence[str]) -> ModeSet:
+        """The modes at some degrees of freedom such as `101+Z`, in the given order."""
+        return self.modes.rows(channels)
+
     @cached_property
     def opened(self) -> Opened:
         """The model with its analysis."""
+        if isinstance(self.model, MatrixModel):
+            raise UnsupportedError("a MatrixModel has no nodes: give its modes, `fe.at(channels)`")
         return open_model(self.model)
 
     def plot(self) -> Any:
@@ -135,7 +139,7 @@ class FeModes(Displayed):
 
 
 def solve_modes(
-    model: Model,
+    model: Model | MatrixModel,
     *,
     band: tuple[float, float] | None = None,
     count: int | None = None,
@@ -149,7 +153,7 @@ def solve_modes(
 
     Parameters
     ----------
-    model : Model
+    model : Model or MatrixModel
     band : (float, float), Hz, optional
         All modes between these frequencies.
     count : int, optional
@@ -189,7 +193,12 @@ def solve_modes(
         raise ConfigError(f"band {band[0]} {band[1]}: must be F0 < F1")
     if damped and engine != EMBEDDED:
         raise ConfigError(f"{engine}: only the embedded engine has complex modes")
-    asked = asked_modes(model) if count is None and band is None else None
+    asked = None
+    if isinstance(model, Model) and count is None and band is None:
+        asked = asked_modes(model)
+    if isinstance(model, MatrixModel):
+        found = model.open(progress=progress).modes(ModesRequest(count or 20, band))
+        return _fe_modes(model, found)
     made = solver(engine, ranks=ranks, timeout=time_limit, progress=progress)
     with made.open(model) as analysis:
         solve = analysis.modes
@@ -203,6 +212,10 @@ def solve_modes(
         found = asked.of(solve) if asked else solve(ModesRequest(count or 20, band))
         if isinstance(analysis, EmbeddedAnalysis):
             found = replace(found, autospc=analysis.system.loose())
+    return _fe_modes(model, found)
+
+
+def _fe_modes(model: Model | MatrixModel, found: ModesResult) -> FeModes:
     modes = found.modes
     return FeModes(
         model,

@@ -22,7 +22,7 @@ from ringtrue.correlation.table import CorrelationTable
 from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.io.atomic import atomic_write, writes
 from ringtrue.model.ports import ModesRequest
-from ringtrue.planning.sheet import NAMES, reach_of, write_test_sheet
+from ringtrue.planning.plan_files import NAMES, reach_of, write_test_sheet
 from ringtrue.report.deliver import deliver, report_from_store
 from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.study import run as runs

@@ -9,7 +9,9 @@ from ringtrue.core.display import drawing
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import FrfSet, TimeHistory
 from ringtrue.correlation.table import CorrelationTable
+from ringtrue.identification.common.poles import StableDiagram
 from ringtrue.plots.correlation import table_matrix
+from ringtrue.plots.identification import stabilisation
 from ringtrue.plots.responses import responses
 from ringtrue.plots.style import figure
 
@@ -21,6 +23,13 @@ MOST_SAMPLES = 4000  # of a channel in one figure
 def mac_matrix(table: CorrelationTable) -> go.Figure:
     """The MAC of all combinations."""
     return table_matrix(table)
+
+
+@drawing(StableDiagram)
+def poles(diagram: StableDiagram) -> go.Figure:
+    """Poles over frequency and model order, above the spectrum."""
+    nothing = np.zeros(0)
+    return stabilisation(diagram, ModeSet(nothing, nothing, np.zeros((0, 0)), ()))
 
 
 @drawing(FrfSet)
