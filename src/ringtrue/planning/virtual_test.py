@@ -266,7 +266,7 @@ def trials(
         pairs = pair_modes(truth, modes, conditions.pairing, names=("model", "test"))
         error[:, k, back[pairs.a]] = _errors(truth, modes, pairs)
         inside = (modes.frequencies > plan.fmin) & (modes.frequencies < plan.fmax)
-        invented += int(inside[pairs.lone_b].sum())
+        invented += int(inside[pairs.unpaired_b].sum())
     return _outcome(plan.frequencies[target], error, invented, force)
 
 

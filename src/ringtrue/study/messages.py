@@ -1,4 +1,4 @@
-"""What a run has found, in a few lines for the screen."""
+"""The sentences that a run shows: modes, pairs, factors, and what to look at."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from ringtrue.core.arrays import Float
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.study.acceptance import in_both
+from ringtrue.study.placing import seat_words
 from ringtrue.study.results import (
     CompareStage,
     ConfigurationsStage,
@@ -23,14 +24,13 @@ from ringtrue.study.results import (
     UncertaintyStage,
     UpdateStage,
 )
-from ringtrue.study.seats import seat_words
 
 MEND = (
     "see such a channel's row in the sensor sheet (direction, place, unit); [test] leave_out "
     "= [...] leaves it out"
 )
 
-HARDLY = 0.5  # of what the typical point sees of a mode
+LEAST_SEEN = 0.5  # of what the typical point sees of a mode
 
 NO_CHANGE = (
     "no change of the candidates pays for its parameters (AICc): nothing is proposed, and the "
@@ -40,7 +40,7 @@ NO_CHANGE = (
 )
 
 
-def told(r: Mapping[str, Any]) -> tuple[str, ...]:
+def run_messages(r: Mapping[str, Any]) -> tuple[str, ...]:
     """Modes found, pairs and deviations before and after, what was changed, and channels that look
     wrong.
 
@@ -51,7 +51,7 @@ def told(r: Mapping[str, Any]) -> tuple[str, ...]:
     """
     identify, correlate, final = r.get("identify"), r.get("correlate"), r.get("final")
     out = (
-        [_found(identify), *identify.merge_notes, *_at_fault(identify)]
+        [_mode_counts(identify), *identify.merge_notes, *_at_fault(identify)]
         if identify is not None
         else []
     )
@@ -61,20 +61,20 @@ def told(r: Mapping[str, Any]) -> tuple[str, ...]:
         out += [*seat_words(correlate.seats), *correlate.gaps, *_pairs(correlate, final)]
     sensitivity, chosen = r.get("sensitivity"), r.get("update")
     if sensitivity is not None and chosen is not None:
-        out += stand_ins(sensitivity.held.get(chosen.sets[chosen.chosen].name, {}))
-    lacking = _lacking(r)
+        out += held_sentences(sensitivity.held.get(chosen.sets[chosen.chosen].name, {}))
+    lacking = _added_masses(r)
     known: UncertaintyStage | None = r.get("uncertainty")
     for name, a, std in _factors(r):
         within = _interval(known, name)
         out.append(
-            _lump(name, lacking[name], a, std, within)
+            _added_mass(name, lacking[name], a, std, within)
             if name in lacking
-            else _factor(name, a, std, within)
+            else _factor_sentence(name, a, std, within)
         )
     if known is not None:
         out += _doubts(known)
     if correlate is not None and final is not None:
-        line = worse(*_shared(correlate.remodelled, final.table, used=True))
+        line = worse_frequencies(*_in_both_deviations(correlate.remodelled, final.table, used=True))
         out += [line] if line else []
     update, localise = r.get("update"), r.get("localise")
     beside = (
@@ -83,7 +83,9 @@ def told(r: Mapping[str, Any]) -> tuple[str, ...]:
         else []
     )
     out += beside
-    if update is not None and (line := weighed_by(update.sets[update.chosen].discrepancy.tolist())):
+    if update is not None and (
+        line := discrepancy_sentence(update.sets[update.chosen].discrepancy.tolist())
+    ):
         out.append(line)
     alone = update is not None and update.sets[update.chosen].name == "proposal"
     if alone and localise is not None and not localise.proposal.members:
@@ -107,7 +109,7 @@ def _mended_tests(found: ConfigurationsStage | None) -> list[str]:
     )
 
 
-def stand_ins(held: Mapping[str, Sequence[str]]) -> list[str]:
+def held_sentences(held: Mapping[str, Sequence[str]]) -> list[str]:
     """Candidates that are held at the deck's values, with those that stand for them."""
     return [
         f"{name} is held at the deck's value: the data cannot tell it from {', '.join(by)}, which "
@@ -125,7 +127,7 @@ def _doubts(known: UncertaintyStage) -> list[str]:
     return [*out, *(f for f in known.flags if not f.startswith(tuple(f"{n}: " for n in names)))]
 
 
-def weighed_by(discrepancy: Sequence[float]) -> str:
+def discrepancy_sentence(discrepancy: Sequence[float]) -> str:
     """What an updating took for the deviations, of a frequency (relative) and of 1 − MAC, that its
     best model keeps.
     """
@@ -137,7 +139,7 @@ def weighed_by(discrepancy: Sequence[float]) -> str:
     return f"deviations that the model is taken to keep: {' and '.join(parts)}" if parts else ""
 
 
-def left_by_loss(plan: PlanStage) -> str:
+def lost_points_sentence(plan: PlanStage) -> str:
     """What a plan still tells of the modes when the worst of its points fail."""
     what = "the most important point" if plan.lost == 1 else f"any {plan.lost} points"
     return (
@@ -145,7 +147,7 @@ def left_by_loss(plan: PlanStage) -> str:
     )
 
 
-def missed(plan: PlanStage) -> list[str]:
+def missed_modes(plan: PlanStage) -> list[str]:
     """Target modes that the references miss: those that more of them could reach, and those that
     none could.
     """
@@ -160,35 +162,35 @@ def missed(plan: PlanStage) -> list[str]:
     return [text.format(", ".join(map(str, modes))) for text, modes in numbers.items() if modes]
 
 
-def setups(plan: PlanStage) -> list[str]:
+def setup_sentences(plan: PlanStage) -> list[str]:
     """How the sensors at hand are moved, the modes that cannot be joined well, and those that their
     mass shifts.
     """
     if (found := plan.setups) is None:
         return []
     at_once = found.references.size + max(found.roving(k).size for k in range(found.count))
-    told = [
+    lines = [
         f"{found.count} setups of up to {at_once} sensors; those at "
         f"{' '.join(map(str, plan.roving(-1)))} stay"
     ]
     names = np.array([str(k + 1) for k in plan.target_modes.tolist()])
-    if (dim := found.seen < HARDLY).any():
-        told.append(
+    if (dim := found.seen < LEAST_SEEN).any():
+        lines.append(
             f"the sensors that stay hardly see mode {', '.join(names[dim])}: strike elsewhere or "
             "take more sensors"
         )
     if (moved := found.shift > plan.damping).any():
         worst = int(np.nanargmax(found.shift))
-        told.append(
+        lines.append(
             f"moving the sensors shifts mode {', '.join(names[moved])} by more than half its "
             "resonance is wide (mode "
             f"{names[worst]} by {100 * found.shift[worst]:.2g} %): rove with the hammer, or "
             "leave dummy masses"
         )
-    return told
+    return lines
 
 
-def validated(band: tuple[float, float]) -> str:
+def validity_sentence(band: tuple[float, float]) -> str:
     """How far a prediction may be believed, Hz."""
     low, high = band
     if high <= 0:
@@ -199,7 +201,7 @@ def validated(band: tuple[float, float]) -> str:
     return f"the model is validated from {low:.4g} to {high:.4g} Hz; beyond, no test has checked it"
 
 
-def worse(before: Float, after: Float) -> str:
+def worse_frequencies(before: Float, after: Float) -> str:
     """That an updating has made frequencies worse; nothing where it has not by a hundredth of a
     percent.
 
@@ -255,7 +257,7 @@ def _more(notes: int) -> str:
     return f" ({notes} more note{'s' * (notes > 1)} on it)" if notes else ""
 
 
-def _found(identify: IdentifyStage) -> str:
+def _mode_counts(identify: IdentifyStage) -> str:
     parts = [f"{len(identify.ambient)} ambient modes"] if identify.ambient_records else []
     if identify.hammer is not None:
         parts.append(f"{len(identify.hammer)} modes of the {identify.source}")
@@ -268,7 +270,7 @@ def _pairs(correlate: CorrelateStage, final: FinalStage | None) -> list[str]:
     ]
     total = correlate.reference.frequencies.size
     mac = ""
-    if not tables[0].alone:
+    if not tables[0].frequency_only:
         single = _arrow([f"{t.mean_mac():.1f}" for t in tables])
         subspace = _arrow([f"{t.mean_subspace_mac():.1f}" for t in tables])
         mac = f", mean MAC {single} %, mean subspace MAC {subspace} %"
@@ -277,11 +279,13 @@ def _pairs(correlate: CorrelateStage, final: FinalStage | None) -> list[str]:
         f"{_arrow([f'{t.mean_deviation():.2f}' for t in tables])} %{mac}"
     ]
     if final is not None and any((~t.used).any() for t in tables):
-        out.append(spared(correlate.initial, final.table))
+        out.append(left_out_sentence(correlate.initial, final.table))
     return out
 
 
-def _shared(before: CorrelationTable, after: CorrelationTable, *, used: bool) -> list[Float]:
+def _in_both_deviations(
+    before: CorrelationTable, after: CorrelationTable, *, used: bool
+) -> list[Float]:
     """Deviations, %, of the modes that are `in_both`."""
     return [
         t.deviation_percent[w]
@@ -289,11 +293,11 @@ def _shared(before: CorrelationTable, after: CorrelationTable, *, used: bool) ->
     ]
 
 
-def spared(before: CorrelationTable, after: CorrelationTable) -> str:
+def left_out_sentence(before: CorrelationTable, after: CorrelationTable) -> str:
     """How well the modes are met that the updating did not see, and which of them have a partner in
     one table only.
     """
-    both = _shared(before, after, used=False)
+    both = _in_both_deviations(before, after, used=False)
     out = "modes that the updating did not see: "
     if both[0].size:
         alone = both[0].size < max(int((~t.used).sum()) for t in (before, after))
@@ -343,7 +347,9 @@ def _interval(known: UncertaintyStage | None, name: str) -> tuple[float, float, 
     return known.level, low, high
 
 
-def _factor(name: str, factor: float, std: float, within: tuple[float, float, float] | None) -> str:
+def _factor_sentence(
+    name: str, factor: float, std: float, within: tuple[float, float, float] | None
+) -> str:
     digits = int(np.clip(1 - np.floor(np.log10(std)), 3, 6)) if np.isfinite(std) and std > 0 else 3
     ends = (
         f" ({100 * within[0]:g} %: {within[1]:.{digits}f} to {within[2]:.{digits}f})"
@@ -353,7 +359,7 @@ def _factor(name: str, factor: float, std: float, within: tuple[float, float, fl
     return f"{name}: times {factor:.{digits}f} ± {std:.{digits}f}{ends}"
 
 
-def _lacking(r: Mapping[str, Any]) -> dict[str, float]:
+def _added_masses(r: Mapping[str, Any]) -> dict[str, float]:
     """Masses that the deck lacked and a factor of 2 adds, by the names of the parameters."""
     found: LocaliseStage | None = r.get("localise")
     return (
@@ -361,7 +367,7 @@ def _lacking(r: Mapping[str, Any]) -> dict[str, float]:
     )
 
 
-def _lump(
+def _added_mass(
     name: str, total: float, factor: float, std: float, within: tuple[float, float, float] | None
 ) -> str:
     mass = f"{total * (factor - 1):.4g} ± {total * std:.2g}"

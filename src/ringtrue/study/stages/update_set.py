@@ -1,6 +1,4 @@
-"""A parameter set updated on the whole objective: all configurations and kinds of residuals, each
-model verified.
-"""
+"""One parameter set updated over all configurations, on reduced models or by runs of a solver."""
 
 from __future__ import annotations
 
@@ -10,24 +8,28 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from scipy import sparse
 
 from ringtrue.core.arrays import Bool, Float
 from ringtrue.core.progress import Progress
-from ringtrue.model.ports import Linearisation
+from ringtrue.core.testmodel import Observation
+from ringtrue.model.edit import carried
+from ringtrue.model.ports import Linearisation, ModesRequest
+from ringtrue.solvers.observed import PRINTED, UNTOLD, FullModel
 from ringtrue.study.config_update import UpdateSection
-from ringtrue.study.course import settled
-from ringtrue.study.objective import data_count, data_of, names_of, problem_of, terms_of
-from ringtrue.study.parametric import (
-    CLOSE,
-    ROUNDS,
-    AtChannels,
-    frequency_error,
-    not_verified,
-    verified,
+from ringtrue.study.objective import (
+    course_of,
+    data_count,
+    data_of,
+    minimise,
+    names_of,
+    problem_of,
+    targets,
+    terms_of,
 )
+from ringtrue.study.opened import CLOSE, ROUNDS, AtChannels, frequency_error, not_verified, verified
 from ringtrue.study.results import ConfiguredStage, DataResult, SetResult
-from ringtrue.study.stages.sensitivity import targets
-from ringtrue.study.workbench import Workbench
+from ringtrue.study.session import Session
 from ringtrue.updating import settle
 from ringtrue.updating.objective import Target, aicc, residual
 from ringtrue.updating.settle import Settled, displaced, whole_cost
@@ -35,8 +37,8 @@ from ringtrue.updating.several import Configuration, Evaluated, Problem
 from ringtrue.updating.trust import Solution
 
 
-def together(
-    desk: Workbench,
+def update_reduced(
+    session: Session,
     name: str,
     members: Sequence[str],
     progress: Progress,
@@ -55,19 +57,19 @@ def together(
     NotConverged
         If a reduced model does not follow its full one.
     """
-    u = u or desk.config.update
-    models, aims = [desk.candidates(progress), *desk.others(progress)], targets(desk, u)
+    u = u or session.config.update
+    models, aims = [session.candidates(progress), *session.others(progress)], targets(session, u)
     start: Float | None = None
     if factors is not None:
-        mine = desk.parameters.take([desk.parameters.names.index(m) for m in members])
+        mine = session.parameters.take([session.parameters.names.index(m) for m in members])
         start = mine.vector(np.array([factors[m] for m in members]))
     path: list[Evaluated] = []
     error = np.inf
     for _ in range(ROUNDS):
-        end = settled(
-            _problem(desk, u, models, aims, members),
+        end = minimise(
+            _problem(session, u, models, aims, members),
             u,
-            desk.config.study.seed,
+            session.config.study.seed,
             progress,
             start=start,
         )
@@ -78,27 +80,27 @@ def together(
             break
     if error >= CLOSE:
         raise not_verified(error)
-    problem = _problem(desk, u, models, aims, members)
-    end = settled(problem, u, desk.config.study.seed, progress, start=start)
+    problem = _problem(session, u, models, aims, members)
+    end = minimise(problem, u, session.config.study.seed, progress, start=start)
     return summary(problem, aims, name, replace(end, path=(*path, *end.path[1:]))), displaced(
         problem, end.solution.end
     )
 
 
-def told_data(desk: Workbench, best: SetResult, progress: Progress) -> tuple[DataResult, ...]:
+def compare_data(session: Session, best: SetResult, progress: Progress) -> tuple[DataResult, ...]:
     """What was measured beside the modes, by the model before and after the updating."""
-    models = [_held(m, best.parameters) for m in desk.updated(best, progress)]
-    x = desk.parameters.take([desk.parameters.names.index(n) for n in best.parameters]).vector(
-        best.factor
-    )
+    models = [_over(m, best.parameters) for m in session.updated(best, progress)]
+    x = session.parameters.take(
+        [session.parameters.names.index(n) for n in best.parameters]
+    ).vector(best.factor)
     at = dict(zip(best.parameters, x.tolist(), strict=True))
     out = []
-    for name, model, aim in zip(names_of(desk), models, targets(desk), strict=True):
+    for name, model, aim in zip(names_of(session), models, targets(session), strict=True):
         y = np.array([at[n] for n in model.parameters.names])
-        for m, d in zip(desk.measured(name), data_of(desk, name, model), strict=True):
+        for m, d in zip(session.measured(name), data_of(session, name, model), strict=True):
             one = Configuration(model, aim, (d.term,))
             before, after = (d.shown(d.term(one.at(v, slopes=False))) for v in (0 * y, y))
-            places = desk.seats_beside(name, m)
+            places = session.seats_beside(name, m)
             out.append(
                 DataResult(
                     d.name,
@@ -116,26 +118,28 @@ def told_data(desk: Workbench, best: SetResult, progress: Progress) -> tuple[Dat
     return tuple(out)
 
 
-def others_at(desk: Workbench, best: SetResult, progress: Progress) -> tuple[Configuration, ...]:
+def other_configurations(
+    session: Session, best: SetResult, progress: Progress
+) -> tuple[Configuration, ...]:
     """The other configurations over the parameters of a set, springs as tuned; the pairs of the
     delivered decks.
     """
-    if not desk.config.configuration:
+    if not session.config.configuration:
         return ()
-    delivered: ConfiguredStage = desk.get("configured")
+    delivered: ConfiguredStage = session.get("configured")
     factor = dict(zip(best.parameters, best.factor.tolist(), strict=True))
     out = []
     for model, aim, done in zip(
-        desk.delivered_models(progress)[1:], targets(desk)[1:], delivered.items, strict=True
+        session.delivered_models(progress)[1:], targets(session)[1:], delivered.items, strict=True
     ):
-        active, x = as_delivered(desk, model, factor, done.observed.frequencies, progress)
-        terms = terms_of(desk, done.name, active, desk.config.update)
+        active, x = as_delivered(session, model, factor, done.observed.frequencies, progress)
+        terms = terms_of(session, done.name, active, session.config.update)
         out.append(Configuration(active, aim.settled(active.linearise(x)), terms, done.name))
     return tuple(out)
 
 
 def as_delivered(
-    desk: Workbench,
+    session: Session,
     model: AtChannels,
     factor: Mapping[str, float],
     truth: Float,
@@ -147,7 +151,7 @@ def as_delivered(
     """
     every, mine = model.model.system.parameters, model.parameters.names
     springs = every.take(range(len(mine), len(every)))
-    tuned = desk.get("tune").factors if len(springs) else {}
+    tuned = session.get("tune").factors if len(springs) else {}
     base = np.concatenate(
         [np.zeros(len(mine)), springs.vector(np.array([tuned[n] for n in springs.names]))]
     )
@@ -159,7 +163,7 @@ def as_delivered(
     return active, x
 
 
-def _held(model: AtChannels, members: Sequence[str]) -> AtChannels:
+def _over(model: AtChannels, members: Sequence[str]) -> AtChannels:
     """The model over those of the parameters that it has."""
     every = model.parameters.names
     return model.with_parameters(
@@ -168,13 +172,13 @@ def _held(model: AtChannels, members: Sequence[str]) -> AtChannels:
 
 
 def _problem(
-    desk: Workbench,
+    session: Session,
     u: UpdateSection,
     models: Sequence[AtChannels],
     aims: Sequence[Target],
     members: Sequence[str],
 ) -> Problem:
-    return problem_of(desk, [_held(m, members) for m in models], aims, u)
+    return problem_of(session, [_over(m, members) for m in models], aims, u)
 
 
 def _verified(
@@ -185,7 +189,7 @@ def _verified(
     """
     better, errors, at = [], [], dict(zip(members, done.x.tolist(), strict=True))
     for m in models:
-        active = _held(m, members)
+        active = _over(m, members)
         fresh, error = verified(active, np.array([at[n] for n in active.parameters.names]))
         every = m.parameters.names
         better.append(fresh.with_parameters(range(len(every)), np.zeros(len(every))))
@@ -213,7 +217,7 @@ def percent(of: Callable[[Float], np.floating[Any]], values: Float, which: Bool)
     return float(100 * of(np.abs(values[which]))) if which.any() else float("nan")
 
 
-def spared(aims: Sequence[Target], ends: Sequence[Linearisation]) -> float:
+def left_out_deviation(aims: Sequence[Target], ends: Sequence[Linearisation]) -> float:
     """Mean |Δf|, %, of the modes left out, paired by the gates: the pairs of the updating drop
     those far off.
     """
@@ -236,13 +240,13 @@ def summary(problem: Problem, aims: Sequence[Target], name: str, end: Settled) -
         name,
         p.names,
         done.factors,
-        done.std * p.slope(done.x) / done.factors,
+        done.std * p.derivative(done.x) / done.factors,
         np.stack([p.factors(low), p.factors(high)], axis=1),
         done.identifiability,
         percent(np.mean, error, used),
         percent(np.max, error, used),
         percent(np.mean, mac, used),
-        spared(aims, [p.now for p in done.end.points]),
+        left_out_deviation(aims, [p.now for p in done.end.points]),
         float(np.linalg.cond(scaled.T @ scaled)) if size.size else 1.0,
         aicc(whole_cost(problem, done.end), data_count(problem, done.end), done.x.size),
         done.outcome.value,
@@ -254,3 +258,56 @@ def summary(problem: Problem, aims: Sequence[Target], name: str, end: Settled) -
         float(np.linalg.norm(problem.gradient(done.end))) / first,
         discrepancy=settle.kept(end.problem),
     )
+
+
+USUAL = 60  # runs of an updating, for the progress that is shown
+
+
+def update_by_runs(
+    session: Session,
+    name: str,
+    members: Sequence[str],
+    progress: Progress,
+    u: UpdateSection | None = None,
+) -> tuple[SetResult, int]:
+    """Update on the full decks of all configurations; the result, and how many runs it took.
+
+    `u` stands in for the [update] of the study. A run that fails at a trial point is a rejected
+    step.
+
+    Raises
+    ------
+    SolverError
+        If the solver is missing, or fails at the start.
+    """
+    u = u or session.config.update
+    aims = targets(session, u)
+    models = [_full(session, n, members) for n in names_of(session)]
+    problem = problem_of(session, models, aims, u)
+
+    def told(_fraction: float, text: str) -> None:
+        runs = sum(m.ledger.runs for m in models)
+        progress(runs / (runs + USUAL), f"{name}: {text}, {runs} runs of {session.deck.solver}")
+
+    course = course_of(u)
+    course = replace(course, method=replace(course.method, step=PRINTED, gradient=UNTOLD))
+    end = minimise(problem, u, session.config.study.seed, progress, course=course, told=told)
+    return summary(problem, aims, name, end), sum(m.ledger.runs for m in models)
+
+
+def _full(session: Session, name: str, members: Sequence[str]) -> FullModel:
+    """A deck over those of the parameters that it has, at the channels of its test, with all its
+    modes up to fmax.
+    """
+    assert session.engine is not None
+    opened, look = session.deck_of(name)
+    names = session.parameters.names
+    mine = carried(opened.model, session.parameters.take([names.index(m) for m in members]))
+    channels = session.reference(name).channels
+    rows = np.array([look.channels.index(c) for c in channels], dtype=np.int64)
+    with session.engine.open(opened.model) as analysis:
+        at, sign = look.dofs.align(analysis.dofs)
+        matrix = sparse.csr_array(look.matrix[rows][:, at] * sign)
+        seen = Observation(matrix, channels, analysis.dofs, look.unit, look.distance[rows])
+    count = len(opened.modes(session.fmax).modes)
+    return FullModel(opened.model, mine, seen, ModesRequest(max(count, 1)), session.engine)

@@ -1,20 +1,78 @@
-"""Stabilisation diagrams as a page on which poles are picked and modes rejected: it writes the
-choice as TOML.
-"""
+"""Self-contained HTML pages of figures: poles to pick, responses."""
 
 from __future__ import annotations
 
+import html
 from collections.abc import Sequence
 
 import numpy as np
 import plotly.graph_objects as go
+from plotly.offline import get_plotlyjs
 
 from ringtrue.core.arrays import Bool
 from ringtrue.core.modes import ModeSet
+from ringtrue.core.signals import FrfSet
 from ringtrue.identification.common.poles import StableDiagram
 from ringtrue.plots.identification import pole_span
-from ringtrue.plots.page import figure_page
-from ringtrue.plots.style import FE, QUALITATIVE, TEST, axis, f32, figure
+from ringtrue.plots.signals import frf_unit
+from ringtrue.plots.style import FE, FONT, INK, QUALITATIVE, TEST, axis, f32, figure, log_axis
+
+# "<" could end the element or begin a comment; the two separators end a line in older scripts. JSON
+# has all of them in its strings alone, where their escapes are the same text.
+_ESCAPES = str.maketrans({"<": "\\u003c", "\u2028": "\\u2028", "\u2029": "\\u2029"})
+
+
+def script_json(text: str) -> str:
+    r"""The same JSON without what HTML reads.
+
+    >>> script_json('["<!--", "</script>"]')
+    '["\\u003c!--", "\\u003c/script>"]'
+    """
+    return text.translate(_ESCAPES)
+
+
+_PAGE_STYLE = (
+    f"body{{font-family:{FONT};color:{INK};max-width:80rem;margin:1rem auto;padding:0 1rem}}"
+    "pre{background:#f4f6f8;padding:.8rem;white-space:pre-wrap}h2{font-size:1rem;margin:1rem 0 0}"
+)
+_DRAW = """
+for (const [i, spec] of figures.entries())
+  Plotly.newPlot('figure-' + i, spec.data, spec.layout, {responsive: true, displaylogo: false});
+"""
+
+
+def figure_page(
+    title: str,
+    figures: Sequence[tuple[str, go.Figure]],
+    *,
+    before: str = "",
+    after: str = "",
+    script: str = "",
+) -> str:
+    """The page: a title, the figures each under its own heading, and the script library inside.
+
+    Parameters
+    ----------
+    title : str
+    figures : sequence of (heading, figure)
+        Drawn into the elements `figure-0`, `figure-1`, ...
+    before, after : str
+        HTML above and below the figures.
+    script : str
+        Runs after the figures are drawn.
+    """
+    specs = "[" + ",".join(str(f.to_json()) for _, f in figures) + "]"
+    divs = "".join(
+        f'<h2>{html.escape(h)}</h2><div id="figure-{i}"></div>' for i, (h, _) in enumerate(figures)
+    )
+    name = html.escape(title)
+    return (
+        '<!doctype html><html lang="en"><head><meta '
+        f'charset="utf-8"><title>{name}</title><style>{_PAGE_STYLE}</style>'
+        f"<script>{get_plotlyjs()}</script></head><body><h1>{name}</h1>{before}{divs}{after}"
+        f"<script>const figures = {script_json(specs)};{_DRAW}{script}</script></body></html>\n"
+    )
+
 
 MOST = 4000  # poles of one kind in one diagram; beyond it every n-th is drawn
 
@@ -125,3 +183,44 @@ def _poles(
         + "</extra>"
     )
     fig.data[-1].update(customdata=told.tolist(), hovertemplate=hover)
+
+
+def frf_page(title: str, data: FrfSet) -> str:
+    """A self-contained page: a figure a force, with the responses to it over one another."""
+    drawn = [(f"Force at {c.id}", responses(data, j)) for j, c in enumerate(data.inputs)]
+    return figure_page(f"{title}: {data.kind}", drawn)
+
+
+def responses(data: FrfSet, column: int) -> go.Figure:
+    """Modulus above and phase below of all responses to one force."""
+    fig = figure(
+        520,
+        showlegend=True,
+        xaxis=axis(anchor="y", matches="x2", showticklabels=False),
+        yaxis=log_axis(f"|H|, {frf_unit(data)}", domain=[0.36, 1], dtick=1),
+        xaxis2=axis("Frequency, Hz", anchor="y2"),
+        yaxis2=axis(
+            "Phase, °",
+            domain=[0, 0.28],
+            anchor="x2",
+            tickvals=[-180, -90, 0, 90, 180],
+            range=[-190, 190],
+        ),
+    )
+    x = f32(data.freqs)
+    for i, c in enumerate(data.outputs):
+        h, line = data.data[:, i, column], {"width": 1.3, "color": QUALITATIVE[i % 8]}
+        size = np.where(h == 0, np.nan, np.abs(h))
+        fig.add_scatter(x=x, y=f32(size), name=c.id, line=line, legendgroup=c.id)
+        y = f32(np.degrees(np.angle(h)))
+        fig.add_scatter(
+            x=x,
+            y=y,
+            name=c.id,
+            line=line,
+            legendgroup=c.id,
+            showlegend=False,
+            xaxis="x2",
+            yaxis="y2",
+        )
+    return fig

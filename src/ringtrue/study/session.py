@@ -26,12 +26,18 @@ from ringtrue.model.ports import ModalSolver
 from ringtrue.model.refine import refined
 from ringtrue.reduction.parametric import ReducedModel
 from ringtrue.solvers.registry import EMBEDDED, solver
-from ringtrue.study.config import ConfigurationSection, ModelSection, StudyConfig
-from ringtrue.study.measured import NO_FRFS, Measured, channels_of, excited, flexible, measured
-from ringtrue.study.opened import Opened
-from ringtrue.study.parametric import AtChannels, build
-from ringtrue.study.placing import alignment, placed
-from ringtrue.study.proposing import with_lumps
+from ringtrue.study.config import StudyConfig
+from ringtrue.study.config_sections import ConfigurationSection, ModelSection
+from ringtrue.study.measured_data import (
+    NO_FRFS,
+    Measured,
+    channels_of,
+    excited,
+    flexible,
+    read_measured,
+)
+from ringtrue.study.opened import AtChannels, Opened, build, with_lumps
+from ringtrue.study.placing import alignment, placed, seats
 from ringtrue.study.reference import highest, reference_modes, settings
 from ringtrue.study.results import (
     ConfigurationsStage,
@@ -43,7 +49,6 @@ from ringtrue.study.results import (
     SetResult,
     UpdateStage,
 )
-from ringtrue.study.seats import seats
 from ringtrue.study.store import Store
 from ringtrue.updating.candidates import Candidate, CandidateSettings
 from ringtrue.updating.residuals_static import RigidMass
@@ -53,7 +58,7 @@ FMAX = 100.0  # Hz, where neither the study nor a test says
 
 
 @dataclass(eq=False)
-class Workbench:
+class Session:
     """Settings, store and shared models; results are put once, never changed."""
 
     config: StudyConfig
@@ -267,7 +272,7 @@ class Workbench:
                 else "only FRFs of the study's own test are known without a file"
             )
             self._measured[name] = tuple(
-                measured(s, self.base, self.reference(name), frfs, why) for s in mine
+                read_measured(s, self.base, self.reference(name), frfs, why) for s in mine
             )
         return self._measured[name]
 

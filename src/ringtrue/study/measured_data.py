@@ -1,6 +1,4 @@
-"""What was measured beside the modes, as residuals of the updating: FRFs, their zeros, static
-tests, a weighing.
-"""
+"""Measured data other than modes as residuals: FRFs, their zeros, static tests, a weighing."""
 
 from __future__ import annotations
 
@@ -123,7 +121,7 @@ class Data:
         return np.asarray(self.measured - self.scale * block.value)
 
 
-def measured(
+def read_measured(
     section: DataResidual,
     base: Path,
     modes: ModeSet,
