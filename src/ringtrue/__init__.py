@@ -67,9 +67,9 @@ if TYPE_CHECKING:
     from ringtrue.model.model import Model
     from ringtrue.solvers.matrices import MatrixModel
     from ringtrue.solvers.observed import at_factors
-    from ringtrue.study.config import PredictSection as PredictSettings
-    from ringtrue.study.config_correlate import CorrelateSection as CorrelateSettings
-    from ringtrue.study.config_plan import PlanSection as PlanSettings
+    from ringtrue.study.config_sections import CorrelateSection as CorrelateSettings
+    from ringtrue.study.config_sections import PlanSection as PlanSettings
+    from ringtrue.study.config_sections import PredictSection as PredictSettings
     from ringtrue.study.config_update import UpdateSection as UpdateSettings
 
 _PLACES = {  # module -> public names in it
@@ -90,9 +90,9 @@ _PLACES = {  # module -> public names in it
     "solvers.observed": "at_factors",
 }
 _SETTINGS = {  # public name -> module and the section of study.toml that it is
-    "CorrelateSettings": ("study.config_correlate", "CorrelateSection"),
-    "PlanSettings": ("study.config_plan", "PlanSection"),
-    "PredictSettings": ("study.config", "PredictSection"),
+    "CorrelateSettings": ("study.config_sections", "CorrelateSection"),
+    "PlanSettings": ("study.config_sections", "PlanSection"),
+    "PredictSettings": ("study.config_sections", "PredictSection"),
     "UpdateSettings": ("study.config_update", "UpdateSection"),
 }
 _WHERE = {name: (module, name) for module, names in _PLACES.items() for name in names.split()}

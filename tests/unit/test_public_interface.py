@@ -125,3 +125,10 @@ def test_a_published_frame_of_bare_matrices_is_updated_in_twelve_lines() -> None
 
 def test_private_modules_say_so() -> None:
     assert "private to the project" in (importlib.import_module("ringtrue").__doc__ or "")
+
+
+def test_the_modules_of_the_names_are_those_that_the_types_are_checked_with() -> None:
+    text = Path(rt.__file__ or "").read_text(encoding="utf-8")
+    checked = text[text.index("if TYPE_CHECKING") : text.index("_PLACES")]
+    for module, _ in rt._WHERE.values():
+        assert f"from ringtrue.{module} import" in checked, module

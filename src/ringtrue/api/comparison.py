@@ -33,22 +33,23 @@ from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
-from ringtrue.study.config_correlate import CorrelateSection
+from ringtrue.study.config_sections import CorrelateSection
 from ringtrue.study.evidence import NAMES, ChannelMass, channel_mass, gate
 from ringtrue.study.opened import Opened
 from ringtrue.study.placing import (
     alignment,
+    alignment_text,
     between_nodes,
     mesh_points,
     near_mesh,
     placed,
     readings,
+    seat_words,
+    seats,
     shared_places,
-    words,
 )
 from ringtrue.study.reference import at_common, highest, positions
 from ringtrue.study.results import Seat
-from ringtrue.study.seats import seat_words, seats
 
 LOWEST = 26  # modes of a model in the place of a test
 BY_FREQUENCY = (
@@ -306,7 +307,7 @@ def _of_model(
     found = alignment(here, opened, asked.align) if here is not None and asked.align else None
     if here is not None and found is not None:
         here = found.move(here)
-        notes.append(words(found))
+        notes.append(alignment_text(found))
 
     def bridge(there: TestModel) -> Observation:
         on_model = found.move(there) if found is not None else there

@@ -27,20 +27,16 @@ from ringtrue.model.model import Model
 from ringtrue.shapes.complexity import realise_modes
 from ringtrue.solvers.matrices import MatrixModel
 from ringtrue.solvers.observed import at_factors, reduced
-from ringtrue.study.config import LocaliseSection, parse_target
-from ringtrue.study.config_correlate import CorrelateSection
+from ringtrue.study.config_sections import CorrelateSection, LocaliseSection, parse_target
 from ringtrue.study.config_update import UpdateSection
-from ringtrue.study.course import settled
-from ringtrue.study.direct import solved
-from ringtrue.study.lent import lent
-from ringtrue.study.objective import LOSSES, modal_terms
-from ringtrue.study.placing import placed
-from ringtrue.study.proposing import Proposed, directly_proposed
+from ringtrue.study.direct import DirectProposal, propose_parameters, solved
+from ringtrue.study.objective import LOSSES, minimise, modal_terms
+from ringtrue.study.placing import placed, seat_words, seats
 from ringtrue.study.reference import highest, measured_part
 from ringtrue.study.results import Seat
-from ringtrue.study.seats import seat_words, seats
 from ringtrue.study.stages.tune import WEIGHTS as RIGID_WEIGHTS
 from ringtrue.study.stages.tune import tuned
+from ringtrue.study.supplied import pair_frequencies
 from ringtrue.updating.candidates import CandidateSettings
 from ringtrue.updating.damping import fit_poles, mode_damping
 from ringtrue.updating.damping_regions import DampingRegion, dampers, default_regions
@@ -104,7 +100,7 @@ class Localisation(Displayed):
     notes : tuple of str
     seats : tuple of Seat
         Where each sensor reads the model.
-    found : Proposed
+    found : DirectProposal
         All candidates and the reasons of the choice.
     """
 
@@ -115,7 +111,7 @@ class Localisation(Displayed):
     proposal: ParameterSet
     notes: tuple[str, ...]
     seats: tuple[Seat, ...]
-    found: Proposed
+    found: DirectProposal
 
 
 def localise(
@@ -172,7 +168,7 @@ def localise(
     notes: tuple[str, ...] = ()
     places: tuple[Seat, ...] = ()
     if not modes.channels:
-        borrowed = lent(modes, opened, CorrelateSection().gates(), NO_LOCKS)
+        borrowed = pair_frequencies(modes, opened, CorrelateSection().gates(), NO_LOCKS)
         bridge, notes = opened.observation(borrowed.points, np.inf), borrowed.notes
         modes = borrowed.modes.take(measured_part(borrowed.modes)[0])
     else:
@@ -180,7 +176,7 @@ def localise(
         places = seats(bridge, sheet.model) if sheet is not None else ()
         notes = seat_words(places)
     settings = CandidateSettings(units=model.units)
-    found = directly_proposed(
+    found = propose_parameters(
         opened, realise_modes(modes), bridge, settings, pool, most, part(progress, 0.1, 1.0)
     )
     members = found.proposal.members
@@ -347,7 +343,7 @@ def update(
         done = solved(problem, u, seed, None, progress)
         solution, final, error = done.solution, done.problem, done.error
     else:
-        end = settled(problem, u, seed, progress)
+        end = minimise(problem, u, seed, progress)
         solution, final, error = end.solution, end.problem, float("nan")
     start = final.evaluate(np.zeros(final.size))
     interval = laplace(final, solution.end).interval(LEVEL)
@@ -539,7 +535,7 @@ def tune_suspension(
     return TunedSuspension(
         every.names,
         factors,
-        found.std * every.slope(x) / factors,
+        found.std * every.derivative(x) / factors,
         found.best.frequencies,
         at_factors(model, every, factors),
         found.ambiguity(),

@@ -21,7 +21,6 @@ from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.decks.nastran.results.hdf5 import is_nastran_h5
 from ringtrue.decks.nastran.results.modes import READERS, read_nastran_modes
 from ringtrue.errors import ConfigError, DataError, InputError, did_you_mean
-from ringtrue.identification.ambient.other_methods import SecondOpinion, identify_ambient_by
 from ringtrue.identification.ambient.pipeline import (
     AmbientResult,
     AmbientSettings,
@@ -31,9 +30,9 @@ from ringtrue.identification.ambient.record_bands import SHORTEST
 from ringtrue.identification.common.poles import StableDiagram
 from ringtrue.identification.frf.linearity import LevelDependence, level_dependence
 from ringtrue.identification.frf.local_fits import with_local_fits
-from ringtrue.identification.frf.other_methods import identify_frfs_by
 from ringtrue.identification.frf.pipeline import HammerModes, HammerResult, identify_hammer
 from ringtrue.identification.frf.residues import driving_pairs
+from ringtrue.identification.methods import SecondOpinion, identify_ambient_by, identify_frfs_by
 from ringtrue.io import frfs as frf_files
 from ringtrue.io import modes_json, records
 from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
@@ -44,8 +43,14 @@ from ringtrue.signal.gaps import bridged, without_overlap
 from ringtrue.signal.impacts import HammerSettings, HitReport
 from ringtrue.signal.order_tracking import without_machines
 from ringtrue.signal.tonal_lines import harmonics
-from ringtrue.study.blows import BlowFiles, kept_blows, read_blows, refused_blows
-from ringtrue.study.forced import Forced, forced_frfs
+from ringtrue.study.hammer_records import (
+    Forced,
+    ForceRecordFormat,
+    accepted_hits,
+    forced_frfs,
+    read_force_records,
+    rejected_hits,
+)
 from ringtrue.study.run import load_study
 
 STORE = "study.h5"
@@ -406,7 +411,7 @@ class MeasuredFrfs(Displayed):
 def estimate_frfs(
     files: Sequence[str | Path] | str | Path,
     *,
-    reading: BlowFiles | None = None,
+    reading: ForceRecordFormat | None = None,
     settings: HammerSettings | None = None,
     line_spacing: float | None = None,
     progress: Progress = quiet,
@@ -419,7 +424,7 @@ def estimate_frfs(
     Parameters
     ----------
     files : path or sequence of paths
-    reading : BlowFiles, optional
+    reading : ForceRecordFormat, optional
         Force channel, excitation points, units: how the records are read.
     settings : HammerSettings, optional
         Blocks, windows and the estimator.
@@ -438,7 +443,7 @@ def estimate_frfs(
     Ewins (2000), Modal Testing, ch. 3; ISO 7626-5.
     """
     paths = [Path(files)] if isinstance(files, str | Path) else [Path(f) for f in files]
-    how = reading or BlowFiles()
+    how = reading or ForceRecordFormat()
     given = [frf_files.holds_frfs(f) for f in paths]
     if any(given) and not all(given):
         raise ConfigError(
@@ -447,7 +452,7 @@ def estimate_frfs(
         )
     if all(given):
         return _given_frfs(paths, how)
-    histories, ranges, notes = read_blows(paths, how)
+    histories, ranges, notes = read_force_records(paths, how)
     forced = forced_frfs(
         histories,
         settings or HammerSettings(force=""),
@@ -462,7 +467,7 @@ def estimate_frfs(
     )
 
 
-def _given_frfs(paths: Sequence[Path], how: BlowFiles) -> MeasuredFrfs:
+def _given_frfs(paths: Sequence[Path], how: ForceRecordFormat) -> MeasuredFrfs:
     if how.channels:
         raise ConfigError(
             f"--channels names the channels of time records; {paths[0]} holds FRFs, which have "
@@ -480,7 +485,7 @@ def _given_frfs(paths: Sequence[Path], how: BlowFiles) -> MeasuredFrfs:
 def _frf_notes(frfs: FrfSet, forced: Forced) -> tuple[str, ...]:
     """Impacts kept and left out, windows, coherence, driving points."""
     known = frfs.coherence[np.isfinite(frfs.coherence)]
-    notes = [kept_blows(forced.hits), *refused_blows(forced.hits), *forced.notes]
+    notes = [accepted_hits(forced.hits), *rejected_hits(forced.hits), *forced.notes]
     if frfs.window_decay > 0:
         notes.append(f"exponential window of {frfs.window_decay:.3g} 1/s, taken out of the damping")
     if known.size:

@@ -23,16 +23,16 @@ from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.io.atomic import atomic_write, writes
 from ringtrue.model.ports import ModesRequest
 from ringtrue.planning.plan_files import NAMES, reach_of, write_test_sheet
-from ringtrue.report.deliver import deliver, report_from_store
+from ringtrue.report.build import deliver, report_from_store
 from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.study import run as runs
-from ringtrue.study.config import PredictSection, read_config
-from ringtrue.study.config_plan import PlanSection
+from ringtrue.study.config import read_config
+from ringtrue.study.config_sections import PlanSection, PredictSection
 from ringtrue.study.results import PlanStage, PredictStage, UpdateStage
+from ringtrue.study.session import Session
 from ringtrue.study.stages import predict as predict_stage
 from ringtrue.study.store import Store
 from ringtrue.study.summary import finite, summarise
-from ringtrue.study.workbench import Workbench
 from ringtrue.virtual.sensors import ICP
 
 ABOVE = 1.3  # modes up to here over the band take part in virtual tests
@@ -257,7 +257,7 @@ def predict(
     else:
         info = config.study if seed is None else config.study.model_copy(update={"seed": seed})
         changed = config.model_copy(update={"predict": asked, "study": info})
-        found = predict_stage.run(Workbench(changed, path.parent, where, held), progress)
+        found = predict_stage.run(Session(changed, path.parent, where, held), progress)
     assert isinstance(found, PredictStage)
     return found
 
@@ -423,7 +423,7 @@ def _toml(value: Any) -> str:
 def _reach(run: runs.StudyRun) -> Float:
     """Driving-point residue of each reference over the best of all channels, (r, target)."""
     stage: PlanStage = run.results["plan"]
-    found = run.desk.initial.modes(run.desk.first_fmax).modes.take(stage.target_modes)
-    seen = run.desk.initial.seen(found, stage.test)
+    found = run.session.initial.modes(run.session.first_fmax).modes.take(stage.target_modes)
+    seen = run.session.initial.seen(found, stage.test)
     at = [stage.test.channels.index(r) for r in stage.references]
     return np.asarray(reach_of(np.asarray(seen.shapes), at))

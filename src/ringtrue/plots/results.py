@@ -12,7 +12,7 @@ from ringtrue.correlation.table import CorrelationTable
 from ringtrue.identification.common.poles import StableDiagram
 from ringtrue.plots.correlation import table_matrix
 from ringtrue.plots.identification import stabilisation
-from ringtrue.plots.responses import responses
+from ringtrue.plots.pages import responses
 from ringtrue.plots.style import figure
 
 MOST_CHANNELS = 12  # of a record in one figure
