@@ -27,7 +27,7 @@ from ringtrue.io.frfs import write_frfs
 from ringtrue.io.statics import COLUMNS
 from ringtrue.model.case_control import ModalDamping, responding
 from ringtrue.model.ports import ModesRequest
-from ringtrue.plots.responses import frf_page
+from ringtrue.plots.pages import frf_page
 from ringtrue.solvers.embedded import EmbeddedAnalysis, EmbeddedSolver
 from ringtrue.study.loads import load_vectors, refuse_displaced, support_motions
 

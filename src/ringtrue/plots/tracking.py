@@ -10,7 +10,7 @@ import plotly.graph_objects as go
 
 from ringtrue.core.arrays import Float
 from ringtrue.identification.common.tracking import ModeTrack, Tracked
-from ringtrue.plots.page import figure_page
+from ringtrue.plots.pages import figure_page
 from ringtrue.plots.style import QUALITATIVE, axis, f32, figure
 
 

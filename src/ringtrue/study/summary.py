@@ -14,6 +14,7 @@ from ringtrue.correlation.sensor_mounting import mendings_json
 from ringtrue.correlation.table import CorrelationTable, table_significance
 from ringtrue.planning.resolution import ambient_std
 from ringtrue.study.acceptance import limits, missed_words
+from ringtrue.study.placing import seats_json
 from ringtrue.study.results import (
     CompareStage,
     ConfigurationsStage,
@@ -32,7 +33,6 @@ from ringtrue.study.results import (
     UpdateStage,
 )
 from ringtrue.study.run import StudyRun
-from ringtrue.study.seats import seats_json
 
 
 def pairs(table: CorrelationTable) -> list[dict[str, Any]]:

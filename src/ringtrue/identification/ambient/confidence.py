@@ -15,16 +15,17 @@ from ringtrue.identification.common.stabilisation import least_deviations
 from ringtrue.shapes.mac import mac
 
 FEW = 4  # channels: with three any shape is like any other
-ECHO, LIKE, ROUGH = (
-    1.25,
-    0.9,
-    0.2,
-)  # ratio of frequencies, MAC, and deviation of the damping over it
+ECHO = 1.25  # ratio of frequencies
+LIKE = 0.9  # MAC
+ROUGH = 0.2  # and deviation of the damping over it
 WORSE = 15.0  # times the least deviation of the damping of a mode
-DOUBTFUL, SURE = 0.2, 0.6  # confidence
+# confidence
+DOUBTFUL = 0.2
+SURE = 0.6
 CROWD = 0.2  # of the order; each mode takes two
 CHANCE = 0.1  # of it
-MANY, APART = 10, 3.0  # modes, and how far apart on average, over the resolution of the lags
+MANY = 10  # modes
+APART = 3.0  # and how far apart on average, over the resolution of the lags
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,7 +55,8 @@ def confidence(c: CandidateModes, orders: int = 0) -> Float:
     appearance do.
     """
     _, sz = c.stds()
-    found, tried = c.orders[:, 0] + 0.0, np.maximum(c.orders[:, 1], 1)
+    found = c.orders[:, 0] + 0.0
+    tried = np.maximum(c.orders[:, 1], 1)
     rest = np.maximum(orders - tried, 0)
     seen = np.sqrt((found + c.share * rest) / (tried + rest))
     known = 1 / (1 + (2 * sz / np.maximum(c.damping, 1e-3)) ** 2)
@@ -173,7 +175,8 @@ def without_echoes(c: CandidateModes, sure: Float) -> Float:
     """
     if len(c.shape) < FEW:
         return sure
-    f, less = c.frequencies, (c.strength[:, None] < 1.2 * c.strength) & (sure[:, None] < sure)
+    f = c.frequencies
+    less = (c.strength[:, None] < 1.2 * c.strength) & (sure[:, None] < sure)
     near = np.abs(np.log(f[:, None] / f)) < np.log(ECHO)
     rough = ~c.refined & (c.stds()[1] > ROUGH * c.damping)
     echo = less & near & (mac(c.shape, c.shape) > LIKE) & rough[:, None] & c.refined

@@ -26,9 +26,8 @@ from ringtrue.identification.common.poles import PoleSet, unit
 from ringtrue.identification.common.stabilisation import CUT, distances
 from ringtrue.shapes.mac import mac
 
-SAME = (
-    0.9  # MAC above which a pick replaces the automatic mode that it lies within the bandwidth of
-)
+# MAC above which a pick replaces the automatic mode that it lies within the bandwidth of
+SAME = 0.9
 Row = tuple[int, int]  # band, and row of its table
 
 
@@ -112,7 +111,8 @@ def chosen(
     DataError
         If a pick means no pole.
     """
-    found, rows = list(found), list(automatic)
+    found = list(found)
+    rows = list(automatic)
     if choice is None:
         return Chosen(found, rows, {}, ())
     said = _picked(found, rows, choice, source)
@@ -187,7 +187,8 @@ def _picked(
 
 def _replaced(found: Sequence[BandModes], row: Row, said: Mapping[Row, str]) -> bool:
     """Whether a picked row is the same mode as an automatic one."""
-    x, i = found[row[0]], row[1]
+    x = found[row[0]]
+    i = row[1]
     width = x.table.damping[i] * x.table.frequencies[i]
     for b, j in said:
         near = abs(_f(found, (b, j)) - _f(found, row)) < width
@@ -204,7 +205,8 @@ def _joined(found: list[BandModes], rows: Sequence[Row]) -> tuple[list[BandModes
     w = 1 / sharp**2 / (1 / sharp**2).sum()
     k = int(np.argmin(sharp))
     b = rows[k][0]
-    x, new = found[b], found[b].table.pole.size
+    x = found[b]
+    new = found[b].table.pole.size
     tables = [found[band].table.take(np.array([i])) for band, i in rows]
     # rows of other bands deviate in columns of their own
     parts = [v * t.deviation for v, t in zip(w, tables, strict=True)]

@@ -109,7 +109,8 @@ class AmbientSettings:
     confidence_min: float = 0.33
 
     def __post_init__(self) -> None:
-        low, high = self.fmin or 0.0, self.fmax or np.inf
+        low = self.fmin or 0.0
+        high = self.fmax or np.inf
         if low < 0 or not low < high:
             raise ConfigError(f"band {self.fmin} .. {self.fmax} Hz: must be 0 <= fmin < fmax")
 
@@ -247,32 +248,40 @@ def identify_stretches(
     tell(0.0, "filtering into bands")
     # an amplitude that is cut off looks steady
     whole = good if kept is raw else kept and good.pick([c.id for c in kept.channels])
-    impacts, lags = events_of(good, gaps), 2 * settings.block_rows / bands[0].rate
+    impacts = events_of(good, gaps)
+    lags = 2 * settings.block_rows / bands[0].rate
     good, whole, swept, echo = without_strokes_sweeps_and_echoes(good, whole, impacts, lags)
-    sines = steady_sines(good, whole, bands, leave, impacts, once=second is not None)
+    sines = steady_sines(
+        good, whole, bands=bands, leave=leave, impacts=impacts, once=second is not None
+    )
     places = [h.frequency for h in sines]
     clean = without_lines(good, places)
-    whole, good = clean if whole is good else whole and without_lines(whole, places), clean
+    whole = clean if whole is good else whole and without_lines(whole, places)
+    good = clean
     shown = harmonics(whole, low=bands[-1].low) if whole and not impacts.driven else ()
     lines = tuple(h for h in shown if h.frequency < bands[0].high)
     ssi = SsiCov(
         settings.block_rows, settings.order_max, blocks=0 if second is None else BLOCKS_EACH
     )
     more_to_come = (scaled(x, factor) for x in chain(() if second is None else (second,), coming))
-    sums, heard = sums_of_stretches(good, gaps, more_to_come, bands, ssi, refs, places, tell)
-    found, motion = [], one_motion(good.channels)
+    sums, heard = sums_of_stretches(
+        good, gaps, coming=more_to_come, bands=bands, ssi=ssi, refs=refs, places=places, tell=tell
+    )
+    found = []
+    motion = one_motion(good.channels)
     known = RecordFacts(response_slope(good), choice, max(heard, key=lambda e: e.share), motion)
     for k, modes_of in enumerate(
         abreast(lambda x: modes_of_band(x, settings.confidence_min, known), sums)
     ):
         tell((k + 1) / (len(bands) + 2), f"identified {bands[k].low:.3g} .. {bands[k].high:.3g} Hz")
         found.append(modes_of)
-    looks, tries = [], settings.order_max // ssi.order_step
+    looks = []
+    tries = settings.order_max // ssi.order_step
     for k, (x, own) in enumerate(zip(sums, found, strict=True)):
         if less := with_fewer_lags(x, fastest_decay(own.table, tries)):
             looks.append((k, less))
         if second is None and not known.driven and dense_set(own.table, tries, x.seconds):
-            looks.append((k, with_more_lags(good, gaps, bands[: k + 1], ssi, refs)))
+            looks.append((k, with_more_lags(good, gaps, bands=bands[: k + 1], ssi=ssi, refs=refs)))
     again = abreast(
         lambda x: modes_of_band(x[1], settings.confidence_min, replace(known, choice=None)), looks
     )
@@ -280,7 +289,16 @@ def identify_stretches(
         found[k], other = surer_groups(found[k], other, settings.confidence_min)
         found.append(other)
     found = [with_echo_doubt(x, echo) for x in found] if echo else found
-    result = _assemble(good, found, lines, places, bands, settings, known, whole)
+    result = _assemble(
+        good,
+        found,
+        lines=lines,
+        gone=places,
+        bands=bands,
+        settings=settings,
+        heard=known,
+        whole=whole,
+    )
     if whole is not good:
         sound = {c.id for c in whole.channels} if whole else set()
         clipped = np.array([c.id not in sound for c in good.channels])
@@ -315,10 +333,10 @@ def _assemble(
     heard: RecordFacts,
     whole: TimeHistory | None,
 ) -> AmbientResult:
-    resolution = (
-        61 * 4 / history.duration
-    )  # main lobe of the window of `harmonics` in 120 half-overlapped segments
-    at, left_out = [], []
+    # main lobe of the window of `harmonics` in 120 half-overlapped segments
+    resolution = 61 * 4 / history.duration
+    at = []
+    left_out = []
     rows = select(found, settings.confidence_min)
     f_all, z_all = (
         np.array([getattr(found[b].table, x)[i] for b, i in rows])
@@ -332,12 +350,13 @@ def _assemble(
     )
     edges = filter_edges(history, f_all, z_all)
     standing = [
-        machine(f, z, lines, resolution, history.duration)
+        machine(f, z, lines=lines, resolution=resolution, duration=history.duration)
         for f, z in zip(f_all, z_all, strict=True)
     ]
     running = [bool(h or why) for h, why in zip(standing, machines, strict=True)]
     if whole and not heard.driven:
-        every, wide = np.append(f_all, known), np.append(z_all, np.zeros(len(known)))
+        every = np.append(f_all, known)
+        wide = np.append(z_all, np.zeros(len(known)))
         kin = locked(whole, every, wide, running + [True] * len(known))
         machines = tuple(x or y for x, y in zip(machines, kin[: len(rows)], strict=True))
     left = line_remainders(f_all, z_all, np.array(gone), history.duration)
@@ -370,7 +389,8 @@ def _assemble(
     at, forced = without_forced(found, at)
     left_out += forced
     by_hand = chosen(found, at, heard.choice, history.source)
-    found, at = by_hand.found, by_hand.rows
+    found = by_hand.found
+    at = by_hand.rows
     left_out += by_hand.notes
     told = np.array([found[b].table.frequencies[i] for b, i in at] + known)
     left_out += [*unresolved(found, told), *unconfirmed(found, np.append(told, f_all))]
@@ -384,12 +404,12 @@ def _assemble(
         confidence=np.array([found[b].confidence[i] for b, i in at]),
     )
     return AmbientResult(
-        modes,
-        uncertainty(found, at, len(history.channels)),
-        tuple(x.diagram for x in found[: len(bands)]),
-        tuple(
+        modes=modes,
+        uncertainty=uncertainty(found, at, len(history.channels)),
+        diagrams=tuple(x.diagram for x in found[: len(bands)]),
+        reasons=tuple(
             "; ".join(filter(None, (by_hand.said.get((b, i)), reason(found[b], i)))) for b, i in at
         ),
-        lines,
-        tuple(with_nothing_found(history, left_out, len(at), bands)),
+        harmonics=lines,
+        notes=tuple(with_nothing_found(history, left_out, len(at), bands)),
     )

@@ -22,10 +22,8 @@ from ringtrue.signal.tonal_lines import Harmonic
 PAIRED = 0.3  # share of the orders
 STRONG = 10.0  # signal-to-noise ratio in the correlations, that poles of noise do not reach
 OVERTONE = 3e-3  # relative distance
-LINE, SHARP = (
-    2e-3,
-    5.0,
-)  # damping that a line may seem to have, and times less of it than the modes have
+LINE = 2e-3  # damping that a line may seem to have
+SHARP = 5.0  # and times less of it than the modes have
 STEADY = 2.5  # deviations of the logarithm of a fourth moment
 ELSEWHERE = 0.1  # of the power of a shape, in channels that are not clipped
 EACH_SIDE = 3  # modes, that carry most of the motion at a frequency between them
@@ -70,9 +68,10 @@ def line_remainders(
     far = damping[~near.any(axis=0) | (damping > LINE)]
     usual = float(np.median(far)) if far.size else 0.0
     sharp = damping < min(LINE, usual / SHARP)
+    # a few poles
     return tuple(
         float(max(sines[near[:, k] & sharp[k]], default=0.0)) for k in range(frequency.size)
-    )  # a few poles
+    )
 
 
 def unresolved(found: list[BandModes], told: Float) -> tuple[str, ...]:
@@ -84,7 +83,8 @@ def unresolved(found: list[BandModes], told: Float) -> tuple[str, ...]:
     """
     near: list[tuple[float, int, int]] = []
     for x in found:
-        order, tried = x.diagram.poles.order, np.unique(x.diagram.poles.order).size
+        order = x.diagram.poles.order
+        tried = np.unique(x.diagram.poles.order).size
         for f, z in zip(x.table.frequencies, x.table.damping, strict=True):
             group = np.flatnonzero(np.abs(x.table.frequencies - f) < z * f)
             _, count = np.unique(order[np.isin(x.table.label, group)], return_counts=True)
@@ -107,7 +107,8 @@ def unconfirmed(found: list[BandModes], told: Float) -> tuple[str, ...]:
     """
     near: list[tuple[float, int, int]] = []
     for x in found:
-        c, tried = x.table, np.unique(x.diagram.poles.order).size
+        c = x.table
+        tried = np.unique(x.diagram.poles.order).size
         lone = (np.abs(told[:, None] - c.frequencies) > 2 * c.damping * c.frequencies).all(axis=0)
         sure = confidence(replace(c, halves=np.ones(c.pole.size)), tried) > SURE
         for i in np.flatnonzero(lone & sure & (c.halves < DOUBTFUL)).tolist():
@@ -131,8 +132,11 @@ def overtones(
     whose bandwidths add up in them, in the channels that it cuts, (ch,) `clipped`: a mode that
     others move in is none. `std` (m,), Hz, is what is known of the frequencies.
     """
-    f, half, sure = modes.frequencies, modes.frequencies * modes.damping, modes.confidence.copy()
-    told, power = list(reasons), np.abs(modes.shapes) ** 2
+    f = modes.frequencies
+    half = modes.frequencies * modes.damping
+    sure = modes.confidence.copy()
+    told = list(reasons)
+    power = np.abs(modes.shapes) ** 2
     for k in np.flatnonzero(power[~clipped].sum(axis=0) < ELSEWHERE * power.sum(axis=0)).tolist():
         base = np.flatnonzero((f < f[k]) & (modes.confidence > modes.confidence[k]))
         a, b = (x.ravel() for x in np.meshgrid(base, base))
@@ -202,9 +206,8 @@ def carriers(frequency: Float, damping: Float, deviation: Float, shape: Complex)
         return []
     shape = _of_one_level(shape)
     psi = shape / np.linalg.norm(shape, axis=0)
-    loose = deviation / np.sqrt(
-        damping / frequency
-    )  # over the statistical floor, up to the length of the record
+    # over the statistical floor, up to the length of the record
+    loose = deviation / np.sqrt(damping / frequency)
     usual = np.median(damping)
     loose = loose * np.maximum(usual / (SHARPER * damping), 1.0)
     out = [np.empty(0, dtype=np.int64) for _ in frequency]
@@ -227,7 +230,8 @@ def _beside(below: Int, above: Int, each: int) -> Int:
     """The nearest accepted modes, `each` of either side; room that one leaves, as below all modes,
     is the other's.
     """
-    low, high = min(below.size, each), min(above.size, each)
+    low = min(below.size, each)
+    high = min(above.size, each)
     low, high = (
         min(below.size, EACH_SIDE, 2 * each - high),
         min(above.size, EACH_SIDE, 2 * each - low),

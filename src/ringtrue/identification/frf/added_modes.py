@@ -51,7 +51,8 @@ def united(lines: Lines, fit: Refined, pairs: Pairs) -> Refined:
     """
     if fit.participation.shape[1] < 2:
         return fit
-    poles, part = fit.poles.copy(), fit.participation.copy()
+    poles = fit.poles.copy()
+    part = fit.participation.copy()
     for i, j in _inseparable(fit):
         basis = _plane(part[[i, j]] * lines.input)
         if basis is None:
@@ -69,10 +70,8 @@ def united(lines: Lines, fit: Refined, pairs: Pairs) -> Refined:
 def _inseparable(fit: Refined) -> list[tuple[int, int]]:
     """Pairs of poles nearer to each other than the data tell, each pole in one pair at most."""
     p = fit.poles
-    half, std = (
-        np.abs(p.real),
-        2 * np.pi * np.hypot(fit.std_frequency, np.abs(p) / (2 * np.pi) * fit.std_damping),
-    )
+    half = np.abs(p.real)
+    std = 2 * np.pi * np.hypot(fit.std_frequency, np.abs(p) / (2 * np.pi) * fit.std_damping)
     far = np.abs(p[:, None] - p)
     width = np.minimum(half[:, None], half)
     near = far < np.clip(SEPARATE * np.hypot(std[:, None], std), ONE * width, NEAR * width)
@@ -103,7 +102,8 @@ def _orthogonal(psi: Complex, basis: Complex, pairs: Pairs, response: Float) -> 
     x = np.eye(2)
     if len(pairs) > 1:
         o, i, sign = (np.array(k) for k in zip(*pairs, strict=True))
-        d, b = (psi[o] * sign[:, None]).T, basis[:, i]
+        d = (psi[o] * sign[:, None]).T
+        b = basis[:, i]
         full = b @ np.linalg.pinv(d)
         full = full * np.exp(-1j * np.angle(np.trace(full)))
         sym = 0.5 * (full + full.T).real

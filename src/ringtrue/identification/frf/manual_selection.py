@@ -98,7 +98,7 @@ def hand_poles(
             [bool(t) for t in said]
         )
     notes = _rejected(f, keep & inside, keep, choice)
-    notes += _merged(f, keep & inside, keep, said, choice)
+    notes += _merged(f, keep & inside, keep=keep, said=said, choice=choice)
     n_in = sets[0].shape.shape[0] if sets else 1
     poles = np.array([p for p, _ in added], dtype=np.complex128)
     parts = np.array([v for _, v in added], dtype=np.complex128).reshape(len(added), n_in)

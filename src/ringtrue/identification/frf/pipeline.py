@@ -187,10 +187,13 @@ def identify_hammer(
     bands = settings.bands or choose_bands(
         used.freqs, curve, float(used.freqs[0]), float(used.freqs[-1])
     )
-    found, diagrams = [], []
+    found = []
+    diagrams = []
     for i, band in enumerate(bands):
         tell(0.05 + 0.55 * i / len(bands), f"poles in {band[0]:.3g}-{band[1]:.3g} Hz")
-        clusters, diagram = band_candidates(used, sigma, curve, band, settings.damping_max)
+        clusters, diagram = band_candidates(
+            used, sigma, curve=curve, band=band, damping_max=settings.damping_max
+        )
         found.append(clusters)
         diagrams.append(diagram)
     candidates = merged(found, used.freqs, used.window_decay)
@@ -208,10 +211,10 @@ def identify_hammer(
     search = _Search(
         prepare(used, sigma),
         sound_pairs(used),
-        settings,
-        [d.poles for d in diagrams],
-        used.window_decay,
-        frfs.source,
+        settings=settings,
+        sets=[d.poles for d in diagrams],
+        decay=used.window_decay,
+        source=frfs.source,
     )
     fit, rejected = _fit(search, candidates, tell)
     used, search, fit, faded = _of_blocks(used, search, fit)
@@ -223,8 +226,20 @@ def identify_hammer(
         if _unmoved(before, fit.refined):
             break
     search, fit, split, groups = _whole(search, fit)
-    fit, notes = _by_hand(search, fit, choice, (low, high), frfs.source) if choice else (fit, ())
-    result = _report(used, search, fit, rejected, (low, high), tuple(diagrams), curve)
+    fit, notes = (
+        _by_hand(search, fit, choice=choice, band=(low, high), source=frfs.source)
+        if choice
+        else (fit, ())
+    )
+    result = _report(
+        used,
+        search,
+        found=fit,
+        rejected=rejected,
+        band=(low, high),
+        diagrams=tuple(diagrams),
+        curve=curve,
+    )
     reported = lines_between(used, low, high)
     said = fit_notes(reported, result.modes, result.synthesis_error)
     late = late_channels(result.modes)
@@ -294,14 +309,15 @@ class _Search:
 
 def _fit(search: _Search, start: CandidatePoles, tell: Progress) -> tuple[_Fit, list[str]]:
     """Refine and prune; then look for modes in what is left over, until none comes to stay."""
-    lines, settings = search.lines, search.settings
+    lines = search.lines
+    settings = search.settings
     best, rejected = search.settle(search.refined(start), TURNS, strict=False)
     for turn in range(settings.searches):
         tell(
             0.7 + 0.25 * turn / settings.searches,
             f"{best.refined.poles.size} modes, looking for missed ones",
         )
-        more = missed(lines, best.refined, search.sets, search.decay, MOST_NEW)
+        more = missed(lines, best.refined, sets=search.sets, decay=search.decay, most=MOST_NEW)
         if not more.pole.size:
             break
         new, why = search.settle(search.refined(_joined(best, more)), TURNS, strict=False)
@@ -316,9 +332,8 @@ def _fit(search: _Search, start: CandidatePoles, tell: Progress) -> tuple[_Fit, 
         r = best.refined
         last = refine(lines, r.poles, r.participation, iterations=LAST_ITERATIONS)
         best = replace(best, refined=united(lines, last, search.pairs))
-    best, why = search.settle(
-        best, best.refined.poles.size + 1, strict=True
-    )  # every turn but the last drops a mode
+    # every turn but the last drops a mode
+    best, why = search.settle(best, best.refined.poles.size + 1, strict=True)
     return best, rejected + why
 
 
@@ -327,7 +342,8 @@ def _of_blocks(frfs: FrfSet, search: _Search, fit: _Fit) -> tuple[FrfSet, _Searc
     it is.
     """
     length = block_of_noise(frfs)
-    r, trial = fit.refined, replace(search, lines=replace(search.lines, hann=length))
+    r = fit.refined
+    trial = replace(search, lines=replace(search.lines, hann=length))
     if not length or not looks_faded(search.lines, r, length):
         return frfs, search, fit, ""
     new = trial.refined(replace(fit.candidates, pole=r.poles, participation=r.participation))
@@ -407,7 +423,8 @@ def _by_hand(
 
 
 def _joined(fit: _Fit, more: CandidatePoles) -> CandidatePoles:
-    r, c = fit.refined, fit.candidates
+    r = fit.refined
+    c = fit.candidates
     return CandidatePoles(
         np.concatenate([r.poles, more.pole]),
         np.concatenate([r.participation, more.participation]),
@@ -425,22 +442,31 @@ def _report(
     diagrams: tuple[StableDiagram, ...],
     curve: Float,
 ) -> HammerResult:
-    fit, verdict = found.refined, found.verdict
-    lines, pairs = search.lines, search.pairs
-    model = lsfd(frfs, fit.poles, fit.participation, lines, pairs, shapes=fit.shapes)
+    fit = found.refined
+    verdict = found.verdict
+    lines = search.lines
+    pairs = search.pairs
+    model = lsfd(
+        frfs,
+        fit.poles,
+        participation=fit.participation,
+        lines=lines,
+        pairs=pairs,
+        shapes=fit.shapes,
+    )
     f = model.frequencies
     order = np.argsort(f, kind="stable")
     told = order[(f[order] >= band[0]) & (f[order] <= band[1])]
     alpha = mode_scale(model)
     norm = Norm.UNSCALED if model.norm is Norm.UNSCALED else Norm.MASS
     modes = ModeSet(
-        f[told],
-        model.damping[told],
-        (model.shapes * alpha)[:, told],
-        tuple(c.id for c in frfs.outputs),
-        norm,
-        frfs.source or "hammer FRFs, pLSCF",
-        verdict.confidence[told],
+        frequencies=f[told],
+        damping=model.damping[told],
+        shapes=(model.shapes * alpha)[:, told],
+        labels=tuple(c.id for c in frfs.outputs),
+        norm=norm,
+        source=frfs.source or "hammer FRFs, pLSCF",
+        confidence=verdict.confidence[told],
     )
     phi = np.abs(model.shapes * alpha)
     heard, driven = blow_factors(lines, fit.poles)
@@ -461,5 +487,14 @@ def _report(
     reasons = tuple(verdict.reason[k] + doubled[k] for k in told.tolist())
     notes = (note,) if note else ()
     return HammerResult(
-        model, modes, std, reasons, tuple(rejected), diagrams, frfs.freqs, curve, error, notes
+        model=model,
+        modes=modes,
+        uncertainty=std,
+        reasons=reasons,
+        rejected=tuple(rejected),
+        diagrams=diagrams,
+        freqs=frfs.freqs,
+        cmif=curve,
+        synthesis_error=error,
+        notes=notes,
     )

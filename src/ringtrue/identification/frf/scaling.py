@@ -26,15 +26,12 @@ from ringtrue.shapes.mac import paired_mac
 SHARED = 3.0  # times what the fit leaves is noise by the coherence, where responses share it
 APART = 3.0  # standard deviations of a sum of squares
 TOLD = 0.1  # of the residues at the driving points
-SIDE, LEAST = (
-    1.96,
-    1 / 9,
-)  # deviations to the end of an interval; of a residue, that may be left there
-_GOOD, _DOUBTFUL, _POOR = (
-    0.95,
-    0.9,
-    0.8,
-)  # agreement that is sound, that one fault may explain, and that is told anyhow
+SIDE = 1.96  # deviations to the end of an interval
+LEAST = 1 / 9  # of a residue, that may be left there
+# agreement that is sound, that one fault may explain, and that is told anyhow
+_GOOD = 0.95
+_DOUBTFUL = 0.9
+_POOR = 0.8
 _FACTOR = 0.1  # of a calibration, from which on it is told
 _CHANCE = 3e-4  # that a factor of a sound point is told: its deviation rests on few modes
 
@@ -73,7 +70,7 @@ def scale_deviations(
     weight = weight / np.maximum(weight.sum(axis=1, keepdims=True), 1e-300)
     shared = 0.25 * (weight**2 * _shared(frfs, fitted, fit.poles)[:, i]).sum(axis=1)
     apart, error = _apart(fit, pairs)
-    noise = _of_the_force(frfs, fit.poles, weight, o, i)
+    noise = _of_the_force(frfs, fit.poles, weight=weight, o=o, i=i)
     return np.sqrt(shared + apart**2 + noise + _by_a_node(fit, pairs)), _note(frfs, pairs, error)
 
 
@@ -129,7 +126,8 @@ def _shared(frfs: FrfSet, fitted: Complex, poles: Complex) -> Float:
         due = (power * (1 - g) / g).sum(axis=0) / size / np.maximum(n - 1, 1)
         due = due - explained[k] / np.maximum(n - 1, 1)
         left = (np.abs(frfs.data[at] - fitted[at]) ** 2).sum(axis=0) / size
-        due, left = np.median(due, axis=0), np.median(left, axis=0)
+        due = np.median(due, axis=0)
+        left = np.median(left, axis=0)
         out[k] = np.where((due > SHARED * left) & (n > 1), 0.5 * (due - left), 0.0)
     return out
 
@@ -144,14 +142,15 @@ def _apart(fit: Refined, pairs: Pairs) -> tuple[Float, float]:
     psi, part, variance = _driven(fit, pairs)
     square = np.maximum((np.abs(part) ** 2).sum(axis=1), 1e-300)
     ratio = (part.conj() * psi).sum(axis=1) / square
-    unit = np.sqrt(np.abs(fit.poles) / np.maximum(np.abs(ratio), 1e-300))[
-        :, None
-    ]  # of unit modal mass
-    rest, size = unit * (psi - ratio[:, None] * part), unit * np.abs(ratio[:, None] * part)
+    # of unit modal mass
+    unit = np.sqrt(np.abs(fit.poles) / np.maximum(np.abs(ratio), 1e-300))[:, None]
+    rest = unit * (psi - ratio[:, None] * part)
+    size = unit * np.abs(ratio[:, None] * part)
     noise = unit**2 * variance
     free = 1 - np.abs(part) ** 2 / square[:, None]
     typical = (size**2).mean(axis=0)
-    found, due = (np.abs(rest) ** 2).sum(), (free * noise).sum()
+    found = (np.abs(rest) ** 2).sum()
+    due = (free * noise).sum()
     freedom = max(2 * psi.shape[0] * (len(pairs) - 1), 1)
     if len(pairs) < 2 or found < due * (1 + APART * np.sqrt(2 / freedom)):
         return np.zeros(psi.shape[0]), 0.0
@@ -210,15 +209,13 @@ def calibrations(model: ModalModel) -> tuple[Float, Float]:
 def _factors(psi: Complex, part: Complex) -> tuple[Float, Float]:
     """`calibrations` by shapes and participations (p, m)."""
     own = np.abs(psi * part)
-    weight = np.sqrt(
-        own / np.maximum(own.max(axis=0), 1e-300)
-    )  # the noise of a logarithm falls as its number grows
+    # the noise of a logarithm falls as its number grows
+    weight = np.sqrt(own / np.maximum(own.max(axis=0), 1e-300))
     ratio = np.log(np.maximum(np.abs(psi), 1e-300) / np.maximum(np.abs(part), 1e-300))
     p, m = ratio.shape
     rows = np.concatenate([np.repeat(np.eye(p), m, axis=0), np.tile(np.eye(m), (p, 1))], axis=1)
-    inverse = np.linalg.pinv(
-        rows * weight.reshape(-1, 1)
-    )  # of least norm: the points sum to the modes' mean
+    # of least norm: the points sum to the modes' mean
+    inverse = np.linalg.pinv(rows * weight.reshape(-1, 1))
     x = inverse @ (weight * ratio).ravel()
     left = weight.ravel() * (ratio.ravel() - rows @ x)
     variance = (left**2).sum() / max((p - 1) * (m - 1), 1)
@@ -255,9 +252,11 @@ def reciprocity_note(model: ModalModel, sound: Pairs) -> str:
 def _miscalibrated(names: list[str], factor: Float, doubt: Float) -> str:
     """Factors beyond `doubt` of their logarithms."""
     off = np.abs(np.log(factor))
-    low, high = factor.argmin(), factor.argmax()
+    low = factor.argmin()
+    high = factor.argmax()
     if len(names) == 2:  # their median lies between them
-        off, doubt = 2 * off, 2 * doubt
+        off = 2 * off
+        doubt = 2 * doubt
     odd = np.flatnonzero((off > np.log1p(_FACTOR)) & (off > doubt))
     if not odd.size:
         return ""
@@ -282,11 +281,13 @@ def _mislaid(psi: Complex, part: Complex, names: list[str]) -> str:
         order = np.arange(len(names))
         order[[a, b]] = b, a
         if (value := _agreement(psi, part[order])) > best:
-            best, why = value, f"references {names[a]} and {names[b]} look exchanged"
+            best = value
+            why = f"references {names[a]} and {names[b]} look exchanged"
     for k in range(len(names)) if len(names) > 2 and best < _GOOD else ():
         rest = np.delete(np.arange(len(names)), k)
         if (value := _agreement(psi[rest], part[rest])) > best:
-            best, why = value, f"{names[k]} was not struck where, or along what, its response reads"
+            best = value
+            why = f"{names[k]} was not struck where, or along what, its response reads"
     told = (
         f"reciprocity: shapes and participations at {' '.join(names)} agree to "
         f"{100 * now:.0f} % only"

@@ -100,7 +100,8 @@ def _split(lines: Lines, fit: Refined, run: tuple[int, ...]) -> list[SplitMode]:
 
 def joined(lines: Lines, candidates: CandidatePoles, split: Sequence[SplitMode]) -> CandidatePoles:
     """The candidates with one in place of each split mode, these last."""
-    c, parts = candidates, [m for s in split for m in s.at]
+    c = candidates
+    parts = [m for s in split for m in s.at]
     keep = np.setdiff1d(np.arange(c.pole.size), parts)
     return CandidatePoles(
         np.append(c.pole[keep], [_mean(s.mode)[0] for s in split]),
@@ -135,9 +136,8 @@ def scattered(lines: Lines, fit: Refined, new: Refined, split: Sequence[SplitMod
     """
     keep = np.setdiff1d(np.arange(fit.poles.size), [m for s in split for m in s.at])
     x = lines.s.imag
-    seen = [
-        x[0] < fit.poles[k].imag < x[-1] for k in keep.tolist()
-    ]  # modes beyond the lines no response knows
+    # modes beyond the lines no response knows
+    seen = [x[0] < fit.poles[k].imag < x[-1] for k in keep.tolist()]
     spread = [
         _mean(local_poles(lines, fit, (k,)))[1:] if s else (0.0, 0.0)
         for k, s in zip(keep.tolist(), seen, strict=True)
@@ -187,7 +187,8 @@ def _mean(mode: LocalPoles) -> tuple[complex, float, float]:
     """Pole of the mean frequency and damping over the responses; deviations of those of one
     response.
     """
-    omega, zeta = np.abs(mode.poles), -mode.poles.real / np.abs(mode.poles)
+    omega = np.abs(mode.poles)
+    zeta = -mode.poles.real / np.abs(mode.poles)
     mean, spread = _random_effects(omega, mode.variance)
     damping, apart = _random_effects(zeta, mode.variance / omega**2)
     return mean * complex(-damping, np.sqrt(1 - damping**2)), spread / (2 * np.pi), apart
@@ -199,7 +200,9 @@ def _random_effects(x: Float, variance: Float) -> tuple[float, float]:
     The variance between the values is what their scatter has over their own (DerSimonian, Kacker
     2007), by turns with the weights.
     """
-    between, mean, w = float(np.var(x)), float(x.mean()), np.ones(x.size)
+    between = float(np.var(x))
+    mean = float(x.mean())
+    w = np.ones(x.size)
     for _ in range(BETWEEN_TURNS):
         w = 1 / (variance + between + np.finfo(float).tiny)
         total = w.sum()
@@ -217,8 +220,10 @@ def local_poles(lines: Lines, fit: Refined, at: Sequence[int]) -> LocalPoles:
     Gauss-Newton steps on the poles, the residues eliminated.
     """
     band = _band(lines, fit, list(at))
-    z, poles = band.along, fit.poles[list(at)]
-    centre, half = poles.mean(), float(np.abs(poles.real).max())
+    z = band.along
+    poles = fit.poles[list(at)]
+    centre = poles.mean()
+    half = float(np.abs(poles.real).max())
     reach = half + np.ptp(poles.imag)
     p = np.full(z.shape[1], centre)
     q, r, cost = band.residues(p)
@@ -240,7 +245,13 @@ def local_poles(lines: Lines, fit: Refined, at: Sequence[int]) -> LocalPoles:
     variance = 0.5 * cost / max(free - 2, 1) / np.maximum(_squares(band.slopes(p, q, r)), 1e-300)
     values = free * band.part.size
     share = (band.beside + cost.sum()) / max(values - 2, 1) * max(values - len(at), 1) / band.left
-    return LocalPoles(p, variance, r / lines.response, band.part, float(share))
+    return LocalPoles(
+        poles=p,
+        variance=variance,
+        residues=r / lines.response,
+        participation=band.part,
+        cost=float(share),
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -275,7 +286,8 @@ class _Band:
 
 
 def _band(lines: Lines, fit: Refined, at: list[int]) -> _Band:
-    poles, part = fit.poles[at], fit.known.state.part[at]
+    poles = fit.poles[at]
+    part = fit.known.state.part[at]
     half = np.abs(poles.real).max()
     reach = max(BAND * half, LEAST * np.diff(lines.s.imag).mean()) + np.ptp(poles.imag) / 2
     near = np.abs(lines.s.imag - poles.imag.mean()) < reach
@@ -295,7 +307,14 @@ def _band(lines: Lines, fit: Refined, at: list[int]) -> _Band:
     vector = np.linalg.svd(part.T * np.linalg.norm(shapes, axis=0), full_matrices=False)[0][:, 0]
     z = np.tensordot(vector.conj(), y, 1)
     beside = float(_squares(y).sum() - _squares(z).sum())
-    return _Band(band, z, beside, max(float(_squares(left).sum()), 1e-300), vector, basis)
+    return _Band(
+        band,
+        z,
+        beside=beside,
+        left=max(float(_squares(left).sum()), 1e-300),
+        part=vector,
+        neighbours=basis,
+    )
 
 
 def _squares(y: Complex) -> Float:
