@@ -20,7 +20,7 @@ from ringtrue.study.stages import predict as stage
 from ringtrue.study.store import Store
 from ringtrue.study.words import validated
 from ringtrue.study.workbench import Workbench
-from ringtrue.updating.predict import PLANE, RunUp
+from ringtrue.updating.prediction import PLANE, RunUp
 
 
 def _stated(

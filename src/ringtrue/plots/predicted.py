@@ -9,7 +9,7 @@ import plotly.graph_objects as go
 
 from ringtrue.core.arrays import Float
 from ringtrue.plots.style import MUTED, QUALITATIVE, axis, f32, figure, log_axis
-from ringtrue.updating.predict import RunUp
+from ringtrue.updating.prediction import RunUp
 
 DECADES = 5  # below the highest amplitude
 BEYOND = "#eef1f4"

@@ -19,19 +19,19 @@ from ringtrue.fem.assembly import System, assemble
 from ringtrue.fem.derivatives import congruent
 from ringtrue.fem.functions import AffineTerm, power
 from ringtrue.model.model import Model
-from ringtrue.reduction.affine import AffineSystem
-from ringtrue.reduction.flexible import responding, with_responses
+from ringtrue.reduction.basis import AffineSystem
+from ringtrue.reduction.matrix_model import DenseModel
 from ringtrue.reduction.parametric import ReducedModel
+from ringtrue.reduction.response import responding, with_responses
 from ringtrue.study.measured import flexible
 from ringtrue.study.objective import data_of, on_parameters, terms_of
 from ringtrue.study.parametric import AtChannels
 from ringtrue.study.workbench import OWN, Workbench
-from ringtrue.updating.candidates import Candidate, parameters
-from ringtrue.updating.dense import DenseModel
-from ringtrue.updating.objective import Target
-from ringtrue.updating.residuals import Point, Weighted
-from ringtrue.updating.residuals_static import RigidMass
-from ringtrue.updating.several import Configuration, Problem
+from ringtrue.updating.problem import Configuration, Problem
+from ringtrue.updating.residuals.modal import Point, Weighted
+from ringtrue.updating.residuals.static import RigidMass
+from ringtrue.updating.selection.candidates import Candidate, parameters
+from ringtrue.updating.target import Target
 
 
 @dataclass(frozen=True, eq=False)

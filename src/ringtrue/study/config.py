@@ -29,8 +29,8 @@ from ringtrue.study.config_update import (
     UncertaintySection,
     UpdateSection,
 )
-from ringtrue.updating.candidates import Kind
 from ringtrue.updating.damping_regions import DampingRegion
+from ringtrue.updating.selection.candidates import Kind
 
 
 class _Section(BaseModel):

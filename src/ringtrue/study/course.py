@@ -11,10 +11,10 @@ from ringtrue.core.arrays import Float
 from ringtrue.core.progress import Progress
 from ringtrue.study.config_update import UpdateSection
 from ringtrue.updating.multistart import global_search, latin_hypercube, multi_start
-from ringtrue.updating.settle import Course, Settled
-from ringtrue.updating.settle import settled as settled_from
-from ringtrue.updating.several import Problem
-from ringtrue.updating.trust import Method, Solution, solve, staged
+from ringtrue.updating.problem import Problem
+from ringtrue.updating.solver import Method, Solution, solve, staged
+from ringtrue.updating.strategy import Course, Settled
+from ringtrue.updating.strategy import settled as settled_from
 
 BEST = 3  # of several starts, that go on to the end
 STARTS = 8  # where one leaves modes without partner

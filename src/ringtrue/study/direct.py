@@ -45,14 +45,12 @@ from ringtrue.study.placing import placed
 from ringtrue.study.reference import highest, locks, measured_part, settings
 from ringtrue.study.results import Seat
 from ringtrue.study.seats import seats
-from ringtrue.updating.identifiable import stood_for
-from ringtrue.updating.objective import Target, Weights
-from ringtrue.updating.residuals import Weighted
-from ringtrue.updating.settle import displaced, whole_cost
-from ringtrue.updating.several import Configuration, Problem
-from ringtrue.updating.trust import Solution
-from ringtrue.updating.unmoved import unmoved
-from ringtrue.updating.verified import Verified, solve_verified
+from ringtrue.updating.identifiability import stood_for, unmoved
+from ringtrue.updating.problem import Configuration, Problem
+from ringtrue.updating.residuals.modal import Weighted
+from ringtrue.updating.solver import Solution
+from ringtrue.updating.strategy import Verified, displaced, solve_verified, whole_cost
+from ringtrue.updating.target import Target, Weights
 
 AGREE = 1e-4  # relative frequency error of the reduced model that is accepted at the end
 
@@ -125,7 +123,7 @@ def direct_problem(
 
 def not_told_apart(problem: Problem) -> dict[str, tuple[str, ...]]:
     """Candidates that are held at the deck's values, with those that stand for them
-    (`identifiable.stood_for`).
+    (`identifiability.stood_for`).
 
     Those of the largest effect stand for others.
     """
@@ -135,7 +133,7 @@ def not_told_apart(problem: Problem) -> dict[str, tuple[str, ...]]:
 
 
 def unmoved_by(solution: Solution) -> Bool:
-    """Parameters (p,) whose change is not worth a new value in the deck (`update.unmoved`)."""
+    """Parameters (p,) whose change is not worth a new value in the deck."""
     at = solution.end.points[0]
     fe = at.every[:, 1]
     slopes = 0.5 * at.now.d_lambda[fe] / (2 * np.pi * at.now.frequencies[fe, None]) ** 2

@@ -22,7 +22,7 @@ from ringtrue.correlation.track import Tracks, track
 from ringtrue.eigen.solve import low_shift
 from ringtrue.errors import InputError, NumericalError
 from ringtrue.fem.response import frf
-from ringtrue.reduction.tam import craig_bampton_coordinates, craig_bampton_of, tam
+from ringtrue.reduction.static import craig_bampton_coordinates, craig_bampton_of, tam
 from ringtrue.shapes.mac import auto_mac
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.config_correlate import CorrelateSection

@@ -10,7 +10,7 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.observation import Observation
 from ringtrue.core.progress import Progress
 from ringtrue.errors import ConfigError, InputError, NumericalError
-from ringtrue.reduction.expand import (
+from ringtrue.reduction.expansion import (
     Expanded,
     expand_dynamic,
     expand_hybrid,
@@ -21,7 +21,7 @@ from ringtrue.study.evidence import at_channels
 from ringtrue.study.opened import Opened
 from ringtrue.study.results import Scene
 from ringtrue.study.scene import scene_modes
-from ringtrue.updating.localise import NOISE
+from ringtrue.updating.selection.localisation import NOISE
 
 
 def expanded(

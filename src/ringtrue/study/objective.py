@@ -21,8 +21,8 @@ from ringtrue.study.measured import Data, check_moving, residual_data, rigid_mas
 from ringtrue.study.opened import Opened
 from ringtrue.study.parametric import AtChannels
 from ringtrue.study.workbench import OWN, Workbench
-from ringtrue.updating.objective import Target
-from ringtrue.updating.residuals import (
+from ringtrue.updating.problem import Configuration, Evaluated, Huber, Loss, Problem, Squares, Tukey
+from ringtrue.updating.residuals.modal import (
     CrossOrthogonality,
     Eigenvalues,
     Frequencies,
@@ -31,9 +31,8 @@ from ringtrue.updating.residuals import (
     Term,
     Weighted,
 )
-from ringtrue.updating.residuals_static import RigidMass
-from ringtrue.updating.robust import Huber, Loss, Squares, Tukey
-from ringtrue.updating.several import Configuration, Evaluated, Problem
+from ringtrue.updating.residuals.static import RigidMass
+from ringtrue.updating.target import Target
 
 LOSSES: dict[str, Loss] = {"squares": Squares(), "huber": Huber(), "tukey": Tukey()}
 KINDS = ("eigenvalues", "frequencies", "shapes", "mac", "orthogonality")

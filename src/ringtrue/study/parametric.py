@@ -18,12 +18,12 @@ from ringtrue.eigen.solve import low_shift
 from ringtrue.errors import NotConverged
 from ringtrue.fem.dependence import affine_terms
 from ringtrue.model.ports import Linearisation
-from ringtrue.reduction.affine import observed_system
-from ringtrue.reduction.flexible import with_responses
+from ringtrue.reduction.basis import observed_system
+from ringtrue.reduction.matrix_model import Matrices, matrices_at
 from ringtrue.reduction.parametric import ReducedModel, reduced_model
+from ringtrue.reduction.response import with_responses
 from ringtrue.study.opened import Opened
-from ringtrue.updating.dense import Matrices, matrices_at
-from ringtrue.updating.residuals import Whole
+from ringtrue.updating.residuals.modal import Whole
 
 CLOSE = 2e-3  # largest relative error of a frequency of the reduced model that is accepted
 ROUNDS = 4

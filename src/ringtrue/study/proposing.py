@@ -16,19 +16,23 @@ from ringtrue.core.observation import Observation
 from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
-from ringtrue.reduction.condense import condensed
-from ringtrue.reduction.parametric import ReducedModel, modes_of
+from ringtrue.reduction.parametric import ReducedModel, condensed, modes_of
 from ringtrue.study.opened import Opened
-from ringtrue.updating.candidates import Candidate, CandidateSettings, membership
-from ringtrue.updating.effects import Dropped, effective, reduced_candidates
-from ringtrue.updating.generate import generate
-from ringtrue.updating.identifiable import ALIKE
-from ringtrue.updating.localise import reduced_errors
-from ringtrue.updating.lumps import lumped, places
-from ringtrue.updating.objective import Target, Weights, match
-from ringtrue.updating.pool import SMALL, conflicts, drawn, passed_over
-from ringtrue.updating.proposal import Proposal, propose
-from ringtrue.updating.screening import LEADING, screened
+from ringtrue.updating.identifiability import ALIKE
+from ringtrue.updating.selection.candidates import Candidate, CandidateSettings, membership
+from ringtrue.updating.selection.effects import Dropped, effective, reduced_candidates
+from ringtrue.updating.selection.generation import generate, lumped, places
+from ringtrue.updating.selection.localisation import reduced_errors
+from ringtrue.updating.selection.proposal import Proposal, propose
+from ringtrue.updating.selection.screening import (
+    LEADING,
+    SMALL,
+    conflicts,
+    drawn,
+    passed_over,
+    screened,
+)
+from ringtrue.updating.target import Target, Weights, match
 
 EXTRA = 1.5  # modes of the model, as a multiple of those of the test
 
@@ -155,7 +159,7 @@ def with_lumps(
     opened: Opened, nodes: Int, settings: CandidateSettings
 ) -> tuple[Model, tuple[Candidate, ...]]:
     """The deck with places for masses that it may lack at nodes, ids (k,), and these as candidates
-    (`update.lumps`).
+    (`updating.selection.generation`).
     """
     mass = mass_properties(opened.analysis.system).mass
     return lumped(

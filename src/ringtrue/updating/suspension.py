@@ -26,8 +26,8 @@ from ringtrue.errors import InputError, NotConverged, NumericalError, SolverErro
 from ringtrue.model.ports import Linearisation, ObservedModel
 from ringtrue.shapes.mac import mac
 from ringtrue.shapes.subspace import close_groups
-from ringtrue.updating.objective import Target, used_up
-from ringtrue.updating.spans import shape_residual
+from ringtrue.updating.gauss_newton import used_up
+from ringtrue.updating.target import Target, shape_residual
 
 MOST = 50_000  # assignments that are ranked
 KEPT = 24  # of these refined at most

@@ -20,7 +20,7 @@ from ringtrue.report.parts import (
 from ringtrue.report.stages import Stages
 from ringtrue.study.results import PredictStage
 from ringtrue.study.words import validated
-from ringtrue.updating.predict import Bands
+from ringtrue.updating.prediction import Bands
 
 
 def section(data: Stages) -> Section | None:

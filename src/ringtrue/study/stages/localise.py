@@ -16,8 +16,7 @@ from ringtrue.errors import DataError
 from ringtrue.fem.change import affected_cards
 from ringtrue.model.edit import has_fields
 from ringtrue.model.model import Model
-from ringtrue.reduction.condense import condensed
-from ringtrue.reduction.parametric import ReducedModel
+from ringtrue.reduction.parametric import ReducedModel, condensed
 from ringtrue.study.beside import Beside
 from ringtrue.study.evidence import at_channels
 from ringtrue.study.expansion import expanded
@@ -28,17 +27,33 @@ from ringtrue.study.proposing import lump_places
 from ringtrue.study.results import CorrelateStage, LocaliseStage
 from ringtrue.study.stages.sensitivity import target, targets
 from ringtrue.study.workbench import OWN, Workbench
-from ringtrue.updating.candidates import Candidate, CandidateSettings, membership, parameters
-from ringtrue.updating.effects import effective
-from ringtrue.updating.generate import generate
-from ringtrue.updating.identifiable import identifiability
-from ringtrue.updating.joint import joint_residual
-from ringtrue.updating.localise import ElementErrors, expanded_errors, reduced_errors, variation
-from ringtrue.updating.objective import Target, match, residual
-from ringtrue.updating.pool import SMALL, conflicts, drawn, of_parameter, passed_over
-from ringtrue.updating.proposal import Proposal, propose
-from ringtrue.updating.screening import screened
-from ringtrue.updating.several import Problem
+from ringtrue.updating.gauss_newton import joint_residual, residual
+from ringtrue.updating.identifiability import identifiability
+from ringtrue.updating.problem import Problem
+from ringtrue.updating.selection.candidates import (
+    Candidate,
+    CandidateSettings,
+    membership,
+    parameters,
+)
+from ringtrue.updating.selection.effects import effective
+from ringtrue.updating.selection.generation import generate
+from ringtrue.updating.selection.localisation import (
+    ElementErrors,
+    expanded_errors,
+    reduced_errors,
+    variation,
+)
+from ringtrue.updating.selection.proposal import Proposal, propose
+from ringtrue.updating.selection.screening import (
+    SMALL,
+    conflicts,
+    drawn,
+    of_parameter,
+    passed_over,
+    screened,
+)
+from ringtrue.updating.target import Target, match
 
 NO_CANDIDATE = (
     "no candidate made from the deck changes a mode and can be written into it: give "

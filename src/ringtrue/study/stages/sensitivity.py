@@ -16,11 +16,11 @@ from ringtrue.study.parametric import AtChannels
 from ringtrue.study.reference import followed, settings, used_mask
 from ringtrue.study.results import ConfiguredTest, CorrelateStage, LocaliseStage, SensitivityStage
 from ringtrue.study.workbench import Workbench
-from ringtrue.updating import choose
-from ringtrue.updating.identifiable import stood_for
-from ringtrue.updating.objective import Target, Weights, match
+from ringtrue.updating.identifiability import stood_for
+from ringtrue.updating.selection import selection_rules
+from ringtrue.updating.target import Target, Weights, match
 
-RULES = choose.RULES | {
+RULES = selection_rules.RULES | {
     "proposal": "the ranked proposal of the localisation: from all candidates at once the least "
     "useful are left out, "
     "the rest exchanged while J falls; as many as AICc supports"
@@ -79,7 +79,7 @@ def _sets(desk: Workbench, model: AtChannels, progress: Progress) -> tuple[dict[
             desk, (model, *desk.others(progress)), targets(desk), desk.config.update
         )
     if several is None:
-        weighted = choose.weighted_sensitivities(model, target(desk))
+        weighted = selection_rules.weighted_sensitivities(model, target(desk))
     else:
         weighted = several.evaluate(np.zeros(len(names))).slope * several.parameters.std()
     out: dict[str, Int] = {}
@@ -89,12 +89,17 @@ def _sets(desk: Workbench, model: AtChannels, progress: Progress) -> tuple[dict[
         desk.config.candidates()
     ):  # those made from the deck may scale the same field: the proposal knows
         return out, weighted
-    orthogonal, largest = choose.orthogonal(weighted, count), choose.largest(weighted, count)
+    orthogonal, largest = (
+        selection_rules.orthogonal(weighted, count),
+        selection_rules.largest(weighted, count),
+    )
     progress(0.0, "choosing parameters")
     if several is None:
-        out["best subset"] = choose.best_subset(model, target(desk), count, progress).members
+        out["best subset"] = selection_rules.best_subset(
+            model, target(desk), count, progress
+        ).members
     else:
-        out["best subset"] = choose.joint_subset(
+        out["best subset"] = selection_rules.joint_subset(
             several, count, (orthogonal, largest), progress
         ).members
     out |= {"orthogonal sensitivities": orthogonal, "largest sensitivities": largest}
@@ -185,6 +190,6 @@ def run(desk: Workbench, progress: Progress) -> SensitivityStage:
         fe,
         {rule: tuple(names[i] for i in at.tolist()) for rule, at in members.items()},
         _rules(desk, members),
-        choose.alike(weighted, names),
+        selection_rules.alike(weighted, names),
         {rule: found for rule, found in held.items() if found},
     )

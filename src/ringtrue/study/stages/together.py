@@ -28,11 +28,12 @@ from ringtrue.study.parametric import (
 from ringtrue.study.results import ConfiguredStage, DataResult, SetResult
 from ringtrue.study.stages.sensitivity import targets
 from ringtrue.study.workbench import Workbench
-from ringtrue.updating import settle
-from ringtrue.updating.objective import Target, aicc, residual
-from ringtrue.updating.settle import Settled, displaced, whole_cost
-from ringtrue.updating.several import Configuration, Evaluated, Problem
-from ringtrue.updating.trust import Solution
+from ringtrue.updating import strategy
+from ringtrue.updating.gauss_newton import aicc, residual
+from ringtrue.updating.problem import Configuration, Evaluated, Problem
+from ringtrue.updating.solver import Solution
+from ringtrue.updating.strategy import Settled, displaced, whole_cost
+from ringtrue.updating.target import Target
 
 
 def together(
@@ -252,5 +253,5 @@ def summary(problem: Problem, aims: Sequence[Target], name: str, end: Settled) -
         np.array([percent(np.mean, m, u) for _, m, u in told]),
         np.array([p.factors(at.x) for at in path]),
         float(np.linalg.norm(problem.gradient(done.end))) / first,
-        discrepancy=settle.kept(end.problem),
+        discrepancy=strategy.kept(end.problem),
     )

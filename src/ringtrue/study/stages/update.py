@@ -27,9 +27,9 @@ from ringtrue.study.stages.by_runs import by_runs
 from ringtrue.study.stages.localise import element_regions
 from ringtrue.study.stages.together import together, told_data
 from ringtrue.study.workbench import Workbench
-from ringtrue.updating.candidates import elements_of
-from ringtrue.updating.pool import of_parameter
-from ringtrue.updating.unmoved import unmoved
+from ringtrue.updating.identifiability import unmoved
+from ringtrue.updating.selection.candidates import elements_of
+from ringtrue.updating.selection.screening import of_parameter
 
 _log = logging.getLogger(__name__)
 
