@@ -15,7 +15,7 @@ from scipy import linalg, sparse
 
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.errors import InputError, NumericalError
-from ringtrue.fem.functions import AffineTerm, power
+from ringtrue.fem.parametrisation.polynomials import AffineTerm, power
 from ringtrue.reduction.basis import AffineSystem
 from ringtrue.reduction.matrix_model import DenseModel, matrices_at
 from ringtrue.reduction.parametric import reduced_model

@@ -13,11 +13,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ringtrue.core.outcome import Outcome
+from ringtrue.core.iterate import Outcome
 from ringtrue.core.parameters import Parameter, ParameterSet
-from ringtrue.correlation.assign import APART, PairingSettings
+from ringtrue.correlation.assignment import APART, PairingSettings
 from ringtrue.reduction.matrix_model import DenseModel
-from ringtrue.shapes.subspace import FADE
+from ringtrue.shapes.mac import FADE
 from ringtrue.updating.gauss_newton import update
 from ringtrue.updating.problem import Configuration, Problem
 from ringtrue.updating.residuals.modal import Eigenvalues, Mac, Shapes

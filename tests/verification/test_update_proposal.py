@@ -17,14 +17,15 @@ from test_update_recovery import aim_at, chain, parameters
 
 from ringtrue.cli.main import run
 from ringtrue.core.modes import ModeSet
-from ringtrue.correlation.observe import at_dofs
+from ringtrue.correlation.sensor_mapping import at_dofs
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import InputError
 from ringtrue.io.modes_json import write_modes
 from ringtrue.model.ports import ModesRequest
 from ringtrue.reduction.matrix_model import DenseModel
 from ringtrue.solvers.embedded import EmbeddedSolver
-from ringtrue.study.config import parse_config, parse_target, target_words
+from ringtrue.study.config import parse_config
+from ringtrue.study.config_sections import parse_target, target_words
 from ringtrue.updating.gauss_newton import residual
 from ringtrue.updating.selection.candidates import CandidateSettings
 from ringtrue.updating.selection.effects import reduced_candidates

@@ -27,20 +27,19 @@ from ringtrue.cli.stated import stated
 from ringtrue.core.arrays import Float
 from ringtrue.core.channels import match_channels, split_label
 from ringtrue.core.modes import ModeSet, elastic
-from ringtrue.core.observation import Observation
 from ringtrue.core.progress import part
-from ringtrue.core.testmodel import TestModel
+from ringtrue.core.testmodel import Observation, TestModel
 from ringtrue.core.units import UNIT_SYSTEMS
-from ringtrue.correlation.complete import CompleteCorrelation, complete, complete_json
-from ringtrue.correlation.mounting import (
+from ringtrue.correlation.measures import CompleteCorrelation, complete, complete_json
+from ringtrue.correlation.pairing import Locks, pair_modes
+from ringtrue.correlation.sensor_mapping import Method, at_dofs
+from ringtrue.correlation.sensor_mounting import (
     AXES,
     Readings,
     find_mendings,
     mendings_json,
     readings_by_name,
 )
-from ringtrue.correlation.observe import Method, at_dofs
-from ringtrue.correlation.pairing import Locks, pair_modes
 from ringtrue.correlation.table import correlation_table
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, DataError, about
@@ -48,22 +47,24 @@ from ringtrue.io.matrices import read_matrices
 from ringtrue.io.modes_json import READ, read_modes, read_std
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.model.ports import ModesRequest
-from ringtrue.study.config_correlate import CorrelateSection, Tam
+from ringtrue.study.config_sections import CorrelateSection, Tam
 from ringtrue.study.evidence import NAMES, ChannelMass, channel_mass, gate
 from ringtrue.study.opened import Opened
 from ringtrue.study.placing import (
     alignment,
+    alignment_text,
     between_nodes,
     mesh_points,
     near_mesh,
     placed,
     readings,
+    seat_words,
+    seats,
+    seats_json,
     shared_places,
-    words,
 )
 from ringtrue.study.reference import at_common, highest, positions
 from ringtrue.study.results import Seat
-from ringtrue.study.seats import seat_words, seats, seats_json
 from ringtrue.study.summary import correlation_json
 
 LOWEST = 26  # modes of a deck in the place of a test
@@ -193,7 +194,7 @@ def _of_deck(
             )
             if here is not None and found is not None:
                 here = found.move(here)
-                notes.append(words(found))
+                notes.append(alignment_text(found))
 
             def bridge(there: TestModel) -> Observation:
                 on_deck = found.move(there) if found is not None else there

@@ -10,12 +10,17 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from ringtrue.checks.autospc import autospc_findings
+from ringtrue.checks import Finding
 from ringtrue.checks.deck import check_deck
-from ringtrue.checks.edges import free_edges_in_words, shell_edges
-from ringtrue.checks.findings import Finding
-from ringtrue.checks.ground import DIRECTIONS, ground_check, ground_findings
-from ringtrue.checks.mass import mass_properties, unconstrained
+from ringtrue.checks.elements import free_edges_in_words, shell_edges
+from ringtrue.checks.mass import (
+    DIRECTIONS,
+    autospc_findings,
+    ground_check,
+    ground_findings,
+    mass_properties,
+    unconstrained,
+)
 from ringtrue.checks.mesh import MeshErrors, mesh_errors
 from ringtrue.cli.convert import writable
 from ringtrue.cli.show import Json, file_to, json_file, one_of, out, progress, rows, write_json
@@ -26,7 +31,7 @@ from ringtrue.decks.nastran.reader import Survey, read_deck, survey
 from ringtrue.errors import ConfigError, DeckError, RingtrueError
 from ringtrue.fem.assembly import assemble
 from ringtrue.io.modes_json import WRITTEN, dump_modes, write_modes
-from ringtrue.model.method import asked_modes
+from ringtrue.model.case_control import asked_modes
 from ringtrue.model.ports import Analysis, ModesRequest, ModesResult
 from ringtrue.solvers.embedded import EmbeddedAnalysis
 from ringtrue.solvers.registry import EMBEDDED, solver, time_limits

@@ -11,15 +11,15 @@ import numpy as np
 from scipy import linalg, sparse
 
 from ringtrue.core.arrays import Float, Int
-from ringtrue.core.observation import Observation
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress
-from ringtrue.eigen.factor import Pencil
-from ringtrue.eigen.problem import EigenModes
+from ringtrue.core.testmodel import Observation
+from ringtrue.eigen.eigenpairs import EigenModes
+from ringtrue.eigen.pencil import Pencil
 from ringtrue.errors import InputError
-from ringtrue.fem.functions import AffineTerm, Function, Product
-from ringtrue.fem.nodes import on_axis
-from ringtrue.fem.powers import Pair
+from ringtrue.fem.parametrisation.interpolation_nodes import on_axis
+from ringtrue.fem.parametrisation.parameter_groups import Pair
+from ringtrue.fem.parametrisation.polynomials import AffineTerm, Function, Product
 
 NONE = 1e-9  # rounding of a coefficient that is 0
 

@@ -12,8 +12,8 @@ from scipy import linalg, sparse
 
 from ringtrue.core.arrays import Any_, Float, Int, freeze_fields
 from ringtrue.core.progress import Progress
-from ringtrue.eigen.factor import Factor, Labels, Pencil
-from ringtrue.eigen.solve import solve_modes
+from ringtrue.eigen.modes import solve_modes
+from ringtrue.eigen.pencil import Factor, Labels, Pencil
 from ringtrue.errors import ConfigError, InputError, did_you_mean
 from ringtrue.shapes.orthogonality import pseudo_inverse
 

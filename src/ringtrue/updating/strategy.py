@@ -15,7 +15,7 @@ from ringtrue.core.arrays import Float
 from ringtrue.core.modes import rigid_below
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress
-from ringtrue.correlation.assign import HOLD, scores
+from ringtrue.correlation.assignment import HOLD, scores
 from ringtrue.errors import InputError
 from ringtrue.model.ports import Linearisation
 from ringtrue.updating.problem import Evaluated, Problem, squares, weighed

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
-from ringtrue.correlation.assign import (
+from ringtrue.correlation.assignment import (
     APART,
     HOLD,
     NO_LOCKS,
@@ -28,8 +28,7 @@ from ringtrue.correlation.assign import (
 )
 from ringtrue.errors import InputError
 from ringtrue.model.ports import Linearisation
-from ringtrue.shapes.mac import above_rounding, unit
-from ringtrue.shapes.subspace import close_groups, fade
+from ringtrue.shapes.mac import above_rounding, close_groups, fade, unit
 
 # a used mode without a partner counts like a frequency deviation of ten standard deviations
 LOST = 100.0

@@ -23,7 +23,7 @@ from ringtrue.fem.assembly import System
 from ringtrue.fem.mesh import mesh
 from ringtrue.model.model import Model
 from ringtrue.model.ports import Linearisation
-from ringtrue.shapes.subspace import basis
+from ringtrue.shapes.mac import basis
 from ringtrue.updating.problem import Configuration, Evaluated, Problem
 from ringtrue.updating.residuals.modal import Eigenvalues, Shapes, Weighted
 from ringtrue.updating.selection.localisation import strain_energies

@@ -12,9 +12,9 @@ from scipy import sparse
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.parameters import CardField, Parameter, Substructure
 from ringtrue.errors import InputError
-from ringtrue.fem.change import affected_cards, rows_of
-from ringtrue.fem.kinds import MATERIAL, PROPERTY
-from ringtrue.fem.rows import union
+from ringtrue.fem.element_cards import MATERIAL, PROPERTY
+from ringtrue.fem.mesh import union
+from ringtrue.fem.parametrisation.changed_model import affected_cards, rows_of
 from ringtrue.model.dimensions import MADE
 from ringtrue.model.frames import positions
 from ringtrue.model.model import Model, Table, stacked, table
