@@ -77,7 +77,7 @@ def suspended(session: Session, progress: Progress) -> AtChannels:
     return model.with_parameters(range(first, first + count), base)
 
 
-def tuned(active: AtChannels, aim: Target, iterations: int, progress: Progress) -> Suspended:
+def tuned(active: ObservedModel, aim: Target, iterations: int, progress: Progress) -> Suspended:
     """Every pairing weighed, from the point that the nearest pairing leads to.
 
     Test modes that find no partner inside the gates there take no part.
