@@ -382,7 +382,7 @@ def scene_modes(modes: ModeSet, scene: Scene) -> ModeSet:
 def with_lumps(
     opened: Opened, nodes: Int, settings: CandidateSettings
 ) -> tuple[Model, tuple[Candidate, ...]]:
-    """The deck with places for masses that it may lack at nodes, ids (k,), and these as candidates."""
+    """The deck with places for masses that it may lack at nodes (k,), and these as candidates."""
     mass = mass_properties(opened.analysis.system).mass
     return lumped(
         opened.model, nodes, mass / opened.model.param("WTMASS", 1.0), settings.of(opened.model)
