@@ -10,11 +10,12 @@ from scipy import linalg, sparse
 
 from ringtrue.correlation.orthogonality import Gate, judge, verdict_json
 from ringtrue.errors import ConfigError, InputError, SingularModel
-from ringtrue.reduction.expand import expand_dynamic, expand_hybrid, expand_serep, expand_static
-from ringtrue.reduction.static import craig_bampton, guyan
-from ringtrue.reduction.tam import (
+from ringtrue.reduction.expansion import expand_dynamic, expand_hybrid, expand_serep, expand_static
+from ringtrue.reduction.static import (
+    craig_bampton,
     craig_bampton_coordinates,
     craig_bampton_of,
+    guyan,
     readings_kept,
     select,
     tam,

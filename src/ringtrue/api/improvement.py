@@ -37,12 +37,12 @@ from ringtrue.study.results import Seat
 from ringtrue.study.stages.tune import WEIGHTS as RIGID_WEIGHTS
 from ringtrue.study.stages.tune import tuned
 from ringtrue.study.supplied import pair_frequencies
-from ringtrue.updating.candidates import CandidateSettings
 from ringtrue.updating.damping import fit_poles, mode_damping
 from ringtrue.updating.damping_regions import DampingRegion, dampers, default_regions
-from ringtrue.updating.objective import Target, Weights
-from ringtrue.updating.posterior import laplace
-from ringtrue.updating.several import Configuration, Evaluated, Problem
+from ringtrue.updating.problem import Configuration, Evaluated, Problem
+from ringtrue.updating.selection.candidates import CandidateSettings
+from ringtrue.updating.target import Target, Weights
+from ringtrue.updating.uncertainty import laplace
 
 LEVEL = 0.9  # of the intervals of factors
 FREE = 7  # modes of a suspended structure: the six rigid-body modes and the first elastic one

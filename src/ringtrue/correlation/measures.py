@@ -150,12 +150,11 @@ def complete(
         As they were paired; test and model, or any two.
     pairing : Pairing
     mass : (channel, channel) float64, optional
-        Of the structure at the channels of A (`reduce.tam`).
+        Of the structure at the channels of A (`reduction.static`).
     mass_name : str
         What it is called in the checks.
     lift : callable, ModeSet -> (n, m), optional
-        Coordinates of shapes that the mass is over, where these are not the channels (`reduce.tam`,
-        Craig-Bampton).
+        Coordinates of shapes that the mass is over, where these are not channels (Craig-Bampton).
     gate : Gate
     std_a, std_b : (ma,), (mb,) float64 or float, Hz
         Standard deviations of the frequencies; NaN where unknown.

@@ -49,7 +49,7 @@ def cross_orthogonality(a: Any_, b: Any_, mass: Mass) -> Float:
     a : (n, ma) float64 or complex128
     b : (n, mb) float64 or complex128
     mass : (n, n) float64, dense or sparse
-        Of the structure at the rows of the shapes: of a test-analysis model (`reduce.tam`).
+        Of the structure at the rows of the shapes: of a test-analysis model (`reduction.static`).
 
     Raises
     ------
