@@ -34,7 +34,7 @@ from ringtrue.cli.show import Json, file_to, progress, tell, write_json
 from ringtrue.core.progress import Progress, part
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.errors import ConfigError, about
-from ringtrue.identification.frf.linearity import level_dependence
+from ringtrue.identification.common.tracking import level_dependence
 from ringtrue.identification.frf.local_fits import with_local_fits
 from ringtrue.identification.frf.pipeline import HammerModes, identify_hammer
 from ringtrue.identification.frf.residues import driving_pairs
