@@ -16,7 +16,7 @@ from ringtrue.cli.stated import warn_of_units
 from ringtrue.study.config_sections import LocaliseSection, target_words
 from ringtrue.study.direct import DirectProposal
 from ringtrue.study.placing import seats_json
-from ringtrue.updating.proposal import Proposed as Member
+from ringtrue.updating.selection.proposal import Proposed as Member
 
 POOL: int = LocaliseSection.model_fields["pool"].default
 

@@ -21,7 +21,7 @@ from ringtrue.study.run import run_study
 from ringtrue.study.session import Session
 from ringtrue.study.stages import predict as stage
 from ringtrue.study.store import Store
-from ringtrue.updating.predict import PLANE, RunUp
+from ringtrue.updating.prediction import PLANE, RunUp
 
 
 def _stated(
