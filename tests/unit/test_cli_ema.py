@@ -24,7 +24,7 @@ from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.identification.hammer import HammerModes, identify_hammer
 from ringtrue.io.frfs import read_frfs, write_frfs
-from ringtrue.io.modes_json import read_modes
+from ringtrue.io.modes import read_modes
 from ringtrue.io.records import read_record, read_runs, write_history
 from ringtrue.io.uff.function58 import TIME, write_function
 from ringtrue.signal.frf import estimate_frf

@@ -22,7 +22,7 @@ from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import ConfigError, DataError, InputError
 from ringtrue.fem.response import frf
 from ringtrue.io.sheets import read_sensor_sheet
-from ringtrue.io.uff.testmodel import write_test_model
+from ringtrue.io.uff.geometry import write_test_model
 from ringtrue.planning.rehearsal import Conditions, Planned, missed_words, modal_model, trials
 from ringtrue.planning.rehearsal_ambient import Ambience, rehearse_ambient
 from ringtrue.planning.rehearsal_hammer import (

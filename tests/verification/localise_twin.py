@@ -28,7 +28,7 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.observation import Observation
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.decks.nastran.reader import read_deck
-from ringtrue.io.modes_json import write_modes
+from ringtrue.io.modes import write_modes
 from ringtrue.model.frames import positions
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest

@@ -20,7 +20,7 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.correlation.observe import at_dofs
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import InputError
-from ringtrue.io.modes_json import write_modes
+from ringtrue.io.modes import write_modes
 from ringtrue.model.ports import ModesRequest
 from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.study.config import parse_config, parse_target, target_words

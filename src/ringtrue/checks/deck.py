@@ -21,7 +21,7 @@ from ringtrue.checks.stiff import stiff_findings
 from ringtrue.checks.unapplied import unapplied
 from ringtrue.checks.units import check_units
 from ringtrue.core.arrays import Int
-from ringtrue.decks.nastran.constraint_sets import empty_choices
+from ringtrue.decks.nastran.case import empty_choices
 from ringtrue.model.cards import columns
 from ringtrue.model.choices import CONSTRAINTS, idle
 from ringtrue.model.frames import diagonal, positions

@@ -40,7 +40,7 @@ from ringtrue.identification.linearity import level_dependence
 from ringtrue.identification.local import told_apart
 from ringtrue.identification.lsfd import driving_pairs
 from ringtrue.io.frfs import frf_ids, holds_frfs, read_frfs, write_frfs
-from ringtrue.io.modes_json import modes_to_json
+from ringtrue.io.modes import modes_to_json
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.signal.hits import HammerSettings, HitReport
 from ringtrue.signal.overloads import clipping_told

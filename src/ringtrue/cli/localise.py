@@ -14,7 +14,7 @@ from ringtrue.core.progress import part
 from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.correlation.assign import NO_LOCKS
 from ringtrue.decks.nastran.reader import read_deck
-from ringtrue.io.modes_json import read_modes
+from ringtrue.io.modes import read_modes
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.shapes.scale import realise_modes
 from ringtrue.study.config import LocaliseSection, target_words

@@ -24,8 +24,7 @@ from ringtrue.identification.environment import EnvironmentFit, fit_environment
 from ringtrue.identification.gains import with_equal_gains
 from ringtrue.identification.inertia import Followed, behind, thermal_lag
 from ringtrue.identification.tracking import ModeTrack, Stretch, Tracked, ticks, track_modes, unseen
-from ringtrue.io.atomic import atomic_write
-from ringtrue.io.files import existing, read_text
+from ringtrue.io.files import atomic_write, existing, read_text
 from ringtrue.io.foreign.door import door
 from ringtrue.io.records import read_record, record_blocks, record_info
 from ringtrue.plots.tracking import tracking_page

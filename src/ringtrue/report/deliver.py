@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ringtrue.io.atomic import atomic_write
+from ringtrue.io.files import atomic_write
 from ringtrue.report.build import Acceptance, Photo, build
 from ringtrue.study.acceptance import Check, verdict
 from ringtrue.study.config import StudyConfig

@@ -13,7 +13,7 @@ from ringtrue.core.parameters import Parameter, ParameterSet, Target
 from ringtrue.core.units import UnitName
 from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.io.files import read_text
-from ringtrue.io.foreign.texts import toml_value
+from ringtrue.io.foreign.parsers import toml_value
 from ringtrue.model.halves import NODES
 from ringtrue.solvers.registry import EMBEDDED
 from ringtrue.study.config_correlate import OF_SHAPES, CorrelateSection

@@ -16,7 +16,7 @@ from ringtrue.core.observation import Observation
 from ringtrue.core.progress import Progress
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import DataError, NumericalError, about
-from ringtrue.io.modes_json import read_modes, read_std
+from ringtrue.io.modes import read_modes, read_std
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.model.ports import ModalSolver, ModesRequest
 from ringtrue.shapes.scale import realise_modes

@@ -16,7 +16,7 @@ from ringtrue.correlation.assign import NO_LOCKS, Followed, Locks, PairingSettin
 from ringtrue.correlation.pairing import pair_modes
 from ringtrue.correlation.table import CorrelationTable, correlation_table
 from ringtrue.errors import ConfigError, DataError
-from ringtrue.io.modes_json import read_modes, read_std
+from ringtrue.io.modes import read_modes, read_std
 from ringtrue.shapes.scale import realise_modes
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.results import ConfiguredTest, CorrelateStage, IdentifyStage

@@ -22,8 +22,8 @@ from ringtrue.core.iterate import iterate
 from ringtrue.core.outcome import Outcome
 from ringtrue.core.progress import Progress
 from ringtrue.errors import ConfigError, DataError, NumericalError, SolverError, did_you_mean
-from ringtrue.io.atomic import atomic_write, keeps_up
-from ringtrue.io.foreign.texts import read_json
+from ringtrue.io.files import atomic_write, keeps_up
+from ringtrue.io.foreign.parsers import read_json
 from ringtrue.updating.quadratic import least_distance, positive, secant
 from ringtrue.updating.robust import squares
 from ringtrue.updating.several import Evaluated, Problem, held_to

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from ringtrue.core.progress import Progress
-from ringtrue.decks.nastran.edit import edit_fields
+from ringtrue.decks.nastran.editor import edit_fields
 from ringtrue.model.edit import carried, field_changes
 from ringtrue.study.config import ConfigurationSection
 from ringtrue.study.opened import Opened

@@ -16,7 +16,7 @@ from ringtrue.core.testmodel import TestModel
 from ringtrue.correlation.mounting import Mending, find_mendings
 from ringtrue.correlation.pairing import BEYOND_THE_GATE
 from ringtrue.correlation.table import CorrelationTable
-from ringtrue.decks.nastran.edit import unified_diff
+from ringtrue.decks.nastran.editor import unified_diff
 from ringtrue.errors import RingtrueError
 from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.study.config import StudyConfig

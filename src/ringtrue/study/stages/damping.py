@@ -18,7 +18,7 @@ from ringtrue.core.modes import ModeSet, elastic
 from ringtrue.core.progress import Progress
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.correlation.table import CorrelationTable
-from ringtrue.decks.nastran.edit import edit_fields
+from ringtrue.decks.nastran.editor import edit_fields
 from ringtrue.eigen.damped import complex_modes, project
 from ringtrue.fem.response import coupled
 from ringtrue.model.edit import field_value

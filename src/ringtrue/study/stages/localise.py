@@ -11,7 +11,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.progress import Progress, part, quiet
-from ringtrue.decks.nastran.edit import refuse_unwritable, unwritable
+from ringtrue.decks.nastran.editor import refuse_unwritable, unwritable
 from ringtrue.errors import DataError
 from ringtrue.fem.change import affected_cards
 from ringtrue.model.edit import has_fields

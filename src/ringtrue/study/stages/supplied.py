@@ -13,7 +13,7 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.testmodel import TestModel
 from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import DataError
-from ringtrue.io.modes_json import read_modes, read_std
+from ringtrue.io.modes import read_modes, read_std
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.lent import lent
 from ringtrue.study.naming import modes_by_sheet, without_channels
