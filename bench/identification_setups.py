@@ -20,9 +20,8 @@ from outcome import HELD_LEAST, Check, Report, arguments, rms_over_stated, share
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "verification"))
 import test_oma_setups as made
 
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.signals import TimeHistory
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.identification.ambient import identify_ambient
 from ringtrue.identification.merge import merge_modes
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ringtrue.core.parameters import Parameter, ParameterSet, Target
+from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.study import results as r
 from ringtrue.updating.kfold import Held
 from ringtrue.updating.proposal import Proposal, Proposed
@@ -16,7 +16,7 @@ RNG = np.random.default_rng(11)
 
 def parameters(names: Sequence[str]) -> ParameterSet:
     return ParameterSet(
-        tuple(Parameter(n, (Target("MAT1", i + 1, "E"),), 0.2, 5.0) for i, n in enumerate(names))
+        tuple(Parameter(n, (CardField("MAT1", i + 1, "E"),), 0.2, 5.0) for i, n in enumerate(names))
     )
 
 

@@ -11,9 +11,8 @@ import chromium
 import numpy as np
 import pytest
 
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.signals import Channel, FrfSet
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.identification.environment import fit_environment
 from ringtrue.identification.poles import PoleSet, StableDiagram
 from ringtrue.identification.tracking import Stretch, track_modes

@@ -22,8 +22,11 @@ from ringtrue.identification.ambient import AmbientResult, AmbientSettings, iden
 from ringtrue.identification.ambient_record import with_nothing_found
 from ringtrue.identification.ambient_verdict import overtones
 from ringtrue.io.records import write_history
-from ringtrue.signal.harmonics import families, steady_amplitudes, without_machines
-from ringtrue.signal.preprocess import Band, channel_states, harmonics
+from ringtrue.signal.channel_checks import channel_states
+from ringtrue.signal.decimation import Band
+from ringtrue.signal.harmonic_evidence import steady_amplitudes
+from ringtrue.signal.order_tracking import families, without_machines
+from ringtrue.signal.tonal_lines import harmonics
 
 __all__ = ("frf",)  # a fixture
 

@@ -11,19 +11,18 @@ import numpy as np
 import pytest
 
 from ringtrue.cli.main import run
-from ringtrue.core.modes import ModeSet, Norm
+from ringtrue.core.modes import ModeSet, Norm, Uncertainty
 from ringtrue.core.signals import Channel, FrfSet
-from ringtrue.core.uncertainty import Uncertainty
-from ringtrue.correlation.complete import complete, complete_json
 from ringtrue.correlation.frf import (
     amplitude_correlation,
     band_levels,
     compare_frfs,
     shape_correlation,
 )
-from ringtrue.correlation.gates import Gate
+from ringtrue.correlation.measures import complete, complete_json
+from ringtrue.correlation.orthogonality import Gate
+from ringtrue.correlation.paired_shapes import turning
 from ringtrue.correlation.pairing import pair_modes
-from ringtrue.correlation.turning import turning
 from ringtrue.errors import InputError
 from ringtrue.io.modes import read_std, write_modes
 from ringtrue.shapes.orthogonality import read_orthogonality, serep_mass

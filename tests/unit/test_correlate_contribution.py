@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from ringtrue.core.modes import ModeSet
-from ringtrue.correlation.assign import Locks
-from ringtrue.correlation.contribution import eliminate, mac_contribution, mac_without
+from ringtrue.correlation.assignment import Locks
+from ringtrue.correlation.paired_shapes import eliminate, mac_contribution, mac_without
 from ringtrue.correlation.pairing import pair_modes
 from ringtrue.errors import ConfigError, InputError
 from ringtrue.shapes.mac import paired_mac

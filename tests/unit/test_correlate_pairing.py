@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from ringtrue.core.modes import ModeSet, Norm
-from ringtrue.correlation.assign import Followed, Locks
+from ringtrue.correlation.assignment import Followed, Locks
+from ringtrue.correlation.paired_shapes import paired_shapes, turning
 from ringtrue.correlation.pairing import PairingSettings, pair_modes
 from ringtrue.correlation.table import correlation_table
-from ringtrue.correlation.turning import paired_shapes, turning
 from ringtrue.errors import ConfigError, InputError
 
 CHANNELS = tuple("abcdefghij")

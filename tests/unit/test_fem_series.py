@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ringtrue.core.arrays import Float
-from ringtrue.fem.series import fitted
+from ringtrue.fem.parametrisation.interpolation import fitted
 
 BOUNDS = np.array([[0.5, 2.0], [0.1, 10.0], [0.5, 1.5]])
 EXACT = 1e-11  # relative to the largest value, or slope

@@ -11,8 +11,7 @@ import pytest
 from scipy.signal import lfilter
 from test_cli import Capture, call, parsed, refused
 
-from ringtrue.core.modes import ModeSet
-from ringtrue.core.uncertainty import Uncertainty
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.errors import ConfigError, DataError, InputError
 from ringtrue.identification.environment import fit_environment
 from ringtrue.identification.gains import with_equal_gains

@@ -11,11 +11,11 @@ import pytest
 from scipy import sparse
 
 from ringtrue.core.dofs import DofSet
+from ringtrue.core.iterate import Outcome
 from ringtrue.core.modes import ModeSet, Norm
-from ringtrue.core.observation import Observation
-from ringtrue.core.outcome import Outcome
-from ringtrue.core.parameters import Parameter, ParameterSet, Target
+from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.core.signals import Channel, TimeHistory
+from ringtrue.core.testmodel import Observation
 from ringtrue.errors import DataError
 from ringtrue.io import hdf5
 from ringtrue.io.files import atomic_write
@@ -36,7 +36,7 @@ def test_plain_values(tmp_path: Path) -> None:
         "complex": 1 - 2j,
         "inf": float("-inf"),
         "enum": (Norm.MASS, Outcome.STALLED),
-        5: {"deep": Target("MAT1", 7, "E")},
+        5: {"deep": CardField("MAT1", 7, "E")},
         "numpy": np.float64(3.5),
     }
     got = through(tmp_path, value)
@@ -81,7 +81,7 @@ def test_sparse_and_parameters(tmp_path: Path) -> None:
     got = through(tmp_path, matrix)
     assert type(got) is type(matrix)
     np.testing.assert_array_equal(got.toarray(), matrix.toarray())
-    one = ParameterSet((Parameter("k", (Target("PBUSH", 1, "K3"),), upper=2.0),))
+    one = ParameterSet((Parameter("k", (CardField("PBUSH", 1, "K3"),), upper=2.0),))
     assert through(tmp_path, one) == one
     assert Observation.__module__.startswith("ringtrue.")
 

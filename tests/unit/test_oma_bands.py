@@ -13,11 +13,9 @@ from ringtrue.identification.bands import MOST_BLOCKS, begin, joined, of_stretch
 from ringtrue.identification.mixing import unmix
 from ringtrue.identification.ssi import SsiCov
 from ringtrue.identification.whittle import SpectralBins
-from ringtrue.signal import pyramid
-from ringtrue.signal.preprocess import Band, detrend
-from ringtrue.signal.pyramid import Signals, segments
-from ringtrue.signal.stream import decimator, high_passer
-from ringtrue.signal.threads import ABREAST, abreast, threads
+from ringtrue.signal import band_correlations
+from ringtrue.signal.band_correlations import ABREAST, Signals, abreast, segments, threads
+from ringtrue.signal.decimation import Band, decimator, detrend, high_passer
 
 HIGH, DOWN = high_passer(4.0, 100.0), decimator(4)
 
@@ -33,7 +31,7 @@ def test_a_pass_gives_the_correlations_of_the_filtered_signals(samples):
     y = np.random.default_rng(1).standard_normal((3, samples))
     lags, refs = 20, np.array([0, 2])
     cut = segments(samples, 4, lags, HIGH, DOWN)
-    r, lower = pyramid.run(Signals(y, np.zeros(3)), cut, HIGH, DOWN, refs)
+    r, lower = band_correlations.run(Signals(y, np.zeros(3)), cut, HIGH, DOWN, refs)
     # of the signal that leaves the filter on one side and of that which comes to it on the other
     twice = filtered(filtered(np.pad(y, ((0, 0), (500, 500))), HIGH.taps), HIGH.taps)[:, 500:-500]
     block = cut.each * cut.hop

@@ -10,9 +10,8 @@ import pytest
 from numpy.lib.stride_tricks import as_strided
 from scipy.signal import lfilter
 
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.signals import Channel, TimeHistory
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, InputError
 from ringtrue.identification.ambient import AmbientSettings, bands_for
 from ringtrue.identification.ambient_verdict import settled, without_echoes, without_noise

@@ -23,16 +23,21 @@ from ringtrue.errors import ConfigError, DataError, InputError
 from ringtrue.fem.response import frf
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.io.uff.geometry import write_test_model
-from ringtrue.planning.rehearsal import Conditions, Planned, missed_words, modal_model, trials
-from ringtrue.planning.rehearsal_ambient import Ambience, rehearse_ambient
-from ringtrue.planning.rehearsal_hammer import (
+from ringtrue.planning.plan_files import reach_of, write_test_sheet
+from ringtrue.planning.resolution import ambient_std
+from ringtrue.planning.virtual_test import (
+    Ambience,
+    Conditions,
+    Planned,
     background_density,
     fitting_hammer,
     measured,
+    missed_words,
+    modal_model,
     rehearse,
+    rehearse_ambient,
+    trials,
 )
-from ringtrue.planning.resolution import ambient_std
-from ringtrue.planning.sheet import reach_of, write_test_sheet
 from ringtrue.report.deliver import report_from_store
 from ringtrue.study.run import run_study
 from ringtrue.virtual.sensors import ACCELEROMETER, ICP

@@ -19,7 +19,7 @@ from small_study import FULL, write_study
 
 from ringtrue.cli.main import run
 from ringtrue.cli.predict import settings
-from ringtrue.core.parameters import Parameter, ParameterSet, Target
+from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, InputError
 from ringtrue.io.modes import write_modes
@@ -200,7 +200,7 @@ def test_forces_in_springs_of_a_deck(tmp_path: Path) -> None:
     """A unit force on the upper mass passes through both springs in series, down to the ground."""
     (tmp_path / "two.bdf").write_text(DECK)
     opened = Opened(read_deck(tmp_path / "two.bdf"), 1.0)
-    names = ParameterSet((Parameter("b", (Target("PBUSH", 58, "K1"),), 0.5, 2.0),))
+    names = ParameterSet((Parameter("b", (CardField("PBUSH", 58, "K1"),), 0.5, 2.0),))
     system = opened.analysis.system
     v = np.eye(system.stiffness.shape[0])
     top = np.asarray(system.transform.T @ (system.dofs.key == 2 * 8 + 1).astype(float))
@@ -364,7 +364,7 @@ def test_forces_stand_with_the_unbalance_however_the_springs_were_updated(
     (tmp_path / "chain.bdf").write_text(chain)
     found = {51: 1.0, 52: 0.6, 53: 1.5}
     springs = [
-        Parameter(str(k), tuple(Target("PBUSH", k, f) for f in ("K1", "K2", "K3")), 0.2, 5.0)
+        Parameter(str(k), tuple(CardField("PBUSH", k, f) for f in ("K1", "K2", "K3")), 0.2, 5.0)
         for k in found
     ]
     built = apply_factors(

@@ -199,7 +199,7 @@ def test_a_deck_is_not_edited_into_its_own_folder(files: Path) -> None:
 KILLED = """
 import os, sys
 from pathlib import Path
-from ringtrue.io.atomic import atomic_write
+from ringtrue.io.files import atomic_write
 with atomic_write(Path(sys.argv[1])) as part:
     part.write_text("half")
     os.kill(os.getpid(), 9)

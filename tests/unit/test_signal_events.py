@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 from ringtrue.core.arrays import Float
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.identification.ambient import identify_ambient
-from ringtrue.signal.events import find_events
+from ringtrue.signal.transients import find_events
 
 RATE, SECONDS = 64.0, 1200
 FREQUENCIES, DAMPING = np.array([2.0, 2.3, 6.1]), np.array([0.02, 0.025, 0.012])

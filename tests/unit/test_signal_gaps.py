@@ -12,8 +12,8 @@ from ringtrue.identification.ambient import identify_ambient, identify_stretches
 from ringtrue.identification.ambient_methods import identify_ambient_by
 from ringtrue.identification.whittle import SpectralBins
 from ringtrue.shapes.mac import mac
-from ringtrue.signal.events import NONE
 from ringtrue.signal.gaps import bridged
+from ringtrue.signal.transients import NONE
 
 
 def lossy() -> np.ndarray:

@@ -17,7 +17,7 @@ from ringtrue.cli.main import run
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.core.testmodel import TestModel
-from ringtrue.correlation.complete import complete
+from ringtrue.correlation.measures import complete
 from ringtrue.correlation.pairing import pair_modes
 from ringtrue.correlation.table import correlation_table
 from ringtrue.decks.nastran.reader import read_deck

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from ringtrue.core.parameters import Parameter, ParameterSet
-from ringtrue.core.parameters import Target as Place
+from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.errors import InputError
 from ringtrue.updating.dense import DenseModel
 from ringtrue.updating.kfold import discrepancy, folds_of, k_fold, variance_parts, with_discrepancy
@@ -319,7 +318,7 @@ def test_a_mass_that_may_be_none_is_not_proven_however_light() -> None:
     """Its factor is of 4000 kg, so that 60 kg are 1.015: a slight change for a modulus, none for a
     mass.
     """
-    places = (Place("CONM2", n, "M", step=4000.0) for n in (7, 8))
+    places = (CardField("CONM2", n, "M", step=4000.0) for n in (7, 8))
     masses = ParameterSet(
         (*(Parameter(f"mass {t.id}", (t,), 0.9999999, 1.4) for t in places), Parameter("E"))
     )

@@ -18,10 +18,10 @@ from ringtrue.eigen.derivatives import (
     modal_coefficients,
     split_derivatives,
 )
-from ringtrue.eigen.factor import Pencil
-from ringtrue.eigen.solve import solve_modes
+from ringtrue.eigen.modes import solve_modes
+from ringtrue.eigen.pencil import Pencil
 from ringtrue.errors import InputError, NotConverged
-from ringtrue.fem.change import scaled
+from ringtrue.fem.parametrisation.changed_model import scaled
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
 from ringtrue.solvers.embedded import EmbeddedSolver

@@ -9,16 +9,16 @@ import pytest
 from eigen_plate import held, plate
 from scipy import sparse
 
-from ringtrue.eigen.damped import complex_modes
+from ringtrue.eigen.damped import DynamicStiffness, complex_modes
 from ringtrue.eigen.derivatives import (
     Slope,
     branch_derivatives,
     eigenvalue_derivatives,
     eigenvector_derivatives,
 )
-from ringtrue.eigen.dynamic import DynamicStiffness
-from ringtrue.eigen.factor import Pencil
-from ringtrue.eigen.responses import (
+from ringtrue.eigen.modes import solve_modes
+from ringtrue.eigen.pencil import Pencil
+from ringtrue.eigen.response_derivatives import (
     adjoint,
     complex_mode_derivatives,
     frequency_derivatives,
@@ -27,7 +27,6 @@ from ringtrue.eigen.responses import (
     modal_frf_derivatives,
     pole_derivatives,
 )
-from ringtrue.eigen.solve import solve_modes
 
 N, M = 12, 6
 H = 1e-4  # of central differences; what is left is H² of the third derivative

@@ -25,7 +25,7 @@ from ringtrue.identification.plscf import Plscf, cluster_poles, plscf
 from ringtrue.identification.refine import refine
 from ringtrue.io.frfs import read_frfs
 from ringtrue.shapes.mac import mac
-from ringtrue.signal.frf_checks import check_driving_points
+from ringtrue.signal.frf_sets import check_driving_points
 
 DATA = Path(__file__).parents[2].parent / "shared/data"
 data_here = pytest.mark.skipif(not DATA.is_dir(), reason=f"no reference data at {DATA}")

@@ -14,9 +14,8 @@ import pytest
 from scipy.linalg import eig, eigh
 
 from ringtrue.core.modal import ModalModel
-from ringtrue.core.modes import ModeSet, Norm
+from ringtrue.core.modes import ModeSet, Norm, Uncertainty
 from ringtrue.core.signals import Channel, FrfSet
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import DataError, InputError
 from ringtrue.identification.hammer import HammerModes, identify_hammer
 from ringtrue.identification.linearity import level_dependence
@@ -29,7 +28,7 @@ from ringtrue.identification.poles import PoleSet
 from ringtrue.identification.reciprocity import reciprocity
 from ringtrue.identification.rfp import Rfp, orthogonal, rfp
 from ringtrue.shapes.mac import mac
-from ringtrue.signal.setups import join_frfs
+from ringtrue.signal.frf_sets import join_frfs
 
 MASS = np.array([1.0, 1.2, 0.9, 1.1, 1.0, 0.8, 1.0, 1.1])
 N = MASS.size

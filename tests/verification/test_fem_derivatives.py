@@ -10,13 +10,13 @@ import pytest
 from fem_cases import cards, grid, model, ragged, spc, steel
 from scipy import sparse
 
-from ringtrue.core.parameters import Parameter, ParameterSet, Substructure, Target
+from ringtrue.core.parameters import CardField, Parameter, ParameterSet, Substructure
 from ringtrue.errors import InputError, UnsupportedError
 from ringtrue.fem.assembly import assemble
-from ringtrue.fem.change import scaled
-from ringtrue.fem.dependence import affine_terms
-from ringtrue.fem.derivatives import matrix_derivatives
-from ringtrue.fem.functions import AffineTerm, Product
+from ringtrue.fem.parametrisation.affine import affine_terms
+from ringtrue.fem.parametrisation.changed_model import scaled
+from ringtrue.fem.parametrisation.derivatives import matrix_derivatives
+from ringtrue.fem.parametrisation.polynomials import AffineTerm, Product
 from ringtrue.model.model import Model
 
 X = np.array(
@@ -58,7 +58,7 @@ def mixed(**mat: float) -> Model:
 
 
 def parameter(*targets: tuple[str, int, str]) -> Parameter:
-    return Parameter("p", tuple(Target(*t) for t in targets))
+    return Parameter("p", tuple(CardField(*t) for t in targets))
 
 
 def close(A: sparse.csr_array, B: sparse.csr_array, tolerance: float) -> None:

@@ -11,8 +11,8 @@ from scipy.signal import lfilter
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.identification.ambient import AmbientResult, identify_ambient
 from ringtrue.identification.ambient_verdict import feet
-from ringtrue.signal.strokes import without_strokes
-from ringtrue.signal.sweeps import without_sweeps
+from ringtrue.signal.run_ups import without_sweeps
+from ringtrue.signal.transients import without_strokes
 
 RATE, F, Z = 50.0, np.array([2.2, 3.7, 4.1, 6.9, 9.4]), np.array([0.012, 0.008, 0.015, 0.01, 0.02])
 N = int(900 * RATE)

@@ -29,7 +29,7 @@ from ringtrue.identification.setups import preger
 from ringtrue.identification.ssi import SsiCov
 from ringtrue.identification.ssi_data import project, ssi_data
 from ringtrue.shapes.mac import mac, paired_mac
-from ringtrue.signal.preprocess import decimate
+from ringtrue.signal.decimation import decimate
 
 F, Z = np.array([2.0, 5.0, 5.12, 9.0]), np.array([0.02, 0.01, 0.012, 0.015])
 RATE, SECONDS = 40.0, 300

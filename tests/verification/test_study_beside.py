@@ -20,7 +20,7 @@ import small_study
 
 from ringtrue.checks.mass import whole_mass
 from ringtrue.core.progress import quiet
-from ringtrue.correlation.observe import at_dofs
+from ringtrue.correlation.sensor_mapping import at_dofs
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError
 from ringtrue.io.modes import write_modes

@@ -10,10 +10,10 @@ import pytest
 from fem_cases import cards, grid, model, ragged, spc
 from scipy import sparse
 
-from ringtrue.core.parameters import Parameter, Target
+from ringtrue.core.parameters import CardField, Parameter
 from ringtrue.core.progress import quiet
 from ringtrue.fem.assembly import assemble
-from ringtrue.fem.dependence import affine_terms, matrices_kept
+from ringtrue.fem.parametrisation.affine import affine_terms, matrices_kept
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
 from ringtrue.reduction.parametric import ReducedModel
@@ -50,7 +50,7 @@ def test_forms() -> None:
     a pole.
     """
     m = laminate(1e10)
-    e1, g12, nu = (Parameter(f, (Target("MAT8", 1, f),)) for f in ("E1", "G12", "NU12"))
+    e1, g12, nu = (Parameter(f, (CardField("MAT8", 1, f),)) for f in ("E1", "G12", "NU12"))
     assert matrices_kept(m, g12) == 0
     assert all(matrices_kept(m, p) for p in (e1, nu))
     assert matrices_kept(laminate(1.4e11), nu) is None

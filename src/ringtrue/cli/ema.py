@@ -42,9 +42,9 @@ from ringtrue.identification.lsfd import driving_pairs
 from ringtrue.io.frfs import frf_ids, holds_frfs, read_frfs, write_frfs
 from ringtrue.io.modes import modes_to_json
 from ringtrue.io.sheets import read_sensor_sheet
-from ringtrue.signal.hits import HammerSettings, HitReport
-from ringtrue.signal.overloads import clipping_told
-from ringtrue.signal.setups import alike, join_frfs, setups_of
+from ringtrue.signal.channel_checks import clipping_told
+from ringtrue.signal.frf_sets import alike, join_frfs, setups_of
+from ringtrue.signal.impacts import HammerSettings, HitReport
 from ringtrue.study.blows import BlowFiles, kept_blows, read_blows, refused_blows
 from ringtrue.study.forced import Forced, forced_frfs
 

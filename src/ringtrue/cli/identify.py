@@ -16,9 +16,8 @@ import typer
 
 from ringtrue.cli.show import Json, file_to, progress, rows, tell, write_json
 from ringtrue.core.choice import Choice
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.signals import Channel, TimeHistory
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError, about, did_you_mean
 from ringtrue.identification.ambient import AmbientResult, AmbientSettings, identify_stretches
 from ringtrue.identification.ambient_methods import identify_ambient_by
@@ -33,11 +32,10 @@ from ringtrue.io.modes import modes_to_json
 from ringtrue.io.records import read_record, refuse_bad_samples
 from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
 from ringtrue.plots.picker import picker_page
-from ringtrue.signal.faults import find_faults
-from ringtrue.signal.gaps import bridged
-from ringtrue.signal.harmonics import without_machines
-from ringtrue.signal.overlaps import without_overlap
-from ringtrue.signal.preprocess import harmonics
+from ringtrue.signal.channel_checks import find_faults
+from ringtrue.signal.gaps import bridged, without_overlap
+from ringtrue.signal.order_tracking import without_machines
+from ringtrue.signal.tonal_lines import harmonics
 
 
 class AmbientMethod(StrEnum):

@@ -21,8 +21,8 @@ from ringtrue.errors import ConfigError
 from ringtrue.io.files import atomic_write, writes
 from ringtrue.model.ports import ModesRequest
 from ringtrue.planning.exciters import reciprocity_pairs
-from ringtrue.planning.rehearsal import Rehearsal, missed_words
-from ringtrue.planning.sheet import NAMES, reach_of, write_test_sheet
+from ringtrue.planning.plan_files import NAMES, reach_of, write_test_sheet
+from ringtrue.planning.virtual_test import Rehearsal, missed_words
 from ringtrue.report.deliver import deliver
 from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.study.config_plan import Directions, Method, Strike

@@ -25,8 +25,7 @@ from ringtrue.errors import ConfigError, InputError
 from ringtrue.io.files import atomic_write
 from ringtrue.io.frfs import write_frfs
 from ringtrue.io.statics import COLUMNS
-from ringtrue.model.choices import responding
-from ringtrue.model.damping import ModalDamping
+from ringtrue.model.case_control import ModalDamping, responding
 from ringtrue.model.ports import ModesRequest
 from ringtrue.plots.responses import frf_page
 from ringtrue.solvers.embedded import EmbeddedAnalysis, EmbeddedSolver

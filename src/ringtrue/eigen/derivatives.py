@@ -17,8 +17,8 @@ from scipy import sparse
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.progress import Progress
 from ringtrue.eigen.complement import Complement
-from ringtrue.eigen.factor import Pencil
-from ringtrue.eigen.problem import EigenModes
+from ringtrue.eigen.eigenpairs import EigenModes
+from ringtrue.eigen.pencil import Pencil
 from ringtrue.errors import InputError
 
 CLOSE = 1e-6  # relative distance under which eigenvalues are treated as one repeated root

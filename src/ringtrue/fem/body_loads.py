@@ -7,7 +7,7 @@ import numpy as np
 from ringtrue.core.arrays import Float
 from ringtrue.fem.algebra import add_at, applied
 from ringtrue.fem.assembly import pieces
-from ringtrue.fem.elements import mass
+from ringtrue.fem.elements import lumped
 from ringtrue.fem.mesh import Mesh
 
 
@@ -34,7 +34,7 @@ def spin_forces(m: Mesh, origin: Float, spin: Float) -> Float:
     for _, _, p in pieces(m):
         add_at(out, p.dofs, applied(p.mass, field[p.dofs.clip(min=0), None])[:, :, 0])
     if "CONM2" in m.model:
-        p = mass.build(m, "CONM2", np.arange(len(m.model["CONM2"])))
+        p = lumped.build_point_mass(m, "CONM2", np.arange(len(m.model["CONM2"])))
         moment, inertia = p.mass[:, :3, 3:], p.mass[:, 3:, 3:]  # the first is -[m d ×]
         arm = np.stack([moment[:, 1, 2], moment[:, 2, 0], moment[:, 0, 1]], axis=1)
         add_at(out, p.dofs, np.concatenate([arm @ pull, -np.cross(spin, inertia @ spin)], axis=1))

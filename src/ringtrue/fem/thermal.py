@@ -7,11 +7,10 @@ import numpy as np
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.fem.algebra import add_at
 from ringtrue.fem.assembly import pieces
+from ringtrue.fem.element_cards import PROPERTY, SHELLS, SOLIDS
 from ringtrue.fem.elements import bar
-from ringtrue.fem.kinds import PROPERTY, SHELLS, SOLIDS
 from ringtrue.fem.mesh import Mesh
-from ringtrue.model.model import Model
-from ringtrue.model.places import error, unsupported
+from ringtrue.model.model import Model, card_error, unsupported_card
 
 SPREADS = {  # cards that expand: dimensions in which the temperature of one may vary
     **dict.fromkeys(("CROD", "CTUBE", "CONROD", "CBAR", "CBEAM", "CBEND"), 1),
@@ -92,7 +91,7 @@ def _expansion(m: Mesh, card: str) -> tuple[Float, Float]:
     row = _rows(model, "MAT1", mid)
     if (other := (row < 0) & (mid != 0)).any():
         why = "would expand: thermal loads are read with MAT1, of shells with PSHELL without MID4"
-        raise unsupported(model, table, int(other.argmax()), why)
+        raise unsupported_card(model, table, int(other.argmax()), why)
     if "MAT1" not in model:
         return np.zeros(len(table)), np.zeros(len(table))
     alpha, reference = (np.append(model["MAT1"][name], 0.0)[row] for name in ("A", "TREF"))
@@ -116,6 +115,6 @@ def _refuse_unknown(m: Mesh, card: str, at: Int, nodes: Int, T: Float) -> None:
     if (lost := np.argwhere(np.isnan(T))).size:
         e, k = lost[0].tolist()
         node = m.model["GRID"].ids[nodes[e, k]]
-        raise error(
+        raise card_error(
             m.model, m.model[card], int(at[e]), f"node {node} has no temperature (TEMP or TEMPD)"
         )

@@ -15,10 +15,9 @@ from itertools import chain
 import numpy as np
 
 from ringtrue.core.choice import Choice
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.progress import Progress, quiet
 from ringtrue.core.signals import TimeHistory
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.identification.ambient_band import modes_of_band
 from ringtrue.identification.ambient_record import (
@@ -63,13 +62,12 @@ from ringtrue.identification.stretches import (
     with_more_lags,
     without_strokes_sweeps_and_echoes,
 )
+from ringtrue.signal.band_correlations import abreast
+from ringtrue.signal.channel_checks import uncut, usable
+from ringtrue.signal.decimation import Band, levelled, scaled, unit_factor
 from ringtrue.signal.gaps import bridged
-from ringtrue.signal.harmonics import steady_amplitudes
-from ringtrue.signal.levels import levelled, scaled, unit_factor
-from ringtrue.signal.lines import with_feet, without_lines
-from ringtrue.signal.locked import locked
-from ringtrue.signal.preprocess import Band, Harmonic, harmonics, uncut, usable
-from ringtrue.signal.threads import abreast
+from ringtrue.signal.harmonic_evidence import locked, steady_amplitudes
+from ringtrue.signal.tonal_lines import Harmonic, harmonics, with_feet, without_lines
 
 LEAST_DAMPING = 5e-4  # below what structures have in operation (welded steel: 0.1 %)
 LEAST_FALL = 0.1  # of the logarithm of the amplitude, from one impact to the next

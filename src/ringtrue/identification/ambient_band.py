@@ -41,7 +41,8 @@ from ringtrue.identification.stabilise import (
 )
 from ringtrue.identification.struck import by_references, even_halves, event_weights
 from ringtrue.identification.wander import wander, widened
-from ringtrue.signal.preprocess import Band, block_weights
+from ringtrue.signal.decimation import Band
+from ringtrue.signal.spectra import block_weights
 
 # of the orders: where modes appear in the first third of them, else, and in bands crowded with
 # modes

@@ -10,10 +10,9 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.progress import Progress, quiet
 from ringtrue.core.signals import TimeHistory
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.identification.ambient import AmbientSettings, bands_for, lowest
 from ringtrue.identification.ambient_record import AT_EDGE, filter_edges, long_enough
@@ -28,9 +27,9 @@ from ringtrue.identification.poles import PoleSet
 from ringtrue.identification.ssi import MAX_REFERENCES, SsiCov
 from ringtrue.identification.ssi_data import ssi_data
 from ringtrue.shapes.mac import mac
+from ringtrue.signal.channel_checks import usable
+from ringtrue.signal.decimation import Band, band_signals, levelled, scaled, unit_factor
 from ringtrue.signal.gaps import bridged
-from ringtrue.signal.levels import levelled, scaled, unit_factor
-from ringtrue.signal.preprocess import Band, band_signals, usable
 
 Method = Literal["plscf", "era", "ssi-data", "fdd", "efdd", "fsdd", "random-decrement", "bayes"]
 METHODS: tuple[str, ...] = get_args(Method)

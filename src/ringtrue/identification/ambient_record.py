@@ -17,10 +17,10 @@ from ringtrue.core.motions import ANGULAR, DERIVATIVE
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.identification.whittle import SpectralBins
-from ringtrue.signal.events import Events
-from ringtrue.signal.phases import channel_phases, in_step
-from ringtrue.signal.preprocess import Band
-from ringtrue.signal.psd import Welch, csd
+from ringtrue.signal.clock_alignment import channel_phases, in_step
+from ringtrue.signal.decimation import Band
+from ringtrue.signal.spectra import Welch, csd
+from ringtrue.signal.transients import Events
 
 FEW = 8  # events
 EDGE, LAST = (

@@ -9,14 +9,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int
-from ringtrue.core.modes import ModeSet
-from ringtrue.core.uncertainty import Uncertainty
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.identification import variance as var
 from ringtrue.identification.pick import least_deviations
 from ringtrue.identification.poles import StableDiagram
 from ringtrue.identification.stabilise import Candidates
 from ringtrue.shapes.mac import mac
-from ringtrue.signal.preprocess import Harmonic
+from ringtrue.signal.tonal_lines import Harmonic
 
 PAIRED = 0.3  # share of the orders
 STRONG = 10.0  # signal-to-noise ratio in the correlations, that poles of noise do not reach

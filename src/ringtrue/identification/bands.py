@@ -17,11 +17,10 @@ from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.identification import variance as var
 from ringtrue.identification.ssi import MAX_REFERENCES, SsiCov, spanning
 from ringtrue.identification.whittle import RELATIVE, SpectralBins
-from ringtrue.signal import pyramid
-from ringtrue.signal.events import NONE, Events
-from ringtrue.signal.preprocess import Band
-from ringtrue.signal.pyramid import Signals
-from ringtrue.signal.stream import Fir, decimator, high_passer
+from ringtrue.signal import band_correlations
+from ringtrue.signal.band_correlations import Signals
+from ringtrue.signal.decimation import Band, Fir, decimator, high_passer
+from ringtrue.signal.transients import NONE, Events
 
 SPECTRAL_CHANNELS = 16  # that separate the modes for the maximum likelihood fit
 STEP = 4  # from one rate to the next
@@ -155,8 +154,8 @@ def begin(
         blocks = ssi.blocks or var.blocks_for(y.samples, 2 * rows - 1)
         own = replace(ssi, block_rows=rows)
         high, down = _filters(band, band is bands[-1])
-        cut = pyramid.segments(y.samples, blocks, 2 * rows - 1, high, down)
-        scale, lagged = pyramid.glance(y, cut, high)
+        cut = band_correlations.segments(y.samples, blocks, 2 * rows - 1, high, down)
+        scale, lagged = band_correlations.glance(y, cut, high)
         refs = spanning(lagged, MAX_REFERENCES) if references is None else references
         eyes = spanning(lagged, SPECTRAL_CHANNELS)
         first = BandSums(band, own, blocks, refs, eyes, scale, (), (), NOTHING, 0)
@@ -201,25 +200,29 @@ def joined(sums: list[BandSums], stretch: list[BandSums]) -> list[BandSums]:
 def _at_first_rate(data: Any_, rate: float, bands: tuple[Band, ...]) -> Signals:
     y = Signals.of(data)
     factor = round(rate / bands[0].rate)
-    return pyramid.detrended(pyramid.lowered(y, decimator(factor))) if factor > 1 else y
+    return (
+        band_correlations.detrended(band_correlations.lowered(y, decimator(factor)))
+        if factor > 1
+        else y
+    )
 
 
 def _pass(x: BandSums, y: Signals, events: Events, last: bool) -> tuple[BandSums, Signals]:
     """The sums of one stretch at the rate of its band, and the signals of the next one."""
     high, down = _filters(x.band, last)
-    cut = pyramid.segments(y.samples, x.blocks, 2 * x.ssi.block_rows - 1, high, down)
+    cut = band_correlations.segments(y.samples, x.blocks, 2 * x.ssi.block_rows - 1, high, down)
     keep = events.free(y.samples, x.band.rate, cut.lags)
-    share = pyramid.pairs(cut, y.samples, keep)[:, 0] / (cut.each * cut.hop)
-    r, lower = pyramid.run(y, cut, high, down, x.references, keep)
+    share = band_correlations.pairs(cut, y.samples, keep)[:, 0] / (cut.each * cut.hop)
+    r, lower = band_correlations.run(y, cut, high, down, x.references, keep)
     scale = x.scale.astype(np.float32)
     r /= scale[:, None] * scale[x.references]
     spectra = _binned(y, x.eyes, x.band, 1 / scale[x.eyes])
     spectra = replace(
         spectra, count=spectra.count * events.kept, lost=1 - events.kept, breaks=events.breaks
     )
-    return replace(x, parts=(r,), shares=(share,), spectra=spectra, stretches=1), pyramid.detrended(
-        lower
-    )
+    return replace(
+        x, parts=(r,), shares=(share,), spectra=spectra, stretches=1
+    ), band_correlations.detrended(lower)
 
 
 def _binned(y: Signals, eyes: Int, band: Band, scale: Any_) -> SpectralBins:

@@ -22,9 +22,8 @@ from scipy.fft import rfft
 from scipy.linalg import null_space
 
 from ringtrue.core.arrays import Any_, Complex, Float
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.signals import TimeHistory
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError, NotConverged
 from ringtrue.identification.ssi import prepared
 

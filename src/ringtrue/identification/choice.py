@@ -14,8 +14,7 @@ from scipy.optimize import linear_sum_assignment
 
 from ringtrue.core.arrays import Complex, Float, Int
 from ringtrue.core.choice import Choice, Pick
-from ringtrue.core.modes import ModeSet
-from ringtrue.core.uncertainty import Uncertainty
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.errors import DataError
 from ringtrue.identification.ambient_verdict import Found
 from ringtrue.identification.cluster import CUT, cluster_poles, distances

@@ -17,7 +17,7 @@ from ringtrue.errors import DataError
 from ringtrue.identification.poles import PoleSet, unit
 from ringtrue.identification.ssi import SsiCov, choose_references, decompose, prepared
 from ringtrue.identification.variance import hankel
-from ringtrue.signal.psd import correlations
+from ringtrue.signal.spectra import correlations
 
 
 def era(decays: Float, rate: float, settings: SsiCov | None = None) -> PoleSet:

@@ -18,14 +18,12 @@ from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares
 
 from ringtrue.core.arrays import Complex, Float, Int
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.signals import TimeHistory
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.identification.poles import unit
-from ringtrue.signal.preprocess import detrend
-from ringtrue.signal.psd import Csd, Welch, csd
-from ringtrue.signal.windows import window
+from ringtrue.signal.decimation import detrend
+from ringtrue.signal.spectra import Csd, Welch, csd, window
 
 _DAMPING = 1e-4, 0.3
 _ROUNDS, _NEAR = 40, 1e-3

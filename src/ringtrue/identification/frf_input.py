@@ -17,7 +17,7 @@ from ringtrue.core.signals import FrfSet
 from ringtrue.errors import DataError
 from ringtrue.identification.lsfd import driving_pairs
 from ringtrue.shapes.mac import mac, unit
-from ringtrue.signal.frf_checks import passive
+from ringtrue.signal.frf_sets import passive
 
 _SMALL, _LARGE = 1e-70, 1e70  # fourth powers stay finite
 _ODD = 100.0  # times the level of the typical response

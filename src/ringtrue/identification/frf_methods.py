@@ -12,10 +12,9 @@ from scipy.linalg import qr
 
 from ringtrue.core.arrays import Complex, Float
 from ringtrue.core.modal import ModalModel
-from ringtrue.core.modes import ModeSet, Norm
+from ringtrue.core.modes import ModeSet, Norm, Uncertainty
 from ringtrue.core.progress import Progress, quiet
 from ringtrue.core.signals import FrfSet
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.identification.bands_hammer import (
     MOST_PEAKS,
@@ -36,7 +35,7 @@ from ringtrue.identification.poles import PoleSet
 from ringtrue.identification.refine import refine
 from ringtrue.identification.rfp import Rfp, rfp
 from ringtrue.identification.scale import mode_scale
-from ringtrue.signal.reciprocal import exchanged
+from ringtrue.signal.frf_sets import exchanged
 
 Method = Literal["lsce", "rfp", "cmif"]
 METHODS: tuple[str, ...] = get_args(Method)

@@ -16,9 +16,8 @@ from dataclasses import replace
 import numpy as np
 
 from ringtrue.core.arrays import Complex, Float, Int
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.signals import FrfSet, TimeHistory
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import DataError
 from ringtrue.identification.bands_hammer import grouped, merged
 from ringtrue.identification.judge import Candidates, judge
@@ -29,7 +28,7 @@ from ringtrue.identification.poles import PoleSet, unit
 from ringtrue.identification.refine import Refined, refine
 from ringtrue.identification.ssi import choose_references, prepared
 from ringtrue.shapes.mac import mac
-from ringtrue.signal.psd import correlations
+from ringtrue.signal.spectra import correlations
 
 LAGS, ENDS_AT = (
     400,

@@ -11,12 +11,11 @@ import numpy as np
 
 from ringtrue.core.arrays import Complex, Float, freeze_fields
 from ringtrue.core.choice import Choice
+from ringtrue.core.iterate import Outcome
 from ringtrue.core.modal import ModalModel
-from ringtrue.core.modes import ModeSet, Norm
-from ringtrue.core.outcome import Outcome
+from ringtrue.core.modes import ModeSet, Norm, Uncertainty
 from ringtrue.core.progress import Progress, quiet
 from ringtrue.core.signals import FrfSet
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import DataError
 from ringtrue.identification.bands_hammer import band_candidates, choose_bands, merged
 from ringtrue.identification.choice_hammer import hand_poles
@@ -58,7 +57,7 @@ from ringtrue.identification.split import (
     split_modes,
     split_note,
 )
-from ringtrue.signal.reciprocal import exchanged
+from ringtrue.signal.frf_sets import exchanged
 
 TURNS = 6
 LAST_ITERATIONS = 60

@@ -10,8 +10,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.special import chdtrc
 
 from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
-from ringtrue.core.modes import ModeSet
-from ringtrue.core.uncertainty import Uncertainty
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.errors import InputError
 from ringtrue.shapes.mac import mac
 

@@ -17,10 +17,9 @@ from scipy.special import chdtrc
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int, freeze_fields
 from ringtrue.core.modal import ModalModel
-from ringtrue.core.modes import ModeSet, Norm
+from ringtrue.core.modes import ModeSet, Norm, Uncertainty
 from ringtrue.core.progress import Progress, quiet
 from ringtrue.core.signals import Channel, FrfSet
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import InputError
 from ringtrue.identification.hammer import HammerModes, HammerResult, identify_hammer
 from ringtrue.identification.lsfd import blow_factors, noise, normalise, prepare

@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int
-from ringtrue.core.modes import ModeSet
-from ringtrue.core.uncertainty import Uncertainty
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.errors import InputError
 from ringtrue.identification.common import common_faults, undone
 from ringtrue.shapes.mac import mac

@@ -9,8 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int
-from ringtrue.core.modes import ModeSet
-from ringtrue.core.uncertainty import Uncertainty
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.identification import variance as var
 from ringtrue.identification.cluster import cluster_poles
 from ringtrue.identification.poles import PoleSet, unit

@@ -17,7 +17,7 @@ from scipy.linalg import lapack
 from scipy.special import ndtri, stdtrit
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int
-from ringtrue.core.outcome import Outcome
+from ringtrue.core.iterate import Outcome
 from ringtrue.identification.augmented import augmented_form, pseudo_inverse, real_form
 from ringtrue.identification.condense import condensed
 from ringtrue.identification.lsfd import Lines, augment, functions_slopes, weighted_rest

@@ -21,16 +21,14 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from ringtrue.core.arrays import Any_, Complex, Float
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.signals import TimeHistory
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import InputError
 from ringtrue.identification import variance as var
 from ringtrue.identification.pick import modes_of
 from ringtrue.identification.poles import PoleSet, unit
 from ringtrue.identification.ssi import SsiCov, decompose, positions, prepared
-from ringtrue.signal.preprocess import block_bounds
-from ringtrue.signal.psd import block_correlations
+from ringtrue.signal.spectra import block_bounds, block_correlations
 
 MOST_BLOCKS = 12  # of a setup
 

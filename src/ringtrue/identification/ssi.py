@@ -20,10 +20,10 @@ from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.identification import variance as var
 from ringtrue.identification.poles import PoleSet, unit
-from ringtrue.signal import pyramid
-from ringtrue.signal.preprocess import block_weights, detrend
-from ringtrue.signal.pyramid import Signals
-from ringtrue.signal.stream import Fir
+from ringtrue.signal import band_correlations
+from ringtrue.signal.band_correlations import Signals
+from ringtrue.signal.decimation import Fir, detrend
+from ringtrue.signal.spectra import block_weights
 
 MAX_REFERENCES = 8
 WIDE = 1500  # columns of a Hankel matrix, beyond which convolutions take less time than products
@@ -332,13 +332,13 @@ def blockwise(
             f"are {4 * lags}"
         )
     blocks = settings.blocks or var.blocks_for(signals.samples, lags)
-    cut = pyramid.segments(signals.samples, blocks, lags, AS_IS, AS_IS)
+    cut = band_correlations.segments(signals.samples, blocks, lags, AS_IS, AS_IS)
     if references is None:
-        seen, lagged = pyramid.glance(signals, cut, AS_IS)
+        seen, lagged = band_correlations.glance(signals, cut, AS_IS)
         _alive(history, np.isfinite(seen) + 0.0)
         references = spanning(lagged, MAX_REFERENCES)
-    r, _ = pyramid.run(signals, cut, AS_IS, AS_IS, references)
-    used = pyramid.pairs(cut, signals.samples)[:, 0]
+    r, _ = band_correlations.run(signals, cut, AS_IS, AS_IS, references)
+    used = band_correlations.pairs(cut, signals.samples)[:, 0]
     scale = _alive(history, _power(signals, r, references, used))
     r /= (scale[:, None] * scale[references]).astype(np.float32)
     weights = loudness_weights(r, references) * used

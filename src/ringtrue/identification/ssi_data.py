@@ -30,7 +30,7 @@ from ringtrue.identification.ssi import (
     decompose,
     prepared,
 )
-from ringtrue.signal.preprocess import block_bounds
+from ringtrue.signal.spectra import block_bounds
 
 CHUNK = 4  # rows of a stretch over its columns: the triangle is refactored a few times only
 

@@ -16,15 +16,13 @@ from ringtrue.errors import DataError
 from ringtrue.identification.bands import BandSums, begin, joined, of_stretch
 from ringtrue.identification.same_setup import MOVED, likeness
 from ringtrue.identification.ssi import SsiCov
+from ringtrue.signal.band_correlations import abreast
+from ringtrue.signal.decimation import Band, levelled
 from ringtrue.signal.echoes import Echo, without_echo
-from ringtrue.signal.events import Events, find_events
 from ringtrue.signal.gaps import Gaps, bridged
-from ringtrue.signal.levels import levelled
-from ringtrue.signal.lines import steady_lines, with_feet, without_lines
-from ringtrue.signal.preprocess import Band, Harmonic
-from ringtrue.signal.strokes import without_strokes
-from ringtrue.signal.sweeps import mixes, without_sweeps
-from ringtrue.signal.threads import abreast
+from ringtrue.signal.run_ups import mixes, without_sweeps
+from ringtrue.signal.tonal_lines import Harmonic, steady_lines, with_feet, without_lines
+from ringtrue.signal.transients import Events, find_events, without_strokes
 
 MORE_LAGS = 3
 SHORTEST = 0.5  # stretch, over the first: edges of the filters would weigh too much

@@ -11,8 +11,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from ringtrue.core.arrays import Complex, Float, Int, freeze_fields
-from ringtrue.core.modes import ModeSet
-from ringtrue.core.uncertainty import Uncertainty
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.shapes.mac import mac
 

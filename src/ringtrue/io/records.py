@@ -185,7 +185,8 @@ def read_record(
     start, stop : int
         Samples to keep.
     check : bool
-        Refuse channels that are constant or not finite; without it they stay, for `signal.faults`
+        Refuse channels that are constant or not finite; without it they stay, for
+        `signal.channel_checks`
         to tell.
     group : str
         The group of a `.tdms`, or the group or data set of an HDF5 file of others, that is meant

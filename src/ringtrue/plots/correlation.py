@@ -10,10 +10,10 @@ import numpy as np
 import plotly.graph_objects as go
 
 from ringtrue.core.arrays import Float
-from ringtrue.correlation.complete import Check, CompleteCorrelation
 from ringtrue.correlation.frf import FrfComparison
+from ringtrue.correlation.measures import Check, CompleteCorrelation
 from ringtrue.correlation.table import CorrelationTable
-from ringtrue.correlation.track import Tracks
+from ringtrue.correlation.tracking import Tracks
 from ringtrue.plots.style import (
     DIVERGING,
     FE,

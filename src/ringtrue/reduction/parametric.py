@@ -19,9 +19,9 @@ from ringtrue.core.arrays import Float
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress, part
 from ringtrue.eigen.derivatives import modal_coefficients
-from ringtrue.eigen.factor import Pencil
-from ringtrue.eigen.problem import EigenModes, frequencies
-from ringtrue.eigen.solve import solve_modes
+from ringtrue.eigen.eigenpairs import EigenModes, frequencies
+from ringtrue.eigen.modes import solve_modes
+from ringtrue.eigen.pencil import Pencil
 from ringtrue.errors import InputError, NumericalError
 from ringtrue.model.ports import Linearisation
 from ringtrue.reduction.affine import AffineSystem

@@ -13,14 +13,14 @@ from scipy import sparse
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.dofs import DofSet
-from ringtrue.core.observation import Observation
-from ringtrue.core.parameters import Parameter, ParameterSet, Target
+from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.core.progress import Progress
+from ringtrue.core.testmodel import Observation
 from ringtrue.eigen.derivatives import Slope
 from ringtrue.eigen.engines import Method
 from ringtrue.errors import InputError, did_you_mean
 from ringtrue.fem.assembly import System
-from ringtrue.fem.functions import AffineTerm, power
+from ringtrue.fem.parametrisation.polynomials import AffineTerm, power
 from ringtrue.model.model import Model
 from ringtrue.model.ports import Linearisation, ModesRequest
 from ringtrue.reduction.affine import AffineSystem
@@ -99,7 +99,7 @@ class MatrixModel:
         made = [
             Parameter(
                 f"{kind[0].replace('S', 'K')}{i}",
-                (Target(kind, i, "FACTOR"),),
+                (CardField(kind, i, "FACTOR"),),
                 lower,
                 upper,
                 "linear",

@@ -12,8 +12,7 @@ import numpy as np
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import ConfigError
-from ringtrue.planning.candidates import along, surface_normals
-from ringtrue.planning.wireframe import neighbours
+from ringtrue.planning.geometry import along, relative_neighbours, surface_normals
 from ringtrue.study.results import Scene
 
 AXES = ("X", "Y", "Z")
@@ -93,7 +92,7 @@ class Arrangement:
             [int(np.argmax(back == k)) for k in range(points.size)], dtype=np.int64
         )  # tens of points
         xyz, groups = self.xyz[chosen][first], [self.region[i] for i in chosen[first].tolist()]
-        lines = points[neighbours(xyz, groups)]
+        lines = points[relative_neighbours(xyz, groups)]
         axes = self.axes[chosen].reshape(-1, 3)
         return TestModel(
             points,

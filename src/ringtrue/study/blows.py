@@ -16,7 +16,7 @@ from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.records import read_runs, record_info, refuse_bad_samples
 from ringtrue.io.sheets import SensorSheet
-from ringtrue.signal.hits import HammerSettings, HitReport, force_channel
+from ringtrue.signal.impacts import HammerSettings, HitReport, force_channel
 
 OWN = (".h5", ".hdf5")  # endings of records that may tell their full scale
 

@@ -9,7 +9,7 @@ from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from ringtrue.core.parameters import Parameter, ParameterSet, Target
+from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.core.units import UnitName
 from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.io.files import read_text
@@ -139,14 +139,14 @@ class Candidate(_Section):
         return Parameter(self.name, targets, self.lower, self.upper, self.scale, self.std)
 
 
-def parse_target(text: str) -> tuple[Target, ...]:
+def parse_target(text: str) -> tuple[CardField, ...]:
     """`"PBUSH 3 K1,K2"` -> two targets."""
     words = text.split()
     if len(words) != 3 or not words[1].isdigit():
         raise ValueError(
             f"{text!r} is not a target; the form is 'CARD id FIELD[,FIELD]', as in 'MAT1 7 E'"
         )
-    return tuple(Target(words[0].upper(), int(words[1]), f.upper()) for f in words[2].split(","))
+    return tuple(CardField(words[0].upper(), int(words[1]), f.upper()) for f in words[2].split(","))
 
 
 def target_words(parameter: Parameter) -> list[str]:

@@ -11,13 +11,12 @@ import numpy as np
 
 from ringtrue.core.progress import Progress
 from ringtrue.core.signals import FrfSet, TimeHistory
+from ringtrue.signal.channel_checks import clipping, clipping_told
 from ringtrue.signal.frf import estimate_columns
-from ringtrue.signal.hits import Estimator, HammerSettings, HitReport
-from ringtrue.signal.local_rational import local_frfs, runs_on, spacing
-from ringtrue.signal.overloads import clipping, clipping_told
-from ringtrue.signal.periodic import period, periodic_frfs
-from ringtrue.signal.psd import Welch
-from ringtrue.signal.spectra import shaker_frfs
+from ringtrue.signal.impacts import Estimator, HammerSettings, HitReport
+from ringtrue.signal.local_rational import local_frfs, period, periodic_frfs, runs_on, spacing
+from ringtrue.signal.shaker_frf import shaker_frfs
+from ringtrue.signal.spectra import Welch
 
 _BEYOND = 1.05  # times the end of the force
 _ENDS = 0.45  # of the rate: an anti-aliasing filter ends there too
@@ -72,7 +71,7 @@ def forced_frfs(
     ------
     DataError
         As `signal.frf.estimate_columns`, `signal.local_rational.local_frfs` and
-        `signal.spectra.shaker_frfs` do.
+        `signal.shaker_frf.shaker_frfs` do.
     """
     clipped = tuple(f"{r.source}: {line}" for r in records for line in clipping(r))
     with clipping_told(clipped):

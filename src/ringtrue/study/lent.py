@@ -10,7 +10,7 @@ import numpy as np
 
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.core.testmodel import TestModel
-from ringtrue.correlation.assign import Locks
+from ringtrue.correlation.assignment import Locks
 from ringtrue.correlation.pairing import PairingSettings, pair_modes
 from ringtrue.errors import DataError
 from ringtrue.study.opened import Opened

@@ -24,16 +24,14 @@ from ringtrue.errors import InputError
 from ringtrue.fem.assembly import assemble
 from ringtrue.fem.body_loads import spin_forces
 from ringtrue.fem.constraints import supports
+from ringtrue.fem.element_cards import SOLIDS
 from ringtrue.fem.elements import bar
-from ringtrue.fem.kinds import SOLIDS
-from ringtrue.fem.line_loads import LineKind, line_forces
+from ringtrue.fem.loads import SURFACES, LineKind, face, face_forces, line_forces
 from ringtrue.fem.mesh import Mesh, mesh
-from ringtrue.fem.pressure import SURFACES, face, face_forces
 from ringtrue.fem.thermal import thermal_forces
-from ringtrue.model.choices import taken_sets
+from ringtrue.model.case_control import taken_sets
 from ringtrue.model.frames import axes, positions
-from ringtrue.model.model import Model
-from ringtrue.model.places import error
+from ringtrue.model.model import Model, card_error
 
 SAME = 1e-6  # of the length of a beam: a load that much beyond its end stands there
 _Face = tuple[list[int], Pressure, float]  # its nodes, the pressure, and its sign along the normal
@@ -186,7 +184,7 @@ def refuse_displaced(model: Model) -> None:
     """
     if (rows := _displacing(model)).size:
         why = "displaces a support (D); forces alone act on one that is at 0"
-        raise error(model, model["SPC"], int(rows[0]), why)
+        raise card_error(model, model["SPC"], int(rows[0]), why)
 
 
 def _scalar(dofs: DofSet, case: LoadCase, ld: Load) -> int:

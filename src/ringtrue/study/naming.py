@@ -13,8 +13,7 @@ from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import about
 from ringtrue.io.frfs import read_frfs
-from ringtrue.signal.reciprocal import exchanged
-from ringtrue.signal.setups import join_frfs
+from ringtrue.signal.frf_sets import exchanged, join_frfs
 
 
 def check_channels(channels: Sequence[str], sheet: TestModel, path: Path) -> None:

@@ -9,9 +9,14 @@ import numpy as np
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.errors import ConfigError
 from ringtrue.fem.response import frf
-from ringtrue.planning.candidates import along
-from ringtrue.planning.exciters import appropriate_exciters, qr_exciters, rank_sets
-from ringtrue.planning.layout import select_references, shares
+from ringtrue.planning.exciters import (
+    appropriate_exciters,
+    qr_exciters,
+    rank_sets,
+    select_references,
+    shares,
+)
+from ringtrue.planning.geometry import along
 from ringtrue.study.arrangement import Arrangement
 from ringtrue.study.config_plan import PlanSection
 from ringtrue.study.results.model import MISSED

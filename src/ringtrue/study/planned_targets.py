@@ -9,7 +9,7 @@ import numpy as np
 from ringtrue.core.arrays import Bool, Float
 from ringtrue.core.modes import rigid_below
 from ringtrue.errors import ConfigError
-from ringtrue.planning.targets import (
+from ringtrue.planning.resolution import (
     Targets,
     choose_targets,
     effective_mass,

@@ -9,15 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from ringtrue.core.arrays import Bool, Float, Int
-from ringtrue.core.modes import ModeSet, rigid_below
-from ringtrue.core.pairing import Pairing
-from ringtrue.core.uncertainty import Uncertainty
-from ringtrue.correlation.assign import NO_LOCKS, Followed, Locks, PairingSettings
-from ringtrue.correlation.pairing import pair_modes
+from ringtrue.core.modes import ModeSet, Uncertainty, rigid_below
+from ringtrue.correlation.assignment import NO_LOCKS, Followed, Locks, PairingSettings
+from ringtrue.correlation.pairing import Pairing, pair_modes
 from ringtrue.correlation.table import CorrelationTable, correlation_table
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.modes import read_modes, read_std
-from ringtrue.shapes.scale import realise_modes
+from ringtrue.shapes.complexity import realise_modes
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.results import ConfiguredTest, CorrelateStage, IdentifyStage
 

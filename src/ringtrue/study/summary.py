@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 
 from ringtrue.core.units import UNIT_SYSTEMS
-from ringtrue.correlation.complete import complete_json
-from ringtrue.correlation.mounting import mendings_json
-from ringtrue.correlation.significance import table_significance
-from ringtrue.correlation.table import CorrelationTable
+from ringtrue.correlation.measures import complete_json
+from ringtrue.correlation.sensor_mounting import mendings_json
+from ringtrue.correlation.table import CorrelationTable, table_significance
 from ringtrue.planning.resolution import ambient_std
 from ringtrue.study.acceptance import limits, missed_words
 from ringtrue.study.results import (

@@ -8,9 +8,15 @@ import numpy as np
 
 from ringtrue.core.arrays import Float
 from ringtrue.core.progress import Progress
-from ringtrue.planning.rehearsal import Conditions, Planned, Rehearsal
-from ringtrue.planning.rehearsal_ambient import Ambience, longest, rehearse_ambient
-from ringtrue.planning.rehearsal_hammer import rehearse
+from ringtrue.planning.virtual_test import (
+    Ambience,
+    Conditions,
+    Planned,
+    Rehearsal,
+    longest,
+    rehearse,
+    rehearse_ambient,
+)
 from ringtrue.study.config_plan import PlanSection
 from ringtrue.study.results import PlanStage
 from ringtrue.study.workbench import Workbench

@@ -14,10 +14,10 @@ import numpy as np
 from scipy import sparse
 
 from ringtrue.core.arrays import Int
-from ringtrue.core.parameters import Parameter, ParameterSet, Substructure, Target
+from ringtrue.core.parameters import CardField, Parameter, ParameterSet, Substructure
 from ringtrue.errors import InputError, did_you_mean
-from ringtrue.fem.change import affected_cards
-from ringtrue.fem.rows import Rows
+from ringtrue.fem.mesh import Rows
+from ringtrue.fem.parametrisation.changed_model import affected_cards
 from ringtrue.model.model import Model, Ragged, Table
 from ringtrue.updating.catalogue import QUANTITIES, SPREAD, UNITS
 
@@ -126,7 +126,7 @@ def new_candidate(
     what: str,
     quantity: str,
     elements: Int,
-    targets: Sequence[Target] = (),
+    targets: Sequence[CardField] = (),
     substructures: Sequence[Substructure] = (),
 ) -> Candidate:
     """A candidate on a logarithmic scale, with the spread of its quantity (`update.catalogue`)."""

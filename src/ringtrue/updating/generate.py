@@ -8,10 +8,10 @@ from itertools import chain
 import numpy as np
 
 from ringtrue.core.arrays import Float, Int
-from ringtrue.core.parameters import Target
+from ringtrue.core.parameters import CardField
 from ringtrue.errors import InputError
-from ringtrue.fem.change import rows_of
-from ringtrue.fem.rows import union
+from ringtrue.fem.mesh import union
+from ringtrue.fem.parametrisation.changed_model import rows_of
 from ringtrue.model.dimensions import MADE
 from ringtrue.model.model import Model, Table
 from ringtrue.model.sections import section
@@ -82,14 +82,14 @@ def _fields(
         for row, ident in enumerate(
             table.ids.tolist()
         ):  # over cards, of which a deck has hundreds, not elements
-            rows = rows_of(model, Target(card, ident, ""))
+            rows = rows_of(model, CardField(card, ident, ""))
             if not rows or ident in made:
                 continue
             for fields, word, quantity in entries:
                 given = given_fields(table, row, fields)
                 if given:
                     targets = [
-                        Target(card, ident, f) for f in given + _other_end(table, row, given)
+                        CardField(card, ident, f) for f in given + _other_end(table, row, given)
                     ]
                     name = f"{card} {ident} {given[0]}"
                     what = (
@@ -111,10 +111,10 @@ def _laminates(model: Model, s: CandidateSettings) -> Iterator[Candidate]:
     """The thickness of all plies of a laminate, by one factor."""
     for card in ("PCOMP", "PCOMPG"):
         for row, ident in enumerate(model[card].ids.tolist() if card in model else []):
-            rows = rows_of(model, Target(card, ident, ""))
+            rows = rows_of(model, CardField(card, ident, ""))
             if rows:
                 t = model[card].ragged("T").row(row)
-                targets = [Target(card, ident, f"T{k + 1}") for k in range(t.size)]
+                targets = [CardField(card, ident, f"T{k + 1}") for k in range(t.size)]
                 what = f"thickness of all {t.size} plies of {counted(rows)}"
                 yield new_candidate(
                     s, "property", f"{card} {ident} T", what, "length", ids_of(model, rows), targets
@@ -137,7 +137,7 @@ def _outlines(model: Model, s: CandidateSettings) -> Iterator[Candidate]:
     """
     for card in MADE:
         for row, ident in enumerate(model[card].ids.tolist() if card in model else []):
-            table, rows = model[card], rows_of(model, Target(card, ident, ""))
+            table, rows = model[card], rows_of(model, CardField(card, ident, ""))
             if not rows:
                 continue
             kind, where = table["TYPE"][row], ids_of(model, rows)
@@ -151,7 +151,7 @@ def _outlines(model: Model, s: CandidateSettings) -> Iterator[Candidate]:
                 for k in range(ends["DIM"].size)
             ]
             of = f"of the {kind} section of {counted(rows)}"
-            every = [Target(card, ident, f) for one in fields for f in one]
+            every = [CardField(card, ident, f) for one in fields for f in one]
             yield new_candidate(
                 s,
                 "property",
@@ -164,14 +164,14 @@ def _outlines(model: Model, s: CandidateSettings) -> Iterator[Candidate]:
             for k, one in enumerate(fields if len(fields) > 1 else []):
                 if all(_stays(kind, values.tolist(), k) for values in ends.values() if values.size):
                     what = f"dimension {k + 1} ({amount(float(ends['DIM'][k]), 'length', s)}) {of}"
-                    alone = [Target(card, ident, f) for f in one]
+                    alone = [CardField(card, ident, f) for f in one]
                     yield new_candidate(
                         s, "property", f"{card} {ident} DIM{k + 1}", what, "length", where, alone
                     )
             if given := given_fields(table, row, "NSM+NSMB"):
                 value = amount(float(table[given[0]][row]), "line", s)
                 what = f"non-structural mass {value} of {counted(rows)}"
-                masses = [Target(card, ident, f) for f in given]
+                masses = [CardField(card, ident, f) for f in given]
                 yield new_candidate(
                     s, "property", f"{card} {ident} {given[0]}", what, "line", where, masses
                 )
@@ -199,7 +199,7 @@ def _grouped(
             continue
         table = model[card]
         used = np.array(
-            [bool(rows_of(model, Target(card, i, ""))) for i in table.ids.tolist()], dtype=bool
+            [bool(rows_of(model, CardField(card, i, ""))) for i in table.ids.tolist()], dtype=bool
         )
         for fields, word, quantity in entries:
             values = table[fields.split("+")[0]]
@@ -231,11 +231,11 @@ def _group(
 ) -> Candidate:
     ids = table.ids[at]
     targets = [
-        Target(table.card, int(table.ids[r]), f)
+        CardField(table.card, int(table.ids[r]), f)
         for r in at.tolist()
         for f in given_fields(table, r, fields)
     ]
-    rows = union(rows_of(model, Target(table.card, i, "")) for i in ids.tolist())
+    rows = union(rows_of(model, CardField(table.card, i, "")) for i in ids.tolist())
     lead = fields.split("+")[0]
     field_name = "K" if fields.startswith("K1+") else lead
     value = amount(float(table[lead][at[0]]), quantity, s)

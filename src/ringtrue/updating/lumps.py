@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from ringtrue.core.arrays import Bool, Int
-from ringtrue.core.parameters import Parameter, Target
+from ringtrue.core.parameters import CardField, Parameter
 from ringtrue.model.frames import positions
 from ringtrue.model.model import Model, stacked, table
 from ringtrue.updating.candidates import Candidate, CandidateSettings
@@ -76,7 +76,7 @@ def lumped(
 
 
 def _lump(eid: int, node: int, x: Sequence[float], total: float, s: CandidateSettings) -> Candidate:
-    target = Target("CONM2", eid, "M", (), total)
+    target = CardField("CONM2", eid, "M", (), total)
     p = Parameter(f"mass lacking at {node}", (target,), 1 - NONE, 1 + MOST, "linear", USUAL)
     unit = f" [{s.unit('mass')}]" if s.unit("mass") else ""
     place = f"({', '.join(f'{v:.3g}' for v in x)}) {s.unit('length')}".strip()

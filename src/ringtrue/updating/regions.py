@@ -10,9 +10,9 @@ import numpy as np
 from scipy import sparse
 
 from ringtrue.core.arrays import Float, Int
-from ringtrue.core.parameters import Substructure, Target
-from ringtrue.fem.change import affected_cards
-from ringtrue.fem.kinds import MATERIAL, PROPERTY
+from ringtrue.core.parameters import CardField, Substructure
+from ringtrue.fem.element_cards import MATERIAL, PROPERTY
+from ringtrue.fem.parametrisation.changed_model import affected_cards
 from ringtrue.model.frames import positions
 from ringtrue.model.model import Model
 from ringtrue.model.references import REFERENCES, SHELL_PROPERTIES
@@ -128,7 +128,7 @@ def _region(
     targets = []
     for mid in _isotropic(model, elements):
         row = int(model["MAT1"].find(np.array([mid]))[0])
-        targets += [Target("MAT1", mid, f, ids) for f in given_fields(model["MAT1"], row, "E+G")]
+        targets += [CardField("MAT1", mid, f, ids) for f in given_fields(model["MAT1"], row, "E+G")]
     if targets:
         return new_candidate(s, "region", f"{label} E", what, "modulus", elements, targets)
     return new_candidate(

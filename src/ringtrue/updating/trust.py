@@ -18,8 +18,7 @@ import numpy as np
 from scipy import linalg
 
 from ringtrue.core.arrays import Float, freeze_fields
-from ringtrue.core.iterate import iterate
-from ringtrue.core.outcome import Outcome
+from ringtrue.core.iterate import Outcome, iterate
 from ringtrue.core.progress import Progress
 from ringtrue.errors import ConfigError, DataError, NumericalError, SolverError, did_you_mean
 from ringtrue.io.files import atomic_write, keeps_up
@@ -38,7 +37,9 @@ KINDS = {
 }
 REJECTIONS = 12
 SMALL = 1e-14  # relative rise of J that is not one
-ROUNDING = 1e-7  # promised relative fall of J that the rounding of eigensolutions may hide
+# The rounding of eigensolutions may hide a fall of J of this part of J, and a change of each
+# weighted residual of this size (which decides where the data fit exactly and J is near 0).
+ROUNDING = 1e-7
 
 
 @dataclass(frozen=True, slots=True)
@@ -294,7 +295,8 @@ class Descent:
         d = self._inside(state.at, h, slope, self.method.move)
         if float(np.abs(d).max(initial=0.0)) > self.method.step:
             promised = float(-2 * (slope @ d) - d @ h @ d)
-            finished = state.rejected >= 2 and promised <= ROUNDING * state.at.cost
+            hidden = ROUNDING * state.at.cost + r.size * ROUNDING**2
+            finished = state.rejected >= 2 and promised <= hidden
             return "J cannot be lowered by more than its rounding" if finished else ""
         at_limit = (rows @ state.at.y > limits - 1e-9).any()
         return "the step is below its tolerance" + (

@@ -11,8 +11,7 @@ import numpy as np
 from ringtrue.decks.nastran.lexer import real, whole
 from ringtrue.errors import DeckError
 from ringtrue.model.cards import PRELOADS
-from ringtrue.model.choices import CONSTRAINTS
-from ringtrue.model.method import METHODS
+from ringtrue.model.case_control import CONSTRAINTS, METHODS
 from ringtrue.model.model import CaseControl, Model, Table
 
 _COMMAND = re.compile(

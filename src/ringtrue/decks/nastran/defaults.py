@@ -13,10 +13,9 @@ from ringtrue.decks.nastran.cards import Cards
 from ringtrue.decks.nastran.case import modal_damping_set
 from ringtrue.decks.nastran.lexer import Card, Reader, is_real
 from ringtrue.errors import DeckError
-from ringtrue.model.damping import ModalDamping
+from ringtrue.model.case_control import ModalDamping
 from ringtrue.model.frames import positions
-from ringtrue.model.model import Model, Ragged, Table
-from ringtrue.model.places import error
+from ringtrue.model.model import Model, Ragged, Table, card_error
 
 DEFAULTS: Mapping[str, str] = MappingProxyType(
     {"GRDSET": "GRID", "BAROR": "CBAR", "BEAMOR": "CBEAM"}
@@ -226,4 +225,4 @@ def open_bushes(model: Model) -> Iterator[DeckError]:
             "its springs across the line of its ends are not alike, and no CID, G0 or X1-X3 "
             f"orients them{more}"
         )
-        yield error(model, table, int(at[0]), why)
+        yield card_error(model, table, int(at[0]), why)

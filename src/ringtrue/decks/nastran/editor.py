@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from ringtrue.core.parameters import ParameterSet, Target
+from ringtrue.core.parameters import CardField, ParameterSet
 from ringtrue.decks.nastran.cards import Cards, cards
 from ringtrue.decks.nastran.deck import load
 from ringtrue.decks.nastran.lexer import LineFields, real, split_line
@@ -72,7 +72,7 @@ def _lump(model: Model, change: FieldChange) -> str:
     return format_card("CONM2", [change.id, node, None, float(change.value)])
 
 
-def unwritable(model: Model, targets: Sequence[Target]) -> dict[Target, str]:
+def unwritable(model: Model, targets: Sequence[CardField]) -> dict[CardField, str]:
     """Which fields `edit_fields` cannot change, and why not: replicated cards, sections made of
     another card.
 
@@ -83,7 +83,7 @@ def unwritable(model: Model, targets: Sequence[Target]) -> dict[Target, str]:
     """
     found, _, contents = _loaded(model)
     find = _finder(model, found)
-    why: dict[Target, str] = {}
+    why: dict[CardField, str] = {}
     for t in targets:
         try:
             change = FieldChange(t.card, t.id, t.field, field_value(model, t))

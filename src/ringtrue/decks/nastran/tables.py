@@ -13,7 +13,7 @@ from ringtrue.decks.nastran.cards import Cards
 from ringtrue.decks.nastran.lexer import integers, is_real, reals
 from ringtrue.errors import DeckError
 from ringtrue.model.cards import FieldSpec, columns
-from ringtrue.model.method import METHODS
+from ringtrue.model.case_control import METHODS
 from ringtrue.model.model import Ragged, Table
 
 Cells = NDArray[np.bytes_]

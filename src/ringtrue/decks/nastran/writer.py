@@ -13,8 +13,8 @@ from ringtrue.decks.nastran.beams import WELD_ENDS, WELD_POINT, WELD_TYPES, bend
 from ringtrue.decks.nastran.lists import BUSH
 from ringtrue.errors import InputError, UnsupportedError
 from ringtrue.model.cards import CARDS, FieldSpec, columns
+from ringtrue.model.case_control import METHODS
 from ringtrue.model.dimensions import MADE
-from ringtrue.model.method import METHODS
 from ringtrue.model.model import Model, Table
 
 Value = int | float | str | None

@@ -19,14 +19,39 @@ from ringtrue.core.modal import ModalModel
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import InputError
 from ringtrue.io.records import write_record
-from ringtrue.virtual.ambient import Ambient, ambient_forces
-from ringtrue.virtual.bay import AmbientTest, expected_snr, measure, measure_long, on_a_day, scaled
-from ringtrue.virtual.events import Pulses, dropped_weight, event_times, jumping, sledge
-from ringtrue.virtual.hammer import HammerPlan, clean_energy, hammer_record, strike
+from ringtrue.virtual.excitation import (
+    Ambient,
+    Pulses,
+    ambient_forces,
+    dropped_weight,
+    event_times,
+    jumping,
+    sledge,
+)
 from ringtrue.virtual.logbook import record_channels, write_lines, write_log, write_sheet
+from ringtrue.virtual.measurements import (
+    AmbientTest,
+    HammerPlan,
+    ambient_blocks,
+    ambient_record,
+    clean_energy,
+    expected_snr,
+    hammer_record,
+    on_a_day,
+    scale_site,
+    strike,
+)
 from ringtrue.virtual.response import at_outputs
-from ringtrue.virtual.sensors import ACCELEROMETER, FORCE_CELL, GEOPHONE, ICP, Chain
-from ringtrue.virtual.snr import in_band, ratio_db, resonance_power
+from ringtrue.virtual.sensors import (
+    ACCELEROMETER,
+    FORCE_CELL,
+    GEOPHONE,
+    ICP,
+    Chain,
+    in_band,
+    ratio_db,
+    resonance_power,
+)
 
 log = logging.getLogger(__name__)
 Progress = Callable[[float, str], None]
@@ -273,7 +298,7 @@ def _ambient_record(
     rng = _rng(seed, f"{name}-{kind}")
     samples = _even(plan.duration_a if name == "foundation" else plan.duration_b, test.rate)
     events = _events(kind, twin, plan.spacing, samples / test.rate, rng)
-    volts, snr = measure(test, events, samples, rng)
+    volts, snr = ambient_record(test, events, samples, rng)
     _write(test, name, kind, twin, plan, folder, volts)
     return snr
 
@@ -296,7 +321,7 @@ def _long_record(
         twin,
         plan,
         folder,
-        measure_long(test, segments, hop, fade, _rng(seed, f"{name}-{kind}")),
+        ambient_blocks(test, segments, hop, fade, _rng(seed, f"{name}-{kind}")),
     )
     return expected_snr(test)
 
@@ -353,7 +378,7 @@ def _hammer_record(
     blows = strike(plan.hammer, here[reference], limit, rate, rng)
     samples = _even(float(blows.times[-1]) + plan.hammer.block + plan.hammer.rest, rate)
     forces = ambient_forces(
-        list(here), _pushed(twin, plan), None, scaled(Ambient(), QUIET), samples, rate, rng
+        list(here), _pushed(twin, plan), None, scale_site(Ambient(), QUIET), samples, rate, rng
     )
     volts, signal, noise = hammer_record(
         model, blows, plan.hammer, chain, forces, samples, rate, rng

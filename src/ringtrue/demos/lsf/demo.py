@@ -24,7 +24,7 @@ from ringtrue.report.deliver import deliver
 from ringtrue.study.acceptance import Check
 from ringtrue.study.results import PlanStage
 from ringtrue.study.run import StudyRun, run_study
-from ringtrue.virtual.hammer import HammerPlan
+from ringtrue.virtual.measurements import HammerPlan
 
 SEED = 0
 SETUPS = 4  # roving setups of the hammer test

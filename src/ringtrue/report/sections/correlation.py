@@ -7,8 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ringtrue.correlation.significance import Significance, table_significance
-from ringtrue.correlation.table import CorrelationRow, CorrelationTable
+from ringtrue.correlation.table import (
+    CorrelationRow,
+    CorrelationTable,
+    Significance,
+    table_significance,
+)
 from ringtrue.plots import correlation as plots
 from ringtrue.report.parts import (
     Block,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from ringtrue.core.arrays import Int
-from ringtrue.planning.rehearsal import Rehearsal, missed_words
+from ringtrue.planning.virtual_test import Rehearsal, missed_words
 from ringtrue.plots import correlation, identification
 from ringtrue.report.parts import (
     Block,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ringtrue.correlation.complete import Check, CompleteCorrelation
+from ringtrue.correlation.measures import Check, CompleteCorrelation
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.plots import correlation as plots
 from ringtrue.report.parts import (

@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ringtrue.core.arrays import Float
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.signals import FrfSet
 from ringtrue.core.testmodel import TestModel
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.identification.poles import StableDiagram
 
 

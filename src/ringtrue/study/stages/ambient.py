@@ -22,8 +22,8 @@ from ringtrue.identification.stretches import SHORTEST
 from ringtrue.io.records import read_record, refuse_bad_samples
 from ringtrue.io.sheets import SensorSheet
 from ringtrue.signal.gaps import Gaps, bridged
-from ringtrue.signal.psd import Welch, csd
-from ringtrue.signal.sensors import Geophone, deconvolve, lowest_frequency
+from ringtrue.signal.sensor_response import Geophone, deconvolve, lowest_frequency
+from ringtrue.signal.spectra import Welch, csd
 from ringtrue.study.blows import renamed
 from ringtrue.study.config import IdentifySection
 from ringtrue.study.log import Logged, SensorType

@@ -13,8 +13,8 @@ from ringtrue.core.arrays import Int
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.core.testmodel import TestModel
-from ringtrue.correlation.mounting import Mending, find_mendings
 from ringtrue.correlation.pairing import BEYOND_THE_GATE
+from ringtrue.correlation.sensor_mounting import Mending, find_mendings
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.decks.nastran.editor import unified_diff
 from ringtrue.errors import RingtrueError

@@ -12,10 +12,10 @@ import numpy as np
 
 from ringtrue.core.arrays import Int
 from ringtrue.core.choice import Choice
+from ringtrue.core.modes import Uncertainty
 from ringtrue.core.progress import Progress, part
 from ringtrue.core.signals import FrfSet, TimeHistory
 from ringtrue.core.testmodel import TestModel
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.identification.hammer import HammerModes, HammerResult, identify_hammer
 from ringtrue.identification.local import told_apart
@@ -23,11 +23,10 @@ from ringtrue.identification.merge import Contribution, merge_modes
 from ringtrue.identification.peaks import cmif
 from ringtrue.io.choices import read_choice
 from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
+from ringtrue.planning.geometry import relative_neighbours
 from ringtrue.planning.resolution import ambient_std
-from ringtrue.planning.wireframe import neighbours
-from ringtrue.signal.hits import HammerSettings
-from ringtrue.signal.reciprocal import exchanged
-from ringtrue.signal.setups import join_frfs, setups_of
+from ringtrue.signal.frf_sets import exchanged, join_frfs, setups_of
+from ringtrue.signal.impacts import HammerSettings
 from ringtrue.study.blows import BlowFiles, full_scale, kept_blows, read_file, refused_blows
 from ringtrue.study.config import IdentifySection, TestSection
 from ringtrue.study.forced import forced_frfs
@@ -148,7 +147,7 @@ def _in_a_row(blows: Sequence[TimeHistory]) -> TimeHistory:
 
 def _lines(test: TestModel) -> Int:
     """Lines to draw where the crew gave none."""
-    return test.points[neighbours(test.xyz, test.groups)]
+    return test.points[relative_neighbours(test.xyz, test.groups)]
 
 
 def _floored(found: IdentifiedRecord, duration: float) -> Uncertainty:

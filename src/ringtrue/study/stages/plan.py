@@ -11,24 +11,35 @@ import numpy as np
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.modes import elastic
 from ringtrue.core.progress import Progress, part, quiet
-from ringtrue.correlation.observe import at_dofs
+from ringtrue.correlation.sensor_mapping import at_dofs
 from ringtrue.errors import ConfigError
 from ringtrue.model.frames import positions
-from ringtrue.planning.candidates import even_distance, select_candidates
+from ringtrue.planning.exciters import reached, shares
+from ringtrue.planning.geometry import (
+    drawn_mac,
+    even_distance,
+    mesh_edges,
+    select_candidates,
+    wireframe,
+)
 from ringtrue.planning.information import Aim, greedy_logdet, mode_aim, parameter_aim, prior_shapes
-from ringtrue.planning.layout import lower_auto_mac, reached, select_points, shares
-from ringtrue.planning.resolution import resolution
-from ringtrue.planning.selection import (
+from ringtrue.planning.resolution import readable, resolution
+from ringtrue.planning.sensors import (
     auto_mac_points,
     kinetic_weighted,
+    lower_auto_mac,
     make_redundant,
     qr_points,
+    select_points,
     worst_loss,
 )
-from ringtrue.planning.setups import Setups, roving_setups, roving_shift
-from ringtrue.planning.suspension import loaded_frequencies, suspension_points
-from ringtrue.planning.targets import readable
-from ringtrue.planning.wireframe import mesh_edges, shown, wireframe
+from ringtrue.planning.setups import (
+    Setups,
+    loaded_frequencies,
+    roving_setups,
+    roving_shift,
+    suspension_points,
+)
 from ringtrue.shapes.mac import auto_mac, worst_off_diagonal
 from ringtrue.study.arrangement import AXES, Arrangement, arranged
 from ringtrue.study.config_plan import PlanSection
@@ -370,7 +381,7 @@ def _judged(
         edges = mesh_edges(model.scene.triangles, model.scene.lines)
         drawn = model.modes.shapes.reshape(model.scene.node.size, 3, -1)[:, :, targets]
         stage = replace(
-            stage, shown=shown(model.scene.xyz, edges, seat, drawn, able.measured(chosen))
+            stage, shown=drawn_mac(model.scene.xyz, edges, seat, drawn, able.measured(chosen))
         )
         if plan.lines == "mesh":
             lines = points[wireframe(model.scene.xyz, edges, seat)]

@@ -15,7 +15,7 @@ from ringtrue.decks.nastran.results.printed import read_f06, read_punch
 from ringtrue.decks.nastran.results.recorded import RecordedModes, gathered, to_mode_set
 from ringtrue.errors import DataError, about, did_you_mean
 from ringtrue.io.foreign.parsers import open_hdf5
-from ringtrue.model.method import METHODS
+from ringtrue.model.case_control import METHODS
 from ringtrue.model.model import Model
 
 _RESULT = "NASTRAN/RESULT"
