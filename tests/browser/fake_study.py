@@ -18,7 +18,7 @@ from ringtrue.correlation.measures import complete
 from ringtrue.correlation.pairing import Pairing
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.correlation.tracking import track
-from ringtrue.identification.poles import PoleSet, StableDiagram
+from ringtrue.identification.common.poles import PoleSet, StableDiagram
 from ringtrue.study import results as r
 from ringtrue.updating.posterior import Posterior
 from ringtrue.updating.predict import Bands, RunUp, Unbalance

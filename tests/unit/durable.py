@@ -35,10 +35,10 @@ from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import DataError
 from ringtrue.io import hdf5
 from ringtrue.io.modes import write_modes
-from ringtrue.report.deliver import deliver
-from ringtrue.study.finished import FILE as SETS
+from ringtrue.report.build import deliver
 from ringtrue.study.opened import Opened
 from ringtrue.study.run import run_study
+from ringtrue.study.store import SETS_FILE as SETS
 from ringtrue.study.store import Store, digest
 from ringtrue.virtual.logbook import write_sheet
 

@@ -625,7 +625,7 @@ def test_a_stopped_run_keeps_the_store_and_says_how_to_go_on(
     def stop(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("ringtrue.study.stages.sensitivity.choose.best_subset", stop)
+    monkeypatch.setattr("ringtrue.study.stages.update.choose.best_subset", stop)
     status, out, err = call(capsys, "run", study)
     assert status == ExitStatus.STOPPED
     assert out == ""

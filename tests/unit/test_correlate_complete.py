@@ -116,7 +116,7 @@ def test_a_partner_that_is_taken_is_named_by_its_number_in_the_whole_set() -> No
     b = model()
     a = replace(b.take(np.array([4, 4])), frequencies=np.array([50.0, 51.0]))
     p = pair_modes(a, b, first_b=6)
-    assert p.why_a == ("FE 11 (MAC 100 %) is already taken by test 1",)
+    assert p.reasons_a == ("FE 11 (MAC 100 %) is already taken by test 1",)
 
 
 def test_json_holds_no_nan_and_nothing_paired_is_no_error() -> None:

@@ -35,7 +35,7 @@ def test_values_and_slopes_of_rational_functions() -> None:
             assert s is not None
             assert s.holds(x)
             np.testing.assert_allclose(s.value(x), true, rtol=0, atol=EXACT * 5)
-            np.testing.assert_allclose(s.slope(x), slope, rtol=0, atol=EXACT * 100)
+            np.testing.assert_allclose(s.derivative(x), slope, rtol=0, atol=EXACT * 100)
 
 
 def test_none_where_it_does_not_converge() -> None:

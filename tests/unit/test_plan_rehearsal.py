@@ -38,7 +38,7 @@ from ringtrue.planning.virtual_test import (
     rehearse_ambient,
     trials,
 )
-from ringtrue.report.deliver import report_from_store
+from ringtrue.report.build import report_from_store
 from ringtrue.study.run import run_study
 from ringtrue.virtual.sensors import ACCELEROMETER, ICP
 

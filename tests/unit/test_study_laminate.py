@@ -18,7 +18,7 @@ from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.io.modes import write_modes
 from ringtrue.model.edit import apply_factors
 from ringtrue.model.ports import ModesRequest
-from ringtrue.report.deliver import deliver
+from ringtrue.report.build import deliver
 from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.study.run import run_study
 

@@ -13,10 +13,10 @@ import pytest
 import small_study
 
 from ringtrue.errors import DataError
-from ringtrue.report.deliver import deliver
+from ringtrue.report.build import deliver
+from ringtrue.study.messages import run_messages
 from ringtrue.study.results import LocaliseStage, UncertaintyStage
 from ringtrue.study.run import StudyRun, load_study, run_study
-from ringtrue.study.words import told
 
 PLAIN = small_study.MODEL + small_study.TEST + small_study.SETTINGS
 AUTO = PLAIN.replace("[update]\n", "[update]\npropose = true\n")
@@ -190,6 +190,6 @@ def test_a_deck_that_needs_no_change_is_delivered_as_it_is(tmp_path: Path) -> No
     assert run.results["final"].changes == ()
     assert any(
         "nothing is proposed, and the deck is delivered as it is" in line
-        for line in told(run.results)
+        for line in run_messages(run.results)
     )
     deliver(run)

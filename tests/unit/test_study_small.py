@@ -16,10 +16,10 @@ import small_study
 from ringtrue.decks.nastran.editor import unified_diff
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, DataError
-from ringtrue.report.deliver import deliver
+from ringtrue.report.build import deliver
+from ringtrue.study.messages import run_messages
 from ringtrue.study.reference import beyond
 from ringtrue.study.run import StudyRun, run_study
-from ringtrue.study.words import told
 
 # the signals have 1 % noise; three records of blows and 400 s of ambient motion tell a modulus to
 # some percent
@@ -78,7 +78,7 @@ def test_channels_at_fault_are_told_once(done: StudyRun) -> None:
     stage = done.results["identify"]
     one = replace(stage.records[0], notes=("channel 3+X: noise", "a machine at 5 Hz"))
     two = replace(stage.records[-1], notes=("channel 3+X: noise", "channel 4+X: dead"))
-    lines = told({"identify": replace(stage, records=(one, two))})
+    lines = run_messages({"identify": replace(stage, records=(one, two))})
     assert lines[1:] == (
         f"{one.name}: channel 3+X: noise (1 more note on it)",
         f"{two.name}: channel 4+X: dead",
@@ -291,9 +291,9 @@ def test_modes_of_the_deck_reach_well_above_the_test_where_nothing_is_said(tmp_p
     toml = small_study.FULL.replace(f"fmax = {small_study.FMAX}\n", "", 1)
     run = run_study(small_study.write_study(tmp_path, toml, ambient=False), until="correlate")
     found = run.results["correlate"]
-    assert run.desk.fmax == pytest.approx(1.5 * found.reference.frequencies.max())
-    assert (found.fe_initial.frequencies <= run.desk.fmax).all()
-    assert not beyond(found.reference, run.desk.fmax)
+    assert run.session.fmax == pytest.approx(1.5 * found.reference.frequencies.max())
+    assert (found.fe_initial.frequencies <= run.session.fmax).all()
+    assert not beyond(found.reference, run.session.fmax)
     assert (
         len(found.gaps) == 1
     )  # none that the modes of the deck end too low, and that the floors are coarse

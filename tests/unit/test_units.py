@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ringtrue.checks.units import check_units
+from ringtrue.checks.materials import check_units
 from ringtrue.cli.main import run
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
@@ -24,8 +24,8 @@ from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import UnsupportedError
 from ringtrue.io.modes import write_modes
 from ringtrue.model.edit import in_seconds
+from ringtrue.study.direct import with_lumps
 from ringtrue.study.opened import Opened
-from ringtrue.study.proposing import with_lumps
 from ringtrue.updating.candidates import CandidateSettings
 
 Capture = pytest.CaptureFixture[str]

@@ -14,7 +14,7 @@ from scipy import sparse
 
 from ringtrue.core.parameters import CardField, Parameter
 from ringtrue.eigen import complement, derivatives
-from ringtrue.eigen.derivatives import Slope, eigenvector_derivatives
+from ringtrue.eigen.derivatives import MatrixDerivatives, eigenvector_derivatives
 from ringtrue.eigen.eigenpairs import EigenModes
 from ringtrue.eigen.modes import solve_modes
 from ringtrue.eigen.pencil import Pencil
@@ -28,7 +28,7 @@ SOLVED = 1e-7  # what a solve leaves of the load, beside the tolerance
 
 
 @pytest.fixture(scope="module")
-def case() -> tuple[Pencil, EigenModes, list[Slope]]:
+def case() -> tuple[Pencil, EigenModes, list[MatrixDerivatives]]:
     model = shell(16, 12, regions=REGIONS)
     fields = [
         (card, r, f) for r in range(1, REGIONS + 1) for card, f in (("MAT1", "E"), ("PSHELL", "T"))
@@ -41,7 +41,7 @@ def case() -> tuple[Pencil, EigenModes, list[Slope]]:
     return pencil, solve_modes(pencil, M + 4), slopes
 
 
-def _worst(pencil: Pencil, modes: EigenModes, slope: Slope, d: np.ndarray) -> float:
+def _worst(pencil: Pencil, modes: EigenModes, slope: MatrixDerivatives, d: np.ndarray) -> float:
     """Largest relative residual of the elastic modes' equations, 2-norm."""
     phi, lam = modes.vectors[:, RIGID:M], modes.values[RIGID:M]
     load = slope.stiffness @ phi - (slope.mass @ phi) * lam

@@ -103,7 +103,7 @@ def slopes_are_derivatives(
     """Of the model `m`, in which the parameters are at `a`."""
     s = assemble(m)
     for i, p in enumerate(parameters):
-        slopes = [a[i] * t.function.slope(a, i) for t in terms]
+        slopes = [a[i] * t.function.derivative(a, i) for t in terms]
         for name, true in zip(("stiffness", "mass"), matrix_derivatives(m, p, s), strict=True):
             close(total(terms, slopes, name, 0 * true), true, getattr(s, name), SLOPES)
 

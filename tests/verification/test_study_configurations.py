@@ -23,7 +23,7 @@ import small_study
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError
 from ringtrue.io.modes import write_modes
-from ringtrue.report.deliver import deliver
+from ringtrue.report.build import deliver
 from ringtrue.study.acceptance import missed_words, verdict
 from ringtrue.study.config import parse_config
 from ringtrue.study.opened import Opened

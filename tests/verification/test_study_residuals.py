@@ -26,8 +26,8 @@ from ringtrue.correlation.sensor_mapping import Alignment
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.modes import write_modes
-from ringtrue.report.deliver import deliver
-from ringtrue.study import workbench
+from ringtrue.report.build import deliver
+from ringtrue.study import session
 from ringtrue.study.config import parse_config
 from ringtrue.study.opened import Opened
 from ringtrue.study.run import StudyRun, run_study
@@ -283,8 +283,8 @@ def test_a_sheet_in_a_frame_of_its_own_is_laid_onto_the_deck(
     turned = turn.move(small_study.test_model())
     write_sheet(path.parent / "data/sensors.csv", turned, turned.channels)
     found: list[str] = []
-    real = workbench.alignment
-    monkeypatch.setattr(workbench, "alignment", lambda *a: found.append(a[2]) or real(*a))
+    real = session.alignment
+    monkeypatch.setattr(session, "alignment", lambda *a: found.append(a[2]) or real(*a))
     run = run_study(path, until="update")
     assert set(found) == {
         "points"
@@ -373,12 +373,13 @@ def test_a_sensor_off_the_nodes_reads_the_nodes_around_it(made: Path, tmp_path: 
     test = run.results["identify"].test
     off = replace(test, xyz=test.xyz + np.array([0.2, 0.1, 0.0]))  # on the rim of the floors
     near, around = (
-        run.desk.initial.observation(off, 1.0, how).matrix for how in ("nearest", "rigid")
+        run.session.initial.observation(off, 1.0, how).matrix for how in ("nearest", "rigid")
     )
     assert (np.diff(near.indptr) == 1).all()
     assert (np.diff(around.indptr) >= 4).all()
     np.testing.assert_array_equal(
-        run.desk.observed(run.desk.initial, off, off.channels).matrix.toarray(), around.toarray()
+        run.session.observed(run.session.initial, off, off.channels).matrix.toarray(),
+        around.toarray(),
     )
 
 

@@ -23,7 +23,8 @@ from ringtrue.errors import InputError
 from ringtrue.io.modes import write_modes
 from ringtrue.model.ports import ModesRequest
 from ringtrue.solvers.embedded import EmbeddedSolver
-from ringtrue.study.config import parse_config, parse_target, target_words
+from ringtrue.study.config import parse_config
+from ringtrue.study.config_sections import parse_target, target_words
 from ringtrue.updating.candidates import CandidateSettings
 from ringtrue.updating.dense import DenseModel
 from ringtrue.updating.effects import reduced_candidates

@@ -34,19 +34,25 @@ from ringtrue.cli.show import Json, file_to, progress, tell, write_json
 from ringtrue.core.progress import Progress, part
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.errors import ConfigError, about
-from ringtrue.identification.frf_methods import identify_frfs_by
-from ringtrue.identification.hammer import HammerModes, identify_hammer
-from ringtrue.identification.linearity import level_dependence
-from ringtrue.identification.local import told_apart
-from ringtrue.identification.lsfd import driving_pairs
+from ringtrue.identification.frf.linearity import level_dependence
+from ringtrue.identification.frf.local_fits import with_local_fits
+from ringtrue.identification.frf.pipeline import HammerModes, identify_hammer
+from ringtrue.identification.frf.residues import driving_pairs
+from ringtrue.identification.methods import AUTOMATIC_FRF, FRF_METHODS, identify_frfs_by
 from ringtrue.io.frfs import frf_ids, holds_frfs, read_frfs, write_frfs
 from ringtrue.io.modes import modes_to_json
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.signal.channel_checks import clipping_told
 from ringtrue.signal.frf_sets import alike, join_frfs, setups_of
 from ringtrue.signal.impacts import HammerSettings, HitReport
-from ringtrue.study.blows import BlowFiles, kept_blows, read_blows, refused_blows
-from ringtrue.study.forced import Forced, forced_frfs
+from ringtrue.study.hammer_records import (
+    Forced,
+    ForceRecordFormat,
+    accepted_hits,
+    forced_frfs,
+    read_force_records,
+    rejected_hits,
+)
 
 
 class Estimator(StrEnum):
@@ -55,15 +61,6 @@ class Estimator(StrEnum):
     H1 = "H1"
     H2 = "H2"
     HV = "Hv"
-
-
-class FrfMethod(StrEnum):
-    """How modes are found in FRFs."""
-
-    PLSCF = "plscf"
-    LSCE = "lsce"
-    RFP = "rfp"
-    CMIF = "cmif"
 
 
 class Motion(StrEnum):
@@ -96,8 +93,12 @@ def ema(
     fmin: Fmin = None,
     fmax: Fmax = None,
     method: Annotated[
-        FrfMethod, typer.Option(help="Refined pLSCF, or another method for a second opinion.")
-    ] = FrfMethod.PLSCF,
+        str,
+        typer.Option(
+            metavar="|".join((AUTOMATIC_FRF, *FRF_METHODS)),
+            help="Refined pLSCF, or another method for a second opinion.",
+        ),
+    ] = AUTOMATIC_FRF,
     force: Annotated[
         list[str] | None,
         typer.Option(
@@ -190,8 +191,7 @@ def ema(
     In time records the blows are found; double hits, overloads and blows on a structure that still
     rings are left out and listed; the damping of the exponential window is taken out again. A force
     that runs all the time is that of a shaker. Several files are one test: a roving hammer, moved
-    sensors or more blows. Other methods (--method): LSCE, rational fraction polynomials, CMIF
-    peaks.
+    sensors or more blows. Another method (--method): CMIF peaks.
 
     Where sensors were moved and their mass shifts the modes from file to file beyond doubt, each
     file is fitted alone.
@@ -205,7 +205,7 @@ def ema(
     named, points, lost = (tuple(x or ()) for x in (force, struck, leave_out))
     sheet = read_sensor_sheet(sensors) if sensors else None
     names = tuple(tuple(n.strip() for n in text.split(",")) for text in channels or ())
-    how = BlowFiles(
+    how = ForceRecordFormat(
         named, points, lost, quantity.value if quantity else "", rate, group, names, sheet
     )
     want = HammerSettings(
@@ -214,7 +214,7 @@ def ema(
     want = replace(want, estimator=estimator.value, keep_to=fmax)
     band = HammerModes(fmin=fmin, fmax=fmax)
     only = {"--choice": choice, "--write-choice": choice_to, "--diagram": diagram, "--level": level}
-    check_method(method, FrfMethod.PLSCF, only)
+    check_method(method, AUTOMATIC_FRF, FRF_METHODS, only)
     if level:
         check_levels(level, len(files))
         return _at_levels(level, files, (how, want, shaker, window_decay), band, json)
@@ -224,15 +224,15 @@ def ema(
         frfs = _windowed(measured.frfs, window_decay)
         if frfs_to:
             write_frfs(frfs_to, frfs)
-        if method is not FrfMethod.PLSCF:
+        if method != AUTOMATIC_FRF:
             with clipping_told(measured.clipped):
-                other = identify_frfs_by(method.value, frfs, band, progress=show)
+                other = identify_frfs_by(method, frfs, band, progress=show)
             return told(title, other, measured.notes, json)
         with clipping_told(measured.clipped):
             found = identify_hammer(frfs, band, choice=by_hand, progress=show)
         if by_hand is None:
             batches = [_windowed(b, window_decay) for b in measured.batches or (frfs,)]
-            found = told_apart(found, batches, band, progress=show)
+            found = with_local_fits(found, batches, band, progress=show)
     write_pages(files[0], (found.modes, found.reasons, found.diagrams), choice_to, diagram)
     none = ("no mode is believed in this band", *found.rejected[-5:])
     return told(title, found, measured.notes, json, more=_blows_json(measured.hits), if_none=none)
@@ -241,7 +241,7 @@ def ema(
 def _at_levels(
     levels: Sequence[float],
     files: Sequence[Path],
-    how: tuple[BlowFiles, HammerSettings, float | None, float | None],
+    how: tuple[ForceRecordFormat, HammerSettings, float | None, float | None],
     band: HammerModes,
     json: str | None,
 ) -> int:
@@ -290,7 +290,7 @@ def _windowed(frfs: FrfSet, decay: float | None) -> FrfSet:
 
 def _measured(
     files: Sequence[Path],
-    how: BlowFiles,
+    how: ForceRecordFormat,
     want: HammerSettings,
     shaker: float | None,
     show: Progress,
@@ -313,7 +313,7 @@ def _measured(
             kept_channels(files[0], [Channel(c, "unknown", "") for c in known], how.leave_out)
         found = alike([read_frfs(f, how.leave_out) for f in files])
         return _Measured(join_frfs(found), batches=found) if len(found) > 1 else _Measured(found[0])
-    records, ranges, notes = read_blows(files, how)
+    records, ranges, notes = read_force_records(files, how)
     forced = forced_frfs(records, want, shaker, full_scale=ranges, progress=part(show, 0.0, 0.05))
     frfs = join_frfs(forced.columns)
     said = _said(frfs, forced) if forced.hits else (*forced.notes, *forced.clipped)
@@ -323,7 +323,7 @@ def _measured(
 def _said(frfs: FrfSet, forced: Forced) -> tuple[str, ...]:
     """Blows kept and left out, windows, coherence, driving points."""
     known = frfs.coherence[np.isfinite(frfs.coherence)]
-    out = [kept_blows(forced.hits), *refused_blows(forced.hits), *forced.notes]
+    out = [accepted_hits(forced.hits), *rejected_hits(forced.hits), *forced.notes]
     if frfs.window_decay > 0:
         out.append(f"exponential window of {frfs.window_decay:.3g} 1/s, taken out of the damping")
     out.append(

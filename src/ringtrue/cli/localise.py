@@ -17,15 +17,13 @@ from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.io.modes import read_modes
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.shapes.complexity import realise_modes
-from ringtrue.study.config import LocaliseSection, target_words
-from ringtrue.study.config_correlate import CorrelateSection
-from ringtrue.study.lent import lent
+from ringtrue.study.config_sections import CorrelateSection, LocaliseSection, target_words
+from ringtrue.study.direct import DirectProposal, propose_parameters
 from ringtrue.study.opened import Opened
-from ringtrue.study.placing import placed
-from ringtrue.study.proposing import Proposed, directly_proposed
+from ringtrue.study.placing import placed, seat_words, seats, seats_json
 from ringtrue.study.reference import measured_part
 from ringtrue.study.results import Seat
-from ringtrue.study.seats import seat_words, seats, seats_json
+from ringtrue.study.supplied import pair_frequencies
 from ringtrue.updating.candidates import CandidateSettings
 from ringtrue.updating.proposal import Proposed as Member
 
@@ -64,7 +62,7 @@ def localise(
         opened, seen = Opened(stated(read_deck(deck), units), metres), read_modes(test)
         notes, places = tuple[str, ...](), tuple[Seat, ...]()
         if not seen.channels:
-            given = lent(seen, opened, CorrelateSection().gates(), NO_LOCKS)
+            given = pair_frequencies(seen, opened, CorrelateSection().gates(), NO_LOCKS)
             bridge, notes = opened.observation(given.points, np.inf), given.notes
             seen = given.modes.take(measured_part(given.modes)[0])
         else:
@@ -72,7 +70,7 @@ def localise(
             places = seats(bridge, read_sensor_sheet(sensors).model) if sensors is not None else ()
             notes = seat_words(places)
         settings = CandidateSettings(units=units)
-        found = directly_proposed(
+        found = propose_parameters(
             opened, realise_modes(seen), bridge, settings, pool, most, part(show, 0.1, 1.0)
         )
     if json:
@@ -84,7 +82,7 @@ def localise(
     return 0
 
 
-def _table(localised: Proposed) -> dict[str, Any]:
+def _table(localised: DirectProposal) -> dict[str, Any]:
     found, what = localised.proposal, {c.name: c for c in localised.candidates}
     return {
         "proposed": [
@@ -115,7 +113,7 @@ def _table(localised: Proposed) -> dict[str, Any]:
     }
 
 
-def _tables(found: Proposed) -> list[str]:
+def _tables(found: DirectProposal) -> list[str]:
     """What is proposed as tables of study.toml."""
     by = {c.name: c.parameter for c in found.candidates}
     lacking = [m for m in found.proposal.members if m.lump]
@@ -133,7 +131,7 @@ def _tables(found: Proposed) -> list[str]:
     return out
 
 
-def _card(found: Proposed, eid: int, mass: float) -> str:
+def _card(found: DirectProposal, eid: int, mass: float) -> str:
     masses = found.model["CONM2"]
     node = int(masses["G"][masses.find(np.array([eid]))[0]])
     return f"CONM2,{eid},{node},,{mass:.4g}"
@@ -146,7 +144,7 @@ def _size(m: Member) -> tuple[str, str]:
     return f"{m.factor:.3g}", f"{100 * m.std:.1f} %"
 
 
-def _print(deck: Path, found: Proposed) -> None:
+def _print(deck: Path, found: DirectProposal) -> None:
     body = [
         (i, m.name, *_size(m), f"{m.worth:.1f}", len(m.alike) + len(m.rivals))
         for i, m in enumerate(found.proposal.members, start=1)

@@ -47,22 +47,24 @@ from ringtrue.io.matrices import read_matrices
 from ringtrue.io.modes import READ, read_modes, read_std
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.model.ports import ModesRequest
-from ringtrue.study.config_correlate import CorrelateSection, Tam
+from ringtrue.study.config_sections import CorrelateSection, Tam
 from ringtrue.study.evidence import NAMES, ChannelMass, channel_mass, gate
 from ringtrue.study.opened import Opened
 from ringtrue.study.placing import (
     alignment,
+    alignment_text,
     between_nodes,
     mesh_points,
     near_mesh,
     placed,
     readings,
+    seat_words,
+    seats,
+    seats_json,
     shared_places,
-    words,
 )
 from ringtrue.study.reference import at_common, highest, positions
 from ringtrue.study.results import Seat
-from ringtrue.study.seats import seat_words, seats, seats_json
 from ringtrue.study.summary import correlation_json
 
 LOWEST = 26  # modes of a deck in the place of a test
@@ -192,7 +194,7 @@ def _of_deck(
             )
             if here is not None and found is not None:
                 here = found.move(here)
-                notes.append(words(found))
+                notes.append(alignment_text(found))
 
             def bridge(there: TestModel) -> Observation:
                 on_deck = found.move(there) if found is not None else there

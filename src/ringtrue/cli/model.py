@@ -10,12 +10,17 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from ringtrue.checks.autospc import autospc_findings
+from ringtrue.checks import Finding
 from ringtrue.checks.deck import check_deck
-from ringtrue.checks.edges import free_edges_in_words, shell_edges
-from ringtrue.checks.findings import Finding
-from ringtrue.checks.ground import DIRECTIONS, ground_check, ground_findings
-from ringtrue.checks.mass import mass_properties, unconstrained
+from ringtrue.checks.elements import free_edges_in_words, shell_edges
+from ringtrue.checks.mass import (
+    DIRECTIONS,
+    autospc_findings,
+    ground_check,
+    ground_findings,
+    mass_properties,
+    unconstrained,
+)
 from ringtrue.checks.mesh import MeshErrors, mesh_errors
 from ringtrue.cli.convert import writable
 from ringtrue.cli.show import Json, file_to, json_file, one_of, out, progress, rows, write_json

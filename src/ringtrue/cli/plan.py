@@ -23,16 +23,16 @@ from ringtrue.model.ports import ModesRequest
 from ringtrue.planning.exciters import reciprocity_pairs
 from ringtrue.planning.plan_files import NAMES, reach_of, write_test_sheet
 from ringtrue.planning.virtual_test import Rehearsal, missed_words
-from ringtrue.report.deliver import deliver
+from ringtrue.report.build import deliver
 from ringtrue.solvers.embedded import EmbeddedSolver
-from ringtrue.study.config_plan import Directions, Method, Strike
+from ringtrue.study.config_sections import Directions, SelectionMethod, Strike
+from ringtrue.study.messages import lost_points_sentence, missed_modes, setup_sentences
 from ringtrue.study.results import PlanStage
 from ringtrue.study.run import StudyRun, run_study
 from ringtrue.study.summary import setups_json
-from ringtrue.study.words import left_by_loss, missed, setups
 from ringtrue.virtual.sensors import ICP
 
-METHODS, STRIKES, DIRECTIONS = (get_args(kind) for kind in (Method, Strike, Directions))
+METHODS, STRIKES, DIRECTIONS = (get_args(kind) for kind in (SelectionMethod, Strike, Directions))
 ABOVE = 1.3  # modes up to here over the band take part in the virtual test
 
 
@@ -69,7 +69,9 @@ def plan(
     at_hand: Annotated[
         int,
         typer.Option(
-            metavar="N", help="Sensors recorded at once: more points are measured in setups.", min=0
+            metavar="N",
+            help="Sensors recorded at once: more points are measured in setups.",
+            min=0,
         ),
     ] = 0,
     directions: Annotated[str, one_of("--directions", DIRECTIONS, "Of a sensor")] = DIRECTIONS[0],
@@ -337,8 +339,8 @@ def _toml(value: Any) -> str:
 def _reach(run: StudyRun) -> Any:
     """Driving-point residue of each reference over the best of all channels, (r, target)."""
     stage: PlanStage = run.results["plan"]
-    found = run.desk.initial.modes(run.desk.first_fmax).modes.take(stage.target_modes)
-    seen = run.desk.initial.seen(found, stage.test)
+    found = run.session.initial.modes(run.session.first_fmax).modes.take(stage.target_modes)
+    seen = run.session.initial.seen(found, stage.test)
     at = [stage.test.channels.index(r) for r in stage.references]
     return reach_of(np.asarray(seen.shapes), at)
 
@@ -468,15 +470,15 @@ def _print(deck: Path, stage: PlanStage, told: dict[str, Any]) -> None:
         f"strike at {' '.join(stage.references)}; least reach of the best "
         f"{', '.join(map(str, best))} points: "
         f"{', '.join(f'{100 * r:.0f}' for r in best.values())} %",
-        f"worst auto-MAC {stage.worst_off_diagonal:.2f}; {left_by_loss(stage)}",
+        f"worst auto-MAC {stage.worst_off_diagonal:.2f}; {lost_points_sentence(stage)}",
         f"frequency step {stage.frequency_step:.3g} Hz, block {stage.block:.3g} s, "
         f"{stage.averages} averages; "
         f"ambient record {stage.record_length / 60:.3g} min, {stage.segments} blocks",
     ]
-    lines += setups(stage)
+    lines += setup_sentences(stage)
     if stage.suspension:
         lines.append(f"hang at {' '.join(map(str, stage.suspension))}")
-    lines += [*missed(stage), *stage.notes]
+    lines += [*missed_modes(stage), *stage.notes]
     for test in ("virtual_test", "virtual_ambient_test"):
         lines += told.get(test, {}).get("doubtful", [])
     lines.append("test sheet: " + " ".join(told["files"]))

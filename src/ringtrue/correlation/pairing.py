@@ -43,9 +43,9 @@ class Pairing:
         ±1, brings b to the phase of a.
     subspace : (k,) bool
         The pair belongs to a group of close modes that was treated as a subspace.
-    lone_a, lone_b : (u,) int64
+    unpaired_a, unpaired_b : (u,) int64
         Positions without a partner.
-    why_a, why_b : tuple of str
+    reasons_a, reasons_b : tuple of str
         The reason for each.
     rival : (k,) int64
         Where frequencies alone decide: another mode of B that the mode of A may be, -1 if it may
@@ -60,17 +60,25 @@ class Pairing:
     frequency_error: Float
     sign: Float
     subspace: Bool
-    lone_a: Int
-    why_a: tuple[str, ...]
-    lone_b: Int
-    why_b: tuple[str, ...]
+    unpaired_a: Int
+    reasons_a: tuple[str, ...]
+    unpaired_b: Int
+    reasons_b: tuple[str, ...]
     rival: Int = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     beyond: Bool = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
 
     def __post_init__(self) -> None:
         i, f, yes = np.int64, np.float64, np.bool_
         freeze_fields(
-            self, a=i, b=i, mac=f, frequency_error=f, sign=f, subspace=yes, lone_a=i, lone_b=i
+            self,
+            a=i,
+            b=i,
+            mac=f,
+            frequency_error=f,
+            sign=f,
+            subspace=yes,
+            unpaired_a=i,
+            unpaired_b=i,
         )
         object.__setattr__(
             self, "beyond", self.beyond if len(self.beyond) else np.zeros(len(self.a), dtype=yes)
@@ -190,8 +198,8 @@ def pair_modes(
             found.rival,
             np.zeros(0, dtype=np.bool_),
         )
-    lone_a = np.setdiff1d(np.arange(len(a)), rows)
-    lone_b = np.setdiff1d(np.arange(len(b)), cols)
+    unpaired_a = np.setdiff1d(np.arange(len(a)), rows)
+    unpaired_b = np.setdiff1d(np.arange(len(b)), cols)
     why = _Reasons(s, settings, rows, cols, names, first_b, locks, sure, tuple(hidden))
     return Pairing(
         a=rows,
@@ -200,18 +208,18 @@ def pair_modes(
         frequency_error=s.error[rows, cols],
         sign=_signs(a, b, rows, cols),
         subspace=s.merged[rows, cols] > s.mac[rows, cols],
-        lone_a=lone_a,
-        why_a=tuple(
+        unpaired_a=unpaired_a,
+        reasons_a=tuple(
             _unseen(a, i)
             or (
                 why.of_a(i)
                 if sure[i]
                 else f"confidence {a.confidence[i]:.2f} < {settings.min_confidence:.2f}"
             )
-            for i in lone_a.tolist()
+            for i in unpaired_a.tolist()
         ),
-        lone_b=lone_b,
-        why_b=tuple(hidden[j] or why.of_b(j, a, b) for j in lone_b.tolist()),
+        unpaired_b=unpaired_b,
+        reasons_b=tuple(hidden[j] or why.of_b(j, a, b) for j in unpaired_b.tolist()),
         rival=rival,
         beyond=beyond,
     )

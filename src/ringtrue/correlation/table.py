@@ -77,7 +77,7 @@ class CorrelationTable:
         return int(self.test_hz.size)
 
     @property
-    def alone(self) -> bool:
+    def frequency_only(self) -> bool:
         """Whether frequencies alone were measured."""
         return not self.mac.size and bool(self.all_test_hz.size)
 

@@ -17,7 +17,7 @@ from scipy.sparse.linalg import splu
 from ringtrue.core.arrays import Complex, Float
 from ringtrue.eigen.complement import Complement
 from ringtrue.eigen.damped import DynamicStiffness
-from ringtrue.eigen.derivatives import Slope, groups
+from ringtrue.eigen.derivatives import MatrixDerivatives, groups
 from ringtrue.eigen.eigenpairs import EigenModes
 from ringtrue.eigen.pencil import Pencil
 from ringtrue.errors import InputError
@@ -71,7 +71,7 @@ class Adjoint:
     force: Float
     mass: Float
 
-    def contract(self, slopes: Sequence[Slope]) -> Float:
+    def contract(self, slopes: Sequence[MatrixDerivatives]) -> Float:
         """∂J/∂a (m, p) from sparse matrices; `fem.derivatives.bilinear` gives the same from
         elements.
         """
@@ -119,7 +119,9 @@ def adjoint(
     return Adjoint(lam[:m], phi[:, :m], force, phi @ np.where(same, -0.5 * seen, 0.0))
 
 
-def pole_derivatives(poles: Complex, shapes: Complex, slopes: Sequence[Slope]) -> Complex:
+def pole_derivatives(
+    poles: Complex, shapes: Complex, slopes: Sequence[MatrixDerivatives]
+) -> Complex:
     """∂s/∂a (m, p), rad/s: −φᵀ(s²M' + sD' + K' + iH')φ for shapes (f, m) of unit modal A."""
     out = np.empty((poles.size, len(slopes)), dtype=np.complex128)
     for i, s in enumerate(slopes):  # over parameters
@@ -127,7 +129,7 @@ def pole_derivatives(poles: Complex, shapes: Complex, slopes: Sequence[Slope]) -
     return out
 
 
-def _dynamic(s: Slope, x: Complex, poles: Complex) -> Complex:
+def _dynamic(s: MatrixDerivatives, x: Complex, poles: Complex) -> Complex:
     """(s²M' + sD' + K' + iH')x, a pole for each column of x (f, m)."""
     out = (s.mass @ x) * poles**2 + s.stiffness @ x
     if s.viscous is not None:
@@ -138,7 +140,7 @@ def _dynamic(s: Slope, x: Complex, poles: Complex) -> Complex:
 
 
 def complex_mode_derivatives(
-    system: DynamicStiffness, poles: Complex, shapes: Complex, slopes: Sequence[Slope]
+    system: DynamicStiffness, poles: Complex, shapes: Complex, slopes: Sequence[MatrixDerivatives]
 ) -> tuple[Complex, Complex]:
     """∂s/∂a (m, p) and ∂φ/∂a (f, m, p) of simple poles with shapes of unit modal A, φᵀ(2sM + D)φ =
     1.
@@ -177,7 +179,7 @@ def frf_derivatives(
     outputs: sparse.csr_array,
     inputs: sparse.csr_array,
     freqs: Float,
-    slopes: Sequence[Slope],
+    slopes: Sequence[MatrixDerivatives],
 ) -> tuple[Complex, Complex]:
     """Receptances by direct solution, and their derivatives −(Z⁻¹Cᵀ)ᵀ Z' (Z⁻¹B).
 

@@ -28,23 +28,11 @@ SECONDS_PER = {
     "min": 60.0,
     "h": 3600.0,
 }
-
-
 _OF_FREQUENCY = ("hz", "khz", "rad/s", "rpm")
-
-
 _AXES = (*_OF_FREQUENCY, "db", "deg", "°", "rad")  # of FRFs
-
-
 BRACKETED_UNIT = re.compile(r"^(.*?)\s*[\[(]([^\])]*)[\])]\s*$")
-
-
 _COMMA = re.compile(r"[-+]?\d*,\d+([eEdD][-+]?\d+)?$")
-
-
 _COMMENT = ("#", "%", "//")
-
-
 _MOST_FOOTER = 20  # lines
 
 
@@ -359,13 +347,9 @@ def _quoted(cell: str, delimiter: str) -> str:
 
 
 log = logging.getLogger(__name__)
-
-
 _LACKED = re.compile(
     r"#?n/?a|null|none|-+|overflow|ovfl|ovl|over|ol|err|error|invalid|bad|#+|\?+|\*+", re.IGNORECASE
 )
-
-
 _PROCESSES = {"smp", "avg", "max", "min", "std", "tot", ""}  # Campbell's fourth line of a header
 
 

@@ -26,11 +26,7 @@ from ringtrue.core.arrays import Any_
 from ringtrue.errors import DataError, InputError
 
 Identity = tuple[int, int]  # device and inode
-
-
 _HOST = re.sub(r"\W", "", socket.gethostname())[:32] or "host"
-
-
 _PART = re.compile(rf"\..+\.{_HOST}-(\d+)-\w+\.part")
 
 
@@ -259,8 +255,6 @@ FUNCTIONS = {  # of data set 58, by function type
     9: "spectra",
     12: "spectra",
 }
-
-
 _SETS = {
     15: "nodes",
     18: "coordinate systems",
@@ -276,11 +270,7 @@ _SETS = {
     2420: "coordinate systems",
     2431: "trace lines",
 }
-
-
 _GEOMETRY = (15, 18, 82, 2411, 2412, 2420, 2431)
-
-
 _TAKES = {
     "time records": "`ringtrue oma` takes records without forces, `ringtrue ema` those with a "
     "force",
@@ -289,8 +279,6 @@ _TAKES = {
     "functions": "`ringtrue oma` and `ringtrue ema` take records and FRFs",
     "mode shapes or other data at nodes": "`ringtrue correlate` takes modes",
 }
-
-
 _BY_ENDING = {  # of files that no record or FRF has
     **dict.fromkeys((".bdf", ".dat", ".nas"), ("a deck", "`ringtrue check` takes decks")),
     **dict.fromkeys(

@@ -26,26 +26,14 @@ from ringtrue.io.uff.function58 import FRF, TRANSMISSIBILITY, write_frf_sets
 from ringtrue.io.uff.functions import frf_ends, label, read_frf_sets, read_functions
 
 log = logging.getLogger(__name__)
-
-
 GROUP = "frfs"
-
-
 _ROUNDED = 1e-3  # that a coherence of three digits may be beyond 1
-
-
 _CLEAR, _MOST = (
     6.0,
     0.9,
 )  # standard deviations, of noise, that a phase rises by; share of the FRFs in which it does
-
-
 _UFF = (".uff", ".unv", ".58")
-
-
 _HDF5 = (".h5", ".hdf5")
-
-
 _TEXT = (".csv", ".txt")
 
 
@@ -265,23 +253,11 @@ _HERTZ = (
     "hz",
     "fs_axis",
 )
-
-
 _RADIANS = ("omega", "omegas", "w_rad")
-
-
 _OUTPUTS = ("outputs", "output", "responses", "response", "out", "out_dof", "outdof", "rsp")
-
-
 _INPUTS = ("inputs", "input", "references", "reference", "refs", "in", "in_dof", "indof", "ref")
-
-
 _CALLED: dict[str, Motion] = OF_KIND | {"compliance": "displacement", "inertance": "acceleration"}
-
-
 _LEAST, _LONGEST = 8, 1 << 22  # lines
-
-
 _DIRECTIONS = (0, 1, 2, 3, 4, 5, 6, -1, -2, -3, -4, -5, -6)  # of SDT's DOFs 1.01 .. 1.12
 
 

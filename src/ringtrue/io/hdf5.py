@@ -25,16 +25,10 @@ from ringtrue.io.foreign.arrays import check_compressed
 from ringtrue.io.foreign.parsers import json_value
 
 PLAIN = "_plain"
-
-
 SCALAR = "scalar"  # marks an array without axes
-
-
 LARGE = (
     1 << 16
 )  # bytes from which on an array is compressed: a fifth of noise, most of meshes and tables
-
-
 _SPARSE = {
     name: getattr(sparse, name) for name in ("csr_array", "csc_array", "csr_matrix", "csc_matrix")
 }

@@ -23,14 +23,8 @@ from ringtrue.io.record_texts import read_csv
 from ringtrue.io.si import known
 
 _END = "***End_of_Header***"
-
-
 _SPECIAL = ("***Start_of_Special***", "***End_of_Special***")
-
-
 _SAME_STEP = 0.05  # relative, as a step of one or two digits may be off
-
-
 _JOIN = 0.5  # samples that a segment may begin off the end of the one before
 
 

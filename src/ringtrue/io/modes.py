@@ -24,20 +24,10 @@ from ringtrue.io.si import hertz
 from ringtrue.io.uff.shapes import read_mode_sets, write_mode_sets
 
 GROUP = "modes"
-
-
 _UFF = (".uff", ".unv", ".55")
-
-
 _HDF5 = (".h5", ".hdf5")
-
-
 _TABLES = (".csv", ".txt", ".xlsx", ".xlsm")
-
-
 READ = (".json", *_HDF5, *_UFF, *_TABLES)  # endings
-
-
 WRITTEN = (".json", *_HDF5, *_UFF, ".csv")
 
 
@@ -255,25 +245,13 @@ def read_std(path: str | Path) -> tuple[Float, Float]:
 
 
 _WHOSE = r"(natural|nat\.?|modal|damped|undamped|resonance|resonant|critical)?\s*"
-
-
 _FREQUENCY = re.compile(
     rf"{_WHOSE}(f|fn|freq\.?|frequency|frequencies|frequenz|eigenfrequenz|eigenfrequency|fréquence)(?![^\W_])"
 )
-
-
 _DAMPING = re.compile(rf"{_WHOSE}(damping|damping ratio|zeta|ζ|dämpfung|amortissement)(?![^\W_])")
-
-
 _SPREAD = re.compile(r"(std|±|sigma|σ|deviation|uncertainty)\s*(of\s*)?")
-
-
 _HIGH = 0.25  # of critical: a typical damping above is taken for percent
-
-
 _NUMBER = re.compile(r"[-+]?[\d.,]+([eEdD][-+]?\d+)?$")
-
-
 _BESIDE = {
     "",
     "#",
@@ -290,8 +268,6 @@ _BESIDE = {
     "mac",
     "mpc",
 }
-
-
 _DIGITS = 9
 
 

@@ -198,14 +198,8 @@ def check_stored(data: h5py.Dataset, path: str | Path) -> None:
 
 
 _PEEK = 1 << 16
-
-
 _NAMES = ("channels", "names", "labels", "channel_names", "ids", "name")
-
-
 _UNITS = ("units", "unit")
-
-
 _NAME, _UNIT = (
     ("name", "signalname", "channelname"),
     ("unit", "unit_string", "label"),

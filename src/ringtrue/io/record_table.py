@@ -23,17 +23,9 @@ _RATE_NAMES = (
     "fsample",
     "sr",
 )  # in letters and digits
-
-
 _RATE_WORDS = ("samplefrequency", "samplingfrequency", "samplefreq", "samplingfreq")
-
-
 _STEP_NAMES = ("dt", "increment", "samplinginterval", "sampleinterval", "deltat", "timestep", "ts")
-
-
 TIME_NAMES = ("t", "time", "time [s]", "time (s)", "x_value", "zeit", "sec", "seconds")
-
-
 SAME_RATE = 1e-3  # relative, of a rate that is named and that of the times
 
 

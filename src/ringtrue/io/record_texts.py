@@ -31,8 +31,6 @@ from ringtrue.io.si import known
 from ringtrue.io.times import even_grid, in_seconds, is_clock, seconds, without_repeated
 
 log = logging.getLogger(__name__)
-
-
 _TIMES = {
     *TIME_NAMES,
     "timestamp",
@@ -53,8 +51,6 @@ _TIMES = {
     "tempo",
     "tiempo",
 }
-
-
 _COUNTS = {
     "sample",
     "samples",
@@ -70,26 +66,16 @@ _COUNTS = {
     "point",
     "count",
 }
-
-
 _NUMBER = r"(?P<x>\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)?)"
-
-
 _RATE = re.compile(
     rf"(?:sampl\w*[\s_-]*(?:rate|freq\w*)|abtast(?:rate|frequenz)|scan[\s_-]*rate|\bfs\b|^\W*rate\b)[^\d]{{0,24}}?{_NUMBER}\s*(?P<k>k)?",
     re.IGNORECASE,
 )
-
-
 _STEP = re.compile(
     rf"(?:sampl\w*[\s_-]*(?:interval|period)|abtastintervall|\bdelta[\s_-]?t\b|\bdt\b)[^\d]{{0,24}}?{_NUMBER}\W*(?P<u>ms|us|µs|s)?\b",
     re.IGNORECASE,
 )
-
-
 _COUNTED = 0.9  # share of the lines that go on from the one before
-
-
 _COARSE = 1e-3  # relative deviation of a rate from times written with few digits
 
 

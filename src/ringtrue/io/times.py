@@ -13,11 +13,7 @@ from ringtrue.core.arrays import Float, Int
 from ringtrue.errors import DataError
 
 _DAY = r"(?P<a>\d{1,4})[-/.](?P<b>\d{1,2})[-/.](?P<c>\d{1,4})"
-
-
 _HOUR = r"(?P<h>\d{1,2}):(?P<m>\d\d)(:(?P<s>\d\d)([.,:](?P<f>\d+))?)?\s*(?P<half>[AaPp]\.?[Mm]\.?)?"
-
-
 _CLOCK = re.compile(rf"\s*({_DAY})?\.?[ T,]*({_HOUR})?\s*(Z|UTC|[+-]\d\d:?\d\d)?\s*$")
 
 
@@ -78,33 +74,19 @@ def _days(parts: Sequence[re.Match[str]]) -> Float:
 
 
 log = logging.getLogger(__name__)
-
-
 _EPOCHS = (
     (1e17, 1e-9),
     (1e14, 1e-6),
     (1e11, 1e-3),
 )  # since 1970: above this the unit is that of seconds
-
-
 _DAYS = (
     (2e4, 8e4),
     (7e5, 8e5),
 )  # since 1900 as spreadsheets count them, since the year 0 as MATLAB does
-
-
 _SLOW_DAYS = 0.5 / 86400  # d: longer steps are no samples of vibration
-
-
 _JITTER = 0.5  # of a step: each time still has a place of its own on the even grid
-
-
 _RARE = 0.01  # share of the rows: stamps and rows that stand twice more often tell coarse times
-
-
 THIN = 0.5  # share of the rows that must be there, where some are missing
-
-
 LONG = 64  # samples: a shorter table is no record
 
 

@@ -315,7 +315,7 @@ def deviations(stages: Sequence[tuple[str, CorrelationTable]]) -> go.Figure:
     """Frequency deviation and MAC of each test mode, one mark a stage; hollow marks were left out
     of the updating.
     """
-    alone = all(t.alone for _, t in stages)
+    alone = all(t.frequency_only for _, t in stages)
     low = 0.0 if alone else 0.44
     fig = figure(
         300 if alone else 470,

@@ -9,7 +9,7 @@ import plotly.graph_objects as go
 
 from ringtrue.core.arrays import Any_, Bool, Float
 from ringtrue.core.modes import ModeSet, Uncertainty, elastic
-from ringtrue.identification.poles import StableDiagram
+from ringtrue.identification.common.poles import StableDiagram
 from ringtrue.plots.style import (
     FE,
     FINAL,

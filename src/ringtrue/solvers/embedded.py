@@ -20,7 +20,7 @@ from ringtrue.core.progress import Progress
 from ringtrue.core.signals import FrfKind
 from ringtrue.eigen import damped
 from ringtrue.eigen.damped import DynamicStiffness
-from ringtrue.eigen.derivatives import Slope, eigenvector_derivatives
+from ringtrue.eigen.derivatives import MatrixDerivatives, eigenvector_derivatives
 from ringtrue.eigen.eigenpairs import EigenModes, eigenvalue, residual_vectors, rounding
 from ringtrue.eigen.engines import Method
 from ringtrue.eigen.modes import solve_modes
@@ -126,7 +126,7 @@ class EmbeddedAnalysis:
             "give less (1000 times what is beside it is stiff enough) or RBE2"
         )
 
-    def slopes(self, parameters: ParameterSet) -> Sequence[Slope]:
+    def slopes(self, parameters: ParameterSet) -> Sequence[MatrixDerivatives]:
         """∂K/∂a, ∂M/∂a and the derivatives of the damping at a = 1, in the free DOFs."""
         return system_derivatives(self.model, parameters.parameters, self.system)
 

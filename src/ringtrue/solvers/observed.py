@@ -149,7 +149,7 @@ class FullModel:
         except UnsupportedError:
             return None
         self.ledger.runs += 1
-        relative = self.parameters.slope(x) / self.parameters.factors(
+        relative = self.parameters.derivative(x) / self.parameters.factors(
             x
         )  # the edited model is at a = 1 of itself
         d_seen = self.observation(d_phi.reshape(d_phi.shape[0], -1)).reshape(-1, *d_phi.shape[1:])

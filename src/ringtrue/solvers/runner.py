@@ -35,14 +35,8 @@ from ringtrue.model.ports import ModesRequest, ModesResult
 from ringtrue.solvers import guard
 
 TAIL = 12  # lines of the log in an error
-
-
 _LAST = 65_536  # bytes of the end of a log that are kept
-
-
 _PIECE = 1 << 20  # bytes of a log that are looked through at once
-
-
 _FULL = ("no space left", "disk full", "disk quota exceeded", "disk i/o error", "file system full")
 
 
@@ -167,11 +161,7 @@ def tail(log: str | Path) -> str:
 
 
 DECK = "model.bdf"
-
-
 METHOD = 1
-
-
 _OWN_PARAMS = frozenset(("POST", "OUGCORD", "OPTEXIT", "GRDPNT", "POSTEXT", "PRTMAXIM"))
 
 

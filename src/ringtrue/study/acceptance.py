@@ -13,7 +13,7 @@ import numpy as np
 from ringtrue.core.arrays import Bool
 from ringtrue.correlation.table import CorrelationRow, CorrelationTable
 from ringtrue.study.config import StudyConfig
-from ringtrue.study.config_correlate import CorrelateSection
+from ringtrue.study.config_sections import CorrelateSection
 from ringtrue.study.results import (
     ConfigurationsStage,
     ConfiguredStage,

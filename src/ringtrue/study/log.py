@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from ringtrue.errors import DataError
 from ringtrue.io.foreign.parsers import read_json
-from ringtrue.study.config_errors import explain
+from ringtrue.study.config import explain
 
 _ALIKE = 0.8  # of the names of two keys: one is a misspelling of the other
 

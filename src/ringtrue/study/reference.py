@@ -332,7 +332,7 @@ def elastic_table(
         pairing, mac = _unseen(pairing), np.zeros((0, 0))
     return replace(
         table,
-        pairing=replace(pairing, b=pairing.b + first, lone_b=pairing.lone_b + first),
+        pairing=replace(pairing, b=pairing.b + first, unpaired_b=pairing.unpaired_b + first),
         mac=mac,
         all_fe_hz=fe.frequencies,
     )
@@ -344,8 +344,8 @@ def _unseen(pairing: Pairing) -> Pairing:
         pairing,
         mac=np.full(len(pairing), np.nan),
         subspace=np.zeros(len(pairing), dtype=np.bool_),
-        why_a=("no mode is like the one that it was taken for",) * pairing.lone_a.size,
-        why_b=("no frequency of the test is taken for it",) * pairing.lone_b.size,
+        reasons_a=("no mode is like the one that it was taken for",) * pairing.unpaired_a.size,
+        reasons_b=("no frequency of the test is taken for it",) * pairing.unpaired_b.size,
     )
 
 

@@ -14,6 +14,7 @@ from ringtrue.correlation.sensor_mounting import mendings_json
 from ringtrue.correlation.table import CorrelationTable, table_significance
 from ringtrue.planning.resolution import ambient_std
 from ringtrue.study.acceptance import limits, missed_words
+from ringtrue.study.placing import seats_json
 from ringtrue.study.results import (
     CompareStage,
     ConfigurationsStage,
@@ -32,7 +33,6 @@ from ringtrue.study.results import (
     UpdateStage,
 )
 from ringtrue.study.run import StudyRun
-from ringtrue.study.seats import seats_json
 
 
 def pairs(table: CorrelationTable) -> list[dict[str, Any]]:
@@ -66,8 +66,8 @@ def unpaired(table: CorrelationTable) -> list[dict[str, Any]]:
     """Modes without a partner, with the reason."""
     p = table.pairing
     sets = (
-        (table.names[0], p.lone_a, table.all_test_hz, p.why_a),
-        (table.names[1], p.lone_b, table.all_fe_hz, p.why_b),
+        (table.names[0], p.unpaired_a, table.all_test_hz, p.reasons_a),
+        (table.names[1], p.unpaired_b, table.all_fe_hz, p.reasons_b),
     )
     return [
         {"set": name, "mode": i + 1, "frequency_hz": float(f[i]), "reason": why}

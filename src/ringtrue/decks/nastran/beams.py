@@ -23,17 +23,9 @@ from ringtrue.model.model import Ragged, Table
 from ringtrue.model.sections import FALLBACK, SECTIONS
 
 BETWEEN = ("AX", "I1X", "I2X", "I12X", "JX", "NSMX")
-
-
 _TAIL = ("K1", "K2", "S1", "S2", "NSIA", "NSIB")  # CWA and CWB count with SA and SB of a CBEAM only
-
-
 _TAIL2 = ("M1A", "M2A", "M1B", "M2B", "N1A", "N2A", "N1B", "N2B")
-
-
 _STATION = ("YES", "YESA", "NO")
-
-
 Row = Mapping[str, float | list[float]]
 
 
@@ -254,8 +246,6 @@ _BEND = {
     "ZC": 20,
     "DELTAN": 21,
 }
-
-
 _PIPE = {"FSI": 2, "RM": 3, "T": 4, "P": 5, "RB": 6, "THETAB": 7, "NSM": 10, "RC": 11, "ZC": 12}
 
 
@@ -296,11 +286,7 @@ def pbend(cards: Sequence[Card], files: Files) -> Table:
 
 
 _CORNERS = ("GA1", "GA2", "GA3", "GA4", "GB1", "GB2", "GB3", "GB4")
-
-
 WELD_ENDS = {"EID": 0, "GS": 2, "GA": 4, "GB": 5}
-
-
 WELD_TYPES = {
     "GRIDID": {name: 8 + i + 4 * (i // 4) for i, name in enumerate(_CORNERS)},
     "ELEMID": {"SHIDA": 8, "SHIDB": 9},
@@ -308,11 +294,7 @@ WELD_TYPES = {
     "PARTPAT": {"PIDA": 8, "PIDB": 9},
     "ELPAT": {"SHIDA": 8, "SHIDB": 9},
 }
-
-
 WELD_POINT = {"XS": 16, "YS": 17, "ZS": 18}  # of PARTPAT and ELPAT
-
-
 _MIDSIDES = (*range(12, 16), *range(20, 24))
 
 

@@ -18,11 +18,7 @@ from ringtrue.errors import DeckError
 from ringtrue.model.cards import CARDS, SPECIAL, SYNONYMS
 
 log = logging.getLogger(__name__)
-
-
 Names = NDArray[np.bytes_]
-
-
 _BLANKS = np.uint64(0x2020202020202020)  # eight blank columns
 
 
@@ -422,17 +418,9 @@ def _tags(columns: NDArray[np.uint8]) -> NDArray[np.bytes_]:
 
 
 MOST = 100_000  # cards that one repetition may make
-
-
 _STEP = re.compile(rb"\*\(?([+-]?[\d.][\dEeDd.+-]*)\)?")
-
-
 _COUNT = re.compile(rb"=\(?(\d{1,9})\)?")
-
-
 _WHOLE = re.compile(rb"[+-]?\d{1,18}")
-
-
 Fields = list[bytes]
 
 

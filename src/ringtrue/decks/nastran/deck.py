@@ -16,28 +16,14 @@ from ringtrue.errors import DeckError
 from ringtrue.io.files import absence, reads
 
 log = logging.getLogger(__name__)
-
-
 _INCLUDE = re.compile(
     rb"(?i)[ \t]*INCLUDE(?=[ \t'\"])[ \t]*(?:'([^']*)'|\"([^\"]*)\"|([^\s$'\"][^\r\n$]*))[^\n]*\n?"
 )
-
-
 _BEGIN = re.compile(rb"(?i)[ \t]*BEGIN\w*[^\r\n$]*")
-
-
 _CEND = re.compile(rb"(?i)[ \t]*CEND\b")
-
-
 WIDTH = 80
-
-
 DEPTH = 64  # of files that include each other
-
-
 INCLUDES = 10_000  # of a deck; files that each include the next one twice are 2 ** DEPTH
-
-
 AGAIN = 100_000_000  # bytes of files that were included before
 
 
@@ -316,21 +302,15 @@ def _without_comments(raw: bytes, start: Int, stop: Int) -> Int:
 
 
 _KEYWORD = re.compile(rb"\*([A-Z][A-Z0-9_ ]*)")
-
-
 _ABAQUS = frozenset(
     b"AMPLITUDE ASSEMBLY BEAM BOUNDARY DENSITY ELASTIC ELEMENT ELSET END HEADING INCLUDE "
     b"INSTANCE MATERIAL NODE NSET "
     b"ORIENTATION PARAMETER PART PREPRINT RESTART SHELL SOLID STEP SURFACE SYSTEM".split()
 )
-
-
 _ANSYS = re.compile(
     rb"(/(BATCH|CLEAR|CLE|COM|CONFIG|FILNAME|FILNAM|GO|GOPR|INPUT|NERR|NOPR|OUTPUT|PREP7|SOLU|TITLE|UIS|UNITS)\b"
     rb"|FINI(SH)?\b|(ANTYPE|ET|EBLOCK|MP|MPTEMP|NBLOCK|SECTYPE)\s*,)"
 )
-
-
 BEGINNING = 65_536  # bytes that tell the program
 
 

@@ -20,14 +20,8 @@ from ringtrue.model.model import Model, Ragged, Table, card_error
 DEFAULTS: Mapping[str, str] = MappingProxyType(
     {"GRDSET": "GRID", "BAROR": "CBAR", "BEAMOR": "CBEAM"}
 )
-
-
 _GRID = {"CP": 1, "CD": 5, "PS": 6}  # places of the data fields, from 0
-
-
 _VECTOR = {"X1": 4, "X2": 5, "X3": 6}
-
-
 _SCALAR = tuple(f"C{kind}{i}" for kind in ("ELAS", "MASS", "DAMP") for i in (3, 4))
 
 

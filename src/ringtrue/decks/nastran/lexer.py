@@ -18,17 +18,9 @@ from ringtrue.errors import DeckError
 from ringtrue.model.model import Ragged
 
 _POWERS = 10.0 ** np.arange(23)
-
-
 _BLOCK = 65_536
-
-
 _REAL = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+))(?:[ED]?([+-]\d+)|[ED](\d+))?", re.I | re.A)
-
-
 _TOKEN = re.compile(rb"[^ \t]+")
-
-
 _PLUS, _MINUS, _DOT, _E, _D = b"+-.ED"
 
 
@@ -219,8 +211,6 @@ def _at(columns: list[int], column: int, end: int) -> int:
 
 
 Files = Sequence[str]
-
-
 _WHOLE = re.compile(r"[+-]?\d{1,18}", re.A)
 
 
@@ -285,8 +275,6 @@ def ragged(rows: Sequence[Sequence[Any]], dtype: Any) -> Ragged:
 
 
 BLOCK = 65_536  # lines at a time: the temporaries stay in the cache
-
-
 _LINE = 8  # data fields of a line
 
 

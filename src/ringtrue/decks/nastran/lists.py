@@ -25,18 +25,12 @@ _LAMINATE: tuple[tuple[str, float | str], ...] = (
     ("GE", 0.0),
     ("LAM", ""),
 )
-
-
 BUSH = {  # lines of a PBUSH
     **{flag: [f"{flag}{i}" for i in range(1, 7)] for flag in "KB"},
     "GE": ["GE", *(f"GE{i}" for i in range(2, 7))],
     "M": ["M"],
 }
-
-
 PLY = {"PCOMP": ("MID", "T", "THETA", "SOUT"), "PCOMPG": ("GPLYID", "MID", "T", "THETA", "SOUT")}
-
-
 _KIND: dict[str, Any] = {
     "GPLYID": np.int64,
     "MID": np.int64,
@@ -44,11 +38,7 @@ _KIND: dict[str, Any] = {
     "THETA": np.float64,
     "SOUT": np.str_,
 }
-
-
 _PITCH = {"PCOMP": 4, "PCOMPG": 8}  # fields from ply to ply
-
-
 _FIRST = 8
 
 
@@ -216,8 +206,6 @@ def genel(cards: Sequence[Card], files: Files) -> Table:
 
 
 _HEAD = ("IFO", "TIN", "TOUT", "POLAR")
-
-
 _TERM = ("GI", "CI", "A", "B")
 
 
@@ -294,8 +282,6 @@ def _wrong(card: Card, key: str, text: str, real: bool, files: Files) -> DeckErr
 
 
 PAIRS, LISTS = ("NSM", "NSML"), ("NSM1", "NSML1")
-
-
 VALUE = {"NSM": 3, "NSML": 3, "NSM1": 2, "NSML1": 2}  # its place where a card has one
 
 

@@ -234,8 +234,6 @@ EXPAND: Mapping[str, Callable[[Sequence[Card], Files], Table]] = MappingProxyTyp
         "PBEAML": pbeaml,  # the table is of PBEAM
     }
 )
-
-
 _SEVERAL = {
     **dict.fromkeys(("CORD1R", "CORD1C", "CORD1S"), ("G1", "G2", "G3")),
     "PELAS": ("K", "GE", "S"),
@@ -243,8 +241,6 @@ _SEVERAL = {
     "PDAMP": ("B",),
     "PVISC": ("CE", "CR", ""),
 }
-
-
 _BEAM = (
     "K1",
     "K2",

@@ -17,11 +17,7 @@ from ringtrue.model.case_control import METHODS
 from ringtrue.model.model import Ragged, Table
 
 Cells = NDArray[np.bytes_]
-
-
 _KINDS = {"i": "an integer", "f": "a real"}
-
-
 _OWN_PROPERTY = frozenset(  # a blank PID is the element's own number
     (
         *(
@@ -53,8 +49,6 @@ _OWN_PROPERTY = frozenset(  # a blank PID is the element's own number
         ),
     )
 )
-
-
 _SURPLUS = {"PSHELL": "; give THETA, ZOFFS and the like of Autodesk and OptiStruct on the elements"}
 
 
@@ -242,13 +236,9 @@ def _whole(cards: Cards, card: int, word: bytes, field: str) -> int:
 # of any unit: the product of six fields stays below 1.8e308, the largest double; 1/LARGEST the
 # smallest
 LARGEST = 1e50
-
-
 _ALLOWED = (
     f"is beyond what can be computed with; allowed are 0 and {1 / LARGEST:g} to {LARGEST:g} in size"
 )
-
-
 _LIMITS = {  # allowable stresses, in which a large number stands for none; no matrix uses them
     "MAT1": ("ST", "SC", "SS"),
     "MAT2": ("ST", "SC", "SS"),

@@ -182,17 +182,9 @@ def _pbush(t: Table) -> Iterator[str]:
 
 
 _NO_STIFFNESS: list[list[Value]] = [["K"]]
-
-
 _BEAM_A, _BEAM_B = ("A", "I1", "I2", "I12", "J", "NSM"), ("AB", "I1B", "I2B", "I12B", "JB", "NSMB")
-
-
 _BEAM_X = ("X", "AX", "I1X", "I2X", "I12X", "JX", "NSMX")
-
-
 _BEAM_TAIL = ("K1", "K2", "S1", "S2", "NSIA", "NSIB")
-
-
 _BEAM_AXIS = ("M1A", "M2A", "M1B", "M2B", "N1A", "N2A", "N1B", "N2B")
 
 
@@ -342,14 +334,8 @@ SPECIAL: dict[str, Callable[[Table], Iterator[str]]] = {
     "PCOMPG": _laminate,
     "DMIG": _dmig,
 }
-
-
 TOO_LONG = 10**8  # an id of more than eight characters
-
-
 NOT_MODEL = frozenset(METHODS)  # the caller's choice, not the model's
-
-
 Text = NDArray[np.str_]
 
 

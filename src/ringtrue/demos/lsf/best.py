@@ -12,7 +12,7 @@ from ringtrue.demos.lsf.twin import Twin
 from ringtrue.shapes.mac import mac
 from ringtrue.study.results import CorrelateStage, FinalStage, UpdateStage
 from ringtrue.study.run import StudyRun
-from ringtrue.study.workbench import Workbench
+from ringtrue.study.session import Session
 from ringtrue.updating.best import descend
 from ringtrue.updating.choose import best_subset
 from ringtrue.updating.objective import Target, Weights
@@ -38,7 +38,7 @@ def true_modes(run: StudyRun, twin: Twin) -> tuple[Int, Int]:
     return test, np.argmax(np.where(near, like, -1.0), axis=1)
 
 
-def best_possible(run: StudyRun, twin: Twin, desk: Workbench) -> float:
+def best_possible(run: StudyRun, twin: Twin, session: Session) -> float:
     """Smallest mean |Δf|, %, that the best six candidates can reach on the true frequencies of the
     final pairs.
 
@@ -59,7 +59,7 @@ def best_possible(run: StudyRun, twin: Twin, desk: Workbench) -> float:
         Weights(shape=0.02),
         gates,
     )
-    model = desk.delivered_models(_silent)[0]
+    model = session.delivered_models(_silent)[0]
     names = model.parameters.names
     choice = best_subset(model, aim, min(6, len(names)))
     starts = [(choice.members.tolist(), choice.x[choice.members])]

@@ -9,7 +9,7 @@ from scipy import sparse
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.parameters import CardField, Parameter
-from ringtrue.eigen.derivatives import Slope
+from ringtrue.eigen.derivatives import MatrixDerivatives
 from ringtrue.fem.algebra import applied
 from ringtrue.fem.assembly import System, full_matrices, rayleigh, sum_up, turn
 from ringtrue.fem.constraints import eliminate
@@ -38,7 +38,7 @@ def matrix_derivatives(
 
 def system_derivatives(
     model: Model, parameters: Sequence[Parameter], system: System
-) -> list[Slope]:
+) -> list[MatrixDerivatives]:
     """∂K/∂a, ∂M/∂a, ∂D/∂a, ∂H/∂a (structural damping) and ∂T/∂a at a = 1 of each parameter, csr.
 
     Only the affected elements are computed, for as many parameters at once as do not share one.
@@ -61,7 +61,9 @@ def system_derivatives(
                 A + B for A, B in zip((K, M, D, H), _carried(model, p, system, dT), strict=True)
             )
         out.append(
-            Slope(K, M, sparse.csr_array(D + alpha * M + beta * K), sparse.csr_array(H + G * K), dT)
+            MatrixDerivatives(
+                K, M, sparse.csr_array(D + alpha * M + beta * K), sparse.csr_array(H + G * K), dT
+            )
         )
     return out
 

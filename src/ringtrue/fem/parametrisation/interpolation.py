@@ -78,7 +78,7 @@ class Series:
         """The functions (r,)."""
         return np.asarray(chebval(self._at(a), self.terms))
 
-    def slope(self, a: float) -> Float:
+    def derivative(self, a: float) -> Float:
         """Their derivatives (r,)."""
         inner = 2 / (a * np.log(self.upper / self.lower))
         return np.asarray(inner * chebval(self._at(a), chebder(self.terms)))
@@ -165,7 +165,7 @@ class Interpolation:
         """
         return self._kept(a, -1)
 
-    def slopes(self, a: Float, i: int) -> dict[int, Float]:
+    def derivatives(self, a: Float, i: int) -> dict[int, Float]:
         """∂c/∂a_i (r,) of the regions that depend on a_i, and some of others."""
         return self._kept(a, self.colours[i])
 
@@ -192,7 +192,7 @@ class Interpolation:
         for k, series in self.series.items():
             (i,) = self.regions[k].which
             if on[i] and series.holds(x := float(a[i])):
-                out[k] = series.value(x) if colour < 0 else series.slope(x)
+                out[k] = series.value(x) if colour < 0 else series.derivative(x)
         some = [k for k, r in enumerate(self.regions) if on[list(r.which)].any() and k not in out]
         if not some:
             return out
@@ -208,7 +208,9 @@ class Interpolation:
             return out | {
                 k: self.nodes[k].coefficients(f) for k, f in zip(some, found, strict=True)
             }
-        slopes = (self.nodes[k].slopes(f.imag / STEP) for k, f in zip(some, found, strict=True))
+        slopes = (
+            self.nodes[k].derivatives(f.imag / STEP) for k, f in zip(some, found, strict=True)
+        )
         return out | dict(zip(some, slopes, strict=True))
 
 
@@ -226,9 +228,9 @@ class Coefficient:
         found = self.of.at(a)
         return float(found[self.region][self.j]) if self.region in found else 0.0
 
-    def slope(self, a: Float, i: int) -> float:
+    def derivative(self, a: Float, i: int) -> float:
         """See `Function`."""
-        return float(self.of.slopes(a, i)[self.region][self.j]) if i in self.which else 0.0
+        return float(self.of.derivatives(a, i)[self.region][self.j]) if i in self.which else 0.0
 
 
 def interpolated(

@@ -67,7 +67,7 @@ class Nodes:
         """c (r,) from the `entries` of its rows at some factors."""
         return self.solved(self.scaled(found))
 
-    def slopes(self, found: Float) -> Float:
+    def derivatives(self, found: Float) -> Float:
         """∂c (r,) from derivatives of the `entries` of its rows."""
         return self.solved(self.weights * found[self.places])
 

@@ -57,7 +57,7 @@ class Function(Protocol):
     def value(self, a: Float) -> float:
         """At the factors."""
 
-    def slope(self, a: Float, i: int) -> float:
+    def derivative(self, a: Float, i: int) -> float:
         """The derivative to a_i."""
 
 
@@ -78,7 +78,7 @@ class Product:
         """See `Function`."""
         return prod(float(a[i]) ** p - 1.0 for i, p in zip(self.which, self.exponents, strict=True))
 
-    def slope(self, a: Float, i: int) -> float:
+    def derivative(self, a: Float, i: int) -> float:
         """See `Function`."""
         own = {j: (float(a[j]), p) for j, p in zip(self.which, self.exponents, strict=True)}
         x, p = own.pop(i, (0.0, 0))

@@ -30,8 +30,6 @@ from ringtrue.errors import DataError, InputError, RingtrueError
 from ringtrue.io.files import existing
 
 MEGABYTE = 1 << 20
-
-
 DAMAGE = (  # all that the parsers were seen to raise in 10^6 damaged files
     ArithmeticError,
     AssertionError,
@@ -54,11 +52,7 @@ DAMAGE = (  # all that the parsers were seen to raise in 10^6 damaged files
     zipfile.LargeZipFile,
     zlib.error,
 )
-
-
 EXPORT_AGAIN = "write or export the file again"
-
-
 _SHOWN = 200  # characters of what the parser says
 
 
@@ -98,17 +92,9 @@ def check_size(path: Path, most: int, kind: str, error: type[InputError] = DataE
 
 
 _SECONDS = 5.0  # for any file
-
-
 _RATE = 5 * MEGABYTE  # bytes a second that a parser reads at least
-
-
 _MEMORY = 512 * MEGABYTE  # for any file
-
-
 _TIMES = 16  # and that many times its size
-
-
 _START = (
     "import sys; sys.path[:] = sys.argv[1:]; from ringtrue.io.foreign.child import serve; serve()"
 )
@@ -171,11 +157,7 @@ class _Child:
 
 
 _child: _Child | None = None
-
-
 _choose = threading.Lock()
-
-
 _tried: dict[tuple[str, tuple[int, int, int, int]], Any] = {}
 
 

@@ -43,8 +43,6 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 OUTSIDE = "RINGTRUE_HDF5_OUTSIDE"  # environment variable
-
-
 _PARSER = "hdf5"
 
 
@@ -84,11 +82,7 @@ def is_hdf5(path: str | Path) -> bool:
 
 
 LARGEST = 256 * MEGABYTE  # shapes of 100,000 channels and 100 modes
-
-
 DEEPEST = 50  # tables within tables; ringtrue's own have 6
-
-
 _WIDEST = 1 << 63  # of integers: 64 bits
 
 
@@ -165,11 +159,7 @@ def _too_deep(path: str | Path, error: type[InputError]) -> InputError:
 
 
 MOST_CELLS = 1_000_000  # of a sheet: 1,000 channels and 1,000 modes; 5 s
-
-
 _UNPACKED = 64 * MEGABYTE  # of a part of the workbook: a cell takes some 30 bytes
-
-
 _SAVE_AGAIN = "open it in Excel and save it again, or save the sheet as .csv"
 
 
@@ -237,14 +227,8 @@ def _opened(path: str | Path) -> Iterator[Any]:
 
 
 _TAGS = (b"TDSm", b"TDSh")
-
-
 _LEAD_IN = struct.Struct("<4sIIQQ")
-
-
 _TOO_MANY = 1 << 20  # objects or properties: a damaged count, not a file
-
-
 _OPEN_END = 2**64 - 1  # length of a segment that its recorder did not close
 
 

@@ -15,11 +15,7 @@ from ringtrue.errors import DataError
 from ringtrue.io.files import existing
 
 _D = bytes.maketrans(b"Dd", b"Ee")
-
-
 _TOUCHING = re.compile(rb"(?<=\d)(?=[+-]\d?\.)")
-
-
 _NO_LETTER = re.compile(
     r"^([+-]?[\d.]+)([+-]\d+)$"
 )  # 1.00000-101: Fortran drops the letter before 3 digits
@@ -143,23 +139,11 @@ def row(lines: Sequence[str], at: int) -> str:
 
 
 _USUAL = b"    -1"
-
-
 _MARK = re.compile(rb"(?:^|(?<=[\r\n])) {0,5}-1[ \t\x00]*(?=[\r\n]|\Z)")
-
-
 _END = re.compile(rb"[\r\n]{0,2} {4}-1[ \t]*(?=[\r\n]|\Z)")
-
-
 LINE = re.compile(rb"\r\n|\n|\r")
-
-
 _ASCII_LINES = 11  # of the header of data set 58
-
-
 _FORM = 6  # the line of it with type of ordinates, points, spacing
-
-
 _DOUBLE, _COMPLEX = (4, 6), (5, 6)
 
 

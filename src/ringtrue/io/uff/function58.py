@@ -18,26 +18,12 @@ from ringtrue.io.si import axis_factor
 from ringtrue.io.uff.datasets import LINE, Block, numbers, parse_int, reals, row, words
 
 TIME, FRF, TRANSMISSIBILITY, COHERENCE = 1, 4, 5, 6  # function types
-
-
 TIME_AXIS, FREQUENCY_AXIS = 17, 18  # data types of abscissae
-
-
 _PLACE = (5, 10, 5, 10, 11, 10, 4, 11, 10, 4)
-
-
 _FORM = (10, 10, 10, 13, 13, 13)
-
-
 _AXIS = (10, 5, 5, 5, 21, 21)
-
-
 _HEADER = 11
-
-
 _REAL_SINGLE, _REAL_DOUBLE, _COMPLEX_SINGLE, _COMPLEX_DOUBLE = 2, 4, 5, 6
-
-
 _WIDTHS = {  # ordinate type, even spacing: columns of a line
     (_REAL_SINGLE, True): (13,) * 6,
     (_REAL_SINGLE, False): (13,) * 6,

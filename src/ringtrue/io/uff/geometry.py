@@ -316,8 +316,6 @@ def _header2400(lines: Sequence[str]) -> ModelHeader:
 
 
 _MOST = 9_999_999_999  # ten columns
-
-
 _UNITS = {
     "type": 164,
     "units_code": 1,

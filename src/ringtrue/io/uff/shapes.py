@@ -20,11 +20,7 @@ from ringtrue.io.uff.datasets import Block, integers, parse_real, reals, row, sc
 from ringtrue.io.uff.functions import label
 
 NORMAL, COMPLEX = 2, 3  # analysis types
-
-
 AT_NODES = 1  # location of data in 2414
-
-
 _NODE = re.compile(r"^\s*\d+\s*$")
 
 

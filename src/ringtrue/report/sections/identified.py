@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ringtrue.core.modes import ModeSet, Uncertainty
-from ringtrue.identification.poles import StableDiagram
+from ringtrue.identification.common.poles import StableDiagram
 from ringtrue.plots import identification as plots
 from ringtrue.report.parts import (
     Block,

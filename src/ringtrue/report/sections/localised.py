@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ringtrue.plots import localising as plots
+from ringtrue.plots import updating as plots
 from ringtrue.report.parts import (
     Block,
     Cell,

@@ -8,7 +8,7 @@ from ringtrue.core.arrays import Float
 from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.signals import FrfSet
 from ringtrue.core.testmodel import TestModel
-from ringtrue.identification.poles import StableDiagram
+from ringtrue.identification.common.poles import StableDiagram
 
 
 @dataclass(frozen=True, slots=True, eq=False)

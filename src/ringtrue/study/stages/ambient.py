@@ -17,18 +17,18 @@ from ringtrue.core.progress import Progress
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import about
-from ringtrue.identification.ambient import AmbientSettings, identify_stretches
-from ringtrue.identification.stretches import SHORTEST
+from ringtrue.identification.ambient.pipeline import AmbientSettings, identify_stretches
+from ringtrue.identification.ambient.record_bands import SHORTEST
 from ringtrue.io.records import read_record, refuse_bad_samples
 from ringtrue.io.sheets import SensorSheet
 from ringtrue.signal.gaps import Gaps, bridged
 from ringtrue.signal.sensor_response import Geophone, deconvolve, lowest_frequency
 from ringtrue.signal.spectra import Welch, csd
-from ringtrue.study.blows import renamed
-from ringtrue.study.config import IdentifySection
+from ringtrue.study.config_sections import IdentifySection
+from ringtrue.study.hammer_records import renamed
 from ringtrue.study.log import Logged, SensorType
-from ringtrue.study.naming import check_channels
 from ringtrue.study.results import IdentifiedRecord, RecordSummary
+from ringtrue.study.supplied import check_channels
 
 SHOWN, POINTS = 4, 1500  # channels and samples of a preview
 

@@ -19,11 +19,7 @@ from ringtrue.model.case_control import METHODS
 from ringtrue.model.model import Model
 
 _RESULT = "NASTRAN/RESULT"
-
-
 _MODES = 2  # ANALYSIS of a domain of real modes
-
-
 _COMPONENTS = ("X", "Y", "Z", "RX", "RY", "RZ")
 
 

@@ -16,56 +16,30 @@ from ringtrue.errors import DataError
 from ringtrue.io.files import existing
 
 _NUMBER = rb"[-+]?\d+\.\d*(?:E?[-+]\d+)?"
-
-
 _VALUES = re.compile(rb"R E A L   E I G E N V A L U E S")
-
-
 _VALUE_ROWS = re.compile(
     rb"^[ 0]?[ ]*(\d+)[ ]+\d+((?:[ ]+" + _NUMBER + rb"[*]?){5})[ ]*(?:\d+\.?)?[ ]*\r?$", re.M
 )
-
-
 _VECTOR = re.compile(
     rb"R E A L   E I G E N V E C T O R   N O \.[ ]+(\d+)"
     rb"|^[ ]*OUTPUT FOR EIGENVECTOR[ ]+(\d+)[ ]*\r?$",
     re.M,
 )
-
-
 _ROWS_BEGIN = re.compile(rb"POINT ID\.[ ]+TYPE[^\n]*\n|GRID[ ]+COORD[^\n]*\n[^\n]*SYS[^\n]*\n")
-
-
 _ROWS = re.compile(rb"(?:^[ 0]?[ ]*\d+[ ]+[A-Z0-9]+(?:[ ]+" + _NUMBER + rb")+[ ]*\r?\n)+", re.M)
-
-
 _ROW = re.compile(rb"^[ 0]?[ ]*(\d+)[ ]+([A-Z0-9]+)[ ]+([^\r\n]*)", re.M)
-
-
 _STURM = re.compile(
     rb"CYCLES *= *(" + _NUMBER + rb") +NUMBER OF EIGENVALUES BELOW THIS VALUE *= *(\d+)"
 )
-
-
 _COMPLEX = re.compile(rb"C O M P L E X   E I G E N V E C T O R")
-
-
 _FATAL = re.compile(
     rb"^.*(?:(?:USER|SYSTEM) FATAL MESSAGE|\*ERROR +(?:\d+|:)|FATAL ERROR|PROCESSING TERMINATED)"
     rb".*(?:\n.*){0,3}",
     re.M | re.I,
 )
-
-
 Bytes = bytes | mmap.mmap
-
-
 _FATAL_WORDS = (b"FATAL", b"*ERROR", b"PROCESSING TERMINATED")
-
-
 _PIECE = 1 << 20  # bytes that are looked through at once
-
-
 _HEAD = 4000  # bytes from a title of a page to its rows, and of the lines behind a message, at most
 
 
@@ -219,8 +193,6 @@ def _fatal(data: Bytes) -> Iterator[bytes]:
 
 
 _EIGENVALUE = re.compile(r"\$EIGENVALUE *= *(\S+) +MODE *= *(\d+)")
-
-
 _SECTION = re.compile(
     r"\$(EIGENVECTOR|DISPLACEMENTS|SPCF|MPCF|OLOADS|ELEMENT|VELOCITY|ACCELERATION)", re.I
 )
