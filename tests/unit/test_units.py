@@ -26,7 +26,7 @@ from ringtrue.io.modes import write_modes
 from ringtrue.model.edit import in_seconds
 from ringtrue.study.direct import with_lumps
 from ringtrue.study.opened import Opened
-from ringtrue.updating.candidates import CandidateSettings
+from ringtrue.updating.selection.candidates import CandidateSettings
 
 Capture = pytest.CaptureFixture[str]
 ELEMENTS = 10

@@ -33,10 +33,10 @@ from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
 from ringtrue.reduction.parametric import BasisOptions, ReducedModel
 from ringtrue.solvers.embedded import EmbeddedAnalysis, EmbeddedSolver
-from ringtrue.updating.candidates import Candidate, CandidateSettings
-from ringtrue.updating.effects import effective, reduced_candidates
-from ringtrue.updating.generate import generate
-from ringtrue.updating.objective import Target
+from ringtrue.updating.selection.candidates import Candidate, CandidateSettings
+from ringtrue.updating.selection.effects import effective, reduced_candidates
+from ringtrue.updating.selection.generation import generate
+from ringtrue.updating.target import Target
 
 Array = npt.NDArray[np.float64]
 

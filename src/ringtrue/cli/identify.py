@@ -19,7 +19,6 @@ from ringtrue.core.choice import Choice
 from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import ConfigError, DataError, about, did_you_mean
-from ringtrue.identification.ambient import AmbientResult, AmbientSettings, identify_stretches
 from ringtrue.identification.ambient.pipeline import (
     AmbientResult,
     AmbientSettings,

@@ -24,8 +24,8 @@ from ringtrue.study.placing import placed, seat_words, seats, seats_json
 from ringtrue.study.reference import measured_part
 from ringtrue.study.results import Seat
 from ringtrue.study.supplied import pair_frequencies
-from ringtrue.updating.candidates import CandidateSettings
-from ringtrue.updating.proposal import Proposed as Member
+from ringtrue.updating.selection.candidates import CandidateSettings
+from ringtrue.updating.selection.proposal import Proposed as Member
 
 POOL: int = LocaliseSection.model_fields["pool"].default
 

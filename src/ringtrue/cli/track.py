@@ -18,7 +18,6 @@ from ringtrue.core.arrays import Float
 from ringtrue.core.progress import Progress
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import ConfigError, DataError, about, did_you_mean
-from ringtrue.identification.ambient import AmbientSettings, identify_ambient
 from ringtrue.identification.ambient.pipeline import AmbientSettings, identify_ambient
 from ringtrue.identification.common.tracking import ModeTrack, Stretch, Tracked, track_modes, unseen
 from ringtrue.io.files import atomic_write

@@ -45,9 +45,9 @@ from ringtrue.study.objective import KINDS as KINDS_OF_MODES
 from ringtrue.study.objective import LOSSES
 from ringtrue.study.opened import Opened
 from ringtrue.study.placing import seat_words, seats_json
-from ringtrue.updating.trust import KINDS
-from ringtrue.updating.verified import Verified
-from ringtrue.updating.weights import RULES
+from ringtrue.updating.regularisation import RULES
+from ringtrue.updating.solver import KINDS
+from ringtrue.updating.strategy import Verified
 
 
 def update(

@@ -346,6 +346,7 @@ def _unseen(pairing: Pairing) -> Pairing:
         subspace=np.zeros(len(pairing), dtype=np.bool_),
         reasons_a=("no mode is like the one that it was taken for",) * pairing.unpaired_a.size,
         reasons_b=("no frequency of the test is taken for it",) * pairing.unpaired_b.size,
+        gated_a=np.zeros(pairing.unpaired_a.size, dtype=np.bool_),
     )
 
 
