@@ -179,8 +179,8 @@ def _identified(
         result = identify_ambient(motion, settings)
     except DataError as e:
         return None, [f"left out: {e}"]
-    said = [n for n in result.notes if n.startswith("channel")]
-    return Stretch(middle, result.modes, result.uncertainty), said
+    stretch = Stretch(middle, result.modes, result.uncertainty)
+    return stretch, list(result.channel_notes)
 
 
 def _come_and_gone(tracked: Tracked) -> list[str]:
