@@ -33,7 +33,7 @@ from ringtrue.correlation.sensor_mounting import (
 )
 from ringtrue.errors import ConfigError
 from ringtrue.io.matrices import read_matrices
-from ringtrue.io.modes_json import READ
+from ringtrue.io.modes import READ
 from ringtrue.model.model import Model
 from ringtrue.study.config_sections import CorrelateSection, Tam
 from ringtrue.study.placing import (

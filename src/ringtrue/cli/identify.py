@@ -37,9 +37,9 @@ from ringtrue.identification.methods import (
     AUTOMATIC_AMBIENT,
     PeakMethod,
 )
-from ringtrue.io.atomic import atomic_write
 from ringtrue.io.choices import read_choice, write_choice
-from ringtrue.io.modes_json import modes_to_json
+from ringtrue.io.files import atomic_write
+from ringtrue.io.modes import modes_to_json
 from ringtrue.plots.pages import picker_page
 
 

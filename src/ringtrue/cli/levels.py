@@ -15,7 +15,7 @@ from ringtrue.cli.show import out, rows, tell, write_json
 from ringtrue.core.arrays import Float
 from ringtrue.errors import ConfigError
 from ringtrue.identification.frf.linearity import LevelDependence
-from ringtrue.io.modes_json import modes_to_json
+from ringtrue.io.modes import modes_to_json
 
 
 def check_levels(levels: Sequence[float], files: int) -> None:

@@ -29,7 +29,7 @@ from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.decks.nastran.reader import Survey, survey
 from ringtrue.errors import ConfigError, DeckError, RingtrueError
 from ringtrue.fem.assembly import assemble
-from ringtrue.io.modes_json import WRITTEN, dump_modes
+from ringtrue.io.modes import WRITTEN, dump_modes
 from ringtrue.model.ports import ModesResult
 from ringtrue.solvers.registry import EMBEDDED, solver, time_limits
 

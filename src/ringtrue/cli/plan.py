@@ -13,7 +13,7 @@ from ringtrue.api.studies import ALONE, TestPlan, plan_test
 from ringtrue.cli.show import Json, one_of, progress, rows, tell, write_json
 from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.errors import ConfigError
-from ringtrue.io.foreign.texts import read_toml
+from ringtrue.io.foreign.parsers import read_toml
 from ringtrue.planning.exciters import reciprocity_pairs
 from ringtrue.planning.virtual_test import Rehearsal, missed_words
 from ringtrue.study.config_sections import Directions, Strike

@@ -21,7 +21,7 @@ from ringtrue.core.dofs import DofSet
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.decks.nastran.reader import read_damped_deck
 from ringtrue.errors import ConfigError
-from ringtrue.io.atomic import atomic_write
+from ringtrue.io.files import atomic_write
 from ringtrue.io.frfs import write_frfs
 from ringtrue.io.statics import COLUMNS
 from ringtrue.plots.pages import frf_page
