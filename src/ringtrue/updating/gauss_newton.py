@@ -27,6 +27,15 @@ from ringtrue.updating.residuals.modal import (
 )
 from ringtrue.updating.target import Target, match, span_residual
 
+# least eigenvalue, in units of the Gauss-Newton diagonal, of a Hessian with second derivatives
+SAFE = 1e-3
+NEAR = 0.3  # largest change of x over which a secant says something of the Hessian
+FREE = 0.1  # damping below which the length of a step is the method's own
+STEP, GRADIENT = (
+    1e-5,
+    1e-6,
+)  # convergence: step in x; gradient relative to its size without cancellation
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Residual:
@@ -192,22 +201,6 @@ def _kind(term: Term) -> int:
     if isinstance(term, OF_FREQUENCY):
         return 0
     return 1 if isinstance(term, Shapes | Mac | CrossOrthogonality) else 2
-
-
-# least eigenvalue, in units of the Gauss-Newton diagonal, of a Hessian with second derivatives
-SAFE = 1e-3
-
-
-NEAR = 0.3  # largest change of x over which a secant says something of the Hessian
-
-
-FREE = 0.1  # damping below which the length of a step is the method's own
-
-
-STEP, GRADIENT = (
-    1e-5,
-    1e-6,
-)  # convergence: step in x; gradient relative to its size without cancellation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
