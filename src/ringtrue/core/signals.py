@@ -187,7 +187,8 @@ class FrfSet(Displayed):
         DataError
             If no response or no reference is left.
         """
-        lost, sides = set(ids), (self.outputs, self.inputs)
+        lost = set(ids)
+        sides = (self.outputs, self.inputs)
         o, i = (
             np.array([k for k, c in enumerate(side) if c.id not in lost], dtype=np.int64)
             for side in sides

@@ -89,7 +89,8 @@ class Table:
 
     def find(self, ids: NDArray[Any]) -> Int:
         """Row of each id, (k,) int64, -1 where absent."""
-        mine, want = self.ids, np.asarray(ids, dtype=np.int64)
+        mine = self.ids
+        want = np.asarray(ids, dtype=np.int64)
         if not mine.size:
             return np.full(want.shape, -1, dtype=np.int64)
         order = np.argsort(mine, kind="stable")

@@ -15,8 +15,8 @@ from ringtrue.core.signals import FrfSet
 from ringtrue.core.testmodel import Observation
 from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.correlation.frf import compare_frfs, fdac
-from ringtrue.correlation.measures import Lift, complete
-from ringtrue.correlation.orthogonality import Gate
+from ringtrue.correlation.measures import complete
+from ringtrue.correlation.orthogonality import Gate, Lift
 from ringtrue.correlation.pairing import Pairing
 from ringtrue.correlation.tracking import Tracks, track
 from ringtrue.eigen.modes import low_shift
