@@ -18,8 +18,7 @@ from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
-from ringtrue.decks.nastran.results.hdf5 import is_nastran_h5
-from ringtrue.decks.nastran.results.modes import READERS, read_nastran_modes
+from ringtrue.decks.nastran.results.modes import READERS, is_nastran_h5, read_nastran_modes
 from ringtrue.errors import ConfigError, DataError, InputError, did_you_mean
 from ringtrue.identification.ambient.pipeline import (
     AmbientResult,

@@ -19,7 +19,7 @@ from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.core.signals import FrfSet
 from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.decks.nastran import reader
-from ringtrue.decks.nastran.edit import edit_fields
+from ringtrue.decks.nastran.editor import edit_fields
 from ringtrue.errors import ConfigError, InputError, UnsupportedError, did_you_mean
 from ringtrue.model.case_control import ModalDamping, asked_modes, responding
 from ringtrue.model.dimensions import MADE

@@ -20,7 +20,7 @@ from ringtrue.core.progress import Progress, quiet
 from ringtrue.core.signals import FrfSet
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.errors import ConfigError, DataError, did_you_mean
-from ringtrue.io.atomic import atomic_write, writes
+from ringtrue.io.files import atomic_write, writes
 from ringtrue.model.ports import ModesRequest
 from ringtrue.planning.plan_files import NAMES, reach_of, write_test_sheet
 from ringtrue.report.build import deliver, report_from_store

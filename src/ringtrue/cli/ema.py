@@ -40,7 +40,7 @@ from ringtrue.identification.frf.pipeline import HammerModes, identify_hammer
 from ringtrue.identification.frf.residues import driving_pairs
 from ringtrue.identification.methods import AUTOMATIC_FRF, FRF_METHODS, identify_frfs_by
 from ringtrue.io.frfs import frf_ids, holds_frfs, read_frfs, write_frfs
-from ringtrue.io.modes_json import modes_to_json
+from ringtrue.io.modes import modes_to_json
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.signal.channel_checks import clipping_told
 from ringtrue.signal.frf_sets import alike, join_frfs, setups_of

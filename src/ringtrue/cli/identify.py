@@ -35,9 +35,9 @@ from ringtrue.identification.methods import (
     SecondOpinion,
     identify_ambient_by,
 )
-from ringtrue.io.atomic import atomic_write
 from ringtrue.io.choices import read_choice, write_choice
-from ringtrue.io.modes_json import modes_to_json
+from ringtrue.io.files import atomic_write
+from ringtrue.io.modes import modes_to_json
 from ringtrue.io.records import read_record, refuse_bad_samples
 from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
 from ringtrue.plots.pages import picker_page

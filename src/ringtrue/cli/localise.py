@@ -14,7 +14,7 @@ from ringtrue.core.progress import part
 from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.correlation.assignment import NO_LOCKS
 from ringtrue.decks.nastran.reader import read_deck
-from ringtrue.io.modes_json import read_modes
+from ringtrue.io.modes import read_modes
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.shapes.complexity import realise_modes
 from ringtrue.study.config_sections import CorrelateSection, LocaliseSection, target_words

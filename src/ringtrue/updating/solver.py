@@ -21,8 +21,8 @@ from ringtrue.core.arrays import Float, freeze_fields
 from ringtrue.core.iterate import Outcome, iterate
 from ringtrue.core.progress import Progress
 from ringtrue.errors import ConfigError, DataError, NumericalError, SolverError, did_you_mean
-from ringtrue.io.atomic import atomic_write, keeps_up
-from ringtrue.io.foreign.texts import read_json
+from ringtrue.io.files import atomic_write, keeps_up
+from ringtrue.io.foreign.parsers import read_json
 from ringtrue.updating.problem import Evaluated, Problem, held_to, least_distance, squares
 
 Kind = Literal["gauss-newton", "published", "levenberg-marquardt", "trust-region"]

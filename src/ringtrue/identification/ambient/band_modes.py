@@ -2,8 +2,8 @@
 
 Three kinds of records ask for more. Of a few strong events in silence a block without an event
 holds noise only, and the first half of the record may hold all events. A frequency that wanders
-along the record (temperature, traffic, tide) makes the estimates of neighbouring blocks alike: the
-mean over the record is wider than the mode. What is left of the ripples of an echo
+along the record (temperature, traffic, tide) makes the estimates of neighbouring blocks similar:
+the mean over the record is wider than the mode. What is left of the ripples of an echo
 (`signal.echoes`) makes modes less certain.
 
 A ripple ε cos(ωτ + φ) of the logarithmic spectrum at a resonance 1/(1 + x²), x = (ω − ω0)/(ζ ω0),
@@ -57,7 +57,7 @@ from ringtrue.signal.spectra import block_weights
 # modes
 SHARES = (0.6, 1.0, 1.5)
 SILENT_PERCENTILE = 20  # percentile of the power of the blocks
-ABOVE_SILENCE = 10.0  # times that: where motion stands out of it, blocks count alike
+ABOVE_SILENCE = 10.0  # times that: where motion stands out of it, blocks have equal weight
 LEAST_BLOCKS = 12
 BEYOND = 3.0  # standard deviations of the mean correlation of neighbours
 MATTERS = 0.25  # standard deviation of the frequency over the damping: below it adds 3 % of damping
@@ -91,7 +91,7 @@ def _candidates(
     least: float,
     heard: RecordFacts,
 ) -> tuple[BandPoles, CandidateModes, Int, list[tuple[int, int]]]:
-    """Poles, candidates, the pick behind each and the pairs that are not told apart, of the lower
+    """Poles, candidates, the pick behind each and the pairs that are not separated, of the lower
     orders.
 
     Of all orders where modes still appear late or are in doubt, and of more where they crowd the
@@ -139,11 +139,11 @@ def modes_of_band(sums: BandSums, confidence_min: float, heard: RecordFacts) -> 
     poles, table, picked, pairs = _candidates(
         sums, r, weights=weights, parts=(halves[0], halves[1]), least=confidence_min, heard=heard
     )
-    sure = confidence(table, sums.ssi.order_max // sums.ssi.order_step)
+    conf = confidence(table, sums.ssi.order_max // sums.ssi.order_step)
     turning = tuple(i for both in pairs for i in both)
     diagram = _diagram(poles, table, sums)
     found = _found(
-        sums, diagram, table=table, sure=sure, picked=picked, turning=turning, motion=motion
+        sums, diagram, table=table, conf=conf, picked=picked, turning=turning, motion=motion
     )
     at = np.array([i for _, i in select([found], confidence_min)], dtype=np.int64)
     if not at.size or heard.driven:
@@ -154,14 +154,14 @@ def modes_of_band(sums: BandSums, confidence_min: float, heard: RecordFacts) -> 
         table = loosened(
             refined(table, at, references=sums.eyes, bins=bins, slope=heard.slope), pairs
         )
-        sure = without_noise(
-            table, without_echoes(table, sure), sums.stretches * sums.bins.duration
+        conf = without_noise(
+            table, without_echoes(table, conf), sums.stretches * sums.bins.duration
         )
     found = _found(
         sums,
         diagram,
         table=with_wander_doubt(table, wandering),
-        sure=sure,
+        conf=conf,
         picked=picked,
         turning=turning,
         motion=motion,
@@ -175,7 +175,7 @@ def _found(
     sums: BandSums,
     diagram: StableDiagram,
     table: CandidateModes,
-    sure: Float,
+    conf: Float,
     picked: Int,
     turning: tuple[int, ...],
     motion: CommonMotion | None,
@@ -188,7 +188,7 @@ def _found(
         table=table,
         shape=unit(scaled),
         shape_std=std,
-        confidence=sure,
+        confidence=conf,
         diagram=diagram,
         picked=picked,
         turning=turning,
@@ -203,8 +203,8 @@ def _diagram(poles: BandPoles, table: CandidateModes, sums: BandSums) -> StableD
 
 
 def event_weights(power: Float) -> Float:
-    """(block,) weights, sum 1, of blocks of mean square `power` (block,): loud ones count alike,
-    silent ones little.
+    """(block,) weights, sum 1, of blocks of mean square `power` (block,): loud ones have equal
+    weight, silent ones little.
     """
     floor = max(
         float(np.percentile(power, SILENT_PERCENTILE)),

@@ -1,6 +1,6 @@
 """Candidate modes of a band: checks of each pole, clusters over the orders, one estimate of each.
 
-A physical pole is told from a mathematical one by what is measured: its standard deviation, the
+A physical pole differs from a mathematical one by what is measured: its standard deviation, the
 strength of its contribution to the correlations, the orders and the halves of the record that show
 it.
 """

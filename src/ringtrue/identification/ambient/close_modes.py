@@ -12,9 +12,9 @@ likelihood, and reaches its bound.
 
 The poles of a repeated root take another mixture of the two shapes at every order; the plane of the
 two stays in place. In a basis q of that plane each order gives A = C diag(λ) C⁻¹, C = qᴴψ, free of
-the mixture. Its mean has the poles of the pair. Where they are no farther apart than they are
-known, any turn in the plane fits as well: the shapes are then two real orthogonal ones, and their
-deviations hold the turn.
+the mixture. Its mean has the poles of the pair. Where they are no farther from each other than they
+are known, any turn in the plane fits as well: the shapes are then two real orthogonal ones, and
+their deviations hold the turn.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ WITHIN = 0.8  # of a squared shape that must lie in the plane
 UNLIKE = 0.05  # least eigenvalue of the Gram matrix of two unit shapes that span a plane
 WEAK = 0.2  # strength of the weaker pole over that of the stronger
 ANY = float(np.sqrt(0.5))
-SEPARATE = 2.0  # standard deviations between poles that are told apart
+SEPARATE = 2.0  # standard deviations between poles that are separated
 DAMPING = 3.0  # ratio to that of the place within which a pole may be one of a pair
 
 
@@ -108,9 +108,9 @@ def unmix(
     begin = np.eye(m, dtype=np.complex128) if start is None else start
     matrix = begin.copy()
     variance = np.zeros((m, m))
-    apart = np.abs(frequency[:, None] - frequency) / (half[:, None] + half)
+    distance = np.abs(frequency[:, None] - frequency) / (half[:, None] + half)
     rank = np.argsort(np.argsort(frequency, kind="stable"), kind="stable")
-    near = np.where(np.abs(rank[:, None] - rank) == 1, apart < FAR, apart < CLOSE)
+    near = np.where(np.abs(rank[:, None] - rank) == 1, distance < FAR, distance < CLOSE)
     pairs = [(i, j) for i in range(m) for j in range(i) if near[i, j] and len(shape) > 2]
     for i, j in pairs:
         both = (np.array([i, j]), np.array([j, i]))
@@ -169,7 +169,7 @@ def _pair_mixing(
 
 
 def _windows(freqs: Float, f: Float, z: Float) -> list[slice]:
-    """The bins beside both modes: one range, or two where these do not touch."""
+    """The bins around both modes: one range, or two where these do not touch."""
     low = np.searchsorted(freqs, f - REACH * z * f)
     high = np.searchsorted(freqs, f + REACH * z * f)
     first, second = np.argsort(low, kind="stable").tolist()
@@ -200,7 +200,7 @@ def _filters(
 
 
 def _levels(own: Float, h: Complex) -> tuple[Float, Float]:
-    """Peak of each mode and the background beside it (2,) from the spectra (bin, 2) of its
+    """Peak of each mode and the background around it (2,) from the spectra (bin, 2) of its
     coordinate.
     """
     form = np.abs(h) ** 2
@@ -282,9 +282,9 @@ def refined(
 
 
 def _unmixed(c: CandidateModes, at: Int, mix: Mixing) -> CandidateModes:
-    """The candidates with the shapes of the rows `at` told apart.
+    """The candidates with the shapes of the rows `at` separated.
 
-    Deviations in the direction of a shape that was told apart give way to those of the mixing, in
+    Deviations in the direction of a shape that was separated give way to those of the mixing, in
     columns of their own.
     """
     psi = c.shape[:, at] @ mix.matrix
@@ -337,7 +337,7 @@ def with_pairs(
     least: float,
 ) -> tuple[CandidateModes, list[tuple[int, int]]]:
     """The candidates with two more rows for each pair that they lack, and the rows of pairs that
-    are not told apart.
+    are not separated.
 
     Rows that the two replace are agreed on by no half of the record any more.
 
@@ -455,23 +455,23 @@ def _solved(band: BandPoles, at: Int, basis: Complex) -> Pair:
     pole, vectors = np.linalg.eig(mean)
     std = np.sqrt(2 * (np.abs(w @ _mean_deviation(band, at) / w.sum()) ** 2).sum())
     turn = np.sqrt(2) * std / abs(pole[0] - pole[1])
-    told = turn < 1 / SEPARATE
+    separated = turn < 1 / SEPARATE
     real, size, _ = np.linalg.svd(
         np.concatenate([basis.real, basis.imag], axis=1), full_matrices=False
     )
-    if not told and size[2] < 0.5 * size[1]:
+    if not separated and size[2] < 0.5 * size[1]:
         inner = real[:, :2].T @ basis
         turned = (inner @ mean @ np.linalg.inv(inner)).imag
         shape = (real[:, :2] @ np.linalg.eigh(turned + turned.T)[1]).astype(np.complex128)
     else:
-        shape = basis @ (vectors if told else np.eye(2))
+        shape = basis @ (vectors if separated else np.eye(2))
     rank = np.argsort(np.abs(pole))
     return Pair(
         members=at,
         basis=basis,
         pole=pole[rank],
-        shape=shape[:, rank] if told else shape,
-        turn=turn if told else ANY,
+        shape=shape[:, rank] if separated else shape,
+        turn=turn if separated else ANY,
     )
 
 
@@ -489,12 +489,12 @@ def _rows(band: BandPoles, pair: Pair, agreed: float) -> CandidateModes:
     d = _mean_deviation(band, at)
     w = 1 / (np.abs(d) ** 2).sum(1)
     d = w @ d / w.sum()
-    alike = np.abs((p.shape[:, at[:, 0]].conj() * p.shape[:, at[:, 1]]).sum(0))
-    alike /= np.linalg.norm(p.shape[:, at[:, 0]], axis=0) * np.linalg.norm(
+    overlap = np.abs((p.shape[:, at[:, 0]].conj() * p.shape[:, at[:, 1]]).sum(0))
+    overlap /= np.linalg.norm(p.shape[:, at[:, 0]], axis=0) * np.linalg.norm(
         p.shape[:, at[:, 1]], axis=0
     )
-    # the order that tells the plane best
-    table = groups_table(band, [at[[alike.argmin()], k] for k in (0, 1)])
+    # the order that shows the plane best
+    table = groups_table(band, [at[[overlap.argmin()], k] for k in (0, 1)])
     c = np.linalg.lstsq(table.shape, pair.shape)[0]
     outside = np.einsum("mk,mcb->kcb", c, table.shape_deviation)
     outside -= np.einsum("cd,kdb->kcb", pair.basis @ pair.basis.conj().T, outside)

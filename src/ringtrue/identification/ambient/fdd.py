@@ -30,7 +30,7 @@ _DAMPING = 1e-4, 0.3
 _ROUNDS = 40
 _NEAR = 1e-3
 _REACH = 10.0  # half bandwidths
-_FOOT = 0.05  # of the peak: where the bell ends beside an edge
+_FOOT = 0.05  # of the peak: where the bell ends at an edge
 _FALL = 0.3  # of a mode: what no mode falls below
 Method = Literal["fsdd", "efdd", "random decrement"]
 
@@ -49,7 +49,7 @@ class FddSettings:
     fmin, fmax : float, Hz
         Band of the peaks; fmax 0: what the rate allows.
     mac : float
-        Lines around the peak belong to the bell while their singular vector is that alike.
+        Lines around the peak belong to the bell while their singular vector has this MAC with it.
     levels : tuple of float
         Part of the decay that is fitted, of its start: from the first to the second. A correlation
         scatters by some 1/sqrt(ζωT), 0.12 for 2 Hz, 2 % and five minutes, so that little below 0.5
@@ -103,7 +103,7 @@ class _Bell:
     vector: Complex
     level: Float
     enhanced: Float
-    alike: float
+    mean_mac: float
 
 
 def fdd(
@@ -150,7 +150,7 @@ def fdd(
         shape.astype(np.complex128),
         ids,
         source=f"{history.source or 'record'}: {s.method}",
-        confidence=np.array([b.alike for b in bells]),
+        confidence=np.array([b.mean_mac for b in bells]),
     )
     std = Uncertainty.independent(rows[:, 2], rows[:, 3], np.full(shape.shape, np.nan))
     return FddResult(
@@ -229,7 +229,7 @@ def _bell(k: int, u: Complex, sv: Float, least: float, borders: tuple[int, int])
     level = sv[np.arange(len(sv)), which][part]
     enhanced = (like[part] * sv[part]).sum(1)  # ψᴴ G ψ
     return _Bell(
-        first, last, vector=psi, level=level, enhanced=enhanced, alike=float(best[part].mean())
+        first, last, vector=psi, level=level, enhanced=enhanced, mean_mac=float(best[part].mean())
     )
 
 

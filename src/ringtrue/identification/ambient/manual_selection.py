@@ -1,6 +1,6 @@
 """A choice by hand applied to an ambient record: modes added, confirmed, rejected or merged.
 
-The automatic modes keep their numbers: what is picked beside them is not refined with them.
+The automatic modes keep their numbers: what is picked besides them is not refined with them.
 """
 
 from __future__ import annotations
@@ -131,8 +131,8 @@ def chosen(
         near = [_nearest(found, rows, f) for f in merge.frequencies]
         members = list(dict.fromkeys(r for r in near if r is not None))
         if len(members) < 2:
-            told = ", ".join(f"{f:.5g}" for f in merge.frequencies)
-            notes.append(f"merged by hand, but not there as different modes: {told} Hz")
+            wanted = ", ".join(f"{f:.5g}" for f in merge.frequencies)
+            notes.append(f"merged by hand, but not there as different modes: {wanted} Hz")
             continue
         text = ", ".join(f"{_f(found, r):.5g}" for r in members)
         rows = [r for r in rows if r not in members]
@@ -160,14 +160,14 @@ def _picked(
     """The row of each pick, and what to say of it."""
     every = [(b, i) for b, x in enumerate(found) for i in range(x.table.pole.size)]
     meant = np.array([found[b].picked[i] for b, i in every], dtype=np.int64)
-    sure = np.array([found[b].confidence[i] for b, i in every])
+    conf = np.array([found[b].confidence[i] for b, i in every])
     said: dict[Row, str] = {}
     rest = []
     for k, pick in enumerate(choice.picks):
         own = np.flatnonzero(meant == k)
         if own.size:  # in two bands where they overlap
             order = f", order {pick.order}" if pick.order else ""
-            said[every[own[np.argmax(sure[own])]]] = f"chosen by hand{order}"
+            said[every[own[np.argmax(conf[own])]]] = f"chosen by hand{order}"
         else:
             rest.append(k)
     free = [r for r, m in zip(every, meant, strict=True) if m < 0]

@@ -21,7 +21,7 @@ from ringtrue.errors import DataError
 
 RELATIVE = 4e-4  # width of a bin over its frequency
 # half bandwidths to each side of a mode that its fit uses: fewer where something else stands there.
-# Ten leave a damping 18 % more scatter than the whole spectrum does, and a frequency beside an
+# Ten leave a damping 18 % more scatter than the whole spectrum does, and a frequency with an
 # unknown slope 27 %; twenty leave 8 and 12 %
 REACHES = (20.0, 10.0)
 # width of a bin in a fit: of the distance to the mode, of its half bandwidth at most
@@ -286,7 +286,7 @@ class _Fit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Filter:
-    """w (ch,) with wᴴψ = 1, and what passes it beside the mode.
+    """w (ch,) with wᴴψ = 1, and what passes it besides the mode.
 
     Attributes
     ----------
@@ -367,7 +367,7 @@ def refine_by_likelihood(
         velocities, 0 for displacements.
     doubt : (m,) float64, optional
         Relative standard deviation of `damping`; a fit that ends far beyond it has found something
-        else, and one that knows far less tells nothing: its filter took the mode with the others.
+        else, and one that knows far less is of no use: its filter took the mode with the others.
         0.2 if absent.
     """
     m = frequency.size

@@ -80,7 +80,7 @@ def half_spectra_modes(
     everywhere = np.ones(whole.freqs.size, dtype=np.bool_)
     found = grouped(_poles(whole), whole.data, sigma=level, frfs=whole, at=everywhere)[1]
     start = merged([found], whole.freqs, whole.window_decay)
-    pole, shape, sure = _settled(
+    pole, shape, conf = _settled(
         start,
         whole,
         halves=halves,
@@ -94,7 +94,7 @@ def half_spectra_modes(
     ids = tuple(c.id for c in history.channels)
     none = np.full(pole.size, np.nan)
     modes = ModeSet(
-        np.abs(pole) / (2 * np.pi), -pole.real / np.abs(pole), shape, ids, confidence=sure[rank]
+        np.abs(pole) / (2 * np.pi), -pole.real / np.abs(pole), shape, ids, confidence=conf[rank]
     )
     return modes, Uncertainty.independent(none, none, np.full(shape.shape, np.nan))
 
@@ -115,7 +115,7 @@ def _lags(history: TimeHistory) -> int:
 
 
 def _half_spectra(part: TimeHistory, band: tuple[float, float], refs: Int, lags: int) -> FrfSet:
-    """(freq, ch, ref) those of the lines in the band and a little beside."""
+    """(freq, ch, ref) those of the lines in the band and a little around it."""
     decay = -np.log(ENDS_AT) * part.rate / lags
     tapered = np.exp(-decay * np.arange(1, lags + 1) / part.rate)[:, None, None]
     r = correlations(part.data, refs, lags)[1:] * tapered
@@ -153,13 +153,13 @@ def _settled(
     while c.pole.size:
         fit = refine(lines, c.pole, c.participation)
         c = replace(c, pole=fit.poles, participation=fit.participation)
-        sure = assess_candidates(lines, fit, c, (), damping_max=DAMPING_MAX).confidence
-        if (sure >= least).all():
+        conf = assess_candidates(lines, fit, c, (), damping_max=DAMPING_MAX).confidence
+        if (conf >= least).all():
             start = c.pole - whole.window_decay, c.participation
-            sure = sure * _agreement(c.pole, refine(one, *start), refine(two, *start), duration)
-        if (sure >= least).all():
-            return fit.poles, fit.shapes, sure
-        c = c.take(np.arange(sure.size) != sure.argmin())
+            conf = conf * _agreement(c.pole, refine(one, *start), refine(two, *start), duration)
+        if (conf >= least).all():
+            return fit.poles, fit.shapes, conf
+        c = c.take(np.arange(conf.size) != conf.argmin())
     return c.pole, np.zeros((len(whole.outputs), 0), dtype=np.complex128), np.zeros(0)
 
 

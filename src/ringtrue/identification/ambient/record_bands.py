@@ -373,21 +373,21 @@ def sums_of_stretches(
     ssi: SsiCov,
     refs: Int | None,
     places: list[float],
-    tell: Progress,
+    report: Progress,
 ) -> tuple[list[BandSums], list[Events]]:
     """Sums of each band over all stretches, and the events of each stretch."""
     heard = [events_of(good, gaps)]
     sums = first_sums(good.data, good.rate, bands=bands, ssi=ssi, references=refs, events=heard[0])
     duration = good.duration
 
-    def told() -> Iterator[tuple[list[BandSums], TimeHistory]]:  # each with the sums so far
+    def with_sums() -> Iterator[tuple[list[BandSums], TimeHistory]]:  # each with the sums so far
         nonlocal duration
         for part in coming:
-            tell(0.0, f"filtering into bands, {duration:.4g} s done")
+            report(0.0, f"filtering into bands, {duration:.4g} s done")
             yield sums, part
             duration += part.duration
 
-    for got, events in abreast(lambda x: _one(*x, good, places), told()):
+    for got, events in abreast(lambda x: _one(*x, good, places), with_sums()):
         sums = joined_sums(sums, got)
         heard.append(events)
     return sums, heard

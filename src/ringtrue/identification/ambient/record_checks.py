@@ -26,7 +26,7 @@ LAST = 0.49  # and where it is looked at
 AT_EDGE = "left out: the spectrum ends there: the filter of the recorder"
 BROAD = 0.02  # damping that the edge of a filter may have
 FALL = 0.4  # of the fall of a mode
-# channels and segments of the spectrum in which peaks are looked for; lines beside
+# channels and segments of the spectrum in which peaks are looked for; neighbouring lines
 EYES = 8
 AVERAGES = 64
 BESIDE = 12

@@ -44,7 +44,7 @@ class CommonFault:
     before, after : float
         Mean MAC of the modes of this record with those of the others on the common channels, as
         they are and mended.
-    sure : bool
+    certain : bool
         Whether this record is the one; of two records either may be.
     """
 
@@ -52,11 +52,11 @@ class CommonFault:
     channels: tuple[str, ...]
     before: float
     after: float
-    sure: bool
+    certain: bool
 
     def describe(self, names: Sequence[str]) -> str:
         """One line."""
-        which = names[self.record] if self.sure else " or ".join(names[:2])
+        which = names[self.record] if self.certain else " or ".join(names[:2])
         what = "looks turned" if len(self.channels) == 1 else "look exchanged"
         return (
             f"{' and '.join(self.channels)} of {which} {what}: undone (MAC with the other "
@@ -90,7 +90,7 @@ def common_faults(records: Sequence[ModeSet]) -> tuple[CommonFault, ...]:
                         channels=channels,
                         before=1 - _mean(before),
                         after=1 - _mean(after),
-                        sure=len(now) > 2,
+                        certain=len(now) > 2,
                     )
         if best is None:
             break
@@ -128,14 +128,14 @@ def _misfits(records: Sequence[ModeSet], r: int, changed: ModeSet) -> Float:
     with; NaN: in none.
     """
     others = [m for k, m in enumerate(records) if k != r]
-    apart = np.array([_one_minus_mac(changed, m) for m in others]).reshape(
+    misfits = np.array([_one_minus_mac(changed, m) for m in others]).reshape(
         len(others), len(changed)
     )
-    known = np.isfinite(apart)
-    apart = apart[known.sum(axis=1) > 1]
+    known = np.isfinite(misfits)
+    misfits = misfits[known.sum(axis=1) > 1]
     known = known[known.sum(axis=1) > 1]
     count = known.sum(axis=0)
-    total = np.where(known, apart, 0.0).sum(axis=0)
+    total = np.where(known, misfits, 0.0).sum(axis=0)
     return np.asarray(np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0))
 
 
@@ -154,10 +154,10 @@ def _one_minus_mac(a: ModeSet, b: ModeSet) -> Float:
         return out
     rows_a = _rows_of(a, shared)
     rows_b = _rows_of(b, shared)
-    apart = 1 - mac(a.shapes[rows_a], b.shapes[rows_b])
+    misfit = 1 - mac(a.shapes[rows_a], b.shapes[rows_b])
     near = np.abs(a.frequencies[:, None] / b.frequencies - 1) < NEAR
-    i, j = linear_sum_assignment(np.where(near, apart, 10.0))
-    out[i[near[i, j]]] = apart[i, j][near[i, j]]
+    i, j = linear_sum_assignment(np.where(near, misfit, 10.0))
+    out[i[near[i, j]]] = misfit[i, j][near[i, j]]
     return out
 
 
@@ -212,8 +212,8 @@ class MergeSettings:
     mac : float
         Smallest MAC on the common channels, where there are two or more.
     weak : float
-        The same where frequencies agree within `spread`: a mode that the channels hardly see has a
-        poor shape.
+        The same where frequencies agree within `spread`: a mode that the channels see little of has
+        a poor shape.
     outlier : float
         Standard deviations from the median beyond which a record is flagged.
     spread : float
@@ -344,8 +344,8 @@ def _average(x: Float, sd: Float, s: MergeSettings, spread: float) -> tuple[floa
         np.nanmax(sd) if np.isfinite(sd).any() else max(spread, 1e-12),
     )
     middle = float(np.median(x))
-    apart = np.abs(x - middle) / np.hypot(sd, spread)
-    out = (apart > s.outlier) & (x.size > 2)
+    distance = np.abs(x - middle) / np.hypot(sd, spread)
+    out = (distance > s.outlier) & (x.size > 2)
     w = np.where(out, 0.0, 1 / sd**2)
     mean = float(w @ x / w.sum())
     chi = float(w @ (x - mean) ** 2) / max(int((~out).sum()) - 1, 1)

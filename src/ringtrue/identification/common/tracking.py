@@ -45,7 +45,7 @@ class TrackSettings:
         Weight of a new shape in the shape followed: it may turn slowly, as it does where two modes
         veer.
     least : int
-        Stretches that make a mode; rarer ones are listed apart.
+        Stretches that make a mode; rarer ones are listed as rare.
     """
 
     step: float = 0.02
@@ -336,9 +336,9 @@ def _one(a: ModeTrack, b: ModeTrack, clock: Float, s: TrackSettings) -> bool:
     like = common_mac(a.shape[:, None], b.shape[:, None])[0, 0]
     if np.intersect1d(a.at, b.at).size or like < max(0.9, s.mac):
         return False
-    apart = np.abs(clock[a.at][:, None] - clock[b.at])
-    i, j = np.unravel_index(apart.argmin(), apart.shape)
-    step = s.step * np.clip(np.sqrt(apart[i, j]), 1, 3) * a.frequency[i]
+    distance = np.abs(clock[a.at][:, None] - clock[b.at])
+    i, j = np.unravel_index(distance.argmin(), distance.shape)
+    step = s.step * np.clip(np.sqrt(distance[i, j]), 1, 3) * a.frequency[i]
     spread = np.hypot(_finite(a.std_frequency)[i], _finite(b.std_frequency)[j])
     return bool(abs(a.frequency[i] - b.frequency[j]) <= _reach(step, like, spread))
 

@@ -92,7 +92,7 @@ def perturb(dr: Any_, rows: int, u: Float, vs: Float, q: Float) -> Perturbations
 
 
 def _apart(z: Any_) -> Any_:
-    """Real parts beside imaginary ones, along the last axis."""
+    """Real and imaginary parts, along the last axis."""
     return np.concatenate([z.real, z.imag], axis=-1)
 
 
@@ -173,10 +173,10 @@ def modulus_std(psi: Complex, d_psi: Complex) -> Float:
     """Standard deviations (ch, m) of |ψ|, its largest component held at 1.
 
     `psi` (ch, m) are shapes and `d_psi` (m, ch, block) their deviations, both of any one scale. A
-    deviation δ across the phase of a component lengthens it, by δ²/2|ψ| where it is small beside it
-    and by δ where it is not. Of a component that is 0 the modulus has a Rayleigh distribution with
-    its 95 % point at 2.45 of the deviation; the factor of |ψ|² makes 1.96 of what is stated there
-    reach to 0 as often.
+    deviation δ across the phase of a component lengthens it, by δ²/2|ψ| where it is small against
+    it and by δ where it is not. Of a component that is 0 the modulus has a Rayleigh distribution
+    with its 95 % point at 2.45 of the deviation; the factor of |ψ|² makes 1.96 of what is stated
+    there reach to 0 as often.
     """
     m = np.arange(psi.shape[1])
     top = np.abs(psi).argmax(0)

@@ -65,7 +65,8 @@ def count_peaks(curve: Float) -> Int:
 
 
 def cmif_modes(frfs: FrfSet, settings: CmifPeaks | None = None) -> ModalModel:
-    """Modes at the peaks of the CMIF: a quick look, for modes apart by more than their bandwidth.
+    """Modes at the peaks of the CMIF: a quick look, for modes whose distance is more than their
+    bandwidth.
 
     The singular vectors at a peak filter the other modes out of the FRFs; the enhanced FRF uᴴ H v
     is that of a single mode and takes a rational function of order one. Two peaks that end in one

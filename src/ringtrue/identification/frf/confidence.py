@@ -19,7 +19,7 @@ HELD = 0.8
 PLAIN = 3e3
 HIDDEN = 1e3  # gain over the error and MPC of a mode that may hide under others
 REAL = 0.9  # near a node of the force
-# standard deviations of a residue, below and above which its sign tells nothing and all
+# standard deviations of a residue, below and above which its sign means nothing and all
 TOLD = 1.0
 SURE = 3.0
 COMPLEX = 0.6  # confidence of a mode that is plain to see, but of complex shape
@@ -287,17 +287,17 @@ def _double(
         np.diff(lines.s.imag)
     )
     close = np.abs(p[:, None] - p) / width
-    alike = mac(shapes, shapes) * mac(fit.participation.T, fit.participation.T)
-    same = mac(shapes, shapes) if shapes.shape[0] > 4 else alike
-    alike = np.where(
+    similarity = mac(shapes, shapes) * mac(fit.participation.T, fit.participation.T)
+    same = mac(shapes, shapes) if shapes.shape[0] > 4 else similarity
+    similarity = np.where(
         (c.support < 0.4)[:, None] & strict,
         same,
-        np.where((close < 1.0) & (same > 0.9), same, alike),
+        np.where((close < 1.0) & (same > 0.9), same, similarity),
     )
     stronger = total[None] > total[:, None]
     share = total[:, None] / np.maximum(total[None], 1e-300)
     bad = stronger & (
-        ((close < 1.0) & (alike > 0.8)) | ((close < 3.0) & (alike > 0.9) & (share < 0.1))
+        ((close < 1.0) & (similarity > 0.8)) | ((close < 3.0) & (similarity > 0.9) & (share < 0.1))
     )
     which = np.where(bad.any(axis=1), np.argmax(bad, axis=1), -1)
     text = [
@@ -318,7 +318,7 @@ def _driven(
 ) -> _Aspect:
     """Share of the driving-point residues, by size, that have the phase of a positive modal mass.
 
-    It counts as far as their sum stands out of its noise: near a node of the force it tells
+    It counts as far as their sum stands out of its noise: near a node of the force it means
     nothing.
     """
     n = fit.poles.size

@@ -1,6 +1,6 @@
 """Checks of FRFs: what cannot be identified is refused, what looks wrong becomes a note.
 
-FRFs of noise in blocks under a Hann window are found by what a fit by poles leaves beside narrow
+FRFs of noise in blocks under a Hann window are found by what a fit by poles leaves around narrow
 modes (`lines.faded`).
 """
 
@@ -53,7 +53,7 @@ _MOST_TRIALS = 400_000
 _EVEN_LINES = 1e-3  # of the step of even lines
 _MANY = 12.0  # lines in a bandwidth: one part in a hundred
 _EXCESS = 1.34  # damping too much, times their square
-# half bandwidths and lines beside a mode that tell
+# half bandwidths and lines around a mode that count
 _BESIDE = 8.0
 _LINES = 4
 _HANN_SHARE = 0.3  # of what blocks under a Hann window would leave
@@ -210,7 +210,7 @@ def _unmoved(frfs: FrfSet, typical: float) -> list[str]:
     values = ", ".join(f"{of_each[i]:.2f}" for i in at)
     others = np.nanmedian(of_each[~low])
     return [
-        f"channel {names}: coherence {values}, {others:.2f} of the others: hardly moves, has a "
+        f"channel {names}: coherence {values}, {others:.2f} of the others: does not move, has a "
         "loose cable or is dead"
     ]
 
@@ -259,7 +259,7 @@ def fit_notes(frfs: FrfSet, modes: ModeSet, error: Float) -> tuple[str, ...]:
 
 
 def parted_modes(model: ModalModel) -> str:
-    """Tells batches that disagree where a mode of each explains them: side by side, driven alike,
+    """Finds batches that disagree where a mode of each explains them: side by side, driven equally,
     seen by others.
 
     Two bending directions are driven differently; with one reference nothing is said.
@@ -271,20 +271,20 @@ def parted_modes(model: ModalModel) -> str:
     shapes = np.abs(model.shapes[:, order])
     part = model.participation[order].T
     both = unit(shapes).T @ unit(shapes)
-    apart = (
+    split = (
         (f / f[:, None] > 1)
         & (f / f[:, None] < _SIDE)
         & (both < _UNLIKE)
         & (mac(part, part) > _ALIKE)
     )
-    first, second = np.nonzero(apart)
+    first, second = np.nonzero(split)
     if 2 * np.unique(first).size < 0.5 * f.size:
         return ""
     pairs = ", ".join(
         f"{f[i]:.5g} and {f[k]:.5g}" for i, k in zip(first[:3], second[:3], strict=True)
     )
     return (
-        f"modes at {pairs} Hz are driven alike and seen by different responses: FRFs that "
+        f"modes at {pairs} Hz are driven equally and seen by different responses: FRFs that "
         "disagree show each mode twice"
     )
 
@@ -362,7 +362,7 @@ def misfit(r: Complex) -> Float:
 
 
 def odd_channel(frfs: FrfSet, poles: Complex) -> str:
-    """A response that one reference sees turned or exchanged with another, told from the rank of
+    """A response that one reference sees turned or exchanged with another, found from the rank of
     the residues.
 
     In a linear structure the residues of each mode are a shape times the participations, H_oi ~ ψ_o
@@ -382,7 +382,7 @@ def odd_channel(frfs: FrfSet, poles: Complex) -> str:
     ids = [c.id for c in frfs.inputs]
     under = ids if n_in > 2 else [" or ".join(ids)] * 2  # of two references none is the odd one
     best = now
-    told = ""
+    fault = ""
     for i in range(n_in):  # a handful of references
         turned = np.broadcast_to(r, (n_out, *r.shape)).copy()
         turned[np.arange(n_out), :, np.arange(n_out), i] *= -1
@@ -390,7 +390,7 @@ def odd_channel(frfs: FrfSet, poles: Complex) -> str:
         if value.min() < best:
             best = float(value.min())
             o = int(value.argmin())
-            told = f"response {frfs.outputs[o].id} looks turned under reference {under[i]}"
+            fault = f"response {frfs.outputs[o].id} looks turned under reference {under[i]}"
         for o in range(n_out - 1):
             other = np.arange(o + 1, n_out)
             swapped = np.broadcast_to(r, (other.size, *r.shape)).copy()
@@ -401,11 +401,11 @@ def odd_channel(frfs: FrfSet, poles: Complex) -> str:
                 best = float(value.min())
                 p = int(other[value.argmin()])
                 pair = f"{frfs.outputs[o].id} and {frfs.outputs[p].id}"
-                told = f"responses {pair} look swapped under reference {under[i]}"
+                fault = f"responses {pair} look swapped under reference {under[i]}"
     if best > _CURED * now:
         return ""
     return (
-        f"{told}: {100 * now:.2g} % of the residues fit no single shape, {100 * best:.2g} % "
+        f"{fault}: {100 * now:.2g} % of the residues fit no single shape, {100 * best:.2g} % "
         "if that is mended"
     )
 
@@ -430,11 +430,11 @@ def block_of_noise(frfs: FrfSet) -> float:
 
 
 def looks_faded(lines: Lines, fit: Refined, length: float) -> bool:
-    """Whether what a fit by poles leaves beside narrow modes is what it would leave of blocks of
+    """Whether what a fit by poles leaves around narrow modes is what it would leave of blocks of
     that length, s.
 
-    A regression on that, per mode beside its residue, its pole and a smooth rest; 0 of FRFs without
-    leakage, 1 with.
+    A regression on that, per mode besides its residue, its pole and a smooth rest; 0 of FRFs
+    without leakage, 1 with.
     """
     x = lines.s.imag
     half = -fit.poles.real

@@ -24,7 +24,7 @@ class LevelCheck:
     significance : float
         Chance at which a linear structure is called nonlinear, in one of its modes.
     mac_min : float
-        A mode of another level must be this much alike.
+        A mode of another level must have this MAC.
     shift_max : float
         And no farther in frequency than this, relative.
     """
@@ -142,10 +142,10 @@ def level_dependence(
 def track(a: ModeSet, b: ModeSet, settings: LevelCheck) -> tuple[Int, Int]:
     """Positions in `a` and `b` of the pairs with the largest total MAC, near in frequency."""
     b = b.rows(a.channels)
-    alike = mac(a.shapes, b.shapes)
+    similarity = mac(a.shapes, b.shapes)
     far = np.abs(np.log(a.frequencies[:, None] / b.frequencies))
-    ok = (alike >= settings.mac_min) & (far <= settings.shift_max)
-    here, there = linear_sum_assignment(np.where(ok, alike - far, -1.0), maximize=True)
+    ok = (similarity >= settings.mac_min) & (far <= settings.shift_max)
+    here, there = linear_sum_assignment(np.where(ok, similarity - far, -1.0), maximize=True)
     good = ok[here, there]
     return here[good], there[good]
 

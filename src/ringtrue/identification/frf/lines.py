@@ -68,7 +68,7 @@ class Lines:
         Sum of the squares of `y`.
     weight : (freq,) float64
     terms : (freq, t) complex128
-        Orthonormal basis of the weighted residual terms, beside `smooth`.
+        Orthonormal basis of the weighted residual terms, without `smooth`.
     smooth : (freq, n) float64
         Orthonormal basis of the weighted polynomials that count as residual terms too
         (`smooth_rest`).
@@ -120,11 +120,11 @@ def prepare(frfs: FrfSet, sigma: Noise, smooth: int = 0) -> Lines:
     ):  # λ^p for s^p: what is cut off, or faded, leaves a polynomial
         t = np.concatenate([t, (kind * s[0] / s)[:, None]], axis=1)
     flat = np.linalg.qr(weight[:, None] * polynomials(s.imag, smooth))[0]
-    beside = without(flat, weight[:, None] * t)
-    beside = beside[
-        :, np.linalg.norm(beside, axis=0) > _WITHIN * np.linalg.norm(weight[:, None] * t, axis=0)
+    residual = without(flat, weight[:, None] * t)
+    residual = residual[
+        :, np.linalg.norm(residual, axis=0) > _WITHIN * np.linalg.norm(weight[:, None] * t, axis=0)
     ]
-    terms = np.linalg.qr(beside)[0]
+    terms = np.linalg.qr(residual)[0]
     y = without(
         terms, without(flat, weight[:, None] * given[:, None, None] * frfs.data.transpose(2, 0, 1))
     )
@@ -161,8 +161,8 @@ def smooth_rest(lines: Lines, poles: Complex, rest: Complex) -> Float:
 
     Noise on the force of a blow is as short as the pulse, and so multiplies the FRFs by a smooth
     function of the frequency: that moves no pole, but (1 + ε(s)) ψ/(s − λ) leaves a smooth
-    remainder beside ψ (1 + ε(λ))/(s − λ). So do modes outside the band and short delays. No term is
-    narrower than the typical mode.
+    remainder besides ψ (1 + ε(λ))/(s − λ). So do modes outside the band and short delays. No term
+    is narrower than the typical mode.
     """
     width = 2 * float(np.median(np.abs(poles.real)))
     most = int(min(_MOST_SMOOTH, np.ptp(lines.s.imag) / width, rest.shape[1] / 16))

@@ -26,7 +26,7 @@ from ringtrue.identification.frf.pipeline import HammerModes, HammerResult, iden
 from ringtrue.identification.frf.refinement import refine, shape_deviations
 from ringtrue.identification.frf.residues import blow_factors, noise, normalise
 from ringtrue.identification.frf.scaling import mode_scale
-from ringtrue.identification.frf.split_modes import DISAGREE, FEWEST
+from ringtrue.identification.frf.split_modes import FEWEST
 from ringtrue.shapes.mac import mac
 
 CLEAR = 1e-6  # chance of the scatter of a mode over the batches, below which they disagree
@@ -84,7 +84,7 @@ def identify_batches(
     The batch with most responses is identified on its own; its modes and participation vectors
     start the refinement in every other batch; where that leaves more than in the first one, from
     the poles that this batch by itself has for them, where it has. Modes that half of such batches
-    have beside are sought in all. The participation vector, which all batches share, ties the
+    have besides are sought in all. The participation vector, which all batches share, ties the
     scales of their shapes together.
 
     Parameters
@@ -234,7 +234,7 @@ def with_local_fits(
         "fitted by itself, "
         "frequencies and damping are means, shapes are joined (moved sensors load the structure)"
     )
-    notes = (*(n for n in joint.notes if not n.startswith(DISAGREE)), note)
+    notes = (*(n for n in joint.notes if n != joint.split_note), note)
     return replace(
         joint, modes=fit.modes, uncertainty=fit.uncertainty, reasons=reasons, notes=notes
     )

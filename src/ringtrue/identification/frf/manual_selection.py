@@ -163,8 +163,8 @@ def _merged(f: Float, inside: Bool, keep: Bool, said: list[str], choice: Choice)
         members = list(dict.fromkeys(_nearest(f, inside & keep, x) for x in merge.frequencies))
         members = [k for k in members if k >= 0]
         if len(members) < 2:
-            told = ", ".join(f"{x:.5g}" for x in merge.frequencies)
-            notes.append(f"merged by hand, but not there as different modes: {told} Hz")
+            wanted = ", ".join(f"{x:.5g}" for x in merge.frequencies)
+            notes.append(f"merged by hand, but not there as different modes: {wanted} Hz")
             continue
         keep[members[1:]] = False
         why = f" ({merge.reason})" if merge.reason else ""

@@ -201,7 +201,7 @@ def pole_shapes(poles: PoleSet, data: Complex, freqs: Float, power: int) -> Comp
     """Response shapes (out, k) of the poles of each order, by least squares with a lower and an
     upper residual.
 
-    One input tells modes that overlap apart by their responses alone.
+    With one input overlapping modes are separated by their responses alone.
 
     Parameters
     ----------

@@ -105,7 +105,7 @@ def grouped(
     """Poles of whitened lines `at` in the units of the inputs, and those that stay in place over
     the orders.
 
-    With one input the responses tell modes apart.
+    With one input the responses separate the modes.
     """
     alone = white.shape[2] == 1 and white.shape[1] > 1 and len(poles) > 0
     responses = pole_shapes(poles, white, frfs.freqs[at], POWER[frfs.kind]) if alone else None

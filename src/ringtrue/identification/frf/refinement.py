@@ -393,10 +393,10 @@ def _local_error(lines: Lines, state: State, rest: Complex) -> tuple[Float, Floa
     own = (
         np.tensordot(power, by_shape / left(by_shape, n_out), ([0, 1], [0, 1])) * early[0] * few**2
     )
-    apart = np.tensordot(power, by_pole / left(by_pole, n_out), ([0, 1], [0, 1]))
-    apart = (apart * np.abs(seen) ** 2).sum(axis=0)
+    separate = np.tensordot(power, by_pole / left(by_pole, n_out), ([0, 1], [0, 1]))
+    separate = (separate * np.abs(seen) ** 2).sum(axis=0)
     together = 0.5 * (by_pole * np.abs(rest @ seen.conj()) ** 2).sum(axis=(0, 1)) / left(by_pole, 1)
-    return own, np.maximum(apart, together) * early[1]
+    return own, np.maximum(separate, together) * early[1]
 
 
 def _early(lines: Lines, rest: Complex, poles: Complex) -> Float:

@@ -31,7 +31,7 @@ from ringtrue.identification.frf.lines import (
     resonances,
 )
 
-_AROUND = 31  # lines at least, that tell the noise beside a mode
+_AROUND = 31  # lines at least, for the noise around a mode
 _SMOOTHED = 5  # lines that their noise is averaged over
 _VALUES = 40  # and values at least
 _LEAST = 1e-4  # of the squared noise of a typical line
@@ -190,7 +190,7 @@ def weighted_rest(lines: Lines, poles: Complex, participation: Complex, shapes: 
 
 
 def noise_left(lines: Lines, rest: Complex) -> Noise:
-    """The noise that a fit tells by what it leaves, `rest` (in, freq, out) of `weighted_rest`.
+    """The noise that follows from what it leaves, `rest` (in, freq, out) of `weighted_rest`.
 
     The errors of measured FRFs grow with the response near a mode, whatever the coherence says of a
     typical channel.

@@ -28,12 +28,12 @@ APART = 3.0  # standard deviations of a sum of squares
 TOLD = 0.1  # of the residues at the driving points
 SIDE = 1.96  # deviations to the end of an interval
 LEAST = 1 / 9  # of a residue, that may be left there
-# agreement that is sound, that one fault may explain, and that is told anyhow
+# agreement that is sound, that one fault may explain, and that is reported in any case
 _GOOD = 0.95
 _DOUBTFUL = 0.9
 _POOR = 0.8
-_FACTOR = 0.1  # of a calibration, from which on it is told
-_CHANCE = 3e-4  # that a factor of a sound point is told: its deviation rests on few modes
+_FACTOR = 0.1  # of a calibration, from which on it is reported
+_CHANCE = 3e-4  # that a factor of a sound point is reported: its deviation rests on few modes
 
 
 def mode_scale(model: ModalModel) -> Complex:
@@ -50,7 +50,7 @@ def mode_scale(model: ModalModel) -> Complex:
 def scale_deviations(
     frfs: FrfSet, fitted: Complex, fit: Refined, pairs: Pairs
 ) -> tuple[Float, str]:
-    """Relative standard deviations (out, m) of the shapes, beside that of their residues, and a
+    """Relative standard deviations (out, m) of the shapes, besides that of their residues, and a
     note.
 
     Parameters
@@ -69,16 +69,18 @@ def scale_deviations(
     weight = np.abs(fit.participation[:, i]) ** 2
     weight = weight / np.maximum(weight.sum(axis=1, keepdims=True), 1e-300)
     shared = 0.25 * (weight**2 * _shared(frfs, fitted, fit.poles)[:, i]).sum(axis=1)
-    apart, error = _apart(fit, pairs)
+    disagreement, error = _apart(fit, pairs)
     noise = _of_the_force(frfs, fit.poles, weight=weight, o=o, i=i)
-    return np.sqrt(shared + apart**2 + noise + _by_a_node(fit, pairs)), _note(frfs, pairs, error)
+    return np.sqrt(shared + disagreement**2 + noise + _by_a_node(fit, pairs)), _note(
+        frfs, pairs, error
+    )
 
 
 def _by_a_node(fit: Refined, pairs: Pairs) -> Float:
     """(m,) relative variance of the scales that first order leaves out, as φ_o = R_oi/√R_ii where
-    R_ii is hardly known.
+    R_ii is poorly known.
 
-    The upper end of the interval of φ, from the lower one of R_ii, tells the deviation.
+    The upper end of the interval of φ, from the lower one of R_ii, gives the deviation.
     """
     psi, part, variance = _driven(fit, pairs)
     overlap = np.maximum(np.abs((part.conj() * psi).sum(axis=1)), 1e-300)
@@ -184,7 +186,7 @@ def reciprocity(model: ModalModel) -> Float:
 
 def calibrations(model: ModalModel) -> tuple[Float, Float]:
     """What the response at each point struck reads over what the others do for the same force, and
-    how sure that is.
+    its deviation.
 
     The residues of mode m are ψ_o l_i, and in a reciprocal structure |ψ_o| = c_m d_o |l_o|, where
     d_o is the factor by which response and force at o are mis-scaled. Least squares of the
@@ -244,8 +246,8 @@ def reciprocity_note(model: ModalModel, sound: Pairs) -> str:
     psi = psi * np.where([i in used for _, i, _ in driving_pairs(model)], 1.0, -1.0)[:, None]
     factor, std = _factors(psi, part)
     if _agreement(psi / factor[:, None], part) > _GOOD:
-        sure = float(stdtrit((len(names) - 1) * (model.poles.size - 1), 1 - _CHANCE / 2))
-        return _miscalibrated(names, factor, sure * std)
+        quantile = float(stdtrit((len(names) - 1) * (model.poles.size - 1), 1 - _CHANCE / 2))
+        return _miscalibrated(names, factor, quantile * std)
     return _mislaid(psi, part, names)
 
 
@@ -261,14 +263,14 @@ def _miscalibrated(names: list[str], factor: Float, doubt: Float) -> str:
     if not odd.size:
         return ""
     if len(names) == 2:
-        told = (
+        finding = (
             f"{factor[high] / factor[low]:.3g} times that at {names[low]} at {names[high]}: "
             "one sensitivity is wrong"
         )
     else:
         each = ", ".join(f"{factor[k]:.3g} times at {names[k]}" for k in odd.tolist())
-        told = f"{each} of what it is at the other points struck: a wrong sensitivity"
-    return f"reciprocity: response over force is, in all modes, {told}"
+        finding = f"{each} of what it is at the other points struck: a wrong sensitivity"
+    return f"reciprocity: response over force is, in all modes, {finding}"
 
 
 def _mislaid(psi: Complex, part: Complex, names: list[str]) -> str:
@@ -288,14 +290,14 @@ def _mislaid(psi: Complex, part: Complex, names: list[str]) -> str:
         if (value := _agreement(psi[rest], part[rest])) > best:
             best = value
             why = f"{names[k]} was not struck where, or along what, its response reads"
-    told = (
+    finding = (
         f"reciprocity: shapes and participations at {' '.join(names)} agree to "
         f"{100 * now:.0f} % only"
     )
     if best > _GOOD:
-        return f"{told}, {100 * best:.0f} % without: {why}"
+        return f"{finding}, {100 * best:.0f} % without: {why}"
     return (
-        f"{told}: a point or direction is wrong, or the structure is not linear"
+        f"{finding}: a point or direction is wrong, or the structure is not linear"
         if now < _POOR
         else ""
     )
@@ -312,5 +314,5 @@ def _at_both(model: ModalModel) -> tuple[Complex, Complex, list[str]]:
 
 
 def _agreement(psi: Complex, part: Complex) -> float:
-    """The median: a mode that hardly moves the points struck has noise there."""
+    """The median: a mode that moves the points struck little has noise there."""
     return float(np.median(paired_mac(psi, part)))
