@@ -1,4 +1,4 @@
-"""Progress of long work: a callable of the share done, 0 to 1, and of the work under way in words."""
+"""Progress of long work: a callable of the share done, 0 to 1, and of the work under way."""
 
 from __future__ import annotations
 
