@@ -33,7 +33,8 @@ from ringtrue.identification.frf.pipeline import HammerModes, HammerResult, iden
 from ringtrue.identification.frf.residues import driving_pairs
 from ringtrue.identification.methods import SecondOpinion, identify_ambient_by, identify_frfs_by
 from ringtrue.io import frfs as frf_files
-from ringtrue.io import modes_json, records
+from ringtrue.io import modes as mode_files
+from ringtrue.io import records
 from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
 from ringtrue.model.model import Model
 from ringtrue.signal.channel_checks import clipping_told, find_faults
@@ -210,8 +211,8 @@ def read_modes(path: str | Path, *, deck: Model | None = None) -> TestModes:
     elif is_store(path):
         return merged_modes(path)
     else:
-        modes = modes_json.read_modes(path)
-        std = modes_json.read_std(path)
+        modes = mode_files.read_modes(path)
+        std = mode_files.read_std(path)
         no_std = np.full(modes.shapes.shape, np.nan)
         return TestModes(modes, Uncertainty.independent(*std, no_std))
     none = np.full(len(modes), np.nan)
@@ -274,7 +275,7 @@ def write_modes(path: str | Path, modes: ModeSet | FeModes | TestModes) -> None:
         reasons = modes.reasons
         known = np.isfinite(modes.uncertainty.frequency) | np.isfinite(modes.uncertainty.damping)
         spread = modes.uncertainty if known.any() else None
-    modes_json.write_modes(path, kept, spread, reasons)
+    mode_files.write_modes(path, kept, spread, reasons)
 
 
 def read_sensors(path: str | Path) -> SensorSheet:
