@@ -20,7 +20,7 @@ from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.fem.response import frf
 from ringtrue.io.frfs import write_frfs
-from ringtrue.io.modes_json import read_modes, write_modes
+from ringtrue.io.modes import read_modes, write_modes
 from ringtrue.model.ports import ModesRequest
 from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.study import direct

@@ -22,7 +22,7 @@ from ringtrue.cli.predict import settings
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, InputError
-from ringtrue.io.modes_json import write_modes
+from ringtrue.io.modes import write_modes
 from ringtrue.model.edit import apply_factors
 from ringtrue.model.ports import ModesRequest
 from ringtrue.reduction.matrix_model import DenseModel

@@ -27,7 +27,7 @@ from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.testmodel import Observation
 from ringtrue.decks.nastran.reader import read_deck
-from ringtrue.io.modes_json import write_modes
+from ringtrue.io.modes import write_modes
 from ringtrue.model.frames import positions
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest

@@ -23,7 +23,7 @@ from ringtrue.core.progress import quiet
 from ringtrue.correlation.sensor_mapping import at_dofs
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError
-from ringtrue.io.modes_json import write_modes
+from ringtrue.io.modes import write_modes
 from ringtrue.study.objective import target
 from ringtrue.study.opened import Opened
 from ringtrue.study.run import StudyRun, run_study

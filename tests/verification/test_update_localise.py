@@ -13,7 +13,7 @@ from scipy import sparse
 from scipy.optimize import lsq_linear
 
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet
-from ringtrue.decks.nastran.edit import unwritable
+from ringtrue.decks.nastran.editor import unwritable
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import InputError, NumericalError
 from ringtrue.fem.mesh import mesh

@@ -13,7 +13,7 @@ import pytest
 
 from ringtrue.checks.mass import whole_mass
 from ringtrue.cli.main import run
-from ringtrue.decks.nastran.edit import edit_fields
+from ringtrue.decks.nastran.editor import edit_fields
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.fem.assembly import assemble
 from ringtrue.model.edit import field_changes

@@ -20,7 +20,7 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.correlation.sensor_mapping import at_dofs
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import InputError
-from ringtrue.io.modes_json import write_modes
+from ringtrue.io.modes import write_modes
 from ringtrue.model.ports import ModesRequest
 from ringtrue.reduction.matrix_model import DenseModel
 from ringtrue.solvers.embedded import EmbeddedSolver

@@ -12,7 +12,7 @@ import typer
 from ringtrue.cli.show import Json, err, one_of, out, progress, rows, write_json
 from ringtrue.cli.stated import warn_of_units
 from ringtrue.errors import ConfigError
-from ringtrue.io.atomic import atomic_write
+from ringtrue.io.files import atomic_write
 from ringtrue.study.config import StudyConfig, read_config
 from ringtrue.study.config_sections import PredictSection
 from ringtrue.study.messages import validity_sentence

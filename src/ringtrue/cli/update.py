@@ -16,7 +16,7 @@ from ringtrue.cli.stated import stated
 from ringtrue.cli.updated import show_summary, summary_of
 from ringtrue.core.progress import part
 from ringtrue.core.units import UNIT_SYSTEMS
-from ringtrue.decks.nastran.edit import edit_fields, refuse_copy, refuse_unwritable
+from ringtrue.decks.nastran.editor import edit_fields, refuse_copy, refuse_unwritable
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.model.edit import field_changes

@@ -14,7 +14,7 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.core.testmodel import Observation, TestModel
 from ringtrue.errors import DataError, NumericalError, about
-from ringtrue.io.modes_json import read_modes, read_std
+from ringtrue.io.modes import read_modes, read_std
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModalSolver, ModesRequest

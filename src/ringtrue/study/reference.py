@@ -14,7 +14,7 @@ from ringtrue.correlation.assignment import NO_LOCKS, Followed, Locks, PairingSe
 from ringtrue.correlation.pairing import Pairing, pair_modes
 from ringtrue.correlation.table import CorrelationTable, correlation_table
 from ringtrue.errors import ConfigError, DataError
-from ringtrue.io.modes_json import read_modes, read_std
+from ringtrue.io.modes import read_modes, read_std
 from ringtrue.shapes.complexity import realise_modes
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.results import ConfiguredTest, CorrelateStage, IdentifyStage

@@ -18,7 +18,7 @@ from ringtrue.core.progress import Progress
 from ringtrue.core.testmodel import Observation, TestModel
 from ringtrue.core.units import UNIT_SYSTEMS, UnitSystem
 from ringtrue.correlation.sensor_mapping import Alignment
-from ringtrue.decks.nastran.edit import add_cards
+from ringtrue.decks.nastran.editor import add_cards
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, about
 from ringtrue.model.edit import carried, in_seconds

@@ -19,7 +19,7 @@ from ringtrue.correlation.measures import complete
 from ringtrue.correlation.pairing import pair_modes
 from ringtrue.correlation.sensor_mounting import Mending, find_mendings
 from ringtrue.correlation.table import CorrelationTable, correlation_table
-from ringtrue.decks.nastran.edit import unified_diff
+from ringtrue.decks.nastran.editor import unified_diff
 from ringtrue.errors import ConfigError, InputError, RingtrueError, about
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.model.edit import apply_factors, carried, field_value

@@ -13,7 +13,7 @@ from ringtrue.checks.mass import unconstrained
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress, part, quiet
-from ringtrue.decks.nastran.edit import refuse_unwritable, unwritable
+from ringtrue.decks.nastran.editor import refuse_unwritable, unwritable
 from ringtrue.errors import DataError
 from ringtrue.fem.assembly import System, assemble
 from ringtrue.fem.parametrisation.changed_model import affected_cards

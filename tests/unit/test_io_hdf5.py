@@ -17,15 +17,15 @@ from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.core.testmodel import Observation
 from ringtrue.errors import DataError
-from ringtrue.io import codec
-from ringtrue.io.atomic import atomic_write
+from ringtrue.io import hdf5
+from ringtrue.io.files import atomic_write
 
 
 def through(tmp_path: Path, obj: object) -> Any:
     with h5py.File(tmp_path / "a.h5", "w") as file:
-        codec.save(file.create_group("x"), obj)
+        hdf5.save(file.create_group("x"), obj)
     with h5py.File(tmp_path / "a.h5", "r") as file:
-        return codec.load(file["x"])
+        return hdf5.load(file["x"])
 
 
 def test_plain_values(tmp_path: Path) -> None:
@@ -89,19 +89,19 @@ def test_sparse_and_parameters(tmp_path: Path) -> None:
 def test_refuses_foreign_classes_and_filled_groups(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "a.h5", "w") as file:
         with pytest.raises(DataError, match="cannot be stored"):
-            codec.save(file.create_group("path"), Path("x"))
+            hdf5.save(file.create_group("path"), Path("x"))
         group = file.create_group("x")
-        codec.save(group, Channel("a"))
+        hdf5.save(group, Channel("a"))
         with pytest.raises(DataError, match="not empty"):
-            codec.save(group, 1)
+            hdf5.save(group, 1)
         group.attrs["class"] = "subprocess:Popen"
         with pytest.raises(DataError, match="not a class of ringtrue"):
-            codec.load(group)
+            hdf5.load(group)
         group.attrs["class"] = "ringtrue.core.signals:TimeHistory"
         with pytest.raises(DataError, match="another version"):
-            codec.load(group)
+            hdf5.load(group)
         with pytest.raises(DataError, match="not an object stored"):
-            codec.load(file.create_group("empty"))
+            hdf5.load(file.create_group("empty"))
 
 
 def write_half(target: Path) -> None:

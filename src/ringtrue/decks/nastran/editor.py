@@ -1,4 +1,4 @@
-"""Decks edited in place: a changed field is the only thing that changes in its file."""
+"""x"""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from ringtrue.core.parameters import CardField, ParameterSet
+from ringtrue.decks.nastran.cards import Cards, cards
 from ringtrue.decks.nastran.deck import load
-from ringtrue.decks.nastran.gather import Cards, cards
 from ringtrue.decks.nastran.lexer import LineFields, real, split_line
-from ringtrue.decks.nastran.places import bush_flag, field_place, inherited
+from ringtrue.decks.nastran.special import bush_flag, field_place, inherited
 from ringtrue.decks.nastran.writer import format_card, format_field
 from ringtrue.errors import DeckError, InputError
-from ringtrue.io.atomic import atomic_write, one_run, reads, writes
+from ringtrue.io.files import atomic_write, one_run, reads, writes
 from ringtrue.model.cards import CARDS, columns
 from ringtrue.model.edit import BOTH_ENDS, FieldChange, field_value, ply_field, resolve_target
 from ringtrue.model.model import Model

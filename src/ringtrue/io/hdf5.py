@@ -1,11 +1,10 @@
 """Any frozen dataclass of ringtrue to an HDF5 group and back; no pickle.
 
-An object becomes a group. Its attribute `kind` says what it is (`dataclass`, `tuple`, `list`,
-`dict`, `sparse`, `value`); arrays are data sets named after their fields, things that hold arrays
-are groups, and all else stands in one JSON text, the data set `_plain`. A class is stored as
-`module:name` and only loaded from `ringtrue.*`. Every data set that holds anything has HDF5's
-Fletcher-32 checksum. Text has a fixed length: that of variable length would stand in a heap of the
-file that no checksum covers.
+An object becomes a group. Its attribute `kind` is one of `dataclass`, `tuple`, `list`, `dict`,
+`sparse`, `value`. Arrays are data sets named after their fields, things that hold arrays are
+groups, and all else is one JSON text, the data set `_plain`. A class is stored as `module:name` and
+only loaded from `ringtrue.*`. Every data set that is not empty has HDF5's Fletcher-32 checksum.
+Text has a fixed length: text of variable length is in a heap of the file that no checksum covers.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from scipy import sparse
 
 from ringtrue.errors import DataError
 from ringtrue.io.foreign.arrays import check_compressed
-from ringtrue.io.foreign.texts import json_value
+from ringtrue.io.foreign.parsers import json_value
 
 PLAIN = "_plain"
 SCALAR = "scalar"  # marks an array without axes

@@ -1,6 +1,4 @@
-"""Geometry and tables of universal files: nodes 15 2411, elements 2412, lines 82, systems 18 2420,
-groups 2467, units 164, headers 151 2400, qualifiers 1858.
-"""
+"""Geometry of universal files: nodes, elements, lines, coordinate systems, groups and units."""
 
 from __future__ import annotations
 
@@ -11,9 +9,21 @@ from pathlib import Path
 import numpy as np
 
 from ringtrue.core.arrays import Float, Int
+from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import DataError, about
-from ringtrue.io.uff.fields import integers, numbers, parse_int, parse_real, reals, row, words
-from ringtrue.io.uff.scan import Block, scan
+from ringtrue.io.files import atomic_write
+from ringtrue.io.foreign.parsers import write_sets
+from ringtrue.io.uff.datasets import (
+    Block,
+    integers,
+    numbers,
+    parse_int,
+    parse_real,
+    reals,
+    row,
+    scan,
+    words,
+)
 
 _BEAMS = (11, 21, 22, 23, 24)  # FE descriptors with a line of orientation
 
@@ -303,3 +313,42 @@ def _header2400(lines: Sequence[str]) -> ModelHeader:
     return ModelHeader(
         row(lines, 1).strip(), parse_int(row(lines, 0)[:12]), tuple(x.strip() for x in lines)
     )
+
+
+_MOST = 9_999_999_999  # ten columns
+_UNITS = {
+    "type": 164,
+    "units_code": 1,
+    "units_description": "SI",
+    "temp_mode": 1,
+    "length": 1.0,
+    "force": 1.0,
+    "temp": 1.0,
+    "temp_offset": 273.15,
+}
+
+
+def write_test_model(path: str | Path, test: TestModel) -> None:
+    """Write points and lines, global frame, m.
+
+    The format carries six digits of a coordinate, and no channels: those stand in the sensor sheet.
+
+    Raises
+    ------
+    DataError
+        If there are no points, or a number has more than ten digits.
+    """
+    if not test.points.size or test.points.max() > _MOST or test.points.min() < 1:
+        raise DataError(f"{path}: {test.points.size} points; their numbers must be 1 to {_MOST}")
+    x, y, z = test.xyz.T
+    sets: list[dict[str, object]] = [
+        _UNITS,
+        {"type": 15, "node_nums": test.points, "x": x, "y": y, "z": z},
+    ]
+    if len(test.lines):
+        trace = np.column_stack(
+            [test.lines, np.zeros(len(test.lines), dtype=np.int64)]
+        ).ravel()  # 0 lifts the pen
+        sets.append({"type": 82, "trace_num": 1, "id": "measuring points", "nodes": trace})
+    with atomic_write(path) as part:
+        write_sets(part, sets)
