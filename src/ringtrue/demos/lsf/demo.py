@@ -12,9 +12,8 @@ import numpy as np
 from ringtrue.core.testmodel import TestModel
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.demos.lsf import deck, facility
-from ringtrue.demos.lsf.best import best_possible
 from ringtrue.demos.lsf.campaign import CampaignPlan, CampaignSummary, run_campaign
-from ringtrue.demos.lsf.checks import checks
+from ringtrue.demos.lsf.checks import best_possible, checks
 from ringtrue.demos.lsf.spec import Spec
 from ringtrue.demos.lsf.study import write_study
 from ringtrue.demos.lsf.truth import twin_hash

@@ -102,10 +102,24 @@ def run(session: Session, progress: Progress) -> LocaliseStage | None:
     member = membership(session.steps[-1].model, pool.candidates)
     others = session.others(progress) if session.config.configuration and _shared(session) else ()
     proposal = _proposal(
-        session, model, others, aim, pool, errors.concentration(member), part(progress, 0.7, 1.0)
+        session,
+        model,
+        others=others,
+        aim=aim,
+        pool=pool,
+        errors=errors.concentration(member),
+        progress=part(progress, 0.7, 1.0),
     )
     return _stage_result(
-        session, model, _problem(session, model, others), aim, pool, pairs, errors, misfit, proposal
+        session,
+        model,
+        problem=_problem(session, model, others),
+        aim=aim,
+        pool=pool,
+        pairs=pairs,
+        errors=errors,
+        misfit=misfit,
+        proposal=proposal,
     )
 
 
@@ -165,13 +179,13 @@ def _pool(session: Session, found: CorrelateStage, progress: Progress) -> _Pool:
     near = screened(
         model,
         system,
-        some,
-        target(session),
-        at_channels(
+        candidates=some,
+        aim=target(session),
+        observe=at_channels(
             session.remodelled, session.bridge(session.remodelled), found.reference.channels
         ),
-        (lam, vectors),
-        look,
+        modes=(lam, vectors),
+        look=look,
         pool=asked.pool,
         most=asked.most,
         alike=asked.alike,
@@ -180,7 +194,12 @@ def _pool(session: Session, found: CorrelateStage, progress: Progress) -> _Pool:
     )
     far = tuple(c.name for c in some if c not in near)
     return _Pool(
-        near, len(every), tuple(d.name for d in lost), far, passed_over(some, near), tuple(held)
+        candidates=near,
+        made=len(every),
+        dropped=tuple(d.name for d in lost),
+        screened=far,
+        passed_over=passed_over(some, near),
+        held=tuple(held),
     )
 
 
@@ -230,18 +249,28 @@ def _error_indicators(
     method, opened = session.config.correlate.expand, session.steps[-1]
     f, shapes, system = aim.frequencies[test], aim.shapes[:, test], opened.analysis.system
     if method in ("", "hybrid"):
-        return reduced_errors(opened.model, system, reduced, model.rows, f, shapes, fe)
+        return reduced_errors(
+            opened.model,
+            system,
+            reduced=reduced,
+            rows=model.rows,
+            frequencies=f,
+            shapes=shapes,
+            partners=fe,
+        )
     _, own = reduced.coordinates(np.zeros(len(reduced.active)))
     found = expanded(
         method,
         opened,
-        session.bridge(opened),
-        session.reference(OWN).take(test),
-        session.fmax,
-        quiet,
+        look=session.bridge(opened),
+        test=session.reference(OWN).take(test),
+        fmax=session.fmax,
+        progress=quiet,
     )
     mine, solve = reduced.basis.vectors @ own[:, fe], reduced.pencil.at(reduced.shift).solve
-    return expanded_errors(opened.model, system, f, found.shapes, mine, solve), found.misfit
+    return expanded_errors(
+        opened.model, system, frequencies=f, shapes=found.shapes, own=mine, solve=solve
+    ), found.misfit
 
 
 def _proposal(
@@ -314,31 +343,31 @@ def _stage_result(
 
     member = membership(session.steps[-1].model, pool.candidates)
     return LocaliseStage(
-        names,
-        by_region(errors.strain),
-        by_region(errors.force),
-        by_region(errors.constitutive),
-        by_region(errors.energy),
-        pairs[:, 0],
-        errors.relative,
-        p,
-        tuple(c.what for c in pool.candidates),
-        tuple(
+        regions=names,
+        strain=by_region(errors.strain),
+        force=by_region(errors.force),
+        constitutive=by_region(errors.constitutive),
+        energy=by_region(errors.energy),
+        modes=pairs[:, 0],
+        relative=errors.relative,
+        parameters=p,
+        what=tuple(c.what for c in pool.candidates),
+        elements=tuple(
             ", ".join(dict.fromkeys(labels[e] for e in member[[i]].indices)) for i in range(len(p))
         ),
-        np.linalg.norm(start.slope * p.std(), axis=0),
-        known.alone,
-        known.together,
-        variation(aim, start, p.std(), low, high).frequency,
-        pool.made,
-        pool.dropped,
-        pool.screened,
-        proposal,
-        session.config.correlate.expand or "hybrid",
-        misfit,
-        _beside(session) if problem is not None else "",
-        session.places,
-        pool.held,
+        effect=np.linalg.norm(start.slope * p.std(), axis=0),
+        alone=known.alone,
+        together=known.together,
+        explains=variation(aim, start, p.std(), low, high).frequency,
+        made=pool.made,
+        dropped=pool.dropped,
+        screened=pool.screened,
+        proposal=proposal,
+        expansion=session.config.correlate.expand or "hybrid",
+        misfit=misfit,
+        beside=_beside(session) if problem is not None else "",
+        places=session.places,
+        held=pool.held,
     )
 
 
@@ -468,17 +497,26 @@ class DataScreening:
         lam, vectors = responding(model, self.touched, x)
         dk, dm = _projected(deck.model, self.chosen, deck.analysis.system, vectors)
         dense = DenseModel(
-            np.diag(lam),
-            np.eye(lam.size),
-            dk,
-            dm,
-            model.system.observe @ vectors,
-            self.chosen,
-            lam.size,
+            stiffness=np.diag(lam),
+            mass=np.eye(lam.size),
+            d_stiffness=dk,
+            d_mass=dm,
+            observation=model.system.observe @ vectors,
+            parameters=self.chosen,
+            count=lam.size,
         )
         now = dense.linearise(np.zeros(p))
         none = np.zeros((0, 2), dtype=np.int64)
-        here = Point(dense, now, aim, none, (), none, np.zeros(0), now)
+        here = Point(
+            model=dense,
+            now=now,
+            target=aim,
+            pairs=none,
+            spans=(),
+            every=none,
+            mac=np.zeros(0),
+            whole=now,
+        )
         everything = np.zeros(p)
         everything[list(which)] = x
         data = on_parameters(self.session, OWN, lambda: self._rigid(everything), tuple(range(p)))

@@ -87,13 +87,28 @@ def run(session: Session, progress: Progress) -> UncertaintyStage | None:
         Configuration(every, paired, terms_of(session, OWN, every, session.config.update)),
         *_whole(session, best, whole, early),
     )
-    freedom = _freedom(session, every, at, final, held, likely.target)
+    freedom = _freedom(session, every, x=at, final=final, held=held, likely=likely.target)
     many = errors_of_shapes(replace(paired, used=np.ones_like(paired.used)), model.modes(x))
     among, slope = _posterior(
-        session, full, likely.target.weights, whole, best.parameters, freedom, many
+        session,
+        full,
+        found=likely.target.weights,
+        factor=whole,
+        chosen=best.parameters,
+        freedom=freedom,
+        independent=many,
     )
     posterior = among.take([every.parameters.names.index(n) for n in best.parameters])
-    told = _result(posterior, among, aim, likely.target, slope, final, held, asked.level)
+    told = _result(
+        posterior,
+        among,
+        aim=aim,
+        likely=likely.target,
+        slope=slope,
+        final=final,
+        held=held,
+        level=asked.level,
+    )
     if not asked.samples:
         return told
     rng = np.random.default_rng([session.config.study.seed, 7])
@@ -276,25 +291,27 @@ def _result(
     if aim.lent:
         held = replace(held, mac=np.full(held.mac.size, np.nan))
     return UncertaintyStage(
-        p,
-        factor,
-        posterior.std,
-        interval,
-        _prior(p, level),
-        posterior.ratio,
-        posterior.moved,
-        posterior.correlation(),
-        level,
-        np.array([likely.weights.frequency, np.nan if aim.lent else likely.weights.mac]),
-        np.array([aim.weights.frequency, aim.weights.mac]),
-        aim.frequencies,
-        f,
-        band,
-        parts,
-        aim.used,
-        (band[:, 0] <= aim.frequencies) & (aim.frequencies <= band[:, 1]),
-        held,
-        tuple(flag.text for flag in flags),
+        parameters=p,
+        factor=factor,
+        std=posterior.std,
+        interval=interval,
+        prior=_prior(p, level),
+        ratio=posterior.ratio,
+        moved=posterior.moved,
+        correlation=posterior.correlation(),
+        level=level,
+        discrepancy=np.array(
+            [likely.weights.frequency, np.nan if aim.lent else likely.weights.mac]
+        ),
+        assumed=np.array([aim.weights.frequency, aim.weights.mac]),
+        test=aim.frequencies,
+        predicted=f,
+        band=band,
+        parts=parts,
+        used=aim.used,
+        inside=(band[:, 0] <= aim.frequencies) & (aim.frequencies <= band[:, 1]),
+        held=held,
+        flags=tuple(flag.text for flag in flags),
     )
 
 
