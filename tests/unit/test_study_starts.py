@@ -23,14 +23,16 @@ def poor(lost: int, good: int) -> Any:
     Not so from further starts (`good` 4, the place of their settings) or from the proposal (5, that
     of its factors).
     """
-    well = update.together
+    well = update.update_reduced
 
     def ended(*given: Any) -> tuple[SetResult, int]:
         done, other = well(*given)
         if len(given) > good and given[good] is not None:
             return done, other
         return replace(
-            done, factor=np.ones(len(done.parameters)), criterion=done.criterion + 50.0
+            done,
+            factor=np.ones(len(done.parameters)),
+            fit=replace(done.fit, criterion=done.fit.criterion + 50.0),
         ), lost
 
     return ended
@@ -44,7 +46,7 @@ def updated(folder: Path) -> StudyRun:
 def test_a_lower_end_of_other_starts_takes_the_place_of_one_that_lost_modes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, good: int
 ) -> None:
-    monkeypatch.setattr(update, "together", poor(lost=2, good=good))
+    monkeypatch.setattr(update, "update_reduced", poor(lost=2, good=good))
     done = updated(tmp_path)
     stage = done.results["update"]
     best = stage.sets[stage.chosen]
@@ -57,6 +59,6 @@ def test_a_lower_end_of_other_starts_takes_the_place_of_one_that_lost_modes(
 
 
 def test_an_end_with_all_partners_stands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(update, "together", poor(lost=0, good=4))
+    monkeypatch.setattr(update, "update_reduced", poor(lost=0, good=4))
     stage = updated(tmp_path).results["update"]
     np.testing.assert_array_equal(stage.sets[stage.chosen].factor, 1.0)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ringtrue.core.arrays import Int
+from ringtrue.core.arrays import Float, Int
 from ringtrue.correlation.assignment import PairingSettings
 from ringtrue.demos.lsf.twin import Twin
 from ringtrue.shapes.mac import mac
@@ -46,7 +46,7 @@ def checks(r: Mapping[str, Any]) -> tuple[Check, ...]:
         _at_most("final: mean |Δf|", t.mean_deviation(), 2.0, "%"),
         _at_most("final: largest |Δf|", t.max_deviation(), 6.0, "%"),
         _at_least("final: mean subspace MAC", t.mean_subspace_mac(), 93.0, "%"),
-        _unpaired_below(final),
+        _unpaired_below(final, r["correlate"].reference.confidence),
         *improvement(r),
     ]
     rigid = final.rigid
@@ -65,22 +65,20 @@ def _at_least(name: str, got: float, least: float, unit: str) -> Check:
     return Check(name, f"≥ {least:g} {unit}", f"{got:.2f} {unit}", bool(got >= least))
 
 
-def _unpaired_below(final: FinalStage) -> Check:
+def _unpaired_below(final: FinalStage, confidence: Float) -> Check:
     t = final.table
     top = float(t.test_hz.max(initial=0.0))
-    sure = [
-        i
-        for i, why in zip(t.pairing.unpaired_a.tolist(), t.pairing.reasons_a, strict=True)
-        if t.all_test_hz[i] < top and not why.startswith("confidence")
-    ]
+    unpaired = t.pairing.unpaired_a
+    count = int(((t.all_test_hz[unpaired] < top) & (confidence[unpaired] >= CONFIDENT)).sum())
     return Check(
         "final: confident test modes below the last pair without a partner",
         "≤ 4",
-        str(len(sure)),
-        len(sure) <= 4,
+        str(count),
+        count <= 4,
     )
 
 
+CONFIDENT = 0.5  # the confidence from which on the study pairs a test mode
 TURNS = 12  # linear programmes from each start
 
 

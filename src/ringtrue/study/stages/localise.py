@@ -37,7 +37,13 @@ from ringtrue.study.objective import (
     terms_of,
 )
 from ringtrue.study.opened import AtChannels, lump_places
-from ringtrue.study.results import CorrelateStage, LocaliseStage
+from ringtrue.study.results import (
+    CandidateEffects,
+    CandidatePool,
+    CorrelateStage,
+    ErrorIndicators,
+    LocaliseStage,
+)
 from ringtrue.study.session import OWN, Session
 from ringtrue.updating.candidates import Candidate, CandidateSettings, membership, parameters
 from ringtrue.updating.dense import DenseModel
@@ -110,16 +116,21 @@ def run(session: Session, progress: Progress) -> LocaliseStage | None:
         errors=errors.concentration(member),
         progress=part(progress, 0.7, 1.0),
     )
-    return _stage_result(
-        session,
-        model,
-        problem=_problem(session, model, others),
-        aim=aim,
-        pool=pool,
-        pairs=pairs,
-        errors=errors,
-        misfit=misfit,
+    problem = _problem(session, model, others)
+    return LocaliseStage(
+        indicators=_region_indicators(session, errors, misfit, pairs[:, 0]),
+        candidates=_candidate_effects(
+            session,
+            model,
+            problem=problem,
+            aim=aim,
+            candidates=pool.candidates,
+            proposed=proposal.x,
+        ),
+        pool=CandidatePool(pool.made, pool.dropped, pool.screened, pool.held),
         proposal=proposal,
+        proposal_basis=_beside(session) if problem is not None else "",
+        places=session.places,
     )
 
 
@@ -316,24 +327,10 @@ def _small(session: Session, name: str, model: AtChannels, points: Sequence[Floa
     return small
 
 
-def _stage_result(
-    session: Session,
-    model: AtChannels,
-    problem: Problem | None,
-    aim: Target,
-    pool: _Pool,
-    pairs: Int,
-    errors: ElementErrors,
-    misfit: Float,
-    proposal: Proposal,
-) -> LocaliseStage:
-    p = model.parameters
-    low, high = p.bounds()
-    start, end = (
-        residual(aim, model.linearise(x)) if problem is None else joint_residual(problem, x)
-        for x in (np.zeros(len(p)), proposal.x)
-    )
-    known = identifiability(end.slope * p.std())
+def _region_indicators(
+    session: Session, errors: ElementErrors, misfit: Float, modes: Int
+) -> ErrorIndicators:
+    """The indicators of the elements summed over regions."""
     labels = element_regions(session.steps[-1].model, session.deck.regions)
     names = tuple(dict.fromkeys(labels))
     at = np.array([names.index(x) for x in labels])
@@ -341,33 +338,47 @@ def _stage_result(
     def by_region(share: Float) -> Float:
         return np.asarray(np.bincount(at, share, len(names)), dtype=np.float64)
 
-    member = membership(session.steps[-1].model, pool.candidates)
-    return LocaliseStage(
+    return ErrorIndicators(
         regions=names,
         strain=by_region(errors.strain),
         force=by_region(errors.force),
         constitutive=by_region(errors.constitutive),
         energy=by_region(errors.energy),
-        modes=pairs[:, 0],
+        modes=modes,
         relative=errors.relative,
-        parameters=p,
-        what=tuple(c.what for c in pool.candidates),
-        elements=tuple(
-            ", ".join(dict.fromkeys(labels[e] for e in member[[i]].indices)) for i in range(len(p))
-        ),
-        effect=np.linalg.norm(start.slope * p.std(), axis=0),
-        alone=known.alone,
-        together=known.together,
-        explains=variation(aim, start, p.std(), low, high).frequency,
-        made=pool.made,
-        dropped=pool.dropped,
-        screened=pool.screened,
-        proposal=proposal,
         expansion=session.config.correlate.expand or "hybrid",
         misfit=misfit,
-        beside=_beside(session) if problem is not None else "",
-        places=session.places,
-        held=pool.held,
+    )
+
+
+def _candidate_effects(
+    session: Session,
+    model: AtChannels,
+    problem: Problem | None,
+    aim: Target,
+    candidates: Sequence[Candidate],
+    proposed: Float,
+) -> CandidateEffects:
+    """What the data say of each candidate, at the deck and at the proposed point (p,)."""
+    p = model.parameters
+    low, high = p.bounds()
+    start, end = (
+        residual(aim, model.linearise(x)) if problem is None else joint_residual(problem, x)
+        for x in (np.zeros(len(p)), proposed)
+    )
+    known = identifiability(end.slope * p.std())
+    deck = session.steps[-1].model
+    labels = element_regions(deck, session.deck.regions)
+    member = membership(deck, candidates)
+    regions = [dict.fromkeys(labels[e] for e in member[[i]].indices) for i in range(len(p))]
+    return CandidateEffects(
+        parameters=p,
+        what=tuple(c.what for c in candidates),
+        elements=tuple(", ".join(names) for names in regions),
+        effect=np.linalg.norm(start.slope * p.std(), axis=0),
+        others_known=known.alone,
+        all_free=known.together,
+        explains=variation(aim, start, p.std(), low, high).frequency,
     )
 
 

@@ -17,7 +17,15 @@ from ringtrue.reduction.condense import condensed
 from ringtrue.shapes.mac import paired_mac
 from ringtrue.study.objective import target, terms_of
 from ringtrue.study.opened import AtChannels, frequency_error
-from ringtrue.study.results import FinalStage, SetResult, UncertaintyStage, UpdateStage
+from ringtrue.study.results import (
+    FinalStage,
+    FrequencyBands,
+    ParameterPosterior,
+    PosteriorChains,
+    SetResult,
+    UncertaintyStage,
+    UpdateStage,
+)
 from ringtrue.study.session import OWN, Session
 from ringtrue.study.stages.update_set import as_delivered, other_configurations
 from ringtrue.updating.alike import effective_freedom, energy_shares, errors_of_shapes, likeness
@@ -274,10 +282,14 @@ def _result(
     p, pairing = posterior.parameters, final.table.pairing
     f = np.full(aim.frequencies.size, np.nan)
     f[pairing.a] = final.observed.frequencies[pairing.b]
-    known = pairing.b < slope.shape[0]
-    rows = slope[pairing.b[known]] / (8 * np.pi**2 * f[pairing.a[known]] ** 2)[:, None] @ among.link
+    computed = pairing.b < slope.shape[0]
+    rows = (
+        slope[pairing.b[computed]]
+        / (8 * np.pi**2 * f[pairing.a[computed]] ** 2)[:, None]
+        @ among.link
+    )
     parts = np.full((f.size, 3), np.nan)
-    parts[pairing.a[known], 0] = np.sqrt(np.einsum("mp,pq,mq->m", rows, among.covariance, rows))
+    parts[pairing.a[computed], 0] = np.sqrt(np.einsum("mp,pq,mq->m", rows, among.covariance, rows))
     parts[:, 1], parts[:, 2] = (
         aim.std,
         np.where(np.isfinite(held.model_std), held.model_std, likely.weights.frequency),
@@ -290,7 +302,7 @@ def _result(
     )
     if aim.lent:
         held = replace(held, mac=np.full(held.mac.size, np.nan))
-    return UncertaintyStage(
+    known = ParameterPosterior(
         parameters=p,
         factor=factor,
         std=posterior.std,
@@ -299,19 +311,24 @@ def _result(
         ratio=posterior.ratio,
         moved=posterior.moved,
         correlation=posterior.correlation(),
-        level=level,
-        discrepancy=np.array(
-            [likely.weights.frequency, np.nan if aim.lent else likely.weights.mac]
-        ),
-        assumed=np.array([aim.weights.frequency, aim.weights.mac]),
+    )
+    bands = FrequencyBands(
         test=aim.frequencies,
         predicted=f,
         band=band,
         parts=parts,
         used=aim.used,
         inside=(band[:, 0] <= aim.frequencies) & (aim.frequencies <= band[:, 1]),
+    )
+    errors = likely.weights.frequency, np.nan if aim.lent else likely.weights.mac
+    return UncertaintyStage(
+        posterior=known,
+        bands=bands,
+        level=level,
+        discrepancy=np.array(errors),
+        assumed=np.array([aim.weights.frequency, aim.weights.mac]),
         held=held,
-        flags=tuple(flag.text for flag in flags),
+        flags=tuple(flags),
     )
 
 
@@ -343,11 +360,11 @@ def _sampled(
 def _with_draws(told: UncertaintyStage, chains: Chains, p: ParameterSet) -> UncertaintyStage:
     every = chains.flat()
     band = chains.interval(told.level)
-    return replace(
-        told,
+    samples = PosteriorChains(
         draws=np.stack([p.factors(x) for x in every[:: -(-len(every) // KEPT)]]),
         sampled=np.stack([p.factors(band[:, 0]), p.factors(band[:, 1])], axis=1),
         acceptance=chains.acceptance,
         independent=chains.size,
         converged=chains.converged,
     )
+    return replace(told, chains=samples)

@@ -132,7 +132,7 @@ def _known(session: Session) -> tuple[str, ...]:
     if len(session.config.candidates()) or not session.config.propose:
         return names
     found: LocaliseStage = session.get("localise")
-    return (*names, *found.screened, *found.dropped, *found.held)
+    return (*names, *found.pool.screened, *found.pool.dropped, *found.pool.held)
 
 
 def choose_sets(session: Session, progress: Progress) -> SensitivityStage:
@@ -224,7 +224,7 @@ def update_sets(session: Session, progress: Progress) -> UpdateStage:
     return UpdateStage(
         sets=tuple(results),
         chosen=chosen,
-        why=WHY.format(name=best.name, value=best.criterion)
+        why=WHY.format(name=best.name, value=best.fit.criterion)
         + (ALL_TESTS if session.config.configuration else "")
         + ("" if all(alike) else OTHER),
         left_out=found.left_out,
@@ -291,7 +291,9 @@ def regions(session: Session, name: str) -> tuple[int, ...]:
 def _lowest_criterion(results: Sequence[SetResult], alike: Sequence[bool]) -> int:
     """The set of lowest AICc among those that weigh the data as the study does."""
     return int(
-        np.argmin([r.criterion if good else np.inf for r, good in zip(results, alike, strict=True)])
+        np.argmin(
+            [r.fit.criterion if good else np.inf for r, good in zip(results, alike, strict=True)]
+        )
     )
 
 
@@ -319,7 +321,7 @@ def _with_further_starts(
         except NumericalError as e:  # the end from the deck stands
             _log.info("%s: %s", name, e)
             continue
-        if other.criterion < best.criterion:
+        if other.fit.criterion < best.fit.criterion:
             best = replace(other, name=best.name)
     return [
         replace(best, name=r.name) if r.parameters == best.parameters and not r.settings else r
