@@ -89,7 +89,7 @@ def test_parts_of_a_property_are_looked_at_but_not_updated(tmp_path: Path, propo
     found = run_study(
         small_study.write_study(tmp_path, text, ambient=False), until="localise"
     ).results["localise"]
-    assert any(p.targets[0].elements for p in found.parameters.parameters) is not propose
+    assert any(p.targets[0].elements for p in found.candidates.parameters.parameters) is not propose
 
 
 def test_a_proposal_of_parts_alone_is_refused(tmp_path: Path) -> None:
