@@ -8,9 +8,9 @@ import numpy as np
 
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.study import results as r
-from ringtrue.updating.kfold import Held
-from ringtrue.updating.plausible import Flag
-from ringtrue.updating.proposal import Proposal, Proposed
+from ringtrue.updating.identifiability import Flag
+from ringtrue.updating.selection.proposal import Proposal, Proposed
+from ringtrue.updating.validation import Held
 
 RNG = np.random.default_rng(11)
 

@@ -21,8 +21,8 @@ from ringtrue.correlation.table import CorrelationTable
 from ringtrue.correlation.tracking import track
 from ringtrue.identification.common.poles import PoleSet, StableDiagram
 from ringtrue.study import results as r
-from ringtrue.updating.posterior import Posterior
-from ringtrue.updating.predict import Bands, RunUp, Unbalance
+from ringtrue.updating.prediction import Bands, RunUp, Unbalance
+from ringtrue.updating.uncertainty import Posterior
 
 RNG = np.random.default_rng(7)
 ELASTIC = np.array(

@@ -33,8 +33,8 @@ import small_study
 
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import DataError
-from ringtrue.io import codec
-from ringtrue.io.modes_json import write_modes
+from ringtrue.io import hdf5
+from ringtrue.io.modes import write_modes
 from ringtrue.report.build import deliver
 from ringtrue.study.opened import Opened
 from ringtrue.study.run import run_study
@@ -253,5 +253,5 @@ def read_anew(path: Path) -> dict[str, str]:
 def _digest_of(result: object) -> str:
     with h5py.File("result", "w", driver="core", backing_store=False, libver="latest") as file:
         group = file.create_group("x")
-        codec.save(group, result)
+        hdf5.save(group, result)
         return digest(group)

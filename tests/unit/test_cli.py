@@ -29,7 +29,7 @@ from ringtrue.cli.show import listed, rows
 from ringtrue.cli.status import WORDS, ExitStatus
 from ringtrue.core.modes import ModeSet
 from ringtrue.errors import NotConverged
-from ringtrue.io.modes_json import read_modes, write_modes
+from ringtrue.io.modes import read_modes, write_modes
 
 DATA = Path(__file__).parents[2].parent / "shared/data"
 Capture = pytest.CaptureFixture[str]

@@ -23,7 +23,7 @@ from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.identification.frf.pipeline import HammerModes, identify_hammer
 from ringtrue.io.frfs import read_frfs, write_frfs
-from ringtrue.io.modes_json import read_modes
+from ringtrue.io.modes import read_modes
 from ringtrue.io.records import read_record, read_runs, write_history
 from ringtrue.io.uff.function58 import TIME, write_function
 from ringtrue.signal.frf import estimate_frf

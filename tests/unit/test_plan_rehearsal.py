@@ -22,7 +22,7 @@ from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import ConfigError, DataError, InputError
 from ringtrue.fem.response import frf
 from ringtrue.io.sheets import read_sensor_sheet
-from ringtrue.io.uff.testmodel import write_test_model
+from ringtrue.io.uff.geometry import write_test_model
 from ringtrue.planning.plan_files import reach_of, write_test_sheet
 from ringtrue.planning.resolution import ambient_std
 from ringtrue.planning.virtual_test import (

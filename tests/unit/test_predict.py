@@ -22,9 +22,10 @@ from ringtrue.cli.predict import settings
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, InputError
-from ringtrue.io.modes_json import write_modes
+from ringtrue.io.modes import write_modes
 from ringtrue.model.edit import apply_factors
 from ringtrue.model.ports import ModesRequest
+from ringtrue.reduction.matrix_model import DenseModel
 from ringtrue.report.build import deliver
 from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.study.config_sections import PredictSection
@@ -33,9 +34,18 @@ from ringtrue.study.opened import Opened
 from ringtrue.study.results import DampedModes
 from ringtrue.study.run import run_study
 from ringtrue.study.stages.predict import _forces, scatter
-from ringtrue.updating.dense import DenseModel
-from ringtrue.updating.harmonic import Damping, RegionDamping, Rows
-from ringtrue.updating.predict import Output, RunUp, Unbalance, bands, plane, run_up, validated_band
+from ringtrue.updating.prediction import (
+    Damping,
+    Output,
+    RegionDamping,
+    Rows,
+    RunUp,
+    Unbalance,
+    bands,
+    plane,
+    run_up,
+    validated_band,
+)
 
 K, M, ZETA = 4e6, 100.0, 0.02
 F1 = float(np.sqrt(K / M) / (2 * np.pi))

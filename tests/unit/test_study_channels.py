@@ -30,7 +30,7 @@ from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.fem.response import frf
 from ringtrue.io.frfs import write_frfs
-from ringtrue.io.modes_json import write_modes
+from ringtrue.io.modes import write_modes
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.model.ports import ModesRequest
 from ringtrue.report.build import build

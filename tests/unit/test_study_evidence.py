@@ -31,7 +31,7 @@ from ringtrue.study.messages import left_out_sentence, run_messages
 from ringtrue.study.reference import reference_modes
 from ringtrue.study.results import Evidence, RecordSummary
 from ringtrue.study.run import StudyRun, run_study
-from ringtrue.updating.plausible import Flag
+from ringtrue.updating.identifiability import Flag
 
 Capture = pytest.CaptureFixture[str]
 

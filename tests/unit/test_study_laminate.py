@@ -15,7 +15,7 @@ import pytest
 
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.decks.nastran.reader import read_deck
-from ringtrue.io.modes_json import write_modes
+from ringtrue.io.modes import write_modes
 from ringtrue.model.edit import apply_factors
 from ringtrue.model.ports import ModesRequest
 from ringtrue.report.build import deliver

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.testmodel import TestModel
-from ringtrue.io.modes_json import write_modes
+from ringtrue.io.modes import write_modes
 from ringtrue.study.config import parse_config
 from ringtrue.study.reference import beyond, fewer, left_out, measured_part, reference_modes
 from ringtrue.study.session import Session

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import small_study
 
-from ringtrue.decks.nastran.edit import unified_diff
+from ringtrue.decks.nastran.editor import unified_diff
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.report.build import deliver

@@ -24,7 +24,7 @@ from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.identification.frf.pipeline import HammerModes, identify_hammer
 from ringtrue.io.frfs import write_frfs
-from ringtrue.io.modes_json import write_modes
+from ringtrue.io.modes import write_modes
 from ringtrue.io.records import read_record, write_history
 from ringtrue.model.ports import ModesRequest
 from ringtrue.report.build import deliver

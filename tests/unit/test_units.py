@@ -22,11 +22,11 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import UnsupportedError
-from ringtrue.io.modes_json import write_modes
+from ringtrue.io.modes import write_modes
 from ringtrue.model.edit import in_seconds
 from ringtrue.study.direct import with_lumps
 from ringtrue.study.opened import Opened
-from ringtrue.updating.candidates import CandidateSettings
+from ringtrue.updating.selection.candidates import CandidateSettings
 
 Capture = pytest.CaptureFixture[str]
 ELEMENTS = 10

@@ -14,23 +14,14 @@ from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.correlation.assignment import Followed, PairingSettings, peak_shares
 from ringtrue.errors import InputError
 from ringtrue.model.ports import Linearisation
+from ringtrue.reduction.matrix_model import DenseModel
 from ringtrue.shapes.mac import mac
 from ringtrue.study.stages.update_set import left_out_deviation
-from ringtrue.updating.dense import DenseModel
-from ringtrue.updating.gauss_newton import update
-from ringtrue.updating.objective import (
-    DOUBT,
-    LOST,
-    Target,
-    Weights,
-    match,
-    objective,
-    residual,
-    shared_cost,
-)
-from ringtrue.updating.settle import Course, displaced, lost, settled, whole_cost
-from ringtrue.updating.several import Configuration, Problem
-from ringtrue.updating.trust import solve
+from ringtrue.updating.gauss_newton import objective, residual, shared_cost, update
+from ringtrue.updating.problem import Configuration, Problem
+from ringtrue.updating.solver import solve
+from ringtrue.updating.strategy import Course, displaced, lost, settled, whole_cost
+from ringtrue.updating.target import DOUBT, LOST, Target, Weights, match
 
 
 def chain(n: int, groups: int, *, kind: str = "log") -> DenseModel:

@@ -23,13 +23,13 @@ from ringtrue.core.progress import quiet
 from ringtrue.correlation.sensor_mapping import at_dofs
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError
-from ringtrue.io.modes_json import write_modes
+from ringtrue.io.modes import write_modes
 from ringtrue.study.objective import target
 from ringtrue.study.opened import Opened
 from ringtrue.study.run import StudyRun, run_study
 from ringtrue.study.stages.localise import DataScreening
-from ringtrue.updating.candidates import CandidateSettings, parameters
-from ringtrue.updating.generate import generate
+from ringtrue.updating.selection.candidates import CandidateSettings, parameters
+from ringtrue.updating.selection.generation import generate
 from ringtrue.virtual.logbook import write_sheet
 
 WRONG, SOFT = 0.75, 0.5  # columns of the first storey, the hanger

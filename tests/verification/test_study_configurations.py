@@ -22,7 +22,7 @@ import small_study
 
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError
-from ringtrue.io.modes_json import write_modes
+from ringtrue.io.modes import write_modes
 from ringtrue.report.build import deliver
 from ringtrue.study.acceptance import missed_words, verdict
 from ringtrue.study.config import parse_config

@@ -25,7 +25,7 @@ from ringtrue.checks.mass import whole_mass
 from ringtrue.correlation.sensor_mapping import Alignment
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, DataError
-from ringtrue.io.modes_json import write_modes
+from ringtrue.io.modes import write_modes
 from ringtrue.report.build import deliver
 from ringtrue.study import session
 from ringtrue.study.config import parse_config

@@ -18,16 +18,16 @@ from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.errors import ConfigError, InputError, NumericalError
 from ringtrue.fem.parametrisation.polynomials import AffineTerm, power
 from ringtrue.model.ports import Linearisation
-from ringtrue.reduction.affine import AffineSystem
+from ringtrue.reduction.basis import AffineSystem
+from ringtrue.reduction.matrix_model import DenseModel
 from ringtrue.reduction.parametric import BasisOptions, reduced_model
 from ringtrue.study.config_update import UpdateSection
 from ringtrue.study.objective import course_of, starting_point
-from ringtrue.updating.dense import DenseModel
 from ringtrue.updating.multistart import global_search, latin_hypercube, multi_start
-from ringtrue.updating.objective import Target, Weights
-from ringtrue.updating.several import Configuration, Problem, link_equal
-from ringtrue.updating.trust import solve
-from ringtrue.updating.verified import solve_verified
+from ringtrue.updating.problem import Configuration, Problem, link_equal
+from ringtrue.updating.solver import solve
+from ringtrue.updating.strategy import solve_verified
+from ringtrue.updating.target import Target, Weights
 
 TRUTH = np.array([0.6, 0.1, -0.5])
 

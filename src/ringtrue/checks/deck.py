@@ -21,7 +21,7 @@ from ringtrue.checks.elements import (
 from ringtrue.checks.mass import body_findings, wide_findings
 from ringtrue.checks.materials import check_materials, check_units
 from ringtrue.core.arrays import Int
-from ringtrue.decks.nastran.constraint_sets import empty_choices
+from ringtrue.decks.nastran.case import empty_choices
 from ringtrue.model.cards import TABLES, columns
 from ringtrue.model.case_control import CONSTRAINTS, idle, left_out, untaken_matrices
 from ringtrue.model.frames import diagonal, positions

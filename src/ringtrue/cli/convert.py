@@ -12,10 +12,9 @@ from ringtrue.cli.show import out
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.decks.nastran.reader import read_deck
-from ringtrue.decks.nastran.results.hdf5 import is_nastran_h5
-from ringtrue.decks.nastran.results.modes import READERS, read_nastran_modes
+from ringtrue.decks.nastran.results.modes import READERS, is_nastran_h5, read_nastran_modes
 from ringtrue.errors import DataError, InputError
-from ringtrue.io.modes_json import read_modes, read_std, write_modes
+from ringtrue.io.modes import read_modes, read_std, write_modes
 
 _TRANSLATIONS_ONLY = (".uff", ".unv", ".55")
 

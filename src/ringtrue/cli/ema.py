@@ -36,11 +36,11 @@ from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.errors import ConfigError, about
 from ringtrue.identification.frf.linearity import level_dependence
 from ringtrue.identification.frf.local_fits import with_local_fits
-from ringtrue.identification.frf.other_methods import identify_frfs_by
 from ringtrue.identification.frf.pipeline import HammerModes, identify_hammer
 from ringtrue.identification.frf.residues import driving_pairs
+from ringtrue.identification.methods import AUTOMATIC_FRF, FRF_METHODS, identify_frfs_by
 from ringtrue.io.frfs import frf_ids, holds_frfs, read_frfs, write_frfs
-from ringtrue.io.modes_json import modes_to_json
+from ringtrue.io.modes import modes_to_json
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.signal.channel_checks import clipping_told
 from ringtrue.signal.frf_sets import alike, join_frfs, setups_of
@@ -61,13 +61,6 @@ class Estimator(StrEnum):
     H1 = "H1"
     H2 = "H2"
     HV = "Hv"
-
-
-class FrfMethod(StrEnum):
-    """How modes are found in FRFs."""
-
-    PLSCF = "plscf"
-    CMIF = "cmif"
 
 
 class Motion(StrEnum):
@@ -100,8 +93,12 @@ def ema(
     fmin: Fmin = None,
     fmax: Fmax = None,
     method: Annotated[
-        FrfMethod, typer.Option(help="Refined pLSCF, or another method for a second opinion.")
-    ] = FrfMethod.PLSCF,
+        str,
+        typer.Option(
+            metavar="|".join((AUTOMATIC_FRF, *FRF_METHODS)),
+            help="Refined pLSCF, or another method for a second opinion.",
+        ),
+    ] = AUTOMATIC_FRF,
     force: Annotated[
         list[str] | None,
         typer.Option(
@@ -217,7 +214,7 @@ def ema(
     want = replace(want, estimator=estimator.value, keep_to=fmax)
     band = HammerModes(fmin=fmin, fmax=fmax)
     only = {"--choice": choice, "--write-choice": choice_to, "--diagram": diagram, "--level": level}
-    check_method(method, FrfMethod.PLSCF, only)
+    check_method(method, AUTOMATIC_FRF, FRF_METHODS, only)
     if level:
         check_levels(level, len(files))
         return _at_levels(level, files, (how, want, shaker, window_decay), band, json)
@@ -227,9 +224,9 @@ def ema(
         frfs = _windowed(measured.frfs, window_decay)
         if frfs_to:
             write_frfs(frfs_to, frfs)
-        if method is not FrfMethod.PLSCF:
+        if method != AUTOMATIC_FRF:
             with clipping_told(measured.clipped):
-                other = identify_frfs_by(method.value, frfs, band, progress=show)
+                other = identify_frfs_by(method, frfs, band, progress=show)
             return told(title, other, measured.notes, json)
         with clipping_told(measured.clipped):
             found = identify_hammer(frfs, band, choice=by_hand, progress=show)

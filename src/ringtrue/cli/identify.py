@@ -5,7 +5,7 @@ hand.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from enum import StrEnum
 from pathlib import Path
@@ -19,7 +19,6 @@ from ringtrue.core.choice import Choice
 from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import ConfigError, DataError, about, did_you_mean
-from ringtrue.identification.ambient.other_methods import SecondOpinion, identify_ambient_by
 from ringtrue.identification.ambient.pipeline import (
     AmbientResult,
     AmbientSettings,
@@ -29,9 +28,16 @@ from ringtrue.identification.ambient.record_bands import SHORTEST
 from ringtrue.identification.common.manual_selection import as_choice
 from ringtrue.identification.common.poles import StableDiagram
 from ringtrue.identification.frf.pipeline import HammerResult
-from ringtrue.io.atomic import atomic_write
+from ringtrue.identification.methods import (
+    AMBIENT_METHODS,
+    AUTOMATIC_AMBIENT,
+    PeakMethod,
+    SecondOpinion,
+    identify_ambient_by,
+)
 from ringtrue.io.choices import read_choice, write_choice
-from ringtrue.io.modes_json import modes_to_json
+from ringtrue.io.files import atomic_write
+from ringtrue.io.modes import modes_to_json
 from ringtrue.io.records import read_record, refuse_bad_samples
 from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
 from ringtrue.plots.pages import picker_page
@@ -39,19 +45,6 @@ from ringtrue.signal.channel_checks import find_faults
 from ringtrue.signal.gaps import bridged, without_overlap
 from ringtrue.signal.order_tracking import without_machines
 from ringtrue.signal.tonal_lines import harmonics
-
-
-class AmbientMethod(StrEnum):
-    """How modes are found in an ambient record."""
-
-    SSI = "ssi"
-    PLSCF = "plscf"
-    ERA = "era"
-    SSI_DATA = "ssi-data"
-    FDD = "fdd"
-    EFDD = "efdd"
-    FSDD = "fsdd"
-    RANDOM_DECREMENT = "random-decrement"
 
 
 class Removal(StrEnum):
@@ -215,9 +208,13 @@ def oma(
     fmin: Fmin = None,
     fmax: Fmax = None,
     method: Annotated[
-        AmbientMethod,
-        typer.Option("--method", help="SSI-cov, or another method for a second opinion."),
-    ] = AmbientMethod.SSI,
+        str,
+        typer.Option(
+            "--method",
+            metavar="|".join((AUTOMATIC_AMBIENT, *AMBIENT_METHODS)),
+            help="SSI-cov, or another method for a second opinion.",
+        ),
+    ] = AUTOMATIC_AMBIENT,
     near: Annotated[
         list[float] | None,
         typer.Option("--near", metavar="HZ", help="Peak of the FDD methods; may be repeated."),
@@ -253,22 +250,14 @@ def oma(
     )
     by_hand = choice_of(choice, record)
     settings = AmbientSettings(fmin=fmin, fmax=fmax)
-    check_method(
-        method,
-        AmbientMethod.SSI,
-        {"--choice": choice, "--write-choice": choice_to, "--diagram": diagram},
-    )
-    if near and method in (
-        AmbientMethod.SSI,
-        AmbientMethod.PLSCF,
-        AmbientMethod.ERA,
-        AmbientMethod.SSI_DATA,
-    ):
+    by_diagram = {"--choice": choice, "--write-choice": choice_to, "--diagram": diagram}
+    check_method(method, AUTOMATIC_AMBIENT, AMBIENT_METHODS, by_diagram)
+    if near and not isinstance(AMBIENT_METHODS.get(method), PeakMethod):
         raise ConfigError(
-            f"--near: {method.value} finds its modes in the whole band; give --fmin and --fmax"
+            f"--near: {method} finds its modes in the whole band; give --fmin and --fmax"
         )
-    if method is not AmbientMethod.SSI and len(records) > 1:
-        raise ConfigError(f"--method {method.value}: one record, got {len(records)}")
+    if method != AUTOMATIC_AMBIENT and len(records) > 1:
+        raise ConfigError(f"--method {method}: one record, got {len(records)}")
     said: list[str] = []
     sheet = read_sensor_sheet(sensors) if sensors else None
 
@@ -279,10 +268,9 @@ def oma(
 
     parts = _parts(records, read, remove_harmonics, said)
     with progress("ambient modes") as show, about(record) if len(records) == 1 else nullcontext():
-        if method is not AmbientMethod.SSI:
-            other = identify_ambient_by(
-                method.value, next(parts), settings, near=near or (), progress=show
-            )
+        if method != AUTOMATIC_AMBIENT:
+            peaks = tuple(near or ())
+            other = identify_ambient_by(method, next(parts), settings, near=peaks, progress=show)
             return told(title, other, said, json)
         found = identify_stretches(parts, settings, choice=by_hand, progress=show)
     write_pages(record, (found.modes, found.reasons, found.diagrams), choice_to, diagram)
@@ -325,12 +313,17 @@ def check_each_once(files: Sequence[Path]) -> None:
         raise ConfigError(f"{twice[0]} is given twice")
 
 
-def check_method(method: StrEnum, first: StrEnum, options: Mapping[str, object]) -> None:
-    """Refuse options that only the first method has."""
-    if method is not first and (wrong := [k for k, v in options.items() if v is not None]):
+def check_method(
+    method: str, automatic: str, others: Iterable[str], options: Mapping[str, object]
+) -> None:
+    """Refuse a method that is unknown, and options that only the automatic one has."""
+    known = (automatic, *others)
+    if method not in known:
+        raise ConfigError(f"--method {method!r}{did_you_mean(method, known)}")
+    given = [name for name, value in options.items() if value is not None]
+    if method != automatic and given:
         raise ConfigError(
-            f"{wrong[0]} goes with --method {first.value}; the others have no diagram of judged "
-            "poles"
+            f"{given[0]} goes with --method {automatic}; the others have no stabilisation diagram"
         )
 
 

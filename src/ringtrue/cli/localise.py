@@ -14,7 +14,7 @@ from ringtrue.core.progress import part
 from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.correlation.assignment import NO_LOCKS
 from ringtrue.decks.nastran.reader import read_deck
-from ringtrue.io.modes_json import read_modes
+from ringtrue.io.modes import read_modes
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.shapes.complexity import realise_modes
 from ringtrue.study.config_sections import CorrelateSection, LocaliseSection, target_words
@@ -24,8 +24,8 @@ from ringtrue.study.placing import placed, seat_words, seats, seats_json
 from ringtrue.study.reference import measured_part
 from ringtrue.study.results import Seat
 from ringtrue.study.supplied import pair_frequencies
-from ringtrue.updating.candidates import CandidateSettings
-from ringtrue.updating.proposal import Proposed as Member
+from ringtrue.updating.selection.candidates import CandidateSettings
+from ringtrue.updating.selection.proposal import Proposed as Member
 
 POOL: int = LocaliseSection.model_fields["pool"].default
 

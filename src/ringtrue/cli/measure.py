@@ -44,7 +44,7 @@ from ringtrue.correlation.table import correlation_table
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, DataError, about
 from ringtrue.io.matrices import read_matrices
-from ringtrue.io.modes_json import READ, read_modes, read_std
+from ringtrue.io.modes import READ, read_modes, read_std
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.model.ports import ModesRequest
 from ringtrue.study.config_sections import CorrelateSection, Tam

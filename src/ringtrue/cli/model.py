@@ -30,7 +30,7 @@ from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.decks.nastran.reader import Survey, read_deck, survey
 from ringtrue.errors import ConfigError, DeckError, RingtrueError
 from ringtrue.fem.assembly import assemble
-from ringtrue.io.modes_json import WRITTEN, dump_modes, write_modes
+from ringtrue.io.modes import WRITTEN, dump_modes, write_modes
 from ringtrue.model.case_control import asked_modes
 from ringtrue.model.ports import Analysis, ModesRequest, ModesResult
 from ringtrue.solvers.embedded import EmbeddedAnalysis

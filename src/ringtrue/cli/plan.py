@@ -18,7 +18,7 @@ from ringtrue.core.modes import elastic
 from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError
-from ringtrue.io.atomic import atomic_write, writes
+from ringtrue.io.files import atomic_write, writes
 from ringtrue.model.ports import ModesRequest
 from ringtrue.planning.exciters import reciprocity_pairs
 from ringtrue.planning.plan_files import NAMES, reach_of, write_test_sheet

@@ -12,7 +12,7 @@ import typer
 from ringtrue.cli.show import Json, err, one_of, out, progress, rows, write_json
 from ringtrue.cli.stated import warn_of_units
 from ringtrue.errors import ConfigError
-from ringtrue.io.atomic import atomic_write
+from ringtrue.io.files import atomic_write
 from ringtrue.study.config import StudyConfig, read_config
 from ringtrue.study.config_sections import PredictSection
 from ringtrue.study.messages import validity_sentence
@@ -21,7 +21,7 @@ from ringtrue.study.run import run_study
 from ringtrue.study.session import Session
 from ringtrue.study.stages import predict as stage
 from ringtrue.study.store import Store
-from ringtrue.updating.predict import PLANE, RunUp
+from ringtrue.updating.prediction import PLANE, RunUp
 
 
 def _stated(

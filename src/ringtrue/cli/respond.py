@@ -22,7 +22,7 @@ from ringtrue.core.signals import Channel, FrfKind, FrfSet
 from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.decks.nastran.reader import read_damped_deck, read_deck, read_loaded_deck
 from ringtrue.errors import ConfigError, InputError
-from ringtrue.io.atomic import atomic_write
+from ringtrue.io.files import atomic_write
 from ringtrue.io.frfs import write_frfs
 from ringtrue.io.statics import COLUMNS
 from ringtrue.model.case_control import ModalDamping, responding

@@ -12,7 +12,7 @@ from ringtrue.cli.stated import warn_of_units
 from ringtrue.cli.status import ExitStatus
 from ringtrue.core.iterate import Outcome
 from ringtrue.errors import ConfigError
-from ringtrue.io.foreign.texts import read_json
+from ringtrue.io.foreign.parsers import read_json
 from ringtrue.report.build import deliver, report_from_store
 from ringtrue.study.acceptance import Check, limits, missed_words
 from ringtrue.study.messages import run_messages

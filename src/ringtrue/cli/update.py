@@ -16,7 +16,7 @@ from ringtrue.cli.stated import stated
 from ringtrue.cli.updated import show_summary, summary_of
 from ringtrue.core.progress import part
 from ringtrue.core.units import UNIT_SYSTEMS
-from ringtrue.decks.nastran.edit import edit_fields, refuse_copy, refuse_unwritable
+from ringtrue.decks.nastran.editor import edit_fields, refuse_copy, refuse_unwritable
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.model.edit import field_changes
@@ -45,9 +45,9 @@ from ringtrue.study.objective import KINDS as KINDS_OF_MODES
 from ringtrue.study.objective import LOSSES
 from ringtrue.study.opened import Opened
 from ringtrue.study.placing import seat_words, seats_json
-from ringtrue.updating.trust import KINDS
-from ringtrue.updating.verified import Verified
-from ringtrue.updating.weights import RULES
+from ringtrue.updating.regularisation import RULES
+from ringtrue.updating.solver import KINDS
+from ringtrue.updating.strategy import Verified
 
 
 def update(

@@ -16,12 +16,11 @@ from ringtrue.solvers.registry import EMBEDDED
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.measured_data import Data
 from ringtrue.study.messages import discrepancy_sentence, worse_frequencies
-from ringtrue.updating.objective import Target
-from ringtrue.updating.plausible import plausibility
-from ringtrue.updating.residuals import Point
-from ringtrue.updating.settle import kept
-from ringtrue.updating.several import Evaluated, Problem
-from ringtrue.updating.verified import Verified
+from ringtrue.updating.identifiability import plausibility
+from ringtrue.updating.problem import Evaluated, Problem
+from ringtrue.updating.residuals.modal import Point
+from ringtrue.updating.strategy import Verified, kept
+from ringtrue.updating.target import Target
 
 SIDES = ("measured", "before", "after")
 

@@ -76,10 +76,10 @@ def singular_dofs(
             sparse.csr_array(T[:, columns]),
             np.searchsorted(doubtful, group[columns]),
             place[columns],
-            doubtful.size,
-            parts,
-            direct,
-            tolerance,
+            count=doubtful.size,
+            parts=parts,
+            direct=direct,
+            tolerance=tolerance,
         )
         told = stiffened.any(axis=(1, 2))
         held[doubtful[told]] = _weak(stiffened[told], there[doubtful[told]], tolerance)
@@ -90,7 +90,8 @@ def _blocks(A: sparse.csr_array, group: Int, place: Int, count: int) -> Float:
     """The 3 x 3 blocks (count, 3, 3) of groups of A's rows."""
     coo = A.tocoo()
     inside = group[coo.row] == group[coo.col]
-    r, c = coo.row[inside], coo.col[inside]
+    r = coo.row[inside]
+    c = coo.col[inside]
     out = np.zeros((count, 3, 3))
     out[group[r], place[r], place[c]] = coo.data[inside]
     return out

@@ -179,8 +179,15 @@ def _field(text: str) -> FieldSpec:
     if default:
         value = type(value)(default)
     if not bar:
-        return FieldSpec(real, kind, value, "", tail)
-    return FieldSpec(real, kind, value, other, tail, other_default=int(otherwise or 0))
+        return FieldSpec(name=real, kind=kind, default=value, other="", tail=tail)
+    return FieldSpec(
+        name=real,
+        kind=kind,
+        default=value,
+        other=other,
+        tail=tail,
+        other_default=int(otherwise or 0),
+    )
 
 
 @cache

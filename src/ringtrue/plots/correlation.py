@@ -11,7 +11,8 @@ import plotly.graph_objects as go
 
 from ringtrue.core.arrays import Float
 from ringtrue.correlation.frf import FrfComparison
-from ringtrue.correlation.measures import Check, CompleteCorrelation
+from ringtrue.correlation.measures import CompleteCorrelation
+from ringtrue.correlation.orthogonality import Check
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.correlation.tracking import Tracks
 from ringtrue.plots.style import (

@@ -20,7 +20,7 @@ from ringtrue.plots.style import (
     log_axis,
 )
 from ringtrue.study.results import DampedModes, DampedRegions
-from ringtrue.updating.predict import RunUp
+from ringtrue.updating.prediction import RunUp
 
 DECADES = 5  # below the highest amplitude
 BEYOND = "#eef1f4"

@@ -24,8 +24,8 @@ from ringtrue.eigen.modes import solve_modes
 from ringtrue.eigen.pencil import Pencil
 from ringtrue.errors import InputError, NumericalError
 from ringtrue.model.ports import Linearisation
-from ringtrue.reduction.affine import AffineSystem
 from ringtrue.reduction.basis import (
+    AffineSystem,
     Projection,
     compress,
     mixed_sensitivities,
@@ -36,12 +36,22 @@ from ringtrue.reduction.basis import (
 )
 
 USUAL = 320  # vectors of a basis
+
+
 SOLVED, SPANNED = 0.3, 0.8  # of the progress of a basis: its modes are there, its vectors are there
+
+
 MANY = 2400  # sensitivity vectors from which on random mixtures of them stand for all
+
+
 AT_ONCE = 800  # sensitivity vectors whose principal directions are taken at once
+
+
 # times the highest frequency returned: stiffer vectors of the basis have no sensitivity that can be
 # used
 FAR = 100.0
+
+
 MASSLESS = (
     1e-14  # θ = 1/(λ − σ), relative to the largest, from which on a vector of the basis has no mass
 )
@@ -408,3 +418,38 @@ def reduced_model(
     for point in points:  # snapshots
         model, _ = model.enrich(point, progress=progress)
     return model
+
+
+def condensed(model: ReducedModel, points: Sequence[Float], size: int) -> ReducedModel:
+    """The model on the principal directions of its modes at points x, in the energy K − σM.
+
+    Proper orthogonal decomposition: of all bases of that size the one that leaves the least energy
+    of these modes out. Good between the points; away from them it is too stiff.
+
+    Parameters
+    ----------
+    points : sequence of (p,) float64
+        Of the active parameters.
+    size : int
+        Vectors kept; not fewer than the modes of the model.
+
+    Raises
+    ------
+    InputError
+        If there is no point, or fewer vectors than modes.
+    """
+    if not len(points) or size < model.count:
+        raise InputError(f"{len(points)} points (>= 1), {size} vectors for {model.count} modes")
+    b = model.basis
+    if size >= b.size:
+        return model
+    root = linalg.cholesky(b.stiffness - model.shift * b.mass)
+    parts = []
+    for x in points:
+        lam, y = model.coordinates(x)
+        parts.append(root @ (y / np.sqrt(lam - model.shift)))
+    u, _, _ = linalg.svd(np.hstack(parts), full_matrices=False)
+    v = linalg.solve_triangular(root, u[:, :size])
+    terms = tuple((f, v.T @ k @ v, v.T @ m @ v) for f, k, m in b.terms)
+    basis = Projection(b.vectors @ v, v.T @ b.stiffness @ v, v.T @ b.mass @ v, terms, b.observe @ v)
+    return replace(model, basis=basis)

@@ -17,7 +17,7 @@ from plotly.offline import get_plotlyjs
 from ringtrue import __version__
 from ringtrue.core.arrays import Any_
 from ringtrue.errors import ConfigError, did_you_mean
-from ringtrue.io.atomic import atomic_write
+from ringtrue.io.files import atomic_write
 from ringtrue.plots.pages import script_json
 from ringtrue.report.parts import Acceptance, Photo, Picture, Plot, Scene3D, Section
 from ringtrue.report.sections import (

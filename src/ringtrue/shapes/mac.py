@@ -59,7 +59,8 @@ def mac(a: Any_, b: Any_) -> Float:
     InputError
         If the numbers of rows differ.
     """
-    a, b = np.asarray(a), np.asarray(b)
+    a = np.asarray(a)
+    b = np.asarray(b)
     _same_rows(a, b)
     return np.asarray(np.minimum(np.abs(unit(a).conj().T @ unit(b)) ** 2, 1.0), dtype=np.float64)
 
@@ -80,7 +81,8 @@ def worst_off_diagonal(auto: Float) -> float:
 
 def paired_mac(a: Any_, b: Any_) -> Float:
     """MAC of column k of `a` with column k of `b`, (m,)."""
-    a, b = np.asarray(a), np.asarray(b)
+    a = np.asarray(a)
+    b = np.asarray(b)
     _same_rows(a, b)
     return np.asarray(
         np.minimum(np.abs((unit(a).conj() * unit(b)).sum(axis=0)) ** 2, 1.0), dtype=np.float64
@@ -104,7 +106,8 @@ def principal_angles(a: Any_, b: Any_) -> Float:
 
     Source: Björck and Golub (1973); sine form for small angles (Knyazev and Argentati, 2002).
     """
-    qa, qb = basis(a), basis(b)
+    qa = basis(a)
+    qb = basis(b)
     if qa.shape[1] < qb.shape[1]:
         qa, qb = qb, qa
     cross = qa.conj().T @ qb

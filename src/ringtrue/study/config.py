@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, field_validator, mo
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.io.files import read_text
-from ringtrue.io.foreign.texts import toml_value
+from ringtrue.io.foreign.parsers import toml_value
 from ringtrue.model.halves import NODES
 from ringtrue.solvers.registry import EMBEDDED
 from ringtrue.study.config_sections import (

@@ -13,8 +13,8 @@ from ringtrue.core.units import UnitName
 from ringtrue.correlation.assignment import PairingSettings
 from ringtrue.errors import did_you_mean
 from ringtrue.solvers.registry import EMBEDDED
-from ringtrue.updating.candidates import Kind
 from ringtrue.updating.damping_regions import DampingRegion
+from ringtrue.updating.selection.candidates import Kind
 
 
 class Section(BaseModel):

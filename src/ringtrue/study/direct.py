@@ -14,12 +14,11 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.core.testmodel import Observation, TestModel
 from ringtrue.errors import DataError, NumericalError, about
-from ringtrue.io.modes_json import read_modes, read_std
+from ringtrue.io.modes import read_modes, read_std
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModalSolver, ModesRequest
-from ringtrue.reduction.condense import condensed
-from ringtrue.reduction.parametric import ReducedModel, modes_of
+from ringtrue.reduction.parametric import ReducedModel, condensed, modes_of
 from ringtrue.shapes.complexity import realise_modes
 from ringtrue.solvers.observed import PRINTED, UNTOLD, FullModel, reduced
 from ringtrue.study.config import StudyConfig
@@ -50,21 +49,25 @@ from ringtrue.study.placing import placed, seats
 from ringtrue.study.reference import highest, locks, measured_part, settings
 from ringtrue.study.results import Seat
 from ringtrue.study.supplied import pair_frequencies, supplied_frfs, without_channels
-from ringtrue.updating.candidates import Candidate, CandidateSettings, membership
-from ringtrue.updating.effects import Dropped, effective, reduced_candidates
-from ringtrue.updating.generate import generate
-from ringtrue.updating.identifiable import ALIKE, stood_for
-from ringtrue.updating.localise import reduced_errors
-from ringtrue.updating.objective import Target, Weights, match
-from ringtrue.updating.pool import SMALL, conflicts, drawn, passed_over
-from ringtrue.updating.proposal import Proposal, propose
-from ringtrue.updating.residuals import Weighted
-from ringtrue.updating.screening import LEADING, screened
-from ringtrue.updating.settle import displaced, whole_cost
-from ringtrue.updating.several import Configuration, Problem
-from ringtrue.updating.trust import Solution
-from ringtrue.updating.unmoved import unmoved
-from ringtrue.updating.verified import Verified, solve_verified
+from ringtrue.updating.identifiability import ALIKE, stood_for, unmoved
+from ringtrue.updating.problem import Configuration, Problem
+from ringtrue.updating.residuals.modal import Weighted
+from ringtrue.updating.selection.candidates import Candidate, CandidateSettings, membership
+from ringtrue.updating.selection.effects import Dropped, effective, reduced_candidates
+from ringtrue.updating.selection.generation import generate
+from ringtrue.updating.selection.localisation import reduced_errors
+from ringtrue.updating.selection.proposal import Proposal, propose
+from ringtrue.updating.selection.screening import (
+    LEADING,
+    SMALL,
+    conflicts,
+    drawn,
+    passed_over,
+    screened,
+)
+from ringtrue.updating.solver import Solution
+from ringtrue.updating.strategy import Verified, displaced, solve_verified, whole_cost
+from ringtrue.updating.target import Target, Weights, match
 
 AGREE = 1e-4  # relative frequency error of the reduced model that is accepted at the end
 
@@ -145,7 +148,7 @@ def direct_problem(
 
 def not_told_apart(problem: Problem) -> dict[str, tuple[str, ...]]:
     """Candidates that are held at the deck's values, with those that stand for them
-    (`identifiable.stood_for`).
+    (`identifiability.stood_for`).
 
     Those of the largest effect stand for others.
     """
@@ -155,7 +158,7 @@ def not_told_apart(problem: Problem) -> dict[str, tuple[str, ...]]:
 
 
 def unmoved_by(solution: Solution) -> Bool:
-    """Parameters (p,) whose change is not worth a new value in the deck (`update.unmoved`)."""
+    """Parameters (p,) whose change is not worth a new value in the deck."""
     at = solution.end.points[0]
     fe = at.every[:, 1]
     slopes = 0.5 * at.now.d_lambda[fe] / (2 * np.pi * at.now.frequencies[fe, None]) ** 2

@@ -15,28 +15,28 @@ from ringtrue.core.signals import FrfSet
 from ringtrue.core.testmodel import Observation
 from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.correlation.frf import compare_frfs, fdac
-from ringtrue.correlation.measures import Lift, complete
-from ringtrue.correlation.orthogonality import Gate
+from ringtrue.correlation.measures import complete
+from ringtrue.correlation.orthogonality import Gate, Lift
 from ringtrue.correlation.pairing import Pairing
 from ringtrue.correlation.tracking import Tracks, track
 from ringtrue.eigen.modes import low_shift
 from ringtrue.errors import ConfigError, InputError, NumericalError
 from ringtrue.fem.response import frf
-from ringtrue.reduction.expand import (
+from ringtrue.reduction.expansion import (
     Expanded,
     expand_dynamic,
     expand_hybrid,
     expand_serep,
     expand_static,
 )
-from ringtrue.reduction.tam import craig_bampton_coordinates, craig_bampton_of, tam
+from ringtrue.reduction.static import craig_bampton_coordinates, craig_bampton_of, tam
 from ringtrue.shapes.mac import auto_mac
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.config_sections import CorrelateSection
 from ringtrue.study.opened import Opened, scene_modes
 from ringtrue.study.reference import Reference, settings
 from ringtrue.study.results import Evidence, FrfEvidence, IdentifyStage, Scene
-from ringtrue.updating.localise import NOISE
+from ringtrue.updating.selection.localisation import NOISE
 
 # entries of the transform of a test-analysis model that are built without being asked for
 LARGEST = 100_000_000

@@ -24,9 +24,9 @@ from ringtrue.fem.parametrisation.polynomials import AffineTerm
 from ringtrue.io.frfs import read_frfs
 from ringtrue.io.statics import StaticTests, read_statics
 from ringtrue.model.model import Model
-from ringtrue.reduction.affine import AffineSystem
-from ringtrue.reduction.flexible import with_responses
+from ringtrue.reduction.basis import AffineSystem
 from ringtrue.reduction.parametric import ReducedModel
+from ringtrue.reduction.response import with_responses
 from ringtrue.study.config_update import (
     AntiResonanceResidual,
     DataResidual,
@@ -34,10 +34,10 @@ from ringtrue.study.config_update import (
     MassResidual,
     StaticResidual,
 )
-from ringtrue.updating.harmonic import Damping
-from ringtrue.updating.residuals import Block, Term
-from ringtrue.updating.residuals_frf import AntiResonances, Frf
-from ringtrue.updating.residuals_static import MassProperties, RigidMass, StaticDeflections
+from ringtrue.updating.prediction import Damping
+from ringtrue.updating.residuals.frf import AntiResonances, Frf
+from ringtrue.updating.residuals.modal import Block, Term
+from ringtrue.updating.residuals.static import MassProperties, RigidMass, StaticDeflections
 
 DECIBEL = 20 / np.log(10)
 NO_FRFS = "the test has no FRFs"

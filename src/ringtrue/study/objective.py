@@ -24,8 +24,8 @@ from ringtrue.study.reference import followed, settings, used_mask
 from ringtrue.study.results import ConfiguredTest, CorrelateStage
 from ringtrue.study.session import OWN, Session
 from ringtrue.updating.multistart import global_search, latin_hypercube, multi_start
-from ringtrue.updating.objective import Target, Weights
-from ringtrue.updating.residuals import (
+from ringtrue.updating.problem import Configuration, Evaluated, Huber, Loss, Problem, Squares, Tukey
+from ringtrue.updating.residuals.modal import (
     CrossOrthogonality,
     Eigenvalues,
     Frequencies,
@@ -34,12 +34,11 @@ from ringtrue.updating.residuals import (
     Term,
     Weighted,
 )
-from ringtrue.updating.residuals_static import RigidMass
-from ringtrue.updating.robust import Huber, Loss, Squares, Tukey
-from ringtrue.updating.settle import Course, Settled
-from ringtrue.updating.settle import settled as settled_from
-from ringtrue.updating.several import Configuration, Evaluated, Problem
-from ringtrue.updating.trust import Method, Solution, solve, staged
+from ringtrue.updating.residuals.static import RigidMass
+from ringtrue.updating.solver import Method, Solution, solve, staged
+from ringtrue.updating.strategy import Course, Settled
+from ringtrue.updating.strategy import settled as settled_from
+from ringtrue.updating.target import Target, Weights
 
 LOSSES: dict[str, Loss] = {"squares": Squares(), "huber": Huber(), "tukey": Tukey()}
 KINDS = ("eigenvalues", "frequencies", "shapes", "mac", "orthogonality")

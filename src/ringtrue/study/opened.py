@@ -25,15 +25,15 @@ from ringtrue.fem.parametrisation.affine import affine_terms
 from ringtrue.model.frames import diagonal, positions
 from ringtrue.model.model import Model
 from ringtrue.model.ports import Linearisation, ModalSolver, ModesRequest, ModesResult
-from ringtrue.reduction.affine import observed_system
-from ringtrue.reduction.flexible import with_responses
+from ringtrue.reduction.basis import observed_system
+from ringtrue.reduction.matrix_model import Matrices, matrices_at
 from ringtrue.reduction.parametric import ReducedModel, reduced_model
+from ringtrue.reduction.response import with_responses
 from ringtrue.solvers.embedded import EmbeddedAnalysis, EmbeddedSolver
 from ringtrue.study.results import Scene
-from ringtrue.updating.candidates import Candidate, CandidateSettings
-from ringtrue.updating.dense import Matrices, matrices_at
-from ringtrue.updating.lumps import lumped, places
-from ringtrue.updating.residuals import Whole
+from ringtrue.updating.residuals.modal import Whole
+from ringtrue.updating.selection.candidates import Candidate, CandidateSettings
+from ringtrue.updating.selection.generation import lumped, places
 
 ROUNDING = 1e-6  # of the size of the structure: nodes closer than this are at one place
 
@@ -399,9 +399,7 @@ def scene_modes(modes: ModeSet, scene: Scene) -> ModeSet:
 def with_lumps(
     opened: Opened, nodes: Int, settings: CandidateSettings
 ) -> tuple[Model, tuple[Candidate, ...]]:
-    """The deck with places for masses that it may lack at nodes, ids (k,), and these as candidates
-    (`update.lumps`).
-    """
+    """The deck with places for masses that it may lack at nodes (k,), and these as candidates."""
     mass = mass_properties(opened.analysis.system).mass
     return lumped(
         opened.model, nodes, mass / opened.model.param("WTMASS", 1.0), settings.of(opened.model)

@@ -24,10 +24,9 @@ import numpy as np
 from ringtrue import __version__
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress, part, quiet
-from ringtrue.decks.nastran.edit import refuse_copy
+from ringtrue.decks.nastran.editor import refuse_copy
 from ringtrue.errors import ConfigError, DataError, InputError, did_you_mean
-from ringtrue.io.atomic import one_run, reads, writes
-from ringtrue.io.files import absence
+from ringtrue.io.files import absence, one_run, reads, writes
 from ringtrue.model.edit import apply_factors, resolve_target
 from ringtrue.study.config import StudyConfig, parse_config, read_config
 from ringtrue.study.results import Provenance

@@ -18,7 +18,7 @@ from ringtrue.core.progress import Progress
 from ringtrue.core.testmodel import Observation, TestModel
 from ringtrue.core.units import UNIT_SYSTEMS, UnitSystem
 from ringtrue.correlation.sensor_mapping import Alignment
-from ringtrue.decks.nastran.edit import add_cards
+from ringtrue.decks.nastran.editor import add_cards
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, about
 from ringtrue.model.edit import carried, in_seconds
@@ -50,8 +50,8 @@ from ringtrue.study.results import (
     UpdateStage,
 )
 from ringtrue.study.store import Store
-from ringtrue.updating.candidates import Candidate, CandidateSettings
-from ringtrue.updating.residuals_static import RigidMass
+from ringtrue.updating.residuals.static import RigidMass
+from ringtrue.updating.selection.candidates import Candidate, CandidateSettings
 
 OWN = ""  # the deck of the study among the configurations
 FMAX = 100.0  # Hz, where neither the study nor a test says
@@ -71,9 +71,7 @@ class Session:
     )  # of the stages of this run: what their results follow from
     delivered: Opened | None = None  # the deck that the final stage has written, while it is open
     generated: ParameterSet | None = None  # candidates that the localisation has made from the deck
-    lumped: Opened | None = (
-        None  # the remodelled deck with places for masses that it may lack (`update.lumps`)
-    )
+    lumped: Opened | None = None  # the remodelled deck with places for masses that it may lack
     _model: ReducedModel | None = None
     _opened: dict[str, Opened] = field(default_factory=dict)  # decks of other configurations
     _others: dict[str, AtChannels] = field(default_factory=dict)  # their reduced models

@@ -16,10 +16,10 @@ import h5py
 import numpy as np
 
 from ringtrue.errors import DataError
-from ringtrue.io import codec
-from ringtrue.io.atomic import atomic_write, keeps_up
+from ringtrue.io import hdf5
+from ringtrue.io.files import atomic_write, keeps_up
 from ringtrue.io.foreign.door import DAMAGE
-from ringtrue.io.foreign.hdf5 import open_hdf5, trust_hdf5
+from ringtrue.io.foreign.parsers import open_hdf5, trust_hdf5
 from ringtrue.study.results import FinishedSet
 
 DIGEST = "digest"  # SHA-256 of all that a stage holds
@@ -49,7 +49,7 @@ class Store:
         if not self.path.exists():
             return None
         with self._open() as f, self._reading(stage):
-            return codec.text_of(f[stage].attrs["key"]) if stage in f else None
+            return hdf5.text_of(f[stage].attrs["key"]) if stage in f else None
 
     def timings(self) -> dict[str, float]:
         """Seconds that each stored stage took; one that is damaged has none."""
@@ -84,7 +84,7 @@ class Store:
                         if name != stage and name not in drop:
                             self._copy(old, name, new)
             group = new.create_group(stage)
-            codec.save(group, result)
+            hdf5.save(group, result)
             group.attrs["key"] = np.bytes_(key)
             group.attrs[SECONDS] = seconds
             group.attrs[DIGEST] = np.bytes_(digest(group))
@@ -114,10 +114,10 @@ class Store:
                     f"{', '.join(f) or 'nothing'}"
                 )
             with self._reading(stage):
-                if digest(f[stage]) != codec.text_of(f[stage].attrs.get(DIGEST, "")):
+                if digest(f[stage]) != hdf5.text_of(f[stage].attrs.get(DIGEST, "")):
                     raise ValueError("it holds something else than its digest says")
             try:
-                return codec.load(f[stage])
+                return hdf5.load(f[stage])
             except (DataError, *DAMAGE) as e:
                 raise DataError(f"{self.path}: stage {stage!r}: {e}; run the study again") from e
 

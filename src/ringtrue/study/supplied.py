@@ -17,7 +17,7 @@ from ringtrue.correlation.assignment import Locks
 from ringtrue.correlation.pairing import PairingSettings, pair_modes
 from ringtrue.errors import DataError, about
 from ringtrue.io.frfs import read_frfs
-from ringtrue.io.modes_json import read_modes, read_std
+from ringtrue.io.modes import read_modes, read_std
 from ringtrue.signal.frf_sets import exchanged, join_frfs
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.opened import Opened

@@ -3,7 +3,7 @@ from damping ratios.
 
 In the basis of the updated model's mass-normalised modes, D = Σ γ_k D_k and H = Σ γ_k H_k stand
 beside Λ. A linear bounded solution to first order starts a bounded nonlinear one on the data
-themselves, whose Gauss-Newton matrix gives the uncertainty; `damping_frf` does the same from FRFs.
+themselves, whose Gauss-Newton matrix gives the uncertainty.
 Friswell and Mottershead (1995), ch. 8; Pilkey and Inman (1998) on identifying damping matrices.
 """
 

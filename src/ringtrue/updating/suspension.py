@@ -25,8 +25,8 @@ from ringtrue.core.progress import Progress
 from ringtrue.errors import InputError, NotConverged, NumericalError, SolverError
 from ringtrue.model.ports import Linearisation, ObservedModel
 from ringtrue.shapes.mac import close_groups, mac
-from ringtrue.updating.objective import Target, used_up
-from ringtrue.updating.spans import shape_residual
+from ringtrue.updating.gauss_newton import used_up
+from ringtrue.updating.target import Target, shape_residual
 
 MOST = 50_000  # assignments that are ranked
 KEPT = 24  # of these refined at most

@@ -12,13 +12,14 @@ import numpy as np
 from ringtrue.core.testmodel import TestModel
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.demos.lsf import deck, facility
+from ringtrue.demos.lsf.best import best_possible
 from ringtrue.demos.lsf.campaign import CampaignPlan, CampaignSummary, run_campaign
-from ringtrue.demos.lsf.checks import best_possible, checks
+from ringtrue.demos.lsf.checks import checks
 from ringtrue.demos.lsf.spec import Spec
 from ringtrue.demos.lsf.study import write_study
 from ringtrue.demos.lsf.truth import twin_hash
 from ringtrue.demos.lsf.twin import Twin, make_twin
-from ringtrue.io.foreign.texts import read_json
+from ringtrue.io.foreign.parsers import read_json
 from ringtrue.report.build import deliver
 from ringtrue.study.acceptance import Check
 from ringtrue.study.results import PlanStage

@@ -47,7 +47,8 @@ def scaled(model: Model, parameter: Parameter, factor: Factor) -> Model:
             f"parameter {parameter.name} is a factor on element matrices: no model has them as "
             "fields"
         )
-    targets, own = list(parameter.targets), dict[tuple[str, int, tuple[int, ...]], int]()
+    targets = list(parameter.targets)
+    own = dict[tuple[str, int, tuple[int, ...]], int]()
     for i, t in enumerate(targets):
         if t.elements:
             card = (t.card, t.id, t.elements)
@@ -75,7 +76,13 @@ def changed(model: Model, name: str, targets: Sequence[CardField], factor: Facto
     tables = dict(model.tables)
     for (card, field, step), ids in groups.items():
         tables[card] = _with_fields(
-            tables, f"parameter {name}: {card}", card, field, np.array(ids), step, factor
+            tables,
+            f"parameter {name}: {card}",
+            card,
+            field=field,
+            ids=np.array(ids),
+            step=step,
+            factor=factor,
         )
     for card in MADE:
         if dimensioned := [t.id for t in targets if t.card == card]:
@@ -110,10 +117,11 @@ def _with_fields(
         raise InputError(
             f"{where} {first} {field}: no such card in the model{_there(tables, card, first)}"
         )
-    table, where = tables[card], f"{where} {ids[0]} {field}"
+    table = tables[card]
+    where = f"{where} {ids[0]} {field}"
     ply = _PLY.fullmatch(field)
     if field not in table.columns and ply and isinstance(table.columns.get(ply[1]), Ragged):
-        return _with_ply(table, where, ply[1], int(ply[2]), rows, step, factor)
+        return _with_ply(table, where, ply[1], ply=int(ply[2]), rows=rows, step=step, factor=factor)
     if field not in table.columns:
         raise InputError(f"{where}: no such field{did_you_mean(field, table.columns)}")
     column = table.columns[field]
@@ -123,12 +131,20 @@ def _with_fields(
     both = rows[table[twin][rows] == column[rows]] if twin else rows[:0]
     stations = f"{field}X" if twin and f"{field}X" in table.columns else ""
     equal = _equal(table.ragged(stations), column, rows) if stations else rows[:0]
-    table = table.with_column(field, _multiplied(column, rows, where, step, factor))
+    table = table.with_column(field, _multiplied(column, rows, where, step=step, factor=factor))
     if twin and both.size:
-        table = table.with_column(twin, _multiplied(table[twin], both, where, step, factor))
+        table = table.with_column(
+            twin, _multiplied(table[twin], both, where, step=step, factor=factor)
+        )
     if equal.size:
         table = _with_entries(
-            table, where, stations, table.ragged(stations).values, equal, step, factor
+            table,
+            where,
+            stations,
+            values=table.ragged(stations).values,
+            at=equal,
+            step=step,
+            factor=factor,
         )
     return table
 
@@ -161,13 +177,13 @@ def _with_ply(
     at = ragged.offsets[rows] + ply - 1
     if (at >= ragged.offsets[rows + 1]).any() or ply < 1:
         raise InputError(f"{where}: there is no entry {ply}")
-    return _with_entries(table, where, name, values, at, step, factor)
+    return _with_entries(table, where, name, values=values, at=at, step=step, factor=factor)
 
 
 def _with_entries(
     table: Table, where: str, name: str, values: NDArray[Any], at: Int, step: float, factor: Factor
 ) -> Table:
-    values = _multiplied(values, at, where, step, factor)
+    values = _multiplied(values, at, where, step=step, factor=factor)
     return replace(
         table, columns={**table.columns, name: Ragged(values, table.ragged(name).offsets)}
     )
@@ -346,12 +362,14 @@ def _own(model: Model, name: str, target: CardField) -> tuple[Model, CardField]:
         fresh, model = _copied(model, named, target.id, _family(direct[0].of))
         model = model if named == target.card else _row_added(model, target.card, target.id, fresh)
         for r in direct:
-            model = _redirected(model, r.card, r.field, rows[r.card], target.id, fresh)
+            model = _redirected(
+                model, r.card, r.field, rows=rows[r.card], old=target.id, fresh=fresh
+            )
         rows = {c: at for c, at in rows.items() if c not in {r.card for r in direct}}
     elif links:
         fresh, model = _copied(model, target.card, target.id, _family(links[0].of))
     for r in links if rows else []:  # through the properties of the elements that are left
-        model = _by_property(model, r.card, r.field, rows, target.id, fresh)
+        model = _by_property(model, r.card, r.field, rows=rows, old=target.id, fresh=fresh)
     return model, replace(target, id=fresh, elements=())
 
 
@@ -412,6 +430,8 @@ def _by_property(model: Model, card: str, field: str, rows: Rows, old: int, fres
             if row[0] < 0 or not (held == old).any():
                 continue
             new, model = _copied(model, card, pid, "P")
-            model = _redirected(model, card, field, model[card].find(np.array([new])), old, fresh)
-            model = _redirected(model, r.card, r.field, rows[r.card], pid, new)
+            model = _redirected(
+                model, card, field, rows=model[card].find(np.array([new])), old=old, fresh=fresh
+            )
+            model = _redirected(model, r.card, r.field, rows=rows[r.card], old=pid, fresh=new)
     return model

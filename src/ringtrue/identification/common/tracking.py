@@ -45,7 +45,7 @@ class TrackSettings:
         Weight of a new shape in the shape followed: it may turn slowly, as it does where two modes
         veer.
     least : int
-        Stretches that make a mode; rarer ones are listed apart.
+        Stretches that make a mode; rarer ones are listed as rare.
     """
 
     step: float = 0.02
@@ -182,8 +182,13 @@ def track_modes(stretches: Sequence[Stretch], settings: TrackSettings | None = N
     threads: list[_Thread] = []
     clock = ticks(times)
     for k, stretch in enumerate(stretches):
-        threads = _advance(threads, (k, clock), stretch, shapes[k], stretches, s)
-    tracks = [_track(t, stretches, shapes) for t in _mended(threads, stretches, shapes, clock, s)]
+        threads = _advance(
+            threads, (k, clock), stretch=stretch, psi=shapes[k], all_of=stretches, s=s
+        )
+    tracks = [
+        _track(t, stretches, shapes)
+        for t in _mended(threads, stretches, shapes=shapes, clock=clock, s=s)
+    ]
     tracks.sort(key=lambda t: (int(t.at[0]), float(t.frequency[0])))
     known = [t for t in tracks if t.at.size >= min(s.least, len(stretches))]
     rare = [t for t in tracks if t.at.size < min(s.least, len(stretches))]
@@ -239,7 +244,8 @@ def _cost(
     """(a, b) cost of joining modes a to b, `_FAR` where they may not be; `gate` (a,) relative
     change of frequency.
     """
-    df, like = np.abs(to_f - f[:, None]), common_mac(shape, to_shape)
+    df = np.abs(to_f - f[:, None])
+    like = common_mac(shape, to_shape)
     reach = _reach(gate[:, None] * f[:, None], like, np.hypot(spread[:, None], to_spread))
     return np.where((df <= reach) & (like >= least), 1 - like + 0.5 * (df / reach) ** 2, _FAR)
 
@@ -259,7 +265,8 @@ def _advance(
 ) -> list[_Thread]:
     """The threads after one more stretch; `now` is its position and the clock of all."""
     k, clock = now
-    f, sf = stretch.modes.frequencies, _finite(stretch.uncertainty.frequency)
+    f = stretch.modes.frequencies
+    sf = _finite(stretch.uncertainty.frequency)
     left = set(range(f.size))
     threads = list(threads)
     if threads and f.size:
@@ -272,7 +279,16 @@ def _advance(
         )
         shape = np.stack([t.shape for t in threads], axis=1)
         known = np.array([t.frequency for t in threads])
-        cost = _cost(known, last, shape, f, sf, psi, s.step * np.clip(np.sqrt(gap), 1, 3), s.mac)
+        cost = _cost(
+            known,
+            last,
+            shape=shape,
+            to_f=f,
+            to_spread=sf,
+            to_shape=psi,
+            gate=s.step * np.clip(np.sqrt(gap), 1, 3),
+            least=s.mac,
+        )
         for i, j in zip(*linear_sum_assignment(cost), strict=True):
             if cost[i, j] < _FAR:
                 threads[i] = threads[i].joined((k, int(j)), float(f[j]), psi[:, j], s.memory)
@@ -320,9 +336,9 @@ def _one(a: ModeTrack, b: ModeTrack, clock: Float, s: TrackSettings) -> bool:
     like = common_mac(a.shape[:, None], b.shape[:, None])[0, 0]
     if np.intersect1d(a.at, b.at).size or like < max(0.9, s.mac):
         return False
-    apart = np.abs(clock[a.at][:, None] - clock[b.at])
-    i, j = np.unravel_index(apart.argmin(), apart.shape)
-    step = s.step * np.clip(np.sqrt(apart[i, j]), 1, 3) * a.frequency[i]
+    distance = np.abs(clock[a.at][:, None] - clock[b.at])
+    i, j = np.unravel_index(distance.argmin(), distance.shape)
+    step = s.step * np.clip(np.sqrt(distance[i, j]), 1, 3) * a.frequency[i]
     spread = np.hypot(_finite(a.std_frequency)[i], _finite(b.std_frequency)[j])
     return bool(abs(a.frequency[i] - b.frequency[j]) <= _reach(step, like, spread))
 
@@ -338,16 +354,16 @@ def _track(t: _Thread, stretches: Sequence[Stretch], shapes: Sequence[Complex]) 
         return np.array(parts, dtype=np.float64)
 
     return ModeTrack(
-        "",
-        at,
-        mode,
-        of("frequencies", "modes"),
-        of("frequency", "uncertainty"),
-        of("damping", "modes"),
-        of("damping", "uncertainty"),
-        of("confidence", "modes"),
-        mean,
-        like,
+        name="",
+        at=at,
+        mode=mode,
+        frequency=of("frequencies", "modes"),
+        std_frequency=of("frequency", "uncertainty"),
+        damping=of("damping", "modes"),
+        std_damping=of("damping", "uncertainty"),
+        confidence=of("confidence", "modes"),
+        shape=mean,
+        mac=like,
     )
 
 
@@ -372,6 +388,7 @@ def unseen(tracked: Tracked, track: ModeTrack) -> tuple[int, int]:
     0 where this may be chance: where stretches that show it as often as those between would leave
     out so many in a row in more than one case of a hundred.
     """
-    before, after = int(track.at[0]), tracked.times.size - 1 - int(track.at[-1])
+    before = int(track.at[0])
+    after = tracked.times.size - 1 - int(track.at[-1])
     missed = 1 - track.at.size / (track.at[-1] - track.at[0] + 2)
     return (before if missed**before < _CHANCE else 0), (after if missed**after < _CHANCE else 0)

@@ -24,7 +24,7 @@ class LevelCheck:
     significance : float
         Chance at which a linear structure is called nonlinear, in one of its modes.
     mac_min : float
-        A mode of another level must be this much alike.
+        A mode of another level must have this MAC.
     shift_max : float
         And no farther in frequency than this, relative.
     """
@@ -119,23 +119,33 @@ def level_dependence(
     x = np.log(force[order])
     slope_f, dev_f, chance_f = _trend(x, values[0], values[2])
     slope_z, dev_z, chance_z = _trend(x, values[1], values[3])
-    each = settings.significance / max(
-        2 * np.isfinite(chance_f).sum(), 1
-    )  # Bonferroni: all tests together
+    # Bonferroni: all tests together
+    each = settings.significance / max(2 * np.isfinite(chance_f).sum(), 1)
     linear = ~((chance_f < each) | (chance_z < each))
     f, z, std_f, std_z = values
     return LevelDependence(
-        force[order], f, z, std_f, std_z, slope_f, slope_z, dev_f, dev_z, chance_f, chance_z, linear
+        levels=force[order],
+        frequency=f,
+        damping=z,
+        std_frequency=std_f,
+        std_damping=std_z,
+        slope_frequency=slope_f,
+        slope_damping=slope_z,
+        std_slope_frequency=dev_f,
+        std_slope_damping=dev_z,
+        chance_frequency=chance_f,
+        chance_damping=chance_z,
+        linear=linear,
     )
 
 
 def track(a: ModeSet, b: ModeSet, settings: LevelCheck) -> tuple[Int, Int]:
     """Positions in `a` and `b` of the pairs with the largest total MAC, near in frequency."""
     b = b.rows(a.channels)
-    alike = mac(a.shapes, b.shapes)
+    similarity = mac(a.shapes, b.shapes)
     far = np.abs(np.log(a.frequencies[:, None] / b.frequencies))
-    ok = (alike >= settings.mac_min) & (far <= settings.shift_max)
-    here, there = linear_sum_assignment(np.where(ok, alike - far, -1.0), maximize=True)
+    ok = (similarity >= settings.mac_min) & (far <= settings.shift_max)
+    here, there = linear_sum_assignment(np.where(ok, similarity - far, -1.0), maximize=True)
     good = ok[here, there]
     return here[good], there[good]
 
@@ -145,7 +155,13 @@ def _moved(last: ModeSet, modes: ModeSet, here: Int, there: Int) -> ModeSet:
     f = last.frequencies.copy()
     f[here] = modes.frequencies[there]
     return ModeSet(
-        f, last.damping, last.shapes, last.labels, last.norm, last.source, last.confidence
+        frequencies=f,
+        damping=last.damping,
+        shapes=last.shapes,
+        labels=last.labels,
+        norm=last.norm,
+        source=last.source,
+        confidence=last.confidence,
     )
 
 
@@ -153,11 +169,13 @@ def _trend(x: Float, value: Float, std: Float) -> tuple[Float, Float, Float]:
     """Slope (m,) of ln value over x, its deviation, and the chance of equal values; NaN with fewer
     than two levels.
     """
-    y, s = np.log(value), std / value
+    y = np.log(value)
+    s = std / value
     w = np.where(np.isfinite(y) & (s > 0), 1 / np.where(s > 0, s, 1.0) ** 2, 0.0)
     y = np.where(w > 0, y, 0.0)
     total = np.where(w.sum(axis=0) > 0, w.sum(axis=0), np.nan)
-    xm, ym = (w * x[:, None]).sum(axis=0) / total, (w * y).sum(axis=0) / total
+    xm = (w * x[:, None]).sum(axis=0) / total
+    ym = (w * y).sum(axis=0) / total
     dx = x[:, None] - xm
     sxx = (w * dx**2).sum(axis=0)
     sxx = np.where((w > 0).sum(axis=0) > 1, sxx, np.nan)

@@ -8,8 +8,8 @@ import math
 from collections.abc import Sequence
 
 from ringtrue.correlation.channel_faults import Suspect
-from ringtrue.correlation.measures import Check, CompleteCorrelation, Subspace
-from ringtrue.correlation.orthogonality import Failure
+from ringtrue.correlation.measures import CompleteCorrelation, Subspace
+from ringtrue.correlation.orthogonality import Check, Failure
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.plots import correlation as plots
 from ringtrue.report.parts import (

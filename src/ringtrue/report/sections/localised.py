@@ -23,7 +23,7 @@ from ringtrue.report.parts import (
 )
 from ringtrue.report.stages import Stages
 from ringtrue.study.results import LocaliseStage
-from ringtrue.updating.proposal import Proposed
+from ringtrue.updating.selection.proposal import Proposed
 
 LEAD = (
     "The test shapes, expanded to the whole model by {0}, do not fulfil its equation of motion. "

@@ -30,7 +30,7 @@ from ringtrue.report.parts import (
 from ringtrue.report.stages import Stages
 from ringtrue.study.messages import validity_sentence
 from ringtrue.study.results import PredictStage, UncertaintyStage
-from ringtrue.updating.predict import Bands
+from ringtrue.updating.prediction import Bands
 
 
 def uncertainty(data: Stages) -> Section | None:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 
-from ringtrue.correlation.measures import Check, CompleteCorrelation
+from ringtrue.correlation.measures import CompleteCorrelation
+from ringtrue.correlation.orthogonality import Check
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.plots import correlation as plots
 from ringtrue.report.parts import (

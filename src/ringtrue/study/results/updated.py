@@ -14,12 +14,12 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.study.results.correlated import Evidence, Seat
-from ringtrue.updating.kfold import Held
-from ringtrue.updating.localise import SCARCE
-from ringtrue.updating.plausible import SLIGHT, Flag, kept, unproven
-from ringtrue.updating.posterior import Posterior
-from ringtrue.updating.predict import RunUp, Unbalance
-from ringtrue.updating.proposal import Proposal
+from ringtrue.updating.identifiability import SLIGHT, Flag, kept, unproven
+from ringtrue.updating.prediction import RunUp, Unbalance
+from ringtrue.updating.selection.localisation import SCARCE
+from ringtrue.updating.selection.proposal import Proposal
+from ringtrue.updating.uncertainty import Posterior
+from ringtrue.updating.validation import Held
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,10 +16,10 @@ from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.core.testmodel import TestModel
 from ringtrue.correlation.measures import complete
-from ringtrue.correlation.pairing import BEYOND_THE_GATE, pair_modes
+from ringtrue.correlation.pairing import pair_modes
 from ringtrue.correlation.sensor_mounting import Mending, find_mendings
 from ringtrue.correlation.table import CorrelationTable, correlation_table
-from ringtrue.decks.nastran.edit import unified_diff
+from ringtrue.decks.nastran.editor import unified_diff
 from ringtrue.errors import ConfigError, InputError, RingtrueError, about
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.model.edit import apply_factors, carried, field_value
@@ -197,12 +197,12 @@ def _mesh(session: Session, table: CorrelationTable) -> tuple[str, ...]:
 
 
 def _beyond_gate(table: CorrelationTable) -> tuple[str, ...]:
-    """Pairs beyond the frequency gate, and lone test modes that it keeps from one of the deck that
-    looks alike.
+    """Pairs beyond the frequency gate, and unpaired test modes that it keeps from one of the deck
+    that looks alike.
     """
     p = table.pairing
-    lone = zip(p.unpaired_a, p.reasons_a, strict=True)
-    return (*p.far(), *(f"test mode {i + 1}: {w}" for i, w in lone if BEYOND_THE_GATE in w))
+    unpaired = zip(p.unpaired_a, p.reasons_a, p.gated_a, strict=True)
+    return (*p.far(), *(f"test mode {i + 1}: {why}" for i, why, gated in unpaired if gated))
 
 
 def _shared_places(session: Session) -> tuple[str, ...]:

@@ -17,7 +17,7 @@ from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.core.modes import ModeSet, Uncertainty, elastic
 from ringtrue.core.progress import Progress
 from ringtrue.correlation.table import CorrelationTable
-from ringtrue.decks.nastran.edit import edit_fields
+from ringtrue.decks.nastran.editor import edit_fields
 from ringtrue.eigen.damped import complex_modes, project
 from ringtrue.fem.response import coupled
 from ringtrue.model.edit import field_value

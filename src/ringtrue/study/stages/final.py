@@ -13,7 +13,7 @@ from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress
 from ringtrue.core.signals import FrfSet
 from ringtrue.correlation.pairing import Pairing
-from ringtrue.decks.nastran.edit import edit_fields, is_new
+from ringtrue.decks.nastran.editor import edit_fields, is_new
 from ringtrue.model.edit import FieldChange, carried, field_changes, field_value
 from ringtrue.model.model import Model
 from ringtrue.study.config_sections import ConfigurationSection

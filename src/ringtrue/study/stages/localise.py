@@ -13,7 +13,7 @@ from ringtrue.checks.mass import unconstrained
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress, part, quiet
-from ringtrue.decks.nastran.edit import refuse_unwritable, unwritable
+from ringtrue.decks.nastran.editor import refuse_unwritable, unwritable
 from ringtrue.errors import DataError
 from ringtrue.fem.assembly import System, assemble
 from ringtrue.fem.parametrisation.changed_model import affected_cards
@@ -21,10 +21,10 @@ from ringtrue.fem.parametrisation.derivatives import congruent
 from ringtrue.fem.parametrisation.polynomials import AffineTerm, power
 from ringtrue.model.edit import has_fields
 from ringtrue.model.model import Model
-from ringtrue.reduction.affine import AffineSystem
-from ringtrue.reduction.condense import condensed
-from ringtrue.reduction.flexible import responding, with_responses
-from ringtrue.reduction.parametric import ReducedModel
+from ringtrue.reduction.basis import AffineSystem
+from ringtrue.reduction.matrix_model import DenseModel
+from ringtrue.reduction.parametric import ReducedModel, condensed
+from ringtrue.reduction.response import responding, with_responses
 from ringtrue.study.evidence import at_channels, expanded
 from ringtrue.study.measured_data import flexible
 from ringtrue.study.objective import (
@@ -45,20 +45,35 @@ from ringtrue.study.results import (
     LocaliseStage,
 )
 from ringtrue.study.session import OWN, Session
-from ringtrue.updating.candidates import Candidate, CandidateSettings, membership, parameters
-from ringtrue.updating.dense import DenseModel
-from ringtrue.updating.effects import effective
-from ringtrue.updating.generate import generate
-from ringtrue.updating.identifiable import identifiability
-from ringtrue.updating.joint import joint_residual
-from ringtrue.updating.localise import ElementErrors, expanded_errors, reduced_errors, variation
-from ringtrue.updating.objective import Target, match, residual
-from ringtrue.updating.pool import SMALL, conflicts, drawn, of_parameter, passed_over
-from ringtrue.updating.proposal import Proposal, propose
-from ringtrue.updating.residuals import Point, Weighted
-from ringtrue.updating.residuals_static import RigidMass
-from ringtrue.updating.screening import screened
-from ringtrue.updating.several import Configuration, Problem
+from ringtrue.updating.gauss_newton import joint_residual, residual
+from ringtrue.updating.identifiability import identifiability
+from ringtrue.updating.problem import Configuration, Problem
+from ringtrue.updating.residuals.modal import Point, Weighted
+from ringtrue.updating.residuals.static import RigidMass
+from ringtrue.updating.selection.candidates import (
+    Candidate,
+    CandidateSettings,
+    membership,
+    parameters,
+)
+from ringtrue.updating.selection.effects import effective
+from ringtrue.updating.selection.generation import generate
+from ringtrue.updating.selection.localisation import (
+    ElementErrors,
+    expanded_errors,
+    reduced_errors,
+    variation,
+)
+from ringtrue.updating.selection.proposal import Proposal, propose
+from ringtrue.updating.selection.screening import (
+    SMALL,
+    conflicts,
+    drawn,
+    of_parameter,
+    passed_over,
+    screened,
+)
+from ringtrue.updating.target import Target, match
 
 NO_CANDIDATE = (
     "no candidate made from the deck changes a mode and can be written into it: give "

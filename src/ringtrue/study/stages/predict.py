@@ -43,12 +43,20 @@ from ringtrue.study.stages.tune import target as rigid_target
 from ringtrue.study.stages.update import chosen_factors
 from ringtrue.study.stages.update_set import other_configurations
 from ringtrue.updating.damping_regions import matrices_of
-from ringtrue.updating.harmonic import Damping, RegionDamping, Rows
-from ringtrue.updating.kfold import discrepancy
-from ringtrue.updating.plausible import plausibility
-from ringtrue.updating.posterior import Posterior, laplace
-from ringtrue.updating.predict import Output, Unbalance, plane, run_up, validated_band
-from ringtrue.updating.several import Configuration, Problem
+from ringtrue.updating.identifiability import plausibility
+from ringtrue.updating.prediction import (
+    Damping,
+    Output,
+    RegionDamping,
+    Rows,
+    Unbalance,
+    plane,
+    run_up,
+    validated_band,
+)
+from ringtrue.updating.problem import Configuration, Problem
+from ringtrue.updating.uncertainty import Posterior, laplace
+from ringtrue.updating.validation import discrepancy
 
 LOWEST = 0.005  # of the highest speed: the first line
 WATCHED = 40  # speeds at which the residual is watched

@@ -26,12 +26,12 @@ from ringtrue.study.results import (
 from ringtrue.study.session import OWN, Session
 from ringtrue.study.stages.update import chosen_factors
 from ringtrue.updating.gauss_newton import update
-from ringtrue.updating.objective import Target, Weights, match
-from ringtrue.updating.plausible import plausibility
-from ringtrue.updating.settle import Course, settled
-from ringtrue.updating.several import Configuration, Problem
+from ringtrue.updating.identifiability import plausibility
+from ringtrue.updating.problem import Configuration, Problem
+from ringtrue.updating.solver import Solution, solve
+from ringtrue.updating.strategy import Course, settled
 from ringtrue.updating.suspension import Suspended, tune
-from ringtrue.updating.trust import Solution, solve
+from ringtrue.updating.target import Target, Weights, match
 
 # a rigid-body mode on springs leaves no room for model discrepancy but the mass distribution
 WEIGHTS = Weights(frequency=0.005, mac=0.1, shape=0.1)
@@ -82,7 +82,7 @@ def suspended(session: Session, progress: Progress) -> AtChannels:
     return model.with_parameters(range(first, first + count), base)
 
 
-def tuned(active: AtChannels, aim: Target, iterations: int, progress: Progress) -> Suspended:
+def tuned(active: ObservedModel, aim: Target, iterations: int, progress: Progress) -> Suspended:
     """Every pairing weighed, from the point that the nearest pairing leads to.
 
     Test modes that find no partner inside the gates there take no part.

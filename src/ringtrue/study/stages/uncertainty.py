@@ -13,7 +13,7 @@ from scipy.special import ndtri, stdtrit
 from ringtrue.core.arrays import Float
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress, part
-from ringtrue.reduction.condense import condensed
+from ringtrue.reduction.parametric import condensed
 from ringtrue.shapes.mac import paired_mac
 from ringtrue.study.objective import target, terms_of
 from ringtrue.study.opened import AtChannels, frequency_error
@@ -28,17 +28,25 @@ from ringtrue.study.results import (
 )
 from ringtrue.study.session import OWN, Session
 from ringtrue.study.stages.update_set import as_delivered, other_configurations
-from ringtrue.updating.alike import effective_freedom, energy_shares, errors_of_shapes, likeness
-from ringtrue.updating.joint import left_at
-from ringtrue.updating.kfold import Held, folds_of, with_discrepancy
-from ringtrue.updating.mcmc import Chains, ensemble, log_posterior
-from ringtrue.updating.objective import Target, Weights
-from ringtrue.updating.plausible import form_flags, kept, plausibility
-from ringtrue.updating.pool import conflicts, of_parameter
-from ringtrue.updating.posterior import Posterior, around, as_likelihood
-from ringtrue.updating.residuals import Eigenvalues, Weighted
-from ringtrue.updating.several import Configuration, Problem
-from ringtrue.updating.spans import spans
+from ringtrue.updating.identifiability import form_flags, kept, plausibility
+from ringtrue.updating.problem import Configuration, Problem
+from ringtrue.updating.regularisation import left_at
+from ringtrue.updating.residuals.modal import Eigenvalues, Weighted
+from ringtrue.updating.selection.screening import conflicts, of_parameter
+from ringtrue.updating.target import Target, Weights, spans
+from ringtrue.updating.uncertainty import (
+    Chains,
+    Posterior,
+    around,
+    as_likelihood,
+    effective_freedom,
+    energy_shares,
+    ensemble,
+    errors_of_shapes,
+    likeness,
+    log_posterior,
+)
+from ringtrue.updating.validation import Held, folds_of, with_discrepancy
 
 SMALL = 100  # vectors of the model that is updated fold by fold and sampled
 # points around the updated one whose modes it holds, beside those of each parameter by itself

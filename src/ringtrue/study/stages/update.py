@@ -29,14 +29,13 @@ from ringtrue.study.session import Session
 from ringtrue.study.stages.localise import element_regions
 from ringtrue.study.stages.update_set import compare_data, update_by_runs, update_reduced
 from ringtrue.study.store import FinishedSets
-from ringtrue.updating import choose
-from ringtrue.updating.candidates import elements_of
-from ringtrue.updating.identifiable import stood_for
-from ringtrue.updating.objective import match
-from ringtrue.updating.pool import of_parameter
-from ringtrue.updating.unmoved import unmoved
+from ringtrue.updating.identifiability import stood_for, unmoved
+from ringtrue.updating.selection import selection_rules
+from ringtrue.updating.selection.candidates import elements_of
+from ringtrue.updating.selection.screening import of_parameter
+from ringtrue.updating.target import match
 
-RULES = choose.RULES | {
+RULES = selection_rules.RULES | {
     "proposal": "the ranked proposal of the localisation: from all candidates at once the least "
     "useful are left out, "
     "the rest exchanged while J falls; as many as AICc supports"
@@ -56,7 +55,7 @@ def _sets(session: Session, model: AtChannels, progress: Progress) -> tuple[dict
             session, (model, *session.others(progress)), targets(session), session.config.update
         )
     if several is None:
-        weighted = choose.weighted_sensitivities(model, target(session))
+        weighted = selection_rules.weighted_sensitivities(model, target(session))
     else:
         weighted = several.evaluate(np.zeros(len(names))).slope * several.parameters.std()
     out: dict[str, Int] = {}
@@ -66,12 +65,17 @@ def _sets(session: Session, model: AtChannels, progress: Progress) -> tuple[dict
         session.config.candidates()
     ):  # those made from the deck may scale the same field: the proposal knows
         return out, weighted
-    orthogonal, largest = choose.orthogonal(weighted, count), choose.largest(weighted, count)
+    orthogonal, largest = (
+        selection_rules.orthogonal(weighted, count),
+        selection_rules.largest(weighted, count),
+    )
     progress(0.0, "choosing parameters")
     if several is None:
-        out["best subset"] = choose.best_subset(model, target(session), count, progress).members
+        out["best subset"] = selection_rules.best_subset(
+            model, target(session), count, progress
+        ).members
     else:
-        out["best subset"] = choose.joint_subset(
+        out["best subset"] = selection_rules.joint_subset(
             several, count, (orthogonal, largest), progress
         ).members
     out |= {"orthogonal sensitivities": orthogonal, "largest sensitivities": largest}
@@ -167,7 +171,7 @@ def choose_sets(session: Session, progress: Progress) -> SensitivityStage:
         fe_modes=fe,
         sets={rule: tuple(names[i] for i in at.tolist()) for rule, at in members.items()},
         rules=_rules(session, members),
-        clusters=choose.alike(weighted, names),
+        clusters=selection_rules.alike(weighted, names),
         held={rule: found for rule, found in held.items() if found},
     )
 

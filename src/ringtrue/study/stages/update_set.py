@@ -30,11 +30,12 @@ from ringtrue.study.objective import (
 from ringtrue.study.opened import CLOSE, ROUNDS, AtChannels, frequency_error, not_verified, verified
 from ringtrue.study.results import ConfiguredStage, DataResult, SetFit, SetResult, UpdateHistory
 from ringtrue.study.session import Session
-from ringtrue.updating import settle
-from ringtrue.updating.objective import Target, aicc, residual
-from ringtrue.updating.settle import Settled, displaced, whole_cost
-from ringtrue.updating.several import Configuration, Evaluated, Problem
-from ringtrue.updating.trust import Solution
+from ringtrue.updating import strategy
+from ringtrue.updating.gauss_newton import aicc, residual
+from ringtrue.updating.problem import Configuration, Evaluated, Problem
+from ringtrue.updating.solver import Solution
+from ringtrue.updating.strategy import Settled, displaced, whole_cost
+from ringtrue.updating.target import Target
 
 
 def update_reduced(
@@ -262,7 +263,7 @@ def summary(problem: Problem, aims: Sequence[Target], name: str, end: Settled) -
         fit=fit,
         outcome=done.outcome,
         history=history,
-        discrepancy=settle.kept(end.problem),
+        discrepancy=strategy.kept(end.problem),
     )
 
 
