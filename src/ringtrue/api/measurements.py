@@ -27,7 +27,7 @@ from ringtrue.identification.ambient.pipeline import (
 )
 from ringtrue.identification.ambient.record_bands import SHORTEST
 from ringtrue.identification.common.poles import StableDiagram
-from ringtrue.identification.frf.linearity import LevelDependence, level_dependence
+from ringtrue.identification.common.tracking import LevelDependence, level_dependence
 from ringtrue.identification.frf.local_fits import with_local_fits
 from ringtrue.identification.frf.pipeline import HammerModes, HammerResult, identify_hammer
 from ringtrue.identification.frf.residues import driving_pairs
@@ -198,13 +198,12 @@ def read_modes(path: str | Path, *, deck: Model | None = None) -> TestModes:
     >>> import ringtrue as rt
     >>> test = rt.modes_of_test([2.2], [[0.6], [1.0]], ["3+X", "4+X"], damping=[0.01])
     >>> path = tempfile.mkdtemp() + "/modes.json"
-    >>> rt.write_modes(path, test)
+    >>> _ = rt.write_modes(path, test)
     >>> rt.read_modes(path).channels
     ('3+X', '4+X')
     """
     path = Path(path)
-    ending = path.suffix.lower()
-    if ending in READERS and (ending != ".h5" or is_nastran_h5(path)):
+    if is_solver_result(path):
         modes = read_nastran_modes(path, deck)
     elif deck is not None:
         raise InputError(f"--deck: {path} is no results file of a solver")
@@ -249,13 +248,24 @@ def merged_modes(path: Path) -> TestModes:
     )
 
 
-def write_modes(path: str | Path, modes: ModeSet | FeModes | TestModes) -> None:
+def is_solver_result(path: Path) -> bool:
+    """Whether a file holds results of Nastran or MYSTRAN."""
+    ending = path.suffix.lower()
+    return ending in READERS and (ending != ".h5" or is_nastran_h5(path))
+
+
+def write_modes(path: str | Path, modes: ModeSet | FeModes | TestModes) -> ModeSet:
     """Write modes as `.json`, `.h5`, `.uff` (translations of points only) or `.csv`.
 
     Parameters
     ----------
     path : str or Path
     modes : ModeSet, FeModes or TestModes
+
+    Returns
+    -------
+    ModeSet
+        What was written.
 
     Raises
     ------
@@ -276,6 +286,7 @@ def write_modes(path: str | Path, modes: ModeSet | FeModes | TestModes) -> None:
         known = np.isfinite(modes.uncertainty.frequency) | np.isfinite(modes.uncertainty.damping)
         spread = modes.uncertainty if known.any() else None
     mode_files.write_modes(path, kept, spread, reasons)
+    return kept
 
 
 def read_sensors(path: str | Path) -> SensorSheet:
@@ -359,7 +370,9 @@ def kept_channels(path: Path, channels: Sequence[Channel], leave_out: Sequence[s
     return keep
 
 
-def read_frfs(path: str | Path, *, leave_out: Sequence[str] = ()) -> FrfSet:
+def read_frfs(
+    path: str | Path, *, leave_out: Sequence[str] = (), window_decay: float | None = None
+) -> FrfSet:
     """Read measured FRFs: `.uff` (data set 58), `.h5`, `.npz`, `.csv` or `.mat`.
 
     Parameters
@@ -367,6 +380,8 @@ def read_frfs(path: str | Path, *, leave_out: Sequence[str] = ()) -> FrfSet:
     path : str or Path
     leave_out : sequence of str
         Channels that are not used.
+    window_decay : float, 1/s, optional
+        Decay rate of an exponential window in the FRFs; identification takes it out of the damping.
 
     Returns
     -------
@@ -378,7 +393,15 @@ def read_frfs(path: str | Path, *, leave_out: Sequence[str] = ()) -> FrfSet:
     DataError
         If the file is unreadable or holds no FRFs.
     """
-    return frf_files.read_frfs(path, leave_out)
+    return _windowed(frf_files.read_frfs(path, leave_out), window_decay)
+
+
+def _windowed(frfs: FrfSet, decay: float | None) -> FrfSet:
+    if decay is None:
+        return frfs
+    if not 0 <= decay < float("inf"):
+        raise ConfigError(f"--window-decay {decay}: must be 0 or more, 1/s")
+    return replace(frfs, window_decay=decay)
 
 
 @dataclass(frozen=True, eq=False)
@@ -414,6 +437,7 @@ def estimate_frfs(
     reading: ForceRecordFormat | None = None,
     settings: HammerSettings | None = None,
     line_spacing: float | None = None,
+    window_decay: float | None = None,
     progress: Progress = quiet,
 ) -> MeasuredFrfs:
     """FRFs of the time records of a hammer or shaker test; files of FRFs are joined.
@@ -430,6 +454,8 @@ def estimate_frfs(
         Blocks, windows and the estimator.
     line_spacing : float, Hz, optional
         Of a shaker; its records decide if not given.
+    window_decay : float, 1/s, optional
+        As in `read_frfs`.
 
     Raises
     ------
@@ -451,7 +477,7 @@ def estimate_frfs(
             "one of the two"
         )
     if all(given):
-        return _given_frfs(paths, how)
+        return _given_frfs(paths, how, window_decay)
     histories, ranges, notes = read_force_records(paths, how)
     forced = forced_frfs(
         histories,
@@ -463,11 +489,15 @@ def estimate_frfs(
     joined = join_frfs(forced.columns)
     said = _frf_notes(joined, forced) if forced.hits else (*forced.notes, *forced.clipped)
     return MeasuredFrfs(
-        joined, forced.hits, (*notes, *said), forced.clipped, setups_of(forced.columns)
+        _windowed(joined, window_decay),
+        forced.hits,
+        (*notes, *said),
+        forced.clipped,
+        tuple(_windowed(s, window_decay) for s in setups_of(forced.columns)),
     )
 
 
-def _given_frfs(paths: Sequence[Path], how: ForceRecordFormat) -> MeasuredFrfs:
+def _given_frfs(paths: Sequence[Path], how: ForceRecordFormat, decay: float | None) -> MeasuredFrfs:
     if how.channels:
         raise ConfigError(
             f"--channels names the channels of time records; {paths[0]} holds FRFs, which have "
@@ -476,7 +506,7 @@ def _given_frfs(paths: Sequence[Path], how: ForceRecordFormat) -> MeasuredFrfs:
     if how.leave_out:
         known = dict.fromkeys(c for f in paths for c in frf_files.frf_ids(f))
         kept_channels(paths[0], [Channel(c, "unknown", "") for c in known], how.leave_out)
-    found = alike([frf_files.read_frfs(f, how.leave_out) for f in paths])
+    found = alike([read_frfs(f, leave_out=how.leave_out, window_decay=decay) for f in paths])
     if len(found) == 1:
         return MeasuredFrfs(found[0])
     return MeasuredFrfs(join_frfs(found), setups=tuple(found))
@@ -508,7 +538,6 @@ def identify_frfs(
     fmax: float | None = None,
     method: str = FORCED,
     choice: Choice | None = None,
-    window_decay: float | None = None,
     progress: Progress = quiet,
 ) -> TestModes:
     """Modes from FRFs: poly-reference LSCF, residues and standard deviations.
@@ -522,8 +551,6 @@ def identify_frfs(
         `plscf`, or another method of docs/theory/plscf.md for a second opinion.
     choice : Choice, optional
         Modes chosen by hand.
-    window_decay : float, 1/s, optional
-        Decay rate of an exponential window in the FRFs, taken out of the damping.
 
     Raises
     ------
@@ -545,12 +572,7 @@ def identify_frfs(
     """
     check_band(fmin, fmax)
     measured = frfs if isinstance(frfs, MeasuredFrfs) else MeasuredFrfs(frfs)
-    if window_decay is not None and not 0 <= window_decay < float("inf"):
-        raise ConfigError(f"--window-decay {window_decay}: must be 0 or more, 1/s")
     data, setups = measured.frfs, measured.setups or (measured.frfs,)
-    if window_decay is not None:
-        data = replace(data, window_decay=window_decay)
-        setups = tuple(replace(s, window_decay=window_decay) for s in setups)
     band = HammerModes(fmin=fmin, fmax=fmax)
     if method != FORCED:
         refuse_choice(method, FORCED, choice)
