@@ -734,7 +734,7 @@ def test_a_stage_that_fails_says_so_in_one_message(
         raise NotConverged("the updating did not settle: tighten the bounds")
 
     study = small_study.write_study(tmp_path, ambient=False)
-    monkeypatch.setattr("ringtrue.study.stages.update.together", fail)
+    monkeypatch.setattr("ringtrue.study.stages.update.update_reduced", fail)
     told = refused(capsys, "run", study, status=1)
     assert told == "error: the updating did not settle: tighten the bounds"
 

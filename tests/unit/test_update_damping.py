@@ -11,10 +11,20 @@ from scipy import linalg
 
 from ringtrue.eigen.damped import complex_modes
 from ringtrue.errors import InputError
-from ringtrue.updating.damping import Mechanism, assembled, dashpot, fit_poles, loss_factor
+from ringtrue.updating.damping import Mechanism, assembled, fit_poles
 
 N = 8
 TRUTH = np.array([0.02, 0.05, 3.0])  # two loss factors, N s/m
+
+NONE = (np.zeros((N, N)), np.zeros((N, N)))
+
+
+def loss_factor(name: str, matrix: np.ndarray) -> Mechanism:
+    return Mechanism(name, "structural", (matrix + matrix.T) / 2, upper=1.0)
+
+
+def dashpot(name: str, matrix: np.ndarray) -> Mechanism:
+    return Mechanism(name, "viscous", (matrix + matrix.T) / 2)
 
 
 def system() -> tuple[np.ndarray, np.ndarray, tuple[Mechanism, ...]]:
@@ -27,13 +37,13 @@ def system() -> tuple[np.ndarray, np.ndarray, tuple[Mechanism, ...]]:
     lam, phi = linalg.eigh(halves.sum(axis=0), np.diag(1 + 0.1 * np.arange(N)))
     ground = np.zeros((N, N))
     ground[3, 3] = 1.0
-    parts = [loss_factor(f"half {i + 1}", phi, k) for i, k in enumerate(halves)]
-    return lam, phi, (*parts, dashpot("dashpot", phi, ground))
+    parts = [loss_factor(f"half {i + 1}", phi.T @ k @ phi) for i, k in enumerate(halves)]
+    return lam, phi, (*parts, dashpot("dashpot", phi.T @ ground @ phi))
 
 
 def test_poles_give_loss_factors_and_dashpots() -> None:
     lam, _, parts = system()
-    true = complex_modes(lam, *assembled(parts, TRUTH, N))
+    true = complex_modes(lam, *assembled(parts, TRUTH, NONE))
     found = fit_poles(lam, parts, true.damping, np.full(N, 1e-5), np.arange(N))
     np.testing.assert_allclose(found.coefficients, TRUTH, rtol=1e-6)
     assert (
@@ -45,7 +55,7 @@ def test_poles_give_loss_factors_and_dashpots() -> None:
 
 def test_standard_deviation_from_poles_covers_the_scatter() -> None:
     lam, _, parts = system()
-    rng, true = np.random.default_rng(0), complex_modes(lam, *assembled(parts, TRUTH, N)).damping
+    rng, true = np.random.default_rng(0), complex_modes(lam, *assembled(parts, TRUTH, NONE)).damping
     std = 0.03 * true
     fits = [
         fit_poles(lam, parts, true + std * rng.standard_normal(N), std, np.arange(N))
@@ -61,9 +71,9 @@ def test_a_mechanism_that_is_not_there_ends_at_its_bound() -> None:
     lam, phi, parts = system()
     absent = np.zeros((N, N))
     absent[6, 6] = 1.0
-    true = complex_modes(lam, *assembled(parts, TRUTH, N)).damping
+    true = complex_modes(lam, *assembled(parts, TRUTH, NONE)).damping
     less = true - 1e-4 * phi[6] ** 2  # as if it took energy out of the others
-    every = (*parts, dashpot("absent", phi, absent))
+    every = (*parts, dashpot("absent", phi.T @ absent @ phi))
     found = fit_poles(lam, every, less, np.full(N, 1e-4), np.arange(N))
     assert found.at_bound.tolist() == [False, False, False, True]
     assert found.coefficients[3] == pytest.approx(0.0, abs=1e-3)

@@ -172,7 +172,7 @@ def localise(
         bridge, notes = opened.observation(borrowed.points, np.inf), borrowed.notes
         modes = borrowed.modes.take(measured_part(borrowed.modes)[0])
     else:
-        bridge = placed(opened, modes.channels, sheet.model if sheet else None, tolerance=tolerance)
+        bridge = placed(opened, modes.channels, _place(sensors), tolerance=tolerance)
         places = seats(bridge, sheet.model) if sheet is not None else ()
         notes = seat_words(places)
     settings = CandidateSettings(units=model.units)
@@ -191,6 +191,10 @@ def localise(
         places,
         found,
     )
+
+
+def _place(sensors: SensorSheet | str | Path | None) -> SensorSheet | Path | None:
+    return Path(sensors) if isinstance(sensors, str) else sensors
 
 
 def _sheet(sensors: SensorSheet | str | Path | None) -> SensorSheet | None:
@@ -387,8 +391,7 @@ def _configuration(
         bridge = one.model.observe([int(c.split("+")[0]) - 1 for c in modes.channels])
     else:
         opened = open_model(one.model)
-        sheet = _sheet(one.sensors)
-        bridge = placed(opened, modes.channels, sheet.model if sheet else None)
+        bridge = placed(opened, modes.channels, _place(one.sensors))
     if shape_std is not None:
         if shape_std.shape != (len(modes.channels),) or not (shape_std > 0).all():
             raise InputError(f"shape_std {shape_std.shape}: one value > 0 for each channel")
@@ -517,8 +520,7 @@ def tune_suspension(
     std = np.full(len(modes), 1e-4)
     if isinstance(test, TestModes):
         std = np.fmax(test.std_frequency / modes.frequencies, 1e-4)
-    sheet = _sheet(sensors)
-    bridge = placed(open_model(model), modes.channels, sheet.model if sheet else None)
+    bridge = placed(open_model(model), modes.channels, _place(sensors))
     gates = replace(CorrelateSection().gates(), mac_gate=0.5, close=0.08, distinct=0.95)
     target = Target(
         modes.frequencies,
@@ -618,8 +620,7 @@ def fit_damping(
     """
     opened = open_model(model)
     modes = modes_at(test)
-    sheet = _sheet(sensors)
-    bridge = placed(opened, modes.channels, sheet.model if sheet else None)
+    bridge = placed(opened, modes.channels, _place(sensors))
     gates: PairingSettings = CorrelateSection().gates()
     fe = opened.modes(highest(modes.frequencies, gates), progress).modes
     seen = replace(fe, shapes=bridge(fe.shapes), labels=modes.channels)

@@ -33,7 +33,8 @@ from ringtrue.identification.frf.pipeline import HammerModes, HammerResult, iden
 from ringtrue.identification.frf.residues import driving_pairs
 from ringtrue.identification.methods import SecondOpinion, identify_ambient_by, identify_frfs_by
 from ringtrue.io import frfs as frf_files
-from ringtrue.io import modes_json, records
+from ringtrue.io import modes as mode_files
+from ringtrue.io import records
 from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
 from ringtrue.model.model import Model
 from ringtrue.signal.channel_checks import clipping_told, find_faults
@@ -197,21 +198,20 @@ def read_modes(path: str | Path, *, deck: Model | None = None) -> TestModes:
     >>> import ringtrue as rt
     >>> test = rt.modes_of_test([2.2], [[0.6], [1.0]], ["3+X", "4+X"], damping=[0.01])
     >>> path = tempfile.mkdtemp() + "/modes.json"
-    >>> rt.write_modes(path, test)
+    >>> _ = rt.write_modes(path, test)
     >>> rt.read_modes(path).channels
     ('3+X', '4+X')
     """
     path = Path(path)
-    ending = path.suffix.lower()
-    if ending in READERS and (ending != ".h5" or is_nastran_h5(path)):
+    if is_solver_result(path):
         modes = read_nastran_modes(path, deck)
     elif deck is not None:
         raise InputError(f"--deck: {path} is no results file of a solver")
     elif is_store(path):
         return merged_modes(path)
     else:
-        modes = modes_json.read_modes(path)
-        std = modes_json.read_std(path)
+        modes = mode_files.read_modes(path)
+        std = mode_files.read_std(path)
         no_std = np.full(modes.shapes.shape, np.nan)
         return TestModes(modes, Uncertainty.independent(*std, no_std))
     none = np.full(len(modes), np.nan)
@@ -248,13 +248,24 @@ def merged_modes(path: Path) -> TestModes:
     )
 
 
-def write_modes(path: str | Path, modes: ModeSet | FeModes | TestModes) -> None:
+def is_solver_result(path: Path) -> bool:
+    """Whether a file holds results of Nastran or MYSTRAN."""
+    ending = path.suffix.lower()
+    return ending in READERS and (ending != ".h5" or is_nastran_h5(path))
+
+
+def write_modes(path: str | Path, modes: ModeSet | FeModes | TestModes) -> ModeSet:
     """Write modes as `.json`, `.h5`, `.uff` (translations of points only) or `.csv`.
 
     Parameters
     ----------
     path : str or Path
     modes : ModeSet, FeModes or TestModes
+
+    Returns
+    -------
+    ModeSet
+        What was written.
 
     Raises
     ------
@@ -274,7 +285,8 @@ def write_modes(path: str | Path, modes: ModeSet | FeModes | TestModes) -> None:
         reasons = modes.reasons
         known = np.isfinite(modes.uncertainty.frequency) | np.isfinite(modes.uncertainty.damping)
         spread = modes.uncertainty if known.any() else None
-    modes_json.write_modes(path, kept, spread, reasons)
+    mode_files.write_modes(path, kept, spread, reasons)
+    return kept
 
 
 def read_sensors(path: str | Path) -> SensorSheet:
@@ -358,7 +370,9 @@ def kept_channels(path: Path, channels: Sequence[Channel], leave_out: Sequence[s
     return keep
 
 
-def read_frfs(path: str | Path, *, leave_out: Sequence[str] = ()) -> FrfSet:
+def read_frfs(
+    path: str | Path, *, leave_out: Sequence[str] = (), window_decay: float | None = None
+) -> FrfSet:
     """Read measured FRFs: `.uff` (data set 58), `.h5`, `.npz`, `.csv` or `.mat`.
 
     Parameters
@@ -366,6 +380,8 @@ def read_frfs(path: str | Path, *, leave_out: Sequence[str] = ()) -> FrfSet:
     path : str or Path
     leave_out : sequence of str
         Channels that are not used.
+    window_decay : float, 1/s, optional
+        Decay rate of an exponential window in the FRFs; identification takes it out of the damping.
 
     Returns
     -------
@@ -377,7 +393,15 @@ def read_frfs(path: str | Path, *, leave_out: Sequence[str] = ()) -> FrfSet:
     DataError
         If the file is unreadable or holds no FRFs.
     """
-    return frf_files.read_frfs(path, leave_out)
+    return _windowed(frf_files.read_frfs(path, leave_out), window_decay)
+
+
+def _windowed(frfs: FrfSet, decay: float | None) -> FrfSet:
+    if decay is None:
+        return frfs
+    if not 0 <= decay < float("inf"):
+        raise ConfigError(f"--window-decay {decay}: must be 0 or more, 1/s")
+    return replace(frfs, window_decay=decay)
 
 
 @dataclass(frozen=True, eq=False)
@@ -413,6 +437,7 @@ def estimate_frfs(
     reading: ForceRecordFormat | None = None,
     settings: HammerSettings | None = None,
     line_spacing: float | None = None,
+    window_decay: float | None = None,
     progress: Progress = quiet,
 ) -> MeasuredFrfs:
     """FRFs of the time records of a hammer or shaker test; files of FRFs are joined.
@@ -429,6 +454,8 @@ def estimate_frfs(
         Blocks, windows and the estimator.
     line_spacing : float, Hz, optional
         Of a shaker; its records decide if not given.
+    window_decay : float, 1/s, optional
+        As in `read_frfs`.
 
     Raises
     ------
@@ -450,7 +477,7 @@ def estimate_frfs(
             "one of the two"
         )
     if all(given):
-        return _given_frfs(paths, how)
+        return _given_frfs(paths, how, window_decay)
     histories, ranges, notes = read_force_records(paths, how)
     forced = forced_frfs(
         histories,
@@ -462,11 +489,15 @@ def estimate_frfs(
     joined = join_frfs(forced.columns)
     said = _frf_notes(joined, forced) if forced.hits else (*forced.notes, *forced.clipped)
     return MeasuredFrfs(
-        joined, forced.hits, (*notes, *said), forced.clipped, setups_of(forced.columns)
+        _windowed(joined, window_decay),
+        forced.hits,
+        (*notes, *said),
+        forced.clipped,
+        tuple(_windowed(s, window_decay) for s in setups_of(forced.columns)),
     )
 
 
-def _given_frfs(paths: Sequence[Path], how: ForceRecordFormat) -> MeasuredFrfs:
+def _given_frfs(paths: Sequence[Path], how: ForceRecordFormat, decay: float | None) -> MeasuredFrfs:
     if how.channels:
         raise ConfigError(
             f"--channels names the channels of time records; {paths[0]} holds FRFs, which have "
@@ -475,7 +506,7 @@ def _given_frfs(paths: Sequence[Path], how: ForceRecordFormat) -> MeasuredFrfs:
     if how.leave_out:
         known = dict.fromkeys(c for f in paths for c in frf_files.frf_ids(f))
         kept_channels(paths[0], [Channel(c, "unknown", "") for c in known], how.leave_out)
-    found = alike([frf_files.read_frfs(f, how.leave_out) for f in paths])
+    found = alike([read_frfs(f, leave_out=how.leave_out, window_decay=decay) for f in paths])
     if len(found) == 1:
         return MeasuredFrfs(found[0])
     return MeasuredFrfs(join_frfs(found), setups=tuple(found))
@@ -507,7 +538,6 @@ def identify_frfs(
     fmax: float | None = None,
     method: str = FORCED,
     choice: Choice | None = None,
-    window_decay: float | None = None,
     progress: Progress = quiet,
 ) -> TestModes:
     """Modes from FRFs: poly-reference LSCF, residues and standard deviations.
@@ -521,8 +551,6 @@ def identify_frfs(
         `plscf`, or another method of docs/theory/plscf.md for a second opinion.
     choice : Choice, optional
         Modes chosen by hand.
-    window_decay : float, 1/s, optional
-        Decay rate of an exponential window in the FRFs, taken out of the damping.
 
     Raises
     ------
@@ -544,12 +572,7 @@ def identify_frfs(
     """
     check_band(fmin, fmax)
     measured = frfs if isinstance(frfs, MeasuredFrfs) else MeasuredFrfs(frfs)
-    if window_decay is not None and not 0 <= window_decay < float("inf"):
-        raise ConfigError(f"--window-decay {window_decay}: must be 0 or more, 1/s")
     data, setups = measured.frfs, measured.setups or (measured.frfs,)
-    if window_decay is not None:
-        data = replace(data, window_decay=window_decay)
-        setups = tuple(replace(s, window_decay=window_decay) for s in setups)
     band = HammerModes(fmin=fmin, fmax=fmax)
     if method != FORCED:
         refuse_choice(method, FORCED, choice)

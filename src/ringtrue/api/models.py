@@ -98,6 +98,8 @@ class FeModes(Displayed):
         With labels and norm: mass-normalised, basic frame.
     result : ModesResult
         What the solver returned.
+    loose : tuple of str
+        Translations that are held because nothing stiffens them.
     """
 
     UNITS: ClassVar[Mapping[str, str]] = {"frequencies": "Hz", "damping": "-", "residuals": "-"}
@@ -110,6 +112,7 @@ class FeModes(Displayed):
     proof: str
     modes: ModeSet
     result: ModesResult
+    loose: tuple[str, ...] = ()
 
     @property
     def shapes(self) -> Any_:
@@ -190,9 +193,11 @@ def solve_modes(
     (array([2.24 , 6.276, 9.069]), True)
     """
     if band is not None and not band[0] < band[1]:
-        raise ConfigError(f"band {band[0]} {band[1]}: must be F0 < F1")
+        raise ConfigError(f"--band {band[0]} {band[1]}: must be F0 < F1")
     if damped and engine != EMBEDDED:
-        raise ConfigError(f"{engine}: only the embedded engine has complex modes")
+        raise ConfigError(
+            f"--complex with --solver {engine}: only the embedded engine has complex modes"
+        )
     asked = None
     if isinstance(model, Model) and count is None and band is None:
         asked = asked_modes(model)
@@ -205,17 +210,20 @@ def solve_modes(
         if damped:
             if not (isinstance(analysis, EmbeddedAnalysis) and analysis.has_damping):
                 raise ConfigError(
-                    "complex modes: the deck has no damping; it is that of dashpots, GE, PARAM G, "
+                    "--complex: the deck has no damping; it is that of dashpots, GE, PARAM G, "
                     "ALPHA1 and ALPHA2"
                 )
             solve = partial(analysis.damped_modes, problem="full")
         found = asked.of(solve) if asked else solve(ModesRequest(count or 20, band))
+        loose: tuple[str, ...] = ()
         if isinstance(analysis, EmbeddedAnalysis):
-            found = replace(found, autospc=analysis.system.loose())
-    return _fe_modes(model, found)
+            loose = analysis.system.loose().labels()
+    return _fe_modes(model, found, loose)
 
 
-def _fe_modes(model: Model | MatrixModel, found: ModesResult) -> FeModes:
+def _fe_modes(
+    model: Model | MatrixModel, found: ModesResult, loose: tuple[str, ...] = ()
+) -> FeModes:
     modes = found.modes
     return FeModes(
         model,
@@ -226,6 +234,7 @@ def _fe_modes(model: Model | MatrixModel, found: ModesResult) -> FeModes:
         found.proof,
         modes,
         found,
+        loose,
     )
 
 
@@ -306,20 +315,56 @@ def frf(
         raise ConfigError("direct: it has the damping of the deck; a damping ratio is for modes")
     if damping is not None and not 0 < damping < 1:
         raise ConfigError(f"damping {damping:g}: must be a ratio between 0 and 1, such as 0.01")
-    into = parse_points(forces, "force")
-    out = parse_points(forces if responses is None else responses, "response")
-    modal: ModalDamping | None = None
-    if not isinstance(model, Model):
-        model, modal = reader.read_damped_deck(Path(model))
-        model = in_units(model, units)
+    asked = FrfRequest(
+        np.asarray(frequencies, dtype=np.float64),
+        parse_points(forces, "force"),
+        parse_points(forces if responses is None else responses, "response"),
+        quantity,
+        damping,
+        direct,
+    )
+    if isinstance(model, Model):
+        return responses_of(model, None, asked, progress)[0]
+    read, modal = reader.read_damped_deck(Path(model))
+    return responses_of(in_units(read, units), modal, asked, progress)[0]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrfRequest:
+    """Which FRFs are wanted.
+
+    Attributes
+    ----------
+    frequencies : (line,) float64, Hz
+    forces, responses : DofSet
+    quantity : str
+    damping : float, optional
+    direct : bool
+    """
+
+    frequencies: Float
+    forces: DofSet
+    responses: DofSet
+    quantity: Motion = "acceleration"
+    damping: float | None = None
+    direct: bool = False
+
+
+def responses_of(
+    model: Model, modal: ModalDamping | None, asked: FrfRequest, progress: Progress
+) -> tuple[FrfSet, tuple[str, ...]]:
+    """The FRFs of a model, `modal` being its SDAMPING in the time unit of the deck; and the points
+    that cannot move.
+    """
+    into, out, lines = asked.forces, asked.responses, asked.frequencies
+    damping, direct = asked.damping, asked.direct
     unit = UNIT_SYSTEMS[model.units]
     if modal:
         modal = replace(modal, frequencies=modal.frequencies / unit.time)
-    lines = np.asarray(frequencies, dtype=np.float64)
-    kind = FRF_KIND[quantity]
+    kind = FRF_KIND[asked.quantity]
     with EmbeddedSolver(progress=part(progress, 0.2, 1.0)).open(responding(model)) as analysis:
         _check_damping(analysis, damping, modal, direct)
-        held_points(analysis, out, into)
+        held = held_points(analysis, out, into)
         if direct:
             h = analysis.frf_direct(out, into, lines, kind=kind)
         else:
@@ -327,15 +372,16 @@ def frf(
             ratio = modal if damping is None else damping
             h = analysis.frf(out, into, lines, request, damping=ratio, kind=kind)
     scale = np.outer(out.per_length(unit.length), into.per_length(unit.length)) / unit.kilograms
-    return FrfSet(
+    found = FrfSet(
         h * scale,
         lines,
-        tuple(channel(c, quantity) for c in out.labels()),
+        tuple(channel(c, asked.quantity) for c in out.labels()),
         tuple(channel(c, "force") for c in into.labels()),
         kind=kind,
         source=model.files[0] if model.files else "",
         sharp=True,
     )
+    return found, held
 
 
 def _check_damping(
@@ -383,6 +429,7 @@ class Deflections(Displayed):
     cases : tuple of str
     points : tuple of str
     values : (case, point) float64, m or rad
+    model : Model
     held : tuple of str
         Points that cannot move.
     """
@@ -390,6 +437,7 @@ class Deflections(Displayed):
     cases: tuple[str, ...]
     points: tuple[str, ...]
     values: Float
+    model: Model
     held: tuple[str, ...] = ()
 
 
@@ -429,8 +477,8 @@ def static(
     given = dict(forces or {})
     if responses is None and not given:
         raise ConfigError("--at: name the points whose deflections are wanted, such as 101+Z")
-    into = parse_points(list(given), "force")
-    out = parse_points(list(given) if responses is None else responses, "response")
+    into = parse_points(list(given), "--force")
+    out = parse_points(responses or list(given), "--at")
     cases: tuple[Any, ...] = ()
     if not isinstance(model, Model):
         path = Path(model)
@@ -451,9 +499,11 @@ def static(
         held = held_points(analysis, out, into, moved=carried)
         found = analysis.static(acting) + carried
         moved = (_unit_loads(analysis, out).T @ found).T
-    names = tuple(f"{p}={n:g}" for p, n in given.items()) or tuple(c.name for c in cases)
+    names = tuple(
+        f"{p}={n:g}" for p, n in zip(into.labels(), given.values(), strict=True)
+    ) or tuple(c.name for c in cases)
     return Deflections(
-        names, out.labels(), moved * (unit.length * out.per_length(unit.length)), held
+        names, out.labels(), moved * (unit.length * out.per_length(unit.length)), model, held
     )
 
 

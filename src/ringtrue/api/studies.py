@@ -36,6 +36,14 @@ from ringtrue.study.summary import finite, summarise
 from ringtrue.virtual.sensors import ICP
 
 ABOVE = 1.3  # modes up to here over the band take part in virtual tests
+# a plan of its own, without ambient tests
+ALONE: dict[str, Any] = {
+    "sensors": 20,
+    "references": 3,
+    "ambient": False,
+    "min_distance": "even",
+    "strike": "worst",
+}
 FIRST = 21  # modes of a deck that a band is taken from
 
 Stage = Literal["initial", "final"]
@@ -307,7 +315,7 @@ def plan_test(
     *,
     band: tuple[float, float] | None = None,
     units: str = "SI",
-    settings: PlanSection | None = None,
+    settings: PlanSection | Mapping[str, Any] | None = None,
     seed: int = 0,
     progress: Progress = quiet,
 ) -> TestPlan:
@@ -322,8 +330,8 @@ def plan_test(
         Of the target modes; taken from the deck if not given.
     units : str
         As in `read_deck`.
-    settings : PlanSettings, optional
-        Number of points, excitation points, and what else `[plan]` of a study has.
+    settings : PlanSettings or mapping, optional
+        Number of points, excitation points, and what else `[plan]` of a study has, by its keys.
     seed : int
         Of the virtual tests.
 
@@ -341,10 +349,15 @@ def plan_test(
     if (folder / "study.toml").exists():
         raise ConfigError(f"--out {folder}: holds a study.toml; name a folder for the plan alone")
     writes(*(folder / name for name in ("plan.toml", *NAMES)))
-    asked = settings or PlanSection(sensors=20, references=3, ambient=False, min_distance="even")
+    asked = (
+        settings.model_dump(exclude_unset=True) if isinstance(settings, PlanSection) else settings
+    )
+    section = ALONE | dict(asked or {})
     progress(0.0, f"reading {deck}")
-    low, high = _band(deck, units, band, asked.modes)
-    section = asked.model_dump(exclude_unset=True) | {"fmin": low, "fmax": high}
+    if band is None and "fmax" in section:
+        band = section.get("fmin", 0.0), section["fmax"]
+    low, high = _band(deck, units, band, section.get("modes", ()))
+    section |= {"fmin": low, "fmax": high}
     path = _write_study(folder, deck, units, section, seed)
     run = runs.run_study(path, out=folder, until="plan", progress=progress)
     report = deliver(run)

@@ -8,23 +8,14 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
+from ringtrue.api.improvement import localise as find_regions
+from ringtrue.api.measurements import read_modes
+from ringtrue.api.models import read_deck
 from ringtrue.cli.show import Json, Tolerance, Units, out, progress, rows, tell, write_json
-from ringtrue.cli.stated import stated
-from ringtrue.core.progress import part
-from ringtrue.core.units import UNIT_SYSTEMS
-from ringtrue.correlation.assignment import NO_LOCKS
-from ringtrue.decks.nastran.reader import read_deck
-from ringtrue.io.modes import read_modes
-from ringtrue.io.sheets import read_sensor_sheet
-from ringtrue.shapes.complexity import realise_modes
-from ringtrue.study.config_sections import CorrelateSection, LocaliseSection, target_words
-from ringtrue.study.direct import DirectProposal, propose_parameters
-from ringtrue.study.opened import Opened
-from ringtrue.study.placing import placed, seat_words, seats, seats_json
-from ringtrue.study.reference import measured_part
-from ringtrue.study.results import Seat
-from ringtrue.study.supplied import pair_frequencies
-from ringtrue.updating.selection.candidates import CandidateSettings
+from ringtrue.cli.stated import warn_of_units
+from ringtrue.study.config_sections import LocaliseSection, target_words
+from ringtrue.study.direct import DirectProposal
+from ringtrue.study.placing import seats_json
 from ringtrue.updating.selection.proposal import Proposed as Member
 
 POOL: int = LocaliseSection.model_fields["pool"].default
@@ -56,29 +47,26 @@ def localise(
 
     Example: ringtrue localise wing.bdf test.json --sensors sensors.csv --units mm-t-s
     """
-    metres = UNIT_SYSTEMS[units].length
     with progress("localise") as show:
         show(0.0, f"reading {deck}")
-        opened, seen = Opened(stated(read_deck(deck), units), metres), read_modes(test)
-        notes, places = tuple[str, ...](), tuple[Seat, ...]()
-        if not seen.channels:
-            given = pair_frequencies(seen, opened, CorrelateSection().gates(), NO_LOCKS)
-            bridge, notes = opened.observation(given.points, np.inf), given.notes
-            seen = given.modes.take(measured_part(given.modes)[0])
-        else:
-            bridge = placed(opened, seen.channels, sensors, tolerance=tolerance)
-            places = seats(bridge, read_sensor_sheet(sensors).model) if sensors is not None else ()
-            notes = seat_words(places)
-        settings = CandidateSettings(units=units)
-        found = propose_parameters(
-            opened, realise_modes(seen), bridge, settings, pool, most, part(show, 0.1, 1.0)
+        model = read_deck(deck, units=units)
+        warn_of_units(model, units)
+        done = find_regions(
+            model,
+            read_modes(test),
+            sensors=sensors,
+            tolerance=tolerance,
+            most=most,
+            pool=pool,
+            progress=show,
         )
+    found = done.found
     if json:
-        sensed = {"sensors": seats_json(places)} if places else {}
-        write_json(_table(found) | {"notes": notes} | sensed, json)
+        sensed = {"sensors": seats_json(done.seats)} if done.seats else {}
+        write_json(_table(found) | {"notes": done.notes} | sensed, json)
     if json != "-":
         _print(deck, found)
-        tell([*notes, *_tables(found)])
+        tell([*done.notes, *_tables(found)])
     return 0
 
 

@@ -12,7 +12,8 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from ringtrue.cli.identify import Fmax, Fmin, LeaveOut, Rate, check_band
+from ringtrue.api.measurements import check_band
+from ringtrue.cli.identify import Fmax, Fmin, LeaveOut, Rate
 from ringtrue.cli.show import Json, file_to, progress, rows, tell, write_json
 from ringtrue.core.arrays import Float
 from ringtrue.core.progress import Progress

@@ -1,6 +1,6 @@
 """Modes: natural frequencies, damping ratios and shapes with their labels.
 
-Standard deviations that stand beside a ModeSet.
+And the standard deviations of a ModeSet.
 """
 
 from __future__ import annotations

@@ -107,7 +107,7 @@ class TestModel:
         sign.
 
         `4-X` is the sensor `4+X` read the other way, unless the sheet gives that sensor a direction
-        against its name: then what another sign of it means cannot be told, and it is not found.
+        against its name: then what another sign of it means is unknown, and it is not found.
 
         Returns
         -------

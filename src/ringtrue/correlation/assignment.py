@@ -46,8 +46,8 @@ class PairingSettings:
     frequency_gate : float
         Largest |f_B − f_A|/f_A of a pair.
     reach : float
-        Largest ratio of the frequencies of a pair beyond that gate; only modes that look alike and
-        like no other are taken there (`one_criterion.pairs_by_shape`). 1: none.
+        Largest ratio of the frequencies of a pair beyond that gate; 1: none. Only
+        modes that look like each other and no other are taken there (`pairs_by_shape`).
     close : float
         Relative distance below which neighbours of one set are one subspace; from there to `FADE`
         times it ever less.

@@ -142,8 +142,9 @@ def find_faults(a: Any_, b: Any_, limits: FaultLimits = FaultLimits()) -> tuple[
         Paired shapes, m >= 3; `b` is believed.
 
     Notes
-    ----- Fails where the model is so wrong that its error hides the fault, where more than about a
-    third of the channels are wrong, or where two channels move alike (exchanging them changes
+    -----
+    Fails where the model is so wrong that its error hides the fault, where more than about a
+    third of the channels are wrong, or where two channels move equally (exchanging them changes
     nothing). A triaxial sensor turned by a quarter or about its diagonal is two or three swapped
     channels, with signs; one turned by less is not recognised.
     """
@@ -259,9 +260,9 @@ def _swapped(y: Float, b: Float, error: Float, at: Int, limits: FaultLimits) -> 
     size_y = np.linalg.norm(y[at], axis=1)
     size_b = np.linalg.norm(b[at], axis=1)
     left = size_y[:, None] ** 2 + size_b**2 - 2 * np.abs(cross)  # where row p reads ±q
-    alike = np.abs(cross) > limits.correlation * np.maximum(size_y[:, None] * size_b, 1e-300)
-    np.fill_diagonal(alike, False)
-    left = np.where(alike, left, np.inf)
+    correlated = np.abs(cross) > limits.correlation * np.maximum(size_y[:, None] * size_b, 1e-300)
+    np.fill_diagonal(correlated, False)
+    left = np.where(correlated, left, np.inf)
     rounds = [
         _pair(left, error[at], limits),
         _three(left[:MOST_THREES, :MOST_THREES], error[at], limits),
@@ -354,7 +355,7 @@ def suspects_of(
     f: ChannelFault, channels: tuple[str, ...], now: float, then: float
 ) -> list[Suspect]:
     """A fault in words, a suspect for each channel; `now` and `then` are mean MACs, 0..1."""
-    told = f"mean MAC {100 * now:.1f} % -> {100 * then:.1f} %"
+    effect = f"mean MAC {100 * now:.1f} % -> {100 * then:.1f} %"
     one = channels[f.i]
     if f.fault == "swapped":
         return [
@@ -362,7 +363,7 @@ def suspects_of(
                 channel=channels[row],
                 fault="swapped",
                 message=f"reads what {channels[real]} "
-                f"should{' with the opposite sign' if sign < 0 else ''}; put right: {told}",
+                f"should{' with the opposite sign' if sign < 0 else ''}; put right: {effect}",
                 partner=channels[real],
                 factor=sign,
                 mac_now=now,
@@ -370,11 +371,11 @@ def suspects_of(
             )
             for row, real, sign in f.moved
         ]
-    text = f"reads {f.factor:.3g} times what it should{_usual(f.factor)}; divided by it: {told}"
+    text = f"reads {f.factor:.3g} times what it should{_usual(f.factor)}; divided by it: {effect}"
     if f.fault == "dead":
-        text = f"reads next to nothing of what it should; left out: {told}"
+        text = f"reads next to nothing of what it should; left out: {effect}"
     if f.fault == "reversed":
-        text = f"reads with the opposite sign in all modes; turned: {told}"
+        text = f"reads with the opposite sign in all modes; turned: {effect}"
     return [
         Suspect(
             channel=one,

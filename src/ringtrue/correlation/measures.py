@@ -65,13 +65,13 @@ class Subspace:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CompleteCorrelation:
-    """What can be said of two paired sets of modes beside deviation and MAC.
+    """What can be said of two paired sets of modes in addition to deviation and MAC.
 
     Attributes
     ----------
     channels : tuple of str
     auto_mac : (2,) float64
-        Largest off-diagonal auto-MAC of A and of B: near 1, the channels cannot tell shapes apart.
+        Largest off-diagonal auto-MAC of A and of B: near 1, the channels cannot distinguish shapes.
     comac, ecomac : (channel,) float64
     contribution : (channel,) float64
         Mean over the pairs of the share of each channel in the MAC.

@@ -128,7 +128,7 @@ def _assigned(error: Float, start: float, scatter: float, allowed: Bool, forced:
 
 LIKE = 0.95  # least MAC of such a pair
 CONTESTED = 0.5  # MAC from which another mode may be meant
-# channels, at the least, that carry such a shape: one sensor on a panel reads all its modes alike
+# channels, at the least, that carry such a shape: one sensor on a panel reads all its modes as one
 CARRIED = 3.0
 CHANCE = 0.01  # that unrelated shapes are as like: of random ones, and among the modes of each set
 FLAT = 0.1  # of the largest singular value: patterns that are less are those of others
@@ -162,8 +162,8 @@ def pairs_by_shape(
     free: Bool,
     gates: PairingSettings,
 ) -> Extended:
-    """Pairs, and further ones beyond the frequency gate, of modes that look alike and like no other
-    of either set.
+    """Pairs, and further ones beyond the frequency gate, of modes that look like each other and no
+    other of either set.
 
     Close modes of B that are left over are one subspace, as within the gate.
 
@@ -210,7 +210,7 @@ def pairs_by_shape(
 def scores_among(
     fa: Float, a: Any_, fb: Float, b: Any_, rows: Int, columns: Int, gates: PairingSettings
 ) -> Scores:
-    """The scores of some modes, each within reach of each; what it turns is told of all modes."""
+    """The scores of some modes, each within reach of each; what it turns is given for all modes."""
     wide = replace(gates, frequency_gate=gates.reach)
     score = scores(fa[rows], a[:, rows], fb[columns], b=b[:, columns], settings=wide, mixed=False)
     turns = []
@@ -248,7 +248,7 @@ def _patterns(a: Any_, b: Any_) -> int:
 
 
 def _confused(a: Any_, b: Any_) -> float:
-    """Share of the pairs of different modes of one set that the channels cannot tell apart."""
+    """Share of the pairs of different modes of one set that the channels cannot distinguish."""
     like = np.concatenate(
         [m[np.triu_indices(len(m), 1)] >= LIKE for m in (auto_mac(a), auto_mac(b))]
     )

@@ -294,7 +294,7 @@ def over_serep_mass(pairs: PairedSets, gate: Gate) -> tuple[Check, ...]:
     Raises
     ------
     InputError
-        If the channels cannot tell the shapes of B apart, or they are complex.
+        If the channels cannot distinguish the shapes of B, or they are complex.
     """
     b = pairs.b
     back = pseudo_inverse(b.shapes)

@@ -215,10 +215,11 @@ def eliminate(
         Channels to leave out; a tenth of them (1 to 20) if not given.
     least_channels : int, optional
         Channels that must stay; twice the number of pairs, at most n − 1, if not given: a MAC over
-        fewer tells little.
+        fewer says little.
 
     Notes
-    ----- It shows where two sets differ; leaving these channels out of the comparison does not make
+    -----
+    It shows where two sets differ; leaving these channels out of the comparison does not make
     the model better.
     """
     a, b = _checked(a, b)

@@ -53,9 +53,9 @@ class Pairing:
         Where frequencies alone decide: another mode of B that the mode of A may be, -1 if it may
         have no partner at all, `NO_RIVAL` where neither is likely; empty where shapes decide.
     beyond : (k,) bool
-        The pair is beyond the frequency gate: its modes look alike and like no other.
+        The pair is beyond the frequency gate: its modes look like each other and no other.
     gated_a : (u,) bool
-        Of `unpaired_a`: an unpaired mode of B that looks alike is beyond the frequency gate.
+        Of `unpaired_a`: an unpaired mode of B that looks like it is beyond the frequency gate.
     """
 
     a: Int
@@ -121,7 +121,7 @@ def pair_modes(
 ) -> Pairing:
     """Pair the modes of two sets by one global assignment over MAC and frequency.
 
-    Modes left over that look alike and like no other are pairs beyond the frequency gate, too
+    Modes left over that look like each other and no other are pairs beyond the frequency gate, too
     (`settings.reach`). Blind to the order of modes and channels and to the sign, phase and scale of
     shapes. Close modes (`settings.close`) are treated as subspaces where a rotation inside the
     group of B explains A and single shapes do not.
@@ -300,7 +300,7 @@ class _Reasons:
 
     @property
     def shapes_known(self) -> bool:
-        """Whether shapes tell the modes apart."""
+        """Whether shapes were measured."""
         return not np.isnan(self.score.mac).all()
 
     def of_a(self, i: int) -> str:

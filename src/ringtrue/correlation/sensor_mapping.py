@@ -25,7 +25,7 @@ ROUNDS = 6
 TURNS = np.deg2rad([8.0, -8.0, 20.0, -20.0])
 _Motion = tuple[Float, Float]  # rotation and shift
 GROSS = 3.0  # times the rms of the nearest points: another that is farther off is set aside
-EXACT = 1e-3  # of the size of the deck: places on a sheet are hardly better
+EXACT = 1e-3  # of the size of the deck: places on a sheet are not better
 RIVAL = 3.0  # a placement whose log-likelihood is within this of the best is as good
 
 
@@ -137,7 +137,8 @@ def best_fit(
         without it: two cannot outvote the third.
 
     Notes
-    ----- Graduated non-convexity on truncated least squares (Yang, Antonante, Tzoumas and Carlone,
+    -----
+    Graduated non-convexity on truncated least squares (Yang, Antonante, Tzoumas and Carlone,
     2020): right with up to about half of the points wrong.
 
     Raises
@@ -207,7 +208,8 @@ def nearest_fit(source: Float, nodes: Float, *, keep: float = 0.9) -> Alignment:
         Chetverikov and others, 2002).
 
     Notes
-    ----- A local method: it needs points spread over the structure as the nodes are. With `rivals`
+    -----
+    A local method: it needs points spread over the structure as the nodes are. With `rivals`
     > 0 the geometry is symmetric and named points must decide.
     """
     source = _check_points(source, "test points")
@@ -331,7 +333,7 @@ def _icp(source: Float, nodes: Float, tree: KDTree, fit: _Motion, keep: float) -
 Method = Literal["nearest", "rigid"]
 SAME = 1e-6  # of the tolerance: nodes that are as near
 OF_SIZE = 0.03  # of the size of a model: as far a sensor may be from its node, if nothing is said
-SOME = 2000  # nodes that tell how far nodes are apart
+SOME = 2000  # nodes whose distances give the mesh width
 _OF_EXTENT = 0.25  # of the size of a test
 UNLIKE = 10.0  # times another in size: in another unit
 
@@ -502,8 +504,8 @@ def _refuse_far(
 
 def _spacing(xyz: Float, nodes: Int) -> Float:
     """How far the nearest other place of a node is from each of some (n,)."""
-    apart = np.reshape(KDTree(xyz).query(xyz[nodes], k=min(8, len(xyz)))[0], (nodes.size, -1))
-    return np.asarray(np.where(apart > 0, apart, np.inf).min(axis=1))
+    distance = np.reshape(KDTree(xyz).query(xyz[nodes], k=min(8, len(xyz)))[0], (nodes.size, -1))
+    return np.asarray(np.where(distance > 0, distance, np.inf).min(axis=1))
 
 
 def _rigid_weights(at: Float, nodes: Float, distance: Float, axes: Float) -> Float:

@@ -44,7 +44,7 @@ Reading = tuple[str, str]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Readings:
-    """A test beside a model, with what the model does along all axes of the sheet at each sensor.
+    """A test and a model, with what the model does along all axes of the sheet at each sensor.
 
     Attributes
     ----------
@@ -141,7 +141,7 @@ class Mending:
 
 
 def readings_by_name(test: ModeSet, model: ModeSet) -> Readings:
-    """Two sets of modes, the axes of the sensors told by their names, such as `101+Z`.
+    """Two sets of modes, the axes of the sensors taken from their names, such as `101+Z`.
 
     Parameters
     ----------
@@ -203,7 +203,7 @@ def find_mendings(
     Each is tried with a pairing of its own, since wrong axes leave few pairs. What a shape has that
     the model misses, 1 − MAC, is taken for a variance. A change counts if the likelihood that it
     gains outweighs the number of changes that are tried, with 1 % to be wrong, and if the mean MAC
-    of the modes is then above the gate. Of changes that shapes cannot tell apart the frequencies
+    of the modes is then above the gate. Of changes that shapes cannot distinguish the frequencies
     decide. The best one is thought away, and the rest tried anew.
 
     Parameters
@@ -215,18 +215,21 @@ def find_mendings(
         Of single channels.
 
     Notes
-    ----- It believes the model, as `find_faults` does. What a symmetric structure cannot tell apart
-    is named beside the best. The sign of all sensors together says nothing and is not looked at.
+    -----
+    It believes the model, as `find_faults` does. What a symmetric structure leaves open
+    is named with the best. The sign of all sensors together says nothing and is not looked at.
     """
     axes = given.axes
     shapes = given.test.shapes
     found = list[Mending]()
-    sure = (given.test.confidence >= settings.min_confidence) & given.test.shapes.any(axis=0)
-    if not sure.any() or not given.frequencies.size:
+    usable = (given.test.confidence >= settings.min_confidence) & given.test.shapes.any(axis=0)
+    if not usable.any() or not given.frequencies.size:
         return ()
-    strength = linalg.svdvals(unit(given.test.shapes[:, sure]))
+    strength = linalg.svdvals(unit(given.test.shapes[:, usable]))
     patterns = int((strength > FLAT * strength.max(initial=0.0)).sum())
-    search = _Search(given=given, settings=settings, limits=limits, sure=sure, patterns=patterns)
+    search = _Search(
+        given=given, settings=settings, limits=limits, usable=usable, patterns=patterns
+    )
     for _ in range(MOST_MENDINGS):
         before = search.fit(shapes, axes)
         if before is None or search.gain(before.mac, np.ones_like(before.mac)) <= -np.log(CHANCE):
@@ -270,7 +273,7 @@ class _Search:
     given: Readings
     settings: PairingSettings
     limits: FaultLimits
-    sure: Bool
+    usable: Bool
     patterns: int  # independent ones in the shapes of the test
 
     def fit(self, shapes: Any_, axes: Float, *, rotated: bool = True) -> _Fit | None:
@@ -281,8 +284,8 @@ class _Search:
         fb = self.given.frequencies
         if not np.isfinite(b).all():
             return None
-        a = shapes[:, self.sure]
-        fa = self.given.test.frequencies[self.sure]
+        a = shapes[:, self.usable]
+        fa = self.given.test.frequencies[self.usable]
         found = scores(fa, a, fb, b=b, settings=self.settings).merged if rotated else mac(a, b)
         worth = np.where(self._possible(b), found, 0.0)
         rows, columns = linear_sum_assignment(-worth)
@@ -294,7 +297,7 @@ class _Search:
 
     def _possible(self, b: Any_) -> Bool:
         """Which pairs (ma, mb) are within the frequency gate, of modes that the sensors see."""
-        fa = self.given.test.frequencies[self.sure]
+        fa = self.given.test.frequencies[self.usable]
         fb = self.given.frequencies
         near = (
             np.abs(fb[None, :] - fa[:, None]) <= self.settings.frequency_gate * np.abs(fa)[:, None]
@@ -333,9 +336,9 @@ class _Search:
         if not judged:
             return None
         top = max(net for net, _, _ in judged)
-        alike = [(change, after) for net, change, after in judged if net > top - RIVAL]
-        change, after = min(alike, key=lambda pair: self._strangeness(*pair))
-        others = [c for c, _ in alike if c is not change and c.kind == "axes"]
+        likely = [(change, after) for net, change, after in judged if net > top - RIVAL]
+        change, after = min(likely, key=lambda pair: self._strangeness(*pair))
+        others = [c for c, _ in likely if c is not change and c.kind == "axes"]
         rivals = (
             [_axes_words(c.group, self._readings(c)) for c in others]
             if change.kind == "axes"
@@ -344,14 +347,14 @@ class _Search:
         return self._mending(change, before, after, tuple(dict.fromkeys(rivals))), change
 
     def _strangeness(self, change: _Change, after: _Fit) -> tuple[float, int]:
-        """What decides between changes that shapes cannot tell apart: the frequencies, then how
+        """What decides between changes that shapes cannot distinguish: the frequencies, then how
         much is reversed.
 
         The mean |Δf| over the frequency gate, in steps of a hundredth, and the number of reversed
         axes or channels.
         """
         kept = after.partner >= 0
-        fa = self.given.test.frequencies[self.sure]
+        fa = self.given.test.frequencies[self.usable]
         fb = self.given.frequencies[after.partner]
         off = np.where(kept, np.abs(fb / fa - 1) / self.settings.frequency_gate, 1.0)
         reversed_axes = sum(reads.startswith("-") for _, reads in self._readings(change))
@@ -424,7 +427,7 @@ class _Search:
         n = len(shapes)
         if not np.isfinite(b).all():
             return []
-        a = realise(shapes[:, self.sure])
+        a = realise(shapes[:, self.usable])
         possible = self._possible(b)
         sign = np.ones(n)
         like = mac(np.abs(a), np.abs(b))
@@ -471,7 +474,7 @@ class _Search:
             some = np.flatnonzero(partner >= 0)
         if some.size < 3:
             return []
-        left = shapes[:, self.sure][:, some]
+        left = shapes[:, self.usable][:, some]
         right = before.seen[:, partner[some]]
         faults = [
             f for f in find_faults(left, right, self.limits) if f.fault in ("reversed", "swapped")

@@ -211,7 +211,7 @@ class Significance:
     ----------
     deviation : (k,) float64, Hz
     std : (k,) float64, Hz
-        Combined; NaN where neither set tells its own.
+        Combined; NaN where neither set has its own.
     z : (k,) float64
         |deviation|/std.
     p : (k,) float64

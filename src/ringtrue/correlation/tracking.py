@@ -47,7 +47,7 @@ def follow(old: Any_, new: Any_, mass: Mass | None = None) -> Step:
     new : (n, k) float64 or complex128, k >= m
     mass : (n, n), optional
         The overlap is then that of the mass product, which is exact; without it shapes at few
-        channels may look alike.
+        channels may look equal.
 
     Raises
     ------

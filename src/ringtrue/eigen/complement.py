@@ -412,8 +412,8 @@ class Complement:
         """Write the solution; forces that are left over in the columns not done, and which these
         are.
 
-        The first run lowers the limits where the inertia of x is small beside the loads: forces
-        that hardly move anything, as those of nodes that move across a shell, would hide all that
+        The first run lowers the limits where the inertia of x is small against the loads: forces
+        that move almost nothing, as those of nodes that move across a shell, would hide all that
         is left.
         """
         delta = lam - self.shift

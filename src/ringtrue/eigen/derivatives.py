@@ -51,8 +51,8 @@ def groups(values: Float, scale: float | None = None) -> Int:
     Differences below 1e-9 of `scale`, the largest if not given, are noise.
     """
     noise = 1e-9 * (np.abs(values).max(initial=0.0) if scale is None else scale)
-    apart = np.diff(values) > np.maximum(CLOSE * np.abs(values[1:]), noise)
-    return np.concatenate([np.zeros(min(values.size, 1)), np.cumsum(apart)]).astype(np.int64)
+    separate = np.diff(values) > np.maximum(CLOSE * np.abs(values[1:]), noise)
+    return np.concatenate([np.zeros(min(values.size, 1)), np.cumsum(separate)]).astype(np.int64)
 
 
 def eigenvalue_derivatives(modes: EigenModes, slopes: Sequence[MatrixDerivatives]) -> Float:
@@ -102,7 +102,7 @@ def modal_coefficients(stiffness: Float, mass: Float, values: Float, *, low: int
         Φᵀ K' Φ_m and Φᵀ M' Φ_m for all n modes and the m lowest of them.
     values : (n,) float64, ascending
     low : int
-        Modes that must be told apart whatever is above them; 0: m.
+        Modes that must be distinct whatever is above them; 0: m.
 
     Returns
     -------
@@ -302,6 +302,6 @@ def branch_derivatives(
     same = own.T @ dm
     mixed = -load.T @ rest - same * d_lambda
     gap = d_lambda - d_lambda[:, None]
-    apart = np.abs(gap) > CLOSE * max(float(np.abs(d_lambda).max()), np.finfo(float).tiny)
-    c = np.where(apart, mixed / np.where(apart, gap, 1.0), -0.5 * same)
+    separate = np.abs(gap) > CLOSE * max(float(np.abs(d_lambda).max()), np.finfo(float).tiny)
+    c = np.where(separate, mixed / np.where(separate, gap, 1.0), -0.5 * same)
     return own, d_lambda, np.asarray(rest + own @ c)

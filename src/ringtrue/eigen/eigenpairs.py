@@ -63,11 +63,11 @@ class EigenModes:
 def rounding(
     stiffness: sparse.csr_array, modes: EigenModes, highest: float = 0.0
 ) -> tuple[float, int, int]:
-    """How far the rounding of K may move a mode: what is far stiffer than the rest beside it leaves
+    """How far the rounding of K may move a mode: what is far stiffer than the rest leaves
     no digits for that.
 
     The entries of K are taken to be off by independent errors of ε of their size. A mode of a λ
-    that is small beside the shift, as of a rigid body, is judged by the shift; one that is nothing
+    that is small against the shift, as of a rigid body, is judged by the shift; one that is nothing
     but rounding is left out.
 
     Parameters

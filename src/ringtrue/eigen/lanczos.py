@@ -301,7 +301,7 @@ def solve(
     enough : callable
         Takes the converged leading θ (k,), says whether they suffice.
     expected : int
-        How many pairs that will be beside the locked ones, about; sets the size of the basis.
+        About how many pairs are found besides the locked ones; sets the size of the basis.
     locked : (theta (k,), vectors (f, k)), optional
         Pairs known already; the start block is orthogonal to them.
     begun : Krylov, optional

@@ -27,7 +27,7 @@ from ringtrue.errors import InputError, NumericalError, SingularModel
 EXTRA = 4  # modes beyond the requested ones, so that the count can stand in a gap
 GAP = 1e-4  # a gap below this share of λ is too narrow for a count
 NEAR = 1e-5  # share of λ: no shift nearer to zero
-# share of λ: beside a shift nearer to zero the rigid-body modes cost the others digits; refined
+# share of λ: with a shift nearer to zero the rigid-body modes cost the others digits; refined
 # once
 FINE = 1e-6
 PROBE = 4  # Lanczos blocks that judge a shift
@@ -372,7 +372,7 @@ def _gap_after(values: Float, count: int, shift: float) -> int | None:
     """How many values stand below the first sufficient gap at or after `count`; None if there is
     none yet.
 
-    Rigid-body modes are apart by rounding only, however many of them are known: the shift tells
+    Rigid-body modes differ by rounding only, however many of them are known: the shift says
     their scale.
     """
     wide = _gaps(values, shift)[max(count - 1, 0) :]

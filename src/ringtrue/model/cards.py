@@ -1,5 +1,5 @@
 """The bulk data cards that ringtrue reads: one line a card, read by the reader, the writer and the
-editor alike.
+editor.
 
 Syntax of a line: card name, then its data fields in order (field 2 of the first line onward;
 continuation lines simply go on, eight fields a line). A field is NAME[:type][=default]; types are i

@@ -67,7 +67,7 @@ def responding(model: Model) -> Model:
     for scale, more in (("CK2", case.k2pp), ("CM2", case.m2pp), ("CB2", case.b2pp)):
         if more and model.param(scale, 1.0) != 1:
             raise UnsupportedError(
-                f"PARAM,{scale} beside {scale[1]}2PP: give the factor in case control, as in 1.5*KA"
+                f"PARAM,{scale} with {scale[1]}2PP: give the factor in case control, as in 1.5*KA"
             )
     k = (*case.k2gg, *case.k2pp)
     m = (*case.m2gg, *case.m2pp)

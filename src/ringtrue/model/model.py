@@ -247,13 +247,13 @@ def unsupported_card(model: Model, table: Table, row: int, why: str) -> Unsuppor
 def called(model: Model, rows: Sequence[tuple[Table, int]]) -> str:
     """Rows of tables as a message calls them, with the lines of those that share a card and id."""
     names = [f"{t.card} {t.ids[i]}" for t, i in rows]
-    told = [
+    names_shown = [
         f"{name} of line {line}"
         if names.count(name) > 1 and (line := _place(model, *row)[1])
         else name
         for name, row in zip(names[:MOST], rows, strict=False)
     ]
-    return ", ".join([*told, *(["..."] if len(rows) > MOST else [])])
+    return ", ".join([*names_shown, *(["..."] if len(rows) > MOST else [])])
 
 
 def _place(model: Model, table: Table, row: int) -> tuple[str | None, int | None]:

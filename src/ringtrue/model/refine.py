@@ -159,7 +159,7 @@ def _refuse(model: Model) -> None:
 
 
 def _middles(model: Model) -> _Middles:
-    """The nodes that the parts need beside those that are there; rods make none."""
+    """The nodes that the parts need besides those that are there; rods make none."""
     grid = model["GRID"]
     x = positions(model)
     keys = [np.empty((0, 8), dtype=np.int64)]

@@ -160,7 +160,7 @@ def _i(
 
 
 def _i1(flanges: float, web: float, clear: float, height: float) -> Properties:
-    """DIM1 the flange beside the web (both sides), DIM3 the height between the flanges."""
+    """DIM1 the flange outside the web (both sides), DIM3 the height between the flanges."""
     t = (height - clear) / 2
     return _i(height, flanges + web, flanges + web, web=web, t_bottom=t, t_top=t)
 
@@ -179,8 +179,8 @@ def _h(inside: float, sides: float, height: float, bar: float) -> Properties:
 
 
 def _cross(arms: float, upright: float, height: float, bar: float) -> Properties:
-    """DIM1 both horizontal arms beside the upright, DIM2 the upright's width, DIM4 the thickness of
-    the arms.
+    """DIM1 both horizontal arms outside the upright, DIM2 the upright's width, DIM4 the thickness
+    of the arms.
     """
     _positive(arms, upright, height, bar, height - bar)
     z = upright / 2 + arms / 4
@@ -224,22 +224,22 @@ def _turned(values: Properties) -> Properties:
 
 def _chan(width: float, height: float, web: float, flange: float) -> Properties:
     """Web on the left, flanges to the right."""
-    beside = width - web
+    overhang = width - web
     clear = height - 2 * flange
-    _positive(beside, clear, web, flange)
-    z = web / 2 + beside / 2
+    _positive(overhang, clear, web, flange)
+    z = web / 2 + overhang / 2
     y = (height - flange) / 2
-    parts = ((web, height, 0.0, 0.0), (beside, flange, z, y), (beside, flange, z, -y))
+    parts = ((web, height, 0.0, 0.0), (overhang, flange, z, y), (overhang, flange, z, -y))
     b = width - web / 2
     h = height - flange
     out = 3 * b**2 * flange / (6 * b * flange + h * web)
     values = _open(parts, ((b, flange), (b, flange), (h, web)), (0.0, -out))
     area = values["A"]
-    return values | {"K1": clear * web / area, "K2": 2 * beside * flange / area}
+    return values | {"K1": clear * web / area, "K2": 2 * overhang * flange / area}
 
 
-def _chan1(beside: float, web: float, clear: float, height: float) -> Properties:
-    return _chan(beside + web, height, web, (height - clear) / 2)
+def _chan1(overhang: float, web: float, clear: float, height: float) -> Properties:
+    return _chan(overhang + web, height, web, (height - clear) / 2)
 
 
 def _chan2(leg: float, base: float, height: float, width: float) -> Properties:
@@ -252,12 +252,12 @@ def _l(width: float, height: float, foot: float, upright: float) -> Properties:
     meet.
     """
     clear = height - foot
-    beside = width - upright
-    _positive(clear, beside, foot, upright)
-    parts = ((width, foot, beside / 2, 0.0), (upright, clear, 0.0, height / 2))
+    overhang = width - upright
+    _positive(clear, overhang, foot, upright)
+    parts = ((width, foot, overhang / 2, 0.0), (upright, clear, 0.0, height / 2))
     values = _open(parts, ((width - upright / 2, foot), (height - foot / 2, upright)), (0.0, 0.0))
     area = values["A"]
-    return values | {"K1": clear * upright / area, "K2": beside * foot / area}
+    return values | {"K1": clear * upright / area, "K2": overhang * foot / area}
 
 
 def _z(flange: float, web: float, clear: float, height: float) -> Properties:
@@ -274,7 +274,7 @@ def _z(flange: float, web: float, clear: float, height: float) -> Properties:
 
 
 def _hat(height: float, t: float, top: float, brim: float) -> Properties:
-    """Top above, DIM3 wide; a brim of DIM4 beside each web."""
+    """Top above, DIM3 wide; a brim of DIM4 at each web."""
     clear = height - 2 * t
     _positive(clear, top - 2 * t, t, brim)
     side = (top - t) / 2

@@ -22,6 +22,7 @@ from ringtrue.fem.parametrisation.parameter_groups import Pair
 from ringtrue.fem.parametrisation.polynomials import AffineTerm, Function, Product
 
 NONE = 1e-9  # rounding of a coefficient that is 0
+CHUNK = 32  # right-hand sides solved together
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,9 +95,6 @@ def observed_system(
         )
     observe = sparse.csr_array(observation.matrix @ transform)
     return AffineSystem(stiffness, mass, parameters, tuple(terms), observe)
-
-
-CHUNK = 32  # right-hand sides solved together
 
 
 @dataclass(frozen=True, slots=True, eq=False)

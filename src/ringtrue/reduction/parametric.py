@@ -36,22 +36,12 @@ from ringtrue.reduction.basis import (
 )
 
 USUAL = 320  # vectors of a basis
-
-
 SOLVED, SPANNED = 0.3, 0.8  # of the progress of a basis: its modes are there, its vectors are there
-
-
 MANY = 2400  # sensitivity vectors from which on random mixtures of them stand for all
-
-
 AT_ONCE = 800  # sensitivity vectors whose principal directions are taken at once
-
-
 # times the highest frequency returned: stiffer vectors of the basis have no sensitivity that can be
 # used
 FAR = 100.0
-
-
 MASSLESS = (
     1e-14  # θ = 1/(λ − σ), relative to the largest, from which on a vector of the basis has no mass
 )

@@ -23,6 +23,8 @@ DEPENDENT, MASSLESS = (
     1e-10,
     1e-11,
 )  # shares of the energy below which a vector is one of others, or has no mode
+NEW = 1e-10  # squared share of a vector outside the basis that is kept
+PUSH = 1e-6  # of λ: off a mode that a line stands on exactly
 
 
 def with_responses(
@@ -119,12 +121,6 @@ def _flexibility(model: ReducedModel, a: Float, channels: Int, shift: float) -> 
     k, m = model.projected(a)
     load = model.basis.observe[channels]
     return np.asarray(load @ linalg.solve(k - shift * m, load.T, assume_a="sym"))
-
-
-NEW = 1e-10  # squared share of a vector outside the basis that is kept
-
-
-PUSH = 1e-6  # of λ: off a mode that a line stands on exactly
 
 
 @dataclass(frozen=True, slots=True, eq=False)

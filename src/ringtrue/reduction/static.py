@@ -18,6 +18,10 @@ from ringtrue.errors import ConfigError, InputError, did_you_mean
 from ringtrue.shapes.orthogonality import pseudo_inverse
 
 CHUNK = 64  # right-hand sides solved at once
+CHUNK_DROP = 64  # right-hand sides solved at once
+# relative eigenvalue of the flexibility at the channels below which two channels read the same
+DEPENDENT = 1e-10
+TamMethod = Literal["guyan", "irs", "serep", "hybrid"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,16 +164,6 @@ def _constraint_modes(pencil: Pencil, K_ib: sparse.csr_array) -> Float:
 def _projected(T: Float, A: sparse.csr_array) -> Float:
     B = T.T @ (A @ T)
     return np.asarray((B + B.T) / 2)
-
-
-CHUNK_DROP = 64  # right-hand sides solved at once
-
-
-# relative eigenvalue of the flexibility at the channels below which two channels read the same
-DEPENDENT = 1e-10
-
-
-TamMethod = Literal["guyan", "irs", "serep", "hybrid"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -31,7 +31,7 @@ def unit(shapes: Any_) -> Any_:
 
 
 def above_rounding(shapes: Any_) -> Any_:
-    """Shapes (n, m) with those columns at zero that are rounding beside the others.
+    """Shapes (n, m) with those columns at zero that are rounding against the others.
 
     A mode that does not move the channels still has values of rounding there, and a MAC of these is
     chance. The eigenvector of an eigenvalue that is exact to rounding ε is exact to √ε, relative to
@@ -151,7 +151,7 @@ def fade(ratio: Float) -> tuple[Float, Float]:
     """How far what holds up to a limit still holds, 1 up to ratio 1 and 0 from `FADE` on, and its
     derivative.
 
-    Smooth, so that what rests on closeness does not jump where modes move apart.
+    Smooth, so that what rests on closeness does not jump where modes separate.
     """
     t = np.clip((FADE - np.asarray(ratio)) / (FADE - 1), 0.0, 1.0)
     return t * t * (3 - 2 * t), 6 * t * (t - 1) / (FADE - 1)

@@ -122,7 +122,7 @@ def serep_mass(shapes: Any_) -> Float:
     Raises
     ------
     InputError
-        If the channels cannot tell the shapes apart, or the shapes are complex.
+        If the channels cannot distinguish the shapes, or the shapes are complex.
     """
     back = pseudo_inverse(shapes)
     return np.asarray(back.T @ back)
@@ -134,7 +134,7 @@ def pseudo_inverse(shapes: Any_) -> Float:
     Raises
     ------
     InputError
-        If the channels cannot tell the shapes apart, or the shapes are complex.
+        If the channels cannot distinguish the shapes, or the shapes are complex.
     """
     phi = np.asarray(shapes)
     if np.iscomplexobj(phi):

@@ -25,7 +25,7 @@ from ringtrue.correlation.sensor_mapping import (
 )
 from ringtrue.correlation.sensor_mounting import Readings
 from ringtrue.errors import DataError, InputError, about
-from ringtrue.io.sheets import read_sensor_sheet
+from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
 from ringtrue.model.frames import diagonal, positions
 from ringtrue.study.opened import ROUNDING, Opened, make_scene
 from ringtrue.study.results import Seat
@@ -216,7 +216,7 @@ def _apart(dofs: DofSet, nodes: Sequence[int], shapes: Float) -> bool:
 def placed(
     opened: Opened,
     channels: Sequence[str],
-    sheet: Path | TestModel | None,
+    sheet: Path | SensorSheet | TestModel | None,
     *,
     tolerance: float | None = None,
     method: Method = "nearest",
@@ -233,7 +233,7 @@ def placed(
     ----------
     opened : Opened
     channels : sequence of str
-    sheet : Path or TestModel, optional
+    sheet : Path, SensorSheet or TestModel, optional
     tolerance : float, m, optional
         Largest distance of a sensor from its node; `default_tolerance` if not given.
     method : str
@@ -258,8 +258,8 @@ def placed(
                 f"{e}; where points have numbers of their own give --sensors, or [test] sheet of "
                 "a study"
             ) from e
-    test = sheet if isinstance(sheet, TestModel) else _motions(sheet, channels)
-    with nullcontext() if isinstance(sheet, TestModel) else about(sheet):
+    with about(sheet) if isinstance(sheet, Path) else nullcontext():
+        test = sheet if isinstance(sheet, TestModel) else _motions(sheet, channels)
         here = test.pick(tuple(channels))
     if align:
         here = alignment(test, opened, align).move(here)
@@ -288,14 +288,13 @@ def readings(
     return Readings(test, modes.frequencies, motion, here.axes, here.group_of_channels())
 
 
-def _motions(sheet: Path, channels: Sequence[str]) -> TestModel:
+def _motions(sheet: Path | SensorSheet, channels: Sequence[str]) -> TestModel:
     """The test model of a sheet, none of whose `channels` measures strain."""
-    found = read_sensor_sheet(sheet)
+    found = read_sensor_sheet(sheet) if isinstance(sheet, Path) else sheet
     names = found.model.named(channels)[0]
     if strain := [c for c, name in zip(channels, names, strict=True) if name in found.strain]:
         raise DataError(
-            f"{sheet}: channel {' '.join(strain[:8])} measures strain: take it out of the modes "
-            "of the test"
+            f"channel {' '.join(strain[:8])} measures strain: take it out of the modes of the test"
         )
     return found.model
 

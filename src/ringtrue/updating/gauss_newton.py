@@ -25,7 +25,14 @@ from ringtrue.updating.residuals.modal import (
     Term,
     Weighted,
 )
+from ringtrue.updating.solver import positive, secant
 from ringtrue.updating.target import Target, match, span_residual
+
+FREE = 0.1  # damping below which the length of a step is the method's own
+STEP, GRADIENT = (
+    1e-5,
+    1e-6,
+)  # convergence: step in x; gradient relative to its size without cancellation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -194,22 +201,6 @@ def _kind(term: Term) -> int:
     return 1 if isinstance(term, Shapes | Mac | CrossOrthogonality) else 2
 
 
-# least eigenvalue, in units of the Gauss-Newton diagonal, of a Hessian with second derivatives
-SAFE = 1e-3
-
-
-NEAR = 0.3  # largest change of x over which a secant says something of the Hessian
-
-
-FREE = 0.1  # damping below which the length of a step is the method's own
-
-
-STEP, GRADIENT = (
-    1e-5,
-    1e-6,
-)  # convergence: step in x; gradient relative to its size without cancellation
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class State:
     """A point, its residual, the damping for the next step and the secant estimate of Σ Δz ∂²Δz (p,
@@ -317,7 +308,7 @@ class GaussNewton:
         g, w = state.residual.slope, 1 / self.model.parameters.std() ** 2
         gradient = self.gradient(state)
         free = gradient != 0
-        normal = _positive(g.T @ g + np.diag(w), state.curvature)[np.ix_(free, free)]
+        normal = positive(g.T @ g + np.diag(w), state.curvature)[np.ix_(free, free)]
         low, high = self.model.parameters.bounds()
         x = state.x.copy()
         dx = np.zeros_like(x)
@@ -332,7 +323,7 @@ class GaussNewton:
         ):  # a trial point that cannot be solved is a rejected step
             return self._rejected(state)
         if self._better(x, r, state):
-            curvature = np.zeros_like(normal) if self.published else _secant(state, x, r, w)
+            curvature = self._curvature(state, x, r)
             return State(
                 x, r, value, max(state.mu / 5, 1e-8), float(np.abs(x - state.x).max()), 0, curvature
             )
@@ -364,6 +355,20 @@ class GaussNewton:
             return False
         w = 1 / self.model.parameters.std() ** 2
         return self.published or now + float(w @ x**2) <= before + float(w @ state.x**2)
+
+    def _curvature(self, state: State, x: Float, r: Residual) -> Float:
+        """Σ Δz ∂²Δz (p, p) after a step to x; 0 where the pairs have changed."""
+        old = state.residual
+        same_rows = r.value.shape == old.value.shape and r.pairs.tolist() == old.pairs.tolist()
+        if self.published or not same_rows:
+            return np.zeros_like(state.curvature)
+        return secant(
+            state.curvature,
+            x - state.x,
+            (old.value, old.slope),
+            (r.value, r.slope),
+            np.diag(1 / self.model.parameters.std() ** 2),
+        )
 
     def terminate(self, state: State) -> Outcome | None:
         """Small gradient or step, or eight rejected steps in a row."""
@@ -441,42 +446,3 @@ def _spread(r: Residual, normal: Float, prior: Float, each: float) -> float:
     """
     data, spent = each * int(r.used.sum()), used_up(normal, np.diag(1 / prior**2))
     return max(1.0, float(r.value @ r.value) / max(data - spent, 1.0))
-
-
-def _positive(normal: Float, curvature: Float) -> Float:
-    """`normal` + `curvature` if that is safely positive definite, else `normal` (p, p)."""
-    both = normal + curvature
-    size = np.sqrt(np.diag(normal))
-    return (
-        both
-        if float(np.linalg.eigvalsh(both / np.outer(size, size)).min(initial=1.0)) > SAFE
-        else normal
-    )
-
-
-def _secant(before: State, x: Float, r: Residual, w: Float) -> Float:
-    """The part of the Hessian that Gauss-Newton leaves out, updated from one step; 0 where the
-    pairs have changed.
-
-    Structured secant of Dennis, Gay and Welsch (1981), NL2SOL, eq. 2.11 and the sizing of 3.1. It
-    matters where the residuals stay large: Gauss-Newton alone then converges linearly.
-    """
-    old = before.residual
-    zero = np.zeros_like(before.curvature)
-    if r.value.shape != old.value.shape or r.pairs.tolist() != old.pairs.tolist():
-        return zero
-    s = x - before.x
-    if float(np.abs(s).max(initial=0.0)) > NEAR:
-        return zero
-    part = -(r.slope - old.slope).T @ r.value
-    y = old.slope.T @ old.value - r.slope.T @ r.value + w * s
-    along = float(y @ s)
-    if along <= 0:
-        return zero
-    own = float(s @ before.curvature @ s)
-    kept = before.curvature * (min(1.0, abs(float(s @ part) / own)) if own else 0.0)
-    miss = part - kept @ s
-    update = (np.outer(miss, y) + np.outer(y, miss)) / along - float(
-        miss @ s
-    ) / along**2 * np.outer(y, y)
-    return np.asarray(kept + update)

@@ -23,20 +23,23 @@ from ringtrue.errors import InputError
 
 # |cosine| of two weighted sensitivity columns from which on the data cannot tell them apart
 ALIKE = 0.95
-
-
 EQUAL = 9  # decimals, of the largest, to which effects are compared: rounding must not choose
-
-
 # in standard deviations of the data: what a change by the prior's standard deviation does beyond
 # the other parameters, from which on the data share a change out between them, however weakly;
 # below it the prior alone does
 SAME = 0.01
-
-
 # singular value, in units of the prior, below which the prior says more of a direction than the
 # data
 BLIND = 1.0
+EDGE = 0.01  # of the range between the bounds
+BEYOND = 2.0  # prior standard deviations
+SILENT = 0.9  # posterior over prior standard deviation: the data said nothing
+SLIGHT = 0.05  # change of a factor that needs no proof
+TIED = 0.9  # |correlation| from which on two parameters are known together, not each by itself
+KEPT = 0.5  # share of a change that should be there whatever modes are left out
+Kind = Literal["bound", "prior", "silent", "form"]
+# relative shift of a frequency: half of the last digit in which deviations are stated (0.01 %)
+STILL = 5e-5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -218,27 +221,6 @@ def _columns(sensitivities: Float) -> Float:
     return g
 
 
-EDGE = 0.01  # of the range between the bounds
-
-
-BEYOND = 2.0  # prior standard deviations
-
-
-SILENT = 0.9  # posterior over prior standard deviation: the data said nothing
-
-
-SLIGHT = 0.05  # change of a factor that needs no proof
-
-
-TIED = 0.9  # |correlation| from which on two parameters are known together, not each by itself
-
-
-KEPT = 0.5  # share of a change that should be there whatever modes are left out
-
-
-Kind = Literal["bound", "prior", "silent", "form"]
-
-
 @dataclass(frozen=True, slots=True)
 class Flag:
     """A parameter that needs an engineer's eye.
@@ -385,10 +367,6 @@ def form_flags(
         text = f"{_said(p, factor[i])}, but {' and '.join(why)}; {whence}"
         flags.append(Flag(p.name, "form", float(factor[i]), text))
     return tuple(flags)
-
-
-# relative shift of a frequency: half of the last digit in which deviations are stated (0.01 %)
-STILL = 5e-5
 
 
 def unmoved(x: Float, std: Float, slopes: Float) -> Bool:

@@ -17,9 +17,8 @@ from ringtrue.reduction.matrix_model import matrices_at
 from ringtrue.updating.uncertainty import covariance_root
 
 Ratios = Callable[[Float, Float], Float]  # λ (m,), M-orthonormal y (r, m) -> ζ (m,)
-
-
 MASSLESS = 1e-14  # of the largest 1/λ
+PLANE = {"X": (1, 2), "Y": (2, 0), "Z": (0, 1)}  # right-handed about the axis
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -196,9 +195,6 @@ def _every(model: ObservedModel, x: Float) -> Float:
         return model.parameters.factors(x)
     everything: Any_ = full(x)
     return model.system.parameters.factors(everything)  # type: ignore[attr-defined,no-any-return]
-
-
-PLANE = {"X": (1, 2), "Y": (2, 0), "Z": (0, 1)}  # right-handed about the axis
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -33,8 +33,6 @@ from ringtrue.updating.residuals.modal import (
 from ringtrue.updating.target import Target, Weights
 
 OUTSIDE = 1e-9  # of an unknown, that is none
-
-
 APART = 1_000_000  # test modes of configuration i are numbered from i times this
 
 

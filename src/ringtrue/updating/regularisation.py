@@ -26,20 +26,10 @@ from ringtrue.updating.target import Weights
 from ringtrue.updating.uncertainty import errors_of_shapes
 
 End = TypeVar("End")
-
-
 Rule = Literal["l-curve", "gcv", "evidence"]
-
-
 GRID = np.logspace(-8, 8, 161)  # factors tried, in units of the median squared singular value
-
-
 SETTLED = 0.1  # relative change of the factor below which it stands
-
-
 TURNS = 8  # updatings with the discrepancy found, at most
-
-
 TIGHT, LOOSE = 0.05, 3.0  # limits of the discrepancy found, in units of the assumed one
 
 

@@ -26,8 +26,6 @@ from ringtrue.io.foreign.parsers import read_json
 from ringtrue.updating.problem import Evaluated, Problem, held_to, least_distance, squares
 
 Kind = Literal["gauss-newton", "published", "levenberg-marquardt", "trust-region"]
-
-
 KINDS = {
     "gauss-newton": "full steps inside the move limits, halved when they do not lower J",
     "published": "equation (4) as printed: the prior restrains each step, not their sum; not "
@@ -35,14 +33,8 @@ KINDS = {
     "levenberg-marquardt": "steps damped by mu D, D the diagonal of the Hessian",
     "trust-region": "steps inside a box that grows and shrinks with how well J was predicted",
 }
-
-
 REJECTIONS = 12
-
-
 SMALL = 1e-14  # relative rise of J that is not one
-
-
 # The rounding of eigensolutions may hide a fall of J of this part of J, and a change of each
 # weighted residual of this size (which decides where the data fit exactly and J is near 0).
 ROUNDING = 1e-7

@@ -33,6 +33,7 @@ from ringtrue.updating.target import DOUBT, Target, Weights
 
 # deviation of the better half of the modes, in standard deviations, that these are not as assumed
 REFUTED = 2.0
+TINY = 1e-300
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,9 +220,6 @@ def _likely(problem: Problem, at: Evaluated) -> Problem:
         for c in problem.configurations
     ]
     return replace(problem, configurations=tuple(parts))
-
-
-TINY = 1e-300
 
 
 @runtime_checkable

@@ -32,11 +32,7 @@ from ringtrue.shapes.mac import above_rounding, close_groups, fade, unit
 
 # a used mode without a partner counts like a frequency deviation of ten standard deviations
 LOST = 100.0
-
-
 DOUBT = 16.0  # four standard deviations
-
-
 SURE = 1e-6  # of the cost of a lost mode, by which a pair that the user decides is better
 
 

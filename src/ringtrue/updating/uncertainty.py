@@ -30,6 +30,9 @@ from ringtrue.updating.selection.localisation import strain_energies
 from ringtrue.updating.target import Target, match, span_residual
 
 MOVED = 0.7  # posterior over prior standard deviation below which the data have told something
+STRETCH = 2.0  # a of the stretch move: z in [1/a, a] with density ∝ 1/√z
+WINDOW = 5.0  # autocorrelation times that the sum runs over
+ENOUGH = 50.0  # autocorrelation times that a chain must have
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -356,15 +359,6 @@ def independent_errors(rest: Float, own: Float, shapes: Float) -> float:
     by_chance = float(size @ np.clip((space.shape[1] - own) / np.maximum(n - own, 1), 0, 1)) / total
     of_form = float(np.clip((held - by_chance) / (1 - by_chance), 0.0, 1.0))
     return 1 / (of_form + (1 - of_form) / n)
-
-
-STRETCH = 2.0  # a of the stretch move: z in [1/a, a] with density ∝ 1/√z
-
-
-WINDOW = 5.0  # autocorrelation times that the sum runs over
-
-
-ENOUGH = 50.0  # autocorrelation times that a chain must have
 
 
 @dataclass(frozen=True, slots=True, eq=False)

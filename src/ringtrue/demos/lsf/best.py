@@ -20,6 +20,9 @@ from ringtrue.updating.selection.selection_rules import Candidates, best_subset
 from ringtrue.updating.target import Target, Weights, match
 
 TURNS = 12  # linear programmes from each start
+RADIUS = 0.5  # first trust region of x
+SMALLEST = 1e-4  # of the trust region
+LOST = 0.4  # relative deviation that a mode without a partner counts as
 
 
 def _silent(fraction: float, text: str) -> None:
@@ -70,15 +73,6 @@ def best_possible(run: StudyRun, twin: Twin, session: Session) -> float:
         starts.append((at, model.parameters.take(at).vector(s.factor)))
     none = np.zeros(len(names))
     return 100 * min(descend(model.with_parameters(at, none), aim, x, TURNS)[1] for at, x in starts)
-
-
-RADIUS = 0.5  # first trust region of x
-
-
-SMALLEST = 1e-4  # of the trust region
-
-
-LOST = 0.4  # relative deviation that a mode without a partner counts as
 
 
 def _errors(target: Target, now: Linearisation) -> tuple[Float, Float]:

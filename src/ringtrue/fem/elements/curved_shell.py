@@ -57,8 +57,8 @@ def node_normals(m: Mesh, nodes: Int, own: Any_) -> Any_:
     total[used] = unit(total[used])
     sharp = np.zeros(len(m.xyz), dtype=bool)
     for corners, n in around:
-        apart = np.einsum("eka,ea->ek", total[corners], n).real < np.cos(np.radians(limit))
-        sharp[corners[apart]] = True
+        folded = np.einsum("eka,ea->ek", total[corners], n).real < np.cos(np.radians(limit))
+        sharp[corners[folded]] = True
     mean = total[nodes]
     keep: Any_ = sharp[nodes]
     if not np.iscomplexobj(mean):  # a complex step is small, but not nothing
@@ -79,7 +79,7 @@ def _around(m: Mesh, nodes: Int) -> Iterable[tuple[Int, Any_]]:
         corners = m.model["GRID"].find(near)
         corners = corners[
             (corners >= 0).all(axis=1)
-        ]  # a node that is absent is told by the element's own builder
+        ]  # the builder of the element names a node that is absent
         x, (a, b, c, d) = m.xyz[corners], _SPAN[k]
         n = np.cross(x[:, b] - x[:, a], x[:, d] - x[:, c])
         there = (n != 0).any(axis=1)

@@ -257,7 +257,7 @@ class _Surface:
     """The shells on which the ends (e,) may stand: of a property, or of a shell and its neighbours
     where `shell` >= 0.
 
-    Two sheets of one property are told apart by their shells (MSC Nastran: up to 3 x 3 shells
+    Two sheets of one property are distinguished by their shells (MSC Nastran: up to 3 x 3 shells
     around SHIDA).
     """
 

@@ -24,7 +24,7 @@ from ringtrue.fem.mesh import Matrices, Mesh
 from ringtrue.model.model import Model, Table, card_error, unsupported_card
 
 
-def alike(model: Model, at: Int) -> Iterator[Int]:
+def same_sizes(model: Model, at: Int) -> Iterator[Int]:
     """The rows `at` in groups of as many UI and UD."""
     t = model["GENEL"]
     sizes = np.stack([t.ragged(c).sizes[at] for c in ("UI", "UD")], axis=1)
@@ -93,7 +93,7 @@ def _motion(m: Mesh, t: Table, at: Int, n: int, d: int) -> Any_:
 
 
 def build_general(m: Mesh, card: str, at: Int) -> Matrices:
-    """Matrices of the rows `at` (e,) of GENEL, which have as many UI and UD each (`alike`).
+    """Matrices of the rows `at` (e,) of GENEL, which have as many UI and UD each (`same_sizes`).
 
     Raises
     ------
@@ -197,7 +197,7 @@ def named_matrix(m: Mesh, name: str) -> sparse.csr_array:
         _named_dofs(m, i, t.ragged(f"G{e}").row(i), t.ragged(f"C{e}").row(i)) for e in "IJ"
     )
     value = t.ragged("A").row(i)
-    if form == SYMMETRIC:  # one triangle is given, or both alike: each pair counts once
+    if form == SYMMETRIC:  # one triangle is given, or both equal: each pair counts once
         row, column = np.maximum(row, column), np.minimum(row, column)
         _, once = np.unique(row * m.size + column, return_index=True)
         row = row[once]

@@ -107,7 +107,7 @@ class Shape:
 
     def build(self, m: Mesh, card: str, at: Int) -> Matrices:
         """Matrices of rows `at` (e,), which have the same midside nodes and kind of material (see
-        `alike`).
+        `same_midsides`).
 
         Raises
         ------
@@ -121,7 +121,8 @@ class Shape:
         present = self.present(m.model, at)
         if (present != present[0]).any():
             raise InputError(
-                f"{card}: rows with different midside nodes in one batch; split them by solid.alike"
+                f"{card}: rows with different midside nodes in one batch; split them by "
+                "solid.same_midsides"
             )
         t = m.model[card]
         names = [f"G{k + 1}" for k in np.flatnonzero(present[0])]
@@ -220,7 +221,7 @@ def _part(material: Isotropic | Anisotropic, first: int, size: int) -> Isotropic
     )
 
 
-def alike(shape: Shape, model: Model, at: Int) -> Iterable[Int]:
+def same_midsides(shape: Shape, model: Model, at: Int) -> Iterable[Int]:
     """The rows `at` (e,) in groups with the same midside nodes and kind of material."""
     present = shape.present(model, at)
     other = is_anisotropic(model, model[shape.card]["PID"][at])

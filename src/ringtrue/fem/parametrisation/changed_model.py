@@ -30,8 +30,8 @@ Factor = float | complex
 
 
 def scaled(model: Model, parameter: Parameter, factor: Factor) -> Model:
-    """A copy of the model with the parameter at `factor`: fields, for some elements only where
-    told, and nodes.
+    """A copy of the model with the parameter at `factor`: fields, those of some
+    elements only where the parameter names them, and nodes.
 
     A PBEAM whose end B or stations equal its end A keeps that. Where a target holds for some
     elements only, they get a copy of the property or material.

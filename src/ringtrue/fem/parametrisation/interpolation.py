@@ -35,11 +35,11 @@ from ringtrue.fem.parametrisation.parameter_groups import (
     Pair,
     Region,
     Together,
-    apart,
     built,
     ends,
     entries,
     few,
+    independent_batches,
     owners,
     picked,
     regions,
@@ -240,7 +240,7 @@ def interpolated(
     UnsupportedError
         If the matrices of a region are no smooth functions of its parameters between their bounds.
     """
-    batches = apart(regions(groups, rows))
+    batches = independent_batches(regions(groups, rows))
     out = list[AffineTerm]()
     for k, batch in enumerate(batches):
         out += _terms(m, batch, system, part(progress, k / len(batches), (k + 1) / len(batches)))

@@ -38,7 +38,7 @@ Found = Sequence[Float | None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Nodes:
-    """What tells the functions of a region.
+    """What determines the functions of a region.
 
     Attributes
     ----------
@@ -73,8 +73,8 @@ class Nodes:
         return self.solved(self.weights * found[self.places])
 
     def scaled(self, found: Float) -> Float:
-        """What tells c (r,): the scaled entries, less those at nominal, from the `entries` of its
-        rows.
+        """What determines c (r,): the scaled entries, less those at nominal, from the `entries` of
+        its rows.
         """
         return np.asarray(self.weights * (found[self.places] - self.start))
 
@@ -109,8 +109,8 @@ class _Learner:
         self.learn(axes, found)
 
     def learn(self, factors: Sequence[Float], found: Found) -> Float | None:
-        """See more points: one of them if what is kept holds at all of them, else keep what tells
-        all best.
+        """See more points: one of them if what is kept holds at all of them, else keep what
+        determines all best.
         """
         which = list(self.region.which)
         some = [
@@ -137,7 +137,7 @@ class _Learner:
         self.changes = self.changes[nodes]
         return None
 
-    def told(self, m: Mesh, check: Float) -> Nodes:
+    def nodes(self, m: Mesh, check: Float) -> Nodes:
         """The result, that held at `check`."""
         element = owners(m, self.region)
         used = np.unique(element[self.places])
@@ -172,11 +172,11 @@ def _pivots(rest: Float, most: int) -> tuple[list[int], list[int]]:
 
 
 def learn(m: Mesh, some: Sequence[Region], most: int = MOST) -> list[Nodes]:
-    """What tells the functions of each region.
+    """What determines the functions of each region.
 
     The points lie first on the axes, where only one parameter is not at nominal, then anywhere
     between the bounds. No region feels the fields of a group that acts on another only
-    (`parameter_groups.apart`).
+    (`parameter_groups.independent_batches`).
 
     Raises
     ------
@@ -212,7 +212,7 @@ def learn(m: Mesh, some: Sequence[Region], most: int = MOST) -> list[Nodes]:
             if len(learners[k].places) > most:
                 raise UnsupportedError(rough(some[k].groups))
             if check is not None:
-                out[k] = learners[k].told(m, check)
+                out[k] = learners[k].nodes(m, check)
         count *= 2
     for k, region in enumerate(some):
         if k not in out:

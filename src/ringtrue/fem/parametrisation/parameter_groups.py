@@ -240,7 +240,7 @@ def regions(groups: Sequence[Group], rows: Rows) -> list[Region]:
     return [Region(tuple(groups[i] for i in some), there) for some, there in sorted(found.items())]
 
 
-def apart(every: Sequence[Region]) -> list[list[Region]]:
+def independent_batches(every: Sequence[Region]) -> list[list[Region]]:
     """Regions whose kernels can be called at once: none feels the fields of a group that acts on
     another only.
     """
@@ -280,7 +280,7 @@ def few(rows: Rows, count: int) -> Rows:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Together:
-    """Regions whose kernels are called at once: `apart`.
+    """Regions whose kernels are called at once: `independent_batches`.
 
     Attributes
     ----------

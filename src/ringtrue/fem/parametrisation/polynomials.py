@@ -4,7 +4,7 @@ or any other.
 Parameters of which K and M are polynomials: products of powers of their factors, times fixed
 matrices.
 
-They are taken apart at the nominal model (an anchored decomposition; Rabitz and Alış 1999, sec. 3):
+They are decomposed at the nominal model (an anchored decomposition; Rabitz and Alış 1999, sec. 3):
 what each parameter does by itself, and, where several act on the same elements, what they do
 together beyond that, as E and T of a shell. Three and more are looked at where any two of them do
 something together.
@@ -99,7 +99,7 @@ class AffineTerm:
     mass: sparse.csr_array
 
 
-NODES = (2.0, 0.5, 3.0)  # factors at which powers are told apart
+NODES = (2.0, 0.5, 3.0)  # factors at which powers are distinguished
 SAMPLE = 40  # elements of a kind that tell what several do together
 AT_ONCE = 16  # sets whose samples are evaluated together
 HELD = 200_000  # element matrices of samples that are kept
@@ -366,7 +366,7 @@ def _parts(
 
 
 def _checks(n: int) -> list[tuple[float, ...]]:
-    """Factors of n groups at which products must hold, other than those that tell them apart."""
+    """Factors of n groups at which products must hold, other than those that distinguish them."""
     return [tuple(CHECK + abs(share - 0.07 * i) for i in range(n)) for share in (0.41, 0.13, 0.87)]
 
 

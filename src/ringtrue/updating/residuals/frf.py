@@ -19,13 +19,9 @@ from ringtrue.updating.prediction import Damping
 from ringtrue.updating.residuals.modal import NO_MODE, Block, Point, rows_block
 
 FAR = 30.0
-
-
 # of the root mean square of the FRFs at a line: what lies below, by symmetry or noise, has no
 # logarithm
 FLOOR = 1e-3
-
-
 RIGID = 1e-9  # of the largest eigenvalue: below this a mode does not bound a zero of an FRF
 
 

@@ -29,19 +29,11 @@ from ringtrue.updating.target import Target
 from ringtrue.updating.uncertainty import errors_of_shapes
 
 NEAR = 16  # modes of the model along which the force residual of a test mode is taken
-
-
 EXPANDED = 0.02  # relative error of a measured shape that its expansion may leave as misfit
-
-
 SHARP = (
     0.3  # what candidates shall explain is small beside the discrepancy that an updating assumes
 )
-
-
 CLOSE = 1e-6  # relative distance of eigenvalues below which modes only rotate into each other
-
-
 LEAST = (
     1e-5  # share of a mode's strain and kinetic energy below which a candidate does not change it
 )

@@ -40,9 +40,17 @@ from ringtrue.updating.selection.candidates import (
 )
 
 SAME = 1e-9  # relative distance of values that are one
-
-
 _ENDS = {"A": "AB", "I1": "I1B", "I2": "I2B", "J": "JB", "NSM": "NSMB"}
+_AIDS = ("G0", "SA", "SB")  # name a node, but do not stand on it
+_NODE_FIELDS = {
+    card: tuple(
+        r.field for r in REFERENCES if r.card == card and "GRID" in r.of and r.field not in _AIDS
+    )
+    for card in PROPERTY
+}
+USUAL, MOST = 0.05, 0.4  # of the mass of the structure: prior standard deviation, bound
+NONE = 1e-7  # likewise: a bound must not be the nominal value
+_FIELDS = ("M", "X1", "X2", "X3", "I11", "I21", "I22", "I31", "I32", "I33")
 
 
 def generate(model: Model, settings: CandidateSettings | None = None) -> tuple[Candidate, ...]:
@@ -264,17 +272,6 @@ def _group(
     )
 
 
-_AIDS = ("G0", "SA", "SB")  # name a node, but do not stand on it
-
-
-_NODE_FIELDS = {
-    card: tuple(
-        r.field for r in REFERENCES if r.card == card and "GRID" in r.of and r.field not in _AIDS
-    )
-    for card in PROPERTY
-}
-
-
 def regions(model: Model, s: CandidateSettings) -> Iterator[Candidate]:
     """The stiffness of each connected part of a property, and of pieces of it."""
     structural = (
@@ -404,15 +401,6 @@ def _isotropic(model: Model, elements: Int) -> list[int]:
     if "MAT1" not in model or not np.isin(list(found), model["MAT1"].ids).all():
         return []
     return sorted(found)
-
-
-USUAL, MOST = 0.05, 0.4  # of the mass of the structure: prior standard deviation, bound
-
-
-NONE = 1e-7  # likewise: a bound must not be the nominal value
-
-
-_FIELDS = ("M", "X1", "X2", "X3", "I11", "I21", "I22", "I31", "I32", "I33")
 
 
 def places(model: Model, free: Bool, seen: Sequence[int] | Int) -> Int:

@@ -30,11 +30,7 @@ from ringtrue.updating.gauss_newton import Residual
 from ringtrue.updating.target import Target
 
 NOISE = 0.02  # relative error of a measured shape that the expansion may leave as misfit
-
-
 EXACT = 1e-12  # squared weighted residual below which there is nothing to explain
-
-
 SCARCE = 1e-4  # share of strain energy below which a concentration says nothing
 
 

@@ -41,22 +41,20 @@ WORTH_A_LOOK, LOOKS = (
     1.3,
     6,
 )  # predicted J of a rival, in units of the proposal's; most that are fitted
-
-
 LITTLE = 0.02  # share of the errors below which a parameter explains nothing by itself
-
-
 GATHERED = 1.1  # times its share of strain energy, from which on errors gather at a candidate
-
-
 KINDS = {
     "force": "force residual",
     "constitutive": "constitutive error",
     "energy": "strain energy change",
 }
-
-
 SHOWN = 10  # candidates of another rule
+# difference of AICc below which a model is as good (Burnham and Anderson 2002, section 2.6)
+RIVAL = 2.0
+LEAST = 0.01  # of the mass of the structure that is worth telling as lacking at one place
+FITTED, MOST = 4, 6  # sets that are fitted at a point, and their largest size
+# difference of AICc beyond which a model has none (Burnham and Anderson 2002, section 2.6)
+SUPPORT = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -463,10 +461,6 @@ def _orders(search: Search, zero: Residual, alone: Variation) -> dict[str, tuple
     return out
 
 
-# difference of AICc below which a model is as good (Burnham and Anderson 2002, section 2.6)
-RIVAL = 2.0
-
-
 def stated_errors(search: Search, best: Choice, end: Residual) -> Float:
     """Standard deviation (k,) of x of each member: what all other candidates may be off by widens
     it.
@@ -506,16 +500,6 @@ def mirrored(search: Search, best: Choice, zero: Residual) -> dict[int, int]:
     x[image] = best.x[members]
     rise = aicc(search, [best, search.fit(image.tolist(), x)])
     return dict(zip(members, image.tolist(), strict=True)) if rise[1] - rise[0] < RIVAL else {}
-
-
-LEAST = 0.01  # of the mass of the structure that is worth telling as lacking at one place
-
-
-FITTED, MOST = 4, 6  # sets that are fitted at a point, and their largest size
-
-
-# difference of AICc beyond which a model has none (Burnham and Anderson 2002, section 2.6)
-SUPPORT = 10.0
 
 
 def with_lumps(

@@ -34,6 +34,25 @@ from ringtrue.updating.selection.subset_search import subsets
 from ringtrue.updating.target import Target
 
 LEADING = 60  # modes at most by which the first choice is made
+Look = Callable[[tuple[Candidate, ...]], tuple[Candidates, ReducedModel]]
+Kept = Callable[..., int | None]
+KIND: dict[str, Kind] = {
+    **dict.fromkeys(("MAT1", "MAT2", "MAT8", "MAT9"), "material"),
+    **dict.fromkeys(("PBUSH", "PBUSH1D", "PFAST", "PGAP", "PELAS", "CELAS2", "CELAS4"), "spring"),
+    **dict.fromkeys(("CONM2", "PMASS", "CMASS2", "CMASS4"), "mass"),
+}
+MASS_ONLY = {"RHO", "NSM", "NSMB", "M", "I11", "I21", "I22", "I31", "I32", "I33"}
+SMALL = 160  # vectors of the model that a proposal searches with
+DRAWS = 20  # points of the prior whose modes it holds, beside those of each candidate by itself
+MATE, MATES = (
+    0.7,
+    2,
+)  # share of the best fall of J from which on a candidate may be meant in place of the best
+TOGETHER = (
+    100  # matrices that those acting on one element may keep of all theirs: they take the memory
+)
+# elements of a deck of which 100 matrices each are little: up to there it is counted what is kept
+FEW = 1000
 
 
 class Beside(Protocol):
@@ -48,9 +67,6 @@ class Beside(Protocol):
 
     def problem(self, search: Any, aim: Target) -> Problem:
         """Modes and data of a model that is searched with."""
-
-
-Look = Callable[[tuple[Candidate, ...]], tuple[Candidates, ReducedModel]]
 
 
 def screened(
@@ -120,40 +136,6 @@ def screened(
     return tuple(
         candidates[i] for i in close(model, candidates, near, pool, stay=stay.tolist(), kept=kept)
     )
-
-
-Kept = Callable[..., int | None]
-
-
-KIND: dict[str, Kind] = {
-    **dict.fromkeys(("MAT1", "MAT2", "MAT8", "MAT9"), "material"),
-    **dict.fromkeys(("PBUSH", "PBUSH1D", "PFAST", "PGAP", "PELAS", "CELAS2", "CELAS4"), "spring"),
-    **dict.fromkeys(("CONM2", "PMASS", "CMASS2", "CMASS4"), "mass"),
-}
-
-
-MASS_ONLY = {"RHO", "NSM", "NSMB", "M", "I11", "I21", "I22", "I31", "I32", "I33"}
-
-
-SMALL = 160  # vectors of the model that a proposal searches with
-
-
-DRAWS = 20  # points of the prior whose modes it holds, beside those of each candidate by itself
-
-
-MATE, MATES = (
-    0.7,
-    2,
-)  # share of the best fall of J from which on a candidate may be meant in place of the best
-
-
-TOGETHER = (
-    100  # matrices that those acting on one element may keep of all theirs: they take the memory
-)
-
-
-# elements of a deck of which 100 matrices each are little: up to there it is counted what is kept
-FEW = 1000
 
 
 def close(

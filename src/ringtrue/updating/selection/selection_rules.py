@@ -24,14 +24,8 @@ from ringtrue.updating.solver import solve
 from ringtrue.updating.target import Target
 
 GAIN = 0.01  # relative gain in J that an exchange must promise and keep
-
-
 TRIALS = 3  # promising exchanges tried in one round
-
-
 TURNS = 6  # Gauss-Newton steps after each change of the set
-
-
 RULES = {
     "best subset": "forward selection on J with re-linearisation after each choice, then, from "
     "it and from the two "
@@ -44,6 +38,10 @@ RULES = {
     "largest sensitivities": "the largest weighted sensitivities scaled by the prior, overlap "
     "ignored",
 }
+SWEEPS = 2000  # of the members between two checks of all columns
+EXACT = 1e-9  # change of a fit, relative to ‖r‖, that ends a descent
+EQUAL = 9  # decimals, in units of the largest, to which what candidates explain is compared
+NOISE = 2.0  # fall of J that one parameter of no meaning is good for
 
 
 class Candidates(Protocol):
@@ -277,12 +275,6 @@ def short_solve(problem: Problem, members: Sequence[int], x: Float, turns: int) 
     return Choice(np.array(list(members), dtype=np.int64), done.x, done.cost)
 
 
-SWEEPS = 2000  # of the members between two checks of all columns
-
-
-EXACT = 1e-9  # change of a fit, relative to ‖r‖, that ends a descent
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class LassoPath:
     """Solutions along falling penalties.
@@ -414,12 +406,6 @@ def _sweep(
         if moved <= tiny:
             break
     x[members] = y
-
-
-EQUAL = 9  # decimals, in units of the largest, to which what candidates explain is compared
-
-
-NOISE = 2.0  # fall of J that one parameter of no meaning is good for
 
 
 def falling(value: Float) -> Int:

@@ -43,15 +43,16 @@ from ringtrue.updating.uncertainty import errors_of_shapes
 SENSITIVE = (
     0.05  # least effect of one prior standard deviation, in standard deviations of the residual
 )
-
-
 POOL = 12  # candidates for an addition or exchange whose bounded prediction is computed
-
-
 DIGITS = 6  # of J by which sets are compared
-
-
 STEPS = (-3.0, -1.5, 1.5, 3.0)  # prior standard deviations: how far a candidate is moved by itself
+TRIALS = 2  # promising sets that are fitted in one round
+AT_ONCE = 20  # Gauss-Newton steps with all candidates free
+TWICE = 2  # searches with the discrepancy that was found
+NEAR = 0.4  # change of the logarithm of the discrepancy that asks for another search
+PRICE = 1.0  # γ: 0 follows the noise, 1 finds little that is small
+LATER = 2  # sizes beyond the best one that are looked at
+DECIMALS = 6  # of the criterion: rounding does not choose between equal sets
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -338,27 +339,6 @@ def _compact(r: Residual) -> Residual:
         slope=slope,
         kinds=np.append(kinds[~of_shape], np.ones(len(few), dtype=np.int64)),
     )
-
-
-TRIALS = 2  # promising sets that are fitted in one round
-
-
-AT_ONCE = 20  # Gauss-Newton steps with all candidates free
-
-
-TWICE = 2  # searches with the discrepancy that was found
-
-
-NEAR = 0.4  # change of the logarithm of the discrepancy that asks for another search
-
-
-PRICE = 1.0  # γ: 0 follows the noise, 1 finds little that is small
-
-
-LATER = 2  # sizes beyond the best one that are looked at
-
-
-DECIMALS = 6  # of the criterion: rounding does not choose between equal sets
 
 
 @dataclass(frozen=True, slots=True, eq=False)
