@@ -27,7 +27,7 @@ from ringtrue.identification.ambient.pipeline import (
 )
 from ringtrue.identification.ambient.record_bands import SHORTEST
 from ringtrue.identification.common.poles import StableDiagram
-from ringtrue.identification.frf.linearity import LevelDependence, level_dependence
+from ringtrue.identification.common.tracking import LevelDependence, level_dependence
 from ringtrue.identification.frf.local_fits import with_local_fits
 from ringtrue.identification.frf.pipeline import HammerModes, HammerResult, identify_hammer
 from ringtrue.identification.frf.residues import driving_pairs

@@ -14,7 +14,7 @@ from ringtrue.api.measurements import TestModes, compare_levels
 from ringtrue.cli.show import out, rows, tell, write_json
 from ringtrue.core.arrays import Float
 from ringtrue.errors import ConfigError
-from ringtrue.identification.frf.linearity import LevelDependence
+from ringtrue.identification.common.tracking import LevelDependence
 from ringtrue.io.modes import modes_to_json
 
 

@@ -20,13 +20,12 @@ from ringtrue.identification.common.poles import PoleSet
 from ringtrue.identification.frf.confidence import CandidatePoles
 from ringtrue.identification.frf.lines import Lines
 from ringtrue.identification.frf.refinement import Refined, refine
-from ringtrue.identification.frf.residues import solve_shapes
+from ringtrue.identification.frf.residues import Pairs, solve_shapes
 
 SEPARATE = 3.0  # standard deviations of the distance of two poles that are separated
 FLAT = 0.2  # third over second singular value of a plane of real vectors
 NEAR = 0.3  # half bandwidths within which two poles may be one
 ONE = 2e-3  # half bandwidths within which they are, whatever the stated deviations
-Pairs = Sequence[tuple[int, int, float]]
 ABOVE = 1.3  # times the error in its surroundings
 SHARE = 0.03  # amplitude of the error against the data, where the data agree no better than that
 WORSE = 3.0  # times the error at the peak of a typical mode
