@@ -194,7 +194,7 @@ def assemble(model: Model) -> System:
     ------
     DeckError
         On a card that refers to one that is absent, a distorted element, contradictory constraints,
-        or a field that makes a negative stiffness (see `fem.negative`).
+        or a field that makes a negative stiffness (see `negative_stiffness`).
     UnsupportedCard
         On a card with stiffness, mass or constraint that is not assembled.
     """

@@ -35,7 +35,7 @@ class AffineSystem:
         At a = 1.
     parameters : ParameterSet
     terms : tuple of AffineTerm
-        K(a) = K(1) + Σ g_t(a) K_t, M likewise; see `fem.dependence.affine_terms`.
+        K(a) = K(1) + Σ g_t(a) K_t, M likewise; see `fem.parametrisation.affine`.
     observe : (channel, f) csr_array float64
     """
 

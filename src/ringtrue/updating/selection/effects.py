@@ -259,7 +259,7 @@ def reduced_candidates(
     Raises
     ------
     UnsupportedError
-        If K and M are no smooth functions of one of them (`fem.dependence.matrices_kept`).
+        If K and M are no smooth functions of one of them (`affine.matrices_kept`).
     """
     chosen = parameters(candidates)
     parts = affine_terms(model, chosen, system, progress=part(progress, 0.0, 0.5))
