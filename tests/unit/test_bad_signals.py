@@ -568,7 +568,7 @@ def test_a_response_that_does_not_follow_the_force(
     coherence[:, 0], coherence[:, 2] = 0.2, 0.1
     status, out, _ = call(capsys, "ema", frf(coherence=coherence), "--fmin", 2, "--fmax", 35)
     assert status == 0
-    assert "channel out1 out3: coherence 0.20, 0.10, 0.98 of the others: hardly moves" in " ".join(
+    assert "channel out1 out3: coherence 0.20, 0.10, 0.98 of the others: does not move" in " ".join(
         out.split()
     )
 
