@@ -182,7 +182,7 @@ class Session:
             return given
         if self.generated is None:
             found: LocaliseStage = self.get("localise")
-            self.generated = found.parameters
+            self.generated = found.candidates.parameters
             self.with_lumps(found.places)
         return self.generated
 
