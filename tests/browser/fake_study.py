@@ -8,6 +8,7 @@ import fake_localised
 import numpy as np
 
 from ringtrue.core.dofs import DofSet
+from ringtrue.core.iterate import Outcome
 from ringtrue.core.modes import ModeSet, Norm, Uncertainty
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.core.signals import Channel, FrfSet
@@ -405,19 +406,23 @@ def _set(name: str, names: tuple[str, ...], best: float) -> r.SetResult:
         RNG.uniform(0.01, 0.12, p),
         np.tile([0.25, 4.0], (p, 1)),
         RNG.uniform(0.05, 0.8, p),
-        best,
-        3.4 * best,
-        96 - best,
-        1.3 * best,
-        40 * p**1.7,
-        -220 + 8 * p + 30 * best,
-        "converged: the gradient or step is below its tolerance",
-        1e3 * np.exp(-1.6 * it) + 4,
-        np.exp(-it * 1.0),
-        deviation,
-        95 - 0.4 * deviation,
-        path,
-        3e-7,
+        r.SetFit(
+            mean_deviation=best,
+            max_deviation=3.4 * best,
+            mean_subspace_mac=96 - best,
+            mean_deviation_left_out=1.3 * best,
+            condition=40 * p**1.7,
+            criterion=-220 + 8 * p + 30 * best,
+        ),
+        Outcome.CONVERGED,
+        r.UpdateHistory(
+            objective=1e3 * np.exp(-1.6 * it) + 4,
+            step=np.exp(-it * 1.0),
+            deviation=deviation,
+            subspace_mac=95 - 0.4 * deviation,
+            path=path,
+            gradient=3e-7,
+        ),
     )
 
 

@@ -31,6 +31,7 @@ from ringtrue.study.messages import left_out_sentence, run_messages
 from ringtrue.study.reference import reference_modes
 from ringtrue.study.results import Evidence, RecordSummary
 from ringtrue.study.run import StudyRun, run_study
+from ringtrue.updating.identifiability import Flag
 
 Capture = pytest.CaptureFixture[str]
 
@@ -252,17 +253,22 @@ def test_modes_that_win_a_partner_do_not_make_those_left_out_look_worse() -> Non
 
 def test_what_is_not_plausible_is_told_beside_what_is_not_proven(done: StudyRun) -> None:
     known = done.results["uncertainty"]
-    first, second, *_ = known.parameters.names
+    first, second, *_ = known.posterior.parameters.names
     far, open_ = (
-        f"{first}: factor 0.08 is 2.5 prior standard deviations from the nominal value",
-        f"{second}: factor 1.2, but",
+        Flag(first, "prior", 0.08, f"{first}: factor 0.08 is 2.5 prior standard deviations"),
+        Flag(second, "form", 1.2, f"{second}: factor 1.2, but"),
     )
     assert not known.unproven.any()
-    wide = np.where(np.array(known.parameters.names)[:, None] == second, [0.5, 2.0], known.interval)
-    odd = replace(known, flags=(far, open_), interval=wide)
+    wide = np.where(
+        np.array(known.posterior.parameters.names)[:, None] == second,
+        [0.5, 2.0],
+        known.posterior.interval,
+    )
+    posterior = replace(known.posterior, interval=wide)
+    odd = replace(known, flags=(far, open_), posterior=posterior)
     lines = run_messages({"uncertainty": odd})
-    assert far in lines
-    assert open_ not in lines
+    assert far.text in lines
+    assert open_.text not in lines
     assert (
         sum(line.startswith("not proven by the test") and line.endswith(second) for line in lines)
         == 1
@@ -274,12 +280,17 @@ def test_the_interval_of_a_factor_stands_beside_its_standard_deviation(done: Stu
     says.
     """
     known = done.results["uncertainty"]
-    name, wide = known.parameters.names[0], np.array(known.interval)
+    name, wide = known.posterior.parameters.names[0], np.array(known.posterior.interval)
     wide[0] = 0.5, 0.9
     some = {k: done.results[k] for k in ("update", "correlate")}
     (line,) = [
         x
-        for x in run_messages({**some, "uncertainty": replace(known, interval=wide)})
+        for x in run_messages(
+            {
+                **some,
+                "uncertainty": replace(known, posterior=replace(known.posterior, interval=wide)),
+            }
+        )
         if x.startswith(f"{name}: times")
     ]
     assert re.search(r" ± [\d.]+ \(90 %: 0\.50* to 0\.90*\)$", line)
@@ -443,5 +454,8 @@ def test_test_shapes_are_expanded_as_asked_for(done: StudyRun, tmp_path: Path, m
     assert "cross-orthogonality, Craig-Bampton mass" in named
     own = next(c for c in run.results["correlate"].evidence.measures.checks if c.kind == "model")
     assert own.verdict.passed
-    assert run.results["localise"].expansion == method
-    assert run.results["localise"].misfit.size == run.results["localise"].modes.size
+    assert run.results["localise"].indicators.expansion == method
+    assert (
+        run.results["localise"].indicators.misfit.size
+        == run.results["localise"].indicators.modes.size
+    )

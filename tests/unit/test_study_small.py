@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 import small_study
 
+import ringtrue as rt
+from ringtrue.cli.main import run as command
 from ringtrue.decks.nastran.editor import unified_diff
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, DataError
@@ -101,6 +103,24 @@ def test_the_summary_has_the_agreed_keys(done: StudyRun) -> None:
     # floors 3 x 12 m2 x 0.1 m x 2500 kg/m3, columns 36 m x 140 cm2 x 7850 kg/m3: feet count, too
     assert found["mass_t"] == pytest.approx(9.0 + 36 * 0.014 * 7.85, rel=1e-3)
     assert set(found["parameters"][0]) >= {"name", "initial", "updated", "std"}  # type: ignore[index]
+
+
+def test_results_are_taken_out_of_a_stored_study(
+    done: StudyRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study = rt.open_study(done.folder)
+    assert len(study.test) == len(study.test.std_frequency) > 5
+    assert dict(zip(study.parameters.names, study.parameters.factors, strict=True)).keys()
+    np.testing.assert_allclose(study.pairs("final").deviation_percent, 0, atol=1)
+    assert len(study.modes("initial")) == len(study.modes("final"))
+    assert study.frfs.data.ndim == 3
+    assert len(study.plot().data) > 0
+    assert command(["convert", str(done.folder / "study.h5"), str(tmp_path / "merged.json")]) == 0
+    merged = rt.read_modes(tmp_path / "merged.json")
+    np.testing.assert_allclose(merged.std_frequency, study.test.std_frequency)
+    words = [str(done.folder / "study.h5"), str(tmp_path / "merged.json")]
+    assert command(["correlate", *words]) == 0
+    assert f"{len(merged)}" in capsys.readouterr().out
 
 
 def test_the_same_inputs_give_the_same_numbers(done: StudyRun, tmp_path: Path) -> None:

@@ -110,7 +110,7 @@ def test_constraints_may_name_candidates_that_the_screening_left_out(
 ) -> None:
     """Which these are changes with the data; a name that the deck does not give is refused."""
     limit = '[[constraint]]\nterms = {{ "{}" = 1.0 }}\nmost = 0.5\n'
-    out = pulled.results["localise"].screened[0]
+    out = pulled.results["localise"].pool.screened[0]
     study = written(tmp_path, STATIC + limit.format(out))
     assert "sensitivity" in run_study(study, until="sensitivity").results
     study.write_text(STUDY + STATIC + limit.format("MAT1 77 E"))

@@ -143,9 +143,9 @@ def test_all_together_with_zeros_reach_the_report_and_the_uncertainty(
     assert "303+X / 303+X: zero 1" in page
     assert "pull: 203+X" in page
     known = run.results["uncertainty"]
-    assert (known.ratio < 0.1).all()  # the modes alone leave the scale at its prior
-    at = np.array([TRUTH[n] for n in known.parameters.names])
-    assert (np.abs(known.factor / at - 1) < 4 * known.std).all()
+    assert (known.posterior.ratio < 0.1).all()  # the modes alone leave the scale at its prior
+    at = np.array([TRUTH[n] for n in known.posterior.parameters.names])
+    assert (np.abs(known.posterior.factor / at - 1) < 4 * known.posterior.std).all()
 
 
 def test_what_was_measured_on_another_configuration_counts(made: Path, tmp_path: Path) -> None:
@@ -161,7 +161,7 @@ def test_what_was_measured_on_another_configuration_counts(made: Path, tmp_path:
     for name, value in factors(run).items():
         assert value == pytest.approx(TRUTH[name], rel=0.01)
     assert [d.configuration for d in run.results["update"].data] == ["bare"]
-    assert (run.results["uncertainty"].ratio < 0.1).all()
+    assert (run.results["uncertainty"].posterior.ratio < 0.1).all()
 
 
 @pytest.mark.parametrize(
@@ -320,14 +320,14 @@ def test_an_interrupted_updating_goes_on_with_the_next_set(
         run_study(path, until="update", progress=stop)
     assert len(Store(path.parent / "update.sets.h5").stages()) == 1
     monkeypatch.delattr(
-        update, "together"
+        update, "update_reduced"
     )  # all rules choose the one parameter: nothing is left to be updated
     again = run_study(path, until="update")
     assert not (path.parent / "update.sets.h5").exists()
     assert again.results["sensitivity"].sets == whole.results["sensitivity"].sets
     for a, b in zip(again.results["update"].sets, whole.results["update"].sets, strict=True):
         np.testing.assert_array_equal(a.factor, b.factor)
-        np.testing.assert_array_equal(a.path, b.path)
+        np.testing.assert_array_equal(a.history.path, b.history.path)
 
 
 def in_millimetres(text: str) -> str:
@@ -430,4 +430,4 @@ def test_the_proposal_takes_what_was_measured_beside_the_modes(
     assert set(run.results["sensitivity"].sets["proposal"]) == set(TRUTH)
     # all candidates free: known beside each other as well as alone only with the data that part
     # them
-    assert (found.together < 0.1).all()
+    assert (found.candidates.all_free < 0.1).all()

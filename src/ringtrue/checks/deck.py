@@ -26,7 +26,7 @@ from ringtrue.model.cards import TABLES, columns
 from ringtrue.model.case_control import CONSTRAINTS, idle, left_out, untaken_matrices
 from ringtrue.model.frames import diagonal, positions
 from ringtrue.model.model import Model, Ragged
-from ringtrue.model.references import NODES, REFERENCES, missing, unused
+from ringtrue.model.references import FRAMES, NODES, REFERENCES, missing, unused
 
 NEAR = 1e-6  # of the model's size: closer nodes are coincident
 _NOT_ELEMENTS = frozenset(("GRID", "SPC", "SPC1"))
@@ -69,9 +69,8 @@ def check_deck(model: Model, units: str = "") -> DeckReport:
     InputError
         If the unit system is not known.
     """
-    lost = list(_missing(model))
-    checks = [*lost, *_unconnected(model), *_shared_numbers(model)]
-    if not any("frame" in f.text or f.text.startswith("CORD") for f in lost):
+    checks = [*_missing(model), *_unconnected(model), *_shared_numbers(model)]
+    if not _lost_frames(model):
         checks += [
             *check_geometry(model),
             *_coincident(model),
@@ -89,6 +88,12 @@ def check_deck(model: Model, units: str = "") -> DeckReport:
     order = {"error": 0, "warning": 1, "info": 2}
     found = tuple(sorted(checks, key=lambda f: order[f.severity]))
     return DeckReport({n: len(t) for n, t in model.tables.items()}, dict(model.kept), found)
+
+
+def _lost_frames(model: Model) -> bool:
+    """Whether positions are unknown: a frame is not there, or a node that defines one."""
+    references = [lost.reference for lost in missing(model)]
+    return any(r.of == FRAMES or r.card in FRAMES for r in references)
 
 
 def _missing(model: Model) -> Iterator[Finding]:

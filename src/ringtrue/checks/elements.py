@@ -151,7 +151,7 @@ def _surface(model: Model, card: str, x: Float, rows: Int) -> list[Finding]:
     slender = good & (longest > ASPECT * np.where(good, shortest, 1.0))
     found += _report(model, card, rows[slender], "warning", f"has an aspect ratio over {ASPECT:g}")
     if x.shape[1] == 4:
-        found += _quads(model, card, x, rows, normal, good)
+        found += _quads(model, card, x=x, rows=rows, normal=normal, good=good)
     return found
 
 

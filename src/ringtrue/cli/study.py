@@ -140,7 +140,7 @@ def settles(outcome: Outcome | None, stated: tuple[Check, ...]) -> bool:
 def _outcome(result: StudyRun) -> Outcome | None:
     """How the chosen updating ended; None where there is none."""
     done: UpdateStage | None = result.results.get("update")
-    return Outcome(done.sets[done.chosen].outcome) if done else None
+    return done.sets[done.chosen].outcome if done else None
 
 
 def report(

@@ -142,10 +142,10 @@ def orthogonality(check: Check, table: CorrelationTable, height: int = 0) -> go.
     fig = matrix(
         values,
         names[down][: values.shape[0]],
-        names[right][first:last],
-        titles[down],
-        titles[right],
-        height,
+        columns=names[right][first:last],
+        row_title=titles[down],
+        column_title=titles[right],
+        height=height,
         diagonal=cross,
         name="orthogonality",
     )

@@ -75,13 +75,13 @@ def _whole(count: int, most: int) -> dict[str, object]:
 
 def convergence(sets: tuple[SetResult, ...], chosen: int) -> go.Figure:
     """Objective, mean |Δf| and mean subspace MAC by iteration for every set."""
-    seen = any(np.isfinite(s.subspace_mac).any() for s in sets)
+    seen = any(np.isfinite(s.history.subspace_mac).any() for s in sets)
     thirds = ([0, 0.25], [0.375, 0.625], [0.75, 1.0]) if seen else ([0, 0.44], [0.56, 1.0])
     titles = ("Objective J, relative to the start", "Mean |Δf|, %", "Mean subspace MAC, %")[
         : len(thirds)
     ]
     fig = figure(300)
-    longest = max((s.objective.size for s in sets), default=1)
+    longest = max((s.history.objective.size for s in sets), default=1)
     for k, (domain, title) in enumerate(zip(thirds, titles, strict=True), start=1):
         n = "" if k == 1 else str(k)
         fig.layout[f"xaxis{n}"] = axis(
@@ -92,9 +92,16 @@ def convergence(sets: tuple[SetResult, ...], chosen: int) -> go.Figure:
     for i, s in enumerate(sets):
         look = {"color": QUALITATIVE[i % 8], "width": 2.6 if i == chosen else 1.4}
         name = s.name + (" (chosen)" if i == chosen else "")
-        start = s.objective[0] if s.objective.size and s.objective[0] > 0 else 1.0
+        start = (
+            s.history.objective[0]
+            if s.history.objective.size and s.history.objective[0] > 0
+            else 1.0
+        )
         for k, y in enumerate(
-            (s.objective / start, s.deviation, s.subspace_mac)[: len(thirds)], start=1
+            (s.history.objective / start, s.history.deviation, s.history.subspace_mac)[
+                : len(thirds)
+            ],
+            start=1,
         ):
             n = "" if k == 1 else str(k)
             x = np.arange(y.size)
@@ -119,12 +126,12 @@ def factor_ticks(low: float, high: float) -> list[float]:
 
 def path(result: SetResult) -> go.Figure:
     """Factors of the parameters by iteration, with one standard deviation at the end."""
-    end, spread = result.path[-1], np.nan_to_num(result.path[-1] * result.std)
-    shown = np.concatenate([result.path.ravel(), end - spread, end + spread])
+    end, spread = result.history.path[-1], np.nan_to_num(result.history.path[-1] * result.std)
+    shown = np.concatenate([result.history.path.ravel(), end - spread, end + spread])
     ticks = factor_ticks(max(float(shown.min(initial=1.0)), 1e-3), float(shown.max(initial=1.0)))
     fig = figure(
         320,
-        xaxis=axis("Iteration", **_whole(result.path.shape[0], 18)),
+        xaxis=axis("Iteration", **_whole(result.history.path.shape[0], 18)),
         yaxis=axis("Updated / initial", type="log"),
     )
     fig.layout.yaxis.update(tickvals=ticks, ticktext=[f"{t:.6g}" for t in ticks])
@@ -139,11 +146,11 @@ def path(result: SetResult) -> go.Figure:
     }
     fig.update_layout(shapes=[one])
     for j, name in enumerate(result.parameters):
-        bar = np.zeros(result.path.shape[0])
-        bar[-1] = result.path[-1, j] * result.std[j]
+        bar = np.zeros(result.history.path.shape[0])
+        bar[-1] = result.history.path[-1, j] * result.std[j]
         fig.add_scatter(
             x=np.arange(bar.size),
-            y=f32(result.path[:, j]),
+            y=f32(result.history.path[:, j]),
             name=name,
             mode="lines+markers",
             marker={"size": 5, "symbol": j % 6},
@@ -176,11 +183,11 @@ def _mix(a: str, b: str, t: float) -> str:
 
 def regions(stage: LocaliseStage) -> go.Figure:
     """Bars of the concentration of error by region, the largest on top; `BARS` at most."""
-    value = stage.concentration
+    value = stage.indicators.concentration
     order = [
         i for i in np.argsort(np.nan_to_num(value), kind="stable").tolist() if np.isfinite(value[i])
     ][-BARS:]
-    names = [stage.regions[i] for i in order]
+    names = [stage.indicators.regions[i] for i in order]
     fig = figure(
         max(220, 70 + 19 * len(order)),
         xaxis=axis("Share of error over share of strain energy", rangemode="tozero"),
@@ -190,7 +197,9 @@ def regions(stage: LocaliseStage) -> go.Figure:
         "color": [color(float(value[i])) for i in order],
         "line": {"width": 0.5, "color": MUTED},
     }
-    extra = np.stack([100 * stage.constitutive[order], 100 * stage.strain[order]], axis=1)
+    extra = np.stack(
+        [100 * stage.indicators.constitutive[order], 100 * stage.indicators.strain[order]], axis=1
+    )
     fig.add_bar(
         x=f32(value[order]),
         y=names,
@@ -218,7 +227,9 @@ def view(scene: Scene, stage: LocaliseStage) -> View:
     """The model with its regions in the colours of `regions`, whose bars name them; `TOLD` in the
     key.
     """
-    value = dict(zip(stage.regions, stage.concentration.tolist(), strict=True))
+    value = dict(
+        zip(stage.indicators.regions, stage.indicators.concentration.tolist(), strict=True)
+    )
     found = [value.get(g, np.nan) for g in scene.groups]
     strong = sorted((g for g in scene.groups if value.get(g, 0.0) > EVEN), key=lambda g: -value[g])
     legend = [(g, color(value[g]), f"{value[g]:.1f} ×") for g in strong[:TOLD]]
@@ -251,7 +262,7 @@ TICKS = [0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1, 1.5, 2, 3, 5, 7, 10, 20, 50]
 
 def parameters(stage: UncertaintyStage) -> go.Figure:
     """Intervals of the factors: prior, posterior and, where sampled, the draws."""
-    names = list(stage.parameters.names)
+    names = list(stage.posterior.parameters.names)
     fig = figure(
         90 + 42 * len(names),
         xaxis=axis(
@@ -269,9 +280,9 @@ def parameters(stage: UncertaintyStage) -> go.Figure:
     rows = np.arange(len(names), dtype=np.float64)
     percent = f"{100 * stage.level:g} %"
     for low_high, at, width, color, name in (
-        (stage.prior, rows, 3, INITIAL, f"before the test, {percent}"),
-        (stage.interval, rows, 9, FINAL, f"after it, {percent}"),
-        (stage.sampled, rows + 0.22, 3, QUALITATIVE[3], f"sampled, {percent}"),
+        (stage.posterior.prior, rows, 3, INITIAL, f"before the test, {percent}"),
+        (stage.posterior.interval, rows, 9, FINAL, f"after it, {percent}"),
+        (stage.chains.sampled, rows + 0.22, 3, QUALITATIVE[3], f"sampled, {percent}"),
     ):
         if len(low_high):
             x, y = _strokes(low_high, at)
@@ -281,7 +292,12 @@ def parameters(stage: UncertaintyStage) -> go.Figure:
             fig.data[-1].update(hoverinfo="skip")
     marks = {"symbol": "line-ns", "size": 15, "line": {"width": 2.5, "color": TEST}}
     fig.add_scatter(
-        x=f32(stage.factor), y=rows, mode="markers", marker=marks, name="final", text=names
+        x=f32(stage.posterior.factor),
+        y=rows,
+        mode="markers",
+        marker=marks,
+        name="final",
+        text=names,
     )
     fig.data[-1].hovertemplate = "%{text}: × %{x:.3f}<extra></extra>"
     look = {"color": MUTED, "width": 1, "dash": "dot"}
@@ -299,7 +315,7 @@ def _strokes(low_high: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 def correlation(stage: UncertaintyStage) -> go.Figure:
     """Correlation of the parameters after the test."""
-    names = list(stage.parameters.names)
+    names = list(stage.posterior.parameters.names)
     fig = figure(
         130 + 30 * len(names),
         xaxis=axis("", tickangle=-45, showgrid=False, showline=False, ticks=""),
@@ -307,7 +323,7 @@ def correlation(stage: UncertaintyStage) -> go.Figure:
     )
     bar = {"thickness": 10, "outlinewidth": 0}
     fig.add_heatmap(
-        z=f32(stage.correlation),
+        z=f32(stage.posterior.correlation),
         x=names,
         y=names,
         zmin=-1,
@@ -332,13 +348,13 @@ def bands(stage: UncertaintyStage) -> go.Figure:
             "(f FE − f test)/f test, %", zeroline=True, zerolinecolor="#5c6b7a", zerolinewidth=1
         ),
     )
-    there = np.isfinite(stage.predicted)
-    names = np.array([f"{i + 1}: {f:.2f}" for i, f in enumerate(stage.test.tolist())])
-    deviation = 100 * (stage.predicted / stage.test - 1)
-    reach = 100 * (stage.band[:, 1] - stage.predicted) / stage.test
+    there = np.isfinite(stage.bands.predicted)
+    names = np.array([f"{i + 1}: {f:.2f}" for i, f in enumerate(stage.bands.test.tolist())])
+    deviation = 100 * (stage.bands.predicted / stage.bands.test - 1)
+    reach = 100 * (stage.bands.band[:, 1] - stage.bands.predicted) / stage.bands.test
     for name, which, color, symbol in (
-        ("used in the updating", stage.used, FE, "circle"),
-        ("left out of it", ~stage.used, TEST, "diamond-open"),
+        ("used in the updating", stage.bands.used, FE, "circle"),
+        ("left out of it", ~stage.bands.used, TEST, "diamond-open"),
     ):
         at = there & which
         marker = {"size": 9, "symbol": symbol, "color": color, "line": {"width": 2, "color": color}}

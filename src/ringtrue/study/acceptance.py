@@ -196,7 +196,7 @@ def convergence(results: Mapping[str, Any]) -> tuple[Check, ...]:
     if update is None:
         return ()
     outcome = update.sets[update.chosen].outcome
-    return (Check("updating", "converged", outcome.split(":")[0], outcome.startswith("converged")),)
+    return (Check("updating", "converged", outcome.verdict, outcome.ok),)
 
 
 def improvement(results: Mapping[str, Any]) -> tuple[Check, ...]:

@@ -305,7 +305,14 @@ class Candidate(Section):
     def parameter(self) -> Parameter:
         """As a core parameter."""
         targets = tuple(t for text in self.targets for t in parse_target(text))
-        return Parameter(self.name, targets, self.lower, self.upper, self.scale, self.std)
+        return Parameter(
+            name=self.name,
+            targets=targets,
+            lower=self.lower,
+            upper=self.upper,
+            scale=self.scale,
+            std=self.std,
+        )
 
 
 def parse_target(text: str) -> tuple[CardField, ...]:
@@ -362,7 +369,14 @@ class DampingRegionSection(Section):
     def region(self) -> DampingRegion:
         """As a region of the updating."""
         targets = tuple(t for text in self.targets for t in parse_target(text))
-        return DampingRegion(self.name, targets, self.lower, self.upper, self.expected, self.std)
+        return DampingRegion(
+            name=self.name,
+            targets=targets,
+            lower=self.lower,
+            upper=self.upper,
+            expected=self.expected,
+            std=self.std,
+        )
 
 
 class DampingSection(Section):

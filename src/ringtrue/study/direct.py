@@ -96,7 +96,7 @@ def read_target(
     if len(whole) and not whole.channels:
         found = pair_frequencies(whole, opened, settings(config), locks(config))
         whole, notes = found.modes, found.notes
-        config = config.model_copy(update={"test": None, "update": config.update.alone()})
+        config = config.model_copy(update={"test": None, "update": config.update.of_frequencies()})
     if config.test:
         whole = without_channels(whole, config.test.leave_out)
     kept, channels = measured_part(whole)
@@ -109,7 +109,13 @@ def read_target(
     shapes = np.asarray(modes.shapes.real, dtype=np.float64)
     used = np.ones(len(modes), dtype=bool)
     target = Target(
-        modes.frequencies, shapes, relative, used, weights, settings(config), lent=modes.lent
+        frequencies=modes.frequencies,
+        shapes=shapes,
+        std=relative,
+        used=used,
+        weights=weights,
+        pairing=settings(config),
+        lent=modes.lent,
     )
     return config, target, modes, notes
 
@@ -131,7 +137,9 @@ def direct_problem(
     if engine is None:
         problem, data, seen = _reduced(opened, config, target, modes, base)
     else:
-        problem, seen = _by_runs(opened, config, target, modes, engine, base)
+        problem, seen = _by_runs(
+            opened, config, target=target, modes=modes, engine=engine, base=base
+        )
         data = ()
     sheet = _sheet(config, base)
     places = seats(seen, sheet) if sheet is not None else ()
@@ -387,11 +395,11 @@ def propose_parameters(
     keep = screened(
         model,
         analysis.system,
-        moved,
-        aim,
-        sparse.csr_array(bridge.matrix @ analysis.system.transform),
-        (modes.values, modes.vectors),
-        look,
+        candidates=moved,
+        aim=aim,
+        observe=sparse.csr_array(bridge.matrix @ analysis.system.transform),
+        modes=(modes.values, modes.vectors),
+        look=look,
         pool=pool,
         most=most,
         alike=ALIKE,
@@ -411,7 +419,12 @@ def propose_parameters(
     )
     names = {c.name for c in keep}
     return DirectProposal(
-        found, model, keep, lost, tuple(c.name for c in moved if c.name not in names), len(every)
+        proposal=found,
+        model=model,
+        candidates=keep,
+        dropped=lost,
+        screened=tuple(c.name for c in moved if c.name not in names),
+        made=len(every),
     )
 
 
@@ -430,6 +443,12 @@ def _local_errors(
     f, shapes = aim.frequencies[pairs[:, 0]], aim.shapes[:, pairs[:, 0]]
     rows = np.arange(len(reduced.basis.observe))
     found, _ = reduced_errors(
-        opened.model, opened.analysis.system, reduced, rows, f, shapes, pairs[:, 1]
+        opened.model,
+        opened.analysis.system,
+        reduced=reduced,
+        rows=rows,
+        frequencies=f,
+        shapes=shapes,
+        partners=pairs[:, 1],
     )
     return dict(found.concentration(membership(opened.model, keep)))

@@ -206,7 +206,15 @@ def synthesised(
     rest = flexible.reshape(len(outputs), -1) - (out / (lam - shift)) @ into.T
     # an exponential window on the responses of the test damps them: s = iω + σ
     zeta = zeta + measured.window_decay / np.maximum(np.abs(w), 2 * np.pi * measured.freqs[0])
-    h: Complex = frf(measured.freqs, fe.frequencies, zeta, out, into, measured.kind, residual=rest)
+    h: Complex = frf(
+        measured.freqs,
+        fe.frequencies,
+        damping=zeta,
+        phi_out=out,
+        phi_in=into,
+        kind=measured.kind,
+        residual=rest,
+    )
     h = h / UNIT_SYSTEMS[units].kilograms
     return replace(measured, data=h, coherence=np.full(h.shape, np.nan))
 
@@ -302,7 +310,16 @@ def expanded(
             return expand_dynamic(k, m, observe, y, f, labels=labels, progress=progress)
         modes = np.asarray(system.local @ opened.modes(fmax).modes.shapes)
         if method == "hybrid":
-            return expand_hybrid(k, m, observe, y, f, modes, noise=NOISE, labels=labels)
+            return expand_hybrid(
+                k,
+                m,
+                observe=observe,
+                shapes=y,
+                frequencies=f,
+                modes=modes,
+                noise=NOISE,
+                labels=labels,
+            )
         # half as many as channels: with more of them noise is fitted
         return expand_serep(modes[:, : max(1, len(test.channels) // 2)], observe, y)
     except (InputError, NumericalError) as e:
@@ -317,5 +334,13 @@ def on_scene(found: Expanded, opened: Opened, test: ModeSet, scene: Scene) -> Mo
     assert isinstance(labels, DofSet)
     shapes: Float = np.asarray(opened.analysis.system.transform @ found.shapes)
     return scene_modes(
-        ModeSet(test.frequencies, test.damping, shapes, labels, test.norm, test.source), scene
+        ModeSet(
+            frequencies=test.frequencies,
+            damping=test.damping,
+            shapes=shapes,
+            labels=labels,
+            norm=test.norm,
+            source=test.source,
+        ),
+        scene,
     )

@@ -276,7 +276,16 @@ def residual_data(
     f = np.array(s.frequencies)
     term = AntiResonances(at[s.output], at[s.input], f, s.error, s.gate)
     labels = tuple(f"{s.output} / {s.input}: zero {i + 1}" for i in range(f.size))
-    return Data(found.name, s.kind, term, s.weight, labels, ("Hz",) * f.size, f, s.error * f)
+    return Data(
+        name=found.name,
+        kind=s.kind,
+        term=term,
+        weight=s.weight,
+        labels=labels,
+        units=("Hz",) * f.size,
+        measured=f,
+        scale=s.error * f,
+    )
 
 
 def channels_of(found: Sequence[Measured]) -> tuple[str, ...]:
@@ -327,22 +336,31 @@ def _frf_data(found: Measured, s: FrfResidual, at: Mapping[str, int], units: str
     assert found.damping is not None
     out, into = (np.array([at[c] for c in side]) for side in (found.outputs, found.inputs))
     h = frfs.data * UNIT_SYSTEMS[units].kilograms
-    term = Frf(frfs.freqs, h, out, into, found.damping, POWER[frfs.kind], s.form, s.error)
+    term = Frf(
+        freqs=frfs.freqs,
+        measured=h,
+        outputs=out,
+        inputs=into,
+        damping=found.damping,
+        order=POWER[frfs.kind],
+        form=s.form,
+        std=s.error,
+    )
     labels = tuple(f"{o} / {i}" for o in found.outputs for i in found.inputs)
     n, log = len(labels), s.form == "log"
     scale = s.error * (DECIBEL if log else 100 * np.sqrt(2))
     unit = "dB rms" if log else "% rms"
     none = np.full(n, np.nan)
     return Data(
-        found.name,
-        s.kind,
-        term,
-        s.weight / frfs.freqs.size,
-        labels,
-        (unit,) * n,
-        none,
-        np.full(n, scale),
-        frfs.freqs.size,
+        name=found.name,
+        kind=s.kind,
+        term=term,
+        weight=s.weight / frfs.freqs.size,
+        labels=labels,
+        units=(unit,) * n,
+        measured=none,
+        scale=np.full(n, scale),
+        lines=frfs.freqs.size,
     )
 
 
@@ -363,14 +381,14 @@ def _static_data(found: Measured, s: StaticResidual, at: Mapping[str, int], unit
     scale = np.broadcast_to(size, seen.shape)[seen]
     term = StaticDeflections(loads, moved, s.error)
     return Data(
-        found.name,
-        s.kind,
-        term,
-        s.weight,
-        labels,
-        ("m",) * len(labels),
-        moved[seen] * length,
-        scale,
+        name=found.name,
+        kind=s.kind,
+        term=term,
+        weight=s.weight,
+        labels=labels,
+        units=("m",) * len(labels),
+        measured=moved[seen] * length,
+        scale=scale,
     )
 
 
@@ -390,7 +408,16 @@ def _mass_data(found: Measured, s: MassResidual, units: str, rigid: RigidMass) -
     at = np.flatnonzero(seen).tolist()
     labels, names = tuple(WEIGHED[i] for i in at), tuple(WEIGHED_UNITS[i] for i in at)
     term = MassProperties(rigid, value / unit, std / unit)
-    return Data(found.name, s.kind, term, s.weight, labels, names, value[seen], std[seen])
+    return Data(
+        name=found.name,
+        kind=s.kind,
+        term=term,
+        weight=s.weight,
+        labels=labels,
+        units=names,
+        measured=value[seen],
+        scale=std[seen],
+    )
 
 
 def rigid_mass(model: Model, parameters: ParameterSet) -> RigidMass:

@@ -121,10 +121,14 @@ def held_sentences(held: Mapping[str, Sequence[str]]) -> list[str]:
 
 def _doubts(known: UncertaintyStage) -> list[str]:
     """Parameters that the test does not prove, and what is not plausible of the others."""
-    names = [n for n, open_ in zip(known.parameters.names, known.unproven, strict=True) if open_]
+    names = [
+        n
+        for n, open_ in zip(known.posterior.parameters.names, known.unproven, strict=True)
+        if open_
+    ]
     why = "may take up an error of the model's form, or are known only together with others"
     out = [f"not proven by the test, {why}: {', '.join(names)}"] if names else []
-    return [*out, *(f for f in known.flags if not f.startswith(tuple(f"{n}: " for n in names)))]
+    return [*out, *(f.text for f in known.flags if f.parameter not in names)]
 
 
 def discrepancy_sentence(discrepancy: Sequence[float]) -> str:
@@ -330,7 +334,7 @@ def _factors(r: Mapping[str, Any]) -> list[tuple[str, float, float]]:
     if update is not None:
         best = update.sets[update.chosen]
         known: UncertaintyStage | None = r.get("uncertainty")
-        std = best.std if known is None else known.relative
+        std = best.std if known is None else known.posterior.relative
         out += zip(best.parameters, best.factor.tolist(), (best.factor * std).tolist(), strict=True)
     if tune is not None:
         out += [(n, a, tune.std[n] * a) for n, a in tune.factors.items()]
@@ -341,9 +345,9 @@ def _interval(known: UncertaintyStage | None, name: str) -> tuple[float, float, 
     """Level and ends of the interval of a factor: far wider than normal where few modes tell the
     size of the errors.
     """
-    if known is None or name not in known.parameters.names:
+    if known is None or name not in known.posterior.parameters.names:
         return None
-    low, high = known.interval[known.parameters.names.index(name)].tolist()
+    low, high = known.posterior.interval[known.posterior.parameters.names.index(name)].tolist()
     return known.level, low, high
 
 
@@ -363,7 +367,9 @@ def _added_masses(r: Mapping[str, Any]) -> dict[str, float]:
     """Masses that the deck lacked and a factor of 2 adds, by the names of the parameters."""
     found: LocaliseStage | None = r.get("localise")
     return (
-        {p.name: p.lump for p in found.parameters.parameters if p.lump} if found is not None else {}
+        {p.name: p.lump for p in found.candidates.parameters.parameters if p.lump}
+        if found is not None
+        else {}
     )
 
 

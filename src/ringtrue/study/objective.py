@@ -77,12 +77,12 @@ def _target(session: Session, found: CorrelateStage | ConfiguredTest, u: UpdateS
         else None
     )
     return Target(
-        found.reference.frequencies,
-        found.reference.shapes,
-        std,
-        used,
-        weights,
-        settings(session.config),
+        frequencies=found.reference.frequencies,
+        shapes=found.reference.shapes,
+        std=std,
+        used=used,
+        weights=weights,
+        pairing=settings(session.config),
         followed=known,
         lent=found.reference.lent,
     )
@@ -271,7 +271,9 @@ def minimise(
     course = course or course_of(u)
     if start is not None:
         return settled_from(problem, course, start=start, progress=told)
-    rough = starting_point(problem, u, course, seed, progress, told, checkpoint)
+    rough = starting_point(
+        problem, u, course=course, seed=seed, progress=progress, told=told, checkpoint=checkpoint
+    )
     end = settled_from(problem, course, start=rough.y, progress=told)
     return replace(end, path=(*rough.history, *end.path[1:]))
 

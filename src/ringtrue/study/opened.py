@@ -146,7 +146,12 @@ class Opened:
         """The modes at the channels."""
         shapes = self.observation(test, tolerance)(modes.shapes)
         return ModeSet(
-            modes.frequencies, modes.damping, shapes, test.channels, modes.norm, modes.source
+            frequencies=modes.frequencies,
+            damping=modes.damping,
+            shapes=shapes,
+            labels=test.channels,
+            norm=modes.norm,
+            source=modes.source,
         )
 
 
@@ -227,7 +232,12 @@ def build(
     system = opened.analysis.system
     parts = affine_terms(opened.model, parameters, system, progress=part(progress, 0.0, 0.4))
     affine = observed_system(
-        system.stiffness, system.mass, system.transform, parameters, parts, observation
+        system.stiffness,
+        system.mass,
+        transform=system.transform,
+        parameters=parameters,
+        terms=parts,
+        observation=observation,
     )
     count = len(opened.modes(fmax).modes)
     told = part(progress, 0.4, 1.0)
@@ -354,13 +364,13 @@ def make_scene(model: Model, regions: Mapping[str, Sequence[int]], length: float
     node = np.unique(np.concatenate([tris.ravel(), lines.ravel()]))
     grid = model["GRID"]
     return Scene(
-        node,
-        positions(model)[grid.find(node)] * length,
-        np.searchsorted(node, tris),
-        tri_group,
-        np.searchsorted(node, lines),
-        group[len(quads) :],
-        names,
+        node=node,
+        xyz=positions(model)[grid.find(node)] * length,
+        triangles=np.searchsorted(node, tris),
+        triangle_group=tri_group,
+        lines=np.searchsorted(node, lines),
+        line_group=group[len(quads) :],
+        groups=names,
     )
 
 
@@ -376,7 +386,14 @@ def scene_modes(modes: ModeSet, scene: Scene) -> ModeSet:
     shapes: Float = (
         np.asarray(modes.shapes[at] * sign[:, None]).astype(np.float32).astype(np.float64)
     )
-    return ModeSet(modes.frequencies, modes.damping, shapes, labels, modes.norm, modes.source)
+    return ModeSet(
+        frequencies=modes.frequencies,
+        damping=modes.damping,
+        shapes=shapes,
+        labels=labels,
+        norm=modes.norm,
+        source=modes.source,
+    )
 
 
 def with_lumps(

@@ -309,7 +309,12 @@ def mesh_points(opened: Opened) -> TestModel:
     node, axes = scene.node[at], np.tile(np.eye(3), (at.size, 1))
     channels = tuple(f"{n}+{a}" for n in node.tolist() for a in "XYZ")
     return TestModel(
-        node, scene.xyz[at], channels, np.repeat(node, 3), axes, np.zeros((0, 2), dtype=np.int64)
+        points=node,
+        xyz=scene.xyz[at],
+        channels=channels,
+        at=np.repeat(node, 3),
+        axes=axes,
+        lines=np.zeros((0, 2), dtype=np.int64),
     )
 
 
@@ -358,7 +363,16 @@ def seats(seen: Observation, sheet: TestModel) -> tuple[Seat, ...]:
         columns = seen.matrix.indices[seen.matrix.indptr[k] : seen.matrix.indptr[k + 1]]
         nodes = tuple(np.unique(seen.dofs.node[columns]).tolist())
         far = float(seen.distance[k] * seen.unit)
-        out.append(Seat(channel, names[index[k]], int(sign[k]), points[k], nodes, far))
+        out.append(
+            Seat(
+                channel=channel,
+                sensor=names[index[k]],
+                sign=int(sign[k]),
+                point=points[k],
+                nodes=nodes,
+                distance=far,
+            )
+        )
     return tuple(out)
 
 

@@ -183,13 +183,13 @@ class Arrangement:
         lines = points[relative_neighbours(xyz, groups)]
         axes = self.axes[chosen].reshape(-1, 3)
         return TestModel(
-            points,
-            xyz,
-            self.labels(chosen),
-            np.repeat(points[back], self.each),
-            axes,
-            lines,
-            tuple(groups),
+            points=points,
+            xyz=xyz,
+            channels=self.labels(chosen),
+            at=np.repeat(points[back], self.each),
+            axes=axes,
+            lines=lines,
+            groups=tuple(groups),
         )
 
 
@@ -229,7 +229,15 @@ def arranged(
     ):  # a fourth coordinate keeps the axes farther apart than any two nodes are
         far = 10 * (1.0 + float(np.ptp(xyz, axis=0).max(initial=0.0)))
         apart = np.column_stack([place, far * np.tile(np.arange(3), n)])
-    return Arrangement(nodes, at, axes, names, place, apart, tuple(region[i] for i in at.tolist()))
+    return Arrangement(
+        nodes=nodes,
+        at=at,
+        axes=axes,
+        names=names,
+        xyz=place,
+        apart=apart,
+        region=tuple(region[i] for i in at.tolist()),
+    )
 
 
 def _surface_sensors(nodes: Int, scene: Scene) -> tuple[Int, Float]:

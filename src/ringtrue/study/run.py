@@ -220,7 +220,7 @@ def run_study(
     folder = out or study.parent
     session = Session(config, study.parent, folder, Store(folder / "study.h5"))
     with one_run(), locked(folder):
-        return _run(session, study, text, first, until, progress)
+        return _run(session, study, text=text, first=first, until=until, progress=progress)
 
 
 def _run(
@@ -269,7 +269,12 @@ def _run(
         name for p in dict.fromkeys(files) if _now(p) != inputs[name := _seen_from(session.base, p)]
     )
     return StudyRun(
-        session.out, session, results | {"provenance": made}, made.timings, tuple(loaded), altered
+        folder=session.out,
+        session=session,
+        results=results | {"provenance": made},
+        timings=made.timings,
+        loaded=tuple(loaded),
+        altered=altered,
     )
 
 
@@ -310,16 +315,16 @@ def provenance(session: Session, inputs: Mapping[str, str], text: str) -> Proven
     """
     spent = session.store.timings()
     return Provenance(
-        __version__,
-        platform.python_version(),
-        {name: version(name) for name in ("numpy", "scipy", "h5py", "plotly", "pydantic")},
-        platform.platform(),
-        session.config.study.seed,
-        datetime.now(UTC).isoformat(timespec="seconds"),
-        dict(inputs),
-        text,
-        {s.name: spent[s.name] for s in STAGES if s.name in spent},
-        os.path.relpath(session.base.resolve(), session.out.resolve()),
+        version=__version__,
+        python=platform.python_version(),
+        packages={name: version(name) for name in ("numpy", "scipy", "h5py", "plotly", "pydantic")},
+        platform=platform.platform(),
+        seed=session.config.study.seed,
+        started=datetime.now(UTC).isoformat(timespec="seconds"),
+        inputs=dict(inputs),
+        settings=text,
+        timings={s.name: spent[s.name] for s in STAGES if s.name in spent},
+        home=os.path.relpath(session.base.resolve(), session.out.resolve()),
     )
 
 

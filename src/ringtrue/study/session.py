@@ -182,7 +182,7 @@ class Session:
             return given
         if self.generated is None:
             found: LocaliseStage = self.get("localise")
-            self.generated = found.parameters
+            self.generated = found.candidates.parameters
             self.with_lumps(found.places)
         return self.generated
 
@@ -244,7 +244,7 @@ class Session:
         if name != OWN:
             return self._configured_test(name).test
         found: IdentifyStage = self.get("identify")
-        return None if self.config.alone else found.test
+        return None if self.config.frequency_only else found.test
 
     def channels(self, name: str) -> tuple[str, ...]:
         """All channels of the reduced model of the deck of the study, or of another

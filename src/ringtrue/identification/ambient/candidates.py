@@ -26,7 +26,7 @@ UNEVEN = 1.2  # mean square of the power of blocks over its squared mean
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CandidateModes:
-    """Modes of one band before the verdict.
+    """Modes of one band before their confidence is known.
 
     Attributes
     ----------

@@ -39,7 +39,7 @@ MISFIT = 6.0  # beyond, something else stands in the spectrum, a machine for ins
 # alone
 WAVES = 2.5
 CHANCE = 1.5  # of that, reached by chance
-BLUR = 3.0  # times the standard deviation of the start: a fit that knows less is not believed
+BLUR = 3.0  # times the standard deviation of the start: a fit that knows less is rejected
 ITERATIONS = 80
 HALVINGS = 8
 DECAYED = 40.0  # time constants in a record, after which nothing is left of a motion

@@ -144,7 +144,7 @@ def _settled(
 ) -> tuple[Complex, Complex, Float]:
     """Refined poles (m,), shapes (ch, m) and confidence of those that have `least` of it.
 
-    A verdict hangs on the other modes: the worst goes, and the others are fitted anew.
+    The confidence depends on the other modes: the worst goes, and the others are fitted anew.
     """
     lines = prepare(whole, level)
     # a pole may lose its damping in half of the record, and then stops no other where the window

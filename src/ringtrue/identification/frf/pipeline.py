@@ -1,6 +1,4 @@
-"""Modes from hammer FRFs in one call: bands, poles, global residues, refinement, and a verdict on
-every mode.
-"""
+"""Modes from FRFs in one call: bands, poles, residues, refinement, confidence of each mode."""
 
 from __future__ import annotations
 
@@ -80,7 +78,7 @@ class HammerModes:
         The modes to report; by default all up to where the FRFs are noise. Lines just outside are
         used where there are such.
     damping_max : float
-        Modes above are not believed.
+        Largest damping ratio of a mode.
     bands : tuple of (float, float), Hz
         Bands of the pole search; by default chosen from the data.
     confidence_min : float
@@ -113,7 +111,7 @@ class HammerResult:
     reasons : tuple of str
         The evidence for and against each mode.
     rejected : tuple of str
-        CandidatePoles that were not believed, with the reason.
+        Candidates of too little confidence, with the evidence.
     diagrams : tuple of StableDiagram
         One a band; `cluster` counts the candidates of that band.
     freqs : (f,) float64, Hz
@@ -274,7 +272,7 @@ def _candidates(
 class _Fit:
     refined: Refined
     candidates: CandidatePoles
-    verdict: Assessment
+    assessment: Assessment
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -290,36 +288,35 @@ class _Search:
     last: bool = False  # deviations are those that will be stated
 
     def refined(self, c: CandidatePoles) -> _Fit:
-        """The candidates refined; the verdict is still open."""
+        """The candidates refined; not assessed yet."""
         fit = united(
             self.lines, refine(self.lines, c.pole, c.participation, local=self.last), self.pairs
         )
         return _Fit(fit, c, Assessment(np.abs(c.pole), np.ones(c.pole.size), ()))
 
-    def judged(self, fit: _Fit, *, strict: bool) -> _Fit:
-        """The fit with its verdict."""
+    def assessed(self, fit: _Fit, *, strict: bool) -> _Fit:
+        """The fit with the confidence of its modes."""
         r = fit.refined
         held = support(r.poles, r.participation, self.sets, self.decay)
         held = held if strict else np.maximum(held, fit.candidates.support)
         c = replace(fit.candidates, pole=r.poles, participation=r.participation, support=held)
-        verdict = assess_candidates(
+        assessment = assess_candidates(
             self.lines, r, c, self.pairs, damping_max=self.settings.damping_max, strict=strict
         )
-        return _Fit(r, c, verdict)
+        return _Fit(r, c, assessment)
 
-    def settle(self, fit: _Fit, turns: int, *, strict: bool) -> tuple[_Fit, list[str]]:
-        """Verdict and refinement in turns, until no mode falls out."""
+    def pruned(self, fit: _Fit, turns: int, *, strict: bool) -> tuple[_Fit, list[str]]:
+        """Assessment and refinement in turns, until no mode is dropped."""
         rejected: list[str] = []
         for _ in range(turns):
-            fit = self.judged(fit, strict=strict)
-            keep = fit.verdict.confidence >= self.settings.confidence_min
+            fit = self.assessed(fit, strict=strict)
+            keep = fit.assessment.confidence >= self.settings.confidence_min
             if keep.all():
                 break
-            rejected += [fit.verdict.describe(k) for k in np.flatnonzero(~keep).tolist()]
+            rejected += [fit.assessment.describe(k) for k in np.flatnonzero(~keep).tolist()]
             if not keep.any():
-                raise DataError(
-                    f"{self.source}: no mode is believed; the last ones: {'; '.join(rejected[-3:])}"
-                )
+                last = "; ".join(rejected[-3:])
+                raise DataError(f"{self.source}: no mode has enough confidence; the last: {last}")
             fit = self.refined(fit.candidates.take(keep))
         return fit, rejected
 
@@ -328,7 +325,7 @@ def _fit(search: _Search, start: CandidatePoles, tell: Progress) -> tuple[_Fit, 
     """Refine and prune; then look for modes in what is left over, until none comes to stay."""
     lines = search.lines
     settings = search.settings
-    best, rejected = search.settle(search.refined(start), TURNS, strict=False)
+    best, rejected = search.pruned(search.refined(start), TURNS, strict=False)
     for turn in range(settings.searches):
         tell(
             0.7 + 0.25 * turn / settings.searches,
@@ -337,7 +334,7 @@ def _fit(search: _Search, start: CandidatePoles, tell: Progress) -> tuple[_Fit, 
         more = missed(lines, best.refined, sets=search.sets, decay=search.decay, most=MOST_NEW)
         if not more.pole.size:
             break
-        new, why = search.settle(search.refined(_joined(best, more)), TURNS, strict=False)
+        new, why = search.pruned(search.refined(_joined(best, more)), TURNS, strict=False)
         rejected += why
         if (
             new.refined.poles.size < best.refined.poles.size
@@ -350,7 +347,7 @@ def _fit(search: _Search, start: CandidatePoles, tell: Progress) -> tuple[_Fit, 
         last = refine(lines, r.poles, r.participation, iterations=LAST_ITERATIONS)
         best = replace(best, refined=united(lines, last, search.pairs))
     # every turn but the last drops a mode
-    best, why = search.settle(best, best.refined.poles.size + 1, strict=True)
+    best, why = search.pruned(best, best.refined.poles.size + 1, strict=True)
     return best, rejected + why
 
 
@@ -369,7 +366,7 @@ def _of_blocks(frfs: FrfSet, search: _Search, fit: _Fit) -> tuple[FrfSet, _Searc
     return (
         replace(frfs, hann=length),
         trial,
-        trial.judged(new, strict=True),
+        trial.assessed(new, strict=True),
         hann_note(r.poles, new.refined.poles),
     )
 
@@ -384,7 +381,7 @@ def _reweighed(search: _Search, frfs: FrfSet, fit: _Fit) -> tuple[_Search, _Fit,
     smooth = max(search.lines.smooth.shape[1], basis.shape[1])
     search = replace(search, lines=prepare(frfs, left, smooth), last=True)
     start = replace(fit.candidates, pole=r.poles, participation=r.participation)
-    new, why = search.settle(search.refined(start), r.poles.size + 1, strict=True)
+    new, why = search.pruned(search.refined(start), r.poles.size + 1, strict=True)
     return search, new, why
 
 
@@ -404,7 +401,7 @@ def _whole(search: _Search, fit: _Fit) -> tuple[_Search, _Fit, str, tuple[tuple[
     refined = scattered(search.lines, fit.refined, new.refined, split)
     return (
         level,
-        level.judged(replace(new, refined=refined), strict=True),
+        level.assessed(replace(new, refined=refined), strict=True),
         split_note(refined, len(split)),
         agreeing(split),
     )
@@ -435,12 +432,12 @@ def _by_hand(
         keep = np.append(hand.keep, np.ones(hand.added.pole.size, dtype=bool))
         if not keep.any():
             raise DataError(f"{search.source}: the choice {choice.source} leaves no mode")
-        fit = search.judged(search.refined(both.take(keep)), strict=True)
+        fit = search.assessed(search.refined(both.take(keep)), strict=True)
     reasons = tuple(
         f"{by_hand}; {evidence}" if by_hand and evidence else by_hand or evidence
-        for by_hand, evidence in zip(hand.said, fit.verdict.reason, strict=True)
+        for by_hand, evidence in zip(hand.said, fit.assessment.reason, strict=True)
     )
-    return replace(fit, verdict=replace(fit.verdict, reason=reasons)), hand.notes
+    return replace(fit, assessment=replace(fit.assessment, reason=reasons)), hand.notes
 
 
 def _joined(fit: _Fit, more: CandidatePoles) -> CandidatePoles:
@@ -485,7 +482,7 @@ def _reported(frfs: FrfSet, search: _Search, fit: _Fit, band: tuple[float, float
         labels=tuple(c.id for c in frfs.outputs),
         norm=Norm.UNSCALED if model.norm is Norm.UNSCALED else Norm.MASS,
         source=frfs.source or "hammer FRFs, pLSCF",
-        confidence=fit.verdict.confidence[inside],
+        confidence=fit.assessment.confidence[inside],
     )
     heard, driven = blow_factors(lines, refined.poles)
     own = replace(
@@ -507,5 +504,12 @@ def _reported(frfs: FrfSet, search: _Search, fit: _Fit, band: tuple[float, float
     reasons = []
     for k in inside.tolist():
         pair = f"; {PAIR}" if k in pairs_of_modes else ""
-        reasons.append(fit.verdict.reason[k] + pair)
-    return _Reported(model, modes, std.take(inside), tuple(reasons), error, scale_note)
+        reasons.append(fit.assessment.reason[k] + pair)
+    return _Reported(
+        model=model,
+        modes=modes,
+        uncertainty=std.take(inside),
+        reasons=tuple(reasons),
+        error=error,
+        scale_note=scale_note,
+    )

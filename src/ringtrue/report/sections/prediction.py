@@ -54,10 +54,10 @@ def uncertainty(data: Stages) -> Section | None:
         updating.correlation(s),
         "Correlation of the parameters: near ±1 two of them trade for each other.",
     )
-    blocks.append(Columns([[told], [trade]]) if len(s.parameters) > 1 else told)
+    blocks.append(Columns([[told], [trade]]) if len(s.posterior.parameters) > 1 else told)
     blocks.append(_parameters(s))
     if s.flags:
-        blocks.append(Items([sentence(f) for f in s.flags], "To be looked at by an engineer"))
+        blocks.append(Items([sentence(f.text) for f in s.flags], "To be looked at by an engineer"))
     return Section("uncertainty", "Uncertainty and left-out modes", blocks)
 
 
@@ -66,18 +66,24 @@ def _share(inside: Bool, which: Bool) -> str:
 
 
 def _facts(s: UncertaintyStage) -> Facts:
-    there, percent = np.isfinite(s.predicted), f"{100 * s.level:g} %"
+    there, percent = np.isfinite(s.bands.predicted), f"{100 * s.level:g} %"
     facts = [Fact("Model discrepancy, frequency", fixed(100 * float(s.discrepancy[0]), 2), "%")]
-    if (there & ~s.used).any():
+    if (there & ~s.bands.used).any():
         facts.append(
-            Fact(f"Left-out modes in their {percent} bands", _share(s.inside, there & ~s.used))
+            Fact(
+                f"Left-out modes in their {percent} bands",
+                _share(s.bands.inside, there & ~s.bands.used),
+            )
         )
     in_turn = s.held.in_turn
     facts.append(
         Fact("Used modes, left out in turn, in theirs", _share(s.held.inside(s.level), in_turn))
     )
     facts.append(
-        Fact("Parameters that the test has told", f"{int(s.moved.sum())} of {s.moved.size}")
+        Fact(
+            "Parameters that the test has told",
+            f"{int(s.posterior.moved.sum())} of {s.posterior.moved.size}",
+        )
     )
     return Facts(facts)
 
@@ -85,7 +91,7 @@ def _facts(s: UncertaintyStage) -> Facts:
 def _lead(s: UncertaintyStage) -> str:
     f, m = (100 * float(x) for x in s.discrepancy)
     assumed = [100 * float(x) for x in s.assumed]
-    times = f / max(100 * float(np.median(s.parts[:, 1])), 1e-9)
+    times = f / max(100 * float(np.median(s.bands.parts[:, 1])), 1e-9)
     exact = f"; the test is about {float(f'{times:.1g}'):.0f} times more exact" if times > 2 else ""
     seen = np.isfinite(m)
     of_mac, and_mac = (
@@ -114,18 +120,18 @@ def _modes(s: UncertaintyStage) -> Table:
         "|",
     )
     rows: list[list[str | Cell]] = []
-    for i in np.flatnonzero(np.isfinite(s.predicted)).tolist():
-        f, g = float(s.test[i]), float(s.predicted[i])
-        reach = 100 * float(s.band[i, 1] - g) / f
+    for i in np.flatnonzero(np.isfinite(s.bands.predicted)).tolist():
+        f, g = float(s.bands.test[i]), float(s.bands.predicted[i])
+        reach = 100 * float(s.bands.band[i, 1] - g) / f
         row: list[str | Cell] = [
             str(i + 1),
             fixed(f, 3),
             fixed(g, 3),
             fixed(100 * (g / f - 1), 2, sign=True),
         ]
-        row += [fixed(reach, 2), *(number(100 * float(x), 2) for x in s.parts[i])]
-        row.append("used" if s.used[i] else Cell("left out", "chip"))
-        rows.append([*row, Cell("inside", "good") if s.inside[i] else Cell("outside", "bad")])
+        row += [fixed(reach, 2), *(number(100 * float(x), 2) for x in s.bands.parts[i])]
+        row.append("used" if s.bands.used[i] else Cell("left out", "chip"))
+        rows.append([*row, Cell("inside", "good") if s.bands.inside[i] else Cell("outside", "bad")])
     text = (
         "Predicted frequencies and their bands; standard deviations from the parameters, the "
         "test and the model."
@@ -169,7 +175,7 @@ def _folds(s: UncertaintyStage) -> Table:
 
 
 def _parameters(s: UncertaintyStage) -> Table:
-    sampled = len(s.sampled) > 0
+    sampled = len(s.chains.sampled) > 0
     heads = [
         "|Parameter",
         "Factor",
@@ -180,17 +186,17 @@ def _parameters(s: UncertaintyStage) -> Table:
     heads += ["Change kept, %"]
     heads += ["sampled"] if sampled else []
     rows: list[list[str | Cell]] = []
-    for i, name in enumerate(s.parameters.names):
+    for i, name in enumerate(s.posterior.parameters.names):
         row: list[str | Cell] = [
             name,
-            fixed(float(s.factor[i]), 3),
-            _span(s.interval[i]),
-            _span(s.prior[i]),
+            fixed(float(s.posterior.factor[i]), 3),
+            _span(s.posterior.interval[i]),
+            _span(s.posterior.prior[i]),
         ]
-        row += [number(float(s.ratio[i]), 2), fixed(100 * float(s.kept[i]), 0)]
-        row += [_span(s.sampled[i])] if sampled else []
+        row += [number(float(s.posterior.ratio[i]), 2), fixed(100 * float(s.kept[i]), 0)]
+        row += [_span(s.chains.sampled[i])] if sampled else []
         chip: str | Cell = Cell("not proven", "warn") if s.unproven[i] else ""
-        rows.append([*row, chip if s.moved[i] else Cell("the test says little", "warn")])
+        rows.append([*row, chip if s.posterior.moved[i] else Cell("the test says little", "warn")])
     text = (
         "Intervals of the factors, around the final values, with the discrepancy of the model as "
         "the error and the "
@@ -203,11 +209,13 @@ def _parameters(s: UncertaintyStage) -> Table:
     )
     if sampled:
         text += (
-            f" Sampled by {len(s.draws)} stored draws of an ensemble (Goodman and Weare 2010): "
+            f" Sampled by {len(s.chains.draws)} stored draws of an ensemble "
+            "(Goodman and Weare 2010): "
             "as good as "
-            f"{number(s.independent, 2)} independent ones, {fixed(100 * s.acceptance, 0)} % of "
+            f"{number(s.chains.independent, 2)} independent ones, "
+            f"{fixed(100 * s.chains.acceptance, 0)} % of "
             "the moves accepted"
-            f"{'' if s.converged else '; too short to rest on'}."
+            f"{'' if s.chains.converged else '; too short to rest on'}."
         )
     return Table([*heads, "|"], rows, text)
 

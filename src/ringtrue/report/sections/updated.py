@@ -85,7 +85,7 @@ def updating(data: Stages) -> Section | None:
     )
     caption += "lost, J and the mean values jump."
     blocks.append(Plot(plots.convergence(u.sets, u.chosen), caption))
-    std = best.std if data.uncertainty is None else data.uncertainty.relative
+    std = best.std if data.uncertainty is None else data.uncertainty.posterior.relative
     blocks += [Heading(f"The chosen set: {best.name}"), _parameters(u, best, std)]
     text = f"Parameters of {best.name} by iteration; bars: one standard deviation of the result. "
     text += f"Outcome: {best.outcome}."
@@ -152,23 +152,22 @@ def _compared(u: UpdateStage) -> Table:
     for i, s in enumerate(u.sets):
         name = Cell(s.name, "chosen", "chosen") if i == u.chosen else s.name
         values = [
-            fixed(s.mean_deviation, 2),
-            fixed(s.max_deviation, 2),
-            fixed(s.mean_subspace_mac, 1),
+            fixed(s.fit.mean_deviation, 2),
+            fixed(s.fit.max_deviation, 2),
+            fixed(s.fit.mean_subspace_mac, 1),
         ]
         values += [
-            fixed(s.mean_deviation_left_out, 2),
-            number(s.condition, 3),
-            fixed(s.criterion, 1),
+            fixed(s.fit.mean_deviation_left_out, 2),
+            number(s.fit.condition, 3),
+            fixed(s.fit.criterion, 1),
         ]
-        outcome = s.outcome.split(":")[0]
         rows.append(
             [
                 name,
                 str(len(s.parameters)),
                 *values,
-                str(max(len(s.objective) - 1, 0)),
-                Cell(outcome, "", s.outcome),
+                str(max(len(s.history.objective) - 1, 0)),
+                Cell(s.outcome.verdict, "", s.outcome),
             ]
         )
     other = [f"{s.name}: {s.settings}" for s in u.sets if s.settings]

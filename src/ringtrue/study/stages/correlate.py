@@ -94,12 +94,12 @@ def modes_at_sheet(session: Session, opened: Opened, progress: Progress | None =
     modes = opened.modes(session.fmax, progress).modes
     there = session.bridge(opened)
     return ModeSet(
-        modes.frequencies,
-        modes.damping,
-        there(modes.shapes),
-        there.channels,
-        modes.norm,
-        modes.source,
+        frequencies=modes.frequencies,
+        damping=modes.damping,
+        shapes=there(modes.shapes),
+        labels=there.channels,
+        norm=modes.norm,
+        source=modes.source,
     )
 
 
@@ -109,7 +109,7 @@ def elastic_evidence(
     """What an elastic correlation rests on, with the mass of the deck at the channels; None without
     measured shapes.
     """
-    if session.config.alone:
+    if session.config.frequency_only:
         return None
     config = session.config.correlate
     observation = session.bridge(opened)
@@ -133,24 +133,24 @@ def correlate(session: Session, progress: Progress) -> CorrelateStage:
     )
     files = session.initial.model.files, session.remodelled.model.files
     return CorrelateStage(
-        reference.elastic,
-        reference.elastic_std,
-        reference.rigid,
-        reference.rigid_std,
-        out,
-        tables[0],
-        tables[1],
-        rigid_table(reference, initial, config),
-        _remodel_reasons(config),
-        unified_diff([Path(f) for f in files[0]], [Path(f) for f in files[1]]),
-        initial,
-        remodelled,
-        first,
-        told,
-        alignment_text(session.placed[0]) if config.correlate.align else "",
-        _history(session, reference, out, initial, tables),
-        _expanded(session, reference, progress),
-        (
+        reference=reference.elastic,
+        reference_uncertainty=reference.elastic_std,
+        rigid=reference.rigid,
+        rigid_uncertainty=reference.rigid_std,
+        left_out=out,
+        initial=tables[0],
+        remodelled=tables[1],
+        rigid_initial=rigid_table(reference, initial, config),
+        remodelling=_remodel_reasons(config),
+        diff=unified_diff([Path(f) for f in files[0]], [Path(f) for f in files[1]]),
+        fe_initial=initial,
+        fe_remodelled=remodelled,
+        evidence_initial=first,
+        evidence=told,
+        placed=alignment_text(session.placed[0]) if config.correlate.align else "",
+        history=_history(session, reference, out, initial, tables),
+        expanded=_expanded(session, reference, progress),
+        gaps=(
             *reference.gaps,
             *fewer(config.update.left_out, out),
             *beyond(reference.elastic, session.fmax),
@@ -158,8 +158,10 @@ def correlate(session: Session, progress: Progress) -> CorrelateStage:
             *_mesh(session, tables[1]),
             *_beyond_gate(tables[1]),
         ),
-        session.seats(OWN, session.bridge(session.initial)),
-        mendings(session, session.initial, session.sheet(OWN), reference.elastic, session.fmax),
+        seats=session.seats(OWN, session.bridge(session.initial)),
+        mendings=mendings(
+            session, session.initial, session.sheet(OWN), reference.elastic, session.fmax
+        ),
     )
 
 
@@ -214,11 +216,13 @@ def _shared_places(session: Session) -> tuple[str, ...]:
 
 def _expanded(session: Session, reference: Reference, progress: Progress) -> Expansion | None:
     """The elastic test shapes on the remodelled deck, drawn where its nodes are on the scene."""
-    if not (method := session.config.correlate.expand) or session.config.alone:
+    if not (method := session.config.correlate.expand) or session.config.frequency_only:
         return None
     progress(0.8, "expansion of the test shapes")
     opened, test = session.remodelled, reference.elastic
-    found = expanded(method, opened, session.bridge(opened), test, session.fmax, quiet)
+    found = expanded(
+        method, opened, look=session.bridge(opened), test=test, fmax=session.fmax, progress=quiet
+    )
     return Expansion(
         method, on_scene(found, opened, test, session.get("model").scene), found.misfit
     )
@@ -307,21 +311,21 @@ def _correlated(
     fe = modes_at_channels(session, opened, test, reference.elastic)
     out = left_out(reference.elastic, section.left_out, session.config.identify.confidence)
     return ConfiguredTest(
-        section.name,
-        tuple(opened.model.files),
-        source,
-        test,
-        reference.elastic,
-        reference.elastic_std,
-        reference.rigid,
-        reference.rigid_std,
-        out,
-        elastic_table(reference, fe, session.config, out),
-        fe,
-        mine.names,
-        _field_differences(session.remodelled.model, opened.model, parameters, mine),
-        () if test is None else seats(session.observed(opened, test, test.channels), test),
-        mendings(
+        name=section.name,
+        files=tuple(opened.model.files),
+        source=source,
+        test=test,
+        reference=reference.elastic,
+        reference_uncertainty=reference.elastic_std,
+        rigid=reference.rigid,
+        rigid_uncertainty=reference.rigid_std,
+        left_out=out,
+        initial=elastic_table(reference, fe, session.config, out),
+        fe_initial=fe,
+        carried=mine.names,
+        notes=_field_differences(session.remodelled.model, opened.model, parameters, mine),
+        seats=() if test is None else seats(session.observed(opened, test, test.channels), test),
+        mendings=mendings(
             session, opened, test, reference.elastic, session.up_to(reference.elastic.frequencies)
         ),
     )
@@ -356,12 +360,12 @@ def modes_at_channels(
     modes = opened.modes(session.up_to(reference.frequencies)).modes
     look = session.observed(opened, test, reference.channels if test is None else test.channels)
     there = ModeSet(
-        modes.frequencies,
-        modes.damping,
-        look(modes.shapes),
-        look.channels,
-        modes.norm,
-        modes.source,
+        frequencies=modes.frequencies,
+        damping=modes.damping,
+        shapes=look(modes.shapes),
+        labels=look.channels,
+        norm=modes.norm,
+        source=modes.source,
     )
     return there.rows(list(reference.channels))
 

@@ -83,13 +83,13 @@ def measured(
     names = low[0] + high[0]
     good = np.flatnonzero((ratio > 0) & ~np.isinf(std) & (hertz[fe] > 0))
     return _Measured(
-        fe[good],
-        tuple(names[i] for i in good.tolist()),
-        f[good],
-        ratio[good],
-        std[good],
-        used[good].astype(bool),
-        good >= len(low[0]),
+        fe=fe[good],
+        names=tuple(names[i] for i in good.tolist()),
+        hertz=f[good],
+        ratio=ratio[good],
+        std=std[good],
+        used=used[good].astype(bool),
+        elastic=good >= len(low[0]),
     )
 
 
@@ -103,7 +103,9 @@ def _partners(
 
 def nothing(why: str) -> DampingStage:
     """A stage that found nothing to do."""
-    return DampingStage(why, None, None, 0.0, "", (), (), ())
+    return DampingStage(
+        why=why, regions=None, modes=None, misfit=0.0, before="", flags=(), files=(), changes=()
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,7 +135,13 @@ def _part(session: Session, name: str, opened: Opened, test: _Measured) -> _Part
     phi = np.asarray(system.local @ modes.shapes[:, moving])
     total = project(phi, system.viscous, system.structural)
     return _Part(
-        name, opened, test, moving, (2 * np.pi * f[moving]) ** 2, modes.shapes[:, moving], total
+        name=name,
+        opened=opened,
+        test=test,
+        moving=moving,
+        values=(2 * np.pi * f[moving]) ** 2,
+        shapes=modes.shapes[:, moving],
+        total=total,
     )
 
 
@@ -171,7 +179,7 @@ def run(session: Session, progress: Progress) -> DampingStage:
     common, wanted = float(np.median(test.ratio[test.used])), regions(session, opened)
     mine = [wanted, *(_held(wanted, p.opened) for p in parts[1:])]
     found = [
-        dampers(p.opened.model, r, p.values, p.shapes, p.total, common)
+        dampers(p.opened.model, r, values=p.values, shapes=p.shapes, total=p.total, ratio=common)
         for p, r in zip(parts, mine, strict=True)
     ]
     if not found[0].regions:
@@ -200,15 +208,17 @@ def run(session: Session, progress: Progress) -> DampingStage:
     ]
     changes, files = _written(session, opened, whole, fit)
     return DampingStage(
-        "",
-        _regions(whole, fit),
-        replace(told[0], frf_before=errors[0], frf_after=errors[1]),
-        fit.misfit,
-        words,
-        flags(whole, fit),
-        files,
-        changes,
-        tuple(DampedConfiguration(p.name, m) for p, m in zip(parts[1:], told[1:], strict=True)),
+        why="",
+        regions=_regions(whole, fit),
+        modes=replace(told[0], frf_before=errors[0], frf_after=errors[1]),
+        misfit=fit.misfit,
+        before=words,
+        flags=flags(whole, fit),
+        files=files,
+        changes=changes,
+        others=tuple(
+            DampedConfiguration(p.name, m) for p, m in zip(parts[1:], told[1:], strict=True)
+        ),
     )
 
 
@@ -219,7 +229,17 @@ def _modes(part: _Part, common: float, after: Sequence[Float]) -> DampedModes:
         part.at
     ]
     return DampedModes(
-        t.fe, t.names, t.used, t.hertz, t.ratio, t.std, before, after[0], after[1], none, none
+        fe=t.fe,
+        test=t.names,
+        used=t.used,
+        hertz=t.hertz,
+        measured=t.ratio,
+        measured_std=t.std,
+        before=before,
+        after=after[0],
+        after_std=after[1],
+        frf_before=none,
+        frf_after=none,
     )
 
 
@@ -289,7 +309,15 @@ def frf_errors(
     )  # an exponential window damps every mode alike
     return [
         _relative(
-            coupled(frfs.freqs[lines], values, d + window, h, phi_out, phi_in, kind=frfs.kind),
+            coupled(
+                frfs.freqs[lines],
+                values,
+                viscous=d + window,
+                structural=h,
+                phi_out=phi_out,
+                phi_in=phi_in,
+                kind=frfs.kind,
+            ),
             data,
             near[lines],
         )
@@ -311,13 +339,13 @@ def _regions(found: Dampers, fit: DampingFit) -> DampedRegions:
         spread / fit.std, 1.0
     )  # a model that misfits takes nothing away from what was known
     return DampedRegions(
-        fit.names,
-        tuple(_words(r) for r in found.regions),
-        tuple(r.nature for r in found.regions),
-        fit.coefficients,
-        fit.covariance * np.outer(shrink, shrink),
-        expected,
-        spread,
+        names=fit.names,
+        targets=tuple(_words(r) for r in found.regions),
+        natures=tuple(r.nature for r in found.regions),
+        coefficients=fit.coefficients,
+        covariance=fit.covariance * np.outer(shrink, shrink),
+        expected=expected,
+        expected_std=spread,
     )
 
 

@@ -110,7 +110,7 @@ def deliver_final(session: Session, progress: Progress) -> FinalStage:
     if told is not None:
         told = replace(told, tracks=followed(fe, before.fe_remodelled, before.fe_initial, upto))
     progress(0.8, "frequency responses")
-    frfs = _frfs(session, reference, before, opened, fe, zeta)
+    frfs = _frfs(session, reference, before=before, opened=opened, fe=fe, zeta=zeta)
     told = replace(told, frfs=frf_evidence(found, *frfs, session.config)) if told and frfs else told
     return FinalStage(
         files,
@@ -145,7 +145,15 @@ def _frfs(
     )
     models = ((session.initial, before.fe_initial, first), (opened, fe, zeta))
     made = [
-        synthesised(o, session.bridge(o), m, z, measured, session.deck.units, fmax=session.fmax)
+        synthesised(
+            o,
+            session.bridge(o),
+            fe=m,
+            zeta=z,
+            measured=measured,
+            units=session.deck.units,
+            fmax=session.fmax,
+        )
         for o, m, z in models
     ]
     return measured, made[0], made[1]

@@ -72,7 +72,7 @@ def files(session: Session) -> list[Path]:
         session.config.identify.choice,
         *test.frfs,
     )
-    lending = session.initial.model.files if session.config.alone else ()
+    lending = session.initial.model.files if session.config.frequency_only else ()
     return [
         *(session.base / f for f in names if f),
         *(r.path for r in records),
@@ -221,7 +221,13 @@ def _identified(
         raise ConfigError(f"[test] frfs and the hammer records of {test.log}: give one of the two")
     choice = _by_hand(session, records)
     found, shown = ambient(
-        quiet, sensors, sheet, session.config.identify, lost, choice, part(progress, 0.0, 0.5)
+        quiet,
+        sensors,
+        sheet=sheet,
+        settings=session.config.identify,
+        lost=lost,
+        choice=choice,
+        progress=part(progress, 0.0, 0.5),
     )
     parts = [
         (r.modes, _floored(r, s.duration), r.record)
@@ -247,23 +253,23 @@ def _identified(
         at = len(shown) - len(hits)
         shown[at] = replace(shown[at], notes=(*shown[at].notes, *result.notes))
     return IdentifyStage(
-        model,
-        tuple(shown),
-        tuple(found),
-        merged.modes if merged else NO_MODES,
-        merged.uncertainty if merged else NOT_KNOWN,
-        tuple(_reason(p, found) for p in merged.provenance) if merged else (),
-        frfs,
-        cmif(frfs.data) if frfs else np.zeros((0, 0)),
-        rejected,
-        result.modes if result else None,
-        result.uncertainty if result else None,
-        result.reasons if result else (),
-        result.diagrams if result else (),
-        result.synthesis_error if result else np.zeros((0, 0)),
-        (*renamed, *result.notes) if result and test.frfs else (),
-        merged.notes if merged else (),
-        f"{hits[0].kind} test" if hits else "FRFs",
+        test=model,
+        records=tuple(shown),
+        ambient_records=tuple(found),
+        ambient=merged.modes if merged else NO_MODES,
+        ambient_uncertainty=merged.uncertainty if merged else NOT_KNOWN,
+        ambient_reasons=tuple(_reason(p, found) for p in merged.provenance) if merged else (),
+        frfs=frfs,
+        cmif=cmif(frfs.data) if frfs else np.zeros((0, 0)),
+        rejected_hits=rejected,
+        hammer=result.modes if result else None,
+        hammer_uncertainty=result.uncertainty if result else None,
+        hammer_reasons=result.reasons if result else (),
+        hammer_diagrams=result.diagrams if result else (),
+        synthesis_error=result.synthesis_error if result else np.zeros((0, 0)),
+        frf_notes=(*renamed, *result.notes) if result and test.frfs else (),
+        merge_notes=merged.notes if merged else (),
+        source=f"{hits[0].kind} test" if hits else "FRFs",
     )
 
 

@@ -37,7 +37,13 @@ from ringtrue.study.objective import (
     terms_of,
 )
 from ringtrue.study.opened import AtChannels, lump_places
-from ringtrue.study.results import CorrelateStage, LocaliseStage
+from ringtrue.study.results import (
+    CandidateEffects,
+    CandidatePool,
+    CorrelateStage,
+    ErrorIndicators,
+    LocaliseStage,
+)
 from ringtrue.study.session import OWN, Session
 from ringtrue.updating.gauss_newton import joint_residual, residual
 from ringtrue.updating.identifiability import identifiability
@@ -117,10 +123,29 @@ def run(session: Session, progress: Progress) -> LocaliseStage | None:
     member = membership(session.steps[-1].model, pool.candidates)
     others = session.others(progress) if session.config.configuration and _shared(session) else ()
     proposal = _proposal(
-        session, model, others, aim, pool, errors.concentration(member), part(progress, 0.7, 1.0)
+        session,
+        model,
+        others=others,
+        aim=aim,
+        pool=pool,
+        errors=errors.concentration(member),
+        progress=part(progress, 0.7, 1.0),
     )
-    return _stage_result(
-        session, model, _problem(session, model, others), aim, pool, pairs, errors, misfit, proposal
+    problem = _problem(session, model, others)
+    return LocaliseStage(
+        indicators=_region_indicators(session, errors, misfit, pairs[:, 0]),
+        candidates=_candidate_effects(
+            session,
+            model,
+            problem=problem,
+            aim=aim,
+            candidates=pool.candidates,
+            proposed=proposal.x,
+        ),
+        pool=CandidatePool(pool.made, pool.dropped, pool.screened, pool.held),
+        proposal=proposal,
+        proposal_basis=_beside(session) if problem is not None else "",
+        places=session.places,
     )
 
 
@@ -180,13 +205,13 @@ def _pool(session: Session, found: CorrelateStage, progress: Progress) -> _Pool:
     near = screened(
         model,
         system,
-        some,
-        target(session),
-        at_channels(
+        candidates=some,
+        aim=target(session),
+        observe=at_channels(
             session.remodelled, session.bridge(session.remodelled), found.reference.channels
         ),
-        (lam, vectors),
-        look,
+        modes=(lam, vectors),
+        look=look,
         pool=asked.pool,
         most=asked.most,
         alike=asked.alike,
@@ -195,7 +220,12 @@ def _pool(session: Session, found: CorrelateStage, progress: Progress) -> _Pool:
     )
     far = tuple(c.name for c in some if c not in near)
     return _Pool(
-        near, len(every), tuple(d.name for d in lost), far, passed_over(some, near), tuple(held)
+        candidates=near,
+        made=len(every),
+        dropped=tuple(d.name for d in lost),
+        screened=far,
+        passed_over=passed_over(some, near),
+        held=tuple(held),
     )
 
 
@@ -245,18 +275,28 @@ def _error_indicators(
     method, opened = session.config.correlate.expand, session.steps[-1]
     f, shapes, system = aim.frequencies[test], aim.shapes[:, test], opened.analysis.system
     if method in ("", "hybrid"):
-        return reduced_errors(opened.model, system, reduced, model.rows, f, shapes, fe)
+        return reduced_errors(
+            opened.model,
+            system,
+            reduced=reduced,
+            rows=model.rows,
+            frequencies=f,
+            shapes=shapes,
+            partners=fe,
+        )
     _, own = reduced.coordinates(np.zeros(len(reduced.active)))
     found = expanded(
         method,
         opened,
-        session.bridge(opened),
-        session.reference(OWN).take(test),
-        session.fmax,
-        quiet,
+        look=session.bridge(opened),
+        test=session.reference(OWN).take(test),
+        fmax=session.fmax,
+        progress=quiet,
     )
     mine, solve = reduced.basis.vectors @ own[:, fe], reduced.pencil.at(reduced.shift).solve
-    return expanded_errors(opened.model, system, f, found.shapes, mine, solve), found.misfit
+    return expanded_errors(
+        opened.model, system, frequencies=f, shapes=found.shapes, own=mine, solve=solve
+    ), found.misfit
 
 
 def _proposal(
@@ -302,24 +342,10 @@ def _small(session: Session, name: str, model: AtChannels, points: Sequence[Floa
     return small
 
 
-def _stage_result(
-    session: Session,
-    model: AtChannels,
-    problem: Problem | None,
-    aim: Target,
-    pool: _Pool,
-    pairs: Int,
-    errors: ElementErrors,
-    misfit: Float,
-    proposal: Proposal,
-) -> LocaliseStage:
-    p = model.parameters
-    low, high = p.bounds()
-    start, end = (
-        residual(aim, model.linearise(x)) if problem is None else joint_residual(problem, x)
-        for x in (np.zeros(len(p)), proposal.x)
-    )
-    known = identifiability(end.slope * p.std())
+def _region_indicators(
+    session: Session, errors: ElementErrors, misfit: Float, modes: Int
+) -> ErrorIndicators:
+    """The indicators of the elements summed over regions."""
     labels = element_regions(session.steps[-1].model, session.deck.regions)
     names = tuple(dict.fromkeys(labels))
     at = np.array([names.index(x) for x in labels])
@@ -327,33 +353,47 @@ def _stage_result(
     def by_region(share: Float) -> Float:
         return np.asarray(np.bincount(at, share, len(names)), dtype=np.float64)
 
-    member = membership(session.steps[-1].model, pool.candidates)
-    return LocaliseStage(
-        names,
-        by_region(errors.strain),
-        by_region(errors.force),
-        by_region(errors.constitutive),
-        by_region(errors.energy),
-        pairs[:, 0],
-        errors.relative,
-        p,
-        tuple(c.what for c in pool.candidates),
-        tuple(
-            ", ".join(dict.fromkeys(labels[e] for e in member[[i]].indices)) for i in range(len(p))
-        ),
-        np.linalg.norm(start.slope * p.std(), axis=0),
-        known.alone,
-        known.together,
-        variation(aim, start, p.std(), low, high).frequency,
-        pool.made,
-        pool.dropped,
-        pool.screened,
-        proposal,
-        session.config.correlate.expand or "hybrid",
-        misfit,
-        _beside(session) if problem is not None else "",
-        session.places,
-        pool.held,
+    return ErrorIndicators(
+        regions=names,
+        strain=by_region(errors.strain),
+        force=by_region(errors.force),
+        constitutive=by_region(errors.constitutive),
+        energy=by_region(errors.energy),
+        modes=modes,
+        relative=errors.relative,
+        expansion=session.config.correlate.expand or "hybrid",
+        misfit=misfit,
+    )
+
+
+def _candidate_effects(
+    session: Session,
+    model: AtChannels,
+    problem: Problem | None,
+    aim: Target,
+    candidates: Sequence[Candidate],
+    proposed: Float,
+) -> CandidateEffects:
+    """What the data say of each candidate, at the deck and at the proposed point (p,)."""
+    p = model.parameters
+    low, high = p.bounds()
+    start, end = (
+        residual(aim, model.linearise(x)) if problem is None else joint_residual(problem, x)
+        for x in (np.zeros(len(p)), proposed)
+    )
+    known = identifiability(end.slope * p.std())
+    deck = session.steps[-1].model
+    labels = element_regions(deck, session.deck.regions)
+    member = membership(deck, candidates)
+    regions = [dict.fromkeys(labels[e] for e in member[[i]].indices) for i in range(len(p))]
+    return CandidateEffects(
+        parameters=p,
+        what=tuple(c.what for c in candidates),
+        elements=tuple(", ".join(names) for names in regions),
+        effect=np.linalg.norm(start.slope * p.std(), axis=0),
+        others_known=known.alone,
+        all_free=known.together,
+        explains=variation(aim, start, p.std(), low, high).frequency,
     )
 
 
@@ -483,17 +523,26 @@ class DataScreening:
         lam, vectors = responding(model, self.touched, x)
         dk, dm = _projected(deck.model, self.chosen, deck.analysis.system, vectors)
         dense = DenseModel(
-            np.diag(lam),
-            np.eye(lam.size),
-            dk,
-            dm,
-            model.system.observe @ vectors,
-            self.chosen,
-            lam.size,
+            stiffness=np.diag(lam),
+            mass=np.eye(lam.size),
+            d_stiffness=dk,
+            d_mass=dm,
+            observation=model.system.observe @ vectors,
+            parameters=self.chosen,
+            count=lam.size,
         )
         now = dense.linearise(np.zeros(p))
         none = np.zeros((0, 2), dtype=np.int64)
-        here = Point(dense, now, aim, none, (), none, np.zeros(0), now)
+        here = Point(
+            model=dense,
+            now=now,
+            target=aim,
+            pairs=none,
+            spans=(),
+            every=none,
+            mac=np.zeros(0),
+            whole=now,
+        )
         everything = np.zeros(p)
         everything[list(which)] = x
         data = on_parameters(self.session, OWN, lambda: self._rigid(everything), tuple(range(p)))

@@ -26,20 +26,20 @@ def run(session: Session, progress: Progress) -> ModelStage:
     mass = whole_mass(opened.model) if held else mass_properties(opened.analysis.system)
     scene = make_scene(opened.model, session.deck.regions, session.length)
     return ModelStage(
-        opened.model.case.title,
-        tuple(opened.model.files),
-        session.deck.units,
-        _counted(opened.model),
-        tuple(str(f) for f in findings),
-        len(opened.model["GRID"]),
-        int(opened.analysis.system.stiffness.shape[0]),
-        mass.mass,
-        mass.cg,
-        mass.inertia,
-        scene_modes(result.modes, scene),
-        result.residuals,
-        result.proof,
-        scene,
+        title=opened.model.case.title,
+        files=tuple(opened.model.files),
+        units=session.deck.units,
+        cards=_counted(opened.model),
+        findings=tuple(str(f) for f in findings),
+        nodes=len(opened.model["GRID"]),
+        dof=int(opened.analysis.system.stiffness.shape[0]),
+        mass=mass.mass,
+        cg=mass.cg,
+        inertia=mass.inertia,
+        modes=scene_modes(result.modes, scene),
+        residuals=result.residuals,
+        proof=result.proof,
+        scene=scene,
     )
 
 

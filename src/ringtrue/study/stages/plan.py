@@ -159,17 +159,23 @@ def run(session: Session, progress: Progress) -> PlanStage:
     if plan.strike_at and not spots.size:
         raise ConfigError(f"[plan] strike_at: none of {plan.strike_at[:8]} is a candidate")
     if spots.size:
-        hits, values, forces = exciters(session, plan, able, shapes, spots, targets)
+        hits, values, forces = exciters(
+            session, plan, able=able, shapes=shapes, chosen=spots, targets=targets
+        )
         struck, axis = spots[hits // able.each], hits % able.each
         fixed |= np.isin(np.arange(able.at.size), struck)
-    chosen = _points(session, plan, able, shapes, targets, fixed, apart)
+    chosen = _points(
+        session, plan, able=able, shapes=shapes, targets=targets, fixed=fixed, apart=apart
+    )
     rows = shapes[chosen][:, :, targets].reshape(-1, targets.size)
     labels = able.labels(chosen)
     progress(0.5, "where to excite")
     if spots.size:
         hits = np.searchsorted(chosen, struck) * able.each + axis
     else:
-        hits, values, forces = exciters(session, plan, able, shapes, chosen, targets)
+        hits, values, forces = exciters(
+            session, plan, able=able, shapes=shapes, chosen=chosen, targets=targets
+        )
     where = spots if spots.size else chosen
     able_rows, largest = (
         shapes[where][:, :, targets].reshape(-1, targets.size),
@@ -181,23 +187,23 @@ def run(session: Session, progress: Progress) -> PlanStage:
     need = resolution(f[timed], plan.damping, error=plan.error, coherence=plan.coherence)
     every = resolution(f[first], plan.damping, precision=plan.precision)
     stage = PlanStage(
-        able.at.size,
-        targets,
-        able.test_model(chosen),
-        able.labels(ambient_at),
-        tuple(labels[i] for i in hits.tolist()),
-        mac,
-        worst_off_diagonal(mac),
-        need.step,
-        need.block,
-        every.record,
-        plan.damping,
-        first,
-        every.std_frequency,
-        every.std_damping,
-        f"{SENSORS[plan.directions]} {METHODS[plan.method]} of {targets.size} target modes, at "
-        "least "
-        f"{apart:g} m apart, then points that lower the worst auto-MAC; {RULES[plan.strike]} "
+        candidates=able.at.size,
+        target_modes=targets,
+        test=able.test_model(chosen),
+        ambient=able.labels(ambient_at),
+        references=tuple(labels[i] for i in hits.tolist()),
+        auto_mac=mac,
+        worst_off_diagonal=worst_off_diagonal(mac),
+        frequency_step=need.step,
+        block=need.block,
+        record_length=every.record,
+        damping=plan.damping,
+        expected_modes=first,
+        expected_std_frequency=every.std_frequency,
+        expected_std_damping=every.std_damping,
+        rule=f"{SENSORS[plan.directions]} {METHODS[plan.method]} of {targets.size} target modes, "
+        f"at least {apart:g} m apart, then points that lower the worst auto-MAC; "
+        f"{RULES[plan.strike]} "
         f"(least share reached {100 * float(reached(rows, hits).min()):.0f} %)",
         target_frequencies=f[targets],
         reach=reached(rows, hits),
@@ -216,7 +222,16 @@ def run(session: Session, progress: Progress) -> PlanStage:
         set_reach=set_reach,
     )
     progress(0.6, "what the plan shows and misses")
-    return _judged(session, plan, stage, able, motion, chosen, apart, progress)
+    return _judged(
+        session,
+        plan,
+        stage=stage,
+        able=able,
+        motion=motion,
+        chosen=chosen,
+        apart=apart,
+        progress=progress,
+    )
 
 
 def _in_vain(session: Session, plan: PlanSection, able: Arrangement) -> tuple[str, ...]:
@@ -280,7 +295,7 @@ def _points(
     elif plan.method == "auto-mac":
         chosen = auto_mac_points(seen, count, xyz=xyz, min_distance=apart, fixed=fixed)
     else:
-        aims = _aims(session, plan, able, seen, phi, targets)
+        aims = _aims(session, plan, able=able, seen=seen, phi=phi, targets=targets)
         chosen = greedy_logdet(aims, count, xyz=xyz, min_distance=apart, fixed=fixed, cost=cost)
     kept = (
         0.0 if plan.min_distance is None else apart
@@ -405,7 +420,9 @@ def _judged(
         shift[flexible] = loaded_frequencies(f[flexible], si * here, added) / f[flexible] - 1
         stage = replace(stage, loaded=shift[targets])
     if 0 < plan.at_hand < chosen.size:
-        stage = replace(stage, setups=_setups(plan, stage, able, chosen, f, si * motion))
+        stage = replace(
+            stage, setups=_setups(plan, stage, able=able, chosen=chosen, f=f, motion=si * motion)
+        )
     if plan.suspension:
         xyz = (
             positions(session.initial.model)[session.initial.model["GRID"].find(able.nodes)]

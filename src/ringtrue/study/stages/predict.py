@@ -77,10 +77,10 @@ def run(session: Session, progress: Progress) -> PredictStage:
     return predict(
         session,
         asked.rotor,
-        asked.axis,
-        Unbalance(asked.mass, asked.grade, asked.service),
-        asked.springs,
-        np.random.default_rng([session.config.study.seed, 9]),
+        axis=asked.axis,
+        unbalance=Unbalance(asked.mass, asked.grade, asked.service),
+        springs=asked.springs,
+        rng=np.random.default_rng([session.config.study.seed, 9]),
         freqs=np.linspace(LOWEST * asked.fmax, asked.fmax, asked.lines),
         draws=asked.draws,
         level=asked.level,
@@ -151,13 +151,13 @@ def predict(
     result = run_up(
         model,
         posterior.sample(draws, rng),
-        posterior.x,
-        freqs,
-        np.asarray(v.T @ loads) / session.unit.force,  # the unbalance is in N
-        unbalance,
-        outputs,
-        damping,
-        rng,
+        best=posterior.x,
+        freqs=freqs,
+        loads=np.asarray(v.T @ loads) / session.unit.force,  # the unbalance is in N
+        unbalance=unbalance,
+        outputs=outputs,
+        damping=damping,
+        rng=rng,
         discrepancy=error,
         level=level,
         validated=_validated(session, final),
@@ -165,7 +165,17 @@ def predict(
     )
     flags = plausibility(posterior.parameters, posterior.x, posterior.ratio)
     told = tuple(f.text for f in flags)
-    return PredictStage(rotor, axis, unbalance, result, posterior, error, words, residual, told)
+    return PredictStage(
+        rotor=rotor,
+        axis=axis,
+        unbalance=unbalance,
+        run_up=result,
+        posterior=posterior,
+        discrepancy=error,
+        damping=words,
+        residual=residual,
+        flags=told,
+    )
 
 
 def _damping(session: Session, v: Float) -> tuple[Damping | RegionDamping, str]:

@@ -63,7 +63,12 @@ def _target(session: Session, found: CorrelateStage | ConfiguredTest) -> Target:
     std = np.fmax(found.rigid_uncertainty.frequency / found.rigid.frequencies, 1e-4)
     gates = rigid_settings(session.config)
     return Target(
-        found.rigid.frequencies, found.rigid.shapes, std, np.ones(n, dtype=bool), WEIGHTS, gates
+        frequencies=found.rigid.frequencies,
+        shapes=found.rigid.shapes,
+        std=std,
+        used=np.ones(n, dtype=bool),
+        weights=WEIGHTS,
+        pairing=gates,
     )
 
 
@@ -229,17 +234,17 @@ def run(session: Session, progress: Progress) -> TuneStage:
     at = dict(zip(parameters.names, x.tolist(), strict=True))
     of = [np.array([at[n] for n in o.active.parameters.names]) for o in others]
     return TuneStage(
-        before,
-        after,
-        dict(zip(parameters.names, factors.tolist(), strict=True)),
-        dict(zip(parameters.names, (std * slope).tolist(), strict=True)),
-        found.ambiguity(),
-        tuple(f.text for f in plausibility(parameters, x, std / parameters.std())),
-        tuple(
+        before=before,
+        after=after,
+        factors=dict(zip(parameters.names, factors.tolist(), strict=True)),
+        std=dict(zip(parameters.names, (std * slope).tolist(), strict=True)),
+        ambiguity=found.ambiguity(),
+        flags=tuple(f.text for f in plausibility(parameters, x, std / parameters.std())),
+        others=tuple(
             TunedConfiguration(o.test.name, o.table(0 * v, session), o.table(v, session))
             for o, v in zip(others, of, strict=True)
         ),
-        _elastic(session, x, std),
+        disagreeing=_elastic(session, x, std),
     )
 
 

@@ -17,7 +17,15 @@ from ringtrue.reduction.parametric import condensed
 from ringtrue.shapes.mac import paired_mac
 from ringtrue.study.objective import target, terms_of
 from ringtrue.study.opened import AtChannels, frequency_error
-from ringtrue.study.results import FinalStage, SetResult, UncertaintyStage, UpdateStage
+from ringtrue.study.results import (
+    FinalStage,
+    FrequencyBands,
+    ParameterPosterior,
+    PosteriorChains,
+    SetResult,
+    UncertaintyStage,
+    UpdateStage,
+)
 from ringtrue.study.session import OWN, Session
 from ringtrue.study.stages.update_set import as_delivered, other_configurations
 from ringtrue.updating.identifiability import form_flags, kept, plausibility
@@ -95,13 +103,28 @@ def run(session: Session, progress: Progress) -> UncertaintyStage | None:
         Configuration(every, paired, terms_of(session, OWN, every, session.config.update)),
         *_whole(session, best, whole, early),
     )
-    freedom = _freedom(session, every, at, final, held, likely.target)
+    freedom = _freedom(session, every, x=at, final=final, held=held, likely=likely.target)
     many = errors_of_shapes(replace(paired, used=np.ones_like(paired.used)), model.modes(x))
     among, slope = _posterior(
-        session, full, likely.target.weights, whole, best.parameters, freedom, many
+        session,
+        full,
+        found=likely.target.weights,
+        factor=whole,
+        chosen=best.parameters,
+        freedom=freedom,
+        independent=many,
     )
     posterior = among.take([every.parameters.names.index(n) for n in best.parameters])
-    told = _result(posterior, among, aim, likely.target, slope, final, held, asked.level)
+    told = _result(
+        posterior,
+        among,
+        aim=aim,
+        likely=likely.target,
+        slope=slope,
+        final=final,
+        held=held,
+        level=asked.level,
+    )
     if not asked.samples:
         return told
     rng = np.random.default_rng([session.config.study.seed, 7])
@@ -267,10 +290,14 @@ def _result(
     p, pairing = posterior.parameters, final.table.pairing
     f = np.full(aim.frequencies.size, np.nan)
     f[pairing.a] = final.observed.frequencies[pairing.b]
-    known = pairing.b < slope.shape[0]
-    rows = slope[pairing.b[known]] / (8 * np.pi**2 * f[pairing.a[known]] ** 2)[:, None] @ among.link
+    computed = pairing.b < slope.shape[0]
+    rows = (
+        slope[pairing.b[computed]]
+        / (8 * np.pi**2 * f[pairing.a[computed]] ** 2)[:, None]
+        @ among.link
+    )
     parts = np.full((f.size, 3), np.nan)
-    parts[pairing.a[known], 0] = np.sqrt(np.einsum("mp,pq,mq->m", rows, among.covariance, rows))
+    parts[pairing.a[computed], 0] = np.sqrt(np.einsum("mp,pq,mq->m", rows, among.covariance, rows))
     parts[:, 1], parts[:, 2] = (
         aim.std,
         np.where(np.isfinite(held.model_std), held.model_std, likely.weights.frequency),
@@ -283,26 +310,33 @@ def _result(
     )
     if aim.lent:
         held = replace(held, mac=np.full(held.mac.size, np.nan))
+    known = ParameterPosterior(
+        parameters=p,
+        factor=factor,
+        std=posterior.std,
+        interval=interval,
+        prior=_prior(p, level),
+        ratio=posterior.ratio,
+        moved=posterior.moved,
+        correlation=posterior.correlation(),
+    )
+    bands = FrequencyBands(
+        test=aim.frequencies,
+        predicted=f,
+        band=band,
+        parts=parts,
+        used=aim.used,
+        inside=(band[:, 0] <= aim.frequencies) & (aim.frequencies <= band[:, 1]),
+    )
+    errors = likely.weights.frequency, np.nan if aim.lent else likely.weights.mac
     return UncertaintyStage(
-        p,
-        factor,
-        posterior.std,
-        interval,
-        _prior(p, level),
-        posterior.ratio,
-        posterior.moved,
-        posterior.correlation(),
-        level,
-        np.array([likely.weights.frequency, np.nan if aim.lent else likely.weights.mac]),
-        np.array([aim.weights.frequency, aim.weights.mac]),
-        aim.frequencies,
-        f,
-        band,
-        parts,
-        aim.used,
-        (band[:, 0] <= aim.frequencies) & (aim.frequencies <= band[:, 1]),
-        held,
-        tuple(flag.text for flag in flags),
+        posterior=known,
+        bands=bands,
+        level=level,
+        discrepancy=np.array(errors),
+        assumed=np.array([aim.weights.frequency, aim.weights.mac]),
+        held=held,
+        flags=tuple(flags),
     )
 
 
@@ -334,11 +368,11 @@ def _sampled(
 def _with_draws(told: UncertaintyStage, chains: Chains, p: ParameterSet) -> UncertaintyStage:
     every = chains.flat()
     band = chains.interval(told.level)
-    return replace(
-        told,
+    samples = PosteriorChains(
         draws=np.stack([p.factors(x) for x in every[:: -(-len(every) // KEPT)]]),
         sampled=np.stack([p.factors(band[:, 0]), p.factors(band[:, 1])], axis=1),
         acceptance=chains.acceptance,
         independent=chains.size,
         converged=chains.converged,
     )
+    return replace(told, chains=samples)

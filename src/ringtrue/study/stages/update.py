@@ -136,7 +136,7 @@ def _known(session: Session) -> tuple[str, ...]:
     if len(session.config.candidates()) or not session.config.propose:
         return names
     found: LocaliseStage = session.get("localise")
-    return (*names, *found.screened, *found.dropped, *found.held)
+    return (*names, *found.pool.screened, *found.pool.dropped, *found.pool.held)
 
 
 def choose_sets(session: Session, progress: Progress) -> SensitivityStage:
@@ -165,14 +165,14 @@ def choose_sets(session: Session, progress: Progress) -> SensitivityStage:
         rule: at[[names[i] not in held[rule] for i in at.tolist()]] for rule, at in members.items()
     }
     return SensitivityStage(
-        names,
-        0.5 * point.d_lambda[fe] / lam[:, None],
-        d_mac.reshape(-1, len(names)),
-        fe,
-        {rule: tuple(names[i] for i in at.tolist()) for rule, at in members.items()},
-        _rules(session, members),
-        selection_rules.alike(weighted, names),
-        {rule: found for rule, found in held.items() if found},
+        names=names,
+        d_frequency=0.5 * point.d_lambda[fe] / lam[:, None],
+        d_mac=d_mac.reshape(-1, len(names)),
+        fe_modes=fe,
+        sets={rule: tuple(names[i] for i in at.tolist()) for rule, at in members.items()},
+        rules=_rules(session, members),
+        clusters=selection_rules.alike(weighted, names),
+        held={rule: found for rule, found in held.items() if found},
     )
 
 
@@ -226,18 +226,18 @@ def update_sets(session: Session, progress: Progress) -> UpdateStage:
     )
     after = dict(zip(best.parameters, _field_values(session, best, best.factor), strict=True))
     return UpdateStage(
-        tuple(results),
-        chosen,
-        WHY.format(name=best.name, value=best.criterion)
+        sets=tuple(results),
+        chosen=chosen,
+        why=WHY.format(name=best.name, value=best.fit.criterion)
         + (ALL_TESTS if session.config.configuration else "")
         + ("" if all(alike) else OTHER),
-        found.left_out,
-        before,
-        after,
-        {n: regions(session, n) for n in best.parameters},
-        compare_data(session, best, progress) if session.config.residual else (),
-        session.deck.solver,
-        runs,
+        left_out=found.left_out,
+        initial_values=before,
+        updated_values=after,
+        regions={n: regions(session, n) for n in best.parameters},
+        data=compare_data(session, best, progress) if session.config.residual else (),
+        solver=session.deck.solver,
+        runs=runs,
     )
 
 
@@ -295,7 +295,9 @@ def regions(session: Session, name: str) -> tuple[int, ...]:
 def _lowest_criterion(results: Sequence[SetResult], alike: Sequence[bool]) -> int:
     """The set of lowest AICc among those that weigh the data as the study does."""
     return int(
-        np.argmin([r.criterion if good else np.inf for r, good in zip(results, alike, strict=True)])
+        np.argmin(
+            [r.fit.criterion if good else np.inf for r, good in zip(results, alike, strict=True)]
+        )
     )
 
 
@@ -317,11 +319,13 @@ def _with_further_starts(
         progress(0.9, f"{best.name}: modes without partner, {what}")
         name = f"{best.name}, {what}"
         try:
-            other, _ = update_reduced(session, name, best.parameters, progress, u, factors)
+            other, _ = update_reduced(
+                session, name, members=best.parameters, progress=progress, u=u, factors=factors
+            )
         except NumericalError as e:  # the end from the deck stands
             _log.info("%s: %s", name, e)
             continue
-        if other.criterion < best.criterion:
+        if other.fit.criterion < best.fit.criterion:
             best = replace(other, name=best.name)
     return [
         replace(best, name=r.name) if r.parameters == best.parameters and not r.settings else r

@@ -28,7 +28,7 @@ from ringtrue.study.objective import (
     terms_of,
 )
 from ringtrue.study.opened import CLOSE, ROUNDS, AtChannels, frequency_error, not_verified, verified
-from ringtrue.study.results import ConfiguredStage, DataResult, SetResult
+from ringtrue.study.results import ConfiguredStage, DataResult, SetFit, SetResult, UpdateHistory
 from ringtrue.study.session import Session
 from ringtrue.updating import strategy
 from ringtrue.updating.gauss_newton import aicc, residual
@@ -104,16 +104,16 @@ def compare_data(session: Session, best: SetResult, progress: Progress) -> tuple
             places = session.seats_beside(name, m)
             out.append(
                 DataResult(
-                    d.name,
-                    d.kind,
-                    name,
-                    d.labels,
-                    d.units,
-                    d.measured,
-                    before,
-                    after,
-                    d.scale,
-                    places,
+                    name=d.name,
+                    kind=d.kind,
+                    configuration=name,
+                    labels=d.labels,
+                    units=d.units,
+                    measured=d.measured,
+                    before=before,
+                    after=after,
+                    error=d.scale,
+                    seats=places,
                 )
             )
     return tuple(out)
@@ -237,26 +237,32 @@ def summary(problem: Problem, aims: Sequence[Target], name: str, end: Settled) -
     scaled = done.end.slope / size
     first = float(np.linalg.norm(problem.gradient(path[0]))) or 1.0
     steps = [0.0, *(float(np.abs(b.x - a.x).max(initial=0.0)) for a, b in pairwise(path))]
+    fit = SetFit(
+        mean_deviation=percent(np.mean, error, used),
+        max_deviation=percent(np.max, error, used),
+        mean_subspace_mac=percent(np.mean, mac, used),
+        mean_deviation_left_out=left_out_deviation(aims, [p.now for p in done.end.points]),
+        condition=float(np.linalg.cond(scaled.T @ scaled)) if size.size else 1.0,
+        criterion=aicc(whole_cost(problem, done.end), data_count(problem, done.end), done.x.size),
+    )
+    history = UpdateHistory(
+        objective=np.array([at.cost for at in path]),
+        step=np.array(steps),
+        deviation=np.array([percent(np.mean, e, u) for e, _, u in told]),
+        subspace_mac=np.array([percent(np.mean, m, u) for _, m, u in told]),
+        path=np.array([p.factors(at.x) for at in path]),
+        gradient=float(np.linalg.norm(problem.gradient(done.end))) / first,
+    )
     return SetResult(
-        name,
-        p.names,
-        done.factors,
-        done.std * p.derivative(done.x) / done.factors,
-        np.stack([p.factors(low), p.factors(high)], axis=1),
-        done.identifiability,
-        percent(np.mean, error, used),
-        percent(np.max, error, used),
-        percent(np.mean, mac, used),
-        left_out_deviation(aims, [p.now for p in done.end.points]),
-        float(np.linalg.cond(scaled.T @ scaled)) if size.size else 1.0,
-        aicc(whole_cost(problem, done.end), data_count(problem, done.end), done.x.size),
-        done.outcome.value,
-        np.array([at.cost for at in path]),
-        np.array(steps),
-        np.array([percent(np.mean, e, u) for e, _, u in told]),
-        np.array([percent(np.mean, m, u) for _, m, u in told]),
-        np.array([p.factors(at.x) for at in path]),
-        float(np.linalg.norm(problem.gradient(done.end))) / first,
+        name=name,
+        parameters=p.names,
+        factor=done.factors,
+        std=done.std * p.derivative(done.x) / done.factors,
+        bounds=np.stack([p.factors(low), p.factors(high)], axis=1),
+        identifiability=done.identifiability,
+        fit=fit,
+        outcome=done.outcome,
+        history=history,
         discrepancy=strategy.kept(end.problem),
     )
 
