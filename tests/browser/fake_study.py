@@ -253,9 +253,7 @@ def correlation(
     why = [("no FE mode within 30 % has MAC >= 60 %: best FE 20 with 31 %",) * x.size for x in lone]
     close = np.isin(two, (16, 17))
     error = (g[two] - f[one]) / f[one]
-    pairing = Pairing(
-        one, two, mac[one, two], error, np.ones(n), close, lone[0], why[0], lone[1], why[1]
-    )
+    pairing = Pairing(one, two, mac[one, two], error, close, lone[0], why[0], lone[1], why[1])
     return CorrelationTable(
         pairing, f[one], g[two], 2e-4 * f[one], ~np.isin(one, left_out), mac, f, g
     )

@@ -214,7 +214,6 @@ def test_modes_that_win_a_partner_do_not_make_those_left_out_look_worse() -> Non
             at,
             np.ones(n),
             np.zeros(n),
-            np.ones(n),
             np.zeros(n, dtype=bool),
             at[:0],
             (),
@@ -339,8 +338,7 @@ def test_no_pair_is_no_success(done: StudyRun) -> None:
     none = replace(
         p,
         **{
-            k: getattr(p, k)[:0]
-            for k in ("a", "b", "mac", "frequency_error", "sign", "subspace", "beyond")
+            k: getattr(p, k)[:0] for k in ("a", "b", "mac", "frequency_error", "subspace", "beyond")
         },
     )
     empty = replace(table, pairing=none, test_hz=[], fe_hz=[], std_hz=[], used=[])

@@ -21,6 +21,7 @@ from ringtrue.core.signals import FrfSet
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.io.files import atomic_write, writes
+from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
 from ringtrue.planning.plan_files import NAMES, reach_of, write_test_sheet
 from ringtrue.report.build import deliver, report_from_store
@@ -289,6 +290,8 @@ class TestPlan(Displayed):
         The test sheet and the report.
     stage : PlanStage
         All that the plan holds.
+    model : Model
+        Of the deck.
     """
 
     __test__: ClassVar[bool] = False  # not a test of pytest
@@ -307,6 +310,7 @@ class TestPlan(Displayed):
     record_length: float
     files: tuple[Path, ...]
     stage: PlanStage
+    model: Model
 
 
 def plan_test(
@@ -380,6 +384,7 @@ def plan_test(
         stage.record_length,
         (*map(Path, files), report),
         stage,
+        run.session.initial.model,
     )
 
 

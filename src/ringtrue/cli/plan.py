@@ -11,6 +11,7 @@ import typer
 
 from ringtrue.api.studies import ALONE, TestPlan, plan_test
 from ringtrue.cli.show import Json, one_of, progress, rows, tell, write_json
+from ringtrue.cli.stated import warn_of_units
 from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.errors import ConfigError
 from ringtrue.io.foreign.parsers import read_toml
@@ -119,6 +120,7 @@ def plan(
         done = plan_test(
             deck, folder, band=band, units=units, settings=section, seed=seed, progress=show
         )
+    warn_of_units(done.model, units)
     summary = _summary(done)
     if json:
         write_json(summary, json)

@@ -41,8 +41,6 @@ class Pairing:
         Of the pair; of its subspace where `subspace` is true.
     frequency_error : (k,) float64
         (f_B − f_A)/f_A.
-    sign : (k,) float64
-        ±1, brings b to the phase of a.
     subspace : (k,) bool
         The pair belongs to a group of close modes that was treated as a subspace.
     unpaired_a, unpaired_b : (u,) int64
@@ -62,7 +60,6 @@ class Pairing:
     b: Int
     mac: Float
     frequency_error: Float
-    sign: Float
     subspace: Bool
     unpaired_a: Int
     reasons_a: tuple[str, ...]
@@ -75,7 +72,7 @@ class Pairing:
     def __post_init__(self) -> None:
         integer, number, flag = np.int64, np.float64, np.bool_
         freeze_fields(self, a=integer, b=integer, unpaired_a=integer, unpaired_b=integer)
-        freeze_fields(self, mac=number, frequency_error=number, sign=number, subspace=flag)
+        freeze_fields(self, mac=number, frequency_error=number, subspace=flag)
         for name, size in (("beyond", len(self.a)), ("gated_a", len(self.unpaired_a))):
             if not len(getattr(self, name)):
                 object.__setattr__(self, name, np.zeros(size, dtype=flag))
@@ -211,7 +208,6 @@ def pair_modes(
         b=cols,
         mac=score.merged[rows, cols],
         frequency_error=score.error[rows, cols],
-        sign=_signs(a, b, rows, cols),
         subspace=score.merged[rows, cols] > score.mac[rows, cols],
         unpaired_a=unpaired_a,
         reasons_a=tuple(
@@ -224,11 +220,6 @@ def pair_modes(
         beyond=beyond,
         gated_a=np.array([bool(gated.get(i)) for i in unpaired_a.tolist()], dtype=np.bool_),
     )
-
-
-def _signs(a: ModeSet, b: ModeSet, rows: Int, cols: Int) -> Float:
-    cross = (b.shapes[:, cols].conj() * a.shapes[:, rows]).sum(axis=0)
-    return np.where(cross.real < 0, -1.0, 1.0)
 
 
 UNSEEN = "not observable: it does not move the channels that are compared"

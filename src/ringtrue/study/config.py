@@ -31,8 +31,8 @@ from ringtrue.study.config_sections import (
     parse_target,
 )
 from ringtrue.study.config_update import (
-    ALONE,
     AUTOMATIC,
+    FREQUENCY_KINDS,
     ConstraintSection,
     RemodelSection,
     ResidualSection,
@@ -114,21 +114,21 @@ class StudyConfig(BaseModel):
     def _nothing_of_shapes(self) -> Self:
         """What a test of frequencies alone cannot be asked."""
         why = "[test] without a `sheet` is of frequencies alone"
-        if self.alone and self.model is None:
+        if self.frequency_only and self.model is None:
             raise ValueError(f"{why}: it needs a [model] to compare them with")
         asked = [
             f"[correlate] {name}" for name in sorted(OF_SHAPES & self.correlate.model_fields_set)
         ]
         given = self.update.residuals if "residuals" in self.update.model_fields_set else []
-        asked += [f"[update] residuals {kind}" for kind in given if kind not in ALONE]
+        asked += [f"[update] residuals {kind}" for kind in given if kind not in FREQUENCY_KINDS]
         asked += [
             f"[[set]] residuals {kind}"
             for s in self.set
             for kind in s.residuals or []
-            if kind not in ALONE
+            if kind not in FREQUENCY_KINDS
         ]
         asked += ["[[configuration]]"] if self.configuration else []
-        if self.alone and asked:
+        if self.frequency_only and asked:
             raise ValueError(f"{why}: {asked[0]} asks for shapes")
         return self
 
@@ -162,8 +162,8 @@ class StudyConfig(BaseModel):
                 )
 
     @property
-    def alone(self) -> bool:
-        """Whether the test tells frequencies alone."""
+    def frequency_only(self) -> bool:
+        """Whether the test holds frequencies and no shapes."""
         return self.test is not None and self.test.sheet is None
 
     @property
@@ -171,18 +171,18 @@ class StudyConfig(BaseModel):
         """What decides which modes of the deck frequencies alone are taken for; None where shapes
         were measured.
         """
-        if not self.alone or self.model is None:
+        if not self.frequency_only or self.model is None:
             return None
         asked = self.correlate.model_dump(include={"frequency_gate", "lock", "forbid"})
         return self.model.model_dump() | asked
 
     def compared(self) -> Self:
         """The study without what needs shapes, where its test has none."""
-        if not self.alone:
+        if not self.frequency_only:
             return self
         limits = self.correlate.model_copy(update={"accept_mac": None})
         limits.model_fields_set.discard("accept_mac")
-        return self.model_copy(update={"update": self.update.alone(), "correlate": limits})
+        return self.model_copy(update={"update": self.update.of_frequencies(), "correlate": limits})
 
     @property
     def joint(self) -> bool:

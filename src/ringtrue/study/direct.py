@@ -96,7 +96,7 @@ def read_target(
     if len(whole) and not whole.channels:
         found = pair_frequencies(whole, opened, settings(config), locks(config))
         whole, notes = found.modes, found.notes
-        config = config.model_copy(update={"test": None, "update": config.update.alone()})
+        config = config.model_copy(update={"test": None, "update": config.update.of_frequencies()})
     if config.test:
         whole = without_channels(whole, config.test.leave_out)
     kept, channels = measured_part(whole)

@@ -141,7 +141,7 @@ def reference_modes(found: IdentifyStage, config: StudyConfig) -> Reference:
         elastic, std, gaps = _full(found.hammer, found.hammer_uncertainty, edge)
     else:
         elastic, std, gaps = _full(found.ambient, found.ambient_uncertainty, edge)
-    if config.alone:
+    if config.frequency_only:
         gaps = found.frf_notes
     if not len(elastic):
         raise DataError("the test holds no elastic mode: nothing to correlate with")
@@ -328,7 +328,7 @@ def elastic_table(
         reference.elastic, elastic, pairing, std_hz=reference.elastic_std.frequency, left_out=out
     )
     mac = np.concatenate([np.zeros((len(reference.elastic), first)), table.mac], axis=1)
-    if config.alone:
+    if config.frequency_only:
         pairing, mac = _unseen(pairing), np.zeros((0, 0))
     return replace(
         table,

@@ -244,7 +244,7 @@ class Session:
         if name != OWN:
             return self._configured_test(name).test
         found: IdentifyStage = self.get("identify")
-        return None if self.config.alone else found.test
+        return None if self.config.frequency_only else found.test
 
     def channels(self, name: str) -> tuple[str, ...]:
         """All channels of the reduced model of the deck of the study, or of another

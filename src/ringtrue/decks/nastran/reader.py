@@ -223,10 +223,7 @@ def _model(found: Cards) -> tuple[Model, dict[str, tuple[str, tuple[str, int]]]]
             try:
                 made = EXPAND[name](written_out(found, name), found.deck.files)
             except UnsupportedCard as e:
-                skipped[name] = (
-                    str(e).partition(" is not supported: ")[2],
-                    (str(e.path), e.line or 0),
-                )
+                skipped[name] = (e.why, (str(e.path), e.line or 0))
                 continue
             tables[made.card] = stacked(tables[made.card], made) if made.card in tables else made
             if name in MADE:

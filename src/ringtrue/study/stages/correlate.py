@@ -109,7 +109,7 @@ def elastic_evidence(
     """What an elastic correlation rests on, with the mass of the deck at the channels; None without
     measured shapes.
     """
-    if session.config.alone:
+    if session.config.frequency_only:
         return None
     config = session.config.correlate
     observation = session.bridge(opened)
@@ -216,7 +216,7 @@ def _shared_places(session: Session) -> tuple[str, ...]:
 
 def _expanded(session: Session, reference: Reference, progress: Progress) -> Expansion | None:
     """The elastic test shapes on the remodelled deck, drawn where its nodes are on the scene."""
-    if not (method := session.config.correlate.expand) or session.config.alone:
+    if not (method := session.config.correlate.expand) or session.config.frequency_only:
         return None
     progress(0.8, "expansion of the test shapes")
     opened, test = session.remodelled, reference.elastic

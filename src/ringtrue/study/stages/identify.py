@@ -72,7 +72,7 @@ def files(session: Session) -> list[Path]:
         session.config.identify.choice,
         *test.frfs,
     )
-    lending = session.initial.model.files if session.config.alone else ()
+    lending = session.initial.model.files if session.config.frequency_only else ()
     return [
         *(session.base / f for f in names if f),
         *(r.path for r in records),
