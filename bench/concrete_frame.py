@@ -25,7 +25,7 @@ import numpy as np
 from scipy.io import loadmat
 
 from ringtrue.core.arrays import Int
-from ringtrue.core.parameters import Parameter, ParameterSet, Target
+from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.solvers.matrices import MatrixModel
@@ -61,7 +61,7 @@ def own_frame() -> tuple[MatrixModel, Int]:
         path.write_text(deck(), encoding="utf-8")
         model = read_deck(path)
     groups = ParameterSet(
-        tuple(Parameter(f"E{g}", (Target("MAT1", g, "E"),)) for g in range(1, 13))
+        tuple(Parameter(f"E{g}", (CardField("MAT1", g, "E"),)) for g in range(1, 13))
     )
     with EmbeddedSolver().open(model) as analysis:
         system = analysis.system

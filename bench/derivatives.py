@@ -27,14 +27,18 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "verification"))
 from eigen_shell import shell
 
 from ringtrue.core.arrays import Float
-from ringtrue.core.parameters import Parameter, Target
-from ringtrue.eigen.derivatives import Slope, eigenvalue_derivatives, eigenvector_derivatives
-from ringtrue.eigen.factor import Pencil
-from ringtrue.eigen.problem import EigenModes
-from ringtrue.eigen.responses import adjoint, mac_gradient
-from ringtrue.eigen.solve import solve_modes
+from ringtrue.core.parameters import CardField, Parameter
+from ringtrue.eigen.derivatives import (
+    MatrixDerivatives,
+    eigenvalue_derivatives,
+    eigenvector_derivatives,
+)
+from ringtrue.eigen.eigenpairs import EigenModes
+from ringtrue.eigen.modes import solve_modes
+from ringtrue.eigen.pencil import Pencil
+from ringtrue.eigen.response_derivatives import adjoint, mac_gradient
 from ringtrue.fem.assembly import System, assemble
-from ringtrue.fem.derivatives import bilinear, system_derivatives
+from ringtrue.fem.parametrisation.derivatives import bilinear, system_derivatives
 from ringtrue.model.model import Model
 
 MODES, BUFFER, RIGID = 30, 4, 6
@@ -63,12 +67,12 @@ def moduli(model: Model, groups: int) -> list[Parameter]:
     for g, rows in enumerate(np.array_split(np.arange(len(quads)), min(groups, len(quads)))):
         pid = int(quads["PID"][rows[0]])
         same = tuple(quads.ids[rows[quads["PID"][rows] == pid]].tolist())
-        made.append(Parameter(f"E{g}", (Target("MAT1", pid, "E", same),)))
-        made.append(Parameter(f"t{g}", (Target("PSHELL", pid, "T", same),)))
+        made.append(Parameter(f"E{g}", (CardField("MAT1", pid, "E", same),)))
+        made.append(Parameter(f"t{g}", (CardField("PSHELL", pid, "T", same),)))
     return made
 
 
-def residual(pencil: Pencil, modes: EigenModes, slope: Slope, d: Float) -> float:
+def residual(pencil: Pencil, modes: EigenModes, slope: MatrixDerivatives, d: Float) -> float:
     """Largest relative residual of the elastic modes' equations, 2-norm."""
     phi, lam = modes.vectors[:, :MODES], modes.values[:MODES]
     load = slope.stiffness @ phi - (slope.mass @ phi) * lam
@@ -98,7 +102,7 @@ def jacobian(
     return np.stack([k[0] - a.values[:, None] * m[0], a.from_products(k[1], m[1:])])
 
 
-def difference(pencil: Pencil, slope: Slope) -> Float:
+def difference(pencil: Pencil, slope: MatrixDerivatives) -> Float:
     """(m,) derivative of the eigenvalues from two eigensolutions; the matrices are linear in the
     parameter.
     """

@@ -16,7 +16,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "verification"))
 from eigen_shell import parameters, shell
 
 from ringtrue.cli.main import run
-from ringtrue.core.parameters import Parameter, ParameterSet, Shape, Target
+from ringtrue.core.parameters import CardField, Parameter, ParameterSet, Shape
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, SolverFailed, SolverMissing, UnsupportedError
 from ringtrue.model.frames import positions
@@ -26,7 +26,7 @@ from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.solvers.nastran import NastranSolver, nastran_command, nastran_make, sensitivity_deck
 from ringtrue.solvers.nastran_design import design_cards
 from ringtrue.solvers.registry import time_limits
-from ringtrue.solvers.runner_deck import modes_deck
+from ringtrue.solvers.runner import modes_deck
 from ringtrue.testing.solver import check_modal_solver
 
 STUB = Path(__file__).with_name("nastran_stub.py")
@@ -71,8 +71,8 @@ def test_derivatives_by_sol_200() -> None:
     """Factors on thickness and E (with its blank G), against the embedded solver's."""
     model = turned(shell(4, 3, clamped=True))
     both = (
-        Target("PSHELL", 1, "T"),
-        Target("PSHELL", 2, "T"),
+        CardField("PSHELL", 1, "T"),
+        CardField("PSHELL", 2, "T"),
     )  # a field in two parameters: its relation has C0
     chosen = ParameterSet((*parameters().parameters, Parameter("t", both)))
     with EmbeddedSolver().open(model) as analysis:
@@ -113,9 +113,9 @@ def test_derivatives_to_places_of_nodes_by_sol_200() -> None:
     model = Model({**model.tables, "GRID": grid, "CORD2C": polar}, model.params, model.case)
     bump = Shape((8, 13), ((0.02, 0.01, 0.05), (0.0, 0.0, 0.04)))
     radius = (
-        Target("GRID", 17, "X1", step=0.1),
-        Target("GRID", 17, "X2", step=5.0),
-        Target("PSHELL", 1, "T"),
+        CardField("GRID", 17, "X1", step=0.1),
+        CardField("GRID", 17, "X2", step=5.0),
+        CardField("PSHELL", 1, "T"),
     )
     chosen = ParameterSet((Parameter("bump", shapes=(bump,)), Parameter("radius", radius)))
     with EmbeddedSolver().open(model) as analysis:
@@ -256,8 +256,8 @@ def test_fields_that_sol_200_has_not() -> None:
     model = shell(3, 2)
     grids = np.empty(0, dtype=np.int64)
     for target, why in (
-        (Target("CQUAD4", 3, "THETA"), "cannot be a design variable"),
-        (Target("PSHELL", 1, "NSM"), "is 0"),
+        (CardField("CQUAD4", 3, "THETA"), "cannot be a design variable"),
+        (CardField("PSHELL", 1, "NSM"), "is 0"),
     ):
         with pytest.raises(UnsupportedError, match=why):
             sensitivity_deck(model, stub(), ParameterSet((Parameter("p", (target,)),)), 3, grids)
@@ -288,22 +288,22 @@ CONM1,18,1,,2.
 @pytest.mark.parametrize(
     ("target", "head"),
     [
-        (Target("MAT8", 8, "G12"), "DVMREL1 1 MAT8 8 G12"),
-        (Target("PCOMP", 9, "T2"), "DVPREL1 1 PCOMP 9 T2"),
-        (Target("PCOMP", 9, "THETA1"), "DVPREL1 1 PCOMP 9 THETA1"),
-        (Target("PCOMPG", 19, "T2"), "DVPREL1 1 PCOMP 19 T2"),
-        (Target("PSHELL", 10, "I12T3"), "DVPREL1 1 PSHELL 10 6"),
-        (Target("PSHELL", 10, "TST"), "DVPREL1 1 PSHELL 10 8"),
-        (Target("PELAS", 11, "K"), "DVPREL1 1 PELAS 11 3"),
-        (Target("PMASS", 12, "M"), "DVPREL1 1 PMASS 12 3"),
-        (Target("PBUSH", 13, "GE"), "DVPREL1 1 PBUSH 13 GE1"),
-        (Target("PDAMP", 14, "B"), "DVPREL1 1 PDAMP 14 3"),
-        (Target("PVISC", 15, "CR"), "DVPREL1 1 PVISC 15 4"),
-        (Target("CONROD", 16, "A"), "DVCREL1 1 CONROD 16 A"),
-        (Target("CONM1", 18, "M11"), "DVCREL1 1 CONM1 18 M11"),
+        (CardField("MAT8", 8, "G12"), "DVMREL1 1 MAT8 8 G12"),
+        (CardField("PCOMP", 9, "T2"), "DVPREL1 1 PCOMP 9 T2"),
+        (CardField("PCOMP", 9, "THETA1"), "DVPREL1 1 PCOMP 9 THETA1"),
+        (CardField("PCOMPG", 19, "T2"), "DVPREL1 1 PCOMP 19 T2"),
+        (CardField("PSHELL", 10, "I12T3"), "DVPREL1 1 PSHELL 10 6"),
+        (CardField("PSHELL", 10, "TST"), "DVPREL1 1 PSHELL 10 8"),
+        (CardField("PELAS", 11, "K"), "DVPREL1 1 PELAS 11 3"),
+        (CardField("PMASS", 12, "M"), "DVPREL1 1 PMASS 12 3"),
+        (CardField("PBUSH", 13, "GE"), "DVPREL1 1 PBUSH 13 GE1"),
+        (CardField("PDAMP", 14, "B"), "DVPREL1 1 PDAMP 14 3"),
+        (CardField("PVISC", 15, "CR"), "DVPREL1 1 PVISC 15 4"),
+        (CardField("CONROD", 16, "A"), "DVCREL1 1 CONROD 16 A"),
+        (CardField("CONM1", 18, "M11"), "DVCREL1 1 CONM1 18 M11"),
     ],
 )
-def test_names_of_design_fields(tmp_path: Path, target: Target, head: str) -> None:
+def test_names_of_design_fields(tmp_path: Path, target: CardField, head: str) -> None:
     """A name that begins with a digit may stand by its field number only (Quick Reference Guide,
     DVPREL1).
     """

@@ -18,12 +18,19 @@ from test_cli import Capture, call, frf, parsed, refused
 
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import Channel, TimeHistory
-from ringtrue.identification.ambient import AmbientResult, AmbientSettings, identify_ambient
-from ringtrue.identification.ambient_record import with_nothing_found
-from ringtrue.identification.ambient_verdict import overtones
+from ringtrue.identification.ambient.pipeline import (
+    AmbientResult,
+    AmbientSettings,
+    identify_ambient,
+)
+from ringtrue.identification.ambient.record_checks import with_nothing_found
+from ringtrue.identification.ambient.spurious_modes import overtones
 from ringtrue.io.records import write_history
-from ringtrue.signal.harmonics import families, steady_amplitudes, without_machines
-from ringtrue.signal.preprocess import Band, channel_states, harmonics
+from ringtrue.signal.channel_checks import channel_states
+from ringtrue.signal.decimation import Band
+from ringtrue.signal.harmonic_evidence import steady_amplitudes
+from ringtrue.signal.order_tracking import families, without_machines
+from ringtrue.signal.tonal_lines import harmonics
 
 __all__ = ("frf",)  # a fixture
 
@@ -511,7 +518,7 @@ def test_noise_has_no_modes(frf: Callable[..., Path], capsys: Capture) -> None:
         "ema",
         _h(frf, lambda h: rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)),
     )
-    assert "no pole stays in place over the orders" in told
+    assert "no pole is stable over the orders" in told
 
 
 @pytest.mark.parametrize(
@@ -561,7 +568,7 @@ def test_a_response_that_does_not_follow_the_force(
     coherence[:, 0], coherence[:, 2] = 0.2, 0.1
     status, out, _ = call(capsys, "ema", frf(coherence=coherence), "--fmin", 2, "--fmax", 35)
     assert status == 0
-    assert "channel out1 out3: coherence 0.20, 0.10, 0.98 of the others: hardly moves" in " ".join(
+    assert "channel out1 out3: coherence 0.20, 0.10, 0.98 of the others: does not move" in " ".join(
         out.split()
     )
 

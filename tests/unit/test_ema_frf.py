@@ -16,12 +16,11 @@ from ringtrue.core.channels import input_id
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.frfs import read_frfs, write_frfs
+from ringtrue.signal.channel_checks import ceilings
 from ringtrue.signal.frf import estimate_columns, estimate_frf, estimators, frf_variance
-from ringtrue.signal.hits import HammerSettings
-from ringtrue.signal.overloads import ceilings
-from ringtrue.signal.reciprocal import exchanged
-from ringtrue.signal.setups import join_frfs
-from ringtrue.study.forced import forced_frfs
+from ringtrue.signal.frf_sets import exchanged, join_frfs
+from ringtrue.signal.impacts import HammerSettings
+from ringtrue.study.hammer_records import forced_frfs
 
 RATE = 512.0
 FN = np.array([12.0, 15.0, 15.3, 55.0])

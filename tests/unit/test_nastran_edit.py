@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ringtrue.core.parameters import Parameter, ParameterSet, Target
-from ringtrue.decks.nastran.edit import add_cards, edit_fields, unified_diff
+from ringtrue.core.parameters import CardField, Parameter, ParameterSet
+from ringtrue.decks.nastran.editor import add_cards, edit_fields, unified_diff
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import DeckError, InputError
 from ringtrue.model.edit import FieldChange, apply_factors, field_changes, resolve_target
@@ -156,7 +156,7 @@ def test_a_uniform_beam_stays_uniform(tmp_path: Path) -> None:
     (tmp_path / "a.bdf").write_text(text)
     model = read_deck(tmp_path / "a.bdf")
     parameters = ParameterSet(
-        (Parameter("area", tuple(Target("PBEAM", i, "A") for i in (1, 2, 3))),)
+        (Parameter("area", tuple(CardField("PBEAM", i, "A") for i in (1, 2, 3))),)
     )
     changed = apply_factors(model, parameters, np.array([1.5]))
     assert changed["PBEAM"]["AB"].tolist() == [6.0, 6.0, 3.0]
@@ -176,7 +176,7 @@ def test_inertia_and_eccentricity_of_end_b_follow_those_of_end_a(tmp_path: Path)
     (tmp_path / "a.bdf").write_text(f"MAT1,1,1.,,.3\n{lines}")
     model = read_deck(tmp_path / "a.bdf")
     fields = ("NSIA", "M1A", "N1A")
-    parameters = ParameterSet(tuple(Parameter(f, (Target("PBEAM", 1, f),)) for f in fields))
+    parameters = ParameterSet(tuple(Parameter(f, (CardField("PBEAM", 1, f),)) for f in fields))
     factors = np.array([1.5, 2.0, 3.0])
     changed = apply_factors(model, parameters, factors)
     written = edit_fields(model, field_changes(model, parameters, factors), tmp_path / "new")
@@ -213,8 +213,8 @@ def test_a_field_that_names_a_frame_or_node_is_no_angle_or_component(tmp_path: P
 
 def test_the_edited_deck_is_the_model_with_the_factors(main: Path) -> None:
     model = read_deck(main)
-    stiffness = Parameter("stiffness", (Target("MAT1", 1, "E"), Target("PBUSH", 5, "K1")))
-    area = Parameter("area", (Target("PBAR", 1, "A"), Target("MAT1", 1, "E")), scale="linear")
+    stiffness = Parameter("stiffness", (CardField("MAT1", 1, "E"), CardField("PBUSH", 5, "K1")))
+    area = Parameter("area", (CardField("PBAR", 1, "A"), CardField("MAT1", 1, "E")), scale="linear")
     parameters, factors = ParameterSet((stiffness, area)), np.array([1.1, 0.9])
     changed = apply_factors(model, parameters, factors)
     assert changed["MAT1"]["E"][0] == pytest.approx(2.1e11 * 0.99, rel=1e-15)
@@ -228,7 +228,7 @@ def test_the_edited_deck_is_the_model_with_the_factors(main: Path) -> None:
     ("field", "message"), [("I12T3X", "no field"), ("G", "is blank"), ("MCSID", "no real quantity")]
 )
 def test_targets_that_hold_no_number(main: Path, field: str, message: str) -> None:
-    parameters = ParameterSet((Parameter("p", (Target("MAT1", 1, field),)),))
+    parameters = ParameterSet((Parameter("p", (CardField("MAT1", 1, field),)),))
     with pytest.raises(InputError, match=message):
         apply_factors(read_deck(main), parameters, np.array([1.1]))
 
@@ -323,8 +323,8 @@ def test_factors_on_plies_and_orthotropic_moduli(tmp_path: Path) -> None:
     path = tmp_path / "a.bdf"
     path.write_bytes(LAMINATE + PLIES + MAT8)
     model = read_deck(path)
-    ply = Parameter("ply", tuple(Target("PCOMP", 1, f"T{k}") for k in (1, 2, 3)))
-    parameters = ParameterSet((ply, Parameter("E1", (Target("MAT8", 8, "E1"),))))
+    ply = Parameter("ply", tuple(CardField("PCOMP", 1, f"T{k}") for k in (1, 2, 3)))
+    parameters = ParameterSet((ply, Parameter("E1", (CardField("MAT8", 8, "E1"),))))
     factors = np.array([1.2, 0.5])
     changed = apply_factors(model, parameters, factors)
     np.testing.assert_allclose(
@@ -339,7 +339,7 @@ def test_factors_on_plies_and_orthotropic_moduli(tmp_path: Path) -> None:
     )
     assert again["MAT8"]["E1"][0] == 0.7e11
     with pytest.raises(InputError, match="PCOMP 1 has no T5: it has 4 plies"):
-        resolve_target(model, Target("PCOMP", 1, "T5"))
+        resolve_target(model, CardField("PCOMP", 1, "T5"))
 
 
 def test_several_rows_of_one_card(tmp_path: Path) -> None:

@@ -7,18 +7,18 @@ import pytest
 
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import ConfigError, DataError
-from ringtrue.signal.preprocess import (
-    Band,
-    band_signals,
+from ringtrue.signal.channel_checks import channel_states, usable
+from ringtrue.signal.decimation import Band, band_signals, decimate
+from ringtrue.signal.sensor_response import Geophone, convert, deconvolve, lowest_frequency
+from ringtrue.signal.spectra import (
+    Welch,
     block_bounds,
+    block_correlations,
     block_weights,
-    channel_states,
-    decimate,
-    harmonics,
-    usable,
+    correlations,
+    csd,
 )
-from ringtrue.signal.psd import Welch, block_correlations, correlations, csd
-from ringtrue.signal.sensors import Geophone, convert, deconvolve, lowest_frequency
+from ringtrue.signal.tonal_lines import harmonics
 
 
 def history(data: np.ndarray, rate: float, quantity: str = "acceleration") -> TimeHistory:

@@ -21,8 +21,8 @@ from ringtrue.planning.exciters import (
     rank_sets,
     reciprocity_pairs,
 )
-from ringtrue.planning.suspension import loaded_frequencies, quiet, suspension_points
-from ringtrue.planning.wireframe import mesh_edges, neighbours, shown, wireframe
+from ringtrue.planning.geometry import drawn_mac, mesh_edges, relative_neighbours, wireframe
+from ringtrue.planning.setups import loaded_frequencies, quiet, suspension_points
 
 
 def sines(n: int, m: int) -> np.ndarray:
@@ -249,15 +249,15 @@ def test_neighbours_hold_each_part_together_and_join_no_two_parts() -> None:
     rng = np.random.default_rng(4)
     xyz = rng.uniform(size=(60, 3))
     groups = ["frame"] * 25 + ["vessel"] * 34 + ["alone"]
-    lines = neighbours(xyz, groups)
+    lines = relative_neighbours(xyz, groups)
     graph = sparse.coo_array((np.ones(len(lines)), tuple(lines.T)), shape=(60, 60))
     count, part = csgraph.connected_components(graph, directed=False)
     assert count == 3
     assert len({(g, int(k)) for g, k in zip(groups, part, strict=True)}) == 3
     ladder = np.array([[a, b, 0.0] for a in range(4) for b in (0.0, 1.0)])
     want = {(2 * a, 2 * a + 1) for a in range(4)} | {(k, k + 2) for k in range(6)}
-    assert {tuple(v) for v in neighbours(ladder, ["l"] * 8).tolist()} == want
-    assert neighbours(ladder[:1], ["l"]).shape == (0, 2)
+    assert {tuple(v) for v in relative_neighbours(ladder, ["l"] * 8).tolist()} == want
+    assert relative_neighbours(ladder[:1], ["l"]).shape == (0, 2)
 
 
 def test_drawings_show_slow_modes_and_hide_fast_ones() -> None:
@@ -266,7 +266,7 @@ def test_drawings_show_slow_modes_and_hide_fast_ones() -> None:
     edges = np.column_stack([np.arange(n - 1), np.arange(1, n)])
     shapes = np.cos(np.pi * np.outer(xyz[:, 0], [1, 2, 12]))[:, None, :]
     chosen = np.arange(0, n, 10)  # six spans: the twelfth mode moves all points alike
-    quality = shown(xyz, edges, chosen, shapes)
+    quality = drawn_mac(xyz, edges, chosen, shapes)
     assert quality[0] > 0.98
     assert quality[1] > 0.95
     assert quality[2] < 0.05
@@ -278,4 +278,4 @@ def test_drawings_show_slow_modes_and_hide_fast_ones() -> None:
         / (shapes[:, 0, 0] @ shapes[:, 0, 0])
     )
     assert quality[0] == pytest.approx(want)
-    np.testing.assert_allclose(shown(xyz, edges, np.arange(n), shapes), 1.0)
+    np.testing.assert_allclose(drawn_mac(xyz, edges, np.arange(n), shapes), 1.0)

@@ -6,15 +6,10 @@ import numpy as np
 import pytest
 
 from ringtrue.errors import InputError
-from ringtrue.planning.candidates import even_distance
-from ringtrue.planning.layout import (
-    independence,
-    lower_auto_mac,
-    reached,
-    select_points,
-    select_references,
-)
+from ringtrue.planning.exciters import reached, select_references
+from ringtrue.planning.geometry import even_distance
 from ringtrue.planning.resolution import ambient_std, frf_averages, resolution
+from ringtrue.planning.sensors import independence, lower_auto_mac, select_points
 from ringtrue.shapes.mac import auto_mac, worst_off_diagonal
 
 

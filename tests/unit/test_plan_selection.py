@@ -14,7 +14,7 @@ import pytest
 from scipy import linalg
 
 from ringtrue.errors import InputError
-from ringtrue.planning.candidates import (
+from ringtrue.planning.geometry import (
     along,
     in_boxes,
     nearest_nodes,
@@ -30,13 +30,13 @@ from ringtrue.planning.information import (
     parameter_aim,
     prior_shapes,
 )
-from ringtrue.planning.layout import select_points
-from ringtrue.planning.selection import (
+from ringtrue.planning.sensors import (
     auto_mac_points,
     kinetic_weighted,
     make_redundant,
     prior_auto_mac,
     qr_points,
+    select_points,
     worst_loss,
 )
 from ringtrue.shapes.mac import auto_mac, worst_off_diagonal

@@ -8,8 +8,8 @@ import pytest
 
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import InputError
+from ringtrue.planning.plan_files import write_test_sheet
 from ringtrue.planning.setups import roving_setups, roving_shift
-from ringtrue.planning.sheet import write_test_sheet
 
 
 def string(n: int, m: int) -> tuple[np.ndarray, np.ndarray]:

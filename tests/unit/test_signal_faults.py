@@ -7,7 +7,7 @@ import pytest
 
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import DataError
-from ringtrue.signal.faults import check_pairs, find_faults, flip, mend
+from ringtrue.signal.channel_checks import check_pairs, find_faults, flip, mend
 
 RATE = 100.0
 N = 6000

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from five_modes import PHI, F, Z, motion, record
 
-from ringtrue.identification.ambient import identify_ambient, identify_stretches
-from ringtrue.identification.ambient_methods import identify_ambient_by
-from ringtrue.identification.whittle import SpectralBins
+from ringtrue.identification.ambient.maximum_likelihood import SpectralBins
+from ringtrue.identification.ambient.pipeline import identify_ambient, identify_stretches
+from ringtrue.identification.methods import identify_ambient_by
 from ringtrue.shapes.mac import mac
-from ringtrue.signal.events import NONE
 from ringtrue.signal.gaps import bridged
+from ringtrue.signal.transients import NONE
 
 
 def lossy() -> np.ndarray:

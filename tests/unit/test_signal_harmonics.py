@@ -10,17 +10,17 @@ from scipy.signal import lfilter
 
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import ConfigError, DataError
-from ringtrue.identification.ambient import identify_ambient
-from ringtrue.signal.harmonics import (
+from ringtrue.identification.ambient.pipeline import identify_ambient
+from ringtrue.signal.harmonic_evidence import line_statistics
+from ringtrue.signal.order_tracking import (
     edit_cepstrum,
-    line_statistics,
     phase_of_pulses,
     phase_of_speed,
     refine_frequency,
     remove_lines,
     remove_orders,
 )
-from ringtrue.signal.lines import steady_lines, without_lines
+from ringtrue.signal.tonal_lines import steady_lines, without_lines
 
 RATE, N = 100.0, 40000
 T = np.arange(N) / RATE

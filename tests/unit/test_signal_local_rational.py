@@ -15,12 +15,11 @@ from scipy.signal import chirp, lfilter
 
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import DataError
-from ringtrue.identification.hammer import HammerModes, identify_hammer
+from ringtrue.identification.frf.pipeline import HammerModes, identify_hammer
 from ringtrue.signal.frf import frf_variance
-from ringtrue.signal.local_rational import local_frfs, runs_on, spacing
-from ringtrue.signal.periodic import period, periodic_frfs
-from ringtrue.signal.psd import Welch
-from ringtrue.signal.spectra import shaker_frfs
+from ringtrue.signal.local_rational import local_frfs, period, periodic_frfs, runs_on, spacing
+from ringtrue.signal.shaker_frf import shaker_frfs
+from ringtrue.signal.spectra import Welch
 
 RATE, N = 128.0, 40 * 128
 FN, ZETA = np.array([9.0, 23.0]), np.array([0.005, 0.01])

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.signal import butter, lfilter, sosfilt
 
 from ringtrue.core.signals import Channel, TimeHistory
-from ringtrue.signal.locked import locked
+from ringtrue.signal.harmonic_evidence import locked
 
 RATE, SECONDS, SPEED = 20.0, 2400, 0.31
 MODES = np.array([0.62, 0.4651])  # 2 and 3/2 of the shaft: 2:3 and 1:2 of the line at 3

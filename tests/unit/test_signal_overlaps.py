@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ringtrue.core.signals import Channel, TimeHistory
-from ringtrue.signal.overlaps import without_overlap
+from ringtrue.signal.gaps import without_overlap
 
 RATE = 10.0
 WHOLE = np.round(

@@ -9,11 +9,10 @@ import pytest
 from five_modes import PHI, RATE, F, motion, record
 from scipy.signal import butter, hilbert, sosfilt
 
-from ringtrue.identification.ambient import identify_ambient
-from ringtrue.identification.ambient_record import in_phase
+from ringtrue.identification.ambient.pipeline import identify_ambient
+from ringtrue.identification.ambient.record_checks import in_phase
 from ringtrue.shapes.mac import mac
-from ringtrue.signal.align import at_positions
-from ringtrue.signal.phases import channel_phases, in_step
+from ringtrue.signal.clock_alignment import at_positions, channel_phases, in_step
 
 
 def test_channels_of_one_clock_have_no_delay():
@@ -172,3 +171,15 @@ def test_modes_of_two_recorders_are_those_of_one():
     assert r.modes.frequencies == pytest.approx(F, rel=5e-3)
     assert np.diag(mac(r.modes.shapes, PHI.astype(complex))).min() > 0.99
     assert any("channel 5+Z 6+Z 7+Z: 0.2 s after the others" in n for n in r.notes)
+
+
+def test_interpolation_is_exact_within_the_band() -> None:
+    rng = np.random.default_rng(0)
+    frequencies, phases = rng.uniform(1, 35, 150), rng.uniform(0, 2 * np.pi, 150)
+
+    def sines(t: np.ndarray) -> np.ndarray:
+        return np.sin(2 * np.pi * np.outer(t, frequencies) + phases).sum(axis=1)
+
+    positions = np.linspace(100, 2800, 1777)
+    got = at_positions(sines(np.arange(3000) / 100.0)[None], positions)[0]
+    np.testing.assert_allclose(got, sines(positions / 100.0), atol=1e-3)  # 90 dB below 150 sines

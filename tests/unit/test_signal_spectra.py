@@ -12,9 +12,9 @@ import pytest
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.signal.frf import frf_variance
-from ringtrue.signal.frf_checks import check_driving_points, check_reciprocity
-from ringtrue.signal.psd import Welch
-from ringtrue.signal.spectra import independent_segments, shaker_frfs
+from ringtrue.signal.frf_sets import check_driving_points, check_reciprocity
+from ringtrue.signal.shaker_frf import independent_segments, shaker_frfs
+from ringtrue.signal.spectra import Welch
 
 RATE, N = 256.0, 64 * 256
 GAIN = np.array([[1.0, -0.5], [0.3, 2.0], [-1.2, 0.7]])

@@ -14,8 +14,14 @@ from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.record_layout import RecordChannel
 from ringtrue.io.records import record_blocks, write_record
-from ringtrue.signal.sensors import Accelerometer, Calibration, Geophone, deconvolve, usable_band
-from ringtrue.signal.stream import decimator, filtered, high_passer
+from ringtrue.signal.decimation import decimator, filtered, high_passer
+from ringtrue.signal.sensor_response import (
+    Accelerometer,
+    Calibration,
+    Geophone,
+    deconvolve,
+    usable_band,
+)
 
 RATE = 200.0
 

@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ringtrue.core.parameters import Parameter, ParameterSet, Target
+from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.decks.nastran.reader import read_deck
-from ringtrue.io.modes_json import write_modes
+from ringtrue.io.modes import write_modes
 from ringtrue.model.edit import apply_factors
 from ringtrue.model.ports import ModesRequest
-from ringtrue.report.deliver import deliver
+from ringtrue.report.build import deliver
 from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.study.run import run_study
 
@@ -62,7 +62,7 @@ def plate() -> str:
 def test_plies_are_updated_and_springs_get_a_line_for_their_damping(tmp_path: Path) -> None:
     (tmp_path / "plate.bdf").write_text(plate())
     deck = read_deck(tmp_path / "plate.bdf")
-    faces = ParameterSet((Parameter("faces", tuple(Target("PCOMP", 1, f) for f in FACES)),))
+    faces = ParameterSet((Parameter("faces", tuple(CardField("PCOMP", 1, f) for f in FACES)),))
     measured = [1 + i + j * (NX + 1) for j in range(0, NY + 1, 2) for i in range(0, NX + 1, 2)]
     sheet = [f"{n},{(n - 1) % (NX + 1) / 10},{(n - 1) // (NX + 1) / 10},0,Z" for n in measured]
     (tmp_path / "sensors.csv").write_text("\n".join(["point,x,y,z,direction", *sheet]))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ringtrue.core.signals import Channel, TimeHistory
-from ringtrue.signal.sensors import Geophone
+from ringtrue.signal.sensor_response import Geophone
 from ringtrue.study.log import SensorType
 from ringtrue.study.stages.ambient import corrected
 

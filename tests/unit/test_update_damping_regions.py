@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ringtrue.core.parameters import Parameter, ParameterSet, Target
+from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.eigen.damped import complex_modes, project
 from ringtrue.errors import InputError
@@ -81,7 +81,7 @@ def solved(opened: Opened) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np
     )
 
 
-SPRING = ParameterSet((Parameter("spring", (Target("PBUSH", 4, "K3"),)),))
+SPRING = ParameterSet((Parameter("spring", (CardField("PBUSH", 4, "K3"),)),))
 
 
 def names(model: Model, **regions: list[int]) -> list[str]:
@@ -109,7 +109,7 @@ def test_the_parts_make_up_the_damping_of_the_deck(tmp_path: Path) -> None:
 def test_damping_of_regions_that_are_not_asked_for_stays(tmp_path: Path) -> None:
     opened = read(tmp_path, deck(GE, B, bush_ge=0.05))
     values, shapes, total = solved(opened)
-    wanted = DampingRegion("concrete", (Target("MAT1", 2, "GE"),))
+    wanted = DampingRegion("concrete", (CardField("MAT1", 2, "GE"),))
     found = dampers(opened.model, [wanted], values, shapes, total, 0.01)
     here = found.mechanisms[0].matrix
     np.testing.assert_allclose(found.base[0], total[0], rtol=1e-12)
@@ -183,7 +183,7 @@ def test_springs_of_one_make_have_one_loss_factor(tmp_path: Path) -> None:
         ("right", [13]),
         ("PBUSH 14", [14]),
     ]
-    hung = ParameterSet((Parameter("rope", (Target("PBUSH", 13, "K1"),)),))
+    hung = ParameterSet((Parameter("rope", (CardField("PBUSH", 13, "K1"),)),))
     assert springs(hung) == [("PBUSH 11,14", [11, 14]), ("PBUSH 12", [12])]
 
 
@@ -198,20 +198,20 @@ def test_undamped_takes_all_damping_and_nothing_else(tmp_path: Path) -> None:
 
 def test_input_is_checked(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"MAT1 1 E; allowed are loss factors"):
-        DampingRegion("a", (Target("MAT1", 1, "E"),))
+        DampingRegion("a", (CardField("MAT1", 1, "E"),))
     with pytest.raises(InputError, match="not both"):
-        DampingRegion("a", (Target("PBUSH", 4, "GE"), Target("PBUSH", 4, "B3")))
+        DampingRegion("a", (CardField("PBUSH", 4, "GE"), CardField("PBUSH", 4, "B3")))
     with pytest.raises(InputError, match="no target"):
         DampingRegion("a", ())
     opened = read(tmp_path, deck(GE, B))
     values, shapes, total = solved(opened)
-    steel = DampingRegion("steel", (Target("MAT1", 1, "GE"),))
+    steel = DampingRegion("steel", (CardField("MAT1", 1, "GE"),))
     with pytest.raises(InputError, match="MAT1 1 GE is in two damping regions"):
         dampers(opened.model, [steel, steel], values, shapes, total, 0.01)
     with pytest.raises(InputError, match="MAT1 7 is not in the model"):
         dampers(
             opened.model,
-            [DampingRegion("x", (Target("MAT1", 7, "GE"),))],
+            [DampingRegion("x", (CardField("MAT1", 7, "GE"),))],
             values,
             shapes,
             total,
@@ -224,7 +224,7 @@ def test_two_decks_with_common_coefficients_tell_apart_what_one_cannot() -> None
     λ_m).
     """
     one, two = np.array([100.0, 900.0]), np.array([400.0, 2500.0])
-    regions = [DampingRegion(n, (Target("MAT1", i, "GE"),)) for i, n in ((1, "A"), (2, "B"))]
+    regions = [DampingRegion(n, (CardField("MAT1", i, "GE"),)) for i, n in ((1, "A"), (2, "B"))]
 
     def mechanism(name: str, share: float, values: np.ndarray) -> Mechanism:
         return Mechanism(

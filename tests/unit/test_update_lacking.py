@@ -11,15 +11,14 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from ringtrue.core.parameters import Parameter, ParameterSet, Target
+from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.core.progress import Progress, quiet
-from ringtrue.updating.choose import Choice
-from ringtrue.updating.dense import DenseModel
-from ringtrue.updating.lacking import with_lumps
-from ringtrue.updating.objective import Target as Aim
-from ringtrue.updating.objective import residual
-from ringtrue.updating.search import Search
-from ringtrue.updating.subsets import Subsets, subsets
+from ringtrue.reduction.matrix_model import DenseModel
+from ringtrue.updating.gauss_newton import residual
+from ringtrue.updating.selection.proposal import with_lumps
+from ringtrue.updating.selection.selection_rules import Choice
+from ringtrue.updating.selection.subset_search import Search, Subsets, subsets
+from ringtrue.updating.target import Target
 
 N, TOTAL, PLACES = 10, 20.0, (2, 7)
 LUMPS = [5, 6]
@@ -39,7 +38,7 @@ def _chain() -> DenseModel:
     groups = [Parameter(f"springs {g}", (), 0.3, 3.0, "log", 0.3) for g in range(5)]
     places = [
         Parameter(
-            f"mass at {i}", (Target("CONM2", i, "M", (), TOTAL),), 1 - 1e-7, 1.4, "linear", 0.05
+            f"mass at {i}", (CardField("CONM2", i, "M", (), TOTAL),), 1 - 1e-7, 1.4, "linear", 0.05
         )
         for i in PLACES
     ]
@@ -54,14 +53,14 @@ def _chain() -> DenseModel:
     )
 
 
-def _aim(truth: Sequence[float]) -> Aim:
+def _aim(truth: Sequence[float]) -> Target:
     rng, model = np.random.default_rng(4), _chain()
     modes = model.modes(
         np.where(np.arange(7) < 5, np.log(np.maximum(truth, 1e-9)), np.array(truth) - 1)
     )
     shapes = modes.shapes[:, :8] * (1 + 0.005 * rng.standard_normal((N, 8)))
     frequencies = modes.frequencies[:8] * (1 + 5e-4 * rng.standard_normal(8))
-    return Aim(frequencies, shapes, np.full(8, 5e-4), np.ones(8, dtype=bool))
+    return Target(frequencies, shapes, np.full(8, 5e-4), np.ones(8, dtype=bool))
 
 
 @pytest.mark.parametrize(

@@ -11,17 +11,29 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from ringtrue.core.parameters import Parameter, ParameterSet
-from ringtrue.core.parameters import Target as Place
+from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.errors import InputError
-from ringtrue.updating.dense import DenseModel
-from ringtrue.updating.kfold import discrepancy, folds_of, k_fold, variance_parts, with_discrepancy
-from ringtrue.updating.mcmc import autocorrelation_time, ensemble, log_posterior
-from ringtrue.updating.objective import Target, Weights
-from ringtrue.updating.plausible import form_flags, kept, plausibility
-from ringtrue.updating.posterior import Posterior, around, as_likelihood, laplace
-from ringtrue.updating.several import Configuration, Problem, held_to
-from ringtrue.updating.trust import solve
+from ringtrue.reduction.matrix_model import DenseModel
+from ringtrue.updating.identifiability import form_flags, kept, plausibility
+from ringtrue.updating.problem import Configuration, Problem, held_to
+from ringtrue.updating.solver import solve
+from ringtrue.updating.target import Target, Weights
+from ringtrue.updating.uncertainty import (
+    Posterior,
+    around,
+    as_likelihood,
+    autocorrelation_time,
+    ensemble,
+    laplace,
+    log_posterior,
+)
+from ringtrue.updating.validation import (
+    discrepancy,
+    folds_of,
+    k_fold,
+    variance_parts,
+    with_discrepancy,
+)
 
 N, GROUPS, MODES = 12, 4, 8
 NOISE_F, NOISE_SHAPE = 2e-3, 0.02  # relative; of the root mean square of a shape
@@ -276,7 +288,7 @@ def test_draws_do_not_depend_on_signs_of_eigenvectors(monkeypatch: pytest.Monkey
         value, vectors = plain(a)
         return value, -vectors
 
-    monkeypatch.setattr("ringtrue.updating.quadratic.linalg.eigh", turned)
+    monkeypatch.setattr("ringtrue.updating.uncertainty.linalg.eigh", turned)
     np.testing.assert_allclose(
         posterior.sample(20_000, np.random.default_rng(0)), first, rtol=1e-9, atol=1e-15
     )
@@ -319,7 +331,7 @@ def test_a_mass_that_may_be_none_is_not_proven_however_light() -> None:
     """Its factor is of 4000 kg, so that 60 kg are 1.015: a slight change for a modulus, none for a
     mass.
     """
-    places = (Place("CONM2", n, "M", step=4000.0) for n in (7, 8))
+    places = (CardField("CONM2", n, "M", step=4000.0) for n in (7, 8))
     masses = ParameterSet(
         (*(Parameter(f"mass {t.id}", (t,), 0.9999999, 1.4) for t in places), Parameter("E"))
     )

@@ -18,11 +18,11 @@ import small_study
 from ringtrue.cli.main import run
 from ringtrue.core.arrays import Any_, Float
 from ringtrue.core.modes import ModeSet
-from ringtrue.core.parameters import Parameter, ParameterSet, Target
-from ringtrue.correlation.observe import at_dofs
+from ringtrue.core.parameters import CardField, Parameter, ParameterSet
+from ringtrue.correlation.sensor_mapping import at_dofs
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import SolverFailed, SolverMissing
-from ringtrue.io.modes_json import write_modes
+from ringtrue.io.modes import write_modes
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModalSolver, ModesRequest, ModesResult
 from ringtrue.solvers import registry
@@ -117,7 +117,7 @@ def outside(monkeypatch: pytest.MonkeyPatch) -> Outside:
 def test_slopes_by_differences_are_the_derivatives(tmp_path: Path) -> None:
     (tmp_path / "frame.bdf").write_text(frame())
     model = read_deck(tmp_path / "frame.bdf")
-    every = ParameterSet(tuple(Parameter(f"E{i}", (Target("MAT1", i, "E"),)) for i in TRUTH))
+    every = ParameterSet(tuple(Parameter(f"E{i}", (CardField("MAT1", i, "E"),)) for i in TRUTH))
     with EmbeddedSolver().open(model) as analysis:
         seen = at_dofs(small_study.test_model().channels, analysis.dofs)
     x, asked = np.log([0.9, 1.3, 9.99]), ModesRequest(9)  # the last one steps back from its bound
@@ -147,7 +147,7 @@ def test_differences_of_repeated_and_rigid_body_modes(tmp_path: Path) -> None:
     lines += [f"CBAR,{i + 1},{1 + i // 5},{i + 1},{i + 2},0.,1.,0." for i in range(10)]
     (tmp_path / "bar.bdf").write_text("\n".join([*lines, "ENDDATA"]) + "\n")
     model = read_deck(tmp_path / "bar.bdf")
-    halves = ParameterSet(tuple(Parameter(f"E{i}", (Target("MAT1", i, "E"),)) for i in (1, 2)))
+    halves = ParameterSet(tuple(Parameter(f"E{i}", (CardField("MAT1", i, "E"),)) for i in (1, 2)))
     with EmbeddedSolver().open(model) as analysis:
         seen = at_dofs(tuple(f"{n}+{d}" for n in range(1, 12) for d in "YZ"), analysis.dofs)
     at = FullModel(model, halves, seen, ModesRequest(10), Outside()).linearise(np.zeros(2))

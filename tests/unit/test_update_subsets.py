@@ -15,24 +15,23 @@ from scipy import sparse
 sys.path.insert(0, str(Path(__file__).parents[1] / "verification"))
 import localise_twin as twin
 
-from ringtrue.core.parameters import Parameter, ParameterSet, Substructure, Target
+from ringtrue.core.parameters import CardField, Parameter, ParameterSet, Substructure
 from ringtrue.errors import ConfigError, InputError
 from ringtrue.model.ports import ModesRequest
-from ringtrue.reduction.condense import condensed
-from ringtrue.reduction.expand import expand_hybrid, expand_reduced
+from ringtrue.reduction.expansion import expand_hybrid, expand_reduced
+from ringtrue.reduction.matrix_model import DenseModel
+from ringtrue.reduction.parametric import condensed
 from ringtrue.solvers.embedded import EmbeddedSolver
-from ringtrue.updating.alike import errors_of_shapes
-from ringtrue.updating.choose import Choice
-from ringtrue.updating.claims import stated_errors
-from ringtrue.updating.dense import DenseModel
-from ringtrue.updating.effects import SHARP, effects, force_residual, paired_residual
-from ringtrue.updating.generate import generate
-from ringtrue.updating.identifiable import blind_cosines, identifiability
-from ringtrue.updating.objective import Residual, Weights, residual
-from ringtrue.updating.objective import Target as Aim
-from ringtrue.updating.pool import conflicts, explaining, of_parameter
-from ringtrue.updating.proposal import propose
-from ringtrue.updating.search import Search
+from ringtrue.updating.gauss_newton import Residual, residual
+from ringtrue.updating.identifiability import blind_cosines, identifiability
+from ringtrue.updating.selection.effects import SHARP, effects, force_residual, paired_residual
+from ringtrue.updating.selection.generation import generate
+from ringtrue.updating.selection.proposal import propose, stated_errors
+from ringtrue.updating.selection.screening import conflicts, explaining, of_parameter
+from ringtrue.updating.selection.selection_rules import Choice
+from ringtrue.updating.selection.subset_search import Search
+from ringtrue.updating.target import Target, Weights
+from ringtrue.updating.uncertainty import errors_of_shapes
 
 
 def test_factors_on_one_field_stay_apart_a_product_does_not() -> None:
@@ -66,18 +65,20 @@ def test_factors_on_one_field_stay_apart_a_product_does_not() -> None:
 
 def test_a_given_parameter_knows_its_elements() -> None:
     model = twin.read(twin.deck())
-    both = of_parameter(model, Parameter("two", (Target("MAT1", 11, "E"), Target("MAT1", 12, "E"))))
+    both = of_parameter(
+        model, Parameter("two", (CardField("MAT1", 11, "E"), CardField("MAT1", 12, "E")))
+    )
     assert both.elements == (100, 101, 102, 103)
     assert both.what == "MAT1 11 E, MAT1 12 E of 4 CBEAM"
     assert both.kind == "material"
-    part = of_parameter(model, Parameter("part", (Target("MAT1", 30, "E", (310, 311)),)))
+    part = of_parameter(model, Parameter("part", (CardField("MAT1", 30, "E", (310, 311)),)))
     assert part.elements == (310, 311)
     block = of_parameter(
         model, Parameter("block", substructures=(Substructure("stiffness", (310, 312)),))
     )
     assert block.elements == (310, 312)
     springs = of_parameter(
-        model, Parameter("feet", (Target("PBUSH", 900, "K1"), Target("PBUSH", 900, "K2")))
+        model, Parameter("feet", (CardField("PBUSH", 900, "K1"), CardField("PBUSH", 900, "K2")))
     )
     assert (springs.what, springs.kind) == ("PBUSH 900 K1,K2 of 4 CBUSH", "spring")
 
@@ -104,7 +105,7 @@ def test_the_force_residual_of_exact_shapes_is_what_is_wrong() -> None:
     every = EmbeddedSolver().open(start.model).eigen(ModesRequest(90))
     with EmbeddedSolver().open(twin.read(twin.deck(wrong))) as analysis:
         true = analysis.eigen(ModesRequest(12))
-    aim = Aim(true.frequencies[:12], true.vectors[:, :12], np.zeros(12), np.ones(12, dtype=bool))
+    aim = Target(true.frequencies[:12], true.vectors[:, :12], np.zeros(12), np.ones(12, dtype=bool))
     at = (
         start.model,
         start.analysis.system,
@@ -245,7 +246,7 @@ def test_candidates_without_effect_propose_nothing() -> None:
     names = ParameterSet((Parameter("nothing", std=0.5), Parameter("neither", std=0.5)))
     model = DenseModel.springs(k, np.eye(n), np.zeros((2, n, n)), names)
     modes = model.modes(np.zeros(2))
-    aim = Aim(
+    aim = Target(
         1.01 * modes.frequencies[:4], modes.shapes[:, :4], np.zeros(4), np.ones(4, dtype=bool)
     )
     far = propose(model, replace(aim, frequencies=1.1 * modes.frequencies[:4]))

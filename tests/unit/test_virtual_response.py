@@ -12,16 +12,18 @@ from test_virtual_system import made_up
 from ringtrue.core.modal import ModalModel
 from ringtrue.core.signals import Channel
 from ringtrue.errors import InputError
-from ringtrue.virtual.ambient import Ambient, ambient_forces, ground_psd, input_psd
-from ringtrue.virtual.events import (
+from ringtrue.virtual.excitation import (
+    Ambient,
     Pulses,
+    ambient_forces,
     dropped_weight,
     event_times,
+    ground_psd,
+    input_psd,
     jumping,
     pulse_spectrum,
     sledge,
 )
-from ringtrue.virtual.noise import coloured, power
 from ringtrue.virtual.response import (
     at_outputs,
     fade_window,
@@ -30,7 +32,7 @@ from ringtrue.virtual.response import (
     simulate,
     streamed,
 )
-from ringtrue.virtual.snr import expected_power, resonance_power
+from ringtrue.virtual.sensors import coloured, expected_power, power, resonance_power
 
 MASS, F0, ZETA, RATE = 1000.0, 5.0, 0.02, 256.0
 W0 = 2 * np.pi * F0

@@ -15,12 +15,19 @@ from ringtrue.demos.lsf.campaign import CampaignPlan, run_campaign
 from ringtrue.errors import InputError
 from ringtrue.io.records import read_record
 from ringtrue.io.sheets import read_sensor_sheet
-from ringtrue.virtual.ambient import Ambient
-from ringtrue.virtual.bay import AmbientTest, measure_long
-from ringtrue.virtual.hammer import HammerPlan, strike
-from ringtrue.virtual.noise import NoiseFloor, power, tone
+from ringtrue.virtual.excitation import Ambient
+from ringtrue.virtual.measurements import AmbientTest, HammerPlan, ambient_blocks, strike
 from ringtrue.virtual.response import at_outputs, lines
-from ringtrue.virtual.sensors import ACCELEROMETER, FORCE_CELL, GEOPHONE, Chain, record
+from ringtrue.virtual.sensors import (
+    ACCELEROMETER,
+    FORCE_CELL,
+    GEOPHONE,
+    Chain,
+    NoiseFloor,
+    power,
+    record_volts,
+    tone,
+)
 
 RATE = 256.0
 QUIET = replace(
@@ -51,7 +58,7 @@ def test_a_tone_through_a_geophone_comes_out_with_its_gain() -> None:
         GEOPHONE, floor=NoiseFloor(0.0, 0.0), hum=0.0, drift=0.0, offset=0.0, calibration=0.0
     )
     motion = tone(4.5, np.array([amplitude]), np.zeros(1), n, RATE)
-    volts, _ = record(motion, chain(quiet), n, RATE, np.random.default_rng(0))
+    volts, _ = record_volts(motion, chain(quiet), n, RATE, np.random.default_rng(0))
     want = 28.8 * amplitude / (2 * 0.56) * -np.sin(2 * np.pi * 4.5 * np.arange(n) / RATE)
     np.testing.assert_allclose(volts[0], want, atol=1e-7)
 
@@ -197,7 +204,7 @@ def test_a_long_record_is_stationary_over_its_segments() -> None:
     sensors = chain(*(replace(ACCELEROMETER, drift=0.0, offset=0.0),) * 3)
     test = AmbientTest(model, sensors, Ambient(), ("900+Z",), None, 128.0, model.poles[8:])
     hop, fade = 128 * 40, 128 * 10
-    blocks = [b - b.mean() for b in measure_long(test, 12, hop, fade, np.random.default_rng(0))]
+    blocks = [b - b.mean() for b in ambient_blocks(test, 12, hop, fade, np.random.default_rng(0))]
     assert {b.shape for b in blocks} == {(3, hop)}
     edge, inner = (
         np.diff([b[:, part] for b in blocks]).std() for part in (slice(0, fade), slice(fade, hop))

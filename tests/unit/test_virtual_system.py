@@ -12,7 +12,7 @@ from ringtrue.core.modal import ModalModel
 from ringtrue.core.signals import Channel
 from ringtrue.core.testmodel import TestModel
 from ringtrue.demos.lsf.campaign import CampaignPlan
-from ringtrue.virtual.hammer import HammerPlan
+from ringtrue.virtual.measurements import HammerPlan
 
 MASS = 1.6e6  # kg
 

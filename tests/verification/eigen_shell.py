@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from ringtrue.core.arrays import Int
-from ringtrue.core.parameters import Parameter, ParameterSet, Target
+from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.model import cards
 from ringtrue.model.model import CaseControl, Model, Ragged, Table, table
 
@@ -61,7 +61,7 @@ def shell(nx: int, ny: int, *, regions: int = 3, clamped: bool = False) -> Model
 
 def parameters(regions: int = 3) -> ParameterSet:
     """The thickness of the first region and Young's modulus of the others."""
-    first = Parameter("t1", (Target("PSHELL", 1, "T"),))
+    first = Parameter("t1", (CardField("PSHELL", 1, "T"),))
     return ParameterSet(
-        (first, *(Parameter(f"E{r}", (Target("MAT1", r, "E"),)) for r in range(2, regions + 1)))
+        (first, *(Parameter(f"E{r}", (CardField("MAT1", r, "E"),)) for r in range(2, regions + 1)))
     )

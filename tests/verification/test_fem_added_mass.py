@@ -12,18 +12,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ringtrue.core.parameters import Parameter, ParameterSet, Shape, Target
-from ringtrue.decks.nastran.bulk import write_bulk
-from ringtrue.decks.nastran.edit import edit_fields
+from ringtrue.core.parameters import CardField, Parameter, ParameterSet, Shape
+from ringtrue.decks.nastran.editor import edit_fields
 from ringtrue.decks.nastran.reader import read_deck
+from ringtrue.decks.nastran.writer import write_bulk
 from ringtrue.errors import DeckError, InputError, RingtrueError, UnsupportedCard
 from ringtrue.fem.assembly import assemble
-from ringtrue.fem.change import scaled
-from ringtrue.fem.dependence import affine_terms
-from ringtrue.fem.derivatives import matrix_derivatives
+from ringtrue.fem.parametrisation.affine import affine_terms
+from ringtrue.fem.parametrisation.changed_model import scaled
+from ringtrue.fem.parametrisation.derivatives import matrix_derivatives
 from ringtrue.model.edit import FieldChange, apply_factors
 from ringtrue.model.model import Model
-from ringtrue.solvers.runner_deck import case_control
+from ringtrue.solvers.runner import case_control
 
 BULK = """BEGIN BULK
 MAT1,1,2.+11,,.3
@@ -164,10 +164,10 @@ LISTS = "NSMADD,9,3,4\nNSML1,3,ELEMENT,7.,11,14\nNSM1,4,PBAR,2.,5\n"
 @pytest.mark.parametrize(
     "parameter",
     [
-        Parameter("mass", (Target("NSML1", 3, "VALUE"),)),
-        Parameter("mass a length", (Target("NSM1", 4, "VALUE"),)),
+        Parameter("mass", (CardField("NSML1", 3, "VALUE"),)),
+        Parameter("mass a length", (CardField("NSM1", 4, "VALUE"),)),
         Parameter("shape", shapes=(Shape((1, 4), ((1.0, 0.2, 0.0), (0.5, 0.0, 0.1))),)),
-        Parameter("offset", (Target("CBAR", 26, "W1A"),)),
+        Parameter("offset", (CardField("CBAR", 26, "W1A"),)),
     ],
     ids=lambda p: p.name,
 )
@@ -187,7 +187,7 @@ def test_derivatives(tmp_path: Path, parameter: Parameter) -> None:
 
 def test_a_value_is_edited_in_its_place(tmp_path: Path) -> None:
     model = read(tmp_path, LISTS)
-    parameters = ParameterSet((Parameter("mass", (Target("NSML1", 3, "VALUE"),)),))
+    parameters = ParameterSet((Parameter("mass", (CardField("NSML1", 3, "VALUE"),)),))
     assert weight(apply_factors(model, parameters, np.array([2.0]))) == pytest.approx(
         weight(model) + 7, rel=1e-12
     )

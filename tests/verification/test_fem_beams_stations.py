@@ -14,13 +14,13 @@ import pytest
 from fem_cases import cards, grid, model, ragged, spc, steel
 
 from ringtrue.core.arrays import Float
-from ringtrue.core.parameters import Parameter, ParameterSet, Target
-from ringtrue.decks.nastran.bulk import write_bulk
-from ringtrue.decks.nastran.edit import edit_fields
+from ringtrue.core.parameters import CardField, Parameter, ParameterSet
+from ringtrue.decks.nastran.editor import edit_fields
 from ringtrue.decks.nastran.reader import read_deck
+from ringtrue.decks.nastran.writer import write_bulk
 from ringtrue.errors import DeckError, InputError
 from ringtrue.fem.assembly import assemble
-from ringtrue.fem.derivatives import matrix_derivatives
+from ringtrue.fem.parametrisation.derivatives import matrix_derivatives
 from ringtrue.model.edit import FieldChange, apply_factors, field_changes
 from ringtrue.model.model import Model
 
@@ -242,7 +242,7 @@ def test_a_uniform_beam_with_stations_stays_uniform(tmp_path: Path) -> None:
     text = DECK.replace(".02     3.-5", ".01     3.-5")
     (tmp_path / "a.bdf").write_text(text)
     read = read_deck(tmp_path / "a.bdf")
-    parameters = ParameterSet((Parameter("area", (Target("PBEAM", 1, "A"),)),))
+    parameters = ParameterSet((Parameter("area", (CardField("PBEAM", 1, "A"),)),))
     changed = apply_factors(read, parameters, np.array([1.5]))
     edit_fields(read, field_changes(read, parameters, np.array([1.5])), tmp_path / "new")
     for m in (changed, read_deck(tmp_path / "new/a.bdf")):
@@ -255,7 +255,7 @@ def test_a_uniform_beam_with_stations_stays_uniform(tmp_path: Path) -> None:
 @pytest.mark.parametrize("field", ["AX1", "I1X2", "I12X1", "NSMX2", "JX1", "A"])
 def test_derivatives(field: str) -> None:
     m = single()
-    p = Parameter("p", (Target("PBEAM", 1, field),))
+    p = Parameter("p", (CardField("PBEAM", 1, field),))
     slopes = matrix_derivatives(m, p, assemble(m))
     h = 1e-5
     up, down = (

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from fem_slopes import check_slopes
 
-from ringtrue.core.parameters import Parameter, Shape, Target
+from ringtrue.core.parameters import CardField, Parameter, Shape
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.model.model import Model
 
@@ -64,7 +64,7 @@ def test_given_matrices_turn_with_frames_and_rigid_arms(
 def test_frame_on_a_node_that_moves_in_it(tmp_path: Path, field: str) -> None:
     """Node 2 is of the frame 7 on which its own displacement frame 8 rests."""
     m = _read(tmp_path, BEAM + DIRECT)
-    check_slopes(m, Parameter("p", (Target("CORD2R", 8, field),)))
+    check_slopes(m, Parameter("p", (CardField("CORD2R", 8, field),)))
 
 
 @pytest.mark.parametrize("field", ["T1", "T3"])
@@ -77,7 +77,7 @@ def test_corner_thickness_of_a_curved_shell(tmp_path: Path, field: str) -> None:
     quads = "CQUAD4,1,1,1,3,4,2\n,,,.004,.005,.006,.007\nCQUAD4,2,1,3,5,6,4\n"
     rest = "PSHELL,1,1,.005,1,,1\nMAT1,1,7.+10,,.3,2700.\nSPC1,1,123456,1,2\nPARAM,SNORM,30.\n"
     m = _read(tmp_path, "SOL 103\nCEND\nSPC = 1\nBEGIN BULK\n" + grids + quads + rest)
-    check_slopes(m, Parameter("p", (Target("CQUAD4", 1, field),)))
+    check_slopes(m, Parameter("p", (CardField("CQUAD4", 1, field),)))
 
 
 def test_thickness_of_the_beam_that_a_spline_is(tmp_path: Path) -> None:
@@ -89,4 +89,4 @@ def test_thickness_of_the_beam_that_a_spline_is(tmp_path: Path) -> None:
         + "SPC1,1,123456,1\nCONM2,11,4,,1.\nCBAR,3,1,3,4,0.,0.,1.\n"
     )
     m = _read(tmp_path, beams.replace("K2GG = KX\nM2GG = MX\nB2GG = BX\n", ""))
-    check_slopes(m, Parameter("p", (Target("RSPLINE", 9, "DL"),)))
+    check_slopes(m, Parameter("p", (CardField("RSPLINE", 9, "DL"),)))

@@ -10,11 +10,11 @@ from fem_cases import cards
 from scipy import sparse
 from test_fem_derivatives import mixed, parameter
 
-from ringtrue.core.parameters import Parameter, Shape, Substructure, Target
+from ringtrue.core.parameters import CardField, Parameter, Shape, Substructure
 from ringtrue.errors import InputError
 from ringtrue.fem.assembly import assemble
-from ringtrue.fem.change import scaled
-from ringtrue.fem.derivatives import bilinear, system_derivatives
+from ringtrue.fem.parametrisation.changed_model import scaled
+from ringtrue.fem.parametrisation.derivatives import bilinear, system_derivatives
 from ringtrue.model.model import Model
 
 NAMES = ("stiffness", "mass", "viscous", "structural")
@@ -79,13 +79,13 @@ KINDS = {
     "CBUSH S": parameter(("CBUSH", 8, "S")),
     "CBAR W1A": parameter(("CBAR", 5, "W1A")),
     "CQUAD4 ZOFFS": parameter(("CQUAD4", 1, "ZOFFS")),
-    "spring moved from 0": Parameter("p", (Target("CONM2", 11, "X2", step=0.4),)),
-    "E of two elements": Parameter("p", (Target("MAT1", 1, "E", elements=(1, 3)),)),
-    "T of one element": Parameter("p", (Target("PSHELL", 1, "T", elements=(2,)),)),
+    "spring moved from 0": Parameter("p", (CardField("CONM2", 11, "X2", step=0.4),)),
+    "E of two elements": Parameter("p", (CardField("MAT1", 1, "E", elements=(1, 3)),)),
+    "T of one element": Parameter("p", (CardField("PSHELL", 1, "T", elements=(2,)),)),
     "nodes": Parameter("p", shapes=(PLACES,)),
     "dependent node": Parameter("p", shapes=(HUB,)),
     "GRID X2": parameter(("GRID", 7, "X2")),
-    "field and nodes": Parameter("p", (Target("PSHELL", 1, "T"),), shapes=(PLACES,)),
+    "field and nodes": Parameter("p", (CardField("PSHELL", 1, "T"),), shapes=(PLACES,)),
 }
 
 
@@ -146,9 +146,9 @@ def test_plies_of_a_laminate() -> None:
     )
     s = assemble(m)
     for target in (
-        Target("PCOMP", 1, "T2"),
-        Target("PCOMP", 1, "T3", elements=(2,)),
-        Target("MAT1", 1, "E", elements=(1,)),
+        CardField("PCOMP", 1, "T2"),
+        CardField("PCOMP", 1, "T3", elements=(2,)),
+        CardField("MAT1", 1, "E", elements=(1,)),
     ):
         p = Parameter("p", (target,))
         (slope,) = system_derivatives(m, [p], s)
@@ -157,7 +157,7 @@ def test_plies_of_a_laminate() -> None:
         for a, b, n in zip(coarse, fine, NAMES, strict=True):
             assert b <= max(a / SECOND, 3e-13 * abs(getattr(s, n)).max())
     with pytest.raises(InputError, match="no entry 4"):
-        system_derivatives(m, [Parameter("p", (Target("PCOMP", 1, "T4"),))], s)
+        system_derivatives(m, [Parameter("p", (CardField("PCOMP", 1, "T4"),))], s)
 
 
 def test_factor_on_element_matrices() -> None:
@@ -167,8 +167,8 @@ def test_factor_on_element_matrices() -> None:
     m = rich()
     s = assemble(m)
     pairs = [
-        (Substructure("stiffness", (7,)), Target("MAT1", 1, "E", elements=(7,)), "stiffness"),
-        (Substructure("mass", (3,)), Target("MAT1", 1, "RHO", elements=(3,)), "mass"),
+        (Substructure("stiffness", (7,)), CardField("MAT1", 1, "E", elements=(7,)), "stiffness"),
+        (Substructure("mass", (3,)), CardField("MAT1", 1, "RHO", elements=(3,)), "mass"),
     ]
     for factor, field, which in pairs:
         a, b = system_derivatives(
@@ -213,7 +213,7 @@ def test_targets_that_cannot_be_met() -> None:
     m = rich()
     s = assemble(m)
     with pytest.raises(InputError, match="none of its elements"):
-        scaled(m, Parameter("p", (Target("PSHELL", 1, "T", elements=(5,)),)), 2.0)
+        scaled(m, Parameter("p", (CardField("PSHELL", 1, "T", elements=(5,)),)), 2.0)
     with pytest.raises(InputError, match="GRID 99"):
         system_derivatives(m, [Parameter("p", shapes=(Shape((99,), ((1.0, 0.0, 0.0),)),))], s)
     with pytest.raises(InputError, match="2 vectors for 1"):

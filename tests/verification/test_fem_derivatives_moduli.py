@@ -9,11 +9,15 @@ import pytest
 from fem_cases import cards, grid, model, steel
 from scipy import sparse
 
-from ringtrue.core.parameters import Parameter, Target
+from ringtrue.core.parameters import CardField, Parameter
 from ringtrue.fem.assembly import assemble
-from ringtrue.fem.change import scaled
-from ringtrue.fem.derivatives import bilinear, matrix_derivatives, system_derivatives
-from ringtrue.fem.slopes import sole_material
+from ringtrue.fem.parametrisation.changed_model import scaled
+from ringtrue.fem.parametrisation.derivatives import (
+    bilinear,
+    matrix_derivatives,
+    system_derivatives,
+)
+from ringtrue.fem.parametrisation.element_derivatives import sole_material
 from ringtrue.model.model import Model
 
 EXACT = 1e-11  # of the largest entry; the element matrices are condensed
@@ -51,7 +55,7 @@ def _difference(m: Model, p: Parameter, h: float = 1e-4) -> sparse.csr_array:
 def test_the_modulus_of_the_only_material_scales_the_stiffness() -> None:
     m = _strip()
     s = assemble(m)
-    dK, dM = matrix_derivatives(m, Parameter("E", (Target("MAT1", 1, "E"),)), s)
+    dK, dM = matrix_derivatives(m, Parameter("E", (CardField("MAT1", 1, "E"),)), s)
     assert _near(dK, s.stiffness)
     assert not abs(dM).max() > 0
 
@@ -60,7 +64,7 @@ def test_one_of_two_materials_does_not() -> None:
     """Membrane of MAT1 1, bending of MAT1 2."""
     m = _with(_strip(MID2=2), cards("MAT1", MID=[1, 2], E=[2e11, 7e10], NU=0.3, RHO=8000.0))
     assert (sole_material(m, "CQUAD4") == -1).all()
-    s, one, two = assemble(m), *(Parameter(f"{i}", (Target("MAT1", i, "E"),)) for i in (1, 2))
+    s, one, two = assemble(m), *(Parameter(f"{i}", (CardField("MAT1", i, "E"),)) for i in (1, 2))
     dK = matrix_derivatives(m, one, s)[0]
     assert not _near(dK, s.stiffness, 1e-4)
     assert _near(_difference(m, one), dK, 1e-7)
@@ -70,7 +74,7 @@ def test_one_of_two_materials_does_not() -> None:
 @pytest.mark.parametrize("both", [False, True])
 def test_young_and_shear_modulus_that_are_both_given(both: bool) -> None:
     m = _with(_strip(), steel(G=6e10))
-    e, g = Target("MAT1", 1, "E"), Target("MAT1", 1, "G")
+    e, g = CardField("MAT1", 1, "E"), CardField("MAT1", 1, "G")
     s = assemble(m)
     dK = matrix_derivatives(m, Parameter("E", (e, g) if both else (e,)), s)[0]
     assert _near(dK, s.stiffness) == both
@@ -86,13 +90,13 @@ def test_moduli_share_the_sweep_of_other_fields() -> None:
     """
     m, E, T = _strip(GE=0.0), ("MAT1", 1, "E"), ("PSHELL", 1, "T")
     every = [
-        Parameter("E12", (Target(*E, elements=(2, 1)),)),
-        Parameter("E23", (Target(*E, elements=(2, 3)),)),
-        Parameter("E4", (Target(*E, elements=(4,)),)),
-        Parameter("T1", (Target(*T, elements=(1,)),)),
-        Parameter("T", (Target(*T),)),
-        Parameter("ET", (Target(*E, elements=(1, 3)), Target(*T, elements=(1, 3)))),
-        Parameter("none", (Target(*T, elements=(4,)),)),
+        Parameter("E12", (CardField(*E, elements=(2, 1)),)),
+        Parameter("E23", (CardField(*E, elements=(2, 3)),)),
+        Parameter("E4", (CardField(*E, elements=(4,)),)),
+        Parameter("T1", (CardField(*T, elements=(1,)),)),
+        Parameter("T", (CardField(*T),)),
+        Parameter("ET", (CardField(*E, elements=(1, 3)), CardField(*T, elements=(1, 3)))),
+        Parameter("none", (CardField(*T, elements=(4,)),)),
     ]
     s = assemble(m)
     u, v = (np.random.default_rng(i).standard_normal((2, s.stiffness.shape[0], 3)) for i in (0, 1))
@@ -115,7 +119,7 @@ def test_moduli_share_the_sweep_of_other_fields() -> None:
 def test_structural_damping_goes_with_the_modulus() -> None:
     m = _with(_strip(), steel(GE=0.04))
     s = assemble(m)
-    (slope,) = system_derivatives(m, [Parameter("E", (Target("MAT1", 1, "E"),))], s)
+    (slope,) = system_derivatives(m, [Parameter("E", (CardField("MAT1", 1, "E"),))], s)
     assert slope.structural is not None
     assert _near(slope.structural, s.structural)
     assert abs(s.structural - 0.04 * s.stiffness).max() <= EXACT * abs(s.stiffness).max()

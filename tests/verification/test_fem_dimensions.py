@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from ringtrue.core.parameters import Parameter, ParameterSet, Target
-from ringtrue.decks.nastran.bulk import write_bulk
-from ringtrue.decks.nastran.edit import edit_fields
+from ringtrue.core.parameters import CardField, Parameter, ParameterSet
+from ringtrue.decks.nastran.editor import edit_fields
 from ringtrue.decks.nastran.reader import read_deck
+from ringtrue.decks.nastran.writer import write_bulk
 from ringtrue.errors import DeckError, InputError
 from ringtrue.fem.assembly import assemble
-from ringtrue.fem.change import scaled
-from ringtrue.fem.derivatives import matrix_derivatives
+from ringtrue.fem.parametrisation.changed_model import scaled
+from ringtrue.fem.parametrisation.derivatives import matrix_derivatives
 from ringtrue.model.edit import apply_factors, field_changes
 from ringtrue.model.model import Model
 from ringtrue.model.sections import FALLBACK, SECTIONS, section
@@ -87,7 +87,7 @@ def test_a_complex_step_passes_through_each_section(kind: str) -> None:
 
 @pytest.mark.parametrize("target", TARGETS)
 def test_slopes_of_the_matrices(model: Model, target: tuple[str, int, str]) -> None:
-    p, h = Parameter("p", (Target(*target),)), 1e-3
+    p, h = Parameter("p", (CardField(*target),)), 1e-3
     for which, slope in zip(
         ("stiffness", "mass"), matrix_derivatives(model, p, assemble(model)), strict=True
     ):
@@ -101,11 +101,13 @@ def test_slopes_of_the_matrices(model: Model, target: tuple[str, int, str]) -> N
 
 
 def test_a_dimension_of_one_element(model: Model) -> None:
-    whole, first = (Parameter("p", (Target("PBARL", 3, "DIM1", elements=e),)) for e in ((), (1,)))
+    whole, first = (
+        Parameter("p", (CardField("PBARL", 3, "DIM1", elements=e),)) for e in ((), (1,))
+    )
     s = assemble(model)
     own, both = (matrix_derivatives(model, p, s)[0].toarray() for p in (first, whole))
     second = matrix_derivatives(
-        model, Parameter("p", (Target("PBARL", 3, "DIM1", elements=(2,)),)), s
+        model, Parameter("p", (CardField("PBARL", 3, "DIM1", elements=(2,)),)), s
     )[0].toarray()
     np.testing.assert_allclose(own + second, both, atol=1e-9 * np.abs(both).max())
     assert np.abs(own - both).max() > 0.1 * np.abs(both).max()
@@ -121,7 +123,7 @@ def test_the_deck_holds_what_the_model_has(model: Model, tmp_path: Path) -> None
     PBEAM.
     """
     parameters = ParameterSet(
-        tuple(Parameter(f"p{k}", (Target(*t),)) for k, t in enumerate(TARGETS))
+        tuple(Parameter(f"p{k}", (CardField(*t),)) for k, t in enumerate(TARGETS))
     )
     factors = np.linspace(1.02, 1.14, len(TARGETS))
     want = apply_factors(model, parameters, factors)
@@ -144,7 +146,7 @@ def test_the_deck_holds_what_the_model_has(model: Model, tmp_path: Path) -> None
 def test_what_dimensions_cannot_do(model: Model) -> None:
     with pytest.raises(InputError, match="PBARL 3 has no DIM5: it has 4 dimensions"):
         apply_factors(
-            model, ParameterSet((Parameter("p", (Target("PBARL", 3, "DIM5"),)),)), np.ones(1)
+            model, ParameterSet((Parameter("p", (CardField("PBARL", 3, "DIM5"),)),)), np.ones(1)
         )
     with pytest.raises(DeckError, match="PBARL 3: the dimensions do not make a section"):
-        scaled(model, Parameter("p", (Target("PBARL", 3, "DIM4"),)), 20.0)
+        scaled(model, Parameter("p", (CardField("PBARL", 3, "DIM4"),)), 20.0)

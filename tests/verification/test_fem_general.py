@@ -10,7 +10,7 @@ from fem_cases import cards, grid, model, ragged, steel
 from fem_slopes import check_slopes
 
 from ringtrue.core.arrays import Float
-from ringtrue.core.parameters import Parameter, Shape, Target
+from ringtrue.core.parameters import CardField, Parameter, Shape
 from ringtrue.errors import DeckError
 from ringtrue.fem.assembly import assemble
 from ringtrue.model.model import Model
@@ -95,7 +95,7 @@ def test_scalar_points_and_several_sizes() -> None:
 @pytest.mark.parametrize(
     "p",
     [
-        Parameter("p", (Target("GENEL", 5, "KZ3"),)),
+        Parameter("p", (CardField("GENEL", 5, "KZ3"),)),
         Parameter("nodes", shapes=(Shape((3,), ((0.3, 0.1, 0.2),)),)),
     ],
     ids=["KZ3", "nodes"],

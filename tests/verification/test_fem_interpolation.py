@@ -15,13 +15,13 @@ from fem_cases import cards, grid, model, ragged, shells, spc, square
 from scipy import sparse
 
 from ringtrue.core.arrays import Float
-from ringtrue.core.parameters import Parameter, ParameterSet, Substructure, Target
+from ringtrue.core.parameters import CardField, Parameter, ParameterSet, Substructure
 from ringtrue.errors import NumericalError
 from ringtrue.fem.assembly import System, assemble
-from ringtrue.fem.change import scaled
-from ringtrue.fem.dependence import affine_terms
-from ringtrue.fem.derivatives import matrix_derivatives
-from ringtrue.fem.functions import AffineTerm
+from ringtrue.fem.parametrisation.affine import affine_terms
+from ringtrue.fem.parametrisation.changed_model import scaled
+from ringtrue.fem.parametrisation.derivatives import matrix_derivatives
+from ringtrue.fem.parametrisation.polynomials import AffineTerm
 from ringtrue.model.model import Model
 
 SIDE = 6  # elements
@@ -53,16 +53,16 @@ def plate(second: int = 2) -> Model:
     )
 
 
-def parameter(name: str, *targets: Target, lower: float = LOW, upper: float = HIGH) -> Parameter:
+def parameter(name: str, *targets: CardField, lower: float = LOW, upper: float = HIGH) -> Parameter:
     return Parameter(name, targets, lower, upper)
 
 
 def constants(*fields: str, lower: float = LOW, upper: float = HIGH) -> list[Parameter]:
-    return [parameter(f, Target("MAT8", 1, f), lower=lower, upper=upper) for f in fields]
+    return [parameter(f, CardField("MAT8", 1, f), lower=lower, upper=upper) for f in fields]
 
 
 def plies(*elements: int) -> Parameter:
-    return parameter("T", *(Target("PCOMP", 1, f"T{i}", elements) for i in (1, 2, 4, 5)))
+    return parameter("T", *(CardField("PCOMP", 1, f"T{i}", elements) for i in (1, 2, 4, 5)))
 
 
 def close(
@@ -103,7 +103,7 @@ def slopes_are_derivatives(
     """Of the model `m`, in which the parameters are at `a`."""
     s = assemble(m)
     for i, p in enumerate(parameters):
-        slopes = [a[i] * t.function.slope(a, i) for t in terms]
+        slopes = [a[i] * t.function.derivative(a, i) for t in terms]
         for name, true in zip(("stiffness", "mass"), matrix_derivatives(m, p, s), strict=True):
             close(total(terms, slopes, name, 0 * true), true, getattr(s, name), SLOPES)
 
@@ -123,7 +123,7 @@ def test_for_some_elements_only() -> None:
     m = plate()
     every = [
         *constants("E1", "G12"),
-        parameter("core", Target("MAT8", 2, "G1Z")),
+        parameter("core", CardField("MAT8", 2, "G1Z")),
         plies(*range(5, 12)),
     ]
     terms = as_assembled_anew(m, assemble(m), every, np.array([0.9, 1.4, 1.2, 0.7]))
@@ -132,7 +132,7 @@ def test_for_some_elements_only() -> None:
 
 def test_one_parameter_by_itself() -> None:
     """Within its bounds and, where the kernels themselves are called, beyond them."""
-    m, (g1z,) = plate(second=1), [parameter("core", Target("MAT8", 2, "G1Z"))]
+    m, (g1z,) = plate(second=1), [parameter("core", CardField("MAT8", 2, "G1Z"))]
     for a in (0.7, 1.9, 2.02):
         terms = as_assembled_anew(m, assemble(m), [g1z], np.array([a]))
         slopes_are_derivatives(scaled(m, g1z, a), [g1z], terms, np.array([a]))
@@ -173,9 +173,9 @@ def test_entries_that_two_parameters_change_together_alone() -> None:
         cards("PCOMP", PID=[1], **{f: ragged(v) for f, v in plies.items()}),
     )
     densities = [
-        parameter(f"RHO {i}", Target("MAT8", i, "RHO"), lower=2 / 3, upper=1.5) for i in (1, 2)
+        parameter(f"RHO {i}", CardField("MAT8", i, "RHO"), lower=2 / 3, upper=1.5) for i in (1, 2)
     ]
-    thickness = parameter("T", *(Target("PCOMP", 1, f"T{i}") for i in range(1, 6)))
+    thickness = parameter("T", *(CardField("PCOMP", 1, f"T{i}") for i in range(1, 6)))
     every = [*constants("E1", "E2", "G12", lower=0.4, upper=2.5), thickness, *densities]
     terms = as_assembled_anew(m, assemble(m), every, np.array([0.5, 1.4, 2.2, 1.7, 0.8, 1.3]))
     assert len(terms) <= 12

@@ -11,15 +11,14 @@ import pytest
 from eigen_plate import held, plate
 from scipy import sparse
 
-from ringtrue.core.parameters import Parameter, ParameterSet, Target
+from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.errors import InputError
 from ringtrue.io.matrices import read_matrices
 from ringtrue.model.ports import ModesRequest, ObservedModel
 from ringtrue.solvers.matrices import MatrixModel, MatrixSolver
 from ringtrue.testing.solver import check_modal_solver
 from ringtrue.updating.gauss_newton import update
-from ringtrue.updating.objective import Target as Aim
-from ringtrue.updating.objective import Weights
+from ringtrue.updating.target import Target, Weights
 
 FRAME = (
     Path(__file__).parents[3]
@@ -92,7 +91,7 @@ def test_what_is_no_model_is_refused() -> None:
         MatrixModel(eye, eye, stiffness=[eye, np.eye(2)])
     with pytest.raises(InputError, match="complex"):
         MatrixModel(eye * 1j, eye)
-    other = ParameterSet((Parameter("x", (Target("STIFFNESS", 2, "FACTOR"),)),))
+    other = ParameterSet((Parameter("x", (CardField("STIFFNESS", 2, "FACTOR"),)),))
     with pytest.raises(InputError, match="there are 0"):
         MatrixModel(eye, eye).slopes(other)
     with pytest.raises(InputError, match="MatrixModel"):
@@ -112,7 +111,7 @@ def test_published_frame_is_recovered() -> None:
     observed = model.observed(model.observe(rows), parameters=parameters, request=ModesRequest(8))
     truth = observed.modes(TRUE)
     n = 6
-    aim = Aim(
+    aim = Target(
         truth.frequencies[:n],
         truth.shapes[:, :n],
         np.zeros(n),

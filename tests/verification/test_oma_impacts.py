@@ -16,9 +16,9 @@ import pytest
 from scipy.signal import lfilter
 
 from ringtrue.core.signals import Channel, TimeHistory
-from ringtrue.identification.ambient import AmbientResult, identify_ambient
-from ringtrue.signal.events import find_events
-from ringtrue.signal.lines import MOST, steady_lines, without_lines
+from ringtrue.identification.ambient.pipeline import AmbientResult, identify_ambient
+from ringtrue.signal.tonal_lines import MOST, steady_lines, without_lines
+from ringtrue.signal.transients import find_events
 
 F, Z = np.array([2.1, 4.7, 4.9, 9.3, 14.2]), np.array([1.0, 0.8, 1.0, 0.6, 1.2]) / 100
 PHI = np.linalg.qr(np.random.default_rng(1).standard_normal((6, 5)))[0]
@@ -143,7 +143,7 @@ def test_many_lines_are_bounded_and_parts_of_them_leave_as_little_as_all(
     found = steady_lines(history(quiet + fifty, rate))
     assert len(found) == 50
     left = without_lines(history(quiet + fifty, rate), [h.frequency for h in found])
-    monkeypatch.setattr("ringtrue.signal.lines.TOGETHER", 50)
+    monkeypatch.setattr("ringtrue.signal.tonal_lines.TOGETHER", 50)
     best = without_lines(history(quiet + fifty, rate), [h.frequency for h in found])
     assert (
         best.data - quiet

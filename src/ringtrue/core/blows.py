@@ -96,12 +96,12 @@ def joined(parts: Sequence[Blows | None], weights: Sequence[Float]) -> Blows | N
     known = [p for p in parts if p is not None]
     if len(known) < len(parts):
         return None
-    delay, ratio = (
-        padded([x for p in known for x in p.delay]),
-        padded([x for p in known for x in p.ratio]),
-    )
+    delay = padded([x for p in known for x in p.delay])
+    ratio = padded([x for p in known for x in p.ratio])
     noise = np.concatenate([p.noise for p in known])
-    return Blows(delay, ratio, np.concatenate(weights), known[0].freqs, noise)
+    return Blows(
+        delay=delay, ratio=ratio, weight=np.concatenate(weights), freqs=known[0].freqs, noise=noise
+    )
 
 
 def padded(rows: Sequence[Float]) -> Float:

@@ -15,9 +15,8 @@ Scale = Literal["log", "linear"]
 
 
 @dataclass(frozen=True, slots=True)
-class Target:
-    """A field of a card: `Target("MAT1", 7, "E")`, `Target("PBUSH", 3, "K3")`, `Target("PCOMP", 2,
-    "T3")` (ply 3).
+class CardField:
+    """A field of a card: `CardField("MAT1", 7, "E")`; `CardField("PCOMP", 2, "T3")` is ply 3.
 
     Attributes
     ----------
@@ -84,7 +83,7 @@ class Parameter:
     Attributes
     ----------
     name : str
-    targets : tuple of Target
+    targets : tuple of CardField
     lower, upper : float
         Bounds of the factor a, 0 < lower < 1 < upper.
     scale : {"log", "linear"}
@@ -97,7 +96,7 @@ class Parameter:
     """
 
     name: str
-    targets: tuple[Target, ...] = ()
+    targets: tuple[CardField, ...] = ()
     lower: float = 0.1
     upper: float = 10.0
     scale: Scale = "log"
@@ -155,7 +154,7 @@ class ParameterSet:
         x = np.asarray(x, dtype=np.float64)
         return np.where(self._log(), np.exp(np.where(self._log(), x, 0.0)), 1.0 + x)
 
-    def slope(self, x: Float) -> Float:
+    def derivative(self, x: Float) -> Float:
         """da/dx (p,)."""
         return np.where(self._log(), self.factors(x), 1.0)
 

@@ -1,15 +1,19 @@
-"""Channels, time histories and frequency response functions."""
+"""Channels, time histories and frequency response functions.
+
+Frequency lines: those that several axes share.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
-from ringtrue.core.arrays import Any_, Complex, Float, freeze_fields
+from ringtrue.core.arrays import Any_, Complex, Float, Int, freeze_fields
 from ringtrue.core.blows import Blows
+from ringtrue.core.display import Displayed
 from ringtrue.errors import DataError
 
 Quantity = Literal[
@@ -41,7 +45,7 @@ class Channel:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TimeHistory:
+class TimeHistory(Displayed):
     """Signals of one recorder.
 
     Attributes
@@ -53,6 +57,8 @@ class TimeHistory:
     channels : tuple of Channel
     source : str
     """
+
+    UNITS: ClassVar[Mapping[str, str]] = {"rate": "Hz"}
 
     data: Any_
     rate: float
@@ -92,7 +98,7 @@ class TimeHistory:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FrfSet:
+class FrfSet(Displayed):
     """Frequency response functions.
 
     Attributes
@@ -123,6 +129,13 @@ class FrfSet:
         Length of the blocks of noise under a Hann window that the FRFs are of; 0 for none, or
         unknown.
     """
+
+    UNITS: ClassVar[Mapping[str, str]] = {
+        "freqs": "Hz",
+        "window_decay": "1/s",
+        "kept": "s",
+        "hann": "s",
+    }
 
     data: Complex
     freqs: Float
@@ -174,7 +187,8 @@ class FrfSet:
         DataError
             If no response or no reference is left.
         """
-        lost, sides = set(ids), (self.outputs, self.inputs)
+        lost = set(ids)
+        sides = (self.outputs, self.inputs)
         o, i = (
             np.array([k for k, c in enumerate(side) if c.id not in lost], dtype=np.int64)
             for side in sides
@@ -192,3 +206,31 @@ class FrfSet:
             outputs=tuple(self.outputs[k] for k in o),
             inputs=tuple(self.inputs[k] for k in i),
         )
+
+
+_SAME = 1e-6  # of the last line
+_MOST = 0.5  # of the lines of the shortest axis, that must be shared
+
+
+def shared_lines(axes: Sequence[Float]) -> list[Int] | None:
+    """Where the lines that all axes share stand in each; None where these are no more than half of
+    the fewest.
+
+    Parameters
+    ----------
+    axes : sequence of (f,) float64, Hz, ascending
+    """
+    distinct = {(a.size, a.tobytes()): a for a in axes}
+    fewest = min(distinct.values(), key=lambda a: a.size)
+    near = {k: _nearest(a, fewest) for k, a in distinct.items()}
+    limit = _SAME * max(float(fewest[-1]), 1.0)
+    shared = np.all([np.abs(a[near[k]] - fewest) <= limit for k, a in distinct.items()], axis=0)
+    if np.count_nonzero(shared) <= _MOST * fewest.size:
+        return None
+    return [near[a.size, a.tobytes()][shared] for a in axes]
+
+
+def _nearest(axis: Float, lines: Float) -> Int:
+    """(f,) position in an ascending axis of the line nearest to each of `lines`."""
+    middle = 0.5 * (axis[1:] + axis[:-1])
+    return np.asarray(np.searchsorted(middle, lines))

@@ -1,4 +1,9 @@
-"""(K − λ_j M) z_j = r_j in the M-orthogonal complement of known modes, for many right-hand sides
+"""Motions as the mass sees them: restricted to the rows that have mass, with their inertia forces.
+
+A motion is a row here: that is the column-major layout of the solvers. Long rows are summed in
+tiles, which stay in the cache.
+
+(K − λ_j M) z_j = r_j in the M-orthogonal complement of known modes, for many right-hand sides
 and one factor.
 
 With A = K − σM factorised and δ = λ_j − σ, the equation is (I − δ A⁻¹M) z = A⁻¹r. One space V
@@ -13,22 +18,167 @@ to be small enough; those that are not so by far are then computed.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from scipy import linalg
+from scipy import linalg, sparse
+from scipy.linalg.blas import dgemm
 
 from ringtrue.core.arrays import Float, Int
-from ringtrue.eigen.factor import Pencil
-from ringtrue.eigen.fields import TILE, Fields, Inertia, add
-from ringtrue.eigen.problem import EigenModes
+from ringtrue.eigen.eigenpairs import EigenModes
+from ringtrue.eigen.pencil import Pencil
 from ringtrue.errors import NotConverged
 
+TILE = 1024
+
+
+def tiles(length: int) -> Iterator[slice]:
+    """Slices that cover the length."""
+    for start in range(0, length, TILE):
+        yield slice(start, start + TILE)
+
+
+def add(x: Float, *terms: tuple[Float, Float]) -> None:
+    """Add to x (k, f) products cᵀy of pairs c (l, k), y (l, f); all of whole rows (contiguous)."""
+    for c, y in terms:
+        if c.size and x.size:
+            x[:] = dgemm(
+                1.0, y.T, c, 1.0, x.T, overwrite_c=True
+            ).T  # in place: numpy skips the assignment to itself
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fields:
+    """Motions (k, r) as two arrays with xMyᵀ = x.plain y.loadedᵀ.
+
+    One and the same array, scaled by the root of the mass, where the mass is diagonal.
+    """
+
+    plain: Float
+    loaded: Float
+
+    @property
+    def count(self) -> int:
+        """Number of motions."""
+        return len(self.plain)
+
+    def dot(self, other: Fields) -> Float:
+        """xMyᵀ (k, l)."""
+        return np.asarray(self.plain @ other.loaded.T)
+
+    def times(self, c: Float, out: Fields) -> None:
+        """Write cᵀx (l, r) for c (k, l)."""
+        np.matmul(c.T, self.plain, out=out.plain)
+        if not self._one:
+            np.matmul(c.T, self.loaded, out=out.loaded)
+
+    def add(self, c: Float, other: Fields) -> None:
+        """Add cᵀy to x."""
+        add(self.plain, (c, other.plain))
+        if not self._one:
+            add(self.loaded, (c, other.loaded))
+
+    def room(self, count: int) -> Fields:
+        """So many like these, not filled: pages that are never written take no memory."""
+        plain = np.empty((count, self.plain.shape[1]))
+        return Fields(plain, plain if self._one else np.empty_like(plain))
+
+    def cut(self, at: slice) -> Fields:
+        """A view of some."""
+        plain = self.plain[at]
+        return Fields(plain, plain if self._one else self.loaded[at])
+
+    @property
+    def _one(self) -> bool:
+        return self.loaded is self.plain
+
+
+class Inertia:
+    """The mass on the rows that have any.
+
+    Parameters
+    ----------
+    mass : (f, f) csr_array
+        Symmetric, positive semidefinite.
+    """
+
+    def __init__(self, mass: sparse.csr_array) -> None:
+        self._size = int(mass.shape[0])
+        self._rows = np.flatnonzero(abs(mass).sum(axis=1))
+        m = mass.diagonal()[self._rows]
+        diagonal = np.count_nonzero(mass.data) == self._rows.size and bool((m > 0).all())
+        self._root = np.sqrt(m) if diagonal else None
+        self._mass = sparse.csr_array(mass[self._rows][:, self._rows])
+        self._weight = np.zeros(self._size)
+        self._weight[self._rows] = 1.0 if self._root is None else self._root
+        self._place = np.zeros(self._size, dtype=np.int64)  # of each row among those with mass
+        self._place[self._rows] = np.arange(self._rows.size)
+        self._signs = np.random.default_rng(0).choice([-1.0, 1.0], self._rows.size)
+
+    def fields(self, x: Float, out: Fields | None = None) -> Fields:
+        """Of motions (k, f), in `out` if it is given."""
+        if out is None:
+            plain = np.empty((len(x), self._rows.size))
+            out = Fields(plain, plain if self._root is not None else np.empty_like(plain))
+        np.take(x, self._rows, axis=1, out=out.plain, mode="clip")  # other modes go through a copy
+        if self._root is None:
+            out.loaded[:] = (self._mass @ out.plain.T).T
+        else:
+            out.plain[:] *= self._root
+        return out
+
+    def forces(self, x: Fields) -> Float:
+        """xM on all rows (k, f)."""
+        if not self._rows.size:
+            return np.zeros((x.count, self._size))
+        out = np.take(x.loaded, self._place, axis=1)
+        out *= self._weight
+        return out
+
+    def sketch(self, x: Fields) -> Float:
+        """Forces (k, TILE), folded with random signs: norms and products are kept within about
+        √(2/TILE).
+
+        (Charikar, Chen and Farach-Colton 2002: a count sketch; its buckets are strides here.)
+        """
+        out = np.zeros((x.count, TILE))
+        weight = self._signs if self._root is None else self._signs * self._root
+        for t in tiles(self._rows.size):
+            part = x.loaded[:, t] * weight[t]
+            out[:, : part.shape[1]] += part
+        return out
+
+    def gram(self, x: Fields, at: Int, factor: Float, *terms: tuple[Float, Fields]) -> Float:
+        """Products of the forces of some of x, each times a factor, + Σ cᵀy."""
+        out = np.zeros((at.size, at.size))
+        for forces in self._forces(x, at, factor, *terms):
+            out += forces @ forces.T
+        return out
+
+    def squares(self, x: Fields, at: Int, factor: Float, *terms: tuple[Float, Fields]) -> Float:
+        """Squared 2-norms of the same, the diagonal of `gram`."""
+        out = np.zeros(at.size)
+        for forces in self._forces(x, at, factor, *terms):
+            out += np.einsum("ij,ij->i", forces, forces)
+        return out
+
+    def _forces(
+        self, x: Fields, at: Int, factor: Float, *terms: tuple[Float, Fields]
+    ) -> Iterator[Float]:
+        for t in tiles(self._rows.size):
+            forces = x.loaded[:, t][at] * factor[:, None]
+            for c, y in terms:
+                forces += c.T @ y.loaded[:, t]
+            if self._root is not None:
+                forces *= self._root[t]
+            yield forces
+
+
 RUNS = 8
-EACH, SPARE = (
-    2,
-    60,
-)  # directions of a run for each column and beyond, before the columns that are left start anew
+# directions of a run for each column and beyond, before the columns that are left start anew
+EACH = 2
+SPARE = 60
 DROP = 0.9  # share of the residual allowed to a column that a block may leave out of it
 INERTIA = 1e-4  # residual allowed at most, in inertia forces of the solution without iteration
 LOWEST = 1e-4  # of the residual allowed, to which that lowers it: below is rounding
@@ -64,14 +214,18 @@ class _Space:
 
     def __init__(self, like: Fields, rows: int, known: int, room: int) -> None:
         self.room = room
-        self._basis, self._inner = like.room(room), like.room(room)
-        self._images, self._parts = np.empty((room, rows)), np.empty((known, room))
+        self._basis = like.room(room)
+        self._inner = like.room(room)
+        self._images = np.empty((room, rows))
+        self._parts = np.empty((known, room))
         self._rough = np.empty((2, room, TILE))
         self.clear()
 
     def clear(self) -> None:
         """Hold nothing."""
-        self.size, self.gram, self.projected = 0, np.zeros((0, 0)), np.zeros((0, 0))
+        self.size = 0
+        self.gram = np.zeros((0, 0))
+        self.projected = np.zeros((0, 0))
 
     @property
     def basis(self) -> Fields:
@@ -163,7 +317,9 @@ class Complement:
         self.shift = (
             modes.shift if there else _amid(modes.values, float(lam.max(initial=0.0)), modes.shift)
         )
-        self.pencil, self.modes, self.inertia = pencil, modes, Inertia(pencil.mass)
+        self.pencil = pencil
+        self.modes = modes
+        self.inertia = Inertia(pencil.mass)
         self._known = self.inertia.fields(modes.vectors.T)
         self._rooms: tuple[Fields, _Space] | None = None
 
@@ -192,17 +348,25 @@ class Complement:
         """Write `solve` to z (k, f) with the residuals allowed (k,), and add the modes times
         `along` (n, k).
         """
-        at, allowed = np.arange(lam.size), allowed.copy()
+        at = np.arange(lam.size)
+        allowed = allowed.copy()
         for run in range(RUNS):
             if not at.size:
                 return
             step = np.empty((at.size, self.pencil.size)) if run else z
             rest, left = self._run(
-                loads, lam[at], allowed, at, None if run else along, step, first=not run
+                loads,
+                lam[at],
+                allowed,
+                which=at,
+                along=None if run else along,
+                z=step,
+                first=not run,
             )
             if run:
                 z[at] += step
-            at, loads = at[left], partial(np.ndarray.__getitem__, rest)
+            at = at[left]
+            loads = partial(np.ndarray.__getitem__, rest)
         if at.size:
             raise NotConverged(
                 f"{at.size} of {lam.size} right-hand sides did not converge; {_MORE}"
@@ -248,21 +412,25 @@ class Complement:
         """Write the solution; forces that are left over in the columns not done, and which these
         are.
 
-        The first run lowers the limits where the inertia of x is small beside the loads: forces
-        that hardly move anything, as those of nodes that move across a shell, would hide all that
+        The first run lowers the limits where the inertia of x is small against the loads: forces
+        that move almost nothing, as those of nodes that move across a shell, would hide all that
         is left.
         """
-        delta, at = lam - self.shift, np.arange(lam.size)
+        delta = lam - self.shift
+        at = np.arange(lam.size)
         x, space = self._room(lam.size)
         part = self.solved(loads, z, x)
-        y, b, folded = np.zeros((0, lam.size)), np.zeros((0, lam.size)), self.inertia.sketch(x)
+        y = np.zeros((0, lam.size))
+        b = np.zeros((0, lam.size))
+        folded = self.inertia.sketch(x)
         if first:
             inertia = np.linalg.norm(folded * delta[:, None], axis=1)
             limits[:] = np.clip(INERTIA * inertia, LOWEST * limits, limits)
         allowed = limits[which]
         while True:
             rough = folded[at] * delta[at, None] + space.sketch(y[:, at], delta[at])
-            gram, limit = rough @ rough.T, MARGIN * allowed[at]
+            gram = rough @ rough.T
+            limit = MARGIN * allowed[at]
             if (np.diag(gram) <= limit**2).all():
                 at = at[~(np.diag(gram) <= SURE * allowed[at] ** 2)]
                 size = self.inertia.squares(x, at, delta[at], *space.change(y[:, at], delta[at]))
@@ -292,7 +460,8 @@ def _principal(gram: Float, allowed: Float) -> Float:
     As few as leave at most DROP of the residual that is allowed to each column.
     """
     s, u = np.linalg.eigh(gram / allowed / allowed[:, None])
-    s, u = s[::-1].clip(min=0), u[:, ::-1]
+    s = s[::-1].clip(min=0)
+    u = u[:, ::-1]
     left = np.sqrt(np.cumsum((s * u * u)[:, ::-1], axis=1)).max(axis=0, initial=0.0)[::-1]
     rank = int((left > DROP).sum())
     return np.asarray(u[:, :rank] / np.sqrt(s[:rank]) / allowed[:, None])
@@ -309,13 +478,15 @@ def _pieces(count: int, most: int) -> Iterator[slice]:
 
 def _bordered(old: Float, new: Float) -> Float:
     """A symmetric matrix with further columns (k, r), and with them its further rows."""
-    k, corner = len(old), new[len(old) :]
+    k = len(old)
+    corner = new[len(old) :]
     return np.block([[old, new[:k]], [new[:k].T, (corner + corner.T) / 2]])
 
 
 def _amid(values: Float, top: float, default: float) -> float:
     """The middle of the widest gap between the eigenvalues near a third of `top`."""
     marks = np.unique(np.clip(values, 0.0, None))
-    middle, width = (marks[1:] + marks[:-1]) / 2, np.diff(marks)
+    middle = (marks[1:] + marks[:-1]) / 2
+    width = np.diff(marks)
     fair = np.abs(middle - top / 3) < top / 5
     return float(middle[fair][np.argmax(width[fair])]) if fair.any() else default

@@ -1,4 +1,6 @@
-"""Factorisations of symmetric matrices: PARDISO, rslab, SuperLU and a dense one, in one shape.
+"""One sparsity pattern for several symmetric matrices.
+
+Factorisations of symmetric matrices: PARDISO, rslab, SuperLU and a dense one, in one shape.
 
 Real matrices and complex symmetric ones (A = Aᵀ). Each engine analyses the pattern once, says how
 much memory the factor takes before it is made, and factorises again for other values on the same
@@ -18,8 +20,75 @@ from scipy.sparse.linalg import splu
 
 from ringtrue.core.arrays import Any_, Int
 from ringtrue.eigen import memory
-from ringtrue.eigen.pattern import Pattern
 from ringtrue.errors import InputError, NumericalError, OutOfMemory
+
+
+def upper(a: sparse.csr_array) -> sparse.csr_array:
+    """The upper triangle, the diagonal included, with sorted columns; `a` is left as it is."""
+    if not a.has_canonical_format:
+        a = a.copy()
+        a.sum_duplicates()
+    row = np.repeat(np.arange(a.shape[0], dtype=a.indices.dtype), np.diff(a.indptr))
+    keep = a.indices >= row
+    del row
+    ends = np.zeros(keep.size + 1, dtype=a.indptr.dtype)
+    np.cumsum(keep, out=ends[1:])
+    ends = ends[a.indptr]
+    return sparse.csr_array((a.data[keep], a.indices[keep], ends), shape=a.shape)
+
+
+class Pattern:
+    """The upper triangle, with a full diagonal, of the union of the patterns of some symmetric
+    matrices.
+
+    Attributes
+    ----------
+    size : int
+        Rows.
+    indices, indptr : int32
+        Rows of the triangle, columns ascending (equally: columns of the lower triangle).
+    """
+
+    def __init__(self, *matrices: sparse.csr_array) -> None:
+        self.size = int(matrices[0].shape[0])
+        union = sparse.eye_array(self.size, format="csr", dtype=np.int8)
+        for a in matrices:
+            u = upper(a)
+            ones = sparse.csr_array(
+                (np.ones(u.data.size, np.int8), u.indices, u.indptr), shape=a.shape
+            )
+            union = sparse.csr_array(union + ones)
+        union.sort_indices()
+        self.indices = union.indices.astype(np.int32)
+        self.indptr = union.indptr.astype(np.int64)
+        if self.indptr[-1] < np.iinfo(np.int32).max:
+            self.indptr = self.indptr.astype(np.int32)
+
+    def _keys(self, indices: Any_, indptr: Any_) -> Int:
+        row = np.repeat(np.arange(self.size, dtype=np.int64), np.diff(indptr))
+        return np.asarray(row * self.size + indices)
+
+    def entries(self, a: sparse.csr_array) -> tuple[Int | slice, Any_]:
+        """Where the upper triangle of `a` stands in this pattern, and its values."""
+        u = upper(a)
+        if u.indices.size == self.indices.size:
+            return slice(None), u.data
+        at = np.searchsorted(self._keys(self.indices, self.indptr), self._keys(u.indices, u.indptr))
+        return at.astype(
+            np.int32 if self.indices.size < np.iinfo(np.int32).max else np.int64
+        ), u.data
+
+    def values(self, a: sparse.csr_array) -> Any_:
+        """The entries of `a` on this pattern."""
+        at, data = self.entries(a)
+        out = np.zeros(self.indices.size, dtype=np.result_type(data.dtype, np.float64))
+        out[at] = data
+        return out
+
+    def matrix(self, values: Any_) -> sparse.csr_array:
+        """Upper triangle with these entries."""
+        return sparse.csr_array((values, self.indices, self.indptr), shape=(self.size, self.size))
+
 
 Method = Literal["auto", "pardiso", "rslab", "superlu", "dense"]
 METHODS: tuple[Method, ...] = ("auto", "pardiso", "rslab", "superlu", "dense")
@@ -36,11 +105,12 @@ FILLED = 80
 ENTRIES = 300_000
 # memory that a factor by blocks takes while it is made, against what its analysis says (measured)
 PADDING = 1.3
-PIVOT, SAFE_PIVOT = (
-    1e-6,
-    0.1,
-)  # share of the largest of its column that a pivot of SuperLU on the diagonal must have
-_REAL, _COMPLEX = -2, 6  # PARDISO's matrix types: real and complex symmetric
+# share of the largest of its column that a pivot of SuperLU on the diagonal must have
+PIVOT = 1e-6
+SAFE_PIVOT = 0.1
+# PARDISO's matrix types: real and complex symmetric
+_REAL = -2
+_COMPLEX = 6
 
 
 class Engine(Protocol):
@@ -139,7 +209,8 @@ class Dense:
         )  # scaled first: rotations and translations differ by decades
         self._scale = 1 / np.where(size > 0, size, 1.0)
         scaled = full * self._scale * self._scale[:, None]
-        self.singular, self.weak = False, np.empty(0, dtype=np.int64)
+        self.singular = False
+        self.weak = np.empty(0, dtype=np.int64)
         hermitian = not np.iscomplexobj(values)
         spectrum = linalg.eigvalsh(scaled) if hermitian else linalg.svdvals(scaled)
         self.negatives = int((spectrum < 0).sum()) if hermitian else -1
@@ -180,7 +251,9 @@ class SuperLu:
     weak: Int = np.empty(0, dtype=np.int64)
 
     def __init__(self, pattern: Pattern, values: Any_) -> None:
-        self._pattern, self._dtype, self._pivot = pattern, values.dtype, PIVOT
+        self._pattern = pattern
+        self._dtype = values.dtype
+        self._pivot = PIVOT
         self.refactor(values)
 
     def refactor(self, values: Any_) -> None:
@@ -191,7 +264,9 @@ class SuperLu:
         self._scale = 1 / np.where(size > 0, size, 1.0)
         scale = sparse.diags_array(self._scale)
         full = sparse.csc_array(scale @ full @ scale)
-        self.singular, self._lu = False, None  # the old factor goes first
+        # the old factor goes first
+        self.singular = False
+        self._lu = None
         self._negatives: int | None = None
         try:
             self._lu = splu(
@@ -211,7 +286,8 @@ class SuperLu:
     def negatives(self) -> int:
         """Negative eigenvalues by inertia (Sylvester); -1 if rows were exchanged."""
         if self._negatives is None:
-            lu, self._negatives = self._lu, -1
+            lu = self._lu
+            self._negatives = -1
             if lu is not None and self._dtype.kind != "c" and np.array_equal(lu.perm_r, lu.perm_c):
                 self._negatives = int((lu.U.diagonal() < 0).sum())
         return self._negatives
@@ -244,7 +320,8 @@ class Pardiso:
         # after the analysis
         from pymklpardiso._mkl_pardiso import PardisoSolver
 
-        self._complex, self._rows = np.iscomplexobj(values), pattern.size
+        self._complex = np.iscomplexobj(values)
+        self._rows = pattern.size
         self._solver = PardisoSolver(_COMPLEX if self._complex else _REAL, 0)
         self._blocks = not self._complex and pattern.indices.size > ENTRIES
         for i, value in (_IPARM | ({_BLOCKS: -FILLED} if self._blocks else {})).items():
@@ -350,7 +427,9 @@ class Rslab:
 
     def refactor(self, values: Any_) -> None:
         """Other values on the same pattern."""
-        self._factor, self.singular = None, False  # the old factor goes first
+        # the old factor goes first
+        self._factor = None
+        self.singular = False
         try:
             self._factor = self._symbolic.factor(values)
         except (RuntimeError, ValueError):  # a zero pivot

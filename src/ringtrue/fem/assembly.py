@@ -15,10 +15,10 @@ from ringtrue.errors import InputError
 from ringtrue.fem.algebra import arm
 from ringtrue.fem.autospc import EPZERO, singular_dofs
 from ringtrue.fem.constraints import eliminate
-from ringtrue.fem.elements import dmig
-from ringtrue.fem.kinds import batches, refuse
+from ringtrue.fem.element_cards import batches, refuse
+from ringtrue.fem.elements import given_matrices
 from ringtrue.fem.mesh import Matrices, Mesh, mesh
-from ringtrue.fem.negative import refuse_negative
+from ringtrue.fem.negative_stiffness import refuse_negative
 from ringtrue.model.model import Model
 
 log = logging.getLogger(__name__)
@@ -114,7 +114,8 @@ class Sum:
             if digit is None:
                 self._digits[k] = carry
                 return
-            carry, self._digits[k] = sparse.csr_array(digit + carry), None
+            carry = sparse.csr_array(digit + carry)
+            self._digits[k] = None
         self._digits.append(carry)
 
     def total(self) -> sparse.csr_array:
@@ -193,7 +194,7 @@ def assemble(model: Model) -> System:
     ------
     DeckError
         On a card that refers to one that is absent, a distorted element, contradictory constraints,
-        or a field that makes a negative stiffness (see `fem.negative`).
+        or a field that makes a negative stiffness (see `negative_stiffness`).
     UnsupportedCard
         On a card with stiffness, mass or constraint that is not assembled.
     """
@@ -204,7 +205,7 @@ def assemble(model: Model) -> System:
     T_local, free = eliminate(m)
     rotation = turn(m)
     direct = None
-    if (given := dmig.given(m)) is not None:
+    if (given := given_matrices.given_matrices(m)) is not None:
         direct, more, damping = (sparse.csr_array(rotation @ D @ rotation.T) for D in given)
         K, M, B = (sparse.csr_array(A + D) for A, D in ((K, direct), (M, more), (B, damping)))
     T = sparse.csr_array(rotation @ T_local)
@@ -214,31 +215,34 @@ def assemble(model: Model) -> System:
     drop = np.zeros(free.size, dtype=bool)
     if str(model.params.get("AUTOSPC", "YES")).upper() != "NO":
         epzero = m.model.param("EPZERO", EPZERO)
-        drop = singular_dofs(stiffness, free, len(m.xyz), T, pieces(m), direct, epzero)
+        drop = singular_dofs(
+            stiffness, free, len(m.xyz), T=T, parts=pieces(m), direct=direct, tolerance=epzero
+        )
     keep = np.flatnonzero(~drop)
     if drop.any():
-        T, stiffness = T[:, keep], stiffness[keep][:, keep]
+        T = T[:, keep]
+        stiffness = stiffness[keep][:, keep]
     names = m.dofs
     held = DofSet(names.node[free[drop]], names.direction[free[drop]])
     if len(held):
         log.info("AUTOSPC: %d DOFs without stiffness are held", len(held))
     mass, (alpha, beta) = reduced(T, M), rayleigh(model)
     return System(
-        stiffness,
-        mass,
-        sparse.csr_array(reduced(T, B) + alpha * mass + beta * stiffness)
+        stiffness=stiffness,
+        mass=mass,
+        viscous=sparse.csr_array(reduced(T, B) + alpha * mass + beta * stiffness)
         if alpha or beta
         else reduced(T, B),
-        sparse.csr_array(reduced(T, S) + stiffness * g)
+        structural=sparse.csr_array(reduced(T, S) + stiffness * g)
         if (g := m.model.param("G", 0.0))
         else reduced(T, S),
-        T,
-        sparse.csr_array(rotation.T.tocsr()[free[keep]]),
-        names,
-        DofSet(names.node[free[keep]], names.direction[free[keep]]),
-        held,
-        m.xyz,
-        (alpha, beta),
+        transform=T,
+        local=sparse.csr_array(rotation.T.tocsr()[free[keep]]),
+        dofs=names,
+        free=DofSet(names.node[free[keep]], names.direction[free[keep]]),
+        autospc=held,
+        xyz=m.xyz,
+        rayleigh=(alpha, beta),
     )
 
 

@@ -10,13 +10,11 @@ from scipy.sparse.csgraph import connected_components
 
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.errors import DeckError
-from ringtrue.fem.equations import Equations, owners
-from ringtrue.fem.mesh import Mesh, error
-from ringtrue.fem.place import components
-from ringtrue.fem.rigid import RIGID
-from ringtrue.model.choices import taken_sets
-from ringtrue.model.model import Table
-from ringtrue.model.places import called
+from ringtrue.fem.constraint_equations import Equations, owners
+from ringtrue.fem.mesh import Mesh, components
+from ringtrue.fem.rigid_elements import RIGID
+from ringtrue.model.case_control import taken_sets
+from ringtrue.model.model import Table, called, card_error
 
 
 def _mpc(m: Mesh) -> Equations:
@@ -31,7 +29,7 @@ def _mpc(m: Mesh) -> Equations:
     first[G.offsets[:-1][G.sizes > 0]] = True
     lead = A.values[G.offsets[:-1]]
     if (lead[rows] == 0).any():
-        raise error(
+        raise card_error(
             m.model,
             t,
             int(rows[lead[rows] == 0][0]),
@@ -41,7 +39,13 @@ def _mpc(m: Mesh) -> Equations:
     number[rows] = np.arange(rows.size)
     rest = use & ~first
     value = -A.values[rest] / lead[of[rest]]
-    return Equations(dof[use & first], number[of[rest]], dof[rest], value, owners(t, rows))
+    return Equations(
+        dependent=dof[use & first],
+        row=number[of[rest]],
+        column=dof[rest],
+        value=value,
+        owner=owners(t, rows),
+    )
 
 
 def equations(m: Mesh) -> Equations:
@@ -51,11 +55,11 @@ def equations(m: Mesh) -> Equations:
     shift = np.cumsum([0, *(p.dependent.size for p in parts)])
     none: Int = np.empty(0, dtype=np.int64)
     return Equations(
-        np.concatenate([none, *(p.dependent for p in parts)]),
-        np.concatenate([none, *(p.row + s for p, s in zip(parts, shift, strict=False))]),
-        np.concatenate([none, *(p.column for p in parts)]),
-        np.concatenate([np.empty(0), *(p.value for p in parts)]),
-        tuple(name for p in parts for name in p.owner),
+        dependent=np.concatenate([none, *(p.dependent for p in parts)]),
+        row=np.concatenate([none, *(p.row + s for p, s in zip(parts, shift, strict=False))]),
+        column=np.concatenate([none, *(p.column for p in parts)]),
+        value=np.concatenate([np.empty(0), *(p.value for p in parts)]),
+        owner=tuple(name for p in parts for name in p.owner),
     )
 
 
@@ -69,12 +73,12 @@ def supports(m: Mesh) -> Bool:
     if "SPC" in m.model:
         t = m.model["SPC"]
         at = np.flatnonzero(np.isin(t["SID"], sids))
-        _hold(m, held, t, at, t["G"][at], t["C"][at])
+        _hold(m, held, t, at=at, nodes=t["G"][at], text=t["C"][at])
     if "SPC1" in m.model:
         t = m.model["SPC1"]
         of = t.ragged("G").owner
         at = np.flatnonzero(np.isin(t["SID"][of], sids))
-        _hold(m, held, t, of[at], t.ragged("G").values[at], t["C"][of[at]])
+        _hold(m, held, t, at=of[at], nodes=t.ragged("G").values[at], text=t["C"][of[at]])
     return held
 
 
@@ -100,9 +104,11 @@ def eliminate(m: Mesh) -> tuple[sparse.csr_array, Int]:
     DeckError
         If a DOF is dependent twice, or dependent and held, or if dependencies run in a circle.
     """
-    eq, held = equations(m), supports(m)
+    eq = equations(m)
+    held = supports(m)
     _check(m, eq, held)
-    n, k = m.size, eq.dependent.size
+    n = m.size
+    k = eq.dependent.size
     dependent = np.full(n, -1)
     dependent[eq.dependent] = np.arange(k)
     free = np.flatnonzero((dependent < 0) & ~held)
@@ -147,4 +153,4 @@ def _contradiction(m: Mesh, eq: Equations, rows: Int, message: str) -> DeckError
     """
     cards = list(dict.fromkeys(eq.owner[i] for i in rows.tolist()))
     table, row = cards[-1]
-    return error(m.model, table, row, message.format(called(m.model, cards)))
+    return card_error(m.model, table, row, message.format(called(m.model, cards)))

@@ -1,4 +1,7 @@
-"""Factors of parameters as values of a model, and as changes of the fields of its deck."""
+"""Factors of parameters as values of a model, and as changes of the fields of its deck.
+
+A deck whose unit of time is not the second (mm-kg-ms), with its time in seconds.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from ringtrue.core.arrays import Float, Int
-from ringtrue.core.parameters import Parameter, ParameterSet, Target
-from ringtrue.errors import InputError, did_you_mean
+from ringtrue.core.parameters import CardField, Parameter, ParameterSet
+from ringtrue.core.units import UnitSystem
+from ringtrue.errors import InputError, UnsupportedError, did_you_mean
 from ringtrue.model.cards import NONSTRUCTURAL
 from ringtrue.model.dimensions import MADE, resectioned
 from ringtrue.model.model import Model, Ragged, Table
@@ -32,7 +36,7 @@ class FieldChange:
     value: int | float | str
 
 
-def resolve_target(model: Model, target: Target | FieldChange) -> Int:
+def resolve_target(model: Model, target: CardField | FieldChange) -> Int:
     """Rows of the target's table that it means, (k,) int64, k >= 1.
 
     Raises
@@ -89,7 +93,7 @@ def _is_ply(table: Table, field: str) -> bool:
     return ply is not None and isinstance(table.columns.get(ply[0]), Ragged)
 
 
-def field_value(model: Model, target: Target | FieldChange) -> Any:
+def field_value(model: Model, target: CardField | FieldChange) -> Any:
     """The value of a target in the first of its rows, of one ply for a field such as T3 of a
     PCOMP.
     """
@@ -101,7 +105,7 @@ def field_value(model: Model, target: Target | FieldChange) -> Any:
     return table.ragged(name).row(row)[number - 1]
 
 
-def companions(model: Model, target: Target) -> tuple[Target, ...]:
+def companions(model: Model, target: CardField) -> tuple[CardField, ...]:
     """The target, and the same field at end B and at the stations of a PBEAM that are equal
     there.
     """
@@ -109,7 +113,8 @@ def companions(model: Model, target: Target) -> tuple[Target, ...]:
     twin = BOTH_ENDS.get(target.field) if target.card == "PBEAM" else None
     if twin is None:
         return (target,)
-    table, same = model[target.card], [target]
+    table = model[target.card]
+    same = [target]
     value = table[target.field][row]
     if table[twin][row] == value:
         same.append(replace(target, field=twin))
@@ -119,7 +124,7 @@ def companions(model: Model, target: Target) -> tuple[Target, ...]:
     return tuple(same)
 
 
-def _nominal(model: Model, parameter: Parameter, target: Target) -> float:
+def _nominal(model: Model, parameter: Parameter, target: CardField) -> float:
     value = field_value(model, target)
     where = f"parameter {parameter.name}: {target.card} {target.id} {target.field}"
     if not isinstance(value, np.floating):
@@ -160,7 +165,7 @@ def carried(model: Model, parameters: ParameterSet) -> ParameterSet:
     return ParameterSet(tuple(p for p in mine if p.targets or p.shapes or p.substructures))
 
 
-def _has(model: Model, target: Target) -> bool:
+def _has(model: Model, target: CardField) -> bool:
     return target.card in model and bool((model[target.card].ids == target.id).any())
 
 
@@ -176,7 +181,7 @@ def field_changes(model: Model, parameters: ParameterSet, factors: Float) -> lis
     a = np.asarray(factors, dtype=np.float64)
     if a.shape != (len(parameters),):
         raise InputError(f"factors must have shape ({len(parameters)},), got {a.shape}")
-    values: dict[Target, float] = {}
+    values: dict[CardField, float] = {}
     for parameter, factor in zip(parameters.parameters, a.tolist(), strict=True):
         _refuse_what_no_field_holds(parameter)
         for target in parameter.targets:
@@ -229,3 +234,48 @@ def _with_ply(model: Model, change: FieldChange) -> Model:
     values[column.offsets[resolve_target(model, change)] + number - 1] = change.value
     columns = {**table.columns, name: Ragged(values, column.offsets)}
     return replace(model, tables={**model.tables, change.card: replace(table, columns=columns)})
+
+
+DASHPOTS = {  # card -> fields that hold a force over a velocity
+    "PDAMP": ("B",),
+    "CDAMP2": ("B",),
+    "CDAMP4": ("B",),
+    "PVISC": ("CE", "CR"),
+    "PBUSH": ("B1", "B2", "B3", "B4", "B5", "B6"),
+}
+
+
+def in_seconds(model: Model, unit: UnitSystem) -> Model:
+    """The model with frequencies in Hz, whatever its unit of time; the same where that is the
+    second.
+
+    Of K φ = λ M φ with λ in 1/T² the mass matrix times T² has λ in 1/s²: PARAM,WTMASS takes the
+    factor, and CM2 for masses of DMIG.
+
+    Raises
+    ------
+    UnsupportedError
+        If the deck has dashpots: their values are forces over velocities in its own unit of time.
+    """
+    if unit.time == 1:
+        return model
+    if found := _dashpots(model):
+        raise UnsupportedError(
+            f"{found}: dashpots of a deck whose unit of time is {unit.time:g} s are not read; "
+            "leave them out, or write "
+            "the deck in a system with seconds"
+        )
+    square = unit.time**2
+    scaled = {name: model.param(name, 1.0) * square for name in ("WTMASS", "CM2")}
+    return replace(model, params={**model.params, **scaled}, time=unit.time)
+
+
+def _dashpots(model: Model) -> str:
+    """The first thing of a model that damps by velocity; empty without one."""
+    for card, fields in DASHPOTS.items():
+        for name in fields:
+            if card in model and (np.nan_to_num(model[card][name]) != 0).any():
+                return f"{card} {name}"
+    if model.case.b2gg or model.case.b2pp:
+        return "B2GG or B2PP"
+    return next((f"PARAM {name}" for name in ("ALPHA1", "ALPHA2") if model.param(name, 0.0)), "")

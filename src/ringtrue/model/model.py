@@ -1,8 +1,11 @@
-"""A finite element model as tables: one per card, columns named as in the Quick Reference Guide."""
+"""A finite element model as tables: one per card, columns named as in the Quick Reference Guide.
+
+Errors that name the file and line of a card.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -10,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ringtrue.core.arrays import Int, frozen
-from ringtrue.errors import DeckError, InputError
+from ringtrue.errors import DeckError, InputError, UnsupportedCard
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,7 +89,8 @@ class Table:
 
     def find(self, ids: NDArray[Any]) -> Int:
         """Row of each id, (k,) int64, -1 where absent."""
-        mine, want = self.ids, np.asarray(ids, dtype=np.int64)
+        mine = self.ids
+        want = np.asarray(ids, dtype=np.int64)
         if not mine.size:
             return np.full(want.shape, -1, dtype=np.int64)
         order = np.argsort(mine, kind="stable")
@@ -141,6 +145,8 @@ class Model:
         The deck and its includes, in reading order.
     kept : mapping of str to int
         Cards kept verbatim in the deck but not used here, with their number.
+    units : str
+        Unit system that the user states, of `core.units`.
     time : float, s
         The unit of time of the deck, which `model.seconds.in_seconds` has put into PARAM,WTMASS; 1
         if it has not.
@@ -151,6 +157,7 @@ class Model:
     case: CaseControl = field(default_factory=CaseControl)
     files: tuple[str, ...] = ()
     kept: Mapping[str, int] = field(default_factory=dict)
+    units: str = "SI"
     time: float = 1.0
 
     def __contains__(self, card: str) -> bool:
@@ -220,3 +227,37 @@ def _behind(a: NDArray[Any] | Ragged, b: NDArray[Any] | Ragged) -> NDArray[Any] 
             np.concatenate([a.offsets, a.offsets[-1] + b.offsets[1:]]),
         )
     return np.concatenate([np.asarray(a), np.asarray(b)])
+
+
+MOST = 6  # rows that a message names
+
+
+def card_error(model: Model, table: Table, row: int, message: str) -> DeckError:
+    """A DeckError at the place of a row of a table."""
+    path, line = _place(model, table, row)
+    return DeckError(message, path=path, line=line, card=f"{table.card} {table.ids[row]}")
+
+
+def unsupported_card(model: Model, table: Table, row: int, why: str) -> UnsupportedCard:
+    """An UnsupportedCard at the place of a row of a table."""
+    path, line = _place(model, table, row)
+    return UnsupportedCard(table.card, path=path, line=line, why=f"{table.ids[row]} {why}")
+
+
+def called(model: Model, rows: Sequence[tuple[Table, int]]) -> str:
+    """Rows of tables as a message calls them, with the lines of those that share a card and id."""
+    names = [f"{t.card} {t.ids[i]}" for t, i in rows]
+    names_shown = [
+        f"{name} of line {line}"
+        if names.count(name) > 1 and (line := _place(model, *row)[1])
+        else name
+        for name, row in zip(names[:MOST], rows, strict=False)
+    ]
+    return ", ".join([*names_shown, *(["..."] if len(rows) > MOST else [])])
+
+
+def _place(model: Model, table: Table, row: int) -> tuple[str | None, int | None]:
+    file = int(table.file[row])
+    return (
+        (model.files[file], int(table.line[row])) if 0 <= file < len(model.files) else (None, None)
+    )

@@ -1,5 +1,5 @@
-"""Where to strike or shake: driving-point residues, QR of M·Φ, sets ranked by the mode they excite
-worst, MIF.
+"""Where to excite: driving-point residues, QR of M·Φ, sets ranked by the mode they excite worst,
+MIF.
 """
 
 from __future__ import annotations
@@ -13,8 +13,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Complex, Float, Int, freeze_fields
 from ringtrue.errors import InputError
-from ringtrue.planning.layout import select_references, shares
-from ringtrue.planning.selection import qr_points
+from ringtrue.planning.sensors import qr_points
 
 _MOST_SETS = 200_000
 _CHUNK = 20_000
@@ -290,3 +289,50 @@ def reciprocity_pairs(
     """
     here = set(channels)
     return tuple((a, b) for a, b in combinations([r for r in references if r in here], 2))
+
+
+def shares(shapes: Float, largest: Float | None = None) -> Float:
+    """Driving-point residues φ_im² of rows (r, m) over the largest of each mode, (m,), 0..1: of
+    these if not given.
+    """
+    square = np.asarray(shapes, dtype=np.float64) ** 2
+    over = square.max(axis=0) if largest is None else largest
+    return np.asarray(np.minimum(square / np.maximum(over, 1e-300), 1.0))
+
+
+def select_references(shapes: Float, count: int, largest: Float | None = None) -> Int:
+    """Rows to hit, greedily by the worst driving-point residue over all modes.
+
+    The residue of mode m at row i is φ_im², taken relative to the mode's largest.
+
+    Parameters
+    ----------
+    shapes : (r, m) float64
+        Mass-normalised shapes at the rows that can be hit.
+    count : int
+    largest : (m,) float64, optional
+        Of φ² of each mode; that of these rows if not given.
+
+    Returns
+    -------
+    (count,) int64
+        In order of choice.
+    """
+    share = shares(shapes, largest)
+    reached = np.zeros(shapes.shape[1])
+    out: list[int] = []
+    for _ in range(min(count, len(shapes))):
+        # the smooth minimum over modes: lift the modes that are reached worst
+        value = np.log(np.maximum(share, reached) + 1e-3).sum(axis=1)
+        value[out] = -np.inf
+        best = int(np.argmax(value))
+        out.append(best)
+        reached = np.maximum(reached, share[best])
+    return np.array(out, dtype=np.int64)
+
+
+def reached(shapes: Float, references: Int) -> Float:
+    """The largest share of each mode's best driving-point residue that the references reach,
+    (m,).
+    """
+    return np.asarray(shares(shapes)[references].max(axis=0))

@@ -1,4 +1,4 @@
-"""Sensors by information: greedy log-determinant of what they tell about modes and parameters.
+"""Sensors by information: greedy log-determinant of the information about modes and parameters.
 
 Each aim is a set of unknowns with a prior; a point adds BᵀB to the information about them. The
 log-determinant is submodular, so that the greedy choice reaches at least 1 - 1/e of the best gain

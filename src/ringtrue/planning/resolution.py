@@ -1,12 +1,189 @@
-"""Frequency step, record length and what precision to expect of them."""
+"""What a test must find: target modes with their reasons, frequency step, record length and the
+precision to expect.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from ringtrue.core.arrays import Float
+from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
+from ringtrue.errors import InputError
+
+UNREAD = 1e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Targets:
+    """Target modes with their reasons.
+
+    Attributes
+    ----------
+    modes : (t,) int64
+        Positions in the mode set, ascending.
+    reasons : tuple of str
+        One a target: the criteria that ask for it.
+    """
+
+    modes: Int
+    reasons: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, modes=np.int64)
+
+    def among(self, readable: Bool) -> tuple[Targets, tuple[str, ...]]:
+        """The targets among the modes (m,) that can be read, and those that are none in words.
+
+        Raises
+        ------
+        InputError
+            If none is left.
+        """
+        lost = " ".join(str(k + 1) for k in self.modes[~readable[self.modes]].tolist())
+        told = (
+            "no target, as no candidate sensor reads it, which turns nodes or moves across the "
+            f"sensors: mode {lost}",
+        )
+        kept = np.flatnonzero(readable[self.modes])
+        if not kept.size:
+            raise InputError(told[0])
+        return Targets(
+            self.modes[kept], tuple(self.reasons[i] for i in kept.tolist())
+        ), told if lost else ()
+
+
+def in_band(frequencies: Float, low: float, high: float) -> Bool:
+    """Modes (m,) with low < f < high, Hz."""
+    f = np.asarray(frequencies, dtype=np.float64)
+    return np.asarray((f > low) & (f < high))
+
+
+def readable(shapes: Float, mass: float) -> Bool:
+    """Modes (m,) that a sensor reads: more than 1e-6 of what a rigid shift of the whole makes;
+    below, it is round-off.
+
+    Parameters
+    ----------
+    shapes : (s, d, m) float64, mass-normalised
+        At the candidate sensors.
+    mass : float
+        Of the structure, in the unit of the shapes.
+    """
+    return np.asarray(np.abs(shapes).max(axis=(0, 1), initial=0.0) * np.sqrt(mass) > UNREAD)
+
+
+def effective_mass(shapes: Float, mass: Any, rigid: Float) -> Float:
+    """Share of the whole mass that each mode moves along each rigid-body motion, (m, 6), 0..1.
+
+    (φᵀMr)²/(rᵀMr); over all modes of a held structure a column sums to the share of the mass that
+    is free (Clough and Penzien 1993, section 13-2).
+
+    Parameters
+    ----------
+    shapes : (dof, m) float64, mass-normalised
+    mass : (dof, dof) sparse or dense
+    rigid : (dof, 6) float64
+        Unit motions along and about the axes.
+    """
+    moved = mass @ rigid
+    total = np.einsum("dk,dk->k", rigid, moved)
+    taken = (shapes.T @ moved) ** 2
+    return np.asarray(np.divide(taken, total, out=np.zeros_like(taken), where=total > 0))
+
+
+def kinetic_share(shapes: Float, mass: Any, regions: Sequence[Int]) -> Float:
+    """Share of each mode's kinetic energy in each region, (m, r).
+
+    The energy of a DOF is φ_i·(Mφ)_i; the shares of regions that hold all DOFs sum to one.
+
+    Parameters
+    ----------
+    shapes : (dof, m) float64
+    mass : (dof, dof) sparse or dense
+    regions : sequence of (k,) int64
+        Rows of each region.
+    """
+    energy = shapes * np.asarray(mass @ shapes)
+    total = energy.sum(axis=0)
+    return np.stack([energy[at].sum(axis=0) / total for at in regions], axis=1)
+
+
+def telling_modes(d_lambda: Float, lam: Float, std: Float | float, prior: Float, count: int) -> Int:
+    """Modes whose frequencies tell the parameters apart, greedily by the gain in log-determinant of
+    the information.
+
+    The information of a mode about x/σ_x is gᵀg/σ² with g = ∂λ/∂x·σ_x/λ and σ the relative standard
+    deviation of λ (D-optimal choice, Fedorov 1972); the prior adds the unit matrix, so that a
+    direction that another mode has told brings little more.
+
+    Parameters
+    ----------
+    d_lambda : (m, p) float64, (rad/s)²
+    lam : (m,) float64, (rad/s)²
+    std : (m,) float64 or float
+        Relative standard deviation of λ: test and model error together.
+    prior : (p,) float64
+        Standard deviation of x.
+    count : int
+
+    Returns
+    -------
+    (k,) int64
+        In order of choice, k <= count; modes that bring nothing are not chosen.
+    """
+    lam = np.asarray(lam, dtype=np.float64)
+    soft = np.where(lam > 0, lam, np.inf)
+    g = d_lambda * prior / (soft * np.broadcast_to(std, lam.shape))[:, None]
+    information = np.eye(g.shape[1])
+    chosen: list[int] = []
+    for _ in range(min(count, lam.size)):
+        gain = np.log1p(np.einsum("mp,pm->m", g, np.linalg.solve(information, g.T)))
+        gain[chosen] = -np.inf
+        best = int(np.argmax(gain))
+        if gain[best] <= 1e-9:
+            break
+        chosen.append(best)
+        information += np.outer(g[best], g[best])
+    return np.array(chosen, dtype=np.int64)
+
+
+def choose_targets(
+    frequencies: Float, criteria: Mapping[str, Bool], *, within: Bool | None = None
+) -> Targets:
+    """Modes that at least one criterion asks for.
+
+    Parameters
+    ----------
+    frequencies : (m,) float64, Hz
+    criteria : mapping of str to (m,) bool
+        By reason, such as {"band 5 to 60 Hz": in_band(f, 5, 60)}.
+    within : (m,) bool, optional
+        Modes that can be targets at all, such as those of the band that can be measured.
+
+    Raises
+    ------
+    InputError
+        If no mode is left.
+    """
+    names = list(criteria)
+    asked = np.array([criteria[n] for n in names], dtype=np.bool_).reshape(
+        len(names), np.size(frequencies)
+    )
+    asked = asked & (True if within is None else np.asarray(within, dtype=np.bool_))
+    modes = np.flatnonzero(asked.any(axis=0))
+    if not modes.size:
+        raise InputError(
+            f"none of {np.size(frequencies)} modes meets {' or '.join(names)}: widen the criteria"
+        )
+    return Targets(
+        modes,
+        tuple(
+            ", ".join(n for n, yes in zip(names, asked[:, k], strict=True) if yes) for k in modes
+        ),
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -19,13 +19,13 @@ from ringtrue.core.arrays import Float
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress, part
 from ringtrue.eigen.derivatives import modal_coefficients
-from ringtrue.eigen.factor import Pencil
-from ringtrue.eigen.problem import EigenModes, frequencies
-from ringtrue.eigen.solve import solve_modes
+from ringtrue.eigen.eigenpairs import EigenModes, frequencies
+from ringtrue.eigen.modes import solve_modes
+from ringtrue.eigen.pencil import Pencil
 from ringtrue.errors import InputError, NumericalError
 from ringtrue.model.ports import Linearisation
-from ringtrue.reduction.affine import AffineSystem
 from ringtrue.reduction.basis import (
+    AffineSystem,
     Projection,
     compress,
     mixed_sensitivities,
@@ -134,13 +134,13 @@ class ReducedModel:
         lam, y = self._solve(everything, all_modes=True)
         a, slope = (
             self.system.parameters.factors(everything),
-            self.system.parameters.slope(everything),
+            self.system.parameters.derivative(everything),
         )
         m = self.count
         weights = np.zeros((len(self.active), len(self.basis.terms)))
         for i, which in enumerate(self.active):  # over parameters
             for t in self.basis.of.get(which, []):
-                weights[i, t] = self.basis.terms[t][0].slope(a, which) * slope[which]
+                weights[i, t] = self.basis.terms[t][0].derivative(a, which) * slope[which]
         dk, dm = (_products(acting, weights, y, m) for acting in self.basis.acting)
         d_lambda = np.einsum("pii->ip", dk[:, :m]) - np.einsum("pii->ip", dm[:, :m]) * lam[:m, None]
         c = np.empty((len(self.active), lam.size, m))
@@ -185,7 +185,7 @@ class ReducedModel:
         dk, dm = np.zeros_like(self.basis.stiffness), np.zeros_like(self.basis.mass)
         for i in self.basis.of.get(which, ()):
             f, kt, mt = self.basis.terms[i]
-            weight = f.slope(a, which) * slope
+            weight = f.derivative(a, which) * slope
             dk += weight * kt
             dm += weight * mt
         return dk, dm
@@ -408,3 +408,38 @@ def reduced_model(
     for point in points:  # snapshots
         model, _ = model.enrich(point, progress=progress)
     return model
+
+
+def condensed(model: ReducedModel, points: Sequence[Float], size: int) -> ReducedModel:
+    """The model on the principal directions of its modes at points x, in the energy K − σM.
+
+    Proper orthogonal decomposition: of all bases of that size the one that leaves the least energy
+    of these modes out. Good between the points; away from them it is too stiff.
+
+    Parameters
+    ----------
+    points : sequence of (p,) float64
+        Of the active parameters.
+    size : int
+        Vectors kept; not fewer than the modes of the model.
+
+    Raises
+    ------
+    InputError
+        If there is no point, or fewer vectors than modes.
+    """
+    if not len(points) or size < model.count:
+        raise InputError(f"{len(points)} points (>= 1), {size} vectors for {model.count} modes")
+    b = model.basis
+    if size >= b.size:
+        return model
+    root = linalg.cholesky(b.stiffness - model.shift * b.mass)
+    parts = []
+    for x in points:
+        lam, y = model.coordinates(x)
+        parts.append(root @ (y / np.sqrt(lam - model.shift)))
+    u, _, _ = linalg.svd(np.hstack(parts), full_matrices=False)
+    v = linalg.solve_triangular(root, u[:, :size])
+    terms = tuple((f, v.T @ k @ v, v.T @ m @ v) for f, k, m in b.terms)
+    basis = Projection(b.vectors @ v, v.T @ b.stiffness @ v, v.T @ b.mass @ v, terms, b.observe @ v)
+    return replace(model, basis=basis)

@@ -1,17 +1,17 @@
 """Records to spectra, correlations and FRFs; what is wrong with records, and what machines put into
 them.
 
-Preparation: `preprocess`, `levels`, `sensors` (transfer functions), `windows`, `faults`, `gaps`,
-`overlaps`, `overloads`.
+Preparation: `channel_checks`, `gaps`, `decimation` (trends, filters, bands), `sensor_response`.
 
-Recorders: `align`, `phases` and `drifts` of their clocks.
+Recorders: `clock_alignment` of channels whose clocks differ.
 
-Spectra of ambient records: `psd`; `pyramid`, `stream`, `listened` and `threads` for records larger
-than memory.
+Spectra: `spectra` of ambient records, `band_correlations` of records larger than memory.
 
-FRFs: `hits` and `earlier` find blows, `frf` their FRFs, `spectra` those of shakers, `periodic` and
-`local_rational` without leakage; `setups` and `reciprocal` join them, `frf_checks` judges them.
+FRFs: `impacts` and their `frf`, `shaker_frf`, `local_rational` (without leakage); `frf_sets` joins,
+exchanges and checks them.
 
-Machines and events: `harmonics`, `lines`, `locked`, `sweeps`, `strokes`, `echoes`, `events`;
-`prediction` what signals could not foresee.
+Machines: `tonal_lines` and `run_ups` are taken out, `harmonic_evidence` marks poles, and
+`order_tracking` follows a speed.
+
+Transients: `transients` finds impacts in responses, `echoes` a force that comes again.
 """

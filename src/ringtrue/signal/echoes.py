@@ -18,7 +18,7 @@ from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from ringtrue.core.arrays import Any_, Float
 from ringtrue.core.signals import TimeHistory
-from ringtrue.signal.listened import listened_spectrum
+from ringtrue.signal.tonal_lines import listened_spectrum
 
 SHORTEST, LONGEST = 16, 0.01  # samples, and share of the record
 SURE = 6.0  # standard deviations of a peak; half of them below 0 for that at 2τ

@@ -1,4 +1,4 @@
-"""Frequency response functions from hammer records: H1, H2 or Hv with coherence."""
+"""Frequency response functions from impact records: H1, H2 or Hv with coherence."""
 
 from __future__ import annotations
 
@@ -16,21 +16,20 @@ from ringtrue.core.motions import ANGULAR, DERIVATIVE, FRF_KIND, LINEAR, UNIT, c
 from ringtrue.core.progress import Progress
 from ringtrue.core.signals import Channel, FrfSet, Quantity, TimeHistory
 from ringtrue.errors import DataError
-from ringtrue.signal.earlier import blows_of
-from ringtrue.signal.hits import (
+from ringtrue.signal.frf_sets import join_frfs
+from ringtrue.signal.impacts import (
     Estimator,
     HammerSettings,
     HitReport,
     block_length,
+    blows_of,
     check_hits,
     find_hits,
     force_channel,
     pulse_width,
 )
-from ringtrue.signal.setups import join_frfs
 
 log = logging.getLogger(__name__)
-
 _NO_FORCE = (
     1e-12  # power over the largest: a zero of the spectrum of a pulse without noise, rounding alone
 )

@@ -1,5 +1,6 @@
-"""Stretches that a recorder lost: samples that are not there (NaN), or a value held far longer than
-the resolution explains, as logged over a broken link.
+"""Parts that a recorder lost: samples that are not there (NaN), or a value held far longer than
+the resolution explains, as logged over a broken link; and samples that two files of one record both
+have.
 
 Their steps would ring in every band, and a channel without its part of the motion has wrong shapes:
 the whole record is left out there. A few missing samples in a row are interpolated in their
@@ -14,7 +15,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Any_, Bool
 from ringtrue.core.signals import TimeHistory
-from ringtrue.signal.faults import equal_runs, runs
+from ringtrue.signal.channel_checks import equal_runs, runs
 
 HELD, TYPICAL = (
     16,
@@ -30,6 +31,7 @@ SCATTERED, EACH = (
     2.0,
 )  # share of the record that single channels lose, and that over what one of them does
 MOST = 0.3  # of the record: a channel that others do not follow is left out beyond
+_LEAST = 64  # samples that are the same in all channels: fewer may be chance
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -205,3 +207,36 @@ def _bridge(x: Any_, lost: Bool) -> None:
     """Lay a straight line over the lost samples of x (sample,); zeros where all are."""
     at, known = np.flatnonzero(lost), np.flatnonzero(~lost)
     x[at] = np.interp(at, known, x[known]) if known.size else 0.0
+
+
+def overlap(before: TimeHistory, later: TimeHistory) -> int:
+    """How many of the first samples of `later` are the last ones of `before`, or lie within it."""
+    a, b = before.data, later.data
+    if (
+        a.shape[0] != b.shape[0]
+        or min(a.shape[1], b.shape[1]) < _LEAST
+        or not np.ptp(b[:, :_LEAST], axis=1).any()
+    ):
+        return 0
+    begin = np.flatnonzero(a[0, : a.shape[1] - _LEAST + 1] == b[0, 0])
+    for k in range(_LEAST):  # of coarse samples many begin alike
+        begin = begin[(a[:, begin + k] == b[:, k : k + 1]).all(axis=0)]
+    for at in begin.tolist():
+        n: int = min(a.shape[1] - at, b.shape[1])
+        if np.array_equal(a[:, at : at + n], b[:, :n], equal_nan=True):
+            return n
+    return 0
+
+
+def without_overlap(before: TimeHistory | None, later: TimeHistory) -> tuple[TimeHistory, str]:
+    """A record without the samples that the one before it ends with, and what is to be said of
+    that.
+    """
+    n = overlap(before, later) if before is not None else 0
+    if not n or before is None:
+        return later, ""
+    name = before.source.rpartition("/")[2]
+    return (
+        replace(later, data=later.data[:, n:]),
+        f"its first {n / later.rate:.4g} s are in {name} too: they count once",
+    )

@@ -1,181 +1,203 @@
-"""FRFs from continuous records with one or several shakers: H1, Hv, coherences, their variance."""
+"""Windows, spectral densities (Welch) and correlation functions of records."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
-from ringtrue.core.arrays import Complex, Float
-from ringtrue.core.channels import input_id
-from ringtrue.core.motions import FORCES, FRF_KIND, LINEAR, MOTIONS
-from ringtrue.core.signals import Channel, FrfSet, TimeHistory
-from ringtrue.errors import ConfigError, DataError, did_you_mean
-from ringtrue.signal.psd import Welch, csd
-from ringtrue.signal.windows import window
+from ringtrue.core.arrays import Any_, Complex, Float, Int
+from ringtrue.core.signals import Channel, TimeHistory
+from ringtrue.errors import ConfigError, DataError
 
-_ESTIMATORS = ("H1", "H2", "Hv")
+WindowName = Literal["hann", "hamming", "blackmanharris", "flattop", "boxcar"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ShakerFrfs:
-    """FRFs of a record with running excitation.
+@dataclass(frozen=True, slots=True)
+class Welch:
+    """Settings of a Welch estimate.
 
     Attributes
     ----------
-    frfs : FrfSet
-        Its coherence is the partial one of each input with the others taken out, the ordinary one
-        of a single input; `frf.frf_variance` holds with it. `averages` are independent segments
-        less the other inputs.
-    ordinary : (freq, out, in) float64
-        Coherence of one input alone.
-    multiple : (freq, out) float64
-        Share of the response that all inputs together explain.
-    condition : (freq,) float64
-        Condition number of the scaled input spectra; large where two shakers do not act apart.
+    resolution : float, Hz
+        Distance of the frequency lines.
+    overlap : float
+        Fraction of a segment shared with the next, 0 <= overlap < 1.
+    window : str
     """
 
-    frfs: FrfSet
-    ordinary: Float
-    multiple: Float
-    condition: Float
+    resolution: float
+    overlap: float = 0.5
+    window: WindowName = "hann"
 
-
-def independent_segments(samples: int, length: int, settings: Welch) -> float:
-    """Segments of no overlap that have the variance of the given ones (Welch 1967, eq. 17)."""
-    hop = max(1, round(length * (1 - settings.overlap)))
-    count = (samples - length) // hop + 1
-    w = window(settings.window, length)
-    k = np.arange(1, min(count, -(-length // hop)))
-    rho = np.array([(w[: length - i * hop] @ w[i * hop :]) / (w @ w) for i in k]) ** 2
-    return float(count / (1 + 2 * ((1 - k / count) * rho).sum()))
-
-
-def shaker_frfs(
-    history: TimeHistory,
-    settings: Welch,
-    *,
-    inputs: Sequence[str] = (),
-    estimator: Literal["H1", "H2", "Hv"] = "H1",
-) -> ShakerFrfs:
-    """FRFs of all responses against all forces at once.
-
-    H1 = G_yf G_ff⁻¹ (noise on the responses). Hv takes noise on both: the smallest eigenvector of
-    the spectra of all forces and one response, each scaled to unit power; of one input it is the
-    geometric mean of H1 and H2. Source: Bendat and Piersol (2010), Random Data, chapters 7 and 9;
-    Rocklin, Crowley and Vold (1985) for Hv.
-
-    Parameters
-    ----------
-    history : TimeHistory
-    settings : Welch
-    inputs : sequence of str, optional
-        Ids of the force channels; by default all channels whose quantity is force.
-    estimator : {"H1", "H2", "Hv"}
-        H2 of one input only.
-
-    Raises
-    ------
-    DataError
-        If there is no force channel, a channel is constant or not finite, the responses are of
-        different kinds, or the record has too few segments for its inputs.
-    """
-    if estimator not in _ESTIMATORS:
-        raise ConfigError(f"estimator {estimator!r}{did_you_mean(estimator, _ESTIMATORS)}")
-    ordered, q = sorted_channels(history, inputs)
-    if estimator == "H2" and q > 1:
-        raise ConfigError(f"H2 of {q} inputs is not determined; take H1 or Hv")
-    spectra = csd(ordered, settings)
-    length = round(history.rate / settings.resolution)
-    n = independent_segments(history.data.shape[1], length, settings) - (q - 1)
-    if n < 2:
-        raise DataError(f"{history.source}: {n + q - 1:.3g} independent segments for {q} inputs")
-    g = spectra.data[1:]  # the mean is taken out, there is nothing at 0 Hz
-    h, partial, ordinary, multiple, condition = _estimate(g, q, estimator)
-    frfs = FrfSet(
-        h,
-        spectra.freqs[1:],
-        ordered.channels[q:],
-        tuple(as_input(c) for c in ordered.channels[:q]),
-        partial,
-        np.full(q, n),
-        MOTIONS[ordered.channels[q].quantity],
-        0.0,
-        history.source,
-    )
-    return ShakerFrfs(frfs, ordinary, multiple, condition)
-
-
-def sorted_channels(history: TimeHistory, inputs: Sequence[str] = ()) -> tuple[TimeHistory, int]:
-    """The record with its forces first, and their number.
-
-    Raises
-    ------
-    DataError
-        If there is no force channel, a channel is constant or not finite, or the responses are of
-        different kinds.
-    """
-    forces = list(inputs) or [c.id for c in history.channels if c.quantity in FORCES]
-    others = [c for c in history.channels if c.id not in forces and c.quantity not in FORCES]
-    kinds = {LINEAR.get(c.quantity, c.quantity) for c in others}
-    if not forces or len(kinds) != 1 or not kinds <= set(FRF_KIND):
-        raise DataError(
-            f"{history.source}: {len(forces)} forces and responses of "
-            f"{', '.join(sorted(kinds)) or 'no kind'}; "
-            "there must be a force and one kind of motion"
-        )
-    ordered = history.pick([*forces, *(c.id for c in others)])
-    _check(ordered)
-    return ordered, len(forces)
-
-
-def as_input(channel: Channel) -> Channel:
-    """The same channel under the name that FRFs have for a reference."""
-    return replace(channel, id=input_id(channel.id))
-
-
-def _check(history: TimeHistory) -> None:
-    for channel, x in zip(history.channels, history.data, strict=True):
-        low, high = float(x.min()), float(x.max())
-        if not (np.isfinite(low) and np.isfinite(high) and high > low):
-            raise DataError(
-                f"{history.source}: channel {channel.id} is constant or not finite; leave it out"
+    def __post_init__(self) -> None:
+        if not self.resolution > 0 or not 0 <= self.overlap < 1:
+            raise ConfigError(
+                f"Welch: resolution {self.resolution} must be > 0, overlap {self.overlap} in [0, 1)"
             )
 
 
-def _estimate(g: Complex, q: int, estimator: str) -> tuple[Complex, Float, Float, Float, Float]:
-    """FRFs (f, out, in), partial and ordinary coherence (f, out, in), multiple (f, out), condition
-    (f,).
+@dataclass(frozen=True, slots=True, eq=False)
+class Csd:
+    """One-sided cross-spectral density.
+
+    Attributes
+    ----------
+    data : (freq, ch, ch) complex128, unit²/Hz
+        E[Y_i conj(Y_j)].
+    freqs : (freq,) float64, Hz
+    channels : tuple of Channel
+    segments : int
+        Segments averaged (overlapping ones counted in full).
     """
-    power = np.maximum(np.einsum("fii->fi", g).real, np.finfo(np.float64).tiny)
-    scale = np.sqrt(power)
-    c = g / (
-        scale[:, :, None] * scale[:, None, :]
-    )  # scaled, so that no unit makes it ill-conditioned
-    ff, yf = c[:, :q, :q], c[:, q:, :q]
-    values, vectors = np.linalg.eigh(ff)
-    condition = values[:, -1] / np.maximum(values[:, 0], np.finfo(np.float64).tiny)
-    values = np.maximum(values, 1e-12 * values[:, -1:])
-    inverse = (vectors / values[:, None, :]) @ vectors.conj().transpose(0, 2, 1)
-    h1 = yf @ inverse
-    multiple = np.clip(np.einsum("foi,foi->fo", h1, yf.conj()).real, 0.0, 1.0)
-    alone = (
-        np.abs(h1) ** 2 / np.einsum("fii->fi", inverse).real[:, None, :]
-    )  # power of one input, others taken out
-    partial = alone / np.maximum(alone + (1 - multiple)[:, :, None], np.finfo(np.float64).tiny)
-    h = {"H1": h1, "H2": h1 / np.maximum(multiple, 1e-12)[:, :, None]}.get(estimator)
-    h = _total(c, q) if h is None else h
-    h = h * scale[:, q:, None] / scale[:, None, :q]
-    return h, np.clip(partial, 0.0, 1.0), np.clip(np.abs(yf) ** 2, 0.0, 1.0), multiple, condition
+
+    data: Complex
+    freqs: Float
+    channels: tuple[Channel, ...]
+    segments: int
+
+    def singular_values(self) -> Float:
+        """(freq, ch) singular values, descending: the first is the spectrum to draw behind a
+        diagram.
+        """
+        return np.asarray(np.linalg.svd(self.data, compute_uv=False, hermitian=True))
 
 
-def _total(c: Complex, q: int) -> Complex:
-    """Total least squares of each response on all forces, scaled spectra (f, ch, ch) -> (f, out,
-    in).
+def _starts(samples: int, length: int, hop: int) -> Int:
+    return np.arange(0, samples - length + 1, hop, dtype=np.int64)
+
+
+def segments_spectrum(data: Any_, starts: Int, win: Any_) -> Any_:
+    """(segment, ch, freq) spectra of mean-free, windowed segments of `data` (ch, sample), precision
+    as `win`.
     """
-    at = [np.append(np.arange(q), q + k) for k in range(c.shape[1] - q)]
-    both = np.stack([c[:, i][:, :, i] for i in at], axis=1)  # (f, out, q + 1, q + 1)
-    v = np.linalg.eigh(both)[1][..., 0].conj()
-    return np.asarray(-v[..., :q] / v[..., q:])
+    at = starts[:, None] + np.arange(win.size)
+    seg = np.asarray(data[:, at], dtype=win.dtype)
+    seg -= seg.mean(-1, keepdims=True)
+    return np.asarray(rfft(seg * win, axis=-1)).transpose(1, 0, 2)
+
+
+def csd(history: TimeHistory, settings: Welch) -> Csd:
+    """Welch estimate of all channels against all, (freq, ch, ch); a few segments in memory at a
+    time.
+
+    Raises
+    ------
+    DataError
+        If the record is shorter than one segment.
+    """
+    data, rate = history.data, history.rate
+    length = round(rate / settings.resolution)
+    if data.shape[1] < length:
+        raise DataError(
+            f"{history.source}: {history.duration:.4g} s are too short for a resolution of "
+            f"{settings.resolution:.4g} Hz; it needs {1 / settings.resolution:.4g} s"
+        )
+    win = window(settings.window, length)
+    starts = _starts(data.shape[1], length, max(1, round(length * (1 - settings.overlap))))
+    total = np.zeros((length // 2 + 1, len(data), len(data)), dtype=np.complex128)
+    batch = max(1, 4_000_000 // (length * len(data)))
+    for i in range(0, starts.size, batch):  # streamed: a batch of segments is what is in memory
+        y = np.ascontiguousarray(
+            segments_spectrum(data, starts[i : i + batch], win).transpose(2, 1, 0)
+        )
+        total += y @ y.conj().transpose(0, 2, 1)
+    total *= 2.0 / (rate * length * starts.size)
+    total[0] /= 2.0
+    if length % 2 == 0:
+        total[-1] /= 2.0
+    return Csd(total, rfftfreq(length, 1 / rate), history.channels, int(starts.size))
+
+
+def block_correlations(data: Float, references: Int, lags: int, bounds: Int) -> tuple[Float, Float]:
+    """Correlations of each block of the record, each pair (t + k, t) of samples used once.
+
+    R_b[k] = Σ_t y(t + k) y_ref(t)ᵀ / n_b[k] over the t of block b; y(t + k) reaches into the next
+    blocks, so the weighted sum over the blocks is the exact correlation of the whole record.
+
+    Parameters
+    ----------
+    data : (ch, sample) float64
+    references : (ref,) int64
+    lags : int
+        The largest lag k.
+    bounds : (block + 1,) int64
+        First sample of each block, and the end of the record.
+
+    Returns
+    -------
+    correlation : (block, lags + 1, ch, ref) float64
+    count : (block, lags + 1) float64
+        The number of pairs n_b[k].
+    """
+    ch, n = data.shape
+    sizes = np.diff(bounds)
+    nfft = int(next_fast_len(int(min(max(12 * lags, 256), sizes.max() + lags)), real=True))
+    hop = nfft - lags
+    out = np.empty((sizes.size, lags + 1, ch, references.size))
+    for b, (start, end) in enumerate(pairwise(bounds.tolist())):  # a block at a time in memory
+        at = np.arange(0, end - start, hop)[:, None] + np.arange(nfft)
+        block = np.zeros((ch, int(at[-1, -1]) + 1))
+        part = data[:, start : min(end + lags, n)]
+        block[:, : part.shape[1]] = part
+        y = rfft(block[:, at], axis=-1)
+        x = rfft(block[references][:, at] * ((np.arange(nfft) < hop) & (at < end - start)), axis=-1)
+        left = np.ascontiguousarray(y.transpose(2, 0, 1))
+        right = np.ascontiguousarray(x.conj().transpose(2, 1, 0))
+        out[b] = irfft(left @ right, nfft, axis=0)[: lags + 1]
+    count = np.minimum(
+        sizes[:, None], np.maximum(n - np.arange(lags + 1) - bounds[:-1, None], 0)
+    ).astype(np.float64)
+    return out / np.maximum(count, 1.0)[:, :, None, None], count
+
+
+def correlations(data: Float, references: Int, lags: int) -> Float:
+    """R (lags + 1, ch, ref) float64 of the whole record `data` (ch, sample), R[k] = mean of y(t +
+    k) y_ref(t)ᵀ.
+    """
+    size = max(20 * lags, 20000)
+    bounds = np.append(np.arange(0, data.shape[1], size), data.shape[1]).astype(np.int64)
+    r, count = block_correlations(np.asarray(data, dtype=np.float64), references, lags, bounds)
+    return np.asarray(np.einsum("bk,bkij->kij", count / count.sum(0), r))
+
+
+def window(name: WindowName, samples: int) -> Float:
+    """(sample,) float64 periodic window of unit mean square, so that a periodogram keeps its
+    power.
+    """
+    from scipy.signal import get_window  # slow to import, and few commands need it
+
+    w = np.asarray(get_window(name, samples, fftbins=True), dtype=np.float64)
+    return np.asarray(w / np.sqrt(np.mean(w**2)))
+
+
+def step(freqs: Float, start: float, stop: float) -> Float:
+    """(f,) gain from 0 at `start` to 1 at `stop`, Hz, a squared-sine edge; reversed if start >
+    stop.
+    """
+    if start == stop:
+        return np.asarray(freqs >= stop, dtype=np.float64)
+    x = np.clip((np.asarray(freqs, dtype=np.float64) - start) / (stop - start), 0.0, 1.0)
+    edge = (x > 0.0) & (x < 1.0)
+    x[edge] = np.sin(0.5 * np.pi * x[edge]) ** 2
+    return np.asarray(x)
+
+
+def block_bounds(samples: int, blocks: int) -> Int:
+    """(block + 1,) first sample of each block, and the end."""
+    return np.linspace(0, samples, blocks + 1).round().astype(np.int64)
+
+
+def block_weights(power: Float) -> Float:
+    """(block,) weights, sum 1, of blocks of mean square `power` (block,): loud ones count as
+    typical ones.
+
+    A jump or a blow would otherwise outweigh the rest of the record, and its variance with it.
+    """
+    power = np.asarray(power, dtype=np.float64)
+    typical = float(np.median(power)) or float(power.mean()) or 1.0
+    loud = np.maximum(power / typical, 1.0)
+    return np.asarray((1 / loud) / (1 / loud).sum())

@@ -15,13 +15,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ringtrue.core.arrays import Float, Int
-from ringtrue.core.parameters import ParameterSet, Target
-from ringtrue.decks.nastran.bulk_special import large_card
+from ringtrue.core.parameters import CardField, ParameterSet
 from ringtrue.decks.nastran.results.sensitivity import Sensitivities
-from ringtrue.decks.nastran.writer import Value, format_card
+from ringtrue.decks.nastran.writer import Value, format_card, large_card
 from ringtrue.errors import SolverFailed, UnsupportedError
-from ringtrue.fem.change import scaled
-from ringtrue.fem.kinds import MATERIALS
+from ringtrue.fem.element_cards import MATERIALS
+from ringtrue.fem.parametrisation.changed_model import scaled
 from ringtrue.model.edit import companions, field_changes, resolve_target
 from ringtrue.model.frames import positions
 from ringtrue.model.model import Model, Table, stacked
@@ -104,7 +103,7 @@ _NAMES: Mapping[
 class _Field:
     """A field that parameters multiply: its nominal value and the numbers of the parameters."""
 
-    target: Target
+    target: CardField
     nominal: float
     variables: tuple[int, ...]
 
@@ -125,16 +124,16 @@ def with_shear_moduli(model: Model) -> Model:
 def _fields(model: Model, parameters: ParameterSet, derived: Int) -> list[_Field]:
     """The fields in order of first use; `derived` are the MAT1s whose G follows E."""
     nominal = {
-        Target(c.card, c.id, c.field): float(c.value)
+        CardField(c.card, c.id, c.field): float(c.value)
         for c in field_changes(model, parameters, np.ones(len(parameters)))
     }
-    used: dict[Target, list[int]] = {}
+    used: dict[CardField, list[int]] = {}
     for k, parameter in enumerate(parameters.parameters):
         for target in parameter.targets:
             for one in companions(model, target):
                 used.setdefault(one, []).append(k + 1)
                 if one.card == "MAT1" and one.field == "E" and one.id in derived:
-                    shear = Target("MAT1", one.id, "G")
+                    shear = CardField("MAT1", one.id, "G")
                     used.setdefault(shear, []).append(k + 1)
                     nominal[shear] = float(model["MAT1"]["G"][resolve_target(model, shear)[0]])
     return [_Field(t, nominal[t], tuple(v)) for t, v in used.items()]

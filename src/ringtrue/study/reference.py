@@ -9,15 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from ringtrue.core.arrays import Bool, Float, Int
-from ringtrue.core.modes import ModeSet, rigid_below
-from ringtrue.core.pairing import Pairing
-from ringtrue.core.uncertainty import Uncertainty
-from ringtrue.correlation.assign import NO_LOCKS, Followed, Locks, PairingSettings
-from ringtrue.correlation.pairing import pair_modes
+from ringtrue.core.modes import ModeSet, Uncertainty, rigid_below
+from ringtrue.correlation.assignment import NO_LOCKS, Followed, Locks, PairingSettings
+from ringtrue.correlation.pairing import Pairing, pair_modes
 from ringtrue.correlation.table import CorrelationTable, correlation_table
 from ringtrue.errors import ConfigError, DataError
-from ringtrue.io.modes_json import read_modes, read_std
-from ringtrue.shapes.scale import realise_modes
+from ringtrue.io.modes import read_modes, read_std
+from ringtrue.shapes.complexity import realise_modes
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.results import ConfiguredTest, CorrelateStage, IdentifyStage
 
@@ -143,7 +141,7 @@ def reference_modes(found: IdentifyStage, config: StudyConfig) -> Reference:
         elastic, std, gaps = _full(found.hammer, found.hammer_uncertainty, edge)
     else:
         elastic, std, gaps = _full(found.ambient, found.ambient_uncertainty, edge)
-    if config.alone:
+    if config.frequency_only:
         gaps = found.frf_notes
     if not len(elastic):
         raise DataError("the test holds no elastic mode: nothing to correlate with")
@@ -330,11 +328,11 @@ def elastic_table(
         reference.elastic, elastic, pairing, std_hz=reference.elastic_std.frequency, left_out=out
     )
     mac = np.concatenate([np.zeros((len(reference.elastic), first)), table.mac], axis=1)
-    if config.alone:
+    if config.frequency_only:
         pairing, mac = _unseen(pairing), np.zeros((0, 0))
     return replace(
         table,
-        pairing=replace(pairing, b=pairing.b + first, lone_b=pairing.lone_b + first),
+        pairing=replace(pairing, b=pairing.b + first, unpaired_b=pairing.unpaired_b + first),
         mac=mac,
         all_fe_hz=fe.frequencies,
     )
@@ -346,8 +344,9 @@ def _unseen(pairing: Pairing) -> Pairing:
         pairing,
         mac=np.full(len(pairing), np.nan),
         subspace=np.zeros(len(pairing), dtype=np.bool_),
-        why_a=("no mode is like the one that it was taken for",) * pairing.lone_a.size,
-        why_b=("no frequency of the test is taken for it",) * pairing.lone_b.size,
+        reasons_a=("no mode is like the one that it was taken for",) * pairing.unpaired_a.size,
+        reasons_b=("no frequency of the test is taken for it",) * pairing.unpaired_b.size,
+        gated_a=np.zeros(pairing.unpaired_a.size, dtype=np.bool_),
     )
 
 

@@ -16,16 +16,15 @@ import numpy as np
 from scipy import linalg
 
 from ringtrue.core.arrays import Float
-from ringtrue.core.parameters import ParameterSet, Target
+from ringtrue.core.parameters import CardField, ParameterSet
 from ringtrue.errors import InputError
-from ringtrue.fem.change import rows_of
-from ringtrue.fem.kinds import batches
-from ringtrue.fem.mesh import mesh
-from ringtrue.fem.rows import union
+from ringtrue.fem.element_cards import batches
+from ringtrue.fem.mesh import mesh, union
+from ringtrue.fem.parametrisation.changed_model import rows_of
 from ringtrue.model.edit import FieldChange, resolve_target
 from ringtrue.model.model import Model, Table
-from ringtrue.updating.candidates import listed
 from ringtrue.updating.damping import Mechanism
+from ringtrue.updating.selection.candidates import listed
 
 DASHPOTS = {
     "PBUSH": ("B1", "B2", "B3", "B4", "B5", "B6"),
@@ -60,7 +59,7 @@ class DampingRegion:
     Attributes
     ----------
     name : str
-    targets : tuple of Target
+    targets : tuple of CardField
         Fields of one kind.
     lower, upper : float
         Bounds of the coefficient; upper None: 0.2 for a material, 1 for springs, ζ = 0.5 for
@@ -70,7 +69,7 @@ class DampingRegion:
     """
 
     name: str
-    targets: tuple[Target, ...]
+    targets: tuple[CardField, ...]
     lower: float = 0.0
     upper: float | None = None
     expected: float | None = None
@@ -105,11 +104,11 @@ class DampingRegion:
         return [FieldChange(t.card, t.id, t.field, value) for t in self.targets]
 
 
-def _is_dashpot(t: Target) -> bool:
+def _is_dashpot(t: CardField) -> bool:
     return t.field in DASHPOTS.get(t.card, ())
 
 
-def _is_loss(t: Target) -> bool:
+def _is_loss(t: CardField) -> bool:
     return t.field == "GE" and t.card in (*OWN_LOSS, *SPRINGS)
 
 
@@ -136,7 +135,7 @@ def default_regions(
     soft = {t.id for _, targets in sprung for t in targets}
     found = [
         DampingRegion(
-            _name(model, card, ids, properties), tuple(Target(card, i, "GE") for i in ids)
+            _name(model, card, ids, properties), tuple(CardField(card, i, "GE") for i in ids)
         )
         for card in (*OWN_LOSS, "PBUSH", "PELAS")
         if card in model
@@ -145,18 +144,18 @@ def default_regions(
     if "CELAS2" in model:
         found.append(
             DampingRegion(
-                "CELAS2", tuple(Target("CELAS2", int(i), "GE") for i in model["CELAS2"].ids)
+                "CELAS2", tuple(CardField("CELAS2", int(i), "GE") for i in model["CELAS2"].ids)
             )
         )
     found += [
-        DampingRegion(name, tuple(Target("PBUSH", t.id, f"B{t.field[1]}") for t in targets))
+        DampingRegion(name, tuple(CardField("PBUSH", t.id, f"B{t.field[1]}") for t in targets))
         for name, targets in sprung
         if targets
     ]
     return _told_apart(found)
 
 
-def _is_spring(t: Target) -> bool:
+def _is_spring(t: CardField) -> bool:
     return t.card == "PBUSH" and re.fullmatch("K[1-6]", t.field) is not None
 
 
@@ -251,7 +250,7 @@ def undamped(model: Model) -> Model:
     return replace(model, tables=tables)
 
 
-def seen(model: Model, targets: Sequence[Target], shapes: Float) -> tuple[Float, Float]:
+def seen(model: Model, targets: Sequence[CardField], shapes: Float) -> tuple[Float, Float]:
     """ΦᵀDΦ and ΦᵀHΦ, (n, n) each, of the elements that the targets damp.
 
     Parameters

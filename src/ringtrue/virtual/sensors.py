@@ -1,4 +1,6 @@
-"""Measuring chains: from the motion at a point to the volts on disk."""
+"""Measuring chains: from the motion at a point to the volts on disk, with noise, drift and mains
+hum; signal-to-noise ratio at the resonances.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +10,110 @@ import numpy as np
 from scipy import fft
 
 from ringtrue.core.arrays import Any_, Complex, Float, Int
-from ringtrue.core.motions import Motion
+from ringtrue.core.modal import ModalModel
+from ringtrue.core.motions import DERIVATIVE, POWER, Motion
 from ringtrue.core.signals import Quantity
 from ringtrue.errors import InputError
-from ringtrue.virtual.noise import NoiseFloor, anti_alias, coloured, hum, hum_lines
 from ringtrue.virtual.response import MOTIONS, lines
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseFloor:
+    """Self-noise with a 1/f part: S(f) = density²·(1 + corner/f).
+
+    Attributes
+    ----------
+    density : float, unit/√Hz
+        Far above the corner.
+    corner : float, Hz
+    """
+
+    density: float
+    corner: float
+
+    def psd(self, freqs: Float) -> Float:
+        """(line,) one-sided spectral density, unit²/Hz; 0 at 0 Hz, where an offset stands
+        instead.
+        """
+        safe = np.where(freqs > 0, freqs, np.inf)
+        return np.asarray(np.where(freqs > 0, self.density**2 * (1 + self.corner / safe), 0.0))
+
+
+def coloured(psd: Float, samples: int, rate: float, rng: np.random.Generator) -> Complex:
+    """Spectra of Gaussian noise, periodic over the record.
+
+    Parameters
+    ----------
+    psd : (row, line) float64
+        One-sided spectral densities at the lines of the record, unit²/Hz.
+    samples : int
+    rate : float, Hz
+
+    Returns
+    -------
+    (row, line) complex128
+    """
+    normal = rng.standard_normal((*psd.shape, 2)).view(np.complex128)[..., 0]
+    normal *= np.sqrt(0.25 * rate * samples * psd)
+    return np.asarray(normal)
+
+
+def white(
+    count: int, density: float, samples: int, rate: float, rng: np.random.Generator
+) -> Complex:
+    """Spectra (count, line) of independent white noise of a density, unit/√Hz, without an offset:
+    as of `coloured`.
+    """
+    psd = np.full((count, samples // 2 + 1), density**2)
+    psd[:, 0] = 0.0
+    return coloured(psd, samples, rate, rng)
+
+
+def power(spectrum: Complex, samples: int, rate: float) -> Float:
+    """Periodogram (row, line) of a spectrum, one-sided, unit²/Hz."""
+    return np.asarray(2.0 / (rate * samples) * (spectrum.real**2 + spectrum.imag**2))
+
+
+def tone(freq: float, amplitude: Float, phase: Float, samples: int, rate: float) -> Complex:
+    """Spectra (row, line) of amplitude·cos(2πft + phase), f moved to the nearest line."""
+    out = np.zeros((amplitude.size, samples // 2 + 1), dtype=np.complex128)
+    line = round(freq * samples / rate)
+    if 0 < line < out.shape[1]:
+        out[:, line] = 0.5 * samples * amplitude * np.exp(1j * phase)
+    return out
+
+
+def hum(
+    amplitude: Float, samples: int, rate: float, rng: np.random.Generator, mains: float = 50.0
+) -> Complex:
+    """Mains hum and its third harmonic (30 %); lines above half the rate are filtered away.
+
+    Returns
+    -------
+    (row, 2) complex128
+        Spectra at the lines `hum_lines`, 0 where there is no such line.
+    """
+    at = hum_lines(samples, rate, mains)
+    phase = rng.uniform(0, 2 * np.pi, (amplitude.size, 2))
+    return np.asarray(
+        0.5 * samples * amplitude[:, None] * [1.0, 0.3] * np.exp(1j * phase) * (at > 0)
+    )
+
+
+def hum_lines(samples: int, rate: float, mains: float = 50.0) -> Int:
+    """(2,) lines nearest to the mains frequency and its third harmonic; 0 where beyond half the
+    rate.
+    """
+    at = np.round(np.array([1, 3]) * mains * samples / rate).astype(np.int64)
+    return np.asarray(np.where(at < samples // 2, at, 0))
+
+
+def anti_alias(freqs: Float, rate: float, start: float = 0.4) -> Float:
+    """(line,) gain of the recorder's filter: flat to `start` of the rate, cosine to 0 at half of
+    it.
+    """
+    x = np.clip((freqs / rate - start) / (0.5 - start), 0.0, 1.0)
+    return np.asarray(0.5 * (1 + np.cos(np.pi * x)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +195,6 @@ class Sensor:
 
 
 _UG = 9.80665e-6  # m/s² per µg
-
 ACCELEROMETER = Sensor(
     "force-balance accelerometer", "acceleration", "m/s^2", 1.02, 2.5, NoiseFloor(0.1 * _UG, 1.0)
 )
@@ -206,7 +306,7 @@ class Chain:
         return volts.astype(np.float32)
 
 
-def record(
+def record_volts(
     motion: Complex, chain: Chain, samples: int, rate: float, rng: np.random.Generator
 ) -> tuple[Any_, Complex]:
     """Volts on disk from the spectra at the sensors.
@@ -236,3 +336,51 @@ def _kinds(sensors: tuple[Sensor, ...]) -> tuple[list[Sensor], Int]:
     kinds = list(dict.fromkeys(sensors))
     here = {s: i for i, s in enumerate(kinds)}
     return kinds, np.array([here[s] for s in sensors])
+
+
+def resonance_power(spectrum: Complex, poles: Complex, samples: int, rate: float) -> Float:
+    """Mean spectral density within the half-power band of each mode.
+
+    Parameters
+    ----------
+    spectrum : (channel, line) complex128
+    poles : (m,) complex128, rad/s
+
+    Returns
+    -------
+    (channel, m) float64, unit²/Hz
+    """
+    total = np.concatenate(
+        [np.zeros((spectrum.shape[0], 1)), np.cumsum(power(spectrum, samples, rate), axis=1)],
+        axis=1,
+    )
+    f, half = np.abs(poles) / (2 * np.pi), np.abs(poles.real) / (2 * np.pi)
+    low = np.floor((f - half) * samples / rate).astype(np.int64).clip(1, spectrum.shape[1] - 1)
+    high = (np.ceil((f + half) * samples / rate).astype(np.int64) + 1).clip(
+        low + 1, spectrum.shape[1]
+    )
+    return np.asarray((total[:, high] - total[:, low]) / (high - low))
+
+
+def in_band(poles: Complex, low: float, high: float) -> Complex:
+    """The poles between two frequencies, Hz."""
+    f = np.abs(poles) / (2 * np.pi)
+    return np.asarray(poles[(f >= low) & (f <= high)])
+
+
+def ratio_db(signal: Float, noise: Float) -> Float:
+    """10·lg(signal/noise), dB."""
+    tiny = np.finfo(np.float64).tiny
+    return np.asarray(10 * np.log10(np.maximum(signal, tiny) / np.maximum(noise, tiny)))
+
+
+def expected_power(model: ModalModel, poles: Complex, input_psd: Float, quantity: Motion) -> Float:
+    """(out, m) spectral density at the resonances, inputs uncorrelated with `input_psd` (in, m)
+    there.
+    """
+    f = np.abs(poles) / (2 * np.pi)
+    power_of_s = DERIVATIVE[quantity] - POWER[model.kind]
+    h = np.moveaxis(model.synthesise(f), 0, -1)  # (out, in, m)
+    return np.asarray(
+        np.einsum("oim,im->om", np.abs(h) ** 2, input_psd) * (2 * np.pi * f) ** (2 * power_of_s)
+    )

@@ -6,8 +6,8 @@ import numpy as np
 
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.fem.algebra import scaled
-from ringtrue.fem.mesh import Isotropic, Matrices, Mesh, error, isotropic, lookup
-from ringtrue.fem.place import node_dofs, segment
+from ringtrue.fem.mesh import Isotropic, Matrices, Mesh, isotropic, lookup, node_dofs, segment
+from ringtrue.model.model import card_error
 
 _PAIR = np.array([[1.0, -1.0], [-1.0, 1.0]])
 
@@ -51,7 +51,7 @@ def _section(m: Mesh, card: str, at: Int) -> tuple[Isotropic, Any_, Any_, Any_]:
     if card == "CONROD":
         return isotropic(m.model, t["MID"][at], t, at), t["A"][at], t["J"][at], t["NSM"][at]
     name = "PROD" if card == "CROD" else "PTUBE"
-    row = lookup(m.model, name, t["PID"][at], t, at)
+    row = lookup(m.model, name, t["PID"][at], table=t, at=at)
     p = m.model[name]
     iso = isotropic(m.model, p["MID"][row], p, row)
     if name == "PROD":
@@ -78,9 +78,13 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     nodes = m.nodes(t.stack("G1", "G2")[at], t, at)
     x = m.xyz[nodes]
     if (short := np.linalg.norm(x[:, 1] - x[:, 0], axis=1) == 0).any():
-        raise error(m.model, t, int(at[short][0]), "its two ends are at one place")
+        raise card_error(m.model, t, int(at[short][0]), "its two ends are at one place")
     iso, A, J, nsm = _section(m, card, at)
     M = mass(x, iso.rho * A + nsm + m.nsm(card, at), m.model.param("COUPMASS", -1) > 0)
     return Matrices(
-        node_dofs(nodes), kernel(x, iso.E * A, iso.G * J), M, iso.loss, np.empty((0, 12, 12))
+        dofs=node_dofs(nodes),
+        stiffness=kernel(x, iso.E * A, iso.G * J),
+        mass=M,
+        loss=iso.loss,
+        viscous=np.empty((0, 12, 12)),
     )

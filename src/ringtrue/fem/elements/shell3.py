@@ -13,11 +13,19 @@ import numpy as np
 
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.fem.algebra import unit
-from ringtrue.fem.elements.shell import drilling, finish, place, to_nodes
+from ringtrue.fem.elements.elasticity import gram
 from ringtrue.fem.elements.shell_material import contract
-from ringtrue.fem.elements.shell_section import Section, oriented, section
-from ringtrue.fem.isotropy import gram
-from ringtrue.fem.mesh import Matrices, Mesh, error
+from ringtrue.fem.elements.shell_section import (
+    Section,
+    drilling,
+    finish,
+    oriented,
+    place,
+    section,
+    to_nodes,
+)
+from ringtrue.fem.mesh import Matrices, Mesh
+from ringtrue.model.model import card_error
 
 _P = np.array([[1, 1], [4, 1], [1, 4]]) / 6  # three points, degree 2
 _L = np.stack([1 - _P.sum(1), _P[:, 0], _P[:, 1]], axis=1)
@@ -50,9 +58,11 @@ def _turns(t: Any_, length: Any_) -> Any_:
     """
     R = np.zeros((len(t), 3, 3, 3), dtype=t.dtype)
     for s, (i, j) in enumerate(_SIDES):
-        R[:, s, i, 0], R[:, s, j, 0] = -1 / length[:, s], 1 / length[:, s]
+        R[:, s, i, 0] = -1 / length[:, s]
+        R[:, s, j, 0] = 1 / length[:, s]
         for node in (i, j):  # βs = θy tx - θx ty
-            R[:, s, node, 1], R[:, s, node, 2] = -t[:, s, 1] / 2, t[:, s, 0] / 2
+            R[:, s, node, 1] = -t[:, s, 1] / 2
+            R[:, s, node, 2] = t[:, s, 0] / 2
     return R
 
 
@@ -65,7 +75,8 @@ def _slopes(t: Any_, R: Any_, phi: Any_) -> Any_:
     """
     H = np.zeros((len(t), 6, 2, 3, 3), dtype=np.result_type(R, phi))
     for k in range(3):
-        H[:, k, 0, k, 2], H[:, k, 1, k, 1] = 1.0, -1.0
+        H[:, k, 0, k, 2] = 1.0
+        H[:, k, 1, k, 1] = -1.0
     for s, (i, j) in enumerate(_SIDES):
         more = (-1.5 / (1 + phi[:, s]))[:, None, None] * R[:, s]
         H[:, 3 + s] = (H[:, i] + H[:, j]) / 2 + t[:, s, :, None, None] * more[:, None]
@@ -76,7 +87,8 @@ def _flexibility(t: Any_, length: Any_, s: Section) -> Any_:
     """φ = 12 D/(S l²) along each side (e, 3), D and S of that direction; 0 where the shear is
     rigid.
     """
-    c, n = t[..., 0], t[..., 1]
+    c = t[..., 0]
+    n = t[..., 1]
     q = np.stack([c * c, n * n, 2 * c * n], axis=-1)
     D = np.einsum("esi,eij,esj->es", q, s.bending, q)
     S = np.einsum("esi,eij,esj->es", t, s.shear, t)
@@ -111,7 +123,8 @@ def kernel(xy: Any_, area: Any_, s: Section) -> Any_:
     w = np.repeat(area[:, None] / 3, 3, axis=1)
     w1, w2, w3 = (s.weights(w, _L, p) for p in (1, 2, 3))
     t, length = _sides(xy)
-    R, phi = _turns(t, length), _flexibility(t, length, s)
+    R = _turns(t, length)
+    phi = _flexibility(t, length, s)
     H = _slopes(t, R, phi).reshape(e, 12, 9)
     bend = H.swapaxes(1, 2) @ contract(gram(g2, w3), s.bending) @ H
     if phi.any():
@@ -148,9 +161,14 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     nodes = m.nodes(t.stack("G1", "G2", "G3")[at], t, at)
     axes, xy, area = flatten(m.xyz[nodes])
     if (area == 0).any():
-        raise error(m.model, t, int(at[area == 0][0]), "it has no area; check its nodes")
-    s = oriented(m, card, at, section(m, card, at, 3), axes, m.xyz[nodes])
+        raise card_error(m.model, t, int(at[area == 0][0]), "it has no area; check its nodes")
+    s = oriented(m, card, at, s=section(m, card, at, 3), axes=axes, x=m.xyz[nodes])
     mass = s.masses(np.repeat(area[:, None] / 3, 3, axis=1), _L) @ _L
     return finish(
-        m, nodes, to_nodes(kernel(xy, area, s), s, axes, np.zeros((len(at), 3))), s, axes, mass
+        m,
+        nodes,
+        to_nodes(kernel(xy, area, s), s, axes, np.zeros((len(at), 3))),
+        section=s,
+        axes=axes,
+        mass=mass,
     )

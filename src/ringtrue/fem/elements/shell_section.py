@@ -1,20 +1,21 @@
 """Sections of shells, integrated over the thickness: PSHELL, PCOMP, PCOMPG, thickness at the
 corners, offset.
+
+What the shell elements share: placing of blocks, drilling, offsets, mass.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
-from ringtrue.fem.algebra import unit
-from ringtrue.fem.elements.laminate import laminates
-from ringtrue.fem.elements.shell_material import RIGID_SHEAR, layers, turned
-from ringtrue.fem.mesh import Mesh, error, lookup
-from ringtrue.fem.place import frame
-from ringtrue.model.model import Table
+from ringtrue.fem.algebra import arm, condense, congruent, nodal, rotation, scaled, unit
+from ringtrue.fem.elements.shell_material import RIGID_SHEAR, laminates, layers, turned
+from ringtrue.fem.mesh import Matrices, Mesh, frame, lookup, node_dofs
+from ringtrue.model.model import Table, card_error
 
 DRILL = 1e-6  # what PARAM,K6ROT multiplies
 LAMINATES = ("PCOMP", "PCOMPG")
@@ -85,7 +86,7 @@ def section(m: Mesh, card: str, at: Int, corners: int) -> Section:
     )
     parts = [(shell, _pshell(m, t, at[shell], corners))] if shell.any() else []
     parts += [
-        (rows >= 0, _laminate(m, c, rows[rows >= 0], t, at[rows >= 0], corners))
+        (rows >= 0, _laminate(m, c, rows[rows >= 0], t=t, at=at[rows >= 0], corners=corners))
         for c, rows in found.items()
     ]
     parts = [p for p in parts if p[0].any()]
@@ -109,7 +110,8 @@ def in_axes(s: Section, turn: Any_) -> Section:
     some = directed(s)
     if not some.any():
         return s
-    c, n = turn[some, 0], turn[some, 1]
+    c = turn[some, 0]
+    n = turn[some, 1]
     new: dict[str, Any_] = {}
     for name in ("membrane", "coupling", "bending"):
         old = getattr(s, name)
@@ -140,7 +142,9 @@ def oriented(m: Mesh, card: str, at: Int, s: Section, axes: Any_, x: Any_) -> Se
         return s
     side = x[:, 1] - x[:, 0]
     side = unit(side - (side * axes[:, 2]).sum(axis=1)[:, None] * axes[:, 2])
-    axis = material_axis(m, card, at, x.mean(axis=1), side, axes[:, 2], turned)
+    axis = material_axis(
+        m, card, at, x=x.mean(axis=1), tangent=side, normal=axes[:, 2], turned=turned
+    )
     return in_axes(s, np.einsum("eij,ej->ei", axes[:, :2], axis))
 
 
@@ -159,23 +163,27 @@ def material_axis(
         If the x axis of the frame is along the normal.
     """
     t = m.model[card]
-    angle, cid = np.radians(1.0) * t["THETA"][at], t["MCID"][at]
-    c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    angle = np.radians(1.0) * t["THETA"][at]
+    cid = t["MCID"][at]
+    c = np.cos(angle)[:, None]
+    s = np.sin(angle)[:, None]
     out = c * tangent + s * np.cross(normal, tangent)
     named = np.flatnonzero(cid >= 0)
     if named.size:
-        axis, n = frame(m, cid[named], x[named].real)[:, 0], normal[named]
+        axis = frame(m, cid[named], x[named].real)[:, 0]
+        n = normal[named]
         flat = axis - (axis * n).sum(axis=1)[:, None] * n
         along = named[np.abs(flat).max(axis=1) < 1e-6]
         if turned[along].any():
             bad = int(at[along[turned[along]][0]])
-            raise error(
+            raise card_error(
                 m.model,
                 t,
                 bad,
                 "the x axis of its frame MCID is along the normal; name another frame",
             )
-        out, use = out.astype(np.result_type(out, flat)), ~np.isin(at[named], at[along])
+        out = out.astype(np.result_type(out, flat))
+        use = ~np.isin(at[named], at[along])
         out[named[use]] = unit(flat[use])
     return np.asarray(out)
 
@@ -200,13 +208,13 @@ def _offset(t: Table, at: Int) -> Any_:
 
 def _pshell(m: Mesh, t: Table, at: Int, corners: int) -> Section:
     """PSHELL. MID4 couples by -T² G4: its G4 is 1/T² ∫ -z G dz (MSC Nastran)."""
-    row = lookup(m.model, "PSHELL", t["PID"][at], t, at)
+    row = lookup(m.model, "PSHELL", t["PID"][at], table=t, at=at)
     p = m.model["PSHELL"]
     mid1, mid2, mid3, mid4 = (p[c][row] for c in ("MID1", "MID2", "MID3", "MID4"))
     T, profile = thickness(t, at, corners, p["T"][row])
     if (lost := (T == 0) & ((mid1 > 0) | (mid2 > 0))).any():
         i = int(np.flatnonzero(lost)[0])
-        raise error(
+        raise card_error(
             m.model, p, int(row[i]), f"{t.card} {t.ids[at[i]]} has no thickness: T is blank or 0"
         )
     stretch = layers(m.model, mid1, p, row, confined=mid2 < 0)
@@ -220,19 +228,20 @@ def _pshell(m: Mesh, t: Table, at: Int, corners: int) -> Section:
     couple = layers(m.model, mid4, p, row).plane
     first = mid1 > 0
     turning = np.where(first, stretch.plane[:, 2, 2], bend.plane[:, 2, 2])
-    t1, inertia = T[:, None, None], (p["I12T3"][row] * T**3 / 12)[:, None, None]
+    t1 = T[:, None, None]
+    inertia = (p["I12T3"][row] * T**3 / 12)[:, None, None]
     return Section(
-        stretch.plane * t1,
-        -couple * t1 * t1,
-        bend.plane * inertia,
-        np.where(own[:, None, None], core, rigid) * t1,
-        turning * T * m.model.param("K6ROT", 100.0) * DRILL,
-        np.where(first, stretch.density, bend.density) * T,
-        p["NSM"][row] + m.nsm(t.card, at),
-        np.where(first, stretch.loss, bend.loss),
-        _offset(t, at),
-        own & (mid3 != mid2),
-        profile,
+        membrane=stretch.plane * t1,
+        coupling=-couple * t1 * t1,
+        bending=bend.plane * inertia,
+        shear=np.where(own[:, None, None], core, rigid) * t1,
+        drill=turning * T * m.model.param("K6ROT", 100.0) * DRILL,
+        density=np.where(first, stretch.density, bend.density) * T,
+        nsm=p["NSM"][row] + m.nsm(t.card, at),
+        loss=np.where(first, stretch.loss, bend.loss),
+        offset=_offset(t, at),
+        flexible=own & (mid3 != mid2),
+        profile=profile,
     )
 
 
@@ -244,15 +253,119 @@ def _laminate(m: Mesh, card: str, row: Int, t: Table, at: Int, corners: int) -> 
     L = laminates(m.model, card, rows)
     p = m.model[card]
     return Section(
-        L.membrane[inverse],
-        L.coupling[inverse],
-        L.bending[inverse],
-        L.shear[inverse],
-        L.turning[inverse] * m.model.param("K6ROT", 100.0) * DRILL,
-        L.density[inverse],
-        p["NSM"][row] + m.nsm(t.card, at),
-        p["GE"][row],
-        _offset(t, at),
-        np.ones(at.size, dtype=bool),
-        np.ones((at.size, corners)),
+        membrane=L.membrane[inverse],
+        coupling=L.coupling[inverse],
+        bending=L.bending[inverse],
+        shear=L.shear[inverse],
+        drill=L.turning[inverse] * m.model.param("K6ROT", 100.0) * DRILL,
+        density=L.density[inverse],
+        nsm=p["NSM"][row] + m.nsm(t.card, at),
+        loss=p["GE"][row],
+        offset=_offset(t, at),
+        flexible=np.ones(at.size, dtype=bool),
+        profile=np.ones((at.size, corners)),
     )
+
+
+SPAN = 2048
+TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])  # slopes (βx, βy) = (θy, -θx)
+
+
+def in_spans(e: int, kernel: Callable[[slice], Any_]) -> Any_:
+    """What `kernel` gives for spans of e elements, one after the other: bounds the memory of the
+    strain rows.
+    """
+    return np.concatenate([kernel(slice(i, i + SPAN)) for i in range(0, max(e, 1), SPAN)])
+
+
+def condensed(K: Any_, inner: int) -> Any_:
+    """Condense the last `inner` parameters out; elements in which they have no stiffness are left
+    as they are.
+    """
+    n = K.shape[1] - inner
+    return condense(K, slice(n), slice(n, None))
+
+
+def place(K: Any_, rows: list[int], block: Any_, columns: list[int] | None = None) -> None:
+    """Add a block (e, k r, k c) of DOFs `rows` (r) and `columns` (c, or as the rows) a node into K
+    (e, k, 6, k, 6).
+    """
+    k = K.shape[1]
+    columns = columns or rows
+    block = block.reshape(-1, k, len(rows), k, len(columns))
+    for i, a in enumerate(rows):
+        for j, b in enumerate(columns):
+            K[:, :, a, :, b] += block[:, :, i, :, j]
+
+
+def of_rotations(slopes: Any_) -> Any_:
+    """Columns over slopes (..., k 2) to columns over (θx, θy), the same shape."""
+    parts = slopes.reshape(*slopes.shape[:-1], -1, 2) @ TURN
+    return np.asarray(parts.reshape(slopes.shape))
+
+
+def drilling(N: Float, gradients: Any_, w: Any_) -> Any_:
+    """∫ (θz - (∂v/∂x - ∂u/∂y)/2)² over (u, v, θz) of each node: (e, 3k, 3k); N (gp, k), w (e,
+    gp).
+    """
+    e, g, k = gradients.shape[:3]
+    row = np.empty((e, g, k, 3), dtype=gradients.dtype)
+    row[..., 0] = gradients[..., 1] / 2
+    row[..., 1] = -gradients[..., 0] / 2
+    row[..., 2] = N
+    flat = row.reshape(e, g, 3 * k)
+    return np.asarray((flat * w[:, :, None]).swapaxes(1, 2) @ flat)
+
+
+def to_nodes(K: Any_, section: Section, axes: Any_, heights: Any_) -> Any_:
+    """Local stiffness (e, k, 6, k, 6) of corners to that of the nodes in basic, (e, 6k, 6k).
+
+    `heights` (e, k) are the nodes above the mean plane: each is joined to its projection by a rigid
+    arm along the normal, so that a warped element has no energy in a rigid motion.
+    """
+    e, k = heights.shape
+    arms = np.zeros((e, k, 3), dtype=np.result_type(section.offset, heights))
+    arms[..., 2] = section.offset[:, None] - heights
+    local = nodal(arm(arms) @ rotation(axes, 1)[:, None])
+    return congruent(local, K.reshape(e, 6 * k, 6 * k))
+
+
+def finish(m: Mesh, nodes: Int, K: Any_, section: Section, axes: Any_, mass: Any_) -> Matrices:
+    """Matrices of stiffness K (e, 6k, 6k) and nodal masses (e, k) of corners."""
+    e, k = nodes.shape
+    offset = section.offset[:, None, None] * axes[:, None, 2]
+    M = masses(m, np.broadcast_to(offset, (e, k, 3)), mass, np.asarray(_PATTERN[k]))
+    return Matrices(
+        dofs=node_dofs(nodes),
+        stiffness=K,
+        mass=M,
+        loss=section.loss,
+        viscous=np.empty((0, 6 * k, 6 * k)),
+    )
+
+
+def masses(m: Mesh, arms: Any_, mass: Any_, pattern: Any_) -> Any_:
+    """Lumped (e, 6k) or full (e, 6k, 6k) mass of nodal masses (e, k) at arms (e, k, 3) from the
+    nodes.
+
+    PARAM,COUPMASS takes `pattern` (k, k) or (e, k, k), which sums to one, times the whole mass.
+    """
+    e, k = mass.shape
+    ends = np.array([1.0, 1, 1, 0, 0, 0])
+    lumped = mass[..., None] * ends
+    coupled = m.model.param("COUPMASS", -1) > 0
+    if not coupled and not np.any(arms):
+        return np.asarray(lumped.reshape(e, 6 * k))
+    M = lumped.reshape(e, -1)[:, :, None] * np.eye(6 * k)
+    if coupled:
+        full = np.einsum("...ij,ab->...iajb", pattern, np.diag(ends)).reshape(
+            *pattern.shape[:-2], 6 * k, 6 * k
+        )
+        M = scaled(mass.sum(1), np.broadcast_to(full, (e, 6 * k, 6 * k)))
+    return congruent(nodal(arm(arms)), M) if np.any(arms) else M
+
+
+_PATTERN = {  # consistent mass of a triangle and a parallelogram
+    3: (1 + np.eye(3)) / 12,
+    4: np.array([[4, 2, 1, 2], [2, 4, 2, 1], [1, 2, 4, 2], [2, 1, 2, 4]]) / 36,
+}

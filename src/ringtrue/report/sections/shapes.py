@@ -59,12 +59,14 @@ def _paired(
         info = f"test {fixed(r.test_hz, 3)} Hz, FE {fixed(r.fe_hz, 3)} Hz, "
         info += f"Δf {fixed(r.deviation_percent, 2, sign=True)} %"
         fe = (skin, k) if skin is not None and k < len(skin) else None
-        if table.alone:
+        if table.frequency_only:
             out += [Shown(stage, label, info, fe, None)] if fe else []
             continue
         info += f", MAC {fixed(r.mac_percent, 1)} %"
         info += f", subspace MAC {fixed(r.subspace_mac_percent, 1)} %" if r.subspace else ""
-        out.append(Shown(stage, label, info, fe, (test, t), (seen, k)))
+        out.append(
+            Shown(stage=stage, label=label, info=info, fe=fe, test=(test, t), seen=(seen, k))
+        )
     return out
 
 
@@ -101,12 +103,12 @@ def _expanded(data: Stages) -> list[Shown]:
         )
         out.append(
             Shown(
-                "Test, expanded",
-                f"mode {k + 1} · {fixed(f, 2)} Hz",
-                info,
-                (e.modes, k),
-                (test, k),
-                (test, k),
+                stage="Test, expanded",
+                label=f"mode {k + 1} · {fixed(f, 2)} Hz",
+                info=info,
+                fe=(e.modes, k),
+                test=(test, k),
+                seen=(test, k),
             )
         )
     return out

@@ -9,8 +9,8 @@ import numpy as np
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.testmodel import TestModel
-from ringtrue.planning.rehearsal import Rehearsal
 from ringtrue.planning.setups import Setups
+from ringtrue.planning.virtual_test import Rehearsal
 
 MISSED = 0.1  # of the best driving-point residue: below, the references miss a mode
 

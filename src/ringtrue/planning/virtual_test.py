@@ -1,0 +1,596 @@
+"""A virtual test of the plan: signals with the planned points, hammer and sensors; identified and
+correlated.
+
+What comes out are the modes that will be found, with which probability and which error, before
+anyone goes on site.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields, replace
+
+import numpy as np
+from scipy import fft
+from scipy.special import betaincinv
+
+from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
+from ringtrue.core.modal import ModalModel
+from ringtrue.core.modes import ModeSet, Norm
+from ringtrue.core.progress import Progress
+from ringtrue.core.signals import Channel, FrfSet, TimeHistory
+from ringtrue.correlation.pairing import Pairing, PairingSettings, pair_modes
+from ringtrue.errors import DataError, InputError
+from ringtrue.identification.ambient.pipeline import AmbientSettings, identify_ambient
+from ringtrue.identification.frf.pipeline import HammerModes, identify_hammer
+from ringtrue.signal.frf import estimate_frf
+from ringtrue.signal.impacts import HammerSettings
+from ringtrue.virtual.excitation import Pulses, pulse_spectrum
+from ringtrue.virtual.measurements import HammerPlan, hammer_record, strike
+from ringtrue.virtual.response import decay_time, lines, response_spectrum
+from ringtrue.virtual.sensors import FORCE_CELL, ICP, Chain, Sensor, record_volts, white
+
+RATE = 3.2  # over fmax: the recorder's filter is flat up to 0.4 of the rate
+LOOK = 10  # blows that tell a coherence
+SMALLEST = 200.0  # N, range of the smallest impact hammers
+HEADROOM = 6.0  # of the range over the RMS: nothing clips
+MOST = 40_000_000  # samples of all channels of a record
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Planned:
+    """A structure as planned to be measured.
+
+    Attributes
+    ----------
+    frequencies : (m,) float64, Hz
+        All modes that take part, those beside the band too; rigid-body modes, free or on a soft
+        suspension, count as mass lines: those below a tenth of `fmin` or a thousandth of `fmax`.
+    outputs : (o, m) float64
+        Mass-normalised shapes in SI at the channels.
+    inputs : (i, m) float64
+        At the points and directions struck.
+    channels, references : tuple of str
+        Equal ids mark a driving point.
+    fmin, fmax : float, Hz
+        Band of the test.
+    """
+
+    frequencies: Float
+    outputs: Float
+    inputs: Float
+    channels: tuple[str, ...]
+    references: tuple[str, ...]
+    fmin: float
+    fmax: float
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, frequencies=np.float64, outputs=np.float64, inputs=np.float64)
+        m, o, i = self.frequencies.size, len(self.channels), len(self.references)
+        if self.outputs.shape != (o, m) or self.inputs.shape != (i, m) or not i:
+            raise InputError(
+                f"outputs {self.outputs.shape}, inputs {self.inputs.shape} for {m} modes, {o} "
+                f"channels, {i} references"
+            )
+        if not 0 <= self.fmin < self.fmax or not self.targets.any():
+            raise InputError(f"no mode between {self.fmin:g} and {self.fmax:g} Hz")
+
+    @property
+    def targets(self) -> Bool:
+        """(m,) bool, modes in the band."""
+        return np.asarray((self.frequencies >= self.fmin) & (self.frequencies <= self.fmax))
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """How the test is made.
+
+    Attributes
+    ----------
+    trials : int
+    damping : float
+        Expected ratio.
+    damping_scatter : float
+        Of its logarithm, mode by mode and trial by trial.
+    frequency_scatter : float
+        Relative error of the model's frequencies, drawn likewise.
+    background : float, N/√Hz
+        White force at each reference all the time.
+    coherence : float, optional, 0..1
+        In place of `background`: so strong that the FRFs of driving points have this coherence;
+        each reference is a channel then.
+    sensor : Sensor
+        Of the responses; an accelerometer.
+    hits : int
+        Good blows at each reference, unless `hammer` says so.
+    hammer : HammerPlan, optional
+        By default a hammer that fits the structure: `fitting_hammer`.
+    pairing : PairingSettings
+        When a mode counts as found.
+    """
+
+    trials: int = 10
+    damping: float = 0.01
+    damping_scatter: float = 0.2
+    frequency_scatter: float = 0.01
+    background: float = 0.0
+    coherence: float | None = None
+    sensor: Sensor = ICP
+    hits: int = 5
+    hammer: HammerPlan | None = None
+    pairing: PairingSettings = field(default_factory=lambda: PairingSettings(0.8, 0.03, reach=1.0))
+
+    def __post_init__(self) -> None:
+        if (
+            min(self.trials, self.hits) < 1
+            or not 0 < self.damping < 1
+            or min(self.damping_scatter, self.background) < 0
+        ):
+            raise InputError(
+                f"virtual test: trials {self.trials} and hits {self.hits} (1 or more), damping "
+                f"{self.damping} (0..1), "
+                f"scatter and background {self.damping_scatter}, {self.background} (0 or more)"
+            )
+        if self.coherence is not None and not 0 < self.coherence <= 1:
+            raise InputError(f"virtual test: coherence {self.coherence} must be above 0, 1 at most")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rehearsal:
+    """What the trials found of each mode in the band.
+
+    Attributes
+    ----------
+    frequencies : (t,) float64, Hz
+        Of the model.
+    found : (t,) float64, 0..1
+        Share of the trials that found the mode.
+    at_least : (t,) float64, 0..1
+        Lower 95 % confidence bound of that probability (Clopper and Pearson 1934).
+    frequency_bias, frequency_std : (t,) float64
+        Relative, of the trials that found it; NaN where none did, the deviation where fewer than
+        two did.
+    damping_bias, damping_std : (t,) float64
+        Relative.
+    mac : (t,) float64
+        Mean of the trials that found it.
+    invented : float
+        Modes a trial that pair with none of the structure.
+    trials : int
+    force : float
+        Largest planned peak of a blow, N; of an ambient test the density of the forces, N/√Hz.
+    background : float, N/√Hz
+        White force at each reference beside the blows.
+    """
+
+    frequencies: Float
+    found: Float
+    at_least: Float
+    frequency_bias: Float
+    frequency_std: Float
+    damping_bias: Float
+    damping_std: Float
+    mac: Float
+    invented: float
+    trials: int
+    force: float
+    background: float = 0.0
+
+    def __post_init__(self) -> None:
+        names = (
+            "frequencies",
+            "found",
+            "at_least",
+            "frequency_bias",
+            "frequency_std",
+            "damping_bias",
+            "damping_std",
+        )
+        freeze_fields(self, **dict.fromkeys((*names, "mac"), np.float64))
+
+    def take(self, modes: Int) -> Rehearsal:
+        """The chosen modes (k,) of the band, in the given order."""
+        arrays = [f.name for f in fields(self) if isinstance(getattr(self, f.name), np.ndarray)]
+        return replace(self, **{name: getattr(self, name)[modes] for name in arrays})
+
+
+def modal_model(plan: Planned, frequencies: Float, damping: Float) -> ModalModel:
+    """The structure as poles and residues: φψᵀ/(2iω_d) at each pole, rigid-body modes as the term
+    L/s².
+
+    Parameters
+    ----------
+    frequencies, damping : (m,) float64
+        In place of those of the plan, Hz and ratio.
+    """
+    elastic = plan.frequencies > max(0.1 * plan.fmin, 1e-3 * plan.fmax)
+    w, z = 2 * np.pi * frequencies[elastic], damping[elastic]
+    wd = w * np.sqrt(1 - z**2)
+    rigid = plan.outputs[:, ~elastic] @ plan.inputs[:, ~elastic].T
+    return ModalModel(
+        -z * w + 1j * wd,
+        plan.outputs[:, elastic] / (2j * wd),
+        plan.inputs[:, elastic].T.astype(np.complex128),
+        rigid.astype(np.complex128),
+        np.zeros(rigid.shape, dtype=np.complex128),
+        tuple(Channel(c, "acceleration", "m/s^2") for c in plan.channels),
+        tuple(Channel(c, "force", "N") for c in plan.references),
+        norm=Norm.MASS,
+    )
+
+
+def trials(
+    plan: Planned,
+    conditions: Conditions,
+    find: Callable[[ModalModel, np.random.Generator], ModeSet],
+    rng: np.random.Generator,
+    *,
+    force: float,
+    progress: Progress | None = None,
+) -> Rehearsal:
+    """What tests find of structures that scatter about the planned one.
+
+    Parameters
+    ----------
+    plan : Planned
+    conditions : Conditions
+        Of the trials, the scatter and the pairing.
+    find : callable
+        The modes that a test of the structure finds.
+    rng : Generator
+    force : float
+        To be told.
+    """
+    target = plan.targets
+    zeta = np.full(plan.frequencies.size, conditions.damping)
+    error = np.full((3, conditions.trials, int(target.sum())), np.nan)
+    invented = 0
+    for k, stream in enumerate(rng.spawn(conditions.trials)):
+        if progress:
+            progress(k / conditions.trials, f"virtual test {k + 1} of {conditions.trials}")
+        f = plan.frequencies * (
+            1 + conditions.frequency_scatter * stream.standard_normal(zeta.size)
+        )
+        z = np.minimum(
+            zeta * np.exp(conditions.damping_scatter * stream.standard_normal(zeta.size)), 0.5
+        )
+        truth = ModeSet(
+            f[target], z[target], plan.outputs[:, target], plan.channels, Norm.MASS, "model"
+        )
+        truth = truth.take(np.argsort(truth.frequencies, kind="stable"))
+        back = np.argsort(f[target], kind="stable")
+        try:
+            modes = _whole(find(modal_model(plan, f, z), stream), plan.channels)
+        except DataError:  # no pole found: every mode is missed in this trial
+            continue
+        pairs = pair_modes(truth, modes, conditions.pairing, names=("model", "test"))
+        error[:, k, back[pairs.a]] = _errors(truth, modes, pairs)
+        inside = (modes.frequencies > plan.fmin) & (modes.frequencies < plan.fmax)
+        invented += int(inside[pairs.unpaired_b].sum())
+    return _outcome(plan.frequencies[target], error, invented, force)
+
+
+def _whole(modes: ModeSet, channels: tuple[str, ...]) -> ModeSet:
+    """The modes at all channels of the plan; nothing was seen at those that the test left out, as
+    drowned in noise.
+    """
+    shapes = np.zeros((len(channels), len(modes)), dtype=modes.shapes.dtype)
+    kept = np.flatnonzero(np.isin(channels, modes.channels))
+    shapes[kept] = modes.rows([channels[i] for i in kept.tolist()]).shapes
+    return replace(modes, shapes=shapes, labels=channels)
+
+
+def _errors(truth: ModeSet, found: ModeSet, pairs: Pairing) -> Float:
+    """Relative errors of frequency and damping, and the MAC, (3, pairs)."""
+    f = found.frequencies[pairs.b] / truth.frequencies[pairs.a] - 1
+    z = found.damping[pairs.b] / truth.damping[pairs.a] - 1
+    return np.stack([f, z, pairs.mac])
+
+
+def _outcome(frequencies: Float, error: Float, invented: int, force: float) -> Rehearsal:
+    trials = error.shape[1]
+    there = np.isfinite(error[0])
+    hits = there.sum(axis=0)
+    low = np.where(hits > 0, betaincinv(np.maximum(hits, 1), trials - hits + 1, 0.05), 0.0)
+    some, value = np.where(hits > 0, hits, np.nan), np.where(there, error, 0.0)
+    mean = value.sum(axis=1) / some
+    spread = np.where(there, (error - mean[:, None]) ** 2, 0.0).sum(axis=1)
+    std = np.sqrt(spread / np.where(hits > 1, hits - 1, np.nan))
+    return Rehearsal(
+        frequencies,
+        hits / trials,
+        low,
+        mean[0],
+        std[0],
+        mean[1],
+        std[1],
+        mean[2],
+        invented / trials,
+        trials,
+        force,
+    )
+
+
+def missed_words(result: Rehearsal, names: Sequence[str], least: float = 0.9) -> tuple[str, ...]:
+    """A sentence for each mode that fewer than the share `least` of the trials found."""
+    rows = zip(names, result.frequencies.tolist(), result.found.tolist(), strict=True)
+    return tuple(
+        f"mode {n} at {f:.4g} Hz is found in {100 * p:.0f} % of the trials"
+        for n, f, p in rows
+        if p < least
+    )
+
+
+def fitting_hammer(model: ModalModel, fmax: float, sensor: Sensor, *, hits: int = 5) -> HammerPlan:
+    """A hammer whose blows fill half the sensors' range at most and reach to `fmax`.
+
+    The tip gives contact times of 0.4 to 0.7 over fmax (first zero of a half-sine at 1.5 over the
+    time), the block lasts until the slowest mode has decayed to 1 %.
+
+    Parameters
+    ----------
+    model : ModalModel
+    fmax : float, Hz
+    sensor : Sensor
+        Of the responses.
+    """
+    rate = RATE * fmax
+    contact = (0.4 / fmax, 0.7 / fmax)
+    block = float(np.clip(decay_time(model, np.log(100)), 40 / fmax, 200.0))
+    peak = (
+        sensor.range
+        / sensor.sensitivity
+        / max(_peak_response(model, contact[0], block, rate), 1e-300)
+    )
+    top = float(min(0.5 * peak, FORCE_CELL.range / FORCE_CELL.sensitivity))
+    return HammerPlan(
+        hits,
+        block,
+        max(0.01 * block, 24 / rate),
+        0.3 * block,
+        peak=(0.5 * top, top),
+        contact=contact,
+    )
+
+
+def _peak_response(model: ModalModel, contact: float, block: float, rate: float) -> float:
+    """Largest acceleration of any output by a blow of 1 N at any input."""
+    n = 2 * int(np.ceil(0.5 * min(block, 2000 / rate) * rate))
+    top = 0.0
+    for i in range(len(model.inputs)):  # a handful of references
+        blow = Pulses(
+            np.array([4 / rate]),
+            np.array([contact]),
+            np.array([2 / np.pi * contact]),
+            np.array([i]),
+        )
+        force = pulse_spectrum(blow, len(model.inputs), n, rate)
+        top = max(
+            top, float(np.abs(fft.irfft(response_spectrum(model, force, lines(n, rate)), n)).max())
+        )
+    return top
+
+
+def rehearse(
+    plan: Planned,
+    conditions: Conditions,
+    rng: np.random.Generator,
+    *,
+    progress: Progress | None = None,
+) -> Rehearsal:
+    """Test the plan on signals: strike, record, estimate FRFs, identify and correlate, trial by
+    trial.
+
+    Each trial draws other dampings, frequencies, calibration errors, blows and noise.
+
+    Parameters
+    ----------
+    plan : Planned
+    conditions : Conditions
+    rng : Generator
+    progress : callable, optional
+    """
+    nominal = modal_model(
+        plan, plan.frequencies, np.full(plan.frequencies.size, conditions.damping)
+    )
+    hammer = conditions.hammer or fitting_hammer(
+        nominal, plan.fmax, conditions.sensor, hits=conditions.hits
+    )
+    settings = HammerModes(0.97 * plan.fmin or None, 1.03 * plan.fmax)
+    if conditions.coherence is not None:
+        density = background_density(
+            nominal, hammer, conditions, (plan.fmin, plan.fmax), rng.spawn(1)[0]
+        )
+        conditions = replace(conditions, background=density)
+
+    def find(model: ModalModel, stream: np.random.Generator) -> ModeSet:
+        return identify_hammer(
+            measured(model, hammer, conditions, RATE * plan.fmax, stream), settings
+        ).modes
+
+    result = trials(plan, conditions, find, rng, force=hammer.peak[1], progress=progress)
+    return replace(result, background=conditions.background)
+
+
+def background_density(
+    model: ModalModel,
+    hammer: HammerPlan,
+    conditions: Conditions,
+    band: tuple[float, float],
+    rng: np.random.Generator,
+) -> float:
+    """White forces at all references that leave the driving points the coherence of `conditions`,
+    N/√Hz.
+
+    γ² = 1/(1 + N/S), and N/S grows with the square of the density. One that would leave 0.98 of
+    blows without windows is mended by what FRFs of a virtual test tell; twice, as windows depend on
+    noise.
+
+    Parameters
+    ----------
+    model : ModalModel
+    hammer : HammerPlan
+    conditions : Conditions
+    band : (float, float), Hz
+    """
+    wanted = 1 / (conditions.coherence or 1.0) - 1
+    impulse = 2 / np.pi * float(np.mean(hammer.peak) * np.mean(hammer.contact))
+    density = impulse * float(np.sqrt(0.04 / (hammer.block * len(model.inputs))))
+    blows = replace(hammer, hits=max(hammer.hits, LOOK))
+    for _ in range(2):
+        frfs = measured(model, blows, replace(conditions, background=density), RATE * band[1], rng)
+        at = tuple(np.array(frfs.driving_points()).T)  # elsewhere may be no motion
+        seen = frfs.coherence[(frfs.freqs > band[0]) & (frfs.freqs < band[1])][:, *at]
+        seen = seen[np.isfinite(seen)]
+        if not seen.size:  # too loud for two good blows
+            break
+        density *= float(np.sqrt(wanted / max(1 / np.median(seen) - 1, 1e-12)))
+    return density
+
+
+def measured(
+    model: ModalModel,
+    hammer: HammerPlan,
+    conditions: Conditions,
+    rate: float,
+    rng: np.random.Generator,
+) -> FrfSet:
+    """FRFs as the crew would have them: blows at each input, recorded by the sensors with their
+    noise.
+
+    Parameters
+    ----------
+    model : ModalModel
+    hammer : HammerPlan
+    conditions : Conditions
+    rate : float, Hz
+    """
+    sensors = (_cell(hammer.peak[1] / 0.85), *(conditions.sensor,) * len(model.outputs))
+    chain = Chain.draw(sensors, rng)
+    records = [
+        _record(model, i, hammer, chain, conditions, rate, rng) for i in range(len(model.inputs))
+    ]
+    full = {
+        c.id: s.range / s.sensitivity
+        for r in records
+        for c, s in zip(r.channels, sensors, strict=True)
+    }
+    block = round(hammer.block * rate) / rate
+    settings = HammerSettings(block=block - hammer.pretrigger, pretrigger=hammer.pretrigger)
+    return estimate_frf(records, settings, full_scale=full)[0]
+
+
+def _cell(limit: float) -> Sensor:
+    """A force cell of so many N: the noise of a smaller hammer is smaller, too."""
+    size = max(limit, SMALLEST) * FORCE_CELL.sensitivity / FORCE_CELL.range
+    floor = replace(FORCE_CELL.floor, density=FORCE_CELL.floor.density * size)
+    return replace(FORCE_CELL, sensitivity=FORCE_CELL.range / limit, floor=floor)
+
+
+def _record(
+    model: ModalModel,
+    at: int,
+    hammer: HammerPlan,
+    chain: Chain,
+    conditions: Conditions,
+    rate: float,
+    rng: np.random.Generator,
+) -> TimeHistory:
+    limit = chain.sensors[0].range / chain.sensors[0].sensitivity
+    blows = strike(hammer, at, limit, rate, rng)
+    samples = 2 * int(np.ceil(0.5 * (float(blows.times[-1]) + hammer.block + hammer.rest) * rate))
+    background = white(len(model.inputs), conditions.background, samples, rate, rng)
+    volts, _, _ = hammer_record(model, blows, hammer, chain, background, samples, rate, rng)
+    data = volts / np.array([s.sensitivity for s in chain.sensors])[:, None]
+    force = replace(model.inputs[at], id=f"F:{model.inputs[at].id}")
+    return TimeHistory(data, rate, (force, *model.outputs), f"virtual test, {model.inputs[at].id}")
+
+
+@dataclass(frozen=True, slots=True)
+class Ambience:
+    """How an ambient test is made.
+
+    Attributes
+    ----------
+    duration : float, s
+        Of the record.
+    density : float, N/√Hz
+        Of the independent white forces along each row of the inputs of the plan.
+    """
+
+    duration: float
+    density: float
+
+    def __post_init__(self) -> None:
+        if not (self.duration > 0 and self.density > 0):
+            raise InputError(
+                f"virtual ambient test: {self.duration} s and {self.density} N/√Hz must be above 0"
+            )
+
+
+def longest(channels: int, fmax: float) -> float:
+    """Duration of a record that is simulated whole, s."""
+    return MOST / (channels * RATE * fmax)
+
+
+def rehearse_ambient(
+    plan: Planned,
+    ambience: Ambience,
+    conditions: Conditions,
+    rng: np.random.Generator,
+    *,
+    progress: Progress | None = None,
+) -> Rehearsal:
+    """Test an ambient plan on signals: record under random forces, identify by SSI and correlate,
+    trial by trial.
+
+    Parameters
+    ----------
+    plan : Planned
+        Its inputs are where and along which the forces act.
+    ambience : Ambience
+    conditions : Conditions
+        Its sensor, trials, scatter and pairing count.
+    rng : Generator
+    """
+    settings = AmbientSettings(0.97 * plan.fmin or None, 1.03 * plan.fmax)
+    # forces at many rows are, for the modes, as many as there are modes: QR keeps the covariance of
+    # ΦᵀF
+    inputs = np.asarray(np.linalg.qr(plan.inputs, mode="r"))
+    few = replace(plan, inputs=inputs, references=tuple(f"F{k}" for k in range(len(inputs))))
+
+    def find(model: ModalModel, stream: np.random.Generator) -> ModeSet:
+        return identify_ambient(
+            recorded(model, ambience, conditions, RATE * plan.fmax, stream), settings
+        ).modes
+
+    return trials(few, conditions, find, rng, force=ambience.density, progress=progress)
+
+
+def recorded(
+    model: ModalModel,
+    ambience: Ambience,
+    conditions: Conditions,
+    rate: float,
+    rng: np.random.Generator,
+) -> TimeHistory:
+    """The accelerations as the crew would have them, with the noise of the sensors; a range that
+    they do not fill.
+
+    Parameters
+    ----------
+    model : ModalModel
+    ambience : Ambience
+    conditions : Conditions
+    rate : float, Hz
+    """
+    samples = 2 * fft.next_fast_len(int(np.ceil(0.5 * ambience.duration * rate)), real=True)
+    forces = white(len(model.inputs), ambience.density, samples, rate, rng)
+    motion = response_spectrum(model, forces, lines(samples, rate))
+    loudest = np.sqrt(2 * (np.abs(motion) ** 2).sum(axis=1).max()) / samples
+    wide = max(conditions.sensor.range, HEADROOM * conditions.sensor.sensitivity * float(loudest))
+    chain = Chain.draw((replace(conditions.sensor, range=wide),) * len(model.outputs), rng)
+    volts, _ = record_volts(motion, chain, samples, rate, rng)
+    return TimeHistory(
+        volts / conditions.sensor.sensitivity, rate, model.outputs, "virtual ambient test"
+    )

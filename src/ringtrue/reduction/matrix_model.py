@@ -1,0 +1,201 @@
+"""A model given as small dense matrices, seen at channels: a reduced model, or one from another
+program.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import linalg
+
+from ringtrue.core.arrays import Any_, Float, freeze_fields
+from ringtrue.core.parameters import ParameterSet
+from ringtrue.errors import InputError
+from ringtrue.model.ports import Linearisation
+from ringtrue.reduction.parametric import ReducedModel
+
+REPEATED = 1e-9  # relative distance of eigenvalues whose shapes mix freely
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Matrices:
+    """A model at one point as small matrices, with their derivatives to x.
+
+    Attributes
+    ----------
+    stiffness, mass : (n, n) float64
+    d_stiffness, d_mass : (p, n, n) float64, ∂K/∂x and ∂M/∂x
+    observe : (channel, n) float64
+    """
+
+    stiffness: Float
+    mass: Float
+    d_stiffness: Float
+    d_mass: Float
+    observe: Float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DenseModel:
+    """K(a) = K0 + Σ (a_i − 1) K_i and M(a) = M0 + Σ (a_i − 1) M_i; an `ObservedModel` with exact
+    derivatives.
+
+    All modes are solved at each point, so the eigenvector derivatives come from the full modal
+    expansion (Fox and Kapoor, 1968). Within repeated eigenvalues the part of the derivative along
+    the other members is left out: it is not defined.
+
+    Attributes
+    ----------
+    stiffness, mass : (n, n) float64, at nominal
+    d_stiffness, d_mass : (p, n, n) float64, ∂K/∂a and ∂M/∂a
+    observation : (channel, n) float64
+    parameters : ParameterSet
+    count : int
+        Number of modes that are returned.
+    """
+
+    stiffness: Float
+    mass: Float
+    d_stiffness: Float
+    d_mass: Float
+    observation: Float
+    parameters: ParameterSet
+    count: int
+
+    def __post_init__(self) -> None:
+        f = np.float64
+        freeze_fields(self, stiffness=f, mass=f, d_stiffness=f, d_mass=f, observation=f)
+        n, p = self.stiffness.shape[0], len(self.parameters)
+        if (
+            self.d_stiffness.shape != (p, n, n)
+            or self.d_mass.shape != (p, n, n)
+            or self.observation.shape[1] != n
+        ):
+            raise InputError(
+                f"{p} parameters and {n} DOFs: got d_stiffness {self.d_stiffness.shape}, "
+                f"d_mass {self.d_mass.shape}, observation {self.observation.shape}"
+            )
+        if n > 3000:
+            raise InputError(
+                f"{n} DOFs: dense matrices are for 3000 and less; reduce the model first"
+            )
+
+    @classmethod
+    def springs(
+        cls,
+        stiffness: Float,
+        mass: Float,
+        d_stiffness: Float,
+        parameters: ParameterSet,
+        channels: Sequence[int] = (),
+    ) -> DenseModel:
+        """Stiffness parameters only, channels at the given DOFs (all)."""
+        eye = np.eye(len(stiffness))
+        seen = eye[list(channels)] if len(channels) else eye
+        return cls(
+            stiffness,
+            mass,
+            d_stiffness,
+            np.zeros_like(d_stiffness),
+            seen,
+            parameters,
+            len(stiffness),
+        )
+
+    def with_parameters(self, active: Sequence[int], base: Float | None = None) -> DenseModel:
+        """The model with some of its parameters, by position; the others stay at `base` (p,),
+        nominal if not given.
+        """
+        at = list(active)
+        hold = np.zeros(len(self.parameters)) if base is None else np.array(base, dtype=np.float64)
+        hold[at] = 0.0
+        change = self.parameters.factors(hold) - 1.0
+        return replace(
+            self,
+            stiffness=self.stiffness + np.tensordot(change, self.d_stiffness, axes=1),
+            mass=self.mass + np.tensordot(change, self.d_mass, axes=1),
+            d_stiffness=self.d_stiffness[at],
+            d_mass=self.d_mass[at],
+            parameters=self.parameters.take(at),
+        )
+
+    def _solve(self, x: Float) -> tuple[Float, Float]:
+        change = self.parameters.factors(x) - 1.0
+        k = self.stiffness + np.tensordot(change, self.d_stiffness, axes=1)
+        m = self.mass + np.tensordot(change, self.d_mass, axes=1)
+        lam, phi = linalg.eigh(k, m)
+        return np.asarray(lam), np.asarray(phi)
+
+    def matrices(self, x: Float) -> Matrices:
+        """K, M and their derivatives at x (p,)."""
+        change, slope = (
+            self.parameters.factors(x) - 1.0,
+            self.parameters.derivative(x)[:, None, None],
+        )
+        k = self.stiffness + np.tensordot(change, self.d_stiffness, axes=1)
+        m = self.mass + np.tensordot(change, self.d_mass, axes=1)
+        return Matrices(k, m, self.d_stiffness * slope, self.d_mass * slope, self.observation)
+
+    def modes(self, x: Float) -> Linearisation:
+        """Modes at x (p,), without sensitivities."""
+        lam, phi = self._solve(x)
+        c = min(self.count, lam.size)
+        seen = self.observation @ phi[:, :c]
+        return Linearisation(
+            np.asarray(x), _hertz(lam[:c]), seen, np.zeros((c, 0)), np.zeros((*seen.shape, 0))
+        )
+
+    def linearise(self, x: Float) -> Linearisation:
+        """Modes and sensitivities at x (p,)."""
+        lam, phi = self._solve(x)
+        c = min(self.count, lam.size)
+        slope = self.parameters.derivative(x)
+        dk = np.einsum("ni,pnk,kj->pij", phi, self.d_stiffness, phi[:, :c], optimize=True)
+        dm = np.einsum("ni,pnk,kj->pij", phi, self.d_mass, phi[:, :c], optimize=True)
+        force = (dk - lam[:c] * dm) * slope[:, None, None]  # (p, all, c)
+        kept = np.arange(c)
+        d_lambda = force[:, kept, kept].T
+        gap = lam[:c] - lam[:, None]
+        repeated = np.abs(gap) <= REPEATED * np.abs(lam).max()
+        mix = np.where(repeated, 0.0, force / np.where(repeated, 1.0, gap))
+        mix[:, kept, kept] = -0.5 * dm[:, kept, kept] * slope[:, None]
+        seen = self.observation @ phi
+        d_shapes = np.einsum("ni,pij->njp", seen, mix, optimize=True)
+        return Linearisation(np.asarray(x), _hertz(lam[:c]), seen[:, :c], d_lambda, d_shapes)
+
+
+def _hertz(lam: Any_) -> Float:
+    return np.asarray(np.sign(lam) * np.sqrt(np.abs(lam)) / (2 * np.pi))
+
+
+def matrices_at(model: object, x: Float) -> Matrices:
+    """Small matrices of a model at x (p,): of a `DenseModel`, or of a `ReducedModel` in its basis.
+
+    Raises
+    ------
+    InputError
+        If the model has no small matrices.
+    """
+    if isinstance(model, ReducedModel):
+        return _reduced(model, x)
+    give = getattr(model, "matrices", None)
+    if give is None:
+        raise InputError(
+            f"{type(model).__name__} has no small matrices; reduce the model (reduce.parametric)"
+        )
+    return give(x)  # type: ignore[no-any-return]
+
+
+def _reduced(model: ReducedModel, x: Float) -> Matrices:
+    """The projected matrices."""
+    everything = model.full_vector(x)
+    a, slope = (
+        model.system.parameters.factors(everything),
+        model.system.parameters.derivative(everything),
+    )
+    k, m = model.projected(a)
+    both = [model.derivative(a, i, float(slope[i])) for i in model.active]
+    dk, dm = (np.reshape([pair[j] for pair in both], (len(both), *k.shape)) for j in range(2))
+    return Matrices(k, m, dk, dm, model.basis.observe)

@@ -1,0 +1,289 @@
+"""Sets of FRFs: joined over setups and references, exchanged by reciprocity, checked at driving
+points.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from ringtrue.core.arrays import Complex, Float, Int
+from ringtrue.core.blows import joined
+from ringtrue.core.motions import LINEAR, OF_KIND, POWER, as_motion, channel
+from ringtrue.core.signals import Channel, FrfKind, FrfSet, shared_lines
+from ringtrue.errors import DataError
+
+log = logging.getLogger(__name__)
+_SAME_END = 2e-3  # of the block, by which pulses of other width move its end
+MOTION = ("acceleration", "velocity", "displacement", "unknown")
+_SURE, _FLIPPED = 0.8, -0.3
+_BANDS = 24
+
+
+def setups_of(columns: Sequence[FrfSet]) -> tuple[FrfSet, ...]:
+    """Those with the same responses joined: a set for each place that the sensors had."""
+    same: dict[tuple[str, ...], list[FrfSet]] = {}
+    for f in columns:
+        same.setdefault(tuple(c.id for c in f.outputs), []).append(f)
+    return tuple(join_frfs(some) for some in same.values())
+
+
+def join_frfs(parts: Sequence[FrfSet]) -> FrfSet:
+    """One set from several: roving responses (setups) and roving hammers.
+
+    A pair of response and input that was measured several times is averaged, weighted by the number
+    of hits.
+
+    Raises
+    ------
+    DataError
+        As `alike` does, or if a pair of response and input was never measured.
+    """
+    parts = alike(parts)
+    first = parts[0]
+    kept = np.array([p.kept for p in parts])
+    same = bool(np.isfinite(kept).all()) and np.ptp(kept) < _SAME_END * kept.mean()
+    outputs = {c.id: c for p in parts for c in p.outputs}
+    inputs = {c.id: c for p in parts for c in p.inputs}
+    row, column = {k: i for i, k in enumerate(outputs)}, {k: i for i, k in enumerate(inputs)}
+    shape = (first.freqs.size, len(outputs), len(inputs))
+    data, weight, coherence = (
+        np.zeros(shape, dtype=np.complex128),
+        np.zeros(shape[1:]),
+        np.zeros(shape),
+    )
+    blows = []
+    for p in parts:  # a few setups
+        at = (
+            np.array([row[c.id] for c in p.outputs])[:, None],
+            np.array([column[c.id] for c in p.inputs]),
+        )
+        n = np.broadcast_to(
+            np.where(np.isfinite(p.averages), p.averages, 1.0), (len(p.outputs), len(p.inputs))
+        )
+        data[:, at[0], at[1]] += p.data * n
+        coherence[:, at[0], at[1]] += p.coherence * n
+        weight[at] += n
+        if p.blows:
+            blows.append(np.zeros((len(p.blows.weight), *shape[1:])))
+            blows[-1][:, at[0], at[1]] = p.blows.weight * n
+    if (weight == 0).any():
+        o, i = np.argwhere(weight == 0)[0]
+        raise DataError(
+            f"no FRF from {list(inputs)[i]} to {list(outputs)[o]}: {int((weight == 0).sum())} "
+            "pairs were not measured"
+        )
+    return replace(
+        first,
+        data=data / weight,
+        outputs=tuple(outputs.values()),
+        inputs=tuple(inputs.values()),
+        coherence=coherence / weight,
+        averages=np.median(weight, axis=0),
+        kept=float(kept.mean()) if same else np.inf,
+        sharp=all(p.sharp for p in parts),
+        blows=joined([p.blows for p in parts], [b / weight for b in blows]),
+        source=", ".join(dict.fromkeys(p.source for p in parts if p.source)),
+    )
+
+
+def alike(parts: Sequence[FrfSet]) -> tuple[FrfSet, ...]:
+    """Sets on the lines that all of them have, all of the kind of the first.
+
+    Raises
+    ------
+    DataError
+        If there is none, they share no more than half of the lines of the shortest, or windows
+        differ.
+    """
+    if not parts:
+        raise DataError("no FRFs to join")
+    first = parts[0]
+    for p in parts[1:]:
+        if abs(p.window_decay - first.window_decay) > 1e-9:
+            raise DataError(
+                f"{p.source}: window of {p.window_decay:g} 1/s, {first.source} "
+                f"{first.window_decay:g} 1/s"
+            )
+    at = shared_lines([p.freqs for p in parts])
+    if at is None:
+        told = ", ".join(
+            f"{p.source} {_axis(p.freqs)}"
+            for p in parts
+            if not np.array_equal(p.freqs, first.freqs)
+        )
+        raise DataError(f"{told}: other frequency lines than {first.source}, {_axis(first.freqs)}")
+    if lost := max(p.freqs.size - a.size for p, a in zip(parts, at, strict=True)):
+        told = _axis(first.freqs[at[0]])
+        log.warning(
+            "%s: frequency lines differ (%d at most); the shared ones are used, %s",
+            first.source,
+            lost,
+            told,
+        )
+    return tuple(_part(p, a, first.kind) for p, a in zip(parts, at, strict=True))
+
+
+def _axis(freqs: Float) -> str:
+    return f"{freqs.size} of {freqs[0]:g} to {freqs[-1]:g} Hz"
+
+
+def _part(p: FrfSet, at: Int, kind: FrfKind) -> FrfSet:
+    """The FRFs at some lines, as those of a kind."""
+    if p.kind == kind and at.size == p.freqs.size:
+        return p
+    motion, wanted = OF_KIND[p.kind], OF_KIND[kind]
+    data = as_motion(p.data[at], p.freqs[at], motion, wanted, p.window_decay)
+    outputs = tuple(replace(channel(c.id, wanted), sensor=c.sensor) for c in p.outputs)
+    return replace(
+        p, data=data, freqs=p.freqs[at], coherence=p.coherence[at], outputs=outputs, kind=kind
+    )
+
+
+def exchanged(frfs: FrfSet) -> tuple[FrfSet, str]:
+    """FRFs with the responses at the many points of a roving hammer, and a note; as they are where
+    they are not such.
+
+    Parameters
+    ----------
+    frfs : FrfSet
+        Exchanged if there are more inputs than outputs, and the outputs are motions of one kind.
+    """
+    kinds = {LINEAR.get(c.quantity, c.quantity) for c in frfs.outputs}
+    if len(frfs.inputs) <= len(frfs.outputs) or len(kinds) != 1 or not kinds <= set(MOTION):
+        return frfs, ""
+    quantity, unit = kinds.pop(), frfs.outputs[0].unit
+    there = replace(
+        frfs,
+        data=frfs.data.swapaxes(1, 2),
+        outputs=tuple(
+            Channel(c.id, quantity, unit) if quantity == "unknown" else channel(c.id, quantity)
+            for c in frfs.inputs
+        ),
+        inputs=tuple(channel(c.id, "force") for c in frfs.outputs),
+        coherence=frfs.coherence.swapaxes(1, 2),
+        averages=np.full(len(frfs.outputs), np.min(frfs.averages)),
+        blows=frfs.blows.exchanged() if frfs.blows else None,
+    )
+    return there, (
+        f"roving hammer: {len(frfs.inputs)} points struck, {len(frfs.outputs)} fixed sensors; by "
+        "reciprocity the "
+        "shapes are at the points struck"
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class DrivingPoint:
+    """A driving point: `passive` is the share of the real part in its mobility at resonances, 1 if
+    all is well.
+
+    Attributes
+    ----------
+    id : str
+    passive : float
+        1: never negative; -1: sensor or hammer is the other way round.
+    verdict : {"ok", "flipped", "doubtful"}
+    """
+
+    id: str
+    passive: float
+    verdict: Literal["ok", "flipped", "doubtful"]
+
+
+@dataclass(frozen=True, slots=True)
+class Reciprocity:
+    """H_ab against H_ba.
+
+    Attributes
+    ----------
+    first, second : str
+    correlation : float
+        |H_ab* H_ba|² over both powers, over the lines: 1 if they are proportional.
+    gain : float
+        H_ab over H_ba in the least-squares sense; negative if one is turned.
+    """
+
+    first: str
+    second: str
+    correlation: float
+    gain: float
+
+
+def mobility(frfs: FrfSet) -> Complex:
+    """(freq, out, in) velocity over force, m/s/N; 0 at 0 Hz."""
+    s = 2j * np.pi * frfs.freqs + frfs.window_decay
+    factor = np.where(frfs.freqs > 0, s, 1.0) ** float(1 - POWER[frfs.kind])
+    return np.asarray(frfs.data * np.where(frfs.freqs > 0, factor, 0.0)[:, None, None])
+
+
+def check_driving_points(
+    frfs: FrfSet, *, low: float = 0.0, high: float = np.inf
+) -> tuple[DrivingPoint, ...]:
+    """Does every driving point take power from the force? The real part of its mobility must be
+    positive.
+
+    Lines of a band count by their size, so that the resonances decide, between `low` and `high` Hz.
+    """
+    out = []
+    for o, i in frfs.driving_points():
+        share = passive(frfs, o, i, low=low, high=high)
+        verdict: Literal["ok", "flipped", "doubtful"] = "ok" if share > _SURE else "doubtful"
+        out.append(
+            DrivingPoint(frfs.inputs[i].id, share, "flipped" if share < _FLIPPED else verdict)
+        )
+    return tuple(out)
+
+
+def passive(
+    frfs: FrfSet, output: int, reference: int, *, low: float = 0.0, high: float = np.inf
+) -> float:
+    """Share of the real part of a driving point's mobility in its size at resonances, -1 to 1,
+    `low` to `high` Hz.
+
+    Taken in bands of as many lines, each of which counts as far as it has a peak and a sign. A
+    drift at the lowest lines, which no weight by size would survive, is one band of many; and of
+    lines between resonances, where mobility is all but imaginary, a delay of a sample or less makes
+    what sign it likes.
+    """
+    use = (frfs.freqs > max(low, 0.0)) & (frfs.freqs <= high)
+    bands = np.array_split(mobility(frfs)[use, output, reference], min(_BANDS, int(use.sum()) or 1))
+    share, peak = np.transpose([_sign_and_peak(h) for h in bands])
+    weight = np.abs(share) * peak
+    return float((share * weight).sum() / max(weight.sum(), 1e-300))
+
+
+def _sign_and_peak(h: Complex) -> tuple[float, float]:
+    """Share of the real part of lines in its size, and how far the largest lines stand out, 0 to
+    1.
+    """
+    size = np.abs(h)
+    power = max(float((size**2).sum()), 1e-300)
+    share = (h.real * size).sum() / max((np.abs(h.real) * size).sum(), 1e-300)
+    return float(share), float(1 - size.sum() ** 2 / max(size.size, 1) / power)
+
+
+def check_reciprocity(
+    frfs: FrfSet, *, low: float = 0.0, high: float = np.inf
+) -> tuple[Reciprocity, ...]:
+    """H_ab against H_ba of every pair of inputs that both have a response channel."""
+    use = (frfs.freqs >= low) & (frfs.freqs <= high)
+    points = frfs.driving_points()
+    out = []
+    for k, (oa, ia) in enumerate(points):
+        for ob, ib in points[k + 1 :]:
+            ab, ba = frfs.data[use, oa, ib], frfs.data[use, ob, ia]
+            cross, pa, pb = np.vdot(ba, ab), np.vdot(ab, ab).real, np.vdot(ba, ba).real
+            share = float(abs(cross) ** 2 / max(pa * pb, 1e-300))
+            out.append(
+                Reciprocity(
+                    frfs.inputs[ia].id,
+                    frfs.inputs[ib].id,
+                    share,
+                    float(cross.real / max(pb, 1e-300)),
+                )
+            )
+    return tuple(out)

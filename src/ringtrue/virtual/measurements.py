@@ -1,0 +1,313 @@
+"""Simulated tests: impact tests in triggered blocks, ambient tests with and without events."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import fft
+
+from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
+from ringtrue.core.modal import ModalModel
+from ringtrue.errors import InputError
+from ringtrue.virtual.excitation import Ambient, Pulses, ambient_forces, input_psd, pulse_spectrum
+from ringtrue.virtual.response import decay_time, lines, response_spectrum, streamed
+from ringtrue.virtual.sensors import (
+    Chain,
+    anti_alias,
+    expected_power,
+    ratio_db,
+    record_volts,
+    resonance_power,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class HammerPlan:
+    """How a crew strikes.
+
+    Attributes
+    ----------
+    hits : int
+        Clean hits wanted at each reference.
+    block, pretrigger : float, s
+        Length of a block, and its part before the blow.
+    rest : float, s
+        Pause between the end of a block and the next blow.
+    double, overload : float
+        Probability that an attempt is a double hit, and that it exceeds the force range.
+    peak : (float, float), N
+        Band of the clean blows' peak force.
+    contact : (float, float), s
+    """
+
+    hits: int = 5
+    block: float = 8.0
+    pretrigger: float = 0.2
+    rest: float = 6.0
+    double: float = 0.1
+    overload: float = 0.08
+    peak: tuple[float, float] = (5e3, 16e3)
+    contact: tuple[float, float] = (0.003, 0.008)
+
+    def __post_init__(self) -> None:
+        if (
+            self.hits < 1
+            or not 0 < self.pretrigger < self.block
+            or self.double + self.overload > 0.8
+        ):
+            raise InputError(
+                f"hammer plan: hits {self.hits} (1 or more), pretrigger {self.pretrigger} s "
+                "within the block of "
+                f"{self.block} s, double + overload {self.double + self.overload:g} (at most 0.8)"
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SimulatedImpacts:
+    """The attempts at one reference.
+
+    Attributes
+    ----------
+    pulses : Pulses
+        Starts from the begin of the record, s.
+    times : (attempt,) float64, s
+    double, overload : (attempt,) bool
+    """
+
+    pulses: Pulses
+    times: Float
+    double: Bool
+    overload: Bool
+
+
+def strike(
+    plan: HammerPlan, at: int, limit: float, rate: float, rng: np.random.Generator
+) -> SimulatedImpacts:
+    """Attempts until there are `plan.hits` clean ones.
+
+    Parameters
+    ----------
+    plan : HammerPlan
+    at : int
+        Input struck; the force is downwards, negative.
+    limit : float, N
+        Force range: overloads exceed it by 5 to 40 % as sampled at `rate`, clean hits stay below
+        0.9 of it.
+    rate : float, Hz
+    """
+    double, overload = _attempts(plan, rng)
+    n = double.size
+    times = plan.rest + np.arange(n) * (plan.block + plan.rest) + rng.uniform(0, 0.2 * plan.rest, n)
+    hard = rng.uniform(0, 1, n)
+    contact = plan.contact[1] - np.ptp(plan.contact) * np.clip(hard + rng.normal(0, 0.1, n), 0, 1)
+    peak = plan.peak[0] + np.ptp(plan.peak) * np.clip(hard + rng.normal(0, 0.1, n), 0, 1)
+    pulses = Pulses(times, contact, -2 / np.pi * peak * contact, np.full(n, at))
+    sampled = _sampled_peak(pulses, rate)
+    wanted = np.where(overload, limit * rng.uniform(1.05, 1.4, n), np.minimum(sampled, 0.9 * limit))
+    pulses = replace(pulses, impulse=pulses.impulse * wanted / sampled)
+    second = pulses.pick(double)
+    k = int(double.sum())
+    second = replace(
+        second,
+        start=second.start + second.duration + rng.uniform(0.03, 0.12, k),
+        impulse=second.impulse * rng.uniform(0.2, 0.6, k),
+    )
+    return SimulatedImpacts(Pulses.join([pulses, second]), times, double, overload)
+
+
+def _attempts(plan: HammerPlan, rng: np.random.Generator) -> tuple[Bool, Bool]:
+    draw = rng.uniform(0, 1, plan.hits * 10 + 50)
+    double, overload = (
+        draw < plan.double,
+        (draw >= plan.double) & (draw < plan.double + plan.overload),
+    )
+    last = int(np.searchsorted(np.cumsum(~double & ~overload), plan.hits)) + 1
+    return double[:last], overload[:last]
+
+
+def _sampled_peak(pulses: Pulses, rate: float) -> Float:
+    """(p,) largest magnitude of each pulse in samples at `rate`, N."""
+    width = int(np.ceil(0.25 * rate)) * 2
+    alone = replace(
+        pulses,
+        start=np.arange(pulses.at.size) * width / rate + 0.25 + pulses.start % (1 / rate),
+        at=0 * pulses.at,
+    )
+    n = width * pulses.at.size
+    spectrum = pulse_spectrum(alone, 1, n, rate)[0] * anti_alias(lines(n, rate), rate)
+    return np.asarray(np.abs(fft.irfft(spectrum, n)).reshape(-1, width).max(axis=1))
+
+
+def clean_energy(blows: SimulatedImpacts) -> float:
+    """Mean squared impulse of the clean blows over the sum of all squared impulses."""
+    square, n = blows.pulses.impulse**2, blows.times.size
+    return float(square[:n][~blows.double & ~blows.overload].mean() / square.sum())
+
+
+def block_samples(plan: HammerPlan, times: Float, rate: float) -> Int:
+    """(attempt, sample) positions of the blocks in the continuous signal."""
+    first = np.round((times - plan.pretrigger) * rate).astype(np.int64)
+    return np.asarray(first[:, None] + np.arange(round(plan.block * rate)))
+
+
+def hammer_record(
+    model: ModalModel,
+    blows: SimulatedImpacts,
+    plan: HammerPlan,
+    chain: Chain,
+    background: Complex,
+    samples: int,
+    rate: float,
+    rng: np.random.Generator,
+) -> tuple[Any_, Complex, Complex]:
+    """Volts of the force and the responses, the blocks one after the other.
+
+    Parameters
+    ----------
+    model : ModalModel
+        Its outputs are the channels of the setup; accelerations.
+    chain : Chain
+        Of the force and then the responses.
+    background : (in, line) complex128
+        Spectra of all that shakes the structure besides the hammer.
+    samples : int
+        Of the continuous signal that the blocks are cut from.
+
+    Returns
+    -------
+    volts : (1 + r, attempt·sample) float32
+    signal, noise : (r, line) complex128, V
+        Spectra of the hammer's part and of all the rest, over the continuous signal.
+    """
+    freqs = lines(samples, rate)
+    force = pulse_spectrum(blows.pulses, background.shape[0], samples, rate)
+    still = np.zeros((1, freqs.size))  # the force cell feels the hammer alone
+    signal = np.vstack([force.sum(axis=0), response_spectrum(model, force, freqs)])
+    noise = np.vstack([still, response_spectrum(model, background, freqs)])
+    chain.to_volts(signal, rate)
+    chain.to_volts(noise, rate)
+    noise += chain.noise(samples, rate, rng)
+    volts = chain.digitise(np.asarray(fft.irfft(signal + noise, samples)), rate)
+    cut = block_samples(plan, blows.times, rate).ravel()
+    return volts[:, cut], signal[1:], noise[1:]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AmbientTest:
+    """A structure on a day, with the sensors on it.
+
+    Attributes
+    ----------
+    model : ModalModel
+        Its outputs are the channels.
+    chain : Chain
+    site : Ambient
+    points : tuple of str
+        Inputs that carry small broadband forces.
+    machine : str or None
+        Input of the rotating machine.
+    rate : float, Hz
+    poles : (m,) complex128, rad/s
+        The modes that signal-to-noise ratios are taken at.
+    """
+
+    model: ModalModel
+    chain: Chain
+    site: Ambient
+    points: tuple[str, ...]
+    machine: str | None
+    rate: float
+    poles: Complex
+
+    def forces(self, samples: int, rng: np.random.Generator) -> Complex:
+        """(in, line) spectra of the ambient excitation."""
+        ids = tuple(c.id for c in self.model.inputs)
+        return ambient_forces(ids, self.points, self.machine, self.site, samples, self.rate, rng)
+
+    def volts(self, forces: Complex, freqs: Float) -> Complex:
+        """(channel, line) spectra at the recorder, without noise."""
+        motion = response_spectrum(self.model, forces, freqs, quantity=self.chain.sensors[0].motion)
+        self.chain.to_volts(motion, self.rate)
+        return motion
+
+
+def expected_snr(test: AmbientTest) -> float:
+    """Median over channels and modes of the ratio at resonance without events, dB."""
+    f = np.abs(test.poles) / (2 * np.pi)
+    inputs = input_psd([c.id for c in test.model.inputs], test.points, f, test.site)
+    signal = expected_power(test.model, test.poles, inputs, test.chain.sensors[0].motion)
+    noise = np.stack([s.noise_psd(f, test.rate) for s in test.chain.sensors])
+    return float(np.median(ratio_db(signal, noise)))
+
+
+def on_a_day(test: AmbientTest, snr_db: float, bounds: tuple[float, float]) -> AmbientTest:
+    """The test with all ambient levels scaled for a ratio at resonance, ground motion within
+    `bounds`, m/s rms.
+    """
+    gain = 10 ** ((snr_db - expected_snr(test)) / 20)
+    return replace(
+        test, site=scale_site(test.site, float(np.clip(test.site.ground_rms * gain, *bounds)))
+    )
+
+
+def scale_site(site: Ambient, ground_rms: float) -> Ambient:
+    """A quieter or louder day: all levels in proportion to the ground motion, m/s rms."""
+    gain = ground_rms / site.ground_rms
+    return replace(
+        site,
+        ground_rms=ground_rms,
+        force_density=gain * site.force_density,
+        machine_force=gain * site.machine_force,
+    )
+
+
+def ambient_record(
+    test: AmbientTest, events: Sequence[Pulses], samples: int, rng: np.random.Generator
+) -> tuple[Any_, float]:
+    """One record in the steady state; the tail of the last event stands at its begin.
+
+    Returns
+    -------
+    volts : (channel, sample) float32
+    snr_db : float
+        Median over channels and modes at resonance.
+    """
+    freqs = lines(samples, test.rate)
+    forces = test.forces(samples, rng)
+    for pulses in events:
+        forces += pulse_spectrum(pulses, forces.shape[0], samples, test.rate)
+    signal = response_spectrum(test.model, forces, freqs, quantity=test.chain.sensors[0].motion)
+    volts, noise = record_volts(signal, test.chain, samples, test.rate, rng)
+    strength = resonance_power(signal, test.poles, samples, test.rate)
+    quantisation = np.array([s.step**2 / 6 / test.rate for s in test.chain.sensors])[:, None]
+    noisy = resonance_power(noise, test.poles, samples, test.rate) + quantisation
+    return volts, float(np.median(ratio_db(strength, noisy)))
+
+
+def ambient_blocks(
+    test: AmbientTest, segments: int, hop: int, fade: int, rng: np.random.Generator
+) -> Iterator[Any_]:
+    """A record of `segments`·`hop` samples, ambient only, block by block: (channel, hop) float32
+    volts.
+    """
+    tail = int(decay_time(test.model) * test.rate)
+    streams = rng.spawn(segments + 1)
+
+    def segment(b: int, window: Float) -> Float:
+        return _segment(test, window, tail, streams[b + 1])
+
+    for b, volts in enumerate(streamed(segment, segments, hop, fade, tail)):
+        yield test.chain.digitise(volts, test.rate, start=b * hop)
+
+
+def _segment(test: AmbientTest, window: Float, tail: int, rng: np.random.Generator) -> Float:
+    """Volts of windowed forces with their decay, and windowed noise, (channel, window + tail)."""
+    n = window.size
+    full = int(fft.next_fast_len(n + tail, real=True))
+    full += full % 2
+    forces = fft.rfft(fft.irfft(test.forces(n, rng), n) * window, full)
+    volts = fft.irfft(test.volts(np.asarray(forces), lines(full, test.rate)), full)[:, : n + tail]
+    volts[:, :n] += fft.irfft(test.chain.noise(n, test.rate, rng), n) * window
+    return np.asarray(volts)
