@@ -11,6 +11,7 @@ from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import cast
 
 import h5py
 import numpy as np
@@ -291,9 +292,10 @@ class FinishedSets:
         return self.found.get(_group_name(name))
 
     def put(self, name: str, done: FinishedSet) -> FinishedSet:
-        """Keep the result of a set, whole or not at all; it is given back."""
-        self.store.save(_group_name(name), self.key, done)
-        return done
+        """Keep the result of a set, whole or not at all; it is given back as the store has it."""
+        group = _group_name(name)
+        self.store.save(group, self.key, done)
+        return cast(FinishedSet, self.store.load(group))
 
     def clear(self) -> None:
         """All are there, and the result of the stage takes their place."""

@@ -17,8 +17,7 @@ from ringtrue.demos.lsf.campaign import CampaignPlan, CampaignSummary, run_campa
 from ringtrue.demos.lsf.checks import checks
 from ringtrue.demos.lsf.spec import Spec
 from ringtrue.demos.lsf.study import write_study
-from ringtrue.demos.lsf.truth import twin_hash
-from ringtrue.demos.lsf.twin import Twin, make_twin
+from ringtrue.demos.lsf.twin import Twin, make_twin, twin_hash
 from ringtrue.io.foreign.parsers import read_json
 from ringtrue.report.build import deliver
 from ringtrue.study.acceptance import Check

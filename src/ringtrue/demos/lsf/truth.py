@@ -6,9 +6,7 @@ it was made with.
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import replace
-from importlib.resources import files
 
 import numpy as np
 
@@ -16,7 +14,6 @@ from ringtrue.demos.lsf import spec as S
 from ringtrue.demos.lsf.spec import Mesh3, Spec
 
 VERSION = 1
-_MODULES = ("deck.py", "facility.py", "spec.py", "truth.py", "twin.py")
 
 FINE = Mesh3(
     nx=84,
@@ -62,14 +59,6 @@ _MOUNTS = (
     "gearbox mounts",
     "bearing mounts",
 )
-
-
-def twin_hash() -> str:
-    """SHA-256 of the modules that define the twin."""
-    h = hashlib.sha256(f"twin {VERSION}".encode())
-    for name in _MODULES:
-        h.update(files("ringtrue.demos.lsf").joinpath(name).read_bytes())
-    return h.hexdigest()
 
 
 def ratios(seed: int) -> dict[str, float]:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,8 @@ from ringtrue.correlation.sensor_mapping import observe
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.demos.lsf import deck, facility
 from ringtrue.demos.lsf import spec as S
-from ringtrue.demos.lsf.truth import as_built
+from ringtrue.demos.lsf.spec import Spec
+from ringtrue.demos.lsf.truth import VERSION, as_built
 from ringtrue.eigen import damped
 from ringtrue.fem.assembly import System
 from ringtrue.model.frames import positions
@@ -39,6 +41,40 @@ SLEDGE = {
     900023: (12.5, 0.45, S.WALL_TOP),
 }
 MACHINES = {900031: (12.5, 5.0, S.TOP), 900032: (23.0, 2.5, S.SLAB), 900033: (2.0, 5.0, S.SLAB)}
+
+
+HASHED_SEEDS = 10  # whose truth is part of the hash
+
+
+def twin_hash() -> str:
+    """SHA-256 of what defines the twin, whatever the code that makes it looks like.
+
+    The truth of the first seeds, the cards and nodes of the analyst's model and of the first seed
+    as built, and the points of excitation; numbers to nine digits, as far as all processors agree.
+    """
+    parts: list[object] = [f"twin {VERSION}", DROPS, JUMPS, SLEDGE, MACHINES, FMAX]
+    for seed in range(HASHED_SEEDS):
+        built = as_built(seed)
+        parts += [(f.name, getattr(built, f.name)) for f in fields(built)]
+    for spec in (Spec(), as_built(0)):
+        mesh = facility.build(spec).mesh
+        parts += [mesh.cards, mesh.ids, mesh.xyz]
+    return hashlib.sha256(_plain(parts).encode()).hexdigest()
+
+
+def _plain(value: object) -> str:
+    """Text of nested data; numbers to nine digits."""
+    if isinstance(value, bool | int | str | None):
+        return repr(value)
+    if isinstance(value, float):
+        return f"{round(value, 12) + 0.0:.9g}"
+    if isinstance(value, dict):
+        return _plain([(key, entry) for key, entry in value.items()])
+    if isinstance(value, list | tuple):
+        return "[" + ",".join(_plain(entry) for entry in value) + "]"
+    if is_dataclass(value):
+        return _plain([(f.name, getattr(value, f.name)) for f in fields(value)])
+    raise TypeError(f"{type(value).__name__} has no plain text")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
