@@ -42,9 +42,9 @@ from ringtrue.identification.lsfd import driving_pairs
 from ringtrue.io.frfs import frf_ids, holds_frfs, read_frfs, write_frfs
 from ringtrue.io.modes_json import modes_to_json
 from ringtrue.io.sheets import read_sensor_sheet
-from ringtrue.signal.channel_checks import clipping_told
-from ringtrue.signal.frf_sets import alike, join_frfs, setups_of
-from ringtrue.signal.impacts import HammerSettings, HitReport
+from ringtrue.signal.channel_checks import explain_clipping
+from ringtrue.signal.frf_sets import alike, join_by_setup, join_frfs
+from ringtrue.signal.impacts import HammerSettings, ImpactReport
 from ringtrue.study.blows import BlowFiles, kept_blows, read_blows, refused_blows
 from ringtrue.study.forced import Forced, forced_frfs
 
@@ -79,7 +79,7 @@ class _Measured:
     """FRFs of some files, the blows behind them and what is to be said of both."""
 
     frfs: FrfSet
-    hits: tuple[HitReport, ...] = ()
+    hits: tuple[ImpactReport, ...] = ()
     notes: tuple[str, ...] = ()
     batches: tuple[FrfSet, ...] = ()
     clipped: tuple[str, ...] = ()
@@ -225,10 +225,10 @@ def ema(
         if frfs_to:
             write_frfs(frfs_to, frfs)
         if method is not FrfMethod.PLSCF:
-            with clipping_told(measured.clipped):
+            with explain_clipping(measured.clipped):
                 other = identify_frfs_by(method.value, frfs, band, progress=show)
             return told(title, other, measured.notes, json)
-        with clipping_told(measured.clipped):
+        with explain_clipping(measured.clipped):
             found = identify_hammer(frfs, band, choice=by_hand, progress=show)
         if by_hand is None:
             batches = [_windowed(b, window_decay) for b in measured.batches or (frfs,)]
@@ -251,7 +251,7 @@ def _at_levels(
     for k, path in enumerate(files):
         with progress(f"level {levels[k]:g}") as show, about(path):
             measured = _measured((path,), read.of(k), want, shaker, show)
-            with clipping_told(measured.clipped):
+            with explain_clipping(measured.clipped):
                 result = identify_hammer(_windowed(measured.frfs, decay), band, progress=show)
         notes += [f"{path}: {n}" for n in (*measured.notes, *result.notes)]
         found.append((result.modes, result.uncertainty))
@@ -265,7 +265,7 @@ def _at_levels(
     return 0 if len(lowest[0]) else 1
 
 
-def _blows_json(hits: Sequence[HitReport]) -> dict[str, Any]:
+def _blows_json(hits: Sequence[ImpactReport]) -> dict[str, Any]:
     rows = [
         {
             "source": h.source,
@@ -317,7 +317,9 @@ def _measured(
     forced = forced_frfs(records, want, shaker, full_scale=ranges, progress=part(show, 0.0, 0.05))
     frfs = join_frfs(forced.columns)
     said = _said(frfs, forced) if forced.hits else (*forced.notes, *forced.clipped)
-    return _Measured(frfs, forced.hits, (*notes, *said), setups_of(forced.columns), forced.clipped)
+    return _Measured(
+        frfs, forced.hits, (*notes, *said), join_by_setup(forced.columns), forced.clipped
+    )
 
 
 def _said(frfs: FrfSet, forced: Forced) -> tuple[str, ...]:

@@ -34,8 +34,8 @@ from ringtrue.io.records import read_record, refuse_bad_samples
 from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
 from ringtrue.plots.picker import picker_page
 from ringtrue.signal.channel_checks import find_faults
-from ringtrue.signal.gaps import bridged, without_overlap
-from ringtrue.signal.order_tracking import without_machines
+from ringtrue.signal.gaps import bridge_gaps, remove_overlap
+from ringtrue.signal.order_tracking import remove_harmonics
 from ringtrue.signal.tonal_lines import harmonics
 
 
@@ -303,7 +303,7 @@ def _parts(
     first, before = 0.0, None
     for path in records:
         whole = read(path)
-        kept, twice = without_overlap(before, whole)
+        kept, twice = remove_overlap(before, whole)
         before = whole
         if twice:
             said.append(f"{path.name}: {twice}")
@@ -363,10 +363,10 @@ def told(
 def _removed(history: TimeHistory, how: Removal | None) -> tuple[TimeHistory, tuple[str, ...]]:
     if not how:
         return history, ()
-    whole, gaps = bridged(history)
+    whole, gaps = bridge_gaps(history)
     if not (lines := harmonics(whole)):
         return history, ()
-    clean, said = without_machines(whole, [h.frequency for h in lines], how.value)
+    clean, said = remove_harmonics(whole, [h.frequency for h in lines], how.value)
     return gaps.marked(clean), (*gaps.channels, *said)
 
 

@@ -22,7 +22,7 @@ from ringtrue.io.atomic import atomic_write, writes
 from ringtrue.model.ports import ModesRequest
 from ringtrue.planning.exciters import reciprocity_pairs
 from ringtrue.planning.plan_files import NAMES, reach_of, write_test_sheet
-from ringtrue.planning.virtual_test import Rehearsal, missed_words
+from ringtrue.planning.virtual_test import VirtualTest, missed_modes
 from ringtrue.report.deliver import deliver
 from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.study.config_plan import Directions, Method, Strike
@@ -385,7 +385,7 @@ def _told(run: StudyRun) -> dict[str, Any]:
             "force_n": stage.rehearsal.force,
             "background_n_per_sqrt_hz": stage.rehearsal.background,
             "invented_per_trial": stage.rehearsal.invented,
-            "doubtful": list(missed_words(stage.rehearsal, names)),
+            "doubtful": list(missed_modes(stage.rehearsal, names)),
         }
     if (r := stage.ambient_rehearsal) is not None:
         names = [str(k + 1) for k in stage.expected_modes.tolist()]
@@ -395,12 +395,12 @@ def _told(run: StudyRun) -> dict[str, Any]:
             "force_n_per_sqrt_hz": r.force,
             "invented_per_trial": r.invented,
             "modes": _table(columns),
-            "doubtful": [f"ambient: {m}" for m in missed_words(r, names)],
+            "doubtful": [f"ambient: {m}" for m in missed_modes(r, names)],
         }
     return told
 
 
-def _found(r: Rehearsal) -> dict[str, Any]:
+def _found(r: VirtualTest) -> dict[str, Any]:
     """What virtual tests found, by column."""
     found = {"found": r.found, "found_at_least": r.at_least, "frequency_std": r.frequency_std}
     return found | {"damping_std": r.damping_std, "mac": r.mac}

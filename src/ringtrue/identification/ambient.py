@@ -63,12 +63,12 @@ from ringtrue.identification.stretches import (
     with_more_lags,
     without_strokes_sweeps_and_echoes,
 )
-from ringtrue.signal.band_correlations import abreast
-from ringtrue.signal.channel_checks import uncut, usable
-from ringtrue.signal.decimation import Band, levelled, scaled, unit_factor
-from ringtrue.signal.gaps import bridged
-from ringtrue.signal.harmonic_evidence import locked, steady_amplitudes
-from ringtrue.signal.tonal_lines import Harmonic, harmonics, with_feet, without_lines
+from ringtrue.signal.band_correlations import map_in_threads
+from ringtrue.signal.channel_checks import unclipped_channels, usable
+from ringtrue.signal.decimation import Band, remove_drift, scaled, unit_factor
+from ringtrue.signal.gaps import bridge_gaps
+from ringtrue.signal.harmonic_evidence import amplitude_evidence, phase_evidence
+from ringtrue.signal.tonal_lines import Harmonic, harmonics, remove_tonal_lines, unsteady_lines
 
 LEAST_DAMPING = 5e-4  # below what structures have in operation (welded steel: 0.1 %)
 LEAST_FALL = 0.1  # of the logarithm of the amplitude, from one impact to the next
@@ -235,10 +235,10 @@ def identify_stretches(
         raise DataError("no stretch of a record to identify")
     coming = (x for x in coming if x.duration >= SHORTEST * first.duration)
     second = next(coming, None)
-    part, gaps = bridged(first)
+    part, gaps = bridge_gaps(first)
     raw, states = usable(part)
-    kept = uncut(raw, states)  # of raw samples: they tell what is cut off
-    good = levelled(raw, lowest(raw.duration, settings))
+    kept = unclipped_channels(raw, states)  # of raw samples: they tell what is cut off
+    good = remove_drift(raw, lowest(raw.duration, settings))
     factor = unit_factor(good)
     good, late = in_phase(scaled(good, factor), mend=second is None)
     refs = references(good, settings.references)
@@ -250,8 +250,8 @@ def identify_stretches(
     good, whole, swept, echo = without_strokes_sweeps_and_echoes(good, whole, impacts, lags)
     sines = steady_sines(good, whole, bands, leave, impacts, once=second is not None)
     places = [h.frequency for h in sines]
-    clean = without_lines(good, places)
-    whole, good = clean if whole is good else whole and without_lines(whole, places), clean
+    clean = remove_tonal_lines(good, places)
+    whole, good = clean if whole is good else whole and remove_tonal_lines(whole, places), clean
     shown = harmonics(whole, low=bands[-1].low) if whole and not impacts.driven else ()
     lines = tuple(h for h in shown if h.frequency < bands[0].high)
     ssi = SsiCov(
@@ -262,7 +262,7 @@ def identify_stretches(
     found, motion = [], one_motion(good.channels)
     known = Heard(response_slope(good), choice, max(heard, key=lambda e: e.share), motion)
     for k, modes_of in enumerate(
-        abreast(lambda x: modes_of_band(x, settings.confidence_min, known), sums)
+        map_in_threads(lambda x: modes_of_band(x, settings.confidence_min, known), sums)
     ):
         tell((k + 1) / (len(bands) + 2), f"identified {bands[k].low:.3g} .. {bands[k].high:.3g} Hz")
         found.append(modes_of)
@@ -272,7 +272,7 @@ def identify_stretches(
             looks.append((k, less))
         if second is None and not known.driven and dense_set(own.table, tries, x.seconds):
             looks.append((k, with_more_lags(good, gaps, bands[: k + 1], ssi, refs)))
-    again = abreast(
+    again = map_in_threads(
         lambda x: modes_of_band(x[1], settings.confidence_min, replace(known, choice=None)), looks
     )
     for (k, _), other in zip(looks, again, strict=True):
@@ -287,7 +287,7 @@ def identify_stretches(
             result.modes, result.uncertainty.frequency, result.reasons, clipped
         )
         result = replace(result, modes=modes, reasons=reasons)
-    if second is None and (unsteady := unexplained(result.modes, with_feet(good, places))):
+    if second is None and (unsteady := unexplained(result.modes, unsteady_lines(good, places))):
         return identify_stretches(
             (first,), settings, choice=choice, progress=progress, leave=(*leave, *unsteady)
         )
@@ -325,7 +325,7 @@ def _assemble(
     )
     known = [h.frequency for h in lines]
     machines = (
-        steady_amplitudes(whole, f_all, z_all, known, heard.interval)
+        amplitude_evidence(whole, f_all, z_all, known, heard.interval)
         if whole
         else ("",) * len(rows)
     )
@@ -337,7 +337,7 @@ def _assemble(
     running = [bool(h or why) for h, why in zip(standing, machines, strict=True)]
     if whole and not heard.driven:
         every, wide = np.append(f_all, known), np.append(z_all, np.zeros(len(known)))
-        kin = locked(whole, every, wide, running + [True] * len(known))
+        kin = phase_evidence(whole, every, wide, running + [True] * len(known))
         machines = tuple(x or y for x, y in zip(machines, kin[: len(rows)], strict=True))
     left = feet(f_all, z_all, np.array(gone), history.duration)
     for (b, i), f, z, h, unsteady, edge, foot in zip(

@@ -29,8 +29,8 @@ from ringtrue.identification.ssi import MAX_REFERENCES, SsiCov
 from ringtrue.identification.ssi_data import ssi_data
 from ringtrue.shapes.mac import mac
 from ringtrue.signal.channel_checks import usable
-from ringtrue.signal.decimation import Band, band_signals, levelled, scaled, unit_factor
-from ringtrue.signal.gaps import bridged
+from ringtrue.signal.decimation import Band, band_signals, remove_drift, scaled, unit_factor
+from ringtrue.signal.gaps import bridge_gaps
 
 Method = Literal["plscf", "era", "ssi-data", "fdd", "efdd", "fsdd", "random-decrement", "bayes"]
 METHODS: tuple[str, ...] = get_args(Method)
@@ -91,9 +91,9 @@ def identify_ambient_by(
     if method not in METHODS:
         raise ConfigError(f"method {method!r}{did_you_mean(method, METHODS)}")
     s, tell = settings or AmbientSettings(), progress or quiet
-    whole, gaps = bridged(history)
+    whole, gaps = bridge_gaps(history)
     good, states = usable(whole)
-    good = levelled(good, lowest(good.duration, s))
+    good = remove_drift(good, lowest(good.duration, s))
     good = scaled(good, unit_factor(good))
     notes = gaps.notes + tuple(c.note for c in states)
     tell(0.0, NAMES[method])

@@ -36,7 +36,7 @@ from ringtrue.identification.poles import PoleSet
 from ringtrue.identification.refine import refine
 from ringtrue.identification.rfp import Rfp, rfp
 from ringtrue.identification.scale import mode_scale
-from ringtrue.signal.frf_sets import exchanged
+from ringtrue.signal.frf_sets import exchange_by_reciprocity
 
 Method = Literal["lsce", "rfp", "cmif"]
 METHODS: tuple[str, ...] = get_args(Method)
@@ -73,7 +73,7 @@ def identify_frfs_by(
         raise ConfigError(f"method {method!r}{did_you_mean(method, METHODS)}")
     settings, tell = settings or HammerModes(), progress or quiet
     refuse_bad_frfs(frfs)
-    frfs, roving = exchanged(frfs)
+    frfs, roving = exchange_by_reciprocity(frfs)
     low, high = band_limits(frfs, settings.fmin, settings.fmax)
     refuse_noise(lines_between(frfs, low, settings.fmax or np.inf))
     tell(0.0, NAMES[method])

@@ -58,7 +58,7 @@ from ringtrue.identification.split import (
     split_modes,
     split_note,
 )
-from ringtrue.signal.frf_sets import exchanged
+from ringtrue.signal.frf_sets import exchange_by_reciprocity
 
 TURNS = 6
 LAST_ITERATIONS = 60
@@ -178,7 +178,7 @@ def identify_hammer(
     """
     settings = settings or HammerModes()
     refuse_bad_frfs(frfs)
-    frfs, roving = exchanged(frfs)
+    frfs, roving = exchange_by_reciprocity(frfs)
     tell = progress or quiet
     low, high = band_limits(frfs, settings.fmin, settings.fmax)
     used = lines_between(frfs, 0.8 * low, 1.25 * high)

@@ -15,8 +15,8 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from ringtrue.core.arrays import Any_, Complex, Float
-from ringtrue.core.blows import Blows
 from ringtrue.core.dofs import DofSet
+from ringtrue.core.impacts import Impacts
 from ringtrue.core.modal import ModalModel
 from ringtrue.core.modes import Norm
 from ringtrue.core.motions import POWER
@@ -59,8 +59,8 @@ def noise(frfs: FrfSet) -> Noise:
     roughness over lines.
 
     Where the coherence is unknown an error of 2 % of the local level is added, as systematic errors
-    then dominate. Where the end of the block is known, what rings on from blow to blow lowers the
-    coherence at the modes and is no noise: lines count as their surroundings do.
+    then dominate. Where the end of the block is known, what rings on from impact to impact lowers
+    the coherence at the modes and is no noise: lines count as their surroundings do.
     """
     h2 = np.abs(frfs.data) ** 2
     if np.isfinite(frfs.coherence).all():
@@ -139,8 +139,8 @@ class Lines:
         Length of response behind the FRFs, `FrfSet.kept`.
     hann : float, s
         `FrfSet.hann`.
-    blows : Blows, optional
-        `FrfSet.blows`.
+    impacts : Impacts, optional
+        `FrfSet.impacts`.
     """
 
     s: Complex
@@ -155,7 +155,7 @@ class Lines:
     order: int
     kept: float
     hann: float
-    blows: Blows | None
+    impacts: Impacts | None
 
 
 def prepare(frfs: FrfSet, sigma: Noise, smooth: int = 0) -> Lines:
@@ -199,7 +199,7 @@ def prepare(frfs: FrfSet, sigma: Noise, smooth: int = 0) -> Lines:
         order,
         frfs.kept,
         frfs.hann,
-        frfs.blows,
+        frfs.impacts,
     )
 
 
@@ -214,7 +214,7 @@ def smooth_rest(lines: Lines, poles: Complex, rest: Complex) -> Float:
     """(freq, t) orthonormal basis of the polynomials that stand out of what a fit leaves, `rest`
     (in, freq, out).
 
-    Noise on the force of a blow is as short as the pulse, and so multiplies the FRFs by a smooth
+    Noise on the force of an impact is as short as the pulse, and so multiplies the FRFs by a smooth
     function of the frequency: that moves no pole, but (1 + ε(s)) ψ/(s − λ) leaves a smooth
     remainder beside ψ (1 + ε(λ))/(s − λ). So do modes outside the band and short delays. No term is
     narrower than the typical mode.
@@ -350,13 +350,13 @@ def lsfd(
 
 
 def blow_factors(lines: Lines, poles: Complex) -> tuple[Complex, Complex]:
-    """What rings on from earlier blows makes of the shapes (out, m) and participations (m, in) of a
-    fit.
+    """What rings on from earlier impacts makes of the shapes (out, m) and participations (m, in) of
+    a fit.
     """
-    if lines.blows is None:
+    if lines.impacts is None:
         one = np.ones((1, 1), dtype=np.complex128)
         return one, one
-    return lines.blows.factors(poles)
+    return lines.impacts.factors(poles)
 
 
 def modal_part(lines: Lines, poles: Complex, shapes: Complex, participation: Complex) -> Complex:

@@ -16,7 +16,7 @@ from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.records import read_runs, record_info, refuse_bad_samples
 from ringtrue.io.sheets import SensorSheet
-from ringtrue.signal.impacts import HammerSettings, HitReport, force_channel
+from ringtrue.signal.impacts import HammerSettings, ImpactReport, force_channel
 
 OWN = (".h5", ".hdf5")  # endings of records that may tell their full scale
 
@@ -102,7 +102,7 @@ def full_scale(path: Path) -> dict[str, float]:
         return {}
 
 
-def refused_blows(hits: Sequence[HitReport]) -> tuple[str, ...]:
+def refused_blows(hits: Sequence[ImpactReport]) -> tuple[str, ...]:
     """A line for each blow that does not count, or of which something is to be said."""
     return tuple(
         f"{h.source}, {h.time:.2f} s, {h.peak:.0f} N: "
@@ -112,7 +112,7 @@ def refused_blows(hits: Sequence[HitReport]) -> tuple[str, ...]:
     )
 
 
-def kept_blows(hits: Sequence[HitReport]) -> str:
+def kept_blows(hits: Sequence[ImpactReport]) -> str:
     """How many blows count."""
     return f"{sum(h.accepted for h in hits)} of {len(hits)} hits kept"
 

@@ -11,10 +11,10 @@ import numpy as np
 
 from ringtrue.core.progress import Progress
 from ringtrue.core.signals import FrfSet, TimeHistory
-from ringtrue.signal.channel_checks import clipping, clipping_told
+from ringtrue.signal.channel_checks import clipping, explain_clipping
 from ringtrue.signal.frf import estimate_columns
-from ringtrue.signal.impacts import Estimator, HammerSettings, HitReport
-from ringtrue.signal.local_rational import local_frfs, period, periodic_frfs, runs_on, spacing
+from ringtrue.signal.impacts import Estimator, HammerSettings, ImpactReport
+from ringtrue.signal.local_rational import is_continuous, local_frfs, period, periodic_frfs, spacing
 from ringtrue.signal.shaker_frf import shaker_frfs
 from ringtrue.signal.spectra import Welch
 
@@ -30,7 +30,7 @@ class Forced:
     ----------
     columns : tuple of FrfSet
         On the same lines.
-    hits : tuple of HitReport
+    hits : tuple of ImpactReport
         The blows; none of shakers.
     notes : tuple of str
         Responses that overload, points at which the force has the other sign, where the FRFs of
@@ -40,7 +40,7 @@ class Forced:
     """
 
     columns: tuple[FrfSet, ...]
-    hits: tuple[HitReport, ...] = ()
+    hits: tuple[ImpactReport, ...] = ()
     notes: tuple[str, ...] = ()
     clipped: tuple[str, ...] = ()
 
@@ -74,7 +74,7 @@ def forced_frfs(
         `signal.shaker_frf.shaker_frfs` do.
     """
     clipped = tuple(f"{r.source}: {line}" for r in records for line in clipping(r))
-    with clipping_told(clipped):
+    with explain_clipping(clipped):
         return replace(
             _estimated(records, settings, resolution, full_scale, progress), clipped=clipped
         )
@@ -87,7 +87,7 @@ def _estimated(
     full_scale: Mapping[str, float] | None,
     progress: Progress | None,
 ) -> Forced:
-    if resolution is None and not all(runs_on(r) for r in records):
+    if resolution is None and not all(is_continuous(r) for r in records):
         columns, hits = estimate_columns(
             records, settings, full_scale=full_scale, progress=progress
         )
@@ -103,7 +103,7 @@ def _estimated(
     return Forced(parts, notes=(said,))
 
 
-def _turned(hits: Sequence[HitReport]) -> tuple[str, ...]:
+def _turned(hits: Sequence[ImpactReport]) -> tuple[str, ...]:
     """A line where a hammer, which can only push, has forces of one sign at some points and of the
     other elsewhere.
     """
@@ -130,7 +130,7 @@ def _force_end(columns: Sequence[FrfSet], rate: float, keep_to: float | None) ->
     """
     last, heard = (
         columns[0].freqs[-1],
-        min((c.blows.heard() for c in columns if c.blows), default=np.inf),
+        min((c.impacts.highest_clear_line() for c in columns if c.impacts), default=np.inf),
     )
     if keep_to and min(last, keep_to) > heard * _BEYOND:
         return (

@@ -13,7 +13,7 @@ from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import about
 from ringtrue.io.frfs import read_frfs
-from ringtrue.signal.frf_sets import exchanged, join_frfs
+from ringtrue.signal.frf_sets import exchange_by_reciprocity, join_frfs
 
 
 def check_channels(channels: Sequence[str], sheet: TestModel, path: Path) -> None:
@@ -86,7 +86,7 @@ def supplied_frfs(
         frfs, other = frfs_by_sheet(read_frfs(p, either_way), sheet)
         found.append(frfs)
         notes.update(dict.fromkeys(other))
-    frfs, _ = exchanged(found[0] if len(found) == 1 else join_frfs(found))
+    frfs, _ = exchange_by_reciprocity(found[0] if len(found) == 1 else join_frfs(found))
     check_channels([c.id for c in frfs.outputs], sheet, paths[0])
     return frfs, tuple(notes)
 

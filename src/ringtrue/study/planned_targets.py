@@ -14,8 +14,8 @@ from ringtrue.planning.resolution import (
     choose_targets,
     effective_mass,
     in_band,
+    informative_modes,
     kinetic_share,
-    telling_modes,
 )
 from ringtrue.study.config_plan import PlanSection
 from ringtrue.study.workbench import Workbench
@@ -74,6 +74,6 @@ def _criteria(desk: Workbench, plan: PlanSection, within: Bool) -> dict[str, Boo
             )
         if plan.telling:
             x = relative * parameters.slope(np.zeros(len(parameters)))
-            at = telling_modes(x, np.ones(len(x)), MODEL_ERROR, parameters.std(), plan.telling)
+            at = informative_modes(x, np.ones(len(x)), MODEL_ERROR, parameters.std(), plan.telling)
             criteria["tells parameters apart"] = np.isin(np.arange(len(x)), at)
     return criteria

@@ -25,7 +25,7 @@ from ringtrue.io.choices import read_choice
 from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
 from ringtrue.planning.geometry import relative_neighbours
 from ringtrue.planning.resolution import ambient_std
-from ringtrue.signal.frf_sets import exchanged, join_frfs, setups_of
+from ringtrue.signal.frf_sets import exchange_by_reciprocity, join_by_setup, join_frfs
 from ringtrue.signal.impacts import HammerSettings
 from ringtrue.study.blows import BlowFiles, full_scale, kept_blows, read_file, refused_blows
 from ringtrue.study.config import IdentifySection, TestSection
@@ -103,7 +103,7 @@ def struck(
         first = record.setup == records[0].setup  # the others look alike
         shown.append(summary(record, _in_a_row(blows), [*notes, *kept, *found.notes], draw=first))
     columns = [frfs_by_sheet(c, sheet.model)[0] for c in found.columns]
-    return join_frfs(columns), shown, refused_blows(found.hits), setups_of(columns)
+    return join_frfs(columns), shown, refused_blows(found.hits), join_by_setup(columns)
 
 
 def _blows(
@@ -212,7 +212,7 @@ def _identified(
     fmax = desk.config.identify.hammer_fmax
     if hits:
         frfs, more, rejected, batches = struck(hits, sheet, lost, fmax, part(progress, 0.5, 0.7))
-        frfs = exchanged(frfs)[0]
+        frfs = exchange_by_reciprocity(frfs)[0]
         shown += more
     result = (
         _of_frfs(frfs, desk.config.identify, choice, part(progress, 0.7, 1.0)) if frfs else None
