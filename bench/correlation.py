@@ -38,8 +38,8 @@ import test_correlate_faults as random_tests
 
 from ringtrue.core.arrays import Float
 from ringtrue.core.modes import ModeSet, Norm
-from ringtrue.correlation.assign import scores
-from ringtrue.correlation.complete import complete
+from ringtrue.correlation.assignment import scores
+from ringtrue.correlation.measures import complete
 from ringtrue.correlation.pairing import PairingSettings, pair_modes
 from ringtrue.shapes.mac import mac
 

@@ -28,13 +28,17 @@ from eigen_shell import shell
 
 from ringtrue.core.arrays import Float
 from ringtrue.core.parameters import CardField, Parameter
-from ringtrue.eigen.derivatives import Slope, eigenvalue_derivatives, eigenvector_derivatives
-from ringtrue.eigen.factor import Pencil
-from ringtrue.eigen.problem import EigenModes
-from ringtrue.eigen.responses import adjoint, mac_gradient
-from ringtrue.eigen.solve import solve_modes
+from ringtrue.eigen.derivatives import (
+    MatrixDerivatives,
+    eigenvalue_derivatives,
+    eigenvector_derivatives,
+)
+from ringtrue.eigen.eigenpairs import EigenModes
+from ringtrue.eigen.modes import solve_modes
+from ringtrue.eigen.pencil import Pencil
+from ringtrue.eigen.response_derivatives import adjoint, mac_gradient
 from ringtrue.fem.assembly import System, assemble
-from ringtrue.fem.derivatives import bilinear, system_derivatives
+from ringtrue.fem.parametrisation.derivatives import bilinear, system_derivatives
 from ringtrue.model.model import Model
 
 MODES, BUFFER, RIGID = 30, 4, 6
@@ -68,7 +72,7 @@ def moduli(model: Model, groups: int) -> list[Parameter]:
     return made
 
 
-def residual(pencil: Pencil, modes: EigenModes, slope: Slope, d: Float) -> float:
+def residual(pencil: Pencil, modes: EigenModes, slope: MatrixDerivatives, d: Float) -> float:
     """Largest relative residual of the elastic modes' equations, 2-norm."""
     phi, lam = modes.vectors[:, :MODES], modes.values[:MODES]
     load = slope.stiffness @ phi - (slope.mass @ phi) * lam
@@ -98,7 +102,7 @@ def jacobian(
     return np.stack([k[0] - a.values[:, None] * m[0], a.from_products(k[1], m[1:])])
 
 
-def difference(pencil: Pencil, slope: Slope) -> Float:
+def difference(pencil: Pencil, slope: MatrixDerivatives) -> Float:
     """(m,) derivative of the eigenvalues from two eigensolutions; the matrices are linear in the
     parameter.
     """

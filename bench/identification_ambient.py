@@ -43,7 +43,11 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "verification"))
 import test_oma_pairs as equal
 
 from ringtrue.core.signals import Channel, TimeHistory
-from ringtrue.identification.ambient import AmbientResult, identify_ambient, identify_stretches
+from ringtrue.identification.ambient.pipeline import (
+    AmbientResult,
+    identify_ambient,
+    identify_stretches,
+)
 
 HOUR = 3600.0  # s
 OVER_FLOOR = (

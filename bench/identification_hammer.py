@@ -37,7 +37,7 @@ from outcome import (
 )
 
 from ringtrue.core.signals import Channel, FrfSet
-from ringtrue.identification.hammer import HammerModes, HammerResult, identify_hammer
+from ringtrue.identification.frf.pipeline import HammerModes, HammerResult, identify_hammer
 
 HIGH = 64.0  # Hz
 EVERY, ONE = (0, 1, 2), (0,)  # references

@@ -64,8 +64,8 @@ np.savez(sys.argv[2], f=result.modes.frequencies, std=result.uncertainty.frequen
 OURS = """
 import scipy.signal  # otherwise in the time and memory of the first run
 from ringtrue.core.signals import Channel, TimeHistory
-from ringtrue.identification.ambient import identify_ambient
-from ringtrue.identification.ssi import SsiCov, ssi_cov
+from ringtrue.identification.ambient.pipeline import identify_ambient
+from ringtrue.identification.ambient.ssi_cov import SsiCov, ssi_cov
 h = TimeHistory(y, 200.0, tuple(Channel(f"{i + 1}+Z", "acceleration") for i in range(len(y))), "made")
 every = [c.id for c in h.channels]
 """

@@ -1,12 +1,11 @@
-"""Several setups as one structure: how often what is stated of the modes holds, merged and
-identified as one.
+"""Several setups of one structure, merged: how often what is stated of the modes holds.
 
     python bench/identification_setups.py [--quick | --full]
 
 The system is that of `tests/verification/test_oma_setups.py`: four modes, three setups of half an
-hour with two references in common and three sensors that move. `merged`: each setup by
-`identify_ambient`, put together by `merge_modes` (PoSER). `as one`: `preger`. Shares are of 95 %
-intervals that hold the truth. Not covered: frequencies that differ between setups.
+hour with two references in common and three sensors that move. Each setup is identified by
+`identify_ambient`; `merge_modes` (PoSER) joins them. Shares are of 95 % intervals that hold the
+truth. Not covered: frequencies that differ between setups.
 """
 
 from __future__ import annotations
@@ -20,11 +19,10 @@ from outcome import HELD_LEAST, Check, Report, arguments, rms_over_stated, share
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "verification"))
 import test_oma_setups as made
 
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.signals import TimeHistory
-from ringtrue.core.uncertainty import Uncertainty
-from ringtrue.identification.ambient import identify_ambient
-from ringtrue.identification.merge import merge_modes
+from ringtrue.identification.ambient.pipeline import identify_ambient
+from ringtrue.identification.common.merging import merge_modes
 
 MINUTES = 30
 FOUND_LEAST = 0.97  # of the modes
@@ -67,9 +65,8 @@ def main() -> None:
     report = Report(options)
     count = sized(options, 4, 10, 40)
     sets = [made.recorded(seed, int(60 * MINUTES * made.RATE)) for seed in range(count)]
-    for name, method in (("merged", merged), ("as one", made.as_one)):
-        each = [errors(*method(setups)) for setups in sets]
-        report.row(f"{count} sets of three setups, {name}: intervals of 95 %", {}, checks(each))
+    each = [errors(*merged(setups)) for setups in sets]
+    report.row(f"{count} sets of three setups, merged: intervals of 95 %", {}, checks(each))
     report.end()
 
 

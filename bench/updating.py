@@ -36,8 +36,8 @@ from outcome import Check, Peer, Report, arguments, at_least, at_most, sized
 from scipy.optimize import least_squares
 
 from ringtrue.core.arrays import Float, Int
-from ringtrue.correlation.assign import PairingSettings
-from ringtrue.eigen.factor import Pencil
+from ringtrue.correlation.assignment import PairingSettings
+from ringtrue.eigen.pencil import Pencil
 from ringtrue.model.ports import ModesRequest
 from ringtrue.reduction.parametric import ReducedModel
 from ringtrue.solvers.matrices import MatrixModel, ObservedMatrices

@@ -41,7 +41,6 @@ RUNS = {  # name of the results: script and its options
     "ambient_pairs": "bench/identification_ambient.py pairs",
     "ambient_stream": "bench/identification_ambient.py stream",
     "setups": "bench/identification_setups.py",
-    "tracking": "bench/tracking.py",
     "hammer_accuracy": "bench/identification_hammer.py accuracy",
     "hammer_single": "bench/identification_hammer.py single",
     "hammer_uncertainty": "bench/identification_hammer.py uncertainty",

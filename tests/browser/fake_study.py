@@ -8,18 +8,17 @@ import fake_localised
 import numpy as np
 
 from ringtrue.core.dofs import DofSet
-from ringtrue.core.modes import ModeSet, Norm
-from ringtrue.core.pairing import Pairing
+from ringtrue.core.modes import ModeSet, Norm, Uncertainty
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.core.testmodel import TestModel
-from ringtrue.core.uncertainty import Uncertainty
-from ringtrue.correlation.complete import complete
-from ringtrue.correlation.faults import Suspect
+from ringtrue.correlation.channel_faults import Suspect
 from ringtrue.correlation.frf import compare_frfs, fdac
+from ringtrue.correlation.measures import complete
+from ringtrue.correlation.pairing import Pairing
 from ringtrue.correlation.table import CorrelationTable
-from ringtrue.correlation.track import track
-from ringtrue.identification.poles import PoleSet, StableDiagram
+from ringtrue.correlation.tracking import track
+from ringtrue.identification.common.poles import PoleSet, StableDiagram
 from ringtrue.study import results as r
 from ringtrue.updating.posterior import Posterior
 from ringtrue.updating.predict import Bands, RunUp, Unbalance

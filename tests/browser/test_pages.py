@@ -11,12 +11,10 @@ import chromium
 import numpy as np
 import pytest
 
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.signals import Channel, FrfSet
-from ringtrue.core.uncertainty import Uncertainty
-from ringtrue.identification.environment import fit_environment
-from ringtrue.identification.poles import PoleSet, StableDiagram
-from ringtrue.identification.tracking import Stretch, track_modes
+from ringtrue.identification.common.poles import PoleSet, StableDiagram
+from ringtrue.identification.common.tracking import Stretch, track_modes
 from ringtrue.io.choices import read_choice
 from ringtrue.plots.picker import picker_page
 from ringtrue.plots.responses import frf_page
@@ -107,14 +105,11 @@ def test_modes_through_time_are_drawn(tmp_path: Path) -> None:
         if k != 4
     ]
     tracked = track_modes(sets)
-    one = tracked.tracks[0]
-    there = {"T": np.delete(t, 4), "load": rng.random(n - 1)}
-    fits = {"1": fit_environment(one.frequency, one.std_frequency, there)}
     path = tmp_path / "t.html"
-    path.write_text(tracking_page("days", tracked, fits, there, ["a <note>"]))
+    path.write_text(tracking_page("days", tracked, ["a <note>"]))
     with chromium.page(tmp_path / "profile") as page:
         page.call("Page.navigate", url=path.as_uri())
-        assert page.until("document.querySelectorAll('.main-svg').length >= 6")
-        assert page.evaluate("document.getElementById('figure-2').data.length") == 6
+        assert page.until("document.querySelectorAll('.main-svg').length >= 2")
+        assert page.evaluate("document.getElementById('figure-1').data.length") == 1
         assert page.evaluate("document.querySelector('li').textContent") == "a <note>"
         assert page.complaints() == []

@@ -20,7 +20,7 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.parameters import Shape
 from ringtrue.decks.nastran.lexer import real
 from ringtrue.decks.nastran.reader import read_deck
-from ringtrue.fem.change import moved
+from ringtrue.fem.parametrisation.changed_model import moved
 from ringtrue.model.frames import axes, positions
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest

@@ -28,7 +28,7 @@ from ringtrue.core.modal import ModalModel
 from ringtrue.core.modes import Norm
 from ringtrue.core.signals import Channel
 from ringtrue.core.testmodel import TestModel
-from ringtrue.correlation.observe import observe
+from ringtrue.correlation.sensor_mapping import observe
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.io.record_layout import RecordChannel
 from ringtrue.io.records import write_record

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ringtrue.identification.augmented import augmented_form, pseudo_inverse, real_form
+from ringtrue.identification.frf.refinement import augmented_form, pseudo_inverse, real_form
 
 ROUNDING = 1e-12
 

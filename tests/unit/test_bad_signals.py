@@ -18,9 +18,13 @@ from test_cli import Capture, call, frf, parsed, refused
 
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import Channel, TimeHistory
-from ringtrue.identification.ambient import AmbientResult, AmbientSettings, identify_ambient
-from ringtrue.identification.ambient_record import with_nothing_found
-from ringtrue.identification.ambient_verdict import overtones
+from ringtrue.identification.ambient.pipeline import (
+    AmbientResult,
+    AmbientSettings,
+    identify_ambient,
+)
+from ringtrue.identification.ambient.record_checks import with_nothing_found
+from ringtrue.identification.ambient.spurious_modes import overtones
 from ringtrue.io.records import write_history
 from ringtrue.signal.channel_checks import channel_states
 from ringtrue.signal.decimation import Band

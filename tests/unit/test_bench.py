@@ -29,7 +29,6 @@ import modes
 import numpy as np
 import outcome
 import pytest
-import tracking
 import uncertainty
 import updating
 import write_docs
@@ -318,16 +317,6 @@ JUDGED: list[
         identification_setups.checks,
         (drawn(),),
         [(drawn(scale=5.0),), (drawn(found=2),)],
-    ),
-    (
-        "tracking",
-        tracking.checks,
-        (tracking.Told(200, 3, 190, tuple(GAPS)), 0.0),
-        [
-            (tracking.Told(200, 40, 190, tuple(GAPS)), 0.0),
-            (tracking.Told(200, 3, 100, tuple(GAPS)), 0.0),
-            (tracking.Told(200, 3, 190, tuple(2 * GAPS)), 0.0),
-        ],
     ),
     (
         "identification_hammer",

@@ -12,9 +12,8 @@ from test_cli import Capture, call, frf, parsed, record, refused
 
 from ringtrue.core.choice import Choice, Merge, Pick, Reject
 from ringtrue.errors import ConfigError, DataError
-from ringtrue.identification.choice import as_choice, match, modes_by_hand
-from ringtrue.identification.hammer import HammerModes, HammerResult, identify_hammer
-from ringtrue.identification.poles import PoleSet
+from ringtrue.identification.common.manual_selection import as_choice, match
+from ringtrue.identification.frf.pipeline import HammerModes, HammerResult, identify_hammer
 from ringtrue.io.choices import read_choice, write_choice
 from ringtrue.io.frfs import read_frfs
 from ringtrue.study.config import read_config
@@ -89,31 +88,6 @@ def test_frequencies_are_matched_one_to_one() -> None:
     np.testing.assert_array_equal(
         match(np.array([5.009]), there, np.array([0.0, 1.0, 0.0, 0.0])), [2]
     )
-
-
-def _poles() -> PoleSet:
-    """Orders 2 to 20 with a pole near 3 Hz, one lonely pole at 7 Hz."""
-    order = np.append(np.arange(2, 22, 2), 20)
-    rng = np.random.default_rng(2)
-    f = np.append(3.0 + 0.001 * rng.standard_normal(10), 7.0)
-    pole = 2 * np.pi * f * (-0.01 + 1j * np.sqrt(1 - 1e-4))
-    shape = np.tile(np.array([[1.0], [0.5], [-0.2]]), 11).astype(complex)
-    shape[:, 10] = [0.1, 1.0, 0.4]
-    return PoleSet(order, pole, shape, np.full(11, 0.002), np.full(11, 0.001))
-
-
-def test_modes_from_the_poles_of_any_method() -> None:
-    poles = _poles()
-    modes, std, said = modes_by_hand(poles, ("a", "b", "c"), Choice((Pick(7.02, 20), Pick(2.99))))
-    assert modes.frequencies == pytest.approx([3.0, 7.0], rel=5e-4)
-    assert std.frequency == pytest.approx([0.002, 0.002])
-    assert said == ("chosen by hand: 10 of 10 orders", "chosen by hand: 1 of 10 orders")
-    assert np.abs(modes.shapes[:, 0]) == pytest.approx([1.0, 0.5, 0.2])
-    with pytest.raises(
-        DataError,
-        match=r"pick at 7 Hz at order 10: no such pole within 1 %; the nearest is at 7 Hz",
-    ):
-        modes_by_hand(poles, ("a", "b", "c"), Choice((Pick(7.0, 10),)))
 
 
 # --- FRFs

@@ -18,11 +18,10 @@ from test_ema_frf import FN, PHI, ZETA, pulse, receptance, record
 
 from ringtrue.cli.identify import print_modes
 from ringtrue.cli.main import run
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError
-from ringtrue.identification.hammer import HammerModes, identify_hammer
+from ringtrue.identification.frf.pipeline import HammerModes, identify_hammer
 from ringtrue.io.frfs import read_frfs, write_frfs
 from ringtrue.io.modes_json import read_modes
 from ringtrue.io.records import read_record, read_runs, write_history

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ringtrue.core.testmodel import TestModel
-from ringtrue.correlation.align import best_fit, nearest_fit
+from ringtrue.correlation.sensor_mapping import best_fit, nearest_fit
 from ringtrue.errors import InputError
 
 

@@ -11,19 +11,18 @@ import numpy as np
 import pytest
 
 from ringtrue.cli.main import run
-from ringtrue.core.modes import ModeSet, Norm
+from ringtrue.core.modes import ModeSet, Norm, Uncertainty
 from ringtrue.core.signals import Channel, FrfSet
-from ringtrue.core.uncertainty import Uncertainty
-from ringtrue.correlation.complete import complete, complete_json
 from ringtrue.correlation.frf import (
     amplitude_correlation,
     band_levels,
     compare_frfs,
     shape_correlation,
 )
-from ringtrue.correlation.gates import Gate
+from ringtrue.correlation.measures import complete, complete_json
+from ringtrue.correlation.orthogonality import Gate
+from ringtrue.correlation.paired_shapes import turning
 from ringtrue.correlation.pairing import pair_modes
-from ringtrue.correlation.turning import turning
 from ringtrue.errors import InputError
 from ringtrue.io.modes_json import read_std, write_modes
 from ringtrue.shapes.orthogonality import read_orthogonality, serep_mass
@@ -117,7 +116,7 @@ def test_a_partner_that_is_taken_is_named_by_its_number_in_the_whole_set() -> No
     b = model()
     a = replace(b.take(np.array([4, 4])), frequencies=np.array([50.0, 51.0]))
     p = pair_modes(a, b, first_b=6)
-    assert p.why_a == ("FE 11 (MAC 100 %) is already taken by test 1",)
+    assert p.reasons_a == ("FE 11 (MAC 100 %) is already taken by test 1",)
 
 
 def test_json_holds_no_nan_and_nothing_paired_is_no_error() -> None:

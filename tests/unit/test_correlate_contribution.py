@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from ringtrue.core.modes import ModeSet
-from ringtrue.correlation.assign import Locks
-from ringtrue.correlation.contribution import eliminate, mac_contribution, mac_without
+from ringtrue.correlation.assignment import Locks
+from ringtrue.correlation.paired_shapes import eliminate, mac_contribution, mac_without
 from ringtrue.correlation.pairing import pair_modes
 from ringtrue.errors import ConfigError, InputError
 from ringtrue.shapes.mac import paired_mac
@@ -67,8 +67,8 @@ def test_forced_and_forbidden_pairs() -> None:
     assert free.a.tolist() == free.b.tolist() == [0, 1, 2]
     p = pair_modes(a, b, locks=Locks(forced=((3, 3),), forbidden=((1, 1),)))
     assert list(zip(p.a.tolist(), p.b.tolist(), strict=True)) == [(0, 0), (2, 2), (3, 3)]
-    assert p.why_a[0] == "FE 2 (MAC 92 %) is forbidden by the user"
-    assert p.why_b[0] == "test 2 (MAC 92 %) is forbidden by the user"
+    assert p.reasons_a[0] == "FE 2 (MAC 92 %) is forbidden by the user"
+    assert p.reasons_b[0] == "test 2 (MAC 92 %) is forbidden by the user"
     crossed = pair_modes(a, b, locks=Locks(forced=((0, 1),)))
     assert (0, 1) in zip(crossed.a.tolist(), crossed.b.tolist(), strict=True)
     assert crossed.mac[0] < 0.1  # told as it is

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ringtrue.core.modes import ModeSet
-from ringtrue.correlation.faults import find_faults, suspect_channels
+from ringtrue.correlation.channel_faults import find_faults, suspect_channels
 from ringtrue.correlation.pairing import pair_modes
 from ringtrue.errors import InputError
 from ringtrue.shapes.mac import paired_mac

@@ -22,7 +22,7 @@ import small_study
 
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.testmodel import TestModel
-from ringtrue.correlation.mounting import Mending, Readings, find_mendings
+from ringtrue.correlation.sensor_mounting import Mending, Readings, find_mendings
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.model.ports import ModesRequest
 from ringtrue.study.opened import Opened

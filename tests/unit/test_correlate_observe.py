@@ -8,11 +8,11 @@ import pytest
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.testmodel import TestModel
-from ringtrue.correlation.comac import comac, ecomac
-from ringtrue.correlation.faults import suspect_channels
+from ringtrue.correlation.channel_faults import suspect_channels
 from ringtrue.correlation.frf import fdac, frac, magnitude_deviation
-from ringtrue.correlation.observe import at_dofs, default_tolerance, observe
+from ringtrue.correlation.paired_shapes import comac, ecomac
 from ringtrue.correlation.pairing import pair_modes
+from ringtrue.correlation.sensor_mapping import at_dofs, default_tolerance, observe
 from ringtrue.errors import ConfigError, DataError, InputError
 
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from ringtrue.core.modes import ModeSet, Norm
-from ringtrue.correlation.assign import Followed, Locks
+from ringtrue.correlation.assignment import Followed, Locks
+from ringtrue.correlation.paired_shapes import paired_shapes, turning
 from ringtrue.correlation.pairing import PairingSettings, pair_modes
 from ringtrue.correlation.table import correlation_table
-from ringtrue.correlation.turning import paired_shapes, turning
 from ringtrue.errors import ConfigError, InputError
 
 CHANNELS = tuple("abcdefghij")
@@ -78,7 +78,7 @@ def test_two_poor_pairs_never_outvote_a_good_one() -> None:
     b = modes([10, 10.5], np.stack([0.965 * e[0] + 0.26 * e[2], 0.81 * e[0] - 0.58 * e[3]], axis=1))
     p = pair_modes(a, b, PairingSettings(close=0.0))
     assert (p.a.tolist(), p.b.tolist()) == ([0], [0])
-    assert "already taken by test 1" in p.why_a[0]
+    assert "already taken by test 1" in p.reasons_a[0]
 
 
 def test_rotated_close_pair_is_a_subspace() -> None:
@@ -151,29 +151,31 @@ def test_each_unpaired_mode_has_its_reason() -> None:
     a = replace(a, confidence=np.array([1, 0.3, 1, 1, 1]))
     b = modes([10, 20, 30, 41, 1200], phi[:, :5], Norm.MASS)
     p = pair_modes(a, b, visible_b=np.array([1, 1, 1, 0.001, 1]))
-    why = dict(zip(p.lone_a.tolist(), p.why_a, strict=True))
+    why = dict(zip(p.unpaired_a.tolist(), p.reasons_a, strict=True))
     assert why[1] == "confidence 0.30 < 0.50"
     assert why[2].startswith("no FE mode within 40 % has MAC >= 60 %: best FE 3 with 45 %")
     assert why[3] == "no FE mode within 40 %"
-    other = dict(zip(p.lone_b.tolist(), p.why_b, strict=True))
+    other = dict(zip(p.unpaired_b.tolist(), p.reasons_b, strict=True))
     assert other[3].startswith("moves where no sensor is")
     assert other[4].startswith("outside of the test band")
-    assert set(p.lone_a) | set(p.a) == set(range(5))
-    assert all(p.why_a)
-    assert all(p.why_b)
+    assert set(p.unpaired_a) | set(p.a) == set(range(5))
+    assert all(p.reasons_a)
+    assert all(p.reasons_b)
 
 
 def test_a_mac_just_below_the_gate_is_told_as_below_it() -> None:
     phi = sines(2)
     root = np.sqrt([0.5996, 0.4004])
-    (why,) = pair_modes(modes([10], phi @ root[:, None]), modes([10], phi[:, :1], Norm.MASS)).why_a
+    (why,) = pair_modes(
+        modes([10], phi @ root[:, None]), modes([10], phi[:, :1], Norm.MASS)
+    ).reasons_a
     assert why.endswith("best FE 1 with 59.96 %")
 
 
 def test_a_mode_that_looks_alike_beyond_the_gate_is_told() -> None:
     phi = sines(4)
     a, b = modes([6, 20, 30, 40], phi), modes([9, 20, 30, 90], phi, Norm.MASS)
-    first, last = pair_modes(a, b, PairingSettings(reach=1.0)).why_a
+    first, last = pair_modes(a, b, PairingSettings(reach=1.0)).reasons_a
     assert (
         first == "no FE mode within 40 %; beyond the gate FE 1, +50 %, has 100 %: widen it "
         "(frequency_gate)"
@@ -237,16 +239,16 @@ def test_faint_mode_is_not_observable() -> None:
     phi = sines(3)
     b = modes([10, 20, 30], phi * [1, 1e-4, 1], Norm.MASS)
     p = pair_modes(modes([10, 20, 30], phi), b)
-    assert p.lone_b.tolist() == [1]
-    assert "not observable" in p.why_b[0]
-    assert p.why_a[0].startswith("FE 2 (MAC 100 %) is left out: not observable")
+    assert p.unpaired_b.tolist() == [1]
+    assert "not observable" in p.reasons_b[0]
+    assert p.reasons_a[0].startswith("FE 2 (MAC 100 %) is left out: not observable")
 
 
 def test_no_modes_at_all() -> None:
     none = modes([], np.zeros((10, 0)))
     p = pair_modes(none, modes([1.0], sines(1)))
     assert len(p) == 0
-    assert len(p.why_b) == 1
+    assert len(p.reasons_b) == 1
 
 
 def test_channels_and_gates_are_checked() -> None:
@@ -284,7 +286,7 @@ def test_modes_that_do_not_move_the_channels_have_no_mac(norm: Norm) -> None:
     b = modes([11, 21, 31, 41, 51], shapes[1], norm)
     pairing = pair_modes(a, b)
     assert pairing.a.tolist() == pairing.b.tolist() == [0, 2]
-    assert {w.split(":")[0] for w in (*pairing.why_a, *pairing.why_b)} == {"not observable"}
+    assert {w.split(":")[0] for w in (*pairing.reasons_a, *pairing.reasons_b)} == {"not observable"}
     table = correlation_table(a, b, pairing)
     assert not table.mac[[1, 3, 4]].any()
     assert not table.mac[:, [1, 3, 4]].any()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import linalg, sparse
 
-from ringtrue.correlation.gates import Gate, judge, verdict_json
+from ringtrue.correlation.orthogonality import Gate, judge, verdict_json
 from ringtrue.errors import ConfigError, InputError, SingularModel
 from ringtrue.reduction.expand import expand_dynamic, expand_hybrid, expand_serep, expand_static
 from ringtrue.reduction.static import craig_bampton, guyan

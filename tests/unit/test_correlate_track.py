@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from ringtrue.correlation.significance import significance
-from ringtrue.correlation.track import follow, track, track_along
+from ringtrue.correlation.table import significance
+from ringtrue.correlation.tracking import follow, track, track_along
 from ringtrue.errors import ConfigError, InputError
 
 MASS = np.diag([1.0, 2.0, 3.0])

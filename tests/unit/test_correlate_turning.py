@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from ringtrue.core.modes import ModeSet, Norm
+from ringtrue.correlation.paired_shapes import paired_shapes, turning
 from ringtrue.correlation.pairing import PairingSettings, pair_modes
-from ringtrue.correlation.turning import paired_shapes, turning
 from ringtrue.shapes.mac import paired_mac
 
 CHANNELS = tuple("abcdefgh")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ringtrue.identification.definite import lower_factor
+from ringtrue.identification.frf.plscf import lower_factor
 
 
 @pytest.mark.parametrize("least", [-1e-9, -1e-16, 0.0, 1e-6])

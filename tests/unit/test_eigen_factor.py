@@ -10,8 +10,8 @@ from scipy import sparse
 
 from ringtrue.eigen import engines, memory
 from ringtrue.eigen.engines import installed
-from ringtrue.eigen.factor import Pencil, factorise
-from ringtrue.eigen.solve import solve_modes
+from ringtrue.eigen.modes import solve_modes
+from ringtrue.eigen.pencil import Pencil, factorise
 from ringtrue.errors import InputError, NumericalError, OutOfMemory, SingularModel
 
 ENGINES = installed()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ringtrue.core.arrays import Float
-from ringtrue.fem.series import fitted
+from ringtrue.fem.parametrisation.interpolation import fitted
 
 BOUNDS = np.array([[0.5, 2.0], [0.1, 10.0], [0.5, 1.5]])
 EXACT = 1e-11  # relative to the largest value, or slope
@@ -35,7 +35,7 @@ def test_values_and_slopes_of_rational_functions() -> None:
             assert s is not None
             assert s.holds(x)
             np.testing.assert_allclose(s.value(x), true, rtol=0, atol=EXACT * 5)
-            np.testing.assert_allclose(s.slope(x), slope, rtol=0, atol=EXACT * 100)
+            np.testing.assert_allclose(s.derivative(x), slope, rtol=0, atol=EXACT * 100)
 
 
 def test_none_where_it_does_not_converge() -> None:

@@ -1,6 +1,4 @@
-"""Modes followed through stretches: drift, a crossing and a veering pair, gaps, new modes; and
-their environment.
-"""
+"""Modes followed through stretches: drift, a crossing and a veering pair, gaps, new modes."""
 
 from __future__ import annotations
 
@@ -11,13 +9,9 @@ import pytest
 from scipy.signal import lfilter
 from test_cli import Capture, call, parsed, refused
 
-from ringtrue.core.modes import ModeSet
-from ringtrue.core.uncertainty import Uncertainty
-from ringtrue.errors import ConfigError, DataError, InputError
-from ringtrue.identification.environment import fit_environment
-from ringtrue.identification.gains import with_equal_gains
-from ringtrue.identification.inertia import Followed, behind, thermal_lag
-from ringtrue.identification.tracking import Stretch, TrackSettings, track_modes, unseen
+from ringtrue.core.modes import ModeSet, Uncertainty
+from ringtrue.errors import ConfigError, DataError
+from ringtrue.identification.common.tracking import Stretch, TrackSettings, track_modes, unseen
 
 CHANNELS = tuple(f"{i}+Z" for i in range(1, 7))
 PHI = np.linalg.qr(np.random.default_rng(1).standard_normal((6, 4)))[0]
@@ -84,40 +78,6 @@ def test_branches_of_a_veering_pair_are_followed() -> None:
         np.testing.assert_allclose(t.frequency, branch, rtol=5e-3)
 
 
-def replaced(fac: float, course: float, hours: int, seed: int) -> list[Stretch]:
-    """From stretch 10 on channel 3+Z gives `fac` times as much; shapes have a daily course of so
-    much.
-    """
-    rng, gain, out = np.random.default_rng(seed), np.ones((6, 1)), []
-    for k in range(hours):
-        gain[2] = fac if k >= 10 else 1.0
-        turn = 1 + course * np.sin(2 * np.pi * k / 24) * np.linspace(-1, 1, 6)[
-            :, None
-        ] * np.linspace(0.5, 1, 4)
-        out.append(stretch(k, np.array([2.0, 5.0, 7.0, 9.0]), gain * turn * PHI, rng))
-    return out
-
-
-@pytest.mark.parametrize("fac", [0.5, 10.0])
-def test_a_sensor_of_another_sensitivity_is_named(fac: float) -> None:
-    """With ten times as much of one channel a shape is like no other one before: the mode is the
-    same all the same.
-    """
-    even, (change,) = with_equal_gains(replaced(fac, 0.03, 24, 2))
-    assert (change.channel, change.at) == ("3+Z", 10)
-    assert abs(change.factor - fac) < 4 * change.std < 0.2 * fac
-    found = track_modes(even)
-    assert [t.at.size for t in found.tracks] == [24, 24, 24, 24]
-    assert min(t.mac.min() for t in found.tracks) > 0.95
-
-
-def test_a_course_of_the_day_is_no_other_sensor() -> None:
-    sets = replaced(1.0, 0.2, 60, 3)
-    even, changes = with_equal_gains(sets)
-    assert changes == []
-    assert all(a is b for a, b in zip(even, sets, strict=True))
-
-
 def test_new_and_rare_modes() -> None:
     rng = np.random.default_rng(5)
     sets = []
@@ -171,98 +131,6 @@ def test_nothing_in_some_stretches() -> None:
         TrackSettings(mac=2)
 
 
-# --- environment
-
-
-def days(n: int, rng: np.random.Generator) -> np.ndarray:
-    """Temperature by the hour."""
-    return np.asarray(15 + 8 * np.sin(2 * np.pi * np.arange(n) / 24) + 0.5 * rng.standard_normal(n))
-
-
-def test_slopes_and_their_standard_errors() -> None:
-    """f = 5 - 0.004 (T - mean) Hz with scatter twice the stated: 100 records; the root mean square
-    of z has 7 %.
-    """
-    rng, z = np.random.default_rng(0), []
-    for _ in range(100):
-        t = days(48, rng)
-        amplitude = rng.uniform(1, 3, 48)
-        f = (
-            5
-            - 0.004 * (t - t.mean())
-            - 0.002 * (amplitude - amplitude.mean())
-            + 0.01 * rng.standard_normal(48)
-        )
-        fit = fit_environment(f, np.full(48, 0.005), {"T": t, "a": amplitude})
-        z.append(
-            [
-                *((fit.slope - [-0.004, -0.002]) / fit.std_slope),
-                (fit.reference - 5) / fit.std_reference,
-            ]
-        )
-        assert fit.scatter == pytest.approx(np.sqrt(0.01**2 - 0.005**2), rel=0.5)
-    assert np.sqrt((np.array(z) ** 2).mean(axis=0)) == pytest.approx([1.0, 1.0, 1.0], abs=0.2)
-    assert fit.names == ("T", "a")
-    assert fit.p_value[0] < 1e-3
-
-
-def test_false_alarms_and_persistent_residuals() -> None:
-    """At 1 %: of 60 records with residuals of correlation 0.5 few show a change; the slopes stay
-    true.
-    """
-    rng, z, changes = np.random.default_rng(1), [], 0
-    for _ in range(60):
-        t = days(168, rng)
-        e = lfilter([1], [1, -0.5], rng.standard_normal(168)) * 0.01
-        fit = fit_environment(5 - 0.004 * (t - t.mean()) + e, np.full(168, 0.002), {"T": t})
-        z.append((fit.slope[0] + 0.004) / fit.std_slope[0])
-        changes += bool(fit.changes)
-    assert changes <= 4
-    assert 0.8 < np.sqrt(np.mean(np.square(z))) < 1.3
-
-
-def test_a_change_and_outliers_are_told() -> None:
-    rng = np.random.default_rng(2)
-    t = days(96, rng)
-    f = 5 - 0.004 * (t - t.mean()) + 0.006 * rng.standard_normal(96)
-    f[60:] -= 0.03
-    f[[10, 80]] += 0.1
-    fit = fit_environment(f, np.full(96, 0.005), {"T": t})
-    assert np.flatnonzero(fit.outlier).tolist() == [10, 80]
-    assert len(fit.changes) == 1
-    change = fit.changes[0]
-    assert abs(change.at - 60) <= 1
-    assert change.shift == pytest.approx(-0.03, abs=4 * change.std)
-    assert 0 < change.std < 0.005
-    assert change.p_value < 1e-4
-    assert fit.corrected[:60].std() > 0.9 * fit.corrected[~fit.outlier][:55].std()
-    calm = fit_environment(
-        np.delete(f, [10, 80])[:58], np.full(58, 0.005), {"T": np.delete(t, [10, 80])[:58]}
-    )
-    assert calm.changes == ()
-    assert not calm.outlier.any()
-
-
-def test_regressors_that_tell_nothing() -> None:
-    rng = np.random.default_rng(4)
-    t = days(40, rng)
-    f = 5 - 0.004 * (t - 15) + 0.005 * rng.standard_normal(40)
-    gone = np.where(np.arange(40) == 3, np.nan, t)
-    fit = fit_environment(
-        f, np.full(40, np.nan), {"T": gone, "twice": 2 * t + 1, "same": np.full(40, 3.0)}
-    )
-    assert fit.slope[0] == pytest.approx(-0.004, abs=4 * fit.std_slope[0])
-    assert np.isnan(fit.slope[1:]).all()
-    assert np.isnan(fit.residual[3])
-    assert np.isnan(fit.corrected[3])
-    assert not fit.outlier[3]
-    few = fit_environment(f[:5], np.full(5, 0.005), {"T": t[:5]})
-    assert np.isnan(few.slope).all()
-    assert few.reference == pytest.approx(f[:5].mean(), rel=1e-9)
-    with pytest.raises(InputError, match="3 or more"):
-        fit_environment(f[:2], np.ones(2), {})
-
-
 # --- the command
 
 RATE, SECONDS, HOURS = 16.0, 300.0, 10
@@ -270,7 +138,7 @@ RATE, SECONDS, HOURS = 16.0, 300.0, 10
 
 @pytest.fixture(scope="module")
 def record(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two modes at 2 and 5 Hz, the first softer in the heat, channel 5 a thermometer; stretch 4 is
+    """Two modes at 2 and 5 Hz, the first softer in the heat, stretch 4 is
     lost.
     """
     rng, n = np.random.default_rng(0), int(RATE * SECONDS)
@@ -296,39 +164,22 @@ def record(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_track(record: Path, tmp_path: Path, capsys: Capture) -> None:
     words = ("track", record, "--rate", RATE, "--hours", SECONDS / 3600, "--fmin", 1, "--fmax", 7)
     files = ("--csv", tmp_path / "t.csv", "--plot", tmp_path / "t.html")
-    found = parsed(capsys, *words, "--temperature", "ch5", *files)
+    found = parsed(capsys, *words, "--leave-out", "ch5", *files)
     first, second = found["modes"]
     assert len(first["time_h"]) == HOURS - 1
+    assert np.ptp(first["frequency_hz"]) > 0.1
     assert np.mean(second["frequency_hz"]) == pytest.approx(5.0, rel=5e-3)
-    slope = first["environment"]["slopes"][0]
-    assert slope["hz_per_unit"] == pytest.approx(-0.008, abs=4 * slope["std"])
-    assert slope["std"] < 0.001
-    assert (
-        abs(second["environment"]["slopes"][0]["hz_per_unit"])
-        < 4 * second["environment"]["slopes"][0]["std"]
-    )
     assert len(found["stretches"]) == HOURS - 1
     assert any("left out: all samples are missing" in n for n in found["notes"])
     lines = (tmp_path / "t.csv").read_text().splitlines()
     assert lines[0].startswith("time_h,mode,frequency_hz,")
-    assert lines[0].endswith(",ch5")
     assert len(lines) == 1 + sum(len(m["time_h"]) for m in found["modes"])
     page = (tmp_path / "t.html").read_text()
-    assert "Mode 2" in page
+    assert "Damping through time" in page
     assert "http" not in page.split("const figures")[1]
-    table = tmp_path / "weather.csv"
-    table.write_text("hour,wind\n0,1\n0.8,5\n2,2\n")
-    status, out, _ = call(
-        capsys, *words, "--environment", table, "--drift", "--leave-out", "ch5", "--starts", "0.5"
-    )
+    status, out, _ = call(capsys, *words, "--leave-out", "ch5", "--starts", "0.5")
     assert status == 0
-    assert "wind" in out
-    assert "time" in out
-    found = parsed(
-        capsys, *words, "--environment", table, "--temperature", "wind", "--leave-out", "ch5"
-    )
-    assert [s["name"] for s in found["modes"][0]["environment"]["slopes"]] == ["wind"]
-    assert "no channel 'wind'" in refused(capsys, *words, "--temperature", "wind")
+    assert "first seen" in out
 
 
 def test_track_has_an_example(capsys: Capture) -> None:
@@ -340,78 +191,11 @@ def test_track_has_an_example(capsys: Capture) -> None:
 def test_track_refuses(record: Path, tmp_path: Path, capsys: Capture) -> None:
     words = ("track", record, "--rate", RATE)
     assert "--hours 0.0: must be positive" in refused(capsys, *words, "--hours", 0)
-    assert "no channel 'ch9'; did you mean" in refused(capsys, *words, "--temperature", "ch9")
+    assert "no channel 'ch9'; did you mean" in refused(capsys, *words, "--leave-out", "ch9")
     assert "2 hours for 1 records" in refused(capsys, *words, "--starts", "1,2")
     assert "hours, separated by commas" in refused(capsys, *words, "--starts", "noon")
-    (tmp_path / "w.csv").write_text("hour,wind\n2,1\n1,5\n")
-    assert "rising hours" in refused(capsys, *words, "--environment", tmp_path / "w.csv")
     assert "0.375 s at 16 Hz allow" in refused(capsys, *words, "--hours", 1e-4)
     short = ("--hours", SECONDS / 3600, "--fmin", 1, "--leave-out", "ch5")
     np.save(tmp_path / "lost.npy", np.full((8000, 5), np.nan))
     told = refused(capsys, "track", tmp_path / "lost.npy", "--rate", RATE, *short)
     assert "no stretch could be identified; " in told
-
-
-@pytest.mark.parametrize("known", [0, 3])
-def test_a_regressor_that_is_hardly_known_is_left_out(known: int) -> None:
-    f = 5 + 0.005 * np.random.default_rng(0).standard_normal(24)
-    fit = fit_environment(
-        f, np.full(24, 0.005), {"T": np.where(np.arange(24) < known, np.arange(24.0), np.nan)}
-    )
-    assert np.isnan(fit.slope).all()
-    assert fit.reference == pytest.approx(5, abs=4 * 0.005 / np.sqrt(24))
-    assert np.isfinite(fit.residual).all()
-
-
-# --- inertia
-
-
-def slow(
-    hours: int, lag: float, memory: float, rng: np.random.Generator
-) -> tuple[list[Followed], np.ndarray, np.ndarray]:
-    """Three modes under a body that takes the temperature of the air in `lag` hours; times and
-    temperatures.
-    """
-    t, clock = days(hours, rng) + 3 * np.sin(np.arange(hours) / 9), np.arange(hours) + 0.5
-    body = behind(clock, t, lag) if lag else t
-    modes = []
-    for f, slope in ((1.0, -0.001), (2.0, -0.001), (5.0, -0.004)):
-        e = lfilter([np.sqrt(1 - memory**2)], [1, -memory], rng.standard_normal(hours)) * 0.002
-        modes.append(Followed(f + slope * body + e, np.full(hours, 0.001), np.arange(hours)))
-    return modes, clock, t
-
-
-def test_a_body_behind_a_ramp_and_a_step() -> None:
-    t = np.linspace(0, 60, 241)
-    np.testing.assert_allclose(behind(t, 2 * t, 3.0)[-1], 2 * (60 - 3.0), rtol=1e-8)
-    step = np.where(t > 0, 1.0, 0.0)
-    at = np.flatnonzero(t >= 3.0)[0]  # half of the first quarter of an hour is a ramp
-    assert behind(t, step, 3.0)[at] == pytest.approx(1 - np.exp(-(3.0 - 0.125) / 3.0), abs=1e-3)
-    step[5] = np.nan
-    assert np.flatnonzero(np.isnan(behind(t, step, 3.0))).tolist() == [5]
-
-
-@pytest.mark.parametrize("lag", [2.0, 4.0])
-def test_the_inertia_of_a_structure_is_found_and_makes_no_changes(lag: float) -> None:
-    rng = np.random.default_rng(7)
-    found = []
-    for _ in range(10):
-        modes, clock, t = slow(72, lag, 0.0, rng)
-        found.append(thermal_lag(modes, clock, t))
-        fit = fit_environment(modes[2].frequency, modes[2].std, {"T": behind(clock, t, found[-1])})
-        assert not fit.changes
-        assert fit.slope[0] == pytest.approx(-0.004, rel=0.15)
-    assert np.median(found) == lag
-    assert np.ptp(found) <= lag
-
-
-@pytest.mark.parametrize("memory", [0.0, 0.6])
-def test_modes_that_follow_at_once_have_no_inertia(memory: float) -> None:
-    rng = np.random.default_rng(8)
-    found = [thermal_lag(*slow(72, 0.0, memory, rng)) for _ in range(30)]
-    assert np.count_nonzero(found) <= 1, found
-    none, clock, t = slow(72, 0.0, memory, rng)
-    flat = [Followed(m.frequency[::-1], m.std, m.at) for m in none]
-    assert (
-        thermal_lag([Followed(m.frequency[:8], m.std[:8], m.at[:8]) for m in flat], clock, t) == 0.0
-    )  # too few

@@ -11,11 +11,11 @@ import pytest
 from scipy import sparse
 
 from ringtrue.core.dofs import DofSet
+from ringtrue.core.iterate import Outcome
 from ringtrue.core.modes import ModeSet, Norm
-from ringtrue.core.observation import Observation
-from ringtrue.core.outcome import Outcome
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.core.signals import Channel, TimeHistory
+from ringtrue.core.testmodel import Observation
 from ringtrue.errors import DataError
 from ringtrue.io import codec
 from ringtrue.io.atomic import atomic_write

@@ -21,7 +21,7 @@ from scipy.io import savemat, wavfile
 
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import DataError
-from ringtrue.identification.frf_input import frf_notes
+from ringtrue.identification.frf.data_checks import frf_notes
 from ringtrue.io.frfs import holds_frfs, read_frfs
 from ringtrue.io.lvm import read_lvm_segments
 from ringtrue.io.matfile import mat_values

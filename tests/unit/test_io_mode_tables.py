@@ -8,8 +8,7 @@ import numpy as np
 import openpyxl
 import pytest
 
-from ringtrue.core.modes import ModeSet
-from ringtrue.core.uncertainty import Uncertainty
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.errors import DataError
 from ringtrue.io.modes_json import read_modes, read_std, write_modes
 

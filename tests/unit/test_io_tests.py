@@ -10,9 +10,8 @@ import numpy as np
 import openpyxl
 import pytest
 
-from ringtrue.core.modes import ModeSet, Norm
+from ringtrue.core.modes import ModeSet, Norm, Uncertainty
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import DataError
 from ringtrue.io.frfs import read_frfs, write_frfs
 from ringtrue.io.modes_json import modes_to_json, read_modes, read_std, write_modes

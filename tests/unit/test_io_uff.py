@@ -12,7 +12,7 @@ import pytest
 
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import DataError
-from ringtrue.identification.lsfd import driving_pairs
+from ringtrue.identification.frf.residues import driving_pairs
 from ringtrue.io.frfs import frf_ids, holds_frfs, read_frfs
 from ringtrue.io.modes_json import read_modes
 from ringtrue.io.records import read_record

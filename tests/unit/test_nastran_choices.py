@@ -11,7 +11,7 @@ from ringtrue.checks.deck import check_deck
 from ringtrue.decks.nastran.reader import read_deck, survey
 from ringtrue.errors import DeckError, UnsupportedCard
 from ringtrue.fem.assembly import assemble
-from ringtrue.model.method import asked_modes
+from ringtrue.model.case_control import asked_modes
 from ringtrue.model.ports import ModesRequest
 from ringtrue.solvers.embedded import EmbeddedSolver
 

@@ -13,7 +13,7 @@ from ringtrue.decks.nastran.bulk import write_bulk
 from ringtrue.decks.nastran.edit import edit_fields
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import DeckError, RingtrueError, UnsupportedCard
-from ringtrue.fem.elements.bush import losses
+from ringtrue.fem.elements.lumped import losses
 from ringtrue.model.edit import FieldChange
 from ringtrue.model.frames import positions
 from ringtrue.model.model import Model

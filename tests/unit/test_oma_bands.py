@@ -8,11 +8,16 @@ import numpy as np
 import pytest
 from scipy.signal import oaconvolve
 
-from ringtrue.identification import variance as var
-from ringtrue.identification.bands import MOST_BLOCKS, begin, joined, of_stretch
-from ringtrue.identification.mixing import unmix
-from ringtrue.identification.ssi import SsiCov
-from ringtrue.identification.whittle import SpectralBins
+from ringtrue.identification.ambient.close_modes import unmix
+from ringtrue.identification.ambient.maximum_likelihood import SpectralBins
+from ringtrue.identification.ambient.record_bands import (
+    MOST_BLOCKS,
+    first_sums,
+    joined_sums,
+    stretch_sums,
+)
+from ringtrue.identification.ambient.ssi_cov import SsiCov
+from ringtrue.identification.common import uncertainty as var
 from ringtrue.signal import band_correlations
 from ringtrue.signal.band_correlations import ABREAST, Signals, map_in_threads, segments, threads
 from ringtrue.signal.decimation import Band, decimator, detrend, high_passer
@@ -76,10 +81,10 @@ def test_straightened_signals_have_no_line():
 
 def test_many_stretches_keep_few_blocks_of_one_length():
     y = np.random.default_rng(2).standard_normal((3, 4000))
-    sums = begin(y, 100.0, (Band(6.0, 34.0, 100.0),), SsiCov(10, 20, blocks=4), None)
+    sums = first_sums(y, 100.0, (Band(6.0, 34.0, 100.0),), SsiCov(10, 20, blocks=4), None)
     once = sums[0].r.mean(0)
     for _ in range(22):
-        sums = joined(sums, of_stretch(sums, y, 100.0))
+        sums = joined_sums(sums, stretch_sums(sums, y, 100.0))
     assert len(sums[0].r) == 23 <= MOST_BLOCKS
     assert sums[0].blocks == 1
     assert np.abs(sums[0].r - once).max() < 0.01
@@ -88,13 +93,13 @@ def test_many_stretches_keep_few_blocks_of_one_length():
 
 def test_a_stretch_that_was_begun_with_shorter_blocks_joins_as_one_with_long_ones():
     y = np.random.default_rng(2).standard_normal((3, 4000))
-    sums = begin(y, 100.0, (Band(6.0, 34.0, 100.0),), SsiCov(10, 20, blocks=4), None)
-    early = of_stretch(sums, y, 100.0)
+    sums = first_sums(y, 100.0, (Band(6.0, 34.0, 100.0),), SsiCov(10, 20, blocks=4), None)
+    early = stretch_sums(sums, y, 100.0)
     for _ in range(8):
-        sums = joined(sums, of_stretch(sums, y, 100.0))
+        sums = joined_sums(sums, stretch_sums(sums, y, 100.0))
     assert sums[0].blocks == 2
-    late = of_stretch(sums, y, 100.0)
-    a, b = joined(sums, early)[0].parts[-1], late[0].parts[0]
+    late = stretch_sums(sums, y, 100.0)
+    a, b = joined_sums(sums, early)[0].parts[-1], late[0].parts[0]
     assert a.shape == b.shape
     assert np.abs(a - b).max() < 0.02  # the blocks end at other samples
 

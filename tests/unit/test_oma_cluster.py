@@ -10,17 +10,22 @@ import pytest
 from numpy.lib.stride_tricks import as_strided
 from scipy.signal import lfilter
 
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.signals import Channel, TimeHistory
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, InputError
-from ringtrue.identification.ambient import AmbientSettings, bands_for
-from ringtrue.identification.ambient_verdict import settled, without_echoes, without_noise
-from ringtrue.identification.cluster import cluster_poles
-from ringtrue.identification.merge import merge_modes
-from ringtrue.identification.ssi import SsiCov, decompose, hankel_gram, squared_hankel, ssi_cov
-from ringtrue.identification.stabilise import Candidates
-from ringtrue.identification.variance import frequency_damping, hankel, perturb
+from ringtrue.identification.ambient.candidates import CandidateModes
+from ringtrue.identification.ambient.confidence import all_clear, without_echoes, without_noise
+from ringtrue.identification.ambient.pipeline import AmbientSettings, bands_for
+from ringtrue.identification.ambient.ssi_cov import (
+    SsiCov,
+    decompose,
+    hankel_gram,
+    squared_hankel,
+    ssi_cov,
+)
+from ringtrue.identification.common.merging import merge_modes
+from ringtrue.identification.common.stabilisation import cluster_poles
+from ringtrue.identification.common.uncertainty import frequency_damping, hankel, perturb
 from ringtrue.shapes.mac import mac
 
 
@@ -238,12 +243,12 @@ def test_hankel_of_one_channel():
 @pytest.mark.parametrize(("halves", "done"), [(0.9, True), (0.4, False), (0.1, True)])
 def test_a_mode_in_doubt_asks_for_all_orders(halves: float, done: bool):
     none = np.zeros((1, 8), np.complex128)
-    c = Candidates(
+    c = CandidateModes(
         np.array([-0.1 + 10j]), none, np.ones((4, 1), np.complex128), np.zeros((1, 4, 8), np.complex128),
         np.array([0.9]), np.array([[18, 20]]), np.array([9.0]), np.ones(1), np.array([halves]),
         np.zeros(20, np.int64), np.ones(20, np.bool_), np.zeros(1, np.bool_),
     )  # fmt: skip
-    assert settled(c, 40) == done
+    assert all_clear(c, 40) == done
 
 
 def test_the_scatter_of_a_mode_is_no_second_mode():
@@ -254,7 +259,7 @@ def test_the_scatter_of_a_mode_is_no_second_mode():
     shape = np.stack([same, same, other], axis=1).astype(complex)
     f = np.array([1.2, 1.34, 1.4])
     blank = np.zeros((3, 4))
-    table = Candidates(
+    table = CandidateModes(
         2 * np.pi * f * (-0.01 + 1j), np.array([[0.0], [0.04], [0.04]]) + blank + 0j, shape,
         np.zeros((3, 4, 4), complex), blank[:, 0], np.ones((3, 2), np.int64),
         np.array([7.0, 4.4, 4.4]), np.ones(3), np.ones(3), np.zeros(0, np.int64), np.zeros(0, bool),
@@ -273,7 +278,7 @@ def test_a_pole_known_far_worse_than_a_mode_of_as_many_cycles_is_noise():
     slow mode.
     """
     blank = np.zeros((2, 4))
-    table = Candidates(
+    table = CandidateModes(
         2 * np.pi * np.array([0.5, 280.0]) * (-0.009 + 1j), 0j + blank, np.ones((4, 2), complex),
         np.zeros((2, 4, 4), complex), blank[:, 0], np.ones((2, 2), np.int64),
         np.ones(2), np.ones(2), np.ones(2), np.zeros(0, np.int64), np.zeros(0, bool), np.zeros(2, bool),

@@ -7,10 +7,25 @@ import pytest
 
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.errors import ConfigError, InputError
-from ringtrue.shapes.complexity import mcf, mean_phase, mpc, mpd
-from ringtrue.shapes.mac import auto_mac, mac, paired_mac, worst_off_diagonal
-from ringtrue.shapes.scale import modal_scale_factor, realise, realise_modes
-from ringtrue.shapes.subspace import close_groups, principal_angles, rotation, subspace_mac
+from ringtrue.shapes.complexity import (
+    mcf,
+    mean_phase,
+    modal_scale_factor,
+    mpc,
+    mpd,
+    realise,
+    realise_modes,
+)
+from ringtrue.shapes.mac import (
+    auto_mac,
+    close_groups,
+    mac,
+    paired_mac,
+    principal_angles,
+    rotation,
+    subspace_mac,
+    worst_off_diagonal,
+)
 
 ROUND = 1e-12  # rounding only
 

@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 
 from ringtrue.core.arrays import Float
 from ringtrue.core.signals import Channel, TimeHistory
-from ringtrue.identification.ambient import identify_ambient
+from ringtrue.identification.ambient.pipeline import identify_ambient
 from ringtrue.signal.transients import find_events
 
 RATE, SECONDS = 64.0, 1200
@@ -94,7 +94,7 @@ def test_decays_after_events_give_the_damping_that_the_whole_record_gets_wrong(
     with_events = error()
     assert with_events.max() < 0.1
     monkeypatch.setattr(
-        "ringtrue.identification.stretches.find_events",
+        "ringtrue.identification.ambient.record_bands.find_events",
         lambda data, rate, gone: find_events(data[:, :1], rate),
     )
     assert error().max() > 2 * with_events.max()

@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import ConfigError, DataError
-from ringtrue.identification.ambient import identify_ambient
+from ringtrue.identification.ambient.pipeline import identify_ambient
 from ringtrue.signal.harmonic_evidence import line_statistics
 from ringtrue.signal.order_tracking import (
     edit_cepstrum,

@@ -15,7 +15,7 @@ from scipy.signal import chirp, lfilter
 
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import DataError
-from ringtrue.identification.hammer import HammerModes, identify_hammer
+from ringtrue.identification.frf.pipeline import HammerModes, identify_hammer
 from ringtrue.signal.frf import frf_variance
 from ringtrue.signal.local_rational import is_continuous, local_frfs, period, periodic_frfs, spacing
 from ringtrue.signal.shaker_frf import shaker_frfs

@@ -9,8 +9,8 @@ import pytest
 from five_modes import PHI, RATE, F, motion, record
 from scipy.signal import butter, hilbert, sosfilt
 
-from ringtrue.identification.ambient import identify_ambient
-from ringtrue.identification.ambient_record import in_phase
+from ringtrue.identification.ambient.pipeline import identify_ambient
+from ringtrue.identification.ambient.record_checks import in_phase
 from ringtrue.shapes.mac import mac
 from ringtrue.signal.clock_alignment import at_positions, channel_phases, in_step
 

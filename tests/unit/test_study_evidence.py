@@ -17,7 +17,7 @@ import small_study
 
 from ringtrue.cli.main import run as command
 from ringtrue.core.dofs import DofSet
-from ringtrue.core.pairing import Pairing
+from ringtrue.correlation.pairing import Pairing
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.model.ports import ModesRequest
 from ringtrue.report.deliver import deliver

@@ -15,7 +15,7 @@ import small_study
 from ringtrue.cli.main import run
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.testmodel import TestModel
-from ringtrue.correlation.align import Alignment
+from ringtrue.correlation.sensor_mapping import Alignment
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import DataError
 from ringtrue.io.modes_json import write_modes

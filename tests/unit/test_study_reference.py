@@ -12,9 +12,8 @@ from typing import cast
 import numpy as np
 import numpy.typing as npt
 
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.testmodel import TestModel
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.io.modes_json import write_modes
 from ringtrue.study.config import parse_config
 from ringtrue.study.reference import beyond, fewer, left_out, measured_part, reference_modes

@@ -17,12 +17,12 @@ from ringtrue.cli.main import run
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.core.testmodel import TestModel
-from ringtrue.correlation.complete import complete
+from ringtrue.correlation.measures import complete
 from ringtrue.correlation.pairing import pair_modes
 from ringtrue.correlation.table import correlation_table
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, DataError
-from ringtrue.identification.hammer import HammerModes, identify_hammer
+from ringtrue.identification.frf.pipeline import HammerModes, identify_hammer
 from ringtrue.io.frfs import write_frfs
 from ringtrue.io.modes_json import write_modes
 from ringtrue.io.records import read_record, write_history

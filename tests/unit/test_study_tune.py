@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from ringtrue.core.parameters import Parameter, ParameterSet
-from ringtrue.correlation.assign import PairingSettings
+from ringtrue.correlation.assignment import PairingSettings
 from ringtrue.study.stages.tune import ALLOWED, disagreeing
 from ringtrue.updating.dense import DenseModel
 from ringtrue.updating.objective import Target, Weights

@@ -23,7 +23,7 @@ from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import UnsupportedError
 from ringtrue.io.modes_json import write_modes
-from ringtrue.model.seconds import in_seconds
+from ringtrue.model.edit import in_seconds
 from ringtrue.study.opened import Opened
 from ringtrue.study.proposing import with_lumps
 from ringtrue.updating.candidates import CandidateSettings

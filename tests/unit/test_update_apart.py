@@ -16,8 +16,8 @@ import pytest
 from ringtrue.cli.main import run
 from ringtrue.cli.study import settles
 from ringtrue.core.dofs import DofSet
+from ringtrue.core.iterate import Outcome
 from ringtrue.core.modes import ModeSet
-from ringtrue.core.outcome import Outcome
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.io.modes_json import write_modes
 from ringtrue.study.acceptance import Check

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from ringtrue.core.outcome import Outcome
+from ringtrue.core.iterate import Outcome
 from ringtrue.core.parameters import Parameter, ParameterSet
-from ringtrue.correlation.assign import Followed, PairingSettings, peak_shares
+from ringtrue.correlation.assignment import Followed, PairingSettings, peak_shares
 from ringtrue.errors import InputError
 from ringtrue.model.ports import Linearisation
 from ringtrue.shapes.mac import mac

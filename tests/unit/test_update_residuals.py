@@ -15,7 +15,7 @@ from scipy import linalg, sparse
 
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.errors import InputError, NumericalError
-from ringtrue.fem.functions import AffineTerm, power
+from ringtrue.fem.parametrisation.polynomials import AffineTerm, power
 from ringtrue.reduction.affine import AffineSystem
 from ringtrue.reduction.parametric import reduced_model
 from ringtrue.updating.dense import DenseModel, matrices_at

@@ -19,7 +19,7 @@ from ringtrue.cli.main import run
 from ringtrue.core.arrays import Any_, Float
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet
-from ringtrue.correlation.observe import at_dofs
+from ringtrue.correlation.sensor_mapping import at_dofs
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import SolverFailed, SolverMissing
 from ringtrue.io.modes_json import write_modes

@@ -13,10 +13,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ringtrue.core.outcome import Outcome
+from ringtrue.core.iterate import Outcome
 from ringtrue.core.parameters import Parameter, ParameterSet
-from ringtrue.correlation.assign import APART, PairingSettings
-from ringtrue.shapes.subspace import FADE
+from ringtrue.correlation.assignment import APART, PairingSettings
+from ringtrue.shapes.mac import FADE
 from ringtrue.updating.dense import DenseModel
 from ringtrue.updating.gauss_newton import update
 from ringtrue.updating.objective import Target, Weights, match

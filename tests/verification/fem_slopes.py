@@ -6,8 +6,8 @@ import numpy as np
 
 from ringtrue.core.parameters import Parameter
 from ringtrue.fem.assembly import assemble
-from ringtrue.fem.change import scaled
-from ringtrue.fem.derivatives import system_derivatives
+from ringtrue.fem.parametrisation.changed_model import scaled
+from ringtrue.fem.parametrisation.derivatives import system_derivatives
 from ringtrue.model.model import Model
 
 NAMES = ("stiffness", "mass", "viscous", "structural")

@@ -24,9 +24,8 @@ import numpy.typing as npt
 from scipy import sparse
 
 from ringtrue.core.dofs import DofSet
-from ringtrue.core.modes import ModeSet
-from ringtrue.core.observation import Observation
-from ringtrue.core.uncertainty import Uncertainty
+from ringtrue.core.modes import ModeSet, Uncertainty
+from ringtrue.core.testmodel import Observation
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.io.modes_json import write_modes
 from ringtrue.model.frames import positions

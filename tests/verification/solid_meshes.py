@@ -6,7 +6,7 @@ import numpy as np
 from fem_cases import cards
 
 from ringtrue.core.arrays import Float, Int
-from ringtrue.fem.kinds import SOLIDS
+from ringtrue.fem.element_cards import SOLIDS
 from ringtrue.model.model import Table
 
 ELEMENTS = (

@@ -23,9 +23,8 @@ import pytest
 import ringtrue
 from ringtrue.demos.lsf import demo, truth
 from ringtrue.demos.lsf.twin import Twin
-from ringtrue.shapes.complexity import mpc
+from ringtrue.shapes.complexity import mpc, realise
 from ringtrue.shapes.mac import mac
-from ringtrue.shapes.scale import realise
 from ringtrue.study.store import Store
 
 pytestmark = [pytest.mark.demo, pytest.mark.timeout(1500)]

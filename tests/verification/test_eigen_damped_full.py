@@ -15,12 +15,11 @@ from eigen_shell import shell
 from scipy import linalg, sparse
 
 from ringtrue.core.dofs import DofSet
-from ringtrue.eigen.damped import full_modes
-from ringtrue.eigen.dynamic import DynamicStiffness
+from ringtrue.eigen.damped import DynamicStiffness, full_modes
+from ringtrue.eigen.eigenpairs import residual_vectors
 from ringtrue.eigen.engines import installed
-from ringtrue.eigen.factor import Pencil
-from ringtrue.eigen.residual import residual_vectors
-from ringtrue.eigen.solve import solve_modes
+from ringtrue.eigen.modes import solve_modes
+from ringtrue.eigen.pencil import Pencil
 from ringtrue.errors import InputError, SingularModel
 from ringtrue.fem.assembly import assemble
 from ringtrue.fem.response import direct

@@ -12,16 +12,16 @@ from scipy import sparse
 from ringtrue.core.arrays import Float
 from ringtrue.core.parameters import Parameter, ParameterSet, Shape
 from ringtrue.eigen.derivatives import (
-    Slope,
+    MatrixDerivatives,
     eigenvalue_derivatives,
     eigenvector_derivatives,
     modal_coefficients,
     split_derivatives,
 )
-from ringtrue.eigen.factor import Pencil
-from ringtrue.eigen.solve import solve_modes
+from ringtrue.eigen.modes import solve_modes
+from ringtrue.eigen.pencil import Pencil
 from ringtrue.errors import InputError, NotConverged
-from ringtrue.fem.change import scaled
+from ringtrue.fem.parametrisation.changed_model import scaled
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
 from ringtrue.solvers.embedded import EmbeddedSolver
@@ -29,14 +29,14 @@ from ringtrue.solvers.embedded import EmbeddedSolver
 N, M = 14, 8
 
 
-def _case(clamped: bool) -> tuple[sparse.csr_array, sparse.csr_array, list[Slope]]:
+def _case(clamped: bool) -> tuple[sparse.csr_array, sparse.csr_array, list[MatrixDerivatives]]:
     """A plate whose first half changes stiffness or mass."""
     half = (np.arange(N) < N // 2).astype(float)
     k, m = plate(N, N, ly=1.13)
     dk, dm = plate(N, N, ly=1.13, weight=half)
     pick = held(k, N, N) if clamped else np.arange(k.shape[0])
     k, m, dk, dm = (sparse.csr_array(a[pick][:, pick]) for a in (k, m, dk, dm))
-    return k, m, [Slope(dk, 0 * dm), Slope(0 * dk, dm)]
+    return k, m, [MatrixDerivatives(dk, 0 * dm), MatrixDerivatives(0 * dk, dm)]
 
 
 def _remainders(k, m, slope, base, d_lambda, d_phi, h):
@@ -83,7 +83,7 @@ def test_branches_of_a_repeated_root():
     """
     k, m = plate(N, N)
     dk, dm = plate(N, N, weight=(np.arange(N) < N // 2).astype(float))
-    slope = Slope(dk, 0 * dm)
+    slope = MatrixDerivatives(dk, 0 * dm)
     base = solve_modes(Pencil(k, m), 8)
     assert np.isclose(base.values[4], base.values[5], rtol=1e-8)
     h = 1e-5
@@ -110,7 +110,7 @@ def test_subspace_of_a_repeated_root_moves_as_told():
     dk = sparse.csr_array(dk + dk[turn][:, turn])
     pencil = Pencil(k, m)
     base = solve_modes(pencil, 14)
-    d = eigenvector_derivatives(pencil, base, [Slope(dk, 0 * m)], count=6)[:, 4:6, 0]
+    d = eigenvector_derivatives(pencil, base, [MatrixDerivatives(dk, 0 * m)], count=6)[:, 4:6, 0]
     phi, h = base.vectors[:, 4:6], 1e-4
     ends = [solve_modes(Pencil(k + s * h * dk, m), 8).vectors[:, 4:6] for s in (1, -1)]
     probe = m @ np.random.default_rng(3).standard_normal((k.shape[0], 3))

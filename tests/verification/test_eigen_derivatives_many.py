@@ -13,14 +13,14 @@ from eigen_shell import shell
 from scipy import sparse
 
 from ringtrue.core.parameters import CardField, Parameter
-from ringtrue.eigen import complement, derivatives, fields
-from ringtrue.eigen.derivatives import Slope, eigenvector_derivatives
-from ringtrue.eigen.factor import Pencil
-from ringtrue.eigen.problem import EigenModes
-from ringtrue.eigen.solve import solve_modes
+from ringtrue.eigen import complement, derivatives
+from ringtrue.eigen.derivatives import MatrixDerivatives, eigenvector_derivatives
+from ringtrue.eigen.eigenpairs import EigenModes
+from ringtrue.eigen.modes import solve_modes
+from ringtrue.eigen.pencil import Pencil
 from ringtrue.errors import NotConverged
 from ringtrue.fem.assembly import assemble
-from ringtrue.fem.derivatives import system_derivatives
+from ringtrue.fem.parametrisation.derivatives import system_derivatives
 
 M, RIGID, REGIONS = 16, 6, 4
 TOLERANCE = 1e-6
@@ -28,7 +28,7 @@ SOLVED = 1e-7  # what a solve leaves of the load, beside the tolerance
 
 
 @pytest.fixture(scope="module")
-def case() -> tuple[Pencil, EigenModes, list[Slope]]:
+def case() -> tuple[Pencil, EigenModes, list[MatrixDerivatives]]:
     model = shell(16, 12, regions=REGIONS)
     fields = [
         (card, r, f) for r in range(1, REGIONS + 1) for card, f in (("MAT1", "E"), ("PSHELL", "T"))
@@ -41,7 +41,7 @@ def case() -> tuple[Pencil, EigenModes, list[Slope]]:
     return pencil, solve_modes(pencil, M + 4), slopes
 
 
-def _worst(pencil: Pencil, modes: EigenModes, slope: Slope, d: np.ndarray) -> float:
+def _worst(pencil: Pencil, modes: EigenModes, slope: MatrixDerivatives, d: np.ndarray) -> float:
     """Largest relative residual of the elastic modes' equations, 2-norm."""
     phi, lam = modes.vectors[:, RIGID:M], modes.values[RIGID:M]
     load = slope.stiffness @ phi - (slope.mass @ phi) * lam
@@ -82,7 +82,7 @@ def test_fields_of_any_mass(coupled) -> None:
         mass[1, 2] = mass[2, 1] = 0.3
     mass = sparse.csr_array(mass)
     x, y, c = rng.standard_normal((4, n)), rng.standard_normal((5, n)), rng.standard_normal((4, 5))
-    inertia = fields.Inertia(mass)
+    inertia = complement.Inertia(mass)
     a, b = inertia.fields(x), inertia.fields(y)
     np.testing.assert_allclose(a.dot(b), x @ (mass @ y.T), atol=1e-10)
     b.add(c, a)
@@ -100,13 +100,13 @@ def test_rows_move_to_their_places() -> None:
 def test_sketches_keep_norms(case) -> None:
     """Within a few √(2/TILE) = 0.04; exactly where there are fewer rows with mass than buckets."""
     pencil, modes, _ = case
-    inertia = fields.Inertia(pencil.mass)
+    inertia = complement.Inertia(pencil.mass)
     exact = np.linalg.norm(pencil.mass @ modes.vectors, axis=0)
     np.testing.assert_allclose(
         np.linalg.norm(inertia.sketch(inertia.fields(modes.vectors.T)), axis=1), exact
     )
     rng = np.random.default_rng(5)
-    wide = fields.Inertia(sparse.diags_array(rng.uniform(1.0, 2.0, 20_000)).tocsr())
+    wide = complement.Inertia(sparse.diags_array(rng.uniform(1.0, 2.0, 20_000)).tocsr())
     x = wide.fields(rng.standard_normal((30, 20_000)))
     norms = np.linalg.norm(wide.forces(x), axis=1)
     assert 1e-4 < np.abs(np.linalg.norm(wide.sketch(x), axis=1) / norms - 1).max() < 0.1
@@ -117,7 +117,6 @@ def test_rough_sketches_cost_no_accuracy(case, monkeypatch, buckets) -> None:
     pencil, modes, slopes = case
     pencil.at(modes.shift)
     monkeypatch.setattr(complement, "TILE", buckets)
-    monkeypatch.setattr(fields, "TILE", buckets)
     d = eigenvector_derivatives(pencil, modes, slopes, count=M, tolerance=TOLERANCE)
     assert (
         max(_worst(pencil, modes, s, d[:, RIGID:, i]) for i, s in enumerate(slopes))

@@ -9,16 +9,16 @@ import pytest
 from eigen_plate import held, plate
 from scipy import sparse
 
-from ringtrue.eigen.damped import complex_modes
+from ringtrue.eigen.damped import DynamicStiffness, complex_modes
 from ringtrue.eigen.derivatives import (
-    Slope,
+    MatrixDerivatives,
     branch_derivatives,
     eigenvalue_derivatives,
     eigenvector_derivatives,
 )
-from ringtrue.eigen.dynamic import DynamicStiffness
-from ringtrue.eigen.factor import Pencil
-from ringtrue.eigen.responses import (
+from ringtrue.eigen.modes import solve_modes
+from ringtrue.eigen.pencil import Pencil
+from ringtrue.eigen.response_derivatives import (
     adjoint,
     complex_mode_derivatives,
     frequency_derivatives,
@@ -27,20 +27,19 @@ from ringtrue.eigen.responses import (
     modal_frf_derivatives,
     pole_derivatives,
 )
-from ringtrue.eigen.solve import solve_modes
 
 N, M = 12, 6
 H = 1e-4  # of central differences; what is left is H² of the third derivative
 CLOSE = 1e-6
 
 
-def _plate() -> tuple[sparse.csr_array, sparse.csr_array, list[Slope]]:
+def _plate() -> tuple[sparse.csr_array, sparse.csr_array, list[MatrixDerivatives]]:
     half = (np.arange(N) < N // 3).astype(float)
     k, m = plate(N, N, ly=1.13)
     dk, dm = plate(N, N, ly=1.13, weight=half)
     pick = held(k, N, N)
     k, m, dk, dm = (sparse.csr_array(a[pick][:, pick]) for a in (k, m, dk, dm))
-    return k, m, [Slope(dk, 0 * dm), Slope(0 * dk, dm)]
+    return k, m, [MatrixDerivatives(dk, 0 * dm), MatrixDerivatives(0 * dk, dm)]
 
 
 def test_mac_and_frequency_by_adjoints_and_directly() -> None:
@@ -98,7 +97,7 @@ def test_branches_of_a_double_root_have_derivatives() -> None:
     """
     k, m = plate(N, N)
     dk, _ = plate(N, N, weight=(np.arange(N) < N // 3).astype(float))
-    slope = Slope(dk, 0 * m)
+    slope = MatrixDerivatives(dk, 0 * m)
     pencil = Pencil(k, m)
     base = solve_modes(pencil, 12)
     at, d_lambda, d_phi = branch_derivatives(pencil, base, slope, [4, 5])
@@ -116,7 +115,7 @@ def test_branches_of_a_double_root_have_derivatives() -> None:
     )  # lost digits of the double root: ε/gap
 
 
-def _chain() -> tuple[DynamicStiffness, list[Slope]]:
+def _chain() -> tuple[DynamicStiffness, list[MatrixDerivatives]]:
     """Eight masses on springs, a dashpot at one end: not proportional."""
     n = 8
     k = sparse.csr_array(
@@ -130,20 +129,20 @@ def _chain() -> tuple[DynamicStiffness, list[Slope]]:
     one = sparse.csr_array(sparse.coo_array(([1.0], ([2], [2])), shape=(n, n)))
     zero = sparse.csr_array((n, n))
     slopes = [
-        Slope(one, zero, zero, zero),
-        Slope(zero, one, zero, zero),
-        Slope(zero, zero, one, zero),
+        MatrixDerivatives(one, zero, zero, zero),
+        MatrixDerivatives(zero, one, zero, zero),
+        MatrixDerivatives(zero, zero, one, zero),
     ]
-    slopes.append(Slope(one, zero, zero, one))
+    slopes.append(MatrixDerivatives(one, zero, zero, one))
     return DynamicStiffness(*(sparse.csr_array(a) for a in (k * 100, m, d, h * 100))), slopes
 
 
-def _moved(s: DynamicStiffness, slope: Slope, x: float) -> DynamicStiffness:
+def _moved(s: DynamicStiffness, slope: MatrixDerivatives, x: float) -> DynamicStiffness:
     parts = zip((s.stiffness, s.mass, s.viscous, s.structural), _parts(slope), strict=True)
     return DynamicStiffness(*(sparse.csr_array(a + x * b) for a, b in parts))
 
 
-def _parts(s: Slope) -> tuple[sparse.csr_array, ...]:
+def _parts(s: MatrixDerivatives) -> tuple[sparse.csr_array, ...]:
     assert s.viscous is not None
     assert s.structural is not None
     return s.stiffness, s.mass, s.viscous, s.structural
@@ -191,7 +190,7 @@ def test_frfs_directly_and_by_modes() -> None:
     )
     pencil = Pencil(system.stiffness, system.mass)
     base = solve_modes(pencil, 8)
-    some = [Slope(s.stiffness, s.mass) for s in slopes[:2]]
+    some = [MatrixDerivatives(s.stiffness, s.mass) for s in slopes[:2]]
     d_phi, phi = eigenvector_derivatives(pencil, base, some), base.vectors
     rows = pick.toarray()
     d_out, out = np.einsum("of,fmp->omp", rows, d_phi), rows @ phi

@@ -11,10 +11,10 @@ from eigen_plate import held, line, plate
 from fem_cases import grid, model, steel
 from scipy import linalg, sparse
 
-from ringtrue.eigen import lanczos, solve
-from ringtrue.eigen.factor import Pencil
-from ringtrue.eigen.problem import rounding
-from ringtrue.eigen.solve import solve_modes
+from ringtrue.eigen import lanczos, modes
+from ringtrue.eigen.eigenpairs import rounding
+from ringtrue.eigen.modes import solve_modes
+from ringtrue.eigen.pencil import Pencil
 from ringtrue.errors import InputError, SingularModel
 from ringtrue.fem.assembly import assemble
 
@@ -209,7 +209,7 @@ def test_a_band_of_many_modes_over_a_singular_mass(monkeypatch, sharp):
     )
     f = np.sqrt(np.maximum(want, 0)) / (2 * np.pi)
     if not sharp:
-        monkeypatch.setattr(solve, "_sharp", lambda _pencil, pairs, _shift: pairs)
+        monkeypatch.setattr(modes, "_sharp", lambda _pencil, pairs, _shift: pairs)
     got = solve_modes(Pencil(k, lumped), band=((f[40] + f[41]) / 2, 1.1 * f[-1]))
     assert got.complete == sharp
     assert np.allclose(got.frequencies, f[41:], rtol=1e-7) == sharp

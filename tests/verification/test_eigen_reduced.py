@@ -10,7 +10,7 @@ from eigen_shell import parameters, shell
 from scipy import sparse
 
 from ringtrue.core.dofs import DofSet
-from ringtrue.core.observation import Observation
+from ringtrue.core.testmodel import Observation
 from ringtrue.errors import InputError
 from ringtrue.fem.assembly import assemble
 from ringtrue.model.ports import ModesRequest

@@ -10,8 +10,8 @@ from eigen_plate import plate
 from scipy import linalg, sparse
 
 from ringtrue.eigen.engines import installed
-from ringtrue.eigen.factor import Pencil
-from ringtrue.eigen.solve import solve_modes
+from ringtrue.eigen.modes import solve_modes
+from ringtrue.eigen.pencil import Pencil
 
 COUNTING = [m for m in installed() if m != "dense"]
 

@@ -13,10 +13,10 @@ import pytest
 from fem_cases import cards, grid, model, pshell, shells, square, steel
 
 from ringtrue.eigen import lanczos
+from ringtrue.eigen.eigenpairs import EigenModes
 from ringtrue.eigen.engines import installed
-from ringtrue.eigen.factor import Pencil
-from ringtrue.eigen.problem import EigenModes
-from ringtrue.eigen.solve import solve_modes
+from ringtrue.eigen.modes import solve_modes
+from ringtrue.eigen.pencil import Pencil
 from ringtrue.fem.assembly import assemble
 from ringtrue.model.model import Model
 

@@ -15,8 +15,8 @@ import pytest
 from scipy.optimize import linear_sum_assignment
 
 from ringtrue.core.signals import Channel, FrfSet
-from ringtrue.identification.hammer import HammerResult, identify_hammer
-from ringtrue.identification.split import DISAGREE
+from ringtrue.identification.frf.pipeline import HammerResult, identify_hammer
+from ringtrue.identification.frf.split_modes import DISAGREE
 from ringtrue.shapes.mac import mac
 
 MASS, LEVEL, AVERAGES = 10.0, 0.01, 5.0

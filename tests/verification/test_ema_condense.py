@@ -13,9 +13,15 @@ import pytest
 
 from ringtrue.core.arrays import Complex
 from ringtrue.core.signals import Channel, FrfSet
-from ringtrue.identification import refine as module
-from ringtrue.identification.condense import condensed
-from ringtrue.identification.lsfd import Lines, functions_slopes, noise, prepare, resonances
+from ringtrue.identification.frf import refinement as module
+from ringtrue.identification.frf.lines import (
+    Lines,
+    condensed,
+    functions_slopes,
+    prepare,
+    resonances,
+)
+from ringtrue.identification.frf.residues import noise
 
 LINES, MODES, RESPONSES, INPUTS = 4000, 12, 6, 2
 SAME = 1e-5  # of a standard deviation

@@ -16,13 +16,14 @@ import pytest
 from ringtrue.core.modes import Norm
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.errors import DataError
-from ringtrue.identification.bands_hammer import choose_bands
-from ringtrue.identification.frf_input import sound_pairs
-from ringtrue.identification.hammer import HammerModes, HammerResult, identify_hammer
-from ringtrue.identification.lsfd import lsfd, noise, prepare
-from ringtrue.identification.peaks import cmif
-from ringtrue.identification.plscf import Plscf, cluster_poles, plscf
-from ringtrue.identification.refine import refine
+from ringtrue.identification.frf.cmif import cmif
+from ringtrue.identification.frf.data_checks import sound_pairs
+from ringtrue.identification.frf.lines import prepare
+from ringtrue.identification.frf.pipeline import HammerModes, HammerResult, identify_hammer
+from ringtrue.identification.frf.plscf import Plscf, cluster_poles, plscf
+from ringtrue.identification.frf.pole_search import choose_bands
+from ringtrue.identification.frf.refinement import refine
+from ringtrue.identification.frf.residues import lsfd, noise
 from ringtrue.io.frfs import read_frfs
 from ringtrue.shapes.mac import mac
 from ringtrue.signal.frf_sets import check_driving_points

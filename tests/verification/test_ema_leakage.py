@@ -12,8 +12,8 @@ from scipy.integrate import simpson
 from scipy.signal import csd, welch
 
 from ringtrue.core.signals import Channel, FrfSet
-from ringtrue.identification.hammer import HammerModes, identify_hammer
-from ringtrue.identification.leakage import faded
+from ringtrue.identification.frf.lines import faded
+from ringtrue.identification.frf.pipeline import HammerModes, identify_hammer
 
 RATE, BLOCK = 256.0, 512
 FN = np.array([17.0, 31.0, 46.0, 70.0])

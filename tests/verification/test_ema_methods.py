@@ -11,23 +11,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.linalg import eig, eigh
+from scipy.linalg import eig
 
 from ringtrue.core.modal import ModalModel
-from ringtrue.core.modes import ModeSet, Norm
+from ringtrue.core.modes import ModeSet, Norm, Uncertainty
 from ringtrue.core.signals import Channel, FrfSet
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import DataError, InputError
-from ringtrue.identification.hammer import HammerModes, identify_hammer
-from ringtrue.identification.linearity import level_dependence
-from ringtrue.identification.local import identify_batches, told_apart
-from ringtrue.identification.lsce import Lsce, lsce
-from ringtrue.identification.normal import niedbal, normal_modes, rotated
-from ringtrue.identification.peaks import CmifPeaks, cmif_modes, single_mode
-from ringtrue.identification.plscf import cluster_poles
-from ringtrue.identification.poles import PoleSet
-from ringtrue.identification.reciprocity import reciprocity
-from ringtrue.identification.rfp import Rfp, orthogonal, rfp
+from ringtrue.identification.frf.cmif import CmifPeaks, cmif_modes, single_mode
+from ringtrue.identification.frf.linearity import level_dependence
+from ringtrue.identification.frf.local_fits import identify_batches, with_local_fits
+from ringtrue.identification.frf.pipeline import HammerModes, identify_hammer
+from ringtrue.identification.frf.scaling import reciprocity
 from ringtrue.shapes.mac import mac
 from ringtrue.signal.frf_sets import join_frfs
 
@@ -81,40 +75,6 @@ def frfs(
     return FrfSet(h, freqs, model.outputs, model.inputs, coherence, np.full(2, 4.0))
 
 
-def found(poles_of_orders: PoleSet, true: np.ndarray, rtol: float) -> None:
-    clusters = cluster_poles(poles_of_orders, 0.03)
-    far = np.abs(clusters.pole[:, None] - true).min(axis=0) / np.abs(true)
-    assert far.max() < rtol
-    assert (clusters.support > 0.5).sum() >= true.size
-
-
-def test_lsce_and_rfp_find_the_poles_of_a_band() -> None:
-    data = frfs(chain(), np.random.default_rng(1), level=1e-3)
-    s = poles(*chain())[0]
-    true = s[(s.imag > 2 * np.pi * 9) & (s.imag < 2 * np.pi * 27)]
-    at = (data.freqs > 4) & (data.freqs < 33)
-    found(lsce(data.data[at], data.freqs[at], Lsce(4, 12)), true, 2e-3)
-    found(rfp(data.data[at], data.freqs[at], Rfp(9, 14)), true, 1e-3)
-
-
-def test_orthogonal_polynomials_stay_orthogonal() -> None:
-    x = 1j * np.linspace(-1, 1, 400)
-    q, hess = orthogonal(x, 1 + np.abs(x), 60)
-    np.testing.assert_allclose(q.conj().T @ q, np.eye(61), atol=1e-12)
-    np.testing.assert_allclose(x[:, None] * q[:, :60], q @ hess, atol=1e-12)
-
-
-def test_bands_too_narrow_and_settings_out_of_range_are_told() -> None:
-    data = frfs(chain(), np.random.default_rng(1))
-    for work in (lambda d, f: lsce(d, f, Lsce(2, 30)), lambda d, f: rfp(d, f, Rfp(2, 30))):
-        with pytest.raises(InputError, match="lines in the band for order 30"):
-            work(data.data[:50], data.freqs[:50])
-    with pytest.raises(InputError, match="taper"):
-        Lsce(taper=0.5)
-    with pytest.raises(InputError, match="orders"):
-        Rfp(5, 4)
-
-
 def test_single_mode_is_exact_with_a_residual() -> None:
     f = np.linspace(9.0, 11.0, 60)
     s, pole = 2j * np.pi * f, 2 * np.pi * 10.03 * (-0.02 + 1j)
@@ -141,43 +101,6 @@ def test_reciprocity_of_a_symmetric_structure() -> None:
     wrong = replace(model, participation=model.participation * [1.0, -1.0])
     assert reciprocity(wrong).min() < 0.9
     assert np.isnan(reciprocity(replace(model, inputs=(model.inputs[0], Channel("99+X"))))).all()
-
-
-def complex_model(couple: float) -> tuple[ModalModel, np.ndarray, np.ndarray]:
-    """All modes of the chain with a dashpot to the ground at one mass; the undamped f and shapes of
-    unit mass.
-    """
-    m, k, c = chain()
-    c = c + couple * np.diag(np.eye(N)[2])
-    s, phi = poles(m, k, c)
-    names, none = tuple(Channel(f"{i + 1}+X") for i in range(N)), np.zeros((N, 1))
-    w2, normal = eigh(k, m)
-    model = ModalModel(s, phi, phi[:1].T, none, none, names, names[:1], "accelerance", Norm.MODAL_A)
-    return model, np.sqrt(w2) / (2 * np.pi), normal
-
-
-def test_normal_modes_of_all_complex_modes_are_the_undamped_ones() -> None:
-    model, f, normal = complex_model(30.0)
-    modes = normal_modes(model)
-    np.testing.assert_allclose(modes.frequencies, f, rtol=1e-8)
-    np.testing.assert_allclose(np.diag(mac(modes.shapes, normal)), 1.0, atol=1e-8)
-    assert modes.norm is Norm.MASS
-    assert np.diag(mac(model.shapes, normal)).min() < 0.98  # a structure that needs it
-    with pytest.raises(InputError, match="as many channels as modes"):
-        normal_modes(replace(model, shapes=model.shapes[:3], outputs=model.outputs[:3]))
-
-
-def test_simple_rotation_and_niedbal() -> None:
-    model, _, normal = complex_model(6.0)
-    modes = model.to_modes()
-    size = np.linalg.norm(modes.shapes, axis=0)
-    for turned in (rotated(modes), niedbal(modes)):
-        assert not np.iscomplexobj(turned.shapes)
-        assert np.diag(mac(turned.shapes, normal)).min() > 0.99
-        np.testing.assert_allclose(np.linalg.norm(turned.shapes, axis=0), size)
-    spin = replace(modes, shapes=normal * np.exp(1j * np.arange(N)))
-    for turned in (rotated(spin), niedbal(spin)):
-        np.testing.assert_allclose(np.diag(mac(turned.shapes, normal)), 1.0, atol=1e-12)
 
 
 def results(f: np.ndarray, z: np.ndarray, order: np.ndarray) -> tuple[ModeSet, Uncertainty]:
@@ -250,13 +173,13 @@ def test_batches_loaded_by_moved_sensors() -> None:
     assert np.median(same.chance) > 0.02
     settings = HammerModes(3.0, 35.0)
     joint = identify_hammer(join_frfs(loaded), settings)
-    apart = told_apart(joint, loaded, settings)
+    apart = with_local_fits(joint, loaded, settings)
     assert len(apart.modes) == N
     assert "the batches disagree" in apart.notes[-1]
     assert len(apart.modes.channels) == N
     alike = [frfs(chain(), rng, s) for s in sets]
     result = identify_hammer(join_frfs(alike), settings)
-    assert told_apart(result, alike, settings) is result
+    assert with_local_fits(result, alike, settings) is result
     other = replace(loaded[0], inputs=loaded[0].inputs[::-1])
     with pytest.raises(InputError, match="same inputs"):
         identify_batches([loaded[0], other])

@@ -10,8 +10,8 @@ import pytest
 from ringtrue.core.modal import ModalModel
 from ringtrue.core.modes import Norm
 from ringtrue.core.signals import Channel
-from ringtrue.identification.lsfd import driving_pairs
-from ringtrue.identification.reciprocity import calibrations, reciprocity, reciprocity_note
+from ringtrue.identification.frf.residues import driving_pairs
+from ringtrue.identification.frf.scaling import calibrations, reciprocity, reciprocity_note
 
 
 def structure(seed: int, points: int, noise: float = 0.02) -> ModalModel:

@@ -15,8 +15,8 @@ import pytest
 from ringtrue.core.impacts import Impacts
 from ringtrue.core.modes import Norm
 from ringtrue.core.signals import Channel, FrfSet
-from ringtrue.identification.frf_input import sound_pairs
-from ringtrue.identification.hammer import HammerModes, HammerResult, identify_hammer
+from ringtrue.identification.frf.data_checks import sound_pairs
+from ringtrue.identification.frf.pipeline import HammerModes, HammerResult, identify_hammer
 
 FN = np.array([11.0, 17.0, 26.0, 38.0])
 ZETA = np.array([0.01, 0.012, 0.008, 0.01])

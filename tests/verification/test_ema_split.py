@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from ringtrue.core.signals import Channel, FrfSet
-from ringtrue.identification.hammer import identify_hammer
-from ringtrue.identification.local import told_apart
+from ringtrue.identification.frf.local_fits import with_local_fits
+from ringtrue.identification.frf.pipeline import identify_hammer
 from ringtrue.shapes.mac import mac
 
 FN = np.array([90.0, 170, 262, 380, 455, 610])
@@ -119,7 +119,7 @@ def test_batches_in_one_file_are_told_by_the_responses_that_agree(
     data = frfs(fn, ZETA, phi, references, 3)
     joint = identify_hammer(data)
     assert joint.groups == tuple(tuple(np.flatnonzero(place == k)) for k in range(3))
-    found = told_apart(joint, [data])
+    found = with_local_fits(joint, [data])
     modes = found.modes
     assert len(modes) == FN.size, modes.frequencies
     assert ((modes.frequencies > fn.min(axis=0)) & (modes.frequencies < fn.max(axis=0))).all()
@@ -152,7 +152,7 @@ def test_a_roving_sensor_that_begins_at_the_node_of_every_other_mode(seed: int) 
         )
         for k in begin
     ]
-    found = told_apart(identify_hammer(data), batches)
+    found = with_local_fits(identify_hammer(data), batches)
     modes = found.modes
     assert len(modes) == FN.size, modes.frequencies
     assert np.all((modes.frequencies > fn.min(axis=0)) & (modes.frequencies < FN))

@@ -18,9 +18,9 @@ from ringtrue.decks.nastran.edit import edit_fields
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import DeckError, InputError, RingtrueError, UnsupportedCard
 from ringtrue.fem.assembly import assemble
-from ringtrue.fem.change import scaled
-from ringtrue.fem.dependence import affine_terms
-from ringtrue.fem.derivatives import matrix_derivatives
+from ringtrue.fem.parametrisation.affine import affine_terms
+from ringtrue.fem.parametrisation.changed_model import scaled
+from ringtrue.fem.parametrisation.derivatives import matrix_derivatives
 from ringtrue.model.edit import FieldChange, apply_factors
 from ringtrue.model.model import Model
 from ringtrue.solvers.runner_deck import case_control

@@ -20,7 +20,7 @@ from ringtrue.decks.nastran.edit import edit_fields
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import DeckError, InputError
 from ringtrue.fem.assembly import assemble
-from ringtrue.fem.derivatives import matrix_derivatives
+from ringtrue.fem.parametrisation.derivatives import matrix_derivatives
 from ringtrue.model.edit import FieldChange, apply_factors, field_changes
 from ringtrue.model.model import Model
 

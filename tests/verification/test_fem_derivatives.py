@@ -13,10 +13,10 @@ from scipy import sparse
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet, Substructure
 from ringtrue.errors import InputError, UnsupportedError
 from ringtrue.fem.assembly import assemble
-from ringtrue.fem.change import scaled
-from ringtrue.fem.dependence import affine_terms
-from ringtrue.fem.derivatives import matrix_derivatives
-from ringtrue.fem.functions import AffineTerm, Product
+from ringtrue.fem.parametrisation.affine import affine_terms
+from ringtrue.fem.parametrisation.changed_model import scaled
+from ringtrue.fem.parametrisation.derivatives import matrix_derivatives
+from ringtrue.fem.parametrisation.polynomials import AffineTerm, Product
 from ringtrue.model.model import Model
 
 X = np.array(
@@ -95,8 +95,8 @@ def test_parts_add_up_to_the_changed_model(targets: tuple[tuple[str, int, str], 
     )
     close(s.mass + sum(t.function.value(a) * t.mass for t in parts), changed.mass, EXACT)
     dK, dM = matrix_derivatives(m, p, s)
-    close(sum(t.function.slope(np.ones(1), 0) * t.stiffness for t in parts), dK, 1e-10)
-    close(sum(t.function.slope(np.ones(1), 0) * t.mass for t in parts), dM, 1e-10)
+    close(sum(t.function.derivative(np.ones(1), 0) * t.stiffness for t in parts), dK, 1e-10)
+    close(sum(t.function.derivative(np.ones(1), 0) * t.mass for t in parts), dM, 1e-10)
 
 
 def test_thickness_has_a_linear_and_a_cubic_part() -> None:
@@ -180,7 +180,7 @@ def test_parameters_on_the_same_elements_multiply(
         close(s.mass + M, at.mass, 1e-9)
         for i, p in enumerate(names):
             dK, dM = matrix_derivatives(there, p, at)
-            own = [(t.function.slope(a, i), t) for t in parts if i in t.function.which]
+            own = [(t.function.derivative(a, i), t) for t in parts if i in t.function.which]
             close(a[i] * sum(c * t.stiffness for c, t in own), dK, 1e-7)
             assert (
                 abs(a[i] * sum(c * t.mass for c, t in own) - dM).max() <= 1e-6 * abs(at.mass).max()

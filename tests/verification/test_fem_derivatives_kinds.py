@@ -13,8 +13,8 @@ from test_fem_derivatives import mixed, parameter
 from ringtrue.core.parameters import CardField, Parameter, Shape, Substructure
 from ringtrue.errors import InputError
 from ringtrue.fem.assembly import assemble
-from ringtrue.fem.change import scaled
-from ringtrue.fem.derivatives import bilinear, system_derivatives
+from ringtrue.fem.parametrisation.changed_model import scaled
+from ringtrue.fem.parametrisation.derivatives import bilinear, system_derivatives
 from ringtrue.model.model import Model
 
 NAMES = ("stiffness", "mass", "viscous", "structural")

@@ -11,9 +11,13 @@ from scipy import sparse
 
 from ringtrue.core.parameters import CardField, Parameter
 from ringtrue.fem.assembly import assemble
-from ringtrue.fem.change import scaled
-from ringtrue.fem.derivatives import bilinear, matrix_derivatives, system_derivatives
-from ringtrue.fem.slopes import sole_material
+from ringtrue.fem.parametrisation.changed_model import scaled
+from ringtrue.fem.parametrisation.derivatives import (
+    bilinear,
+    matrix_derivatives,
+    system_derivatives,
+)
+from ringtrue.fem.parametrisation.element_derivatives import sole_material
 from ringtrue.model.model import Model
 
 EXACT = 1e-11  # of the largest entry; the element matrices are condensed

@@ -16,8 +16,8 @@ from ringtrue.decks.nastran.edit import edit_fields
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import DeckError, InputError
 from ringtrue.fem.assembly import assemble
-from ringtrue.fem.change import scaled
-from ringtrue.fem.derivatives import matrix_derivatives
+from ringtrue.fem.parametrisation.changed_model import scaled
+from ringtrue.fem.parametrisation.derivatives import matrix_derivatives
 from ringtrue.model.edit import apply_factors, field_changes
 from ringtrue.model.model import Model
 from ringtrue.model.sections import FALLBACK, SECTIONS, section

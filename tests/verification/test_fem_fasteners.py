@@ -14,7 +14,7 @@ from ringtrue.core.arrays import Float
 from ringtrue.core.parameters import Parameter, Shape
 from ringtrue.errors import DeckError
 from ringtrue.fem.assembly import assemble
-from ringtrue.fem.elements.fast import ends
+from ringtrue.fem.elements.fasteners import fastener_ends
 from ringtrue.fem.mesh import mesh
 from ringtrue.model.model import Model
 
@@ -61,7 +61,7 @@ def test_ends_follow_linear_fields() -> None:
     for a rotation.
     """
     m = fast()
-    a, b = ends(mesh(m), "CFAST", np.array([0]))
+    a, b = fastener_ends(mesh(m), "CFAST", np.array([0]))
     x = mesh(m).xyz
     np.testing.assert_allclose(a.place[0], [0.48, 0.52, 0], atol=1e-12)
     np.testing.assert_allclose(b.place[0], [0.48, 0.52, H], atol=1e-12)

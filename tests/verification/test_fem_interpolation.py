@@ -18,10 +18,10 @@ from ringtrue.core.arrays import Float
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet, Substructure
 from ringtrue.errors import NumericalError
 from ringtrue.fem.assembly import System, assemble
-from ringtrue.fem.change import scaled
-from ringtrue.fem.dependence import affine_terms
-from ringtrue.fem.derivatives import matrix_derivatives
-from ringtrue.fem.functions import AffineTerm
+from ringtrue.fem.parametrisation.affine import affine_terms
+from ringtrue.fem.parametrisation.changed_model import scaled
+from ringtrue.fem.parametrisation.derivatives import matrix_derivatives
+from ringtrue.fem.parametrisation.polynomials import AffineTerm
 from ringtrue.model.model import Model
 
 SIDE = 6  # elements
@@ -103,7 +103,7 @@ def slopes_are_derivatives(
     """Of the model `m`, in which the parameters are at `a`."""
     s = assemble(m)
     for i, p in enumerate(parameters):
-        slopes = [a[i] * t.function.slope(a, i) for t in terms]
+        slopes = [a[i] * t.function.derivative(a, i) for t in terms]
         for name, true in zip(("stiffness", "mass"), matrix_derivatives(m, p, s), strict=True):
             close(total(terms, slopes, name, 0 * true), true, getattr(s, name), SLOPES)
 

@@ -16,8 +16,8 @@ from shell_cases import SHELLS, displacement, held, nearest, net, rectangle, she
 
 from ringtrue.core.arrays import Any_, Float
 from ringtrue.fem.assembly import assemble
-from ringtrue.fem.elements.laminate import Laminate, laminates
-from ringtrue.fem.kinds import batches
+from ringtrue.fem.element_cards import batches
+from ringtrue.fem.elements.shell_material import Laminate, laminates
 from ringtrue.fem.mesh import mesh
 from ringtrue.model.model import Model, Table
 

@@ -16,15 +16,15 @@ from ringtrue.core.arrays import Float, Int
 from ringtrue.core.parameters import CardField
 from ringtrue.errors import DeckError, UnsupportedCard
 from ringtrue.fem.assembly import assemble
-from ringtrue.fem.change import rows_of
-from ringtrue.fem.elements.hexa import _MIDDLES, _SIGNS
-from ringtrue.fem.elements.hexa import quadratic as hexa20
-from ringtrue.fem.elements.penta import quadratic as penta15
-from ringtrue.fem.elements.pyramid import quadratic as pyramid13
-from ringtrue.fem.elements.solid_material import nearest, tensor, turned
-from ringtrue.fem.elements.tetra import quadratic as tetra10
-from ringtrue.fem.kinds import SOLIDS, batches
+from ringtrue.fem.element_cards import SOLIDS, batches
+from ringtrue.fem.elements.elasticity import nearest, tensor, turned
+from ringtrue.fem.elements.solid_shapes import _HEXA_MIDDLES, _HEXA_SIGNS
+from ringtrue.fem.elements.solid_shapes import hexa_quadratic as hexa20
+from ringtrue.fem.elements.solid_shapes import penta_quadratic as penta15
+from ringtrue.fem.elements.solid_shapes import pyramid_quadratic as pyramid13
+from ringtrue.fem.elements.solid_shapes import tetra_quadratic as tetra10
 from ringtrue.fem.mesh import mesh
+from ringtrue.fem.parametrisation.changed_model import rows_of
 from ringtrue.model.model import Model, Table
 
 ROUNDING = 1e-9  # relative to the largest stiffness, after some thousand operations
@@ -87,7 +87,7 @@ def patch(m: Model, xyz: Float, u: Float) -> float:
 @pytest.mark.parametrize(
     ("quadratic", "corner", "middle", "edges"),
     [
-        (hexa20, _SIGNS, _MIDDLES, "CHEXA"),
+        (hexa20, _HEXA_SIGNS, _HEXA_MIDDLES, "CHEXA"),
         (
             penta15,
             [[0, 0, -1], [1, 0, -1], [0, 1, -1], [0, 0, 1], [1, 0, 1], [0, 1, 1]],

@@ -15,7 +15,7 @@ from ringtrue.core.arrays import Float
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.errors import SingularModel
 from ringtrue.fem.assembly import assemble
-from ringtrue.fem.spins import spins
+from ringtrue.fem.massless_rotations import massless_rotations
 from ringtrue.model.model import Model, Table
 from ringtrue.model.ports import ModesRequest
 from ringtrue.solvers.embedded import EmbeddedSolver
@@ -78,7 +78,7 @@ def test_two_beams_on_springs_spin_alone() -> None:
     )
     both = model(grid(np.vstack([a, b])), bars, SECTION, steel(), springs)
     system = assemble(both)
-    assert [system.free.labels()[i][-2:] for i in spins(both, system)] == ["RX", "RX"]
+    assert [system.free.labels()[i][-2:] for i in massless_rotations(both, system)] == ["RX", "RX"]
     with EmbeddedSolver().open(both) as analysis:
         assert analysis.modes(ModesRequest(12)).complete
 
@@ -93,7 +93,7 @@ def test_point_masses_on_a_bush(apart: float) -> None:
     stiff = cards("PBUSH", PID=[1], K1=300.0, K2=600.0, K3=900.0, K4=5.0, K5=5.0, K6=5.0)
     pair = model(grid(np.array([[0, 0, 0], [apart, 0, 0]])), masses, bush, stiff)
     system = assemble(pair)
-    assert spins(pair, system).size == (1 if apart else 3)
+    assert massless_rotations(pair, system).size == (1 if apart else 3)
     with EmbeddedSolver().open(pair) as analysis:
         f = analysis.modes(ModesRequest(6)).modes.frequencies
     want = np.sqrt(np.array([300.0, 600.0, 900.0]) * 4 / 3) / 2 / np.pi
@@ -104,19 +104,19 @@ def test_point_masses_on_a_bush(apart: float) -> None:
 
 def test_what_is_held_or_heavy_is_left_alone() -> None:
     held = free(5, (1, 2, 3), spc([1], "123456"))
-    assert not spins(
+    assert not massless_rotations(
         held, assemble(Model(held.tables, held.params, held.case.__class__(spc=1)))
     ).size
     tip = cards("CONM2", EID=[50], G=6, M=1.0, I11=0.1, I22=0.1, I33=0.1)
     heavy = free(5, (1, 2, 3), tip)
-    assert not spins(heavy, assemble(heavy)).size
+    assert not massless_rotations(heavy, assemble(heavy)).size
     bent = model(
         grid(np.array([[0, 0, 0], [1, 0, 0], [1, 1e-3, 0.0]])),
         chain(2, (1, 0, 0))[1],
         SECTION,
         steel(),
     )
-    assert not spins(bent, assemble(bent)).size
+    assert not massless_rotations(bent, assemble(bent)).size
     strict = free(5, (1, 0, 0), AUTOSPC="NO")
     with EmbeddedSolver().open(strict) as analysis:
         assert not analysis.spins
@@ -136,7 +136,7 @@ def test_an_offset_mass_joins_the_turns(offset: Float) -> None:
     on_arm = cards("CONM2", EID=[50], G=10, M=10.0)
     own = model(grid(xyz), bars, SECTION, steel(), mass, root, spc=1)
     both = [own, model(arm, bars, SECTION, steel(), link, on_arm, root, spc=1)]
-    assert not any(spins(m, assemble(m)).size for m in both)
+    assert not any(massless_rotations(m, assemble(m)).size for m in both)
     found = []
     for m in both:
         with EmbeddedSolver().open(m) as analysis:
@@ -153,7 +153,7 @@ def test_a_rigid_tip_spins_with_its_line(offset: Float, count: int) -> None:
     m = model(
         grid(np.vstack([xyz, xyz[-1] + np.array(offset)])), bars, SECTION, steel(), link, mass
     )
-    assert spins(m, assemble(m)).size == count
+    assert massless_rotations(m, assemble(m)).size == count
     with EmbeddedSolver().open(m) as analysis:
         f = analysis.modes(ModesRequest(8)).modes.frequencies
     assert (np.abs(f) < 1e-2).sum() == 6 - count

@@ -14,8 +14,8 @@ from ringtrue.core.arrays import Float
 from ringtrue.core.parameters import Parameter, Shape
 from ringtrue.errors import DeckError
 from ringtrue.fem.assembly import System, assemble
-from ringtrue.fem.elements.patch import on_patch
-from ringtrue.fem.elements.weld import SHEAR, build, ends
+from ringtrue.fem.elements.fastener_attachment import on_patch
+from ringtrue.fem.elements.fasteners import SHEAR, build_weld, weld_ends
 from ringtrue.fem.mesh import mesh
 from ringtrue.model.model import Model
 
@@ -89,7 +89,7 @@ def test_rigid_motions_rank_mass_and_turns(warp: float) -> None:
 
 
 def _length(xyz: Float) -> float:
-    a, b = ends(mesh(weld(xyz)), "CWELD", np.array([0]))
+    a, b = weld_ends(mesh(weld(xyz)), "CWELD", np.array([0]))
     return float(np.linalg.norm(b.place - a.place))
 
 
@@ -112,8 +112,8 @@ def test_shells_by_number_and_a_patch_on_a_point() -> None:
     tria = cards("CTRIA3", EID=[51], PID=9, G1=5, G2=6, G3=7)
     m = weld(TYPE="ELEMID", SHIDA=50, SHIDB=51, **dict.fromkeys(CORNERS, 0))
     both = Model({**m.tables, "CQUAD4": quad, "CTRIA3": tria}, m.params)
-    K = build(mesh(both), "CWELD", np.array([0])).stiffness
-    np.testing.assert_allclose(K, build(mesh(weld()), "CWELD", np.array([0])).stiffness)
+    K = build_weld(mesh(both), "CWELD", np.array([0])).stiffness
+    np.testing.assert_allclose(K, build_weld(mesh(weld()), "CWELD", np.array([0])).stiffness)
     s = assemble(weld(GB1=0, GB2=0, GB3=0))
     assert abs(s.stiffness @ s.rigid_body()).max() < 1e-9 * abs(s.stiffness).max()
     assert abs(s.stiffness.toarray()[42:48]).max() > 0  # node 8 itself is end B
@@ -189,4 +189,4 @@ def test_a_spot_weld_on_other_sheets_is_named() -> None:
     m = spot()
     other = m["CQUAD4"].with_column("PID", np.array([77]))
     with pytest.raises(DeckError, match=r"CWELD 3.*sheet A is no PSHELL"):
-        build(mesh(Model({**m.tables, "CQUAD4": other}, m.params)), "CWELD", np.array([0]))
+        build_weld(mesh(Model({**m.tables, "CQUAD4": other}, m.params)), "CWELD", np.array([0]))

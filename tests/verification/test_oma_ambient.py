@@ -21,14 +21,14 @@ from scipy.signal import lfilter
 
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import DataError
-from ringtrue.identification.ambient import (
+from ringtrue.identification.ambient.pipeline import (
     AmbientResult,
     AmbientSettings,
     identify_ambient,
     identify_stretches,
 )
-from ringtrue.identification.ambient_record import one_motion
-from ringtrue.identification.ssi import SsiCov, ssi_cov
+from ringtrue.identification.ambient.record_checks import one_motion
+from ringtrue.identification.ambient.ssi_cov import SsiCov, ssi_cov
 from ringtrue.shapes.mac import mac
 
 F = np.array([0.7, 1.85, 1.90, 5.0, 11.8, 26.0])

@@ -10,8 +10,12 @@ from test_oma_ambient import RATE, record, result, wrap
 
 from ringtrue.core.choice import Choice, Merge, Pick, Reject
 from ringtrue.errors import DataError
-from ringtrue.identification.ambient import AmbientResult, AmbientSettings, identify_ambient
-from ringtrue.identification.choice import as_choice
+from ringtrue.identification.ambient.pipeline import (
+    AmbientResult,
+    AmbientSettings,
+    identify_ambient,
+)
+from ringtrue.identification.common.manual_selection import as_choice
 
 BAND = AmbientSettings(fmin=3.0, order_max=50)  # modes at 5, 11.8 and 26 Hz
 

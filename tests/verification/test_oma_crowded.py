@@ -9,8 +9,8 @@ import pytest
 from scipy.signal import lfilter
 
 from ringtrue.core.signals import Channel, TimeHistory
-from ringtrue.identification import ambient_band, ambient_verdict
-from ringtrue.identification.ambient import AmbientSettings, identify_ambient
+from ringtrue.identification.ambient import band_modes, confidence
+from ringtrue.identification.ambient.pipeline import AmbientSettings, identify_ambient
 from ringtrue.shapes.mac import mac
 
 RATE, SECONDS, CHANNELS = 40.0, 600, 20
@@ -50,9 +50,9 @@ def found(
 
 
 def test_a_crowded_band_is_given_more_orders(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ambient_verdict, "MANY", 1000)  # no second look with more lags and orders
+    monkeypatch.setattr(confidence, "MANY", 1000)  # no second look with more lags and orders
     assert found() == (F.size, 0)
-    monkeypatch.setattr(ambient_band, "SHARES", ambient_band.SHARES[:2])
+    monkeypatch.setattr(band_modes, "SHARES", band_modes.SHARES[:2])
     assert found()[0] < F.size
 
 
@@ -61,5 +61,5 @@ def test_modes_closer_than_the_lags_tell_are_given_more_lags(
 ) -> None:
     h, low = record(DENSE, 0.005, 1800), AmbientSettings(fmin=3.0)
     assert found(h, low, DENSE) == (DENSE.size, 0)
-    monkeypatch.setattr(ambient_verdict, "MANY", 1000)
+    monkeypatch.setattr(confidence, "MANY", 1000)
     assert found(h, low, DENSE)[0] < DENSE.size

@@ -13,8 +13,8 @@ import pytest
 from scipy.signal import lfilter
 
 from ringtrue.core.signals import Channel, TimeHistory
-from ringtrue.identification.ambient import AmbientResult, identify_ambient
-from ringtrue.identification.forced import carriers
+from ringtrue.identification.ambient.pipeline import AmbientResult, identify_ambient
+from ringtrue.identification.ambient.spurious_modes import carriers
 from ringtrue.signal.echoes import remove_echo
 
 RATE, SECONDS, STOREYS = 30.0, 1200, 8

@@ -16,7 +16,7 @@ import pytest
 from scipy.signal import lfilter
 
 from ringtrue.core.signals import Channel, TimeHistory
-from ringtrue.identification.ambient import AmbientResult, identify_ambient
+from ringtrue.identification.ambient.pipeline import AmbientResult, identify_ambient
 from ringtrue.signal.tonal_lines import MOST, find_tonal_lines, remove_tonal_lines
 from ringtrue.signal.transients import find_events
 

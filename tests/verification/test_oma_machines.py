@@ -9,8 +9,8 @@ import pytest
 from scipy.signal import lfilter
 
 from ringtrue.core.signals import Channel, TimeHistory
-from ringtrue.identification.ambient import AmbientResult, identify_ambient
-from ringtrue.identification.ambient_verdict import feet
+from ringtrue.identification.ambient.pipeline import AmbientResult, identify_ambient
+from ringtrue.identification.ambient.spurious_modes import line_remainders
 from ringtrue.signal.run_ups import remove_run_ups
 from ringtrue.signal.transients import remove_regular_impacts
 
@@ -158,11 +158,11 @@ def test_a_pole_that_the_halves_of_the_record_deny_is_told() -> None:
 
 def test_what_a_line_leaves_that_was_taken_out_is_no_mode() -> None:
     f, z, line = np.array([10.0, 24.43, 33.0]), np.array([0.01, 6e-4, 0.012]), np.array([24.437])
-    assert feet(f, z, line, 900.0) == (0.0, 24.437, 0.0)
-    assert feet(f, z, np.array([24.5]), 900.0) == (0.0, 0.0, 0.0)  # beside it
-    assert feet(f, np.full(3, 6e-4), line, 900.0) == (0.0, 0.0, 0.0)  # as the modes are
-    assert feet(f, z, np.empty(0), 900.0) == (0.0, 0.0, 0.0)
-    assert feet(f[:0], z[:0], line, 900.0) == ()
+    assert line_remainders(f, z, line, 900.0) == (0.0, 24.437, 0.0)
+    assert line_remainders(f, z, np.array([24.5]), 900.0) == (0.0, 0.0, 0.0)  # beside it
+    assert line_remainders(f, np.full(3, 6e-4), line, 900.0) == (0.0, 0.0, 0.0)  # as the modes are
+    assert line_remainders(f, z, np.empty(0), 900.0) == (0.0, 0.0, 0.0)
+    assert line_remainders(f[:0], z[:0], line, 900.0) == ()
 
 
 def test_a_fan_of_wandering_phase_takes_the_place_of_no_mode() -> None:

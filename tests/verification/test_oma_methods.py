@@ -1,4 +1,4 @@
-"""FDD, NExT/ERA, SSI-data, Bayesian FFT and PreGER against a system whose modes are known.
+"""FDD, NExT/ERA and SSI-data against a system whose modes are known.
 
 Four modal degrees of freedom in white noise, six accelerometers, sensor noise of 1 % of the power,
 five minutes at 40 samples a second; the shapes of the close pair at 5.0 and 5.12 Hz are orthogonal.
@@ -20,15 +20,13 @@ from scipy.signal import firwin, lfilter
 
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import Channel, TimeHistory
-from ringtrue.errors import ConfigError, DataError, InputError
-from ringtrue.identification.bayes import BayesResult, bayes_fft
-from ringtrue.identification.era import era, next_era
-from ringtrue.identification.fdd import FddSettings, fdd, log_decrement, random_decrement
-from ringtrue.identification.pick import modes_of
-from ringtrue.identification.setups import preger
-from ringtrue.identification.ssi import SsiCov
-from ringtrue.identification.ssi_data import project, ssi_data
-from ringtrue.shapes.mac import mac, paired_mac
+from ringtrue.errors import DataError
+from ringtrue.identification.ambient.era import era, next_era
+from ringtrue.identification.ambient.fdd import FddSettings, fdd, log_decrement, random_decrement
+from ringtrue.identification.ambient.ssi_cov import SsiCov
+from ringtrue.identification.ambient.ssi_data import project, ssi_data
+from ringtrue.identification.common.stabilisation import modes_of
+from ringtrue.shapes.mac import mac
 from ringtrue.signal.decimation import decimate
 
 F, Z = np.array([2.0, 5.0, 5.12, 9.0]), np.array([0.02, 0.01, 0.012, 0.015])
@@ -221,93 +219,6 @@ def test_the_projection_is_that_of_the_whole_data_matrix():
         project(y[:, :40], refs, rows, 5)
 
 
-@cache
-def posteriors(pair: bool) -> tuple[BayesResult, ...]:
-    band, guess = ((4.6, 5.6), [4.97, 5.15]) if pair else ((8.0, 10.0), [9.1])
-    return tuple(bayes_fft(record(s), band, guess) for s in range(2 if pair else 4))
-
-
-@pytest.mark.parametrize("pair", [False, True])
-def test_posterior_holds_the_truth(pair):
-    at = [1, 2] if pair else [3]
-    e = []
-    for b in posteriors(pair):
-        f, z, u = b.modes.frequencies, b.modes.damping, b.uncertainty
-        e.append([(f - F[at]) / u.frequency, (z - Z[at]) / u.damping])
-        assert paired_mac(b.modes.shapes, PHI[:, at]).min() > (0.96 if pair else 0.999)
-        # the information of one mode is at the floor, that of a pair above it
-        assert (u.frequency / F[at] > 0.7 * FLOOR_F[at]).all()
-        assert (u.frequency / F[at] < 2.0 * FLOOR_F[at]).all()
-        assert np.sqrt((u.factor**2).sum(0)) == pytest.approx(
-            np.concatenate([u.frequency, u.damping]), rel=1e-6
-        )
-    assert np.sqrt(np.mean(np.array(e) ** 2)) < 1.6  # 8 values
-    assert np.abs(e).max() < 4
-
-
-def test_posterior_of_the_shape_covers_its_error():
-    ratio = []
-    for b in posteriors(False):
-        psi = b.modes.shapes[:, 0]
-        top = np.abs(psi).argmax()
-        error = psi - PHI[:, 3] / PHI[top, 3]
-        ratio.append(np.delete(error / np.maximum(b.uncertainty.shape[:, 0], 1e-12), top))
-    assert 0.6 < np.sqrt(np.mean(np.square(ratio))) < 1.6
-
-
-def test_bayes_refuses_what_it_cannot_do():
-    with pytest.raises(ConfigError, match="within"):
-        bayes_fft(record(0), (4.0, 6.0), [7.0])
-    with pytest.raises(DataError, match="lines"):
-        bayes_fft(record(0), (4.98, 5.02), [5.0])
-
-
-def test_preger_joins_setups_of_different_force():
-    """Two setups with two common references, each louder in other modes; the relative scale must
-    come out right.
-    """
-    phi = np.vstack([PHI, np.random.default_rng(8).standard_normal((3, 4))])
-    ids, refs = tuple("abcdefghi"), ("a", "b", "c")
-    parts = []
-    for k, (at, loud) in enumerate(
-        (([0, 1, 2, 3, 4, 5], [1, 2, 1, 3]), ([0, 1, 2, 6, 7, 8], [4, 3, 6, 2]))
-    ):
-        y = phi[at] @ motion(20 + k, np.array(loud, dtype=float))
-        y += 0.03 * y.std(1, keepdims=True) * np.random.default_rng(k).standard_normal(y.shape)
-        parts.append(wrap(y, tuple(ids[i] for i in at)))
-    g = preger(parts, refs, SsiCov(block_rows=60, order_max=24))
-    assert g.channels == ids
-    m, _ = modes_of(g.poles, g.channels)
-    at = near(m, F, phi)
-    within(m.frequencies[at], m.damping[at], [0, 1, 2, 3], 8.0)
-    assert paired_mac(m.shapes[:, at], phi)[[0, 3]].min() > 0.99
-    with pytest.raises(InputError, match="several setups"):
-        preger(parts, ("a", "b"))
-
-
-@pytest.mark.data
-@pytest.mark.skipif(not DATA.exists(), reason="../shared/data is not here")
-def test_three_setups_of_a_building_in_one_identification():
-    """L-shaped building, published exact values; its time integration lowers f by some 0.3e-4 f²
-    relative.
-    """
-    exact = np.array(
-        [2.63186, 2.69173, 3.43042, 8.29742, 8.42882, 10.6272, 14.0053, 14.0930, 17.5741]
-    )
-    setups = []
-    for k in (1, 2, 3):
-        y = np.load(DATA / f"l_building/set{k}.npy").T
-        ids = [f"{i}" if i < 3 else f"{i}_{k}" for i in range(10)]
-        setups.append(
-            TimeHistory(y, 100.0, tuple(Channel(i, "acceleration") for i in ids), f"set{k}")
-        )
-    g = preger(setups, ("0", "1", "2"), SsiCov(block_rows=50, order_max=40))
-    m, _ = modes_of(g.poles, g.channels)
-    m = m.band(1, 19)
-    assert len(g.channels) == 24
-    assert m.frequencies == pytest.approx(exact * (1 - 0.3e-4 * exact**2), rel=7e-3)
-
-
 @pytest.mark.data
 @pytest.mark.skipif(not DATA.exists(), reason="../shared/data is not here")
 def test_timber_building_as_published():
@@ -318,9 +229,5 @@ def test_timber_building_as_published():
         ),
         10.0,
     )
-    first = bayes_fft(h, (1.7, 2.1), [1.88])
-    assert first.modes.frequencies == pytest.approx(
-        [1.882], rel=3e-3
-    )  # two published methods differ by as much
     r = fdd(h, FddSettings(fmin=1.0, fmax=3.0), near=[1.88, 2.42, 2.69])
     assert r.modes.frequencies == pytest.approx([1.877, 2.422, 2.682], rel=4e-3)

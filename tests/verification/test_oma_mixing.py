@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from ringtrue.core.arrays import Complex, Float
-from ringtrue.identification.mixing import Mixing, unmix
-from ringtrue.identification.whittle import SpectralBins
+from ringtrue.identification.ambient.close_modes import Mixing, unmix
+from ringtrue.identification.ambient.maximum_likelihood import SpectralBins
 
 FREQS, LINES = np.arange(0.7, 1.4, 4e-4), 8
 F, Z = np.array([1.0, 1.03, 1.045]), np.full(3, 0.01)

@@ -9,7 +9,7 @@ from scipy.linalg import subspace_angles
 from scipy.signal import cont2discrete, lfilter
 
 from ringtrue.core.signals import Channel, TimeHistory
-from ringtrue.identification.ambient import AmbientResult, identify_ambient
+from ringtrue.identification.ambient.pipeline import AmbientResult, identify_ambient
 
 RATE, DAMPING = 50.0, 0.01
 

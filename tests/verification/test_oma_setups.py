@@ -3,19 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from scipy.signal import lfilter
 
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.signals import Channel, TimeHistory
-from ringtrue.core.uncertainty import Uncertainty
-from ringtrue.identification.merge import merge_modes
-from ringtrue.identification.pick import modes_of
-from ringtrue.identification.poles import PoleSet
-from ringtrue.identification.setups import preger
-from ringtrue.identification.ssi import SsiCov
-from ringtrue.identification.variance import frequency_damping
-from ringtrue.identification.variance import std as root_sum
+from ringtrue.identification.common.merging import merge_modes
 
 F, Z, RATE = np.array([1.1, 1.9, 2.3, 3.4]), np.array([0.012, 0.01, 0.015, 0.02]), 12.5
 PHI = np.random.default_rng(5).standard_normal((11, 4))
@@ -72,42 +64,8 @@ def recorded(seed: int, samples: int = 7500) -> list[TimeHistory]:
     return setups
 
 
-def as_one(setups: list[TimeHistory]) -> tuple[ModeSet, Uncertainty]:
-    """All setups identified as one."""
-    return preger(setups, ("0", "1"), SsiCov(block_rows=30, order_max=16)).modes()
-
-
 def test_shapes_glued_from_setups_lie_within_their_deviations() -> None:
     rng = np.random.default_rng(0)
     sets = [merge_modes([measured(at, rng) for at in PLACES]) for _ in range(60)]
     gap = np.concatenate([errors(m.modes, m.uncertainty) for m in sets])
     assert 0.90 < (np.abs(gap) < 1.96).mean() < 0.99
-
-
-def test_a_mean_over_orders_is_better_known_than_each_that_moves_by_itself() -> None:
-    k, s = 16, 2 * np.pi * 2.0 * (-0.01 + 1j)
-    moved = 1e-3 * np.abs(s) * np.eye(k) * (1 + 0.5j)  # each order by a block of its own
-    df, dz = frequency_damping(np.full(k, s), moved)
-    poles = PoleSet(
-        np.arange(2, 2 * k + 2, 2), np.full(k, s), np.ones((3, k)), root_sum(df), root_sum(dz)
-    )
-    apart = modes_of(poles, ("a", "b", "c"), deviation=moved)[1]
-    alike = modes_of(poles, ("a", "b", "c"), deviation=np.tile(moved.sum(axis=0), (k, 1)) / 4)[1]
-    each = modes_of(poles, ("a", "b", "c"))[1]
-    used = round(float((each.frequency[0] / apart.frequency[0]) ** 2))
-    assert used == k - 1  # the first order has none before it
-    assert each.damping[0] / apart.damping[0] == pytest.approx(np.sqrt(used))
-    assert alike.frequency == pytest.approx(each.frequency)
-
-
-def test_deviations_of_one_identification_of_all_setups() -> None:
-    found = [as_one(recorded(seed)) for seed in range(3)]
-    for m, std in found:
-        true, at = pairs(m)
-        assert true.size == F.size
-        assert (np.abs(m.frequencies[at] - F) < 4 * std.frequency[at]).all()
-        assert np.median(std.frequency[at] / F) < 2.5e-3
-        assert (np.abs(m.damping[at] - Z) < 4 * std.damping[at]).all()
-    gap = np.concatenate([errors(m, std) for m, std in found])
-    assert (np.abs(gap) < 1.96).mean() > 0.88
-    assert (gap**2).mean() > 0.2

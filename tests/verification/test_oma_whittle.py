@@ -15,7 +15,11 @@ import pytest
 from scipy.signal import lfilter
 
 from ringtrue.errors import DataError
-from ringtrue.identification.whittle import Fitted, refine, spectral_bins
+from ringtrue.identification.ambient.maximum_likelihood import (
+    LikelihoodFit,
+    refine_by_likelihood,
+    spectral_bins,
+)
 
 F, Z = np.array([5.0, 5.15]), np.array([0.01, 0.015])
 RATE, SECONDS, RECORDS = 50.0, 400, 60
@@ -37,7 +41,7 @@ def record(seed: int) -> np.ndarray:
 
 
 @cache
-def fits() -> tuple[Fitted, ...]:
+def fits() -> tuple[LikelihoodFit, ...]:
     """From starts two floors off."""
     out = []
     for seed in range(RECORDS):
@@ -45,7 +49,7 @@ def fits() -> tuple[Fitted, ...]:
         b = spectral_bins(record(seed), RATE, (3.0, 9.0))
         f = F * (1 + 2 * floor()[0] * rng.standard_normal(2))
         z = Z * (1 + floor()[1] * rng.standard_normal(2))
-        out.append(refine(b, f, z, PHI + 0.02 * rng.standard_normal(PHI.shape)))
+        out.append(refine_by_likelihood(b, f, z, PHI + 0.02 * rng.standard_normal(PHI.shape)))
     return tuple(out)
 
 
@@ -89,7 +93,7 @@ def test_stretches_of_a_record_add():
     assert both.cross == pytest.approx(
         np.mean([p.cross for p in parts], axis=0), rel=1e-3, abs=1e-5
     )
-    r = refine(both, F, Z, PHI)
+    r = refine_by_likelihood(both, F, Z, PHI)
     assert np.abs(r.frequency / F - 1).max() < 2 * floor()[0].max()
     with pytest.raises(DataError, match="different length"):
         parts[0] + spectral_bins(record(0)[:, :9000], RATE, (3.0, 9.0))
@@ -98,7 +102,7 @@ def test_stretches_of_a_record_add():
 def test_a_line_in_the_spectrum_stops_the_fit():
     y, t = record(0), np.arange(int(SECONDS * RATE)) / RATE
     y = y + 20 * y.std() * np.outer(np.ones(6), np.sin(2 * np.pi * 5.04 * t))
-    r = refine(spectral_bins(y, RATE, (3.0, 9.0)), F, Z, PHI)
+    r = refine_by_likelihood(spectral_bins(y, RATE, (3.0, 9.0)), F, Z, PHI)
     assert not r.ok.all()
 
 
@@ -116,7 +120,9 @@ def test_modes_that_move_in_step_keep_their_damping():
         noise = rng.standard_normal((2, 16, line.size))
         white = noise[0] + 1j * noise[1]
         y = phi @ (motion * (white[0] + 0.3 * white[1:4])) + 0.02 * white[4:]
-        r = refine(spectral_bins(np.fft.irfft(y, n), rate, (0.4, 2.5)), f, z, phi.astype(complex))
+        r = refine_by_likelihood(
+            spectral_bins(np.fft.irfft(y, n), rate, (0.4, 2.5)), f, z, phi.astype(complex)
+        )
         found.append(np.where(r.ok, r.damping / z, np.nan))
     ratio = np.array(found)
     assert np.isfinite(ratio).mean() > 0.9
@@ -134,7 +140,9 @@ def test_a_fit_that_knows_less_than_its_start_is_not_believed(monkeypatch):
     doubt, accepted = np.array([0.06, 0.06]), 0
     for seed in range(6):
         psi = PHI + 0.01 * np.random.default_rng(seed).standard_normal(PHI.shape)
-        fit = refine(spectral_bins(record(seed), RATE, (3.0, 9.0)), F, Z, psi, doubt=doubt)
+        fit = refine_by_likelihood(
+            spectral_bins(record(seed), RATE, (3.0, 9.0)), F, Z, psi, doubt=doubt
+        )
         stated = np.sqrt(fit.covariance[fit.ok, 1, 1])
         assert (stated < 0.2).all()
         accepted += stated.size
@@ -154,4 +162,4 @@ def test_modes_that_share_their_force_are_left_to_the_subspace():
     )
     shape = PHI + 0.3 * PHI[:, ::-1]  # what is left of the other mode passes the filter
     y = PHI @ q + 0.01 * q.std() * rng.standard_normal((6, force.size))
-    assert not refine(spectral_bins(y, RATE, (3.0, 9.0)), F, Z, shape).ok.any()
+    assert not refine_by_likelihood(spectral_bins(y, RATE, (3.0, 9.0)), F, Z, shape).ok.any()

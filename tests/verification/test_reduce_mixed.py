@@ -12,7 +12,7 @@ import pytest
 from scipy import linalg, sparse
 
 from ringtrue.core.parameters import Parameter, ParameterSet
-from ringtrue.fem.functions import AffineTerm, power
+from ringtrue.fem.parametrisation.polynomials import AffineTerm, power
 from ringtrue.reduction import basis, parametric
 from ringtrue.reduction.affine import AffineSystem
 

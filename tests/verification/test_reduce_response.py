@@ -11,7 +11,7 @@ import pytest
 from eigen_plate import held, plate
 from scipy import linalg, sparse
 
-from ringtrue.eigen.dynamic import DynamicStiffness
+from ringtrue.eigen.damped import DynamicStiffness
 from ringtrue.errors import InputError
 from ringtrue.reduction.response import response_basis
 

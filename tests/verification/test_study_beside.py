@@ -20,7 +20,7 @@ import small_study
 
 from ringtrue.checks.mass import whole_mass
 from ringtrue.core.progress import quiet
-from ringtrue.correlation.observe import at_dofs
+from ringtrue.correlation.sensor_mapping import at_dofs
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError
 from ringtrue.io.modes_json import write_modes
@@ -143,7 +143,7 @@ def test_what_candidates_do_to_the_data_is_what_the_reduced_model_says(
     mine = at.kind == at.kind.max()
     value, slopes = beside.misfit(model.model, x, range(len(every)), aim)
     np.testing.assert_allclose(value, at.value[mine], rtol=1e-5, atol=1e-6)
-    nominal = at.slope[mine] * p.slope(0 * x) / p.slope(x) * p.std()
+    nominal = at.slope[mine] * p.derivative(0 * x) / p.derivative(x) * p.std()
     # zeros: the other vectors of the basis have a small part in the derivatives of shapes
     np.testing.assert_allclose(
         slopes, nominal, rtol=1e-5, atol=(1e-2 if kind == "zeros" else 1e-6) * abs(nominal).max()

@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "unit"))
 import small_study
 
 from ringtrue.checks.mass import whole_mass
-from ringtrue.correlation.align import Alignment
+from ringtrue.correlation.sensor_mapping import Alignment
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.modes_json import write_modes

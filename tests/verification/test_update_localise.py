@@ -16,8 +16,8 @@ from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.decks.nastran.edit import unwritable
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import InputError, NumericalError
-from ringtrue.fem.functions import AffineTerm, power
 from ringtrue.fem.mesh import mesh
+from ringtrue.fem.parametrisation.polynomials import AffineTerm, power
 from ringtrue.model.edit import apply_factors
 from ringtrue.model.ports import ModesRequest
 from ringtrue.reduction.affine import AffineSystem

@@ -16,7 +16,7 @@ from scipy import sparse
 
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.errors import ConfigError, InputError, NumericalError
-from ringtrue.fem.functions import AffineTerm, power
+from ringtrue.fem.parametrisation.polynomials import AffineTerm, power
 from ringtrue.model.ports import Linearisation
 from ringtrue.reduction.affine import AffineSystem
 from ringtrue.reduction.parametric import BasisOptions, reduced_model

@@ -13,7 +13,7 @@ from scipy import sparse
 from ringtrue.core.parameters import CardField, Parameter
 from ringtrue.core.progress import quiet
 from ringtrue.fem.assembly import assemble
-from ringtrue.fem.dependence import affine_terms, matrices_kept
+from ringtrue.fem.parametrisation.affine import affine_terms, matrices_kept
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
 from ringtrue.reduction.parametric import ReducedModel

@@ -17,7 +17,7 @@ from test_update_recovery import aim_at, chain, parameters
 
 from ringtrue.cli.main import run
 from ringtrue.core.modes import ModeSet
-from ringtrue.correlation.observe import at_dofs
+from ringtrue.correlation.sensor_mapping import at_dofs
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import InputError
 from ringtrue.io.modes_json import write_modes

@@ -21,9 +21,9 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
-from ringtrue.core.observation import Observation
 from ringtrue.core.parameters import Parameter, ParameterSet
-from ringtrue.correlation.assign import PairingSettings, peak_shares
+from ringtrue.core.testmodel import Observation
+from ringtrue.correlation.assignment import PairingSettings, peak_shares
 from ringtrue.model.ports import ModesRequest
 from ringtrue.solvers.matrices import MatrixModel
 from ringtrue.updating.dense import DenseModel

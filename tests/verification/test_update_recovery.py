@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ringtrue.core.outcome import Outcome
+from ringtrue.core.iterate import Outcome
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.updating.best import best_possible
 from ringtrue.updating.choose import alike, best_subset, largest, orthogonal, weighted_sensitivities

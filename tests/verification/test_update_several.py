@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ringtrue.core.outcome import Outcome
+from ringtrue.core.iterate import Outcome
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.errors import ConfigError, DataError, InputError, NumericalError
 from ringtrue.model.ports import Linearisation

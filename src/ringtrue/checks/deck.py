@@ -23,7 +23,7 @@ from ringtrue.checks.units import check_units
 from ringtrue.core.arrays import Int
 from ringtrue.decks.nastran.constraint_sets import empty_choices
 from ringtrue.model.cards import columns
-from ringtrue.model.choices import CONSTRAINTS, idle
+from ringtrue.model.case_control import CONSTRAINTS, idle
 from ringtrue.model.frames import diagonal, positions
 from ringtrue.model.model import Model, Ragged
 from ringtrue.model.references import NODES, REFERENCES, missing, unused

@@ -9,7 +9,7 @@ import numpy as np
 from ringtrue.checks.edges import CORNERS
 from ringtrue.checks.findings import Finding, at_rows
 from ringtrue.core.arrays import Int
-from ringtrue.fem.kinds import SOLIDS
+from ringtrue.fem.element_cards import SOLIDS
 from ringtrue.model.model import Model
 
 _CORNERS = CORNERS | {card: solid.corners for card, solid in SOLIDS.items()}

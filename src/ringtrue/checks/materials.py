@@ -10,7 +10,11 @@ import numpy as np
 
 from ringtrue.checks.findings import Finding, Severity, at_rows
 from ringtrue.core.arrays import Float
-from ringtrue.fem.negative import asks_for_negative_stiffness, negative_springs, negative_stiffness
+from ringtrue.fem.negative_stiffness import (
+    asks_for_negative_stiffness,
+    negative_springs,
+    negative_stiffness,
+)
 from ringtrue.model.model import Model, Table
 
 _FIT = 0.01  # of E / (2 (1 + NU) G)

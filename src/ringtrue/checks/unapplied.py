@@ -10,7 +10,7 @@ import numpy as np
 
 from ringtrue.checks.findings import Finding, at_rows
 from ringtrue.model.cards import TABLES
-from ringtrue.model.choices import left_out, untaken_matrices
+from ringtrue.model.case_control import left_out, untaken_matrices
 from ringtrue.model.model import Model
 
 _WHOLE = "kept, not applied: the modes here are those of the full model, not of the condensed one"

@@ -10,8 +10,7 @@ import typer
 
 from ringtrue.cli.show import out
 from ringtrue.core.dofs import DofSet
-from ringtrue.core.modes import ModeSet
-from ringtrue.core.uncertainty import Uncertainty
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.decks.nastran.results.hdf5 import is_nastran_h5
 from ringtrue.decks.nastran.results.modes import READERS, read_nastran_modes

@@ -34,11 +34,11 @@ from ringtrue.cli.show import Json, file_to, progress, tell, write_json
 from ringtrue.core.progress import Progress, part
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.errors import ConfigError, about
-from ringtrue.identification.frf_methods import identify_frfs_by
-from ringtrue.identification.hammer import HammerModes, identify_hammer
-from ringtrue.identification.linearity import level_dependence
-from ringtrue.identification.local import told_apart
-from ringtrue.identification.lsfd import driving_pairs
+from ringtrue.identification.frf.linearity import level_dependence
+from ringtrue.identification.frf.local_fits import with_local_fits
+from ringtrue.identification.frf.other_methods import identify_frfs_by
+from ringtrue.identification.frf.pipeline import HammerModes, identify_hammer
+from ringtrue.identification.frf.residues import driving_pairs
 from ringtrue.io.frfs import frf_ids, holds_frfs, read_frfs, write_frfs
 from ringtrue.io.modes_json import modes_to_json
 from ringtrue.io.sheets import read_sensor_sheet
@@ -61,8 +61,6 @@ class FrfMethod(StrEnum):
     """How modes are found in FRFs."""
 
     PLSCF = "plscf"
-    LSCE = "lsce"
-    RFP = "rfp"
     CMIF = "cmif"
 
 
@@ -190,8 +188,7 @@ def ema(
     In time records the blows are found; double hits, overloads and blows on a structure that still
     rings are left out and listed; the damping of the exponential window is taken out again. A force
     that runs all the time is that of a shaker. Several files are one test: a roving hammer, moved
-    sensors or more blows. Other methods (--method): LSCE, rational fraction polynomials, CMIF
-    peaks.
+    sensors or more blows. Another method (--method): CMIF peaks.
 
     Where sensors were moved and their mass shifts the modes from file to file beyond doubt, each
     file is fitted alone.
@@ -232,7 +229,7 @@ def ema(
             found = identify_hammer(frfs, band, choice=by_hand, progress=show)
         if by_hand is None:
             batches = [_windowed(b, window_decay) for b in measured.batches or (frfs,)]
-            found = told_apart(found, batches, band, progress=show)
+            found = with_local_fits(found, batches, band, progress=show)
     write_pages(files[0], (found.modes, found.reasons, found.diagrams), choice_to, diagram)
     none = ("no mode is believed in this band", *found.rejected[-5:])
     return told(title, found, measured.notes, json, more=_blows_json(measured.hits), if_none=none)

@@ -16,17 +16,19 @@ import typer
 
 from ringtrue.cli.show import Json, file_to, progress, rows, tell, write_json
 from ringtrue.core.choice import Choice
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.signals import Channel, TimeHistory
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, DataError, about, did_you_mean
-from ringtrue.identification.ambient import AmbientResult, AmbientSettings, identify_stretches
-from ringtrue.identification.ambient_methods import identify_ambient_by
-from ringtrue.identification.choice import as_choice
-from ringtrue.identification.hammer import HammerResult
-from ringtrue.identification.opinion import SecondOpinion
-from ringtrue.identification.poles import StableDiagram
-from ringtrue.identification.stretches import SHORTEST
+from ringtrue.identification.ambient.other_methods import SecondOpinion, identify_ambient_by
+from ringtrue.identification.ambient.pipeline import (
+    AmbientResult,
+    AmbientSettings,
+    identify_stretches,
+)
+from ringtrue.identification.ambient.record_bands import SHORTEST
+from ringtrue.identification.common.manual_selection import as_choice
+from ringtrue.identification.common.poles import StableDiagram
+from ringtrue.identification.frf.pipeline import HammerResult
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.choices import read_choice, write_choice
 from ringtrue.io.modes_json import modes_to_json
@@ -50,7 +52,6 @@ class AmbientMethod(StrEnum):
     EFDD = "efdd"
     FSDD = "fsdd"
     RANDOM_DECREMENT = "random-decrement"
-    BAYES = "bayes"
 
 
 class Removal(StrEnum):
@@ -219,9 +220,7 @@ def oma(
     ] = AmbientMethod.SSI,
     near: Annotated[
         list[float] | None,
-        typer.Option(
-            "--near", metavar="HZ", help="Peak of the FDD methods, guess of bayes; may be repeated."
-        ),
+        typer.Option("--near", metavar="HZ", help="Peak of the FDD methods; may be repeated."),
     ] = None,
     leave_out: LeaveOut = None,
     sensors: Sensors = None,
@@ -240,8 +239,7 @@ def oma(
     """Modes from an ambient record: automatic covariance-driven SSI with standard deviations.
 
     Other methods (--method): poly-reference LSCF on half spectra, ERA/NExT, SSI-data, FDD with the
-    damping of FSDD, of EFDD or of random decrement, and the Bayesian FFT in a narrow band (--fmin,
-    --fmax).
+    damping of FSDD, of EFDD or of random decrement.
 
     Example: ringtrue oma tower.npy --rate 100 --fmax 10 --write-choice tower.toml
     """

@@ -12,7 +12,7 @@ import numpy as np
 from ringtrue.cli.show import out, rows
 from ringtrue.core.arrays import Float
 from ringtrue.errors import ConfigError
-from ringtrue.identification.linearity import LevelDependence
+from ringtrue.identification.frf.linearity import LevelDependence
 
 
 def check_levels(levels: Sequence[float], files: int) -> None:

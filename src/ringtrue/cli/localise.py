@@ -12,11 +12,11 @@ from ringtrue.cli.show import Json, Tolerance, Units, out, progress, rows, tell,
 from ringtrue.cli.stated import stated
 from ringtrue.core.progress import part
 from ringtrue.core.units import UNIT_SYSTEMS
-from ringtrue.correlation.assign import NO_LOCKS
+from ringtrue.correlation.assignment import NO_LOCKS
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.io.modes_json import read_modes
 from ringtrue.io.sheets import read_sensor_sheet
-from ringtrue.shapes.scale import realise_modes
+from ringtrue.shapes.complexity import realise_modes
 from ringtrue.study.config import LocaliseSection, target_words
 from ringtrue.study.config_correlate import CorrelateSection
 from ringtrue.study.lent import lent

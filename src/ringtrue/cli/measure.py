@@ -27,20 +27,19 @@ from ringtrue.cli.stated import stated
 from ringtrue.core.arrays import Float
 from ringtrue.core.channels import match_channels, split_label
 from ringtrue.core.modes import ModeSet, elastic
-from ringtrue.core.observation import Observation
 from ringtrue.core.progress import part
-from ringtrue.core.testmodel import TestModel
+from ringtrue.core.testmodel import Observation, TestModel
 from ringtrue.core.units import UNIT_SYSTEMS
-from ringtrue.correlation.complete import CompleteCorrelation, complete, complete_json
-from ringtrue.correlation.mounting import (
+from ringtrue.correlation.measures import CompleteCorrelation, complete, complete_json
+from ringtrue.correlation.pairing import Locks, pair_modes
+from ringtrue.correlation.sensor_mapping import Method, at_dofs
+from ringtrue.correlation.sensor_mounting import (
     AXES,
     Readings,
     find_mendings,
     mendings_json,
     readings_by_name,
 )
-from ringtrue.correlation.observe import Method, at_dofs
-from ringtrue.correlation.pairing import Locks, pair_modes
 from ringtrue.correlation.table import correlation_table
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, DataError, about

@@ -26,7 +26,7 @@ from ringtrue.decks.nastran.reader import Survey, read_deck, survey
 from ringtrue.errors import ConfigError, DeckError, RingtrueError
 from ringtrue.fem.assembly import assemble
 from ringtrue.io.modes_json import WRITTEN, dump_modes, write_modes
-from ringtrue.model.method import asked_modes
+from ringtrue.model.case_control import asked_modes
 from ringtrue.model.ports import Analysis, ModesRequest, ModesResult
 from ringtrue.solvers.embedded import EmbeddedAnalysis
 from ringtrue.solvers.registry import EMBEDDED, solver, time_limits

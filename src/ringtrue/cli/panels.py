@@ -75,7 +75,6 @@ OPTIONS: dict[str, dict[str, tuple[str, ...]]] = {  # command -> panel -> parame
         )
     }
     | BY_HAND,
-    "track": {"Environment": ("temperature", "amplitude", "environment", "drift")},
     "correlate": {
         "Sensors on a deck": ("sensors", "units", "tolerance", "match", "align"),
         "Pairs": ("mac_gate", "frequency_gate", "lock", "forbid"),

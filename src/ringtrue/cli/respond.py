@@ -25,8 +25,7 @@ from ringtrue.errors import ConfigError, InputError
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.frfs import write_frfs
 from ringtrue.io.statics import COLUMNS
-from ringtrue.model.choices import responding
-from ringtrue.model.damping import ModalDamping
+from ringtrue.model.case_control import ModalDamping, responding
 from ringtrue.model.ports import ModesRequest
 from ringtrue.plots.responses import frf_page
 from ringtrue.solvers.embedded import EmbeddedAnalysis, EmbeddedSolver
@@ -263,8 +262,8 @@ def static(
     own.
 
     Directions are those of the basic frame, results in SI, of moments (3+RZ=2, N m) and rotations
-    too. Of the deck forces, moments, pressures, PLOAD1 on beams, GRAV, RFORCE, TEMP, TEMPD and
-    displaced supports (SPCD, SPC) are read.
+    too. Of the deck forces, moments, pressures, PLOAD1 on beams, GRAV and displaced supports (SPCD,
+    SPC) are read.
 
     Example: ringtrue static frame.bdf --force 101-Z=1000 --at 101+Z --at 205+X --units mm-t-s
     """

@@ -5,8 +5,8 @@ from __future__ import annotations
 from ringtrue.checks.units import check_units
 from ringtrue.cli.show import err
 from ringtrue.core.units import UNIT_SYSTEMS
+from ringtrue.model.edit import in_seconds
 from ringtrue.model.model import Model
-from ringtrue.model.seconds import in_seconds
 
 
 def stated(model: Model, units: str) -> Model:

@@ -10,7 +10,7 @@ import typer
 from ringtrue.cli.show import Json, err, out, progress, rows, tell, write_json
 from ringtrue.cli.stated import warn_of_units
 from ringtrue.cli.status import ExitStatus
-from ringtrue.core.outcome import Outcome
+from ringtrue.core.iterate import Outcome
 from ringtrue.errors import ConfigError
 from ringtrue.io.foreign.texts import read_json
 from ringtrue.report.deliver import deliver, report_from_store

@@ -43,7 +43,7 @@ def summary_of(
 ) -> dict[str, Any]:
     """The updating of a problem as JSON has it; `seen`: shapes were measured."""
     sides, end, parameters = _sides(problem, done), done.solution, config.candidates()
-    std = end.std * parameters.slope(end.x) / end.factors
+    std = end.std * parameters.derivative(end.x) / end.factors
     flags = plausibility(parameters, end.x, end.identifiability)
     return {
         "outcome": end.outcome.value,

@@ -1,14 +1,34 @@
-"""The one driver of all iterations: it owns the limit and the verdict."""
+"""How an iteration ended.
+
+The one driver of all iterations: it owns the limit and the verdict.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
 from math import isfinite
 from typing import Generic, Protocol, TypeVar
 
-from ringtrue.core.outcome import Outcome
 from ringtrue.core.progress import Progress
 from ringtrue.errors import ConfigError
+
+
+class Outcome(StrEnum):
+    """The verdict of a driver loop; the text teaches."""
+
+    CONVERGED = "converged: the gradient or step is below its tolerance"
+    STALLED = "stalled: no step lowers the objective; the start or the bounds may be the reason"
+    MAX_ITERATIONS = (
+        "stopped at the iteration limit: raise it, or look at the history for oscillation"
+    )
+    NOT_FINITE = "stopped: the objective is not finite"
+
+    @property
+    def ok(self) -> bool:
+        """Whether the result can be used as a solution."""
+        return self is Outcome.CONVERGED
+
 
 S = TypeVar("S")
 

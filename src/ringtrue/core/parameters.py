@@ -154,7 +154,7 @@ class ParameterSet:
         x = np.asarray(x, dtype=np.float64)
         return np.where(self._log(), np.exp(np.where(self._log(), x, 0.0)), 1.0 + x)
 
-    def slope(self, x: Float) -> Float:
+    def derivative(self, x: Float) -> Float:
         """da/dx (p,)."""
         return np.where(self._log(), self.factors(x), 1.0)
 

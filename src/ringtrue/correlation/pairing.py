@@ -1,16 +1,17 @@
-"""Pairing of two mode sets, with a reason for each mode that stays alone."""
+"""Which mode of one set belongs to which of another, and why the rest have no partner.
+
+Pairing of two mode sets, with a reason for each mode that stays alone.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ringtrue.core.arrays import Bool, Float, Int
+from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
 from ringtrue.core.modes import ModeSet, Norm
-from ringtrue.core.pairing import Pairing
-from ringtrue.correlation.alone import by_frequency
-from ringtrue.correlation.assign import (
+from ringtrue.correlation.assignment import (
     HOLD,
     NO_LOCKS,
     Locks,
@@ -21,9 +22,92 @@ from ringtrue.correlation.assign import (
     scores,
     within,
 )
-from ringtrue.correlation.beyond import uncontested
+from ringtrue.correlation.one_criterion import NO_RIVAL, by_frequency, pairs_by_shape
 from ringtrue.errors import InputError
 from ringtrue.shapes.mac import above_rounding
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pairing:
+    """A one-to-one assignment between modes of set A (test) and set B (model or second test).
+
+    Attributes
+    ----------
+    a, b : (k,) int64
+        Positions in A and B, ascending in A.
+    mac : (k,) float64, 0..1
+        Of the pair; of its subspace where `subspace` is true.
+    frequency_error : (k,) float64
+        (f_B − f_A)/f_A.
+    sign : (k,) float64
+        ±1, brings b to the phase of a.
+    subspace : (k,) bool
+        The pair belongs to a group of close modes that was treated as a subspace.
+    unpaired_a, unpaired_b : (u,) int64
+        Positions without a partner.
+    reasons_a, reasons_b : tuple of str
+        The reason for each.
+    rival : (k,) int64
+        Where frequencies alone decide: another mode of B that the mode of A may be, -1 if it may
+        have no partner at all, `NO_RIVAL` where neither is likely; empty where shapes decide.
+    beyond : (k,) bool
+        The pair is beyond the frequency gate: its modes look alike and like no other.
+    """
+
+    a: Int
+    b: Int
+    mac: Float
+    frequency_error: Float
+    sign: Float
+    subspace: Bool
+    unpaired_a: Int
+    reasons_a: tuple[str, ...]
+    unpaired_b: Int
+    reasons_b: tuple[str, ...]
+    rival: Int = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    beyond: Bool = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+
+    def __post_init__(self) -> None:
+        i, f, yes = np.int64, np.float64, np.bool_
+        freeze_fields(
+            self,
+            a=i,
+            b=i,
+            mac=f,
+            frequency_error=f,
+            sign=f,
+            subspace=yes,
+            unpaired_a=i,
+            unpaired_b=i,
+        )
+        object.__setattr__(
+            self, "beyond", self.beyond if len(self.beyond) else np.zeros(len(self.a), dtype=yes)
+        )
+        freeze_fields(self, rival=i, beyond=yes)
+
+    def __len__(self) -> int:
+        return int(self.a.size)
+
+    def doubts(self, names: tuple[str, str] = ("test", "FE")) -> tuple[str, ...]:
+        """Each pair that frequencies alone leave in doubt, in words."""
+        a, b = names
+        return tuple(
+            f"{a} {i + 1} is taken for {b} {j + 1}, and may as well be "
+            + (f"{b} {k + 1}" if k >= 0 else f"no mode of {b}")
+            for i, j, k in zip(self.a.tolist(), self.b.tolist(), self.rival.tolist(), strict=False)
+            if k != NO_RIVAL
+        )
+
+    def far(self, names: tuple[str, str] = ("test", "FE")) -> tuple[str, ...]:
+        """The pairs beyond the frequency gate, in words; nothing where there is none."""
+        a, b = names
+        pairs = [
+            f"{a} {self.a[k] + 1} with {b} {self.b[k] + 1} ({100 * self.frequency_error[k]:+.3g} %)"
+            for k in np.flatnonzero(self.beyond).tolist()
+        ]
+        why = "paired beyond the frequency gate, as they look alike and like no other mode"
+        return (f"{why}: {', '.join(pairs)}",) if pairs else ()
+
 
 __all__ = [
     "BEYOND_THE_GATE",
@@ -97,7 +181,7 @@ def pair_modes(
     if a.channels:
         (rows, cols), rival = assign(s, settings, sure, plain, locks), np.zeros(0, dtype=np.int64)
         free = np.logical_and.outer(sure, plain) & locks.mask((len(a), len(b)))[1]
-        more = uncontested(
+        more = pairs_by_shape(
             a.frequencies, a.shapes, b.frequencies, b.shapes, s, (rows, cols), free, settings
         )
         rows, cols, s, beyond = more.rows, more.columns, more.score, more.beyond
@@ -114,8 +198,8 @@ def pair_modes(
             found.rival,
             np.zeros(0, dtype=np.bool_),
         )
-    lone_a = np.setdiff1d(np.arange(len(a)), rows)
-    lone_b = np.setdiff1d(np.arange(len(b)), cols)
+    unpaired_a = np.setdiff1d(np.arange(len(a)), rows)
+    unpaired_b = np.setdiff1d(np.arange(len(b)), cols)
     why = _Reasons(s, settings, rows, cols, names, first_b, locks, sure, tuple(hidden))
     return Pairing(
         a=rows,
@@ -124,18 +208,18 @@ def pair_modes(
         frequency_error=s.error[rows, cols],
         sign=_signs(a, b, rows, cols),
         subspace=s.merged[rows, cols] > s.mac[rows, cols],
-        lone_a=lone_a,
-        why_a=tuple(
+        unpaired_a=unpaired_a,
+        reasons_a=tuple(
             _unseen(a, i)
             or (
                 why.of_a(i)
                 if sure[i]
                 else f"confidence {a.confidence[i]:.2f} < {settings.min_confidence:.2f}"
             )
-            for i in lone_a.tolist()
+            for i in unpaired_a.tolist()
         ),
-        lone_b=lone_b,
-        why_b=tuple(hidden[j] or why.of_b(j, a, b) for j in lone_b.tolist()),
+        unpaired_b=unpaired_b,
+        reasons_b=tuple(hidden[j] or why.of_b(j, a, b) for j in unpaired_b.tolist()),
         rival=rival,
         beyond=beyond,
     )

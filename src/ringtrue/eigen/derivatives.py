@@ -17,8 +17,8 @@ from scipy import sparse
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.progress import Progress
 from ringtrue.eigen.complement import Complement
-from ringtrue.eigen.factor import Pencil
-from ringtrue.eigen.problem import EigenModes
+from ringtrue.eigen.eigenpairs import EigenModes
+from ringtrue.eigen.pencil import Pencil
 from ringtrue.errors import InputError
 
 CLOSE = 1e-6  # relative distance under which eigenvalues are treated as one repeated root
@@ -29,7 +29,7 @@ STILL = 1e-9  # share of its terms under which the load of a rigid-body mode is 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Slope:
+class MatrixDerivatives:
     """K' and M' of one parameter, and D' (viscous) and H' (structural damping) if there are any;
     (f, f) csr_array.
 
@@ -55,7 +55,7 @@ def groups(values: Float, scale: float | None = None) -> Int:
     return np.concatenate([np.zeros(min(values.size, 1)), np.cumsum(apart)]).astype(np.int64)
 
 
-def eigenvalue_derivatives(modes: EigenModes, slopes: Sequence[Slope]) -> Float:
+def eigenvalue_derivatives(modes: EigenModes, slopes: Sequence[MatrixDerivatives]) -> Float:
     """∂λ/∂a (m, p) = φᵀ(K' − λM')φ, in the basis of the modes as given.
 
     In a group of repeated roots these are the diagonal of the group's block: their sum is that of
@@ -78,7 +78,7 @@ def _product(a: sparse.csr_array, phi: Float) -> tuple[Int, Float]:
     return rows, np.asarray(full @ phi)
 
 
-def split_derivatives(modes: EigenModes, slope: Slope) -> Float:
+def split_derivatives(modes: EigenModes, slope: MatrixDerivatives) -> Float:
     """∂λ/∂a (m,) of the branches that leave each repeated root, ascending in the group."""
     phi, lam, at = modes.vectors, modes.values, groups(modes.values)
     block = phi.T @ (slope.stiffness @ phi) - (phi.T @ (slope.mass @ phi)) * lam
@@ -120,7 +120,7 @@ def modal_coefficients(stiffness: Float, mass: Float, values: Float, *, low: int
 def eigenvector_derivatives(
     pencil: Pencil,
     modes: EigenModes,
-    slopes: Sequence[Slope],
+    slopes: Sequence[MatrixDerivatives],
     *,
     count: int | None = None,
     tolerance: float = 1e-7,
@@ -134,7 +134,7 @@ def eigenvector_derivatives(
         Of the modes.
     modes : EigenModes
         ALL modes from the lowest up; the more there are above `count`, the faster it converges.
-    slopes : sequence of Slope
+    slopes : sequence of MatrixDerivatives
     count : int, optional
         All if not given.
     tolerance : float
@@ -198,7 +198,7 @@ class _Load:
     live: Bool
 
     @classmethod
-    def of(cls, s: Slope, phi: Float, lam: Float, m: int) -> _Load:
+    def of(cls, s: MatrixDerivatives, phi: Float, lam: Float, m: int) -> _Load:
         """Of a slope; phi (f, n) row-major."""
         (rk, dk), (rm, dm) = (_product(a, phi[:, :m]) for a in (s.stiffness, s.mass))
         pk, pm = phi[rk].T @ dk, phi[rm].T @ dm
@@ -247,7 +247,7 @@ def _write(
 def branch_derivatives(
     pencil: Pencil,
     modes: EigenModes,
-    slope: Slope,
+    slope: MatrixDerivatives,
     group: Sequence[int],
 ) -> tuple[Float, Float, Float]:
     """The vectors that leave a repeated root along one parameter, with their derivatives (Dailey
@@ -260,7 +260,7 @@ def branch_derivatives(
     pencil : Pencil
     modes : EigenModes
         All from the lowest up, some above the group.
-    slope : Slope
+    slope : MatrixDerivatives
     group : sequence of int
         Positions of the modes of the root.
 

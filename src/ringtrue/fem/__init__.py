@@ -1,17 +1,14 @@
 """Model to matrices, and their derivatives.
 
-Matrices: `kinds` the element cards, `mesh`, `place` and `rows` what elements need, `elements` their
-kernels, `assembly` the sum, `added_mass`, `negative` stiffness refused; `algebra` and `isotropy` in
-small.
+Matrices: `mesh` resolves what elements need, `elements` holds their kernels, `element_cards` which
+card has which, `assembly` sums them; `nonstructural_mass` of lists, `negative_stiffness` refused;
+`algebra` of small matrices.
 
-Constraints: `equations`, `rigid`, `average`, `constraints` all of them as one
-elimination; what nothing stiffens: `autospc`, `spins`.
+Constraints: `constraint_equations` and `rigid_elements`, which `constraints` makes one elimination;
+`autospc` and `massless_rotations` hold what nothing stiffens.
 
-Parameters: `change` a model with other fields, `slopes` and `derivatives` of matrices.
+Parameters: `parametrisation` changes a model and gives the derivatives of its matrices, and K and M
+as functions of all parameters.
 
-All parameters together: `dependence` fixed matrices times `functions`; `powers` and `products`
-where these are polynomials, `regions`, `nodes`, `interpolation` and `series` where not.
-
-Answers: `response`; loads of surfaces: `pressure`, of beams: `line_loads`, of masses: `body_loads`,
-of heat: `thermal`.
+Answers: `loads` at nodes, frequency `response`.
 """

@@ -15,10 +15,10 @@ from ringtrue.errors import InputError
 from ringtrue.fem.algebra import arm
 from ringtrue.fem.autospc import EPZERO, singular_dofs
 from ringtrue.fem.constraints import eliminate
-from ringtrue.fem.elements import dmig
-from ringtrue.fem.kinds import batches, refuse
+from ringtrue.fem.element_cards import batches, refuse
+from ringtrue.fem.elements import given_matrices
 from ringtrue.fem.mesh import Matrices, Mesh, mesh
-from ringtrue.fem.negative import refuse_negative
+from ringtrue.fem.negative_stiffness import refuse_negative
 from ringtrue.model.model import Model
 
 log = logging.getLogger(__name__)
@@ -204,7 +204,7 @@ def assemble(model: Model) -> System:
     T_local, free = eliminate(m)
     rotation = turn(m)
     direct = None
-    if (given := dmig.given(m)) is not None:
+    if (given := given_matrices.given_matrices(m)) is not None:
         direct, more, damping = (sparse.csr_array(rotation @ D @ rotation.T) for D in given)
         K, M, B = (sparse.csr_array(A + D) for A, D in ((K, direct), (M, more), (B, damping)))
     T = sparse.csr_array(rotation @ T_local)

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import sparse
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
-from ringtrue.fem.kinds import SHELLS
+from ringtrue.fem.element_cards import SHELLS
 from ringtrue.fem.mesh import Matrices
 
 EPZERO = (

@@ -10,13 +10,11 @@ from scipy.sparse.csgraph import connected_components
 
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.errors import DeckError
-from ringtrue.fem.equations import Equations, owners
-from ringtrue.fem.mesh import Mesh, error
-from ringtrue.fem.place import components
-from ringtrue.fem.rigid import RIGID
-from ringtrue.model.choices import taken_sets
-from ringtrue.model.model import Table
-from ringtrue.model.places import called
+from ringtrue.fem.constraint_equations import Equations, owners
+from ringtrue.fem.mesh import Mesh, components
+from ringtrue.fem.rigid_elements import RIGID
+from ringtrue.model.case_control import taken_sets
+from ringtrue.model.model import Table, called, card_error
 
 
 def _mpc(m: Mesh) -> Equations:
@@ -31,7 +29,7 @@ def _mpc(m: Mesh) -> Equations:
     first[G.offsets[:-1][G.sizes > 0]] = True
     lead = A.values[G.offsets[:-1]]
     if (lead[rows] == 0).any():
-        raise error(
+        raise card_error(
             m.model,
             t,
             int(rows[lead[rows] == 0][0]),
@@ -147,4 +145,4 @@ def _contradiction(m: Mesh, eq: Equations, rows: Int, message: str) -> DeckError
     """
     cards = list(dict.fromkeys(eq.owner[i] for i in rows.tolist()))
     table, row = cards[-1]
-    return error(m.model, table, row, message.format(called(m.model, cards)))
+    return card_error(m.model, table, row, message.format(called(m.model, cards)))

@@ -1,21 +1,20 @@
-"""What the elements need of a model: node positions, displacement frames, and rows of properties
-and materials.
+"""What elements need of a model: nodes, displacement frames, local axes, properties, materials; and
+sets of elements as rows of their tables.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from ringtrue.core.arrays import Any_, Float, Int
+from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.core.dofs import DofSet
 from ringtrue.errors import DeckError, UnsupportedCard
+from ringtrue.fem.algebra import unit
 from ringtrue.model.frames import axes, positions
-from ringtrue.model.model import Model, Table
-from ringtrue.model.places import error as error
-from ringtrue.model.places import unsupported as unsupported
+from ringtrue.model.model import Model, Table, card_error
 
 SCALAR_CARDS = (
     "CELAS3",
@@ -52,9 +51,11 @@ class Mesh:
     added: Mapping[str, Any_] = field(init=False)
 
     def __post_init__(self) -> None:
-        from ringtrue.fem.added_mass import added_mass  # the elements behind it import this module
+        from ringtrue.fem.nonstructural_mass import (
+            nonstructural_mass,  # the elements behind it import this module
+        )
 
-        object.__setattr__(self, "added", added_mass(self) if self.model.case.nsm else {})
+        object.__setattr__(self, "added", nonstructural_mass(self) if self.model.case.nsm else {})
 
     def nsm(self, card: str, at: Int) -> Any_:
         """What chosen lists add to the non-structural mass a length or area of rows `at` (e,)."""
@@ -86,7 +87,7 @@ class Mesh:
         found = self.model["GRID"].find(ids)
         if (found < 0).any():
             first = np.argwhere(found < 0)[0]
-            raise error(
+            raise card_error(
                 self.model,
                 table,
                 int(at[first[0]]),
@@ -107,7 +108,7 @@ class Mesh:
         bad = ~scalar & ((component < 1) | (component > 6))
         if bad.any():
             i = int(np.flatnonzero(bad)[0])
-            raise error(
+            raise card_error(
                 self.model,
                 table,
                 int(at[i]),
@@ -161,7 +162,7 @@ def lookup(model: Model, card: str, ids: Int, table: Table, at: Int) -> Int:
             raise UnsupportedCard(
                 other[0], why=f"{table.card} {table.ids[at[i]]} refers to {card} {ids[i]}"
             )
-        raise error(model, table, int(at[i]), f"{card} {ids[i]} is not in the deck")
+        raise card_error(model, table, int(at[i]), f"{card} {ids[i]} is not in the deck")
     return found
 
 
@@ -200,7 +201,7 @@ def isotropic(model: Model, mid: Int, table: Table, at: Int) -> Isotropic:
     E, G, nu, rho, loss = (mat[c][row] for c in ("E", "G", "NU", "RHO", "GE"))
     no_E, no_G, no_nu = np.isnan(E), np.isnan(G), np.isnan(nu)
     if (no_E & no_G).any():
-        raise error(
+        raise card_error(
             model, mat, int(row[np.flatnonzero(no_E & no_G)[0]]), "neither E nor G is given"
         )
     three = ~no_E & ~no_G & (G != 0)
@@ -223,7 +224,7 @@ def check_ratio(model: Model, mid: Int, nu: Any_, most: float) -> None:
     if (bad := (nu.real <= -1) | (nu.real >= most)).any():
         mat, i = model["MAT1"], int(np.flatnonzero(bad)[0])
         why = f"Poisson's ratio {nu.real[i]:g} must be between -1 and {most:g} here"
-        raise error(model, mat, int(mat.find(mid[i : i + 1])[0]), why)
+        raise card_error(model, mat, int(mat.find(mid[i : i + 1])[0]), why)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -257,3 +258,96 @@ class Matrices:
         if self.lossy is not None:
             return self.lossy
         return self.loss[:, None, None] * self.stiffness if self.loss.any() else self.viscous[:0]
+
+
+def node_dofs(nodes: Int, count: int = 6) -> Int:
+    """The first `count` full DOFs of nodes (e, k) -> (e, k count)."""
+    return np.asarray(
+        (6 * nodes[..., None] + np.arange(count)).reshape(len(nodes), count * nodes.shape[1])
+    )
+
+
+def segment(x: Float) -> tuple[Float, Float]:
+    """Length (e,) and unit vector (e, 3) from the first to the second of two points (e, 2, 3)."""
+    d = x[:, 1] - x[:, 0]
+    L = np.linalg.norm(d, axis=1)
+    return L, d / L[:, None]
+
+
+def orientation(m: Mesh, table: Table, at: Int, origin: Int) -> Float:
+    """The vector (e, 3) in basic from G0, or from X1-X3 in the CD frame of the node rows `origin`
+    (e,).
+
+    An OFFT that begins with B takes X1-X3 in basic.
+    """
+    v = table.stack("X1", "X2", "X3")[at]
+    g0 = table["G0"][at]
+    local = np.einsum("ei,eij->ej", v, m.cd[origin])
+    if "OFFT" in table.columns:
+        basic = np.char.startswith(table["OFFT"][at].astype(str), "B")
+        local = np.where(basic[:, None], v, local)
+    by_node = g0 > 0
+    local[by_node] = m.xyz[m.nodes(g0[by_node], table, at[by_node])] - m.xyz[origin[by_node]]
+    return np.asarray(local)
+
+
+def triad(m: Mesh, axis: Float, v: Float, table: Table, at: Int) -> Float:
+    """Local axes (e, 3, 3) as rows: x along `axis`, v in the xy plane.
+
+    Raises
+    ------
+    DeckError
+        If v is along the axis.
+    """
+    z = np.cross(axis, v)
+    flat = np.linalg.norm(z, axis=1) <= 1e-8 * np.maximum(np.linalg.norm(v, axis=1), 1e-300)
+    if flat.any():
+        i = int(at[np.flatnonzero(flat)[0]])
+        raise card_error(
+            m.model, table, i, "the orientation vector is zero or along the element; give another"
+        )
+    z = unit(z)
+    return np.stack([axis, np.cross(z, axis), z], axis=1)
+
+
+def any_triad(axis: Float) -> Float:
+    """Local axes (e, 3, 3) with x along `axis` and some y."""
+    v = np.zeros_like(axis)
+    v[np.arange(len(axis)), np.abs(axis).argmin(axis=1)] = 1.0
+    z = unit(np.cross(axis, v))
+    return np.stack([axis, np.cross(z, axis), z], axis=1)
+
+
+def frame(m: Mesh, cid: Int, at: Float) -> Float:
+    """Axes (e, 3, 3) of frames `cid` (e,) at points (e, 3)."""
+    return axes(m.model, cid, at)
+
+
+def components(text: Any_) -> Bool:
+    """Component lists such as "1246" (e,) as flags (e, 6)."""
+    as_text = text.astype(str)
+    return np.stack([np.char.find(as_text, str(c)) >= 0 for c in range(1, 7)], axis=1)
+
+
+Rows = dict[str, Int]  # card -> (r,) rows of its table
+
+
+def union(parts: Iterable[Rows]) -> Rows:
+    """Rows that are in any of the parts."""
+    out: Rows = {}
+    for rows in parts:
+        for card, at in rows.items():
+            out[card] = np.union1d(out[card], at) if card in out else at
+    return out
+
+
+def common(a: Rows, b: Rows) -> Rows:
+    """Rows that are in both."""
+    both = {card: np.intersect1d(at, b[card]) for card, at in a.items() if card in b}
+    return {card: at for card, at in both.items() if at.size}
+
+
+def without(a: Rows, b: Rows) -> Rows:
+    """Rows of the first that are not in the second."""
+    rest = {card: np.setdiff1d(at, b.get(card, at[:0])) for card, at in a.items()}
+    return {card: at for card, at in rest.items() if at.size}

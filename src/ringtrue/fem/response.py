@@ -10,7 +10,7 @@ from scipy import sparse
 from ringtrue.core.arrays import Complex, Float
 from ringtrue.core.motions import POWER
 from ringtrue.core.progress import Progress
-from ringtrue.eigen.dynamic import DynamicStiffness
+from ringtrue.eigen.damped import DynamicStiffness
 from ringtrue.errors import InputError, did_you_mean
 
 

@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ringtrue.core.arrays import Complex, Float
-from ringtrue.core.modes import ModeSet
-from ringtrue.core.uncertainty import Uncertainty
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.errors import DataError
 from ringtrue.io.atomic import atomic_write
 from ringtrue.io.sheets import cells

@@ -12,8 +12,7 @@ import h5py
 import numpy as np
 
 from ringtrue.core.arrays import Complex, Float
-from ringtrue.core.modes import ModeSet, Norm
-from ringtrue.core.uncertainty import Uncertainty
+from ringtrue.core.modes import ModeSet, Norm, Uncertainty
 from ringtrue.errors import DataError, about, did_you_mean
 from ringtrue.io import codec
 from ringtrue.io.atomic import atomic_write

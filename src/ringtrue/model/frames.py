@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.errors import DeckError
-from ringtrue.model.model import Model, Table
-from ringtrue.model.places import called, error
+from ringtrue.model.model import Model, Table, called, card_error
 
 _LINE = 1e-12  # sine under which three points lie on one line
 _DEGREE = np.pi / 180
@@ -112,7 +111,7 @@ def _given(model: Model) -> list[_Given]:
             at = grid.find(nodes)
             if (at < 0).any():
                 row, k = np.argwhere(at < 0)[0].tolist()
-                raise error(model, t, row, f"node {nodes[row, k]} is not in the deck")
+                raise card_error(model, t, row, f"node {nodes[row, k]} is not in the deck")
             made.append(_Given(t, grid.stack("X1", "X2", "X3")[at], grid["CP"][at]))
     return made
 
@@ -140,7 +139,7 @@ def frames(model: Model) -> Frames:
                 for i in np.flatnonzero(left)
             ]
             what = "refer to frames that are not in the deck, or to each other in a circle"
-            raise error(model, *rows[0], f"{called(model, rows)} {what}")
+            raise card_error(model, *rows[0], f"{called(model, rows)} {what}")
         known = _joined(
             [known, *(_resolved(model, known, g, r) for g, r in zip(given, ready, strict=True))]
         )
@@ -158,7 +157,7 @@ def _resolved(model: Model, known: Frames, g: _Given, ready: Bool) -> Frames:
     height, wide = np.linalg.norm(z, axis=1), np.linalg.norm(y, axis=1)
     flat = (height == 0) | (wide <= _LINE * height * np.linalg.norm(side, axis=1))
     if flat.any():
-        raise error(
+        raise card_error(
             model, g.table, int(rows[np.flatnonzero(flat)[0]]), "its three points lie on one line"
         )
     z, y = z / height[:, None], y / wide[:, None]
@@ -189,7 +188,7 @@ def positions(model: Model) -> Float:
     row = known.find(cp[at])
     if (row < 0).any():
         i = int(at[np.flatnonzero(row < 0)[0]])
-        raise error(model, grid, i, f"frame CP {cp[i]} is not in the deck")
+        raise card_error(model, grid, i, f"frame CP {cp[i]} is not in the deck")
     out[at] = known.to_basic(row, x[at])
     return out
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ringtrue.core.arrays import Bool, Float, Int, frozen
 from ringtrue.errors import UnsupportedError
 from ringtrue.model.cards import NONSTRUCTURAL
-from ringtrue.model.choices import taken_sets
+from ringtrue.model.case_control import taken_sets
 from ringtrue.model.edit import BOTH_ENDS
 from ringtrue.model.frames import axes, positions
 from ringtrue.model.halves import CURVED, LINES, NODES, RODS, Part, corner_shares, parts, weights

@@ -17,13 +17,12 @@ from scipy.special import betaincinv
 from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
 from ringtrue.core.modal import ModalModel
 from ringtrue.core.modes import ModeSet, Norm
-from ringtrue.core.pairing import Pairing
 from ringtrue.core.progress import Progress
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
-from ringtrue.correlation.pairing import PairingSettings, pair_modes
+from ringtrue.correlation.pairing import Pairing, PairingSettings, pair_modes
 from ringtrue.errors import DataError, InputError
-from ringtrue.identification.ambient import AmbientSettings, identify_ambient
-from ringtrue.identification.hammer import HammerModes, identify_hammer
+from ringtrue.identification.ambient.pipeline import AmbientSettings, identify_ambient
+from ringtrue.identification.frf.pipeline import HammerModes, identify_hammer
 from ringtrue.signal.frf import estimate_frf
 from ringtrue.signal.impacts import HammerSettings
 from ringtrue.virtual.excitation import Pulses, pulse_spectrum
@@ -267,7 +266,7 @@ def trials(
         pairs = pair_modes(truth, modes, conditions.pairing, names=("model", "test"))
         error[:, k, back[pairs.a]] = _errors(truth, modes, pairs)
         inside = (modes.frequencies > plan.fmin) & (modes.frequencies < plan.fmax)
-        invented += int(inside[pairs.lone_b].sum())
+        invented += int(inside[pairs.unpaired_b].sum())
     return _outcome(plan.frequencies[target], error, invented, force)
 
 

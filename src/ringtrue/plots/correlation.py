@@ -10,10 +10,10 @@ import numpy as np
 import plotly.graph_objects as go
 
 from ringtrue.core.arrays import Float
-from ringtrue.correlation.complete import Check, CompleteCorrelation
 from ringtrue.correlation.frf import FrfComparison
+from ringtrue.correlation.measures import Check, CompleteCorrelation
 from ringtrue.correlation.table import CorrelationTable
-from ringtrue.correlation.track import Tracks
+from ringtrue.correlation.tracking import Tracks
 from ringtrue.plots.style import (
     DIVERGING,
     FE,
@@ -315,7 +315,7 @@ def deviations(stages: Sequence[tuple[str, CorrelationTable]]) -> go.Figure:
     """Frequency deviation and MAC of each test mode, one mark a stage; hollow marks were left out
     of the updating.
     """
-    alone = all(t.alone for _, t in stages)
+    alone = all(t.frequency_only for _, t in stages)
     low = 0.0 if alone else 0.44
     fig = figure(
         300 if alone else 470,

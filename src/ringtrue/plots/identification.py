@@ -8,9 +8,8 @@ import numpy as np
 import plotly.graph_objects as go
 
 from ringtrue.core.arrays import Any_, Bool, Float
-from ringtrue.core.modes import ModeSet, elastic
-from ringtrue.core.uncertainty import Uncertainty
-from ringtrue.identification.poles import StableDiagram
+from ringtrue.core.modes import ModeSet, Uncertainty, elastic
+from ringtrue.identification.common.poles import StableDiagram
 from ringtrue.plots.style import (
     FE,
     FINAL,

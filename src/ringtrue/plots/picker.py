@@ -11,7 +11,7 @@ import plotly.graph_objects as go
 
 from ringtrue.core.arrays import Bool
 from ringtrue.core.modes import ModeSet
-from ringtrue.identification.poles import StableDiagram
+from ringtrue.identification.common.poles import StableDiagram
 from ringtrue.plots.identification import pole_span
 from ringtrue.plots.page import figure_page
 from ringtrue.plots.style import FE, QUALITATIVE, TEST, axis, f32, figure

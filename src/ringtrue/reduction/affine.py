@@ -11,12 +11,12 @@ import numpy as np
 from scipy import sparse
 
 from ringtrue.core.arrays import Float
-from ringtrue.core.observation import Observation
 from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.testmodel import Observation
 from ringtrue.errors import InputError
-from ringtrue.fem.functions import AffineTerm, Product
-from ringtrue.fem.nodes import on_axis
-from ringtrue.fem.powers import Pair
+from ringtrue.fem.parametrisation.interpolation_nodes import on_axis
+from ringtrue.fem.parametrisation.parameter_groups import Pair
+from ringtrue.fem.parametrisation.polynomials import AffineTerm, Product
 
 NONE = 1e-9  # rounding of a coefficient that is 0
 

@@ -12,10 +12,10 @@ from scipy import linalg, sparse
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.progress import Progress
-from ringtrue.eigen.factor import Pencil
-from ringtrue.eigen.problem import EigenModes
-from ringtrue.fem.functions import Function
-from ringtrue.fem.powers import Pair
+from ringtrue.eigen.eigenpairs import EigenModes
+from ringtrue.eigen.pencil import Pencil
+from ringtrue.fem.parametrisation.parameter_groups import Pair
+from ringtrue.fem.parametrisation.polynomials import Function
 from ringtrue.reduction.affine import AffineSystem
 
 CHUNK = 32  # right-hand sides solved together

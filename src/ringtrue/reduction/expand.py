@@ -14,7 +14,7 @@ from scipy import linalg, optimize, sparse
 
 from ringtrue.core.arrays import Any_, Float, freeze_fields
 from ringtrue.core.progress import Progress
-from ringtrue.eigen.factor import Labels
+from ringtrue.eigen.pencil import Labels
 from ringtrue.errors import ConfigError, InputError
 from ringtrue.reduction.tam import StaticShapes
 from ringtrue.shapes.orthogonality import pseudo_inverse

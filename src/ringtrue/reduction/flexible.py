@@ -9,8 +9,8 @@ from scipy import linalg, sparse
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.modes import elastic
-from ringtrue.eigen.factor import Factor, Pencil
-from ringtrue.eigen.problem import frequencies
+from ringtrue.eigen.eigenpairs import frequencies
+from ringtrue.eigen.pencil import Factor, Pencil
 from ringtrue.errors import SingularModel
 from ringtrue.reduction.basis import CHUNK, orthonormal_part, project
 from ringtrue.reduction.parametric import ReducedModel

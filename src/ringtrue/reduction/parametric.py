@@ -19,9 +19,9 @@ from ringtrue.core.arrays import Float
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress, part
 from ringtrue.eigen.derivatives import modal_coefficients
-from ringtrue.eigen.factor import Pencil
-from ringtrue.eigen.problem import EigenModes, frequencies
-from ringtrue.eigen.solve import solve_modes
+from ringtrue.eigen.eigenpairs import EigenModes, frequencies
+from ringtrue.eigen.modes import solve_modes
+from ringtrue.eigen.pencil import Pencil
 from ringtrue.errors import InputError, NumericalError
 from ringtrue.model.ports import Linearisation
 from ringtrue.reduction.affine import AffineSystem
@@ -134,13 +134,13 @@ class ReducedModel:
         lam, y = self._solve(everything, all_modes=True)
         a, slope = (
             self.system.parameters.factors(everything),
-            self.system.parameters.slope(everything),
+            self.system.parameters.derivative(everything),
         )
         m = self.count
         weights = np.zeros((len(self.active), len(self.basis.terms)))
         for i, which in enumerate(self.active):  # over parameters
             for t in self.basis.of.get(which, []):
-                weights[i, t] = self.basis.terms[t][0].slope(a, which) * slope[which]
+                weights[i, t] = self.basis.terms[t][0].derivative(a, which) * slope[which]
         dk, dm = (_products(acting, weights, y, m) for acting in self.basis.acting)
         d_lambda = np.einsum("pii->ip", dk[:, :m]) - np.einsum("pii->ip", dm[:, :m]) * lam[:m, None]
         c = np.empty((len(self.active), lam.size, m))
@@ -185,7 +185,7 @@ class ReducedModel:
         dk, dm = np.zeros_like(self.basis.stiffness), np.zeros_like(self.basis.mass)
         for i in self.basis.of.get(which, ()):
             f, kt, mt = self.basis.terms[i]
-            weight = f.slope(a, which) * slope
+            weight = f.derivative(a, which) * slope
             dk += weight * kt
             dm += weight * mt
         return dk, dm

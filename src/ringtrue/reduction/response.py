@@ -16,7 +16,7 @@ from scipy import linalg, sparse
 
 from ringtrue.core.arrays import Float, Int, freeze_fields
 from ringtrue.core.progress import Progress
-from ringtrue.eigen.factor import Factor, Pencil
+from ringtrue.eigen.pencil import Factor, Pencil
 from ringtrue.errors import InputError, SingularModel
 
 NEW = 1e-10  # squared share of a vector outside the basis that is kept

@@ -11,8 +11,8 @@ from scipy import sparse
 
 from ringtrue.core.arrays import Any_, Float, Int, freeze_fields
 from ringtrue.core.progress import Progress
-from ringtrue.eigen.factor import Labels, Pencil
-from ringtrue.eigen.solve import solve_modes
+from ringtrue.eigen.modes import solve_modes
+from ringtrue.eigen.pencil import Labels, Pencil
 from ringtrue.errors import InputError
 
 CHUNK = 64  # right-hand sides solved at once

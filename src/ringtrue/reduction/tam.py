@@ -16,7 +16,7 @@ import numpy as np
 from scipy import linalg, sparse
 
 from ringtrue.core.arrays import Any_, Float, freeze_fields
-from ringtrue.eigen.factor import Factor, Labels, Pencil
+from ringtrue.eigen.pencil import Factor, Labels, Pencil
 from ringtrue.errors import ConfigError, InputError, did_you_mean
 from ringtrue.reduction.static import Condensed, craig_bampton
 from ringtrue.shapes.orthogonality import pseudo_inverse

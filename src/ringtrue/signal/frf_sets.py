@@ -13,9 +13,8 @@ import numpy as np
 
 from ringtrue.core.arrays import Complex, Float, Int
 from ringtrue.core.impacts import join_impacts
-from ringtrue.core.lines import shared_lines
 from ringtrue.core.motions import LINEAR, OF_KIND, POWER, as_motion, channel
-from ringtrue.core.signals import Channel, FrfKind, FrfSet
+from ringtrue.core.signals import Channel, FrfKind, FrfSet, shared_lines
 from ringtrue.errors import DataError
 
 log = logging.getLogger(__name__)

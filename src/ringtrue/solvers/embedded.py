@@ -19,20 +19,19 @@ from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress
 from ringtrue.core.signals import FrfKind
 from ringtrue.eigen import damped
-from ringtrue.eigen.derivatives import Slope, eigenvector_derivatives
-from ringtrue.eigen.dynamic import DynamicStiffness
+from ringtrue.eigen.damped import DynamicStiffness
+from ringtrue.eigen.derivatives import MatrixDerivatives, eigenvector_derivatives
+from ringtrue.eigen.eigenpairs import EigenModes, eigenvalue, residual_vectors, rounding
 from ringtrue.eigen.engines import Method
-from ringtrue.eigen.factor import RESIDUAL_LIMIT, Pencil
-from ringtrue.eigen.problem import EigenModes, eigenvalue, rounding
-from ringtrue.eigen.residual import residual_vectors
-from ringtrue.eigen.solve import solve_modes
+from ringtrue.eigen.modes import solve_modes
+from ringtrue.eigen.pencil import RESIDUAL_LIMIT, Pencil
 from ringtrue.errors import InputError, SingularModel
 from ringtrue.fem.assembly import System, assemble, refuse_held
-from ringtrue.fem.derivatives import system_derivatives
+from ringtrue.fem.massless_rotations import without_massless_rotations
+from ringtrue.fem.parametrisation.derivatives import system_derivatives
 from ringtrue.fem.response import coupled, direct
 from ringtrue.fem.response import frf as superpose
-from ringtrue.fem.spins import without_spins
-from ringtrue.model.damping import ModalDamping
+from ringtrue.model.case_control import ModalDamping
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest, ModesResult
 
@@ -127,7 +126,7 @@ class EmbeddedAnalysis:
             "give less (1000 times what is beside it is stiff enough) or RBE2"
         )
 
-    def slopes(self, parameters: ParameterSet) -> Sequence[Slope]:
+    def slopes(self, parameters: ParameterSet) -> Sequence[MatrixDerivatives]:
         """∂K/∂a, ∂M/∂a and the derivatives of the damping at a = 1, in the free DOFs."""
         return system_derivatives(self.model, parameters.parameters, self.system)
 
@@ -441,7 +440,7 @@ class EmbeddedSolver:
         InputError
             If nothing is free to move.
         """
-        system, spins = without_spins(model, assemble(model))
+        system, spins = without_massless_rotations(model, assemble(model))
         refuse_held(system)
         return EmbeddedAnalysis(
             model, system, spins=spins, method=self.method, progress=self.progress

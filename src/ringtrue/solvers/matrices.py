@@ -13,14 +13,14 @@ from scipy import sparse
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.dofs import DofSet
-from ringtrue.core.observation import Observation
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.core.progress import Progress
-from ringtrue.eigen.derivatives import Slope
+from ringtrue.core.testmodel import Observation
+from ringtrue.eigen.derivatives import MatrixDerivatives
 from ringtrue.eigen.engines import Method
 from ringtrue.errors import InputError, did_you_mean
 from ringtrue.fem.assembly import System
-from ringtrue.fem.functions import AffineTerm, power
+from ringtrue.fem.parametrisation.polynomials import AffineTerm, power
 from ringtrue.model.model import Model
 from ringtrue.model.ports import Linearisation, ModesRequest
 from ringtrue.reduction.affine import AffineSystem
@@ -110,7 +110,7 @@ class MatrixModel:
         ]
         return ParameterSet(tuple(made))
 
-    def slopes(self, parameters: ParameterSet) -> list[Slope]:
+    def slopes(self, parameters: ParameterSet) -> list[MatrixDerivatives]:
         """∂K/∂α, ∂M/∂α, ∂D/∂α of each parameter.
 
         Raises
@@ -130,7 +130,7 @@ class MatrixModel:
                     )
                 at = KINDS.index(t.card)
                 total[at] = sparse.csr_array(total[at] + parts[t.id - 1])
-            out.append(Slope(*total))
+            out.append(MatrixDerivatives(*total))
         return out
 
     def at(self, parameters: ParameterSet, factors: Float) -> MatrixModel:
@@ -234,7 +234,7 @@ class MatrixAnalysis(EmbeddedAnalysis):
         super().__init__(Model({}), matrices.system(), method=method, progress=progress)
         self.matrices = matrices
 
-    def slopes(self, parameters: ParameterSet) -> Sequence[Slope]:
+    def slopes(self, parameters: ParameterSet) -> Sequence[MatrixDerivatives]:
         """∂K/∂α, ∂M/∂α, ∂D/∂α."""
         return self.matrices.slopes(parameters)
 
@@ -293,7 +293,7 @@ class ObservedMatrices:
                     np.zeros((*seen.shape, 0)),
                 )
             d_lambda, d_phi = analysis.derivatives(modes, self.parameters)
-        slope = self.parameters.slope(x)
+        slope = self.parameters.derivative(x)
         d_seen = self.observation(d_phi.reshape(d_phi.shape[0], -1)).reshape(
             *seen.shape, slope.size
         )

@@ -20,8 +20,8 @@ from ringtrue.decks.nastran.bulk_special import large_card
 from ringtrue.decks.nastran.results.sensitivity import Sensitivities
 from ringtrue.decks.nastran.writer import Value, format_card
 from ringtrue.errors import SolverFailed, UnsupportedError
-from ringtrue.fem.change import scaled
-from ringtrue.fem.kinds import MATERIALS
+from ringtrue.fem.element_cards import MATERIALS
+from ringtrue.fem.parametrisation.changed_model import scaled
 from ringtrue.model.edit import companions, field_changes, resolve_target
 from ringtrue.model.frames import positions
 from ringtrue.model.model import Model, Table, stacked

@@ -11,20 +11,19 @@ import numpy as np
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.modes import ModeSet, elastic
-from ringtrue.core.observation import Observation
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress
+from ringtrue.core.testmodel import Observation
 from ringtrue.errors import UnsupportedError
 from ringtrue.fem.assembly import assemble
-from ringtrue.fem.change import scaled
-from ringtrue.fem.dependence import affine_terms
-from ringtrue.fem.spins import without_spins
+from ringtrue.fem.massless_rotations import without_massless_rotations
+from ringtrue.fem.parametrisation.affine import affine_terms
+from ringtrue.fem.parametrisation.changed_model import scaled
 from ringtrue.model.model import Model
 from ringtrue.model.ports import Analysis, Linearisation, ModalSolver, ModesRequest
 from ringtrue.reduction.affine import AffineSystem, observed_system
 from ringtrue.reduction.parametric import BasisOptions, ReducedModel, reduced_model
-from ringtrue.shapes.mac import unit
-from ringtrue.shapes.subspace import close_groups, rotation
+from ringtrue.shapes.mac import close_groups, rotation, unit
 from ringtrue.solvers.embedded import EmbeddedSolver
 
 PRINTED = 1e-4  # change of an unknown that ends an updating on what programs print
@@ -150,7 +149,7 @@ class FullModel:
         except UnsupportedError:
             return None
         self.ledger.runs += 1
-        relative = self.parameters.slope(x) / self.parameters.factors(
+        relative = self.parameters.derivative(x) / self.parameters.factors(
             x
         )  # the edited model is at a = 1 of itself
         d_seen = self.observation(d_phi.reshape(d_phi.shape[0], -1)).reshape(-1, *d_phi.shape[1:])
@@ -220,7 +219,7 @@ def reduced(
     progress: Progress | None = None,
 ) -> ReducedModel:
     """The reduced observed model of a deck: assemble, differentiate, project."""
-    system, _ = without_spins(model, assemble(model))
+    system, _ = without_massless_rotations(model, assemble(model))
     parts = affine_terms(model, parameters, system)
     affine: AffineSystem = observed_system(
         system.stiffness, system.mass, system.transform, parameters, parts, observation

@@ -22,11 +22,11 @@ from ringtrue.core.arrays import Any_, Float
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress
-from ringtrue.eigen.problem import eigenvalue, frequencies, polish
-from ringtrue.eigen.solve import start_shift, suitable_shift
+from ringtrue.eigen.eigenpairs import eigenvalue, frequencies, polish
+from ringtrue.eigen.modes import start_shift, suitable_shift
 from ringtrue.errors import ConfigError, SolverFailed, SolverMissing, UnsupportedError
 from ringtrue.fem.assembly import System, assemble, refuse_held
-from ringtrue.fem.spins import without_spins
+from ringtrue.fem.massless_rotations import without_massless_rotations
 from ringtrue.io.foreign.arrays import read_npy
 from ringtrue.io.foreign.texts import read_json
 from ringtrue.model.model import Model
@@ -210,7 +210,7 @@ class SlepcSolver:
             If nothing is free to move.
         """
         python, launcher = find_slepc()
-        system, _ = without_spins(model, assemble(model))
+        system, _ = without_massless_rotations(model, assemble(model))
         refuse_held(system)
         command = (launcher, "-n", str(self.ranks), python)
         return SlepcAnalysis(system, command, timeout=self.timeout, progress=self.progress)

@@ -16,8 +16,8 @@ from ringtrue.core.arrays import Float, Int
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import quiet
 from ringtrue.fem.assembly import System, assemble
-from ringtrue.fem.derivatives import congruent
-from ringtrue.fem.functions import AffineTerm, power
+from ringtrue.fem.parametrisation.derivatives import congruent
+from ringtrue.fem.parametrisation.polynomials import AffineTerm, power
 from ringtrue.model.model import Model
 from ringtrue.reduction.affine import AffineSystem
 from ringtrue.reduction.flexible import responding, with_responses

@@ -8,7 +8,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from ringtrue.correlation.assign import PairingSettings
+from ringtrue.correlation.assignment import PairingSettings
 
 Tam = Literal["irs", "guyan", "hybrid", "serep", "craig-bampton"]
 

@@ -12,14 +12,13 @@ import numpy as np
 from ringtrue.core.arrays import Bool, Float
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
-from ringtrue.core.observation import Observation
 from ringtrue.core.progress import Progress
-from ringtrue.core.testmodel import TestModel
+from ringtrue.core.testmodel import Observation, TestModel
 from ringtrue.errors import DataError, NumericalError, about
 from ringtrue.io.modes_json import read_modes, read_std
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.model.ports import ModalSolver, ModesRequest
-from ringtrue.shapes.scale import realise_modes
+from ringtrue.shapes.complexity import realise_modes
 from ringtrue.solvers.observed import PRINTED, UNTOLD, FullModel, reduced
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.config_update import UpdateSection

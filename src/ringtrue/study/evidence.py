@@ -11,15 +11,15 @@ from scipy import sparse
 
 from ringtrue.core.arrays import Complex, Float
 from ringtrue.core.modes import ModeSet
-from ringtrue.core.observation import Observation
-from ringtrue.core.pairing import Pairing
 from ringtrue.core.signals import FrfSet
+from ringtrue.core.testmodel import Observation
 from ringtrue.core.units import UNIT_SYSTEMS
-from ringtrue.correlation.complete import Lift, complete
 from ringtrue.correlation.frf import compare_frfs, fdac
-from ringtrue.correlation.gates import Gate
-from ringtrue.correlation.track import Tracks, track
-from ringtrue.eigen.solve import low_shift
+from ringtrue.correlation.measures import Lift, complete
+from ringtrue.correlation.orthogonality import Gate
+from ringtrue.correlation.pairing import Pairing
+from ringtrue.correlation.tracking import Tracks, track
+from ringtrue.eigen.modes import low_shift
 from ringtrue.errors import InputError, NumericalError
 from ringtrue.fem.response import frf
 from ringtrue.reduction.tam import craig_bampton_coordinates, craig_bampton_of, tam

@@ -7,8 +7,8 @@ import numpy as np
 from ringtrue.core.arrays import Float
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
-from ringtrue.core.observation import Observation
 from ringtrue.core.progress import Progress
+from ringtrue.core.testmodel import Observation
 from ringtrue.errors import ConfigError, InputError, NumericalError
 from ringtrue.reduction.expand import (
     Expanded,

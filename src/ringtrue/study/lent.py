@@ -10,7 +10,7 @@ import numpy as np
 
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.core.testmodel import TestModel
-from ringtrue.correlation.assign import Locks
+from ringtrue.correlation.assignment import Locks
 from ringtrue.correlation.pairing import PairingSettings, pair_modes
 from ringtrue.errors import DataError
 from ringtrue.study.opened import Opened
@@ -65,10 +65,10 @@ def lent(test: ModeSet, opened: Opened, gates: PairingSettings, locks: Locks) ->
     shapes = np.full((len(points.channels), len(test)), np.nan)
     shapes[:, pairing.a] = look(modes.shapes[:, pairing.b])
     pairs = list(zip(pairing.a.tolist(), pairing.b.tolist(), strict=True))
-    said = dict(zip(pairing.lone_a.tolist(), pairing.why_a, strict=True))
+    said = dict(zip(pairing.unpaired_a.tolist(), pairing.reasons_a, strict=True))
     said |= {i: f"taken for mode {j + 1} of the deck, by frequency" for i, j in pairs}
     listed = ", ".join(f"{i + 1} for {j + 1}" for i, j in pairs)
-    lone = (f"mode {i + 1} is not used: {said[i]}" for i in pairing.lone_a.tolist())
+    lone = (f"mode {i + 1} is not used: {said[i]}" for i in pairing.unpaired_a.tolist())
     doubts = pairing.doubts()
     decide = (
         ("`lock` and `forbid` under [correlate] decide which mode a frequency is",)

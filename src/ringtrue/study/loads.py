@@ -17,23 +17,17 @@ from ringtrue.decks.nastran.loads import (
     LoadCase,
     Moved,
     Pressure,
-    Spin,
-    Warmth,
 )
 from ringtrue.errors import InputError
 from ringtrue.fem.assembly import assemble
-from ringtrue.fem.body_loads import spin_forces
 from ringtrue.fem.constraints import supports
+from ringtrue.fem.element_cards import SOLIDS
 from ringtrue.fem.elements import bar
-from ringtrue.fem.kinds import SOLIDS
-from ringtrue.fem.line_loads import LineKind, line_forces
+from ringtrue.fem.loads import SURFACES, LineKind, face, face_forces, line_forces
 from ringtrue.fem.mesh import Mesh, mesh
-from ringtrue.fem.pressure import SURFACES, face, face_forces
-from ringtrue.fem.thermal import thermal_forces
-from ringtrue.model.choices import taken_sets
+from ringtrue.model.case_control import taken_sets
 from ringtrue.model.frames import axes, positions
-from ringtrue.model.model import Model
-from ringtrue.model.places import error
+from ringtrue.model.model import Model, card_error
 
 SAME = 1e-6  # of the length of a beam: a load that much beyond its end stands there
 _Face = tuple[list[int], Pressure, float]  # its nodes, the pressure, and its sign along the normal
@@ -69,41 +63,12 @@ def _summed(model: Model, dofs: DofSet, cases: Sequence[LoadCase]) -> Float:
                 gravity[:, j] += _vector(model, xyz, case, ld)
         _press(out[:, j], model, xyz, [ld for ld in case.loads if isinstance(ld, Pressure)])
         _load_beams(out[:, j], model, [ld for ld in case.loads if isinstance(ld, LineLoad)])
-        for ld in (ld for ld in case.loads if isinstance(ld, Spin)):
-            out[:, j] += ld.factor * spin_forces(mesh(model), *_axis(model, xyz, case, ld))
-        if case.warmth is not None:
-            out[:, j] += thermal_forces(mesh(model), _temperatures(model, case.name, case.warmth))
     if (
         gravity.any()
     ):  # all masses, those at supports too, which hang on what is free by a consistent mass
         whole = assemble(unconstrained(model))
         out += whole.local.T @ (whole.mass @ (whole.rigid_body()[:, :3] @ gravity))
     return out
-
-
-def _temperatures(model: Model, case: str, given: Warmth) -> Float:
-    """Of the rows of GRID, (node,); NaN where none is given."""
-    out = np.full(len(model["GRID"]), given.others)
-    ids, values = np.array(given.nodes, dtype=np.float64).reshape(-1, 2).T
-    rows = model["GRID"].find(ids.astype(np.int64))
-    if (rows < 0).any():
-        raise InputError(
-            f"{case}: TEMP names node {int(ids[int(rows.argmin())])}, which is not in the deck"
-        )
-    out[rows] = values
-    return out
-
-
-def _axis(model: Model, xyz: Float, case: LoadCase, ld: Spin) -> tuple[Float, Float]:
-    """A point of the axis and the angular velocity in basic, rad/s."""
-    origin = np.zeros(3)
-    if ld.node:
-        if (row := int(model["GRID"].find(np.array([ld.node]))[0])) < 0:
-            raise InputError(f"{case.name}: RFORCE names node {ld.node}, which is not in the deck")
-        origin = xyz[row]
-    return origin, np.asarray(
-        np.asarray(ld.vector) @ axes(model, np.array([ld.cid]), origin[None])[0]
-    )
 
 
 def support_motions(model: Model, dofs: DofSet, cases: Sequence[LoadCase]) -> tuple[Float, Float]:
@@ -186,7 +151,7 @@ def refuse_displaced(model: Model) -> None:
     """
     if (rows := _displacing(model)).size:
         why = "displaces a support (D); forces alone act on one that is at 0"
-        raise error(model, model["SPC"], int(rows[0]), why)
+        raise card_error(model, model["SPC"], int(rows[0]), why)
 
 
 def _scalar(dofs: DofSet, case: LoadCase, ld: Load) -> int:

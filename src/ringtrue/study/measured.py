@@ -21,8 +21,8 @@ from ringtrue.core.signals import FrfSet
 from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.fem.assembly import assemble
-from ringtrue.fem.dependence import affine_terms
-from ringtrue.fem.functions import AffineTerm
+from ringtrue.fem.parametrisation.affine import affine_terms
+from ringtrue.fem.parametrisation.polynomials import AffineTerm
 from ringtrue.io.frfs import read_frfs
 from ringtrue.io.statics import StaticTests, read_statics
 from ringtrue.model.model import Model

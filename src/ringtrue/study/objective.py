@@ -10,8 +10,8 @@ import numpy as np
 
 from ringtrue.core.arrays import Float
 from ringtrue.core.modes import elastic
-from ringtrue.core.observation import Observation
 from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.testmodel import Observation
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.solvers.observed import FullModel
 from ringtrue.study.config import StudyConfig

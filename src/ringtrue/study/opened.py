@@ -11,10 +11,9 @@ from scipy.spatial import KDTree
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
-from ringtrue.core.observation import Observation
 from ringtrue.core.progress import Progress
-from ringtrue.core.testmodel import TestModel
-from ringtrue.correlation.observe import Method, observe
+from ringtrue.core.testmodel import Observation, TestModel
+from ringtrue.correlation.sensor_mapping import Method, observe
 from ringtrue.model.frames import diagonal, positions
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModalSolver, ModesRequest, ModesResult

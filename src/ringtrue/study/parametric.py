@@ -11,12 +11,12 @@ import numpy as np
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.modes import elastic
-from ringtrue.core.observation import Observation
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress, part
-from ringtrue.eigen.solve import low_shift
+from ringtrue.core.testmodel import Observation
+from ringtrue.eigen.modes import low_shift
 from ringtrue.errors import NotConverged
-from ringtrue.fem.dependence import affine_terms
+from ringtrue.fem.parametrisation.affine import affine_terms
 from ringtrue.model.ports import Linearisation
 from ringtrue.reduction.affine import observed_system
 from ringtrue.reduction.flexible import with_responses

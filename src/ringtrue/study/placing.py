@@ -12,11 +12,16 @@ from scipy.spatial import KDTree
 from ringtrue.core.arrays import Float
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
-from ringtrue.core.observation import Observation
-from ringtrue.core.testmodel import TestModel
-from ringtrue.correlation.align import Alignment, best_fit, nearest_fit
-from ringtrue.correlation.mounting import Readings
-from ringtrue.correlation.observe import Method, at_dofs, default_tolerance
+from ringtrue.core.testmodel import Observation, TestModel
+from ringtrue.correlation.sensor_mapping import (
+    Alignment,
+    Method,
+    at_dofs,
+    best_fit,
+    default_tolerance,
+    nearest_fit,
+)
+from ringtrue.correlation.sensor_mounting import Readings
 from ringtrue.errors import DataError, InputError, about
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.model.frames import diagonal, positions

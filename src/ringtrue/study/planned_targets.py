@@ -73,7 +73,7 @@ def _criteria(desk: Workbench, plan: PlanSection, within: Bool) -> dict[str, Boo
                 np.abs(relative).sum(axis=1) > plan.sensitive
             )
         if plan.telling:
-            x = relative * parameters.slope(np.zeros(len(parameters)))
+            x = relative * parameters.derivative(np.zeros(len(parameters)))
             at = informative_modes(x, np.ones(len(x)), MODEL_ERROR, parameters.std(), plan.telling)
             criteria["tells parameters apart"] = np.isin(np.arange(len(x)), at)
     return criteria

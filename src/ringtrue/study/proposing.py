@@ -12,8 +12,8 @@ from scipy import sparse
 from ringtrue.checks.mass import mass_properties
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.modes import ModeSet
-from ringtrue.core.observation import Observation
 from ringtrue.core.progress import Progress, part, quiet
+from ringtrue.core.testmodel import Observation
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
 from ringtrue.reduction.condense import condensed

@@ -9,15 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from ringtrue.core.arrays import Bool, Float, Int
-from ringtrue.core.modes import ModeSet, rigid_below
-from ringtrue.core.pairing import Pairing
-from ringtrue.core.uncertainty import Uncertainty
-from ringtrue.correlation.assign import NO_LOCKS, Followed, Locks, PairingSettings
-from ringtrue.correlation.pairing import pair_modes
+from ringtrue.core.modes import ModeSet, Uncertainty, rigid_below
+from ringtrue.correlation.assignment import NO_LOCKS, Followed, Locks, PairingSettings
+from ringtrue.correlation.pairing import Pairing, pair_modes
 from ringtrue.correlation.table import CorrelationTable, correlation_table
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.modes_json import read_modes, read_std
-from ringtrue.shapes.scale import realise_modes
+from ringtrue.shapes.complexity import realise_modes
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.results import ConfiguredTest, CorrelateStage, IdentifyStage
 
@@ -334,7 +332,7 @@ def elastic_table(
         pairing, mac = _unseen(pairing), np.zeros((0, 0))
     return replace(
         table,
-        pairing=replace(pairing, b=pairing.b + first, lone_b=pairing.lone_b + first),
+        pairing=replace(pairing, b=pairing.b + first, unpaired_b=pairing.unpaired_b + first),
         mac=mac,
         all_fe_hz=fe.frequencies,
     )
@@ -346,8 +344,8 @@ def _unseen(pairing: Pairing) -> Pairing:
         pairing,
         mac=np.full(len(pairing), np.nan),
         subspace=np.zeros(len(pairing), dtype=np.bool_),
-        why_a=("no mode is like the one that it was taken for",) * pairing.lone_a.size,
-        why_b=("no frequency of the test is taken for it",) * pairing.lone_b.size,
+        reasons_a=("no mode is like the one that it was taken for",) * pairing.unpaired_a.size,
+        reasons_b=("no frequency of the test is taken for it",) * pairing.unpaired_b.size,
     )
 
 

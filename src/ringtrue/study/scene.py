@@ -9,7 +9,7 @@ import numpy as np
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
-from ringtrue.fem.pressure import FACES, SURFACES
+from ringtrue.fem.loads import FACES, SURFACES
 from ringtrue.model.frames import diagonal, positions
 from ringtrue.model.model import Model
 from ringtrue.study.results import Scene

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from ringtrue.core.channels import other_names
-from ringtrue.core.observation import Observation
-from ringtrue.core.testmodel import TestModel
+from ringtrue.core.testmodel import Observation, TestModel
 from ringtrue.study.results import Seat
 
 SHOWN = 12  # points that a line names

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 
 from ringtrue.core.units import UNIT_SYSTEMS
-from ringtrue.correlation.complete import complete_json
-from ringtrue.correlation.mounting import mendings_json
-from ringtrue.correlation.significance import table_significance
-from ringtrue.correlation.table import CorrelationTable
+from ringtrue.correlation.measures import complete_json
+from ringtrue.correlation.sensor_mounting import mendings_json
+from ringtrue.correlation.table import CorrelationTable, table_significance
 from ringtrue.planning.resolution import ambient_std
 from ringtrue.study.acceptance import limits, missed_words
 from ringtrue.study.results import (
@@ -67,8 +66,8 @@ def unpaired(table: CorrelationTable) -> list[dict[str, Any]]:
     """Modes without a partner, with the reason."""
     p = table.pairing
     sets = (
-        (table.names[0], p.lone_a, table.all_test_hz, p.why_a),
-        (table.names[1], p.lone_b, table.all_fe_hz, p.why_b),
+        (table.names[0], p.unpaired_a, table.all_test_hz, p.reasons_a),
+        (table.names[1], p.unpaired_b, table.all_fe_hz, p.reasons_b),
     )
     return [
         {"set": name, "mode": i + 1, "frequency_hz": float(f[i]), "reason": why}

@@ -268,7 +268,7 @@ def _pairs(correlate: CorrelateStage, final: FinalStage | None) -> list[str]:
     ]
     total = correlate.reference.frequencies.size
     mac = ""
-    if not tables[0].alone:
+    if not tables[0].frequency_only:
         single = _arrow([f"{t.mean_mac():.1f}" for t in tables])
         subspace = _arrow([f"{t.mean_subspace_mac():.1f}" for t in tables])
         mac = f", mean MAC {single} %, mean subspace MAC {subspace} %"

@@ -13,19 +13,17 @@ import numpy as np
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.modes import ModeSet
-from ringtrue.core.observation import Observation
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress
-from ringtrue.core.testmodel import TestModel
+from ringtrue.core.testmodel import Observation, TestModel
 from ringtrue.core.units import UNIT_SYSTEMS, UnitSystem
-from ringtrue.correlation.align import Alignment
+from ringtrue.correlation.sensor_mapping import Alignment
 from ringtrue.decks.nastran.edit import add_cards
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, about
-from ringtrue.model.edit import carried
+from ringtrue.model.edit import carried, in_seconds
 from ringtrue.model.ports import ModalSolver
 from ringtrue.model.refine import refined
-from ringtrue.model.seconds import in_seconds
 from ringtrue.reduction.parametric import ReducedModel
 from ringtrue.solvers.registry import EMBEDDED, solver
 from ringtrue.study.config import ConfigurationSection, ModelSection, StudyConfig

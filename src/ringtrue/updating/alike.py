@@ -18,7 +18,7 @@ from ringtrue.fem.assembly import System
 from ringtrue.fem.mesh import mesh
 from ringtrue.model.model import Model
 from ringtrue.model.ports import Linearisation
-from ringtrue.shapes.subspace import basis
+from ringtrue.shapes.mac import basis
 from ringtrue.updating.localise import strain_energies
 from ringtrue.updating.objective import Target, match
 from ringtrue.updating.spans import span_residual

@@ -16,8 +16,8 @@ from scipy import sparse
 from ringtrue.core.arrays import Int
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet, Substructure
 from ringtrue.errors import InputError, did_you_mean
-from ringtrue.fem.change import affected_cards
-from ringtrue.fem.rows import Rows
+from ringtrue.fem.mesh import Rows
+from ringtrue.fem.parametrisation.changed_model import affected_cards
 from ringtrue.model.model import Model, Ragged, Table
 from ringtrue.updating.catalogue import QUANTITIES, SPREAD, UNITS
 

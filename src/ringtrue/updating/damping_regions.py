@@ -18,10 +18,9 @@ from scipy import linalg
 from ringtrue.core.arrays import Float
 from ringtrue.core.parameters import CardField, ParameterSet
 from ringtrue.errors import InputError
-from ringtrue.fem.change import rows_of
-from ringtrue.fem.kinds import batches
-from ringtrue.fem.mesh import mesh
-from ringtrue.fem.rows import union
+from ringtrue.fem.element_cards import batches
+from ringtrue.fem.mesh import mesh, union
+from ringtrue.fem.parametrisation.changed_model import rows_of
 from ringtrue.model.edit import FieldChange, resolve_target
 from ringtrue.model.model import Model, Table
 from ringtrue.updating.candidates import listed

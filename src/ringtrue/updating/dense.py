@@ -130,7 +130,10 @@ class DenseModel:
 
     def matrices(self, x: Float) -> Matrices:
         """K, M and their derivatives at x (p,)."""
-        change, slope = self.parameters.factors(x) - 1.0, self.parameters.slope(x)[:, None, None]
+        change, slope = (
+            self.parameters.factors(x) - 1.0,
+            self.parameters.derivative(x)[:, None, None],
+        )
         k = self.stiffness + np.tensordot(change, self.d_stiffness, axes=1)
         m = self.mass + np.tensordot(change, self.d_mass, axes=1)
         return Matrices(k, m, self.d_stiffness * slope, self.d_mass * slope, self.observation)
@@ -148,7 +151,7 @@ class DenseModel:
         """Modes and sensitivities at x (p,)."""
         lam, phi = self._solve(x)
         c = min(self.count, lam.size)
-        slope = self.parameters.slope(x)
+        slope = self.parameters.derivative(x)
         dk = np.einsum("ni,pnk,kj->pij", phi, self.d_stiffness, phi[:, :c], optimize=True)
         dm = np.einsum("ni,pnk,kj->pij", phi, self.d_mass, phi[:, :c], optimize=True)
         force = (dk - lam[:c] * dm) * slope[:, None, None]  # (p, all, c)
@@ -190,7 +193,7 @@ def _reduced(model: ReducedModel, x: Float) -> Matrices:
     everything = model.full_vector(x)
     a, slope = (
         model.system.parameters.factors(everything),
-        model.system.parameters.slope(everything),
+        model.system.parameters.derivative(everything),
     )
     k, m = model.projected(a)
     both = [model.derivative(a, i, float(slope[i])) for i in model.active]

@@ -10,14 +10,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ringtrue.core.arrays import Float, Int
-from ringtrue.core.observation import Observation
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress, part
-from ringtrue.eigen.factor import Pencil
-from ringtrue.eigen.problem import EigenModes
+from ringtrue.core.testmodel import Observation
+from ringtrue.eigen.eigenpairs import EigenModes
+from ringtrue.eigen.pencil import Pencil
 from ringtrue.fem.assembly import System
-from ringtrue.fem.dependence import affine_terms
-from ringtrue.fem.derivatives import bilinear, congruent
+from ringtrue.fem.parametrisation.affine import affine_terms
+from ringtrue.fem.parametrisation.derivatives import bilinear, congruent
 from ringtrue.model.model import Model
 from ringtrue.model.ports import Linearisation
 from ringtrue.reduction.affine import observed_system

@@ -12,8 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ringtrue.core.arrays import Float, freeze_fields
-from ringtrue.core.iterate import iterate
-from ringtrue.core.outcome import Outcome
+from ringtrue.core.iterate import Outcome, iterate
 from ringtrue.core.progress import Progress
 from ringtrue.errors import NumericalError, SolverError
 from ringtrue.model.ports import ObservedModel

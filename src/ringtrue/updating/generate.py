@@ -10,8 +10,8 @@ import numpy as np
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.parameters import CardField
 from ringtrue.errors import InputError
-from ringtrue.fem.change import rows_of
-from ringtrue.fem.rows import union
+from ringtrue.fem.mesh import union
+from ringtrue.fem.parametrisation.changed_model import rows_of
 from ringtrue.model.dimensions import MADE
 from ringtrue.model.model import Model, Table
 from ringtrue.model.sections import section

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
-from ringtrue.core.outcome import Outcome
+from ringtrue.core.iterate import Outcome
 from ringtrue.core.progress import Progress
 from ringtrue.errors import InputError
 from ringtrue.updating.posterior import laplace

@@ -19,9 +19,9 @@ from scipy import sparse
 from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
 from ringtrue.errors import InputError
 from ringtrue.fem.assembly import System
-from ringtrue.fem.change import affected_cards
-from ringtrue.fem.kinds import batches
+from ringtrue.fem.element_cards import batches
 from ringtrue.fem.mesh import Mesh, mesh
+from ringtrue.fem.parametrisation.changed_model import affected_cards
 from ringtrue.model.model import Model
 from ringtrue.reduction.expand import expand_hybrid, expand_reduced
 from ringtrue.reduction.parametric import ReducedModel

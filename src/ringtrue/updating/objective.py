@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
-from ringtrue.correlation.assign import (
+from ringtrue.correlation.assignment import (
     HOLD,
     NO_LOCKS,
     Followed,

@@ -10,9 +10,9 @@ import numpy as np
 
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.parameters import Parameter, ParameterSet
-from ringtrue.fem.change import rows_of, within
-from ringtrue.fem.dependence import matrices_kept
-from ringtrue.fem.rows import union
+from ringtrue.fem.mesh import union
+from ringtrue.fem.parametrisation.affine import matrices_kept
+from ringtrue.fem.parametrisation.changed_model import rows_of, within
 from ringtrue.model.model import Model
 from ringtrue.updating.candidates import Candidate, Kind, counted, membership
 

@@ -11,8 +11,8 @@ from scipy import sparse
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.parameters import CardField, Substructure
-from ringtrue.fem.change import affected_cards
-from ringtrue.fem.kinds import MATERIAL, PROPERTY
+from ringtrue.fem.element_cards import MATERIAL, PROPERTY
+from ringtrue.fem.parametrisation.changed_model import affected_cards
 from ringtrue.model.frames import positions
 from ringtrue.model.model import Model
 from ringtrue.model.references import REFERENCES, SHELL_PROPERTIES

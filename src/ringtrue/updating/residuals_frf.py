@@ -12,7 +12,7 @@ from scipy import linalg
 from scipy.optimize import linear_sum_assignment
 
 from ringtrue.core.arrays import Complex, Float, Int, freeze_fields
-from ringtrue.eigen.responses import modal_frf_derivatives
+from ringtrue.eigen.response_derivatives import modal_frf_derivatives
 from ringtrue.errors import InputError
 from ringtrue.model.ports import Linearisation
 from ringtrue.updating.harmonic import Damping

@@ -109,13 +109,13 @@ class RigidMass:
         at = list(self.active or range(len(parameters)))
         everything = np.zeros(len(parameters))
         everything[at] = x
-        a, slope = parameters.factors(everything), parameters.slope(everything)
+        a, slope = parameters.factors(everything), parameters.derivative(everything)
         m, d_m = r.T @ (self.system.mass @ r), np.zeros((a.size, 6, 6))
         for t in self.system.terms:
             part = r.T @ (t.mass @ r)
             m = m + t.function.value(a) * part
             for i in t.function.which:
-                d_m[i] += t.function.slope(a, i) * slope[i] * part
+                d_m[i] += t.function.derivative(a, i) * slope[i] * part
         return np.asarray(m), d_m[at]
 
 

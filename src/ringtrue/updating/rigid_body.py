@@ -96,7 +96,7 @@ class RigidBody:
 
     def _dense(self, x: Float) -> DenseModel:
         """The model about x as a linear one: exact in value and slope."""
-        a, slope = self.parameters.factors(x), self.parameters.slope(x)
+        a, slope = self.parameters.factors(x), self.parameters.derivative(x)
         k, m = self.matrices(a)
         h = 1e-30
         steps = [self.matrices(a + 1j * h * e) for e in np.eye(a.size)]

@@ -13,7 +13,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Float
 from ringtrue.core.progress import Progress
-from ringtrue.correlation.assign import HOLD, scores
+from ringtrue.correlation.assignment import HOLD, scores
 from ringtrue.updating import joint
 from ringtrue.updating.objective import DOUBT, Target, Weights
 from ringtrue.updating.residuals import NO_MODE, OF_FREQUENCY, Mac, Shapes, widened

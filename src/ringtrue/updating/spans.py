@@ -15,10 +15,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ringtrue.core.arrays import Bool, Float, Int
-from ringtrue.correlation.assign import APART, PairingSettings
+from ringtrue.correlation.assignment import APART, PairingSettings
 from ringtrue.model.ports import Linearisation
-from ringtrue.shapes.mac import unit
-from ringtrue.shapes.subspace import close_groups, fade
+from ringtrue.shapes.mac import close_groups, fade, unit
 
 
 @dataclass(frozen=True, slots=True, eq=False)

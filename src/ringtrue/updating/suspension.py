@@ -24,8 +24,7 @@ from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress
 from ringtrue.errors import InputError, NotConverged, NumericalError, SolverError
 from ringtrue.model.ports import Linearisation, ObservedModel
-from ringtrue.shapes.mac import mac
-from ringtrue.shapes.subspace import close_groups
+from ringtrue.shapes.mac import close_groups, mac
 from ringtrue.updating.objective import Target, used_up
 from ringtrue.updating.spans import shape_residual
 

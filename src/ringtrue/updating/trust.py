@@ -18,8 +18,7 @@ import numpy as np
 from scipy import linalg
 
 from ringtrue.core.arrays import Float, freeze_fields
-from ringtrue.core.iterate import iterate
-from ringtrue.core.outcome import Outcome
+from ringtrue.core.iterate import Outcome, iterate
 from ringtrue.core.progress import Progress
 from ringtrue.errors import ConfigError, DataError, NumericalError, SolverError, did_you_mean
 from ringtrue.io.atomic import atomic_write, keeps_up

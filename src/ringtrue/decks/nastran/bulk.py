@@ -12,8 +12,8 @@ from ringtrue.decks.nastran.bulk_special import SPECIAL
 from ringtrue.decks.nastran.writer import format_card, format_real
 from ringtrue.errors import UnsupportedError
 from ringtrue.model.cards import CARDS, FieldSpec, columns
+from ringtrue.model.case_control import METHODS
 from ringtrue.model.dimensions import MADE
-from ringtrue.model.method import METHODS
 from ringtrue.model.model import Model, Table
 
 TOO_LONG = 10**8  # an id of more than eight characters

@@ -30,8 +30,8 @@ _PRESTRESS = re.compile(
 )  # modes and responses under load, by Autodesk
 _MATRICES = ("K2GG", "M2GG", "B2GG", "K2PP", "M2PP", "B2PP")
 _UNREAD = ("K42GG", "A2GG", "TFL")  # matrices of other solutions
-_LOADING = ("TEMP(INIT)", "DEFORM", "P2G")  # what else acts in statics, and is not read
-_NAMES = (*_CHOICES, *_MATRICES, *STIFFENING, *_UNREAD, *_LOADING, "LOAD", "TEMP(LOAD)")
+_LOADING = ("TEMP(LOAD)", "DEFORM", "P2G")  # what else acts in statics, and is not read
+_NAMES = (*_CHOICES, *_MATRICES, *STIFFENING, *_UNREAD, *_LOADING, "LOAD")
 _SHORT = {
     "METH": "METHOD",
     "TITL": "TITLE",
@@ -99,21 +99,21 @@ def _not_taken(top: Sequence[str], found: Mapping[str, str]) -> tuple[int, ...]:
     )
 
 
-def load_sets(top: Sequence[str]) -> list[tuple[str, int, int]]:
-    """Names of the subcases with a LOAD or TEMPERATURE(LOAD), and the numbers of their sets, 0 for
-    none.
+def load_sets(top: Sequence[str]) -> list[tuple[str, int]]:
+    """Names of the subcases with a LOAD, and the numbers of their sets.
 
     Raises
     ------
     DeckError
         If one is no number, or a subcase has other sets of SPC or MPC than those that count for
-        modes, or acts by deformations and the like, too.
+        modes, or acts by temperatures, deformations and the like.
     """
     (_, common), *subcases = _sections(top)
     every = [(f"SUBCASE {n}", {**common, **choices}) for n, choices in subcases] or [
         ("LOAD", common)
     ]
-    taken, out = commands(top), []
+    taken = commands(top)
+    out = []
     for name, choices in every:
         if not {"LOAD", "TEMP(LOAD)"} & choices.keys():
             continue
@@ -121,17 +121,14 @@ def load_sets(top: Sequence[str]) -> list[tuple[str, int, int]]:
             raise DeckError(
                 f"{name} has other {', '.join(_SETS)} than the subcase that is taken; give it alone"
             )
-        unread = _LOADING if "TEMP(LOAD)" in choices else _LOADING[1:]
-        if other := next((k for k in unread if k in choices), None):
+        if other := next((k for k in _LOADING if k in choices), None):
             raise DeckError(
-                f"{name} has {other} = {choices[other]}: of static loads those of LOAD and "
-                "TEMP(LOAD) are read"
+                f"{name} has {other} = {choices[other]}: of static loads those of LOAD are read"
             )
-        numbers = [choices.get(kind, "0") for kind in ("LOAD", "TEMP(LOAD)")]
-        for kind, text in zip(("LOAD", "TEMP(LOAD)"), numbers, strict=True):
-            if not re.fullmatch(r"\d{1,18}", text, re.A):
-                raise DeckError(f"{kind} = {text} in case control: it must be the number of a set")
-        out.append((name, int(numbers[0]), int(numbers[1])))
+        text = choices["LOAD"]
+        if not re.fullmatch(r"\d{1,18}", text, re.A):
+            raise DeckError(f"LOAD = {text} in case control: it must be the number of a set")
+        out.append((name, int(text)))
     return out
 
 

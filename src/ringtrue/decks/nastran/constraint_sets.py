@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ringtrue.errors import DeckError
-from ringtrue.model.choices import CONSTRAINTS
-from ringtrue.model.method import METHODS
+from ringtrue.model.case_control import CONSTRAINTS, METHODS
 from ringtrue.model.model import CaseControl, Model, Table
 
 

@@ -9,7 +9,7 @@ from ringtrue.decks.nastran.defaults import written_out
 from ringtrue.decks.nastran.fields import Reader
 from ringtrue.decks.nastran.gather import Cards
 from ringtrue.errors import DeckError
-from ringtrue.model.damping import ModalDamping
+from ringtrue.model.case_control import ModalDamping
 
 _RATIO = {"": 0.5, "G": 0.5, "CRIT": 1.0, "Q": 0.5}  # of a value, of Q of its inverse
 

@@ -96,23 +96,6 @@ class LineLoad:
 
 
 @dataclass(frozen=True, slots=True)
-class Spin:
-    """Centrifugal forces (RFORCE) about an axis through `node`, 0 for the origin of basic.
-
-    `vector`, rad/s, is along the axis in frame `cid`; the forces are multiplied by `factor`.
-    """
-
-    node: int
-    cid: int
-    vector: Vector
-    factor: float = 1.0
-
-    def times(self, factor: float) -> Spin:
-        """The forces multiplied."""
-        return replace(self, factor=factor * self.factor)
-
-
-@dataclass(frozen=True, slots=True)
 class Moved:
     """A held component of `node` displaced by `size` (SPCD), in its displacement frame; deck
     units.
@@ -132,15 +115,7 @@ class Moved:
         return DeckError(why, path=self.place[0], line=self.place[1], card="SPCD")
 
 
-@dataclass(frozen=True, slots=True)
-class Warmth:
-    """Temperatures of nodes (TEMP), and of all others (TEMPD, NaN without)."""
-
-    nodes: tuple[tuple[int, float], ...]
-    others: float
-
-
-AnyLoad = Load | Pressure | LineLoad | Spin | Moved
+AnyLoad = Load | Pressure | LineLoad | Moved
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +124,6 @@ class LoadCase:
 
     name: str
     loads: tuple[AnyLoad, ...]
-    warmth: Warmth | None = None
 
 
 def load_cases(found: Cards) -> tuple[LoadCase, ...]:
@@ -161,35 +135,11 @@ def load_cases(found: Cards) -> tuple[LoadCase, ...]:
         If there is none, a set is not in the deck, a field is no number, or subcases have other SPC
         or MPC.
     UnsupportedCard
-        If a set has loads of other cards, such as ACCEL1 or TEMPP1.
+        If a set has loads of other cards, such as ACCEL1 or RFORCE.
     """
     if not (asked := load_sets(found.deck.top)):
         raise DeckError("case control has no LOAD: give one, or --force", path=found.deck.files[0])
-    return tuple(
-        LoadCase(name, _of_set(found, load) if load else (), _warmth(found, warm) if warm else None)
-        for name, load, warm in asked
-    )
-
-
-def _warmth(found: Cards, number: int) -> Warmth:
-    """The temperatures of a set: TEMP: SID G1 T1 G2 T2 G3 T3, and TEMPD: SID1 T1 SID2 T2 and so
-    on.
-    """
-    nodes, others = dict[int, float](), float("nan")
-    for name in (n.decode() for n in found.kinds()[0].tolist() if n.startswith(b"TEMP")):
-        for c in written_out(found, name):
-            r = Reader(c, found.deck.files)
-            if name == "TEMPD":
-                sets = {r.whole(i, "SID"): r.real(i + 1, "T") for i in (0, 2, 4, 6) if r.text(i)}
-                others = sets.get(number, others)
-            elif r.text(0) == str(number) and name != "TEMP":
-                why = "of temperatures, TEMP and TEMPD are read"
-                raise UnsupportedCard(name, path=found.deck.files[c.file], line=c.line, why=why)
-            elif r.text(0) == str(number):
-                nodes |= {r.whole(i, "G"): r.real(i + 1, "T") for i in (1, 3, 5) if r.text(i)}
-    if not nodes and np.isnan(others):
-        raise DeckError(f"temperature set {number} is not in the deck", path=found.deck.files[0])
-    return Warmth(tuple(nodes.items()), others)
+    return tuple(LoadCase(name, _of_set(found, number)) for name, number in asked)
 
 
 def _of_set(found: Cards, number: int) -> tuple[AnyLoad, ...]:
@@ -317,19 +267,6 @@ def _pload1(r: Reader) -> list[AnyLoad]:
     return [LineLoad(_place(r), eid, kind, (first, last), sizes, scale[:2] == "FR", projected)]
 
 
-def _rforce(r: Reader) -> list[AnyLoad]:
-    """RFORCE: SID G CID A R1 R2 R3 METHOD RACC MB IDRF; A in revolutions per unit of time."""
-    if r.real(8, "RACC", 0.0) or r.whole(10, "IDRF", 0):
-        raise r.fail(
-            "RACC",
-            "angular accelerations and sets of elements (IDRF) are not read; a steady spin of "
-            "all is",
-        )
-    turns = 2 * np.pi * r.real(3, "A", 0.0)
-    x, y, z = _vector(r, 4)
-    return [Spin(r.whole(1, "G", 0), r.whole(2, "CID", 0), (turns * x, turns * y, turns * z))]
-
-
 def _spcd(r: Reader) -> list[AnyLoad]:
     """SPCD: SID G1 C1 D1 G2 C2 D2; components as in SPC, 0 or blank for a scalar point."""
     out = list[AnyLoad]()
@@ -347,6 +284,5 @@ _READ: Mapping[str, Callable[[Reader], list[AnyLoad]]] = {
     "PLOAD1": _pload1,
     "PLOAD2": _pload2,
     "PLOAD4": _pload4,
-    "RFORCE": _rforce,
     "SPCD": _spcd,
 }

@@ -8,7 +8,7 @@ import numpy as np
 
 from ringtrue.errors import DeckError
 from ringtrue.model.cards import columns
-from ringtrue.model.method import METHODS
+from ringtrue.model.case_control import METHODS
 from ringtrue.model.model import Ragged, Table
 
 # of any unit: the product of six fields stays below 1.8e308, the largest double; 1/LARGEST the

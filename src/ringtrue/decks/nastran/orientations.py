@@ -8,8 +8,7 @@ import numpy as np
 
 from ringtrue.errors import DeckError
 from ringtrue.model.frames import positions
-from ringtrue.model.model import Model
-from ringtrue.model.places import error
+from ringtrue.model.model import Model, card_error
 
 _ACROSS = (
     ("K2", "K3"),
@@ -40,4 +39,4 @@ def open_bushes(model: Model) -> Iterator[DeckError]:
             "its springs across the line of its ends are not alike, and no CID, G0 or X1-X3 "
             f"orients them{more}"
         )
-        yield error(model, table, int(at[0]), why)
+        yield card_error(model, table, int(at[0]), why)

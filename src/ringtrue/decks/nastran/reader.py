@@ -25,8 +25,7 @@ from ringtrue.decks.nastran.special import EXPAND
 from ringtrue.decks.nastran.tables import empty, fault, make_table
 from ringtrue.errors import DeckError, UnsupportedCard
 from ringtrue.model.cards import CARDS, NONSTRUCTURAL, columns, is_unsupported, reason
-from ringtrue.model.choices import idle, left_out
-from ringtrue.model.damping import ModalDamping
+from ringtrue.model.case_control import ModalDamping, idle, left_out
 from ringtrue.model.dimensions import MADE
 from ringtrue.model.model import Model, Ragged, Table, stacked
 from ringtrue.model.references import Missing, missing

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from ringtrue.core.arrays import Int
-from ringtrue.correlation.assign import PairingSettings
+from ringtrue.correlation.assignment import PairingSettings
 from ringtrue.demos.lsf.twin import Twin
 from ringtrue.shapes.mac import mac
 from ringtrue.study.results import CorrelateStage, FinalStage, UpdateStage

@@ -61,7 +61,7 @@ def _unpaired_below(final: FinalStage) -> Check:
     top = float(t.test_hz.max(initial=0.0))
     sure = [
         i
-        for i, why in zip(t.pairing.lone_a.tolist(), t.pairing.why_a, strict=True)
+        for i, why in zip(t.pairing.unpaired_a.tolist(), t.pairing.reasons_a, strict=True)
         if t.all_test_hz[i] < top and not why.startswith("confidence")
     ]
     return Check(

@@ -16,7 +16,7 @@ from ringtrue.core.modal import ModalModel
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.core.signals import Channel
 from ringtrue.core.testmodel import TestModel
-from ringtrue.correlation.observe import observe
+from ringtrue.correlation.sensor_mapping import observe
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.demos.lsf import deck, facility
 from ringtrue.demos.lsf import spec as S

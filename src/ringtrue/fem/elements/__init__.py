@@ -1,14 +1,12 @@
 """Kernels, arrays (e, k, 3) to (e, d, d): nodes of all elements of a kind to their matrices.
 
-Lines: `rod`, `bar`, `bend`. Springs and dashpots: `spring`, `bush`, `damper`, `gap`. Masses:
-`mass`.
+Lines: `rod`, `bar`, `bend`. Springs, dashpots and masses: `lumped`.
 
-Shells: `shell` what they share; `shell3` and `shell4`, `shell8` with `shell_curved`, `shell_rule`
-and `shell_normals`; `shell_section`, `shell_material` and `laminate` their sections; `shear`
-panels.
+Shells: `shell3` and `shell4`, `shell8` with `curved_shell`; `shell_section` what they share and
+`shell_material` its layers; `shear` panels.
 
-Solids: `solid` what they share, with `solid_rule` and `solid_material`; `tetra`, `penta`,
-`pyramid`, `hexa`.
+Solids: `solid` what they share, `solid_shapes` tetrahedron, wedge, pyramid and hexahedron;
+`elasticity` and `shape_functions`.
 
-Welds and fasteners: `weld`, `fast`, their ends `patch`. Given as matrices: `general`, `dmig`.
+Welds and fasteners: `fasteners`, their ends `fastener_attachment`. As matrices: `given_matrices`.
 """

@@ -11,9 +11,19 @@ import numpy as np
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.fem.algebra import arm, condense, congruent, nodal, rotation, scaled, scatter, unit
-from ringtrue.fem.mesh import Isotropic, Matrices, Mesh, error, isotropic, lookup, unsupported
-from ringtrue.fem.place import components, node_dofs, orientation, segment, triad
-from ringtrue.model.model import Table
+from ringtrue.fem.mesh import (
+    Isotropic,
+    Matrices,
+    Mesh,
+    components,
+    isotropic,
+    lookup,
+    node_dofs,
+    orientation,
+    segment,
+    triad,
+)
+from ringtrue.model.model import Table, card_error, unsupported_card
 
 PLANE1, PLANE2 = [1, 5, 7, 11], [2, 4, 8, 10]  # (v, θz) and (w, θy) at both ends
 _PAIR = np.array([[1.0, -1.0], [-1.0, 1.0]])
@@ -296,7 +306,7 @@ def _pbeam(m: Mesh, card: str, at: Int) -> tuple[Isotropic, Section]:
     t = m.model[card]
     warping = t.stack("SA", "SB")[at].any(axis=1)
     if warping.any():
-        raise unsupported(
+        raise unsupported_card(
             m.model, t, int(at[warping][0]), "has warping points SA, SB; leave them out"
         )
     row = lookup(m.model, "PBEAM", t["PID"][at], t, at)
@@ -367,7 +377,7 @@ def offsets(m: Mesh, card: str, at: Int, nodes: Int) -> Float:
     offt = np.where(offt == "", OFFSETS[0], offt)
     other = used.any(axis=1) & ~np.isin(offt, OFFSETS)
     if other.any():
-        raise unsupported(
+        raise unsupported_card(
             m.model, t, int(at[other][0]), f"has OFFT {offt[other][0]}; allowed are {OFFSETS}"
         )
     frame = m.cd[nodes]
@@ -457,7 +467,7 @@ def place(m: Mesh, card: str, at: Int) -> Placed:
     x = m.xyz[nodes] + arms
     short = np.linalg.norm(x[:, 1] - x[:, 0], axis=1) == 0
     if short.any():
-        raise error(m.model, t, int(at[short][0]), "its two ends are at one place")
+        raise card_error(m.model, t, int(at[short][0]), "its two ends are at one place")
     L, axis = segment(x)
     R = triad(m, axis, orientation(m, t, at, nodes[:, 0]), t, at)
     local = rotation(R, 2)

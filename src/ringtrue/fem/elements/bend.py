@@ -15,9 +15,8 @@ import numpy as np
 
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.fem.algebra import arm, congruent, scaled, scatter, unit
-from ringtrue.fem.mesh import Matrices, Mesh, error, isotropic, lookup
-from ringtrue.fem.place import node_dofs, orientation
-from ringtrue.model.model import Table
+from ringtrue.fem.mesh import Matrices, Mesh, isotropic, lookup, node_dofs, orientation
+from ringtrue.model.model import Table, card_error
 
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 _LINE = np.polynomial.legendre.leggauss(8)
@@ -119,7 +118,7 @@ def _arc(m: Mesh, t: Table, at: Int, nodes: Int, p: dict[str, Any_]) -> Arc:
 
 def _refuse(m: Mesh, t: Table, at: Int, bad: Any_, why: str) -> None:
     if bad.any():
-        raise error(m.model, t, int(at[np.flatnonzero(bad)[0]]), why)
+        raise card_error(m.model, t, int(at[np.flatnonzero(bad)[0]]), why)
 
 
 def pipe(middle: Any_, wall: Any_, radius: Any_) -> tuple[Any_, Any_, Any_]:

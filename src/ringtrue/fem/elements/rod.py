@@ -6,8 +6,8 @@ import numpy as np
 
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.fem.algebra import scaled
-from ringtrue.fem.mesh import Isotropic, Matrices, Mesh, error, isotropic, lookup
-from ringtrue.fem.place import node_dofs, segment
+from ringtrue.fem.mesh import Isotropic, Matrices, Mesh, isotropic, lookup, node_dofs, segment
+from ringtrue.model.model import card_error
 
 _PAIR = np.array([[1.0, -1.0], [-1.0, 1.0]])
 
@@ -78,7 +78,7 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     nodes = m.nodes(t.stack("G1", "G2")[at], t, at)
     x = m.xyz[nodes]
     if (short := np.linalg.norm(x[:, 1] - x[:, 0], axis=1) == 0).any():
-        raise error(m.model, t, int(at[short][0]), "its two ends are at one place")
+        raise card_error(m.model, t, int(at[short][0]), "its two ends are at one place")
     iso, A, J, nsm = _section(m, card, at)
     M = mass(x, iso.rho * A + nsm + m.nsm(card, at), m.model.param("COUPMASS", -1) > 0)
     return Matrices(

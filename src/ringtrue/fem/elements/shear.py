@@ -16,9 +16,9 @@ import numpy as np
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.fem.algebra import unit
 from ringtrue.fem.elements import rod
-from ringtrue.fem.elements.shell_rule import bilinear
-from ringtrue.fem.mesh import Isotropic, Matrices, Mesh, error, isotropic, lookup
-from ringtrue.fem.place import node_dofs
+from ringtrue.fem.elements.shape_functions import bilinear
+from ringtrue.fem.mesh import Isotropic, Matrices, Mesh, isotropic, lookup, node_dofs
+from ringtrue.model.model import card_error
 
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(
     12
@@ -175,7 +175,7 @@ def _points(m: Mesh, card: str, at: Int) -> tuple[Int, Float]:
     x = m.xyz[nodes]
     bad = ~is_convex(x)
     if bad.any():
-        raise error(
+        raise card_error(
             m.model,
             t,
             int(at[bad][0]),
@@ -205,7 +205,7 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     iso: Isotropic = isotropic(m.model, p["MID"][row], p, row)
     T, nsm, F1, F2 = (p[c][row] for c in ("T", "NSM", "F1", "F2"))
     if (T == 0).any():
-        raise error(
+        raise card_error(
             m.model,
             p,
             int(row[np.flatnonzero(T == 0)[0]]),

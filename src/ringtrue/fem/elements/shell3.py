@@ -13,11 +13,19 @@ import numpy as np
 
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.fem.algebra import unit
-from ringtrue.fem.elements.shell import drilling, finish, place, to_nodes
+from ringtrue.fem.elements.elasticity import gram
 from ringtrue.fem.elements.shell_material import contract
-from ringtrue.fem.elements.shell_section import Section, oriented, section
-from ringtrue.fem.isotropy import gram
-from ringtrue.fem.mesh import Matrices, Mesh, error
+from ringtrue.fem.elements.shell_section import (
+    Section,
+    drilling,
+    finish,
+    oriented,
+    place,
+    section,
+    to_nodes,
+)
+from ringtrue.fem.mesh import Matrices, Mesh
+from ringtrue.model.model import card_error
 
 _P = np.array([[1, 1], [4, 1], [1, 4]]) / 6  # three points, degree 2
 _L = np.stack([1 - _P.sum(1), _P[:, 0], _P[:, 1]], axis=1)
@@ -148,7 +156,7 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     nodes = m.nodes(t.stack("G1", "G2", "G3")[at], t, at)
     axes, xy, area = flatten(m.xyz[nodes])
     if (area == 0).any():
-        raise error(m.model, t, int(at[area == 0][0]), "it has no area; check its nodes")
+        raise card_error(m.model, t, int(at[area == 0][0]), "it has no area; check its nodes")
     s = oriented(m, card, at, section(m, card, at, 3), axes, m.xyz[nodes])
     mass = s.masses(np.repeat(area[:, None] / 3, 3, axis=1), _L) @ _L
     return finish(

@@ -12,23 +12,25 @@ import numpy as np
 
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.fem.algebra import arm, congruent, nodal, unit
-from ringtrue.fem.elements.shell import (
+from ringtrue.fem.elements.curved_shell import drilling as director_drilling
+from ringtrue.fem.elements.curved_shell import law, node_normals, strains
+from ringtrue.fem.elements.elasticity import determinants, gram, incompatible, jacobian
+from ringtrue.fem.elements.shape_functions import QUAD4
+from ringtrue.fem.elements.shell_material import contract
+from ringtrue.fem.elements.shell_section import (
+    Section,
     condensed,
     drilling,
     finish,
     in_spans,
     of_rotations,
+    oriented,
     place,
+    section,
     to_nodes,
 )
-from ringtrue.fem.elements.shell_curved import drilling as director_drilling
-from ringtrue.fem.elements.shell_curved import law, strains
-from ringtrue.fem.elements.shell_material import contract
-from ringtrue.fem.elements.shell_normals import node_normals
-from ringtrue.fem.elements.shell_rule import QUAD4
-from ringtrue.fem.elements.shell_section import Section, oriented, section
-from ringtrue.fem.isotropy import determinants, gram, incompatible, jacobian
-from ringtrue.fem.mesh import Matrices, Mesh, error
+from ringtrue.fem.mesh import Matrices, Mesh
+from ringtrue.model.model import card_error
 
 _SIGNS = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 _POINTS = _SIGNS / np.sqrt(3)
@@ -192,7 +194,7 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     bent = ~(determinants(_SLOPES, xy.real) > 0).all(axis=1)
     if bent.any():
         bad = int(at[np.flatnonzero(bent)[0]])
-        raise error(
+        raise card_error(
             m.model,
             t,
             bad,

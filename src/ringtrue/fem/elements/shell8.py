@@ -8,8 +8,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Any_, Bool, Int
 from ringtrue.fem.algebra import arm, congruent, nodal, unit
-from ringtrue.fem.elements.shell import condensed, in_spans, masses
-from ringtrue.fem.elements.shell_curved import (
+from ringtrue.fem.elements.curved_shell import (
     drilling,
     law,
     length,
@@ -17,10 +16,18 @@ from ringtrue.fem.elements.shell_curved import (
     strains,
     tangents,
 )
-from ringtrue.fem.elements.shell_rule import QUAD8, TRIA6, Rule
-from ringtrue.fem.elements.shell_section import Section, directed, material_axis, section
-from ringtrue.fem.mesh import Matrices, Mesh, error
-from ringtrue.fem.place import node_dofs
+from ringtrue.fem.elements.shape_functions import QUAD8, TRIA6, ShellRule
+from ringtrue.fem.elements.shell_section import (
+    Section,
+    condensed,
+    directed,
+    in_spans,
+    masses,
+    material_axis,
+    section,
+)
+from ringtrue.fem.mesh import Matrices, Mesh, node_dofs
+from ringtrue.model.model import card_error
 
 _RULES = {"CQUAD8": QUAD8, "CTRIA6": TRIA6}
 
@@ -53,7 +60,7 @@ def measure(m: Mesh, card: str, at: Int) -> Any_:
     return length(tangents(rule.shapes(rule.mass_points)[1], x)[1]) @ rule.mass_weights
 
 
-def _nodes(m: Mesh, card: str, at: Int, rule: Rule) -> tuple[Int, Bool, Any_]:
+def _nodes(m: Mesh, card: str, at: Int, rule: ShellRule) -> tuple[Int, Bool, Any_]:
     """Rows of GRID (e, k), which nodes are absent, and places (e, k, 3), those of absent ones amid
     their sides.
     """
@@ -68,7 +75,7 @@ def _nodes(m: Mesh, card: str, at: Int, rule: Rule) -> tuple[Int, Bool, Any_]:
     return nodes, absent, np.concatenate([x[:, : rule.corners], middle], axis=1)
 
 
-def _check(m: Mesh, card: str, at: Int, rule: Rule, x: Any_) -> None:
+def _check(m: Mesh, card: str, at: Int, rule: ShellRule, x: Any_) -> None:
     """Refuse an element whose normal turns over between its integration points and nodes."""
     p = np.vstack([rule.points, rule.nodes])
     n = np.cross(*np.einsum("gnr,ena->rega", rule.shapes(p)[1], x.real))
@@ -77,7 +84,9 @@ def _check(m: Mesh, card: str, at: Int, rule: Rule, x: Any_) -> None:
     bad = (size.min(axis=1) <= 1e-10 * size.max(axis=1)) | (ahead <= 0).any(axis=1)
     if bad.any():
         row = int(at[np.flatnonzero(bad)[0]])
-        raise error(m.model, m.model[card], row, "it is folded; check its nodes and their order")
+        raise card_error(
+            m.model, m.model[card], row, "it is folded; check its nodes and their order"
+        )
 
 
 def kernel(m: Mesh, card: str, at: Int, x: Any_, s: Section) -> Any_:
@@ -109,7 +118,7 @@ def kernel(m: Mesh, card: str, at: Int, x: Any_, s: Section) -> Any_:
     return congruent(nodal(arm(s.offset[:, None, None] * n)), K)
 
 
-def _bubbles(rule: Rule, x: Any_, frame: Any_, back: Any_) -> Any_:
+def _bubbles(rule: ShellRule, x: Any_, frame: Any_, back: Any_) -> Any_:
     """Rows (e, p, 8, 2) of two turns with the bubble 27 L1 L2 L3, about the local axes: the MITC7
     without its centre.
 
@@ -141,7 +150,7 @@ def _frames(
     return np.stack([one, np.cross(normal, one)], axis=2)
 
 
-def _mass(m: Mesh, rule: Rule, x: Any_, s: Section) -> Any_:
+def _mass(m: Mesh, rule: ShellRule, x: Any_, s: Section) -> Any_:
     """Lumped by the diagonal of the consistent mass (Hinton, Rock and Zienkiewicz 1976), or
     consistent.
     """
@@ -158,7 +167,7 @@ def _mass(m: Mesh, rule: Rule, x: Any_, s: Section) -> Any_:
     return masses(m, s.offset[:, None, None] * n, total * share, full / whole)
 
 
-def _without(rule: Rule, absent: Bool, K: Any_, M: Any_) -> tuple[Any_, Any_]:
+def _without(rule: ShellRule, absent: Bool, K: Any_, M: Any_) -> tuple[Any_, Any_]:
     """Replace the motion of absent mid-side nodes by the mean of the ends of their sides."""
     e, k = absent.shape
     T = np.broadcast_to(np.eye(k), (e, k, k)).copy()

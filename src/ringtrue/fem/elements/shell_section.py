@@ -1,20 +1,21 @@
 """Sections of shells, integrated over the thickness: PSHELL, PCOMP, PCOMPG, thickness at the
 corners, offset.
+
+What the shell elements share: placing of blocks, drilling, offsets, mass.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
-from ringtrue.fem.algebra import unit
-from ringtrue.fem.elements.laminate import laminates
-from ringtrue.fem.elements.shell_material import RIGID_SHEAR, layers, turned
-from ringtrue.fem.mesh import Mesh, error, lookup
-from ringtrue.fem.place import frame
-from ringtrue.model.model import Table
+from ringtrue.fem.algebra import arm, condense, congruent, nodal, rotation, scaled, unit
+from ringtrue.fem.elements.shell_material import RIGID_SHEAR, laminates, layers, turned
+from ringtrue.fem.mesh import Matrices, Mesh, frame, lookup, node_dofs
+from ringtrue.model.model import Table, card_error
 
 DRILL = 1e-6  # what PARAM,K6ROT multiplies
 LAMINATES = ("PCOMP", "PCOMPG")
@@ -169,7 +170,7 @@ def material_axis(
         along = named[np.abs(flat).max(axis=1) < 1e-6]
         if turned[along].any():
             bad = int(at[along[turned[along]][0]])
-            raise error(
+            raise card_error(
                 m.model,
                 t,
                 bad,
@@ -206,7 +207,7 @@ def _pshell(m: Mesh, t: Table, at: Int, corners: int) -> Section:
     T, profile = thickness(t, at, corners, p["T"][row])
     if (lost := (T == 0) & ((mid1 > 0) | (mid2 > 0))).any():
         i = int(np.flatnonzero(lost)[0])
-        raise error(
+        raise card_error(
             m.model, p, int(row[i]), f"{t.card} {t.ids[at[i]]} has no thickness: T is blank or 0"
         )
     stretch = layers(m.model, mid1, p, row, confined=mid2 < 0)
@@ -256,3 +257,99 @@ def _laminate(m: Mesh, card: str, row: Int, t: Table, at: Int, corners: int) -> 
         np.ones(at.size, dtype=bool),
         np.ones((at.size, corners)),
     )
+
+
+SPAN = 2048
+TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])  # slopes (βx, βy) = (θy, -θx)
+
+
+def in_spans(e: int, kernel: Callable[[slice], Any_]) -> Any_:
+    """What `kernel` gives for spans of e elements, one after the other: bounds the memory of the
+    strain rows.
+    """
+    return np.concatenate([kernel(slice(i, i + SPAN)) for i in range(0, max(e, 1), SPAN)])
+
+
+def condensed(K: Any_, inner: int) -> Any_:
+    """Condense the last `inner` parameters out; elements in which they have no stiffness are left
+    as they are.
+    """
+    n = K.shape[1] - inner
+    return condense(K, slice(n), slice(n, None))
+
+
+def place(K: Any_, rows: list[int], block: Any_, columns: list[int] | None = None) -> None:
+    """Add a block (e, k r, k c) of DOFs `rows` (r) and `columns` (c, or as the rows) a node into K
+    (e, k, 6, k, 6).
+    """
+    k, columns = K.shape[1], columns or rows
+    block = block.reshape(-1, k, len(rows), k, len(columns))
+    for i, a in enumerate(rows):
+        for j, b in enumerate(columns):
+            K[:, :, a, :, b] += block[:, :, i, :, j]
+
+
+def of_rotations(slopes: Any_) -> Any_:
+    """Columns over slopes (..., k 2) to columns over (θx, θy), the same shape."""
+    parts = slopes.reshape(*slopes.shape[:-1], -1, 2) @ TURN
+    return np.asarray(parts.reshape(slopes.shape))
+
+
+def drilling(N: Float, gradients: Any_, w: Any_) -> Any_:
+    """∫ (θz - (∂v/∂x - ∂u/∂y)/2)² over (u, v, θz) of each node: (e, 3k, 3k); N (gp, k), w (e,
+    gp).
+    """
+    e, g, k = gradients.shape[:3]
+    row = np.empty((e, g, k, 3), dtype=gradients.dtype)
+    row[..., 0], row[..., 1] = gradients[..., 1] / 2, -gradients[..., 0] / 2
+    row[..., 2] = N
+    flat = row.reshape(e, g, 3 * k)
+    return np.asarray((flat * w[:, :, None]).swapaxes(1, 2) @ flat)
+
+
+def to_nodes(K: Any_, section: Section, axes: Any_, heights: Any_) -> Any_:
+    """Local stiffness (e, k, 6, k, 6) of corners to that of the nodes in basic, (e, 6k, 6k).
+
+    `heights` (e, k) are the nodes above the mean plane: each is joined to its projection by a rigid
+    arm along the normal, so that a warped element has no energy in a rigid motion.
+    """
+    e, k = heights.shape
+    arms = np.zeros((e, k, 3), dtype=np.result_type(section.offset, heights))
+    arms[..., 2] = section.offset[:, None] - heights
+    local = nodal(arm(arms) @ rotation(axes, 1)[:, None])
+    return congruent(local, K.reshape(e, 6 * k, 6 * k))
+
+
+def finish(m: Mesh, nodes: Int, K: Any_, section: Section, axes: Any_, mass: Any_) -> Matrices:
+    """Matrices of stiffness K (e, 6k, 6k) and nodal masses (e, k) of corners."""
+    e, k = nodes.shape
+    offset = section.offset[:, None, None] * axes[:, None, 2]
+    M = masses(m, np.broadcast_to(offset, (e, k, 3)), mass, np.asarray(_PATTERN[k]))
+    return Matrices(node_dofs(nodes), K, M, section.loss, np.empty((0, 6 * k, 6 * k)))
+
+
+def masses(m: Mesh, arms: Any_, mass: Any_, pattern: Any_) -> Any_:
+    """Lumped (e, 6k) or full (e, 6k, 6k) mass of nodal masses (e, k) at arms (e, k, 3) from the
+    nodes.
+
+    PARAM,COUPMASS takes `pattern` (k, k) or (e, k, k), which sums to one, times the whole mass.
+    """
+    e, k = mass.shape
+    ends = np.array([1.0, 1, 1, 0, 0, 0])
+    lumped = mass[..., None] * ends
+    coupled = m.model.param("COUPMASS", -1) > 0
+    if not coupled and not np.any(arms):
+        return np.asarray(lumped.reshape(e, 6 * k))
+    M = lumped.reshape(e, -1)[:, :, None] * np.eye(6 * k)
+    if coupled:
+        full = np.einsum("...ij,ab->...iajb", pattern, np.diag(ends)).reshape(
+            *pattern.shape[:-2], 6 * k, 6 * k
+        )
+        M = scaled(mass.sum(1), np.broadcast_to(full, (e, 6 * k, 6 * k)))
+    return congruent(nodal(arm(arms)), M) if np.any(arms) else M
+
+
+_PATTERN = {  # consistent mass of a triangle and a parallelogram
+    3: (1 + np.eye(3)) / 12,
+    4: np.array([[4, 2, 1, 2], [2, 4, 2, 1], [1, 2, 4, 2], [2, 1, 2, 4]]) / 36,
+}

@@ -10,18 +10,22 @@ import numpy as np
 from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.errors import InputError
 from ringtrue.fem.algebra import condense, scaled
-from ringtrue.fem.elements.solid_material import (
+from ringtrue.fem.elements.elasticity import (
     Anisotropic,
     anisotropic,
     bulk,
+    determinants,
+    elastic,
+    gram,
+    incompatible,
     is_anisotropic,
+    jacobian,
     moduli,
+    solid,
 )
-from ringtrue.fem.elements.solid_rule import Rule, kept
-from ringtrue.fem.isotropy import determinants, elastic, gram, incompatible, jacobian, solid
-from ringtrue.fem.mesh import Isotropic, Matrices, Mesh, error, lookup, unsupported
-from ringtrue.fem.place import node_dofs
-from ringtrue.model.model import Model
+from ringtrue.fem.elements.shape_functions import SolidRule, kept
+from ringtrue.fem.mesh import Isotropic, Matrices, Mesh, lookup, node_dofs
+from ringtrue.model.model import Model, card_error, unsupported_card
 
 _CACHED = (
     2**16
@@ -44,8 +48,8 @@ class Linear:
         What the dilatation is projected on, for an element without bubbles.
     """
 
-    stiffness: Rule
-    mass: Rule
+    stiffness: SolidRule
+    mass: SolidRule
     bubbles: Float | None = None
     centre: Float | None = None
     pressure: Float | None = None
@@ -62,8 +66,8 @@ class Quadratic:
         What the dilatation is projected on; as many columns as points leave it as it is.
     """
 
-    stiffness: Rule
-    mass: Rule
+    stiffness: SolidRule
+    mass: SolidRule
     pressure: Float
 
 
@@ -124,7 +128,7 @@ class Shape:
         nodes = m.nodes(np.stack([t[name][at] for name in names], axis=1), t, at)
         x = m.xyz[nodes]
         if (flat := self._flat(x.real)).any():
-            raise error(m.model, t, int(at[flat][0]), "it has no volume; check its nodes")
+            raise card_error(m.model, t, int(at[flat][0]), "it has no volume; check its nodes")
         row = lookup(m.model, "PSOLID", t["PID"][at], t, at)
         _refuse_fluid(m.model, row)
         material: Isotropic | Anisotropic
@@ -138,7 +142,7 @@ class Shape:
                 "order: the corners go "
                 "round one face, then round the opposite one, not row by row"
             )
-            raise error(m.model, t, int(at[bad][0]), why)
+            raise card_error(m.model, t, int(at[bad][0]), why)
         K, _, rule = self._stiffness(x, material, present[0])
         M = mass(x, material.rho, rule, m.model.param("COUPMASS", -1) > 0)
         return Matrices(
@@ -167,7 +171,7 @@ class Shape:
 
     def _stiffness(
         self, x: Any_, material: Isotropic | Anisotropic, present: Bool
-    ) -> tuple[Any_, Any_, Rule]:
+    ) -> tuple[Any_, Any_, SolidRule]:
         """Stiffness, determinants, and the rule for the mass; in slices that stay in the cache."""
         size = max(1, _CACHED // (3 * present.sum()) ** 2)
         parts = [
@@ -182,7 +186,7 @@ class Shape:
 
     def _slice(
         self, x: Any_, material: Isotropic | Anisotropic, present: Bool
-    ) -> tuple[Any_, Any_, Rule]:
+    ) -> tuple[Any_, Any_, SolidRule]:
         if not present[self.corners :].any():
             lin = self.linear
             if lin.pressure is not None:
@@ -198,7 +202,7 @@ def _refuse_fluid(model: Model, row: Int) -> None:
     p = model["PSOLID"]
     fluid = np.char.startswith(p["FCTN"][row].astype(str), "PFLUID")
     if fluid.any():
-        raise unsupported(
+        raise unsupported_card(
             model, p, int(row[fluid][0]), "is a fluid (FCTN PFLUID); allowed is SMECH or blank"
         )
 
@@ -224,7 +228,7 @@ def alike(shape: Shape, model: Model, at: Int) -> Iterable[Int]:
 def kernel(
     x: Any_,
     material: Isotropic | Anisotropic,
-    rule: Rule,
+    rule: SolidRule,
     bubbles: Float | None = None,
     centre: Float | None = None,
 ) -> tuple[Any_, Any_]:
@@ -246,7 +250,7 @@ def kernel(
 
 
 def projected(
-    x: Any_, material: Isotropic | Anisotropic, rule: Rule, pressure: Float
+    x: Any_, material: Isotropic | Anisotropic, rule: SolidRule, pressure: Float
 ) -> tuple[Any_, Any_]:
     """As `kernel`, with the dilatation of an isotropic body projected on `pressure` (gp, k),
     against locking.
@@ -275,7 +279,7 @@ def general(A: Any_, C: Any_) -> Any_:
     return K.reshape(e, n, n, 3, 3).transpose(0, 1, 3, 2, 4).reshape(e, 3 * n, 3 * n)
 
 
-def mass(x: Any_, rho: Any_, rule: Rule, coupled: bool) -> Any_:
+def mass(x: Any_, rho: Any_, rule: SolidRule, coupled: bool) -> Any_:
     """Consistent (e, 3n, 3n), or lumped by its scaled diagonal (e, 3n) (Hinton, Rock and
     Zienkiewicz 1976).
     """

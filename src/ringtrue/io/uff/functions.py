@@ -12,7 +12,6 @@ import numpy as np
 
 from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
 from ringtrue.core.dofs import NAMES
-from ringtrue.core.lines import shared_lines
 from ringtrue.core.motions import (
     ANGULAR,
     FORCES,
@@ -24,7 +23,7 @@ from ringtrue.core.motions import (
     base_motion,
     channel,
 )
-from ringtrue.core.signals import Channel, FrfSet, Quantity
+from ringtrue.core.signals import Channel, FrfSet, Quantity, shared_lines
 from ringtrue.errors import DataError, about
 from ringtrue.io.contents import functions_held, sets_held
 from ringtrue.io.frf_lines import known_lines, say_accelerances

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ringtrue.core.modes import ModeSet
-from ringtrue.core.uncertainty import Uncertainty
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.correlation.frf import InputSummary
 from ringtrue.plots import correlation, identification, signals
 from ringtrue.report.parts import Block, Columns, Fold, Heading, Plot, Section, Table, fixed, number

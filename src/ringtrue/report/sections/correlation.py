@@ -7,8 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ringtrue.correlation.significance import Significance, table_significance
-from ringtrue.correlation.table import CorrelationRow, CorrelationTable
+from ringtrue.correlation.table import (
+    CorrelationRow,
+    CorrelationTable,
+    Significance,
+    table_significance,
+)
 from ringtrue.plots import correlation as plots
 from ringtrue.report.parts import (
     Block,
@@ -123,8 +127,8 @@ def unpaired(table: CorrelationTable) -> list[Block]:
     top = float(table.all_test_hz.max(initial=0.0))
     out: list[Block] = []
     for name, lone, reasons, f in (
-        (table.names[0], p.lone_a, p.why_a, table.all_test_hz),
-        (table.names[1], p.lone_b, p.why_b, table.all_fe_hz),
+        (table.names[0], p.unpaired_a, p.reasons_a, table.all_test_hz),
+        (table.names[1], p.unpaired_b, p.reasons_b, table.all_fe_hz),
     ):
         every = [
             (str(k + 1), fixed(float(f[k]), 3), signs(why))

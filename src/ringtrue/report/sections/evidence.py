@@ -7,9 +7,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from ringtrue.correlation.complete import Check, CompleteCorrelation, Subspace
-from ringtrue.correlation.faults import Suspect
-from ringtrue.correlation.gates import Failure
+from ringtrue.correlation.channel_faults import Suspect
+from ringtrue.correlation.measures import Check, CompleteCorrelation, Subspace
+from ringtrue.correlation.orthogonality import Failure
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.plots import correlation as plots
 from ringtrue.report.parts import (

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ringtrue.core.modes import ModeSet
-from ringtrue.core.uncertainty import Uncertainty
-from ringtrue.identification.poles import StableDiagram
+from ringtrue.core.modes import ModeSet, Uncertainty
+from ringtrue.identification.common.poles import StableDiagram
 from ringtrue.plots import identification as plots
 from ringtrue.report.parts import (
     Block,

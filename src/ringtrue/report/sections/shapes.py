@@ -59,7 +59,7 @@ def _paired(
         info = f"test {fixed(r.test_hz, 3)} Hz, FE {fixed(r.fe_hz, 3)} Hz, "
         info += f"Δf {fixed(r.deviation_percent, 2, sign=True)} %"
         fe = (skin, k) if skin is not None and k < len(skin) else None
-        if table.alone:
+        if table.frequency_only:
             out += [Shown(stage, label, info, fe, None)] if fe else []
             continue
         info += f", MAC {fixed(r.mac_percent, 1)} %"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ringtrue.correlation.complete import Check, CompleteCorrelation
+from ringtrue.correlation.measures import Check, CompleteCorrelation
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.plots import correlation as plots
 from ringtrue.report.parts import (
@@ -91,7 +91,7 @@ def _tables(data: Stages) -> list[tuple[str, CorrelationTable]]:
 
 def _deviations(data: Stages) -> Plot:
     stages = _tables(data)
-    mac = "" if all(t.alone for _, t in stages) else " and MAC of the pairs"
+    mac = "" if all(t.frequency_only for _, t in stages) else " and MAC of the pairs"
     caption = f"Frequency deviation of the model from the test{mac}, mode by mode."
     if data.final is not None:
         caption += " Hollow marks: modes left out of the updating, chosen before it."

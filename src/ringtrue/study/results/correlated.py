@@ -7,14 +7,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ringtrue.core.arrays import Float, Int
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.testmodel import TestModel
-from ringtrue.core.uncertainty import Uncertainty
-from ringtrue.correlation.complete import CompleteCorrelation
 from ringtrue.correlation.frf import FrfComparison
-from ringtrue.correlation.mounting import Mending
+from ringtrue.correlation.measures import CompleteCorrelation
+from ringtrue.correlation.sensor_mounting import Mending
 from ringtrue.correlation.table import CorrelationTable
-from ringtrue.correlation.track import Tracks
+from ringtrue.correlation.tracking import Tracks
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ringtrue.core.arrays import Float
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.signals import FrfSet
 from ringtrue.core.testmodel import TestModel
-from ringtrue.core.uncertainty import Uncertainty
-from ringtrue.identification.poles import StableDiagram
+from ringtrue.identification.common.poles import StableDiagram
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -309,7 +309,7 @@ class UncertaintyStage:
     def relative(self) -> Float:
         """Standard deviation of the factors, relative, (p,)."""
         return np.asarray(
-            self.parameters.slope(self.parameters.vector(self.factor)) * self.std / self.factor
+            self.parameters.derivative(self.parameters.vector(self.factor)) * self.std / self.factor
         )
 
     @property

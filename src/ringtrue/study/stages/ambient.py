@@ -17,8 +17,8 @@ from ringtrue.core.progress import Progress
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import about
-from ringtrue.identification.ambient import AmbientSettings, identify_stretches
-from ringtrue.identification.stretches import SHORTEST
+from ringtrue.identification.ambient.pipeline import AmbientSettings, identify_stretches
+from ringtrue.identification.ambient.record_bands import SHORTEST
 from ringtrue.io.records import read_record, refuse_bad_samples
 from ringtrue.io.sheets import SensorSheet
 from ringtrue.signal.gaps import Gaps, bridge_gaps

@@ -10,8 +10,8 @@ from dataclasses import replace
 import numpy as np
 from scipy import sparse
 
-from ringtrue.core.observation import Observation
 from ringtrue.core.progress import Progress
+from ringtrue.core.testmodel import Observation
 from ringtrue.model.edit import carried
 from ringtrue.model.ports import ModesRequest
 from ringtrue.solvers.observed import PRINTED, UNTOLD, FullModel

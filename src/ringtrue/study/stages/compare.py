@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ringtrue.core.progress import Progress
-from ringtrue.correlation.complete import complete
+from ringtrue.correlation.measures import complete
 from ringtrue.correlation.pairing import pair_modes
 from ringtrue.correlation.table import correlation_table
 from ringtrue.shapes.mac import auto_mac

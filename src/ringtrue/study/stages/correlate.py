@@ -13,8 +13,8 @@ from ringtrue.core.arrays import Int
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.core.testmodel import TestModel
-from ringtrue.correlation.mounting import Mending, find_mendings
 from ringtrue.correlation.pairing import BEYOND_THE_GATE
+from ringtrue.correlation.sensor_mounting import Mending, find_mendings
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.decks.nastran.edit import unified_diff
 from ringtrue.errors import RingtrueError
@@ -149,7 +149,7 @@ def _far(table: CorrelationTable) -> tuple[str, ...]:
     looks alike.
     """
     p = table.pairing
-    lone = zip(p.lone_a, p.why_a, strict=True)
+    lone = zip(p.unpaired_a, p.reasons_a, strict=True)
     return (*p.far(), *(f"test mode {i + 1}: {w}" for i, w in lone if BEYOND_THE_GATE in w))
 
 

@@ -14,9 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int
-from ringtrue.core.modes import ModeSet, elastic
+from ringtrue.core.modes import ModeSet, Uncertainty, elastic
 from ringtrue.core.progress import Progress
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.decks.nastran.edit import edit_fields
 from ringtrue.eigen.damped import complex_modes, project

@@ -9,10 +9,10 @@ import numpy as np
 
 from ringtrue.core.arrays import Complex, Float
 from ringtrue.core.modes import ModeSet
-from ringtrue.core.pairing import Pairing
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress
 from ringtrue.core.signals import FrfSet
+from ringtrue.correlation.pairing import Pairing
 from ringtrue.decks.nastran.edit import edit_fields, is_new
 from ringtrue.model.edit import FieldChange, field_changes, field_value
 from ringtrue.model.model import Model

@@ -12,15 +12,15 @@ import numpy as np
 
 from ringtrue.core.arrays import Int
 from ringtrue.core.choice import Choice
+from ringtrue.core.modes import Uncertainty
 from ringtrue.core.progress import Progress, part
 from ringtrue.core.signals import FrfSet, TimeHistory
 from ringtrue.core.testmodel import TestModel
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import ConfigError, did_you_mean
-from ringtrue.identification.hammer import HammerModes, HammerResult, identify_hammer
-from ringtrue.identification.local import told_apart
-from ringtrue.identification.merge import Contribution, merge_modes
-from ringtrue.identification.peaks import cmif
+from ringtrue.identification.common.merging import Contribution, merge_modes
+from ringtrue.identification.frf.cmif import cmif
+from ringtrue.identification.frf.local_fits import with_local_fits
+from ringtrue.identification.frf.pipeline import HammerModes, HammerResult, identify_hammer
 from ringtrue.io.choices import read_choice
 from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
 from ringtrue.planning.geometry import relative_neighbours
@@ -219,7 +219,7 @@ def _identified(
     )
     if frfs and result is not None and choice.of(HAMMER) is None:
         batches = batches if len(batches) > 1 else (frfs,)
-        result = told_apart(result, batches, _band(desk.config.identify))
+        result = with_local_fits(result, batches, _band(desk.config.identify))
     if hits and result is not None:
         at = len(shown) - len(hits)
         shown[at] = replace(shown[at], notes=(*shown[at].notes, *result.notes))

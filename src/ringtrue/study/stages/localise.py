@@ -13,7 +13,7 @@ from ringtrue.core.arrays import Float, Int
 from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.decks.nastran.edit import refuse_unwritable, unwritable
 from ringtrue.errors import DataError
-from ringtrue.fem.change import affected_cards
+from ringtrue.fem.parametrisation.changed_model import affected_cards
 from ringtrue.model.edit import has_fields
 from ringtrue.model.model import Model
 from ringtrue.reduction.condense import condensed

@@ -11,7 +11,7 @@ import numpy as np
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.modes import elastic
 from ringtrue.core.progress import Progress, part, quiet
-from ringtrue.correlation.observe import at_dofs
+from ringtrue.correlation.sensor_mapping import at_dofs
 from ringtrue.errors import ConfigError
 from ringtrue.model.frames import positions
 from ringtrue.planning.exciters import reached, shares
@@ -323,7 +323,7 @@ def _aims(
     if len(parameters):
         found = desk.initial.modes(desk.first_fmax).modes.take(targets)
         d_lambda, d_phi = desk.initial.analysis.derivatives(found, parameters)
-        slope = parameters.slope(np.zeros(len(parameters)))
+        slope = parameters.derivative(np.zeros(len(parameters)))
         relative = d_lambda * slope / (2 * np.pi * found.frequencies[:, None]) ** 2
         d_nodes = d_phi[node_rows(desk, able.nodes)] * slope
         d_seen = able.seen(d_nodes.reshape(*d_nodes.shape[:2], -1))

@@ -17,9 +17,9 @@ from ringtrue.core.progress import Progress, part
 from ringtrue.eigen.damped import project
 from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.fem.assembly import System
-from ringtrue.fem.change import changed
-from ringtrue.fem.elements.bush import build as bush
+from ringtrue.fem.elements.lumped import build_bush as bush
 from ringtrue.fem.mesh import mesh
+from ringtrue.fem.parametrisation.changed_model import changed
 from ringtrue.model.model import Model
 from ringtrue.reduction.parametric import ReducedModel
 from ringtrue.reduction.response import response_basis

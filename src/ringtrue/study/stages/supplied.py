@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from ringtrue.core.arrays import Float
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.testmodel import TestModel
-from ringtrue.core.uncertainty import Uncertainty
 from ringtrue.errors import DataError
 from ringtrue.io.modes_json import read_modes, read_std
 from ringtrue.study.config import StudyConfig

@@ -236,7 +236,7 @@ def summary(problem: Problem, aims: Sequence[Target], name: str, end: Settled) -
         name,
         p.names,
         done.factors,
-        done.std * p.slope(done.x) / done.factors,
+        done.std * p.derivative(done.x) / done.factors,
         np.stack([p.factors(low), p.factors(high)], axis=1),
         done.identifiability,
         percent(np.mean, error, used),

@@ -165,7 +165,7 @@ def disagreeing(model: ObservedModel, aim: Target, x: Float, std: Float) -> tupl
         rate = at.d_lambda[fe] / (2 * (2 * np.pi * at.frequencies[fe]) ** 2)  # ∂ ln f/∂x
         share = float(
             np.maximum(
-                2 * rate * model.parameters.factors(at.x) / model.parameters.slope(at.x), 0.0
+                2 * rate * model.parameters.factors(at.x) / model.parameters.derivative(at.x), 0.0
             ).sum()
         )
         known = float(
@@ -220,7 +220,7 @@ def run(desk: Workbench, progress: Progress) -> TuneStage:
         done = _jointly(Configuration(active, replace(aim, used=used)), x, others, limit)
         x, std = done.x, done.std
     factors = parameters.factors(x)
-    slope = parameters.slope(x) / factors
+    slope = parameters.derivative(x) / factors
     reference = reference_modes(desk.get("identify"), desk.config)
     channels = desk.get("correlate").rigid.channels
     before, after = (

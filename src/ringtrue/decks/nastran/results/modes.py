@@ -11,7 +11,7 @@ from ringtrue.decks.nastran.results.op2 import read_op2
 from ringtrue.decks.nastran.results.punch import read_punch
 from ringtrue.decks.nastran.results.recorded import RecordedModes, to_mode_set
 from ringtrue.errors import DataError, did_you_mean
-from ringtrue.model.method import METHODS
+from ringtrue.model.case_control import METHODS
 from ringtrue.model.model import Model
 
 READERS = {

@@ -1,0 +1,264 @@
+"""Assignments of modes by one criterion: by frequency where no shapes were measured, and by shape
+beyond the frequency gate.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import linalg
+from scipy.optimize import linear_sum_assignment
+from scipy.special import betainc
+
+from ringtrue.core.arrays import Any_, Bool, Float, Int, freeze_fields
+from ringtrue.correlation.assignment import TIE, PairingSettings, Scores, scores
+from ringtrue.shapes.mac import auto_mac, unit
+
+COMMON = 0.1  # standard deviation of what all frequencies of a model are off together, relative
+OFFSETS = 29  # common offsets that are tried, over the gate
+SCATTER = 0.05  # of the single frequencies about the common offset, before any is known
+KNOWN = 2.0  # as many pairs `SCATTER` counts: what the pairs show is the least of all assignments
+ALONE = 25.0  # cost of a mode without a partner, in squares of the scatter
+DOUBT = 6.0  # an assignment that costs this much more is twenty times less likely
+FAR = 50.0  # offsets about which an assignment costs this much more are not looked at again
+NEVER, LOCKED_COST = 1e6, -1e6
+NO_RIVAL = -2  # in place of a rival: the pair is not in doubt
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ByFrequency:
+    """The likeliest assignment.
+
+    Attributes
+    ----------
+    rows, columns : (k,) int64, ascending rows
+    rival : (k,) int64
+        What else each mode of A may be: the mode of B that the next likely assignment gives it, -1:
+        none of B; `NO_RIVAL` where the pair is not in doubt.
+    """
+
+    rows: Int
+    columns: Int
+    rival: Int
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, rows=np.int64, columns=np.int64, rival=np.int64)
+
+
+def by_frequency(fa: Float, fb: Float, allowed: Bool, forced: Bool, wide: Bool) -> ByFrequency:
+    """The one-to-one assignment in which the frequencies scatter least about a common relative
+    offset.
+
+    A model is too stiff or too heavy as a whole more often than mode by mode: where a mode was
+    missed the nearest frequencies belong to other modes. ln f_B − ln f_A is normal about an offset
+    that is itself normal; the assignment of greatest likelihood, and for each pair the greatest
+    without it.
+
+    Parameters
+    ----------
+    fa, fb : (ma,), (mb,) float64, Hz
+    allowed, forced : (ma, mb) bool
+        Pairs that may be, and that must be.
+    wide : (ma, mb) bool
+        Pairs that are looked at for doubts: gates do not make a pair certain.
+    """
+    tiny = np.finfo(np.float64).tiny
+    error = np.log(np.maximum(fb, tiny))[None, :] - np.log(np.maximum(fa, tiny))[:, None]
+    offsets = _offsets(error[allowed & ~forced])
+    scatter = SCATTER
+    for _ in range(2):
+        off = min(
+            (_assigned(error, c, scatter, allowed, forced) for c in offsets), key=lambda t: t.cost
+        ).off
+        scatter = float(np.sqrt((off @ off + KNOWN * SCATTER**2) / (max(off.size - 1, 0) + KNOWN)))
+    tried = [_assigned(error, c, scatter, allowed, forced) for c in offsets]
+    best = min(tried, key=lambda t: t.cost)
+    rows = np.flatnonzero(best.partner >= 0)
+    offsets = _offsets(error[wide & ~forced])
+    loose = [_assigned(error, c, scatter, wide, forced).cost for c in offsets]
+    near = [c for c, cost in zip(offsets, loose, strict=True) if cost < best.cost + FAR]
+    rival = []
+    for i, j in zip(rows.tolist(), best.partner[rows].tolist(), strict=True):
+        other = wide.copy()
+        other[i, j] = False
+        second = min(
+            (_assigned(error, c, scatter, other, forced) for c in near), key=lambda t: t.cost
+        )
+        clear = forced[i].any() or second.cost >= best.cost + DOUBT
+        rival.append(NO_RIVAL if clear else int(second.partner[i]))
+    return ByFrequency(rows, best.partner[rows], np.array(rival, dtype=np.int64))
+
+
+def _offsets(errors: Float) -> list[float]:
+    return list(map(float, np.linspace(errors.min(initial=0.0), errors.max(initial=0.0), OFFSETS)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Assigned:
+    """Cost, partner (ma,) of each mode of A, -1 for none, and deviations of the free pairs from
+    their common offset.
+    """
+
+    cost: float
+    partner: Int
+    off: Float
+
+
+def _assigned(error: Float, start: float, scatter: float, allowed: Bool, forced: Bool) -> _Assigned:
+    """The best assignment about an offset, and what it costs about its own."""
+    m, n = error.shape
+    cost = np.full((m, n + m), NEVER)
+    cost[:, :n] = np.where(allowed, ((error - start) / scatter) ** 2, NEVER)
+    cost[:, :n][forced] = LOCKED_COST
+    cost[np.arange(m), n + np.arange(m)] = ALONE
+    rows, cols = linear_sum_assignment(cost)
+    partner = np.where(cols < n, cols, -1)
+    rows = np.flatnonzero((partner >= 0) & ~forced.any(axis=1))
+    off = error[rows, partner[rows]]
+    own = float(off.sum() / (rows.size + (scatter / COMMON) ** 2))
+    lone = ALONE * float((partner < 0).sum())
+    return _Assigned(
+        float((((off - own) / scatter) ** 2).sum()) + (own / COMMON) ** 2 + lone, partner, off - own
+    )
+
+
+LIKE = 0.95  # least MAC of such a pair
+CONTESTED = 0.5  # MAC from which another mode may be meant
+# channels, at the least, that carry such a shape: one sensor on a panel reads all its modes alike
+CARRIED = 3.0
+CHANCE = 0.01  # that unrelated shapes are as like: of random ones, and among the modes of each set
+FLAT = 0.1  # of the largest singular value: patterns that are less are those of others
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Extended:
+    """Pairs within the frequency gate and beyond it.
+
+    Attributes
+    ----------
+    rows, columns : (k,) int64, ascending rows
+    beyond : (k,) bool
+    score : Scores
+        With close modes rotated among those that the gate left over, too.
+    """
+
+    rows: Int
+    columns: Int
+    beyond: Bool
+    score: Scores
+
+
+def pairs_by_shape(
+    fa: Float,
+    a: Any_,
+    fb: Float,
+    b: Any_,
+    score: Scores,
+    paired: tuple[Int, Int],
+    free: Bool,
+    gates: PairingSettings,
+) -> Extended:
+    """Pairs, and further ones beyond the frequency gate, of modes that look alike and like no other
+    of either set.
+
+    Close modes of B that are left over are one subspace, as within the gate.
+
+    Parameters
+    ----------
+    fa, fb : (ma,), (mb,) float64, Hz
+    a, b : (n, ma), (n, mb) float64 or complex128
+    score : Scores
+        Of all modes.
+    paired : tuple of (j,) int64
+        Rows, ascending, and columns of the pairs within the gate.
+    free : (ma, mb) bool
+        Pairs that may be.
+    gates : PairingSettings
+    """
+    rows, cols = paired
+    done = Extended(rows, cols, np.zeros(rows.size, dtype=np.bool_), score)
+    ratio = 1 + score.error
+    far = (
+        (np.abs(score.error) > gates.frequency_gate)
+        & (ratio <= gates.reach)
+        & (ratio * gates.reach >= 1)
+        & free
+    )
+    far[rows, :] = far[:, cols] = False
+    if not far.any():
+        return done
+    merged = _merged(fa, a, fb, b, score, far, gates)
+    turned = merged > score.mac
+    good = far & (merged >= LIKE) & (_carried(a) >= CARRIED)[:, None]
+    good &= np.where(turned, _rivals(np.where(turned, 0.0, merged)), _rivals(merged)) < CONTESTED
+    if good.any():
+        chance = betainc((_patterns(a, b) - 1) / 2, 0.5, 1 - np.clip(merged, 0.0, 1.0)) * far.sum()
+        good &= np.maximum(chance, _confused(a, b)) <= CHANCE
+    i, j = linear_sum_assignment(-np.where(good, merged + TIE * score.mac, 0.0))
+    i, j = i[good[i, j]], j[good[i, j]]
+    rows, cols = np.append(rows, i), np.append(cols, j)
+    order = np.argsort(rows, kind="stable")
+    beyond = order >= done.rows.size
+    return Extended(rows[order], cols[order], beyond, replace(score, merged=merged))
+
+
+def scores_among(
+    fa: Float, a: Any_, fb: Float, b: Any_, rows: Int, columns: Int, gates: PairingSettings
+) -> Scores:
+    """The scores of some modes, each within reach of each; what it turns is told of all modes."""
+    wide = replace(gates, frequency_gate=gates.reach)
+    score = scores(fa[rows], a[:, rows], fb[columns], b[:, columns], wide, mixed=False)
+    turns = []
+    for group, weight in score.turns:
+        all_weights = np.zeros(fa.size)
+        all_weights[rows] = weight
+        turns.append((tuple(columns[list(group)].tolist()), all_weights))
+    return replace(score, turns=tuple(turns))
+
+
+def _merged(
+    fa: Float, a: Any_, fb: Float, b: Any_, score: Scores, far: Bool, gates: PairingSettings
+) -> Float:
+    """MAC (ma, mb) with close modes of B rotated among those of `far`, too."""
+    rows, cols = np.flatnonzero(far.any(axis=1)), np.flatnonzero(far.any(axis=0))
+    merged = score.merged.copy()
+    here = np.ix_(rows, cols)
+    merged[here] = np.maximum(merged[here], scores_among(fa, a, fb, b, rows, cols, gates).merged)
+    return merged
+
+
+def _carried(shapes: Any_) -> Float:
+    """How many channels carry each shape (n, m), were their shares equal, (m,)."""
+    share = np.abs(unit(shapes)) ** 2
+    return np.asarray(1 / np.maximum((share**2).sum(axis=0), np.finfo(np.float64).tiny))
+
+
+def _patterns(a: Any_, b: Any_) -> int:
+    """Number of independent patterns of readings in both sets."""
+    s = linalg.svdvals(np.concatenate([unit(a), unit(b)], axis=1))
+    return max(int((s > FLAT * s.max(initial=0.0)).sum()), 2)
+
+
+def _confused(a: Any_, b: Any_) -> float:
+    """Share of the pairs of different modes of one set that the channels cannot tell apart."""
+    like = np.concatenate(
+        [m[np.triu_indices(len(m), 1)] >= LIKE for m in (auto_mac(a), auto_mac(b))]
+    )
+    return float(like.mean()) if like.size else 0.0
+
+
+def _rivals(mac: Float) -> Float:
+    """For each pair (ma, mb) the largest value in its row and column but its own."""
+    return np.maximum(_others(mac), _others(mac.T).T)
+
+
+def _others(mac: Float) -> Float:
+    """For each entry the largest other one of its row."""
+    first = mac.argmax(axis=1)
+    at = np.arange(len(mac))
+    most, rest = mac[at, first], mac.copy()
+    rest[at, first] = 0.0
+    out = np.repeat(most[:, None], mac.shape[1], axis=1)
+    out[at, first] = rest.max(axis=1, initial=0.0)
+    return out

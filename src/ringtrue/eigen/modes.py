@@ -1,0 +1,483 @@
+"""Modes of K φ = λ M φ with a proof that none is missing: choice of the shift, solution, inertia
+counts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from ringtrue.core.arrays import Any_, Bool, Float
+from ringtrue.core.progress import Progress
+from ringtrue.eigen import lanczos
+from ringtrue.eigen.dense import (
+    DENSE_LIMIT,
+    DENSE_SHARE,
+    DENSE_SIZE,
+    refuse_negative_mass,
+    spectrum,
+)
+from ringtrue.eigen.eigenpairs import EigenModes, eigenvalue, frequencies, polish
+from ringtrue.eigen.lanczos import near_zero_modes, rayleigh_ritz
+from ringtrue.eigen.pencil import Pencil
+from ringtrue.errors import InputError, NumericalError, SingularModel
+
+EXTRA = 4  # modes beyond the requested ones, so that the count can stand in a gap
+GAP = 1e-4  # a gap below this share of λ is too narrow for a count
+NEAR = 1e-5  # share of λ: no shift nearer to zero
+# share of λ: beside a shift nearer to zero the rigid-body modes cost the others digits; refined
+# once
+FINE = 1e-6
+PROBE = 4  # Lanczos blocks that judge a shift
+JUDGED = 10  # modes that they judge it by
+# share of the shift under which a block of modes is thought to be of rigid bodies or mechanisms
+STILL = 1e-4
+NOISE = 1e3  # of their λ, which is rounding: a shift nearer to zero drowns in it
+TRIES = 6  # shifts that are judged
+# relative error of the first pair after them: seen from the shift, the modes lie close together
+BLURRED = 1e-2
+SHARP = 1e-5  # relative residual of all pairs together, beyond which they are refined once
+# share of the distance from the shift, by which a shape's Rayleigh quotient may miss what was
+# counted
+SAME = 1e-2
+LOW = 0.03  # share of the upper end of a band: how far below zero its modes are sought from
+EDGE = 1e-9  # share of λ beyond the ends of a band that counts as within
+# share of the first guess, 1000 ε of the usual k/m: a shift nearer to zero drowns in rounding
+ROUNDING = 2e-6
+
+
+@dataclass(frozen=True, slots=True)
+class _Count:
+    below: int  # eigenvalues under `shift`
+    shift: float
+
+
+def solve_modes(
+    pencil: Pencil,
+    count: int = 20,
+    *,
+    band: tuple[float, float] | None = None,
+    shift: float | None = None,
+    progress: Progress | None = None,
+) -> EigenModes:
+    """The lowest `count` modes, or all in `band`.
+
+    Parameters
+    ----------
+    pencil : Pencil
+    count : int
+    band : (low, high), Hz, optional
+        In its place; a mode at an end is in it.
+    shift : float, optional
+        A known good negative shift (rad/s)²; found from the problem if not given.
+
+    Raises
+    ------
+    InputError
+        On a count below 1 or an empty band.
+    SingularModel
+        If K − σM is singular: a mechanism without mass.
+    NumericalError
+        If the mass is negative in some direction.
+    NotConverged
+        If Lanczos does not converge.
+    """
+    if band is None and count < 1:
+        raise InputError(f"{count} modes asked for; at least 1")
+    if band is not None and not band[1] > band[0]:
+        raise InputError(f"band {band[0]} to {band[1]} Hz is empty")
+    if not pencil.mass.nnz or not np.abs(pencil.mass.data).max() > 0:
+        raise InputError("the mass matrix is zero: check densities and mass elements")
+    if pencil.mass.diagonal().max() <= 0:  # nothing that a shift could be guessed from
+        refuse_negative_mass(pencil.mass, pencil.labels)
+    if pencil.size <= DENSE_SIZE or (band is None and _most_of(pencil, count)):
+        return _dense(pencil, count, band)
+    refuse_negative_mass(pencil.mass, pencil.labels)
+    if band is not None:
+        return _band(pencil, band, shift, progress)
+    return _lowest(pencil, count, shift, progress)
+
+
+def _most_of(pencil: Pencil, count: int) -> bool:
+    """So many of the modes of a small system that the dense solution is faster."""
+    return pencil.size <= DENSE_LIMIT and count > DENSE_SHARE * pencil.size
+
+
+def _dense(pencil: Pencil, count: int, band: tuple[float, float] | None) -> EigenModes:
+    shift = start_shift(pencil.stiffness, pencil.mass)
+    values, vectors = _first_definite(pencil, shift)
+    for _ in range(4):  # each pass places the shift better
+        n = min(count, values.size) if band is None else int((values <= eigenvalue(band[1])).sum())
+        better = -suitable_shift(values[: max(n, 1)])
+        if 0.1 < better / shift < 10:
+            break
+        shift = better
+        values, vectors = _first_definite(pencil, shift)
+    if band is None:
+        at = np.arange(min(count, values.size))
+    else:
+        at = np.flatnonzero(
+            (values >= _low(band) * (1 - EDGE)) & (values <= eigenvalue(band[1]) * (1 + EDGE))
+        )
+    values, vectors, residuals, orthogonality = polish(
+        pencil.stiffness, pencil.mass, values[at], vectors[:, at]
+    )
+    proof = f"all eigenvalues of the {pencil.size} DOFs were computed"
+    return EigenModes(values, vectors, residuals, orthogonality, True, proof, shift)
+
+
+def _low(band: tuple[float, float]) -> float:
+    """The lowest eigenvalue of a band; one from 0 Hz takes rigid-body modes along, which may stand
+    a little below.
+    """
+    return eigenvalue(band[0]) if band[0] > 0 else -np.inf
+
+
+def _first_definite(pencil: Pencil, shift: float) -> tuple[Float, Float]:
+    try:
+        return spectrum(pencil.stiffness, pencil.mass, shift, pencil.labels)
+    except SingularModel:  # a free structure with a shift too near to zero, or a real mechanism
+        return spectrum(pencil.stiffness, pencil.mass, 1e3 * shift, pencil.labels)
+
+
+def start_shift(stiffness: sparse.csr_array, mass: sparse.csr_array) -> float:
+    """A first guess from the diagonals, far below the first elastic mode or near it."""
+    k, m = stiffness.diagonal(), mass.diagonal()
+    massive = m > 1e-12 * m.max()
+    return -1e-7 * float(np.median(np.abs(k[massive]) / m[massive])) or -1.0
+
+
+def low_shift(fmax: float) -> float:
+    """Where K − σM is factorised for all modes up to `fmax`, Hz: (rad/s)²."""
+    return -LOW * eigenvalue(fmax)
+
+
+def suitable_shift(values: Float) -> float:
+    """The distance of a good shift below zero: of the order of the first elastic λ, not under 1e-3
+    of the last.
+    """
+    top = float(np.abs(values).max())
+    elastic = values[values > 1e-6 * top]
+    first = float(elastic.min()) if elastic.size else top
+    return max(0.3 * first, 1e-3 * top) or 1.0
+
+
+def _find_shift(pencil: Pencil, count: int) -> tuple[float, lanczos.Krylov, int]:
+    """Probe with a few Lanczos blocks and move the shift until it suits the modes that are asked
+    for.
+
+    The probe of the last shift is the beginning of the solution, in which so many modes near zero
+    are known.
+    """
+    shift = start_shift(pencil.stiffness, pencil.mass)
+    nearest, known, searched = ROUNDING * shift, (np.zeros((pencil.size, 0)), np.zeros(0)), False
+    for last in (*(False,) * TRIES, True):
+        still = known[1].size
+        columns = lanczos.capacity(pencil.size, max(count - still, 0) + EXTRA, still)
+        krylov = lanczos.Krylov(
+            pencil.at(shift), pencil.mass, columns, np.random.default_rng(0), pencil.labels
+        )
+        krylov.start(known[0], 1 / (known[1] - shift))
+        if last:
+            break
+        for _ in range(PROBE):
+            if krylov.ahead:
+                krylov.step()
+        theta, _, error = krylov.ritz()
+        if not searched and (np.abs(shift + 1 / theta[: lanczos.BLOCK]) < STILL * -shift).all():
+            values, vectors, shift = near_zero_modes(pencil, shift)
+            known, searched = (vectors, values), True
+            nearest = min(nearest, -NOISE * float(np.abs(values).max(initial=0.0)))
+            continue
+        theta, error = theta[still:], error[still:]
+        if not theta.size:  # there are no others
+            break
+        first = shift + 1 / float(theta[0])
+        if error[0] > BLURRED * theta[0] and first < -shift:
+            shift = min(-0.3 * abs(first), 1e-4 * shift, nearest)
+            continue
+        values = (shift + 1 / theta[theta > 1e-12 * theta.max()])[:JUDGED]
+        better = -suitable_shift(values)
+        top = float(np.abs(values).max())
+        far = 2 * top * max(count / JUDGED, 1.0)  # of the order of the highest mode asked for
+        if -NEAR * top > shift > -far or (better > shift and shift == nearest):
+            break
+        shift = min(better, nearest)
+    return shift, krylov, still
+
+
+def _lowest(
+    pencil: Pencil, count: int, shift: float | None, progress: Progress | None
+) -> EigenModes:
+    pencil.reserve(lanczos.capacity(pencil.size, count + EXTRA) + 3 * count)
+    _say(progress, pencil)
+    shift, begun, still = (shift, None, 0) if shift is not None else _find_shift(pencil, count)
+    factor = pencil.at(shift)
+    start, most = _Count(factor.negatives, shift), max(count, still)
+
+    def enough(theta: Float) -> bool:
+        values = np.sort(shift + 1 / theta)
+        return (
+            values.size > count and _gap_after(values, count, shift) is not None
+        ) or values.size >= most + 40
+
+    pairs = lanczos.solve(
+        factor,
+        pencil.mass,
+        enough,
+        expected=most + EXTRA,
+        progress=progress,
+        begun=begun,
+        labels=pencil.labels,
+    )
+    del begun
+    pairs = _sharp(pencil, pairs, shift)
+    values = np.sort(shift + 1 / pairs.theta)
+    at = _gap_after(values, count, shift)
+    if pairs.exhausted:
+        complete, proof = True, f"the mass has rank {values.size}: all modes were found"
+    elif at is None:
+        complete, proof = _proved_below(pencil, values[:count], values[-1], start)
+    else:
+        mark = (
+            float((values[at - 1] + values[at]) / 2)
+            if at < values.size
+            else float(1.01 * values[-1])
+        )
+        top = _Count(pencil.at(mark).negatives, mark)
+        if top.below > at and start.below == 0:
+            if top.below > at + lanczos.BLOCK:  # fewer are found sooner than a lower end
+                top = _lowest_end(pencil, values[:at], count, top, shift)
+            pairs = _filled(pencil, pairs, shift, top)
+            at = int((shift + 1 / pairs.theta < top.shift).sum())
+        complete, proof = _judge(top.below, at, start, top.shift)
+    return _finish(pencil, pairs, shift, slice(0, count), complete, proof)
+
+
+def _say(progress: Progress | None, pencil: Pencil) -> None:
+    if progress is not None:
+        progress(0.0, f"factorising {pencil.size} DOFs")
+
+
+def _sharp(pencil: Pencil, pairs: lanczos.RitzPairs, shift: float) -> lanczos.RitzPairs:
+    """The pairs, after a step of subspace iteration where they need one.
+
+    They do where the shift is too near to zero, and after a long recurrence with a singular mass:
+    it does not see some motions, of which the rounding grows from step to step.
+    """
+    near = (
+        0 < -shift < FINE * float(np.abs(shift + 1 / pairs.theta).max(initial=0.0))
+        and not pairs.exhausted
+    )
+    if not near and _residual(pencil, pairs, shift) < SHARP:
+        return pairs
+    x = pencil.at(shift).solve(pencil.mass @ pairs.vectors) / pairs.theta
+    values, vectors = rayleigh_ritz(pencil, x)
+    return lanczos.RitzPairs(1 / (values - shift), vectors, pairs.exhausted)
+
+
+def _residual(pencil: Pencil, pairs: lanczos.RitzPairs, shift: float) -> float:
+    """‖(K − σM)Xθ − MX‖ / ‖MX‖ of one combination of all pairs."""
+    x = pairs.vectors @ np.column_stack([np.ones(pairs.theta.size), pairs.theta])
+    load = pencil.mass @ x
+    rest = pencil.stiffness @ x[:, 1] - shift * load[:, 1] - load[:, 0]
+    return float(np.linalg.norm(rest) / max(np.linalg.norm(load[:, 0]), np.finfo(float).tiny))
+
+
+def _lowest_end(pencil: Pencil, values: Float, count: int, top: _Count, shift: float) -> _Count:
+    """The lowest gap between the values (k,) below which `count` eigenvalues stand or more; `top`
+    if there is none.
+    """
+    gaps = np.flatnonzero(_gaps(values, shift))
+    low, high = 0, gaps.size
+    while low < high:
+        middle = (low + high) // 2
+        at = _counted(pencil, float(values[gaps[middle] :][:2].mean()), 1)
+        if at.below >= count:
+            high, top = middle, at
+        else:
+            low = middle + 1
+    return top
+
+
+def _filled(
+    pencil: Pencil,
+    pairs: lanczos.RitzPairs,
+    sigma: float,
+    top: _Count,
+    bottom: _Count | None = None,
+    progress: Progress | None = None,
+) -> lanczos.RitzPairs:
+    """The pairs with all others between `bottom`, or the lowest, and `top`: sought from `sigma` as
+    long as more come.
+
+    A search goes on with random directions orthogonal to what is known: a root repeated more often
+    than a block is wide comes a block at a time.
+    """
+    factor = pencil.at(sigma)
+    low, expected = (
+        (-np.inf, top.below) if bottom is None else (bottom.shift, top.below - bottom.below)
+    )
+
+    def inside(theta: Float) -> Bool:
+        values = sigma + 1 / theta
+        return np.asarray((values < top.shift) & (values > low))
+
+    found, before = int(inside(pairs.theta).sum()), -1
+    while before < found < expected:
+        keep = inside(pairs.theta)
+        locked, before = (pairs.theta[keep], pairs.vectors[:, keep]), found
+        pairs = lanczos.solve(
+            factor,
+            pencil.mass,
+            lambda theta: (
+                inside(theta).sum() >= expected or _beyond(sigma + 1 / theta, top, bottom)
+            ),
+            expected=expected - found + EXTRA,
+            locked=locked,
+            progress=progress,
+            labels=pencil.labels,
+        )
+        pairs = _sharp(pencil, pairs, sigma)
+        found = int(inside(pairs.theta).sum())
+    return pairs
+
+
+def _gap_after(values: Float, count: int, shift: float) -> int | None:
+    """How many values stand below the first sufficient gap at or after `count`; None if there is
+    none yet.
+
+    Rigid-body modes are apart by rounding only, however many of them are known: the shift tells
+    their scale.
+    """
+    wide = _gaps(values, shift)[max(count - 1, 0) :]
+    return count + int(np.argmax(wide)) if wide.any() else None
+
+
+def _gaps(values: Float, shift: float) -> Any_:
+    """Between which values (k,) the gap (k - 1,) is wide enough for a count."""
+    least = max(1e-6 * abs(float(values[-1])), 1e-3 * abs(shift))
+    return np.diff(values) > GAP * np.maximum(np.abs(values[1:]), least)
+
+
+def _proved_below(pencil: Pencil, values: Float, top: float, start: _Count) -> tuple[bool, str]:
+    """Where repeated roots have no end in sight, up to `top`: a count below the last group of
+    them.
+    """
+    at = int(np.flatnonzero(_gaps(values, start.shift)).max(initial=-1)) + 1
+    mark = float((values[at - 1] if at else start.shift) + values[at]) / 2
+    complete, proof = _judge(pencil.at(mark).negatives, at, start, mark)
+    if top - values[at] > GAP * max(abs(top), abs(start.shift)):
+        return False, f"{proof}; no gap above the highest mode: not counted there"
+    return complete, f"{proof}; above stands one root, {values.size - at} times or more"
+
+
+def _judge(counted: int, found: int, start: _Count, mark: float) -> tuple[bool, str]:
+    hz = float(frequencies(np.array([mark]))[0])
+    if counted < 0 or start.below < 0:
+        return False, "the factorisation gives no inertia: not counted"
+    where = (
+        f"{counted} eigenvalues below {hz:.6g} Hz by inertia (Sturm), {start.below} below "
+        "the shift; "
+    )
+    if counted == found and start.below == 0:
+        return True, where + f"{found} found"
+    return False, where + f"{found} found: NOT complete"
+
+
+def _band(
+    pencil: Pencil,
+    band: tuple[float, float],
+    shift: float | None,
+    progress: Progress | None,
+) -> EigenModes:
+    low, high = _low(band), eigenvalue(band[1])
+    _say(progress, pencil)
+    top = _counted(pencil, high, 1)
+    bottom = _counted(pencil, low, -1) if band[0] > 0 else _Count(0, -np.inf)
+    wanted = top.below - bottom.below
+    few = (
+        bottom.below <= 0.5 * wanted + 2 * lanczos.BLOCK
+    )  # then it is cheaper to take the lower ones along
+    if few:
+        sigma = shift if shift is not None else low_shift(band[1])
+        expected = top.below
+    else:
+        sigma, expected = (low + high) / 2, wanted
+    if sigma < 0:
+        below = pencil.at(sigma).negatives
+        if below != 0:
+            raise NumericalError(
+                f"{below} eigenvalues below {sigma:.4g} (rad/s)^2: the stiffness is indefinite "
+                "or the inertia "
+                "is not available; ask for a number of modes in place of a band"
+            )
+    if not wanted:
+        proof = f"no eigenvalue between {band[0]:g} and {band[1]:g} Hz by inertia (Sturm)"
+        empty = np.zeros((pencil.size, 0))
+        return EigenModes(np.zeros(0), empty, np.zeros(0), 0.0, True, proof, pencil.shift)
+    if _most_of(pencil, expected):
+        return _dense(pencil, wanted, band)
+    pencil.reserve(lanczos.capacity(pencil.size, expected + EXTRA) + 3 * expected)
+    none = lanczos.RitzPairs(np.zeros(0), np.zeros((pencil.size, 0)), False)
+    pairs = _filled(pencil, none, sigma, top, None if few else bottom, progress)
+    proof = (
+        f"{wanted} eigenvalues between {band[0]:g} and {band[1]:g} Hz by inertia (Sturm) at "
+        "both ends"
+    )
+    values = sigma + 1 / pairs.theta
+    at = np.flatnonzero((values >= bottom.shift) & (values <= top.shift))
+    chosen = lanczos.RitzPairs(pairs.theta[at], pairs.vectors[:, at], pairs.exhausted)
+    complete = at.size == wanted
+    return _finish(pencil, chosen, sigma, slice(None), complete, proof + f"; {at.size} found")
+
+
+def _beyond(values: Float, top: _Count, bottom: _Count | None) -> bool:
+    """Both ends of the band have been passed by several modes: what is still missing needs new
+    directions.
+    """
+    over = (values > top.shift).sum() >= EXTRA
+    return bool(over and (bottom is None or (values < bottom.shift).sum() >= EXTRA))
+
+
+def _counted(pencil: Pencil, value: float, side: int) -> _Count:
+    """Inertia at a band end, moved outward by 1e-9 for a mode that stands there, and on if one does
+    then.
+
+    Without inertia the count is negative.
+    """
+    found = None
+    for push in (EDGE, 3 * EDGE, 1000 * EDGE):
+        at = value * (1 + side * push)
+        try:
+            found = _Count(pencil.at(at).negatives, at)
+        except SingularModel:
+            continue
+        if found.below >= 0:
+            break
+    if found is None:
+        raise NumericalError(
+            f"cannot count at {value:.6g} (rad/s)^2: a band end stands on a mode; move it"
+        )
+    return found
+
+
+def _finish(
+    pencil: Pencil, pairs: lanczos.RitzPairs, shift: float, take: slice, complete: bool, proof: str
+) -> EigenModes:
+    roots = np.sort(shift + 1 / pairs.theta)
+    values, vectors, residuals, orthogonality = polish(
+        pencil.stiffness, pencil.mass, shift + 1 / pairs.theta, pairs.vectors
+    )
+    if (np.abs(values - roots) > SAME * np.abs(roots - shift)).any():
+        complete, proof = False, f"{proof}; their shapes have other eigenvalues: NOT complete"
+    if pairs.theta.size > 1 and orthogonality > 1e-10:
+        values, vectors = rayleigh_ritz(pencil, vectors)
+        values, vectors, residuals, orthogonality = polish(
+            pencil.stiffness, pencil.mass, values, vectors
+        )
+    return EigenModes(
+        values[take], vectors[:, take], residuals[take], orthogonality, complete, proof, shift
+    )

@@ -1,0 +1,160 @@
+"""The element cards, how each builds its matrices, and which cards it refers to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+
+import numpy as np
+
+from ringtrue.core.arrays import Int
+from ringtrue.errors import UnsupportedCard
+from ringtrue.fem.elements import (
+    bar,
+    bend,
+    fasteners,
+    given_matrices,
+    lumped,
+    rod,
+    shear,
+    shell3,
+    shell4,
+    shell8,
+    solid_shapes,
+)
+from ringtrue.fem.elements.solid import alike
+from ringtrue.fem.mesh import Matrices, Mesh
+from ringtrue.fem.rigid_elements import RIGID
+from ringtrue.model.cards import columns, is_unsupported
+from ringtrue.model.model import Model
+
+Build = Callable[[Mesh, str, Int], Matrices]
+
+ELEMENTS: Mapping[str, Build] = {
+    "CROD": rod.build,
+    "CONROD": rod.build,
+    "CTUBE": rod.build,
+    "CBAR": bar.build,
+    "CBEAM": bar.build,
+    "CBEND": bend.build,
+    "CQUAD4": shell4.build,
+    "CQUADR": shell4.build,
+    "CTRIA3": shell3.build,
+    "CTRIAR": shell3.build,
+    "CQUAD8": shell8.build,
+    "CTRIA6": shell8.build,
+    "CSHEAR": shear.build,
+    "CHEXA": solid_shapes.hexa_build,
+    "CPENTA": solid_shapes.penta_build,
+    "CPYRAM": solid_shapes.pyramid_build,
+    "CTETRA": solid_shapes.tetra_build,
+    "CBUSH": lumped.build_bush,
+    "CBUSH1D": lumped.build_bush1d,
+    "CGAP": lumped.build_gap,
+    "CWELD": fasteners.build_weld,
+    "CFAST": fasteners.build_fastener,
+    "GENEL": given_matrices.build_general,
+    "CELAS1": lumped.build_spring,
+    "CELAS2": lumped.build_spring,
+    "CELAS3": lumped.build_spring,
+    "CELAS4": lumped.build_spring,
+    "CDAMP1": lumped.build_damper,
+    "CDAMP2": lumped.build_damper,
+    "CDAMP3": lumped.build_damper,
+    "CDAMP4": lumped.build_damper,
+    "CVISC": lumped.build_line_damper,
+    "CMASS1": lumped.build_scalar_mass,
+    "CMASS2": lumped.build_scalar_mass,
+    "CMASS3": lumped.build_scalar_mass,
+    "CMASS4": lumped.build_scalar_mass,
+    "CONM1": lumped.build_mass_matrix,
+    "CONM2": lumped.build_point_mass,
+}
+SOLIDS = {
+    s.card: s
+    for s in (solid_shapes.HEXA, solid_shapes.PENTA, solid_shapes.PYRAMID, solid_shapes.TETRA)
+}
+SHELLS = ("CQUAD4", "CQUADR", "CTRIA3", "CTRIAR", "CQUAD8", "CTRIA6")
+PROPERTY = {
+    "CROD": "PROD",
+    "CTUBE": "PTUBE",
+    "CBAR": "PBAR",
+    "CBEAM": "PBEAM",
+    "CBEND": "PBEND",
+    **dict.fromkeys(SHELLS, "PSHELL"),
+    "CSHEAR": "PSHEAR",
+    "CHEXA": "PSOLID",
+    "CPENTA": "PSOLID",
+    "CPYRAM": "PSOLID",
+    "CTETRA": "PSOLID",
+    "CBUSH": "PBUSH",
+    "CBUSH1D": "PBUSH1D",
+    "CGAP": "PGAP",
+    "CWELD": "PWELD",
+    "CFAST": "PFAST",
+    "CELAS1": "PELAS",
+    "CELAS3": "PELAS",
+    "CDAMP1": "PDAMP",
+    "CDAMP3": "PDAMP",
+    "CVISC": "PVISC",
+    "CMASS1": "PMASS",
+    "CMASS3": "PMASS",
+}
+MATERIALS = ("MAT1", "MAT2", "MAT8", "MAT9")
+MATERIAL = {
+    "PROD": ("MID",),
+    "PTUBE": ("MID",),
+    "CONROD": ("MID",),
+    "PBAR": ("MID",),
+    "PBEAM": ("MID",),
+    "PBEND": ("MID",),
+    "PWELD": ("MID",),
+    "PSHEAR": ("MID",),
+    "PSOLID": ("MID",),
+    "PSHELL": ("MID1", "MID2", "MID3", "MID4"),
+}
+
+
+def refuse(model: Model) -> None:
+    """Raise UnsupportedCard if the deck holds a card with stiffness, mass or constraint that is not
+    assembled.
+    """
+    found = sorted(c for c in model.kept if is_unsupported(c))
+    if found:
+        raise UnsupportedCard(
+            found[0], why=f"{model.kept[found[0]]} in the deck; replace or remove it"
+        )
+    for card, table in model.tables.items():
+        if (
+            len(table)
+            and columns(card)[0].name == "EID"
+            and card not in ELEMENTS
+            and card not in RIGID
+        ):
+            known = 0 <= table.file[0] < len(model.files)
+            path, line = (model.files[table.file[0]], int(table.line[0])) if known else (None, None)
+            raise UnsupportedCard(
+                card,
+                path=path,
+                line=line,
+                why="it is read, but not assembled; replace or remove it",
+            )
+
+
+def batches(
+    model: Model, rows: Mapping[str, Int] | None = None
+) -> Iterable[tuple[str, Build, Int]]:
+    """(card, builder, rows) of like elements; all rows of all cards, or those given."""
+    for card, build in ELEMENTS.items():
+        if card not in model:
+            continue
+        at = (
+            np.arange(len(model[card]))
+            if rows is None
+            else rows.get(card, np.empty(0, dtype=np.int64))
+        )
+        groups: Iterable[Int] = [at] if at.size else []
+        if card in SOLIDS:
+            groups = alike(SOLIDS[card], model, at)
+        elif card == "GENEL":
+            groups = given_matrices.alike(model, at)
+        yield from ((card, build, group) for group in groups)

@@ -1,0 +1,230 @@
+"""Normals at the nodes of flat shells on a curved surface: the mean of the elements around, as
+PARAM,SNORM has it.
+
+Between flat elements at an angle a twist turns into a rotation about the normal of the next one,
+which only the drilling stiffness holds (Raasch's hook: refinement makes it worse; MacNeal, Wilson,
+Harder and Hoff 1998). Elements that share one normal at a node have no such mechanism.
+
+Strains of a curved shell from its nodes and the normals there, with assumed strains; basic axes,
+six DOFs a node.
+
+The shell is x = Σ N_i (x_i + z n_i), its motion u = Σ N_i (u_i + z θ_i x n_i); strains are taken to
+first order in z, so that the section's A, B, D and S apply. With x,d and u,d along a natural
+direction d, the normal field n and the turn ψ = Σ N_i θ_i x n_i:
+
+    membrane   e_d = x,d · u,d
+    curvature  k_d = x,d · ψ,d + n,d · u,d
+    shear      γ_d = x,d · ψ   + n   · u,d
+
+A rigid motion has no strain, in any shape and with any normals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from ringtrue.core.arrays import Any_, Float, Int
+from ringtrue.fem.algebra import unit
+from ringtrue.fem.elements.shape_functions import Samples, ShellRule
+from ringtrue.fem.elements.shell_section import Section
+from ringtrue.fem.mesh import Mesh, Rows, union
+from ringtrue.model.model import Model
+
+SNORM = 20.0  # degrees
+SAME = 1e-10  # a normal so near to the element's own is its own
+FLAT = {"CQUAD4": 4, "CQUADR": 4, "CTRIA3": 3, "CTRIAR": 3}  # corners
+_SPAN = {4: (0, 2, 1, 3), 3: (0, 1, 0, 2)}  # the normal is ab x cd
+
+
+def node_normals(m: Mesh, nodes: Int, own: Any_) -> Any_:
+    """Normals (e, k, 3) at the nodes (e, k) of elements with normals `own` (e, 3).
+
+    The mean of the unit normals of all flat shells at the node, if each of them is within
+    PARAM,SNORM degrees of it (20 unless given; 0 is off); else the element's own.
+    """
+    out = np.broadcast_to(own[:, None], (*nodes.shape, 3))
+    limit = m.model.param("SNORM", SNORM)
+    if limit <= 0:
+        return out
+    total = np.zeros((len(m.xyz), 3), dtype=m.xyz.dtype)
+    around = list(_around(m, nodes))
+    for corners, n in around:
+        for c in corners.T:
+            np.add.at(total, c, n)
+    used = np.unique(nodes)
+    total[used] = unit(total[used])
+    sharp = np.zeros(len(m.xyz), dtype=bool)
+    for corners, n in around:
+        apart = np.einsum("eka,ea->ek", total[corners], n).real < np.cos(np.radians(limit))
+        sharp[corners[apart]] = True
+    mean = total[nodes]
+    keep: Any_ = sharp[nodes]
+    if not np.iscomplexobj(mean):  # a complex step is small, but not nothing
+        keep = keep | (np.abs(mean - out).max(axis=2) < SAME)
+    return np.where(keep[..., None], out, mean)
+
+
+def _around(m: Mesh, nodes: Int) -> Iterable[tuple[Int, Any_]]:
+    """Corner nodes (., k) and unit normals (., 3) of the flat shells that share one of the
+    nodes.
+    """
+    mine = np.unique(m.model["GRID"].ids[np.unique(nodes)])
+    for card, k in FLAT.items():
+        if card not in m.model:
+            continue
+        ids = _corners(m.model, card, k)
+        near = ids[np.isin(ids, mine).any(axis=1)]
+        corners = m.model["GRID"].find(near)
+        corners = corners[
+            (corners >= 0).all(axis=1)
+        ]  # a node that is absent is told by the element's own builder
+        x, (a, b, c, d) = m.xyz[corners], _SPAN[k]
+        n = np.cross(x[:, b] - x[:, a], x[:, d] - x[:, c])
+        there = (n != 0).any(axis=1)
+        yield corners[there], unit(n[there])
+
+
+def _corners(model: Model, card: str, k: int) -> Int:
+    return np.asarray(model[card].stack(*(f"G{i + 1}" for i in range(k))))
+
+
+def with_neighbours(model: Model, rows: Rows) -> Rows:
+    """Rows of element cards, and the quadrilaterals whose node normals depend on the flat shells
+    among them.
+    """
+    if model.param("SNORM", SNORM) <= 0 or not any(c in rows for c in FLAT):
+        return rows
+    touched = np.unique(
+        np.concatenate(
+            [_corners(model, c, FLAT[c])[at].ravel() for c, at in rows.items() if c in FLAT]
+        )
+    )
+    found = [rows]
+    for card in ("CQUAD4", "CQUADR"):
+        if card in model:
+            also = np.flatnonzero(np.isin(_corners(model, card, 4), touched).any(axis=1))
+            found.append({card: also})
+    return union(found)
+
+
+def tangents(d: Any_, x: Any_) -> tuple[Any_, Any_]:
+    """Tangents (e, p, 2, 3) and their cross product (e, p, 3) from natural derivatives (p, k,
+    2).
+    """
+    g = np.einsum("pnr,ena->epra", d, x)
+    return g, np.cross(g[:, :, 0], g[:, :, 1])
+
+
+def length(v: Any_) -> Any_:
+    return np.asarray(np.sqrt((v * v).sum(axis=-1)))
+
+
+def law(s: Section, w: Any_, corner: Any_) -> Any_:
+    """Section matrices (e, p, 8, 8) over (ε, κ, γ) times the weights w (e, p); corner shapes (p,
+    corners).
+    """
+    w1, w2, w3 = (s.weights(w, corner, p)[..., None, None] for p in (1, 2, 3))
+    C = np.zeros(
+        (*w.shape, 8, 8), dtype=np.result_type(s.membrane, s.coupling, s.bending, s.shear, w1)
+    )
+    C[..., :3, :3], C[..., 3:6, 3:6] = s.membrane[:, None] * w1, s.bending[:, None] * w3
+    C[..., :3, 3:6] = C[..., 3:6, :3] = s.coupling[:, None] * w2
+    C[..., 6:, 6:] = s.shear[:, None] * w1
+    return C
+
+
+def strains(rule: ShellRule, x: Any_, n: Any_, back: Any_) -> Any_:
+    """Rows (e, p, 8, 6k) of (ε, κ, γ) in the local axes over (u, θ) of each node."""
+    plane, shear = rule.plane, rule.shear
+    membrane, curvature = _plane_samples(rule, plane, x, n)
+    p, q = back[..., 0, :], back[..., 1, :]
+    T = np.stack(
+        [
+            np.stack([p[..., 0] ** 2, p[..., 1] ** 2, p[..., 0] * p[..., 1]], axis=-1),
+            np.stack([q[..., 0] ** 2, q[..., 1] ** 2, q[..., 0] * q[..., 1]], axis=-1),
+            np.stack(
+                [
+                    2 * p[..., 0] * q[..., 0],
+                    2 * p[..., 1] * q[..., 1],
+                    p[..., 0] * q[..., 1] + p[..., 1] * q[..., 0],
+                ],
+                axis=-1,
+            ),
+        ],
+        axis=-2,
+    )
+    inside = [T @ _carried(plane, rows) for rows in (membrane, curvature)]
+    return np.concatenate(
+        [*inside, back @ _carried(shear, _shear_samples(rule, shear, x, n))], axis=2
+    )
+
+
+def _carried(s: Samples, rows: Any_) -> Any_:
+    """Sampled rows (e, k, d) to the integration points (e, p, c, d)."""
+    p, c, k = s.carry.shape
+    return np.asarray((s.carry.reshape(p * c, k) @ rows).reshape(len(rows), p, c, -1))
+
+
+def _along(rule: ShellRule, s: Samples, x: Any_, n: Any_) -> tuple[Any_, Any_, Any_, Any_]:
+    """N (k, n), N,d (k, n), x,d (e, k, 3) and the normals' arms n_i x x,d (e, k, n, 3)."""
+    N, d = rule.shapes(s.points)
+    d = np.einsum("knr,kr->kn", d, s.direction)
+    xd = np.einsum("kn,ena->eka", d, x)
+    return N, d, xd, np.cross(n[:, None], xd[:, :, None])
+
+
+def _plane_samples(rule: ShellRule, s: Samples, x: Any_, n: Any_) -> tuple[Any_, Any_]:
+    _, d, xd, arms = _along(rule, s, x, n)
+    nd = np.einsum("kn,ena->eka", d, n)
+    u, bent, turn = (d[..., None] * v for v in (xd[:, :, None], nd[:, :, None], arms))
+    return _rows(u, 0 * u), _rows(bent, turn)
+
+
+def _shear_samples(rule: ShellRule, s: Samples, x: Any_, n: Any_) -> Any_:
+    N, d, _, arms = _along(rule, s, x, n)
+    across = np.einsum("kn,ena->eka", N, n)
+    return _rows(d[..., None] * across[:, :, None], N[..., None] * arms)
+
+
+def _rows(u: Any_, theta: Any_) -> Any_:
+    """Rows over (u, θ) of each node: (e, k, n, 3) twice -> (e, k, 6n)."""
+    return np.concatenate([u, theta], axis=-1).reshape(*u.shape[:2], -1)
+
+
+def missing_mean(rows: Any_, gradients: Any_, frame: Any_, n: Any_, w: Any_) -> Any_:
+    """What the mean (ε, κ) of the displacements themselves is more than that of `rows`: (e, 1, 6,
+    6k).
+
+    With it a constant stress does the right work on every motion: the patch test holds on any
+    distortion.
+    """
+    slope = np.einsum("epni,ena->epia", gradients, n)
+    first, second = gradients[..., 0, None], gradients[..., 1, None]
+    e1, e2, n1, n2 = (v[:, :, i, None] for v in (frame, slope) for i in (0, 1))
+    stretch = [first * e1, second * e2, second * e1 + first * e2]
+    bent = [first * n1, second * n2, second * n1 + first * n2]
+    turn = [np.cross(n[:, None], v) for v in stretch]
+    exact = [_rows(v, 0 * v) for v in stretch] + [
+        _rows(u, v) for u, v in zip(bent, turn, strict=True)
+    ]
+    missing = np.stack(exact, axis=2) - rows[:, :, :6]
+    return np.asarray(np.einsum("ep,epcd->ecd", w / w.sum(axis=1, keepdims=True), missing)[:, None])
+
+
+def drilling(rule: ShellRule, x: Any_, s: Section, points: Float, weights: Float) -> Any_:
+    """G t K6ROT 1e-6 ∫ (θ·n - (∂u2/∂x1 - ∂u1/∂x2)/2)² by points (p, 2) and weights (p,): (e, 6k,
+    6k).
+    """
+    N, d = rule.shapes(points)
+    g, up = tangents(d, x)
+    size = length(up)
+    normal = up / size[..., None]
+    # ∂u1/∂x2 - ∂u2/∂x1 is (g_r · u,s - g_s · u,r) over the area, in any axes of the plane
+    u = (
+        d[None, :, :, 1, None] * g[:, :, None, 0] - d[None, :, :, 0, None] * g[:, :, None, 1]
+    ) / size[..., None, None]
+    rows = _rows(u / 2, N[..., None] * normal[:, :, None])
+    w = s.weights(size * weights, rule.corner_shapes(points), 1) * s.drill[:, None]
+    return np.asarray((rows * w[..., None]).swapaxes(1, 2) @ rows)

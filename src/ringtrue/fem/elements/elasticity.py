@@ -1,0 +1,206 @@
+"""Elasticity of elements: the stiffness of isotropic material from the gradients of the shape
+functions, and the materials of solids, MAT1 or MAT9 in the frame that PSOLID CORDM names.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ringtrue.core.arrays import Any_, Bool, Float, Int
+from ringtrue.fem.mesh import Isotropic, Mesh, check_ratio, isotropic, lookup
+from ringtrue.fem.negative_stiffness import asks_for_negative_stiffness
+from ringtrue.model.frames import axes
+from ringtrue.model.model import Model, card_error
+
+
+def gram(gradients: Float, weights: Float) -> Float:
+    """A[i,a,j,b] = ∫ ∂aNi ∂bNj; gradients (e, gp, n, d), weights (e, gp) -> (e, n, d, n, d)."""
+    e, g, n, d = gradients.shape
+    flat = gradients.reshape(e, g, n * d)
+    return np.asarray(((flat * weights[:, :, None]).swapaxes(1, 2) @ flat).reshape(e, n, d, n, d))
+
+
+def elastic(A: Float, c11: Any_, c12: Any_, G: Any_) -> Any_:
+    """Stiffness (e, n d, n d) with σaa = c11 εaa + c12 εbb, τab = G γab from the Gram matrix A; c,
+    G (e,).
+    """
+    e, n, d = A.shape[:3]
+    c11, c12, G = (c.reshape(-1, 1, 1, 1, 1) for c in (c11, c12, G))
+    K = c12 * A + G * A.transpose(0, 1, 4, 3, 2)
+    trace = np.einsum("eiaja->eij", A)
+    for a in range(d):
+        K[:, :, a, :, a] += G[..., 0, 0] * trace + (c11 - c12 - 2 * G)[..., 0, 0] * A[:, :, a, :, a]
+    return K.reshape(e, n * d, n * d)
+
+
+def plane_stress(E: Any_, nu: Any_) -> tuple[Any_, Any_]:
+    """c11, c12 of plane stress."""
+    c = E / (1 - nu * nu)
+    return c, nu * c
+
+
+def solid(E: Any_, nu: Any_) -> tuple[Any_, Any_]:
+    """c11, c12 of a three-dimensional body."""
+    c = E / ((1 + nu) * (1 - 2 * nu))
+    return (1 - nu) * c, nu * c
+
+
+def determinants(derivatives: Float, x: Float) -> Float:
+    """(e, gp), of the map from natural derivatives (gp, n, d) at nodes x (e, n, d); 0 where it is
+    singular.
+    """
+    return np.asarray(np.linalg.det(np.einsum("gnr,ena->egra", derivatives, x)))
+
+
+def jacobian(derivatives: Float, x: Float) -> tuple[Float, Float, Float]:
+    """Of the map from natural derivatives (gp, n, d) at nodes x (e, n, d).
+
+    Returns
+    -------
+    J : (e, gp, d, d), J[r, a] = ∂x_a/∂ξ_r
+    det : (e, gp)
+    gradients : (e, gp, n, d)
+    """
+    J = np.einsum("gnr,ena->egra", derivatives, x)
+    det = np.linalg.det(J)
+    gradients = np.linalg.solve(
+        J, np.broadcast_to(derivatives.swapaxes(1, 2), (*J.shape[:2], *derivatives.shape[:0:-1]))
+    )
+    return J, det, gradients.swapaxes(2, 3)
+
+
+def incompatible(derivatives: Float, J0: Float, det0: Float, det: Float, weights: Float) -> Float:
+    """Gradients of bubble modes with zero mean: the patch test holds on any distortion.
+
+    Taken at the centre's Jacobian and scaled by det0/det (Taylor, Beresford and Wilson 1976); what
+    mean is left is removed (Ibrahimbegovic and Wilson 1991). `derivatives` (gp, m, d), J0 (e, d,
+    d), weights (e, gp) with det in them -> (e, gp, m, d).
+    """
+    g = np.einsum("era,gmr->egma", np.linalg.inv(J0).swapaxes(1, 2), derivatives)
+    g = g * (det0[:, None] / det)[:, :, None, None]
+    mean = np.einsum("eg,egma->ema", weights, g) / weights.sum(1)[:, None, None]
+    return np.asarray(g - mean[:, None])
+
+
+PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))  # x y z xy yz zx, the order of MAT9
+_TERMS = tuple((i, j, f"G{i + 1}{j + 1}") for i in range(6) for j in range(i, 6))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Anisotropic:
+    """MAT9 rows, one an element: `tensor` (e, 3, 3, 3, 3) in basic, `rho, loss` (e,), real or
+    complex.
+    """
+
+    tensor: Any_
+    rho: Any_
+    loss: Any_
+
+
+def is_anisotropic(model: Model, pid: Int) -> Bool:
+    """Whether each PSOLID id (e,) has a MAT9."""
+    out = np.zeros(pid.shape, dtype=bool)
+    if "MAT9" in model and "PSOLID" in model:
+        p = model["PSOLID"]
+        out = np.asarray(np.isin(pid, p.ids[np.isin(p["MID"], model["MAT9"].ids)]))
+    return out
+
+
+def tensor(C: Any_) -> Any_:
+    """Matrix of elasticity (e, 6, 6), engineering shear, to the tensor (e, 3, 3, 3, 3)."""
+    out = np.empty((len(C), 3, 3, 3, 3), dtype=C.dtype)
+    for i, (a, b) in enumerate(PAIRS):
+        for j, (c, d) in enumerate(PAIRS):
+            for p, q in ((a, b), (b, a)):
+                out[:, p, q, c, d] = out[:, p, q, d, c] = C[:, i, j]
+    return out
+
+
+def turned(C: Any_, R: Any_) -> Any_:
+    """A tensor (e, 3, 3, 3, 3) given in axes R (e, 3, 3), unit vectors as rows, in basic."""
+    return np.asarray(np.einsum("epqrs,epa,eqb,erc,esd->eabcd", C, R, R, R, R, optimize=True))
+
+
+def anisotropic(m: Mesh, psolid: Int, x: Any_, element_axes: Any_) -> Anisotropic:
+    """MAT9 of each element, turned into basic.
+
+    Parameters
+    ----------
+    psolid : (e,) int64
+        Row of PSOLID. Its CORDM is 0 (basic), -1 (`element_axes`, (e, 3, 3)) or a frame, taken at
+        the mean of the nodes x (e, n, 3).
+    """
+    p, t = m.model["PSOLID"], m.model["MAT9"]
+    row = lookup(m.model, "MAT9", p["MID"][psolid], p, psolid)
+    values = t.stack(*(name for _, _, name in _TERMS))[row]
+    C = np.empty((len(row), 6, 6), dtype=values.dtype)
+    for k, (i, j, _) in enumerate(_TERMS):
+        C[:, i, j] = C[:, j, i] = values[:, k]
+    _positive(m, C, row)
+    cid = p["CORDM"][psolid]
+    C4 = tensor(C)
+    if (cid != 0).any():
+        R = np.where((cid == -1)[:, None, None], element_axes, axes(m.model, cid, x.mean(axis=1)))
+        C4 = turned(C4, R)
+    return Anisotropic(C4, t["RHO"][row], t["GE"][row])
+
+
+def _positive(m: Mesh, C: Any_, row: Int) -> None:
+    if asks_for_negative_stiffness(m.model):
+        return
+    _, first = np.unique(row, return_index=True)
+    lowest = np.linalg.eigvalsh(C[first].real)
+    bad = np.flatnonzero(lowest[:, 0] < -1e-9 * np.abs(lowest).max(axis=1))
+    if bad.size:
+        at = int(row[first[bad[0]]])
+        raise card_error(
+            m.model,
+            m.model["MAT9"],
+            at,
+            "its matrix G is not positive; check the signs and places of its terms",
+        )
+
+
+def moduli(m: Mesh, psolid: Int) -> Isotropic:
+    """MAT1 of each row of PSOLID (e,)."""
+    p = m.model["PSOLID"]
+    mid = p["MID"][psolid]
+    iso = isotropic(m.model, mid, p, psolid)
+    check_ratio(m.model, mid, iso.nu, 0.5)
+    return iso
+
+
+def bulk(iso: Isotropic) -> tuple[Any_, Any_, Any_]:
+    """Bulk modulus, and c11, c12 of what is left when it is taken off; (e,) each."""
+    c11, c12 = solid(iso.E, iso.nu)
+    kappa = (c11 + 2 * c12) / 3
+    return kappa, c11 - kappa, c12 - kappa
+
+
+def nearest(R: Any_) -> Any_:
+    """The rotation nearest to vectors R (e, 3, 3), given as rows: R Qᵀ is symmetric (polar
+    decomposition).
+
+    By Newton's iteration (Higham 1986), through which a complex step passes.
+    """
+    Q = R / np.cbrt(np.abs(np.linalg.det(R.real)))[:, None, None]
+    for _ in range(_POLAR):
+        Q = (Q + np.linalg.inv(Q).swapaxes(1, 2)) / 2
+    return np.asarray(Q)
+
+
+_POLAR = 30  # quadratic once near; 30 serve any element that is not flat to 1e-6
+
+
+def by_normal(along: Any_, other: Any_) -> Any_:
+    """Axes (e, 3, 3) as rows: x along `along` (e, 3), z normal to it and `other`."""
+    z = np.cross(along, other)
+    rows = np.stack([along, np.cross(z, along), z], axis=1)
+    return np.asarray(rows / np.sqrt((rows * rows).sum(axis=2, keepdims=True)))
+
+
+def between(x: Any_, first: list[int], second: list[int]) -> Float:
+    """Vector (e, 3) from the mean of one set of nodes of x (e, n, 3) to the mean of another."""
+    return np.asarray(x[:, second].mean(axis=1) - x[:, first].mean(axis=1))

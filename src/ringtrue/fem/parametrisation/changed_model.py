@@ -1,0 +1,417 @@
+"""A model with the fields of some parameters changed, real or by a complex step."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ringtrue.core.arrays import Bool, Int
+from ringtrue.core.parameters import CardField, Parameter, Shape
+from ringtrue.errors import InputError, did_you_mean
+from ringtrue.fem.element_cards import ELEMENTS
+from ringtrue.fem.elements.curved_shell import with_neighbours
+from ringtrue.fem.elements.shell_section import LAMINATES
+from ringtrue.fem.mesh import Rows, union
+from ringtrue.fem.nonstructural_mass import CARDS, sharers
+from ringtrue.model.dimensions import MADE, resectioned
+from ringtrue.model.edit import BOTH_ENDS
+from ringtrue.model.frames import positions
+from ringtrue.model.model import Model, Ragged, Table
+from ringtrue.model.references import REFERENCES
+
+FOLLOWERS = ("CFAST", "CWELD")  # they stand on the corners of shells that they do not name
+_PLY = re.compile(r"([A-Z](?:[A-Z0-9]*[A-Z])?)(\d+)")
+Factor = float | complex
+
+
+def scaled(model: Model, parameter: Parameter, factor: Factor) -> Model:
+    """A copy of the model with the parameter at `factor`: fields, for some elements only where
+    told, and nodes.
+
+    A PBEAM whose end B or stations equal its end A keeps that. Where a target holds for some
+    elements only, they get a copy of the property or material.
+
+    Raises
+    ------
+    InputError
+        If a card, id or field is absent, blank or not a real number, or the parameter is a factor
+        on matrices.
+    """
+    if parameter.substructures:
+        raise InputError(
+            f"parameter {parameter.name} is a factor on element matrices: no model has them as "
+            "fields"
+        )
+    targets, own = list(parameter.targets), dict[tuple[str, int, tuple[int, ...]], int]()
+    for i, t in enumerate(targets):
+        if t.elements:
+            card = (t.card, t.id, t.elements)
+            if card not in own:  # several of its fields are changed in one copy
+                model, named = _own(model, parameter.name, t)
+                own[card] = named.id
+            targets[i] = replace(t, id=own[card], elements=())
+    model = changed(model, parameter.name, targets, factor)
+    for shape in parameter.shapes:
+        model = moved(model, shape, float(np.real(factor)) - 1)
+    return model
+
+
+def changed(model: Model, name: str, targets: Sequence[CardField], factor: Factor) -> Model:
+    """A copy with the fields of `targets` at `factor`, whatever elements they are meant for.
+
+    Raises
+    ------
+    InputError
+        If a card, id or field is absent, blank or not a real number.
+    """
+    groups: dict[tuple[str, str, float], list[int]] = {}
+    for t in targets:
+        groups.setdefault((t.card, t.field, t.step), []).append(t.id)
+    tables = dict(model.tables)
+    for (card, field, step), ids in groups.items():
+        tables[card] = _with_fields(
+            tables, f"parameter {name}: {card}", card, field, np.array(ids), step, factor
+        )
+    for card in MADE:
+        if dimensioned := [t.id for t in targets if t.card == card]:
+            tables[MADE[card]] = resectioned(tables, card, np.array(dimensioned))
+    return replace(model, tables=tables)
+
+
+def _there(tables: dict[str, Table], card: str, wanted: int) -> str:
+    """What the model has in place of a card that it lacks: the numbers next to it, or the cards of
+    like name.
+    """
+    if card not in tables or not tables[card].ids.size:
+        return did_you_mean(card, (c for c, t in tables.items() if t.ids.size))
+    ids = np.unique(tables[card].ids)
+    near = np.sort(ids[np.argsort(np.abs(ids - wanted), kind="stable")[:6]])
+    return f"; {ids.size} {card}, next to it {', '.join(map(str, near.tolist()))}"
+
+
+def _with_fields(
+    tables: dict[str, Table],
+    where: str,
+    card: str,
+    field: str,
+    ids: Int,
+    step: float,
+    factor: Factor,
+) -> Table:
+    there = tables[card].ids if card in tables else ids[:0]
+    rows = np.flatnonzero(there == ids[0] if ids.size == 1 else np.isin(there, ids))
+    if lost := set(ids.tolist()).difference(there[rows].tolist()):
+        first = next(i for i in ids.tolist() if i in lost)
+        raise InputError(
+            f"{where} {first} {field}: no such card in the model{_there(tables, card, first)}"
+        )
+    table, where = tables[card], f"{where} {ids[0]} {field}"
+    ply = _PLY.fullmatch(field)
+    if field not in table.columns and ply and isinstance(table.columns.get(ply[1]), Ragged):
+        return _with_ply(table, where, ply[1], int(ply[2]), rows, step, factor)
+    if field not in table.columns:
+        raise InputError(f"{where}: no such field{did_you_mean(field, table.columns)}")
+    column = table.columns[field]
+    if isinstance(column, Ragged):
+        raise InputError(f"{where} is a list; number its entries: {field}1, {field}2 ...")
+    twin = BOTH_ENDS.get(field) if card == "PBEAM" else None
+    both = rows[table[twin][rows] == column[rows]] if twin else rows[:0]
+    stations = f"{field}X" if twin and f"{field}X" in table.columns else ""
+    equal = _equal(table.ragged(stations), column, rows) if stations else rows[:0]
+    table = table.with_column(field, _multiplied(column, rows, where, step, factor))
+    if twin and both.size:
+        table = table.with_column(twin, _multiplied(table[twin], both, where, step, factor))
+    if equal.size:
+        table = _with_entries(
+            table, where, stations, table.ragged(stations).values, equal, step, factor
+        )
+    return table
+
+
+def _equal(entries: Ragged, column: NDArray[Any], rows: Int) -> Int:
+    """Places of the entries of `rows` that have the value of the row in `column`."""
+    of = entries.owner
+    return np.flatnonzero(np.isin(of, rows) & (entries.values == column[of]))
+
+
+def _multiplied(
+    column: NDArray[Any], rows: Int, where: str, step: float, factor: Factor
+) -> NDArray[Any]:
+    if column.dtype.kind not in "fc" or np.isnan(column[rows]).any():
+        raise InputError(
+            f"{where}: must hold a real number, got "
+            f"{'a blank' if column.dtype.kind in 'fc' else column[rows[0]]}"
+        )
+    out = column.astype(np.result_type(column, type(factor)))
+    out[rows] = out[rows] + step * (factor - 1) if step else out[rows] * factor
+    return out
+
+
+def _with_ply(
+    table: Table, where: str, name: str, ply: int, rows: Int, step: float, factor: Factor
+) -> Table:
+    """Entry `ply` (from 1) of a list; a blank one takes the value of the entry before it first."""
+    ragged = table.ragged(name)
+    values = _filled(ragged, rows) if table.card in LAMINATES else ragged.values
+    at = ragged.offsets[rows] + ply - 1
+    if (at >= ragged.offsets[rows + 1]).any() or ply < 1:
+        raise InputError(f"{where}: there is no entry {ply}")
+    return _with_entries(table, where, name, values, at, step, factor)
+
+
+def _with_entries(
+    table: Table, where: str, name: str, values: NDArray[Any], at: Int, step: float, factor: Factor
+) -> Table:
+    values = _multiplied(values, at, where, step, factor)
+    return replace(
+        table, columns={**table.columns, name: Ragged(values, table.ragged(name).offsets)}
+    )
+
+
+def _filled(ragged: Ragged, rows: Int) -> NDArray[Any]:
+    """The values with blanks of `rows` replaced by the entry before."""
+    values = ragged.values.copy()
+    if values.dtype.kind not in "fc" or not np.isnan(values).any():
+        return values
+    of = ragged.owner
+    given = np.maximum.accumulate(np.where(np.isnan(values), -1, np.arange(values.size)))
+    use = np.isin(of, rows) & (given >= ragged.offsets[of])
+    values[use] = values[given[use]]
+    return values
+
+
+def moved(model: Model, shape: Shape, amount: float) -> Model:
+    """A copy with the nodes of `shape` moved by `amount` times their vectors; they stand in basic
+    (CP 0) then.
+
+    Raises
+    ------
+    InputError
+        If a node is absent.
+    """
+    grid = model["GRID"]
+    at = grid.find(np.array(shape.nodes, dtype=np.int64))
+    if (at < 0).any():
+        raise InputError(f"shape: GRID {np.array(shape.nodes)[at < 0][0]} is not in the model")
+    x = positions(model)[at] + amount * np.array(shape.vectors)
+    for i in range(3):
+        column = grid[f"X{i + 1}"].copy()
+        column[at] = x[:, i]
+        grid = grid.with_column(f"X{i + 1}", column)
+    frame = grid["CP"].copy()
+    frame[at] = 0
+    return replace(model, tables={**model.tables, "GRID": grid.with_column("CP", frame)})
+
+
+def rows_of(model: Model, target: CardField) -> Rows:
+    """Rows of each element card that the target changes; all users of the card where no elements
+    are named.
+    """
+    if target.card == "GRID":
+        return users_of_nodes(model, np.array([target.id]))
+    if target.card in CARDS:
+        return sharers(model, {}, np.array([target.id]))
+    if target.card in ("CBAR", "CBEAM") and target.field.startswith(
+        "W"
+    ):  # offsets change its length
+        return sharers(model, _users(model, target.card, np.array([target.id])))
+    found = _users(model, target.card, np.array([target.id]))
+    if (
+        target.card == "PSHELL"
+        and {"CWELD", "PWELD"} <= model.tables.keys()
+        and (model["PWELD"]["TYPE"] == "SPOT").any()
+    ):
+        found["CWELD"] = np.arange(
+            len(model["CWELD"])
+        )  # a spot weld is as long as its sheets are thick
+    return found
+
+
+def _users(model: Model, card: str, ids: Int) -> Rows:
+    """Rows of each element card that name one of these cards, themselves or through a property, a
+    frame or a node.
+    """
+    elements = set(affected_cards(model))
+    found: list[Rows] = []
+    followed: dict[str, Int] = {}
+    waiting = [(MADE.get(card, card), ids)]
+    while waiting:
+        card, ids = waiting.pop()
+        ids = np.setdiff1d(
+            ids, followed.get(card, [])
+        )  # a node of a frame may have that frame as its CD
+        followed[card] = np.union1d(followed.get(card, []), ids)
+        if card in elements:
+            found.append({card: np.flatnonzero(np.isin(model[card].ids, ids))})
+        for r in [r for r in REFERENCES if card in r.of and r.card in model and ids.size]:
+            rows = _naming(model[r.card], r.field, ids)
+            if r.card in elements:
+                found.append({r.card: rows})
+            elif rows.size:
+                waiting.append((r.card, model[r.card].ids[rows]))
+    return {c: at for c, at in union(found).items() if at.size}
+
+
+def _naming(table: Table, field: str, ids: Int) -> Int:
+    """Rows of a table whose field, one value or a list, holds one of the ids."""
+    if field not in table.columns:
+        return np.empty(0, dtype=np.int64)
+    column = table.columns[field]
+    if not isinstance(column, Ragged):
+        return np.flatnonzero(np.isin(column, ids))
+    return np.unique(column.owner[np.isin(column.values, ids)])
+
+
+def within(model: Model, rows: Rows, elements: Sequence[int]) -> Rows:
+    """Those of the rows whose element id is listed; all if the list is empty."""
+    if not elements:
+        return rows
+    picked = {card: at[np.isin(model[card].ids[at], elements)] for card, at in rows.items()}
+    return {card: at for card, at in picked.items() if at.size}
+
+
+def rows_of_elements(model: Model, name: str, elements: Sequence[int]) -> Rows:
+    """Rows of each element card with these ids.
+
+    Raises
+    ------
+    InputError
+        If one is not in the model.
+    """
+    rows = within(model, {c: np.arange(len(model[c])) for c in affected_cards(model)}, elements)
+    if sum(at.size for at in rows.values()) < len(set(elements)):
+        raise InputError(
+            f"parameter {name}: not all of its {len(set(elements))} elements are in the model"
+        )
+    return rows
+
+
+def _node_fields() -> dict[str, list[str]]:
+    made: dict[str, list[str]] = {}
+    for r in REFERENCES:
+        if "GRID" in r.of:
+            made.setdefault(r.card, []).append(r.field)
+    return made
+
+
+_NODES = _node_fields()
+
+
+def users_of_nodes(model: Model, nodes: Int) -> Rows:
+    """Rows of each element card that stand on any of the nodes; every row if a frame hangs on one.
+
+    With them the shells whose node normals (PARAM,SNORM) those decide, and all that share a whole
+    mass (NSML).
+    """
+    found = {}
+    frame = any(f"CORD1{k}" in model and _on(model[f"CORD1{k}"], nodes).any() for k in "RCS")
+    for card in affected_cards(model):
+        at = np.flatnonzero(_on(model[card], nodes) | frame | (card in FOLLOWERS))
+        if at.size:
+            found[card] = at
+    return sharers(model, with_neighbours(model, found))
+
+
+def affected_cards(model: Model) -> Iterable[str]:
+    """Element cards of the model that are assembled."""
+    return [card for card in ELEMENTS if card in model]
+
+
+def _on(table: Table, nodes: Int) -> Bool:
+    hit = np.zeros(len(table), dtype=bool)
+    for name in _NODES.get(table.card, []):
+        hit[_naming(table, name, nodes)] = True
+    return hit
+
+
+def _own(model: Model, name: str, target: CardField) -> tuple[Model, CardField]:
+    """The model with a copy of the target's card for the elements it is meant for, and the target
+    on that copy.
+    """
+    rows = within(model, rows_of(model, target), target.elements)
+    where = f"parameter {name}: {target.card} {target.id}"
+    if not rows:
+        raise InputError(f"{where}: none of its elements {list(target.elements[:5])} uses it")
+    if target.card in model and target.card in affected_cards(model):
+        return model, replace(target, elements=())
+    named = MADE.get(target.card, target.card)
+    links = [r for r in REFERENCES if named in r.of and r.card in model]
+    direct = [r for r in links if r.card in rows]
+    if direct:
+        fresh, model = _copied(model, named, target.id, _family(direct[0].of))
+        model = model if named == target.card else _row_added(model, target.card, target.id, fresh)
+        for r in direct:
+            model = _redirected(model, r.card, r.field, rows[r.card], target.id, fresh)
+        rows = {c: at for c, at in rows.items() if c not in {r.card for r in direct}}
+    elif links:
+        fresh, model = _copied(model, target.card, target.id, _family(links[0].of))
+    for r in links if rows else []:  # through the properties of the elements that are left
+        model = _by_property(model, r.card, r.field, rows, target.id, fresh)
+    return model, replace(target, id=fresh, elements=())
+
+
+def _family(cards: tuple[str, ...]) -> str:
+    return "MAT" if cards[0].startswith("MAT") else "P"
+
+
+def _copied(model: Model, card: str, row_id: int, family: str) -> tuple[int, Model]:
+    """A copy of a row under a new id, which no card of the family has."""
+    ids = [
+        t.ids.max(initial=0)
+        for c, t in model.tables.items()
+        if c.startswith(family) and c != "PARAM"
+    ]
+    fresh = int(max(ids)) + 1
+    return fresh, _row_added(model, card, row_id, fresh)
+
+
+def _row_added(model: Model, card: str, row_id: int, fresh: int) -> Model:
+    table = model[card]
+    row = int(table.find(np.array([row_id]))[0])
+    columns: dict[str, Any] = {}
+    for i, (n, column) in enumerate(table.columns.items()):
+        if isinstance(column, Ragged):
+            end = column.offsets[-1] + column.offsets[row + 1] - column.offsets[row]
+            columns[n] = Ragged(
+                np.concatenate([column.values, column.row(row)]), np.append(column.offsets, end)
+            )
+        else:
+            columns[n] = np.append(column, fresh if i == 0 else column[row])
+    made = Table(card, columns, np.append(table.file, -1), np.append(table.line, 0))
+    return replace(model, tables={**model.tables, card: made})
+
+
+def _redirected(model: Model, card: str, field: str, rows: Int, old: int, fresh: int) -> Model:
+    table = model[card]
+    column = table.columns[field]
+    if isinstance(column, Ragged):
+        values = np.where(
+            np.isin(column.owner, rows) & (column.values == old), fresh, column.values
+        )
+        columns = {**table.columns, field: Ragged(values, column.offsets)}
+        return replace(model, tables={**model.tables, card: replace(table, columns=columns)})
+    out = column.copy()
+    out[rows] = np.where(out[rows] == old, fresh, out[rows])
+    return replace(model, tables={**model.tables, card: table.with_column(field, out)})
+
+
+def _by_property(model: Model, card: str, field: str, rows: Rows, old: int, fresh: int) -> Model:
+    """Copies of the properties `card` that name material `old`, naming `fresh`, for the element
+    rows.
+    """
+    for r in [r for r in REFERENCES if card in r.of and r.card in rows]:
+        for pid in np.unique(model[r.card][r.field][rows[r.card]]).tolist():
+            row = model[card].find(np.array([pid]))
+            named = model[card].columns[field]
+            held = named.row(int(row[0])) if isinstance(named, Ragged) else named[row]
+            if row[0] < 0 or not (held == old).any():
+                continue
+            new, model = _copied(model, card, pid, "P")
+            model = _redirected(model, card, field, model[card].find(np.array([new])), old, fresh)
+            model = _redirected(model, r.card, r.field, rows[r.card], pid, new)
+    return model

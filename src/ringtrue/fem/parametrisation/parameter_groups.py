@@ -1,0 +1,343 @@
+"""What one parameter changes, and the exact parts of a polynomial dependence, from the kernels at
+complex factors.
+
+Regions: elements on which the same parameters act, and entries of their matrices at factors of
+all parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import sparse
+
+from ringtrue.core.arrays import Any_, Int
+from ringtrue.core.parameters import CardField, Parameter
+from ringtrue.errors import DeckError, UnsupportedError
+from ringtrue.fem.assembly import full_matrices
+from ringtrue.fem.element_cards import batches
+from ringtrue.fem.mesh import Matrices, Mesh, Rows, common, union
+from ringtrue.fem.parametrisation.changed_model import changed, rows_of, rows_of_elements, within
+from ringtrue.fem.parametrisation.element_derivatives import is_place
+from ringtrue.model.model import Model
+
+CHECK = 1.37  # a factor at which the polynomial must hold
+EXACT, NOISE = 1e-10, 1e-13  # relative: not polynomial above, no such power below
+INVALID = (DeckError, np.linalg.LinAlgError, ValueError)  # of factors that a section does not allow
+Pair = tuple[sparse.csr_array, sparse.csr_array]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Group:
+    """Targets of the same elements, or a factor on one of their matrices.
+
+    Attributes
+    ----------
+    which : int
+        Position of the parameter.
+    parameter : Parameter
+    rows : dict
+        Rows of each element card that it changes.
+    reach : dict
+        Rows that feel its fields: with a target for some elements only, more than those.
+    targets : tuple of CardField
+    matrix : str
+        "stiffness" or "mass" where it is a factor on that.
+    """
+
+    which: int
+    parameter: Parameter
+    rows: Rows
+    reach: Rows
+    targets: tuple[CardField, ...] = ()
+    matrix: str = ""
+
+    @property
+    def fields(self) -> str:
+        """What it scales, in words."""
+        return (
+            ", ".join(sorted({f"{t.card} {t.field}" for t in self.targets}))
+            or f"{self.matrix} of elements"
+        )
+
+    def scaled(self, part: Matrices, card: str, at: Int, a: float | complex) -> Matrices:
+        """The matrices of rows `at` of a card with its factor, if it is one on them."""
+        if not self.matrix:
+            return part
+        on = np.isin(at, self.rows.get(card, at[:0]))
+        matrix = part.stiffness if self.matrix == "stiffness" else part.mass
+        return replace(
+            part,
+            **{self.matrix: matrix * np.where(on, a, 1.0).reshape(-1, *[1] * (matrix.ndim - 1))},
+        )
+
+
+def groups_of(model: Model, which: int, parameter: Parameter) -> list[Group]:
+    """The groups of a parameter; factors on damping are none, as K and M do not depend on them.
+
+    Raises
+    ------
+    UnsupportedError
+        If it moves nodes, or if groups share an element: their products are not sums.
+    InputError
+        If a target or element is not in the model.
+    """
+    moved = [f"{t.card} {t.field}" for t in parameter.targets if is_place(t)]
+    moved += [f"shape of {len(s.nodes)} nodes" for s in parameter.shapes]
+    if moved:
+        raise UnsupportedError(
+            f"parameter {parameter.name}: {moved[0]} moves nodes; a reduced model has sections, "
+            "materials, springs and "
+            "masses only (try a solver that is run anew at each point)"
+        )
+    by_elements: dict[tuple[int, ...], list[CardField]] = {}
+    for t in parameter.targets:
+        by_elements.setdefault(t.elements, []).append(t)
+    found = []
+    for elements, targets in by_elements.items():
+        changed(model, parameter.name, targets, 1.0)  # names a target that is not there
+        reach = union(rows_of(model, t) for t in targets)
+        found.append(Group(which, parameter, within(model, reach, elements), reach, tuple(targets)))
+    for s in parameter.substructures:
+        rows = rows_of_elements(model, parameter.name, s.elements)
+        if s.matrix != "damping":
+            found.append(Group(which, parameter, rows, rows, (), s.matrix))
+    fields = [g for g in found if g.targets]
+    if any(common(a.rows, b.rows) for i, a in enumerate(fields) for b in fields[:i]):
+        raise UnsupportedError(
+            f"parameter {parameter.name}: its targets share elements, but not all of them"
+        )
+    return found
+
+
+def built(
+    m: Mesh, groups: Sequence[Group], rows: Rows, factors: Sequence[float | complex]
+) -> list[Matrices]:
+    """Element matrices of the rows with the groups at their factors; none feels the fields of one
+    it is not in.
+    """
+    model = m.model
+    for g, a in zip(groups, factors, strict=True):
+        model = changed(model, g.parameter.name, g.targets, a) if g.targets and a != 1 else model
+    there, out = Mesh(model, m.xyz, m.cd, m.scalar), list[Matrices]()
+    for card, build, at in batches(model, rows):
+        part = build(there, card, at)
+        for g, a in zip(groups, factors, strict=True):
+            part = g.scaled(part, card, at, a)
+        out.append(part)
+    return out
+
+
+def largest_entry(a: sparse.csr_array | Any_) -> float:
+    """Largest absolute entry."""
+    data = a.data if sparse.issparse(a) else a
+    return float(np.abs(data).max(initial=0.0))
+
+
+def cubic(m: Mesh, g: Group, *, linear: bool = False) -> dict[int, Pair]:
+    """The parts of K(a) = K0 + Σ a^power K_power, M likewise, by power; those that are there.
+
+    The kernels are evaluated at a = 1, -1, i, which gives the coefficients of a cubic without loss
+    of digits, and at one further point, which proves that it is one. Where it is thought to be
+    `linear`, i is left out: a complex kernel takes the time of several. Only the affected elements
+    are computed.
+
+    Raises
+    ------
+    UnsupportedError
+        If the dependence is not a polynomial of degree three or less, or not linear where it was
+        thought to be.
+    """
+    if g.matrix:
+        K, M = full_matrices(m, built(m, (), g.rows, ()))
+        return {1: (K, M * 0) if g.matrix == "stiffness" else (K * 0, M)}
+    points = (1, -1, CHECK) if linear else (1, -1, 1j, CHECK)
+    with np.errstate(
+        all="ignore"
+    ):  # a rational dependence may have its pole at one of the points; it is refused
+        try:
+            samples = {a: full_matrices(m, built(m, (g,), g.rows, (a,))) for a in points}
+        except DeckError as e:  # a section that has a limit, such as the thickness of a laminate
+            raise UnsupportedError(_not_polynomial(g)) from e
+    parts = []
+    for which in range(2):
+        at = {a: s[which] for a, s in samples.items()}
+        c = _powers(at)
+        miss = largest_entry(c[0] + CHECK * c[1] + CHECK**2 * c[2] + CHECK**3 * c[3] - at[CHECK])
+        if not miss <= EXACT * largest_entry(at[CHECK]):
+            raise UnsupportedError(_not_polynomial(g))
+        noise = NOISE * largest_entry(samples[1][which])
+        parts.append([a if largest_entry(a) > noise else a * 0 for a in c])
+    return {
+        power: (parts[0][power], parts[1][power])
+        for power in (1, 2, 3)
+        if any(largest_entry(p[power]) for p in parts)
+    }
+
+
+def _powers(at: dict[complex, sparse.csr_array]) -> list[sparse.csr_array]:
+    """c0..c3 of a cubic from its values at 1, -1, i: perfectly conditioned; of a straight line
+    without i.
+    """
+    even, odd = (at[1] + at[-1]) / 2, (at[1] - at[-1]) / 2
+    P, Q = (at[1j].real, at[1j].imag) if 1j in at else (even, odd)
+    return [(even + P) / 2, (odd + Q) / 2, (even - P) / 2, (odd - Q) / 2]
+
+
+def _not_polynomial(g: Group) -> str:
+    return (
+        f"parameter {g.parameter.name} ({g.fields}): the matrices are not a cubic polynomial of it"
+    )
+
+
+TINY = 1e-12  # share of an element's largest diagonal entry below which one scales nothing
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Region:
+    """Elements on which the same groups act."""
+
+    groups: tuple[Group, ...]
+    rows: Rows
+
+    @property
+    def which(self) -> tuple[int, ...]:
+        """Positions of the parameters."""
+        return tuple(sorted({g.which for g in self.groups}))
+
+
+def regions(groups: Sequence[Group], rows: Rows) -> list[Region]:
+    """The rows, by the groups that act on them."""
+    found: dict[tuple[int, ...], Rows] = {}
+    for card, at in rows.items():
+        acts = np.array([np.isin(at, g.rows.get(card, ())) for g in groups]).T
+        kinds, of = np.unique(acts, axis=0, return_inverse=True)
+        for k, kind in enumerate(kinds):
+            found.setdefault(tuple(np.flatnonzero(kind).tolist()), {})[card] = at[of.ravel() == k]
+    return [Region(tuple(groups[i] for i in some), there) for some, there in sorted(found.items())]
+
+
+def apart(every: Sequence[Region]) -> list[list[Region]]:
+    """Regions whose kernels can be called at once: none feels the fields of a group that acts on
+    another only.
+    """
+    out: list[list[Region]] = []
+    for r in every:
+        for batch in out:
+            if not any(_feels(r, s) or _feels(s, r) for s in batch):
+                batch.append(r)
+                break
+        else:
+            out.append([r])
+    return out
+
+
+def _feels(r: Region, other: Region) -> bool:
+    return any(bool(common(g.reach, r.rows)) for g in other.groups if g not in r.groups)
+
+
+def picked(m: Mesh, rows: Rows, wanted: Int) -> Rows:
+    """Elements by their numbers, ascending, as `owners` counts them."""
+    first, out = 0, Rows()
+    for card, _, at in batches(m.model, rows):
+        here = at[wanted[(wanted >= first) & (wanted < first + at.size)] - first]
+        out[card] = np.union1d(out.get(card, here), here)
+        first += at.size
+    return {card: at for card, at in out.items() if at.size}
+
+
+def few(rows: Rows, count: int) -> Rows:
+    """A sample of the rows of each card."""
+    return {
+        card: at[np.unique(np.linspace(0, at.size - 1, count).astype(int))]
+        for card, at in rows.items()
+    }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Together:
+    """Regions whose kernels are called at once: `apart`.
+
+    Attributes
+    ----------
+    mesh : Mesh
+    groups : tuple of Group
+    rows : dict
+        Of all the regions.
+    places : tuple of tuple of (int, rows)
+        Of each region: in which batches its elements are, and where in these.
+    """
+
+    mesh: Mesh
+    groups: tuple[Group, ...]
+    rows: Rows
+    places: tuple[tuple[tuple[int, Int], ...], ...]
+
+    @classmethod
+    def of(cls, m: Mesh, some: Sequence[Region]) -> Together:
+        """The regions, in their order."""
+        rows = union(r.rows for r in some)
+        there = [(card, at) for card, _, at in batches(m.model, rows)]
+        places = []
+        for r in some:
+            on = [np.flatnonzero(np.isin(at, r.rows.get(card, ()))) for card, at in there]
+            places.append(tuple((i, k) for i, k in enumerate(on) if k.size))
+        return cls(m, tuple(dict.fromkeys(g for r in some for g in r.groups)), rows, tuple(places))
+
+    def entries(self, a: Any_, of: Callable[[Any_], Any_] | None = None) -> list[Any_]:
+        """Lower triangles of K, then of M, of each region's elements end to end, at the factors a
+        (P,) of all.
+
+        Parameters
+        ----------
+        of : callable (matrices (e, d, d)) -> (e, d, d), optional
+            What of the matrices is wanted in place of themselves.
+        """
+        made = built(self.mesh, self.groups, self.rows, [a[g.which] for g in self.groups])
+        return [
+            ends([(made[i].stiffness[k], made[i].mass[k]) for i, k in on], of) for on in self.places
+        ]
+
+
+def entries(
+    m: Mesh, some: Sequence[Region], a: Any_, of: Callable[[Any_], Any_] | None = None
+) -> list[Any_]:
+    """`Together.entries` of the regions, once."""
+    return Together.of(m, some).entries(a, of)
+
+
+def ends(parts: Sequence[tuple[Any_, Any_]], of: Callable[[Any_], Any_] | None = None) -> Any_:
+    """Lower triangles of stiffnesses (e, d, d), then of masses, (e, d) or (e, d, d), end to end."""
+    every = [k for k, _ in parts] + [
+        x if x.ndim == 3 else x[:, :, None] * np.eye(x.shape[1]) for _, x in parts
+    ]
+    return np.concatenate([np.empty(0), *(_lower(of(x) if of else x) for x in every)])
+
+
+def owners(m: Mesh, region: Region) -> Int:
+    """Which of its elements, counted over `batches`, each of a region's `entries` is of."""
+    count = 0
+
+    def numbers(x: Any_) -> Any_:
+        nonlocal count
+        count += len(x)
+        return np.broadcast_to(np.arange(count - len(x), count)[:, None, None], x.shape)
+
+    wide = 1 + max(region.which)
+    (found,) = entries(m, [region], np.ones(wide), numbers)
+    return np.asarray(found.astype(np.int64) % (count // 2))
+
+
+def roots(x: Any_) -> Any_:
+    """1 / √(x_ii x_jj) of matrices (e, d, d); 0 where one of the two is none."""
+    d = np.abs(np.einsum("eii->ei", x))
+    there = d > TINY * d.max(axis=1, keepdims=True, initial=0.0)
+    s = np.where(there, 1 / np.sqrt(np.where(there, d, 1.0)), 0.0)
+    return s[:, :, None] * s[:, None, :]
+
+
+def _lower(x: Any_) -> Any_:
+    i, j = np.tril_indices(x.shape[1])
+    return x[:, i, j].ravel()

@@ -1,0 +1,113 @@
+"""Eigensystem realisation algorithm (Juang and Pappa 1985) on correlations (NExT, James et al.
+1993) or free decays.
+
+All orders come from one decomposition: with H₀ = U S Vᵀ the matrix of order n is the leading block
+of S^(-1/2) Uᵀ H₁ V S^(-1/2).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ringtrue.core.arrays import Complex, Float, Int
+from ringtrue.core.signals import TimeHistory
+from ringtrue.errors import DataError
+from ringtrue.identification.ambient.ssi_cov import SsiCov, choose_references, decompose, prepared
+from ringtrue.identification.common.poles import PoleSet, unit
+from ringtrue.identification.common.uncertainty import hankel
+from ringtrue.signal.spectra import correlations
+
+
+def era(decays: Float, rate: float, settings: SsiCov | None = None) -> PoleSet:
+    """Poles of all orders from free decays; standard deviations are NaN.
+
+    Parameters
+    ----------
+    decays : (lag, ch, ref) float64
+        Correlations, or impulse responses; lag 0 is not used, as it holds the sensor noise.
+        2·block_rows + 1 lags.
+    rate : float, Hz
+    settings : SsiCov
+        `blocks` is not used.
+
+    Raises
+    ------
+    DataError
+        If there are too few lags.
+    """
+    s = settings or SsiCov()
+    ch = decays.shape[1]
+    if decays.shape[0] < 2 * s.block_rows + 1:
+        raise DataError(
+            f"{decays.shape[0]} lags are too few for {s.block_rows} block rows; needed: "
+            f"{2 * s.block_rows + 1}"
+        )
+    h0, h1 = hankel(decays, s.block_rows), hankel(decays[1:], s.block_rows)
+    u, sv, v = decompose(h0, min(s.order_max, min(h0.shape)))
+    n = int((sv > 1e-12 * sv[0]).sum())
+    root = np.sqrt(sv[:n])
+    a = (u[:, :n].T @ h1 @ v[:, :n]) / np.outer(root, root)
+    return orders_of(a, u[:ch, :n] * root, rate, s)
+
+
+def orders_of(a: Float, c: Float, rate: float, s: SsiCov) -> PoleSet:
+    """Poles of the orders 2, 2 + step, .. from leading blocks of the transition matrix `a` and of
+    `c` (ch, n).
+    """
+    parts = [
+        modal(a[:n, :n], c[:, :n], rate, s.damping_max) for n in range(2, len(a) + 1, s.order_step)
+    ]
+    return gathered(list(range(2, len(a) + 1, s.order_step)), parts)
+
+
+def modal(a: Float, c: Float, rate: float, damping_max: float) -> tuple[Complex, Complex]:
+    """Damped poles (k,), rad/s, and shapes (ch, k) of one realisation."""
+    mu, right = np.linalg.eig(a)
+    pole = np.log(np.where(mu == 0, 1e-300, mu).astype(np.complex128)) * rate
+    zeta = -pole.real / np.maximum(np.abs(pole), 1e-300)
+    keep = (mu.imag > 0) & (zeta > 0) & (zeta < damping_max)
+    return np.asarray(pole[keep]), np.asarray((c @ right[:, keep]).astype(np.complex128))
+
+
+def gathered(orders: Sequence[int], parts: Sequence[tuple[Complex, Complex]]) -> PoleSet:
+    """One set of the (poles, shapes) of each order, without standard deviations."""
+    order: Int = np.repeat(np.asarray(orders, dtype=np.int64), [x[0].size for x in parts])
+    unknown = np.full(order.size, np.nan)
+    return PoleSet(
+        order,
+        np.concatenate([x[0] for x in parts]),
+        unit(np.concatenate([x[1] for x in parts], axis=1)),
+        unknown,
+        unknown,
+    )
+
+
+def next_era(
+    history: TimeHistory, settings: SsiCov | None = None, *, references: Sequence[str] | None = None
+) -> PoleSet:
+    """ERA on the correlations of an ambient record with its reference channels (NExT), one band,
+    all orders.
+
+    Parameters
+    ----------
+    history : TimeHistory
+    settings : SsiCov
+    references : sequence of str
+        Channel ids; None: all channels, or the 8 that span the motion best.
+
+    Raises
+    ------
+    DataError
+        If the record is too short, a channel is dead or there is no such reference.
+    """
+    s = settings or SsiCov()
+    data, scale = prepared(history)
+    lags = 2 * s.block_rows
+    if data.shape[1] < 4 * lags:
+        raise DataError(
+            f"{history.source}: {data.shape[1]} samples are too few; needed are {4 * lags}"
+        )
+    refs = choose_references(history, data, references)
+    return era(correlations(data, refs, lags), history.rate, s).rescaled(scale)

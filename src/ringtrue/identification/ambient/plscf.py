@@ -1,0 +1,166 @@
+"""Ambient modes by poly-reference LSCF on half spectra, refined by least squares.
+
+The half spectra are those of Peeters and Van der Auweraer (2005), "PolyMAX: a revolution in
+operational modal analysis", IOMAC: the correlations at positive lags under an exponential window,
+whose decay is taken out of the poles. They have the form of FRFs with the references as inputs, so
+the poles, whose damping LSCF has too small in noise, are refined and judged as those of FRFs are
+(after El-Kafafy, Peeters and Guillaume 2013). Correlations of one record hang together from lag to
+lag and noise may fit them well, so both halves of the record must show a mode.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ringtrue.core.arrays import Complex, Float, Int
+from ringtrue.core.modes import ModeSet, Uncertainty
+from ringtrue.core.signals import FrfSet, TimeHistory
+from ringtrue.errors import DataError
+from ringtrue.identification.ambient.ssi_cov import choose_references, prepared
+from ringtrue.identification.common.poles import PoleSet, unit
+from ringtrue.identification.common.stabilisation import least_deviations
+from ringtrue.identification.frf.confidence import CandidatePoles, assess_candidates
+from ringtrue.identification.frf.lines import Noise, prepare
+from ringtrue.identification.frf.plscf import Plscf, plscf
+from ringtrue.identification.frf.pole_search import grouped, merged
+from ringtrue.identification.frf.refinement import Refined, refine
+from ringtrue.shapes.mac import mac
+from ringtrue.signal.spectra import correlations
+
+LAGS, ENDS_AT = (
+    400,
+    0.01,
+)  # of a half spectrum, and what the exponential window leaves at the last of them
+FEWEST_LAGS, SAMPLES_A_LAG = 64, 8
+STATES = 120  # order times references
+DAMPING_MAX = 0.2
+APART, BANDWIDTH = (
+    6.0,
+    0.5,
+)  # of poles of both halves: in deviations of the record's, and half bandwidths
+
+
+def half_spectra_modes(
+    history: TimeHistory,
+    band: tuple[float, float],
+    references: Sequence[str] | None = None,
+    least: float = 0.33,
+) -> tuple[ModeSet, Uncertainty]:
+    """Modes of a band (Hz): poles that stay in place over the orders, refined, and seen in both
+    halves of the record.
+
+    Parameters
+    ----------
+    history : TimeHistory
+    band : (float, float), Hz
+    references : sequence of str, optional
+        Channel ids; None: all channels, or the 8 that span the motion best.
+    least : float
+        Modes of less confidence are left out, and the others fitted anew.
+
+    Returns
+    -------
+    ModeSet
+        The confidence is that of the fit (`identify.judge`) times the agreement of both halves.
+    Uncertainty
+        All NaN.
+
+    Raises
+    ------
+    DataError
+        If the record is too short for its lags.
+    """
+    data, scale = prepared(history)
+    refs, lags = choose_references(history, data, references), _lags(history)
+    whole, *halves = (
+        _half_spectra(replace(history, data=x), band, refs, lags)
+        for x in (data, *np.array_split(data, 2, axis=1))
+    )
+    level = Noise(
+        np.sqrt((np.abs(whole.data) ** 2).mean(axis=(1, 2))), np.ones(len(data)), np.ones(refs.size)
+    )
+    everywhere = np.ones(whole.freqs.size, dtype=np.bool_)
+    found = grouped(_poles(whole), whole.data, level, whole, everywhere)[1]
+    start = merged([found], whole.freqs, whole.window_decay)
+    pole, shape, sure = _settled(start, whole, halves, level, history.duration, least)
+    rank = np.argsort(np.abs(pole), kind="stable")
+    pole, shape = pole[rank], unit(shape[:, rank] * scale[:, None])
+    ids, none = tuple(c.id for c in history.channels), np.full(pole.size, np.nan)
+    modes = ModeSet(
+        np.abs(pole) / (2 * np.pi), -pole.real / np.abs(pole), shape, ids, confidence=sure[rank]
+    )
+    return modes, Uncertainty.independent(none, none, np.full(shape.shape, np.nan))
+
+
+def _lags(history: TimeHistory) -> int:
+    samples = int(history.data.shape[1])
+    if (lags := min(LAGS, samples // SAMPLES_A_LAG)) < FEWEST_LAGS:
+        raise DataError(
+            f"{history.source}: {samples} samples are too few for half spectra; needed: "
+            f"{SAMPLES_A_LAG * FEWEST_LAGS}"
+        )
+    return lags
+
+
+def _half_spectra(part: TimeHistory, band: tuple[float, float], refs: Int, lags: int) -> FrfSet:
+    """(freq, ch, ref) those of the lines in the band and a little beside."""
+    decay = -np.log(ENDS_AT) * part.rate / lags
+    tapered = np.exp(-decay * np.arange(1, lags + 1) / part.rate)[:, None, None]
+    r = correlations(part.data, refs, lags)[1:] * tapered
+    freqs = np.arange(lags // 2 + 1) * part.rate / lags
+    half = (
+        np.fft.rfft(r, axis=0) * np.exp(-2j * np.pi * freqs / part.rate)[:, None, None]
+    )  # lag 0, noise, is out
+    at = (freqs >= 0.9 * band[0]) & (freqs <= min(1.1 * band[1], 0.48 * part.rate)) & (freqs > 0)
+    inputs = tuple(part.channels[i] for i in refs)
+    return FrfSet(half[at], freqs[at], part.channels, inputs, kind="receptance", window_decay=decay)
+
+
+def _poles(spectra: FrfSet) -> PoleSet:
+    """With the window, and participation vectors for shapes."""
+    most = DAMPING_MAX + spectra.window_decay / (2 * np.pi * spectra.freqs[0])
+    top = max(6, min(40, STATES // len(spectra.inputs), spectra.freqs.size // 3))
+    return plscf(spectra.data, spectra.freqs, Plscf(max(2, top // 4), top, most))
+
+
+def _settled(
+    c: CandidatePoles,
+    whole: FrfSet,
+    halves: Sequence[FrfSet],
+    level: Noise,
+    duration: float,
+    least: float,
+) -> tuple[Complex, Complex, Float]:
+    """Refined poles (m,), shapes (ch, m) and confidence of those that have `least` of it.
+
+    A verdict hangs on the other modes: the worst goes, and the others are fitted anew.
+    """
+    lines = prepare(whole, level)
+    # a pole may lose its damping in half of the record, and then stops no other where the window
+    # keeps it stable
+    one, two = (prepare(replace(x, window_decay=0.0), level) for x in halves)
+    while c.pole.size:
+        fit = refine(lines, c.pole, c.participation)
+        c = replace(c, pole=fit.poles, participation=fit.participation)
+        sure = assess_candidates(lines, fit, c, (), damping_max=DAMPING_MAX).confidence
+        if (sure >= least).all():
+            start = c.pole - whole.window_decay, c.participation
+            sure = sure * _agreement(c.pole, refine(one, *start), refine(two, *start), duration)
+        if (sure >= least).all():
+            return fit.poles, fit.shapes, sure
+        c = c.take(np.arange(sure.size) != sure.argmin())
+    return c.pole, np.zeros((len(whole.outputs), 0), dtype=np.complex128), np.zeros(0)
+
+
+def _agreement(pole: Complex, one: Refined, two: Refined, duration: float) -> Float:
+    """(m,) 0..1: MAC of the shapes that both halves of the record give, less where their poles lie
+    apart.
+    """
+    size = np.abs(pole)
+    std, _ = least_deviations(size / (2 * np.pi), -pole.real / size, duration)
+    reach = np.maximum(2 * np.pi * APART * std, BANDWIDTH * -pole.real)
+    near: Float = np.clip(2 - np.abs(one.poles - two.poles) / reach, 0, 1)
+    return np.asarray(near * np.diag(mac(one.shapes, two.shapes)))

@@ -1,0 +1,460 @@
+"""Covariance-driven stochastic subspace identification: one decomposition, every model order.
+
+Peeters and De Roeck 1999 (reference-based SSI-cov); the orders from the leading blocks of one QR
+factorisation of the observability matrix follow Döhler and Mevel 2012 (fast multi-order
+computation).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
+from scipy.linalg import qr, solve_triangular, svd
+from scipy.sparse.linalg import LinearOperator, eigsh
+
+from ringtrue.core.arrays import Any_, Complex, Float, Int
+from ringtrue.core.signals import TimeHistory
+from ringtrue.errors import ConfigError, DataError
+from ringtrue.identification.common import uncertainty as var
+from ringtrue.identification.common.poles import PoleSet, unit
+from ringtrue.signal import band_correlations
+from ringtrue.signal.band_correlations import Signals
+from ringtrue.signal.decimation import Fir, detrend
+from ringtrue.signal.spectra import block_weights
+
+MAX_REFERENCES = 8
+WIDE = 1500  # columns of a Hankel matrix, beyond which convolutions take less time than products
+AS_IS = Fir(np.ones(1))
+
+
+@dataclass(frozen=True, slots=True)
+class SsiCov:
+    """Settings of one band.
+
+    Attributes
+    ----------
+    block_rows : int
+        Block rows (and columns) of the Hankel matrix; lags up to 2·block_rows − 1 are used.
+    order_max : int
+        Largest model order (states; two for each mode), even.
+    order_step : int
+    blocks : int
+        Blocks of the record for the variance; 0 chooses, 1 leaves the standard deviations out.
+    damping_max : float
+        Poles with more damping, or none, are dropped.
+    """
+
+    block_rows: int = 50
+    order_max: int = 80
+    order_step: int = 2
+    blocks: int = 0
+    damping_max: float = 0.3
+
+    def __post_init__(self) -> None:
+        if self.block_rows < 2 or self.order_max < 2 or self.order_step < 1 or self.blocks == 2:
+            raise ConfigError(
+                f"SSI: block_rows {self.block_rows} >= 2, order_max {self.order_max} >= 2, "
+                f"order_step {self.order_step} >= 1, blocks {self.blocks} not 2"
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Subspace:
+    """The decomposition all orders come from: H ≈ U S Vᵀ, O = U, the QR of O without its last block
+    row.
+
+    `turn` (ch,) complex128 are the phases that make one motion of channels of different kinds,
+    where there are some.
+    """
+
+    u: Float
+    s: Float
+    vs: Float
+    q: Float
+    r: Float
+    qd: Float
+    channels: int
+    rate: float
+    turn: Complex | None = None
+
+    def turned(self, psi: Complex) -> Complex:
+        """Shapes (ch, ...) as those of one motion."""
+        return psi if self.turn is None else (psi.T * self.turn).T
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BandPoles:
+    """Poles of all orders of one band, with the deviation by each block of the record.
+
+    Attributes
+    ----------
+    poles : PoleSet
+    deviation : (k, block) complex128, rad/s
+    strength : (k,) float64
+        Signal-to-noise ratio of the mode in the correlations.
+    column : (k,) int64
+        Position among the eigenvalues of its order.
+    subspace : Subspace
+    perturbations : Perturbations
+    """
+
+    poles: PoleSet
+    deviation: Complex
+    strength: Float
+    column: Int
+    subspace: Subspace
+    perturbations: var.Perturbations
+
+
+def decompose(
+    h: Float, order: int, gram: Float | LinearOperator | None = None
+) -> tuple[Float, Float, Float]:
+    """Leading singular triplets U (i, order), s, V (j, order) of `h` from hᵀh (`gram`, if there is
+    a faster way to it).
+
+    A Rayleigh-Ritz step follows where the square of a singular value comes near the rounding of the
+    largest.
+    """
+    j = h.shape[1]
+    if j <= 2 * order or (j <= 4 * order and len(h) <= 4 * j):
+        u, s, vt = svd(h, full_matrices=False)
+        return u[:, :order], s[:order], vt[:order].T
+    wide = min(
+        max(3 * order // 2, order + 20), j
+    )  # of the Krylov space: the default takes more products
+    size, v = eigsh(h.T @ h if gram is None else gram, order, v0=np.ones(j), tol=1e-8, ncv=wide)
+    rank = np.argsort(-size, kind="stable")
+    size, v = size[rank], v[:, rank]
+    if size[-1] > 1e-10 * size[0]:
+        s = np.sqrt(size)
+        return (h @ v) / s, s, v
+    basis, _ = qr(h @ v, mode="economic")
+    u, s, vt = svd(basis.T @ h, full_matrices=False)
+    return basis @ u[:, :order], s[:order], vt[:order].T
+
+
+def squared_hankel(h: Float, ch: int, ref: int) -> Float:
+    """HᵀH of a block-Hankel matrix with blocks (ch, ref): each block from the one before it on its
+    diagonal.
+    """
+    rows = h.shape[1] // ref
+    first, last = h[:ch, :-ref], h[-ch:, ref:]
+    gain = (last.T @ last - first.T @ first).reshape(rows - 1, ref, rows - 1, ref)
+    out = np.empty((rows, ref, rows, ref))
+    out[0] = (h[:, :ref].T @ h).reshape(ref, rows, ref)
+    for j in range(1, rows):
+        out[j, :, 0] = out[0, :, j].T
+        out[j, :, 1:] = out[j - 1, :, :-1] + gain[j - 1]
+    return out.reshape(rows * ref, rows * ref)
+
+
+def hankel_gram(r: Float, rows: int) -> LinearOperator:
+    """HᵀH of the block-Hankel matrix H of `r` (lag, ch, ref): two convolutions, no matrix of
+    rows·ref squared.
+    """
+    size = int(next_fast_len(2 * rows - 1, real=True))
+    spectrum = rfft(r[1 : 2 * rows], size, axis=0)
+    back = np.ascontiguousarray(spectrum.transpose(0, 2, 1))
+
+    def convolved(x: Float, by: Complex) -> Float:  # (row, k) -> (row, l): Σ_j R[i + j] x_j
+        y = by @ rfft(x[::-1], size, axis=0)[:, :, None]
+        return np.asarray(irfft(y[:, :, 0], size, axis=0)[rows - 1 : 2 * rows - 1])
+
+    def product(v: Float) -> Float:
+        return convolved(convolved(v.reshape(rows, -1), spectrum), back).ravel()
+
+    columns = rows * r.shape[2]
+    return LinearOperator((columns, columns), matvec=product, dtype=np.float64)
+
+
+def subspace(r: Float, rows: int, order: int, rate: float, turn: Complex | None = None) -> Subspace:
+    """The decomposition of the correlations `r` (lag, ch, ref); the order is cut where the rank
+    ends.
+    """
+    ch = r.shape[1]
+    h = var.hankel(r, rows)
+    gram = hankel_gram(r, rows) if h.shape[1] > WIDE else squared_hankel(h, ch, r.shape[2])
+    u, s, v = decompose(h, min(order, (rows - 1) * ch, min(h.shape)), gram)
+    n = int((s > 1e-12 * s[0]).sum())
+    return _factored(u[:, :n], s[:n], v[:, :n] / s[:n], ch, rate, turn)
+
+
+def part_of(whole: Subspace, r: Float, rows: int) -> Subspace:
+    """The subspace that the correlations `r` of a part of the record show through the right vectors
+    of the whole.
+    """
+    return _factored(
+        var.hankel(r, rows) @ whole.vs, whole.s, whole.vs, whole.channels, whole.rate, whole.turn
+    )
+
+
+def _factored(
+    u: Float, s: Float, vs: Float, ch: int, rate: float, turn: Complex | None
+) -> Subspace:
+    q, tri = qr(u[:-ch], mode="economic")
+    return Subspace(
+        u,
+        s,
+        vs,
+        np.asarray(q, np.float64),
+        np.asarray(tri, np.float64),
+        q.T @ u[ch:],
+        ch,
+        rate,
+        turn,
+    )
+
+
+def transition(sub: Subspace, n: int) -> tuple[Float, Complex, Complex, Complex]:
+    """A (n, n) of order n, its eigenvalues (n,), right vectors (columns), left vectors (rows);
+    left·right = I.
+    """
+    a = solve_triangular(sub.r[:n, :n], sub.qd[:n, :n])
+    mu, right = np.linalg.eig(a)
+    right = right.astype(np.complex128)
+    return (
+        a,
+        mu.astype(np.complex128),
+        right,
+        np.linalg.solve(right, np.eye(n, dtype=np.complex128)),
+    )
+
+
+def _order(
+    sub: Subspace,
+    back: Float,
+    p: var.Perturbations | None,
+    n: int,
+    settings: SsiCov,
+    low: float,
+    high: float,
+) -> tuple[Int, Complex, Complex, Complex, Float]:
+    """Columns, poles, shapes (ch, k), deviations (k, block) and strengths of one order within the
+    band.
+
+    `back` is R⁻¹: R is a triangle, so the leading blocks of its inverse are the inverses of its
+    leading blocks.
+    """
+    mu, right = np.linalg.eig(back[:n, :n] @ sub.qd[:n, :n])
+    log = np.asarray(np.log(np.where(mu == 0, 1e-300, mu + 0j)) * sub.rate, dtype=np.complex128)
+    f, zeta = np.abs(log) / (2 * np.pi), -log.real / np.maximum(np.abs(log), 1e-300)
+    ok = (mu.imag > 0) & (zeta > 0) & (zeta < settings.damping_max) & (f >= low) & (f <= high)
+    keep = np.flatnonzero(ok).astype(np.int64)
+    own = right[:, keep].astype(np.complex128)
+    psi = sub.turned(np.asarray(sub.u[: sub.channels, :n] @ own, dtype=np.complex128))
+    if p is None or not keep.size:
+        blocks = 0 if p is None else len(p.up)
+        return (
+            keep,
+            log[keep],
+            psi,
+            np.empty((keep.size, blocks), np.complex128),
+            np.full(keep.size, np.nan),
+        )
+    left = np.linalg.solve(right.T, np.eye(n)[:, keep]).T.astype(np.complex128)
+    d_mu = var.pole_deviations(p, left @ back[:n, :n], mu[keep], own)
+    return keep, log[keep], psi, d_mu / mu[keep, None] * sub.rate, var.strengths(p, sub.s, left)
+
+
+def all_orders(
+    sub: Subspace, p: var.Perturbations | None, settings: SsiCov, band: tuple[float, float]
+) -> tuple[PoleSet, Complex, Float, Int]:
+    """Poles of the orders 2, 2 + step, .. within the band (Hz), their deviations, strengths and
+    columns.
+    """
+    orders = np.arange(2, min(sub.s.size, settings.order_max) + 1, settings.order_step)
+    back = solve_triangular(sub.r, np.eye(len(sub.r)))
+    parts = [_order(sub, back, p, int(n), settings, *band) for n in orders]
+    column = np.concatenate([x[0] for x in parts]).astype(np.int64)
+    pole = np.concatenate([x[1] for x in parts])
+    psi = np.concatenate([x[2] for x in parts], axis=1)
+    dev = np.concatenate([x[3] for x in parts])
+    strength = np.concatenate([x[4] for x in parts])
+    order = np.repeat(orders, [x[0].size for x in parts])
+    df, dz = var.frequency_damping(pole, dev)
+    unknown = np.full(pole.size, np.nan)
+    poles = PoleSet(
+        order,
+        pole,
+        unit(psi),
+        var.root_sum_square(df) if p is not None else unknown,
+        var.root_sum_square(dz) if p is not None else unknown,
+    )
+    return poles, dev, strength, column
+
+
+def choose_references(history: TimeHistory, data: Float, names: Sequence[str] | None) -> Int:
+    """(ref,) int64 channels of these names; without, those that span the motion best, of its
+    `prepared` data.
+
+    Raises
+    ------
+    DataError
+        If one is absent.
+    """
+    if names is not None:
+        return positions(history, names)
+    if len(data) <= MAX_REFERENCES:
+        return np.arange(len(data), dtype=np.int64)
+    return spanning(data[:, 1:] @ data[:, :-1].T, MAX_REFERENCES)
+
+
+def spanning(lagged: Float, most: int) -> Int:
+    """(k,) int64 channels that span the motion best: all, or `most` by pivoted QR of the
+    correlations at lag 1.
+    """
+    if len(lagged) <= most:
+        return np.arange(len(lagged), dtype=np.int64)
+    _, pivots = qr(lagged, mode="r", pivoting=True)
+    return np.sort(np.asarray(pivots[:most], dtype=np.int64))
+
+
+def blockwise(
+    history: TimeHistory, references: Int | None, settings: SsiCov
+) -> tuple[Any_, Float, Float]:
+    """Correlations (block, lag, ch, ref) float32 in units of the root mean squares, the weights
+    (block,), those (ch,).
+
+    `references` None: all channels, or the 8 that span the motion best.
+
+    Raises
+    ------
+    DataError
+        If the record is too short for the lags, or a channel is constant or not finite.
+    """
+    signals, lags = Signals.straightened(history.data), 2 * settings.block_rows - 1
+    if signals.samples < 4 * lags:
+        raise DataError(
+            f"{signals.samples} samples are too few for {settings.block_rows} block rows; needed "
+            f"are {4 * lags}"
+        )
+    blocks = settings.blocks or var.blocks_for(signals.samples, lags)
+    cut = band_correlations.segments(signals.samples, blocks, lags, AS_IS, AS_IS)
+    if references is None:
+        seen, lagged = band_correlations.glance(signals, cut, AS_IS)
+        _alive(history, np.isfinite(seen) + 0.0)
+        references = spanning(lagged, MAX_REFERENCES)
+    r, _ = band_correlations.run(signals, cut, AS_IS, AS_IS, references)
+    used = band_correlations.pairs(cut, signals.samples)[:, 0]
+    scale = _alive(history, _power(signals, r, references, used))
+    r /= (scale[:, None] * scale[references]).astype(np.float32)
+    weights = loudness_weights(r, references) * used
+    return r, weights / weights.sum(), scale
+
+
+def _power(signals: Signals, r: Any_, references: Int, used: Float) -> Float:
+    """(ch,) mean squares of the signals: from their correlations `r` (block, lag, ch, ref) where
+    all are in these.
+    """
+    ch = signals.level.size
+    if np.unique(references).size < ch:
+        return signals.power()
+    power = np.empty(ch)
+    power[references] = used @ r[:, 0, references, np.arange(references.size)] / signals.samples
+    return power
+
+
+def loudness_weights(r: Float, references: Int) -> Float:
+    """(block,) weights, sum 1, of the correlations `r` (block, lag, ch, ref) by the power of their
+    references.
+    """
+    return block_weights(block_power(r, references))
+
+
+def block_power(r: Float, references: Int) -> Float:
+    """(block,) mean squares of the references from the correlations `r` (block, lag, ch, ref)."""
+    return np.asarray(r[:, 0, references, np.arange(references.size)].mean(1), dtype=np.float64)
+
+
+def identify_band(
+    r: Float,
+    weights: Float,
+    settings: SsiCov,
+    rate: float,
+    band: tuple[float, float],
+    turn: Complex | None = None,
+) -> BandPoles:
+    """All orders with their uncertainty from block correlations `r` (block, lag, ch, ref) of
+    signals at `rate`.
+    """
+    mean, dr = var.deviations(r, weights)
+    sub = subspace(mean, settings.block_rows, settings.order_max, rate, turn)
+    p = var.perturb(dr, settings.block_rows, sub.u, sub.vs, sub.q)
+    poles, dev, strength, column = all_orders(sub, p, settings, band)
+    return BandPoles(poles, dev, strength, column, sub, p)
+
+
+def prepared(history: TimeHistory) -> tuple[Float, Float]:
+    """Signals without mean and trend (ch, sample) in units of their root mean square, and those
+    (ch,).
+
+    Raises
+    ------
+    DataError
+        If a channel is constant or not finite.
+    """
+    data = detrend(history.data)
+    scale = _alive(history, np.einsum("ij,ij->i", data, data) / data.shape[1])
+    return data / scale[:, None], scale
+
+
+def _alive(history: TimeHistory, power: Float) -> Float:
+    """(ch,) root of the mean squares (ch,) of its signals."""
+    if lost := [
+        c.id for c, s in zip(history.channels, power, strict=True) if not (np.isfinite(s) and s > 0)
+    ]:
+        raise DataError(
+            f"{history.source}: channels {' '.join(lost[:8])} are constant or not finite; leave "
+            "them out"
+        )
+    return np.sqrt(power)
+
+
+def positions(history: TimeHistory, references: Sequence[str]) -> Int:
+    """(ref,) int64 rows of the reference channels.
+
+    Raises
+    ------
+    DataError
+        If one is absent.
+    """
+    ids = [c.id for c in history.channels]
+    if lost := [x for x in references if x not in ids]:
+        raise DataError(
+            f"{history.source}: no reference channel {' '.join(lost[:8])}; there are "
+            f"{' '.join(ids[:40])}"
+        )
+    return np.array([ids.index(x) for x in references], dtype=np.int64)
+
+
+def ssi_cov(
+    history: TimeHistory, settings: SsiCov | None = None, *, references: Sequence[str] | None = None
+) -> PoleSet:
+    """Poles of all model orders of the record as it stands: one band, no decimation.
+
+    Parameters
+    ----------
+    history : TimeHistory
+    settings : SsiCov
+    references : sequence of str
+        Channel ids; all channels, or the 8 that span the motion best, where None.
+
+    Raises
+    ------
+    DataError
+        If the record is too short, has dead channels or has no such reference.
+    """
+    settings = settings or SsiCov()
+    r, weights, scale = blockwise(
+        history, None if references is None else positions(history, references), settings
+    )
+    band = (0.0, history.rate / 2)
+    if len(r) == 1:
+        sub = subspace(
+            r[0].astype(np.float64), settings.block_rows, settings.order_max, history.rate
+        )
+        return all_orders(sub, None, settings, band)[0].rescaled(scale)
+    return identify_band(r, weights, settings, history.rate, band).poles.rescaled(scale)

@@ -1,0 +1,1 @@
+"""Poles of all model orders, stabilisation, uncertainty, selection by hand, merging, tracking."""

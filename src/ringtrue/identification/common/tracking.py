@@ -1,0 +1,377 @@
+"""Modes followed from stretch to stretch of a long record: by shape and frequency, over gaps, new
+ones named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from ringtrue.core.arrays import Complex, Float, Int, freeze_fields
+from ringtrue.core.modes import ModeSet, Uncertainty
+from ringtrue.errors import ConfigError, DataError
+from ringtrue.shapes.mac import mac
+
+_FAR = 1e6
+_CHANCE = 0.01  # of a row of stretches without a mode
+_PLAIN = 0.95  # MAC that leaves no doubt
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stretch:
+    """The modes of one stretch; `time` is its middle, h."""
+
+    time: float
+    modes: ModeSet
+    uncertainty: Uncertainty
+
+
+@dataclass(frozen=True, slots=True)
+class TrackSettings:
+    """How modes of successive stretches are matched.
+
+    Attributes
+    ----------
+    step : float
+        Relative change of frequency from one stretch to the next that may be; over n times the
+        usual time sqrt(n) of it, three times at most, and twice as much where the MAC is above
+        0.95. Four standard deviations may always be.
+    mac : float
+        Smallest MAC with the shape followed, on the common channels.
+    memory : float
+        Weight of a new shape in the shape followed: it may turn slowly, as it does where two modes
+        veer.
+    least : int
+        Stretches that make a mode; rarer ones are listed apart.
+    """
+
+    step: float = 0.02
+    mac: float = 0.6
+    memory: float = 0.3
+    least: int = 3
+
+    def __post_init__(self) -> None:
+        if not (
+            0 < self.step < 1 and 0 <= self.mac < 1 and 0 < self.memory <= 1 and self.least >= 1
+        ):
+            raise ConfigError(
+                f"tracking: step {self.step} and memory {self.memory} must be in 0 .. 1, mac "
+                f"{self.mac} below 1, "
+                f"least {self.least} 1 or more"
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModeTrack:
+    """One mode through time.
+
+    Attributes
+    ----------
+    name : str
+        `1`, `2`, ... by its first stretch, then by frequency.
+    at : (n,) int64
+        Stretches that show it, ascending.
+    mode : (n,) int64
+        Its position among the modes of each.
+    frequency, std_frequency : (n,) float64, Hz
+    damping, std_damping : (n,) float64
+    confidence : (n,) float64
+    shape : (channel,) complex128
+        Mean of all stretches, length 1.
+    mac : (n,) float64
+        Of each stretch with the mean shape.
+    """
+
+    name: str
+    at: Int
+    mode: Int
+    frequency: Float
+    std_frequency: Float
+    damping: Float
+    std_damping: Float
+    confidence: Float
+    shape: Complex
+    mac: Float
+
+    def __post_init__(self) -> None:
+        f = np.float64
+        freeze_fields(
+            self, at=np.int64, mode=np.int64, frequency=f, std_frequency=f, damping=f, std_damping=f
+        )
+        freeze_fields(self, confidence=f, shape=np.complex128, mac=f)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tracked:
+    """Modes of a long record through time.
+
+    Attributes
+    ----------
+    times : (k,) float64, h
+        Middle of each stretch.
+    channels : tuple of str
+        Rows of the shapes.
+    tracks : tuple of ModeTrack
+    rare : tuple of ModeTrack
+        Seen in fewer stretches than make a mode; without a name.
+    """
+
+    times: Float
+    channels: tuple[str, ...]
+    tracks: tuple[ModeTrack, ...]
+    rare: tuple[ModeTrack, ...]
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, times=np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Thread:
+    """A mode while it is followed: its members (stretch, mode), the frequency and the shape looked
+    for.
+    """
+
+    members: tuple[tuple[int, int], ...]
+    frequency: float
+    shape: Complex
+
+    def joined(
+        self, member: tuple[int, int], frequency: float, psi: Complex, memory: float
+    ) -> _Thread:
+        """With one more member; the shape turns towards it, the frequency is the newest."""
+        on = np.isfinite(psi)
+        known = on & np.isfinite(self.shape)
+        turn = complex(self.shape[known].conj() @ psi[known])
+        new = psi * (turn.conjugate() / abs(turn) if turn else 1.0)
+        shape = np.where(
+            on, np.where(known, (1 - memory) * self.shape + memory * new, new), self.shape
+        )
+        return _Thread((*self.members, member), frequency, shape)
+
+
+def track_modes(stretches: Sequence[Stretch], settings: TrackSettings | None = None) -> Tracked:
+    """Follow all modes through the stretches; a mode may be missing in any of them.
+
+    Each stretch is assigned at once to the modes known so far, at the least sum of 1 - MAC and
+    squared change of frequency (Hungarian method); what is left over begins a mode. Where
+    frequencies cross, the shapes decide. Parts of one mode that were not seen to belong together
+    are joined afterwards.
+
+    Parameters
+    ----------
+    stretches : sequence of Stretch
+        Ascending in time; stretches may have different channels, but must share some.
+    settings : TrackSettings, optional
+
+    Raises
+    ------
+    DataError
+        Without stretches, or if they do not ascend.
+    """
+    s = settings or TrackSettings()
+    if not stretches:
+        raise DataError("no stretch to follow modes through")
+    times = np.array([x.time for x in stretches])
+    if not (np.diff(times) > 0).all():
+        raise DataError(f"the stretches must ascend in time; got {times[:8].tolist()} h")
+    channels = tuple(dict.fromkeys(c for x in stretches for c in x.modes.channels))
+    shapes = [_on_all(x.modes, channels) for x in stretches]
+    threads: list[_Thread] = []
+    clock = ticks(times)
+    for k, stretch in enumerate(stretches):
+        threads = _advance(threads, (k, clock), stretch, shapes[k], stretches, s)
+    tracks = [_track(t, stretches, shapes) for t in _mended(threads, stretches, shapes, clock, s)]
+    tracks.sort(key=lambda t: (int(t.at[0]), float(t.frequency[0])))
+    known = [t for t in tracks if t.at.size >= min(s.least, len(stretches))]
+    rare = [t for t in tracks if t.at.size < min(s.least, len(stretches))]
+    named = tuple(replace(t, name=str(i + 1)) for i, t in enumerate(known))
+    return Tracked(times, channels, named, tuple(rare))
+
+
+def ticks(times: Float) -> Float:
+    """Times (k,) in units of their usual distance: a stretch that is not there leaves a gap."""
+    return times / float(np.median(np.diff(times))) if times.size > 1 else np.zeros(times.size)
+
+
+def _on_all(modes: ModeSet, channels: tuple[str, ...]) -> Complex:
+    """Shapes (channel, m) of length 1 on all channels, NaN where a stretch has none."""
+    at = {c: i for i, c in enumerate(modes.channels)}
+    rows = np.array([at.get(c, -1) for c in channels], dtype=np.int64)
+    if not len(modes):
+        return np.full((len(channels), 0), np.nan, dtype=np.complex128)
+    psi = np.where(rows[:, None] >= 0, np.asarray(modes.shapes, dtype=np.complex128)[rows], np.nan)
+    size = np.sqrt(np.where(np.isfinite(psi), np.abs(psi) ** 2, 0.0).sum(axis=0))
+    return np.asarray(psi / np.maximum(size, 1e-300))
+
+
+def common_mac(a: Complex, b: Complex) -> Float:
+    """MAC (a, b) of shapes on their common channels; 1 with fewer than two, where shapes say
+    nothing.
+
+    Parameters
+    ----------
+    a : (channel, a) complex128
+    b : (channel, b) complex128
+        NaN where a channel is missing.
+    """
+    out = np.ones((a.shape[1], b.shape[1]))
+    on = np.isfinite(b).all(axis=1) if b.shape[1] else np.zeros(b.shape[0], dtype=bool)
+    for i in range(a.shape[1]):  # modes may have been seen by different channels
+        both = on & np.isfinite(a[:, i])
+        if both.sum() > 1:
+            out[i] = mac(a[both, i, None], b[both])[0]
+    return out
+
+
+def _cost(
+    f: Float,
+    spread: Float,
+    shape: Complex,
+    to_f: Float,
+    to_spread: Float,
+    to_shape: Complex,
+    gate: Float,
+    least: float,
+) -> Float:
+    """(a, b) cost of joining modes a to b, `_FAR` where they may not be; `gate` (a,) relative
+    change of frequency.
+    """
+    df, like = np.abs(to_f - f[:, None]), common_mac(shape, to_shape)
+    reach = _reach(gate[:, None] * f[:, None], like, np.hypot(spread[:, None], to_spread))
+    return np.where((df <= reach) & (like >= least), 1 - like + 0.5 * (df / reach) ** 2, _FAR)
+
+
+def _reach(step: Float, like: Float, spread: Float) -> Float:
+    """Change of frequency that may be, Hz."""
+    return np.maximum(np.where(like > _PLAIN, 2.0, 1.0) * step, 4 * spread)
+
+
+def _advance(
+    threads: list[_Thread],
+    now: tuple[int, Float],
+    stretch: Stretch,
+    psi: Complex,
+    all_of: Sequence[Stretch],
+    s: TrackSettings,
+) -> list[_Thread]:
+    """The threads after one more stretch; `now` is its position and the clock of all."""
+    k, clock = now
+    f, sf = stretch.modes.frequencies, _finite(stretch.uncertainty.frequency)
+    left = set(range(f.size))
+    threads = list(threads)
+    if threads and f.size:
+        gap = np.array([clock[k] - clock[t.members[-1][0]] for t in threads])
+        last = np.array(
+            [
+                _finite(all_of[i].uncertainty.frequency)[j]
+                for i, j in (t.members[-1] for t in threads)
+            ]
+        )
+        shape = np.stack([t.shape for t in threads], axis=1)
+        known = np.array([t.frequency for t in threads])
+        cost = _cost(known, last, shape, f, sf, psi, s.step * np.clip(np.sqrt(gap), 1, 3), s.mac)
+        for i, j in zip(*linear_sum_assignment(cost), strict=True):
+            if cost[i, j] < _FAR:
+                threads[i] = threads[i].joined((k, int(j)), float(f[j]), psi[:, j], s.memory)
+                left.discard(int(j))
+    return threads + [_Thread(((k, j),), float(f[j]), psi[:, j]) for j in sorted(left)]
+
+
+def _finite(x: Float) -> Float:
+    return np.where(np.isfinite(x), x, 0.0)
+
+
+def _mended(
+    threads: list[_Thread],
+    stretches: Sequence[Stretch],
+    shapes: Sequence[Complex],
+    clock: Float,
+    s: TrackSettings,
+) -> list[_Thread]:
+    """Threads that never occur in one stretch together, and agree where they come next to each
+    other, made one.
+    """
+    tracks = [_track(t, stretches, shapes) for t in threads]
+    merged = True
+    while merged:
+        merged = False
+        for i in range(len(tracks)):
+            for j in range(i + 1, len(tracks)):
+                if _one(tracks[i], tracks[j], clock, s):
+                    members = tuple(sorted((*_members(tracks[i]), *_members(tracks[j]))))
+                    tracks[i] = _track(_Thread(members, 0.0, tracks[i].shape), stretches, shapes)
+                    del tracks[j]
+                    merged = True
+                    break
+            if merged:
+                break
+    return [_Thread(_members(t), 0.0, t.shape) for t in tracks]
+
+
+def _members(t: ModeTrack) -> tuple[tuple[int, int], ...]:
+    return tuple(zip(t.at.tolist(), t.mode.tolist(), strict=True))
+
+
+def _one(a: ModeTrack, b: ModeTrack, clock: Float, s: TrackSettings) -> bool:
+    """Whether two tracks are parts of one mode."""
+    like = common_mac(a.shape[:, None], b.shape[:, None])[0, 0]
+    if np.intersect1d(a.at, b.at).size or like < max(0.9, s.mac):
+        return False
+    apart = np.abs(clock[a.at][:, None] - clock[b.at])
+    i, j = np.unravel_index(apart.argmin(), apart.shape)
+    step = s.step * np.clip(np.sqrt(apart[i, j]), 1, 3) * a.frequency[i]
+    spread = np.hypot(_finite(a.std_frequency)[i], _finite(b.std_frequency)[j])
+    return bool(abs(a.frequency[i] - b.frequency[j]) <= _reach(step, like, spread))
+
+
+def _track(t: _Thread, stretches: Sequence[Stretch], shapes: Sequence[Complex]) -> ModeTrack:
+    at, mode = (np.array(x, dtype=np.int64) for x in zip(*t.members, strict=True))
+    psi = np.stack([shapes[k][:, j] for k, j in t.members], axis=1)
+    mean = _mean(psi)
+    like = common_mac(mean[:, None], psi)[0]
+
+    def of(what: str, source: str) -> Float:
+        parts = [getattr(getattr(stretches[k], source), what)[j] for k, j in t.members]
+        return np.array(parts, dtype=np.float64)
+
+    return ModeTrack(
+        "",
+        at,
+        mode,
+        of("frequencies", "modes"),
+        of("frequency", "uncertainty"),
+        of("damping", "modes"),
+        of("damping", "uncertainty"),
+        of("confidence", "modes"),
+        mean,
+        like,
+    )
+
+
+def _mean(psi: Complex) -> Complex:
+    """Mean shape (ch,) of length 1: the strongest direction of the shapes (ch, n), each channel by
+    what it has.
+    """
+    known = np.isfinite(psi)
+    filled = np.where(known, psi, 0.0)
+    u = np.linalg.svd(filled, full_matrices=False)[0][:, 0]
+    turn = u.conj() @ filled
+    turned = filled * (turn.conj() / np.maximum(np.abs(turn), 1e-300))
+    mean = np.where(
+        known.any(axis=1), turned.sum(axis=1) / np.maximum(known.sum(axis=1), 1), np.nan
+    )
+    return np.asarray(mean / np.linalg.norm(mean[np.isfinite(mean)]))
+
+
+def unseen(tracked: Tracked, track: ModeTrack) -> tuple[int, int]:
+    """For how many stretches a mode is not seen before it first is, and after it last was.
+
+    0 where this may be chance: where stretches that show it as often as those between would leave
+    out so many in a row in more than one case of a hundred.
+    """
+    before, after = int(track.at[0]), tracked.times.size - 1 - int(track.at[-1])
+    missed = 1 - track.at.size / (track.at[-1] - track.at[0] + 2)
+    return (before if missed**before < _CHANCE else 0), (after if missed**after < _CHANCE else 0)

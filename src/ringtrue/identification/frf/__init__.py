@@ -1,0 +1,1 @@
+"""Modes from frequency response functions: `pipeline.identify_hammer`, and CMIF peaks beside it."""

@@ -1,0 +1,361 @@
+"""Batches of FRFs that disagree: local fits of one structure, each mode tracked through all of
+them.
+
+Moved accelerometers load the structure with their mass at other places, and days differ in
+temperature. One global fit then splits modes in two; here every batch keeps its own poles, and only
+the shapes are joined.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+from scipy.special import chdtrc
+
+from ringtrue.core.arrays import Bool, Complex, Float, Int, freeze_fields
+from ringtrue.core.modal import ModalModel
+from ringtrue.core.modes import ModeSet, Norm, Uncertainty
+from ringtrue.core.progress import Progress, quiet
+from ringtrue.core.signals import Channel, FrfSet
+from ringtrue.errors import InputError
+from ringtrue.identification.frf.lines import prepare
+from ringtrue.identification.frf.pipeline import HammerModes, HammerResult, identify_hammer
+from ringtrue.identification.frf.refinement import refine, shape_deviations
+from ringtrue.identification.frf.residues import blow_factors, noise, normalise
+from ringtrue.identification.frf.scaling import mode_scale
+from ringtrue.identification.frf.split_modes import DISAGREE, FEWEST
+from ringtrue.shapes.mac import mac
+
+CLEAR = 1e-6  # chance of the scatter of a mode over the batches, below which they disagree
+SHIFT = 0.1  # half bandwidths that matter
+STRAYED = (
+    1.2  # times what the first fit leaves: poles that went astray from the start of another batch
+)
+REACH, ALIKE, NEVER = (
+    0.03,
+    0.7,
+    1e6,
+)  # shift of a frequency and MAC of participations, of a mode in two batches
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LocalFit:
+    """Modes of several batches.
+
+    Attributes
+    ----------
+    modes : ModeSet
+        Weighted means of the poles over the batches; shapes of all responses, scaled to the first
+        batch.
+    uncertainty : Uncertainty
+        Frequency and damping: of the mean, with the scatter over the batches where it is larger
+        than stated. Shapes: for the participation vectors as they are; the mass scale adds to it.
+    frequency, damping : (batch, m) float64, Hz and fraction of critical
+    std_frequency, std_damping : (batch, m) float64
+    chance : (m,) float64
+        Chance of so much scatter in frequency and damping if the batches agreed (χ² test).
+    reference : int
+        The batch whose modes the others were started from.
+    """
+
+    modes: ModeSet
+    uncertainty: Uncertainty
+    frequency: Float
+    damping: Float
+    std_frequency: Float
+    std_damping: Float
+    chance: Float
+    reference: int
+
+    def __post_init__(self) -> None:
+        f = np.float64
+        freeze_fields(self, frequency=f, damping=f, std_frequency=f, std_damping=f, chance=f)
+
+
+def identify_batches(
+    batches: Sequence[FrfSet],
+    settings: HammerModes | None = None,
+    *,
+    progress: Progress | None = None,
+) -> LocalFit:
+    """Modes of a structure measured in several batches that share their inputs.
+
+    The batch with most responses is identified on its own; its modes and participation vectors
+    start the refinement in every other batch; where that leaves more than in the first one, from
+    the poles that this batch by itself has for them, where it has. Modes that half of such batches
+    have beside are sought in all. The participation vector, which all batches share, ties the
+    scales of their shapes together.
+
+    Parameters
+    ----------
+    batches : sequence of FrfSet
+        Same inputs in the same order; responses may recur, the one of least deviation then counts.
+    settings : HammerModes, optional
+    progress : callable, optional
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two batches or the inputs differ.
+    DataError
+        If the first batch shows no mode.
+    """
+    if len(batches) < 2 or len({tuple(c.id for c in b.inputs) for b in batches}) > 1:
+        raise InputError(
+            "local fits need two or more batches with the same inputs in the same order"
+        )
+    settings, tell = settings or HammerModes(), progress or quiet
+    lead = int(np.argmax([b.data.shape[1] for b in batches]))
+    first = identify_hammer(
+        batches[lead], settings, progress=lambda share, text: tell(0.6 * share, text)
+    )
+    band = float(first.freqs[0]), float(first.freqs[-1])
+    found = [_local(b, band, first.model) for b in batches]
+    alone = dict[int, HammerResult]()
+    for i, (batch, fit) in enumerate(zip(batches, found, strict=True)):
+        tell(0.6 + 0.4 * i / len(batches), f"batch {i + 1} of {len(batches)}")
+        if fit.left > STRAYED * found[lead].left:
+            alone[i] = identify_hammer(batch, settings)
+    start = _with_unseen(first.model, list(alone.values()))
+    for i in range(len(batches)) if start is not first.model else alone:
+        found[i] = _local(batches[i], band, tracked(start, alone[i].model) if i in alone else start)
+    new = np.arange(first.model.poles.size, start.poles.size)
+    at = np.append(
+        np.abs(first.model.frequencies[:, None] - first.modes.frequencies).argmin(axis=0), new
+    )
+    at = at[np.argsort(start.frequencies[at], kind="stable")]
+    return _joined(batches, [f.take(at) for f in found], start.participation[at], lead)
+
+
+def _with_unseen(modes: ModalModel, others: Sequence[HammerResult]) -> ModalModel:
+    """With the modes that the batch of `modes` does not see, and half of the others report."""
+    grown, seen = modes, np.zeros(modes.poles.size)
+    for own in others:
+        here = np.isin(own.model.frequencies, own.modes.frequencies)
+        poles, part = own.model.poles[here], own.model.participation[here]
+        row, column, goes = _assigned(grown, poles, part)
+        seen[row[goes]] += 1
+        new = np.setdiff1d(np.arange(poles.size), column[goes])
+        seen = np.append(seen, np.ones(new.size))
+        grown = _appended(grown, poles[new], part[new])
+    added = np.flatnonzero(seen[modes.poles.size :] >= max(0.5 * len(others), 2)) + modes.poles.size
+    return _appended(modes, grown.poles[added], grown.participation[added]) if added.size else modes
+
+
+def _appended(modes: ModalModel, poles: Complex, participation: Complex) -> ModalModel:
+    """With more poles, whose shapes are not known."""
+    unknown = np.zeros((modes.shapes.shape[0], poles.size), dtype=np.complex128)
+    return replace(
+        modes,
+        poles=np.append(modes.poles, poles),
+        participation=np.concatenate([modes.participation, participation]),
+        shapes=np.concatenate([modes.shapes, unknown], axis=1),
+    )
+
+
+def tracked(modes: ModalModel, own: ModalModel) -> ModalModel:
+    """The modes of one batch with the poles that another has for them by itself, where one goes
+    with a mode.
+    """
+    row, column, goes = _assigned(modes, own.poles, own.participation)
+    poles = np.array(modes.poles)
+    poles[row[goes]] = own.poles[column[goes]]
+    return replace(modes, poles=poles)
+
+
+def _assigned(modes: ModalModel, poles: Complex, participation: Complex) -> tuple[Int, Int, Bool]:
+    """Modes (k,), which of `poles` (m,) with `participation` (m, in) is each (k,), and whether it
+    may be.
+
+    The assignment of least Σ 1 - MAC + ½ (Δf/reach)², MAC of the participation vectors: batches
+    share their inputs.
+    """
+    shift = np.log(np.abs(poles) / np.abs(modes.poles)[:, None])
+    like = mac(modes.participation.T, participation.T)
+    cost = 1 - like + 0.5 * (shift / REACH) ** 2
+    cost[(like < ALIKE) | (np.abs(shift) > 3 * REACH)] = NEVER
+    row, column = linear_sum_assignment(cost)
+    return row, column, cost[row, column] < NEVER
+
+
+def with_local_fits(
+    joint: HammerResult,
+    batches: Sequence[FrfSet],
+    settings: HammerModes | None = None,
+    *,
+    progress: Progress | None = None,
+) -> HammerResult:
+    """The result of one fit of all batches, with the modes of local fits where it is clear that the
+    batches disagree.
+
+    That is so where more than half of the modes differ from batch to batch as no chance makes it,
+    by a tenth of their half bandwidth or more: one fit of all then splits modes. Model, diagrams
+    and synthesis stay those of the joint fit.
+
+    Parameters
+    ----------
+    joint : HammerResult
+        Of all batches together.
+    batches : sequence of FrfSet
+        One that disagrees with itself is parted by the responses that agree
+        (`HammerResult.groups`). None, other inputs, the same responses in all or roving hammers
+        leave the joint result as it is.
+    settings : HammerModes, optional
+    progress : callable, optional
+    """
+    parts = ""
+    if len(batches) == 1:
+        batches = _parts(batches[0], joint.groups, settings)
+        parts = (
+            ", the responses that agree "
+            f"({'; '.join(' '.join(c.id for c in b.outputs[:8]) for b in batches)}),"
+        )
+    inputs = {tuple(c.id for c in b.inputs) for b in batches}
+    roving = any(b.data.shape[1] < b.data.shape[2] for b in batches)
+    moved = len({tuple(c.id for c in b.outputs) for b in batches}) > 1
+    if not moved or len(inputs) > 1 or roving:
+        return joint
+    fit = identify_batches(batches, settings, progress=progress)
+    half = fit.modes.damping * fit.modes.frequencies
+    clear = (fit.chance < CLEAR) & (np.ptp(fit.frequency, axis=0) > SHIFT * half)
+    if not clear.mean() > 0.5:
+        return joint
+    reasons = tuple(
+        f"in {len(batches)} batches at {' '.join(f'{x:.5g}' for x in f)} Hz; chance of so much "
+        f"scatter {c:.1g}"
+        for f, c in zip(fit.frequency.T, fit.chance, strict=True)
+    )
+    note = (
+        f"the batches{parts} disagree in {int(clear.sum())} of {clear.size} modes: each was "
+        "fitted by itself, "
+        "frequencies and damping are means, shapes are joined (moved sensors load the structure)"
+    )
+    notes = (*(n for n in joint.notes if not n.startswith(DISAGREE)), note)
+    return replace(
+        joint, modes=fit.modes, uncertainty=fit.uncertainty, reasons=reasons, notes=notes
+    )
+
+
+def _parts(
+    frfs: FrfSet, groups: Sequence[Sequence[int]], settings: HammerModes | None
+) -> list[FrfSet]:
+    """The FRFs by the responses that agree, those of a group again where these disagree among
+    themselves.
+    """
+    out = []
+    for part in (_responses(frfs, np.array(group)) for group in groups):
+        own = identify_hammer(part, settings).groups if len(part.outputs) >= FEWEST else ()
+        out += _parts(part, own, settings) if own else [part]
+    return out
+
+
+def _responses(frfs: FrfSet, at: Int) -> FrfSet:
+    """The FRFs of some responses."""
+    impacts = frfs.impacts.take(at, np.arange(len(frfs.inputs))) if frfs.impacts else None
+    outputs = tuple(frfs.outputs[k] for k in at.tolist())
+    return replace(
+        frfs,
+        data=frfs.data[:, at],
+        coherence=frfs.coherence[:, at],
+        outputs=outputs,
+        impacts=impacts,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Local:
+    """Modes of one batch: poles with deviations (2, m), shapes for the common participation
+    vectors, relative std.
+
+    `left` is the power that the fit leaves over that of the noise.
+    """
+
+    poles: Complex
+    std: Float
+    shapes: Complex
+    deviation: Float
+    left: float
+
+    def take(self, at: Int) -> _Local:
+        return _Local(
+            self.poles[at], self.std[:, at], self.shapes[:, at], self.deviation[:, at], self.left
+        )
+
+
+def _local(batch: FrfSet, band: tuple[float, float], start: ModalModel) -> _Local:
+    at = (
+        (batch.freqs >= band[0] * (1 - 1e-9))
+        & (batch.freqs <= band[1] * (1 + 1e-9))
+        & (batch.freqs > 0)
+    )
+    used = replace(batch, data=batch.data[at], freqs=batch.freqs[at], coherence=batch.coherence[at])
+    lines = prepare(used, noise(used))
+    fit = refine(lines, start.poles, start.participation)
+    heard, driven = blow_factors(lines, fit.poles)
+    fit = replace(fit, shapes=fit.shapes / heard, participation=fit.participation / driven)
+    order = _assigned(start, fit.poles, fit.participation)[1]  # close modes may have changed places
+    common = start.participation[np.argsort(order)]
+    factor = (common.conj() * fit.participation).sum(axis=1) / (np.abs(common) ** 2).sum(axis=1)
+    std = np.stack([fit.std_frequency, fit.std_damping])
+    found = _Local(
+        fit.poles, std, fit.shapes * factor, shape_deviations(lines, fit, None), fit.error**2
+    )
+    return found.take(order)
+
+
+def _joined(
+    batches: Sequence[FrfSet], found: Sequence[_Local], part: Complex, lead: int
+) -> LocalFit:
+    poles, std = np.array([f.poles for f in found]), np.array([f.std for f in found])
+    value = np.stack(
+        [np.abs(poles) / (2 * np.pi), -poles.real / np.abs(poles)], axis=1
+    )  # (batch, 2, m)
+    weight = 1 / np.maximum(std, 1e-300) ** 2
+    mean = (weight * value).sum(axis=0) / weight.sum(axis=0)
+    excess = (weight * (value - mean) ** 2).sum(axis=0)
+    n = len(batches) - 1
+    spread = np.sqrt(np.maximum(excess / n, 1) / weight.sum(axis=0))
+    outputs, rows, which = _best(batches, found)
+    shapes = np.array(
+        [found[b].shapes[r] * found[b].poles.imag for b, r in zip(which, rows, strict=True)]
+    )
+    omega = 2 * np.pi * mean[0]
+    pole = omega * (-mean[1] + 1j * np.sqrt(np.maximum(1 - mean[1] ** 2, 0)))
+    shapes = shapes / pole.imag  # residues of one modal mass go with 1/ω
+    none = np.zeros((len(outputs), part.shape[1]), dtype=np.complex128)
+    first = batches[lead]
+    model = normalise(ModalModel(pole, shapes, part, none, none, outputs, first.inputs, first.kind))
+    scaled = model.shapes * mode_scale(model)
+    deviation = np.array([found[b].deviation[r] for b, r in zip(which, rows, strict=True)])
+    norm = Norm.UNSCALED if model.norm is Norm.UNSCALED else Norm.MASS
+    labels = tuple(c.id for c in outputs)
+    modes = ModeSet(
+        mean[0], mean[1], scaled, labels, norm, first.source or "hammer FRFs, local fits"
+    )
+    uncertainty = Uncertainty.independent(spread[0], spread[1], deviation * np.abs(scaled))
+    chance = chdtrc(2 * n, excess.sum(axis=0))
+    return LocalFit(
+        modes, uncertainty, value[:, 0], value[:, 1], std[:, 0], std[:, 1], chance, lead
+    )
+
+
+def _best(
+    batches: Sequence[FrfSet], found: Sequence[_Local]
+) -> tuple[tuple[Channel, ...], list[int], list[int]]:
+    """All responses in the order of their first appearance, and the row and batch that knows each
+    best.
+    """
+    best: dict[str, tuple[float, int, int, Channel]] = {}
+    for b, (batch, f) in enumerate(zip(batches, found, strict=True)):
+        doubt = np.median(f.deviation, axis=1)
+        for r, c in enumerate(batch.outputs):
+            if c.id not in best or doubt[r] < best[c.id][0]:
+                best[c.id] = (float(doubt[r]), r, b, c)
+    return (
+        tuple(v[3] for v in best.values()),
+        [v[1] for v in best.values()],
+        [v[2] for v in best.values()],
+    )

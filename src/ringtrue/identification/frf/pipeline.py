@@ -1,0 +1,465 @@
+"""Modes from hammer FRFs in one call: bands, poles, global residues, refinement, and a verdict on
+every mode.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ringtrue.core.arrays import Complex, Float, freeze_fields
+from ringtrue.core.choice import Choice
+from ringtrue.core.iterate import Outcome
+from ringtrue.core.modal import ModalModel
+from ringtrue.core.modes import ModeSet, Norm, Uncertainty
+from ringtrue.core.progress import Progress, quiet
+from ringtrue.core.signals import FrfSet
+from ringtrue.errors import DataError
+from ringtrue.identification.common.poles import PoleSet, StableDiagram
+from ringtrue.identification.frf.added_modes import missed, support, twins, united
+from ringtrue.identification.frf.cmif import cmif
+from ringtrue.identification.frf.confidence import Assessment, CandidatePoles, assess_candidates
+from ringtrue.identification.frf.data_checks import (
+    band_limits,
+    block_of_noise,
+    end_note,
+    fit_notes,
+    frf_notes,
+    hann_note,
+    late_channels,
+    lines_between,
+    looks_faded,
+    odd_channel,
+    parted_modes,
+    refuse_bad_frfs,
+    sound_pairs,
+)
+from ringtrue.identification.frf.lines import Lines, prepare, smooth_rest, without
+from ringtrue.identification.frf.manual_selection import hand_poles
+from ringtrue.identification.frf.pole_search import band_candidates, choose_bands, merged
+from ringtrue.identification.frf.refinement import Refined, refine, shape_deviations
+from ringtrue.identification.frf.residues import (
+    blow_factors,
+    lsfd,
+    noise,
+    noise_left,
+    synthesise_windowed,
+)
+from ringtrue.identification.frf.scaling import mode_scale, reciprocity_note, scale_deviations
+from ringtrue.identification.frf.split_modes import (
+    agreeing,
+    joined,
+    levelled,
+    scattered,
+    split_modes,
+    split_note,
+)
+from ringtrue.signal.frf_sets import exchange_by_reciprocity
+
+TURNS = 6
+LAST_ITERATIONS = 60
+FADED = 0.95  # of the misfit, that blocks of noise under a Hann window leave as such, if they are
+# times the misfit: of responses that disagree about modes, a mode for each with a pole of its own
+NO_WORSE = 1.05
+# of weights: a coherence takes for noise what rings on from the blow before, and the fit explains
+RINGING_TURNS = 6
+MOST_NEW = 6
+MOST_BYTES = 2e9
+PAIR = "one of two modes of one frequency: any turn of the two shapes in their plane fits as well"
+
+
+@dataclass(frozen=True, slots=True)
+class HammerModes:
+    """Settings of `identify_hammer`.
+
+    Attributes
+    ----------
+    fmin, fmax : float, Hz, optional
+        The modes to report; by default all up to where the FRFs are noise. Lines just outside are
+        used where there are such.
+    damping_max : float
+        Modes above are not believed.
+    bands : tuple of (float, float), Hz
+        Bands of the pole search; by default chosen from the data.
+    confidence_min : float
+        Modes below are left out.
+    searches : int
+        Times to look for missed modes in what the fit leaves.
+    """
+
+    fmin: float | None = None
+    fmax: float | None = None
+    damping_max: float = 0.5
+    bands: tuple[tuple[float, float], ...] = ()
+    confidence_min: float = 0.5
+    searches: int = 10
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HammerResult:
+    """What `identify_hammer` found.
+
+    Attributes
+    ----------
+    model : ModalModel
+        All poles of the fit, those just outside the reported band too; damping without the
+        exponential window.
+    modes : ModeSet
+        The reported modes, complex shapes, unit modal mass where a driving point was measured.
+    uncertainty : Uncertainty
+        Of `modes`.
+    reasons : tuple of str
+        Why each mode is believed, and what speaks against it.
+    rejected : tuple of str
+        CandidatePoles that were not believed, with the reason.
+    diagrams : tuple of StableDiagram
+        One a band; `cluster` counts the candidates of that band.
+    freqs : (f,) float64, Hz
+        Lines that were fitted.
+    cmif : (f, in) float64
+        Singular values of the FRF matrix at those lines, descending.
+    synthesis_error : (out, in) float64
+        ‖H − H_fit‖/‖H‖ over the lines of the reported band.
+    notes : tuple of str
+        What the reader should know of the FRFs and of a choice by hand.
+    groups : tuple of tuple of int
+        Responses that agree with each other, where the FRFs disagree about modes; else none.
+    """
+
+    model: ModalModel
+    modes: ModeSet
+    uncertainty: Uncertainty
+    reasons: tuple[str, ...]
+    rejected: tuple[str, ...]
+    diagrams: tuple[StableDiagram, ...]
+    freqs: Float
+    cmif: Float
+    synthesis_error: Float
+    notes: tuple[str, ...] = ()
+    groups: tuple[tuple[int, ...], ...] = ()
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, freqs=np.float64, cmif=np.float64, synthesis_error=np.float64)
+
+
+def identify_hammer(
+    frfs: FrfSet,
+    settings: HammerModes | None = None,
+    *,
+    choice: Choice | None = None,
+    progress: Progress | None = None,
+) -> HammerResult:
+    """Modes from frequency response functions, automatically.
+
+    pLSCF of many orders in several overlapping bands; poles that stay in place over the orders
+    become candidates; one global LSFD gives their shapes; weighted nonlinear least squares refines
+    all of them together; modes that add nothing, double another one or cannot be told from noise
+    are left out.
+
+    Parameters
+    ----------
+    frfs : FrfSet
+        Of a roving hammer, with fewer responses than references, shapes are at the points struck,
+        by reciprocity.
+    settings : HammerModes, optional
+    choice : Choice, optional
+        What a person decided on the modes; the poles picked are refined together with the others.
+    progress : callable, optional
+        Called with the share done and a word.
+
+    Raises
+    ------
+    DataError
+        If there are fewer than 32 lines in the band, the FRFs are no FRFs, or no mode is found.
+    """
+    settings = settings or HammerModes()
+    refuse_bad_frfs(frfs)
+    frfs, roving = exchange_by_reciprocity(frfs)
+    tell = progress or quiet
+    low, high = band_limits(frfs, settings.fmin, settings.fmax)
+    used = lines_between(frfs, 0.8 * low, 1.25 * high)
+    sigma = noise(used)
+    curve = cmif(used.data / sigma.response[:, None])
+    # the refinement sees all the lines: a mode left out at their ends would be patched up by broad
+    # terms inside
+    bands = settings.bands or choose_bands(
+        used.freqs, curve, float(used.freqs[0]), float(used.freqs[-1])
+    )
+    found, diagrams = [], []
+    for i, band in enumerate(bands):
+        tell(0.05 + 0.55 * i / len(bands), f"poles in {band[0]:.3g}-{band[1]:.3g} Hz")
+        clusters, diagram = band_candidates(used, sigma, curve, band, settings.damping_max)
+        found.append(clusters)
+        diagrams.append(diagram)
+    candidates = merged(found, used.freqs, used.window_decay)
+    if not candidates.pole.size:
+        raise DataError(
+            f"{frfs.source}: no pole stays in place over the orders between {low:g} and {high:g} Hz"
+        )
+    if 16 * 6 * candidates.pole.size * used.freqs.size > MOST_BYTES:
+        raise DataError(
+            f"{frfs.source}: {candidates.pole.size} candidates on {used.freqs.size} lines are "
+            "too many; "
+            "narrow the band with fmin, fmax"
+        )
+    tell(0.65, f"residues of {candidates.pole.size} candidates")
+    search = _Search(
+        prepare(used, sigma),
+        sound_pairs(used),
+        settings,
+        [d.poles for d in diagrams],
+        used.window_decay,
+        frfs.source,
+    )
+    fit, rejected = _fit(search, candidates, tell)
+    used, search, fit, faded = _of_blocks(used, search, fit)
+    tell(0.95, "confidence and standard deviations of the modes")
+    for _ in range(1 if np.isinf(used.kept) else RINGING_TURNS):
+        before = fit.refined.poles
+        search, fit, why = _reweighed(search, used, fit)
+        rejected += why
+        if _unmoved(before, fit.refined):
+            break
+    search, fit, split, groups = _whole(search, fit)
+    fit, notes = _by_hand(search, fit, choice, (low, high), frfs.source) if choice else (fit, ())
+    result = _report(used, search, fit, rejected, (low, high), tuple(diagrams), curve)
+    reported = lines_between(used, low, high)
+    said = fit_notes(reported, result.modes, result.synthesis_error)
+    late = late_channels(result.modes)
+    told = tuple(filter(None, (roving, end_note(frfs, settings.fmax, high), faded)))
+    odd = tuple(
+        filter(None, (split, odd_channel(used, fit.refined.poles), parted_modes(result.model)))
+    )
+    broken = reciprocity_note(result.model, search.pairs)
+    scale = (broken,) if broken else result.notes
+    told = (*told, *frf_notes(reported, search.pairs), *scale, *said, *late, *odd, *notes)
+    return replace(result, notes=told, groups=() if roving else groups)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fit:
+    refined: Refined
+    candidates: CandidatePoles
+    verdict: Assessment
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Search:
+    """What every turn of the fit needs."""
+
+    lines: Lines
+    pairs: Sequence[tuple[int, int, float]]
+    settings: HammerModes
+    sets: Sequence[PoleSet]
+    decay: float
+    source: str
+    last: bool = False  # deviations are those that will be stated
+
+    def refined(self, c: CandidatePoles) -> _Fit:
+        """The candidates refined; the verdict is still open."""
+        fit = united(
+            self.lines, refine(self.lines, c.pole, c.participation, local=self.last), self.pairs
+        )
+        return _Fit(fit, c, Assessment(np.abs(c.pole), np.ones(c.pole.size), ()))
+
+    def judged(self, fit: _Fit, *, strict: bool) -> _Fit:
+        """The fit with its verdict."""
+        r = fit.refined
+        held = support(r.poles, r.participation, self.sets, self.decay)
+        held = held if strict else np.maximum(held, fit.candidates.support)
+        c = replace(fit.candidates, pole=r.poles, participation=r.participation, support=held)
+        verdict = assess_candidates(
+            self.lines, r, c, self.pairs, damping_max=self.settings.damping_max, strict=strict
+        )
+        return _Fit(r, c, verdict)
+
+    def settle(self, fit: _Fit, turns: int, *, strict: bool) -> tuple[_Fit, list[str]]:
+        """Verdict and refinement in turns, until no mode falls out."""
+        rejected: list[str] = []
+        for _ in range(turns):
+            fit = self.judged(fit, strict=strict)
+            keep = fit.verdict.confidence >= self.settings.confidence_min
+            if keep.all():
+                break
+            rejected += [fit.verdict.describe(k) for k in np.flatnonzero(~keep).tolist()]
+            if not keep.any():
+                raise DataError(
+                    f"{self.source}: no mode is believed; the last ones: {'; '.join(rejected[-3:])}"
+                )
+            fit = self.refined(fit.candidates.take(keep))
+        return fit, rejected
+
+
+def _fit(search: _Search, start: CandidatePoles, tell: Progress) -> tuple[_Fit, list[str]]:
+    """Refine and prune; then look for modes in what is left over, until none comes to stay."""
+    lines, settings = search.lines, search.settings
+    best, rejected = search.settle(search.refined(start), TURNS, strict=False)
+    for turn in range(settings.searches):
+        tell(
+            0.7 + 0.25 * turn / settings.searches,
+            f"{best.refined.poles.size} modes, looking for missed ones",
+        )
+        more = missed(lines, best.refined, search.sets, search.decay, MOST_NEW)
+        if not more.pole.size:
+            break
+        new, why = search.settle(search.refined(_joined(best, more)), TURNS, strict=False)
+        rejected += why
+        if (
+            new.refined.poles.size < best.refined.poles.size
+            or new.refined.cost > 0.99 * best.refined.cost
+        ):
+            break
+        best = new
+    if best.refined.outcome is Outcome.MAX_ITERATIONS:  # modes that overlap take their time
+        r = best.refined
+        last = refine(lines, r.poles, r.participation, iterations=LAST_ITERATIONS)
+        best = replace(best, refined=united(lines, last, search.pairs))
+    best, why = search.settle(
+        best, best.refined.poles.size + 1, strict=True
+    )  # every turn but the last drops a mode
+    return best, rejected + why
+
+
+def _of_blocks(frfs: FrfSet, search: _Search, fit: _Fit) -> tuple[FrfSet, _Search, _Fit, str]:
+    """The fit of FRFs that blocks of noise under a Hann window explain better, with a note; else as
+    it is.
+    """
+    length = block_of_noise(frfs)
+    r, trial = fit.refined, replace(search, lines=replace(search.lines, hann=length))
+    if not length or not looks_faded(search.lines, r, length):
+        return frfs, search, fit, ""
+    new = trial.refined(replace(fit.candidates, pole=r.poles, participation=r.participation))
+    if new.refined.cost > FADED * r.cost:
+        return frfs, search, fit, ""
+    return (
+        replace(frfs, hann=length),
+        trial,
+        trial.judged(new, strict=True),
+        hann_note(r.poles, new.refined.poles),
+    )
+
+
+def _reweighed(search: _Search, frfs: FrfSet, fit: _Fit) -> tuple[_Search, _Fit, list[str]]:
+    """The modes refined once more, every line weighed by what the first fit left there: deviations
+    rest on that.
+    """
+    r = fit.refined
+    basis = smooth_rest(search.lines, r.poles, r.known.rest)
+    left = noise_left(search.lines, without(basis, r.known.rest))
+    smooth = max(search.lines.smooth.shape[1], basis.shape[1])
+    search = replace(search, lines=prepare(frfs, left, smooth), last=True)
+    start = replace(fit.candidates, pole=r.poles, participation=r.participation)
+    new, why = search.settle(search.refined(start), r.poles.size + 1, strict=True)
+    return search, new, why
+
+
+def _whole(search: _Search, fit: _Fit) -> tuple[_Search, _Fit, str, tuple[tuple[int, ...], ...]]:
+    """The fit with one mode for each that it shows twice since the FRFs disagree, a note on that,
+    and who agrees.
+    """
+    split = split_modes(search.lines, fit.refined)
+    if not split:
+        return search, fit, "", ()
+    level = replace(search, lines=levelled(search.lines, split))
+    new = level.refined(joined(search.lines, fit.candidates, split))
+    if (
+        new.refined.cost > NO_WORSE * fit.refined.cost
+    ):  # modes that overlap: as one mode they fit no longer
+        return search, fit, "", ()
+    refined = scattered(search.lines, fit.refined, new.refined, split)
+    return (
+        level,
+        level.judged(replace(new, refined=refined), strict=True),
+        split_note(refined, len(split)),
+        agreeing(split),
+    )
+
+
+def _unmoved(before: Complex, now: Refined) -> bool:
+    """The last turn moved no frequency by a tenth of its standard deviation."""
+    if before.size != now.poles.size:
+        return False
+    moved = np.abs(np.abs(now.poles) - np.abs(before)) / (2 * np.pi)
+    return bool((moved < 0.1 * now.std_frequency).all())
+
+
+def _by_hand(
+    search: _Search, fit: _Fit, choice: Choice, band: tuple[float, float], source: str
+) -> tuple[_Fit, tuple[str, ...]]:
+    """The fit after a choice: refined anew where it changes the modes, none of which falls out
+    again.
+    """
+    hand = hand_poles(
+        fit.refined.poles, search.sets, choice, band, decay=search.decay, source=source
+    )
+    if hand.changes:
+        both = _joined(fit, hand.added)
+        keep = np.append(hand.keep, np.ones(hand.added.pole.size, dtype=bool))
+        if not keep.any():
+            raise DataError(f"{source}: the choice {choice.source} leaves no mode")
+        fit = search.judged(search.refined(both.take(keep)), strict=True)
+    reasons = tuple(
+        "; ".join(filter(None, x)) for x in zip(hand.said, fit.verdict.reason, strict=True)
+    )
+    return replace(fit, verdict=replace(fit.verdict, reason=reasons)), hand.notes
+
+
+def _joined(fit: _Fit, more: CandidatePoles) -> CandidatePoles:
+    r, c = fit.refined, fit.candidates
+    return CandidatePoles(
+        np.concatenate([r.poles, more.pole]),
+        np.concatenate([r.participation, more.participation]),
+        np.concatenate([c.support, more.support]),
+        np.concatenate([c.scatter, more.scatter]),
+    )
+
+
+def _report(
+    frfs: FrfSet,
+    search: _Search,
+    found: _Fit,
+    rejected: Sequence[str],
+    band: tuple[float, float],
+    diagrams: tuple[StableDiagram, ...],
+    curve: Float,
+) -> HammerResult:
+    fit, verdict = found.refined, found.verdict
+    lines, pairs = search.lines, search.pairs
+    model = lsfd(frfs, fit.poles, fit.participation, lines, pairs, shapes=fit.shapes)
+    f = model.frequencies
+    order = np.argsort(f, kind="stable")
+    told = order[(f[order] >= band[0]) & (f[order] <= band[1])]
+    alpha = mode_scale(model)
+    norm = Norm.UNSCALED if model.norm is Norm.UNSCALED else Norm.MASS
+    modes = ModeSet(
+        f[told],
+        model.damping[told],
+        (model.shapes * alpha)[:, told],
+        tuple(c.id for c in frfs.outputs),
+        norm,
+        frfs.source or "hammer FRFs, pLSCF",
+        verdict.confidence[told],
+    )
+    phi = np.abs(model.shapes * alpha)
+    heard, driven = blow_factors(lines, fit.poles)
+    fit = replace(fit, shapes=fit.shapes / heard, participation=fit.participation / driven)
+    shape = shape_deviations(lines, fit, pairs) * phi
+    for i, j in twins(fit.poles):  # any turn in their plane is as good
+        shape[:, [i, j]] = np.hypot(shape[:, [i, j]], phi[:, [j, i]] / np.sqrt(2))
+    fitted = synthesise_windowed(model, lines)
+    scale, note = scale_deviations(frfs, fitted, fit, pairs)
+    shape = np.hypot(shape, phi * scale)
+    std = Uncertainty(fit.std_frequency, fit.std_damping, shape, fit.factor).take(told)
+    at = (frfs.freqs >= band[0]) & (frfs.freqs <= band[1])
+    size = np.linalg.norm(frfs.data[at], axis=0)
+    error = np.linalg.norm(frfs.data[at] - fitted[at], axis=0) / np.maximum(size, 1e-300)
+    doubled = dict.fromkeys(range(f.size), "") | {
+        k: f"; {PAIR}" for both in twins(fit.poles) for k in both
+    }
+    reasons = tuple(verdict.reason[k] + doubled[k] for k in told.tolist())
+    notes = (note,) if note else ()
+    return HammerResult(
+        model, modes, std, reasons, tuple(rejected), diagrams, frfs.freqs, curve, error, notes
+    )

@@ -1,0 +1,295 @@
+"""Poly-reference least-squares complex frequency-domain estimation (pLSCF), all model orders at
+once.
+
+Guillaume, Verboven, Vanlanduit, Van der Auweraer, Peeters (2003), "A poly-reference implementation
+of the least-squares complex frequency-domain estimator", IMAC XXI; the constraint on the lowest
+coefficient, which makes the mathematical poles unstable, after Cauberghe, Guillaume, Verboven,
+Parloo (2005), J. Sound Vib. 283.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.cluster.hierarchy import fcluster, linkage
+from scipy.linalg import LinAlgError, cholesky, solve_triangular, toeplitz
+from scipy.spatial.distance import squareform
+
+from ringtrue.core.arrays import Bool, Complex, Float, Int
+from ringtrue.errors import InputError
+from ringtrue.identification.common.poles import PoleSet, check_orders, unit
+from ringtrue.shapes.mac import mac
+
+Entry = TypeVar("Entry", np.float64, np.complex128)
+MOST_STATES = 130  # order times inputs: the eigenvalue problems grow with its cube
+
+
+def lower_factor(normal: NDArray[Entry], ridge: float) -> NDArray[Entry]:
+    """Lower Cholesky factor of normal + ridge·I, with the least ridge that does.
+
+    Exact data make a normal matrix singular, and one that is a difference of two has the rounding
+    of both, which hangs on the machine. The ridge grows by tens until the matrix is definite.
+
+    Parameters
+    ----------
+    normal : (n, n) float64 or complex128, symmetric or Hermitian, finite
+    ridge : float
+        The least, in the unit of `normal`.
+
+    Returns
+    -------
+    (n, n), of the type of `normal`
+    """
+    eye, ridge = np.eye(len(normal)), max(ridge, np.finfo(float).tiny)
+    while True:
+        try:
+            return np.asarray(cholesky(normal + ridge * eye, lower=True))
+        except LinAlgError:
+            ridge *= 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Plscf:
+    """Settings of the estimator in one band.
+
+    Attributes
+    ----------
+    ordmin, ordmax : int
+        Orders of the denominator polynomial; each order holds (order · inputs)/2 modes.
+    damping_max : float
+        Poles above are dropped.
+    """
+
+    ordmin: int = 4
+    ordmax: int = 40
+    damping_max: float = 0.15
+
+    def __post_init__(self) -> None:
+        check_orders(self.ordmin, self.ordmax)
+
+
+def plscf(data: Complex, freqs: Float, settings: Plscf) -> PoleSet:
+    """Poles and participation vectors of every order.
+
+    Parameters
+    ----------
+    data : (freq, out, in) complex128
+    freqs : (freq,) float64, Hz, ascending; the band
+    settings : Plscf
+
+    Returns
+    -------
+    PoleSet
+        `shape` (in, k) holds the participation vectors, largest component 1.
+
+    Raises
+    ------
+    InputError
+        If the band has fewer lines than coefficients.
+    """
+    n_in = data.shape[2]
+    if freqs.size < settings.ordmax + 2:
+        raise InputError(
+            f"{freqs.size} lines in the band for order {settings.ordmax}: widen it or lower ordmax"
+        )
+    scale = np.sqrt(np.mean(np.abs(data) ** 2, axis=(0, 1))) + np.finfo(float).tiny
+    factor = _factor(data / scale, (freqs - freqs[0]) / (freqs[-1] - freqs[0]), settings.ordmax)
+    found = [_order(factor, n, n_in, freqs) for n in range(settings.ordmin, settings.ordmax + 1)]
+    order = np.repeat(np.arange(settings.ordmin, settings.ordmax + 1), [p.size for p, _ in found])
+    poles = np.concatenate([p for p, _ in found])
+    part = unit(np.concatenate([v for _, v in found], axis=1) * scale[:, None])
+    unknown = np.full(poles.size, np.nan)
+    return PoleSet(order, poles, part, unknown, unknown).take(_plausible(poles, freqs, settings))
+
+
+def _plausible(poles: Complex, freqs: Float, settings: Plscf) -> Bool:
+    f, zeta = np.abs(poles) / (2 * np.pi), -poles.real / np.abs(poles)
+    inside = (f >= freqs[0]) & (f <= freqs[-1]) & (poles.imag > 0)
+    return np.asarray(inside & (zeta > 1e-5) & (zeta < settings.damping_max))
+
+
+def _factor(h: Complex, place: Float, n: int) -> Float:
+    """Lower Cholesky factor of the reduced normal matrix, highest power of z first, ((n+1) in,
+    (n+1) in).
+
+    `place` (freq,) is that of the lines in the band, 0 to 1.
+
+    With z on the upper half circle the blocks Re Σ z^(l-k) (...) hang on l - k alone: trigonometric
+    sums give all.
+    """
+    n_out, m = h.shape[1:]
+    k = np.arange(-n, n + 1)
+    wave = np.exp(1j * np.pi * np.outer(k, place))
+    r = toeplitz(wave.real.sum(axis=1)[n:])
+    s = (wave @ h.reshape(place.size, -1)).real.reshape(2 * n + 1, n_out, m)
+    t = (wave @ (h.conj().transpose(0, 2, 1) @ h).reshape(place.size, -1)).real.reshape(
+        2 * n + 1, m, m
+    )
+    lag = np.arange(n + 1)[None, :] - np.arange(n + 1)[:, None] + n
+    size = (n + 1) * m
+    big_t = t[lag].transpose(0, 2, 1, 3).reshape(size, size)
+    low = lower_factor(r, np.finfo(float).eps * r[0, 0])
+    v = solve_triangular(low, s[lag].reshape(n + 1, -1), lower=True, check_finite=False)
+    v = v.reshape(n + 1, n + 1, n_out, m).transpose(0, 2, 1, 3).reshape(-1, size)
+    normal = big_t - v.T @ v
+    flip = np.arange(size).reshape(n + 1, m)[::-1].ravel()
+    normal = normal[np.ix_(flip, flip)]
+    # exact data make the matrix singular, or less than the rounding of what it is the difference of
+    ridge = max(1e-13 * np.trace(normal), 1e-15 * np.trace(big_t)) / size
+    return lower_factor(normal, ridge)
+
+
+def _order(factor: Float, n: int, m: int, freqs: Float) -> tuple[Complex, Complex]:
+    """Poles (k,) and left null vectors (m, k) of the order n: the lowest coefficient is the
+    identity.
+    """
+    a = -solve_triangular(
+        factor[: n * m, : n * m],
+        factor[n * m : (n + 1) * m, : n * m].T,
+        lower=True,
+        trans="T",
+        check_finite=False,
+    )
+    companion = np.eye(n * m, k=-m)
+    companion[:m] = (
+        -a.reshape(n, m, m)[::-1].transpose(2, 0, 1).reshape(m, n * m)
+    )  # A transposed: left null vectors
+    mu, vectors = np.linalg.eig(companion)
+    keep = (mu.imag < 0) & (np.abs(mu) > 1e-6)  # z = 1/mu in the upper half plane
+    step = 2 * (freqs[-1] - freqs[0])
+    poles = -np.log(mu[keep]) * step + 2j * np.pi * freqs[0]
+    return poles, vectors[-m:, keep]
+
+
+def order_range(n_in: int, peaks: int, lines: int) -> tuple[int, int]:
+    """Lowest and highest order for a band with about `peaks` modes."""
+    top = int(np.clip(np.ceil((4 * peaks + 24) / n_in), 10, 60))
+    top = max(min(top + 8, MOST_STATES // n_in, lines // 3), 3)
+    return max(2, min(top // 3, int(np.ceil(2 * peaks / n_in)))), top
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Clusters:
+    """Groups of poles that agree over the orders.
+
+    Attributes
+    ----------
+    label : (k,) int64, cluster of each pole of the set, -1 for none
+    pole : (c,) complex128, rad/s
+    participation : (in, c) complex128
+    support : (c,) float64, 0..1
+        Share of the orders from its first appearance on that hold the pole.
+    scatter : (c,) float64
+        Median distance to `pole` in units of the half bandwidth.
+    """
+
+    label: Int
+    pole: Complex
+    participation: Complex
+    support: Float
+    scatter: Float
+
+
+def pole_shapes(poles: PoleSet, data: Complex, freqs: Float, power: int) -> Complex:
+    """Response shapes (out, k) of the poles of each order, by least squares with a lower and an
+    upper residual.
+
+    One input tells modes that overlap apart by their responses alone.
+
+    Parameters
+    ----------
+    poles : PoleSet
+        `shape` (in, k) holds the participation vectors.
+    data : (freq, out, in) complex128
+    freqs : (freq,) float64, Hz
+    power : int
+        0 for receptance, 1 for mobility, 2 for accelerance.
+    """
+    s = 2j * np.pi * freqs
+    kind = (s / s[-1]) ** power
+    terms = np.linalg.qr(kind[:, None] * np.stack([(s[0] / s) ** 2, np.ones(s.size)], axis=1))[0]
+    q = kind[:, None] / (s[:, None] - poles.pole)
+    q -= terms @ (terms.conj().T @ q)
+    part = poles.shape
+    rhs = (q.conj().T @ data.reshape(s.size, -1)).reshape(
+        len(poles), *data.shape[1:]
+    )  # terms are no part of q
+    rhs = (rhs * part.conj().T[:, None]).sum(axis=2)
+    out = np.zeros((data.shape[1], len(poles)), dtype=np.complex128)
+    for n in poles.orders:
+        at = np.flatnonzero(poles.order == n)
+        gram = (q[:, at].conj().T @ q[:, at]) * (part[:, at].conj().T @ part[:, at])
+        out[:, at] = np.linalg.lstsq(gram, rhs[at], rcond=1e-12)[0].T
+    return out
+
+
+def cluster_poles(
+    poles: PoleSet,
+    resolution: float | Float,
+    *,
+    responses: Complex | None = None,
+    least: float = 0.3,
+) -> Clusters:
+    """Average-linkage clusters of poles that stay in place over the orders.
+
+    The distance counts the poles in half bandwidths and the participation vectors in 1 − MAC.
+
+    Parameters
+    ----------
+    poles : PoleSet
+    resolution : float or (k,) float64, Hz, the spacing of the lines at each pole
+    responses : (out, k) complex128, optional
+        Response shapes, for poles that have one input only; counted in 1 − MAC as well.
+    least : float
+        A cluster must hold this share of all orders.
+    """
+    if len(poles) < 2:
+        return _clusters(poles, np.full(len(poles), -1, dtype=np.int64), [])
+    p, v = poles.pole, poles.shape / np.linalg.norm(poles.shape, axis=0)
+    near = np.broadcast_to(np.asarray(resolution, dtype=np.float64), p.shape)
+    width = np.sqrt(np.outer(-p.real, -p.real)) * 0.5 + 0.6 * np.pi * np.sqrt(np.outer(near, near))
+    far = np.abs(p[:, None] - p) / width
+    if v.shape[0] > 1:
+        far += (1 - np.minimum(np.abs(v.conj().T @ v) ** 2, 1.0)) / 0.4
+    if responses is not None:
+        far += (1 - np.minimum(mac(responses, responses), 1.0)) / 0.4
+    np.fill_diagonal(far, 0)
+    raw = fcluster(linkage(squareform((far + far.T) / 2, checks=False), "average"), 1.0, "distance")
+    n_orders = poles.orders.size
+    groups = [np.flatnonzero(raw == c) for c in np.unique(raw)]
+    held = [g for g in groups if np.unique(poles.order[g]).size >= max(3, least * n_orders)]
+    held.sort(key=lambda g: float(np.median(poles.frequencies[g])))
+    label = np.full(len(poles), -1, dtype=np.int64)
+    for c, g in enumerate(held):
+        label[g] = c
+    return _clusters(poles, label, held)
+
+
+def _clusters(poles: PoleSet, label: Int, held: Sequence[Int]) -> Clusters:
+    rows = [_summary(poles, g) for g in held]
+    return Clusters(
+        label,
+        np.array([r[0] for r in rows], dtype=np.complex128),
+        np.array([r[1] for r in rows], dtype=np.complex128)
+        .reshape(len(rows), poles.shape.shape[0])
+        .T,
+        np.array([r[2] for r in rows]),
+        np.array([r[3] for r in rows]),
+    )
+
+
+def _summary(poles: PoleSet, g: Int) -> tuple[complex, Complex, float, float]:
+    """Medians over the upper half of the orders that hold the pole."""
+    late = g[poles.order[g] >= np.median(poles.order[g])]
+    pole = complex(np.median(poles.pole[late].real), np.median(poles.pole[late].imag))
+    u = np.linalg.svd(
+        poles.shape[:, late] / np.linalg.norm(poles.shape[:, late], axis=0), full_matrices=False
+    )[0][:, 0]
+    here = np.unique(poles.order[g])
+    support = here.size / np.count_nonzero(poles.orders >= here[0])
+    scatter = float(np.median(np.abs(poles.pole[late] - pole)) / max(-pole.real, 1e-12))
+    return pole, u, support, scatter

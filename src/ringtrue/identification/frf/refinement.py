@@ -1,0 +1,486 @@
+"""Coherence-weighted nonlinear least squares on poles and participations, by variable projection.
+
+The shapes and residual terms are eliminated (Golub, Pereyra 1973; Kaufman's form of the Jacobian
+1975). With separable weights the projected Gauss-Newton matrix of every response is one matrix,
+scaled entry by entry by products of its shape components, so that a step costs no more than one
+LSFD.
+
+Hermitian systems in augmented unknowns (x, conj x) are solved in real numbers: with H of blocks V =
+R + iS at (x, x) and W = P + iQ at (x, conj x) the form in (Re x, Im x) is [[R + P, Q − S], [Q + S,
+R − P]], of the same eigenvalues (van den Bos 1994, IEE Proc. 141).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import lapack
+from scipy.special import ndtri, stdtrit
+
+from ringtrue.core.arrays import Bool, Complex, Float, Int
+from ringtrue.core.iterate import Outcome
+from ringtrue.identification.frf.lines import Lines, augment, condensed, functions_slopes
+from ringtrue.identification.frf.residues import weighted_rest
+
+ITERATIONS = 20
+REACH = 2.0  # half bandwidths
+NEAR = 0.5  # of the reach, for which lines are condensed at a time
+TOLERANCE = 1e-6  # relative fall of the objective
+FLAT = 1e-8  # of the curvature: nothing but rounding
+_UPPER = 0.975  # probability below the upper end of an interval
+
+
+def real_form(v: Complex, w: Complex) -> Float:
+    """(2 k, 2 k) form in (Re x, Im x) of the blocks (k, k) at (x, x) and (x, conj x)."""
+    return np.block([[v.real + w.real, w.imag - v.imag], [w.imag + v.imag, v.real - w.real]])
+
+
+def augmented_form(c: Float) -> tuple[Complex, Complex]:
+    """Blocks (k, k) at (x, x) and (x, conj x) of a form in (Re x, Im x): `real_form` turned
+    round.
+    """
+    k = c.shape[0] // 2
+    a, b, d = c[:k, :k], c[:k, k:], c[k:, k:]
+    return np.asarray(0.5 * (a + d + 1j * (b.T - b))), np.asarray(0.5 * (a - d + 1j * (b.T + b)))
+
+
+def pseudo_inverse(a: Float, least: float) -> Float:
+    """Of a symmetric matrix without the eigenvalues below `least` of the largest: by Cholesky where
+    none is.
+    """
+    low, fails = lapack.dpotrf(a, lower=True)
+    if not fails and lapack.dpocon(low, np.linalg.norm(a, 1), uplo="L")[0] > least:
+        half = np.tril(lapack.dpotri(low, lower=True)[0])
+        return np.asarray(half + np.tril(half, -1).T)
+    return np.asarray(np.linalg.pinv(a, rcond=least, hermitian=True))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Refined:
+    """Poles and participation vectors that minimise the weighted error.
+
+    Attributes
+    ----------
+    poles : (m,) complex128, rad/s
+    participation : (m, in) complex128
+    shapes : (out, m) complex128
+    std_frequency : (m,) float64, Hz
+    std_damping : (m,) float64
+    factor : (2 m, 2 m) float64
+        F with FᵀF the covariance of (frequencies, damping).
+    error : float
+        Weighted rms error; 1 means that the model explains the data down to the noise.
+    cost : float
+        Weighted sum of squares.
+    outcome : Outcome
+    known : Known
+        What the deviations of the shapes rest on.
+    """
+
+    poles: Complex
+    participation: Complex
+    shapes: Complex
+    std_frequency: Float
+    std_damping: Float
+    factor: Float
+    error: float
+    cost: float
+    outcome: Outcome
+    known: Known
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Known:
+    """The fit at its end, in augmented coordinates.
+
+    Attributes
+    ----------
+    state : State
+    covariance : (2 m (1 + in), 2 m (1 + in)) complex128
+        Zero for the parameters that fix the scales.
+    own : (out, m) float64
+        Squared weighted errors that the residues see.
+    rest : (in, freq, out) complex128
+        What the fit leaves of the data, in units of the noise.
+    """
+
+    state: State
+    covariance: Complex
+    own: Float
+    rest: Complex
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class State:
+    """Poles and participations, and what `_evaluate` finds there."""
+
+    poles: Complex
+    part: Complex
+    shapes: Complex
+    cost: float
+    hessian: Complex
+    gradient: Complex
+    shape_var: Float
+    slope: Complex  # of the augmented shapes by each parameter, times the shape of its mode
+    free: Int  # positions of values; those of their conjugates follow
+
+
+def refine(
+    lines: Lines,
+    poles: Complex,
+    participation: Complex,
+    *,
+    iterations: int = ITERATIONS,
+    local: bool = True,
+) -> Refined:
+    """Refine all modes at once.
+
+    No pole goes further than a few half bandwidths from its start: measured FRFs that disagree
+    among themselves would else turn modes into broad terms that patch up the fit.
+
+    Parameters
+    ----------
+    lines : Lines
+    poles : (m,) complex128, rad/s, start
+    participation : (m, in) complex128, start
+    iterations : int
+    local : bool
+        Deviations rest on the error where each mode is seen; else on that of all lines, which takes
+        less time.
+
+    Returns
+    -------
+    Refined
+    """
+    reach = REACH * np.abs(poles.real) + np.diff(lines.s.imag).mean()
+    part = participation * lines.input
+    part = part / np.linalg.norm(part, axis=1, keepdims=True)
+    near, few, centre = NEAR * reach, condensed(lines, poles, NEAR * reach), poles
+    state = _evaluate(few, poles, part)
+    damping, outcome = 1e-3, Outcome.MAX_ITERATIONS
+    for _ in range(iterations if poles.size else 0):
+        trial = _step(state, damping, poles, reach)
+        if trial is not None and (np.abs(trial[0] - centre) > near).any():
+            few, centre = condensed(lines, trial[0], near), trial[0]
+        new = None if trial is None else _evaluate(few, *trial)
+        if new is None or new.cost > state.cost:
+            damping *= 10
+            if damping > 1e6:
+                outcome = Outcome.STALLED
+                break
+            continue
+        fall = (state.cost - new.cost) / max(state.cost, 1e-300)
+        state, damping = new, max(damping / 10, 1e-9)
+        if fall < TOLERANCE:
+            outcome = Outcome.CONVERGED
+            break
+    return _result(lines, state, outcome, local)
+
+
+def _step(
+    state: State, damping: float, start: Complex, reach: Float
+) -> tuple[Complex, Complex] | None:
+    """Poles and participations a Levenberg-Marquardt step on, every pole held within reach of its
+    start.
+
+    None if a pole is no longer one of a damped mode, or rounding leaves no step.
+    """
+    h, scale = _scaled(state)
+    slope = scale * state.gradient[state.free]
+    h.flat[:: len(h) + 1] += damping
+    _, d, fails = lapack.dposv(h, np.concatenate([slope.real, slope.imag]), lower=True)
+    if fails:
+        return None
+    step = np.zeros(state.hessian.shape[0], dtype=np.complex128)
+    step[state.free] = scale * (d[: scale.size] + 1j * d[scale.size :])
+    m, n_in = state.part.shape
+    d = step.reshape(1 + n_in, 2, m)[:, 0]
+    away = state.poles + d[0] - start
+    poles = start + away * np.minimum(1.0, reach / np.maximum(np.abs(away), 1e-300))
+    if not np.isfinite(d).all() or (poles.imag <= 0).any() or (poles.real >= 0).any():
+        return None
+    part = state.part + d[1:].T
+    return poles, part / np.linalg.norm(part, axis=1, keepdims=True)
+
+
+def _scaled(state: State) -> tuple[Float, Float]:
+    """Gauss-Newton matrix of the free parameters in their (real, imaginary) parts over `scale`, and
+    that (free,).
+    """
+    v, m = state.free, state.poles.size
+    scale = 1 / np.sqrt(np.maximum(np.diag(state.hessian).real[v], 1e-300))
+    both = scale[:, None] * scale
+    return real_form(
+        state.hessian[np.ix_(v, v)] * both, state.hessian[np.ix_(v, v + m)] * both
+    ), scale
+
+
+def _free(part: Complex, moving: Bool) -> Int:
+    """Positions of the parameters that are `moving` but the largest participation of each mode: it
+    fixes the scale.
+
+    Of the values; their conjugates stand as many places further as there are modes.
+    """
+    m, n_in = part.shape
+    mask = moving.reshape(1 + n_in, 2, m).copy()
+    mask[:, 1] = False
+    mask[1 + np.abs(part).argmax(axis=1), 0, np.arange(m)] = False
+    return np.flatnonzero(mask.ravel())
+
+
+def _evaluate(lines: Lines, poles: Complex, part: Complex) -> State:
+    """Shapes, cost, gradient, Gauss-Newton matrix; augmented coordinates (λ, then l of each input;
+    value, conj).
+    """
+    m, n_in = part.shape
+    cc, cd, dd, cy, dy = _products(lines, poles)
+    l = augment(part).T[:, :, None]
+    ll = (l.conj() * l.transpose(0, 2, 1)).sum(axis=0)
+    xx = cc * ll
+    xy = (l.conj() * cy).sum(axis=0)
+    xg = np.concatenate([cd * ll, *(l.conj() * cc)], axis=1)
+    gy = np.concatenate([(l.conj() * dy).sum(axis=0), *cy])
+    scale = 1 / np.sqrt(np.maximum(np.diag(xx).real, 1e-300))
+    inverse = (
+        scale[:, None] * np.linalg.inv(scale[:, None] * xx * scale) * scale
+    )  # small; its diagonal is needed too
+    psi = inverse @ xy
+    gg = _gram(cc, cd, dd * ll, l)
+    slope = -inverse @ xg
+    core = gg + xg.conj().T @ slope
+    void = (
+        np.diag(core).real < FLAT * np.diag(gg).real
+    )  # what the shapes do as well: a turn of two modes of one pole
+    w2 = lines.response**2
+    tile = np.tile(psi, (1 + n_in, 1))
+    hessian = core * ((tile.conj() * w2) @ tile.T)
+    gradient = ((tile.conj() * w2) * (gy - xg.conj().T @ psi)).sum(axis=1)
+    cost = float((w2 * np.maximum(lines.power - 0.5 * (psi.conj() * xy).sum(axis=0).real, 0)).sum())
+    var = 2 * np.diag(inverse).real[:m]
+    shape_var = np.maximum(var, 0) / w2[:, None]
+    return State(
+        poles, part, psi[:m].T, cost, hessian, gradient, shape_var, slope, _free(part, ~void)
+    )
+
+
+def _products(lines: Lines, poles: Complex) -> tuple[Complex, Complex, Complex, Complex, Complex]:
+    """Products of the functions and slopes, and of both with the data, over lines and their mirror
+    images.
+
+    In augmented coordinates; formed with those of the real and imaginary parts of residues, which
+    are real.
+    """
+    m = poles.size
+    both = functions_slopes(lines, poles)
+    parts = np.concatenate(
+        [x for f in both for x in (f[:, :m] + f[:, m:], 1j * (f[:, :m] - f[:, m:]))], axis=1
+    )
+    z = np.concatenate([parts.real, parts.imag])
+    y = np.concatenate([lines.y.real, lines.y.imag], axis=1)
+    gram = 2 * (z.T @ z).reshape(2, 2 * m, 2, 2 * m)
+    data = 2 * (z.T @ y).reshape(y.shape[0], 2, 2 * m, -1)
+    eye = 0.5 * np.eye(m)
+    turn = np.block([[eye, eye], [-1j * eye, 1j * eye]])
+    back = turn.conj().T
+    cc, cd, dd = (back @ gram[i, :, k] @ turn for i, k in ((0, 0), (0, 1), (1, 1)))
+    cy, dy = back @ data[:, 0], back @ data[:, 1]
+    return cc, cd, dd, cy, dy
+
+
+def _gram(cc: Complex, cd: Complex, dd: Complex, l: Complex) -> Complex:
+    """Gram matrix of the derivatives with unit shapes: pole columns span all inputs, participations
+    one each.
+    """
+    n_in, n = l.shape[:2]
+    gg = np.zeros((1 + n_in, n, 1 + n_in, n), dtype=np.complex128)
+    gg[0, :, 0] = dd
+    for i in range(n_in):  # a handful of inputs
+        gg[1 + i, :, 1 + i] = cc
+        gg[1 + i, :, 0] = cd * l[i].T
+        gg[0, :, 1 + i] = gg[1 + i, :, 0].conj().T
+    return gg.reshape((1 + n_in) * n, -1)
+
+
+def _result(lines: Lines, state: State, outcome: Outcome, local: bool) -> Refined:
+    m = state.poles.size
+    rest = weighted_rest(lines, state.poles, state.part, state.shapes)
+    cov, own, error2 = _covariance(lines, state, rest if local else None)
+    slope = _slopes(state.poles)
+    real = slope @ _real(cov[: 2 * m, : 2 * m], m) @ slope.T
+    values, vectors = np.linalg.eigh((real + real.T) / 2)
+    factor = np.sqrt(np.maximum(values, 0))[:, None] * vectors.T
+    std = np.sqrt(np.maximum(np.diag(real), 0))
+    return Refined(
+        state.poles,
+        state.part / lines.input,
+        state.shapes,
+        std[:m],
+        std[m:],
+        factor,
+        float(np.sqrt(error2)),
+        state.cost,
+        outcome,
+        Known(state, cov, own, rest),
+    )
+
+
+def _covariance(lines: Lines, state: State, rest: Complex | None) -> tuple[Complex, Float, float]:
+    """Covariance of all augmented parameters, zero for those that fix the scales, and the squared
+    weighted errors.
+
+    The errors are those (out, m) that the residues see, and that of all data; without the `rest`
+    they are the same.
+    """
+    free = state.free
+    data = 2 * lines.y.size
+    error2 = max(state.cost / max(data - 2 * free.size - 2 * state.shapes.size, 1), 0.0)
+    h, scale = _scaled(state)
+    cov = np.zeros_like(state.hessian)
+    both = 2 * scale[:, None] * scale
+    inner, turned = (both * x for x in augmented_form(pseudo_inverse(h, FLAT)))
+    conjugate = free + state.poles.size
+    cov[np.ix_(free, free)], cov[np.ix_(free, conjugate)] = inner, turned
+    cov[np.ix_(conjugate, conjugate)], cov[np.ix_(conjugate, free)] = inner.conj(), turned.conj()
+    everywhere = np.full(state.shapes.shape, error2), np.full(state.poles.size, error2)
+    own, shared = everywhere if rest is None else _local_error(lines, state, rest)
+    each = np.tile(np.sqrt(shared), state.hessian.shape[0] // shared.size)
+    return cov * each[:, None] * each, own, error2
+
+
+def _local_error(lines: Lines, state: State, rest: Complex) -> tuple[Float, Float]:
+    """Squared weighted errors where each mode is seen: (out, m) of its residues, (m,) of its pole
+    and participation.
+
+    The errors of measured FRFs grow with the response, in the channels that see a mode most of all:
+    so each error counts as much as it moves the parameter, and what the fit takes of it is given
+    back. Those that all responses share, as of noise on the force, move a pole together: their sum
+    along the shape counts where it is larger. Few lines tell the error of a residue, so its
+    interval is that of Student: 1.96 deviations hold 95 % of the cases.
+    """
+    m, n_out = state.poles.size, state.shapes.shape[0]
+    part = (np.abs(state.part) ** 2).T[:, None]
+    by_shape, by_pole = (part * np.abs(q[:, :m]) ** 2 for q in functions_slopes(lines, state.poles))
+    by_shape, by_pole = (w / w.sum(axis=(0, 1)) for w in (by_shape, by_pole))  # (in, freq, mode)
+    early = _early(lines, rest, state.poles)
+    seen = state.shapes * lines.response[:, None]
+    seen = seen / np.linalg.norm(seen, axis=0)
+
+    def left(weight: Float, responses: int) -> Float:
+        return np.asarray(
+            np.maximum((weight * (1 - by_shape - by_pole / responses)).sum(axis=(0, 1)), 0.1)
+        )
+
+    power = 0.5 * np.abs(rest) ** 2
+    few = stdtrit(2 / (by_shape**2).sum(axis=(0, 1)), _UPPER) / ndtri(_UPPER)
+    own = (
+        np.tensordot(power, by_shape / left(by_shape, n_out), ([0, 1], [0, 1])) * early[0] * few**2
+    )
+    apart = np.tensordot(power, by_pole / left(by_pole, n_out), ([0, 1], [0, 1]))
+    apart = (apart * np.abs(seen) ** 2).sum(axis=0)
+    together = 0.5 * (by_pole * np.abs(rest @ seen.conj()) ** 2).sum(axis=(0, 1)) / left(by_pole, 1)
+    return own, np.maximum(apart, together) * early[1]
+
+
+def _early(lines: Lines, rest: Complex, poles: Complex) -> Float:
+    """(2, m) power of the error while a mode rings, over that of the whole block; for residues, and
+    for poles.
+
+    An exponential window leaves the noise at the start of the block, where the modes are: lines
+    next to each other then have the same error, and there are fewer of them than it seems.
+    """
+    power = (np.abs(np.fft.ifft(rest, axis=1)) ** 2).sum(axis=(0, 2))
+    t = np.arange(power.size) / power.size * 2 * np.pi / np.diff(lines.s.imag).mean()
+    ringing = np.exp(-2 * t[:, None] * (lines.s[0].real - poles.real))
+    both = np.stack([ringing, ringing * t[:, None] ** 2])
+    there = (power @ both) / np.maximum(both.sum(axis=1), 1e-300)
+    early = np.maximum(there / max(power.mean(), 1e-300), 1.0)
+    terms = lines.terms.shape[1] + lines.smooth.shape[1]
+    taken = (
+        (early - 1) * (poles.size + terms) / power.size
+    )  # by the fit, of the few values at the start
+    return np.asarray(early / (1 - np.minimum(taken, 0.8)))
+
+
+def shape_deviations(
+    lines: Lines, fit: Refined, pairs: Sequence[tuple[int, int, float]] | None
+) -> Float:
+    """Standard deviations (out, m) of the moduli of the scaled shape components, as shares of the
+    modulus.
+
+    First order, from the noise of the residues and from poles and participation vectors together.
+    The scale is unit modal mass by the driving points where there are any, else a largest component
+    of 1.
+
+    Parameters
+    ----------
+    lines : Lines
+        Those of the fit.
+    fit : Refined
+    pairs : sequence of (output, input, sign), optional
+        Driving points; None leaves the scale to the largest participation, held fixed.
+    """
+    state, cov = fit.known.state, fit.known.covariance
+    tile = np.tile(
+        augment(state.shapes.T), (1 + fit.participation.shape[1], 1)
+    ).T  # (out, parameter)
+    own = state.shape_var * fit.known.own
+    psi = np.where(state.shapes == 0, np.finfo(float).tiny, state.shapes)
+    out = np.empty(psi.shape)
+    for k in range(fit.poles.size):  # (out, parameter) arrays of all modes at once would not fit
+        g = tile * state.slope[k] / psi[:, k, None]
+        common, noise = _scale_slope(fit, lines, pairs, g, psi[:, k], k)
+        g = g + common
+        half = g.reshape(g.shape[0], -1, 2, fit.poles.size)
+        g = 0.5 * (half + half[:, :, ::-1].conj()).reshape(g.shape)
+        shared = (np.abs(noise) ** 2 * own[:, k]).sum()
+        alone = own[:, k] * (np.abs(1 / psi[:, k]) ** 2 + 2 * (noise.conj() / psi[:, k]).real)
+        out[:, k] = ((g @ cov) * g.conj()).real.sum(axis=1) + 0.5 * (shared + alone)
+    return np.sqrt(np.maximum(out, 0))
+
+
+def _scale_slope(
+    fit: Refined,
+    lines: Lines,
+    pairs: Sequence[tuple[int, int, float]] | None,
+    g: Complex,
+    psi: Complex,
+    k: int,
+) -> tuple[Complex, Complex]:
+    """Derivatives of the logarithm of the scale of mode k: by the parameters, and by the residue
+    noise (out,).
+    """
+    noise = np.zeros(psi.size, dtype=np.complex128)
+    if pairs is None:
+        return np.zeros(g.shape[1], dtype=np.complex128), noise
+    if not pairs:
+        top = int(np.abs(psi).argmax())
+        noise[top] = -1 / psi[top]
+        return -g[top], noise
+    o, i, sign = (np.array(x) for x in zip(*pairs, strict=True))
+    part, driven = fit.participation[k, i], sign * psi[o]
+    size, overlap = (np.abs(part) ** 2).sum(), (part.conj() * driven).sum()
+    overlap = overlap if overlap != 0 else size * np.finfo(float).tiny
+    share = -0.5 * part.conj() * driven / overlap
+    np.add.at(noise, o, share / psi[o])
+    common = np.zeros((1 + fit.participation.shape[1], 2, fit.poles.size), dtype=np.complex128)
+    np.add.at(common[1:, 0, k], i, 0.5 * part.conj() / size / lines.input[i])
+    np.add.at(common[1:, 1, k], i, 0.5 * (part / size - driven / overlap) / lines.input[i])
+    common[0, :, k] = np.array([1, -1]) / (4j * fit.poles[k].imag)
+    return common.ravel() + share @ g[o], noise
+
+
+def _real(cov: Complex, m: int) -> Float:
+    """Covariance of (Re, Im) from that of augmented (x, conj x)."""
+    a, b = cov[:m, :m], cov[:m, m:]
+    return np.block([[(a + b).real, (b - a).imag], [(a + b).imag, (a - b).real]]) / 2
+
+
+def _slopes(poles: Complex) -> Float:
+    """(2 m, 2 m) derivatives of (frequency, damping) by (Re λ, Im λ)."""
+    a, b, r = poles.real, poles.imag, np.abs(poles)
+    d = np.diag
+    return np.block(
+        [[d(a / r), d(b / r)], [d(-(b**2) / r**3 * 2 * np.pi), d(a * b / r**3 * 2 * np.pi)]]
+    ) / (2 * np.pi)

@@ -1,0 +1,179 @@
+"""What case control takes of a deck: sets of constraints, matrices, the eigenvalue method and modal
+damping; and what of the deck takes no part.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ringtrue.core.arrays import Float, Int, freeze_fields
+from ringtrue.errors import UnsupportedError
+from ringtrue.model.model import Model
+from ringtrue.model.ports import ModesRequest, ModesResult
+from ringtrue.model.references import unused
+
+CONSTRAINTS = {"SPC": ("SPCADD", ("SPC", "SPC1")), "MPC": ("MPCADD", ("MPC",))}
+
+
+def taken_sets(model: Model, kind: str) -> Int:
+    """Ids of the SPC or MPC sets that hold: the one that case control names, or those that an
+    SPCADD or MPCADD of that number unites, which goes before a set of its own number.
+    """
+    add, sid = CONSTRAINTS[kind][0], int(getattr(model.case, kind.lower()))
+    rows = np.flatnonzero(model[add]["SID"] == sid) if add in model else np.empty(0, dtype=np.int64)
+    united = [model[add].ragged("S").row(i) for i in rows.tolist()]
+    return np.unique(
+        np.concatenate(united) if united else [sid] if sid else np.empty(0, dtype=np.int64)
+    )
+
+
+def untaken_matrices(model: Model) -> Int:
+    """Rows of DMIG that no K2GG, M2GG or B2GG takes, and no K2PP, M2PP or B2PP."""
+    if "DMIG" not in model:
+        return np.empty(0, dtype=np.int64)
+    case = model.case
+    terms = (*case.k2gg, *case.m2gg, *case.b2gg, *case.k2pp, *case.m2pp, *case.b2pp)
+    taken = [name for _, name in terms]
+    return np.flatnonzero(~np.isin(np.char.upper(model["DMIG"]["NAME"].astype(str)), taken))
+
+
+def left_out(model: Model) -> list[str]:
+    """What a deck asks for that none of the answers holds."""
+    instead = "K2GG, M2GG and B2GG act on the modes"
+    out = [
+        f"case control asks for {command}: it is left out; {instead}"
+        for command in model.case.unread
+    ]
+    if cyclic := [card for card in ("CYAX", "CYJOIN", "CYSYM") if card in model.kept]:
+        modes = "the modes are those of this segment alone, not of the whole; give all segments"
+        out.append(f"{', '.join(cyclic)}: kept, not applied: {modes}")
+    return out
+
+
+def responding(model: Model) -> Model:
+    """The model as it responds: K2PP, M2PP and B2PP are added to stiffness, mass and damping (SOL
+    108 and 111).
+
+    Raises
+    ------
+    UnsupportedError
+        If PARAM CK2, CM2 or CB2 scale K2GG and its like, but not these.
+    """
+    case = model.case
+    for scale, more in (("CK2", case.k2pp), ("CM2", case.m2pp), ("CB2", case.b2pp)):
+        if more and model.param(scale, 1.0) != 1:
+            raise UnsupportedError(
+                f"PARAM,{scale} beside {scale[1]}2PP: give the factor in case control, as in 1.5*KA"
+            )
+    k, m, b = (*case.k2gg, *case.k2pp), (*case.m2gg, *case.m2pp), (*case.b2gg, *case.b2pp)
+    return replace(model, case=replace(case, k2gg=k, m2gg=m, b2gg=b, k2pp=(), m2pp=(), b2pp=()))
+
+
+def idle(model: Model) -> dict[str, Int]:
+    """Rows, by card, that take no part, whatever they name: Nastran leaves them alone, too.
+
+    Properties and materials that nothing names, constraints of sets and matrices that case control
+    does not take.
+    """
+    out = {
+        card: rows
+        for card, rows in (*unused(model).items(), ("DMIG", untaken_matrices(model)))
+        if rows.size
+    }
+    for kind, (_, cards) in CONSTRAINTS.items():
+        for card in (c for c in cards if c in model):
+            if (rows := np.flatnonzero(~np.isin(model[card]["SID"], taken_sets(model, kind)))).size:
+                out[card] = rows
+    return out
+
+
+METHODS = {
+    "EIGRL": ("V1", "V2"),
+    "EIGRA": ("V1", "V2"),
+    "EIGR": ("F1", "F2"),
+}  # and their limits, Hz
+# of EIGR: their F1 and F2 count only where ND is blank (MSC Nastran Quick Reference Guide, EIGR)
+_BY_COUNT = frozenset(("GIV", "MGIV", "AGIV", "HOU", "MHOU", "AHOU"))
+FIRST = 40  # modes asked for at first where a deck limits both their number and their frequency
+
+
+@dataclass(frozen=True, slots=True)
+class AskedModes:
+    """The lowest `count` modes (0: all) of those between `low` and `high`, Hz; -inf and inf where
+    open.
+    """
+
+    low: float
+    high: float
+    count: int
+
+    def of(self, solve: Callable[[ModesRequest], ModesResult]) -> ModesResult:
+        """The modes of a solution; it is asked for more until they are enough or pass the upper
+        limit.
+        """
+        if not self.count:
+            return solve(ModesRequest(band=(max(self.low, -1.0), self.high)))
+        wanted = min(self.count, FIRST) if np.isfinite(self.high) else self.count
+        while True:
+            found = solve(ModesRequest(wanted))
+            f = found.modes.frequencies
+            at = np.flatnonzero((f >= self.low) & (f <= self.high))[: self.count]
+            if at.size == self.count or (f > self.high).any() or f.size < wanted:
+                return replace(found, modes=found.modes.take(at), residuals=found.residuals[at])
+            wanted = min(2 * wanted, wanted + self.count - at.size)
+
+
+def asked_modes(model: Model) -> AskedModes | None:
+    """By the method that case control names, or the only one of a deck that names none; None where
+    none asks.
+    """
+    rows = [(card, i) for card in METHODS if card in model for i in range(len(model[card]))]
+    if model.case.method:
+        rows = [(card, i) for card, i in rows if model[card].ids[i] == model.case.method]
+    if len(rows) != 1:
+        return None
+    card, i = rows[0]
+    table = model[card]
+    low, high = (float(table[name][i]) for name in METHODS[card])
+    if card == "EIGR" and table["ND"][i] > 0 and str(table["METHOD"][i]).upper() in _BY_COUNT:
+        low, high = np.nan, np.nan
+    asked = AskedModes(
+        low if low > 0 else -np.inf, np.inf if np.isnan(high) else high, int(table["ND"][i])
+    )
+    return asked if asked.count > 0 or max(asked.low, 0.0) < asked.high < np.inf else None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModalDamping:
+    """Damping ratios of modes by their frequencies.
+
+    Attributes
+    ----------
+    frequencies : (k,) float64, Hz, ascending
+    ratios : (k,) float64, fraction of critical
+    flat : bool
+        Beyond the ends the last ratio holds; else the line through the last two points goes on.
+    structural : bool
+        Twice the ratio is a loss factor (PARAM,KDAMP,-1); else the damping is viscous.
+    """
+
+    frequencies: Float
+    ratios: Float
+    flat: bool = False
+    structural: bool = False
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, frequencies=np.float64, ratios=np.float64)
+
+    def at(self, frequencies: Float) -> Float:
+        """Ratios (m,) of modes of these frequencies (m,), Hz."""
+        f, z = self.frequencies, self.ratios
+        out = np.interp(frequencies, f, z)
+        if not self.flat and f.size > 1:
+            for beyond, (a, b) in ((frequencies < f[0], (0, 1)), (frequencies > f[-1], (-2, -1))):
+                slope = (z[b] - z[a]) / (f[b] - f[a]) if f[b] > f[a] else 0.0
+                out = np.where(beyond, z[b] + slope * (frequencies - f[b]), out)
+        return out
