@@ -182,10 +182,13 @@ def off_diagonal(store: Path) -> dict[str, float]:
     """Largest entry off the diagonal that each mass at the channels gives the modes of the deck,
     %.
     """
-    desk = load_study(store).desk
-    opened, config = desk.remodelled, desk.config.correlate
-    test, look = reference_modes(desk.get("identify"), desk.config).elastic, desk.bridge(opened)
-    modes = opened.modes(desk.fmax).modes
+    session = load_study(store).session
+    opened, config = session.remodelled, session.config.correlate
+    test, look = (
+        reference_modes(session.get("identify"), session.config).elastic,
+        session.bridge(opened),
+    )
+    modes = opened.modes(session.fmax).modes
     modes = modes.take(np.flatnonzero(modes.frequencies <= test.frequencies.max()))
     seen = (
         ModeSet(modes.frequencies, modes.damping, look(modes.shapes), look.channels)
@@ -195,7 +198,7 @@ def off_diagonal(store: Path) -> dict[str, float]:
     out = {}
     for tam in ("irs", "guyan"):
         changed = config.model_copy(update={"tam": tam})
-        mass = channel_mass(opened, look, test.channels, changed, desk.fmax).matrix
+        mass = channel_mass(opened, look, test.channels, changed, session.fmax).matrix
         out[tam] = float(100 * np.abs(self_orthogonality(seen, mass) - np.eye(len(modes))).max())
     return out
 

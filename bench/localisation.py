@@ -27,7 +27,7 @@ from outcome import Check, Peer, Report, arguments, at_least, at_most, sized
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "verification"))
 import localise_twin as twin
 
-from ringtrue.updating.proposal import Proposal, propose
+from ringtrue.updating.selection.proposal import Proposal, propose
 
 WRONG = 3
 FIRST = 10

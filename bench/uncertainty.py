@@ -99,17 +99,19 @@ def write(
 def counts(found: UncertaintyStage, true: dict[str, float]) -> Counter[str]:
     """What holds and how much there is of it."""
     out: Counter[str] = Counter()
-    right = np.array([true.get(n, 1.0) for n in found.parameters.names])
+    right = np.array([true.get(n, 1.0) for n in found.posterior.parameters.names])
     out["parameters"] = right.size
     out["parameters held"] = int(
-        ((found.interval[:, 0] <= right) & (right <= found.interval[:, 1])).sum()
+        (
+            (found.posterior.interval[:, 0] <= right) & (right <= found.posterior.interval[:, 1])
+        ).sum()
     )
     for name, those in (("right", right == 1.0), ("wrong", right != 1.0)):
         out[name], out[f"{name} marked"] = int(those.sum()), int((found.unproven & those).sum())
-    left_out = ~found.used & np.isfinite(found.predicted)
+    left_out = ~found.bands.used & np.isfinite(found.bands.predicted)
     out["left out"], out["left out held"] = (
         int(left_out.sum()),
-        int((found.inside & left_out).sum()),
+        int((found.bands.inside & left_out).sum()),
     )
     held, unseen = found.held, np.isfinite(found.held.predicted)
     reach = stdtrit(held.freedom, 0.5 + found.level / 2)

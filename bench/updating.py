@@ -42,10 +42,10 @@ from ringtrue.model.ports import ModesRequest
 from ringtrue.reduction.parametric import ReducedModel
 from ringtrue.solvers.matrices import MatrixModel, ObservedMatrices
 from ringtrue.updating.multistart import multi_start
-from ringtrue.updating.objective import Target, Weights
-from ringtrue.updating.several import Configuration, Problem
-from ringtrue.updating.trust import Method, Solution, solve
-from ringtrue.updating.verified import solve_verified
+from ringtrue.updating.problem import Configuration, Problem
+from ringtrue.updating.solver import Method, Solution, solve
+from ringtrue.updating.strategy import solve_verified
+from ringtrue.updating.target import Target, Weights
 
 MODES, SPARE = 6, 4  # measured; more that the model returns, so that modes may cross
 PUBLISHED_START = 31.0  # s, one start of the published study

@@ -1,3 +1,176 @@
-"""Finite element model validation: from a deck and vibration signals to a model that rings true."""
+"""Finite element model validation: from a deck and vibration signals to a model that rings true.
+
+The names in `__all__` are the public interface; every other module, class and function of the
+package is private to the project and may change without notice. Parts are imported on first use.
+
+>>> import ringtrue as rt
+>>> model = rt.read_deck(rt.example_deck(), units="SI")
+>>> fe = rt.solve_modes(model, band=(0, 100))
+>>> fe.frequencies.round(2)
+array([2.24, 6.28, 9.07])
+"""
+
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from ringtrue.api.comparison import Correlation, correlate
+    from ringtrue.api.improvement import (
+        FittedDamping,
+        Localisation,
+        TestedModel,
+        TunedSuspension,
+        UpdatedModel,
+        fit_damping,
+        localise,
+        parameter,
+        tune_suspension,
+        update,
+    )
+    from ringtrue.api.measurements import (
+        MeasuredFrfs,
+        TestModes,
+        estimate_frfs,
+        identify_ambient,
+        identify_frfs,
+        modes_of_test,
+        read_frfs,
+        read_modes,
+        read_record,
+        read_sensors,
+        write_modes,
+    )
+    from ringtrue.api.models import (
+        Deflections,
+        FeModes,
+        frf,
+        read_deck,
+        solve_modes,
+        static,
+        write_deck,
+    )
+    from ringtrue.api.studies import Study, TestPlan, open_study, plan_test, predict, run_study
+    from ringtrue.core.modes import ModeSet
+    from ringtrue.core.parameters import Parameter, ParameterSet
+    from ringtrue.core.signals import Channel, FrfSet, TimeHistory
+    from ringtrue.errors import (
+        InputError,
+        NumericalError,
+        RingtrueError,
+        SolverError,
+        UnsupportedError,
+    )
+    from ringtrue.io.sheets import SensorSheet
+    from ringtrue.model.model import Model
+    from ringtrue.solvers.matrices import MatrixModel
+    from ringtrue.solvers.observed import at_factors
+    from ringtrue.study.config_sections import CorrelateSection as CorrelateSettings
+    from ringtrue.study.config_sections import PlanSection as PlanSettings
+    from ringtrue.study.config_sections import PredictSection as PredictSettings
+    from ringtrue.study.config_update import UpdateSection as UpdateSettings
+
+_PLACES = {  # module -> public names in it
+    "api.models": "Deflections FeModes frf read_deck solve_modes static write_deck",
+    "api.measurements": "MeasuredFrfs TestModes estimate_frfs identify_ambient identify_frfs "
+    "modes_of_test read_frfs read_modes read_record read_sensors write_modes",
+    "api.comparison": "Correlation correlate",
+    "api.improvement": "FittedDamping Localisation TestedModel TunedSuspension UpdatedModel "
+    "fit_damping localise parameter tune_suspension update",
+    "api.studies": "Study TestPlan open_study plan_test predict run_study",
+    "core.modes": "ModeSet",
+    "core.parameters": "Parameter ParameterSet",
+    "core.signals": "Channel FrfSet TimeHistory",
+    "errors": "InputError NumericalError RingtrueError SolverError UnsupportedError",
+    "io.sheets": "SensorSheet",
+    "model.model": "Model",
+    "solvers.matrices": "MatrixModel",
+    "solvers.observed": "at_factors",
+}
+_SETTINGS = {  # public name -> module and the section of study.toml that it is
+    "CorrelateSettings": ("study.config_sections", "CorrelateSection"),
+    "PlanSettings": ("study.config_sections", "PlanSection"),
+    "PredictSettings": ("study.config_sections", "PredictSection"),
+    "UpdateSettings": ("study.config_update", "UpdateSection"),
+}
+_WHERE = {name: (module, name) for module, names in _PLACES.items() for name in names.split()}
+_WHERE |= _SETTINGS
+
+__all__ = [
+    "Channel",
+    "CorrelateSettings",
+    "Correlation",
+    "Deflections",
+    "FeModes",
+    "FittedDamping",
+    "FrfSet",
+    "InputError",
+    "Localisation",
+    "MatrixModel",
+    "MeasuredFrfs",
+    "ModeSet",
+    "Model",
+    "NumericalError",
+    "Parameter",
+    "ParameterSet",
+    "PlanSettings",
+    "PredictSettings",
+    "RingtrueError",
+    "SensorSheet",
+    "SolverError",
+    "Study",
+    "TestModes",
+    "TestPlan",
+    "TestedModel",
+    "TimeHistory",
+    "TunedSuspension",
+    "UnsupportedError",
+    "UpdateSettings",
+    "UpdatedModel",
+    "at_factors",
+    "correlate",
+    "estimate_frfs",
+    "example_deck",
+    "fit_damping",
+    "frf",
+    "identify_ambient",
+    "identify_frfs",
+    "localise",
+    "modes_of_test",
+    "open_study",
+    "parameter",
+    "plan_test",
+    "predict",
+    "read_deck",
+    "read_frfs",
+    "read_modes",
+    "read_record",
+    "read_sensors",
+    "run_study",
+    "solve_modes",
+    "static",
+    "tune_suspension",
+    "update",
+    "write_deck",
+    "write_modes",
+]
+
+
+def example_deck() -> Path:
+    """The path of a deck of three floors on springs, for examples."""
+    return Path(__file__).parent / "api" / "example.bdf"
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _WHERE:
+        raise AttributeError(f"module 'ringtrue' has no attribute {name!r}")
+    module, inside = _WHERE[name]
+    value = getattr(import_module(f"ringtrue.{module}"), inside)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

@@ -69,6 +69,7 @@ class UnsupportedCard(UnsupportedError):
         self, card: str, *, path: object = None, line: int | None = None, why: str = ""
     ) -> None:
         self.card, self.path, self.line = card, path, line
+        self.why = why
         place = f"{path}:{line}: " if line else ""
         super().__init__(f"{place}{card} is not supported{': ' + why if why else ''}")
 

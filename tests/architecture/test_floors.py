@@ -18,6 +18,7 @@ FLOORS = [
     {"plots"},
     {"report"},
     {"demos", "testing"},
+    {"api"},
     {"cli"},
     {"__main__"},
 ]
@@ -83,6 +84,19 @@ def test_imports_point_down(path: Path) -> None:
         else:
             ok = parts[0] in STDLIB_OK or parts[0] in THIRD_PARTY.get(here, set())
             assert ok, f"{path.relative_to(SRC)} imports {name}: not allowed on this floor"
+
+
+def test_one_door_leads_upward() -> None:
+    """`.plot()` of a result: `core.display` names one module by text, which registers the
+    drawings.
+    """
+    by_name = [
+        p.relative_to(SRC).as_posix()
+        for p in FILES
+        if package_of(p) == "core" and "import_module(" in p.read_text()
+    ]
+    assert by_name == ["core/display.py"]
+    assert 'DRAWINGS = "ringtrue.plots.results"' in (SRC / "core/display.py").read_text()
 
 
 LARGE = [d for d in (SRC, *sorted(SRC.rglob("*/"))) if d != SRC and len(list(d.glob("*.py"))) > 20]

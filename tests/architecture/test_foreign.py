@@ -32,7 +32,7 @@ CALLS = {
     "scipy.sparse": {"load_npz"},
 }
 ALLOWED = {
-    ("report/pack.py", "json.loads"): "text that plotly made a line above",
+    ("report/build.py", "json.loads"): "text that plotly made a line above",
     ("study/run.py", "json.loads"): "text that json made in the same line",
     ("solvers/slepc_worker.py", "json.loads"): "runs without ringtrue; files of its parent",
     ("solvers/slepc_worker.py", "numpy.load"): "runs without ringtrue; files of its parent",

@@ -8,8 +8,9 @@ import numpy as np
 
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.study import results as r
-from ringtrue.updating.kfold import Held
-from ringtrue.updating.proposal import Proposal, Proposed
+from ringtrue.updating.identifiability import Flag
+from ringtrue.updating.selection.proposal import Proposal, Proposed
+from ringtrue.updating.validation import Held
 
 RNG = np.random.default_rng(11)
 
@@ -61,23 +62,27 @@ def localise(regions: Sequence[str], names: Sequence[str]) -> r.LocaliseStage:
     strain = RNG.dirichlet(np.ones(g))
     strain[-1] = 0.0
     return r.LocaliseStage(
-        tuple(regions),
-        strain / strain.sum(),
-        RNG.dirichlet(np.ones(g)),
-        RNG.dirichlet(np.ones(g)),
-        RNG.dirichlet(np.ones(g)),
-        np.arange(12),
-        RNG.uniform(0.1, 0.9, 12),
-        parameters(names),
-        tuple(f"Young's modulus 2.1e+11 Pa of {7 * i + 4} CHEXA" for i in range(p)),
-        tuple(regions[i % g] for i in range(p)),
-        RNG.uniform(0.1, 30, p),
-        RNG.uniform(0.02, 0.9, p),
-        RNG.uniform(0.1, 1.0, p),
-        RNG.uniform(-0.5, 0.9, p),
-        124,
-        ("MAT1 99 E",),
-        tuple(f"PBAR {i} A" for i in range(40)),
+        r.ErrorIndicators(
+            regions=tuple(regions),
+            strain=strain / strain.sum(),
+            force=RNG.dirichlet(np.ones(g)),
+            constitutive=RNG.dirichlet(np.ones(g)),
+            energy=RNG.dirichlet(np.ones(g)),
+            modes=np.arange(12),
+            relative=RNG.uniform(0.1, 0.9, 12),
+            expansion="hybrid",
+            misfit=np.zeros(0),
+        ),
+        r.CandidateEffects(
+            parameters=parameters(names),
+            what=tuple(f"Young's modulus 2.1e+11 Pa of {7 * i + 4} CHEXA" for i in range(p)),
+            elements=tuple(regions[i % g] for i in range(p)),
+            effect=RNG.uniform(0.1, 30, p),
+            others_known=RNG.uniform(0.02, 0.9, p),
+            all_free=RNG.uniform(0.1, 1.0, p),
+            explains=RNG.uniform(-0.5, 0.9, p),
+        ),
+        r.CandidatePool(124, ("MAT1 99 E",), tuple(f"PBAR {i} A" for i in range(40))),
         _proposal(names),
     )
 
@@ -106,28 +111,34 @@ def uncertainty(
     ratio[-1] = 0.97
     close = np.eye(p) + 0.3 * (1 - np.eye(p))
     return r.UncertaintyStage(
-        parameters(names),
-        factor,
-        std,
-        interval,
-        np.tile([0.32, 3.2], (p, 1)),
-        ratio,
-        ratio < 0.7,
-        close,
+        r.ParameterPosterior(
+            parameters=parameters(names),
+            factor=factor,
+            std=std,
+            interval=interval,
+            prior=np.tile([0.32, 3.2], (p, 1)),
+            ratio=ratio,
+            moved=ratio < 0.7,
+            correlation=close,
+        ),
+        r.FrequencyBands(
+            test=test,
+            predicted=found,
+            band=np.stack([found - reach, found + reach], axis=1),
+            parts=parts,
+            used=used,
+            inside=np.abs(found / test - 1) < 0.0126,
+        ),
         0.9,
         np.array([0.012, 0.033]),
         np.array([0.01, 0.05]),
-        test,
-        found,
-        np.stack([found - reach, found + reach], axis=1),
-        parts,
-        used,
-        np.abs(found / test - 1) < 0.0126,
         known,
-        (f"{names[0]}: factor 2.4 is 2.1 prior standard deviations from the nominal value",),
-        factor * np.exp(0.06 * RNG.standard_normal((80, p))),
-        interval * 1.01,
-        0.51,
-        22.0,
-        False,
+        (Flag(names[0], "prior", 2.4, f"{names[0]}: factor 2.4 is 2.1 prior standard deviations"),),
+        r.PosteriorChains(
+            draws=factor * np.exp(0.06 * RNG.standard_normal((80, p))),
+            sampled=interval * 1.01,
+            acceptance=0.51,
+            independent=22.0,
+            converged=False,
+        ),
     )

@@ -8,6 +8,7 @@ import fake_localised
 import numpy as np
 
 from ringtrue.core.dofs import DofSet
+from ringtrue.core.iterate import Outcome
 from ringtrue.core.modes import ModeSet, Norm, Uncertainty
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.core.signals import Channel, FrfSet
@@ -20,8 +21,8 @@ from ringtrue.correlation.table import CorrelationTable
 from ringtrue.correlation.tracking import track
 from ringtrue.identification.common.poles import PoleSet, StableDiagram
 from ringtrue.study import results as r
-from ringtrue.updating.posterior import Posterior
-from ringtrue.updating.predict import Bands, RunUp, Unbalance
+from ringtrue.updating.prediction import Bands, RunUp, Unbalance
+from ringtrue.updating.uncertainty import Posterior
 
 RNG = np.random.default_rng(7)
 ELASTIC = np.array(
@@ -252,9 +253,7 @@ def correlation(
     why = [("no FE mode within 30 % has MAC >= 60 %: best FE 20 with 31 %",) * x.size for x in lone]
     close = np.isin(two, (16, 17))
     error = (g[two] - f[one]) / f[one]
-    pairing = Pairing(
-        one, two, mac[one, two], error, np.ones(n), close, lone[0], why[0], lone[1], why[1]
-    )
+    pairing = Pairing(one, two, mac[one, two], error, close, lone[0], why[0], lone[1], why[1])
     return CorrelationTable(
         pairing, f[one], g[two], 2e-4 * f[one], ~np.isin(one, left_out), mac, f, g
     )
@@ -407,19 +406,23 @@ def _set(name: str, names: tuple[str, ...], best: float) -> r.SetResult:
         RNG.uniform(0.01, 0.12, p),
         np.tile([0.25, 4.0], (p, 1)),
         RNG.uniform(0.05, 0.8, p),
-        best,
-        3.4 * best,
-        96 - best,
-        1.3 * best,
-        40 * p**1.7,
-        -220 + 8 * p + 30 * best,
-        "converged: the gradient or step is below its tolerance",
-        1e3 * np.exp(-1.6 * it) + 4,
-        np.exp(-it * 1.0),
-        deviation,
-        95 - 0.4 * deviation,
-        path,
-        3e-7,
+        r.SetFit(
+            mean_deviation=best,
+            max_deviation=3.4 * best,
+            mean_subspace_mac=96 - best,
+            mean_deviation_left_out=1.3 * best,
+            condition=40 * p**1.7,
+            criterion=-220 + 8 * p + 30 * best,
+        ),
+        Outcome.CONVERGED,
+        r.UpdateHistory(
+            objective=1e3 * np.exp(-1.6 * it) + 4,
+            step=np.exp(-it * 1.0),
+            deviation=deviation,
+            subspace_mac=95 - 0.4 * deviation,
+            path=path,
+            gradient=3e-7,
+        ),
     )
 
 

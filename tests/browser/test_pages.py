@@ -16,8 +16,7 @@ from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.identification.common.poles import PoleSet, StableDiagram
 from ringtrue.identification.common.tracking import Stretch, track_modes
 from ringtrue.io.choices import read_choice
-from ringtrue.plots.picker import picker_page
-from ringtrue.plots.responses import frf_page
+from ringtrue.plots.pages import frf_page, picker_page
 from ringtrue.plots.tracking import tracking_page
 
 needs_browser = pytest.mark.skipif(

@@ -21,8 +21,7 @@ from fake_study import study
 from ringtrue.demos.lsf.checks import checks
 from ringtrue.errors import ConfigError, InputError
 from ringtrue.plots.style import joined
-from ringtrue.report.build import Acceptance, Photo, build
-from ringtrue.report.pack import figure_json
+from ringtrue.report.build import Acceptance, Photo, build, figure_json
 from ringtrue.report.parts import fixed, number
 
 PIXEL = (

@@ -27,7 +27,7 @@ from mutations import mutated
 from readers import READERS, seeds
 
 from ringtrue.errors import RingtrueError
-from ringtrue.io.foreign import process
+from ringtrue.io.foreign import door
 
 HANG_S = 20.0  # of one input
 ADDRESSES = 8 << 30  # bytes, of a process, so that a fault does not take the machine down
@@ -149,7 +149,7 @@ def _process(job: Job, first: int, count: int, shared: mmap.mmap, folder: Path) 
         quiet = os.open(os.devnull, os.O_WRONLY)
         os.dup2(quiet, 1)
         os.dup2(quiet, 2)
-        process._SECONDS = APART_S
+        door._SECONDS = APART_S
         reader = _Reader(job, shared, folder)
         if job.guided:
             _guided(reader, job.seed + first, count)
@@ -238,11 +238,11 @@ def instrumented() -> bool:
         import readers as again
     READERS.clear()
     READERS.update(again.READERS)
-    global RingtrueError, process
+    global RingtrueError, door
     from ringtrue.errors import RingtrueError as error
-    from ringtrue.io.foreign import process as apart
+    from ringtrue.io.foreign import door as door_again
 
-    RingtrueError, process = error, apart  # type: ignore[misc]
+    RingtrueError, door = error, door_again  # type: ignore[misc]
     return True
 
 

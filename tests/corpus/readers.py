@@ -17,12 +17,12 @@ from ringtrue.decks.nastran.results.sensitivity import read_sensitivities
 from ringtrue.io.choices import read_choice
 from ringtrue.io.frfs import holds_frfs, read_frfs
 from ringtrue.io.matrices import read_matrices
-from ringtrue.io.modes_json import read_modes, read_std
+from ringtrue.io.modes import read_modes, read_std
 from ringtrue.io.records import read_record, read_runs
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.io.statics import read_statics
-from ringtrue.io.uff.modes import read_shapes
-from ringtrue.io.uff.tables import read_geometry
+from ringtrue.io.uff.geometry import read_geometry
+from ringtrue.io.uff.shapes import read_shapes
 from ringtrue.study.config import read_config
 from ringtrue.study.log import read_log
 

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ringtrue.decks.nastran.edit import edit_fields
+from ringtrue.decks.nastran.editor import edit_fields
 from ringtrue.decks.nastran.lexer import integers, real
 from ringtrue.decks.nastran.reader import read_deck, survey
 from ringtrue.decks.nastran.writer import format_card, format_field, format_real

@@ -33,12 +33,12 @@ import small_study
 
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import DataError
-from ringtrue.io import codec
-from ringtrue.io.modes_json import write_modes
-from ringtrue.report.deliver import deliver
-from ringtrue.study.finished import FILE as SETS
+from ringtrue.io import hdf5
+from ringtrue.io.modes import write_modes
+from ringtrue.report.build import deliver
 from ringtrue.study.opened import Opened
 from ringtrue.study.run import run_study
+from ringtrue.study.store import SETS_FILE as SETS
 from ringtrue.study.store import Store, digest
 from ringtrue.virtual.logbook import write_sheet
 
@@ -253,5 +253,5 @@ def read_anew(path: Path) -> dict[str, str]:
 def _digest_of(result: object) -> str:
     with h5py.File("result", "w", driver="core", backing_store=False, libver="latest") as file:
         group = file.create_group("x")
-        codec.save(group, result)
+        hdf5.save(group, result)
         return digest(group)

@@ -23,8 +23,7 @@ from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
 from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.solvers.mystran import MystranSolver, find_mystran
-from ringtrue.solvers.runner import run_program
-from ringtrue.solvers.runner_deck import modes_deck
+from ringtrue.solvers.runner import modes_deck, run_program
 
 DATA = Path(__file__).parents[3] / "shared" / "data" / "fe"
 

@@ -26,7 +26,7 @@ from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.solvers.nastran import NastranSolver, nastran_command, nastran_make, sensitivity_deck
 from ringtrue.solvers.nastran_design import design_cards
 from ringtrue.solvers.registry import time_limits
-from ringtrue.solvers.runner_deck import modes_deck
+from ringtrue.solvers.runner import modes_deck
 from ringtrue.testing.solver import check_modal_solver
 
 STUB = Path(__file__).with_name("nastran_stub.py")

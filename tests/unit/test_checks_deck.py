@@ -8,9 +8,16 @@ import numpy as np
 import pytest
 
 from ringtrue.checks.deck import DeckReport, check_deck
-from ringtrue.checks.edges import free_edges_in_words, shell_edges
-from ringtrue.checks.ground import GroundCheck, ground_check, ground_findings
-from ringtrue.checks.mass import from_rigid_body_mass, mass_properties, unconstrained, whole_mass
+from ringtrue.checks.elements import free_edges_in_words, shell_edges
+from ringtrue.checks.mass import (
+    GroundCheck,
+    from_rigid_body_mass,
+    ground_check,
+    ground_findings,
+    mass_properties,
+    unconstrained,
+    whole_mass,
+)
 from ringtrue.decks.nastran.reader import read_deck, survey
 from ringtrue.errors import InputError, NumericalError
 from ringtrue.fem.assembly import assemble

@@ -17,9 +17,9 @@ from ringtrue.identification.frf.pipeline import HammerModes, HammerResult, iden
 from ringtrue.io.choices import read_choice, write_choice
 from ringtrue.io.frfs import read_frfs
 from ringtrue.study.config import read_config
+from ringtrue.study.session import Session
 from ringtrue.study.stages import identify as stage
 from ringtrue.study.store import Store
-from ringtrue.study.workbench import Workbench
 
 __all__ = ("frf", "record")  # fixtures
 
@@ -188,8 +188,8 @@ def test_ema_writes_and_replays(frf: Callable[..., Path], tmp_path: Path, capsys
 # --- a study
 
 
-def _desk(path: Path) -> Workbench:
-    return Workbench(
+def _desk(path: Path) -> Session:
+    return Session(
         read_config(path), path.parent, path.parent / "out", Store(path.parent / "study.h5")
     )
 
@@ -204,12 +204,12 @@ def test_a_study_replays_a_choice(tmp_path: Path) -> None:
         Choice(rejects=(Reject(float(f[1]), "crane"),), picks=(Pick(float(f[0])),)),
     )
     path.write_text(toml.replace("[identify]\n", '[identify]\nchoice = "choice.toml"\n'))
-    desk = _desk(path)
-    assert tmp_path / "choice.toml" in stage.files(desk)
-    chosen = stage.run(desk, lambda f, t: None)
+    session = _desk(path)
+    assert tmp_path / "choice.toml" in stage.files(session)
+    chosen = stage.run(session, lambda f, t: None)
     assert chosen.ambient.frequencies == pytest.approx(np.delete(f, 1), rel=1e-12)
     assert "ambient: confirmed by hand" in chosen.ambient_reasons[0]
     assert any("rejected by hand: crane" in n for n in chosen.records[0].notes)
     write_choice(tmp_path / "choice.toml", Choice((Pick(2.0, record="ambiant"),)))
     with pytest.raises(ConfigError, match="no record 'ambiant'; did you mean 'ambient'"):
-        stage.run(desk, lambda f, t: None)
+        stage.run(session, lambda f, t: None)

@@ -29,7 +29,7 @@ from ringtrue.cli.show import listed, rows
 from ringtrue.cli.status import WORDS, ExitStatus
 from ringtrue.core.modes import ModeSet
 from ringtrue.errors import NotConverged
-from ringtrue.io.modes_json import read_modes, write_modes
+from ringtrue.io.modes import read_modes, write_modes
 
 DATA = Path(__file__).parents[2].parent / "shared/data"
 Capture = pytest.CaptureFixture[str]
@@ -625,7 +625,7 @@ def test_a_stopped_run_keeps_the_store_and_says_how_to_go_on(
     def stop(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("ringtrue.study.stages.sensitivity.choose.best_subset", stop)
+    monkeypatch.setattr("ringtrue.study.stages.update.choose.best_subset", stop)
     status, out, err = call(capsys, "run", study)
     assert status == ExitStatus.STOPPED
     assert out == ""
@@ -734,7 +734,7 @@ def test_a_stage_that_fails_says_so_in_one_message(
         raise NotConverged("the updating did not settle: tighten the bounds")
 
     study = small_study.write_study(tmp_path, ambient=False)
-    monkeypatch.setattr("ringtrue.study.stages.update.together", fail)
+    monkeypatch.setattr("ringtrue.study.stages.update.update_reduced", fail)
     told = refused(capsys, "run", study, status=1)
     assert told == "error: the updating did not settle: tighten the bounds"
 

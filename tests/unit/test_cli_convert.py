@@ -9,7 +9,7 @@ import pytest
 from test_io_results_modes import NODES, write_h5, write_op2
 
 from ringtrue.cli.main import run
-from ringtrue.io.modes_json import read_modes, read_std
+from ringtrue.io.modes import read_modes, read_std
 
 
 @pytest.mark.parametrize("ending", ["h5", "json", "uff", "csv"])

@@ -23,11 +23,11 @@ from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.identification.frf.pipeline import HammerModes, identify_hammer
 from ringtrue.io.frfs import read_frfs, write_frfs
-from ringtrue.io.modes_json import read_modes
+from ringtrue.io.modes import read_modes
 from ringtrue.io.records import read_record, read_runs, write_history
 from ringtrue.io.uff.function58 import TIME, write_function
 from ringtrue.signal.frf import estimate_frf
-from ringtrue.study.blows import BlowFiles, read_blows
+from ringtrue.study.hammer_records import ForceRecordFormat, read_force_records
 
 Capture = pytest.CaptureFixture[str]
 RESPONSES = [0, 2, 5, 7, 10]
@@ -137,7 +137,7 @@ def test_what_was_struck_is_named_and_frfs_are_written(tmp_path: Path, capsys: C
     assert "12 of 12 hits kept" in out
     assert "shapes are not scaled to unit modal mass" in out
     with pytest.raises(ConfigError, match="--struck: given 3 times for 2 files"):
-        read_blows(files, BlowFiles(struck=("1+Z", "2+Z", "3+Z")))
+        read_force_records(files, ForceRecordFormat(struck=("1+Z", "2+Z", "3+Z")))
 
 
 def test_files_name_their_hammers_differently(tmp_path: Path) -> None:
@@ -149,14 +149,14 @@ def test_files_name_their_hammers_differently(tmp_path: Path) -> None:
         write_history(path, replace(b, channels=(Channel(f"PCB 086 no {k}"), *bare)))
     point = ("2+Z",)
     for force in (("PCB*",), ("PCB 086 no 0", "PCB 086 no 1")):
-        records, *_ = read_blows(files, BlowFiles(force, point))
+        records, *_ = read_force_records(files, ForceRecordFormat(force, point))
         assert [r.channels[0].id for r in records] == ["F:2+Z", "F:2+Z"]
     with pytest.raises(DataError, match="may be 1\\+Z 3\\+Z"):
-        read_blows(files, BlowFiles(("*+Z",)))
+        read_force_records(files, ForceRecordFormat(("*+Z",)))
     with pytest.raises(DataError, match="no channel 'PCB 086 no 0'"):
-        read_blows(files, BlowFiles(("PCB 086 no 0",)))
+        read_force_records(files, ForceRecordFormat(("PCB 086 no 0",)))
     with pytest.raises(ConfigError, match="--force: given 3 times for 2 files"):
-        read_blows(files, BlowFiles(("a", "b", "c")))
+        read_force_records(files, ForceRecordFormat(("a", "b", "c")))
 
 
 def test_channels_of_files_without_names_are_named(tmp_path: Path, capsys: Capture) -> None:
@@ -176,7 +176,7 @@ def test_channels_of_files_without_names_are_named(tmp_path: Path, capsys: Captu
     )
     assert "must name all 7 in their order" in capsys.readouterr().err
     with pytest.raises(ConfigError, match="--channels: given 3 times for 2 files"):
-        read_blows(files, BlowFiles(channels=(("a",), ("b",), ("c",))))
+        read_force_records(files, ForceRecordFormat(channels=(("a",), ("b",), ("c",))))
 
 
 def test_triggered_blows_in_one_universal_file_are_runs_and_keep_the_driving_point(
@@ -198,7 +198,7 @@ def test_triggered_blows_in_one_universal_file_are_runs_and_keep_the_driving_poi
     runs = read_runs(tmp_path / "b.uff")
     assert len(runs) == 6
     assert [c.id for c in runs[0].channels] == ["F:3+Z", "1+Z", "3+Z", "6+Z", "8+Z", "11+Z"]
-    records, _, notes = read_blows([tmp_path / "b.uff"])
+    records, _, notes = read_force_records([tmp_path / "b.uff"])
     frfs, hits = estimate_frf(records)
     assert frfs.averages[0] == len(hits) == 6
     assert frfs.driving_points() == [(1, 0)]
@@ -217,7 +217,7 @@ def test_rates_of_turning_under_a_moment_become_angular_accelerances(tmp_path: P
         *b.channels[3:],
     )
     write_history(tmp_path / "b.csv", replace(b, data=data, channels=channels))
-    records, _, notes = read_blows([tmp_path / "b.csv"])
+    records, _, notes = read_force_records([tmp_path / "b.csv"])
     frfs, _ = estimate_frf(records)
     assert not notes
     assert (frfs.inputs[0].id, frfs.inputs[0].quantity) == ("2+RX", "moment")
@@ -249,7 +249,7 @@ def test_motions_of_two_kinds_become_one(tmp_path: Path) -> None:
         Channel("T", "unknown", "V"),
     )
     write_history(tmp_path / "b.csv", replace(b, data=mixed, channels=channels))
-    records, _, notes = read_blows([tmp_path / "b.csv"])
+    records, _, notes = read_force_records([tmp_path / "b.csv"])
     assert notes == ("channel T: no motion, not used",)
     frfs, _ = estimate_frf(records)
     assert {c.quantity for c in frfs.outputs} == {"acceleration"}
@@ -296,22 +296,22 @@ def test_two_shakers_in_one_file(tmp_path: Path, capsys: Capture) -> None:
     found = ema(capsys, tmp_path / "s.h5", "--shaker", 0.1, "--fmax", 70)
     assert [m["frequency_hz"] for m in found["modes"]] == pytest.approx(FN, rel=2e-4)
     with pytest.raises(ConfigError, match="has 2 forces"):
-        read_blows([tmp_path / "s.h5"], BlowFiles(struck=("2+Z",)))
+        read_force_records([tmp_path / "s.h5"], ForceRecordFormat(struck=("2+Z",)))
 
 
 def test_refusals(tmp_path: Path) -> None:
     b = record(1, [0, 2])
     write_history(tmp_path / "b.csv", b)
     with pytest.raises(ConfigError, match="--leave-out 9"):
-        read_blows([tmp_path / "b.csv"], BlowFiles(leave_out=("9+Z",)))
+        read_force_records([tmp_path / "b.csv"], ForceRecordFormat(leave_out=("9+Z",)))
     with pytest.raises(DataError, match="no channel but the force"):
-        read_blows([tmp_path / "b.csv"], BlowFiles(leave_out=("1+Z", "3+Z")))
+        read_force_records([tmp_path / "b.csv"], ForceRecordFormat(leave_out=("1+Z", "3+Z")))
     write_history(
         tmp_path / "q.csv",
         replace(b, channels=(*b.channels[1:], Channel("x", "acceleration", "m/s^2"))),
     )
     with pytest.raises(DataError, match="0 force channels"):
-        read_blows([tmp_path / "q.csv"])
+        read_force_records([tmp_path / "q.csv"])
 
 
 def test_groups_of_two_rates_are_chosen_by_name(tmp_path: Path) -> None:

@@ -20,13 +20,13 @@ from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.fem.response import frf
 from ringtrue.io.frfs import write_frfs
-from ringtrue.io.modes_json import read_modes, write_modes
+from ringtrue.io.modes import read_modes, write_modes
 from ringtrue.model.ports import ModesRequest
 from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.study import direct
 from ringtrue.study.config_update import UpdateSection
-from ringtrue.updating.several import Problem
-from ringtrue.updating.verified import Verified
+from ringtrue.updating.problem import Problem
+from ringtrue.updating.strategy import Verified
 
 STUDY = '[model]\ndeck = "frame.bdf"\n' + "".join(
     f'[[candidate]]\nname = "storey {i}"\ntargets = ["MAT1 {i} E"]\n' for i in small_study.TRUTH

@@ -24,7 +24,7 @@ from ringtrue.correlation.orthogonality import Gate
 from ringtrue.correlation.paired_shapes import turning
 from ringtrue.correlation.pairing import pair_modes
 from ringtrue.errors import InputError
-from ringtrue.io.modes_json import read_std, write_modes
+from ringtrue.io.modes import read_std, write_modes
 from ringtrue.shapes.orthogonality import read_orthogonality, serep_mass
 
 CHANNELS = tuple(f"{i}+Z" for i in range(1, 41))

@@ -7,7 +7,7 @@ import pytest
 
 from ringtrue.core.modes import ModeSet
 from ringtrue.correlation.assignment import Locks
-from ringtrue.correlation.paired_shapes import eliminate, mac_contribution, mac_without
+from ringtrue.correlation.paired_shapes import eliminate, mac_contribution
 from ringtrue.correlation.pairing import pair_modes
 from ringtrue.errors import ConfigError, InputError
 from ringtrue.shapes.mac import paired_mac
@@ -27,11 +27,6 @@ def test_contributions_sum_to_the_mac_and_leaving_out_is_leaving_out(kind: str) 
     np.testing.assert_allclose(
         mac_contribution(a, b * 1j).sum(axis=0), paired_mac(a, b), rtol=1e-12
     )
-    without = mac_without(a, b)
-    for i in range(12):
-        np.testing.assert_allclose(
-            without[i], paired_mac(np.delete(a, i, 0), np.delete(b, i, 0)), rtol=1e-10
-        )
 
 
 def test_elimination_takes_the_spoilt_channels_first() -> None:

@@ -47,8 +47,6 @@ def test_pairs_do_not_depend_on_order_sign_scale_or_channel_order() -> None:
     got = pair_modes(a, turned.rows([CHANNELS[i] for i in rows]))
     assert mix[got.b].tolist() == list(range(6))
     np.testing.assert_allclose(got.mac, plain.mac, rtol=1e-12)
-    signed = turned.rows(CHANNELS).shapes[:, got.b] * got.sign
-    assert ((signed * a.shapes).sum(axis=0) > 0).all()
 
 
 @pytest.mark.parametrize("channels", [10, 0], ids=["shapes", "frequencies alone"])

@@ -9,7 +9,7 @@ import pytest
 from scipy import linalg
 
 from ringtrue.correlation.table import significance
-from ringtrue.correlation.tracking import follow, track, track_along
+from ringtrue.correlation.tracking import follow, track
 from ringtrue.errors import ConfigError, InputError
 
 MASS = np.diag([1.0, 2.0, 3.0])
@@ -21,48 +21,6 @@ def oscillators(x: float, coupling: float) -> tuple[np.ndarray, np.ndarray]:
     K[:2, :2] += coupling * np.array([[1, -1], [-1, 1]])
     lam, phi = linalg.eigh(K, MASS)
     return np.sqrt(lam) / (2 * np.pi), phi
-
-
-def test_crossing_is_followed_with_two_solves() -> None:
-    t = track_along(
-        lambda x: oscillators(float(x[0]), 0.0), np.array([0.0]), np.array([1.0]), 2, mass=MASS
-    )
-    assert t.solves == 2
-    assert t.index.tolist() == [[0, 1], [1, 0]]
-    np.testing.assert_allclose(t.frequencies[-1], np.sqrt([150, 100]) / (2 * np.pi))
-
-
-def test_veering_is_resolved_by_smaller_steps_and_keeps_the_branch() -> None:
-    """With coupling the branches never cross: the lower stays the lower, though its shape becomes
-    the other's.
-    """
-
-    def solve(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return oscillators(float(x[0]), 8.0)
-
-    t = track_along(solve, np.array([0.0]), np.array([1.0]), 2, mass=MASS, least=0.99)
-    assert t.index[-1].tolist() == [0, 1]
-    assert t.worst.min() >= 0.99
-    assert 4 < t.solves < 40
-    assert (np.diff(t.points[:, 0]) > 0).all()
-    across = track_along(solve, np.array([0.0]), np.array([1.0]), 2, mass=MASS)
-    assert across.index[-1].tolist() == [1, 0]  # a step across a narrow veering follows the shapes
-
-
-def test_limit_of_solves_is_told_by_the_overlap() -> None:
-    t = track_along(
-        lambda x: oscillators(float(x[0]), 3.0),
-        np.array([0.0]),
-        np.array([0.52]),
-        2,
-        mass=MASS,
-        most_solves=2,
-    )
-    assert t.solves == 2
-    assert t.worst.min() < 0.8
-    assert (
-        not follow(oscillators(0.0, 3.0)[1][:, :2], oscillators(0.52, 3.0)[1], MASS).sure(0.8).all()
-    )
 
 
 def test_track_of_a_given_sequence() -> None:

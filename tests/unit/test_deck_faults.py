@@ -11,11 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ringtrue.decks.nastran.deck import DEPTH, INCLUDES
-from ringtrue.decks.nastran.foreign import other_program
+from ringtrue.decks.nastran.deck import DEPTH, INCLUDES, other_program
 from ringtrue.decks.nastran.reader import read_deck
-from ringtrue.decks.nastran.results.f06 import fatal_messages
 from ringtrue.decks.nastran.results.modes import read_recorded
+from ringtrue.decks.nastran.results.printed import fatal_messages
 from ringtrue.errors import DataError, DeckError, SolverFailed
 from ringtrue.fem.assembly import assemble
 from ringtrue.io.op4 import read_op4

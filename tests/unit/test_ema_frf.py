@@ -20,7 +20,7 @@ from ringtrue.signal.channel_checks import clipping_levels
 from ringtrue.signal.frf import estimate_columns, estimate_frf, estimators, frf_variance
 from ringtrue.signal.frf_sets import exchange_by_reciprocity, join_frfs
 from ringtrue.signal.impacts import HammerSettings
-from ringtrue.study.forced import forced_frfs
+from ringtrue.study.hammer_records import forced_frfs
 
 RATE = 512.0
 FN = np.array([12.0, 15.0, 15.3, 55.0])

@@ -18,12 +18,18 @@ from readers import FAULTS, SEEDS
 from scipy import sparse
 
 from ringtrue.errors import ConfigError, DataError
-from ringtrue.io.foreign import process
+from ringtrue.io.foreign import door
 from ringtrue.io.foreign.arrays import read_npz
-from ringtrue.io.foreign.hdf5 import OUTSIDE, open_hdf5
-from ringtrue.io.foreign.process import read_apart
-from ringtrue.io.foreign.texts import DEEPEST, json_value, read_json, toml_value
-from ringtrue.io.foreign.workbooks import read_sheet
+from ringtrue.io.foreign.door import read_apart
+from ringtrue.io.foreign.parsers import (
+    DEEPEST,
+    OUTSIDE,
+    json_value,
+    open_hdf5,
+    read_json,
+    read_sheet,
+    toml_value,
+)
 from ringtrue.io.matrices import read_matrices
 from ringtrue.io.records import read_record
 
@@ -91,7 +97,7 @@ def test_a_parser_that_ends_its_process_ends_not_this_one() -> None:
 
 
 def test_a_parser_without_end_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(process, "_SECONDS", 1.0)
+    monkeypatch.setattr(door, "_SECONDS", 1.0)
     path = FAULTS / "record" / "object_header_without_end.h5"
     with pytest.raises(DataError, match="did not come back in 1 s"), open_hdf5(path):
         pass
@@ -102,9 +108,9 @@ def test_a_parser_without_end_is_stopped(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_a_child_that_was_ended_from_outside_is_replaced() -> None:
     path = SEEDS / "matrices" / "sym.mtx"
     read_matrices(path)
-    assert process._child is not None
-    process._child.process.kill()
-    process._child.process.wait()
+    assert door._child is not None
+    door._child.process.kill()
+    door._child.process.wait()
     assert read_matrices(path)["sym"].shape == (6, 6)
 
 
@@ -116,7 +122,7 @@ def test_the_answer_to_an_interrupted_question_is_not_taken_for_the_next_one(
 
     read_matrices(SEEDS / "matrices" / "sym.mtx")
     with monkeypatch.context() as patch:
-        patch.setattr(process.pickle, "load", interrupted)
+        patch.setattr(door.pickle, "load", interrupted)
         with pytest.raises(KeyboardInterrupt):
             read_matrices(SEEDS / "matrices" / "sym.mtx")
     assert read_matrices(SEEDS / "matrices" / "dense.mtx")["dense"].nnz == 16
@@ -128,9 +134,9 @@ def test_memory_of_a_parser_has_a_limit(tmp_path: Path, monkeypatch: pytest.Monk
         file.create_dataset("y", data=np.zeros(1 << 22), compression="gzip")
     with open_hdf5(tmp_path / "a.h5"):
         pass
-    monkeypatch.setattr(process, "_MEMORY", 1 << 24)
-    process._tried.clear()
-    process._close()  # one that has read it before has the memory already
+    monkeypatch.setattr(door, "_MEMORY", 1 << 24)
+    door._tried.clear()
+    door._close()  # one that has read it before has the memory already
     with pytest.raises(DataError, match="MemoryError"), open_hdf5(tmp_path / "a.h5"):
         pass
 

@@ -23,11 +23,11 @@ from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.identification.frf.data_checks import frf_notes
 from ringtrue.io.frfs import holds_frfs, read_frfs
-from ringtrue.io.lvm import read_lvm_segments
-from ringtrue.io.matfile import mat_values
+from ringtrue.io.labview import read_lvm_segments
+from ringtrue.io.record_arrays import mat_values
 from ringtrue.io.records import read_record, write_history
-from ringtrue.io.uff.modes import read_shapes
-from ringtrue.io.uff.tables import read_geometry
+from ringtrue.io.uff.geometry import read_geometry
+from ringtrue.io.uff.shapes import read_shapes
 
 DATA = Path(__file__).parents[2].parent / "shared/data"
 data_here = pytest.mark.skipif(not DATA.is_dir(), reason=f"no reference data at {DATA}")

@@ -10,7 +10,7 @@ import pytest
 
 from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.errors import DataError
-from ringtrue.io.modes_json import read_modes, read_std, write_modes
+from ringtrue.io.modes import read_modes, read_std, write_modes
 
 
 def table(tmp_path: Path, text: str) -> Path:

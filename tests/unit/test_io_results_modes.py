@@ -15,8 +15,8 @@ from op2_writer import Op2Writer
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import Norm
 from ringtrue.decks.nastran.reader import read_deck
-from ringtrue.decks.nastran.results.f06 import fatal_messages, sturm_counts
 from ringtrue.decks.nastran.results.modes import READERS, read_nastran_modes, read_recorded
+from ringtrue.decks.nastran.results.printed import fatal_messages, sturm_counts
 from ringtrue.errors import DataError
 from ringtrue.model.model import Model, Ragged, table
 from ringtrue.shapes.mac import mac

@@ -14,7 +14,7 @@ from ringtrue.core.modes import ModeSet, Norm, Uncertainty
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.io.frfs import read_frfs, write_frfs
-from ringtrue.io.modes_json import modes_to_json, read_modes, read_std, write_modes
+from ringtrue.io.modes import modes_to_json, read_modes, read_std, write_modes
 from ringtrue.io.sheets import read_sensor_sheet
 
 DATA = Path(__file__).parents[2].parent / "shared/data"

@@ -14,14 +14,13 @@ from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.identification.frf.residues import driving_pairs
 from ringtrue.io.frfs import frf_ids, holds_frfs, read_frfs
-from ringtrue.io.modes_json import read_modes
+from ringtrue.io.modes import read_modes
 from ringtrue.io.records import read_record
-from ringtrue.io.uff.function58 import write_function
+from ringtrue.io.uff.datasets import scan
+from ringtrue.io.uff.function58 import write_frf_sets, write_function, write_time
 from ringtrue.io.uff.functions import read_functions
-from ringtrue.io.uff.modes import read_shapes
-from ringtrue.io.uff.scan import scan
-from ringtrue.io.uff.tables import read_geometry
-from ringtrue.io.uff.write_functions import write_frf_sets, write_time
+from ringtrue.io.uff.geometry import read_geometry
+from ringtrue.io.uff.shapes import read_shapes
 
 DATA = Path(__file__).parents[2].parent / "shared/data/uff"
 data_here = pytest.mark.skipif(not DATA.is_dir(), reason=f"no reference data at {DATA}")

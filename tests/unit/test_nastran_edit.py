@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet
-from ringtrue.decks.nastran.edit import add_cards, edit_fields, unified_diff
+from ringtrue.decks.nastran.editor import add_cards, edit_fields, unified_diff
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import DeckError, InputError
 from ringtrue.model.edit import FieldChange, apply_factors, field_changes, resolve_target

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ringtrue.decks.nastran.bulk import write_bulk
-from ringtrue.decks.nastran.edit import edit_fields
+from ringtrue.decks.nastran.editor import edit_fields
 from ringtrue.decks.nastran.reader import read_deck, survey
+from ringtrue.decks.nastran.writer import write_bulk
 from ringtrue.errors import DeckError, UnsupportedCard
 from ringtrue.model.edit import FieldChange
 from ringtrue.model.frames import positions

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 import small_study
@@ -88,20 +89,35 @@ def test_sets_are_ranked_as_they_are_told_where_few_points_can_be_struck(
         assert sorted(told["reference_sets"][1]["references"]) == sorted(told["references"])
 
 
+def settings(deck: Path, text: str) -> list[str]:
+    """The option for a study with such a [plan]."""
+    path = deck.with_name("settings.toml")
+    path.write_text(f"[plan]\n{text}\n")
+    return ["--settings", str(path)]
+
+
 @pytest.mark.parametrize(
-    ("words", "why"),
+    ("text", "why"),
     [
-        (["--region", "a=1-3", "--region", "a=4"], "a is given twice"),
-        (["--cost", "a=nan"], "'nan' is not a number"),
-        (["--cost", "a"], "must be NAME="),
-        (["--box", "0 0 0 1 1 inf"], "six numbers"),
+        ("boxes = [[0, 0, 0, 1, 1]]", "a box is x0 y0 z0 x1 y1 z1"),
+        ("sensor = 3", "did you mean"),
+        ("cost = {a = 3.0}", "cost goes with method"),
     ],
 )
-def test_options_that_say_nothing_are_refused(
-    deck: Path, capsys: pytest.CaptureFixture[str], words: list[str], why: str
+def test_settings_that_are_wrong_are_refused(
+    deck: Path, capsys: pytest.CaptureFixture[str], text: str, why: str
 ) -> None:
-    assert run(["plan", str(deck), "--modes", "1-3", *words]) != 0
+    assert run(["plan", str(deck), "--modes", "1-3", *settings(deck, text)]) == 2
     assert why in capsys.readouterr().err
+
+
+def test_settings_without_a_plan_are_refused(
+    deck: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = deck.with_name("none.toml")
+    path.write_text("[study]\n")
+    assert run(["plan", str(deck), "--settings", str(path)]) == 2
+    assert "no table [plan]" in capsys.readouterr().err
 
 
 def test_modes_that_the_points_do_not_part_are_named(
@@ -115,8 +131,7 @@ def test_modes_that_the_points_do_not_part_are_named(
         "1-6",
         "--points",
         "2",
-        "--region",
-        "roof=305,304",
+        *settings(deck, "candidates = {roof = [305, 304]}"),
         "--json",
         "-",
     ]
@@ -142,26 +157,31 @@ def test_targets_and_points_by_regions(deck: Path, capsys: pytest.CaptureFixture
         "18",
         "--points",
         "5",
-        "--method",
-        "qr",
-        "--distance",
-        "0",
-        "--weigh",
+        "--json",
+        "-",
     ]
-    words += ["--region", "top=301-309", "--region", "upper=201-209,301-309", "--json", "-"]
-    assert run(words) in (0, 1)
-    told = json.loads(capsys.readouterr().out)
+    base = """
+    method = "qr"
+    min_distance = 0.0
+    weigh = true
+    candidates.top = [301, 302, 303, 304, 305, 306, 307, 308, 309]
+    candidates.upper = [201, 202, 203, 204, 205, 206, 207, 208, 209, 301, 302, 303, 304, 305, 306]
+    """
+
+    def planned(more: str = "") -> dict[str, Any]:
+        assert run([*words, *settings(deck, base + more)]) in (0, 1)
+        found: dict[str, Any] = json.loads(capsys.readouterr().out)
+        return found
+
+    told = planned()
     assert told["candidates"] == 18
-    run([*words, "--cost", "top=50"])
-    dear, top = json.loads(capsys.readouterr().out), set(range(301, 310))
+    dear, top = planned("cost.top = 50.0"), set(range(301, 310))
     first = [p in top for p in told["points"]]
     assert first == sorted(
         first, reverse=True
     )  # regions keep their order: the first two have the ambient sensors
     assert len(top & set(dear["points"])) < len(top & set(told["points"]))
-    run([*words, "--kinetic", "top=0.6"])
-    few = [m["mode"] for m in json.loads(capsys.readouterr().out)["modes"]]
+    few = [m["mode"] for m in planned("kinetic.top = 0.6")["modes"]]
     assert 0 < len(few) < len(told["modes"])
-    run([*words, "--effective-mass", "0.5"])
-    heavy = [m["mode"] for m in json.loads(capsys.readouterr().out)["modes"]]
+    heavy = [m["mode"] for m in planned("effective_mass = 0.5")["modes"]]
     assert 0 < len(heavy) <= 3  # two sways and a torsion

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ringtrue.plots.damping import modes
 from ringtrue.plots.identification import damping
+from ringtrue.plots.predicted import modes
 from ringtrue.study.results import DampedModes
 
 

@@ -8,9 +8,9 @@ import numpy as np
 
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.plots.scene import regions
+from ringtrue.study.opened import _faces, make_scene
 from ringtrue.study.results import Scene
 from ringtrue.study.run import run_study
-from ringtrue.study.scene import _faces, make_scene
 
 
 def test_a_region_has_the_colour_of_what_changes_it_and_little_else() -> None:

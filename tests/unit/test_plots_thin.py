@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ringtrue.plots.thin import thinned
+from ringtrue.plots.scene import thinned
 from ringtrue.plots.updating import factor_ticks
 from ringtrue.study.results import Scene
 

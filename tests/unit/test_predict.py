@@ -22,20 +22,30 @@ from ringtrue.cli.predict import settings
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, InputError
-from ringtrue.io.modes_json import write_modes
+from ringtrue.io.modes import write_modes
 from ringtrue.model.edit import apply_factors
 from ringtrue.model.ports import ModesRequest
-from ringtrue.report.deliver import deliver
+from ringtrue.reduction.matrix_model import DenseModel
+from ringtrue.report.build import deliver
 from ringtrue.solvers.embedded import EmbeddedSolver
-from ringtrue.study.config import PredictSection
+from ringtrue.study.config_sections import PredictSection
+from ringtrue.study.messages import validity_sentence
 from ringtrue.study.opened import Opened
 from ringtrue.study.results import DampedModes
 from ringtrue.study.run import run_study
 from ringtrue.study.stages.predict import _forces, scatter
-from ringtrue.study.words import validated
-from ringtrue.updating.dense import DenseModel
-from ringtrue.updating.harmonic import Damping, RegionDamping, Rows
-from ringtrue.updating.predict import Output, RunUp, Unbalance, bands, plane, run_up, validated_band
+from ringtrue.updating.prediction import (
+    Damping,
+    Output,
+    RegionDamping,
+    Rows,
+    RunUp,
+    Unbalance,
+    bands,
+    plane,
+    run_up,
+    validated_band,
+)
 
 K, M, ZETA = 4e6, 100.0, 0.02
 F1 = float(np.sqrt(K / M) / (2 * np.pi))
@@ -175,8 +185,8 @@ def test_validated_band_ends_before_the_first_mode_that_is_not_held() -> None:
     assert validated_band(f, np.array([True, True, True, False])) == (3.0, 9.0)
     assert validated_band(f, np.ones(4, dtype=bool)) == (3.0, 20.0)
     assert validated_band(f, np.array([True, False, True, True])) == (0.0, 0.0)
-    assert "nowhere" in validated((0.0, 0.0))
-    assert "from 3 to 9 Hz" in validated((3.0, 9.0))
+    assert "nowhere" in validity_sentence((0.0, 0.0))
+    assert "from 3 to 9 Hz" in validity_sentence((3.0, 9.0))
 
 
 DECK = """SOL 103

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from ringtrue.report.parts import Fold, Items, Table
-from ringtrue.report.sections.survey import _tests
+from ringtrue.report.sections.system import _tests
 from ringtrue.study.results import RecordSummary
 
 LONG = "pole at 4.375 Hz left out: " + "its shape is a sum of those of modes; " * 20

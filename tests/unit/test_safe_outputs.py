@@ -18,11 +18,11 @@ import small_study
 from ringtrue.cli import panels
 from ringtrue.cli.main import COMMANDS, _command, run
 from ringtrue.core.modes import ModeSet
-from ringtrue.decks.nastran.edit import edit_fields
+from ringtrue.decks.nastran.editor import edit_fields
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import DeckError, InputError
-from ringtrue.io.atomic import atomic_write, one_run, reads, writes
-from ringtrue.io.modes_json import write_modes
+from ringtrue.io.files import atomic_write, one_run, reads, writes
+from ringtrue.io.modes import write_modes
 from ringtrue.model.edit import FieldChange
 from ringtrue.study.run import run_study
 
@@ -199,7 +199,7 @@ def test_a_deck_is_not_edited_into_its_own_folder(files: Path) -> None:
 KILLED = """
 import os, sys
 from pathlib import Path
-from ringtrue.io.atomic import atomic_write
+from ringtrue.io.files import atomic_write
 with atomic_write(Path(sys.argv[1])) as part:
     part.write_text("half")
     os.kill(os.getpid(), 9)

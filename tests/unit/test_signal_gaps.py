@@ -9,8 +9,8 @@ import pytest
 from five_modes import PHI, F, Z, motion, record
 
 from ringtrue.identification.ambient.maximum_likelihood import SpectralBins
-from ringtrue.identification.ambient.other_methods import identify_ambient_by
 from ringtrue.identification.ambient.pipeline import identify_ambient, identify_stretches
+from ringtrue.identification.methods import identify_ambient_by
 from ringtrue.shapes.mac import mac
 from ringtrue.signal.gaps import bridge_gaps
 from ringtrue.signal.transients import NONE

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from ringtrue.core.choice import Choice, Reject
 from ringtrue.core.progress import quiet
 from ringtrue.io.sheets import read_sensor_sheet
-from ringtrue.study.config import IdentifySection
+from ringtrue.study.config_sections import IdentifySection
 from ringtrue.study.log import read_log
 from ringtrue.study.results import IdentifiedRecord, RecordSummary
 from ringtrue.study.stages.ambient import ambient

@@ -30,15 +30,15 @@ from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.fem.response import frf
 from ringtrue.io.frfs import write_frfs
-from ringtrue.io.modes_json import write_modes
+from ringtrue.io.modes import write_modes
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.model.ports import ModesRequest
 from ringtrue.report.build import build
 from ringtrue.solvers.embedded import EmbeddedSolver
-from ringtrue.study.naming import frfs_by_sheet
+from ringtrue.study.messages import run_messages
 from ringtrue.study.run import run_study
 from ringtrue.study.summary import summarise
-from ringtrue.study.words import told
+from ringtrue.study.supplied import frfs_by_sheet
 
 TRUTH = 1.2
 DAMPING = 0.01
@@ -398,7 +398,7 @@ def test_a_study_tries_turned_axes_and_shows_them(folder: Path) -> None:
     done = run_study(study(folder, 'kind = "mass"\nmass = 60.0\n'), until="correlate")
     (mending,) = summarise(done)["mendings"]
     assert mending["axes"] == {"Y": "X", "Z": "Y"}
-    assert mending["text"] in told(done.results)
+    assert mending["text"] in run_messages(done.results)
     text = build(done.results, folder / "report.html", title="column").read_text(encoding="utf-8")
     assert "if the sensors along Y read X, Z read Y" in text
 

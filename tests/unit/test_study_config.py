@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from ringtrue.errors import ConfigError
-from ringtrue.study.config import parse_config, parse_target, read_config
+from ringtrue.study.config import parse_config, read_config
+from ringtrue.study.config_sections import parse_target
 
 HERE = Path("study.toml")
 MODEL = '[model]\ndeck = "a.bdf"\n'

@@ -116,6 +116,6 @@ def test_slow_modes_that_the_test_tells_take_part(
     """
     want = done.results["damping"]
     monkeypatch.setattr(damping, "elastic", lambda f: f > 0.5 * f.max())
-    found = damping.run(done.desk, quiet)
+    found = damping.run(done.session, quiet)
     np.testing.assert_array_equal(found.modes.fe, want.modes.fe)
     np.testing.assert_allclose(found.modes.after, want.modes.after, rtol=0.02)

@@ -20,17 +20,18 @@ from ringtrue.core.dofs import DofSet
 from ringtrue.correlation.pairing import Pairing
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.model.ports import ModesRequest
-from ringtrue.report.deliver import deliver
+from ringtrue.report.build import deliver
 from ringtrue.report.parts import Items, Table
-from ringtrue.report.sections import measured, summary, survey
+from ringtrue.report.sections import summary, system
 from ringtrue.report.stages import Stages
 from ringtrue.shapes.mac import paired_mac
 from ringtrue.study.acceptance import Acceptance, in_both, limits, missed_words, verdict
 from ringtrue.study.evidence import channel_mass, evidence, on_sheet, synthesised
+from ringtrue.study.messages import left_out_sentence, run_messages
 from ringtrue.study.reference import reference_modes
 from ringtrue.study.results import Evidence, RecordSummary
 from ringtrue.study.run import StudyRun, run_study
-from ringtrue.study.words import spared, told
+from ringtrue.updating.identifiability import Flag
 
 Capture = pytest.CaptureFixture[str]
 
@@ -113,7 +114,7 @@ def test_a_channel_turned_round_is_named_before_the_updating(done: StudyRun) -> 
 
 
 def test_channels_that_read_the_same_are_no_error(done: StudyRun) -> None:
-    opened, config = done.desk.remodelled, done.config.correlate
+    opened, config = done.session.remodelled, done.config.correlate
     seen = opened.observation(done.results["identify"].test, config.tolerance)
     twice = (*seen.channels, seen.channels[0])
     assert channel_mass(opened, seen, seen.channels, config, small_study.FMAX).why == ""
@@ -131,7 +132,7 @@ def test_synthesised_responses_are_those_of_the_solver(done: StudyRun) -> None:
     """The sensors sit on nodes, so that the solver can be asked directly; the residuals are exact
     at other shifts.
     """
-    opened, found = done.desk.initial, done.results["identify"]
+    opened, found = done.session.initial, done.results["identify"]
     test = on_sheet(found, 1.0, 12.0)
     assert test is not None
     assert test.window_decay > 0  # the blows ring longer than the block
@@ -213,7 +214,6 @@ def test_modes_that_win_a_partner_do_not_make_those_left_out_look_worse() -> Non
             at,
             np.ones(n),
             np.zeros(n),
-            np.ones(n),
             np.zeros(n, dtype=bool),
             at[:0],
             (),
@@ -224,9 +224,12 @@ def test_modes_that_win_a_partner_do_not_make_those_left_out_look_worse() -> Non
         return CorrelationTable(pairing, hz[at], fe, np.full(n, np.nan), at != 1, np.eye(4), hz, hz)
 
     first, last = table([0, 1], [20.0, 15.0]), table([0, 1], [1.0, -3.0])
-    assert spared(first, last) == "modes that the updating did not see: mean |Δf| 15.00 -> 3.00 %"
+    assert (
+        left_out_sentence(first, last)
+        == "modes that the updating did not see: mean |Δf| 15.00 -> 3.00 %"
+    )
     won = replace(table([0, 1, 3], [1.0, -3.0, 38.0]), used=np.array([True, False, False]))
-    words = spared(first, won)
+    words = left_out_sentence(first, won)
     assert words.endswith(
         "of the 1 paired before and after 15.00 -> 3.00 %; paired after only: 4 (+38.0 %)"
     )
@@ -250,17 +253,22 @@ def test_modes_that_win_a_partner_do_not_make_those_left_out_look_worse() -> Non
 
 def test_what_is_not_plausible_is_told_beside_what_is_not_proven(done: StudyRun) -> None:
     known = done.results["uncertainty"]
-    first, second, *_ = known.parameters.names
+    first, second, *_ = known.posterior.parameters.names
     far, open_ = (
-        f"{first}: factor 0.08 is 2.5 prior standard deviations from the nominal value",
-        f"{second}: factor 1.2, but",
+        Flag(first, "prior", 0.08, f"{first}: factor 0.08 is 2.5 prior standard deviations"),
+        Flag(second, "form", 1.2, f"{second}: factor 1.2, but"),
     )
     assert not known.unproven.any()
-    wide = np.where(np.array(known.parameters.names)[:, None] == second, [0.5, 2.0], known.interval)
-    odd = replace(known, flags=(far, open_), interval=wide)
-    lines = told({"uncertainty": odd})
-    assert far in lines
-    assert open_ not in lines
+    wide = np.where(
+        np.array(known.posterior.parameters.names)[:, None] == second,
+        [0.5, 2.0],
+        known.posterior.interval,
+    )
+    posterior = replace(known.posterior, interval=wide)
+    odd = replace(known, flags=(far, open_), posterior=posterior)
+    lines = run_messages({"uncertainty": odd})
+    assert far.text in lines
+    assert open_.text not in lines
     assert (
         sum(line.startswith("not proven by the test") and line.endswith(second) for line in lines)
         == 1
@@ -272,16 +280,21 @@ def test_the_interval_of_a_factor_stands_beside_its_standard_deviation(done: Stu
     says.
     """
     known = done.results["uncertainty"]
-    name, wide = known.parameters.names[0], np.array(known.interval)
+    name, wide = known.posterior.parameters.names[0], np.array(known.posterior.interval)
     wide[0] = 0.5, 0.9
     some = {k: done.results[k] for k in ("update", "correlate")}
     (line,) = [
         x
-        for x in told({**some, "uncertainty": replace(known, interval=wide)})
+        for x in run_messages(
+            {
+                **some,
+                "uncertainty": replace(known, posterior=replace(known.posterior, interval=wide)),
+            }
+        )
         if x.startswith(f"{name}: times")
     ]
     assert re.search(r" ± [\d.]+ \(90 %: 0\.50* to 0\.90*\)$", line)
-    assert not any("90 %:" in x for x in told(some))
+    assert not any("90 %:" in x for x in run_messages(some))
 
 
 def test_each_limit_is_held_and_missed(done: StudyRun) -> None:
@@ -325,8 +338,7 @@ def test_no_pair_is_no_success(done: StudyRun) -> None:
     none = replace(
         p,
         **{
-            k: getattr(p, k)[:0]
-            for k in ("a", "b", "mac", "frequency_error", "sign", "subspace", "beyond")
+            k: getattr(p, k)[:0] for k in ("a", "b", "mac", "frequency_error", "subspace", "beyond")
         },
     )
     empty = replace(table, pairing=none, test_hz=[], fe_hz=[], std_hz=[], used=[])
@@ -405,14 +417,14 @@ def test_every_setup_of_a_roving_test_is_listed(done: StudyRun) -> None:
     records = tuple(record(f"h-{s}-{k}", s, s == "1") for s in ("1", "2", "3") for k in range(2))
     found = replace(done.results["identify"], records=records)
     data = Stages.of({"identify": found}, "", "", Acceptance())
-    section = survey.section(data)
+    section = system.survey(data)
     assert section is not None
     table = next(b for b in section.blocks if isinstance(b, Table) and "Record" in b.heads[1])
     assert [row[1] for row in table.rows] == [f"setup {s}, 2 records" for s in "123"]
     assert [row[5] for row in table.rows] == ["2.0", "3.0", "3.0"]
     notes = next(b for b in section.blocks if isinstance(b, Items))
     assert notes.items[1] == "setup 2, 2 records; setup 3, 2 records: 9 hits (2 records)"
-    signals = measured.signals(data)
+    signals = system.signal_section(data)
     assert signals is not None
     text, *plots = signals.blocks
     assert "Setup 1 of 1, 2 and 3" in text.text  # type: ignore[union-attr]
@@ -442,5 +454,8 @@ def test_test_shapes_are_expanded_as_asked_for(done: StudyRun, tmp_path: Path, m
     assert "cross-orthogonality, Craig-Bampton mass" in named
     own = next(c for c in run.results["correlate"].evidence.measures.checks if c.kind == "model")
     assert own.verdict.passed
-    assert run.results["localise"].expansion == method
-    assert run.results["localise"].misfit.size == run.results["localise"].modes.size
+    assert run.results["localise"].indicators.expansion == method
+    assert (
+        run.results["localise"].indicators.misfit.size
+        == run.results["localise"].indicators.modes.size
+    )

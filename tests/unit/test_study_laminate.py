@@ -15,10 +15,10 @@ import pytest
 
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.decks.nastran.reader import read_deck
-from ringtrue.io.modes_json import write_modes
+from ringtrue.io.modes import write_modes
 from ringtrue.model.edit import apply_factors
 from ringtrue.model.ports import ModesRequest
-from ringtrue.report.deliver import deliver
+from ringtrue.report.build import deliver
 from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.study.run import run_study
 

@@ -13,10 +13,10 @@ import pytest
 import small_study
 
 from ringtrue.errors import DataError
-from ringtrue.report.deliver import deliver
+from ringtrue.report.build import deliver
+from ringtrue.study.messages import run_messages
 from ringtrue.study.results import LocaliseStage, UncertaintyStage
 from ringtrue.study.run import StudyRun, load_study, run_study
-from ringtrue.study.words import told
 
 PLAIN = small_study.MODEL + small_study.TEST + small_study.SETTINGS
 AUTO = PLAIN.replace("[update]\n", "[update]\npropose = true\n")
@@ -41,12 +41,19 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> StudyRun:
 
 def test_errors_gather_in_the_columns_and_not_in_the_floors(given: StudyRun) -> None:
     found: LocaliseStage = given.results["localise"]
-    value = dict(zip(found.regions, found.concentration.tolist(), strict=True))
+    value = dict(
+        zip(found.indicators.regions, found.indicators.concentration.tolist(), strict=True)
+    )
     assert max(value, key=lambda k: value[k]) == "property 1"  # a quarter too soft: the worst
     assert value["property 10"] < 1
-    for share in (found.strain, found.force, found.constitutive, found.energy):
+    for share in (
+        found.indicators.strain,
+        found.indicators.force,
+        found.indicators.constitutive,
+        found.indicators.energy,
+    ):
         assert share.sum() == pytest.approx(1.0)
-    assert not np.isin(found.modes, given.results["correlate"].left_out).any()
+    assert not np.isin(found.indicators.modes, given.results["correlate"].left_out).any()
 
 
 def test_the_proposal_has_every_wrong_storey_with_its_factor(given: StudyRun) -> None:
@@ -57,15 +64,15 @@ def test_the_proposal_has_every_wrong_storey_with_its_factor(given: StudyRun) ->
         # percent
         assert m.factor == pytest.approx(small_study.TRUTH[int(m.name[-1])], rel=0.02)
         assert "MAT1" in m.because
-    assert found.made == 0
-    assert found.elements == ("property 1", "property 2", "property 3")
+    assert found.pool.made == 0
+    assert found.candidates.elements == ("property 1", "property 2", "property 3")
 
 
 def test_candidates_made_from_the_deck_are_proposed_and_updated(made: StudyRun) -> None:
     found: LocaliseStage = made.results["localise"]
     proposed = {m.name for m in found.proposal.members}
     assert {"MAT1 1 E", "MAT1 2 E"} <= proposed
-    assert found.made >= len(found.parameters)
+    assert found.pool.made >= len(found.candidates.parameters)
     best = made.results["update"].sets[made.results["update"].chosen]
     assert set(best.parameters) == proposed
     before, after = made.results["correlate"].initial, made.results["final"].table
@@ -82,7 +89,7 @@ def test_parts_of_a_property_are_looked_at_but_not_updated(tmp_path: Path, propo
     found = run_study(
         small_study.write_study(tmp_path, text, ambient=False), until="localise"
     ).results["localise"]
-    assert any(p.targets[0].elements for p in found.parameters.parameters) is not propose
+    assert any(p.targets[0].elements for p in found.candidates.parameters.parameters) is not propose
 
 
 def test_a_proposal_of_parts_alone_is_refused(tmp_path: Path) -> None:
@@ -123,32 +130,32 @@ def test_a_proposal_without_a_paired_mode_is_refused(tmp_path: Path) -> None:
 def test_intervals_hold_the_truth_and_bands_the_modes(given: StudyRun) -> None:
     found: UncertaintyStage = given.results["uncertainty"]
     best = given.results["update"].sets[given.results["update"].chosen]
-    np.testing.assert_allclose(found.factor, best.factor)
-    assert (found.interval[:, 0] < found.factor).all()
-    assert (found.factor < found.interval[:, 1]).all()
-    truth = np.array([small_study.TRUTH[int(n[-1])] for n in found.parameters.names])
-    assert (np.abs(np.log(found.factor / truth)) < 2.5 * found.std).all()
-    assert found.moved.all()
-    assert (found.ratio < 0.2).all()
-    assert (found.held.in_turn == found.used).all()
+    np.testing.assert_allclose(found.posterior.factor, best.factor)
+    assert (found.posterior.interval[:, 0] < found.posterior.factor).all()
+    assert (found.posterior.factor < found.posterior.interval[:, 1]).all()
+    truth = np.array([small_study.TRUTH[int(n[-1])] for n in found.posterior.parameters.names])
+    assert (np.abs(np.log(found.posterior.factor / truth)) < 2.5 * found.posterior.std).all()
+    assert found.posterior.moved.all()
+    assert (found.posterior.ratio < 0.2).all()
+    assert (found.held.in_turn == found.bands.used).all()
     assert np.isfinite(found.held.predicted).all()  # those that the updating did not see, too
     assert not found.unproven.any()
     assert found.held.coverage(found.level) > 0.5
     assert found.discrepancy[0] < 2e-3  # the twin has the form of the model
-    np.testing.assert_allclose(found.predicted, found.test, rtol=0.01)
-    reach = found.band[:, 1] - found.predicted
+    np.testing.assert_allclose(found.bands.predicted, found.bands.test, rtol=0.01)
+    reach = found.bands.band[:, 1] - found.bands.predicted
     assert (
-        reach > 1.6 * np.sqrt((found.parts**2).sum(axis=1)) * found.predicted
+        reach > 1.6 * np.sqrt((found.bands.parts**2).sum(axis=1)) * found.bands.predicted
     ).all()  # Student's is wider
 
 
 def test_draws_are_where_the_intervals_are(given: StudyRun) -> None:
     found: UncertaintyStage = given.results["uncertainty"]
-    assert found.draws.shape == (160, 3)
-    assert 0.1 < found.acceptance < 0.95
-    middle = np.median(found.draws, axis=0)
+    assert found.chains.draws.shape == (160, 3)
+    assert 0.1 < found.chains.acceptance < 0.95
+    middle = np.median(found.chains.draws, axis=0)
     # few draws of chains that hang together: their middle is known to about a standard deviation
-    assert (np.abs(np.log(middle / found.factor)) < 6 * found.std).all()
+    assert (np.abs(np.log(middle / found.posterior.factor)) < 6 * found.posterior.std).all()
 
 
 def test_same_study_same_numbers_and_stored_as_found(given: StudyRun, tmp_path: Path) -> None:
@@ -190,6 +197,6 @@ def test_a_deck_that_needs_no_change_is_delivered_as_it_is(tmp_path: Path) -> No
     assert run.results["final"].changes == ()
     assert any(
         "nothing is proposed, and the deck is delivered as it is" in line
-        for line in told(run.results)
+        for line in run_messages(run.results)
     )
     deliver(run)

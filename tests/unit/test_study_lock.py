@@ -11,13 +11,13 @@ import small_study
 
 from ringtrue.cli.main import run
 from ringtrue.errors import DataError
-from ringtrue.study.lock import FILE, locked
 from ringtrue.study.run import run_study
+from ringtrue.study.store import LOCK_FILE, locked
 
 HOLDER = """
 import sys
 from pathlib import Path
-from ringtrue.study.lock import locked
+from ringtrue.study.store import locked
 with locked(Path(sys.argv[1])):
     print("locked", flush=True)
     sys.stdin.read()
@@ -40,9 +40,9 @@ def test_a_second_run_is_refused_by_name_until_the_first_is_gone(
         run_study(study, out=tmp_path / "elsewhere")
         assert not (tmp_path / "study.h5").exists()
         first.kill()
-    assert (tmp_path / FILE).exists()  # the file is left, its lock is not
+    assert (tmp_path / LOCK_FILE).exists()  # the file is left, its lock is not
     assert run_study(study).results["model"].dof > 0
-    assert not (tmp_path / FILE).exists()
+    assert not (tmp_path / LOCK_FILE).exists()
 
 
 def test_the_lock_goes_with_an_error_and_can_be_taken_again(tmp_path: Path) -> None:

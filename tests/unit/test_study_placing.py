@@ -18,7 +18,7 @@ from ringtrue.core.testmodel import TestModel
 from ringtrue.correlation.sensor_mapping import Alignment
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import DataError
-from ringtrue.io.modes_json import write_modes
+from ringtrue.io.modes import write_modes
 from ringtrue.study.opened import Opened
 from ringtrue.study.placing import alignment, between_nodes, mesh_points, shared_places
 from ringtrue.virtual.logbook import write_sheet

@@ -14,12 +14,12 @@ import numpy.typing as npt
 
 from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.testmodel import TestModel
-from ringtrue.io.modes_json import write_modes
+from ringtrue.io.modes import write_modes
 from ringtrue.study.config import parse_config
 from ringtrue.study.reference import beyond, fewer, left_out, measured_part, reference_modes
-from ringtrue.study.stages import compare
-from ringtrue.study.stages.supplied import supplied_modes
-from ringtrue.study.workbench import Workbench
+from ringtrue.study.session import Session
+from ringtrue.study.stages.correlate import compare_tests
+from ringtrue.study.supplied import supplied_modes
 
 
 def modes(known: npt.NDArray[np.bool_]) -> ModeSet:
@@ -118,10 +118,10 @@ def test_two_tests_are_compared_where_neither_has_a_gap(tmp_path: Path) -> None:
     found = replace(
         supplied_modes(tmp_path / "test.json", sheet, ()), ambient=whole, ambient_uncertainty=std
     )
-    desk = SimpleNamespace(
+    session = SimpleNamespace(
         config=parse_config('[model]\ndeck = "a.bdf"\n', tmp_path / "s.toml"), get=lambda _: found
     )
-    stage = compare.run(cast(Workbench, desk), lambda *_: None)
+    stage = compare_tests(cast(Session, session), lambda *_: None)
     assert stage is not None
     assert stage.table.mac.shape == (5, 4)  # eight channels of four modes are more than six of five
     np.testing.assert_allclose(stage.table.pairing.mac, 1.0, rtol=1e-12)

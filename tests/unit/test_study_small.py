@@ -13,13 +13,15 @@ import numpy as np
 import pytest
 import small_study
 
-from ringtrue.decks.nastran.edit import unified_diff
+import ringtrue as rt
+from ringtrue.cli.main import run as command
+from ringtrue.decks.nastran.editor import unified_diff
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, DataError
-from ringtrue.report.deliver import deliver
+from ringtrue.report.build import deliver
+from ringtrue.study.messages import run_messages
 from ringtrue.study.reference import beyond
 from ringtrue.study.run import StudyRun, run_study
-from ringtrue.study.words import told
 
 # the signals have 1 % noise; three records of blows and 400 s of ambient motion tell a modulus to
 # some percent
@@ -78,7 +80,7 @@ def test_channels_at_fault_are_told_once(done: StudyRun) -> None:
     stage = done.results["identify"]
     one = replace(stage.records[0], notes=("channel 3+X: noise", "a machine at 5 Hz"))
     two = replace(stage.records[-1], notes=("channel 3+X: noise", "channel 4+X: dead"))
-    lines = told({"identify": replace(stage, records=(one, two))})
+    lines = run_messages({"identify": replace(stage, records=(one, two))})
     assert lines[1:] == (
         f"{one.name}: channel 3+X: noise (1 more note on it)",
         f"{two.name}: channel 4+X: dead",
@@ -101,6 +103,24 @@ def test_the_summary_has_the_agreed_keys(done: StudyRun) -> None:
     # floors 3 x 12 m2 x 0.1 m x 2500 kg/m3, columns 36 m x 140 cm2 x 7850 kg/m3: feet count, too
     assert found["mass_t"] == pytest.approx(9.0 + 36 * 0.014 * 7.85, rel=1e-3)
     assert set(found["parameters"][0]) >= {"name", "initial", "updated", "std"}  # type: ignore[index]
+
+
+def test_results_are_taken_out_of_a_stored_study(
+    done: StudyRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study = rt.open_study(done.folder)
+    assert len(study.test) == len(study.test.std_frequency) > 5
+    assert dict(zip(study.parameters.names, study.parameters.factors, strict=True)).keys()
+    np.testing.assert_allclose(study.pairs("final").deviation_percent, 0, atol=1)
+    assert len(study.modes("initial")) == len(study.modes("final"))
+    assert study.frfs.data.ndim == 3
+    assert len(study.plot().data) > 0
+    assert command(["convert", str(done.folder / "study.h5"), str(tmp_path / "merged.json")]) == 0
+    merged = rt.read_modes(tmp_path / "merged.json")
+    np.testing.assert_allclose(merged.std_frequency, study.test.std_frequency)
+    words = [str(done.folder / "study.h5"), str(tmp_path / "merged.json")]
+    assert command(["correlate", *words]) == 0
+    assert f"{len(merged)}" in capsys.readouterr().out
 
 
 def test_the_same_inputs_give_the_same_numbers(done: StudyRun, tmp_path: Path) -> None:
@@ -291,9 +311,9 @@ def test_modes_of_the_deck_reach_well_above_the_test_where_nothing_is_said(tmp_p
     toml = small_study.FULL.replace(f"fmax = {small_study.FMAX}\n", "", 1)
     run = run_study(small_study.write_study(tmp_path, toml, ambient=False), until="correlate")
     found = run.results["correlate"]
-    assert run.desk.fmax == pytest.approx(1.5 * found.reference.frequencies.max())
-    assert (found.fe_initial.frequencies <= run.desk.fmax).all()
-    assert not beyond(found.reference, run.desk.fmax)
+    assert run.session.fmax == pytest.approx(1.5 * found.reference.frequencies.max())
+    assert (found.fe_initial.frequencies <= run.session.fmax).all()
+    assert not beyond(found.reference, run.session.fmax)
     assert (
         len(found.gaps) == 1
     )  # none that the modes of the deck end too low, and that the floors are coarse

@@ -22,7 +22,7 @@ from ringtrue.core.parameters import ParameterSet
 from ringtrue.errors import ConfigError, SolverMissing
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest, ModesResult
-from ringtrue.report.deliver import deliver
+from ringtrue.report.build import deliver
 from ringtrue.solvers import registry
 from ringtrue.solvers.embedded import EmbeddedAnalysis, EmbeddedSolver
 from ringtrue.solvers.mystran import MystranSolver, find_mystran
@@ -99,7 +99,7 @@ def test_the_updating_minds_the_modes_of_the_solver(done: StudyRun) -> None:
 
 
 def test_every_table_has_its_frequencies_and_what_is_embedded_is_said(done: StudyRun) -> None:
-    real = done.desk.initial.analysis.modes(ModesRequest(3)).modes.frequencies
+    real = done.session.initial.analysis.modes(ModesRequest(3)).modes.frequencies
     for stage in (done.results["model"].modes, done.results["correlate"].fe_initial):
         np.testing.assert_allclose(stage.frequencies[:3], np.sqrt(STIFFER) * real, rtol=1e-9)
     told = json.loads((done.folder / "summary.json").read_text())

@@ -17,20 +17,22 @@ from ringtrue.study.run import StudyRun, run_study
 from ringtrue.study.stages import update
 
 
-def poor(lost: int, good: int) -> Any:
+def poor(lost: int, good: str) -> Any:
     """The updating, as if it had ended at the deck with `lost` modes without partner.
 
-    Not so from further starts (`good` 4, the place of their settings) or from the proposal (5, that
-    of its factors).
+    Not so where the argument `good` is given: `u`, the settings of further starts, or `factors`,
+    those of the proposal.
     """
-    well = update.together
+    well = update.update_reduced
 
-    def ended(*given: Any) -> tuple[SetResult, int]:
-        done, other = well(*given)
-        if len(given) > good and given[good] is not None:
+    def ended(*given: Any, **named: Any) -> tuple[SetResult, int]:
+        done, other = well(*given, **named)
+        if named.get(good) is not None:
             return done, other
         return replace(
-            done, factor=np.ones(len(done.parameters)), criterion=done.criterion + 50.0
+            done,
+            factor=np.ones(len(done.parameters)),
+            fit=replace(done.fit, criterion=done.fit.criterion + 50.0),
         ), lost
 
     return ended
@@ -40,11 +42,11 @@ def updated(folder: Path) -> StudyRun:
     return run_study(small_study.write_study(folder, ambient=False), until="update")
 
 
-@pytest.mark.parametrize("good", [4, 5], ids=["further starts", "proposal"])
+@pytest.mark.parametrize("good", ["u", "factors"], ids=["further starts", "proposal"])
 def test_a_lower_end_of_other_starts_takes_the_place_of_one_that_lost_modes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, good: int
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, good: str
 ) -> None:
-    monkeypatch.setattr(update, "together", poor(lost=2, good=good))
+    monkeypatch.setattr(update, "update_reduced", poor(lost=2, good=good))
     done = updated(tmp_path)
     stage = done.results["update"]
     best = stage.sets[stage.chosen]
@@ -57,6 +59,6 @@ def test_a_lower_end_of_other_starts_takes_the_place_of_one_that_lost_modes(
 
 
 def test_an_end_with_all_partners_stands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(update, "together", poor(lost=0, good=4))
+    monkeypatch.setattr(update, "update_reduced", poor(lost=0, good="u"))
     stage = updated(tmp_path).results["update"]
     np.testing.assert_array_equal(stage.sets[stage.chosen].factor, 1.0)

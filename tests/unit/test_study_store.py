@@ -16,7 +16,7 @@ import small_study
 
 from ringtrue.cli.main import run
 from ringtrue.errors import ConfigError, DataError
-from ringtrue.io import codec
+from ringtrue.io import hdf5
 from ringtrue.study import results
 from ringtrue.study.results import RemodelStep
 from ringtrue.study.run import StudyRun, load_study, run_study
@@ -46,18 +46,18 @@ def test_an_error_while_saving_keeps_the_last_good_store(
     store = Store(tmp_path / "study.h5")
     store.save("model", "k1", np.array([1.0, 2.0]))
     before = store.path.read_bytes()
-    real = codec.save
+    real = hdf5.save
 
     def half(group: h5py.Group, obj: object) -> None:
         real(group, obj)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(codec, "save", half)
+    monkeypatch.setattr(hdf5, "save", half)
     with pytest.raises(KeyboardInterrupt):
         store.save("model", "k2", np.array([3.0]))
     assert store.path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["study.h5"]
-    monkeypatch.setattr(codec, "save", real)
+    monkeypatch.setattr(hdf5, "save", real)
     store.save("plan", "k2", np.array([3.0]))
     assert (held(store, "model"), held(store, "plan"), store.key("model")) == (
         [1.0, 2.0],

@@ -24,15 +24,15 @@ from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.identification.frf.pipeline import HammerModes, identify_hammer
 from ringtrue.io.frfs import write_frfs
-from ringtrue.io.modes_json import write_modes
+from ringtrue.io.modes import write_modes
 from ringtrue.io.records import read_record, write_history
 from ringtrue.model.ports import ModesRequest
-from ringtrue.report.deliver import deliver
+from ringtrue.report.build import deliver
 from ringtrue.shapes.mac import auto_mac
 from ringtrue.solvers.embedded import EmbeddedSolver
+from ringtrue.study.messages import run_messages
 from ringtrue.study.results import CompareStage, Evidence
 from ringtrue.study.run import run_study
-from ringtrue.study.words import told
 from ringtrue.virtual.logbook import write_sheet
 
 FREQS = np.arange(0.5, 20.0, 0.02)
@@ -94,7 +94,7 @@ def test_frfs_of_a_file_for_each_reference(tmp_path: Path) -> None:
     best = done.results["update"].sets[done.results["update"].chosen]
     for name, factor in zip(best.parameters, best.factor, strict=True):
         assert factor == pytest.approx(small_study.TRUTH[int(name.split()[-1])], abs=0.02)
-    lines = "\n".join(told(done.results))
+    lines = "\n".join(run_messages(done.results))
     assert "9 modes of the FRFs" in lines
     assert "pairs: 9 -> 9 of 9 test modes" in lines
     assert all(f"{n}: times" in lines for n in best.parameters)
@@ -102,7 +102,7 @@ def test_frfs_of_a_file_for_each_reference(tmp_path: Path) -> None:
     end = done.results["final"]  # as if the deck had been good and the updating bad
     turned = replace(found, remodelled=end.table), replace(end, table=found.remodelled)
     assert "made frequencies worse" in "\n".join(
-        told(dict(zip(("correlate", "final"), turned, strict=True)))
+        run_messages(dict(zip(("correlate", "final"), turned, strict=True)))
     )
 
 
@@ -114,7 +114,7 @@ def test_modes_of_a_file_and_a_sensor_the_wrong_way_round(tmp_path: Path) -> Non
     done = run_study(study(tmp_path, 'modes = "test.json"'), until="correlate")
     deliver(done)
     assert len(done.results["correlate"].initial) >= 7
-    lines = told(done.results)
+    lines = run_messages(done.results)
     assert f"channel {modes.channels[3]} looks reversed" in lines[-2]
     assert "row in the sensor sheet" in lines[-1]
     sheet = list(csv.reader((tmp_path / "sensors.csv").read_text().splitlines()))
@@ -124,7 +124,7 @@ def test_modes_of_a_file_and_a_sensor_the_wrong_way_round(tmp_path: Path) -> Non
         csv.writer(file).writerows(sheet)
     again = run_study(tmp_path / "study.toml", until="correlate").results
     assert again["correlate"].initial.mean_mac() > 98
-    assert "looks" not in "\n".join(told(again))
+    assert "looks" not in "\n".join(run_messages(again))
 
 
 def test_a_strain_gauge_of_the_sheet_is_not_used(tmp_path: Path) -> None:
@@ -142,7 +142,9 @@ def test_a_strain_gauge_of_the_sheet_is_not_used(tmp_path: Path) -> None:
     assert found["correlate"].reference.channels == tuple(
         c for c in modes.channels if c != modes.channels[3]
     )
-    assert f"channel {modes.channels[3]}: measures strain, not used" in "\n".join(told(found))
+    assert f"channel {modes.channels[3]}: measures strain, not used" in "\n".join(
+        run_messages(found)
+    )
 
 
 def test_damping_of_a_file_of_modes_reaches_the_regions(tmp_path: Path) -> None:
@@ -164,7 +166,7 @@ def test_a_channel_that_two_tests_do_not_agree_on_is_told(tmp_path: Path) -> Non
     one, two = replace(modes, shapes=modes.shapes * dead), modes
     table = correlation_table(one, two, pairing := pair_modes(one, two))
     stage = CompareStage(table, Evidence(complete(one, two, pairing), auto_mac(one.shapes)))
-    lines = told({"compare": stage})
+    lines = run_messages({"compare": stage})
     assert (
         f"channel {modes.channels[3]} looks dead in the ambient against the hammer test" in lines[0]
     )
@@ -275,7 +277,7 @@ def test_a_study_of_frequencies_alone_finds_what_they_tell(tmp_path: Path) -> No
     assert final.table.max_deviation() < 0.2
     assert np.isnan(final.table.mean_mac())
     assert final.evidence is None
-    assert any("taken for" in line or "by frequency" in line for line in told(done.results))
+    assert any("taken for" in line or "by frequency" in line for line in run_messages(done.results))
     page = deliver(done).read_text(encoding="utf-8")
     assert "Mean MAC" not in page
     assert "No shapes were measured" in page

@@ -14,9 +14,9 @@ import pytest
 
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.correlation.assignment import PairingSettings
+from ringtrue.reduction.matrix_model import DenseModel
 from ringtrue.study.stages.tune import ALLOWED, disagreeing
-from ringtrue.updating.dense import DenseModel
-from ringtrue.updating.objective import Target, Weights
+from ringtrue.updating.target import Target, Weights
 
 N, STIFF = 8, np.array([np.log(2.0)])
 STD = np.array([0.02])

@@ -15,18 +15,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ringtrue.checks.units import check_units
+from ringtrue.checks.materials import check_units
 from ringtrue.cli.main import run
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import UnsupportedError
-from ringtrue.io.modes_json import write_modes
+from ringtrue.io.modes import write_modes
 from ringtrue.model.edit import in_seconds
+from ringtrue.study.direct import with_lumps
 from ringtrue.study.opened import Opened
-from ringtrue.study.proposing import with_lumps
-from ringtrue.updating.candidates import CandidateSettings
+from ringtrue.updating.selection.candidates import CandidateSettings
 
 Capture = pytest.CaptureFixture[str]
 ELEMENTS = 10

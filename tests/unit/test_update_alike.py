@@ -11,7 +11,12 @@ from scipy.special import stdtrit
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.model.ports import ModesRequest
 from ringtrue.solvers.embedded import EmbeddedSolver
-from ringtrue.updating.alike import effective_freedom, energy_shares, independent_errors, likeness
+from ringtrue.updating.uncertainty import (
+    effective_freedom,
+    energy_shares,
+    independent_errors,
+    likeness,
+)
 
 N, LENGTH = 60, 3.0
 

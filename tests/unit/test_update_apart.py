@@ -19,11 +19,10 @@ from ringtrue.core.dofs import DofSet
 from ringtrue.core.iterate import Outcome
 from ringtrue.core.modes import ModeSet
 from ringtrue.decks.nastran.reader import read_deck
-from ringtrue.io.modes_json import write_modes
+from ringtrue.io.modes import write_modes
 from ringtrue.study.acceptance import Check
 from ringtrue.study.opened import Opened
-from ringtrue.updating.identifiable import stood_for, told_apart
-from ringtrue.updating.unmoved import unmoved
+from ringtrue.updating.identifiability import stood_for, told_apart, unmoved
 
 Capture = pytest.CaptureFixture[str]
 NODES = range(2, 12)

@@ -13,12 +13,12 @@ import pytest
 
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.core.progress import Progress, quiet
-from ringtrue.updating.choose import Choice
-from ringtrue.updating.dense import DenseModel
-from ringtrue.updating.lacking import with_lumps
-from ringtrue.updating.objective import Target, residual
-from ringtrue.updating.search import Search
-from ringtrue.updating.subsets import Subsets, subsets
+from ringtrue.reduction.matrix_model import DenseModel
+from ringtrue.updating.gauss_newton import residual
+from ringtrue.updating.selection.proposal import with_lumps
+from ringtrue.updating.selection.selection_rules import Choice
+from ringtrue.updating.selection.subset_search import Search, Subsets, subsets
+from ringtrue.updating.target import Target
 
 N, TOTAL, PLACES = 10, 20.0, (2, 7)
 LUMPS = [5, 6]

@@ -14,23 +14,14 @@ from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.correlation.assignment import Followed, PairingSettings, peak_shares
 from ringtrue.errors import InputError
 from ringtrue.model.ports import Linearisation
+from ringtrue.reduction.matrix_model import DenseModel
 from ringtrue.shapes.mac import mac
-from ringtrue.study.stages.together import spared
-from ringtrue.updating.dense import DenseModel
-from ringtrue.updating.gauss_newton import update
-from ringtrue.updating.objective import (
-    DOUBT,
-    LOST,
-    Target,
-    Weights,
-    match,
-    objective,
-    residual,
-    shared_cost,
-)
-from ringtrue.updating.settle import Course, displaced, lost, settled, whole_cost
-from ringtrue.updating.several import Configuration, Problem
-from ringtrue.updating.trust import solve
+from ringtrue.study.stages.update_set import left_out_deviation
+from ringtrue.updating.gauss_newton import objective, residual, shared_cost, update
+from ringtrue.updating.problem import Configuration, Problem
+from ringtrue.updating.solver import solve
+from ringtrue.updating.strategy import Course, displaced, lost, settled, whole_cost
+from ringtrue.updating.target import DOUBT, LOST, Target, Weights, match
 
 
 def chain(n: int, groups: int, *, kind: str = "log") -> DenseModel:
@@ -381,8 +372,8 @@ def test_a_mode_left_out_that_is_far_off_is_counted() -> None:
         np.array([10.0, 20.0, 30.0]), np.eye(3), np.zeros(3), np.array([True, False, True])
     )
     assert not (~residual(aim.settled(now), now).used).any()
-    assert spared([aim], [now]) == pytest.approx(7.5)
-    assert np.isnan(spared([replace(aim, used=np.ones(3, dtype=bool))], [now]))
+    assert left_out_deviation([aim], [now]) == pytest.approx(7.5)
+    assert np.isnan(left_out_deviation([replace(aim, used=np.ones(3, dtype=bool))], [now]))
 
 
 def with_local_part(mass: float, frequency: float, x: float = 0.0) -> DenseModel:

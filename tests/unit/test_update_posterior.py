@@ -13,14 +13,27 @@ from scipy import linalg
 
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.errors import InputError
-from ringtrue.updating.dense import DenseModel
-from ringtrue.updating.kfold import discrepancy, folds_of, k_fold, variance_parts, with_discrepancy
-from ringtrue.updating.mcmc import autocorrelation_time, ensemble, log_posterior
-from ringtrue.updating.objective import Target, Weights
-from ringtrue.updating.plausible import form_flags, kept, plausibility
-from ringtrue.updating.posterior import Posterior, around, as_likelihood, laplace
-from ringtrue.updating.several import Configuration, Problem, held_to
-from ringtrue.updating.trust import solve
+from ringtrue.reduction.matrix_model import DenseModel
+from ringtrue.updating.identifiability import form_flags, kept, plausibility
+from ringtrue.updating.problem import Configuration, Problem, held_to
+from ringtrue.updating.solver import solve
+from ringtrue.updating.target import Target, Weights
+from ringtrue.updating.uncertainty import (
+    Posterior,
+    around,
+    as_likelihood,
+    autocorrelation_time,
+    ensemble,
+    laplace,
+    log_posterior,
+)
+from ringtrue.updating.validation import (
+    discrepancy,
+    folds_of,
+    k_fold,
+    variance_parts,
+    with_discrepancy,
+)
 
 N, GROUPS, MODES = 12, 4, 8
 NOISE_F, NOISE_SHAPE = 2e-3, 0.02  # relative; of the root mean square of a shape
@@ -275,7 +288,7 @@ def test_draws_do_not_depend_on_signs_of_eigenvectors(monkeypatch: pytest.Monkey
         value, vectors = plain(a)
         return value, -vectors
 
-    monkeypatch.setattr("ringtrue.updating.quadratic.linalg.eigh", turned)
+    monkeypatch.setattr("ringtrue.updating.uncertainty.linalg.eigh", turned)
     np.testing.assert_allclose(
         posterior.sample(20_000, np.random.default_rng(0)), first, rtol=1e-9, atol=1e-15
     )

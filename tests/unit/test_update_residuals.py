@@ -16,11 +16,12 @@ from scipy import linalg, sparse
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.errors import InputError, NumericalError
 from ringtrue.fem.parametrisation.polynomials import AffineTerm, power
-from ringtrue.reduction.affine import AffineSystem
+from ringtrue.reduction.basis import AffineSystem
+from ringtrue.reduction.matrix_model import DenseModel, matrices_at
 from ringtrue.reduction.parametric import reduced_model
-from ringtrue.updating.dense import DenseModel, matrices_at
-from ringtrue.updating.objective import Target, Weights, residual
-from ringtrue.updating.residuals import (
+from ringtrue.updating.gauss_newton import residual
+from ringtrue.updating.residuals.frf import AntiResonances, Frf, zeros
+from ringtrue.updating.residuals.modal import (
     CrossOrthogonality,
     Eigenvalues,
     Frequencies,
@@ -30,13 +31,13 @@ from ringtrue.updating.residuals import (
     default_terms,
     point,
 )
-from ringtrue.updating.residuals_frf import AntiResonances, Frf, zeros
-from ringtrue.updating.residuals_static import (
+from ringtrue.updating.residuals.static import (
     MassProperties,
     RigidMass,
     StaticDeflections,
     mass_properties,
 )
+from ringtrue.updating.target import Target, Weights
 
 N = 9
 X = np.array([0.1, -0.2, 0.15, 0.05])

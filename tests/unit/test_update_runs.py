@@ -22,7 +22,7 @@ from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.correlation.sensor_mapping import at_dofs
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import SolverFailed, SolverMissing
-from ringtrue.io.modes_json import write_modes
+from ringtrue.io.modes import write_modes
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModalSolver, ModesRequest, ModesResult
 from ringtrue.solvers import registry

@@ -16,14 +16,13 @@ import pytest
 from ringtrue.core.iterate import Outcome
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.correlation.assignment import APART, PairingSettings
+from ringtrue.reduction.matrix_model import DenseModel
 from ringtrue.shapes.mac import FADE
-from ringtrue.updating.dense import DenseModel
 from ringtrue.updating.gauss_newton import update
-from ringtrue.updating.objective import Target, Weights, match
-from ringtrue.updating.residuals import Eigenvalues, Mac, Shapes
-from ringtrue.updating.several import Configuration, Problem
-from ringtrue.updating.spans import spans
-from ringtrue.updating.trust import Method, solve
+from ringtrue.updating.problem import Configuration, Problem
+from ringtrue.updating.residuals.modal import Eigenvalues, Mac, Shapes
+from ringtrue.updating.solver import Method, solve
+from ringtrue.updating.target import Target, Weights, match, spans
 
 N, MODES = 6, 4
 CLOSE = PairingSettings().close

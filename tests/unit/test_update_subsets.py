@@ -18,20 +18,20 @@ import localise_twin as twin
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet, Substructure
 from ringtrue.errors import ConfigError, InputError
 from ringtrue.model.ports import ModesRequest
-from ringtrue.reduction.condense import condensed
-from ringtrue.reduction.expand import expand_hybrid, expand_reduced
+from ringtrue.reduction.expansion import expand_hybrid, expand_reduced
+from ringtrue.reduction.matrix_model import DenseModel
+from ringtrue.reduction.parametric import condensed
 from ringtrue.solvers.embedded import EmbeddedSolver
-from ringtrue.updating.alike import errors_of_shapes
-from ringtrue.updating.choose import Choice
-from ringtrue.updating.claims import stated_errors
-from ringtrue.updating.dense import DenseModel
-from ringtrue.updating.effects import SHARP, effects, force_residual, paired_residual
-from ringtrue.updating.generate import generate
-from ringtrue.updating.identifiable import blind_cosines, identifiability
-from ringtrue.updating.objective import Residual, Target, Weights, residual
-from ringtrue.updating.pool import conflicts, explaining, of_parameter
-from ringtrue.updating.proposal import propose
-from ringtrue.updating.search import Search
+from ringtrue.updating.gauss_newton import Residual, residual
+from ringtrue.updating.identifiability import blind_cosines, identifiability
+from ringtrue.updating.selection.effects import SHARP, effects, force_residual, paired_residual
+from ringtrue.updating.selection.generation import generate
+from ringtrue.updating.selection.proposal import propose, stated_errors
+from ringtrue.updating.selection.screening import conflicts, explaining, of_parameter
+from ringtrue.updating.selection.selection_rules import Choice
+from ringtrue.updating.selection.subset_search import Search
+from ringtrue.updating.target import Target, Weights
+from ringtrue.updating.uncertainty import errors_of_shapes
 
 
 def test_factors_on_one_field_stay_apart_a_product_does_not() -> None:

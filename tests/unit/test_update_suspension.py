@@ -13,12 +13,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rigid_body import RigidBody
 
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.errors import InputError
-from ringtrue.updating.objective import Target, Weights
-from ringtrue.updating.rigid_body import RigidBody
 from ringtrue.updating.suspension import tune
+from ringtrue.updating.target import Target, Weights
 
 WEIGHTS = Weights(0.003, 0.05, 0.2)
 

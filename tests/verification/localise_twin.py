@@ -27,16 +27,16 @@ from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.testmodel import Observation
 from ringtrue.decks.nastran.reader import read_deck
-from ringtrue.io.modes_json import write_modes
+from ringtrue.io.modes import write_modes
 from ringtrue.model.frames import positions
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
 from ringtrue.reduction.parametric import BasisOptions, ReducedModel
 from ringtrue.solvers.embedded import EmbeddedAnalysis, EmbeddedSolver
-from ringtrue.updating.candidates import Candidate, CandidateSettings
-from ringtrue.updating.effects import effective, reduced_candidates
-from ringtrue.updating.generate import generate
-from ringtrue.updating.objective import Target
+from ringtrue.updating.selection.candidates import Candidate, CandidateSettings
+from ringtrue.updating.selection.effects import effective, reduced_candidates
+from ringtrue.updating.selection.generation import generate
+from ringtrue.updating.target import Target
 
 Array = npt.NDArray[np.float64]
 

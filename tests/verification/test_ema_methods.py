@@ -17,8 +17,8 @@ from ringtrue.core.modal import ModalModel
 from ringtrue.core.modes import ModeSet, Norm, Uncertainty
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.errors import DataError, InputError
+from ringtrue.identification.common.tracking import level_dependence
 from ringtrue.identification.frf.cmif import CmifPeaks, cmif_modes, single_mode
-from ringtrue.identification.frf.linearity import level_dependence
 from ringtrue.identification.frf.local_fits import identify_batches, with_local_fits
 from ringtrue.identification.frf.pipeline import HammerModes, identify_hammer
 from ringtrue.identification.frf.scaling import reciprocity

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet, Shape
-from ringtrue.decks.nastran.bulk import write_bulk
-from ringtrue.decks.nastran.edit import edit_fields
+from ringtrue.decks.nastran.editor import edit_fields
 from ringtrue.decks.nastran.reader import read_deck
+from ringtrue.decks.nastran.writer import write_bulk
 from ringtrue.errors import DeckError, InputError, RingtrueError, UnsupportedCard
 from ringtrue.fem.assembly import assemble
 from ringtrue.fem.parametrisation.affine import affine_terms
@@ -23,7 +23,7 @@ from ringtrue.fem.parametrisation.changed_model import scaled
 from ringtrue.fem.parametrisation.derivatives import matrix_derivatives
 from ringtrue.model.edit import FieldChange, apply_factors
 from ringtrue.model.model import Model
-from ringtrue.solvers.runner_deck import case_control
+from ringtrue.solvers.runner import case_control
 
 BULK = """BEGIN BULK
 MAT1,1,2.+11,,.3

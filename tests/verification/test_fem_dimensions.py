@@ -11,9 +11,9 @@ import pytest
 from scipy import sparse
 
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet
-from ringtrue.decks.nastran.bulk import write_bulk
-from ringtrue.decks.nastran.edit import edit_fields
+from ringtrue.decks.nastran.editor import edit_fields
 from ringtrue.decks.nastran.reader import read_deck
+from ringtrue.decks.nastran.writer import write_bulk
 from ringtrue.errors import DeckError, InputError
 from ringtrue.fem.assembly import assemble
 from ringtrue.fem.parametrisation.changed_model import scaled

@@ -18,7 +18,7 @@ from ringtrue.model.ports import ModesRequest, ObservedModel
 from ringtrue.solvers.matrices import MatrixModel, MatrixSolver
 from ringtrue.testing.solver import check_modal_solver
 from ringtrue.updating.gauss_newton import update
-from ringtrue.updating.objective import Target, Weights
+from ringtrue.updating.target import Target, Weights
 
 FRAME = (
     Path(__file__).parents[3]

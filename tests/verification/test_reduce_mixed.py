@@ -14,7 +14,7 @@ from scipy import linalg, sparse
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.fem.parametrisation.polynomials import AffineTerm, power
 from ringtrue.reduction import basis, parametric
-from ringtrue.reduction.affine import AffineSystem
+from ringtrue.reduction.basis import AffineSystem
 
 SIDE, FIELDS, COUNT = 24, 8, 40
 

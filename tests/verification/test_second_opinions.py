@@ -15,16 +15,15 @@ import test_oma_methods as ambient
 from ringtrue.cli.main import run
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.errors import ConfigError, DataError
-from ringtrue.identification.ambient.other_methods import METHODS, identify_ambient_by
-from ringtrue.identification.frf.other_methods import identify_frfs_by
 from ringtrue.identification.frf.pipeline import HammerModes
+from ringtrue.identification.methods import AMBIENT_METHODS, identify_ambient_by, identify_frfs_by
 from ringtrue.io.frfs import write_frfs
 from ringtrue.io.records import write_history
 
 PEAKS = ("fdd", "efdd", "fsdd", "random-decrement")
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", AMBIENT_METHODS)
 def test_ambient_methods_find_the_modes(method: str) -> None:
     """Four modes; peaks alone do not separate the pair at 5.0 and 5.12 Hz."""
     which = [0, 3] if method in PEAKS else [0, 1, 2, 3]

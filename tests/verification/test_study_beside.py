@@ -23,13 +23,13 @@ from ringtrue.core.progress import quiet
 from ringtrue.correlation.sensor_mapping import at_dofs
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError
-from ringtrue.io.modes_json import write_modes
-from ringtrue.study.beside import Beside
+from ringtrue.io.modes import write_modes
+from ringtrue.study.objective import target
 from ringtrue.study.opened import Opened
 from ringtrue.study.run import StudyRun, run_study
-from ringtrue.study.stages.sensitivity import target
-from ringtrue.updating.candidates import CandidateSettings, parameters
-from ringtrue.updating.generate import generate
+from ringtrue.study.stages.localise import DataScreening
+from ringtrue.updating.selection.candidates import CandidateSettings, parameters
+from ringtrue.updating.selection.generation import generate
 from ringtrue.virtual.logbook import write_sheet
 
 WRONG, SOFT = 0.75, 0.5  # columns of the first storey, the hanger
@@ -110,7 +110,7 @@ def test_constraints_may_name_candidates_that_the_screening_left_out(
 ) -> None:
     """Which these are changes with the data; a name that the deck does not give is refused."""
     limit = '[[constraint]]\nterms = {{ "{}" = 1.0 }}\nmost = 0.5\n'
-    out = pulled.results["localise"].screened[0]
+    out = pulled.results["localise"].pool.screened[0]
     study = written(tmp_path, STATIC + limit.format(out))
     assert "sensitivity" in run_study(study, until="sensitivity").results
     study.write_text(STUDY + STATIC + limit.format("MAT1 77 E"))
@@ -131,10 +131,10 @@ def test_what_candidates_do_to_the_data_is_what_the_reduced_model_says(
         "zeros": '[[residual]]\nkind = "anti-resonances"\noutput = "303+X"\ninput = '
         '"303+X"\nfrequencies = [3, 7]\n',
     }
-    desk = run_study(written(tmp_path, more[kind]), until="correlate").desk
-    every = generate(desk.remodelled.model, CandidateSettings(("material",), "SI"))
-    beside, aim = Beside.of(desk, every), target(desk)
-    model = beside.loaded(desk.apart(parameters(every), quiet))
+    session = run_study(written(tmp_path, more[kind]), until="correlate").session
+    every = generate(session.remodelled.model, CandidateSettings(("material",), "SI"))
+    beside, aim = DataScreening.of(session, every), target(session)
+    model = beside.loaded(session.apart(parameters(every), quiet))
     problem, x = (
         beside.problem(model, aim),
         0.1 * np.random.default_rng(1).standard_normal(len(every)),

@@ -22,8 +22,8 @@ import small_study
 
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError
-from ringtrue.io.modes_json import write_modes
-from ringtrue.report.deliver import deliver
+from ringtrue.io.modes import write_modes
+from ringtrue.report.build import deliver
 from ringtrue.study.acceptance import missed_words, verdict
 from ringtrue.study.config import parse_config
 from ringtrue.study.opened import Opened
@@ -103,14 +103,16 @@ def test_both_parameters_are_found_and_from_one_configuration_they_are_not(
 
 def test_the_intervals_know_of_both_tests(both: StudyRun) -> None:
     found = both.results["uncertainty"]
-    truth = np.array([TRUTH[n] for n in found.parameters.names])
-    assert (found.ratio < 0.05).all()  # alone the sum of the two would keep its prior: 0.7 each
-    assert (np.abs(found.factor / truth - 1) < 4 * found.std).all()
+    truth = np.array([TRUTH[n] for n in found.posterior.parameters.names])
+    assert (
+        found.posterior.ratio < 0.05
+    ).all()  # alone the sum of the two would keep its prior: 0.7 each
+    assert (np.abs(found.posterior.factor / truth - 1) < 4 * found.posterior.std).all()
 
 
 def test_the_proposal_rests_on_both_tests(both: StudyRun) -> None:
     found = both.results["localise"]
-    assert found.beside == "the test of loaded"
+    assert found.proposal_basis == "the test of loaded"
     assert {m.name for m in found.proposal.members} == set(TRUTH)
     for m in found.proposal.members:
         assert m.factor == pytest.approx(TRUTH[m.name], rel=0.02)

@@ -25,9 +25,9 @@ from ringtrue.checks.mass import whole_mass
 from ringtrue.correlation.sensor_mapping import Alignment
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, DataError
-from ringtrue.io.modes_json import write_modes
-from ringtrue.report.deliver import deliver
-from ringtrue.study import workbench
+from ringtrue.io.modes import write_modes
+from ringtrue.report.build import deliver
+from ringtrue.study import session
 from ringtrue.study.config import parse_config
 from ringtrue.study.opened import Opened
 from ringtrue.study.run import StudyRun, run_study
@@ -143,9 +143,9 @@ def test_all_together_with_zeros_reach_the_report_and_the_uncertainty(
     assert "303+X / 303+X: zero 1" in page
     assert "pull: 203+X" in page
     known = run.results["uncertainty"]
-    assert (known.ratio < 0.1).all()  # the modes alone leave the scale at its prior
-    at = np.array([TRUTH[n] for n in known.parameters.names])
-    assert (np.abs(known.factor / at - 1) < 4 * known.std).all()
+    assert (known.posterior.ratio < 0.1).all()  # the modes alone leave the scale at its prior
+    at = np.array([TRUTH[n] for n in known.posterior.parameters.names])
+    assert (np.abs(known.posterior.factor / at - 1) < 4 * known.posterior.std).all()
 
 
 def test_what_was_measured_on_another_configuration_counts(made: Path, tmp_path: Path) -> None:
@@ -161,7 +161,7 @@ def test_what_was_measured_on_another_configuration_counts(made: Path, tmp_path:
     for name, value in factors(run).items():
         assert value == pytest.approx(TRUTH[name], rel=0.01)
     assert [d.configuration for d in run.results["update"].data] == ["bare"]
-    assert (run.results["uncertainty"].ratio < 0.1).all()
+    assert (run.results["uncertainty"].posterior.ratio < 0.1).all()
 
 
 @pytest.mark.parametrize(
@@ -283,8 +283,8 @@ def test_a_sheet_in_a_frame_of_its_own_is_laid_onto_the_deck(
     turned = turn.move(small_study.test_model())
     write_sheet(path.parent / "data/sensors.csv", turned, turned.channels)
     found: list[str] = []
-    real = workbench.alignment
-    monkeypatch.setattr(workbench, "alignment", lambda *a: found.append(a[2]) or real(*a))
+    real = session.alignment
+    monkeypatch.setattr(session, "alignment", lambda *a: found.append(a[2]) or real(*a))
     run = run_study(path, until="update")
     assert set(found) == {
         "points"
@@ -320,14 +320,14 @@ def test_an_interrupted_updating_goes_on_with_the_next_set(
         run_study(path, until="update", progress=stop)
     assert len(Store(path.parent / "update.sets.h5").stages()) == 1
     monkeypatch.delattr(
-        update, "together"
+        update, "update_reduced"
     )  # all rules choose the one parameter: nothing is left to be updated
     again = run_study(path, until="update")
     assert not (path.parent / "update.sets.h5").exists()
     assert again.results["sensitivity"].sets == whole.results["sensitivity"].sets
     for a, b in zip(again.results["update"].sets, whole.results["update"].sets, strict=True):
         np.testing.assert_array_equal(a.factor, b.factor)
-        np.testing.assert_array_equal(a.path, b.path)
+        np.testing.assert_array_equal(a.history.path, b.history.path)
 
 
 def in_millimetres(text: str) -> str:
@@ -373,12 +373,13 @@ def test_a_sensor_off_the_nodes_reads_the_nodes_around_it(made: Path, tmp_path: 
     test = run.results["identify"].test
     off = replace(test, xyz=test.xyz + np.array([0.2, 0.1, 0.0]))  # on the rim of the floors
     near, around = (
-        run.desk.initial.observation(off, 1.0, how).matrix for how in ("nearest", "rigid")
+        run.session.initial.observation(off, 1.0, how).matrix for how in ("nearest", "rigid")
     )
     assert (np.diff(near.indptr) == 1).all()
     assert (np.diff(around.indptr) >= 4).all()
     np.testing.assert_array_equal(
-        run.desk.observed(run.desk.initial, off, off.channels).matrix.toarray(), around.toarray()
+        run.session.observed(run.session.initial, off, off.channels).matrix.toarray(),
+        around.toarray(),
     )
 
 
@@ -429,4 +430,4 @@ def test_the_proposal_takes_what_was_measured_beside_the_modes(
     assert set(run.results["sensitivity"].sets["proposal"]) == set(TRUTH)
     # all candidates free: known beside each other as well as alone only with the data that part
     # them
-    assert (found.together < 0.1).all()
+    assert (found.candidates.all_free < 0.1).all()

@@ -1,6 +1,6 @@
 """A study that is resumed at any stage gives what one that runs through gives, to the last bit.
 
-Each stage is run anew on the stored results of those before it, in a process's fresh workbench;
+Each stage is run anew on the stored results of those before it, in a process's fresh session;
 were one of them to rest on anything that is in memory alone, such as a basis that an earlier stage
 has enriched, its bytes would differ.
 """

@@ -13,22 +13,22 @@ from scipy import sparse
 from scipy.optimize import lsq_linear
 
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet
-from ringtrue.decks.nastran.edit import unwritable
+from ringtrue.decks.nastran.editor import unwritable
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import InputError, NumericalError
 from ringtrue.fem.mesh import mesh
 from ringtrue.fem.parametrisation.polynomials import AffineTerm, power
 from ringtrue.model.edit import apply_factors
 from ringtrue.model.ports import ModesRequest
-from ringtrue.reduction.affine import AffineSystem
+from ringtrue.reduction.basis import AffineSystem
 from ringtrue.reduction.parametric import reduced_model
 from ringtrue.solvers.embedded import EmbeddedSolver
-from ringtrue.updating.candidates import CandidateSettings, elements_of, membership
-from ringtrue.updating.effects import effective
-from ringtrue.updating.generate import generate
-from ringtrue.updating.identifiable import blind_cosines, clusters, cosines, identifiability
-from ringtrue.updating.localise import element_errors, strain_energies
-from ringtrue.updating.sparse import lasso_path
+from ringtrue.updating.identifiability import blind_cosines, clusters, cosines, identifiability
+from ringtrue.updating.selection.candidates import CandidateSettings, elements_of, membership
+from ringtrue.updating.selection.effects import effective
+from ringtrue.updating.selection.generation import generate
+from ringtrue.updating.selection.localisation import element_errors, strain_energies
+from ringtrue.updating.selection.selection_rules import lasso_path
 
 
 def test_candidates_know_their_elements_and_units() -> None:

@@ -13,14 +13,14 @@ import pytest
 
 from ringtrue.checks.mass import whole_mass
 from ringtrue.cli.main import run
-from ringtrue.decks.nastran.edit import edit_fields
+from ringtrue.decks.nastran.editor import edit_fields
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.fem.assembly import assemble
 from ringtrue.model.edit import field_changes
 from ringtrue.model.ports import ModesRequest
 from ringtrue.solvers.embedded import EmbeddedSolver
-from ringtrue.updating.candidates import CandidateSettings, parameters
-from ringtrue.updating.lumps import PLACES, lumped, places
+from ringtrue.updating.selection.candidates import PLACES, CandidateSettings, parameters
+from ringtrue.updating.selection.generation import lumped, places
 
 NODE, MASS = twin.node(2, 0, 1), 1500.0  # the edge of the second floor, kg
 TOTAL = 30_000.0

@@ -18,16 +18,16 @@ from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.errors import ConfigError, InputError, NumericalError
 from ringtrue.fem.parametrisation.polynomials import AffineTerm, power
 from ringtrue.model.ports import Linearisation
-from ringtrue.reduction.affine import AffineSystem
+from ringtrue.reduction.basis import AffineSystem
+from ringtrue.reduction.matrix_model import DenseModel
 from ringtrue.reduction.parametric import BasisOptions, reduced_model
 from ringtrue.study.config_update import UpdateSection
-from ringtrue.study.course import begun, course_of
-from ringtrue.updating.dense import DenseModel
+from ringtrue.study.objective import course_of, starting_point
 from ringtrue.updating.multistart import global_search, latin_hypercube, multi_start
-from ringtrue.updating.objective import Target, Weights
-from ringtrue.updating.several import Configuration, Problem, link_equal
-from ringtrue.updating.trust import solve
-from ringtrue.updating.verified import solve_verified
+from ringtrue.updating.problem import Configuration, Problem, link_equal
+from ringtrue.updating.solver import solve
+from ringtrue.updating.strategy import solve_verified
+from ringtrue.updating.target import Target, Weights
 
 TRUTH = np.array([0.6, 0.1, -0.5])
 
@@ -102,7 +102,7 @@ def test_an_updating_goes_on_from_the_end_of_a_search_and_does_not_solve_it_agai
     settings: dict[str, Any],
 ) -> None:
     u = UpdateSection(**settings)
-    done = begun(problem(1.0), u, course_of(u), 1, lambda _, __: None)
+    done = starting_point(problem(1.0), u, course_of(u), 1, lambda _, __: None)
     np.testing.assert_allclose(done.x, TRUTH, atol=1e-4)
     assert done.evaluations > 1  # the way there, not a look at its end
 

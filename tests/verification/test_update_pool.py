@@ -17,13 +17,12 @@ from ringtrue.fem.parametrisation.affine import affine_terms, matrices_kept
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
 from ringtrue.reduction.parametric import ReducedModel
-from ringtrue.updating import pool
-from ringtrue.updating.candidates import Candidate, CandidateSettings, parameters
-from ringtrue.updating.effects import misfits, reduced_candidates
-from ringtrue.updating.generate import generate
-from ringtrue.updating.identifiable import ALIKE
-from ringtrue.updating.pool import close, tractable
-from ringtrue.updating.screening import screened
+from ringtrue.updating.identifiability import ALIKE
+from ringtrue.updating.selection import screening
+from ringtrue.updating.selection.candidates import Candidate, CandidateSettings, parameters
+from ringtrue.updating.selection.effects import misfits, reduced_candidates
+from ringtrue.updating.selection.generation import generate
+from ringtrue.updating.selection.screening import close, screened, tractable
 
 
 def laminate(across: float) -> Model:
@@ -102,9 +101,11 @@ def test_no_more_constants_on_one_laminate_than_can_be_interpolated_together(
     assert len(tractable(m, every, len(every))) == len(every)
     assert affine_terms(m, parameters(every), assemble(m))
     with monkeypatch.context() as large:
-        large.setattr(pool, "FEW", 0)  # in a large deck the product stands for what is not counted
+        large.setattr(
+            screening, "FEW", 0
+        )  # in a large deck the product stands for what is not counted
         assert len(tractable(m, every, len(every))) < len(every)
-    monkeypatch.setattr(pool, "TOGETHER", 8)
+    monkeypatch.setattr(screening, "TOGETHER", 8)
     assert 2 < len(tractable(m, every, len(every))) < len(every)
 
 

@@ -20,19 +20,21 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.correlation.sensor_mapping import at_dofs
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import InputError
-from ringtrue.io.modes_json import write_modes
+from ringtrue.io.modes import write_modes
 from ringtrue.model.ports import ModesRequest
+from ringtrue.reduction.matrix_model import DenseModel
 from ringtrue.solvers.embedded import EmbeddedSolver
-from ringtrue.study.config import parse_config, parse_target, target_words
-from ringtrue.updating.candidates import CandidateSettings
-from ringtrue.updating.dense import DenseModel
-from ringtrue.updating.effects import reduced_candidates
-from ringtrue.updating.generate import generate
-from ringtrue.updating.localise import variation
-from ringtrue.updating.objective import Target, Weights, residual
-from ringtrue.updating.pool import conflicts
-from ringtrue.updating.proposal import Proposal, propose
-from ringtrue.updating.subsets import DECIMALS
+from ringtrue.study.config import parse_config
+from ringtrue.study.config_sections import parse_target, target_words
+from ringtrue.updating.gauss_newton import residual
+from ringtrue.updating.selection.candidates import CandidateSettings
+from ringtrue.updating.selection.effects import reduced_candidates
+from ringtrue.updating.selection.generation import generate
+from ringtrue.updating.selection.localisation import variation
+from ringtrue.updating.selection.proposal import Proposal, propose
+from ringtrue.updating.selection.screening import conflicts
+from ringtrue.updating.selection.subset_search import DECIMALS
+from ringtrue.updating.target import Target, Weights
 
 
 def test_chain_names_the_springs_that_changed_and_no_other() -> None:

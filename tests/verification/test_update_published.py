@@ -25,15 +25,15 @@ from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.core.testmodel import Observation
 from ringtrue.correlation.assignment import PairingSettings, peak_shares
 from ringtrue.model.ports import ModesRequest
+from ringtrue.reduction.matrix_model import DenseModel
 from ringtrue.solvers.matrices import MatrixModel
-from ringtrue.updating.dense import DenseModel
 from ringtrue.updating.gauss_newton import update
 from ringtrue.updating.multistart import latin_hypercube, multi_start
-from ringtrue.updating.objective import Target, Weights
-from ringtrue.updating.residuals import Frequencies, Mac, Shapes
-from ringtrue.updating.several import Configuration, Problem
-from ringtrue.updating.trust import KINDS, Method, solve
-from ringtrue.updating.verified import solve_verified
+from ringtrue.updating.problem import Configuration, Problem
+from ringtrue.updating.residuals.modal import Frequencies, Mac, Shapes
+from ringtrue.updating.solver import KINDS, Method, solve
+from ringtrue.updating.strategy import solve_verified
+from ringtrue.updating.target import Target, Weights
 
 DATA = Path(__file__).parents[2].parent / "shared/data/updating"
 pytestmark = [

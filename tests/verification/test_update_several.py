@@ -17,21 +17,22 @@ from ringtrue.core.iterate import Outcome
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.errors import ConfigError, DataError, InputError, NumericalError
 from ringtrue.model.ports import Linearisation
-from ringtrue.updating.dense import DenseModel
-from ringtrue.updating.gauss_newton import update
-from ringtrue.updating.objective import (
-    LOST,
-    Target,
-    Weights,
-    comparable_criteria,
-    objective,
-    residual,
+from ringtrue.reduction.matrix_model import DenseModel
+from ringtrue.updating.gauss_newton import comparable_criteria, objective, residual, update
+from ringtrue.updating.problem import (
+    Configuration,
+    Huber,
+    Problem,
+    Squares,
+    Tukey,
+    held_to,
+    joined,
+    least_distance,
+    link_equal,
 )
-from ringtrue.updating.quadratic import least_distance
-from ringtrue.updating.residuals import Eigenvalues, Frequencies, Mac, Shapes
-from ringtrue.updating.robust import Huber, Squares, Tukey
-from ringtrue.updating.several import Configuration, Problem, held_to, joined, link_equal
-from ringtrue.updating.trust import KINDS, Method, solve, staged
+from ringtrue.updating.residuals.modal import Eigenvalues, Frequencies, Mac, Shapes
+from ringtrue.updating.solver import KINDS, Method, solve, staged
+from ringtrue.updating.target import LOST, Target, Weights
 
 TRUTH = np.array([0.4, -0.3, 0.2, -0.25])
 EXACT = 1e-4  # noise-free recovery; the weak prior pulls by this much at most

@@ -14,12 +14,9 @@ import pytest
 
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.errors import ConfigError, InputError
-from ringtrue.updating.dense import DenseModel
-from ringtrue.updating.kfold import with_discrepancy
-from ringtrue.updating.objective import Target, Weights
-from ringtrue.updating.several import Configuration, Problem
-from ringtrue.updating.trust import solve
-from ringtrue.updating.weights import (
+from ringtrue.reduction.matrix_model import DenseModel
+from ringtrue.updating.problem import Configuration, Problem
+from ringtrue.updating.regularisation import (
     RULES,
     discrepancy_by_evidence,
     evidence,
@@ -27,6 +24,9 @@ from ringtrue.updating.weights import (
     regularised,
     standard,
 )
+from ringtrue.updating.solver import solve
+from ringtrue.updating.target import Target, Weights
+from ringtrue.updating.validation import with_discrepancy
 
 
 def row(n: int = 12, std: float = 0.3, groups: int = 12) -> DenseModel:

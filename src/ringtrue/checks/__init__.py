@@ -1,1 +1,43 @@
+"""Checks of decks. A finding says what is wrong, how badly, and where."""
 
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from ringtrue.core.arrays import Int
+from ringtrue.model.model import Model
+
+Severity = Literal["error", "warning", "info"]
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One finding; `file` is "" and `line` 0 where it has no place in the deck."""
+
+    severity: Severity
+    text: str
+    file: str = ""
+    line: int = 0
+
+    def __str__(self) -> str:
+        """`warning: model.bdf:31: what`."""
+        place = f"{self.file}:{self.line}: " if self.line else f"{self.file}: " if self.file else ""
+        return f"{self.severity}: {place}{self.text}"
+
+
+def at_rows(model: Model, card: str, rows: Int, severity: Severity, what: str) -> Finding:
+    """One finding for rows (k,), k >= 1, of a table, at the place of the first: `CQUAD4 7 and 3
+    more: what`.
+    """
+    table = model[card]
+    first = int(rows[0])
+    number = int(table.file[first])
+    known = 0 <= number < len(model.files)
+    more = f" and {rows.size - 1} more" if rows.size > 1 else ""
+    return Finding(
+        severity,
+        f"{card} {table.ids[first]}{more}: {what}",
+        model.files[number] if known else "",
+        int(table.line[first]) if known else 0,
+    )

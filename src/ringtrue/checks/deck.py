@@ -10,23 +10,23 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from ringtrue.checks.bodies import body_findings, wide_findings
-from ringtrue.checks.doubles import double_findings
-from ringtrue.checks.edges import edge_findings
-from ringtrue.checks.findings import Finding, at_rows
-from ringtrue.checks.geometry import check_geometry
-from ringtrue.checks.hinges import hinge_findings
-from ringtrue.checks.materials import check_materials
-from ringtrue.checks.stiff import stiff_findings
-from ringtrue.checks.unapplied import unapplied
-from ringtrue.checks.units import check_units
+from ringtrue.checks import Finding, at_rows
+from ringtrue.checks.elements import (
+    check_geometry,
+    double_findings,
+    edge_findings,
+    hinge_findings,
+    stiff_findings,
+)
+from ringtrue.checks.mass import body_findings, wide_findings
+from ringtrue.checks.materials import check_materials, check_units
 from ringtrue.core.arrays import Int
-from ringtrue.decks.nastran.constraint_sets import empty_choices
-from ringtrue.model.cards import columns
-from ringtrue.model.case_control import CONSTRAINTS, idle
+from ringtrue.decks.nastran.case import empty_choices
+from ringtrue.model.cards import TABLES, columns
+from ringtrue.model.case_control import CONSTRAINTS, idle, left_out, untaken_matrices
 from ringtrue.model.frames import diagonal, positions
 from ringtrue.model.model import Model, Ragged
-from ringtrue.model.references import NODES, REFERENCES, missing, unused
+from ringtrue.model.references import FRAMES, NODES, REFERENCES, missing, unused
 
 NEAR = 1e-6  # of the model's size: closer nodes are coincident
 _NOT_ELEMENTS = frozenset(("GRID", "SPC", "SPC1"))
@@ -62,16 +62,15 @@ def check_deck(model: Model, units: str = "") -> DeckReport:
     Parameters
     ----------
     units : str
-        The unit system that the deck is said to be in, "" if unknown; see `checks.units`.
+        The unit system that the deck is said to be in, "" if unknown; see `checks.materials`.
 
     Raises
     ------
     InputError
         If the unit system is not known.
     """
-    lost = list(_missing(model))
-    checks = [*lost, *_unconnected(model), *_shared_numbers(model)]
-    if not any("frame" in f.text or f.text.startswith("CORD") for f in lost):
+    checks = [*_missing(model), *_unconnected(model), *_shared_numbers(model)]
+    if not _lost_frames(model):
         checks += [
             *check_geometry(model),
             *_coincident(model),
@@ -89,6 +88,12 @@ def check_deck(model: Model, units: str = "") -> DeckReport:
     order = {"error": 0, "warning": 1, "info": 2}
     found = tuple(sorted(checks, key=lambda f: order[f.severity]))
     return DeckReport({n: len(t) for n, t in model.tables.items()}, dict(model.kept), found)
+
+
+def _lost_frames(model: Model) -> bool:
+    """Whether positions are unknown: a frame is not there, or a node that defines one."""
+    references = [lost.reference for lost in missing(model)]
+    return any(r.of == FRAMES or r.card in FRAMES for r in references)
 
 
 def _missing(model: Model) -> Iterator[Finding]:
@@ -256,3 +261,66 @@ def _unused(model: Model) -> list[Finding]:
         at_rows(model, card, rows, "info", "nothing uses it")
         for card, rows in sorted(unused(model).items())
     ]
+
+
+_WHOLE = "kept, not applied: the modes here are those of the full model, not of the condensed one"
+_KEPT = (  # cards that are kept and what becomes of them
+    (("ASET", "ASET1", "OMIT", "OMIT1"), _WHOLE),
+    (
+        TABLES,
+        "kept, not applied: the nominal stiffness and damping hold at all frequencies, as in SOL "
+        "103",
+    ),
+    (
+        ("ROTORG", "ROTORD", "ROTORAX", "ROTORSE"),
+        "kept, not applied: the modes are those at rest, without gyroscopic terms",
+    ),
+    (
+        ("SNORM",),
+        "kept, not applied: normals of shells are the mean of the elements around a node, as "
+        "PARAM,SNORM has it",
+    ),
+    (
+        ("MDLPRM",),
+        "kept, not applied: with or without OFFDEF, offsets are rigid arms and masses move with "
+        "them",
+    ),
+    (
+        ("DESVAR",),
+        "kept, not applied: the fields of the cards count as they stand, not the start XINIT",
+    ),
+    (("TF",), "kept, not applied: transfer functions act in the solutions of responses only"),
+)
+RECTANGULAR = 9  # form of DMIG that are loads
+
+
+def unapplied(model: Model) -> Iterator[Finding]:
+    """Findings on what is kept in the deck and left out of the modes, or of the damping."""
+    for cards, what in _KEPT:
+        found = [card for card in cards if card in model.kept]
+        if found:
+            yield Finding("info", f"{', '.join(found)}: {what}")
+    if "GRID" in model and (rows := np.flatnonzero(model["GRID"]["SEID"] > 0)).size:
+        yield at_rows(model, "GRID", rows, "info", f"SEID {_WHOLE}")
+    for name in ("K2PP", "M2PP", "B2PP"):
+        if getattr(model.case, name.lower()):
+            yield Finding("info", f"{name} acts on responses (ringtrue frf), not on modes")
+    for text in left_out(model):
+        yield Finding("warning", text)
+    yield from _idle_matrices(model)
+
+
+def _idle_matrices(model: Model) -> Iterator[Finding]:
+    """Square DMIG that no command of case control takes."""
+    if "DMIG" not in model:
+        return
+    table = model["DMIG"]
+    names = np.char.upper(table["NAME"].astype(str))
+    asked = " ".join(model.case.unread).upper()
+    for row in untaken_matrices(model).tolist():
+        if table["IFO"][row] != RECTANGULAR and names[row] not in asked:
+            text = (
+                f"DMIG {names[row]}: it adds nothing: case control takes it by no K2GG, M2GG "
+                "or B2GG"
+            )
+            yield Finding("warning", text, model.files[int(table.file[row])], int(table.line[row]))

@@ -129,10 +129,10 @@ def _translations(modes: ModeSet, nodes: Int) -> ModeSet:
     assert isinstance(modes.labels, DofSet)
     at, sign = modes.labels.align(every)
     return ModeSet(
-        modes.frequencies,
-        modes.damping,
-        modes.shapes[at] * sign[:, None],
-        every,
-        modes.norm,
-        modes.source,
+        frequencies=modes.frequencies,
+        damping=modes.damping,
+        shapes=modes.shapes[at] * sign[:, None],
+        labels=every,
+        norm=modes.norm,
+        source=modes.source,
     )

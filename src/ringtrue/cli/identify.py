@@ -5,8 +5,9 @@ hand.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import nullcontext
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,44 +15,32 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
+from ringtrue.api.measurements import (
+    TestModes,
+    ambient_parts,
+    check_band,
+    identify_ambient,
+    read_sensors,
+    record_with_notes,
+)
 from ringtrue.cli.show import Json, file_to, progress, rows, tell, write_json
 from ringtrue.core.choice import Choice
 from ringtrue.core.modes import ModeSet, Uncertainty
-from ringtrue.core.signals import Channel, TimeHistory
-from ringtrue.errors import ConfigError, DataError, about, did_you_mean
-from ringtrue.identification.ambient.other_methods import SecondOpinion, identify_ambient_by
+from ringtrue.core.signals import TimeHistory
+from ringtrue.errors import ConfigError, about, did_you_mean
 from ringtrue.identification.ambient.pipeline import (
     AmbientResult,
-    AmbientSettings,
-    identify_stretches,
 )
-from ringtrue.identification.ambient.record_bands import SHORTEST
 from ringtrue.identification.common.manual_selection import as_choice
-from ringtrue.identification.common.poles import StableDiagram
-from ringtrue.identification.frf.pipeline import HammerResult
-from ringtrue.io.atomic import atomic_write
+from ringtrue.identification.methods import (
+    AMBIENT_METHODS,
+    AUTOMATIC_AMBIENT,
+    PeakMethod,
+)
 from ringtrue.io.choices import read_choice, write_choice
-from ringtrue.io.modes_json import modes_to_json
-from ringtrue.io.records import read_record, refuse_bad_samples
-from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
-from ringtrue.plots.picker import picker_page
-from ringtrue.signal.channel_checks import find_faults
-from ringtrue.signal.gaps import bridge_gaps, remove_overlap
-from ringtrue.signal.order_tracking import remove_harmonics
-from ringtrue.signal.tonal_lines import harmonics
-
-
-class AmbientMethod(StrEnum):
-    """How modes are found in an ambient record."""
-
-    SSI = "ssi"
-    PLSCF = "plscf"
-    ERA = "era"
-    SSI_DATA = "ssi-data"
-    FDD = "fdd"
-    EFDD = "efdd"
-    FSDD = "fsdd"
-    RANDOM_DECREMENT = "random-decrement"
+from ringtrue.io.files import atomic_write
+from ringtrue.io.modes import modes_to_json
+from ringtrue.plots.pages import picker_page
 
 
 class Removal(StrEnum):
@@ -124,69 +113,16 @@ def _known(x: float, form: str) -> str:
     return format(x, form) if np.isfinite(x) else "-"
 
 
-def check_band(fmin: float | None, fmax: float | None) -> None:
-    """Refuse a band that is empty."""
-    low, high = 0.0 if fmin is None else fmin, float("inf") if fmax is None else fmax
-    if not 0 <= low < high:
-        raise ConfigError(f"--fmin {fmin} --fmax {fmax}: must be 0 <= fmin < fmax")
-
-
-def record_without(
-    path: Path,
-    rate: float | None,
-    lost: Sequence[str],
-    group: str = "",
-    sheet: SensorSheet | None = None,
-) -> tuple[TimeHistory, tuple[str, ...]]:
-    """A record scaled by its sheet, and what that said; without some channels, checked. Samples may
-    be missing.
-    """
-    history = read_record(path, rate, check=not lost, group=group, gaps=True)
-    history, notes = sheet.scaled(history) if sheet else (history, ())
-    if lost:
-        history = history.pick(kept_channels(path, history.channels, lost))
-        refuse_bad_samples(history, path, gaps=True)
-    return history, notes
-
-
-def kept_channels(path: Path, channels: Sequence[Channel], lost: Sequence[str]) -> list[str]:
-    """Ids of the channels but for those left out, each of which must be there."""
-    ids = [c.id for c in channels]
-    for name in lost:
-        if name not in ids:
-            raise ConfigError(
-                f"--leave-out {name}: {path} has no such channel{did_you_mean(name, ids)}"
-            )
-    if not (keep := [c for c in ids if c not in set(lost)]):
-        raise DataError(f"{path}: --leave-out leaves no channel")
-    return keep
-
-
-def fault_notes(history: TimeHistory) -> tuple[str, ...]:
-    """Spikes, a line for each channel."""
-    found = [f for f in find_faults(history) if f.kind == "spike"]
-    count = Counter(f.id for f in found)
-    first = {f.id: f for f in reversed(found)}
-    return tuple(
-        f"channel {c}: {n} spike{'s' if n > 1 else ''}, the first at {first[c].time:.4g} s: "
-        f"{first[c].why}"
-        for c, n in count.items()
-    )
-
-
 def write_pages(
-    record: Path,
-    found: tuple[ModeSet, Sequence[str], Sequence[StableDiagram]],
-    choice_to: Path | None,
-    diagram_to: Path | None,
+    record: Path, found: TestModes, choice_to: Path | None, diagram_to: Path | None
 ) -> None:
     """Write the choice and the diagrams that were asked for."""
-    modes, reasons, diagrams = found
     if choice_to:
-        write_choice(choice_to, as_choice(modes, reasons, record=record.stem))
+        write_choice(choice_to, as_choice(found.modes, found.reasons, record=record.stem))
     if diagram_to:
         with atomic_write(diagram_to) as part:
-            part.write_text(picker_page(str(record), diagrams, modes), encoding="utf-8")
+            page = picker_page(str(record), found.diagrams, found.modes)
+            part.write_text(page, encoding="utf-8")
 
 
 def choice_of(path: Path | None, record: Path) -> Choice | None:
@@ -215,9 +151,13 @@ def oma(
     fmin: Fmin = None,
     fmax: Fmax = None,
     method: Annotated[
-        AmbientMethod,
-        typer.Option("--method", help="SSI-cov, or another method for a second opinion."),
-    ] = AmbientMethod.SSI,
+        str,
+        typer.Option(
+            "--method",
+            metavar="|".join((AUTOMATIC_AMBIENT, *AMBIENT_METHODS)),
+            help="SSI-cov, or another method for a second opinion.",
+        ),
+    ] = AUTOMATIC_AMBIENT,
     near: Annotated[
         list[float] | None,
         typer.Option("--near", metavar="HZ", help="Peak of the FDD methods; may be repeated."),
@@ -252,71 +192,39 @@ def oma(
         else f"{record} .. {records[-1].name} ({len(records)} files)"
     )
     by_hand = choice_of(choice, record)
-    settings = AmbientSettings(fmin=fmin, fmax=fmax)
-    check_method(
-        method,
-        AmbientMethod.SSI,
-        {"--choice": choice, "--write-choice": choice_to, "--diagram": diagram},
-    )
-    if near and method in (
-        AmbientMethod.SSI,
-        AmbientMethod.PLSCF,
-        AmbientMethod.ERA,
-        AmbientMethod.SSI_DATA,
-    ):
+    by_diagram = {"--choice": choice, "--write-choice": choice_to, "--diagram": diagram}
+    check_method(method, AUTOMATIC_AMBIENT, AMBIENT_METHODS, by_diagram)
+    if near and not isinstance(AMBIENT_METHODS.get(method), PeakMethod):
         raise ConfigError(
-            f"--near: {method.value} finds its modes in the whole band; give --fmin and --fmax"
+            f"--near: {method} finds its modes in the whole band; give --fmin and --fmax"
         )
-    if method is not AmbientMethod.SSI and len(records) > 1:
-        raise ConfigError(f"--method {method.value}: one record, got {len(records)}")
-    said: list[str] = []
-    sheet = read_sensor_sheet(sensors) if sensors else None
+    if method != AUTOMATIC_AMBIENT and len(records) > 1:
+        raise ConfigError(f"--method {method}: one record, got {len(records)}")
+    sheet = read_sensors(sensors) if sensors else None
+    removal = remove_harmonics.value if remove_harmonics else None
+    notes: list[str] = []
 
     def read(path: Path) -> TimeHistory:
-        history, notes = record_without(path, rate, leave_out or [], group, sheet)
-        said.extend(n for n in notes if n not in said)
+        history, of_sheet = record_with_notes(path, rate, group, sheet, leave_out or ())
+        notes.extend(note for note in of_sheet if note not in notes)
         return history
 
-    parts = _parts(records, read, remove_harmonics, said)
+    parts = ambient_parts(records, map(read, records), removal, notes)
     with progress("ambient modes") as show, about(record) if len(records) == 1 else nullcontext():
-        if method is not AmbientMethod.SSI:
-            other = identify_ambient_by(
-                method.value, next(parts), settings, near=near or (), progress=show
-            )
-            return told(title, other, said, json)
-        found = identify_stretches(parts, settings, choice=by_hand, progress=show)
-    write_pages(record, (found.modes, found.reasons, found.diagrams), choice_to, diagram)
-    return told(title, found, (*said, *_machines(found)), json)
-
-
-def _parts(
-    records: Sequence[Path],
-    read: Callable[[Path], TimeHistory],
-    how: Removal | None,
-    said: list[str],
-) -> Iterator[TimeHistory]:
-    """Each record as it is read, without the lines of machines where that is asked for; what there
-    is to say of it.
-    """
-    first, before = 0.0, None
-    for path in records:
-        whole = read(path)
-        kept, twice = remove_overlap(before, whole)
-        before = whole
-        if twice:
-            said.append(f"{path.name}: {twice}")
-        if not kept.data.size:
-            continue
-        history, removed = _removed(kept, how)
-        first = first or history.duration
-        short = (
-            ("shorter than half of the first record: left out",)
-            if history.duration < SHORTEST * first
-            else ()
+        found = identify_ambient(
+            parts,
+            fmin=fmin,
+            fmax=fmax,
+            method=method,
+            near=tuple(near or ()),
+            choice=by_hand,
+            progress=show,
         )
-        where = "" if len(records) == 1 else f"{path.name}: "
-        said += [where + note for note in (*fault_notes(history), *removed, *short)]
-        yield history
+    if method == AUTOMATIC_AMBIENT:
+        write_pages(record, found, choice_to, diagram)
+    return print_result(
+        title, replace(found, notes=(*notes, *_machines(found), *found.notes)), json
+    )
 
 
 def check_each_once(files: Sequence[Path]) -> None:
@@ -325,50 +233,46 @@ def check_each_once(files: Sequence[Path]) -> None:
         raise ConfigError(f"{twice[0]} is given twice")
 
 
-def check_method(method: StrEnum, first: StrEnum, options: Mapping[str, object]) -> None:
-    """Refuse options that only the first method has."""
-    if method is not first and (wrong := [k for k, v in options.items() if v is not None]):
+def check_method(
+    method: str, automatic: str, others: Iterable[str], options: Mapping[str, object]
+) -> None:
+    """Refuse a method that is unknown, and options that only the automatic one has."""
+    known = (automatic, *others)
+    if method not in known:
+        raise ConfigError(f"--method {method!r}{did_you_mean(method, known)}")
+    given = [name for name, value in options.items() if value is not None]
+    if method != automatic and given:
         raise ConfigError(
-            f"{wrong[0]} goes with --method {first.value}; the others have no diagram of judged "
-            "poles"
+            f"{given[0]} goes with --method {automatic}; the others have no stabilisation diagram"
         )
 
 
-def told(
+def print_result(
     title: str,
-    found: AmbientResult | HammerResult | SecondOpinion,
-    notes: Sequence[str],
+    found: TestModes,
     json: str | None,
     *,
     more: dict[str, Any] | None = None,
     if_none: Sequence[str] = (),
 ) -> int:
-    """Print the modes that were found and what is to be said of them, write them with `more`; the
-    exit status.
-    """
+    """Print the identified modes with their notes, write them with `more`; the exit status."""
     if json:
-        write_json(
-            modes_to_json(found.modes, found.uncertainty, reasons=found.reasons) | (more or {}),
-            json,
-        )
+        value = modes_to_json(found.modes, found.uncertainty, reasons=found.reasons)
+        write_json(value | (more or {}), json)
     if json != "-":
-        count = f"{len(found.modes)} mode{'s' if len(found.modes) != 1 else ''}"
+        count = f"{len(found)} mode{'s' if len(found) != 1 else ''}"
         print_modes(f"{title}: {count}", found.modes, found.uncertainty, found.reasons)
-        tell((*notes, *found.notes, *(() if len(found.modes) else if_none)))
-    return 0 if len(found.modes) else 1
+        tell((*found.notes, *(() if len(found) else if_none)))
+    return 0 if len(found) else 1
 
 
-def _removed(history: TimeHistory, how: Removal | None) -> tuple[TimeHistory, tuple[str, ...]]:
-    if not how:
-        return history, ()
-    whole, gaps = bridge_gaps(history)
-    if not (lines := harmonics(whole)):
-        return history, ()
-    clean, said = remove_harmonics(whole, [h.frequency for h in lines], how.value)
-    return gaps.marked(clean), (*gaps.channels, *said)
-
-
-def _machines(found: AmbientResult) -> list[str]:
+def _machines(found: TestModes) -> list[str]:
     """The lines of machines that no pole stood on; the others are among the notes."""
+    if not isinstance(found.result, AmbientResult):
+        return []
     told = " ".join(found.notes)
-    return [f"line at {h.frequency:.4g} Hz: {h.why}" for h in found.harmonics if h.why not in told]
+    return [
+        f"line at {h.frequency:.4g} Hz: {h.why}"
+        for h in found.result.harmonics
+        if h.why not in told
+    ]

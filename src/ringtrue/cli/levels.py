@@ -5,14 +5,17 @@ change?
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ringtrue.cli.show import out, rows
+from ringtrue.api.measurements import TestModes, compare_levels
+from ringtrue.cli.show import out, rows, tell, write_json
 from ringtrue.core.arrays import Float
 from ringtrue.errors import ConfigError
-from ringtrue.identification.frf.linearity import LevelDependence
+from ringtrue.identification.common.tracking import LevelDependence
+from ringtrue.io.modes import modes_to_json
 
 
 def check_levels(levels: Sequence[float], files: int) -> None:
@@ -25,6 +28,20 @@ def check_levels(levels: Sequence[float], files: int) -> None:
         raise ConfigError(
             f"--level {' '.join(f'{x:g}' for x in levels)}: must be positive and different"
         )
+
+
+def print_comparison(
+    levels: Sequence[float], files: Sequence[Path], tests: Sequence[TestModes], json: str | None
+) -> int:
+    """Print or write the modes of the lowest level followed over all levels; the exit status."""
+    table = compare_levels(levels, tests)
+    lowest = tests[int(np.argmin(levels))]
+    if json:
+        write_json(modes_to_json(lowest.modes, lowest.uncertainty) | levels_json(table), json)
+    if json != "-":
+        print_levels(table)
+        tell(f"{p}: {note}" for p, test in zip(files, tests, strict=True) for note in test.notes)
+    return 0 if len(lowest) else 1
 
 
 def print_levels(table: LevelDependence) -> None:

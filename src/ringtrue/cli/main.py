@@ -26,7 +26,7 @@ from ringtrue.cli import panels
 from ringtrue.cli.show import err
 from ringtrue.cli.status import ExitStatus, in_words
 from ringtrue.errors import InputError, RingtrueError, UnsupportedError
-from ringtrue.io.atomic import one_run, reads, writes
+from ringtrue.io.files import one_run, reads, writes
 
 COMMANDS = {name: place for panel in panels.COMMANDS.values() for name, place in panel.items()}
 

@@ -2,33 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import typer
 
-from ringtrue.checks.autospc import autospc_findings
+from ringtrue.api.measurements import write_modes
+from ringtrue.api.models import read_deck, solve_modes
+from ringtrue.checks import Finding
 from ringtrue.checks.deck import check_deck
-from ringtrue.checks.edges import free_edges_in_words, shell_edges
-from ringtrue.checks.findings import Finding
-from ringtrue.checks.ground import DIRECTIONS, ground_check, ground_findings
-from ringtrue.checks.mass import mass_properties, unconstrained
+from ringtrue.checks.elements import free_edges_in_words, shell_edges
+from ringtrue.checks.mass import (
+    DIRECTIONS,
+    autospc_findings,
+    ground_check,
+    ground_findings,
+    mass_properties,
+    unconstrained,
+)
 from ringtrue.checks.mesh import MeshErrors, mesh_errors
-from ringtrue.cli.convert import writable
 from ringtrue.cli.show import Json, file_to, json_file, one_of, out, progress, rows, write_json
 from ringtrue.core.arrays import Float
 from ringtrue.core.progress import part
 from ringtrue.core.units import UNIT_SYSTEMS
-from ringtrue.decks.nastran.reader import Survey, read_deck, survey
+from ringtrue.decks.nastran.reader import Survey, survey
 from ringtrue.errors import ConfigError, DeckError, RingtrueError
 from ringtrue.fem.assembly import assemble
-from ringtrue.io.modes_json import WRITTEN, dump_modes, write_modes
-from ringtrue.model.case_control import asked_modes
-from ringtrue.model.ports import Analysis, ModesRequest, ModesResult
-from ringtrue.solvers.embedded import EmbeddedAnalysis
+from ringtrue.io.modes import WRITTEN, dump_modes
+from ringtrue.model.ports import ModesResult
 from ringtrue.solvers.registry import EMBEDDED, solver, time_limits
 
 ROUNDING = 1e-12  # of the largest value: below is 0
@@ -86,34 +88,26 @@ def modes(
 
     Example: ringtrue modes wing.bdf --band 0 50 --json modes.json
     """
-    if band is not None and not band[0] < band[1]:
-        raise ConfigError(f"--band {band[0]} {band[1]}: must be F0 < F1")
-    if damped and solver_name != EMBEDDED:
-        raise ConfigError(
-            f"--complex with --solver {solver_name}: only the embedded engine has complex modes"
-        )
     if mesh and (damped or solver_name != EMBEDDED):
         raise ConfigError(
             "--mesh-error is for natural modes of the embedded engine: leave out --complex and "
             "--solver"
         )
     with progress("modes") as show:
-        engine = solver(
-            solver_name,
-            ranks=ranks,
-            timeout=time_limit,
-            progress=part(show, 0.2, 0.6 if mesh else 1.0),
-        )
         show(0.0, f"reading {deck}")
         model = read_deck(deck)
-        show(0.2, "solving")
-        asked = asked_modes(model) if n is None and band is None else None
-        with engine.open(model) as analysis:
-            solve = _complex(analysis) if damped else analysis.modes
-            result = asked.of(solve) if asked else solve(ModesRequest(n or 20, band))
-            loose = (
-                analysis.system.loose().labels() if isinstance(analysis, EmbeddedAnalysis) else ()
-            )
+        found = solve_modes(
+            model,
+            band=band,
+            count=n,
+            engine=solver_name,
+            damped=damped,
+            ranks=ranks,
+            time_limit=time_limit,
+            progress=part(show, 0.2, 0.6 if mesh else 1.0),
+        )
+        result = found.result
+        loose = found.loose
         errors = (
             mesh_errors(model, result.modes, solver(EMBEDDED, progress=part(show, 0.6, 1.0)))
             if mesh
@@ -127,7 +121,7 @@ def modes(
         with json_file(json) as file:
             dump_modes(file, result.modes, more=told)
     if target:
-        write_modes(target, writable(result.modes, target))
+        write_modes(target, result.modes)
     if json != "-":
         _print_modes(deck, result, damped, errors)
         if loose:
@@ -137,16 +131,6 @@ def modes(
         np.isnan(result.residuals).all()
     )  # a program that hands back no matrices, and may count nothing
     return 0 if result.complete or unproved else 1
-
-
-def _complex(analysis: Analysis) -> Callable[[ModesRequest], ModesResult]:
-    """How the embedded analysis of a model with damping solves for complex modes."""
-    if not (isinstance(analysis, EmbeddedAnalysis) and analysis.has_damping):
-        raise ConfigError(
-            "--complex: the deck has no damping; it is that of dashpots, GE, PARAM G, ALPHA1 and "
-            "ALPHA2"
-        )
-    return partial(analysis.damped_modes, problem="full")
 
 
 def _print_modes(deck: Path, result: ModesResult, damped: bool, errors: MeshErrors | None) -> None:

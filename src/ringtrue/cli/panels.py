@@ -22,7 +22,7 @@ COMMANDS = {  # panel -> command -> module of `ringtrue.cli` and function
         "track": ("track", "track"),
     },
     "Models and tests": {
-        "correlate": ("measure", "correlate"),
+        "correlate": ("correlate", "correlate"),
         "localise": ("localise", "localise"),
         "update": ("update", "update"),
         "predict": ("predict", "run"),
@@ -47,25 +47,10 @@ BY_HAND: dict[str, tuple[str, ...]] = {"Modes by hand": ("choice", "choice_to", 
 
 OPTIONS: dict[str, dict[str, tuple[str, ...]]] = {  # command -> panel -> parameters of its function
     "plan": {
-        "Target modes": ("band", "modes", "effective_mass", "kinetic"),
-        "Where to measure": (
-            *(
-                "points",
-                "directions",
-                "at_hand",
-                "method",
-                "region",
-                "cost",
-                "weigh",
-                "box",
-                "keep_out",
-                "exclude",
-            ),
-            *("fixed", "distance", "redundancy", "sensor_mass"),
-        ),
-        "Where to strike and to hang": ("references", "strike_at", "strike", "hang"),
-        "Expected and wanted": ("damping", "error", "coherence", "precision"),
-        "Virtual tests": ("trials", "background", "ambient_force", "seed"),
+        "Target modes": ("band", "modes"),
+        "Where to measure": ("points", "at_hand", "directions", "exclude", "fixed"),
+        "Where to hit and to hang": ("references", "strike_at", "strike", "hang"),
+        "Virtual tests": ("damping", "trials", "seed"),
     },
     "oma": BY_HAND,
     "ema": {

@@ -2,38 +2,27 @@
 
 from __future__ import annotations
 
-import json as text_json
-import math
-import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
 import numpy as np
 import typer
 
+from ringtrue.api.studies import ALONE, TestPlan, plan_test
 from ringtrue.cli.show import Json, one_of, progress, rows, tell, write_json
-from ringtrue.cli.stated import stated
-from ringtrue.core.modes import elastic
+from ringtrue.cli.stated import warn_of_units
 from ringtrue.core.units import UNIT_SYSTEMS
-from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError
-from ringtrue.io.atomic import atomic_write, writes
-from ringtrue.model.ports import ModesRequest
+from ringtrue.io.foreign.parsers import read_toml
 from ringtrue.planning.exciters import reciprocity_pairs
-from ringtrue.planning.plan_files import NAMES, reach_of, write_test_sheet
-from ringtrue.planning.virtual_test import VirtualTest, missed_modes
-from ringtrue.report.deliver import deliver
-from ringtrue.solvers.embedded import EmbeddedSolver
-from ringtrue.study.config_plan import Directions, Method, Strike
+from ringtrue.planning.virtual_test import VirtualTest, rarely_found_modes
+from ringtrue.study.config_sections import Directions, Strike
+from ringtrue.study.messages import lost_points_sentence, missed_modes, setup_sentences
 from ringtrue.study.results import PlanStage
-from ringtrue.study.run import StudyRun, run_study
 from ringtrue.study.summary import setups_json
-from ringtrue.study.words import left_by_loss, missed, setups
-from ringtrue.virtual.sensors import ICP
 
-METHODS, STRIKES, DIRECTIONS = (get_args(kind) for kind in (Method, Strike, Directions))
-ABOVE = 1.3  # modes up to here over the band take part in the virtual test
+STRIKES, DIRECTIONS = (get_args(kind) for kind in (Strike, Directions))
 
 
 def plan(
@@ -41,122 +30,69 @@ def plan(
     folder: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="Where the test sheet goes.")
     ] = None,
+    settings: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="A study.toml whose \\[plan] holds; options take the place of its keys.",
+        ),
+    ] = None,
     band: Annotated[
         tuple[float, float] | None, typer.Option(help="Target modes from F0 to F1, Hz.")
     ] = None,
     modes: Annotated[
         str, typer.Option(metavar="LIST", help="Target modes by number, such as 7-12,15.")
     ] = "",
-    effective_mass: Annotated[
-        float,
+    points: Annotated[
+        int | None,
         typer.Option(
-            metavar="SHARE",
-            help="Of the band, modes with such a share of the mass.",
-            min=0,
-            max=0.99,
-        ),
-    ] = 0.0,
-    kinetic: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME=SHARE",
-            help="Or with such a share of kinetic energy in a --region; repeat it.",
+            metavar="N",
+            help="Measurement points; sensors, unless triaxial.",
+            min=1,
+            show_default=str(ALONE["sensors"]),
         ),
     ] = None,
-    points: Annotated[
-        int, typer.Option(help="Measuring points; sensors, unless triaxial.", min=1)
-    ] = 20,
     at_hand: Annotated[
-        int,
+        int | None,
         typer.Option(
             metavar="N", help="Sensors recorded at once: more points are measured in setups.", min=0
         ),
-    ] = 0,
-    directions: Annotated[str, one_of("--directions", DIRECTIONS, "Of a sensor")] = DIRECTIONS[0],
-    references: Annotated[int, typer.Option(help="Points to strike.", min=1)] = 3,
-    strike_at: Annotated[
-        str, typer.Option(metavar="LIST", help="Nodes that can be struck; any point if not given.")
-    ] = "",
-    strike: Annotated[
-        str, one_of("--strike", STRIKES, "How points to strike are chosen")
-    ] = STRIKES[0],
-    method: Annotated[
-        str, one_of("--method", METHODS, "How measuring points are chosen")
-    ] = METHODS[0],
-    region: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME=LIST", help="Points are among these nodes; repeat it."),
     ] = None,
-    cost: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME=COST",
-            help="Of a point of a --region, else 1; with qr and information; repeat it.",
-        ),
-    ] = None,
-    weigh: Annotated[
-        bool, typer.Option("--weigh", help="Points that carry kinetic energy come first.")
-    ] = False,
-    box: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--box", metavar="'X0 Y0 Z0 X1 Y1 Z1'", help="Points lie in it, m; repeat it."
-        ),
-    ] = None,
-    keep_out: Annotated[
-        list[str] | None,
-        typer.Option(metavar="'X0 Y0 Z0 X1 Y1 Z1'", help="No point lies in it, m; repeat it."),
-    ] = None,
+    directions: Annotated[str | None, one_of("--directions", DIRECTIONS, "Of a sensor")] = None,
     exclude: Annotated[
         str, typer.Option(metavar="LIST", help="Nodes that cannot be measured.")
     ] = "",
     fixed: Annotated[
         str, typer.Option(metavar="LIST", help="Nodes that are measured in any case.")
     ] = "",
-    distance: Annotated[
-        float | None,
+    references: Annotated[
+        int | None,
         typer.Option(
-            metavar="M", help="Least distance of two points; else from the structure.", min=0
+            metavar="N",
+            help="Excitation points.",
+            min=1,
+            show_default=str(ALONE["references"]),
         ),
     ] = None,
-    redundancy: Annotated[int, typer.Option(help="Points that may fail.", min=0)] = 0,
-    hang: Annotated[int, typer.Option(help="Points to hang the structure from.", min=0)] = 0,
-    sensor_mass: Annotated[
-        float, typer.Option(metavar="KG", help="Mass of a sensor.", min=0)
-    ] = 0.0,
+    strike_at: Annotated[
+        str, typer.Option(metavar="LIST", help="Nodes that can be hit; any point if not given.")
+    ] = "",
+    strike: Annotated[
+        str | None, one_of("--strike", STRIKES, "How excitation points are chosen")
+    ] = None,
+    hang: Annotated[
+        int | None, typer.Option(metavar="N", help="Points to hang the structure from.", min=0)
+    ] = None,
     damping: Annotated[
-        float, typer.Option(help="Expected damping ratio.", min=1e-6, max=0.5)
-    ] = 0.01,
-    error: Annotated[
-        float, typer.Option(help="Wanted random error of an FRF.", min=1e-4, max=1)
-    ] = 0.05,
-    coherence: Annotated[
-        float, typer.Option(help="Expected coherence.", min=0.01, max=0.9999)
-    ] = 0.98,
-    precision: Annotated[
-        float,
-        typer.Option(
-            help="Wanted error of the lowest damping, of an ambient record.", min=1e-3, max=1
-        ),
-    ] = 0.1,
-    trials: Annotated[int, typer.Option(help="Virtual tests of the plan.", min=0)] = 0,
-    background: Annotated[
         float | None,
         typer.Option(
-            metavar="N/√HZ",
-            help="Noise force at each reference; else what leaves the coherence.",
-            min=0,
+            metavar="RATIO", help="Expected damping ratio.", min=1e-6, max=0.5, show_default="0.01"
         ),
     ] = None,
-    ambient_force: Annotated[
-        float,
-        typer.Option(
-            metavar="N/√HZ",
-            help="Virtual ambient tests, too, under such a force at each channel.",
-            min=0,
-        ),
-    ] = 0.0,
-    seed: Annotated[int, typer.Option(help="Seed of the virtual tests.", min=0)] = 0,
+    trials: Annotated[
+        int | None, typer.Option(metavar="N", help="Virtual tests of the plan.", min=0)
+    ] = None,
+    seed: Annotated[int, typer.Option(metavar="N", help="Seed of the virtual tests.", min=0)] = 0,
     units: Annotated[str, one_of("--units", UNIT_SYSTEMS, "Unit system of the deck")] = "SI",
     json: Json = None,
 ) -> int:
@@ -165,69 +101,48 @@ def plan(
     Example: ringtrue plan frame.bdf --band 5 80 --points 24 --references 3 --trials 10 --out
     frame-test
     """
-    folder = folder or deck.with_name(f"{deck.stem}-test")
-    if (folder / "study.toml").exists():
-        raise ConfigError(f"--out {folder}: holds a study.toml; name a folder for the plan alone")
-    writes(*(folder / name for name in ("plan.toml", *NAMES)))
-    section: dict[str, Any] = {
+    given = {
+        "modes": numbers(modes, "--modes") or None,
         "sensors": points,
         "at_hand": at_hand,
-        "min_distance": "even" if distance is None else distance,
-        "ambient": False,
-        "strike": strike,
-        "strike_at": numbers(strike_at, "--strike-at"),
         "directions": directions,
+        "exclude": numbers(exclude, "--exclude") or None,
+        "fixed": numbers(fixed, "--fixed") or None,
         "references": references,
-        "method": method,
-        "modes": numbers(modes, "--modes"),
-        "effective_mass": effective_mass,
-        "kinetic": {
-            name: _number("--kinetic", name, text) for name, text in _named("--kinetic", kinetic)
-        },
-        "candidates": {
-            name: numbers(text, "--region") for name, text in _named("--region", region)
-        },
-        "cost": {name: _number("--cost", name, text) for name, text in _named("--cost", cost)},
-        "weigh": weigh,
-        "boxes": [_box("--box", b) for b in box or []],
-        "keep_out": [_box("--keep-out", b) for b in keep_out or []],
-        "exclude": numbers(exclude, "--exclude"),
-        "fixed": numbers(fixed, "--fixed"),
-        "redundancy": redundancy,
+        "strike_at": numbers(strike_at, "--strike-at") or None,
+        "strike": strike,
         "suspension": hang,
-        "sensor_mass": sensor_mass,
         "damping": damping,
-        "error": error,
-        "coherence": coherence,
-        "precision": precision,
-        "lines": "mesh",
         "trials": trials,
-        "ambient_force": ambient_force,
     }
-    section |= {} if background is None else {"background": background}
+    section = plan_of(settings) | {k: v for k, v in given.items() if v is not None}
     with progress("test plan") as show:
-        show(0.0, f"reading {deck}")
-        section |= _from_deck(deck, units, band, section["modes"])
-        study = _write_study(folder, deck, units, section, seed)
-        run = run_study(study, out=folder, until="plan", progress=show)
-        deliver(run)
-    stage: PlanStage = run.results["plan"]
-    told = _told(run)
-    files = write_test_sheet(
-        folder,
-        stage.test,
-        stage.references,
-        frequencies=stage.target_frequencies,
-        reach=_reach(run),
-        sensor=ICP,
-        setups=stage.setups,
-    )
-    told["files"] = [str(p) for p in (*files, folder / "report.html")]
+        done = plan_test(
+            deck, folder, band=band, units=units, settings=section, seed=seed, progress=show
+        )
+    warn_of_units(done.model, units)
+    summary = _summary(done)
     if json:
-        write_json(told, json)
+        write_json(summary, json)
     if json != "-":
-        _print(deck, stage, told)
-    return 1 if told["missed"] else 0
+        _print(deck, done.stage, summary)
+    return 1 if summary["missed"] else 0
+
+
+def plan_of(path: Path | None) -> dict[str, Any]:
+    """[plan] of a study, by its keys.
+
+    Raises
+    ------
+    ConfigError
+        If the file has none.
+    """
+    if path is None:
+        return {}
+    section = read_toml(path).get("plan")
+    if not isinstance(section, dict):
+        raise ConfigError(f"--settings {path}: it has no table [plan]")
+    return section
 
 
 def numbers(text: str, where: str) -> list[int]:
@@ -253,98 +168,8 @@ def numbers(text: str, where: str) -> list[int]:
     return found
 
 
-def _named(option: str, texts: Sequence[str] | None) -> list[tuple[str, str]]:
-    """NAME=VALUE, parted; each name once."""
-    out: dict[str, str] = {}
-    for text in texts or ():
-        name, _, value = (part.strip() for part in text.partition("="))
-        if not (name and value):
-            raise ConfigError(f"{option} {text!r}: must be NAME=...")
-        if name in out:
-            raise ConfigError(f"{option} {text!r}: {name} is given twice; put all in one")
-        out[name] = value
-    return list(out.items())
-
-
-def _number(option: str, name: str, text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise ConfigError(f"{option} {name}={text}: {text!r} is not a number")
-    return value
-
-
-def _box(option: str, text: str) -> list[float]:
-    try:
-        values = [float(v) for v in text.replace(",", " ").split()]
-    except ValueError:
-        values = []
-    if len(values) != 6 or not all(map(math.isfinite, values)):
-        raise ConfigError(f"{option} {text!r}: must be six numbers, X0 Y0 Z0 X1 Y1 Z1")
-    return values
-
-
-def _from_deck(
-    deck: Path, units: str, band: tuple[float, float] | None, modes: list[int]
-) -> dict[str, float]:
-    """The band, taken from the deck where it is not given."""
-    if band is not None and not 0 <= band[0] < band[1]:
-        raise ConfigError(f"--band {band[0]} {band[1]}: must be 0 <= F0 < F1")
-    model = stated(read_deck(deck), units)
-    if band is None:
-        with EmbeddedSolver().open(model) as analysis:
-            f = analysis.modes(ModesRequest(max([21, *(m + 1 for m in modes)]))).modes.frequencies
-        flexible = f[elastic(f)]
-        if not flexible.size:
-            raise ConfigError(f"{deck}: none of the {f.size} lowest modes is elastic; give --band")
-        last = (
-            f[max(modes) - 1]
-            if modes and max(modes) <= f.size
-            else flexible[-2 if flexible.size > 1 else -1]
-        )
-        band = (0.5 * float(flexible[0]), 1.001 * float(last))
-    return {k: float(f"{v:.6g}") for k, v in zip(("fmin", "fmax"), band, strict=True)}
-
-
-def _write_study(folder: Path, deck: Path, units: str, section: dict[str, Any], seed: int) -> Path:
-    """plan.toml: the settings of this plan, a study that `ringtrue run` takes."""
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / "plan.toml"
-    place = Path(os.path.relpath(deck.resolve(), folder.resolve())).as_posix()
-    tables = {
-        "study": {"title": f"Test plan of {deck.name}", "seed": seed},
-        "model": {"deck": place, "units": units, "fmax": float(f"{ABOVE * section['fmax']:.6g}")},
-        "plan": section,
-    }
-    lines = [
-        f"[{name}]\n" + "".join(f"{k} = {_toml(v)}\n" for k, v in table.items())
-        for name, table in tables.items()
-    ]
-    with atomic_write(path) as part:
-        part.write_text("\n".join(lines), encoding="utf-8")
-    return path
-
-
-def _toml(value: Any) -> str:
-    """JSON's texts, numbers and lists are TOML's too."""
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{_toml(k)} = {_toml(v)}" for k, v in value.items()) + "}"
-    return text_json.dumps(value, ensure_ascii=False)
-
-
-def _reach(run: StudyRun) -> Any:
-    """Driving-point residue of each reference over the best of all channels, (r, target)."""
-    stage: PlanStage = run.results["plan"]
-    found = run.desk.initial.modes(run.desk.first_fmax).modes.take(stage.target_modes)
-    seen = run.desk.initial.seen(found, stage.test)
-    at = [stage.test.channels.index(r) for r in stage.references]
-    return reach_of(np.asarray(seen.shapes), at)
-
-
-def _told(run: StudyRun) -> dict[str, Any]:
-    stage: PlanStage = run.results["plan"]
+def _summary(plan: TestPlan) -> dict[str, Any]:
+    stage = plan.stage
     names = [str(k + 1) for k in stage.target_modes.tolist()]
     told: dict[str, Any] = {
         "candidates": stage.candidates,
@@ -370,6 +195,7 @@ def _told(run: StudyRun) -> dict[str, Any]:
         "record_length_s": stage.record_length,
         "ambient_averages": stage.segments,
         "notes": list(stage.notes),
+        "files": [str(p) for p in plan.files],
     }
     if stage.suspension:
         told["suspension"] = {
@@ -385,7 +211,7 @@ def _told(run: StudyRun) -> dict[str, Any]:
             "force_n": stage.rehearsal.force,
             "background_n_per_sqrt_hz": stage.rehearsal.background,
             "invented_per_trial": stage.rehearsal.invented,
-            "doubtful": list(missed_modes(stage.rehearsal, names)),
+            "doubtful": list(rarely_found_modes(stage.rehearsal, names)),
         }
     if (r := stage.ambient_rehearsal) is not None:
         names = [str(k + 1) for k in stage.expected_modes.tolist()]
@@ -395,7 +221,7 @@ def _told(run: StudyRun) -> dict[str, Any]:
             "force_n_per_sqrt_hz": r.force,
             "invented_per_trial": r.invented,
             "modes": _table(columns),
-            "doubtful": [f"ambient: {m}" for m in missed_modes(r, names)],
+            "doubtful": [f"ambient: {m}" for m in rarely_found_modes(r, names)],
         }
     return told
 
@@ -468,15 +294,15 @@ def _print(deck: Path, stage: PlanStage, told: dict[str, Any]) -> None:
         f"strike at {' '.join(stage.references)}; least reach of the best "
         f"{', '.join(map(str, best))} points: "
         f"{', '.join(f'{100 * r:.0f}' for r in best.values())} %",
-        f"worst auto-MAC {stage.worst_off_diagonal:.2f}; {left_by_loss(stage)}",
+        f"worst auto-MAC {stage.worst_off_diagonal:.2f}; {lost_points_sentence(stage)}",
         f"frequency step {stage.frequency_step:.3g} Hz, block {stage.block:.3g} s, "
         f"{stage.averages} averages; "
         f"ambient record {stage.record_length / 60:.3g} min, {stage.segments} blocks",
     ]
-    lines += setups(stage)
+    lines += setup_sentences(stage)
     if stage.suspension:
         lines.append(f"hang at {' '.join(map(str, stage.suspension))}")
-    lines += [*missed(stage), *stage.notes]
+    lines += [*missed_modes(stage), *stage.notes]
     for test in ("virtual_test", "virtual_ambient_test"):
         lines += told.get(test, {}).get("doubtful", [])
     lines.append("test sheet: " + " ".join(told["files"]))

@@ -12,15 +12,16 @@ import typer
 from ringtrue.cli.show import Json, err, one_of, out, progress, rows, write_json
 from ringtrue.cli.stated import warn_of_units
 from ringtrue.errors import ConfigError
-from ringtrue.io.atomic import atomic_write
-from ringtrue.study.config import PredictSection, StudyConfig, read_config
+from ringtrue.io.files import atomic_write
+from ringtrue.study.config import StudyConfig, read_config
+from ringtrue.study.config_sections import PredictSection
+from ringtrue.study.messages import validity_sentence
 from ringtrue.study.results import PredictStage
 from ringtrue.study.run import run_study
+from ringtrue.study.session import Session
 from ringtrue.study.stages import predict as stage
 from ringtrue.study.store import Store
-from ringtrue.study.words import validated
-from ringtrue.study.workbench import Workbench
-from ringtrue.updating.predict import PLANE, RunUp
+from ringtrue.updating.prediction import PLANE, RunUp
 
 
 def _stated(
@@ -99,11 +100,11 @@ def run(
     with progress("predict") as show:
         if chosen == config.predict and seed is None:
             done = run_study(study, out=folder, until="predict", progress=show)
-            desk, found = done.desk, done.results["predict"]
+            session, found = done.session, done.results["predict"]
         else:
-            desk = Workbench(_with(config, chosen, seed), study.parent, where, held)
-            found = stage.run(desk, show)
-    warn_of_units(desk.initial.model, desk.deck.units)
+            session = Session(_with(config, chosen, seed), study.parent, where, held)
+            found = stage.run(session, show)
+    warn_of_units(session.initial.model, session.deck.units)
     if table is not None:
         _write(found.run_up, table)
     if json:
@@ -192,7 +193,7 @@ def _print(found: PredictStage) -> None:
     ]
     heads = ("what", "unit", "peak", f"{level} band", "at Hz", "validated")
     rows(f"Run-up to {r.freqs[-1]:g} Hz, unbalance {found.unbalance.moment:.4g} kg m", heads, body)
-    out.print(validated(r.validated))
+    out.print(validity_sentence(r.validated))
     for flag in found.flags:
         err.print(f"warning: {flag}")
 

@@ -2,34 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from csv import writer
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import typer
 
+from ringtrue.api.models import Deflections, FrfRequest, in_units, parse_points, responses_of
+from ringtrue.api.models import static as deflect
 from ringtrue.cli.ema import Motion
 from ringtrue.cli.model import Deck
 from ringtrue.cli.show import Json, Units, err, file_to, progress, rows, write_json
-from ringtrue.cli.stated import stated, warn_of_units
-from ringtrue.core.arrays import Complex, Float
+from ringtrue.cli.stated import warn_of_units
+from ringtrue.core.arrays import Float
 from ringtrue.core.dofs import DofSet
-from ringtrue.core.motions import FRF_KIND, channel
-from ringtrue.core.progress import part
-from ringtrue.core.signals import Channel, FrfKind, FrfSet
-from ringtrue.core.units import UNIT_SYSTEMS
-from ringtrue.decks.nastran.reader import read_damped_deck, read_deck, read_loaded_deck
-from ringtrue.errors import ConfigError, InputError
-from ringtrue.io.atomic import atomic_write
+from ringtrue.core.signals import Channel, FrfSet
+from ringtrue.decks.nastran.reader import read_damped_deck
+from ringtrue.errors import ConfigError
+from ringtrue.io.files import atomic_write
 from ringtrue.io.frfs import write_frfs
 from ringtrue.io.statics import COLUMNS
-from ringtrue.model.case_control import ModalDamping, responding
-from ringtrue.model.ports import ModesRequest
-from ringtrue.plots.responses import frf_page
-from ringtrue.solvers.embedded import EmbeddedAnalysis, EmbeddedSolver
-from ringtrue.study.loads import load_vectors, refuse_displaced, support_motions
+from ringtrue.plots.pages import frf_page
 
 _SIDES = ("metre", "radian")
 ABOVE = 2.0  # modes up to here over the highest line; residual vectors stand for the rest
@@ -96,41 +91,22 @@ def frf(
         raise ConfigError("--direct has the damping of the deck; --damping is for modes")
     if damping is not None and not 0 < damping < 1:
         raise ConfigError(f"--damping {damping:g}: must be a ratio between 0 and 1, such as 0.01")
-    into, heard = points("--force", force), points("--at", at or force)
-    unit, freqs = UNIT_SYSTEMS[units], np.linspace(lowest, fmax, lines)
+    asked = FrfRequest(
+        np.linspace(lowest, fmax, lines),
+        parse_points(force, "--force"),
+        parse_points(at or force, "--at"),
+        quantity.value,
+        damping,
+        direct,
+    )
     with progress("frf") as show:
         show(0.0, f"reading {deck}")
         model, modal = read_damped_deck(deck)
-        model = stated(model, units)
-        if modal:
-            modal = replace(modal, frequencies=modal.frequencies / unit.time)
-        with EmbeddedSolver(progress=part(show, 0.2, 1.0)).open(responding(model)) as analysis:
-            if damping is None and not (analysis.has_damping or (modal and not direct)):
-                own = "the deck has no damping of its own (dashpots, GE, PARAM G"
-                lost = (
-                    f"--direct: {own}): leave --direct out"
-                    if direct
-                    else f"{own}, SDAMPING): give --damping 0.01"
-                )
-                raise ConfigError(lost)
-            if direct and modal:
-                err.print("warning: SDAMPING is of modes: --direct leaves it out, as SOL 108 does")
-            _warn_of_held(analysis, heard, into)
-            ratios = modal if damping is None else damping
-            h = (
-                _responses(analysis, (heard, into), freqs, ratios, FRF_KIND[quantity], direct)
-                / unit.kilograms
-            )
-            h = h * np.outer(heard.per_length(unit.length), into.per_length(unit.length))
-    found = FrfSet(
-        h,
-        freqs,
-        tuple(channel(c, quantity.value) for c in heard.labels()),
-        tuple(channel(c, "force") for c in into.labels()),
-        kind=FRF_KIND[quantity],
-        source=str(deck),
-        sharp=True,
-    )
+        warn_of_units(model, units)
+        if direct and modal:
+            err.print("warning: SDAMPING is of modes: --direct leaves it out, as SOL 108 does")
+        found, held = responses_of(in_units(model, units), modal, asked, show)
+    _warn_of_held(held)
     if target:
         write_frfs(target, found)
     if plot:
@@ -143,50 +119,8 @@ def frf(
     return 0
 
 
-def points(option: str, given: list[str]) -> DofSet:
-    """Points such as 101+Z or, of rotations and moments, 101+RZ as DOFs.
-
-    Raises
-    ------
-    ConfigError
-        If one is no DOF, has no direction or is given twice.
-    """
-    try:
-        dofs = DofSet.parse(p for text in given for p in text.split(","))
-    except InputError as e:
-        raise ConfigError(f"{option}: {e}") from e
-    if (bare := np.flatnonzero(dofs.direction == 0)).size:
-        raise ConfigError(
-            f"{option} {dofs.labels()[bare[0]]}: must be a node and a direction, such as 101+Z "
-            "or 101+RZ"
-        )
-    return dofs
-
-
-def _responses(
-    analysis: EmbeddedAnalysis,
-    ends: tuple[DofSet, DofSet],
-    freqs: Float,
-    damping: float | ModalDamping | None,
-    kind: FrfKind,
-    direct: bool,
-) -> Complex:
-    heard, into = ends
-    if direct:
-        return analysis.frf_direct(heard, into, freqs, kind=kind)
-    basis = ModesRequest(band=(0.0, ABOVE * float(freqs[-1])))
-    return analysis.frf(heard, into, freqs, basis, damping=damping, kind=kind)
-
-
-def _warn_of_held(analysis: EmbeddedAnalysis, *ends: DofSet, moved: Float | None = None) -> None:
-    free = np.diff(analysis.system.transform.indptr) > 0
-    free |= False if moved is None else moved.any(axis=1)
-    points = [c for end in ends for c in end.labels()]
-    row = np.concatenate([analysis.dofs.find(end.node, end.direction) for end in ends])
-    if lost := [c for c, r in zip(points, row, strict=True) if r < 0]:
-        raise ConfigError(f"the deck has no {' '.join(dict.fromkeys(lost))}")
-    held = [c for c, ok in zip(points, free[row], strict=True) if not ok]
-    for c in dict.fromkeys(held):
+def _warn_of_held(held: Sequence[str]) -> None:
+    for c in held:
         err.print(f"warning: {c} is held: it does not move, and a force there moves nothing")
 
 
@@ -272,40 +206,16 @@ def static(
     if table and not force:
         raise ConfigError("--csv: a static test has forces at points; give --force")
     given = dict(_load(text) for text in force or [])
-    into, heard = points("--force", list(given)), points("--at", at or list(given))
-    newtons = np.array(list(given.values()))
-    unit = UNIT_SYSTEMS[units]
     with progress("static") as show:
         show(0.0, f"reading {deck}")
-        model, cases = (read_deck(deck), ()) if force else read_loaded_deck(deck)
-        warn_of_units(model, units)
-        show(0.3, "solving")
-        with EmbeddedSolver().open(model) as analysis:
-            if force:
-                refuse_displaced(model)
-                newton = into.per_length(unit.length) / unit.force
-                acting, carried = (
-                    _unit_loads(analysis, into) * (newtons * newton),
-                    np.zeros((len(analysis.dofs), 1)),
-                )
-            else:
-                drawn, carried = support_motions(model, analysis.dofs, cases)
-                acting = load_vectors(model, analysis.dofs, cases) + drawn
-            _warn_of_held(analysis, heard, into, moved=carried)
-            found = analysis.static(acting) + carried
-            moved = (_unit_loads(analysis, heard).T @ found).T * (
-                unit.length * heard.per_length(unit.length)
-            )
-    names = [f"{p}={n:g}" for p, n in zip(into.labels(), newtons, strict=True)] or [
-        c.name for c in cases
-    ]
+        found = deflect(deck, forces=given, responses=at, units=units, progress=show)
+    warn_of_units(found.model, units)
+    _warn_of_held(found.held)
     if table:
-        _write_static(
-            table,
-            list(zip(into.labels(), newtons.tolist(), moved.tolist(), strict=True)),
-            heard.labels(),
-        )
-    told = [_deflections(name, heard, u) for name, u in zip(names, moved, strict=True)]
+        _write_static(table, given, found)
+    told = [
+        _case_json(name, found.points, u) for name, u in zip(found.cases, found.values, strict=True)
+    ]
     if json:
         write_json({"deck": str(deck), "cases": told}, json)
     if json != "-":
@@ -316,24 +226,16 @@ def static(
             for p, x in c[unit].items()
         ]
         heads = ("case", "at", "deflection", "unit")
-        rows(f"{deck}: {len(names)} load case{'s' if len(names) > 1 else ''}", heads, every)
+        rows(f"{deck}: {len(told)} load case{'s' if len(told) > 1 else ''}", heads, every)
     return 0
 
 
-def _deflections(case: str, heard: DofSet, moved: Float) -> dict[str, Any]:
+def _case_json(case: str, points: Sequence[str], moved: Float) -> dict[str, Any]:
     """A load case with the deflections at translations and at rotations."""
-    about = np.abs(heard.direction) > 3
-    found = list(zip(heard.labels(), moved.tolist(), about.tolist(), strict=True))
+    about = np.abs(DofSet.parse(points).direction) > 3
+    found = list(zip(points, moved.tolist(), about.tolist(), strict=True))
     sides = {side: {p: x for p, x, a in found if a == (side == "radian")} for side in _SIDES}
     return {"case": case, **sides}
-
-
-def _unit_loads(analysis: EmbeddedAnalysis, at: DofSet) -> Float:
-    """A column (dof, k) for each DOF, 1 or -1 there."""
-    row, sign = analysis.dofs.align(at)
-    out = np.zeros((len(analysis.dofs), len(at)))
-    out[row, np.arange(len(at))] = sign
-    return out
 
 
 def _load(text: str) -> tuple[str, float]:
@@ -348,22 +250,16 @@ def _load(text: str) -> tuple[str, float]:
     return point, size
 
 
-def _write_static(
-    path: Path, cases: list[tuple[str, float, list[float]]], heard: tuple[str, ...]
-) -> None:
+def _write_static(path: Path, forces: Mapping[str, float], found: Deflections) -> None:
     """A row a case and channel, as `io.statics.read_statics` reads them."""
-    with atomic_write(path) as part_, part_.open("w", newline="", encoding="utf-8") as file:
+    with atomic_write(path) as part, part.open("w", newline="", encoding="utf-8") as file:
         sheet = writer(file)
         sheet.writerow(COLUMNS)
-        for point, newton, deflections in cases:
-            if point not in heard:
-                sheet.writerow((point, point, f"{newton:.9g}", ""))
-            for channel, deflection in zip(heard, deflections, strict=True):
-                sheet.writerow(
-                    (
-                        point,
-                        channel,
-                        f"{newton:.9g}" if channel == point else "",
-                        f"{deflection:.9g}",
-                    )
-                )
+        labels = DofSet.parse(forces).labels()
+        for point, newton, values in zip(labels, forces.values(), found.values, strict=True):
+            load = f"{newton:.9g}"
+            if point not in found.points:
+                sheet.writerow((point, point, load, ""))
+            for channel, deflection in zip(found.points, values.tolist(), strict=True):
+                acting = load if channel == point else ""
+                sheet.writerow((point, channel, acting, f"{deflection:.9g}"))

@@ -18,7 +18,7 @@ from rich.table import Table
 from ringtrue.core.progress import Progress
 from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.errors import ConfigError, did_you_mean
-from ringtrue.io.atomic import atomic_write
+from ringtrue.io.files import atomic_write
 
 # names in brackets and lines like `wing.bdf:100:` stay as they are, lines are the terminal's to
 # wrap

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ringtrue.checks.units import check_units
+from ringtrue.checks.materials import check_units
 from ringtrue.cli.show import err
 from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.model.edit import in_seconds

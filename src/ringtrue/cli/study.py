@@ -12,14 +12,14 @@ from ringtrue.cli.stated import warn_of_units
 from ringtrue.cli.status import ExitStatus
 from ringtrue.core.iterate import Outcome
 from ringtrue.errors import ConfigError
-from ringtrue.io.foreign.texts import read_json
-from ringtrue.report.deliver import deliver, report_from_store
+from ringtrue.io.foreign.parsers import read_json
+from ringtrue.report.build import deliver, report_from_store
 from ringtrue.study.acceptance import Check, limits, missed_words
+from ringtrue.study.messages import run_messages
 from ringtrue.study.results import UpdateStage
 from ringtrue.study.run import StudyRun, load_study, run_study
 from ringtrue.study.stages import STAGES
 from ringtrue.study.summary import finite, summarise
-from ringtrue.study.words import told
 
 ORDER = ", ".join(s.name for s in STAGES)
 
@@ -104,7 +104,7 @@ def run(
         err.print("stopped: the stages that were finished are stored, the same command resumes")
         return ExitStatus.STOPPED
     if result.config.model is not None:
-        warn_of_units(result.desk.initial.model, result.config.model.units)
+        warn_of_units(result.session.initial.model, result.config.model.units)
     outcome, stated = _outcome(result), limits(result.config, result.results)
     if json:
         write_json(_summary(result.folder), json)
@@ -112,7 +112,7 @@ def run(
         for name, seconds in result.timings.items():
             took = "up to date" if name in result.loaded else f"{seconds:.1f} s"
             out.print(f"{name}: {took}")
-        tell(told(result.results))
+        tell(run_messages(result.results))
         out.print(f"report: {path}")
         _verdict(stated)
     if result.altered:
@@ -140,7 +140,7 @@ def settles(outcome: Outcome | None, stated: tuple[Check, ...]) -> bool:
 def _outcome(result: StudyRun) -> Outcome | None:
     """How the chosen updating ended; None where there is none."""
     done: UpdateStage | None = result.results.get("update")
-    return Outcome(done.sets[done.chosen].outcome) if done else None
+    return done.sets[done.chosen].outcome if done else None
 
 
 def report(

@@ -12,7 +12,8 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from ringtrue.cli.identify import Fmax, Fmin, LeaveOut, Rate, check_band
+from ringtrue.api.measurements import check_band
+from ringtrue.cli.identify import Fmax, Fmin, LeaveOut, Rate
 from ringtrue.cli.show import Json, file_to, progress, rows, tell, write_json
 from ringtrue.core.arrays import Float
 from ringtrue.core.progress import Progress
@@ -20,7 +21,7 @@ from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import ConfigError, DataError, about, did_you_mean
 from ringtrue.identification.ambient.pipeline import AmbientSettings, identify_ambient
 from ringtrue.identification.common.tracking import ModeTrack, Stretch, Tracked, track_modes, unseen
-from ringtrue.io.atomic import atomic_write
+from ringtrue.io.files import atomic_write
 from ringtrue.io.records import read_record, record_blocks, record_info
 from ringtrue.plots.tracking import tracking_page
 
@@ -179,8 +180,8 @@ def _identified(
         result = identify_ambient(motion, settings)
     except DataError as e:
         return None, [f"left out: {e}"]
-    said = [n for n in result.notes if n.startswith("channel")]
-    return Stretch(middle, result.modes, result.uncertainty), said
+    stretch = Stretch(middle, result.modes, result.uncertainty)
+    return stretch, list(result.channel_notes)
 
 
 def _come_and_gone(tracked: Tracked) -> list[str]:

@@ -16,7 +16,7 @@ from ringtrue.cli.stated import stated
 from ringtrue.cli.updated import show_summary, summary_of
 from ringtrue.core.progress import part
 from ringtrue.core.units import UNIT_SYSTEMS
-from ringtrue.decks.nastran.edit import edit_fields, refuse_copy, refuse_unwritable
+from ringtrue.decks.nastran.editor import edit_fields, refuse_copy, refuse_unwritable
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.model.edit import field_changes
@@ -40,14 +40,14 @@ from ringtrue.study.direct import (
     solved,
     unmoved_by,
 )
+from ringtrue.study.messages import held_sentences
 from ringtrue.study.objective import KINDS as KINDS_OF_MODES
 from ringtrue.study.objective import LOSSES
 from ringtrue.study.opened import Opened
-from ringtrue.study.seats import seat_words, seats_json
-from ringtrue.study.words import stand_ins
-from ringtrue.updating.trust import KINDS
-from ringtrue.updating.verified import Verified
-from ringtrue.updating.weights import RULES
+from ringtrue.study.placing import seat_words, seats_json
+from ringtrue.updating.regularisation import RULES
+from ringtrue.updating.solver import KINDS
+from ringtrue.updating.strategy import Verified
 
 
 def update(
@@ -198,7 +198,7 @@ def update(
     written = _edited(model, config, done, folder)
     summary = summary_of(config, problem, done, extra, solver_name, not notes) | {
         "deck": [str(p) for p in written],
-        "notes": [*notes, *seat_words(places), *stand_ins(held)],
+        "notes": [*notes, *seat_words(places), *held_sentences(held)],
     }
     summary |= {"sensors": seats_json(places)} if places else {}
     if json:

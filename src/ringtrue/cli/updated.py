@@ -14,14 +14,13 @@ from ringtrue.core.arrays import Float
 from ringtrue.shapes.mac import paired_mac
 from ringtrue.solvers.registry import EMBEDDED
 from ringtrue.study.config import StudyConfig
-from ringtrue.study.measured import Data
-from ringtrue.study.words import weighed_by, worse
-from ringtrue.updating.objective import Target
-from ringtrue.updating.plausible import plausibility
-from ringtrue.updating.residuals import Point
-from ringtrue.updating.settle import kept
-from ringtrue.updating.several import Evaluated, Problem
-from ringtrue.updating.verified import Verified
+from ringtrue.study.measured_data import Data
+from ringtrue.study.messages import discrepancy_sentence, worse_frequencies
+from ringtrue.updating.identifiability import plausibility
+from ringtrue.updating.problem import Evaluated, Problem
+from ringtrue.updating.residuals.modal import Point
+from ringtrue.updating.strategy import Verified, kept
+from ringtrue.updating.target import Target
 
 SIDES = ("measured", "before", "after")
 
@@ -152,10 +151,12 @@ def show_summary(study: Path, summary: dict[str, Any]) -> None:
             for m in summary["measured"]
         ]
         rows("beside the modes", ("", "what", "unit", *SIDES), body)
-    weighed = weighed_by([(v or 0.0) / 100 for v in summary["discrepancy_percent"].values()])
+    weighed = discrepancy_sentence(
+        [(v or 0.0) / 100 for v in summary["discrepancy_percent"].values()]
+    )
     deviations = [f"deviation{when}_percent" for when in ("_before", "")]
     both = [m for m in summary["modes"] if m["used"] and all(m[d] is not None for d in deviations)]
-    worsened = worse(*(np.array([m[d] for m in both]) for d in deviations))
+    worsened = worse_frequencies(*(np.array([m[d] for m in both]) for d in deviations))
     lines = (
         *summary["notes"],
         summary["why"],

@@ -36,12 +36,12 @@ def other_names(
     does.
     """
     pairs = zip(given, known, map(float, sign), strict=True)
-    told = [f"{one} is {two}{' turned' * (way < 0)}" for one, two, way in pairs if one != two]
-    told = list(dict.fromkeys(told))
-    if not told:
+    renamed = [f"{one} is {two}{' turned' * (way < 0)}" for one, two, way in pairs if one != two]
+    renamed = list(dict.fromkeys(renamed))
+    if not renamed:
         return ()
-    more = f" and {len(told) - SHOWN} more" if len(told) > SHOWN else ""
-    return (f"channel names on the sensor sheet: {', '.join(told[:SHOWN])}{more}",)
+    more = f" and {len(renamed) - SHOWN} more" if len(renamed) > SHOWN else ""
+    return (f"channel names on the sensor sheet: {', '.join(renamed[:SHOWN])}{more}",)
 
 
 def input_id(channel: str) -> str:
@@ -51,7 +51,7 @@ def input_id(channel: str) -> str:
 
 
 def opposite(name: str) -> str:
-    """The name of the same sensor read the other way, `4-X` of `4+X`; empty where the name tells no
+    """The name of the same sensor read the other way, `4-X` of `4+X`; empty where the name has no
     direction.
     """
     label = split_label(name)

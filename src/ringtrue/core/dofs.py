@@ -159,7 +159,8 @@ def parsed(labels: Iterable[str]) -> tuple[Int, Int]:
     InputError
         On a text that is not a degree of freedom.
     """
-    node, direction = [], []
+    node = []
+    direction = []
     for text in labels:
         m = _TEXT.fullmatch(text.strip().upper())
         if not m:

@@ -96,12 +96,12 @@ def join_impacts(parts: Sequence[Impacts | None], weights: Sequence[Float]) -> I
     known = [p for p in parts if p is not None]
     if len(known) < len(parts):
         return None
-    delay, ratio = (
-        pad_rows([x for p in known for x in p.delay]),
-        pad_rows([x for p in known for x in p.ratio]),
-    )
+    delay = pad_rows([x for p in known for x in p.delay])
+    ratio = pad_rows([x for p in known for x in p.ratio])
     noise = np.concatenate([p.noise for p in known])
-    return Impacts(delay, ratio, np.concatenate(weights), known[0].freqs, noise)
+    return Impacts(
+        delay=delay, ratio=ratio, weight=np.concatenate(weights), freqs=known[0].freqs, noise=noise
+    )
 
 
 def pad_rows(rows: Sequence[Float]) -> Float:

@@ -29,6 +29,13 @@ class Outcome(StrEnum):
         """Whether the result can be used as a solution."""
         return self is Outcome.CONVERGED
 
+    @property
+    def verdict(self) -> str:
+        """Converged, stalled or stopped."""
+        if self in (Outcome.CONVERGED, Outcome.STALLED):
+            return self.name.lower()
+        return "stopped"
+
 
 S = TypeVar("S")
 

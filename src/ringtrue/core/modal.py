@@ -65,10 +65,10 @@ class ModalModel:
     def to_modes(self, source: str = "") -> ModeSet:
         """The modes, complex shapes."""
         return ModeSet(
-            self.frequencies,
-            self.damping,
-            self.shapes,
-            tuple(c.id for c in self.outputs),
-            self.norm,
-            source,
+            frequencies=self.frequencies,
+            damping=self.damping,
+            shapes=self.shapes,
+            labels=tuple(c.id for c in self.outputs),
+            norm=self.norm,
+            source=source,
         )

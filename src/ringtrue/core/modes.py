@@ -1,17 +1,19 @@
 """Modes: natural frequencies, damping ratios and shapes with their labels.
 
-Standard deviations that stand beside a ModeSet.
+And the standard deviations of a ModeSet.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from typing import ClassVar
 
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int, freeze_fields
+from ringtrue.core.display import Displayed
 from ringtrue.core.dofs import DofSet
 from ringtrue.errors import InputError
 
@@ -38,7 +40,7 @@ class Norm(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ModeSet:
+class ModeSet(Displayed):
     """Modes in ascending frequency.
 
     Attributes
@@ -54,6 +56,8 @@ class ModeSet:
     source : str
         What made it: a deck and solver, a record and method.
     """
+
+    UNITS: ClassVar[Mapping[str, str]] = {"frequencies": "Hz", "damping": "-", "confidence": "0..1"}
 
     frequencies: Float
     damping: Float

@@ -1,6 +1,4 @@
-"""Progress of long work: a callable that is told the share done, 0 to 1, and in words what is under
-way.
-"""
+"""Progress of long work: a callable of the share done, 0 to 1, and of the work under way."""
 
 from __future__ import annotations
 

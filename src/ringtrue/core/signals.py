@@ -5,13 +5,14 @@ Frequency lines: those that several axes share.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Complex, Float, Int, freeze_fields
+from ringtrue.core.display import Displayed
 from ringtrue.core.impacts import Impacts
 from ringtrue.errors import DataError
 
@@ -44,7 +45,7 @@ class Channel:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TimeHistory:
+class TimeHistory(Displayed):
     """Signals of one recorder.
 
     Attributes
@@ -56,6 +57,8 @@ class TimeHistory:
     channels : tuple of Channel
     source : str
     """
+
+    UNITS: ClassVar[Mapping[str, str]] = {"rate": "Hz"}
 
     data: Any_
     rate: float
@@ -95,7 +98,7 @@ class TimeHistory:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FrfSet:
+class FrfSet(Displayed):
     """Frequency response functions.
 
     Attributes
@@ -126,6 +129,13 @@ class FrfSet:
         Length of the blocks of noise under a Hann window that the FRFs are of; 0 for none, or
         unknown.
     """
+
+    UNITS: ClassVar[Mapping[str, str]] = {
+        "freqs": "Hz",
+        "window_decay": "1/s",
+        "kept": "s",
+        "hann": "s",
+    }
 
     data: Complex
     freqs: Float
@@ -177,7 +187,8 @@ class FrfSet:
         DataError
             If no response or no reference is left.
         """
-        lost, sides = set(ids), (self.outputs, self.inputs)
+        lost = set(ids)
+        sides = (self.outputs, self.inputs)
         o, i = (
             np.array([k for k, c in enumerate(side) if c.id not in lost], dtype=np.int64)
             for side in sides

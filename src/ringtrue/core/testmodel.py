@@ -107,7 +107,7 @@ class TestModel:
         sign.
 
         `4-X` is the sensor `4+X` read the other way, unless the sheet gives that sensor a direction
-        against its name: then what another sign of it means cannot be told, and it is not found.
+        against its name: then what another sign of it means is unknown, and it is not found.
 
         Returns
         -------
@@ -115,7 +115,8 @@ class TestModel:
             -1 where the sheet has no such channel.
         sign : (k,) float64, ±1
         """
-        known, axes = self.channels, self.axes
+        known = self.channels
+        axes = self.axes
         if forces:
             known = (*known, *self.forces)
             axes = np.concatenate([axes, self.force_axes])
@@ -231,4 +232,10 @@ class Observation:
         """The same model seen at further channels, too."""
         matrix = sparse.csr_array(sparse.vstack([self.matrix, more.matrix]))
         distance = np.concatenate([self.distance, more.distance])
-        return Observation(matrix, (*self.channels, *more.channels), self.dofs, self.unit, distance)
+        return Observation(
+            matrix=matrix,
+            channels=(*self.channels, *more.channels),
+            dofs=self.dofs,
+            unit=self.unit,
+            distance=distance,
+        )

@@ -8,7 +8,9 @@ from types import MappingProxyType
 from typing import Literal
 
 UnitName = Literal["SI", "mm-t-s", "mm-kg-s", "mm-kg-ms", "in-lbf-s", "ft-lbf-s"]
-_INCH, _POUND_FORCE = 0.0254, 4.4482216152605  # m, N; exact by definition
+# m, N; exact by definition
+_INCH = 0.0254
+_POUND_FORCE = 4.4482216152605
 
 
 @dataclass(frozen=True, slots=True)

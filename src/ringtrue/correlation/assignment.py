@@ -46,8 +46,8 @@ class PairingSettings:
     frequency_gate : float
         Largest |f_B − f_A|/f_A of a pair.
     reach : float
-        Largest ratio of the frequencies of a pair beyond that gate; only modes that look alike and
-        like no other are taken there (`beyond.uncontested`). 1: none.
+        Largest ratio of the frequencies of a pair beyond that gate; 1: none. Only
+        modes that look like each other and no other are taken there (`pairs_by_shape`).
     close : float
         Relative distance below which neighbours of one set are one subspace; from there to `FADE`
         times it ever less.
@@ -123,7 +123,8 @@ class Locks:
                 raise ConfigError(
                     f"locks: no pair {i + 1}:{j + 1}; A has {shape[0]} modes, B {shape[1]}"
                 )
-        forced, free = np.zeros(shape, dtype=np.bool_), np.ones(shape, dtype=np.bool_)
+        forced = np.zeros(shape, dtype=np.bool_)
+        free = np.ones(shape, dtype=np.bool_)
         for i, j in self.forced:
             free[i, :] = free[:, j] = False
         for i, j in self.forbidden:
@@ -226,12 +227,12 @@ def scores(
     if not len(a):
         return Scores(np.full(error.shape, np.nan), np.full(error.shape, np.nan), error, ())
     single = mac(a, b)
-    merged, units = (
-        single.copy(),
-        (unit(a), unit(b)),
-    )  # once: with hundreds of modes there are as many groups
+    # once: with hundreds of modes there are as many groups
+    merged = single.copy()
+    units = (unit(a), unit(b))
     groups_a = [np.array(g) for g in close_groups(fa, settings.close, settings.largest_group)]
-    shared, turns = list[list[tuple[float, Int]]](), []
+    shared = list[list[tuple[float, Int]]]()
+    turns = []
     for ga in (g for g in groups_a if g.size > 1 and mixed):
         share = np.where(
             (np.abs(error[ga]) <= settings.frequency_gate).any(axis=0),
@@ -243,7 +244,8 @@ def scores(
             near = fade(np.abs(fb - here) / max(APART * settings.close * here, NIL))[0]
             shared.append(_mixed(single[ga], share, near, settings))
     for group, weight in _weighed(fb, shared, settings).items():
-        gb, turn = np.array(group), np.zeros(fa.size)
+        gb = np.array(group)
+        turn = np.zeros(fa.size)
         share = share_in(units[0], b[:, gb])  # no rotation inside the group reaches more
         held = np.asarray(share > HOLD * settings.mac_gate)
         gains = held & np.asarray(share > single[:, gb].max(axis=1) + SOFT - TIE)
@@ -254,7 +256,9 @@ def scores(
             these = these[held[these]]
             if gains[these].any():
                 block = np.ix_(these, gb)
-                turned, far = _turned(single[block], error[block], a[:, these], b[:, gb], settings)
+                turned, far = _turned(
+                    single[block], error[block], a[:, these], b=b[:, gb], settings=settings
+                )
                 turn[these] = weight * far
                 merged[block] += turn[these, None] * (turned[:, None] - single[block])
         if turn.any():
@@ -283,7 +287,8 @@ def _mixed(
     """
     held = near * np.clip((share - settings.mac_gate) / SHARED, 0.0, 1.0)
     best = np.lexsort((-share, -held))[: single.shape[0]]
-    held, out = held[best], []
+    held = held[best]
+    out = []
     for k in range(2, int(np.count_nonzero(held)) + 1):
         out.append((float(held[k - 1] * _blurred(single[:, best[:k]], settings)), best[:k]))
     return out
@@ -312,9 +317,12 @@ def _weighed(
     gap = gaps(np.sort(fb))
     near = fade(gap / settings.close)[0] if settings.close else np.zeros(gap.size)
     steps = np.unique(np.concatenate([[0.0, 1.0], near, [s for sets in mixed for s, _ in sets]]))
-    out, limit, close = dict[tuple[int, ...], float](), -1.0, dict[int, tuple[int, ...]]()
+    out = dict[tuple[int, ...], float]()
+    limit = -1.0
+    close = dict[int, tuple[int, ...]]()
     for low, high in pairwise(steps.tolist()):
-        last, limit = limit, float(gap[near <= low].min(initial=FADE * settings.close))
+        last = limit
+        limit = float(gap[near <= low].min(initial=FADE * settings.close))
         if limit != last:
             groups = close_groups(fb, limit, settings.largest_group)
             close = {j: tuple(sorted(g)) for g in groups for j in g}
@@ -390,7 +398,7 @@ def assign(
     value = np.log((1 - settings.mac_gate + SOFT) / (1 - score.merged + SOFT)) + SOFT
     worth = value * (1 - 0.5 * (score.error / settings.frequency_gate) ** 2)
     worth += TIE * score.mac  # decides between the members of a rotated group
-    allowed, forced = within(score, settings, usable_a, usable_b, locks)
+    allowed, forced = within(score, settings, usable_a, usable_b=usable_b, locks=locks)
     if trust is not None:
         worth = trust * worth
         allowed = (allowed & (trust > 0)) | forced

@@ -142,12 +142,14 @@ def find_faults(a: Any_, b: Any_, limits: FaultLimits = FaultLimits()) -> tuple[
         Paired shapes, m >= 3; `b` is believed.
 
     Notes
-    ----- Fails where the model is so wrong that its error hides the fault, where more than about a
-    third of the channels are wrong, or where two channels move alike (exchanging them changes
+    -----
+    Fails where the model is so wrong that its error hides the fault, where more than about a
+    third of the channels are wrong, or where two channels move equally (exchanging them changes
     nothing). A triaxial sensor turned by a quarter or about its diagonal is two or three swapped
     channels, with signs; one turned by less is not recognised.
     """
-    a, b = np.asarray(a), np.asarray(b)
+    a = np.asarray(a)
+    b = np.asarray(b)
     if a.shape != b.shape or a.ndim != 2 or a.shape[1] < 3:
         raise InputError(
             f"paired shapes {a.shape} and {b.shape}: at least 3 pairs are needed to judge a channel"
@@ -187,7 +189,8 @@ def scaled_to(a: Any_, b: Any_) -> tuple[Float, Float]:
 def _gravest(y: Float, b: Float, at: Int, limits: FaultLimits) -> ChannelFault | None:
     """The fault of greatest gain among the rows `at`."""
     error = ((y - b) ** 2).sum(axis=1)
-    size_y, size_b = np.linalg.norm(y, axis=1), np.linalg.norm(b, axis=1)
+    size_y = np.linalg.norm(y, axis=1)
+    size_b = np.linalg.norm(b, axis=1)
     usual = max(float(np.median(error[at])), 1e-8 * float((size_b**2).mean())) if at.size else 0.0
     own = (y * b).sum(axis=1)
     live = size_b > 0.1 * np.median(size_b)
@@ -202,10 +205,10 @@ def _gravest(y: Float, b: Float, at: Int, limits: FaultLimits) -> ChannelFault |
     positive = (
         able & ~silent & (cosine > np.where(far, limits.correlation, limits.scaled_correlation))
     )
-    found += _mis_scaled(y, b, error, factor, positive, limits)
+    found += _mis_scaled(y, b, error, factor=factor, which=positive, limits=limits)
     poor = np.flatnonzero(able & ~silent & (cosine < 0.95) & (error > usual * limits.gain / 4))
     found += _swapped(
-        y, b, error, poor[np.argsort(-error[poor], kind="stable")][:MOST_SWAPS], limits
+        y, b, error, at=poor[np.argsort(-error[poor], kind="stable")][:MOST_SWAPS], limits=limits
     )
     need = usual * limits.gain
     grave = [f for f in found if f.gain > (need / 2 if f.fault == "dead" else need)]
@@ -214,14 +217,15 @@ def _gravest(y: Float, b: Float, at: Int, limits: FaultLimits) -> ChannelFault |
 
 def _dead(error: Float, which: Any_) -> list[ChannelFault]:
     return [
-        ChannelFault(i, i, "dead", 0.0, float(error[i])) for i in np.flatnonzero(which).tolist()
+        ChannelFault(i=i, j=i, fault="dead", factor=0.0, gain=float(error[i]))
+        for i in np.flatnonzero(which).tolist()
     ]
 
 
 def _reversed(y: Float, b: Float, error: Float, which: Any_) -> list[ChannelFault]:
     turned = ((y + b) ** 2).sum(axis=1)
     return [
-        ChannelFault(i, i, "reversed", -1.0, float(error[i] - turned[i]))
+        ChannelFault(i=i, j=i, fault="reversed", factor=-1.0, gain=float(error[i] - turned[i]))
         for i in np.flatnonzero(which).tolist()
     ]
 
@@ -241,7 +245,7 @@ def _mis_scaled(
     gain = error[at] - rest
     good = rest < limits.explained * error[at]
     return [
-        ChannelFault(i, i, "scaled", float(factor[i]), g)
+        ChannelFault(i=i, j=i, fault="scaled", factor=float(factor[i]), gain=g)
         for i, g in zip(at[good].tolist(), gain[good].tolist(), strict=True)
     ]
 
@@ -253,11 +257,12 @@ def _swapped(y: Float, b: Float, error: Float, at: Int, limits: FaultLimits) -> 
     if at.size < 2:
         return []
     cross = y[at] @ b[at].T
-    size_y, size_b = np.linalg.norm(y[at], axis=1), np.linalg.norm(b[at], axis=1)
+    size_y = np.linalg.norm(y[at], axis=1)
+    size_b = np.linalg.norm(b[at], axis=1)
     left = size_y[:, None] ** 2 + size_b**2 - 2 * np.abs(cross)  # where row p reads ±q
-    alike = np.abs(cross) > limits.correlation * np.maximum(size_y[:, None] * size_b, 1e-300)
-    np.fill_diagonal(alike, False)
-    left = np.where(alike, left, np.inf)
+    correlated = np.abs(cross) > limits.correlation * np.maximum(size_y[:, None] * size_b, 1e-300)
+    np.fill_diagonal(correlated, False)
+    left = np.where(correlated, left, np.inf)
     rounds = [
         _pair(left, error[at], limits),
         _three(left[:MOST_THREES, :MOST_THREES], error[at], limits),
@@ -270,7 +275,16 @@ def _swapped(y: Float, b: Float, error: Float, at: Int, limits: FaultLimits) -> 
                 for p, q in zip(order, (*order[1:], order[0]), strict=True)
             ]
             rows = tuple(sorted((int(at[p]), int(at[q]), sign) for p, q, sign in moved))
-            out.append(ChannelFault(rows[0][0], rows[-1][0], "swapped", rows[0][2], gain, rows))
+            out.append(
+                ChannelFault(
+                    i=rows[0][0],
+                    j=rows[-1][0],
+                    fault="swapped",
+                    factor=rows[0][2],
+                    gain=gain,
+                    moved=rows,
+                )
+            )
     return out
 
 
@@ -278,7 +292,8 @@ def _pair(left: Float, error: Float, limits: FaultLimits) -> tuple[float, tuple[
     """Gain and positions of the best exchange of two; `left` (r, r) is the error of a row that
     reads another.
     """
-    now, then = np.add.outer(error, error), left + left.T
+    now = np.add.outer(error, error)
+    then = left + left.T
     gain = np.where(np.triu(then < limits.explained * now, 1), now - then, 0.0)
     at = np.unravel_index(int(np.argmax(gain)), gain.shape)
     return float(gain[at]), tuple(int(k) for k in at)
@@ -340,28 +355,38 @@ def suspects_of(
     f: ChannelFault, channels: tuple[str, ...], now: float, then: float
 ) -> list[Suspect]:
     """A fault in words, a suspect for each channel; `now` and `then` are mean MACs, 0..1."""
-    told = f"mean MAC {100 * now:.1f} % -> {100 * then:.1f} %"
+    effect = f"mean MAC {100 * now:.1f} % -> {100 * then:.1f} %"
     one = channels[f.i]
     if f.fault == "swapped":
         return [
             Suspect(
-                channels[row],
-                "swapped",
-                f"reads what {channels[real]} "
-                f"should{' with the opposite sign' if sign < 0 else ''}; put right: {told}",
-                channels[real],
-                sign,
-                now,
-                then,
+                channel=channels[row],
+                fault="swapped",
+                message=f"reads what {channels[real]} "
+                f"should{' with the opposite sign' if sign < 0 else ''}; put right: {effect}",
+                partner=channels[real],
+                factor=sign,
+                mac_now=now,
+                mac_mended=then,
             )
             for row, real, sign in f.moved
         ]
-    text = f"reads {f.factor:.3g} times what it should{_usual(f.factor)}; divided by it: {told}"
+    text = f"reads {f.factor:.3g} times what it should{_usual(f.factor)}; divided by it: {effect}"
     if f.fault == "dead":
-        text = f"reads next to nothing of what it should; left out: {told}"
+        text = f"reads next to nothing of what it should; left out: {effect}"
     if f.fault == "reversed":
-        text = f"reads with the opposite sign in all modes; turned: {told}"
-    return [Suspect(one, f.fault, text, "", f.factor, now, then)]
+        text = f"reads with the opposite sign in all modes; turned: {effect}"
+    return [
+        Suspect(
+            channel=one,
+            fault=f.fault,
+            message=text,
+            partner="",
+            factor=f.factor,
+            mac_now=now,
+            mac_mended=then,
+        )
+    ]
 
 
 def _usual(factor: float) -> str:

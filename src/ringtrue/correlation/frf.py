@@ -55,7 +55,8 @@ def magnitude_deviation(a: Complex, b: Complex) -> Float:
     Lines where either is below 1e-6 of its own peak are left out: there only noise is compared.
     """
     _same(a, b)
-    size_a, size_b = np.abs(a), np.abs(b)
+    size_a = np.abs(a)
+    size_b = np.abs(b)
     use = (size_a > 1e-6 * size_a.max(axis=0)) & (size_b > 1e-6 * size_b.max(axis=0))
     ratio = np.where(use, size_b, 1.0) / np.where(use, size_a, 1.0)
     count = use.sum(axis=0)
@@ -210,13 +211,13 @@ class FrfComparison:
         worst = self.frac.argmin(axis=0)
         return tuple(
             InputSummary(
-                name,
-                float(np.median(self.frac[:, j])),
-                self.outputs[int(worst[j])],
-                float(self.frac[worst[j], j]),
-                float(np.median(self.deviation[:, j])),
-                float(self.shape[:, j].mean()),
-                float(self.amplitude[:, j].mean()),
+                name=name,
+                frac=float(np.median(self.frac[:, j])),
+                worst_output=self.outputs[int(worst[j])],
+                least_frac=float(self.frac[worst[j], j]),
+                deviation=float(np.median(self.deviation[:, j])),
+                shape=float(self.shape[:, j].mean()),
+                amplitude=float(self.amplitude[:, j].mean()),
             )
             for j, name in enumerate(self.inputs)
         )
@@ -262,14 +263,14 @@ def compare_frfs(a: FrfSet, b: FrfSet) -> FrfComparison:
     right = b.data[np.ix_(at[line], outs[2], ins[2])]
     f = a.freqs[line]
     return FrfComparison(
-        f,
-        outs[0],
-        ins[0],
-        frac(left, right),
-        magnitude_deviation(left, right),
-        shape_correlation(left, right),
-        amplitude_correlation(left, right),
-        band_levels(left, right, f),
+        freqs=f,
+        outputs=outs[0],
+        inputs=ins[0],
+        frac=frac(left, right),
+        deviation=magnitude_deviation(left, right),
+        shape=shape_correlation(left, right),
+        amplitude=amplitude_correlation(left, right),
+        levels=band_levels(left, right, f),
     )
 
 

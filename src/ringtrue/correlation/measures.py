@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -13,7 +13,16 @@ from ringtrue.core.arrays import Any_, Float, Int, freeze_fields
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.correlation.assignment import PairingSettings
 from ringtrue.correlation.channel_faults import Suspect, suspect_channels
-from ringtrue.correlation.orthogonality import TRADE, Gate, Verdict, judge, verdict_json
+from ringtrue.correlation.orthogonality import (
+    TRADE,
+    Check,
+    Gate,
+    Lift,
+    PairedSets,
+    over_mass,
+    over_serep_mass,
+    verdict_json,
+)
 from ringtrue.correlation.paired_shapes import (
     Elimination,
     comac,
@@ -32,45 +41,10 @@ from ringtrue.shapes.mac import (
     auto_mac,
     close_groups,
     principal_angles,
-    unit,
     worst_off_diagonal,
 )
-from ringtrue.shapes.orthogonality import (
-    cross_orthogonality,
-    pseudo_inverse,
-    read_orthogonality,
-    self_orthogonality,
-)
 
-Lift = Callable[[ModeSet], Any_]
-READ = 0.02  # error of a reading over the RMS of its mode, as of ordinary tests
 WHOLE = 30  # modes up to which whole matrices are written to JSON
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Check:
-    """An orthogonality matrix and what the gate says of it.
-
-    Attributes
-    ----------
-    name : str
-    matrix : (ma, mb) float64, 0..1
-    verdict : Verdict
-    kind : {"model", "self", "cross"}
-        B with itself as read with 2 % error, which says whether the mass is fit to judge by; A with
-        itself; A with B.
-    mass : str
-        What the mass is called.
-    """
-
-    name: str
-    matrix: Float
-    verdict: Verdict
-    kind: Literal["model", "self", "cross"]
-    mass: str
-
-    def __post_init__(self) -> None:
-        freeze_fields(self, matrix=np.float64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,13 +65,13 @@ class Subspace:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CompleteCorrelation:
-    """What can be said of two paired sets of modes beside deviation and MAC.
+    """What can be said of two paired sets of modes in addition to deviation and MAC.
 
     Attributes
     ----------
     channels : tuple of str
     auto_mac : (2,) float64
-        Largest off-diagonal auto-MAC of A and of B: near 1, the channels cannot tell shapes apart.
+        Largest off-diagonal auto-MAC of A and of B: near 1, the channels cannot distinguish shapes.
     comac, ecomac : (channel,) float64
     contribution : (channel,) float64
         Mean over the pairs of the share of each channel in the MAC.
@@ -176,12 +150,11 @@ def complete(
         As they were paired; test and model, or any two.
     pairing : Pairing
     mass : (channel, channel) float64, optional
-        Of the structure at the channels of A (`reduce.tam`).
+        Of the structure at the channels of A (`reduction.static`).
     mass_name : str
         What it is called in the checks.
     lift : callable, ModeSet -> (n, m), optional
-        Coordinates of shapes that the mass is over, where these are not the channels (`reduce.tam`,
-        Craig-Bampton).
+        Coordinates of shapes that the mass is over, where these are not channels (Craig-Bampton).
     gate : Gate
     std_a, std_b : (ma,), (mb,) float64 or float, Hz
         Standard deviations of the frequencies; NaN where unknown.
@@ -191,15 +164,23 @@ def complete(
     b = b.rows(a.channels)
     left, right = paired_shapes(a, b, pairing, settings)
     notes: list[str] = []
-    turn = turning(a, b, pairing, settings)
     checks: tuple[Check, ...] = ()
-    if not len(pairing):
-        notes.append("orthogonality not checked: no mode has a partner")
+    if len(pairing):
+        pairs = PairedSets(a, b, pairing.a, pairing.b, turning(a, b, pairing, settings))
+        if mass is not None:
+            checks = over_mass(pairs, mass, gate, name=mass_name, lift=lift)
+        if b.norm is Norm.MASS:
+            try:
+                checks += over_serep_mass(pairs, gate)
+            except InputError as e:
+                notes.append(f"orthogonality over the SEREP mass not checked: {e}")
+        elif not checks:
+            notes.append(
+                "orthogonality not checked: no mass given, and the shapes of the second set are "
+                "not mass-normalised"
+            )
     else:
-        checks = (
-            _over_mass(a, b, pairing, turn, mass, mass_name, gate, lift) if mass is not None else ()
-        )
-        checks += _over_serep(a, b, pairing, turn, gate, notes, quiet=bool(checks))
+        notes.append("orthogonality not checked: no mode has a partner")
     suspects: tuple[Suspect, ...] = ()
     if len(pairing) < 3:
         notes.append(f"channels not judged: {len(pairing)} pairs, at least 3 are needed")
@@ -213,120 +194,23 @@ def complete(
     if not np.isfinite(std).any():
         notes.append("deviations not judged: no standard deviation of a frequency is known")
     return CompleteCorrelation(
-        a.channels,
-        np.array([worst_off_diagonal(auto_mac(above_rounding(m.shapes))) for m in (a, b)]),
-        comac(left, right),
-        ecomac(left, right),
-        share.mean(axis=1) if len(pairing) else np.zeros(len(a.channels)),
-        eliminate(left, right)
+        channels=a.channels,
+        auto_mac=np.array([worst_off_diagonal(auto_mac(above_rounding(m.shapes))) for m in (a, b)]),
+        comac=comac(left, right),
+        ecomac=ecomac(left, right),
+        contribution=share.mean(axis=1) if len(pairing) else np.zeros(len(a.channels)),
+        elimination=eliminate(left, right)
         if len(pairing)
         else Elimination(np.zeros(0, dtype=np.int64), np.zeros((1, 0))),
-        modal_scale_factor(left, right),
-        mpc(a.shapes),
-        mpd(a.shapes),
-        mcf(a.shapes),
-        checks,
-        subspaces(a, b, pairing, settings),
-        suspects,
-        significance(a.frequencies[pairing.a], b.frequencies[pairing.b], *std),
-        tuple(notes),
-    )
-
-
-def _over_mass(
-    a: ModeSet,
-    b: ModeSet,
-    pairing: Pairing,
-    turn: Any_,
-    mass: Any_ | sparse.csr_array,
-    name: str,
-    gate: Gate,
-    lift: Lift | None,
-) -> tuple[Check, ...]:
-    """The modes of B up to the last that has a partner, those of A, and both, over a mass."""
-    rows, cols, upto = pairing.a, pairing.b, np.arange(int(pairing.b.max(initial=-1)) + 1)
-    one, two = (m.shapes if lift is None else lift(m) for m in (a, b))
-    model = _read(b.take(upto), two[:, upto], mass, lift)
-    own = self_orthogonality(one, mass)
-    cross = cross_orthogonality(one, two @ turn, mass)
-    return (
-        _of_model(model, gate, name),
-        Check(
-            f"self-orthogonality, {name} mass", own, judge(own, gate, a=rows, b=rows), "self", name
-        ),
-        Check(
-            f"cross-orthogonality, {name} mass",
-            cross,
-            judge(cross, gate, a=rows, b=cols),
-            "cross",
-            name,
-        ),
-    )
-
-
-def _of_model(matrix: Float, gate: Gate, name: str) -> Check:
-    told = f"modes of the model read with {100 * READ:g} % error, {name} mass"
-    return Check(told, matrix, judge(matrix, gate), "model", name)
-
-
-def _read(b: ModeSet, coordinates: Any_, mass: Any_ | sparse.csr_array, lift: Lift | None) -> Float:
-    """Modes with themselves over a mass, read with the errors of an ordinary test."""
-    error = READ * np.sqrt((np.abs(b.shapes) ** 2).mean(axis=0))
-    if lift is None:
-        return read_orthogonality(coordinates, mass, error)
-    n, out = len(b.channels), np.zeros((len(b), len(b)))
-    for j, f in enumerate(
-        b.frequencies.tolist()
-    ):  # tens of modes, each lifted at its own frequency
-        units = lift(ModeSet(np.full(n, f), np.zeros(n), np.eye(n), b.channels, b.norm, b.source))
-        one = np.where(np.arange(len(b)) == j, error, 0.0)
-        out[:, j] = read_orthogonality(coordinates, mass, one, units)[:, j]
-    return out
-
-
-def _over_serep(
-    a: ModeSet,
-    b: ModeSet,
-    pairing: Pairing,
-    turn: Any_,
-    gate: Gate,
-    notes: list[str],
-    *,
-    quiet: bool,
-) -> tuple[Check, ...]:
-    """A, and A with B, over the mass that mass-normalised real shapes of B give; `quiet`: another
-    mass is there.
-    """
-    rows, cols, name = pairing.a, pairing.b, "SEREP"
-    if b.norm is not Norm.MASS:
-        if not quiet:
-            notes.append(
-                "orthogonality not checked: no mass given, and the shapes of the second set are "
-                "not mass-normalised"
-            )
-        return ()
-    try:
-        back = pseudo_inverse(b.shapes)
-    except InputError as e:
-        notes.append(f"orthogonality over the SEREP mass not checked: {e}")
-        return ()
-    coordinates, one = back @ a.shapes, np.eye(len(b))
-    upto = np.arange(int(cols.max(initial=-1)) + 1)
-    error = READ * np.sqrt((b.shapes**2).mean(axis=0))
-    model = read_orthogonality(one, one, error, back)[np.ix_(upto, upto)]
-    own, q = auto_mac(coordinates) ** 0.5, np.abs(unit(turn.conj().T @ coordinates)).T
-    return (
-        _of_model(model, gate, name),
-        Check(
-            f"self-orthogonality, {name} mass", own, judge(own, gate, a=rows, b=rows), "self", name
-        ),
-        Check(
-            f"pseudo-orthogonality (POC), {name} mass",
-            q,
-            judge(q, gate, a=rows, b=cols),
-            "cross",
-            name,
-        ),
+        scale=modal_scale_factor(left, right),
+        mpc=mpc(a.shapes),
+        mpd=mpd(a.shapes),
+        mcf=mcf(a.shapes),
+        checks=checks,
+        subspaces=subspaces(a, b, pairing, settings),
+        suspects=suspects,
+        significance=significance(a.frequencies[pairing.a], b.frequencies[pairing.b], *std),
+        notes=tuple(notes),
     )
 
 
@@ -354,7 +238,8 @@ def subspaces(
 
 def complete_json(c: CompleteCorrelation, pairing: Pairing) -> dict[str, Any]:
     """Plain values; modes count from 1. Matrices over more than 30 modes are left out."""
-    s, worst = c.significance, _worst(c.comac)
+    s = c.significance
+    worst = _worst(c.comac)
     total, count, chance = s.chi_square
     return {
         "auto_mac_worst": c.auto_mac.tolist(),

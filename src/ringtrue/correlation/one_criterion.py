@@ -22,7 +22,8 @@ KNOWN = 2.0  # as many pairs `SCATTER` counts: what the pairs show is the least 
 ALONE = 25.0  # cost of a mode without a partner, in squares of the scatter
 DOUBT = 6.0  # an assignment that costs this much more is twenty times less likely
 FAR = 50.0  # offsets about which an assignment costs this much more are not looked at again
-NEVER, LOCKED_COST = 1e6, -1e6
+NEVER = 1e6
+LOCKED_COST = -1e6
 NO_RIVAL = -2  # in place of a rival: the pair is not in doubt
 
 
@@ -69,21 +70,23 @@ def by_frequency(fa: Float, fb: Float, allowed: Bool, forced: Bool, wide: Bool) 
     scatter = SCATTER
     for _ in range(2):
         off = min(
-            (_assigned(error, c, scatter, allowed, forced) for c in offsets), key=lambda t: t.cost
+            (_assigned(error, c, scatter, allowed=allowed, forced=forced) for c in offsets),
+            key=lambda t: t.cost,
         ).off
         scatter = float(np.sqrt((off @ off + KNOWN * SCATTER**2) / (max(off.size - 1, 0) + KNOWN)))
-    tried = [_assigned(error, c, scatter, allowed, forced) for c in offsets]
+    tried = [_assigned(error, c, scatter, allowed=allowed, forced=forced) for c in offsets]
     best = min(tried, key=lambda t: t.cost)
     rows = np.flatnonzero(best.partner >= 0)
     offsets = _offsets(error[wide & ~forced])
-    loose = [_assigned(error, c, scatter, wide, forced).cost for c in offsets]
+    loose = [_assigned(error, c, scatter, allowed=wide, forced=forced).cost for c in offsets]
     near = [c for c, cost in zip(offsets, loose, strict=True) if cost < best.cost + FAR]
     rival = []
     for i, j in zip(rows.tolist(), best.partner[rows].tolist(), strict=True):
         other = wide.copy()
         other[i, j] = False
         second = min(
-            (_assigned(error, c, scatter, other, forced) for c in near), key=lambda t: t.cost
+            (_assigned(error, c, scatter, allowed=other, forced=forced) for c in near),
+            key=lambda t: t.cost,
         )
         clear = forced[i].any() or second.cost >= best.cost + DOUBT
         rival.append(NO_RIVAL if clear else int(second.partner[i]))
@@ -125,7 +128,7 @@ def _assigned(error: Float, start: float, scatter: float, allowed: Bool, forced:
 
 LIKE = 0.95  # least MAC of such a pair
 CONTESTED = 0.5  # MAC from which another mode may be meant
-# channels, at the least, that carry such a shape: one sensor on a panel reads all its modes alike
+# channels, at the least, that carry such a shape: one sensor on a panel reads all its modes as one
 CARRIED = 3.0
 CHANCE = 0.01  # that unrelated shapes are as like: of random ones, and among the modes of each set
 FLAT = 0.1  # of the largest singular value: patterns that are less are those of others
@@ -159,8 +162,8 @@ def pairs_by_shape(
     free: Bool,
     gates: PairingSettings,
 ) -> Extended:
-    """Pairs, and further ones beyond the frequency gate, of modes that look alike and like no other
-    of either set.
+    """Pairs, and further ones beyond the frequency gate, of modes that look like each other and no
+    other of either set.
 
     Close modes of B that are left over are one subspace, as within the gate.
 
@@ -188,7 +191,7 @@ def pairs_by_shape(
     far[rows, :] = far[:, cols] = False
     if not far.any():
         return done
-    merged = _merged(fa, a, fb, b, score, far, gates)
+    merged = _merged(fa, a, fb, b=b, score=score, far=far, gates=gates)
     turned = merged > score.mac
     good = far & (merged >= LIKE) & (_carried(a) >= CARRIED)[:, None]
     good &= np.where(turned, _rivals(np.where(turned, 0.0, merged)), _rivals(merged)) < CONTESTED
@@ -197,7 +200,8 @@ def pairs_by_shape(
         good &= np.maximum(chance, _confused(a, b)) <= CHANCE
     i, j = linear_sum_assignment(-np.where(good, merged + TIE * score.mac, 0.0))
     i, j = i[good[i, j]], j[good[i, j]]
-    rows, cols = np.append(rows, i), np.append(cols, j)
+    rows = np.append(rows, i)
+    cols = np.append(cols, j)
     order = np.argsort(rows, kind="stable")
     beyond = order >= done.rows.size
     return Extended(rows[order], cols[order], beyond, replace(score, merged=merged))
@@ -206,9 +210,9 @@ def pairs_by_shape(
 def scores_among(
     fa: Float, a: Any_, fb: Float, b: Any_, rows: Int, columns: Int, gates: PairingSettings
 ) -> Scores:
-    """The scores of some modes, each within reach of each; what it turns is told of all modes."""
+    """The scores of some modes, each within reach of each; what it turns is given for all modes."""
     wide = replace(gates, frequency_gate=gates.reach)
-    score = scores(fa[rows], a[:, rows], fb[columns], b[:, columns], wide, mixed=False)
+    score = scores(fa[rows], a[:, rows], fb[columns], b=b[:, columns], settings=wide, mixed=False)
     turns = []
     for group, weight in score.turns:
         all_weights = np.zeros(fa.size)
@@ -221,10 +225,13 @@ def _merged(
     fa: Float, a: Any_, fb: Float, b: Any_, score: Scores, far: Bool, gates: PairingSettings
 ) -> Float:
     """MAC (ma, mb) with close modes of B rotated among those of `far`, too."""
-    rows, cols = np.flatnonzero(far.any(axis=1)), np.flatnonzero(far.any(axis=0))
+    rows = np.flatnonzero(far.any(axis=1))
+    cols = np.flatnonzero(far.any(axis=0))
     merged = score.merged.copy()
     here = np.ix_(rows, cols)
-    merged[here] = np.maximum(merged[here], scores_among(fa, a, fb, b, rows, cols, gates).merged)
+    merged[here] = np.maximum(
+        merged[here], scores_among(fa, a, fb, b=b, rows=rows, columns=cols, gates=gates).merged
+    )
     return merged
 
 
@@ -241,7 +248,7 @@ def _patterns(a: Any_, b: Any_) -> int:
 
 
 def _confused(a: Any_, b: Any_) -> float:
-    """Share of the pairs of different modes of one set that the channels cannot tell apart."""
+    """Share of the pairs of different modes of one set that the channels cannot distinguish."""
     like = np.concatenate(
         [m[np.triu_indices(len(m), 1)] >= LIKE for m in (auto_mac(a), auto_mac(b))]
     )
@@ -257,7 +264,8 @@ def _others(mac: Float) -> Float:
     """For each entry the largest other one of its row."""
     first = mac.argmax(axis=1)
     at = np.arange(len(mac))
-    most, rest = mac[at, first], mac.copy()
+    most = mac[at, first]
+    rest = mac.copy()
     rest[at, first] = 0.0
     out = np.repeat(most[:, None], mac.shape[1], axis=1)
     out[at, first] = rest.max(axis=1, initial=0.0)

@@ -1,14 +1,26 @@
-"""Pass or fail: the gates of the trade on an orthogonality matrix, or the user's own."""
+"""Orthogonality of paired modes over a mass, and whether it passes the gates of the trade or the
+user's own.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+from scipy import sparse
 
-from ringtrue.core.arrays import Any_, Float, Int
+from ringtrue.core.arrays import Any_, Float, Int, freeze_fields
+from ringtrue.core.modes import ModeSet
 from ringtrue.errors import ConfigError, InputError
+from ringtrue.shapes.mac import auto_mac, unit
+from ringtrue.shapes.orthogonality import (
+    cross_orthogonality,
+    pseudo_inverse,
+    read_orthogonality,
+    self_orthogonality,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,14 +116,23 @@ def judge(
     """
     rows, cols = _paired_rows(np.asarray(matrix), a, b)
     block = np.abs(np.asarray(matrix, dtype=np.float64)[np.ix_(rows, cols)])
-    own, off = np.diag(block), block.copy()
+    own = np.diag(block)
+    off = block.copy()
     np.fill_diagonal(off, 0.0)
     found = [
-        Failure(int(rows[i]), int(cols[i]), float(own[i]), gate.diagonal, True)
+        Failure(
+            a=int(rows[i]), b=int(cols[i]), value=float(own[i]), limit=gate.diagonal, diagonal=True
+        )
         for i in np.flatnonzero(own < gate.diagonal)
     ]
     found += [
-        Failure(int(rows[i]), int(cols[j]), float(off[i, j]), gate.off_diagonal, False)
+        Failure(
+            a=int(rows[i]),
+            b=int(cols[j]),
+            value=float(off[i, j]),
+            limit=gate.off_diagonal,
+            diagonal=False,
+        )
         for i, j in np.argwhere(off > gate.off_diagonal).tolist()
     ]
     # the farthest beyond its limit first; the halves of a symmetric matrix differ in rounding,
@@ -119,7 +140,11 @@ def judge(
     found.sort(key=lambda f: (-round(abs(f.value - f.limit), DECIMALS), f.a, f.b))
     least = float(own.min()) if own.size else float("nan")
     return Verdict(
-        gate, bool(own.size) and not found, least, float(off.max(initial=0.0)), tuple(found)
+        gate=gate,
+        passed=bool(own.size) and not found,
+        least_diagonal=least,
+        largest_off_diagonal=float(off.max(initial=0.0)),
+        failures=tuple(found),
     )
 
 
@@ -154,3 +179,130 @@ def verdict_json(verdict: Verdict) -> dict[str, Any]:
             for f in verdict.failures[:MOST_TOLD]
         ],
     }
+
+
+Mass = Any_ | sparse.csr_array
+Lift = Callable[[ModeSet], Any_]
+READ = 0.02  # error of a reading over the RMS of its mode, as of ordinary tests
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Check:
+    """An orthogonality matrix and what the gate says of it.
+
+    Attributes
+    ----------
+    name : str
+    matrix : (ma, mb) float64, 0..1
+    verdict : Verdict
+    kind : {"model", "self", "cross"}
+        B with itself as read with 2 % error, which says whether the mass is fit to judge by; A with
+        itself; A with B.
+    mass : str
+        What the mass is called.
+    """
+
+    name: str
+    matrix: Float
+    verdict: Verdict
+    kind: Literal["model", "self", "cross"]
+    mass: str
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, matrix=np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairedSets:
+    """Two mode sets and their pairs.
+
+    Attributes
+    ----------
+    a, b : ModeSet
+        At the same channels.
+    rows, columns : (k,) int64
+        The pairs.
+    turn : (mb, mb) float64 or complex128
+        Turns close modes of B as the pairing did (`turning`).
+    """
+
+    a: ModeSet
+    b: ModeSet
+    rows: Int
+    columns: Int
+    turn: Any_
+
+    @property
+    def compared(self) -> Int:
+        """The modes of B up to the last that has a partner."""
+        return np.arange(int(self.columns.max(initial=-1)) + 1)
+
+    def checks(
+        self, model: Float, own: Float, cross: tuple[str, Float], gate: Gate, mass: str
+    ) -> tuple[Check, ...]:
+        """Checks of the matrices of B as read, of A with itself, and (name, matrix) of A with B."""
+        read = f"modes of the model read with {100 * READ:g} % error"
+        matrices: tuple[tuple[str, Float, Verdict, Literal["model", "self", "cross"]], ...] = (
+            (read, model, judge(model, gate), "model"),
+            ("self-orthogonality", own, judge(own, gate, a=self.rows, b=self.rows), "self"),
+            (*cross, judge(cross[1], gate, a=self.rows, b=self.columns), "cross"),
+        )
+        return tuple(
+            Check(name=f"{name}, {mass} mass", matrix=x, verdict=verdict, kind=kind, mass=mass)
+            for name, x, verdict, kind in matrices
+        )
+
+
+def over_mass(
+    pairs: PairedSets, mass: Mass, gate: Gate, *, name: str, lift: Lift | None = None
+) -> tuple[Check, ...]:
+    """Orthogonality of B as read, of A, and of A with B over a mass; `lift` gives the coordinates
+    of shapes that the mass is over, where these are not the channels.
+    """
+    compared = pairs.compared
+    one, two = (m.shapes if lift is None else lift(m) for m in (pairs.a, pairs.b))
+    model = _read(pairs.b.take(compared), two[:, compared], mass, lift)
+    own = self_orthogonality(one, mass)
+    cross = cross_orthogonality(one, two @ pairs.turn, mass)
+    return pairs.checks(model, own, ("cross-orthogonality", cross), gate, name)
+
+
+def _read(b: ModeSet, coordinates: Any_, mass: Mass, lift: Lift | None) -> Float:
+    """Modes with themselves over a mass, read with the errors of an ordinary test."""
+    error = READ * np.sqrt((np.abs(b.shapes) ** 2).mean(axis=0))
+    if lift is None:
+        return read_orthogonality(coordinates, mass, error)
+    n = len(b.channels)
+    out = np.zeros((len(b), len(b)))
+    for j, f in enumerate(b.frequencies.tolist()):  # tens, each lifted at its own frequency
+        readings = ModeSet(
+            frequencies=np.full(n, f),
+            damping=np.zeros(n),
+            shapes=np.eye(n),
+            labels=b.channels,
+            norm=b.norm,
+            source=b.source,
+        )
+        one = np.where(np.arange(len(b)) == j, error, 0.0)
+        out[:, j] = read_orthogonality(coordinates, mass, one, lift(readings))[:, j]
+    return out
+
+
+def over_serep_mass(pairs: PairedSets, gate: Gate) -> tuple[Check, ...]:
+    """The same over the mass that mass-normalised real shapes of B give at the channels.
+
+    Raises
+    ------
+    InputError
+        If the channels cannot distinguish the shapes of B, or they are complex.
+    """
+    b = pairs.b
+    back = pseudo_inverse(b.shapes)
+    coordinates = back @ pairs.a.shapes
+    one = np.eye(len(b))
+    error = READ * np.sqrt((b.shapes**2).mean(axis=0))
+    compared = np.ix_(pairs.compared, pairs.compared)
+    model = read_orthogonality(one, one, error, back)[compared]
+    own = auto_mac(coordinates) ** 0.5
+    cross = np.abs(unit(pairs.turn.conj().T @ coordinates)).T
+    return pairs.checks(model, own, ("pseudo-orthogonality (POC)", cross), gate, "SEREP")

@@ -80,10 +80,8 @@ def turning(
         at = turned[np.isin(pairing.b[turned], group)]
         if at.size:
             inside = np.ix_(list(group), list(group))
-            rotated, far = (
-                _rotated(a.shapes, b.shapes, pairing, at, group),
-                np.full(len(group), weight.max()),
-            )
+            rotated = _rotated(a.shapes, b.shapes, pairing, at=at, group=group)
+            far = np.full(len(group), weight.max())
             far[np.searchsorted(group, pairing.b[at])] = weight[pairing.a[at]]
             out[inside] += (rotated - plain[inside]) * far
     out = linalg.polar(out)[0]
@@ -120,7 +118,8 @@ def comac(a: Any_, b: Any_) -> Float:
     a, b : (n, m) float64 or complex128
         Column k of one belongs to column k of the other. Blind to the sign of a channel.
     """
-    a, b = unit(np.asarray(a)), unit(np.asarray(b))
+    a = unit(np.asarray(a))
+    b = unit(np.asarray(b))
     below = (np.abs(a) ** 2).sum(axis=1) * (np.abs(b) ** 2).sum(axis=1)
     return np.asarray(
         np.abs(a * b).sum(axis=1) ** 2 / np.where(below > 0, below, 1.0), dtype=np.float64
@@ -131,7 +130,8 @@ def ecomac(a: Any_, b: Any_) -> Float:
     """Enhanced COMAC, (n,) 0 is best: mean |a − b|/2 of unit shapes in phase (Hunt, 1992); sees
     signs.
     """
-    a, b = unit(np.asarray(a)), unit(np.asarray(b))
+    a = unit(np.asarray(a))
+    b = unit(np.asarray(b))
     cross = (b.conj() * a).sum(axis=0)
     phase = cross / np.where(np.abs(cross) > 0, np.abs(cross), 1.0)
     return np.asarray(
@@ -143,7 +143,8 @@ MOST = 20  # channels left out unless more are asked for
 
 
 def _checked(a: Any_, b: Any_) -> tuple[Any_, Any_]:
-    a, b = np.asarray(a), np.asarray(b)
+    a = np.asarray(a)
+    b = np.asarray(b)
     if a.ndim != 2 or a.shape != b.shape:
         raise InputError(
             f"paired shapes {a.shape} and {b.shape} must be (channel, mode) and equal in size"
@@ -168,13 +169,6 @@ def mac_contribution(a: Any_, b: Any_) -> Float:
     return np.asarray(
         (part * part.sum(axis=0).conj()).real / np.where(below > 0, below, 1.0), dtype=np.float64
     )
-
-
-def mac_without(a: Any_, b: Any_) -> Float:
-    """MAC of paired modes if one channel were left out, (n, m): row i without channel i."""
-    a, b = _checked(a, b)
-    part, aa, bb = a.conj() * b, np.abs(a) ** 2, np.abs(b) ** 2
-    return _mac(part.sum(axis=0) - part, aa.sum(axis=0) - aa, bb.sum(axis=0) - bb)
 
 
 def _mac(cross: Any_, aa: Float, bb: Float) -> Float:
@@ -221,25 +215,33 @@ def eliminate(
         Channels to leave out; a tenth of them (1 to 20) if not given.
     least_channels : int, optional
         Channels that must stay; twice the number of pairs, at most n − 1, if not given: a MAC over
-        fewer tells little.
+        fewer says little.
 
     Notes
-    ----- It shows where two sets differ; leaving these channels out of the comparison does not make
+    -----
+    It shows where two sets differ; leaving these channels out of the comparison does not make
     the model better.
     """
     a, b = _checked(a, b)
     n, m = a.shape
     stay = min(2 * m, n - 1) if least_channels is None else least_channels
     count = max(0, min(min(max(1, n // 10), MOST) if most is None else most, n - stay))
-    part, aa, bb = a.conj() * b, np.abs(a) ** 2, np.abs(b) ** 2
-    cross, left, right = part.sum(axis=0), aa.sum(axis=0), bb.sum(axis=0)
+    part = a.conj() * b
+    aa = np.abs(a) ** 2
+    bb = np.abs(b) ** 2
+    cross = part.sum(axis=0)
+    left = aa.sum(axis=0)
+    right = bb.sum(axis=0)
     here = np.arange(n)
-    order, history = [], [_mac(cross, left, right)]
+    order = []
+    history = [_mac(cross, left, right)]
     for _ in range(count):  # greedy: each step rests on the last
         without = _mac(cross - part[here], left - aa[here], right - bb[here])
         k = int(np.argmax(without.mean(axis=1)))
         i = int(here[k])
-        cross, left, right = cross - part[i], left - aa[i], right - bb[i]
+        cross = cross - part[i]
+        left = left - aa[i]
+        right = right - bb[i]
         here = np.delete(here, k)
         order.append(i)
         history.append(without[k].copy())

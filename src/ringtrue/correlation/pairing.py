@@ -26,6 +26,8 @@ from ringtrue.correlation.one_criterion import NO_RIVAL, by_frequency, pairs_by_
 from ringtrue.errors import InputError
 from ringtrue.shapes.mac import above_rounding
 
+__all__ = ["Locks", "Pairing", "PairingSettings", "pair_modes"]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pairing:
@@ -39,8 +41,6 @@ class Pairing:
         Of the pair; of its subspace where `subspace` is true.
     frequency_error : (k,) float64
         (f_B − f_A)/f_A.
-    sign : (k,) float64
-        ±1, brings b to the phase of a.
     subspace : (k,) bool
         The pair belongs to a group of close modes that was treated as a subspace.
     unpaired_a, unpaired_b : (u,) int64
@@ -51,14 +51,15 @@ class Pairing:
         Where frequencies alone decide: another mode of B that the mode of A may be, -1 if it may
         have no partner at all, `NO_RIVAL` where neither is likely; empty where shapes decide.
     beyond : (k,) bool
-        The pair is beyond the frequency gate: its modes look alike and like no other.
+        The pair is beyond the frequency gate: its modes look like each other and no other.
+    gated_a : (u,) bool
+        Of `unpaired_a`: an unpaired mode of B that looks like it is beyond the frequency gate.
     """
 
     a: Int
     b: Int
     mac: Float
     frequency_error: Float
-    sign: Float
     subspace: Bool
     unpaired_a: Int
     reasons_a: tuple[str, ...]
@@ -66,24 +67,16 @@ class Pairing:
     reasons_b: tuple[str, ...]
     rival: Int = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     beyond: Bool = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+    gated_a: Bool = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
 
     def __post_init__(self) -> None:
-        i, f, yes = np.int64, np.float64, np.bool_
-        freeze_fields(
-            self,
-            a=i,
-            b=i,
-            mac=f,
-            frequency_error=f,
-            sign=f,
-            subspace=yes,
-            unpaired_a=i,
-            unpaired_b=i,
-        )
-        object.__setattr__(
-            self, "beyond", self.beyond if len(self.beyond) else np.zeros(len(self.a), dtype=yes)
-        )
-        freeze_fields(self, rival=i, beyond=yes)
+        integer, number, flag = np.int64, np.float64, np.bool_
+        freeze_fields(self, a=integer, b=integer, unpaired_a=integer, unpaired_b=integer)
+        freeze_fields(self, mac=number, frequency_error=number, subspace=flag)
+        for name, size in (("beyond", len(self.a)), ("gated_a", len(self.unpaired_a))):
+            if not len(getattr(self, name)):
+                object.__setattr__(self, name, np.zeros(size, dtype=flag))
+        freeze_fields(self, rival=integer, beyond=flag, gated_a=flag)
 
     def __len__(self) -> int:
         return int(self.a.size)
@@ -109,15 +102,8 @@ class Pairing:
         return (f"{why}: {', '.join(pairs)}",) if pairs else ()
 
 
-__all__ = [
-    "BEYOND_THE_GATE",
-    "Locks",
-    "PairingSettings",
-    "pair_modes",
-]
-
-BEYOND_THE_GATE = "beyond the gate"  # in the reason of such a mode
-BEYOND, ALIKE = 2.0, 0.8  # times the frequency gate, and MAC, of a mode that is told of a lone one
+BEYOND_GATE = 2.0  # frequency gates, within which the reason of an unpaired mode names another
+BEYOND_GATE_MAC = 0.8  # least MAC of that other mode
 
 
 def pair_modes(
@@ -132,7 +118,7 @@ def pair_modes(
 ) -> Pairing:
     """Pair the modes of two sets by one global assignment over MAC and frequency.
 
-    Modes left over that look alike and like no other are pairs beyond the frequency gate, too
+    Modes left over that look like each other and no other are pairs beyond the frequency gate, too
     (`settings.reach`). Blind to the order of modes and channels and to the sign, phase and scale of
     shapes. Close modes (`settings.close`) are treated as subspaces where a rotation inside the
     group of B explains A and single shapes do not.
@@ -173,77 +159,87 @@ def pair_modes(
         )
     hidden = _hidden(b, settings, visible_b)
     a, b = (replace(m, shapes=above_rounding(m.shapes)) for m in (a, b))
-    sure = a.confidence >= settings.min_confidence
+    usable_a = a.confidence >= settings.min_confidence
     if a.channels:
-        sure &= a.shapes.any(axis=0)
-    s = scores(a.frequencies, a.shapes, b.frequencies, b.shapes, settings)
-    plain = np.array([not why for why in hidden], dtype=np.bool_)
+        usable_a &= a.shapes.any(axis=0)
+    usable_b = np.array([not why for why in hidden], dtype=np.bool_)
+
+    score = scores(a.frequencies, a.shapes, b.frequencies, b=b.shapes, settings=settings)
     if a.channels:
-        (rows, cols), rival = assign(s, settings, sure, plain, locks), np.zeros(0, dtype=np.int64)
-        free = np.logical_and.outer(sure, plain) & locks.mask((len(a), len(b)))[1]
+        paired = assign(score, settings, usable_a, usable_b=usable_b, locks=locks)
+        free = np.logical_and.outer(usable_a, usable_b) & locks.mask((len(a), len(b)))[1]
         more = pairs_by_shape(
-            a.frequencies, a.shapes, b.frequencies, b.shapes, s, (rows, cols), free, settings
+            a.frequencies,
+            a.shapes,
+            b.frequencies,
+            b=b.shapes,
+            score=score,
+            paired=paired,
+            free=free,
+            gates=settings,
         )
-        rows, cols, s, beyond = more.rows, more.columns, more.score, more.beyond
+        rows, cols, score, beyond = more.rows, more.columns, more.score, more.beyond
+        rival = np.zeros(0, dtype=np.int64)
     else:
-        wide = within(
-            s, replace(settings, frequency_gate=settings.frequency_gate / HOLD), sure, plain, locks
-        )[0]
-        found = by_frequency(
-            a.frequencies, b.frequencies, *within(s, settings, sure, plain, locks), wide
-        )
-        rows, cols, rival, beyond = (
-            found.rows,
-            found.columns,
-            found.rival,
-            np.zeros(0, dtype=np.bool_),
-        )
+        loose = replace(settings, frequency_gate=settings.frequency_gate / HOLD)
+        wide = within(score, loose, usable_a, usable_b=usable_b, locks=locks)[0]
+        allowed, forced = within(score, settings, usable_a, usable_b=usable_b, locks=locks)
+        found = by_frequency(a.frequencies, b.frequencies, allowed, forced=forced, wide=wide)
+        rows, cols, rival = found.rows, found.columns, found.rival
+        beyond = np.zeros(0, dtype=np.bool_)
+
     unpaired_a = np.setdiff1d(np.arange(len(a)), rows)
     unpaired_b = np.setdiff1d(np.arange(len(b)), cols)
-    why = _Reasons(s, settings, rows, cols, names, first_b, locks, sure, tuple(hidden))
+    partner_a = np.full(len(a), -1)
+    partner_a[rows] = cols
+    partner_b = np.full(len(b), -1)
+    partner_b[cols] = rows
+    why = _Reasons(
+        score=score,
+        settings=settings,
+        a=_Side(names[0], 0, partner_a, ("",) * len(a)),
+        b=_Side(names[1], first_b, partner_b, tuple(hidden)),
+        locks=locks,
+        usable_a=usable_a,
+    )
+    gated = {i: why.beyond_gate(i) for i in unpaired_a.tolist() if usable_a[i]}
     return Pairing(
         a=rows,
         b=cols,
-        mac=s.merged[rows, cols],
-        frequency_error=s.error[rows, cols],
-        sign=_signs(a, b, rows, cols),
-        subspace=s.merged[rows, cols] > s.mac[rows, cols],
+        mac=score.merged[rows, cols],
+        frequency_error=score.error[rows, cols],
+        subspace=score.merged[rows, cols] > score.mac[rows, cols],
         unpaired_a=unpaired_a,
         reasons_a=tuple(
-            _unseen(a, i)
-            or (
-                why.of_a(i)
-                if sure[i]
-                else f"confidence {a.confidence[i]:.2f} < {settings.min_confidence:.2f}"
-            )
+            why.of_a(i) + gated[i] if i in gated else _unusable(a, i, settings)
             for i in unpaired_a.tolist()
         ),
         unpaired_b=unpaired_b,
         reasons_b=tuple(hidden[j] or why.of_b(j, a, b) for j in unpaired_b.tolist()),
         rival=rival,
         beyond=beyond,
+        gated_a=np.array([bool(gated.get(i)) for i in unpaired_a.tolist()], dtype=np.bool_),
     )
 
 
-def _signs(a: ModeSet, b: ModeSet, rows: Int, cols: Int) -> Float:
-    cross = (b.shapes[:, cols].conj() * a.shapes[:, rows]).sum(axis=0)
-    return np.where(cross.real < 0, -1.0, 1.0)
+UNSEEN = "not observable: it does not move the channels that are compared"
 
 
-def _unseen(a: ModeSet, i: int) -> str:
-    if not a.channels or a.shapes[:, i].any():
-        return ""
-    return "not observable: it does not move the channels that are compared"
+def _unusable(a: ModeSet, i: int, settings: PairingSettings) -> str:
+    """Why a mode of A takes no part."""
+    if a.channels and not a.shapes[:, i].any():
+        return UNSEEN
+    return f"confidence {a.confidence[i]:.2f} < {settings.min_confidence:.2f}"
 
 
 def _hidden(b: ModeSet, settings: PairingSettings, visible: Float | None) -> list[str]:
     """For each mode of B why no sensor sees it, or an empty text."""
-    share, out = peak_shares(b.shapes), []
+    share = peak_shares(b.shapes)
+    out = []
     for j in range(len(b)):
         if b.channels and share[j] == 0:
-            out.append("not observable: it does not move the channels that are compared")
-            continue
-        if visible is not None and visible[j] < settings.min_visible:
+            out.append(UNSEEN)
+        elif visible is not None and visible[j] < settings.min_visible:
             out.append(
                 f"moves where no sensor is: {100 * visible[j]:.2g} % of its motion is at sensors"
             )
@@ -258,118 +254,110 @@ def _hidden(b: ModeSet, settings: PairingSettings, visible: Float | None) -> lis
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Reasons:
-    score: Scores
-    settings: PairingSettings
-    rows: Int
-    cols: Int
-    names: tuple[str, str]
-    first_b: int
-    locks: Locks
-    sure: Bool
+class _Side:
+    """One of the two sets.
+
+    Attributes
+    ----------
+    name : str
+    first : int
+        Number of modes that stand before it in the whole set.
+    partner : (m,) int64
+        Partner of each mode in the other set, -1 for none.
+    hidden : tuple of str
+        Why each mode cannot be seen, empty where it can.
+    """
+
+    name: str
+    first: int
+    partner: Int
     hidden: tuple[str, ...]
 
+    def called(self, i: int) -> str:
+        """A mode by the name of the set and its number."""
+        return f"{self.name} {i + 1 + self.first}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Reasons:
+    """Why modes are unpaired, in words."""
+
+    score: Scores
+    settings: PairingSettings
+    a: _Side
+    b: _Side
+    locks: Locks
+    usable_a: Bool
+
     @property
-    def seen(self) -> bool:
-        """Whether shapes tell the modes apart."""
+    def shapes_known(self) -> bool:
+        """Whether shapes were measured."""
         return not np.isnan(self.score.mac).all()
 
     def of_a(self, i: int) -> str:
-        macs, errors, barred = (
-            self.score.merged[i],
-            self.score.error[i],
-            [q for p, q in self.locks.forbidden if p == i],
-        )
-        why = self._of(
-            macs,
-            errors,
-            barred,
-            self.names[1],
-            self.cols,
-            self.rows,
-            self.names[0],
-            self.first_b,
-            0,
-        )
-        return why + self._beyond(macs, errors)
-
-    def _beyond(self, macs: Float, errors: Float) -> str:
-        """A lone mode of B that looks like this one, just farther off than the gate lets it."""
-        gate = self.settings.frequency_gate
-        free = (np.abs(errors) > gate) & (np.abs(errors) <= BEYOND * gate)
-        free[self.cols] = False
-        if not self.seen or not free.any():
-            return ""
-        best = int(np.argmax(np.where(free, macs, 0.0)))
-        if macs[best] < ALIKE:
-            return ""
-        return (
-            f"; {BEYOND_THE_GATE} {self.names[1]} {best + 1 + self.first_b}, "
-            f"{100 * errors[best]:+.3g} %, has "
-            f"{100 * macs[best]:.0f} %: widen it (frequency_gate)"
-        )
+        forbidden = [q for p, q in self.locks.forbidden if p == i]
+        return self._reason(self.score.merged[i], self.score.error[i], forbidden, self.a, self.b)
 
     def of_b(self, j: int, a: ModeSet, b: ModeSet) -> str:
         f = float(b.frequencies[j])
         gate = self.settings.frequency_gate
         if len(a) and not a.frequencies.min() * (1 - gate) <= f <= a.frequencies.max() * (1 + gate):
             return (
-                f"outside of the {self.names[0]} band {a.frequencies.min():.4g} to "
+                f"outside of the {self.a.name} band {a.frequencies.min():.4g} to "
                 f"{a.frequencies.max():.4g} Hz"
             )
-        macs, errors = self.score.merged[:, j], self.score.error[:, j]
-        barred = [p for p, q in self.locks.forbidden if q == j]
+        macs = self.score.merged[:, j]
+        errors = self.score.error[:, j]
         near = np.flatnonzero((np.abs(errors) <= gate) & (macs >= self.settings.mac_gate))
         best = int(near[np.argmax(macs[near])]) if near.size else -1
-        if best >= 0 and not self.sure[best]:
-            return (
-                f"{self.names[0]} {best + 1} (MAC {100 * macs[best]:.0f} %) has too little "
-                "confidence"
-            )
-        return self._of(
-            macs,
-            errors,
-            barred,
-            self.names[0],
-            self.rows,
-            self.cols,
-            self.names[1],
-            0,
-            self.first_b,
+        if best >= 0 and not self.usable_a[best]:
+            return f"{self.a.called(best)} (MAC {100 * macs[best]:.0f} %) has too little confidence"
+        forbidden = [p for p, q in self.locks.forbidden if q == j]
+        return self._reason(macs, errors, forbidden, self.b, self.a)
+
+    def beyond_gate(self, i: int) -> str:
+        """The unpaired mode of B that looks like mode i of A and is beyond the frequency gate;
+        empty without one.
+        """
+        macs = self.score.merged[i]
+        errors = self.score.error[i]
+        gate = self.settings.frequency_gate
+        free = (np.abs(errors) > gate) & (np.abs(errors) <= BEYOND_GATE * gate)
+        free &= self.b.partner < 0
+        if not self.shapes_known or not free.any():
+            return ""
+        best = int(np.argmax(np.where(free, macs, 0.0)))
+        if macs[best] < BEYOND_GATE_MAC:
+            return ""
+        return (
+            f"; beyond the gate {self.b.called(best)}, {100 * errors[best]:+.3g} %, has "
+            f"{100 * macs[best]:.0f} %: widen it (frequency_gate)"
         )
 
-    def _of(
-        self,
-        macs: Float,
-        errors: Float,
-        barred: list[int],
-        theirs: str,
-        taken: Int,
-        by: Int,
-        mine: str,
-        their_first: int,
-        my_first: int,
+    def _reason(
+        self, macs: Float, errors: Float, forbidden: list[int], own: _Side, other: _Side
     ) -> str:
-        gate, least = self.settings.frequency_gate, self.settings.mac_gate
+        gate = self.settings.frequency_gate
+        least = self.settings.mac_gate
         near = np.flatnonzero(np.abs(errors) <= gate)
         if not near.size:
-            return f"no {theirs} mode within {100 * gate:.3g} %"
-        best = int(near[np.argmax(macs[near] if self.seen else -np.abs(errors[near]))])
+            return f"no {other.name} mode within {100 * gate:.3g} %"
+        likeness = macs[near] if self.shapes_known else -np.abs(errors[near])
+        best = int(near[np.argmax(likeness)])
         if macs[best] < least:
             return (
-                f"no {theirs} mode within {100 * gate:.3g} % has MAC >= {100 * least:.3g} %: "
-                f"best {theirs} {best + 1 + their_first} with {_below(macs[best], least)} %"
+                f"no {other.name} mode within {100 * gate:.3g} % has MAC >= {100 * least:.3g} %: "
+                f"best {other.called(best)} with {_below(macs[best], least)} %"
             )
-        told = f" (MAC {100 * macs[best]:.0f} %)" if self.seen else ""
-        if best in barred:
-            return f"{theirs} {best + 1 + their_first}{told} is forbidden by the user"
-        owner = np.flatnonzero(taken == best)
-        if owner.size:
-            number = int(by[owner[0]]) + 1 + my_first
-            return f"{theirs} {best + 1 + their_first}{told} is already taken by {mine} {number}"
-        hidden = self.hidden[best] if theirs == self.names[1] else ""
-        why = f"is left out: {hidden}" if hidden else "was set aside for another reason"
-        return f"{theirs} {best + 1 + their_first}{told} {why}"
+        name = other.called(best)
+        name += f" (MAC {100 * macs[best]:.0f} %)" if self.shapes_known else ""
+        if best in forbidden:
+            return f"{name} is forbidden by the user"
+        if other.partner[best] >= 0:
+            return f"{name} is already taken by {own.called(int(other.partner[best]))}"
+        if other.hidden[best]:
+            return f"{name} is left out: {other.hidden[best]}"
+        return f"{name} was set aside for another reason"
 
 
 def _below(mac: float, least: float) -> str:

@@ -25,7 +25,7 @@ ROUNDS = 6
 TURNS = np.deg2rad([8.0, -8.0, 20.0, -20.0])
 _Motion = tuple[Float, Float]  # rotation and shift
 GROSS = 3.0  # times the rms of the nearest points: another that is farther off is set aside
-EXACT = 1e-3  # of the size of the deck: places on a sheet are hardly better
+EXACT = 1e-3  # of the size of the deck: places on a sheet are not better
 RIVAL = 3.0  # a placement whose log-likelihood is within this of the best is as good
 
 
@@ -90,8 +90,10 @@ class Alignment:
 def _fit(source: Float, target: Float, weight: Float, scale: bool) -> tuple[Float, Float, float]:
     """Least squares of Umeyama (1991), weighted."""
     w = weight / weight.sum()
-    mean_s, mean_t = w @ source, w @ target
-    s, t = source - mean_s, target - mean_t
+    mean_s = w @ source
+    mean_t = w @ target
+    s = source - mean_s
+    t = target - mean_t
     u, d, vh = np.linalg.svd((t * w[:, None]).T @ s)
     sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vh)) or 1.0])
     rotation = (u * sign) @ vh
@@ -135,7 +137,8 @@ def best_fit(
         without it: two cannot outvote the third.
 
     Notes
-    ----- Graduated non-convexity on truncated least squares (Yang, Antonante, Tzoumas and Carlone,
+    -----
+    Graduated non-convexity on truncated least squares (Yang, Antonante, Tzoumas and Carlone,
     2020): right with up to about half of the points wrong.
 
     Raises
@@ -143,7 +146,8 @@ def best_fit(
     InputError
         If the points do not fix a placement.
     """
-    source, target = _check_points(source, "source points"), _check_points(target, "target points")
+    source = _check_points(source, "source points")
+    target = _check_points(target, "target points")
     if source.shape != target.shape:
         raise InputError(f"{source.shape[0]} source points for {target.shape[0]} target points")
     weight = np.ones(source.shape[0])
@@ -158,7 +162,7 @@ def best_fit(
     limit = (
         tolerance if tolerance is not None else max(3 * 1.4826 * float(np.median(r)), 1e-7 * size)
     )
-    weight = _truncated(source, target, weight, scale, limit)
+    weight = _truncated(source, target, weight, scale=scale, limit=limit)
     used = weight > 0.5
     if used.sum() < 3:
         raise InputError(
@@ -204,15 +208,17 @@ def nearest_fit(source: Float, nodes: Float, *, keep: float = 0.9) -> Alignment:
         Chetverikov and others, 2002).
 
     Notes
-    ----- A local method: it needs points spread over the structure as the nodes are. With `rivals`
+    -----
+    A local method: it needs points spread over the structure as the nodes are. With `rivals`
     > 0 the geometry is symmetric and named points must decide.
     """
-    source, nodes = _check_points(source, "test points"), _check_points(nodes, "nodes")
+    source = _check_points(source, "test points")
+    nodes = _check_points(nodes, "nodes")
     tree = KDTree(nodes)
-    found = [_icp(source, nodes, tree, start, keep) for start in _starts(source, nodes)]
+    found = [_icp(source, nodes, tree, fit=start, keep=keep) for start in _starts(source, nodes)]
     win = min(found, key=lambda f: f.rms)
     for _ in range(ROUNDS):  # out of shallow minima, until no turn helps
-        again = [_icp(source, nodes, tree, start, keep) for start in _turned(win, source)]
+        again = [_icp(source, nodes, tree, fit=start, keep=keep) for start in _turned(win, source)]
         best = min(again, key=lambda f: f.rms)
         if best.rms > 0.99 * win.rms:
             break
@@ -220,7 +226,7 @@ def nearest_fit(source: Float, nodes: Float, *, keep: float = 0.9) -> Alignment:
     reach = diagonal(nodes)
     found += [
         win,
-        *(_icp(source, nodes, tree, start, keep) for start in _about(win, _middle(nodes))),
+        *(_icp(source, nodes, tree, fit=start, keep=keep) for start in _about(win, _middle(nodes))),
     ]
     cost = _costs(found, max(win.rms, EXACT * reach))
     win = found[int(np.argmin(cost))]
@@ -257,7 +263,8 @@ def _about(fit: Alignment, middle: Float) -> list[_Motion]:
 
 def _turned(fit: Alignment, source: Float) -> list[_Motion]:
     """The placement turned a little about the middle of the points."""
-    middle, out = _middle(source), []
+    middle = _middle(source)
+    out = []
     pivot = fit(middle[None])[0]
     for vector in np.concatenate([s * np.eye(3) for s in TURNS]):
         turn = Rotation.from_rotvec(vector).as_matrix() @ fit.rotation
@@ -273,7 +280,8 @@ def _middle(xyz: Float) -> Float:
 
 def _starts(source: Float, nodes: Float) -> list[_Motion]:
     out = [(np.eye(3), np.zeros(3))]
-    cs, cn = _middle(source), _middle(nodes)
+    cs = _middle(source)
+    cn = _middle(nodes)
     us, un = (np.linalg.svd(x - x.mean(axis=0), full_matrices=False)[2] for x in (source, nodes))
     for flip in axis_turns():
         both = (
@@ -305,7 +313,8 @@ def _nearest(tree: KDTree, xyz: Float) -> tuple[Float, Int]:
 
 def _icp(source: Float, nodes: Float, tree: KDTree, fit: _Motion, keep: float) -> Alignment:
     count = max(4, int(np.ceil(keep * len(source))))
-    count, before = min(count, len(source)), np.inf
+    count = min(count, len(source))
+    before = np.inf
     for _ in range(MOST_STEPS):  # each step rests on the last
         rotation, shift = fit
         distance, partner = _nearest(tree, source @ rotation.T + shift)
@@ -318,13 +327,13 @@ def _icp(source: Float, nodes: Float, tree: KDTree, fit: _Motion, keep: float) -
         fit = _fit(source, nodes[partner], used.astype(float), scale=False)[:2]
     rotation, shift = fit
     distance, _ = _nearest(tree, source @ rotation.T + shift)
-    return Alignment(rotation, shift, 1.0, distance, used)
+    return Alignment(rotation=rotation, shift=shift, scale=1.0, residual=distance, used=used)
 
 
 Method = Literal["nearest", "rigid"]
 SAME = 1e-6  # of the tolerance: nodes that are as near
 OF_SIZE = 0.03  # of the size of a model: as far a sensor may be from its node, if nothing is said
-SOME = 2000  # nodes that tell how far nodes are apart
+SOME = 2000  # nodes whose distances give the mesh width
 _OF_EXTENT = 0.25  # of the size of a test
 UNLIKE = 10.0  # times another in size: in another unit
 
@@ -383,21 +392,37 @@ def observe(
     at = test.channel_xyz() / unit
     k = min(neighbours, len(node_ids)) if method == "rigid" else 1
     found = KDTree(xyz).query(at, k=[*range(1, k + 1)])
-    distance, nearest = np.asarray(found[0], dtype=np.float64), np.asarray(found[1], dtype=np.int64)
+    distance = np.asarray(found[0], dtype=np.float64)
+    nearest = np.asarray(found[1], dtype=np.int64)
     if tolerance is None:  # a test in another unit must not lie on one node
         tolerance = min(default_tolerance(xyz), _OF_EXTENT * diagonal(test.xyz) / unit or np.inf)
     if k == 1:
         nearest = _by_number(
-            test.at, at, np.asarray(node_ids), xyz, (distance, nearest), SAME * tolerance
+            test.at,
+            at,
+            np.asarray(node_ids),
+            xyz=xyz,
+            found=(distance, nearest),
+            same=SAME * tolerance,
         )
-    _refuse_far(test, distance[:, 0], tolerance, np.asarray(node_ids), xyz, nearest[:, 0], unit)
+    _refuse_far(
+        test,
+        distance[:, 0],
+        tolerance,
+        ids=np.asarray(node_ids),
+        xyz=xyz,
+        nearest=nearest[:, 0],
+        unit=unit,
+    )
     weights = (
         _rigid_weights(at, xyz[nearest], distance, test.directions())
         if k > 1
         else test.directions()[:, None, :]
     )
     matrix = _matrix(weights, np.asarray(node_ids)[nearest], dofs, test.channels)
-    return Observation(matrix, test.channels, dofs, unit, distance[:, 0])
+    return Observation(
+        matrix=matrix, channels=test.channels, dofs=dofs, unit=unit, distance=distance[:, 0]
+    )
 
 
 def default_tolerance(xyz: Float) -> float:
@@ -479,8 +504,8 @@ def _refuse_far(
 
 def _spacing(xyz: Float, nodes: Int) -> Float:
     """How far the nearest other place of a node is from each of some (n,)."""
-    apart = np.reshape(KDTree(xyz).query(xyz[nodes], k=min(8, len(xyz)))[0], (nodes.size, -1))
-    return np.asarray(np.where(apart > 0, apart, np.inf).min(axis=1))
+    distance = np.reshape(KDTree(xyz).query(xyz[nodes], k=min(8, len(xyz)))[0], (nodes.size, -1))
+    return np.asarray(np.where(distance > 0, distance, np.inf).min(axis=1))
 
 
 def _rigid_weights(at: Float, nodes: Float, distance: Float, axes: Float) -> Float:
@@ -491,7 +516,9 @@ def _rigid_weights(at: Float, nodes: Float, distance: Float, axes: Float) -> Flo
     """
     reach = distance[:, -1:].clip(min=np.finfo(float).tiny)
     arm = (nodes - at[:, None, :]) / reach[:, :, None]  # rotations scaled by the reach
-    x, y, z = arm[..., 0], arm[..., 1], arm[..., 2]
+    x = arm[..., 0]
+    y = arm[..., 1]
+    z = arm[..., 2]
     o = np.zeros_like(x)
     skew = np.stack(
         [np.stack([o, z, -y], -1), np.stack([-z, o, x], -1), np.stack([y, -x, o], -1)], -2
@@ -544,4 +571,6 @@ def at_dofs(channels: tuple[str, ...], dofs: DofSet, unit: float = 1.0) -> Obser
         raise DataError(f"channels of the test must be DOFs of the deck, such as 101+Z: {e}") from e
     sign = sign * dofs.per_length(unit)[index]
     pick = sparse.csr_array((sign, (np.arange(index.size), index)), shape=(index.size, len(dofs)))
-    return Observation(pick, channels, dofs, 1.0, np.zeros(index.size))
+    return Observation(
+        matrix=pick, channels=channels, dofs=dofs, unit=1.0, distance=np.zeros(index.size)
+    )

@@ -44,7 +44,7 @@ Reading = tuple[str, str]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Readings:
-    """A test beside a model, with what the model does along all axes of the sheet at each sensor.
+    """A test and a model, with what the model does along all axes of the sheet at each sensor.
 
     Attributes
     ----------
@@ -141,7 +141,7 @@ class Mending:
 
 
 def readings_by_name(test: ModeSet, model: ModeSet) -> Readings:
-    """Two sets of modes, the axes of the sensors told by their names, such as `101+Z`.
+    """Two sets of modes, the axes of the sensors taken from their names, such as `101+Z`.
 
     Parameters
     ----------
@@ -158,7 +158,9 @@ def readings_by_name(test: ModeSet, model: ModeSet) -> Readings:
         index, sign = match_channels(test.channels, model.channels)
         axes[:, 0] = 1.0
         motion[0] = model.shapes[index] * sign[:, None]
-        return Readings(test, model.frequencies, motion, axes, ("",) * n)
+        return Readings(
+            test=test, frequencies=model.frequencies, motion=motion, axes=axes, groups=("",) * n
+        )
     for k, axis in enumerate(AXES):
         index, sign = match_channels(
             [f"{label[0]}+{axis}" for label in labels if label], model.channels
@@ -168,7 +170,9 @@ def readings_by_name(test: ModeSet, model: ModeSet) -> Readings:
     for i, label in enumerate(labels):
         assert label is not None
         axes[i, AXES.index(label[2])] = label[1]
-    return Readings(test, model.frequencies, motion, axes, ("",) * n)
+    return Readings(
+        test=test, frequencies=model.frequencies, motion=motion, axes=axes, groups=("",) * n
+    )
 
 
 def mendings_json(found: Sequence[Mending]) -> list[dict[str, Any]]:
@@ -199,7 +203,7 @@ def find_mendings(
     Each is tried with a pairing of its own, since wrong axes leave few pairs. What a shape has that
     the model misses, 1 − MAC, is taken for a variance. A change counts if the likelihood that it
     gains outweighs the number of changes that are tried, with 1 % to be wrong, and if the mean MAC
-    of the modes is then above the gate. Of changes that shapes cannot tell apart the frequencies
+    of the modes is then above the gate. Of changes that shapes cannot distinguish the frequencies
     decide. The best one is thought away, and the rest tried anew.
 
     Parameters
@@ -211,16 +215,21 @@ def find_mendings(
         Of single channels.
 
     Notes
-    ----- It believes the model, as `find_faults` does. What a symmetric structure cannot tell apart
-    is named beside the best. The sign of all sensors together says nothing and is not looked at.
+    -----
+    It believes the model, as `find_faults` does. What a symmetric structure leaves open
+    is named with the best. The sign of all sensors together says nothing and is not looked at.
     """
-    axes, shapes, found = given.axes, given.test.shapes, list[Mending]()
-    sure = (given.test.confidence >= settings.min_confidence) & given.test.shapes.any(axis=0)
-    if not sure.any() or not given.frequencies.size:
+    axes = given.axes
+    shapes = given.test.shapes
+    found = list[Mending]()
+    usable = (given.test.confidence >= settings.min_confidence) & given.test.shapes.any(axis=0)
+    if not usable.any() or not given.frequencies.size:
         return ()
-    strength = linalg.svdvals(unit(given.test.shapes[:, sure]))
+    strength = linalg.svdvals(unit(given.test.shapes[:, usable]))
     patterns = int((strength > FLAT * strength.max(initial=0.0)).sum())
-    search = _Search(given, settings, limits, sure, patterns)
+    search = _Search(
+        given=given, settings=settings, limits=limits, usable=usable, patterns=patterns
+    )
     for _ in range(MOST_MENDINGS):
         before = search.fit(shapes, axes)
         if before is None or search.gain(before.mac, np.ones_like(before.mac)) <= -np.log(CHANCE):
@@ -229,7 +238,8 @@ def find_mendings(
         if best is None:
             break
         found.append(best[0])
-        shapes, axes = best[1].shapes, best[1].axes
+        shapes = best[1].shapes
+        axes = best[1].axes
     return tuple(found)
 
 
@@ -263,28 +273,32 @@ class _Search:
     given: Readings
     settings: PairingSettings
     limits: FaultLimits
-    sure: Bool
+    usable: Bool
     patterns: int  # independent ones in the shapes of the test
 
     def fit(self, shapes: Any_, axes: Float, *, rotated: bool = True) -> _Fit | None:
         """The best one-to-one assignment within the frequency gate; None where motion along the
         axes is not known.
         """
-        b, fb = self.given.seen(axes), self.given.frequencies
+        b = self.given.seen(axes)
+        fb = self.given.frequencies
         if not np.isfinite(b).all():
             return None
-        a, fa = shapes[:, self.sure], self.given.test.frequencies[self.sure]
-        found = scores(fa, a, fb, b, self.settings).merged if rotated else mac(a, b)
+        a = shapes[:, self.usable]
+        fa = self.given.test.frequencies[self.usable]
+        found = scores(fa, a, fb, b=b, settings=self.settings).merged if rotated else mac(a, b)
         worth = np.where(self._possible(b), found, 0.0)
         rows, columns = linear_sum_assignment(-worth)
-        value, partner = np.zeros(fa.size), np.full(fa.size, -1, dtype=np.int64)
+        value = np.zeros(fa.size)
+        partner = np.full(fa.size, -1, dtype=np.int64)
         value[rows] = worth[rows, columns]
         partner[rows] = np.where(value[rows] > 0, columns, -1)
         return _Fit(np.clip(value, 0.0, 1.0), partner, b)
 
     def _possible(self, b: Any_) -> Bool:
         """Which pairs (ma, mb) are within the frequency gate, of modes that the sensors see."""
-        fa, fb = self.given.test.frequencies[self.sure], self.given.frequencies
+        fa = self.given.test.frequencies[self.usable]
+        fb = self.given.frequencies
         near = (
             np.abs(fb[None, :] - fa[:, None]) <= self.settings.frequency_gate * np.abs(fa)[:, None]
         )
@@ -322,9 +336,9 @@ class _Search:
         if not judged:
             return None
         top = max(net for net, _, _ in judged)
-        alike = [(change, after) for net, change, after in judged if net > top - RIVAL]
-        change, after = min(alike, key=lambda pair: self._strangeness(*pair))
-        others = [c for c, _ in alike if c is not change and c.kind == "axes"]
+        likely = [(change, after) for net, change, after in judged if net > top - RIVAL]
+        change, after = min(likely, key=lambda pair: self._strangeness(*pair))
+        others = [c for c, _ in likely if c is not change and c.kind == "axes"]
         rivals = (
             [_axes_words(c.group, self._readings(c)) for c in others]
             if change.kind == "axes"
@@ -333,14 +347,15 @@ class _Search:
         return self._mending(change, before, after, tuple(dict.fromkeys(rivals))), change
 
     def _strangeness(self, change: _Change, after: _Fit) -> tuple[float, int]:
-        """What decides between changes that shapes cannot tell apart: the frequencies, then how
+        """What decides between changes that shapes cannot distinguish: the frequencies, then how
         much is reversed.
 
         The mean |Δf| over the frequency gate, in steps of a hundredth, and the number of reversed
         axes or channels.
         """
         kept = after.partner >= 0
-        fa, fb = self.given.test.frequencies[self.sure], self.given.frequencies[after.partner]
+        fa = self.given.test.frequencies[self.usable]
+        fb = self.given.frequencies[after.partner]
         off = np.where(kept, np.abs(fb / fa - 1) / self.settings.frequency_gate, 1.0)
         reversed_axes = sum(reads.startswith("-") for _, reads in self._readings(change))
         return round(float(off.mean()), 2), reversed_axes + len(change.faults)
@@ -348,14 +363,21 @@ class _Search:
     def _mending(
         self, change: _Change, before: _Fit, after: _Fit, rivals: tuple[str, ...]
     ) -> Mending:
-        now, then = float(before.mac.mean()), float(after.mac.mean())
+        now = float(before.mac.mean())
+        then = float(after.mac.mean())
         names = self.given.test.channels
         suspects = [s for f in change.faults for s in suspects_of(f, names, now, then)]
         gate = self.settings.mac_gate
         pairs = int((before.mac >= gate).sum()), int((after.mac >= gate).sum())
         readings = self._readings(change) if change.kind == "axes" else ()
         return Mending(
-            change.kind, change.group, readings, rivals, tuple(suspects), pairs, (now, then)
+            kind=change.kind,
+            group=change.group,
+            axes=readings,
+            rivals=rivals,
+            suspects=tuple(suspects),
+            pairs=pairs,
+            mac=(now, then),
         )
 
     def _turns(self, shapes: Any_, axes: Float) -> list[_Change]:
@@ -374,11 +396,15 @@ class _Search:
                     made.setdefault(_without_sign(turned), (group, turned))
         made.pop(_without_sign(axes))
         cost = float(np.log(max(len(made), 1)))
-        return [_Change(shapes, turned, cost, "axes", group) for group, turned in made.values()]
+        return [
+            _Change(shapes=shapes, axes=turned, cost=cost, kind="axes", group=group)
+            for group, turned in made.values()
+        ]
 
     def _readings(self, change: _Change) -> tuple[Reading, ...]:
         """Each axis of the sheet that sensors of the change lie along, and what they then read."""
-        axes, turned = self.given.axes, change.axes
+        axes = self.given.axes
+        turned = change.axes
         mine = np.array([not change.group or g == change.group for g in self.given.groups])
         along = np.where(mine, np.abs(axes).argmax(axis=1), -1)
         out = []
@@ -397,17 +423,21 @@ class _Search:
 
     def _signs(self, shapes: Any_, axes: Float) -> list[_Change]:
         """Any number of channels reversed: those that do, of modes paired whatever the signs."""
-        b, n = self.given.seen(axes), len(shapes)
+        b = self.given.seen(axes)
+        n = len(shapes)
         if not np.isfinite(b).all():
             return []
-        a, possible = realise(shapes[:, self.sure]), self._possible(b)
-        sign, like = np.ones(n), mac(np.abs(a), np.abs(b))
+        a = realise(shapes[:, self.usable])
+        possible = self._possible(b)
+        sign = np.ones(n)
+        like = mac(np.abs(a), np.abs(b))
         for _ in range(ROUNDS):
             rows, columns = linear_sum_assignment(-np.where(possible, like, 0.0))
             kept = possible[rows, columns]
             if not kept.any():
                 return []
-            left, right = a[:, rows[kept]], b[:, columns[kept]]
+            left = a[:, rows[kept]]
+            right = b[:, columns[kept]]
             product = (unit(left).conj() * unit(right)).real
             first = linalg.svd(product, full_matrices=False)[0][:, 0]
             sign = np.where(first < 0, -1.0, 1.0)
@@ -420,10 +450,21 @@ class _Search:
         turned = np.flatnonzero((same * np.sign(cosine) < 0) & certain)
         if not turned.size:
             return []
-        faults = tuple(ChannelFault(i, i, "reversed", -1.0, 0.0) for i in turned.tolist())
+        faults = tuple(
+            ChannelFault(i=i, j=i, fault="reversed", factor=-1.0, gain=0.0) for i in turned.tolist()
+        )
         k = turned.size
         cost = float(gammaln(n + 1) - gammaln(k + 1) - gammaln(n - k + 1) + np.log(n))
-        return [_Change(mended(shapes, faults), axes, cost, "signs", "", faults)]
+        return [
+            _Change(
+                shapes=mended(shapes, faults),
+                axes=axes,
+                cost=cost,
+                kind="signs",
+                group="",
+                faults=faults,
+            )
+        ]
 
     def _channels(self, shapes: Any_, axes: Float, before: _Fit) -> list[_Change]:
         """Single channels reversed or swapped, judged by what pairs there are."""
@@ -433,14 +474,24 @@ class _Search:
             some = np.flatnonzero(partner >= 0)
         if some.size < 3:
             return []
-        left, right = shapes[:, self.sure][:, some], before.seen[:, partner[some]]
+        left = shapes[:, self.usable][:, some]
+        right = before.seen[:, partner[some]]
         faults = [
             f for f in find_faults(left, right, self.limits) if f.fault in ("reversed", "swapped")
         ]
         if not faults:
             return []
         cost = sum(max(len(f.moved), 1) for f in faults) * float(np.log(len(shapes)))
-        return [_Change(mended(shapes, faults), axes, cost, "channels", "", tuple(faults))]
+        return [
+            _Change(
+                shapes=mended(shapes, faults),
+                axes=axes,
+                cost=cost,
+                kind="channels",
+                group="",
+                faults=tuple(faults),
+            )
+        ]
 
 
 def _without_sign(axes: Float) -> bytes:

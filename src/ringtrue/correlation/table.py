@@ -191,15 +191,15 @@ def correlation_table(
     if a.channels:
         everything = mac(above_rounding(a.shapes), above_rounding(b.shapes))
     return CorrelationTable(
-        pairing,
-        a.frequencies[pairing.a],
-        b.frequencies[pairing.b],
-        std[pairing.a],
-        ~np.isin(pairing.a, np.asarray(left_out, dtype=np.int64)),
-        everything,
-        a.frequencies,
-        b.frequencies,
-        names,
+        pairing=pairing,
+        test_hz=a.frequencies[pairing.a],
+        fe_hz=b.frequencies[pairing.b],
+        std_hz=std[pairing.a],
+        used=~np.isin(pairing.a, np.asarray(left_out, dtype=np.int64)),
+        mac=everything,
+        all_test_hz=a.frequencies,
+        all_fe_hz=b.frequencies,
+        names=names,
     )
 
 
@@ -211,7 +211,7 @@ class Significance:
     ----------
     deviation : (k,) float64, Hz
     std : (k,) float64, Hz
-        Combined; NaN where neither set tells its own.
+        Combined; NaN where neither set has its own.
     z : (k,) float64
         |deviation|/std.
     p : (k,) float64
@@ -238,7 +238,8 @@ class Significance:
         sum.
         """
         known = np.isfinite(self.z)
-        total, count = float((self.z[known] ** 2).sum()), int(known.sum())
+        total = float((self.z[known] ** 2).sum())
+        count = int(known.sum())
         return total, count, float(chdtrc(count, total)) if count else float("nan")
 
 
@@ -270,7 +271,8 @@ def significance(
     ConfigError
         If `rate` is not between 0 and 1 or `model` is negative.
     """
-    f_a, f_b = np.asarray(f_a, dtype=np.float64), np.asarray(f_b, dtype=np.float64)
+    f_a = np.asarray(f_a, dtype=np.float64)
+    f_b = np.asarray(f_b, dtype=np.float64)
     if f_a.shape != f_b.shape or f_a.ndim != 1:
         raise InputError(
             f"frequencies {f_a.shape} and {f_b.shape} of paired modes must be equal in number"
@@ -285,7 +287,9 @@ def significance(
     std = np.sqrt(np.where(known, variance, np.nan))
     z = np.abs(f_b - f_a) / std
     p = 2 * ndtr(-z)
-    return Significance(f_b - f_a, std, z, p, _discoveries(p, rate), rate)
+    return Significance(
+        deviation=f_b - f_a, std=std, z=z, p=p, significant=_discoveries(p, rate), rate=rate
+    )
 
 
 def _discoveries(p: Float, rate: float) -> Bool:

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from ringtrue.core.arrays import Any_, Bool, Float, Int, freeze_fields
+from ringtrue.core.arrays import Any_, Float, Int, freeze_fields
 from ringtrue.errors import InputError
 from ringtrue.shapes.mac import mac
 from ringtrue.shapes.orthogonality import Mass, mass_mac
-
-Solve = Callable[[Float], tuple[Float, Any_]]  # point -> frequencies (m,), shapes (n, m)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,12 +36,6 @@ class Step:
     def __post_init__(self) -> None:
         freeze_fields(self, index=np.int64, overlap=np.float64, runner_up=np.float64)
 
-    def sure(self, least: float = 0.6) -> Bool:
-        """(m,) True where the overlap is above `least`; above 0.5 no other mode of an orthogonal
-        set can match it.
-        """
-        return np.asarray(self.overlap >= least)
-
 
 def follow(old: Any_, new: Any_, mass: Mass | None = None) -> Step:
     """The one-to-one assignment of greatest total overlap between the shapes of two points.
@@ -55,14 +47,15 @@ def follow(old: Any_, new: Any_, mass: Mass | None = None) -> Step:
     new : (n, k) float64 or complex128, k >= m
     mass : (n, n), optional
         The overlap is then that of the mass product, which is exact; without it shapes at few
-        channels may look alike.
+        channels may look equal.
 
     Raises
     ------
     InputError
         If there are fewer new modes than followed ones.
     """
-    old, new = np.asarray(old), np.asarray(new)
+    old = np.asarray(old)
+    new = np.asarray(new)
     m = old.shape[1]
     if new.shape[1] < m:
         raise InputError(
@@ -130,66 +123,18 @@ def track(
     if len(frequencies) != len(shapes) or not len(shapes):
         raise InputError(f"{len(frequencies)} sets of frequencies for {len(shapes)} sets of shapes")
     m = np.shape(shapes[0])[1] if count is None else count
-    index, overlap = [np.arange(m)], [np.ones(m)]
+    index = [np.arange(m)]
+    overlap = [np.ones(m)]
     for before, now in pairwise(shapes):  # each point rests on the one before
         step = follow(np.asarray(before)[:, index[-1]], now, mass)
         index.append(step.index)
         overlap.append(step.overlap)
     where = np.arange(len(shapes), dtype=np.float64)[:, None]
     f = np.array([np.asarray(f)[i] for f, i in zip(frequencies, index, strict=True)])
-    return Tracks(where, np.array(index), f, np.array(overlap), len(shapes))
-
-
-def track_along(
-    solve: Solve,
-    start: Float,
-    end: Float,
-    count: int,
-    *,
-    mass: Mass | None = None,
-    least: float = 0.8,
-    most_solves: int = 64,
-) -> Tracks:
-    """Follow modes from one point to another; steps are halved where an overlap falls below
-    `least`.
-
-    Through a veering the shapes of two modes turn into each other over a short way; steps that
-    resolve the turn follow the branches, one step across it follows the shapes. `least` decides:
-    with 0.8 a narrow veering counts as a crossing (the test mode stays with its shape), with 0.99
-    its branches are followed. A crossing never falls below it.
-
-    Parameters
-    ----------
-    solve : callable
-        Point (p,) -> frequencies (m,) Hz and shapes (n, m), m >= count.
-    start, end : (p,) float64
-    count : int
-        The lowest modes at the start.
-    least : float
-        Smallest overlap of an accepted step.
-    most_solves : int
-        Afterwards the steps are taken as they are; `Tracks.worst` tells.
-    """
-    start, end = np.atleast_1d(np.asarray(start, float)), np.atleast_1d(np.asarray(end, float))
-    f, phi = solve(start)
-    if np.shape(phi)[1] < count:
-        raise InputError(f"{count} modes to follow, {np.shape(phi)[1]} computed")
-    at, index, solves = 0.0, np.arange(count), 1
-    path, all_index, all_f, overlaps = [start], [index], [f[:count]], [np.ones(count)]
-    waiting = [(1.0, *solve(end))]
-    solves += 1
-    while waiting:
-        to, f_new, phi_new = waiting[-1]
-        step = follow(phi[:, index], phi_new, mass)
-        middle = 0.5 * (at + to)
-        if step.overlap.min(initial=1.0) < least and solves < most_solves and to - at > 1e-6:
-            waiting.append((middle, *solve(start + middle * (end - start))))
-            solves += 1
-            continue
-        waiting.pop()
-        at, phi, index = to, phi_new, step.index
-        path.append(start + at * (end - start))
-        all_index.append(index)
-        all_f.append(f_new[index])
-        overlaps.append(step.overlap)
-    return Tracks(np.array(path), np.array(all_index), np.array(all_f), np.array(overlaps), solves)
+    return Tracks(
+        points=where,
+        index=np.array(index),
+        frequencies=f,
+        overlap=np.array(overlap),
+        solves=len(shapes),
+    )

@@ -176,10 +176,9 @@ class Inertia:
 
 
 RUNS = 8
-EACH, SPARE = (
-    2,
-    60,
-)  # directions of a run for each column and beyond, before the columns that are left start anew
+# directions of a run for each column and beyond, before the columns that are left start anew
+EACH = 2
+SPARE = 60
 DROP = 0.9  # share of the residual allowed to a column that a block may leave out of it
 INERTIA = 1e-4  # residual allowed at most, in inertia forces of the solution without iteration
 LOWEST = 1e-4  # of the residual allowed, to which that lowers it: below is rounding
@@ -215,14 +214,18 @@ class _Space:
 
     def __init__(self, like: Fields, rows: int, known: int, room: int) -> None:
         self.room = room
-        self._basis, self._inner = like.room(room), like.room(room)
-        self._images, self._parts = np.empty((room, rows)), np.empty((known, room))
+        self._basis = like.room(room)
+        self._inner = like.room(room)
+        self._images = np.empty((room, rows))
+        self._parts = np.empty((known, room))
         self._rough = np.empty((2, room, TILE))
         self.clear()
 
     def clear(self) -> None:
         """Hold nothing."""
-        self.size, self.gram, self.projected = 0, np.zeros((0, 0)), np.zeros((0, 0))
+        self.size = 0
+        self.gram = np.zeros((0, 0))
+        self.projected = np.zeros((0, 0))
 
     @property
     def basis(self) -> Fields:
@@ -314,7 +317,9 @@ class Complement:
         self.shift = (
             modes.shift if there else _amid(modes.values, float(lam.max(initial=0.0)), modes.shift)
         )
-        self.pencil, self.modes, self.inertia = pencil, modes, Inertia(pencil.mass)
+        self.pencil = pencil
+        self.modes = modes
+        self.inertia = Inertia(pencil.mass)
         self._known = self.inertia.fields(modes.vectors.T)
         self._rooms: tuple[Fields, _Space] | None = None
 
@@ -343,17 +348,25 @@ class Complement:
         """Write `solve` to z (k, f) with the residuals allowed (k,), and add the modes times
         `along` (n, k).
         """
-        at, allowed = np.arange(lam.size), allowed.copy()
+        at = np.arange(lam.size)
+        allowed = allowed.copy()
         for run in range(RUNS):
             if not at.size:
                 return
             step = np.empty((at.size, self.pencil.size)) if run else z
             rest, left = self._run(
-                loads, lam[at], allowed, at, None if run else along, step, first=not run
+                loads,
+                lam[at],
+                allowed,
+                which=at,
+                along=None if run else along,
+                z=step,
+                first=not run,
             )
             if run:
                 z[at] += step
-            at, loads = at[left], partial(np.ndarray.__getitem__, rest)
+            at = at[left]
+            loads = partial(np.ndarray.__getitem__, rest)
         if at.size:
             raise NotConverged(
                 f"{at.size} of {lam.size} right-hand sides did not converge; {_MORE}"
@@ -399,21 +412,25 @@ class Complement:
         """Write the solution; forces that are left over in the columns not done, and which these
         are.
 
-        The first run lowers the limits where the inertia of x is small beside the loads: forces
-        that hardly move anything, as those of nodes that move across a shell, would hide all that
+        The first run lowers the limits where the inertia of x is small against the loads: forces
+        that move almost nothing, as those of nodes that move across a shell, would hide all that
         is left.
         """
-        delta, at = lam - self.shift, np.arange(lam.size)
+        delta = lam - self.shift
+        at = np.arange(lam.size)
         x, space = self._room(lam.size)
         part = self.solved(loads, z, x)
-        y, b, folded = np.zeros((0, lam.size)), np.zeros((0, lam.size)), self.inertia.sketch(x)
+        y = np.zeros((0, lam.size))
+        b = np.zeros((0, lam.size))
+        folded = self.inertia.sketch(x)
         if first:
             inertia = np.linalg.norm(folded * delta[:, None], axis=1)
             limits[:] = np.clip(INERTIA * inertia, LOWEST * limits, limits)
         allowed = limits[which]
         while True:
             rough = folded[at] * delta[at, None] + space.sketch(y[:, at], delta[at])
-            gram, limit = rough @ rough.T, MARGIN * allowed[at]
+            gram = rough @ rough.T
+            limit = MARGIN * allowed[at]
             if (np.diag(gram) <= limit**2).all():
                 at = at[~(np.diag(gram) <= SURE * allowed[at] ** 2)]
                 size = self.inertia.squares(x, at, delta[at], *space.change(y[:, at], delta[at]))
@@ -443,7 +460,8 @@ def _principal(gram: Float, allowed: Float) -> Float:
     As few as leave at most DROP of the residual that is allowed to each column.
     """
     s, u = np.linalg.eigh(gram / allowed / allowed[:, None])
-    s, u = s[::-1].clip(min=0), u[:, ::-1]
+    s = s[::-1].clip(min=0)
+    u = u[:, ::-1]
     left = np.sqrt(np.cumsum((s * u * u)[:, ::-1], axis=1)).max(axis=0, initial=0.0)[::-1]
     rank = int((left > DROP).sum())
     return np.asarray(u[:, :rank] / np.sqrt(s[:rank]) / allowed[:, None])
@@ -460,13 +478,15 @@ def _pieces(count: int, most: int) -> Iterator[slice]:
 
 def _bordered(old: Float, new: Float) -> Float:
     """A symmetric matrix with further columns (k, r), and with them its further rows."""
-    k, corner = len(old), new[len(old) :]
+    k = len(old)
+    corner = new[len(old) :]
     return np.block([[old, new[:k]], [new[:k].T, (corner + corner.T) / 2]])
 
 
 def _amid(values: Float, top: float, default: float) -> float:
     """The middle of the widest gap between the eigenvalues near a third of `top`."""
     marks = np.unique(np.clip(values, 0.0, None))
-    middle, width = (marks[1:] + marks[:-1]) / 2, np.diff(marks)
+    middle = (marks[1:] + marks[:-1]) / 2
+    width = np.diff(marks)
     fair = np.abs(middle - top / 3) < top / 5
     return float(middle[fair][np.argmax(width[fair])]) if fair.any() else default

@@ -49,7 +49,8 @@ class DynamicStiffness:
         limit: int | None = None,
     ) -> None:
         none = sparse.csr_array(stiffness.shape, dtype=np.float64)
-        self.stiffness, self.mass = stiffness, mass
+        self.stiffness = stiffness
+        self.mass = mass
         self.viscous: sparse.csr_array = none if viscous is None else viscous
         self.structural: sparse.csr_array = none if structural is None else structural
         parts = (stiffness, mass, self.viscous, self.structural)
@@ -57,7 +58,8 @@ class DynamicStiffness:
             raise InputError(
                 f"K, M, D and H differ in size: {', '.join(str(a.shape) for a in parts)}"
             )
-        self.method, self._limit = choose(method, self.size), limit
+        self.method = choose(method, self.size)
+        self._limit = limit
         self._pattern = Pattern(*(a for a in parts if a.nnz))
         self._entries = [self._pattern.entries(a) for a in parts]
         self._engine: Engine | None = None
@@ -133,7 +135,8 @@ class DynamicStiffness:
         """Free the factorisation."""
         if self._engine is not None:
             self._engine.close()
-        self._engine, self._at = None, complex(np.nan)
+        self._engine = None
+        self._at = complex(np.nan)
 
 
 REPEATED = 1e-8  # poles closer than this are made A-orthogonal as a group
@@ -226,7 +229,8 @@ def full_modes(system: DynamicStiffness, upper: float, *, expected: int = 20) ->
         raise InputError(f"upper end {upper:g} rad/s; it must be positive")
     shift = upper * (0.05 + 0.5j)  # right of the axis: no pole stands there
     need = REACH * upper
-    n, count = 2 * system.size, max(2 * expected, 4) + 8
+    n = 2 * system.size
+    count = max(2 * expected, 4) + 8
     count = n if n <= FEW * count else count
     for _ in range(ROUNDS):
         count = min(count, n)
@@ -256,7 +260,8 @@ def _nearest(
     n = system.size
 
     def apply(z: Complex) -> Complex:
-        x, v = z[:n].reshape(-1), scale * z[n:].reshape(-1)
+        x = z[:n].reshape(-1)
+        v = scale * z[n:].reshape(-1)
         load = np.asarray(system.mass @ (v + shift * x) + system.viscous @ x)
         p = -system.solve(shift, load[:, None])[:, 0]
         return np.concatenate([p, (x + shift * p) / scale])
@@ -321,7 +326,8 @@ def complex_modes(
             f"{n} modes, viscous {viscous.shape}, structural {structural.shape}: sizes differ"
         )
     stiffness = np.diag(values) + (1j * structural if structural.any() else 0.0)
-    zero, eye = np.zeros((n, n)), np.eye(n)
+    zero = np.zeros((n, n))
+    eye = np.eye(n)
     s, y = linalg.eig(np.block([[zero, eye], [-stiffness, -viscous]]))
     scale = max(
         np.sqrt(np.abs(values).max(initial=0.0) if top is None else top), np.finfo(float).tiny

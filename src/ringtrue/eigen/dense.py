@@ -21,10 +21,9 @@ NO_ENERGY = 1e-13  # of the energy that its DOFs would have alone: a motion is w
 NEGATIVE = 1e-6  # share of the usual mass of a DOF beyond which less than nothing is not rounding
 PIECE = 100_000  # rows looked at in one piece
 DENSE_SIZE = 400  # rows up to which the dense solution is used
-DENSE_SHARE, DENSE_LIMIT = (
-    0.25,
-    2000,
-)  # it is faster for more of the modes of up to so many rows, in 500 MB (measured)
+# it is faster for more of the modes of up to so many rows, in 500 MB (measured)
+DENSE_SHARE = 0.25
+DENSE_LIMIT = 2000
 
 
 def named_rows(rows: Int) -> list[str]:
@@ -58,7 +57,8 @@ def spectrum(
     NumericalError
         If that is so because the mass is negative.
     """
-    k, m = stiffness.toarray(), mass.toarray()
+    k = stiffness.toarray()
+    m = mass.toarray()
     a = k - shift * m
     d = 1 / np.sqrt(
         np.where(np.diag(a) > 0, np.diag(a), 1.0)
@@ -80,10 +80,12 @@ def spectrum(
     loose &= np.abs(theta) <= MASSLESS * usual_mass(mass) * (moved**2).sum(axis=0)
     if loose.any():
         raise SingularModel(labels(_most(moved[:, np.argmax(loose)])), LOOSE)
-    theta, vectors = theta[::-1], moved[:, ::-1]
+    theta = theta[::-1]
+    vectors = moved[:, ::-1]
     modal = np.einsum("ij,ij->j", vectors, m @ vectors)  # θ again, where θ is more than rounding
     finite = (theta > 1e-13 * theta[0]) & (np.abs(modal - theta) < 0.1 * theta)
-    theta, vectors = theta[finite], vectors[:, finite]
+    theta = theta[finite]
+    vectors = vectors[:, finite]
     return shift + 1 / theta, vectors / np.sqrt(modal[finite])
 
 
@@ -123,12 +125,14 @@ def refuse_negative_mass(mass: sparse.csr_array, labels: Labels) -> None:
     NumericalError
         With the rows.
     """
-    m, usual = mass.diagonal(), NEGATIVE * usual_mass(mass)
+    m = mass.diagonal()
+    usual = NEGATIVE * usual_mass(mass)
     found = [np.flatnonzero(m < -usual)]
     size = np.clip(m, 0.0, None)
     for first in range(0, m.size, PIECE):
         block = mass[first : first + PIECE].tocoo()
-        i, j = block.row + first, block.col
+        i = block.row + first
+        j = block.col
         wrong = (i < j) & (block.data**2 > (1 + NEGATIVE) * size[i] * size[j] + usual**2)
         found += [i[wrong], j[wrong]]
     _refuse(np.unique(np.concatenate(found)).astype(np.int64), labels)
@@ -143,7 +147,8 @@ def refuse_negative_motion(mass: sparse.csr_array, motion: Float, labels: Labels
     NumericalError
         With the rows that make it so.
     """
-    part, size = motion * (mass @ motion), np.abs(motion)
+    part = motion * (mass @ motion)
+    size = np.abs(motion)
     usual = usual_mass(mass) * float((motion[mass.diagonal() != 0] ** 2).sum())
     if part.sum() < -NEGATIVE * (size @ (abs(mass) @ size) + usual):
         rows = np.argsort(part, kind="stable")[:6]

@@ -51,8 +51,8 @@ def groups(values: Float, scale: float | None = None) -> Int:
     Differences below 1e-9 of `scale`, the largest if not given, are noise.
     """
     noise = 1e-9 * (np.abs(values).max(initial=0.0) if scale is None else scale)
-    apart = np.diff(values) > np.maximum(CLOSE * np.abs(values[1:]), noise)
-    return np.concatenate([np.zeros(min(values.size, 1)), np.cumsum(apart)]).astype(np.int64)
+    separate = np.diff(values) > np.maximum(CLOSE * np.abs(values[1:]), noise)
+    return np.concatenate([np.zeros(min(values.size, 1)), np.cumsum(separate)]).astype(np.int64)
 
 
 def eigenvalue_derivatives(modes: EigenModes, slopes: Sequence[MatrixDerivatives]) -> Float:
@@ -61,7 +61,8 @@ def eigenvalue_derivatives(modes: EigenModes, slopes: Sequence[MatrixDerivatives
     In a group of repeated roots these are the diagonal of the group's block: their sum is that of
     the branches; `split_derivatives` gives the derivatives of the branches.
     """
-    phi, lam = np.ascontiguousarray(modes.vectors), modes.values
+    phi = np.ascontiguousarray(modes.vectors)
+    lam = modes.values
     out = np.zeros((lam.size, len(slopes)))
     for i, s in enumerate(slopes):  # over parameters
         for a, factor in ((s.stiffness, 1.0), (s.mass, -lam)):
@@ -80,7 +81,9 @@ def _product(a: sparse.csr_array, phi: Float) -> tuple[Int, Float]:
 
 def split_derivatives(modes: EigenModes, slope: MatrixDerivatives) -> Float:
     """∂λ/∂a (m,) of the branches that leave each repeated root, ascending in the group."""
-    phi, lam, at = modes.vectors, modes.values, groups(modes.values)
+    phi = modes.vectors
+    lam = modes.values
+    at = groups(modes.values)
     block = phi.T @ (slope.stiffness @ phi) - (phi.T @ (slope.mass @ phi)) * lam
     block = np.where(at[:, None] == at, (block + block.T) / 2, 0.0)
     out = np.empty(lam.size)
@@ -99,7 +102,7 @@ def modal_coefficients(stiffness: Float, mass: Float, values: Float, *, low: int
         Φᵀ K' Φ_m and Φᵀ M' Φ_m for all n modes and the m lowest of them.
     values : (n,) float64, ascending
     low : int
-        Modes that must be told apart whatever is above them; 0: m.
+        Modes that must be distinct whatever is above them; 0: m.
 
     Returns
     -------
@@ -153,7 +156,8 @@ def eigenvector_derivatives(
     m = n if count is None else count
     if m > n:
         raise InputError(f"derivatives of {m} modes asked for; {n} are given")
-    phi, lam = np.ascontiguousarray(modes.vectors), modes.values
+    phi = np.ascontiguousarray(modes.vectors)
+    lam = modes.values
     space = Complement(pencil, modes, lam[:m], m * len(slopes))
     columns = min(max(ROOM // max(pencil.size, 1), 30), COLUMNS)
     runs = -(-len(slopes) // max(columns // max(m, 1), 1))
@@ -166,9 +170,17 @@ def eigenvector_derivatives(
         loads = [_Load.of(s, phi, lam, m) for s in slopes[start : start + per]]
         owner, mode = np.nonzero([load.live for load in loads])
         for first in range(0, owner.size, columns):
-            of, j = owner[first : first + columns], mode[first : first + columns]
+            of = owner[first : first + columns]
+            j = mode[first : first + columns]
             place = (start + of) * m + j
-            _write(space, loads, of, j, tolerance, rows[place[0] : place[0] + place.size])
+            _write(
+                space,
+                loads,
+                of,
+                mode=j,
+                tolerance=tolerance,
+                out=rows[place[0] : place[0] + place.size],
+            )
             _spread(rows, place)
         for i, load in enumerate(loads, start):
             still = np.flatnonzero(~load.live)
@@ -201,7 +213,8 @@ class _Load:
     def of(cls, s: MatrixDerivatives, phi: Float, lam: Float, m: int) -> _Load:
         """Of a slope; phi (f, n) row-major."""
         (rk, dk), (rm, dm) = (_product(a, phi[:, :m]) for a in (s.stiffness, s.mass))
-        pk, pm = phi[rk].T @ dk, phi[rm].T @ dm
+        pk = phi[rk].T @ dk
+        pm = phi[rm].T @ dm
         rows = np.union1d(rk, rm)
         force = np.zeros((rows.size, m))
         force[np.searchsorted(rows, rm)] = dm * lam[:m]
@@ -272,13 +285,15 @@ def branch_derivatives(
     d_vectors : (f, g) float64
         Where two branches have equal derivatives, too, the rotation between them is set to zero.
     """
-    at, phi = np.asarray(group), modes.vectors
+    at = np.asarray(group)
+    phi = modes.vectors
     lam = float(modes.values[at].mean())
     own = phi[:, at]
     block = own.T @ (slope.stiffness @ own - (slope.mass @ own) * lam)
     d_lambda, turn = np.linalg.eigh((block + block.T) / 2)
     own = own @ turn
-    dk, dm = np.asarray(slope.stiffness @ own), np.asarray(slope.mass @ own)
+    dk = np.asarray(slope.stiffness @ own)
+    dm = np.asarray(slope.mass @ own)
     load = dm * lam - dk
     others = np.delete(np.arange(modes.values.size), at)
     rest = phi[:, others] @ ((phi[:, others].T @ load) / (modes.values[others, None] - lam))
@@ -287,6 +302,6 @@ def branch_derivatives(
     same = own.T @ dm
     mixed = -load.T @ rest - same * d_lambda
     gap = d_lambda - d_lambda[:, None]
-    apart = np.abs(gap) > CLOSE * max(float(np.abs(d_lambda).max()), np.finfo(float).tiny)
-    c = np.where(apart, mixed / np.where(apart, gap, 1.0), -0.5 * same)
+    separate = np.abs(gap) > CLOSE * max(float(np.abs(d_lambda).max()), np.finfo(float).tiny)
+    c = np.where(separate, mixed / np.where(separate, gap, 1.0), -0.5 * same)
     return own, d_lambda, np.asarray(rest + own @ c)

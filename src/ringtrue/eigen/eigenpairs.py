@@ -15,8 +15,12 @@ from scipy import linalg, sparse
 from ringtrue.core.arrays import Float, freeze_fields
 from ringtrue.eigen.pencil import Pencil
 
-SMALL, NOISE = 0.1, 1e-6  # shares of the shift and of the highest λ: what is below is next to zero
-PIECE, ROWS = 8, 16384  # modes, and rows of a matrix, treated together
+# shares of the shift and of the highest λ: what is below is next to zero
+SMALL = 0.1
+NOISE = 1e-6
+# modes, and rows of a matrix, treated together
+PIECE = 8
+ROWS = 16384
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,11 +63,11 @@ class EigenModes:
 def rounding(
     stiffness: sparse.csr_array, modes: EigenModes, highest: float = 0.0
 ) -> tuple[float, int, int]:
-    """How far the rounding of K may move a mode: what is far stiffer than the rest beside it leaves
+    """How far the rounding of K may move a mode: what is far stiffer than the rest leaves
     no digits for that.
 
     The entries of K are taken to be off by independent errors of ε of their size. A mode of a λ
-    that is small beside the shift, as of a rigid body, is judged by the shift; one that is nothing
+    that is small against the shift, as of a rigid body, is judged by the shift; one that is nothing
     but rounding is left out.
 
     Parameters
@@ -88,7 +92,8 @@ def rounding(
         diagonal * v**2 for v in modes.vectors.T
     )  # one at a time: vectors of large models fill the memory
     off = np.finfo(np.float64).eps * np.array([np.linalg.norm(e) for e in energies])
-    top, wanted = float(size.max()), eigenvalue(highest)
+    top = float(size.max())
+    wanted = eigenvalue(highest)
     top = wanted if top < NOISE * wanted < np.inf else top
     share = off / np.maximum(size, max(SMALL * abs(modes.shift), NOISE * top))
     share = np.where(share < 1, share, 0.0)
@@ -130,7 +135,9 @@ def polish(
         values[cut], residuals[cut], gram[:, cut] = _judged(stiffness, mass, vectors, cut)
     order = np.argsort(values, kind="stable")
     if (np.diff(order) < 0).any():
-        values, vectors, residuals = values[order], vectors[:, order], residuals[order]
+        values = values[order]
+        vectors = vectors[:, order]
+        residuals = residuals[order]
     gram[np.diag_indices(values.size)] -= 1
     return values, vectors, residuals, float(np.abs(gram).max(initial=0.0))
 
@@ -159,7 +166,8 @@ def _judged(
 ) -> tuple[Float, Float, Float]:
     """Rayleigh quotients and residuals of some of the vectors, and ΦᵀM times them."""
     v = vectors[:, cut]
-    kv, mv = stiffness @ v, mass @ v
+    kv = stiffness @ v
+    mv = mass @ v
     values = np.einsum("ij,ij->j", v, kv)
     size = np.linalg.norm(kv, axis=0)
     floor = 1e-8 * _largest(stiffness, np.abs(v))
@@ -198,7 +206,8 @@ def residual_vectors(pencil: Pencil, modes: EigenModes, loads: Float) -> tuple[F
         x = x - phi @ (loaded.T @ x)
     left = np.sqrt(np.abs(np.einsum("ij,ij->j", x, pencil.mass @ x)))
     x = x[:, left > RANK * whole] / left[left > RANK * whole]
-    k, m = x.T @ (pencil.stiffness @ x), x.T @ (pencil.mass @ x)
+    k = x.T @ (pencil.stiffness @ x)
+    m = x.T @ (pencil.mass @ x)
     share, turn = linalg.eigh((m + m.T) / 2)
     keep = share > RANK * share.max(initial=0.0)
     basis = turn[:, keep] / np.sqrt(share[keep])

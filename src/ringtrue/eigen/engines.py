@@ -59,7 +59,8 @@ class Pattern:
             )
             union = sparse.csr_array(union + ones)
         union.sort_indices()
-        self.indices, self.indptr = union.indices.astype(np.int32), union.indptr.astype(np.int64)
+        self.indices = union.indices.astype(np.int32)
+        self.indptr = union.indptr.astype(np.int64)
         if self.indptr[-1] < np.iinfo(np.int32).max:
             self.indptr = self.indptr.astype(np.int32)
 
@@ -104,11 +105,12 @@ FILLED = 80
 ENTRIES = 300_000
 # memory that a factor by blocks takes while it is made, against what its analysis says (measured)
 PADDING = 1.3
-PIVOT, SAFE_PIVOT = (
-    1e-6,
-    0.1,
-)  # share of the largest of its column that a pivot of SuperLU on the diagonal must have
-_REAL, _COMPLEX = -2, 6  # PARDISO's matrix types: real and complex symmetric
+# share of the largest of its column that a pivot of SuperLU on the diagonal must have
+PIVOT = 1e-6
+SAFE_PIVOT = 0.1
+# PARDISO's matrix types: real and complex symmetric
+_REAL = -2
+_COMPLEX = 6
 
 
 class Engine(Protocol):
@@ -207,7 +209,8 @@ class Dense:
         )  # scaled first: rotations and translations differ by decades
         self._scale = 1 / np.where(size > 0, size, 1.0)
         scaled = full * self._scale * self._scale[:, None]
-        self.singular, self.weak = False, np.empty(0, dtype=np.int64)
+        self.singular = False
+        self.weak = np.empty(0, dtype=np.int64)
         hermitian = not np.iscomplexobj(values)
         spectrum = linalg.eigvalsh(scaled) if hermitian else linalg.svdvals(scaled)
         self.negatives = int((spectrum < 0).sum()) if hermitian else -1
@@ -248,7 +251,9 @@ class SuperLu:
     weak: Int = np.empty(0, dtype=np.int64)
 
     def __init__(self, pattern: Pattern, values: Any_) -> None:
-        self._pattern, self._dtype, self._pivot = pattern, values.dtype, PIVOT
+        self._pattern = pattern
+        self._dtype = values.dtype
+        self._pivot = PIVOT
         self.refactor(values)
 
     def refactor(self, values: Any_) -> None:
@@ -259,7 +264,9 @@ class SuperLu:
         self._scale = 1 / np.where(size > 0, size, 1.0)
         scale = sparse.diags_array(self._scale)
         full = sparse.csc_array(scale @ full @ scale)
-        self.singular, self._lu = False, None  # the old factor goes first
+        # the old factor goes first
+        self.singular = False
+        self._lu = None
         self._negatives: int | None = None
         try:
             self._lu = splu(
@@ -279,7 +286,8 @@ class SuperLu:
     def negatives(self) -> int:
         """Negative eigenvalues by inertia (Sylvester); -1 if rows were exchanged."""
         if self._negatives is None:
-            lu, self._negatives = self._lu, -1
+            lu = self._lu
+            self._negatives = -1
             if lu is not None and self._dtype.kind != "c" and np.array_equal(lu.perm_r, lu.perm_c):
                 self._negatives = int((lu.U.diagonal() < 0).sum())
         return self._negatives
@@ -312,7 +320,8 @@ class Pardiso:
         # after the analysis
         from pymklpardiso._mkl_pardiso import PardisoSolver
 
-        self._complex, self._rows = np.iscomplexobj(values), pattern.size
+        self._complex = np.iscomplexobj(values)
+        self._rows = pattern.size
         self._solver = PardisoSolver(_COMPLEX if self._complex else _REAL, 0)
         self._blocks = not self._complex and pattern.indices.size > ENTRIES
         for i, value in (_IPARM | ({_BLOCKS: -FILLED} if self._blocks else {})).items():
@@ -418,7 +427,9 @@ class Rslab:
 
     def refactor(self, values: Any_) -> None:
         """Other values on the same pattern."""
-        self._factor, self.singular = None, False  # the old factor goes first
+        # the old factor goes first
+        self._factor = None
+        self.singular = False
         try:
             self._factor = self._symbolic.factor(values)
         except (RuntimeError, ValueError):  # a zero pivot

@@ -85,7 +85,10 @@ class Krylov:
         rng: np.random.Generator,
         labels: Labels = named_rows,
     ) -> None:
-        self.factor, self.mass, self.rng, self.labels = factor, mass, rng, labels
+        self.factor = factor
+        self.mass = mass
+        self.rng = rng
+        self.labels = labels
         rows = int(mass.shape[0])
         self.capacity = capacity
         self.basis = np.zeros((rows, capacity + 2 * BLOCK), order="F")
@@ -99,7 +102,8 @@ class Krylov:
     def start(self, locked: Float, theta: Float) -> None:
         """Begin with a random block orthogonal to the converged vectors `locked` (f, k)."""
         k = theta.size
-        self.basis[:, :k], self.held = locked, k
+        self.basis[:, :k] = locked
+        self.held = k
         self.projected[:] = 0
         self.projected[:k, :k] = np.diag(theta)
         self.coupling = np.zeros((0, 0))
@@ -166,13 +170,17 @@ class Krylov:
         quick = _cholesky_twice(w, mw, floor)
         if quick is not None:
             return quick
-        q, mq = np.zeros((w.shape[0], 0)), np.zeros((w.shape[0], 0))
+        q = np.zeros((w.shape[0], 0))
+        mq = np.zeros((w.shape[0], 0))
         r = np.zeros((w.shape[1], w.shape[1]))
         for j in range(w.shape[1]):  # at most BLOCK columns
-            x, mx, rank = w[:, j], mw[:, j], q.shape[1]
+            x = w[:, j]
+            mx = mw[:, j]
+            rank = q.shape[1]
             for _ in range(2):
                 c = q.T @ mx
-                x, mx = x - q @ c, mx - mq @ c
+                x = x - q @ c
+                mx = mx - mq @ c
                 r[:rank, j] += c
             size = float(np.sqrt(abs(x @ mx)))
             if size > floor:
@@ -181,12 +189,14 @@ class Krylov:
                 ):  # a block spans such a direction as soon as the problem has one that moves
                     refuse_negative_motion(self.mass, x, self.labels)
                 r[rank, j] = size
-                q, mq = np.column_stack([q, x / size]), np.column_stack([mq, mx / size])
+                q = np.column_stack([q, x / size])
+                mq = np.column_stack([mq, mx / size])
         return q, mq, r[: q.shape[1]]
 
     def step(self) -> None:
         """One block: V grows by Q, a new Q is made."""
-        k, b = self.held, self.ahead
+        k = self.held
+        b = self.ahead
         w = self.factor.solve(self.loaded)
         w, c = self._orthogonalise(w, k + b, k - self.coupling.shape[1])
         floor = 1e-13 * float(np.linalg.norm(c, axis=0).max(initial=0.0))
@@ -197,15 +207,14 @@ class Krylov:
 
     def grow(self) -> None:
         """Room for twice as many basis vectors."""
-        rows, n = self.basis.shape[0], self.held + self.ahead
+        rows = self.basis.shape[0]
+        n = self.held + self.ahead
         self.capacity = min(2 * self.capacity, rows)
         memory.require(
             8 * rows * self.capacity, f"the basis of {self.capacity} vectors of {rows} DOFs"
         )
-        basis, projected = (
-            np.zeros((rows, self.capacity + 2 * BLOCK), order="F"),
-            self.projected[:n, :n],
-        )
+        basis = np.zeros((rows, self.capacity + 2 * BLOCK), order="F")
+        projected = self.projected[:n, :n]
         basis[:, :n], self.basis = self.basis[:, :n], basis
         self.projected = np.zeros((basis.shape[1],) * 2)
         self.projected[:n, :n] = projected
@@ -215,20 +224,23 @@ class Krylov:
         t = self.projected[: self.held, : self.held]
         theta, y = linalg.eigh((t + t.T) / 2, check_finite=False)
         order = np.argsort(-np.abs(theta), kind="stable")
-        theta, y = theta[order], y[:, order]
+        theta = theta[order]
+        y = y[:, order]
         last = self.coupling.shape[1]
         return theta, y, np.linalg.norm(self.coupling @ y[self.held - last :], axis=0)
 
     def vectors(self, theta: Float, y: Float) -> Float:
         """Purified Ritz vectors OP·V·y/θ, from the recurrence: no further solve."""
-        last, n = self.coupling.shape[1], self.held + self.coupling.shape[0]
+        last = self.coupling.shape[1]
+        n = self.held + self.coupling.shape[0]
         both = np.vstack([y, self.coupling @ y[self.held - last :] / theta])
         return np.asarray(self.basis[:, :n] @ both)
 
     def restart(self, keep: int) -> None:
         """Thick restart: V becomes its best `keep` Ritz vectors; Q stays."""
         theta, y, _ = self.ritz()
-        last, n = self.coupling.shape[1], self.held
+        last = self.coupling.shape[1]
+        n = self.held
         q = self.basis[:, n : n + self.ahead].copy()
         self.coupling = self.coupling @ y[n - last :, :keep]
         for first in range(
@@ -246,7 +258,9 @@ def _cholesky_twice(w: Float, mw: Float, floor: float) -> tuple[Float, Float, Fl
     """q, M q, R with w = q R by two Cholesky factorisations of the Gram matrix; None if w is not
     far from singular.
     """
-    q, mq, r = w, mw, np.eye(w.shape[1])
+    q = w
+    mq = mw
+    r = np.eye(w.shape[1])
     for first in (True, False):
         gram = q.T @ mq
         gram = (gram + gram.T) / 2
@@ -258,7 +272,9 @@ def _cholesky_twice(w: Float, mw: Float, floor: float) -> tuple[Float, Float, Fl
             return None
         upper = np.linalg.cholesky(gram).T
         turn = linalg.solve_triangular(upper, np.eye(size.size))
-        q, mq, r = q @ turn, mq @ turn, upper @ r
+        q = q @ turn
+        mq = mq @ turn
+        r = upper @ r
     if floor > 0 and np.abs(np.diag(r)).min() <= floor:
         return None
     return q, mq, r
@@ -285,7 +301,7 @@ def solve(
     enough : callable
         Takes the converged leading θ (k,), says whether they suffice.
     expected : int
-        How many pairs that will be beside the locked ones, about; sets the size of the basis.
+        About how many pairs are found besides the locked ones; sets the size of the basis.
     locked : (theta (k,), vectors (f, k)), optional
         Pairs known already; the start block is orthogonal to them.
     begun : Krylov, optional
@@ -304,13 +320,18 @@ def solve(
     known = 0 if locked is None else locked[0].size
     if begun is None:
         krylov = Krylov(
-            factor, mass, capacity(rows, expected, known), np.random.default_rng(known), labels
+            factor=factor,
+            mass=mass,
+            capacity=capacity(rows, expected, known),
+            rng=np.random.default_rng(known),
+            labels=labels,
         )
         theta, vectors = locked or (np.zeros(0), np.zeros((rows, 0)))
         krylov.start(vectors, theta)
     else:
         krylov = begun
-    idle, before = 0, 0
+    idle = 0
+    before = 0
     for step in range(MAX_STEPS):
         if not krylov.ahead:
             return _pairs(krylov, krylov.held, exhausted=True)
@@ -329,7 +350,8 @@ def solve(
         if exhausted or enough(theta[:count]):
             return _pairs(krylov, count, exhausted=exhausted)
         if krylov.held + 2 * BLOCK > krylov.capacity:
-            idle, before = (0 if count > before else idle + 1), count
+            idle = 0 if count > before else idle + 1
+            before = count
             if idle > PATIENCE and krylov.capacity < rows:
                 krylov.grow()
                 idle = 0
@@ -350,7 +372,8 @@ def _pairs(krylov: Krylov, count: int, *, exhausted: bool) -> RitzPairs:
     real = np.abs(theta[:count]) > 1e-13 * np.abs(theta).max(
         initial=0.0
     )  # θ = 0: infinite λ, no mode
-    theta, y = theta[:count][real], y[:, :count][:, real]
+    theta = theta[:count][real]
+    y = y[:, :count][:, real]
     return RitzPairs(theta, krylov.vectors(theta, y), exhausted)
 
 
@@ -368,7 +391,8 @@ def rayleigh_ritz(pencil: Pencil, vectors: Float) -> tuple[Float, Float]:
     """Eigenvalues (k,), ascending, and M-orthonormal vectors (f, k) of the problem in the space of
     some vectors.
     """
-    k, m = vectors.T @ (pencil.stiffness @ vectors), vectors.T @ (pencil.mass @ vectors)
+    k = vectors.T @ (pencil.stiffness @ vectors)
+    m = vectors.T @ (pencil.mass @ vectors)
     values, y = linalg.eigh(k, m)
     return values, vectors @ y
 
@@ -388,7 +412,8 @@ def near_zero_modes(pencil: Pencil, shift: float) -> tuple[Float, Float, float]:
     if not count:
         return none
     pencil.reserve(4 * count)
-    factor, last = pencil.at(middle), np.inf
+    factor = pencil.at(middle)
+    last = np.inf
     x = factor.solve(pencil.mass @ np.random.default_rng(0).standard_normal((pencil.size, count)))
     for _ in range(TURNS):
         values, x = rayleigh_ritz(pencil, x)
@@ -397,7 +422,8 @@ def near_zero_modes(pencil: Pencil, shift: float) -> tuple[Float, Float, float]:
         error = float(np.sqrt(np.abs(np.einsum("ij,ij->j", rest, pencil.mass @ rest)).max()))
         if error < SETTLED and error > last / 2:  # what is left is the rounding of K
             return values, x, middle
-        x, last = y, error
+        x = y
+        last = error
     return none
 
 

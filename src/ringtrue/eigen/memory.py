@@ -28,7 +28,8 @@ def available() -> int:
     """
     free = [_machine()]
     for limit, use, statistics in _GROUPS:
-        top, used = _number(limit), _number(use)
+        top = _number(limit)
+        used = _number(use)
         if top is not None and used is not None:
             free.append(top - used + _entry(statistics, "inactive_file"))
     return max(min(free), 0)

@@ -27,7 +27,7 @@ from ringtrue.errors import InputError, NumericalError, SingularModel
 EXTRA = 4  # modes beyond the requested ones, so that the count can stand in a gap
 GAP = 1e-4  # a gap below this share of λ is too narrow for a count
 NEAR = 1e-5  # share of λ: no shift nearer to zero
-# share of λ: beside a shift nearer to zero the rigid-body modes cost the others digits; refined
+# share of λ: with a shift nearer to zero the rigid-body modes cost the others digits; refined
 # once
 FINE = 1e-6
 PROBE = 4  # Lanczos blocks that judge a shift
@@ -125,7 +125,15 @@ def _dense(pencil: Pencil, count: int, band: tuple[float, float] | None) -> Eige
         pencil.stiffness, pencil.mass, values[at], vectors[:, at]
     )
     proof = f"all eigenvalues of the {pencil.size} DOFs were computed"
-    return EigenModes(values, vectors, residuals, orthogonality, True, proof, shift)
+    return EigenModes(
+        values=values,
+        vectors=vectors,
+        residuals=residuals,
+        orthogonality=orthogonality,
+        complete=True,
+        proof=proof,
+        shift=shift,
+    )
 
 
 def _low(band: tuple[float, float]) -> float:
@@ -144,7 +152,8 @@ def _first_definite(pencil: Pencil, shift: float) -> tuple[Float, Float]:
 
 def start_shift(stiffness: sparse.csr_array, mass: sparse.csr_array) -> float:
     """A first guess from the diagonals, far below the first elastic mode or near it."""
-    k, m = stiffness.diagonal(), mass.diagonal()
+    k = stiffness.diagonal()
+    m = mass.diagonal()
     massive = m > 1e-12 * m.max()
     return -1e-7 * float(np.median(np.abs(k[massive]) / m[massive])) or -1.0
 
@@ -172,12 +181,18 @@ def _find_shift(pencil: Pencil, count: int) -> tuple[float, lanczos.Krylov, int]
     are known.
     """
     shift = start_shift(pencil.stiffness, pencil.mass)
-    nearest, known, searched = ROUNDING * shift, (np.zeros((pencil.size, 0)), np.zeros(0)), False
+    nearest = ROUNDING * shift
+    known = (np.zeros((pencil.size, 0)), np.zeros(0))
+    searched = False
     for last in (*(False,) * TRIES, True):
         still = known[1].size
         columns = lanczos.capacity(pencil.size, max(count - still, 0) + EXTRA, still)
         krylov = lanczos.Krylov(
-            pencil.at(shift), pencil.mass, columns, np.random.default_rng(0), pencil.labels
+            pencil.at(shift),
+            pencil.mass,
+            columns,
+            rng=np.random.default_rng(0),
+            labels=pencil.labels,
         )
         krylov.start(known[0], 1 / (known[1] - shift))
         if last:
@@ -188,10 +203,12 @@ def _find_shift(pencil: Pencil, count: int) -> tuple[float, lanczos.Krylov, int]
         theta, _, error = krylov.ritz()
         if not searched and (np.abs(shift + 1 / theta[: lanczos.BLOCK]) < STILL * -shift).all():
             values, vectors, shift = near_zero_modes(pencil, shift)
-            known, searched = (vectors, values), True
+            known = (vectors, values)
+            searched = True
             nearest = min(nearest, -NOISE * float(np.abs(values).max(initial=0.0)))
             continue
-        theta, error = theta[still:], error[still:]
+        theta = theta[still:]
+        error = error[still:]
         if not theta.size:  # there are no others
             break
         first = shift + 1 / float(theta[0])
@@ -215,7 +232,8 @@ def _lowest(
     _say(progress, pencil)
     shift, begun, still = (shift, None, 0) if shift is not None else _find_shift(pencil, count)
     factor = pencil.at(shift)
-    start, most = _Count(factor.negatives, shift), max(count, still)
+    start = _Count(factor.negatives, shift)
+    most = max(count, still)
 
     def enough(theta: Float) -> bool:
         values = np.sort(shift + 1 / theta)
@@ -237,7 +255,8 @@ def _lowest(
     values = np.sort(shift + 1 / pairs.theta)
     at = _gap_after(values, count, shift)
     if pairs.exhausted:
-        complete, proof = True, f"the mass has rank {values.size}: all modes were found"
+        complete = True
+        proof = f"the mass has rank {values.size}: all modes were found"
     elif at is None:
         complete, proof = _proved_below(pencil, values[:count], values[-1], start)
     else:
@@ -249,11 +268,11 @@ def _lowest(
         top = _Count(pencil.at(mark).negatives, mark)
         if top.below > at and start.below == 0:
             if top.below > at + lanczos.BLOCK:  # fewer are found sooner than a lower end
-                top = _lowest_end(pencil, values[:at], count, top, shift)
+                top = _lowest_end(pencil, values[:at], count, top=top, shift=shift)
             pairs = _filled(pencil, pairs, shift, top)
             at = int((shift + 1 / pairs.theta < top.shift).sum())
         complete, proof = _judge(top.below, at, start, top.shift)
-    return _finish(pencil, pairs, shift, slice(0, count), complete, proof)
+    return _finish(pencil, pairs, shift, take=slice(0, count), complete=complete, proof=proof)
 
 
 def _say(progress: Progress | None, pencil: Pencil) -> None:
@@ -291,12 +310,14 @@ def _lowest_end(pencil: Pencil, values: Float, count: int, top: _Count, shift: f
     if there is none.
     """
     gaps = np.flatnonzero(_gaps(values, shift))
-    low, high = 0, gaps.size
+    low = 0
+    high = gaps.size
     while low < high:
         middle = (low + high) // 2
         at = _counted(pencil, float(values[gaps[middle] :][:2].mean()), 1)
         if at.below >= count:
-            high, top = middle, at
+            high = middle
+            top = at
         else:
             low = middle + 1
     return top
@@ -325,10 +346,12 @@ def _filled(
         values = sigma + 1 / theta
         return np.asarray((values < top.shift) & (values > low))
 
-    found, before = int(inside(pairs.theta).sum()), -1
+    found = int(inside(pairs.theta).sum())
+    before = -1
     while before < found < expected:
         keep = inside(pairs.theta)
-        locked, before = (pairs.theta[keep], pairs.vectors[:, keep]), found
+        locked = (pairs.theta[keep], pairs.vectors[:, keep])
+        before = found
         pairs = lanczos.solve(
             factor,
             pencil.mass,
@@ -349,7 +372,7 @@ def _gap_after(values: Float, count: int, shift: float) -> int | None:
     """How many values stand below the first sufficient gap at or after `count`; None if there is
     none yet.
 
-    Rigid-body modes are apart by rounding only, however many of them are known: the shift tells
+    Rigid-body modes differ by rounding only, however many of them are known: the shift says
     their scale.
     """
     wide = _gaps(values, shift)[max(count - 1, 0) :]
@@ -393,7 +416,8 @@ def _band(
     shift: float | None,
     progress: Progress | None,
 ) -> EigenModes:
-    low, high = _low(band), eigenvalue(band[1])
+    low = _low(band)
+    high = eigenvalue(band[1])
     _say(progress, pencil)
     top = _counted(pencil, high, 1)
     bottom = _counted(pencil, low, -1) if band[0] > 0 else _Count(0, -np.inf)
@@ -405,7 +429,8 @@ def _band(
         sigma = shift if shift is not None else low_shift(band[1])
         expected = top.below
     else:
-        sigma, expected = (low + high) / 2, wanted
+        sigma = (low + high) / 2
+        expected = wanted
     if sigma < 0:
         below = pencil.at(sigma).negatives
         if below != 0:
@@ -417,12 +442,20 @@ def _band(
     if not wanted:
         proof = f"no eigenvalue between {band[0]:g} and {band[1]:g} Hz by inertia (Sturm)"
         empty = np.zeros((pencil.size, 0))
-        return EigenModes(np.zeros(0), empty, np.zeros(0), 0.0, True, proof, pencil.shift)
+        return EigenModes(
+            values=np.zeros(0),
+            vectors=empty,
+            residuals=np.zeros(0),
+            orthogonality=0.0,
+            complete=True,
+            proof=proof,
+            shift=pencil.shift,
+        )
     if _most_of(pencil, expected):
         return _dense(pencil, wanted, band)
     pencil.reserve(lanczos.capacity(pencil.size, expected + EXTRA) + 3 * expected)
     none = lanczos.RitzPairs(np.zeros(0), np.zeros((pencil.size, 0)), False)
-    pairs = _filled(pencil, none, sigma, top, None if few else bottom, progress)
+    pairs = _filled(pencil, none, sigma, top=top, bottom=None if few else bottom, progress=progress)
     proof = (
         f"{wanted} eigenvalues between {band[0]:g} and {band[1]:g} Hz by inertia (Sturm) at "
         "both ends"
@@ -431,7 +464,14 @@ def _band(
     at = np.flatnonzero((values >= bottom.shift) & (values <= top.shift))
     chosen = lanczos.RitzPairs(pairs.theta[at], pairs.vectors[:, at], pairs.exhausted)
     complete = at.size == wanted
-    return _finish(pencil, chosen, sigma, slice(None), complete, proof + f"; {at.size} found")
+    return _finish(
+        pencil,
+        chosen,
+        sigma,
+        take=slice(None),
+        complete=complete,
+        proof=proof + f"; {at.size} found",
+    )
 
 
 def _beyond(values: Float, top: _Count, bottom: _Count | None) -> bool:
@@ -472,12 +512,19 @@ def _finish(
         pencil.stiffness, pencil.mass, shift + 1 / pairs.theta, pairs.vectors
     )
     if (np.abs(values - roots) > SAME * np.abs(roots - shift)).any():
-        complete, proof = False, f"{proof}; their shapes have other eigenvalues: NOT complete"
+        complete = False
+        proof = f"{proof}; their shapes have other eigenvalues: NOT complete"
     if pairs.theta.size > 1 and orthogonality > 1e-10:
         values, vectors = rayleigh_ritz(pencil, vectors)
         values, vectors, residuals, orthogonality = polish(
             pencil.stiffness, pencil.mass, values, vectors
         )
     return EigenModes(
-        values[take], vectors[:, take], residuals[take], orthogonality, complete, proof, shift
+        values=values[take],
+        vectors=vectors[:, take],
+        residuals=residuals[take],
+        orthogonality=orthogonality,
+        complete=complete,
+        proof=proof,
+        shift=shift,
     )

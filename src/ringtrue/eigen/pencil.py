@@ -80,15 +80,14 @@ class Pencil:
         labels: Labels | None = None,
         limit: int | None = None,
     ) -> None:
-        self.stiffness, self.mass = (
-            _symmetric(stiffness, "the stiffness"),
-            _symmetric(mass, "the mass"),
-        )
+        self.stiffness = _symmetric(stiffness, "the stiffness")
+        self.mass = _symmetric(mass, "the mass")
         if self.mass.shape != self.stiffness.shape:
             raise InputError(
                 f"stiffness {self.stiffness.shape} and mass {self.mass.shape} differ in size"
             )
-        self.method, self._limit = choose(method, self.size), limit
+        self.method = choose(method, self.size)
+        self._limit = limit
         if self.method == "superlu":
             log.warning(
                 "neither pymklpardiso nor rslab is used: SuperLU is slower and takes more memory"
@@ -120,7 +119,8 @@ class Pencil:
         )  # anew for each shift: they take as much room as the matrix
         values[self._m[0]] -= shift * self._m[1]
         factor = self._make(values)
-        self._factor, self.shift = factor, shift
+        self._factor = factor
+        self.shift = shift
         error, moved = self._probe(factor, shift)
         if not (error < RESIDUAL_LIMIT and factor.negatives >= 0) and factor.strengthen(values):
             self._strengthened = True
@@ -169,7 +169,8 @@ class Pencil:
     def _probe(self, factor: Engine, shift: float) -> tuple[float, Float]:
         """The residual of a solve with a known random solution, relative, and its error (f,)."""
         if factor.singular:
-            rows, self._factor = self._empty_rows(), None
+            rows = self._empty_rows()
+            self._factor = None
             rows = rows if rows.size else factor.weak
             raise SingularModel(
                 self.labels(rows), f"K - ({shift:.3g}) M cannot be factorised: {HINT}"
@@ -190,7 +191,8 @@ class Pencil:
         """
         x = factor.solve(np.random.default_rng(1).standard_normal(self.size))
         x = x / np.abs(x).max(initial=np.finfo(float).tiny)
-        k, m = self.stiffness.diagonal(), self.mass.diagonal()
+        k = self.stiffness.diagonal()
+        m = self.mass.diagonal()
         if x @ (self.mass @ x) > MASSLESS * usual_mass(self.mass) * (x @ x):
             return np.empty(0, dtype=np.int64)
         energy = abs(x @ (self.stiffness @ x)) + abs(shift) * (x @ (self.mass @ x))
@@ -206,7 +208,9 @@ class Pencil:
         """Free the factorisation."""
         if self._factor is not None:
             self._factor.close()
-        self._factor, self.shift, self._strengthened = None, np.nan, False
+        self._factor = None
+        self.shift = np.nan
+        self._strengthened = False
 
 
 def factorise(matrix: sparse.csr_array, *, method: Method = "auto") -> Factor:

@@ -77,7 +77,8 @@ class Adjoint:
         """
         out = np.empty((self.values.size, len(slopes)))
         for i, s in enumerate(slopes):  # over parameters
-            dk, dm = s.stiffness @ self.shapes, s.mass @ self.shapes
+            dk = s.stiffness @ self.shapes
+            dm = s.mass @ self.shapes
             out[:, i] = np.einsum("fm,fm->m", self.force, dk - dm * self.values)
             out[:, i] += np.einsum("fm,fm->m", self.mass, dm)
         return out
@@ -110,7 +111,9 @@ def adjoint(
     m = gradient.shape[1]
     if m > modes.values.size:
         raise InputError(f"gradients of {m} modes; {modes.values.size} are given")
-    phi, lam, at = modes.vectors, modes.values, groups(modes.values)
+    phi = modes.vectors
+    lam = modes.values
+    at = groups(modes.values)
     same = at[:, None] == at[:m]
     seen = phi.T @ gradient
     gap = np.where(same, 1.0, lam[:m] - lam[:, None])
@@ -152,7 +155,8 @@ def complex_mode_derivatives(
     d_poles = np.empty((m, len(slopes)), dtype=np.complex128)
     d_shapes = np.empty((f, m, len(slopes)), dtype=np.complex128)
     for j in range(m):  # over modes: each has its own matrix
-        s, phi = complex(poles[j]), shapes[:, j]
+        s = complex(poles[j])
+        phi = shapes[:, j]
         zs = np.asarray(2 * s * (system.mass @ phi) + system.viscous @ phi)
         size = (
             np.abs(system.stiffness.diagonal()).max() / np.abs(zs).max()
@@ -166,7 +170,8 @@ def complex_mode_derivatives(
         ds = -(phi @ load)
         rhs = np.vstack([-load, (-(norm / 2) - ds * inner)[None] * size])
         x = np.asarray(splu(bordered).solve(rhs.astype(np.complex128)))
-        d_poles[j], d_shapes[:, j] = ds, x[:-1]
+        d_poles[j] = ds
+        d_shapes[:, j] = x[:-1]
     return d_poles, d_shapes
 
 
@@ -194,14 +199,16 @@ def frf_derivatives(
     h : (q, o, i) complex128
     d_h : (q, o, i, p) complex128
     """
-    o, i = outputs.shape[0], inputs.shape[0]
+    o = outputs.shape[0]
+    i = inputs.shape[0]
     h = np.empty((freqs.size, o, i), dtype=np.complex128)
     d_h = np.empty((*h.shape, len(slopes)), dtype=np.complex128)
     rhs = np.hstack([outputs.toarray().T, inputs.toarray().T])
     for q, f in enumerate(freqs.tolist()):  # over lines: each has its own factorisation
         s = 2j * np.pi * f
         x = system.solve(s, rhs)
-        left, right = x[:, :o], x[:, o:]
+        left = x[:, :o]
+        right = x[:, o:]
         h[q] = np.asarray(outputs @ right)
         for k, slope in enumerate(slopes):
             d_h[q, :, :, k] = -left.T @ _dynamic(slope, right, np.full(i, s))
@@ -228,7 +235,8 @@ def modal_frf_derivatives(
     d_lambda : (m, p) float64
     d_out, d_in : (o, m, p), (i, m, p) float64
     """
-    w, root = 2 * np.pi * freqs[:, None], np.sqrt(np.abs(values))
+    w = 2 * np.pi * freqs[:, None]
+    root = np.sqrt(np.abs(values))
     g = 1 / (values - w**2 + 2j * damping * root * w)
     slope = -(g**2) * (1 + 1j * damping * w / np.where(root > 0, root, np.inf))
     parts = (("qm,omp,im->qoip", (g, d_out, phi_in)), ("qm,om,imp->qoip", (g, phi_out, d_in)))

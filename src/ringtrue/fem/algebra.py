@@ -10,8 +10,12 @@ from ringtrue.core.arrays import Any_, Int
 def skew(r: Any_) -> Any_:
     """[r]x with [r]x v = r x v; (..., 3) -> (..., 3, 3)."""
     out = np.zeros((*r.shape, 3), dtype=r.dtype)
-    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -r[..., 2], r[..., 1], -r[..., 0]
-    out[..., 1, 0], out[..., 2, 0], out[..., 2, 1] = r[..., 2], -r[..., 1], r[..., 0]
+    out[..., 0, 1] = -r[..., 2]
+    out[..., 0, 2] = r[..., 1]
+    out[..., 1, 2] = -r[..., 0]
+    out[..., 1, 0] = r[..., 2]
+    out[..., 2, 0] = -r[..., 1]
+    out[..., 2, 1] = r[..., 0]
     return out
 
 
@@ -57,7 +61,9 @@ def condense(K: Any_, keep: Int | slice, drop: Int | slice) -> Any_:
     zero.
     """
     rows = K[:, keep]
-    Kkk, Kkd, Kdd = rows[:, :, keep], rows[:, :, drop], K[:, drop][:, :, drop]
+    Kkk = rows[:, :, keep]
+    Kkd = rows[:, :, drop]
+    Kdd = K[:, drop][:, :, drop]
     live = np.abs(Kdd).max(axis=(1, 2), initial=0) > 0
     if live.all():
         return Kkk - Kkd @ np.linalg.solve(Kdd, Kkd.swapaxes(1, 2))

@@ -114,7 +114,8 @@ class Sum:
             if digit is None:
                 self._digits[k] = carry
                 return
-            carry, self._digits[k] = sparse.csr_array(digit + carry), None
+            carry = sparse.csr_array(digit + carry)
+            self._digits[k] = None
         self._digits.append(carry)
 
     def total(self) -> sparse.csr_array:
@@ -193,7 +194,7 @@ def assemble(model: Model) -> System:
     ------
     DeckError
         On a card that refers to one that is absent, a distorted element, contradictory constraints,
-        or a field that makes a negative stiffness (see `fem.negative`).
+        or a field that makes a negative stiffness (see `negative_stiffness`).
     UnsupportedCard
         On a card with stiffness, mass or constraint that is not assembled.
     """
@@ -214,31 +215,34 @@ def assemble(model: Model) -> System:
     drop = np.zeros(free.size, dtype=bool)
     if str(model.params.get("AUTOSPC", "YES")).upper() != "NO":
         epzero = m.model.param("EPZERO", EPZERO)
-        drop = singular_dofs(stiffness, free, len(m.xyz), T, pieces(m), direct, epzero)
+        drop = singular_dofs(
+            stiffness, free, len(m.xyz), T=T, parts=pieces(m), direct=direct, tolerance=epzero
+        )
     keep = np.flatnonzero(~drop)
     if drop.any():
-        T, stiffness = T[:, keep], stiffness[keep][:, keep]
+        T = T[:, keep]
+        stiffness = stiffness[keep][:, keep]
     names = m.dofs
     held = DofSet(names.node[free[drop]], names.direction[free[drop]])
     if len(held):
         log.info("AUTOSPC: %d DOFs without stiffness are held", len(held))
     mass, (alpha, beta) = reduced(T, M), rayleigh(model)
     return System(
-        stiffness,
-        mass,
-        sparse.csr_array(reduced(T, B) + alpha * mass + beta * stiffness)
+        stiffness=stiffness,
+        mass=mass,
+        viscous=sparse.csr_array(reduced(T, B) + alpha * mass + beta * stiffness)
         if alpha or beta
         else reduced(T, B),
-        sparse.csr_array(reduced(T, S) + stiffness * g)
+        structural=sparse.csr_array(reduced(T, S) + stiffness * g)
         if (g := m.model.param("G", 0.0))
         else reduced(T, S),
-        T,
-        sparse.csr_array(rotation.T.tocsr()[free[keep]]),
-        names,
-        DofSet(names.node[free[keep]], names.direction[free[keep]]),
-        held,
-        m.xyz,
-        (alpha, beta),
+        transform=T,
+        local=sparse.csr_array(rotation.T.tocsr()[free[keep]]),
+        dofs=names,
+        free=DofSet(names.node[free[keep]], names.direction[free[keep]]),
+        autospc=held,
+        xyz=m.xyz,
+        rayleigh=(alpha, beta),
     )
 
 

@@ -38,7 +38,7 @@ def singular_dofs(
     """DOFs (k,) of K (k, k) that have no stiffness.
 
     Each node's 3 x 3 block of translations, or of rotations, is examined; for each direction in
-    which it is singular the DOF nearest to it is named. Where the block is weak beside its largest
+    which it is singular the DOF nearest to it is named. Where the block is weak against its largest
     term, the elements at the node are asked one by one: a direction is singular if no element
     stiffens it, each judged by its own stiffness there. A stiff spring in one direction thus says
     nothing of the others.
@@ -76,13 +76,13 @@ def singular_dofs(
             sparse.csr_array(T[:, columns]),
             np.searchsorted(doubtful, group[columns]),
             place[columns],
-            doubtful.size,
-            parts,
-            direct,
-            tolerance,
+            count=doubtful.size,
+            parts=parts,
+            direct=direct,
+            tolerance=tolerance,
         )
-        told = stiffened.any(axis=(1, 2))
-        held[doubtful[told]] = _weak(stiffened[told], there[doubtful[told]], tolerance)
+        stiff = stiffened.any(axis=(1, 2))
+        held[doubtful[stiff]] = _weak(stiffened[stiff], there[doubtful[stiff]], tolerance)
     return np.asarray((empty | held)[group, place])
 
 
@@ -90,7 +90,8 @@ def _blocks(A: sparse.csr_array, group: Int, place: Int, count: int) -> Float:
     """The 3 x 3 blocks (count, 3, 3) of groups of A's rows."""
     coo = A.tocoo()
     inside = group[coo.row] == group[coo.col]
-    r, c = coo.row[inside], coo.col[inside]
+    r = coo.row[inside]
+    c = coo.col[inside]
     out = np.zeros((count, 3, 3))
     out[group[r], place[r], place[c]] = coo.data[inside]
     return out

@@ -59,10 +59,11 @@ def rigid(m: Mesh, t: Table, independent: Ends, dependent: Ends) -> Equations:
             f"it has {count[i]} independent components; allowed are 6 that hold a rigid body",
         )
     order = np.argsort(of, kind="stable")
-    g, c = g[order].reshape(-1, 6), c[order].reshape(-1, 6)
+    g = g[order].reshape(-1, 6)
+    c = c[order].reshape(-1, 6)
     origin, size = _extent(m, g)
     own = np.arange(len(t))[:, None]
-    phi_n = _motion(m, g, c, origin[own], size[own])
+    phi_n = _motion(m, g, c, origin=origin[own], size=size[own])
     values = np.linalg.svd(phi_n, compute_uv=False)
     loose = values[:, -1] < 1e-9 * values[:, 0]
     if loose.any():
@@ -74,7 +75,7 @@ def rigid(m: Mesh, t: Table, independent: Ends, dependent: Ends) -> Equations:
             "its independent components leave a rigid motion free; choose six that hold it",
         )
     at, h, d = listed(m, t, dependent)
-    phi_m = _motion(m, h, d, origin[at], size[at])
+    phi_m = _motion(m, h, d, origin=origin[at], size=size[at])
     X = np.linalg.solve(phi_n.swapaxes(1, 2)[at], phi_m[:, :, None])[:, :, 0]
     column = (6 * g + c)[at]
     if (column == (6 * h + d)[:, None]).any():
@@ -83,7 +84,11 @@ def rigid(m: Mesh, t: Table, independent: Ends, dependent: Ends) -> Equations:
     row = np.repeat(np.arange(at.size), 6)
     keep = np.abs(X.reshape(-1)) > ROUNDING * np.abs(X).max(initial=0.0)
     return Equations(
-        6 * h + d, row[keep], column.reshape(-1)[keep], X.reshape(-1)[keep], owners(t, at)
+        dependent=6 * h + d,
+        row=row[keep],
+        column=column.reshape(-1)[keep],
+        value=X.reshape(-1)[keep],
+        owner=owners(t, at),
     )
 
 
@@ -113,7 +118,7 @@ def rigid_motion(m: Mesh, node: Int, component: Int) -> Float:
     (e, k, 6).
     """
     origin, size = _extent(m, node)
-    return _motion(m, node, component, origin[:, None], size[:, None])
+    return _motion(m, node, component, origin=origin[:, None], size=size[:, None])
 
 
 def _extent(m: Mesh, node: Int) -> tuple[Float, Float]:

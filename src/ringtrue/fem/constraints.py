@@ -39,7 +39,13 @@ def _mpc(m: Mesh) -> Equations:
     number[rows] = np.arange(rows.size)
     rest = use & ~first
     value = -A.values[rest] / lead[of[rest]]
-    return Equations(dof[use & first], number[of[rest]], dof[rest], value, owners(t, rows))
+    return Equations(
+        dependent=dof[use & first],
+        row=number[of[rest]],
+        column=dof[rest],
+        value=value,
+        owner=owners(t, rows),
+    )
 
 
 def equations(m: Mesh) -> Equations:
@@ -49,11 +55,11 @@ def equations(m: Mesh) -> Equations:
     shift = np.cumsum([0, *(p.dependent.size for p in parts)])
     none: Int = np.empty(0, dtype=np.int64)
     return Equations(
-        np.concatenate([none, *(p.dependent for p in parts)]),
-        np.concatenate([none, *(p.row + s for p, s in zip(parts, shift, strict=False))]),
-        np.concatenate([none, *(p.column for p in parts)]),
-        np.concatenate([np.empty(0), *(p.value for p in parts)]),
-        tuple(name for p in parts for name in p.owner),
+        dependent=np.concatenate([none, *(p.dependent for p in parts)]),
+        row=np.concatenate([none, *(p.row + s for p, s in zip(parts, shift, strict=False))]),
+        column=np.concatenate([none, *(p.column for p in parts)]),
+        value=np.concatenate([np.empty(0), *(p.value for p in parts)]),
+        owner=tuple(name for p in parts for name in p.owner),
     )
 
 
@@ -67,12 +73,12 @@ def supports(m: Mesh) -> Bool:
     if "SPC" in m.model:
         t = m.model["SPC"]
         at = np.flatnonzero(np.isin(t["SID"], sids))
-        _hold(m, held, t, at, t["G"][at], t["C"][at])
+        _hold(m, held, t, at=at, nodes=t["G"][at], text=t["C"][at])
     if "SPC1" in m.model:
         t = m.model["SPC1"]
         of = t.ragged("G").owner
         at = np.flatnonzero(np.isin(t["SID"][of], sids))
-        _hold(m, held, t, of[at], t.ragged("G").values[at], t["C"][of[at]])
+        _hold(m, held, t, at=of[at], nodes=t.ragged("G").values[at], text=t["C"][of[at]])
     return held
 
 
@@ -98,9 +104,11 @@ def eliminate(m: Mesh) -> tuple[sparse.csr_array, Int]:
     DeckError
         If a DOF is dependent twice, or dependent and held, or if dependencies run in a circle.
     """
-    eq, held = equations(m), supports(m)
+    eq = equations(m)
+    held = supports(m)
     _check(m, eq, held)
-    n, k = m.size, eq.dependent.size
+    n = m.size
+    k = eq.dependent.size
     dependent = np.full(n, -1)
     dependent[eq.dependent] = np.arange(k)
     free = np.flatnonzero((dependent < 0) & ~held)

@@ -21,7 +21,7 @@ from ringtrue.fem.elements import (
     shell8,
     solid_shapes,
 )
-from ringtrue.fem.elements.solid import alike
+from ringtrue.fem.elements.solid import same_midsides
 from ringtrue.fem.mesh import Matrices, Mesh
 from ringtrue.fem.rigid_elements import RIGID
 from ringtrue.model.cards import columns, is_unsupported
@@ -154,7 +154,7 @@ def batches(
         )
         groups: Iterable[Int] = [at] if at.size else []
         if card in SOLIDS:
-            groups = alike(SOLIDS[card], model, at)
+            groups = same_midsides(SOLIDS[card], model, at)
         elif card == "GENEL":
-            groups = given_matrices.alike(model, at)
+            groups = given_matrices.same_sizes(model, at)
         yield from ((card, build, group) for group in groups)

@@ -52,7 +52,9 @@ def face(card: str, nodes: Sequence[int], first: int, other: int) -> list[int]:
     solid = SOLIDS[card]
     corners = list(nodes[: solid.corners])
     a, b = (corners.index(g) if g in corners else -1 for g in (first, other))
-    found = [f for f in FACES[card] if a in f and _meant(card, f, f.index(a), b, bool(other))]
+    found = [
+        f for f in FACES[card] if a in f and _meant(card, f, f.index(a), other=b, named=bool(other))
+    ]
     if len(found) != 1:
         raise InputError(f"G1 = {first} and G3/G4 = {other or 'blank'} mean no face of the {card}")
     at = found[0].index(a)
@@ -166,7 +168,7 @@ def line_forces(
     ) in _POINTS.tolist():  # a fixed number of points; all stand at one where the load is single
         size = sizes[:, 0] + point * (sizes[:, 1] - sizes[:, 0])
         size = weight * size * np.where(wide > 0, wide * length, 1.0)
-        motion = _motion(K, placed.L, iso, s, share[:, 0] + point * wide)
+        motion = _motion(K, placed.L, iso, s=s, x=share[:, 0] + point * wide)
         work += np.einsum("eij,ei->ej", motion, local * size[:, None])
     work, carried = _released(K, placed.released, work)
     carried &= ~((np.abs(local) > NOTHING) & (np.einsum("eii->ei", K)[:, 6:] <= 0)).any(axis=1)
@@ -211,7 +213,8 @@ def _up_to(s: bar.Section, end: Float) -> bar.Section:
 
     A, I1, I2, I12, J = (cut(v) for v in (s.A, s.I1, s.I2, s.I12, s.J))
     last = s.neutral[:, 0] + end[:, None] * (s.neutral[:, 1] - s.neutral[:, 0])
-    neutral, x = np.stack([s.neutral[:, 0], last], axis=1), np.minimum(s.x / end[:, None], 1.0)
+    neutral = np.stack([s.neutral[:, 0], last], axis=1)
+    x = np.minimum(s.x / end[:, None], 1.0)
     return replace(s, x=x, A=A, I1=I1, I2=I2, I12=I12, J=J, neutral=neutral)
 
 
@@ -221,9 +224,11 @@ def _released(K: Float, pins: Bool, ends: Float) -> tuple[Float, Bool]:
     """
     ends, carried = ends.copy(), np.ones(len(ends), dtype=bool)
     for i in np.flatnonzero(pins.any(axis=1)):  # few beams between nodes are loaded and have joints
-        drop, keep = np.flatnonzero(pins[i]), np.flatnonzero(~pins[i])
+        drop = np.flatnonzero(pins[i])
+        keep = np.flatnonzero(~pins[i])
         d = _scale(K[i][np.ix_(drop, drop)])
-        free, given = K[i][np.ix_(drop, drop)] * d * d[:, None], d * ends[i, drop]
+        free = K[i][np.ix_(drop, drop)] * d * d[:, None]
+        given = d * ends[i, drop]
         moved = np.linalg.lstsq(free, given, rcond=SINGULAR)[0]
         carried[i] = np.abs(free @ moved - given).max() <= NOTHING * d.max() * np.abs(ends[i]).max()
         ends[i, keep] -= K[i][np.ix_(keep, drop)] @ (d * moved)

@@ -83,7 +83,8 @@ def _shares(R: Float, A: sparse.csr_array, chain: Int, count: int) -> Float:
 
     No entry of A joins two chains.
     """
-    AR, whole = np.asarray(A @ R), np.einsum("ia,ia->i", np.abs(R), np.asarray(abs(A) @ np.abs(R)))
+    AR = np.asarray(A @ R)
+    whole = np.einsum("ia,ia->i", np.abs(R), np.asarray(abs(A) @ np.abs(R)))
     size = np.bincount(chain, whole, count)
     out = np.zeros((count, 3, 3))
     np.add.at(out, chain, R[:, :, None] * AR[:, None, :])

@@ -196,10 +196,12 @@ def isotropic(model: Model, mid: Int, table: Table, at: Int) -> Isotropic:
     DeckError
         If a material is absent, or neither E nor G is given.
     """
-    row = lookup(model, "MAT1", mid, table, at)
+    row = lookup(model, "MAT1", mid, table=table, at=at)
     mat = model["MAT1"]
     E, G, nu, rho, loss = (mat[c][row] for c in ("E", "G", "NU", "RHO", "GE"))
-    no_E, no_G, no_nu = np.isnan(E), np.isnan(G), np.isnan(nu)
+    no_E = np.isnan(E)
+    no_G = np.isnan(G)
+    no_nu = np.isnan(nu)
     if (no_E & no_G).any():
         raise card_error(
             model, mat, int(row[np.flatnonzero(no_E & no_G)[0]]), "neither E nor G is given"
@@ -210,7 +212,7 @@ def isotropic(model: Model, mid: Int, table: Table, at: Int) -> Isotropic:
         np.where(no_E, np.where(no_nu, 0.0, 2 * (1 + nu) * G), E),
         np.where(no_G, np.where(no_nu, 0.0, E / (2 * (1 + nu))), G),
     )
-    return Isotropic(E, G, nu, rho, loss)
+    return Isotropic(E=E, G=G, nu=nu, rho=rho, loss=loss)
 
 
 def check_ratio(model: Model, mid: Int, nu: Any_, most: float) -> None:
@@ -222,7 +224,8 @@ def check_ratio(model: Model, mid: Int, nu: Any_, most: float) -> None:
         If one is not between -1 and `most`: 0.5 for solids, 1 for plane stress.
     """
     if (bad := (nu.real <= -1) | (nu.real >= most)).any():
-        mat, i = model["MAT1"], int(np.flatnonzero(bad)[0])
+        mat = model["MAT1"]
+        i = int(np.flatnonzero(bad)[0])
         why = f"Poisson's ratio {nu.real[i]:g} must be between -1 and {most:g} here"
         raise card_error(model, mat, int(mat.find(mid[i : i + 1])[0]), why)
 

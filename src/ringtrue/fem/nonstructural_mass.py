@@ -98,9 +98,17 @@ def chosen(model: Model) -> Iterator[Lists]:
             if t.card.endswith("1"):
                 ids = t.ragged("ID")
                 of = np.repeat(np.arange(rows.size), ids.sizes[rows])
-                yield Lists(t, kind, rows, of, np.concatenate([ids.row(i) for i in rows.tolist()]))
+                yield Lists(
+                    table=t,
+                    kind=kind,
+                    row=rows,
+                    of=of,
+                    ids=np.concatenate([ids.row(i) for i in rows.tolist()]),
+                )
             else:
-                yield Lists(t, kind, rows, np.arange(rows.size), t["ID"][rows])
+                yield Lists(
+                    table=t, kind=kind, row=rows, of=np.arange(rows.size), ids=t["ID"][rows]
+                )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,9 +123,11 @@ class Member:
 def members(model: Model, lists: Lists) -> list[Member]:
     """The elements on the lists, each once a list."""
     known = _properties(model, lists.kind)
-    family, key = tuple(MEASURES) if lists.kind == "ELEMENT" else ("CONROD",), "EID"
+    family = tuple(MEASURES) if lists.kind == "ELEMENT" else ("CONROD",)
+    key = "EID"
     if known is not None:
-        family, key = PROPERTIES[lists.kind][1], "PID"
+        family = PROPERTIES[lists.kind][1]
+        key = "PID"
     made = []
     for card in (c for c in family if c in model):
         mine = model[card][key]
@@ -140,7 +150,8 @@ def _joined(mine: Int, able: Bool, lists: Lists) -> tuple[Int, Int]:
     """Rows and lists of all pairs of a row of `mine` and a list that names it."""
     every = lists.of[lists.ids == 0]
     order = np.argsort(lists.ids, kind="stable")
-    ids, of = lists.ids[order], lists.of[order]
+    ids = lists.ids[order]
+    of = lists.of[order]
     first = np.searchsorted(ids, mine)
     count = np.where(able, np.searchsorted(ids, mine, side="right") - first, 0)
     row = np.repeat(np.arange(mine.size), count)

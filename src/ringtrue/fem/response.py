@@ -54,10 +54,8 @@ def frf(
         On an unknown kind, or a rigid-body mode at 0 Hz in a receptance or mobility.
     """
     power = _power(kind)
-    w, wk = (
-        2 * np.pi * np.asarray(freqs, dtype=np.float64),
-        2 * np.pi * np.asarray(frequencies, dtype=np.float64),
-    )
+    w = 2 * np.pi * np.asarray(freqs, dtype=np.float64)
+    wk = 2 * np.pi * np.asarray(frequencies, dtype=np.float64)
     below = wk * np.abs(wk) - w[:, None] ** 2 + 2j * damping * np.abs(wk) * w[:, None]
     if power == 2 and (below == 0).any():
         numerator = np.broadcast_to(-(w[:, None] ** 2), below.shape)

@@ -38,7 +38,7 @@ def rbe3(m: Mesh) -> Equations:
     np.add.at(normal, of, S.swapaxes(1, 2) @ (W[:, :, None] * S))
     inverse = _normal_inverse(m, t, normal, 1 / scale)
     X = rotation(m.cd[ref[of]], 1) @ inverse[of] @ S.swapaxes(1, 2) * W[:, None, :]
-    eq = _spread(m, t, X, of, g, ref)
+    eq = _spread(m, t, X, of=of, g=g, ref=ref)
     given = "GM" in t.columns and t.ragged("GM").values.size
     return _resolved(m, t, eq, np.nonzero(components(t["REFC"]))[0]) if given else eq
 
@@ -80,7 +80,11 @@ def _spread(m: Mesh, t: Table, X: Float, of: Int, g: Int, ref: Int) -> Equations
     column = np.broadcast_to(node_dofs(g[:, None])[:, None, :], X.shape).reshape(-1)
     keep = (row >= 0) & (X.reshape(-1) != 0)
     return Equations(
-        6 * ref[element] + c, row[keep], column[keep], X.reshape(-1)[keep], owners(t, element)
+        dependent=6 * ref[element] + c,
+        row=row[keep],
+        column=column[keep],
+        value=X.reshape(-1)[keep],
+        owner=owners(t, element),
     )
 
 
@@ -88,7 +92,8 @@ def _resolved(m: Mesh, t: Table, eq: Equations, of: Int) -> Equations:
     """The equations (owner `of` (k,)) of cards with UM, solved for the DOFs that UM names."""
     gm = t.ragged("GM")
     at, node, c = listed(m, t, (gm.owner, gm.values, components(t.ragged("CM").values)))
-    wanted, there = np.bincount(at, minlength=len(t)), np.bincount(of, minlength=len(t))
+    wanted = np.bincount(at, minlength=len(t))
+    there = np.bincount(of, minlength=len(t))
     wrong = (wanted > 0) & (wanted != there)
     if wrong.any():
         i = int(np.flatnonzero(wrong)[0])
@@ -99,7 +104,8 @@ def _resolved(m: Mesh, t: Table, eq: Equations, of: Int) -> Equations:
             f"UM names {wanted[i]} components; allowed are as many as REFC has, {there[i]}",
         )
     rows = np.flatnonzero(wanted[of] > 0)
-    chosen, k = 6 * node + c, rows.size
+    chosen = 6 * node + c
+    k = rows.size
     whole = sparse.csr_array((-eq.value, (eq.row, eq.column)), shape=(of.size, m.size))[rows]
     whole = sparse.csr_array(
         whole
@@ -113,11 +119,11 @@ def _resolved(m: Mesh, t: Table, eq: Equations, of: Int) -> Equations:
     dependent = eq.dependent.copy()
     dependent[rows] = chosen
     return Equations(
-        dependent,
-        np.concatenate([eq.row[keep], rows[solved.row[rest]]]),
-        np.concatenate([eq.column[keep], solved.col[rest]]),
-        np.concatenate([eq.value[keep], -solved.data[rest]]),
-        eq.owner,
+        dependent=dependent,
+        row=np.concatenate([eq.row[keep], rows[solved.row[rest]]]),
+        column=np.concatenate([eq.column[keep], solved.col[rest]]),
+        value=np.concatenate([eq.value[keep], -solved.data[rest]]),
+        owner=eq.owner,
     )
 
 
@@ -157,7 +163,8 @@ ALONG = 1e-3  # least part of the dependent component along a rod
 def rbe2(m: Mesh) -> Equations:
     t = m.model["RBE2"]
     of = t.ragged("GM").owner
-    gn, gm = m.nodes(t["GN"][of], t, of), m.nodes(t.ragged("GM").values, t, of)
+    gn = m.nodes(t["GN"][of], t, of)
+    gm = m.nodes(t.ragged("GM").values, t, of)
     same = gn == gm
     if same.any():
         raise card_error(
@@ -172,12 +179,19 @@ def rbe2(m: Mesh) -> Equations:
     pair, c = np.nonzero(moved[of])
     row = np.repeat(np.arange(pair.size), 6)
     column = node_dofs(gn[pair][:, None]).reshape(-1)
-    return Equations(6 * gm[pair] + c, row, column, A[pair, c].reshape(-1), owners(t, of[pair]))
+    return Equations(
+        dependent=6 * gm[pair] + c,
+        row=row,
+        column=column,
+        value=A[pair, c].reshape(-1),
+        owner=owners(t, of[pair]),
+    )
 
 
 def rbe1(m: Mesh) -> Equations:
     t = m.model["RBE1"]
-    n, k = t.ragged("GN"), t.ragged("GM")
+    n = t.ragged("GN")
+    k = t.ragged("GM")
     independent = n.owner, n.values, components(t.ragged("CN").values)
     return rigid(m, t, independent, (k.owner, k.values, components(t.ragged("CM").values)))
 
@@ -201,7 +215,8 @@ def rrod(m: Mesh) -> Equations:
     axis = segment(x)[1]
     along = np.einsum("nkij,nj->nki", m.cd[node], axis) * np.array([-1.0, 1.0])[:, None]
     at = named.argmax(axis=1)
-    end, c = at // 6, at % 6
+    end = at // 6
+    c = at % 6
     lead = along[every, end, c]
     if (np.abs(lead) < ALONG).any():
         i = int(np.flatnonzero(np.abs(lead) < ALONG)[0])
@@ -213,7 +228,13 @@ def rrod(m: Mesh) -> Equations:
     dependent = 6 * node[every, end] + c
     row = np.repeat(every, 6)
     rest = (column != dependent[row]) & (value != 0)
-    return Equations(dependent, row[rest], column[rest], value[rest], owners(t, every))
+    return Equations(
+        dependent=dependent,
+        row=row[rest],
+        column=column[rest],
+        value=value[rest],
+        owner=owners(t, every),
+    )
 
 
 def _nodes(
@@ -226,7 +247,8 @@ def _nodes(
     dependent.
     """
     t = m.model[card]
-    of, ids = np.repeat(np.arange(len(t)), len(ends)), t.stack(*ends).reshape(-1)
+    of = np.repeat(np.arange(len(t)), len(ends))
+    ids = t.stack(*ends).reshape(-1)
     independent = np.zeros((len(t), len(ends), 6), dtype=bool)
     for k, name in enumerate(free):
         independent[:, k] = components(t[name])
@@ -244,31 +266,33 @@ def _nodes(
 
 def rbar(m: Mesh) -> Equations:
     """A rigid bar; without components GA is independent and GB dependent."""
-    return _nodes(m, "RBAR", ("GA", "GB"), ("CNA", "CNB"), ("CMA", "CMB"))
+    return _nodes(m, "RBAR", ("GA", "GB"), free=("CNA", "CNB"), bound=("CMA", "CMB"))
 
 
 def rbar1(m: Mesh) -> Equations:
     """All six of GA are independent, CB of GB dependent, all six where it is blank."""
-    return _nodes(m, "RBAR1", ("GA", "GB"), (), ("CB",))
+    return _nodes(m, "RBAR1", ("GA", "GB"), free=(), bound=("CB",))
 
 
 def rjoint(m: Mesh) -> Equations:
     """As RBAR1; its ends stand at one place, and what CB leaves out is the joint."""
-    return _nodes(m, "RJOINT", ("GA", "GB"), (), ("CB",))
+    return _nodes(m, "RJOINT", ("GA", "GB"), free=(), bound=("CB",))
 
 
 def rtrplt(m: Mesh) -> Equations:
     """A rigid triangle: six independent components, the others dependent where CMA, CMB, CMC are
     blank.
     """
-    return _nodes(m, "RTRPLT", ("GA", "GB", "GC"), ("CNA", "CNB", "CNC"), ("CMA", "CMB", "CMC"))
+    return _nodes(
+        m, "RTRPLT", ("GA", "GB", "GC"), free=("CNA", "CNB", "CNC"), bound=("CMA", "CMB", "CMC")
+    )
 
 
 def rtrplt1(m: Mesh) -> Equations:
     """A rigid triangle: all six of GA are independent, CMB and CMC dependent, all six where
     blank.
     """
-    return _nodes(m, "RTRPLT1", ("GA", "GB", "GC"), (), ("CMB", "CMC"))
+    return _nodes(m, "RTRPLT1", ("GA", "GB", "GC"), free=(), bound=("CMB", "CMC"))
 
 
 def rspline(m: Mesh) -> Equations:
@@ -281,7 +305,8 @@ def rspline(m: Mesh) -> Equations:
     do not count for the others.
     """
     t = m.model["RSPLINE"]
-    G, flags = t.ragged("G"), components(t.ragged("C").values)
+    G = t.ragged("G")
+    flags = components(t.ragged("C").values)
     of = G.owner
     node = m.nodes(G.values, t, of)
     end = np.asarray(~flags.any(axis=1))
@@ -295,17 +320,24 @@ def rspline(m: Mesh) -> Equations:
     link = np.flatnonzero(of[1:] == of[:-1])
     C = np.zeros((of.size, 6, 6))  # flexibility of the section's beams up to this node
     start = section[link]  # the section of each link is that of its first node
-    C[link + 1] = _tubes(m, t, x, of, link, x[first[start]])
+    C[link + 1] = _tubes(m, t, x, of=of, link=link, origin=x[first[start]])
     total = np.cumsum(C, axis=0)
     inner = np.flatnonzero(~end)
-    a, b = first[section[inner]], last[section[inner]]
-    part, whole = total[inner] - total[a], total[b] - total[a]
+    a = first[section[inner]]
+    b = last[section[inner]]
+    part = total[inner] - total[a]
+    whole = total[b] - total[a]
     share = np.swapaxes(np.linalg.solve(whole, np.swapaxes(part, 1, 2)), 1, 2)
     R = arm(x[inner] - x[a])
     by_last = R @ share @ arm(x[a] - x[b])
     by_first = R @ (np.eye(6) - share)
     return _interpolated(
-        m, t, node[inner], flags[inner], of[inner], ((node[a], by_first), (node[b], by_last))
+        m,
+        t,
+        node[inner],
+        flags=flags[inner],
+        of=of[inner],
+        by=((node[a], by_first), (node[b], by_last)),
     )
 
 
@@ -355,21 +387,23 @@ def _interpolated(
     """
     entry, c = np.nonzero(flags)
     mine = rotation(m.cd[node], 1)
-    columns, values = [], []
+    columns = []
+    values = []
     for other, A in by:
         local = mine @ A @ rotation(m.cd[other], 1).swapaxes(1, 2)
         columns.append(6 * other[entry][:, None] + np.arange(6))
         values.append(local[entry, c])
-    column, value = np.concatenate(columns, axis=1), np.concatenate(values, axis=1)
+    column = np.concatenate(columns, axis=1)
+    value = np.concatenate(values, axis=1)
     row = np.repeat(np.arange(entry.size), column.shape[1])
     keep = np.abs(value.reshape(-1)) > ROUNDING * np.abs(value).max(initial=0.0)
     dependent = 6 * node[entry] + c
     return Equations(
-        dependent,
-        row[keep],
-        column.reshape(-1)[keep],
-        value.reshape(-1)[keep],
-        owners(t, of[entry]),
+        dependent=dependent,
+        row=row[keep],
+        column=column.reshape(-1)[keep],
+        value=value.reshape(-1)[keep],
+        owner=owners(t, of[entry]),
     )
 
 
@@ -393,7 +427,7 @@ def _piercing(
     rows = np.flatnonzero(on_patch & ((t["GA"] > 0) | (t["GB"] > 0)))
     if not rows.size:
         none: Int = np.empty(0, dtype=np.int64)
-        return Equations(none, none, none, np.empty(0), ())
+        return Equations(dependent=none, row=none, column=none, value=np.empty(0), owner=())
     made = []
     for side, end in zip("AB", ends(m, card, rows), strict=True):
         given = np.flatnonzero(t[f"G{side}"][rows] > 0)
@@ -407,7 +441,7 @@ def _piercing(
         there = (corners[:, k] >= 0)[:, None, None]
         corner = np.where(corners[:, k] >= 0, corners[:, k], corners[:, 0])
         parts.append((corner, np.where(there, follow[:, :, 6 * k : 6 * k + 6], 0.0)))
-    return _interpolated(m, t, node, np.ones((node.size, 6), dtype=bool), of, parts)
+    return _interpolated(m, t, node, flags=np.ones((node.size, 6), dtype=bool), of=of, by=parts)
 
 
 RIGID: Mapping[str, Callable[[Mesh], Equations]] = {

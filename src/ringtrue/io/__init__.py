@@ -2,16 +2,15 @@
 
 `uff` universal files.
 
-Records: `records` of any format: `delimited`, `lvm`, `matfile`, `plain`, `tdms`, `wav`,
-`record_layout` (our own); `clock`, `times`, `complex_cells` and `si` what stands in their cells,
-`logger_lines` among their lines.
+Records: `records` of any format: `record_texts` (delimited), `labview` (.lvm, TDMS),
+`record_arrays` (.npy, HDF5, MATLAB, WAVE), `record_layout` (our own). `record_table` samples of any
+of them; `delimited` columns of text; `times` and `si` what their cells hold.
 
-FRFs: `frfs` of any format: `frf_arrays`, `frf_tables`; `frf_lines` that have values. Modes:
-`modes_json`, `mode_tables`. Matrices: `matrices`, `op4`.
+FRFs: `frfs` of any format, `frf_tables` of text, `frf_lines` that have values. `modes` of any
+format. Matrices: `matrices`, `op4`.
 
 Tests: `sheets` of sensors, `statics`, `choices` by hand.
 
-For all: `foreign`, the one door to parsers of others, `files` that are read, `contents` of those
-that a command cannot use, `atomic` writes, `codec` dataclasses in HDF5, `magnitudes` of what is
-measured.
+For all: `foreign`, the one door to parsers of others, `files` that are read and written, `hdf5`
+dataclasses in HDF5.
 """

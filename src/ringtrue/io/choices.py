@@ -10,9 +10,8 @@ from typing import Any
 
 from ringtrue.core.choice import Choice, Merge, Pick, Reject
 from ringtrue.errors import ConfigError, did_you_mean
-from ringtrue.io.atomic import atomic_write
-from ringtrue.io.files import existing
-from ringtrue.io.foreign.texts import read_json, read_toml
+from ringtrue.io.files import atomic_write, existing
+from ringtrue.io.foreign.parsers import read_json, read_toml
 
 _KINDS = {"pick": Pick, "reject": Reject, "merge": Merge}
 _HEAD = """\

@@ -1,6 +1,4 @@
-"""Delimited text of loggers and spreadsheets: names, units and rates above the samples, times in
-many forms.
-"""
+"""Delimited text: its dialect, its header and its numbers."""
 
 from __future__ import annotations
 
@@ -8,64 +6,18 @@ import csv
 import logging
 import math
 import re
-from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from ringtrue.core.arrays import Float, Int
-from ringtrue.core.signals import TimeHistory
+from ringtrue.core.arrays import Float
 from ringtrue.errors import DataError
-from ringtrue.io.atomic import atomic_write
-from ringtrue.io.clock import is_clock, seconds
-from ringtrue.io.complex_cells import parted
 from ringtrue.io.files import read_text
-from ringtrue.io.logger_lines import header_cells, is_lacking, without_headers, without_words
-from ringtrue.io.plain import TIME_NAMES, RawTable, numbered
 from ringtrue.io.si import known
-from ringtrue.io.times import even_grid, in_seconds, without_repeated
+from ringtrue.io.times import is_clock
 
-log = logging.getLogger(__name__)
-
-_TIMES = {
-    *TIME_NAMES,
-    "timestamp",
-    "datetime",
-    "date",
-    "datum",
-    "uhrzeit",
-    "elapsed",
-    "elapsed time",
-    "relative time",
-}
-_TIMES |= {
-    "unix",
-    "epoch",
-    "time stamp",
-    "date time",
-    "date/time",
-    "datum uhrzeit",
-    "temps",
-    "tempo",
-    "tiempo",
-}
-_COUNTS = {
-    "sample",
-    "samples",
-    "index",
-    "idx",
-    "nr",
-    "no",
-    "no.",
-    "n",
-    "#",
-    "scan",
-    "record",
-    "point",
-    "count",
-}
-_SECONDS = {
+SECONDS_PER = {
     "s": 1.0,
     "sec": 1.0,
     "ms": 1e-3,
@@ -78,51 +30,10 @@ _SECONDS = {
 }
 _OF_FREQUENCY = ("hz", "khz", "rad/s", "rpm")
 _AXES = (*_OF_FREQUENCY, "db", "deg", "°", "rad")  # of FRFs
-_UNIT = re.compile(r"^(.*?)\s*[\[(]([^\])]*)[\])]\s*$")
-_NUMBER = r"(?P<x>\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)?)"
-_RATE = re.compile(
-    rf"(?:sampl\w*[\s_-]*(?:rate|freq\w*)|abtast(?:rate|frequenz)|scan[\s_-]*rate|\bfs\b|^\W*rate\b)[^\d]{{0,24}}?{_NUMBER}\s*(?P<k>k)?",
-    re.IGNORECASE,
-)
-_STEP = re.compile(
-    rf"(?:sampl\w*[\s_-]*(?:interval|period)|abtastintervall|\bdelta[\s_-]?t\b|\bdt\b)[^\d]{{0,24}}?{_NUMBER}\W*(?P<u>ms|us|µs|s)?\b",
-    re.IGNORECASE,
-)
+BRACKETED_UNIT = re.compile(r"^(.*?)\s*[\[(]([^\])]*)[\])]\s*$")
 _COMMA = re.compile(r"[-+]?\d*,\d+([eEdD][-+]?\d+)?$")
 _COMMENT = ("#", "%", "//")
 _MOST_FOOTER = 20  # lines
-_COUNTED = 0.9  # share of the lines that go on from the one before
-_COARSE = 1e-3  # relative deviation of a rate from times written with few digits
-
-
-def read_csv(path: Path) -> RawTable:
-    """Delimited text, a column for each channel; a column of times or a line above the samples
-    gives the rate.
-
-    A header such as `101+Z [m/s^2]` gives name and unit. Delimiters `, ; tab space`; decimal
-    commas, dates, quotes, D exponents and empty cells (not a number) are understood.
-    """
-    told, lines, delimiter, comma = _opened(path)
-    width = len(_cells(lines[-1], delimiter))
-    top = _head_rows(lines, delimiter, comma, width)
-    head = [_cells(x, delimiter) for x in lines[:top]]
-    rows = without_headers(lines[top:], lines[:top], path)
-    body, clock = _clocked(rows, delimiter, path)
-    data = (
-        numbers(body, delimiter, comma, path)
-        if body and width > clock
-        else np.empty((0, len(body)))
-    )
-    names = _titles(head, width, path) if head else _commented(told, delimiter, width)
-    if names and len(names) - clock != len(data):
-        raise DataError(f"{path}: {len(names) - clock} names in the header, {len(data)} columns")
-    rate = _told_rate([*told, *lines[:top]])
-    if clock:
-        t, data = without_repeated(_clock_times(rows, delimiter, clock, path), data, path)
-        by_clock, places = _rate_of(t, path)
-        data, names = _without_count(data, names[clock:])
-        return replace(_named(data, names, by_clock or rate), rows=places)
-    return _with_time(data, names, rate, path)
 
 
 def read_columns(path: Path) -> tuple[list[str], Float]:
@@ -147,14 +58,14 @@ def read_titles(path: Path) -> list[str]:
 
 def _titled(path: Path) -> tuple[list[str], list[str], str, bool]:
     """Titles, rows of numbers, the delimiter and whether commas are decimal."""
-    _, lines, delimiter, comma = _opened(path)
-    width = len(_cells(lines[-1], delimiter))
-    top = _head_rows(lines, delimiter, comma, width)
-    names = _titles([_cells(x, delimiter) for x in lines[:top]], width, path)
+    _, lines, delimiter, comma = read_lines(path)
+    width = len(split_cells(lines[-1], delimiter))
+    top = header_rows(lines, delimiter, comma, width)
+    names = column_titles([split_cells(x, delimiter) for x in lines[:top]], width, path)
     return names, lines[top:], delimiter, comma
 
 
-def _opened(path: Path) -> tuple[list[str], list[str], str, bool]:
+def read_lines(path: Path) -> tuple[list[str], list[str], str, bool]:
     """Comments, the other lines without what ends them, the delimiter of the columns and whether
     commas are decimal.
     """
@@ -172,7 +83,7 @@ def _opened(path: Path) -> tuple[list[str], list[str], str, bool]:
             raise DataError(f"{path}: the last line has no number: the file is empty or cut")
         if lines[len(lines) // 2].rstrip(" ").endswith(delimiter):
             lines = [x.rstrip(" ").removesuffix(delimiter) for x in lines]
-    lines = parted(lines, delimiter, comma, lambda x: _cells(x, delimiter))
+    lines = parted(lines, delimiter, comma, lambda x: split_cells(x, delimiter))
     return told, lines, delimiter, comma
 
 
@@ -200,7 +111,7 @@ def _without_cut_end(lines: list[str], path: Path) -> list[str]:
     if len(lines) < 4:
         return lines
     delimiter = _dialect(lines[-2])[0]
-    before, last, cut = (len(_cells(x, delimiter)) for x in lines[-3:])
+    before, last, cut = (len(split_cells(x, delimiter)) for x in lines[-3:])
     if not before == last > cut:
         return lines
     log.warning("%s: the last line is cut, and left out: %s", path, lines[-1][:60])
@@ -224,7 +135,7 @@ def _dialect(line: str) -> tuple[str, bool]:
     return (",", True) if '"' in line and "," in line else (" ", False)
 
 
-def _cells(line: str, delimiter: str) -> list[str]:
+def split_cells(line: str, delimiter: str) -> list[str]:
     if delimiter == " ":
         return line.split() or [""]
     try:
@@ -233,13 +144,13 @@ def _cells(line: str, delimiter: str) -> list[str]:
         return line.split(delimiter)
 
 
-def _head_rows(lines: Sequence[str], delimiter: str, comma: bool, width: int) -> int:
+def header_rows(lines: Sequence[str], delimiter: str, comma: bool, width: int) -> int:
     """How many lines stand above the samples: other cells than below, or a word where these begin
     with a number.
     """
-    led = not _is_word(_cells(lines[-1], delimiter)[0], comma)
+    led = not _is_word(split_cells(lines[-1], delimiter)[0], comma)
     for at, line in enumerate(lines):
-        cells = _cells(line, delimiter)
+        cells = split_cells(line, delimiter)
         if led and _is_word(cells[0], comma):
             continue
         if len(cells) == width and any(
@@ -281,7 +192,7 @@ def _plain(cell: str, comma: bool) -> str:
     )
 
 
-def _titles(head: Sequence[Sequence[str]], width: int, path: Path) -> list[str]:
+def column_titles(head: Sequence[Sequence[str]], width: int, path: Path) -> list[str]:
     """Names of the columns from the lines above them; a line of units under the names is joined to
     them.
     """
@@ -298,7 +209,7 @@ def _titles(head: Sequence[Sequence[str]], width: int, path: Path) -> list[str]:
     # units
     if not units or not (units[0].lower() in _OF_FREQUENCY or all(_is_unit(u) for u in units[1:])):
         return fit[-1] if fit else []
-    told = [(m := _UNIT.match(n)) is not None and _is_unit(m[2]) for n in fit[-2]]
+    told = [(m := BRACKETED_UNIT.match(n)) is not None and _is_unit(m[2]) for n in fit[-2]]
     units = [u.strip("-") for u in units]
     return [n if t or not u else f"{n} [{u}]" for n, u, t in zip(fit[-2], units, told, strict=True)]
 
@@ -315,75 +226,17 @@ def _unbracketed(cell: str) -> str:
     return text
 
 
-def _commented(told: Sequence[str], delimiter: str, width: int) -> list[str]:
+def commented_titles(told: Sequence[str], delimiter: str, width: int) -> list[str]:
     """Names of the columns in the last comment, as NumPy and MATLAB write them; else none."""
-    cells = [x.strip() for x in _cells(told[-1].lstrip("#%/ "), delimiter)] if told else []
+    cells = [x.strip() for x in split_cells(told[-1].lstrip("#%/ "), delimiter)] if told else []
     return cells if len(cells) == width > 1 else []
 
 
 def _is_unit(text: str) -> bool:
     over, _, under = text.replace("(", "").replace(")", "").rpartition("/")
-    return text.lower() in ("", "-", *_SECONDS, *_AXES) or bool(
+    return text.lower() in ("", "-", *SECONDS_PER, *_AXES) or bool(
         known(text) or (over and known(over) and known(under))
     )
-
-
-def _clocked(lines: Sequence[str], delimiter: str, path: Path) -> tuple[Sequence[str], int]:
-    """The lines without the dates and times of day that stand first, and how many columns these
-    take.
-    """
-    if not lines:
-        return lines, 0
-    cells = _cells(lines[0], delimiter)
-    clock = next((k for k, x in enumerate(cells[:3]) if not is_clock(x)), min(len(cells), 3))
-    if clock > 2 or not clock:
-        return lines, 0
-    out = []
-    for k, line in enumerate(lines):
-        rest = line.split(None if delimiter == " " else delimiter, clock)
-        if len(rest) <= clock:
-            raise DataError(f"{path}: row {k} of the samples has {len(rest)} cells: {line[:60]!r}")
-        out.append(rest[clock])
-    return out, clock
-
-
-def _clock_times(lines: Sequence[str], delimiter: str, columns: int, path: Path) -> Float:
-    """Seconds (row,) of lines that begin with dates and times of day."""
-    texts = [
-        " ".join(x.split(None if delimiter == " " else delimiter, columns)[:columns]) for x in lines
-    ]
-    try:
-        return seconds([x.replace('"', "") for x in texts])
-    except ValueError as exc:
-        raise DataError(f"{path}: {exc}") from exc
-
-
-def _rate_of(t: Float, path: Path) -> tuple[float | None, Int | None]:
-    """The rate of times that are even but for their rounding to whole seconds or less; as
-    `even_grid`.
-    """
-    if (
-        t.size > 2
-        and (np.diff(t) >= 0).all()
-        and (np.diff(t) == 0).any()
-        and (np.round(t) == t).all()
-    ):
-        step = float(np.polyfit(np.arange(t.size) / t.size, t, 1)[0]) / t.size
-        even = np.abs(t - t[0] - step * np.arange(t.size)).max() < 1.5
-        return (
-            1 / step if even and step > 0 and 1 / (t.size**1.5 * step) < _COARSE else None
-        ), None
-    return even_grid(t, True, path)
-
-
-def _told_rate(lines: Sequence[str]) -> float | None:
-    """The rate that a line above the samples tells, Hz."""
-    for line in lines:
-        if found := _RATE.search(line):
-            return float(found["x"].replace(",", ".")) * (1e3 if found["k"] else 1.0) or None
-        if (found := _STEP.search(line)) and (step := float(found["x"].replace(",", "."))) > 0:
-            return 1 / (step * _SECONDS[(found["u"] or "s").lower()])
-    return None
 
 
 def numbers(lines: Sequence[str], delimiter: str, comma: bool, path: Path) -> Float:
@@ -416,7 +269,7 @@ def _by_cell(lines: Sequence[str], delimiter: str, comma: bool, path: Path) -> F
     """Numbers (row, column) of lines with quotes, D exponents or empty cells; columns of words are
     not numbers.
     """
-    first, last = _cells(lines[0], delimiter), _cells(lines[-1], delimiter)
+    first, last = split_cells(lines[0], delimiter), split_cells(lines[-1], delimiter)
     width = len(first)
     words = {
         c
@@ -426,7 +279,7 @@ def _by_cell(lines: Sequence[str], delimiter: str, comma: bool, path: Path) -> F
     }
     out = np.full((len(lines), width), np.nan)
     for r, line in enumerate(lines):  # such files are rare, and read cell by cell
-        cells = _cells(line, delimiter)
+        cells = split_cells(line, delimiter)
         if len(cells) != width:
             raise DataError(
                 f"{path}: row {r} of the samples has {len(cells)} columns, the first one has "
@@ -443,81 +296,102 @@ def _by_cell(lines: Sequence[str], delimiter: str, comma: bool, path: Path) -> F
     return out
 
 
-def _without_count(data: Float, names: list[str]) -> tuple[Float, list[str]]:
-    """Columns and names without a first one that numbers the lines, from one on or from where the
-    logger was.
+_NOTHING = "0"
+
+
+def parted(
+    lines: Sequence[str], delimiter: str, comma: bool, cells: Callable[[str], list[str]]
+) -> list[str]:
+    """The lines with two cells, `real` and `imag` before their titles, for each complex one; others
+    as they are.
+
+    Parameters
+    ----------
+    lines : sequence of str
+        Titles and samples; the last one tells which columns are complex.
+    delimiter : str
+    comma : bool
+        Commas are decimal.
+    cells : callable
+        Takes a line to its cells.
     """
-    count = (
-        len(data) > 1
-        and bool(names)
-        and names[0].lower() in _COUNTS
-        and np.mean(np.diff(data[0]) == 1) > _COUNTED
-    )
-    return (data[1:], names[1:]) if count else (data, names)
+    number = r"(?:\d+{0}?\d*|{0}\d+)(?:[eEdD][-+]?\d+)?".format("," if comma else r"\.")
+    both = re.compile(rf"(?:\( *)?([-+]? *{number}) *([-+]) *({number}) *\*? *[ijIJ]\b(?: *\))?")
+    one = re.compile(rf"[-+\s(]*{number}[\s)]*$")
+    if both.search(lines[-1]) is None:
+        return list(lines)
+    mark = "\x00"
+    held = [both.sub(lambda m: (m[1] + mark + m[2] + m[3]).replace(" ", ""), x) for x in lines]
+    double = [mark in c for c in cells(held[-1])]
+    out = []
+    for line in held:
+        row = cells(line)
+        if len(row) != len(double):
+            out.append(line)
+            continue
+        pairs = [_pair(c, mark, one) if d else [c] for c, d in zip(row, double, strict=True)]
+        out.append(delimiter.join(_quoted(c, delimiter) for pair in pairs for c in pair))
+    return out
 
 
-def _with_time(data: Float, names: Sequence[str], told: float | None, path: Path) -> RawTable:
-    """The table without columns of times and counts, with the rate that they or the lines above
-    tell.
+def _pair(cell: str, mark: str, number: re.Pattern[str]) -> list[str]:
+    if mark in cell:
+        return cell.split(mark)
+    if number.match(cell):
+        return [cell.strip(" ()"), _NOTHING]
+    return [f"{part}_{cell.strip()}" if cell.strip() else "" for part in ("real", "imag")]
+
+
+def _quoted(cell: str, delimiter: str) -> str:
+    return f'"{cell}"' if delimiter in cell or '"' in cell else cell
+
+
+log = logging.getLogger(__name__)
+_LACKED = re.compile(
+    r"#?n/?a|null|none|-+|overflow|ovfl|ovl|over|ol|err|error|invalid|bad|#+|\?+|\*+", re.IGNORECASE
+)
+_PROCESSES = {"smp", "avg", "max", "min", "std", "tot", ""}  # Campbell's fourth line of a header
+
+
+def is_lacking(cell: str) -> bool:
+    """Whether a cell says in words that there is no value."""
+    return _LACKED.fullmatch(cell.strip(' "')) is not None
+
+
+def without_words(lines: Sequence[str], delimiter: str) -> list[str]:
+    """The lines with `nan` in cells that are empty or say in words that there is no value."""
+    if delimiter == " ":
+        cell = re.compile(rf'(?<!\S)"?(?:{_LACKED.pattern})"?(?!\S)', re.IGNORECASE)
+    else:
+        d = re.escape(delimiter)
+        cell = re.compile(
+            rf'(?:^|(?<={d}))[ "]*(?:{_LACKED.pattern}|nan|)[ "]*(?={d}|$)', re.IGNORECASE
+        )
+    return [cell.sub("nan", x) for x in lines]
+
+
+def without_headers(lines: Sequence[str], head: Sequence[str], path: Path) -> list[str]:
+    """The lines without those of the header, which some loggers write again when they start
+    anew.
     """
-    keep = np.asarray(~np.isnan(data).all(axis=1))
-    data, names = data[keep], [n for n, k in zip(names, keep, strict=True) if k] if names else []
-    if not len(data):
-        raise DataError(f"{path}: empty, there are no samples")
-    first = names[0].lower() if names else ""
-    title = _UNIT.match(first) or re.match(r"^(.*?)[\s_](ms|us|µs|ns|s)$", first)
-    named = first in _TIMES or (title is not None and title[1].strip() in _TIMES)
-    count = (
-        not named and len(data) > 1 and data.shape[1] > 2 and bool((np.diff(data[0]) == 1).all())
-    )
-    if first in _COUNTS or (count and data[0, 0] in (0, 1)):
-        return _with_time(data[1:], names[1:], told, path) if count else _named(data, names, told)
-    if len(data) < 2 and not named:
-        return _named(data, names, told)
-    t = in_seconds(data[0] * _SECONDS.get(title[2].strip(), 1.0) if title else data[0])
-    t, data = without_repeated(t, data, path) if named else (t, data)
-    rate, rows = _rate_of(t, path) if named else even_grid(t, False, path)
-    if rate is None and not named:
-        return _named(data, names, told)
-    again = np.array([bool((row == data[0]).all()) for row in data])  # a time for each channel
-    rest = [n for n, a in zip(names, again, strict=True) if not a] if names else []
-    return replace(_named(data[~again], rest, rate or told), rows=rows)
+    again = set(head)
+    kept = [x for x in lines if x not in again]
+    if len(kept) < len(lines):
+        log.warning(
+            "%s: the header stands among the samples again, %d lines, left out",
+            path,
+            len(lines) - len(kept),
+        )
+    return kept
 
 
-def _named(data: Float, names: Sequence[str], rate: float | None) -> RawTable:
-    """A table with names and units from titles such as `101+Z [m/s^2]`; brackets that hold no unit
-    stay in the name.
+def header_cells(head: Sequence[Sequence[str]]) -> list[list[str]]:
+    """Cells of the lines of a header; in Campbell's TOA5 units stand above how each value was
+    made.
     """
-    if not names:
-        return numbered(data, rate)
-    pairs = [
-        m if (m := _UNIT.match(n)) and (known(m[2]) or not m[2].strip()) else None for n in names
-    ]
-    return RawTable(
-        data,
-        rate,
-        tuple(p[1] if p else n for p, n in zip(pairs, names, strict=True)),
-        tuple(p[2] if p else "" for p in pairs),
-        ("",) * len(names),
-    )
-
-
-def write_csv(path: str | Path, history: TimeHistory) -> None:
-    """Write a record as CSV: a column `time` (s), then one a channel with a header `101+Z [m/s^2]`,
-    9 digits.
-    """
-    head = ["time", *(f"{c.id} [{c.unit}]" if c.unit else c.id for c in history.channels)]
-    block = 1 << 14
-    with atomic_write(path) as part, part.open("w", encoding="utf-8", newline="") as file:
-        csv.writer(file, lineterminator="\n").writerow(head)
-        for at in range(
-            0, history.data.shape[1], block
-        ):  # so that the text is never whole in memory
-            part_data = np.asarray(history.data[:, at : at + block], dtype=np.float64)
-            t = (at + np.arange(part_data.shape[1])) / history.rate
-            np.savetxt(
-                file,
-                np.vstack([t, part_data]).T,
-                fmt=["%.12g", *["%.9g"] * len(part_data)],
-                delimiter=",",
-            )
+    rows = [[x.strip() for x in cells] for cells in head]
+    words = {x.lower() for x in rows[-1]}
+    if len(rows) < 3 or not words <= _PROCESSES or words == {""}:
+        return rows
+    units = ["" if x in ("TS", "RN") else x for x in rows[-2]]
+    return [*rows[:-2], units]

@@ -24,8 +24,8 @@ from ringtrue.core.motions import (
 )
 from ringtrue.core.signals import FrfSet
 from ringtrue.errors import DataError
-from ringtrue.io.atomic import atomic_write
 from ringtrue.io.delimited import read_columns, read_titles
+from ringtrue.io.files import atomic_write
 from ringtrue.io.frf_lines import known_lines, say_accelerances
 from ringtrue.io.si import hertz, known, to_si
 

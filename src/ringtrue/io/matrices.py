@@ -20,11 +20,10 @@ from ringtrue.core.dofs import DofSet
 from ringtrue.errors import DataError, about, did_you_mean
 from ringtrue.io.files import existing
 from ringtrue.io.foreign.arrays import compressed_matrix, read_npz, triplet_matrix
-from ringtrue.io.foreign.door import door
-from ringtrue.io.foreign.hdf5 import is_hdf5, open_hdf5
-from ringtrue.io.foreign.process import read_apart
+from ringtrue.io.foreign.door import door, read_apart
+from ringtrue.io.foreign.parsers import is_hdf5, open_hdf5
 from ringtrue.io.op4 import read_op4
-from ringtrue.io.plain import check_stored
+from ringtrue.io.record_arrays import check_stored
 
 _WIDEST = 80  # characters of a number in a Harwell-Boeing file: its lines have 80
 _HDF5 = b"\x89HDF\r\n\x1a\n"

@@ -14,15 +14,24 @@ import numpy as np
 from ringtrue.core.arrays import Any_, Float
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import DataError, did_you_mean
-from ringtrue.io.atomic import atomic_write
-from ringtrue.io.contents import ending_means
-from ringtrue.io.delimited import read_csv, write_csv
-from ringtrue.io.files import existing, read_text
-from ringtrue.io.foreign.hdf5 import open_hdf5
+from ringtrue.io.files import atomic_write, ending_means, existing, read_text
+from ringtrue.io.foreign.parsers import open_hdf5
 from ringtrue.io.frfs import holds_frfs
-from ringtrue.io.lvm import read_lvm, read_lvm_segments
-from ringtrue.io.matfile import read_mat, write_mat
-from ringtrue.io.plain import RawTable, check_stored, joined, read_h5_table, read_npy
+from ringtrue.io.labview import (
+    read_lvm,
+    read_lvm_segments,
+    read_tdms,
+    read_tdms_pieces,
+    read_tdms_runs,
+)
+from ringtrue.io.record_arrays import (
+    check_stored,
+    read_h5_table,
+    read_mat,
+    read_npy,
+    read_wav,
+    write_mat,
+)
 from ringtrue.io.record_layout import (
     FORMAT,
     TABLE,
@@ -34,11 +43,11 @@ from ringtrue.io.record_layout import (
     stored_info,
     stored_samples,
 )
+from ringtrue.io.record_table import RawTable, joined
+from ringtrue.io.record_texts import read_csv, write_csv
 from ringtrue.io.si import to_si
-from ringtrue.io.tdms import read_tdms, read_tdms_pieces, read_tdms_runs
+from ringtrue.io.uff.function58 import write_time
 from ringtrue.io.uff.functions import read_time, read_time_runs
-from ringtrue.io.uff.write_functions import write_time
-from ringtrue.io.wav import read_wav
 
 _READERS = {
     ".npy": read_npy,

@@ -16,10 +16,9 @@ from ringtrue.core.motions import LINEAR
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import DataError, did_you_mean
-from ringtrue.io.files import existing, read_text
+from ringtrue.io.files import existing, read_text, refuse_large
 from ringtrue.io.foreign.door import door
-from ringtrue.io.foreign.workbooks import read_sheet, sheet_names
-from ringtrue.io.magnitudes import refuse_large
+from ringtrue.io.foreign.parsers import read_sheet, sheet_names
 from ringtrue.io.record_layout import RecordChannel
 from ringtrue.io.si import to_si
 

@@ -11,9 +11,8 @@ import numpy as np
 
 from ringtrue.core.arrays import Float, freeze_fields
 from ringtrue.errors import DataError, did_you_mean
-from ringtrue.io.files import existing, read_text
+from ringtrue.io.files import existing, read_text, refuse_large
 from ringtrue.io.foreign.door import door
-from ringtrue.io.magnitudes import refuse_large
 
 COLUMNS = ("case", "channel", "load", "deflection")
 

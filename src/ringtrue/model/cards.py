@@ -1,5 +1,5 @@
 """The bulk data cards that ringtrue reads: one line a card, read by the reader, the writer and the
-editor alike.
+editor.
 
 Syntax of a line: card name, then its data fields in order (field 2 of the first line onward;
 continuation lines simply go on, eight fields a line). A field is NAME[:type][=default]; types are i
@@ -179,8 +179,15 @@ def _field(text: str) -> FieldSpec:
     if default:
         value = type(value)(default)
     if not bar:
-        return FieldSpec(real, kind, value, "", tail)
-    return FieldSpec(real, kind, value, other, tail, other_default=int(otherwise or 0))
+        return FieldSpec(name=real, kind=kind, default=value, other="", tail=tail)
+    return FieldSpec(
+        name=real,
+        kind=kind,
+        default=value,
+        other=other,
+        tail=tail,
+        other_default=int(otherwise or 0),
+    )
 
 
 @cache

@@ -22,7 +22,8 @@ def taken_sets(model: Model, kind: str) -> Int:
     """Ids of the SPC or MPC sets that hold: the one that case control names, or those that an
     SPCADD or MPCADD of that number unites, which goes before a set of its own number.
     """
-    add, sid = CONSTRAINTS[kind][0], int(getattr(model.case, kind.lower()))
+    add = CONSTRAINTS[kind][0]
+    sid = int(getattr(model.case, kind.lower()))
     rows = np.flatnonzero(model[add]["SID"] == sid) if add in model else np.empty(0, dtype=np.int64)
     united = [model[add].ragged("S").row(i) for i in rows.tolist()]
     return np.unique(
@@ -66,9 +67,11 @@ def responding(model: Model) -> Model:
     for scale, more in (("CK2", case.k2pp), ("CM2", case.m2pp), ("CB2", case.b2pp)):
         if more and model.param(scale, 1.0) != 1:
             raise UnsupportedError(
-                f"PARAM,{scale} beside {scale[1]}2PP: give the factor in case control, as in 1.5*KA"
+                f"PARAM,{scale} with {scale[1]}2PP: give the factor in case control, as in 1.5*KA"
             )
-    k, m, b = (*case.k2gg, *case.k2pp), (*case.m2gg, *case.m2pp), (*case.b2gg, *case.b2pp)
+    k = (*case.k2gg, *case.k2pp)
+    m = (*case.m2gg, *case.m2pp)
+    b = (*case.b2gg, *case.b2pp)
     return replace(model, case=replace(case, k2gg=k, m2gg=m, b2gg=b, k2pp=(), m2pp=(), b2pp=()))
 
 
@@ -139,7 +142,8 @@ def asked_modes(model: Model) -> AskedModes | None:
     table = model[card]
     low, high = (float(table[name][i]) for name in METHODS[card])
     if card == "EIGR" and table["ND"][i] > 0 and str(table["METHOD"][i]).upper() in _BY_COUNT:
-        low, high = np.nan, np.nan
+        low = np.nan
+        high = np.nan
     asked = AskedModes(
         low if low > 0 else -np.inf, np.inf if np.isnan(high) else high, int(table["ND"][i])
     )
@@ -170,7 +174,8 @@ class ModalDamping:
 
     def at(self, frequencies: Float) -> Float:
         """Ratios (m,) of modes of these frequencies (m,), Hz."""
-        f, z = self.frequencies, self.ratios
+        f = self.frequencies
+        z = self.ratios
         out = np.interp(frequencies, f, z)
         if not self.flat and f.size > 1:
             for beyond, (a, b) in ((frequencies < f[0], (0, 1)), (frequencies > f[-1], (-2, -1))):

@@ -55,7 +55,8 @@ def resectioned(tables: Mapping[str, Table], card: str, ids: Int) -> Table:
     DeckError
         If the dimensions do not make a section.
     """
-    given, made = tables[card], tables[MADE[card]]
+    given = tables[card]
+    made = tables[MADE[card]]
     new: dict[str, NDArray[Any]] = {}
     for i in np.unique(ids).tolist():  # the few that a parameter names
         row, at = (int(t.find(np.array([i]))[0]) for t in (given, made))

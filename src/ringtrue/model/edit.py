@@ -113,7 +113,8 @@ def companions(model: Model, target: CardField) -> tuple[CardField, ...]:
     twin = BOTH_ENDS.get(target.field) if target.card == "PBEAM" else None
     if twin is None:
         return (target,)
-    table, same = model[target.card], [target]
+    table = model[target.card]
+    same = [target]
     value = table[target.field][row]
     if table[twin][row] == value:
         same.append(replace(target, field=twin))

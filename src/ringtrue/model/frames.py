@@ -42,11 +42,17 @@ class Frames:
 
     def to_basic(self, row: Int, x: Float) -> Float:
         """Coordinates (k, 3), each in the frame of its row (k,), to basic (k, 3)."""
-        kind, u = self.kind[row], x.copy()
-        c, s = np.flatnonzero(kind == "C"), np.flatnonzero(kind == "S")
-        r, t = x[c, 0], x[c, 1] * _DEGREE
-        u[c, 0], u[c, 1] = r * np.cos(t), r * np.sin(t)
-        r, t, p = x[s, 0], x[s, 1] * _DEGREE, x[s, 2] * _DEGREE
+        kind = self.kind[row]
+        u = x.copy()
+        c = np.flatnonzero(kind == "C")
+        s = np.flatnonzero(kind == "S")
+        r = x[c, 0]
+        t = x[c, 1] * _DEGREE
+        u[c, 0] = r * np.cos(t)
+        u[c, 1] = r * np.sin(t)
+        r = x[s, 0]
+        t = x[s, 1] * _DEGREE
+        p = x[s, 2] * _DEGREE
         u[s] = np.stack(
             [r * np.sin(t) * np.cos(p), r * np.sin(t) * np.sin(p), r * np.cos(t)], axis=1
         )
@@ -56,7 +62,8 @@ class Frames:
         """Local unit vectors as rows (k, 3, 3) at points (k, 3) of basic, each of the frame of its
         row (k,).
         """
-        out, kind = self.axes[row], self.kind[row]
+        out = self.axes[row]
+        kind = self.kind[row]
         round_ = np.flatnonzero(kind != "R")
         if round_.size:
             at = row[round_]
@@ -76,7 +83,8 @@ def _spherical(d: Float) -> Float:
     c, s, rho = _azimuth(d)
     r = np.linalg.norm(d, axis=1)
     safe = np.where(r > 0, r, 1.0)
-    ct, st = np.where(r > 0, d[:, 2] / safe, 1.0), rho / safe
+    ct = np.where(r > 0, d[:, 2] / safe, 1.0)
+    st = rho / safe
     return np.stack(
         [st * c, st * s, ct, ct * c, ct * s, -st, -s, c, np.zeros(len(d))], axis=1
     ).reshape(-1, 3, 3)
@@ -106,7 +114,8 @@ def _given(model: Model) -> list[_Given]:
             points = t.stack("A1", "A2", "A3", "B1", "B2", "B3", "C1", "C2", "C3").reshape(-1, 3, 3)
             made.append(_Given(t, points, np.repeat(t["RID"][:, None], 3, axis=1)))
         if (card := f"CORD1{kind}") in model:
-            t, grid = model[card], model["GRID"]
+            t = model[card]
+            grid = model["GRID"]
             nodes = t.stack("G1", "G2", "G3")
             at = grid.find(nodes)
             if (at < 0).any():
@@ -152,15 +161,19 @@ def _resolved(model: Model, known: Frames, g: _Given, ready: Bool) -> Frames:
     points = known.to_basic(known.find(g.of[rows].ravel()), g.points[rows].reshape(-1, 3)).reshape(
         -1, 3, 3
     )
-    a, z, side = points[:, 0], points[:, 1] - points[:, 0], points[:, 2] - points[:, 0]
+    a = points[:, 0]
+    z = points[:, 1] - points[:, 0]
+    side = points[:, 2] - points[:, 0]
     y = np.cross(z, side)
-    height, wide = np.linalg.norm(z, axis=1), np.linalg.norm(y, axis=1)
+    height = np.linalg.norm(z, axis=1)
+    wide = np.linalg.norm(y, axis=1)
     flat = (height == 0) | (wide <= _LINE * height * np.linalg.norm(side, axis=1))
     if flat.any():
         raise card_error(
             model, g.table, int(rows[np.flatnonzero(flat)[0]]), "its three points lie on one line"
         )
-    z, y = z / height[:, None], y / wide[:, None]
+    z = z / height[:, None]
+    y = y / wide[:, None]
     kind = np.full(rows.size, g.table.card[-1])
     return Frames(g.table.ids[rows], a, np.stack([np.cross(y, z), y, z], axis=1), kind)
 
@@ -182,8 +195,10 @@ def positions(model: Model) -> Float:
         If a frame is absent.
     """
     grid = model["GRID"]
-    x, cp = grid.stack("X1", "X2", "X3"), grid["CP"]
-    known, out = frames(model), x.copy()
+    x = grid.stack("X1", "X2", "X3")
+    cp = grid["CP"]
+    known = frames(model)
+    out = x.copy()
     at = np.flatnonzero(cp != 0)
     row = known.find(cp[at])
     if (row < 0).any():

@@ -13,7 +13,8 @@ from ringtrue.core.arrays import Float
 Corners = tuple[int, ...]  # whose middle a node of a part is; one where it is that corner
 Part = tuple[Corners, ...]
 
-LINES, RODS = ("CBAR", "CBEAM"), ("CROD", "CTUBE")
+LINES = ("CBAR", "CBEAM")
+RODS = ("CROD", "CTUBE")
 _RING = ((0, 1), (1, 2), (2, 3), (3, 0))
 _SQUARES = ((-1, -1), (1, -1), (1, 1), (-1, 1))
 _POINTS = ((0, 0), (1, 0), (0, 1))

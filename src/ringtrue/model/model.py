@@ -89,7 +89,8 @@ class Table:
 
     def find(self, ids: NDArray[Any]) -> Int:
         """Row of each id, (k,) int64, -1 where absent."""
-        mine, want = self.ids, np.asarray(ids, dtype=np.int64)
+        mine = self.ids
+        want = np.asarray(ids, dtype=np.int64)
         if not mine.size:
             return np.full(want.shape, -1, dtype=np.int64)
         order = np.argsort(mine, kind="stable")
@@ -144,6 +145,8 @@ class Model:
         The deck and its includes, in reading order.
     kept : mapping of str to int
         Cards kept verbatim in the deck but not used here, with their number.
+    units : str
+        Unit system that the user states, of `core.units`.
     time : float, s
         The unit of time of the deck, which `model.seconds.in_seconds` has put into PARAM,WTMASS; 1
         if it has not.
@@ -154,6 +157,7 @@ class Model:
     case: CaseControl = field(default_factory=CaseControl)
     files: tuple[str, ...] = ()
     kept: Mapping[str, int] = field(default_factory=dict)
+    units: str = "SI"
     time: float = 1.0
 
     def __contains__(self, card: str) -> bool:
@@ -243,13 +247,13 @@ def unsupported_card(model: Model, table: Table, row: int, why: str) -> Unsuppor
 def called(model: Model, rows: Sequence[tuple[Table, int]]) -> str:
     """Rows of tables as a message calls them, with the lines of those that share a card and id."""
     names = [f"{t.card} {t.ids[i]}" for t, i in rows]
-    told = [
+    names_shown = [
         f"{name} of line {line}"
         if names.count(name) > 1 and (line := _place(model, *row)[1])
         else name
         for name, row in zip(names[:MOST], rows, strict=False)
     ]
-    return ", ".join([*told, *(["..."] if len(rows) > MOST else [])])
+    return ", ".join([*names_shown, *(["..."] if len(rows) > MOST else [])])
 
 
 def _place(model: Model, table: Table, row: int) -> tuple[str | None, int | None]:

@@ -113,8 +113,8 @@ class ObservedModel(Protocol):
     """A model with parameters, seen at the channels of a test: all that `update` and `plan` need to
     know.
 
-    A full model solves anew at each x; a reduced one (`reduce.parametric`) projects. Both are exact
-    derivatives of what they return.
+    A full model solves anew at each x; a reduced one (`reduction.parametric`) projects. Each
+    gives exact derivatives of what it returns.
     """
 
     @property

@@ -159,9 +159,11 @@ def _refuse(model: Model) -> None:
 
 
 def _middles(model: Model) -> _Middles:
-    """The nodes that the parts need beside those that are there; rods make none."""
-    grid, x = model["GRID"], positions(model)
-    keys, places = [np.empty((0, 8), dtype=np.int64)], [np.empty((0, 3))]
+    """The nodes that the parts need besides those that are there; rods make none."""
+    grid = model["GRID"]
+    x = positions(model)
+    keys = [np.empty((0, 8), dtype=np.int64)]
+    places = [np.empty((0, 3))]
     for kind, names in NODES.items():
         card, rows = _rows(model, kind)
         if rows.size and card not in RODS:
@@ -191,7 +193,8 @@ def _grids(model: Model, middles: _Middles) -> Table:
     grid = model["GRID"]
     at = grid.find(middles.of.ravel()).reshape(middles.of.shape)
     there = middles.of > 0
-    x, last = middles.xyz, at[:, -1]
+    x = middles.xyz
+    last = at[:, -1]
     columns: dict[str, NDArray[Any]] = {n: np.asarray(c)[last] for n, c in grid.columns.items()}
     held = [
         set.intersection(*(set(str(p)) for p in grid["PS"][row[ok]]))
@@ -215,9 +218,12 @@ def _grids(model: Model, middles: _Middles) -> Table:
 
 def _split(model: Model, card: str, middles: _Middles, first: int) -> Table:
     """The table of a card with its elements split, the first part with the id of the whole."""
-    whole, firsts, others = model[card], list[Table](), list[Table]()
+    whole = model[card]
+    firsts = list[Table]()
+    others = list[Table]()
     for kind in (k for k in NODES if _rows(model, k)[0] == card):
-        rows, pieces = _rows(model, kind)[1], parts(kind)
+        rows = _rows(model, kind)[1]
+        pieces = parts(kind)
         nodes = whole.stack(*NODES[kind])[rows]
         ends = middles.corners(nodes, pieces)
         able = np.all([(e > 0).all(axis=1) for e in ends], axis=0) & ~_whole(model, card)[rows]
@@ -226,14 +232,14 @@ def _split(model: Model, card: str, middles: _Middles, first: int) -> Table:
                 model,
                 kind,
                 pieces[0],
-                np.where(able[:, None], ends[0], nodes),
-                rows,
-                able,
+                nodes=np.where(able[:, None], ends[0], nodes),
+                at=rows,
+                able=able,
             )
         )
         at = np.flatnonzero(able)
         others += [
-            _part(model, kind, p, e[at], rows[at], able[at])
+            _part(model, kind, p, nodes=e[at], at=rows[at], able=able[at])
             for p, e in zip(pieces[1:], ends[1:], strict=True)
         ]
     out = reduce(stacked, firsts + others)
@@ -257,14 +263,15 @@ def _part(model: Model, kind: str, part: Part, nodes: Int, at: Int, able: Bool) 
         file=t.file[at],
         line=t.line[at],
     )
-    return _bars(model, piece, part, at, able) if card in LINES else piece
+    return _bars(model, piece, part, at=at, able=able) if card in LINES else piece
 
 
 def _bars(model: Model, piece: Table, part: Part, at: Int, able: Bool) -> Table:
     """Halves of bars: pins at outer ends only, the offset of the middle midway, the orientation in
     basic.
     """
-    t, grid = model[piece.card], model["GRID"]
+    t = model[piece.card]
+    grid = model["GRID"]
     row = grid.find(t.stack("GA", "GB")[at])
     x = positions(model)[row]
     frame = axes(model, grid["CD"][row].ravel(), x.reshape(-1, 3)).reshape(-1, 2, 3, 3)
@@ -415,7 +422,10 @@ def _ties(model: Model) -> list[tuple[int, int, str]]:
     """Node, the one at its place that it moves with, and the components in which MPC say so."""
     if "MPC" not in model or not model.case.mpc:
         return []
-    t, x, grid, joined = model["MPC"], positions(model), model["GRID"], dict[tuple[int, int], str]()
+    t = model["MPC"]
+    x = positions(model)
+    grid = model["GRID"]
+    joined = dict[tuple[int, int], str]()
     for i in np.flatnonzero(np.isin(t["SID"], taken_sets(model, "MPC"))).tolist():
         g, c, a = (t.ragged(n).row(i) for n in "GCA")
         at = grid.find(g)
@@ -433,11 +443,9 @@ def _ties(model: Model) -> list[tuple[int, int, str]]:
 def _seams(model: Model, middles: _Middles, first: int) -> Table:
     """RBE2 between new nodes of two edges or faces that are joined node by node."""
     dependent, hubs_of, named = _joints(model)
-    hubs, more, like = (
-        [np.empty(0, dtype=np.int64)],
-        [np.empty(0, dtype=np.int64)],
-        [np.empty(0, dtype=np.int64)],
-    )
+    hubs = [np.empty(0, dtype=np.int64)]
+    more = [np.empty(0, dtype=np.int64)]
+    like = [np.empty(0, dtype=np.int64)]
     for size in (2, 4) if dependent.size else ():
         new = np.flatnonzero((middles.of > 0).sum(axis=1) == size)
         nodes = middles.of[new, -size:]

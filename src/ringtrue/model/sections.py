@@ -87,7 +87,8 @@ def _box1(
     width: float, height: float, top: float, bottom: float, right: float, left: float
 ) -> Properties:
     """Four walls of different thickness; the shear centre is taken at the centroid."""
-    clear, inside = height - top - bottom, width - left - right
+    clear = height - top - bottom
+    inside = width - left - right
     _positive(clear, inside, top, bottom, right, left)
     parts = (
         (width, top, 0.0, height - top / 2),
@@ -96,7 +97,8 @@ def _box1(
         (left, clear, (left - width) / 2, bottom + clear / 2),
     )
     values, _ = _rectangles(*parts)
-    b, h = width - (left + right) / 2, height - (top + bottom) / 2
+    b = width - (left + right) / 2
+    h = height - (top + bottom) / 2
     area = values["A"]
     return values | {
         "J": 4 * (b * h) ** 2 / (b / top + b / bottom + h / left + h / right),
@@ -158,9 +160,9 @@ def _i(
 
 
 def _i1(flanges: float, web: float, clear: float, height: float) -> Properties:
-    """DIM1 the flange beside the web (both sides), DIM3 the height between the flanges."""
+    """DIM1 the flange outside the web (both sides), DIM3 the height between the flanges."""
     t = (height - clear) / 2
-    return _i(height, flanges + web, flanges + web, web, t, t)
+    return _i(height, flanges + web, flanges + web, web=web, t_bottom=t, t_top=t)
 
 
 def _h(inside: float, sides: float, height: float, bar: float) -> Properties:
@@ -168,7 +170,8 @@ def _h(inside: float, sides: float, height: float, bar: float) -> Properties:
     bar.
     """
     _positive(inside, sides, height, bar)
-    side, z = sides / 2, inside / 2 + sides / 4
+    side = sides / 2
+    z = inside / 2 + sides / 4
     parts = ((side, height, -z, 0.0), (side, height, z, 0.0), (inside, bar, 0.0, 0.0))
     values = _open(parts, ((height, side), (height, side), (inside + side, bar)), (0.0, 0.0))
     area = values["A"]
@@ -176,8 +179,8 @@ def _h(inside: float, sides: float, height: float, bar: float) -> Properties:
 
 
 def _cross(arms: float, upright: float, height: float, bar: float) -> Properties:
-    """DIM1 both horizontal arms beside the upright, DIM2 the upright's width, DIM4 the thickness of
-    the arms.
+    """DIM1 both horizontal arms outside the upright, DIM2 the upright's width, DIM4 the thickness
+    of the arms.
     """
     _positive(arms, upright, height, bar, height - bar)
     z = upright / 2 + arms / 4
@@ -221,19 +224,22 @@ def _turned(values: Properties) -> Properties:
 
 def _chan(width: float, height: float, web: float, flange: float) -> Properties:
     """Web on the left, flanges to the right."""
-    beside, clear = width - web, height - 2 * flange
-    _positive(beside, clear, web, flange)
-    z, y = web / 2 + beside / 2, (height - flange) / 2
-    parts = ((web, height, 0.0, 0.0), (beside, flange, z, y), (beside, flange, z, -y))
-    b, h = width - web / 2, height - flange
+    overhang = width - web
+    clear = height - 2 * flange
+    _positive(overhang, clear, web, flange)
+    z = web / 2 + overhang / 2
+    y = (height - flange) / 2
+    parts = ((web, height, 0.0, 0.0), (overhang, flange, z, y), (overhang, flange, z, -y))
+    b = width - web / 2
+    h = height - flange
     out = 3 * b**2 * flange / (6 * b * flange + h * web)
     values = _open(parts, ((b, flange), (b, flange), (h, web)), (0.0, -out))
     area = values["A"]
-    return values | {"K1": clear * web / area, "K2": 2 * beside * flange / area}
+    return values | {"K1": clear * web / area, "K2": 2 * overhang * flange / area}
 
 
-def _chan1(beside: float, web: float, clear: float, height: float) -> Properties:
-    return _chan(beside + web, height, web, (height - clear) / 2)
+def _chan1(overhang: float, web: float, clear: float, height: float) -> Properties:
+    return _chan(overhang + web, height, web, (height - clear) / 2)
 
 
 def _chan2(leg: float, base: float, height: float, width: float) -> Properties:
@@ -245,19 +251,21 @@ def _l(width: float, height: float, foot: float, upright: float) -> Properties:
     """Foot below, DIM3 thick; upright on the left, DIM4 thick. Shear centre where the middle lines
     meet.
     """
-    clear, beside = height - foot, width - upright
-    _positive(clear, beside, foot, upright)
-    parts = ((width, foot, beside / 2, 0.0), (upright, clear, 0.0, height / 2))
+    clear = height - foot
+    overhang = width - upright
+    _positive(clear, overhang, foot, upright)
+    parts = ((width, foot, overhang / 2, 0.0), (upright, clear, 0.0, height / 2))
     values = _open(parts, ((width - upright / 2, foot), (height - foot / 2, upright)), (0.0, 0.0))
     area = values["A"]
-    return values | {"K1": clear * upright / area, "K2": beside * foot / area}
+    return values | {"K1": clear * upright / area, "K2": overhang * foot / area}
 
 
 def _z(flange: float, web: float, clear: float, height: float) -> Properties:
     """Upper flange to the left of the web, lower one to the right; DIM3 between the flanges."""
     t = (height - clear) / 2
     _positive(flange, web, clear, t)
-    y, z = (height - t) / 2, (flange + web) / 2
+    y = (height - t) / 2
+    z = (flange + web) / 2
     parts = ((web, height, 0.0, 0.0), (flange, t, -z, y), (flange, t, z, -y))
     side = flange + web / 2
     values = _open(parts, ((side, t), (side, t), (height - t, web)), (0.0, 0.0))
@@ -266,10 +274,11 @@ def _z(flange: float, web: float, clear: float, height: float) -> Properties:
 
 
 def _hat(height: float, t: float, top: float, brim: float) -> Properties:
-    """Top above, DIM3 wide; a brim of DIM4 beside each web."""
+    """Top above, DIM3 wide; a brim of DIM4 at each web."""
     clear = height - 2 * t
     _positive(clear, top - 2 * t, t, brim)
-    side, foot = (top - t) / 2, top / 2 - t + (brim + t) / 2
+    side = (top - t) / 2
+    foot = top / 2 - t + (brim + t) / 2
     up = height - t
     parts = (
         (top, t, 0.0, up),
@@ -286,7 +295,8 @@ def _hat_centre(h: float, a: float, c: float) -> float:
     """Height of the shear centre above the brim, from the shear flow under a sideways force; middle
     lines.
     """
-    end, side = a / 2 + c, a / 2
+    end = a / 2 + c
+    side = a / 2
     foot = (end**2 - side**2) / 2  # the flow where brim and web meet, over t
     web = foot * h + side * h**2 / 2
     lip = (end**2 * c - (end**3 - side**3) / 3) / 2
@@ -300,7 +310,8 @@ def _hat1(width: float, height: float, top: float, t: float, base: float) -> Pro
     """
     clear = height - base - t
     _positive(clear, top - 2 * t, width - top, t, base)
-    side, brim = (top - t) / 2, (width - top) / 2
+    side = (top - t) / 2
+    brim = (width - top) / 2
     parts = (
         (width, base, 0.0, base / 2),
         (top, t, 0.0, height - t / 2),
@@ -308,7 +319,8 @@ def _hat1(width: float, height: float, top: float, t: float, base: float) -> Pro
         *((brim, t, sign * (top + brim) / 2, base + t / 2) for sign in (-1, 1)),
     )
     values, _ = _rectangles(*parts)
-    area, h = values["A"], height - (t + base) / 2
+    area = values["A"]
+    h = height - (t + base) / 2
     cell = _cells([(2 * side * h, 2 * (side + h) / t + 2 * side / base)])
     lips = 2 * brim * (t + base) ** 3 / 3
     return values | {
@@ -344,7 +356,8 @@ def _dbox(
         (t, height, z, height / 2)
         for t, z in ((left, left / 2), (web, middle), (right, width - right / 2))
     ]
-    loops, depths = [], []
+    loops = []
+    depths = []
     for clear, wide, z, wall, top, bottom in cells:
         _positive(clear, height - top - bottom, wall, web, top, bottom)
         parts += [

@@ -11,8 +11,8 @@ import numpy as np
 from ringtrue.core.arrays import Float
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import InputError
-from ringtrue.io.atomic import atomic_write
-from ringtrue.io.uff.testmodel import write_test_model
+from ringtrue.io.files import atomic_write
+from ringtrue.io.uff.geometry import write_test_model
 from ringtrue.planning.setups import Setups
 from ringtrue.virtual.logbook import direction, write_lines, write_sheet
 from ringtrue.virtual.sensors import Sensor

@@ -311,7 +311,9 @@ def _outcome(frequencies: Float, error: Float, invented: int, force: float) -> V
     )
 
 
-def missed_modes(result: VirtualTest, names: Sequence[str], least: float = 0.9) -> tuple[str, ...]:
+def rarely_found_modes(
+    result: VirtualTest, names: Sequence[str], least: float = 0.9
+) -> tuple[str, ...]:
     """A sentence for each mode that fewer than the share `least` of the trials found."""
     rows = zip(names, result.frequencies.tolist(), result.found.tolist(), strict=True)
     return tuple(

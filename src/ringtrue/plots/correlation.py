@@ -11,7 +11,8 @@ import plotly.graph_objects as go
 
 from ringtrue.core.arrays import Float
 from ringtrue.correlation.frf import FrfComparison
-from ringtrue.correlation.measures import Check, CompleteCorrelation
+from ringtrue.correlation.measures import CompleteCorrelation
+from ringtrue.correlation.orthogonality import Check
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.correlation.tracking import Tracks
 from ringtrue.plots.style import (
@@ -141,10 +142,10 @@ def orthogonality(check: Check, table: CorrelationTable, height: int = 0) -> go.
     fig = matrix(
         values,
         names[down][: values.shape[0]],
-        names[right][first:last],
-        titles[down],
-        titles[right],
-        height,
+        columns=names[right][first:last],
+        row_title=titles[down],
+        column_title=titles[right],
+        height=height,
         diagonal=cross,
         name="orthogonality",
     )

@@ -1,4 +1,4 @@
-"""Run-up of a rotor with bands."""
+"""Damping by region, and the run-up of a rotor with bands."""
 
 from __future__ import annotations
 
@@ -7,9 +7,20 @@ from collections.abc import Sequence
 import numpy as np
 import plotly.graph_objects as go
 
-from ringtrue.core.arrays import Float
-from ringtrue.plots.style import MUTED, QUALITATIVE, axis, f32, figure, log_axis
-from ringtrue.updating.predict import RunUp
+from ringtrue.core.arrays import Bool, Float
+from ringtrue.plots.style import (
+    FINAL,
+    INITIAL,
+    MUTED,
+    QUALITATIVE,
+    TEST,
+    axis,
+    f32,
+    figure,
+    log_axis,
+)
+from ringtrue.study.results import DampedModes, DampedRegions
+from ringtrue.updating.prediction import RunUp
 
 DECADES = 5  # below the highest amplitude
 BEYOND = "#eef1f4"
@@ -107,3 +118,103 @@ def _note(x: float, text: str) -> dict[str, object]:
         "yanchor": "top",
         "xshift": 4,
     }
+
+
+LEAST = 0.02  # % of critical: the lower end of the axis
+DECADE = 10.0  # of the largest over the least damping ratio: above, the axis is logarithmic
+
+
+def regions(found: DampedRegions) -> go.Figure:
+    """Loss factors with one standard deviation; behind each what was expected before the data."""
+    at = [i for i, n in enumerate(found.natures) if n != "dashpot"][::-1]
+    names = [found.names[i] for i in at]
+    fig = figure(
+        96 + 24 * len(at),
+        xaxis=axis("Loss factor", rangemode="nonnegative"),
+        yaxis=axis(type="category", showgrid=False, ticks="", showline=False),
+    )
+    low = np.maximum(found.expected - found.expected_std, 0.0)[at]
+    high = (found.expected + found.expected_std)[at]
+    look = {"color": "#dfe5ea", "line": {"width": 0}}
+    fig.add_bar(y=names, base=f32(low), x=f32(high - low), orientation="h", width=0.55, marker=look)
+    fig.data[-1].update(
+        name="expected, ± 1 σ", hovertemplate="%{base:.3g} to %{x:.3g}<extra></extra>"
+    )
+    left = np.minimum(found.std, found.coefficients)[at]
+    bars = {
+        "type": "data",
+        "array": f32(found.std[at]),
+        "arrayminus": f32(left),
+        "thickness": 1.6,
+        "width": 4,
+    }
+    mark = {"size": 9, "color": FINAL}
+    fig.add_scatter(
+        x=f32(found.coefficients[at]), y=names, mode="markers", marker=mark, error_x=bars
+    )
+    fig.data[-1].update(name="found, ± 1 σ", hovertemplate="%{y}: %{x:.4f}<extra></extra>")
+    return fig
+
+
+def modes(found: DampedModes) -> go.Figure:
+    """Damping ratios of the paired modes: test, before and by the regions; those left out are
+    open.
+    """
+    order = np.argsort(found.hertz)
+    x = [f"{i + 1}: {f:.2f}" for i, f in enumerate(found.hertz[order].tolist())]
+    y = axis("Damping ratio, %", rangemode="tozero")
+    ratios = np.stack([found.measured, found.before, found.after])
+    if ratios.max(initial=0.0) > DECADE * ratios.min(initial=np.inf):
+        ticks = [0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20]
+        y |= {"type": "log", "tickvals": ticks, "minor": {"ticks": "outside"}}
+    fig = figure(340, xaxis=axis("Mode, Hz of the test", type="category", tickangle=-60), yaxis=y)
+    line = {"color": INITIAL, "width": 1.6, "shape": "hvh"}
+    fig.add_scatter(x=x, y=f32(100 * found.before[order]), mode="lines", line=line, name="before")
+    used = found.used[order]
+    for name, ratio, std, color, shape in (
+        ("test", found.measured, found.measured_std, TEST, "circle"),
+        ("by the regions", found.after, found.after_std, FINAL, "diamond"),
+    ):
+        percent, spread = 100 * ratio[order], 100 * std[order]
+        bar = {"type": "data", "array": f32(spread), "thickness": 1.1, "width": 3}
+        bar["arrayminus"] = f32(np.minimum(spread, np.maximum(percent - LEAST, 0.0)))
+        fig.add_scatter(
+            x=x,
+            y=f32(percent),
+            mode="markers",
+            marker=_marks(used, color, shape),
+            error_y=bar,
+            name=name,
+        )
+    return fig
+
+
+def _marks(used: Bool, color: str, shape: str) -> dict[str, object]:
+    symbols = [shape if u else f"{shape}-open" for u in used.tolist()]
+    return {"size": 8, "color": color, "symbol": symbols, "line": {"width": 2, "color": color}}
+
+
+def errors(found: DampedModes) -> tuple[list[str], Float, Float]:
+    """Names and errors, %, before and after, of the modes with FRFs."""
+    at = np.flatnonzero(np.isfinite(found.frf_after))
+    at = at[np.argsort(found.hertz[at])]
+    return (
+        [f"{found.hertz[i]:.2f}" for i in at.tolist()],
+        100 * found.frf_before[at],
+        100 * found.frf_after[at],
+    )
+
+
+def frfs(found: DampedModes) -> go.Figure:
+    """Errors of the FRFs around each mode before and after."""
+    names, before, after = errors(found)
+    x = [f"{i + 1}: {n}" for i, n in enumerate(names)]
+    fig = figure(
+        260,
+        barmode="group",
+        xaxis=axis("Mode, Hz of the test", type="category", tickangle=-60),
+        yaxis=axis("Error of the FRFs, %", rangemode="tozero"),
+    )
+    fig.add_bar(x=x, y=f32(before), name="before", marker_color=INITIAL)
+    fig.add_bar(x=x, y=f32(after), name="by the regions", marker_color=FINAL)
+    return fig

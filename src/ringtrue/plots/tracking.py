@@ -10,7 +10,7 @@ import plotly.graph_objects as go
 
 from ringtrue.core.arrays import Float
 from ringtrue.identification.common.tracking import ModeTrack, Tracked
-from ringtrue.plots.page import figure_page
+from ringtrue.plots.pages import figure_page
 from ringtrue.plots.style import QUALITATIVE, axis, f32, figure
 
 
@@ -59,7 +59,15 @@ def frequencies(tracked: Tracked) -> go.Figure:
     """Frequencies over time with one standard deviation."""
     fig = figure(460, xaxis=axis("Time, h"), yaxis=axis("Frequency, Hz"))
     for i, t in enumerate(tracked.tracks):
-        _series(fig, tracked, t, t.frequency, t.std_frequency, QUALITATIVE[i % 8], f"mode {t.name}")
+        _series(
+            fig,
+            tracked,
+            t=t,
+            y=t.frequency,
+            std=t.std_frequency,
+            color=QUALITATIVE[i % 8],
+            name=f"mode {t.name}",
+        )
     return fig
 
 
@@ -70,10 +78,10 @@ def dampings(tracked: Tracked) -> go.Figure:
         _series(
             fig,
             tracked,
-            t,
-            100 * t.damping,
-            100 * t.std_damping,
-            QUALITATIVE[i % 8],
-            f"mode {t.name}",
+            t=t,
+            y=100 * t.damping,
+            std=100 * t.std_damping,
+            color=QUALITATIVE[i % 8],
+            name=f"mode {t.name}",
         )
     return fig

@@ -1,4 +1,4 @@
-"""Sensitivities, convergence and parameters."""
+"""Localisation, parameter sets, convergence, and how well the parameters are known."""
 
 from __future__ import annotations
 
@@ -6,8 +6,26 @@ import numpy as np
 import plotly.graph_objects as go
 
 from ringtrue.core.arrays import Float
-from ringtrue.plots.style import DIVERGING, MUTED, QUALITATIVE, axis, f32, figure
-from ringtrue.study.results import SensitivityStage, SetResult
+from ringtrue.plots.scene import View, painted
+from ringtrue.plots.style import (
+    DIVERGING,
+    FE,
+    FINAL,
+    INITIAL,
+    MUTED,
+    QUALITATIVE,
+    TEST,
+    axis,
+    f32,
+    figure,
+)
+from ringtrue.study.results import (
+    LocaliseStage,
+    Scene,
+    SensitivityStage,
+    SetResult,
+    UncertaintyStage,
+)
 
 
 def sensitivity(stage: SensitivityStage, values: Float, name: str, modes: Float) -> go.Figure:
@@ -57,13 +75,13 @@ def _whole(count: int, most: int) -> dict[str, object]:
 
 def convergence(sets: tuple[SetResult, ...], chosen: int) -> go.Figure:
     """Objective, mean |Δf| and mean subspace MAC by iteration for every set."""
-    seen = any(np.isfinite(s.subspace_mac).any() for s in sets)
+    seen = any(np.isfinite(s.history.subspace_mac).any() for s in sets)
     thirds = ([0, 0.25], [0.375, 0.625], [0.75, 1.0]) if seen else ([0, 0.44], [0.56, 1.0])
     titles = ("Objective J, relative to the start", "Mean |Δf|, %", "Mean subspace MAC, %")[
         : len(thirds)
     ]
     fig = figure(300)
-    longest = max((s.objective.size for s in sets), default=1)
+    longest = max((s.history.objective.size for s in sets), default=1)
     for k, (domain, title) in enumerate(zip(thirds, titles, strict=True), start=1):
         n = "" if k == 1 else str(k)
         fig.layout[f"xaxis{n}"] = axis(
@@ -74,9 +92,16 @@ def convergence(sets: tuple[SetResult, ...], chosen: int) -> go.Figure:
     for i, s in enumerate(sets):
         look = {"color": QUALITATIVE[i % 8], "width": 2.6 if i == chosen else 1.4}
         name = s.name + (" (chosen)" if i == chosen else "")
-        start = s.objective[0] if s.objective.size and s.objective[0] > 0 else 1.0
+        start = (
+            s.history.objective[0]
+            if s.history.objective.size and s.history.objective[0] > 0
+            else 1.0
+        )
         for k, y in enumerate(
-            (s.objective / start, s.deviation, s.subspace_mac)[: len(thirds)], start=1
+            (s.history.objective / start, s.history.deviation, s.history.subspace_mac)[
+                : len(thirds)
+            ],
+            start=1,
         ):
             n = "" if k == 1 else str(k)
             x = np.arange(y.size)
@@ -101,12 +126,12 @@ def factor_ticks(low: float, high: float) -> list[float]:
 
 def path(result: SetResult) -> go.Figure:
     """Factors of the parameters by iteration, with one standard deviation at the end."""
-    end, spread = result.path[-1], np.nan_to_num(result.path[-1] * result.std)
-    shown = np.concatenate([result.path.ravel(), end - spread, end + spread])
+    end, spread = result.history.path[-1], np.nan_to_num(result.history.path[-1] * result.std)
+    shown = np.concatenate([result.history.path.ravel(), end - spread, end + spread])
     ticks = factor_ticks(max(float(shown.min(initial=1.0)), 1e-3), float(shown.max(initial=1.0)))
     fig = figure(
         320,
-        xaxis=axis("Iteration", **_whole(result.path.shape[0], 18)),
+        xaxis=axis("Iteration", **_whole(result.history.path.shape[0], 18)),
         yaxis=axis("Updated / initial", type="log"),
     )
     fig.layout.yaxis.update(tickvals=ticks, ticktext=[f"{t:.6g}" for t in ticks])
@@ -121,15 +146,229 @@ def path(result: SetResult) -> go.Figure:
     }
     fig.update_layout(shapes=[one])
     for j, name in enumerate(result.parameters):
-        bar = np.zeros(result.path.shape[0])
-        bar[-1] = result.path[-1, j] * result.std[j]
+        bar = np.zeros(result.history.path.shape[0])
+        bar[-1] = result.history.path[-1, j] * result.std[j]
         fig.add_scatter(
             x=np.arange(bar.size),
-            y=f32(result.path[:, j]),
+            y=f32(result.history.path[:, j]),
             name=name,
             mode="lines+markers",
             marker={"size": 5, "symbol": j % 6},
             line={"color": QUALITATIVE[j % 8], "width": 1.8},
             error_y={"type": "data", "array": f32(bar), "thickness": 1.2, "width": 5},
         )
+    return fig
+
+
+BARS, TOLD = 40, 8  # regions with a bar, and in the key of the model
+COLD, WARM, HOT = "#d9e0e6", "#e9a95f", "#a8320a"
+EVEN, MOST = (
+    1.0,
+    4.0,
+)  # times the share of strain energy: an error that is spread evenly, and the end of the colours
+
+
+def color(value: float) -> str:
+    """Grey up to an even spread, then from amber to red."""
+    if not np.isfinite(value) or value <= EVEN:
+        return _mix(COLD, WARM, max((np.nan_to_num(value) - 0.5) / (EVEN - 0.5), 0.0) * 0.35)
+    t = min((value - EVEN) / (MOST - EVEN), 1.0)
+    return _mix(WARM, HOT, t)
+
+
+def _mix(a: str, b: str, t: float) -> str:
+    one, two = (np.array([int(c[i : i + 2], 16) for i in (1, 3, 5)]) for c in (a, b))
+    return "#" + "".join(f"{int(x):02x}" for x in np.round(one + t * (two - one)))
+
+
+def regions(stage: LocaliseStage) -> go.Figure:
+    """Bars of the concentration of error by region, the largest on top; `BARS` at most."""
+    value = stage.indicators.concentration
+    order = [
+        i for i in np.argsort(np.nan_to_num(value), kind="stable").tolist() if np.isfinite(value[i])
+    ][-BARS:]
+    names = [stage.indicators.regions[i] for i in order]
+    fig = figure(
+        max(220, 70 + 19 * len(order)),
+        xaxis=axis("Share of error over share of strain energy", rangemode="tozero"),
+        yaxis=axis("", type="category", showgrid=False, ticks="", tickfont={"size": 11}),
+    )
+    marker = {
+        "color": [color(float(value[i])) for i in order],
+        "line": {"width": 0.5, "color": MUTED},
+    }
+    extra = np.stack(
+        [100 * stage.indicators.constitutive[order], 100 * stage.indicators.strain[order]], axis=1
+    )
+    fig.add_bar(
+        x=f32(value[order]),
+        y=names,
+        orientation="h",
+        marker=marker,
+        customdata=f32(extra),
+        showlegend=False,
+    )
+    fig.data[
+        0
+    ].hovertemplate = (
+        "%{y}: %{x:.2f}<br>%{customdata[0]:.1f} % of the error, %{customdata[1]:.1f} % of "
+    )
+    fig.data[0].hovertemplate += "the strain energy<extra></extra>"
+    fig.update_layout(margin={"t": 10}, shapes=[_line(EVEN)])
+    return fig
+
+
+def _line(x: float) -> dict[str, object]:
+    look = {"color": MUTED, "width": 1, "dash": "dot"}
+    return {"type": "line", "x0": x, "x1": x, "yref": "paper", "y0": 0, "y1": 1, "line": look}
+
+
+def view(scene: Scene, stage: LocaliseStage) -> View:
+    """The model with its regions in the colours of `regions`, whose bars name them; `TOLD` in the
+    key.
+    """
+    value = dict(
+        zip(stage.indicators.regions, stage.indicators.concentration.tolist(), strict=True)
+    )
+    found = [value.get(g, np.nan) for g in scene.groups]
+    strong = sorted((g for g in scene.groups if value.get(g, 0.0) > EVEN), key=lambda g: -value[g])
+    legend = [(g, color(value[g]), f"{value[g]:.1f} ×") for g in strong[:TOLD]]
+    return painted(
+        scene, [color(x) for x in found], [1.0 if x > EVEN else 0.35 for x in found], legend
+    )
+
+
+def sizes(stage: LocaliseStage) -> go.Figure:
+    """The criterion of the best set of each size; the least is the proposal before its members are
+    tested.
+    """
+    p = stage.proposal
+    fig = figure(260, xaxis=axis("Parameters", dtick=1), yaxis=axis("AICc + price of the search"))
+    best = int(np.argmin(p.criteria))
+    marks = {"size": 8, "color": [TEST if i == best else FE for i in range(p.sizes.size)]}
+    fig.add_scatter(
+        x=p.sizes,
+        y=f32(p.criteria),
+        mode="lines+markers",
+        line={"color": FE, "width": 1.4},
+        marker=marks,
+    )
+    fig.update_layout(margin={"t": 10}, showlegend=False)
+    return fig
+
+
+TICKS = [0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1, 1.5, 2, 3, 5, 7, 10, 20, 50]
+
+
+def parameters(stage: UncertaintyStage) -> go.Figure:
+    """Intervals of the factors: prior, posterior and, where sampled, the draws."""
+    names = list(stage.posterior.parameters.names)
+    fig = figure(
+        90 + 42 * len(names),
+        xaxis=axis(
+            "Updated / initial", type="log", tickvals=TICKS, ticktext=[f"{t:g}" for t in TICKS]
+        ),
+        yaxis=axis(
+            "",
+            autorange="reversed",
+            showgrid=False,
+            ticks="",
+            tickvals=list(range(len(names))),
+            ticktext=names,
+        ),
+    )
+    rows = np.arange(len(names), dtype=np.float64)
+    percent = f"{100 * stage.level:g} %"
+    for low_high, at, width, color, name in (
+        (stage.posterior.prior, rows, 3, INITIAL, f"before the test, {percent}"),
+        (stage.posterior.interval, rows, 9, FINAL, f"after it, {percent}"),
+        (stage.chains.sampled, rows + 0.22, 3, QUALITATIVE[3], f"sampled, {percent}"),
+    ):
+        if len(low_high):
+            x, y = _strokes(low_high, at)
+            fig.add_scatter(
+                x=f32(x), y=f32(y), mode="lines", name=name, line={"width": width, "color": color}
+            )
+            fig.data[-1].update(hoverinfo="skip")
+    marks = {"symbol": "line-ns", "size": 15, "line": {"width": 2.5, "color": TEST}}
+    fig.add_scatter(
+        x=f32(stage.posterior.factor),
+        y=rows,
+        mode="markers",
+        marker=marks,
+        name="final",
+        text=names,
+    )
+    fig.data[-1].hovertemplate = "%{text}: × %{x:.3f}<extra></extra>"
+    look = {"color": MUTED, "width": 1, "dash": "dot"}
+    fig.update_layout(
+        shapes=[{"type": "line", "x0": 1, "x1": 1, "yref": "paper", "y0": 0, "y1": 1, "line": look}]
+    )
+    return fig
+
+
+def _strokes(low_high: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Horizontal strokes as one broken line."""
+    gap = np.full((len(at), 1), np.nan)
+    return np.concatenate([low_high, gap], axis=1).ravel(), np.repeat(at, 3)
+
+
+def correlation(stage: UncertaintyStage) -> go.Figure:
+    """Correlation of the parameters after the test."""
+    names = list(stage.posterior.parameters.names)
+    fig = figure(
+        130 + 30 * len(names),
+        xaxis=axis("", tickangle=-45, showgrid=False, showline=False, ticks=""),
+        yaxis=axis("", autorange="reversed", showgrid=False, showline=False, ticks=""),
+    )
+    bar = {"thickness": 10, "outlinewidth": 0}
+    fig.add_heatmap(
+        z=f32(stage.posterior.correlation),
+        x=names,
+        y=names,
+        zmin=-1,
+        zmax=1,
+        colorscale=DIVERGING,
+        colorbar=bar,
+    )
+    fig.data[0].update(xgap=1, ygap=1, texttemplate="%{z:.2f}", textfont={"size": 10})
+    fig.data[0].hovertemplate = "%{y}, %{x}: %{z:.2f}<extra></extra>"
+    fig.update_layout(margin={"t": 10})
+    return fig
+
+
+def bands(stage: UncertaintyStage) -> go.Figure:
+    """Deviation of each prediction from the measurement, with the band that should reach to
+    zero.
+    """
+    fig = figure(
+        350,
+        xaxis=axis("Test mode, Hz", type="category", tickangle=-45),
+        yaxis=axis(
+            "(f FE − f test)/f test, %", zeroline=True, zerolinecolor="#5c6b7a", zerolinewidth=1
+        ),
+    )
+    there = np.isfinite(stage.bands.predicted)
+    names = np.array([f"{i + 1}: {f:.2f}" for i, f in enumerate(stage.bands.test.tolist())])
+    deviation = 100 * (stage.bands.predicted / stage.bands.test - 1)
+    reach = 100 * (stage.bands.band[:, 1] - stage.bands.predicted) / stage.bands.test
+    for name, which, color, symbol in (
+        ("used in the updating", stage.bands.used, FE, "circle"),
+        ("left out of it", ~stage.bands.used, TEST, "diamond-open"),
+    ):
+        at = there & which
+        marker = {"size": 9, "symbol": symbol, "color": color, "line": {"width": 2, "color": color}}
+        error = {
+            "type": "data",
+            "array": f32(reach[at]),
+            "thickness": 1.4,
+            "width": 5,
+            "color": color,
+        }
+        fig.add_scatter(
+            x=names[at].tolist(), y=f32(deviation[at]), mode="markers", marker=marker, error_y=error
+        )
+        fig.data[-1].update(name=name, customdata=f32(reach[at]))
+        fig.data[-1].hovertemplate = "%{x} Hz: %{y:.2f} ± %{customdata:.2f} %<extra></extra>"
+    fig.layout.xaxis.update(categoryorder="array", categoryarray=names[there].tolist())
     return fig

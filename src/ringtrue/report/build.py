@@ -9,62 +9,60 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import plotly.graph_objects as go
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from plotly.offline import get_plotlyjs
 
 from ringtrue import __version__
+from ringtrue.core.arrays import Any_
 from ringtrue.errors import ConfigError, did_you_mean
-from ringtrue.io.atomic import atomic_write
-from ringtrue.plots.embedded import script_json
-from ringtrue.report.pack import figure_json
+from ringtrue.io.files import atomic_write
+from ringtrue.plots.pages import script_json
 from ringtrue.report.parts import Acceptance, Photo, Picture, Plot, Scene3D, Section
 from ringtrue.report.sections import (
-    after,
-    choice,
-    configurations,
     correlation,
     damping,
     identified,
     localised,
-    measured,
-    model,
-    origin,
     planned,
-    predicted,
+    prediction,
     shapes,
     summary,
-    survey,
-    uncertain,
+    system,
     updated,
 )
 from ringtrue.report.stages import Stages
-from ringtrue.study.acceptance import Check
+from ringtrue.study.acceptance import Check, verdict
+from ringtrue.study.config import StudyConfig
+from ringtrue.study.run import StudyRun, load_study
+from ringtrue.study.summary import finite, summarise
 
 __all__ = ["Acceptance", "Photo", "build"]
 
 SECTIONS: tuple[Callable[[Stages], Section | None], ...] = (
-    summary.section,
-    survey.section,
-    model.section,
+    summary.summary,
+    system.survey,
+    system.model,
     planned.section,
-    measured.signals,
-    measured.functions,
+    system.signal_section,
+    system.frf_section,
     identified.section,
     correlation.tests,
     correlation.initial,
     correlation.remodelled,
     localised.section,
-    choice.section,
-    updated.section,
+    updated.choice,
+    updated.updating,
     updated.suspension,
     correlation.final,
-    configurations.section,
+    correlation.configurations,
     shapes.section,
-    uncertain.section,
-    after.section,
-    damping.section,
-    predicted.section,
-    origin.section,
+    prediction.uncertainty,
+    damping.response,
+    damping.damping,
+    prediction.prediction,
+    summary.provenance,
 )
 
 GEOMETRY = frozenset(("xyz", "tri", "tgroup", "line", "lgroup"))  # of a skin; the rest is its look
@@ -220,4 +218,77 @@ def _render(data: Stages, sections: Sequence[Section]) -> str:
         plots=figures.plots,
         views=figures.views,
         skins=figures.skins,
+    )
+
+
+def figure_json(figure: go.Figure) -> str:
+    """The JSON of a figure; traces whose `meta` says `overlay: n` (see plots.style.joined) are
+    packed.
+
+    The page unfolds them: the abscissa is stored once, ordinates as 16-bit parts of the largest.
+    """
+    text = str(figure.to_json())
+    marked = [
+        i for i, t in enumerate(figure.data) if isinstance(t.meta, dict) and "overlay" in t.meta
+    ]
+    if not marked:
+        return text
+    spec = json.loads(text)
+    for i in marked:
+        trace = figure.data[i]
+        spec["data"][i] |= _packed(
+            np.asarray(trace.x), np.asarray(trace.y), int(trace.meta["overlay"])
+        )
+    return json.dumps(spec, separators=(",", ":"), allow_nan=False)
+
+
+def _packed(x: Any_, y: Any_, curves: int) -> dict[str, Any]:
+    rows = np.nan_to_num(y.reshape(curves, -1)[:, :-1])
+    peak = float(np.abs(rows).max(initial=0.0)) or 1.0
+    meta = {
+        "x": _base64(x.reshape(curves, -1)[0, :-1], "<f4"),
+        "q": _base64(np.round(rows * (32767 / peak)), "<i2"),
+        "peak": peak,
+    }
+    return {"x": [], "y": [], "meta": meta}
+
+
+def _base64(a: Any_, kind: str) -> str:
+    return base64.b64encode(np.ascontiguousarray(a, dtype=kind).tobytes()).decode("ascii")
+
+
+def deliver(
+    run: StudyRun, extra: Mapping[str, Any] | None = None, *, checks: Sequence[Check] | None = None
+) -> Path:
+    """Write summary.json and report.html into the folder of the run; returns the report.
+
+    `checks` are what must hold; by default those of any study and the limits that this one states.
+    """
+    summary = finite(summarise(run) | dict(extra or {}))
+    with atomic_write(run.folder / "summary.json") as part:
+        part.write_text(json.dumps(summary, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    return _write_report(run, run.folder / "report.html", checks)
+
+
+def report_from_store(store: Path, target: Path | None = None) -> Path:
+    """The report of a stored study, beside its store unless `target` says otherwise."""
+    return _write_report(load_study(store), target or store.with_name("report.html"))
+
+
+def _write_report(run: StudyRun, out: Path, checks: Sequence[Check] | None = None) -> Path:
+    config: StudyConfig = run.config
+    captions = [*config.report.captions, *[""] * len(config.report.photos)]
+    photos = [
+        Photo(run.session.base / p, t) for p, t in zip(config.report.photos, captions, strict=False)
+    ]
+    stages = {k: v for k, v in run.results.items() if v is not None}
+    acceptance = Acceptance.of(config.correlate)
+    return build(
+        stages,
+        out,
+        title=config.study.title,
+        system_text=config.study.system,
+        acceptance=acceptance,
+        photos=photos,
+        checks=verdict(config, stages) if checks is None else checks,
     )

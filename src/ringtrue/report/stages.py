@@ -13,7 +13,7 @@ from ringtrue.core.arrays import Float
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import ConfigError, did_you_mean
-from ringtrue.plots.thin import thinned
+from ringtrue.plots.scene import thinned
 from ringtrue.report.parts import Acceptance
 from ringtrue.study.acceptance import Check
 from ringtrue.study.results import (

@@ -108,7 +108,8 @@ def modal_scale_factor(a: Any_, b: Any_) -> Any_:
     ----------
     a, b : (n, m) float64 or complex128
     """
-    a, b = np.asarray(a), np.asarray(b)
+    a = np.asarray(a)
+    b = np.asarray(b)
     length = (np.abs(b) ** 2).sum(axis=0)
     return np.asarray((b.conj() * a).sum(axis=0) / np.where(length > 0, length, 1.0))
 

@@ -31,7 +31,7 @@ def unit(shapes: Any_) -> Any_:
 
 
 def above_rounding(shapes: Any_) -> Any_:
-    """Shapes (n, m) with those columns at zero that are rounding beside the others.
+    """Shapes (n, m) with those columns at zero that are rounding against the others.
 
     A mode that does not move the channels still has values of rounding there, and a MAC of these is
     chance. The eigenvector of an eigenvalue that is exact to rounding ε is exact to √ε, relative to
@@ -59,7 +59,8 @@ def mac(a: Any_, b: Any_) -> Float:
     InputError
         If the numbers of rows differ.
     """
-    a, b = np.asarray(a), np.asarray(b)
+    a = np.asarray(a)
+    b = np.asarray(b)
     _same_rows(a, b)
     return np.asarray(np.minimum(np.abs(unit(a).conj().T @ unit(b)) ** 2, 1.0), dtype=np.float64)
 
@@ -80,7 +81,8 @@ def worst_off_diagonal(auto: Float) -> float:
 
 def paired_mac(a: Any_, b: Any_) -> Float:
     """MAC of column k of `a` with column k of `b`, (m,)."""
-    a, b = np.asarray(a), np.asarray(b)
+    a = np.asarray(a)
+    b = np.asarray(b)
     _same_rows(a, b)
     return np.asarray(
         np.minimum(np.abs((unit(a).conj() * unit(b)).sum(axis=0)) ** 2, 1.0), dtype=np.float64
@@ -104,7 +106,8 @@ def principal_angles(a: Any_, b: Any_) -> Float:
 
     Source: Björck and Golub (1973); sine form for small angles (Knyazev and Argentati, 2002).
     """
-    qa, qb = basis(a), basis(b)
+    qa = basis(a)
+    qb = basis(b)
     if qa.shape[1] < qb.shape[1]:
         qa, qb = qb, qa
     cross = qa.conj().T @ qb
@@ -148,7 +151,7 @@ def fade(ratio: Float) -> tuple[Float, Float]:
     """How far what holds up to a limit still holds, 1 up to ratio 1 and 0 from `FADE` on, and its
     derivative.
 
-    Smooth, so that what rests on closeness does not jump where modes move apart.
+    Smooth, so that what rests on closeness does not jump where modes separate.
     """
     t = np.clip((FADE - np.asarray(ratio)) / (FADE - 1), 0.0, 1.0)
     return t * t * (3 - 2 * t), 6 * t * (t - 1) / (FADE - 1)

@@ -7,7 +7,6 @@ from scipy import linalg, sparse
 
 from ringtrue.core.arrays import Any_, Float
 from ringtrue.errors import InputError
-from ringtrue.shapes.mac import unit
 
 Mass = Any_ | sparse.csr_array
 RANK = 1e-8  # relative singular value below which the shapes at the channels count as dependent
@@ -50,14 +49,15 @@ def cross_orthogonality(a: Any_, b: Any_, mass: Mass) -> Float:
     a : (n, ma) float64 or complex128
     b : (n, mb) float64 or complex128
     mass : (n, n) float64, dense or sparse
-        Of the structure at the rows of the shapes: of a test-analysis model (`reduce.tam`).
+        Of the structure at the rows of the shapes: of a test-analysis model (`reduction.static`).
 
     Raises
     ------
     InputError
         If the sizes do not fit.
     """
-    a, b = np.asarray(a), np.asarray(b)
+    a = np.asarray(a)
+    b = np.asarray(b)
     right = _weighted(mass, mass_normalised(b, mass))
     return np.asarray(
         np.abs(mass_normalised(a, mass).conj().T @ right).clip(0.0, 1.0), dtype=np.float64
@@ -86,9 +86,11 @@ def read_orthogonality(
     phi = mass_normalised(shapes, mass)
     weighed = _weighted(mass, phi)
     if reading is None:
-        seen, own = weighed, mass.diagonal().sum()
+        seen = weighed
+        own = mass.diagonal().sum()
     else:
-        seen, own = reading.T @ weighed, (reading * _weighted(mass, reading)).sum()
+        seen = reading.T @ weighed
+        own = (reading * _weighted(mass, reading)).sum()
     scale = modal_mass(shapes, mass)
     relative = error**2 / np.where(scale > 0, scale, np.inf)
     square = (
@@ -120,7 +122,7 @@ def serep_mass(shapes: Any_) -> Float:
     Raises
     ------
     InputError
-        If the channels cannot tell the shapes apart, or the shapes are complex.
+        If the channels cannot distinguish the shapes, or the shapes are complex.
     """
     back = pseudo_inverse(shapes)
     return np.asarray(back.T @ back)
@@ -132,7 +134,7 @@ def pseudo_inverse(shapes: Any_) -> Float:
     Raises
     ------
     InputError
-        If the channels cannot tell the shapes apart, or the shapes are complex.
+        If the channels cannot distinguish the shapes, or the shapes are complex.
     """
     phi = np.asarray(shapes)
     if np.iscomplexobj(phi):
@@ -148,19 +150,3 @@ def pseudo_inverse(shapes: Any_) -> Float:
             "modes or more channels"
         )
     return np.asarray(linalg.solve_triangular(r, q.T)) if phi.size else np.zeros(phi.shape[::-1])
-
-
-def poc(test: Any_, fe: Any_) -> Any_:
-    """Pseudo-orthogonality check |Φ⁺E|, (m_test, m_fe): modal coordinates of the test shapes, of
-    unit length.
-
-    The cross-orthogonality over the mass of a SEREP test-analysis model, in a form that needs no
-    mass matrix.
-
-    Parameters
-    ----------
-    test : (n, m_test) float64 or complex128
-    fe : (n, m_fe) float64, mass-normalised
-        All modes that the test shapes may contain; not only those paired.
-    """
-    return np.asarray(np.abs(unit(pseudo_inverse(fe) @ np.asarray(test))).T, dtype=np.float64)

@@ -55,7 +55,7 @@ class EmbeddedAnalysis:
         K, M, damping and the transformation from free to full basic-frame DOFs.
     pencil : Pencil
     spins : DofSet or None
-        DOFs of the system that are held, see `fem.spins`.
+        DOFs of the system that are held, see `fem.massless_rotations`.
     progress : callable or None
         Told of each answer for which no other is named.
     """

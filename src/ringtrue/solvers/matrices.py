@@ -23,7 +23,7 @@ from ringtrue.fem.assembly import System
 from ringtrue.fem.parametrisation.polynomials import AffineTerm, power
 from ringtrue.model.model import Model
 from ringtrue.model.ports import Linearisation, ModesRequest
-from ringtrue.reduction.affine import AffineSystem
+from ringtrue.reduction.basis import AffineSystem
 from ringtrue.reduction.parametric import BasisOptions, ReducedModel, reduced_model
 from ringtrue.solvers.embedded import EmbeddedAnalysis
 

@@ -19,8 +19,7 @@ from ringtrue.errors import SolverMissing, UnsupportedCard
 from ringtrue.model.frames import positions
 from ringtrue.model.model import Model, stacked, table
 from ringtrue.model.ports import ModesRequest
-from ringtrue.solvers.runner import Finished
-from ringtrue.solvers.runner_deck import DeckAnalysis
+from ringtrue.solvers.runner import DeckAnalysis, Finished
 
 log = logging.getLogger(__name__)
 VARIABLE = "RINGTRUE_MYSTRAN"

@@ -17,7 +17,7 @@ from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress
-from ringtrue.decks.nastran.results.f06 import sturm_counts
+from ringtrue.decks.nastran.results.printed import sturm_counts
 from ringtrue.decks.nastran.results.sensitivity import Sensitivities, read_sensitivities
 from ringtrue.decks.nastran.writer import format_card
 from ringtrue.errors import (
@@ -32,8 +32,7 @@ from ringtrue.model.frames import axes, positions
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
 from ringtrue.solvers.nastran_design import SET, design_cards, response_cards, spread
-from ringtrue.solvers.runner import Finished, tail
-from ringtrue.solvers.runner_deck import METHOD, DeckAnalysis, bulk, case_control
+from ringtrue.solvers.runner import METHOD, DeckAnalysis, Finished, bulk, case_control, tail
 
 COMMAND, MAKE = "RINGTRUE_NASTRAN", "RINGTRUE_NASTRAN_MAKE"
 Make = Literal["msc", "nx", "autodesk"]

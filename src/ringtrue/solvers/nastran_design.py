@@ -16,9 +16,8 @@ import numpy as np
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.parameters import CardField, ParameterSet
-from ringtrue.decks.nastran.bulk_special import large_card
 from ringtrue.decks.nastran.results.sensitivity import Sensitivities
-from ringtrue.decks.nastran.writer import Value, format_card
+from ringtrue.decks.nastran.writer import Value, format_card, large_card
 from ringtrue.errors import SolverFailed, UnsupportedError
 from ringtrue.fem.element_cards import MATERIALS
 from ringtrue.fem.parametrisation.changed_model import scaled

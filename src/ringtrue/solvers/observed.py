@@ -21,7 +21,7 @@ from ringtrue.fem.parametrisation.affine import affine_terms
 from ringtrue.fem.parametrisation.changed_model import scaled
 from ringtrue.model.model import Model
 from ringtrue.model.ports import Analysis, Linearisation, ModalSolver, ModesRequest
-from ringtrue.reduction.affine import AffineSystem, observed_system
+from ringtrue.reduction.basis import AffineSystem, observed_system
 from ringtrue.reduction.parametric import BasisOptions, ReducedModel, reduced_model
 from ringtrue.shapes.mac import close_groups, rotation, unit
 from ringtrue.solvers.embedded import EmbeddedSolver

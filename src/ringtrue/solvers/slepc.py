@@ -28,7 +28,7 @@ from ringtrue.errors import ConfigError, SolverFailed, SolverMissing, Unsupporte
 from ringtrue.fem.assembly import System, assemble, refuse_held
 from ringtrue.fem.massless_rotations import without_massless_rotations
 from ringtrue.io.foreign.arrays import read_npy
-from ringtrue.io.foreign.texts import read_json
+from ringtrue.io.foreign.parsers import read_json
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest, ModesResult
 from ringtrue.solvers.runner import run_program, tail

@@ -1,20 +1,17 @@
 """study.toml to study.h5: the settings, the stages, and what is stored of each.
 
-Settings: `config`, `config_correlate`, `config_plan`, `config_update`; `log` of a crew;
-`config_errors` what is wrong with them, in words.
+Settings: `config` reads study.toml, `config_sections` and `config_update` are its sections; `log`
+is the log of a crew.
 
-Running: `run` is the driver, `workbench` what its stages share, `store` the file, `lock` one run at
-a time, `finished` the parameter sets that an interrupted updating has finished, `words` and
-`summary` what it tells, `acceptance` the user's limits. A stage is a module of `stages`, its result
-a type of `results`.
+Running: `run` is the driver, `session` what the stages of a run share, `store` the file.
+A stage is a function in a module of `stages`, its result a type of `results`. `messages` makes the
+sentences that a run shows, `summary` its summary.json, `acceptance` the limits of the user.
 
-What several stages need of the test: `blows` and `forced` FRFs of records, `naming` its names on
-the sheet, `placing` and `arrangement` its geometry, `seats` the nodes where it is read, `reference`
-the modes judged by, `lent` shapes where it tells frequencies alone, `measured` data beside modes,
-`beside` what candidates do to these, `evidence` what a correlation rests on, `expansion` its
-shapes.
+Of the test: `hammer_records` makes FRFs of records with forces, `supplied` reads FRFs and modes of
+files, `placing` lays the sensors onto a deck, `reference` picks the modes that a deck is compared
+with, `evidence` is what a correlation rests on, `measured_data` what was measured beside modes.
 
-Of the model: `opened`, `parametric`, `loads`, `scene`. Of the plan: `planned_targets`,
-`planned_exciters`, `virtual_test`. Of the updating: `objective`, `course`; `direct` and `proposing`
-do without stages.
+Of the model: `opened` is a deck in its solver, `loads` its static load cases. `planned_test` holds
+the parts of a test plan, `objective` what an updating minimises; `direct` updates and localises
+without stages.
 """

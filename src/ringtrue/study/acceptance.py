@@ -13,7 +13,7 @@ import numpy as np
 from ringtrue.core.arrays import Bool
 from ringtrue.correlation.table import CorrelationRow, CorrelationTable
 from ringtrue.study.config import StudyConfig
-from ringtrue.study.config_correlate import CorrelateSection
+from ringtrue.study.config_sections import CorrelateSection
 from ringtrue.study.results import (
     ConfigurationsStage,
     ConfiguredStage,
@@ -196,7 +196,7 @@ def convergence(results: Mapping[str, Any]) -> tuple[Check, ...]:
     if update is None:
         return ()
     outcome = update.sets[update.chosen].outcome
-    return (Check("updating", "converged", outcome.split(":")[0], outcome.startswith("converged")),)
+    return (Check("updating", "converged", outcome.verdict, outcome.ok),)
 
 
 def improvement(results: Mapping[str, Any]) -> tuple[Check, ...]:

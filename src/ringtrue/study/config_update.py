@@ -11,7 +11,7 @@ ModalKind = Literal["eigenvalues", "frequencies", "shapes", "mac", "orthogonalit
 Positive = Annotated[float, Field(gt=0)]
 
 
-ALONE = ("eigenvalues", "frequencies")  # residuals that need no shapes
+FREQUENCY_KINDS = ("eigenvalues", "frequencies")  # residuals that need no shapes
 Step = Literal["gauss-newton", "published", "levenberg-marquardt", "trust-region"]
 Search = Literal["starts", "global"]
 Discrepancy = Literal["found", "assumed", "evidence"]
@@ -84,9 +84,9 @@ class UpdateSection(_Section):
         kept = {n: v for n, v in self.model_dump(exclude_unset=True).items() if n not in dropped}
         return UpdateSection.model_validate(kept | dict(change))
 
-    def alone(self) -> Self:
+    def of_frequencies(self) -> Self:
         """The same without what needs shapes: frequencies alone are compared."""
-        kinds = [k for k in self.residuals if k in ALONE] or ["frequencies"]
+        kinds = [k for k in self.residuals if k in FREQUENCY_KINDS] or ["frequencies"]
         return self.model_copy(update={"residuals": kinds, "shape_weight": 0.0})
 
     @property

@@ -1,30 +1,29 @@
-"""Candidates of a study fitted to a file of test modes, without its stages: what `ringtrue update`
-does.
-"""
+"""Updating and localisation without the stages of a study: what ringtrue update and localise do."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy import sparse
 
 from ringtrue.core.arrays import Bool, Float
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
-from ringtrue.core.progress import Progress
+from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.core.testmodel import Observation, TestModel
 from ringtrue.errors import DataError, NumericalError, about
-from ringtrue.io.modes_json import read_modes, read_std
+from ringtrue.io.modes import read_modes, read_std
 from ringtrue.io.sheets import read_sensor_sheet
+from ringtrue.model.model import Model
 from ringtrue.model.ports import ModalSolver, ModesRequest
+from ringtrue.reduction.parametric import ReducedModel, condensed, modes_of
 from ringtrue.shapes.complexity import realise_modes
 from ringtrue.solvers.observed import PRINTED, UNTOLD, FullModel, reduced
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.config_update import UpdateSection
-from ringtrue.study.course import course_of, further, settled
-from ringtrue.study.lent import lent
-from ringtrue.study.measured import (
+from ringtrue.study.measured_data import (
     NO_FRFS,
     Data,
     Measured,
@@ -32,26 +31,43 @@ from ringtrue.study.measured import (
     check_moving,
     excited,
     flexible,
-    measured,
+    read_measured,
     residual_data,
     rigid_mass,
 )
-from ringtrue.study.naming import supplied_frfs, without_channels
-from ringtrue.study.objective import LOSSES, constraints, mass_at, modal_terms
-from ringtrue.study.opened import Opened
-from ringtrue.study.parametric import AtChannels
-from ringtrue.study.placing import placed
+from ringtrue.study.objective import (
+    LOSSES,
+    constraints,
+    course_of,
+    further_starts,
+    mass_at,
+    minimise,
+    modal_terms,
+)
+from ringtrue.study.opened import AtChannels, Opened, lump_places, with_lumps
+from ringtrue.study.placing import placed, seats
 from ringtrue.study.reference import highest, locks, measured_part, settings
 from ringtrue.study.results import Seat
-from ringtrue.study.seats import seats
-from ringtrue.updating.identifiable import stood_for
-from ringtrue.updating.objective import Target, Weights
-from ringtrue.updating.residuals import Weighted
-from ringtrue.updating.settle import displaced, whole_cost
-from ringtrue.updating.several import Configuration, Problem
-from ringtrue.updating.trust import Solution
-from ringtrue.updating.unmoved import unmoved
-from ringtrue.updating.verified import Verified, solve_verified
+from ringtrue.study.supplied import pair_frequencies, supplied_frfs, without_channels
+from ringtrue.updating.identifiability import ALIKE, stood_for, unmoved
+from ringtrue.updating.problem import Configuration, Problem
+from ringtrue.updating.residuals.modal import Weighted
+from ringtrue.updating.selection.candidates import Candidate, CandidateSettings, membership
+from ringtrue.updating.selection.effects import Dropped, effective, reduced_candidates
+from ringtrue.updating.selection.generation import generate
+from ringtrue.updating.selection.localisation import reduced_errors
+from ringtrue.updating.selection.proposal import Proposal, propose
+from ringtrue.updating.selection.screening import (
+    LEADING,
+    SMALL,
+    conflicts,
+    drawn,
+    passed_over,
+    screened,
+)
+from ringtrue.updating.solver import Solution
+from ringtrue.updating.strategy import Verified, displaced, solve_verified, whole_cost
+from ringtrue.updating.target import Target, Weights, match
 
 AGREE = 1e-4  # relative frequency error of the reduced model that is accepted at the end
 
@@ -78,9 +94,9 @@ def read_target(
     """
     whole, (spread, _), notes = read_modes(test), read_std(test), tuple[str, ...]()
     if len(whole) and not whole.channels:
-        found = lent(whole, opened, settings(config), locks(config))
+        found = pair_frequencies(whole, opened, settings(config), locks(config))
         whole, notes = found.modes, found.notes
-        config = config.model_copy(update={"test": None, "update": config.update.alone()})
+        config = config.model_copy(update={"test": None, "update": config.update.of_frequencies()})
     if config.test:
         whole = without_channels(whole, config.test.leave_out)
     kept, channels = measured_part(whole)
@@ -93,7 +109,13 @@ def read_target(
     shapes = np.asarray(modes.shapes.real, dtype=np.float64)
     used = np.ones(len(modes), dtype=bool)
     target = Target(
-        modes.frequencies, shapes, relative, used, weights, settings(config), lent=modes.lent
+        frequencies=modes.frequencies,
+        shapes=shapes,
+        std=relative,
+        used=used,
+        weights=weights,
+        pairing=settings(config),
+        lent=modes.lent,
     )
     return config, target, modes, notes
 
@@ -115,7 +137,9 @@ def direct_problem(
     if engine is None:
         problem, data, seen = _reduced(opened, config, target, modes, base)
     else:
-        problem, seen = _by_runs(opened, config, target, modes, engine, base)
+        problem, seen = _by_runs(
+            opened, config, target=target, modes=modes, engine=engine, base=base
+        )
         data = ()
     sheet = _sheet(config, base)
     places = seats(seen, sheet) if sheet is not None else ()
@@ -124,7 +148,7 @@ def direct_problem(
 
 def not_told_apart(problem: Problem) -> dict[str, tuple[str, ...]]:
     """Candidates that are held at the deck's values, with those that stand for them
-    (`identifiable.stood_for`).
+    (`identifiability.stood_for`).
 
     Those of the largest effect stand for others.
     """
@@ -134,7 +158,7 @@ def not_told_apart(problem: Problem) -> dict[str, tuple[str, ...]]:
 
 
 def unmoved_by(solution: Solution) -> Bool:
-    """Parameters (p,) whose change is not worth a new value in the deck (`update.unmoved`)."""
+    """Parameters (p,) whose change is not worth a new value in the deck."""
     at = solution.end.points[0]
     fe = at.every[:, 1]
     slopes = 0.5 * at.now.d_lambda[fe] / (2 * np.pi * at.now.frequencies[fe, None]) ** 2
@@ -190,7 +214,7 @@ def _measured(config: StudyConfig, modes: ModeSet, base: Path) -> list[Measured]
                 f"`ringtrue run` makes FRFs of the hammer records of {config.test.log}, an "
                 "updating by itself does not"
             )
-    return [measured(s, base, modes, frfs, why) for s in config.residual]
+    return [read_measured(s, base, modes, frfs, why) for s in config.residual]
 
 
 def _sheet(config: StudyConfig, base: Path) -> TestModel | None:
@@ -251,7 +275,7 @@ def solved(
     """
     if isinstance(problem.configurations[0].model, FullModel):
         return _on_full(problem, u, seed, checkpoint, show)
-    done, more = _on_basis(problem, u, seed, checkpoint, show), further(u)
+    done, more = _on_basis(problem, u, seed, checkpoint, show), further_starts(u)
     if more is None or checkpoint is not None or not displaced(problem, done.solution.end):
         return done
     show(0.5, "modes without partner: further starts")
@@ -269,7 +293,7 @@ def _on_full(
     model, course = problem.configurations[0].model, course_of(u)
     assert isinstance(model, FullModel)
     course = replace(course, method=replace(course.method, step=PRINTED, gradient=UNTOLD))
-    end = settled(problem, u, seed, show, course=course, told=show, checkpoint=checkpoint)
+    end = minimise(problem, u, seed, show, course=course, told=show, checkpoint=checkpoint)
     return Verified(end.solution, end.problem, 0.0, model.ledger.runs)
 
 
@@ -277,7 +301,154 @@ def _on_basis(
     problem: Problem, u: UpdateSection, seed: int, checkpoint: Path | None, show: Progress
 ) -> Verified:
     def at(p: Problem, y: Float | None) -> tuple[Solution, Problem]:
-        end = settled(p, u, seed, show, start=y, checkpoint=checkpoint)
+        end = minimise(p, u, seed, show, start=y, checkpoint=checkpoint)
         return end.solution, end.problem
 
     return solve_verified(problem, solved=at, tolerance=AGREE, progress=show)
+
+
+EXTRA = 1.5  # modes of the model, as a multiple of those of the test
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DirectProposal:
+    """A proposal, and what it was chosen from.
+
+    Attributes
+    ----------
+    proposal : Proposal
+    model : Model
+        The deck, with places for masses that it may lack.
+    candidates : tuple of Candidate
+        That were looked at closely.
+    dropped : tuple of Dropped
+        That change no mode.
+    screened : tuple of str
+        That were not looked at closely.
+    made : int
+        All that were made from the deck.
+    """
+
+    proposal: Proposal
+    model: Model
+    candidates: tuple[Candidate, ...]
+    dropped: tuple[Dropped, ...]
+    screened: tuple[str, ...]
+    made: int
+
+
+def propose_parameters(
+    opened: Opened,
+    test: ModeSet,
+    bridge: Observation,
+    settings: CandidateSettings,
+    pool: int,
+    most: int,
+    progress: Progress = quiet,
+) -> DirectProposal:
+    """Which of the candidates made from a deck the modes of a test ask for.
+
+    Parameters
+    ----------
+    opened : Opened
+    test : ModeSet
+        Real shapes at the channels of `bridge`; those at 0 Hz or below are left out. Where
+        the shapes are those of the deck (`study.supplied`), frequencies alone are compared.
+    bridge : Observation
+    settings : CandidateSettings
+    pool, most : int
+        Candidates that are looked at closely, and parameters that are proposed, at most.
+    """
+    model, analysis, every = opened.model, opened.analysis, generate(opened.model, settings)
+    if "lump" in settings.kinds:
+        model, more = with_lumps(opened, lump_places(opened, bridge), settings)
+        every += more
+    test = test.take(np.flatnonzero(test.frequencies > 0))
+    weights, used = Weights(shape=0.0) if test.lent else Weights(), np.ones(len(test), dtype=bool)
+    aim = Target(test.frequencies, test.shapes, np.zeros(len(test)), used, weights, lent=test.lent)
+    count = _mode_count(len(test))
+    modes = analysis.eigen(ModesRequest(modes_of(count)), part(progress, 0.0, 0.1))
+    progress(0.1, f"energies of {len(every)} candidates")
+    moved, lost = effective(model, analysis.system, every, modes.values, modes.vectors)
+
+    def reduced_to(some: tuple[Candidate, ...], progress: Progress = quiet) -> ReducedModel:
+        return reduced_candidates(
+            model,
+            analysis.system,
+            some,
+            bridge,
+            count,
+            pencil=analysis.pencil,
+            modes=modes,
+            progress=progress,
+        )
+
+    def small(whole: ReducedModel, some: tuple[Candidate, ...]) -> ReducedModel:
+        points = drawn(whole.parameters, conflicts(model, some), np.random.default_rng(0))
+        return condensed(whole, points, max(SMALL, 2 * whole.count))
+
+    def look(some: tuple[Candidate, ...]) -> tuple[ReducedModel, ReducedModel]:
+        whole = reduced_to(some)
+        return small(replace(whole, count=min(whole.count, _mode_count(LEADING))), some), whole
+
+    progress(0.15, f"what {len(moved)} candidates explain")
+    keep = screened(
+        model,
+        analysis.system,
+        candidates=moved,
+        aim=aim,
+        observe=sparse.csr_array(bridge.matrix @ analysis.system.transform),
+        modes=(modes.values, modes.vectors),
+        look=look,
+        pool=pool,
+        most=most,
+        alike=ALIKE,
+        progress=part(progress, 0.15, 0.4),
+    )
+    reduced = reduced_to(keep, part(progress, 0.4, 0.55))
+    progress(0.55, "error indicators")
+    found = propose(
+        small(reduced, keep),
+        aim,
+        most=most,
+        apart=conflicts(model, keep),
+        errors=_local_errors(opened, reduced, aim, keep),
+        words=[c.what for c in keep],
+        passed_over=passed_over(moved, keep),
+        progress=part(progress, 0.55, 1.0),
+    )
+    names = {c.name for c in keep}
+    return DirectProposal(
+        proposal=found,
+        model=model,
+        candidates=keep,
+        dropped=lost,
+        screened=tuple(c.name for c in moved if c.name not in names),
+        made=len(every),
+    )
+
+
+def _mode_count(modes: int) -> int:
+    """Modes of the model to compare so many of a test with."""
+    return int(EXTRA * modes) + 4
+
+
+def _local_errors(
+    opened: Opened, reduced: ReducedModel, aim: Target, keep: tuple[Candidate, ...]
+) -> dict[str, Float]:
+    """Concentration of the local errors on each candidate."""
+    pairs, _, _ = match(aim, reduced.modes(np.zeros(len(keep))))
+    if not len(pairs) or aim.lent:
+        return {}
+    f, shapes = aim.frequencies[pairs[:, 0]], aim.shapes[:, pairs[:, 0]]
+    rows = np.arange(len(reduced.basis.observe))
+    found, _ = reduced_errors(
+        opened.model,
+        opened.analysis.system,
+        reduced=reduced,
+        rows=rows,
+        frequencies=f,
+        shapes=shapes,
+        partners=pairs[:, 1],
+    )
+    return dict(found.concentration(membership(opened.model, keep)))

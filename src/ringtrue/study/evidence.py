@@ -1,6 +1,4 @@
-"""What a correlation rests on: orthogonality over the deck's mass, channels, close modes, modes
-followed, FRFs.
-"""
+"""What a correlation rests on: orthogonality, channels, close modes, tracks, FRFs, expansion."""
 
 from __future__ import annotations
 
@@ -10,25 +8,35 @@ import numpy as np
 from scipy import sparse
 
 from ringtrue.core.arrays import Complex, Float
+from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
+from ringtrue.core.progress import Progress
 from ringtrue.core.signals import FrfSet
 from ringtrue.core.testmodel import Observation
 from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.correlation.frf import compare_frfs, fdac
-from ringtrue.correlation.measures import Lift, complete
-from ringtrue.correlation.orthogonality import Gate
+from ringtrue.correlation.measures import complete
+from ringtrue.correlation.orthogonality import Gate, Lift
 from ringtrue.correlation.pairing import Pairing
 from ringtrue.correlation.tracking import Tracks, track
 from ringtrue.eigen.modes import low_shift
-from ringtrue.errors import InputError, NumericalError
+from ringtrue.errors import ConfigError, InputError, NumericalError
 from ringtrue.fem.response import frf
-from ringtrue.reduction.tam import craig_bampton_coordinates, craig_bampton_of, tam
+from ringtrue.reduction.expansion import (
+    Expanded,
+    expand_dynamic,
+    expand_hybrid,
+    expand_serep,
+    expand_static,
+)
+from ringtrue.reduction.static import craig_bampton_coordinates, craig_bampton_of, tam
 from ringtrue.shapes.mac import auto_mac
 from ringtrue.study.config import StudyConfig
-from ringtrue.study.config_correlate import CorrelateSection
-from ringtrue.study.opened import Opened
+from ringtrue.study.config_sections import CorrelateSection
+from ringtrue.study.opened import Opened, scene_modes
 from ringtrue.study.reference import Reference, settings
-from ringtrue.study.results import Evidence, FrfEvidence, IdentifyStage
+from ringtrue.study.results import Evidence, FrfEvidence, IdentifyStage, Scene
+from ringtrue.updating.selection.localisation import NOISE
 
 # entries of the transform of a test-analysis model that are built without being asked for
 LARGEST = 100_000_000
@@ -198,7 +206,15 @@ def synthesised(
     rest = flexible.reshape(len(outputs), -1) - (out / (lam - shift)) @ into.T
     # an exponential window on the responses of the test damps them: s = iω + σ
     zeta = zeta + measured.window_decay / np.maximum(np.abs(w), 2 * np.pi * measured.freqs[0])
-    h: Complex = frf(measured.freqs, fe.frequencies, zeta, out, into, measured.kind, residual=rest)
+    h: Complex = frf(
+        measured.freqs,
+        fe.frequencies,
+        damping=zeta,
+        phi_out=out,
+        phi_in=into,
+        kind=measured.kind,
+        residual=rest,
+    )
     h = h / UNIT_SYSTEMS[units].kilograms
     return replace(measured, data=h, coherence=np.full(h.shape, np.nan))
 
@@ -259,4 +275,72 @@ def frf_evidence(
         test.freqs[thin],
         fdac(rows[0], rows[1]),
         fdac(rows[0], rows[2]),
+    )
+
+
+def expanded(
+    method: str, opened: Opened, look: Observation, test: ModeSet, fmax: float, progress: Progress
+) -> Expanded:
+    """Test shapes on the free degrees of freedom of a deck.
+
+    Parameters
+    ----------
+    method : {"hybrid", "serep", "guyan", "dynamic"}
+    look : Observation
+        From the deck to the channels of the test and maybe more.
+    test : ModeSet
+        Real shapes.
+    fmax : float, Hz
+        The modes of the deck up to here span what "serep" and, with the static shapes, "hybrid" can
+        give.
+
+    Raises
+    ------
+    ConfigError
+        If the channels do not allow it.
+    """
+    system = opened.analysis.system
+    observe = at_channels(opened, look, test.channels)
+    y, f = np.asarray(test.shapes.real, dtype=np.float64), test.frequencies
+    k, m, labels = system.stiffness, system.mass, opened.analysis.pencil.labels
+    try:
+        if method == "guyan":
+            return expand_static(k, observe, y, labels=labels)
+        if method == "dynamic":
+            return expand_dynamic(k, m, observe, y, f, labels=labels, progress=progress)
+        modes = np.asarray(system.local @ opened.modes(fmax).modes.shapes)
+        if method == "hybrid":
+            return expand_hybrid(
+                k,
+                m,
+                observe=observe,
+                shapes=y,
+                frequencies=f,
+                modes=modes,
+                noise=NOISE,
+                labels=labels,
+            )
+        # half as many as channels: with more of them noise is fitted
+        return expand_serep(modes[:, : max(1, len(test.channels) // 2)], observe, y)
+    except (InputError, NumericalError) as e:
+        raise ConfigError(
+            f"correlate.expand {method!r}: {e}; try another of hybrid, serep, guyan, dynamic"
+        ) from e
+
+
+def on_scene(found: Expanded, opened: Opened, test: ModeSet, scene: Scene) -> ModeSet:
+    """Expanded test shapes at the scene's translations."""
+    labels = opened.analysis.dofs
+    assert isinstance(labels, DofSet)
+    shapes: Float = np.asarray(opened.analysis.system.transform @ found.shapes)
+    return scene_modes(
+        ModeSet(
+            frequencies=test.frequencies,
+            damping=test.damping,
+            shapes=shapes,
+            labels=labels,
+            norm=test.norm,
+            source=test.source,
+        ),
+        scene,
     )

@@ -242,7 +242,9 @@ def _of_beams(m: Mesh, card: str, at: Int, lines: Sequence[LineLoad]) -> Float:
         raise lines[i].error(f"X2 (or X1) is {ends[i, 1]:g}; the beam ends at {length[i]:g}")
     along = np.eye(6)[[LINE_KINDS.index(ld.kind[:2]) for ld in lines]]
     ends = np.minimum(ends, length[:, None])
-    return line_forces(m, card, at, ends, sizes, along, LineKind(own, fraction, projected))
+    return line_forces(
+        m, card, at=at, ends=ends, sizes=sizes, along=along, kind=LineKind(own, fraction, projected)
+    )
 
 
 def _towards(model: Model, cid: int, vectors: Float) -> Callable[[Float], Float]:

@@ -13,8 +13,8 @@ from typing import Any, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from ringtrue.errors import DataError
-from ringtrue.io.foreign.texts import read_json
-from ringtrue.study.config_errors import explain
+from ringtrue.io.foreign.parsers import read_json
+from ringtrue.study.config import explain
 
 _ALIKE = 0.8  # of the names of two keys: one is a misspelling of the other
 

@@ -1,23 +1,39 @@
-"""A model opened in its solver, assembled, factored and solved when first asked for."""
+"""A model opened in its solver: its modes, its reduced model over parameters, and its drawing."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from scipy import sparse
 from scipy.spatial import KDTree
 
+from ringtrue.checks.mass import mass_properties
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.dofs import DofSet
-from ringtrue.core.modes import ModeSet
-from ringtrue.core.progress import Progress
+from ringtrue.core.modes import ModeSet, elastic
+from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.progress import Progress, part
 from ringtrue.core.testmodel import Observation, TestModel
 from ringtrue.correlation.sensor_mapping import Method, observe
+from ringtrue.eigen.modes import low_shift
+from ringtrue.errors import NotConverged
+from ringtrue.fem.loads import FACES, SURFACES
+from ringtrue.fem.parametrisation.affine import affine_terms
 from ringtrue.model.frames import diagonal, positions
 from ringtrue.model.model import Model
-from ringtrue.model.ports import ModalSolver, ModesRequest, ModesResult
+from ringtrue.model.ports import Linearisation, ModalSolver, ModesRequest, ModesResult
+from ringtrue.reduction.basis import observed_system
+from ringtrue.reduction.matrix_model import Matrices, matrices_at
+from ringtrue.reduction.parametric import ReducedModel, reduced_model
+from ringtrue.reduction.response import with_responses
 from ringtrue.solvers.embedded import EmbeddedAnalysis, EmbeddedSolver
+from ringtrue.study.results import Scene
+from ringtrue.updating.residuals.modal import Whole
+from ringtrue.updating.selection.candidates import Candidate, CandidateSettings
+from ringtrue.updating.selection.generation import lumped, places
 
 ROUNDING = 1e-6  # of the size of the structure: nodes closer than this are at one place
 
@@ -130,5 +146,267 @@ class Opened:
         """The modes at the channels."""
         shapes = self.observation(test, tolerance)(modes.shapes)
         return ModeSet(
-            modes.frequencies, modes.damping, shapes, test.channels, modes.norm, modes.source
+            frequencies=modes.frequencies,
+            damping=modes.damping,
+            shapes=shapes,
+            labels=test.channels,
+            norm=modes.norm,
+            source=modes.source,
         )
+
+
+CLOSE = 2e-3  # largest relative error of a frequency of the reduced model that is accepted
+ROUNDS = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AtChannels:
+    """A reduced model at some rows of its channels.
+
+    Attributes
+    ----------
+    model : ReducedModel
+    rows : (channel,) int64
+        Those that test modes are compared at.
+    loaded : (l,) int64
+        Those whose static responses the basis holds at every point where the full model is solved.
+    """
+
+    model: ReducedModel
+    rows: Int
+    loaded: Int = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+
+    @property
+    def parameters(self) -> ParameterSet:
+        """The active parameters."""
+        return self.model.parameters
+
+    def with_parameters(self, active: Sequence[int], base: Float | None = None) -> AtChannels:
+        """The same with other active parameters, by position among all; a short `base` is filled up
+        with zeros.
+        """
+        if base is not None:
+            base = np.concatenate([base, np.zeros(len(self.model.system.parameters) - base.size)])
+        return replace(self, model=self.model.with_parameters(active, base))
+
+    def whole(self) -> Whole:
+        """All modes of the basis at all channels."""
+        every = replace(
+            self, model=self.model.whole(), rows=np.arange(self.model.basis.observe.shape[0])
+        )
+        return Whole(every, self.rows, self.model.count)
+
+    def matrices(self, x: Float) -> Matrices:
+        """Small matrices at x, at all channels."""
+        return matrices_at(self.model, x)
+
+    def enrich(self, x: Float, *, sensitivities: bool = False) -> tuple[AtChannels, Linearisation]:
+        """The model with its full modes at x, and these; static responses of the loaded channels,
+        too.
+        """
+        better, truth = self.model.enrich(x, sensitivities=sensitivities)
+        if self.loaded.size:
+            better, _ = with_responses(better, self.loaded, x)
+        return replace(self, model=better), self._pick(truth)
+
+    def _pick(self, point: Linearisation) -> Linearisation:
+        return replace(point, shapes=point.shapes[self.rows], d_shapes=point.d_shapes[self.rows])
+
+    def linearise(self, x: Float) -> Linearisation:
+        """Modes and sensitivities at x."""
+        return self._pick(self.model.linearise(x))
+
+    def modes(self, x: Float) -> Linearisation:
+        """Modes at x."""
+        return self._pick(self.model.modes(x))
+
+
+def build(
+    opened: Opened,
+    parameters: ParameterSet,
+    observation: Observation,
+    fmax: float,
+    progress: Progress,
+) -> ReducedModel:
+    """Assemble, differentiate and project: all modes below `fmax` with every parameter."""
+    system = opened.analysis.system
+    parts = affine_terms(opened.model, parameters, system, progress=part(progress, 0.0, 0.4))
+    affine = observed_system(
+        system.stiffness,
+        system.mass,
+        transform=system.transform,
+        parameters=parameters,
+        terms=parts,
+        observation=observation,
+    )
+    count = len(opened.modes(fmax).modes)
+    told = part(progress, 0.4, 1.0)
+    return reduced_model(
+        affine, count, pencil=opened.analysis.pencil, shift=low_shift(fmax), progress=told
+    )
+
+
+def verified(model: AtChannels, x: Float) -> tuple[AtChannels, float]:
+    """The model enriched by a full solution at x, and the largest relative error it had there.
+
+    Of a frequency, or of the flexibility between the loaded channels.
+    """
+    before = model.model.modes(x)
+    better, truth = model.model.enrich(x)
+    error, soft = frequency_error(before.frequencies, truth.frequencies), 0.0
+    if model.loaded.size:
+        better, soft = with_responses(better, model.loaded, x)
+    return replace(model, model=better), max(error, soft)
+
+
+def frequency_error(found: Float, truth: Float) -> float:
+    """Largest relative error of the elastic frequencies that a reduced and a full model have in
+    common.
+    """
+    n = min(found.size, truth.size)
+    moving = elastic(truth)[:n]
+    return float(np.abs(found[:n][moving] / truth[:n][moving] - 1).max(initial=0.0))
+
+
+def not_verified(error: float) -> NotConverged:
+    """The error of a reduced model that does not follow the full one."""
+    return NotConverged(
+        f"the reduced model is off by {100 * error:.2g} % after {ROUNDS} enrichments (allowed "
+        f"{100 * CLOSE:.2g} %): "
+        "tighten the bounds of the parameters"
+    )
+
+
+_SURFACES = {card: ((0, 1, 2),) if "TRIA" in card else ((0, 1, 2, 3),) for card in SURFACES}
+_LINES = {
+    "CBAR": ("GA", "GB"),
+    "CBEAM": ("GA", "GB"),
+    "CBEND": ("GA", "GB"),
+    "CROD": ("G1", "G2"),
+    "CONROD": ("G1", "G2"),
+    "CTUBE": ("G1", "G2"),
+}
+_JOINTS = {
+    "CBUSH": ("GA", "GB"),
+    "CBUSH1D": ("GA", "GB"),
+    "CGAP": ("GA", "GB"),
+    "CELAS1": ("G1", "G2"),
+    "CELAS2": ("G1", "G2"),
+    "CVISC": ("G1", "G2"),
+}
+NOWHERE = 1e-9  # of the size of the model: ends of a joint that are as near are at one place
+
+
+def _faces(model: Model) -> tuple[Int, Int]:
+    """Quads (q, 4) of node numbers and their property numbers, inner faces of solids left out."""
+    solid: list[Int] = []
+    shell: list[Int] = []
+    for card, faces in (FACES | _SURFACES).items():
+        if card not in model:
+            continue
+        t = model[card]
+        g = t.stack(*(f"G{i + 1}" for i in range(1 + max(max(f) for f in faces))))
+        quads = np.concatenate([np.column_stack([g[:, (*f, f[-1])[:4]], t["PID"]]) for f in faces])
+        (shell if len(faces) == 1 else solid).append(quads)
+    kept = shell
+    if solid:
+        q = np.concatenate(solid)
+        key = np.sort(
+            np.where(q[:, 3:4] == q[:, 2:3], q[:, [0, 1, 2, 4]] * [1, 1, 1, 0], q[:, :4]), axis=1
+        )
+        _, first, count = np.unique(key, axis=0, return_index=True, return_counts=True)
+        kept = [q[np.sort(first[count == 1])], *shell]
+    every = np.concatenate(kept) if kept else np.zeros((0, 5), dtype=np.int64)
+    return every[:, :4], every[:, 4]
+
+
+def _ends(model: Model, cards: Mapping[str, tuple[str, str]]) -> Int:
+    """Ends and property number (l, 3); 0 for what has no property."""
+    tables = [(model[c], names) for c, names in cards.items() if c in model]
+    rows = [
+        np.column_stack([t.stack(*names), t["PID"] if "PID" in t.columns else 0 * t.ids])
+        for t, names in tables
+    ]
+    return np.concatenate(rows) if rows else np.zeros((0, 3), dtype=np.int64)
+
+
+def _lines(model: Model) -> tuple[Int, Int]:
+    """Lines (l, 2) and property numbers; of a joint of no length or to the ground its ends, as
+    points.
+    """
+    lines, joints = _ends(model, _LINES), _ends(model, _JOINTS)
+    xyz, at = positions(model), model["GRID"].find(joints[:, :2])
+    length = np.linalg.norm(xyz[at[:, 0]] - xyz[at[:, 1]], axis=1)
+    apart = (at >= 0).all(axis=1) & (length > NOWHERE * diagonal(xyz))
+    points = [joints[~apart & (at[:, k] >= 0)][:, [k, k, 2]] for k in (0, 1)]
+    every = np.concatenate([lines, joints[apart], np.unique(np.concatenate(points), axis=0)])
+    return every[:, :2], every[:, 2]
+
+
+def _groups(pids: Int, regions: Mapping[str, Sequence[int]]) -> tuple[Int, tuple[str, ...]]:
+    named = {pid: name for name, members in regions.items() for pid in members}
+    labels = [named.get(p, f"property {p}" if p else "no property") for p in pids.tolist()]
+    names = tuple(dict.fromkeys([*regions, *labels]))
+    at = {n: i for i, n in enumerate(names)}
+    return np.array([at[x] for x in labels], dtype=np.int64), names
+
+
+def make_scene(model: Model, regions: Mapping[str, Sequence[int]], length: float = 1.0) -> Scene:
+    """The drawing of a model; `regions` names property numbers, `length` turns its unit to
+    metres.
+    """
+    quads, quad_pid = _faces(model)
+    lines, line_pid = _lines(model)
+    group, names = _groups(np.concatenate([quad_pid, line_pid]), regions)
+    triangle = quads[:, 2] == quads[:, 3]
+    tris = np.concatenate([quads[:, [0, 1, 2]], quads[~triangle][:, [0, 2, 3]]])
+    tri_group = np.concatenate([group[: len(quads)], group[: len(quads)][~triangle]])
+    node = np.unique(np.concatenate([tris.ravel(), lines.ravel()]))
+    grid = model["GRID"]
+    return Scene(
+        node=node,
+        xyz=positions(model)[grid.find(node)] * length,
+        triangles=np.searchsorted(node, tris),
+        triangle_group=tri_group,
+        lines=np.searchsorted(node, lines),
+        line_group=group[len(quads) :],
+        groups=names,
+    )
+
+
+def scene_modes(modes: ModeSet, scene: Scene) -> ModeSet:
+    """The translations of the scene's nodes, rows ordered node by node, X Y Z; single precision is
+    enough to draw.
+    """
+    labels = DofSet(
+        np.repeat(scene.node, 3), np.tile(np.array([1, 2, 3], dtype=np.int8), scene.node.size)
+    )
+    assert isinstance(modes.labels, DofSet)
+    at, sign = modes.labels.align(labels)
+    shapes: Float = (
+        np.asarray(modes.shapes[at] * sign[:, None]).astype(np.float32).astype(np.float64)
+    )
+    return ModeSet(
+        frequencies=modes.frequencies,
+        damping=modes.damping,
+        shapes=shapes,
+        labels=labels,
+        norm=modes.norm,
+        source=modes.source,
+    )
+
+
+def with_lumps(
+    opened: Opened, nodes: Int, settings: CandidateSettings
+) -> tuple[Model, tuple[Candidate, ...]]:
+    """The deck with places for masses that it may lack at nodes (k,), and these as candidates."""
+    mass = mass_properties(opened.analysis.system).mass
+    return lumped(
+        opened.model, nodes, mass / opened.model.param("WTMASS", 1.0), settings.of(opened.model)
+    )
+
+
+def lump_places(opened: Opened, bridge: Observation) -> Int:
+    """Nodes that cover the structure, those of the channels among them, ids (k,) int64."""
+    seen = opened.analysis.dofs.node[np.unique(sparse.coo_array(bridge.matrix).col)]
+    return places(opened.model, opened.moves, seen)

@@ -1,15 +1,17 @@
-"""The geometry of a test laid onto the deck where the two have frames of their own."""
+"""How the sensors of a test are laid onto a deck, and which of its nodes they are read at."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial import KDTree
 
 from ringtrue.core.arrays import Float
+from ringtrue.core.channels import other_names
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.testmodel import Observation, TestModel
@@ -23,10 +25,10 @@ from ringtrue.correlation.sensor_mapping import (
 )
 from ringtrue.correlation.sensor_mounting import Readings
 from ringtrue.errors import DataError, InputError, about
-from ringtrue.io.sheets import read_sensor_sheet
+from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
 from ringtrue.model.frames import diagonal, positions
-from ringtrue.study.opened import ROUNDING, Opened
-from ringtrue.study.scene import make_scene
+from ringtrue.study.opened import ROUNDING, Opened, make_scene
+from ringtrue.study.results import Seat
 
 ALIKE = 0.05  # of the largest motion: nodes at one place that differ by less tell a sensor the same
 MANY = 12  # points that are named
@@ -130,8 +132,8 @@ def _other_size(times: float) -> str:
     )
 
 
-def words(found: Alignment) -> str:
-    """The placement in words."""
+def alignment_text(found: Alignment) -> str:
+    """The placement in alignment_text."""
     angle = round(
         float(np.degrees(np.arccos(np.clip((np.trace(found.rotation) - 1) / 2, -1.0, 1.0)))), 3
     )
@@ -214,7 +216,7 @@ def _apart(dofs: DofSet, nodes: Sequence[int], shapes: Float) -> bool:
 def placed(
     opened: Opened,
     channels: Sequence[str],
-    sheet: Path | TestModel | None,
+    sheet: Path | SensorSheet | TestModel | None,
     *,
     tolerance: float | None = None,
     method: Method = "nearest",
@@ -231,7 +233,7 @@ def placed(
     ----------
     opened : Opened
     channels : sequence of str
-    sheet : Path or TestModel, optional
+    sheet : Path, SensorSheet or TestModel, optional
     tolerance : float, m, optional
         Largest distance of a sensor from its node; `default_tolerance` if not given.
     method : str
@@ -256,8 +258,8 @@ def placed(
                 f"{e}; where points have numbers of their own give --sensors, or [test] sheet of "
                 "a study"
             ) from e
-    test = sheet if isinstance(sheet, TestModel) else _motions(sheet, channels)
-    with nullcontext() if isinstance(sheet, TestModel) else about(sheet):
+    with about(sheet) if isinstance(sheet, Path) else nullcontext():
+        test = sheet if isinstance(sheet, TestModel) else _motions(sheet, channels)
         here = test.pick(tuple(channels))
     if align:
         here = alignment(test, opened, align).move(here)
@@ -286,14 +288,13 @@ def readings(
     return Readings(test, modes.frequencies, motion, here.axes, here.group_of_channels())
 
 
-def _motions(sheet: Path, channels: Sequence[str]) -> TestModel:
+def _motions(sheet: Path | SensorSheet, channels: Sequence[str]) -> TestModel:
     """The test model of a sheet, none of whose `channels` measures strain."""
-    found = read_sensor_sheet(sheet)
+    found = read_sensor_sheet(sheet) if isinstance(sheet, Path) else sheet
     names = found.model.named(channels)[0]
     if strain := [c for c, name in zip(channels, names, strict=True) if name in found.strain]:
         raise DataError(
-            f"{sheet}: channel {' '.join(strain[:8])} measures strain: take it out of the modes "
-            "of the test"
+            f"channel {' '.join(strain[:8])} measures strain: take it out of the modes of the test"
         )
     return found.model
 
@@ -308,7 +309,12 @@ def mesh_points(opened: Opened) -> TestModel:
     node, axes = scene.node[at], np.tile(np.eye(3), (at.size, 1))
     channels = tuple(f"{n}+{a}" for n in node.tolist() for a in "XYZ")
     return TestModel(
-        node, scene.xyz[at], channels, np.repeat(node, 3), axes, np.zeros((0, 2), dtype=np.int64)
+        points=node,
+        xyz=scene.xyz[at],
+        channels=channels,
+        at=np.repeat(node, 3),
+        axes=axes,
+        lines=np.zeros((0, 2), dtype=np.int64),
     )
 
 
@@ -334,3 +340,76 @@ def near_mesh(test: TestModel, opened: Opened, tolerance: float | None) -> tuple
     return test.pick(
         tuple(c for c, yes in zip(test.channels, near.tolist(), strict=True) if yes)
     ), reach
+
+
+SHOWN = 12  # points that a line names
+
+
+def seats(seen: Observation, sheet: TestModel) -> tuple[Seat, ...]:
+    """Where each channel of a test is read.
+
+    Parameters
+    ----------
+    seen : Observation
+        Of the channels on a deck.
+    sheet : TestModel
+        Where they are found.
+    """
+    index, sign = sheet.find(seen.channels)
+    names = (*sheet.channels, *sheet.forces)
+    points = np.concatenate([sheet.at, sheet.force_at])[index].tolist()
+    out = []
+    for k, channel in enumerate(seen.channels):  # hundreds
+        columns = seen.matrix.indices[seen.matrix.indptr[k] : seen.matrix.indptr[k + 1]]
+        nodes = tuple(np.unique(seen.dofs.node[columns]).tolist())
+        far = float(seen.distance[k] * seen.unit)
+        out.append(
+            Seat(
+                channel=channel,
+                sensor=names[index[k]],
+                sign=int(sign[k]),
+                point=points[k],
+                nodes=nodes,
+                distance=far,
+            )
+        )
+    return tuple(out)
+
+
+def seats_json(found: Sequence[Seat]) -> list[dict[str, Any]]:
+    """Plain values."""
+    return [
+        {
+            "channel": s.channel,
+            "sensor": s.sensor,
+            "sign": s.sign,
+            "point": s.point,
+            "nodes": list(s.nodes),
+            "distance_m": s.distance,
+        }
+        for s in found
+    ]
+
+
+def seat_words(found: Sequence[Seat]) -> tuple[str, ...]:
+    """The map from points to nodes, and channels that the sheet has by another name, a line
+    each.
+    """
+    if not found:
+        return ()
+    at = {s.point: s for s in found}
+    other = [s for s in at.values() if s.nodes != (s.point,)]
+    told = f"{len(at) - len(other)} of {len(at)} points are read at the node of their number"
+    if other:
+        told += "; point -> node: " + ", ".join(f"{s.point} -> {_nodes(s)}" for s in other[:SHOWN])
+        told += (
+            f" and {len(other) - SHOWN} more (--json, summary.json)" if len(other) > SHOWN else ""
+        )
+    told += f"; at most {max(s.distance for s in found):.2g} m away"
+    return told, *other_names(
+        [s.channel for s in found], [s.sensor for s in found], [s.sign for s in found]
+    )
+
+
+def _nodes(s: Seat) -> str:
+    return "+".join(map(str, s.nodes))

@@ -14,7 +14,7 @@ from ringtrue.correlation.assignment import NO_LOCKS, Followed, Locks, PairingSe
 from ringtrue.correlation.pairing import Pairing, pair_modes
 from ringtrue.correlation.table import CorrelationTable, correlation_table
 from ringtrue.errors import ConfigError, DataError
-from ringtrue.io.modes_json import read_modes, read_std
+from ringtrue.io.modes import read_modes, read_std
 from ringtrue.shapes.complexity import realise_modes
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.results import ConfiguredTest, CorrelateStage, IdentifyStage
@@ -141,7 +141,7 @@ def reference_modes(found: IdentifyStage, config: StudyConfig) -> Reference:
         elastic, std, gaps = _full(found.hammer, found.hammer_uncertainty, edge)
     else:
         elastic, std, gaps = _full(found.ambient, found.ambient_uncertainty, edge)
-    if config.alone:
+    if config.frequency_only:
         gaps = found.frf_notes
     if not len(elastic):
         raise DataError("the test holds no elastic mode: nothing to correlate with")
@@ -328,7 +328,7 @@ def elastic_table(
         reference.elastic, elastic, pairing, std_hz=reference.elastic_std.frequency, left_out=out
     )
     mac = np.concatenate([np.zeros((len(reference.elastic), first)), table.mac], axis=1)
-    if config.alone:
+    if config.frequency_only:
         pairing, mac = _unseen(pairing), np.zeros((0, 0))
     return replace(
         table,
@@ -346,6 +346,7 @@ def _unseen(pairing: Pairing) -> Pairing:
         subspace=np.zeros(len(pairing), dtype=np.bool_),
         reasons_a=("no mode is like the one that it was taken for",) * pairing.unpaired_a.size,
         reasons_b=("no frequency of the test is taken for it",) * pairing.unpaired_b.size,
+        gated_a=np.zeros(pairing.unpaired_a.size, dtype=np.bool_),
     )
 
 

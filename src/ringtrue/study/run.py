@@ -24,19 +24,17 @@ import numpy as np
 from ringtrue import __version__
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress, part, quiet
-from ringtrue.decks.nastran.edit import refuse_copy
+from ringtrue.decks.nastran.editor import refuse_copy
 from ringtrue.errors import ConfigError, DataError, InputError, did_you_mean
-from ringtrue.io.atomic import one_run, reads, writes
-from ringtrue.io.files import absence
+from ringtrue.io.files import absence, one_run, reads, writes
 from ringtrue.model.edit import apply_factors, resolve_target
 from ringtrue.study.config import StudyConfig, parse_config, read_config
-from ringtrue.study.finished import FILE as SETS
-from ringtrue.study.lock import locked
 from ringtrue.study.results import Provenance
+from ringtrue.study.session import Session
 from ringtrue.study.stages import STAGES, Stage
 from ringtrue.study.stages.predict import check as check_rotor
-from ringtrue.study.store import Store
-from ringtrue.study.workbench import Workbench
+from ringtrue.study.store import SETS_FILE as SETS
+from ringtrue.study.store import Store, locked
 
 log = logging.getLogger(__name__)
 
@@ -48,7 +46,7 @@ class StudyRun:
     """
 
     folder: Path
-    desk: Workbench
+    session: Session
     results: Mapping[str, Any]
     timings: Mapping[str, float] = field(default_factory=dict)
     loaded: tuple[str, ...] = ()
@@ -59,7 +57,7 @@ class StudyRun:
     @property
     def config(self) -> StudyConfig:
         """The settings."""
-        return self.desk.config
+        return self.session.config
 
 
 def _digest(path: Path) -> str:
@@ -87,7 +85,7 @@ def _digests(paths: Iterable[Path], base: Path) -> dict[str, str]:
 
 
 def stage_key(
-    stage: Stage, desk: Workbench, upstream: Mapping[str, str], inputs: Mapping[str, str]
+    stage: Stage, session: Session, upstream: Mapping[str, str], inputs: Mapping[str, str]
 ) -> str:
     """A hash over the stage's settings, its input files, the version and the keys of the stages it
     needs.
@@ -96,10 +94,12 @@ def stage_key(
     and may read no more.
     """
     settings = {
-        name: json.loads(json.dumps(_plain(attrgetter(name)(desk.config))))
+        name: json.loads(json.dumps(_plain(attrgetter(name)(session.config))))
         for name in stage.settings
     }
-    files = {name: inputs[name] for name in (_seen_from(desk.base, p) for p in stage.files(desk))}
+    files = {
+        name: inputs[name] for name in (_seen_from(session.base, p) for p in stage.files(session))
+    }
     needs = {n: upstream[n] for n in stage.needs if n in upstream}
     text = json.dumps([__version__, stage.name, settings, files, needs], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
@@ -118,11 +118,11 @@ def _position(name: str) -> int:
     return names.index(name)
 
 
-def _span(desk: Workbench, first: str | None, until: str | None) -> tuple[int, int]:
+def _span(session: Session, first: str | None, until: str | None) -> tuple[int, int]:
     """The first stage that is run anew whatever the store holds, and the last stage."""
     for name in (first, until):
-        if name and not STAGES[_position(name)].applies(desk):
-            lost = " and no ".join(STAGES[_position(name)].lacks(desk)).replace("|", " or ")
+        if name and not STAGES[_position(name)].applies(session):
+            lost = " and no ".join(STAGES[_position(name)].missing(session)).replace("|", " or ")
             raise ConfigError(f"stage {name!r} does not apply: the study has no section {lost}")
     start = _position(first) if first else len(STAGES)
     stop = _position(until) if until else len(STAGES) - 1
@@ -143,41 +143,44 @@ def _downstream(name: str) -> set[str]:
     return out - {name}
 
 
-def _check_targets(desk: Workbench, todo: Iterable[Stage]) -> None:
+def _check_targets(session: Session, todo: Iterable[Stage]) -> None:
     """What the study names must be in the deck: found before hours of identification, not after."""
     names = {s.name for s in todo}
     if "damping" in names:
-        for target in (t for r in desk.config.damping.region for t in r.region().targets):
-            resolve_target(desk.remodelled.model, target)
-    if "predict" in names and desk.config.predict is not None:
-        check_rotor(desk.remodelled.model, desk.config.predict)
+        for target in (t for r in session.config.damping.region for t in r.region().targets):
+            resolve_target(session.remodelled.model, target)
+    if "predict" in names and session.config.predict is not None:
+        check_rotor(session.remodelled.model, session.config.predict)
     if "final" in names:
-        refuse_copy(desk.remodelled.model, desk.folder("updated"))
+        refuse_copy(session.remodelled.model, session.folder("updated"))
     if "configured" in names:
-        for other in desk.config.configuration:
+        for other in session.config.configuration:
             refuse_copy(
-                desk.configured(other).model, desk.folder("configurations") / other.name / "updated"
+                session.configured(other).model,
+                session.folder("configurations") / other.name / "updated",
             )
-    if desk.config.model is None:
+    if session.config.model is None:
         return
     for kind, given in (
-        ("candidate", desk.config.candidates()),
-        ("suspension", desk.config.suspensions()),
+        ("candidate", session.config.candidates()),
+        ("suspension", session.config.suspensions()),
     ):
         for p in given.parameters:
             try:
-                apply_factors(desk.remodelled.model, ParameterSet((p,)), np.ones(1))
+                apply_factors(session.remodelled.model, ParameterSet((p,)), np.ones(1))
             except InputError as e:
                 raise ConfigError(f"[[{kind}]] {p.name!r}: {e}") from e
 
 
-def _protect(desk: Workbench, files: Iterable[Path]) -> None:
+def _protect(session: Session, files: Iterable[Path]) -> None:
     """What the study reads is never replaced by what it writes: found before anything is computed,
     not after.
     """
-    photos = [desk.base / p for p in desk.config.report.photos]
+    photos = [session.base / p for p in session.config.report.photos]
     reads(*files, *photos)
-    writes(desk.store.path, *(desk.out / name for name in (SETS, "summary.json", "report.html")))
+    writes(
+        session.store.path, *(session.out / name for name in (SETS, "summary.json", "report.html"))
+    )
 
 
 def run_study(
@@ -215,69 +218,76 @@ def run_study(
     """
     config, text = read_config(study), study.read_text(encoding="utf-8")
     folder = out or study.parent
-    desk = Workbench(config, study.parent, folder, Store(folder / "study.h5"))
+    session = Session(config, study.parent, folder, Store(folder / "study.h5"))
     with one_run(), locked(folder):
-        return _run(desk, study, text, first, until, progress)
+        return _run(session, study, text=text, first=first, until=until, progress=progress)
 
 
 def _run(
-    desk: Workbench,
+    session: Session,
     study: Path,
     text: str,
     first: str | None,
     until: str | None,
     progress: Progress,
 ) -> StudyRun:
-    start, stop = _span(desk, first, until)
-    todo = [s for s in STAGES[: stop + 1] if s.applies(desk)]
-    files = [study, *(f for s in todo for f in s.files(desk))]
-    inputs = _digests(files, desk.base)  # a file that is lost is found before anything is computed
-    _protect(desk, files)
-    _check_targets(desk, todo)
+    start, stop = _span(session, first, until)
+    todo = [s for s in STAGES[: stop + 1] if s.applies(session)]
+    files = [study, *(f for s in todo for f in s.files(session))]
+    inputs = _digests(
+        files, session.base
+    )  # a file that is lost is found before anything is computed
+    _protect(session, files)
+    _check_targets(session, todo)
     loaded, ran = [], False
     try:
         for i, stage in enumerate(todo):
             progress(i / len(todo), stage.title)
-            desk.keys[stage.name] = key = stage_key(stage, desk, desk.keys, inputs)
-            stored = _intact_key(desk, stage.name)
+            session.keys[stage.name] = key = stage_key(stage, session, session.keys, inputs)
+            stored = _intact_key(session, stage.name)
             if _position(stage.name) < start and stored == key:
                 loaded.append(stage.name)
                 continue
             began = time.perf_counter()
-            result = stage.run(desk, part(progress, i / len(todo), (i + 1) / len(todo)))
-            desk.put(stage.name, result)
+            result = stage.run(session, part(progress, i / len(todo), (i + 1) / len(todo)))
+            session.put(stage.name, result)
             stale = _downstream(stage.name) if stored != key else ()
             seconds = time.perf_counter() - began
-            desk.store.save(stage.name, key, result, seconds=seconds, drop=stale)
+            session.store.save(stage.name, key, result, seconds=seconds, drop=stale)
             ran = True
             log.info("%s: %.1f s", stage.name, seconds)
     except (
         BaseException
     ):  # stopped by the user, too: what is stored can be reported, and the next run resumes
         if ran:
-            _sign(desk, inputs, text)
+            _sign(session, inputs, text)
         raise
     progress(1.0, f"{todo[-1].title}: done")
-    results = {s.name: desk.get(s.name) for s in todo}
-    made = _sign(desk, inputs, text)
+    results = {s.name: session.get(s.name) for s in todo}
+    made = _sign(session, inputs, text)
     altered = tuple(
-        name for p in dict.fromkeys(files) if _now(p) != inputs[name := _seen_from(desk.base, p)]
+        name for p in dict.fromkeys(files) if _now(p) != inputs[name := _seen_from(session.base, p)]
     )
     return StudyRun(
-        desk.out, desk, results | {"provenance": made}, made.timings, tuple(loaded), altered
+        folder=session.out,
+        session=session,
+        results=results | {"provenance": made},
+        timings=made.timings,
+        loaded=tuple(loaded),
+        altered=altered,
     )
 
 
-def _intact_key(desk: Workbench, stage: str) -> str | None:
+def _intact_key(session: Session, stage: str) -> str | None:
     """The key of a stored result that can be read; None where it is none of this code, damaged, or
     not there.
 
     Without a key the stage is run anew, and what was made of it goes, too.
     """
     try:
-        key = desk.store.key(stage)
+        key = session.store.key(stage)
         if key is not None:
-            desk.get(stage)
+            session.get(stage)
     except DataError as e:
         log.warning("run anew: %s", str(e).removesuffix("; run the study again"))
         return None
@@ -292,29 +302,29 @@ def _now(path: Path) -> str:
         return ""
 
 
-def _sign(desk: Workbench, inputs: Mapping[str, str], text: str) -> Provenance:
-    made = provenance(desk, inputs, text)
-    desk.store.save("provenance", "", made)
+def _sign(session: Session, inputs: Mapping[str, str], text: str) -> Provenance:
+    made = provenance(session, inputs, text)
+    session.store.save("provenance", "", made)
     return made
 
 
-def provenance(desk: Workbench, inputs: Mapping[str, str], text: str) -> Provenance:
+def provenance(session: Session, inputs: Mapping[str, str], text: str) -> Provenance:
     """Where the results came from; each stage stands with the seconds of the run that made it.
 
     `inputs` are SHA-256 by path, `text` that of study.toml: as the run began.
     """
-    spent = desk.store.timings()
+    spent = session.store.timings()
     return Provenance(
-        __version__,
-        platform.python_version(),
-        {name: version(name) for name in ("numpy", "scipy", "h5py", "plotly", "pydantic")},
-        platform.platform(),
-        desk.config.study.seed,
-        datetime.now(UTC).isoformat(timespec="seconds"),
-        dict(inputs),
-        text,
-        {s.name: spent[s.name] for s in STAGES if s.name in spent},
-        os.path.relpath(desk.base.resolve(), desk.out.resolve()),
+        version=__version__,
+        python=platform.python_version(),
+        packages={name: version(name) for name in ("numpy", "scipy", "h5py", "plotly", "pydantic")},
+        platform=platform.platform(),
+        seed=session.config.study.seed,
+        started=datetime.now(UTC).isoformat(timespec="seconds"),
+        inputs=dict(inputs),
+        settings=text,
+        timings={s.name: spent[s.name] for s in STAGES if s.name in spent},
+        home=os.path.relpath(session.base.resolve(), session.out.resolve()),
     )
 
 
@@ -332,9 +342,9 @@ def load_study(store: Path) -> StudyRun:
     made = held.load("provenance")
     assert isinstance(made, Provenance)
     config = parse_config(made.settings, store)
-    desk = Workbench(config, store.parent / made.home, store.parent, held)
+    session = Session(config, store.parent / made.home, store.parent, held)
     there = held.stages()
-    results = {s.name: held.load(s.name) for s in STAGES if s.name in there and s.applies(desk)}
+    results = {s.name: held.load(s.name) for s in STAGES if s.name in there and s.applies(session)}
     return StudyRun(
-        store.parent, desk, results | {"provenance": made}, made.timings, tuple(results)
+        store.parent, session, results | {"provenance": made}, made.timings, tuple(results)
     )

@@ -1,24 +1,26 @@
-"""The store of a study: one group of study.h5 a stage, replaced whole or not at all, read only as
-it was written.
-"""
+"""The store of a study, the lock on its folder, and the sets of an interrupted updating."""
 
 from __future__ import annotations
 
 import hashlib
 import logging
+import os
+import socket
+import sys
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import h5py
 import numpy as np
 
 from ringtrue.errors import DataError
-from ringtrue.io import codec
-from ringtrue.io.atomic import atomic_write, keeps_up
+from ringtrue.io import hdf5
+from ringtrue.io.files import atomic_write, keeps_up
 from ringtrue.io.foreign.door import DAMAGE
-from ringtrue.io.foreign.hdf5 import open_hdf5, trust_hdf5
+from ringtrue.io.foreign.parsers import open_hdf5, trust_hdf5
+from ringtrue.study.results import FinishedSet
 
 DIGEST = "digest"  # SHA-256 of all that a stage holds
 SECONDS = "seconds"  # of the run that made it
@@ -47,7 +49,7 @@ class Store:
         if not self.path.exists():
             return None
         with self._open() as f, self._reading(stage):
-            return codec.text_of(f[stage].attrs["key"]) if stage in f else None
+            return hdf5.text_of(f[stage].attrs["key"]) if stage in f else None
 
     def timings(self) -> dict[str, float]:
         """Seconds that each stored stage took; one that is damaged has none."""
@@ -82,7 +84,7 @@ class Store:
                         if name != stage and name not in drop:
                             self._copy(old, name, new)
             group = new.create_group(stage)
-            codec.save(group, result)
+            hdf5.save(group, result)
             group.attrs["key"] = np.bytes_(key)
             group.attrs[SECONDS] = seconds
             group.attrs[DIGEST] = np.bytes_(digest(group))
@@ -112,10 +114,10 @@ class Store:
                     f"{', '.join(f) or 'nothing'}"
                 )
             with self._reading(stage):
-                if digest(f[stage]) != codec.text_of(f[stage].attrs.get(DIGEST, "")):
+                if digest(f[stage]) != hdf5.text_of(f[stage].attrs.get(DIGEST, "")):
                     raise ValueError("it holds something else than its digest says")
             try:
-                return codec.load(f[stage])
+                return hdf5.load(f[stage])
             except (DataError, *DAMAGE) as e:
                 raise DataError(f"{self.path}: stage {stage!r}: {e}; run the study again") from e
 
@@ -175,3 +177,129 @@ def digest(group: h5py.Group) -> str:
 
     add("", group)
     return total.hexdigest()
+
+
+LOCK_FILE = "study.h5.lock"  # beside the store while a study runs
+_FAR = 1 << 30  # where Windows locks a byte: what stands before it can be read
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Alone in the folder of a study, which is made if need be, and goes again where nothing was
+    written.
+
+    The file that a killed process has left is taken over: its lock is gone with it.
+
+    Raises
+    ------
+    DataError
+        If another run has it.
+    """
+    new = not folder.exists()
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / LOCK_FILE
+    handle = _taken(path)
+    try:
+        os.truncate(handle, 0)
+        os.write(handle, f"process {os.getpid()} on {socket.gethostname()}".encode())
+        yield
+    finally:
+        with suppress(OSError):  # Windows keeps a file that is open
+            path.unlink()
+        os.close(handle)
+        if new:
+            with suppress(OSError):  # it holds results
+                folder.rmdir()
+
+
+def _taken(path: Path) -> int:
+    """The lock file, opened and locked; tried again if its last owner has removed it in between."""
+    while True:
+        handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        try:
+            _lock(handle)
+            if path.exists() and os.path.samestat(os.fstat(handle), path.stat()):
+                return handle
+        except FileNotFoundError:
+            pass
+        except BlockingIOError as e:
+            owner = os.read(handle, 200).decode(errors="replace") or "another process"
+            os.close(handle)
+            raise DataError(
+                f"{path.parent}: {owner} runs this study; wait for its end, or write elsewhere "
+                "with --out"
+            ) from e
+        except OSError as e:
+            _log.warning(
+                "%s: its file system has no locks (%s); start no second run on this study",
+                path.parent,
+                e,
+            )
+            return handle
+        os.close(handle)
+
+
+def _lock(handle: int) -> None:
+    """Take the lock, or raise BlockingIOError."""
+    if sys.platform == "win32":
+        import msvcrt
+
+        os.lseek(handle, _FAR, os.SEEK_SET)
+        try:
+            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+        except OSError as e:
+            raise BlockingIOError(str(e)) from e
+        finally:
+            os.lseek(handle, 0, os.SEEK_SET)
+        return
+    import fcntl
+
+    fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+SETS_FILE = "update.sets.h5"  # beside the store, gone when the stage is done
+
+
+@dataclass(frozen=True, slots=True)
+class FinishedSets:
+    """The result of each set by the name of its group; those of other settings, inputs or versions
+    are not taken.
+    """
+
+    store: Store
+    key: str
+    found: dict[str, FinishedSet] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, folder: Path, key: str) -> FinishedSets:
+        """Those of an interrupted run in a folder, whose updating has this key."""
+        kept = cls(Store(folder / SETS_FILE), key)
+        try:
+            for group in kept.store.stages():
+                done = kept.store.load(group)
+                if kept.store.key(group) == kept.key and isinstance(done, FinishedSet):
+                    kept.found[group] = done
+        except DataError as e:
+            _log.warning("updated anew: %s", e)
+            kept.found.clear()
+        if not kept.found:
+            kept.clear()
+        return kept
+
+    def get(self, name: str) -> FinishedSet | None:
+        """The result of a set; None where it is not finished."""
+        return self.found.get(_group_name(name))
+
+    def put(self, name: str, done: FinishedSet) -> FinishedSet:
+        """Keep the result of a set, whole or not at all; it is given back."""
+        self.store.save(_group_name(name), self.key, done)
+        return done
+
+    def clear(self) -> None:
+        """All are there, and the result of the stage takes their place."""
+        self.store.path.unlink(missing_ok=True)
+
+
+def _group_name(name: str) -> str:
+    """The name of a set may hold any sign."""
+    return hashlib.sha256(name.encode()).hexdigest()

@@ -14,6 +14,7 @@ from ringtrue.correlation.sensor_mounting import mendings_json
 from ringtrue.correlation.table import CorrelationTable, table_significance
 from ringtrue.planning.resolution import ambient_std
 from ringtrue.study.acceptance import limits, missed_words
+from ringtrue.study.placing import seats_json
 from ringtrue.study.results import (
     CompareStage,
     ConfigurationsStage,
@@ -32,7 +33,6 @@ from ringtrue.study.results import (
     UpdateStage,
 )
 from ringtrue.study.run import StudyRun
-from ringtrue.study.seats import seats_json
 
 
 def pairs(table: CorrelationTable) -> list[dict[str, Any]]:
@@ -261,7 +261,7 @@ def _localised(r: Mapping[str, Any]) -> dict[str, Any]:
     found: LocaliseStage | None = r.get("localise")
     if found is None:
         return {}
-    gathered = zip(found.regions, found.concentration.tolist(), strict=True)
+    gathered = zip(found.indicators.regions, found.indicators.concentration.tolist(), strict=True)
     proposed = [
         {
             "name": m.name,
@@ -273,7 +273,7 @@ def _localised(r: Mapping[str, Any]) -> dict[str, Any]:
         | ({"added": m.added} if m.lump else {})
         for m in found.proposal.members
     ]
-    rests = {"proposed_by": found.beside} if found.beside else {}
+    rests = {"proposed_by": found.proposal_basis} if found.proposal_basis else {}
     return {
         "error_concentration": {n: _number(x) for n, x in gathered},
         "proposed": proposed,
@@ -286,17 +286,23 @@ def _known(r: Mapping[str, Any]) -> dict[str, Any]:
     found: UncertaintyStage | None = r.get("uncertainty")
     if found is None:
         return {}
-    out, held = np.isfinite(found.predicted) & ~found.used, found.held.in_turn
+    out, held = np.isfinite(found.bands.predicted) & ~found.bands.used, found.held.in_turn
     return {
         "uncertainty": {
             "level": found.level,
             "discrepancy_percent": (100 * found.discrepancy).tolist(),
-            "intervals": dict(zip(found.parameters.names, found.interval.tolist(), strict=True)),
+            "intervals": dict(
+                zip(
+                    found.posterior.parameters.names, found.posterior.interval.tolist(), strict=True
+                )
+            ),
             "unproven": [
-                n for n, open_ in zip(found.parameters.names, found.unproven, strict=True) if open_
+                n
+                for n, open_ in zip(found.posterior.parameters.names, found.unproven, strict=True)
+                if open_
             ],
-            "flags": list(found.flags),
-            "left_out_inside": [int((found.inside & out).sum()), int(out.sum())],
+            "flags": [flag.text for flag in found.flags],
+            "left_out_inside": [int((found.bands.inside & out).sum()), int(out.sum())],
             "folds_inside": [int((found.held.inside(found.level) & held).sum()), int(held.sum())],
         }
     }
@@ -334,7 +340,7 @@ def _updated(r: Mapping[str, Any]) -> dict[str, Any]:
     known: UncertaintyStage | None = r.get("uncertainty")
     if update is not None:
         best = update.sets[update.chosen]
-        std = best.std if known is None else known.relative
+        std = best.std if known is None else known.posterior.relative
         out |= {"solver": {"name": update.solver, "runs": update.runs}} if update.runs else {}
         out["parameter_set"] = {"name": best.name, "why": update.why}
         out["parameters"] = [
@@ -351,13 +357,13 @@ def _updated(r: Mapping[str, Any]) -> dict[str, Any]:
             {
                 "name": s.name,
                 "parameters": list(s.parameters),
-                "mean_deviation_percent": s.mean_deviation,
-                "max_deviation_percent": s.max_deviation,
-                "mean_subspace_mac_percent": s.mean_subspace_mac,
-                "mean_deviation_left_out_percent": _number(s.mean_deviation_left_out),
-                "condition": s.condition,
-                "aicc": s.criterion,
-                "outcome": s.outcome,
+                "mean_deviation_percent": s.fit.mean_deviation,
+                "max_deviation_percent": s.fit.max_deviation,
+                "mean_subspace_mac_percent": s.fit.mean_subspace_mac,
+                "mean_deviation_left_out_percent": _number(s.fit.mean_deviation_left_out),
+                "condition": s.fit.condition,
+                "aicc": s.fit.criterion,
+                "outcome": s.outcome.value,
                 "discrepancy_percent": dict(
                     zip(("frequency", "mac"), map(_number, 100 * s.discrepancy), strict=True)
                 ),

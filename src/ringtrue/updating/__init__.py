@@ -1,24 +1,16 @@
-"""Which parameters of a model are wrong, by how much, and how sure that is.
+"""Which parameters of a model are wrong, by how much, and how well that is known.
 
-Candidates: `catalogue` what is tried, `generate` by property and material, `regions` by region,
-`lumps` masses that the deck lacks, `candidates` one of them, `effects` those no mode sees, `alike`
-errors that go together.
+Problem: `target` the test and its pairs, `problem` configurations, objective and limits,
+`residuals` the kinds of residuals, one module a family.
 
-Choice: `localise` indicators by element, `screening` and `pool` which are looked at closely,
-`choose`, `subsets`, `sparse` and `search` which are taken, `joint` what other data say,
-`identifiable` what cannot be told apart, `lacking` whether masses are left out, `claims` how far
-members may be off, `proposal` all of it explained.
+Solution: `solver` the methods under one driver, `gauss_newton` short updatings for one test,
+`multistart` many starts, `regularisation` weights of prior and data, `strategy` the whole course of
+an updating.
 
-Objective: `objective` and `several` (configurations), of `residuals`, `residuals_frf` and
-`residuals_static`, close modes as `spans`, weighed by `weights` and `robust`.
+Damping and suspension: `damping`, `damping_regions`, `suspension`.
 
-Methods: `trust` is the driver, with `gauss_newton` and `quadratic`; `multistart` many starts,
-`verified` ends on full solutions, `settle` from the first pairs to the last weights, `unmoved` what
-is not written, `best` a yardstick.
+Selection: `selection` from the cards of a deck to a few parameters.
 
-Models small enough for it: `dense`, `rigid_body`.
-
-Damping and suspension: `damping` (ratios), `damping_frf`, `damping_regions`; `suspension`.
-
-How sure: `posterior`, `mcmc`, `kfold`, `plausible`. What follows: `predict`, `harmonic`.
+Uncertainty: `identifiability` what the data determine, `uncertainty` the posterior, `validation`
+modes that are left out, `prediction` what was not tested.
 """

@@ -1,9 +1,9 @@
-"""Damping after stiffness and mass: modal ratios, material loss factors and dashpots by region,
+"""Damping after stiffness and mass: material loss factors and dashpots by region,
 from damping ratios.
 
 In the basis of the updated model's mass-normalised modes, D = Σ γ_k D_k and H = Σ γ_k H_k stand
 beside Λ. A linear bounded solution to first order starts a bounded nonlinear one on the data
-themselves, whose Gauss-Newton matrix gives the uncertainty; `damping_frf` does the same from FRFs.
+themselves, whose Gauss-Newton matrix gives the uncertainty.
 Friswell and Mottershead (1995), ch. 8; Pilkey and Inman (1998) on identifying damping matrices.
 """
 
@@ -17,7 +17,7 @@ import numpy as np
 from scipy import linalg
 from scipy.optimize import least_squares, linear_sum_assignment, lsq_linear
 
-from ringtrue.core.arrays import Any_, Bool, Float, Int, freeze_fields
+from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
 from ringtrue.eigen.damped import ComplexModes, complex_modes
 from ringtrue.errors import InputError
 
@@ -65,36 +65,6 @@ class Mechanism:
             )
 
 
-def modal(values: Float, *, upper: float = 0.3) -> tuple[Mechanism, ...]:
-    """A damping ratio for each mode: the coefficients are ζ. `values` (n,) are λ, (rad/s)²."""
-    n = values.size
-    root = np.sqrt(np.maximum(values, 0.0))
-    if (root == 0).any():
-        raise InputError(
-            "a rigid-body mode at 0 Hz has no damping ratio: leave it out or give it a dashpot"
-        )
-    eye = np.eye(n)
-    return tuple(
-        Mechanism(f"mode {i + 1}", "viscous", 2 * w * np.outer(e, e), upper=upper)
-        for i, (w, e) in enumerate(zip(root.tolist(), eye, strict=True))
-    )
-
-
-def loss_factor(name: str, vectors: Float, stiffness: Any_, *, upper: float = 1.0) -> Mechanism:
-    """The loss factor of a region with the stiffness K_k (f, f), seen by modes (f, n)."""
-    return Mechanism(name, "structural", _projected(vectors, stiffness), upper=upper)
-
-
-def dashpot(name: str, vectors: Float, damping: Any_, *, upper: float = np.inf) -> Mechanism:
-    """A factor on the dashpots D_k (f, f) of a region, seen by modes (f, n)."""
-    return Mechanism(name, "viscous", _projected(vectors, damping), upper=upper)
-
-
-def _projected(vectors: Float, matrix: Any_) -> Float:
-    seen = np.asarray(vectors.T @ (matrix @ vectors))
-    return np.asarray((seen + seen.T) / 2)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class DampingFit:
     """Identified damping.
@@ -108,8 +78,6 @@ class DampingFit:
         not counted.
     start : (k,) float64
         The linear solution.
-    shift : (n,) float64
-        Relative correction δ of each eigenvalue; zeros from poles.
     at_bound : (k,) bool
     misfit : float
         Root mean square of the residuals in units of their standard deviation.
@@ -124,7 +92,6 @@ class DampingFit:
     coefficients: Float
     covariance: Float
     start: Float
-    shift: Float
     at_bound: Bool
     misfit: float
     viscous: Float
@@ -133,9 +100,7 @@ class DampingFit:
 
     def __post_init__(self) -> None:
         f = np.float64
-        freeze_fields(
-            self, coefficients=f, covariance=f, start=f, shift=f, viscous=f, structural=f, ratio=f
-        )
+        freeze_fields(self, coefficients=f, covariance=f, start=f, viscous=f, structural=f, ratio=f)
 
     @property
     def std(self) -> Float:
@@ -175,34 +140,30 @@ def fit_poles(
     InputError
         If sizes differ, or data and priors leave a coefficient free.
     """
-    zeta, sigma = np.asarray(damping, dtype=np.float64), np.asarray(std, dtype=np.float64)
+    zeta = np.asarray(damping, dtype=np.float64)
+    sigma = np.asarray(std, dtype=np.float64)
     at = np.asarray(modes, dtype=np.int64)
-    check_mechanisms(mechanisms, values.size)
-    if (
-        not zeta.shape == sigma.shape == at.shape
-        or not (sigma > 0).all()
-        or np.unique(at).size != at.size
-    ):
+    _check_mechanisms(mechanisms, values.size)
+    same_size = zeta.shape == sigma.shape == at.shape
+    if not same_size or not (sigma > 0).all() or np.unique(at).size != at.size:
         raise InputError(
             f"damping {zeta.shape}, std {sigma.shape} (> 0), modes {at.shape} (each once)"
         )
+    none = np.zeros((values.size, values.size))
+    base = base or (none, none)
+    # ζ to first order, for light damping: cᵀD/(2ω) of dashpots, cᵀH/(2ω²) of loss factors
     w = np.sqrt(values[at])
-    by = np.array([2 * w if m.kind == "viscous" else 2 * w**2 for m in mechanisms])
-    first = (
-        np.array([np.diag(m.matrix)[at] for m in mechanisms]) / by
-    )  # ζ to first order: light damping
-    known = (
-        np.zeros(at.size)
-        if base is None
-        else np.diag(base[0])[at] / (2 * w) + np.diag(base[1])[at] / (2 * w**2)
-    )
-    linear = _linear(first.T / sigma[:, None], (zeta - known) / sigma, mechanisms)
+    rows = [
+        np.diag(m.matrix)[at] / (2 * w if m.kind == "viscous" else 2 * w**2) for m in mechanisms
+    ]
+    known = np.diag(base[0])[at] / (2 * w) + np.diag(base[1])[at] / (2 * w**2)
+    start = _linear(np.array(rows).T / sigma[:, None], (zeta - known) / sigma, mechanisms)
 
     def residual(c: Float) -> tuple[Float, Float]:
-        got, slope = _ratios(values, mechanisms, assembled(mechanisms, c, values.size, base), at)
+        got, slope = _ratios(values, mechanisms, assembled(mechanisms, c, base), at)
         return (got - zeta) / sigma, slope / sigma[:, None]
 
-    return refined(residual, linear, mechanisms, values.size, shift=0.0, least=1.0, base=base)
+    return _refined(residual, start, mechanisms, base)
 
 
 def mode_damping(
@@ -260,21 +221,22 @@ def _descendants(share: Float) -> Int:
 
 
 def assembled(
-    mechanisms: Sequence[Mechanism], c: Float, n: int, base: tuple[Float, Float] | None = None
+    mechanisms: Sequence[Mechanism], c: Float, base: tuple[Float, Float]
 ) -> tuple[Float, Float]:
     """ΦᵀDΦ and ΦᵀHΦ, (n, n) each, of coefficients (k,), added to the known ones of `base`."""
-    d, h = (
-        (np.zeros((n, n)), np.zeros((n, n))) if base is None else (base[0].copy(), base[1].copy())
-    )
+    viscous, structural = base
     for m, value in zip(mechanisms, c.tolist(), strict=True):
-        (d if m.kind == "viscous" else h)[...] += value * m.matrix
-    return d, h
+        if m.kind == "viscous":
+            viscous = viscous + value * m.matrix
+        else:
+            structural = structural + value * m.matrix
+    return viscous, structural
 
 
-def check_mechanisms(mechanisms: Sequence[Mechanism], n: int) -> None:
+def _check_mechanisms(mechanisms: Sequence[Mechanism], n: int) -> None:
     """Refuse mechanisms that are none, not of `n` modes, or twice of one name."""
     if not mechanisms:
-        raise InputError("no mechanism of damping: give modal ratios, loss factors or dashpots")
+        raise InputError("no mechanism of damping: give loss factors or dashpots")
     wrong = [m.name for m in mechanisms if m.matrix.shape != (n, n)]
     if wrong or len({m.name for m in mechanisms}) != len(mechanisms):
         raise InputError(
@@ -298,29 +260,21 @@ def _linear(rows: Float, rhs: Float, mechanisms: Sequence[Mechanism]) -> Float:
     return np.asarray(lsq_linear(rows / size, rhs, bounds).x / size)
 
 
-def refined(
+def _refined(
     residual: Callable[[Float], tuple[Float, Float]],
     start: Float,
     mechanisms: Sequence[Mechanism],
-    n: int,
-    *,
-    shift: float,
-    least: float,
-    base: tuple[Float, Float] | None = None,
+    base: tuple[Float, Float],
 ) -> DampingFit:
     """Bounded nonlinear least squares from the linear solution, with priors; the covariance at the
     end.
-
-    `least` is the smallest mean square of the residuals that is believed: 1 for a handful of poles.
     """
-    k = len(mechanisms)
-    prior = np.concatenate([[m.prior for m in mechanisms], np.zeros(start.size - k)])
-    weight = np.concatenate(
-        [[1 / m.std for m in mechanisms], np.full(start.size - k, 1 / (shift or 1.0))]
-    )
-    low = np.concatenate([[m.lower for m in mechanisms], np.full(start.size - k, -0.5)])
-    high = np.concatenate([[m.upper for m in mechanisms], np.full(start.size - k, 0.5)])
-    scale = 1 / np.maximum(np.linalg.norm(residual(np.clip(start, low, high))[1], axis=0), FAINT)
+    prior = np.array([m.prior for m in mechanisms])
+    weight = np.array([1 / m.std for m in mechanisms])
+    low = np.array([m.lower for m in mechanisms])
+    high = np.array([m.upper for m in mechanisms])
+    _, first = residual(np.clip(start, low, high))
+    scale = 1 / np.maximum(np.linalg.norm(first, axis=0), FAINT)
     scale = np.minimum(scale, 1 / np.maximum(weight, FAINT))
 
     def value(u: Float) -> Float:
@@ -329,39 +283,39 @@ def refined(
     def slope(u: Float) -> Float:
         return np.asarray(np.concatenate([residual(u * scale)[1], np.diag(weight)]) * scale)
 
-    inside = np.clip(start, low, high) / scale
-    found = least_squares(
-        value, inside, slope, (low / scale, high / scale), x_scale="jac", method="trf", xtol=1e-12
+    end = least_squares(
+        value,
+        np.clip(start, low, high) / scale,
+        slope,
+        (low / scale, high / scale),
+        x_scale="jac",
+        method="trf",
+        xtol=1e-12,
     )
-    c = found.x * scale
+    c = end.x * scale
     r, g = residual(c)
-    covariance, alone, s2 = _uncertainty(r, g, weight, scale, least)
+    covariance, single, mean_square = _uncertainty(r, g, weight, scale)
     std = np.sqrt(np.diag(covariance))
-    at = (c - low < EDGE * std + FAINT) | (high - c < EDGE * std + FAINT)
-    c = np.where(
-        c - low < FAINT * (std + scale), low, c
-    )  # the search stays inside: a bound that holds is met
-    d, h = assembled(mechanisms, c[:k], n, base)
-    delta = c[k:] if c.size > k else np.zeros(n)
+    at_bound = (c - low < EDGE * std + FAINT) | (high - c < EDGE * std + FAINT)
+    # the search stays inside: a bound that holds is met
+    c = np.where(c - low < FAINT * (std + scale), low, c)
+    viscous, structural = assembled(mechanisms, c, base)
     return DampingFit(
-        tuple(m.name for m in mechanisms),
-        c[:k],
-        covariance[:k, :k],
-        start[:k],
-        delta,
-        np.asarray(at[:k]),
-        float(np.sqrt(s2)),
-        d,
-        h,
-        np.asarray(std / alone)[:k],
+        names=tuple(m.name for m in mechanisms),
+        coefficients=c,
+        covariance=covariance,
+        start=start,
+        at_bound=np.asarray(at_bound),
+        misfit=float(np.sqrt(mean_square)),
+        viscous=viscous,
+        structural=structural,
+        ratio=np.asarray(std / single),
     )
 
 
-def _uncertainty(
-    r: Float, g: Float, weight: Float, scale: Float, least: float
-) -> tuple[Float, Float, float]:
-    """Covariance (c, c), standard deviation of each as if it were alone (c,), and mean square of
-    the residuals.
+def _uncertainty(r: Float, g: Float, weight: Float, scale: Float) -> tuple[Float, Float, float]:
+    """Covariance (c, c), standard deviation of each with all others known (c,), and mean square of
+    the residuals, at least 1: a handful of ratios does not prove a smaller one.
 
     Parameters
     ----------
@@ -369,8 +323,6 @@ def _uncertainty(
         Residuals and slopes at the end.
     weight, scale : (c,) float64
         1 over the prior standard deviations; size of each unknown.
-    least : float
-        Smallest mean square that is believed.
     """
     normal, own = (g.T @ g) * np.outer(scale, scale), np.diag((weight * scale) ** 2)
     total = normal + own
@@ -379,7 +331,7 @@ def _uncertainty(
             "the data cannot tell the mechanisms apart: leave some out, or give them a prior std"
         )
     inverse = linalg.inv(total)
-    s2 = max(float(r @ r) / max(r.size - float(np.trace(inverse @ normal)), 1.0), least)
+    s2 = max(float(r @ r) / max(r.size - float(np.trace(inverse @ normal)), 1.0), 1.0)
     covariance = inverse @ (s2 * normal + own) @ inverse * np.outer(scale, scale)
-    alone = np.sqrt((s2 if s2 > 0 else 1.0) / np.maximum(np.diag(total), FAINT)) * scale
+    alone = np.sqrt(s2 / np.maximum(np.diag(total), FAINT)) * scale
     return np.asarray(covariance), np.asarray(alone), s2

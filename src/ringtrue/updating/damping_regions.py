@@ -23,8 +23,8 @@ from ringtrue.fem.mesh import mesh, union
 from ringtrue.fem.parametrisation.changed_model import rows_of
 from ringtrue.model.edit import FieldChange, resolve_target
 from ringtrue.model.model import Model, Table
-from ringtrue.updating.candidates import listed
 from ringtrue.updating.damping import Mechanism
+from ringtrue.updating.selection.candidates import listed
 
 DASHPOTS = {
     "PBUSH": ("B1", "B2", "B3", "B4", "B5", "B6"),

@@ -1,31 +1,204 @@
-"""Damped Gauss-Newton on J(p) = Δzᵀ W Δz + pᵀ W_p p inside bounds.
+"""The objective J(p) = Δzᵀ W Δz + pᵀ W_p p: residuals of eigenvalues and mode shapes with their
+sensitivities.
 
-The step solves (Gᵀ W G + W_p + μI) Δp = Gᵀ W Δz₀ − W_p p₀ on the free parameters. `published`
-leaves the last term out: equation (4) as printed, which is the case p₀ = 0 and not stationary for J
-elsewhere.
+Friswell and Mottershead (1995), Finite Element Model Updating in Structural Dynamics, ch. 8 and 9.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ringtrue.core.arrays import Float, freeze_fields
+from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
 from ringtrue.core.iterate import Outcome, iterate
 from ringtrue.core.progress import Progress
 from ringtrue.errors import NumericalError, SolverError
-from ringtrue.model.ports import ObservedModel
-from ringtrue.updating.objective import Residual, Target, objective, residual, shared_cost, used_up
+from ringtrue.model.ports import Linearisation, ObservedModel
+from ringtrue.updating.problem import APART, Evaluated, Problem
+from ringtrue.updating.residuals.modal import (
+    OF_FREQUENCY,
+    CrossOrthogonality,
+    Mac,
+    Shapes,
+    Term,
+    Weighted,
+)
+from ringtrue.updating.solver import positive, secant
+from ringtrue.updating.target import Target, match, span_residual
 
-# least eigenvalue, in units of the Gauss-Newton diagonal, of a Hessian with second derivatives
-SAFE = 1e-3
-NEAR = 0.3  # largest change of x over which a secant says something of the Hessian
 FREE = 0.1  # damping below which the length of a step is the method's own
 STEP, GRADIENT = (
     1e-5,
     1e-6,
 )  # convergence: step in x; gradient relative to its size without cancellation
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Residual:
+    """Weighted residuals and their sensitivities at one point, pairs fixed.
+
+    Attributes
+    ----------
+    value : (r,) float64
+        √W Δz with Δz = z_test − z_model.
+    slope : (r, p) float64
+        √W ∂z_model/∂x.
+    pairs : (k, 2) int64
+        Test mode and FE mode.
+    mac : (k,) float64
+        Of the pair, or of its subspace.
+    frequency_error : (k,) float64
+        (f_FE − f_test)/f_test, of all pairs.
+    used : (k,) bool
+        Pairs that the residual holds.
+    kinds : (r,) int64
+        0: frequency, 1: shape, 2: what else was measured; empty: a frequency a used pair, then
+        shapes.
+    more : float
+        Number of data beside the modes.
+    """
+
+    value: Float
+    slope: Float
+    pairs: Int
+    mac: Float
+    frequency_error: Float
+    used: Bool
+    kinds: Int = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    more: float = 0.0
+
+
+def residual(target: Target, now: Linearisation, held: Bool | None = None) -> Residual:
+    """Residuals of the used pairs at a point, modes paired anew; `held` (m,) as in `match`."""
+    pairs, mac, of = match(target, now, held)
+    test, fe = pairs[:, 0], pairs[:, 1]
+    used = target.used[test]
+    error = now.frequencies[fe] / target.frequencies[test] - 1
+    w = target.weights
+    lam_test = (2 * np.pi * target.frequencies[test[used]]) ** 2
+    lam = (2 * np.pi * now.frequencies[fe[used]]) ** 2
+    # a relative deviation of λ is twice that of f
+    root = 0.5 / np.sqrt(w.frequency**2 + target.std[test[used]] ** 2)
+    k, n = int(used.sum()), len(target.shapes) if w.shape > 0 else 0
+    value, slope = np.empty(k * (1 + n)), np.empty((k * (1 + n), now.d_lambda.shape[1]))
+    value[:k], slope[:k] = (
+        root * (1 - lam / lam_test),
+        root[:, None] * now.d_lambda[fe[used]] / lam_test[:, None],
+    )
+    if n:
+        for i, k_th in enumerate(np.flatnonzero(used).tolist()):  # each pair has its own space
+            r, g = span_residual(target.shapes, now, int(test[k_th]), of[k_th])
+            rows = slice(k + i * n, k + (i + 1) * n)
+            value[rows], slope[rows] = np.sqrt(w.of_shape) * r, np.sqrt(w.of_shape) * g
+    return Residual(value, slope, pairs, mac, error, used)
+
+
+def objective(target: Target, r: Residual, x: Float, prior_std: Float) -> float:
+    """J = Δzᵀ W Δz + pᵀ W_p p, and `target.lost` for each used mode that has no partner."""
+    lost = int(target.used.sum()) - int(r.used.sum())
+    return float(r.value @ r.value + (x / prior_std) @ (x / prior_std) + target.lost * lost)
+
+
+def used_up(normal: Float, precision: Float) -> float:
+    """How many data the parameters use up: the trace of the hat matrix, of GᵀG (p, p) and that of
+    the prior (p, p).
+    """
+    return float(np.trace(np.linalg.solve(normal + precision, normal)))
+
+
+def aicc(value: float, n: float, parameters: int) -> float:
+    """n ln(J/n) with a penalty on the parameters and the scale of J, J over `n` data; Burnham,
+    Anderson, eq. 7.
+    """
+    k = parameters + 1
+    return float(n * np.log(max(value, 1e-300) / n) + 2 * k + 2 * k * (k + 1) / max(n - k - 1, 1))
+
+
+def comparable_criteria(
+    target: Target, residuals: Sequence[Residual], points: Sequence[Float], priors: Sequence[Float]
+) -> Float:
+    """AICc (k,) of parameter sets that may have paired different modes: the same modes are counted
+    in all.
+
+    Counted are the used modes that at least one set has paired; a set that has no partner for one
+    of them pays `target.lost`. So losing a mode never pays, and a mode that no set explains does
+    not decide. Burnham and Anderson (2002), eq. 7.
+
+    Parameters
+    ----------
+    residuals : sequence (k) of Residual
+    points, priors : sequences (k) of (p,) float64
+        x and the prior standard deviations of each set.
+    """
+    counted = np.unique(np.concatenate([r.pairs[r.used, 0] for r in residuals]))
+    n = target.weights.data * max(counted.size, 1) + residuals[0].more
+    out = []
+    for r, x, prior in zip(residuals, points, priors, strict=True):
+        missing = counted.size - int(r.used.sum())
+        value = float(r.value @ r.value + (x / prior) @ (x / prior)) + target.lost * missing
+        out.append(aicc(value, n, x.size))
+    return np.array(out)
+
+
+def shared_cost(r: Residual, others: Residual) -> float | None:
+    """Δzᵀ W Δz over the test modes that `others` uses; None if one of them has no partner in `r`.
+
+    Points with different pairs are compared by this: a mode that has just found a partner must not
+    count against a point, and losing one must not pay.
+    """
+    mine, theirs = r.pairs[r.used, 0], others.pairs[others.used, 0]
+    if not np.isin(theirs, mine).all():
+        return None
+    square = r.value**2
+    k = mine.size
+    cost = square[:k] + square[k:].reshape(k, -1).sum(axis=1) if k else square
+    return float(cost[np.isin(mine, theirs)].sum())
+
+
+def joint_residual(problem: Problem, x: Float) -> Residual:
+    """All residuals at x (p,); test modes of configuration i are numbered from i times `APART`."""
+    at = problem.evaluate(x)
+    value, slope = problem.weighted(at)
+    pairs, error, used = [], [], []
+    for i, (c, p) in enumerate(zip(problem.configurations, at.points, strict=True)):
+        test, fe = p.every.T
+        pairs.append(np.stack([test + i * APART, fe], axis=1))
+        error.append(p.now.frequencies[fe] / c.target.frequencies[test] - 1)
+        used.append(c.target.used[test])
+    kind, more = _kinds(problem, at)
+    mac = np.concatenate([p.mac for p in at.points])
+    return Residual(
+        value,
+        slope,
+        np.concatenate(pairs),
+        mac,
+        np.concatenate(error),
+        np.concatenate(used),
+        kind[at.kind],
+        more,
+    )
+
+
+def _kinds(
+    problem: Problem, at: Evaluated
+) -> tuple[np.ndarray[tuple[int], np.dtype[np.int64]], float]:
+    """Of each term 0 for frequencies, 1 for shapes, 2 for the rest, and the number of data of the
+    rest.
+    """
+    terms = [t for c in problem.configurations for t in c.terms]
+    kind = np.array([_kind(t) for t in terms], dtype=np.int64)
+    rows = np.bincount(at.kind, minlength=kind.size).tolist()
+    return kind, float(
+        sum(t.factor * n for t, n in zip(terms, rows, strict=True) if isinstance(t, Weighted))
+    )
+
+
+def _kind(term: Term) -> int:
+    if isinstance(term, OF_FREQUENCY):
+        return 0
+    return 1 if isinstance(term, Shapes | Mac | CrossOrthogonality) else 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,7 +308,7 @@ class GaussNewton:
         g, w = state.residual.slope, 1 / self.model.parameters.std() ** 2
         gradient = self.gradient(state)
         free = gradient != 0
-        normal = _positive(g.T @ g + np.diag(w), state.curvature)[np.ix_(free, free)]
+        normal = positive(g.T @ g + np.diag(w), state.curvature)[np.ix_(free, free)]
         low, high = self.model.parameters.bounds()
         x = state.x.copy()
         dx = np.zeros_like(x)
@@ -150,7 +323,7 @@ class GaussNewton:
         ):  # a trial point that cannot be solved is a rejected step
             return self._rejected(state)
         if self._better(x, r, state):
-            curvature = np.zeros_like(normal) if self.published else _secant(state, x, r, w)
+            curvature = self._curvature(state, x, r)
             return State(
                 x, r, value, max(state.mu / 5, 1e-8), float(np.abs(x - state.x).max()), 0, curvature
             )
@@ -182,6 +355,20 @@ class GaussNewton:
             return False
         w = 1 / self.model.parameters.std() ** 2
         return self.published or now + float(w @ x**2) <= before + float(w @ state.x**2)
+
+    def _curvature(self, state: State, x: Float, r: Residual) -> Float:
+        """Σ Δz ∂²Δz (p, p) after a step to x; 0 where the pairs have changed."""
+        old = state.residual
+        same_rows = r.value.shape == old.value.shape and r.pairs.tolist() == old.pairs.tolist()
+        if self.published or not same_rows:
+            return np.zeros_like(state.curvature)
+        return secant(
+            state.curvature,
+            x - state.x,
+            (old.value, old.slope),
+            (r.value, r.slope),
+            np.diag(1 / self.model.parameters.std() ** 2),
+        )
 
     def terminate(self, state: State) -> Outcome | None:
         """Small gradient or step, or eight rejected steps in a row."""
@@ -259,42 +446,3 @@ def _spread(r: Residual, normal: Float, prior: Float, each: float) -> float:
     """
     data, spent = each * int(r.used.sum()), used_up(normal, np.diag(1 / prior**2))
     return max(1.0, float(r.value @ r.value) / max(data - spent, 1.0))
-
-
-def _positive(normal: Float, curvature: Float) -> Float:
-    """`normal` + `curvature` if that is safely positive definite, else `normal` (p, p)."""
-    both = normal + curvature
-    size = np.sqrt(np.diag(normal))
-    return (
-        both
-        if float(np.linalg.eigvalsh(both / np.outer(size, size)).min(initial=1.0)) > SAFE
-        else normal
-    )
-
-
-def _secant(before: State, x: Float, r: Residual, w: Float) -> Float:
-    """The part of the Hessian that Gauss-Newton leaves out, updated from one step; 0 where the
-    pairs have changed.
-
-    Structured secant of Dennis, Gay and Welsch (1981), NL2SOL, eq. 2.11 and the sizing of 3.1. It
-    matters where the residuals stay large: Gauss-Newton alone then converges linearly.
-    """
-    old = before.residual
-    zero = np.zeros_like(before.curvature)
-    if r.value.shape != old.value.shape or r.pairs.tolist() != old.pairs.tolist():
-        return zero
-    s = x - before.x
-    if float(np.abs(s).max(initial=0.0)) > NEAR:
-        return zero
-    part = -(r.slope - old.slope).T @ r.value
-    y = old.slope.T @ old.value - r.slope.T @ r.value + w * s
-    along = float(y @ s)
-    if along <= 0:
-        return zero
-    own = float(s @ before.curvature @ s)
-    kept = before.curvature * (min(1.0, abs(float(s @ part) / own)) if own else 0.0)
-    miss = part - kept @ s
-    update = (np.outer(miss, y) + np.outer(y, miss)) / along - float(
-        miss @ s
-    ) / along**2 * np.outer(y, y)
-    return np.asarray(kept + update)

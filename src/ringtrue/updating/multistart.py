@@ -12,8 +12,8 @@ from ringtrue.core.arrays import Float, Int, freeze_fields
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress
 from ringtrue.errors import ConfigError, NumericalError, RingtrueError, SolverError
-from ringtrue.updating.several import Problem
-from ringtrue.updating.trust import Method, Solution, solve
+from ringtrue.updating.problem import Problem
+from ringtrue.updating.solver import Method, Solution, solve
 
 # largest distance in x, relative to the range of the bounds, of two ends that are one minimum
 SAME = 1e-3

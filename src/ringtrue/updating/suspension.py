@@ -12,7 +12,7 @@ and the posterior is their mixture. What the weights do not settle is reported, 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations
 from math import perm
 
@@ -20,13 +20,14 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from ringtrue.core.arrays import Float, Int, freeze_fields
+from ringtrue.core.iterate import Outcome, iterate
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress
 from ringtrue.errors import InputError, NotConverged, NumericalError, SolverError
 from ringtrue.model.ports import Linearisation, ObservedModel
 from ringtrue.shapes.mac import close_groups, mac
-from ringtrue.updating.objective import Target, used_up
-from ringtrue.updating.spans import shape_residual
+from ringtrue.updating.gauss_newton import used_up
+from ringtrue.updating.target import Target, shape_residual
 
 MOST = 50_000  # assignments that are ranked
 KEPT = 24  # of these refined at most
@@ -147,6 +148,8 @@ class _At:
     value: Float
     slope: Float
     cost: float
+    damping: float
+    still: bool = False
 
 
 def tune(
@@ -188,7 +191,8 @@ def tune(
     found: list[tuple[_At, Int]] = []
     for i, choice in enumerate(order[:keep]):
         try:
-            end = _refine(model, target, now, tests, labels, choice)
+            rules = _Refinement(model, target, now, tests, labels, choice)
+            end = iterate(rules, limit=STEPS).last
         except (NumericalError, SolverError):
             continue
         if not any(_same(model, tests, end, choice, other, c) for other, c in found):
@@ -241,7 +245,7 @@ def _ranked(
 
 
 def _evaluate(
-    target: Target, now: Linearisation, tests: Int, chosen: Int, std: Float, x: Float
+    target: Target, now: Linearisation, tests: Int, chosen: Int, *, std: Float, x: Float
 ) -> tuple[Float, Float, float]:
     """Residuals, slopes and J with test mode tests[i] paired with model mode chosen[i]."""
     w = target.weights
@@ -277,35 +281,60 @@ def _follow(before: Linearisation, modes: Int, now: Linearisation) -> Int:
     return np.asarray(columns[np.argsort(rows)])
 
 
-def _refine(
-    model: ObservedModel, target: Target, first: Linearisation, tests: Int, labels: Int, choice: Int
-) -> _At:
-    """Levenberg-Marquardt in the bounds with the pairs fixed; modes keep their labels through
-    crossings.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Refinement:
+    """Levenberg-Marquardt in the bounds with the pairs fixed, run by `core.iterate`.
+
+    Modes keep their labels through crossings.
     """
-    std = model.parameters.std()
-    low, high = model.parameters.bounds()
-    x = np.clip(first.x, low, high)
-    at = _At(x, first, labels, *_evaluate(target, first, tests, labels[choice], std, x))
-    mu = 1e-3
-    for _ in range(STEPS):
+
+    model: ObservedModel
+    target: Target
+    first: Linearisation
+    tests: Int
+    labels: Int
+    choice: Int
+
+    def _at(self, x: Float, now: Linearisation, modes: Int, damping: float) -> _At:
+        std = self.model.parameters.std()
+        value, slope, cost = _evaluate(
+            self.target, now, self.tests, modes[self.choice], std=std, x=x
+        )
+        return _At(x, now, modes, value, slope, cost, damping)
+
+    def init(self) -> _At:
+        """The start, inside the bounds."""
+        low, high = self.model.parameters.bounds()
+        return self._at(np.clip(self.first.x, low, high), self.first, self.labels, 1e-3)
+
+    def step(self, at: _At) -> _At:
+        """The next point, or the same with more damping."""
+        std = self.model.parameters.std()
+        low, high = self.model.parameters.bounds()
         gradient = at.x / std**2 - at.slope.T @ at.value
         stuck = ((at.x <= low) & (gradient > 0)) | ((at.x >= high) & (gradient < 0))
         free = np.flatnonzero(~stuck)
         normal = (at.slope.T @ at.slope + np.diag(1 / std**2))[np.ix_(free, free)]
+        damped = normal + at.damping * np.diag(np.diag(normal))
         dx = np.zeros_like(at.x)
-        dx[free] = -np.linalg.solve(normal + mu * np.diag(np.diag(normal)), gradient[free])
+        dx[free] = -np.linalg.solve(damped, gradient[free])
         dx *= min(1.0, 0.5 / max(float(np.abs(dx).max(initial=0.0)), 1e-300))
         trial = np.clip(at.x + dx, low, high)
         if float(np.abs(trial - at.x).max(initial=0.0)) < SMALL * min(1.0, float(std.min())):
-            break
-        now = model.linearise(trial)
-        modes = _follow(at.now, at.modes, now)
-        new = _At(trial, now, modes, *_evaluate(target, now, tests, modes[choice], std, trial))
-        at, mu = (new, max(mu / 5, 1e-9)) if new.cost < at.cost else (at, 8 * mu)
-        if mu > 1e8:
-            break
-    return at
+            return replace(at, still=True)
+        now = self.model.linearise(trial)
+        new = self._at(trial, now, _follow(at.now, at.modes, now), max(at.damping / 5, 1e-9))
+        return new if new.cost < at.cost else replace(at, damping=8 * at.damping)
+
+    def terminate(self, at: _At) -> Outcome | None:
+        """A step too small to matter, or damping that no step survives."""
+        if at.still:
+            return Outcome.CONVERGED
+        return Outcome.STALLED if at.damping > 1e8 else None
+
+    def merit(self, at: _At) -> float:
+        """J."""
+        return at.cost
 
 
 def _same(model: ObservedModel, tests: Int, a: _At, choice: Int, b: _At, other: Int) -> bool:

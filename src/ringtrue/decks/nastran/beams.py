@@ -1,8 +1,8 @@
 """Beam properties: PBEAM with its stations, PBCOMP from its areas, PBARL and PBEAML from their
-sections.
+sections; and welds.
 
 A row of the PBEAM table holds both ends; its ragged columns hold the stations between them in the
-order of the card, `X` their place over the length, `AX` .. `NSMX` what stands there, nan for a
+order of the card, `X` their place over the length, `AX` .. `NSMX` the values there, nan for a
 blank: on the straight line between the ends (MSC Nastran Quick Reference Guide, PBEAM, remark 5).
 """
 
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ringtrue.decks.nastran.fields import Card, Files, Reader, places, ragged
+from ringtrue.decks.nastran.lexer import Card, Files, Reader, places, ragged
 from ringtrue.errors import UnsupportedCard
 from ringtrue.model.cards import columns
 from ringtrue.model.dimensions import END_A, END_B, properties
@@ -282,4 +282,49 @@ def pbend(cards: Sequence[Card], files: Files) -> Table:
         "PBEND",
         {n: np.array(v, np.int64 if n in whole else np.float64) for n, v in cols.items()},
         *places(cards),
+    )
+
+
+_CORNERS = ("GA1", "GA2", "GA3", "GA4", "GB1", "GB2", "GB3", "GB4")
+WELD_ENDS = {"EID": 0, "GS": 2, "GA": 4, "GB": 5}
+WELD_TYPES = {
+    "GRIDID": {name: 8 + i + 4 * (i // 4) for i, name in enumerate(_CORNERS)},
+    "ELEMID": {"SHIDA": 8, "SHIDB": 9},
+    "ALIGN": {},
+    "PARTPAT": {"PIDA": 8, "PIDB": 9},
+    "ELPAT": {"SHIDA": 8, "SHIDB": 9},
+}
+WELD_POINT = {"XS": 16, "YS": 17, "ZS": 18}  # of PARTPAT and ELPAT
+_MIDSIDES = (*range(12, 16), *range(20, 24))
+
+
+def cweld(cards: Sequence[Card], files: Files) -> Table:
+    """CWELD by GRIDID, ELEMID, ALIGN, PARTPAT or ELPAT.
+
+    Raises
+    ------
+    UnsupportedCard
+        On other types, and on patches with midside nodes.
+    """
+    specs = columns("CWELD")
+    rows: list[dict[str, int | float | str]] = []
+    for c in cards:
+        r = Reader(c, files)
+        kind = r.text(3).upper()
+        midsides = kind == "GRIDID" and any(r.text(i).strip("0") for i in _MIDSIDES)
+        if kind not in WELD_TYPES or midsides:
+            why = "patches with midside nodes" if midsides else f"type {kind or 'blank'}"
+            why += f"; allowed are {', '.join(WELD_TYPES)} on corners"
+            raise UnsupportedCard("CWELD", path=files[c.file], line=c.line, why=why)
+        row: dict[str, int | float | str] = {s.name: s.default for s in specs} | {
+            "TYPE": kind,
+            "SPTYP": r.text(6),
+        }
+        row |= {name: r.whole(i, name, 0) for name, i in (WELD_ENDS | WELD_TYPES[kind]).items()}
+        row["PID"] = r.whole(1, "PID", int(row["EID"]))
+        if kind in ("PARTPAT", "ELPAT"):
+            row |= {name: r.real(i, name, float("nan")) for name, i in WELD_POINT.items()}
+        rows.append(row)
+    return Table(
+        "CWELD", {s.name: np.array([row[s.name] for row in rows]) for s in specs}, *places(cards)
     )

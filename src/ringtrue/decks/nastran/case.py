@@ -1,15 +1,18 @@
-"""Case control: the choices of the subcase that computes modes."""
+"""Case control: which sets of constraints, loads and methods a deck chooses."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 
-from ringtrue.decks.nastran.fields import whole
-from ringtrue.decks.nastran.lexer import real
+import numpy as np
+
+from ringtrue.decks.nastran.lexer import real, whole
 from ringtrue.errors import DeckError
 from ringtrue.model.cards import PRELOADS
-from ringtrue.model.model import CaseControl
+from ringtrue.model.case_control import CONSTRAINTS, METHODS
+from ringtrue.model.model import CaseControl, Model, Table
 
 _COMMAND = re.compile(
     r"\s*([A-Z]\w*)\s*(\([^)]*\))?(?:\s*=\s*|\s+)(.*?)\s*", re.I | re.S
@@ -17,6 +20,8 @@ _COMMAND = re.compile(
 _SUBCASE = re.compile(r"\s*SUBC\w*[\s=]*(\d{1,9})?", re.I)
 _CHOICES = ("TITLE", "METHOD", "SPC", "MPC", "NSM", "AUTOSPC", "SDAMPING")
 _SETS = ("SPC", "MPC", "NSM", "K2GG", "M2GG", "B2GG")
+
+
 # commands that bring in stiffness which is not read, and how the names of their cards begin
 STIFFENING = {
     "TEMPERATURE": ("MATT",),
@@ -229,3 +234,68 @@ def value(text: str) -> int | float | str:
         except ValueError:
             continue
     return text
+
+
+def sets(tables: Mapping[str, Table], kind: str) -> list[int]:
+    """Ids that case control may name, ascending."""
+    add, own = CONSTRAINTS[kind]
+    found = [tables[c].ids for c in (add, *own) if c in tables]
+    return np.unique(np.concatenate(found)).tolist() if found else []
+
+
+def only_sets(case: CaseControl, tables: Mapping[str, Table]) -> CaseControl:
+    """The choice of a deck without case control: its only SPC and MPC set, or the one that unites
+    others.
+    """
+    return replace(case, spc=_only(tables, "SPC"), mpc=_only(tables, "MPC"))
+
+
+def _only(tables: Mapping[str, Table], kind: str) -> int:
+    add = CONSTRAINTS[kind][0]
+    united: list[int] = np.unique(tables[add].ids).tolist() if add in tables else []
+    every = united or sets(tables, kind)
+    return every[0] if len(every) == 1 else 0
+
+
+def unclear_sets(model: Model, *, chosen: bool) -> list[DeckError]:
+    """What is wrong with the choice of sets.
+
+    Parameters
+    ----------
+    chosen : bool
+        Whether the deck has case control.
+    """
+    out = []
+    for kind in CONSTRAINTS:
+        there, asked = sets(model.tables, kind), int(getattr(model.case, kind.lower()))
+        names = ", ".join(map(str, there))
+        where = model.files[0] if model.files else None
+        if asked and there and asked not in there:
+            out.append(
+                DeckError(
+                    f"case control asks for {kind} = {asked}; the deck has {names}", path=where
+                )
+            )
+        elif not asked and not chosen and there:
+            why = (
+                f"without case control, which of the {kind} sets {names} holds? Write {kind} = "
+                "n above BEGIN BULK"
+            )
+            out.append(DeckError(why, path=where))
+    return out
+
+
+def empty_choices(model: Model) -> list[str]:
+    """What case control chooses and the deck has none of: the structure is free of it, its modes
+    are not limited.
+    """
+    chosen = {kind: int(getattr(model.case, kind.lower())) for kind in CONSTRAINTS}
+    out = [
+        f"{kind} = {n}: the deck has no {kind}"
+        for kind, n in chosen.items()
+        if n and not sets(model.tables, kind)
+    ]
+    methods = [i for card in METHODS if card in model for i in model[card].ids.tolist()]
+    if model.case.method not in (0, *methods) and "EIGB" not in model.kept:
+        out.append(f"METHOD = {model.case.method}: the deck has no EIGRL or EIGR of that number")
+    return out

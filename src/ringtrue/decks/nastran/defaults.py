@@ -1,21 +1,21 @@
-"""What cards leave blank and others say: GRDSET, BAROR, BEAMOR, and scalar points named by elements
-only.
-"""
+"""What a deck leaves open: default values, damping and orientations."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ringtrue.core.arrays import Bool
-from ringtrue.decks.nastran.fields import Card, Reader
-from ringtrue.decks.nastran.gather import Cards
-from ringtrue.decks.nastran.lexer import is_real
+from ringtrue.decks.nastran.cards import Cards
+from ringtrue.decks.nastran.case import modal_damping_set
+from ringtrue.decks.nastran.lexer import Card, Reader, is_real
 from ringtrue.errors import DeckError
-from ringtrue.model.model import Ragged, Table
+from ringtrue.model.case_control import ModalDamping
+from ringtrue.model.frames import positions
+from ringtrue.model.model import Model, Ragged, Table, card_error
 
 DEFAULTS: Mapping[str, str] = MappingProxyType(
     {"GRDSET": "GRID", "BAROR": "CBAR", "BEAMOR": "CBEAM"}
@@ -143,3 +143,80 @@ def implied_points(tables: Mapping[str, Table]) -> dict[str, Table]:
             "SPOINT", {"ID": Ragged(np.concatenate([before.values, points]), offsets)}, *where
         )
     }
+
+
+_RATIO = {"": 0.5, "G": 0.5, "CRIT": 1.0, "Q": 0.5}  # of a value, of Q of its inverse
+
+
+def modal_damping(found: Cards, *, structural: bool = False) -> ModalDamping | None:
+    """The table that SDAMPING names; None where case control has none.
+
+    Raises
+    ------
+    DeckError
+        If the table is not in the deck, or its frequencies fall.
+    """
+    number = modal_damping_set(found.deck.top)
+    if not number:
+        return None
+    for r in (Reader(c, found.deck.files) for c in written_out(found, "TABDMP1")):
+        if r.whole(0, "TID") == number:
+            return _table(r, structural)
+    raise DeckError(
+        f"case control has SDAMPING = {number}: the deck has no such TABDMP1",
+        path=found.deck.files[0],
+    )
+
+
+def _table(r: Reader, structural: bool) -> ModalDamping:
+    """TABDMP1: TID TYPE FLAT, then f1 g1 f2 g2 ... ENDT; a pair with SKIP does not count."""
+    kind = r.text(1).upper()
+    if kind not in _RATIO:
+        raise r.fail("TYPE", f"{kind!r}: allowed are G, CRIT and Q")
+    pairs = []
+    for i in range(8, len(r.card.fields), 2):
+        texts = {r.text(i).upper(), r.text(i + 1).upper()}
+        if "ENDT" in texts:
+            break
+        if "SKIP" not in texts and texts != {""}:
+            pairs.append((r.real(i, "f"), r.real(i + 1, "g")))
+    f, g = np.array(pairs, dtype=np.float64).reshape(-1, 2).T
+    if not f.size or (np.diff(f) < 0).any():
+        raise r.fail("f", "frequencies must be given, and rise")
+    if kind == "Q" and (g <= 0).any():
+        raise r.fail("g", "Q must be above 0")
+    return ModalDamping(
+        f, _RATIO[kind] * (1 / g if kind == "Q" else g), r.text(2) == "1", structural
+    )
+
+
+_ACROSS = (
+    ("K2", "K3"),
+    ("K5", "K6"),
+    ("B2", "B3"),
+    ("B5", "B6"),
+)  # alike, the axes across the line do not matter
+
+
+def open_bushes(model: Model) -> Iterator[DeckError]:
+    """The first CBUSH of some length without orientation and CID whose springs across it are not
+    alike.
+    """
+    if not all(card in model for card in ("CBUSH", "PBUSH", "GRID")):
+        return
+    table, p, grid = model["CBUSH"], model["PBUSH"], model["GRID"]
+    unlike = np.any([p[a] != p[b] for a, b in _ACROSS], axis=0)
+    row, a, b = p.find(table["PID"]), grid.find(table["GA"]), grid.find(table["GB"])
+    bare = (table["G0"] == 0) & (table["CID"] < 0) & ~table.stack("X1", "X2", "X3").any(axis=1)
+    at = np.flatnonzero(bare & (row >= 0) & (a >= 0) & (b >= 0))
+    at = at[unlike[row[at]]]
+    if at.size:
+        xyz = positions(model)
+        at = at[(xyz[a[at]] != xyz[b[at]]).any(axis=1)]
+    if at.size:
+        more = f" ({at.size - 1} more like it)" if at.size > 1 else ""
+        why = (
+            "its springs across the line of its ends are not alike, and no CID, G0 or X1-X3 "
+            f"orients them{more}"
+        )
+        yield card_error(model, table, int(at[0]), why)

@@ -1,16 +1,21 @@
-"""Numbers of Nastran fields, whole columns at once, and the places of the fields in a line."""
+"""Fields of a deck: their places in a line of any format; their values, whole columns at once."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
+from ringtrue.decks.nastran.deck import WIDTH, Deck
+from ringtrue.errors import DeckError
+from ringtrue.model.model import Ragged
 
 _POWERS = 10.0 ** np.arange(23)
 _BLOCK = 65_536
@@ -203,3 +208,183 @@ def _columns(data: bytes) -> list[int]:
 
 def _at(columns: list[int], column: int, end: int) -> int:
     return next((i for i, c in enumerate(columns) if c >= column), end)
+
+
+Files = Sequence[str]
+_WHOLE = re.compile(r"[+-]?\d{1,18}", re.A)
+
+
+@dataclass(frozen=True, slots=True)
+class Card:
+    """One card: its name, data fields as text, and where its first line stands."""
+
+    name: str
+    fields: list[str]
+    file: int
+    line: int
+
+
+def whole(text: str) -> int:
+    """One integer; `ValueError` if malformed."""
+    if not _WHOLE.fullmatch(text):
+        raise ValueError(text)
+    return int(text)
+
+
+class Reader:
+    """Reads fields of one card, blaming the right place."""
+
+    def __init__(self, card: Card, files: Files) -> None:
+        self.card, self.files = card, files
+
+    def text(self, i: int) -> str:
+        return self.card.fields[i] if i < len(self.card.fields) else ""
+
+    def fail(self, name: str, why: str) -> DeckError:
+        c = self.card
+        return DeckError(why, path=self.files[c.file], line=c.line, card=c.name, field=name)
+
+    def whole(self, i: int, name: str, default: int | None = None) -> int:
+        t = self.text(i)
+        if not t and default is not None:
+            return default
+        try:
+            return whole(t)
+        except ValueError:
+            raise self.fail(name, f"{t!r} is not an integer") from None
+
+    def real(self, i: int, name: str, default: float | None = None) -> float:
+        t = self.text(i)
+        if not t and default is not None:
+            return default
+        try:
+            return real(t)
+        except ValueError:
+            raise self.fail(name, f"{t!r} is not a real") from None
+
+
+def places(rows: Sequence[Card]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    return np.array([c.file for c in rows], dtype=np.int64), np.array(
+        [c.line for c in rows], dtype=np.int64
+    )
+
+
+def ragged(rows: Sequence[Sequence[Any]], dtype: Any) -> Ragged:
+    values = [v for r in rows for v in r]
+    return Ragged(np.array(values, dtype=dtype), np.cumsum([0, *map(len, rows)]).astype(np.int64))
+
+
+BLOCK = 65_536  # lines at a time: the temporaries stay in the cache
+_LINE = 8  # data fields of a line
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FreeLines:
+    """Commas of the lines of a deck.
+
+    Attributes
+    ----------
+    deck : Deck
+    comma : (c,) int64
+        Places in `deck.raw`, comments left out; also those of blanks that stand for a comma behind
+        the name.
+    first : (n,) int64
+        The first of each line in `comma`.
+    count : (n,) int64
+        How many each line has; 0 for a line in fixed format.
+    """
+
+    deck: Deck
+    comma: Int
+    first: Int
+    count: Int
+
+    def span(self, rows: Int, k: int) -> tuple[Int, Int]:
+        """Range in `deck.raw` of field k (0 the name) of lines (n,); empty where a line has
+        fewer.
+        """
+        last = max(self.comma.size - 1, 0)
+        count, first = self.count[rows], self.first[rows]
+        stop = self.deck.stop[rows]
+        begin = self.deck.start[rows] if k == 0 else self.comma[np.minimum(first + k - 1, last)] + 1
+        end = np.where(k < count, self.comma[np.minimum(first + k, last)], stop)
+        there = k <= count
+        return np.where(there, begin, stop), np.where(there, end, stop)
+
+    def field(self, rows: Int, k: int) -> NDArray[np.bytes_]:
+        """Field k of lines (n,), stripped and in upper case; at most 80 characters of it."""
+        raw = np.frombuffer(self.deck.raw, dtype=np.uint8)
+        begin, end = self.span(rows, k)
+        width = min(int((end - begin).max(initial=1)), WIDTH)
+        if not (end > begin).any():
+            return np.zeros(rows.size, dtype="S1")
+        cut = upper_slices(raw, begin, end, width, 0)
+        return np.asarray(np.strings.strip(cut.view(f"S{width}")[:, 0]))
+
+    def regular(self, rows: Int) -> Bool:
+        """Lines with at most ten fields, each of at most 80 characters; the others are read one by
+        one.
+        """
+        length = self.deck.stop[rows] - self.deck.start[rows]
+        return np.asarray((self.count[rows] <= _LINE + 1) & (length <= WIDTH))
+
+    def cells(self, rows: Int) -> NDArray[np.bytes_]:
+        """Data fields 1 to 8 of regular lines (n,): (n, 8)."""
+        blocks = []
+        for a in range(0, rows.size, BLOCK):
+            at = rows[a : a + BLOCK]
+            blocks.append(np.stack([self.field(at, k) for k in range(1, _LINE + 1)], axis=1))
+        return np.concatenate(blocks)
+
+
+def free_lines(deck: Deck) -> FreeLines:
+    """The commas of a deck, line by line."""
+    found = np.flatnonzero(np.frombuffer(deck.raw, dtype=np.uint8) == 44)
+    if not (found.size and deck.start.size):
+        none = np.zeros(deck.start.size, dtype=np.int64)
+        return FreeLines(deck, np.zeros(0, dtype=np.int64), none, none)
+    row = np.searchsorted(deck.start, found, side="right") - 1
+    used = (row >= 0) & (found < deck.stop[row])
+    lines = _counted(deck, found[used], row[used])
+    behind = _blanks(lines)
+    if not behind:
+        return lines
+    at = np.sort(np.concatenate([lines.comma, np.array(behind, dtype=np.int64)]))
+    return _counted(deck, at, np.searchsorted(deck.start, at, side="right") - 1)
+
+
+def _counted(deck: Deck, comma: Int, row: Int) -> FreeLines:
+    count = np.bincount(row, minlength=deck.start.size)
+    return FreeLines(deck, comma, np.cumsum(count) - count, count)
+
+
+def _blanks(lines: FreeLines) -> list[int]:
+    """Places of blanks that stand for a comma behind the name: `CBUSH   11, 2, 3`."""
+    out: list[int] = []
+    rows = np.flatnonzero(lines.count > 0)
+    for a in range(0, rows.size, BLOCK):
+        at = rows[a : a + BLOCK]
+        first = lines.field(at, 0)
+        inside = (np.strings.find(first, b" ") >= 0) | (np.strings.find(first, b"\t") >= 0)
+        for row in at[inside].tolist():  # hardly ever
+            begin = int(lines.deck.start[row])
+            line = lines.deck.raw[begin : int(lines.deck.stop[row])]
+            out += [begin + cut for cut in cuts(line) if line[cut] != 44]
+    return out
+
+
+def upper_slices(
+    raw: NDArray[np.uint8], begin: Int, end: Int, width: int, pad: int
+) -> NDArray[np.uint8]:
+    """Upper-case bytes raw[begin:end], cut or padded to `width`: (n, width)."""
+    block = sliding_window_view(raw, width)[begin]
+    np.putmask(block, np.arange(width) >= (end - begin)[:, None], pad)
+    if block.size and block.max() >= 97:
+        block = _UPPER[block]
+    return block
+
+
+_UPPER = np.arange(256, dtype=np.uint8)
+
+
+_UPPER[97:123] -= 32

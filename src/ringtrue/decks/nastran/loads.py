@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ringtrue.decks.nastran.cards import Cards
 from ringtrue.decks.nastran.case import load_sets
 from ringtrue.decks.nastran.defaults import written_out
-from ringtrue.decks.nastran.fields import Reader
-from ringtrue.decks.nastran.gather import Cards
+from ringtrue.decks.nastran.lexer import Reader
 from ringtrue.errors import DeckError, UnsupportedCard
 from ringtrue.model.cards import PRELOADS
 

@@ -12,17 +12,34 @@ from numpy.typing import NDArray
 
 from ringtrue.core.arrays import Any_, Int
 from ringtrue.decks.nastran.beams import dimensions
-from ringtrue.decks.nastran.case import case_control, params, stiffening, value
-from ringtrue.decks.nastran.constraint_sets import empty_choices, only_sets, unclear_sets
-from ringtrue.decks.nastran.damping import modal_damping
+from ringtrue.decks.nastran.cards import Cards, cards
+from ringtrue.decks.nastran.case import (
+    case_control,
+    empty_choices,
+    only_sets,
+    params,
+    stiffening,
+    unclear_sets,
+    value,
+)
 from ringtrue.decks.nastran.deck import Deck, load
-from ringtrue.decks.nastran.defaults import DEFAULTS, fill, implied_points, written_out
-from ringtrue.decks.nastran.gather import Cards, cards
+from ringtrue.decks.nastran.defaults import (
+    DEFAULTS,
+    fill,
+    implied_points,
+    modal_damping,
+    open_bushes,
+    written_out,
+)
 from ringtrue.decks.nastran.loads import LoadCase, load_cases
-from ringtrue.decks.nastran.magnitudes import refuse_magnitudes, refuse_parameter
-from ringtrue.decks.nastran.orientations import open_bushes
 from ringtrue.decks.nastran.special import EXPAND
-from ringtrue.decks.nastran.tables import empty, fault, make_table
+from ringtrue.decks.nastran.tables import (
+    empty,
+    fault,
+    make_table,
+    refuse_magnitudes,
+    refuse_parameter,
+)
 from ringtrue.errors import DeckError, UnsupportedCard
 from ringtrue.model.cards import CARDS, NONSTRUCTURAL, columns, is_unsupported, reason
 from ringtrue.model.case_control import ModalDamping, idle, left_out
@@ -34,8 +51,6 @@ log = logging.getLogger(__name__)
 _SHARED_IDS = frozenset(  # several cards of one id belong together
     ("SPC", "SPC1", "MPC", "SPOINT", "SPCADD", "MPCADD", *NONSTRUCTURAL)
 )
-
-
 _ONE_NUMBER = (  # cards that share their numbers: a field that names one does not say of which card
     ("MAT1", "MAT2", "MAT8", "MAT9"),
     ("PSHELL", "PCOMP", "PCOMPG"),
@@ -208,10 +223,7 @@ def _model(found: Cards) -> tuple[Model, dict[str, tuple[str, tuple[str, int]]]]
             try:
                 made = EXPAND[name](written_out(found, name), found.deck.files)
             except UnsupportedCard as e:
-                skipped[name] = (
-                    str(e).partition(" is not supported: ")[2],
-                    (str(e.path), e.line or 0),
-                )
+                skipped[name] = (e.why, (str(e.path), e.line or 0))
                 continue
             tables[made.card] = stacked(tables[made.card], made) if made.card in tables else made
             if name in MADE:

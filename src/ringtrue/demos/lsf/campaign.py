@@ -220,12 +220,12 @@ def run_campaign(
     tell(1.0, "campaign written")
     snr |= hammer
     return CampaignSummary(
-        tuple(folder / f"{name}.h5" for name in snr),
-        folder / "sensors.csv",
-        folder / "campaign.json",
-        by_test,
-        snr,
-        {name: t.site.ground_rms for name, t in tests.items()},
+        records=tuple(folder / f"{name}.h5" for name in snr),
+        sheet=folder / "sensors.csv",
+        log=folder / "campaign.json",
+        snr_db=by_test,
+        snr_record_db=snr,
+        ground_rms={name: t.site.ground_rms for name, t in tests.items()},
     )
 
 
@@ -246,13 +246,13 @@ def _prepare(twin: TwinView, plan: CampaignPlan, name: str, seed: int) -> Ambien
     chain = Chain.draw((sensor,) * len(channels), _rng(seed, f"{name} sensors"))
     poles = in_band(model.poles, fmin, min(FMAX, 0.4 * rate))
     test = AmbientTest(
-        model,
-        chain,
-        Ambient(),
-        _pushed(twin, plan),
-        next(iter(twin.machine_points), None),
-        rate,
-        poles,
+        model=model,
+        chain=chain,
+        site=Ambient(),
+        points=_pushed(twin, plan),
+        machine=next(iter(twin.machine_points), None),
+        rate=rate,
+        poles=poles,
     )
     return scaled_to_snr(test, plan.snr_db, (QUIET, LOUD))
 
@@ -299,7 +299,7 @@ def _ambient_record(
     samples = _even(plan.duration_a if name == "foundation" else plan.duration_b, test.rate)
     events = _events(kind, twin, plan.spacing, samples / test.rate, rng)
     volts, snr = ambient_record(test, events, samples, rng)
-    _write(test, name, kind, twin, plan, folder, volts)
+    _write(test, name, kind=kind, twin=twin, plan=plan, folder=folder, volts=volts)
     return snr
 
 
@@ -317,11 +317,11 @@ def _long_record(
     _write(
         test,
         name,
-        kind,
-        twin,
-        plan,
-        folder,
-        ambient_blocks(test, segments, hop, fade, _rng(seed, f"{name}-{kind}")),
+        kind=kind,
+        twin=twin,
+        plan=plan,
+        folder=folder,
+        volts=ambient_blocks(test, segments, hop, fade, _rng(seed, f"{name}-{kind}")),
     )
     return expected_snr(test)
 
@@ -351,7 +351,16 @@ def _hammer_test(
     for k, (i, reference) in enumerate(jobs):
         name = hammer_name(i, reference)
         tell(k / len(jobs), f"record {name}")
-        snr[name] = _hammer_record(name, plan.setups[i], i, reference, twin, plan, folder, seed)
+        snr[name] = _hammer_record(
+            name,
+            plan.setups[i],
+            setup=i,
+            reference=reference,
+            twin=twin,
+            plan=plan,
+            folder=folder,
+            seed=seed,
+        )
     return snr
 
 
@@ -378,10 +387,23 @@ def _hammer_record(
     blows = strike(plan.hammer, here[reference], limit, rate, rng)
     samples = _even(float(blows.times[-1]) + plan.hammer.block + plan.hammer.rest, rate)
     forces = ambient_forces(
-        list(here), _pushed(twin, plan), None, scale_site(Ambient(), QUIET), samples, rate, rng
+        list(here),
+        _pushed(twin, plan),
+        machine=None,
+        ambient=scale_site(Ambient(), QUIET),
+        samples=samples,
+        rate=rate,
+        rng=rng,
     )
     volts, signal, noise = hammer_record(
-        model, blows, plan.hammer, chain, forces, samples, rate, rng
+        model,
+        blows,
+        plan=plan.hammer,
+        chain=chain,
+        background=forces,
+        samples=samples,
+        rate=rate,
+        rng=rng,
     )
     table = [
         replace(c, id=f"F:{c.id}") if i == 0 else c

@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from ringtrue.decks.nastran.writer import format_card
-from ringtrue.demos.lsf import site
+from ringtrue.demos.lsf import facility
 from ringtrue.demos.lsf import spec as S
-from ringtrue.demos.lsf.facility import VARIANTS, Builder
-from ringtrue.demos.lsf.mesh import Value
+from ringtrue.demos.lsf.facility import VARIANTS, Builder, Value
 from ringtrue.demos.lsf.spec import Spec
 
 CYLINDER = 20  # the vessel's frame
@@ -145,22 +144,25 @@ _WITH_PROPERTY = {"CHEXA", "CPENTA", "CQUAD4", "CTRIA3", "CBEAM", "CBAR", "CBUSH
 
 def _site_properties() -> Iterable[str]:
     yield "$ Partition wall, platform, pipe and what they hang on\n"
-    yield format_card("PSOLID", [site.PARTITION, site.PARTITION])
-    yield format_card("MAT1", [site.PARTITION, 2.9e10, None, 0.2, 2450.0, None, None, 0.01])
+    yield format_card("PSOLID", [facility.PARTITION, facility.PARTITION])
+    yield format_card("MAT1", [facility.PARTITION, 2.9e10, None, 0.2, 2450.0, None, None, 0.01])
     yield format_card(
-        "PSHELL", [site.PLATFORM, site.PLATFORM, 0.060, site.PLATFORM, None, site.PLATFORM]
+        "PSHELL",
+        [facility.PLATFORM, facility.PLATFORM, 0.060, facility.PLATFORM, None, facility.PLATFORM],
     )
-    yield format_card("MAT1", [site.PLATFORM, 4.0e10, None, 0.3, 1500.0, None, None, 0.01])
-    yield format_card("PBEAM", [site.PIPE, site.PIPE, 0.0200, 6.0e-4, 6.0e-4, None, 1.2e-3, 60.0])
-    yield format_card("MAT1", [site.PIPE, 2.0e11, None, 0.3, 7850.0, None, None, 0.01])
+    yield format_card("MAT1", [facility.PLATFORM, 4.0e10, None, 0.3, 1500.0, None, None, 0.01])
+    yield format_card(
+        "PBEAM", [facility.PIPE, facility.PIPE, 0.0200, 6.0e-4, 6.0e-4, None, 1.2e-3, 60.0]
+    )
+    yield format_card("MAT1", [facility.PIPE, 2.0e11, None, 0.3, 7850.0, None, None, 0.01])
     clamp = [3.0e8] * 3 + [1.0e7] * 3
-    yield format_card("PBUSH", [site.PIPE_CLAMP, "K", *clamp, None, "GE", 0.05])
-    hose = site.HOSE_BRIDGE * (2 * np.pi * 1.92) ** 2
-    crane = site.CRANE * (2 * np.pi * 2.24) ** 2
+    yield format_card("PBUSH", [facility.PIPE_CLAMP, "K", *clamp, None, "GE", 0.05])
+    hose = facility.HOSE_BRIDGE * (2 * np.pi * 1.92) ** 2
+    crane = facility.CRANE * (2 * np.pi * 2.24) ** 2
     stiff = 6.0e9
     yield format_card(
-        "PBUSH", [site.HOSE_LINK, "K", stiff, hose, stiff, None, None, None, None, "GE", 0.06]
+        "PBUSH", [facility.HOSE_LINK, "K", stiff, hose, stiff, None, None, None, None, "GE", 0.06]
     )
     yield format_card(
-        "PBUSH", [site.CRANE_LINK, "K", crane, stiff, stiff, None, None, None, None, "GE", 0.06]
+        "PBUSH", [facility.CRANE_LINK, "K", crane, stiff, stiff, None, None, None, None, "GE", 0.06]
     )

@@ -19,8 +19,8 @@ from ringtrue.demos.lsf.spec import Spec
 from ringtrue.demos.lsf.study import write_study
 from ringtrue.demos.lsf.truth import twin_hash
 from ringtrue.demos.lsf.twin import Twin, make_twin
-from ringtrue.io.foreign.texts import read_json
-from ringtrue.report.deliver import deliver
+from ringtrue.io.foreign.parsers import read_json
+from ringtrue.report.build import deliver
 from ringtrue.study.acceptance import Check
 from ringtrue.study.results import PlanStage
 from ringtrue.study.run import StudyRun, run_study
@@ -80,7 +80,7 @@ def run_demo(
     )
     run = run_study(study, first="identify", progress=lambda f, t: tell(0.5 + 0.4 * f, t))
     tell(0.92, "what the best six parameters could reach")
-    best = best_possible(run, twin, run.desk)
+    best = best_possible(run, twin, run.session)
     extra: dict[str, Any] = {
         "twin_hash": twin_hash(),
         "dof_as_built": twin.dof,

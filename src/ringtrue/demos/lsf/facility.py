@@ -1,16 +1,81 @@
-"""The facility meshed from a `Spec`: foundation, frame, vessel, drivetrain, anchors and air
-springs.
-"""
+"""The facility as a mesh: foundation, frame, vessel, drive, and what stands on the site."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
 import numpy as np
+from numpy.typing import NDArray
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.demos.lsf import spec as S
-from ringtrue.demos.lsf.mesh import Mesh
-from ringtrue.demos.lsf.site import PARTITION, site
 from ringtrue.demos.lsf.spec import Spec
+
+Value = int | float | str | None
+_GRAIN = 1e-4  # m: nodes closer than this are one
+
+
+@dataclass
+class Mesh:
+    """Cards in the making; the only mutable thing of the worked example."""
+
+    nodes: dict[tuple[int, int, int], int] = field(default_factory=dict)
+    xyz: list[tuple[float, float, float]] = field(default_factory=list)
+    cards: list[tuple[str, str, tuple[Value, ...]]] = field(
+        default_factory=list
+    )  # (part, card, fields)
+    next_element: dict[str, int] = field(default_factory=dict)
+    part: str = "main"
+    part_of_node: list[str] = field(default_factory=list)
+    bases: dict[str, int] = field(default_factory=dict)
+    ids: list[int] = field(default_factory=list)
+    count: dict[str, int] = field(default_factory=dict)
+
+    def node(self, x: float, y: float, z: float, *, new: bool = False) -> int:
+        """The node at a place; `new` makes a coincident one."""
+        key = (round(x / _GRAIN), round(y / _GRAIN), round(z / _GRAIN))
+        if not new and key in self.nodes:
+            return self.nodes[key]
+        n = self.count.get(self.part, 0) + 1
+        self.count[self.part] = n
+        number = self.bases.get(self.part, 0) + n
+        self.xyz.append((x, y, z))
+        self.ids.append(number)
+        self.part_of_node.append(self.part)
+        if not new:
+            self.nodes[key] = number
+        return number
+
+    def lattice(self, points: Float) -> Int:
+        """Nodes at points (..., 3), the same shape without the last axis."""
+        flat = [self.node(*p) for p in points.reshape(-1, 3).tolist()]
+        return np.array(flat).reshape(points.shape[:-1])
+
+    def add(self, card: str, *fields: Value) -> None:
+        """A card of the current part."""
+        self.cards.append((self.part, card, fields))
+
+    def element(self, card: str, *fields: Value) -> int:
+        """An element card numbered next in the current part; `fields` follow the number."""
+        n = self.next_element.get(self.part, 0) + 1
+        self.next_element[self.part] = n
+        eid = self.bases.get(self.part, 0) + n
+        self.add(card, eid, *fields)
+        return eid
+
+    def rows(self, card: str, pid: int, nodes: NDArray[np.int64]) -> None:
+        """Elements with nodes (e, k)."""
+        for row in nodes.tolist():
+            self.element(card, pid, *row)
+
+    def nearest(self, part: str, point: Sequence[float], k: int = 1) -> list[int]:
+        """The k nodes of a part that are nearest to a point."""
+        at = [i for i, p in enumerate(self.part_of_node) if p == part]
+        d = np.linalg.norm(np.array([self.xyz[i] for i in at]) - np.array(point), axis=1)
+        return [self.ids[at[j]] for j in np.argsort(d, kind="stable")[:k].tolist()]
+
 
 BASES = {
     "foundation": 100_000,
@@ -121,7 +186,7 @@ def foundation(b: Builder) -> None:
             m.element("CHEXA", pid, *row)
     for row in nodes[region[i, j, k] == PARTITION].tolist():
         m.element("CHEXA", PARTITION, *row)
-    _haunches(b, number, x, n.ny_wall, y.size - 1 - n.ny_wall, n.nz_slab)
+    _haunches(b, number, x=x, j0=n.ny_wall, j1=y.size - 1 - n.ny_wall, k=n.nz_slab)
 
 
 def _haunches(b: Builder, number: Int, x: Float, j0: int, j1: int, k: int) -> None:
@@ -322,8 +387,12 @@ def drive(b: Builder) -> None:
             0.0,
             -0.33,
         )
-    motor = _machine(b, "motor mounts", S.MOTOR, 20_000.0, (9000.0, 26000.0, 28000.0), 0.8)
-    gear = _machine(b, "gearbox mounts", S.GEARBOX, 9_000.0, (3500.0, 4200.0, 5000.0), 0.6)
+    motor = _machine(
+        b, "motor mounts", x=S.MOTOR, mass=20_000.0, inertia=(9000.0, 26000.0, 28000.0), half=0.8
+    )
+    gear = _machine(
+        b, "gearbox mounts", x=S.GEARBOX, mass=9_000.0, inertia=(3500.0, 4200.0, 5000.0), half=0.6
+    )
     _shaft(b, motor, gear)
 
 
@@ -416,3 +485,71 @@ def build(spec: Spec) -> Builder:
     if spec.site:
         site(b)
     return b
+
+
+# property number -> what it is made of; see `deck.properties`
+PARTITION, PLATFORM, PIPE, HOSE_LINK, CRANE_LINK, PIPE_CLAMP = 5, 71, 72, 73, 74, 75
+HOSE_BRIDGE, CRANE = 9_000.0, 12_000.0  # kg, hung so softly that they move alone
+CABINETS = ((4.0, 0.45, S.TOP, 1500.0), (21.0, 9.55, S.MID, 2500.0), (14.2, 9.55, S.TOP, 1200.0))
+
+
+def site(b: Builder) -> None:
+    """Adds the parts that the analyst left out."""
+    _platform(b)
+    _piping(b)
+    _hung(b)
+    for x, y, z, mass in CABINETS:
+        b.mesh.element("CONM2", b.mesh.node(x, y, z), None, mass)
+
+
+def _platform(b: Builder) -> None:
+    """A service platform along one side of the frame, cantilevered from the lower girder."""
+    m, n = b.mesh, b.spec.mesh
+    m.part = "site"
+    spans = [np.linspace(a, c, n.span + 1)[:-1] for a, c in pairwise(S.PORTALS)]
+    x = np.concatenate([*spans, S.PORTALS[-1:]])
+    y = S.SIDES[0] - np.array([0.0, 0.4, 0.8])
+    g = m.lattice(np.stack(np.meshgrid(x, y, [S.MID], indexing="ij"), axis=-1)[:, :, 0])
+    for i in range(x.size - 1):
+        for j in range(y.size - 1):
+            m.element(
+                "CQUAD4", PLATFORM, *map(int, (g[i, j], g[i + 1, j], g[i + 1, j + 1], g[i, j + 1]))
+            )
+
+
+def _piping(b: Builder) -> None:
+    m = b.mesh
+    m.part = "site"
+    x = np.concatenate(
+        [np.linspace(a, c, 5)[:-1] for a, c in zip(S.PORTALS[:-1], S.PORTALS[1:], strict=True)]
+    )
+    x = np.append(x, S.PORTALS[-1])
+    y, z = S.SIDES[1] - 0.6, S.MID + 0.5
+    nodes = m.lattice(np.stack([x, np.full_like(x, y), np.full_like(x, z)], axis=1))
+    for a, c in pairwise(nodes.tolist()):
+        m.element("CBEAM", PIPE, a, c, 0.0, 0.0, 1.0)
+    for i in range(0, len(nodes), 4):
+        girder = m.nearest("frame", (float(x[i]), S.SIDES[1], S.MID))[0]
+        m.element("CBUSH", PIPE_CLAMP, int(nodes[i]), girder, None, None, None, 0, 0.0)
+
+
+def _hung(b: Builder) -> None:
+    m = b.mesh
+    m.part = "site"
+    for point, place, mass, pid in (
+        (
+            m.nearest("foundation", (25.0, 5.0, S.WALL_TOP))[0],
+            (25.0, 5.0, S.WALL_TOP),
+            HOSE_BRIDGE,
+            HOSE_LINK,
+        ),
+        (
+            m.nearest("foundation", (0.0, 5.0, S.WALL_TOP))[0],
+            (0.0, 5.0, S.WALL_TOP),
+            CRANE,
+            CRANE_LINK,
+        ),
+    ):
+        hung = m.node(*place, new=True)
+        m.element("CONM2", hung, None, mass)
+        m.element("CBUSH", pid, hung, point, None, None, None, 0)

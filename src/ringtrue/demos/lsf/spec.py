@@ -45,18 +45,20 @@ class Section:
         hm, wm = height - t, width - t
         area = height * width - hi * wi
         return cls(
-            area,
-            (width * height**3 - wi * hi**3) / 12,
-            (height * width**3 - hi * wi**3) / 12,
-            2 * t * (hm * wm) ** 2 / (hm + wm),
-            2 * height * t / area,
-            2 * width * t / area,
+            area=area,
+            i1=(width * height**3 - wi * hi**3) / 12,
+            i2=(height * width**3 - hi * wi**3) / 12,
+            j=2 * t * (hm * wm) ** 2 / (hm + wm),
+            k1=2 * height * t / area,
+            k2=2 * width * t / area,
         )
 
     def times(self, factor: float) -> Section:
         """The section of plates thicker by `factor`."""
         f = factor
-        return Section(f * self.area, f * self.i1, f * self.i2, f * self.j, self.k1, self.k2)
+        return Section(
+            area=f * self.area, i1=f * self.i1, i2=f * self.i2, j=f * self.j, k1=self.k1, k2=self.k2
+        )
 
 
 # region -> (material kind, elastic modulus or stiffness as the analyst took it); a region is one
@@ -168,5 +170,5 @@ SECTIONS = {
     "vessel rings": Section.box(0.80, 0.30, 0.040),
     "deck beams": Section.box(1.00, 0.50, 0.034),
     "pedestals": Section.box(1.40, 1.20, 0.050),
-    "shaft": Section(0.1963, 3.07e-3, 3.07e-3, 6.14e-3, 0.89, 0.89),
+    "shaft": Section(area=0.1963, i1=3.07e-3, i2=3.07e-3, j=6.14e-3, k1=0.89, k2=0.89),
 }

@@ -16,7 +16,7 @@ from ringtrue.demos.lsf import spec as S
 from ringtrue.demos.lsf.spec import Mesh3, Spec
 
 VERSION = 1
-_MODULES = ("deck.py", "facility.py", "mesh.py", "site.py", "spec.py", "truth.py", "twin.py")
+_MODULES = ("deck.py", "facility.py", "spec.py", "truth.py", "twin.py")
 
 FINE = Mesh3(
     nx=84,

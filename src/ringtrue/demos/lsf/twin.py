@@ -86,12 +86,12 @@ def _extra_points() -> tuple[TestModel, dict[str, tuple[str, ...]]]:
         names += mine
     xyz = np.array(list(points.values()))
     model = TestModel(
-        np.array(list(points)),
-        xyz,
-        tuple(names),
-        np.array(at),
-        np.array(axes),
-        np.zeros((0, 2), dtype=np.int64),
+        points=np.array(list(points)),
+        xyz=xyz,
+        channels=tuple(names),
+        at=np.array(at),
+        axes=np.array(axes),
+        lines=np.zeros((0, 2), dtype=np.int64),
     )
     return model, kinds
 
@@ -172,27 +172,32 @@ def make_twin(
     names = (*references, *extra.channels, *ground_names)
     upper = np.concatenate([flexibility, np.zeros((len(test.channels), len(ground_names)))], axis=1)
     modal = ModalModel(
-        lossy.poles,
-        outputs,
-        np.concatenate([inputs.T, ground], axis=1),
-        np.zeros(upper.shape, dtype=np.complex128),
-        upper.astype(np.complex128),
-        tuple(Channel(c, "acceleration", "m/s^2") for c in test.channels),
-        tuple(Channel(c, "force", "N") for c in names),
-        "receptance",
-        Norm.MODAL_A,
+        poles=lossy.poles,
+        shapes=outputs,
+        participation=np.concatenate([inputs.T, ground], axis=1),
+        lower=np.zeros(upper.shape, dtype=np.complex128),
+        upper=upper.astype(np.complex128),
+        outputs=tuple(Channel(c, "acceleration", "m/s^2") for c in test.channels),
+        inputs=tuple(Channel(c, "force", "N") for c in names),
+        kind="receptance",
+        norm=Norm.MODAL_A,
     )
     seen = ModeSet(
-        real.frequencies, lossy.damping, see(real.shapes), test.channels, Norm.MASS, "as built"
+        frequencies=real.frequencies,
+        damping=lossy.damping,
+        shapes=see(real.shapes),
+        labels=test.channels,
+        norm=Norm.MASS,
+        source="as built",
     )
     return Twin(
-        modal,
-        test,
-        kinds["drop"],
-        kinds["jump"],
-        kinds["sledge"],
-        kinds["machine"],
-        int(dof),
-        float(mass),
-        seen,
+        modal=modal,
+        test=test,
+        drop_points=kinds["drop"],
+        jump_points=kinds["jump"],
+        sledge_points=kinds["sledge"],
+        machine_points=kinds["machine"],
+        dof=int(dof),
+        mass=float(mass),
+        real_modes=seen,
     )

@@ -25,7 +25,9 @@ from ringtrue.fem.mesh import (
 )
 from ringtrue.model.model import Table, card_error, unsupported_card
 
-PLANE1, PLANE2 = [1, 5, 7, 11], [2, 4, 8, 10]  # (v, θz) and (w, θy) at both ends
+# (v, θz) and (w, θy) at both ends
+PLANE1 = [1, 5, 7, 11]
+PLANE2 = [2, 4, 8, 10]
 _PAIR = np.array([[1.0, -1.0], [-1.0, 1.0]])
 _SIGN = np.array([1.0, -1.0, 1.0, -1.0])  # the slope of w is -θy
 # Points on (-½, ½) of each part between two stations. Sixteen: I 10:1 to nine digits. Four: cubic
@@ -107,7 +109,7 @@ def uniform(L: Float, iso: Isotropic, s: Section) -> Any_:
     A, I1, I2, I12, J = (v.mean(axis=1) for v in (s.A, s.I1, s.I2, s.I12, s.J))
     b0, b1 = _curvature(L)
     constant, linear = (np.einsum("e,ei,ej->eij", c, b, b) for c, b in ((L, b0), (L / 3, b1)))
-    soft = [1 / (1 + _shear(iso, A, I, k, L)) for I, k in ((I1, s.k1), (I2, s.k2))]
+    soft = [1 / (1 + _shear(iso, A, I, k=k, L=L)) for I, k in ((I1, s.k1), (I2, s.k2))]
     EI1 = scaled(iso.E * I1, constant) + scaled(iso.E * I1 * soft[0], linear)
     EI2 = scaled(iso.E * I2, constant) + scaled(iso.E * I2 * soft[1], linear)
     pair = np.broadcast_to(_PAIR, (len(L), 2, 2))
@@ -141,7 +143,8 @@ def flexible(L: Float, E: Any_, G: Any_, s: Section) -> Any_:
     loads whatever the taper).
     """
     dtype = np.result_type(float, E, G, s.A, s.I1, s.I2, s.I12, s.J, s.k1, s.k2)
-    axial, twist = np.zeros(len(L), dtype=dtype), np.zeros(len(L), dtype=dtype)
+    axial = np.zeros(len(L), dtype=dtype)
+    twist = np.zeros(len(L), dtype=dtype)
     F = np.zeros((len(L), 4, 4), dtype=dtype)  # of (Fy, Mz/L, Fz, -My/L)
     none = [
         np.asarray((v == 0).all(axis=1) | (c == 0))
@@ -152,7 +155,8 @@ def flexible(L: Float, E: Any_, G: Any_, s: Section) -> Any_:
         A, I1, I2, I12, J = (value(v) for v in (s.A, s.I1, s.I2, s.I12, s.J))
         axial += w * L / np.where(none[0], 1.0, E * A)
         twist += w * L / np.where(none[1], 1.0, G * J)
-        I1, I2 = np.where(none[2], 1.0, I1), np.where(none[3], 1.0, I2)
+        I1 = np.where(none[2], 1.0, I1)
+        I2 = np.where(none[3], 1.0, I2)
         C = scaled(
             w * L**3 / (E * (I1 * I2 - I12**2)),
             np.stack([np.stack([I2, -I12], 1), np.stack([-I12, I1], 1)], 1),
@@ -172,8 +176,10 @@ def flexible(L: Float, E: Any_, G: Any_, s: Section) -> Any_:
         bending[absent, at, :] = 0.0
         bending[absent, :, at] = 0.0
     K = np.zeros((len(L), 6, 6), dtype=dtype)
-    K[:, 0, 0], K[:, 3, 3] = np.where(none[0], 0.0, 1 / axial), np.where(none[1], 0.0, 1 / twist)
-    rows, scale = np.array([1, 5, 2, 4]), np.stack([L**0, L, L**0, -L], axis=1)
+    K[:, 0, 0] = np.where(none[0], 0.0, 1 / axial)
+    K[:, 3, 3] = np.where(none[1], 0.0, 1 / twist)
+    rows = np.array([1, 5, 2, 4])
+    scale = np.stack([L**0, L, L**0, -L], axis=1)
     K[:, rows[:, None], rows] = bending * scale[:, :, None] * scale[:, None, :]
     o = np.zeros_like(L)
     from_a = arm(np.stack([L, o, o], axis=1))
@@ -204,7 +210,8 @@ def consistent(L: Float, per_length: Any_, polar: Any_, x: Float) -> Any_:
     Cubic transverse and linear torsional shapes; axial the mean of lumped and consistent, as for a
     rod.
     """
-    plane, linear = _moments(L, per_length, x, _hermite), _moments(L, per_length, x, _linear)
+    plane = _moments(L, per_length, x, _hermite)
+    linear = _moments(L, per_length, x, _linear)
     axial = (linear + linear.sum(axis=2)[:, :, None] * np.eye(2)) / 2
     blocks = [([0, 6], axial), (PLANE1, plane), (PLANE2, plane * _SIGN[:, None] * _SIGN)]
     return scatter(len(L), 12, *blocks, ([3, 9], _moments(L, polar, x, _linear)))
@@ -254,11 +261,9 @@ def release(K: Any_, pins: Any_) -> Any_:
     patterns, which = np.unique(pins, axis=0, return_inverse=True)
     for i, p in enumerate(patterns):  # a handful of patterns in a deck
         if p.any():
-            keep, drop, rows = (
-                np.flatnonzero(~p),
-                np.flatnonzero(p),
-                np.flatnonzero(which.reshape(-1) == i),
-            )
+            keep = np.flatnonzero(~p)
+            drop = np.flatnonzero(p)
+            rows = np.flatnonzero(which.reshape(-1) == i)
             out[rows] = 0.0
             out[rows[:, None, None], keep[:, None], keep] = condense(
                 _stiff(K[rows], drop), keep, drop
@@ -283,7 +288,7 @@ def section(m: Mesh, card: str, at: Int) -> tuple[Isotropic, Section]:
 def _pbar(m: Mesh, card: str, at: Int) -> tuple[Isotropic, Section]:
     """PBAR of each row; its shear factors are ignored where I12 is given, as in Nastran."""
     t = m.model[card]
-    row = lookup(m.model, "PBAR", t["PID"][at], t, at)
+    row = lookup(m.model, "PBAR", t["PID"][at], table=t, at=at)
     p = m.model["PBAR"]
     A, I1, I2, I12, J, nsm = (
         np.stack([p[c][row]] * 2, axis=1) for c in ("A", "I1", "I2", "I12", "J", "NSM")
@@ -292,13 +297,22 @@ def _pbar(m: Mesh, card: str, at: Int) -> tuple[Isotropic, Section]:
     k1, k2 = (
         np.where(np.isnan(p[k][row]) | (I12[:, 0].real != 0), 0.0, p[k][row]) for k in ("K1", "K2")
     )
-    o, none, x = (
-        np.zeros((at.size, 2)),
-        np.zeros((at.size, 2, 2)),
-        np.tile([0.0, 1.0], (at.size, 1)),
-    )
+    o = np.zeros((at.size, 2))
+    none = np.zeros((at.size, 2, 2))
+    x = np.tile([0.0, 1.0], (at.size, 1))
     return isotropic(m.model, p["MID"][row], p, row), Section(
-        x, A, I1, I2, I12, J, k1, k2, nsm, o, none, none
+        x=x,
+        A=A,
+        I1=I1,
+        I2=I2,
+        I12=I12,
+        J=J,
+        k1=k1,
+        k2=k2,
+        nsm=nsm,
+        nsm_polar=o,
+        neutral=none,
+        nsm_at=none,
     )
 
 
@@ -309,11 +323,12 @@ def _pbeam(m: Mesh, card: str, at: Int) -> tuple[Isotropic, Section]:
         raise unsupported_card(
             m.model, t, int(at[warping][0]), "has warping points SA, SB; leave them out"
         )
-    row = lookup(m.model, "PBEAM", t["PID"][at], t, at)
+    row = lookup(m.model, "PBEAM", t["PID"][at], table=t, at=at)
     p = m.model["PBEAM"]
     x, order = _stations(p, row)
     A, I1, I2, I12, J, nsm = (
-        _at_stations(p, row, name, x, order) for name in ("A", "I1", "I2", "I12", "J", "NSM")
+        _at_stations(p, row, name, x=x, entry=order)
+        for name in ("A", "I1", "I2", "I12", "J", "NSM")
     )
     k1, k2 = (np.where(np.isnan(p[k][row]), 0.0, p[k][row]) for k in ("K1", "K2"))
     nsm = nsm + m.nsm(card, at)[:, None]
@@ -323,7 +338,20 @@ def _pbeam(m: Mesh, card: str, at: Int) -> tuple[Isotropic, Section]:
         for c in "NM"
     )
     iso = isotropic(m.model, p["MID"][row], p, row)
-    return iso, Section(x, A, I1, I2, I12, J, k1, k2, nsm, polar, neutral, nsm_at)
+    return iso, Section(
+        x=x,
+        A=A,
+        I1=I1,
+        I2=I2,
+        I12=I12,
+        J=J,
+        k1=k1,
+        k2=k2,
+        nsm=nsm,
+        nsm_polar=polar,
+        neutral=neutral,
+        nsm_at=nsm_at,
+    )
 
 
 def _stations(p: Table, row: Int) -> tuple[Float, Int]:
@@ -335,7 +363,8 @@ def _stations(p: Table, row: Int) -> tuple[Float, Int]:
     if "X" not in p.columns or not p.ragged("X").values.size:
         return np.tile([0.0, 1.0], (row.size, 1)), np.full((row.size, 2), -1)
     every = p.ragged("X")
-    first, count = every.offsets[row], every.sizes[row]
+    first = every.offsets[row]
+    count = every.sizes[row]
     k = np.arange(count.max(initial=0))
     entry = np.where(k < count[:, None], first[:, None] + k, -1)
     x = np.where(entry < 0, 1.0, every.values[entry])
@@ -386,7 +415,7 @@ def offsets(m: Mesh, card: str, at: Int, nodes: Int) -> Float:
     rows = np.flatnonzero(own.any(axis=1))
     if rows.size:
         axis = unit(m.xyz[nodes[rows, 1]] - m.xyz[nodes[rows, 0]])
-        R = triad(m, axis, orientation(m, t, at[rows], nodes[rows, 0]), t, at[rows])
+        R = triad(m, axis, orientation(m, t, at[rows], nodes[rows, 0]), table=t, at=at[rows])
         frame[rows] = np.where(own[rows][:, :, None, None], R[:, None], frame[rows])
     return np.asarray(np.einsum("eki,ekij->ekj", w, frame))
 
@@ -469,16 +498,16 @@ def place(m: Mesh, card: str, at: Int) -> Placed:
     if short.any():
         raise card_error(m.model, t, int(at[short][0]), "its two ends are at one place")
     L, axis = segment(x)
-    R = triad(m, axis, orientation(m, t, at, nodes[:, 0]), t, at)
+    R = triad(m, axis, orientation(m, t, at, nodes[:, 0]), table=t, at=at)
     local = rotation(R, 2)
     if arms.any():
         local = local @ nodal(arm(arms))
     return Placed(
-        nodes,
-        L,
-        R,
-        local,
-        np.concatenate([components(t["PA"][at]), components(t["PB"][at])], axis=1),
+        nodes=nodes,
+        L=L,
+        axes=R,
+        local=local,
+        released=np.concatenate([components(t["PA"][at]), components(t["PB"][at])], axis=1),
     )
 
 
@@ -501,11 +530,11 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     p = place(m, card, at)
     iso, s = section(m, card, at)
     K = release(stiffness(p.L, iso, s), p.released)
-    M = _mass(p.L, iso, s, m.model.param("COUPMASS", -1) > 0, card == "CBEAM")
+    M = _mass(p.L, iso, s, coupled=m.model.param("COUPMASS", -1) > 0, beam=card == "CBEAM")
     return Matrices(
-        node_dofs(p.nodes),
-        congruent(p.local, K),
-        congruent(p.local, M),
-        iso.loss,
-        np.empty((0, 12, 12)),
+        dofs=node_dofs(p.nodes),
+        stiffness=congruent(p.local, K),
+        mass=congruent(p.local, M),
+        loss=iso.loss,
+        viscous=np.empty((0, 12, 12)),
     )

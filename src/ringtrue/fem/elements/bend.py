@@ -65,11 +65,13 @@ def _arc(m: Mesh, t: Table, at: Int, nodes: Int, p: dict[str, Any_]) -> Arc:
     In 2 to 4 the arc is on that side of the chord to which v points. Source: MSC Nastran Quick
     Reference Guide, CBEND.
     """
-    x, geom = m.xyz[nodes], t["GEOM"][at]
-    v, d = orientation(m, t, at, nodes[:, 0]), x[:, 1] - x[:, 0]
+    x = m.xyz[nodes]
+    geom = t["GEOM"][at]
+    v = orientation(m, t, at, nodes[:, 0])
+    d = x[:, 1] - x[:, 0]
     chord = np.linalg.norm(d, axis=1)
-    _refuse(m, t, at, (geom < 1) | (geom > 4), "GEOM must be 1 to 4")
-    _refuse(m, t, at, chord == 0, "its two ends are at one place")
+    _refuse(m, t, at, bad=(geom < 1) | (geom > 4), why="GEOM must be 1 to 4")
+    _refuse(m, t, at, bad=chord == 0, why="its two ends are at one place")
     along = d / chord[:, None]
     forward = np.einsum("ei,ei->e", v, along)
     side = v - forward[:, None] * along
@@ -78,15 +80,15 @@ def _arc(m: Mesh, t: Table, at: Int, nodes: Int, p: dict[str, Any_]) -> Arc:
         m,
         t,
         at,
-        height <= 1e-8 * np.linalg.norm(v, axis=1),
-        "the vector v is zero or along the chord",
+        bad=height <= 1e-8 * np.linalg.norm(v, axis=1),
+        why="the vector v is zero or along the chord",
     )
     _refuse(
         m,
         t,
         at,
-        (geom == 1) & (np.abs(forward) <= 1e-12 * height),
-        "the centre on v is at infinity",
+        bad=(geom == 1) & (np.abs(forward) <= 1e-12 * height),
+        why="the centre on v is at infinity",
     )
     sine = np.abs(forward) / np.hypot(
         forward, height
@@ -97,8 +99,8 @@ def _arc(m: Mesh, t: Table, at: Int, nodes: Int, p: dict[str, Any_]) -> Arc:
         m,
         t,
         at,
-        (geom == 3) & (np.real(radius) < chord / 2 * (1 - 1e-9)),
-        "RB is less than half the chord",
+        bad=(geom == 3) & (np.real(radius) < chord / 2 * (1 - 1e-9)),
+        why="RB is less than half the chord",
     )
     ratio = chord / 2 / np.where(geom == 3, radius, chord)
     half = np.where(geom == 3, np.arcsin(np.where(np.real(ratio) > 1, 1.0, ratio)), half)
@@ -107,12 +109,16 @@ def _arc(m: Mesh, t: Table, at: Int, nodes: Int, p: dict[str, Any_]) -> Arc:
         m,
         t,
         at,
-        (np.real(half) <= 0) | (np.real(half) >= np.pi),
-        "the angle of the arc must be in 0 to 360 degrees",
+        bad=(np.real(half) <= 0) | (np.real(half) >= np.pi),
+        why="the angle of the arc must be in 0 to 360 degrees",
     )
     away = np.where((geom == 1) & (forward > 0), -1.0, 1.0)
     return Arc(
-        x.mean(axis=1), unit(side) * away[:, None], along, chord / 2 / np.sin(half), 2 * half
+        middle=x.mean(axis=1),
+        out=unit(side) * away[:, None],
+        along=along,
+        radius=chord / 2 / np.sin(half),
+        angle=2 * half,
     )
 
 
@@ -139,14 +145,14 @@ def _section(m: Mesh, p: dict[str, Any_], radius: Any_, t: Table, row: Int) -> d
     """A, I1, I2, J and the offset e of the neutral axis, of either form of PBEND."""
     tube = p["FSI"] > 0
     room = ~tube | (np.real(p["RM"] + p["T"] / 2) < np.real(radius))
-    _refuse(m, t, row, ~room, "RM + T/2 must be less than the radius of the arc")
+    _refuse(m, t, row, bad=~room, why="RM + T/2 must be less than the radius of the arc")
     area, second, e = pipe(
         np.where(tube, p["RM"], 0.1), np.where(tube, p["T"], 0.0), np.where(tube, radius, 1.0)
     )
     out = {"A": np.where(tube, area, p["A"])}
     out |= {n: np.where(tube, c * second, p[n]) for n, c in (("I1", 1), ("I2", 1), ("J", 2))}
     for name in ("A", "I1", "I2", "J"):
-        _refuse(m, t, row, np.real(out[name]) <= 0, f"{name} must be greater than 0")
+        _refuse(m, t, row, bad=np.real(out[name]) <= 0, why=f"{name} must be greater than 0")
     thin = out["I1"] / (out["A"] * radius)
     given = np.where(np.isnan(p["DELTAN"]), thin, p["DELTAN"])
     return out | {"e": np.where(tube, e, given)}
@@ -175,7 +181,8 @@ def flexibility(arc: Arc, radius: Any_, height: Any_, compliance: Any_, to: floa
     F: Any_ = np.zeros((len(end), 6, 6))
     for point, w in zip(_POINTS.tolist(), _WEIGHTS.tolist(), strict=True):
         there = reach * (point + 1) - 1
-        R, place = arc.axes(there), arc.place(there, radius, height)
+        R = arc.axes(there)
+        place = arc.place(there, radius, height)
         turn = scatter(len(R), 6, ([0, 1, 2], R), ([3, 4, 5], R))
         force, moved = (turn @ arm(x - place).swapaxes(1, 2) for x in (end, here))
         F = F + scaled(
@@ -195,7 +202,7 @@ def _coupled(
     start = arc.place(-1.0, radius, height)
     M: Any_ = np.zeros((len(start), 12, 12))
     for to, w in zip(*(v.tolist() for v in _LINE), strict=True):
-        N = flexibility(arc, radius, height, compliance, to) @ forces
+        N = flexibility(arc, radius, height, compliance=compliance, to=to) @ forces
         N = N + np.concatenate(
             [arm(arc.place(to, radius, height) - start) @ first, np.zeros_like(first)], axis=2
         )
@@ -214,14 +221,20 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     """
     t = m.model[card]
     nodes = m.nodes(t.stack("GA", "GB")[at], t, at)
-    row = lookup(m.model, "PBEND", t["PID"][at], t, at)
+    row = lookup(m.model, "PBEND", t["PID"][at], table=t, at=at)
     table = m.model["PBEND"]
     p = {name: table[name][row] for name in table.columns}
-    arc = _arc(m, t, at, nodes, p)
+    arc = _arc(m, t, at, nodes=nodes, p=p)
     radius = arc.radius + p["RC"]
     iso = isotropic(m.model, p["MID"], table, row)
-    _refuse(m, table, row, np.real(iso.G) == 0, "its MAT1 has no G, which a bend needs in torsion")
-    s = _section(m, p, radius, table, row)
+    _refuse(
+        m,
+        table,
+        row,
+        bad=np.real(iso.G) == 0,
+        why="its MAT1 has no G, which a bend needs in torsion",
+    )
+    s = _section(m, p, radius, t=table, row=row)
     c = _compliance(s, iso.E, iso.G, (p["K1"], p["K2"]))
     ends = [arc.place(share, radius, p["ZC"]) for share in (-1.0, 1.0)]
     arms = [arm(x - m.xyz[nodes[:, k]]) for k, x in enumerate(ends)]
@@ -230,7 +243,7 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     K = D.swapaxes(1, 2) @ forces
     line = iso.rho * s["A"] + p["NSM"]
     if m.model.param("COUPMASS", -1) > 0:
-        M = scaled(line, _coupled(arc, radius, p["ZC"], c, arms[0], forces))
+        M = scaled(line, _coupled(arc, radius, p["ZC"], compliance=c, first=arms[0], forces=forces))
     else:
         half = line * radius * arc.angle / 2
         body = scaled(half, np.broadcast_to(np.diag([1.0, 1, 1, 0, 0, 0]), (at.size, 6, 6)))
@@ -240,5 +253,9 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
             *((list(range(6 * k, 6 * k + 6)), congruent(A, body)) for k, A in enumerate(arms)),
         )
     return Matrices(
-        node_dofs(nodes), (K + K.swapaxes(1, 2)) / 2, M, iso.loss, np.empty((0, 12, 12))
+        dofs=node_dofs(nodes),
+        stiffness=(K + K.swapaxes(1, 2)) / 2,
+        mass=M,
+        loss=iso.loss,
+        viscous=np.empty((0, 12, 12)),
     )

@@ -57,8 +57,8 @@ def node_normals(m: Mesh, nodes: Int, own: Any_) -> Any_:
     total[used] = unit(total[used])
     sharp = np.zeros(len(m.xyz), dtype=bool)
     for corners, n in around:
-        apart = np.einsum("eka,ea->ek", total[corners], n).real < np.cos(np.radians(limit))
-        sharp[corners[apart]] = True
+        folded = np.einsum("eka,ea->ek", total[corners], n).real < np.cos(np.radians(limit))
+        sharp[corners[folded]] = True
     mean = total[nodes]
     keep: Any_ = sharp[nodes]
     if not np.iscomplexobj(mean):  # a complex step is small, but not nothing
@@ -79,7 +79,7 @@ def _around(m: Mesh, nodes: Int) -> Iterable[tuple[Int, Any_]]:
         corners = m.model["GRID"].find(near)
         corners = corners[
             (corners >= 0).all(axis=1)
-        ]  # a node that is absent is told by the element's own builder
+        ]  # the builder of the element names a node that is absent
         x, (a, b, c, d) = m.xyz[corners], _SPAN[k]
         n = np.cross(x[:, b] - x[:, a], x[:, d] - x[:, c])
         there = (n != 0).any(axis=1)
@@ -129,7 +129,8 @@ def law(s: Section, w: Any_, corner: Any_) -> Any_:
     C = np.zeros(
         (*w.shape, 8, 8), dtype=np.result_type(s.membrane, s.coupling, s.bending, s.shear, w1)
     )
-    C[..., :3, :3], C[..., 3:6, 3:6] = s.membrane[:, None] * w1, s.bending[:, None] * w3
+    C[..., :3, :3] = s.membrane[:, None] * w1
+    C[..., 3:6, 3:6] = s.bending[:, None] * w3
     C[..., :3, 3:6] = C[..., 3:6, :3] = s.coupling[:, None] * w2
     C[..., 6:, 6:] = s.shear[:, None] * w1
     return C
@@ -137,9 +138,11 @@ def law(s: Section, w: Any_, corner: Any_) -> Any_:
 
 def strains(rule: ShellRule, x: Any_, n: Any_, back: Any_) -> Any_:
     """Rows (e, p, 8, 6k) of (ε, κ, γ) in the local axes over (u, θ) of each node."""
-    plane, shear = rule.plane, rule.shear
+    plane = rule.plane
+    shear = rule.shear
     membrane, curvature = _plane_samples(rule, plane, x, n)
-    p, q = back[..., 0, :], back[..., 1, :]
+    p = back[..., 0, :]
+    q = back[..., 1, :]
     T = np.stack(
         [
             np.stack([p[..., 0] ** 2, p[..., 1] ** 2, p[..., 0] * p[..., 1]], axis=-1),
@@ -201,7 +204,8 @@ def missing_mean(rows: Any_, gradients: Any_, frame: Any_, n: Any_, w: Any_) -> 
     distortion.
     """
     slope = np.einsum("epni,ena->epia", gradients, n)
-    first, second = gradients[..., 0, None], gradients[..., 1, None]
+    first = gradients[..., 0, None]
+    second = gradients[..., 1, None]
     e1, e2, n1, n2 = (v[:, :, i, None] for v in (frame, slope) for i in (0, 1))
     stretch = [first * e1, second * e2, second * e1 + first * e2]
     bent = [first * n1, second * n2, second * n1 + first * n2]

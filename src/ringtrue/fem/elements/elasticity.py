@@ -132,8 +132,9 @@ def anisotropic(m: Mesh, psolid: Int, x: Any_, element_axes: Any_) -> Anisotropi
         Row of PSOLID. Its CORDM is 0 (basic), -1 (`element_axes`, (e, 3, 3)) or a frame, taken at
         the mean of the nodes x (e, n, 3).
     """
-    p, t = m.model["PSOLID"], m.model["MAT9"]
-    row = lookup(m.model, "MAT9", p["MID"][psolid], p, psolid)
+    p = m.model["PSOLID"]
+    t = m.model["MAT9"]
+    row = lookup(m.model, "MAT9", p["MID"][psolid], table=p, at=psolid)
     values = t.stack(*(name for _, _, name in _TERMS))[row]
     C = np.empty((len(row), 6, 6), dtype=values.dtype)
     for k, (i, j, _) in enumerate(_TERMS):

@@ -49,7 +49,8 @@ def _shapes(r: Float, s: Float, triangle: Bool) -> tuple[Float, Float]:
     """Shape functions (e, 4) and their derivatives (e, 2, 4) of quadrilaterals (-1 to 1) and
     triangles (0 to 1).
     """
-    one, none = np.ones_like(r), np.zeros_like(r)
+    one = np.ones_like(r)
+    none = np.zeros_like(r)
     quad, dquad = bilinear(np.stack([r, s], axis=1))
     flat = np.stack([1 - r - s, r, s, none], axis=1)
     slope = np.stack(
@@ -129,8 +130,10 @@ def merged(size: int, parts: list[tuple[Int, End]]) -> End:
     )
     for rows, part in parts:
         own = part.nodes.shape[1]
-        out.nodes[rows, :own], out.follow[rows, :, : 6 * own] = part.nodes, part.follow
-        out.place[rows], out.normal[rows] = part.place, part.normal
+        out.nodes[rows, :own] = part.nodes
+        out.follow[rows, :, : 6 * own] = part.follow
+        out.place[rows] = part.place
+        out.normal[rows] = part.normal
     return out
 
 
@@ -145,7 +148,9 @@ class Skin:
     @classmethod
     def of(cls, m: Mesh) -> Skin:
         none: Int = np.zeros(0, dtype=np.int64)
-        ids, pids, corners = [none], [none], [none.reshape(0, 4)]
+        ids = [none]
+        pids = [none]
+        corners = [none.reshape(0, 4)]
         for card, count in SHELLS.items():
             if card in m.model:
                 t = m.model[card]
@@ -164,7 +169,8 @@ class Skin:
         """
         out = np.full((pid.size, _NEAREST), -1)
         for one in np.unique(pid).tolist():
-            mine, rows = np.flatnonzero(self.pid == one), np.flatnonzero(pid == one)
+            mine = np.flatnonzero(self.pid == one)
+            rows = np.flatnonzero(pid == one)
             if mine.size:
                 there = (self.corners[mine] >= 0)[:, :, None]
                 centre = np.where(there, m.xyz[self.corners[mine]], 0.0).sum(axis=1) / there.sum(
@@ -179,13 +185,15 @@ class Skin:
         none.
         """
         there = self.corners >= 0
-        row, node = np.nonzero(there)[0], self.corners[there]
+        row = np.nonzero(there)[0]
+        node = self.corners[there]
         on = sp.csr_array((np.ones(row.size), (row, node)), shape=(self.ids.size, node.max() + 1))
         touching = sp.coo_array(on[shell] @ on.T)
         i, j = touching.coords
         i, j = i[j != shell[i]], j[j != shell[i]]
         order = np.lexsort((j, i))
-        i, j = i[order], j[order]
+        i = i[order]
+        j = j[order]
         slot = np.arange(i.size) - np.searchsorted(i, i)
         out = np.full((shell.size, 2 + slot.max(initial=-1)), -1)
         out[:, 0] = shell
@@ -249,7 +257,7 @@ class _Surface:
     """The shells on which the ends (e,) may stand: of a property, or of a shell and its neighbours
     where `shell` >= 0.
 
-    Two sheets of one property are told apart by their shells (MSC Nastran: up to 3 x 3 shells
+    Two sheets of one property are distinguished by their shells (MSC Nastran: up to 3 x 3 shells
     around SHIDA).
     """
 
@@ -292,7 +300,7 @@ def _on_square(m: Mesh, t: Table, at: Int, on: _Surface, point: Float, diameter:
         raise card_error(
             m.model, t, int(at[bad[0]]), f"its point has no foot on {on.name(int(bad[0]))}"
         )
-    centre = on_patch(m, t.card, at, on.skin.corners[shell], point)
+    centre = on_patch(m, t.card, at, nodes=on.skin.corners[shell], point=point)
     axes = any_triad(centre.normal)[:, 1:]
     side = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     corner = centre.place[:, None] + (np.sqrt(np.pi) / 4 * diameter)[:, None, None] * (side @ axes)
@@ -301,7 +309,7 @@ def _on_square(m: Mesh, t: Table, at: Int, on: _Surface, point: Float, diameter:
     if (bad := np.flatnonzero(under < 0)).size:
         why = f"D is too large: its square leaves {on.name(int(bad[0]) // 4)}"
         raise card_error(m.model, t, int(at[bad[0] // 4]), why)
-    feet = on_patch(m, t.card, np.repeat(at, 4), on.skin.corners[under], flat)
+    feet = on_patch(m, t.card, np.repeat(at, 4), nodes=on.skin.corners[under], point=flat)
     S = np.zeros((at.size, 4, 3, 6))
     S[..., :3] = np.eye(3)
     S[..., 3:] = -skew(feet.place.reshape(-1, 4, 3) - centre.place[:, None])
@@ -326,10 +334,11 @@ def on_squares(
     """Ends A and B on the shells of the property that the card names, or on the shell that it names
     (`by_shell`).
     """
-    skin, made = Skin.of(m), []
+    skin = Skin.of(m)
+    made = []
     for side, own, shell in zip("AB", properties, shells, strict=True):
         row = np.full(at.size, -1)
-        row[by_shell] = _row(m, t, at[by_shell], skin, t[shell][at[by_shell]])
+        row[by_shell] = _row(m, t, at[by_shell], skin=skin, ids=t[shell][at[by_shell]])
         on = _Surface(skin, t[own][at], row)
-        made.append(_on_square(m, t, at, on, _place(m, t, at, side), diameter))
+        made.append(_on_square(m, t, at, on=on, point=_place(m, t, at, side), diameter=diameter))
     return made[0], made[1]

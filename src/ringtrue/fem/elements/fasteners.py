@@ -63,8 +63,16 @@ def patches(m: Mesh, card: str, at: Int, side: str) -> tuple[Int, Bool]:
 def _wide(m: Mesh, card: str, at: Int) -> tuple[End, End]:
     """Ends on surfaces of several shells, of a property (PARTPAT) or that of a shell (ELPAT)."""
     t = m.model[card]
-    D = m.model["PWELD"]["D"][lookup(m.model, "PWELD", t["PID"][at], t, at)].real
-    return on_squares(m, t, at, D, t["TYPE"][at] == "ELPAT", ("PIDA", "PIDB"), ("SHIDA", "SHIDB"))
+    D = m.model["PWELD"]["D"][lookup(m.model, "PWELD", t["PID"][at], table=t, at=at)].real
+    return on_squares(
+        m,
+        t,
+        at,
+        diameter=D,
+        by_shell=t["TYPE"][at] == "ELPAT",
+        properties=("PIDA", "PIDB"),
+        shells=("SHIDA", "SHIDB"),
+    )
 
 
 def weld_ends(m: Mesh, card: str, at: Int) -> tuple[End, End]:
@@ -99,14 +107,19 @@ def weld_ends(m: Mesh, card: str, at: Int) -> tuple[End, End]:
         node = m.nodes(point, t, at)
         p = np.flatnonzero(there)
         q = np.flatnonzero(~there)
-        parts = [(p, on_patch(m, card, at[p], corners[p], m.xyz[node[p]]))] if p.size else []
+        parts = (
+            [(p, on_patch(m, card, at[p], nodes=corners[p], point=m.xyz[node[p]]))]
+            if p.size
+            else []
+        )
         made.append(merged(at.size, [*parts, *([(q, on_node(m, node[q]))] if q.size else [])]))
     return made[0], made[1]
 
 
 def lengths(L: Float, D: Any_, least: Float, most: Float) -> Any_:
     """Effective lengths (e,): L, not less and not more than so many diameters."""
-    low, high = least * D, most * D
+    low = least * D
+    high = most * D
     return np.where(np.real(low) > L, low, np.where(np.real(high) < L, high, L))
 
 
@@ -134,7 +147,8 @@ def _sheets(m: Mesh, t: Table, at: Int) -> Any_:
 
 def springs(L: Float, length: Any_, D: Any_, E: Any_, G: Any_) -> Any_:
     """Stiffness (e, 6) about the middle: along, across twice, of torsion, of bending twice."""
-    area, second = np.pi / 4 * D**2, np.pi / 64 * D**4
+    area = np.pi / 4 * D**2
+    second = np.pi / 64 * D**4
     across = 1 / (length / (SHEAR * G * area) + L**2 * length / (12 * E * second))
     bending = E * second / length
     return np.stack(
@@ -153,21 +167,23 @@ def joined(a: End, b: End, axes: Float, springs: Any_, half: Any_, loss: Any_) -
     """Matrices by springs (e, 6) half way between the ends, along and about `axes` (e, 3, 3); half
     the mass at each.
     """
-    middle, local = (a.place + b.place) / 2, rotation(axes, 1)
+    middle = (a.place + b.place) / 2
+    local = rotation(axes, 1)
     move = [local @ arm(middle - end.place) @ end.follow for end in (a, b)]
     K = congruent(np.concatenate([-move[0], move[1]], axis=2), springs[:, :, None] * np.eye(6))
     d = K.shape[1]
     M = np.zeros((len(K), d, d), dtype=half.dtype)
     first = 0
     for end in (a, b):
-        shift, size = end.follow[:, :3], end.follow.shape[2]
+        shift = end.follow[:, :3]
+        size = end.follow.shape[2]
         M[:, first : first + size, first : first + size] = half[:, None, None] * (
             shift.swapaxes(1, 2) @ shift
         )
         first += size
     nodes = np.concatenate([a.nodes, b.nodes], axis=1)
     dofs = np.where(np.repeat(nodes, 6, axis=1) >= 0, node_dofs(nodes), -1)
-    return Matrices(dofs, K, M, loss, np.empty((0, d, d)))
+    return Matrices(dofs=dofs, stiffness=K, mass=M, loss=loss, viscous=np.empty((0, d, d)))
 
 
 def build_weld(m: Mesh, card: str, at: Int) -> Matrices:
@@ -180,9 +196,10 @@ def build_weld(m: Mesh, card: str, at: Int) -> Matrices:
         material is absent.
     """
     t = m.model[card]
-    row = lookup(m.model, "PWELD", t["PID"][at], t, at)
+    row = lookup(m.model, "PWELD", t["PID"][at], table=t, at=at)
     p = m.model["PWELD"]
-    iso, D = isotropic(m.model, p["MID"][row], p, row), p["D"][row]
+    iso = isotropic(m.model, p["MID"][row], p, row)
+    D = p["D"][row]
     if (bad := (np.real(D) <= 0) | (np.real(iso.G) == 0)).any():
         raise card_error(
             m.model,
@@ -198,8 +215,10 @@ def build_weld(m: Mesh, card: str, at: Int) -> Matrices:
         sheets = _sheets(m, t, at[spot])
         length = length.astype(np.result_type(length, sheets))
         length[spot] = sheets
-    k = springs(L, length, D, iso.E, iso.G)
-    return joined(a, b, any_triad(axis), k, iso.rho * np.pi / 8 * D**2 * L, iso.loss)
+    k = springs(L, length, D, E=iso.E, G=iso.G)
+    return joined(
+        a, b, any_triad(axis), springs=k, half=iso.rho * np.pi / 8 * D**2 * L, loss=iso.loss
+    )
 
 
 _STIFFNESS = ("KT1", "KT2", "KT3", "KR1", "KR2", "KR3")
@@ -224,8 +243,16 @@ def fastener_ends(m: Mesh, card: str, at: Int) -> tuple[End, End]:
         raise card_error(
             m.model, t, int(at[bad][0]), f"type {kind[bad][0]!r}: allowed are PROP, ELEM"
         )
-    D = m.model["PFAST"]["D"][lookup(m.model, "PFAST", t["PID"][at], t, at)].real
-    return on_squares(m, t, at, D, kind == "ELEM", ("IDA", "IDB"), ("IDA", "IDB"))
+    D = m.model["PFAST"]["D"][lookup(m.model, "PFAST", t["PID"][at], table=t, at=at)].real
+    return on_squares(
+        m,
+        t,
+        at,
+        diameter=D,
+        by_shell=kind == "ELEM",
+        properties=("IDA", "IDB"),
+        shells=("IDA", "IDB"),
+    )
 
 
 def build_fastener(m: Mesh, card: str, at: Int) -> Matrices:
@@ -238,12 +265,13 @@ def build_fastener(m: Mesh, card: str, at: Int) -> Matrices:
         If an end or its frame is not determined, or a node or property is absent.
     """
     t = m.model[card]
-    row = lookup(m.model, "PFAST", t["PID"][at], t, at)
+    row = lookup(m.model, "PFAST", t["PID"][at], table=t, at=at)
     p = m.model["PFAST"]
     k = p.stack(*_STIFFNESS)[row]
     a, b = fastener_ends(m, card, at)
     axis = between(a, b)[1]
-    cid, absolute = p["MCID"][row], p["MFLAG"][row] > 0
+    cid = p["MCID"][row]
+    absolute = p["MFLAG"][row] > 0
     relative = (cid >= 0) & ~absolute & ((k[:, 1] != k[:, 2]) | (k[:, 4] != k[:, 5]))
     if relative.any():
         why = "MFLAG = 0 with a frame and KT2, KT3 or KR2, KR3 that differ; give MFLAG = 1"
@@ -251,4 +279,4 @@ def build_fastener(m: Mesh, card: str, at: Int) -> Matrices:
     fixed = (cid >= 0) & absolute
     own = frame(m, np.where(fixed, cid, 0), (a.place + b.place) / 2)
     axes = np.where(fixed[:, None, None], own, _axes(axis))
-    return joined(a, b, axes, k, p["MASS"][row] / 2, p["GE"][row])
+    return joined(a, b, axes, springs=k, half=p["MASS"][row] / 2, loss=p["GE"][row])

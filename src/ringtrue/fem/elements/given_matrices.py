@@ -24,7 +24,7 @@ from ringtrue.fem.mesh import Matrices, Mesh
 from ringtrue.model.model import Model, Table, card_error, unsupported_card
 
 
-def alike(model: Model, at: Int) -> Iterator[Int]:
+def same_sizes(model: Model, at: Int) -> Iterator[Int]:
     """The rows `at` in groups of as many UI and UD."""
     t = model["GENEL"]
     sizes = np.stack([t.ragged(c).sizes[at] for c in ("UI", "UD")], axis=1)
@@ -36,7 +36,8 @@ def alike(model: Model, at: Int) -> Iterator[Int]:
 def _listed(t: Table, name: str, at: Int) -> Any_:
     """A ragged column of rows with lists of one length, (e, n)."""
     column = t.ragged(name)
-    first, size = column.offsets[at], int(column.sizes[at[0]])
+    first = column.offsets[at]
+    size = int(column.sizes[at[0]])
     return np.asarray(column.values[first[:, None] + np.arange(size)])
 
 
@@ -44,8 +45,9 @@ def _components(m: Mesh, t: Table, kind: str, at: Int) -> tuple[Int, Float]:
     """Full DOFs (e, n, 3) of the components in UI or UD, -1 for none, and their directions in
     them.
     """
-    ids, c = _listed(t, f"U{kind}", at), _listed(t, f"C{kind}", at)
-    dofs, way = spread(m, ids.reshape(-1), c.reshape(-1), t, np.repeat(at, ids.shape[1]))
+    ids = _listed(t, f"U{kind}", at)
+    c = _listed(t, f"C{kind}", at)
+    dofs, way = spread(m, ids.reshape(-1), c.reshape(-1), t=t, at=np.repeat(at, ids.shape[1]))
     return dofs.reshape(*ids.shape, 3), way.reshape(*ids.shape, 3)
 
 
@@ -91,7 +93,7 @@ def _motion(m: Mesh, t: Table, at: Int, n: int, d: int) -> Any_:
 
 
 def build_general(m: Mesh, card: str, at: Int) -> Matrices:
-    """Matrices of the rows `at` (e,) of GENEL, which have as many UI and UD each (`alike`).
+    """Matrices of the rows `at` (e,) of GENEL, which have as many UI and UD each (`same_sizes`).
 
     Raises
     ------
@@ -100,7 +102,8 @@ def build_general(m: Mesh, card: str, at: Int) -> Matrices:
     """
     t = m.model[card]
     parts = [_components(m, t, kind, at) for kind in ("I", "D")]
-    n, d = parts[0][0].shape[1], parts[1][0].shape[1]
+    n = parts[0][0].shape[1]
+    d = parts[1][0].shape[1]
     K = _symmetric(_listed(t, "KZ", at), n)
     flexible = t["FORM"][at] == "Z"
     values = np.abs(np.linalg.eigvalsh(K.real[flexible])) if flexible.any() else np.ones((0, 1))
@@ -109,18 +112,23 @@ def build_general(m: Mesh, card: str, at: Int) -> Matrices:
         raise card_error(m.model, t, int(at[flexible][singular.argmax()]), "Z cannot be inverted")
     K[flexible] = np.linalg.inv(K[flexible])
     A = np.concatenate(
-        [np.broadcast_to(np.eye(n), (at.size, n, n)), -_motion(m, t, at, n, d)], axis=2
+        [np.broadcast_to(np.eye(n), (at.size, n, n)), -_motion(m, t, at, n=n, d=d)], axis=2
     )
     K = A.swapaxes(1, 2) @ K @ A
     dofs, way = (np.concatenate(x, axis=1) for x in zip(*parts, strict=True))
     k = 3 * (n + d)
     full = np.einsum("eia,eij,ejb->eiajb", way, K, way, optimize=True).reshape(-1, k, k)
     return Matrices(
-        dofs.reshape(-1, k), full, np.zeros((at.size, k)), np.zeros(at.size), np.empty((0, k, k))
+        dofs=dofs.reshape(-1, k),
+        stiffness=full,
+        mass=np.zeros((at.size, k)),
+        loss=np.zeros(at.size),
+        viscous=np.empty((0, k, k)),
     )
 
 
-SYMMETRIC, SQUARE = 6, 1
+SYMMETRIC = 6
+SQUARE = 1
 GivenMatrices = tuple[sparse.csr_array, sparse.csr_array, sparse.csr_array]
 
 
@@ -189,10 +197,12 @@ def named_matrix(m: Mesh, name: str) -> sparse.csr_array:
         _named_dofs(m, i, t.ragged(f"G{e}").row(i), t.ragged(f"C{e}").row(i)) for e in "IJ"
     )
     value = t.ragged("A").row(i)
-    if form == SYMMETRIC:  # one triangle is given, or both alike: each pair counts once
+    if form == SYMMETRIC:  # one triangle is given, or both equal: each pair counts once
         row, column = np.maximum(row, column), np.minimum(row, column)
         _, once = np.unique(row * m.size + column, return_index=True)
-        row, column, value = row[once], column[once], value[once]
+        row = row[once]
+        column = column[once]
+        value = value[once]
     A = sparse.coo_array((value, (row, column)), shape=(m.size, m.size)).tocsr()
     if form == SYMMETRIC:
         return sparse.csr_array(A + sparse.tril(A, -1).T)

@@ -45,9 +45,10 @@ def _end(m: Mesh, card: str, at: Int, end: int) -> tuple[Int, Float]:
     scalar = f"S{end}" in t.columns
     ids = t[f"S{end}" if scalar else f"G{end}"][at]
     component = np.zeros_like(ids) if scalar else t[f"C{end}"][at]
-    dofs, direction = np.full((at.size, 3), -1), np.zeros((at.size, 3))
+    dofs = np.full((at.size, 3), -1)
+    direction = np.zeros((at.size, 3))
     used = ids > 0
-    dofs[used], direction[used] = spread(m, ids[used], component[used], t, at[used])
+    dofs[used], direction[used] = spread(m, ids[used], component[used], t=t, at=at[used])
     return dofs, direction
 
 
@@ -63,32 +64,46 @@ def scalar_value(m: Mesh, card: str, at: Int, name: str, field: str) -> Any_:
     t = m.model[card]
     if "PID" not in t.columns:
         return t[field][at] if field in t.columns else np.zeros(at.size)
-    return m.model[name][field][lookup(m.model, name, t["PID"][at], t, at)]
+    return m.model[name][field][lookup(m.model, name, t["PID"][at], table=t, at=at)]
 
 
 def build_spring(m: Mesh, card: str, at: Int) -> Matrices:
     """Matrices of the rows `at` (e,) of CELAS1 to CELAS4."""
     dofs, way = along(m, card, at)
-    k, loss = (scalar_value(m, card, at, "PELAS", field) for field in ("K", "GE"))
-    return Matrices(dofs, scaled(k, way), np.zeros((at.size, 6)), loss, np.empty((0, 6, 6)))
+    k, loss = (scalar_value(m, card, at, name="PELAS", field=field) for field in ("K", "GE"))
+    return Matrices(
+        dofs=dofs,
+        stiffness=scaled(k, way),
+        mass=np.zeros((at.size, 6)),
+        loss=loss,
+        viscous=np.empty((0, 6, 6)),
+    )
 
 
 def build_scalar_mass(m: Mesh, card: str, at: Int) -> Matrices:
     """Matrices of the rows `at` (e,) of CMASS1 to CMASS4."""
     dofs, way = along(m, card, at)
-    M = scaled(scalar_value(m, card, at, "PMASS", "M"), way)
-    return Matrices(dofs, np.zeros((at.size, 6, 6)), M, np.zeros(at.size), np.empty((0, 6, 6)))
+    M = scaled(scalar_value(m, card, at, name="PMASS", field="M"), way)
+    return Matrices(
+        dofs=dofs,
+        stiffness=np.zeros((at.size, 6, 6)),
+        mass=M,
+        loss=np.zeros(at.size),
+        viscous=np.empty((0, 6, 6)),
+    )
 
 
 def _only_viscous(dofs: Int, B: Any_) -> Matrices:
     e, d = dofs.shape
-    return Matrices(dofs, np.zeros((e, d, d)), np.zeros((e, d)), np.zeros(e), B)
+    return Matrices(
+        dofs=dofs, stiffness=np.zeros((e, d, d)), mass=np.zeros((e, d)), loss=np.zeros(e), viscous=B
+    )
 
 
 def build_damper(m: Mesh, card: str, at: Int) -> Matrices:
     """Matrices of the rows `at` (e,) of CDAMP1 to CDAMP4."""
     dofs, way = along(m, card, at)
-    return _only_viscous(dofs, scaled(scalar_value(m, card, at, "PDAMP", "B"), way))
+    return _only_viscous(dofs, scaled(scalar_value(m, card, at, name="PDAMP", field="B"), way))
 
 
 def build_line_damper(m: Mesh, card: str, at: Int) -> Matrices:
@@ -105,8 +120,9 @@ def build_line_damper(m: Mesh, card: str, at: Int) -> Matrices:
     short = np.linalg.norm(x[:, 1] - x[:, 0], axis=1) == 0
     if short.any():
         raise card_error(m.model, t, int(at[short][0]), "its two ends are at one place")
-    row = lookup(m.model, "PVISC", t["PID"][at], t, at)
-    p, L = m.model["PVISC"], segment(x)[0]
+    row = lookup(m.model, "PVISC", t["PID"][at], table=t, at=at)
+    p = m.model["PVISC"]
+    L = segment(x)[0]
     return _only_viscous(node_dofs(nodes), rod.kernel(x, p["CE"][row] * L, p["CR"][row] * L))
 
 
@@ -116,7 +132,8 @@ def build_point_mass(m: Mesh, card: str, at: Int) -> Matrices:
     """
     t = m.model[card]
     nodes = m.nodes(t["G"][at], t, at)
-    cid, x = t["CID"][at], t.stack("X1", "X2", "X3")[at]
+    cid = t["CID"][at]
+    x = t.stack("X1", "X2", "X3")[at]
     R = frame(m, np.maximum(cid, 0), m.xyz[nodes])
     r = np.where(cid[:, None] < 0, x - m.xyz[nodes], np.einsum("ei,eij->ej", x, R))
     I11, I21, I22, I31, I32, I33 = (t[f"I{i}"][at] for i in (11, 21, 22, 31, 32, 33))
@@ -131,11 +148,11 @@ def build_point_mass(m: Mesh, card: str, at: Int) -> Matrices:
     )
     zero = np.zeros((at.size, 6, 6))
     return Matrices(
-        node_dofs(nodes[:, None]),
-        zero,
-        congruent(arm(r), body),
-        np.zeros(at.size),
-        np.empty((0, 6, 6)),
+        dofs=node_dofs(nodes[:, None]),
+        stiffness=zero,
+        mass=congruent(arm(r), body),
+        loss=np.zeros(at.size),
+        viscous=np.empty((0, 6, 6)),
     )
 
 
@@ -150,7 +167,13 @@ def build_mass_matrix(m: Mesh, card: str, at: Int) -> Matrices:
     own[:, i, j] = own[:, j, i] = values
     M = congruent(rotation(frame(m, t["CID"][at], m.xyz[nodes]), 1), own)
     zero = np.zeros((at.size, 6, 6))
-    return Matrices(node_dofs(nodes[:, None]), zero, M, np.zeros(at.size), np.empty((0, 6, 6)))
+    return Matrices(
+        dofs=node_dofs(nodes[:, None]),
+        stiffness=zero,
+        mass=M,
+        loss=np.zeros(at.size),
+        viscous=np.empty((0, 6, 6)),
+    )
 
 
 def _axes(m: Mesh, card: str, at: Int, a: Int, x: Float, grounded: Any_) -> Float:
@@ -164,7 +187,7 @@ def _axes(m: Mesh, card: str, at: Int, a: Int, x: Float, grounded: Any_) -> Floa
         v = orientation(m, t, at[free], a[free])
         given = (v != 0).any(axis=1)
         local = any_triad(axis)
-        local[given] = triad(m, axis[given], v[given], t, at[free][given])
+        local[given] = triad(m, axis[given], v[given], table=t, at=at[free][given])
         R = R.copy()
         R[free] = local
     return R
@@ -175,7 +198,8 @@ def _spring_point(m: Mesh, card: str, at: Int, x: Float) -> Float:
     OCID.
     """
     t = m.model[card]
-    s, ocid = t["S"][at][:, None], t["OCID"][at]
+    s = t["S"][at][:, None]
+    ocid = t["OCID"][at]
     own = np.einsum(
         "ei,eij->ej", t.stack("S1", "S2", "S3")[at], frame(m, np.maximum(ocid, 0), x[:, 0])
     )
@@ -191,7 +215,8 @@ def build_bush(m: Mesh, card: str, at: Int) -> Matrices:
         If GA is blank or the property is absent.
     """
     t = m.model[card]
-    ga, gb = t["GA"][at], t["GB"][at]
+    ga = t["GA"][at]
+    gb = t["GB"][at]
     if (ga == 0).any():
         raise card_error(
             m.model, t, int(at[ga == 0][0]), "GA is blank; a grounded bush has GB blank"
@@ -200,11 +225,14 @@ def build_bush(m: Mesh, card: str, at: Int) -> Matrices:
     grounded = gb == 0
     b = m.nodes(np.where(grounded, ga, gb), t, at)
     x = m.xyz[np.stack([a, b], axis=1)]
-    row = lookup(m.model, "PBUSH", t["PID"][at], t, at)
+    row = lookup(m.model, "PBUSH", t["PID"][at], table=t, at=at)
     p = m.model["PBUSH"]
-    stiffness, loss = p.stack(*(f"K{i}" for i in range(1, 7)))[row], losses(p)[row]
+    stiffness = p.stack(*(f"K{i}" for i in range(1, 7)))[row]
+    loss = losses(p)[row]
     motion = _relative(
-        _axes(m, card, at, a, x, grounded), _spring_point(m, card, at, x)[:, None] - x, grounded
+        _axes(m, card, at, a=a, x=x, grounded=grounded),
+        _spring_point(m, card, at, x)[:, None] - x,
+        grounded,
     )
     K, H, B = (
         congruent(motion, values[:, :, None] * np.eye(6))
@@ -216,7 +244,14 @@ def build_bush(m: Mesh, card: str, at: Int) -> Matrices:
     dofs = node_dofs(np.stack([a, b], axis=1))
     dofs[grounded, 6:] = -1
     same = (loss == loss[:, :1]).all()
-    return Matrices(dofs, K, p["M"][row][:, None] * ends, loss[:, 0], B, None if same else H)
+    return Matrices(
+        dofs=dofs,
+        stiffness=K,
+        mass=p["M"][row][:, None] * ends,
+        loss=loss[:, 0],
+        viscous=B,
+        lossy=None if same else H,
+    )
 
 
 def losses(p: Table) -> Any_:
@@ -249,7 +284,9 @@ def _ends(m: Mesh, card: str, at: Int) -> tuple[Int, Float, Bool]:
     GB.
     """
     t = m.model[card]
-    ga, gb, cid = t["GA"][at], t["GB"][at], t["CID"][at]
+    ga = t["GA"][at]
+    gb = t["GB"][at]
+    cid = t["CID"][at]
     if (ga == 0).any():
         raise card_error(
             m.model, t, int(at[ga == 0][0]), "GA is blank; a grounded element has GB blank"
@@ -300,12 +337,14 @@ def build_bush1d(m: Mesh, card: str, at: Int) -> Matrices:
     """
     t = m.model[card]
     nodes, axis, grounded = _ends(m, card, at)
-    row = lookup(m.model, "PBUSH1D", t["PID"][at], t, at)
+    row = lookup(m.model, "PBUSH1D", t["PID"][at], table=t, at=at)
     p = m.model["PBUSH1D"]
     way = np.einsum("ei,ej->eij", axis, axis)
     K, B = (_pair(p[c][row][:, None, None] * way) for c in "KC")
     half = np.repeat(p["M"][row] / 2, 6).reshape(-1, 6)
-    return Matrices(_dofs(nodes, grounded), K, half, np.zeros(at.size), B)
+    return Matrices(
+        dofs=_dofs(nodes, grounded), stiffness=K, mass=half, loss=np.zeros(at.size), viscous=B
+    )
 
 
 def build_gap(m: Mesh, card: str, at: Int) -> Matrices:
@@ -323,15 +362,20 @@ def build_gap(m: Mesh, card: str, at: Int) -> Matrices:
     nodes, axis, grounded = _ends(m, card, at)
     if grounded.any():
         raise card_error(m.model, t, int(at[grounded][0]), "GB is blank; a gap has two nodes")
-    row = lookup(m.model, "PGAP", t["PID"][at], t, at)
+    row = lookup(m.model, "PGAP", t["PID"][at], table=t, at=at)
     p = m.model["PGAP"]
     KA, KB, KT, mu = (p[c][row] for c in ("KA", "KB", "KT", "MU1"))
     KB = np.where(np.isnan(KB) | (KB == 0), OPEN * KA, KB)
     KT = np.where(np.isnan(KT), mu * KA, KT)
     closed = np.real(p["U0"][row]) <= 0
-    along, across = np.where(closed, KA, KB), np.where(closed, KT, 0.0)
+    along = np.where(closed, KA, KB)
+    across = np.where(closed, KT, 0.0)
     way = np.einsum("ei,ej->eij", axis, axis)
     K = _pair(along[:, None, None] * way + across[:, None, None] * (np.eye(3) - way))
     return Matrices(
-        _dofs(nodes, grounded), K, np.zeros((at.size, 6)), np.zeros(at.size), np.empty((0, 6, 6))
+        dofs=_dofs(nodes, grounded),
+        stiffness=K,
+        mass=np.zeros((at.size, 6)),
+        loss=np.zeros(at.size),
+        viscous=np.empty((0, 6, 6)),
     )

@@ -51,7 +51,7 @@ def _section(m: Mesh, card: str, at: Int) -> tuple[Isotropic, Any_, Any_, Any_]:
     if card == "CONROD":
         return isotropic(m.model, t["MID"][at], t, at), t["A"][at], t["J"][at], t["NSM"][at]
     name = "PROD" if card == "CROD" else "PTUBE"
-    row = lookup(m.model, name, t["PID"][at], t, at)
+    row = lookup(m.model, name, t["PID"][at], table=t, at=at)
     p = m.model[name]
     iso = isotropic(m.model, p["MID"][row], p, row)
     if name == "PROD":
@@ -82,5 +82,9 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     iso, A, J, nsm = _section(m, card, at)
     M = mass(x, iso.rho * A + nsm + m.nsm(card, at), m.model.param("COUPMASS", -1) > 0)
     return Matrices(
-        node_dofs(nodes), kernel(x, iso.E * A, iso.G * J), M, iso.loss, np.empty((0, 12, 12))
+        dofs=node_dofs(nodes),
+        stiffness=kernel(x, iso.E * A, iso.G * J),
+        mass=M,
+        loss=iso.loss,
+        viscous=np.empty((0, 12, 12)),
     )

@@ -24,7 +24,8 @@ import numpy as np
 
 from ringtrue.core.arrays import Bool, Float, Int
 
-_A, _B = 1 / np.sqrt(3), np.sqrt(0.6)
+_A = 1 / np.sqrt(3)
+_B = np.sqrt(0.6)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,15 +82,20 @@ def bilinear(p: Float) -> tuple[Float, Float]:
 
 def _quad(p: Float) -> tuple[Float, Float]:
     """The eight-node serendipity quadrilateral."""
-    r, s = p[:, :1], p[:, 1:]
+    r = p[:, :1]
+    s = p[:, 1:]
     a, b = _CORNERS.T
-    f, g = 1 + a * r, 1 + b * s
+    f = 1 + a * r
+    g = 1 + b * s
     N = f * g * (a * r + b * s - 1) / 4
-    dr, ds = a * g * (2 * a * r + b * s) / 4, b * f * (a * r + 2 * b * s) / 4
+    dr = a * g * (2 * a * r + b * s) / 4
+    ds = b * f * (a * r + 2 * b * s) / 4
     a, b = _MIDDLES.T
     flat = a == 0
-    f, g = np.where(flat, 1 - r * r, 1 + a * r), np.where(flat, 1 + b * s, 1 - s * s)
-    df, dg = np.where(flat, -2 * r, a), np.where(flat, b, -2 * s)
+    f = np.where(flat, 1 - r * r, 1 + a * r)
+    g = np.where(flat, 1 + b * s, 1 - s * s)
+    df = np.where(flat, -2 * r, a)
+    dg = np.where(flat, b, -2 * s)
     d = np.stack([np.hstack([dr, df * g / 2]), np.hstack([ds, f * dg / 2])], axis=2)
     return np.hstack([N, f * g / 2]), d
 
@@ -119,7 +125,8 @@ def _outer(a: Float, b: Float) -> Float:
 
 
 def _quad_plane(p: Float) -> Samples:
-    two, three = np.array([-_A, _A]), np.array([-_B, 0.0, _B])
+    two = np.array([-_A, _A])
+    three = np.array([-_B, 0.0, _B])
     r, s = p.T
     points = np.vstack([_grid(two, three), _grid(three, two), _grid(two, two), _grid(two, two)])
     direction = np.repeat([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0], [1.0, -1.0]], [6, 6, 4, 4], axis=0)
@@ -129,12 +136,14 @@ def _quad_plane(p: Float) -> Samples:
     both = (
         _outer(_lagrange(two, r), _lagrange(two, s)) / 2
     )  # 2 e_rs = (e along r + s less e along r - s)/2
-    carry[:, 2, 12:16], carry[:, 2, 16:] = both, -both
+    carry[:, 2, 12:16] = both
+    carry[:, 2, 16:] = -both
     return Samples(points, direction, carry)
 
 
 def _quad_shear(p: Float) -> Samples:
-    two, three = np.array([-_A, _A]), np.array([-1.0, 0.0, 1.0])
+    two = np.array([-_A, _A])
+    three = np.array([-1.0, 0.0, 1.0])
 
     def along(r: Float, s: Float) -> Float:
         """γ_r from points (r, s) of two x three: on s = 0 only the mean."""
@@ -145,7 +154,8 @@ def _quad_shear(p: Float) -> Samples:
 
     points = np.vstack([_grid(two, three), _grid(two, three)[:, ::-1]])
     carry = np.zeros((len(p), 2, 12))
-    carry[:, 0, :6], carry[:, 1, 6:] = along(p[:, 0], p[:, 1]), along(p[:, 1], p[:, 0])
+    carry[:, 0, :6] = along(p[:, 0], p[:, 1])
+    carry[:, 1, 6:] = along(p[:, 1], p[:, 0])
     return Samples(points, np.repeat([[1.0, 0.0], [0.0, 1.0]], 6, axis=0), carry)
 
 
@@ -158,12 +168,14 @@ def _linear(points: Float, p: Float) -> Float:
 
 
 def _triangle_plane(p: Float) -> Samples:
-    near, far = (1 - _A) / 2, (1 + _A) / 2
+    near = (1 - _A) / 2
+    far = (1 + _A) / 2
     rr = np.array([[near, 0.0], [far, 0.0], [near, _A]])
     qq = np.array([[near, far], [far, near], [near, near]])
     direction = np.repeat([[1.0, 0.0], [0.0, 1.0], [-1.0, 1.0]], 3, axis=0)
     carry = np.zeros((len(p), 3, 9))
-    carry[:, 0, :3], carry[:, 1, 3:6] = _linear(rr, p), _linear(rr[:, ::-1], p)
+    carry[:, 0, :3] = _linear(rr, p)
+    carry[:, 1, 3:6] = _linear(rr[:, ::-1], p)
     carry[:, 2, :3], carry[:, 2, 3:6] = carry[:, 0, :3], carry[:, 1, 3:6]
     carry[:, 2, 6:] = -_linear(qq, p)  # e_qq = e_rr + e_ss - 2 e_rs
     return Samples(np.vstack([rr, rr[:, ::-1], qq]), direction, carry)
@@ -176,13 +188,15 @@ def _triangle_shear(p: Float) -> Samples:
 
     def basis(x: Float) -> Float:
         r, s = x.T
-        one, zero = np.ones(len(x)), np.zeros(len(x))
+        one = np.ones(len(x))
+        zero = np.zeros(len(x))
         first = np.stack([one, r, s, zero, zero, zero, r * s, s * s], axis=1)
         return np.stack(
             [first, np.stack([zero, zero, zero, one, r, s, -r * r, -r * s], axis=1)], axis=1
         )
 
-    near, far = (1 - _A) / 2, (1 + _A) / 2
+    near = (1 - _A) / 2
+    far = (1 + _A) / 2
     points = np.array(
         [
             [near, 0],
@@ -205,10 +219,14 @@ def _flat_rule() -> ShellRule:
     """Four nodes: strains of the displacements, transverse shear of the MITC4 (Dvorkin and Bathe
     1984).
     """
-    p, w, k = _CORNERS * _A, np.ones(4), np.arange(4)
+    p = _CORNERS * _A
+    w = np.ones(4)
+    k = np.arange(4)
     carry = np.zeros((4, 3, 16))
-    carry[k, 0, k], carry[k, 1, 4 + k] = 1.0, 1.0
-    carry[k, 2, 8 + k], carry[k, 2, 12 + k] = 0.5, -0.5
+    carry[k, 0, k] = 1.0
+    carry[k, 1, 4 + k] = 1.0
+    carry[k, 2, 8 + k] = 0.5
+    carry[k, 2, 12 + k] = -0.5
     direction = np.repeat([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0], [1.0, -1.0]], 4, axis=0)
     plane = Samples(np.tile(p, (4, 1)), direction, carry)
     r, s = p.T
@@ -219,28 +237,41 @@ def _flat_rule() -> ShellRule:
     shear = Samples(
         middle, np.repeat([[1.0, 0.0], [0.0, 1.0]], 2, axis=0), np.stack([low, side], axis=1)
     )
-    return ShellRule(4, np.empty((0, 2), dtype=np.int64), _CORNERS, p, w, p, w, plane, shear)
+    return ShellRule(
+        corners=4,
+        sides=np.empty((0, 2), dtype=np.int64),
+        nodes=_CORNERS,
+        points=p,
+        weights=w,
+        mass_points=p,
+        mass_weights=w,
+        plane=plane,
+        shear=shear,
+    )
 
 
 def _quad_rule() -> ShellRule:
     x, w = np.polynomial.legendre.leggauss(3)
-    p, weights = _grid(x, x), np.outer(w, w).ravel()
+    p = _grid(x, x)
+    weights = np.outer(w, w).ravel()
     sides = np.array([[0, 1], [1, 2], [2, 3], [3, 0]])
     return ShellRule(
-        4,
-        sides,
-        np.vstack([_CORNERS, _MIDDLES]),
-        p,
-        weights,
-        p,
-        weights,
-        _quad_plane(p),
-        _quad_shear(p),
+        corners=4,
+        sides=sides,
+        nodes=np.vstack([_CORNERS, _MIDDLES]),
+        points=p,
+        weights=weights,
+        mass_points=p,
+        mass_weights=weights,
+        plane=_quad_plane(p),
+        shear=_quad_shear(p),
     )
 
 
 def _triangle_rule() -> ShellRule:
-    a, b = 0.445948490915965, 0.091576213509771  # six points, degree four (Dunavant 1985)
+    # six points, degree four (Dunavant 1985)
+    a = 0.445948490915965
+    b = 0.091576213509771
     dense = np.array(
         [[a, a], [1 - 2 * a, a], [a, 1 - 2 * a], [b, b], [1 - 2 * b, b], [b, 1 - 2 * b]]
     )
@@ -248,11 +279,21 @@ def _triangle_rule() -> ShellRule:
     nodes = np.array([[0, 0], [1, 0], [0, 1], [0.5, 0], [0.5, 0.5], [0, 0.5]])
     sides = np.array([[0, 1], [1, 2], [2, 0]])
     return ShellRule(
-        3, sides, nodes, dense, wide, dense, wide, _triangle_plane(dense), _triangle_shear(dense)
+        corners=3,
+        sides=sides,
+        nodes=nodes,
+        points=dense,
+        weights=wide,
+        mass_points=dense,
+        mass_weights=wide,
+        plane=_triangle_plane(dense),
+        shear=_triangle_shear(dense),
     )
 
 
-QUAD4, QUAD8, TRIA6 = _flat_rule(), _quad_rule(), _triangle_rule()
+QUAD4 = _flat_rule()
+QUAD8 = _quad_rule()
+TRIA6 = _triangle_rule()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -296,7 +337,8 @@ def triangle(degree: int) -> tuple[Float, Float]:
     if degree <= 2:
         return np.array([[1, 1], [4, 1], [1, 4]]) / 6, np.full(3, 1 / 6)
     root = np.sqrt(15)
-    a, b = (6 - root) / 21, (6 + root) / 21
+    a = (6 - root) / 21
+    b = (6 + root) / 21
     points = [[1 / 3, 1 / 3]] + [
         p for c in (a, b) for p in ([c, c], [1 - 2 * c, c], [c, 1 - 2 * c])
     ]

@@ -94,12 +94,15 @@ def flexibility(x: Float) -> tuple[Float, Float]:
     xy = xy / size
     h = np.concatenate([xy, np.ones((len(xy), 4, 1))], axis=2)
     sides = np.cross(h, np.roll(h, -1, axis=1))
-    P, Q = np.cross(sides[:, 0], sides[:, 2]), np.cross(sides[:, 1], sides[:, 3])
+    P = np.cross(sides[:, 0], sides[:, 2])
+    Q = np.cross(sides[:, 1], sides[:, 3])
     line = np.cross(P, Q)
     r, s = (g.ravel() for g in np.meshgrid(_POINTS, _POINTS))
     N, dN = bilinear(np.stack([r, s], axis=1))
-    at, jacobian = N @ xy, _turned(dN[..., 0] @ xy, dN[..., 1] @ xy)
-    a, b = _from(P, at), _from(Q, at)
+    at = N @ xy
+    jacobian = _turned(dN[..., 0] @ xy, dN[..., 1] @ xy)
+    a = _from(P, at)
+    b = _from(Q, at)
     p = np.einsum("enj,ej->en", at, line[:, :2]) + line[:, 2:]
     w = np.outer(_WEIGHTS, _WEIGHTS).ravel() * jacobian * size[:, :, 0] ** 2 / p**6
     cosine = np.einsum("eni,eni->en", a, b)
@@ -117,10 +120,8 @@ def kernel(x: Float, G: Any_, nu: Any_, thickness: Any_) -> Any_:
         v[:, 1], v[:, 2]
     )  # of edge 1-2 in the diagonals 1-3 and 4-2
     across = _turned(-v[:, 0], back[:, 2]) / _turned(back[:, 3], back[:, 2])
-    first, second = (
-        along[:, None] * (x[:, 2] - x[:, 0]) / 2,
-        across[:, None] * (x[:, 3] - x[:, 1]) / 2,
-    )
+    first = along[:, None] * (x[:, 2] - x[:, 0]) / 2
+    second = across[:, None] * (x[:, 3] - x[:, 1]) / 2
     forces = np.concatenate([first, -second, -first, second], axis=1)
     plain, skew = flexibility(x)
     c = G * thickness / (plain + skew / (1 + nu))
@@ -200,7 +201,7 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     """
     t = m.model[card]
     nodes, x = _points(m, card, at)
-    row = lookup(m.model, "PSHEAR", t["PID"][at], t, at)
+    row = lookup(m.model, "PSHEAR", t["PID"][at], table=t, at=at)
     p = m.model["PSHEAR"]
     iso: Isotropic = isotropic(m.model, p["MID"][row], p, row)
     T, nsm, F1, F2 = (p[c][row] for c in ("T", "NSM", "F1", "F2"))
@@ -211,8 +212,12 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
             int(row[np.flatnonzero(T == 0)[0]]),
             "T is 0 or blank; a shear panel has a thickness",
         )
-    K = kernel(x, iso.G, iso.nu, T) + stringers(x, iso.E, F1, F2, T)
+    K = kernel(x, iso.G, iso.nu, T) + stringers(x, iso.E, F1, F2=F2, thickness=T)
     lumped = (iso.rho * T + nsm + m.nsm(card, at))[:, None] * corner_areas(x)
     return Matrices(
-        node_dofs(nodes, 3), K, np.repeat(lumped, 3, axis=1), iso.loss, np.empty((0, 12, 12))
+        dofs=node_dofs(nodes, 3),
+        stiffness=K,
+        mass=np.repeat(lumped, 3, axis=1),
+        loss=iso.loss,
+        viscous=np.empty((0, 12, 12)),
     )

@@ -58,9 +58,11 @@ def _turns(t: Any_, length: Any_) -> Any_:
     """
     R = np.zeros((len(t), 3, 3, 3), dtype=t.dtype)
     for s, (i, j) in enumerate(_SIDES):
-        R[:, s, i, 0], R[:, s, j, 0] = -1 / length[:, s], 1 / length[:, s]
+        R[:, s, i, 0] = -1 / length[:, s]
+        R[:, s, j, 0] = 1 / length[:, s]
         for node in (i, j):  # βs = θy tx - θx ty
-            R[:, s, node, 1], R[:, s, node, 2] = -t[:, s, 1] / 2, t[:, s, 0] / 2
+            R[:, s, node, 1] = -t[:, s, 1] / 2
+            R[:, s, node, 2] = t[:, s, 0] / 2
     return R
 
 
@@ -73,7 +75,8 @@ def _slopes(t: Any_, R: Any_, phi: Any_) -> Any_:
     """
     H = np.zeros((len(t), 6, 2, 3, 3), dtype=np.result_type(R, phi))
     for k in range(3):
-        H[:, k, 0, k, 2], H[:, k, 1, k, 1] = 1.0, -1.0
+        H[:, k, 0, k, 2] = 1.0
+        H[:, k, 1, k, 1] = -1.0
     for s, (i, j) in enumerate(_SIDES):
         more = (-1.5 / (1 + phi[:, s]))[:, None, None] * R[:, s]
         H[:, 3 + s] = (H[:, i] + H[:, j]) / 2 + t[:, s, :, None, None] * more[:, None]
@@ -84,7 +87,8 @@ def _flexibility(t: Any_, length: Any_, s: Section) -> Any_:
     """φ = 12 D/(S l²) along each side (e, 3), D and S of that direction; 0 where the shear is
     rigid.
     """
-    c, n = t[..., 0], t[..., 1]
+    c = t[..., 0]
+    n = t[..., 1]
     q = np.stack([c * c, n * n, 2 * c * n], axis=-1)
     D = np.einsum("esi,eij,esj->es", q, s.bending, q)
     S = np.einsum("esi,eij,esj->es", t, s.shear, t)
@@ -119,7 +123,8 @@ def kernel(xy: Any_, area: Any_, s: Section) -> Any_:
     w = np.repeat(area[:, None] / 3, 3, axis=1)
     w1, w2, w3 = (s.weights(w, _L, p) for p in (1, 2, 3))
     t, length = _sides(xy)
-    R, phi = _turns(t, length), _flexibility(t, length, s)
+    R = _turns(t, length)
+    phi = _flexibility(t, length, s)
     H = _slopes(t, R, phi).reshape(e, 12, 9)
     bend = H.swapaxes(1, 2) @ contract(gram(g2, w3), s.bending) @ H
     if phi.any():
@@ -157,8 +162,13 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     axes, xy, area = flatten(m.xyz[nodes])
     if (area == 0).any():
         raise card_error(m.model, t, int(at[area == 0][0]), "it has no area; check its nodes")
-    s = oriented(m, card, at, section(m, card, at, 3), axes, m.xyz[nodes])
+    s = oriented(m, card, at, s=section(m, card, at, 3), axes=axes, x=m.xyz[nodes])
     mass = s.masses(np.repeat(area[:, None] / 3, 3, axis=1), _L) @ _L
     return finish(
-        m, nodes, to_nodes(kernel(xy, area, s), s, axes, np.zeros((len(at), 3))), s, axes, mass
+        m,
+        nodes,
+        to_nodes(kernel(xy, area, s), s, axes, np.zeros((len(at), 3))),
+        section=s,
+        axes=axes,
+        mass=mass,
     )

@@ -71,10 +71,13 @@ def _assumed_shear(xy: Any_, J: Any_) -> Any_:
     for side, r in enumerate((0, 0, 1, 1)):
         cov[:, side, :, 0] = d[side, :, r]
         cov[:, side, :, 1:] = N[side, :, None] * tangent[:, side, r, None, :]
-    xi, eta = _POINTS[:, 0], _POINTS[:, 1]
+    xi = _POINTS[:, 0]
+    eta = _POINTS[:, 1]
     mix = np.zeros((4, 2, 4))
-    mix[:, 0, 0], mix[:, 0, 1] = (1 - eta) / 2, (1 + eta) / 2
-    mix[:, 1, 2], mix[:, 1, 3] = (1 - xi) / 2, (1 + xi) / 2
+    mix[:, 0, 0] = (1 - eta) / 2
+    mix[:, 0, 1] = (1 + eta) / 2
+    mix[:, 1, 2] = (1 - xi) / 2
+    mix[:, 1, 3] = (1 + xi) / 2
     rows = np.einsum("grs,esnc->egrnc", mix, cov).reshape(len(xy), 4, 2, 12)
     return np.asarray(np.linalg.solve(J, rows))
 
@@ -83,7 +86,7 @@ def kernel(xy: Any_, s: Section) -> Any_:
     """Local stiffness (e, 4, 6, 4, 6) of flat elements with corners xy (e, 4, 2)."""
     J, det, g = jacobian(_DN, xy)
     J0, det0, _ = jacobian(_CENTRE, xy)
-    soft = incompatible(_BUBBLES, J0[:, 0], det0[:, 0], det, det)
+    soft = incompatible(_BUBBLES, J0[:, 0], det0[:, 0], det=det, weights=det)
     stretch, mixed, bend = _plane(np.concatenate([g, soft], axis=2), det, s)
     w = s.weights(det, _N, 1)
     rows = _assumed_shear(xy, J)
@@ -118,16 +121,18 @@ def curved_kernel(x: Any_, heights: Any_, normals: Any_, axes: Any_, s: Section)
     xy = np.einsum("eij,ekj->eki", axes[:, :2], x - x.mean(axis=1, keepdims=True))
     J, det, _ = jacobian(_DN, xy)
     J0, det0, _ = jacobian(_CENTRE, xy)
-    soft = incompatible(_BUBBLES, J0[:, 0], det0[:, 0], det, s.weights(det, _N, 1))
+    soft = incompatible(_BUBBLES, J0[:, 0], det0[:, 0], det=det, weights=s.weights(det, _N, 1))
     rows = np.zeros((e, 4, 8, 28), dtype=np.result_type(x, normals, soft))
     rows[..., :24] = strains(QUAD4, x, normals, np.linalg.inv(J))
     for b in range(2):
         g = soft[:, :, b]
-        rows[:, :, 0, 24 + 2 * b], rows[:, :, 2, 24 + 2 * b] = g[..., 0], g[..., 1]
-        rows[:, :, 1, 25 + 2 * b], rows[:, :, 2, 25 + 2 * b] = g[..., 1], g[..., 0]
+        rows[:, :, 0, 24 + 2 * b] = g[..., 0]
+        rows[:, :, 2, 24 + 2 * b] = g[..., 1]
+        rows[:, :, 1, 25 + 2 * b] = g[..., 1]
+        rows[:, :, 2, 25 + 2 * b] = g[..., 0]
     loaded = (law(s, det, _N) @ rows).reshape(e, -1, 28)
     K = condensed(rows.reshape(e, -1, 28).swapaxes(1, 2) @ loaded, 4)
-    K = K + director_drilling(QUAD4, x, s, _SIGNS, _WHOLE)
+    K = K + director_drilling(QUAD4, x, s, points=_SIGNS, weights=_WHOLE)
     return congruent(nodal(arm(arms)), K)
 
 
@@ -200,10 +205,12 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
             bad,
             "a corner of 180 degrees or more, or sides that cross; check its node order",
         )
-    s = oriented(m, card, at, section(m, card, at, 4), axes, m.xyz[nodes])
+    s = oriented(m, card, at, s=section(m, card, at, 4), axes=axes, x=m.xyz[nodes])
     mass = np.einsum("eg,gn->en", s.masses(jacobian(_DN, xy)[1], _N), _N)
-    K = _stiffness(m.xyz[nodes], xy, heights, node_normals(m, nodes, axes[:, 2]), axes, s)
-    return finish(m, nodes, K, s, axes, mass)
+    K = _stiffness(
+        m.xyz[nodes], xy, heights, normals=node_normals(m, nodes, axes[:, 2]), axes=axes, s=s
+    )
+    return finish(m, nodes, K, section=s, axes=axes, mass=mass)
 
 
 def _stiffness(x: Any_, xy: Any_, heights: Any_, normals: Any_, axes: Any_, s: Section) -> Any_:
@@ -213,11 +220,16 @@ def _stiffness(x: Any_, xy: Any_, heights: Any_, normals: Any_, axes: Any_, s: S
     flat = (normals == axes[:, None, 2]).all(axis=(1, 2))
     if flat.all():
         return to_nodes(kernel(xy, s), s, axes, heights)
-    x, up, n, R, part = x[~flat], heights[~flat], normals[~flat], axes[~flat], s.take(~flat)
-    curved = in_spans(len(x), lambda i: curved_kernel(x[i], up[i], n[i], R[i], part.take(i)))
+    x = x[~flat]
+    up = heights[~flat]
+    n = normals[~flat]
+    R = axes[~flat]
+    part = s.take(~flat)
+    curved = in_spans(len(x), lambda i: curved_kernel(x[i], up[i], n[i], axes=R[i], s=part.take(i)))
     if not flat.any():
         return curved
     plane = to_nodes(kernel(xy[flat], s.take(flat)), s.take(flat), axes[flat], heights[flat])
     K = np.empty((flat.size, *curved.shape[1:]), dtype=np.result_type(plane, curved))
-    K[flat], K[~flat] = plane, curved
+    K[flat] = plane
+    K[~flat] = curved
     return K

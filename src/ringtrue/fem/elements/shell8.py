@@ -43,14 +43,16 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     """
     rule = _RULES[card]
     nodes, absent, x = _nodes(m, card, at, rule)
-    _check(m, card, at, rule, x)
+    _check(m, card, at, rule=rule, x=x)
     s = section(m, card, at, rule.corners)
-    K = in_spans(len(at), lambda i: kernel(m, card, at[i], x[i], s.take(i)))
+    K = in_spans(len(at), lambda i: kernel(m, card, at[i], x=x[i], s=s.take(i)))
     M = _mass(m, rule, x, s)
     dofs = np.where(np.repeat(absent, 6, axis=1), -1, node_dofs(nodes))
     if absent.any():
         K, M = _without(rule, absent, K, M)
-    return Matrices(dofs, K, M, s.loss, np.empty((0, *K.shape[1:])))
+    return Matrices(
+        dofs=dofs, stiffness=K, mass=M, loss=s.loss, viscous=np.empty((0, *K.shape[1:]))
+    )
 
 
 def measure(m: Mesh, card: str, at: Int) -> Any_:
@@ -93,25 +95,32 @@ def kernel(m: Mesh, card: str, at: Int, x: Any_, s: Section) -> Any_:
     """Stiffness (e, 6k, 6k) in basic over (u, θ) of each node, with nodes x (e, k, 3); the offset
     is in it.
     """
-    rule, e = _RULES[card], len(x)
+    rule = _RULES[card]
+    e = len(x)
     n = unit(tangents(rule.shapes(rule.nodes)[1], x)[1])
     x = x + s.offset[:, None, None] * n
     N, d = rule.shapes(rule.points)
     g, up = tangents(d, x)
     w = length(up) * rule.weights
     frame = _frames(
-        m, card, at, np.einsum("pn,ena->epa", N, x), unit(g[:, :, 0]), unit(up), directed(s)
+        m,
+        card,
+        at,
+        x=np.einsum("pn,ena->epa", N, x),
+        tangent=unit(g[:, :, 0]),
+        normal=unit(up),
+        turned=directed(s),
     )
     back = np.linalg.inv(np.einsum("epra,epia->epri", g, frame))  # ∂ξ_r/∂x_i, (e, p, i, r)
     rows = strains(rule, x, n, back)
     if rule.corners == 4:
-        rows[:, :, :6] += missing_mean(rows, np.einsum("epir,pnr->epni", back, d), frame, n, w)
+        rows[:, :, :6] += missing_mean(rows, np.einsum("epir,pnr->epni", back, d), frame, n=n, w=w)
     else:
         rows = np.concatenate([rows, _bubbles(rule, x, frame, back)], axis=3)
     loaded = (law(s, w, rule.corner_shapes(rule.points)) @ rows).reshape(e, -1, rows.shape[-1])
     K = rows.reshape(e, -1, rows.shape[-1]).swapaxes(1, 2) @ loaded
     K = condensed(K, rows.shape[-1] - 6 * x.shape[1]) + drilling(
-        rule, x, s, rule.mass_points, rule.mass_weights
+        rule, x, s, points=rule.mass_points, weights=rule.mass_weights
     )
     if not np.any(s.offset):
         return K
@@ -130,8 +139,10 @@ def _bubbles(rule: ShellRule, x: Any_, frame: Any_, back: Any_) -> Any_:
     centre = tangents(rule.shapes(np.full((1, 2), 1 / 3))[1], x)[0][:, 0]
     across = np.einsum("pck,eka,epia->epci", rule.shear.carry[:, :, 6:], centre, frame)
     out = np.zeros((*slope.shape[:2], 8, 2), dtype=across.dtype)
-    out[:, :, 3, 0], out[:, :, 4, 1] = slope[..., 0], slope[..., 1]
-    out[:, :, 5, 0], out[:, :, 5, 1] = slope[..., 1], slope[..., 0]
+    out[:, :, 3, 0] = slope[..., 0]
+    out[:, :, 4, 1] = slope[..., 1]
+    out[:, :, 5, 0] = slope[..., 1]
+    out[:, :, 5, 1] = slope[..., 0]
     out[:, :, 6:] = back @ across
     return out
 
@@ -144,9 +155,9 @@ def _frames(
     """
     e, p = x.shape[:2]
     x, along, up = (v.reshape(-1, 3) for v in (x, tangent, normal))
-    one = material_axis(m, card, np.repeat(at, p), x, along, up, np.repeat(turned, p)).reshape(
-        e, p, 3
-    )
+    one = material_axis(
+        m, card, np.repeat(at, p), x=x, tangent=along, normal=up, turned=np.repeat(turned, p)
+    ).reshape(e, p, 3)
     return np.stack([one, np.cross(normal, one)], axis=2)
 
 

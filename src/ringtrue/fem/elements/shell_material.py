@@ -96,8 +96,10 @@ def _merged(n: int, parts: list[tuple[Bool, Layer]]) -> Layer:
         np.zeros((n, 3, 3), kind), np.zeros((n, 2, 2), kind), np.zeros(n, kind), np.zeros(n, kind)
     )
     for where, p in parts:
-        out.plane[where], out.through[where] = p.plane, p.through
-        out.density[where], out.loss[where] = p.density, p.loss
+        out.plane[where] = p.plane
+        out.through[where] = p.through
+        out.density[where] = p.density
+        out.loss[where] = p.loss
     return out
 
 
@@ -119,7 +121,7 @@ def _mat1(iso: Isotropic, confined: Bool | None) -> Layer:
         )
     zero = 0 * iso.G
     return Layer(
-        _plane(c11, c12, c11, iso.shear, zero, zero),
+        _plane(c11, c12, c11, c33=iso.shear, c13=zero, c23=zero),
         _through(iso.G, zero, iso.G),
         iso.rho,
         iso.loss,
@@ -130,7 +132,9 @@ def _mat2(t: Table, row: Int, core: bool) -> Layer:
     g11, g12, g13, g22, g23, g33 = (t[c][row] for c in ("G11", "G12", "G13", "G22", "G23", "G33"))
     rigid = RIGID_SHEAR * g33
     through = _through(g11, g12, g22) if core else _through(rigid, 0 * g33, rigid)
-    return Layer(_plane(g11, g12, g22, g33, g13, g23), through, t["RHO"][row], t["GE"][row])
+    return Layer(
+        _plane(g11, g12, g22, c33=g33, c13=g13, c23=g23), through, t["RHO"][row], t["GE"][row]
+    )
 
 
 def _check_mat8(model: Model, row: Int) -> None:
@@ -151,7 +155,7 @@ def _mat8(t: Table, row: Int, core: bool) -> Layer:
     zero = 0 * G
     g1, g2 = (np.where(g == 0, RIGID_SHEAR * G, g) for g in (g1, g2))
     return Layer(
-        _plane(c11, nu * c22, c22, G, zero, zero),
+        _plane(c11, nu * c22, c22, c33=G, c13=zero, c23=zero),
         _through(g1, zero, g2),
         t["RHO"][row],
         t["GE"][row],
@@ -168,7 +172,8 @@ def turned(plane: Any_, through: Any_, c: Any_, s: Any_) -> tuple[Any_, Any_]:
     Reuter's form: Q = Rᵀ Q' R with the engineering strains of the material R times those of the new
     axes (Jones 1999, eq. 2.84).
     """
-    c, s = np.asarray(c), np.asarray(s)
+    c = np.asarray(c)
+    s = np.asarray(s)
     rows = ((c * c, s * s, c * s), (s * s, c * c, -c * s), (-2 * c * s, 2 * c * s, c * c - s * s))
     R = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
     r = np.stack([np.stack([c, s], axis=-1), np.stack([-s, c], axis=-1)], axis=-2)
@@ -243,10 +248,17 @@ def laminates(model: Model, card: str, rows: Int) -> Laminate:
             model, t, int(rows[np.flatnonzero(total.real <= 0)[0]]), "its plies have no thickness"
         )
     A, B, D = stiffness(plies)
-    _refuse_singular(model, t, rows, plies, A)
+    _refuse_singular(model, t, rows, p=plies, A=A)
     S = transverse_shear(plies, A, B, D)
-    A, B, D, S = _smeared(option, plies, A, B, D, S)
-    return Laminate(A, B, D, S, _turning(plies), (plies.height * plies.density).sum(axis=1))
+    A, B, D, S = _smeared(option, plies, A, B=B, D=D, S=S)
+    return Laminate(
+        membrane=A,
+        coupling=B,
+        bending=D,
+        shear=S,
+        turning=_turning(plies),
+        density=(plies.height * plies.density).sum(axis=1),
+    )
 
 
 def _refuse_singular(model: Model, t: Table, rows: Int, p: Plies, A: Any_) -> None:
@@ -297,8 +309,11 @@ def _options(model: Model, t: Table, rows: Int) -> Any_:
 
 def _plies(model: Model, t: Table, rows: Int, option: Any_) -> Plies:
     """The plies from the bottom up; those of a LAM such as SYM are mirrored."""
-    mid, T, theta = t.ragged("MID"), t.ragged("T"), t.ragged("THETA")
-    first, count = mid.offsets[rows], mid.sizes[rows]
+    mid = t.ragged("MID")
+    T = t.ragged("T")
+    theta = t.ragged("THETA")
+    first = mid.offsets[rows]
+    count = mid.sizes[rows]
     k = np.arange(max(int(count.max(initial=1)), 1))
     there = k < count[:, None]
     at = np.where(there, first[:, None] + k, first[:, None])
@@ -315,7 +330,9 @@ def _plies(model: Model, t: Table, rows: Int, option: Any_) -> Plies:
     z0 = t["Z0"][rows]
     z0 = np.where(np.isnan(z0), -height.sum(axis=1) / 2, z0)
     z = z0[:, None] + np.cumsum(height, axis=1) - height
-    return Plies(height, z, plane, through, used.density.reshape(at.shape))
+    return Plies(
+        height=height, z=z, plane=plane, through=through, density=used.density.reshape(at.shape)
+    )
 
 
 def _turning(p: Plies) -> Any_:
@@ -327,7 +344,8 @@ def _turning(p: Plies) -> Any_:
 
 def stiffness(p: Plies) -> tuple[Any_, Any_, Any_]:
     """A, B, D (p, 3, 3) about the reference plane."""
-    h, zc = p.height, p.z + p.height / 2
+    h = p.height
+    zc = p.z + p.height / 2
     weights = (h, h * zc, h * zc * zc + h**3 / 12)
     A, B, D = (np.einsum("pl,plij->pij", w, p.plane) for w in weights)
     return A, B, D

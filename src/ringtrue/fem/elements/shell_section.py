@@ -86,7 +86,7 @@ def section(m: Mesh, card: str, at: Int, corners: int) -> Section:
     )
     parts = [(shell, _pshell(m, t, at[shell], corners))] if shell.any() else []
     parts += [
-        (rows >= 0, _laminate(m, c, rows[rows >= 0], t, at[rows >= 0], corners))
+        (rows >= 0, _laminate(m, c, rows[rows >= 0], t=t, at=at[rows >= 0], corners=corners))
         for c, rows in found.items()
     ]
     parts = [p for p in parts if p[0].any()]
@@ -110,7 +110,8 @@ def in_axes(s: Section, turn: Any_) -> Section:
     some = directed(s)
     if not some.any():
         return s
-    c, n = turn[some, 0], turn[some, 1]
+    c = turn[some, 0]
+    n = turn[some, 1]
     new: dict[str, Any_] = {}
     for name in ("membrane", "coupling", "bending"):
         old = getattr(s, name)
@@ -141,7 +142,9 @@ def oriented(m: Mesh, card: str, at: Int, s: Section, axes: Any_, x: Any_) -> Se
         return s
     side = x[:, 1] - x[:, 0]
     side = unit(side - (side * axes[:, 2]).sum(axis=1)[:, None] * axes[:, 2])
-    axis = material_axis(m, card, at, x.mean(axis=1), side, axes[:, 2], turned)
+    axis = material_axis(
+        m, card, at, x=x.mean(axis=1), tangent=side, normal=axes[:, 2], turned=turned
+    )
     return in_axes(s, np.einsum("eij,ej->ei", axes[:, :2], axis))
 
 
@@ -160,12 +163,15 @@ def material_axis(
         If the x axis of the frame is along the normal.
     """
     t = m.model[card]
-    angle, cid = np.radians(1.0) * t["THETA"][at], t["MCID"][at]
-    c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    angle = np.radians(1.0) * t["THETA"][at]
+    cid = t["MCID"][at]
+    c = np.cos(angle)[:, None]
+    s = np.sin(angle)[:, None]
     out = c * tangent + s * np.cross(normal, tangent)
     named = np.flatnonzero(cid >= 0)
     if named.size:
-        axis, n = frame(m, cid[named], x[named].real)[:, 0], normal[named]
+        axis = frame(m, cid[named], x[named].real)[:, 0]
+        n = normal[named]
         flat = axis - (axis * n).sum(axis=1)[:, None] * n
         along = named[np.abs(flat).max(axis=1) < 1e-6]
         if turned[along].any():
@@ -176,7 +182,8 @@ def material_axis(
                 bad,
                 "the x axis of its frame MCID is along the normal; name another frame",
             )
-        out, use = out.astype(np.result_type(out, flat)), ~np.isin(at[named], at[along])
+        out = out.astype(np.result_type(out, flat))
+        use = ~np.isin(at[named], at[along])
         out[named[use]] = unit(flat[use])
     return np.asarray(out)
 
@@ -201,7 +208,7 @@ def _offset(t: Table, at: Int) -> Any_:
 
 def _pshell(m: Mesh, t: Table, at: Int, corners: int) -> Section:
     """PSHELL. MID4 couples by -T² G4: its G4 is 1/T² ∫ -z G dz (MSC Nastran)."""
-    row = lookup(m.model, "PSHELL", t["PID"][at], t, at)
+    row = lookup(m.model, "PSHELL", t["PID"][at], table=t, at=at)
     p = m.model["PSHELL"]
     mid1, mid2, mid3, mid4 = (p[c][row] for c in ("MID1", "MID2", "MID3", "MID4"))
     T, profile = thickness(t, at, corners, p["T"][row])
@@ -221,19 +228,20 @@ def _pshell(m: Mesh, t: Table, at: Int, corners: int) -> Section:
     couple = layers(m.model, mid4, p, row).plane
     first = mid1 > 0
     turning = np.where(first, stretch.plane[:, 2, 2], bend.plane[:, 2, 2])
-    t1, inertia = T[:, None, None], (p["I12T3"][row] * T**3 / 12)[:, None, None]
+    t1 = T[:, None, None]
+    inertia = (p["I12T3"][row] * T**3 / 12)[:, None, None]
     return Section(
-        stretch.plane * t1,
-        -couple * t1 * t1,
-        bend.plane * inertia,
-        np.where(own[:, None, None], core, rigid) * t1,
-        turning * T * m.model.param("K6ROT", 100.0) * DRILL,
-        np.where(first, stretch.density, bend.density) * T,
-        p["NSM"][row] + m.nsm(t.card, at),
-        np.where(first, stretch.loss, bend.loss),
-        _offset(t, at),
-        own & (mid3 != mid2),
-        profile,
+        membrane=stretch.plane * t1,
+        coupling=-couple * t1 * t1,
+        bending=bend.plane * inertia,
+        shear=np.where(own[:, None, None], core, rigid) * t1,
+        drill=turning * T * m.model.param("K6ROT", 100.0) * DRILL,
+        density=np.where(first, stretch.density, bend.density) * T,
+        nsm=p["NSM"][row] + m.nsm(t.card, at),
+        loss=np.where(first, stretch.loss, bend.loss),
+        offset=_offset(t, at),
+        flexible=own & (mid3 != mid2),
+        profile=profile,
     )
 
 
@@ -245,17 +253,17 @@ def _laminate(m: Mesh, card: str, row: Int, t: Table, at: Int, corners: int) -> 
     L = laminates(m.model, card, rows)
     p = m.model[card]
     return Section(
-        L.membrane[inverse],
-        L.coupling[inverse],
-        L.bending[inverse],
-        L.shear[inverse],
-        L.turning[inverse] * m.model.param("K6ROT", 100.0) * DRILL,
-        L.density[inverse],
-        p["NSM"][row] + m.nsm(t.card, at),
-        p["GE"][row],
-        _offset(t, at),
-        np.ones(at.size, dtype=bool),
-        np.ones((at.size, corners)),
+        membrane=L.membrane[inverse],
+        coupling=L.coupling[inverse],
+        bending=L.bending[inverse],
+        shear=L.shear[inverse],
+        drill=L.turning[inverse] * m.model.param("K6ROT", 100.0) * DRILL,
+        density=L.density[inverse],
+        nsm=p["NSM"][row] + m.nsm(t.card, at),
+        loss=p["GE"][row],
+        offset=_offset(t, at),
+        flexible=np.ones(at.size, dtype=bool),
+        profile=np.ones((at.size, corners)),
     )
 
 
@@ -282,7 +290,8 @@ def place(K: Any_, rows: list[int], block: Any_, columns: list[int] | None = Non
     """Add a block (e, k r, k c) of DOFs `rows` (r) and `columns` (c, or as the rows) a node into K
     (e, k, 6, k, 6).
     """
-    k, columns = K.shape[1], columns or rows
+    k = K.shape[1]
+    columns = columns or rows
     block = block.reshape(-1, k, len(rows), k, len(columns))
     for i, a in enumerate(rows):
         for j, b in enumerate(columns):
@@ -301,7 +310,8 @@ def drilling(N: Float, gradients: Any_, w: Any_) -> Any_:
     """
     e, g, k = gradients.shape[:3]
     row = np.empty((e, g, k, 3), dtype=gradients.dtype)
-    row[..., 0], row[..., 1] = gradients[..., 1] / 2, -gradients[..., 0] / 2
+    row[..., 0] = gradients[..., 1] / 2
+    row[..., 1] = -gradients[..., 0] / 2
     row[..., 2] = N
     flat = row.reshape(e, g, 3 * k)
     return np.asarray((flat * w[:, :, None]).swapaxes(1, 2) @ flat)
@@ -325,7 +335,13 @@ def finish(m: Mesh, nodes: Int, K: Any_, section: Section, axes: Any_, mass: Any
     e, k = nodes.shape
     offset = section.offset[:, None, None] * axes[:, None, 2]
     M = masses(m, np.broadcast_to(offset, (e, k, 3)), mass, np.asarray(_PATTERN[k]))
-    return Matrices(node_dofs(nodes), K, M, section.loss, np.empty((0, 6 * k, 6 * k)))
+    return Matrices(
+        dofs=node_dofs(nodes),
+        stiffness=K,
+        mass=M,
+        loss=section.loss,
+        viscous=np.empty((0, 6 * k, 6 * k)),
+    )
 
 
 def masses(m: Mesh, arms: Any_, mass: Any_, pattern: Any_) -> Any_:

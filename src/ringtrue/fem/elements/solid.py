@@ -107,7 +107,7 @@ class Shape:
 
     def build(self, m: Mesh, card: str, at: Int) -> Matrices:
         """Matrices of rows `at` (e,), which have the same midside nodes and kind of material (see
-        `alike`).
+        `same_midsides`).
 
         Raises
         ------
@@ -121,7 +121,8 @@ class Shape:
         present = self.present(m.model, at)
         if (present != present[0]).any():
             raise InputError(
-                f"{card}: rows with different midside nodes in one batch; split them by solid.alike"
+                f"{card}: rows with different midside nodes in one batch; split them by "
+                "solid.same_midsides"
             )
         t = m.model[card]
         names = [f"G{k + 1}" for k in np.flatnonzero(present[0])]
@@ -129,7 +130,7 @@ class Shape:
         x = m.xyz[nodes]
         if (flat := self._flat(x.real)).any():
             raise card_error(m.model, t, int(at[flat][0]), "it has no volume; check its nodes")
-        row = lookup(m.model, "PSOLID", t["PID"][at], t, at)
+        row = lookup(m.model, "PSOLID", t["PID"][at], table=t, at=at)
         _refuse_fluid(m.model, row)
         material: Isotropic | Anisotropic
         if is_anisotropic(m.model, t["PID"][at[:1]])[0]:
@@ -146,7 +147,11 @@ class Shape:
         K, _, rule = self._stiffness(x, material, present[0])
         M = mass(x, material.rho, rule, m.model.param("COUPMASS", -1) > 0)
         return Matrices(
-            node_dofs(nodes, 3), K, M, material.loss, np.empty((0, K.shape[1], K.shape[1]))
+            dofs=node_dofs(nodes, 3),
+            stiffness=K,
+            mass=M,
+            loss=material.loss,
+            viscous=np.empty((0, K.shape[1], K.shape[1])),
         )
 
     def _flat(self, x: Float) -> Bool:
@@ -191,7 +196,9 @@ class Shape:
             lin = self.linear
             if lin.pressure is not None:
                 return *projected(x, material, lin.stiffness, lin.pressure), lin.mass
-            return *kernel(x, material, lin.stiffness, lin.bubbles, lin.centre), lin.mass
+            return *kernel(
+                x, material, lin.stiffness, bubbles=lin.bubbles, centre=lin.centre
+            ), lin.mass
         rules = [
             kept(r, self.edges, present) for r in (self.quadratic.stiffness, self.quadratic.mass)
         ]
@@ -214,7 +221,7 @@ def _part(material: Isotropic | Anisotropic, first: int, size: int) -> Isotropic
     )
 
 
-def alike(shape: Shape, model: Model, at: Int) -> Iterable[Int]:
+def same_midsides(shape: Shape, model: Model, at: Int) -> Iterable[Int]:
     """The rows `at` (e,) in groups with the same midside nodes and kind of material."""
     present = shape.present(model, at)
     other = is_anisotropic(model, model[shape.card]["PID"][at])
@@ -238,7 +245,9 @@ def kernel(
     n = g.shape[2]
     if bubbles is not None and centre is not None:
         J0, det0, _ = jacobian(centre, x)
-        g = np.concatenate([g, incompatible(bubbles, J0[:, 0], det0[:, 0], det, w)], axis=2)
+        g = np.concatenate(
+            [g, incompatible(bubbles, J0[:, 0], det0[:, 0], det=det, weights=w)], axis=2
+        )
     A = gram(g, w)
     if isinstance(material, Anisotropic):
         K = general(A, material.tensor)

@@ -83,11 +83,11 @@ HEXA_CENTRE = _hexa_linear(np.zeros((1, 3)))[1]
 _HEXA_P, _HEXA_W = cube(3)
 HEXA_FULL = SolidRule(*hexa_quadratic(_HEXA_P), _HEXA_W)
 HEXA = Shape(
-    "CHEXA",
-    Linear(HEXA_RULE, HEXA_RULE, HEXA_BUBBLES, HEXA_CENTRE),
-    Quadratic(HEXA_FULL, HEXA_FULL, _hexa_linear(_HEXA_P)[0]),
-    HEXA_EDGES,
-    _hexa_axes,
+    card="CHEXA",
+    linear=Linear(HEXA_RULE, HEXA_RULE, HEXA_BUBBLES, HEXA_CENTRE),
+    quadratic=Quadratic(HEXA_FULL, HEXA_FULL, _hexa_linear(_HEXA_P)[0]),
+    edges=HEXA_EDGES,
+    axes=_hexa_axes,
 )
 hexa_build = HEXA.build
 
@@ -104,11 +104,14 @@ def _penta_area(p: Float) -> Float:
 def _penta_linear(p: Float) -> tuple[Float, Float]:
     """Values (gp, 6) and derivatives (gp, 6, 3) at points (r, s, ζ)."""
     L = _penta_area(p)
-    low, high = (1 - p[:, 2, None]) / 2, (1 + p[:, 2, None]) / 2
+    low = (1 - p[:, 2, None]) / 2
+    high = (1 + p[:, 2, None]) / 2
     values = np.concatenate([L * low, L * high], axis=1)
     d = np.empty((len(p), 6, 3))
-    d[:, :3, :2], d[:, 3:, :2] = _PENTA_DL * low[..., None], _PENTA_DL * high[..., None]
-    d[:, :3, 2], d[:, 3:, 2] = -L / 2, L / 2
+    d[:, :3, :2] = _PENTA_DL * low[..., None]
+    d[:, 3:, :2] = _PENTA_DL * high[..., None]
+    d[:, :3, 2] = -L / 2
+    d[:, 3:, 2] = L / 2
     return values, d
 
 
@@ -116,16 +119,20 @@ def penta_quadratic(p: Float) -> tuple[Float, Float]:
     """Values (gp, 15) and derivatives (gp, 15, 3) of the serendipity functions at points (r, s,
     ζ).
     """
-    L, z = _penta_area(p), p[:, 2, None]
+    L = _penta_area(p)
+    z = p[:, 2, None]
     (low, high), (d_low, d_high) = ((1 - z) / 2, (1 + z) / 2), (-0.5, 0.5)
     i, j = np.array(_PENTA_TRIANGLE).T
     edge = 4 * L[:, i] * L[:, j]
     d_edge = 4 * (L[:, i, None] * _PENTA_DL[j] + L[:, j, None] * _PENTA_DL[i])
     middle = np.concatenate([edge * low, L * (1 - z**2), edge * high], axis=1)
     d_middle = np.empty((len(p), 9, 3))
-    d_middle[:, :3, :2], d_middle[:, :3, 2] = d_edge * low[..., None], edge * d_low
-    d_middle[:, 3:6, :2], d_middle[:, 3:6, 2] = _PENTA_DL * (1 - z**2)[..., None], -2 * z * L
-    d_middle[:, 6:, :2], d_middle[:, 6:, 2] = d_edge * high[..., None], edge * d_high
+    d_middle[:, :3, :2] = d_edge * low[..., None]
+    d_middle[:, :3, 2] = edge * d_low
+    d_middle[:, 3:6, :2] = _PENTA_DL * (1 - z**2)[..., None]
+    d_middle[:, 3:6, 2] = -2 * z * L
+    d_middle[:, 6:, :2] = d_edge * high[..., None]
+    d_middle[:, 6:, 2] = edge * d_high
     return over(PENTA_EDGES, *_penta_linear(p), middle, d_middle)
 
 
@@ -159,11 +166,13 @@ PENTA_CENTRE = _penta_linear(np.array([[1 / 3, 1 / 3, 0.0]]))[1]
 _PENTA_FINE, _PENTA_FINE_W = _penta_product(triangle(5), line(3))
 PENTA_FULL = SolidRule(*penta_quadratic(_PENTA_FINE), _PENTA_FINE_W)
 PENTA = Shape(
-    "CPENTA",
-    Linear(PENTA_RULE, PENTA_RULE, PENTA_BUBBLES, PENTA_CENTRE),
-    Quadratic(PENTA_FULL, PENTA_FULL, np.column_stack([np.ones(len(_PENTA_FINE)), _PENTA_FINE])),
-    PENTA_EDGES,
-    _penta_axes,
+    card="CPENTA",
+    linear=Linear(PENTA_RULE, PENTA_RULE, PENTA_BUBBLES, PENTA_CENTRE),
+    quadratic=Quadratic(
+        PENTA_FULL, PENTA_FULL, np.column_stack([np.ones(len(_PENTA_FINE)), _PENTA_FINE])
+    ),
+    edges=PENTA_EDGES,
+    axes=_penta_axes,
 )
 penta_build = PENTA.build
 
@@ -206,10 +215,8 @@ def pyramid_quadratic(p: Float) -> tuple[Float, Float]:
     z = p[:, 2]
     base, d_base = _pyramid_times(_pyramid_faces(p, _PYRAMID_MIDDLES), (1 - z) ** 2 / 2, z - 1)
     rise, d_rise = _pyramid_times(_pyramid_faces(p, _PYRAMID_SIGNS), z * (1 - z), 1 - 2 * z)
-    middle, d_middle = (
-        np.concatenate([base, rise], axis=1),
-        np.concatenate([d_base, d_rise], axis=1),
-    )
+    middle = np.concatenate([base, rise], axis=1)
+    d_middle = np.concatenate([d_base, d_rise], axis=1)
     return over(PYRAMID_EDGES, *_pyramid_linear(p), middle, d_middle)
 
 
@@ -228,7 +235,8 @@ def _pyramid_axes(x: Any_) -> Any_:
     """z from the middle of the base to the apex, y normal to it and to the line from edge G1-G4 to
     G2-G3.
     """
-    z, r = between(x, [0, 1, 2, 3], [4]), between(x, [0, 3], [1, 2])
+    z = between(x, [0, 1, 2, 3], [4])
+    r = between(x, [0, 3], [1, 2])
     y = np.cross(z, r)
     rows = np.stack([np.cross(y, z), y, z], axis=1)
     return np.asarray(rows / np.sqrt((rows * rows).sum(axis=2, keepdims=True)))
@@ -240,9 +248,9 @@ _PYRAMID_FINE, _PYRAMID_FINE_W = _pyramid_conical(3)
 PYRAMID_FULL = SolidRule(*pyramid_quadratic(_PYRAMID_FINE), _PYRAMID_FINE_W)
 _PYRAMID_RISE = 1 - _PYRAMID_FINE[:, 2]
 PYRAMID = Shape(
-    "CPYRAM",
-    Linear(PYRAMID_RULE, PYRAMID_RULE, pressure=np.ones((len(_PYRAMID_P), 1))),
-    Quadratic(
+    card="CPYRAM",
+    linear=Linear(PYRAMID_RULE, PYRAMID_RULE, pressure=np.ones((len(_PYRAMID_P), 1))),
+    quadratic=Quadratic(
         PYRAMID_FULL,
         PYRAMID_FULL,
         np.column_stack(
@@ -254,8 +262,8 @@ PYRAMID = Shape(
             ]
         ),
     ),
-    PYRAMID_EDGES,
-    _pyramid_axes,
+    edges=PYRAMID_EDGES,
+    axes=_pyramid_axes,
 )
 pyramid_build = PYRAMID.build
 
@@ -275,7 +283,8 @@ def _tetra_linear(p: Float) -> tuple[Float, Float]:
 def tetra_quadratic(p: Float) -> tuple[Float, Float]:
     """Values (gp, 10) and derivatives (gp, 10, 3) at points (gp, 3)."""
     L = _tetra_coordinates(p)
-    corner, d_corner = L * (2 * L - 1), (4 * L - 1)[..., None] * _TETRA_DL
+    corner = L * (2 * L - 1)
+    d_corner = (4 * L - 1)[..., None] * _TETRA_DL
     i, j = np.array(TETRA_EDGES).T
     d_edge = 4 * (L[:, i, None] * _TETRA_DL[j] + L[:, j, None] * _TETRA_DL[i])
     return np.concatenate([corner, 4 * L[:, i] * L[:, j]], axis=1), np.concatenate(
@@ -301,23 +310,24 @@ def _tetra_axes(x: Any_) -> Any_:
     return nearest(np.stack([between(x, a, b) for a, b in lines], axis=1))
 
 
-_TETRA_A, _TETRA_B = (5 - np.sqrt(5)) / 20, (5 + 3 * np.sqrt(5)) / 20
+_TETRA_A = (5 - np.sqrt(5)) / 20
+_TETRA_B = (5 + 3 * np.sqrt(5)) / 20
 _TETRA_FOUR = np.full((4, 3), _TETRA_A) + (_TETRA_B - _TETRA_A) * np.eye(4)[:, :3]
 _TETRA_FOUR_W = np.full(4, 1 / 24)
 _TETRA_ONE = np.full((1, 3), 0.25)
 _TETRA_FINE, _TETRA_FINE_W = _tetra_conical(3)
 TETRA = Shape(
-    "CTETRA",
-    Linear(
+    card="CTETRA",
+    linear=Linear(
         SolidRule(*_tetra_linear(_TETRA_ONE), np.array([1 / 6])),
         SolidRule(*_tetra_linear(_TETRA_FOUR), _TETRA_FOUR_W),
     ),
-    Quadratic(
+    quadratic=Quadratic(
         SolidRule(*tetra_quadratic(_TETRA_FOUR), _TETRA_FOUR_W),
         SolidRule(*tetra_quadratic(_TETRA_FINE), _TETRA_FINE_W),
         np.eye(4),
     ),
-    TETRA_EDGES,
-    _tetra_axes,
+    edges=TETRA_EDGES,
+    axes=_tetra_axes,
 )
 tetra_build = TETRA.build

@@ -51,9 +51,12 @@ def affine_terms(
     while True:
         curved = union(g.rows for k, g in enumerate(groups) if k not in smooth)
         rest = {k: replace(groups[k], rows=without(groups[k].rows, curved)) for k in sorted(smooth)}
-        terms, lost = products(m, rest, linear, system, part(progress, 0.0, 0.5))
+        terms, lost = products(m, rest, linear, system=system, progress=part(progress, 0.0, 0.5))
         if not lost:
-            return (*terms, *interpolated(m, groups, curved, system, part(progress, 0.5, 1.0)))
+            return (
+                *terms,
+                *interpolated(m, groups, curved, system=system, progress=part(progress, 0.5, 1.0)),
+            )
         smooth -= lost  # elements that are not in the sample, or what two of them do together
 
 

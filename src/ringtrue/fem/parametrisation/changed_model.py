@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -30,8 +30,8 @@ Factor = float | complex
 
 
 def scaled(model: Model, parameter: Parameter, factor: Factor) -> Model:
-    """A copy of the model with the parameter at `factor`: fields, for some elements only where
-    told, and nodes.
+    """A copy of the model with the parameter at `factor`: fields, those of some
+    elements only where the parameter names them, and nodes.
 
     A PBEAM whose end B or stations equal its end A keeps that. Where a target holds for some
     elements only, they get a copy of the property or material.
@@ -47,7 +47,8 @@ def scaled(model: Model, parameter: Parameter, factor: Factor) -> Model:
             f"parameter {parameter.name} is a factor on element matrices: no model has them as "
             "fields"
         )
-    targets, own = list(parameter.targets), dict[tuple[str, int, tuple[int, ...]], int]()
+    targets = list(parameter.targets)
+    own = dict[tuple[str, int, tuple[int, ...]], int]()
     for i, t in enumerate(targets):
         if t.elements:
             card = (t.card, t.id, t.elements)
@@ -74,9 +75,9 @@ def changed(model: Model, name: str, targets: Sequence[CardField], factor: Facto
         groups.setdefault((t.card, t.field, t.step), []).append(t.id)
     tables = dict(model.tables)
     for (card, field, step), ids in groups.items():
-        tables[card] = _with_fields(
-            tables, f"parameter {name}: {card}", card, field, np.array(ids), step, factor
-        )
+        change = _Change(f"parameter {name}: {card} {ids[0]} {field}", step, factor)
+        rows = _rows_with(tables, name, card, field, np.array(ids))
+        tables[card] = _with_fields(tables[card], rows, field, change)
     for card in MADE:
         if dimensioned := [t.id for t in targets if t.card == card]:
             tables[MADE[card]] = resectioned(tables, card, np.array(dimensioned))
@@ -94,83 +95,93 @@ def _there(tables: dict[str, Table], card: str, wanted: int) -> str:
     return f"; {ids.size} {card}, next to it {', '.join(map(str, near.tolist()))}"
 
 
-def _with_fields(
-    tables: dict[str, Table],
-    where: str,
-    card: str,
-    field: str,
-    ids: Int,
-    step: float,
-    factor: Factor,
-) -> Table:
+def _rows_with(tables: dict[str, Table], name: str, card: str, field: str, ids: Int) -> Int:
+    """Rows of a card with these ids; an error names the first that is absent."""
     there = tables[card].ids if card in tables else ids[:0]
     rows = np.flatnonzero(there == ids[0] if ids.size == 1 else np.isin(there, ids))
-    if lost := set(ids.tolist()).difference(there[rows].tolist()):
+    lost = set(ids.tolist()).difference(there[rows].tolist())
+    if lost:
         first = next(i for i in ids.tolist() if i in lost)
         raise InputError(
-            f"{where} {first} {field}: no such card in the model{_there(tables, card, first)}"
+            f"parameter {name}: {card} {first} {field}: no such card in the model"
+            f"{_there(tables, card, first)}"
         )
-    table, where = tables[card], f"{where} {ids[0]} {field}"
+    return rows
+
+
+@dataclass(frozen=True, slots=True)
+class _Change:
+    """What a parameter does to values of a field.
+
+    Attributes
+    ----------
+    where : str
+        Parameter, card and field, for messages.
+    step : float
+        If not 0, values become value + step (factor - 1) in place of value times factor.
+    factor : float or complex
+    """
+
+    where: str
+    step: float
+    factor: Factor
+
+    def of(self, values: NDArray[Any], at: Int) -> NDArray[Any]:
+        """A copy of the values, those `at` changed."""
+        real = values.dtype.kind in "fc"
+        if not real or np.isnan(values[at]).any():
+            raise InputError(
+                f"{self.where}: must hold a real number, got {'a blank' if real else values[at[0]]}"
+            )
+        out = values.astype(np.result_type(values, type(self.factor)))
+        if self.step:
+            out[at] = out[at] + self.step * (self.factor - 1)
+        else:
+            out[at] = out[at] * self.factor
+        return out
+
+
+def _with_fields(table: Table, rows: Int, field: str, change: _Change) -> Table:
+    """The table with a field of some rows changed; a uniform PBEAM stays uniform."""
     ply = _PLY.fullmatch(field)
     if field not in table.columns and ply and isinstance(table.columns.get(ply[1]), Ragged):
-        return _with_ply(table, where, ply[1], int(ply[2]), rows, step, factor)
+        return _with_ply(table, rows, ply[1], int(ply[2]), change)
     if field not in table.columns:
-        raise InputError(f"{where}: no such field{did_you_mean(field, table.columns)}")
+        raise InputError(f"{change.where}: no such field{did_you_mean(field, table.columns)}")
     column = table.columns[field]
     if isinstance(column, Ragged):
-        raise InputError(f"{where} is a list; number its entries: {field}1, {field}2 ...")
-    twin = BOTH_ENDS.get(field) if card == "PBEAM" else None
-    both = rows[table[twin][rows] == column[rows]] if twin else rows[:0]
-    stations = f"{field}X" if twin and f"{field}X" in table.columns else ""
-    equal = _equal(table.ragged(stations), column, rows) if stations else rows[:0]
-    table = table.with_column(field, _multiplied(column, rows, where, step, factor))
-    if twin and both.size:
-        table = table.with_column(twin, _multiplied(table[twin], both, where, step, factor))
-    if equal.size:
-        table = _with_entries(
-            table, where, stations, table.ragged(stations).values, equal, step, factor
-        )
-    return table
-
-
-def _equal(entries: Ragged, column: NDArray[Any], rows: Int) -> Int:
-    """Places of the entries of `rows` that have the value of the row in `column`."""
-    of = entries.owner
-    return np.flatnonzero(np.isin(of, rows) & (entries.values == column[of]))
-
-
-def _multiplied(
-    column: NDArray[Any], rows: Int, where: str, step: float, factor: Factor
-) -> NDArray[Any]:
-    if column.dtype.kind not in "fc" or np.isnan(column[rows]).any():
-        raise InputError(
-            f"{where}: must hold a real number, got "
-            f"{'a blank' if column.dtype.kind in 'fc' else column[rows[0]]}"
-        )
-    out = column.astype(np.result_type(column, type(factor)))
-    out[rows] = out[rows] + step * (factor - 1) if step else out[rows] * factor
+        raise InputError(f"{change.where} is a list; number its entries: {field}1, {field}2 ...")
+    out = table.with_column(field, change.of(column, rows))
+    other_end = BOTH_ENDS.get(field) if table.card == "PBEAM" else None
+    if other_end is None:
+        return out
+    both = rows[table[other_end][rows] == column[rows]]
+    if both.size:
+        out = out.with_column(other_end, change.of(table[other_end], both))
+    stations = f"{field}X"
+    if stations in table.columns:
+        entries = table.ragged(stations)
+        of = entries.owner
+        equal = np.flatnonzero(np.isin(of, rows) & (entries.values == column[of]))
+        if equal.size:
+            out = _with_entries(out, stations, change.of(entries.values, equal))
     return out
 
 
-def _with_ply(
-    table: Table, where: str, name: str, ply: int, rows: Int, step: float, factor: Factor
-) -> Table:
+def _with_ply(table: Table, rows: Int, name: str, ply: int, change: _Change) -> Table:
     """Entry `ply` (from 1) of a list; a blank one takes the value of the entry before it first."""
     ragged = table.ragged(name)
     values = _filled(ragged, rows) if table.card in LAMINATES else ragged.values
     at = ragged.offsets[rows] + ply - 1
     if (at >= ragged.offsets[rows + 1]).any() or ply < 1:
-        raise InputError(f"{where}: there is no entry {ply}")
-    return _with_entries(table, where, name, values, at, step, factor)
+        raise InputError(f"{change.where}: there is no entry {ply}")
+    return _with_entries(table, name, change.of(values, at))
 
 
-def _with_entries(
-    table: Table, where: str, name: str, values: NDArray[Any], at: Int, step: float, factor: Factor
-) -> Table:
-    values = _multiplied(values, at, where, step, factor)
-    return replace(
-        table, columns={**table.columns, name: Ragged(values, table.ragged(name).offsets)}
-    )
+def _with_entries(table: Table, name: str, values: NDArray[Any]) -> Table:
+    """The table with other values of a list."""
+    entries = Ragged(values, table.ragged(name).offsets)
+    return replace(table, columns={**table.columns, name: entries})
 
 
 def _filled(ragged: Ragged, rows: Int) -> NDArray[Any]:
@@ -346,12 +357,14 @@ def _own(model: Model, name: str, target: CardField) -> tuple[Model, CardField]:
         fresh, model = _copied(model, named, target.id, _family(direct[0].of))
         model = model if named == target.card else _row_added(model, target.card, target.id, fresh)
         for r in direct:
-            model = _redirected(model, r.card, r.field, rows[r.card], target.id, fresh)
+            model = _redirected(
+                model, r.card, r.field, rows=rows[r.card], old=target.id, fresh=fresh
+            )
         rows = {c: at for c, at in rows.items() if c not in {r.card for r in direct}}
     elif links:
         fresh, model = _copied(model, target.card, target.id, _family(links[0].of))
     for r in links if rows else []:  # through the properties of the elements that are left
-        model = _by_property(model, r.card, r.field, rows, target.id, fresh)
+        model = _by_property(model, r.card, r.field, rows=rows, old=target.id, fresh=fresh)
     return model, replace(target, id=fresh, elements=())
 
 
@@ -412,6 +425,8 @@ def _by_property(model: Model, card: str, field: str, rows: Rows, old: int, fres
             if row[0] < 0 or not (held == old).any():
                 continue
             new, model = _copied(model, card, pid, "P")
-            model = _redirected(model, card, field, model[card].find(np.array([new])), old, fresh)
-            model = _redirected(model, r.card, r.field, rows[r.card], pid, new)
+            model = _redirected(
+                model, card, field, rows=model[card].find(np.array([new])), old=old, fresh=fresh
+            )
+            model = _redirected(model, r.card, r.field, rows=rows[r.card], old=pid, fresh=new)
     return model

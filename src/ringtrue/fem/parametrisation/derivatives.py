@@ -49,7 +49,8 @@ def system_derivatives(
     InputError
         If a target, node or element is not in the model.
     """
-    m, T = mesh(model), system.transform
+    m = mesh(model)
+    T = system.transform
     slopes = list(element_derivatives(model, parameters))
     Tt, G, (alpha, beta) = sparse.csr_array(T.T), m.model.param("G", 0.0), rayleigh(model)
     moved = _transforms(model, parameters, system)
@@ -62,7 +63,11 @@ def system_derivatives(
             )
         out.append(
             MatrixDerivatives(
-                K, M, sparse.csr_array(D + alpha * M + beta * K), sparse.csr_array(H + G * K), dT
+                stiffness=K,
+                mass=M,
+                viscous=sparse.csr_array(D + alpha * M + beta * K),
+                structural=sparse.csr_array(H + G * K),
+                transform=dT,
             )
         )
     return out
@@ -121,7 +126,8 @@ def _moved(
     moves += [(None, k, float(np.abs(s.vectors).max(initial=0.0))) for k, s in enumerate(p.shapes)]
     if not moves:
         return None
-    total, reach = sparse.csr_array(system.transform.shape), _reach(mesh(model))
+    total = sparse.csr_array(system.transform.shape)
+    reach = _reach(mesh(model))
     for target, shape, size in moves:
         h = SMALL * min(1.0, reach / (size or 1.0))
         for k, c in CENTRAL:
@@ -192,7 +198,8 @@ def congruent(
     stiffness, mass : (m, m) float64
         Without entries where there is none.
     """
-    v, none = _padded(system, vectors), np.zeros((0, 0))
+    v = _padded(system, vectors)
+    none = np.zeros((0, 0))
     for s in element_derivatives(model, parameters):
         order = np.argsort(s.owner, kind="stable")
         present, first = np.unique(s.owner[order], return_index=True)
@@ -249,12 +256,14 @@ def bilinear(
     v = _padded(system, right)
     u = [v if np.array_equal(x, right) else _padded(system, x) for x in left]
     K, M = (np.zeros((len(parameters), *left.shape[::2])) for _ in range(2))
-    dofs, at = np.empty(0, dtype=np.int64), list[Float]()
+    dofs = np.empty(0, dtype=np.int64)
+    at = list[Float]()
     for s in element_derivatives(model, parameters):
         if not np.array_equal(
             s.dofs, dofs
         ):  # one piece of the mesh may come once for each kind of parameter
-            dofs, at = s.dofs, _gathered([v, *u], s.dofs)
+            dofs = s.dofs
+            at = _gathered([v, *u], s.dofs)
         for total, A in ((K, s.stiffness), (M, s.mass)):
             if np.any(A):
                 Av = applied(A, at[0])

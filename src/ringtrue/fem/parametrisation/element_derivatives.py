@@ -109,7 +109,7 @@ def element_derivatives(
     for i, p in enumerate(parameters):
         yield from _placed(m, i, p)
         for s in p.substructures:
-            yield from _plain(m, i, p.name, s.matrix, s.elements)
+            yield from _plain(m, i, p.name, matrix=s.matrix, elements=s.elements)
 
 
 def _bundles(
@@ -119,7 +119,8 @@ def _bundles(
     moduli.
     """
     made: dict[tuple[CardField, ...], list[_Sweep]] = {}
-    layers, reach = list[_Sweep](), dict[tuple[CardField, ...], _Reach]()
+    layers = list[_Sweep]()
+    reach = dict[tuple[CardField, ...], _Reach]()
     for i, p in enumerate(parameters):
         by_elements: dict[tuple[int, ...], list[CardField]] = {}
         for t in p.targets:
@@ -132,9 +133,9 @@ def _bundles(
                 reach[targets] = _Reach.of(model, targets)
             rows = reach[targets].within(elements)
             if reach[targets].proportional(rows):
-                _join(model, layers, (), i, rows)
+                _join(model, layers, (), i=i, rows=rows)
             else:
-                _join(model, made.setdefault(targets, []), targets, i, rows)
+                _join(model, made.setdefault(targets, []), targets, i=i, rows=rows)
     sweeps = [s for group in made.values() for s in group]
     for s in sweeps:  # what the steps change, not only what the parameters own
         s.taken = _mask(model, reach[s.targets].rows)
@@ -162,7 +163,8 @@ class _Reach:
 
     @classmethod
     def of(cls, model: Model, targets: tuple[CardField, ...]) -> _Reach:
-        rows, order = union(rows_of(model, t) for t in targets), {}
+        rows = union(rows_of(model, t) for t in targets)
+        order = {}
         for card, at in rows.items():
             ids = model[card].ids[at]
             by_id = np.argsort(ids, kind="stable")
@@ -176,7 +178,8 @@ class _Reach:
         """The rows of those elements; all if none are named."""
         if not elements:
             return self.rows
-        wanted, out = np.unique(np.array(elements, dtype=np.int64)), Rows()
+        wanted = np.unique(np.array(elements, dtype=np.int64))
+        out = Rows()
         for card, (ids, at) in self.order.items():
             place = np.searchsorted(ids, wanted).clip(max=ids.size - 1)
             picked = at[place[ids[place] == wanted]]
@@ -195,7 +198,8 @@ def _moduli(model: Model, targets: Sequence[CardField]) -> tuple[int, ...]:
     """
     if any(t.card != "MAT1" or t.field not in ("E", "G") or t.step for t in targets):
         return ()
-    mids, table = {t.id for t in targets}, model["MAT1"]
+    mids = {t.id for t in targets}
+    table = model["MAT1"]
     for mid in mids:
         row = table.find(np.array([mid]))
         given = {f for f in ("E", "G") if not np.isnan(table[f][row]).any()}
@@ -233,7 +237,8 @@ def _merged(model: Model, sweeps: list[_Sweep]) -> list[_Sweep]:
     for s in sweeps:
         for t in out:
             if not any((t.taken[c] & used).any() for c, used in s.taken.items() if c in t.taken):
-                t.targets, t.rows = t.targets + s.targets, t.rows + s.rows
+                t.targets = t.targets + s.targets
+                t.rows = t.rows + s.rows
                 for c, used in s.taken.items():
                     t.taken[c] = used | t.taken[c] if c in t.taken else used
                 break
@@ -246,7 +251,8 @@ def sole_material(model: Model, card: str) -> Int:
     """The material of each row of an element card, -1 where there are several, none, or a
     laminate's.
     """
-    t, name = model[card], PROPERTY.get(card, card)
+    t = model[card]
+    name = PROPERTY.get(card, card)
     out = np.full(len(t), -1)
     if name not in model or name not in MATERIAL:
         return out
@@ -291,14 +297,19 @@ def _proportional(
     if card not in layer or not (mine := np.flatnonzero(layer[card][at] >= 0)).size:
         return
     pick = slice(None) if mine.size == at.size else mine
-    owner, K, loss = (
-        layer[card][at][pick],
-        np.ascontiguousarray(p.stiffness.real[pick]),
-        p.loss.real[pick],
-    )
+    owner = layer[card][at][pick]
+    K = np.ascontiguousarray(p.stiffness.real[pick])
+    loss = p.loss.real[pick]
     layer[card][at[pick]] = -1
     structural = loss[:, None, None] * K if loss.any() else _NONE
-    yield ElementDerivatives(owner, p.dofs[pick], K, structural, np.zeros(K.shape[:2]), _NONE)
+    yield ElementDerivatives(
+        owner=owner,
+        dofs=p.dofs[pick],
+        stiffness=K,
+        structural=structural,
+        mass=np.zeros(K.shape[:2]),
+        viscous=_NONE,
+    )
 
 
 def _parts(m: Mesh, rows: Rows) -> Iterator[tuple[str, Int, Matrices]]:
@@ -321,7 +332,14 @@ def _derivatives(m: Mesh, owner: Int, p: Matrices, take: object) -> ElementDeriv
     loss = take(s) if len(s := p.structural) else _NONE
     viscous = take(p.viscous) if len(p.viscous) else _NONE
     mass = take(p.mass) * m.model.param("WTMASS", 1.0)
-    return ElementDerivatives(owner, p.dofs, take(p.stiffness), loss, mass, viscous)
+    return ElementDerivatives(
+        owner=owner,
+        dofs=p.dofs,
+        stiffness=take(p.stiffness),
+        structural=loss,
+        mass=mass,
+        viscous=viscous,
+    )
 
 
 def _placed(m: Mesh, i: int, p: Parameter) -> Iterator[ElementDerivatives]:
@@ -330,11 +348,11 @@ def _placed(m: Mesh, i: int, p: Parameter) -> Iterator[ElementDerivatives]:
         if is_place(t):
             rows = within(m.model, rows_of(m.model, t), t.elements)
             size = float(np.abs(t.step) or np.abs(_value(m.model, p.name, t)))
-            yield from _differences(m, i, p, rows, size, target=t)
+            yield from _differences(m, i, p, rows=rows, size=size, target=t)
     for k, shape in enumerate(p.shapes):
         rows = users_of_nodes(m.model, np.array(shape.nodes))
         yield from _differences(
-            m, i, p, rows, float(np.abs(shape.vectors).max(initial=0.0)), shape=k
+            m, i, p, rows=rows, size=float(np.abs(shape.vectors).max(initial=0.0)), shape=k
         )
 
 

@@ -35,11 +35,11 @@ from ringtrue.fem.parametrisation.parameter_groups import (
     Pair,
     Region,
     Together,
-    apart,
     built,
     ends,
     entries,
     few,
+    independent_batches,
     owners,
     picked,
     regions,
@@ -105,10 +105,8 @@ def fitted(bounds: Float, values: Callable[[Float], list[Float]]) -> list[Series
     for n in DEGREES:
         shares = (1 - np.round(np.cos(np.pi * np.arange(n + 1) / n), 15)) / 2
         known |= {s: values(low * (high / low) ** s) for s in shares.tolist() if s not in known}
-        basis, every = (
-            chebvander(2 * shares - 1, n),
-            [np.array([known[s][k] for s in shares]) for k in range(len(low))],
-        )
+        basis = chebvander(2 * shares - 1, n)
+        every = [np.array([known[s][k] for s in shares]) for k in range(len(low))]
         for k, c in enumerate(every):
             if before and found[k] is None:
                 miss = np.abs(basis[:, : len(before[k])] @ before[k] - c).max(initial=0.0)
@@ -120,11 +118,10 @@ def fitted(bounds: Float, values: Callable[[Float], list[Float]]) -> list[Series
     return found
 
 
-SAMPLE, WORST, ROUNDS = (
-    24,
-    12,
-    8,
-)  # elements of a kind that tell the functions; that join them; how often
+# elements of a kind that tell the functions; that join them; how often
+SAMPLE = 24
+WORST = 12
+ROUNDS = 8
 STEP = 1e-30
 SEEN = 4096  # sets of coefficients that are kept
 
@@ -243,7 +240,8 @@ def interpolated(
     UnsupportedError
         If the matrices of a region are no smooth functions of its parameters between their bounds.
     """
-    batches, out = apart(regions(groups, rows)), list[AffineTerm]()
+    batches = independent_batches(regions(groups, rows))
+    out = list[AffineTerm]()
     for k, batch in enumerate(batches):
         out += _terms(m, batch, system, part(progress, k / len(batches), (k + 1) / len(batches)))
     return out
@@ -284,7 +282,9 @@ def _interpolation(m: Mesh, batch: Sequence[Region], nodes: Sequence[Nodes]) -> 
         taken = {colours.get(j) for r in batch if i in r.which for j in r.which}
         colours[i] = next(c for c in range(len(colours) + 1) if c not in taken)
     used = tuple(replace(r, rows=n.rows) for r, n in zip(batch, nodes, strict=True))
-    return Interpolation(m, used, tuple(nodes), colours, _series(m, used, nodes))
+    return Interpolation(
+        mesh=m, regions=used, nodes=tuple(nodes), colours=colours, series=_series(m, used, nodes)
+    )
 
 
 def _series(m: Mesh, used: Sequence[Region], nodes: Sequence[Nodes]) -> dict[int, Series]:
@@ -327,13 +327,15 @@ def _whole(m: Mesh, region: Region, nodes: Nodes, system: System) -> tuple[list[
     (weights,) = entries(m, [region], np.ones_like(nodes.check), roots)
     (found,) = entries(m, [replace(region, rows=nodes.rows)], nodes.check)
     (there,) = entries(m, [region], nodes.check)
-    miss, parts = there - nominal, list[Pair]()
+    miss = there - nominal
+    parts = list[Pair]()
     for c, a in zip(nodes.coefficients(found).tolist(), nodes.factors, strict=True):
         (stiffness, mass), each = at(a)
         parts.append((sparse.csr_array(stiffness - K), sparse.csr_array(mass - M)))
         miss -= c * (each - nominal)
     miss = np.abs(weights * miss)
     bad = miss > HOLDS * np.abs(weights * there).max(initial=0.0)
-    element, order = owners(m, region), np.argsort(-miss[bad], kind="stable")
+    element = owners(m, region)
+    order = np.argsort(-miss[bad], kind="stable")
     _, first = np.unique(element[bad][order], return_index=True)
     return parts, np.sort(element[bad][order][np.sort(first)[:WORST]])

@@ -24,12 +24,13 @@ from ringtrue.fem.parametrisation.parameter_groups import (
     roots,
 )
 
-BLOCK, BLOCKS = 16, 7  # points that are looked at first, then twice as many, and how often
+# points that are looked at first, then twice as many, and how often
+BLOCK = 16
+BLOCKS = 7
 MOST = 320  # matrices of a region
-FITTED, HOLDS = (
-    1e-10,
-    1e-8,
-)  # relative to the roots of diagonal entries: left by the points seen, allowed at others
+# relative to the roots of diagonal entries: left by the points seen, allowed at others
+FITTED = 1e-10
+HOLDS = 1e-8
 MARGIN = 1.05  # by which the range exceeds the bounds
 
 Found = Sequence[Float | None]
@@ -37,7 +38,7 @@ Found = Sequence[Float | None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Nodes:
-    """What tells the functions of a region.
+    """What determines the functions of a region.
 
     Attributes
     ----------
@@ -72,8 +73,8 @@ class Nodes:
         return self.solved(self.weights * found[self.places])
 
     def scaled(self, found: Float) -> Float:
-        """What tells c (r,): the scaled entries, less those at nominal, from the `entries` of its
-        rows.
+        """What determines c (r,): the scaled entries, less those at nominal, from the `entries` of
+        its rows.
         """
         return np.asarray(self.weights * (found[self.places] - self.start))
 
@@ -98,17 +99,18 @@ class _Learner:
         found: Found,
         most: int,
     ) -> None:
-        self.region, self.start, self.weights, self.most = region, start, weights, most
-        self.factors, self.changes, self.places = (
-            np.empty((0, axes[0].size)),
-            np.empty((0, start.size)),
-            list[int](),
-        )
+        self.region = region
+        self.start = start
+        self.weights = weights
+        self.most = most
+        self.factors = np.empty((0, axes[0].size))
+        self.changes = np.empty((0, start.size))
+        self.places = list[int]()
         self.learn(axes, found)
 
     def learn(self, factors: Sequence[Float], found: Found) -> Float | None:
-        """See more points: one of them if what is kept holds at all of them, else keep what tells
-        all best.
+        """See more points: one of them if what is kept holds at all of them, else keep what
+        determines all best.
         """
         which = list(self.region.which)
         some = [
@@ -119,10 +121,8 @@ class _Learner:
         if not some:
             return None
         scaled = np.array([f for _, f in some]) * self.weights
-        changes, size = (
-            scaled - self.weights * self.start,
-            np.abs(scaled).max(axis=1, initial=1e-300),
-        )
+        changes = scaled - self.weights * self.start
+        size = np.abs(scaled).max(axis=1, initial=1e-300)
         c = np.linalg.solve(self.changes[:, self.places].T, changes[:, self.places].T)
         rest = (changes - c.T @ self.changes) / size[:, None]
         if np.abs(rest).max(initial=0.0) < HOLDS:
@@ -133,22 +133,23 @@ class _Learner:
         self.changes = np.vstack([self.changes, changes])
         size = np.abs(self.changes + self.weights * self.start).max(axis=1, initial=1e-300)
         nodes, self.places = _pivots(self.changes / size[:, None], self.most + 1)
-        self.factors, self.changes = self.factors[nodes], self.changes[nodes]
+        self.factors = self.factors[nodes]
+        self.changes = self.changes[nodes]
         return None
 
-    def told(self, m: Mesh, check: Float) -> Nodes:
+    def nodes(self, m: Mesh, check: Float) -> Nodes:
         """The result, that held at `check`."""
         element = owners(m, self.region)
         used = np.unique(element[self.places])
         places = np.cumsum(np.isin(element, used))[self.places] - 1
         return Nodes(
-            self.factors,
-            picked(m, self.region.rows, used),
-            places,
-            self.start[self.places],
-            self.weights[self.places],
-            self.changes[:, self.places],
-            check,
+            factors=self.factors,
+            rows=picked(m, self.region.rows, used),
+            places=places,
+            start=self.start[self.places],
+            weights=self.weights[self.places],
+            values=self.changes[:, self.places],
+            check=check,
         )
 
 
@@ -156,7 +157,8 @@ def _pivots(rest: Float, most: int) -> tuple[list[int], list[int]]:
     """Rows and columns of an elimination with complete pivots, in order, until nothing above
     `FITTED` is left.
     """
-    rows, columns = list[int](), list[int]()
+    rows = list[int]()
+    columns = list[int]()
     live = np.flatnonzero(np.abs(rest).max(axis=0) > FITTED)
     rest = rest[:, live]
     while rest.size and len(rows) < most:
@@ -170,11 +172,11 @@ def _pivots(rest: Float, most: int) -> tuple[list[int], list[int]]:
 
 
 def learn(m: Mesh, some: Sequence[Region], most: int = MOST) -> list[Nodes]:
-    """What tells the functions of each region.
+    """What determines the functions of each region.
 
     The points lie first on the axes, where only one parameter is not at nominal, then anywhere
     between the bounds. No region feels the fields of a group that acts on another only
-    (`regions.apart`).
+    (`parameter_groups.independent_batches`).
 
     Raises
     ------
@@ -183,15 +185,19 @@ def learn(m: Mesh, some: Sequence[Region], most: int = MOST) -> list[Nodes]:
         `most` matrices.
     """
     axes, low, high = _box(some)
-    one, rng = np.ones_like(low), np.random.default_rng(0)
+    one = np.ones_like(low)
+    rng = np.random.default_rng(0)
     given = zip(
         some, entries(m, some, one), entries(m, some, one, roots), _at(m, some, axes), strict=True
     )
-    learners, out = list[_Learner](), dict[int, Nodes]()
+    learners = list[_Learner]()
+    out = dict[int, Nodes]()
     for region, start, weights, found in given:
         if any(f is None for f in found):
             raise UnsupportedError(rough(region.groups))
-        learners.append(_Learner(region, start, weights, axes, found, most))
+        learners.append(
+            _Learner(region=region, start=start, weights=weights, axes=axes, found=found, most=most)
+        )
     count = BLOCK
     for _ in range(BLOCKS):
         waiting = [k for k in range(len(some)) if k not in out]
@@ -206,7 +212,7 @@ def learn(m: Mesh, some: Sequence[Region], most: int = MOST) -> list[Nodes]:
             if len(learners[k].places) > most:
                 raise UnsupportedError(rough(some[k].groups))
             if check is not None:
-                out[k] = learners[k].told(m, check)
+                out[k] = learners[k].nodes(m, check)
         count *= 2
     for k, region in enumerate(some):
         if k not in out:
@@ -218,7 +224,8 @@ def on_axis(p: Parameter) -> tuple[float, ...]:
     """Factors of a parameter by itself at which matrices are kept: at its bounds, a little widened,
     and half-way.
     """
-    low, high = p.lower / MARGIN, p.upper * MARGIN
+    low = p.lower / MARGIN
+    high = p.upper * MARGIN
     return low, high, low**0.5, high**0.5
 
 
@@ -238,7 +245,8 @@ def _box(some: Sequence[Region]) -> tuple[list[Float], Float, Float]:
 
 def _at(m: Mesh, some: Sequence[Region], points: Sequence[Float]) -> list[list[Float | None]]:
     """Entries of each region at each of the points; None where a section does not allow these."""
-    every, each = Together.of(m, some), [Together.of(m, [r]) for r in some]
+    every = Together.of(m, some)
+    each = [Together.of(m, [r]) for r in some]
     with np.errstate(all="ignore"):  # a pole between the bounds is found by what does not hold
         # it may be one of them that does not allow the factors
         found = [

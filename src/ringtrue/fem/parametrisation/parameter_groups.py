@@ -24,7 +24,9 @@ from ringtrue.fem.parametrisation.element_derivatives import is_place
 from ringtrue.model.model import Model
 
 CHECK = 1.37  # a factor at which the polynomial must hold
-EXACT, NOISE = 1e-10, 1e-13  # relative: not polynomial above, no such power below
+# relative: not polynomial above, no such power below
+EXACT = 1e-10
+NOISE = 1e-13
 INVALID = (DeckError, np.linalg.LinAlgError, ValueError)  # of factors that a section does not allow
 Pair = tuple[sparse.csr_array, sparse.csr_array]
 
@@ -99,11 +101,28 @@ def groups_of(model: Model, which: int, parameter: Parameter) -> list[Group]:
     for elements, targets in by_elements.items():
         changed(model, parameter.name, targets, 1.0)  # names a target that is not there
         reach = union(rows_of(model, t) for t in targets)
-        found.append(Group(which, parameter, within(model, reach, elements), reach, tuple(targets)))
+        found.append(
+            Group(
+                which=which,
+                parameter=parameter,
+                rows=within(model, reach, elements),
+                reach=reach,
+                targets=tuple(targets),
+            )
+        )
     for s in parameter.substructures:
         rows = rows_of_elements(model, parameter.name, s.elements)
         if s.matrix != "damping":
-            found.append(Group(which, parameter, rows, rows, (), s.matrix))
+            found.append(
+                Group(
+                    which=which,
+                    parameter=parameter,
+                    rows=rows,
+                    reach=rows,
+                    targets=(),
+                    matrix=s.matrix,
+                )
+            )
     fields = [g for g in found if g.targets]
     if any(common(a.rows, b.rows) for i, a in enumerate(fields) for b in fields[:i]):
         raise UnsupportedError(
@@ -121,7 +140,8 @@ def built(
     model = m.model
     for g, a in zip(groups, factors, strict=True):
         model = changed(model, g.parameter.name, g.targets, a) if g.targets and a != 1 else model
-    there, out = Mesh(model, m.xyz, m.cd, m.scalar), list[Matrices]()
+    there = Mesh(model, m.xyz, m.cd, m.scalar)
+    out = list[Matrices]()
     for card, build, at in batches(model, rows):
         part = build(there, card, at)
         for g, a in zip(groups, factors, strict=True):
@@ -181,7 +201,8 @@ def _powers(at: dict[complex, sparse.csr_array]) -> list[sparse.csr_array]:
     """c0..c3 of a cubic from its values at 1, -1, i: perfectly conditioned; of a straight line
     without i.
     """
-    even, odd = (at[1] + at[-1]) / 2, (at[1] - at[-1]) / 2
+    even = (at[1] + at[-1]) / 2
+    odd = (at[1] - at[-1]) / 2
     P, Q = (at[1j].real, at[1j].imag) if 1j in at else (even, odd)
     return [(even + P) / 2, (odd + Q) / 2, (even - P) / 2, (odd - Q) / 2]
 
@@ -219,7 +240,7 @@ def regions(groups: Sequence[Group], rows: Rows) -> list[Region]:
     return [Region(tuple(groups[i] for i in some), there) for some, there in sorted(found.items())]
 
 
-def apart(every: Sequence[Region]) -> list[list[Region]]:
+def independent_batches(every: Sequence[Region]) -> list[list[Region]]:
     """Regions whose kernels can be called at once: none feels the fields of a group that acts on
     another only.
     """
@@ -240,7 +261,8 @@ def _feels(r: Region, other: Region) -> bool:
 
 def picked(m: Mesh, rows: Rows, wanted: Int) -> Rows:
     """Elements by their numbers, ascending, as `owners` counts them."""
-    first, out = 0, Rows()
+    first = 0
+    out = Rows()
     for card, _, at in batches(m.model, rows):
         here = at[wanted[(wanted >= first) & (wanted < first + at.size)] - first]
         out[card] = np.union1d(out.get(card, here), here)
@@ -258,7 +280,7 @@ def few(rows: Rows, count: int) -> Rows:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Together:
-    """Regions whose kernels are called at once: `apart`.
+    """Regions whose kernels are called at once: `independent_batches`.
 
     Attributes
     ----------

@@ -4,7 +4,7 @@ or any other.
 Parameters of which K and M are polynomials: products of powers of their factors, times fixed
 matrices.
 
-They are taken apart at the nominal model (an anchored decomposition; Rabitz and Alış 1999, sec. 3):
+They are decomposed at the nominal model (an anchored decomposition; Rabitz and Alış 1999, sec. 3):
 what each parameter does by itself, and, where several act on the same elements, what they do
 together beyond that, as E and T of a shell. Three and more are looked at where any two of them do
 something together.
@@ -99,12 +99,14 @@ class AffineTerm:
     mass: sparse.csr_array
 
 
-NODES = (2.0, 0.5, 3.0)  # factors at which powers are told apart
+NODES = (2.0, 0.5, 3.0)  # factors at which powers are distinguished
 SAMPLE = 40  # elements of a kind that tell what several do together
 AT_ONCE = 16  # sets whose samples are evaluated together
 HELD = 200_000  # element matrices of samples that are kept
 KEPT = 5000  # elements of which the matrices at all points fit into memory
-HOLDS, NOISE = 1e-9, 1e-12  # relative: error allowed, no such part below
+# relative: error allowed, no such part below
+HOLDS = 1e-9
+NOISE = 1e-12
 Exponents = tuple[int, ...]
 Member = tuple[int, Group, Exponents]  # its number, and the exponents that it has by itself
 Set = tuple[Sequence[Member], Rows]  # groups that act on the same elements, and the rows of these
@@ -125,7 +127,9 @@ def products(
 
     `linear` are those of which a sample of elements is.
     """
-    every, sums, lost = list[Member](), dict[tuple[int, int], list[Pair]](), set[int]()
+    every = list[Member]()
+    sums = dict[tuple[int, int], list[Pair]]()
+    lost = set[int]()
     for k, g in groups.items():
         progress(0.7 * len(every) / len(groups), f"derivatives: {g.parameter.name}")
         try:
@@ -161,7 +165,8 @@ def _alone(m: Mesh, g: Group, *, linear: bool) -> dict[int, Pair]:
 def _total(pairs: Sequence[Pair]) -> Pair:
     K, M = pairs[0]
     for k, mass in pairs[1:]:
-        K, M = sparse.csr_array(K + k), sparse.csr_array(M + mass)
+        K = sparse.csr_array(K + k)
+        M = sparse.csr_array(M + mass)
     return K, M
 
 
@@ -175,7 +180,8 @@ def _pairs(every: Sequence[Member]) -> Iterator[tuple[tuple[int, int], Set]]:
     """Groups of two parameters that act on the same elements, and which they are."""
     near = _overlap([g for _, g, _ in every])
     for i, j in np.argwhere(np.triu(near, 1)).tolist():
-        first, second = every[i][1], every[j][1]
+        first = every[i][1]
+        second = every[j][1]
         if first.which != second.which and (both := common(first.rows, second.rows)):
             yield (i, j), ([every[i], every[j]], both)
 
@@ -250,7 +256,8 @@ def _apart(model: Model, sets: Sequence[Set]) -> Iterator[list[int]]:
             ):
                 break
         else:
-            batch, taken = list[int](), dict[str, Bool]()
+            batch = list[int]()
+            taken = dict[str, Bool]()
             like.append((batch, taken))
         batch.append(i)
         for c, at in reach:
@@ -305,10 +312,8 @@ def _terms(
     """What the groups do together, beyond what fewer of them do; `sample` is of a few of the
     rows.
     """
-    groups, every = (
-        [g for _, g, _ in some],
-        list(itertools.product(*(powers for _, _, powers in some))),
-    )
+    groups = [g for _, g, _ in some]
+    every = list(itertools.product(*(powers for _, _, powers in some)))
     noise = [NOISE * largest_entry(x) for x in sample((1.0,) * len(some))]
     beyond = _together(sample, tuple(g.parameter.upper**0.4 for g in groups))
     if all(largest_entry(x) <= least for x, least in zip(beyond, noise, strict=True)):
@@ -361,7 +366,7 @@ def _parts(
 
 
 def _checks(n: int) -> list[tuple[float, ...]]:
-    """Factors of n groups at which products must hold, other than those that tell them apart."""
+    """Factors of n groups at which products must hold, other than those that distinguish them."""
     return [tuple(CHECK + abs(share - 0.07 * i) for i in range(n)) for share in (0.41, 0.13, 0.87)]
 
 
@@ -369,7 +374,8 @@ def _holds(at: At, parts: Mapping[Exponents, Any], a: tuple[float, ...]) -> bool
     """Whether the products are all that the groups do together, relative to the largest entry of K
     or M there.
     """
-    factors, own = np.array(a), tuple(range(len(a)))
+    factors = np.array(a)
+    own = tuple(range(len(a)))
     for i, (true, there) in enumerate(zip(_together(at, a), at(a), strict=True)):
         rest = true - sum(Product(own, e).value(factors) * pair[i] for e, pair in parts.items())
         if not largest_entry(rest) <= HOLDS * largest_entry(there):

@@ -1,1 +1,1 @@
-"""Modes from ambient records: `pipeline.identify_ambient`, and other methods beside it."""
+"""Modes from ambient records: `pipeline.identify_ambient`, one method a module."""

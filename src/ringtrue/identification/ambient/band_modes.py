@@ -2,8 +2,8 @@
 
 Three kinds of records ask for more. Of a few strong events in silence a block without an event
 holds noise only, and the first half of the record may hold all events. A frequency that wanders
-along the record (temperature, traffic, tide) makes the estimates of neighbouring blocks alike: the
-mean over the record is wider than the mode. What is left of the ripples of an echo
+along the record (temperature, traffic, tide) makes the estimates of neighbouring blocks similar:
+the mean over the record is wider than the mode. What is left of the ripples of an echo
 (`signal.echoes`) makes modes less certain.
 
 A ripple ε cos(ωτ + φ) of the logarithmic spectrum at a resonance 1/(1 + x²), x = (ω − ω0)/(ζ ω0),
@@ -57,7 +57,7 @@ from ringtrue.signal.spectra import block_weights
 # modes
 SHARES = (0.6, 1.0, 1.5)
 SILENT_PERCENTILE = 20  # percentile of the power of the blocks
-ABOVE_SILENCE = 10.0  # times that: where motion stands out of it, blocks count alike
+ABOVE_SILENCE = 10.0  # times that: where motion stands out of it, blocks have equal weight
 LEAST_BLOCKS = 12
 BEYOND = 3.0  # standard deviations of the mean correlation of neighbours
 MATTERS = 0.25  # standard deviation of the frequency over the damping: below it adds 3 % of damping
@@ -91,29 +91,37 @@ def _candidates(
     least: float,
     heard: RecordFacts,
 ) -> tuple[BandPoles, CandidateModes, Int, list[tuple[int, int]]]:
-    """Poles, candidates, the pick behind each and the pairs that are not told apart, of the lower
+    """Poles, candidates, the pick behind each and the pairs that are not separated, of the lower
     orders.
 
     Of all orders where modes still appear late or are in doubt, and of more where they crowd the
     band.
     """
-    ssi, band, tries = sums.ssi, sums.band, sums.ssi.order_max // sums.ssi.order_step
+    ssi = sums.ssi
+    band = sums.band
+    tries = sums.ssi.order_max // sums.ssi.order_step
     for share in SHARES:
         pairs: list[tuple[int, int]] = []
         some = replace(ssi, order_max=max(2 * int(share * ssi.order_max / 2), 2))
-        poles = identify_band(r, weights, some, band.rate, (band.low, band.high), heard.turn)
+        poles = identify_band(
+            r, weights, settings=some, rate=band.rate, band=(band.low, band.high), turn=heard.turn
+        )
         table, picked = with_picks(candidates(poles, driven=heard.driven), poles, heard.choice)
         if table.pole.size:
-            halves = _halves(r, weights, some, poles, band, parts)
+            halves = _halves(r, weights, ssi=some, found=poles, band=band, parts=parts)
             agreed = half_agreement(table, halves)
             if heard.driven and r.shape[3] > 1:
                 mean = np.tensordot(weights, r, 1)
                 other = by_references(
-                    mean, some, band.rate, (0.97 * band.low, 1.03 * band.high), heard.turn
+                    mean,
+                    some,
+                    rate=band.rate,
+                    band=(0.97 * band.low, 1.03 * band.high),
+                    turn=heard.turn,
                 )
                 agreed = np.maximum(agreed, half_agreement(table, other))
             table = replace(table, halves=agreed)
-            table, pairs = with_pairs(table, poles, halves, tries, least)
+            table, pairs = with_pairs(table, poles, halves=halves, tries=tries, least=least)
             picked = np.pad(picked, (0, table.pole.size - picked.size), constant_values=-1)
         if all_clear(table, tries) or (share >= 1.0 and not crowded(table, tries, some.order_max)):
             break
@@ -122,30 +130,41 @@ def _candidates(
 
 def modes_of_band(sums: BandSums, confidence_min: float, heard: RecordFacts) -> BandModes:
     """Modes of one band; those of less confidence are not refined."""
-    r, motion = sums.r, heard.motion
+    r = sums.r
+    motion = heard.motion
     power = block_power(r, sums.references)
     loudness = event_weights(power) if heard.driven else block_weights(power)
     weights = loudness * sums.share / (loudness @ sums.share)
     halves = np.array_split(np.arange(power.size), 2) if not heard.driven else even_halves(power)
     poles, table, picked, pairs = _candidates(
-        sums, r, weights, (halves[0], halves[1]), confidence_min, heard
+        sums, r, weights=weights, parts=(halves[0], halves[1]), least=confidence_min, heard=heard
     )
-    sure = confidence(table, sums.ssi.order_max // sums.ssi.order_step)
+    conf = confidence(table, sums.ssi.order_max // sums.ssi.order_step)
     turning = tuple(i for both in pairs for i in both)
     diagram = _diagram(poles, table, sums)
-    found = _found(sums, diagram, table, sure, picked, turning, motion)
+    found = _found(
+        sums, diagram, table=table, conf=conf, picked=picked, turning=turning, motion=motion
+    )
     at = np.array([i for _, i in select([found], confidence_min)], dtype=np.int64)
     if not at.size or heard.driven:
         return found
     wandering = frequency_wander(table, at, poles.deviation.shape[1])
     if steady(table, at, power, sums.stretches * sums.bins.duration):
         bins = motion.spectra(sums.bins, sums.eyes) if motion else sums.bins
-        table = loosened(refined(table, at, sums.eyes, bins, heard.slope), pairs)
-        sure = without_noise(
-            table, without_echoes(table, sure), sums.stretches * sums.bins.duration
+        table = loosened(
+            refined(table, at, references=sums.eyes, bins=bins, slope=heard.slope), pairs
+        )
+        conf = without_noise(
+            table, without_echoes(table, conf), sums.stretches * sums.bins.duration
         )
     found = _found(
-        sums, diagram, with_wander_doubt(table, wandering), sure, picked, turning, motion
+        sums,
+        diagram,
+        table=with_wander_doubt(table, wandering),
+        conf=conf,
+        picked=picked,
+        turning=turning,
+        motion=motion,
     )
     return replace(
         found, wandering=tuple((int(i), float(wandering[i])) for i in np.flatnonzero(wandering))
@@ -156,7 +175,7 @@ def _found(
     sums: BandSums,
     diagram: StableDiagram,
     table: CandidateModes,
-    sure: Float,
+    conf: Float,
     picked: Int,
     turning: tuple[int, ...],
     motion: CommonMotion | None,
@@ -165,7 +184,15 @@ def _found(
     scale = sums.scale[:, None] if motion is None else sums.scale[:, None] * motion.lift(table.pole)
     scaled = table.shape * scale
     std = var.modulus_std(scaled, table.shape_deviation * scale.T[:, :, None])
-    return BandModes(table, unit(scaled), std, sure, diagram, picked, turning)
+    return BandModes(
+        table=table,
+        shape=unit(scaled),
+        shape_std=std,
+        confidence=conf,
+        diagram=diagram,
+        picked=picked,
+        turning=turning,
+    )
 
 
 def _diagram(poles: BandPoles, table: CandidateModes, sums: BandSums) -> StableDiagram:
@@ -176,8 +203,8 @@ def _diagram(poles: BandPoles, table: CandidateModes, sums: BandSums) -> StableD
 
 
 def event_weights(power: Float) -> Float:
-    """(block,) weights, sum 1, of blocks of mean square `power` (block,): loud ones count alike,
-    silent ones little.
+    """(block,) weights, sum 1, of blocks of mean square `power` (block,): loud ones have equal
+    weight, silent ones little.
     """
     floor = max(
         float(np.percentile(power, SILENT_PERCENTILE)),
@@ -205,7 +232,8 @@ def by_references(
     """
     step = replace(ssi, order_step=2 * ssi.order_step)
     one, two = (
-        subspace(mean[:, :, k::2], ssi.block_rows, ssi.order_max, rate, turn) for k in (0, 1)
+        subspace(mean[:, :, k::2], ssi.block_rows, order=ssi.order_max, rate=rate, turn=turn)
+        for k in (0, 1)
     )
     return all_orders(one, None, step, band)[0], all_orders(two, None, step, band)[0]
 
@@ -229,9 +257,8 @@ def frequency_wander(c: CandidateModes, at: Int, blocks: int) -> Float:
     d = (c.deviation[at, :blocks] * c.pole[at, None].conj()).real / np.abs(c.pole[at, None]) ** 2
     d *= np.sqrt(blocks * (blocks - 1.0))  # of a block, not of the mean
     own = (d**2).mean(axis=1)
-    both = (d[:, 1:] * d[:, :-1]).sum(axis=1) / (
-        blocks - 1
-    ) + own / blocks  # the mean over the blocks is taken off
+    # the mean over the blocks is taken off
+    both = (d[:, 1:] * d[:, :-1]).sum(axis=1) / (blocks - 1) + own / blocks
     like = both / np.maximum(own, np.finfo(np.float64).tiny)
     if like.mean() > BEYOND / np.sqrt(blocks * at.size):
         out[at] = np.sqrt(np.maximum(both, 0))
@@ -245,7 +272,8 @@ def with_wander_doubt(c: CandidateModes, wandering: Float) -> CandidateModes:
         return c
     more = np.zeros((c.pole.size, rows.size), dtype=np.complex128)
     share = WIDER * (wandering[rows] / c.damping[rows]) ** 2
-    w, zeta = np.abs(c.pole[rows]), c.damping[rows]
+    w = np.abs(c.pole[rows])
+    zeta = c.damping[rows]
     more[rows, np.arange(rows.size)] = share * zeta * w * (-1 - 1j * zeta / np.sqrt(1 - zeta**2))
     return replace(c, deviation=np.concatenate([c.deviation, more], axis=1))
 
@@ -255,7 +283,8 @@ def with_echo_doubt(found: BandModes, echo: Echo) -> BandModes:
     columns of each.
     """
     c = found.table
-    w, zeta = np.abs(c.pole), c.damping
+    w = np.abs(c.pole)
+    zeta = c.damping
     decay = zeta * w * echo.delay
     seen = np.exp(-decay) * np.minimum(2 / np.pi * REACHES[0] * decay, 1)
     size = np.sqrt(2) * echo.doubt * abs(echo.factor) / np.sqrt(1 - echo.factor**2) * seen

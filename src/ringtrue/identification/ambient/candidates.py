@@ -1,6 +1,6 @@
 """Candidate modes of a band: checks of each pole, clusters over the orders, one estimate of each.
 
-A physical pole is told from a mathematical one by what is measured: its standard deviation, the
+A physical pole differs from a mathematical one by what is measured: its standard deviation, the
 strength of its contribution to the correlations, the orders and the halves of the record that show
 it.
 """
@@ -19,16 +19,14 @@ from ringtrue.identification.common.poles import PoleSet, unit
 from ringtrue.identification.common.stabilisation import cluster_poles, seen_in_halves
 from ringtrue.shapes.complexity import mpc
 
-KNOWN, WITHIN = (
-    0.025,
-    0.5,
-)  # standard deviation of a frequency: of itself, and of the half bandwidth of the mode
+KNOWN = 0.025  # standard deviation of a frequency: of itself
+WITHIN = 0.5  # and of the half bandwidth of the mode
 UNEVEN = 1.2  # mean square of the power of blocks over its squared mean
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CandidateModes:
-    """Modes of one band before the verdict.
+    """Modes of one band before their confidence is known.
 
     Attributes
     ----------
@@ -149,14 +147,16 @@ def _shape_deviations(band: BandPoles, at: list[int]) -> Complex:
     A little larger than those of the blocks: few of them know it badly, and 95 % are to lie within
     1.96 of it.
     """
-    sub, p = band.subspace, band.poles
+    sub = band.subspace
+    p = band.poles
     few = stdtrit(band.deviation.shape[1] - 1, 0.975) / 1.96
     orders = {n: transition(sub, n) for n in np.unique(p.order[at]).tolist()}
     out = np.empty((len(at), sub.channels, band.deviation.shape[1]), dtype=np.complex128)
     for row, k in zip(out, at, strict=True):  # modes
         n = int(p.order[k])
         i = int(np.argmin(np.abs(orders[n][1] - np.exp(p.pole[k] / sub.rate))))
-        c, r = sub.u[: sub.channels, :n], sub.r[:n, :n]
+        c = sub.u[: sub.channels, :n]
+        r = sub.r[:n, :n]
         row[:] = sub.turned(few * var.shape_deviations(band.perturbations, orders[n], c, i, r))
     return out
 
@@ -173,7 +173,8 @@ def candidates(band: BandPoles, least: int = 4, *, driven: bool = False) -> Cand
     groups = [g for g in groups if g.size >= least]
     means = [_average(band, g) for g in groups]
     rank = np.argsort([abs(m[0]) for m in means], kind="stable")
-    groups, means = [groups[i] for i in rank], [means[i] for i in rank]
+    groups = [groups[i] for i in rank]
+    means = [means[i] for i in rank]
     return _table(band, groups, means, stable)
 
 
@@ -190,8 +191,10 @@ def _table(
     means: list[tuple[complex, Complex, Complex, int]],
     stable: Bool,
 ) -> CandidateModes:
-    p, m = band.poles, len(groups)
-    ch, nb = band.subspace.channels, band.deviation.shape[1]
+    p = band.poles
+    m = len(groups)
+    ch = band.subspace.channels
+    nb = band.deviation.shape[1]
     tried = p.orders
     label = np.full(len(p), -1, dtype=np.int64)
     for i, g in enumerate(groups):
@@ -202,18 +205,18 @@ def _table(
     shape = np.stack([x[2] for x in means], axis=1) if m else np.empty((ch, 0), np.complex128)
     d = _shape_deviations(band, [x[3] for x in means])
     return CandidateModes(
-        np.array([x[0] for x in means], dtype=np.complex128),
-        np.stack([x[1] for x in means]) if m else np.empty((0, nb), np.complex128),
-        unit(shape),
-        d,
-        size / np.maximum(possible, 1),
-        np.stack([size, np.full(m, tried.size)], axis=1).astype(np.int64),
-        np.array([np.median(band.strength[g]) for g in groups]),
-        mpc(shape),
-        np.full(m, np.nan),
-        label,
-        stable,
-        np.zeros(m, dtype=np.bool_),
+        pole=np.array([x[0] for x in means], dtype=np.complex128),
+        deviation=np.stack([x[1] for x in means]) if m else np.empty((0, nb), np.complex128),
+        shape=unit(shape),
+        shape_deviation=d,
+        share=size / np.maximum(possible, 1),
+        orders=np.stack([size, np.full(m, tried.size)], axis=1).astype(np.int64),
+        strength=np.array([np.median(band.strength[g]) for g in groups]),
+        mpc=mpc(shape),
+        halves=np.full(m, np.nan),
+        label=label,
+        stable=stable,
+        refined=np.zeros(m, dtype=np.bool_),
     )
 
 
@@ -248,4 +251,4 @@ def steady(c: CandidateModes, at: Int, power: Float, seconds: float) -> bool:
 
 def half_agreement(c: CandidateModes, halves: tuple[PoleSet, PoleSet]) -> Float:
     """How far the two halves of the record show each mode, (m,) 0..1 (`seen_in_halves`)."""
-    return seen_in_halves(c.frequencies, c.damping, c.shape, c.stds(), halves)
+    return seen_in_halves(c.frequencies, c.damping, shape=c.shape, stds=c.stds(), halves=halves)

@@ -12,9 +12,9 @@ likelihood, and reaches its bound.
 
 The poles of a repeated root take another mixture of the two shapes at every order; the plane of the
 two stays in place. In a basis q of that plane each order gives A = C diag(λ) C⁻¹, C = qᴴψ, free of
-the mixture. Its mean has the poles of the pair. Where they are no farther apart than they are
-known, any turn in the plane fits as well: the shapes are then two real orthogonal ones, and their
-deviations hold the turn.
+the mixture. Its mean has the poles of the pair. Where they are no farther from each other than they
+are known, any turn in the plane fits as well: the shapes are then two real orthogonal ones, and
+their deviations hold the turn.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ WITHIN = 0.8  # of a squared shape that must lie in the plane
 UNLIKE = 0.05  # least eigenvalue of the Gram matrix of two unit shapes that span a plane
 WEAK = 0.2  # strength of the weaker pole over that of the stronger
 ANY = float(np.sqrt(0.5))
-SEPARATE = 2.0  # standard deviations between poles that are told apart
+SEPARATE = 2.0  # standard deviations between poles that are separated
 DAMPING = 3.0  # ratio to that of the place within which a pole may be one of a pair
 
 
@@ -103,18 +103,26 @@ def unmix(
     start : (m, m) complex128
         The mixing known so far, 1 on the diagonal.
     """
-    m, half = frequency.size, frequency * damping
+    m = frequency.size
+    half = frequency * damping
     begin = np.eye(m, dtype=np.complex128) if start is None else start
-    matrix, variance = begin.copy(), np.zeros((m, m))
-    apart = np.abs(frequency[:, None] - frequency) / (half[:, None] + half)
+    matrix = begin.copy()
+    variance = np.zeros((m, m))
+    distance = np.abs(frequency[:, None] - frequency) / (half[:, None] + half)
     rank = np.argsort(np.argsort(frequency, kind="stable"), kind="stable")
-    near = np.where(np.abs(rank[:, None] - rank) == 1, apart < FAR, apart < CLOSE)
+    near = np.where(np.abs(rank[:, None] - rank) == 1, distance < FAR, distance < CLOSE)
     pairs = [(i, j) for i in range(m) for j in range(i) if near[i, j] and len(shape) > 2]
     for i, j in pairs:
         both = (np.array([i, j]), np.array([j, i]))
         if (
             found := _pair_mixing(
-                bins, frequency, damping, shape @ begin, (i, j), slope, begin[both]
+                bins,
+                frequency,
+                z=damping,
+                psi=shape @ begin,
+                pair=(i, j),
+                slope=slope,
+                known=begin[both],
             )
         ) is not None:
             matrix[both], variance[both] = found
@@ -143,7 +151,7 @@ def _pair_mixing(
     h = np.asarray(
         2 * z[two] * nu ** (slope / 2) / (1 - nu**2 + 2j * z[two] * nu), dtype=np.complex128
     )
-    w = _filters(b, parts, f, z, psi, two)
+    w = _filters(b, parts, f=f, z=z, psi=psi, pair=two)
     # w G wᴴ as a product of long rows
     both = np.einsum("ic,jd->cdij", w, w.conj()).reshape(-1, 4).astype(np.complex64)
     q = np.concatenate([b.cross[p].reshape(-1, len(both)) @ both for p in parts]).astype(
@@ -155,12 +163,15 @@ def _pair_mixing(
     smooth = np.stack([np.convolve(x, np.full(7, 1 / 7), "same") for x in seen.T], axis=1)
     expected = np.where(smooth > FOREIGN * expected, smooth, expected)
     cell = np.floor((freqs - freqs.min()) / (f[two] * z[two]).min()).astype(np.int64)
-    return _solve_mixing(q[:, 1], count / expected.prod(1), h, power, rest, known, cell)
+    return _solve_mixing(
+        q[:, 1], count / expected.prod(1), h=h, power=power, rest=rest, known=known, cell=cell
+    )
 
 
 def _windows(freqs: Float, f: Float, z: Float) -> list[slice]:
-    """The bins beside both modes: one range, or two where these do not touch."""
-    low, high = np.searchsorted(freqs, f - REACH * z * f), np.searchsorted(freqs, f + REACH * z * f)
+    """The bins around both modes: one range, or two where these do not touch."""
+    low = np.searchsorted(freqs, f - REACH * z * f)
+    high = np.searchsorted(freqs, f + REACH * z * f)
     first, second = np.argsort(low, kind="stable").tolist()
     if high[first] < low[second]:
         return [slice(low[k], high[k]) for k in (first, second)]
@@ -189,7 +200,7 @@ def _filters(
 
 
 def _levels(own: Float, h: Complex) -> tuple[Float, Float]:
-    """Peak of each mode and the background beside it (2,) from the spectra (bin, 2) of its
+    """Peak of each mode and the background around it (2,) from the spectra (bin, 2) of its
     coordinate.
     """
     form = np.abs(h) ** 2
@@ -218,7 +229,8 @@ def _solve_mixing(
     value = np.array([known[0], known[1].conj(), 0.0, 0.0])
     step = np.linalg.solve(n, wx.T @ cross - hold * value)
     error = np.sqrt(weight) * (cross - x @ step)
-    misfit, size = float((np.abs(error) ** 2).mean()), np.bincount(cell)
+    misfit = float((np.abs(error) ** 2).mean())
+    size = np.bincount(cell)
     together = np.abs(np.bincount(cell, error.real) + 1j * np.bincount(cell, error.imag)) ** 2
     waves = float((together[size > 0] / size[size > 0]).mean())
     if misfit > MISFIT or waves > WAVES:
@@ -237,34 +249,51 @@ def refined(
     """
     doubt = c.stds()[1][at] / c.damping[at]
     shape = c.shape[np.ix_(references, at)]
-    rough = unmix(bins, c.frequencies[at], c.damping[at], shape, slope[0]).matrix
-    fit = refine_by_likelihood(bins, c.frequencies[at], c.damping[at], shape @ rough, slope, doubt)
-    mix = unmix(bins, fit.frequency, fit.damping, shape, slope[0], start=rough)
+    rough = unmix(
+        bins, c.frequencies[at], damping=c.damping[at], shape=shape, slope=slope[0]
+    ).matrix
+    fit = refine_by_likelihood(
+        bins,
+        c.frequencies[at],
+        damping=c.damping[at],
+        shape=shape @ rough,
+        slope=slope,
+        doubt=doubt,
+    )
+    mix = unmix(bins, fit.frequency, damping=fit.damping, shape=shape, slope=slope[0], start=rough)
     c = _unmixed(c, at, mix)
     ok = np.flatnonzero(fit.ok)
-    rows, f, z = at[ok], fit.frequency[ok], fit.damping[ok]
+    rows = at[ok]
+    f = fit.frequency[ok]
+    z = fit.damping[ok]
     root = np.sqrt(1 - z**2)
     pole = 2 * np.pi * f * (-z + 1j * root)
     by = np.stack([pole, 2 * np.pi * f * z * (-1 - 1j * z / root)], axis=1)
     own = (by[:, None] @ np.linalg.cholesky(fit.covariance[ok]))[:, 0]
-    blocks, m = c.deviation.shape[1], rows.size
+    blocks = c.deviation.shape[1]
+    m = rows.size
     deviation = np.concatenate([c.deviation, np.zeros((len(c.pole), 2 * m))], axis=1)
     deviation[rows, :blocks] = 0.0
     deviation[rows[:, None], blocks + 2 * np.arange(m)[:, None] + np.arange(2)] = own
-    poles, done = c.pole.copy(), c.refined.copy()
+    poles = c.pole.copy()
+    done = c.refined.copy()
     poles[rows], done[rows] = pole, True
     return replace(c, pole=poles, deviation=deviation, refined=done)
 
 
 def _unmixed(c: CandidateModes, at: Int, mix: Mixing) -> CandidateModes:
-    """The candidates with the shapes of the rows `at` told apart.
+    """The candidates with the shapes of the rows `at` separated.
 
-    Deviations in the direction of a shape that was told apart give way to those of the mixing, in
+    Deviations in the direction of a shape that was separated give way to those of the mixing, in
     columns of their own.
     """
-    psi, tried = c.shape[:, at] @ mix.matrix, mix.variance > 0
-    inverse, size = np.linalg.pinv(psi), np.sqrt(0.5 * mix.variance)
-    shape, like, m = c.shape.copy(), c.mpc.copy(), at.size
+    psi = c.shape[:, at] @ mix.matrix
+    tried = mix.variance > 0
+    inverse = np.linalg.pinv(psi)
+    size = np.sqrt(0.5 * mix.variance)
+    shape = c.shape.copy()
+    like = c.mpc.copy()
+    m = at.size
     deviation = np.concatenate(
         [c.shape_deviation, np.zeros((*c.shape_deviation.shape[:2], 2 * m))], axis=2
     )
@@ -308,7 +337,7 @@ def with_pairs(
     least: float,
 ) -> tuple[CandidateModes, list[tuple[int, int]]]:
     """The candidates with two more rows for each pair that they lack, and the rows of pairs that
-    are not told apart.
+    are not separated.
 
     Rows that the two replace are agreed on by no half of the record any more.
 
@@ -325,9 +354,8 @@ def with_pairs(
     free: list[tuple[int, int]] = []
     if table.shape.shape[0] < LEAST_CHANNELS:
         return table, free
-    worth = table.stable | stable_poles(
-        band, collinearity=0.0
-    )  # a mixture of two real shapes is complex
+    # a mixture of two real shapes is complex
+    worth = table.stable | stable_poles(band, collinearity=0.0)
     for f, z in _places(table):
         pair = _pair(band, worth, f, z)
         if pair is None:
@@ -356,7 +384,8 @@ def loosened(table: CandidateModes, pairs: list[tuple[int, int]]) -> CandidateMo
     d = np.pad(table.shape_deviation, ((0, 0), (0, 0), (0, 1)))
     for rows in pairs:
         both = table.shape[:, rows]
-        inverse, size = np.linalg.pinv(both), np.linalg.norm(both, axis=0)
+        inverse = np.linalg.pinv(both)
+        size = np.linalg.norm(both, axis=0)
         for k, row in enumerate(rows):
             other = both[:, 1 - k]
             d[row] -= np.outer(other, inverse[1 - k] @ d[row])
@@ -370,7 +399,8 @@ def _places(table: CandidateModes) -> list[tuple[float, float]]:
     """
     out: list[tuple[float, float]] = []
     for k in np.argsort(-table.strength, kind="stable"):
-        f, z = float(table.frequencies[k]), float(table.damping[k])
+        f = float(table.frequencies[k])
+        z = float(table.damping[k])
         if all(abs(f - g) > 2 * max(z * f, y * g) for g, y in out):
             out.append((f, z))
     return out
@@ -404,7 +434,8 @@ def _pair(band: BandPoles, stable: Bool, f: float, z: float) -> Pair | None:
         np.moveaxis(p.shape[:, at], 1, 0) / np.linalg.norm(p.shape[:, at], axis=0)[:, None],
         full_matrices=False,
     )
-    at, planes = at[size[:, 1] ** 2 > UNLIKE], planes[size[:, 1] ** 2 > UNLIKE]
+    at = at[size[:, 1] ** 2 > UNLIKE]
+    planes = planes[size[:, 1] ** 2 > UNLIKE]
     if len(at) < MOST_ORDERS * p.orders.size:
         return None
     basis = np.linalg.eigh(np.einsum("nik,njk->ij", planes, planes.conj()))[1][:, -2:]
@@ -424,18 +455,24 @@ def _solved(band: BandPoles, at: Int, basis: Complex) -> Pair:
     pole, vectors = np.linalg.eig(mean)
     std = np.sqrt(2 * (np.abs(w @ _mean_deviation(band, at) / w.sum()) ** 2).sum())
     turn = np.sqrt(2) * std / abs(pole[0] - pole[1])
-    told = turn < 1 / SEPARATE
+    separated = turn < 1 / SEPARATE
     real, size, _ = np.linalg.svd(
         np.concatenate([basis.real, basis.imag], axis=1), full_matrices=False
     )
-    if not told and size[2] < 0.5 * size[1]:
+    if not separated and size[2] < 0.5 * size[1]:
         inner = real[:, :2].T @ basis
         turned = (inner @ mean @ np.linalg.inv(inner)).imag
         shape = (real[:, :2] @ np.linalg.eigh(turned + turned.T)[1]).astype(np.complex128)
     else:
-        shape = basis @ (vectors if told else np.eye(2))
+        shape = basis @ (vectors if separated else np.eye(2))
     rank = np.argsort(np.abs(pole))
-    return Pair(at, basis, pole[rank], shape[:, rank] if told else shape, turn if told else ANY)
+    return Pair(
+        members=at,
+        basis=basis,
+        pole=pole[rank],
+        shape=shape[:, rank] if separated else shape,
+        turn=turn if separated else ANY,
+    )
 
 
 def _mean_deviation(band: BandPoles, at: Int) -> Complex:
@@ -447,17 +484,17 @@ def _rows(band: BandPoles, pair: Pair, agreed: float) -> CandidateModes:
     """The two rows of a pair; the poles are known as two independent ones, of which their mean is
     known.
     """
-    at, p = pair.members, band.poles
+    at = pair.members
+    p = band.poles
     d = _mean_deviation(band, at)
     w = 1 / (np.abs(d) ** 2).sum(1)
     d = w @ d / w.sum()
-    alike = np.abs((p.shape[:, at[:, 0]].conj() * p.shape[:, at[:, 1]]).sum(0))
-    alike /= np.linalg.norm(p.shape[:, at[:, 0]], axis=0) * np.linalg.norm(
+    overlap = np.abs((p.shape[:, at[:, 0]].conj() * p.shape[:, at[:, 1]]).sum(0))
+    overlap /= np.linalg.norm(p.shape[:, at[:, 0]], axis=0) * np.linalg.norm(
         p.shape[:, at[:, 1]], axis=0
     )
-    table = groups_table(
-        band, [at[[alike.argmin()], k] for k in (0, 1)]
-    )  # the order that tells the plane best
+    # the order that shows the plane best
+    table = groups_table(band, [at[[overlap.argmin()], k] for k in (0, 1)])
     c = np.linalg.lstsq(table.shape, pair.shape)[0]
     outside = np.einsum("mk,mcb->kcb", c, table.shape_deviation)
     outside -= np.einsum("cd,kdb->kcb", pair.basis @ pair.basis.conj().T, outside)

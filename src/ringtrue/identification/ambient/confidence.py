@@ -15,16 +15,17 @@ from ringtrue.identification.common.stabilisation import least_deviations
 from ringtrue.shapes.mac import mac
 
 FEW = 4  # channels: with three any shape is like any other
-ECHO, LIKE, ROUGH = (
-    1.25,
-    0.9,
-    0.2,
-)  # ratio of frequencies, MAC, and deviation of the damping over it
+ECHO = 1.25  # ratio of frequencies
+LIKE = 0.9  # MAC
+ROUGH = 0.2  # and deviation of the damping over it
 WORSE = 15.0  # times the least deviation of the damping of a mode
-DOUBTFUL, SURE = 0.2, 0.6  # confidence
+# confidence
+DOUBTFUL = 0.2
+SURE = 0.6
 CROWD = 0.2  # of the order; each mode takes two
 CHANCE = 0.1  # of it
-MANY, APART = 10, 3.0  # modes, and how far apart on average, over the resolution of the lags
+MANY = 10  # modes
+APART = 3.0  # and their mean distance, over the resolution of the lags
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,7 +33,7 @@ class BandModes:
     """Candidates of one band with shapes in the channels' units, their confidence, and the pick
     behind each (-1).
 
-    `turning` are the rows of pairs that the record does not tell apart, `wandering` rows with the
+    `turning` are the rows of pairs that the record does not separate, `wandering` rows with the
     relative standard deviation of their frequency along the record.
     """
 
@@ -54,7 +55,8 @@ def confidence(c: CandidateModes, orders: int = 0) -> Float:
     appearance do.
     """
     _, sz = c.stds()
-    found, tried = c.orders[:, 0] + 0.0, np.maximum(c.orders[:, 1], 1)
+    found = c.orders[:, 0] + 0.0
+    tried = np.maximum(c.orders[:, 1], 1)
     rest = np.maximum(orders - tried, 0)
     seen = np.sqrt((found + c.share * rest) / (tried + rest))
     known = 1 / (1 + (2 * sz / np.maximum(c.damping, 1e-3)) ** 2)
@@ -65,8 +67,8 @@ def all_clear(c: CandidateModes, orders: int) -> bool:
     """Whether all that may be a mode was there at most of the orders tried, beyond doubt: the
     higher ones may rest.
     """
-    sure = confidence(c, orders)
-    return not ((sure > DOUBTFUL) & ((sure < SURE) | (c.orders[:, 0] < 0.6 * c.orders[:, 1]))).any()
+    conf = confidence(c, orders)
+    return not ((conf > DOUBTFUL) & ((conf < SURE) | (c.orders[:, 0] < 0.6 * c.orders[:, 1]))).any()
 
 
 def crowded(c: CandidateModes, orders: int, largest: int) -> bool:
@@ -109,14 +111,14 @@ def surer_groups(one: BandModes, two: BandModes, least: float) -> tuple[BandMode
         np.concatenate([getattr(x.table, name)[at] for x, at in both])
         for name in ("frequencies", "damping")
     )
-    sure = np.concatenate([x.confidence[at] for x, at in both])
+    conf = np.concatenate([x.confidence[at] for x, at in both])
     look = np.repeat([0, 1], [at.size for _, at in both])
     rank = np.argsort(f - z * f, kind="stable")
     reach = np.maximum.accumulate((f + z * f)[rank])
     group = np.empty(f.size, dtype=np.int64)
     group[rank] = np.concatenate([[0], np.cumsum((f - z * f)[rank][1:] > reach[:-1])])[: f.size]
     first, second = (
-        np.bincount(group[look == k], sure[look == k], group.max(initial=0) + 1) for k in (0, 1)
+        np.bincount(group[look == k], conf[look == k], group.max(initial=0) + 1) for k in (0, 1)
     )
     lost = np.where(second > first + CHANCE, 0, 1)[group] == look
     out = []
@@ -125,6 +127,15 @@ def surer_groups(one: BandModes, two: BandModes, least: float) -> tuple[BandMode
         kept[at[lost[look == k]]] = 0.0
         out.append(replace(x, confidence=kept))
     return out[0], out[1]
+
+
+def frequencies_and_damping(
+    found: list[BandModes], rows: list[tuple[int, int]]
+) -> tuple[Float, Float]:
+    """Frequencies, Hz, and damping ratios (m,) of the (band, row) of candidates."""
+    f = np.array([found[b].table.frequencies[i] for b, i in rows])
+    damping = np.array([found[b].table.damping[i] for b, i in rows])
+    return f, damping
 
 
 def select(found: list[BandModes], least: float) -> list[tuple[int, int]]:
@@ -156,31 +167,32 @@ def _automatic(x: BandModes, least: float) -> Bool:
 
 
 def _alike(like: Float, band: Int, conf: Float) -> Bool:
-    """Shapes (MAC `like`) of one mode; two clusters of one band beyond doubt must be more alike to
-    be one.
+    """Shapes (MAC `like`) of one mode; two clusters of one band beyond doubt must be more similar
+    to be one.
     """
-    sure = (np.minimum(conf[:, None], conf) > SURE) & (band[:, None] == band)
-    return np.asarray(like > np.where(sure, 0.95, 0.8))
+    conf = (np.minimum(conf[:, None], conf) > SURE) & (band[:, None] == band)
+    return np.asarray(like > np.where(conf, 0.95, 0.8))
 
 
-def without_echoes(c: CandidateModes, sure: Float) -> Float:
+def without_echoes(c: CandidateModes, conf: Float) -> Float:
     """(m,) confidence, halved for candidates that are the scatter of a mode of the same shape,
     stronger and surer.
 
     The correlations of a mode of few cycles, and those of its motion with noise, have poles near it
-    that both halves of a record may show, all of its shape; their damping is hardly known, and
+    that both halves of a record may show, all of its shape; their damping is poorly known, and
     their spectrum has no peak to fit. Four channels or more.
     """
     if len(c.shape) < FEW:
-        return sure
-    f, less = c.frequencies, (c.strength[:, None] < 1.2 * c.strength) & (sure[:, None] < sure)
+        return conf
+    f = c.frequencies
+    less = (c.strength[:, None] < 1.2 * c.strength) & (conf[:, None] < conf)
     near = np.abs(np.log(f[:, None] / f)) < np.log(ECHO)
     rough = ~c.refined & (c.stds()[1] > ROUGH * c.damping)
     echo = less & near & (mac(c.shape, c.shape) > LIKE) & rough[:, None] & c.refined
-    return np.where(echo.any(axis=1), 0.5 * sure, sure)
+    return np.where(echo.any(axis=1), 0.5 * conf, conf)
 
 
-def without_noise(c: CandidateModes, sure: Float, duration: float) -> Float:
+def without_noise(c: CandidateModes, conf: Float, duration: float) -> Float:
     """(m,) confidence, halved where there is no peak to fit and the damping is known far worse than
     a mode's may be.
 
@@ -188,7 +200,7 @@ def without_noise(c: CandidateModes, sure: Float, duration: float) -> Float:
     """
     _, least = least_deviations(c.frequencies, c.damping, duration)
     _, sz = c.stds()
-    return np.where(~c.refined & (sz > ROUGH * c.damping) & (sz > WORSE * least), 0.5 * sure, sure)
+    return np.where(~c.refined & (sz > ROUGH * c.damping) & (sz > WORSE * least), 0.5 * conf, conf)
 
 
 def reason(found: BandModes, i: int) -> str:

@@ -8,14 +8,18 @@ of S^(-1/2) Uᵀ H₁ V S^(-1/2).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from ringtrue.core.arrays import Complex, Float, Int
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError
+from ringtrue.identification.ambient.pipeline import AmbientSettings
 from ringtrue.identification.ambient.ssi_cov import SsiCov, choose_references, decompose, prepared
 from ringtrue.identification.common.poles import PoleSet, unit
+from ringtrue.identification.common.stabilisation import confirmed, modes_of
 from ringtrue.identification.common.uncertainty import hankel
 from ringtrue.signal.spectra import correlations
 
@@ -44,7 +48,8 @@ def era(decays: Float, rate: float, settings: SsiCov | None = None) -> PoleSet:
             f"{decays.shape[0]} lags are too few for {s.block_rows} block rows; needed: "
             f"{2 * s.block_rows + 1}"
         )
-    h0, h1 = hankel(decays, s.block_rows), hankel(decays[1:], s.block_rows)
+    h0 = hankel(decays, s.block_rows)
+    h1 = hankel(decays[1:], s.block_rows)
     u, sv, v = decompose(h0, min(s.order_max, min(h0.shape)))
     n = int((sv > 1e-12 * sv[0]).sum())
     root = np.sqrt(sv[:n])
@@ -76,11 +81,11 @@ def gathered(orders: Sequence[int], parts: Sequence[tuple[Complex, Complex]]) ->
     order: Int = np.repeat(np.asarray(orders, dtype=np.int64), [x[0].size for x in parts])
     unknown = np.full(order.size, np.nan)
     return PoleSet(
-        order,
-        np.concatenate([x[0] for x in parts]),
-        unit(np.concatenate([x[1] for x in parts], axis=1)),
-        unknown,
-        unknown,
+        order=order,
+        pole=np.concatenate([x[0] for x in parts]),
+        shape=unit(np.concatenate([x[1] for x in parts], axis=1)),
+        std_frequency=unknown,
+        std_damping=unknown,
     )
 
 
@@ -111,3 +116,27 @@ def next_era(
         )
     refs = choose_references(history, data, references)
     return era(correlations(data, refs, lags), history.rate, s).rescaled(scale)
+
+
+ORDER_MAX = 60  # of a band, in `era_modes`
+SAMPLES_A_ROW = 8
+
+
+def era_modes(
+    part: TimeHistory, band: tuple[float, float], settings: AmbientSettings
+) -> tuple[ModeSet, Uncertainty]:
+    """Modes of one band (Hz) that most orders show, and both halves of the record."""
+
+    def poles(data: Float) -> PoleSet:
+        rows = min(settings.block_rows, data.shape[1] // SAMPLES_A_ROW)
+        own = SsiCov(rows, ORDER_MAX)
+        return next_era(replace(part, data=data), own, references=settings.references or None)
+
+    modes, std = modes_of(poles(part.data), tuple(c.id for c in part.channels))
+    first, second = np.array_split(part.data, 2, axis=1)
+    return confirmed(modes, (poles(first), poles(second)), part.duration), std
+
+
+def fewest_samples(channels: int, settings: AmbientSettings) -> int:
+    """Samples of a band that all block rows need, whatever the channels."""
+    return SAMPLES_A_ROW * settings.block_rows

@@ -21,17 +21,17 @@ from ringtrue.core.arrays import Complex, Float, Int
 from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import ConfigError, DataError
+from ringtrue.identification.ambient.pipeline import AmbientSettings
 from ringtrue.identification.common.poles import unit
 from ringtrue.signal.decimation import detrend
 from ringtrue.signal.spectra import Csd, Welch, csd, window
 
 _DAMPING = 1e-4, 0.3
-_ROUNDS, _NEAR = 40, 1e-3
+_ROUNDS = 40
+_NEAR = 1e-3
 _REACH = 10.0  # half bandwidths
-_FOOT, _FALL = (
-    0.05,
-    0.3,
-)  # of the peak: where the bell ends beside an edge; of a mode: what no mode falls below
+_FOOT = 0.05  # of the peak: where the bell ends at an edge
+_FALL = 0.3  # of a mode: what no mode falls below
 Method = Literal["fsdd", "efdd", "random decrement"]
 
 
@@ -49,7 +49,7 @@ class FddSettings:
     fmin, fmax : float, Hz
         Band of the peaks; fmax 0: what the rate allows.
     mac : float
-        Lines around the peak belong to the bell while their singular vector is that alike.
+        Lines around the peak belong to the bell while their singular vector has this MAC with it.
     levels : tuple of float
         Part of the decay that is fitted, of its start: from the first to the second. A correlation
         scatters by some 1/sqrt(ζωT), 0.12 for 2 Hz, 2 % and five minutes, so that little below 0.5
@@ -103,7 +103,7 @@ class _Bell:
     vector: Complex
     level: Float
     enhanced: Float
-    alike: float
+    mean_mac: float
 
 
 def fdd(
@@ -133,8 +133,10 @@ def fdd(
     lines = (
         _near(spectra.freqs, sv[:, 0], near) if near else _peaks(spectra, u[:, :, 0], sv[:, 0], s)
     )
-    bells = [_bell(int(k), u, sv, s.mac, _borders(lines, int(k), sv)) for k in lines]
-    fitted = [_fit(b, spectra, history, scale, s) for b in bells]
+    bells = [
+        _bell(int(k), u, sv=sv, least=s.mac, borders=_borders(lines, int(k), sv)) for k in lines
+    ]
+    fitted = [_fit(b, spectra, history=history, scale=scale, s=s) for b in bells]
     rows = np.array(fitted).reshape(len(bells), 4)
     shape = (
         np.array([unit(b.vector[:, None] * scale[:, None])[:, 0] for b in bells])
@@ -148,16 +150,25 @@ def fdd(
         shape.astype(np.complex128),
         ids,
         source=f"{history.source or 'record'}: {s.method}",
-        confidence=np.array([b.alike for b in bells]),
+        confidence=np.array([b.mean_mac for b in bells]),
     )
     std = Uncertainty.independent(rows[:, 2], rows[:, 3], np.full(shape.shape, np.nan))
     return FddResult(
-        modes,
-        std,
-        spectra.freqs,
-        spectra.singular_values(),
-        tuple((b.first, b.last) for b in bells),
+        modes=modes,
+        uncertainty=std,
+        freqs=spectra.freqs,
+        singular=spectra.singular_values(),
+        bells=tuple((b.first, b.last) for b in bells),
     )
+
+
+def peak_modes(
+    method: Method, history: TimeHistory, settings: AmbientSettings, near: Sequence[float]
+) -> tuple[ModeSet, Uncertainty]:
+    """Modes of the peaks in the band of the settings, or `near` some frequencies, Hz."""
+    own = FddSettings(method, fmin=settings.fmin or 0.0, fmax=settings.fmax or 0.0)
+    found = fdd(history, own, near=near)
+    return found.modes, found.uncertainty
 
 
 def _near(freqs: Float, level: Float, near: Sequence[float]) -> Int:
@@ -191,11 +202,10 @@ def _borders(lines: Int, k: int, sv: Float) -> tuple[int, int]:
 
     Of one channel, that has no shapes, it ends at the valleys before them or at a foot of its peak.
     """
-    below, above = lines[lines < k], lines[lines > k]
-    low, high = (
-        (int(below[-1]) + 1 if below.size else 1),
-        (int(above[0]) - 1 if above.size else len(sv) - 2),
-    )
+    below = lines[lines < k]
+    above = lines[lines > k]
+    low = int(below[-1]) + 1 if below.size else 1
+    high = int(above[0]) - 1 if above.size else len(sv) - 2
     if sv.shape[1] > 1:
         return low, high
     level = np.maximum(sv[:, 0], _FOOT * sv[k, 0])
@@ -211,13 +221,16 @@ def _bell(k: int, u: Complex, sv: Float, least: float, borders: tuple[int, int])
     which = np.argmax(like, axis=1)
     best = like[np.arange(len(like)), which]
     out = np.flatnonzero(uniform_filter1d(best, 5) < least)
-    low, high = out[out < k], out[out > k]
+    low = out[out < k]
+    high = out[out > k]
     first = max(min(int(low[-1]) + 1 if low.size else 0, k - 3), borders[0])
     last = min(max(int(high[0]) - 1 if high.size else len(sv), k + 3), borders[1])
     part = slice(first, last + 1)
     level = sv[np.arange(len(sv)), which][part]
     enhanced = (like[part] * sv[part]).sum(1)  # ψᴴ G ψ
-    return _Bell(first, last, psi, level, enhanced, float(best[part].mean()))
+    return _Bell(
+        first, last, vector=psi, level=level, enhanced=enhanced, mean_mac=float(best[part].mean())
+    )
 
 
 def _fit(b: _Bell, spectra: Csd, history: TimeHistory, scale: Float, s: FddSettings) -> list[float]:
@@ -226,21 +239,20 @@ def _fit(b: _Bell, spectra: Csd, history: TimeHistory, scale: Float, s: FddSetti
     length = round(history.rate / df)
     if s.method == "fsdd":
         return _spectral(b, length, history.rate, spectra.segments)
-    f, lag, taper = spectra.freqs[b.first : b.last + 1], np.arange(length // 2), lag_window(length)
+    f = spectra.freqs[b.first : b.last + 1]
+    lag = np.arange(length // 2)
+    taper = lag_window(length)
     if s.method == "efdd":
         decay = _turns(lag, f, history.rate) @ b.level / taper[: lag.size]
     else:
-        decay = _signature(history, b, scale, df, length)
+        decay = _signature(history, b, scale=scale, df=df, length=length)
     got = log_decrement(decay, history.rate, s.levels)
     low = np.flatnonzero(np.abs(decay) < s.levels[1] * np.abs(decay[0]))
-    lag = (
-        lag[: 2 * int(low[0]) + 16] if low.size else lag
-    )  # where a mode of that damping has fallen as far
+    # where a mode of that damping has fallen as far
+    lag = lag[: 2 * int(low[0]) + 16] if low.size else lag
     if s.method == "efdd":
-        turns, kernel = (
-            _turns(lag, f, history.rate) / taper[: lag.size, None],
-            _tapered(f, taper, history.rate),
-        )
+        turns = _turns(lag, f, history.rate) / taper[: lag.size, None]
+        kernel = _tapered(f, taper, history.rate)
 
         def cut(f0: float, zeta: float) -> Complex:
             return np.asarray(
@@ -254,7 +266,11 @@ def _fit(b: _Bell, spectra: Csd, history: TimeHistory, scale: Float, s: FddSetti
             nu2 = (fine / f0) ** 2
             return np.asarray(turns @ (nu2**2 / ((1 - nu2) ** 2 + 4 * zeta**2 * nu2)))
 
-    return [*_whole(got, cut, (f[0], f[-1]), history.rate, s.levels), np.nan, np.nan]
+    return [
+        *_whole(got, cut, edges=(f[0], f[-1]), rate=history.rate, levels=s.levels),
+        np.nan,
+        np.nan,
+    ]
 
 
 def _whole(
@@ -271,11 +287,13 @@ def _whole(
     its own.
     """
 
-    f, zeta = float(np.clip(got[0], *edges)), float(np.clip(got[1], *_DAMPING))
+    f = float(np.clip(got[0], *edges))
+    zeta = float(np.clip(got[1], *_DAMPING))
     for _ in range(_ROUNDS):
         f_cut, zeta_cut = log_decrement(cut(f, zeta), rate, levels)
         by = float(np.clip(got[1] / max(zeta_cut, _DAMPING[0]), 0.5, 2.0))
-        f, zeta = float(np.clip(f * got[0] / f_cut, *edges)), float(np.clip(zeta * by, *_DAMPING))
+        f = float(np.clip(f * got[0] / f_cut, *edges))
+        zeta = float(np.clip(zeta * by, *_DAMPING))
         if abs(by - 1) < _NEAR and abs(got[0] / f_cut - 1) < _NEAR * zeta:
             break
     return f, zeta
@@ -354,7 +372,8 @@ def random_decrement(signal: Complex, lags: int) -> Complex:
     """
     x = signal.real
     level = np.sqrt(2) * x.std()
-    total, count = np.zeros(lags, dtype=np.complex128), 0
+    total = np.zeros(lags, dtype=np.complex128)
+    count = 0
     for sign in (1.0, -1.0):
         over = sign * x > level
         at = np.flatnonzero(over[1:] != over[:-1])
@@ -377,24 +396,27 @@ def _spectral(b: _Bell, length: int, rate: float, segments: int) -> list[float]:
     low = np.flatnonzero(level < _FOOT)
     after = low[low > peak + 3]
     if not after.size:
-        return _around(f, level, length, rate, segments)
-    near = _one_mode(f[: after[0]], level[: after[0]], length, rate, segments)
-    nu, zeta = f / near[0], near[1]
+        return _around(f, level, length=length, rate=rate, segments=segments)
+    near = _one_mode(f[: after[0]], level[: after[0]], length=length, rate=rate, segments=segments)
+    nu = f / near[0]
+    zeta = near[1]
     mode = 4 * zeta**2 / ((1 - nu**2) ** 2 + 4 * zeta**2 * nu**2)
     filtered = (level < _FALL * mode) & (f > f[peak + 3])
-    return near if filtered.any() else _around(f, level, length, rate, segments)
+    return (
+        near if filtered.any() else _around(f, level, length=length, rate=rate, segments=segments)
+    )
 
 
 def _around(f: Float, level: Float, length: int, rate: float, segments: int) -> list[float]:
     """The fit over the lines; where some are farther from the mode than a slope and a level can
     tell, without those.
     """
-    fit = _one_mode(f, level, length, rate, segments)
+    fit = _one_mode(f, level, length=length, rate=rate, segments=segments)
     near = np.abs(f - fit[0]) <= max(_REACH * fit[0] * fit[1], 4 * (f[1] - f[0]))
     return (
         fit
         if near.all() or near.sum() < 8
-        else _one_mode(f[near], level[near], length, rate, segments)
+        else _one_mode(f[near], level[near], length=length, rate=rate, segments=segments)
     )
 
 
@@ -408,7 +430,8 @@ def _one_mode(f: Float, unit_level: Float, length: int, rate: float, segments: i
     peak = int(np.argmax(unit_level))
 
     def misfit(x: Float) -> Float:
-        w, zeta = 2 * np.pi * f[peak] * np.exp(x[0]), np.exp(x[1])
+        w = 2 * np.pi * f[peak] * np.exp(x[0])
+        zeta = np.exp(x[1])
         curve = kernel @ _free_decay(w / (2 * np.pi), zeta, length, rate) * 2 * zeta * w / rate
         model = np.exp(x[2]) * np.maximum(curve, 1e-9) * (f / f[peak]) ** x[4] + np.exp(x[3])
         return np.asarray(
@@ -424,7 +447,8 @@ def _one_mode(f: Float, unit_level: Float, length: int, rate: float, segments: i
     )
     jac = np.asarray(fit.jac, dtype=np.float64)
     cov = np.linalg.pinv(jac.T @ jac) * _scatter(length) / segments
-    f0, zeta = f[peak] * np.exp(fit.x[0]), np.exp(fit.x[1])
+    f0 = f[peak] * np.exp(fit.x[0])
+    zeta = np.exp(fit.x[1])
     return [
         float(f0),
         float(zeta),

@@ -1,6 +1,6 @@
 """A choice by hand applied to an ambient record: modes added, confirmed, rejected or merged.
 
-The automatic modes keep their numbers: what is picked beside them is not refined with them.
+The automatic modes keep their numbers: what is picked besides them is not refined with them.
 """
 
 from __future__ import annotations
@@ -26,9 +26,8 @@ from ringtrue.identification.common.poles import PoleSet, unit
 from ringtrue.identification.common.stabilisation import CUT, distances
 from ringtrue.shapes.mac import mac
 
-SAME = (
-    0.9  # MAC above which a pick replaces the automatic mode that it lies within the bandwidth of
-)
+# MAC above which a pick replaces the automatic mode that it lies within the bandwidth of
+SAME = 0.9
 Row = tuple[int, int]  # band, and row of its table
 
 
@@ -112,7 +111,8 @@ def chosen(
     DataError
         If a pick means no pole.
     """
-    found, rows = list(found), list(automatic)
+    found = list(found)
+    rows = list(automatic)
     if choice is None:
         return Chosen(found, rows, {}, ())
     said = _picked(found, rows, choice, source)
@@ -131,8 +131,8 @@ def chosen(
         near = [_nearest(found, rows, f) for f in merge.frequencies]
         members = list(dict.fromkeys(r for r in near if r is not None))
         if len(members) < 2:
-            told = ", ".join(f"{f:.5g}" for f in merge.frequencies)
-            notes.append(f"merged by hand, but not there as different modes: {told} Hz")
+            wanted = ", ".join(f"{f:.5g}" for f in merge.frequencies)
+            notes.append(f"merged by hand, but not there as different modes: {wanted} Hz")
             continue
         text = ", ".join(f"{_f(found, r):.5g}" for r in members)
         rows = [r for r in rows if r not in members]
@@ -160,14 +160,14 @@ def _picked(
     """The row of each pick, and what to say of it."""
     every = [(b, i) for b, x in enumerate(found) for i in range(x.table.pole.size)]
     meant = np.array([found[b].picked[i] for b, i in every], dtype=np.int64)
-    sure = np.array([found[b].confidence[i] for b, i in every])
+    conf = np.array([found[b].confidence[i] for b, i in every])
     said: dict[Row, str] = {}
     rest = []
     for k, pick in enumerate(choice.picks):
         own = np.flatnonzero(meant == k)
         if own.size:  # in two bands where they overlap
             order = f", order {pick.order}" if pick.order else ""
-            said[every[own[np.argmax(sure[own])]]] = f"chosen by hand{order}"
+            said[every[own[np.argmax(conf[own])]]] = f"chosen by hand{order}"
         else:
             rest.append(k)
     free = [r for r, m in zip(every, meant, strict=True) if m < 0]
@@ -187,7 +187,8 @@ def _picked(
 
 def _replaced(found: Sequence[BandModes], row: Row, said: Mapping[Row, str]) -> bool:
     """Whether a picked row is the same mode as an automatic one."""
-    x, i = found[row[0]], row[1]
+    x = found[row[0]]
+    i = row[1]
     width = x.table.damping[i] * x.table.frequencies[i]
     for b, j in said:
         near = abs(_f(found, (b, j)) - _f(found, row)) < width
@@ -204,7 +205,8 @@ def _joined(found: list[BandModes], rows: Sequence[Row]) -> tuple[list[BandModes
     w = 1 / sharp**2 / (1 / sharp**2).sum()
     k = int(np.argmin(sharp))
     b = rows[k][0]
-    x, new = found[b], found[b].table.pole.size
+    x = found[b]
+    new = found[b].table.pole.size
     tables = [found[band].table.take(np.array([i])) for band, i in rows]
     # rows of other bands deviate in columns of their own
     parts = [v * t.deviation for v, t in zip(w, tables, strict=True)]

@@ -21,19 +21,17 @@ from ringtrue.errors import DataError
 
 RELATIVE = 4e-4  # width of a bin over its frequency
 # half bandwidths to each side of a mode that its fit uses: fewer where something else stands there.
-# Ten leave a damping 18 % more scatter than the whole spectrum does, and a frequency beside an
+# Ten leave a damping 18 % more scatter than the whole spectrum does, and a frequency with an
 # unknown slope 27 %; twenty leave 8 and 12 %
 REACHES = (20.0, 10.0)
-COARSE, COARSEST = (
-    0.1,
-    0.3,
-)  # width of a bin in a fit: of the distance to the mode, of its half bandwidth at most
+# width of a bin in a fit: of the distance to the mode, of its half bandwidth at most
+COARSE = 0.1
+COARSEST = 0.3
 SPAN = 0.35  # of the frequency, at most
 # standard deviation of ln of the levels that noise and other modes leave in a filtered spectrum
 LEVEL = 1.5
-INDEPENDENT = (
-    0.03  # singular value of unit shapes, over the largest, below which a direction is not theirs
-)
+# singular value of unit shapes, over the largest, below which a direction is not theirs
+INDEPENDENT = 0.03
 # weight of other modes over noise in the filter: they move in step with the mode, noise does not
 NULL = 10.0
 MISFIT = 6.0  # beyond, something else stands in the spectrum, a machine for instance
@@ -41,7 +39,7 @@ MISFIT = 6.0  # beyond, something else stands in the spectrum, a machine for ins
 # alone
 WAVES = 2.5
 CHANCE = 1.5  # of that, reached by chance
-BLUR = 3.0  # times the standard deviation of the start: a fit that knows less is not believed
+BLUR = 3.0  # times the standard deviation of the start: a fit that knows less is rejected
 ITERATIONS = 80
 HALVINGS = 8
 DECAYED = 40.0  # time constants in a record, after which nothing is left of a motion
@@ -93,9 +91,15 @@ class SpectralBins:
             raise DataError("spectra of stretches of different length do not add")
         n = self.count + other.count
         a, b = (x.astype(np.float32)[:, None, None] for x in (self.count / n, other.count / n))
-        lost, breaks = 0.5 * (self.lost + other.lost), 0.5 * (self.breaks + other.breaks)
+        lost = 0.5 * (self.lost + other.lost)
+        breaks = 0.5 * (self.breaks + other.breaks)
         return SpectralBins(
-            self.freqs, n, a * self.cross + b * other.cross, self.duration, lost, breaks
+            freqs=self.freqs,
+            count=n,
+            cross=a * self.cross + b * other.cross,
+            duration=self.duration,
+            lost=lost,
+            breaks=breaks,
         )
 
 
@@ -104,7 +108,8 @@ def spectral_bins(data: Any_, rate: float, band: tuple[float, float]) -> Spectra
     relative width.
     """
     n = int(prev_fast_len(data.shape[1], real=True))
-    first, last = int(np.ceil(max(band[0] * n / rate, 1))), int(min(band[1] * n / rate, n // 2 - 1))
+    first = int(np.ceil(max(band[0] * n / rate, 1)))
+    last = int(min(band[1] * n / rate, n // 2 - 1))
     scale = np.float32(1 / np.sqrt(n * rate / 2))
     y = np.stack([rfft(x[:n].astype(np.float32))[first : last + 1] * scale for x in data], axis=1)
     edges = [first]
@@ -167,7 +172,8 @@ def _finite(nu: Float, nu0: float, zeta: float, windows: tuple[tuple[float, floa
     off = 2 * np.pi * (nu - nu0 * np.sqrt(1 - min(zeta, 0.9) ** 2))
     factor = np.zeros(nu.shape)
     for weight, turns in windows:
-        a, b = turns * decay, turns * off
+        a = turns * decay
+        b = turns * off
         size = a * a + b * b
         part = (a * a - b * b) / size
         if a < DECAYED:
@@ -181,7 +187,8 @@ def _lorentz(
 ) -> _Curve:
     """1 over |ν0² − ν² + 2iζν0ν|², peak 1, as seen in a record of a finite length."""
     square = nu * nu
-    own, wide = nu0**2 - square, (4 * zeta**2 * nu0**2) * square
+    own = nu0**2 - square
+    wide = (4 * zeta**2 * nu0**2) * square
     d = own * own + wide
     level = (4 * zeta**2 * nu0**4) * _finite(nu, nu0, zeta, windows) / d
     return _Curve(level, 4 - (4 * nu0**2 * own + 2 * wide) / d, 2 - 2 * wide / d)
@@ -215,8 +222,11 @@ class _Fit:
 
     def spectrum(self, theta: Float) -> tuple[Float, Float]:
         """S (bin,) and its logarithmic derivatives (bin, parameter)."""
-        nu0, zeta, slope = float(np.exp(theta[0])), float(np.exp(theta[1])), float(theta[2])
-        own, ratio = _lorentz(self.nu, nu0, zeta, self.windows), np.log(self.nu / nu0)
+        nu0 = float(np.exp(theta[0]))
+        zeta = float(np.exp(theta[1]))
+        slope = float(theta[2])
+        own = _lorentz(self.nu, nu0, zeta, self.windows)
+        ratio = np.log(self.nu / nu0)
         tilt = np.exp(slope * ratio)
         x = (self.nu - self.nu[0]) / (self.nu[-1] - self.nu[0])
         parts = np.empty((x.size, 3 + self.place.size))
@@ -238,7 +248,8 @@ class _Fit:
         """θ, covariance, misfit and whether Fisher scoring settled."""
         theta = self.mean.copy()
         s, g = self.spectrum(theta)
-        cost, done = self.cost(s, theta), False
+        cost = self.cost(s, theta)
+        done = False
         for _ in range(ITERATIONS):
             info = (g.T * self.count) @ g + np.diag(self.prior)
             slope = g.T @ (self.count * (self.power / s - 1)) - self.prior * (theta - self.mean)
@@ -254,7 +265,10 @@ class _Fit:
                 step = step / 2
             else:
                 break
-            theta, s, g, cost = theta + step, s_new, g_new, c
+            theta = theta + step
+            s = s_new
+            g = g_new
+            cost = c
         info = (g.T * self.count) @ g + np.diag(self.prior)
         misfit = float((self.count * (self.power / s - 1) ** 2).sum() / max(s.size - theta.size, 1))
         return theta, np.asarray(np.linalg.inv(info), dtype=np.float64), misfit, done
@@ -272,7 +286,7 @@ class _Fit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Filter:
-    """w (ch,) with wᴴψ = 1, and what passes it beside the mode.
+    """w (ch,) with wᴴψ = 1, and what passes it besides the mode.
 
     Attributes
     ----------
@@ -304,7 +318,8 @@ def _filter(
     q = u[:, s > INDEPENDENT * s[0]]
     off = at[np.abs(b.freqs[at] - f[i]) > 2.5 * half]
     parts = np.array_split(off if off.size > 20 else at, 3)
-    first, share = at[0], np.zeros((3, at[-1] + 1 - at[0]), dtype=np.float32)
+    first = at[0]
+    share = np.zeros((3, at[-1] + 1 - at[0]), dtype=np.float32)
     for row, k in zip(share, parts, strict=True):
         row[k - first] = 1 / k.size
     flat = (
@@ -352,22 +367,27 @@ def refine_by_likelihood(
         velocities, 0 for displacements.
     doubt : (m,) float64, optional
         Relative standard deviation of `damping`; a fit that ends far beyond it has found something
-        else, and one that knows far less tells nothing: its filter took the mode with the others.
+        else, and one that knows far less is of no use: its filter took the mode with the others.
         0.2 if absent.
     """
     m = frequency.size
     start = np.full(m, 0.2) if doubt is None else doubt
     reach = np.minimum(0.3 + 3 * start, 0.9)  # of ln damping
-    f, z = frequency.copy(), damping.copy()
-    cov, misfit, ok = np.full((m, 2, 2), np.nan), np.full(m, np.nan), np.zeros(m, dtype=np.bool_)
+    f = frequency.copy()
+    z = damping.copy()
+    cov = np.full((m, 2, 2), np.nan)
+    misfit = np.full(m, np.nan)
+    ok = np.zeros(m, dtype=np.bool_)
     for _ in range(2):
-        f0, z0 = f.copy(), z.copy()
+        f0 = f.copy()
+        z0 = z.copy()
         for i in range(m):  # modes
             for far in REACHES:
-                if (fit := _prepare(bins, i, far, (f0, z0, shape), slope)) is None:
+                if (fit := _prepare(bins, i, far=far, modes=(f0, z0, shape), slope=slope)) is None:
                     continue
                 theta, c, chi, good = fit.run()
-                new_f, new_z = f0[i] * np.exp(theta[0]), np.exp(theta[1])
+                new_f = f0[i] * np.exp(theta[0])
+                new_z = np.exp(theta[1])
                 near = abs(new_f / frequency[i] - 1) < max(0.7 * damping[i], 0.002)
                 near &= bool(abs(np.log(new_z / damping[i])) < reach[i])
                 sharp = c[1, 1] * max(chi, 1.0) < (BLUR * start[i]) ** 2
@@ -384,7 +404,7 @@ def refine_by_likelihood(
                         True,
                     )
                     break
-    return LikelihoodFit(f, z, cov, misfit, ok)
+    return LikelihoodFit(frequency=f, damping=z, covariance=cov, misfit=misfit, ok=ok)
 
 
 def _joined(nu: Float, zeta: float) -> Int:
@@ -414,15 +434,19 @@ def _prepare(
     if at.size < 30 or half < 1.5 * np.median(np.diff(b.freqs[at])):
         return None
     others = np.flatnonzero((np.abs(f - f[i]) < 2 * SPAN * f[i]) & (np.arange(f.size) != i))
-    begin, lines = _joined(b.freqs[at] / f[i], z[i]), b.count[at]
+    begin = _joined(b.freqs[at] / f[i], z[i])
+    lines = b.count[at]
     count = np.add.reduceat(lines, begin)
     nu = np.add.reduceat(lines * b.freqs[at], begin) / count / f[i]
-    few, place = max(nu.size // 10, 3), f[others] / f[i]
+    few = max(nu.size // 10, 3)
+    place = f[others] / f[i]
     windows = tuple((weight, length * float(f[i])) for weight, length in b.windows)
     near = np.empty((nu.size, others.size))
     for k, (p, q) in enumerate(zip(place.tolist(), z[others].tolist(), strict=True)):  # neighbours
         near[:, k] = _lorentz(nu, p, q, windows).level
-    own = _filter(b, at, half, psi, i, others, count @ near / count.sum(), f)
+    own = _filter(
+        b, at, half=half, psi=psi, i=i, others=others, near=count @ near / count.sum(), f=f
+    )
     # single precision, that of the spectra: to make them double takes longer than all else
     w = own.weights.astype(np.complex64)
     passed = (b.cross[at[0] : at[-1] + 1].reshape(-1, w.size) @ w).reshape(-1, w.size) @ w.conj()
@@ -442,4 +466,6 @@ def _prepare(
     prior = np.concatenate(
         [[1e-6, 1e-4, slope[1] ** -2, 1e-4], loose, np.full(others.size, LEVEL**-2)]
     )
-    return _Fit(nu, power, count, windows, place, near, mean, prior)
+    return _Fit(
+        nu, power, count=count, windows=windows, place=place, near=near, mean=mean, prior=prior
+    )

@@ -14,6 +14,7 @@ from itertools import chain
 
 import numpy as np
 
+from ringtrue.core.arrays import Float, Int
 from ringtrue.core.choice import Choice
 from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.progress import Progress, quiet
@@ -24,6 +25,7 @@ from ringtrue.identification.ambient.confidence import (
     BandModes,
     dense_set,
     fastest_decay,
+    frequencies_and_damping,
     reason,
     select,
     surer_groups,
@@ -33,6 +35,7 @@ from ringtrue.identification.ambient.manual_selection import chosen
 from ringtrue.identification.ambient.record_bands import (
     SHORTEST,
     STEP,
+    BandSums,
     events_of,
     steady_sines,
     sums_of_stretches,
@@ -67,14 +70,15 @@ from ringtrue.identification.common.poles import StableDiagram
 from ringtrue.signal.band_correlations import map_in_threads
 from ringtrue.signal.channel_checks import unclipped_channels, usable
 from ringtrue.signal.decimation import Band, remove_drift, scaled, unit_factor
-from ringtrue.signal.gaps import bridge_gaps
+from ringtrue.signal.echoes import Echo
+from ringtrue.signal.gaps import Gaps, bridge_gaps
 from ringtrue.signal.harmonic_evidence import amplitude_evidence, phase_evidence
 from ringtrue.signal.tonal_lines import Harmonic, harmonics, remove_tonal_lines, unsteady_lines
 
 LEAST_DAMPING = 5e-4  # below what structures have in operation (welded steel: 0.1 %)
 LEAST_FALL = 0.1  # of the logarithm of the amplitude, from one impact to the next
 HARDLY_FALLS = (
-    "it hardly decays between impacts at equal intervals: a line of these; a longer "
+    "it decays too little between impacts at equal intervals: a line of these; a longer "
     "time between them would show a mode"
 )
 TOP = 0.34  # of the rate of a decimated band: the skirts of its filter begin at 0.4
@@ -109,7 +113,8 @@ class AmbientSettings:
     confidence_min: float = 0.33
 
     def __post_init__(self) -> None:
-        low, high = self.fmin or 0.0, self.fmax or np.inf
+        low = self.fmin or 0.0
+        high = self.fmax or np.inf
         if low < 0 or not low < high:
             raise ConfigError(f"band {self.fmin} .. {self.fmax} Hz: must be 0 <= fmin < fmax")
 
@@ -126,11 +131,13 @@ class AmbientResult:
     diagrams : tuple of StableDiagram
         One for each band, from the highest; clusters are numbered within it.
     reasons : tuple of str
-        Why each mode is believed.
+        The evidence for each mode.
     harmonics : tuple of Harmonic
         Lines of machines, left out.
     notes : tuple of str
         What the reader should know: bad channels, left-out poles, nothing found.
+    channel_notes : tuple of str
+        Those of the notes that are about channels.
     """
 
     modes: ModeSet
@@ -139,6 +146,7 @@ class AmbientResult:
     reasons: tuple[str, ...]
     harmonics: tuple[Harmonic, ...]
     notes: tuple[str, ...]
+    channel_notes: tuple[str, ...] = ()
 
 
 def lowest(duration: float, settings: AmbientSettings) -> float:
@@ -220,7 +228,7 @@ def identify_stretches(
         The fraction stays 0 while stretches come, as their number is not known.
     leave : tuple of float, Hz
         Lines of steady machines that are not to be taken out. Of a single stretch, those that leave
-        something behind where no mode stands are not either: it would pull at the modes beside it.
+        something behind where no mode stands are not either: it would pull at its neighbours.
 
     Raises
     ------
@@ -230,166 +238,287 @@ def identify_stretches(
         If the band of interest is empty.
     """
     settings = settings or AmbientSettings()
-    tell = progress or quiet
+    report = progress or quiet
     coming = iter(stretches)
-    if (first := next(coming, None)) is None:
+    first = next(coming, None)
+    if first is None:
         raise DataError("no stretch of a record to identify")
-    coming = (x for x in coming if x.duration >= SHORTEST * first.duration)
+    coming = (part for part in coming if part.duration >= SHORTEST * first.duration)
     second = next(coming, None)
+    record = _prepared(first, settings, leave, single=second is None)
+    good = record.good
+    report(0.0, "filtering into bands")
+    blocks = 0 if second is None else BLOCKS_EACH
+    ssi = SsiCov(settings.block_rows, settings.order_max, blocks=blocks)
+    later = chain(() if second is None else (second,), coming)
+    sums, events = sums_of_stretches(
+        good,
+        record.gaps,
+        coming=(scaled(part, record.factor) for part in later),
+        bands=record.bands,
+        ssi=ssi,
+        refs=record.references,
+        places=record.places,
+        report=report,
+    )
+    strongest = max(events, key=lambda e: e.share)
+    motion = one_motion(good.channels)
+    facts = RecordFacts(response_slope(good), choice, strongest, motion)
+    found = _modes_of_bands(record, sums, facts, settings, report)
+    found = _second_looks(record, sums, found, facts=facts, settings=settings, ssi=ssi)
+    if record.echo:
+        found = [with_echo_doubt(band, record.echo) for band in found]
+    result = _assembled(record, found, facts, settings)
+    if second is None:
+        unsteady = unexplained(result.modes, unsteady_lines(good, record.places))
+        if unsteady:
+            again = (*leave, *unsteady)
+            return identify_stretches(
+                (first,), settings, choice=choice, progress=progress, leave=again
+            )
+    report(1.0, f"{len(result.modes)} modes")
+    ids = [c.id for c in good.channels]
+    noisy = noisy_channels(ids, result.modes.shapes, result.uncertainty.shape)
+    of_channels = record.channel_notes + noisy
+    if motion:
+        of_channels += (f"channels of different kinds: shapes are those of {motion.kind} in all",)
+    notes = of_channels + record.notes + event_notes(events) + result.notes
+    harmonics_found = (*record.sines, *result.harmonics)
+    return replace(result, harmonics=harmonics_found, notes=notes, channel_notes=of_channels)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Record:
+    """The first stretch, ready for the bands.
+
+    Attributes
+    ----------
+    good : TimeHistory
+        Usable channels in step, without lines, impulses, sweeps and echo.
+    unclipped : TimeHistory, optional
+        Those of its channels whose amplitude is not cut off; None if all are.
+    gaps : Gaps
+    factor : float
+        Unit of `good`.
+    references : (ref,) int64, optional
+    bands : tuple of Band
+    echo : Echo, optional
+    sines : tuple of Harmonic
+        Lines of steady machines that were taken out.
+    steady : bool
+        Whether no impacts drive it: a steady amplitude then means a machine.
+    notes, channel_notes : tuple of str
+    """
+
+    good: TimeHistory
+    unclipped: TimeHistory | None
+    gaps: Gaps
+    factor: float
+    references: Int | None
+    bands: tuple[Band, ...]
+    echo: Echo | None
+    sines: tuple[Harmonic, ...]
+    steady: bool
+    notes: tuple[str, ...]
+    channel_notes: tuple[str, ...]
+
+    @property
+    def places(self) -> list[float]:
+        """Frequencies of the lines that were taken out, Hz."""
+        return [sine.frequency for sine in self.sines]
+
+
+def _prepared(
+    first: TimeHistory, settings: AmbientSettings, leave: tuple[float, ...], *, single: bool
+) -> _Record:
+    """The usable channels of the first stretch, without what machines leave in it."""
     part, gaps = bridge_gaps(first)
     raw, states = usable(part)
-    kept = unclipped_channels(raw, states)  # of raw samples: they tell what is cut off
+    kept = unclipped_channels(raw, states)  # of raw samples: these show what is cut off
     good = remove_drift(raw, lowest(raw.duration, settings))
     factor = unit_factor(good)
-    good, late = in_phase(scaled(good, factor), mend=second is None)
+    good, late = in_phase(scaled(good, factor), mend=single)
     refs = references(good, settings.references)
     bands = long_enough(bands_for(good.rate, good.duration, settings), good)
-    tell(0.0, "filtering into bands")
     # an amplitude that is cut off looks steady
-    whole = good if kept is raw else kept and good.pick([c.id for c in kept.channels])
-    impacts, lags = events_of(good, gaps), 2 * settings.block_rows / bands[0].rate
-    good, whole, swept, echo = without_strokes_sweeps_and_echoes(good, whole, impacts, lags)
-    sines = steady_sines(good, whole, bands, leave, impacts, once=second is not None)
-    places = [h.frequency for h in sines]
+    unclipped = good if kept is raw else kept and good.pick([c.id for c in kept.channels])
+    impacts = events_of(good, gaps)
+    longest_lag = 2 * settings.block_rows / bands[0].rate
+    good, unclipped, swept, echo = without_strokes_sweeps_and_echoes(
+        good, unclipped, impacts, longest_lag
+    )
+    sines = steady_sines(
+        good, unclipped, bands=bands, leave=leave, impacts=impacts, once=not single
+    )
+    places = [sine.frequency for sine in sines]
     clean = remove_tonal_lines(good, places)
-    whole, good = clean if whole is good else whole and remove_tonal_lines(whole, places), clean
-    shown = harmonics(whole, low=bands[-1].low) if whole and not impacts.driven else ()
-    lines = tuple(h for h in shown if h.frequency < bands[0].high)
-    ssi = SsiCov(
-        settings.block_rows, settings.order_max, blocks=0 if second is None else BLOCKS_EACH
+    if unclipped is good:
+        unclipped = clean
+    elif unclipped:
+        unclipped = remove_tonal_lines(unclipped, places)
+    else:
+        swept += ("every channel is clipped: machines are not told from modes",)
+    return _Record(
+        good=clean,
+        unclipped=unclipped,
+        gaps=gaps,
+        factor=factor,
+        references=refs,
+        bands=bands,
+        echo=echo,
+        sines=sines,
+        steady=not impacts.driven,
+        notes=swept,
+        channel_notes=gaps.notes + tuple(state.note for state in states) + late,
     )
-    more_to_come = (scaled(x, factor) for x in chain(() if second is None else (second,), coming))
-    sums, heard = sums_of_stretches(good, gaps, more_to_come, bands, ssi, refs, places, tell)
-    found, motion = [], one_motion(good.channels)
-    known = RecordFacts(response_slope(good), choice, max(heard, key=lambda e: e.share), motion)
-    for k, modes_of in enumerate(
-        map_in_threads(lambda x: modes_of_band(x, settings.confidence_min, known), sums)
-    ):
-        tell((k + 1) / (len(bands) + 2), f"identified {bands[k].low:.3g} .. {bands[k].high:.3g} Hz")
-        found.append(modes_of)
-    looks, tries = [], settings.order_max // ssi.order_step
-    for k, (x, own) in enumerate(zip(sums, found, strict=True)):
-        if less := with_fewer_lags(x, fastest_decay(own.table, tries)):
-            looks.append((k, less))
-        if second is None and not known.driven and dense_set(own.table, tries, x.seconds):
-            looks.append((k, with_more_lags(good, gaps, bands[: k + 1], ssi, refs)))
-    again = map_in_threads(
-        lambda x: modes_of_band(x[1], settings.confidence_min, replace(known, choice=None)), looks
-    )
-    for (k, _), other in zip(looks, again, strict=True):
-        found[k], other = surer_groups(found[k], other, settings.confidence_min)
-        found.append(other)
-    found = [with_echo_doubt(x, echo) for x in found] if echo else found
-    result = _assemble(good, found, lines, places, bands, settings, known, whole)
-    if whole is not good:
-        sound = {c.id for c in whole.channels} if whole else set()
-        clipped = np.array([c.id not in sound for c in good.channels])
-        modes, reasons = overtones(
-            result.modes, result.uncertainty.frequency, result.reasons, clipped
-        )
-        result = replace(result, modes=modes, reasons=reasons)
-    if second is None and (unsteady := unexplained(result.modes, unsteady_lines(good, places))):
-        return identify_stretches(
-            (first,), settings, choice=choice, progress=progress, leave=(*leave, *unsteady)
-        )
-    result = replace(result, harmonics=(*sines, *result.harmonics))
-    tell(1.0, f"{len(result.modes)} modes")
-    notes = gaps.notes + tuple(s.note for s in states) + late + swept
-    if whole is None:
-        notes += ("every channel is clipped: machines are not told from modes",)
-    if motion:
-        notes += (f"channels of different kinds: shapes are those of {motion.kind} in all",)
-    noisy = noisy_channels(
-        [c.id for c in good.channels], result.modes.shapes, result.uncertainty.shape
-    )
-    return replace(result, notes=notes + noisy + event_notes(heard) + result.notes)
 
 
-def _assemble(
-    history: TimeHistory,
-    found: list[BandModes],
-    lines: tuple[Harmonic, ...],
-    gone: list[float],
-    bands: tuple[Band, ...],
+def _modes_of_bands(
+    record: _Record,
+    sums: list[BandSums],
+    facts: RecordFacts,
     settings: AmbientSettings,
-    heard: RecordFacts,
-    whole: TimeHistory | None,
+    report: Progress,
+) -> list[BandModes]:
+    found = []
+    results = map_in_threads(lambda x: modes_of_band(x, settings.confidence_min, facts), sums)
+    for k, modes in enumerate(results):
+        band = record.bands[k]
+        share = (k + 1) / (len(record.bands) + 2)
+        report(share, f"identified {band.low:.3g} .. {band.high:.3g} Hz")
+        found.append(modes)
+    return found
+
+
+def _second_looks(
+    record: _Record,
+    sums: list[BandSums],
+    found: list[BandModes],
+    *,
+    facts: RecordFacts,
+    settings: AmbientSettings,
+    ssi: SsiCov,
+) -> list[BandModes]:
+    """The modes of all bands, with fewer or with more lags where these give more confidence."""
+    single = ssi.blocks == 0
+    tries = settings.order_max // ssi.order_step
+    looks = []
+    for k, (band, own) in enumerate(zip(sums, found, strict=True)):
+        fewer = with_fewer_lags(band, fastest_decay(own.table, tries))
+        if fewer:
+            looks.append((k, fewer))
+        if single and not facts.driven and dense_set(own.table, tries, band.seconds):
+            bands = record.bands[: k + 1]
+            more = with_more_lags(record.good, record.gaps, bands, ssi, record.references)
+            looks.append((k, more))
+    automatic = replace(facts, choice=None)
+    again = map_in_threads(lambda x: modes_of_band(x[1], settings.confidence_min, automatic), looks)
+    out = list(found)
+    for (k, _), other in zip(looks, again, strict=True):
+        out[k], other = surer_groups(out[k], other, settings.confidence_min)
+        out.append(other)
+    return out
+
+
+def _assembled(
+    record: _Record, found: list[BandModes], facts: RecordFacts, settings: AmbientSettings
 ) -> AmbientResult:
-    resolution = (
-        61 * 4 / history.duration
-    )  # main lobe of the window of `harmonics` in 120 half-overlapped segments
-    at, left_out = [], []
-    rows = select(found, settings.confidence_min)
-    f_all, z_all = (
-        np.array([getattr(found[b].table, x)[i] for b, i in rows])
-        for x in ("frequencies", "damping")
-    )
-    known = [h.frequency for h in lines]
-    machines = (
-        amplitude_evidence(whole, f_all, z_all, known, heard.interval)
-        if whole
-        else ("",) * len(rows)
-    )
-    edges = filter_edges(history, f_all, z_all)
-    standing = [
-        machine(f, z, lines, resolution, history.duration)
-        for f, z in zip(f_all, z_all, strict=True)
-    ]
-    running = [bool(h or why) for h, why in zip(standing, machines, strict=True)]
-    if whole and not heard.driven:
-        every, wide = np.append(f_all, known), np.append(z_all, np.zeros(len(known)))
-        kin = phase_evidence(whole, every, wide, running + [True] * len(known))
-        machines = tuple(x or y for x, y in zip(machines, kin[: len(rows)], strict=True))
-    left = line_remainders(f_all, z_all, np.array(gone), history.duration)
-    for (b, i), f, z, h, unsteady, edge, foot in zip(
-        rows, f_all, z_all, standing, machines, edges, left, strict=True
-    ):
-        if h:
-            left_out.append(f"pole at {f:.4g} Hz left out: {h.why}{BESIDE}")
-        elif z < LEAST_DAMPING:
-            left_out.append(
-                f"pole at {f:.4g} Hz left out: damping {100 * z:.2g} % is a line, not a structure"
-            )
-        elif (
-            heard.interval
-            and heard.impacts.lines_near(f)
-            and 2 * np.pi * z * f * heard.interval < LEAST_FALL
-        ):
-            left_out.append(f"pole at {f:.4g} Hz left out: {HARDLY_FALLS}")
-        elif foot:
-            left_out.append(
-                f"pole at {f:.4g} Hz left out: what the line at {foot:.5g} Hz left whose phase "
-                f"wanders{HIDES}"
-            )
-        elif unsteady:
-            left_out.append(f"pole at {f:.4g} Hz left out: {unsteady}{HIDES}")
-        elif edge:
-            left_out.append(f"pole at {f:.4g} Hz {AT_EDGE}")
-        else:
-            at.append((b, i))
-    at, forced = without_forced(found, at)
-    left_out += forced
-    by_hand = chosen(found, at, heard.choice, history.source)
-    found, at = by_hand.found, by_hand.rows
-    left_out += by_hand.notes
-    told = np.array([found[b].table.frequencies[i] for b, i in at] + known)
-    left_out += [*unresolved(found, told), *unconfirmed(found, np.append(told, f_all))]
-    shapes = [found[b].shape[:, i] for b, i in at]
+    """The modes of all bands as one result, after exclusions and the choice by hand."""
+    good = record.good
+    lines: tuple[Harmonic, ...] = ()
+    if record.unclipped and record.steady:
+        shown = harmonics(record.unclipped, low=record.bands[-1].low)
+        lines = tuple(h for h in shown if h.frequency < record.bands[0].high)
+    candidates = select(found, settings.confidence_min)
+    f, damping = frequencies_and_damping(found, candidates)
+    why = _exclusions(record, f, damping, lines=lines, facts=facts)
+    rows = [row for row, text in zip(candidates, why, strict=True) if not text]
+    left_out = [text for text in why if text]
+    rows, forced = without_forced(found, rows)
+    by_hand = chosen(found, rows, facts.choice, good.source)
+    found = by_hand.found
+    rows = by_hand.rows
+    left_out += [*forced, *by_hand.notes]
+    own_f, own_damping = frequencies_and_damping(found, rows)
+    reported = np.append(own_f, [h.frequency for h in lines])
+    left_out += [*unresolved(found, reported), *unconfirmed(found, np.append(reported, f))]
+    shapes = [found[b].shape[:, i] for b, i in rows]
+    none = np.empty((len(good.channels), 0), np.complex128)
     modes = ModeSet(
-        np.array([found[b].table.frequencies[i] for b, i in at]),
-        np.array([found[b].table.damping[i] for b, i in at]),
-        np.stack(shapes, axis=1) if at else np.empty((len(history.channels), 0), np.complex128),
-        tuple(c.id for c in history.channels),
-        source=f"{history.source or 'record'}: SSI-cov",
-        confidence=np.array([found[b].confidence[i] for b, i in at]),
+        frequencies=own_f,
+        damping=own_damping,
+        shapes=np.stack(shapes, axis=1) if rows else none,
+        labels=tuple(c.id for c in good.channels),
+        source=f"{good.source or 'record'}: SSI-cov",
+        confidence=np.array([found[b].confidence[i] for b, i in rows]),
     )
+    std = uncertainty(found, rows, len(good.channels))
+    reasons = []
+    for b, i in rows:
+        chosen_by_hand = by_hand.said.get((b, i))
+        evidence = reason(found[b], i)
+        reasons.append(f"{chosen_by_hand}; {evidence}" if chosen_by_hand else evidence)
+    if record.unclipped is not good:
+        sound = {c.id for c in record.unclipped.channels} if record.unclipped else set()
+        clipped = np.array([c.id not in sound for c in good.channels])
+        modes, reasons = overtones(modes, std.frequency, reasons, clipped)
     return AmbientResult(
-        modes,
-        uncertainty(found, at, len(history.channels)),
-        tuple(x.diagram for x in found[: len(bands)]),
-        tuple(
-            "; ".join(filter(None, (by_hand.said.get((b, i)), reason(found[b], i)))) for b, i in at
-        ),
-        lines,
-        tuple(with_nothing_found(history, left_out, len(at), bands)),
+        modes=modes,
+        uncertainty=std,
+        diagrams=tuple(band.diagram for band in found[: len(record.bands)]),
+        reasons=tuple(reasons),
+        harmonics=lines,
+        notes=tuple(with_nothing_found(good, left_out, len(rows), record.bands)),
     )
+
+
+def _exclusions(
+    record: _Record,
+    f: Float,
+    damping: Float,
+    *,
+    lines: tuple[Harmonic, ...],
+    facts: RecordFacts,
+) -> list[str]:
+    """For each pole (m,) why it is no mode of the structure; empty for a mode."""
+    good = record.good
+    line_f = [h.frequency for h in lines]
+    # main lobe of the window of `harmonics` in 120 half-overlapped segments
+    resolution = 61 * 4 / good.duration
+    on_line = [
+        machine(x, z, lines=lines, resolution=resolution, duration=good.duration)
+        for x, z in zip(f, damping, strict=True)
+    ]
+    unsteady = ("",) * f.size
+    if record.unclipped:
+        unsteady = amplitude_evidence(record.unclipped, f, damping, line_f, facts.interval)
+    if record.unclipped and not facts.driven:
+        running = [bool(line or text) for line, text in zip(on_line, unsteady, strict=True)]
+        every = np.append(f, line_f)
+        widths = np.append(damping, np.zeros(len(line_f)))
+        locked_to = phase_evidence(record.unclipped, every, widths, running + [True] * len(line_f))
+        both = zip(unsteady, locked_to[: f.size], strict=True)
+        unsteady = tuple(own or other for own, other in both)
+    edges = filter_edges(good, f, damping)
+    remainders = line_remainders(f, damping, np.array(record.places), good.duration)
+    out = []
+    for k, (x, z) in enumerate(zip(f.tolist(), damping.tolist(), strict=True)):
+        line = on_line[k]
+        decays_by = 2 * np.pi * z * x * facts.interval  # from one impact to the next
+        text = ""
+        if line:
+            text = f"left out: {line.why}{BESIDE}"
+        elif z < LEAST_DAMPING:
+            text = f"left out: damping {100 * z:.2g} % is a line, not a structure"
+        elif facts.interval and facts.impacts.lines_near(x) and decays_by < LEAST_FALL:
+            text = f"left out: {HARDLY_FALLS}"
+        elif remainders[k]:
+            text = (
+                f"left out: what the line at {remainders[k]:.5g} Hz left whose phase wanders{HIDES}"
+            )
+        elif unsteady[k]:
+            text = f"left out: {unsteady[k]}{HIDES}"
+        elif edges[k]:
+            text = AT_EDGE
+        out.append(f"pole at {x:.4g} Hz {text}" if text else "")
+    return out

@@ -19,6 +19,7 @@ from ringtrue.core.arrays import Complex, Float, Int
 from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.signals import FrfSet, TimeHistory
 from ringtrue.errors import DataError
+from ringtrue.identification.ambient.pipeline import AmbientSettings
 from ringtrue.identification.ambient.ssi_cov import choose_references, prepared
 from ringtrue.identification.common.poles import PoleSet, unit
 from ringtrue.identification.common.stabilisation import least_deviations
@@ -30,24 +31,18 @@ from ringtrue.identification.frf.refinement import Refined, refine
 from ringtrue.shapes.mac import mac
 from ringtrue.signal.spectra import correlations
 
-LAGS, ENDS_AT = (
-    400,
-    0.01,
-)  # of a half spectrum, and what the exponential window leaves at the last of them
-FEWEST_LAGS, SAMPLES_A_LAG = 64, 8
+LAGS = 400  # of a half spectrum
+ENDS_AT = 0.01  # and what the exponential window leaves at the last of them
+FEWEST_LAGS = 64
+SAMPLES_A_LAG = 8
 STATES = 120  # order times references
 DAMPING_MAX = 0.2
-APART, BANDWIDTH = (
-    6.0,
-    0.5,
-)  # of poles of both halves: in deviations of the record's, and half bandwidths
+APART = 6.0  # of poles of both halves: in deviations of the record's
+BANDWIDTH = 0.5  # and half bandwidths
 
 
 def half_spectra_modes(
-    history: TimeHistory,
-    band: tuple[float, float],
-    references: Sequence[str] | None = None,
-    least: float = 0.33,
+    history: TimeHistory, band: tuple[float, float], settings: AmbientSettings
 ) -> tuple[ModeSet, Uncertainty]:
     """Modes of a band (Hz): poles that stay in place over the orders, refined, and seen in both
     halves of the record.
@@ -56,15 +51,14 @@ def half_spectra_modes(
     ----------
     history : TimeHistory
     band : (float, float), Hz
-    references : sequence of str, optional
-        Channel ids; None: all channels, or the 8 that span the motion best.
-    least : float
-        Modes of less confidence are left out, and the others fitted anew.
+    settings : AmbientSettings
+        References, and the least confidence: modes of less are left out, and the others fitted
+        anew.
 
     Returns
     -------
     ModeSet
-        The confidence is that of the fit (`identify.judge`) times the agreement of both halves.
+        The confidence is that of the fit times the agreement of both halves.
     Uncertainty
         All NaN.
 
@@ -74,7 +68,8 @@ def half_spectra_modes(
         If the record is too short for its lags.
     """
     data, scale = prepared(history)
-    refs, lags = choose_references(history, data, references), _lags(history)
+    refs = choose_references(history, data, settings.references or None)
+    lags = _lags(history)
     whole, *halves = (
         _half_spectra(replace(history, data=x), band, refs, lags)
         for x in (data, *np.array_split(data, 2, axis=1))
@@ -83,16 +78,30 @@ def half_spectra_modes(
         np.sqrt((np.abs(whole.data) ** 2).mean(axis=(1, 2))), np.ones(len(data)), np.ones(refs.size)
     )
     everywhere = np.ones(whole.freqs.size, dtype=np.bool_)
-    found = grouped(_poles(whole), whole.data, level, whole, everywhere)[1]
+    found = grouped(_poles(whole), whole.data, sigma=level, frfs=whole, at=everywhere)[1]
     start = merged([found], whole.freqs, whole.window_decay)
-    pole, shape, sure = _settled(start, whole, halves, level, history.duration, least)
+    pole, shape, conf = _settled(
+        start,
+        whole,
+        halves=halves,
+        level=level,
+        duration=history.duration,
+        least=settings.confidence_min,
+    )
     rank = np.argsort(np.abs(pole), kind="stable")
-    pole, shape = pole[rank], unit(shape[:, rank] * scale[:, None])
-    ids, none = tuple(c.id for c in history.channels), np.full(pole.size, np.nan)
+    pole = pole[rank]
+    shape = unit(shape[:, rank] * scale[:, None])
+    ids = tuple(c.id for c in history.channels)
+    none = np.full(pole.size, np.nan)
     modes = ModeSet(
-        np.abs(pole) / (2 * np.pi), -pole.real / np.abs(pole), shape, ids, confidence=sure[rank]
+        np.abs(pole) / (2 * np.pi), -pole.real / np.abs(pole), shape, ids, confidence=conf[rank]
     )
     return modes, Uncertainty.independent(none, none, np.full(shape.shape, np.nan))
+
+
+def fewest_samples(channels: int, settings: AmbientSettings) -> int:
+    """Samples of a band that the half spectra need, whatever the channels."""
+    return SAMPLES_A_LAG * FEWEST_LAGS
 
 
 def _lags(history: TimeHistory) -> int:
@@ -106,14 +115,13 @@ def _lags(history: TimeHistory) -> int:
 
 
 def _half_spectra(part: TimeHistory, band: tuple[float, float], refs: Int, lags: int) -> FrfSet:
-    """(freq, ch, ref) those of the lines in the band and a little beside."""
+    """(freq, ch, ref) those of the lines in the band and a little around it."""
     decay = -np.log(ENDS_AT) * part.rate / lags
     tapered = np.exp(-decay * np.arange(1, lags + 1) / part.rate)[:, None, None]
     r = correlations(part.data, refs, lags)[1:] * tapered
     freqs = np.arange(lags // 2 + 1) * part.rate / lags
-    half = (
-        np.fft.rfft(r, axis=0) * np.exp(-2j * np.pi * freqs / part.rate)[:, None, None]
-    )  # lag 0, noise, is out
+    # lag 0, noise, is out
+    half = np.fft.rfft(r, axis=0) * np.exp(-2j * np.pi * freqs / part.rate)[:, None, None]
     at = (freqs >= 0.9 * band[0]) & (freqs <= min(1.1 * band[1], 0.48 * part.rate)) & (freqs > 0)
     inputs = tuple(part.channels[i] for i in refs)
     return FrfSet(half[at], freqs[at], part.channels, inputs, kind="receptance", window_decay=decay)
@@ -136,7 +144,7 @@ def _settled(
 ) -> tuple[Complex, Complex, Float]:
     """Refined poles (m,), shapes (ch, m) and confidence of those that have `least` of it.
 
-    A verdict hangs on the other modes: the worst goes, and the others are fitted anew.
+    The confidence depends on the other modes: the worst goes, and the others are fitted anew.
     """
     lines = prepare(whole, level)
     # a pole may lose its damping in half of the record, and then stops no other where the window
@@ -145,13 +153,13 @@ def _settled(
     while c.pole.size:
         fit = refine(lines, c.pole, c.participation)
         c = replace(c, pole=fit.poles, participation=fit.participation)
-        sure = assess_candidates(lines, fit, c, (), damping_max=DAMPING_MAX).confidence
-        if (sure >= least).all():
+        conf = assess_candidates(lines, fit, c, (), damping_max=DAMPING_MAX).confidence
+        if (conf >= least).all():
             start = c.pole - whole.window_decay, c.participation
-            sure = sure * _agreement(c.pole, refine(one, *start), refine(two, *start), duration)
-        if (sure >= least).all():
-            return fit.poles, fit.shapes, sure
-        c = c.take(np.arange(sure.size) != sure.argmin())
+            conf = conf * _agreement(c.pole, refine(one, *start), refine(two, *start), duration)
+        if (conf >= least).all():
+            return fit.poles, fit.shapes, conf
+        c = c.take(np.arange(conf.size) != conf.argmin())
     return c.pole, np.zeros((len(whole.outputs), 0), dtype=np.complex128), np.zeros(0)
 
 

@@ -40,11 +40,10 @@ SPECTRAL_CHANNELS = 16  # that separate the modes for the maximum likelihood fit
 STEP = 4  # from one rate to the next
 MOST_BLOCKS = 32
 NOTHING = SpectralBins(np.empty(0), np.empty(0), np.empty((0, 0, 0)), 0.0)
-LONG, TELLING, FEWEST_ROWS = (
-    5.0,
-    2.2,
-    10,
-)  # decays over all lags that are too many, those that tell most; block rows
+# decays over all lags that are too many, those that tell most; block rows
+LONG = 5.0
+TELLING = 2.2
+FEWEST_ROWS = 10
 PERIODOGRAM = 1 << 18  # samples at the rate of a band: lines finer than the bins
 MORE_LAGS = 3
 SHORTEST = 0.5  # stretch, over the first: edges of the filters would weigh too much
@@ -117,16 +116,19 @@ def _added(a: BandSums, b: BandSums) -> BandSums:
     ones are as long.
     """
     b = _in_pairs(b) if b.blocks > a.blocks else b
-    parts, shares = (*a.parts, *b.parts), (*a.shares, *b.shares)
+    parts = (*a.parts, *b.parts)
+    shares = (*a.shares, *b.shares)
     both = replace(a, parts=parts, shares=shares)
     if sum(len(p) for p in parts) > MOST_BLOCKS:
         both = _in_pairs(both)
-    x, y = a.spectra, b.spectra
+    x = a.spectra
+    y = b.spectra
     if x.freqs.shape != y.freqs.shape or not np.isclose(x.duration, y.duration):
         return both
     np.add(x.cross, y.cross, out=x.cross)  # in place: these are the largest arrays
     n = a.stretches
-    lost, breaks = (n * x.lost + y.lost) / (n + 1), (n * x.breaks + y.breaks) / (n + 1)
+    lost = (n * x.lost + y.lost) / (n + 1)
+    breaks = (n * x.breaks + y.breaks) / (n + 1)
     return replace(
         both, spectra=replace(x, count=x.count + y.count, lost=lost, breaks=breaks), stretches=n + 1
     )
@@ -134,7 +136,8 @@ def _added(a: BandSums, b: BandSums) -> BandSums:
 
 def _in_pairs(x: BandSums) -> BandSums:
     """Half as many blocks, twice as long."""
-    r, share = x.r, x.share
+    r = x.r
+    share = x.share
     n = len(r) // 2
     share = share[: 2 * n].reshape(n, 2)
     each = (share / share.sum(1, keepdims=True)).astype(np.float32)
@@ -178,7 +181,18 @@ def first_sums(
         scale, lagged = band_correlations.glance(y, cut, high)
         refs = spanning(lagged, MAX_REFERENCES) if references is None else references
         eyes = spanning(lagged, SPECTRAL_CHANNELS)
-        first = BandSums(band, own, blocks, refs, eyes, scale, (), (), NOTHING, 0)
+        first = BandSums(
+            band=band,
+            ssi=own,
+            blocks=blocks,
+            references=refs,
+            eyes=eyes,
+            scale=scale,
+            parts=(),
+            shares=(),
+            spectra=NOTHING,
+            stretches=0,
+        )
         got, y = _pass(first, y, events, band is bands[-1])
         out.append(got)
     return out
@@ -253,10 +267,8 @@ def _binned(y: Signals, eyes: Int, band: Band, scale: Any_) -> SpectralBins:
     parts = max(1, round(y.samples / PERIODOGRAM))
     n = int(prev_fast_len(y.samples // parts, real=True))
     low, high = span(band)
-    first, last = (
-        int(np.ceil(max(low * n / band.rate, 1))),
-        int(min(high * n / band.rate, n // 2 - 1)),
-    )
+    first = int(np.ceil(max(low * n / band.rate, 1)))
+    last = int(min(high * n / band.rate, n // 2 - 1))
     lines = np.empty((last + 1 - first, parts, eyes.size), dtype=np.complex64)
     unit = np.outer(scale, scale).astype(np.float32) * np.float32(2 / (n * band.rate * parts))
     edges = [first]
@@ -300,7 +312,8 @@ def without_strokes_sweeps_and_echoes(
     heard = channel_mixes(good.data)
     quiet, strokes = remove_regular_impacts(good, heard)
     if strokes and impacts.driven and strokes.interval > 2 * lags:
-        quiet, strokes = good, None
+        quiet = good
+        strokes = None
     still, sweeps = remove_run_ups(quiet, heard if quiet is good else None)
     clean, echo = remove_echo(still)
     notes: tuple[str, ...] = ()
@@ -311,7 +324,8 @@ def without_strokes_sweeps_and_echoes(
             "them is taken out",
         )
     if sweeps:
-        low, high = min(x.low for x in sweeps), max(x.high for x in sweeps)
+        low = min(x.low for x in sweeps)
+        high = max(x.high for x in sweeps)
         notes += (
             f"{len(sweeps)} tone{'s' if len(sweeps) > 1 else ''} of changing frequency between "
             f"{low:.3g} and "
@@ -364,21 +378,21 @@ def sums_of_stretches(
     ssi: SsiCov,
     refs: Int | None,
     places: list[float],
-    tell: Progress,
+    report: Progress,
 ) -> tuple[list[BandSums], list[Events]]:
     """Sums of each band over all stretches, and the events of each stretch."""
     heard = [events_of(good, gaps)]
-    sums = first_sums(good.data, good.rate, bands, ssi, refs, heard[0])
+    sums = first_sums(good.data, good.rate, bands=bands, ssi=ssi, references=refs, events=heard[0])
     duration = good.duration
 
-    def told() -> Iterator[tuple[list[BandSums], TimeHistory]]:  # each with the sums so far
+    def with_sums() -> Iterator[tuple[list[BandSums], TimeHistory]]:  # each with the sums so far
         nonlocal duration
         for part in coming:
-            tell(0.0, f"filtering into bands, {duration:.4g} s done")
+            report(0.0, f"filtering into bands, {duration:.4g} s done")
             yield sums, part
             duration += part.duration
 
-    for got, events in map_in_threads(lambda x: _one(*x, good, places), told()):
+    for got, events in map_in_threads(lambda x: _one(*x, good, places), with_sums()):
         sums = joined_sums(sums, got)
         heard.append(events)
     return sums, heard
@@ -391,7 +405,9 @@ def with_more_lags(
     other.
     """
     more = replace(ssi, block_rows=MORE_LAGS * ssi.block_rows, order_max=3 * ssi.order_max // 2)
-    return first_sums(good.data, good.rate, bands, more, refs, events_of(good, gaps))[-1]
+    return first_sums(
+        good.data, good.rate, bands=bands, ssi=more, references=refs, events=events_of(good, gaps)
+    )[-1]
 
 
 def events_of(part: TimeHistory, gaps: Gaps) -> Events:
@@ -447,7 +463,8 @@ def shared_shapes(first: Sequence[SpectralBins], other: Sequence[SpectralBins]) 
     first, other : sequence of SpectralBins
         The bands of two records, of the same channels.
     """
-    shares, weights = [np.ones(1)], [np.full(1, np.finfo(np.float64).tiny)]
+    shares = [np.ones(1)]
+    weights = [np.full(1, np.finfo(np.float64).tiny)]
     for a, b in zip(first, other, strict=True):
         if a.freqs.shape != b.freqs.shape or not a.freqs.size or a.cross.shape[1] < FEWEST:
             continue

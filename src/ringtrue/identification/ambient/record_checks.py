@@ -21,23 +21,19 @@ from ringtrue.signal.spectra import Welch, csd
 from ringtrue.signal.transients import Events
 
 FEW = 8  # events
-EDGE, LAST = (
-    0.35,
-    0.49,
-)  # of the rate: where filters of recorders begin to end the spectrum, and where it is looked at
+EDGE = 0.35  # of the rate: where filters of recorders begin to end the spectrum
+LAST = 0.49  # and where it is looked at
 AT_EDGE = "left out: the spectrum ends there: the filter of the recorder"
 BROAD = 0.02  # damping that the edge of a filter may have
 FALL = 0.4  # of the fall of a mode
-EYES, AVERAGES, BESIDE = (
-    8,
-    64,
-    12,
-)  # channels and segments of the spectrum in which peaks are looked for; lines beside
-SURE, SHOWN = (
-    8.0,
-    3,
-)  # standard deviations that a peak stands out by, as of its averages; how many are named
-UNSURE, WORSE = 0.2, 5.0  # of the RMS of the shapes; times the median channel
+# channels and segments of the spectrum in which peaks are looked for; neighbouring lines
+EYES = 8
+AVERAGES = 64
+BESIDE = 12
+SURE = 8.0  # standard deviations that a peak stands out by, as of its averages
+SHOWN = 3  # how many are named
+UNSURE = 0.2  # of the RMS of the shapes
+WORSE = 5.0  # times the median channel
 ORDER: dict[str, int] = {
     **DERIVATIVE,
     **{ANGULAR[motion]: n for motion, n in DERIVATIVE.items()},
@@ -157,11 +153,13 @@ def in_phase(history: TimeHistory, *, mend: bool) -> tuple[TimeHistory, tuple[st
     kind = np.array([ORDER.get(c.quantity, -1) for c in history.channels])
     kind[kind < 0] = np.bincount(kind[kind >= 0], minlength=1).argmax()
     found = channel_phases(history, kind.tolist())
-    ids, notes = np.array([c.id for c in history.channels]), []
+    ids = np.array([c.id for c in history.channels])
+    notes = []
     place = np.rint(2 * found.delay * history.rate)
     for k in np.unique(place[found.delay != 0]):
         late = (place == k) & (found.delay != 0)
-        lag, done = found.delay[late].mean(), "moved back" if mend else "they must be aligned first"
+        lag = found.delay[late].mean()
+        done = "moved back" if mend else "they must be aligned first"
         when = f"{abs(lag):.3g} s {'after' if lag > 0 else 'before'} the others"
         notes.append(
             f"channel {' '.join(ids[late].tolist())}: {when} by the phases of the cross spectra; "

@@ -22,15 +22,13 @@ from ringtrue.signal.tonal_lines import Harmonic
 PAIRED = 0.3  # share of the orders
 STRONG = 10.0  # signal-to-noise ratio in the correlations, that poles of noise do not reach
 OVERTONE = 3e-3  # relative distance
-LINE, SHARP = (
-    2e-3,
-    5.0,
-)  # damping that a line may seem to have, and times less of it than the modes have
+LINE = 2e-3  # damping that a line may seem to have
+SHARP = 5.0  # and times less of it than the modes have
 STEADY = 2.5  # deviations of the logarithm of a fourth moment
 ELSEWHERE = 0.1  # of the power of a shape, in channels that are not clipped
 EACH_SIDE = 3  # modes, that carry most of the motion at a frequency between them
 OUTSIDE = 0.01  # share of a squared shape that may lie outside of the span, times the doubt
-# that share of the modes among themselves over that of the peak, where the sensors tell them apart
+# that share of the modes among themselves over that of the peak, where the sensors separate them
 BLIND = 4.0
 SHARPER = 5.0  # times less damping than the modes have, beyond which a pole is in doubt, too
 # doubt: what is not known of the damping, over that of the modes, times the damping over theirs
@@ -45,14 +43,18 @@ def machine(
     """The line that a pole stands on, if its width is no more than that of a line.
 
     The window of the spectra shows a line at half of its `resolution` to each side; a pole farther
-    off than that, and than its own half bandwidth, is beside it. Within few cycles the amplitude of
-    a mode is steady too: the logarithm of its fourth moment, 2, scatters by 1/sqrt(2π ζ f T). A
+    off than that, and than its own half bandwidth, is another one. Within few cycles the amplitude
+    of a mode is steady too: the logarithm of its fourth moment, 2, scatters by 1/sqrt(2π ζ f T). A
     pole with a width is a line only where that of the line is far below.
     """
     cycles = 2 * np.pi * zeta * f * duration
-    told = np.log(2 * cycles / (cycles + 1)) - STEADY / np.sqrt(cycles)
+    least_moment = np.log(2 * cycles / (cycles + 1)) - STEADY / np.sqrt(cycles)
     near = [h for h in lines if abs(h.frequency - f) < max(0.5 * resolution, zeta * f, 1e-3 * f)]
-    near = [h for h in near if zeta < LINE or (zeta < resolution / f and np.log(h.moment) < told)]
+    near = [
+        h
+        for h in near
+        if zeta < LINE or (zeta < resolution / f and np.log(h.moment) < least_moment)
+    ]
     return near[0] if near else None
 
 
@@ -70,27 +72,29 @@ def line_remainders(
     far = damping[~near.any(axis=0) | (damping > LINE)]
     usual = float(np.median(far)) if far.size else 0.0
     sharp = damping < min(LINE, usual / SHARP)
+    # a few poles
     return tuple(
         float(max(sines[near[:, k] & sharp[k]], default=0.0)) for k in range(frequency.size)
-    )  # a few poles
+    )
 
 
-def unresolved(found: list[BandModes], told: Float) -> tuple[str, ...]:
-    """A note where most orders have two poles within half a bandwidth and no mode (`told`, Hz) is
-    reported.
+def unresolved(found: list[BandModes], reported: Float) -> tuple[str, ...]:
+    """A note where most orders have two poles within half a bandwidth and no mode (`reported`, Hz)
+    is reported.
 
     The shapes of a pair that the record cannot separate turn from order to order, so that neither
     becomes a mode.
     """
     near: list[tuple[float, int, int]] = []
     for x in found:
-        order, tried = x.diagram.poles.order, np.unique(x.diagram.poles.order).size
+        order = x.diagram.poles.order
+        tried = np.unique(x.diagram.poles.order).size
         for f, z in zip(x.table.frequencies, x.table.damping, strict=True):
             group = np.flatnonzero(np.abs(x.table.frequencies - f) < z * f)
             _, count = np.unique(order[np.isin(x.table.label, group)], return_counts=True)
-            lone = not (np.abs(told - f) < 2 * z * f).any()
+            unreported = not (np.abs(reported - f) < 2 * z * f).any()
             strong = x.table.strength[group].max(initial=0.0) > STRONG
-            if lone and strong and group.size > 1 and (count > 1).sum() > PAIRED * tried:
+            if unreported and strong and group.size > 1 and (count > 1).sum() > PAIRED * tried:
                 near.append((float(f), int((count > 1).sum()), tried))
     kept = [n for k, n in enumerate(near) if all(abs(n[0] / b[0] - 1) > 0.03 for b in near[:k])]
     return tuple(
@@ -101,16 +105,19 @@ def unresolved(found: list[BandModes], told: Float) -> tuple[str, ...]:
     )
 
 
-def unconfirmed(found: list[BandModes], told: Float) -> tuple[str, ...]:
+def unconfirmed(found: list[BandModes], reported: Float) -> tuple[str, ...]:
     """A note on what would be a mode beyond doubt if both halves of the record showed it, far from
-    those `told`, Hz.
+    those `reported`, Hz.
     """
     near: list[tuple[float, int, int]] = []
     for x in found:
-        c, tried = x.table, np.unique(x.diagram.poles.order).size
-        lone = (np.abs(told[:, None] - c.frequencies) > 2 * c.damping * c.frequencies).all(axis=0)
-        sure = confidence(replace(c, halves=np.ones(c.pole.size)), tried) > SURE
-        for i in np.flatnonzero(lone & sure & (c.halves < DOUBTFUL)).tolist():
+        c = x.table
+        tried = np.unique(x.diagram.poles.order).size
+        unreported = (
+            np.abs(reported[:, None] - c.frequencies) > 2 * c.damping * c.frequencies
+        ).all(axis=0)
+        clear = confidence(replace(c, halves=np.ones(c.pole.size)), tried) > SURE
+        for i in np.flatnonzero(unreported & clear & (c.halves < DOUBTFUL)).tolist():
             near.append((float(c.frequencies[i]), *c.orders[i].tolist()))
     kept = [n for k, n in enumerate(near) if all(abs(n[0] / b[0] - 1) > 0.03 for b in near[:k])]
     return tuple(
@@ -122,8 +129,8 @@ def unconfirmed(found: list[BandModes], told: Float) -> tuple[str, ...]:
 
 
 def overtones(
-    modes: ModeSet, std: Float, reasons: tuple[str, ...], clipped: Bool
-) -> tuple[ModeSet, tuple[str, ...]]:
+    modes: ModeSet, std: Float, reasons: list[str], clipped: Bool
+) -> tuple[ModeSet, list[str]]:
     """Modes and reasons of a clipped record: the half of the confidence where a mode is an overtone
     of surer ones.
 
@@ -131,17 +138,20 @@ def overtones(
     whose bandwidths add up in them, in the channels that it cuts, (ch,) `clipped`: a mode that
     others move in is none. `std` (m,), Hz, is what is known of the frequencies.
     """
-    f, half, sure = modes.frequencies, modes.frequencies * modes.damping, modes.confidence.copy()
-    told, power = list(reasons), np.abs(modes.shapes) ** 2
+    f = modes.frequencies
+    half = modes.frequencies * modes.damping
+    halved = modes.confidence.copy()
+    texts = list(reasons)
+    power = np.abs(modes.shapes) ** 2
     for k in np.flatnonzero(power[~clipped].sum(axis=0) < ELSEWHERE * power.sum(axis=0)).tolist():
         base = np.flatnonzero((f < f[k]) & (modes.confidence > modes.confidence[k]))
         a, b = (x.ravel() for x in np.meshgrid(base, base))
         made = np.concatenate([f[a] + f[b], 2 * f[a] + f[b], 2 * f[a] - f[b]])
         wide = np.concatenate([half[a] + half[b], 2 * half[a] + half[b], 2 * half[a] + half[b]])
         if (np.abs(made - f[k]) < np.maximum(wide, max(OVERTONE * f[k], 2 * std[k]))).any():
-            sure[k] *= 0.5
-            told[k] += "; may be made by clipping, as an overtone of other modes"
-    return replace(modes, confidence=sure), tuple(told)
+            halved[k] *= 0.5
+            texts[k] += "; may be made by clipping, as an overtone of other modes"
+    return replace(modes, confidence=halved), texts
 
 
 def unexplained(modes: ModeSet, lines: tuple[float, ...]) -> tuple[float, ...]:
@@ -202,9 +212,8 @@ def carriers(frequency: Float, damping: Float, deviation: Float, shape: Complex)
         return []
     shape = _of_one_level(shape)
     psi = shape / np.linalg.norm(shape, axis=0)
-    loose = deviation / np.sqrt(
-        damping / frequency
-    )  # over the statistical floor, up to the length of the record
+    # over the statistical floor, up to the length of the record
+    loose = deviation / np.sqrt(damping / frequency)
     usual = np.median(damping)
     loose = loose * np.maximum(usual / (SHARPER * damping), 1.0)
     out = [np.empty(0, dtype=np.int64) for _ in frequency]
@@ -227,7 +236,8 @@ def _beside(below: Int, above: Int, each: int) -> Int:
     """The nearest accepted modes, `each` of either side; room that one leaves, as below all modes,
     is the other's.
     """
-    low, high = min(below.size, each), min(above.size, each)
+    low = min(below.size, each)
+    high = min(above.size, each)
     low, high = (
         min(below.size, EACH_SIDE, 2 * each - high),
         min(above.size, EACH_SIDE, 2 * each - low),

@@ -122,12 +122,12 @@ def decompose(
     if j <= 2 * order or (j <= 4 * order and len(h) <= 4 * j):
         u, s, vt = svd(h, full_matrices=False)
         return u[:, :order], s[:order], vt[:order].T
-    wide = min(
-        max(3 * order // 2, order + 20), j
-    )  # of the Krylov space: the default takes more products
+    # of the Krylov space: the default takes more products
+    wide = min(max(3 * order // 2, order + 20), j)
     size, v = eigsh(h.T @ h if gram is None else gram, order, v0=np.ones(j), tol=1e-8, ncv=wide)
     rank = np.argsort(-size, kind="stable")
-    size, v = size[rank], v[:, rank]
+    size = size[rank]
+    v = v[:, rank]
     if size[-1] > 1e-10 * size[0]:
         s = np.sqrt(size)
         return (h @ v) / s, s, v
@@ -141,7 +141,8 @@ def squared_hankel(h: Float, ch: int, ref: int) -> Float:
     diagonal.
     """
     rows = h.shape[1] // ref
-    first, last = h[:ch, :-ref], h[-ch:, ref:]
+    first = h[:ch, :-ref]
+    last = h[-ch:, ref:]
     gain = (last.T @ last - first.T @ first).reshape(rows - 1, ref, rows - 1, ref)
     out = np.empty((rows, ref, rows, ref))
     out[0] = (h[:, :ref].T @ h).reshape(ref, rows, ref)
@@ -179,7 +180,7 @@ def subspace(r: Float, rows: int, order: int, rate: float, turn: Complex | None 
     gram = hankel_gram(r, rows) if h.shape[1] > WIDE else squared_hankel(h, ch, r.shape[2])
     u, s, v = decompose(h, min(order, (rows - 1) * ch, min(h.shape)), gram)
     n = int((s > 1e-12 * s[0]).sum())
-    return _factored(u[:, :n], s[:n], v[:, :n] / s[:n], ch, rate, turn)
+    return _factored(u[:, :n], s[:n], vs=v[:, :n] / s[:n], ch=ch, rate=rate, turn=turn)
 
 
 def part_of(whole: Subspace, r: Float, rows: int) -> Subspace:
@@ -187,7 +188,12 @@ def part_of(whole: Subspace, r: Float, rows: int) -> Subspace:
     of the whole.
     """
     return _factored(
-        var.hankel(r, rows) @ whole.vs, whole.s, whole.vs, whole.channels, whole.rate, whole.turn
+        var.hankel(r, rows) @ whole.vs,
+        whole.s,
+        vs=whole.vs,
+        ch=whole.channels,
+        rate=whole.rate,
+        turn=whole.turn,
     )
 
 
@@ -196,15 +202,15 @@ def _factored(
 ) -> Subspace:
     q, tri = qr(u[:-ch], mode="economic")
     return Subspace(
-        u,
-        s,
-        vs,
-        np.asarray(q, np.float64),
-        np.asarray(tri, np.float64),
-        q.T @ u[ch:],
-        ch,
-        rate,
-        turn,
+        u=u,
+        s=s,
+        vs=vs,
+        q=np.asarray(q, np.float64),
+        r=np.asarray(tri, np.float64),
+        qd=q.T @ u[ch:],
+        channels=ch,
+        rate=rate,
+        turn=turn,
     )
 
 
@@ -240,7 +246,8 @@ def _order(
     """
     mu, right = np.linalg.eig(back[:n, :n] @ sub.qd[:n, :n])
     log = np.asarray(np.log(np.where(mu == 0, 1e-300, mu + 0j)) * sub.rate, dtype=np.complex128)
-    f, zeta = np.abs(log) / (2 * np.pi), -log.real / np.maximum(np.abs(log), 1e-300)
+    f = np.abs(log) / (2 * np.pi)
+    zeta = -log.real / np.maximum(np.abs(log), 1e-300)
     ok = (mu.imag > 0) & (zeta > 0) & (zeta < settings.damping_max) & (f >= low) & (f <= high)
     keep = np.flatnonzero(ok).astype(np.int64)
     own = right[:, keep].astype(np.complex128)
@@ -277,11 +284,11 @@ def all_orders(
     df, dz = var.frequency_damping(pole, dev)
     unknown = np.full(pole.size, np.nan)
     poles = PoleSet(
-        order,
-        pole,
-        unit(psi),
-        var.root_sum_square(df) if p is not None else unknown,
-        var.root_sum_square(dz) if p is not None else unknown,
+        order=order,
+        pole=pole,
+        shape=unit(psi),
+        std_frequency=var.root_sum_square(df) if p is not None else unknown,
+        std_damping=var.root_sum_square(dz) if p is not None else unknown,
     )
     return poles, dev, strength, column
 
@@ -325,7 +332,8 @@ def blockwise(
     DataError
         If the record is too short for the lags, or a channel is constant or not finite.
     """
-    signals, lags = Signals.straightened(history.data), 2 * settings.block_rows - 1
+    signals = Signals.straightened(history.data)
+    lags = 2 * settings.block_rows - 1
     if signals.samples < 4 * lags:
         raise DataError(
             f"{signals.samples} samples are too few for {settings.block_rows} block rows; needed "
@@ -381,10 +389,12 @@ def identify_band(
     signals at `rate`.
     """
     mean, dr = var.deviations(r, weights)
-    sub = subspace(mean, settings.block_rows, settings.order_max, rate, turn)
+    sub = subspace(mean, settings.block_rows, order=settings.order_max, rate=rate, turn=turn)
     p = var.perturb(dr, settings.block_rows, sub.u, sub.vs, sub.q)
     poles, dev, strength, column = all_orders(sub, p, settings, band)
-    return BandPoles(poles, dev, strength, column, sub, p)
+    return BandPoles(
+        poles=poles, deviation=dev, strength=strength, column=column, subspace=sub, perturbations=p
+    )
 
 
 def prepared(history: TimeHistory) -> tuple[Float, Float]:
@@ -457,4 +467,6 @@ def ssi_cov(
             r[0].astype(np.float64), settings.block_rows, settings.order_max, history.rate
         )
         return all_orders(sub, None, settings, band)[0].rescaled(scale)
-    return identify_band(r, weights, settings, history.rate, band).poles.rescaled(scale)
+    return identify_band(
+        r, weights, settings=settings, rate=history.rate, band=band
+    ).poles.rescaled(scale)

@@ -17,10 +17,13 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy.linalg import qr, solve_triangular
 
 from ringtrue.core.arrays import Any_, Float, Int
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.progress import Progress
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError
+from ringtrue.identification.ambient.pipeline import AmbientSettings
 from ringtrue.identification.ambient.ssi_cov import (
+    MAX_REFERENCES,
     SsiCov,
     Subspace,
     all_orders,
@@ -30,6 +33,7 @@ from ringtrue.identification.ambient.ssi_cov import (
 )
 from ringtrue.identification.common import uncertainty as var
 from ringtrue.identification.common.poles import PoleSet
+from ringtrue.identification.common.stabilisation import modes_of
 from ringtrue.signal.spectra import block_bounds
 
 CHUNK = 4  # rows of a stretch over its columns: the triangle is refactored a few times only
@@ -71,7 +75,8 @@ def _triangle(data: Float, references: Int, rows: int) -> Float:
     matrix.
     """
     width = rows * (references.size + len(data))
-    n, step = data.shape[1] - 2 * rows + 1, CHUNK * width
+    n = data.shape[1] - 2 * rows + 1
+    step = CHUNK * width
     r = np.zeros((0, width))
     for start in range(0, n, step):
         part = columns(data[:, start : min(start + step, n) + 2 * rows - 1], references, rows)
@@ -90,7 +95,8 @@ def project(
     DataError
         If the record is too short.
     """
-    width, past = rows * (references.size + len(data)), rows * references.size
+    width = rows * (references.size + len(data))
+    past = rows * references.size
     n = data.shape[1] - 2 * rows + 1
     if n < 2 * width or n < 4 * blocks:
         raise DataError(
@@ -99,7 +105,8 @@ def project(
             f"references; needed are {max(2 * width, 4 * blocks) + 2 * rows}"
         )
     bounds = block_bounds(n, blocks)
-    r, products = np.zeros((0, width)), np.empty((blocks, width - past, past), dtype=np.float32)
+    r = np.zeros((0, width))
+    products = np.empty((blocks, width - past, past), dtype=np.float32)
     for b, (start, end) in enumerate(pairwise(bounds.tolist())):
         own = _triangle(data[:, start : end + 2 * rows - 1], references, rows)
         products[b] = own[:, past:].T @ own[:, :past] / (end - start)
@@ -116,13 +123,15 @@ def _perturbations(p: Projection, sub: Subspace) -> var.Perturbations:
     """With the projection Y_f Y_pᵀ L11^(-T), only the change of Y_f Y_pᵀ moves the span of its left
     vectors.
     """
-    ch, n = sub.channels, p.weights.size
+    ch = sub.channels
+    n = p.weights.size
     vs = solve_triangular(p.past, sub.vs, lower=True, trans="T").astype(np.float32)
     t = p.products @ vs
     t = (t - np.einsum("b,bij->ij", p.weights, t)) * (p.weights * np.sqrt(n / (n - 1)))[
         :, None, None
     ]
-    q, u = sub.q.T, sub.u.T
+    q = sub.q.T
+    u = sub.u.T
     return var.Perturbations(q @ t[:, :-ch], q @ t[:, ch:], np.asarray(t[:, :ch]), u @ t)
 
 
@@ -154,12 +163,46 @@ def ssi_data(
     data, scale = prepared(history)
     refs = choose_references(history, data, references)
     blocks = s.blocks or var.blocks_for(data.shape[1], 2 * s.block_rows)
-    p = project(data, refs, s.block_rows, blocks, progress)
+    p = project(data, refs, rows=s.block_rows, blocks=blocks, progress=progress)
     ch = len(data)
     u, sv, v = decompose(p.future, min(s.order_max, (s.block_rows - 1) * ch, min(p.future.shape)))
     n = int((sv > 1e-12 * sv[0]).sum())
-    u, sv, v = u[:, :n], sv[:n], v[:, :n]
+    u = u[:, :n]
+    sv = sv[:n]
+    v = v[:, :n]
     q, tri = qr(u[:-ch], mode="economic")
-    sub = Subspace(u, sv, v / sv, np.asarray(q), np.asarray(tri), q.T @ u[ch:], ch, history.rate)
+    sub = Subspace(
+        u=u,
+        s=sv,
+        vs=v / sv,
+        q=np.asarray(q),
+        r=np.asarray(tri),
+        qd=q.T @ u[ch:],
+        channels=ch,
+        rate=history.rate,
+    )
     poles = all_orders(sub, _perturbations(p, sub), s, (0.0, history.rate / 2))[0]
     return poles.rescaled(scale)
+
+
+ORDER_MAX = 40  # of a band, in `ssi_data_modes`
+MOST_PAST = 400  # block rows times channels: the cost grows with its square
+
+
+def ssi_data_modes(
+    part: TimeHistory, band: tuple[float, float], settings: AmbientSettings
+) -> tuple[ModeSet, Uncertainty]:
+    """Modes of one band (Hz) that most orders show."""
+    own = SsiCov(_block_rows(len(part.channels), settings), ORDER_MAX)
+    poles = ssi_data(part, own, references=settings.references or None)
+    return modes_of(poles, tuple(c.id for c in part.channels))
+
+
+def fewest_samples(channels: int, settings: AmbientSettings) -> int:
+    """Samples of a band that the projection needs."""
+    references = len(settings.references) or min(channels, MAX_REFERENCES)
+    return 2 * _block_rows(channels, settings) * (channels + references + 1)
+
+
+def _block_rows(channels: int, settings: AmbientSettings) -> int:
+    return max(4, min(settings.block_rows, MOST_PAST // max(channels, 1)) // 2)

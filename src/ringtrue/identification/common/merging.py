@@ -44,7 +44,7 @@ class CommonFault:
     before, after : float
         Mean MAC of the modes of this record with those of the others on the common channels, as
         they are and mended.
-    sure : bool
+    certain : bool
         Whether this record is the one; of two records either may be.
     """
 
@@ -52,11 +52,11 @@ class CommonFault:
     channels: tuple[str, ...]
     before: float
     after: float
-    sure: bool
+    certain: bool
 
     def describe(self, names: Sequence[str]) -> str:
         """One line."""
-        which = names[self.record] if self.sure else " or ".join(names[:2])
+        which = names[self.record] if self.certain else " or ".join(names[:2])
         what = "looks turned" if len(self.channels) == 1 else "look exchanged"
         return (
             f"{' and '.join(self.channels)} of {which} {what}: undone (MAC with the other "
@@ -73,7 +73,8 @@ def common_faults(records: Sequence[ModeSet]) -> tuple[CommonFault, ...]:
     records : sequence of ModeSet
         With three or more channels and two or more modes in common.
     """
-    now, out = list(records), []
+    now = list(records)
+    out = []
     for _ in range(MOST):
         best: CommonFault | None = None
         for r in range(1 if len(now) == 2 else 0, len(now)):
@@ -85,7 +86,11 @@ def common_faults(records: Sequence[ModeSet]) -> tuple[CommonFault, ...]:
                 gain = _mean(before) - _mean(after)
                 if _cured(before, after) and (best is None or gain > best.after - best.before):
                     best = CommonFault(
-                        r, channels, 1 - _mean(before), 1 - _mean(after), len(now) > 2
+                        record=r,
+                        channels=channels,
+                        before=1 - _mean(before),
+                        after=1 - _mean(after),
+                        certain=len(now) > 2,
                     )
         if best is None:
             break
@@ -123,13 +128,14 @@ def _misfits(records: Sequence[ModeSet], r: int, changed: ModeSet) -> Float:
     with; NaN: in none.
     """
     others = [m for k, m in enumerate(records) if k != r]
-    apart = np.array([_one_minus_mac(changed, m) for m in others]).reshape(
+    misfits = np.array([_one_minus_mac(changed, m) for m in others]).reshape(
         len(others), len(changed)
     )
-    known = np.isfinite(apart)
-    apart, known = apart[known.sum(axis=1) > 1], known[known.sum(axis=1) > 1]
+    known = np.isfinite(misfits)
+    misfits = misfits[known.sum(axis=1) > 1]
+    known = known[known.sum(axis=1) > 1]
     count = known.sum(axis=0)
-    total = np.where(known, apart, 0.0).sum(axis=0)
+    total = np.where(known, misfits, 0.0).sum(axis=0)
     return np.asarray(np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0))
 
 
@@ -146,11 +152,12 @@ def _one_minus_mac(a: ModeSet, b: ModeSet) -> Float:
     shared = [c for c in a.channels if c in b.channels]
     if len(shared) < 3 or not len(a) or not len(b):
         return out
-    rows_a, rows_b = _rows_of(a, shared), _rows_of(b, shared)
-    apart = 1 - mac(a.shapes[rows_a], b.shapes[rows_b])
+    rows_a = _rows_of(a, shared)
+    rows_b = _rows_of(b, shared)
+    misfit = 1 - mac(a.shapes[rows_a], b.shapes[rows_b])
     near = np.abs(a.frequencies[:, None] / b.frequencies - 1) < NEAR
-    i, j = linear_sum_assignment(np.where(near, apart, 10.0))
-    out[i[near[i, j]]] = apart[i, j][near[i, j]]
+    i, j = linear_sum_assignment(np.where(near, misfit, 10.0))
+    out[i[near[i, j]]] = misfit[i, j][near[i, j]]
     return out
 
 
@@ -205,8 +212,8 @@ class MergeSettings:
     mac : float
         Smallest MAC on the common channels, where there are two or more.
     weak : float
-        The same where frequencies agree within `spread`: a mode that the channels hardly see has a
-        poor shape.
+        The same where frequencies agree within `spread`: a mode that the channels see little of has
+        a poor shape.
     outlier : float
         Standard deviations from the median beyond which a record is flagged.
     spread : float
@@ -256,7 +263,8 @@ def _rows(record: Record, channels: Sequence[str]) -> Int:
 def _spread_out(record: Record, rows: Int, n: int) -> tuple[Complex, Float]:
     """Shapes and their variances on all channels (n, m), NaN where the record has none."""
     m = len(record.modes)
-    psi, var = np.full((n, m), np.nan, dtype=np.complex128), np.full((n, m), np.nan)
+    psi = np.full((n, m), np.nan, dtype=np.complex128)
+    var = np.full((n, m), np.nan)
     here = rows >= 0
     psi[rows[here]] = record.modes.shapes[here]
     size = np.abs(record.modes.shapes).max(0, initial=1e-300)
@@ -318,7 +326,9 @@ def _assign(
     left = set(range(freqs.size))
     while cost.size and np.isfinite(cost.min()):
         g, k = (int(x) for x in np.unravel_index(int(np.argmin(cost)), cost.shape))
-        groups[g] = _glue(groups[g], psi[:, k], var[:, k], (index, k), float(freqs[k]))
+        groups[g] = _glue(
+            groups[g], psi[:, k], var=var[:, k], member=(index, k), freq=float(freqs[k])
+        )
         cost[g], cost[:, k] = np.inf, np.inf
         left.discard(k)
     groups.extend(
@@ -334,8 +344,8 @@ def _average(x: Float, sd: Float, s: MergeSettings, spread: float) -> tuple[floa
         np.nanmax(sd) if np.isfinite(sd).any() else max(spread, 1e-12),
     )
     middle = float(np.median(x))
-    apart = np.abs(x - middle) / np.hypot(sd, spread)
-    out = (apart > s.outlier) & (x.size > 2)
+    distance = np.abs(x - middle) / np.hypot(sd, spread)
+    out = (distance > s.outlier) & (x.size > 2)
     w = np.where(out, 0.0, 1 / sd**2)
     mean = float(w @ x / w.sum())
     chi = float(w @ (x - mean) ** 2) / max(int((~out).sum()) - 1, 1)
@@ -364,13 +374,13 @@ def _contributions(
         why = f"{100 * (fk / mf - 1):+.2f} % in frequency, {100 * (zk / mz - 1):+.0f} % in damping"
         said.append(
             Contribution(
-                records[r].name,
-                k,
-                float(fk),
-                float(zk),
-                like,
-                bool(o),
-                why + (": outlier" if o else ""),
+                record=records[r].name,
+                mode=k,
+                frequency=float(fk),
+                damping=float(zk),
+                mac=like,
+                outlier=bool(o),
+                why=why + (": outlier" if o else ""),
             )
         )
     return (mf, df, mz, dz), tuple(said)
@@ -415,8 +425,10 @@ def merge_modes(
     full = [_spread_out(r, _rows(r, known), len(known)) for r in all_records]
     groups: list[_Group] = []
     for i in sorted(range(len(all_records)), key=lambda i: (-len(all_records[i].modes), i)):
-        _assign(groups, all_records[i], i, full[i], s)
-    found = _result(all_records, groups, full, [known.index(c) for c in rows], rows, s)
+        _assign(groups, all_records[i], index=i, full=full[i], s=s)
+    found = _result(
+        all_records, groups, full=full, pick=[known.index(c) for c in rows], channels=rows, s=s
+    )
     return replace(found, notes=tuple(x.describe([r.name for r in all_records]) for x in faults))
 
 

@@ -52,7 +52,8 @@ class PoleSet:
     std_damping: Float
 
     def __post_init__(self) -> None:
-        c, f = np.complex128, np.float64
+        c = np.complex128
+        f = np.float64
         freeze_fields(self, order=np.int64, pole=c, shape=c, std_frequency=f, std_damping=f)
         k = self.pole.size
         if self.order.size != k or self.shape.ndim != 2 or self.shape.shape[1] != k:
@@ -81,17 +82,23 @@ class PoleSet:
     def take(self, at: Int | Bool) -> PoleSet:
         """The chosen poles, in the given order."""
         return PoleSet(
-            self.order[at],
-            self.pole[at],
-            self.shape[:, at],
-            self.std_frequency[at],
-            self.std_damping[at],
+            order=self.order[at],
+            pole=self.pole[at],
+            shape=self.shape[:, at],
+            std_frequency=self.std_frequency[at],
+            std_damping=self.std_damping[at],
         )
 
     def rescaled(self, scale: Float) -> PoleSet:
         """With shapes times `scale` (channel,), their largest component 1."""
         shape = unit(self.shape * scale[:, None])
-        return PoleSet(self.order, self.pole, shape, self.std_frequency, self.std_damping)
+        return PoleSet(
+            order=self.order,
+            pole=self.pole,
+            shape=shape,
+            std_frequency=self.std_frequency,
+            std_damping=self.std_damping,
+        )
 
     @property
     def orders(self) -> Int:

@@ -104,8 +104,11 @@ def confirmed(modes: ModeSet, halves: tuple[PoleSet, PoleSet], duration: float) 
     """The modes of a record of `duration` (s), their confidence times the root of the agreement of
     its halves.
     """
-    f, zeta = modes.frequencies, modes.damping
-    seen = seen_in_halves(f, zeta, modes.shapes, least_deviations(f, zeta, duration), halves)
+    f = modes.frequencies
+    zeta = modes.damping
+    seen = seen_in_halves(
+        f, zeta, shape=modes.shapes, stds=least_deviations(f, zeta, duration), halves=halves
+    )
     return replace(modes, confidence=modes.confidence * np.sqrt(seen))
 
 
@@ -123,7 +126,9 @@ def _physical(poles: PoleSet, damping_max: float) -> Bool:
     """(k,) damped, not wildly complex, known to some extent, and stable from one order to the
     next.
     """
-    f, z, psi = poles.frequencies, poles.damping, poles.shape
+    f = poles.frequencies
+    z = poles.damping
+    psi = poles.shape
     ok = (z > 0) & (z < damping_max)
     if len(psi) > 1:
         ok &= mpc(psi) > 0.3
@@ -142,7 +147,10 @@ def centre(p: PoleSet, at: Int) -> tuple[float, float, float, float, float]:
     """Frequency, damping, their standard deviations, and the most typical pole of the cluster
     `at`.
     """
-    f, z, sf, sz = p.frequencies[at], p.damping[at], p.std_frequency[at], p.std_damping[at]
+    f = p.frequencies[at]
+    z = p.damping[at]
+    sf = p.std_frequency[at]
+    sz = p.std_damping[at]
     known = np.isfinite(sf).all() and (sf > 0).all()
     # relative to the damping: the variance of a pole grows with it, weights from it alone would
     # favour a small one
@@ -173,7 +181,9 @@ def seen_in_halves(
         Standard deviations of both.
     halves : two PoleSet
     """
-    (share_1, psi_1), (share_2, psi_2) = (_seen(frequency, damping, shape, stds, h) for h in halves)
+    (share_1, psi_1), (share_2, psi_2) = (
+        _seen(frequency, damping, shape=shape, stds=stds, h=h) for h in halves
+    )
     same = np.abs((psi_1.conj() * psi_2).sum(0)) ** 2
     size = (np.abs(psi_1) ** 2).sum(0) * (np.abs(psi_2) ** 2).sum(0)
     return np.asarray(

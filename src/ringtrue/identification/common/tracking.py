@@ -1,6 +1,4 @@
-"""Modes followed from stretch to stretch of a long record: by shape and frequency, over gaps, new
-ones named.
-"""
+"""Modes followed from stretch to stretch of a long record, and over the levels of a force."""
 
 from __future__ import annotations
 
@@ -9,10 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
+from scipy.special import chdtrc
 
-from ringtrue.core.arrays import Complex, Float, Int, freeze_fields
+from ringtrue.core.arrays import Bool, Complex, Float, Int, freeze_fields
 from ringtrue.core.modes import ModeSet, Uncertainty
-from ringtrue.errors import ConfigError, DataError
+from ringtrue.errors import ConfigError, DataError, InputError
 from ringtrue.shapes.mac import mac
 
 _FAR = 1e6
@@ -45,7 +44,7 @@ class TrackSettings:
         Weight of a new shape in the shape followed: it may turn slowly, as it does where two modes
         veer.
     least : int
-        Stretches that make a mode; rarer ones are listed apart.
+        Stretches that make a mode; rarer ones are listed as rare.
     """
 
     step: float = 0.02
@@ -182,8 +181,13 @@ def track_modes(stretches: Sequence[Stretch], settings: TrackSettings | None = N
     threads: list[_Thread] = []
     clock = ticks(times)
     for k, stretch in enumerate(stretches):
-        threads = _advance(threads, (k, clock), stretch, shapes[k], stretches, s)
-    tracks = [_track(t, stretches, shapes) for t in _mended(threads, stretches, shapes, clock, s)]
+        threads = _advance(
+            threads, (k, clock), stretch=stretch, psi=shapes[k], all_of=stretches, s=s
+        )
+    tracks = [
+        _track(t, stretches, shapes)
+        for t in _mended(threads, stretches, shapes=shapes, clock=clock, s=s)
+    ]
     tracks.sort(key=lambda t: (int(t.at[0]), float(t.frequency[0])))
     known = [t for t in tracks if t.at.size >= min(s.least, len(stretches))]
     rare = [t for t in tracks if t.at.size < min(s.least, len(stretches))]
@@ -239,7 +243,8 @@ def _cost(
     """(a, b) cost of joining modes a to b, `_FAR` where they may not be; `gate` (a,) relative
     change of frequency.
     """
-    df, like = np.abs(to_f - f[:, None]), common_mac(shape, to_shape)
+    df = np.abs(to_f - f[:, None])
+    like = common_mac(shape, to_shape)
     reach = _reach(gate[:, None] * f[:, None], like, np.hypot(spread[:, None], to_spread))
     return np.where((df <= reach) & (like >= least), 1 - like + 0.5 * (df / reach) ** 2, _FAR)
 
@@ -259,7 +264,8 @@ def _advance(
 ) -> list[_Thread]:
     """The threads after one more stretch; `now` is its position and the clock of all."""
     k, clock = now
-    f, sf = stretch.modes.frequencies, _finite(stretch.uncertainty.frequency)
+    f = stretch.modes.frequencies
+    sf = _finite(stretch.uncertainty.frequency)
     left = set(range(f.size))
     threads = list(threads)
     if threads and f.size:
@@ -272,7 +278,16 @@ def _advance(
         )
         shape = np.stack([t.shape for t in threads], axis=1)
         known = np.array([t.frequency for t in threads])
-        cost = _cost(known, last, shape, f, sf, psi, s.step * np.clip(np.sqrt(gap), 1, 3), s.mac)
+        cost = _cost(
+            known,
+            last,
+            shape=shape,
+            to_f=f,
+            to_spread=sf,
+            to_shape=psi,
+            gate=s.step * np.clip(np.sqrt(gap), 1, 3),
+            least=s.mac,
+        )
         for i, j in zip(*linear_sum_assignment(cost), strict=True):
             if cost[i, j] < _FAR:
                 threads[i] = threads[i].joined((k, int(j)), float(f[j]), psi[:, j], s.memory)
@@ -320,9 +335,9 @@ def _one(a: ModeTrack, b: ModeTrack, clock: Float, s: TrackSettings) -> bool:
     like = common_mac(a.shape[:, None], b.shape[:, None])[0, 0]
     if np.intersect1d(a.at, b.at).size or like < max(0.9, s.mac):
         return False
-    apart = np.abs(clock[a.at][:, None] - clock[b.at])
-    i, j = np.unravel_index(apart.argmin(), apart.shape)
-    step = s.step * np.clip(np.sqrt(apart[i, j]), 1, 3) * a.frequency[i]
+    distance = np.abs(clock[a.at][:, None] - clock[b.at])
+    i, j = np.unravel_index(distance.argmin(), distance.shape)
+    step = s.step * np.clip(np.sqrt(distance[i, j]), 1, 3) * a.frequency[i]
     spread = np.hypot(_finite(a.std_frequency)[i], _finite(b.std_frequency)[j])
     return bool(abs(a.frequency[i] - b.frequency[j]) <= _reach(step, like, spread))
 
@@ -338,16 +353,16 @@ def _track(t: _Thread, stretches: Sequence[Stretch], shapes: Sequence[Complex]) 
         return np.array(parts, dtype=np.float64)
 
     return ModeTrack(
-        "",
-        at,
-        mode,
-        of("frequencies", "modes"),
-        of("frequency", "uncertainty"),
-        of("damping", "modes"),
-        of("damping", "uncertainty"),
-        of("confidence", "modes"),
-        mean,
-        like,
+        name="",
+        at=at,
+        mode=mode,
+        frequency=of("frequencies", "modes"),
+        std_frequency=of("frequency", "uncertainty"),
+        damping=of("damping", "modes"),
+        std_damping=of("damping", "uncertainty"),
+        confidence=of("confidence", "modes"),
+        shape=mean,
+        mac=like,
     )
 
 
@@ -372,6 +387,180 @@ def unseen(tracked: Tracked, track: ModeTrack) -> tuple[int, int]:
     0 where this may be chance: where stretches that show it as often as those between would leave
     out so many in a row in more than one case of a hundred.
     """
-    before, after = int(track.at[0]), tracked.times.size - 1 - int(track.at[-1])
+    before = int(track.at[0])
+    after = tracked.times.size - 1 - int(track.at[-1])
     missed = 1 - track.at.size / (track.at[-1] - track.at[0] + 2)
     return (before if missed**before < _CHANCE else 0), (after if missed**after < _CHANCE else 0)
+
+
+@dataclass(frozen=True, slots=True)
+class LevelCheck:
+    """Settings of `level_dependence`.
+
+    Attributes
+    ----------
+    significance : float
+        Chance at which a linear structure is called nonlinear, in one of its modes.
+    mac_min : float
+        A mode of another level must have this MAC.
+    shift_max : float
+        And no farther in frequency than this, relative.
+    """
+
+    significance: float = 0.01
+    mac_min: float = 0.7
+    shift_max: float = 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LevelDependence:
+    """The modes of the lowest level, followed over all levels.
+
+    Attributes
+    ----------
+    levels : (l,) float64
+        Ascending, in the unit given.
+    frequency, damping : (l, m) float64, Hz and fraction of critical
+        NaN where the mode was not found.
+    std_frequency, std_damping : (l, m) float64
+    slope_frequency, slope_damping : (m,) float64
+        Relative change for each factor e of the level: d ln f/d ln F and d ln ζ/d ln F, weighted
+        least squares.
+    std_slope_frequency, std_slope_damping : (m,) float64
+    chance_frequency, chance_damping : (m,) float64
+        Chance of so much scatter over the levels in a linear structure (χ² test of equal values).
+    linear : (m,) bool
+        No significant change in either, among so many modes.
+    """
+
+    levels: Float
+    frequency: Float
+    damping: Float
+    std_frequency: Float
+    std_damping: Float
+    slope_frequency: Float
+    slope_damping: Float
+    std_slope_frequency: Float
+    std_slope_damping: Float
+    chance_frequency: Float
+    chance_damping: Float
+    linear: Bool
+
+    def __post_init__(self) -> None:
+        names = [n for n in self.__dataclass_fields__ if n != "linear"]
+        freeze_fields(self, linear=np.bool_, **dict.fromkeys(names, np.float64))
+
+
+def level_dependence(
+    levels: Sequence[float],
+    found: Sequence[tuple[ModeSet, Uncertainty]],
+    settings: LevelCheck | None = None,
+) -> LevelDependence:
+    """Follow the modes over force levels and test whether they stay.
+
+    Parameters
+    ----------
+    levels : sequence of float
+        Force of each result (rms, or peak of the hits), any unit, positive.
+    found : sequence of (ModeSet, Uncertainty)
+        Of each level, same channels.
+    settings : LevelCheck, optional
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two levels, or levels that are not positive and different.
+    """
+    settings = settings or LevelCheck()
+    force = np.asarray(levels, dtype=np.float64)
+    if (
+        force.size < 2
+        or force.size != len(found)
+        or (force <= 0).any()
+        or np.unique(force).size != force.size
+    ):
+        raise InputError(
+            f"levels {force.tolist()} for {len(found)} results: two or more, positive, "
+            "different, one each"
+        )
+    order = np.argsort(force)
+    first = found[order[0]][0]
+    values = np.full((4, force.size, len(first)), np.nan)
+    last = first
+    for i, k in enumerate(order):  # a handful of levels, each followed from the one before
+        modes, std = found[k]
+        here, there = track(last, modes, settings)
+        values[:, i, here] = np.stack(
+            [modes.frequencies, modes.damping, std.frequency, std.damping]
+        )[:, there]
+        last = _moved(last, modes, here, there)
+    x = np.log(force[order])
+    slope_f, dev_f, chance_f = _trend(x, values[0], values[2])
+    slope_z, dev_z, chance_z = _trend(x, values[1], values[3])
+    # Bonferroni: all tests together
+    each = settings.significance / max(2 * np.isfinite(chance_f).sum(), 1)
+    linear = ~((chance_f < each) | (chance_z < each))
+    f, z, std_f, std_z = values
+    return LevelDependence(
+        levels=force[order],
+        frequency=f,
+        damping=z,
+        std_frequency=std_f,
+        std_damping=std_z,
+        slope_frequency=slope_f,
+        slope_damping=slope_z,
+        std_slope_frequency=dev_f,
+        std_slope_damping=dev_z,
+        chance_frequency=chance_f,
+        chance_damping=chance_z,
+        linear=linear,
+    )
+
+
+def track(a: ModeSet, b: ModeSet, settings: LevelCheck) -> tuple[Int, Int]:
+    """Positions in `a` and `b` of the pairs with the largest total MAC, near in frequency."""
+    b = b.rows(a.channels)
+    similarity = mac(a.shapes, b.shapes)
+    far = np.abs(np.log(a.frequencies[:, None] / b.frequencies))
+    ok = (similarity >= settings.mac_min) & (far <= settings.shift_max)
+    here, there = linear_sum_assignment(np.where(ok, similarity - far, -1.0), maximize=True)
+    good = ok[here, there]
+    return here[good], there[good]
+
+
+def _moved(last: ModeSet, modes: ModeSet, here: Int, there: Int) -> ModeSet:
+    """`last` with the frequencies of the level just seen, so that slow drift is followed."""
+    f = last.frequencies.copy()
+    f[here] = modes.frequencies[there]
+    return ModeSet(
+        frequencies=f,
+        damping=last.damping,
+        shapes=last.shapes,
+        labels=last.labels,
+        norm=last.norm,
+        source=last.source,
+        confidence=last.confidence,
+    )
+
+
+def _trend(x: Float, value: Float, std: Float) -> tuple[Float, Float, Float]:
+    """Slope (m,) of ln value over x, its deviation, and the chance of equal values; NaN with fewer
+    than two levels.
+    """
+    y = np.log(value)
+    s = std / value
+    w = np.where(np.isfinite(y) & (s > 0), 1 / np.where(s > 0, s, 1.0) ** 2, 0.0)
+    y = np.where(w > 0, y, 0.0)
+    total = np.where(w.sum(axis=0) > 0, w.sum(axis=0), np.nan)
+    xm = (w * x[:, None]).sum(axis=0) / total
+    ym = (w * y).sum(axis=0) / total
+    dx = x[:, None] - xm
+    sxx = (w * dx**2).sum(axis=0)
+    sxx = np.where((w > 0).sum(axis=0) > 1, sxx, np.nan)
+    slope = (w * dx * (y - ym)).sum(axis=0) / sxx
+    chance = chdtrc((w > 0).sum(axis=0) - 1, (w * (y - ym) ** 2).sum(axis=0))
+    return (
+        np.asarray(slope),
+        np.asarray(1 / np.sqrt(sxx)),
+        np.where(np.isfinite(sxx), chance, np.nan),
+    )

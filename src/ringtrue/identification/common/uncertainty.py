@@ -72,17 +72,18 @@ def perturb(dr: Any_, rows: int, u: Float, vs: Float, q: Float) -> Perturbations
     the last block row.
     """
     nb, _, ch, ref = dr.shape
-    n, size = vs.shape[1], int(next_fast_len(2 * rows - 1, real=True))
+    n = vs.shape[1]
+    size = int(next_fast_len(2 * rows - 1, real=True))
     # a standard deviation needs no more than single precision, which halves the time
-    d, v = dr[:, 1 : 2 * rows].astype(np.float32), vs.astype(np.float32).reshape(rows, ref, n)
+    d = dr[:, 1 : 2 * rows].astype(np.float32)
+    v = vs.astype(np.float32).reshape(rows, ref, n)
     by = rfft(v, size, axis=0).conj()
     by = np.concatenate([_apart(by), _apart(1j * by)], axis=1)
     left = _spectral(q.reshape(-1, ch, n), size)
     both = np.empty((nb, 2 * n, n), dtype=np.float32)
     for k in range(0, nb, TOGETHER):
-        t = (
-            _apart(rfft(d[k : k + TOGETHER], size, axis=1)) @ by
-        )  # (block, freq, ch, order): real, then imaginary parts
+        # (block, freq, ch, order): real, then imaginary parts
+        t = _apart(rfft(d[k : k + TOGETHER], size, axis=1)) @ by
         both[k : k + TOGETHER] = left @ t.reshape(len(t), -1, n)
     first, last = (np.tensordot(d[:, k : k + rows], v, ((1, 3), (0, 1))) for k in (0, rows - 1))
     # Uᵀ ΔO, as U without its last block row is Q R
@@ -91,7 +92,7 @@ def perturb(dr: Any_, rows: int, u: Float, vs: Float, q: Float) -> Perturbations
 
 
 def _apart(z: Any_) -> Any_:
-    """Real parts beside imaginary ones, along the last axis."""
+    """Real and imaginary parts, along the last axis."""
     return np.concatenate([z.real, z.imag], axis=-1)
 
 
@@ -172,10 +173,10 @@ def modulus_std(psi: Complex, d_psi: Complex) -> Float:
     """Standard deviations (ch, m) of |ψ|, its largest component held at 1.
 
     `psi` (ch, m) are shapes and `d_psi` (m, ch, block) their deviations, both of any one scale. A
-    deviation δ across the phase of a component lengthens it, by δ²/2|ψ| where it is small beside it
-    and by δ where it is not. Of a component that is 0 the modulus has a Rayleigh distribution with
-    its 95 % point at 2.45 of the deviation; the factor of |ψ|² makes 1.96 of what is stated there
-    reach to 0 as often.
+    deviation δ across the phase of a component lengthens it, by δ²/2|ψ| where it is small against
+    it and by δ where it is not. Of a component that is 0 the modulus has a Rayleigh distribution
+    with its 95 % point at 2.45 of the deviation; the factor of |ψ|² makes 1.96 of what is stated
+    there reach to 0 as often.
     """
     m = np.arange(psi.shape[1])
     top = np.abs(psi).argmax(0)
@@ -185,7 +186,8 @@ def modulus_std(psi: Complex, d_psi: Complex) -> Float:
     size = np.abs(own)
     phase = np.where(size > 1e-12, own / np.maximum(size, 1e-12), 1.0)
     turned = d * phase.T.conj()[:, :, None]
-    along, across = (turned.real**2).sum(2).T, (turned.imag**2).sum(2).T
+    along = (turned.real**2).sum(2).T
+    across = (turned.imag**2).sum(2).T
     return np.asarray(np.sqrt(along + across**2 / np.maximum(across + size**2 / 6, 1e-300)))
 
 

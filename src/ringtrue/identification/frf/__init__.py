@@ -1,1 +1,1 @@
-"""Modes from frequency response functions: `pipeline.identify_hammer`, and CMIF peaks beside it."""
+"""Modes from frequency response functions: `pipeline.identify_hammer`, with one step a module."""

@@ -20,13 +20,12 @@ from ringtrue.identification.common.poles import PoleSet
 from ringtrue.identification.frf.confidence import CandidatePoles
 from ringtrue.identification.frf.lines import Lines
 from ringtrue.identification.frf.refinement import Refined, refine
-from ringtrue.identification.frf.residues import solve_shapes
+from ringtrue.identification.frf.residues import Pairs, solve_shapes
 
-SEPARATE = 3.0  # standard deviations of the distance of two poles that are told apart
+SEPARATE = 3.0  # standard deviations of the distance of two poles that are separated
 FLAT = 0.2  # third over second singular value of a plane of real vectors
 NEAR = 0.3  # half bandwidths within which two poles may be one
 ONE = 2e-3  # half bandwidths within which they are, whatever the stated deviations
-Pairs = Sequence[tuple[int, int, float]]
 ABOVE = 1.3  # times the error in its surroundings
 SHARE = 0.03  # amplitude of the error against the data, where the data agree no better than that
 WORSE = 3.0  # times the error at the peak of a typical mode
@@ -51,7 +50,8 @@ def united(lines: Lines, fit: Refined, pairs: Pairs) -> Refined:
     """
     if fit.participation.shape[1] < 2:
         return fit
-    poles, part = fit.poles.copy(), fit.participation.copy()
+    poles = fit.poles.copy()
+    part = fit.participation.copy()
     for i, j in _inseparable(fit):
         basis = _plane(part[[i, j]] * lines.input)
         if basis is None:
@@ -69,10 +69,8 @@ def united(lines: Lines, fit: Refined, pairs: Pairs) -> Refined:
 def _inseparable(fit: Refined) -> list[tuple[int, int]]:
     """Pairs of poles nearer to each other than the data tell, each pole in one pair at most."""
     p = fit.poles
-    half, std = (
-        np.abs(p.real),
-        2 * np.pi * np.hypot(fit.std_frequency, np.abs(p) / (2 * np.pi) * fit.std_damping),
-    )
+    half = np.abs(p.real)
+    std = 2 * np.pi * np.hypot(fit.std_frequency, np.abs(p) / (2 * np.pi) * fit.std_damping)
     far = np.abs(p[:, None] - p)
     width = np.minimum(half[:, None], half)
     near = far < np.clip(SEPARATE * np.hypot(std[:, None], std), ONE * width, NEAR * width)
@@ -103,7 +101,8 @@ def _orthogonal(psi: Complex, basis: Complex, pairs: Pairs, response: Float) -> 
     x = np.eye(2)
     if len(pairs) > 1:
         o, i, sign = (np.array(k) for k in zip(*pairs, strict=True))
-        d, b = (psi[o] * sign[:, None]).T, basis[:, i]
+        d = (psi[o] * sign[:, None]).T
+        b = basis[:, i]
         full = b @ np.linalg.pinv(d)
         full = full * np.exp(-1j * np.angle(np.trace(full)))
         sym = 0.5 * (full + full.T).real
@@ -141,7 +140,7 @@ def missed(
 
 
 def _peaks(rest: Complex, lines: Lines, fit: Refined) -> Int:
-    """Lines of the peaks, highest first, half a bandwidth apart at least."""
+    """Lines of the peaks, highest first, at least half a bandwidth from each other."""
     power = uniform_filter1d((np.abs(rest) ** 2).mean(axis=(0, 2)), 3, mode="nearest")
     total = (np.abs(lines.y * lines.response) ** 2).mean(axis=(0, 2))
     step = np.median(np.diff(lines.s.imag))
@@ -186,11 +185,11 @@ def support(pole: Complex, part: Complex, sets: Sequence[PoleSet], decay: float)
         near = np.abs(s.pole[:, None] + decay - pole) < width
         v = s.shape / np.linalg.norm(s.shape, axis=0)
         u = part.T / np.linalg.norm(part.T, axis=0)
-        alike = np.abs(v.conj().T @ u) ** 2
+        similarity = np.abs(v.conj().T @ u) ** 2
         for i, j in twins(pole):  # any vector in the plane of both
             q = np.linalg.qr(u[:, [i, j]])[0]
-            alike[:, [i, j]] = (np.abs(v.conj().T @ q) ** 2).sum(axis=1, keepdims=True)
-        near &= alike > 0.6
+            similarity[:, [i, j]] = (np.abs(v.conj().T @ q) ** 2).sum(axis=1, keepdims=True)
+        near &= similarity > 0.6
         upper = s.order >= np.median(s.orders)
         held = np.array([np.unique(s.order[upper & n]).size for n in near.T])
         best = np.maximum(best, held / max(np.unique(s.order[upper]).size, 1))

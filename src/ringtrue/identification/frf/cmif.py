@@ -65,7 +65,8 @@ def count_peaks(curve: Float) -> Int:
 
 
 def cmif_modes(frfs: FrfSet, settings: CmifPeaks | None = None) -> ModalModel:
-    """Modes at the peaks of the CMIF: a quick look, for modes apart by more than their bandwidth.
+    """Modes at the peaks of the CMIF: a quick look, for modes whose distance is more than their
+    bandwidth.
 
     The singular vectors at a peak filter the other modes out of the FRFs; the enhanced FRF uᴴ H v
     is that of a single mode and takes a rational function of order one. Two peaks that end in one
@@ -91,9 +92,15 @@ def cmif_modes(frfs: FrfSet, settings: CmifPeaks | None = None) -> ModalModel:
     poles = np.array([p for p, _ in inside], dtype=np.complex128)
     part = np.array([v for _, v in inside], dtype=np.complex128)
     keep = _different(poles, part)
-    poles, part = poles[keep] + used.window_decay, part[keep]
+    poles = poles[keep] + used.window_decay
+    part = part[keep]
     seen = _size(lsfd(used, poles, part), used) > LEAST
     return lsfd(used, poles[seen], part[seen])
+
+
+def cmif_peaks(frfs: FrfSet, low: float, high: float) -> ModalModel:
+    """Modes at the peaks of a band, Hz."""
+    return cmif_modes(frfs, CmifPeaks(low, high))
 
 
 def _cut(frfs: FrfSet, at: Bool) -> FrfSet:
@@ -124,13 +131,12 @@ def _peaks(curve: Float, settings: CmifPeaks) -> list[tuple[int, int]]:
 def _mode(frfs: FrfSet, at: int, rank: int, span: float) -> tuple[complex, Complex]:
     """Pole, rad/s, window still in, and participation vector (in,) of the peak."""
     u, _, vh = np.linalg.svd(frfs.data[at], full_matrices=False)
-    left, right = u[:, rank], vh[rank].conj()
+    left = u[:, rank]
+    right = vh[rank].conj()
     h = np.einsum("o,foi,i->f", left.conj(), frfs.data, right)
     size = np.abs(h)
-    below, above = (
-        np.flatnonzero(size[:at] < size[at] / 2**0.5),
-        np.flatnonzero(size[at:] < size[at] / 2**0.5),
-    )
+    below = np.flatnonzero(size[:at] < size[at] / 2**0.5)
+    above = np.flatnonzero(size[at:] < size[at] / 2**0.5)
     half = min(at - below[-1] if below.size else h.size, above[0] if above.size else h.size)
     reach = max(int(np.ceil(span * half)), 3)
     band = slice(max(at - reach, 0), at + reach + 1)

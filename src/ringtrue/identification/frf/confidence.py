@@ -14,22 +14,20 @@ from ringtrue.shapes.complexity import mpc
 from ringtrue.shapes.mac import mac
 
 SIGNIFICANT = 12.0  # gain over that of noise
-HELD, PLAIN = 0.8, 3e3  # share of the orders and gain over the error that are no misfit of the FRFs
-HIDDEN, REAL = (
-    1e3,
-    0.9,
-)  # gain over the error and MPC of a mode that may hide under others, near a node of the force
-TOLD, SURE = (
-    1.0,
-    3.0,
-)  # standard deviations of a residue, below and above which its sign tells nothing and all
+# share of the orders and gain over the error that are no misfit of the FRFs
+HELD = 0.8
+PLAIN = 3e3
+HIDDEN = 1e3  # gain over the error and MPC of a mode that may hide under others
+REAL = 0.9  # near a node of the force
+# standard deviations of a residue, below and above which its sign means nothing and all
+TOLD = 1.0
+SURE = 3.0
 COMPLEX = 0.6  # confidence of a mode that is plain to see, but of complex shape
 BESIDE = 1.25  # times the last line, up to where modes count in the fit
 WHITE = 0.4  # correlation of errors at neighbouring lines, below which they are noise and no misfit
-AROUND, LEAST_LINES = (
-    2.0,
-    12,
-)  # half bandwidths on either side of a mode that tell, if they hold so many lines
+# half bandwidths on either side of a mode that tell, if they hold so many lines
+AROUND = 2.0
+LEAST_LINES = 12
 VISIBLE = 0.3  # share of the response at its own frequency that makes a mode plain to see
 
 
@@ -137,14 +135,13 @@ def assess_candidates(
         _seen(np.where(hidden | needed, 1.0, share) if strict else np.ones_like(share)),
         _damped(fit, damping_max),
         _placed(lines, fit),
-        _double(lines, fit, candidates, shapes, total, strict),
+        _double(lines, fit, c=candidates, shapes=shapes, total=total, strict=strict),
         real,
         driven,
     ]
     confidence = np.prod([a.factor for a in aspects], axis=0)
-    phase = (
-        real.factor * driven.factor
-    )  # complex shapes, as of rotors and local dampers, may be plain to see
+    # complex shapes, as of rotors and local dampers, may be plain to see
+    phase = real.factor * driven.factor
     plain = (candidates.support > HELD) & (ratio > PLAIN) & (phase < COMPLEX)
     confidence = np.where(plain, COMPLEX / phase, 1.0) * confidence
     reasons = tuple(
@@ -290,17 +287,17 @@ def _double(
         np.diff(lines.s.imag)
     )
     close = np.abs(p[:, None] - p) / width
-    alike = mac(shapes, shapes) * mac(fit.participation.T, fit.participation.T)
-    same = mac(shapes, shapes) if shapes.shape[0] > 4 else alike
-    alike = np.where(
+    similarity = mac(shapes, shapes) * mac(fit.participation.T, fit.participation.T)
+    same = mac(shapes, shapes) if shapes.shape[0] > 4 else similarity
+    similarity = np.where(
         (c.support < 0.4)[:, None] & strict,
         same,
-        np.where((close < 1.0) & (same > 0.9), same, alike),
+        np.where((close < 1.0) & (same > 0.9), same, similarity),
     )
     stronger = total[None] > total[:, None]
     share = total[:, None] / np.maximum(total[None], 1e-300)
     bad = stronger & (
-        ((close < 1.0) & (alike > 0.8)) | ((close < 3.0) & (alike > 0.9) & (share < 0.1))
+        ((close < 1.0) & (similarity > 0.8)) | ((close < 3.0) & (similarity > 0.9) & (share < 0.1))
     )
     which = np.where(bad.any(axis=1), np.argmax(bad, axis=1), -1)
     text = [
@@ -321,7 +318,7 @@ def _driven(
 ) -> _Aspect:
     """Share of the driving-point residues, by size, that have the phase of a positive modal mass.
 
-    It counts as far as their sum stands out of its noise: near a node of the force it tells
+    It counts as far as their sum stands out of its noise: near a node of the force it means
     nothing.
     """
     n = fit.poles.size

@@ -1,6 +1,6 @@
 """Checks of FRFs: what cannot be identified is refused, what looks wrong becomes a note.
 
-FRFs of noise in blocks under a Hann window are found by what a fit by poles leaves beside narrow
+FRFs of noise in blocks under a Hann window are found by what a fit by poles leaves around narrow
 modes (`lines.faded`).
 """
 
@@ -27,7 +27,9 @@ from ringtrue.signal.frf_sets import passive
 _USABLE = 0.5  # of coherence, or of the likeness of next lines
 _NOISE = 0.6  # of that likeness, smoothed, that white noise of a single FRF does not reach
 _TO_THE_END = 0.95
-_SMALL, _LARGE = 1e-70, 1e70  # fourth powers stay finite
+# fourth powers stay finite
+_SMALL = 1e-70
+_LARGE = 1e70
 _ODD = 100.0  # times the level of the typical response
 _COHERENT = 0.5
 _UNMOVED = 0.5  # of the typical coherence
@@ -38,24 +40,22 @@ _CURED = 0.3  # of the misfit of the residues may be left when one fault is undo
 _MISFIT = 1e-3  # share of the residues that no single shape explains, and that calls for a reason
 _CUT = 1.5  # lines in a half-power bandwidth: 1 % of the response is left at the end of the block
 _POOR = 0.05  # of an FRF, that a fit of its modes leaves
-_MODES, _REAL, _DELAYED = (
-    4,
-    0.9,
-    0.97,
-)  # modes that tell a delay; how real a shape is without and with it
-_SIDE, _UNLIKE, _ALIKE = (
-    1.05,
-    0.2,
-    0.9,
-)  # ratio of two frequencies, overlap of shapes, MAC of participations
+# modes that tell a delay; how real a shape is without and with it
+_MODES = 4
+_REAL = 0.9
+_DELAYED = 0.97
+# ratio of two frequencies, overlap of shapes, MAC of participations
+_SIDE = 1.05
+_UNLIKE = 0.2
+_ALIKE = 0.9
 _LOOKS = 500  # lines that tell the typical coherence
 _MOST_TRIALS = 400_000
 _EVEN_LINES = 1e-3  # of the step of even lines
-_MANY, _EXCESS = (
-    12.0,
-    1.34,
-)  # lines in a bandwidth: one part in a hundred; damping too much, times their square
-_BESIDE, _LINES = 8.0, 4  # half bandwidths and lines beside a mode that tell
+_MANY = 12.0  # lines in a bandwidth: one part in a hundred
+_EXCESS = 1.34  # damping too much, times their square
+# half bandwidths and lines around a mode that count
+_BESIDE = 8.0
+_LINES = 4
 _HANN_SHARE = 0.3  # of what blocks under a Hann window would leave
 
 
@@ -206,13 +206,11 @@ def _unmoved(frfs: FrfSet, typical: float) -> list[str]:
     if not low.any() or typical <= _COHERENT:
         return []
     at = np.flatnonzero(low).tolist()
-    names, values = (
-        " ".join(frfs.outputs[i].id for i in at),
-        ", ".join(f"{of_each[i]:.2f}" for i in at),
-    )
+    names = " ".join(frfs.outputs[i].id for i in at)
+    values = ", ".join(f"{of_each[i]:.2f}" for i in at)
     others = np.nanmedian(of_each[~low])
     return [
-        f"channel {names}: coherence {values}, {others:.2f} of the others: hardly moves, has a "
+        f"channel {names}: coherence {values}, {others:.2f} of the others: does not move, has a "
         "loose cable or is dead"
     ]
 
@@ -247,7 +245,8 @@ def fit_notes(frfs: FrfSet, modes: ModeSet, error: Float) -> tuple[str, ...]:
         noise = np.sqrt(
             (power * (1 - g) / (n * g)).sum(axis=0) / np.maximum(power.sum(axis=0), 1e-300)
         )
-        typical, due = float(np.median(error)), float(np.median(noise))
+        typical = float(np.median(error))
+        due = float(np.median(noise))
         if typical > max(_POOR, 3 * due):
             blocks = " or" if frfs.sharp else ", short blocks or"
             out.append(
@@ -260,7 +259,7 @@ def fit_notes(frfs: FrfSet, modes: ModeSet, error: Float) -> tuple[str, ...]:
 
 
 def parted_modes(model: ModalModel) -> str:
-    """Tells batches that disagree where a mode of each explains them: side by side, driven alike,
+    """Finds batches that disagree where a mode of each explains them: side by side, driven equally,
     seen by others.
 
     Two bending directions are driven differently; with one reference nothing is said.
@@ -268,26 +267,24 @@ def parted_modes(model: ModalModel) -> str:
     if model.participation.shape[1] < 2 or model.poles.size < _MODES:
         return ""
     order = np.argsort(model.frequencies)
-    f, shapes, part = (
-        model.frequencies[order],
-        np.abs(model.shapes[:, order]),
-        model.participation[order].T,
-    )
+    f = model.frequencies[order]
+    shapes = np.abs(model.shapes[:, order])
+    part = model.participation[order].T
     both = unit(shapes).T @ unit(shapes)
-    apart = (
+    split = (
         (f / f[:, None] > 1)
         & (f / f[:, None] < _SIDE)
         & (both < _UNLIKE)
         & (mac(part, part) > _ALIKE)
     )
-    first, second = np.nonzero(apart)
+    first, second = np.nonzero(split)
     if 2 * np.unique(first).size < 0.5 * f.size:
         return ""
     pairs = ", ".join(
         f"{f[i]:.5g} and {f[k]:.5g}" for i, k in zip(first[:3], second[:3], strict=True)
     )
     return (
-        f"modes at {pairs} Hz are driven alike and seen by different responses: FRFs that "
+        f"modes at {pairs} Hz are driven equally and seen by different responses: FRFs that "
         "disagree show each mode twice"
     )
 
@@ -304,10 +301,10 @@ def late_channels(modes: ModeSet) -> tuple[str, ...]:
     size = np.abs(modes.shapes) / np.maximum(np.linalg.norm(modes.shapes, axis=0), 1e-300)
     weight = size**2 / np.maximum((size**2).sum(axis=1, keepdims=True), 1e-300)
     turned = np.exp(2j * np.angle(modes.shapes)) * weight
-    real = (
-        turned @ np.exp(2j * omega[:, None] * delay)
-    ).real  # (channel, delay), 1 where all phases are 0 or 180°
-    now, best = real[:, delay.size // 2], real.max(axis=1)
+    # (channel, delay), 1 where all phases are 0 or 180°
+    real = (turned @ np.exp(2j * omega[:, None] * delay)).real
+    now = real[:, delay.size // 2]
+    best = real.max(axis=1)
     seen = 1 / np.maximum((weight**2).sum(axis=1), 1e-300) > _MODES - 1  # modes that count
     late = (now < _REAL) & (best > _DELAYED) & seen & (np.median(now) > _DELAYED)
     return tuple(
@@ -339,9 +336,11 @@ def residues(frfs: FrfSet, poles: Complex) -> Complex:
     """
     s = 2j * np.pi * frfs.freqs + frfs.window_decay
     near = (np.abs(s[:, None] - poles) < 12 * np.abs(poles.real)).any(axis=1) & (frfs.freqs > 0)
-    s, h = s[near], frfs.data[near]
+    s = s[near]
+    h = frfs.data[near]
     kind = (s / np.abs(s[-1])) ** POWER[frfs.kind]
-    one, two = kind[:, None] / (s[:, None] - poles), kind[:, None] / (s[:, None] - poles.conj())
+    one = kind[:, None] / (s[:, None] - poles)
+    two = kind[:, None] / (s[:, None] - poles.conj())
     rest = kind[:, None] * np.stack([np.ones(s.size), (np.abs(s[0]) / s) ** 2], axis=1)
     a = np.concatenate([one + two, 1j * (one - two), rest], axis=1)
     scale = np.linalg.norm(a, axis=0)
@@ -363,7 +362,7 @@ def misfit(r: Complex) -> Float:
 
 
 def odd_channel(frfs: FrfSet, poles: Complex) -> str:
-    """A response that one reference sees turned or exchanged with another, told from the rank of
+    """A response that one reference sees turned or exchanged with another, found from the rank of
     the residues.
 
     In a linear structure the residues of each mode are a shape times the participations, H_oi ~ ψ_o
@@ -382,14 +381,16 @@ def odd_channel(frfs: FrfSet, poles: Complex) -> str:
         return ""
     ids = [c.id for c in frfs.inputs]
     under = ids if n_in > 2 else [" or ".join(ids)] * 2  # of two references none is the odd one
-    best, told = now, ""
+    best = now
+    fault = ""
     for i in range(n_in):  # a handful of references
         turned = np.broadcast_to(r, (n_out, *r.shape)).copy()
         turned[np.arange(n_out), :, np.arange(n_out), i] *= -1
         value = misfit(turned).mean(axis=1)
         if value.min() < best:
-            best, o = float(value.min()), int(value.argmin())
-            told = f"response {frfs.outputs[o].id} looks turned under reference {under[i]}"
+            best = float(value.min())
+            o = int(value.argmin())
+            fault = f"response {frfs.outputs[o].id} looks turned under reference {under[i]}"
         for o in range(n_out - 1):
             other = np.arange(o + 1, n_out)
             swapped = np.broadcast_to(r, (other.size, *r.shape)).copy()
@@ -397,13 +398,14 @@ def odd_channel(frfs: FrfSet, poles: Complex) -> str:
             swapped[np.arange(other.size), :, other, i] = r[:, o, i]
             value = misfit(swapped).mean(axis=1)
             if value.min() < best:
-                best, p = float(value.min()), int(other[value.argmin()])
+                best = float(value.min())
+                p = int(other[value.argmin()])
                 pair = f"{frfs.outputs[o].id} and {frfs.outputs[p].id}"
-                told = f"responses {pair} look swapped under reference {under[i]}"
+                fault = f"responses {pair} look swapped under reference {under[i]}"
     if best > _CURED * now:
         return ""
     return (
-        f"{told}: {100 * now:.2g} % of the residues fit no single shape, {100 * best:.2g} % "
+        f"{fault}: {100 * now:.2g} % of the residues fit no single shape, {100 * best:.2g} % "
         "if that is mended"
     )
 
@@ -430,21 +432,24 @@ def block_of_noise(frfs: FrfSet) -> float:
 
 
 def looks_faded(lines: Lines, fit: Refined, length: float) -> bool:
-    """Whether what a fit by poles leaves beside narrow modes is what it would leave of blocks of
+    """Whether what a fit by poles leaves around narrow modes is what it would leave of blocks of
     that length, s.
 
-    A regression on that, per mode beside its residue, its pole and a smooth rest; 0 of FRFs without
-    leakage, 1 with.
+    A regression on that, per mode besides its residue, its pole and a smooth rest; 0 of FRFs
+    without leakage, 1 with.
     """
-    x, half = lines.s.imag, -fit.poles.real
+    x = lines.s.imag
+    half = -fit.poles.real
     count = half * length / np.pi  # lines in the half-power bandwidth
-    like, size = 0.0, 0.0
+    like = 0.0
+    size = 0.0
     for k in np.flatnonzero(count < _MANY).tolist():  # few lines each
         at = np.abs(x - fit.poles[k].imag) < _BESIDE * half[k] + _LINES * 2 * np.pi / length
         if np.count_nonzero(at) < 2 * _LINES:
             continue
         pole = complex(-half[k] / (1 + _EXCESS / count[k] ** 2), fit.poles[k].imag)
-        weight, far = lines.weight[at], 1 / (lines.s[at] - fit.poles[k])
+        weight = lines.weight[at]
+        far = 1 / (lines.s[at] - fit.poles[k])
         there = (
             faded(lines.s[at], np.array([pole]), length)[0][:, 0]
             * pole**lines.order
@@ -453,7 +458,8 @@ def looks_faded(lines: Lines, fit: Refined, length: float) -> bool:
         basis = np.linalg.qr(
             weight[:, None] * np.stack([far, far**2, np.ones(far.size), x[at] / x[-1]], axis=1)
         )[0]
-        part, shape = fit.participation[k] * lines.input, fit.shapes[:, k] * lines.response
+        part = fit.participation[k] * lines.input
+        shape = fit.shapes[:, k] * lines.response
         left = np.einsum("i,ifo,o->f", part.conj(), fit.known.rest[:, at], shape.conj())
         missing = -weight * there
         missing = missing - basis @ (basis.conj().T @ missing)

@@ -24,10 +24,8 @@ from ringtrue.core.motions import POWER
 from ringtrue.core.signals import FrfSet
 from ringtrue.errors import InputError
 
-_MOST_SMOOTH, _STANDS_OUT = (
-    48,
-    5.0,
-)  # terms; times the power of the typical function of what a fit leaves
+_MOST_SMOOTH = 48  # terms
+_STANDS_OUT = 5.0  # times the power of the typical function of what a fit leaves
 _WITHIN = 1e-6  # of a residual term, that polynomials leave: it is one of them
 _TURN = 2j * np.pi
 NODES = 12
@@ -70,7 +68,7 @@ class Lines:
         Sum of the squares of `y`.
     weight : (freq,) float64
     terms : (freq, t) complex128
-        Orthonormal basis of the weighted residual terms, beside `smooth`.
+        Orthonormal basis of the weighted residual terms, without `smooth`.
     smooth : (freq, n) float64
         Orthonormal basis of the weighted polynomials that count as residual terms too
         (`smooth_rest`).
@@ -114,37 +112,39 @@ def prepare(frfs: FrfSet, sigma: Noise, smooth: int = 0) -> Lines:
     if (frfs.freqs <= 0).any():
         raise InputError("the line at 0 Hz has no place in a fit of modes: leave it out")
     kind = np.asarray(s ** POWER[frfs.kind], dtype=np.complex128)
-    weight, given = 1 / sigma.line, 1 / sigma.input
+    weight = 1 / sigma.line
+    given = 1 / sigma.input
     t = kind[:, None] * np.stack([(s[0] / s) ** 2, np.ones(s.size), (s / s[-1]) ** 2], axis=1)
     if (
         np.isfinite(frfs.kept) or frfs.hann
     ):  # λ^p for s^p: what is cut off, or faded, leaves a polynomial
         t = np.concatenate([t, (kind * s[0] / s)[:, None]], axis=1)
     flat = np.linalg.qr(weight[:, None] * polynomials(s.imag, smooth))[0]
-    beside = without(flat, weight[:, None] * t)
-    beside = beside[
-        :, np.linalg.norm(beside, axis=0) > _WITHIN * np.linalg.norm(weight[:, None] * t, axis=0)
+    residual = without(flat, weight[:, None] * t)
+    residual = residual[
+        :, np.linalg.norm(residual, axis=0) > _WITHIN * np.linalg.norm(weight[:, None] * t, axis=0)
     ]
-    terms = np.linalg.qr(beside)[0]
+    terms = np.linalg.qr(residual)[0]
     y = without(
         terms, without(flat, weight[:, None] * given[:, None, None] * frfs.data.transpose(2, 0, 1))
     )
     power = np.einsum("ifo,ifo->o", y.real, y.real) + np.einsum("ifo,ifo->o", y.imag, y.imag)
-    order, response = POWER[frfs.kind], 1 / sigma.response
+    order = POWER[frfs.kind]
+    response = 1 / sigma.response
     return Lines(
-        s,
-        kind,
-        y,
-        power,
-        weight,
-        terms,
-        flat,
-        response,
-        given,
-        order,
-        frfs.kept,
-        frfs.hann,
-        frfs.impacts,
+        s=s,
+        kind=kind,
+        y=y,
+        power=power,
+        weight=weight,
+        terms=terms,
+        smooth=flat,
+        response=response,
+        input=given,
+        order=order,
+        kept=frfs.kept,
+        hann=frfs.hann,
+        impacts=frfs.impacts,
     )
 
 
@@ -161,8 +161,8 @@ def smooth_rest(lines: Lines, poles: Complex, rest: Complex) -> Float:
 
     Noise on the force of an impact is as short as the pulse, and so multiplies the FRFs by a smooth
     function of the frequency: that moves no pole, but (1 + ε(s)) ψ/(s − λ) leaves a smooth
-    remainder beside ψ (1 + ε(λ))/(s − λ). So do modes outside the band and short delays. No term is
-    narrower than the typical mode.
+    remainder besides ψ (1 + ε(λ))/(s − λ). So do modes outside the band and short delays. No term
+    is narrower than the typical mode.
     """
     width = 2 * float(np.median(np.abs(poles.real)))
     most = int(min(_MOST_SMOOTH, np.ptp(lines.s.imag) / width, rest.shape[1] / 16))
@@ -178,9 +178,8 @@ def without(basis: Any_, y: Complex) -> Complex:
         return y
     parts = y if np.iscomplexobj(basis) else np.ascontiguousarray(y).view(np.float64)
     inside = basis @ (basis.conj().T @ parts)
-    return np.asarray(
-        np.subtract(parts, inside, out=inside).view(np.complex128)
-    )  # new memory costs as much again
+    # new memory costs as much again
+    return np.asarray(np.subtract(parts, inside, out=inside).view(np.complex128))
 
 
 def resonances(lines: Lines, poles: Complex) -> tuple[Complex, Complex]:
@@ -258,10 +257,8 @@ def faded(s: Complex, poles: Complex, length: float) -> tuple[Complex, Complex]:
     """
     a = (poles - s[:, None]) * length
     growth = np.expm1(a)  # of e^a, the same for a ± 2πi
-    ramps, waves = (
-        [_ramp(x, growth) for x in (a, a + _TURN, a - _TURN)],
-        [_wave(x, growth) for x in (a + _TURN, a - _TURN)],
-    )
+    ramps = [_ramp(x, growth) for x in (a, a + _TURN, a - _TURN)]
+    waves = [_wave(x, growth) for x in (a + _TURN, a - _TURN)]
     value, slope = (
         2 / 3 * ramps[0][k]
         + (ramps[1][k] + ramps[2][k]) / 6
@@ -320,7 +317,8 @@ def condensed(lines: Lines, poles: Complex, reach: Float) -> Lines:
 
 def _room(lines: Lines, poles: Complex, reach: Float) -> Float:
     """(freq,) length of the longest stretch, rad/s, that each line may be in."""
-    x, decay = lines.s.imag, float(lines.s[0].real)
+    x = lines.s.imag
+    decay = float(lines.s[0].real)
     far = np.abs(lines.s)  # conjugate poles and residual terms: no nearer than 0 Hz
     for pole, r in zip(
         poles.tolist(), reach.tolist(), strict=True
@@ -352,8 +350,10 @@ def _as_they_are(lines: Lines, a: int, b: int) -> tuple[Complex, Float, Complex,
 
 def _nodes(lines: Lines, a: int, b: int) -> tuple[Complex, Float, Complex, Complex, Float]:
     """Places and weights of the nodes, and the data and residual terms there."""
-    x, weight = lines.s.imag[a:b], lines.weight[a:b]
-    middle, half = 0.5 * (x[0] + x[-1]), 0.5 * (x[-1] - x[0])
+    x = lines.s.imag[a:b]
+    weight = lines.weight[a:b]
+    middle = 0.5 * (x[0] + x[-1])
+    half = 0.5 * (x[-1] - x[0])
     place = (x - middle) / half
     polynomials = np.linalg.qr(
         weight[:, None] * np.polynomial.legendre.legvander(place, NODES - 1)

@@ -26,19 +26,17 @@ from ringtrue.identification.frf.pipeline import HammerModes, HammerResult, iden
 from ringtrue.identification.frf.refinement import refine, shape_deviations
 from ringtrue.identification.frf.residues import blow_factors, noise, normalise
 from ringtrue.identification.frf.scaling import mode_scale
-from ringtrue.identification.frf.split_modes import DISAGREE, FEWEST
+from ringtrue.identification.frf.split_modes import FEWEST
 from ringtrue.shapes.mac import mac
 
 CLEAR = 1e-6  # chance of the scatter of a mode over the batches, below which they disagree
 SHIFT = 0.1  # half bandwidths that matter
-STRAYED = (
-    1.2  # times what the first fit leaves: poles that went astray from the start of another batch
-)
-REACH, ALIKE, NEVER = (
-    0.03,
-    0.7,
-    1e6,
-)  # shift of a frequency and MAC of participations, of a mode in two batches
+# times what the first fit leaves: poles that went astray from the start of another batch
+STRAYED = 1.2
+# shift of a frequency and MAC of participations, of a mode in two batches
+REACH = 0.03
+ALIKE = 0.7
+NEVER = 1e6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,7 +84,7 @@ def identify_batches(
     The batch with most responses is identified on its own; its modes and participation vectors
     start the refinement in every other batch; where that leaves more than in the first one, from
     the poles that this batch by itself has for them, where it has. Modes that half of such batches
-    have beside are sought in all. The participation vector, which all batches share, ties the
+    have besides are sought in all. The participation vector, which all batches share, ties the
     scales of their shapes together.
 
     Parameters
@@ -107,7 +105,8 @@ def identify_batches(
         raise InputError(
             "local fits need two or more batches with the same inputs in the same order"
         )
-    settings, tell = settings or HammerModes(), progress or quiet
+    settings = settings or HammerModes()
+    tell = progress or quiet
     lead = int(np.argmax([b.data.shape[1] for b in batches]))
     first = identify_hammer(
         batches[lead], settings, progress=lambda share, text: tell(0.6 * share, text)
@@ -132,10 +131,12 @@ def identify_batches(
 
 def _with_unseen(modes: ModalModel, others: Sequence[HammerResult]) -> ModalModel:
     """With the modes that the batch of `modes` does not see, and half of the others report."""
-    grown, seen = modes, np.zeros(modes.poles.size)
+    grown = modes
+    seen = np.zeros(modes.poles.size)
     for own in others:
         here = np.isin(own.model.frequencies, own.modes.frequencies)
-        poles, part = own.model.poles[here], own.model.participation[here]
+        poles = own.model.poles[here]
+        part = own.model.participation[here]
         row, column, goes = _assigned(grown, poles, part)
         seen[row[goes]] += 1
         new = np.setdiff1d(np.arange(poles.size), column[goes])
@@ -233,7 +234,7 @@ def with_local_fits(
         "fitted by itself, "
         "frequencies and damping are means, shapes are joined (moved sensors load the structure)"
     )
-    notes = (*(n for n in joint.notes if not n.startswith(DISAGREE)), note)
+    notes = (*(n for n in joint.notes if n != joint.split_note), note)
     return replace(
         joint, modes=fit.modes, uncertainty=fit.uncertainty, reasons=reasons, notes=notes
     )
@@ -281,7 +282,11 @@ class _Local:
 
     def take(self, at: Int) -> _Local:
         return _Local(
-            self.poles[at], self.std[:, at], self.shapes[:, at], self.deviation[:, at], self.left
+            self.poles[at],
+            self.std[:, at],
+            shapes=self.shapes[:, at],
+            deviation=self.deviation[:, at],
+            left=self.left,
         )
 
 
@@ -301,7 +306,11 @@ def _local(batch: FrfSet, band: tuple[float, float], start: ModalModel) -> _Loca
     factor = (common.conj() * fit.participation).sum(axis=1) / (np.abs(common) ** 2).sum(axis=1)
     std = np.stack([fit.std_frequency, fit.std_damping])
     found = _Local(
-        fit.poles, std, fit.shapes * factor, shape_deviations(lines, fit, None), fit.error**2
+        fit.poles,
+        std,
+        shapes=fit.shapes * factor,
+        deviation=shape_deviations(lines, fit, None),
+        left=fit.error**2,
     )
     return found.take(order)
 
@@ -309,10 +318,10 @@ def _local(batch: FrfSet, band: tuple[float, float], start: ModalModel) -> _Loca
 def _joined(
     batches: Sequence[FrfSet], found: Sequence[_Local], part: Complex, lead: int
 ) -> LocalFit:
-    poles, std = np.array([f.poles for f in found]), np.array([f.std for f in found])
-    value = np.stack(
-        [np.abs(poles) / (2 * np.pi), -poles.real / np.abs(poles)], axis=1
-    )  # (batch, 2, m)
+    poles = np.array([f.poles for f in found])
+    std = np.array([f.std for f in found])
+    # (batch, 2, m)
+    value = np.stack([np.abs(poles) / (2 * np.pi), -poles.real / np.abs(poles)], axis=1)
     weight = 1 / np.maximum(std, 1e-300) ** 2
     mean = (weight * value).sum(axis=0) / weight.sum(axis=0)
     excess = (weight * (value - mean) ** 2).sum(axis=0)
@@ -327,18 +336,41 @@ def _joined(
     shapes = shapes / pole.imag  # residues of one modal mass go with 1/ω
     none = np.zeros((len(outputs), part.shape[1]), dtype=np.complex128)
     first = batches[lead]
-    model = normalise(ModalModel(pole, shapes, part, none, none, outputs, first.inputs, first.kind))
+    model = normalise(
+        ModalModel(
+            poles=pole,
+            shapes=shapes,
+            participation=part,
+            lower=none,
+            upper=none,
+            outputs=outputs,
+            inputs=first.inputs,
+            kind=first.kind,
+        )
+    )
     scaled = model.shapes * mode_scale(model)
     deviation = np.array([found[b].deviation[r] for b, r in zip(which, rows, strict=True)])
     norm = Norm.UNSCALED if model.norm is Norm.UNSCALED else Norm.MASS
     labels = tuple(c.id for c in outputs)
     modes = ModeSet(
-        mean[0], mean[1], scaled, labels, norm, first.source or "hammer FRFs, local fits"
+        frequencies=mean[0],
+        damping=mean[1],
+        shapes=scaled,
+        labels=labels,
+        norm=norm,
+        source=first.source or "hammer FRFs, local fits",
     )
     uncertainty = Uncertainty.independent(spread[0], spread[1], deviation * np.abs(scaled))
     chance = chdtrc(2 * n, excess.sum(axis=0))
     return LocalFit(
-        modes, uncertainty, value[:, 0], value[:, 1], std[:, 0], std[:, 1], chance, lead
+        modes=modes,
+        uncertainty=uncertainty,
+        frequency=value[:, 0],
+        damping=value[:, 1],
+        std_frequency=std[:, 0],
+        std_damping=std[:, 1],
+        chance=chance,
+        reference=lead,
     )
 
 

@@ -98,7 +98,7 @@ def hand_poles(
             [bool(t) for t in said]
         )
     notes = _rejected(f, keep & inside, keep, choice)
-    notes += _merged(f, keep & inside, keep, said, choice)
+    notes += _merged(f, keep & inside, keep=keep, said=said, choice=choice)
     n_in = sets[0].shape.shape[0] if sets else 1
     poles = np.array([p for p, _ in added], dtype=np.complex128)
     parts = np.array([v for _, v in added], dtype=np.complex128).reshape(len(added), n_in)
@@ -163,8 +163,8 @@ def _merged(f: Float, inside: Bool, keep: Bool, said: list[str], choice: Choice)
         members = list(dict.fromkeys(_nearest(f, inside & keep, x) for x in merge.frequencies))
         members = [k for k in members if k >= 0]
         if len(members) < 2:
-            told = ", ".join(f"{x:.5g}" for x in merge.frequencies)
-            notes.append(f"merged by hand, but not there as different modes: {told} Hz")
+            wanted = ", ".join(f"{x:.5g}" for x in merge.frequencies)
+            notes.append(f"merged by hand, but not there as different modes: {wanted} Hz")
             continue
         keep[members[1:]] = False
         why = f" ({merge.reason})" if merge.reason else ""

@@ -1,6 +1,4 @@
-"""Modes from hammer FRFs in one call: bands, poles, global residues, refinement, and a verdict on
-every mode.
-"""
+"""Modes from FRFs in one call: bands, poles, residues, refinement, confidence of each mode."""
 
 from __future__ import annotations
 
@@ -36,7 +34,7 @@ from ringtrue.identification.frf.data_checks import (
     refuse_bad_frfs,
     sound_pairs,
 )
-from ringtrue.identification.frf.lines import Lines, prepare, smooth_rest, without
+from ringtrue.identification.frf.lines import Lines, Noise, prepare, smooth_rest, without
 from ringtrue.identification.frf.manual_selection import hand_poles
 from ringtrue.identification.frf.pole_search import band_candidates, choose_bands, merged
 from ringtrue.identification.frf.refinement import Refined, refine, shape_deviations
@@ -80,7 +78,7 @@ class HammerModes:
         The modes to report; by default all up to where the FRFs are noise. Lines just outside are
         used where there are such.
     damping_max : float
-        Modes above are not believed.
+        Largest damping ratio of a mode.
     bands : tuple of (float, float), Hz
         Bands of the pole search; by default chosen from the data.
     confidence_min : float
@@ -111,9 +109,9 @@ class HammerResult:
     uncertainty : Uncertainty
         Of `modes`.
     reasons : tuple of str
-        Why each mode is believed, and what speaks against it.
+        The evidence for and against each mode.
     rejected : tuple of str
-        CandidatePoles that were not believed, with the reason.
+        Candidates of too little confidence, with the evidence.
     diagrams : tuple of StableDiagram
         One a band; `cluster` counts the candidates of that band.
     freqs : (f,) float64, Hz
@@ -126,6 +124,8 @@ class HammerResult:
         What the reader should know of the FRFs and of a choice by hand.
     groups : tuple of tuple of int
         Responses that agree with each other, where the FRFs disagree about modes; else none.
+    split_note : str
+        That of the notes which says so; empty where they agree.
     """
 
     model: ModalModel
@@ -139,6 +139,7 @@ class HammerResult:
     synthesis_error: Float
     notes: tuple[str, ...] = ()
     groups: tuple[tuple[int, ...], ...] = ()
+    split_note: str = ""
 
     def __post_init__(self) -> None:
         freeze_fields(self, freqs=np.float64, cmif=np.float64, synthesis_error=np.float64)
@@ -155,8 +156,8 @@ def identify_hammer(
 
     pLSCF of many orders in several overlapping bands; poles that stay in place over the orders
     become candidates; one global LSFD gives their shapes; weighted nonlinear least squares refines
-    all of them together; modes that add nothing, double another one or cannot be told from noise
-    are left out.
+    all of them together; modes that add nothing, double another one or cannot be distinguished from
+    noise are left out.
 
     Parameters
     ----------
@@ -175,74 +176,103 @@ def identify_hammer(
         If there are fewer than 32 lines in the band, the FRFs are no FRFs, or no mode is found.
     """
     settings = settings or HammerModes()
+    report = progress or quiet
     refuse_bad_frfs(frfs)
     frfs, roving = exchange_by_reciprocity(frfs)
-    tell = progress or quiet
     low, high = band_limits(frfs, settings.fmin, settings.fmax)
+    # the refinement sees lines outside the band: a mode left out at its ends would be patched up
+    # by broad terms inside
     used = lines_between(frfs, 0.8 * low, 1.25 * high)
     sigma = noise(used)
     curve = cmif(used.data / sigma.response[:, None])
-    # the refinement sees all the lines: a mode left out at their ends would be patched up by broad
-    # terms inside
-    bands = settings.bands or choose_bands(
-        used.freqs, curve, float(used.freqs[0]), float(used.freqs[-1])
-    )
-    found, diagrams = [], []
-    for i, band in enumerate(bands):
-        tell(0.05 + 0.55 * i / len(bands), f"poles in {band[0]:.3g}-{band[1]:.3g} Hz")
-        clusters, diagram = band_candidates(used, sigma, curve, band, settings.damping_max)
-        found.append(clusters)
-        diagrams.append(diagram)
-    candidates = merged(found, used.freqs, used.window_decay)
+    candidates, diagrams = _candidates(used, sigma, curve, settings, report)
     if not candidates.pole.size:
         raise DataError(
-            f"{frfs.source}: no pole stays in place over the orders between {low:g} and {high:g} Hz"
+            f"{frfs.source}: no pole is stable over the orders between {low:g} and {high:g} Hz"
         )
     if 16 * 6 * candidates.pole.size * used.freqs.size > MOST_BYTES:
         raise DataError(
             f"{frfs.source}: {candidates.pole.size} candidates on {used.freqs.size} lines are "
-            "too many; "
-            "narrow the band with fmin, fmax"
+            "too many; narrow the band with fmin, fmax"
         )
-    tell(0.65, f"residues of {candidates.pole.size} candidates")
+    report(0.65, f"residues of {candidates.pole.size} candidates")
     search = _Search(
-        prepare(used, sigma),
-        sound_pairs(used),
-        settings,
-        [d.poles for d in diagrams],
-        used.window_decay,
-        frfs.source,
+        lines=prepare(used, sigma),
+        pairs=sound_pairs(used),
+        settings=settings,
+        sets=[diagram.poles for diagram in diagrams],
+        decay=used.window_decay,
+        source=frfs.source,
     )
-    fit, rejected = _fit(search, candidates, tell)
+    fit, rejected = _fit(search, candidates, report)
     used, search, fit, faded = _of_blocks(used, search, fit)
-    tell(0.95, "confidence and standard deviations of the modes")
+    report(0.95, "confidence and standard deviations of the modes")
     for _ in range(1 if np.isinf(used.kept) else RINGING_TURNS):
         before = fit.refined.poles
-        search, fit, why = _reweighed(search, used, fit)
-        rejected += why
+        search, fit, more = _reweighed(search, used, fit)
+        rejected += more
         if _unmoved(before, fit.refined):
             break
     search, fit, split, groups = _whole(search, fit)
-    fit, notes = _by_hand(search, fit, choice, (low, high), frfs.source) if choice else (fit, ())
-    result = _report(used, search, fit, rejected, (low, high), tuple(diagrams), curve)
+    by_hand: tuple[str, ...] = ()
+    if choice:
+        fit, by_hand = _by_hand(search, fit, choice, (low, high))
+    modes = _reported(used, search, fit, (low, high))
     reported = lines_between(used, low, high)
-    said = fit_notes(reported, result.modes, result.synthesis_error)
-    late = late_channels(result.modes)
-    told = tuple(filter(None, (roving, end_note(frfs, settings.fmax, high), faded)))
-    odd = tuple(
-        filter(None, (split, odd_channel(used, fit.refined.poles), parted_modes(result.model)))
+    broken = reciprocity_note(modes.model, search.pairs)
+    notes = [
+        roving,
+        end_note(frfs, settings.fmax, high),
+        faded,
+        *frf_notes(reported, search.pairs),
+        broken or modes.scale_note,
+        *fit_notes(reported, modes.modes, modes.error),
+        *late_channels(modes.modes),
+        split,
+        odd_channel(used, fit.refined.poles),
+        parted_modes(modes.model),
+        *by_hand,
+    ]
+    return HammerResult(
+        model=modes.model,
+        modes=modes.modes,
+        uncertainty=modes.uncertainty,
+        reasons=modes.reasons,
+        rejected=tuple(rejected),
+        diagrams=diagrams,
+        freqs=used.freqs,
+        cmif=curve,
+        synthesis_error=modes.error,
+        notes=tuple(note for note in notes if note),
+        groups=() if roving else groups,
+        split_note=split,
     )
-    broken = reciprocity_note(result.model, search.pairs)
-    scale = (broken,) if broken else result.notes
-    told = (*told, *frf_notes(reported, search.pairs), *scale, *said, *late, *odd, *notes)
-    return replace(result, notes=told, groups=() if roving else groups)
+
+
+def _candidates(
+    used: FrfSet, sigma: Noise, curve: Float, settings: HammerModes, report: Progress
+) -> tuple[CandidatePoles, tuple[StableDiagram, ...]]:
+    """Stable poles of all bands, and the diagram of each band."""
+    bands = settings.bands
+    if not bands:
+        bands = choose_bands(used.freqs, curve, float(used.freqs[0]), float(used.freqs[-1]))
+    found = []
+    diagrams = []
+    for k, band in enumerate(bands):
+        report(0.05 + 0.55 * k / len(bands), f"poles in {band[0]:.3g}-{band[1]:.3g} Hz")
+        clusters, diagram = band_candidates(
+            used, sigma, curve=curve, band=band, damping_max=settings.damping_max
+        )
+        found.append(clusters)
+        diagrams.append(diagram)
+    return merged(found, used.freqs, used.window_decay), tuple(diagrams)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fit:
     refined: Refined
     candidates: CandidatePoles
-    verdict: Assessment
+    assessment: Assessment
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -258,53 +288,53 @@ class _Search:
     last: bool = False  # deviations are those that will be stated
 
     def refined(self, c: CandidatePoles) -> _Fit:
-        """The candidates refined; the verdict is still open."""
+        """The candidates refined; not assessed yet."""
         fit = united(
             self.lines, refine(self.lines, c.pole, c.participation, local=self.last), self.pairs
         )
         return _Fit(fit, c, Assessment(np.abs(c.pole), np.ones(c.pole.size), ()))
 
-    def judged(self, fit: _Fit, *, strict: bool) -> _Fit:
-        """The fit with its verdict."""
+    def assessed(self, fit: _Fit, *, strict: bool) -> _Fit:
+        """The fit with the confidence of its modes."""
         r = fit.refined
         held = support(r.poles, r.participation, self.sets, self.decay)
         held = held if strict else np.maximum(held, fit.candidates.support)
         c = replace(fit.candidates, pole=r.poles, participation=r.participation, support=held)
-        verdict = assess_candidates(
+        assessment = assess_candidates(
             self.lines, r, c, self.pairs, damping_max=self.settings.damping_max, strict=strict
         )
-        return _Fit(r, c, verdict)
+        return _Fit(r, c, assessment)
 
-    def settle(self, fit: _Fit, turns: int, *, strict: bool) -> tuple[_Fit, list[str]]:
-        """Verdict and refinement in turns, until no mode falls out."""
+    def pruned(self, fit: _Fit, turns: int, *, strict: bool) -> tuple[_Fit, list[str]]:
+        """Assessment and refinement in turns, until no mode is dropped."""
         rejected: list[str] = []
         for _ in range(turns):
-            fit = self.judged(fit, strict=strict)
-            keep = fit.verdict.confidence >= self.settings.confidence_min
+            fit = self.assessed(fit, strict=strict)
+            keep = fit.assessment.confidence >= self.settings.confidence_min
             if keep.all():
                 break
-            rejected += [fit.verdict.describe(k) for k in np.flatnonzero(~keep).tolist()]
+            rejected += [fit.assessment.describe(k) for k in np.flatnonzero(~keep).tolist()]
             if not keep.any():
-                raise DataError(
-                    f"{self.source}: no mode is believed; the last ones: {'; '.join(rejected[-3:])}"
-                )
+                last = "; ".join(rejected[-3:])
+                raise DataError(f"{self.source}: no mode has enough confidence; the last: {last}")
             fit = self.refined(fit.candidates.take(keep))
         return fit, rejected
 
 
 def _fit(search: _Search, start: CandidatePoles, tell: Progress) -> tuple[_Fit, list[str]]:
     """Refine and prune; then look for modes in what is left over, until none comes to stay."""
-    lines, settings = search.lines, search.settings
-    best, rejected = search.settle(search.refined(start), TURNS, strict=False)
+    lines = search.lines
+    settings = search.settings
+    best, rejected = search.pruned(search.refined(start), TURNS, strict=False)
     for turn in range(settings.searches):
         tell(
             0.7 + 0.25 * turn / settings.searches,
             f"{best.refined.poles.size} modes, looking for missed ones",
         )
-        more = missed(lines, best.refined, search.sets, search.decay, MOST_NEW)
+        more = missed(lines, best.refined, sets=search.sets, decay=search.decay, most=MOST_NEW)
         if not more.pole.size:
             break
-        new, why = search.settle(search.refined(_joined(best, more)), TURNS, strict=False)
+        new, why = search.pruned(search.refined(_joined(best, more)), TURNS, strict=False)
         rejected += why
         if (
             new.refined.poles.size < best.refined.poles.size
@@ -316,9 +346,8 @@ def _fit(search: _Search, start: CandidatePoles, tell: Progress) -> tuple[_Fit, 
         r = best.refined
         last = refine(lines, r.poles, r.participation, iterations=LAST_ITERATIONS)
         best = replace(best, refined=united(lines, last, search.pairs))
-    best, why = search.settle(
-        best, best.refined.poles.size + 1, strict=True
-    )  # every turn but the last drops a mode
+    # every turn but the last drops a mode
+    best, why = search.pruned(best, best.refined.poles.size + 1, strict=True)
     return best, rejected + why
 
 
@@ -327,7 +356,8 @@ def _of_blocks(frfs: FrfSet, search: _Search, fit: _Fit) -> tuple[FrfSet, _Searc
     it is.
     """
     length = block_of_noise(frfs)
-    r, trial = fit.refined, replace(search, lines=replace(search.lines, hann=length))
+    r = fit.refined
+    trial = replace(search, lines=replace(search.lines, hann=length))
     if not length or not looks_faded(search.lines, r, length):
         return frfs, search, fit, ""
     new = trial.refined(replace(fit.candidates, pole=r.poles, participation=r.participation))
@@ -336,7 +366,7 @@ def _of_blocks(frfs: FrfSet, search: _Search, fit: _Fit) -> tuple[FrfSet, _Searc
     return (
         replace(frfs, hann=length),
         trial,
-        trial.judged(new, strict=True),
+        trial.assessed(new, strict=True),
         hann_note(r.poles, new.refined.poles),
     )
 
@@ -351,7 +381,7 @@ def _reweighed(search: _Search, frfs: FrfSet, fit: _Fit) -> tuple[_Search, _Fit,
     smooth = max(search.lines.smooth.shape[1], basis.shape[1])
     search = replace(search, lines=prepare(frfs, left, smooth), last=True)
     start = replace(fit.candidates, pole=r.poles, participation=r.participation)
-    new, why = search.settle(search.refined(start), r.poles.size + 1, strict=True)
+    new, why = search.pruned(search.refined(start), r.poles.size + 1, strict=True)
     return search, new, why
 
 
@@ -371,7 +401,7 @@ def _whole(search: _Search, fit: _Fit) -> tuple[_Search, _Fit, str, tuple[tuple[
     refined = scattered(search.lines, fit.refined, new.refined, split)
     return (
         level,
-        level.judged(replace(new, refined=refined), strict=True),
+        level.assessed(replace(new, refined=refined), strict=True),
         split_note(refined, len(split)),
         agreeing(split),
     )
@@ -386,28 +416,33 @@ def _unmoved(before: Complex, now: Refined) -> bool:
 
 
 def _by_hand(
-    search: _Search, fit: _Fit, choice: Choice, band: tuple[float, float], source: str
+    search: _Search, fit: _Fit, choice: Choice, band: tuple[float, float]
 ) -> tuple[_Fit, tuple[str, ...]]:
-    """The fit after a choice: refined anew where it changes the modes, none of which falls out
-    again.
-    """
+    """The fit after a choice: refined anew where it changes the modes, of which none is dropped."""
     hand = hand_poles(
-        fit.refined.poles, search.sets, choice, band, decay=search.decay, source=source
+        fit.refined.poles,
+        search.sets,
+        choice,
+        band,
+        decay=search.decay,
+        source=search.source,
     )
     if hand.changes:
         both = _joined(fit, hand.added)
         keep = np.append(hand.keep, np.ones(hand.added.pole.size, dtype=bool))
         if not keep.any():
-            raise DataError(f"{source}: the choice {choice.source} leaves no mode")
-        fit = search.judged(search.refined(both.take(keep)), strict=True)
+            raise DataError(f"{search.source}: the choice {choice.source} leaves no mode")
+        fit = search.assessed(search.refined(both.take(keep)), strict=True)
     reasons = tuple(
-        "; ".join(filter(None, x)) for x in zip(hand.said, fit.verdict.reason, strict=True)
+        f"{by_hand}; {evidence}" if by_hand and evidence else by_hand or evidence
+        for by_hand, evidence in zip(hand.said, fit.assessment.reason, strict=True)
     )
-    return replace(fit, verdict=replace(fit.verdict, reason=reasons)), hand.notes
+    return replace(fit, assessment=replace(fit.assessment, reason=reasons)), hand.notes
 
 
 def _joined(fit: _Fit, more: CandidatePoles) -> CandidatePoles:
-    r, c = fit.refined, fit.candidates
+    r = fit.refined
+    c = fit.candidates
     return CandidatePoles(
         np.concatenate([r.poles, more.pole]),
         np.concatenate([r.participation, more.participation]),
@@ -416,50 +451,65 @@ def _joined(fit: _Fit, more: CandidatePoles) -> CandidatePoles:
     )
 
 
-def _report(
-    frfs: FrfSet,
-    search: _Search,
-    found: _Fit,
-    rejected: Sequence[str],
-    band: tuple[float, float],
-    diagrams: tuple[StableDiagram, ...],
-    curve: Float,
-) -> HammerResult:
-    fit, verdict = found.refined, found.verdict
-    lines, pairs = search.lines, search.pairs
-    model = lsfd(frfs, fit.poles, fit.participation, lines, pairs, shapes=fit.shapes)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Reported:
+    """The modes to report, and the model of all poles of the fit."""
+
+    model: ModalModel
+    modes: ModeSet
+    uncertainty: Uncertainty
+    reasons: tuple[str, ...]
+    error: Float
+    scale_note: str
+
+
+def _reported(frfs: FrfSet, search: _Search, fit: _Fit, band: tuple[float, float]) -> _Reported:
+    """Scaled modes in the band with their standard deviations."""
+    lines = search.lines
+    pairs = search.pairs
+    refined = fit.refined
+    model = lsfd(
+        frfs, refined.poles, refined.participation, lines=lines, pairs=pairs, shapes=refined.shapes
+    )
     f = model.frequencies
     order = np.argsort(f, kind="stable")
-    told = order[(f[order] >= band[0]) & (f[order] <= band[1])]
-    alpha = mode_scale(model)
-    norm = Norm.UNSCALED if model.norm is Norm.UNSCALED else Norm.MASS
+    inside = order[(f[order] >= band[0]) & (f[order] <= band[1])]
+    shapes = model.shapes * mode_scale(model)
     modes = ModeSet(
-        f[told],
-        model.damping[told],
-        (model.shapes * alpha)[:, told],
-        tuple(c.id for c in frfs.outputs),
-        norm,
-        frfs.source or "hammer FRFs, pLSCF",
-        verdict.confidence[told],
+        frequencies=f[inside],
+        damping=model.damping[inside],
+        shapes=shapes[:, inside],
+        labels=tuple(c.id for c in frfs.outputs),
+        norm=Norm.UNSCALED if model.norm is Norm.UNSCALED else Norm.MASS,
+        source=frfs.source or "hammer FRFs, pLSCF",
+        confidence=fit.assessment.confidence[inside],
     )
-    phi = np.abs(model.shapes * alpha)
-    heard, driven = blow_factors(lines, fit.poles)
-    fit = replace(fit, shapes=fit.shapes / heard, participation=fit.participation / driven)
-    shape = shape_deviations(lines, fit, pairs) * phi
-    for i, j in twins(fit.poles):  # any turn in their plane is as good
-        shape[:, [i, j]] = np.hypot(shape[:, [i, j]], phi[:, [j, i]] / np.sqrt(2))
+    heard, driven = blow_factors(lines, refined.poles)
+    own = replace(
+        refined, shapes=refined.shapes / heard, participation=refined.participation / driven
+    )
+    size = np.abs(shapes)
+    deviation = shape_deviations(lines, own, pairs) * size
+    repeated = twins(refined.poles)
+    for i, j in repeated:  # any turn in their plane is as good
+        deviation[:, [i, j]] = np.hypot(deviation[:, [i, j]], size[:, [j, i]] / np.sqrt(2))
     fitted = synthesise_windowed(model, lines)
-    scale, note = scale_deviations(frfs, fitted, fit, pairs)
-    shape = np.hypot(shape, phi * scale)
-    std = Uncertainty(fit.std_frequency, fit.std_damping, shape, fit.factor).take(told)
+    scale, scale_note = scale_deviations(frfs, fitted, own, pairs)
+    deviation = np.hypot(deviation, size * scale)
+    std = Uncertainty(own.std_frequency, own.std_damping, deviation, own.factor)
     at = (frfs.freqs >= band[0]) & (frfs.freqs <= band[1])
-    size = np.linalg.norm(frfs.data[at], axis=0)
-    error = np.linalg.norm(frfs.data[at] - fitted[at], axis=0) / np.maximum(size, 1e-300)
-    doubled = dict.fromkeys(range(f.size), "") | {
-        k: f"; {PAIR}" for both in twins(fit.poles) for k in both
-    }
-    reasons = tuple(verdict.reason[k] + doubled[k] for k in told.tolist())
-    notes = (note,) if note else ()
-    return HammerResult(
-        model, modes, std, reasons, tuple(rejected), diagrams, frfs.freqs, curve, error, notes
+    measured = np.linalg.norm(frfs.data[at], axis=0)
+    error = np.linalg.norm(frfs.data[at] - fitted[at], axis=0) / np.maximum(measured, 1e-300)
+    pairs_of_modes = {k for both in repeated for k in both}
+    reasons = []
+    for k in inside.tolist():
+        pair = f"; {PAIR}" if k in pairs_of_modes else ""
+        reasons.append(fit.assessment.reason[k] + pair)
+    return _Reported(
+        model=model,
+        modes=modes,
+        uncertainty=std.take(inside),
+        reasons=tuple(reasons),
+        error=error,
+        scale_note=scale_note,
     )

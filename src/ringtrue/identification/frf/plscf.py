@@ -44,7 +44,8 @@ def lower_factor(normal: NDArray[Entry], ridge: float) -> NDArray[Entry]:
     -------
     (n, n), of the type of `normal`
     """
-    eye, ridge = np.eye(len(normal)), max(ridge, np.finfo(float).tiny)
+    eye = np.eye(len(normal))
+    ridge = max(ridge, np.finfo(float).tiny)
     while True:
         try:
             return np.asarray(cholesky(normal + ridge * eye, lower=True))
@@ -103,11 +104,14 @@ def plscf(data: Complex, freqs: Float, settings: Plscf) -> PoleSet:
     poles = np.concatenate([p for p, _ in found])
     part = unit(np.concatenate([v for _, v in found], axis=1) * scale[:, None])
     unknown = np.full(poles.size, np.nan)
-    return PoleSet(order, poles, part, unknown, unknown).take(_plausible(poles, freqs, settings))
+    return PoleSet(
+        order=order, pole=poles, shape=part, std_frequency=unknown, std_damping=unknown
+    ).take(_plausible(poles, freqs, settings))
 
 
 def _plausible(poles: Complex, freqs: Float, settings: Plscf) -> Bool:
-    f, zeta = np.abs(poles) / (2 * np.pi), -poles.real / np.abs(poles)
+    f = np.abs(poles) / (2 * np.pi)
+    zeta = -poles.real / np.abs(poles)
     inside = (f >= freqs[0]) & (f <= freqs[-1]) & (poles.imag > 0)
     return np.asarray(inside & (zeta > 1e-5) & (zeta < settings.damping_max))
 
@@ -155,9 +159,8 @@ def _order(factor: Float, n: int, m: int, freqs: Float) -> tuple[Complex, Comple
         check_finite=False,
     )
     companion = np.eye(n * m, k=-m)
-    companion[:m] = (
-        -a.reshape(n, m, m)[::-1].transpose(2, 0, 1).reshape(m, n * m)
-    )  # A transposed: left null vectors
+    # A transposed: left null vectors
+    companion[:m] = -a.reshape(n, m, m)[::-1].transpose(2, 0, 1).reshape(m, n * m)
     mu, vectors = np.linalg.eig(companion)
     keep = (mu.imag < 0) & (np.abs(mu) > 1e-6)  # z = 1/mu in the upper half plane
     step = 2 * (freqs[-1] - freqs[0])
@@ -198,7 +201,7 @@ def pole_shapes(poles: PoleSet, data: Complex, freqs: Float, power: int) -> Comp
     """Response shapes (out, k) of the poles of each order, by least squares with a lower and an
     upper residual.
 
-    One input tells modes that overlap apart by their responses alone.
+    With one input overlapping modes are separated by their responses alone.
 
     Parameters
     ----------
@@ -215,9 +218,8 @@ def pole_shapes(poles: PoleSet, data: Complex, freqs: Float, power: int) -> Comp
     q = kind[:, None] / (s[:, None] - poles.pole)
     q -= terms @ (terms.conj().T @ q)
     part = poles.shape
-    rhs = (q.conj().T @ data.reshape(s.size, -1)).reshape(
-        len(poles), *data.shape[1:]
-    )  # terms are no part of q
+    # terms are no part of q
+    rhs = (q.conj().T @ data.reshape(s.size, -1)).reshape(len(poles), *data.shape[1:])
     rhs = (rhs * part.conj().T[:, None]).sum(axis=2)
     out = np.zeros((data.shape[1], len(poles)), dtype=np.complex128)
     for n in poles.orders:
@@ -249,7 +251,8 @@ def cluster_poles(
     """
     if len(poles) < 2:
         return _clusters(poles, np.full(len(poles), -1, dtype=np.int64), [])
-    p, v = poles.pole, poles.shape / np.linalg.norm(poles.shape, axis=0)
+    p = poles.pole
+    v = poles.shape / np.linalg.norm(poles.shape, axis=0)
     near = np.broadcast_to(np.asarray(resolution, dtype=np.float64), p.shape)
     width = np.sqrt(np.outer(-p.real, -p.real)) * 0.5 + 0.6 * np.pi * np.sqrt(np.outer(near, near))
     far = np.abs(p[:, None] - p) / width
@@ -272,13 +275,13 @@ def cluster_poles(
 def _clusters(poles: PoleSet, label: Int, held: Sequence[Int]) -> Clusters:
     rows = [_summary(poles, g) for g in held]
     return Clusters(
-        label,
-        np.array([r[0] for r in rows], dtype=np.complex128),
-        np.array([r[1] for r in rows], dtype=np.complex128)
+        label=label,
+        pole=np.array([r[0] for r in rows], dtype=np.complex128),
+        participation=np.array([r[1] for r in rows], dtype=np.complex128)
         .reshape(len(rows), poles.shape.shape[0])
         .T,
-        np.array([r[2] for r in rows]),
-        np.array([r[3] for r in rows]),
+        support=np.array([r[2] for r in rows]),
+        scatter=np.array([r[3] for r in rows]),
     )
 
 

@@ -88,9 +88,15 @@ def band_candidates(
     lowest, highest = order_range(strong.shape[2], count_peaks(curve[at]).size, int(at.sum()))
     poles = plscf(strong, frfs.freqs[at], Plscf(lowest, highest, most))
     poles = replace(poles, shape=driven @ poles.shape)
-    poles, clusters = grouped(poles, strong, sigma, frfs, at)
+    poles, clusters = grouped(poles, strong, sigma=sigma, frfs=frfs, at=at)
     db = 20 * np.log10(np.maximum(curve[at, 0], np.finfo(float).tiny))
-    return clusters, StableDiagram(poles, clusters.label >= 0, clusters.label, frfs.freqs[at], db)
+    return clusters, StableDiagram(
+        poles=poles,
+        stable=clusters.label >= 0,
+        cluster=clusters.label,
+        freqs=frfs.freqs[at],
+        level=db,
+    )
 
 
 def grouped(
@@ -99,7 +105,7 @@ def grouped(
     """Poles of whitened lines `at` in the units of the inputs, and those that stay in place over
     the orders.
 
-    With one input the responses tell modes apart.
+    With one input the responses separate the modes.
     """
     alone = white.shape[2] == 1 and white.shape[1] > 1 and len(poles) > 0
     responses = pole_shapes(poles, white, frfs.freqs[at], POWER[frfs.kind]) if alone else None
@@ -143,9 +149,8 @@ def _directions(rows: Float, most: int) -> Float:
     """
     n, k = rows.shape
     values, vectors = np.linalg.eigh(rows @ rows.T)
-    edge = (
-        k * (1 + np.sqrt(n / k)) ** 2
-    )  # Marchenko, Pastur (1967): the largest eigenvalue of noise alone
+    # Marchenko, Pastur (1967): the largest eigenvalue of noise alone
+    edge = k * (1 + np.sqrt(n / k)) ** 2
     r = int(np.clip((values > 1.5 * edge).sum(), min(n, 4), most))
     return np.asarray(vectors[:, -r:])
 
@@ -161,10 +166,8 @@ def merged(found: Sequence[Clusters], freqs: Float, decay: float) -> CandidatePo
         )
     pole = np.concatenate([c.pole for c in found])
     part = np.concatenate([c.participation.T for c in found])
-    support, scatter = (
-        np.concatenate([c.support for c in found]),
-        np.concatenate([c.scatter for c in found]),
-    )
+    support = np.concatenate([c.support for c in found])
+    scatter = np.concatenate([c.scatter for c in found])
     band = np.repeat(np.arange(len(found)), [c.pole.size for c in found])
     keep = np.ones(pole.size, dtype=bool)
     rank = scatter + (1 - support)

@@ -42,7 +42,9 @@ def augmented_form(c: Float) -> tuple[Complex, Complex]:
     round.
     """
     k = c.shape[0] // 2
-    a, b, d = c[:k, :k], c[:k, k:], c[k:, k:]
+    a = c[:k, :k]
+    b = c[:k, k:]
+    d = c[k:, k:]
     return np.asarray(0.5 * (a + d + 1j * (b.T - b))), np.asarray(0.5 * (a - d + 1j * (b.T + b)))
 
 
@@ -157,13 +159,17 @@ def refine(
     reach = REACH * np.abs(poles.real) + np.diff(lines.s.imag).mean()
     part = participation * lines.input
     part = part / np.linalg.norm(part, axis=1, keepdims=True)
-    near, few, centre = NEAR * reach, condensed(lines, poles, NEAR * reach), poles
+    near = NEAR * reach
+    few = condensed(lines, poles, NEAR * reach)
+    centre = poles
     state = _evaluate(few, poles, part)
-    damping, outcome = 1e-3, Outcome.MAX_ITERATIONS
+    damping = 1e-3
+    outcome = Outcome.MAX_ITERATIONS
     for _ in range(iterations if poles.size else 0):
         trial = _step(state, damping, poles, reach)
         if trial is not None and (np.abs(trial[0] - centre) > near).any():
-            few, centre = condensed(lines, trial[0], near), trial[0]
+            few = condensed(lines, trial[0], near)
+            centre = trial[0]
         new = None if trial is None else _evaluate(few, *trial)
         if new is None or new.cost > state.cost:
             damping *= 10
@@ -172,7 +178,8 @@ def refine(
                 break
             continue
         fall = (state.cost - new.cost) / max(state.cost, 1e-300)
-        state, damping = new, max(damping / 10, 1e-9)
+        state = new
+        damping = max(damping / 10, 1e-9)
         if fall < TOLERANCE:
             outcome = Outcome.CONVERGED
             break
@@ -209,7 +216,8 @@ def _scaled(state: State) -> tuple[Float, Float]:
     """Gauss-Newton matrix of the free parameters in their (real, imaginary) parts over `scale`, and
     that (free,).
     """
-    v, m = state.free, state.poles.size
+    v = state.free
+    m = state.poles.size
     scale = 1 / np.sqrt(np.maximum(np.diag(state.hessian).real[v], 1e-300))
     both = scale[:, None] * scale
     return real_form(
@@ -243,16 +251,14 @@ def _evaluate(lines: Lines, poles: Complex, part: Complex) -> State:
     xg = np.concatenate([cd * ll, *(l.conj() * cc)], axis=1)
     gy = np.concatenate([(l.conj() * dy).sum(axis=0), *cy])
     scale = 1 / np.sqrt(np.maximum(np.diag(xx).real, 1e-300))
-    inverse = (
-        scale[:, None] * np.linalg.inv(scale[:, None] * xx * scale) * scale
-    )  # small; its diagonal is needed too
+    # small; its diagonal is needed too
+    inverse = scale[:, None] * np.linalg.inv(scale[:, None] * xx * scale) * scale
     psi = inverse @ xy
     gg = _gram(cc, cd, dd * ll, l)
     slope = -inverse @ xg
     core = gg + xg.conj().T @ slope
-    void = (
-        np.diag(core).real < FLAT * np.diag(gg).real
-    )  # what the shapes do as well: a turn of two modes of one pole
+    # what the shapes do as well: a turn of two modes of one pole
+    void = np.diag(core).real < FLAT * np.diag(gg).real
     w2 = lines.response**2
     tile = np.tile(psi, (1 + n_in, 1))
     hessian = core * ((tile.conj() * w2) @ tile.T)
@@ -261,7 +267,15 @@ def _evaluate(lines: Lines, poles: Complex, part: Complex) -> State:
     var = 2 * np.diag(inverse).real[:m]
     shape_var = np.maximum(var, 0) / w2[:, None]
     return State(
-        poles, part, psi[:m].T, cost, hessian, gradient, shape_var, slope, _free(part, ~void)
+        poles=poles,
+        part=part,
+        shapes=psi[:m].T,
+        cost=cost,
+        hessian=hessian,
+        gradient=gradient,
+        shape_var=shape_var,
+        slope=slope,
+        free=_free(part, ~void),
     )
 
 
@@ -285,7 +299,8 @@ def _products(lines: Lines, poles: Complex) -> tuple[Complex, Complex, Complex, 
     turn = np.block([[eye, eye], [-1j * eye, 1j * eye]])
     back = turn.conj().T
     cc, cd, dd = (back @ gram[i, :, k] @ turn for i, k in ((0, 0), (0, 1), (1, 1)))
-    cy, dy = back @ data[:, 0], back @ data[:, 1]
+    cy = back @ data[:, 0]
+    dy = back @ data[:, 1]
     return cc, cd, dd, cy, dy
 
 
@@ -313,16 +328,16 @@ def _result(lines: Lines, state: State, outcome: Outcome, local: bool) -> Refine
     factor = np.sqrt(np.maximum(values, 0))[:, None] * vectors.T
     std = np.sqrt(np.maximum(np.diag(real), 0))
     return Refined(
-        state.poles,
-        state.part / lines.input,
-        state.shapes,
-        std[:m],
-        std[m:],
-        factor,
-        float(np.sqrt(error2)),
-        state.cost,
-        outcome,
-        Known(state, cov, own, rest),
+        poles=state.poles,
+        participation=state.part / lines.input,
+        shapes=state.shapes,
+        std_frequency=std[:m],
+        std_damping=std[m:],
+        factor=factor,
+        error=float(np.sqrt(error2)),
+        cost=state.cost,
+        outcome=outcome,
+        known=Known(state, cov, own, rest),
     )
 
 
@@ -359,7 +374,8 @@ def _local_error(lines: Lines, state: State, rest: Complex) -> tuple[Float, Floa
     along the shape counts where it is larger. Few lines tell the error of a residue, so its
     interval is that of Student: 1.96 deviations hold 95 % of the cases.
     """
-    m, n_out = state.poles.size, state.shapes.shape[0]
+    m = state.poles.size
+    n_out = state.shapes.shape[0]
     part = (np.abs(state.part) ** 2).T[:, None]
     by_shape, by_pole = (part * np.abs(q[:, :m]) ** 2 for q in functions_slopes(lines, state.poles))
     by_shape, by_pole = (w / w.sum(axis=(0, 1)) for w in (by_shape, by_pole))  # (in, freq, mode)
@@ -377,10 +393,10 @@ def _local_error(lines: Lines, state: State, rest: Complex) -> tuple[Float, Floa
     own = (
         np.tensordot(power, by_shape / left(by_shape, n_out), ([0, 1], [0, 1])) * early[0] * few**2
     )
-    apart = np.tensordot(power, by_pole / left(by_pole, n_out), ([0, 1], [0, 1]))
-    apart = (apart * np.abs(seen) ** 2).sum(axis=0)
+    separate = np.tensordot(power, by_pole / left(by_pole, n_out), ([0, 1], [0, 1]))
+    separate = (separate * np.abs(seen) ** 2).sum(axis=0)
     together = 0.5 * (by_pole * np.abs(rest @ seen.conj()) ** 2).sum(axis=(0, 1)) / left(by_pole, 1)
-    return own, np.maximum(apart, together) * early[1]
+    return own, np.maximum(separate, together) * early[1]
 
 
 def _early(lines: Lines, rest: Complex, poles: Complex) -> Float:
@@ -397,9 +413,8 @@ def _early(lines: Lines, rest: Complex, poles: Complex) -> Float:
     there = (power @ both) / np.maximum(both.sum(axis=1), 1e-300)
     early = np.maximum(there / max(power.mean(), 1e-300), 1.0)
     terms = lines.terms.shape[1] + lines.smooth.shape[1]
-    taken = (
-        (early - 1) * (poles.size + terms) / power.size
-    )  # by the fit, of the few values at the start
+    # by the fit, of the few values at the start
+    taken = (early - 1) * (poles.size + terms) / power.size
     return np.asarray(early / (1 - np.minimum(taken, 0.8)))
 
 
@@ -421,16 +436,16 @@ def shape_deviations(
     pairs : sequence of (output, input, sign), optional
         Driving points; None leaves the scale to the largest participation, held fixed.
     """
-    state, cov = fit.known.state, fit.known.covariance
-    tile = np.tile(
-        augment(state.shapes.T), (1 + fit.participation.shape[1], 1)
-    ).T  # (out, parameter)
+    state = fit.known.state
+    cov = fit.known.covariance
+    # (out, parameter)
+    tile = np.tile(augment(state.shapes.T), (1 + fit.participation.shape[1], 1)).T
     own = state.shape_var * fit.known.own
     psi = np.where(state.shapes == 0, np.finfo(float).tiny, state.shapes)
     out = np.empty(psi.shape)
     for k in range(fit.poles.size):  # (out, parameter) arrays of all modes at once would not fit
         g = tile * state.slope[k] / psi[:, k, None]
-        common, noise = _scale_slope(fit, lines, pairs, g, psi[:, k], k)
+        common, noise = _scale_slope(fit, lines, pairs=pairs, g=g, psi=psi[:, k], k=k)
         g = g + common
         half = g.reshape(g.shape[0], -1, 2, fit.poles.size)
         g = 0.5 * (half + half[:, :, ::-1].conj()).reshape(g.shape)
@@ -459,8 +474,10 @@ def _scale_slope(
         noise[top] = -1 / psi[top]
         return -g[top], noise
     o, i, sign = (np.array(x) for x in zip(*pairs, strict=True))
-    part, driven = fit.participation[k, i], sign * psi[o]
-    size, overlap = (np.abs(part) ** 2).sum(), (part.conj() * driven).sum()
+    part = fit.participation[k, i]
+    driven = sign * psi[o]
+    size = (np.abs(part) ** 2).sum()
+    overlap = (part.conj() * driven).sum()
     overlap = overlap if overlap != 0 else size * np.finfo(float).tiny
     share = -0.5 * part.conj() * driven / overlap
     np.add.at(noise, o, share / psi[o])
@@ -473,13 +490,16 @@ def _scale_slope(
 
 def _real(cov: Complex, m: int) -> Float:
     """Covariance of (Re, Im) from that of augmented (x, conj x)."""
-    a, b = cov[:m, :m], cov[:m, m:]
+    a = cov[:m, :m]
+    b = cov[:m, m:]
     return np.block([[(a + b).real, (b - a).imag], [(a + b).imag, (a - b).real]]) / 2
 
 
 def _slopes(poles: Complex) -> Float:
     """(2 m, 2 m) derivatives of (frequency, damping) by (Re λ, Im λ)."""
-    a, b, r = poles.real, poles.imag, np.abs(poles)
+    a = poles.real
+    b = poles.imag
+    r = np.abs(poles)
     d = np.diag
     return np.block(
         [[d(a / r), d(b / r)], [d(-(b**2) / r**3 * 2 * np.pi), d(a * b / r**3 * 2 * np.pi)]]

@@ -31,8 +31,9 @@ from ringtrue.identification.frf.lines import (
     resonances,
 )
 
-_AROUND = 31  # lines at least, that tell the noise beside a mode
-_SMOOTHED, _VALUES = 5, 40  # lines that their noise is averaged over, and values at least
+_AROUND = 31  # lines at least, for the noise around a mode
+_SMOOTHED = 5  # lines that their noise is averaged over
+_VALUES = 40  # and values at least
 _LEAST = 1e-4  # of the squared noise of a typical line
 Pairs = Sequence[tuple[int, int, float]]
 
@@ -60,7 +61,8 @@ def noise(frfs: FrfSet) -> Noise:
         line = np.minimum(
             line, median_filter(line, size=max(_AROUND, line.size // 10) | 1, mode="nearest")
         )
-    response, given = log.mean(axis=(0, 2)) - mean, log.mean(axis=(0, 1)) - mean
+    response = log.mean(axis=(0, 2)) - mean
+    given = log.mean(axis=(0, 1)) - mean
     return Noise(np.exp(0.5 * line), np.exp(0.5 * response), np.exp(0.5 * given))
 
 
@@ -139,8 +141,18 @@ def lsfd(
     rest = frfs.data - modal_part(lines, poles, shapes, participation)
     lower, upper = _residuals(rest, lines)
     shape, part = blow_factors(lines, poles)
-    shapes, part = shapes / shape, participation / part
-    model = ModalModel(poles, shapes, part, lower, upper, frfs.outputs, frfs.inputs, frfs.kind)
+    shapes = shapes / shape
+    part = participation / part
+    model = ModalModel(
+        poles=poles,
+        shapes=shapes,
+        participation=part,
+        lower=lower,
+        upper=upper,
+        outputs=frfs.outputs,
+        inputs=frfs.inputs,
+        kind=frfs.kind,
+    )
     return normalise(model, pairs)
 
 
@@ -178,17 +190,16 @@ def weighted_rest(lines: Lines, poles: Complex, participation: Complex, shapes: 
 
 
 def noise_left(lines: Lines, rest: Complex) -> Noise:
-    """The noise that a fit tells by what it leaves, `rest` (in, freq, out) of `weighted_rest`.
+    """The noise that follows from what it leaves, `rest` (in, freq, out) of `weighted_rest`.
 
     The errors of measured FRFs grow with the response near a mode, whatever the coherence says of a
     typical channel.
     """
     power = np.abs(rest) ** 2 + np.finfo(float).tiny
-    response, given = power.mean(axis=(0, 1)), power.mean(axis=(1, 2))
-    response, given = (
-        response / np.exp(np.log(response).mean()),
-        given / np.exp(np.log(given).mean()),
-    )
+    response = power.mean(axis=(0, 1))
+    given = power.mean(axis=(1, 2))
+    response = response / np.exp(np.log(response).mean())
+    given = given / np.exp(np.log(given).mean())
     line = (power / (response * given[:, None, None])).mean(axis=(0, 2))
     wide = max(_SMOOTHED, int(np.ceil(_VALUES / (response.size * given.size))) | 1)
     line = np.maximum(
@@ -245,22 +256,23 @@ def normalise(model: ModalModel, pairs: Pairs | None = None) -> ModalModel:
     pairs = driving_pairs(model) if pairs is None else pairs
     if not pairs or not model.poles.size:
         return model
-    o, i = np.array([p[0] for p in pairs]), np.array([p[1] for p in pairs])
+    o = np.array([p[0] for p in pairs])
+    i = np.array([p[1] for p in pairs])
     sign = np.array([p[2] for p in pairs])[:, None]
-    psi, part = model.shapes[o] * sign, model.participation.T[i]
-    overlap = (part.conj() * psi).sum(
-        axis=0
-    )  # regressed on l, which all responses fix: ψ has more noise
+    psi = model.shapes[o] * sign
+    part = model.participation.T[i]
+    # regressed on l, which all responses fix: ψ has more noise
+    overlap = (part.conj() * psi).sum(axis=0)
     square = (np.abs(part) ** 2).sum(axis=0) / np.where(overlap != 0, overlap, 1.0)
     alpha = np.sqrt(np.where(square != 0, square, 1.0))
     return ModalModel(
-        model.poles,
-        model.shapes * alpha,
-        model.participation / alpha[:, None],
-        model.lower,
-        model.upper,
-        model.outputs,
-        model.inputs,
-        model.kind,
-        Norm.MODAL_A,
+        poles=model.poles,
+        shapes=model.shapes * alpha,
+        participation=model.participation / alpha[:, None],
+        lower=model.lower,
+        upper=model.upper,
+        outputs=model.outputs,
+        inputs=model.inputs,
+        kind=model.kind,
+        norm=Norm.MODAL_A,
     )

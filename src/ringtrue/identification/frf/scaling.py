@@ -26,17 +26,14 @@ from ringtrue.shapes.mac import paired_mac
 SHARED = 3.0  # times what the fit leaves is noise by the coherence, where responses share it
 APART = 3.0  # standard deviations of a sum of squares
 TOLD = 0.1  # of the residues at the driving points
-SIDE, LEAST = (
-    1.96,
-    1 / 9,
-)  # deviations to the end of an interval; of a residue, that may be left there
-_GOOD, _DOUBTFUL, _POOR = (
-    0.95,
-    0.9,
-    0.8,
-)  # agreement that is sound, that one fault may explain, and that is told anyhow
-_FACTOR = 0.1  # of a calibration, from which on it is told
-_CHANCE = 3e-4  # that a factor of a sound point is told: its deviation rests on few modes
+SIDE = 1.96  # deviations to the end of an interval
+LEAST = 1 / 9  # of a residue, that may be left there
+# agreement that is sound, that one fault may explain, and that is reported in any case
+_GOOD = 0.95
+_DOUBTFUL = 0.9
+_POOR = 0.8
+_FACTOR = 0.1  # of a calibration, from which on it is reported
+_CHANCE = 3e-4  # that a factor of a sound point is reported: its deviation rests on few modes
 
 
 def mode_scale(model: ModalModel) -> Complex:
@@ -53,7 +50,7 @@ def mode_scale(model: ModalModel) -> Complex:
 def scale_deviations(
     frfs: FrfSet, fitted: Complex, fit: Refined, pairs: Pairs
 ) -> tuple[Float, str]:
-    """Relative standard deviations (out, m) of the shapes, beside that of their residues, and a
+    """Relative standard deviations (out, m) of the shapes, besides that of their residues, and a
     note.
 
     Parameters
@@ -72,16 +69,18 @@ def scale_deviations(
     weight = np.abs(fit.participation[:, i]) ** 2
     weight = weight / np.maximum(weight.sum(axis=1, keepdims=True), 1e-300)
     shared = 0.25 * (weight**2 * _shared(frfs, fitted, fit.poles)[:, i]).sum(axis=1)
-    apart, error = _apart(fit, pairs)
-    noise = _of_the_force(frfs, fit.poles, weight, o, i)
-    return np.sqrt(shared + apart**2 + noise + _by_a_node(fit, pairs)), _note(frfs, pairs, error)
+    disagreement, error = _apart(fit, pairs)
+    noise = _of_the_force(frfs, fit.poles, weight=weight, o=o, i=i)
+    return np.sqrt(shared + disagreement**2 + noise + _by_a_node(fit, pairs)), _note(
+        frfs, pairs, error
+    )
 
 
 def _by_a_node(fit: Refined, pairs: Pairs) -> Float:
     """(m,) relative variance of the scales that first order leaves out, as φ_o = R_oi/√R_ii where
-    R_ii is hardly known.
+    R_ii is poorly known.
 
-    The upper end of the interval of φ, from the lower one of R_ii, tells the deviation.
+    The upper end of the interval of φ, from the lower one of R_ii, gives the deviation.
     """
     psi, part, variance = _driven(fit, pairs)
     overlap = np.maximum(np.abs((part.conj() * psi).sum(axis=1)), 1e-300)
@@ -129,7 +128,8 @@ def _shared(frfs: FrfSet, fitted: Complex, poles: Complex) -> Float:
         due = (power * (1 - g) / g).sum(axis=0) / size / np.maximum(n - 1, 1)
         due = due - explained[k] / np.maximum(n - 1, 1)
         left = (np.abs(frfs.data[at] - fitted[at]) ** 2).sum(axis=0) / size
-        due, left = np.median(due, axis=0), np.median(left, axis=0)
+        due = np.median(due, axis=0)
+        left = np.median(left, axis=0)
         out[k] = np.where((due > SHARED * left) & (n > 1), 0.5 * (due - left), 0.0)
     return out
 
@@ -144,14 +144,15 @@ def _apart(fit: Refined, pairs: Pairs) -> tuple[Float, float]:
     psi, part, variance = _driven(fit, pairs)
     square = np.maximum((np.abs(part) ** 2).sum(axis=1), 1e-300)
     ratio = (part.conj() * psi).sum(axis=1) / square
-    unit = np.sqrt(np.abs(fit.poles) / np.maximum(np.abs(ratio), 1e-300))[
-        :, None
-    ]  # of unit modal mass
-    rest, size = unit * (psi - ratio[:, None] * part), unit * np.abs(ratio[:, None] * part)
+    # of unit modal mass
+    unit = np.sqrt(np.abs(fit.poles) / np.maximum(np.abs(ratio), 1e-300))[:, None]
+    rest = unit * (psi - ratio[:, None] * part)
+    size = unit * np.abs(ratio[:, None] * part)
     noise = unit**2 * variance
     free = 1 - np.abs(part) ** 2 / square[:, None]
     typical = (size**2).mean(axis=0)
-    found, due = (np.abs(rest) ** 2).sum(), (free * noise).sum()
+    found = (np.abs(rest) ** 2).sum()
+    due = (free * noise).sum()
     freedom = max(2 * psi.shape[0] * (len(pairs) - 1), 1)
     if len(pairs) < 2 or found < due * (1 + APART * np.sqrt(2 / freedom)):
         return np.zeros(psi.shape[0]), 0.0
@@ -185,7 +186,7 @@ def reciprocity(model: ModalModel) -> Float:
 
 def calibrations(model: ModalModel) -> tuple[Float, Float]:
     """What the response at each point struck reads over what the others do for the same force, and
-    how sure that is.
+    its deviation.
 
     The residues of mode m are ψ_o l_i, and in a reciprocal structure |ψ_o| = c_m d_o |l_o|, where
     d_o is the factor by which response and force at o are mis-scaled. Least squares of the
@@ -210,15 +211,13 @@ def calibrations(model: ModalModel) -> tuple[Float, Float]:
 def _factors(psi: Complex, part: Complex) -> tuple[Float, Float]:
     """`calibrations` by shapes and participations (p, m)."""
     own = np.abs(psi * part)
-    weight = np.sqrt(
-        own / np.maximum(own.max(axis=0), 1e-300)
-    )  # the noise of a logarithm falls as its number grows
+    # the noise of a logarithm falls as its number grows
+    weight = np.sqrt(own / np.maximum(own.max(axis=0), 1e-300))
     ratio = np.log(np.maximum(np.abs(psi), 1e-300) / np.maximum(np.abs(part), 1e-300))
     p, m = ratio.shape
     rows = np.concatenate([np.repeat(np.eye(p), m, axis=0), np.tile(np.eye(m), (p, 1))], axis=1)
-    inverse = np.linalg.pinv(
-        rows * weight.reshape(-1, 1)
-    )  # of least norm: the points sum to the modes' mean
+    # of least norm: the points sum to the modes' mean
+    inverse = np.linalg.pinv(rows * weight.reshape(-1, 1))
     x = inverse @ (weight * ratio).ravel()
     left = weight.ravel() * (ratio.ravel() - rows @ x)
     variance = (left**2).sum() / max((p - 1) * (m - 1), 1)
@@ -247,29 +246,31 @@ def reciprocity_note(model: ModalModel, sound: Pairs) -> str:
     psi = psi * np.where([i in used for _, i, _ in driving_pairs(model)], 1.0, -1.0)[:, None]
     factor, std = _factors(psi, part)
     if _agreement(psi / factor[:, None], part) > _GOOD:
-        sure = float(stdtrit((len(names) - 1) * (model.poles.size - 1), 1 - _CHANCE / 2))
-        return _miscalibrated(names, factor, sure * std)
+        quantile = float(stdtrit((len(names) - 1) * (model.poles.size - 1), 1 - _CHANCE / 2))
+        return _miscalibrated(names, factor, quantile * std)
     return _mislaid(psi, part, names)
 
 
 def _miscalibrated(names: list[str], factor: Float, doubt: Float) -> str:
     """Factors beyond `doubt` of their logarithms."""
     off = np.abs(np.log(factor))
-    low, high = factor.argmin(), factor.argmax()
+    low = factor.argmin()
+    high = factor.argmax()
     if len(names) == 2:  # their median lies between them
-        off, doubt = 2 * off, 2 * doubt
+        off = 2 * off
+        doubt = 2 * doubt
     odd = np.flatnonzero((off > np.log1p(_FACTOR)) & (off > doubt))
     if not odd.size:
         return ""
     if len(names) == 2:
-        told = (
+        finding = (
             f"{factor[high] / factor[low]:.3g} times that at {names[low]} at {names[high]}: "
             "one sensitivity is wrong"
         )
     else:
         each = ", ".join(f"{factor[k]:.3g} times at {names[k]}" for k in odd.tolist())
-        told = f"{each} of what it is at the other points struck: a wrong sensitivity"
-    return f"reciprocity: response over force is, in all modes, {told}"
+        finding = f"{each} of what it is at the other points struck: a wrong sensitivity"
+    return f"reciprocity: response over force is, in all modes, {finding}"
 
 
 def _mislaid(psi: Complex, part: Complex, names: list[str]) -> str:
@@ -282,19 +283,21 @@ def _mislaid(psi: Complex, part: Complex, names: list[str]) -> str:
         order = np.arange(len(names))
         order[[a, b]] = b, a
         if (value := _agreement(psi, part[order])) > best:
-            best, why = value, f"references {names[a]} and {names[b]} look exchanged"
+            best = value
+            why = f"references {names[a]} and {names[b]} look exchanged"
     for k in range(len(names)) if len(names) > 2 and best < _GOOD else ():
         rest = np.delete(np.arange(len(names)), k)
         if (value := _agreement(psi[rest], part[rest])) > best:
-            best, why = value, f"{names[k]} was not struck where, or along what, its response reads"
-    told = (
+            best = value
+            why = f"{names[k]} was not struck where, or along what, its response reads"
+    finding = (
         f"reciprocity: shapes and participations at {' '.join(names)} agree to "
         f"{100 * now:.0f} % only"
     )
     if best > _GOOD:
-        return f"{told}, {100 * best:.0f} % without: {why}"
+        return f"{finding}, {100 * best:.0f} % without: {why}"
     return (
-        f"{told}: a point or direction is wrong, or the structure is not linear"
+        f"{finding}: a point or direction is wrong, or the structure is not linear"
         if now < _POOR
         else ""
     )
@@ -311,5 +314,5 @@ def _at_both(model: ModalModel) -> tuple[Complex, Complex, list[str]]:
 
 
 def _agreement(psi: Complex, part: Complex) -> float:
-    """The median: a mode that hardly moves the points struck has noise there."""
+    """The median: a mode that moves the points struck little has noise there."""
     return float(np.median(paired_mac(psi, part)))

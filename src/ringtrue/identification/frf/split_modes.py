@@ -3,10 +3,10 @@ two in all?
 
 A sensor that is moved from response to response loads the structure at another place each time, and
 each response has the mode at a frequency of its own. One fit of all then shows two modes or three,
-a fraction of a bandwidth from each other, of alike participation vectors. The two models have about
-as many unknowns: a pole and a residue of each response, or two residues of each response and two
-poles. True close modes add up to nothing in some responses, or have other participation vectors: no
-single pole fits there.
+a fraction of a bandwidth from each other, of similar participation vectors. The two models have
+about as many unknowns: a pole and a residue of each response, or two residues of each response and
+two poles. True close modes add up to nothing in some responses, or have other participation
+vectors: no single pole fits there.
 """
 
 from __future__ import annotations
@@ -31,8 +31,7 @@ TURNS = 12
 SETTLED = 1e-4  # of the squares left, that a step still takes away
 BETWEEN_TURNS = 10
 LEAST_DAMPED = 0.1  # of the half bandwidth
-DISAGREE = "the responses disagree"  # so begins the note
-# standard deviations between responses that do not agree: those of one place are 1 to 3 apart
+# standard deviations between responses that do not agree: those of one place differ by 1 to 3
 APART = 8.0
 
 
@@ -72,7 +71,7 @@ class SplitMode:
 def split_modes(lines: Lines, fit: Refined) -> list[SplitMode]:
     """Modes next to each other that one with a pole in each response explains no worse.
 
-    Of fewer than six responses nothing is told.
+    Of fewer than six responses nothing is found.
     """
     if fit.shapes.shape[0] < FEWEST:
         return []
@@ -100,7 +99,8 @@ def _split(lines: Lines, fit: Refined, run: tuple[int, ...]) -> list[SplitMode]:
 
 def joined(lines: Lines, candidates: CandidatePoles, split: Sequence[SplitMode]) -> CandidatePoles:
     """The candidates with one in place of each split mode, these last."""
-    c, parts = candidates, [m for s in split for m in s.at]
+    c = candidates
+    parts = [m for s in split for m in s.at]
     keep = np.setdiff1d(np.arange(c.pole.size), parts)
     return CandidatePoles(
         np.append(c.pole[keep], [_mean(s.mode)[0] for s in split]),
@@ -135,9 +135,8 @@ def scattered(lines: Lines, fit: Refined, new: Refined, split: Sequence[SplitMod
     """
     keep = np.setdiff1d(np.arange(fit.poles.size), [m for s in split for m in s.at])
     x = lines.s.imag
-    seen = [
-        x[0] < fit.poles[k].imag < x[-1] for k in keep.tolist()
-    ]  # modes beyond the lines no response knows
+    # modes beyond the lines no response knows
+    seen = [x[0] < fit.poles[k].imag < x[-1] for k in keep.tolist()]
     spread = [
         _mean(local_poles(lines, fit, (k,)))[1:] if s else (0.0, 0.0)
         for k, s in zip(keep.tolist(), seen, strict=True)
@@ -175,11 +174,9 @@ def split_note(fit: Refined, count: int) -> str:
     shift = float(np.median(fit.std_frequency[-count:] / f))
     named = " ".join(f"{x:.5g}" for x in f[order])
     return (
-        f"{DISAGREE} about the modes at {named} Hz, by {100 * shift:.2g} % of the frequency: "
-        "each would "
-        "show as several, and is one with the mean and scatter of the responses (moved sensors "
-        "load the structure, "
-        "or it changed)"
+        f"the responses disagree about the modes at {named} Hz, by {100 * shift:.2g} % of the "
+        "frequency: each would show as several, and is one with the mean and scatter of the "
+        "responses (moved sensors load the structure, or it changed)"
     )
 
 
@@ -187,10 +184,11 @@ def _mean(mode: LocalPoles) -> tuple[complex, float, float]:
     """Pole of the mean frequency and damping over the responses; deviations of those of one
     response.
     """
-    omega, zeta = np.abs(mode.poles), -mode.poles.real / np.abs(mode.poles)
+    omega = np.abs(mode.poles)
+    zeta = -mode.poles.real / np.abs(mode.poles)
     mean, spread = _random_effects(omega, mode.variance)
-    damping, apart = _random_effects(zeta, mode.variance / omega**2)
-    return mean * complex(-damping, np.sqrt(1 - damping**2)), spread / (2 * np.pi), apart
+    damping, damping_spread = _random_effects(zeta, mode.variance / omega**2)
+    return mean * complex(-damping, np.sqrt(1 - damping**2)), spread / (2 * np.pi), damping_spread
 
 
 def _random_effects(x: Float, variance: Float) -> tuple[float, float]:
@@ -199,7 +197,9 @@ def _random_effects(x: Float, variance: Float) -> tuple[float, float]:
     The variance between the values is what their scatter has over their own (DerSimonian, Kacker
     2007), by turns with the weights.
     """
-    between, mean, w = float(np.var(x)), float(x.mean()), np.ones(x.size)
+    between = float(np.var(x))
+    mean = float(x.mean())
+    w = np.ones(x.size)
     for _ in range(BETWEEN_TURNS):
         w = 1 / (variance + between + np.finfo(float).tiny)
         total = w.sum()
@@ -217,8 +217,10 @@ def local_poles(lines: Lines, fit: Refined, at: Sequence[int]) -> LocalPoles:
     Gauss-Newton steps on the poles, the residues eliminated.
     """
     band = _band(lines, fit, list(at))
-    z, poles = band.along, fit.poles[list(at)]
-    centre, half = poles.mean(), float(np.abs(poles.real).max())
+    z = band.along
+    poles = fit.poles[list(at)]
+    centre = poles.mean()
+    half = float(np.abs(poles.real).max())
     reach = half + np.ptp(poles.imag)
     p = np.full(z.shape[1], centre)
     q, r, cost = band.residues(p)
@@ -239,8 +241,14 @@ def local_poles(lines: Lines, fit: Refined, at: Sequence[int]) -> LocalPoles:
     free = z.shape[0] - band.neighbours.shape[1]  # of each response, to one participation vector
     variance = 0.5 * cost / max(free - 2, 1) / np.maximum(_squares(band.slopes(p, q, r)), 1e-300)
     values = free * band.part.size
-    share = (band.beside + cost.sum()) / max(values - 2, 1) * max(values - len(at), 1) / band.left
-    return LocalPoles(p, variance, r / lines.response, band.part, float(share))
+    share = (band.across + cost.sum()) / max(values - 2, 1) * max(values - len(at), 1) / band.left
+    return LocalPoles(
+        poles=p,
+        variance=variance,
+        residues=r / lines.response,
+        participation=band.part,
+        cost=float(share),
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -248,14 +256,14 @@ class _Band:
     """What the data hold of some modes in their band, without what neighbours and smooth terms may
     have.
 
-    `along` (freq, out) is the part along the participation vector `part` (in,); `beside` are the
+    `along` (freq, out) is the part along the participation vector `part` (in,); `across` are the
     squares of the rest, `left` those that the fit leaves. `neighbours` (freq, n) is an orthonormal
     basis.
     """
 
     lines: Lines
     along: Complex
-    beside: float
+    across: float
     left: float
     part: Complex
     neighbours: Complex
@@ -267,7 +275,7 @@ class _Band:
         return q, r, _squares(self.along - q * r)
 
     def slopes(self, p: Complex, q: Complex, r: Complex) -> Complex:
-        """Derivatives of the fit by the poles, beside the functions."""
+        """Derivatives of the fit by the poles, without their part along the functions."""
         slope = without(
             self.neighbours, self.lines.weight[:, None] * resonances(self.lines, p)[1] * r
         )
@@ -275,7 +283,8 @@ class _Band:
 
 
 def _band(lines: Lines, fit: Refined, at: list[int]) -> _Band:
-    poles, part = fit.poles[at], fit.known.state.part[at]
+    poles = fit.poles[at]
+    part = fit.known.state.part[at]
     half = np.abs(poles.real).max()
     reach = max(BAND * half, LEAST * np.diff(lines.s.imag).mean()) + np.ptp(poles.imag) / 2
     near = np.abs(lines.s.imag - poles.imag.mean()) < reach
@@ -294,8 +303,15 @@ def _band(lines: Lines, fit: Refined, at: list[int]) -> _Band:
     y = left + without(basis, own) @ (part.T[:, :, None] * shapes.T)
     vector = np.linalg.svd(part.T * np.linalg.norm(shapes, axis=0), full_matrices=False)[0][:, 0]
     z = np.tensordot(vector.conj(), y, 1)
-    beside = float(_squares(y).sum() - _squares(z).sum())
-    return _Band(band, z, beside, max(float(_squares(left).sum()), 1e-300), vector, basis)
+    across = float(_squares(y).sum() - _squares(z).sum())
+    return _Band(
+        band,
+        z,
+        across=across,
+        left=max(float(_squares(left).sum()), 1e-300),
+        part=vector,
+        neighbours=basis,
+    )
 
 
 def _squares(y: Complex) -> Float:

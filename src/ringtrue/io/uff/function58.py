@@ -1,36 +1,66 @@
-"""Data set 58 and 58b, one function: header, abscissa and ordinates, in every case of the
-standard.
-"""
+"""Data set 58, a function over time or frequency: one is read and written."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Float
-from ringtrue.errors import DataError
+from ringtrue.core.dofs import DofSet
+from ringtrue.core.motions import FORCES, LINEAR
+from ringtrue.core.signals import Channel, FrfSet, TimeHistory
+from ringtrue.errors import DataError, InputError
+from ringtrue.io.files import atomic_write
 from ringtrue.io.si import axis_factor
-from ringtrue.io.uff.fields import numbers, parse_int, reals, row, words
-from ringtrue.io.uff.scan import LINE, Block
+from ringtrue.io.uff.datasets import LINE, Block, numbers, parse_int, reals, row, words
 
 TIME, FRF, TRANSMISSIBILITY, COHERENCE = 1, 4, 5, 6  # function types
 TIME_AXIS, FREQUENCY_AXIS = 17, 18  # data types of abscissae
-_PLACE = (5, 10, 5, 10, 11, 10, 4, 11, 10, 4)
-_FORM = (10, 10, 10, 13, 13, 13)
-_AXIS = (10, 5, 5, 5, 21, 21)
-_HEADER = 11
-_REAL_SINGLE, _REAL_DOUBLE, _COMPLEX_SINGLE, _COMPLEX_DOUBLE = 2, 4, 5, 6
-_WIDTHS = {  # ordinate type, even spacing: columns of a line
-    (_REAL_SINGLE, True): (13,) * 6,
-    (_REAL_SINGLE, False): (13,) * 6,
-    (_COMPLEX_SINGLE, True): (13,) * 6,
-    (_COMPLEX_SINGLE, False): (13,) * 6,
-    (_REAL_DOUBLE, True): (20,) * 4,
-    (_REAL_DOUBLE, False): (13, 20) * 2,
-    (_COMPLEX_DOUBLE, True): (20,) * 4,
-    (_COMPLEX_DOUBLE, False): (13, 20, 20),
+_HEADER = 11  # lines
+_ENDS = {  # fields of line 6 and their columns
+    "kind": 5,
+    "number": 10,
+    "version": 5,
+    "load case": 10,
+    "response name": 11,
+    "response node": 10,
+    "response direction": 4,
+    "reference name": 11,
+    "reference node": 10,
+    "reference direction": 4,
+}
+_FORM = {"ordinate": 10, "count": 10, "even": 10, "first": 13, "step": 13, "z": 13}  # line 7
+_AXIS = {"data type": 10, "length": 5, "force": 5, "temperature": 5, "label": 21, "unit": 21}
+
+
+class _Ordinate(NamedTuple):
+    """How the ordinates are stored."""
+
+    is_complex: bool
+    is_double: bool
+
+    def widths(self, even: bool) -> tuple[int, ...]:
+        """Columns of the numbers of a line of text; the abscissa of uneven data is single."""
+        if not self.is_double:
+            return (13,) * 6
+        if even:
+            return (20,) * 4
+        return (13, 20, 20) if self.is_complex else (13, 20, 13, 20)
+
+    def per_point(self, even: bool) -> int:
+        """Numbers of a point."""
+        return 1 + self.is_complex + (not even)
+
+
+_ORDINATES = {  # by the ordinate type of line 7
+    2: _Ordinate(is_complex=False, is_double=False),
+    4: _Ordinate(is_complex=False, is_double=True),
+    5: _Ordinate(is_complex=True, is_double=False),
+    6: _Ordinate(is_complex=True, is_double=True),
 }
 
 
@@ -90,23 +120,32 @@ def read_function(block: Block) -> Function:
         If the header or the samples are damaged or cut.
     """
     lines = _head(block)
-    place = words(row(lines, 5), _PLACE)
-    kind, rsp, ref, names = _place(place, row(lines, 5))
-    form = numbers(row(lines, 6), _FORM)
-    if not np.isfinite(form).all():
+    kind, response, reference, names = _ends(row(lines, 5))
+    values = numbers(row(lines, 6), tuple(_FORM.values()))
+    if not np.isfinite(values).all():
         raise DataError(
             f"the line of the form has values that are not finite: {row(lines, 6).strip()!r}"
         )
-    ordinate, count, even = int(form[0]), int(form[1]), form[2] != 0
-    if (ordinate, even) not in _WIDTHS or count < 1:
+    form = dict(zip(_FORM, values, strict=True))
+    count = int(form["count"])
+    even = form["even"] != 0
+    ordinate = _ORDINATES.get(int(form["ordinate"]))
+    if ordinate is None or count < 1:
         raise DataError(
-            f"ordinate type {ordinate} with {count} points; types are 2, 4, 5, 6 with 1 or more"
+            f"ordinate type {int(form['ordinate'])} with {count} points; types are 2, 4, 5, 6 "
+            "with 1 or more"
         )
-    values = _samples(block, ordinate, count, even)
-    x, y = _split(values, ordinate, even, form[3], form[4], count)
-    axes = tuple(_axis(words(x_, _AXIS)) for x_ in lines[7:11])
+    table = _samples(block, ordinate, count, even).reshape(count, -1)
+    if even:
+        x = form["first"] + form["step"] * np.arange(count, dtype=np.float64)
+    else:
+        x = table[:, 0].copy()
+        table = table[:, 1:]
+    y = table[:, 0] + 1j * table[:, 1] if ordinate.is_complex else table[:, 0].copy()
+    axes = tuple(_axis(words(line, tuple(_AXIS.values()))) for line in lines[7:11])
     x = x * axis_factor(axes[0].unit)
-    return Function(kind, tuple(x_.strip() for x_ in lines[:5]), rsp, ref, names, x, y, even, axes)
+    texts = tuple(line.strip() for line in lines[:5])
+    return Function(kind, texts, response, reference, names, x, y, even, axes)
 
 
 def _head(block: Block) -> list[str]:
@@ -131,23 +170,25 @@ def _split_lines(text: bytes, count: int) -> tuple[list[bytes], bytes]:
     return lines, text[at:]
 
 
-def _place(
-    place: Sequence[str], line: str
-) -> tuple[int, tuple[int, int], tuple[int, int], tuple[str, str]]:
+def _ends(line: str) -> tuple[int, tuple[int, int], tuple[int, int], tuple[str, str]]:
+    """Function type, response, reference and the names of both."""
+    fields = dict(zip(_ENDS, words(line, tuple(_ENDS.values())), strict=True))
     try:
-        kind, *_ = (parse_int(p) for p in place[:4])
-        rsp, ref = (
-            (parse_int(place[5]), parse_int(place[6])),
-            (parse_int(place[8]), parse_int(place[9])),
-        )
-        return kind, rsp, ref, (place[4], place[7])
+        for name in ("kind", "number", "version", "load case"):
+            parse_int(fields[name])
+        response, reference = _end(fields, "response"), _end(fields, "reference")
     except DataError:  # columns shifted by the vendor: names without blanks, divided by blanks
         free = line.split()
-        if len(free) != len(_PLACE):
+        if len(free) != len(_ENDS):
             raise
-        kind, rsp, ref = parse_int(free[0]), (5, 6), (8, 9)
-        pairs = [(parse_int(free[a]), parse_int(free[b])) for a, b in (rsp, ref)]
-        return kind, pairs[0], pairs[1], (free[4], free[7])
+        fields = dict(zip(_ENDS, free, strict=True))
+        response, reference = _end(fields, "response"), _end(fields, "reference")
+    names = fields["response name"], fields["reference name"]
+    return parse_int(fields["kind"]), response, reference, names
+
+
+def _end(fields: Mapping[str, str], end: str) -> tuple[int, int]:
+    return parse_int(fields[f"{end} node"]), parse_int(fields[f"{end} direction"])
 
 
 def _axis(fields: Sequence[str]) -> Axis:
@@ -158,22 +199,17 @@ def _axis(fields: Sequence[str]) -> Axis:
     return Axis(kind, (exponents[0], exponents[1], exponents[2]), fields[4], fields[5])
 
 
-def _per_point(ordinate: int, even: bool) -> int:
-    return (1 if ordinate in (_REAL_SINGLE, _REAL_DOUBLE) else 2) + (0 if even else 1)
-
-
-def _samples(block: Block, ordinate: int, count: int, even: bool) -> Float:
-    """The numbers as they stand, flat."""
-    wanted = count * _per_point(ordinate, even)
+def _samples(block: Block, ordinate: _Ordinate, count: int, even: bool) -> Float:
+    """The numbers as they are stored, flat."""
+    per_point = ordinate.per_point(even)
+    wanted = count * per_point
     if block.binary is None:
-        return reals(_split_lines(block.text, _HEADER)[1], _WIDTHS[ordinate, even], wanted)
+        return reals(_split_lines(block.text, _HEADER)[1], ordinate.widths(even), wanted)
     order = ">" if block.big_endian else "<"
-    double = ordinate in (_REAL_DOUBLE, _COMPLEX_DOUBLE)
-    if (
-        double and not even and len(block.binary) < wanted * 8
-    ):  # the abscissa of uneven double data is single
-        return _mixed(block.binary, order, _per_point(ordinate, even) - 1, count)
-    size = 8 if double else 4
+    if ordinate.is_double and not even and len(block.binary) < wanted * 8:
+        # the abscissa of uneven double data is single
+        return _mixed(block.binary, order, per_point - 1, count)
+    size = 8 if ordinate.is_double else 4
     if len(block.binary) < wanted * size:
         raise DataError(
             f"{len(block.binary)} bytes of samples where {wanted * size} are announced; the file "
@@ -191,15 +227,6 @@ def _mixed(raw: bytes, order: str, ordinates: int, count: int) -> Float:
         )
     table = np.frombuffer(raw, point, count)
     return np.asarray(np.column_stack([table["x"], table["y"]]), dtype=np.float64).ravel()
-
-
-def _split(
-    values: Float, ordinate: int, even: bool, low: float, step: float, count: int
-) -> tuple[Float, Any_]:
-    table = values.reshape(count, -1)
-    x: Float = low + step * np.arange(count, dtype=np.float64) if even else table[:, 0].copy()
-    y = table if even else table[:, 1:]
-    return x, (y[:, 0].copy() if y.shape[1] == 1 else y[:, 0] + 1j * y[:, 1])
 
 
 def write_function(
@@ -233,7 +260,7 @@ def write_function(
     flat = np.ascontiguousarray(y, dtype=np.complex128 if np.iscomplexobj(y) else np.float64).view(
         np.float64
     )
-    ordinate = _COMPLEX_DOUBLE if np.iscomplexobj(y) else _REAL_DOUBLE
+    ordinate = 6 if np.iscomplexobj(y) else 4  # double precision
     step = float(x[-1] - x[0]) / (x.size - 1) if x.size > 1 else 1.0
     even = x.size < 2 or bool(np.abs(np.diff(x) - step).max() < 1e-3 * abs(step))
     binary = binary and even
@@ -268,3 +295,79 @@ def _ascii(flat: Float) -> bytes:
     lines = [("%20.12E" * 4) % tuple(r) for r in flat[:whole].reshape(-1, 4).tolist()]
     rest = flat[whole:].tolist()
     return "\n".join([*lines, *([("%20.12E" * len(rest)) % tuple(rest)] if rest else [])]).encode()
+
+
+_CODE = {"displacement": 8, "velocity": 11, "acceleration": 12, "force": 13}
+
+
+def write_frf_sets(path: str | Path, frfs: FrfSet, *, binary: bool = False) -> None:
+    """Write the FRFs (and coherence where known) as data sets 58, or 58b, double precision.
+
+    Raises
+    ------
+    DataError
+        If a channel id is not a point and direction such as `101+Z`.
+    """
+    out, inp = DofSet.parse(c.id for c in frfs.outputs), DofSet.parse(c.id for c in frfs.inputs)
+    with atomic_write(path) as part, part.open("wb") as file:
+        for j in range(len(frfs.inputs)):
+            for i, channel in enumerate(frfs.outputs):
+                rsp, ref = _pair(out, i), _pair(inp, j)
+                codes = (FREQUENCY_AXIS, _code(channel), _CODE["force"])
+                h, coherence = frfs.data[:, i, j], frfs.coherence[:, i, j]
+                file.write(
+                    write_function(
+                        FRF, frfs.freqs, h, rsp, ref, codes=codes, text="FRF", binary=binary
+                    )
+                )
+                if np.isfinite(coherence).all():
+                    codes = (FREQUENCY_AXIS, 0, 0)
+                    block = write_function(
+                        COHERENCE,
+                        frfs.freqs,
+                        coherence,
+                        rsp,
+                        ref,
+                        codes=codes,
+                        text="Coherence",
+                        binary=binary,
+                    )
+                    file.write(block)
+
+
+def _code(channel: Channel) -> int:
+    """Of a motion or force; about an axis that of those along it: the direction, 4 to 6, tells them
+    apart.
+    """
+    return _CODE.get(LINEAR.get(channel.quantity, channel.quantity), 0)
+
+
+def _pair(dofs: DofSet, i: int) -> tuple[int, int]:
+    return int(dofs.node[i]), int(dofs.direction[i])
+
+
+def write_time(path: str | Path, history: TimeHistory, *, binary: bool = True) -> None:
+    """Write a time record as data sets 58b (or 58), double precision.
+
+    A force channel `F:101+Z` is written at the point that was struck. A channel whose id is no
+    point and direction (`101+Z`) gets its number as point and no direction; its id is kept as the
+    first line of text.
+    """
+    t = np.arange(history.data.shape[1]) / history.rate
+    with atomic_write(path) as part, part.open("wb") as file:
+        for i, channel in enumerate(history.channels):
+            code = (TIME_AXIS, _code(channel), 0)
+            here = _point(
+                channel.id.removeprefix("F:") if channel.quantity in FORCES else channel.id, i
+            )
+            y = np.asarray(history.data[i], dtype=np.float64)
+            file.write(
+                write_function(TIME, t, y, here, (0, 0), codes=code, text=channel.id, binary=binary)
+            )
+
+
+def _point(name: str, i: int) -> tuple[int, int]:
+    try:
+        return _pair(DofSet.parse([name]), 0)
+    except InputError:
+        return i + 1, 0

@@ -25,11 +25,12 @@ from ringtrue.core.motions import (
 )
 from ringtrue.core.signals import Channel, FrfSet, Quantity, shared_lines
 from ringtrue.errors import DataError, about
-from ringtrue.io.contents import functions_held, sets_held
+from ringtrue.io.files import functions_held, sets_held
 from ringtrue.io.frf_lines import known_lines, say_accelerances
-from ringtrue.io.plain import RawTable
+from ringtrue.io.record_table import RawTable
 from ringtrue.io.si import known, to_si
 from ringtrue.io.times import even_rate
+from ringtrue.io.uff.datasets import scan
 from ringtrue.io.uff.function58 import (
     COHERENCE,
     FRF,
@@ -40,8 +41,7 @@ from ringtrue.io.uff.function58 import (
     Function,
     read_function,
 )
-from ringtrue.io.uff.scan import scan
-from ringtrue.io.uff.tables import Units, read_units
+from ringtrue.io.uff.geometry import Units, read_units
 
 log = logging.getLogger(__name__)
 _QUANTITY: dict[int, Quantity] = {

@@ -1,4 +1,4 @@
-"""Correlation: test against test, and the model's stages against the test."""
+"""Test against test, model against test, and the other configurations."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from ringtrue.report.parts import (
 )
 from ringtrue.report.sections import evidence
 from ringtrue.report.stages import Stages
-from ringtrue.study.results import RemodelStep, Seat
+from ringtrue.study.results import ConfiguredTest, DeliveredConfiguration, RemodelStep, Seat
 
 FOLDED = "Orthogonality, channels and close modes"
 FEW = 8  # modes above the other set's band that are still listed one by one
@@ -297,3 +297,95 @@ def changes(files: Sequence[str], lines: Sequence[str]) -> list[Block]:
         heads: tuple[str, ...] = ("|File:line", "|Card", "|Field", "Initial", "Updated")
         return [Table(heads, rows, caption, scroll=len(rows) > 20)] if rows else []
     return [Table(("|Change",), [(signs(x),) for x in lines], caption, scroll=True)]
+
+
+HEADS = (
+    "|Configuration",
+    "|Deck",
+    "|Test",
+    "Pairs",
+    "Mean |Δf|, %",
+    "Max |Δf|, %",
+    "Mean MAC, %",
+    "Mean subspace MAC, %",
+)
+
+
+def configurations(data: Stages) -> Section | None:
+    """One line a configuration, then the tables of each."""
+    if data.configurations is None:
+        return None
+    after = {c.name: c for c in data.configured.items} if data.configured else {}
+    items = data.configurations.items
+    lead = "Each configuration has a deck and a test of its own. "
+    lead += (
+        "One parameter set was updated over all of them and over the deck of the study; every "
+        "deck that has a changed "
+        "field was edited in place, read back and judged by its own test."
+        if after
+        else "Nothing has been updated yet."
+    )
+    body: list[Block] = [Text(lead, "lead"), _configuration_table(data, items, after)]
+    for c in items:
+        body += _configuration(data, c, after.get(c.name))
+    return Section("configurations", "Other configurations", body)
+
+
+def _configuration_table(
+    data: Stages, items: tuple[ConfiguredTest, ...], after: dict[str, DeliveredConfiguration]
+) -> Table:
+    rows = []
+    if data.correlate is not None:
+        last = data.final.table if data.final else None
+        deck = Path(data.model.files[0]).name if data.model else ""
+        modes = f"{len(data.correlate.reference)} modes"
+        rows.append(
+            ["the deck of the study", deck, modes, *_before_after(data.correlate.remodelled, last)]
+        )
+    for c in items:
+        done = after.get(c.name)
+        rows.append(
+            [
+                c.name,
+                Path(c.files[0]).name,
+                c.source,
+                *_before_after(c.initial, done.table if done else None),
+            ]
+        )
+    return Table(
+        HEADS,
+        rows,
+        "Every configuration before → after the updating; modes left out are counted, too.",
+    )
+
+
+def _before_after(before: CorrelationTable, after: CorrelationTable | None) -> list[str]:
+    def both(one: str, two: str) -> str:
+        return f"{one} → {two}" if after is not None else one
+
+    b, a = before, after or before
+    return [
+        both(str(len(b)), str(len(a))),
+        both(fixed(b.mean_deviation(), 2), fixed(a.mean_deviation(), 2)),
+        both(fixed(b.max_deviation(), 2), fixed(a.max_deviation(), 2)),
+        both(fixed(b.mean_mac(), 1), fixed(a.mean_mac(), 1)),
+        both(fixed(b.mean_subspace_mac(), 1), fixed(a.mean_subspace_mac(), 1)),
+    ]
+
+
+def _configuration(
+    data: Stages, c: ConfiguredTest, after: DeliveredConfiguration | None
+) -> list[Block]:
+    before = blocks(
+        c.initial, data, f"{c.name}: the deck before the updating against its test.", updating=True
+    )
+    out: list[Block] = [Heading(c.name)]
+    out += [Text(sentence(m.text)) for m in c.mendings]
+    out += [Items([sentence(n) for n in c.notes], "Where its deck differs")] if c.notes else []
+    if after is None:
+        return [*out, *before]
+    out += blocks(
+        after.table, data, f"{c.name}: the delivered deck against its test.", updating=True
+    )
+    out.append(Fold(f"{c.name}: before the updating", before))
+    return [*out, *changes(after.files, after.changes)]

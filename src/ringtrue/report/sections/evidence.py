@@ -8,8 +8,8 @@ import math
 from collections.abc import Sequence
 
 from ringtrue.correlation.channel_faults import Suspect
-from ringtrue.correlation.measures import Check, CompleteCorrelation, Subspace
-from ringtrue.correlation.orthogonality import Failure
+from ringtrue.correlation.measures import CompleteCorrelation, Subspace
+from ringtrue.correlation.orthogonality import Check, Failure
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.plots import correlation as plots
 from ringtrue.report.parts import (
@@ -86,10 +86,10 @@ def orthogonality(e: Evidence, table: CorrelationTable) -> list[Block]:
     auto = plots.matrix(
         e.auto_mac,
         names := plots.labels(table.all_test_hz),
-        names,
-        f"{table.names[0]} mode, Hz",
-        f"{table.names[0]} mode, Hz",
-        440,
+        columns=names,
+        row_title=f"{table.names[0]} mode, Hz",
+        column_title=f"{table.names[0]} mode, Hz",
+        height=440,
         diagonal=False,
     )
     left: list[Block] = [Plot(auto, f"Auto-MAC of the {table.names[0]} shapes; numbers from 10 %.")]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ringtrue.plots import localising as plots
+from ringtrue.plots import updating as plots
 from ringtrue.report.parts import (
     Block,
     Cell,
@@ -23,7 +23,7 @@ from ringtrue.report.parts import (
 )
 from ringtrue.report.stages import Stages
 from ringtrue.study.results import LocaliseStage
-from ringtrue.updating.proposal import Proposed
+from ringtrue.updating.selection.proposal import Proposed
 
 LEAD = (
     "The test shapes, expanded to the whole model by {0}, do not fulfil its equation of motion. "
@@ -57,16 +57,20 @@ def section(data: Stages) -> Section | None:
     s = data.localise
     if s is None:
         return None
-    which = f", the {plots.BARS} largest of {len(s.regions)}" if len(s.regions) > plots.BARS else ""
+    which = (
+        f", the {plots.BARS} largest of {len(s.indicators.regions)}"
+        if len(s.indicators.regions) > plots.BARS
+        else ""
+    )
     bars = Plot(
         plots.regions(s),
         f"Concentration of error by region{which}; dotted: an error that is spread evenly.",
     )
-    if not s.modes.size:
+    if not s.indicators.modes.size:
         return Section(
             "localisation", "Where the model is wrong", [Text(NO_SHAPES, "lead"), *_proposal(s)]
         )
-    blocks: list[Block] = [Text(LEAD.format(EXPANSIONS[s.expansion]), "lead"), bars]
+    blocks: list[Block] = [Text(LEAD.format(EXPANSIONS[s.indicators.expansion]), "lead"), bars]
     if data.model is not None:
         view = Scene3D(
             plots.view(data.model.scene, s),
@@ -88,19 +92,27 @@ def _regions(s: LocaliseStage) -> Table:
         "Energy change, %",
         "×",
     )
-    value = s.concentration
+    value = s.indicators.concentration
     rows = []
     for i in np.argsort(-np.nan_to_num(value), kind="stable").tolist():
-        change = s.energy[i] / s.strain[i] if np.isfinite(value[i]) else np.nan
+        change = (
+            s.indicators.energy[i] / s.indicators.strain[i] if np.isfinite(value[i]) else np.nan
+        )
         told = (
             Cell(fixed(float(value[i]), 2), "warn") if value[i] > 1 else fixed(float(value[i]), 2)
         )
         shares = [
-            fixed(100 * float(v[i]), 1) for v in (s.strain, s.constitutive, s.force, s.energy)
+            fixed(100 * float(v[i]), 1)
+            for v in (
+                s.indicators.strain,
+                s.indicators.constitutive,
+                s.indicators.force,
+                s.indicators.energy,
+            )
         ]
         rows.append(
             [
-                s.regions[i],
+                s.indicators.regions[i],
                 shares[0],
                 shares[1],
                 told,
@@ -110,25 +122,26 @@ def _regions(s: LocaliseStage) -> Table:
             ]
         )
     text = (
-        f"Shares of the regions in the expanded shapes of {s.modes.size} used modes; ×: over "
+        f"Shares of the regions in the expanded shapes of {s.indicators.modes.size} used "
+        "modes; ×: over "
         "their share of strain "
         "energy. Error in constitutive relation (Ladevèze and Reynier 1989), force residual "
         "(shared by all that meet "
         "at a node), change of modal strain energy."
     )
-    if s.misfit.size:
+    if s.indicators.misfit.size:
         text += (
             " The expanded shapes miss the readings by "
-            f"{number(100 * float(s.misfit.max()), 2)} % at most."
+            f"{number(100 * float(s.indicators.misfit.max()), 2)} % at most."
         )
     return Table(heads, rows, text, scroll=True)
 
 
 def _proposal(s: LocaliseStage) -> list[Block]:
     p = s.proposal
-    origin = f"{len(s.what)} candidates are given." if not s.made else _made(s)
-    if s.beside:
-        origin += f" The proposal rests on {s.beside}, too."
+    origin = f"{len(s.candidates.what)} candidates are given." if not s.pool.made else _made(s)
+    if s.proposal_basis:
+        origin += f" The proposal rests on {s.proposal_basis}, too."
     if not p.members:
         return [
             Text(f"{origin} {sentence(f'no parameter is proposed: {p.unexplained()}')}"),
@@ -151,7 +164,7 @@ def _proposal(s: LocaliseStage) -> list[Block]:
             " The frequencies are reached with partners that look otherwise: check the pairs "
             "before it is used."
         )
-    where = ("|Region",) if s.made else ()  # those that are given have names
+    where = ("|Region",) if s.pool.made else ()  # those that are given have names
     heads = (
         "#",
         "|Parameter",
@@ -170,7 +183,8 @@ def _proposal(s: LocaliseStage) -> list[Block]:
         + (LACKING if any(m.lump for m in p.members) else "")
     )
     reasons = [
-        f"{m.name}: {sentence(m.because.removeprefix(f'{s.what[m.index]}; '))}" for m in p.members
+        f"{m.name}: {sentence(m.because.removeprefix(f'{s.candidates.what[m.index]}; '))}"
+        for m in p.members
     ]
     price = (
         "AICc of the best set of each size, with the price of the search (the logarithm of "
@@ -193,15 +207,17 @@ def _proposal(s: LocaliseStage) -> list[Block]:
 
 def _made(s: LocaliseStage) -> str:
     text = (
-        f"{s.made} candidates are made from the deck; {len(s.what)} that explain most of the "
+        f"{s.pool.made} candidates are made from the deck; {len(s.candidates.what)} that "
+        "explain most of the "
         "deviations, each in a way "
     )
     text += "of its own, are looked at closely."
     lost = (
-        f" {_count(len(s.dropped)).capitalize()} change{'s' if len(s.dropped) == 1 else ''} "
+        f" {_count(len(s.pool.dropped)).capitalize()} "
+        f"change{'s' if len(s.pool.dropped) == 1 else ''} "
         "no mode."
     )
-    return text + (lost if s.dropped else "")
+    return text + (lost if s.pool.dropped else "")
 
 
 def _count(n: int) -> str:
@@ -224,13 +240,13 @@ def _count(n: int) -> str:
 
 
 def _row(s: LocaliseStage, rank: int, m: Proposed) -> list[str | Cell]:
-    low, high = (float(x[0]) for x in s.parameters.take([m.index]).bounds())
-    x = float(s.parameters.take([m.index]).vector(np.array([m.factor]))[0])
+    low, high = (float(x[0]) for x in s.candidates.parameters.take([m.index]).bounds())
+    x = float(s.candidates.parameters.take([m.index]).vector(np.array([m.factor]))[0])
     factor = f"+ {number(m.added, 3)}" if m.lump else fixed(m.factor, 3)
     shown = Cell(factor, "warn", "at its bound") if min(x - low, high - x) < 1e-6 else factor
     lost = ", ".join((*m.alike, *m.rivals)) or "–"
-    what = Cell(s.what[m.index], "muted", _few(s.elements[m.index]))
-    where = [_few(s.elements[m.index])] if s.made else []
+    what = Cell(s.candidates.what[m.index], "muted", _few(s.candidates.elements[m.index]))
+    where = [_few(s.candidates.elements[m.index])] if s.pool.made else []
     return [str(rank), m.name, *where, what, shown, number(100 * m.std, 2), fixed(m.worth, 1), lost]
 
 
@@ -263,16 +279,19 @@ def _candidates(s: LocaliseStage) -> Block:
         "|",
     )
     rows = []
-    for i in np.argsort(-s.effect, kind="stable").tolist():
-        name = s.parameters.names[i]
-        known = [fixed(float(s.alone[i]), 2), fixed(float(s.together[i]), 2)]
-        explains = fixed(100 * max(float(s.explains[i]), 0.0), 0)
+    for i in np.argsort(-s.candidates.effect, kind="stable").tolist():
+        name = s.candidates.parameters.names[i]
+        known = [
+            fixed(float(s.candidates.others_known[i]), 2),
+            fixed(float(s.candidates.all_free[i]), 2),
+        ]
+        explains = fixed(100 * max(float(s.candidates.explains[i]), 0.0), 0)
         rows.append(
             [
                 name,
-                Cell(s.what[i], "muted"),
-                _few(s.elements[i]),
-                number(float(s.effect[i]), 3),
+                Cell(s.candidates.what[i], "muted"),
+                _few(s.candidates.elements[i]),
+                number(float(s.candidates.effect[i]), 3),
                 explains,
                 *known,
                 verdict.get(name, ""),
@@ -287,8 +306,8 @@ def _candidates(s: LocaliseStage) -> Block:
     )
     blocks: list[Block] = [Table(heads, rows, text, scroll=len(rows) > FEW)]
     for names, what in (
-        (s.screened, "Not looked at closely"),
-        (s.held, "Tuned as the suspension, not proposed"),
+        (s.pool.screened, "Not looked at closely"),
+        (s.pool.held, "Tuned as the suspension, not proposed"),
     ):
         if names:
             more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from ringtrue.core.arrays import Int
-from ringtrue.planning.virtual_test import VirtualTest, missed_modes
+from ringtrue.planning.virtual_test import VirtualTest, rarely_found_modes
 from ringtrue.plots import correlation, identification
 from ringtrue.report.parts import (
     Block,
@@ -24,9 +24,9 @@ from ringtrue.report.parts import (
     sentence,
 )
 from ringtrue.report.stages import Stages
+from ringtrue.study.messages import lost_points_sentence, missed_modes, setup_sentences
 from ringtrue.study.results import IdentifyStage, PlanStage
 from ringtrue.study.summary import precision
-from ringtrue.study.words import left_by_loss, missed, setups
 
 SURE = 0.9  # of the virtual tests
 
@@ -48,9 +48,11 @@ def section(data: Stages) -> Section | None:
         facts.insert(5, Fact("Averages", str(plan.averages)))
     blocks: list[Block] = [
         Facts(facts),
-        Text(f"{sentence(plan.rule)} {sentence(left_by_loss(plan))} {_references(plan)}"),
+        Text(f"{sentence(plan.rule)} {sentence(lost_points_sentence(plan))} {_references(plan)}"),
     ]
-    blocks += [Text(sentence(n)) for n in (*setups(plan), *plan.notes, *missed(plan))]
+    blocks += [
+        Text(sentence(n)) for n in (*setup_sentences(plan), *plan.notes, *missed_modes(plan))
+    ]
     names = [str(i + 1) for i in plan.target_modes.tolist()]
     auto = correlation.matrix(
         plan.auto_mac, names, names, "FE mode", "FE mode", height=430, diagonal=False
@@ -131,13 +133,16 @@ def _hung(plan: PlanStage) -> str:
 def _foreseen(modes: Int, r: VirtualTest, what: str, whose: str) -> list[Block]:
     """What the virtual test says in a sentence, and the modes that it misses."""
     names = [str(k + 1) for k in modes.tolist()]
-    missed = missed_modes(r, names, SURE)
+    missed = rarely_found_modes(r, names, SURE)
     told = (
         f"{what}: {len(names) - len(missed)} of {len(names)} {whose} were found in at least "
         f"{100 * SURE:.0f} % of "
         f"{r.trials} tests."
     )
-    return [Text(told), *([Items(missed, "Modes that the test may miss")] if missed else [])]
+    return [
+        Text(told),
+        *([Items(missed, "Modes that the test may miss")] if missed else []),
+    ]
 
 
 def _targets(plan: PlanStage) -> Table:

@@ -64,7 +64,9 @@ def _paired(
             continue
         info += f", MAC {fixed(r.mac_percent, 1)} %"
         info += f", subspace MAC {fixed(r.subspace_mac_percent, 1)} %" if r.subspace else ""
-        out.append(Shown(stage, label, info, fe, (test, t), (seen, k)))
+        out.append(
+            Shown(stage=stage, label=label, info=info, fe=fe, test=(test, t), seen=(seen, k))
+        )
     return out
 
 
@@ -101,12 +103,12 @@ def _expanded(data: Stages) -> list[Shown]:
         )
         out.append(
             Shown(
-                "Test, expanded",
-                f"mode {k + 1} · {fixed(f, 2)} Hz",
-                info,
-                (e.modes, k),
-                (test, k),
-                (test, k),
+                stage="Test, expanded",
+                label=f"mode {k + 1} · {fixed(f, 2)} Hz",
+                info=info,
+                fe=(e.modes, k),
+                test=(test, k),
+                seen=(test, k),
             )
         )
     return out

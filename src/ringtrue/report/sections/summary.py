@@ -1,8 +1,11 @@
-"""Headline: what must hold, before and after."""
+"""Summary and provenance."""
 
 from __future__ import annotations
 
-from ringtrue.correlation.measures import Check, CompleteCorrelation
+import re
+
+from ringtrue.correlation.measures import CompleteCorrelation
+from ringtrue.correlation.orthogonality import Check
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.plots import correlation as plots
 from ringtrue.report.parts import (
@@ -10,6 +13,7 @@ from ringtrue.report.parts import (
     Block,
     Cell,
     Checks,
+    Code,
     Columns,
     Fact,
     Facts,
@@ -20,14 +24,14 @@ from ringtrue.report.parts import (
     fixed,
     number,
 )
-from ringtrue.report.sections import shapes, survey
+from ringtrue.report.sections import shapes, system
 from ringtrue.report.stages import Stages
 from ringtrue.study.acceptance import in_both
 
 GOOD, BAD, UNFIT = Cell("passed", "good"), Cell("failed", "bad"), Cell("no verdict", "warn")
 
 
-def section(data: Stages) -> Section | None:
+def summary(data: Stages) -> Section | None:
     """The summary, of whatever was run."""
     blocks: list[Block] = []
     if data.final is not None:
@@ -43,7 +47,7 @@ def section(data: Stages) -> Section | None:
 def _inventory(data: Stages) -> list[Fact]:
     facts: list[Fact] = []
     if data.model is not None:
-        mass, unit = survey.weight(data.model)
+        mass, unit = system.weight(data.model)
         facts += [Fact("Total mass", number(mass, 4), unit), Fact("DOF", f"{data.model.dof:,}")]
         facts += [Fact("Modes of the model", str(len(data.model.modes)))]
     if data.identify is not None:
@@ -202,3 +206,33 @@ def stages_table(data: Stages) -> Table:
         "inside their subspace towards the test."
     )
     return Table(heads, rows, text).without_blank("MAC")
+
+
+LONG = re.compile(r"\[\s*((?:[\d.+-]+,\s*){6})((?:[\d.+-]+,\s*){20,}[\d.+-]+,?)\s*\]")
+
+
+def _shortened(text: str) -> str:
+    """Settings with long lists of numbers cut; the store holds them in full."""
+    return LONG.sub(lambda m: f"[{m[1]}… {m[2].rstrip(',').count(',') + 1} more]", text)
+
+
+def provenance(data: Stages) -> Section | None:
+    """Inputs, versions, seed, settings, timings."""
+    p = data.provenance
+    if p is None:
+        return None
+    run = [("ringtrue", p.version), ("Python", p.python), ("Platform", p.platform)]
+    run += [("Seed", str(p.seed)), ("Started", p.started.replace("T", " ")), *p.packages.items()]
+    spent = [(k, fixed(v, 1)) for k, v in p.timings.items()]
+    timings = Table(
+        ("|Stage", "Time, s"), spent, "Timings.", ("total", fixed(sum(p.timings.values()), 1))
+    )
+    blocks: list[Block] = [
+        Columns([[Table(("|What", "|Version or value"), run, "The run.")], [timings]])
+    ]
+    inputs = [(name, Cell(sha, "mono")) for name, sha in p.inputs.items()]
+    blocks.append(
+        Table(("|Input", "|SHA-256"), inputs, "The input files.", scroll=len(inputs) > 16)
+    )
+    blocks.append(Code("Resolved settings", _shortened(p.settings)))
+    return Section("provenance", "Provenance", blocks)

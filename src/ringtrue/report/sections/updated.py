@@ -1,4 +1,4 @@
-"""Updating: sets compared, convergence, regions; and the tuning of the suspension."""
+"""Parameter sets, the updating, and the tuning of the suspension."""
 
 from __future__ import annotations
 
@@ -11,10 +11,12 @@ from ringtrue.report.parts import (
     Block,
     Cell,
     Heading,
+    Items,
     Plot,
     Scene3D,
     Section,
     Table,
+    Tabs,
     Text,
     fixed,
     number,
@@ -23,12 +25,52 @@ from ringtrue.report.parts import (
 )
 from ringtrue.report.sections.correlation import pairs
 from ringtrue.report.stages import Stages
+from ringtrue.study.messages import discrepancy_sentence, held_sentences
+from ringtrue.study.placing import seat_words
 from ringtrue.study.results import DataResult, SetResult, UpdateStage
-from ringtrue.study.seats import seat_words
-from ringtrue.study.words import weighed_by
 
 
-def section(data: Stages) -> Section | None:
+def choice(data: Stages) -> Section | None:
+    """Heat maps of both sensitivities, sets with their rules, clusters."""
+    s = data.sensitivity
+    if s is None:
+        return None
+    if data.correlate is not None:
+        f = data.correlate.fe_remodelled.frequencies[s.fe_modes]
+    elif data.model is not None:
+        f = data.model.modes.frequencies[s.fe_modes]
+    else:
+        return None
+    one = plots.sensitivity(s, s.d_frequency, "∂ ln f / ∂x", f)
+    caption = (
+        "Sensitivity of the {} to the candidates; x = ln(factor) of logarithmic "
+        "parameters, else factor − 1."
+    )
+    frequencies = Plot(one, caption.format("natural frequencies"))
+    blocks: list[Block] = [frequencies]
+    if s.d_mac.size:
+        two = Plot(
+            plots.sensitivity(s, s.d_mac, "∂ MAC / ∂x", f),
+            caption.format("MAC with the paired test shape"),
+        )
+        blocks = [Tabs([("Frequencies", [frequencies]), ("Mode shapes", [two])])]
+    rows = [(k, str(len(v)), ", ".join(v), sentence(s.rules.get(k, ""))) for k, v in s.sets.items()]
+    blocks.append(
+        Table(
+            ("|Set", "Size", "|Parameters", "|Rule"),
+            rows,
+            "Parameter sets and how each was chosen.",
+        )
+    )
+    held = dict.fromkeys(line for found in s.held.values() for line in held_sentences(found))
+    if held:
+        blocks.append(Items(tuple(held), "Held at the deck's values"))
+    if s.clusters:
+        blocks.append(Items(s.clusters, "Candidates that the data cannot tell apart"))
+    return Section("sensitivities", "Sensitivities and parameters", blocks)
+
+
+def updating(data: Stages) -> Section | None:
     """The parameter sets compared, the chosen one in detail."""
     u = data.update
     if u is None:
@@ -36,18 +78,20 @@ def section(data: Stages) -> Section | None:
     best = u.sets[u.chosen]
     blocks: list[Block] = [_compared(u), Text(sentence(u.why))]
     if u.runs:
-        blocks.append(Text(_engines(data, u)))
+        blocks.append(Text(_solver_text(data, u)))
     caption = (
         "Convergence of every parameter set. Modes are paired anew at each iteration: "
         "where a mode is gained or "
     )
     caption += "lost, J and the mean values jump."
     blocks.append(Plot(plots.convergence(u.sets, u.chosen), caption))
-    std = best.std if data.uncertainty is None else data.uncertainty.relative
+    std = best.std if data.uncertainty is None else data.uncertainty.posterior.relative
     blocks += [Heading(f"The chosen set: {best.name}"), _parameters(u, best, std)]
     text = f"Parameters of {best.name} by iteration; bars: one standard deviation of the result. "
     text += f"Outcome: {best.outcome}."
-    text += f" {sentence(line)}" if (line := weighed_by(best.discrepancy.tolist())) else ""
+    text += (
+        f" {sentence(line)}" if (line := discrepancy_sentence(best.discrepancy.tolist())) else ""
+    )
     blocks.append(Plot(plots.path(best), text))
     blocks += [_measured(d) for d in u.data]
     if data.model is not None and u.regions:
@@ -66,7 +110,7 @@ def section(data: Stages) -> Section | None:
     return Section("updating", "Updating", blocks)
 
 
-def _engines(data: Stages, u: UpdateStage) -> str:
+def _solver_text(data: Stages, u: UpdateStage) -> str:
     """Which solver has done what."""
     text = (
         f"Modes of the decks and of the updating are by {u.solver}, found anew at each point in "
@@ -108,23 +152,22 @@ def _compared(u: UpdateStage) -> Table:
     for i, s in enumerate(u.sets):
         name = Cell(s.name, "chosen", "chosen") if i == u.chosen else s.name
         values = [
-            fixed(s.mean_deviation, 2),
-            fixed(s.max_deviation, 2),
-            fixed(s.mean_subspace_mac, 1),
+            fixed(s.fit.mean_deviation, 2),
+            fixed(s.fit.max_deviation, 2),
+            fixed(s.fit.mean_subspace_mac, 1),
         ]
         values += [
-            fixed(s.mean_deviation_left_out, 2),
-            number(s.condition, 3),
-            fixed(s.criterion, 1),
+            fixed(s.fit.mean_deviation_left_out, 2),
+            number(s.fit.condition, 3),
+            fixed(s.fit.criterion, 1),
         ]
-        outcome = s.outcome.split(":")[0]
         rows.append(
             [
                 name,
                 str(len(s.parameters)),
                 *values,
-                str(max(len(s.objective) - 1, 0)),
-                Cell(outcome, "", s.outcome),
+                str(max(len(s.history.objective) - 1, 0)),
+                Cell(s.outcome.verdict, "", s.outcome),
             ]
         )
     other = [f"{s.name}: {s.settings}" for s in u.sets if s.settings]

@@ -9,59 +9,75 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int
+from ringtrue.core.iterate import Outcome
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.study.results.correlated import Evidence, Seat
-from ringtrue.updating.kfold import Held
-from ringtrue.updating.localise import SCARCE
-from ringtrue.updating.plausible import SLIGHT, kept, unproven
-from ringtrue.updating.posterior import Posterior
-from ringtrue.updating.predict import RunUp, Unbalance
-from ringtrue.updating.proposal import Proposal
+from ringtrue.updating.identifiability import SLIGHT, Flag, kept, unproven
+from ringtrue.updating.prediction import RunUp, Unbalance
+from ringtrue.updating.selection.localisation import SCARCE
+from ringtrue.updating.selection.proposal import Proposal
+from ringtrue.updating.uncertainty import Posterior
+from ringtrue.updating.validation import Held
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ErrorIndicators:
+    """Local errors of the deck in the expanded test shapes, by region (g) and by mode (m)."""
+
+    regions: tuple[str, ...]  # groups of the scene, or cards without a property
+    strain: Float  # (g,) share of the strain energy in the test shapes
+    force: Float  # (g,) share of the force residual
+    constitutive: Float  # (g,) share of the error in constitutive relation
+    energy: Float  # (g,) share of the change of strain energy
+    modes: Int  # (m,) positions in the reference modes
+    relative: Float  # (m,) error in constitutive relation over the strain energy of each mode
+    expansion: str  # method by which the test shapes are expanded
+    misfit: Float  # (m,) readings that the expansion does not reproduce, relative
+
+    @property
+    def concentration(self) -> Float:
+        """Error in constitutive relation over strain energy, (g,); NaN without strain."""
+        known = self.strain > SCARCE
+        return np.where(known, self.constitutive / np.where(known, self.strain, 1.0), np.nan)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CandidateEffects:
+    """What the data say of each candidate (p)."""
+
+    parameters: ParameterSet
+    what: tuple[str, ...]  # in words
+    elements: tuple[str, ...]  # regions that each candidate changes
+    effect: Float  # (p,) of one prior standard deviation, in standard deviations of the residuals
+    others_known: Float  # (p,) posterior over prior standard deviation, all others known
+    all_free: Float  # (p,) the same with all candidates free
+    explains: Float  # (p,) share of the squared frequency errors that each explains by itself
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CandidatePool:
+    """The candidates that were made from the deck, and those that were not examined closely."""
+
+    made: int  # 0: the candidates are given
+    dropped: tuple[str, ...]  # they change nothing
+    screened: tuple[str, ...]  # they explain less than others
+    held: tuple[str, ...] = ()  # they scale a field of the suspension, which its tuning finds
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LocaliseStage:
     """Where the remodelled deck is wrong, and which parameters the data ask for."""
 
-    regions: tuple[str, ...]  # of the elements: groups of the scene, or cards without a property
-    strain: Float  # (g,) share of the strain energy in the test shapes, expanded
-    force: Float  # (g,) share of the force residual
-    constitutive: Float  # (g,) share of the error in constitutive relation
-    energy: Float  # (g,) share of the change of strain energy
-    modes: Int  # (m,) positions in the reference modes
-    relative: Float  # (m,) error in constitutive relation over the strain energy of each mode
-    parameters: ParameterSet  # the candidates (p)
-    what: tuple[str, ...]  # (p) in words
-    elements: tuple[str, ...]  # (p) regions that each candidate changes, in words
-    effect: Float  # (p,) of one prior standard deviation, in standard deviations of the residuals
-    alone: Float  # (p,) posterior over prior standard deviation, all others known
-    together: Float  # (p,) all candidates free
-    explains: Float  # (p,) share of the squared frequency errors that each explains by itself
-    made: int  # candidates that were made from the deck; 0: they are given
-    dropped: tuple[str, ...]  # of these, what changes nothing
-    screened: tuple[str, ...]  # of these, those that were not looked at closely
+    indicators: ErrorIndicators
+    candidates: CandidateEffects
+    pool: CandidatePool
     proposal: Proposal
-    expansion: str = "hybrid"  # of the test shapes
-    misfit: Float = field(
-        default_factory=lambda: np.zeros(0)
-    )  # (m,) readings that it does not reproduce, relative
-    beside: str = ""  # what the proposal rests on beside the modes of the study's own test
+    proposal_basis: str = ""  # data of the proposal other than the modes of the study's own test
     places: Int = field(
         default_factory=lambda: np.zeros(0, dtype=np.int64)
-    )  # (k,) nodes where a mass may be lacking
-    held: tuple[
-        str, ...
-    ] = ()  # candidates that scale a field of the suspension, which its tuning finds
-
-    @property
-    def concentration(self) -> Float:
-        """Error in constitutive relation over strain energy, share by share, (g,); NaN where
-        nothing is strained.
-        """
-        known = self.strain > SCARCE
-        return np.where(known, self.constitutive / np.where(known, self.strain, 1.0), np.nan)
+    )  # (k,) nodes where a mass may be missing
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,6 +97,30 @@ class SensitivityStage:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class SetFit:
+    """How well an updated parameter set fits the used modes, and at what price."""
+
+    mean_deviation: float  # %, used modes
+    max_deviation: float
+    mean_subspace_mac: float  # %
+    mean_deviation_left_out: float
+    condition: float
+    criterion: float  # AICc
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UpdateHistory:
+    """An updating iteration by iteration (i)."""
+
+    objective: Float  # (i,)
+    step: Float  # (i,)
+    deviation: Float  # (i,) mean |Δf| %
+    subspace_mac: Float  # (i,) mean subspace MAC %
+    path: Float  # (i, p) factors
+    gradient: float  # norm at the end, relative to the start
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class SetResult:
     """One parameter set, updated."""
 
@@ -90,23 +130,13 @@ class SetResult:
     std: Float  # (p,) relative standard deviation of the factor
     bounds: Float  # (p, 2)
     identifiability: Float  # (p,) posterior / prior std
-    mean_deviation: float  # %, used modes
-    max_deviation: float
-    mean_subspace_mac: float  # %
-    mean_deviation_left_out: float
-    condition: float
-    criterion: float  # AICc
-    outcome: str
-    objective: Float  # (iteration,)
-    step: Float  # (iteration,)
-    deviation: Float  # (iteration,) mean |Δf| %
-    subspace_mac: Float  # (iteration,) mean subspace MAC %
-    path: Float  # (iteration, p) factors
-    gradient: float  # norm at the end, relative to the start
-    settings: str = ""  # what it does otherwise than [update], in words
+    fit: SetFit
+    outcome: Outcome
+    history: UpdateHistory
+    settings: str = ""  # settings that differ from [update], in words
     discrepancy: Float = field(
         default_factory=lambda: np.full(2, np.nan)
-    )  # of f, 1 - MAC: what the end was weighed by
+    )  # of f and 1 - MAC: the model error that the updating assumed at its end
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -273,57 +303,75 @@ class DampingStage:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class UncertaintyStage:
-    """How well the chosen parameters are known, and what the delivered model predicts with
-    bands.
-    """
+class ParameterPosterior:
+    """How well the chosen parameters (p) are known."""
 
     parameters: ParameterSet
     factor: Float  # (p,) as delivered
-    std: Float  # (p,) of x, posterior
+    std: Float  # (p,) of x
     interval: Float  # (p, 2) of the factor
     prior: Float  # (p, 2) the same interval before the test
     ratio: Float  # (p,) posterior over prior standard deviation
-    moved: Bool  # (p,) the data have told something of it
+    moved: Bool  # (p,) the data say something of it
     correlation: Float  # (p, p)
-    level: float  # of the intervals and bands
-    discrepancy: Float  # (2,) of the model: relative frequency and 1 − MAC, from modes left out
-    assumed: Float  # (2,) the same as the updating assumed
-    test: Float  # (m,) Hz, the elastic test modes
-    predicted: Float  # (m,) Hz, NaN without a partner
+
+    @property
+    def relative(self) -> Float:
+        """Standard deviation of the factors, relative, (p,)."""
+        x = self.parameters.vector(self.factor)
+        return np.asarray(self.parameters.derivative(x) * self.std / self.factor)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrequencyBands:
+    """Predicted frequencies of the elastic test modes (m)."""
+
+    test: Float  # (m,) Hz, measured
+    predicted: Float  # (m,) Hz, NaN where unpaired
     band: Float  # (m, 2) Hz, where the measured frequency is expected
     parts: Float  # (m, 3) relative standard deviations: parameters, test, model
     used: Bool  # (m,) seen by the updating
     inside: Bool  # (m,) the band holds the measured frequency
-    held: Held  # the used modes, predicted fold by fold
-    flags: tuple[str, ...]  # what of it is not plausible
-    draws: Float = field(
-        default_factory=lambda: np.zeros((0, 0))
-    )  # (s, p) factors sampled from the posterior
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PosteriorChains:
+    """Samples of the posterior by Markov chains; empty where none were asked for."""
+
+    draws: Float = field(default_factory=lambda: np.zeros((0, 0)))  # (s, p) factors
     sampled: Float = field(default_factory=lambda: np.zeros((0, 2)))  # (p, 2) their intervals
     acceptance: float = 0.0  # share of accepted moves
     independent: float = 0.0  # effective number of draws
     converged: bool = True  # the chains are long enough and agree
 
-    @property
-    def relative(self) -> Float:
-        """Standard deviation of the factors, relative, (p,)."""
-        return np.asarray(
-            self.parameters.derivative(self.parameters.vector(self.factor)) * self.std / self.factor
-        )
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UncertaintyStage:
+    """How well the chosen parameters are known, and what the delivered model predicts."""
+
+    posterior: ParameterPosterior
+    bands: FrequencyBands
+    level: float  # of the intervals and bands
+    discrepancy: Float  # (2,) of the model: relative frequency and 1 − MAC, from modes left out
+    assumed: Float  # (2,) the same as the updating assumed
+    held: Held  # the used modes, predicted fold by fold
+    flags: tuple[Flag, ...]  # parameters that are not plausible
+    chains: PosteriorChains = field(default_factory=PosteriorChains)
 
     @property
     def kept(self) -> Float:
         """Least share of each change that is there with any fold of modes left out, (p,); NaN where
         it is slight.
         """
-        share = kept(self.parameters.vector(self.factor), self.held.ends)
-        return np.where(np.abs(self.factor - 1) > SLIGHT, share, np.nan)
+        p = self.posterior
+        share = kept(p.parameters.vector(p.factor), self.held.ends)
+        return np.where(np.abs(p.factor - 1) > SLIGHT, share, np.nan)
 
     @property
     def unproven(self) -> Bool:
         """Parameters that may take up an error of form, (p,)."""
-        return unproven(self.parameters, self.factor, self.interval, self.kept)
+        p = self.posterior
+        return unproven(p.parameters, p.factor, p.interval, self.kept)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,6 +1,4 @@
-"""The stages of a study in order: what each needs, and which settings and files decide whether it
-is up to date.
-"""
+"""The stages of a study in order: what each needs, and what decides whether it is up to date."""
 
 from __future__ import annotations
 
@@ -10,10 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from ringtrue.core.progress import Progress
+from ringtrue.study.session import Session
 from ringtrue.study.stages import (
-    compare,
-    configurations,
-    configured,
     correlate,
     damping,
     final,
@@ -22,12 +18,14 @@ from ringtrue.study.stages import (
     model,
     plan,
     predict,
-    sensitivity,
     tune,
     uncertainty,
     update,
 )
-from ringtrue.study.workbench import Workbench
+
+
+def _no_files(session: Session) -> list[Path]:
+    return []
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,173 +35,187 @@ class Stage:
     Attributes
     ----------
     name, title : str
-    run : callable (Workbench, Progress) -> result
+    run : callable (Session, Progress) -> result
+    sections : tuple of str
+        Sections of study.toml without which it does not apply; `a|b` means one of the two.
     settings : tuple of str
-        Sections of study.toml that it depends on, or single settings as `update.left_out`.
+        Sections that its result depends on, or single settings as `update.left_out`.
     needs : tuple of str
         Stages that it takes results of.
-    inputs : callable, Workbench -> files
+    files : callable, Session -> paths
         Files that it reads.
-    sections : tuple of str
-        Sections without which it does not apply; `a|b` means one of the two.
     """
 
     name: str
     title: str
-    run: Callable[[Workbench, Progress], Any]
-    settings: tuple[str, ...]
-    needs: tuple[str, ...]
-    inputs: Callable[[Workbench], list[Path]]
+    run: Callable[[Session, Progress], Any]
     sections: tuple[str, ...]
+    settings: tuple[str, ...] = ()
+    needs: tuple[str, ...] = ()
+    files: Callable[[Session], list[Path]] = _no_files
 
-    def applies(self, desk: Workbench) -> bool:
+    def applies(self, session: Session) -> bool:
         """Whether the study has what the stage needs."""
-        return not self.lacks(desk)
+        return not self.missing(session)
 
-    def lacks(self, desk: Workbench) -> list[str]:
+    def missing(self, session: Session) -> list[str]:
         """Sections that the study would need for it."""
-        return [s for s in self.sections if not any(getattr(desk.config, n) for n in s.split("|"))]
-
-    def files(self, desk: Workbench) -> list[Path]:
-        """Files that it reads."""
-        return self.inputs(desk)
+        config = session.config
+        return [s for s in self.sections if not any(getattr(config, n) for n in s.split("|"))]
 
 
-def _nothing(desk: Workbench) -> list[Path]:
-    return []
+def _deck(session: Session) -> list[Path]:
+    return [Path(f) for f in session.initial.model.files]
 
 
-def _deck(desk: Workbench) -> list[Path]:
-    return [Path(f) for f in desk.initial.model.files]
+def _remodelled(session: Session) -> list[Path]:
+    return [*_deck(session), *(session.base / step.cards for step in session.config.remodel)]
 
 
-def _remodelled(desk: Workbench) -> list[Path]:
-    return [*_deck(desk), *(desk.base / step.cards for step in desk.config.remodel)]
+def _configurations(session: Session) -> list[Path]:
+    return [*_remodelled(session), *correlate.configuration_files(session)]
 
 
-def _residual_files(desk: Workbench) -> list[Path]:
-    return [desk.base / f for s in desk.config.residual if (f := getattr(s, "file", None))]
+def _with_residuals(session: Session) -> list[Path]:
+    files = [getattr(s, "file", None) for s in session.config.residual]
+    return [*_remodelled(session), *(session.base / f for f in files if f)]
 
 
 _BOTH = ("model", "test")
+_UPDATED = (*_BOTH, "candidate|propose")
+_CHANGED = (*_BOTH, "candidate|suspension|propose")
+
 STAGES = (
-    Stage("model", "modes of the deck", model.run, ("model",), (), _deck, ("model",)),
-    Stage("plan", "test plan", plan.run, ("model", "plan"), ("model",), _deck, ("model", "plan")),
     Stage(
-        "identify",
-        "modes from the signals",
-        identify.run,
-        ("test", "identify", "lending"),
-        (),
-        identify.files,
-        ("test",),
+        name="model",
+        title="modes of the deck",
+        run=model.run,
+        sections=("model",),
+        settings=("model",),
+        files=_deck,
     ),
     Stage(
-        "compare",
-        "ambient against hammer",
-        compare.run,
-        ("correlate",),
-        ("identify",),
-        _nothing,
-        ("test",),
+        name="plan",
+        title="test plan",
+        run=plan.run,
+        sections=("model", "plan"),
+        settings=("model", "plan"),
+        needs=("model",),
+        files=_deck,
     ),
     Stage(
-        "correlate",
-        "model against test",
-        correlate.run,
-        ("model", "correlate", "remodel", "identify", "update.left_out"),
-        ("identify", "model"),
-        _remodelled,
-        _BOTH,
+        name="identify",
+        title="modes from the signals",
+        run=identify.run,
+        sections=("test",),
+        settings=("test", "identify", "lending"),
+        files=identify.files,
     ),
     Stage(
-        "configurations",
-        "other configurations against their tests",
-        configurations.run,
-        ("model", "identify", "correlate", "remodel", "configuration", "candidate", "suspension"),
-        ("correlate",),
-        lambda desk: [*_remodelled(desk), *configurations.files(desk)],
-        (*_BOTH, "configuration"),
+        name="compare",
+        title="ambient against hammer",
+        run=correlate.compare_tests,
+        sections=("test",),
+        settings=("correlate",),
+        needs=("identify",),
     ),
     Stage(
-        "localise",
-        "where the model is wrong",
-        localise.run,
-        ("candidate", "suspension", "localise", "update", "residual", "constraint"),
-        ("correlate", "configurations"),
-        lambda desk: [*_remodelled(desk), *_residual_files(desk)],
-        _BOTH,
+        name="correlate",
+        title="model against test",
+        run=correlate.correlate,
+        sections=_BOTH,
+        settings=("model", "correlate", "remodel", "identify", "update.left_out"),
+        needs=("identify", "model"),
+        files=_remodelled,
     ),
     Stage(
-        "sensitivity",
-        "sensitivities and parameter sets",
-        sensitivity.run,
-        ("candidate", "update", "residual", "constraint", "set"),
-        ("correlate", "configurations", "localise"),
-        lambda desk: [*_remodelled(desk), *_residual_files(desk)],
-        (*_BOTH, "candidate|propose"),
+        name="configurations",
+        title="other configurations against their tests",
+        run=correlate.correlate_configurations,
+        sections=(*_BOTH, "configuration"),
+        settings=(
+            "model",
+            "identify",
+            "correlate",
+            "remodel",
+            "configuration",
+            "candidate",
+            "suspension",
+        ),
+        needs=("correlate",),
+        files=_configurations,
     ),
     Stage(
-        "update",
-        "updating",
-        update.run,
-        ("update",),
-        ("configurations", "sensitivity"),
-        _nothing,
-        (*_BOTH, "candidate|propose"),
+        name="localise",
+        title="where the model is wrong",
+        run=localise.run,
+        sections=_BOTH,
+        settings=("candidate", "suspension", "localise", "update", "residual", "constraint"),
+        needs=("correlate", "configurations"),
+        files=_with_residuals,
     ),
     Stage(
-        "tune",
-        "rigid-body tuning",
-        tune.run,
-        ("suspension",),
-        ("correlate", "configurations", "update"),
-        _nothing,
-        (*_BOTH, "suspension"),
+        name="sensitivity",
+        title="sensitivities and parameter sets",
+        run=update.choose_sets,
+        sections=_UPDATED,
+        settings=("candidate", "update", "residual", "constraint", "set"),
+        needs=("correlate", "configurations", "localise"),
+        files=_with_residuals,
     ),
     Stage(
-        "final",
-        "delivered deck",
-        final.run,
-        (),
-        ("update", "tune"),
-        _nothing,
-        (*_BOTH, "candidate|suspension|propose"),
+        name="update",
+        title="updating",
+        run=update.update_sets,
+        sections=_UPDATED,
+        settings=("update",),
+        needs=("configurations", "sensitivity"),
     ),
     Stage(
-        "configured",
-        "delivered decks of the other configurations",
-        configured.run,
-        (),
-        ("configurations", "update", "tune", "final"),
-        _nothing,
-        (*_BOTH, "configuration", "candidate|suspension|propose"),
+        name="tune",
+        title="rigid-body tuning",
+        run=tune.run,
+        sections=(*_BOTH, "suspension"),
+        settings=("suspension",),
+        needs=("correlate", "configurations", "update"),
     ),
     Stage(
-        "uncertainty",
-        "uncertainty and left-out modes",
-        uncertainty.run,
-        ("uncertainty",),
-        ("update", "tune", "final"),
-        _nothing,
-        (*_BOTH, "candidate|propose"),
+        name="final",
+        title="delivered deck",
+        run=final.deliver_final,
+        sections=_CHANGED,
+        needs=("update", "tune"),
     ),
     Stage(
-        "damping",
-        "damping by region",
-        damping.run,
-        ("damping", "suspension"),
-        ("identify", "correlate", "final", "configured"),
-        _nothing,
-        (*_BOTH, "candidate|suspension|propose"),
+        name="configured",
+        title="delivered decks of the other configurations",
+        run=final.deliver_configurations,
+        sections=(*_BOTH, "configuration", "candidate|suspension|propose"),
+        needs=("configurations", "update", "tune", "final"),
     ),
     Stage(
-        "predict",
-        "run-up of the rotor",
-        predict.run,
-        ("predict", "suspension"),
-        ("update", "tune", "final", "damping"),
-        _remodelled,
-        (*_BOTH, "candidate|propose", "predict"),
+        name="uncertainty",
+        title="uncertainty and left-out modes",
+        run=uncertainty.run,
+        sections=_UPDATED,
+        settings=("uncertainty",),
+        needs=("update", "tune", "final"),
+    ),
+    Stage(
+        name="damping",
+        title="damping by region",
+        run=damping.run,
+        sections=_CHANGED,
+        settings=("damping", "suspension"),
+        needs=("identify", "correlate", "final", "configured"),
+    ),
+    Stage(
+        name="predict",
+        title="run-up of the rotor",
+        run=predict.run,
+        sections=(*_UPDATED, "predict"),
+        settings=("predict", "suspension"),
+        needs=("update", "tune", "final", "damping"),
+        files=_remodelled,
     ),
 )

@@ -24,11 +24,11 @@ from ringtrue.io.sheets import SensorSheet
 from ringtrue.signal.gaps import Gaps, bridge_gaps
 from ringtrue.signal.sensor_response import Geophone, deconvolve, lowest_frequency
 from ringtrue.signal.spectra import Welch, csd
-from ringtrue.study.blows import renamed
-from ringtrue.study.config import IdentifySection
+from ringtrue.study.config_sections import IdentifySection
+from ringtrue.study.hammer_records import renamed
 from ringtrue.study.log import Logged, SensorType
-from ringtrue.study.naming import check_channels
 from ringtrue.study.results import IdentifiedRecord, RecordSummary
+from ringtrue.study.supplied import check_channels
 
 SHOWN, POINTS = 4, 1500  # channels and samples of a preview
 
@@ -117,21 +117,21 @@ def summary(
     thin = max(1, psd.freqs.size // 2000)
     step = max(1, show.shape[1] // POINTS)
     return RecordSummary(
-        record.name,
-        record.test,
-        record.excitation,
-        record.path.name,
-        len(history.channels),
-        history.rate,
-        history.duration,
-        np.arange(show.shape[1] // step) * step / history.rate,
-        _peaks(show, step),
-        tuple(c.id for c in shown),
-        psd.freqs[::thin],
-        power[:, ::thin],
-        tuple(notes),
-        unit,
-        str(record.setup),
+        name=record.name,
+        test=record.test,
+        excitation=record.excitation,
+        file=record.path.name,
+        channels=len(history.channels),
+        rate=history.rate,
+        duration=history.duration,
+        preview_time=np.arange(show.shape[1] // step) * step / history.rate,
+        preview=_peaks(show, step),
+        preview_channels=tuple(c.id for c in shown),
+        psd_freqs=psd.freqs[::thin],
+        psd=power[:, ::thin],
+        notes=tuple(notes),
+        unit=unit,
+        setup=str(record.setup),
     )
 
 

@@ -17,7 +17,7 @@ from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.core.modes import ModeSet, Uncertainty, elastic
 from ringtrue.core.progress import Progress
 from ringtrue.correlation.table import CorrelationTable
-from ringtrue.decks.nastran.edit import edit_fields
+from ringtrue.decks.nastran.editor import edit_fields
 from ringtrue.eigen.damped import complex_modes, project
 from ringtrue.fem.response import coupled
 from ringtrue.model.edit import field_value
@@ -31,9 +31,9 @@ from ringtrue.study.results import (
     DampingStage,
     FinalStage,
 )
-from ringtrue.study.stages.configured import deliver as deliver_other
-from ringtrue.study.stages.final import deliver, said
-from ringtrue.study.workbench import OWN, Workbench
+from ringtrue.study.session import OWN, Session
+from ringtrue.study.stages.final import change_text, deliver
+from ringtrue.study.stages.final import deliver_configuration as deliver_other
 from ringtrue.updating.damping import DampingFit, fit_poles, mode_damping
 from ringtrue.updating.damping_regions import (
     Dampers,
@@ -44,7 +44,7 @@ from ringtrue.updating.damping_regions import (
 )
 
 SPAN = 3.0  # half-power half-bandwidths around a resonance in which FRFs are compared
-SILENT = 0.8  # standard deviation over that before the data: they said little
+SILENT = 0.8  # standard deviation over that before the data: they say little
 BEYOND = 2.0  # standard deviations from what was expected
 MANY = 5  # cards or regions that are named
 
@@ -83,13 +83,13 @@ def measured(
     names = low[0] + high[0]
     good = np.flatnonzero((ratio > 0) & ~np.isinf(std) & (hertz[fe] > 0))
     return _Measured(
-        fe[good],
-        tuple(names[i] for i in good.tolist()),
-        f[good],
-        ratio[good],
-        std[good],
-        used[good].astype(bool),
-        good >= len(low[0]),
+        fe=fe[good],
+        names=tuple(names[i] for i in good.tolist()),
+        hertz=f[good],
+        ratio=ratio[good],
+        std=std[good],
+        used=used[good].astype(bool),
+        elastic=good >= len(low[0]),
     )
 
 
@@ -103,7 +103,9 @@ def _partners(
 
 def nothing(why: str) -> DampingStage:
     """A stage that found nothing to do."""
-    return DampingStage(why, None, None, 0.0, "", (), (), ())
+    return DampingStage(
+        why=why, regions=None, modes=None, misfit=0.0, before="", flags=(), files=(), changes=()
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,8 +126,8 @@ class _Part:
         return np.searchsorted(self.moving, self.test.fe)
 
 
-def _part(desk: Workbench, name: str, opened: Opened, test: _Measured) -> _Part:
-    modes, system = opened.modes(desk.fmax).modes, opened.analysis.system
+def _part(session: Session, name: str, opened: Opened, test: _Measured) -> _Part:
+    modes, system = opened.modes(session.fmax).modes, opened.analysis.system
     f = modes.frequencies
     moving = np.union1d(
         np.flatnonzero(elastic(f)), test.fe
@@ -133,45 +135,51 @@ def _part(desk: Workbench, name: str, opened: Opened, test: _Measured) -> _Part:
     phi = np.asarray(system.local @ modes.shapes[:, moving])
     total = project(phi, system.viscous, system.structural)
     return _Part(
-        name, opened, test, moving, (2 * np.pi * f[moving]) ** 2, modes.shapes[:, moving], total
+        name=name,
+        opened=opened,
+        test=test,
+        moving=moving,
+        values=(2 * np.pi * f[moving]) ** 2,
+        shapes=modes.shapes[:, moving],
+        total=total,
     )
 
 
-def _others(desk: Workbench, progress: Progress) -> list[_Part]:
+def _others(session: Session, progress: Progress) -> list[_Part]:
     """The delivered decks of the other configurations whose tests tell damping."""
     out: list[_Part] = []
-    if not desk.config.configuration:
+    if not session.config.configuration:
         return out
-    tests, done = desk.get("configurations").items, desk.get("configured").items
-    for section, test, found in zip(desk.config.configuration, tests, done, strict=True):
+    tests, done = session.get("configurations").items, session.get("configured").items
+    for section, test, found in zip(session.config.configuration, tests, done, strict=True):
         reference = Reference.of(test)
-        rigid = rigid_table(reference, found.observed, desk.config)
+        rigid = rigid_table(reference, found.observed, session.config)
         told = measured(reference, found.table, rigid, found.observed.frequencies)
         if told.fe.size:
             progress(0.3, f"modes of the delivered deck of {section.name}")
-            out.append(_part(desk, section.name, deliver_other(desk, section)[0], told))
+            out.append(_part(session, section.name, deliver_other(session, section)[0], told))
     return out
 
 
-def run(desk: Workbench, progress: Progress) -> DampingStage:
+def run(session: Session, progress: Progress) -> DampingStage:
     """Fit the regions to the modes that the updating saw, predict those left out, compare the FRFs.
 
     The tests of all configurations have one set of coefficients; FRFs are those of the study's own.
     """
-    final: FinalStage = desk.get("final")
-    reference = Reference.of(desk.get("correlate"))
+    final: FinalStage = session.get("final")
+    reference = Reference.of(session.get("correlate"))
     test = measured(reference, final.table, final.rigid, final.observed.frequencies)
     if not test.used.any():
         return nothing("no test mode with a damping ratio has a partner in the final model")
-    opened = desk.delivered or deliver(desk)[0]
+    opened = session.delivered or deliver(session)[0]
     progress(0.1, "modes of the delivered deck")
-    own = _part(desk, OWN, opened, test)
-    parts = [own, *_others(desk, progress)]
+    own = _part(session, OWN, opened, test)
+    parts = [own, *_others(session, progress)]
     progress(0.5, "damping of the regions")
-    common, wanted = float(np.median(test.ratio[test.used])), regions(desk, opened)
+    common, wanted = float(np.median(test.ratio[test.used])), regions(session, opened)
     mine = [wanted, *(_held(wanted, p.opened) for p in parts[1:])]
     found = [
-        dampers(p.opened.model, r, p.values, p.shapes, p.total, common)
+        dampers(p.opened.model, r, values=p.values, shapes=p.shapes, total=p.total, ratio=common)
         for p, r in zip(parts, mine, strict=True)
     ]
     if not found[0].regions:
@@ -183,7 +191,7 @@ def run(desk: Workbench, progress: Progress) -> DampingStage:
         np.concatenate([getattr(p.test, n) for p in parts]) for n in ("ratio", "std", "used")
     )
     std = np.hypot(
-        np.nan_to_num(std), desk.config.damping.error * ratio
+        np.nan_to_num(std), session.config.damping.error * ratio
     )  # of modes of a file it may not be known
     fit = fit_poles(values, whole.mechanisms, ratio[use], std[use], at[use], base=whole.base)
     after = mode_damping(values, whole.mechanisms, fit, at)
@@ -192,23 +200,25 @@ def run(desk: Workbench, progress: Progress) -> DampingStage:
     before, words = _before(own.values, own.total, common)
     n = own.values.size
     errors = frf_errors(
-        desk, test, own.moving, (before, (fit.viscous[:n, :n], fit.structural[:n, :n]))
+        session, test, own.moving, (before, (fit.viscous[:n, :n], fit.structural[:n, :n]))
     )
     told = [
         _modes(p, common, [x[a:b] for x in after])
         for p, a, b in zip(parts, ends, ends[1:], strict=False)
     ]
-    changes, files = _written(desk, opened, whole, fit)
+    changes, files = _written(session, opened, whole, fit)
     return DampingStage(
-        "",
-        _regions(whole, fit),
-        replace(told[0], frf_before=errors[0], frf_after=errors[1]),
-        fit.misfit,
-        words,
-        flags(whole, fit),
-        files,
-        changes,
-        tuple(DampedConfiguration(p.name, m) for p, m in zip(parts[1:], told[1:], strict=True)),
+        why="",
+        regions=_regions(whole, fit),
+        modes=replace(told[0], frf_before=errors[0], frf_after=errors[1]),
+        misfit=fit.misfit,
+        before=words,
+        flags=flags(whole, fit),
+        files=files,
+        changes=changes,
+        others=tuple(
+            DampedConfiguration(p.name, m) for p, m in zip(parts[1:], told[1:], strict=True)
+        ),
     )
 
 
@@ -219,7 +229,17 @@ def _modes(part: _Part, common: float, after: Sequence[Float]) -> DampedModes:
         part.at
     ]
     return DampedModes(
-        t.fe, t.names, t.used, t.hertz, t.ratio, t.std, before, after[0], after[1], none, none
+        fe=t.fe,
+        test=t.names,
+        used=t.used,
+        hertz=t.hertz,
+        measured=t.ratio,
+        measured_std=t.std,
+        before=before,
+        after=after[0],
+        after_std=after[1],
+        frf_before=none,
+        frf_after=none,
     )
 
 
@@ -233,12 +253,12 @@ def _held(wanted: Sequence[DampingRegion], opened: Opened) -> tuple[DampingRegio
     return tuple(replace(r, targets=tuple(ts)) for r, ts in zip(wanted, there, strict=True) if ts)
 
 
-def regions(desk: Workbench, opened: Opened) -> tuple[DampingRegion, ...]:
+def regions(session: Session, opened: Opened) -> tuple[DampingRegion, ...]:
     """As stated in the study; else one a material and one a group of springs."""
-    stated = desk.config.damping.region
+    stated = session.config.damping.region
     if stated:
         return tuple(r.region() for r in stated)
-    return default_regions(opened.model, desk.config.suspensions(), desk.deck.regions)
+    return default_regions(opened.model, session.config.suspensions(), session.deck.regions)
 
 
 def _before(
@@ -257,15 +277,15 @@ def _before(
 
 
 def frf_errors(
-    desk: Workbench, test: _Measured, moving: Int, damped: tuple[tuple[Float, Float], ...]
+    session: Session, test: _Measured, moving: Int, damped: tuple[tuple[Float, Float], ...]
 ) -> list[Float]:
     """‖H − H_test‖/‖H_test‖ over all FRFs around each test mode, (t,) for each damping; NaN where
     there is no FRF.
 
     Paired modes stand at the frequency of the test: what is compared is damping and shape.
     """
-    final: FinalStage = desk.get("final")
-    frfs = on_sheet(desk.get("identify"), 0.0, desk.fmax)
+    final: FinalStage = session.get("final")
+    frfs = on_sheet(session.get("identify"), 0.0, session.fmax)
     if frfs is None:
         return [np.full(test.hertz.size, np.nan) for _ in damped]
     at = {c: i for i, c in enumerate(final.observed.channels)}
@@ -283,13 +303,21 @@ def frf_errors(
         False  # rigid-body modes are seen by the ambient test, not by the hammer
     )
     lines = np.flatnonzero(near.any(axis=1))
-    data = frfs.data[lines] * desk.unit.kilograms
+    data = frfs.data[lines] * session.unit.kilograms
     window = (
         2 * frfs.window_decay * np.eye(moving.size)
     )  # an exponential window damps every mode alike
     return [
         _relative(
-            coupled(frfs.freqs[lines], values, d + window, h, phi_out, phi_in, kind=frfs.kind),
+            coupled(
+                frfs.freqs[lines],
+                values,
+                viscous=d + window,
+                structural=h,
+                phi_out=phi_out,
+                phi_in=phi_in,
+                kind=frfs.kind,
+            ),
             data,
             near[lines],
         )
@@ -311,13 +339,13 @@ def _regions(found: Dampers, fit: DampingFit) -> DampedRegions:
         spread / fit.std, 1.0
     )  # a model that misfits takes nothing away from what was known
     return DampedRegions(
-        fit.names,
-        tuple(_words(r) for r in found.regions),
-        tuple(r.nature for r in found.regions),
-        fit.coefficients,
-        fit.covariance * np.outer(shrink, shrink),
-        expected,
-        spread,
+        names=fit.names,
+        targets=tuple(_words(r) for r in found.regions),
+        natures=tuple(r.nature for r in found.regions),
+        coefficients=fit.coefficients,
+        covariance=fit.covariance * np.outer(shrink, shrink),
+        expected=expected,
+        expected_std=spread,
     )
 
 
@@ -362,12 +390,12 @@ def flags(found: Dampers, fit: DampingFit) -> tuple[str, ...]:
 
 
 def _written(
-    desk: Workbench, opened: Opened, found: Dampers, fit: DampingFit
+    session: Session, opened: Opened, found: Dampers, fit: DampingFit
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """The changed fields, and the files of a copy of the delivered deck with them; none unless
     asked for.
     """
-    if not desk.config.damping.write:
+    if not session.config.damping.write:
         return (), ()
     every = [
         c
@@ -377,5 +405,5 @@ def _written(
     changes = [
         c for c in every if c.value != np.nan_to_num(field_value(opened.model, c))
     ]  # a blank is 0
-    files = edit_fields(opened.model, changes, desk.folder("damped"))
-    return tuple(said(opened.model, c) for c in changes), tuple(str(f) for f in files)
+    files = edit_fields(opened.model, changes, session.folder("damped"))
+    return tuple(change_text(opened.model, c) for c in changes), tuple(str(f) for f in files)

@@ -27,41 +27,64 @@ from ringtrue.planning.geometry import relative_neighbours
 from ringtrue.planning.resolution import ambient_std
 from ringtrue.signal.frf_sets import exchange_by_reciprocity, join_by_setup, join_frfs
 from ringtrue.signal.impacts import HammerSettings
-from ringtrue.study.blows import BlowFiles, full_scale, kept_blows, read_file, refused_blows
-from ringtrue.study.config import IdentifySection, TestSection
-from ringtrue.study.forced import forced_frfs
+from ringtrue.study.config_sections import IdentifySection, TestSection
+from ringtrue.study.hammer_records import (
+    ForceRecordFormat,
+    accepted_hits,
+    forced_frfs,
+    full_scale,
+    read_file,
+    rejected_hits,
+)
 from ringtrue.study.log import Logged, read_log
-from ringtrue.study.naming import frfs_by_sheet, supplied_frfs
 from ringtrue.study.results import IdentifiedRecord, IdentifyStage, RecordSummary
+from ringtrue.study.session import Session
 from ringtrue.study.stages.ambient import ambient, check_sheet, summary
-from ringtrue.study.stages.supplied import NO_MODES, NOT_KNOWN, supplied_frequencies, supplied_modes
-from ringtrue.study.workbench import Workbench
+from ringtrue.study.supplied import (
+    NO_MODES,
+    NOT_KNOWN,
+    frfs_by_sheet,
+    supplied_frequencies,
+    supplied_frfs,
+    supplied_modes,
+)
 
 HAMMER = "hammer"  # what a choice by hand calls the hammer test
 
 
-def section(desk: Workbench) -> TestSection:
+def section(session: Session) -> TestSection:
     """The [test] section."""
-    test = desk.config.test
+    test = session.config.test
     if test is None or not (test.log or test.frfs or test.modes):
         raise ConfigError("this stage needs a [test] with a sheet, and a log, frfs or modes")
     return test
 
 
-def files(desk: Workbench) -> list[Path]:
+def files(session: Session) -> list[Path]:
     """All inputs of the stage."""
-    test = section(desk)
-    records, _ = read_log(desk.base / test.log) if test.log else ([], {})
-    names = (test.sheet, test.log, test.lines, test.modes, desk.config.identify.choice, *test.frfs)
-    lending = desk.initial.model.files if desk.config.alone else ()
-    return [*(desk.base / f for f in names if f), *(r.path for r in records), *map(Path, lending)]
+    test = section(session)
+    records, _ = read_log(session.base / test.log) if test.log else ([], {})
+    names = (
+        test.sheet,
+        test.log,
+        test.lines,
+        test.modes,
+        session.config.identify.choice,
+        *test.frfs,
+    )
+    lending = session.initial.model.files if session.config.frequency_only else ()
+    return [
+        *(session.base / f for f in names if f),
+        *(r.path for r in records),
+        *map(Path, lending),
+    ]
 
 
-def _by_hand(desk: Workbench, records: Sequence[Logged]) -> Choice:
+def _by_hand(session: Session, records: Sequence[Logged]) -> Choice:
     """The choice of the study; one that changes nothing if there is none."""
-    if (name := desk.config.identify.choice) is None:
+    if (name := session.config.identify.choice) is None:
         return Choice()
-    choice = read_choice(desk.base / name)
+    choice = read_choice(session.base / name)
     known = [HAMMER, *(r.name for r in records if r.kind == "ambient")]
     for record in choice.records:
         if record not in known:
@@ -99,18 +122,18 @@ def struck(
     for record, (blows, notes) in zip(records, read, strict=True):
         names = {b.source for b in blows}
         mine = [h for h in found.hits if h.source in names]
-        kept = [kept_blows(mine)] if found.hits else []
+        kept = [accepted_hits(mine)] if found.hits else []
         first = record.setup == records[0].setup  # the others look alike
         shown.append(summary(record, _in_a_row(blows), [*notes, *kept, *found.notes], draw=first))
     columns = [frfs_by_sheet(c, sheet.model)[0] for c in found.columns]
-    return join_frfs(columns), shown, refused_blows(found.hits), join_by_setup(columns)
+    return join_frfs(columns), shown, rejected_hits(found.hits), join_by_setup(columns)
 
 
 def _blows(
     record: Logged, sheet: SensorSheet, lost: Sequence[str]
 ) -> tuple[tuple[TimeHistory, ...], tuple[str, ...]]:
     """The acquisitions of a hammer record, and what is to be said of them."""
-    how = BlowFiles(
+    how = ForceRecordFormat(
         force=(record.force_channel,) if record.force_channel else (),
         struck=(record.reference,) if record.reference else (),
         leave_out=tuple(lost),
@@ -163,13 +186,13 @@ def _floored(found: IdentifiedRecord, duration: float) -> Uncertainty:
     )
 
 
-def run(desk: Workbench, progress: Progress) -> IdentifyStage:
+def run(session: Session, progress: Progress) -> IdentifyStage:
     """Identify everything that the log lists, or take the FRFs or modes that were given."""
-    test = section(desk)
+    test = section(session)
     if test.sheet is None:
-        return supplied_frequencies(desk.base / str(test.modes), desk.initial, desk.config)
+        return supplied_frequencies(session.base / str(test.modes), session.initial, session.config)
     sheet = read_sensor_sheet(
-        desk.base / test.sheet, desk.base / test.lines if test.lines else None
+        session.base / test.sheet, session.base / test.lines if test.lines else None
     )
     model = (
         sheet.model if sheet.model.lines.size else replace(sheet.model, lines=_lines(sheet.model))
@@ -179,26 +202,32 @@ def run(desk: Workbench, progress: Progress) -> IdentifyStage:
         raise ConfigError(
             f"[test] leave_out {unknown[0]!r}{did_you_mean(unknown[0], model.channels)}"
         )
-    found = _identified(desk, replace(sheet, model=model), (*lost, *sheet.strain), progress)
+    found = _identified(session, replace(sheet, model=model), (*lost, *sheet.strain), progress)
     strain = tuple(f"channel {c}: measures strain, not used" for c in sheet.strain)
     return replace(found, frf_notes=(*strain, *found.frf_notes))
 
 
 def _identified(
-    desk: Workbench, sheet: SensorSheet, lost: Sequence[str], progress: Progress
+    session: Session, sheet: SensorSheet, lost: Sequence[str], progress: Progress
 ) -> IdentifyStage:
     """Of all channels of the sheet but those in `lost`."""
-    test, model = section(desk), sheet.model
+    test, model = section(session), sheet.model
     if test.modes:
-        return supplied_modes(desk.base / test.modes, model, lost)
-    records, sensors = read_log(desk.base / test.log) if test.log else ([], {})
+        return supplied_modes(session.base / test.modes, model, lost)
+    records, sensors = read_log(session.base / test.log) if test.log else ([], {})
     quiet = [r for r in records if r.kind == "ambient"]
     hits = [r for r in records if r.kind != "ambient"]
     if hits and test.frfs:
         raise ConfigError(f"[test] frfs and the hammer records of {test.log}: give one of the two")
-    choice = _by_hand(desk, records)
+    choice = _by_hand(session, records)
     found, shown = ambient(
-        quiet, sensors, sheet, desk.config.identify, lost, choice, part(progress, 0.0, 0.5)
+        quiet,
+        sensors,
+        sheet=sheet,
+        settings=session.config.identify,
+        lost=lost,
+        choice=choice,
+        progress=part(progress, 0.0, 0.5),
     )
     parts = [
         (r.modes, _floored(r, s.duration), r.record)
@@ -206,41 +235,41 @@ def _identified(
         if len(r.modes)
     ]
     merged = merge_modes(parts) if parts else None
-    frfs, renamed = supplied_frfs([desk.base / f for f in test.frfs], model, lost)
+    frfs, renamed = supplied_frfs([session.base / f for f in test.frfs], model, lost)
     rejected = tuple[str, ...]()
     batches: tuple[FrfSet, ...] = ()
-    fmax = desk.config.identify.hammer_fmax
+    fmax = session.config.identify.hammer_fmax
     if hits:
         frfs, more, rejected, batches = struck(hits, sheet, lost, fmax, part(progress, 0.5, 0.7))
         frfs = exchange_by_reciprocity(frfs)[0]
         shown += more
     result = (
-        _of_frfs(frfs, desk.config.identify, choice, part(progress, 0.7, 1.0)) if frfs else None
+        _of_frfs(frfs, session.config.identify, choice, part(progress, 0.7, 1.0)) if frfs else None
     )
     if frfs and result is not None and choice.of(HAMMER) is None:
         batches = batches if len(batches) > 1 else (frfs,)
-        result = with_local_fits(result, batches, _band(desk.config.identify))
+        result = with_local_fits(result, batches, _band(session.config.identify))
     if hits and result is not None:
         at = len(shown) - len(hits)
         shown[at] = replace(shown[at], notes=(*shown[at].notes, *result.notes))
     return IdentifyStage(
-        model,
-        tuple(shown),
-        tuple(found),
-        merged.modes if merged else NO_MODES,
-        merged.uncertainty if merged else NOT_KNOWN,
-        tuple(_reason(p, found) for p in merged.provenance) if merged else (),
-        frfs,
-        cmif(frfs.data) if frfs else np.zeros((0, 0)),
-        rejected,
-        result.modes if result else None,
-        result.uncertainty if result else None,
-        result.reasons if result else (),
-        result.diagrams if result else (),
-        result.synthesis_error if result else np.zeros((0, 0)),
-        (*renamed, *result.notes) if result and test.frfs else (),
-        merged.notes if merged else (),
-        f"{hits[0].kind} test" if hits else "FRFs",
+        test=model,
+        records=tuple(shown),
+        ambient_records=tuple(found),
+        ambient=merged.modes if merged else NO_MODES,
+        ambient_uncertainty=merged.uncertainty if merged else NOT_KNOWN,
+        ambient_reasons=tuple(_reason(p, found) for p in merged.provenance) if merged else (),
+        frfs=frfs,
+        cmif=cmif(frfs.data) if frfs else np.zeros((0, 0)),
+        rejected_hits=rejected,
+        hammer=result.modes if result else None,
+        hammer_uncertainty=result.uncertainty if result else None,
+        hammer_reasons=result.reasons if result else (),
+        hammer_diagrams=result.diagrams if result else (),
+        synthesis_error=result.synthesis_error if result else np.zeros((0, 0)),
+        frf_notes=(*renamed, *result.notes) if result and test.frfs else (),
+        merge_notes=merged.notes if merged else (),
+        source=f"{hits[0].kind} test" if hits else "FRFs",
     )
 
 

@@ -2,45 +2,44 @@
 
 from __future__ import annotations
 
-from ringtrue.checks.autospc import autospc_findings
 from ringtrue.checks.deck import check_deck
-from ringtrue.checks.mass import mass_properties, whole_mass
+from ringtrue.checks.mass import autospc_findings, mass_properties, whole_mass
 from ringtrue.core.progress import Progress, part
 from ringtrue.model.dimensions import MADE
 from ringtrue.model.model import Model
+from ringtrue.study.opened import make_scene, scene_modes
 from ringtrue.study.results import ModelStage
-from ringtrue.study.scene import make_scene, scene_modes
-from ringtrue.study.workbench import Workbench
+from ringtrue.study.session import Session
 
 
-def run(desk: Workbench, progress: Progress) -> ModelStage:
+def run(session: Session, progress: Progress) -> ModelStage:
     """Read, check, weigh and solve the deck."""
     progress(0.0, "reading the deck")
-    opened = desk.initial
-    report = check_deck(opened.model, units=desk.deck.units)
+    opened = session.initial
+    report = check_deck(opened.model, units=session.deck.units)
     progress(0.2, "modes of the deck")
-    result = opened.modes(desk.first_fmax, part(progress, 0.2, 1.0))
+    result = opened.modes(session.first_fmax, part(progress, 0.2, 1.0))
     held = (
         any(c in opened.model for c in ("SPC", "SPC1")) or (opened.model["GRID"]["PS"] != "").any()
     )
     findings = [*report.findings, *autospc_findings(opened.analysis.system)]
     mass = whole_mass(opened.model) if held else mass_properties(opened.analysis.system)
-    scene = make_scene(opened.model, desk.deck.regions, desk.length)
+    scene = make_scene(opened.model, session.deck.regions, session.length)
     return ModelStage(
-        opened.model.case.title,
-        tuple(opened.model.files),
-        desk.deck.units,
-        _counted(opened.model),
-        tuple(str(f) for f in findings),
-        len(opened.model["GRID"]),
-        int(opened.analysis.system.stiffness.shape[0]),
-        mass.mass,
-        mass.cg,
-        mass.inertia,
-        scene_modes(result.modes, scene),
-        result.residuals,
-        result.proof,
-        scene,
+        title=opened.model.case.title,
+        files=tuple(opened.model.files),
+        units=session.deck.units,
+        cards=_counted(opened.model),
+        findings=tuple(str(f) for f in findings),
+        nodes=len(opened.model["GRID"]),
+        dof=int(opened.analysis.system.stiffness.shape[0]),
+        mass=mass.mass,
+        cg=mass.cg,
+        inertia=mass.inertia,
+        modes=scene_modes(result.modes, scene),
+        residuals=result.residuals,
+        proof=result.proof,
+        scene=scene,
     )
 
 

@@ -41,15 +41,23 @@ from ringtrue.planning.setups import (
     suspension_points,
 )
 from ringtrue.shapes.mac import auto_mac, worst_off_diagonal
-from ringtrue.study.arrangement import AXES, Arrangement, arranged
-from ringtrue.study.config_plan import PlanSection
-from ringtrue.study.parametric import build
-from ringtrue.study.planned_exciters import SAID, exciters, node_rows, ranked
-from ringtrue.study.planned_targets import planned_targets
+from ringtrue.study.config_sections import PlanSection
+from ringtrue.study.opened import build
+from ringtrue.study.planned_test import (
+    AXES,
+    RULES,
+    Arrangement,
+    arranged,
+    exciters,
+    node_rows,
+    planned_targets,
+    ranked,
+    virtual_ambient_test,
+    virtual_test,
+)
 from ringtrue.study.reference import elastic_edge
 from ringtrue.study.results import ModelStage, PlanStage
-from ringtrue.study.virtual_test import virtual_ambient_test, virtual_test
-from ringtrue.study.workbench import Workbench
+from ringtrue.study.session import Session
 
 # of the auto-MAC: points that lower it by less, and not to what was asked for, are left out
 WORTH = 0.02
@@ -79,58 +87,58 @@ def _candidates(plan: PlanSection, model: ModelStage) -> tuple[Int, tuple[str, .
 
 
 def _within(
-    desk: Workbench, plan: PlanSection, nodes: Int, region: tuple[str, ...]
+    session: Session, plan: PlanSection, nodes: Int, region: tuple[str, ...]
 ) -> tuple[Int, tuple[str, ...]]:
     """The candidates less those that boxes and exclusions take away; fixed nodes always stay."""
     if not (plan.boxes or plan.keep_out or plan.exclude or plan.fixed):
         return nodes, region
     lost = sorted(set(plan.fixed) - set(nodes.tolist()))
     nodes, region = np.append(nodes, np.array(lost, dtype=np.int64)), (*region, *("",) * len(lost))
-    rows = desk.initial.model["GRID"].find(nodes)
+    rows = session.initial.model["GRID"].find(nodes)
     if (rows < 0).any():
         raise ConfigError(f"[plan] fixed: node {int(nodes[rows < 0][0])} is not in the deck")
-    xyz = positions(desk.initial.model)[rows] * desk.length
+    xyz = positions(session.initial.model)[rows] * session.length
     here = np.intersect1d(plan.exclude, nodes).tolist()
     keep = select_candidates(nodes, xyz, boxes=plan.boxes, exclude=here, keep_out=plan.keep_out)
     keep |= np.isin(nodes, plan.fixed)
     return nodes[keep], tuple(r for r, yes in zip(region, keep.tolist(), strict=True) if yes)
 
 
-def _shapes(desk: Workbench, nodes: Int, modes: Int) -> Float:
+def _shapes(session: Session, nodes: Int, modes: Int) -> Float:
     """Mass-normalised translations at the candidates, (n, 3, m)."""
-    found = desk.initial.modes(desk.first_fmax).modes
-    return np.asarray(found.shapes[node_rows(desk, nodes)][:, :, modes])
+    found = session.initial.modes(session.first_fmax).modes
+    return np.asarray(found.shapes[node_rows(session, nodes)][:, :, modes])
 
 
-def _able(desk: Workbench, plan: PlanSection, model: ModelStage) -> tuple[Arrangement, Float]:
+def _able(session: Session, plan: PlanSection, model: ModelStage) -> tuple[Arrangement, Float]:
     """The candidates that move, and the motion (node, 3, mode) of their nodes."""
-    nodes, region = _within(desk, plan, *_candidates(plan, model))
-    motion = _shapes(desk, nodes, np.arange(model.modes.frequencies.size))
+    nodes, region = _within(session, plan, *_candidates(plan, model))
+    motion = _shapes(session, nodes, np.arange(model.modes.frequencies.size))
     moves = np.abs(motion).max(axis=(1, 2)) > STILL * np.abs(motion).max(initial=0.0)
-    rows = desk.initial.model["GRID"].find(nodes)
-    read = desk.initial.model["GRID"].file[rows] >= 0  # not made by refining the mesh
+    rows = session.initial.model["GRID"].find(nodes)
+    read = session.initial.model["GRID"].file[rows] >= 0  # not made by refining the mesh
     keep = np.flatnonzero(read & (moves | np.isin(nodes, plan.fixed)))
     nodes, region, motion = nodes[keep], tuple(region[i] for i in keep.tolist()), motion[keep]
-    xyz = positions(desk.initial.model)[rows[keep]] * desk.length
+    xyz = positions(session.initial.model)[rows[keep]] * session.length
     return arranged(nodes, region, xyz, plan.directions, model.scene), motion
 
 
-def run(desk: Workbench, progress: Progress) -> PlanStage:
+def run(session: Session, progress: Progress) -> PlanStage:
     """Choose where to measure and where to hit.
 
     The ambient tests use the sensors that tell the rigid-body and first elastic modes apart; they
     stay in the hammer test, so that the two can be compared.
     """
-    plan = desk.config.plan
+    plan = session.config.plan
     if plan is None:
         raise ConfigError("this stage needs a [plan]")
-    model: ModelStage = desk.get("model")
+    model: ModelStage = session.get("model")
     f = model.modes.frequencies
-    edge = elastic_edge(f, desk.config)
-    able, motion = _able(desk, plan, model)
+    edge = elastic_edge(f, session.config)
+    able, motion = _able(session, plan, model)
     shapes = able.seen(motion)
     seen = readable(shapes, model.mass)
-    wanted, unseen = planned_targets(desk, plan, f, edge).among(seen)
+    wanted, unseen = planned_targets(session, plan, f, edge).among(seen)
     targets = wanted.modes
     flexible = elastic(f)
     timed = (
@@ -151,17 +159,23 @@ def run(desk: Workbench, progress: Progress) -> PlanStage:
     if plan.strike_at and not spots.size:
         raise ConfigError(f"[plan] strike_at: none of {plan.strike_at[:8]} is a candidate")
     if spots.size:
-        hits, values, forces = exciters(desk, plan, able, shapes, spots, targets)
+        hits, values, forces = exciters(
+            session, plan, able=able, shapes=shapes, chosen=spots, targets=targets
+        )
         struck, axis = spots[hits // able.each], hits % able.each
         fixed |= np.isin(np.arange(able.at.size), struck)
-    chosen = _points(desk, plan, able, shapes, targets, fixed, apart)
+    chosen = _points(
+        session, plan, able=able, shapes=shapes, targets=targets, fixed=fixed, apart=apart
+    )
     rows = shapes[chosen][:, :, targets].reshape(-1, targets.size)
     labels = able.labels(chosen)
     progress(0.5, "where to excite")
     if spots.size:
         hits = np.searchsorted(chosen, struck) * able.each + axis
     else:
-        hits, values, forces = exciters(desk, plan, able, shapes, chosen, targets)
+        hits, values, forces = exciters(
+            session, plan, able=able, shapes=shapes, chosen=chosen, targets=targets
+        )
     where = spots if spots.size else chosen
     able_rows, largest = (
         shapes[where][:, :, targets].reshape(-1, targets.size),
@@ -173,23 +187,23 @@ def run(desk: Workbench, progress: Progress) -> PlanStage:
     need = resolution(f[timed], plan.damping, error=plan.error, coherence=plan.coherence)
     every = resolution(f[first], plan.damping, precision=plan.precision)
     stage = PlanStage(
-        able.at.size,
-        targets,
-        able.test_model(chosen),
-        able.labels(ambient_at),
-        tuple(labels[i] for i in hits.tolist()),
-        mac,
-        worst_off_diagonal(mac),
-        need.step,
-        need.block,
-        every.record,
-        plan.damping,
-        first,
-        every.std_frequency,
-        every.std_damping,
-        f"{SENSORS[plan.directions]} {METHODS[plan.method]} of {targets.size} target modes, at "
-        "least "
-        f"{apart:g} m apart, then points that lower the worst auto-MAC; {SAID[plan.strike]} "
+        candidates=able.at.size,
+        target_modes=targets,
+        test=able.test_model(chosen),
+        ambient=able.labels(ambient_at),
+        references=tuple(labels[i] for i in hits.tolist()),
+        auto_mac=mac,
+        worst_off_diagonal=worst_off_diagonal(mac),
+        frequency_step=need.step,
+        block=need.block,
+        record_length=every.record,
+        damping=plan.damping,
+        expected_modes=first,
+        expected_std_frequency=every.std_frequency,
+        expected_std_damping=every.std_damping,
+        rule=f"{SENSORS[plan.directions]} {METHODS[plan.method]} of {targets.size} target modes, "
+        f"at least {apart:g} m apart, then points that lower the worst auto-MAC; "
+        f"{RULES[plan.strike]} "
         f"(least share reached {100 * float(reached(rows, hits).min()):.0f} %)",
         target_frequencies=f[targets],
         reach=reached(rows, hits),
@@ -201,22 +215,31 @@ def run(desk: Workbench, progress: Progress) -> PlanStage:
         lost=lost,
         averages=need.averages,
         segments=int(every.record // need.block),
-        notes=(*unseen, *_in_vain(desk, plan, able), *_alike(mac, targets, plan.max_auto_mac)),
+        notes=(*unseen, *_in_vain(session, plan, able), *_alike(mac, targets, plan.max_auto_mac)),
         indicator=values,
         forces=forces,
         sets=sets,
         set_reach=set_reach,
     )
     progress(0.6, "what the plan shows and misses")
-    return _judged(desk, plan, stage, able, motion, chosen, apart, progress)
+    return _judged(
+        session,
+        plan,
+        stage=stage,
+        able=able,
+        motion=motion,
+        chosen=chosen,
+        apart=apart,
+        progress=progress,
+    )
 
 
-def _in_vain(desk: Workbench, plan: PlanSection, able: Arrangement) -> tuple[str, ...]:
+def _in_vain(session: Session, plan: PlanSection, able: Arrangement) -> tuple[str, ...]:
     """Nodes that the plan names in vain, in words."""
     lost = {
         "strike_at names nodes that are no candidates": np.setdiff1d(plan.strike_at, able.node),
         "exclude names nodes that are not in the deck": np.setdiff1d(
-            plan.exclude, desk.initial.model["GRID"].ids
+            plan.exclude, session.initial.model["GRID"].ids
         ),
     }
     return tuple(
@@ -252,7 +275,7 @@ def _apart(plan: PlanSection, places: Float, count: int) -> float:
 
 
 def _points(
-    desk: Workbench,
+    session: Session,
     plan: PlanSection,
     able: Arrangement,
     shapes: Float,
@@ -262,7 +285,7 @@ def _points(
 ) -> Int:
     """Sensors by the method asked for, with the auto-MAC lowered and the redundancy asked for."""
     phi, xyz = shapes[:, :, targets], able.apart
-    seen = kinetic_weighted(phi, _mass(desk, able)) if plan.weigh else phi
+    seen = kinetic_weighted(phi, _mass(session, able)) if plan.weigh else phi
     cost = np.array([plan.cost.get(r, 1.0) for r in able.region]) if plan.cost else None
     count = plan.sensors
     if plan.method == "independence":
@@ -272,7 +295,7 @@ def _points(
     elif plan.method == "auto-mac":
         chosen = auto_mac_points(seen, count, xyz=xyz, min_distance=apart, fixed=fixed)
     else:
-        aims = _aims(desk, plan, able, seen, phi, targets)
+        aims = _aims(session, plan, able=able, seen=seen, phi=phi, targets=targets)
         chosen = greedy_logdet(aims, count, xyz=xyz, min_distance=apart, fixed=fixed, cost=cost)
     kept = (
         0.0 if plan.min_distance is None else apart
@@ -289,11 +312,11 @@ def _points(
     return chosen
 
 
-def _mass(desk: Workbench, able: Arrangement) -> Float:
+def _mass(session: Session, able: Arrangement) -> Float:
     """Mean translational mass on the diagonal of the mass matrix at the sensors, (s,); 0 where a
     node is held.
     """
-    system, nodes = desk.initial.analysis.system, able.nodes
+    system, nodes = session.initial.analysis.system, able.nodes
     at = np.flatnonzero((system.free.direction != 0) & (np.abs(system.free.direction) <= 3))
     order = np.argsort(nodes)
     seat = order[
@@ -306,26 +329,28 @@ def _mass(desk: Workbench, able: Arrangement) -> Float:
 
 
 def _aims(
-    desk: Workbench, plan: PlanSection, able: Arrangement, seen: Float, phi: Float, targets: Int
+    session: Session, plan: PlanSection, able: Arrangement, seen: Float, phi: Float, targets: Int
 ) -> list[Aim]:
     """The modes, as they are and at draws of the prior, and the candidates for the updating where
     there are some.
     """
-    parameters = desk.config.candidates()
+    parameters = session.config.candidates()
     aims = [mode_aim(seen)]
     if plan.draws:
-        aims = [mode_aim(s, weight=1 / (plan.draws + 1)) for s in _drawn(desk, plan, able, targets)]
-    if len(parameters) and desk.engine is not None:
+        aims = [
+            mode_aim(s, weight=1 / (plan.draws + 1)) for s in _drawn(session, plan, able, targets)
+        ]
+    if len(parameters) and session.engine is not None:
         raise ConfigError(
-            f'[plan] method "information" needs derivatives of the modes of {desk.deck.solver}: '
+            f'[plan] method "information" needs derivatives of the modes of {session.deck.solver}: '
             "use another"
         )
     if len(parameters):
-        found = desk.initial.modes(desk.first_fmax).modes.take(targets)
-        d_lambda, d_phi = desk.initial.analysis.derivatives(found, parameters)
+        found = session.initial.modes(session.first_fmax).modes.take(targets)
+        d_lambda, d_phi = session.initial.analysis.derivatives(found, parameters)
         slope = parameters.derivative(np.zeros(len(parameters)))
         relative = d_lambda * slope / (2 * np.pi * found.frequencies[:, None]) ** 2
-        d_nodes = d_phi[node_rows(desk, able.nodes)] * slope
+        d_nodes = d_phi[node_rows(session, able.nodes)] * slope
         d_seen = able.seen(d_nodes.reshape(*d_nodes.shape[:2], -1))
         aims.append(
             parameter_aim(
@@ -338,32 +363,32 @@ def _aims(
     return aims
 
 
-def _drawn(desk: Workbench, plan: PlanSection, able: Arrangement, targets: Int) -> Float:
+def _drawn(session: Session, plan: PlanSection, able: Arrangement, targets: Int) -> Float:
     """Target shapes at the sensors at draws of the prior, the nominal ones first, (draw, s, d,
     m).
     """
-    parameters = desk.config.candidates()
+    parameters = session.config.candidates()
     if not len(parameters):
         raise ConfigError("[plan] draws needs a [[candidate]]: the prior is theirs")
     labels = tuple(f"{n}+{a}" for n in able.nodes.tolist() for a in AXES)
     model = build(
-        desk.initial,
+        session.initial,
         parameters,
-        at_dofs(labels, desk.initial.analysis.dofs),
-        desk.first_fmax,
+        at_dofs(labels, session.initial.analysis.dofs),
+        session.first_fmax,
         quiet,
     )
-    found = prior_shapes(model, plan.draws, np.random.default_rng([desk.config.study.seed, 10]))[
+    found = prior_shapes(model, plan.draws, np.random.default_rng([session.config.study.seed, 10]))[
         :, :, targets
     ]
-    mass = _mass(desk, able) if plan.weigh else np.ones(able.at.size)
+    mass = _mass(session, able) if plan.weigh else np.ones(able.at.size)
     return np.stack(
         [kinetic_weighted(able.seen(s.reshape(able.nodes.size, 3, -1)), mass) for s in found]
     )
 
 
 def _judged(
-    desk: Workbench,
+    session: Session,
     plan: PlanSection,
     stage: PlanStage,
     able: Arrangement,
@@ -373,7 +398,7 @@ def _judged(
     progress: Progress,
 ) -> PlanStage:
     """The stage with what was asked for besides: drawing, loading, suspension, virtual test."""
-    model: ModelStage = desk.get("model")
+    model: ModelStage = session.get("model")
     f, targets = model.modes.frequencies, stage.target_modes
     points, back = able.points(chosen)
     seat = np.searchsorted(model.scene.node, points).clip(max=model.scene.node.size - 1)
@@ -386,7 +411,7 @@ def _judged(
         if plan.lines == "mesh":
             lines = points[wireframe(model.scene.xyz, edges, seat)]
             stage = replace(stage, test=replace(stage.test, lines=lines))
-    si = 1 / np.sqrt(desk.unit.kilograms)  # mass-normalised in t: 1/√t = 1/√(1000 kg)
+    si = 1 / np.sqrt(session.unit.kilograms)  # mass-normalised in t: 1/√t = 1/√(1000 kg)
     if plan.sensor_mass:
         added = np.asarray(plan.sensor_mass * np.bincount(back), dtype=np.float64)
         flexible, shift = elastic(f), np.full(f.size, np.nan)
@@ -395,13 +420,20 @@ def _judged(
         shift[flexible] = loaded_frequencies(f[flexible], si * here, added) / f[flexible] - 1
         stage = replace(stage, loaded=shift[targets])
     if 0 < plan.at_hand < chosen.size:
-        stage = replace(stage, setups=_setups(plan, stage, able, chosen, f, si * motion))
+        stage = replace(
+            stage, setups=_setups(plan, stage, able=able, chosen=chosen, f=f, motion=si * motion)
+        )
     if plan.suspension:
         xyz = (
-            positions(desk.initial.model)[desk.initial.model["GRID"].find(able.nodes)] * desk.length
+            positions(session.initial.model)[session.initial.model["GRID"].find(able.nodes)]
+            * session.length
         )
         hung = suspension_points(
-            motion[:, 2:, targets], xyz, plan.suspension, model.cg * desk.length, min_distance=apart
+            motion[:, 2:, targets],
+            xyz,
+            plan.suspension,
+            model.cg * session.length,
+            min_distance=apart,
         )
         places = tuple(able.nodes[hung.points].tolist())
         stage = replace(stage, suspension=places, suspension_motion=hung.motion, steady=hung.steady)
@@ -409,10 +441,12 @@ def _judged(
         progress(0.7, "virtual test")
         rows = si * able.seen(motion)[chosen].reshape(-1, f.size)
         stage = replace(
-            stage, rehearsal=virtual_test(desk, plan, stage, rows, part(progress, 0.7, 0.85))
+            stage, rehearsal=virtual_test(session, plan, stage, rows, part(progress, 0.7, 0.85))
         )
         if plan.ambient_force:
-            found, notes = virtual_ambient_test(desk, plan, stage, rows, part(progress, 0.85, 1.0))
+            found, notes = virtual_ambient_test(
+                session, plan, stage, rows, part(progress, 0.85, 1.0)
+            )
             stage = replace(stage, ambient_rehearsal=found, notes=(*stage.notes, *notes))
     return stage
 

@@ -23,8 +23,8 @@ from ringtrue.fem.parametrisation.changed_model import changed
 from ringtrue.model.model import Model
 from ringtrue.reduction.parametric import ReducedModel
 from ringtrue.reduction.response import response_basis
-from ringtrue.study.config import PredictSection
-from ringtrue.study.objective import terms_of
+from ringtrue.study.config_sections import PredictSection
+from ringtrue.study.objective import target, terms_of
 from ringtrue.study.opened import Opened
 from ringtrue.study.results import (
     CorrelateStage,
@@ -35,28 +35,35 @@ from ringtrue.study.results import (
     PredictStage,
     UpdateStage,
 )
+from ringtrue.study.session import OWN, Session
 from ringtrue.study.stages.damping import regions
 from ringtrue.study.stages.final import deliver
-from ringtrue.study.stages.sensitivity import target
-from ringtrue.study.stages.together import others_at
 from ringtrue.study.stages.tune import suspended
 from ringtrue.study.stages.tune import target as rigid_target
 from ringtrue.study.stages.update import chosen_factors
-from ringtrue.study.workbench import OWN, Workbench
+from ringtrue.study.stages.update_set import other_configurations
 from ringtrue.updating.damping_regions import matrices_of
-from ringtrue.updating.harmonic import Damping, RegionDamping, Rows
-from ringtrue.updating.kfold import discrepancy
-from ringtrue.updating.plausible import plausibility
-from ringtrue.updating.posterior import Posterior, laplace
-from ringtrue.updating.predict import Output, Unbalance, plane, run_up, validated_band
-from ringtrue.updating.several import Configuration, Problem
+from ringtrue.updating.identifiability import plausibility
+from ringtrue.updating.prediction import (
+    Damping,
+    Output,
+    RegionDamping,
+    Rows,
+    Unbalance,
+    plane,
+    run_up,
+    validated_band,
+)
+from ringtrue.updating.problem import Configuration, Problem
+from ringtrue.updating.uncertainty import Posterior, laplace
+from ringtrue.updating.validation import discrepancy
 
 LOWEST = 0.005  # of the highest speed: the first line
 WATCHED = 40  # speeds at which the residual is watched
 SPREAD = 0.3  # of ln ζ: what is known of damping beyond the tested modes
 
 
-def run(desk: Workbench, progress: Progress) -> PredictStage:
+def run(session: Session, progress: Progress) -> PredictStage:
     """The run-up that [predict] of the study asks for.
 
     Raises
@@ -64,16 +71,16 @@ def run(desk: Workbench, progress: Progress) -> PredictStage:
     ConfigError
         If the study has no [predict], or its node or springs are not in the deck.
     """
-    asked = desk.config.predict
+    asked = session.config.predict
     if asked is None:
         raise ConfigError("a run-up needs [predict] with the rotor's node and mass")
     return predict(
-        desk,
+        session,
         asked.rotor,
-        asked.axis,
-        Unbalance(asked.mass, asked.grade, asked.service),
-        asked.springs,
-        np.random.default_rng([desk.config.study.seed, 9]),
+        axis=asked.axis,
+        unbalance=Unbalance(asked.mass, asked.grade, asked.service),
+        springs=asked.springs,
+        rng=np.random.default_rng([session.config.study.seed, 9]),
         freqs=np.linspace(LOWEST * asked.fmax, asked.fmax, asked.lines),
         draws=asked.draws,
         level=asked.level,
@@ -82,7 +89,7 @@ def run(desk: Workbench, progress: Progress) -> PredictStage:
 
 
 def predict(
-    desk: Workbench,
+    session: Session,
     rotor: int,
     axis: str,
     unbalance: Unbalance,
@@ -98,7 +105,7 @@ def predict(
 
     Parameters
     ----------
-    desk : Workbench
+    session : Session
     rotor : int
         Node that the unbalance acts on.
     axis : {"X", "Y", "Z"}
@@ -118,12 +125,12 @@ def predict(
         If the study was not run to its end, node or springs are not in the deck, or the test modes
         have no damping.
     """
-    if "final" not in desk.store.stages():
+    if "final" not in session.store.stages():
         raise ConfigError(
             "the study has no updated model yet: `ringtrue run` it to its final stage first"
         )
-    posterior, error = _posterior(desk, part(progress, 0.0, 0.3))
-    opened, final = desk.remodelled, desk.get("final")
+    posterior, error = _posterior(session, part(progress, 0.0, 0.3))
+    opened, final = session.remodelled, session.get("final")
     if not np.median(final.damping) > 0:
         raise ConfigError(
             "a run-up needs damping; that of the test modes is 0. Where it is not known leave it "
@@ -132,41 +139,51 @@ def predict(
     across = plane(axis)
     motion = _translations(opened.analysis.system, rotor)
     loads = motion[list(across)].toarray().T
-    model, residual = _model(desk, posterior.parameters, loads, freqs, part(progress, 0.3, 0.6))
+    model, residual = _model(session, posterior.parameters, loads, freqs, part(progress, 0.3, 0.6))
     v = model.basis.vectors
     outputs = [
-        Output(f"rotor, node {rotor}", "m", Rows(np.asarray(motion @ v) * desk.unit.length), 3)
+        Output(f"rotor, node {rotor}", "m", Rows(np.asarray(motion @ v) * session.unit.length), 3)
     ]
     for name, ids in springs.items():
-        outputs += _forces(opened, model.system.parameters, name, ids, v * desk.unit.force)
+        outputs += _forces(opened, model.system.parameters, name, ids, v * session.unit.force)
     progress(0.6, "damping")
-    damping, words = _damping(desk, v)
+    damping, words = _damping(session, v)
     result = run_up(
         model,
         posterior.sample(draws, rng),
-        posterior.x,
-        freqs,
-        np.asarray(v.T @ loads) / desk.unit.force,  # the unbalance is in N
-        unbalance,
-        outputs,
-        damping,
-        rng,
+        best=posterior.x,
+        freqs=freqs,
+        loads=np.asarray(v.T @ loads) / session.unit.force,  # the unbalance is in N
+        unbalance=unbalance,
+        outputs=outputs,
+        damping=damping,
+        rng=rng,
         discrepancy=error,
         level=level,
-        validated=_validated(desk, final),
+        validated=_validated(session, final),
         progress=part(progress, 0.65, 1.0),
     )
     flags = plausibility(posterior.parameters, posterior.x, posterior.ratio)
     told = tuple(f.text for f in flags)
-    return PredictStage(rotor, axis, unbalance, result, posterior, error, words, residual, told)
+    return PredictStage(
+        rotor=rotor,
+        axis=axis,
+        unbalance=unbalance,
+        run_up=result,
+        posterior=posterior,
+        discrepancy=error,
+        damping=words,
+        residual=residual,
+        flags=told,
+    )
 
 
-def _damping(desk: Workbench, v: Float) -> tuple[Damping | RegionDamping, str]:
+def _damping(session: Session, v: Float) -> tuple[Damping | RegionDamping, str]:
     """Of the regions, where the study has found them; else the ratios of the test over frequency.
     And in words.
     """
     found: DampingStage | None = (
-        desk.get("damping") if "damping" in (*desk.results, *desk.store.stages()) else None
+        session.get("damping") if "damping" in (*session.results, *session.store.stages()) else None
     )
     if found is not None and found.regions is not None:
         own = scatter(found.modes) if found.modes is not None else 0.0
@@ -174,8 +191,8 @@ def _damping(desk: Workbench, v: Float) -> tuple[Damping | RegionDamping, str]:
         words = "loss factors and dashpots by region" + (
             f", ± {each} % from mode to mode" if each != "0" else ""
         )
-        return replace(_by_region(desk, found.regions, v), scatter=own), words
-    final: FinalStage = desk.get("final")
+        return replace(_by_region(session, found.regions, v), scatter=own), words
+    final: FinalStage = session.get("final")
     f, at = np.unique(final.observed.frequencies, return_index=True)
     keep = f > 0
     words = "damping ratios of the test, interpolated between its modes and constant beyond"
@@ -194,9 +211,9 @@ def scatter(modes: DampedModes) -> float:
     return discrepancy(np.log(measured / found), known)
 
 
-def _by_region(desk: Workbench, found: DampedRegions, v: Float) -> RegionDamping:
-    opened = desk.delivered or deliver(desk)[0]
-    mine = {r.name: r for r in regions(desk, opened)}
+def _by_region(session: Session, found: DampedRegions, v: Float) -> RegionDamping:
+    opened = session.delivered or deliver(session)[0]
+    mine = {r.name: r for r in regions(session, opened)}
     if lost := [n for n in found.names if n not in mine]:
         raise ConfigError(
             f"damping region {lost[0]!r} is not in the study any more: `ringtrue run` it again"
@@ -209,33 +226,33 @@ def _by_region(desk: Workbench, found: DampedRegions, v: Float) -> RegionDamping
     return RegionDamping(found.coefficients, found.covariance, np.array(matrices), viscous, base)
 
 
-def _validated(desk: Workbench, final: FinalStage) -> tuple[float, float]:
+def _validated(session: Session, final: FinalStage) -> tuple[float, float]:
     """The band of the test modes that the delivered model holds, wider by the deviation that is
     accepted.
     """
-    found: CorrelateStage = desk.get("correlate")
-    sure = found.reference.confidence >= desk.config.identify.confidence
+    found: CorrelateStage = session.get("correlate")
+    sure = found.reference.confidence >= session.config.identify.confidence
     held = np.zeros(len(found.reference), dtype=bool)
     held[
         final.table.pairing.a[
-            np.abs(final.table.deviation_percent) <= desk.config.correlate.accept_percent
+            np.abs(final.table.deviation_percent) <= session.config.correlate.accept_percent
         ]
     ] = True
     low, high = validated_band(found.reference.frequencies[sure], held[sure])
     if len(found.rigid) and high > 0:
         low = min(low, float(found.rigid.frequencies.min()))
-    margin = desk.config.correlate.accept_percent / 100
+    margin = session.config.correlate.accept_percent / 100
     return low * (1 - margin), high * (1 + margin)
 
 
-def _posterior(desk: Workbench, progress: Progress) -> tuple[Posterior, float]:
+def _posterior(session: Session, progress: Progress) -> tuple[Posterior, float]:
     """Of the chosen parameters and the suspension, and the discrepancy of the left-out
     frequencies.
     """
-    done: UpdateStage = desk.get("update")
-    final: FinalStage = desk.get("final")
+    done: UpdateStage = session.get("update")
+    final: FinalStage = session.get("final")
     best = done.sets[done.chosen]
-    model, aim = desk.delivered_models(progress)[0], target(desk)
+    model, aim = session.delivered_models(progress)[0], target(session)
     every = model.parameters.names
     at = [every.index(n) for n in best.parameters]
     out = final.table.deviation_percent[~final.table.used] / 100
@@ -243,16 +260,17 @@ def _posterior(desk: Workbench, progress: Progress) -> tuple[Posterior, float]:
     error = discrepancy(shown, np.zeros(shown.size)) if shown.size else aim.weights.frequency
     active = model.with_parameters(at, np.zeros(len(every)))
     wide = max(error, aim.weights.frequency)
-    first = Configuration(active, aim, terms_of(desk, OWN, active, desk.config.update))
+    first = Configuration(active, aim, terms_of(session, OWN, active, session.config.update))
     every_one = tuple(
-        c.weighed(wide, aim.weights.mac) for c in (first, *others_at(desk, best, progress))
+        c.weighed(wide, aim.weights.mac)
+        for c in (first, *other_configurations(session, best, progress))
     )
     parts = [_laplace(every_one, best.factor)]
-    if desk.config.suspension:
-        springs = suspended(desk, progress)
-        tuned = desk.get("tune").factors
+    if session.config.suspension:
+        springs = suspended(session, progress)
+        tuned = session.get("tune").factors
         factors = np.array([tuned[n] for n in springs.parameters.names])
-        parts.append(_laplace((Configuration(springs, rigid_target(desk)),), factors))
+        parts.append(_laplace((Configuration(springs, rigid_target(session)),), factors))
     return _together(parts), error
 
 
@@ -277,7 +295,7 @@ def _together(parts: Sequence[Posterior]) -> Posterior:
 
 
 def _model(
-    desk: Workbench, parameters: ParameterSet, loads: Float, freqs: Float, progress: Progress
+    session: Session, parameters: ParameterSet, loads: Float, freqs: Float, progress: Progress
 ) -> tuple[ReducedModel, float]:
     """The remodelled deck over some of its parameters, on a basis for the response to the loads at
     the updated point.
@@ -285,15 +303,15 @@ def _model(
     And the largest residual of that response, relative to the load. The basis is that of one point:
     for the changes that the posterior leaves it is exact to second order.
     """
-    model = desk.delivered_models(part(progress, 0.0, 0.3))[0].model
+    model = session.delivered_models(part(progress, 0.0, 0.3))[0].model
     every = model.system.parameters
-    known = dict(zip(desk.parameters.names, chosen_factors(desk).tolist(), strict=True))
-    known |= desk.get("tune").factors if desk.config.suspension else {}
+    known = dict(zip(session.parameters.names, chosen_factors(session).tolist(), strict=True))
+    known |= session.get("tune").factors if session.config.suspension else {}
     factors = np.array([known[n] for n in every.names])
     start = model.with_parameters(range(len(every)), np.zeros(len(every))).vectors(
         every.vector(factors)
     )[1]
-    final: FinalStage = desk.get("final")
+    final: FinalStage = session.get("final")
     found = response_basis(
         *model.system.at(factors),
         loads,

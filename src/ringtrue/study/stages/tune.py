@@ -13,7 +13,8 @@ from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.errors import DataError
 from ringtrue.model.ports import Linearisation, ObservedModel
-from ringtrue.study.parametric import AtChannels
+from ringtrue.study.objective import target as elastic_target
+from ringtrue.study.opened import AtChannels
 from ringtrue.study.reference import Reference, reference_modes, rigid_settings, rigid_table
 from ringtrue.study.results import (
     ConfigurationsStage,
@@ -22,16 +23,15 @@ from ringtrue.study.results import (
     TunedConfiguration,
     TuneStage,
 )
-from ringtrue.study.stages.sensitivity import target as elastic_target
+from ringtrue.study.session import OWN, Session
 from ringtrue.study.stages.update import chosen_factors
-from ringtrue.study.workbench import OWN, Workbench
 from ringtrue.updating.gauss_newton import update
-from ringtrue.updating.objective import Target, Weights, match
-from ringtrue.updating.plausible import plausibility
-from ringtrue.updating.settle import Course, settled
-from ringtrue.updating.several import Configuration, Problem
+from ringtrue.updating.identifiability import plausibility
+from ringtrue.updating.problem import Configuration, Problem
+from ringtrue.updating.solver import Solution, solve
+from ringtrue.updating.strategy import Course, settled
 from ringtrue.updating.suspension import Suspended, tune
-from ringtrue.updating.trust import Solution, solve
+from ringtrue.updating.target import Target, Weights, match
 
 # a rigid-body mode on springs leaves no room for model discrepancy but the mass distribution
 WEIGHTS = Weights(frequency=0.005, mac=0.1, shape=0.1)
@@ -41,7 +41,7 @@ STRAINED = 0.1
 ALLOWED = 2.0  # standard deviations that it may be off
 
 
-def target(desk: Workbench) -> Target:
+def target(session: Session) -> Target:
     """The rigid-body modes of the test.
 
     Raises
@@ -49,35 +49,40 @@ def target(desk: Workbench) -> Target:
     DataError
         If there is none.
     """
-    found: CorrelateStage = desk.get("correlate")
+    found: CorrelateStage = session.get("correlate")
     if not len(found.rigid):
         raise DataError(
             "rigid-body tuning: the test holds no rigid-body mode to tune [[suspension]] to; set "
             "correlate.rigid_below above them, or leave [[suspension]] out"
         )
-    return _target(desk, found)
+    return _target(session, found)
 
 
-def _target(desk: Workbench, found: CorrelateStage | ConfiguredTest) -> Target:
+def _target(session: Session, found: CorrelateStage | ConfiguredTest) -> Target:
     n = len(found.rigid)
     std = np.fmax(found.rigid_uncertainty.frequency / found.rigid.frequencies, 1e-4)
-    gates = rigid_settings(desk.config)
+    gates = rigid_settings(session.config)
     return Target(
-        found.rigid.frequencies, found.rigid.shapes, std, np.ones(n, dtype=bool), WEIGHTS, gates
+        frequencies=found.rigid.frequencies,
+        shapes=found.rigid.shapes,
+        std=std,
+        used=np.ones(n, dtype=bool),
+        weights=WEIGHTS,
+        pairing=gates,
     )
 
 
-def suspended(desk: Workbench, progress: Progress) -> AtChannels:
+def suspended(session: Session, progress: Progress) -> AtChannels:
     """The model over the suspension alone, the elastic parameters held at their updated values."""
-    found: CorrelateStage = desk.get("correlate")
-    count = len(desk.config.suspensions())
-    base = np.concatenate([desk.parameters.vector(chosen_factors(desk)), np.zeros(count)])
-    first = len(desk.parameters)
-    model = desk.suspended(found.rigid.channels, progress)
+    found: CorrelateStage = session.get("correlate")
+    count = len(session.config.suspensions())
+    base = np.concatenate([session.parameters.vector(chosen_factors(session)), np.zeros(count)])
+    first = len(session.parameters)
+    model = session.suspended(found.rigid.channels, progress)
     return model.with_parameters(range(first, first + count), base)
 
 
-def tuned(active: AtChannels, aim: Target, iterations: int, progress: Progress) -> Suspended:
+def tuned(active: ObservedModel, aim: Target, iterations: int, progress: Progress) -> Suspended:
     """Every pairing weighed, from the point that the nearest pairing leads to.
 
     Test modes that find no partner inside the gates there take no part.
@@ -103,20 +108,20 @@ class _Other:
     active: AtChannels
     aim: Target
 
-    def table(self, x: Float, desk: Workbench) -> CorrelationTable:
+    def table(self, x: Float, session: Session) -> CorrelationTable:
         """At x (p,) of its part of the suspension."""
         seen = _seen(self.active, x, self.test.rigid.channels)
-        return rigid_table(Reference.of(self.test), seen, desk.config)
+        return rigid_table(Reference.of(self.test), seen, session.config)
 
 
-def _others(desk: Workbench, progress: Progress) -> tuple[_Other, ...]:
+def _others(session: Session, progress: Progress) -> tuple[_Other, ...]:
     """Elastic parameters held at their updated values."""
-    if not desk.config.configuration:
+    if not session.config.configuration:
         return ()
-    found: ConfigurationsStage = desk.get("configurations")
-    known = dict(zip(desk.parameters.names, chosen_factors(desk).tolist(), strict=True))
+    found: ConfigurationsStage = session.get("configurations")
+    known = dict(zip(session.parameters.names, chosen_factors(session).tolist(), strict=True))
     out = []
-    for test, model in zip(found.items, desk.delivered_models(progress)[1:], strict=True):
+    for test, model in zip(found.items, session.delivered_models(progress)[1:], strict=True):
         every, mine = model.model.system.parameters, model.parameters
         springs = range(len(mine), len(every))
         if not (len(test.rigid) and len(springs)):
@@ -124,13 +129,13 @@ def _others(desk: Workbench, progress: Progress) -> tuple[_Other, ...]:
         base = np.concatenate(
             [mine.vector(np.array([known[n] for n in mine.names])), np.zeros(len(springs))]
         )
-        channels = desk.channels(test.name)
+        channels = session.channels(test.name)
         rows = np.array([channels.index(c) for c in test.rigid.channels], dtype=np.int64)
         out.append(
             _Other(
                 test,
                 AtChannels(model.model, rows).with_parameters(springs, base),
-                _target(desk, test),
+                _target(session, test),
             )
         )
     return tuple(out)
@@ -193,26 +198,26 @@ def _off(aim: Target, at: Linearisation, partner: Mapping[int, int], t: int) -> 
     return float(at.frequencies[partner[t]] / aim.frequencies[t] - 1) if t in partner else None
 
 
-def _elastic(desk: Workbench, x: Float, std: Float) -> tuple[str, ...]:
+def _elastic(session: Session, x: Float, std: Float) -> tuple[str, ...]:
     """`disagreeing` of the study's own test."""
-    first = len(desk.parameters)
-    base = np.concatenate([desk.parameters.vector(chosen_factors(desk)), np.zeros(x.size)])
-    every = desk.suspended(desk.reference(OWN).channels, quiet)
+    first = len(session.parameters)
+    base = np.concatenate([session.parameters.vector(chosen_factors(session)), np.zeros(x.size)])
+    every = session.suspended(session.reference(OWN).channels, quiet)
     return disagreeing(
-        every.with_parameters(range(first, first + x.size), base), elastic_target(desk), x, std
+        every.with_parameters(range(first, first + x.size), base), elastic_target(session), x, std
     )
 
 
-def run(desk: Workbench, progress: Progress) -> TuneStage:
+def run(session: Session, progress: Progress) -> TuneStage:
     """Tune the suspension with the elastic parameters held at their updated values.
 
     Every pairing of the study's own test is weighed; configurations with rigid-body modes join from
     there.
     """
-    aim = target(desk)
-    active = suspended(desk, part(progress, 0.0, 0.6))
-    others = _others(desk, part(progress, 0.6, 0.7))
-    limit, parameters = desk.config.update.iterations, active.parameters
+    aim = target(session)
+    active = suspended(session, part(progress, 0.0, 0.6))
+    others = _others(session, part(progress, 0.6, 0.7))
+    limit, parameters = session.config.update.iterations, active.parameters
     found = tuned(active, aim, limit, part(progress, 0.7, 1.0))
     x, std = found.best.x, found.std
     if others:
@@ -221,25 +226,25 @@ def run(desk: Workbench, progress: Progress) -> TuneStage:
         x, std = done.x, done.std
     factors = parameters.factors(x)
     slope = parameters.derivative(x) / factors
-    reference = reference_modes(desk.get("identify"), desk.config)
-    channels = desk.get("correlate").rigid.channels
+    reference = reference_modes(session.get("identify"), session.config)
+    channels = session.get("correlate").rigid.channels
     before, after = (
-        rigid_table(reference, _seen(active, at, channels), desk.config) for at in (0 * x, x)
+        rigid_table(reference, _seen(active, at, channels), session.config) for at in (0 * x, x)
     )
     at = dict(zip(parameters.names, x.tolist(), strict=True))
     of = [np.array([at[n] for n in o.active.parameters.names]) for o in others]
     return TuneStage(
-        before,
-        after,
-        dict(zip(parameters.names, factors.tolist(), strict=True)),
-        dict(zip(parameters.names, (std * slope).tolist(), strict=True)),
-        found.ambiguity(),
-        tuple(f.text for f in plausibility(parameters, x, std / parameters.std())),
-        tuple(
-            TunedConfiguration(o.test.name, o.table(0 * v, desk), o.table(v, desk))
+        before=before,
+        after=after,
+        factors=dict(zip(parameters.names, factors.tolist(), strict=True)),
+        std=dict(zip(parameters.names, (std * slope).tolist(), strict=True)),
+        ambiguity=found.ambiguity(),
+        flags=tuple(f.text for f in plausibility(parameters, x, std / parameters.std())),
+        others=tuple(
+            TunedConfiguration(o.test.name, o.table(0 * v, session), o.table(v, session))
             for o, v in zip(others, of, strict=True)
         ),
-        _elastic(desk, x, std),
+        disagreeing=_elastic(session, x, std),
     )
 
 

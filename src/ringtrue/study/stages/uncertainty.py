@@ -13,25 +13,40 @@ from scipy.special import ndtri, stdtrit
 from ringtrue.core.arrays import Float
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.progress import Progress, part
-from ringtrue.reduction.condense import condensed
+from ringtrue.reduction.parametric import condensed
 from ringtrue.shapes.mac import paired_mac
-from ringtrue.study.objective import terms_of
-from ringtrue.study.parametric import AtChannels, frequency_error
-from ringtrue.study.results import FinalStage, SetResult, UncertaintyStage, UpdateStage
-from ringtrue.study.stages.sensitivity import target
-from ringtrue.study.stages.together import as_delivered, others_at
-from ringtrue.study.workbench import OWN, Workbench
-from ringtrue.updating.alike import effective_freedom, energy_shares, errors_of_shapes, likeness
-from ringtrue.updating.joint import left_at
-from ringtrue.updating.kfold import Held, folds_of, with_discrepancy
-from ringtrue.updating.mcmc import Chains, ensemble, log_posterior
-from ringtrue.updating.objective import Target, Weights
-from ringtrue.updating.plausible import form_flags, kept, plausibility
-from ringtrue.updating.pool import conflicts, of_parameter
-from ringtrue.updating.posterior import Posterior, around, as_likelihood
-from ringtrue.updating.residuals import Eigenvalues, Weighted
-from ringtrue.updating.several import Configuration, Problem
-from ringtrue.updating.spans import spans
+from ringtrue.study.objective import target, terms_of
+from ringtrue.study.opened import AtChannels, frequency_error
+from ringtrue.study.results import (
+    FinalStage,
+    FrequencyBands,
+    ParameterPosterior,
+    PosteriorChains,
+    SetResult,
+    UncertaintyStage,
+    UpdateStage,
+)
+from ringtrue.study.session import OWN, Session
+from ringtrue.study.stages.update_set import as_delivered, other_configurations
+from ringtrue.updating.identifiability import form_flags, kept, plausibility
+from ringtrue.updating.problem import Configuration, Problem
+from ringtrue.updating.regularisation import left_at
+from ringtrue.updating.residuals.modal import Eigenvalues, Weighted
+from ringtrue.updating.selection.screening import conflicts, of_parameter
+from ringtrue.updating.target import Target, Weights, spans
+from ringtrue.updating.uncertainty import (
+    Chains,
+    Posterior,
+    around,
+    as_likelihood,
+    effective_freedom,
+    energy_shares,
+    ensemble,
+    errors_of_shapes,
+    likeness,
+    log_posterior,
+)
+from ringtrue.updating.validation import Held, folds_of, with_discrepancy
 
 SMALL = 100  # vectors of the model that is updated fold by fold and sampled
 # points around the updated one whose modes it holds, beside those of each parameter by itself
@@ -43,36 +58,38 @@ KEPT = 400  # draws that are stored
 BURN = 0.5  # steps that are thrown away, over those kept
 
 
-def run(desk: Workbench, progress: Progress) -> UncertaintyStage | None:
+def run(session: Session, progress: Progress) -> UncertaintyStage | None:
     """Discrepancy from modes left out in turn, posterior and bands; None where fewer than four
     modes were used.
 
     By the embedded solver in any case; None where its modes are not those that another solver has
     delivered.
     """
-    done: UpdateStage = desk.get("update")
-    final: FinalStage = desk.get("final")
-    best, asked, aim = done.sets[done.chosen], desk.config.uncertainty, target(desk)
+    done: UpdateStage = session.get("update")
+    final: FinalStage = session.get("final")
+    best, asked, aim = done.sets[done.chosen], session.config.uncertainty, target(session)
     factor = dict(zip(best.parameters, best.factor.tolist(), strict=True))
-    whole = dict.fromkeys(desk.parameters.names, 1.0) | factor
+    whole = dict.fromkeys(session.parameters.names, 1.0) | factor
 
     early = part(progress, 0.0, 0.4)
     every, at = as_delivered(
-        desk, desk.delivered_models(early)[0], whole, final.observed.frequencies, early
+        session, session.delivered_models(early)[0], whole, final.observed.frequencies, early
     )
-    model, x = as_delivered(desk, every, factor, final.observed.frequencies, early)
-    if desk.engine is not None and not _same(desk, model, final, x):
+    model, x = as_delivered(session, every, factor, final.observed.frequencies, early)
+    if session.engine is not None and not _same(session, model, final, x):
         return None
     paired = _paired(aim, model, final, x)
     count = int(paired.used.sum())
     if count < FEWEST:
         return None
-    small = _near(desk, model, x, best.std, np.random.default_rng([desk.config.study.seed, 6]))
-    first = Configuration(small, paired, terms_of(desk, OWN, small, desk.config.update))
-    others = _others(
-        desk, best, rng=np.random.default_rng([desk.config.study.seed, 8]), progress=progress
+    small = _near(
+        session, model, x, best.std, np.random.default_rng([session.config.study.seed, 6])
     )
-    if desk.config.update.sharpened:
+    first = Configuration(small, paired, terms_of(session, OWN, small, session.config.update))
+    others = _others(
+        session, best, rng=np.random.default_rng([session.config.study.seed, 8]), progress=progress
+    )
+    if session.config.update.sharpened:
         w = left_at(Problem((first, *others)), x)
         first, others = _weighed(first, w), tuple(_weighed(c, w) for c in others)
     likely, held = with_discrepancy(
@@ -83,19 +100,34 @@ def run(desk: Workbench, progress: Progress) -> UncertaintyStage | None:
         progress=part(progress, 0.4, 0.8),
     )
     full = (
-        Configuration(every, paired, terms_of(desk, OWN, every, desk.config.update)),
-        *_whole(desk, best, whole, early),
+        Configuration(every, paired, terms_of(session, OWN, every, session.config.update)),
+        *_whole(session, best, whole, early),
     )
-    freedom = _freedom(desk, every, at, final, held, likely.target)
+    freedom = _freedom(session, every, x=at, final=final, held=held, likely=likely.target)
     many = errors_of_shapes(replace(paired, used=np.ones_like(paired.used)), model.modes(x))
     among, slope = _posterior(
-        desk, full, likely.target.weights, whole, best.parameters, freedom, many
+        session,
+        full,
+        found=likely.target.weights,
+        factor=whole,
+        chosen=best.parameters,
+        freedom=freedom,
+        independent=many,
     )
     posterior = among.take([every.parameters.names.index(n) for n in best.parameters])
-    told = _result(posterior, among, aim, likely.target, slope, final, held, asked.level)
+    told = _result(
+        posterior,
+        among,
+        aim=aim,
+        likely=likely.target,
+        slope=slope,
+        final=final,
+        held=held,
+        level=asked.level,
+    )
     if not asked.samples:
         return told
-    rng = np.random.default_rng([desk.config.study.seed, 7])
+    rng = np.random.default_rng([session.config.study.seed, 7])
     w = likely.target.weights
     problem = Problem(
         tuple(_likelihood(c.weighed(w.frequency, w.mac), many) for c in (likely, *others))
@@ -108,7 +140,7 @@ def _weighed(c: Configuration, w: Weights) -> Configuration:
     return c.weighed(w.frequency, w.mac, w.independent)
 
 
-def _same(desk: Workbench, model: AtChannels, final: FinalStage, x: Float) -> bool:
+def _same(session: Session, model: AtChannels, final: FinalStage, x: Float) -> bool:
     """Whether the paired modes of the delivered deck have the same place, shape and frequency in
     the model.
 
@@ -118,39 +150,39 @@ def _same(desk: Workbench, model: AtChannels, final: FinalStage, x: Float) -> bo
     now, at = model.modes(x), final.table.pairing.b
     if at.size and at.max() >= now.frequencies.size:
         return False
-    rows = [final.observed.channels.index(c) for c in desk.reference(OWN).channels]
+    rows = [final.observed.channels.index(c) for c in session.reference(OWN).channels]
     like = paired_mac(now.shapes[:, at], final.observed.shapes[rows][:, at]) >= ALIKE
     error = frequency_error(now.frequencies[at], final.observed.frequencies[at])
-    return bool(like.all() and error <= desk.config.update.frequency_error)
+    return bool(like.all() and error <= session.config.update.frequency_error)
 
 
 def _others(
-    desk: Workbench, best: SetResult, rng: np.random.Generator, progress: Progress
+    session: Session, best: SetResult, rng: np.random.Generator, progress: Progress
 ) -> tuple[Configuration, ...]:
     """The other configurations on the modes around the updated point."""
     std, out = dict(zip(best.parameters, best.std.tolist(), strict=True)), []
-    for c in others_at(desk, best, progress):
+    for c in other_configurations(session, best, progress):
         assert isinstance(c.model, AtChannels)
         p = c.model.parameters
         factor = np.array([best.factor[best.parameters.index(n)] for n in p.names])
-        near = _near(desk, c.model, p.vector(factor), np.array([std[n] for n in p.names]), rng)
+        near = _near(session, c.model, p.vector(factor), np.array([std[n] for n in p.names]), rng)
         out.append(replace(c, model=near))
     return tuple(out)
 
 
 def _whole(
-    desk: Workbench, best: SetResult, factor: Mapping[str, float], progress: Progress
+    session: Session, best: SetResult, factor: Mapping[str, float], progress: Progress
 ) -> tuple[Configuration, ...]:
     """The other configurations over all candidates."""
-    return others_at(
-        desk,
+    return other_configurations(
+        session,
         replace(best, parameters=tuple(factor), factor=np.array(list(factor.values()))),
         progress,
     )
 
 
 def _posterior(
-    desk: Workbench,
+    session: Session,
     configurations: tuple[Configuration, ...],
     found: Weights,
     factor: Mapping[str, float],
@@ -177,7 +209,7 @@ def _posterior(
             _likelihood(c.weighed(found.frequency, found.mac), independent) for c in configurations
         )
     )
-    p, model = problem.parameters, desk.remodelled.model
+    p, model = problem.parameters, session.remodelled.model
     at = problem.evaluate(p.vector(np.array([factor[n] for n in p.names])))
     mine = np.isin(p.names, list(chosen))
     same = conflicts(model, [of_parameter(model, one) for one in p.parameters])[:, mine].any(axis=1)
@@ -186,7 +218,7 @@ def _posterior(
 
 
 def _freedom(
-    desk: Workbench, every: AtChannels, x: Float, final: FinalStage, held: Held, likely: Target
+    session: Session, every: AtChannels, x: Float, final: FinalStage, held: Held, likely: Target
 ) -> float:
     """Degrees of freedom that the size of the errors is known with, those of the test being known.
 
@@ -197,7 +229,7 @@ def _freedom(
     vectors = every.model.basis.vectors @ shapes[:, pairing.b[seen]]
     of_form = likely.weights.frequency**2
     share = of_form / (of_form + float(np.mean(likely.std**2)))
-    opened = desk.remodelled
+    opened = session.remodelled
     return (
         effective_freedom(likeness(energy_shares(opened.model, opened.analysis.system, vectors)))
         / share**2
@@ -226,10 +258,10 @@ def _paired(aim: Target, model: AtChannels, final: FinalStage, x: Float) -> Targ
 
 
 def _near(
-    desk: Workbench, model: AtChannels, x: Float, std: Float, rng: np.random.Generator
+    session: Session, model: AtChannels, x: Float, std: Float, rng: np.random.Generator
 ) -> AtChannels:
     """The model on its modes around a point; as it is where more than modes was measured."""
-    if desk.config.residual:
+    if session.config.residual:
         return model
     low, high = model.parameters.bounds()
     reach = np.maximum(REACH * std, LEAST_REACH)
@@ -258,10 +290,14 @@ def _result(
     p, pairing = posterior.parameters, final.table.pairing
     f = np.full(aim.frequencies.size, np.nan)
     f[pairing.a] = final.observed.frequencies[pairing.b]
-    known = pairing.b < slope.shape[0]
-    rows = slope[pairing.b[known]] / (8 * np.pi**2 * f[pairing.a[known]] ** 2)[:, None] @ among.link
+    computed = pairing.b < slope.shape[0]
+    rows = (
+        slope[pairing.b[computed]]
+        / (8 * np.pi**2 * f[pairing.a[computed]] ** 2)[:, None]
+        @ among.link
+    )
     parts = np.full((f.size, 3), np.nan)
-    parts[pairing.a[known], 0] = np.sqrt(np.einsum("mp,pq,mq->m", rows, among.covariance, rows))
+    parts[pairing.a[computed], 0] = np.sqrt(np.einsum("mp,pq,mq->m", rows, among.covariance, rows))
     parts[:, 1], parts[:, 2] = (
         aim.std,
         np.where(np.isfinite(held.model_std), held.model_std, likely.weights.frequency),
@@ -274,26 +310,33 @@ def _result(
     )
     if aim.lent:
         held = replace(held, mac=np.full(held.mac.size, np.nan))
+    known = ParameterPosterior(
+        parameters=p,
+        factor=factor,
+        std=posterior.std,
+        interval=interval,
+        prior=_prior(p, level),
+        ratio=posterior.ratio,
+        moved=posterior.moved,
+        correlation=posterior.correlation(),
+    )
+    bands = FrequencyBands(
+        test=aim.frequencies,
+        predicted=f,
+        band=band,
+        parts=parts,
+        used=aim.used,
+        inside=(band[:, 0] <= aim.frequencies) & (aim.frequencies <= band[:, 1]),
+    )
+    errors = likely.weights.frequency, np.nan if aim.lent else likely.weights.mac
     return UncertaintyStage(
-        p,
-        factor,
-        posterior.std,
-        interval,
-        _prior(p, level),
-        posterior.ratio,
-        posterior.moved,
-        posterior.correlation(),
-        level,
-        np.array([likely.weights.frequency, np.nan if aim.lent else likely.weights.mac]),
-        np.array([aim.weights.frequency, aim.weights.mac]),
-        aim.frequencies,
-        f,
-        band,
-        parts,
-        aim.used,
-        (band[:, 0] <= aim.frequencies) & (aim.frequencies <= band[:, 1]),
-        held,
-        tuple(flag.text for flag in flags),
+        posterior=known,
+        bands=bands,
+        level=level,
+        discrepancy=np.array(errors),
+        assumed=np.array([aim.weights.frequency, aim.weights.mac]),
+        held=held,
+        flags=tuple(flags),
     )
 
 
@@ -325,11 +368,11 @@ def _sampled(
 def _with_draws(told: UncertaintyStage, chains: Chains, p: ParameterSet) -> UncertaintyStage:
     every = chains.flat()
     band = chains.interval(told.level)
-    return replace(
-        told,
+    samples = PosteriorChains(
         draws=np.stack([p.factors(x) for x in every[:: -(-len(every) // KEPT)]]),
         sampled=np.stack([p.factors(band[:, 0]), p.factors(band[:, 1])], axis=1),
         acceptance=chains.acceptance,
         independent=chains.size,
         converged=chains.converged,
     )
+    return replace(told, chains=samples)

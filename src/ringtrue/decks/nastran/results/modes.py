@@ -1,18 +1,105 @@
-"""Modes of any results file of a Nastran-like program."""
+"""Modes of any file of results, by its ending, and of HDF5."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
+import h5py
+import numpy as np
+
+from ringtrue.core.arrays import Int
 from ringtrue.core.modes import ModeSet
-from ringtrue.decks.nastran.results.f06 import read_f06
-from ringtrue.decks.nastran.results.hdf5 import read_nastran_h5
 from ringtrue.decks.nastran.results.op2 import read_op2
-from ringtrue.decks.nastran.results.punch import read_punch
-from ringtrue.decks.nastran.results.recorded import RecordedModes, to_mode_set
-from ringtrue.errors import DataError, did_you_mean
+from ringtrue.decks.nastran.results.printed import read_f06, read_punch
+from ringtrue.decks.nastran.results.recorded import RecordedModes, gathered, to_mode_set
+from ringtrue.errors import DataError, about, did_you_mean
+from ringtrue.io.foreign.parsers import open_hdf5
 from ringtrue.model.case_control import METHODS
 from ringtrue.model.model import Model
+
+_RESULT = "NASTRAN/RESULT"
+_MODES = 2  # ANALYSIS of a domain of real modes
+_COMPONENTS = ("X", "Y", "Z", "RX", "RY", "RZ")
+
+
+def is_nastran_h5(path: str | Path) -> bool:
+    """Whether an HDF5 file holds Nastran's groups."""
+    try:
+        with open_hdf5(path) as file:
+            return _RESULT in file
+    except DataError:
+        return False
+
+
+def read_nastran_h5(path: str | Path) -> RecordedModes:
+    """Modes of the first subcase that has them, of the residual structure.
+
+    Raises
+    ------
+    DataError
+        If the file is missing, cut off or holds no real modes.
+    """
+    with open_hdf5(path, "HDF5 file of Nastran") as file, about(path):
+        return _read(file)
+
+
+def _read(file: h5py.File) -> RecordedModes:
+    at = f"{_RESULT}/NODAL/EIGENVECTOR"
+    if at not in file:
+        raise DataError(f"no {at}: ask for DISPLACEMENT = ALL and MDLPRM,HDF5,0")
+    shapes = file[at][()]
+    domains = _domains(file[f"{_RESULT}/DOMAINS"][()], shapes["DOMAIN_ID"])
+    rows = []
+    scalar_points = _scalar_points(file)
+    for domain in domains["ID"].tolist():
+        part = shapes[shapes["DOMAIN_ID"] == domain]
+        motion = np.stack([part[c] for c in _COMPONENTS], axis=1).astype(np.float64)
+        rows.append((part["ID"].astype(np.int64), np.isin(part["ID"], scalar_points), motion))
+    lam = domains["TIME_FREQ_EIGR"].astype(np.float64)
+    return gathered(lam, _masses(file, domains["MODE"], lam), rows, _frames(file))
+
+
+def _domains(domains: Any, used: Int) -> Any:
+    """The rows of real modes of one subcase and superelement, by mode."""
+    found = domains[
+        (domains["ANALYSIS"] == _MODES) & np.isin(domains["ID"], used) & (domains["MODE"] > 0)
+    ]
+    if not found.size:
+        raise DataError("no domain of real modes")
+    found = found[found["SUBCASE"] == found["SUBCASE"].min()]
+    found = found[found["SE"] == found["SE"].min()]
+    found = found[np.argsort(found["MODE"], kind="stable")]
+    if np.unique(found["MODE"]).size != found.size:
+        raise DataError("a mode occurs twice in one subcase")
+    return found
+
+
+def _masses(file: h5py.File, modes: Int, lam: Any) -> Any:
+    at = f"{_RESULT}/SUMMARY/EIGENVALUE"
+    mass = np.full(modes.size, np.nan)
+    if at in file:
+        table = file[at][()]
+        for k, (mode, value) in enumerate(zip(modes.tolist(), lam.tolist(), strict=True)):
+            same = table[
+                (table["MODE"] == mode) & np.isclose(table["EIGEN"], value, rtol=1e-6, atol=1e-12)
+            ]
+            mass[k] = same["MASS"][0] if same.size else np.nan
+    return mass
+
+
+def _frames(file: h5py.File) -> dict[int, int]:
+    at = "NASTRAN/INPUT/NODE/GRID"
+    if at not in file:
+        return {}
+    grid = file[at][()]
+    return dict(zip(grid["ID"].tolist(), grid["CD"].tolist(), strict=True))
+
+
+def _scalar_points(file: h5py.File) -> Int:
+    at = "NASTRAN/INPUT/NODE/SPOINT"
+    return file[at][()]["ID"].astype(np.int64) if at in file else np.empty(0, dtype=np.int64)
+
 
 READERS = {
     ".op2": read_op2,

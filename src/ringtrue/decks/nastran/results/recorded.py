@@ -13,7 +13,7 @@ from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.errors import DataError
-from ringtrue.io.magnitudes import refuse_large
+from ringtrue.io.files import refuse_large
 from ringtrue.model.frames import axes, positions
 from ringtrue.model.model import Model
 

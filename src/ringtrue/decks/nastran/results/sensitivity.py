@@ -18,10 +18,9 @@ import numpy as np
 from ringtrue.core.arrays import Float, Int, freeze_fields
 from ringtrue.decks.nastran.results.op2 import Op2Table, matrix, read_tables
 from ringtrue.errors import DataError, about, did_you_mean
-from ringtrue.io.files import existing, read_text
+from ringtrue.io.files import existing, read_text, refuse_large
 from ringtrue.io.foreign.door import door
-from ringtrue.io.foreign.hdf5 import open_hdf5
-from ringtrue.io.magnitudes import refuse_large
+from ringtrue.io.foreign.parsers import open_hdf5
 
 _WORDS = 9  # of a response in DSCMCOL: internal id, id, type, then by type
 _LARGEST = 1 << 27  # numbers of a matrix that is printed: 1 GB

@@ -1,0 +1,658 @@
+"""From pairs to a better model: localisation, updating, suspension, damping."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ringtrue.api.measurements import TestModes, modes_at
+from ringtrue.api.models import open_model
+from ringtrue.core.arrays import Float
+from ringtrue.core.display import Displayed, plot
+from ringtrue.core.iterate import Outcome
+from ringtrue.core.modes import ModeSet, elastic
+from ringtrue.core.parameters import Parameter, ParameterSet
+from ringtrue.core.progress import Progress, part, quiet
+from ringtrue.correlation.assignment import NO_LOCKS, PairingSettings
+from ringtrue.correlation.pairing import pair_modes
+from ringtrue.correlation.table import CorrelationTable, correlation_table
+from ringtrue.eigen.damped import project
+from ringtrue.errors import DataError, InputError
+from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
+from ringtrue.model.model import Model
+from ringtrue.shapes.complexity import realise_modes
+from ringtrue.solvers.matrices import MatrixModel
+from ringtrue.solvers.observed import at_factors, reduced
+from ringtrue.study.config_sections import CorrelateSection, LocaliseSection, parse_target
+from ringtrue.study.config_update import UpdateSection
+from ringtrue.study.direct import DirectProposal, propose_parameters, solved
+from ringtrue.study.objective import LOSSES, minimise, modal_terms
+from ringtrue.study.placing import placed, seat_words, seats
+from ringtrue.study.reference import highest, measured_part
+from ringtrue.study.results import Seat
+from ringtrue.study.stages.tune import WEIGHTS as RIGID_WEIGHTS
+from ringtrue.study.stages.tune import tuned
+from ringtrue.study.supplied import pair_frequencies
+from ringtrue.updating.damping import fit_poles, mode_damping
+from ringtrue.updating.damping_regions import DampingRegion, dampers, default_regions
+from ringtrue.updating.problem import Configuration, Evaluated, Problem
+from ringtrue.updating.selection.candidates import CandidateSettings
+from ringtrue.updating.target import Target, Weights
+from ringtrue.updating.uncertainty import laplace
+
+LEVEL = 0.9  # of the intervals of factors
+FREE = 7  # modes of a suspended structure: the six rigid-body modes and the first elastic one
+
+
+def parameter(
+    name: str, *fields: str, lower: float = 0.2, upper: float = 5.0, std: float = 0.7
+) -> Parameter:
+    """A parameter of an updating: a common factor on fields of a deck.
+
+    Parameters
+    ----------
+    name : str
+    fields : str
+        Such as `"MAT1 7 E"` or `"PBUSH 3 K1,K2,K3"`.
+    lower, upper : float
+        Bounds of the factor; they enclose 1.
+    std : float
+        Prior standard deviation of ln(factor).
+
+    Raises
+    ------
+    InputError
+        If a field is not of this form, or the bounds do not enclose 1.
+
+    Examples
+    --------
+    >>> import ringtrue as rt
+    >>> rt.parameter("foot", "PELAS 1 K", lower=0.5, upper=2.0).name
+    'foot'
+    """
+    try:
+        targets = tuple(target for text in fields for target in parse_target(text))
+    except ValueError as e:
+        raise InputError(f"parameter {name}: {e}") from e
+    return Parameter(name, targets, lower, upper, std=std)
+
+
+@dataclass(frozen=True, eq=False)
+class Localisation(Displayed):
+    """Parameters that the test modes ask for.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The proposed parameters, the most worthwhile first.
+    factors : (k,) float64
+        Updated over initial value, of a short updating.
+    std : (k,) float64
+        Standard deviation of ln(factor).
+    worth : (k,) float64
+        By how much AICc falls.
+    proposal : ParameterSet
+        The factors, to be handed to `update`. Missing masses are in `found` alone.
+    notes : tuple of str
+    seats : tuple of Seat
+        Where each sensor reads the model.
+    found : DirectProposal
+        All candidates and the reasons of the choice.
+    """
+
+    names: tuple[str, ...]
+    factors: Float
+    std: Float
+    worth: Float
+    proposal: ParameterSet
+    notes: tuple[str, ...]
+    seats: tuple[Seat, ...]
+    found: DirectProposal
+
+
+def localise(
+    model: Model,
+    test: ModeSet | TestModes,
+    *,
+    sensors: SensorSheet | str | Path | None = None,
+    tolerance: float | None = None,
+    most: int = 8,
+    pool: int = LocaliseSection.model_fields["pool"].default,
+    progress: Progress = quiet,
+) -> Localisation:
+    """Which regions of a model may be wrong: candidates from the deck, ranked and explained.
+
+    Parameters
+    ----------
+    model : Model
+    test : ModeSet or TestModes
+        Without channels, frequencies alone are compared.
+    sensors : SensorSheet or path, optional
+        Where the channels are; without it they are degrees of freedom such as `101+Z`.
+    tolerance : float, m, optional
+        Largest distance of a sensor from a node.
+    most : int
+        Most parameters that are proposed.
+    pool : int
+        Candidates that are looked at closely: those that explain most of the misfit.
+
+    Returns
+    -------
+    Localisation
+
+    Raises
+    ------
+    DataError
+        If a channel is not on the model.
+
+    References
+    ----------
+    Friswell and Mottershead (1995), ch. 6; Burnham and Anderson (2002), AICc.
+
+    Examples
+    --------
+    >>> import ringtrue as rt
+    >>> model = rt.read_deck(rt.example_deck())
+    >>> foot = rt.ParameterSet([rt.parameter("foot", "PELAS 1 K")])
+    >>> true = rt.solve_modes(rt.at_factors(model, foot, [0.7]))
+    >>> len(rt.localise(model, true.at(["2+X", "3+X", "4+X"])).proposal) > 0
+    True
+    """
+    opened = open_model(model)
+    modes = modes_at(test)
+    sheet = _sheet(sensors)
+    notes: tuple[str, ...] = ()
+    places: tuple[Seat, ...] = ()
+    if not modes.channels:
+        borrowed = pair_frequencies(modes, opened, CorrelateSection().gates(), NO_LOCKS)
+        bridge, notes = opened.observation(borrowed.points, np.inf), borrowed.notes
+        modes = borrowed.modes.take(measured_part(borrowed.modes)[0])
+    else:
+        bridge = placed(opened, modes.channels, _place(sensors), tolerance=tolerance)
+        places = seats(bridge, sheet.model) if sheet is not None else ()
+        notes = seat_words(places)
+    settings = CandidateSettings(units=model.units)
+    found = propose_parameters(
+        opened, realise_modes(modes), bridge, settings, pool, most, part(progress, 0.1, 1.0)
+    )
+    members = found.proposal.members
+    by_name = {c.name: c.parameter for c in found.candidates}
+    return Localisation(
+        tuple(m.name for m in members),
+        np.array([m.factor for m in members]),
+        np.array([m.std for m in members]),
+        np.array([m.worth for m in members]),
+        ParameterSet(tuple(by_name[m.name] for m in members if not m.lump)),
+        notes,
+        places,
+        found,
+    )
+
+
+def _place(sensors: SensorSheet | str | Path | None) -> SensorSheet | Path | None:
+    return Path(sensors) if isinstance(sensors, str) else sensors
+
+
+def _sheet(sensors: SensorSheet | str | Path | None) -> SensorSheet | None:
+    return read_sensor_sheet(sensors) if isinstance(sensors, str | Path) else sensors
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TestedModel:
+    """A model with its test, one of several configurations of an updating.
+
+    Attributes
+    ----------
+    model : Model or MatrixModel
+    test : TestModes or ModeSet
+    sensors : SensorSheet or path, optional
+    parameters : tuple of str, optional
+        Names of the parameters that this model has; all if not given.
+    """
+
+    __test__: ClassVar[bool] = False  # not a test of pytest
+
+    model: Model | MatrixModel
+    test: TestModes | ModeSet
+    sensors: SensorSheet | str | Path | None = None
+    parameters: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class UpdatedModel(Displayed):
+    """An updated model.
+
+    Attributes
+    ----------
+    names : tuple of str
+    factors : (p,) float64
+        Updated over initial value.
+    low, high : (p,) float64
+        Bounds of the 90 % interval of each factor.
+    model : Model or MatrixModel
+        With the factors applied; of several configurations the first.
+    models : tuple
+        Of all configurations.
+    before, after : CorrelationTable
+        Of the first configuration.
+    outcome : Outcome
+        Converged, stalled or stopped.
+    why : str
+        What met the tolerance, or why the updating ended.
+    basis_error : float
+        Relative frequency error of the reduced model at the end.
+    """
+
+    names: tuple[str, ...]
+    factors: Float
+    low: Float
+    high: Float
+    model: Model | MatrixModel
+    models: tuple[Model | MatrixModel, ...]
+    before: CorrelationTable
+    after: CorrelationTable
+    outcome: Outcome
+    why: str
+    basis_error: float
+
+    def plot(self) -> Any:
+        """The MAC matrix of the updated model, a plotly figure."""
+        return plot(self.after)
+
+
+def update(
+    model: Model | MatrixModel | Sequence[TestedModel],
+    test: TestModes | ModeSet | None,
+    parameters: ParameterSet | Sequence[Parameter],
+    *,
+    sensors: SensorSheet | str | Path | None = None,
+    leave_out: Sequence[int] = (),
+    shape_std: Float | Sequence[float] | None = None,
+    settings: UpdateSection | None = None,
+    seed: int = 0,
+    progress: Progress = quiet,
+) -> UpdatedModel:
+    """Update parameters of a model so that its modes are those of a test.
+
+    Parameters
+    ----------
+    model : Model, MatrixModel, or several TestedModel
+        Several configurations have common parameters by name; `test` and `sensors` are then None.
+    test : TestModes or ModeSet
+        The standard deviations of its frequencies count, one a mode.
+    parameters : ParameterSet or sequence of Parameter
+        Each has bounds and a prior standard deviation.
+    sensors : SensorSheet or path, optional
+        Where the channels are; without it they are degrees of freedom such as `101+Z`.
+    leave_out : sequence of int
+        Test modes, from 1, to judge the result by.
+    shape_std : (channel,), optional
+        Standard deviations of the shape components, one a channel; equal if not given.
+    settings : UpdateSettings, optional
+        What is compared, weights, prior, loss, starts, global search.
+    seed : int
+        Of the starts.
+
+    Returns
+    -------
+    UpdatedModel
+
+    Raises
+    ------
+    InputError
+        If a parameter is not in the model.
+    NumericalError
+        If no step can be solved.
+
+    References
+    ----------
+    Friswell and Mottershead (1995), Finite Element Model Updating in Structural Dynamics, ch. 8.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import ringtrue as rt
+    >>> model = rt.read_deck(rt.example_deck())
+    >>> foot = rt.ParameterSet([rt.parameter("foot", "PELAS 1 K")])
+    >>> true = rt.solve_modes(rt.at_factors(model, foot, [0.7]))
+    >>> result = rt.update(model, true.at(["2+X", "4+X"]), foot)
+    >>> result.factors.round(3), result.outcome.ok
+    (array([0.7]), True)
+    """
+    u = settings or UpdateSection()
+    every = parameters if isinstance(parameters, ParameterSet) else ParameterSet(tuple(parameters))
+    if isinstance(model, Model | MatrixModel):
+        if test is None:
+            raise InputError("update: a model needs its test modes")
+        tests: Sequence[TestedModel] = (TestedModel(model, test, sensors),)
+    else:
+        tests = model
+        if not tests or test is not None:
+            raise InputError("update: of several configurations each TestedModel has its own test")
+    scale = None if shape_std is None else np.asarray(shape_std, dtype=np.float64)
+    configurations = []
+    for k, one in enumerate(tests):
+        mine = every
+        if one.parameters:
+            mine = every.take([every.names.index(n) for n in one.parameters])
+        configurations.append(
+            _configuration(one, mine, leave_out, scale, u, f"configuration {k + 1}")
+        )
+    problem = Problem(tuple(configurations), every, loss=LOSSES[u.loss])
+    if len(configurations) == 1:
+        done = solved(problem, u, seed, None, progress)
+        solution, final, error = done.solution, done.problem, done.error
+    else:
+        end = minimise(problem, u, seed, progress)
+        solution, final, error = end.solution, end.problem, float("nan")
+    start = final.evaluate(np.zeros(final.size))
+    interval = laplace(final, solution.end).interval(LEVEL)
+    factors = dict(zip(every.names, solution.factors.tolist(), strict=True))
+    made = tuple(_at_end(one.model, every, factors, one.parameters) for one in tests)
+    return UpdatedModel(
+        every.names,
+        solution.factors,
+        interval[:, 0],
+        interval[:, 1],
+        made[0],
+        made,
+        _table(final, start, tests[0].test),
+        _table(final, solution.end, tests[0].test),
+        solution.outcome,
+        solution.why,
+        error,
+    )
+
+
+def _configuration(
+    one: TestedModel,
+    parameters: ParameterSet,
+    leave_out: Sequence[int],
+    shape_std: Float | None,
+    u: UpdateSection,
+    name: str,
+) -> Configuration:
+    """A model and its test as the updating sees them."""
+    modes = realise_modes(modes_at(one.test))
+    count = len(modes)
+    wrong = [i for i in leave_out if not 1 <= i <= count]
+    if wrong or len(set(leave_out)) >= count:
+        raise InputError(f"leave_out {list(leave_out)}: some of the modes 1 to {count}, not all")
+    relative = np.zeros(count)
+    if isinstance(one.test, TestModes):
+        relative = np.nan_to_num(one.test.std_frequency / modes.frequencies)
+    gates = CorrelateSection().gates()
+    shapes = np.asarray(modes.shapes.real, dtype=np.float64)
+    if isinstance(one.model, MatrixModel):
+        bridge = one.model.observe([int(c.split("+")[0]) - 1 for c in modes.channels])
+    else:
+        opened = open_model(one.model)
+        bridge = placed(opened, modes.channels, _place(one.sensors))
+    if shape_std is not None:
+        if shape_std.shape != (len(modes.channels),) or not (shape_std > 0).all():
+            raise InputError(f"shape_std {shape_std.shape}: one value > 0 for each channel")
+        weight = np.median(shape_std) / shape_std
+        shapes = shapes * weight[:, None]
+        bridge = replace(bridge, matrix=bridge.matrix.multiply(weight[:, None]).tocsr())
+    target = Target(
+        modes.frequencies,
+        shapes,
+        relative,
+        ~np.isin(np.arange(1, count + 1), list(leave_out)),
+        Weights(u.frequency_error, u.mac_error, u.shape_weight),
+        gates,
+    )
+    if isinstance(one.model, MatrixModel):
+        seen = one.model.reduced(bridge, min(2 * count, one.model.size), parameters=parameters)
+    else:
+        top = highest(modes.frequencies, gates)
+        seen = reduced(one.model, parameters, bridge, len(opened.modes(top).modes))
+    return Configuration(seen, target, modal_terms(u, _no_mass), name)
+
+
+def _no_mass() -> Float:
+    raise InputError('residuals "orthogonality" need a mass at the channels: use a study')
+
+
+def _at_end(
+    model: Model | MatrixModel,
+    every: ParameterSet,
+    factors: Mapping[str, float],
+    names: Sequence[str],
+) -> Model | MatrixModel:
+    mine = every.take([every.names.index(n) for n in names]) if names else every
+    values = np.array([factors[n] for n in mine.names])
+    if isinstance(model, MatrixModel):
+        return model.at(mine, values)
+    return at_factors(model, mine, values)
+
+
+def _table(problem: Problem, at: Evaluated, test: TestModes | ModeSet) -> CorrelationTable:
+    """The first configuration at a point, paired by the gates."""
+    modes = modes_at(test)
+    now = at.points[0].now
+    target = problem.configurations[0].target
+    seen = replace(
+        modes,
+        frequencies=now.frequencies,
+        damping=np.zeros(now.frequencies.size),
+        shapes=now.shapes,
+        confidence=np.ones(now.frequencies.size),
+    )
+    measured = replace(modes, shapes=target.shapes)
+    return correlation_table(measured, seen, pair_modes(measured, seen, target.pairing))
+
+
+@dataclass(frozen=True, eq=False)
+class TunedSuspension(Displayed):
+    """A tuned suspension.
+
+    Attributes
+    ----------
+    names : tuple of str
+    factors : (p,) float64
+        Tuned over initial value.
+    std : (p,) float64
+        Relative standard deviation.
+    frequencies : (mode,) float64, Hz
+        Rigid-body modes of the tuned model that are paired.
+    model : Model
+        With the factors applied.
+    ambiguity : tuple of str
+        Other pairings that the test leaves open.
+    """
+
+    UNITS: ClassVar[Mapping[str, str]] = {"frequencies": "Hz"}
+
+    names: tuple[str, ...]
+    factors: Float
+    std: Float
+    frequencies: Float
+    model: Model
+    ambiguity: tuple[str, ...]
+
+
+def tune_suspension(
+    model: Model,
+    test: TestModes | ModeSet,
+    parameters: ParameterSet | Sequence[Parameter],
+    *,
+    sensors: SensorSheet | str | Path | None = None,
+    iterations: int = 30,
+    progress: Progress = quiet,
+) -> TunedSuspension:
+    """Tune the stiffness of a suspension to the rigid-body modes of a test.
+
+    Every pairing of the rigid-body modes that the test leaves open is weighed.
+
+    Parameters
+    ----------
+    model : Model
+        On its suspension.
+    test : TestModes or ModeSet
+        Rigid-body modes alone.
+    parameters : ParameterSet or sequence of Parameter
+        Of the suspension.
+    sensors : SensorSheet or path, optional
+    iterations : int
+        Limit of the updating.
+
+    Raises
+    ------
+    DataError
+        If no test mode has a partner in the model.
+
+    Examples
+    --------
+    >>> import ringtrue as rt
+    >>> model = rt.read_deck(rt.example_deck())
+    >>> foot = [rt.parameter("foot", "PELAS 1 K")]
+    >>> true = rt.solve_modes(rt.at_factors(model, rt.ParameterSet(foot), [0.7]), count=1)
+    >>> rt.tune_suspension(model, true.at(["2+X", "3+X", "4+X"]), foot).factors.round(2)
+    array([0.7])
+    """
+    every = parameters if isinstance(parameters, ParameterSet) else ParameterSet(tuple(parameters))
+    modes = realise_modes(modes_at(test))
+    std = np.full(len(modes), 1e-4)
+    if isinstance(test, TestModes):
+        std = np.fmax(test.std_frequency / modes.frequencies, 1e-4)
+    bridge = placed(open_model(model), modes.channels, _place(sensors))
+    gates = replace(CorrelateSection().gates(), mac_gate=0.5, close=0.08, distinct=0.95)
+    target = Target(
+        modes.frequencies,
+        np.asarray(modes.shapes.real, dtype=np.float64),
+        std,
+        np.ones(len(modes), dtype=bool),
+        RIGID_WEIGHTS,
+        gates,
+    )
+    small = reduced(model, every, bridge, max(FREE, len(modes)))
+    found = tuned(small, target, iterations, progress)
+    x = found.best.x
+    factors = every.factors(x)
+    return TunedSuspension(
+        every.names,
+        factors,
+        found.std * every.derivative(x) / factors,
+        found.best.frequencies,
+        at_factors(model, every, factors),
+        found.ambiguity(),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class FittedDamping(Displayed):
+    """Damping of regions, fitted to damping ratios of test modes.
+
+    Attributes
+    ----------
+    regions : tuple of str
+    kinds : tuple of str
+        `viscous` or `structural`, of each region.
+    coefficients, std : (region,) float64
+        Loss factor, or factor of the dashpots, of each region.
+    frequencies : (pair,) float64, Hz
+        Of the paired test modes.
+    test_damping, model_damping, model_std : (pair,) float64
+        Fractions of critical damping; the standard deviation of the model's.
+    misfit : float
+        Root mean square of the normalised residuals.
+    """
+
+    UNITS: ClassVar[Mapping[str, str]] = {"frequencies": "Hz"}
+
+    regions: tuple[str, ...]
+    kinds: tuple[str, ...]
+    coefficients: Float
+    std: Float
+    frequencies: Float
+    test_damping: Float
+    model_damping: Float
+    model_std: Float
+    misfit: float
+
+
+def fit_damping(
+    model: Model,
+    test: TestModes | ModeSet,
+    *,
+    regions: Sequence[DampingRegion] = (),
+    sensors: SensorSheet | str | Path | None = None,
+    error: float = 0.1,
+    progress: Progress = quiet,
+) -> FittedDamping:
+    """Damping of the regions of a model, from the damping ratios of test modes.
+
+    Parameters
+    ----------
+    model : Model
+        Updated: its modes are paired with those of the test.
+    test : TestModes or ModeSet
+        With damping ratios.
+    regions : sequence of DampingRegion
+        One a material and one a group of springs if not given.
+    sensors : SensorSheet or path, optional
+    error : float
+        Relative error of a ratio that the best model keeps, beside that of the test.
+
+    Raises
+    ------
+    DataError
+        If no test mode with a damping ratio has a partner, or no region takes part in one.
+
+    References
+    ----------
+    Adhikari (2013), Structural Dynamic Analysis with Generalized Damping Models.
+
+    Examples
+    --------
+    >>> import ringtrue as rt
+    >>> model = rt.read_deck(rt.example_deck())
+    >>> fe = rt.solve_modes(model)
+    >>> names = ["2+X", "3+X", "4+X"]
+    >>> test = rt.modes_of_test(fe.frequencies, fe.at(names).shapes, names, damping=[0.01] * 3)
+    >>> bool(abs(rt.fit_damping(model, test).model_damping - 0.01).max() < 1e-3)
+    True
+    """
+    opened = open_model(model)
+    modes = modes_at(test)
+    bridge = placed(opened, modes.channels, _place(sensors))
+    gates: PairingSettings = CorrelateSection().gates()
+    fe = opened.modes(highest(modes.frequencies, gates), progress).modes
+    seen = replace(fe, shapes=bridge(fe.shapes), labels=modes.channels)
+    pairing = pair_modes(modes, seen, gates)
+    good = modes.damping[pairing.a] > 0
+    a, b = pairing.a[good], pairing.b[good]
+    if not a.size:
+        raise DataError("no test mode with a damping ratio has a partner in the model")
+    moving = np.union1d(np.flatnonzero(elastic(fe.frequencies)), b)
+    values = (2 * np.pi * fe.frequencies[moving]) ** 2
+    shapes = fe.shapes[:, moving]
+    system = opened.analysis.system
+    total = project(np.asarray(system.local @ shapes), system.viscous, system.structural)
+    ratio = modes.damping[a]
+    wanted = tuple(regions) or default_regions(model, ParameterSet(()), {})
+    found = dampers(model, wanted, values, shapes, total, float(np.median(ratio)))
+    if not found.regions:
+        raise DataError("no region takes part in any mode")
+    std = error * ratio
+    if isinstance(test, TestModes):
+        std = np.hypot(np.nan_to_num(test.std_damping[a]), std)
+    at = np.searchsorted(moving, b)
+    fit = fit_poles(values, found.mechanisms, ratio, std, at, base=found.base)
+    damping, damping_std = mode_damping(values, found.mechanisms, fit, at)
+    return FittedDamping(
+        fit.names,
+        tuple(r.kind for r in found.regions),
+        fit.coefficients,
+        fit.std,
+        modes.frequencies[a],
+        ratio,
+        damping,
+        damping_std,
+        fit.misfit,
+    )

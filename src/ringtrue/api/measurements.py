@@ -1,0 +1,762 @@
+"""Tests: records, FRFs and modes from files, modal identification, files of modes."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ringtrue.api.models import FeModes
+from ringtrue.core.arrays import Any_, Float
+from ringtrue.core.choice import Choice
+from ringtrue.core.display import Displayed, plot
+from ringtrue.core.dofs import DofSet
+from ringtrue.core.modes import ModeSet, Uncertainty
+from ringtrue.core.progress import Progress, part, quiet
+from ringtrue.core.signals import Channel, FrfSet, TimeHistory
+from ringtrue.decks.nastran.results.modes import READERS, is_nastran_h5, read_nastran_modes
+from ringtrue.errors import ConfigError, DataError, InputError, did_you_mean
+from ringtrue.identification.ambient.pipeline import (
+    AmbientResult,
+    AmbientSettings,
+    identify_stretches,
+)
+from ringtrue.identification.ambient.record_bands import SHORTEST
+from ringtrue.identification.common.poles import StableDiagram
+from ringtrue.identification.common.tracking import LevelDependence, level_dependence
+from ringtrue.identification.frf.local_fits import with_local_fits
+from ringtrue.identification.frf.pipeline import HammerModes, HammerResult, identify_hammer
+from ringtrue.identification.frf.residues import driving_pairs
+from ringtrue.identification.methods import SecondOpinion, identify_ambient_by, identify_frfs_by
+from ringtrue.io import frfs as frf_files
+from ringtrue.io import modes as mode_files
+from ringtrue.io import records
+from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
+from ringtrue.model.model import Model
+from ringtrue.signal.channel_checks import explain_clipping, find_faults
+from ringtrue.signal.frf_sets import alike, join_by_setup, join_frfs
+from ringtrue.signal.gaps import bridge_gaps, remove_overlap
+from ringtrue.signal.impacts import HammerSettings, ImpactReport
+from ringtrue.signal.order_tracking import remove_harmonics
+from ringtrue.signal.tonal_lines import harmonics
+from ringtrue.study.hammer_records import (
+    Forced,
+    ForceRecordFormat,
+    accepted_hits,
+    forced_frfs,
+    read_force_records,
+    rejected_hits,
+)
+from ringtrue.study.run import load_study
+
+STORE = "study.h5"
+TRANSLATIONS_ONLY = (".uff", ".unv", ".55")
+AMBIENT, FORCED = "ssi", "plscf"  # the methods with a stabilisation diagram that is judged
+
+
+@dataclass(frozen=True, eq=False)
+class TestModes(Displayed):
+    """Modes of a test with their uncertainty.
+
+    Attributes
+    ----------
+    frequencies : (mode,) float64, Hz
+    std_frequency : (mode,) float64, Hz
+        Standard deviation; NaN where unknown.
+    damping, std_damping : (mode,) float64
+        Fraction of critical damping.
+    confidence : (mode,) float64, 0..1
+    reasons : tuple of str
+        Evidence for and against each mode.
+    notes : tuple of str
+        What is to be known of the data.
+    modes : ModeSet
+        With the channels.
+    uncertainty : Uncertainty
+    diagrams : tuple of StableDiagram
+        The stabilisation diagrams, one a band.
+    result : object, optional
+        What the method of identification returned.
+    """
+
+    __test__: ClassVar[bool] = False  # not a test of pytest
+    UNITS: ClassVar[Mapping[str, str]] = {
+        "frequencies": "Hz",
+        "std_frequency": "Hz",
+        "damping": "-",
+        "std_damping": "-",
+        "confidence": "0..1",
+    }
+
+    modes: ModeSet
+    uncertainty: Uncertainty
+    reasons: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    diagrams: tuple[StableDiagram, ...] = ()
+    result: AmbientResult | HammerResult | SecondOpinion | None = None
+    frequencies: Float = field(init=False)
+    std_frequency: Float = field(init=False)
+    damping: Float = field(init=False)
+    std_damping: Float = field(init=False)
+    confidence: Float = field(init=False)
+
+    def __post_init__(self) -> None:
+        columns = {
+            "frequencies": self.modes.frequencies,
+            "std_frequency": self.uncertainty.frequency,
+            "damping": self.modes.damping,
+            "std_damping": self.uncertainty.damping,
+            "confidence": self.modes.confidence,
+        }
+        for name, values in columns.items():
+            object.__setattr__(self, name, values)
+
+    def __len__(self) -> int:
+        return len(self.modes)
+
+    @property
+    def shapes(self) -> Any_:
+        """Mode shapes (channel, mode)."""
+        return self.modes.shapes
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """The rows of the shapes."""
+        return self.modes.channels
+
+    def plot(self) -> Any:
+        """The stabilisation diagram of the first band, else the shapes: a plotly figure."""
+        return plot(self.diagrams[0] if self.diagrams else self.modes)
+
+
+def modes_of_test(
+    frequencies: Float | Sequence[float],
+    shapes: Any_,
+    channels: Sequence[str],
+    *,
+    damping: Float | Sequence[float] | None = None,
+    std_frequency: Float | Sequence[float] | None = None,
+) -> TestModes:
+    """Test modes from arrays.
+
+    Parameters
+    ----------
+    frequencies : (mode,), Hz
+    shapes : (channel, mode), real or complex, any scale
+    channels : sequence of str
+        Such as `101+Z`; `3` is row 3 of a `MatrixModel`, from 1.
+    damping : (mode,), optional
+        Fraction of critical damping.
+    std_frequency : (mode,), Hz, optional
+        Standard deviations of the frequencies.
+
+    Examples
+    --------
+    >>> import ringtrue as rt
+    >>> test = rt.modes_of_test([2.2, 6.3], [[0.6, 1.0], [1.0, -0.5]], ["3+X", "4+X"])
+    >>> test.frequencies
+    array([2.2, 6.3])
+    """
+    f = np.asarray(frequencies, dtype=np.float64)
+    unknown = np.full(f.size, np.nan)
+    zeta = unknown if damping is None else np.asarray(damping, dtype=np.float64)
+    modes = ModeSet(f, zeta, np.asarray(shapes), tuple(map(str, channels)))
+    std = unknown if std_frequency is None else np.asarray(std_frequency, dtype=np.float64)
+    return TestModes(
+        modes, Uncertainty.independent(std, unknown, np.full(modes.shapes.shape, np.nan))
+    )
+
+
+def modes_at(modes: ModeSet | FeModes | TestModes) -> ModeSet:
+    """The mode set of a result."""
+    return modes if isinstance(modes, ModeSet) else modes.modes
+
+
+def read_modes(path: str | Path, *, deck: Model | None = None) -> TestModes:
+    """Read modes with their standard deviations.
+
+    Parameters
+    ----------
+    path : str or Path
+        `.json`, `.h5`, `.uff`, `.csv`, `.xlsx`; results of Nastran or MYSTRAN `.op2`, `.f06`,
+        `.pch`, `.h5`; or the `study.h5` of a study: its modes merged over all records.
+    deck : Model, optional
+        The deck of a run of Nastran, to turn displacement frames to the basic frame.
+
+    Raises
+    ------
+    DataError
+        If the file is missing, unreadable or holds no modes.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import ringtrue as rt
+    >>> test = rt.modes_of_test([2.2], [[0.6], [1.0]], ["3+X", "4+X"], damping=[0.01])
+    >>> path = tempfile.mkdtemp() + "/modes.json"
+    >>> _ = rt.write_modes(path, test)
+    >>> rt.read_modes(path).channels
+    ('3+X', '4+X')
+    """
+    path = Path(path)
+    if is_solver_result(path):
+        modes = read_nastran_modes(path, deck)
+    elif deck is not None:
+        raise InputError(f"--deck: {path} is no results file of a solver")
+    elif is_store(path):
+        return merged_modes(path)
+    else:
+        modes = mode_files.read_modes(path)
+        std = mode_files.read_std(path)
+        no_std = np.full(modes.shapes.shape, np.nan)
+        return TestModes(modes, Uncertainty.independent(*std, no_std))
+    none = np.full(len(modes), np.nan)
+    no_shapes = np.full(modes.shapes.shape, np.nan)
+    return TestModes(modes, Uncertainty.independent(none, none, no_shapes))
+
+
+def is_store(path: Path) -> bool:
+    """Whether a file is the store of a study."""
+    return path.name == STORE
+
+
+def merged_modes(path: Path) -> TestModes:
+    """The test modes that a study has identified: of its FRFs, or of its ambient records.
+
+    Raises
+    ------
+    DataError
+        If the study has not identified modes.
+    """
+    found = load_study(path).results.get("identify")
+    if found is None:
+        raise DataError(f"{path}: the study has no test modes; run it to its stage `identify`")
+    if found.hammer is not None and found.hammer_uncertainty is not None:
+        return TestModes(
+            found.hammer,
+            found.hammer_uncertainty,
+            found.hammer_reasons,
+            found.frf_notes,
+            found.hammer_diagrams,
+        )
+    return TestModes(
+        found.ambient, found.ambient_uncertainty, found.ambient_reasons, found.merge_notes
+    )
+
+
+def is_solver_result(path: Path) -> bool:
+    """Whether a file holds results of Nastran or MYSTRAN."""
+    ending = path.suffix.lower()
+    return ending in READERS and (ending != ".h5" or is_nastran_h5(path))
+
+
+def write_modes(path: str | Path, modes: ModeSet | FeModes | TestModes) -> ModeSet:
+    """Write modes as `.json`, `.h5`, `.uff` (translations of points only) or `.csv`.
+
+    Parameters
+    ----------
+    path : str or Path
+    modes : ModeSet, FeModes or TestModes
+
+    Returns
+    -------
+    ModeSet
+        What was written.
+
+    Raises
+    ------
+    DataError
+        If there is no such format.
+    """
+    path = Path(path)
+    found = modes_at(modes)
+    kept = found
+    if path.suffix.lower() in TRANSLATIONS_ONLY:
+        labels = found.labels if isinstance(found.labels, DofSet) else DofSet.parse(found.labels)
+        translations = (np.abs(labels.direction) >= 1) & (np.abs(labels.direction) <= 3)
+        kept = found.rows([found.channels[i] for i in np.flatnonzero(translations).tolist()])
+    spread = None
+    reasons: tuple[str, ...] = ()
+    if isinstance(modes, TestModes):
+        reasons = modes.reasons
+        known = np.isfinite(modes.uncertainty.frequency) | np.isfinite(modes.uncertainty.damping)
+        spread = modes.uncertainty if known.any() else None
+    mode_files.write_modes(path, kept, spread, reasons)
+    return kept
+
+
+def read_sensors(path: str | Path) -> SensorSheet:
+    """Read a sensor sheet: point, x, y, z (m), direction, unit, sensitivity of each channel.
+
+    Parameters
+    ----------
+    path : str or Path
+        `.csv` or `.xlsx`; columns as in docs/formats.md.
+
+    Raises
+    ------
+    DataError
+        If a row is wrong; the message has the file and the row.
+    """
+    return read_sensor_sheet(path)
+
+
+def read_record(
+    path: str | Path,
+    *,
+    rate: float | None = None,
+    group: str = "",
+    sensors: SensorSheet | None = None,
+    leave_out: Sequence[str] = (),
+) -> TimeHistory:
+    """Read a time record: `.h5`, `.npy`, `.csv`, `.mat`, `.uff`, `.tdms`, `.lvm` or `.wav`.
+
+    Parameters
+    ----------
+    path : str or Path
+    rate : float, Hz, optional
+        Sample rate, where the file has none.
+    group : str
+        Group of a `.tdms` or HDF5 file, where its rates differ.
+    sensors : SensorSheet, optional
+        Units and sensitivities where the record states none.
+    leave_out : sequence of str
+        Channels that are not used.
+
+    Returns
+    -------
+    TimeHistory
+        (channel, sample), SI; missing samples are NaN.
+
+    Raises
+    ------
+    DataError
+        If the file is unreadable, or a channel is constant or not finite.
+    """
+    return record_with_notes(Path(path), rate, group, sensors, leave_out)[0]
+
+
+def record_with_notes(
+    path: Path,
+    rate: float | None,
+    group: str,
+    sensors: SensorSheet | None,
+    leave_out: Sequence[str],
+) -> tuple[TimeHistory, tuple[str, ...]]:
+    """A record as `read_record` gives it, and the notes of its sheet."""
+    history = records.read_record(path, rate, check=not leave_out, group=group, gaps=True)
+    history, notes = sensors.scaled(history) if sensors else (history, ())
+    if leave_out:
+        history = history.pick(kept_channels(path, history.channels, leave_out))
+        records.refuse_bad_samples(history, path, gaps=True)
+    return history, notes
+
+
+def kept_channels(path: Path, channels: Sequence[Channel], leave_out: Sequence[str]) -> list[str]:
+    """Ids of the channels but for those left out, each of which must be there."""
+    ids = [c.id for c in channels]
+    for name in leave_out:
+        if name not in ids:
+            raise ConfigError(
+                f"--leave-out {name}: {path} has no such channel{did_you_mean(name, ids)}"
+            )
+    keep = [c for c in ids if c not in set(leave_out)]
+    if not keep:
+        raise DataError(f"{path}: --leave-out leaves no channel")
+    return keep
+
+
+def read_frfs(
+    path: str | Path, *, leave_out: Sequence[str] = (), window_decay: float | None = None
+) -> FrfSet:
+    """Read measured FRFs: `.uff` (data set 58), `.h5`, `.npz`, `.csv` or `.mat`.
+
+    Parameters
+    ----------
+    path : str or Path
+    leave_out : sequence of str
+        Channels that are not used.
+    window_decay : float, 1/s, optional
+        Decay rate of an exponential window in the FRFs; identification takes it out of the damping.
+
+    Returns
+    -------
+    FrfSet
+        (line, response, force) complex128, SI.
+
+    Raises
+    ------
+    DataError
+        If the file is unreadable or holds no FRFs.
+    """
+    return _windowed(frf_files.read_frfs(path, leave_out), window_decay)
+
+
+def _windowed(frfs: FrfSet, decay: float | None) -> FrfSet:
+    if decay is None:
+        return frfs
+    if not 0 <= decay < float("inf"):
+        raise ConfigError(f"--window-decay {decay}: must be 0 or more, 1/s")
+    return replace(frfs, window_decay=decay)
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredFrfs(Displayed):
+    """FRFs of a test with the impacts behind them.
+
+    Attributes
+    ----------
+    frfs : FrfSet
+    hits : tuple of ImpactReport
+        The impacts; empty for a shaker or given FRFs.
+    notes : tuple of str
+    clipped : tuple of str
+        Clipped channels.
+    setups : tuple of FrfSet
+        The parts of several sensor arrangements; empty for one.
+    """
+
+    frfs: FrfSet
+    hits: tuple[ImpactReport, ...] = ()
+    notes: tuple[str, ...] = ()
+    clipped: tuple[str, ...] = ()
+    setups: tuple[FrfSet, ...] = ()
+
+    def plot(self) -> Any:
+        """The FRFs of the first force, a plotly figure."""
+        return plot(self.frfs)
+
+
+def estimate_frfs(
+    files: Sequence[str | Path] | str | Path,
+    *,
+    reading: ForceRecordFormat | None = None,
+    settings: HammerSettings | None = None,
+    line_spacing: float | None = None,
+    window_decay: float | None = None,
+    progress: Progress = quiet,
+) -> MeasuredFrfs:
+    """FRFs of the time records of a hammer or shaker test; files of FRFs are joined.
+
+    Several files are one test: a roving hammer, moved sensors or more impacts. Double hits and
+    overloads are left out.
+
+    Parameters
+    ----------
+    files : path or sequence of paths
+    reading : ForceRecordFormat, optional
+        Force channel, excitation points, units: how the records are read.
+    settings : HammerSettings, optional
+        Blocks, windows and the estimator.
+    line_spacing : float, Hz, optional
+        Of a shaker; its records decide if not given.
+    window_decay : float, 1/s, optional
+        As in `read_frfs`.
+
+    Raises
+    ------
+    DataError
+        If a record has no force channel, or no impact is usable.
+    ConfigError
+        If time records and FRFs are mixed.
+
+    References
+    ----------
+    Ewins (2000), Modal Testing, ch. 3; ISO 7626-5.
+    """
+    paths = [Path(files)] if isinstance(files, str | Path) else [Path(f) for f in files]
+    how = reading or ForceRecordFormat()
+    given = [frf_files.holds_frfs(f) for f in paths]
+    if any(given) and not all(given):
+        raise ConfigError(
+            f"{paths[given.index(False)]} is a time record, {paths[given.index(True)]} holds FRFs: "
+            "one of the two"
+        )
+    if all(given):
+        return _given_frfs(paths, how, window_decay)
+    histories, ranges, notes = read_force_records(paths, how)
+    forced = forced_frfs(
+        histories,
+        settings or HammerSettings(force=""),
+        line_spacing,
+        full_scale=ranges,
+        progress=part(progress, 0.0, 0.05),
+    )
+    joined = join_frfs(forced.columns)
+    said = _frf_notes(joined, forced) if forced.hits else (*forced.notes, *forced.clipped)
+    return MeasuredFrfs(
+        _windowed(joined, window_decay),
+        forced.hits,
+        (*notes, *said),
+        forced.clipped,
+        tuple(_windowed(s, window_decay) for s in join_by_setup(forced.columns)),
+    )
+
+
+def _given_frfs(paths: Sequence[Path], how: ForceRecordFormat, decay: float | None) -> MeasuredFrfs:
+    if how.channels:
+        raise ConfigError(
+            f"--channels names the channels of time records; {paths[0]} holds FRFs, which have "
+            "names"
+        )
+    if how.leave_out:
+        known = dict.fromkeys(c for f in paths for c in frf_files.frf_ids(f))
+        kept_channels(paths[0], [Channel(c, "unknown", "") for c in known], how.leave_out)
+    found = alike([read_frfs(f, leave_out=how.leave_out, window_decay=decay) for f in paths])
+    if len(found) == 1:
+        return MeasuredFrfs(found[0])
+    return MeasuredFrfs(join_frfs(found), setups=tuple(found))
+
+
+def _frf_notes(frfs: FrfSet, forced: Forced) -> tuple[str, ...]:
+    """Impacts kept and left out, windows, coherence, driving points."""
+    known = frfs.coherence[np.isfinite(frfs.coherence)]
+    notes = [accepted_hits(forced.hits), *rejected_hits(forced.hits), *forced.notes]
+    if frfs.window_decay > 0:
+        notes.append(f"exponential window of {frfs.window_decay:.3g} 1/s, taken out of the damping")
+    if known.size:
+        notes.append(f"coherence {np.median(known):.3f} at the typical line")
+    else:
+        notes.append("one blow a point: no coherence")
+    if not driving_pairs(frfs):
+        ids = " ".join(dict.fromkeys(c.id for c in frfs.inputs))
+        notes.append(
+            f"struck at {ids}, where no response is: shapes are not scaled to unit modal mass "
+            "(--struck)"
+        )
+    return tuple(notes)
+
+
+def identify_frfs(
+    frfs: FrfSet | MeasuredFrfs,
+    *,
+    fmin: float | None = None,
+    fmax: float | None = None,
+    method: str = FORCED,
+    choice: Choice | None = None,
+    progress: Progress = quiet,
+) -> TestModes:
+    """Modes from FRFs: poly-reference LSCF, residues and standard deviations.
+
+    Parameters
+    ----------
+    frfs : FrfSet or MeasuredFrfs
+    fmin, fmax : float, Hz, optional
+        The band of interest; that of the data if not given.
+    method : str
+        `plscf`, or another method of docs/theory/plscf.md for a second opinion.
+    choice : Choice, optional
+        Modes chosen by hand.
+
+    Raises
+    ------
+    ConfigError
+        If the band is empty, or the method has no choice by hand.
+
+    References
+    ----------
+    Peeters, Van der Auweraer, Guillaume and Leuridan (2004), The PolyMAX frequency-domain method.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import ringtrue as rt
+    >>> lines = np.arange(0.5, 15, 0.02)
+    >>> h = rt.frf(rt.example_deck(), lines, forces=["4+X"], responses=["2+X", "4+X"], damping=0.01)
+    >>> rt.identify_frfs(h).frequencies.round(2)
+    array([2.24, 6.28, 9.07])
+    """
+    check_band(fmin, fmax)
+    measured = frfs if isinstance(frfs, MeasuredFrfs) else MeasuredFrfs(frfs)
+    data, setups = measured.frfs, measured.setups or (measured.frfs,)
+    band = HammerModes(fmin=fmin, fmax=fmax)
+    if method != FORCED:
+        refuse_choice(method, FORCED, choice)
+        with explain_clipping(measured.clipped):
+            other = identify_frfs_by(method, data, band, progress=progress)
+        return _second_opinion(other, measured.notes)
+    with explain_clipping(measured.clipped):
+        found = identify_hammer(data, band, choice=choice, progress=progress)
+    if choice is None:
+        found = with_local_fits(found, setups, band, progress=progress)
+    return TestModes(
+        found.modes,
+        found.uncertainty,
+        found.reasons,
+        (*measured.notes, *found.notes),
+        found.diagrams,
+        found,
+    )
+
+
+def _second_opinion(found: SecondOpinion, notes: Sequence[str]) -> TestModes:
+    return TestModes(
+        found.modes, found.uncertainty, found.reasons, (*notes, *found.notes), (), found
+    )
+
+
+def refuse_choice(method: str, first: str, choice: Choice | None) -> None:
+    """Refuse a choice by hand for a method without a judged stabilisation diagram."""
+    if choice is not None:
+        raise ConfigError(
+            f"--choice goes with --method {first}, got {method}; the others have no diagram of "
+            "judged poles"
+        )
+
+
+def check_band(fmin: float | None, fmax: float | None) -> None:
+    """Refuse a band that is empty."""
+    low = 0.0 if fmin is None else fmin
+    high = float("inf") if fmax is None else fmax
+    if not 0 <= low < high:
+        raise ConfigError(f"--fmin {fmin} --fmax {fmax}: must be 0 <= fmin < fmax")
+
+
+def compare_levels(levels: Sequence[float], tests: Sequence[TestModes]) -> LevelDependence:
+    """One test at several force levels: is the structure linear?
+
+    Parameters
+    ----------
+    levels : sequence of float, N
+        One a test, positive and different.
+    tests : sequence of TestModes
+
+    Raises
+    ------
+    ConfigError
+        If the levels are not one a test, positive and different.
+    """
+    if len(levels) != len(tests) or len(tests) < 2:
+        raise ConfigError(
+            f"--level: {len(levels)} levels for {len(tests)} files; two files or more and one "
+            "level each"
+        )
+    if not all(0 < x < float("inf") for x in levels) or len(set(levels)) != len(levels):
+        raise ConfigError(
+            f"--level {' '.join(f'{x:g}' for x in levels)}: must be positive and different"
+        )
+    return level_dependence(levels, [(t.modes, t.uncertainty) for t in tests])
+
+
+def identify_ambient(
+    record: TimeHistory | Iterable[TimeHistory],
+    *,
+    fmin: float | None = None,
+    fmax: float | None = None,
+    method: str = AMBIENT,
+    near: Sequence[float] = (),
+    choice: Choice | None = None,
+    progress: Progress = quiet,
+) -> TestModes:
+    """Modes from an ambient record: automatic covariance-driven SSI with standard deviations.
+
+    Parameters
+    ----------
+    record : TimeHistory or several of one setup
+        Several are one record with pauses.
+    fmin, fmax : float, Hz, optional
+        The band of interest.
+    method : str
+        `ssi`, or another method of docs/theory/oma_methods.md for a second opinion on one record.
+    near : sequence of float, Hz
+        Peaks that an FDD method starts from.
+    choice : Choice, optional
+        Modes chosen by hand.
+
+    Returns
+    -------
+    TestModes
+        Shapes are not scaled: the excitation was not measured.
+
+    Raises
+    ------
+    ConfigError
+        If the band is empty, or an option does not fit the method.
+    DataError
+        If the record is too short or has no usable channel.
+
+    References
+    ----------
+    Peeters and De Roeck (1999), Reference-based stochastic subspace identification; standard
+    deviations: Döhler and Mevel (2013).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import ringtrue as rt
+    >>> rng = np.random.default_rng(0)
+    >>> x = np.zeros((2, 20000))
+    >>> for k in range(2, 20000):  # a mode of 1.6 Hz at 1 %, sampled at 20 Hz
+    ...     x[:, k] = 1.7434 * x[:, k - 1] - 0.9900 * x[:, k - 2] + rng.standard_normal()
+    >>> x = x * [[1.0], [-0.5]] + 0.1 * rng.standard_normal(x.shape)
+    >>> names = [rt.Channel(name, "acceleration", "m/s^2") for name in ("1+Z", "2+Z")]
+    >>> test = rt.identify_ambient(rt.TimeHistory(x, 20.0, tuple(names)))
+    >>> bool(abs(test.frequencies[0] - 1.6) < 0.02)
+    True
+    """
+    check_band(fmin, fmax)
+    settings = AmbientSettings(fmin=fmin, fmax=fmax)
+    parts = [record] if isinstance(record, TimeHistory) else record
+    if method != AMBIENT:
+        refuse_choice(method, AMBIENT, choice)
+        one = next(iter(parts))
+        return _second_opinion(
+            identify_ambient_by(method, one, settings, near=near, progress=progress), ()
+        )
+    found = identify_stretches(iter(parts), settings, choice=choice, progress=progress)
+    return TestModes(
+        found.modes, found.uncertainty, found.reasons, found.notes, found.diagrams, found
+    )
+
+
+def ambient_parts(
+    paths: Sequence[Path], histories: Iterable[TimeHistory], removal: str | None, notes: list[str]
+) -> Iterator[TimeHistory]:
+    """Records that follow each other, without overlap and without the lines of machines.
+
+    What is to be said of each record is added to `notes` when it is read.
+    """
+    first = 0.0
+    before: TimeHistory | None = None
+    for path, whole in zip(paths, histories, strict=True):
+        kept, overlap = remove_overlap(before, whole)
+        before = whole
+        if overlap:
+            notes.append(f"{path.name}: {overlap}")
+        if not kept.data.size:
+            continue
+        history, removed = without_lines(kept, removal)
+        first = first or history.duration
+        where = "" if len(paths) == 1 else f"{path.name}: "
+        notes += [where + note for note in (*spike_notes(history), *removed)]
+        if history.duration < SHORTEST * first:
+            notes.append(f"{where}shorter than half of the first record: left out")
+        yield history
+
+
+def without_lines(history: TimeHistory, how: str | None) -> tuple[TimeHistory, tuple[str, ...]]:
+    """A record without the lines of machines, and what was taken out."""
+    if not how:
+        return history, ()
+    whole, gaps = bridge_gaps(history)
+    lines = harmonics(whole)
+    if not lines:
+        return history, ()
+    clean, said = remove_harmonics(whole, [h.frequency for h in lines], how)
+    return gaps.marked(clean), (*gaps.channels, *said)
+
+
+def spike_notes(history: TimeHistory) -> tuple[str, ...]:
+    """Spikes, a line a channel."""
+    found = [f for f in find_faults(history) if f.kind == "spike"]
+    count = Counter(f.id for f in found)
+    first = {f.id: f for f in reversed(found)}
+    return tuple(
+        f"channel {c}: {n} spike{'s' if n > 1 else ''}, the first at {first[c].time:.4g} s: "
+        f"{first[c].why}"
+        for c, n in count.items()
+    )

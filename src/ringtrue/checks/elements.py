@@ -1,0 +1,504 @@
+"""Elements: shape, free and flipped edges, duplicates, hinges on solids, stiff kinds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from ringtrue.checks import Finding, at_rows
+from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
+from ringtrue.fem.element_cards import SOLIDS
+from ringtrue.model.frames import diagonal, positions
+from ringtrue.model.model import Model, Ragged
+from ringtrue.model.references import NODES, REFERENCES, SHELLS
+
+WARP = 0.05  # out-of-plane height of a corner over the mean side
+ASPECT = 20.0  # longest over shortest side
+JACOBIAN = 0.1  # smallest over largest determinant at the corners
+MIDDLE = 0.25  # a mid-side node must project between this and 1 - this of its edge
+FLAT = 1e-8  # area or volume over that of the square or cube on the longest side
+_LINES = {
+    "CROD": ("G1", "G2"),
+    "CTUBE": ("G1", "G2"),
+    "CONROD": ("G1", "G2"),
+    "CBAR": ("GA", "GB"),
+    "CBEAM": ("GA", "GB"),
+    "CBEND": ("GA", "GB"),
+}
+_SURFACES = {
+    "CTRIA3": 3,
+    "CTRIAR": 3,
+    "CTRIA6": 3,
+    "CQUAD4": 4,
+    "CQUADR": 4,
+    "CQUAD8": 4,
+    "CSHEAR": 4,
+}
+_SOLIDS = {"CTETRA": 4, "CPYRAM": 5, "CPENTA": 6, "CHEXA": 8}
+# the corners that edges join to each corner, right-handed; the apex of a pyramid has four: left out
+_SPOKES = {
+    "CTETRA": ((1, 2, 3), (2, 0, 3), (0, 1, 3), (0, 2, 1)),
+    "CPYRAM": ((1, 3, 4), (2, 0, 4), (3, 1, 4), (0, 2, 4)),
+    "CPENTA": ((1, 2, 3), (2, 0, 4), (0, 1, 5), (5, 4, 0), (3, 5, 1), (4, 3, 2)),
+    "CHEXA": (
+        (1, 3, 4),
+        (2, 0, 5),
+        (3, 1, 6),
+        (0, 2, 7),
+        (7, 5, 0),
+        (4, 6, 1),
+        (5, 7, 2),
+        (6, 4, 3),
+    ),
+}
+# corners that each mid-side node stands between, in the order of the nodes behind the corners
+_MIDDLES = {
+    "CTRIA6": ((0, 1), (1, 2), (2, 0)),
+    "CQUAD8": ((0, 1), (1, 2), (2, 3), (3, 0)),
+    "CTETRA": ((0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)),
+    "CPYRAM": ((0, 1), (1, 2), (2, 3), (3, 0), (0, 4), (1, 4), (2, 4), (3, 4)),
+    "CPENTA": ((0, 1), (1, 2), (2, 0), (0, 3), (1, 4), (2, 5), (3, 4), (4, 5), (5, 3)),
+    "CHEXA": (
+        *((0, 1), (1, 2), (2, 3), (3, 0), (0, 4), (1, 5), (2, 6), (3, 7)),
+        *((4, 5), (5, 6), (6, 7), (7, 4)),
+    ),
+}
+
+
+def check_geometry(model: Model) -> list[Finding]:
+    """Findings on the shape of all elements whose nodes are in the model."""
+    if "GRID" not in model or not len(model["GRID"]):
+        return []
+    xyz = positions(model)
+    found: list[Finding] = []
+    for card, names in _LINES.items():
+        if card in model:
+            x, rows = _points(model, xyz, card, names)
+            length = np.linalg.norm(x[:, 1] - x[:, 0], axis=1)
+            found += _report(model, card, rows[length == 0], "error", "has no length")
+    for card, count in (_SURFACES | _SOLIDS).items():
+        if card in model:
+            x, rows = _points(model, xyz, card, tuple(f"G{i + 1}" for i in range(count)))
+            found += (
+                _surface(model, card, x, rows)
+                if card in _SURFACES
+                else _solid(model, card, x, rows)
+            )
+            found += _middles(model, xyz, card, count) if card in _MIDDLES else []
+    return found
+
+
+def _middles(model: Model, xyz: Float, card: str, corners: int) -> list[Finding]:
+    """Mid-side nodes outside the middle half of their edge: the mapping folds over (Zienkiewicz,
+    Taylor, 2000).
+    """
+    table, grid = model[card], model["GRID"]
+    wrong = np.zeros(len(table), dtype=bool)
+    for k, (a, b) in enumerate(_MIDDLES[card]):
+        at = grid.find(table.stack(f"G{a + 1}", f"G{b + 1}", f"G{corners + k + 1}"))
+        rows = np.flatnonzero((at >= 0).all(axis=1))
+        p, q, mid = xyz[at[rows]].swapaxes(0, 1)
+        edge = q - p
+        length = np.einsum("ij,ij->i", edge, edge)
+        along = np.einsum("ij,ij->i", mid - p, edge) / np.where(length > 0, length, 1.0)
+        wrong[rows] |= (length > 0) & ((along < MIDDLE) | (along > 1 - MIDDLE))
+    return _report(
+        model,
+        card,
+        np.flatnonzero(wrong),
+        "error",
+        "has a mid-side node outside the middle half of its edge",
+    )
+
+
+def _points(model: Model, xyz: Float, card: str, names: tuple[str, ...]) -> tuple[Float, Int]:
+    """Corners (e, k, 3) and rows (e,) of the elements with all their nodes present."""
+    at = model["GRID"].find(model[card].stack(*names))
+    rows = np.flatnonzero((at >= 0).all(axis=1))
+    return xyz[at[rows]], rows
+
+
+def _report(model: Model, card: str, rows: Int, severity: str, what: str) -> list[Finding]:
+    return (
+        [at_rows(model, card, rows, "error" if severity == "error" else "warning", what)]
+        if rows.size
+        else []
+    )
+
+
+def _sides(x: Float) -> Float:
+    """Lengths of the sides of polygons (e, k, 3): (e, k)."""
+    return np.asarray(np.linalg.norm(np.roll(x, -1, axis=1) - x, axis=2))
+
+
+def _surface(model: Model, card: str, x: Float, rows: Int) -> list[Finding]:
+    sides = _sides(x)
+    longest, shortest = sides.max(axis=1), sides.min(axis=1)
+    if x.shape[1] == 4:
+        normal = np.cross(x[:, 2] - x[:, 0], x[:, 3] - x[:, 1])
+    else:
+        normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    area = np.linalg.norm(normal, axis=1) / 2
+    flat = (area <= FLAT * longest**2) | (shortest == 0)
+    found = _report(
+        model, card, rows[flat], "error", "is collapsed: no area, or two corners at one place"
+    )
+    good = ~flat
+    slender = good & (longest > ASPECT * np.where(good, shortest, 1.0))
+    found += _report(model, card, rows[slender], "warning", f"has an aspect ratio over {ASPECT:g}")
+    if x.shape[1] == 4:
+        found += _quads(model, card, x=x, rows=rows, normal=normal, good=good)
+    return found
+
+
+def _quads(
+    model: Model, card: str, x: Float, rows: Int, normal: Float, good: Bool
+) -> list[Finding]:
+    unit = normal / np.where(good, np.linalg.norm(normal, axis=1), 1.0)[:, None]
+    height = abs(np.einsum("ij,ij->i", x[:, 1] - x[:, 0], unit)) / 2
+    warped = good & (height > WARP * _sides(x).mean(axis=1))
+    found = _report(
+        model, card, rows[warped], "warning", f"is warped by more than {WARP:g} of its mean side"
+    )
+    before, after = np.roll(x, 1, axis=1) - x, np.roll(x, -1, axis=1) - x
+    turn = np.einsum(
+        "ekj,ej->ek", np.cross(after, before), unit
+    )  # Jacobian at the corners, times 4
+    skew = good & (turn > 0).all(axis=1) & (turn.min(axis=1) < JACOBIAN * turn.max(axis=1))
+    found += _report(
+        model, card, rows[skew], "warning", f"has corner Jacobians of a ratio under {JACOBIAN:g}"
+    )
+    reentrant = good & (turn <= 0).any(axis=1)
+    return found + _report(
+        model, card, rows[reentrant], "error", "has a corner of 180 degrees or more"
+    )
+
+
+def _solid(model: Model, card: str, x: Float, rows: Int) -> list[Finding]:
+    """Signed volume by the Jacobian in the middle, over the cube on the longest extent."""
+    volume = np.linalg.det(_middle(x))
+    size = np.ptp(x, axis=1).max(axis=1)
+    flat = abs(volume) <= FLAT * size**3
+    found = _report(model, card, rows[flat], "error", "is collapsed: no volume")
+    good = ~flat & (volume > 0)
+    found += _report(
+        model, card, rows[~flat & (volume < 0)], "error", "is inside out: negative volume"
+    )
+    return found + _corners(model, card, x, rows, good)
+
+
+def _corners(model: Model, card: str, x: Float, rows: Int, good: Bool) -> list[Finding]:
+    """Jacobians at the corners, and the ratio of the edges."""
+    spokes = np.array(_SPOKES[card])
+    edges = x[:, spokes] - x[:, : len(spokes), None]
+    corner = np.linalg.det(edges)
+    size = np.ptp(x, axis=1).max(axis=1)
+    folded = good & (corner.min(axis=1) <= FLAT * size**3)
+    found = _report(
+        model, card, rows[folded], "error", "is folded: no positive Jacobian at a corner"
+    )
+    skew = good & ~folded & (corner.min(axis=1) < JACOBIAN * corner.max(axis=1))
+    found += _report(
+        model, card, rows[skew], "warning", f"has corner Jacobians of a ratio under {JACOBIAN:g}"
+    )
+    length = np.linalg.norm(edges, axis=3).reshape(len(x), spokes.size)
+    slender = good & (length.max(axis=1) > ASPECT * length.min(axis=1))
+    return found + _report(
+        model, card, rows[slender], "warning", f"has an aspect ratio over {ASPECT:g}"
+    )
+
+
+def _middle(x: Float) -> Float:
+    """Three vectors (e, 3, 3) through the middle of solids, a right-handed set if the solid is
+    valid.
+    """
+    if x.shape[1] == 4:
+        return x[:, 1:] - x[:, :1]
+    if x.shape[1] == 5:
+        base = x[:, :4]
+        return np.stack(
+            [base[:, 1] - base[:, 3], base[:, 2] - base[:, 0], 2 * (x[:, 4] - base.mean(axis=1))],
+            axis=1,
+        )
+    if x.shape[1] == 6:
+        low, high = x[:, :3], x[:, 3:]
+        mid = (low + high) / 2
+        return np.stack(
+            [mid[:, 1] - mid[:, 0], mid[:, 2] - mid[:, 0], (high - low).mean(axis=1)], axis=1
+        )
+    pairs = (
+        ([1, 2, 5, 6], [0, 3, 4, 7]),
+        ([2, 3, 6, 7], [0, 1, 4, 5]),
+        ([4, 5, 6, 7], [0, 1, 2, 3]),
+    )
+    return np.stack([x[:, a].mean(axis=1) - x[:, b].mean(axis=1) for a, b in pairs], axis=1)
+
+
+CORNERS = {"CTRIA3": 3, "CTRIAR": 3, "CTRIA6": 3, "CQUAD4": 4, "CQUADR": 4, "CQUAD8": 4}
+_NAMED = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShellEdges:
+    """Edges between corner nodes of shell elements.
+
+    Attributes
+    ----------
+    number : int
+        Of different edges.
+    free : (k, 2) int64
+        Node ids of the edges with one element.
+    part : (k,) int64
+        The connected chain of free edges that each belongs to, from 0 on.
+    flipped : (j, 2) int64
+        Node ids of the edges with two elements that have opposite normals.
+    """
+
+    number: int
+    free: Int
+    part: Int
+    flipped: Int
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, free=np.int64, part=np.int64, flipped=np.int64)
+
+
+def shell_edges(model: Model) -> ShellEdges:
+    """The edges of all shell elements."""
+    found = [np.empty((0, 2), dtype=np.int64)]
+    for card, corners in CORNERS.items():
+        if card in model:
+            ids = model[card].stack(*(f"G{i + 1}" for i in range(corners)))
+            found.append(np.stack([ids, np.roll(ids, -1, axis=1)], axis=2).reshape(-1, 2))
+    directed = np.concatenate(found)
+    directed = directed[directed[:, 0] != directed[:, 1]]
+    edges, which, count = np.unique(
+        np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True
+    )
+    forward = np.bincount(
+        which.reshape(-1), weights=directed[:, 0] < directed[:, 1], minlength=len(edges)
+    )
+    free = edges[count == 1]
+    return ShellEdges(len(edges), free, _parts(free), edges[(count == 2) & (forward != 1)])
+
+
+def _parts(edges: Int) -> Int:
+    nodes, at = np.unique(edges, return_inverse=True)
+    at = at.reshape(-1, 2)
+    graph = coo_array((np.ones(len(at)), (at[:, 0], at[:, 1])), shape=(nodes.size, nodes.size))
+    label = (
+        connected_components(graph, directed=False)[1]
+        if nodes.size
+        else np.empty(0, dtype=np.int64)
+    )
+    return np.asarray(label[at[:, 0]], dtype=np.int64)
+
+
+def free_edges_in_words(edges: ShellEdges) -> str:
+    """How many edges are free, in how many chains, and where the shortest is; "" without a free
+    edge.
+    """
+    if not len(edges.free):
+        return ""
+    size = np.bincount(edges.part)
+    short = edges.free[edges.part == size.argmin()]
+    chains = _count_words(size.size, "chain")
+    text = f"{len(edges.free)} of {edges.number} shell edges are free, in {chains}"
+    return f"{text}; the shortest has {size.min()}, at nodes {_node_names(short)}"
+
+
+def edge_findings(model: Model) -> list[Finding]:
+    """Neighbours with opposite normals: offsets, Z0 and the order of plies then change sides
+    between them.
+    """
+    flipped = shell_edges(model).flipped
+    if not len(flipped):
+        return []
+    text = f"{_count_words(len(flipped), 'shell edge')} between elements of opposite normals"
+    return [Finding("info", f"{text}, at nodes {_node_names(flipped)}")]
+
+
+def _count_words(count: int, what: str) -> str:
+    return f"{count} {what}{'s' if count != 1 else ''}"
+
+
+def _node_names(edges: Int) -> str:
+    nodes = np.unique(edges)
+    return " ".join(map(str, nodes[:_NAMED].tolist())) + (" ..." if nodes.size > _NAMED else "")
+
+
+_CORNERS = CORNERS | {card: solid.corners for card, solid in SOLIDS.items()}
+_CORNER_NODES = {
+    card: tuple(f"G{i + 1}" for i in range(count)) for card, count in _CORNERS.items()
+} | {
+    "CROD": ("G1", "G2"),
+    "CBAR": ("GA", "GB"),
+    "CBEAM": ("GA", "GB"),
+}
+_OFFSETS = (
+    "ZOFFS",
+    "W1A",
+    "W2A",
+    "W3A",
+    "W1B",
+    "W2B",
+    "W3B",
+)  # skins and stiffeners may share nodes at offsets
+
+
+def double_findings(model: Model) -> Iterator[Finding]:
+    """Elements with the nodes, property and offsets of another of their card."""
+    for card in (c for c in _CORNER_NODES if c in model):
+        if (rows := _doubled(model, card)).size:
+            what = "it has the nodes, the property and the offsets of another element; both count"
+            yield at_rows(model, card, rows, "warning", what)
+
+
+def _doubled(model: Model, card: str) -> Int:
+    table = model[card]
+    nodes = np.sort(table.stack(*_CORNER_NODES[card]), axis=1)
+    offsets = [np.nan_to_num(table[name]) for name in _OFFSETS if name in table.columns]
+    key = np.column_stack([table["PID"], nodes, *offsets])
+    first = np.unique(key, axis=0, return_index=True)[1]
+    return np.setdiff1d(np.arange(len(table)), first)
+
+
+_SOLID_CARDS = frozenset(("CTETRA", "CPENTA", "CHEXA", "CPYRAM"))
+_STRAIGHT = frozenset(("CROD", "CTUBE", "CONROD", "CVISC", "CBUSH1D"))  # along themselves alone
+_MASSES = frozenset(("CONM1", "CONM2", "CMASS1", "CMASS2"))
+_BEAMS = ("CBAR", "CBEAM", "CBEND")
+
+
+def hinge_findings(model: Model) -> Iterator[Finding]:
+    """Ends that nothing but solids holds: hinges of beams, bushes of some length that carry no
+    force across.
+    """
+    if "GRID" not in model or not any(card in model for card in _SOLID_CARDS):
+        return
+    free = _hinges(model)
+    for card in (c for c in _BEAMS if c in model):
+        rows = np.flatnonzero(free[_rows(model, card, "GA")] | free[_rows(model, card, "GB")])
+        if rows.size:
+            what = (
+                "hinged where it ends on a node of solids, which take no moment; RBE3 or a "
+                "beam inside them would"
+            )
+            yield at_rows(model, card, rows, "info", what)
+    for card, rows in _edges_on_solids(model):
+        what = (
+            "hinged where an edge of it meets solids, whose nodes take no moment; shells over "
+            "their faces would"
+        )
+        yield at_rows(model, card, rows, "info", what)
+    if "CBUSH" in model:
+        rows = np.flatnonzero(_idle_bushes(model, free))
+        if rows.size:
+            what = (
+                "between nodes of solids, which turn freely, it carries no force across its "
+                "length; give it none"
+            )
+            yield at_rows(model, "CBUSH", rows, "warning", what)
+
+
+def _hinges(model: Model) -> Bool:
+    """Which nodes solids hold and one further card only, (node + 1,); the last row is that of no
+    node.
+    """
+    solid, other = np.zeros((2, len(model["GRID"]) + 1), dtype=np.int64)
+    for r in REFERENCES:
+        if (
+            r.of != NODES
+            or r.card not in model
+            or r.card in _STRAIGHT | _MASSES
+            or r.field in ("G0", "SA", "SB")
+        ):
+            continue
+        np.add.at(solid if r.card in _SOLID_CARDS else other, _rows(model, r.card, r.field), 1)
+    solid[-1] = 0
+    return np.asarray((solid > 0) & (other == 1))
+
+
+def _edges_on_solids(model: Model) -> Iterator[tuple[str, Int]]:
+    """Shells with two corners or more on solids, where neither a shell over their faces nor another
+    card turns them.
+    """
+    solid, turned = np.zeros((2, len(model["GRID"]) + 1), dtype=bool)
+    for r in REFERENCES:
+        if (
+            r.of == NODES
+            and r.card in model
+            and r.card not in _STRAIGHT | _MASSES
+            and r.card not in SHELLS
+        ):
+            (solid if r.card in _SOLID_CARDS else turned)[_rows(model, r.card, r.field)] = True
+    solid[-1] = False
+    corners = {
+        card: np.stack(
+            [_rows(model, card, f"G{k}") for k in range(1, 4 + ("QUAD" in card))], axis=1
+        )
+        for card in SHELLS
+        if card in model
+    }
+    for at in corners.values():
+        turned[at[solid[at].all(axis=1)]] = True
+    for card, at in corners.items():
+        if (rows := np.flatnonzero((solid & ~turned)[at].sum(axis=1) > 1)).size:
+            yield card, rows
+
+
+def _rows(model: Model, card: str, field: str) -> Int:
+    """Rows of GRID that a field names, -1 for none."""
+    column = model[card].columns[field]
+    return model["GRID"].find(column.values if isinstance(column, Ragged) else np.asarray(column))
+
+
+def _idle_bushes(model: Model, free: Bool) -> Bool:
+    """Bushes of some length and stiffness in two directions, both ends of which turn freely."""
+    t, x = model["CBUSH"], positions(model)
+    a, b = _rows(model, "CBUSH", "GA"), _rows(model, "CBUSH", "GB")
+    long = np.linalg.norm(x[a] - x[b], axis=1) > 1e-6 * diagonal(x)
+    stiff = np.zeros(len(t), dtype=bool)
+    if "PBUSH" in model:
+        at = model["PBUSH"].find(t["PID"])
+        stiff = (at >= 0) & ((model["PBUSH"].stack("K1", "K2", "K3")[at] != 0).sum(axis=1) > 1)
+    return np.asarray(free[a] & free[b] & long & stiff & (a >= 0) & (b >= 0))
+
+
+_TRIANGLES = ("CTRIA3", "CTRIAR")
+_LINEAR = "has four nodes and constant strain, too stiff in bending: ten nodes bend well"
+_THICK = (
+    "is thicker than its sides and has no transverse shear flexibility here (MID3 = MID2), as a "
+    "thick plate needs: "
+    "CQUAD4, CTRIA6 and laminates have it"
+)
+
+
+def stiff_findings(model: Model) -> Iterator[Finding]:
+    """Tetrahedra of four nodes, and thick triangles whose PSHELL asks for a shear flexibility that
+    they do not have.
+    """
+    if "CTETRA" in model:
+        rows = np.flatnonzero(model["CTETRA"]["G5"] == 0)
+        if rows.size:
+            yield at_rows(model, "CTETRA", rows, "warning", _LINEAR)
+    if "PSHELL" not in model or "GRID" not in model:
+        return
+    p, xyz = model["PSHELL"], positions(model)
+    for card in (c for c in _TRIANGLES if c in model):
+        table = model[card]
+        at, row = model["GRID"].find(table.stack("G1", "G2", "G3")), p.find(table["PID"])
+        there = np.flatnonzero((at >= 0).all(axis=1) & (row >= 0))
+        row = row[there]
+        sheared = (p["MID3"][row] > 0) & (p["MID3"][row] == p["MID2"][row])
+        thick = there[sheared & (p["T"][row] > _longest(xyz[at[there]]))]
+        if thick.size:
+            yield at_rows(model, card, thick, "warning", _THICK)
+
+
+def _longest(x: Float) -> Float:
+    """The longest side (e,) of triangles (e, 3, 3)."""
+    return np.asarray(np.linalg.norm(np.roll(x, -1, axis=1) - x, axis=2).max(axis=1))

@@ -1,0 +1,335 @@
+"""`correlate`: one set of modes against another."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import degrees
+from pathlib import Path
+from typing import Annotated, Any, get_args
+
+import typer
+
+from ringtrue.api.comparison import correlate as compare
+from ringtrue.api.measurements import TestModes, read_modes
+from ringtrue.api.models import read_deck
+from ringtrue.cli.show import (
+    Json,
+    Tolerance,
+    listed,
+    one_of,
+    out,
+    progress,
+    rows,
+    tell,
+    write_json,
+)
+from ringtrue.cli.stated import warn_of_units
+from ringtrue.core.arrays import Float
+from ringtrue.core.units import UNIT_SYSTEMS
+from ringtrue.correlation.measures import CompleteCorrelation, complete_json
+from ringtrue.correlation.sensor_mapping import Method
+from ringtrue.correlation.sensor_mounting import (
+    mendings_json,
+)
+from ringtrue.errors import ConfigError
+from ringtrue.io.matrices import read_matrices
+from ringtrue.io.modes import READ
+from ringtrue.model.model import Model
+from ringtrue.study.config_sections import CorrelateSection, Tam
+from ringtrue.study.placing import (
+    seats_json,
+)
+from ringtrue.study.summary import correlation_json
+
+OF_ORTHOGONALITY = "gate of the orthogonality; give --complete or --mass"
+
+
+def _decks(a: Path, b: Path, sensors: Path | None, align: str | None) -> tuple[bool, bool]:
+    """Whether A and B are decks; what cannot be held against each other is refused."""
+    first, second = (x.suffix.lower() not in READ for x in (a, b))
+    if sensors is not None and not second:
+        raise ConfigError(f"--sensors is for a deck; {b} holds modes at channels already")
+    if first and not second:
+        raise ConfigError(f"{a} is a deck: name the modes of the test first, `{b} {a}`")
+    if first and (sensors is not None or align):
+        raise ConfigError(
+            f"{a} and {b}: decks are compared at their nodes, in one frame; leave out --sensors "
+            "and --align"
+        )
+    if align and sensors is None:
+        raise ConfigError(
+            f"--align {align}: lays the places of a sheet onto a deck; give --sensors"
+        )
+    return first, second
+
+
+def _refuse_idle(given: Mapping[str, tuple[object, bool, str]]) -> None:
+    """Refuse options (value, whether it counts here, why not) that would change nothing."""
+    for name, (value, counts, why) in given.items():
+        if value is not None and not counts:
+            raise ConfigError(f"{name} {value}: {why}")
+
+
+def _check_pairs(option: str, texts: Sequence[str]) -> None:
+    """Refuse pairs that are not of the form 3:4, modes from one."""
+    for text in texts:
+        left, _, right = text.partition(":")
+        if not (left.isdigit() and right.isdigit() and int(left) > 0 and int(right) > 0):
+            raise ConfigError(
+                f"{option} {text!r}: must be a mode of A and one of B, from 1, such as 3:4"
+            )
+
+
+def _mass(path: Path) -> Float:
+    """The one matrix of a file, or that named M."""
+    found = read_matrices(path)
+    mass = next(iter(found.matrices.values())) if len(found.matrices) == 1 else found["M"]
+    return mass.toarray()
+
+
+def _modes_or_deck(path: Path, units: str) -> TestModes | Model:
+    """Modes of a file or a study, or a deck that is solved."""
+    if path.suffix.lower() in READ:
+        return read_modes(path)
+    model = read_deck(path, units=units)
+    warn_of_units(model, units)
+    return model
+
+
+def _reasons(unpaired: Sequence[dict[str, Any]]) -> list[str]:
+    """Why modes have no partner: a line each of A, of B (a model may have hundreds) one for all of
+    one reason.
+    """
+    told: dict[tuple[str, str], list[int]] = {}
+    for u in unpaired:
+        reason = u["reason"] if u["set"] == "A" else u["reason"].split(": best")[0]
+        told.setdefault((u["set"], reason), []).append(u["mode"])
+    return [f"{name} {listed(modes)}: {reason}" for (name, reason), modes in told.items()]
+
+
+def _show_pairs(title: str, pairs: Sequence[dict[str, Any]]) -> None:
+    body = [
+        (
+            p["test_mode"],
+            p["fe_mode"],
+            f"{p['frequency_test_hz']:.4g}",
+            f"{p['frequency_fe_hz']:.4g}",
+            f"{round(p['deviation_percent'], 2) + 0.0:+.2f}",
+            "-" if p["mac_percent"] is None else f"{p['mac_percent']:.1f}",
+            "-" if p["subspace_mac_percent"] is None else f"{p['subspace_mac_percent']:.1f}",
+        )
+        for p in pairs
+    ]
+    rows(
+        title,
+        ("A", "B", "f A [Hz]", "f B [Hz]", "deviation [%]", "MAC [%]", "subspace MAC [%]"),
+        body,
+    )
+
+
+def _show_complete(c: CompleteCorrelation) -> None:
+    for check in c.checks:
+        out.print(f"{check.name}: {'' if c.judges(check) else 'not to be judged, '}{check.verdict}")
+    if unfit := list(dict.fromkeys(k.mass for k in c.checks if not c.judges(k))):
+        other = "" if "Craig-Bampton" in (k.mass for k in c.checks) else "; --tam craig-bampton may"
+        tell(
+            [
+                f"the {' and the '.join(unfit)} mass cannot judge it: readings with 2 % error "
+                f"alone fail{other}"
+            ]
+        )
+    out.print(
+        f"largest off-diagonal auto-MAC: A {100 * c.auto_mac[0]:.1f} %, B "
+        f"{100 * c.auto_mac[1]:.1f} %"
+    )
+    if c.scale.size:  # pairs
+        worst = c.comac.argsort(kind="stable")[:5].tolist()
+        out.print(
+            "lowest CoMAC: " + ", ".join(f"{c.channels[i]} {100 * c.comac[i]:.1f} %" for i in worst)
+        )
+    left_out = zip(c.elimination.order[:5].tolist(), c.elimination.mac[1:6], strict=True)
+    for i, (channel, mac) in enumerate(left_out):
+        out.print(
+            f"{'then' if i else 'first'} left out {c.channels[channel]}: mean MAC "
+            f"{100 * mac.mean():.2f} %"
+        )
+    for group in c.subspaces:
+        modes = (" ".join(str(i + 1) for i in side) for side in (group.a, group.b))
+        angles = " ".join(f"{degrees(x):.1f}" for x in group.angles)
+        out.print("close modes A {} and B {}: principal angles {}°".format(*modes, angles))
+    if (seen := c.mpc[c.mpc > 0]).size:  # a mode that was not seen at these channels has none
+        out.print(f"lowest phase collinearity of A: {100 * seen.min():.1f} %")
+    for s in c.suspects:
+        out.print(f"channel {s.channel} looks {s.fault}: {s.message}")
+    total, count, p = c.significance.chi_square
+    if count:
+        beyond = int(c.significance.significant.sum())
+        out.print(
+            f"{beyond} of {count} deviations are beyond their uncertainty (chi-square "
+            f"{total:.3g}, p {p:.2g})"
+        )
+    tell(c.notes)
+
+
+def correlate(
+    a: Annotated[
+        Path,
+        typer.Argument(help="Reference modes (test): .json, .h5, .uff, .csv or .xlsx; or a deck"),
+    ],
+    b: Annotated[
+        Path, typer.Argument(help="Modes to judge: such a file, or a Nastran deck, which is solved")
+    ],
+    sensors: Annotated[
+        Path | None,
+        typer.Option(
+            help="Sensor sheet of A for a deck; without it, channels are DOFs such as 101+Z."
+        ),
+    ] = None,
+    units: Annotated[
+        str | None, one_of("--units", UNIT_SYSTEMS, "Unit system of decks", "SI")
+    ] = None,
+    tolerance: Tolerance = None,
+    match: Annotated[
+        str | None,
+        one_of("--match", get_args(Method), "What a sensor off the nodes reads", "nearest"),
+    ] = None,
+    align: Annotated[
+        str | None,
+        one_of(
+            "--align",
+            ("points", "nearest"),
+            "Lay the sheet onto the deck, by points numbered as nodes or nearest",
+        ),
+    ] = None,
+    mac_gate: Annotated[
+        float | None,
+        typer.Option(
+            metavar="%", help="Least MAC of a pair.", min=0.1, max=99.9, show_default="60"
+        ),
+    ] = None,
+    frequency_gate: Annotated[
+        float | None,
+        typer.Option(
+            metavar="%",
+            help="Largest deviation of a pair.",
+            min=1e-6,
+            show_default="40; farther off only modes that look like no other",
+        ),
+    ] = None,
+    lock: Annotated[
+        list[str] | None,
+        typer.Option("--lock", metavar="A:B", help="Modes that belong together, such as 3:4."),
+    ] = None,
+    forbid: Annotated[
+        list[str] | None,
+        typer.Option("--forbid", metavar="A:B", help="Modes that do not belong together."),
+    ] = None,
+    everything: Annotated[
+        bool,
+        typer.Option(
+            "--complete", help="Orthogonality, CoMAC, channels, complexity, significance."
+        ),
+    ] = False,
+    tam: Annotated[
+        str | None,
+        one_of("--tam", get_args(Tam), "Mass of a deck at the channels, with --complete", "irs"),
+    ] = None,
+    mass: Annotated[
+        Path | None,
+        typer.Option(
+            "--mass", metavar="FILE", help="Mass at the common channels, in the order of A."
+        ),
+    ] = None,
+    diagonal: Annotated[
+        float | None,
+        typer.Option(
+            "--diagonal",
+            metavar="%",
+            help="Gate: least cross-orthogonality of a pair.",
+            min=0,
+            max=100,
+            show_default="90",
+        ),
+    ] = None,
+    off_diagonal: Annotated[
+        float | None,
+        typer.Option(
+            "--off-diagonal",
+            metavar="%",
+            help="Gate: largest between different modes.",
+            min=0,
+            max=100,
+            show_default="10",
+        ),
+    ] = None,
+    json: Json = None,
+) -> int:
+    """Pair two sets of modes on their common channels: deviation, MAC, and why the rest have no
+    partner.
+
+    Example: ringtrue correlate test.json wing.bdf --sensors sensors.csv --complete
+    """
+    _check_pairs("--lock", lock or ())
+    _check_pairs("--forbid", forbid or ())
+    both, deck = _decks(a, b, sensors, align)
+    whole = everything or mass is not None
+    _refuse_idle(
+        {
+            "--units": (units, deck, "no deck is given"),
+            "--match": (
+                match,
+                sensors is not None,
+                "of the places of a sheet on a deck; give --sensors",
+            ),
+            "--tolerance": (
+                tolerance,
+                both or sensors is not None,
+                "of the places of a sheet from a deck; give --sensors",
+            ),
+            "--tam": (
+                tam,
+                everything and deck and mass is None,
+                "the mass of a deck, for --complete without --mass",
+            ),
+            "--diagonal": (diagonal, whole, OF_ORTHOGONALITY),
+            "--off-diagonal": (off_diagonal, whole, OF_ORTHOGONALITY),
+        }
+    )
+    given = {
+        "match": match,
+        "align": align,
+        "tam": tam,
+        "mac_gate": None if mac_gate is None else mac_gate / 100,
+        "frequency_gate": None if frequency_gate is None else frequency_gate / 100,
+        "tolerance": tolerance,
+        "accept_orthogonality": diagonal,
+        "accept_off_diagonal": off_diagonal,
+    }
+    settings = CorrelateSection.model_validate({k: v for k, v in given.items() if v is not None})
+    with progress("correlate") as show:
+        show(0.0, f"reading {a} and {b}")
+        found = compare(
+            _modes_or_deck(a, units or "SI"),
+            _modes_or_deck(b, units or "SI"),
+            sensors=sensors,
+            lock=lock or (),
+            forbid=forbid or (),
+            evidence=everything,
+            mass=None if mass is None else _mass(mass),
+            settings=settings,
+            names=("A", "B"),
+            progress=show,
+        )
+    value = correlation_json(found.table)
+    value |= {"sensors": seats_json(found.seats)} if found.seats else {}
+    value |= {"mendings": mendings_json(found.mendings)} if found.mendings else {}
+    if found.complete is not None:
+        value["complete"] = complete_json(found.complete, found.table.pairing)
+    if json:
+        write_json(value, json)
+    if json != "-":
+        _show_pairs(f"{a} against {b}", value["pairs"])
+        tell([*(m.text for m in found.mendings), *_reasons(value["unpaired"]), *found.notes])
+        if found.complete is not None:
+            _show_complete(found.complete)
+    return 0 if value["pairs"] else 1

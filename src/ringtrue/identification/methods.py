@@ -1,0 +1,300 @@
+"""The other methods of identification, by name: a second opinion on a record or on FRFs.
+
+A method is one module and one entry here: the entry is all that commands and pages read. An
+ambient method works in the bands of `identify_ambient`, or on the peaks of the whole record.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from ringtrue.core.arrays import Float
+from ringtrue.core.modal import ModalModel
+from ringtrue.core.modes import ModeSet, Norm, Uncertainty
+from ringtrue.core.progress import Progress, quiet
+from ringtrue.core.signals import FrfSet, TimeHistory
+from ringtrue.errors import ConfigError, did_you_mean
+from ringtrue.identification.ambient import era, fdd, plscf, ssi_data
+from ringtrue.identification.ambient.pipeline import AmbientSettings, bands_for, lowest
+from ringtrue.identification.ambient.record_checks import AT_EDGE, filter_edges, long_enough
+from ringtrue.identification.frf.cmif import cmif_peaks
+from ringtrue.identification.frf.data_checks import (
+    band_limits,
+    frf_notes,
+    lines_between,
+    refuse_bad_frfs,
+    refuse_noise,
+    sound_pairs,
+)
+from ringtrue.identification.frf.pipeline import HammerModes
+from ringtrue.identification.frf.scaling import mode_scale
+from ringtrue.shapes.mac import mac
+from ringtrue.signal.channel_checks import usable
+from ringtrue.signal.decimation import Band, band_signals, remove_drift, scaled, unit_factor
+from ringtrue.signal.frf_sets import exchange_by_reciprocity
+from ringtrue.signal.gaps import bridge_gaps
+
+Found = tuple[ModeSet, Uncertainty]
+SAME_FREQUENCY = 0.01  # relative distance of one mode in two overlapping bands
+SAME_MAC = 0.8
+SPARE_SAMPLES = 16  # of a band, that decimation cuts
+
+
+@dataclass(frozen=True, slots=True)
+class BandMethod:
+    """A method for one band of an ambient record.
+
+    Attributes
+    ----------
+    title : str
+    evidence : str
+        What its confidence is.
+    identify : callable (part, band in Hz, settings) -> (ModeSet, Uncertainty)
+    samples : callable (channels, settings) -> int
+        Samples of a band that it needs.
+    deviations : bool
+        Whether it states standard deviations.
+    """
+
+    title: str
+    evidence: str
+    identify: Callable[[TimeHistory, tuple[float, float], AmbientSettings], Found]
+    samples: Callable[[int, AmbientSettings], int]
+    deviations: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class PeakMethod:
+    """A method that takes the peaks of the spectra of the whole record; attributes as above.
+
+    Attributes
+    ----------
+    identify : callable (history, settings, peaks in Hz) -> (ModeSet, Uncertainty)
+    """
+
+    title: str
+    evidence: str
+    identify: Callable[[TimeHistory, AmbientSettings, Sequence[float]], Found]
+    deviations: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class FrfMethod:
+    """A method for FRFs: `identify` takes them and a band, Hz."""
+
+    title: str
+    evidence: str
+    identify: Callable[[FrfSet, float, float], ModalModel]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SecondOpinion:
+    """Modes by one method.
+
+    Attributes
+    ----------
+    modes : ModeSet
+    uncertainty : Uncertainty
+        NaN where the method states none.
+    reasons, notes : tuple of str
+    """
+
+    modes: ModeSet
+    uncertainty: Uncertainty
+    reasons: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+BELL = "mean MAC over the bell"
+ORDERS = "share of the orders times MPC"
+BOTH_HALVES = " and agreement of both halves of the record"
+
+
+def _peaks(title: str, kind: fdd.Method, *, deviations: bool = False) -> PeakMethod:
+    return PeakMethod(title, BELL, partial(fdd.peak_modes, kind), deviations)
+
+
+AMBIENT_METHODS: Mapping[str, BandMethod | PeakMethod] = {
+    "plscf": BandMethod(
+        "pLSCF on half spectra",
+        "confidence of the fit" + BOTH_HALVES,
+        plscf.half_spectra_modes,
+        plscf.fewest_samples,
+    ),
+    "era": BandMethod(
+        "ERA on correlations (NExT)", ORDERS + BOTH_HALVES, era.era_modes, era.fewest_samples
+    ),
+    "ssi-data": BandMethod(
+        "SSI-data", ORDERS, ssi_data.ssi_data_modes, ssi_data.fewest_samples, deviations=True
+    ),
+    "fdd": _peaks("FDD", "fsdd", deviations=True),
+    "efdd": _peaks("EFDD", "efdd"),
+    "fsdd": _peaks("FSDD", "fsdd", deviations=True),
+    "random-decrement": _peaks("FDD with random decrement", "random decrement"),
+}
+FRF_METHODS: Mapping[str, FrfMethod] = {
+    "cmif": FrfMethod("CMIF peaks", "peak of the CMIF", cmif_peaks),
+}
+AUTOMATIC_AMBIENT = "ssi"  # `identify_ambient`
+AUTOMATIC_FRF = "plscf"  # `identify_hammer`
+
+
+def identify_ambient_by(
+    method: str,
+    history: TimeHistory,
+    settings: AmbientSettings | None = None,
+    *,
+    near: Sequence[float] = (),
+    progress: Progress | None = None,
+) -> SecondOpinion:
+    """Modes of an ambient record by one of `AMBIENT_METHODS`.
+
+    Parameters
+    ----------
+    method : str
+    history : TimeHistory
+    settings : AmbientSettings
+        Band and references.
+    near : sequence of float, Hz
+        Peaks for methods that take them; () for all that stand out.
+    progress : callable, optional
+
+    Raises
+    ------
+    ConfigError
+        If there is no such method.
+    DataError
+        If no channel is usable or the record is too short.
+    """
+    if method not in AMBIENT_METHODS:
+        raise ConfigError(f"method {method!r}{did_you_mean(method, tuple(AMBIENT_METHODS))}")
+    chosen = AMBIENT_METHODS[method]
+    settings = settings or AmbientSettings()
+    report = progress or quiet
+    whole, gaps = bridge_gaps(history)
+    good, states = usable(whole)
+    good = remove_drift(good, lowest(good.duration, settings))
+    good = scaled(good, unit_factor(good))
+    notes = gaps.notes + tuple(state.note for state in states)
+    report(0.0, chosen.title)
+    if isinstance(chosen, PeakMethod):
+        modes, std = chosen.identify(good, settings, near)
+    else:
+        modes, std, short = _in_bands(chosen, good, settings, report)
+        notes += short
+    edge = np.array(filter_edges(good, modes.frequencies, modes.damping), dtype=bool)
+    notes += tuple(f"pole at {f:.4g} Hz {AT_EDGE}" for f in modes.frequencies[edge])
+    inside = np.flatnonzero(~edge)
+    modes = replace(modes.take(inside), source=f"{history.source or 'record'}: {chosen.title}")
+    if len(modes) and not chosen.deviations:
+        notes += (f"no standard deviations: {chosen.title} states none",)
+    if len(modes):
+        notes += ("shapes have no standard deviations",)
+    reasons = tuple(f"{chosen.title}: {chosen.evidence} {c:.2f}" for c in modes.confidence)
+    return SecondOpinion(modes, std.take(inside), reasons, notes)
+
+
+def _in_bands(
+    method: BandMethod, history: TimeHistory, settings: AmbientSettings, report: Progress
+) -> tuple[ModeSet, Uncertainty, tuple[str, ...]]:
+    """Modes of every band of the pyramid, and a note where bands are too short for the method."""
+    every = long_enough(bands_for(history.rate, history.duration, settings), history)
+    samples = method.samples(len(history.channels), settings) + SPARE_SAMPLES
+    bands = long_enough(every, history, samples)
+    found = []
+    for k, band in enumerate(bands):
+        report(k / len(bands), f"{method.title}: {band.low:.3g} .. {band.high:.3g} Hz")
+        limits = Band(band.low, band.high, band.rate)
+        data, rate = band_signals(history.data, history.rate, (limits,))[0]
+        signals = np.asarray(data, dtype=np.float64)
+        part = TimeHistory(signals, rate, history.channels, history.source)
+        modes, std = method.identify(part, (band.low, band.high), settings)
+        inside = (modes.frequencies >= band.low) & (modes.frequencies <= band.high)
+        at = np.flatnonzero(inside & (modes.confidence >= settings.confidence_min))
+        found.append((modes.take(at), std.take(at)))
+    modes, std = _each_once(found)
+    if len(bands) == len(every):
+        return modes, std, ()
+    low = min(band.low for band in bands)
+    return modes, std, (f"below {low:.3g} Hz the record is too short for {method.title}",)
+
+
+def _each_once(found: Sequence[Found]) -> Found:
+    """All modes ascending; of two in overlapping bands that are one, that of more confidence."""
+    f = np.concatenate([modes.frequencies for modes, _ in found])
+    damping = np.concatenate([modes.damping for modes, _ in found])
+    shapes = np.concatenate([modes.shapes for modes, _ in found], axis=1)
+    confidence = np.concatenate([modes.confidence for modes, _ in found])
+    std_f = np.concatenate([std.frequency for _, std in found])
+    std_damping = np.concatenate([std.damping for _, std in found])
+    band = np.repeat(np.arange(len(found)), [len(modes) for modes, _ in found])
+    same = (np.abs(f[:, None] / f - 1) < SAME_FREQUENCY) & (band[:, None] != band)
+    if f.size:
+        same &= mac(shapes, shapes) > SAME_MAC
+    equal = confidence[None] == confidence[:, None]
+    better = (confidence[None] > confidence[:, None]) | (equal & (band[None] < band[:, None]))
+    keep = np.flatnonzero(~(same & better).any(axis=1))
+    keep = keep[np.argsort(f[keep], kind="stable")]
+    modes = ModeSet(
+        frequencies=f[keep],
+        damping=damping[keep],
+        shapes=shapes[:, keep],
+        labels=found[0][0].channels,
+        confidence=confidence[keep],
+    )
+    unknown = np.full(modes.shapes.shape, np.nan)
+    return modes, Uncertainty.independent(std_f[keep], std_damping[keep], unknown)
+
+
+def identify_frfs_by(
+    method: str,
+    frfs: FrfSet,
+    settings: HammerModes | None = None,
+    *,
+    progress: Progress | None = None,
+) -> SecondOpinion:
+    """Modes of FRFs by one of `FRF_METHODS`.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such method.
+    DataError
+        If the FRFs are no FRFs, or noise, or no mode is found.
+    """
+    if method not in FRF_METHODS:
+        raise ConfigError(f"method {method!r}{did_you_mean(method, tuple(FRF_METHODS))}")
+    chosen = FRF_METHODS[method]
+    settings = settings or HammerModes()
+    refuse_bad_frfs(frfs)
+    frfs, roving = exchange_by_reciprocity(frfs)
+    low, high = band_limits(frfs, settings.fmin, settings.fmax)
+    refuse_noise(lines_between(frfs, low, settings.fmax or np.inf))
+    (progress or quiet)(0.0, chosen.title)
+    model = chosen.identify(frfs, low, high)
+    inside = np.flatnonzero((model.frequencies >= low) & (model.frequencies <= high))
+    inside = inside[np.argsort(model.frequencies[inside], kind="stable")]
+    source = f"{frfs.source or 'FRFs'}: {chosen.title}"
+    modes = _scaled_modes(model, np.ones(model.poles.size), source).take(inside)
+    none = np.full(len(modes), np.nan)
+    std = Uncertainty.independent(none, none, np.full(modes.shapes.shape, np.nan))
+    notes = [f"no standard deviations: {chosen.title} states none"]
+    notes += [roving] if roving else []
+    notes += frf_notes(frfs, sound_pairs(frfs))
+    return SecondOpinion(modes, std, (chosen.evidence,) * inside.size, tuple(notes))
+
+
+def _scaled_modes(model: ModalModel, confidence: Float, source: str) -> ModeSet:
+    return ModeSet(
+        frequencies=model.frequencies,
+        damping=model.damping,
+        shapes=model.shapes * mode_scale(model),
+        labels=tuple(c.id for c in model.outputs),
+        norm=Norm.UNSCALED if model.norm is Norm.UNSCALED else Norm.MASS,
+        source=source,
+        confidence=confidence,
+    )

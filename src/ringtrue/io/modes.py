@@ -1,0 +1,401 @@
+"""Modes as JSON, tables and HDF5."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TextIO
+
+import h5py
+import numpy as np
+
+from ringtrue.core.arrays import Complex, Float
+from ringtrue.core.modes import ModeSet, Norm, Uncertainty
+from ringtrue.errors import DataError, about, did_you_mean
+from ringtrue.io import hdf5
+from ringtrue.io.files import atomic_write, existing, refuse_large
+from ringtrue.io.foreign.parsers import open_hdf5, read_json
+from ringtrue.io.sheets import cells
+from ringtrue.io.si import hertz
+from ringtrue.io.uff.shapes import read_mode_sets, write_mode_sets
+
+GROUP = "modes"
+_UFF = (".uff", ".unv", ".55")
+_HDF5 = (".h5", ".hdf5")
+_TABLES = (".csv", ".txt", ".xlsx", ".xlsm")
+READ = (".json", *_HDF5, *_UFF, *_TABLES)  # endings
+WRITTEN = (".json", *_HDF5, *_UFF, ".csv")
+
+
+def modes_to_json(
+    modes: ModeSet, uncertainty: Uncertainty | None = None, reasons: Sequence[str] = ()
+) -> dict[str, Any]:
+    """A JSON form of the modes; null where a number is unknown, no `shape_im` of real shapes.
+
+    Parameters
+    ----------
+    modes : ModeSet
+    uncertainty : Uncertainty, optional
+    reasons : sequence of str, optional
+        Why each mode is believed; one a mode.
+    """
+    return {"modes": list(_rows(modes, uncertainty, reasons))} | _rest(modes)
+
+
+def _rest(modes: ModeSet) -> dict[str, Any]:
+    return {"channels": list(modes.channels), "scaling": str(modes.norm), "source": modes.source}
+
+
+def _rows(
+    modes: ModeSet, uncertainty: Uncertainty | None, reasons: Sequence[str]
+) -> Iterator[dict[str, Any]]:
+    nothing = np.full(len(modes), np.nan)
+    std_f = uncertainty.frequency if uncertainty else nothing
+    std_z = uncertainty.damping if uncertainty else nothing
+    for k in range(len(modes)):
+        yield {
+            "frequency_hz": _number(modes.frequencies[k]),
+            "damping": _number(modes.damping[k]),
+            "std_frequency_hz": _number(std_f[k]),
+            "std_damping": _number(std_z[k]),
+            "shape_re": _numbers(modes.shapes[:, k].real),
+            "shape_im": _numbers(modes.shapes[:, k].imag) if np.iscomplexobj(modes.shapes) else [],
+            "confidence": _number(modes.confidence[k]),
+            "reason": reasons[k] if k < len(reasons) else None,
+        }
+
+
+def _number(x: float) -> float | None:
+    return float(x) if math.isfinite(x) else None
+
+
+def _numbers(x: Float) -> list[float | None]:
+    every = x.tolist()
+    return every if np.isfinite(x).all() else [_number(v) for v in every]
+
+
+def dump_modes(
+    file: TextIO,
+    modes: ModeSet,
+    uncertainty: Uncertainty | None = None,
+    reasons: Sequence[str] = (),
+    more: Mapping[str, Any] | None = None,
+) -> None:
+    """Write `modes_to_json` and what `more` adds to it, one mode after the other: shapes of whole
+    models are large.
+    """
+    file.write('{"modes": [')
+    for k, row in enumerate(_rows(modes, uncertainty, reasons)):
+        file.write((",\n " if k else "\n ") + json.dumps(row, allow_nan=False))
+    file.write("],\n" + json.dumps(_rest(modes) | dict(more or {}), allow_nan=False)[1:] + "\n")
+
+
+def modes_from_json(table: Mapping[str, Any], source: str = "") -> ModeSet:
+    """The modes of `modes_to_json`; without channels they have frequencies and damping alone.
+
+    Raises
+    ------
+    DataError
+        If a key is missing or the numbers do not fit together.
+    """
+    try:
+        rows, channels = table["modes"], tuple(str(c) for c in table.get("channels", ()))
+        for k, row in enumerate(rows, start=1):
+            if not isinstance(row, Mapping):
+                raise TypeError(f"mode {k} is {row!r}; it must be a table with frequency_hz")
+        shapes = np.array([_shape(row) for row in rows], dtype=np.complex128)
+        frequency, damping = (_column(rows, key) for key in ("frequency_hz", "damping"))
+        confidence = _column(rows, "confidence", 1.0)
+        norm = Norm(table.get("scaling") or Norm.UNSCALED)
+    except (KeyError, TypeError, ValueError) as exc:
+        raise DataError(f"{source}: not a table of modes ({type(exc).__name__}: {exc})") from exc
+    if not np.isfinite(frequency).all():
+        at = int(np.flatnonzero(~np.isfinite(frequency))[0])
+        raise DataError(f"{source}: mode {at + 1} has no frequency_hz")
+    shapes = (
+        shapes.reshape(len(rows), -1).T
+        if rows
+        else np.zeros((len(channels), 0), dtype=np.complex128)
+    )
+    if shapes.shape[0] != len(channels):
+        raise DataError(
+            f"{source}: shapes of {shapes.shape[0]} components for {len(channels)} channels"
+        )
+    values = shapes if shapes.imag.any() else shapes.real
+    return ModeSet(
+        frequency, damping, values, channels, norm, str(table.get("source") or source), confidence
+    )
+
+
+def _shape(row: Mapping[str, Any]) -> Complex:
+    """(channel,) complex128; null is not a number."""
+    re = np.array(row.get("shape_re", ()), dtype=np.float64)
+    im = np.array(row.get("shape_im") or np.zeros(re.size), dtype=np.float64)
+    if re.shape != im.shape:
+        raise ValueError(f"shape_re has {re.size} components, shape_im {im.size}")
+    return np.asarray(re + 1j * im)
+
+
+def _column(rows: Sequence[Mapping[str, Any]], key: str, default: float = math.nan) -> Float:
+    """One number a mode; `default` where it is null or missing."""
+    given = [row.get(key) for row in rows]
+    for k, x in enumerate(given, start=1):
+        if not (x is None or isinstance(x, int | float)):
+            raise ValueError(f"mode {k}: {key} is {x!r}; it must be a number")
+    return np.array([default if x is None else x for x in given], dtype=np.float64)
+
+
+def write_modes(
+    path: str | Path,
+    modes: ModeSet,
+    uncertainty: Uncertainty | None = None,
+    reasons: Sequence[str] = (),
+) -> None:
+    """Write modes as `.json`, `.h5`, `.uff` (data sets 55) or `.csv`, by the ending of the path."""
+    path = Path(path)
+    ext = path.suffix.lower()
+    if ext == ".json":
+        with atomic_write(path) as part, part.open("w", encoding="utf-8") as file:
+            dump_modes(file, modes, uncertainty, reasons)
+    elif ext in _HDF5:
+        with atomic_write(path) as part, h5py.File(part, "w") as file:
+            hdf5.save(file.create_group(GROUP), modes)
+            if uncertainty is not None:
+                hdf5.save(file.create_group("uncertainty"), uncertainty)
+    elif ext in _UFF:
+        write_mode_sets(path, modes)
+    elif ext == ".csv":
+        write_mode_table(path, modes, uncertainty)
+    else:
+        raise DataError(f"{path}: format {ext!r}{did_you_mean(ext, WRITTEN)}")
+
+
+def read_modes(path: str | Path) -> ModeSet:
+    """Read modes from `.json`, `.h5`, `.uff` (data sets 55), or a table of `.csv` or `.xlsx`.
+
+    Raises
+    ------
+    DataError
+        If the file is missing, unreadable or holds no modes.
+    """
+    path = existing(path)
+    modes = _read(path)
+    with about(path):
+        for what, values in (
+            ("frequency", modes.frequencies),
+            ("damping", modes.damping),
+            ("shape", modes.shapes),
+        ):
+            refuse_large(values, what)
+    return modes
+
+
+def _read(path: Path) -> ModeSet:
+    ext = path.suffix.lower()
+    if ext == ".json":
+        table = read_json(path)
+        if not isinstance(table, dict):
+            raise DataError(f"{path}: not a table of modes; it must have `modes` and `channels`")
+        return modes_from_json(table, str(path))
+    if ext in _HDF5:
+        return _read_h5(path)
+    if ext in _UFF:
+        return read_mode_sets(path)
+    if ext in _TABLES:
+        return read_mode_table(path)[0]
+    raise DataError(f"{path}: format {ext!r}{did_you_mean(ext, READ)}")
+
+
+def _read_h5(path: Path) -> ModeSet:
+    with open_hdf5(path) as file:
+        modes = hdf5.load(file.get(GROUP, file))
+    if not isinstance(modes, ModeSet):
+        raise DataError(f"{path}: holds a {type(modes).__name__}, not modes")
+    return modes
+
+
+def read_std(path: str | Path) -> tuple[Float, Float]:
+    """Standard deviations in a file that `read_modes` reads; NaN where it has none.
+
+    Returns
+    -------
+    frequency : (m,) float64, Hz
+    damping : (m,) float64, of the ratio
+    """
+    path = Path(path)
+    if path.suffix.lower() in _TABLES:
+        return read_mode_table(path)[1:]
+    modes = read_modes(path)
+    if path.suffix.lower() == ".json":
+        rows = read_json(path)["modes"]
+        try:
+            return _column(rows, "std_frequency_hz"), _column(rows, "std_damping")
+        except ValueError as exc:
+            raise DataError(f"{path}: {exc}") from exc
+    if path.suffix.lower() in _HDF5:
+        with open_hdf5(path) as file:
+            found = hdf5.load(file["uncertainty"]) if "uncertainty" in file else None
+        if isinstance(found, Uncertainty) and found.frequency.size == len(modes):
+            return found.frequency, found.damping
+    return np.full(len(modes), np.nan), np.full(len(modes), np.nan)
+
+
+_WHOSE = r"(natural|nat\.?|modal|damped|undamped|resonance|resonant|critical)?\s*"
+_FREQUENCY = re.compile(
+    rf"{_WHOSE}(f|fn|freq\.?|frequency|frequencies|frequenz|eigenfrequenz|eigenfrequency|fréquence)(?![^\W_])"
+)
+_DAMPING = re.compile(rf"{_WHOSE}(damping|damping ratio|zeta|ζ|dämpfung|amortissement)(?![^\W_])")
+_SPREAD = re.compile(r"(std|±|sigma|σ|deviation|uncertainty)\s*(of\s*)?")
+_HIGH = 0.25  # of critical: a typical damping above is taken for percent
+_NUMBER = re.compile(r"[-+]?[\d.,]+([eEdD][-+]?\d+)?$")
+_BESIDE = {
+    "",
+    "#",
+    "no",
+    "no.",
+    "nr",
+    "number",
+    "mode",
+    "modes",
+    "name",
+    "description",
+    "comment",
+    "reason",
+    "mac",
+    "mpc",
+}
+_DIGITS = 9
+
+
+def read_mode_table(path: Path) -> tuple[ModeSet, Float, Float]:
+    """Modes of a table whose first column, or first row, names `frequency [Hz]`, `damping [%]` and
+    the channels.
+
+    `std frequency [Hz]` and `std damping [%]` are standard deviations; frequencies in `[rad/s]`,
+    `[rpm]` or `[kHz]` become Hz, damping without `[%]` is a fraction. Without channels the modes
+    have frequencies alone. Empty cells were not measured.
+
+    Returns
+    -------
+    modes : ModeSet
+        In ascending frequency; complex where a cell is, such as 0.1+0.2j.
+    frequency, damping : (m,) float64
+        Standard deviations, Hz and of the ratio; NaN where there are none.
+
+    Raises
+    ------
+    DataError
+        If there is no mode, a cell is no number, two rows are one, or damping without `[%]` is
+        hardly a fraction.
+    """
+    rows = [r for r in cells(path) if any(r) and not r[0].startswith("# ")]
+    width = max(map(len, rows), default=0)
+    table = [r + [""] * (width - len(r)) for r in rows]
+    if not any(_FREQUENCY.match(r[0].lower()) and _NUMBER.match("".join(r[1:2])) for r in table):
+        table = [list(c) for c in zip(*table, strict=True)]
+    labels = [r[0] for r in table]
+    found = {
+        label: r[1:] for label, r in zip(labels, table, strict=True) if label.lower() not in _BESIDE
+    }
+    kinds = {label: _kind(label) for label in found}
+    of = {kind: label for label, kind in kinds.items() if kind}
+    for label, kind in kinds.items():
+        if labels.count(label) > 1 or (kind and of[kind] != label):
+            told = (
+                f"`{label}` and `{of[kind]}` are both {kind}"
+                if kind
+                else f"`{label}` stands there twice"
+            )
+            raise DataError(f"{path}: {told}")
+    if "frequency" not in of:
+        raise DataError(
+            f"{path}: no row or column `frequency [Hz]`; there are "
+            f"{', '.join(list(found)[:8]) or 'none'}"
+        )
+    there = [i for i, text in enumerate(found[of["frequency"]]) if text]
+    if not there:
+        raise DataError(f"{path}: no mode below `{of['frequency']}`")
+    number = {label: _cell_values([r[i] for i in there], label, path) for label, r in found.items()}
+    nothing = np.full(len(there), np.nan)
+    f, std_f, zeta, std_z = (
+        _scaled(number[of[k]].real, of[k], k) if k in of else nothing
+        for k in ("frequency", "std frequency", "damping", "std damping")
+    )
+    if not np.isfinite(f).all():
+        raise DataError(f"{path}: `{of['frequency']}`: frequencies must be finite")
+    if (known := zeta[np.isfinite(zeta)]).size and np.median(known) > _HIGH:
+        raise DataError(
+            f"{path}: `{of['damping']}`: {known[0]:g} of critical? What is in percent has [%] in "
+            "its title"
+        )
+    channels = tuple(label for label, kind in kinds.items() if not kind)
+    shapes = np.array([number[c] for c in channels]).reshape(len(channels), len(there))
+    order = np.argsort(f, kind="stable")
+    values = shapes[:, order] if shapes.imag.any() else shapes.real[:, order]
+    return (
+        ModeSet(f[order], zeta[order], values, channels, source=path.name),
+        std_f[order],
+        std_z[order],
+    )
+
+
+def write_mode_table(path: Path, modes: ModeSet, uncertainty: Uncertainty | None = None) -> None:
+    """Write modes as CSV, a column a mode."""
+    rows: list[list[str]] = [["mode", *(str(i + 1) for i in range(len(modes)))]]
+    rows.append(["frequency [Hz]", *_texts(modes.frequencies)])
+    rows.append(["damping [%]", *_texts(100 * modes.damping)])
+    if uncertainty is not None:
+        rows.append(["std frequency [Hz]", *_texts(uncertainty.frequency)])
+        rows.append(["std damping [%]", *_texts(100 * uncertainty.damping)])
+    rows += [[c, *_texts(row)] for c, row in zip(modes.channels, modes.shapes, strict=True)]
+    with atomic_write(path) as part, part.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file).writerows(rows)
+
+
+def _kind(label: str) -> str:
+    """What a row holds: frequency, damping, their standard deviations; empty for a channel."""
+    text = label.lower().strip()
+    spread = _SPREAD.match(text)
+    text = text[spread.end() :] if spread else text
+    kind = "frequency" if _FREQUENCY.match(text) else "damping" if _DAMPING.match(text) else ""
+    if spread and not kind:  # `± [Hz]`
+        kind = "damping" if "%" in text else "frequency" if "hz" in text else ""
+    return f"std {kind}" if spread and kind else kind
+
+
+def _scaled(values: Float, label: str, kind: str) -> Float:
+    """In Hz, or as a fraction."""
+    if kind.endswith("frequency"):
+        return values * hertz(label)
+    return values / 100 if "%" in label else values
+
+
+def _cell_values(texts: Sequence[str], label: str, path: Path) -> Complex:
+    return np.array([_cell_value(t, label, path) for t in texts], dtype=np.complex128)
+
+
+def _cell_value(text: str, label: str, path: Path) -> complex:
+    if not text:
+        return complex(np.nan)
+    plain = text if "." in text else text.replace(",", ".")
+    try:
+        value = complex(
+            re.sub(r"[\s()*]", "", plain.lower()).replace("i", "j").replace("jnf", "inf")
+        )
+        if np.isinf(value):
+            raise ValueError(text)
+        return value
+    except ValueError as exc:
+        raise DataError(
+            f"{path}: {label} is {text!r}; it must be a number, such as 0.12 or 0.1+0.2j"
+        ) from exc
+
+
+def _texts(values: Float | Complex) -> list[str]:
+    """Cells; empty where there is no number."""
+    form = f".{_DIGITS}g"
+    return [f"{x:{form}}".strip("()") if np.isfinite(x) else "" for x in values.tolist()]

@@ -1,0 +1,410 @@
+"""Records as arrays: .npy, HDF5 files of others, MATLAB (v4 to v7.3) and WAVE."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from scipy import sparse
+from scipy.io import savemat
+
+from ringtrue.core.arrays import Int
+from ringtrue.core.signals import TimeHistory
+from ringtrue.errors import DataError, did_you_mean
+from ringtrue.io.files import atomic_write
+from ringtrue.io.foreign.arrays import read_npy as read_array
+from ringtrue.io.foreign.door import read_apart
+from ringtrue.io.foreign.parsers import is_hdf5, open_hdf5, read_wave
+from ringtrue.io.record_table import (
+    SAME_RATE,
+    RawTable,
+    columns_first,
+    is_time,
+    named_rate,
+    numbered,
+    time_grid,
+    without_time,
+)
+from ringtrue.io.si import known
+from ringtrue.io.times import LONG
+
+_CHECKED, _PACKED = (
+    1 << 26,
+    1000,
+)  # bytes above which, and the compression up to which, a size is believed
+
+
+def read_npy(path: Path) -> RawTable:
+    """A NumPy array (sample, channel), or (sample,); more channels than samples are taken for
+    (channel, sample).
+    """
+    a = read_array(path)
+    if a.ndim not in (1, 2) or a.dtype.kind not in "fiu":
+        raise DataError(f"{path}: array {a.shape} {a.dtype}; it must be (sample, channel) and real")
+    a = a.T if a.ndim == 2 and a.shape[1] > a.shape[0] > 0 else a
+    data = np.array(
+        np.atleast_2d(a.T), dtype=a.dtype if a.dtype.kind == "f" else np.float64, order="C"
+    )
+    return without_time(numbered(data, None), path)
+
+
+def h5_table(file: h5py.Group, path: Path) -> tuple[h5py.Dataset, float | None, Int | None]:
+    """The 2-D data set of samples of an HDF5 file of others, unread, the rate, and places as of
+    `even_grid`.
+
+    It is the only long one, or the first where none is long.
+
+    Raises
+    ------
+    DataError
+        If there is none, there are several long ones, or it announces far more than the file holds.
+    """
+    found: list[h5py.Dataset] = []
+    file.visititems(
+        lambda _, o: found.append(o) if isinstance(o, h5py.Dataset) and o.ndim == 2 else None
+    )
+    if not found:
+        raise DataError(f"{path}: no 2-D data set in the file")
+    long = [
+        d for d in found if d.dtype.kind in "fiu" and max(d.shape) >= max(LONG, 4 * min(d.shape))
+    ]
+    if len(long) > 1:
+        told = "; ".join(f"{d.name.lstrip('/')} {d.shape}" for d in long[:8])
+        raise DataError(
+            f"{path}: several tables of samples ({told}): choose one with group (--group NAME)"
+        )
+    data = (long or found)[0]
+    check_stored(data, path)
+    attrs = _attributes(file.file, file, data.parent, data)
+    scalars = {
+        k.lower(): v[()] for k, v in file.items() if isinstance(v, h5py.Dataset) and v.size == 1
+    }
+    beside = {
+        k: v for k, v in data.parent.items() if isinstance(v, h5py.Dataset) and v.name != data.name
+    }
+    times = {k: v[()] for k, v in beside.items() if v.size == max(data.shape) and is_time(k)}
+    return data, *time_grid(times, max(data.shape), path, named_rate({**scalars, **attrs}))
+
+
+def read_h5_table(file: h5py.Group, path: Path, group: str = "") -> RawTable:
+    """The 2-D data set of samples of an HDF5 file of others, or all vectors of one length if there
+    is none.
+
+    With `group`, the path of a group or of a data set, what stands there alone.
+    """
+    if group:
+        return _h5_part(file, path, group)
+    if (table := _h5_vectors(file, path)) is not None:
+        return table
+    data, rate, rows = h5_table(file, path)
+    return without_time(replace(numbered(columns_first(data[()], path), rate), rows=rows), path)
+
+
+def _h5_part(file: h5py.Group, path: Path, group: str) -> RawTable:
+    part = file.get(group.strip("/"))
+    if part is None:
+        every: list[str] = []
+        file.visit(every.append)
+        raise DataError(f"{path}: no group {group!r}{did_you_mean(group, every)}")
+    if isinstance(part, h5py.Group):
+        return read_h5_table(part, path)
+    check_stored(part, path)
+    rate = named_rate(_attributes(file, part.parent, part))
+    return without_time(numbered(columns_first(part[()], path), rate), path)
+
+
+def _h5_vectors(file: h5py.Group, path: Path) -> RawTable | None:
+    """A file of one vector a channel; None if it has a 2-D data set or no vectors."""
+    every: dict[str, h5py.Dataset] = {}
+    file.visititems(
+        lambda name, o: every.update({name: o}) if isinstance(o, h5py.Dataset) and o.ndim else None
+    )
+    one = {k: v for k, v in every.items() if v.ndim == 1 and v.dtype.kind in "fiu" and v.size > 1}
+    if not one or any(v.ndim == 2 for v in every.values()):
+        return None
+    for v in one.values():
+        check_stored(v, path)
+    samples = max(v.size for v in one.values())
+    short = {k.rpartition("/")[2]: v[()] for k, v in one.items() if v.size == samples}
+    told = [_attributes(v.parent, v) for v in one.values() if v.size == samples]
+    rates = [rate for each in told if (rate := named_rate(each))]
+    if rates and max(rates) > (1 + SAME_RATE) * min(rates):
+        raise DataError(
+            f"{path}: {min(rates):g} to {max(rates):g} Hz: choose one of the groups (--group NAME)"
+        )
+    attrs = {k: v for each in (_attributes(file), *told) for k, v in each.items()}
+    scalars = {k.lower(): v[()] for k, v in every.items() if v.size == 1}
+    rate, rows = time_grid(short, samples, path, named_rate({**scalars, **attrs}))
+    signals = {
+        k: v for k, v in one.items() if v.size == samples and not is_time(k.rpartition("/")[2])
+    }
+    if not signals:
+        return None
+    table = numbered(np.stack([v[()].astype(np.float64) for v in signals.values()]), rate)
+    alone = len({v.parent.name for v in signals.values()}) == 1
+    names = tuple(k.rpartition("/")[2] if alone else k.replace("/", ".") for k in signals)
+    return replace(table, names=names, units=tuple(_unit(v) for v in signals.values()), rows=rows)
+
+
+def _attributes(*objects: h5py.Group | h5py.Dataset) -> dict[str, Any]:
+    """Attributes by their names in lower case, the last counts."""
+    return {k.lower(): v for o in objects for k, v in o.attrs.items()}
+
+
+def _unit(data: h5py.Dataset) -> str:
+    """Of an attribute `unit` or `units`; empty where there is none, or free text."""
+    told = next((v for k, v in data.attrs.items() if k.lower() in ("unit", "units")), "")
+    text = np.ravel(told)[0] if np.size(told) == 1 else ""
+    return known(text.decode("utf-8", "replace") if isinstance(text, bytes) else str(text))
+
+
+def h5_values(
+    path: Path, value: Callable[[str, h5py.Dataset], Any], kind: str = "HDF5"
+) -> dict[str, Any]:
+    """What `value(name, data set)` makes of the data sets of a file, by `group.name`; None is left
+    out.
+
+    Raises
+    ------
+    DataError
+        If the file is damaged.
+    """
+    found: dict[str, Any] = {}
+
+    def keep(name: str, item: object) -> None:
+        if isinstance(item, h5py.Dataset) and (kept := value(name, item)) is not None:
+            found[name.replace("/", ".")] = kept
+
+    with open_hdf5(path, f"{kind} file") as file:
+        file.visititems(keep)
+    return found
+
+
+def check_stored(data: h5py.Dataset, path: str | Path) -> None:
+    """Refuse a data set that announces far more samples than the file stores: its chunks are
+    missing or damaged.
+    """
+    size, stored = int(data.size) * data.dtype.itemsize, data.id.get_storage_size()
+    if size > _CHECKED and size > _PACKED * stored:
+        raise DataError(
+            f"{path}: {data.name} announces {size} bytes, {stored} are stored: the file is cut "
+            "or damaged"
+        )
+
+
+_PEEK = 1 << 16
+_NAMES = ("channels", "names", "labels", "channel_names", "ids", "name")
+_UNITS = ("units", "unit")
+_NAME, _UNIT = (
+    ("name", "signalname", "channelname"),
+    ("unit", "unit_string", "label"),
+)  # of one channel
+
+
+def read_mat(path: Path) -> RawTable:
+    """The largest real 2-D variable of a MATLAB file, also within a structure, or all vectors if
+    that is one.
+
+    The rate comes from `fs`, `rate` or `dt`, a vector `t` or `time`, or a first column that rises
+    in equal steps; names and units from cell arrays `channels` (or `names`, `labels`) and `units`
+    of as many texts as there are channels.
+
+    Raises
+    ------
+    DataError
+        If the file is damaged or holds no such variable.
+    """
+    values = mat_values(path)
+    arrays = [
+        v
+        for v in values.values()
+        if isinstance(v, np.ndarray) and v.ndim == 2 and v.dtype.kind in "fiu"
+    ]
+    if not arrays or max(a.size for a in arrays) < 2:
+        raise DataError(f"{path}: no real 2-D variable; there are {', '.join(values) or 'none'}")
+    short = {k.rpartition(".")[2]: v for k, v in values.items()}
+    largest = max(arrays, key=lambda a: a.size)
+    place = next(k for k, v in values.items() if v is largest)
+    samples = max(largest.shape)
+    rate, rows = time_grid(short, samples, path, named_rate(short))
+    if min(largest.shape) == 1 and len(vectors := _vectors(values, samples)) > 1:
+        table = numbered(np.stack([np.ravel(v).astype(np.float64) for v in vectors.values()]), rate)
+        table = replace(table, rows=rows)
+        told = tuple(_beside(values, k, _NAME) or k for k in vectors)
+        table = replace(table, names=told if len(set(told)) == len(told) else tuple(vectors))
+        table = replace(table, units=tuple(_beside(values, k, _UNIT) for k in vectors))
+    else:
+        table = without_time(replace(numbered(columns_first(largest, path), rate), rows=rows), path)
+        table = replace(table, units=(_beside(values, place, _UNIT),) * len(table.units))
+    names = texts(values, _NAMES, table.data.shape[0]) or table.names
+    units = tuple(known(u) for u in texts(values, _UNITS, table.data.shape[0]) or table.units)
+    return replace(table, names=names, units=units)
+
+
+def mat_values(path: Path) -> dict[str, Any]:
+    """The variables of a MATLAB file, fields of structures as `name.field`.
+
+    Raises
+    ------
+    DataError
+        If the file is damaged.
+    """
+    return _singly(
+        h5_values(path, _value_73, "MATLAB 7.3") if is_hdf5(path) else _flat(_read_5(path))
+    )
+
+
+def _singly(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Fields of an array of structures that holds numbers, each by itself: `ch_1.data`,
+    `ch_2.data`.
+    """
+    many = {k: v for k, v in values.items() if isinstance(v, np.ndarray) and v.dtype == object}
+    split = {
+        k.rpartition(".")[0]
+        for k, v in many.items()
+        if any(isinstance(x, np.ndarray) for x in v.flat)
+    }
+    out: dict[str, Any] = {}
+    for key, value in values.items():
+        stem, dot, field = key.rpartition(".")
+        if key not in many or not dot or stem not in split:
+            out[key] = value
+            continue
+        each = {f"{stem}_{i + 1}.{field}": x for i, x in enumerate(value.flat) if x is not None}
+        out |= _flat(each)
+    return out
+
+
+def _vectors(values: Mapping[str, Any], samples: int) -> dict[str, Any]:
+    """Variables that hold a channel each: vectors of so many samples, times left out."""
+    found = {
+        k: v
+        for k, v in values.items()
+        if getattr(v, "size", 0) == samples and v.dtype.kind in "fiu"
+    }
+    return {k: v for k, v in found.items() if not is_time(k.rpartition(".")[2])}
+
+
+def _beside(values: Mapping[str, Any], key: str, names: tuple[str, ...]) -> str:
+    """The text of such a name in the structure of a channel, or in that beside it:
+    `Channel_1_Data`, `_Header.Unit`.
+    """
+    stem = key.partition(".")[0] if "." in key else key.rpartition("_")[0]
+    found = [
+        v.strip()
+        for k, v in values.items()
+        if stem
+        and isinstance(v, str)
+        and re.match(rf"{re.escape(stem)}[._]", k)
+        and "x_values" not in k
+        if k.rpartition(".")[2].lower() in names
+    ]
+    return found[0] if len(set(found)) == 1 else ""
+
+
+def _value_73(name: str, item: h5py.Dataset) -> Any:
+    """Numbers, a text or a cell array of texts of a MATLAB 7.3 file; None for all else."""
+    if name.startswith("#"):
+        return None
+    if item.dtype.kind in "fiu":
+        return (
+            _text_73(item)
+            if item.attrs.get("MATLAB_class") == b"char" and item.size < _PEEK
+            else item[()]
+        )
+    if item.dtype.names == ("real", "imag"):
+        return (item["real"] + 1j * item["imag"]).T  # MATLAB's order of axes
+    if (
+        h5py.check_ref_dtype(item.dtype) and item.size < _PEEK
+    ):  # a cell array, or a field of an array of structures
+        cells = [item.file[r] for r in np.ravel(item[()])]
+        out = np.empty(len(cells), dtype=object)
+        out[:] = [
+            _value_73("", c) if isinstance(c, h5py.Dataset) and c.dtype.kind in "fiu" else None
+            for c in cells
+        ]
+        return out if any(x is not None for x in out) else None
+    return None
+
+
+def _text_73(item: h5py.Dataset) -> str:
+    return "".join(map(chr, np.ravel(item[()]).tolist()))
+
+
+def _read_5(path: Path) -> dict[str, Any]:
+    """Variables of levels 4 and 5; sparse matrices are no samples."""
+    found = read_apart("matlab", path, "MATLAB file")
+    return {name: value for name, value in found.items() if not sparse.issparse(value)}
+
+
+def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Fields of structures as `name.field`."""
+    out: dict[str, Any] = {}
+    for key, value in values.items():
+        out |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
+    return out
+
+
+def texts(values: Mapping[str, Any], names: tuple[str, ...], count: int) -> tuple[str, ...] | None:
+    """A cell array or char matrix of `count` texts under one of the names, given in small
+    letters.
+    """
+    for key, value in values.items():
+        if (
+            key.rpartition(".")[2].lower() in names
+            and isinstance(value, np.ndarray)
+            and value.size == count
+        ):
+            texts = [v if isinstance(v, str) else "" for v in value.ravel().tolist()]
+            if (all(texts) and len(set(texts)) == count) or key.rpartition(".")[
+                2
+            ].lower() in _UNITS:
+                return tuple(t.strip() for t in texts)
+    return None
+
+
+def write_mat(path: str | Path, history: TimeHistory) -> None:
+    """Write a record as MATLAB v5: `data` (sample, channel), `fs`, cell arrays `channels` and
+    `units`, `source`.
+
+    Raises
+    ------
+    DataError
+        If the record is longer than the format allows (2 GB).
+    """
+    if history.data.nbytes >= 2**31:
+        raise DataError(
+            f"{path}: {history.data.nbytes / 2**30:.3g} GB; MATLAB v5 holds 2 GB: write .h5"
+        )
+    content = {
+        "data": np.asarray(history.data).T,
+        "fs": history.rate,
+        "channels": np.array([c.id for c in history.channels], dtype=object),
+        "units": np.array([c.unit for c in history.channels], dtype=object),
+        "source": history.source,
+    }
+    with atomic_write(path) as part:
+        savemat(str(part), content, appendmat=False)
+
+
+def read_wav(path: Path) -> RawTable:
+    """The samples of a WAVE file, (channel, sample).
+
+    Raises
+    ------
+    DataError
+        If it is no WAVE file, compressed or damaged.
+    """
+    rate, samples = read_wave(path)
+    if samples.dtype.kind == "f":
+        values = samples.astype(samples.dtype.newbyteorder("="), copy=False)
+    elif samples.dtype.kind == "u":  # 8 bits: 128 is zero
+        values = (samples.astype(np.float64) - 128) / 128
+    else:
+        values = samples / 2.0 ** (8 * samples.dtype.itemsize - 1)
+    return numbered(np.ascontiguousarray(values.T), rate)

@@ -1,0 +1,248 @@
+"""Records in delimited text, with the rate, the clock and the count that loggers write."""
+
+from __future__ import annotations
+
+import csv
+import logging
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ringtrue.core.arrays import Float, Int
+from ringtrue.core.signals import TimeHistory
+from ringtrue.errors import DataError
+from ringtrue.io.delimited import (
+    BRACKETED_UNIT,
+    SECONDS_PER,
+    column_titles,
+    commented_titles,
+    header_rows,
+    numbers,
+    read_lines,
+    split_cells,
+    without_headers,
+)
+from ringtrue.io.files import atomic_write
+from ringtrue.io.record_table import TIME_NAMES, RawTable, numbered
+from ringtrue.io.si import known
+from ringtrue.io.times import even_grid, in_seconds, is_clock, seconds, without_repeated
+
+log = logging.getLogger(__name__)
+_TIMES = {
+    *TIME_NAMES,
+    "timestamp",
+    "datetime",
+    "date",
+    "datum",
+    "uhrzeit",
+    "elapsed",
+    "elapsed time",
+    "relative time",
+    "unix",
+    "epoch",
+    "time stamp",
+    "date time",
+    "date/time",
+    "datum uhrzeit",
+    "temps",
+    "tempo",
+    "tiempo",
+}
+_COUNTS = {
+    "sample",
+    "samples",
+    "index",
+    "idx",
+    "nr",
+    "no",
+    "no.",
+    "n",
+    "#",
+    "scan",
+    "record",
+    "point",
+    "count",
+}
+_NUMBER = r"(?P<x>\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)?)"
+_RATE = re.compile(
+    rf"(?:sampl\w*[\s_-]*(?:rate|freq\w*)|abtast(?:rate|frequenz)|scan[\s_-]*rate|\bfs\b|^\W*rate\b)[^\d]{{0,24}}?{_NUMBER}\s*(?P<k>k)?",
+    re.IGNORECASE,
+)
+_STEP = re.compile(
+    rf"(?:sampl\w*[\s_-]*(?:interval|period)|abtastintervall|\bdelta[\s_-]?t\b|\bdt\b)[^\d]{{0,24}}?{_NUMBER}\W*(?P<u>ms|us|µs|s)?\b",
+    re.IGNORECASE,
+)
+_COUNTED = 0.9  # share of the lines that go on from the one before
+_COARSE = 1e-3  # relative deviation of a rate from times written with few digits
+
+
+def read_csv(path: Path) -> RawTable:
+    """Delimited text, a column for each channel; a column of times or a line above the samples
+    gives the rate.
+
+    A header such as `101+Z [m/s^2]` gives name and unit. Delimiters `, ; tab space`; decimal
+    commas, dates, quotes, D exponents and empty cells (not a number) are understood.
+    """
+    told, lines, delimiter, comma = read_lines(path)
+    width = len(split_cells(lines[-1], delimiter))
+    top = header_rows(lines, delimiter, comma, width)
+    head = [split_cells(x, delimiter) for x in lines[:top]]
+    rows = without_headers(lines[top:], lines[:top], path)
+    body, clock = _clocked(rows, delimiter, path)
+    data = (
+        numbers(body, delimiter, comma, path)
+        if body and width > clock
+        else np.empty((0, len(body)))
+    )
+    names = column_titles(head, width, path) if head else commented_titles(told, delimiter, width)
+    if names and len(names) - clock != len(data):
+        raise DataError(f"{path}: {len(names) - clock} names in the header, {len(data)} columns")
+    rate = _told_rate([*told, *lines[:top]])
+    if clock:
+        t, data = without_repeated(_clock_times(rows, delimiter, clock, path), data, path)
+        by_clock, places = _rate_of(t, path)
+        data, names = _without_count(data, names[clock:])
+        return replace(_named(data, names, by_clock or rate), rows=places)
+    return _with_time(data, names, rate, path)
+
+
+def _clocked(lines: Sequence[str], delimiter: str, path: Path) -> tuple[Sequence[str], int]:
+    """The lines without the dates and times of day that stand first, and how many columns these
+    take.
+    """
+    if not lines:
+        return lines, 0
+    cells = split_cells(lines[0], delimiter)
+    clock = next((k for k, x in enumerate(cells[:3]) if not is_clock(x)), min(len(cells), 3))
+    if clock > 2 or not clock:
+        return lines, 0
+    out = []
+    for k, line in enumerate(lines):
+        rest = line.split(None if delimiter == " " else delimiter, clock)
+        if len(rest) <= clock:
+            raise DataError(f"{path}: row {k} of the samples has {len(rest)} cells: {line[:60]!r}")
+        out.append(rest[clock])
+    return out, clock
+
+
+def _clock_times(lines: Sequence[str], delimiter: str, columns: int, path: Path) -> Float:
+    """Seconds (row,) of lines that begin with dates and times of day."""
+    texts = [
+        " ".join(x.split(None if delimiter == " " else delimiter, columns)[:columns]) for x in lines
+    ]
+    try:
+        return seconds([x.replace('"', "") for x in texts])
+    except ValueError as exc:
+        raise DataError(f"{path}: {exc}") from exc
+
+
+def _rate_of(t: Float, path: Path) -> tuple[float | None, Int | None]:
+    """The rate of times that are even but for their rounding to whole seconds or less; as
+    `even_grid`.
+    """
+    if (
+        t.size > 2
+        and (np.diff(t) >= 0).all()
+        and (np.diff(t) == 0).any()
+        and (np.round(t) == t).all()
+    ):
+        step = float(np.polyfit(np.arange(t.size) / t.size, t, 1)[0]) / t.size
+        even = np.abs(t - t[0] - step * np.arange(t.size)).max() < 1.5
+        return (
+            1 / step if even and step > 0 and 1 / (t.size**1.5 * step) < _COARSE else None
+        ), None
+    return even_grid(t, True, path)
+
+
+def _told_rate(lines: Sequence[str]) -> float | None:
+    """The rate that a line above the samples tells, Hz."""
+    for line in lines:
+        if found := _RATE.search(line):
+            return float(found["x"].replace(",", ".")) * (1e3 if found["k"] else 1.0) or None
+        if (found := _STEP.search(line)) and (step := float(found["x"].replace(",", "."))) > 0:
+            return 1 / (step * SECONDS_PER[(found["u"] or "s").lower()])
+    return None
+
+
+def _without_count(data: Float, names: list[str]) -> tuple[Float, list[str]]:
+    """Columns and names without a first one that numbers the lines, from one on or from where the
+    logger was.
+    """
+    count = (
+        len(data) > 1
+        and bool(names)
+        and names[0].lower() in _COUNTS
+        and np.mean(np.diff(data[0]) == 1) > _COUNTED
+    )
+    return (data[1:], names[1:]) if count else (data, names)
+
+
+def _with_time(data: Float, names: Sequence[str], told: float | None, path: Path) -> RawTable:
+    """The table without columns of times and counts, with the rate that they or the lines above
+    tell.
+    """
+    keep = np.asarray(~np.isnan(data).all(axis=1))
+    data, names = data[keep], [n for n, k in zip(names, keep, strict=True) if k] if names else []
+    if not len(data):
+        raise DataError(f"{path}: empty, there are no samples")
+    first = names[0].lower() if names else ""
+    title = BRACKETED_UNIT.match(first) or re.match(r"^(.*?)[\s_](ms|us|µs|ns|s)$", first)
+    named = first in _TIMES or (title is not None and title[1].strip() in _TIMES)
+    count = (
+        not named and len(data) > 1 and data.shape[1] > 2 and bool((np.diff(data[0]) == 1).all())
+    )
+    if first in _COUNTS or (count and data[0, 0] in (0, 1)):
+        return _with_time(data[1:], names[1:], told, path) if count else _named(data, names, told)
+    if len(data) < 2 and not named:
+        return _named(data, names, told)
+    t = in_seconds(data[0] * SECONDS_PER.get(title[2].strip(), 1.0) if title else data[0])
+    t, data = without_repeated(t, data, path) if named else (t, data)
+    rate, rows = _rate_of(t, path) if named else even_grid(t, False, path)
+    if rate is None and not named:
+        return _named(data, names, told)
+    again = np.array([bool((row == data[0]).all()) for row in data])  # a time for each channel
+    rest = [n for n, a in zip(names, again, strict=True) if not a] if names else []
+    return replace(_named(data[~again], rest, rate or told), rows=rows)
+
+
+def _named(data: Float, names: Sequence[str], rate: float | None) -> RawTable:
+    """A table with names and units from titles such as `101+Z [m/s^2]`; brackets that hold no unit
+    stay in the name.
+    """
+    if not names:
+        return numbered(data, rate)
+    pairs = [
+        m if (m := BRACKETED_UNIT.match(n)) and (known(m[2]) or not m[2].strip()) else None
+        for n in names
+    ]
+    return RawTable(
+        data,
+        rate,
+        tuple(p[1] if p else n for p, n in zip(pairs, names, strict=True)),
+        tuple(p[2] if p else "" for p in pairs),
+        ("",) * len(names),
+    )
+
+
+def write_csv(path: str | Path, history: TimeHistory) -> None:
+    """Write a record as CSV: a column `time` (s), then one a channel with a header `101+Z [m/s^2]`,
+    9 digits.
+    """
+    head = ["time", *(f"{c.id} [{c.unit}]" if c.unit else c.id for c in history.channels)]
+    block = 1 << 14
+    with atomic_write(path) as part, part.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerow(head)
+        for at in range(
+            0, history.data.shape[1], block
+        ):  # so that the text is never whole in memory
+            part_data = np.asarray(history.data[:, at : at + block], dtype=np.float64)
+            t = (at + np.arange(part_data.shape[1])) / history.rate
+            np.savetxt(
+                file,
+                np.vstack([t, part_data]).T,
+                fmt=["%.12g", *["%.9g"] * len(part_data)],
+                delimiter=",",
+            )

@@ -1,0 +1,257 @@
+"""The system, its tests, the deck, the signals and the FRFs."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ringtrue.core.arrays import Float
+from ringtrue.core.testmodel import TestModel
+from ringtrue.core.units import UNIT_SYSTEMS
+from ringtrue.plots import scene
+from ringtrue.plots import signals as plots
+from ringtrue.report.parts import (
+    Block,
+    Columns,
+    Fold,
+    Heading,
+    Items,
+    Plot,
+    Scene3D,
+    Section,
+    Table,
+    Tabs,
+    Text,
+    fixed,
+    number,
+    plain,
+    sentence,
+    signs,
+)
+from ringtrue.report.stages import Stages
+from ringtrue.study.results import ModelStage, RecordSummary
+
+
+def survey(data: Stages) -> Section | None:
+    """The system in words and numbers, the tests in a table."""
+    blocks: list[Block] = [Text(p.strip()) for p in data.system_text.split("\n\n") if p.strip()]
+    if data.model is not None:
+        blocks.append(_system(data.model, data.computed))
+    if data.identify is not None and data.identify.records:
+        blocks += [Heading("Tests"), *_tests(data.identify.records)]
+    return Section("survey", "System and tests", blocks) if blocks else None
+
+
+def _system(model: ModelStage, computed: Float) -> Table:
+    length, (mass, unit) = UNIT_SYSTEMS[model.units].length, weight(model)
+    x, y, z = (fixed(float(v) * length, 2) for v in model.cg)
+    inertia = np.diag(model.inertia) * length**2 * (mass / model.mass if model.mass else 1.0)
+    rows = [
+        *([("Model", model.title, "")] if model.title else []),
+        ("Mass", number(mass, 4), unit),
+        ("Centre of gravity x, y, z", f"{x}, {y}, {z}", "m"),
+        (
+            "Moments of inertia xx, yy, zz",
+            ", ".join(number(float(v), 4) for v in inertia),
+            f"{unit}·m²",
+        ),
+        ("Nodes; degrees of freedom", f"{model.nodes:,}; {model.dof:,}".replace(",", "\u202f"), ""),
+        ("Modes computed", _span(computed), "Hz"),
+    ]
+    return Table(("|Quantity", "|Value", "|Unit"), rows, "The system as modelled.")
+
+
+def weight(model: ModelStage) -> tuple[float, str]:
+    """The mass in t, or in kg below one."""
+    kg = model.mass * UNIT_SYSTEMS[model.units].kilograms
+    return (kg / 1000, "t") if kg >= 1000 else (kg, "kg")
+
+
+def _span(f: Float) -> str:
+    return f"{f.size}, {number(float(f[0]), 3)} to {number(float(f[-1]), 4)}" if f.size else "0"
+
+
+HEADS = ("|Test", "|Record", "|Excitation", "Channels", "Rate, Hz", "Length, min")
+
+
+def _tests(records: tuple[RecordSummary, ...]) -> list[Block]:
+    """All records; those of a roving test by setup, and one by one in a fold."""
+    setups: dict[tuple[str, str], list[RecordSummary]] = {}
+    for r in records:
+        setups.setdefault((r.test, r.setup or r.name), []).append(r)
+    roving = [[r] for mine in setups.values() if len(mine) > 1 for r in mine]
+    out = _listed(list(setups.values()), "The records of the tests.")
+    if roving:
+        out.append(
+            Fold(f"The {len(roving)} records of the setups", _listed(roving, "Records one by one."))
+        )
+    return out
+
+
+def _listed(parts: list[list[RecordSummary]], caption: str) -> list[Block]:
+    """A row a part, one record or a setup of several, and below what is to be said of which: notes
+    are long.
+    """
+    told: dict[str, list[str]] = {}
+    for mine in parts:
+        for note in _test_notes(mine):
+            told.setdefault(note, []).append(_name(mine))
+    notes = [f"{'; '.join(names)}: {note}" for note, names in told.items()]
+    table = Table(HEADS, [_test_row(mine) for mine in parts], caption)
+    return [table, Items(notes)] if notes else [table]
+
+
+def _test_row(mine: list[RecordSummary]) -> tuple[str, ...]:
+    first, minutes = mine[0], sum(r.duration for r in mine) / 60
+    return (
+        first.test,
+        _name(mine),
+        first.excitation,
+        str(first.channels),
+        plain(first.rate),
+        fixed(minutes, 1),
+    )
+
+
+def _name(mine: list[RecordSummary]) -> str:
+    name = mine[0].name if len(mine) == 1 else f"setup {mine[0].setup}, {len(mine)} records"
+    return name.replace("-", "\u2011")
+
+
+def _test_notes(mine: list[RecordSummary]) -> list[str]:
+    notes = Counter(n for r in mine for n in r.notes)
+    return [n if k == 1 else f"{n} ({k} records)" for n, k in notes.items()]
+
+
+def model(data: Stages) -> Section | None:
+    """Deck, 3D view with the sensors, modes."""
+    if data.model is None:
+        return None
+    m, test = data.model, data.test
+    kinds = (
+        scene.channel_kinds(data.plan.references, data.plan.ambient)
+        if data.plan is not None
+        else {}
+    )
+    blocks: list[Block] = [Scene3D(scene.model(m.scene, test, kinds), _caption(test))]
+    cards = Table(
+        ("|Card", "Count"),
+        [(k, str(v)) for k, v in sorted(m.cards.items())],
+        "Cards of the deck.",
+        scroll=True,
+    )
+    blocks.append(Columns([[_mode_table(data.computed, m.residuals)], [cards]]))
+    blocks.append(
+        Text(
+            f"Files: {', '.join(Path(f).name for f in m.files)} (units {m.units}). "
+            f"{sentence(m.proof)}",
+            "note",
+        )
+    )
+    if m.findings:
+        blocks.append(
+            Items([_by_name(f, m.files) for f in m.findings], "Findings of the deck check")
+        )
+    title = "Finite element model and sensors" if test is not None else "Finite element model"
+    return Section("model", title, blocks)
+
+
+def _by_name(finding: str, files: Sequence[str]) -> str:
+    """A finding with the name of its file in place of the whole path."""
+    for f in files:
+        finding = finding.replace(f"{f}:", f"{Path(f).name}:")
+    return finding
+
+
+def _caption(test: TestModel | None) -> str:
+    text = "The model by part"
+    if test is not None:
+        text += f", with {len(test.channels)} channels at {test.points.size} points"
+        text += "; arrows point in the positive reading"
+    return text + ". Drag to turn, shift-drag to move, click and use the wheel to zoom."
+
+
+def _mode_table(frequencies: Float, residuals: Float) -> Table:
+    told = [
+        *(number(r, 2) for r in residuals.tolist()),
+        *["–"] * (frequencies.size - residuals.size),
+    ]
+    rows = [(str(i + 1), number(f, 4), told[i]) for i, f in enumerate(frequencies.tolist())]
+    return Table(
+        ("#", "Frequency, Hz", "Residual"),
+        rows,
+        "Modes of the initial deck, relative residual norm.",
+        scroll=True,
+    )
+
+
+def signal_section(data: Stages) -> Section | None:
+    """Time previews and spectra of every record; of a roving test those of the first setup."""
+    if data.identify is None or not data.identify.records:
+        return None
+    groups: dict[str, list[RecordSummary]] = {}
+    for r in data.identify.records:
+        groups.setdefault(r.test, []).append(r)
+    tabs = [(name, _test(records)) for name, records in groups.items()]
+    return Section("signals", "Signals", tabs[0][1] if len(tabs) == 1 else [Tabs(tabs)])
+
+
+def _test(records: list[RecordSummary]) -> list[Block]:
+    out = [_record(r) for r in records if r.preview_channels]
+    setups = list(dict.fromkeys(r.setup for r in records))
+    if len(setups) > 1:
+        told = (
+            f"Setup {setups[0]} of {', '.join(setups[:-1])} and {setups[-1]}; all of them are "
+            "in the list of tests."
+        )
+        return [Text(told, "note"), *out]
+    return out
+
+
+def _record(r: RecordSummary) -> Block:
+    text = f"{r.name}, {r.excitation}: time preview and power spectral density."
+    return Plot(plots.record(r, r.unit.replace("^2", "²")), text)
+
+
+def frf_section(data: Stages) -> Section | None:
+    """All FRFs and the CMIF."""
+    ident = data.identify
+    if ident is None or ident.frfs is None:
+        return None
+    frfs = ident.frfs
+    marks = ident.hammer.frequencies if ident.hammer is not None else np.empty(0)
+    count = f"{len(frfs.outputs)} responses × {len(frfs.inputs)} references"
+    top = 1.6 * float(marks.max()) if marks.size else float(frfs.freqs[-1])
+    caption = (
+        f"Imaginary parts of all {len(frfs.outputs) * len(frfs.inputs)} FRFs ({count}) and the "
+        "complex mode "
+        "indicator function; dotted: identified modes."
+    )
+    if top < frfs.freqs[-1]:
+        caption += f" Measured to {plain(float(frfs.freqs[-1]))} Hz, drawn to {number(top, 3)} Hz."
+    blocks: list[Block] = [Plot(plots.frfs(frfs, ident.cmif, marks, top), caption)]
+    if ident.frf_notes:
+        blocks.append(Items(ident.frf_notes, "Notes"))
+    if ident.synthesis_error.size:
+        middle, worst = np.nanmedian(ident.synthesis_error), np.nanmax(ident.synthesis_error)
+        text = (
+            "The FRFs synthesised from the identified modes differ from the measured ones by "
+            f"{100 * middle:.1f} % "
+        )
+        blocks.append(
+            Text(
+                text
+                + f"in the median and {100 * worst:.1f} % at worst (relative norm over the band)."
+            )
+        )
+    if ident.rejected_hits:
+        blocks.append(
+            Items(
+                [signs(h) for h in ident.rejected_hits],
+                f"Rejected hits ({len(ident.rejected_hits)})",
+            )
+        )
+    return Section("frfs", "Frequency response functions", blocks)

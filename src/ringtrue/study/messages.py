@@ -1,0 +1,386 @@
+"""The sentences that a run shows: modes, pairs, factors, and what to look at."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ringtrue.core.arrays import Float
+from ringtrue.correlation.table import CorrelationTable
+from ringtrue.study.acceptance import in_both
+from ringtrue.study.placing import seat_words
+from ringtrue.study.results import (
+    CompareStage,
+    ConfigurationsStage,
+    CorrelateStage,
+    Evidence,
+    FinalStage,
+    IdentifyStage,
+    LocaliseStage,
+    PlanStage,
+    TuneStage,
+    UncertaintyStage,
+    UpdateStage,
+)
+
+MEND = (
+    "see such a channel's row in the sensor sheet (direction, place, unit); [test] leave_out "
+    "= [...] leaves it out"
+)
+
+LEAST_SEEN = 0.5  # of what the typical point sees of a mode
+
+NO_CHANGE = (
+    "no change of the candidates pays for its parameters (AICc): nothing is proposed, and the "
+    "deck is delivered as it "
+    "is; first look for what is wrong with the pairs, the sensors, the mesh or the form of the "
+    "model"
+)
+
+
+def run_messages(r: Mapping[str, Any]) -> tuple[str, ...]:
+    """Modes found, pairs and deviations before and after, what was changed, and channels that look
+    wrong.
+
+    Parameters
+    ----------
+    r : mapping of str to a stage's result
+        As far as the study was run.
+    """
+    identify, correlate, final = r.get("identify"), r.get("correlate"), r.get("final")
+    out = (
+        [_mode_counts(identify), *identify.merge_notes, *_at_fault(identify)]
+        if identify is not None
+        else []
+    )
+    if correlate is not None:
+        out += [m.text for m in correlate.mendings]
+        out += _mended_tests(r.get("configurations"))
+        out += [*seat_words(correlate.seats), *correlate.gaps, *_pairs(correlate, final)]
+    sensitivity, chosen = r.get("sensitivity"), r.get("update")
+    if sensitivity is not None and chosen is not None:
+        out += held_sentences(sensitivity.held.get(chosen.sets[chosen.chosen].name, {}))
+    lacking = _added_masses(r)
+    known: UncertaintyStage | None = r.get("uncertainty")
+    for name, a, std in _factors(r):
+        within = _interval(known, name)
+        out.append(
+            _added_mass(name, lacking[name], a, std, within)
+            if name in lacking
+            else _factor_sentence(name, a, std, within)
+        )
+    if known is not None:
+        out += _doubts(known)
+    if correlate is not None and final is not None:
+        line = worse_frequencies(*_in_both_deviations(correlate.remodelled, final.table, used=True))
+        out += [line] if line else []
+    update, localise = r.get("update"), r.get("localise")
+    beside = (
+        [f"{d.name}: {line}" for d in update.data for line in seat_words(d.seats)]
+        if update is not None
+        else []
+    )
+    out += beside
+    if update is not None and (
+        line := discrepancy_sentence(update.sets[update.chosen].discrepancy.tolist())
+    ):
+        out.append(line)
+    alone = update is not None and update.sets[update.chosen].name == "proposal"
+    if alone and localise is not None and not localise.proposal.members:
+        out.append(NO_CHANGE)
+    evidence = (
+        final.evidence
+        if final is not None
+        else correlate.evidence
+        if correlate is not None
+        else None
+    )
+    return (*out, *_suspects(evidence, r.get("compare")))
+
+
+def _mended_tests(found: ConfigurationsStage | None) -> list[str]:
+    """Other mountings of the sensors of other configurations that explain their tests better."""
+    return (
+        [f"configuration {c.name}: {m.text}" for c in found.items for m in c.mendings]
+        if found is not None
+        else []
+    )
+
+
+def held_sentences(held: Mapping[str, Sequence[str]]) -> list[str]:
+    """Candidates that are held at the deck's values, with those that stand for them."""
+    return [
+        f"{name} is held at the deck's value: the data cannot tell it from {', '.join(by)}, which "
+        f"{'stand' if len(by) > 1 else 'stands'} for it; one candidate with the targets of both "
+        "changes them together"
+        for name, by in held.items()
+    ]
+
+
+def _doubts(known: UncertaintyStage) -> list[str]:
+    """Parameters that the test does not prove, and what is not plausible of the others."""
+    names = [
+        n
+        for n, open_ in zip(known.posterior.parameters.names, known.unproven, strict=True)
+        if open_
+    ]
+    why = "may take up an error of the model's form, or are known only together with others"
+    out = [f"not proven by the test, {why}: {', '.join(names)}"] if names else []
+    return [*out, *(f.text for f in known.flags if f.parameter not in names)]
+
+
+def discrepancy_sentence(discrepancy: Sequence[float]) -> str:
+    """What an updating took for the deviations, of a frequency (relative) and of 1 − MAC, that its
+    best model keeps.
+    """
+    parts = [
+        f"{100 * x:.2g} % of {what}"
+        for x, what in zip(discrepancy, ("frequency", "MAC"), strict=True)
+        if x > 0
+    ]
+    return f"deviations that the model is taken to keep: {' and '.join(parts)}" if parts else ""
+
+
+def lost_points_sentence(plan: PlanStage) -> str:
+    """What a plan still tells of the modes when the worst of its points fail."""
+    what = "the most important point" if plan.lost == 1 else f"any {plan.lost} points"
+    return (
+        f"without {what} {100 * plan.left_by_loss:.0f} % of the information about any mode is left"
+    )
+
+
+def missed_modes(plan: PlanStage) -> list[str]:
+    """Target modes that the references miss: those that more of them could reach, and those that
+    none could.
+    """
+    said = {
+        "the references miss mode {}: strike at more points": plan.missed & ~plan.hopeless,
+        "no point that can be struck moves enough in mode {}: name others": plan.missed
+        & plan.hopeless,
+    }
+    numbers = {
+        text: (plan.target_modes[np.flatnonzero(at)] + 1).tolist() for text, at in said.items()
+    }
+    return [text.format(", ".join(map(str, modes))) for text, modes in numbers.items() if modes]
+
+
+def setup_sentences(plan: PlanStage) -> list[str]:
+    """How the sensors at hand are moved, the modes that cannot be joined well, and those that their
+    mass shifts.
+    """
+    if (found := plan.setups) is None:
+        return []
+    at_once = found.references.size + max(found.roving(k).size for k in range(found.count))
+    lines = [
+        f"{found.count} setups of up to {at_once} sensors; those at "
+        f"{' '.join(map(str, plan.roving(-1)))} stay"
+    ]
+    names = np.array([str(k + 1) for k in plan.target_modes.tolist()])
+    if (dim := found.seen < LEAST_SEEN).any():
+        lines.append(
+            f"the sensors that stay hardly see mode {', '.join(names[dim])}: strike elsewhere or "
+            "take more sensors"
+        )
+    if (moved := found.shift > plan.damping).any():
+        worst = int(np.nanargmax(found.shift))
+        lines.append(
+            f"moving the sensors shifts mode {', '.join(names[moved])} by more than half its "
+            "resonance is wide (mode "
+            f"{names[worst]} by {100 * found.shift[worst]:.2g} %): rove with the hammer, or "
+            "leave dummy masses"
+        )
+    return lines
+
+
+def validity_sentence(band: tuple[float, float]) -> str:
+    """How far a prediction may be believed, Hz."""
+    low, high = band
+    if high <= 0:
+        return (
+            "the model is validated nowhere: it does not hold the lowest mode of the test; "
+            "mend it, or leave that out"
+        )
+    return f"the model is validated from {low:.4g} to {high:.4g} Hz; beyond, no test has checked it"
+
+
+def worse_frequencies(before: Float, after: Float) -> str:
+    """That an updating has made frequencies worse; nothing where it has not by a hundredth of a
+    percent.
+
+    Parameters
+    ----------
+    before, after : (n,) float64
+        Deviations in percent of the used modes that have a partner in both.
+    """
+    a, b = (round(float(np.abs(x).mean()), 2) if x.size else 0.0 for x in (before, after))
+    if b <= a:
+        return ""
+    return (
+        f"the updating made frequencies worse: mean |Δf| of the {before.size} used modes paired "
+        "before and after "
+        f"{a:.2f} -> {b:.2f} %. Shapes or other data were fitted at their cost; look at the "
+        "pairs first, then weigh "
+        "the shapes less ([update] shape_weight)"
+    )
+
+
+def _suspects(evidence: Evidence | None, tests: CompareStage | None) -> list[str]:
+    """Channels that contradict the model, and others that ambient and hammer test do not agree
+    on.
+    """
+    found = evidence.measures.suspects if evidence is not None else ()
+    out = [f"channel {s.channel} looks {s.fault}: {s.message}" for s in found]
+    more = (
+        tests.evidence.measures.suspects if tests is not None and tests.evidence is not None else ()
+    )
+    named = {s.channel for s in found}
+    out += [
+        f"channel {s.channel} looks {s.fault} in the ambient against the hammer test: {s.message}"
+        for s in more
+        if s.channel not in named
+    ]
+    return [*out, MEND] if out else []
+
+
+def _at_fault(identify: IdentifyStage) -> list[str]:
+    """What records and FRFs say of their channels, once for each of these."""
+    notes: dict[str, list[str]] = {}
+    for name, said in (
+        *((f"{r.name}: ", r.notes) for r in identify.records),
+        ("", identify.frf_notes),
+    ):
+        for note in said:
+            if note.startswith("channel "):
+                notes.setdefault(note.partition(":")[0], []).append(name + note)
+    return [first + _more(len(rest)) for first, *rest in notes.values()]
+
+
+def _more(notes: int) -> str:
+    return f" ({notes} more note{'s' * (notes > 1)} on it)" if notes else ""
+
+
+def _mode_counts(identify: IdentifyStage) -> str:
+    parts = [f"{len(identify.ambient)} ambient modes"] if identify.ambient_records else []
+    if identify.hammer is not None:
+        parts.append(f"{len(identify.hammer)} modes of the {identify.source}")
+    return "; ".join(parts) or "no mode"
+
+
+def _pairs(correlate: CorrelateStage, final: FinalStage | None) -> list[str]:
+    tables = [
+        t for t in (correlate.initial, final.table if final is not None else None) if t is not None
+    ]
+    total = correlate.reference.frequencies.size
+    mac = ""
+    if not tables[0].frequency_only:
+        single = _arrow([f"{t.mean_mac():.1f}" for t in tables])
+        subspace = _arrow([f"{t.mean_subspace_mac():.1f}" for t in tables])
+        mac = f", mean MAC {single} %, mean subspace MAC {subspace} %"
+    out = [
+        f"pairs: {_arrow([str(len(t)) for t in tables])} of {total} test modes; mean |Δf| "
+        f"{_arrow([f'{t.mean_deviation():.2f}' for t in tables])} %{mac}"
+    ]
+    if final is not None and any((~t.used).any() for t in tables):
+        out.append(left_out_sentence(correlate.initial, final.table))
+    return out
+
+
+def _in_both_deviations(
+    before: CorrelationTable, after: CorrelationTable, *, used: bool
+) -> list[Float]:
+    """Deviations, %, of the modes that are `in_both`."""
+    return [
+        t.deviation_percent[w]
+        for t, w in zip((before, after), in_both(before, after, used=used), strict=True)
+    ]
+
+
+def left_out_sentence(before: CorrelationTable, after: CorrelationTable) -> str:
+    """How well the modes are met that the updating did not see, and which of them have a partner in
+    one table only.
+    """
+    both = _in_both_deviations(before, after, used=False)
+    out = "modes that the updating did not see: "
+    if both[0].size:
+        alone = both[0].size < max(int((~t.used).sum()) for t in (before, after))
+        means = _arrow([f"{np.abs(x).mean():.2f}" for x in both])
+        out += (
+            f"mean |Δf|{f' of the {both[0].size} paired before and after' if alone else ''} "
+            f"{means} %"
+        )
+    else:
+        out += "none paired before and after"
+    for when, t, other in (("before", before, after), ("after", after, before)):
+        only = ~t.used & ~np.isin(t.pairing.a, other.pairing.a)
+        each = [
+            f"{k + 1} ({x:+.1f} %)"
+            for k, x in zip(t.pairing.a[only], t.deviation_percent[only], strict=True)
+        ]
+        out += f"; paired {when} only: {', '.join(each)}" if each else ""
+    return out
+
+
+def _arrow(values: list[str]) -> str:
+    return " -> ".join(values)
+
+
+def _factors(r: Mapping[str, Any]) -> list[tuple[str, float, float]]:
+    """Name, factor and standard deviation of what was changed."""
+    update: UpdateStage | None = r.get("update")
+    tune: TuneStage | None = r.get("tune")
+    out: list[tuple[str, float, float]] = []
+    if update is not None:
+        best = update.sets[update.chosen]
+        known: UncertaintyStage | None = r.get("uncertainty")
+        std = best.std if known is None else known.posterior.relative
+        out += zip(best.parameters, best.factor.tolist(), (best.factor * std).tolist(), strict=True)
+    if tune is not None:
+        out += [(n, a, tune.std[n] * a) for n, a in tune.factors.items()]
+    return out
+
+
+def _interval(known: UncertaintyStage | None, name: str) -> tuple[float, float, float] | None:
+    """Level and ends of the interval of a factor: far wider than normal where few modes tell the
+    size of the errors.
+    """
+    if known is None or name not in known.posterior.parameters.names:
+        return None
+    low, high = known.posterior.interval[known.posterior.parameters.names.index(name)].tolist()
+    return known.level, low, high
+
+
+def _factor_sentence(
+    name: str, factor: float, std: float, within: tuple[float, float, float] | None
+) -> str:
+    digits = int(np.clip(1 - np.floor(np.log10(std)), 3, 6)) if np.isfinite(std) and std > 0 else 3
+    ends = (
+        f" ({100 * within[0]:g} %: {within[1]:.{digits}f} to {within[2]:.{digits}f})"
+        if within
+        else ""
+    )
+    return f"{name}: times {factor:.{digits}f} ± {std:.{digits}f}{ends}"
+
+
+def _added_masses(r: Mapping[str, Any]) -> dict[str, float]:
+    """Masses that the deck lacked and a factor of 2 adds, by the names of the parameters."""
+    found: LocaliseStage | None = r.get("localise")
+    return (
+        {p.name: p.lump for p in found.candidates.parameters.parameters if p.lump}
+        if found is not None
+        else {}
+    )
+
+
+def _added_mass(
+    name: str, total: float, factor: float, std: float, within: tuple[float, float, float] | None
+) -> str:
+    mass = f"{total * (factor - 1):.4g} ± {total * std:.2g}"
+    if within:
+        low, high = (total * max(a - 1, 0.0) for a in within[1:])
+        mass += f" ({100 * within[0]:g} %: {low:.3g} to {high:.3g})"
+    return (
+        f"{name}: {mass} (units of the deck); is a part left out there? The updated deck has "
+        "it as a CONM2"
+    )

@@ -1,0 +1,383 @@
+"""What the data can tell of each parameter, and which they cannot tell apart.
+
+Sensitivities are weighted and in units of the prior standard deviation
+(`selection_rules.weighted_sensitivities`): GᵀG is the information of the data, the unit matrix
+that of the prior. Collinearity by hierarchical clustering of the columns; Cramér-Rao bounds; the
+directions of the parameter space that the data do not see.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy import linalg
+from scipy.cluster.hierarchy import fcluster, linkage
+from scipy.spatial.distance import squareform
+
+from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
+from ringtrue.core.parameters import Parameter, ParameterSet
+from ringtrue.errors import InputError
+
+# |cosine| of two weighted sensitivity columns from which on the data cannot tell them apart
+ALIKE = 0.95
+EQUAL = 9  # decimals, of the largest, to which effects are compared: rounding must not choose
+# in standard deviations of the data: what a change by the prior's standard deviation does beyond
+# the other parameters, from which on the data share a change out between them, however weakly;
+# below it the prior alone does
+SAME = 0.01
+# singular value, in units of the prior, below which the prior says more of a direction than the
+# data
+BLIND = 1.0
+EDGE = 0.01  # of the range between the bounds
+BEYOND = 2.0  # prior standard deviations
+SILENT = 0.9  # posterior over prior standard deviation: the data said nothing
+SLIGHT = 0.05  # change of a factor that needs no proof
+TIED = 0.9  # |correlation| from which on two parameters are known together, not each by itself
+KEPT = 0.5  # share of a change that should be there whatever modes are left out
+Kind = Literal["bound", "prior", "silent", "form"]
+# relative shift of a frequency: half of the last digit in which deviations are stated (0.01 %)
+STILL = 5e-5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Identifiability:
+    """Standard deviations of x in units of the prior's.
+
+    Attributes
+    ----------
+    alone : (p,) float64
+        Posterior, all others known: the best that the data can do.
+    together : (p,) float64
+        Posterior, all candidates free.
+    bound : (p,) float64
+        Cramér-Rao without a prior, all candidates free; infinite where the data leave a direction
+        open.
+    inflation : (p,) float64
+        bound² over that with all others known: what the others cost (variance inflation factor).
+    """
+
+    alone: Float
+    together: Float
+    bound: Float
+    inflation: Float
+
+    def __post_init__(self) -> None:
+        f = np.float64
+        freeze_fields(self, alone=f, together=f, bound=f, inflation=f)
+
+
+def identifiability(sensitivities: Float) -> Identifiability:
+    """Cramér-Rao bounds with and without the prior.
+
+    Parameters
+    ----------
+    sensitivities : (r, p) float64
+    """
+    g = _columns(sensitivities)
+    information = np.sum(g**2, axis=0)
+    s, vt = _right(g)
+    together = np.sqrt(np.sum(vt**2 / (1 + s[:, None] ** 2), axis=0))
+    seen = s > max(g.shape) * np.finfo(float).eps * s.max(initial=0.0)
+    open_ = np.sum(vt[~seen] ** 2, axis=0) > 1e-12
+    bound = np.sqrt(np.sum((vt[seen] / s[seen][:, None]) ** 2, axis=0))
+    bound = np.where(open_, np.inf, bound)
+    return Identifiability(1 / np.sqrt(1 + information), together, bound, bound**2 * information)
+
+
+def _right(g: Float) -> tuple[Float, Float]:
+    """Singular values (p,) of g (r, p) and its right vectors (p, p); the left ones would be (r,
+    r).
+    """
+    _, s, vt = linalg.svd(g, full_matrices=g.shape[0] < g.shape[1])
+    return np.concatenate([s, np.zeros(vt.shape[0] - s.size)]), np.asarray(vt)
+
+
+def cosines(sensitivities: Float) -> Float:
+    """|cosine| of all pairs of columns, (p, p); 0 with a column of zeros."""
+    g = _columns(sensitivities)
+    size = np.linalg.norm(g, axis=0)
+    unit = g / np.where(size > 0, size, 1.0)
+    return np.minimum(np.abs(unit.T @ unit), 1.0)
+
+
+def blind_cosines(sensitivities: Float, level: float = BLIND) -> tuple[Float, Float]:
+    """How parameters trade against each other where the data do not see.
+
+    The directions v with ‖G v‖ < `level` ‖v‖ span what is left open. A parameter alike to a
+    *combination* of others has a large share there though no single cosine shows it.
+
+    Returns
+    -------
+    share : (p,) float64
+        Of each parameter's own direction, in the open space: 1 means the data say nothing of it.
+    cosine : (p, p) float64
+        |cosine| between the projections of two parameters on the open space; near 1 they only trade
+        with each other.
+    """
+    g = _columns(sensitivities)
+    s, vt = _right(g)
+    open_ = vt[s < level]
+    share = np.sqrt(np.sum(open_**2, axis=0))
+    unit = open_ / np.where(share > 1e-9, share, np.inf)
+    return np.minimum(share, 1.0), np.minimum(np.abs(unit.T @ unit), 1.0)
+
+
+def clusters(sensitivities: Float, alike: float = ALIKE) -> Int:
+    """The cluster of each parameter, (p,) int64, numbered from 0 in the order of their first
+    members.
+
+    By complete linkage: no two with a |cosine| below `alike` are in one cluster. A column of zeros
+    stands alone.
+
+    Raises
+    ------
+    InputError
+        Unless 0 < alike <= 1.
+    """
+    if not 0 < alike <= 1:
+        raise InputError(f"clusters: alike {alike} must be above 0 and at most 1")
+    cosine = cosines(sensitivities)
+    if len(cosine) < 2:
+        return np.zeros(len(cosine), dtype=np.int64)
+    distance = squareform(np.maximum(1 - (cosine + cosine.T) / 2, 0.0), checks=False)
+    raw = fcluster(linkage(distance, "complete"), 1 - alike + 1e-12, criterion="distance")
+    _, first, number = np.unique(raw, return_index=True, return_inverse=True)
+    return np.argsort(np.argsort(first))[number].astype(np.int64)
+
+
+def told_apart(sensitivities: Float, order: Sequence[int]) -> tuple[Int, dict[int, Int]]:
+    """Which parameters of a set the data can tell apart, and which are to be held at nominal as
+    they cannot.
+
+    One after the other a parameter is kept unless those kept before it do the same: what they leave
+    of its column is below `SAME`, so that the prior alone would share a change out between them.
+    One of which the data tell less than its prior by itself is kept: that holds it.
+
+    Parameters
+    ----------
+    sensitivities : (r, p) float64
+        Weighted, in units of the prior.
+    order : sequence of int
+        All parameters, those first that are to stand for others.
+
+    Returns
+    -------
+    kept : (k,) int64
+        Ascending.
+    held : dict of int to (j,) int64
+        Of each parameter that is not kept those that stand for it, the one most like it first.
+    """
+    g = _columns(sensitivities)
+    size, cosine = np.linalg.norm(g, axis=0), cosines(g)
+    kept, held, span = list[int](), dict[int, Int](), np.zeros((len(g), 0))
+    for i in order:
+        own = g[:, i] - span @ (span.T @ g[:, i])
+        own = own - span @ (span.T @ own)  # twice is enough (Kahan and Parlett)
+        rest = float(np.linalg.norm(own))
+        if size[i] >= BLIND and rest < SAME:
+            near = sorted(kept, key=lambda j: -cosine[i, j])
+            same = [j for j in near if cosine[i, j] > ALIKE]
+            held[i] = np.array(same or near, dtype=np.int64)
+            continue
+        kept.append(i)
+        if rest > np.finfo(float).eps * size[i]:
+            span = np.column_stack([span, own / rest])
+    return np.sort(np.array(kept, dtype=np.int64)), held
+
+
+def stood_for(
+    sensitivities: Float, names: Sequence[str], first: Sequence[str] = ()
+) -> dict[str, tuple[str, ...]]:
+    """Parameters that are held at nominal by `told_apart`, with those that stand for them.
+
+    Parameters
+    ----------
+    sensitivities : (r, p) float64
+        Weighted, in units of the prior.
+    names : sequence of str
+        Of the parameters.
+    first : sequence of str
+        These stand for others; of the rest those of the largest effect, and of equal ones the
+        first.
+    """
+    rank = {name: i for i, name in enumerate(first)}
+    norm = np.linalg.norm(sensitivities, axis=0)
+    size = np.round(norm / max(float(norm.max(initial=0.0)), 1e-300), EQUAL).tolist()
+
+    def turn(i: int) -> tuple[int, float]:
+        return rank.get(names[i], len(rank)), -size[i]
+
+    _, held = told_apart(sensitivities, sorted(range(len(names)), key=turn))
+    return {names[i]: tuple(names[j] for j in by.tolist()) for i, by in held.items()}
+
+
+def _columns(sensitivities: Float) -> Float:
+    g = np.asarray(sensitivities, dtype=np.float64)
+    if g.ndim != 2 or not np.isfinite(g).all():
+        raise InputError(f"sensitivities {g.shape}: must be a finite (residual, parameter) array")
+    return g
+
+
+@dataclass(frozen=True, slots=True)
+class Flag:
+    """A parameter that needs an engineer's eye.
+
+    Attributes
+    ----------
+    parameter : str
+    kind : {"bound", "prior", "silent", "form"}
+        At a bound; changed by more than two prior standard deviations; moved though the data do not
+        determine it; not proven, so that it may take up an error of the model's form.
+    factor : float
+    text : str
+    """
+
+    parameter: str
+    kind: Kind
+    factor: float
+    text: str
+
+
+def plausibility(
+    parameters: ParameterSet, x: Float, ratio: Float | None = None
+) -> tuple[Flag, ...]:
+    """Flags of updated parameters, in their order; none if all is plausible.
+
+    Parameters
+    ----------
+    parameters : ParameterSet
+    x : (p,) float64
+    ratio : (p,) float64, optional
+        Posterior over prior standard deviation.
+    """
+    x = np.asarray(x, dtype=np.float64)
+    told = np.zeros(x.size) if ratio is None else np.asarray(ratio, dtype=np.float64)
+    if x.shape != (len(parameters),) or told.shape != x.shape:
+        raise InputError(f"x {x.shape} and ratio {told.shape} for {len(parameters)} parameters")
+    low, high = parameters.bounds()
+    margin = EDGE * (high - low)
+    away = x / parameters.std()
+    a = parameters.factors(x)
+    flags: list[Flag] = []
+    for i, p in enumerate(parameters.parameters):  # over parameters: text for people
+        if x[i] <= low[i] + margin[i] or x[i] >= high[i] - margin[i]:
+            side, end = ("lower", p.lower) if x[i] <= low[i] + margin[i] else ("upper", p.upper)
+            text = (
+                f"{_said(p, a[i])} is at its {side} bound {_found(p, end)}; the error may lie "
+                "elsewhere"
+            )
+            flags.append(Flag(p.name, "bound", float(a[i]), text))
+        if abs(away[i]) > BEYOND:
+            text = (
+                f"{_said(p, a[i])} is {abs(away[i]):.1f} prior standard deviations from the "
+                "nominal value"
+            )
+            flags.append(Flag(p.name, "prior", float(a[i]), text))
+        if told[i] > SILENT and abs(away[i]) > 0.25:
+            text = (
+                f"{_said(p, a[i])}, but the data do not determine it (posterior/prior "
+                f"{told[i]:.2f})"
+            )
+            flags.append(Flag(p.name, "silent", float(a[i]), text))
+    return tuple(flags)
+
+
+def kept(x: Float, ends: Float) -> Float:
+    """Least share of each change that is there with any fold of modes left out, (p,); below 0 it
+    turns round.
+
+    Parameters
+    ----------
+    x : (p,) float64
+    ends : (fold, p) float64
+        The same without each fold.
+    """
+    if not len(ends):
+        return np.full(x.size, np.nan)
+    return np.asarray((ends / np.where(x == 0.0, 1.0, x)).min(axis=0))
+
+
+def unproven(parameters: ParameterSet, factor: Float, interval: Float, share: Float) -> Bool:
+    """Changes (p,) that the test does not prove: the interval of the factor holds 1, or few modes
+    carry the change.
+
+    Slight changes of what the deck has need no proof; masses that it lacks do, however light.
+
+    Such a parameter may take up an error of form, or of a region that is no candidate.
+
+    Parameters
+    ----------
+    factor : (p,) float64
+    interval : (p, 2) float64
+        Where the candidates that were not updated may be off, too (`uncertainty.around`).
+    share : (p,) float64
+        Of `kept`.
+    """
+    open_ = (interval[:, 0] <= 1) & (interval[:, 1] >= 1)
+    slight = np.array([0.0 if p.lump else SLIGHT for p in parameters.parameters])
+    return np.asarray((np.abs(factor - 1) > slight) & (open_ | (share < KEPT)))
+
+
+def _found(p: Parameter, *factors: float) -> str:
+    """Factors in words, `0.8 to 1.2`; of a mass that the deck lacks what is added."""
+    return " to ".join(f"{p.lump * max(a - 1, 0.0) if p.lump else a:.3g}" for a in factors)
+
+
+def _said(p: Parameter, factor: float) -> str:
+    return f"{p.name}: {'mass' if p.lump else 'factor'} {_found(p, factor)}"
+
+
+def form_flags(
+    parameters: ParameterSet, factor: Float, interval: Float, share: Float, correlation: Float
+) -> tuple[Flag, ...]:
+    """A flag for each change that is `unproven`; with others that the test tells only together with
+    it, these instead.
+
+    Parameters
+    ----------
+    factor, interval, share
+        As in `unproven`.
+    correlation : (p, p) float64
+        Of x, posterior.
+    """
+    flags: list[Flag] = []
+    for i in np.flatnonzero(
+        unproven(parameters, factor, interval, share)
+    ).tolist():  # over parameters: text for people
+        low, high = interval[i].tolist()
+        open_ = low <= 1 <= high
+        p = parameters.parameters[i]
+        why = (
+            [f"its interval, {_found(p, low, high)}, holds {'none' if p.lump else 1}"]
+            if open_
+            else []
+        )
+        if share[i] < KEPT:
+            turned = "turns round" if share[i] < 0 else f"shrinks to {100 * share[i]:.0f} %"
+            why.append(f"its change {turned} when some of the modes are left out")
+        tied = [
+            n for j, n in enumerate(parameters.names) if j != i and abs(correlation[i, j]) > TIED
+        ]
+        whence = "it may take up an error of the model's form"
+        if open_ and tied:
+            whence = f"the test tells it and {', '.join(tied)} together, not each by itself"
+        text = f"{_said(p, factor[i])}, but {' and '.join(why)}; {whence}"
+        flags.append(Flag(p.name, "form", float(factor[i]), text))
+    return tuple(flags)
+
+
+def unmoved(x: Float, std: Float, slopes: Float) -> Bool:
+    """Parameters (p,) whose change is smaller than its own stated error and moves no mode.
+
+    Parameters
+    ----------
+    x, std : (p,) float64
+        Changes from nominal and their standard deviations.
+    slopes : (m, p) float64
+        Of ln f of the modes to x.
+    """
+    shift = np.abs(slopes * x).max(axis=0, initial=0.0)
+    return np.asarray((np.abs(x) < std) & (shift < STILL))

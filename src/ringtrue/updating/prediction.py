@@ -1,0 +1,442 @@
+"""Harmonic response on the small matrices of a model, with damping as it was found or is drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+from scipy import linalg
+
+from ringtrue.core.arrays import Any_, Bool, Complex, Float, freeze_fields
+from ringtrue.core.progress import Progress
+from ringtrue.errors import ConfigError, InputError, did_you_mean
+from ringtrue.model.ports import ObservedModel
+from ringtrue.reduction.matrix_model import matrices_at
+from ringtrue.updating.uncertainty import covariance_root
+
+Ratios = Callable[[Float, Float], Float]  # λ (m,), M-orthonormal y (r, m) -> ζ (m,)
+MASSLESS = 1e-14  # of the largest 1/λ
+PLANE = {"X": (1, 2), "Y": (2, 0), "Z": (0, 1)}  # right-handed about the axis
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Damping:
+    """Damping ratio over frequency, as a table, with its uncertainty.
+
+    Attributes
+    ----------
+    frequencies, ratios : (k,) float64
+        Hz and fraction of critical; constant beyond the ends.
+    std : float
+        Standard deviation of ln ζ, common to all modes of a draw.
+    """
+
+    frequencies: Float
+    ratios: Float
+    std: float = 0.0
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, frequencies=np.float64, ratios=np.float64)
+        rising = self.frequencies.size > 0 and (np.diff(self.frequencies) > 0).all()
+        if (
+            self.frequencies.shape != self.ratios.shape
+            or not rising
+            or (self.ratios < 0).any()
+            or self.std < 0
+        ):
+            raise InputError(
+                f"damping: {self.frequencies.shape} rising frequencies, {self.ratios.shape} "
+                "ratios >= 0"
+            )
+
+    def at(self, frequencies: Float) -> Float:
+        """ζ at frequencies in Hz, interpolated."""
+        return np.asarray(np.interp(frequencies, self.frequencies, self.ratios))
+
+    def drawn(self, rng: np.random.Generator | None) -> Ratios:
+        """ζ of modes at the best point, or as drawn."""
+        factor = 1.0 if rng is None else float(np.exp(self.std * rng.standard_normal()))
+        return lambda lam, y: factor * self.at(np.sqrt(lam) / (2 * np.pi))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RegionDamping:
+    """Loss factors and dashpots of regions in the basis of a model's small matrices.
+
+    Attributes
+    ----------
+    coefficients : (k,) float64
+    covariance : (k, k) float64
+    matrices : (k, r, r) float64
+        What a unit of each coefficient adds to the damping matrix (dashpots) or to the imaginary
+        stiffness.
+    viscous : (k,) bool
+        True for dashpots.
+    base : (r, r), (r, r) float64
+        Known damping matrix and imaginary stiffness beside them.
+    scatter : float
+        Standard deviation of ln ζ that each mode has of its own.
+    """
+
+    coefficients: Float
+    covariance: Float
+    matrices: Float
+    viscous: Bool
+    base: tuple[Float, Float]
+    scatter: float = 0.0
+
+    def __post_init__(self) -> None:
+        f = np.float64
+        freeze_fields(self, coefficients=f, covariance=f, matrices=f, viscous=np.bool_)
+        k, r = self.coefficients.size, self.base[0].shape[0]
+        if (
+            self.matrices.shape != (k, r, r)
+            or self.covariance.shape != (k, k)
+            or self.viscous.shape != (k,)
+        ):
+            raise InputError(
+                f"damping of {k} regions: matrices {self.matrices.shape} for {r} vectors"
+            )
+
+    def drawn(self, rng: np.random.Generator | None) -> Ratios:
+        """ζ of modes at the best point, or with coefficients and scatter as drawn; none is below
+        0.
+        """
+        c, own = self.coefficients, np.ones(self.base[0].shape[0])
+        if rng is not None:
+            c = np.maximum(c + covariance_root(self.covariance) @ rng.standard_normal(c.size), 0.0)
+            own = np.exp(self.scatter * rng.standard_normal(own.size))
+        d = self.base[0] + np.tensordot(c * self.viscous, self.matrices, axes=1)
+        h = self.base[1] + np.tensordot(c * ~self.viscous, self.matrices, axes=1)
+
+        def ratios(lam: Float, y: Float) -> Float:
+            w = np.sqrt(np.maximum(lam, MASSLESS * float(lam.max(initial=1.0))))
+            viscous, structural = (np.einsum("rm,rm->m", y, a @ y) for a in (d, h))
+            return np.asarray(own[: w.size] * (viscous / (2 * w) + structural / (2 * w**2)))
+
+        return ratios
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rows:
+    """What is looked at, in the basis of the model's small matrices; it may change with the
+    parameters.
+
+    Attributes
+    ----------
+    nominal : (n, r) float64
+    slopes : tuple of (position of the parameter, (n, r) float64)
+        rows = nominal + Σ (a_i − 1) slope_i: the force in a spring grows with its stiffness.
+    """
+
+    nominal: Float
+    slopes: tuple[tuple[int, Float], ...] = field(default=())
+
+    def at(self, factors: Float) -> Float:
+        """(n, r) at factors (p,) of the parameters."""
+        out = self.nominal
+        for i, slope in self.slopes:
+            out = out + (factors[i] - 1) * slope
+        return out
+
+
+def harmonic(
+    model: ObservedModel,
+    x: Float,
+    freqs: Float,
+    loads: Float,
+    amplitude: Complex,
+    rows: Rows,
+    ratios: Ratios,
+    *,
+    scatter: Float | None = None,
+) -> Complex:
+    """Responses (l, n) to harmonic loads, by superposition of all modes of the model's small
+    matrices.
+
+    Parameters
+    ----------
+    model : ObservedModel
+        With small matrices (`matrices_at`); static answers to the loads should be in its basis.
+    x : (p,) float64
+    freqs : (l,) float64, Hz
+    loads : (r, j) float64
+        Unit loads in the basis.
+    amplitude : (l, j) complex128
+    rows : Rows
+    ratios : callable
+        Damping ratios of the modes.
+    scatter : (r,) float64, optional
+        Relative error of each frequency.
+    """
+    small = matrices_at(model, x)
+    lam, y = _all_modes(small.stiffness, small.mass)
+    lam = lam * (1.0 if scatter is None else (1 + scatter) ** 2)
+    w, wk = 2 * np.pi * np.asarray(freqs)[:, None], np.sqrt(lam)
+    below = lam - w**2 + 2j * ratios(lam, y) * wk * w
+    q = (amplitude @ (y.T @ loads).T) / below
+    return np.asarray(q @ (rows.at(_every(model, x)) @ y).T)
+
+
+def _all_modes(k: Float, m: Float) -> tuple[Float, Float]:
+    """λ >= 0 and M-orthonormal y of small matrices; a motion without mass keeps its flexibility."""
+    shift = 1e-3 * float(np.trace(k) / np.trace(m))
+    theta, y = linalg.eigh(m, k + shift * m)
+    theta = np.maximum(theta, MASSLESS * theta[-1])
+    return np.maximum(1 / theta - shift, 0.0), np.asarray(y / np.sqrt(theta))
+
+
+def _every(model: ObservedModel, x: Float) -> Float:
+    """Factors of all parameters of the system that the rows count, held ones too."""
+    full = getattr(model, "full_vector", None)
+    if full is None:
+        return model.parameters.factors(x)
+    everything: Any_ = full(x)
+    return model.system.parameters.factors(everything)  # type: ignore[attr-defined,no-any-return]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bands:
+    """Quantiles over draws.
+
+    Attributes
+    ----------
+    low, median, high : arrays of one shape
+    level : float
+        Share of the draws between `low` and `high`.
+    """
+
+    low: Float
+    median: Float
+    high: Float
+    level: float
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, low=np.float64, median=np.float64, high=np.float64)
+
+    def holds(self, value: Float) -> Bool:
+        """Whether the band holds `value`, element by element."""
+        return np.asarray((self.low <= value) & (value <= self.high))
+
+
+def bands(draws: Float, level: float = 0.9) -> Bands:
+    """Central bands of draws (draw, ...); NaN draws are left out.
+
+    Raises
+    ------
+    InputError
+        If the level is not between 0 and 1, or there are too few draws for it.
+    """
+    if not 0 < level < 1 or draws.shape[0] * (1 - level) < 1:
+        raise InputError(
+            f"{draws.shape[0]} draws for a band of {level}: level in 0..1, at least 1/(1 - "
+            "level) draws"
+        )
+    low, median, high = np.nanquantile(draws, [(1 - level) / 2, 0.5, (1 + level) / 2], axis=0)
+    return Bands(low, median, high, level)
+
+
+@dataclass(frozen=True, slots=True)
+class Unbalance:
+    """A rotor and its balance grade. ISO 21940-11: permissible unbalance U = M G / Ω.
+
+    Attributes
+    ----------
+    mass : float, kg
+    grade : float, mm/s
+        G: eccentricity times service speed.
+    service : float, Hz
+        Service speed.
+    """
+
+    mass: float
+    grade: float
+    service: float
+
+    def __post_init__(self) -> None:
+        if not (self.mass > 0 and self.grade > 0 and self.service > 0):
+            raise ConfigError(
+                f"unbalance: mass {self.mass}, grade {self.grade}, service {self.service} Hz "
+                "must be > 0"
+            )
+
+    @property
+    def moment(self) -> float:
+        """U, kg m."""
+        return self.mass * self.grade * 1e-3 / (2 * np.pi * self.service)
+
+    def force(self, freqs: Float) -> Float:
+        """U ω² at speeds (l,) in Hz, N."""
+        return np.asarray(self.moment * (2 * np.pi * np.asarray(freqs)) ** 2)
+
+
+def plane(axis: str) -> tuple[int, int]:
+    """Directions 0..2 across a rotor's axis, such that a forward whirl goes from the first to the
+    second.
+    """
+    if axis not in PLANE:
+        raise ConfigError(f"axis of the rotor {axis!r}{did_you_mean(axis, PLANE)}")
+    return PLANE[axis]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Output:
+    """A quantity of a run-up: amplitudes of complex rows made one number a line.
+
+    Attributes
+    ----------
+    name, unit : str
+    rows : Rows
+        n = parts · 3 or any; in groups of `width`.
+    width : int
+        Rows of one vector: its amplitude is the root of the square sum.
+    """
+
+    name: str
+    unit: str
+    rows: Rows
+    width: int = 1
+
+    def amplitude(self, response: Complex) -> Float:
+        """(l,): the largest vector of a response (l, n)."""
+        parts = np.abs(response).reshape(response.shape[0], -1, self.width)
+        return np.asarray(np.sqrt((parts**2).sum(axis=2)).max(axis=1))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunUp:
+    """A run-up with bands.
+
+    Attributes
+    ----------
+    freqs : (l,) float64, Hz
+        Speeds.
+    names, units : tuple (n) of str
+    nominal : (n, l) float64
+        At the best point.
+    amplitude : Bands of (n, l)
+    peak : Bands of (n,)
+        Of the largest amplitude of each draw.
+    peak_speed : Bands of (n,), Hz
+    validated : (float, float), Hz
+        Outside of it nothing has been checked.
+    """
+
+    freqs: Float
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    nominal: Float
+    amplitude: Bands
+    peak: Bands
+    peak_speed: Bands
+    validated: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, freqs=np.float64, nominal=np.float64)
+
+    @property
+    def checked(self) -> Bool:
+        """Lines inside the validated band, (l,)."""
+        return np.asarray((self.freqs >= self.validated[0]) & (self.freqs <= self.validated[1]))
+
+
+def run_up(
+    model: ObservedModel,
+    draws: Float,
+    best: Float,
+    freqs: Float,
+    loads: Float,
+    unbalance: Unbalance,
+    outputs: Sequence[Output],
+    damping: Damping | RegionDamping,
+    rng: np.random.Generator,
+    *,
+    discrepancy: float = 0.0,
+    level: float = 0.9,
+    validated: tuple[float, float] = (0.0, np.inf),
+    progress: Progress | None = None,
+) -> RunUp:
+    """Steady response to unbalance at each speed, forward whirl, no gyroscopic moments.
+
+    Parameters
+    ----------
+    model : ObservedModel
+    draws : (draw, p) float64
+    best : (p,) float64
+    freqs : (l,) float64, Hz
+    loads : (r, 2) float64
+        Unit forces across the rotor's axis (`plane`) in the basis of the model.
+    outputs : sequence (n) of Output
+    damping : Damping or RegionDamping
+    rng : Generator
+        For discrepancy and damping.
+    discrepancy : float
+        Relative standard deviation of each frequency.
+    validated : (float, float), Hz
+    """
+    if not outputs:
+        raise InputError("no output: name nodes or springs")
+    amplitude = unbalance.force(freqs)[:, None] * np.array(
+        [1.0, -1j]
+    )  # e^{+iωt}: the second lags by 90°
+    r = loads.shape[0]
+    every, _ = _sizes(outputs)
+    whole = _joined(outputs)
+
+    def one(x: Float, scatter: Float | None, ratios: Ratios) -> Float:
+        h = harmonic(model, x, freqs, loads, amplitude, whole, ratios, scatter=scatter)
+        return np.array([o.amplitude(h[:, a:b]) for o, (a, b) in zip(outputs, every, strict=True)])
+
+    found = []
+    for i, x in enumerate(draws):  # an eigensolution each
+        scatter: Float = np.asarray(discrepancy * rng.standard_normal(r))
+        found.append(one(x, scatter, damping.drawn(rng)))
+        if progress is not None:
+            progress((i + 1) / len(draws), "run-up")
+    drawn = np.array(found)
+    return RunUp(
+        freqs,
+        tuple(o.name for o in outputs),
+        tuple(o.unit for o in outputs),
+        one(best, None, damping.drawn(None)),
+        bands(drawn, level),
+        bands(drawn.max(axis=2), level),
+        bands(np.asarray(freqs)[drawn.argmax(axis=2)], level),
+        validated,
+    )
+
+
+def _sizes(outputs: Sequence[Output]) -> tuple[list[tuple[int, int]], int]:
+    ends = np.cumsum([0, *(o.rows.nominal.shape[0] for o in outputs)]).tolist()
+    return list(pairwise(ends)), ends[-1]
+
+
+def _joined(outputs: Sequence[Output]) -> Rows:
+    """All rows in one."""
+    places, n = _sizes(outputs)
+    slopes: dict[int, Float] = {}
+    for o, (a, b) in zip(outputs, places, strict=True):
+        for i, s in o.rows.slopes:
+            slopes.setdefault(i, np.zeros((n, s.shape[1])))[a:b] += s
+    return Rows(
+        np.concatenate([o.rows.nominal for o in outputs]),
+        tuple(sorted(slopes.items(), key=lambda v: v[0])),
+    )
+
+
+def validated_band(test_hz: Float, held: Bool) -> tuple[float, float]:
+    """From the lowest test mode to the last before the first that the model does not hold, Hz.
+
+    Parameters
+    ----------
+    test_hz : (m,) float64
+        All test modes that are to be believed.
+    held : (m,) bool
+        Paired and within the limits of acceptance.
+    """
+    order = np.argsort(test_hz)
+    f, ok = np.asarray(test_hz, dtype=np.float64)[order], np.asarray(held)[order]
+    good = int(np.argmin(ok)) if not ok.all() else ok.size
+    return (float(f[0]), float(f[good - 1])) if good else (0.0, 0.0)

@@ -1,0 +1,344 @@
+"""How much to trust the prior (W_p) and the data (W): L-curve, generalised cross-validation,
+evidence.
+
+All rules for W_p choose one factor γ on a given W_p for the problem linearised at the current
+point, min ‖r + Gx₀ − Gx‖² + γ xᵀW_p x, and `regularised` repeats choice and updating until the
+factor stands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import astuple, dataclass, replace
+from typing import Literal, TypeVar
+
+import numpy as np
+from scipy import linalg
+from scipy.optimize import minimize_scalar
+
+from ringtrue.core.arrays import Float
+from ringtrue.core.progress import Progress
+from ringtrue.errors import ConfigError, InputError, did_you_mean
+from ringtrue.updating.gauss_newton import Residual, joint_residual, used_up
+from ringtrue.updating.problem import Evaluated, Problem
+from ringtrue.updating.solver import Method, Solution, solve
+from ringtrue.updating.target import Weights
+from ringtrue.updating.uncertainty import errors_of_shapes
+
+End = TypeVar("End")
+Rule = Literal["l-curve", "gcv", "evidence"]
+GRID = np.logspace(-8, 8, 161)  # factors tried, in units of the median squared singular value
+SETTLED = 0.1  # relative change of the factor below which it stands
+TURNS = 8  # updatings with the discrepancy found, at most
+TIGHT, LOOSE = 0.05, 3.0  # limits of the discrepancy found, in units of the assumed one
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Standard:
+    """A linear problem in standard form, min ‖b − Σ u s v‖² + γ ‖·‖².
+
+    Attributes
+    ----------
+    singular : (k,) float64
+        Of G W_p^{-½}.
+    along : (k,) float64
+        Uᵀb.
+    rest : float
+        ‖b‖² outside the range of G.
+    rows : int
+        Number of residuals.
+    """
+
+    singular: Float
+    along: Float
+    rest: float
+    rows: int
+
+    def terms(self, factor: Float) -> tuple[Float, Float, Float]:
+        """‖b − Gx‖² (n,), xᵀW_p x (n,) and the trace of the hat matrix (n,) for factors γ (n,)."""
+        s2, g = self.singular**2, np.asarray(factor)[:, None]
+        misfit = self.rest + ((g / (s2 + g) * self.along) ** 2).sum(axis=1)
+        size = ((self.singular / (s2 + g) * self.along) ** 2).sum(axis=1)
+        return misfit, size, (s2 / (s2 + g)).sum(axis=1)
+
+    def grid(self) -> Float:
+        """Factors to try, ascending."""
+        return np.asarray(GRID * float(np.median(self.singular[self.singular > 0]) ** 2))
+
+
+def standard(slope: Float, value: Float, x: Float, precision: Float) -> Standard:
+    """The standard form at x (q,) of residuals (r,) with slopes (r, q) and W_p (q, q), positive
+    definite.
+    """
+    root = linalg.cholesky(precision)
+    u, s, _ = linalg.svd(linalg.solve_triangular(root, slope.T, trans="T").T, full_matrices=False)
+    if not s.any():
+        raise InputError("no residual depends on a parameter: there is nothing to weigh")
+    b = value + slope @ x
+    along = u.T @ b
+    return Standard(s, along, max(float(b @ b - along @ along), 0.0), b.size)
+
+
+def l_curve(problem: Standard) -> float:
+    """γ at the corner: largest curvature of ln ‖x‖ over ln ‖b − Gx‖. Hansen and O'Leary (1993),
+    sec. 4.
+
+    Between the squares of the least and the largest singular value: outside nothing changes but
+    rounding.
+    """
+    s = problem.singular[problem.singular > 1e-8 * problem.singular.max()]
+    g = np.geomspace(float(s.min()) ** 2, max(float(s.max()), 1.1 * float(s.min())) ** 2, 201)
+    misfit, size, _ = problem.terms(g)
+    t = np.log(g)
+    x, y = 0.5 * np.log(np.maximum(misfit, 1e-300)), 0.5 * np.log(np.maximum(size, 1e-300))
+    dx, dy = np.gradient(x, t), np.gradient(y, t)
+    bend = (dx * np.gradient(dy, t) - dy * np.gradient(dx, t)) / np.maximum(
+        (dx**2 + dy**2) ** 1.5, 1e-12
+    )
+    inner = slice(2, -2)  # one-sided differences bend
+    return float(g[inner][np.argmax(np.abs(bend[inner]) * (bend[inner] > 0))])
+
+
+def gcv(problem: Standard) -> float:
+    """γ of least generalised cross-validation r ‖b − Gx‖²/(r − trace)². Golub, Heath and Wahba
+    (1979), eq. 1.4.
+    """
+    g = problem.grid()
+    misfit, _, spent = problem.terms(g)
+    score = problem.rows * misfit / np.maximum(problem.rows - spent, 1e-12) ** 2
+    return _refined(problem, lambda a: _gcv(problem, a), g, int(np.argmin(score)))
+
+
+def _gcv(problem: Standard, factor: float) -> float:
+    misfit, _, spent = problem.terms(np.array([factor]))
+    return float(problem.rows * misfit[0] / max(problem.rows - spent[0], 1e-12) ** 2)
+
+
+def evidence(problem: Standard) -> float:
+    """γ = σ²_data/σ²_prior of largest marginal likelihood, the common scale of both integrated out
+    at its best value.
+
+    −2 ln p = r ln(bᵀ(I + GW_p⁻¹Gᵀ/γ)⁻¹b) + ln det(I + GW_p⁻¹Gᵀ/γ). MacKay (1992), sec. 4.
+    """
+    g = problem.grid()
+    score = [_evidence(problem, float(a)) for a in g]  # over factors of the grid
+    return _refined(problem, lambda a: _evidence(problem, a), g, int(np.argmin(score)))
+
+
+def _evidence(problem: Standard, factor: float) -> float:
+    swell = 1 + problem.singular**2 / factor
+    square = problem.rest + float((problem.along**2 / swell).sum())
+    return float(problem.rows * np.log(max(square, 1e-300)) + np.log(swell).sum())
+
+
+def _refined(problem: Standard, score: Callable[[float], float], g: Float, i: int) -> float:
+    """The minimum of the score between the neighbours of the best factor of the grid."""
+    if i in (0, g.size - 1):
+        return float(g[i])
+    low, high = np.log(g[i - 1]), np.log(g[i + 1])
+    found = minimize_scalar(lambda t: score(float(np.exp(t))), bounds=(low, high), method="bounded")
+    return float(np.exp(found.x))
+
+
+RULES: dict[str, Callable[[Standard], float]] = {
+    "l-curve": l_curve,
+    "gcv": gcv,
+    "evidence": evidence,
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Regularised:
+    """An updating whose W_p was scaled by a rule.
+
+    Attributes
+    ----------
+    factor : float
+        On the W_p that was given.
+    problem : Problem
+        With the scaled W_p.
+    solution : Solution
+    tried : (n,) float64
+        Factors on the way.
+    settled : bool
+        False: the factor still moved at the last round.
+    """
+
+    factor: float
+    problem: Problem
+    solution: Solution
+    tried: Float
+    settled: bool
+
+
+def regularised(
+    problem: Problem,
+    rule: Rule,
+    method: Method | None = None,
+    *,
+    start: Float | None = None,
+    rounds: int = 20,
+    progress: Progress | None = None,
+) -> Regularised:
+    """Choose the factor on W_p and update, in turns.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such rule.
+    """
+    if rule not in RULES:
+        raise ConfigError(
+            f"no rule for the weight of the prior {rule!r}{did_you_mean(rule, RULES)}"
+        )
+    tried: list[float] = []
+    y, now, settled = start, problem, False
+    done = solve(now, method, start=y)
+    for i in range(rounds):
+        r, g = problem.weighted(done.end)
+        factor = RULES[rule](standard(g, r, done.y, problem.linked_precision))
+        # the choice changes the linearisation that it rests on: shrinking steps keep the two from
+        # chasing one another
+        tried.append(
+            factor if not tried else float(tried[-1] * (factor / tried[-1]) ** (1 / (i + 1)))
+        )
+        now = replace(problem, precision=tried[-1] * problem.precision)
+        done = solve(now, method, start=done.y)
+        settled = len(tried) > 1 and abs(np.log(tried[-1] / tried[-2])) < SETTLED
+        if progress is not None:
+            progress((i + 1) / rounds, f"{rule}: factor {tried[-1]:.3g}")
+        if settled:
+            break
+    return Regularised(tried[-1], now, done, np.array(tried), settled)
+
+
+def discrepancy_by_evidence(
+    at: Evaluated, problem: Problem, kinds: Sequence[Sequence[int]] | None = None
+) -> Float:
+    """Factors s (k,) on the standard deviations of kinds of residuals that make the data most
+    likely.
+
+    The data are Gaussian with covariance S² + G W_p⁻¹ Gᵀ about the linearisation at the point; S²
+    is block-wise s². Rows of one datum share it: of a shape with n channels each row has the
+    variance s²/n, since it is its square sum, 1 − MAC, that has the expectation s². Multiply the
+    standard deviations of `Weights` by s (1 − MAC by s²).
+
+    Parameters
+    ----------
+    at : Evaluated
+    problem : Problem
+    kinds : sequences of term numbers, optional
+        Terms that share a factor; each its own if not given.
+    """
+    groups = [[int(k)] for k in np.unique(at.kind)] if kinds is None else [list(k) for k in kinds]
+    b = at.value + at.slope @ at.y
+    inner = at.slope @ linalg.solve(problem.linked_precision, at.slope.T, assume_a="pos")
+    unit = 1.0 / np.bincount(at.datum)[at.datum]  # variance of a row in units of s²
+    scale = np.ones(len(groups))
+    for _ in range(20):  # coordinate ascent
+        before = scale.copy()
+        for i, _group in enumerate(groups):
+            found = minimize_scalar(
+                lambda t, i=i: _likelihood(
+                    b, inner, _variance(at, groups, _with(scale, i, t), unit)
+                ),
+                bounds=(-6.0, 6.0),
+                method="bounded",
+            )
+            scale[i] = np.exp(found.x)
+        if np.abs(np.log(scale / before)).max() < 1e-3:
+            break
+    return scale
+
+
+def _with(scale: Float, i: int, log: float) -> Float:
+    out = scale.copy()
+    out[i] = np.exp(log)
+    return out
+
+
+def _variance(at: Evaluated, groups: Sequence[Sequence[int]], scale: Float, unit: Float) -> Float:
+    """Of each row, (r,)."""
+    s = np.ones(at.value.size)
+    for group, a in zip(groups, scale.tolist(), strict=True):
+        s[np.isin(at.kind, group)] = a
+    return s**2 * unit
+
+
+def _likelihood(b: Float, inner: Float, variance: Float) -> float:
+    """−2 ln p of b (r,) ~ N(0, diag(variance) + inner), without the constant."""
+    factor = linalg.cholesky(np.diag(variance) + inner, lower=True)
+    z = linalg.solve_triangular(factor, b, lower=True)
+    return float(z @ z + 2 * np.log(np.diag(factor)).sum())
+
+
+def left_over(
+    assumed: Weights, r: Residual, slope: Float, data: float, independent: float
+) -> Weights:
+    """With the relative frequency and 1 − MAC that an updating leaves, over the data that its
+    parameters have not used.
+
+    Parameters
+    ----------
+    assumed : Weights
+        Before any were found: what is found lies between `TIGHT` and `LOOSE` times these.
+    r : Residual
+        At the end of the updating.
+    slope : (r, k) float64
+        Of `r.value`, in units of the prior, to what was updated.
+    data : float
+        Number of data that a mode gave.
+    independent : float
+        Number of independent errors in a shape (`uncertainty.errors_of_shapes`).
+    """
+    n = int(r.used.sum())
+    if not n:
+        return replace(assumed, frequency=LOOSE * assumed.frequency, mac=LOOSE * assumed.mac)
+    spent = used_up(slope.T @ slope, np.eye(slope.shape[1]))
+    swell = data * n / max(data * n - spent, 1.0)
+    f = float(np.sqrt(np.mean(r.frequency_error[r.used] ** 2) * swell))
+    m = float(np.mean(1 - r.mac[r.used]) * swell)
+    low = np.array([TIGHT * assumed.frequency, TIGHT**2 * assumed.mac])
+    high = LOOSE * np.array([assumed.frequency, assumed.mac])
+    f, m = np.clip([f, m], low, high).tolist()
+    return replace(assumed, frequency=f, mac=m, independent=independent)
+
+
+def in_turns(
+    x: Float,
+    updated: Callable[[Weights, Float], tuple[End, Float]],
+    left: Callable[[Float], Weights],
+) -> tuple[End, Weights]:
+    """Updated with the discrepancy that is left over, in turns until that stands: the end, and the
+    weights used there.
+
+    Parameters
+    ----------
+    x : (k,) float64
+        Where the first discrepancy is taken, and the first updating starts.
+    updated : callable (weights, start) -> (end, x there)
+    left : callable (x) -> Weights
+        With the discrepancy that is left over at a point.
+    """
+    w = left(x)
+    for _ in range(TURNS):
+        done, x = updated(w, x)
+        before, w = w, left(x)
+        if distance(before, w) < SETTLED:
+            break
+    return done, before
+
+
+def distance(a: Weights, b: Weights) -> float:
+    """The largest change of the logarithm of a weight."""
+    return max(abs(float(np.log(p / q))) for p, q in zip(astuple(a), astuple(b), strict=True) if q)
+
+
+def left_at(problem: Problem, y: Float) -> Weights:
+    """The weights with the discrepancies that an updating has left at y (q,); shapes as in the
+    first configuration.
+    """
+    at, first = problem.evaluate(y), problem.configurations[0].target
+    r, prior = joint_residual(problem, y), np.sqrt(np.diag(np.linalg.inv(problem.linked_precision)))
+    many = errors_of_shapes(first, at.points[0].now)
+    return left_over(first.weights, r, at.slope * prior, first.weights.data, many)

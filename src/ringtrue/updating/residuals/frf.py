@@ -1,0 +1,198 @@
+"""Residuals of frequency response functions and of their zeros, by superposition of a model's
+modes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+from scipy import linalg
+from scipy.optimize import linear_sum_assignment
+
+from ringtrue.core.arrays import Complex, Float, Int, freeze_fields
+from ringtrue.eigen.response_derivatives import modal_frf_derivatives
+from ringtrue.errors import InputError
+from ringtrue.model.ports import Linearisation
+from ringtrue.updating.prediction import Damping
+from ringtrue.updating.residuals.modal import NO_MODE, Block, Point, rows_block
+
+FAR = 30.0
+# of the root mean square of the FRFs at a line: what lies below, by symmetry or noise, has no
+# logarithm
+FLOOR = 1e-3
+RIGID = 1e-9  # of the largest eigenvalue: below this a mode does not bound a zero of an FRF
+
+
+def _modal(at: Point, outputs: Int, inputs: Int) -> tuple[Float, Float, Float, Float, Float]:
+    """λ (m,), φ and ∂φ/∂x at outputs and inputs."""
+    now = at.whole
+    lam, phi, d = (2 * np.pi * now.frequencies) ** 2, now.shapes, now.d_shapes
+    return lam, phi[outputs], phi[inputs], d[outputs], d[inputs]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frf:
+    """Frequency response functions at chosen lines, by superposition of the model's modes.
+
+    Attributes
+    ----------
+    freqs : (q,) float64, Hz
+        Chosen lines.
+    measured : (q, o, i) complex128
+        Receptance, mobility or accelerance, as `order` says.
+    outputs, inputs : (o,), (i,) int64
+        Channels; an input acts along its channel.
+    damping : float, (m,) float64 or Damping
+        Ratio of all modes, of each, or by frequency (its change with the frequency is left out of
+        the sensitivity).
+    order : {0, 1, 2}
+        Of differentiation: 0 receptance, 1 mobility, 2 accelerance.
+    form : {"log", "complex"}
+        ln √(|H|² + ε²), ε 60 dB below the root mean square of the measured FRFs at that line; or H
+        over the root mean square of the measured one, real and imaginary parts.
+    std : float
+        Of one value: of ln|H|, or of the scaled parts.
+    """
+
+    freqs: Float
+    measured: Complex
+    outputs: Int
+    inputs: Int
+    damping: float | Float | Damping = 0.01
+    order: int = 2
+    form: Literal["log", "complex"] = "log"
+    std: float = 0.2
+    whole: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        freeze_fields(
+            self, freqs=np.float64, measured=np.complex128, outputs=np.int64, inputs=np.int64
+        )
+        shape = (self.freqs.size, self.outputs.size, self.inputs.size)
+        if (
+            self.measured.shape != shape
+            or self.order not in (0, 1, 2)
+            or self.form not in ("log", "complex")
+        ):
+            raise InputError(
+                f"FRFs {self.measured.shape} for (line, output, input) = {shape}; "
+                f"order {self.order} (0, 1, 2), form {self.form!r} (log, complex)"
+            )
+
+    def response(self, at: Point) -> tuple[Complex, Complex]:
+        """H (q, o, i) of the model and ∂H/∂x (q, o, i, p)."""
+        lam, out, into, d_out, d_in = _modal(at, self.outputs, self.inputs)
+        given = (
+            self.damping.at(at.whole.frequencies)
+            if isinstance(self.damping, Damping)
+            else self.damping
+        )
+        zeta = np.broadcast_to(np.asarray(given, dtype=np.float64), lam.shape)
+        w = 2 * np.pi * self.freqs[:, None]
+        g = 1 / (lam - w**2 + 2j * zeta * np.sqrt(lam) * w)
+        h = np.einsum("qm,om,im->qoi", g, out, into, optimize=True)
+        d_h = modal_frf_derivatives(
+            self.freqs, lam, zeta, out, into, at.whole.d_lambda, d_out, d_in
+        )
+        by = (1j * w[:, :, None]) ** self.order
+        return h * by, d_h * by[..., None]
+
+    def __call__(self, at: Point) -> Block:
+        """See `Term`."""
+        h, d_h = self.response(at)
+        d_h = d_h.reshape(h.size, -1)
+        if self.form == "log":
+            square = np.abs(self.measured) ** 2
+            floor = FLOOR**2 * np.mean(square, axis=(1, 2), keepdims=True)
+            size = np.abs(h) ** 2 + floor
+            value = 0.5 * np.log((square + floor) / size).ravel()
+            slope = (h.conj().reshape(-1, 1) * d_h).real / size.reshape(-1, 1)
+            return rows_block(value / self.std, slope / self.std, np.full(h.size, NO_MODE))
+        scale = self.std * float(np.sqrt(np.mean(np.abs(self.measured) ** 2)))
+        rest = (self.measured - h).ravel() / scale
+        value = np.concatenate([rest.real, rest.imag])
+        slope = np.concatenate([d_h.real, d_h.imag]) / scale
+        return Block(value, slope, np.tile(np.arange(h.size), 2), np.full(value.size, NO_MODE))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AntiResonances:
+    """1 − f/f_test of the zeros of one FRF, paired by frequency.
+
+    The zeros are those of the superposed modes: give the model modes well above the highest. A zero
+    of a transfer FRF may be complex; it then has no partner here.
+
+    Attributes
+    ----------
+    output, input : int
+        Channels.
+    frequencies : (z,) float64, Hz
+        Measured.
+    std : float
+        Relative.
+    gate : float
+        Largest relative deviation of a pair. A zero without a partner counts as one at the gate.
+    """
+
+    output: int
+    input: int
+    frequencies: Float
+    std: float = 0.01
+    gate: float = 0.3
+    whole: ClassVar[bool] = True
+
+    def __call__(self, at: Point) -> Block:
+        """See `Term`."""
+        top = float(np.max(self.frequencies)) * (1 + self.gate)
+        mu, d_mu = zeros(at.whole, self.output, self.input, top)
+        f, f_test = np.sqrt(mu) / (2 * np.pi), np.asarray(self.frequencies, dtype=np.float64)
+        value, slope = np.full(f_test.size, self.gate), np.zeros((f_test.size, d_mu.shape[1]))
+        away = np.minimum(np.abs(f[None, :] / f_test[:, None] - 1), self.gate)
+        i, j = linear_sum_assignment(away)
+        i, j = i[away[i, j] < self.gate], j[away[i, j] < self.gate]
+        value[i] = 1 - f[j] / f_test[i]
+        slope[i] = d_mu[j] / (8 * np.pi**2 * f[j] * f_test[i])[:, None]
+        return rows_block(value / self.std, slope / self.std, np.full(f_test.size, NO_MODE))
+
+
+def zeros(now: Linearisation, output: int, into: int, top: float = np.inf) -> tuple[Float, Float]:
+    """Real positive zeros μ (z,), (rad/s)², ascending, of Σ φ_o φ_i/(λ − μ), and ∂μ/∂x (z, p).
+
+    The zeros are the finite eigenvalues of [Λ φ_i; φ_oᵀ −r] against diag(I, 0), r the flexibility
+    of the modes far above; the sensitivities follow from the sum by implicit differentiation. He
+    and Fu (2001), Modal Analysis, ch. 4.
+
+    Parameters
+    ----------
+    top : float, Hz
+        Up to where zeros are looked for. Modes beyond `FAR` times that are first taken as static:
+        the stiffest ones of a reduced basis would drown the zeros in rounding. The zeros are those
+        of the whole sum.
+    """
+    lam = (2 * np.pi * now.frequencies) ** 2
+    a, b = now.shapes[output], now.shapes[into]
+    near = lam <= (2 * np.pi * FAR * top) ** 2
+    scale = lam[near].max(initial=0.0)
+    if not scale:
+        return np.zeros(0), np.zeros((0, now.d_lambda.shape[1]))
+    rest = float(np.sum((a * b)[~near] / lam[~near])) * scale
+    side = b[near, None]
+    pencil = np.block([[np.diag(lam[near] / scale), side], [a[None, near], np.full((1, 1), -rest)]])
+    mass = np.diag([*np.ones(int(near.sum())), 0.0])
+    high, low = linalg.eig(pencil, mass, right=False, homogeneous_eigvals=True)
+    finite = np.abs(low) > 1e-10 * np.abs(high)
+    mu = high[finite] / low[finite] * scale
+    real = (np.abs(mu.imag) < 1e-9 * np.abs(mu)) & (mu.real > RIGID * scale)
+    mu = np.sort(mu.real[real])
+    mu = mu[
+        np.abs(lam - mu[:, None]).min(axis=1, initial=np.inf) > 1e-12 * scale
+    ]  # a mode that does not take part
+    for _ in range(2 if (~near).any() else 0):  # Newton on the whole sum
+        gap = lam - mu[:, None]
+        mu = mu - ((a * b) / gap).sum(axis=1) / ((a * b) / gap**2).sum(axis=1)
+    gap = lam - mu[:, None]
+    square = (a * b) / gap**2
+    d_ab = a[:, None] * now.d_shapes[into] + b[:, None] * now.d_shapes[output]
+    return mu, (square @ now.d_lambda - (1 / gap) @ d_ab) / square.sum(axis=1)[:, None]

@@ -1,0 +1,324 @@
+"""An updating from where the gates of the pairing lead to its end: pairs that are sure, then for
+good, weighed anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import count
+from typing import Literal, Protocol, Self, runtime_checkable
+
+import numpy as np
+
+from ringtrue.core.arrays import Float
+from ringtrue.core.modes import rigid_below
+from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.progress import Progress
+from ringtrue.correlation.assignment import HOLD, scores
+from ringtrue.errors import InputError
+from ringtrue.model.ports import Linearisation
+from ringtrue.updating.problem import Evaluated, Problem, squares, weighed
+from ringtrue.updating.regularisation import (
+    LOOSE,
+    Rule,
+    discrepancy_by_evidence,
+    in_turns,
+    left_at,
+    regularised,
+)
+from ringtrue.updating.residuals.modal import NO_MODE, OF_FREQUENCY, Mac, Shapes, widened
+from ringtrue.updating.solver import Method, Solution, solve
+from ringtrue.updating.target import DOUBT, Target, Weights
+
+# deviation of the better half of the modes, in standard deviations, that these are not as assumed
+REFUTED = 2.0
+TINY = 1e-300
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """How an updating goes about it.
+
+    Attributes
+    ----------
+    method : Method
+    iterations : int
+        Limit of each part.
+    prior : str
+        Rule for the weight of the prior; "given": as it is.
+    discrepancy : {"found", "assumed", "evidence"}
+        Weights of the last part: with what the parts before have left, as they are, or those that
+        make the data of each kind of residuals most likely.
+    """
+
+    method: Method = field(default_factory=Method)
+    iterations: int = 100
+    prior: Rule | Literal["given"] = "given"
+    discrepancy: Literal["found", "assumed", "evidence"] = "assumed"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Settled:
+    """The end of an updating.
+
+    Attributes
+    ----------
+    solution : Solution
+        J at its end is by the weights that were given.
+    problem : Problem
+        With the pairs and the weights of the end.
+    path : tuple of Evaluated
+        Accepted points of all parts.
+    """
+
+    solution: Solution
+    problem: Problem
+    path: tuple[Evaluated, ...]
+
+
+def settled(
+    problem: Problem,
+    course: Course | None = None,
+    *,
+    start: Float | None = None,
+    progress: Progress | None = None,
+) -> Settled:
+    """Updated with no pair dearer than a lost mode, then with the pairs made there for good,
+    weighed as asked for.
+    """
+    course = course or Course()
+    aims = [c.target for c in problem.configurations]
+
+    def doubted(spread: float) -> Solution:
+        doubting = _aimed(problem, [a.doubting(spread) for a in aims])
+        return solve(
+            doubting, course.method, start=start, iterations=course.iterations, progress=progress
+        )
+
+    near, spread = doubted(1.0), 1.0
+    if (left := _majority(problem, near.y)) > REFUTED:
+        wide = doubted(LOOSE)
+        near, spread = (wide, LOOSE) if _majority(problem, wide.y) < left else (near, spread)
+    firm = _aimed(
+        problem, [a.settled(p.now, spread) for a, p in zip(aims, near.end.points, strict=True)]
+    )
+    if course.discrepancy == "found":
+        done, final = _sharpened(firm, near.y, lambda p, y: _solved(p, course, y, progress))
+    else:
+        final = _likely(firm, near.end) if course.discrepancy == "evidence" else firm
+        done = _solved(final, course, near.y, progress)
+    if final is not firm:
+        done = replace(done, history=(*done.history[:-1], firm.evaluate(done.y, done.end)))
+    return Settled(done, final, (*near.history, *done.history[1:]))
+
+
+def _majority(problem: Problem, y: Float) -> float:
+    """What the better half of the frequencies deviate by at most, in units of what is assumed;
+    infinite without a pair.
+
+    Of n modes h = (n + q + 1)/2: q unknowns fit as many whatever the others do. Rousseeuw and Leroy
+    (1987), sec. 3.4.
+    """
+    sizes = []
+    for p in problem.evaluate(y).points:
+        test, fe = p.pairs.T
+        size = np.full(p.target.used.size, np.inf)
+        error = np.abs(p.now.frequencies[fe] / p.target.frequencies[test] - 1)
+        size[test] = error / np.hypot(p.target.weights.frequency, p.target.std[test])
+        sizes.append(size[p.target.used])
+    every = np.sort(np.concatenate(sizes))
+    return float(every[min(every.size, (every.size + problem.size + 1) // 2) - 1])
+
+
+def kept(problem: Problem) -> Float:
+    """Deviations that the best model is expected to keep, of a frequency (relative) and of 1 − MAC,
+    (2,).
+
+    Of the first configuration; NaN where it does not compare them by such a deviation.
+    """
+    terms = problem.configurations[0].terms
+    f = [t.std for t in terms if isinstance(t, OF_FREQUENCY)]
+    m = [t.mac if isinstance(t, Shapes) else t.std for t in terms if isinstance(t, Shapes | Mac)]
+    return np.array([v[0] if v else np.nan for v in (f, m)])
+
+
+def lost(problem: Problem, at: Evaluated) -> int:
+    """How many used test modes of all configurations have no partner at a point."""
+    used = sum(int(c.target.used.sum()) for c in problem.configurations)
+    return used - sum(len(p.pairs) for p in at.points)
+
+
+def displaced(problem: Problem, at: Evaluated) -> int:
+    """How many of these have a shape that the model has, at the point or initially: other starts
+    may pair them.
+
+    A shape that no mode comes near, as of a local mode, is of something that the model does not
+    have.
+    """
+    out, begin = 0, problem.evaluate(np.zeros(problem.size))
+    for c, first, last in zip(problem.configurations, begin.points, at.points, strict=True):
+        aim = c.target
+        alone = aim.used & ~np.isin(np.arange(aim.used.size), last.pairs[:, 0])
+        near = np.zeros(int(alone.sum()))
+        for now in (first.now, last.now):
+            found = scores(aim.frequencies, aim.shapes, now.frequencies, now.shapes, aim.pairing)
+            near = np.maximum(near, found.merged[alone].max(axis=1, initial=0.0))
+        out += int((near > HOLD * aim.pairing.mac_gate).sum())
+    return out
+
+
+def whole_cost(problem: Problem, at: Evaluated) -> float:
+    """J at an end, by the prior that was given, over all used test modes: none costs more than one
+    without partner.
+
+    That is `DOUBT`.
+    """
+    cost = problem.loss.cost(squares(at.value, at.datum))
+    mode = at.mode[np.unique(at.datum, return_index=True)[1]]
+    _, of = np.unique(mode, return_inverse=True)
+    each = np.bincount(of, cost)
+    beside = np.bincount(of, mode == NO_MODE) > 0
+    data = float(np.where(beside, each, np.minimum(each, DOUBT)).sum())
+    return data + at.lost + float(at.x @ problem.precision @ at.x) + DOUBT * lost(problem, at)
+
+
+def _aimed(problem: Problem, aims: Sequence[Target]) -> Problem:
+    held = zip(problem.configurations, aims, strict=True)
+    return replace(problem, configurations=tuple(replace(c, target=t) for c, t in held))
+
+
+def _solved(problem: Problem, course: Course, start: Float, progress: Progress | None) -> Solution:
+    if course.prior != "given":
+        return regularised(problem, course.prior, course.method, start=start).solution
+    return solve(
+        problem, course.method, start=start, iterations=course.iterations, progress=progress
+    )
+
+
+def _sharpened(
+    problem: Problem, y: Float, solved: Callable[[Problem, Float], Solution]
+) -> tuple[Solution, Problem]:
+    """Updated with the discrepancy that is left over, until that stands."""
+
+    def updated(w: Weights, y: Float) -> tuple[Solution, Float]:
+        done = solved(weighed(problem, w), y)
+        return done, done.y
+
+    done, w = in_turns(y, updated, lambda y: left_at(problem, y))
+    return done, weighed(problem, w)
+
+
+def _likely(problem: Problem, at: Evaluated) -> Problem:
+    """The problem with the errors of each kind of residuals that make the data most likely."""
+    found = zip(
+        np.unique(at.kind).tolist(), discrepancy_by_evidence(at, problem).tolist(), strict=True
+    )
+    by, kinds = dict(found), count()  # a kind may have no row: all its modes are lost
+    parts = [
+        replace(c, terms=tuple(widened(t, by.get(next(kinds), 1.0)) for t in c.terms))
+        for c in problem.configurations
+    ]
+    return replace(problem, configurations=tuple(parts))
+
+
+@runtime_checkable
+class Enriched(Protocol):
+    """An `ObservedModel` on a basis to which the full model's modes can be added."""
+
+    @property
+    def parameters(self) -> ParameterSet: ...
+    def linearise(self, x: Float) -> Linearisation: ...
+    def modes(self, x: Float) -> Linearisation: ...
+    def enrich(self, x: Float, *, sensitivities: bool = False) -> tuple[Self, Linearisation]: ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Verified:
+    """A solution and its proof.
+
+    Attributes
+    ----------
+    solution : Solution
+        On the enriched basis.
+    problem : Problem
+        That it solves, with the enriched model in its first configuration.
+    error : float
+        Largest relative frequency error of the basis, against a full solution at the last but one
+        end.
+    full_solutions : int
+    """
+
+    solution: Solution
+    problem: Problem
+    error: float
+    full_solutions: int
+
+
+def solve_verified(
+    problem: Problem,
+    method: Method | None = None,
+    *,
+    solved: Callable[[Problem, Float | None], tuple[Solution, Problem]] | None = None,
+    start: Float | None = None,
+    tolerance: float = 1e-4,
+    rounds: int = 4,
+    progress: Progress | None = None,
+) -> Verified:
+    """Solve on the basis; at each end solve the full model and add its modes, until the two agree.
+
+    The static sensitivities at the ends are added, too: they cost one block of solves, no
+    eigensolution.
+
+    Parameters
+    ----------
+    problem : Problem
+        One configuration with a `ReducedModel`, or another that can be enriched.
+    method : Method, optional
+    solved : callable (problem, start) -> (solution, the problem that it solves), optional
+        In place of the method.
+    start : (q,) float64, optional
+    tolerance : float
+        Largest relative frequency error that is accepted, up to the highest test frequency.
+    rounds : int
+        Most full solutions; compare `error` with the tolerance for a run that used them up.
+
+    Raises
+    ------
+    InputError
+        If the model is not a reduced one or there are several.
+    """
+    only = problem.configurations[0]
+    model = only.model
+    if len(problem.configurations) != 1 or not isinstance(model, Enriched) or rounds < 1:
+        raise InputError(
+            "a verified updating needs one configuration, a ReducedModel, and one round or more"
+        )
+    solved = solved or (lambda p, y: (solve(p, method, start=y), p))
+    (done, end), error, count = solved(problem, start), np.inf, 0
+    while error > tolerance and count < rounds:
+        at = [problem.parameters.names.index(n) for n in model.parameters.names]
+        better, truth = model.enrich(done.x[at], sensitivities=True)
+        seen = np.flatnonzero(truth.frequencies <= 1.05 * only.target.frequencies.max())
+        error = _off(model.modes(done.x[at]).frequencies[seen], truth.frequencies[seen])
+        model, count = better, count + 1
+        problem = replace(problem, configurations=(replace(only, model=model),))
+        done, end = solved(problem, done.y)
+        if progress is not None:
+            progress(
+                count / rounds,
+                f"full solution {count}: frequencies of the basis off by {error:.1e}",
+            )
+    return Verified(done, end, error, count)
+
+
+def _off(basis: Float, truth: Float) -> float:
+    """Largest relative error of frequencies; where the structure is free to move they are rounding,
+    and no error.
+    """
+    change = basis * np.abs(basis) - truth * np.abs(truth)
+    return float(
+        (np.abs(change) / (2 * np.maximum(truth, max(rigid_below(truth), TINY)) ** 2)).max(
+            initial=0.0
+        )
+    )

@@ -1,0 +1,408 @@
+"""The objective J(p) = Δzᵀ W Δz + pᵀ W_p p: residuals of eigenvalues and mode shapes with their
+sensitivities.
+
+Friswell and Mottershead (1995), Finite Element Model Updating in Structural Dynamics, ch. 8 and 9.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
+from ringtrue.correlation.assignment import (
+    APART,
+    HOLD,
+    NO_LOCKS,
+    Followed,
+    Locks,
+    PairingSettings,
+    Scores,
+    assign,
+    peak_shares,
+    scores,
+)
+from ringtrue.errors import InputError
+from ringtrue.model.ports import Linearisation
+from ringtrue.shapes.mac import above_rounding, close_groups, fade, unit
+
+# a used mode without a partner counts like a frequency deviation of ten standard deviations
+LOST = 100.0
+DOUBT = 16.0  # four standard deviations
+SURE = 1e-6  # of the cost of a lost mode, by which a pair that the user decides is better
+
+
+@dataclass(frozen=True, slots=True)
+class Weights:
+    """What a deviation costs: W⁻¹ = Σ_test + Σ_model, diagonal.
+
+    Attributes
+    ----------
+    frequency : float
+        Standard deviation of a relative frequency deviation that the best model of this form is
+        expected to keep (model discrepancy); the test's own is added.
+    mac : float
+        The same for 1 − MAC.
+    shape : float
+        Factor on the whole shape part; 0 leaves the shapes out.
+    independent : float
+        Number of independent errors in a shape, each a datum: 1 for what the model lacks, which is
+        smooth, the channels for noise (`uncertainty.independent_errors`).
+    """
+
+    frequency: float = 0.01
+    mac: float = 0.05
+    shape: float = 1.0
+    independent: float = 1.0
+
+    @property
+    def of_shape(self) -> float:
+        """On the square of a shape's residual, 1 − MAC; 0 without shapes."""
+        return self.shape * self.independent / self.mac if self.shape else 0.0
+
+    @property
+    def data(self) -> float:
+        """Number of data that a mode gives."""
+        return 1 + self.independent if self.shape > 0 else 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Target:
+    """What the model is updated to.
+
+    Attributes
+    ----------
+    frequencies : (m,) float64, Hz
+    shapes : (channel, m) float64
+        Real; any scale.
+    std : (m,) float64
+        Relative standard deviation of the frequencies.
+    used : (m,) bool
+        False: left out of the updating, to judge it by.
+    weights : Weights
+    pairing : PairingSettings
+    rule : {"gates", "capped", "cost"}
+        How modes are paired anew at each point: inside the gates of `pairing`; so, or down to half
+        the MAC gate where nothing better is left, and no pair dearer than a lost mode; or where the
+        objective itself is lowest. With "cost" J is a minimum over assignments and continuous where
+        pairs of visible modes change; it has no gates.
+    lost : float
+        Cost of a used mode without a partner; with "capped" and "cost" no pair costs more.
+    fixed : (pairs (k, 2), their spans (k)), optional
+        Pairs that are not made anew.
+    followed : Followed, optional
+        Pairs that the user decides.
+    lent : bool
+        The shapes are those of the model's own modes: they tell which mode is which, and were not
+        measured.
+    """
+
+    frequencies: Float
+    shapes: Float
+    std: Float
+    used: Bool
+    weights: Weights = field(default_factory=Weights)
+    pairing: PairingSettings = field(default_factory=PairingSettings)
+    rule: Literal["gates", "capped", "cost"] = "gates"
+    lost: float = LOST
+    fixed: tuple[Int, tuple[Span, ...]] | None = None
+    followed: Followed | None = None
+    lent: bool = False
+
+    def __post_init__(self) -> None:
+        f = np.float64
+        freeze_fields(self, frequencies=f, shapes=f, std=f, used=np.bool_)
+        m = self.frequencies.size
+        if (
+            self.shapes.ndim != 2
+            or self.shapes.shape[1] != m
+            or self.std.shape != (m,)
+            or self.used.shape != (m,)
+        ):
+            raise InputError(
+                f"{m} frequencies, shapes {self.shapes.shape}, std {self.std.shape}, used "
+                f"{self.used.shape}"
+            )
+        if self.rule not in ("gates", "capped", "cost") or not self.lost > 0:
+            raise InputError(
+                f"pairing rule {self.rule!r} (gates, capped, cost), cost of a lost mode "
+                f"{self.lost} (> 0)"
+            )
+
+    def doubting(self, spread: float = 1.0) -> Target:
+        """The same for a point near the end: a mode that costs more than `DOUBT` has no partner.
+
+        A test mode that the model does not have then pulls no more than one without a partner.
+        Shapes say which modes belong together: in a dense band some mode always has the right
+        frequency. `spread` is what the pairs deviate by, in units of what the best model is
+        expected to keep. Pairs of shapes that are lent stay: none was measured that could look
+        otherwise.
+        """
+        if self.lent:
+            return self
+        return replace(
+            self, rule="capped", lost=DOUBT * spread**2 * max(self.weights.data / 2, 1.0)
+        )
+
+    def lowest(self, count: int) -> Target:
+        """The same up to the highest of so many used modes, the lowest; pairs are made anew."""
+        used = np.sort(self.frequencies[self.used])
+        if used.size <= count:
+            return self
+        at = np.flatnonzero(self.frequencies <= used[count - 1])
+        return replace(
+            self,
+            frequencies=self.frequencies[at],
+            shapes=self.shapes[:, at],
+            std=self.std[at],
+            used=self.used[at],
+            fixed=None,
+            followed=self.followed and self.followed.among(at),
+        )
+
+    def settled(self, now: Linearisation, spread: float = 1.0) -> Target:
+        """The same with the pairs that `doubting` makes at a point, for good; modes without a
+        partner are not used.
+
+        J is then smooth: pairs and groups of close modes no longer change from step to step. Where
+        no used mode has a partner near enough, the point is no end, and the pairs are those of the
+        own rule.
+        """
+        for aim in (self.doubting(spread), self):
+            pairs, _, spread_out = match(aim, now)
+            used = self.used & np.isin(np.arange(self.used.size), pairs[:, 0])
+            if used.any():
+                break
+        return replace(self, used=used, fixed=(pairs, tuple(s.held() for s in spread_out)))
+
+
+def match(
+    target: Target, now: Linearisation, held: Bool | None = None
+) -> tuple[Int, Float, tuple[Span, ...]]:
+    """Pairs (k, 2), their MAC (k,) and what stands for each test mode, by one assignment over MAC
+    and frequency.
+
+    Test modes in `held` (m,) keep a partner down to half the MAC gate: one that stands at the gate
+    must not come and go from step to step. With the rule "capped" these are all.
+    """
+    if target.fixed is not None:
+        pairs, of = target.fixed
+        rest = [
+            span_residual(target.shapes, now, t, s)[0]
+            for t, s in zip(pairs[:, 0].tolist(), of, strict=True)
+        ]
+        return pairs, np.array([1 - r @ r for r in rest]), of
+    s = scores(target.frequencies, target.shapes, now.frequencies, now.shapes, target.pairing)
+    locks = target.followed.locks(now.shapes) if target.followed is not None else NO_LOCKS
+    if target.rule == "cost":
+        pairs = _cheapest(target, now, s, locks)
+    elif target.rule == "capped":
+        pairs = _gated(target, now, s, locks, np.ones(target.used.size, dtype=np.bool_))
+        forced, _ = locks.mask((target.used.size, now.frequencies.size))
+        pairs = pairs[((_costs(target, s) < target.lost) | forced)[pairs[:, 0], pairs[:, 1]]]
+    else:
+        pairs = _gated(target, now, s, locks, held)
+    of = spans(target.frequencies, target.used, pairs, now, target.pairing)
+    return pairs, s.merged[pairs[:, 0], pairs[:, 1]], of
+
+
+def _gated(target: Target, now: Linearisation, s: Scores, locks: Locks, held: Bool | None) -> Int:
+    """Pairs (k, 2) inside the gates, those of modes in `held` (m,) inside wider ones."""
+    every = np.ones(target.frequencies.size, dtype=np.bool_)
+    usable, trust = _usable(now), _trust(target, now, s)
+    rows, cols = assign(s, target.pairing, every, usable, locks, trust)
+    lost = held & ~np.isin(np.arange(every.size), rows) if held is not None else ~every
+    if held is not None and lost.any():
+        keep = held[rows]  # a mode that had no partner gives way
+        free = usable & ~np.isin(np.arange(usable.size), cols[keep])
+        more = _held(target, s, lost, free, locks, trust)
+        keep |= ~np.isin(cols, more[1])
+        rows, cols = np.append(rows[keep], more[0]), np.append(cols[keep], more[1])
+        order = np.argsort(rows)
+        rows, cols = rows[order], cols[order]
+    return np.stack([rows, cols], axis=1)
+
+
+def _usable(now: Linearisation) -> Bool:
+    """Modes of the model that are elastic and move the sensors by more than rounding, (n,)."""
+    return np.asarray((now.frequencies > 0) & above_rounding(now.shapes).any(axis=0))
+
+
+def _trust(target: Target, now: Linearisation, s: Scores) -> Float:
+    """How far each pair is trusted, (m, n): less than 1 with a mode that hardly moves the sensors.
+
+    Beside a global mode such a local one has nearly its shape at the sensors, and the test sees the
+    global one. What tells is how much better than the best of the visible modes in reach it
+    matches: a test that has measured the faint mode itself has its shape, and with exact data the
+    trust is 1. Without shapes all are trusted.
+    """
+    faint = peak_shares(now.shapes) < target.pairing.faint
+    trust = np.ones(s.error.shape)
+    if not faint.any() or np.isnan(s.merged).any():
+        return trust
+    rest = np.maximum(1 - s.merged, 0.0)
+    in_reach = (np.abs(s.error) <= target.pairing.frequency_gate) & ~faint & (now.frequencies > 0)
+    visible = np.where(in_reach, rest, np.inf).min(axis=1, keepdims=True)
+    better = rest < visible
+    trust[:, faint] = np.where(better, 1 - rest / np.where(better, visible, 1.0), 0.0)[:, faint]
+    return trust
+
+
+def _held(
+    target: Target, s: Scores, lost: Bool, free: Bool, locks: Locks, trust: Float
+) -> tuple[Int, Int]:
+    """Partners of the test modes `lost` (m,) among the modes `free` (n,) of the model, inside wider
+    gates.
+    """
+    gates = target.pairing
+    wide = replace(
+        gates, mac_gate=HOLD * gates.mac_gate, frequency_gate=gates.frequency_gate / HOLD
+    )
+    return assign(s, wide, lost, free, Locks((), locks.forbidden), trust)
+
+
+def _cheapest(target: Target, now: Linearisation, s: Scores, locks: Locks) -> Int:
+    """Pairs (k, 2) of least total cost, `lost` for a mode without a partner: first the used modes,
+    then the others.
+    """
+    cost = target.lost + (np.minimum(_costs(target, s), target.lost) - target.lost) * _trust(
+        target, now, s
+    )
+    cost[:, ~_usable(now)] = target.lost
+    forced, free = locks.mask((cost.shape[0], cost.shape[1]))
+    cost = np.where(free, cost, target.lost)
+    cost[forced] = np.minimum(cost[forced], (1 - SURE) * target.lost)
+    found: list[tuple[int, int]] = []
+    for rows in (np.flatnonzero(target.used), np.flatnonzero(~target.used)):
+        free = np.setdiff1d(np.arange(now.frequencies.size), [j for _, j in found])
+        alone = np.full((rows.size, rows.size), target.lost)
+        i, j = linear_sum_assignment(
+            np.hstack([np.minimum(cost[np.ix_(rows, free)], target.lost), alone])
+        )
+        keep = j < free.size
+        found += zip(rows[i[keep]].tolist(), free[j[keep]].tolist(), strict=True)
+    pairs = np.array(sorted(p for p in found if cost[p] < target.lost), dtype=np.int64)
+    return pairs.reshape(-1, 2)
+
+
+def _costs(target: Target, s: Scores) -> Float:
+    """What each pair adds to J, (m, n)."""
+    w = target.weights
+    root = 0.5 / np.sqrt(w.frequency**2 + target.std**2)
+    shape = w.of_shape * (1 - s.merged)
+    return np.asarray((root[:, None] * ((1 + s.error) ** 2 - 1)) ** 2 + shape)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Span:
+    """The mean of projectors on sets of modes, each of which holds the one before.
+
+    Attributes
+    ----------
+    sets : tuple (s) of (g,) int64
+        Modes of the model, the pair's own first.
+    weight : (s,) float64
+        Sums to 1.
+    slope : (s, p) float64, ∂weight/∂x
+    """
+
+    sets: tuple[Int, ...]
+    weight: Float
+    slope: Float
+
+    @property
+    def size(self) -> float:
+        """Mean number of modes."""
+        return float(self.weight @ [g.size for g in self.sets])
+
+    def held(self) -> Span:
+        """The same with weights that no longer change."""
+        return replace(self, slope=np.zeros((len(self.sets), 0)))
+
+
+def spans(
+    frequencies: Float, used: Bool, pairs: Int, now: Linearisation, settings: PairingSettings
+) -> tuple[Span, ...]:
+    """The span of each pair (k, 2) of a test mode and a mode of the model; a mode at 0 Hz stands
+    alone.
+
+    Parameters
+    ----------
+    frequencies : (m,) float64, Hz, of the test
+    used : (m,) bool
+        Test modes whose partners stand for close ones, too.
+    """
+    partner = {t: f for t, f in pairs.tolist() if used[t]}
+    near = {
+        t: g for g in close_groups(frequencies, settings.close, settings.largest_group) for t in g
+    }
+    return tuple(
+        _around(now, f, {partner[s] for s in near[t] if s in partner}, settings)
+        if len(near[t]) > 1 and now.frequencies[f] > 0
+        else _one(now, f)
+        for t, f in pairs.tolist()
+    )
+
+
+def _one(now: Linearisation, f: int) -> Span:
+    return Span((np.array([f]),), np.ones(1), np.zeros((1, now.d_lambda.shape[1])))
+
+
+def _around(
+    now: Linearisation, f: int, partners: Collection[int], settings: PairingSettings
+) -> Span:
+    """Mode `f`, those close to it, and partners of close test modes within `APART` times that."""
+    limit = np.full(now.frequencies.size, settings.close)
+    limit[list(partners)] *= APART
+    here = np.flatnonzero(now.frequencies > 0)
+    log = np.log(now.frequencies[here] / now.frequencies[f])
+    ratio = np.where(here == f, 0.0, np.abs(log) / limit[here])
+    order = np.argsort(ratio, kind="stable")[: settings.largest_group]
+    order = order[fade(ratio[order])[0] > 0]
+    at, (height, steep) = here[order], fade(ratio[order])
+    d_log = now.d_lambda[at] / (2 * (2 * np.pi * now.frequencies[at, None]) ** 2)
+    d_height = (steep * np.sign(log[order]) / limit[at])[:, None] * (d_log - d_log[:1])
+    weight, slope = (
+        -np.diff(height, append=0.0),
+        -np.diff(d_height, axis=0, append=np.zeros((1, d_log.shape[1]))),
+    )
+    some = np.flatnonzero(weight > 0)
+    return Span(tuple(at[: k + 1] for k in some.tolist()), weight[some], slope[some])
+
+
+def span_residual(shapes: Float, now: Linearisation, t: int, span: Span) -> tuple[Float, Float]:
+    """ψ − Σ w P ψ and ∂(Σ w P ψ)/∂x of test mode `t` of `shapes` (channel, m): (channel,) and
+    (channel, p).
+    """
+    if len(span.sets) == 1:  # as nearly always
+        return shape_residual(shapes, now, t, span.sets[0])
+    parts = [shape_residual(shapes, now, t, g) for g in span.sets]
+    rest = np.array([r for r, _ in parts])
+    slope = np.einsum("s,scp->cp", span.weight, np.array([g for _, g in parts]))
+    return span.weight @ rest, slope - (rest.T @ span.slope if span.slope.shape[1] else 0.0)
+
+
+def shape_residual(shapes: Float, now: Linearisation, t: int, group: Int) -> tuple[Float, Float]:
+    """(I − P) ψ and ∂(Pψ)/∂x with P the projector on the model's shapes; ‖(I − P) ψ‖² = 1 − MAC.
+
+    The scale (modal scale factor) and a rotation inside the group are projected out at every point.
+    """
+    psi = unit(shapes[:, [t]])[:, 0]
+    phi = now.shapes[:, group]
+    alone = group.size == 1  # as nearly always: half the time
+    plus = (
+        phi.T / max(float((phi**2).sum()), np.finfo(np.float64).tiny)
+        if alone
+        else np.linalg.pinv(phi)
+    )
+    inside = phi @ (plus @ psi)
+    rest = psi - inside
+    d_phi = now.d_shapes[:, group, :]
+    first = np.einsum("cgp,g->cp", d_phi, plus @ psi)
+    first -= phi @ (plus @ first)
+    second = plus.T @ np.einsum("cgp,c->gp", d_phi, rest)
+    return rest, first + second

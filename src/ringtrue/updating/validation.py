@@ -1,0 +1,305 @@
+"""Predictions on modes left out of the updating, fold by fold, with bands that hold what was
+measured.
+
+The band of a left-out frequency has three parts: the parameters, the test, and the model
+discrepancy, which no parameter can remove. The parameters of a fold are known as well as errors of
+that size in the modes left to it allow: one that only the left-out mode tells of may be far off and
+says nothing of the model. The discrepancy is taken from all modes that are predicted unseen: those
+of the folds, and those that the updating does not use at all, which have had no say in the choice
+of the parameters either. That of a mode comes from all *others*, so that none helps to judge
+itself; `with_discrepancy` puts the number of all into W, so that the posterior does not collapse.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.special import stdtrit
+
+from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
+from ringtrue.core.iterate import Outcome
+from ringtrue.core.progress import Progress
+from ringtrue.errors import InputError
+from ringtrue.updating.problem import Configuration, Evaluated, Problem
+from ringtrue.updating.residuals.modal import OF_FREQUENCY, Shapes
+from ringtrue.updating.solver import Method, solve
+from ringtrue.updating.uncertainty import laplace
+
+LEAST = 1e-4  # model discrepancy, relative
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Held:
+    """Left-out modes against their predictions; the test modes in order.
+
+    Attributes
+    ----------
+    test, predicted : (m,) float64, Hz
+        NaN where the mode found no partner, or was used and in no fold.
+    mac : (m,) float64
+    parameter_std, test_std, model_std : (m,) float64, relative
+        The three parts of the band; `model_std` from all other modes that are predicted. Parameters
+        are known as well as errors of the size found let them be.
+    fold : (m,) int64
+        -1: in none; a mode that is not used is predicted by all that are.
+    converged : bool
+    ends : (fold, p) float64
+        x of each fold.
+    discrepancy : float
+        Of a frequency, relative, from all modes that are predicted.
+    """
+
+    test: Float
+    predicted: Float
+    mac: Float
+    parameter_std: Float
+    test_std: Float
+    model_std: Float
+    fold: Int
+    converged: bool
+    ends: Float = field(default_factory=lambda: np.zeros((0, 0)))
+    discrepancy: float = float("nan")
+
+    def __post_init__(self) -> None:
+        f = np.float64
+        freeze_fields(
+            self,
+            test=f,
+            predicted=f,
+            mac=f,
+            parameter_std=f,
+            test_std=f,
+            model_std=f,
+            ends=f,
+            fold=np.int64,
+        )
+
+    @property
+    def in_turn(self) -> Bool:
+        """Modes that a fold has left out and predicted, (m,)."""
+        return np.asarray((self.fold >= 0) & np.isfinite(self.predicted))
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom that the discrepancy is known with: as many errors as modes are
+        predicted, less one.
+        """
+        return max(int(np.isfinite(self.predicted).sum()) - 1, 1)
+
+    @property
+    def error(self) -> Float:
+        """(f_predicted − f_test)/f_test, (m,)."""
+        return np.asarray(self.predicted / self.test - 1)
+
+    @property
+    def std(self) -> Float:
+        """Of the predicted minus the measured frequency, relative, (m,)."""
+        return np.asarray(np.sqrt(self.parameter_std**2 + self.test_std**2 + self.model_std**2))
+
+    def band(self, level: float = 0.9) -> Float:
+        """Central interval of the measured frequency, (m, 2), Hz.
+
+        The discrepancy is known from so many errors: Student's quantile.
+        """
+        reach = float(stdtrit(self.freedom, 0.5 + level / 2)) * self.std * self.predicted
+        return np.stack([self.predicted - reach, self.predicted + reach], axis=1)
+
+    def inside(self, level: float = 0.9) -> Bool:
+        """Whether the band holds the measured frequency, (m,); False without a prediction."""
+        band = self.band(level)
+        return np.asarray((band[:, 0] <= self.test) & (self.test <= band[:, 1]))
+
+    def coverage(self, level: float = 0.9) -> float:
+        """Share of the modes left out in turn that are inside their bands."""
+        seen = self.in_turn
+        return float(self.inside(level)[seen].mean()) if seen.any() else float("nan")
+
+
+def folds_of(used: Bool, count: int) -> tuple[tuple[int, ...], ...]:
+    """`count` folds of the used modes, interleaved over the band.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two folds or fewer modes than folds.
+    """
+    at = np.flatnonzero(used)
+    if not 2 <= count <= at.size:
+        raise InputError(f"{count} folds of {at.size} modes: from 2 to the number of modes")
+    return tuple(tuple(at[i::count].tolist()) for i in range(count))
+
+
+def discrepancy(error: Float, known: Float, gain: Float | None = None) -> float:
+    """Relative standard deviation s of largest likelihood of errors ~ N(0, gain s² + known²), (m,)
+    each; NaNs left out.
+
+    `gain` is 1 if not given, larger where s has made the parameters uncertain, too.
+    """
+    seen = np.isfinite(error)
+    e2, k2, g = (
+        error[seen] ** 2,
+        known[seen] ** 2,
+        np.ones(int(seen.sum())) if gain is None else gain[seen],
+    )
+    if not e2.size:
+        raise InputError(
+            "no left-out mode has found a partner: widen the gates, or leave other modes out"
+        )
+    grid = np.geomspace(LEAST, max(10 * float(np.sqrt(e2.max())), 2 * LEAST), 200)
+    total = grid[:, None] ** 2 * g + k2
+    return float(grid[np.argmin((e2 / total + np.log(total)).sum(axis=1))])
+
+
+def k_fold(
+    configuration: Configuration,
+    folds: Sequence[Sequence[int]],
+    method: Method | None = None,
+    *,
+    start: Float | None = None,
+    others: Sequence[Configuration] = (),
+    progress: Progress | None = None,
+) -> Held:
+    """Update without each fold in turn and predict it; at last with all used modes, for those that
+    are not used.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        Its target says which modes are used at all.
+    folds : sequences of test modes
+    start : (q,) float64, optional
+        Unknowns at the start of every fold; else each starts where the one before has ended, the
+        first at 0.
+    others : sequence of Configuration
+        Further configurations that every fold sees whole; their parameters are among those of the
+        first.
+
+    Raises
+    ------
+    InputError
+        If no left-out mode finds a partner, or a mode is in two folds.
+    """
+    target = configuration.target
+    m = target.frequencies.size
+    if len({i for f in folds for i in f}) != sum(len(f) for f in folds):
+        raise InputError("a mode is in two folds")
+    predicted, mac, spread, of = (
+        np.full(m, np.nan),
+        np.full(m, np.nan),
+        np.full((m, 3), np.nan),
+        np.full(m, -1),
+    )
+    begin, good, ends = start, True, []
+    unused = np.flatnonzero(~target.used).tolist()
+    for i, fold in enumerate([*folds, unused] if unused else folds):
+        used = target.used & ~np.isin(np.arange(m), fold)
+        problem = Problem((replace(configuration, target=replace(target, used=used)), *others))
+        done = solve(problem, method, start=begin)
+        good, begin = good and done.outcome is Outcome.CONVERGED, done.y if start is None else start
+        predicted_fold(problem, done.end, list(fold), predicted, mac, spread)
+        if i == len(folds):
+            break
+        of[list(fold)] = i
+        ends.append(done.x)
+        if progress is not None:
+            progress((i + 1) / len(folds), f"left out: fold {i + 1} of {len(folds)}")
+    error, by_f = predicted / target.frequencies - 1, spread[:, 0]
+    fixed = by_f * float(np.mean(target.std**2)) + spread[:, 1] * mean_miss(mac) + spread[:, 2]
+    known = np.sqrt(fixed + target.std**2)
+    found = discrepancy(error, known, 1 + by_f)
+    return Held(
+        target.frequencies,
+        predicted,
+        mac,
+        np.sqrt(fixed + by_f * found**2),
+        target.std,
+        _from_others(error, known, 1 + by_f),
+        of,
+        good,
+        np.array(ends),
+        found,
+    )
+
+
+def mean_miss(mac: Float) -> float:
+    """Mean 1 − MAC of the modes that have a partner; `LEAST` at least."""
+    seen = mac[np.isfinite(mac)]
+    return max(float(np.mean(1 - seen)), LEAST) if seen.size else LEAST
+
+
+def _from_others(error: Float, known: Float, gain: Float) -> Float:
+    """The discrepancy of each mode from the errors of all others, (m,); NaN without an error."""
+    seen, out = np.flatnonzero(np.isfinite(error)), np.full(error.size, np.nan)
+    for i in seen.tolist():  # over modes: a search each
+        rest = seen[seen != i] if seen.size > 1 else seen
+        out[i] = discrepancy(error[rest], known[rest], gain[rest])
+    return out
+
+
+def predicted_fold(
+    problem: Problem, at: Evaluated, fold: list[int], predicted: Float, mac: Float, spread: Float
+) -> None:
+    """Fill in the frequencies (Hz), MAC and `variance_parts` (m, 3) of the frequencies of one fold,
+    in place.
+    """
+    here = at.points[0]
+    t, f = here.every.T
+    which = np.isin(t, fold)
+    t, f = t[which], f[which]
+    predicted[t], mac[t] = here.now.frequencies[f], here.mac[which]
+    slope = (
+        here.now.d_lambda[f] / (8 * np.pi**2 * here.now.frequencies[f] ** 2)[:, None] @ problem.link
+    )
+    spread[t] = np.einsum("mp,kpq,mq->mk", slope, variance_parts(problem, at), slope)
+
+
+def variance_parts(problem: Problem, at: Evaluated) -> Float:
+    """Covariance of the unknowns (3, q, q): a unit of the mean square error of frequencies, one of
+    1 − MAC, the rest.
+
+    A shape has as many independent errors as the weights say: one, as the parameters imitate it
+    best, if not told.
+    """
+    terms = [(t, c.target) for c in problem.configurations for t in c.terms]
+    n = int(at.kind.max(initial=-1)) + 1
+    of_f = np.array(
+        [
+            (t.std**2 + np.mean(a.std**2)) ** -0.5 if isinstance(t, OF_FREQUENCY) else 0.0
+            for t, a in terms
+        ][:n]
+    )
+    of_s = np.array(
+        [(t.factor / t.mac) ** 0.5 if isinstance(t, Shapes) else 0.0 for t, _ in terms][:n]
+    )
+    many = problem.configurations[0].target.weights.independent
+    other = np.where((of_f == 0) & (of_s == 0), 1.0, 0.0)
+    none, *each = (
+        laplace(problem, at, k, independent=many).covariance for k in (0 * other, of_f, of_s, other)
+    )
+    return np.stack([each[0] - none, each[1] - none, each[2]])
+
+
+def with_discrepancy(
+    configuration: Configuration,
+    folds: Sequence[Sequence[int]],
+    method: Method | None = None,
+    *,
+    start: Float | None = None,
+    others: Sequence[Configuration] = (),
+    progress: Progress | None = None,
+) -> tuple[Configuration, Held]:
+    """The configuration with the weights that its left-out modes ask for, and the predictions of
+    these.
+
+    The folds are updated by the weights that are given, as the whole was: their errors are those of
+    this way to update. The discrepancy of a frequency is that of all frequencies that were
+    predicted unseen, that of a shape the mean of 1 − MAC of such shapes.
+
+    Notes
+    ----- Terms of frequencies, shapes and MAC get these weights, in the other configurations too;
+    other kinds stay.
+    """
+    held = k_fold(configuration, folds, method, start=start, others=others, progress=progress)
+    return configuration.weighed(held.discrepancy, mean_miss(held.mac)), held
