@@ -28,8 +28,8 @@ from ringtrue.identification.ambient.spurious_modes import overtones
 from ringtrue.io.records import write_history
 from ringtrue.signal.channel_checks import channel_states
 from ringtrue.signal.decimation import Band
-from ringtrue.signal.harmonic_evidence import steady_amplitudes
-from ringtrue.signal.order_tracking import families, without_machines
+from ringtrue.signal.harmonic_evidence import amplitude_evidence
+from ringtrue.signal.order_tracking import families, remove_harmonics
 from ringtrue.signal.tonal_lines import harmonics
 
 __all__ = ("frf",)  # a fixture
@@ -363,7 +363,7 @@ def test_a_machine_of_unsteady_speed_is_no_mode() -> None:
     told = [n for n in r.notes if "a machine of unsteady speed" in n]
     assert told
     assert all(abs(float(n.split()[2]) - 7.0) < 0.3 for n in told)
-    assert steady_amplitudes(history, F, Z) == ("",) * 4
+    assert amplitude_evidence(history, F, Z) == ("",) * 4
 
 
 @pytest.mark.parametrize(("f", "on", "off"), [(7.0, 10.0, 20.0), (12.5, 8.0, 12.0)])
@@ -385,7 +385,7 @@ def test_a_machine_that_switches_is_no_mode(f: float, on: float, off: float) -> 
     assert r.modes.frequencies == pytest.approx(F, rel=TOLERANCE)
     told = [float(n.split()[2]) for n in r.notes if "a machine that switches" in n]
     assert told == pytest.approx([f], rel=1e-3)
-    assert steady_amplitudes(history, F, Z) == ("",) * 4
+    assert amplitude_evidence(history, F, Z) == ("",) * 4
 
 
 @pytest.mark.parametrize(
@@ -432,7 +432,7 @@ def test_families_of_harmonics() -> None:
     assert families([3.0, 6.0], 0.05) == ()
     t = np.arange(N) / RATE
     comb = sum(0.4 * np.cos(2 * np.pi * 3.0 * k * t + k) for k in range(1, 8))
-    left, said = without_machines(
+    left, said = remove_harmonics(
         wrap(made() + made().std() * comb), [3.0 * k for k in range(1, 8)], "cepstrum"
     )
     assert said == ("harmonics of 3 Hz taken out by cepstrum",)
@@ -441,7 +441,7 @@ def test_families_of_harmonics() -> None:
     at = np.round(3.0 * np.arange(1, 8) * SECONDS).astype(int)
     assert np.median(gone[at] / there[at]) < 0.25
     with pytest.raises(ValueError, match="did you mean 'lines'"):
-        without_machines(left, [3.0], "line")
+        remove_harmonics(left, [3.0], "line")
 
 
 def test_channel_states_name_what_they_are() -> None:

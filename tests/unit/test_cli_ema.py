@@ -376,8 +376,8 @@ def test_blows_that_follow_before_the_structure_is_quiet() -> None:
             if np.isfinite(kept):
                 score += [(r.modes.frequencies - FN) / r.uncertainty.frequency]
                 score += [(r.modes.damping - ZETA) / r.uncertainty.damping]
-        for known in (frfs.blows, None):
-            r = identify_hammer(replace(frfs, blows=known), HammerModes(fmax=80.0))
+        for known in (frfs.impacts, None):
+            r = identify_hammer(replace(frfs, impacts=known), HammerModes(fmax=80.0))
             scale.append(np.abs(np.linalg.norm(r.modes.shapes, axis=0) / size - 1))
     assert 0.5 < np.sqrt(np.mean(np.square(score))) < 2.0
     assert max(error[::2]) < 0.01

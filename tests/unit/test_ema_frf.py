@@ -16,9 +16,9 @@ from ringtrue.core.channels import input_id
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.frfs import read_frfs, write_frfs
-from ringtrue.signal.channel_checks import ceilings
+from ringtrue.signal.channel_checks import clipping_levels
 from ringtrue.signal.frf import estimate_columns, estimate_frf, estimators, frf_variance
-from ringtrue.signal.frf_sets import exchanged, join_frfs
+from ringtrue.signal.frf_sets import exchange_by_reciprocity, join_frfs
 from ringtrue.signal.impacts import HammerSettings
 from ringtrue.study.hammer_records import forced_frfs
 
@@ -163,7 +163,7 @@ def test_two_clipped_pulses_are_enough_where_each_is_flat() -> None:
         r = TimeHistory(
             np.clip(bits, None, top)[None], 2.5 * RATE, (Channel("F", "force", "N"),), "r"
         )
-        assert ceilings(r) == clips
+        assert clipping_levels(r) == clips
 
 
 def test_frf_is_that_of_the_system_under_the_window() -> None:
@@ -279,16 +279,16 @@ def test_earlier_blows_are_known_row_by_row_and_column_by_column() -> None:
     records = [record(hit, sensors[k], k, starts=gaps[k]) for k in (0, 1) for hit in (1, 3)]
     parts = estimate_columns(records)[0]
     joined = join_frfs(parts)
-    assert joined.blows is not None
-    np.testing.assert_allclose(joined.blows.weight.sum(axis=0), 1.0, rtol=1e-12)
+    assert joined.impacts is not None
+    np.testing.assert_allclose(joined.impacts.weight.sum(axis=0), 1.0, rtol=1e-12)
     for k, one in enumerate(parts):
-        mine = joined.blows.take(np.array(sensors[k // 2]), np.array([k % 2])).factors(pole)
-        assert one.blows is not None
-        alone = one.blows.factors(pole)
+        mine = joined.impacts.take(np.array(sensors[k // 2]), np.array([k % 2])).factors(pole)
+        assert one.impacts is not None
+        alone = one.impacts.factors(pole)
         np.testing.assert_allclose(mine[0] * mine[1], alone[0] * alone[1], rtol=1e-12)
-    shape, part = joined.blows.factors(pole)
-    turned = joined.blows.exchanged().factors(pole)
-    both = np.tensordot(joined.blows.weight, joined.blows.each(pole), (0, 0))[..., 0]
+    shape, part = joined.impacts.factors(pole)
+    turned = joined.impacts.exchanged().factors(pole)
+    both = np.tensordot(joined.impacts.weight, joined.impacts.each(pole), (0, 0))[..., 0]
     least = np.linalg.svd(both)[1][1]  # of what no product of shape and participation leaves
     assert least <= np.linalg.norm(shape @ part - both) < 1.5 * least
     assert least <= np.linalg.norm(turned[0] @ turned[1] - both.T) < 1.5 * least
@@ -335,7 +335,7 @@ def test_a_roving_hammer_is_read_by_a_sensor_of_turning_too() -> None:
         Channel("4+RY", "moment", "N*m"),
     )
     h = np.arange(3 * 2 * 4.0).reshape(3, 2, 4)
-    got, note = exchanged(FrfSet(h, np.arange(1.0, 4.0), outputs, inputs))
+    got, note = exchange_by_reciprocity(FrfSet(h, np.arange(1.0, 4.0), outputs, inputs))
     assert "roving hammer" in note
     np.testing.assert_array_equal(got.data, h.swapaxes(1, 2))
     assert [c.unit for c in got.outputs] == ["m/s^2"] * 3 + ["rad/s^2"]

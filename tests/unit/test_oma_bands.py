@@ -19,7 +19,7 @@ from ringtrue.identification.ambient.record_bands import (
 from ringtrue.identification.ambient.ssi_cov import SsiCov
 from ringtrue.identification.common import uncertainty as var
 from ringtrue.signal import band_correlations
-from ringtrue.signal.band_correlations import ABREAST, Signals, abreast, segments, threads
+from ringtrue.signal.band_correlations import ABREAST, Signals, map_in_threads, segments, threads
 from ringtrue.signal.decimation import Band, decimator, detrend, high_passer
 
 HIGH, DOWN = high_passer(4.0, 100.0), decimator(4)
@@ -112,14 +112,14 @@ def test_items_abreast_are_taken_late_and_given_in_order():
             taken.append(k)
             yield k
 
-    seen = [(x, len(taken)) for x in abreast(lambda k: k * k, items())]
+    seen = [(x, len(taken)) for x in map_in_threads(lambda k: k * k, items())]
     assert [x for x, _ in seen] == [0, 1, 4, 9, 16]
     assert [n for _, n in seen] == [2, 3, 4, 5, 5]
 
 
 def test_an_error_abreast_is_raised():
     with pytest.raises(ZeroDivisionError):
-        list(abreast(lambda k: 1 / k, [1, 2, 0, 3]))
+        list(map_in_threads(lambda k: 1 / k, [1, 2, 0, 3]))
 
 
 def test_deviation_of_a_modulus_near_zero_and_far_from_it():

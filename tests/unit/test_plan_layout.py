@@ -7,7 +7,7 @@ import pytest
 
 from ringtrue.errors import InputError
 from ringtrue.planning.exciters import reached, select_references
-from ringtrue.planning.geometry import even_distance
+from ringtrue.planning.geometry import spacing_of_points
 from ringtrue.planning.resolution import ambient_std, frf_averages, resolution
 from ringtrue.planning.sensors import independence, lower_auto_mac, select_points
 from ringtrue.shapes.mac import auto_mac, worst_off_diagonal
@@ -107,13 +107,13 @@ def test_half_the_even_spacing_of_a_plate_is_always_possible() -> None:
     """A unit square keeps nine points 1/2 apart, its corners, middles of edges and centre."""
     x, y = np.meshgrid(np.linspace(0, 1, 41), np.linspace(0, 1, 41))
     xyz = np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1)
-    assert even_distance(xyz, 9) == pytest.approx(0.25, rel=0.1)
-    assert even_distance(xyz, 1) == 0.0
+    assert spacing_of_points(xyz, 9) == pytest.approx(0.25, rel=0.1)
+    assert spacing_of_points(xyz, 1) == 0.0
     rng = np.random.default_rng(5)
     for count in (4, 9, 25, 70):  # scores that would cluster at random places
         near = np.exp(-5 * np.abs(xyz - rng.uniform(size=3)).max(axis=1))
         shapes = rng.standard_normal((len(xyz), 1, 3)) * near[:, None, None]
-        apart = even_distance(xyz, count)
+        apart = spacing_of_points(xyz, count)
         at = select_points(shapes, xyz, count, min_distance=apart)
         gap = np.linalg.norm(xyz[at, None] - xyz[at], axis=2) + np.eye(count)
         assert at.size == count

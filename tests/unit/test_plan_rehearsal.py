@@ -26,16 +26,16 @@ from ringtrue.io.uff.geometry import write_test_model
 from ringtrue.planning.plan_files import reach_of, write_test_sheet
 from ringtrue.planning.resolution import ambient_std
 from ringtrue.planning.virtual_test import (
-    Ambience,
+    AmbientConditions,
     Conditions,
     Planned,
     background_density,
     fitting_hammer,
     measured,
-    missed_words,
     modal_model,
-    rehearse,
-    rehearse_ambient,
+    rarely_found_modes,
+    simulate_ambient_test,
+    simulate_impact_test,
     trials,
 )
 from ringtrue.report.build import report_from_store
@@ -118,18 +118,18 @@ def test_a_good_plan_finds_all_modes_and_a_node_loses_its_mode() -> None:
     truth.
     """
     rng = np.random.default_rng(1)
-    good = rehearse(planned((3, 6)), Conditions(trials=3), rng)
+    good = simulate_impact_test(planned((3, 6)), Conditions(trials=3), rng)
     assert (good.found == 1).all()
     np.testing.assert_allclose(good.at_least, 0.05 ** (1 / 3))  # three of three, one-sided 95 %
     assert np.abs(good.frequency_bias).max() < 1e-3
     assert np.abs(good.damping_bias).max() < 0.05
     assert good.mac.min() > 0.99
     assert good.invented < 0.5
-    poor = rehearse(planned((9,)), Conditions(trials=3), rng)
+    poor = simulate_impact_test(planned((9,)), Conditions(trials=3), rng)
     assert poor.found.tolist() == [1, 0, 1, 0]
     assert poor.at_least[1] == 0
     assert np.isnan(poor.mac[1])
-    words = missed_words(poor, ["1", "2", "3", "4"])
+    words = rarely_found_modes(poor, ["1", "2", "3", "4"])
     assert [w.split(" is ")[0] for w in words] == ["mode 2 at 16 Hz", "mode 4 at 32 Hz"]
 
 
@@ -139,7 +139,7 @@ def test_a_light_structure_is_struck_with_a_small_hammer() -> None:
     """
     heavy, rng = planned((3, 6)), np.random.default_rng(6)
     light = replace(heavy, outputs=heavy.outputs * 1000**0.5, inputs=heavy.inputs * 1000**0.5)
-    found = rehearse(light, Conditions(trials=2), rng)
+    found = simulate_impact_test(light, Conditions(trials=2), rng)
     assert found.force < 20  # N, far below the smallest hammer's range
     assert (found.found == 1).all()
     assert np.abs(found.damping_bias).max() < 0.05
@@ -147,8 +147,10 @@ def test_a_light_structure_is_struck_with_a_small_hammer() -> None:
 
 def test_noise_makes_what_is_found_worse() -> None:
     plan, seed = planned((3,), 20.0), 2
-    quiet = rehearse(plan, Conditions(trials=4), np.random.default_rng(seed))
-    loud = rehearse(plan, Conditions(trials=4, background=2.0), np.random.default_rng(seed))
+    quiet = simulate_impact_test(plan, Conditions(trials=4), np.random.default_rng(seed))
+    loud = simulate_impact_test(
+        plan, Conditions(trials=4, background=2.0), np.random.default_rng(seed)
+    )
     assert (loud.frequency_std > 2 * quiet.frequency_std).all()
 
 
@@ -176,7 +178,9 @@ def test_an_ambient_test_scatters_as_theory_foretells() -> None:
     """
     plan = Planned(F, PHI[2::4], PHI, NAMES[2::4], NAMES, 4.0, 36.0)
     conditions = Conditions(trials=24, sensor=ACCELEROMETER)
-    found = rehearse_ambient(plan, Ambience(600.0, 0.2), conditions, np.random.default_rng(2))
+    found = simulate_ambient_test(
+        plan, AmbientConditions(600.0, 0.2), conditions, np.random.default_rng(2)
+    )
     assert found.found.tolist() == [1.0] * 4
     assert found.invented < 0.2
     assert found.mac.min() > 0.99
@@ -185,17 +189,20 @@ def test_an_ambient_test_scatters_as_theory_foretells() -> None:
         (found.frequency_std, found.damping_std), ambient_std(F[:4], 0.01, 600.0), strict=True
     ):
         assert 0.8 < np.mean(got / floor) < 1.4
-    quiet = rehearse_ambient(
-        plan, Ambience(600.0, 1e-8), replace(conditions, trials=3), np.random.default_rng(2)
+    quiet = simulate_ambient_test(
+        plan,
+        AmbientConditions(600.0, 1e-8),
+        replace(conditions, trials=3),
+        np.random.default_rng(2),
     )
     assert quiet.found.mean() < 0.5  # below the noise of the sensors
     with pytest.raises(InputError, match="above 0"):
-        Ambience(600.0, 0.0)
+        AmbientConditions(600.0, 0.0)
 
 
 def test_the_same_seed_gives_the_same_answer() -> None:
     one, two = (
-        rehearse(planned((3,), 12.0), Conditions(trials=2), np.random.default_rng(5))
+        simulate_impact_test(planned((3,), 12.0), Conditions(trials=2), np.random.default_rng(5))
         for _ in range(2)
     )
     assert one.frequency_bias.tolist() == two.frequency_bias.tolist()

@@ -31,13 +31,13 @@ from ringtrue.planning.information import (
     prior_shapes,
 )
 from ringtrue.planning.sensors import (
+    add_redundancy,
     auto_mac_points,
     kinetic_weighted,
-    make_redundant,
     prior_auto_mac,
     qr_points,
     select_points,
-    worst_loss,
+    worst_sensor_loss,
 )
 from ringtrue.shapes.mac import auto_mac, worst_off_diagonal
 
@@ -173,11 +173,11 @@ def test_parameters_draw_points_to_where_shapes_tell_of_them() -> None:
 def test_loss_by_closed_form_and_by_brute_force() -> None:
     # orthonormal rows in pairs: without one point half of the information about its mode is left
     shapes = np.repeat(np.eye(3), 2, axis=0)[:, None, :] / np.sqrt(2)
-    assert worst_loss(shapes, 1).left == pytest.approx(0.5)
-    two = worst_loss(shapes, 2)
+    assert worst_sensor_loss(shapes, 1).left == pytest.approx(0.5)
+    two = worst_sensor_loss(shapes, 2)
     assert two.left == pytest.approx(0.0, abs=1e-12)
     assert two.points[0] // 2 == two.points[1] // 2
-    assert worst_loss(shapes, 0).left == 1.0
+    assert worst_sensor_loss(shapes, 0).left == 1.0
     some = random(9, 2, 4, seed=7)
     gram = np.einsum("ndi,ndj->ij", some, some)
     left = min(
@@ -186,7 +186,7 @@ def test_loss_by_closed_form_and_by_brute_force() -> None:
         )[0]
         for c in combinations(range(9), 3)
     )
-    loss = worst_loss(some, 3)
+    loss = worst_sensor_loss(some, 3)
     assert loss.exact
     assert loss.left == pytest.approx(left, rel=1e-9)
     # the combination that suffers keeps just that share
@@ -198,33 +198,33 @@ def test_loss_by_closed_form_and_by_brute_force() -> None:
 def test_redundant_layouts_survive_any_loss() -> None:
     shapes, _ = string(59, 4)
     few = select_points(shapes, np.zeros((59, 3)), 4)
-    assert worst_loss(shapes[few], 1).left < 1e-9
-    safe = make_redundant(shapes, few, 2, least=0.2)
+    assert worst_sensor_loss(shapes[few], 1).left < 1e-9
+    safe = add_redundancy(shapes, few, 2, least=0.2)
     assert safe[:4].tolist() == few.tolist()
     for c in combinations(range(safe.size), 2):
         assert np.linalg.matrix_rank(np.delete(shapes[safe, 0], c, axis=0), tol=1e-6) == 4
-    assert worst_loss(shapes[safe], 2).left >= 0.2
+    assert worst_sensor_loss(shapes[safe], 2).left >= 0.2
     with pytest.raises(InputError, match="allow more points or"):
-        make_redundant(shapes, few, 2, most=5)
+        add_redundancy(shapes, few, 2, most=5)
 
 
 def test_points_added_for_redundancy_keep_their_distance() -> None:
     shapes, xyz = string(59, 4)
     few = select_points(shapes, xyz, 4, min_distance=0.08)
-    close = xyz[make_redundant(shapes, few, 2), 0]
+    close = xyz[add_redundancy(shapes, few, 2), 0]
     assert np.diff(np.sort(close)).min() < 0.08
-    apart = make_redundant(shapes, few, 2, xyz=xyz, min_distance=0.08)
+    apart = add_redundancy(shapes, few, 2, xyz=xyz, min_distance=0.08)
     assert np.diff(np.sort(xyz[apart, 0])).min() > 0.08
-    assert worst_loss(shapes[apart], 2).left >= 0.1
+    assert worst_sensor_loss(shapes[apart], 2).left >= 0.1
     with pytest.raises(InputError, match=r"a distance below 0\.2 m"):
-        make_redundant(shapes, few, 3, xyz=xyz, min_distance=0.2)
+        add_redundancy(shapes, few, 3, xyz=xyz, min_distance=0.2)
 
 
 def test_layouts_that_cannot_tell_modes_apart_have_nothing_to_lose() -> None:
     shapes, _ = string(59, 4)
-    assert worst_loss(shapes[[0, 1, 58]], 1).left == 0.0
-    assert worst_loss(shapes[:3], 1).points.size == 0
-    assert worst_loss(shapes[make_redundant(shapes, np.array([3, 9, 20]), 1)], 1).left >= 0.1
+    assert worst_sensor_loss(shapes[[0, 1, 58]], 1).left == 0.0
+    assert worst_sensor_loss(shapes[:3], 1).points.size == 0
+    assert worst_sensor_loss(shapes[add_redundancy(shapes, np.array([3, 9, 20]), 1)], 1).left >= 0.1
 
 
 def test_candidates_by_sets_boxes_and_exclusions() -> None:

@@ -16,9 +16,9 @@ from ringtrue.planning.resolution import (
     choose_targets,
     effective_mass,
     in_band,
+    informative_modes,
     kinetic_share,
     readable,
-    telling_modes,
 )
 
 N = 6
@@ -63,10 +63,10 @@ def test_modes_that_tell_parameters_apart() -> None:
     """
     d = np.array([[1.0, 1.0], [0.99, 0.99], [0.5, -0.5], [0.0, 0.0]])
     lam = np.ones(4)
-    assert telling_modes(d, lam, 0.01, np.ones(2), 2).tolist() == [0, 2]
-    assert telling_modes(d, lam, 0.01, np.ones(2), 4).tolist() == [0, 2, 1]
+    assert informative_modes(d, lam, 0.01, np.ones(2), 2).tolist() == [0, 2]
+    assert informative_modes(d, lam, 0.01, np.ones(2), 4).tolist() == [0, 2, 1]
     # a parameter known beforehand is no reason to measure
-    assert telling_modes(
+    assert informative_modes(
         np.array([[1.0, 0.0], [0.0, 0.9]]), np.ones(2), 0.01, np.array([0.001, 1.0]), 1
     ).tolist() == [1]
 

@@ -12,7 +12,7 @@ from ringtrue.identification.ambient.maximum_likelihood import SpectralBins
 from ringtrue.identification.ambient.pipeline import identify_ambient, identify_stretches
 from ringtrue.identification.methods import identify_ambient_by
 from ringtrue.shapes.mac import mac
-from ringtrue.signal.gaps import bridged
+from ringtrue.signal.gaps import bridge_gaps
 from ringtrue.signal.transients import NONE
 
 
@@ -26,14 +26,14 @@ def lossy() -> np.ndarray:
 
 def test_a_sound_record_stays_as_it_is():
     h = record(motion())
-    whole, gaps = bridged(h)
+    whole, gaps = bridge_gaps(h)
     assert whole is h
     assert not gaps.lost.any()
     assert not gaps.notes
 
 
 def test_lost_stretches_are_found_to_the_sample_and_bridged():
-    whole, gaps = bridged(record(lossy()))
+    whole, gaps = bridge_gaps(record(lossy()))
     expected = np.zeros(60000, dtype=bool)
     expected[20000:24000] = expected[35000:45000] = True
     assert np.array_equal(gaps.lost, expected)
@@ -68,8 +68,8 @@ def test_missing_samples_are_left_out_as_held_ones_are():
     y = lossy()
     y[:, 20000:24000] = np.nan
     y[4, 35000:45000] = np.nan
-    whole, gaps = bridged(record(y))
-    expected = bridged(record(lossy()))
+    whole, gaps = bridge_gaps(record(y))
+    expected = bridge_gaps(record(lossy()))
     assert np.array_equal(gaps.lost, expected[1].lost)
     assert np.abs(whole.data - expected[0].data).max() < 1e-9
     assert "(samples are missing), the first at 200 s, 140 s in all" in gaps.notes[0]
@@ -82,7 +82,7 @@ def test_a_few_missing_samples_are_interpolated_in_their_channel_and_a_silent_on
     y[2, 5000::7000] = np.nan
     y[3, 30000:30004] = np.inf
     y[6] = np.nan
-    whole, gaps = bridged(record(y))
+    whole, gaps = bridge_gaps(record(y))
     assert np.isfinite(whole.data).all()
     assert not gaps.lost.any()
     assert np.array_equal(whole.data[[0, 1, 4, 5]], motion()[[0, 1, 4, 5]])
@@ -138,7 +138,7 @@ def test_radio_links_that_lose_packets_of_their_own_keep_the_rest_of_the_record(
         for a in rng.integers(0, x.size - 50, 60):
             x[a : a + 50] = x[a] if held else np.nan
     y[:, 20000:22000] = np.nan
-    whole, gaps = bridged(record(y))
+    whole, gaps = bridge_gaps(record(y))
     assert gaps.lost[20000:22000].all()
     assert gaps.lost.sum() < 2200  # by chance most are lost together
     assert np.isfinite(whole.data).all()
@@ -152,7 +152,7 @@ def test_radio_links_that_lose_packets_of_their_own_keep_the_rest_of_the_record(
 def test_a_channel_lost_for_most_of_the_record_is_left_out():
     y = motion().copy()
     y[2, 10000:40000] = y[2, 10000]
-    whole, gaps = bridged(record(y))
+    whole, gaps = bridge_gaps(record(y))
     assert [c.id for c in whole.channels] == ["1+Z", "2+Z", "4+Z", "5+Z", "6+Z", "7+Z"]
     assert gaps.notes == ("channel 3+Z: 50 % of its samples are lost; left out",)
     assert not gaps.lost.any()
@@ -162,9 +162,9 @@ def test_a_channel_lost_for_most_of_the_record_is_left_out():
 def test_clipping_coarse_recorders_and_rest_between_events_are_no_loss(slow):
     y = np.repeat(motion()[:, : 60000 // slow], slow, axis=1)
     level = 0.7 * y.std()
-    _, clipped = bridged(record(np.clip(np.cumsum(y, axis=1) / 30, -level, level)))
-    _, coarse = bridged(record(np.round(y / level)))
-    _, rest = bridged(
+    _, clipped = bridge_gaps(record(np.clip(np.cumsum(y, axis=1) / 30, -level, level)))
+    _, coarse = bridge_gaps(record(np.round(y / level)))
+    _, rest = bridge_gaps(
         record(np.round(y / level * (0.3 + 3 * (np.arange(y.shape[1]) % 20000 < 4000))))
     )
     assert not clipped.lost.any()

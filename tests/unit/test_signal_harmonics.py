@@ -17,10 +17,10 @@ from ringtrue.signal.order_tracking import (
     phase_of_pulses,
     phase_of_speed,
     refine_frequency,
-    remove_lines,
     remove_orders,
+    remove_tracked_lines,
 )
-from ringtrue.signal.tonal_lines import steady_lines, without_lines
+from ringtrue.signal.tonal_lines import find_tonal_lines, remove_tonal_lines
 
 RATE, N = 100.0, 40000
 T = np.arange(N) / RATE
@@ -58,7 +58,7 @@ def test_a_steady_line_is_refined_and_removed() -> None:
     f = 16.66873
     hum = np.array([[2.0], [1.0]]) * np.sin(2 * np.pi * f * T + 0.3)
     assert refine_frequency(record(y + hum), 16.7, 0.2) == pytest.approx(f, abs=1e-5)
-    left, (exact,) = remove_lines(record(y + hum), [16.7], 0.05)
+    left, (exact,) = remove_tracked_lines(record(y + hum), [16.7], 0.05)
     assert exact == pytest.approx(f, abs=1e-5)
     assert np.sqrt(((left.data - y) ** 2).mean()) < 0.01  # of unit rms
 
@@ -107,11 +107,11 @@ def test_a_sine_on_the_flank_of_a_mode_is_listed_and_leaves_the_mode_whole() -> 
         lfilter([1.0], np.poly([pole, pole.conj()]).real, rng.standard_normal(t.size)),
     )
     y += 0.02 * y.std() * rng.standard_normal(y.shape)
-    assert steady_lines(record(y)) == ()
+    assert find_tonal_lines(record(y)) == ()
     machine = record(y + 2 * y.std() * np.outer([0.3, 1.0, 1.0], np.sin(2 * np.pi * 8.02 * t + 1)))
-    (line,) = steady_lines(machine)
+    (line,) = find_tonal_lines(machine)
     assert line.frequency == pytest.approx(8.02, abs=1e-4)
-    left = without_lines(machine, [line.frequency]).data
+    left = remove_tonal_lines(machine, [line.frequency]).data
     assert (
         np.abs(left - y).std() < 0.2 * y.std()
     )  # what it takes of the mode: 8 of the 200 lines of its band

@@ -17,7 +17,7 @@ from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.identification.frf.pipeline import HammerModes, identify_hammer
 from ringtrue.signal.frf import frf_variance
-from ringtrue.signal.local_rational import local_frfs, period, periodic_frfs, runs_on, spacing
+from ringtrue.signal.local_rational import is_continuous, local_frfs, period, periodic_frfs, spacing
 from ringtrue.signal.shaker_frf import shaker_frfs
 from ringtrue.signal.spectra import Welch
 
@@ -155,14 +155,14 @@ def test_forces_that_run_all_the_time_are_told_from_blows() -> None:
     rng = np.random.default_rng(7)
     for kind in ("random", "two", "sweep", "periodic"):
         r = record(forces(kind, rng), rng)
-        assert runs_on(r)
+        assert is_continuous(r)
         assert (
             0.15 < spacing(r) < 1.2
         )  # 16 and more lines of 0.025 Hz to a window, some 40 times as many as periods
     blows = np.exp(-(((np.arange(2 * N) % (4 * 128)) - 60.0) ** 2) / 8)[
         None
     ] + 0.005 * rng.standard_normal((1, 2 * N))
-    assert not runs_on(record(blows, rng))
+    assert not is_continuous(record(blows, rng))
 
 
 @pytest.mark.parametrize("start", ["steady", "at rest"])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ringtrue.core.signals import Channel, TimeHistory
-from ringtrue.signal.gaps import without_overlap
+from ringtrue.signal.gaps import remove_overlap
 
 RATE = 10.0
 WHOLE = np.round(
@@ -30,7 +30,7 @@ def part(first: int, last: int, lost: int | None = None) -> TimeHistory:
     ],
 )
 def test_samples_of_two_files_count_once(before, later, twice):
-    kept, said = without_overlap(part(*before), part(*later))
+    kept, said = remove_overlap(part(*before), part(*later))
     assert np.array_equal(kept.data, WHOLE[:, later[0] + twice : later[1]])
     assert said == (
         f"its first {twice / RATE:.4g} s are in {before[0]}.csv too: they count once"
@@ -40,11 +40,11 @@ def test_samples_of_two_files_count_once(before, later, twice):
 
 
 def test_missing_samples_hide_no_overlap():
-    kept, _ = without_overlap(part(0, 2000, lost=1700), part(1500, 4000, lost=200))
+    kept, _ = remove_overlap(part(0, 2000, lost=1700), part(1500, 4000, lost=200))
     assert kept.data.shape[1] == 2000
 
 
 def test_the_first_file_and_records_of_nothing_stay():
     silent = TimeHistory(np.zeros((2, 500)), RATE, part(0, 9).channels)
-    assert without_overlap(None, part(0, 900))[0].data.shape[1] == 900
-    assert without_overlap(silent, silent) == (silent, "")
+    assert remove_overlap(None, part(0, 900))[0].data.shape[1] == 900
+    assert remove_overlap(silent, silent) == (silent, "")

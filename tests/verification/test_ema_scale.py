@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ringtrue.core.blows import Blows
+from ringtrue.core.impacts import Impacts
 from ringtrue.core.modes import Norm
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.identification.frf.data_checks import sound_pairs
@@ -80,7 +80,7 @@ def test_noise_on_the_force_is_in_the_deviations() -> None:
     """Of every blow 3 % of the pulse at the lines of the modes, known from the record; one blow, so
     no coherence.
     """
-    blows = Blows(
+    blows = Impacts(
         np.zeros((2, 0)),
         np.zeros((2, 0)),
         np.eye(2)[:, None],
@@ -94,7 +94,7 @@ def test_noise_on_the_force_is_in_the_deviations() -> None:
             1 + 0.03 / np.sqrt(2) * np.random.default_rng(100 + seed).standard_normal(2)
         )
         told = replace(
-            bare, data=noisy, blows=replace(blows, weight=np.repeat(blows.weight, 12, axis=1))
+            bare, data=noisy, impacts=replace(blows, weight=np.repeat(blows.weight, 12, axis=1))
         )
         all_scores.append(scores(identify_hammer(told, HammerModes(fmax=45.0))))
     assert 0.6 < np.sqrt(np.mean(np.square(all_scores))) < 1.6

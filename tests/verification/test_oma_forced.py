@@ -15,7 +15,7 @@ from scipy.signal import lfilter
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.identification.ambient.pipeline import AmbientResult, identify_ambient
 from ringtrue.identification.ambient.spurious_modes import carriers
-from ringtrue.signal.echoes import without_echo
+from ringtrue.signal.echoes import remove_echo
 
 RATE, SECONDS, STOREYS = 30.0, 1200, 8
 PEAK, WIDTH = 1.9, 0.08  # Hz, damping of the oscillator that has this spectrum
@@ -126,7 +126,7 @@ def test_an_echo_is_found_in_channels_of_unequal_noise() -> None:
     data = clean.data + size * clean.data.std(axis=1, keepdims=True) * rng.standard_normal(
         clean.data.shape
     )
-    echo = without_echo(replace(clean, data=data))[1]
+    echo = remove_echo(replace(clean, data=data))[1]
     assert echo is not None
     assert abs(echo.delay - 1.7) < 0.5 / RATE
     assert abs(echo.factor - 0.5) < 0.15  # noise hides a part of the ripple
@@ -145,7 +145,7 @@ def test_resonances_at_equal_distances_are_no_echo(zeta: float) -> None:
     cable = TimeHistory(
         y, RATE, tuple(Channel(f"{i + 1}+X", "acceleration") for i in range(4)), "made"
     )
-    clean, echo = without_echo(cable)
+    clean, echo = remove_echo(cable)
     assert echo is None
     assert clean is cable
 

@@ -11,8 +11,8 @@ from scipy.signal import lfilter
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.identification.ambient.pipeline import AmbientResult, identify_ambient
 from ringtrue.identification.ambient.spurious_modes import line_remainders
-from ringtrue.signal.run_ups import without_sweeps
-from ringtrue.signal.transients import without_strokes
+from ringtrue.signal.run_ups import remove_run_ups
+from ringtrue.signal.transients import remove_regular_impacts
 
 RATE, F, Z = 50.0, np.array([2.2, 3.7, 4.1, 6.9, 9.4]), np.array([0.012, 0.008, 0.015, 0.01, 0.02])
 N = int(900 * RATE)
@@ -66,7 +66,7 @@ def test_run_ups_leave_no_modes_where_they_turn() -> None:
 
 def test_only_what_moves_is_taken_out() -> None:
     quiet, loud = record(forces()), record(forces() + swept())
-    clean, found = without_sweeps(loud)
+    clean, found = remove_run_ups(loud)
     assert min(x.low for x in found) == pytest.approx(1.0, abs=0.1)
     assert max(x.high for x in found) == pytest.approx(10.0, abs=0.2)
     assert (clean.data - quiet.data).std() < 0.25 * (loud.data - quiet.data).std()
@@ -76,7 +76,7 @@ def test_only_what_moves_is_taken_out() -> None:
         record(bursts),
         record(forces() + 20 * PUSH * np.sin(2 * np.pi * 5 * TIME)),
     ):
-        assert without_sweeps(still) == (still, ())
+        assert remove_run_ups(still) == (still, ())
 
 
 def test_a_press_moves_no_mode() -> None:
@@ -101,7 +101,7 @@ def test_modes_at_twice_a_frequency_are_not_laid_to_clipping_where_a_press_is_ta
 def test_regular_blows_are_taken_out_and_others_left() -> None:
     rng = np.random.default_rng(2)
     struck = forces() + stamps(1.7 * (1 + 0.003 * rng.standard_normal(600)))
-    clean, found = without_strokes(record(struck))
+    clean, found = remove_regular_impacts(record(struck))
     assert found is not None
     assert found.interval == pytest.approx(1.7, abs=0.02)
     assert found.count == pytest.approx(900 / 1.7, rel=0.05)
@@ -110,7 +110,7 @@ def test_regular_blows_are_taken_out_and_others_left() -> None:
         (clean.data - quiet.data).std() < 0.5 * quiet.data.std() < 0.3 * record(struck).data.std()
     )
     for other in (quiet, record(forces() + stamps(rng.exponential(1.7, 600)))):
-        assert without_strokes(other) == (other, None)
+        assert remove_regular_impacts(other) == (other, None)
 
 
 @pytest.mark.parametrize("seed", [2, 5])
@@ -121,7 +121,7 @@ def test_blows_that_come_out_faint_are_found_where_they_are_due(seed: int) -> No
     rng = np.random.default_rng(seed)
     at = np.cumsum(1.7 * (1 + 0.003 * rng.standard_normal(525))) * RATE
     level = 18 * (1 + 0.25 * rng.standard_normal(at.size))
-    _, found = without_strokes(
+    _, found = remove_regular_impacts(
         record(forces() + PUSH * np.bincount(at.astype(int), level, minlength=N))
     )
     assert found is not None

@@ -37,11 +37,11 @@ from ringtrue.io import modes as mode_files
 from ringtrue.io import records
 from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
 from ringtrue.model.model import Model
-from ringtrue.signal.channel_checks import clipping_told, find_faults
-from ringtrue.signal.frf_sets import alike, join_frfs, setups_of
-from ringtrue.signal.gaps import bridged, without_overlap
-from ringtrue.signal.impacts import HammerSettings, HitReport
-from ringtrue.signal.order_tracking import without_machines
+from ringtrue.signal.channel_checks import explain_clipping, find_faults
+from ringtrue.signal.frf_sets import alike, join_by_setup, join_frfs
+from ringtrue.signal.gaps import bridge_gaps, remove_overlap
+from ringtrue.signal.impacts import HammerSettings, ImpactReport
+from ringtrue.signal.order_tracking import remove_harmonics
 from ringtrue.signal.tonal_lines import harmonics
 from ringtrue.study.hammer_records import (
     Forced,
@@ -411,7 +411,7 @@ class MeasuredFrfs(Displayed):
     Attributes
     ----------
     frfs : FrfSet
-    hits : tuple of HitReport
+    hits : tuple of ImpactReport
         The impacts; empty for a shaker or given FRFs.
     notes : tuple of str
     clipped : tuple of str
@@ -421,7 +421,7 @@ class MeasuredFrfs(Displayed):
     """
 
     frfs: FrfSet
-    hits: tuple[HitReport, ...] = ()
+    hits: tuple[ImpactReport, ...] = ()
     notes: tuple[str, ...] = ()
     clipped: tuple[str, ...] = ()
     setups: tuple[FrfSet, ...] = ()
@@ -493,7 +493,7 @@ def estimate_frfs(
         forced.hits,
         (*notes, *said),
         forced.clipped,
-        tuple(_windowed(s, window_decay) for s in setups_of(forced.columns)),
+        tuple(_windowed(s, window_decay) for s in join_by_setup(forced.columns)),
     )
 
 
@@ -576,10 +576,10 @@ def identify_frfs(
     band = HammerModes(fmin=fmin, fmax=fmax)
     if method != FORCED:
         refuse_choice(method, FORCED, choice)
-        with clipping_told(measured.clipped):
+        with explain_clipping(measured.clipped):
             other = identify_frfs_by(method, data, band, progress=progress)
         return _second_opinion(other, measured.notes)
-    with clipping_told(measured.clipped):
+    with explain_clipping(measured.clipped):
         found = identify_hammer(data, band, choice=choice, progress=progress)
     if choice is None:
         found = with_local_fits(found, setups, band, progress=progress)
@@ -723,7 +723,7 @@ def ambient_parts(
     first = 0.0
     before: TimeHistory | None = None
     for path, whole in zip(paths, histories, strict=True):
-        kept, overlap = without_overlap(before, whole)
+        kept, overlap = remove_overlap(before, whole)
         before = whole
         if overlap:
             notes.append(f"{path.name}: {overlap}")
@@ -742,11 +742,11 @@ def without_lines(history: TimeHistory, how: str | None) -> tuple[TimeHistory, t
     """A record without the lines of machines, and what was taken out."""
     if not how:
         return history, ()
-    whole, gaps = bridged(history)
+    whole, gaps = bridge_gaps(history)
     lines = harmonics(whole)
     if not lines:
         return history, ()
-    clean, said = without_machines(whole, [h.frequency for h in lines], how)
+    clean, said = remove_harmonics(whole, [h.frequency for h in lines], how)
     return gaps.marked(clean), (*gaps.channels, *said)
 
 

@@ -40,7 +40,7 @@ from ringtrue.errors import about
 from ringtrue.identification.frf.pipeline import HammerResult
 from ringtrue.identification.methods import AUTOMATIC_FRF, FRF_METHODS
 from ringtrue.io.frfs import write_frfs
-from ringtrue.signal.impacts import HammerSettings, HitReport
+from ringtrue.signal.impacts import HammerSettings, ImpactReport
 from ringtrue.study.hammer_records import (
     ForceRecordFormat,
 )
@@ -234,7 +234,7 @@ def ema(
     return print_result(title, found, json, more=_hits_json(measured.hits), if_none=none)
 
 
-def _hits_json(hits: Sequence[HitReport]) -> dict[str, Any]:
+def _hits_json(hits: Sequence[ImpactReport]) -> dict[str, Any]:
     rows = [
         {
             "source": h.source,

@@ -16,7 +16,7 @@ from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.errors import ConfigError
 from ringtrue.io.foreign.parsers import read_toml
 from ringtrue.planning.exciters import reciprocity_pairs
-from ringtrue.planning.virtual_test import Rehearsal, missed_words
+from ringtrue.planning.virtual_test import VirtualTest, rarely_found_modes
 from ringtrue.study.config_sections import Directions, Strike
 from ringtrue.study.messages import lost_points_sentence, missed_modes, setup_sentences
 from ringtrue.study.results import PlanStage
@@ -211,7 +211,7 @@ def _summary(plan: TestPlan) -> dict[str, Any]:
             "force_n": stage.rehearsal.force,
             "background_n_per_sqrt_hz": stage.rehearsal.background,
             "invented_per_trial": stage.rehearsal.invented,
-            "doubtful": list(missed_words(stage.rehearsal, names)),
+            "doubtful": list(rarely_found_modes(stage.rehearsal, names)),
         }
     if (r := stage.ambient_rehearsal) is not None:
         names = [str(k + 1) for k in stage.expected_modes.tolist()]
@@ -221,12 +221,12 @@ def _summary(plan: TestPlan) -> dict[str, Any]:
             "force_n_per_sqrt_hz": r.force,
             "invented_per_trial": r.invented,
             "modes": _table(columns),
-            "doubtful": [f"ambient: {m}" for m in missed_words(r, names)],
+            "doubtful": [f"ambient: {m}" for m in rarely_found_modes(r, names)],
         }
     return told
 
 
-def _found(r: Rehearsal) -> dict[str, Any]:
+def _found(r: VirtualTest) -> dict[str, Any]:
     """What virtual tests found, by column."""
     found = {"found": r.found, "found_at_least": r.at_least, "frequency_std": r.frequency_std}
     return found | {"damping_std": r.damping_std, "mac": r.mac}

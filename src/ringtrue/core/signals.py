@@ -12,8 +12,8 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Complex, Float, Int, freeze_fields
-from ringtrue.core.blows import Blows
 from ringtrue.core.display import Displayed
+from ringtrue.core.impacts import Impacts
 from ringtrue.errors import DataError
 
 Quantity = Literal[
@@ -118,13 +118,13 @@ class FrfSet(Displayed):
         none.
     source : str
     kept : float, s
-        How long after the blow the response was cut off by the end of the block; inf where it was
+        How long after the impact the response was cut off by the end of the block; inf where it was
         not, or is unknown.
     sharp : bool
         Known to be free of leakage, however few lines a mode has: of a periodic force, or with
         transients estimated.
-    blows : Blows, optional
-        The blows behind the FRFs, where they are known.
+    impacts : Impacts, optional
+        The impacts behind the FRFs, where they are known.
     hann : float, s
         Length of the blocks of noise under a Hann window that the FRFs are of; 0 for none, or
         unknown.
@@ -148,7 +148,7 @@ class FrfSet(Displayed):
     source: str = ""
     kept: float = float("inf")
     sharp: bool = False
-    blows: Blows | None = None
+    impacts: Impacts | None = None
     hann: float = 0.0
 
     def __post_init__(self) -> None:
@@ -202,7 +202,7 @@ class FrfSet(Displayed):
             data=self.data[at],
             coherence=self.coherence[at],
             averages=self.averages[i],
-            blows=self.blows.take(o, i) if self.blows else None,
+            impacts=self.impacts.take(o, i) if self.impacts else None,
             outputs=tuple(self.outputs[k] for k in o),
             inputs=tuple(self.inputs[k] for k in i),
         )

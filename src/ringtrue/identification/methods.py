@@ -34,9 +34,9 @@ from ringtrue.identification.frf.pipeline import HammerModes
 from ringtrue.identification.frf.scaling import mode_scale
 from ringtrue.shapes.mac import mac
 from ringtrue.signal.channel_checks import usable
-from ringtrue.signal.decimation import Band, band_signals, levelled, scaled, unit_factor
-from ringtrue.signal.frf_sets import exchanged
-from ringtrue.signal.gaps import bridged
+from ringtrue.signal.decimation import Band, band_signals, remove_drift, scaled, unit_factor
+from ringtrue.signal.frf_sets import exchange_by_reciprocity
+from ringtrue.signal.gaps import bridge_gaps
 
 Found = tuple[ModeSet, Uncertainty]
 SAME_FREQUENCY = 0.01  # relative distance of one mode in two overlapping bands
@@ -175,9 +175,9 @@ def identify_ambient_by(
     chosen = AMBIENT_METHODS[method]
     settings = settings or AmbientSettings()
     report = progress or quiet
-    whole, gaps = bridged(history)
+    whole, gaps = bridge_gaps(history)
     good, states = usable(whole)
-    good = levelled(good, lowest(good.duration, settings))
+    good = remove_drift(good, lowest(good.duration, settings))
     good = scaled(good, unit_factor(good))
     notes = gaps.notes + tuple(state.note for state in states)
     report(0.0, chosen.title)
@@ -271,7 +271,7 @@ def identify_frfs_by(
     chosen = FRF_METHODS[method]
     settings = settings or HammerModes()
     refuse_bad_frfs(frfs)
-    frfs, roving = exchanged(frfs)
+    frfs, roving = exchange_by_reciprocity(frfs)
     low, high = band_limits(frfs, settings.fmin, settings.fmax)
     refuse_noise(lines_between(frfs, low, settings.fmax or np.inf))
     (progress or quiet)(0.0, chosen.title)

@@ -86,7 +86,7 @@ def select_candidates(
     return np.asarray(keep)
 
 
-def even_distance(xyz: Float, count: int) -> float:
+def spacing_of_points(xyz: Float, count: int) -> float:
     """Half of the spacing that `count` points can keep, m: as least distance it parts clusters and
     is always possible.
 
@@ -111,7 +111,7 @@ def even_distance(xyz: Float, count: int) -> float:
 def surface_normals(xyz: Float, triangles: Int) -> Float:
     """Unit normals (n, 3) of the nodes of a surface, weighted by area; 0 where there is no surface.
 
-    The direction of a uniaxial sensor or a hammer blow on the skin.
+    The direction of a uniaxial sensor or an impact on the skin.
 
     Parameters
     ----------

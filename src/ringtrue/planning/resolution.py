@@ -111,7 +111,9 @@ def kinetic_share(shapes: Float, mass: Any, regions: Sequence[Int]) -> Float:
     return np.stack([energy[at].sum(axis=0) / total for at in regions], axis=1)
 
 
-def telling_modes(d_lambda: Float, lam: Float, std: Float | float, prior: Float, count: int) -> Int:
+def informative_modes(
+    d_lambda: Float, lam: Float, std: Float | float, prior: Float, count: int
+) -> Int:
     """Modes whose frequencies tell the parameters apart, greedily by the gain in log-determinant of
     the information.
 
@@ -199,7 +201,7 @@ class Resolution:
     record : float, s
         Of an ambient record for the wanted precision of damping.
     averages : int
-        Blows, or blocks of a shaker, at each reference for the wanted random error of the FRFs.
+        Impacts, or blocks of a shaker, at each reference for the wanted random error of the FRFs.
     std_frequency, std_damping : (m,) float64
         Relative standard deviations to expect of an ambient record of that length.
     """

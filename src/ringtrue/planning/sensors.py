@@ -389,7 +389,7 @@ class Loss:
         freeze_fields(self, points=np.int64, combination=np.float64)
 
 
-def worst_loss(shapes: Float, k: int) -> Loss:
+def worst_sensor_loss(shapes: Float, k: int) -> Loss:
     """The loss of k of the given points that hurts most.
 
     With Φ = QR the information that stays, relative to the whole, has the least eigenvalue 1 -
@@ -448,7 +448,7 @@ def _built(rows: Float, k: int) -> Int:
     return subsets
 
 
-def make_redundant(
+def add_redundancy(
     shapes: Float,
     chosen: Int,
     k: int,
@@ -492,7 +492,7 @@ def make_redundant(
     free = np.ones(len(shapes), dtype=np.bool_)
     for i in points.tolist():
         free &= _apart(xyz, i, len(shapes), min_distance)
-    while (loss := worst_loss(shapes[points], k)).left < least:
+    while (loss := worst_sensor_loss(shapes[points], k)).left < least:
         rest = np.flatnonzero(free)
         if points.size >= most or not rest.size:
             lower = (

@@ -31,7 +31,7 @@ from ringtrue.virtual.response import decay_time, lines, response_spectrum
 from ringtrue.virtual.sensors import FORCE_CELL, ICP, Chain, Sensor, record_volts, white
 
 RATE = 3.2  # over fmax: the recorder's filter is flat up to 0.4 of the rate
-LOOK = 10  # blows that tell a coherence
+LOOK = 10  # impacts that tell a coherence
 SMALLEST = 200.0  # N, range of the smallest impact hammers
 HEADROOM = 6.0  # of the range over the RMS: nothing clips
 MOST = 40_000_000  # samples of all channels of a record
@@ -102,7 +102,7 @@ class Conditions:
     sensor : Sensor
         Of the responses; an accelerometer.
     hits : int
-        Good blows at each reference, unless `hammer` says so.
+        Good impacts at each reference, unless `hammer` says so.
     hammer : HammerPlan, optional
         By default a hammer that fits the structure: `fitting_hammer`.
     pairing : PairingSettings
@@ -136,7 +136,7 @@ class Conditions:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rehearsal:
+class VirtualTest:
     """What the trials found of each mode in the band.
 
     Attributes
@@ -158,9 +158,9 @@ class Rehearsal:
         Modes a trial that pair with none of the structure.
     trials : int
     force : float
-        Largest planned peak of a blow, N; of an ambient test the density of the forces, N/√Hz.
+        Largest planned peak of an impact, N; of an ambient test the density of the forces, N/√Hz.
     background : float, N/√Hz
-        White force at each reference beside the blows.
+        White force at each reference beside the impacts.
     """
 
     frequencies: Float
@@ -188,7 +188,7 @@ class Rehearsal:
         )
         freeze_fields(self, **dict.fromkeys((*names, "mac"), np.float64))
 
-    def take(self, modes: Int) -> Rehearsal:
+    def take(self, modes: Int) -> VirtualTest:
         """The chosen modes (k,) of the band, in the given order."""
         arrays = [f.name for f in fields(self) if isinstance(getattr(self, f.name), np.ndarray)]
         return replace(self, **{name: getattr(self, name)[modes] for name in arrays})
@@ -227,7 +227,7 @@ def trials(
     *,
     force: float,
     progress: Progress | None = None,
-) -> Rehearsal:
+) -> VirtualTest:
     """What tests find of structures that scatter about the planned one.
 
     Parameters
@@ -287,7 +287,7 @@ def _errors(truth: ModeSet, found: ModeSet, pairs: Pairing) -> Float:
     return np.stack([f, z, pairs.mac])
 
 
-def _outcome(frequencies: Float, error: Float, invented: int, force: float) -> Rehearsal:
+def _outcome(frequencies: Float, error: Float, invented: int, force: float) -> VirtualTest:
     trials = error.shape[1]
     there = np.isfinite(error[0])
     hits = there.sum(axis=0)
@@ -296,7 +296,7 @@ def _outcome(frequencies: Float, error: Float, invented: int, force: float) -> R
     mean = value.sum(axis=1) / some
     spread = np.where(there, (error - mean[:, None]) ** 2, 0.0).sum(axis=1)
     std = np.sqrt(spread / np.where(hits > 1, hits - 1, np.nan))
-    return Rehearsal(
+    return VirtualTest(
         frequencies,
         hits / trials,
         low,
@@ -311,7 +311,9 @@ def _outcome(frequencies: Float, error: Float, invented: int, force: float) -> R
     )
 
 
-def missed_words(result: Rehearsal, names: Sequence[str], least: float = 0.9) -> tuple[str, ...]:
+def rarely_found_modes(
+    result: VirtualTest, names: Sequence[str], least: float = 0.9
+) -> tuple[str, ...]:
     """A sentence for each mode that fewer than the share `least` of the trials found."""
     rows = zip(names, result.frequencies.tolist(), result.found.tolist(), strict=True)
     return tuple(
@@ -322,7 +324,7 @@ def missed_words(result: Rehearsal, names: Sequence[str], least: float = 0.9) ->
 
 
 def fitting_hammer(model: ModalModel, fmax: float, sensor: Sensor, *, hits: int = 5) -> HammerPlan:
-    """A hammer whose blows fill half the sensors' range at most and reach to `fmax`.
+    """A hammer whose impacts fill half the sensors' range at most and reach to `fmax`.
 
     The tip gives contact times of 0.4 to 0.7 over fmax (first zero of a half-sine at 1.5 over the
     time), the block lasts until the slowest mode has decayed to 1 %.
@@ -354,34 +356,34 @@ def fitting_hammer(model: ModalModel, fmax: float, sensor: Sensor, *, hits: int 
 
 
 def _peak_response(model: ModalModel, contact: float, block: float, rate: float) -> float:
-    """Largest acceleration of any output by a blow of 1 N at any input."""
+    """Largest acceleration of any output by an impact of 1 N at any input."""
     n = 2 * int(np.ceil(0.5 * min(block, 2000 / rate) * rate))
     top = 0.0
     for i in range(len(model.inputs)):  # a handful of references
-        blow = Pulses(
+        impact = Pulses(
             np.array([4 / rate]),
             np.array([contact]),
             np.array([2 / np.pi * contact]),
             np.array([i]),
         )
-        force = pulse_spectrum(blow, len(model.inputs), n, rate)
+        force = pulse_spectrum(impact, len(model.inputs), n, rate)
         top = max(
             top, float(np.abs(fft.irfft(response_spectrum(model, force, lines(n, rate)), n)).max())
         )
     return top
 
 
-def rehearse(
+def simulate_impact_test(
     plan: Planned,
     conditions: Conditions,
     rng: np.random.Generator,
     *,
     progress: Progress | None = None,
-) -> Rehearsal:
+) -> VirtualTest:
     """Test the plan on signals: strike, record, estimate FRFs, identify and correlate, trial by
     trial.
 
-    Each trial draws other dampings, frequencies, calibration errors, blows and noise.
+    Each trial draws other dampings, frequencies, calibration errors, impacts and noise.
 
     Parameters
     ----------
@@ -423,8 +425,8 @@ def background_density(
     N/√Hz.
 
     γ² = 1/(1 + N/S), and N/S grows with the square of the density. One that would leave 0.98 of
-    blows without windows is mended by what FRFs of a virtual test tell; twice, as windows depend on
-    noise.
+    impacts without windows is mended by what FRFs of a virtual test tell; twice, as windows depend
+    on noise.
 
     Parameters
     ----------
@@ -436,13 +438,15 @@ def background_density(
     wanted = 1 / (conditions.coherence or 1.0) - 1
     impulse = 2 / np.pi * float(np.mean(hammer.peak) * np.mean(hammer.contact))
     density = impulse * float(np.sqrt(0.04 / (hammer.block * len(model.inputs))))
-    blows = replace(hammer, hits=max(hammer.hits, LOOK))
+    impacts = replace(hammer, hits=max(hammer.hits, LOOK))
     for _ in range(2):
-        frfs = measured(model, blows, replace(conditions, background=density), RATE * band[1], rng)
+        frfs = measured(
+            model, impacts, replace(conditions, background=density), RATE * band[1], rng
+        )
         at = tuple(np.array(frfs.driving_points()).T)  # elsewhere may be no motion
         seen = frfs.coherence[(frfs.freqs > band[0]) & (frfs.freqs < band[1])][:, *at]
         seen = seen[np.isfinite(seen)]
-        if not seen.size:  # too loud for two good blows
+        if not seen.size:  # too loud for two good impacts
             break
         density *= float(np.sqrt(wanted / max(1 / np.median(seen) - 1, 1e-12)))
     return density
@@ -455,7 +459,7 @@ def measured(
     rate: float,
     rng: np.random.Generator,
 ) -> FrfSet:
-    """FRFs as the crew would have them: blows at each input, recorded by the sensors with their
+    """FRFs as the crew would have them: impacts at each input, recorded by the sensors with their
     noise.
 
     Parameters
@@ -497,17 +501,17 @@ def _record(
     rng: np.random.Generator,
 ) -> TimeHistory:
     limit = chain.sensors[0].range / chain.sensors[0].sensitivity
-    blows = strike(hammer, at, limit, rate, rng)
-    samples = 2 * int(np.ceil(0.5 * (float(blows.times[-1]) + hammer.block + hammer.rest) * rate))
+    impacts = strike(hammer, at, limit, rate, rng)
+    samples = 2 * int(np.ceil(0.5 * (float(impacts.times[-1]) + hammer.block + hammer.rest) * rate))
     background = white(len(model.inputs), conditions.background, samples, rate, rng)
-    volts, _, _ = hammer_record(model, blows, hammer, chain, background, samples, rate, rng)
+    volts, _, _ = hammer_record(model, impacts, hammer, chain, background, samples, rate, rng)
     data = volts / np.array([s.sensitivity for s in chain.sensors])[:, None]
     force = replace(model.inputs[at], id=f"F:{model.inputs[at].id}")
     return TimeHistory(data, rate, (force, *model.outputs), f"virtual test, {model.inputs[at].id}")
 
 
 @dataclass(frozen=True, slots=True)
-class Ambience:
+class AmbientConditions:
     """How an ambient test is made.
 
     Attributes
@@ -533,14 +537,14 @@ def longest(channels: int, fmax: float) -> float:
     return MOST / (channels * RATE * fmax)
 
 
-def rehearse_ambient(
+def simulate_ambient_test(
     plan: Planned,
-    ambience: Ambience,
+    ambience: AmbientConditions,
     conditions: Conditions,
     rng: np.random.Generator,
     *,
     progress: Progress | None = None,
-) -> Rehearsal:
+) -> VirtualTest:
     """Test an ambient plan on signals: record under random forces, identify by SSI and correlate,
     trial by trial.
 
@@ -548,7 +552,7 @@ def rehearse_ambient(
     ----------
     plan : Planned
         Its inputs are where and along which the forces act.
-    ambience : Ambience
+    ambience : AmbientConditions
     conditions : Conditions
         Its sensor, trials, scatter and pairing count.
     rng : Generator
@@ -569,7 +573,7 @@ def rehearse_ambient(
 
 def recorded(
     model: ModalModel,
-    ambience: Ambience,
+    ambience: AmbientConditions,
     conditions: Conditions,
     rate: float,
     rng: np.random.Generator,
@@ -580,7 +584,7 @@ def recorded(
     Parameters
     ----------
     model : ModalModel
-    ambience : Ambience
+    ambience : AmbientConditions
     conditions : Conditions
     rate : float, Hz
     """

@@ -342,7 +342,7 @@ def threads() -> int:
     return min(max(int(asked), 1) if asked.isdecimal() else os.cpu_count() or 1, ABREAST)
 
 
-def abreast(work: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
+def map_in_threads(work: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
     """Results in the order of the items; the next item is taken when the result before the last one
     has been given.
     """

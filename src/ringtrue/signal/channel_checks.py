@@ -17,7 +17,7 @@ from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.signal.decimation import detrend
-from ringtrue.signal.transients import unforeseen
+from ringtrue.signal.transients import prediction_error
 
 _LARGEST, _SMALLEST = 1e70, 1e-70  # fourth powers stay finite, and above nothing
 _FEW = 2000  # samples that most channels show themselves in
@@ -218,7 +218,7 @@ def _wraps(x: Any_, ends: Float) -> int:
     ):
         return 0
     steps[over] -= np.sign(steps[over]) * top
-    error, without = (unforeseen(detrend(y[None])[0]) for y in (x, np.cumsum(steps)))
+    error, without = (prediction_error(detrend(y[None])[0]) for y in (x, np.cumsum(steps)))
     return count if without @ without < _FORESEEN * (error @ error) else 0
 
 
@@ -239,7 +239,7 @@ def _twin(data: Any_, i: int, ids: Sequence[str]) -> str:
     return f"the same samples as {ids[same[0]]}" if same else ""
 
 
-def uncut(history: TimeHistory, states: Sequence[ChannelState]) -> TimeHistory | None:
+def unclipped_channels(history: TimeHistory, states: Sequence[ChannelState]) -> TimeHistory | None:
     """The channels whose amplitudes are not cut off by clipping; None if there is none."""
     doubt = {s.id for s in states if s.why.startswith("clipped")}
     whole = [
@@ -422,7 +422,7 @@ def _levels(history: TimeHistory, bad: set[str]) -> list[Fault]:
 def mend(
     history: TimeHistory, faults: Sequence[Fault], *, longest: int = 5
 ) -> tuple[TimeHistory, tuple[Fault, ...]]:
-    """The record with short stretches bridged by straight lines, and the faults that were too long
+    """The record with short gaps bridged by straight lines, and the faults that were too long
     to bridge.
 
     Parameters
@@ -517,8 +517,8 @@ def flip(history: TimeHistory, ids: Sequence[str]) -> TimeHistory:
     return replace(history, data=history.data * sign[:, None])
 
 
-def ceilings(record: TimeHistory) -> dict[str, float]:
-    """Ranges by id of channels that clip for a sample or two: unlike peaks of a blow or of a
+def clipping_levels(record: TimeHistory) -> dict[str, float]:
+    """Ranges by id of channels that clip for a sample or two: unlike peaks of an impact or of a
     response are one value.
     """
     out = {}
@@ -548,7 +548,7 @@ def clipping(record: TimeHistory) -> tuple[str, ...]:
 
 
 @contextmanager
-def clipping_told(lines: Sequence[str]) -> Iterator[None]:
+def explain_clipping(lines: Sequence[str]) -> Iterator[None]:
     """What goes wrong inside with records that are clipped is said to be of that, by the `lines` of
     `clipping`.
     """
@@ -590,9 +590,9 @@ def overloaded(record: TimeHistory, block: Any_, full_scale: Mapping[str, float]
     return [c.id for c, o in zip(record.channels, over, strict=True) if o]
 
 
-def mostly(responses: Set[str], over: Sequence[Sequence[str]]) -> tuple[str, ...]:
-    """Ids of the responses that overload in more than half of the blows, none if all do; `over` is
-    a list a blow.
+def mostly_overloaded(responses: Set[str], over: Sequence[Sequence[str]]) -> tuple[str, ...]:
+    """Ids of the responses that overload in more than half of the impacts, none if all do; `over`
+    is a list an impact.
     """
     count = Counter(c for ids in over for c in ids if c in responses)
     lost = tuple(c for c, n in count.items() if 2 * n > len(over))

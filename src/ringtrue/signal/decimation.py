@@ -215,7 +215,7 @@ def decimate(history: TimeHistory, rate: float) -> TimeHistory:
     return replace(history, data=data, rate=new)
 
 
-def levelled(history: TimeHistory, low: float) -> TimeHistory:
+def remove_drift(history: TimeHistory, low: float) -> TimeHistory:
     """The record without what drifts far below `low` Hz, in channels where that is more than all
     else.
 

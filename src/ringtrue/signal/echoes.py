@@ -18,7 +18,7 @@ from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from ringtrue.core.arrays import Any_, Float
 from ringtrue.core.signals import TimeHistory
-from ringtrue.signal.tonal_lines import listened_spectrum
+from ringtrue.signal.tonal_lines import excerpt_spectrum
 
 SHORTEST, LONGEST = 16, 0.01  # samples, and share of the record
 SURE = 6.0  # standard deviations of a peak; half of them below 0 for that at 2τ
@@ -57,13 +57,13 @@ class Echo:
     doubt: float
 
 
-def without_echo(history: TimeHistory) -> tuple[TimeHistory, Echo | None]:
+def remove_echo(history: TimeHistory) -> tuple[TimeHistory, Echo | None]:
     """The record as the force makes it that comes once, and the echo; the same object where there
     is none.
 
     A factor above 1 has the spectrum of its inverse, but for a level.
     """
-    spectrum, n = listened_spectrum(replace(history, data=history.data[:, :SAMPLES]))
+    spectrum, n = excerpt_spectrum(replace(history, data=history.data[:, :SAMPLES]))
     if len(spectrum) < FEWEST:
         return history, None
     lines = (

@@ -10,8 +10,8 @@ import numpy as np
 from scipy.special import bdtr
 
 from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
-from ringtrue.core.blows import Blows, joined
 from ringtrue.core.channels import input_id
+from ringtrue.core.impacts import Impacts, join_impacts
 from ringtrue.core.motions import ANGULAR, DERIVATIVE, FRF_KIND, LINEAR, UNIT, channel
 from ringtrue.core.progress import Progress
 from ringtrue.core.signals import Channel, FrfSet, Quantity, TimeHistory
@@ -20,12 +20,12 @@ from ringtrue.signal.frf_sets import join_frfs
 from ringtrue.signal.impacts import (
     Estimator,
     HammerSettings,
-    HitReport,
+    ImpactReport,
     block_length,
-    blows_of,
-    check_hits,
-    find_hits,
+    check_impacts,
+    find_impacts,
     force_channel,
+    impacts_of,
     pulse_width,
 )
 
@@ -67,7 +67,7 @@ def estimate_frf(
     *,
     full_scale: Mapping[str, float] | None = None,
     progress: Progress | None = None,
-) -> tuple[FrfSet, tuple[HitReport, ...]]:
+) -> tuple[FrfSet, tuple[ImpactReport, ...]]:
     """FRFs from one or several hammer records.
 
     Each record has one force channel, whose id names the point and direction hit (a leading `F:` is
@@ -88,7 +88,7 @@ def estimate_frf(
     FrfSet
         With the exponential window still in the data, its rate in `window_decay`, and `kept` of the
         response.
-    tuple of HitReport
+    tuple of ImpactReport
         All hits, those left out with their reasons.
 
     Raises
@@ -108,7 +108,7 @@ def estimate_columns(
     *,
     full_scale: Mapping[str, float] | None = None,
     progress: Progress | None = None,
-) -> tuple[tuple[FrfSet, ...], tuple[HitReport, ...]]:
+) -> tuple[tuple[FrfSet, ...], tuple[ImpactReport, ...]]:
     """The FRFs of each input with each set of responses, on the same lines, before `estimate_frf`
     joins them.
 
@@ -158,7 +158,7 @@ def _with_room(cuts: Sequence[_Cut], settings: HammerSettings) -> HammerSettings
     return replace(settings, pretrigger=min(settings.pretrigger, room))
 
 
-def _check_used(cuts: Sequence[_Cut], reports: Sequence[Sequence[HitReport]]) -> None:
+def _check_used(cuts: Sequence[_Cut], reports: Sequence[Sequence[ImpactReport]]) -> None:
     for cut, rep in zip(cuts, reports, strict=True):
         if not any(r.accepted for r in rep):
             told = "; ".join(f"{r.time:.2f} s: {', '.join(r.reasons)}" for r in rep[:5])
@@ -172,7 +172,7 @@ def _check_used(cuts: Sequence[_Cut], reports: Sequence[Sequence[HitReport]]) ->
 def _cut(record: TimeHistory, settings: HammerSettings) -> _Cut:
     at = force_channel(record, settings)
     force = np.asarray(record.data[at], dtype=np.float64)
-    hits = find_hits(force - np.median(force), record.rate, settings)
+    hits = find_impacts(force - np.median(force), record.rate, settings)
     if not hits.size:
         raise DataError(f"{record.source}: no hit in channel {record.channels[at].id}")
     return _Cut(record, at, hits, block_length(hits, record.data.shape[1], record.rate, settings))
@@ -180,9 +180,9 @@ def _cut(record: TimeHistory, settings: HammerSettings) -> _Cut:
 
 def _checked(
     cuts: list[_Cut], length: int, settings: HammerSettings, full_scale: Mapping[str, float] | None
-) -> tuple[list[_Cut], list[tuple[HitReport, ...]]]:
+) -> tuple[list[_Cut], list[tuple[ImpactReport, ...]]]:
     """The verdict on all hits, without responses that overload in most of those of a record."""
-    reports = [check_hits(c.record, c.force, c.hits, length, settings, full_scale) for c in cuts]
+    reports = [check_impacts(c.record, c.force, c.hits, length, settings, full_scale) for c in cuts]
     lost = tuple(dict.fromkeys(c for rep in reports for r in rep for c in r.lost))
     if not lost:
         return cuts, reports
@@ -195,7 +195,7 @@ def _without(cut: _Cut, lost: Sequence[str]) -> _Cut:
     kept = [c.id for c in cut.record.channels if c.id not in lost]
     if len(kept) == 1:
         raise DataError(
-            f"{cut.record.source}: no response is left: {' '.join(lost)} overload in most blows"
+            f"{cut.record.source}: no response is left: {' '.join(lost)} overload in most impacts"
         )
     return replace(
         cut, record=cut.record.pick(kept), force=kept.index(cut.record.channels[cut.force].id)
@@ -216,10 +216,10 @@ class _Sums:
     xx: Float  # (freq, out)
     kept: float  # s, of the response
     quiet: float  # power that the noise on the force leaves at a line
-    blows: Blows | None  # of equal weight in all FRFs
+    impacts: Impacts | None  # of equal weight in all FRFs
 
     def plus(self, other: _Sums) -> _Sums:
-        both = self.blows, other.blows
+        both = self.impacts, other.impacts
         return replace(
             self,
             count=self.count + other.count,
@@ -227,7 +227,7 @@ class _Sums:
             xf=self.xf + other.xf,
             xx=self.xx + other.xx,
             quiet=self.quiet + other.quiet,
-            blows=joined(both, [b.weight for b in both if b]),
+            impacts=join_impacts(both, [b.weight for b in both if b]),
             kept=(self.kept * self.count + other.kept * other.count) / (self.count + other.count),
         )
 
@@ -240,7 +240,7 @@ def _last_heard(s: _Sums) -> int:
 
 def _block(data: Any_, start: int, length: int) -> Float:
     """(channel, length) float64 without the offset: the mean of the second half, where least is
-    left of the blow.
+    left of the impact.
     """
     block = np.asarray(data[:, start : start + length], dtype=np.float64)
     return np.asarray(block - block[:, length // 2 :].mean(axis=1, keepdims=True))
@@ -249,11 +249,11 @@ def _block(data: Any_, start: int, length: int) -> Float:
 def _lead(cut: _Cut, hits: Int) -> tuple[int, int]:
     """Samples of a block before the peak, and how many of them a smooth rise takes.
 
-    What rings on from the blow before would stand in the pretrigger, where the model of a blow has
-    nothing; from the blow on it decays as the response does. So a block begins with the pulse, at
-    an edge. Where the anti-aliasing filter rings before a short pulse, in force and response, an
-    edge leaves a part of that at all lines: there, if the structure is quiet, the block begins
-    earlier and smoothly.
+    What rings on from the impact before would stand in the pretrigger, where the model of an impact
+    has nothing; from the impact on it decays as the response does. So a block begins with the
+    pulse, at an edge. Where the anti-aliasing filter rings before a short pulse, in force and
+    response, an edge leaves a part of that at all lines: there, if the structure is quiet, the
+    block begins earlier and smoothly.
     """
     force = np.asarray(cut.record.data[cut.force], dtype=np.float64)
     force = force - np.median(force)
@@ -265,9 +265,10 @@ def _lead(cut: _Cut, hits: Int) -> tuple[int, int]:
 
 
 def _unrest(cut: _Cut, starts: Int) -> float:
-    """Level of the responses before the blows over that after them, at the line that rings on most.
+    """Level of the responses before the impacts over that after them, at the line that rings on
+    most.
 
-    0 where it cannot be told, as too little was recorded before a blow.
+    0 where it cannot be told, as too little was recorded before an impact.
     """
     responses = np.delete(np.arange(len(cut.record.channels)), cut.force)
     length = min(cut.length // 4, int(starts.min()))
@@ -275,7 +276,7 @@ def _unrest(cut: _Cut, starts: Int) -> float:
         return 0.0
     taper = np.hanning(length)
     power = np.zeros((2, length // 2 + 1))
-    for a in starts.tolist():  # a few dozen blows
+    for a in starts.tolist():  # a few dozen impacts
         for row, at in zip(power, (a - length, a), strict=True):
             block = cut.record.data[responses, at : at + length]
             block = block - block.mean(axis=1, keepdims=True)
@@ -323,7 +324,7 @@ def _force_window(
 
 
 def _noise(force: Float) -> float:
-    """Standard deviation of the force between the blows, which take little of the record."""
+    """Standard deviation of the force between the impacts, which take little of the record."""
     return float(np.median(np.abs(force - np.median(force)))) / _MEDIAN
 
 
@@ -355,8 +356,8 @@ def _spectra(cut: _Cut, hits: Int, length: int, decay: float, settings: HammerSe
         input_id(cut.record.channels[at].id),
         np.asarray(cut.record.data[at], dtype=np.float64),
     )
-    blows = blows_of(force - np.median(force), rate, cut.hits, hits, pulses, quiet)
-    return _Sums(name, outputs, rate, length, int(hits.size), ff, xf, xx, kept, sum(quiet), blows)
+    impacts = impacts_of(force - np.median(force), rate, cut.hits, hits, pulses, quiet)
+    return _Sums(name, outputs, rate, length, int(hits.size), ff, xf, xx, kept, sum(quiet), impacts)
 
 
 def estimators(ff: Float, xf: Complex, xx: Float, which: Estimator) -> tuple[Complex, Float]:
@@ -419,5 +420,5 @@ def _column(s: _Sums, struck: Bool, decay: float, settings: HammerSettings, sour
         decay,
         source,
         s.kept,
-        blows=s.blows.spread(len(s.outputs)) if s.blows else None,
+        impacts=s.impacts.spread(len(s.outputs)) if s.impacts else None,
     )

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from ringtrue.core.arrays import Complex, Float, Int
-from ringtrue.core.blows import joined
+from ringtrue.core.impacts import join_impacts
 from ringtrue.core.motions import LINEAR, OF_KIND, POWER, as_motion, channel
 from ringtrue.core.signals import Channel, FrfKind, FrfSet, shared_lines
 from ringtrue.errors import DataError
@@ -24,7 +24,7 @@ _SURE, _FLIPPED = 0.8, -0.3
 _BANDS = 24
 
 
-def setups_of(columns: Sequence[FrfSet]) -> tuple[FrfSet, ...]:
+def join_by_setup(columns: Sequence[FrfSet]) -> tuple[FrfSet, ...]:
     """Those with the same responses joined: a set for each place that the sensors had."""
     same: dict[tuple[str, ...], list[FrfSet]] = {}
     for f in columns:
@@ -56,7 +56,7 @@ def join_frfs(parts: Sequence[FrfSet]) -> FrfSet:
         np.zeros(shape[1:]),
         np.zeros(shape),
     )
-    blows = []
+    impacts = []
     for p in parts:  # a few setups
         at = (
             np.array([row[c.id] for c in p.outputs])[:, None],
@@ -68,9 +68,9 @@ def join_frfs(parts: Sequence[FrfSet]) -> FrfSet:
         data[:, at[0], at[1]] += p.data * n
         coherence[:, at[0], at[1]] += p.coherence * n
         weight[at] += n
-        if p.blows:
-            blows.append(np.zeros((len(p.blows.weight), *shape[1:])))
-            blows[-1][:, at[0], at[1]] = p.blows.weight * n
+        if p.impacts:
+            impacts.append(np.zeros((len(p.impacts.weight), *shape[1:])))
+            impacts[-1][:, at[0], at[1]] = p.impacts.weight * n
     if (weight == 0).any():
         o, i = np.argwhere(weight == 0)[0]
         raise DataError(
@@ -86,7 +86,7 @@ def join_frfs(parts: Sequence[FrfSet]) -> FrfSet:
         averages=np.median(weight, axis=0),
         kept=float(kept.mean()) if same else np.inf,
         sharp=all(p.sharp for p in parts),
-        blows=joined([p.blows for p in parts], [b / weight for b in blows]),
+        impacts=join_impacts([p.impacts for p in parts], [b / weight for b in impacts]),
         source=", ".join(dict.fromkeys(p.source for p in parts if p.source)),
     )
 
@@ -144,7 +144,7 @@ def _part(p: FrfSet, at: Int, kind: FrfKind) -> FrfSet:
     )
 
 
-def exchanged(frfs: FrfSet) -> tuple[FrfSet, str]:
+def exchange_by_reciprocity(frfs: FrfSet) -> tuple[FrfSet, str]:
     """FRFs with the responses at the many points of a roving hammer, and a note; as they are where
     they are not such.
 
@@ -167,7 +167,7 @@ def exchanged(frfs: FrfSet) -> tuple[FrfSet, str]:
         inputs=tuple(channel(c.id, "force") for c in frfs.outputs),
         coherence=frfs.coherence.swapaxes(1, 2),
         averages=np.full(len(frfs.outputs), np.min(frfs.averages)),
-        blows=frfs.blows.exchanged() if frfs.blows else None,
+        impacts=frfs.impacts.exchanged() if frfs.impacts else None,
     )
     return there, (
         f"roving hammer: {len(frfs.inputs)} points struck, {len(frfs.outputs)} fixed sensors; by "

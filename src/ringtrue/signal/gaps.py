@@ -73,7 +73,7 @@ class Gaps:
         return replace(history, data=data)
 
 
-def bridged(history: TimeHistory) -> tuple[TimeHistory, Gaps]:
+def bridge_gaps(history: TimeHistory) -> tuple[TimeHistory, Gaps]:
     """The record with straight lines over what is lost, the same in all channels, without those
     that lost too much.
     """
@@ -228,7 +228,7 @@ def overlap(before: TimeHistory, later: TimeHistory) -> int:
     return 0
 
 
-def without_overlap(before: TimeHistory | None, later: TimeHistory) -> tuple[TimeHistory, str]:
+def remove_overlap(before: TimeHistory | None, later: TimeHistory) -> tuple[TimeHistory, str]:
     """A record without the samples that the one before it ends with, and what is to be said of
     that.
     """

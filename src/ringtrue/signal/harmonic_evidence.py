@@ -16,7 +16,7 @@ from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.signal.decimation import detrend
 from ringtrue.signal.spectra import step
-from ringtrue.signal.tonal_lines import LONGEST, listened_spectrum
+from ringtrue.signal.tonal_lines import LONGEST, excerpt_spectrum
 
 _BETWEEN = 2.1  # kurtosis: the geometric mean of 1.5 of a sine and 3 of random response
 _WIDEST = 0.05  # apparent damping of a machine that still has a speed
@@ -120,7 +120,7 @@ def _narrow(
     return float(1.5 * each.sum() / max(mean.sum(), 1e-300)), float(mean.sum()), top
 
 
-def steady_amplitudes(
+def amplitude_evidence(
     history: TimeHistory,
     frequencies: ArrayLike,
     damping: ArrayLike,
@@ -168,7 +168,7 @@ def steady_amplitudes(
         tried &= 2 * np.pi * z * f * interval > _FALLEN
     if not (tried & (width < np.minimum(edge, apart / 0.75))).any():
         return tuple(out)
-    spectrum, n = listened_spectrum(history)
+    spectrum, n = excerpt_spectrum(history)
     for k in np.argsort(z, kind="stable").tolist():  # a few poles, sharp lines first
         room = min(edge[k], apart[k] / 0.75)
         if not (tried[k] and width[k] < room):
@@ -208,7 +208,7 @@ def _check_band(history: TimeHistory, frequencies: Sequence[float], width: float
         )
 
 
-def locked(
+def phase_evidence(
     history: TimeHistory, frequencies: Float, damping: Float, machines: Sequence[bool]
 ) -> tuple[str, ...]:
     """Why a pole belongs to a machine that is known: their phases go together; empty where they do
@@ -232,7 +232,7 @@ def locked(
     ]
     if not pairs:
         return tuple(out)
-    spectrum, n = listened_spectrum(history)
+    spectrum, n = excerpt_spectrum(history)
     step = history.rate / n
     for k, j, p, q in pairs:  # a few poles
         if out[k]:

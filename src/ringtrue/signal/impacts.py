@@ -13,12 +13,12 @@ from typing import Literal
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Float, Int
-from ringtrue.core.blows import Blows, padded
 from ringtrue.core.channels import input_id
+from ringtrue.core.impacts import Impacts, pad_rows
 from ringtrue.core.motions import FORCES
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import ConfigError, DataError, did_you_mean
-from ringtrue.signal.channel_checks import ceilings, mostly, overloaded
+from ringtrue.signal.channel_checks import clipping_levels, mostly_overloaded, overloaded
 
 Estimator = Literal["H1", "H2", "Hv"]
 _HAMMER = re.compile(r"(?<![a-z])(force|hammer|impact|impulse|kraft|f)(?![a-z])", re.IGNORECASE)
@@ -49,7 +49,7 @@ class HammerSettings:
         A hit below this share of the median hit is left out.
     force_window : float, s, optional
         Length after the hit that the force is kept; by default four pulse widths, 1 ms and 16
-        samples at least, but no longer than the pulse stands out of the noise between the blows.
+        samples at least, but no longer than the pulse stands out of the noise between the impacts.
     exp_end : float, optional
         Value of the exponential window at the end of the block, 1 for none; by default what lets
         the responses end at 1 % of their start.
@@ -91,7 +91,7 @@ class HammerSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class HitReport:
+class ImpactReport:
     """One hit.
 
     Attributes
@@ -110,7 +110,7 @@ class HitReport:
     reasons : tuple of str
         Why it was left out, or what is wrong with one that was used.
     lost : tuple of str
-        Ids of responses that overload in most blows, and are left out instead of these.
+        Ids of responses that overload in most impacts, and are left out instead of these.
     """
 
     source: str
@@ -174,7 +174,7 @@ def pulses(force: Float, rate: float, level: float) -> tuple[Int, Int]:
     return first, np.array([r[np.abs(force[r]).argmax()] for r in runs], dtype=np.int64)
 
 
-def find_hits(force: Float, rate: float, settings: HammerSettings) -> Int:
+def find_impacts(force: Float, rate: float, settings: HammerSettings) -> Int:
     """Samples of the peaks of the hits, (h,), ascending; rebounds within 0.25 s or half a block are
     not hits.
 
@@ -208,14 +208,14 @@ def block_length(hits: Int, samples: int, rate: float, settings: HammerSettings)
     return 2 * int(0.98 * room / 2)
 
 
-def check_hits(
+def check_impacts(
     record: TimeHistory,
     at: int,
     hits: Int,
     length: int,
     settings: HammerSettings,
     full_scale: Mapping[str, float] | None = None,
-) -> tuple[HitReport, ...]:
+) -> tuple[ImpactReport, ...]:
     """The verdict on every hit.
 
     Parameters
@@ -236,7 +236,7 @@ def check_hits(
     typical = float(np.median(np.abs(force[hits]))) if hits.size else 0.0
     pre = round(settings.pretrigger * record.rate)
     known = {k: v for k, v in (full_scale or {}).items() if np.isfinite(v)}
-    limits = ceilings(record) | known
+    limits = clipping_levels(record) | known
     reports = []
     responses = np.delete(np.arange(len(record.channels)), at)
     unrest = [
@@ -247,7 +247,7 @@ def check_hits(
     quietest = min(unrest) if len(unrest) > 1 else 0.0
     blocks = [record.data[:, max(h - pre, 0) : h - pre + length] for h in hits.tolist()]
     over = [overloaded(record, b, limits) for b in blocks]
-    lost = mostly({c.id for k, c in enumerate(record.channels) if k != at}, over)
+    lost = mostly_overloaded({c.id for k, c in enumerate(record.channels) if k != at}, over)
     for k, hit in enumerate(hits.tolist()):  # a few dozen hits
         start, stop = hit - pre, hit - pre + length
         why = _place(start, stop, record.data.shape[1], hits[k + 1 :], record.rate)
@@ -261,7 +261,7 @@ def check_hits(
         width = pulse_width(force, hit) / record.rate
         told = tuple(why) or _begun(force[: hit + 1])
         reports.append(
-            HitReport(
+            ImpactReport(
                 record.source,
                 name,
                 hit / record.rate,
@@ -328,7 +328,7 @@ def _double(force: Float, hit: int, stop: int, rate: float, settings: HammerSett
 def _unrest(responses: Any_, pre: int) -> float:
     """Level before the hit over that after it, 0 where it cannot be told.
 
-    The lower quartile of the channels: across the direction of the blow many show nothing but
+    The lower quartile of the channels: across the direction of the impact many show nothing but
     noise.
     """
     if pre < 4 or not responses.shape[0]:
@@ -352,10 +352,10 @@ def _ringing(share: float, quietest: float) -> list[str]:
     return [f"still ringing before the hit: {100 * share:.0f} % of the response"]
 
 
-def blows_of(
+def impacts_of(
     force: Float, rate: float, hits: Int, used: Int, pulses: Sequence[Float], quiet: Sequence[float]
-) -> Blows:
-    """Blows of one record; the weights (blow, 1, 1) are their squared impulses.
+) -> Impacts:
+    """Impacts of one record; the weights (impact, 1, 1) are their squared impulses.
 
     Parameters
     ----------
@@ -375,9 +375,9 @@ def blows_of(
     noise = np.array(
         [q / np.maximum(p[::step], max(q, 1e-300)) for p, q in zip(pulses, quiet, strict=True)]
     )
-    return Blows(
-        padded([time[k] - time[:k] for k in at]),
-        padded([impulse[:k] / impulse[k] for k in at]),
+    return Impacts(
+        pad_rows([time[k] - time[:k] for k in at]),
+        pad_rows([impulse[:k] / impulse[k] for k in at]),
         (impulse[at] ** 2)[:, None, None],
         0.5 * rate * np.arange(0, pulses[0].size, step) / (pulses[0].size - 1),
         noise,

@@ -52,9 +52,9 @@ LEAST_LINES = 64  # with a force, in one period; a sine has one
 FORCED = 1e-3  # of the strongest line
 
 
-def runs_on(history: TimeHistory) -> bool:
+def is_continuous(history: TimeHistory) -> bool:
     """Whether every force of a record runs all the time, as that of a shaker does, and not in
-    blows.
+    impacts.
     """
     forces = [
         x for c, x in zip(history.channels, history.data, strict=True) if c.quantity in FORCES

@@ -119,7 +119,7 @@ def refine_frequency(history: TimeHistory, frequency: float, width: float) -> fl
     return frequency
 
 
-def remove_lines(
+def remove_tracked_lines(
     history: TimeHistory, frequencies: Sequence[float], bandwidth: float
 ) -> tuple[TimeHistory, tuple[float, ...]]:
     """The record without steady lines (mains hum), and their refined frequencies, Hz.
@@ -169,7 +169,7 @@ def edit_cepstrum(history: TimeHistory, frequency: float, *, width: int = 2) -> 
     return replace(history, data=data + mean)
 
 
-def without_machines(
+def remove_harmonics(
     history: TimeHistory, frequencies: Sequence[float], method: str = "lines"
 ) -> tuple[TimeHistory, tuple[str, ...]]:
     """The record without the lines of machines at steady speed, and what was done.
@@ -200,7 +200,7 @@ def without_machines(
         left = [f for f in left if abs(f - round(f / base) * base) > 4 * 61 / history.duration]
         said.append(f"harmonics of {exact:.5g} Hz taken out by cepstrum")
     if left:
-        history, steady = remove_lines(history, left, 20 / history.duration)
+        history, steady = remove_tracked_lines(history, left, 20 / history.duration)
         said += [f"line at {f:.6g} Hz taken out" for f in steady]
     return history, tuple(said)
 

@@ -35,7 +35,7 @@ STEADY = 0.25  # of its range: how far it may jump from frame to frame
 
 
 @dataclass(frozen=True, slots=True)
-class Sweep:
+class MovingTone:
     """A tone of changing frequency: from `low` to `high` Hz, seen in `seconds` of the record."""
 
     low: float
@@ -43,27 +43,27 @@ class Sweep:
     seconds: float
 
 
-def without_sweeps(
+def remove_run_ups(
     history: TimeHistory, heard: Any_ | None = None
-) -> tuple[TimeHistory, tuple[Sweep, ...]]:
+) -> tuple[TimeHistory, tuple[MovingTone, ...]]:
     """The record without tones of changing frequency, and these; the same object where there are
     none.
 
     All channels lose the same cells of time and frequency; a mode that a tone rests on loses that
-    time. `heard` are its `mixes`, if known.
+    time. `heard` are its `channel_mixes`, if known.
     """
-    found, heard = list[Sweep](), mixes(history.data) if heard is None else heard
+    found, heard = list[MovingTone](), channel_mixes(history.data) if heard is None else heard
     for n in FRAMES:
         if 2 * history.data.shape[1] < LEAST_FRAMES * n:
             continue
         mask, sweeps = _moving(_whitened(heard, n), history.rate / n)
         if sweeps:
             history = replace(history, data=np.stack([_masked(x, mask, n) for x in history.data]))
-            found, heard = [*found, *sweeps], mixes(history.data)
+            found, heard = [*found, *sweeps], channel_mixes(history.data)
     return history, tuple(found)
 
 
-def mixes(data: Any_) -> Any_:
+def channel_mixes(data: Any_) -> Any_:
     """(2, sample) float32 sum and alternating sum of some channels of `data` (ch, sample), of unit
     variance each.
     """
@@ -121,9 +121,9 @@ def _upper_median(a: Any_) -> Any_:
     return ranked[..., middle : middle + 1]
 
 
-def _moving(white: Any_, step: float) -> tuple[Bool, list[Sweep]]:
+def _moving(white: Any_, step: float) -> tuple[Bool, list[MovingTone]]:
     """Cells (frame, bin) of ridges that move, and these; bins are `step` Hz apart."""
-    mask, sweeps = np.zeros(white.shape, dtype=np.bool_), list[Sweep]()
+    mask, sweeps = np.zeros(white.shape, dtype=np.bool_), list[MovingTone]()
     if np.count_nonzero(white > HIGH) < LEAST:
         return mask, sweeps
     cell, count = label(white > LOW, np.ones((3, 3)))
@@ -137,7 +137,7 @@ def _moving(white: Any_, step: float) -> tuple[Bool, list[Sweep]]:
         if (ends := _ridge(power, first)) is not None:
             mask[places[k]] |= own
             sweeps.append(
-                Sweep(
+                MovingTone(
                     step * ends[0], step * ends[1], 0.5 * int((power > 0).any(axis=1).sum()) / step
                 )
             )

@@ -195,7 +195,7 @@ def block_weights(power: Float) -> Float:
     """(block,) weights, sum 1, of blocks of mean square `power` (block,): loud ones count as
     typical ones.
 
-    A jump or a blow would otherwise outweigh the rest of the record, and its variance with it.
+    A jump or an impact would otherwise outweigh the rest of the record, and its variance with it.
     """
     power = np.asarray(power, dtype=np.float64)
     typical = float(np.median(power)) or float(power.mean()) or 1.0

@@ -159,7 +159,7 @@ def _moments(data: Any_, length: int, *, every: int = 1) -> tuple[Float, Float]:
     return total, moment / np.maximum(total, np.finfo(np.float64).tiny)
 
 
-def steady_lines(
+def find_tonal_lines(
     history: TimeHistory, *, low: float = 0.0, high: float = np.inf
 ) -> tuple[Harmonic, ...]:
     """Sines of constant frequency between `low` and `high` Hz, the strongest where there are more
@@ -191,7 +191,7 @@ def steady_lines(
     return tuple(Harmonic(float(x), f"{name}: {why}") for x, name in zip(f, names, strict=True))
 
 
-def with_feet(history: TimeHistory, frequencies: Sequence[float]) -> tuple[float, ...]:
+def unsteady_lines(history: TimeHistory, frequencies: Sequence[float]) -> tuple[float, ...]:
     """Those of the `frequencies` (Hz) of lines that were taken out where something is left beside
     them, on both sides.
 
@@ -238,7 +238,7 @@ def _taper(samples: int) -> Any_:
     return (0.35875 - 0.14128) + c * (3 * 0.01168 - 0.48829) + c2 * (2 * 0.14128 - 4 * 0.01168 * c)
 
 
-def without_lines(history: TimeHistory, frequencies: Sequence[float]) -> TimeHistory:
+def remove_tonal_lines(history: TimeHistory, frequencies: Sequence[float]) -> TimeHistory:
     """The record without sines of constant frequencies, Hz, of slowly changing amplitude and phase.
 
     Least squares over the whole record by a window that keeps close modes out of the fit.
@@ -305,7 +305,7 @@ def listened(history: TimeHistory) -> Any_:
     return Signals.of(history.data).part(0, min(history.data.shape[1], LONGEST), at)
 
 
-def listened_spectrum(history: TimeHistory) -> tuple[Any_, int]:
+def excerpt_spectrum(history: TimeHistory) -> tuple[Any_, int]:
     """Transform (ch, line) complex64 of these without their straight lines, and its length."""
     x = listened(history)
     n = int(next_fast_len(x.shape[1], real=True))

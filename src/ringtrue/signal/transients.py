@@ -24,7 +24,7 @@ from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.core.signals import TimeHistory
 from ringtrue.signal.band_correlations import Signals, lowered
 from ringtrue.signal.decimation import decimator
-from ringtrue.signal.run_ups import mixes
+from ringtrue.signal.run_ups import channel_mixes
 
 FRAME = 1024  # samples: longer transforms leave the cache
 ORDER = 60  # of the prediction
@@ -52,7 +52,7 @@ DEARER, DEAR = (
 )  # times the lost share, and share of the record, that lost stretches may take with them
 IMPACT_WINDOW = 4  # samples
 ABOVE = 10.0  # times the median power of the error: of a normal one none of a million windows
-FAINT = 4.0  # times the same, where a blow is due
+FAINT = 4.0  # times the same, where an impact is due
 APART = 4  # windows to either side without a second stroke
 FEWEST = 30  # strokes
 REGULAR, ALIKE = 0.8, 0.15  # share of the intervals that are within so much of the median
@@ -61,7 +61,7 @@ TAPS_SHARE = 0.05  # of the samples of the record, at most
 RIDGE = 1e-2  # equal intervals tell the response to one stroke from that to the next no more
 
 
-def unforeseen(x: Any_) -> Any_:
+def prediction_error(x: Any_) -> Any_:
     """Error (sample,) of the linear prediction of a signal (sample,) from what went before (Yule
     and Walker).
     """
@@ -219,7 +219,7 @@ def _at_one_rate(data: Any_, rate: float, lost: Bool) -> Events:
     """Events of some channels (ch, sample) float32, none where samples (sample,) are lost or soon
     after.
     """
-    force = np.stack([unforeseen(x) ** 2 for x in data])
+    force = np.stack([prediction_error(x) ** 2 for x in data])
     power = _in_windows(force)
     middle = np.median(power, axis=1) if power.size else np.zeros(len(data))
     alive = middle > 0
@@ -287,33 +287,33 @@ def _faded(power: Float, ends: Int) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Strokes:
-    """How many blows, and their median interval, s."""
+class RegularImpacts:
+    """How many impacts, and their median interval, s."""
 
     count: int
     interval: float
 
 
-def without_strokes(
+def remove_regular_impacts(
     history: TimeHistory, heard: Any_ | None = None
-) -> tuple[TimeHistory, Strokes | None]:
-    """The record without the mean response to regular blows, and these; the same object where there
-    are none.
+) -> tuple[TimeHistory, RegularImpacts | None]:
+    """The record without the mean response to regular impacts, and these; the same object where
+    there are none.
 
-    `heard` are its `sweeps.mixes`, if known.
+    `heard` are its `channel_mixes`, if known.
     """
-    at = _strokes(mixes(history.data) if heard is None else heard)
+    at = _strokes(channel_mixes(history.data) if heard is None else heard)
     if not _regular(at):
         return history, None
     taps = min(TAPS, int(TAPS_SHARE * history.data.shape[1]))
     usual = float(np.median(np.diff(at)))
-    return replace(history, data=_left(history.data, at, taps)), Strokes(
+    return replace(history, data=_left(history.data, at, taps)), RegularImpacts(
         at.size, usual / history.rate
     )
 
 
 def _regular(at: Int) -> bool:
-    """Whether there are many blows (k,), most of them at equal intervals."""
+    """Whether there are many impacts (k,), most of them at equal intervals."""
     if at.size < FEWEST:
         return False
     interval = np.diff(at)
@@ -322,7 +322,7 @@ def _regular(at: Int) -> bool:
 
 def _strokes(some: Any_) -> Int:
     """(k,) samples at which the signals (ch, sample) are struck."""
-    error = np.stack([unforeseen(x) ** 2 for x in some])
+    error = np.stack([prediction_error(x) ** 2 for x in some])
     n = error.shape[1] // IMPACT_WINDOW * IMPACT_WINDOW
     power = error[:, :n].reshape(len(error), -1, IMPACT_WINDOW) @ np.full(
         IMPACT_WINDOW, 1 / IMPACT_WINDOW, dtype=error.dtype
@@ -342,7 +342,7 @@ def _strokes(some: Any_) -> Int:
 
 
 def _with_faint(top: Int, power: Any_) -> Int:
-    """Windows (k,) of regular blows, with the faint ones that are due between them: one left in
+    """Windows (k,) of regular impacts, with the faint ones that are due between them: one left in
     would sound on.
     """
     if not _regular(top):
@@ -359,18 +359,18 @@ def _with_faint(top: Int, power: Any_) -> Int:
 
 
 def _left(data: Any_, at: Int, taps: int) -> Any_:
-    """`data` (ch, sample) less what a filter of so many `taps` makes of unit blows at the samples
+    """`data` (ch, sample) less what a filter of so many `taps` makes of unit impacts at the samples
     `at`.
     """
     samples = data.shape[1]
     n = int(next_fast_len(samples + taps, real=True))
-    blows = rfft(np.bincount(at, minlength=samples).astype(np.float64), n)
-    r = irfft(blows.real**2 + blows.imag**2, n)[:taps]
+    impacts = rfft(np.bincount(at, minlength=samples).astype(np.float64), n)
+    r = irfft(impacts.real**2 + impacts.imag**2, n)[:taps]
     r[0] *= 1 + RIDGE
-    shift = np.exp(2j * np.pi * EARLY / n * np.arange(blows.size))
+    shift = np.exp(2j * np.pi * EARLY / n * np.arange(impacts.size))
     out = np.empty_like(data)
     for y, x in zip(out, data, strict=True):  # channels: one transform is long
-        cross = irfft(rfft(x - x.mean(dtype=np.float64), n) * (blows * shift).conj(), n)[:taps]
+        cross = irfft(rfft(x - x.mean(dtype=np.float64), n) * (impacts * shift).conj(), n)[:taps]
         response: Float = solve_toeplitz(r, cross)
-        y[:] = x - irfft(rfft(response, n) * blows * shift, n)[:samples]
+        y[:] = x - irfft(rfft(response, n) * impacts * shift, n)[:samples]
     return out

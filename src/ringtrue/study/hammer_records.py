@@ -15,10 +15,10 @@ from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.records import read_runs, record_info, refuse_bad_samples
 from ringtrue.io.sheets import SensorSheet
-from ringtrue.signal.channel_checks import clipping, clipping_told
+from ringtrue.signal.channel_checks import clipping, explain_clipping
 from ringtrue.signal.frf import estimate_columns
-from ringtrue.signal.impacts import Estimator, HammerSettings, HitReport, force_channel
-from ringtrue.signal.local_rational import local_frfs, period, periodic_frfs, runs_on, spacing
+from ringtrue.signal.impacts import Estimator, HammerSettings, ImpactReport, force_channel
+from ringtrue.signal.local_rational import is_continuous, local_frfs, period, periodic_frfs, spacing
 from ringtrue.signal.shaker_frf import shaker_frfs
 from ringtrue.signal.spectra import Welch
 
@@ -106,7 +106,7 @@ def full_scale(path: Path) -> dict[str, float]:
         return {}
 
 
-def rejected_hits(hits: Sequence[HitReport]) -> tuple[str, ...]:
+def rejected_hits(hits: Sequence[ImpactReport]) -> tuple[str, ...]:
     """A line for each blow that does not count, or of which something is to be said."""
     return tuple(
         f"{h.source}, {h.time:.2f} s, {h.peak:.0f} N: "
@@ -116,7 +116,7 @@ def rejected_hits(hits: Sequence[HitReport]) -> tuple[str, ...]:
     )
 
 
-def accepted_hits(hits: Sequence[HitReport]) -> str:
+def accepted_hits(hits: Sequence[ImpactReport]) -> str:
     """How many blows count."""
     return f"{sum(h.accepted for h in hits)} of {len(hits)} hits kept"
 
@@ -274,7 +274,7 @@ class Forced:
     ----------
     columns : tuple of FrfSet
         On the same lines.
-    hits : tuple of HitReport
+    hits : tuple of ImpactReport
         The blows; none of shakers.
     notes : tuple of str
         Responses that overload, points at which the force has the other sign, where the FRFs of
@@ -284,7 +284,7 @@ class Forced:
     """
 
     columns: tuple[FrfSet, ...]
-    hits: tuple[HitReport, ...] = ()
+    hits: tuple[ImpactReport, ...] = ()
     notes: tuple[str, ...] = ()
     clipped: tuple[str, ...] = ()
 
@@ -318,7 +318,7 @@ def forced_frfs(
         `signal.spectra.shaker_frfs` do.
     """
     clipped = tuple(f"{r.source}: {line}" for r in records for line in clipping(r))
-    with clipping_told(clipped):
+    with explain_clipping(clipped):
         return replace(
             _estimated(records, settings, resolution, full_scale, progress), clipped=clipped
         )
@@ -331,7 +331,7 @@ def _estimated(
     full_scale: Mapping[str, float] | None,
     progress: Progress | None,
 ) -> Forced:
-    if resolution is None and not all(runs_on(r) for r in records):
+    if resolution is None and not all(is_continuous(r) for r in records):
         columns, hits = estimate_columns(
             records, settings, full_scale=full_scale, progress=progress
         )
@@ -347,7 +347,7 @@ def _estimated(
     return Forced(parts, notes=(said,))
 
 
-def _turned(hits: Sequence[HitReport]) -> tuple[str, ...]:
+def _turned(hits: Sequence[ImpactReport]) -> tuple[str, ...]:
     """A line where a hammer, which can only push, has forces of one sign at some points and of the
     other elsewhere.
     """
@@ -374,7 +374,7 @@ def _force_end(columns: Sequence[FrfSet], rate: float, keep_to: float | None) ->
     """
     last, heard = (
         columns[0].freqs[-1],
-        min((c.blows.heard() for c in columns if c.blows), default=np.inf),
+        min((c.impacts.highest_clear_line() for c in columns if c.impacts), default=np.inf),
     )
     if keep_to and min(last, keep_to) > heard * _BEYOND:
         return (

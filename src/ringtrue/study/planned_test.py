@@ -26,17 +26,17 @@ from ringtrue.planning.resolution import (
     choose_targets,
     effective_mass,
     in_band,
+    informative_modes,
     kinetic_share,
-    telling_modes,
 )
 from ringtrue.planning.virtual_test import (
-    Ambience,
+    AmbientConditions,
     Conditions,
     Planned,
-    Rehearsal,
+    VirtualTest,
     longest,
-    rehearse,
-    rehearse_ambient,
+    simulate_ambient_test,
+    simulate_impact_test,
 )
 from ringtrue.study.config_sections import PlanSection
 from ringtrue.study.results import PlanStage, Scene
@@ -98,7 +98,7 @@ def _criteria(session: Session, plan: PlanSection, within: Bool) -> dict[str, Bo
             )
         if plan.telling:
             x = relative * parameters.derivative(np.zeros(len(parameters)))
-            at = telling_modes(x, np.ones(len(x)), MODEL_ERROR, parameters.std(), plan.telling)
+            at = informative_modes(x, np.ones(len(x)), MODEL_ERROR, parameters.std(), plan.telling)
             criteria["tells parameters apart"] = np.isin(np.arange(len(x)), at)
     return criteria
 
@@ -362,7 +362,7 @@ BLOWS = 20  # at a reference, at most
 
 def virtual_test(
     session: Session, plan: PlanSection, stage: PlanStage, rows: Float, progress: Progress
-) -> Rehearsal:
+) -> VirtualTest:
     """What virtual tests by a plan find of its target modes; `rows` (s, m) are shapes at its
     channels, by SI mass.
     """
@@ -378,13 +378,13 @@ def virtual_test(
         conditions = replace(conditions, coherence=plan.coherence)
     else:
         conditions = replace(conditions, background=plan.background)
-    result = rehearse(planned, conditions, rng, progress=progress)
+    result = simulate_impact_test(planned, conditions, rng, progress=progress)
     return result.take(np.searchsorted(np.flatnonzero(planned.targets), stage.target_modes))
 
 
 def virtual_ambient_test(
     session: Session, plan: PlanSection, stage: PlanStage, rows: Float, progress: Progress
-) -> tuple[Rehearsal, tuple[str, ...]]:
+) -> tuple[VirtualTest, tuple[str, ...]]:
     """What virtual ambient tests find of its modes, and notes; `rows` (s, m) are shapes at all
     channels, by SI mass.
 
@@ -403,8 +403,8 @@ def virtual_ambient_test(
         f"the virtual ambient tests last {duration:.4g} s of the {stage.record_length:.4g} s, "
         "as memory allows"
     )
-    result = rehearse_ambient(
-        planned, Ambience(duration, plan.ambient_force), conditions, rng, progress=progress
+    result = simulate_ambient_test(
+        planned, AmbientConditions(duration, plan.ambient_force), conditions, rng, progress=progress
     )
     found = result.take(np.searchsorted(np.flatnonzero(planned.targets), stage.expected_modes))
     return found, (cut,) if duration < stage.record_length else ()

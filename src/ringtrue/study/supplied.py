@@ -18,7 +18,7 @@ from ringtrue.correlation.pairing import PairingSettings, pair_modes
 from ringtrue.errors import DataError, about
 from ringtrue.io.frfs import read_frfs
 from ringtrue.io.modes import read_modes, read_std
-from ringtrue.signal.frf_sets import exchanged, join_frfs
+from ringtrue.signal.frf_sets import exchange_by_reciprocity, join_frfs
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.opened import Opened
 from ringtrue.study.placing import mesh_points
@@ -96,7 +96,7 @@ def supplied_frfs(
         frfs, other = frfs_by_sheet(read_frfs(p, either_way), sheet)
         found.append(frfs)
         notes.update(dict.fromkeys(other))
-    frfs, _ = exchanged(found[0] if len(found) == 1 else join_frfs(found))
+    frfs, _ = exchange_by_reciprocity(found[0] if len(found) == 1 else join_frfs(found))
     check_channels([c.id for c in frfs.outputs], sheet, paths[0])
     return frfs, tuple(notes)
 

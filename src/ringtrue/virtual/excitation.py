@@ -305,8 +305,8 @@ def sledge(
     peak: tuple[float, float] = (5e3, 25e3),
     contact: tuple[float, float] = (0.003, 0.008),
 ) -> Pulses:
-    """Blows of a 5.4 kg sledge: peak force and contact time drawn so that long contacts go with low
-    peaks.
+    """Impacts of a 5.4 kg sledge: peak force and contact time drawn so that long contacts go with
+    low peaks.
     """
     n = times.size
     hard = rng.uniform(0, 1, n)

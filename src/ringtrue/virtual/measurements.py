@@ -32,13 +32,13 @@ class HammerPlan:
     hits : int
         Clean hits wanted at each reference.
     block, pretrigger : float, s
-        Length of a block, and its part before the blow.
+        Length of a block, and its part before the impact.
     rest : float, s
-        Pause between the end of a block and the next blow.
+        Pause between the end of a block and the next impact.
     double, overload : float
         Probability that an attempt is a double hit, and that it exceeds the force range.
     peak : (float, float), N
-        Band of the clean blows' peak force.
+        Band of the clean impacts' peak force.
     contact : (float, float), s
     """
 
@@ -140,10 +140,10 @@ def _sampled_peak(pulses: Pulses, rate: float) -> Float:
     return np.asarray(np.abs(fft.irfft(spectrum, n)).reshape(-1, width).max(axis=1))
 
 
-def clean_energy(blows: SimulatedImpacts) -> float:
-    """Mean squared impulse of the clean blows over the sum of all squared impulses."""
-    square, n = blows.pulses.impulse**2, blows.times.size
-    return float(square[:n][~blows.double & ~blows.overload].mean() / square.sum())
+def clean_energy(impacts: SimulatedImpacts) -> float:
+    """Mean squared impulse of the clean impacts over the sum of all squared impulses."""
+    square, n = impacts.pulses.impulse**2, impacts.times.size
+    return float(square[:n][~impacts.double & ~impacts.overload].mean() / square.sum())
 
 
 def block_samples(plan: HammerPlan, times: Float, rate: float) -> Int:
@@ -154,7 +154,7 @@ def block_samples(plan: HammerPlan, times: Float, rate: float) -> Int:
 
 def hammer_record(
     model: ModalModel,
-    blows: SimulatedImpacts,
+    impacts: SimulatedImpacts,
     plan: HammerPlan,
     chain: Chain,
     background: Complex,
@@ -182,7 +182,7 @@ def hammer_record(
         Spectra of the hammer's part and of all the rest, over the continuous signal.
     """
     freqs = lines(samples, rate)
-    force = pulse_spectrum(blows.pulses, background.shape[0], samples, rate)
+    force = pulse_spectrum(impacts.pulses, background.shape[0], samples, rate)
     still = np.zeros((1, freqs.size))  # the force cell feels the hammer alone
     signal = np.vstack([force.sum(axis=0), response_spectrum(model, force, freqs)])
     noise = np.vstack([still, response_spectrum(model, background, freqs)])
@@ -190,7 +190,7 @@ def hammer_record(
     chain.to_volts(noise, rate)
     noise += chain.noise(samples, rate, rng)
     volts = chain.digitise(np.asarray(fft.irfft(signal + noise, samples)), rate)
-    cut = block_samples(plan, blows.times, rate).ravel()
+    cut = block_samples(plan, impacts.times, rate).ravel()
     return volts[:, cut], signal[1:], noise[1:]
 
 
@@ -242,7 +242,7 @@ def expected_snr(test: AmbientTest) -> float:
     return float(np.median(ratio_db(signal, noise)))
 
 
-def on_a_day(test: AmbientTest, snr_db: float, bounds: tuple[float, float]) -> AmbientTest:
+def scaled_to_snr(test: AmbientTest, snr_db: float, bounds: tuple[float, float]) -> AmbientTest:
     """The test with all ambient levels scaled for a ratio at resonance, ground motion within
     `bounds`, m/s rms.
     """

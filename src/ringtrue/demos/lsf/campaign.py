@@ -37,8 +37,8 @@ from ringtrue.virtual.measurements import (
     clean_energy,
     expected_snr,
     hammer_record,
-    on_a_day,
     scale_site,
+    scaled_to_snr,
     strike,
 )
 from ringtrue.virtual.response import at_outputs
@@ -254,7 +254,7 @@ def _prepare(twin: TwinView, plan: CampaignPlan, name: str, seed: int) -> Ambien
         rate=rate,
         poles=poles,
     )
-    return on_a_day(test, plan.snr_db, (QUIET, LOUD))
+    return scaled_to_snr(test, plan.snr_db, (QUIET, LOUD))
 
 
 def _pushed(twin: TwinView, plan: CampaignPlan) -> tuple[str, ...]:

@@ -67,13 +67,13 @@ from ringtrue.identification.ambient.spurious_modes import (
 )
 from ringtrue.identification.ambient.ssi_cov import SsiCov
 from ringtrue.identification.common.poles import StableDiagram
-from ringtrue.signal.band_correlations import abreast
-from ringtrue.signal.channel_checks import uncut, usable
-from ringtrue.signal.decimation import Band, levelled, scaled, unit_factor
+from ringtrue.signal.band_correlations import map_in_threads
+from ringtrue.signal.channel_checks import unclipped_channels, usable
+from ringtrue.signal.decimation import Band, remove_drift, scaled, unit_factor
 from ringtrue.signal.echoes import Echo
-from ringtrue.signal.gaps import Gaps, bridged
-from ringtrue.signal.harmonic_evidence import locked, steady_amplitudes
-from ringtrue.signal.tonal_lines import Harmonic, harmonics, with_feet, without_lines
+from ringtrue.signal.gaps import Gaps, bridge_gaps
+from ringtrue.signal.harmonic_evidence import amplitude_evidence, phase_evidence
+from ringtrue.signal.tonal_lines import Harmonic, harmonics, remove_tonal_lines, unsteady_lines
 
 LEAST_DAMPING = 5e-4  # below what structures have in operation (welded steel: 0.1 %)
 LEAST_FALL = 0.1  # of the logarithm of the amplitude, from one impact to the next
@@ -270,7 +270,7 @@ def identify_stretches(
         found = [with_echo_doubt(band, record.echo) for band in found]
     result = _assembled(record, found, facts, settings)
     if second is None:
-        unsteady = unexplained(result.modes, with_feet(good, record.places))
+        unsteady = unexplained(result.modes, unsteady_lines(good, record.places))
         if unsteady:
             again = (*leave, *unsteady)
             return identify_stretches(
@@ -332,10 +332,10 @@ def _prepared(
     first: TimeHistory, settings: AmbientSettings, leave: tuple[float, ...], *, single: bool
 ) -> _Record:
     """The usable channels of the first stretch, without what machines leave in it."""
-    part, gaps = bridged(first)
+    part, gaps = bridge_gaps(first)
     raw, states = usable(part)
-    kept = uncut(raw, states)  # of raw samples: these show what is cut off
-    good = levelled(raw, lowest(raw.duration, settings))
+    kept = unclipped_channels(raw, states)  # of raw samples: these show what is cut off
+    good = remove_drift(raw, lowest(raw.duration, settings))
     factor = unit_factor(good)
     good, late = in_phase(scaled(good, factor), mend=single)
     refs = references(good, settings.references)
@@ -351,11 +351,11 @@ def _prepared(
         good, unclipped, bands=bands, leave=leave, impacts=impacts, once=not single
     )
     places = [sine.frequency for sine in sines]
-    clean = without_lines(good, places)
+    clean = remove_tonal_lines(good, places)
     if unclipped is good:
         unclipped = clean
     elif unclipped:
-        unclipped = without_lines(unclipped, places)
+        unclipped = remove_tonal_lines(unclipped, places)
     else:
         swept += ("every channel is clipped: machines are not told from modes",)
     return _Record(
@@ -381,7 +381,7 @@ def _modes_of_bands(
     report: Progress,
 ) -> list[BandModes]:
     found = []
-    results = abreast(lambda x: modes_of_band(x, settings.confidence_min, facts), sums)
+    results = map_in_threads(lambda x: modes_of_band(x, settings.confidence_min, facts), sums)
     for k, modes in enumerate(results):
         band = record.bands[k]
         share = (k + 1) / (len(record.bands) + 2)
@@ -412,7 +412,7 @@ def _second_looks(
             more = with_more_lags(record.good, record.gaps, bands, ssi, record.references)
             looks.append((k, more))
     automatic = replace(facts, choice=None)
-    again = abreast(lambda x: modes_of_band(x[1], settings.confidence_min, automatic), looks)
+    again = map_in_threads(lambda x: modes_of_band(x[1], settings.confidence_min, automatic), looks)
     out = list(found)
     for (k, _), other in zip(looks, again, strict=True):
         out[k], other = surer_groups(out[k], other, settings.confidence_min)
@@ -491,12 +491,12 @@ def _exclusions(
     ]
     unsteady = ("",) * f.size
     if record.unclipped:
-        unsteady = steady_amplitudes(record.unclipped, f, damping, line_f, facts.interval)
+        unsteady = amplitude_evidence(record.unclipped, f, damping, line_f, facts.interval)
     if record.unclipped and not facts.driven:
         running = [bool(line or text) for line, text in zip(on_line, unsteady, strict=True)]
         every = np.append(f, line_f)
         widths = np.append(damping, np.zeros(len(line_f)))
-        locked_to = locked(record.unclipped, every, widths, running + [True] * len(line_f))
+        locked_to = phase_evidence(record.unclipped, every, widths, running + [True] * len(line_f))
         both = zip(unsteady, locked_to[: f.size], strict=True)
         unsteady = tuple(own or other for own, other in both)
     edges = filter_edges(good, f, damping)

@@ -23,13 +23,18 @@ from ringtrue.identification.ambient.maximum_likelihood import RELATIVE, Spectra
 from ringtrue.identification.ambient.ssi_cov import MAX_REFERENCES, SsiCov, spanning
 from ringtrue.identification.common import uncertainty as var
 from ringtrue.signal import band_correlations
-from ringtrue.signal.band_correlations import Signals, abreast
-from ringtrue.signal.decimation import Band, Fir, decimator, high_passer, levelled
-from ringtrue.signal.echoes import Echo, without_echo
-from ringtrue.signal.gaps import Gaps, bridged
-from ringtrue.signal.run_ups import mixes, without_sweeps
-from ringtrue.signal.tonal_lines import Harmonic, steady_lines, with_feet, without_lines
-from ringtrue.signal.transients import NONE, Events, find_events, without_strokes
+from ringtrue.signal.band_correlations import Signals, map_in_threads
+from ringtrue.signal.decimation import Band, Fir, decimator, high_passer, remove_drift
+from ringtrue.signal.echoes import Echo, remove_echo
+from ringtrue.signal.gaps import Gaps, bridge_gaps
+from ringtrue.signal.run_ups import channel_mixes, remove_run_ups
+from ringtrue.signal.tonal_lines import (
+    Harmonic,
+    find_tonal_lines,
+    remove_tonal_lines,
+    unsteady_lines,
+)
+from ringtrue.signal.transients import NONE, Events, find_events, remove_regular_impacts
 
 SPECTRAL_CHANNELS = 16  # that separate the modes for the maximum likelihood fit
 STEP = 4  # from one rate to the next
@@ -304,13 +309,13 @@ def without_strokes_sweeps_and_echoes(
     Where decays after `impacts` are most of the motion, modes are found in them: they stay, if the
     next blow comes after twice the longest of the `lags`, s, of the highest band.
     """
-    heard = mixes(good.data)
-    quiet, strokes = without_strokes(good, heard)
+    heard = channel_mixes(good.data)
+    quiet, strokes = remove_regular_impacts(good, heard)
     if strokes and impacts.driven and strokes.interval > 2 * lags:
         quiet = good
         strokes = None
-    still, sweeps = without_sweeps(quiet, heard if quiet is good else None)
-    clean, echo = without_echo(still)
+    still, sweeps = remove_run_ups(quiet, heard if quiet is good else None)
+    clean, echo = remove_echo(still)
     notes: tuple[str, ...] = ()
     if strokes:
         notes += (
@@ -356,12 +361,12 @@ def steady_sines(
     """
     if whole is None:
         return ()
-    found = steady_lines(whole, low=bands[-1].low, high=bands[0].high)
+    found = find_tonal_lines(whole, low=bands[-1].low, high=bands[0].high)
     found = tuple(h for h in found if all(abs(h.frequency / f - 1) > 1e-5 for f in leave))
     own = impacts.in_step(np.array([h.frequency for h in found]))
     found = tuple(h for h, of_impacts in zip(found, own, strict=True) if not of_impacts)
     places = [h.frequency for h in found]
-    unsteady = with_feet(without_lines(good, places), places) if once else ()
+    unsteady = unsteady_lines(remove_tonal_lines(good, places), places) if once else ()
     return tuple(h for h in found if h.frequency not in unsteady)
 
 
@@ -387,7 +392,7 @@ def sums_of_stretches(
             yield sums, part
             duration += part.duration
 
-    for got, events in abreast(lambda x: _one(*x, good, places), with_sums()):
+    for got, events in map_in_threads(lambda x: _one(*x, good, places), with_sums()):
         sums = joined_sums(sums, got)
         heard.append(events)
     return sums, heard
@@ -421,12 +426,12 @@ def _one(
         raise DataError(
             f"{coming.source}: a stretch at {part.rate} Hz in a record at {first.rate} Hz"
         )
-    whole, gaps = bridged(part)
+    whole, gaps = bridge_gaps(part)
     if len(whole.channels) < len(part.channels):
         raise DataError(f"{coming.source}: {gaps.notes[0]}: leave it out of all stretches")
-    part = levelled(whole, sums[-1].band.low)
+    part = remove_drift(whole, sums[-1].band.low)
     impacts = events_of(part, gaps)
-    part = without_lines(
+    part = remove_tonal_lines(
         without_strokes_sweeps_and_echoes(part, None, impacts, sums[0].seconds)[0], places
     )
     events = events_of(part, gaps)

@@ -421,11 +421,13 @@ def _distinct(poles: Complex) -> Complex:
 
 def block_of_noise(frfs: FrfSet) -> float:
     """Length, s, of the blocks that FRFs on even lines may be of; 0 where they are known to be of
-    blows, or sharp.
+    impacts, or sharp.
     """
     step = np.diff(frfs.freqs)
     even = float(np.ptp(step)) < _EVEN_LINES * float(step.mean())
-    known = frfs.sharp or frfs.blows is not None or np.isfinite(frfs.kept) or frfs.window_decay > 0
+    known = (
+        frfs.sharp or frfs.impacts is not None or np.isfinite(frfs.kept) or frfs.window_decay > 0
+    )
     return 0.0 if known or not even else 1 / float(step.mean())
 
 

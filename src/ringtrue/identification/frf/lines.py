@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Complex, Float
-from ringtrue.core.blows import Blows
+from ringtrue.core.impacts import Impacts
 from ringtrue.core.motions import POWER
 from ringtrue.core.signals import FrfSet
 from ringtrue.errors import InputError
@@ -82,8 +82,8 @@ class Lines:
         Length of response behind the FRFs, `FrfSet.kept`.
     hann : float, s
         `FrfSet.hann`.
-    blows : Blows, optional
-        `FrfSet.blows`.
+    impacts : Impacts, optional
+        `FrfSet.impacts`.
     """
 
     s: Complex
@@ -98,7 +98,7 @@ class Lines:
     order: int
     kept: float
     hann: float
-    blows: Blows | None
+    impacts: Impacts | None
 
 
 def prepare(frfs: FrfSet, sigma: Noise, smooth: int = 0) -> Lines:
@@ -144,7 +144,7 @@ def prepare(frfs: FrfSet, sigma: Noise, smooth: int = 0) -> Lines:
         order=order,
         kept=frfs.kept,
         hann=frfs.hann,
-        blows=frfs.blows,
+        impacts=frfs.impacts,
     )
 
 
@@ -159,7 +159,7 @@ def smooth_rest(lines: Lines, poles: Complex, rest: Complex) -> Float:
     """(freq, t) orthonormal basis of the polynomials that stand out of what a fit leaves, `rest`
     (in, freq, out).
 
-    Noise on the force of a blow is as short as the pulse, and so multiplies the FRFs by a smooth
+    Noise on the force of an impact is as short as the pulse, and so multiplies the FRFs by a smooth
     function of the frequency: that moves no pole, but (1 + ε(s)) ψ/(s − λ) leaves a smooth
     remainder besides ψ (1 + ε(λ))/(s − λ). So do modes outside the band and short delays. No term
     is narrower than the typical mode.

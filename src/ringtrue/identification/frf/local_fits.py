@@ -255,10 +255,14 @@ def _parts(
 
 def _responses(frfs: FrfSet, at: Int) -> FrfSet:
     """The FRFs of some responses."""
-    blows = frfs.blows.take(at, np.arange(len(frfs.inputs))) if frfs.blows else None
+    impacts = frfs.impacts.take(at, np.arange(len(frfs.inputs))) if frfs.impacts else None
     outputs = tuple(frfs.outputs[k] for k in at.tolist())
     return replace(
-        frfs, data=frfs.data[:, at], coherence=frfs.coherence[:, at], outputs=outputs, blows=blows
+        frfs,
+        data=frfs.data[:, at],
+        coherence=frfs.coherence[:, at],
+        outputs=outputs,
+        impacts=impacts,
     )
 
 

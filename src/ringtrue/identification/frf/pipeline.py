@@ -54,7 +54,7 @@ from ringtrue.identification.frf.split_modes import (
     split_modes,
     split_note,
 )
-from ringtrue.signal.frf_sets import exchanged
+from ringtrue.signal.frf_sets import exchange_by_reciprocity
 
 TURNS = 6
 LAST_ITERATIONS = 60
@@ -178,7 +178,7 @@ def identify_hammer(
     settings = settings or HammerModes()
     report = progress or quiet
     refuse_bad_frfs(frfs)
-    frfs, roving = exchanged(frfs)
+    frfs, roving = exchange_by_reciprocity(frfs)
     low, high = band_limits(frfs, settings.fmin, settings.fmax)
     # the refinement sees lines outside the band: a mode left out at its ends would be patched up
     # by broad terms inside

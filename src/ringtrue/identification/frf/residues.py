@@ -43,8 +43,8 @@ def noise(frfs: FrfSet) -> Noise:
     roughness over lines.
 
     Where the coherence is unknown an error of 2 % of the local level is added, as systematic errors
-    then dominate. Where the end of the block is known, what rings on from blow to blow lowers the
-    coherence at the modes and is no noise: lines count as their surroundings do.
+    then dominate. Where the end of the block is known, what rings on from impact to impact lowers
+    the coherence at the modes and is no noise: lines count as their surroundings do.
     """
     h2 = np.abs(frfs.data) ** 2
     if np.isfinite(frfs.coherence).all():
@@ -157,13 +157,13 @@ def lsfd(
 
 
 def blow_factors(lines: Lines, poles: Complex) -> tuple[Complex, Complex]:
-    """What rings on from earlier blows makes of the shapes (out, m) and participations (m, in) of a
-    fit.
+    """What rings on from earlier impacts makes of the shapes (out, m) and participations (m, in) of
+    a fit.
     """
-    if lines.blows is None:
+    if lines.impacts is None:
         one = np.ones((1, 1), dtype=np.complex128)
         return one, one
-    return lines.blows.factors(poles)
+    return lines.impacts.factors(poles)
 
 
 def modal_part(lines: Lines, poles: Complex, shapes: Complex, participation: Complex) -> Complex:

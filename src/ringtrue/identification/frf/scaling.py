@@ -99,16 +99,16 @@ def _driven(fit: Refined, pairs: Pairs) -> tuple[Complex, Complex, Float]:
 
 
 def _of_the_force(frfs: FrfSet, poles: Complex, weight: Float, o: Int, i: Int) -> Float:
-    """(out, m) relative variance of the shapes by the noise on the force of each blow, known from
+    """(out, m) relative variance of the shapes by the noise on the force of each impact, known from
     the records.
 
     φ_o is the mean of R_oi/φ_i over the driving points i, by their `weight` (m, pair), where R_ii =
     φ_i².
     """
-    if frfs.blows is None:
+    if frfs.impacts is None:
         return np.zeros((1, poles.size))
-    share = frfs.blows.weight[:, :, i] - 0.5 * frfs.blows.weight[:, o, i][:, None]
-    noise = frfs.blows.noise_at(np.abs(poles) / (2 * np.pi))
+    share = frfs.impacts.weight[:, :, i] - 0.5 * frfs.impacts.weight[:, o, i][:, None]
+    noise = frfs.impacts.noise_at(np.abs(poles) / (2 * np.pi))
     return np.asarray((0.5 * noise[:, None] * (share @ weight.T) ** 2).sum(axis=0))
 
 
@@ -120,7 +120,7 @@ def _shared(frfs: FrfSet, fitted: Complex, poles: Complex) -> Float:
         return out
     far = np.abs(2 * np.pi * frfs.freqs[:, None] - poles.imag)
     near = far <= np.maximum(far.min(axis=0), np.abs(poles.real) + frfs.window_decay)
-    explained = frfs.blows.scatter(poles) if frfs.blows else np.zeros((poles.size, 1, 1))
+    explained = frfs.impacts.scatter(poles) if frfs.impacts else np.zeros((poles.size, 1, 1))
     for k, at in enumerate(near.T):  # a few dozen modes, each with its own lines
         g = np.clip(frfs.coherence[at], 1e-3, 1.0)
         power = np.abs(frfs.data[at]) ** 2
@@ -139,7 +139,7 @@ def _apart(fit: Refined, pairs: Pairs) -> tuple[Float, float]:
     of a component.
 
     The error at a point is taken as independent from mode to mode and in proportion to the typical
-    component there, as that of a skewed blow is.
+    component there, as that of a skewed impact is.
     """
     psi, part, variance = _driven(fit, pairs)
     square = np.maximum((np.abs(part) ** 2).sum(axis=1), 1e-300)
@@ -166,7 +166,7 @@ def _note(frfs: FrfSet, pairs: Pairs, error: float) -> str:
         return ""
     ids = " ".join(dict.fromkeys(frfs.inputs[i].id for _, i, _ in pairs))
     return (
-        f"driving points {ids} disagree by {100 * error:.0f} % of their residues: a skewed blow, "
+        f"driving points {ids} disagree by {100 * error:.0f} % of their residues: a skewed impact, "
         "a sensor beside the "
         "point or a sensitivity; the modal masses are that doubtful"
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from ringtrue.core.arrays import Int
-from ringtrue.planning.virtual_test import Rehearsal, missed_words
+from ringtrue.planning.virtual_test import VirtualTest, rarely_found_modes
 from ringtrue.plots import correlation, identification
 from ringtrue.report.parts import (
     Block,
@@ -130,10 +130,10 @@ def _hung(plan: PlanStage) -> str:
     )
 
 
-def _foreseen(modes: Int, r: Rehearsal, what: str, whose: str) -> list[Block]:
+def _foreseen(modes: Int, r: VirtualTest, what: str, whose: str) -> list[Block]:
     """What the virtual test says in a sentence, and the modes that it misses."""
     names = [str(k + 1) for k in modes.tolist()]
-    missed = missed_words(r, names, SURE)
+    missed = rarely_found_modes(r, names, SURE)
     told = (
         f"{what}: {len(names) - len(missed)} of {len(names)} {whose} were found in at least "
         f"{100 * SURE:.0f} % of "
@@ -183,7 +183,7 @@ def _targets(plan: PlanStage) -> Table:
     return Table(heads, list(zip(*columns, strict=True)), caption, scroll=True)
 
 
-def _ambient(plan: PlanStage, r: Rehearsal) -> Table:
+def _ambient(plan: PlanStage, r: VirtualTest) -> Table:
     """What virtual ambient tests made of the modes expected of them, beside the floor of their
     errors.
     """
@@ -213,7 +213,7 @@ def _ambient(plan: PlanStage, r: Rehearsal) -> Table:
     return Table(heads, list(zip(*columns, strict=True)), caption, scroll=True)
 
 
-def _found(r: Rehearsal) -> list[list[str | Cell]]:
+def _found(r: VirtualTest) -> list[list[str | Cell]]:
     hints = [f"at least {100 * p:.0f} % with 95 % confidence" for p in r.at_least.tolist()]
     found: list[str | Cell] = [
         Cell(fixed(100 * p, 0), "" if p >= SURE else "bad", hint)

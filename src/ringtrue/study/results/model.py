@@ -10,7 +10,7 @@ from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.testmodel import TestModel
 from ringtrue.planning.setups import Setups
-from ringtrue.planning.virtual_test import Rehearsal
+from ringtrue.planning.virtual_test import VirtualTest
 
 MISSED = 0.1  # of the best driving-point residue: below, the references miss a mode
 
@@ -103,8 +103,8 @@ class PlanStage:
         0.0  # their largest motion in a target mode, squared, over the largest of the mode
     )
     steady: bool = False  # the centre of gravity hangs between them
-    rehearsal: Rehearsal | None = None  # the virtual test
-    ambient_rehearsal: Rehearsal | None = None  # of the expected modes, by virtual ambient tests
+    rehearsal: VirtualTest | None = None  # the virtual test
+    ambient_rehearsal: VirtualTest | None = None  # of the expected modes, by virtual ambient tests
     indicator: Float = field(
         default_factory=lambda: np.zeros(0)
     )  # (target,) least mode indicator of all references

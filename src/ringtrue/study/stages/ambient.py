@@ -21,7 +21,7 @@ from ringtrue.identification.ambient.pipeline import AmbientSettings, identify_s
 from ringtrue.identification.ambient.record_bands import SHORTEST
 from ringtrue.io.records import read_record, refuse_bad_samples
 from ringtrue.io.sheets import SensorSheet
-from ringtrue.signal.gaps import Gaps, bridged
+from ringtrue.signal.gaps import Gaps, bridge_gaps
 from ringtrue.signal.sensor_response import Geophone, deconvolve, lowest_frequency
 from ringtrue.signal.spectra import Welch, csd
 from ringtrue.study.config_sections import IdentifySection
@@ -154,7 +154,7 @@ def _peaks(data: Float, step: int) -> Float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _File:
-    """A file of an ambient record: its history, bridged, with the corners of its sensors taken out
+    """A file of an ambient record: its record, bridged, with the corners of its sensors taken out
     from `low` Hz on.
     """
 
@@ -223,7 +223,7 @@ def ambient(
 
     def read(record: Logged, low: float | None) -> _File:
         history, told = _history(record, sheet, lost)
-        raw, gaps = bridged(history)
+        raw, gaps = bridge_gaps(history)
         fixed, low, note = corrected(raw, sensors, low)
         return _File(fixed, gaps, low, tuple(n for n in (*told, note, *gaps.channels) if n))
 

@@ -25,7 +25,7 @@ from ringtrue.io.choices import read_choice
 from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
 from ringtrue.planning.geometry import relative_neighbours
 from ringtrue.planning.resolution import ambient_std
-from ringtrue.signal.frf_sets import exchanged, join_frfs, setups_of
+from ringtrue.signal.frf_sets import exchange_by_reciprocity, join_by_setup, join_frfs
 from ringtrue.signal.impacts import HammerSettings
 from ringtrue.study.config_sections import IdentifySection, TestSection
 from ringtrue.study.hammer_records import (
@@ -126,7 +126,7 @@ def struck(
         first = record.setup == records[0].setup  # the others look alike
         shown.append(summary(record, _in_a_row(blows), [*notes, *kept, *found.notes], draw=first))
     columns = [frfs_by_sheet(c, sheet.model)[0] for c in found.columns]
-    return join_frfs(columns), shown, rejected_hits(found.hits), setups_of(columns)
+    return join_frfs(columns), shown, rejected_hits(found.hits), join_by_setup(columns)
 
 
 def _blows(
@@ -241,7 +241,7 @@ def _identified(
     fmax = session.config.identify.hammer_fmax
     if hits:
         frfs, more, rejected, batches = struck(hits, sheet, lost, fmax, part(progress, 0.5, 0.7))
-        frfs = exchanged(frfs)[0]
+        frfs = exchange_by_reciprocity(frfs)[0]
         shown += more
     result = (
         _of_frfs(frfs, session.config.identify, choice, part(progress, 0.7, 1.0)) if frfs else None

@@ -17,21 +17,21 @@ from ringtrue.model.frames import positions
 from ringtrue.planning.exciters import reached, shares
 from ringtrue.planning.geometry import (
     drawn_mac,
-    even_distance,
     mesh_edges,
     select_candidates,
+    spacing_of_points,
     wireframe,
 )
 from ringtrue.planning.information import Aim, greedy_logdet, mode_aim, parameter_aim, prior_shapes
 from ringtrue.planning.resolution import readable, resolution
 from ringtrue.planning.sensors import (
+    add_redundancy,
     auto_mac_points,
     kinetic_weighted,
     lower_auto_mac,
-    make_redundant,
     qr_points,
     select_points,
-    worst_loss,
+    worst_sensor_loss,
 )
 from ringtrue.planning.setups import (
     Setups,
@@ -209,7 +209,7 @@ def run(session: Session, progress: Progress) -> PlanStage:
         reach=reached(rows, hits),
         reachable=shares(able_rows, largest).max(axis=0),
         reasons=wanted.reasons,
-        left_by_loss=worst_loss(shapes[chosen][:, :, targets], lost).left
+        left_by_loss=worst_sensor_loss(shapes[chosen][:, :, targets], lost).left
         if lost < chosen.size
         else 0.0,
         lost=lost,
@@ -270,7 +270,7 @@ def _apart(plan: PlanSection, places: Float, count: int) -> float:
     """Least distance of measuring points, m."""
     if isinstance(plan.min_distance, float):
         return plan.min_distance
-    even = even_distance(places, count)
+    even = spacing_of_points(places, count)
     return even if plan.min_distance == "even" else min(even, APART)
 
 
@@ -307,7 +307,7 @@ def _points(
     if plan.redundancy:
         most = 2 * plan.sensors + 15
         chosen = np.sort(
-            make_redundant(phi, chosen, plan.redundancy, most=most, xyz=xyz, min_distance=kept)
+            add_redundancy(phi, chosen, plan.redundancy, most=most, xyz=xyz, min_distance=kept)
         )
     return chosen
 
@@ -483,7 +483,7 @@ def _ambient(plan: PlanSection, able: Arrangement, shapes: Float, apart: float) 
         wide = (
             2 * apart
             if isinstance(plan.min_distance, float)
-            else min(2 * apart, even_distance(able.apart[at], count))
+            else min(2 * apart, spacing_of_points(able.apart[at], count))
         )
         out.append(at[select_points(shapes[at], able.apart[at], count, min_distance=wide)])
     return np.sort(np.concatenate(out))

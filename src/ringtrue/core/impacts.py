@@ -1,4 +1,4 @@
-"""The blows of a hammer behind FRFs: what rings on from earlier ones, and the noise on their
+"""The impacts of a hammer behind FRFs: what rings on from earlier ones, and the noise on their
 force.
 """
 
@@ -13,22 +13,22 @@ from ringtrue.core.arrays import Complex, Float, Int, freeze_fields
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Blows:
-    """Blows, each with those of its record that came before it.
+class Impacts:
+    """Impacts, each with those of its record that came before it.
 
-    An earlier blow of impulse a rings on as a e^{λτ}, in the shape of a mode and decaying with its
-    pole: it multiplies the residue that a blow of impulse A shows by 1 + a e^{λτ}/A.
+    An earlier impact of impulse a rings on as a e^{λτ}, in the shape of a mode and decaying with
+    its pole: it multiplies the residue that an impact of impulse A shows by 1 + a e^{λτ}/A.
 
     Attributes
     ----------
-    delay : (blow, earlier) float64, s
-        τ, from the earlier blow on.
-    ratio : (blow, earlier) float64
+    delay : (impact, earlier) float64, s
+        τ, from the earlier impact on.
+    ratio : (impact, earlier) float64
         a/A; 0 where there is none.
-    weight : (blow, out, in) float64
-        Share of the blow in each FRF.
+    weight : (impact, out, in) float64
+        Share of the impact in each FRF.
     freqs : (line,) float64, Hz
-    noise : (blow, line) float64
+    noise : (impact, line) float64
         Power of the noise on the force over that of the force.
     """
 
@@ -43,7 +43,7 @@ class Blows:
         freeze_fields(self, delay=f, ratio=f, weight=f, freqs=f, noise=f)
 
     def each(self, poles: Complex) -> Complex:
-        """(blow, m) factors of the residues, blow by blow; poles (m,) in rad/s."""
+        """(impact, m) factors of the residues, impact by impact; poles (m,) in rad/s."""
         rest = self.ratio[:, :, None] * np.exp(self.delay[:, :, None] * poles)
         return np.asarray(1 + rest.sum(axis=1))
 
@@ -57,7 +57,7 @@ class Blows:
         return np.asarray(shape), np.asarray(part.T)
 
     def scatter(self, poles: Complex) -> Float:
-        """(m, out, in) variance of the factors from blow to blow, over their squared mean: it
+        """(m, out, in) variance of the factors from impact to impact, over their squared mean: it
         lowers the coherence.
         """
         each = self.each(poles)
@@ -66,45 +66,45 @@ class Blows:
         return np.asarray(np.moveaxis(np.maximum(power - mean, 0) / mean, 2, 0))
 
     def noise_at(self, frequencies: Float) -> Float:
-        """(blow, m) noise at the frequencies (m,), Hz."""
+        """(impact, m) noise at the frequencies (m,), Hz."""
         return np.array([np.interp(frequencies, self.freqs, n) for n in self.noise])
 
-    def heard(self) -> float:
-        """The highest line, Hz, at which the force of the typical blow stands 10 dB out of its
+    def highest_clear_line(self) -> float:
+        """The highest line, Hz, at which the force of the typical impact stands 10 dB out of its
         noise.
         """
         clear = np.flatnonzero(np.median(self.noise, axis=0) < 0.1)
         return float(self.freqs[clear[-1]]) if clear.size else 0.0
 
-    def spread(self, outputs: int) -> Blows:
-        """Of one input, weights (blow, 1, 1) of any sum, for the FRFs of so many outputs."""
+    def spread(self, outputs: int) -> Impacts:
+        """Of one input, weights (impact, 1, 1) of any sum, for the FRFs of so many outputs."""
         return replace(self, weight=np.repeat(self.weight / self.weight.sum(), outputs, axis=1))
 
-    def take(self, outputs: Int, inputs: Int) -> Blows:
+    def take(self, outputs: Int, inputs: Int) -> Impacts:
         """Of some of the FRFs."""
         return replace(self, weight=self.weight[:, outputs][:, :, inputs])
 
-    def exchanged(self) -> Blows:
+    def exchanged(self) -> Impacts:
         """With outputs as inputs."""
         return replace(self, weight=self.weight.swapaxes(1, 2))
 
 
-def joined(parts: Sequence[Blows | None], weights: Sequence[Float]) -> Blows | None:
-    """Of FRFs joined from parts with the same lines, `weights` (blow, out, in) each; None if one
+def join_impacts(parts: Sequence[Impacts | None], weights: Sequence[Float]) -> Impacts | None:
+    """Of FRFs joined from parts with the same lines, `weights` (impact, out, in) each; None if one
     part has none.
     """
     known = [p for p in parts if p is not None]
     if len(known) < len(parts):
         return None
-    delay = padded([x for p in known for x in p.delay])
-    ratio = padded([x for p in known for x in p.ratio])
+    delay = pad_rows([x for p in known for x in p.delay])
+    ratio = pad_rows([x for p in known for x in p.ratio])
     noise = np.concatenate([p.noise for p in known])
-    return Blows(
+    return Impacts(
         delay=delay, ratio=ratio, weight=np.concatenate(weights), freqs=known[0].freqs, noise=noise
     )
 
 
-def padded(rows: Sequence[Float]) -> Float:
+def pad_rows(rows: Sequence[Float]) -> Float:
     """(row, longest) the rows with zeros behind."""
     out = np.zeros((len(rows), max((r.size for r in rows), default=0)))
     for row, r in zip(out, rows, strict=True):
