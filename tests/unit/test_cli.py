@@ -625,7 +625,7 @@ def test_a_stopped_run_keeps_the_store_and_says_how_to_go_on(
     def stop(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("ringtrue.study.stages.update.choose.best_subset", stop)
+    monkeypatch.setattr("ringtrue.study.stages.update.selection_rules.best_subset", stop)
     status, out, err = call(capsys, "run", study)
     assert status == ExitStatus.STOPPED
     assert out == ""
@@ -683,7 +683,7 @@ def _raising(fault: BaseException) -> Callable[..., None]:
         ("model.read_deck", ("modes", "a.bdf")),
         ("model.survey", ("check", "a.bdf")),
         ("respond.read_damped_deck", ("frf", "a.bdf", "--fmax", "9", "--force", "1+Z")),
-        ("respond.read_deck", ("static", "a.bdf", "--force", "1+Z")),
+        ("respond.deflect", ("static", "a.bdf", "--force", "1+Z")),
         ("update.read_config", ("update", "study.toml", "a.json")),
     ],
 )

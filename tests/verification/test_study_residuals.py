@@ -201,7 +201,7 @@ frequency_error = 0.001
     done = run.results["update"]
     by = {s.name: s for s in done.sets}
     assert by["stiffness alone"].parameters == ("stiffness",)
-    assert by["stiffness alone"].mean_deviation > 1  # the density is wrong, too
+    assert by["stiffness alone"].fit.mean_deviation > 1  # the density is wrong, too
     assert by["by evidence"].settings == "prior evidence, starts 2"
     assert by["frequencies first"].settings == "shape weight 0.1, frequency error 0.001"
     for name in ("by evidence", "frequencies first", "best subset"):

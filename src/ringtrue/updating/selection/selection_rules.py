@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Protocol, Self
 
 import numpy as np
-from scipy import linalg
 from scipy.optimize import lsq_linear
 
 from ringtrue.core.arrays import Float, Int, freeze_fields
@@ -41,6 +40,7 @@ RULES = {
 SWEEPS = 2000  # of the members between two checks of all columns
 EXACT = 1e-9  # change of a fit, relative to ‖r‖, that ends a descent
 EQUAL = 9  # decimals, in units of the largest, to which what candidates explain is compared
+TIE = 1e-9  # relative difference up to which two norms of sensitivities are equal
 NOISE = 2.0  # fall of J that one parameter of no meaning is good for
 
 
@@ -245,16 +245,31 @@ def weighted_sensitivities(model: Candidates, target: Target) -> Float:
 
 
 def orthogonal(sensitivities: Float, count: int) -> Int:
-    """The first pivots of a QR with column pivoting, (count,)."""
-    _, _, pivot = linalg.qr(sensitivities, mode="economic", pivoting=True)
-    return np.asarray(pivot[:count], dtype=np.int64)
+    """The first pivots of a QR with column pivoting, (count,); of equal columns the first.
+
+    The sensitivities to a stiffness and to a mass are often equal but for their sign: which of the
+    two is larger must not be a matter of rounding.
+    """
+    rest = np.array(sensitivities, dtype=np.float64)
+    floor = TIE * np.linalg.norm(rest, axis=0).max(initial=0.0)
+    pivots: list[int] = []
+    for _ in range(count):
+        norm = np.linalg.norm(rest, axis=0)
+        norm[norm < floor] = 0.0
+        norm[pivots] = -1.0
+        pivot = int(np.argmax(norm >= (1 - TIE) * norm.max()))
+        pivots.append(pivot)
+        if norm[pivot] > 0:
+            unit = rest[:, pivot] / norm[pivot]
+            rest -= np.outer(unit, unit @ rest)
+    return np.array(pivots, dtype=np.int64)
 
 
 def largest(sensitivities: Float, count: int) -> Int:
-    """The columns of largest norm, (count,)."""
-    return np.argsort(-np.linalg.norm(sensitivities, axis=0), kind="stable")[:count].astype(
-        np.int64
-    )
+    """The columns of largest norm, (count,); of equal columns the first."""
+    norm = np.linalg.norm(sensitivities, axis=0)
+    steps = np.round(norm / (TIE * max(norm.max(initial=0.0), 1e-300)))
+    return np.argsort(-steps, kind="stable")[:count].astype(np.int64)
 
 
 def alike(sensitivities: Float, names: Sequence[str]) -> tuple[str, ...]:
