@@ -178,7 +178,7 @@ def remove_harmonics(
     ----------
     history : TimeHistory
     frequencies : sequence of float, Hz
-        As `ringtrue.signal.preprocess.harmonics` lists them.
+        As `ringtrue.signal.tonal_lines.harmonics` lists them.
     method : {"lines", "cepstrum"}
         Each line by itself, tracked within 20 resolutions of the record; or a comb on the cepstrum
         for each family of harmonics with three members or more, and lines for the rest.
