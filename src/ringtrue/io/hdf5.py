@@ -152,7 +152,13 @@ def _build(kind: str, parts: dict[str, Any], group: h5py.Group) -> Any:
     raise DataError(f"{group.file.filename}:{group.name}: unknown kind {kind!r}")
 
 
+# what files of earlier versions call a class and a field
+_MOVED = {"ringtrue.core.blows:Blows": "ringtrue.core.impacts:Impacts"}
+_RENAMED = {("FrfSet", "blows"): "impacts"}
+
+
 def _make(cls: type, parts: dict[str, Any]) -> Any:
+    parts = {_RENAMED.get((cls.__name__, name), name): value for name, value in parts.items()}
     known = {f.name for f in dataclasses.fields(cls) if f.init}
     if extra := set(parts) - known:
         raise DataError(
@@ -278,7 +284,7 @@ def _class_name(cls: type) -> str:
 
 
 def _class(name: str) -> Any:
-    module, _, qualname = name.partition(":")
+    module, _, qualname = _MOVED.get(name, name).partition(":")
     if not module.startswith("ringtrue.") or not qualname.isidentifier():
         raise DataError(f"{name!r} is not a class of ringtrue; nothing else is loaded")
     try:
