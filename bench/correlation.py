@@ -38,10 +38,10 @@ import test_correlate_faults as random_tests
 
 from ringtrue.core.arrays import Float
 from ringtrue.core.modes import ModeSet, Norm
-from ringtrue.correlation.assignment import scores
+from ringtrue.correlation.assignment import ComparedModes, scores
 from ringtrue.correlation.measures import complete
 from ringtrue.correlation.pairing import PairingSettings, pair_modes
-from ringtrue.shapes.mac import mac
+from ringtrue.shapes import mac
 
 Job = Callable[[ModeSet, ModeSet], Float]
 ROUNDING = 1e-12  # of a MAC, a sum over thousands of channels
@@ -103,7 +103,7 @@ def pairing(a: ModeSet, b: ModeSet) -> Float:
 
 def everything(a: ModeSet, b: ModeSet) -> Float:
     """The assignment and all measures of `correlate --complete`; the CoMAC of the channels."""
-    return complete(a, b, pair_modes(a, b), std_a=0.01).comac
+    return complete(a, b, pair_modes(a, b), std=(0.01, float("nan"))).by_channel.comac
 
 
 def _timed(job: Job, modes: int, channels: int, answer: multiprocessing.Queue[Timed]) -> None:
@@ -220,7 +220,9 @@ def paired(cases: list[tuple[ModeSet, ModeSet, Float]], largest: int) -> Paired:
     macs, shares = list[float](), list[float]()
     for a, b, share in cases:
         p = pair_modes(a, b, settings)
-        turns = scores(a.frequencies, a.shapes, b.frequencies, b.shapes, settings).turns
+        turns = scores(
+            ComparedModes(a.frequencies, a.shapes, b.frequencies, b.shapes), settings
+        ).turns
         macs += p.mac.tolist()
         for i, j in zip(p.a.tolist(), p.b.tolist(), strict=True):
             gained = sum(w[i] * (share[i, list(g)].sum() - share[i, j]) for g, w in turns if j in g)

@@ -4,7 +4,7 @@ what was built.
     python bench/facility.py [--quick | --full]
 
 Runs `ringtrue demo` for each seed. The truth is opened after the study has ended. A seed is right
-if it keeps all that the example says must hold (`ringtrue.demos.lsf.checks`); its row repeats
+if it keeps all that the example says must hold (`ringtrue.demos.lsf.demo`); its row repeats
 pairs, deviations and MAC. Over all seeds: how many 90 % bands hold the frequencies left out, the
 damping of the modes on the air springs over that of the twin in stated standard deviations, and how
 many of the wrong regions that shift a mode by over 2 % the proposal names (by the logarithm of the
@@ -36,8 +36,8 @@ from outcome import (
 )
 
 from ringtrue.core.modes import ModeSet
-from ringtrue.demos.lsf import truth, twin
-from ringtrue.shapes.orthogonality import self_orthogonality
+from ringtrue.demos.lsf import twin
+from ringtrue.shapes import self_orthogonality
 from ringtrue.study.evidence import channel_mass
 from ringtrue.study.reference import reference_modes
 from ringtrue.study.run import load_study
@@ -94,21 +94,23 @@ class Seed:
 def damping(store: Store, seed: int) -> tuple[float, ...]:
     """Merged ambient modes below RIGID against the complex modes of the twin."""
     plan, found = store.load("plan"), store.load("identify")
-    poles = twin.make_twin(seed, plan.test, plan.references).modal.poles
+    poles = twin.make_twin(seed, plan.sensors.test, plan.excitation.references).modal.poles
     f, zeta = np.abs(poles) / (2 * np.pi), -poles.real / np.abs(poles)
-    low = found.ambient.frequencies < RIGID
-    built = zeta[np.abs(found.ambient.frequencies[low, None] - f).argmin(axis=1)]
+    low = found.ambient.modes.frequencies < RIGID
+    built = zeta[np.abs(found.ambient.modes.frequencies[low, None] - f).argmin(axis=1)]
     return tuple(
-        ((found.ambient.damping[low] - built) / found.ambient_uncertainty.damping[low]).tolist()
+        (
+            (found.ambient.modes.damping[low] - built) / found.ambient.uncertainty.damping[low]
+        ).tolist()
     )
 
 
 def regions(store: Store, seed: int) -> dict[str, bool]:
     """Regions that are wrong, by what they do, and whether the proposal names them."""
-    ratio, thick = truth.ratios(seed), truth.thicker(seed)
+    ratio, thick = twin.ratios(seed), twin.thicker(seed)
     ratio["frame members"] = float(np.mean([ratio[k] for k in FRAME]))
     sensitivity, members = store.load("sensitivity"), store.load("localise").proposal.members
-    named = {n for m in members for n in (m.name, *m.alike, *m.rivals)}
+    named = {n for m in members for n in (m.name, *m.collinear, *m.rivals)}
     table = store.load("correlate").remodelled
     seen = np.isin(sensitivity.fe_modes, table.pairing.b[table.used])
     out = {}
@@ -186,7 +188,7 @@ def off_diagonal(store: Path) -> dict[str, float]:
     opened, config = session.remodelled, session.config.correlate
     test, look = (
         reference_modes(session.get("identify"), session.config).elastic,
-        session.bridge(opened),
+        session.own.observed(opened),
     )
     modes = opened.modes(session.fmax).modes
     modes = modes.take(np.flatnonzero(modes.frequencies <= test.frequencies.max()))

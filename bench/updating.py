@@ -41,9 +41,8 @@ from ringtrue.eigen.pencil import Pencil
 from ringtrue.model.ports import ModesRequest
 from ringtrue.reduction.parametric import ReducedModel
 from ringtrue.solvers.matrices import MatrixModel, ObservedMatrices
-from ringtrue.updating.multistart import multi_start
 from ringtrue.updating.problem import Configuration, Problem
-from ringtrue.updating.solver import Method, Solution, solve
+from ringtrue.updating.solver import Method, Solution, multi_start, solve
 from ringtrue.updating.strategy import solve_verified
 from ringtrue.updating.target import Target, Weights
 
@@ -113,7 +112,7 @@ def differences(full: ObservedMatrices, target: Target) -> float:
     at = problem.evaluate(np.zeros(problem.size))
 
     def value(y: Float) -> Float:
-        now = problem.residuals(y, at)
+        now = problem.evaluate(y, at, slopes=False).value
         return now if now.size == at.value.size else np.full(at.value.size, 1e3)
 
     low, high = problem.parameters.bounds()

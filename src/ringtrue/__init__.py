@@ -17,13 +17,9 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from ringtrue.api.comparison import Correlation, correlate
+    from ringtrue.api.comparison import correlate
     from ringtrue.api.improvement import (
-        FittedDamping,
-        Localisation,
         TestedModel,
-        TunedSuspension,
-        UpdatedModel,
         fit_damping,
         localise,
         parameter,
@@ -31,8 +27,6 @@ if TYPE_CHECKING:
         update,
     )
     from ringtrue.api.measurements import (
-        MeasuredFrfs,
-        TestModes,
         estimate_frfs,
         identify_ambient,
         identify_frfs,
@@ -44,17 +38,14 @@ if TYPE_CHECKING:
         write_modes,
     )
     from ringtrue.api.models import (
-        Deflections,
-        FeModes,
         frf,
         read_deck,
         solve_modes,
         static,
         write_deck,
     )
-    from ringtrue.api.studies import Study, TestPlan, open_study, plan_test, predict, run_study
-    from ringtrue.core.modes import ModeSet
-    from ringtrue.core.parameters import Parameter, ParameterSet
+    from ringtrue.api.studies import open_study, plan_test, predict, run_study
+    from ringtrue.core.parameters import ParameterSet
     from ringtrue.core.signals import Channel, FrfSet, TimeHistory
     from ringtrue.errors import (
         InputError,
@@ -63,8 +54,6 @@ if TYPE_CHECKING:
         SolverError,
         UnsupportedError,
     )
-    from ringtrue.io.sheets import SensorSheet
-    from ringtrue.model.model import Model
     from ringtrue.solvers.matrices import MatrixModel
     from ringtrue.solvers.observed import at_factors
     from ringtrue.study.config_sections import CorrelateSection as CorrelateSettings
@@ -73,19 +62,15 @@ if TYPE_CHECKING:
     from ringtrue.study.config_update import UpdateSection as UpdateSettings
 
 _PLACES = {  # module -> public names in it
-    "api.models": "Deflections FeModes frf read_deck solve_modes static write_deck",
-    "api.measurements": "MeasuredFrfs TestModes estimate_frfs identify_ambient identify_frfs "
+    "api.models": "frf read_deck solve_modes static write_deck",
+    "api.measurements": "estimate_frfs identify_ambient identify_frfs "
     "modes_of_test read_frfs read_modes read_record read_sensors write_modes",
-    "api.comparison": "Correlation correlate",
-    "api.improvement": "FittedDamping Localisation TestedModel TunedSuspension UpdatedModel "
-    "fit_damping localise parameter tune_suspension update",
-    "api.studies": "Study TestPlan open_study plan_test predict run_study",
-    "core.modes": "ModeSet",
-    "core.parameters": "Parameter ParameterSet",
+    "api.comparison": "correlate",
+    "api.improvement": "TestedModel fit_damping localise parameter tune_suspension update",
+    "api.studies": "open_study plan_test predict run_study",
+    "core.parameters": "ParameterSet",
     "core.signals": "Channel FrfSet TimeHistory",
     "errors": "InputError NumericalError RingtrueError SolverError UnsupportedError",
-    "io.sheets": "SensorSheet",
-    "model.model": "Model",
     "solvers.matrices": "MatrixModel",
     "solvers.observed": "at_factors",
 }
@@ -101,34 +86,19 @@ _WHERE |= _SETTINGS
 __all__ = [
     "Channel",
     "CorrelateSettings",
-    "Correlation",
-    "Deflections",
-    "FeModes",
-    "FittedDamping",
     "FrfSet",
     "InputError",
-    "Localisation",
     "MatrixModel",
-    "MeasuredFrfs",
-    "ModeSet",
-    "Model",
     "NumericalError",
-    "Parameter",
     "ParameterSet",
     "PlanSettings",
     "PredictSettings",
     "RingtrueError",
-    "SensorSheet",
     "SolverError",
-    "Study",
-    "TestModes",
-    "TestPlan",
     "TestedModel",
     "TimeHistory",
-    "TunedSuspension",
     "UnsupportedError",
     "UpdateSettings",
-    "UpdatedModel",
     "at_factors",
     "correlate",
     "estimate_frfs",

@@ -44,7 +44,10 @@ class DeckError(InputError):
         card: str = "",
         field: str = "",
     ) -> None:
-        self.path, self.line, self.card, self.field = path, line, card, field
+        self.path = path
+        self.line = line
+        self.card = card
+        self.field = field
         place = f"{path}:{line}: " if line else f"{path}: " if path else ""
         what = " ".join(x for x in (card, f"field {field}" if field else "") if x)
         super().__init__(f"{place}{what + ': ' if what else ''}{message}")
@@ -68,7 +71,9 @@ class UnsupportedCard(UnsupportedError):
     def __init__(
         self, card: str, *, path: object = None, line: int | None = None, why: str = ""
     ) -> None:
-        self.card, self.path, self.line = card, path, line
+        self.card = card
+        self.path = path
+        self.line = line
         self.why = why
         place = f"{path}:{line}: " if line else ""
         super().__init__(f"{place}{card} is not supported{': ' + why if why else ''}")
@@ -93,7 +98,8 @@ class OutOfMemory(NumericalError, MemoryError):
     """A step needs more memory than there is: `needed` and `available`, bytes (0 if unknown)."""
 
     def __init__(self, message: str, *, needed: int = 0, available: int = 0) -> None:
-        self.needed, self.available = needed, available
+        self.needed = needed
+        self.available = available
         super().__init__(message)
 
 

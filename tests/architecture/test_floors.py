@@ -15,7 +15,7 @@ FLOORS = [
     {"fem", "reduction", "signal", "identification", "correlation", "io", "decks"},
     {"solvers", "planning", "updating", "virtual", "checks"},
     {"study"},
-    {"plots"},
+    {"plots", "viewer"},
     {"report"},
     {"demos", "testing"},
     {"api"},
@@ -28,6 +28,7 @@ SIDEWAYS = {
     ("identification", "signal"),
     ("planning", "virtual"),
     ("decks", "io"),
+    ("plots", "viewer"),
 }
 THIRD_PARTY = {  # above numpy and scipy, which every floor may use
     "decks": {"h5py"},

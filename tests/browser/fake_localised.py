@@ -39,7 +39,7 @@ def _proposal(names: Sequence[str]) -> Proposal:
         )
         for i in range(4)
     )
-    rules = ("LASSO", "orthogonal sensitivities", "largest sensitivities", "single gain")
+    rules = ("orthogonal sensitivities", "largest sensitivities", "single gain")
     return Proposal(
         members,
         np.arange(7),

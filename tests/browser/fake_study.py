@@ -7,6 +7,7 @@ from dataclasses import replace
 import fake_localised
 import numpy as np
 
+from ringtrue.checks.materials import MassProperties
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.iterate import Outcome
 from ringtrue.core.modes import ModeSet, Norm, Uncertainty
@@ -16,10 +17,10 @@ from ringtrue.core.testmodel import TestModel
 from ringtrue.correlation.channel_faults import Suspect
 from ringtrue.correlation.frf import compare_frfs, fdac
 from ringtrue.correlation.measures import complete
-from ringtrue.correlation.pairing import Pairing
+from ringtrue.correlation.orthogonality import OrthogonalityTest
+from ringtrue.correlation.pairing import Pairing, track
 from ringtrue.correlation.table import CorrelationTable
-from ringtrue.correlation.tracking import track
-from ringtrue.identification.common.poles import PoleSet, StableDiagram
+from ringtrue.identification.common.stabilisation import PoleSet, StableDiagram
 from ringtrue.study import results as r
 from ringtrue.updating.prediction import Bands, RunUp, Unbalance
 from ringtrue.updating.uncertainty import Posterior
@@ -265,9 +266,8 @@ def evidence(a: ModeSet, b: ModeSet, table: CorrelationTable) -> r.Evidence:
         a,
         b,
         table.pairing,
-        mass=np.eye(len(a.channels)),
-        mass_name="IRS",
-        std_a=2e-4 * a.frequencies,
+        orthogonality=OrthogonalityTest(mass=np.eye(len(a.channels)), name="IRS"),
+        std=(2e-4 * a.frequencies, float("nan")),
     )
     said = "reads with the opposite sign in all modes; turned: mean MAC 91.2 % -> 93.0 %"
     suspect = Suspect("103+Y", "reversed", said, "", -1.0, 0.912, 0.93)
@@ -331,13 +331,15 @@ def _record(
         channels,
         rate,
         duration,
-        t,
-        preview,
-        ("101+X", "103+Y", "105+Z"),
-        f,
-        psd * np.array([[1], [0.4], [2.5]]),
         ("mains hum at 50 Hz", "machine harmonic at 24.7 Hz removed"),
-        "m/s^2",
+        preview=r.RecordPreview(
+            ("101+X", "103+Y", "105+Z"),
+            "m/s^2",
+            t,
+            preview,
+            f,
+            psd * np.array([[1], [0.4], [2.5]]),
+        ),
     )
 
 
@@ -383,9 +385,12 @@ def _model_stage(s: r.Scene, modes: ModeSet) -> r.ModelStage:
         findings,
         9214,
         41872,
-        1.604e6,
-        np.array([0.12, -0.03, -1.61]),
-        np.diag([1.31e7, 8.2e7, 8.9e7]),
+        MassProperties(
+            1.604e6,
+            np.full(3, 1.604e6),
+            np.array([0.12, -0.03, -1.61]),
+            np.diag([1.31e7, 8.2e7, 8.9e7]),
+        ),
         modes,
         np.full(len(modes), 3.1e-10),
         "Sturm count: 26 modes below 95 Hz, 26 found.",
@@ -531,29 +536,32 @@ def study() -> dict[str, object]:
     )
     found = [
         r.IdentifiedRecord(
-            x.name,
             ambient,
             _unsure(ambient),
             ("poles of 30 orders",) * len(ambient),
             (_diagram(ambient, 0.2, 3), _diagram(ambient, 2, 40)),
+            x.name,
         )
         for x in records[:4]
     ]
     identify = r.IdentifyStage(
         test,
-        records,
-        tuple(found),
-        ambient,
-        _unsure(ambient),
-        ("found in 4 of 4 records",) * len(ambient),
-        frfs,
-        sigma,
-        ("point 112+Z hit 3: double hit at 0.18 s", "point 131+X hit 1: overload on 141+Y"),
-        hammer,
-        _unsure(hammer),
-        ("cluster of 34 poles, MPC 0.98",) * len(hammer),
-        (_diagram(hammer, 8, 50), _diagram(hammer, 45, 96)),
-        RNG.uniform(0.03, 0.2, (150, 3)),
+        r.IdentifiedModes(ambient, _unsure(ambient), ("found in 4 of 4 records",) * len(ambient)),
+        r.IdentifiedModes(
+            hammer,
+            _unsure(hammer),
+            ("cluster of 34 poles, MPC 0.98",) * len(hammer),
+            (_diagram(hammer, 8, 50), _diagram(hammer, 45, 96)),
+        ),
+        records=records,
+        ambient_records=tuple(found),
+        frfs=frfs,
+        cmif=sigma,
+        rejected_hits=(
+            "point 112+Z hit 3: double hit at 0.18 s",
+            "point 131+X hit 1: overload on 141+Y",
+        ),
+        synthesis_error=RNG.uniform(0.03, 0.2, (150, 3)),
     )
     sets = (
         _set("six by QR", CANDIDATES[:6], 1.2),
@@ -578,39 +586,44 @@ def study() -> dict[str, object]:
     return {
         "model": _model_stage(s, fe),
         "plan": r.PlanStage(
-            612,
             target,
-            test,
-            test.channels[:48],
-            tuple(test.channels[i] for i in refs),
-            auto,
-            0.187,
-            0.0625,
-            16.0,
-            1800.0,
-            0.01,
-            target,
-            1e-4 * np.linspace(4, 1, 12),
-            1e-2 * np.linspace(9, 3, 12),
+            seen[0].frequencies[target],
+            ("6 to 18 Hz",) * target.size,
+            r.SensorPlan(612, test, test.channels[:48], auto),
+            r.ExcitationPlan(
+                tuple(test.channels[i] for i in refs),
+                np.linspace(0.4, 1.0, target.size),
+                np.ones(target.size),
+                (),
+                np.zeros((0, target.size)),
+            ),
+            r.AcquisitionPlan(
+                damping=0.01,
+                frequency_step=0.0625,
+                block=16.0,
+                averages=5,
+                record_length=1800.0,
+                segments=112,
+                modes=target,
+                std_frequency=1e-4 * np.linspace(4, 1, 12),
+                std_damping=1e-2 * np.linspace(9, 3, 12),
+            ),
             "Effective independence over 12 target modes.",
         ),
         "identify": identify,
         "compare": r.CompareStage(pair, evidence(ambient, hammer, pair)),
         "correlate": r.CorrelateStage(
-            reference,
-            _unsure(reference),
-            rigid,
-            _unsure(rigid),
-            np.array(left_out),
+            r.ReferenceModes(
+                reference, _unsure(reference), rigid, _unsure(rigid), np.array(left_out)
+            ),
             tables[0],
             tables[1],
             rigid_rows[0],
-            "A diagonal brace in bay 3 was missing; two bars added.",
-            diff,
             seen[0],
             seen[1],
             told[0],
             told[1],
+            r.Remodelling("A diagonal brace in bay 3 was missing; two bars added.", diff, ()),
         ),
         "localise": fake_localised.localise(REGIONS, CANDIDATES),
         "uncertainty": fake_localised.uncertainty(
@@ -629,7 +642,6 @@ def study() -> dict[str, object]:
             sets,
             0,
             "The set of six has the lowest criterion that keeps every identifiability below 0.9.",
-            np.array(left_out),
             dict.fromkeys(sets[0].parameters, 2.1e11),
             dict(zip(sets[0].parameters, 2.1e11 * sets[0].factor, strict=True)),
             {name: (k,) for name, k in zip(sets[0].parameters, (0, 1, 2, 3, 4, 5), strict=True)},
@@ -646,12 +658,14 @@ def study() -> dict[str, object]:
             seen[2],
             zeta,
             tuple(f"test mode {k + 1}" for k in range(26)),
-            frfs.freqs,
-            ("103+X / 101+Z", "114+Y / 114+Y", "131+X / 131+X"),
-            curve,
-            curve[::-1] * 0.5 + 1e-9,
-            curve * 1.05,
             last,
+            r.ComparedFrfs(
+                frfs.freqs,
+                ("103+X / 101+Z", "114+Y / 114+Y", "131+X / 131+X"),
+                curve,
+                curve[::-1] * 0.5 + 1e-9,
+                curve * 1.05,
+            ),
         ),
         "damping": damped(),
         "predict": predicted(),

@@ -11,13 +11,14 @@ import chromium
 import numpy as np
 import pytest
 
+import ringtrue as rt
 from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.signals import Channel, FrfSet
-from ringtrue.identification.common.poles import PoleSet, StableDiagram
+from ringtrue.identification.common.stabilisation import PoleSet, StableDiagram
 from ringtrue.identification.common.tracking import Stretch, track_modes
 from ringtrue.io.choices import read_choice
+from ringtrue.plots.correlation import tracking_page
 from ringtrue.plots.pages import frf_page, picker_page
-from ringtrue.plots.tracking import tracking_page
 
 needs_browser = pytest.mark.skipif(
     chromium.find() is None,
@@ -111,4 +112,22 @@ def test_modes_through_time_are_drawn(tmp_path: Path) -> None:
         assert page.until("document.querySelectorAll('.main-svg').length >= 2")
         assert page.evaluate("document.getElementById('figure-1').data.length") == 1
         assert page.evaluate("document.querySelector('li').textContent") == "a <note>"
+        assert page.complaints() == []
+
+
+@needs_browser
+def test_mode_shapes_move_in_a_page_and_in_a_notebook(tmp_path: Path) -> None:
+    """The 3D viewer of `.plot()`, alone and in the frame of a notebook's cell."""
+    fe = rt.solve_modes(rt.read_deck(rt.example_deck(), units="SI"), band=(0, 100))
+    view = fe.plot()
+    alone = view.write_html(tmp_path / "modes.html")
+    cell = tmp_path / "cell.html"
+    cell.write_text(f"<!doctype html><body>{view._repr_html_()}</body>")
+    listed = "[...(document.querySelectorAll('select')[1]?.options ?? [])].map((o) => o.text)"
+    framed = listed.replace("document", "document.querySelector('iframe')?.contentDocument?")
+    with chromium.page(tmp_path / "profile") as page:
+        for path, names in ((alone, listed), (cell, framed)):
+            page.call("Page.navigate", url=path.as_uri())
+            assert page.until(f"{names}.length === 3")
+            assert page.evaluate(names)[0] == "mode 1: 2.24 Hz"
         assert page.complaints() == []

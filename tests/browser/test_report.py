@@ -18,7 +18,7 @@ import plotly.graph_objects as go
 import pytest
 from fake_study import study
 
-from ringtrue.demos.lsf.checks import checks
+from ringtrue.demos.lsf.demo import checks
 from ringtrue.errors import ConfigError, InputError
 from ringtrue.plots.style import joined
 from ringtrue.report.build import Acceptance, Photo, build, figure_json
@@ -214,7 +214,7 @@ def test_any_name_of_a_region_leaves_every_figure(
     path = build(fake_study.study(), tmp_path / "r.html", title="<!--<script>")
     with chromium.page(tmp_path / "profile") as opened:
         opened.call("Page.navigate", url=path.as_uri())
-        assert opened.until(DRAWN, 60.0), opened.evaluate(
+        assert opened.until(DRAWN, 300.0), opened.evaluate(
             "[window.ringtrueDrawn, window.ringtrueExpected]"
         )
         assert opened.evaluate("window.ringtrueExpected") > 20

@@ -17,7 +17,7 @@ from ringtrue.errors import ConfigError, SingularModel, SolverMissing
 from ringtrue.model.ports import ModesRequest
 from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.solvers.registry import names, solver
-from ringtrue.testing.solver import check_modal_solver
+from ringtrue.testing import check_modal_solver
 
 
 @pytest.mark.parametrize("clamped", [False, True])

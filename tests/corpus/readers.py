@@ -21,8 +21,6 @@ from ringtrue.io.modes import read_modes, read_std
 from ringtrue.io.records import read_record, read_runs
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.io.statics import read_statics
-from ringtrue.io.uff.geometry import read_geometry
-from ringtrue.io.uff.shapes import read_shapes
 from ringtrue.study.config import read_config
 from ringtrue.study.log import read_log
 
@@ -44,7 +42,6 @@ READERS: dict[str, tuple[Callable[[Path], Any], ...]] = {
     "choice": (read_choice,),
     "deck": (read_deck,),
     "frf": (read_frfs, holds_frfs),
-    "geometry": (read_geometry, read_shapes),
     "log": (read_log,),
     "matrices": (read_matrices,),
     "modes": (read_modes, read_std),

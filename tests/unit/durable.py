@@ -40,7 +40,7 @@ from ringtrue.study.opened import Opened
 from ringtrue.study.run import run_study
 from ringtrue.study.store import SETS_FILE as SETS
 from ringtrue.study.store import Store, digest
-from ringtrue.virtual.logbook import write_sheet
+from ringtrue.virtual.measurements import write_sheet
 
 KILLS = ("before", "half", "whole", "after")
 FULL = "full"

@@ -24,19 +24,18 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from ringtrue.core.modal import ModalModel
-from ringtrue.core.modes import Norm
+from ringtrue.core.modes import ModalModel, Norm
 from ringtrue.core.signals import Channel
 from ringtrue.core.testmodel import TestModel
 from ringtrue.correlation.sensor_mapping import observe
 from ringtrue.decks.nastran.reader import read_deck
-from ringtrue.io.record_layout import RecordChannel
+from ringtrue.io.record_table import RecordChannel
 from ringtrue.io.records import write_record
 from ringtrue.model.frames import positions
 from ringtrue.model.ports import ModesRequest
 from ringtrue.solvers.embedded import EmbeddedSolver
-from ringtrue.virtual.logbook import write_sheet
-from ringtrue.virtual.response import simulate
+from ringtrue.virtual.measurements import write_sheet
+from ringtrue.virtual.sensors import simulate
 
 Array = npt.NDArray[np.float64]
 

@@ -23,11 +23,16 @@ from ringtrue.model.frames import positions
 from ringtrue.model.model import Model, table
 from ringtrue.model.ports import ModesRequest
 from ringtrue.solvers.embedded import EmbeddedSolver
-from ringtrue.solvers.nastran import NastranSolver, nastran_command, nastran_make, sensitivity_deck
-from ringtrue.solvers.nastran_design import design_cards
+from ringtrue.solvers.nastran import (
+    NastranSolver,
+    design_cards,
+    nastran_command,
+    nastran_make,
+    sensitivity_deck,
+)
 from ringtrue.solvers.registry import time_limits
 from ringtrue.solvers.runner import modes_deck
-from ringtrue.testing.solver import check_modal_solver
+from ringtrue.testing import check_modal_solver
 
 STUB = Path(__file__).with_name("nastran_stub.py")
 

@@ -16,7 +16,7 @@ from ringtrue.model.ports import ModesRequest
 from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.solvers.registry import solver
 from ringtrue.solvers.slepc import SlepcSolver, find_slepc
-from ringtrue.testing.solver import check_modal_solver
+from ringtrue.testing import check_modal_solver
 
 
 @pytest.fixture

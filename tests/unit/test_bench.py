@@ -240,7 +240,6 @@ JUDGED: list[
         [(1.01 * SLOPES, SLOPES), (np.nan * SLOPES, SLOPES)],
     ),
     ("derivatives", derivatives.by_products, (SLOPES, SLOPES), [(1.01 * SLOPES, SLOPES)]),
-    ("derivatives", derivatives.by_adjoints, (SLOPES, SLOPES), [(-SLOPES, SLOPES)]),
     (
         "elements",
         elements.solid,

@@ -9,7 +9,7 @@ import pytest
 
 from ringtrue.checks.deck import DeckReport, check_deck
 from ringtrue.checks.elements import free_edges_in_words, shell_edges
-from ringtrue.checks.mass import (
+from ringtrue.checks.materials import (
     GroundCheck,
     from_rigid_body_mass,
     ground_check,

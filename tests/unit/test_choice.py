@@ -198,7 +198,7 @@ def test_a_study_replays_a_choice(tmp_path: Path) -> None:
     toml = small_study.MODEL + small_study.TEST + small_study.SETTINGS
     path = small_study.write_study(tmp_path, toml, hammer=False)
     plain = stage.run(_desk(path), lambda f, t: None)
-    f = plain.ambient.frequencies
+    f = plain.ambient.modes.frequencies
     write_choice(
         tmp_path / "choice.toml",
         Choice(rejects=(Reject(float(f[1]), "crane"),), picks=(Pick(float(f[0])),)),
@@ -207,8 +207,8 @@ def test_a_study_replays_a_choice(tmp_path: Path) -> None:
     session = _desk(path)
     assert tmp_path / "choice.toml" in stage.files(session)
     chosen = stage.run(session, lambda f, t: None)
-    assert chosen.ambient.frequencies == pytest.approx(np.delete(f, 1), rel=1e-12)
-    assert "ambient: confirmed by hand" in chosen.ambient_reasons[0]
+    assert chosen.ambient.modes.frequencies == pytest.approx(np.delete(f, 1), rel=1e-12)
+    assert "ambient: confirmed by hand" in chosen.ambient.reasons[0]
     assert any("rejected by hand: crane" in n for n in chosen.records[0].notes)
     write_choice(tmp_path / "choice.toml", Choice((Pick(2.0, record="ambiant"),)))
     with pytest.raises(ConfigError, match="no record 'ambiant'; did you mean 'ambient'"):

@@ -22,11 +22,10 @@ import pytest
 import small_study
 from typer.main import get_command
 
+import ringtrue as rt
 from ringtrue.cli import show
-from ringtrue.cli.main import COMMANDS, application, main, run
-from ringtrue.cli.panels import OPTIONS
-from ringtrue.cli.show import listed, rows
-from ringtrue.cli.status import WORDS, ExitStatus
+from ringtrue.cli.main import COMMANDS, OPTIONS, application, main, run
+from ringtrue.cli.show import WORDS, ExitStatus, listed, rows
 from ringtrue.core.modes import ModeSet
 from ringtrue.errors import NotConverged
 from ringtrue.io.modes import read_modes, write_modes
@@ -429,11 +428,17 @@ def test_ema(frf: Callable[..., Path], capsys: Capture) -> None:
     found = parsed(capsys, "ema", frf(), "--fmin", 2, "--fmax", 35)
     assert [m["frequency_hz"] for m in found["modes"]] == pytest.approx([8.0, 15.0, 27.0], rel=1e-3)
     assert [m["damping"] for m in found["modes"]] == pytest.approx([0.01] * 3, rel=0.02)
+
+
+def test_the_decay_of_a_window_is_taken_out_of_the_damping(frf: Callable[..., Path]) -> None:
+    path = frf()
+    found = rt.identify_frfs(rt.read_frfs(path), fmin=2, fmax=35)
     sigma = 0.2  # 1/s
-    less = parsed(capsys, "ema", frf(), "--fmin", 2, "--fmax", 35, "--window-decay", sigma)
-    for a, b in zip(found["modes"], less["modes"], strict=True):
-        taken = (a["damping"] - b["damping"]) * 2 * np.pi * a["frequency_hz"]
-        assert taken == pytest.approx(sigma, rel=0.01)
+    less = rt.identify_frfs(rt.read_frfs(path, window_decay=sigma), fmin=2, fmax=35)
+    taken = (found.damping - less.damping) * 2 * np.pi * found.frequencies
+    assert taken == pytest.approx(sigma, rel=0.01)
+    with pytest.raises(rt.InputError, match="window_decay -1: must be 0 or more"):
+        rt.read_frfs(path, window_decay=-1)
 
 
 def _spoilt(x: Any, value: float, where: object) -> Any:
@@ -504,7 +509,6 @@ def _touch(path: Path) -> Path:
         ({"H1": np.full((1, 2, 780), np.nan)}, [], "not finite"),
         ({}, ["--fmin", 9, "--fmax", 3], "must be 0 <= fmin < fmax"),
         ({}, ["--fmin", 300], "300"),
-        ({}, ["--window-decay", -1], "--window-decay -1.0"),
     ],
 )
 def test_bad_frfs_are_refused(
@@ -684,7 +688,7 @@ def _raising(fault: BaseException) -> Callable[..., None]:
         ("model.survey", ("check", "a.bdf")),
         ("respond.read_damped_deck", ("frf", "a.bdf", "--fmax", "9", "--force", "1+Z")),
         ("respond.deflect", ("static", "a.bdf", "--force", "1+Z")),
-        ("update.read_config", ("update", "study.toml", "a.json")),
+        ("update.read_candidates", ("update", "study.toml", "a.json")),
     ],
 )
 def test_ctrl_c_ends_any_command_with_one_line_and_130(

@@ -13,9 +13,11 @@ import h5py
 import numpy as np
 import pytest
 from nptdms import ChannelObject, TdmsWriter
+from record_files import write_function, write_history
 from scipy.io import wavfile
 from test_ema_frf import FN, PHI, ZETA, pulse, receptance, record
 
+import ringtrue as rt
 from ringtrue.cli.identify import print_modes
 from ringtrue.cli.main import run
 from ringtrue.core.modes import ModeSet, Uncertainty
@@ -24,8 +26,8 @@ from ringtrue.errors import ConfigError, DataError
 from ringtrue.identification.frf.pipeline import HammerModes, identify_hammer
 from ringtrue.io.frfs import read_frfs, write_frfs
 from ringtrue.io.modes import read_modes
-from ringtrue.io.records import read_record, read_runs, write_history
-from ringtrue.io.uff.function58 import TIME, write_function
+from ringtrue.io.records import read_record, read_runs
+from ringtrue.io.uff.function58 import TIME
 from ringtrue.signal.frf import estimate_frf
 from ringtrue.study.hammer_records import ForceRecordFormat, read_force_records
 
@@ -65,7 +67,7 @@ def test_blows_in_any_format_give_the_modes(ending: str, tmp_path: Path, capsys:
         wavfile.write(
             path, int(blows.rate), (blows.data / np.abs(blows.data).max()).T.astype(np.float32)
         )
-        options = ["--force", "ch1", "--quantity", "acceleration"]
+        options = ["--force", "ch1"]
     else:
         write_history(path, blows)
     found = ema(capsys, path, "--fmax", 80, *options)
@@ -159,22 +161,20 @@ def test_files_name_their_hammers_differently(tmp_path: Path) -> None:
         read_force_records(files, ForceRecordFormat(("a", "b", "c")))
 
 
-def test_channels_of_files_without_names_are_named(tmp_path: Path, capsys: Capture) -> None:
+def test_channels_of_files_without_names_are_named(tmp_path: Path) -> None:
     """NumPy arrays of two hammers; a tachometer in between is not used."""
     files = [tmp_path / "0.npy", tmp_path / "1.npy"]
     for path, point in zip(files, (1, 7), strict=True):
         b = record(point, RESPONSES)
         np.save(path, np.vstack([b.data[:2], np.sin(np.arange(b.data.shape[1])), b.data[2:]]))
     motions = [f"{k + 1}+Z" for k in RESPONSES]
-    names = [",".join([f"F:{p}", motions[0], "", *motions[1:]]) for p in ("2+Z", "8+Z")]
-    found = ema(capsys, *files, "--rate", "512", "--channels", names[0], "--channels", names[1])
-    assert found["channels"] == motions
-    assert {b["struck"] for b in found["blows"]} == {"2+Z", "8+Z"}
-    assert found["scaling"] == "mass"
-    assert (
-        run(["ema", str(files[0]), "--rate", "512", "--channels", names[0].replace(",,", ",")]) == 2
-    )
-    assert "must name all 7 in their order" in capsys.readouterr().err
+    names = [(f"F:{p}", motions[0], "", *motions[1:]) for p in ("2+Z", "8+Z")]
+    how = ForceRecordFormat(rate=512, channels=tuple(names))
+    measured = rt.estimate_frfs(files, reading=how)
+    assert [c.id for c in measured.frfs.outputs] == motions
+    assert {hit.input for hit in measured.hits} == {"2+Z", "8+Z"}
+    with pytest.raises(DataError, match="must name all 7 in their order"):
+        rt.estimate_frfs(files[0], reading=replace(how, channels=(names[0][:-1],)))
     with pytest.raises(ConfigError, match="--channels: given 3 times for 2 files"):
         read_force_records(files, ForceRecordFormat(channels=(("a",), ("b",), ("c",))))
 

@@ -10,7 +10,7 @@ from ringtrue.correlation.assignment import Locks
 from ringtrue.correlation.paired_shapes import eliminate, mac_contribution
 from ringtrue.correlation.pairing import pair_modes
 from ringtrue.errors import ConfigError, InputError
-from ringtrue.shapes.mac import paired_mac
+from ringtrue.shapes import paired_mac
 
 
 def paired(seed: int = 0, kind: str = "real") -> tuple[np.ndarray, np.ndarray]:

@@ -9,7 +9,7 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.correlation.channel_faults import find_faults, suspect_channels
 from ringtrue.correlation.pairing import pair_modes
 from ringtrue.errors import InputError
-from ringtrue.shapes.mac import paired_mac
+from ringtrue.shapes import paired_mac
 
 # share of the faults that must be found
 LEAST = {

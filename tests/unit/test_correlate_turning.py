@@ -15,7 +15,7 @@ import pytest
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.correlation.paired_shapes import paired_shapes, turning
 from ringtrue.correlation.pairing import PairingSettings, pair_modes
-from ringtrue.shapes.mac import paired_mac
+from ringtrue.shapes import paired_mac
 
 CHANNELS = tuple("abcdefgh")
 STEP = 0.0005

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import re
+import runpy
 import tomllib
 from pathlib import Path
 
@@ -113,3 +114,8 @@ def test_links_and_files_that_are_named_are_there() -> None:
         named = [folder / link for link in re.findall(r"\]\(([^)#:]+)\)", text)]
         named += [ROOT / file for file in re.findall(r"\b((?:bench|tests)/[\w/]+\.py)", text)]
         assert [str(n) for n in named if not n.exists()] == []
+
+
+def test_the_page_of_settings_is_up_to_date() -> None:
+    made = runpy.run_path(str(ROOT / "scripts" / "settings.py"))["page"]()
+    assert PAGES["settings.md"] == made, "run: python scripts/settings.py"

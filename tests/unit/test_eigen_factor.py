@@ -49,7 +49,7 @@ def test_patterns_by_blocks(monkeypatch, entries):
     """A grid of 20 x 15 nodes with three directions each: eigenvalues (a_i + a_j) b_k; by blocks
     and by entries.
     """
-    monkeypatch.setattr(engines, "ENTRIES", entries)
+    monkeypatch.setattr(engines, "BLOCKS", engines.PardisoBlocks(entries=entries))
     b = np.array([[2.0, 0.5, 0.3], [0.5, 3.0, 0.2], [0.3, 0.2, 5.0]])
     grid = sparse.kron(chain(20), sparse.eye_array(15)) + sparse.kron(
         sparse.eye_array(20), chain(15)
@@ -119,7 +119,6 @@ def test_lack_of_memory_is_foreseen():
     assert e.value.needed > e.value.available == 20_000
     pencil = Pencil(chain(1000), sparse.csr_array(sparse.eye_array(1000)), limit=1_000_000)
     pencil.at(-1.0)
-    assert 0 < pencil.factor_bytes < 1_000_000
     with pytest.raises(OutOfMemory, match="basis of 306 vectors of 1000 DOFs"):
         solve_modes(pencil, 50)
 

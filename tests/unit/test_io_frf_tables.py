@@ -134,4 +134,4 @@ def test_what_no_unit_tells_is_said(
 ) -> None:
     head = f"f [Hz];$ magnitude{unit};$ phase [deg]"
     read_frfs(write(tmp_path / "f.csv", head, LEVEL if "dB" in unit else SIZE, np.degrees(ANGLE)))
-    assert ("nothing tells what the responses measure" in caplog.text) == ("m/s" not in unit)
+    assert ("quantity of the responses is unknown" in caplog.text) == ("m/s" not in unit)

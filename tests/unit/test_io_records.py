@@ -12,7 +12,7 @@ from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat
 
 from ringtrue.errors import DataError
-from ringtrue.io.record_layout import RecordChannel
+from ringtrue.io.record_table import RecordChannel
 from ringtrue.io.records import read_record, record_blocks, record_info, write_record
 
 DATA = Path(__file__).parents[2].parent / "shared/data"
@@ -27,9 +27,7 @@ CHANNELS = (
 
 def test_own_layout(tmp_path: Path) -> None:
     path = tmp_path / "r.h5"
-    write_record(
-        path, (VOLTS[:, a : a + 64] for a in range(0, 200, 64)), 100.0, CHANNELS, extra={"t": T}
-    )
+    write_record(path, (VOLTS[:, a : a + 64] for a in range(0, 200, 64)), 100.0, CHANNELS)
     info = record_info(path)
     assert info.channels == CHANNELS
     assert info.samples == 200

@@ -19,7 +19,7 @@ from ringtrue.decks.nastran.results.modes import READERS, read_nastran_modes, re
 from ringtrue.decks.nastran.results.printed import fatal_messages, sturm_counts
 from ringtrue.errors import DataError
 from ringtrue.model.model import Model, Ragged, table
-from ringtrue.shapes.mac import mac
+from ringtrue.shapes import mac
 
 DATA = Path(__file__).parents[3] / "shared" / "data" / "fe"
 SVANBERG = "msc2019/system_verification/002_svanberg_beam/nastran_runs/modes"

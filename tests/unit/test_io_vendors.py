@@ -12,7 +12,7 @@ from scipy.io import savemat
 
 from ringtrue.io.frfs import holds_frfs, read_frfs
 from ringtrue.io.records import read_record
-from ringtrue.io.si import to_si
+from ringtrue.io.times import to_si
 
 SIGNAL = np.random.default_rng(7).standard_normal((3, 500))  # (channel, sample), at 256 Hz
 TIMES = np.arange(500) / 256
@@ -52,11 +52,10 @@ def test_matlab_structures_of_measuring_systems(tmp_path: Path, name: str) -> No
     np.testing.assert_allclose(got.data, 9.80665 * SIGNAL)
 
 
-@pytest.mark.parametrize("name", ["f-out-in", "out-in-f", "omega", "sdt", "h5"])
+@pytest.mark.parametrize("name", ["f-out-in", "out-in-f", "omega", "h5"])
 def test_frfs_as_arrays_beside_frequencies(tmp_path: Path, name: str) -> None:
     rng, f = np.random.default_rng(0), np.arange(1, 41) * 0.5
     h = rng.standard_normal((40, 3, 2)) + 1j * rng.standard_normal((40, 3, 2))
-    dof = np.array([[o + 0.03, i + 0.09] for i in (1, 2) for o in (1, 2, 3)])
     content = {
         "f-out-in": {
             "freq": f,
@@ -65,7 +64,6 @@ def test_frfs_as_arrays_beside_frequencies(tmp_path: Path, name: str) -> None:
         },
         "out-in-f": {"results": {"frequency": f, "H": h.transpose(1, 2, 0)}},
         "omega": {"omega": 2 * np.pi * f, "H": h[:, :, 0]},
-        "sdt": {"XF": {"w": f[:, None], "xf": h.transpose(0, 2, 1).reshape(40, 6), "dof": dof}},
         "h5": {"f": f, "frf": h},
     }[name]
     path = tmp_path / ("r.h5" if name == "h5" else "r.mat")
@@ -80,7 +78,6 @@ def test_frfs_as_arrays_beside_frequencies(tmp_path: Path, name: str) -> None:
     np.testing.assert_allclose(got.freqs, f)
     assert got.kind == ("mobility" if name == "f-out-in" else "accelerance")
     ids = [c.id for c in got.outputs], [c.id for c in got.inputs]
-    assert name != "sdt" or ids == (["1+Z", "2+Z", "3+Z"], ["1-Z", "2-Z"])
     assert name != "f-out-in" or ids == (["1+Z", "2+Z", "3+Z"], ["in1", "in2"])
 
 

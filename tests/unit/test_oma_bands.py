@@ -9,18 +9,19 @@ import pytest
 from scipy.signal import oaconvolve
 
 from ringtrue.identification.ambient.close_modes import unmix
-from ringtrue.identification.ambient.maximum_likelihood import SpectralBins
+from ringtrue.identification.ambient.maximum_likelihood import EstimatedModes
 from ringtrue.identification.ambient.record_bands import (
     MOST_BLOCKS,
     first_sums,
     joined_sums,
     stretch_sums,
 )
+from ringtrue.identification.ambient.spectral_bins import SpectralBins
 from ringtrue.identification.ambient.ssi_cov import SsiCov
 from ringtrue.identification.common import uncertainty as var
 from ringtrue.signal import band_correlations
-from ringtrue.signal.band_correlations import ABREAST, Signals, map_in_threads, segments, threads
-from ringtrue.signal.decimation import Band, decimator, detrend, high_passer
+from ringtrue.signal.band_correlations import COSTS, Signals, map_in_threads, segments, threads
+from ringtrue.signal.spectra import Band, decimator, detrend, high_passer
 
 HIGH, DOWN = high_passer(4.0, 100.0), decimator(4)
 
@@ -59,7 +60,7 @@ def test_threads_are_as_many_as_the_cores(monkeypatch, said):
     monkeypatch.setattr("os.cpu_count", lambda: 1)
     assert threads() == 1
     monkeypatch.setattr("os.cpu_count", lambda: 8)
-    assert threads() == ABREAST
+    assert threads() == COSTS.at_once
 
 
 def test_a_part_beyond_the_end_is_empty():
@@ -160,8 +161,8 @@ def test_shapes_of_a_close_pair_are_told_apart():
     cross = np.einsum("ci,fi,di->fcd", psi, q, psi.conj()) + 1e-4 * np.eye(4)
     bins = SpectralBins(freqs, np.full(freqs.size, 4.0), cross.astype(np.complex64), 2000.0)
     mixed = psi @ np.array([[1.0, 0.1], [-0.08j, 1.0]])
-    found = unmix(bins, f, z, mixed, 4.0)
-    found = unmix(bins, f, z, mixed, 4.0, start=found.matrix)
+    found = unmix(bins, EstimatedModes(f, z, mixed), 4.0)
+    found = unmix(bins, EstimatedModes(f, z, mixed), 4.0, start=found.matrix)
     out = mixed @ found.matrix
     for k in range(2):
         like = (

@@ -6,11 +6,16 @@ import numpy as np
 import pytest
 
 from ringtrue.errors import InputError
-from ringtrue.planning.exciters import reached, select_references
+from ringtrue.planning.exciters import (
+    ambient_std,
+    frf_averages,
+    reached,
+    resolution,
+    select_references,
+)
 from ringtrue.planning.geometry import spacing_of_points
-from ringtrue.planning.resolution import ambient_std, frf_averages, resolution
-from ringtrue.planning.sensors import independence, lower_auto_mac, select_points
-from ringtrue.shapes.mac import auto_mac, worst_off_diagonal
+from ringtrue.planning.sensors import Spacing, independence, lower_auto_mac, select_points
+from ringtrue.shapes import auto_mac, worst_off_diagonal
 
 
 def string(n: int, m: int) -> tuple[np.ndarray, np.ndarray]:
@@ -55,7 +60,7 @@ def test_fixed_points_stay_and_distances_hold() -> None:
     ]
     with pytest.raises(InputError, match="lower min_distance"):
         select_points(shapes, xyz, 20, min_distance=0.2)
-    with pytest.raises(InputError, match="cannot tell 4 modes apart"):
+    with pytest.raises(InputError, match="cannot distinguish 4 modes"):
         select_points(shapes, xyz, 3)
 
 
@@ -97,7 +102,7 @@ def test_additions_that_hardly_lower_the_auto_mac_are_left_out() -> None:
 def test_additions_keep_their_distance() -> None:
     shapes, xyz = string(59, 4)
     poor = np.array([0, 1, 2, 3, 4])
-    at = lower_auto_mac(shapes, poor, 0.0, 40, xyz=xyz, min_distance=0.1)
+    at = lower_auto_mac(shapes, poor, 0.0, 40, spacing=Spacing(xyz, 0.1))
     new = xyz[np.setdiff1d(at, poor), 0]
     assert 5 < at.size <= 5 + 9  # what the string has room for
     assert np.diff(np.sort(np.append(new, xyz[4, 0]))).min() > 0.1

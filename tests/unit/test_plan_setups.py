@@ -8,8 +8,12 @@ import pytest
 
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import InputError
-from ringtrue.planning.plan_files import write_test_sheet
-from ringtrue.planning.setups import roving_setups, roving_shift
+from ringtrue.planning.plan_files import (
+    PlannedExcitation,
+    roving_setups,
+    roving_shift,
+    write_test_sheet,
+)
 
 
 def string(n: int, m: int) -> tuple[np.ndarray, np.ndarray]:
@@ -87,9 +91,7 @@ def test_the_sheet_of_setups_keeps_the_numbers_of_sensors_that_stay(tmp_path: Pa
     files = write_test_sheet(
         tmp_path,
         test,
-        names[:1],
-        frequencies=np.array([1.0, 2.0]),
-        reach=np.ones((1, 2)),
+        PlannedExcitation(names[:1], np.array([1.0, 2.0]), np.ones((1, 2))),
         setups=plan,
     )
     with files[-1].open(encoding="utf-8") as file:

@@ -12,7 +12,7 @@ import pytest
 from scipy import linalg, sparse
 
 from ringtrue.errors import InputError
-from ringtrue.planning.resolution import (
+from ringtrue.planning.exciters import (
     choose_targets,
     effective_mass,
     in_band,

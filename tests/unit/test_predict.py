@@ -36,6 +36,7 @@ from ringtrue.study.run import run_study
 from ringtrue.study.stages.predict import _forces, scatter
 from ringtrue.updating.prediction import (
     Damping,
+    KnownModel,
     Output,
     RegionDamping,
     Rows,
@@ -44,6 +45,7 @@ from ringtrue.updating.prediction import (
     bands,
     plane,
     run_up,
+    unbalance_load,
     validated_band,
 )
 
@@ -66,11 +68,11 @@ def outputs() -> list[Output]:
     ]
 
 
-def runs(draws: np.ndarray, freqs: np.ndarray, seed: int = 0, **more: object) -> RunUp:
+def runs(draws: np.ndarray, freqs: np.ndarray, seed: int = 0, discrepancy: float = 0.0) -> RunUp:
     damping, rng = Damping(np.array([1.0]), np.array([ZETA])), np.random.default_rng(seed)
-    return run_up(
-        jeffcott(), draws, np.zeros(1), freqs, np.eye(2), UNBALANCE, outputs(), damping, rng, **more
-    )
+    load = unbalance_load(freqs, np.eye(2), UNBALANCE)
+    known = KnownModel(jeffcott(), np.zeros(1), draws, damping, discrepancy)
+    return run_up(known, load, outputs(), rng)
 
 
 def exact(factor: float, freqs: np.ndarray) -> np.ndarray:
@@ -113,8 +115,9 @@ def test_a_loss_factor_of_the_springs_is_twice_the_ratio() -> None:
     lam, y = np.array([K / M, 2 * K / M]), np.eye(2) / np.sqrt(M)
     np.testing.assert_allclose(by_region(2 * ZETA, 0.0).drawn(None)(lam, y), [ZETA, ZETA / 2])
     freqs = np.linspace(1, 100, 100)
-    args = (jeffcott(), np.zeros((20, 1)), np.zeros(1), freqs, np.eye(2), UNBALANCE, outputs())
-    found = run_up(*args, by_region(2 * ZETA, 0.0), np.random.default_rng(0))
+    known = KnownModel(jeffcott(), np.zeros(1), np.zeros((20, 1)), by_region(2 * ZETA, 0.0))
+    load = unbalance_load(freqs, np.eye(2), UNBALANCE)
+    found = run_up(known, load, outputs(), np.random.default_rng(0))
     np.testing.assert_allclose(found.nominal[0], exact(1.0, freqs), rtol=1e-9)
 
 
@@ -245,7 +248,7 @@ def test_a_study_that_was_not_run_is_refused(
         '[model]\ndeck = "two.bdf"\n[predict]\nrotor = 2\nmass = 10.0\n'
     )
     assert run(["predict", str(tmp_path / "study.toml")]) == 2
-    assert "ringtrue run" in capsys.readouterr().err
+    assert "run the study to its final stage" in capsys.readouterr().err
 
 
 def test_command_on_a_finished_study(tmp_path: Path) -> None:

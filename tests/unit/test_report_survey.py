@@ -4,9 +4,7 @@ below.
 
 from __future__ import annotations
 
-import numpy as np
-
-from ringtrue.report.parts import Fold, Items, Table
+from ringtrue.report.parts import Fold, Items, ReportTable
 from ringtrue.report.sections.system import _tests
 from ringtrue.study.results import RecordSummary
 
@@ -14,27 +12,14 @@ LONG = "pole at 4.375 Hz left out: " + "its shape is a sum of those of modes; " 
 
 
 def record(name: str, notes: tuple[str, ...], setup: str = "") -> RecordSummary:
-    none = np.zeros(0)
     what = (name, "bridge", "wind", f"{name}.csv")
-    return RecordSummary(
-        *what,
-        12,
-        50.0,
-        1800.0,
-        none,
-        np.zeros((0, 0)),
-        (),
-        none,
-        np.zeros((0, 0)),
-        notes,
-        setup=setup,
-    )
+    return RecordSummary(*what, 12, 50.0, 1800.0, notes, setup)
 
 
 def test_notes_stand_below_the_table() -> None:
     """In a column of their own, long ones make rows that are higher than a narrow screen."""
     table, notes = _tests((record("a", ()), record("b", (LONG, "short"))))
-    assert isinstance(table, Table)
+    assert isinstance(table, ReportTable)
     assert isinstance(notes, Items)
     assert [row[1] for row in table.rows] == ["a", "b"]
     assert max(len(cell) for row in table.rows for cell in row) < 20
@@ -49,7 +34,7 @@ def test_records_of_a_setup_are_one_row() -> None:
     table, notes, fold = _tests(
         (record("a", ("one",), "1"), record("b", ("one", "two"), "1"), record("c", (), "2"))
     )
-    assert isinstance(table, Table)
+    assert isinstance(table, ReportTable)
     assert isinstance(notes, Items)
     assert isinstance(fold, Fold)
     assert [row[1] for row in table.rows] == ["setup 1, 2 records", "c"]

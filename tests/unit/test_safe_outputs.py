@@ -15,8 +15,7 @@ import numpy as np
 import pytest
 import small_study
 
-from ringtrue.cli import panels
-from ringtrue.cli.main import COMMANDS, _command, run
+from ringtrue.cli.main import COMMANDS, OUTPUTS, _command, run
 from ringtrue.core.modes import ModeSet
 from ringtrue.decks.nastran.editor import edit_fields
 from ringtrue.decks.nastran.reader import read_deck
@@ -134,7 +133,7 @@ def test_every_option_that_writes_is_known_as_such() -> None:
         for parameter in _command([name]).commands[name].params:
             told = str(getattr(parameter, "help", "") or "")
             if told.startswith(("Write", "What to write", "The HTML", "Keep")):
-                assert panels.OUTPUTS & set(parameter.opts), (name, parameter.opts)
+                assert OUTPUTS & set(parameter.opts), (name, parameter.opts)
 
 
 @pytest.mark.parametrize("own", ["study.h5", "report.html", "summary.json"])

@@ -6,22 +6,20 @@ import numpy as np
 import pytest
 
 from ringtrue.core.modes import ModeSet, Norm
-from ringtrue.errors import ConfigError, InputError
-from ringtrue.shapes.complexity import (
+from ringtrue.errors import InputError
+from ringtrue.shapes import (
+    auto_mac,
+    close_groups,
+    mac,
     mcf,
     mean_phase,
     modal_scale_factor,
     mpc,
     mpd,
-    realise,
-    realise_modes,
-)
-from ringtrue.shapes.mac import (
-    auto_mac,
-    close_groups,
-    mac,
     paired_mac,
     principal_angles,
+    realise,
+    realise_modes,
     rotation,
     subspace_mac,
     worst_off_diagonal,
@@ -118,19 +116,16 @@ def test_modal_scale_factor() -> None:
     np.testing.assert_allclose(modal_scale_factor(b * [2, -3j], b), [2, -3j], rtol=1e-12)
 
 
-@pytest.mark.parametrize("method", ["rotate", "amplitude"])
-def test_realise_recovers_a_real_shape_at_any_phase(method: str) -> None:
+def test_realise_recovers_a_real_shape_at_any_phase() -> None:
     rng = np.random.default_rng(5)
     real = rng.standard_normal((8, 3))
-    got = realise(real * np.exp(1j * np.array([0.3, 2.0, -1.4])), method)
+    got = realise(real * np.exp(1j * np.array([0.3, 2.0, -1.4])))
     assert got.dtype == np.float64
     np.testing.assert_allclose(np.abs(got), np.abs(real), rtol=1e-10)
     np.testing.assert_allclose(paired_mac(got, real), 1, rtol=1e-12)
 
 
-def test_realise_is_explicit_about_method_and_norm() -> None:
-    with pytest.raises(ConfigError, match="did you mean 'rotate'"):
-        realise(np.ones((2, 1)), "rotated")
+def test_realised_modes_have_no_scale_of_complex_ones() -> None:
     z = ModeSet(np.ones(1), np.ones(1), np.array([[1j], [2j]]), ("a", "b"), Norm.MODAL_A)
     assert realise_modes(z).norm is Norm.UNSCALED
     assert not np.iscomplexobj(realise_modes(z).shapes)

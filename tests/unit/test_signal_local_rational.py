@@ -16,9 +16,8 @@ from scipy.signal import chirp, lfilter
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.identification.frf.pipeline import HammerModes, identify_hammer
-from ringtrue.signal.frf import frf_variance
+from ringtrue.signal.frf import frf_variance, shaker_frfs
 from ringtrue.signal.local_rational import is_continuous, local_frfs, period, periodic_frfs, spacing
-from ringtrue.signal.shaker_frf import shaker_frfs
 from ringtrue.signal.spectra import Welch
 
 RATE, N = 128.0, 40 * 128

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ringtrue.core.signals import Channel, TimeHistory
-from ringtrue.signal.gaps import remove_overlap
+from ringtrue.signal.channel_checks import remove_overlap
 
 RATE = 10.0
 WHOLE = np.round(

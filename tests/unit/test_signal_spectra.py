@@ -9,11 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ringtrue.core.signals import Channel, FrfSet, TimeHistory
+from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import ConfigError, DataError
-from ringtrue.signal.frf import frf_variance
-from ringtrue.signal.frf_sets import check_driving_points, check_reciprocity
-from ringtrue.signal.shaker_frf import independent_segments, shaker_frfs
+from ringtrue.signal.frf import frf_variance, independent_segments, shaker_frfs
 from ringtrue.signal.spectra import Welch
 
 RATE, N = 256.0, 64 * 256
@@ -105,34 +103,3 @@ def test_independent_segments_of_a_hann_window() -> None:
     count = 2 * 200 - 1
     assert independent_segments(n, 256, Welch(1.0)) == pytest.approx(count / (1 + 2 / 36), rel=2e-3)
     assert independent_segments(n, 256, Welch(1.0, overlap=0.0)) == 200
-
-
-def modal(decay: float = 0.0) -> FrfSet:
-    f = np.arange(0, 400) * 0.1
-    s = 2j * np.pi * f + decay
-    phi = np.array([[1.0, 0.8], [0.6, -1.0], [-0.3, 0.5]])
-    w, zeta = 2 * np.pi * np.array([7.0, 19.0]), np.array([0.01, 0.02])
-    terms = s[:, None] ** 2 / (s[:, None] ** 2 + 2 * zeta * w * s[:, None] + w**2)
-    data = np.einsum("fm,om,im->foi", terms, phi, phi[:2])
-    out = tuple(Channel(f"{k}+Z", "acceleration", "m/s^2") for k in (1, 2, 3))
-    inputs = tuple(Channel(f"{k}+Z", "force", "N") for k in (1, 2))
-    return FrfSet(
-        data, f, out, inputs, np.full(data.shape, np.nan), np.full(2, np.nan), "accelerance", decay
-    )
-
-
-@pytest.mark.parametrize("decay", [0.0, 0.8])
-def test_driving_points_and_reciprocity(decay: float) -> None:
-    frfs = modal(decay)
-    assert [p.verdict for p in check_driving_points(frfs)] == ["ok", "ok"]
-    assert check_driving_points(frfs)[0].passive == pytest.approx(1.0, abs=1e-9)
-    (pair,) = check_reciprocity(frfs)
-    assert (pair.correlation, pair.gain) == (pytest.approx(1.0), pytest.approx(1.0))
-    turned = replace(
-        frfs, data=frfs.data * np.array([1.0, -2.0, 1.0])[:, None]
-    )  # output 2 turned and mis-scaled
-    assert [p.verdict for p in check_driving_points(turned)] == ["ok", "flipped"]
-    assert check_reciprocity(turned)[0].gain == pytest.approx(-0.5)
-    wrong = replace(frfs, data=frfs.data[:, [2, 1, 0]])  # outputs 1 and 3 swapped
-    assert check_reciprocity(wrong)[0].correlation < 0.9
-    assert check_driving_points(wrong)[0].verdict != "ok"

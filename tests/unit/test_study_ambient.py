@@ -9,12 +9,12 @@ import numpy as np
 from scipy.signal import lfilter
 
 from ringtrue.core.choice import Choice, Reject
-from ringtrue.core.progress import quiet
+from ringtrue.core.iterate import quiet
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.study.config_sections import IdentifySection
 from ringtrue.study.log import read_log
 from ringtrue.study.results import IdentifiedRecord, RecordSummary
-from ringtrue.study.stages.ambient import ambient
+from ringtrue.study.stages.identify import Campaign, ambient
 
 RATE, F, ZETA = 20.0, np.array([1.3, 2.2, 3.9]), 0.015
 SHEET = "point,x,y,z,direction\n" + "".join(f"{k},{k},0,0,Z\n" for k in range(1, 5))
@@ -41,7 +41,8 @@ def identified(
     (folder / "log.json").write_text(json.dumps(log))
     listed, sensors = read_log(folder / "log.json")
     sheet = read_sensor_sheet(folder / "sensors.csv")
-    return ambient(listed, sensors, sheet, IdentifySection(), (), choice or Choice(), quiet)
+    campaign = Campaign(sheet, sensors, (), choice or Choice())
+    return ambient(listed, campaign, IdentifySection(), quiet)
 
 
 def test_files_that_count_on_are_one_record(tmp_path: Path) -> None:

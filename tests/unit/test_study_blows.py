@@ -12,13 +12,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import small_study
+from record_files import write_history
 
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import DataError
-from ringtrue.io.records import read_record, write_history
+from ringtrue.io.records import read_record
 from ringtrue.study.run import run_study
 from ringtrue.study.stages.identify import IdentifyStage
-from ringtrue.virtual.response import simulate
+from ringtrue.virtual.sensors import simulate
 
 STUDY = small_study.TEST + "[identify]\nhammer_fmin = 1.0\nhammer_fmax = 20.0\n"
 
@@ -101,7 +102,9 @@ def test_acquisitions_of_one_blow_each_are_read(tmp_path: Path) -> None:
     assert found.hammer is not None
     assert blocks.hammer is not None
     assert [c.id for c in found.frfs.inputs] == list(small_study.REFERENCES)
-    np.testing.assert_allclose(found.hammer.frequencies, blocks.hammer.frequencies, rtol=1e-3)
+    np.testing.assert_allclose(
+        found.hammer.modes.frequencies, blocks.hammer.modes.frequencies, rtol=1e-3
+    )
     told = f"{small_study.HITS} of {small_study.HITS} hits kept"
     assert all(told in r.notes for r in found.records)
     assert found.records[0].duration == pytest.approx(
@@ -123,8 +126,8 @@ def test_records_of_a_few_seconds_are_shown(tmp_path: Path) -> None:
     path.write_text(json.dumps(log))
     for shown in identified(study).records:
         assert shown.duration == pytest.approx(12.0)
-        assert shown.psd.size
-        assert np.isfinite(shown.psd).all()
+        assert shown.preview.psd.size
+        assert np.isfinite(shown.preview.psd).all()
 
 
 def shaken(folder: Path, kind: str) -> None:
@@ -147,14 +150,16 @@ def shaken(folder: Path, kind: str) -> None:
 @pytest.mark.parametrize("kind", ["hammer", "shaker"])
 def test_shakers_that_run_together(tmp_path: Path, kind: str) -> None:
     study = small_study.write_study(tmp_path, STUDY, ambient=False)
-    blows = identified(study).hammer
+    blows = identified(study).hammer.modes
     shaken(tmp_path / "data", kind)
     found = identified(study)
     assert blows is not None
     assert found.hammer is not None
     assert [c.id for c in found.frfs.inputs] == list(small_study.REFERENCES)
-    np.testing.assert_allclose(found.hammer.frequencies, blows.frequencies, rtol=1e-3)
-    np.testing.assert_allclose(found.hammer.damping, small_study.DAMPING, rtol=0.1)  # noise of 1 %
+    np.testing.assert_allclose(found.hammer.modes.frequencies, blows.frequencies, rtol=1e-3)
+    np.testing.assert_allclose(
+        found.hammer.modes.damping, small_study.DAMPING, rtol=0.1
+    )  # noise of 1 %
     assert any("the force runs all the time" in note for note in found.records[0].notes)
     assert found.source == f"{kind} test"
 
@@ -176,9 +181,9 @@ def without_names(study: Path, names: Callable[[list[str]], list[str]]) -> list[
 
 def test_the_log_names_the_channels_of_files_without_names(tmp_path: Path) -> None:
     study = small_study.write_study(tmp_path, STUDY, hammer=False)
-    told = identified(study).ambient
+    told = identified(study).ambient.modes
     ids = without_names(study, lambda names: names)
-    found = identified(study).ambient
+    found = identified(study).ambient.modes
     assert list(found.channels) == ids
     np.testing.assert_allclose(
         found.frequencies, told.frequencies, rtol=2e-3
@@ -193,7 +198,7 @@ def test_a_file_without_names_has_those_of_the_sheet(tmp_path: Path) -> None:
     del log["tests"][0]["records"][0]["channels"]
     (tmp_path / "data/campaign.json").write_text(json.dumps(log))
     found = identified(study)
-    assert list(found.ambient.channels) == ids
+    assert list(found.ambient.modes.channels) == ids
     assert "the motions of the sensor sheet in its order" in found.records[0].notes[0]
 
 

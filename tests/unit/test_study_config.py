@@ -64,17 +64,8 @@ MODEL = '[model]\ndeck = "a.bdf"\n'
             "residual.0: unknown kind 'mas'; did you mean 'mass'? Allowed: anti-res",
         ),
         (
-            MODEL + '[update]\nsearch = "global"\nstarts = 8\n',
-            "update: search and starts: an updating begins in one way: starts = N, stages, or "
-            "search",
-        ),
-        (
             MODEL + '[update]\nstages = [["a"]]\nstarts = 8\n',
             "update: starts and stages: an updating begins in one way",
-        ),
-        (
-            MODEL + '[[set]]\nname = "s"\nsearch = "global"\nstarts = 2\n',
-            "set.0: search and starts: an updating begins in one way",
         ),
         ("", "study: a study needs a [model], a [test] or both"),
         ("[model\n", "study.toml: not TOML: "),
@@ -125,15 +116,15 @@ def test_stages_and_constraints_name_candidates_also_those_that_are_made_from_th
 def test_a_set_begins_where_it_says_not_where_the_study_does() -> None:
     text = (
         MODEL
-        + '[update]\nsearch = "global"\nshape_weight = 0.5\n[[candidate]]\nname = "a"\ntargets = '
+        + '[update]\nstages = [["a"]]\nshape_weight = 0.5\n[[candidate]]\nname = "a"\ntargets = '
         '["MAT1 1 E"]\n'
     )
     config = parse_config(
         text + '[[set]]\nname = "s"\nstarts = 3\n[[set]]\nname = "t"\nloss = "huber"\n', HERE
     )
     first, second = (s.settings(config.update) for s in config.set)
-    assert (first.search, first.starts, first.shape_weight) == ("starts", 3, 0.5)
-    assert (second.search, second.loss) == ("global", "huber")
+    assert (first.stages, first.starts, first.shape_weight) == ([], 3, 0.5)
+    assert (second.stages, second.loss) == ([["a"]], "huber")
 
 
 def test_whole_numbers_serve_as_real_ones() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import small_study
 
-from ringtrue.core.progress import quiet
+from ringtrue.core.iterate import quiet
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError
 from ringtrue.report.build import build

@@ -53,7 +53,7 @@ def test_errors_gather_in_the_columns_and_not_in_the_floors(given: StudyRun) -> 
         found.indicators.energy,
     ):
         assert share.sum() == pytest.approx(1.0)
-    assert not np.isin(found.indicators.modes, given.results["correlate"].left_out).any()
+    assert not np.isin(found.indicators.modes, given.results["correlate"].reference.left_out).any()
 
 
 def test_the_proposal_has_every_wrong_storey_with_its_factor(given: StudyRun) -> None:

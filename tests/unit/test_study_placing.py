@@ -21,7 +21,7 @@ from ringtrue.errors import DataError
 from ringtrue.io.modes import write_modes
 from ringtrue.study.opened import Opened
 from ringtrue.study.placing import alignment, between_nodes, mesh_points, shared_places
-from ringtrue.virtual.logbook import write_sheet
+from ringtrue.virtual.measurements import write_sheet
 
 # a bar on two bushes of no length; its middle node 2 and, beside it, node 30 that nothing holds or
 # uses
@@ -127,7 +127,7 @@ def test_a_place_of_nodes_that_move_apart_is_said(
     )
     notes = shared_places(opened, test, opened.modes(500.0).modes)
     assert [n.split(", and one")[0] for n in notes] == told * [
-        "point 7: nodes that do not move alike are at the place (2 and 30 at point 7)"
+        "point 7: nodes that do not move together are at the place (2 and 30 at point 7)"
     ]
 
 
@@ -155,9 +155,7 @@ def test_a_test_in_millimetres_or_with_left_handed_axes_is_not_laid_onto_the_dec
     assert alignment(test, opened, "points").rms < 1e-9
     millimetres = replace(test, xyz=1e3 * test.xyz)
     for how in ("points", "nearest"):
-        with pytest.raises(
-            DataError, match=f"align {how}: the points of the test are .* times as far apart"
-        ):
+        with pytest.raises(DataError, match=f"align {how}: the points of the test span .* times"):
             alignment(millimetres, opened, how)
     with pytest.raises(DataError, match="mirror image"):
         alignment(replace(test, xyz=test.xyz * [1, -1, 1]), opened, "points")

@@ -17,6 +17,7 @@ from ringtrue.core.testmodel import TestModel
 from ringtrue.io.modes import write_modes
 from ringtrue.study.config import parse_config
 from ringtrue.study.reference import beyond, fewer, left_out, measured_part, reference_modes
+from ringtrue.study.results import IdentifiedModes
 from ringtrue.study.session import Session
 from ringtrue.study.stages.correlate import compare_tests
 from ringtrue.study.supplied import supplied_modes
@@ -116,7 +117,7 @@ def test_two_tests_are_compared_where_neither_has_a_gap(tmp_path: Path) -> None:
     sheet = TestModel(points, xyz, whole.channels, points, axes, np.zeros((0, 2), dtype=np.int64))
     write_modes(tmp_path / "test.json", replace(whole, shapes=shapes), std)
     found = replace(
-        supplied_modes(tmp_path / "test.json", sheet, ()), ambient=whole, ambient_uncertainty=std
+        supplied_modes(tmp_path / "test.json", sheet, ()), ambient=IdentifiedModes(whole, std)
     )
     session = SimpleNamespace(
         config=parse_config('[model]\ndeck = "a.bdf"\n', tmp_path / "s.toml"), get=lambda _: found

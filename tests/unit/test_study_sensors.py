@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ringtrue.core.signals import Channel, TimeHistory
-from ringtrue.signal.sensor_response import Geophone
+from ringtrue.signal.spectra import Geophone
 from ringtrue.study.log import SensorType
-from ringtrue.study.stages.ambient import corrected
+from ringtrue.study.stages.identify import corrected
 
 RATE, LINES = 64.0, 2**15
 SHEETS = {

@@ -109,7 +109,7 @@ def test_every_table_has_its_frequencies_and_what_is_embedded_is_said(done: Stud
     assert (
         done.results["uncertainty"] is None
     )  # the embedded frequencies are 10 % lower: its posterior is not this one
-    assert "No uncertainty is told" in page
+    assert "No uncertainty is given" in page
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import small_study
 
-from ringtrue.study.results import SetResult
+from ringtrue.study.results import FinishedSet
 from ringtrue.study.run import StudyRun, run_study
 from ringtrue.study.stages import update
 
@@ -25,15 +25,16 @@ def poor(lost: int, good: str) -> Any:
     """
     well = update.update_reduced
 
-    def ended(*given: Any, **named: Any) -> tuple[SetResult, int]:
-        done, other = well(*given, **named)
+    def ended(*given: Any, **named: Any) -> FinishedSet:
+        done = well(*given, **named)
         if named.get(good) is not None:
-            return done, other
-        return replace(
-            done,
-            factor=np.ones(len(done.parameters)),
-            fit=replace(done.fit, criterion=done.fit.criterion + 50.0),
-        ), lost
+            return done
+        result = replace(
+            done.result,
+            factor=np.ones(len(done.result.parameters)),
+            fit=replace(done.result.fit, criterion=done.result.fit.criterion + 50.0),
+        )
+        return replace(done, result=result, lost=lost)
 
     return ended
 

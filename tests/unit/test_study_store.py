@@ -17,8 +17,6 @@ import small_study
 from ringtrue.cli.main import run
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.io import hdf5
-from ringtrue.study import results
-from ringtrue.study.results import RemodelStep
 from ringtrue.study.run import StudyRun, load_study, run_study
 from ringtrue.study.stages import STAGES, Stage
 from ringtrue.study.store import Store, digest
@@ -251,14 +249,3 @@ def test_a_stage_that_another_version_has_stored_is_run_anew_and_named_for_a_rep
         load_study(path)
     assert rerun(run_study(finished)) == {"correlate", "localise", "sensitivity", "update"} | AFTER
     load_study(path)
-
-
-def test_types_named_by_the_module_that_results_once_were_still_load(tmp_path: Path) -> None:
-    store = Store(tmp_path / "study.h5")
-    store.save("correlate", "1", RemodelStep("a rib", 3, 1.0, 2.0, 97.0, 98.0))
-    with h5py.File(store.path, "a") as f:
-        assert f["correlate"].attrs["class"] == b"ringtrue.study.results.correlated:RemodelStep"
-        f["correlate"].attrs["class"] = "ringtrue.study.results:RemodelStep"
-        f["correlate"].attrs["digest"] = digest(f["correlate"])
-    assert store.load("correlate") == RemodelStep("a rib", 3, 1.0, 2.0, 97.0, 98.0)
-    assert {n for n, t in vars(results).items() if isinstance(t, type)} == set(results.__all__)

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import small_study
+from record_files import write_history
 
 from ringtrue.cli.main import run
 from ringtrue.core.modes import ModeSet
@@ -25,15 +26,15 @@ from ringtrue.errors import ConfigError, DataError
 from ringtrue.identification.frf.pipeline import HammerModes, identify_hammer
 from ringtrue.io.frfs import write_frfs
 from ringtrue.io.modes import write_modes
-from ringtrue.io.records import read_record, write_history
+from ringtrue.io.records import read_record
 from ringtrue.model.ports import ModesRequest
 from ringtrue.report.build import deliver
-from ringtrue.shapes.mac import auto_mac
+from ringtrue.shapes import auto_mac
 from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.study.messages import run_messages
 from ringtrue.study.results import CompareStage, Evidence
 from ringtrue.study.run import run_study
-from ringtrue.virtual.logbook import write_sheet
+from ringtrue.virtual.measurements import write_sheet
 
 FREQS = np.arange(0.5, 20.0, 0.02)
 TOML = small_study.MODEL + '[test]\nsheet = "sensors.csv"\n{}\n' + "[update]\nleft_out = 2\n"
@@ -89,8 +90,8 @@ def test_frfs_of_a_file_for_each_reference(tmp_path: Path) -> None:
     done = run_study(study(tmp_path, 'frfs = ["1.uff", "2.uff"]\nleave_out = ["5+Y"]', text))
     deliver(done)
     found = done.results["correlate"]
-    assert "5+Y" not in found.reference.channels
-    np.testing.assert_allclose(found.reference.frequencies, modes.frequencies, rtol=1e-3)
+    assert "5+Y" not in found.reference.elastic.channels
+    np.testing.assert_allclose(found.reference.elastic.frequencies, modes.frequencies, rtol=1e-3)
     best = done.results["update"].sets[done.results["update"].chosen]
     for name, factor in zip(best.parameters, best.factor, strict=True):
         assert factor == pytest.approx(small_study.TRUTH[int(name.split()[-1])], abs=0.02)
@@ -139,7 +140,7 @@ def test_a_strain_gauge_of_the_sheet_is_not_used(tmp_path: Path) -> None:
         (writer := csv.DictWriter(file, list(rows[3]))).writeheader()
         writer.writerows(rows)
     found = run_study(toml, until="correlate").results
-    assert found["correlate"].reference.channels == tuple(
+    assert found["correlate"].reference.elastic.channels == tuple(
         c for c in modes.channels if c != modes.channels[3]
     )
     assert f"channel {modes.channels[3]}: measures strain, not used" in "\n".join(
@@ -241,7 +242,9 @@ def test_blows_recorded_as_text(tmp_path: Path) -> None:
         write_history(tmp_path / "data" / r["file"], history)
     (tmp_path / "data" / "campaign.json").write_text(json.dumps(log))
     text = run_study(tmp_path / "study.toml", until="identify").results["identify"]
-    np.testing.assert_allclose(text.hammer.frequencies, ours.hammer.frequencies, rtol=1e-6)
+    np.testing.assert_allclose(
+        text.hammer.modes.frequencies, ours.hammer.modes.frequencies, rtol=1e-6
+    )
 
 
 ONE = '[[candidate]]\nname = "b"\ntargets = ["MAT1 1 E"]\n'
@@ -268,7 +271,7 @@ def test_a_study_of_frequencies_alone_finds_what_they_tell(tmp_path: Path) -> No
     done = run_study(tmp_path / "study.toml")
     correlate, update, final = (done.results[n] for n in ("correlate", "update", "final"))
     assert correlate.initial.pairing.b.tolist() == [0, 1, 2, 3, 5, 6, 7, 8]
-    assert correlate.left_out.size == 2
+    assert correlate.reference.left_out.size == 2
     best = update.sets[update.chosen]
     found = dict(zip(best.parameters, best.factor.tolist(), strict=True))
     assert [found[n] for n in sorted(found)] == pytest.approx(

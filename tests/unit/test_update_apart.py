@@ -20,7 +20,7 @@ from ringtrue.core.iterate import Outcome
 from ringtrue.core.modes import ModeSet
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.io.modes import write_modes
-from ringtrue.study.acceptance import Check
+from ringtrue.study.acceptance import AcceptanceCheck
 from ringtrue.study.opened import Opened
 from ringtrue.updating.identifiability import stood_for, told_apart, unmoved
 
@@ -181,7 +181,7 @@ def test_a_candidate_that_names_no_card_is_refused_at_the_model(
 
 
 def test_where_no_step_lowers_the_objective_the_limits_judge() -> None:
-    limit = (Check("mean |Δf|", "≤ 1 %", "0.04 %", True),)
+    limit = (AcceptanceCheck("mean |Δf|", "≤ 1 %", "0.04 %", True),)
     assert settles(Outcome.CONVERGED, ())
     assert settles(None, ())
     assert settles(Outcome.STALLED, limit)

@@ -11,17 +11,18 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
+from ringtrue.core.iterate import Progress, quiet
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet
-from ringtrue.core.progress import Progress, quiet
 from ringtrue.reduction.matrix_model import DenseModel
-from ringtrue.updating.gauss_newton import residual
-from ringtrue.updating.selection.proposal import with_lumps
-from ringtrue.updating.selection.selection_rules import Choice
-from ringtrue.updating.selection.subset_search import Search, Subsets, subsets
+from ringtrue.updating.problem import residual_at, single
+from ringtrue.updating.selection.proposal import with_masses
+from ringtrue.updating.selection.selection_rules import FittedSet
+from ringtrue.updating.selection.subset_search import Search, SearchSettings, Subsets, subsets
 from ringtrue.updating.target import Target
 
 N, TOTAL, PLACES = 10, 20.0, (2, 7)
 LUMPS = [5, 6]
+SETTINGS = SearchSettings(most=4, collinear=0.99)
 
 
 def _chain() -> DenseModel:
@@ -72,12 +73,13 @@ def test_sets_with_masses_are_sought_only_where_one_makes_a_set_better(
 ) -> None:
     aim, asked = _aim(truth), list[int]()
 
-    def search(barred: Sequence[int], known: Sequence[Choice], told: Progress) -> Subsets:
+    def search(barred: Sequence[int], known: Sequence[FittedSet], told: Progress) -> Subsets:
         asked.append(len(barred))
-        return subsets(_chain(), aim, 4, 0.99, None, told, barred=barred, known=known)
+        plain = Search.of(single(_chain(), aim), SETTINGS, barred=barred)
+        return subsets(plain, told, known)
 
     own = search(LUMPS, (), quiet)
-    found, barred = with_lumps(search, own, LUMPS, quiet)
+    found, barred = with_masses(search, own, LUMPS, quiet)
     best = found.path[-1].members.tolist()
     assert [i for i in LUMPS if i in best] == masses
     assert 1 in best
@@ -88,21 +90,21 @@ def test_sets_with_masses_are_sought_only_where_one_makes_a_set_better(
 def test_a_point_of_a_search_has_all_squares_and_products_in_few_rows() -> None:
     aim = _aim((1, 0.75, 1, 1, 1, 1, 1.06))
     search, x = (
-        Search.of(_chain(), aim, 0.99, None),
+        Search.of(single(_chain(), aim), SETTINGS),
         np.array([0.0, -0.2, 0.1, 0.0, 0.0, 0.0, 0.03]),
     )
-    whole, few = residual(aim, _chain().linearise(x)), search.point(x)
+    whole, few = residual_at(single(_chain(), aim), x), search.point(x)
     assert whole.value.size == 8 * (1 + N)
     assert few.value.size == 8 + 7 + 1
     of_frequency = slice(0, 8)
     np.testing.assert_array_equal(few.slope[of_frequency], whole.slope[of_frequency])
-    for rows, same in ((few.kinds == 0, of_frequency), (few.kinds == 1, slice(8, None))):
+    for rows, same in ((few.quantity == 0, of_frequency), (few.quantity == 1, slice(8, None))):
         one = np.column_stack([few.slope[rows], few.value[rows]])
         other = np.column_stack([whole.slope[same], whole.value[same]])
         np.testing.assert_allclose(
             one.T @ one, other.T @ other, rtol=1e-9, atol=1e-9 * np.abs(other.T @ other).max()
         )
-    fresh = Search.of(_chain(), aim, 0.99, None)
+    fresh = Search.of(single(_chain(), aim), SETTINGS)
     assert fresh.value(x).value @ fresh.value(x).value == pytest.approx(
         whole.value @ whole.value, rel=1e-9
     )

@@ -322,7 +322,7 @@ def test_changes_that_the_test_does_not_prove() -> None:
     assert "holds 1; it may take up an error of the model's form" in flags[0].text
     assert "turns round" in flags[1].text
     others = form_flags(names, np.exp(x), interval, share, tied)
-    assert "holds 1; the test tells it and d together, not each by itself" in others[0].text
+    assert "holds 1; the test knows it and d together, not each by itself" in others[0].text
     assert others[1].text == flags[1].text  # its interval does not hold 1: it is known by itself
     assert np.isnan(kept(x, np.zeros((0, 4)))).all()
 

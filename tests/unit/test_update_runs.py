@@ -30,7 +30,7 @@ from ringtrue.solvers.embedded import EmbeddedAnalysis, EmbeddedSolver
 from ringtrue.solvers.mystran import MystranSolver, find_mystran
 from ringtrue.solvers.observed import FullModel
 from ringtrue.study.run import run_study
-from ringtrue.virtual.logbook import write_sheet
+from ringtrue.virtual.measurements import write_sheet
 
 TRUTH = small_study.TRUTH
 STUDY = '[model]\ndeck = "frame.bdf"\n' + "".join(
@@ -226,7 +226,11 @@ def test_what_is_no_mode_and_unknown_solvers_are_refused(
     capsys: Capture, tmp_path: Path, outside: Outside
 ) -> None:
     words = case(tmp_path, EmbeddedSolver())
-    status, _, err = update(capsys, *words, "--solver", "outside", "--mass", "1000")
+    path = Path(words[0])
+    plain = path.read_text()
+    path.write_text(plain + '[[residual]]\nkind = "mass"\nmass = 1000.0\n')
+    status, _, err = update(capsys, *words, "--solver", "outside")
+    path.write_text(plain)
     assert status == 2
     assert "modes alone" in err
     assert outside.runs == 0

@@ -18,18 +18,25 @@ import localise_twin as twin
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet, Substructure
 from ringtrue.errors import ConfigError, InputError
 from ringtrue.model.ports import ModesRequest
-from ringtrue.reduction.expansion import expand_hybrid, expand_reduced
+from ringtrue.reduction.expansion import ShapeReadings, expand_hybrid, expand_reduced
 from ringtrue.reduction.matrix_model import DenseModel
 from ringtrue.reduction.parametric import condensed
 from ringtrue.solvers.embedded import EmbeddedSolver
-from ringtrue.updating.gauss_newton import Residual, residual
-from ringtrue.updating.identifiability import blind_cosines, identifiability
-from ringtrue.updating.selection.effects import SHARP, effects, force_residual, paired_residual
+from ringtrue.updating.identifiability import identifiability
+from ringtrue.updating.problem import Residual, residual_at, single
 from ringtrue.updating.selection.generation import generate
 from ringtrue.updating.selection.proposal import propose, stated_errors
-from ringtrue.updating.selection.screening import conflicts, explaining, of_parameter
-from ringtrue.updating.selection.selection_rules import Choice
-from ringtrue.updating.selection.subset_search import Search
+from ringtrue.updating.selection.screening import (
+    SHARP,
+    SeenModes,
+    conflicts,
+    effects,
+    explaining,
+    misfits,
+    of_parameter,
+)
+from ringtrue.updating.selection.selection_rules import FittedSet
+from ringtrue.updating.selection.subset_search import Search, SearchSettings
 from ringtrue.updating.target import Target, Weights
 from ringtrue.updating.uncertainty import errors_of_shapes
 
@@ -110,11 +117,9 @@ def test_the_force_residual_of_exact_shapes_is_what_is_wrong() -> None:
         start.model,
         start.analysis.system,
         start.candidates,
-        every.values,
-        every.vectors,
-        every.vectors,
+        SeenModes(every.values, every.vectors, every.vectors),
     )
-    misfit, slopes = force_residual(*at, aim)
+    misfit, slopes = misfits(*at, aim)[1]
     some = [names.index(f"MAT1 {r} E") for r in wrong]
     x = np.linalg.lstsq(slopes[:, some], misfit)[0]
     np.testing.assert_allclose(
@@ -132,14 +137,12 @@ def test_the_paired_residual_is_that_of_the_model_itself() -> None:
         start.model,
         start.analysis.system,
         start.candidates,
-        every.values,
-        every.vectors,
-        there,
+        SeenModes(every.values, every.vectors, there),
     )
-    misfit, slopes = paired_residual(*given, aim)
+    misfit, slopes = misfits(*given, aim)[0]
     now = start.reduced.linearise(np.zeros(len(start.candidates)))
     w = Weights(SHARP * 0.01, SHARP**2 * 0.05, independent=errors_of_shapes(aim, now))
-    same = residual(replace(aim, weights=w), now)
+    same = residual_at(single(start.reduced, replace(aim, weights=w)), now.x)
     np.testing.assert_allclose(misfit, same.value, atol=1e-3 * np.abs(same.value).max())
     error = np.linalg.norm(slopes - same.slope * start.reduced.parameters.std()) / np.linalg.norm(
         slopes
@@ -152,7 +155,8 @@ def test_no_candidate_leaves_a_misfit_and_no_slope() -> None:
     lam, phi = start.reduced.vectors(np.zeros(len(start.candidates)))
     there = start.observation.matrix @ (start.analysis.system.transform @ phi)
     aim = twin.measured({}, np.random.default_rng(0))
-    misfit, slopes = force_residual(start.model, start.analysis.system, (), lam, phi, there, aim)
+    modes = SeenModes(lam, phi, there)
+    misfit, slopes = misfits(start.model, start.analysis.system, (), modes, aim)[1]
     assert slopes.shape == (misfit.size, 0)
     assert explaining(misfit, slopes, 3).size == 0
 
@@ -167,9 +171,9 @@ def test_what_is_wrong_is_among_the_first_that_explain() -> None:
     for seed in range(200, 206):
         rng = np.random.default_rng(seed)
         aim = twin.measured(wrong := twin.truth(rng, 3), rng)
-        left = force_residual(
-            start.model, start.analysis.system, start.candidates, lam, phi, there, aim
-        )
+        left = misfits(
+            start.model, start.analysis.system, start.candidates, SeenModes(lam, phi, there), aim
+        )[1]
         found = [set(start.candidates[i].elements) for i in explaining(*left, 24).tolist()]
         held += [twin.region_elements(region) in found for region in wrong]
     assert np.mean(held) > 0.75
@@ -227,8 +231,9 @@ def test_expansion_in_a_basis_is_that_of_the_whole_model_where_it_spans_it() -> 
     y = c @ phi[:, :2] * (1 + 0.02 * rng.standard_normal((3, 2)))
     f = np.sqrt(lam[:2]) / (2 * np.pi) * 1.03
     v = phi @ np.linalg.qr(rng.standard_normal((n, n)))[0]
-    q = expand_reduced(v.T @ k @ v, v.T @ m @ v, v.T @ k @ v, c @ v, y, f, noise=0.02)
-    full = expand_hybrid(*(sparse.csr_array(a) for a in (k, m, c)), y, f, phi, noise=0.02)
+    q = expand_reduced(v.T @ k @ v, v.T @ m @ v, v.T @ k @ v, ShapeReadings(c @ v, y, f, 0.02))
+    readings = ShapeReadings(sparse.csr_array(c), y, f, 0.02)
+    full = expand_hybrid(sparse.csr_array(k), sparse.csr_array(m), readings, phi)
     # both leave the misfit that was asked for; the norms of the residual differ by what holds the
     # sensors
     np.testing.assert_allclose(q.misfit, 0.02, rtol=1e-2)
@@ -237,7 +242,7 @@ def test_expansion_in_a_basis_is_that_of_the_whole_model_where_it_spans_it() -> 
     cosine /= np.linalg.norm(v @ q.shapes, axis=0) * np.linalg.norm(full.shapes, axis=0)
     assert (cosine > 0.999).all()
     with pytest.raises(ConfigError, match="above 0"):
-        expand_reduced(k, m, k, c, y, f, noise=0.0)
+        ShapeReadings(c, y, f, noise=0.0)
 
 
 def test_candidates_without_effect_propose_nothing() -> None:
@@ -249,9 +254,9 @@ def test_candidates_without_effect_propose_nothing() -> None:
     aim = Target(
         1.01 * modes.frequencies[:4], modes.shapes[:, :4], np.zeros(4), np.ones(4, dtype=bool)
     )
-    far = propose(model, replace(aim, frequencies=1.1 * modes.frequencies[:4]))
+    far = propose(single(model, replace(aim, frequencies=1.1 * modes.frequencies[:4])))
     assert "no change of a candidate explains what is left (mean |Δf| 9.09 %" in far.text()
-    found = propose(model, aim)
+    found = propose(single(model, aim))
     assert found.members == ()
     np.testing.assert_array_equal(found.paired, 4)
     assert found.insensitive == ("nothing", "neither")
@@ -273,26 +278,26 @@ def test_the_error_of_a_member_covers_what_the_others_may_be_off_by(groups: list
         @ np.array([[1.0, 0.7, 0.5], [0.0, 0.7, 0.5], [0.0, 0.0, 0.7]])
     )
     none, every = np.zeros(0), np.arange(3)
-    ends = (np.full(3, -9.0), np.full(3, 9.0))
+    names = ParameterSet(tuple(Parameter(f"p{i}", (), 1e-4, 1e4, "log", 1.0) for i in every))
+    model = DenseModel.springs(np.eye(3), np.eye(3), np.zeros((3, 3, 3)), names)
+    aim = Target(np.ones(3), np.eye(3), np.zeros(3), np.ones(3, dtype=bool))
     search = Search(
-        None,
-        None,
-        every,
-        np.array(groups),
-        np.zeros((3, 3), dtype=bool),
-        np.linalg.norm(g, axis=0),
-        *ends,
-        np.ones(3),
-        1.0,
+        problem=single(model, aim),
+        settings=SearchSettings(),
+        assumed=Weights(),
+        conflicts=np.zeros((3, 3), dtype=bool),
+        pool=every,
+        groups=np.array(groups),
+        size=np.linalg.norm(g, axis=0),
     )
     held = 0
     for truth in rng.standard_normal((count, 3)):
         z = g @ truth + rng.standard_normal(12)
         x = np.array([g[:, 0] @ z / (g[:, 0] @ g[:, 0] + 1), 0.0, 0.0])
         end = Residual(
-            z - g @ x, g, np.zeros((0, 2), dtype=np.int64), none, none, none.astype(bool)
+            z - g @ x, g, np.zeros((0, 2), dtype=np.int64), none, none, none.astype(bool), every[:0]
         )
-        std = stated_errors(search, Choice(np.array([0]), x, 0.0), end)[0]
+        std = stated_errors(search, FittedSet(np.array([0]), x, 0.0), end)[0]
         held += abs(x[0] - truth[0]) < 1.645 * std
     assert 0.88 <= held / count <= 0.98  # by the spread of the member alone 26 %
 
@@ -306,8 +311,8 @@ def test_bounds_of_a_large_survey_need_no_square_of_its_readings() -> None:
     )
     r = np.linalg.qr(g, mode="r")
     for one, other in zip(
-        (identifiability(g).bound, identifiability(g).together, *blind_cosines(g)),
-        (identifiability(r).bound, identifiability(r).together, *blind_cosines(r)),
+        (identifiability(g).bound, identifiability(g).together),
+        (identifiability(r).bound, identifiability(r).together),
         strict=True,
     ):
         np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-9)

@@ -89,7 +89,7 @@ def test_springs_are_found_through_crossings(truth: tuple[float, ...]) -> None:
     aim = Target(at.frequencies, at.shapes, np.full(6, 1e-3), np.ones(6, dtype=bool), WEIGHTS)
     found = tune(model, aim)
     assert found.considered == 720
-    assert found.sure
+    assert found.certain
     assert not found.ambiguity()
     np.testing.assert_array_equal(found.best.pairs[:, 0], found.best.pairs[:, 1])
     np.testing.assert_allclose(found.best.x, x, atol=2e-3)  # the prior pulls a little
@@ -134,7 +134,7 @@ def test_a_pairing_that_the_test_leaves_open_is_reported() -> None:
         Weights(0.003, 1, 0),
     )
     found = tune(model, aim)
-    assert not found.sure
+    assert not found.certain
     told = (
         found.ambiguity()
     )  # the modes of the start tell them apart: by frequency both end as 1:1, 2:2
@@ -147,7 +147,7 @@ def test_a_pairing_that_the_test_leaves_open_is_reported() -> None:
     np.testing.assert_allclose(ends, [[-0.2, -0.2], [0.2, 0.2]], atol=2e-3)
     assert (found.std > 0.2).all()  # the spread between the two is part of the uncertainty
     with_shapes = tune(model, replace(aim, weights=WEIGHTS))
-    assert with_shapes.sure
+    assert with_shapes.certain
     np.testing.assert_allclose(with_shapes.best.x, x, atol=2e-3)
 
 
@@ -161,7 +161,7 @@ def test_standard_deviations_cover_the_scatter() -> None:
         aim = Target(
             f, at.shapes, np.full(6, sigma), np.ones(6, dtype=bool), Weights(1e-6, 1.0, 0.0)
         )
-        found = tune(model, aim, start=x, keep=1)
+        found = tune(model, aim, start=x)
         ends.append(found.best.x)
         told.append(found.std)
     ratio = np.mean(told, axis=0) / np.std(ends, axis=0, ddof=1)

@@ -4,12 +4,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import signal
 from test_virtual_system import made_up
 
-from ringtrue.core.modal import ModalModel
+from ringtrue.core.modes import ModalModel
 from ringtrue.core.signals import Channel
 from ringtrue.errors import InputError
 from ringtrue.virtual.excitation import (
@@ -24,15 +26,16 @@ from ringtrue.virtual.excitation import (
     pulse_spectrum,
     sledge,
 )
-from ringtrue.virtual.response import (
+from ringtrue.virtual.sensors import (
     at_outputs,
-    fade_window,
+    coloured,
+    expected_power,
     lines,
+    power,
+    resonance_power,
     response_spectrum,
     simulate,
-    streamed,
 )
-from ringtrue.virtual.sensors import coloured, expected_power, power, resonance_power
 
 MASS, F0, ZETA, RATE = 1000.0, 5.0, 0.02, 256.0
 W0 = 2 * np.pi * F0
@@ -100,34 +103,15 @@ def test_power_at_resonance_is_the_expected_one() -> None:
     rng, site, n = np.random.default_rng(5), Ambient(correlation=0.0, machine_force=0.0), 1 << 18
     model = at_outputs(made_up().modal, made_up().test.channels[:12])
     ids, points = [c.id for c in model.inputs], ("900+Z", "903+Z", "907+X")
-    forces = ambient_forces(ids, points, None, site, n, RATE, rng)
+    site = replace(site, points=points)
+    forces = ambient_forces(ids, site, n, RATE, rng)
     poles = model.poles[8:30]
     got = resonance_power(response_spectrum(model, forces, lines(n, RATE)), poles, n, RATE)
     want = expected_power(
-        model, poles, input_psd(ids, points, np.abs(poles) / (2 * np.pi), site), "acceleration"
+        model, poles, input_psd(ids, np.abs(poles) / (2 * np.pi), site), "acceleration"
     )
     # a mean over the half-power band of a Lorentzian is π/4 of its peak
     assert 0.8 < np.median(got / want) / (np.pi / 4) < 1.2
-
-
-def test_streamed_segments_make_one_stationary_record() -> None:
-    hop, fade, tail = 2048, 512, 2048
-    rng = np.random.default_rng(0)
-
-    def segment(b: int, window: np.ndarray) -> np.ndarray:
-        force = np.concatenate([rng.normal(size=window.size) * window, np.zeros(tail)])
-        return simulate(oscillator(), force[None], RATE)
-
-    blocks = list(streamed(segment, 64, hop, fade, tail))
-    assert {b.shape for b in blocks} == {(1, hop)}
-    edge = np.std([b[0, :fade] for b in blocks])
-    inner = np.std([b[0, fade:] for b in blocks])
-    assert abs(edge / inner - 1) < 0.1
-
-
-def test_fade_windows_have_constant_power() -> None:
-    w = fade_window(100, 30)
-    np.testing.assert_allclose(w[100:] ** 2 + w[:30] ** 2, 1.0)
 
 
 def test_ground_motion_has_its_rms_and_its_hump() -> None:
@@ -140,7 +124,7 @@ def test_ground_motion_has_its_rms_and_its_hump() -> None:
 
 def test_ground_displacement_and_velocity_belong_to_one_motion() -> None:
     ids = ("ground+Z", "groundv+Z", "900+Z")
-    forces = ambient_forces(ids, (), None, Ambient(), 4096, RATE, np.random.default_rng(0))
+    forces = ambient_forces(ids, Ambient(), 4096, RATE, np.random.default_rng(0))
     f = lines(4096, RATE)
     np.testing.assert_allclose(forces[1], 2j * np.pi * f * forces[0], rtol=1e-12)
     assert not forces[2].any()
@@ -193,4 +177,4 @@ def test_wrong_forces_are_refused() -> None:
     with pytest.raises(InputError, match="no output"):
         at_outputs(oscillator(), ["9+Z"])
     with pytest.raises(InputError, match="no input"):
-        ambient_forces(("1+Z",), ("2+Z",), None, Ambient(), 64, RATE, np.random.default_rng(0))
+        ambient_forces(("1+Z",), Ambient(points=("2+Z",)), 64, RATE, np.random.default_rng(0))

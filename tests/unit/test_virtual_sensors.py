@@ -15,15 +15,14 @@ from ringtrue.demos.lsf.campaign import CampaignPlan, run_campaign
 from ringtrue.errors import InputError
 from ringtrue.io.records import read_record
 from ringtrue.io.sheets import read_sensor_sheet
-from ringtrue.virtual.excitation import Ambient
-from ringtrue.virtual.measurements import AmbientTest, HammerPlan, ambient_blocks, strike
-from ringtrue.virtual.response import at_outputs, lines
+from ringtrue.virtual.measurements import HammerPlan, strike
 from ringtrue.virtual.sensors import (
     ACCELEROMETER,
     FORCE_CELL,
     GEOPHONE,
     Chain,
     NoiseFloor,
+    lines,
     power,
     record_volts,
     tone,
@@ -196,20 +195,6 @@ def test_the_same_seed_gives_the_same_samples(
     for path in sorted(folder.glob("*.h5")):
         with h5py.File(path) as a, h5py.File(tmp_path / path.name) as b:
             np.testing.assert_array_equal(a["record/data"], b["record/data"])
-
-
-def test_a_long_record_is_stationary_over_its_segments() -> None:
-    twin = made_up()
-    model = at_outputs(twin.modal, twin.test.channels[:3])
-    sensors = chain(*(replace(ACCELEROMETER, drift=0.0, offset=0.0),) * 3)
-    test = AmbientTest(model, sensors, Ambient(), ("900+Z",), None, 128.0, model.poles[8:])
-    hop, fade = 128 * 40, 128 * 10
-    blocks = [b - b.mean() for b in ambient_blocks(test, 12, hop, fade, np.random.default_rng(0))]
-    assert {b.shape for b in blocks} == {(3, hop)}
-    edge, inner = (
-        np.diff([b[:, part] for b in blocks]).std() for part in (slice(0, fade), slice(fade, hop))
-    )
-    assert edge / inner == pytest.approx(1.0, abs=0.1)
 
 
 def test_the_ratio_at_resonance_is_between_5_and_25_db(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ringtrue.core.modal import ModalModel
+from ringtrue.core.modes import ModalModel
 from ringtrue.core.signals import Channel
 from ringtrue.core.testmodel import TestModel
 from ringtrue.demos.lsf.campaign import CampaignPlan

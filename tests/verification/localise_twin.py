@@ -31,11 +31,12 @@ from ringtrue.io.modes import write_modes
 from ringtrue.model.frames import positions
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
-from ringtrue.reduction.parametric import BasisOptions, ReducedModel
+from ringtrue.reduction.basis import observed_system
+from ringtrue.reduction.parametric import ReducedModel, reduced_model
 from ringtrue.solvers.embedded import EmbeddedAnalysis, EmbeddedSolver
-from ringtrue.updating.selection.candidates import Candidate, CandidateSettings
-from ringtrue.updating.selection.effects import effective, reduced_candidates
+from ringtrue.updating.selection.candidates import Candidate, CandidateSettings, parameters
 from ringtrue.updating.selection.generation import generate
+from ringtrue.updating.selection.screening import effective
 from ringtrue.updating.target import Target
 
 Array = npt.NDArray[np.float64]
@@ -147,9 +148,7 @@ def start(kinds: tuple[str, ...] = ("material", "property", "region", "spring"))
         model,
         analysis,
         keep,
-        reduced_candidates(
-            model, analysis.system, keep, seen, COUNT, options=BasisOptions(size=120)
-        ),
+        reduced_model(observed_system(model, analysis.system, parameters(keep), seen), COUNT),
         seen,
     )
 

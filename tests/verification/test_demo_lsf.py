@@ -21,10 +21,9 @@ import numpy as np
 import pytest
 
 import ringtrue
-from ringtrue.demos.lsf import demo, truth
+from ringtrue.demos.lsf import demo, twin
 from ringtrue.demos.lsf.twin import Twin, twin_hash
-from ringtrue.shapes.complexity import mpc, realise
-from ringtrue.shapes.mac import mac
+from ringtrue.shapes import mac, mpc, realise
 from ringtrue.study.store import Store
 
 pytestmark = [pytest.mark.demo, pytest.mark.timeout(1500)]
@@ -89,7 +88,7 @@ def test_the_twin_is_another_model(example: Example) -> None:
 
 
 def test_the_twin_is_frozen() -> None:
-    assert (truth.VERSION, twin_hash()) == (1, FROZEN)
+    assert (twin.VERSION, twin_hash()) == (1, FROZEN)
 
 
 def test_the_first_correlation_looks_like_the_published_one(example: Example) -> None:
@@ -103,8 +102,8 @@ def test_the_first_correlation_looks_like_the_published_one(example: Example) ->
 
 def test_ratios_are_physical() -> None:
     for seed in range(20):
-        r = truth.ratios(seed)
-        spec = truth.as_built(seed)
+        r = twin.ratios(seed)
+        spec = twin.as_built(seed)
         concrete = [spec.modulus[k] for k in ("slab", "long walls", "end walls", "haunches")]
         assert 15e9 <= min(concrete) <= max(concrete) <= 42e9
         steel = [
@@ -124,19 +123,19 @@ def test_hung_parts_stay_unpaired_with_a_reason(example: Example) -> None:
 
 def test_damping_is_that_of_the_structure(example: Example) -> None:
     twin, found = example.twin, Store(example.folder / "study.h5").load("identify")
-    truth_shapes = twin.real_modes.rows(found.hammer.channels)
-    like = mac(realise(found.hammer.shapes), truth_shapes.shapes)
-    near = np.abs(truth_shapes.frequencies / found.hammer.frequencies[:, None] - 1) < 0.01
+    truth_shapes = twin.real_modes.rows(found.hammer.modes.channels)
+    like = mac(realise(found.hammer.modes.shapes), truth_shapes.shapes)
+    near = np.abs(truth_shapes.frequencies / found.hammer.modes.frequencies[:, None] - 1) < 0.01
     at = np.argmax(np.where(near, like, -1), axis=1)
-    sure = found.hammer.confidence >= 0.5
-    error = np.abs(found.hammer.damping / truth_shapes.damping[at] - 1)[sure]
+    sure = found.hammer.modes.confidence >= 0.5
+    error = np.abs(found.hammer.modes.damping / truth_shapes.damping[at] - 1)[sure]
     assert np.median(error) < 0.01
     assert error.max() < 0.10
-    low = found.ambient.frequencies < 1.6
-    rigid = found.ambient.damping[low], found.ambient_uncertainty.damping[low]
+    low = found.ambient.modes.frequencies < 1.6
+    rigid = found.ambient.modes.damping[low], found.ambient.uncertainty.damping[low]
     which = [
         int(np.argmin(np.abs(twin.real_modes.frequencies - f)))
-        for f in found.ambient.frequencies[low]
+        for f in found.ambient.modes.frequencies[low]
     ]
     # three standard deviations, and a twentieth for the bias of damping in records of ten minutes
     tolerance = 3 * rigid[1] + 0.05 * twin.real_modes.damping[which]

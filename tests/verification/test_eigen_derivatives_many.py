@@ -7,13 +7,15 @@ parameters.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from eigen_shell import shell
 from scipy import sparse
 
 from ringtrue.core.parameters import CardField, Parameter
-from ringtrue.eigen import complement, derivatives
+from ringtrue.eigen import derivatives
 from ringtrue.eigen.derivatives import MatrixDerivatives, eigenvector_derivatives
 from ringtrue.eigen.eigenpairs import EigenModes
 from ringtrue.eigen.modes import solve_modes
@@ -57,7 +59,7 @@ def test_every_column_meets_the_tolerance(case, monkeypatch, many, columns) -> N
     """
     pencil, modes, slopes = case
     pencil.at(modes.shift)
-    monkeypatch.setattr(complement, "MANY", many)
+    monkeypatch.setattr(derivatives, "SETTINGS", derivatives.ComplementSettings(many=many))
     monkeypatch.setattr(derivatives, "COLUMNS", columns)
     d = eigenvector_derivatives(pencil, modes, slopes, count=M, tolerance=TOLERANCE)
     assert (pencil.shift == modes.shift) == (many > 0)
@@ -82,7 +84,7 @@ def test_fields_of_any_mass(coupled) -> None:
         mass[1, 2] = mass[2, 1] = 0.3
     mass = sparse.csr_array(mass)
     x, y, c = rng.standard_normal((4, n)), rng.standard_normal((5, n)), rng.standard_normal((4, 5))
-    inertia = complement.Inertia(mass)
+    inertia = derivatives.Inertia(mass)
     a, b = inertia.fields(x), inertia.fields(y)
     np.testing.assert_allclose(a.dot(b), x @ (mass @ y.T), atol=1e-10)
     b.add(c, a)
@@ -100,13 +102,13 @@ def test_rows_move_to_their_places() -> None:
 def test_sketches_keep_norms(case) -> None:
     """Within a few √(2/TILE) = 0.04; exactly where there are fewer rows with mass than buckets."""
     pencil, modes, _ = case
-    inertia = complement.Inertia(pencil.mass)
+    inertia = derivatives.Inertia(pencil.mass)
     exact = np.linalg.norm(pencil.mass @ modes.vectors, axis=0)
     np.testing.assert_allclose(
         np.linalg.norm(inertia.sketch(inertia.fields(modes.vectors.T)), axis=1), exact
     )
     rng = np.random.default_rng(5)
-    wide = complement.Inertia(sparse.diags_array(rng.uniform(1.0, 2.0, 20_000)).tocsr())
+    wide = derivatives.Inertia(sparse.diags_array(rng.uniform(1.0, 2.0, 20_000)).tocsr())
     x = wide.fields(rng.standard_normal((30, 20_000)))
     norms = np.linalg.norm(wide.forces(x), axis=1)
     assert 1e-4 < np.abs(np.linalg.norm(wide.sketch(x), axis=1) / norms - 1).max() < 0.1
@@ -116,7 +118,7 @@ def test_sketches_keep_norms(case) -> None:
 def test_rough_sketches_cost_no_accuracy(case, monkeypatch, buckets) -> None:
     pencil, modes, slopes = case
     pencil.at(modes.shift)
-    monkeypatch.setattr(complement, "TILE", buckets)
+    monkeypatch.setattr(derivatives, "TILE", buckets)
     d = eigenvector_derivatives(pencil, modes, slopes, count=M, tolerance=TOLERANCE)
     assert (
         max(_worst(pencil, modes, s, d[:, RIGID:, i]) for i, s in enumerate(slopes))
@@ -136,11 +138,11 @@ def test_a_space_that_is_full_starts_anew(case, monkeypatch) -> None:
     """Room for fewer directions than the columns need: what is left over is solved for again."""
     pencil, modes, slopes = case
     pencil.at(modes.shift)
-    monkeypatch.setattr(complement, "EACH", 1)
-    monkeypatch.setattr(complement, "SPARE", 0)
+    small = derivatives.ComplementSettings(each=1, spare=0)
+    monkeypatch.setattr(derivatives, "SETTINGS", small)
     d = eigenvector_derivatives(pencil, modes, slopes[1:2], count=M, tolerance=TOLERANCE)
     assert _worst(pencil, modes, slopes[1], d[:, RIGID:, 0]) < TOLERANCE + SOLVED
-    monkeypatch.setattr(complement, "RUNS", 1)
+    monkeypatch.setattr(derivatives, "SETTINGS", replace(small, runs=1))
     with pytest.raises(NotConverged, match="did not converge"):
         eigenvector_derivatives(pencil, modes, slopes[1:2], count=M, tolerance=TOLERANCE)
 

@@ -14,6 +14,8 @@ from ringtrue.core.testmodel import Observation
 from ringtrue.errors import InputError
 from ringtrue.fem.assembly import assemble
 from ringtrue.model.ports import ModesRequest
+from ringtrue.reduction.basis import observed_system
+from ringtrue.reduction.parametric import reduced_model
 from ringtrue.solvers.observed import FullModel, reduced
 
 COUNT = 14
@@ -112,5 +114,6 @@ def test_subset_of_parameters(case):
 def test_points_in_the_basis(case):
     full, _ = case
     x = np.log([1.5, 0.6, 1.4])
-    made = reduced(full.model, full.parameters, full.observation, COUNT, points=[x])
+    system = observed_system(full.model, assemble(full.model), full.parameters, full.observation)
+    made = reduced_model(system, COUNT, points=[x])
     assert np.allclose(made.modes(x).frequencies, full.modes(x).frequencies, rtol=ROUNDING)

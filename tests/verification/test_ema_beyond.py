@@ -16,7 +16,7 @@ from scipy.optimize import linear_sum_assignment
 
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.identification.frf.pipeline import HammerResult, identify_hammer
-from ringtrue.shapes.mac import mac
+from ringtrue.shapes import mac
 
 MASS, LEVEL, AVERAGES = 10.0, 0.01, 5.0
 EXACT = 0.995  # MAC: ten times what the noise leaves

@@ -12,9 +12,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ringtrue.core.impacts import Impacts
 from ringtrue.core.modes import Norm
-from ringtrue.core.signals import Channel, FrfSet
+from ringtrue.core.signals import Channel, FrfSet, Impacts
 from ringtrue.identification.frf.data_checks import sound_pairs
 from ringtrue.identification.frf.pipeline import HammerModes, HammerResult, identify_hammer
 

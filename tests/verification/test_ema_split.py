@@ -17,7 +17,7 @@ import pytest
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.identification.frf.local_fits import with_local_fits
 from ringtrue.identification.frf.pipeline import identify_hammer
-from ringtrue.shapes.mac import mac
+from ringtrue.shapes import mac
 
 FN = np.array([90.0, 170, 262, 380, 455, 610])
 ZETA = np.array([0.010, 0.006, 0.012, 0.004, 0.008, 0.005])
@@ -101,34 +101,6 @@ def test_true_pairs_stay_two(references: tuple[int, ...], gap: float) -> None:
     found = identify_hammer(frfs(np.tile(fn, (15, 1)), np.tile(ZETA, 2), phi, references, 2))
     assert len(found.modes) == fn.size, found.modes.frequencies
     assert not any(n.startswith(SAYS) for n in found.notes)
-
-
-@pytest.mark.parametrize(
-    ("references", "shift"), [((0, 5), 0.4), ((0, 15), 0.8), ((0,), 0.8), ((2, 9), 1.5)]
-)
-def test_batches_in_one_file_are_told_by_the_responses_that_agree(
-    references: tuple[int, ...], shift: float
-) -> None:
-    """Three places of the sensors, which load every mode by up to `shift` bandwidths, each mode by
-    another part.
-    """
-    rng = np.random.default_rng(5)
-    phi, place = shapes(21, FN.size, rng), np.arange(21) // 7
-    loads = shift * np.arange(3)[:, None] / 2 * rng.uniform(0.6, 1.0, FN.size)
-    fn = (FN * (1 - 2 * ZETA * loads))[place]
-    data = frfs(fn, ZETA, phi, references, 3)
-    joint = identify_hammer(data)
-    assert joint.groups == tuple(tuple(np.flatnonzero(place == k)) for k in range(3))
-    found = with_local_fits(joint, [data])
-    modes = found.modes
-    assert len(modes) == FN.size, modes.frequencies
-    assert ((modes.frequencies > fn.min(axis=0)) & (modes.frequencies < fn.max(axis=0))).all()
-    np.testing.assert_allclose(modes.damping, ZETA, rtol=0.01)
-    order = [modes.channels.index(c.id) for c in data.outputs]
-    assert np.diag(mac(modes.shapes[order], phi)).min() > 0.998
-    assert any("the responses that agree (0+Z 1+Z" in n for n in found.notes)
-    assert not any(n.startswith(SAYS) for n in found.notes)
-    assert not identify_hammer(frfs(np.tile(FN, (21, 1)), ZETA, phi, references, 3)).groups
 
 
 @pytest.mark.parametrize("seed", [1, 2])

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fem_slopes import matrix_derivatives
 
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet, Shape
 from ringtrue.decks.nastran.editor import edit_fields
@@ -18,9 +19,8 @@ from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.decks.nastran.writer import write_bulk
 from ringtrue.errors import DeckError, InputError, RingtrueError, UnsupportedCard
 from ringtrue.fem.assembly import assemble
-from ringtrue.fem.parametrisation.affine import affine_terms
 from ringtrue.fem.parametrisation.changed_model import scaled
-from ringtrue.fem.parametrisation.derivatives import matrix_derivatives
+from ringtrue.fem.parametrisation.derivatives import affine_terms
 from ringtrue.model.edit import FieldChange, apply_factors
 from ringtrue.model.model import Model
 from ringtrue.solvers.runner import case_control

@@ -18,8 +18,8 @@ from ringtrue.core.arrays import Any_, Float
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import UnsupportedCard
 from ringtrue.fem.assembly import System, assemble
+from ringtrue.fem.element_cards import mesh
 from ringtrue.fem.elements import bar
-from ringtrue.fem.mesh import mesh
 from ringtrue.model.model import Model, Table
 from ringtrue.model.sections import SECTIONS
 

@@ -24,7 +24,7 @@ from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.fem.assembly import System, assemble
 from ringtrue.model.ports import ModesRequest
 from ringtrue.reduction.static import Condensed, craig_bampton, guyan
-from ringtrue.shapes.mac import mac
+from ringtrue.shapes import mac
 from ringtrue.solvers.registry import solver
 
 FE = Path(__file__).parents[2].parent / "shared/data/fe/msc2019"

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fem_cases import cards, grid, model, ragged, spc, steel
+from fem_slopes import matrix_derivatives
 
 from ringtrue.core.arrays import Float
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet
@@ -20,7 +21,6 @@ from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.decks.nastran.writer import write_bulk
 from ringtrue.errors import DeckError, InputError
 from ringtrue.fem.assembly import assemble
-from ringtrue.fem.parametrisation.derivatives import matrix_derivatives
 from ringtrue.model.edit import FieldChange, apply_factors, field_changes
 from ringtrue.model.model import Model
 

@@ -8,14 +8,14 @@ import localise_twin as twin
 import numpy as np
 import pytest
 from fem_cases import cards, grid, model, ragged, spc, steel
+from fem_slopes import matrix_derivatives
 from scipy import sparse
 
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet, Substructure
 from ringtrue.errors import InputError, UnsupportedError
 from ringtrue.fem.assembly import assemble
-from ringtrue.fem.parametrisation.affine import affine_terms
 from ringtrue.fem.parametrisation.changed_model import scaled
-from ringtrue.fem.parametrisation.derivatives import matrix_derivatives
+from ringtrue.fem.parametrisation.derivatives import affine_terms
 from ringtrue.fem.parametrisation.polynomials import AffineTerm, Product
 from ringtrue.model.model import Model
 

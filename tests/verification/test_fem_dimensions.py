@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fem_slopes import matrix_derivatives
 from scipy import sparse
 
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet
@@ -17,7 +18,6 @@ from ringtrue.decks.nastran.writer import write_bulk
 from ringtrue.errors import DeckError, InputError
 from ringtrue.fem.assembly import assemble
 from ringtrue.fem.parametrisation.changed_model import scaled
-from ringtrue.fem.parametrisation.derivatives import matrix_derivatives
 from ringtrue.model.edit import apply_factors, field_changes
 from ringtrue.model.model import Model
 from ringtrue.model.sections import FALLBACK, SECTIONS, section

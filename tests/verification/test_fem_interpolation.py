@@ -12,15 +12,15 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 from fem_cases import cards, grid, model, ragged, shells, spc, square
+from fem_slopes import matrix_derivatives
 from scipy import sparse
 
 from ringtrue.core.arrays import Float
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet, Substructure
 from ringtrue.errors import NumericalError
 from ringtrue.fem.assembly import System, assemble
-from ringtrue.fem.parametrisation.affine import affine_terms
 from ringtrue.fem.parametrisation.changed_model import scaled
-from ringtrue.fem.parametrisation.derivatives import matrix_derivatives
+from ringtrue.fem.parametrisation.derivatives import affine_terms
 from ringtrue.fem.parametrisation.polynomials import AffineTerm
 from ringtrue.model.model import Model
 

@@ -16,7 +16,7 @@ from scipy.integrate import quad
 from ringtrue.core.arrays import Float
 from ringtrue.decks.nastran.reader import read_loaded_deck
 from ringtrue.errors import DeckError
-from ringtrue.fem.mesh import mesh
+from ringtrue.fem.element_cards import mesh
 from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.study.loads import load_vectors
 

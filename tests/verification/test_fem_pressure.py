@@ -18,9 +18,8 @@ from ringtrue.cli.main import run
 from ringtrue.core.arrays import Float
 from ringtrue.decks.nastran.reader import read_loaded_deck
 from ringtrue.errors import InputError
-from ringtrue.fem.element_cards import SOLIDS
+from ringtrue.fem.element_cards import SOLIDS, mesh
 from ringtrue.fem.loads import FACES, face, face_forces
-from ringtrue.fem.mesh import mesh
 from ringtrue.model.model import Model
 from ringtrue.study.loads import load_vectors
 

@@ -166,7 +166,7 @@ def test_box_of_panels_and_stringers() -> None:
     "p",
     [
         *(parameter(("PSHEAR", 8, f)) for f in ("T", "NSM", "F1", "F2")),
-        *(parameter(("MAT1", 1, f)) for f in ("E", "NU", "RHO", "GE")),
+        *(parameter(("MAT1", 1, f)) for f in ("E", "NU", "RHO")),
         Parameter("shape", shapes=(Shape((2,), ((0.3, 0.1, 0.2),)),)),
     ],
     ids=lambda p: f"{p.targets[0].card} {p.targets[0].field}" if p.targets else "nodes",

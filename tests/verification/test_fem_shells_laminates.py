@@ -16,9 +16,8 @@ from shell_cases import SHELLS, displacement, held, nearest, net, rectangle, she
 
 from ringtrue.core.arrays import Any_, Float
 from ringtrue.fem.assembly import assemble
-from ringtrue.fem.element_cards import batches
+from ringtrue.fem.element_cards import batches, mesh
 from ringtrue.fem.elements.shell_material import Laminate, laminates
-from ringtrue.fem.mesh import mesh
 from ringtrue.model.model import Model, Table
 
 E1, E2, NU, G12, G1Z, G2Z, RHO = 1.4e11, 1e10, 0.3, 5e9, 5e9, 3e9, 1600.0

@@ -12,8 +12,8 @@ import pytest
 from fem_cases import grid, model, pshell, shells, steel
 
 from ringtrue.core.arrays import Float
+from ringtrue.fem.element_cards import mesh
 from ringtrue.fem.elements.shell4 import build
-from ringtrue.fem.mesh import mesh
 
 SQUARE = np.array([[0, 0, 0], [2, 0, 0], [2, 2, 0], [0, 2, 0.0]])
 TRAPEZOID = np.array([[0, 0, 0], [2, 0, 0], [1.5, 2, 0], [0, 2, 0.0]])

@@ -16,15 +16,18 @@ from ringtrue.core.arrays import Float, Int
 from ringtrue.core.parameters import CardField
 from ringtrue.errors import DeckError, UnsupportedCard
 from ringtrue.fem.assembly import assemble
-from ringtrue.fem.element_cards import SOLIDS, batches
+from ringtrue.fem.element_cards import SOLIDS, batches, mesh
 from ringtrue.fem.elements.elasticity import nearest, tensor, turned
-from ringtrue.fem.elements.solid_shapes import _HEXA_MIDDLES, _HEXA_SIGNS
-from ringtrue.fem.elements.solid_shapes import hexa_quadratic as hexa20
-from ringtrue.fem.elements.solid_shapes import penta_quadratic as penta15
-from ringtrue.fem.elements.solid_shapes import pyramid_quadratic as pyramid13
-from ringtrue.fem.elements.solid_shapes import tetra_quadratic as tetra10
-from ringtrue.fem.mesh import mesh
+from ringtrue.fem.elements.solid import pyramid_quadratic as pyramid13
 from ringtrue.fem.parametrisation.changed_model import rows_of
+from ringtrue.model.cards import (
+    HEXAHEDRON,
+    QUADRILATERAL,
+    TETRAHEDRON,
+    TRIANGLE,
+    WEDGE,
+    ElementShape,
+)
 from ringtrue.model.model import Model, Table
 
 ROUNDING = 1e-9  # relative to the largest stiffness, after some thousand operations
@@ -84,26 +87,21 @@ def patch(m: Model, xyz: Float, u: Float) -> float:
     return float(np.abs(x - want[free]).max() / np.abs(u).max())
 
 
+@pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize(
-    ("quadratic", "corner", "middle", "edges"),
-    [
-        (hexa20, _HEXA_SIGNS, _HEXA_MIDDLES, "CHEXA"),
-        (
-            penta15,
-            [[0, 0, -1], [1, 0, -1], [0, 1, -1], [0, 0, 1], [1, 0, 1], [0, 1, 1]],
-            None,
-            "CPENTA",
-        ),
-        (tetra10, np.vstack([np.zeros(3), np.eye(3)]), None, "CTETRA"),
-    ],
+    "shape", [TRIANGLE, QUADRILATERAL, TETRAHEDRON, WEDGE, HEXAHEDRON], ids=lambda s: len(s.corners)
 )
-def test_shape_functions_are_one_at_their_node(
-    quadratic: object, corner: Float, middle: Float, edges: str
-) -> None:
-    corner = np.asarray(corner, dtype=float)
-    ends = np.array(SOLIDS[edges].edges)
-    points = np.vstack([corner, corner[ends].mean(axis=1) if middle is None else middle])
-    np.testing.assert_allclose(quadratic(points)[0], np.eye(len(points)), atol=1e-14)
+def test_shape_functions_are_one_at_their_node(shape: ElementShape, order: int) -> None:
+    points = shape.nodes(order)
+    values, slopes = shape.functions(order, points)
+    np.testing.assert_allclose(values, np.eye(len(points)), atol=1e-14)
+    np.testing.assert_allclose(slopes.sum(axis=1), 0.0, atol=1e-14)
+    inside = points.mean(axis=0) + 0.1 * np.arange(points.shape[1])
+    ahead, back = (
+        shape.functions(order, inside + h * np.eye(points.shape[1]))[0] for h in (1e-6, -1e-6)
+    )
+    want = shape.functions(order, inside[None])[1][0]
+    np.testing.assert_allclose((ahead - back).T / 2e-6, want, atol=1e-8)
 
 
 def test_shape_functions_of_the_pyramid() -> None:

@@ -14,9 +14,8 @@ from ringtrue.core.arrays import Float
 from ringtrue.core.parameters import Parameter, Shape
 from ringtrue.errors import DeckError
 from ringtrue.fem.assembly import System, assemble
-from ringtrue.fem.elements.fastener_attachment import on_patch
-from ringtrue.fem.elements.fasteners import SHEAR, build_weld, weld_ends
-from ringtrue.fem.mesh import mesh
+from ringtrue.fem.element_cards import mesh
+from ringtrue.fem.elements.fasteners import SHEAR, build_weld, on_patch, weld_ends
 from ringtrue.model.model import Model
 
 E, NU, D, H = 2e11, 0.3, 0.02, 0.03

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from one_band import ssi_cov
 from scipy.signal import lfilter
 
 from ringtrue.core.signals import Channel, TimeHistory
@@ -28,8 +29,8 @@ from ringtrue.identification.ambient.pipeline import (
     identify_stretches,
 )
 from ringtrue.identification.ambient.record_checks import one_motion
-from ringtrue.identification.ambient.ssi_cov import SsiCov, ssi_cov
-from ringtrue.shapes.mac import mac
+from ringtrue.identification.ambient.ssi_cov import SsiCov
+from ringtrue.shapes import mac
 
 F = np.array([0.7, 1.85, 1.90, 5.0, 11.8, 26.0])
 Z = np.array([2.0, 1.0, 1.3, 0.8, 0.7, 1.5]) / 100
@@ -242,7 +243,27 @@ def test_orders_of_one_band_agree_with_the_truth():
         np.abs(twin - p.frequencies[best]).min() < 0.5 * p.std_frequency[best]
     )  # the blocks weigh a little otherwise
     with pytest.raises(DataError, match="no reference"):
-        ssi_cov(wrap(y, RATE), references=["99+Z"])
+        ssi_cov(wrap(y, RATE), SsiCov(), references=["99+Z"])
+
+
+def test_neither_the_order_of_the_references_nor_the_units_move_a_pole():
+    e = np.random.default_rng(4).standard_normal((3, 6000))
+    y = lfilter(
+        [1.0], [1.0, -1.6, 0.95], np.array([[1, 0, 0.2], [0.5, 1, 0], [0, 0.3, 1]]) @ e, axis=1
+    )
+    settings, ids = SsiCov(10, 8, 2, 1), ("1", "2", "3")
+
+    def poles(scale: tuple[float, ...], references: tuple[str, ...]):
+        channels = tuple(Channel(i, "acceleration") for i in ids)
+        return ssi_cov(
+            TimeHistory(y * np.array(scale)[:, None], 50.0, channels, "made"),
+            settings,
+            references=references,
+        )
+
+    plain, other = poles((1.0, 1.0, 1.0), ids), poles((1.0, 50.0, 3.0), ("3", "1", "2"))
+    assert other.pole == pytest.approx(plain.pole, rel=1e-4)
+    assert len(poles((1.0, 1.0, 1.0), ("1", "1", "2"))) > 0  # one is missing
 
 
 def test_a_record_in_stretches_gives_the_same_modes():

@@ -9,9 +9,9 @@ import pytest
 from scipy.signal import lfilter
 
 from ringtrue.core.signals import Channel, TimeHistory
-from ringtrue.identification.ambient import band_modes, confidence
+from ringtrue.identification.ambient import band_modes, pipeline
 from ringtrue.identification.ambient.pipeline import AmbientSettings, identify_ambient
-from ringtrue.shapes.mac import mac
+from ringtrue.shapes import mac
 
 RATE, SECONDS, CHANNELS = 40.0, 600, 20
 F = np.geomspace(3.2, 12.5, 14)
@@ -49,10 +49,14 @@ def found(
     return int(like.any(axis=0).sum()), int((~like.any(axis=1)).sum())
 
 
+def never(*_: object) -> bool:
+    return False
+
+
 def test_a_crowded_band_is_given_more_orders(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(confidence, "MANY", 1000)  # no second look with more lags and orders
+    monkeypatch.setattr(pipeline, "is_dense", never)  # no more lags
     assert found() == (F.size, 0)
-    monkeypatch.setattr(band_modes, "SHARES", band_modes.SHARES[:2])
+    monkeypatch.setattr(band_modes, "crowded", never)
     assert found()[0] < F.size
 
 
@@ -61,5 +65,5 @@ def test_modes_closer_than_the_lags_tell_are_given_more_lags(
 ) -> None:
     h, low = record(DENSE, 0.005, 1800), AmbientSettings(fmin=3.0)
     assert found(h, low, DENSE) == (DENSE.size, 0)
-    monkeypatch.setattr(confidence, "MANY", 1000)
+    monkeypatch.setattr(pipeline, "is_dense", never)
     assert found(h, low, DENSE)[0] < DENSE.size

@@ -6,16 +6,13 @@ peak between the second and the third mode (people, waves).
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
 from ringtrue.core.signals import Channel, TimeHistory
+from ringtrue.identification.ambient.confidence import carriers
 from ringtrue.identification.ambient.pipeline import AmbientResult, identify_ambient
-from ringtrue.identification.ambient.spurious_modes import carriers
-from ringtrue.signal.echoes import remove_echo
 
 RATE, SECONDS, STOREYS = 30.0, 1200, 8
 PEAK, WIDTH = 1.9, 0.08  # Hz, damping of the oscillator that has this spectrum
@@ -44,14 +41,6 @@ def record(crowd: float) -> TimeHistory:
     force += crowd * np.outer(
         rng.standard_normal(STOREYS), oscillator(rng.standard_normal(force.shape[1]), PEAK, WIDTH)
     )
-    return responses(force, rng)
-
-
-def echoed(factor: float, delay: float, seed: int) -> TimeHistory:
-    """Forces that come again, as of a rear axle on the track of the front one; forty minutes."""
-    rng = np.random.default_rng(seed)
-    force, late = rng.standard_normal((STOREYS, 2 * int(RATE * SECONDS))), round(delay * RATE)
-    force[:, late:] += factor * force[:, :-late].copy()
     return responses(force, rng)
 
 
@@ -90,64 +79,6 @@ def test_a_peak_of_the_force_is_no_mode(crowd: float) -> None:
     assert np.abs(r.modes.frequencies / chain()[0] - 1).max() < 0.005
     assert len(forced(r)) == (crowd > 0)
     assert not crowd or f"pole at {PEAK:.1f}"[:-1] in forced(r)[0]
-
-
-@pytest.mark.parametrize(
-    ("factor", "delay", "seed"), [(0.8, 3.7, 1), (-0.5, 3.7, 2), (0.4, 7.3, 3)]
-)
-def test_a_force_that_comes_again_moves_no_mode(factor: float, delay: float, seed: int) -> None:
-    """Its spectrum ripples: resonances on the flanks were up to 11 standard deviations off, and
-    1.48 Hz was lost.
-    """
-    r = identify_ambient(echoed(factor, delay, seed))
-    assert len(r.modes) == STOREYS, (r.modes.frequencies, r.notes)
-    assert (np.abs(r.modes.frequencies - chain()[0]) < 5 * r.uncertainty.frequency).all()
-    assert any(f"comes again {delay:.3g} s later" in n for n in r.notes)
-
-
-def test_an_echo_makes_modes_less_certain() -> None:
-    """τ = 0.8 s, half a decay of the highest modes: resonances beside the peak hide some of the
-    ripple.
-    """
-    z, f = [], chain()[0]
-    for seed in range(6):
-        r = identify_ambient(echoed(0.5, 0.8, seed))
-        at = np.abs(r.modes.frequencies[:, None] / f - 1).argmin(axis=0)
-        z.append((r.modes.frequencies[at] - f) / r.uncertainty.frequency[at])
-    assert 0.3 < np.sqrt(np.mean(np.square(z))) < 1.2  # 1.6 without what the echo adds
-
-
-def test_an_echo_is_found_in_channels_of_unequal_noise() -> None:
-    """Sensor noise of 1 % to 20 %, channel by channel: it flattens the ripple of one more than that
-    of another.
-    """
-    clean = echoed(0.5, 1.7, 1)
-    rng, size = np.random.default_rng(1), np.linspace(0.01, 0.2, STOREYS)[:, None]
-    data = clean.data + size * clean.data.std(axis=1, keepdims=True) * rng.standard_normal(
-        clean.data.shape
-    )
-    echo = remove_echo(replace(clean, data=data))[1]
-    assert echo is not None
-    assert abs(echo.delay - 1.7) < 0.5 / RATE
-    assert abs(echo.factor - 0.5) < 0.15  # noise hides a part of the ripple
-
-
-@pytest.mark.parametrize("zeta", [0.001, 0.01])
-def test_resonances_at_equal_distances_are_no_echo(zeta: float) -> None:
-    """A cable under one force: the travelling wave comes back after each period, but that is its
-    resonance.
-    """
-    rng, k = np.random.default_rng(0), np.arange(1, 10)
-    force = rng.standard_normal(int(RATE * SECONDS))
-    q = np.array([np.sin(0.11 * np.pi * n) * oscillator(force, 1.53 * n, zeta) for n in k])
-    y = np.sin(np.pi * np.outer([0.1, 0.11, 0.12, 0.13], k)) @ q
-    y += 0.02 * y.std() * rng.standard_normal(y.shape)
-    cable = TimeHistory(
-        y, RATE, tuple(Channel(f"{i + 1}+X", "acceleration") for i in range(4)), "made"
-    )
-    clean, echo = remove_echo(cable)
-    assert echo is None
-    assert clean is cable
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2, 4])

@@ -17,7 +17,7 @@ from scipy.signal import lfilter
 
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.identification.ambient.pipeline import AmbientResult, identify_ambient
-from ringtrue.signal.tonal_lines import MOST, find_tonal_lines, remove_tonal_lines
+from ringtrue.signal.tonal_lines import SEARCH, LineFit, find_tonal_lines, remove_tonal_lines
 from ringtrue.signal.transients import find_events
 
 F, Z = np.array([2.1, 4.7, 4.9, 9.3, 14.2]), np.array([1.0, 0.8, 1.0, 0.6, 1.2]) / 100
@@ -143,11 +143,11 @@ def test_many_lines_are_bounded_and_parts_of_them_leave_as_little_as_all(
     found = find_tonal_lines(history(quiet + fifty, rate))
     assert len(found) == 50
     left = remove_tonal_lines(history(quiet + fifty, rate), [h.frequency for h in found])
-    monkeypatch.setattr("ringtrue.signal.tonal_lines.TOGETHER", 50)
+    monkeypatch.setattr("ringtrue.signal.tonal_lines.FIT", LineFit(together=50))
     best = remove_tonal_lines(history(quiet + fifty, rate), [h.frequency for h in found])
     assert (
         best.data - quiet
     ).std() < 0.2 * fifty.std()  # 400 unknowns take some of the noise of 38,400 samples
     assert (left.data - best.data).std() < 1e-3 * fifty.std()
     comb = sum(np.sin(2 * np.pi * f * t + f**2) for f in np.arange(6.5, 30.0, 0.06))
-    assert len(find_tonal_lines(history(0.1 * quiet + comb, rate))) == MOST
+    assert len(find_tonal_lines(history(0.1 * quiet + comb, rate))) == SEARCH.most

@@ -10,7 +10,8 @@ import numpy as np
 
 from ringtrue.core.arrays import Complex, Float
 from ringtrue.identification.ambient.close_modes import Mixing, unmix
-from ringtrue.identification.ambient.maximum_likelihood import SpectralBins
+from ringtrue.identification.ambient.maximum_likelihood import EstimatedModes
+from ringtrue.identification.ambient.spectral_bins import SpectralBins
 
 FREQS, LINES = np.arange(0.7, 1.4, 4e-4), 8
 F, Z = np.array([1.0, 1.03, 1.045]), np.full(3, 0.01)
@@ -40,13 +41,13 @@ def left(mix: Mixing) -> Float:
 
 
 def test_a_pair_is_told_apart_beside_a_mode_under_forces_of_its_own() -> None:
-    mix = unmix(spectra(0.0), F[:2], Z[:2], MIXED, 4.0)
+    mix = unmix(spectra(0.0), EstimatedModes(F[:2], Z[:2], MIXED), 4.0)
     stated = np.sqrt(mix.variance[[1, 0], [0, 1]])
     assert (left(mix) < 3 * stated).all()
     assert stated.max() < 0.03
 
 
 def test_a_pair_that_shares_its_forces_with_a_third_mode_is_left_as_it_is() -> None:
-    mix = unmix(spectra(0.9), F[:2], Z[:2], MIXED, 4.0)
+    mix = unmix(spectra(0.9), EstimatedModes(F[:2], Z[:2], MIXED), 4.0)
     assert (mix.matrix == np.eye(2)).all()
     assert (mix.variance == 0).all()

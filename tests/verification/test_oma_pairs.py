@@ -1,6 +1,4 @@
-"""Pairs of equal frequency in ambient records: two modes of a plane of shapes, or a word that they
-are there.
-"""
+"""Pairs of equal frequency in ambient records: two modes of a plane of shapes."""
 
 from __future__ import annotations
 
@@ -41,10 +39,6 @@ def identified(
     return heard(y, RATE, rng)
 
 
-def said(result: AmbientResult) -> list[str]:
-    return [n for n in result.notes if "closer than this record can separate" in n]
-
-
 def test_an_equal_pair_is_two_modes_of_one_plane():
     """The plane of the shapes is known to a degree, the turn within it is not: the deviations hold
     that.
@@ -60,16 +54,10 @@ def test_an_equal_pair_is_two_modes_of_one_plane():
     assert "any turn" not in result.reasons[2]
 
 
-def test_a_short_record_says_that_there_is_a_pair():
-    result = identified((5.0, 5.0, 8.0), 150.0)
-    here = np.abs(result.modes.frequencies / 5.0 - 1) < 0.01
-    assert here.any() or len(said(result)) == 1
-
-
 def test_separate_modes_are_not_called_a_pair():
     result = identified((3.0, 5.0, 5.15, 8.0))
     assert len(result.modes) == 4
-    assert not said(result)
+    assert not any("any turn" in x for x in result.reasons)
 
 
 def test_the_bending_of_a_slender_tower_is_two_modes_and_no_machine():

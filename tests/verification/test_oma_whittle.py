@@ -11,17 +11,18 @@ import sys
 from functools import cache
 
 import numpy as np
-import pytest
 from scipy.signal import lfilter
 
-from ringtrue.errors import DataError
 from ringtrue.identification.ambient.maximum_likelihood import (
+    EstimatedModes,
     LikelihoodFit,
     refine_by_likelihood,
-    spectral_bins,
 )
+from ringtrue.identification.ambient.spectral_bins import SpectralBins, spectral_bins
+from ringtrue.signal.band_correlations import Signals
 
 F, Z = np.array([5.0, 5.15]), np.array([0.01, 0.015])
+SLOPE = (4.0, 1.5)  # of the spectra of accelerations, and its standard deviation
 RATE, SECONDS, RECORDS = 50.0, 400, 60
 PHI = np.linalg.qr(np.random.default_rng(2).standard_normal((6, 2)))[0]
 
@@ -40,16 +41,25 @@ def record(seed: int) -> np.ndarray:
     return y + 0.1 * y.std() * rng.standard_normal(y.shape)
 
 
+def binned(
+    y: np.ndarray, rate: float = RATE, limits: tuple[float, float] = (3.0, 9.0)
+) -> SpectralBins:
+    one = np.ones(len(y))
+    channels = np.arange(len(y))
+    return spectral_bins(Signals(y, 0 * one), channels, rate=rate, limits=limits, scale=one)
+
+
 @cache
 def fits() -> tuple[LikelihoodFit, ...]:
     """From starts two floors off."""
     out = []
     for seed in range(RECORDS):
         rng = np.random.default_rng(1000 + seed)
-        b = spectral_bins(record(seed), RATE, (3.0, 9.0))
+        b = binned(record(seed))
         f = F * (1 + 2 * floor()[0] * rng.standard_normal(2))
         z = Z * (1 + floor()[1] * rng.standard_normal(2))
-        out.append(refine_by_likelihood(b, f, z, PHI + 0.02 * rng.standard_normal(PHI.shape)))
+        psi = PHI + 0.02 * rng.standard_normal(PHI.shape)
+        out.append(refine_by_likelihood(b, EstimatedModes(f, z, psi), SLOPE, np.full(2, 0.2)))
     return tuple(out)
 
 
@@ -86,23 +96,10 @@ def test_stated_deviation_is_that_of_the_scatter():
     assert 0.90 <= inside <= 0.98
 
 
-def test_stretches_of_a_record_add():
-    parts = [spectral_bins(record(s), RATE, (3.0, 9.0)) for s in range(4)]
-    both = parts[0] + parts[1] + parts[2] + parts[3]
-    assert both.count.sum() == pytest.approx(4 * parts[0].count.sum())
-    assert both.cross == pytest.approx(
-        np.mean([p.cross for p in parts], axis=0), rel=1e-3, abs=1e-5
-    )
-    r = refine_by_likelihood(both, F, Z, PHI)
-    assert np.abs(r.frequency / F - 1).max() < 2 * floor()[0].max()
-    with pytest.raises(DataError, match="different length"):
-        parts[0] + spectral_bins(record(0)[:, :9000], RATE, (3.0, 9.0))
-
-
 def test_a_line_in_the_spectrum_stops_the_fit():
     y, t = record(0), np.arange(int(SECONDS * RATE)) / RATE
     y = y + 20 * y.std() * np.outer(np.ones(6), np.sin(2 * np.pi * 5.04 * t))
-    r = refine_by_likelihood(spectral_bins(y, RATE, (3.0, 9.0)), F, Z, PHI)
+    r = refine_by_likelihood(binned(y), EstimatedModes(F, Z, PHI), SLOPE, np.full(2, 0.2))
     assert not r.ok.all()
 
 
@@ -120,8 +117,9 @@ def test_modes_that_move_in_step_keep_their_damping():
         noise = rng.standard_normal((2, 16, line.size))
         white = noise[0] + 1j * noise[1]
         y = phi @ (motion * (white[0] + 0.3 * white[1:4])) + 0.02 * white[4:]
+        bins = binned(np.fft.irfft(y, n), rate, (0.4, 2.5))
         r = refine_by_likelihood(
-            spectral_bins(np.fft.irfft(y, n), rate, (0.4, 2.5)), f, z, phi.astype(complex)
+            bins, EstimatedModes(f, z, phi.astype(complex)), SLOPE, np.full(3, 0.2)
         )
         found.append(np.where(r.ok, r.damping / z, np.nan))
     ratio = np.array(found)
@@ -140,9 +138,7 @@ def test_a_fit_that_knows_less_than_its_start_is_not_believed(monkeypatch):
     doubt, accepted = np.array([0.06, 0.06]), 0
     for seed in range(6):
         psi = PHI + 0.01 * np.random.default_rng(seed).standard_normal(PHI.shape)
-        fit = refine_by_likelihood(
-            spectral_bins(record(seed), RATE, (3.0, 9.0)), F, Z, psi, doubt=doubt
-        )
+        fit = refine_by_likelihood(binned(record(seed)), EstimatedModes(F, Z, psi), SLOPE, doubt)
         stated = np.sqrt(fit.covariance[fit.ok, 1, 1])
         assert (stated < 0.2).all()
         accepted += stated.size
@@ -162,4 +158,5 @@ def test_modes_that_share_their_force_are_left_to_the_subspace():
     )
     shape = PHI + 0.3 * PHI[:, ::-1]  # what is left of the other mode passes the filter
     y = PHI @ q + 0.01 * q.std() * rng.standard_normal((6, force.size))
-    assert not refine_by_likelihood(spectral_bins(y, RATE, (3.0, 9.0)), F, Z, shape).ok.any()
+    fit = refine_by_likelihood(binned(y), EstimatedModes(F, Z, shape), SLOPE, np.full(2, 0.2))
+    assert not fit.ok.any()

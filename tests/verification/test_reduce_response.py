@@ -12,8 +12,9 @@ from eigen_plate import held, plate
 from scipy import linalg, sparse
 
 from ringtrue.eigen.damped import DynamicStiffness
+from ringtrue.eigen.pencil import Pencil
 from ringtrue.errors import InputError
-from ringtrue.reduction.response import response_basis
+from ringtrue.reduction.response import ResponseBasis, ResponseSearch, response_basis
 
 LOSS, TOLERANCE = 0.02, 1e-3
 NX, NY = 20, 12
@@ -31,6 +32,18 @@ def system() -> tuple[sparse.csr_array, sparse.csr_array, np.ndarray, np.ndarray
     return k, m, linalg.eigvalsh(k.toarray(), m.toarray()), loads
 
 
+def basis(
+    k: sparse.csr_array,
+    m: sparse.csr_array,
+    loads: np.ndarray,
+    lines: np.ndarray,
+    start: np.ndarray,
+    loss: float = LOSS,
+    **search: float,
+) -> ResponseBasis:
+    return response_basis(Pencil(k, m), loads, lines, start, ResponseSearch(loss, **search))  # type: ignore[arg-type]
+
+
 def response(
     k: sparse.csr_array, m: sparse.csr_array, v: np.ndarray, loads: np.ndarray, f: float
 ) -> np.ndarray:
@@ -42,7 +55,7 @@ def test_response_is_that_of_the_full_model(system: tuple[np.ndarray, ...]) -> N
     k, m, lam, loads = system
     hertz = np.sqrt(lam) / (2 * np.pi)
     lines = np.linspace(0.5 * hertz[0], hertz[20], 60)
-    found = response_basis(k, m, loads, lines, loads, loss=LOSS, tolerance=TOLERANCE, steps=6)
+    found = basis(k, m, loads, lines, loads, tolerance=TOLERANCE, steps=6)
     assert found.residual.shape == (60,)
     assert found.residual.max() <= TOLERANCE
     np.testing.assert_allclose(
@@ -61,9 +74,7 @@ def test_modes_that_the_loads_do_not_excite_cost_nothing(system: tuple[np.ndarra
     k, m, lam, loads = system
     hertz = np.sqrt(lam) / (2 * np.pi)
     lines = np.linspace(0.5 * hertz[0], hertz[20], 60)
-    both, one = (
-        response_basis(k, m, f, lines, f, loss=LOSS, steps=4) for f in (loads, loads[:, 1:])
-    )
+    both, one = (basis(k, m, f, lines, f, steps=4) for f in (loads, loads[:, 1:]))
     assert one.vectors.shape[1] < 0.7 * both.vectors.shape[1]
 
 
@@ -71,9 +82,7 @@ def test_modes_known_beforehand_are_used(system: tuple[np.ndarray, ...]) -> None
     k, m, lam, loads = system
     hertz = np.sqrt(lam) / (2 * np.pi)
     _, phi = linalg.eigh(k.toarray(), m.toarray(), subset_by_index=(0, 29))
-    known = response_basis(
-        k, m, loads, np.linspace(0.5 * hertz[0], hertz[10], 40), phi, loss=LOSS, tolerance=0.05
-    )
+    known = basis(k, m, loads, np.linspace(0.5 * hertz[0], hertz[10], 40), phi, tolerance=0.05)
     assert known.lines == ()
     assert 30 < known.vectors.shape[1] <= 32  # and the static answers
 
@@ -81,7 +90,7 @@ def test_modes_known_beforehand_are_used(system: tuple[np.ndarray, ...]) -> None
 def test_a_limit_on_the_vectors_is_told_by_the_residual(system: tuple[np.ndarray, ...]) -> None:
     k, m, lam, loads = system
     lines = np.linspace(1.0, np.sqrt(lam[60]) / (2 * np.pi), 60)
-    found = response_basis(k, m, loads, lines, loads, loss=LOSS, steps=4, most=10)
+    found = basis(k, m, loads, lines, loads, steps=4, most=10)
     assert len(found.lines) == 1
     assert found.residual.max() > 0.02
 
@@ -95,4 +104,4 @@ def test_input_is_checked(system: tuple[np.ndarray, ...]) -> None:
         ([1.0], loads, 0.0),
     ):
         with pytest.raises(InputError, match="response basis"):
-            response_basis(k, m, f, np.array(freqs), loads, loss=loss)
+            basis(k, m, f, np.array(freqs), loads, loss=loss)

@@ -18,8 +18,8 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "unit"))
 import small_study
 
-from ringtrue.checks.mass import whole_mass
-from ringtrue.core.progress import quiet
+from ringtrue.checks.materials import whole_mass
+from ringtrue.core.iterate import quiet
 from ringtrue.correlation.sensor_mapping import at_dofs
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError
@@ -30,7 +30,7 @@ from ringtrue.study.run import StudyRun, run_study
 from ringtrue.study.stages.localise import DataScreening
 from ringtrue.updating.selection.candidates import CandidateSettings, parameters
 from ringtrue.updating.selection.generation import generate
-from ringtrue.virtual.logbook import write_sheet
+from ringtrue.virtual.measurements import write_sheet
 
 WRONG, SOFT = 0.75, 0.5  # columns of the first storey, the hanger
 END, LOAD = 999, 1000.0  # its lower end, N
@@ -133,8 +133,8 @@ def test_what_candidates_do_to_the_data_is_what_the_reduced_model_says(
     }
     session = run_study(written(tmp_path, more[kind]), until="correlate").session
     every = generate(session.remodelled.model, CandidateSettings(("material",), "SI"))
-    beside, aim = DataScreening.of(session, every), target(session)
-    model = beside.loaded(session.apart(parameters(every), quiet))
+    beside, aim = DataScreening.of(session.own, every), target(session.own)
+    model = beside.loaded(session.own.reduced(parameters(every), quiet))
     problem, x = (
         beside.problem(model, aim),
         0.1 * np.random.default_rng(1).standard_normal(len(every)),

@@ -21,7 +21,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "unit"))
 import small_study
 
-from ringtrue.checks.mass import whole_mass
+from ringtrue.checks.materials import whole_mass
 from ringtrue.correlation.sensor_mapping import Alignment
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, DataError
@@ -34,7 +34,7 @@ from ringtrue.study.run import StudyRun, run_study
 from ringtrue.study.stages import localise, update
 from ringtrue.study.store import Store
 from ringtrue.study.summary import summarise
-from ringtrue.virtual.logbook import write_sheet
+from ringtrue.virtual.measurements import write_sheet
 
 TRUTH = {"stiffness": 0.75, "density": 0.9}
 PLAIN = small_study.MODEL + small_study.TEST + small_study.SETTINGS + small_study.WHOLE
@@ -128,7 +128,7 @@ def test_all_together_with_zeros_reach_the_report_and_the_uncertainty(
         Opened(read_deck(tmp_path / "held.bdf"), 1.0).modes(12.0).modes.frequencies[[1, 2, 4]]
     )  # 0 and 3 sway along y
     more = STATIC + weighing(made) + FRF + zeros.format(", ".join(f"{x:.6f}" for x in f))
-    settings = 'residuals = ["frequencies", "mac", "orthogonality"]\n'
+    settings = 'residuals = ["frequencies", "mac"]\n'
     run = run_study(study(made, tmp_path, more, settings))
     deliver(run)
     for name, value in factors(run).items():
@@ -167,10 +167,9 @@ def test_what_was_measured_on_another_configuration_counts(made: Path, tmp_path:
 @pytest.mark.parametrize(
     "settings",
     [
-        'step = "levenberg-marquardt"\nloss = "huber"\n',
+        'loss = "huber"\n',
         'prior = "evidence"\ndiscrepancy = "evidence"\n',
         "starts = 3\n",
-        'search = "global"\n',
         'stages = [["stiffness"], ["stiffness", "density"]]\n',
         'residuals = ["frequencies", "mac"]\nfrequency_error = 0.005\n',
     ],
@@ -289,7 +288,7 @@ def test_a_sheet_in_a_frame_of_its_own_is_laid_onto_the_deck(
     assert set(found) == {
         "points"
     }  # for the deck before and after, and for the places that are shown
-    assert "turned by 28.6°" in run.results["correlate"].placed
+    assert "turned by 28.6°" in run.results["correlate"].sensors.alignment
     for name, value in factors(run).items():
         assert value == pytest.approx(TRUTH[name], rel=0.02)
     path.write_text(path.read_text().replace('"points"', '"nearest"'))
@@ -396,7 +395,7 @@ def test_steps_of_a_remodelling_are_told_one_by_one(made: Path, tmp_path: Path) 
     assert len({round(s["mean_deviation"], 6) for s in told}) == 3
     found = run.results["correlate"]
     assert told[2]["mean_deviation"] == found.remodelled.mean_deviation()
-    assert found.remodelling == "1. tank; 2. crane"
+    assert found.remodelling.reason == "1. tank; 2. crane"
     assert len(read_deck(path.parent / "remodelled/step 1/frame.bdf")["CONM2"]) == 1
     assert len(read_deck(path.parent / "remodelled/frame.bdf")["CONM2"]) == 2
     assert "after each step of the remodelling" in (run.folder / "report.html").read_text(
@@ -411,7 +410,8 @@ def test_the_proposal_takes_what_was_measured_beside_the_modes(
     """The modes tell the ratio of the two factors alone: one of them is proposed, and stands for
     both.
     """
-    monkeypatch.setattr(localise, "SMALL", 1)  # so that the search has a basis of its own here, too
+    # so that the search has a basis of its own here, too
+    monkeypatch.setattr(localise, "SIZES", replace(localise.SIZES, vectors=1))
     more = {"": "", "static": STATIC, "mass": weighing(made), "frf": FRF}[kind]
     run = run_study(study(made, tmp_path, more, "propose = true\n"), until="sensitivity")
     found = run.results["localise"]
@@ -425,7 +425,7 @@ def test_the_proposal_takes_what_was_measured_beside_the_modes(
     assert set(named) == set(TRUTH)
     for name, m in named.items():
         assert m.factor == pytest.approx(TRUTH[name], rel=0.03)
-        assert not m.alike
+        assert not m.collinear
     assert told["proposed_by"] == {"static": "pull", "mass": "mass", "frf": "hammer"}[kind]
     assert set(run.results["sensitivity"].sets["proposal"]) == set(TRUTH)
     # all candidates free: known beside each other as well as alone only with the data that part

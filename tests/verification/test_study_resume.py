@@ -24,10 +24,7 @@ from ringtrue.study.store import Store, digest
 # for the test
 OPEN = small_study.FULL.replace(f"fmax = {small_study.FMAX}\n", "", 1)
 QUICK = '[localise]\nkinds = ["material"]\n'
-PLANNED = (
-    OPEN.replace("[model]", '[plan]\nfmax = 14.0\nsensors = 6\nmethod = "information"\n[model]')
-    + QUICK
-)
+PLANNED = OPEN.replace("[model]", "[plan]\nfmax = 14.0\nsensors = 6\n[model]") + QUICK
 RIGID = (
     small_study.MODEL
     + small_study.TEST

@@ -1,4 +1,4 @@
-"""Candidates of a deck, collinearity, Cramér-Rao bounds, the LASSO path and error indicators,
+"""Candidates of a deck, collinearity, Cramér-Rao bounds and error indicators,
 against closed forms.
 """
 
@@ -10,25 +10,25 @@ import localise_twin as twin
 import numpy as np
 import pytest
 from scipy import sparse
-from scipy.optimize import lsq_linear
 
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.decks.nastran.editor import unwritable
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import InputError, NumericalError
-from ringtrue.fem.mesh import mesh
+from ringtrue.fem.element_cards import mesh
 from ringtrue.fem.parametrisation.polynomials import AffineTerm, power
 from ringtrue.model.edit import apply_factors
 from ringtrue.model.ports import ModesRequest
 from ringtrue.reduction.basis import AffineSystem
+from ringtrue.reduction.expansion import ShapeReadings, expand_hybrid
 from ringtrue.reduction.parametric import reduced_model
+from ringtrue.reduction.static import StaticShapes
 from ringtrue.solvers.embedded import EmbeddedSolver
-from ringtrue.updating.identifiability import blind_cosines, clusters, cosines, identifiability
+from ringtrue.updating.identifiability import clusters, cosines, identifiability
 from ringtrue.updating.selection.candidates import CandidateSettings, elements_of, membership
-from ringtrue.updating.selection.effects import effective
 from ringtrue.updating.selection.generation import generate
-from ringtrue.updating.selection.localisation import element_errors, strain_energies
-from ringtrue.updating.selection.selection_rules import lasso_path
+from ringtrue.updating.selection.localisation import expanded_errors, strain_energies
+from ringtrue.updating.selection.screening import effective
 
 
 def test_candidates_know_their_elements_and_units() -> None:
@@ -143,8 +143,8 @@ def test_clusters_are_the_collinear_columns() -> None:
     g = np.stack([a[:, 0], a[:, 1], -2 * a[:, 0], a[:, 2], a[:, 1] + 1e-3 * a[:, 0]], axis=1)
     assert clusters(g).tolist() == [0, 1, 0, 2, 1]
     assert cosines(g)[0, 2] == pytest.approx(1.0)
-    with pytest.raises(InputError, match="alike"):
-        clusters(g, alike=0.0)
+    with pytest.raises(InputError, match="limit"):
+        clusters(g, limit=0.0)
 
 
 def test_bounds_of_orthogonal_columns_and_of_twins() -> None:
@@ -156,44 +156,6 @@ def test_bounds_of_orthogonal_columns_and_of_twins() -> None:
     np.testing.assert_allclose(found.together[1:], np.sqrt(17 / 33))
     assert found.bound[0] == pytest.approx(1 / 3)
     assert np.isinf(found.bound[1:]).all()
-
-
-def test_blind_directions_show_a_combination_that_no_cosine_shows() -> None:
-    """Column 2 is the sum of two orthogonal ones: its cosine with each is 0.71, yet one direction
-    is left open.
-    """
-    g = 10 * np.array([[1.0, 0, 1, 0], [0, 1.0, 1, 0], [0, 0, 0, 1.0]])
-    assert cosines(g)[:2, 2].max() < 0.72
-    share, cosine = blind_cosines(g)
-    np.testing.assert_allclose(share, [1 / np.sqrt(3)] * 3 + [0], atol=1e-12)
-    np.testing.assert_allclose(cosine[:3, :3], 1.0, atol=1e-12)
-
-
-@pytest.mark.parametrize("low", [-0.4, 0.0])
-def test_lasso_path_meets_its_conditions_and_ends_at_least_squares(low: float) -> None:
-    rng = np.random.default_rng(3)
-    g = rng.standard_normal((60, 12))
-    x = np.zeros(12)
-    x[[2, 7, 9]] = 0.3, -0.9, 0.35
-    r = g @ x
-    lower, upper = np.full(12, low), np.full(12, 0.5)
-    path = lasso_path(g, r, lower, upper, end=1e-6)
-    assert path.slack.max() < 1e-6
-    assert not path.x[0].any()
-    assert (path.x >= lower).all()
-    assert (path.x <= upper).all()
-    exact = lsq_linear(g, r, (lower - 1e-12, upper)).x
-    np.testing.assert_allclose(path.x[-1], exact, atol=2e-4)
-    if low < 0:  # the box lets the truth in
-        assert set(path.order()[:3].tolist()) == {2, 7, 9}
-
-
-def test_lasso_on_orthonormal_columns_is_soft_thresholding() -> None:
-    q = np.linalg.qr(np.random.default_rng(0).standard_normal((20, 4)))[0]
-    load = np.array([1.0, -0.5, 0.2, 0.0])
-    path = lasso_path(q, q @ load, np.full(4, -9.0), np.full(4, 9.0), count=12)
-    soft = np.sign(load) * np.maximum(np.abs(load) - path.penalties[:, None], 0)
-    np.testing.assert_allclose(path.x, soft, atol=1e-8)
 
 
 def test_element_energies_sum_to_the_strain_energy() -> None:
@@ -215,17 +177,12 @@ def test_errors_gather_where_the_model_is_wrong(region: int) -> None:
     at = np.flatnonzero(np.isin(system.free.direction, (1, 2, 3)))
     observe = np.eye(len(system.free))[at]
     mine = start.analysis.eigen(ModesRequest(20)).vectors
-    pairs = np.stack([np.arange(8)] * 2, axis=1)
-    found = element_errors(
-        start.model,
-        system,
-        sparse.csr_array(observe),
-        aim.frequencies[:8],
-        aim.vectors[at, :8],
-        mine,
-        pairs,
-        noise=1e-3,
-    )
+    f, readings, sensors = aim.frequencies[:8], aim.vectors[at, :8], sparse.csr_array(observe)
+    matrices = system.stiffness, system.mass
+    u = expand_hybrid(*matrices, ShapeReadings(sensors, readings, f, 1e-3), mine).shapes
+    static = StaticShapes(system.stiffness, sensors)
+    found = expanded_errors(start.model, system, f, u, mine[:, :8], static.solve)
+    static.close()
     columns = [
         c
         for c in start.candidates

@@ -11,7 +11,7 @@ import localise_twin as twin
 import numpy as np
 import pytest
 
-from ringtrue.checks.mass import whole_mass
+from ringtrue.checks.materials import whole_mass
 from ringtrue.cli.main import run
 from ringtrue.decks.nastran.editor import edit_fields
 from ringtrue.decks.nastran.reader import read_deck
@@ -53,7 +53,7 @@ def test_a_mass_that_the_deck_lacks_is_named_with_its_place(
 ) -> None:
     assert run(_measured(tmp_path, _with_mass(twin.deck()), np.random.default_rng(5))) == 0
     found = {m["name"]: m for m in json.loads((tmp_path / "found.json").read_text())["proposed"]}
-    name = f"mass lacking at {NODE}"
+    name = f"mass missing at {NODE}"
     assert name in found
     assert found[name]["added"] == pytest.approx(MASS, rel=0.05)
     assert sum(m.get("added", 0.0) for m in found.values()) == pytest.approx(MASS, rel=0.1)
@@ -84,7 +84,7 @@ def test_places_change_nothing_and_are_of_no_other_element() -> None:
     assert abs(before.stiffness - after.stiffness).max() == 0.0
     taken = {i for t in model.tables.values() if t.card.startswith("C") for i in t.ids.tolist()}
     assert not taken & {e for c in candidates for e in c.elements}
-    assert [c.name for c in candidates] == [f"mass lacking at {n}" for n in nodes.tolist()]
+    assert [c.name for c in candidates] == [f"mass missing at {n}" for n in nodes.tolist()]
     assert all(
         c.parameter.lower < 1 < c.parameter.upper and c.parameter.lump == TOTAL for c in candidates
     )

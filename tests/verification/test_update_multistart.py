@@ -8,8 +8,6 @@ apart.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 from scipy import sparse
@@ -22,10 +20,9 @@ from ringtrue.reduction.basis import AffineSystem
 from ringtrue.reduction.matrix_model import DenseModel
 from ringtrue.reduction.parametric import BasisOptions, reduced_model
 from ringtrue.study.config_update import UpdateSection
-from ringtrue.study.objective import course_of, starting_point
-from ringtrue.updating.multistart import global_search, latin_hypercube, multi_start
-from ringtrue.updating.problem import Configuration, Problem, link_equal
-from ringtrue.updating.solver import solve
+from ringtrue.study.objective import Minimisation
+from ringtrue.updating.problem import Configuration, Problem
+from ringtrue.updating.solver import latin_hypercube, multi_start, solve
 from ringtrue.updating.strategy import solve_verified
 from ringtrue.updating.target import Target, Weights
 
@@ -75,34 +72,9 @@ def test_starts_find_both_mirror_images_and_shapes_leave_one() -> None:
     assert one.share > 0.5
 
 
-def test_global_search_ends_at_the_truth() -> None:
-    done = global_search(problem(1.0), np.random.default_rng(1), generations=15)
-    np.testing.assert_allclose(done.x, TRUTH, atol=1e-4)
-    tied = Problem(
-        problem(1.0).configurations,
-        rows=np.array([[1.0, 0, 1], [-1, 0, -1]]),
-        limits=np.array([0.1, -0.1]),
-    )
-    kept = global_search(
-        tied, np.random.default_rng(1), generations=15
-    )  # left + right = 0.1, as of the truth
-    np.testing.assert_allclose(kept.x, TRUTH, atol=1e-4)
-    linked = Problem(
-        problem(1.0).configurations,
-        link=link_equal(between_walls().parameters, [("left", "right")]),
-    )
-    with pytest.raises(ConfigError, match="leave the links out"):
-        global_search(linked, np.random.default_rng(1))
-
-
-@pytest.mark.parametrize(
-    "settings", [{"starts": 4}, {"search": "global"}], ids=["starts", "global"]
-)
-def test_an_updating_goes_on_from_the_end_of_a_search_and_does_not_solve_it_again(
-    settings: dict[str, Any],
-) -> None:
-    u = UpdateSection(**settings)
-    done = starting_point(problem(1.0), u, course_of(u), 1, lambda _, __: None)
+def test_an_updating_goes_on_from_the_best_end_and_does_not_solve_it_again() -> None:
+    u = UpdateSection(starts=4)
+    done = Minimisation(u, 1).starting_point(problem(1.0), lambda _, __: None)
     np.testing.assert_allclose(done.x, TRUTH, atol=1e-4)
     assert done.evaluations > 1  # the way there, not a look at its end
 
@@ -152,8 +124,8 @@ def test_verified_updating_ends_on_the_full_model() -> None:
     target = Target(at.frequencies[:6], at.shapes[:, :6], np.zeros(6), np.ones(6, dtype=bool))
     start = Problem((Configuration(model, target),))
     assert np.abs(solve(start).x - truth).max() > 1e-2
-    done = solve_verified(start, tolerance=1e-8, rounds=5)
-    assert done.full_solutions <= 5
+    done = solve_verified(start, tolerance=1e-8)
+    assert done.full_solutions <= 4
     assert done.error < 1e-8
     np.testing.assert_allclose(done.solution.x, truth, atol=1e-3)
     with pytest.raises(InputError, match="needs one configuration"):

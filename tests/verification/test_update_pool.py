@@ -11,18 +11,22 @@ from fem_cases import cards, grid, model, ragged, spc
 from scipy import sparse
 
 from ringtrue.core.parameters import CardField, Parameter
-from ringtrue.core.progress import quiet
 from ringtrue.fem.assembly import assemble
-from ringtrue.fem.parametrisation.affine import affine_terms, matrices_kept
+from ringtrue.fem.parametrisation.derivatives import affine_terms, matrices_kept
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
-from ringtrue.reduction.parametric import ReducedModel
-from ringtrue.updating.identifiability import ALIKE
+from ringtrue.reduction.basis import observed_system
+from ringtrue.reduction.parametric import KnownModes, ReducedModel, reduced_model
 from ringtrue.updating.selection import screening
 from ringtrue.updating.selection.candidates import Candidate, CandidateSettings, parameters
-from ringtrue.updating.selection.effects import misfits, reduced_candidates
 from ringtrue.updating.selection.generation import generate
-from ringtrue.updating.selection.screening import close, screened, tractable
+from ringtrue.updating.selection.screening import (
+    ScreenedDeck,
+    close,
+    screened,
+    tractable,
+)
+from ringtrue.updating.selection.subset_search import SearchSettings
 
 
 def laminate(across: float) -> Model:
@@ -101,11 +105,10 @@ def test_no_more_constants_on_one_laminate_than_can_be_interpolated_together(
     assert len(tractable(m, every, len(every))) == len(every)
     assert affine_terms(m, parameters(every), assemble(m))
     with monkeypatch.context() as large:
-        large.setattr(
-            screening, "FEW", 0
-        )  # in a large deck the product stands for what is not counted
+        # in a large deck the product stands for what is not counted
+        large.setattr(screening, "SIZES", screening.ScreeningSizes(elements=0))
         assert len(tractable(m, every, len(every))) < len(every)
-    monkeypatch.setattr(screening, "TOGETHER", 8)
+    monkeypatch.setattr(screening, "SIZES", screening.ScreeningSizes(matrices=8))
     assert 2 < len(tractable(m, every, len(every))) < len(every)
 
 
@@ -118,31 +121,18 @@ def test_nearer_to_the_structure_more_of_what_is_wrong_is_seen() -> None:
     aim = twin.measured(wrong, rng, shape=0.02)
     model, system, found = s.model, s.analysis.system, s.analysis.eigen(ModesRequest(twin.COUNT))
     observe = sparse.csr_array(s.observation.matrix @ system.transform)
-    modes = (found.values, found.vectors)
 
     def look(some: tuple[Candidate, ...]) -> tuple[ReducedModel, ReducedModel]:
-        whole = reduced_candidates(
-            model, system, some, s.observation, twin.COUNT, pencil=s.analysis.pencil, modes=found
-        )
+        affine = observed_system(model, system, parameters(some), s.observation)
+        whole = reduced_model(affine, twin.COUNT, known=KnownModes(s.analysis.pencil, found))
         return whole, whole
 
     def seen(some: tuple[Candidate, ...]) -> int:
         return sum(any(set(c.elements) == twin.region_elements(r) for c in some) for r in wrong)
 
-    left = misfits(model, system, s.candidates, *modes, observe @ found.vectors, aim)
+    deck = ScreenedDeck(model, system, s.candidates, observe, found.values, found.vectors)
+    left = deck.misfits((found.values, found.vectors), aim)
     first = tuple(s.candidates[i] for i in close(model, s.candidates, left, 8).tolist())
-    kept = screened(
-        model,
-        system,
-        s.candidates,
-        aim,
-        observe,
-        modes,
-        look,
-        pool=8,
-        most=5,
-        alike=ALIKE,
-        progress=quiet,
-    )
+    kept = screened(deck, aim, look, 8, settings=SearchSettings(5))
     assert len(first) == len(kept) == 8
     assert seen(kept) > seen(first)

@@ -22,18 +22,20 @@ from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import InputError
 from ringtrue.io.modes import write_modes
 from ringtrue.model.ports import ModesRequest
+from ringtrue.reduction.basis import observed_system
 from ringtrue.reduction.matrix_model import DenseModel
+from ringtrue.reduction.parametric import reduced_model
 from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.study.config import parse_config
 from ringtrue.study.config_sections import parse_target, target_words
-from ringtrue.updating.gauss_newton import residual
+from ringtrue.updating.problem import residual_at, single
 from ringtrue.updating.selection.candidates import CandidateSettings
-from ringtrue.updating.selection.effects import reduced_candidates
+from ringtrue.updating.selection.candidates import parameters as of_candidates
 from ringtrue.updating.selection.generation import generate
 from ringtrue.updating.selection.localisation import variation
 from ringtrue.updating.selection.proposal import Proposal, propose
 from ringtrue.updating.selection.screening import conflicts
-from ringtrue.updating.selection.subset_search import DECIMALS
+from ringtrue.updating.selection.subset_search import SearchSettings
 from ringtrue.updating.target import Target, Weights
 
 
@@ -41,7 +43,7 @@ def test_chain_names_the_springs_that_changed_and_no_other() -> None:
     model = chain(15, 15, std=1.0)
     x = np.zeros(15)
     x[[3, 8, 12]] = 0.5, -0.4, 0.45
-    found = propose(model, aim_at(model, x, 10), most=6)
+    found = propose(single(model, aim_at(model, x, 10)), SearchSettings(6))
     assert {m.name for m in found.members} == {"p3", "p8", "p12"}
     np.testing.assert_allclose(found.x, x, atol=0.02)
     assert [m.worth for m in found.members] == sorted(
@@ -64,11 +66,11 @@ def test_twins_are_named_with_the_one_that_is_chosen() -> None:
     )
     x = np.zeros(11)
     x[[0, 1, 6]] = 0.4, 0.4, -0.4
-    found = propose(twins, aim_at(twins, x, 8), most=4)
+    found = propose(single(twins, aim_at(twins, x, 8)), SearchSettings(4))
     assert len({"p0", "p1"} & {m.name for m in found.members}) == 1
     one = next(m for m in found.members if m.name in ("p0", "p1"))
     assert set(one.named) >= {"p0", "p1"}
-    assert "the data cannot tell it from" in one.because
+    assert "the data cannot separate it from" in one.because
     assert "p6" in {m.name for m in found.members}
 
 
@@ -88,9 +90,11 @@ def test_rounding_does_not_choose_and_a_mirror_image_is_named() -> None:
         x[[4, 5]] = np.log(0.7)
         aim = aim_at(model, x, 10)
         noisy = aim.frequencies * (1 + 1e-3 * np.random.default_rng(1).standard_normal(10))
-        lent = model.modes(np.zeros(n + 1)).shapes[:, :10]
-        aim = replace(aim, frequencies=noisy, shapes=lent, weights=Weights(shape=0.0), lent=True)
-        found.append(propose(model, aim, most=4))
+        shapes = model.modes(np.zeros(n + 1)).shapes[:, :10]
+        aim = replace(
+            aim, frequencies=noisy, shapes=shapes, weights=Weights(shape=0.0), frequency_only=True
+        )
+        found.append(propose(single(model, aim), SearchSettings(4)))
     told = [{m.name: m.named for m in p.members} for p in found]
     assert all(t == told[0] for t in told)
     for i in (4, 5):
@@ -114,7 +118,7 @@ def test_two_errors_that_cancel_are_found_in_the_shapes() -> None:
         frequencies=aim.frequencies * (1 + 0.002 * rng.standard_normal(10)),
         shapes=aim.shapes + noise,
     )
-    found = propose(model, aim, most=5)
+    found = propose(single(model, aim), SearchSettings(5))
     assert {m.name for m in found.members[:2]} == {"p7", f"p{n - 7}"}
     np.testing.assert_allclose(found.x, x, atol=0.04)
 
@@ -127,7 +131,7 @@ def test_a_right_model_is_changed_no_more_than_its_noise() -> None:
     aim = replace(
         aim, frequencies=aim.frequencies * (1 + 0.003 * rng.standard_normal(10)), shapes=shapes
     )
-    found = propose(model, aim, most=5)
+    found = propose(single(model, aim), SearchSettings(5))
     assert max((abs(m.factor - 1) for m in found.members), default=0.0) < 0.05
 
 
@@ -144,8 +148,8 @@ def test_a_mode_that_left_the_gates_still_names_its_spring(wrong: int, factor: f
     x = np.where(np.arange(n) == wrong, np.log(factor), 0.0)
     at = model.modes(x)
     aim = Target(at.frequencies, at.shapes, np.full(n, 1e-3), np.ones(n, dtype=bool))
-    assert residual(aim, model.linearise(np.zeros(n))).used.sum() < n
-    found = propose(model, aim, most=3)
+    assert residual_at(single(model, aim), np.zeros(n)).used.sum() < n
+    found = propose(single(model, aim), SearchSettings(3))
     assert [m.name for m in found.members] == [f"p{wrong}"]
     assert found.members[0].factor == pytest.approx(factor, rel=0.01)
 
@@ -156,11 +160,9 @@ def test_candidates_that_were_left_out_before_are_paid_for() -> None:
     """
     model = chain(15, 15, std=1.0)
     aim = aim_at(model, np.where(np.arange(15) == 3, 0.5, 0.0), 10)
-    few, many = (propose(model, aim, most=2, passed_over=n) for n in (0, 85))
+    few, many = (propose(single(model, aim), SearchSettings(2, passed_over=n)) for n in (0, 85))
     one = few.criteria[few.sizes == 1], many.criteria[many.sizes == 1]
-    rounded = (
-        10.0**-DECIMALS
-    )  # each of the two by half of that; before they are rounded they differ by 1e-13
+    rounded = 1e-6  # each of the two by half of that; before they are rounded they differ by 1e-13
     np.testing.assert_allclose(one[1] - one[0], 2 * np.log(100 / 15), rtol=0, atol=rounded)
     assert [m.name for m in many.members] == ["p3"]
 
@@ -169,9 +171,9 @@ def test_at_most_as_many_as_asked_for() -> None:
     model = chain(15, 15, std=1.0)
     x = np.zeros(15)
     x[[3, 8, 12]] = 0.5, -0.4, 0.45
-    assert len(propose(model, aim_at(model, x, 10), most=2).members) <= 2
+    assert len(propose(single(model, aim_at(model, x, 10)), SearchSettings(2)).members) <= 2
     with pytest.raises(InputError, match="at most 0"):
-        propose(model, aim_at(model, x, 10), most=0)
+        propose(single(model, aim_at(model, x, 10)), SearchSettings(0))
 
 
 def test_variation_of_one_candidate_is_that_of_its_own_minimum() -> None:
@@ -179,9 +181,8 @@ def test_variation_of_one_candidate_is_that_of_its_own_minimum() -> None:
     x = np.zeros(12)
     x[4] = 0.05
     aim = aim_at(model, x, 8)
-    r = residual(aim, model.linearise(np.zeros(12)))
-    low, high = model.parameters.bounds()
-    found = variation(aim, r, model.parameters.std(), low, high)
+    r = residual_at(single(model, aim), np.zeros(12))
+    found = variation(aim, r, model.parameters)
     assert int(np.argmax(found.gain)) == 4
     assert found.frequency[4] > 0.95
     assert found.mac[4] > 0.9
@@ -192,7 +193,10 @@ def test_frame_names_the_wrong_regions() -> None:
     candidates.
     """
     wrong = {21: 0.6, 30: 1.6}
-    found = propose(twin.start().reduced, twin.measured(wrong, np.random.default_rng(0)), most=5)
+    found = propose(
+        single(twin.start().reduced, twin.measured(wrong, np.random.default_rng(0))),
+        SearchSettings(5),
+    )
     elements = {c.name: set(c.elements) for c in twin.start().candidates}
     named = [elements[n] for m in found.members for n in m.named]
     assert all(twin.region_elements(r) in named for r in wrong)
@@ -282,8 +286,9 @@ def plate_proposal(folder: Path, true: str) -> Proposal:
     model = read_deck(folder / "fe.bdf")
     analysis = EmbeddedSolver().open(model)
     every = generate(model, CandidateSettings(("material", "property", "spring"), units="mm-t-s"))
-    reduced = reduced_candidates(model, analysis.system, every, at_dofs(seen, analysis.dofs), 25)
-    return propose(reduced, aim, apart=conflicts(model, every))
+    look = at_dofs(seen, analysis.dofs)
+    reduced = reduced_model(observed_system(model, analysis.system, of_candidates(every), look), 25)
+    return propose(single(reduced, aim), conflicts=conflicts(model, every))
 
 
 def test_what_does_for_a_parameter_is_named_with_it(tmp_path: Path) -> None:

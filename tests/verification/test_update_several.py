@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -18,20 +19,20 @@ from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.errors import ConfigError, DataError, InputError, NumericalError
 from ringtrue.model.ports import Linearisation
 from ringtrue.reduction.matrix_model import DenseModel
-from ringtrue.updating.gauss_newton import comparable_criteria, objective, residual, update
 from ringtrue.updating.problem import (
     Configuration,
     Huber,
     Problem,
     Squares,
-    Tukey,
+    comparable_criteria,
     held_to,
     joined,
     least_distance,
-    link_equal,
+    residual_at,
+    single,
 )
 from ringtrue.updating.residuals.modal import Eigenvalues, Frequencies, Mac, Shapes
-from ringtrue.updating.solver import KINDS, Method, solve, staged
+from ringtrue.updating.solver import Kind, Method, solve, staged
 from ringtrue.updating.target import LOST, Target, Weights
 
 TRUTH = np.array([0.4, -0.3, 0.2, -0.25])
@@ -82,7 +83,7 @@ def slope_of_j(problem: Problem, y: np.ndarray, h: float = 1e-5) -> np.ndarray:
     )
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", get_args(Kind))
 def test_every_method_recovers_the_truth(kind: str) -> None:
     model = row()
     done = solve(one(model, aim_at(model, TRUTH, 8)), Method(kind))  # type: ignore[arg-type]
@@ -91,33 +92,27 @@ def test_every_method_recovers_the_truth(kind: str) -> None:
     assert len(done.history) <= 15
 
 
-def test_methods_end_at_the_same_stationary_point_and_the_published_equation_does_not() -> None:
+def test_methods_end_at_the_same_stationary_point() -> None:
     model = row(std=0.1)  # a prior that matters
     problem = one(model, noisy(model))
     start = np.linalg.norm(slope_of_j(problem, np.zeros(4)))
-    ends = {k: solve(problem, Method(k)) for k in KINDS}  # type: ignore[arg-type]
-    for kind, done in ends.items():
+    ends = {k: solve(problem, Method(k)) for k in get_args(Kind)}  # type: ignore[arg-type]
+    for done in ends.values():
         slope = np.linalg.norm(slope_of_j(problem, done.y))
-        if kind == "published":
-            assert slope > 1e-2 * start
-            continue
         assert done.outcome is Outcome.CONVERGED, done.why
         assert slope < 1e-5 * start
         np.testing.assert_allclose(done.x, ends["trust-region"].x, atol=1e-5)
-    old = update(model, problem.configurations[0].target)
-    np.testing.assert_allclose(old.x, ends["trust-region"].x, atol=1e-4)
-    np.testing.assert_allclose(old.covariance, ends["trust-region"].covariance, rtol=0.5)
 
 
 def test_gradient_of_the_objective_is_its_derivative_with_every_part_in_it() -> None:
     model = row(std=0.5)
     target = noisy(model, frequency=0.05)
     terms = (Frequencies(0.02), Shapes(), Mac(0.1), Eigenvalues(0.03))
-    for loss in (Squares(), Huber(0.5), Tukey(3.0)):
+    for loss in (Squares(), Huber(0.5)):
         problem = Problem(
             (Configuration(model, target, terms),),
             loss=loss,
-            link=link_equal(model.parameters, [("p0", "p3")]),
+            link=np.eye(4)[:, :3] + np.eye(4, 3, k=-3),
         )
         y = np.array([0.1, -0.1, 0.05])
         at = problem.evaluate(y)
@@ -217,7 +212,7 @@ def test_no_unknown_moves_more_than_the_limit_in_a_step() -> None:
     model = row()
     done = solve(
         one(model, aim_at(model, np.array([0.9, -0.8, 0.7, -0.8]), 8)),
-        Method("gauss-newton", move=0.2),
+        Method(move=0.2),
     )
     steps = np.array(
         [np.abs(b.y - a.y).max() for a, b in zip(done.history, done.history[1:], strict=False)]
@@ -229,7 +224,7 @@ def test_no_unknown_moves_more_than_the_limit_in_a_step() -> None:
 def test_linked_parameters_are_equal_and_half_as_many() -> None:
     model = row()
     truth = np.array([0.3, -0.2, 0.3, -0.2])
-    link = link_equal(model.parameters, [("p0", "p2"), ("p1", "p3")])
+    link = np.vstack([np.eye(2), np.eye(2)])
     done = solve(one(model, aim_at(model, truth, 8), link=link))
     assert done.y.size == 2
     np.testing.assert_allclose(done.x, truth, atol=EXACT)
@@ -249,8 +244,7 @@ def test_stages_go_on_from_one_another() -> None:
         held_to(problem, ["p9"])
 
 
-@pytest.mark.parametrize(("loss", "tolerance"), [(Huber(1.5), 0.05), (Tukey(5.0), 2e-3)])
-def test_robust_losses_withstand_a_wrong_mode(loss: Huber | Tukey, tolerance: float) -> None:
+def test_a_robust_loss_withstands_a_wrong_mode() -> None:
     model = row()
     aim = aim_at(model, TRUTH, 8)
     f = aim.frequencies * np.where(
@@ -258,9 +252,9 @@ def test_robust_losses_withstand_a_wrong_mode(loss: Huber | Tukey, tolerance: fl
     )  # mode 5 is 15 % off: fifteen standard deviations
     aim = replace(aim, frequencies=f)
     plain = solve(one(model, aim))
-    robust = solve(one(model, aim, loss=loss), start=plain.y)
+    robust = solve(one(model, aim, loss=Huber(1.5)), start=plain.y)
     assert np.abs(plain.x - TRUTH).max() > 0.1
-    assert np.abs(robust.x - TRUTH).max() < tolerance
+    assert np.abs(robust.x - TRUTH).max() < 0.05
 
 
 def test_two_configurations_tell_what_one_cannot() -> None:
@@ -329,7 +323,7 @@ class Fragile:
         return self.inner.modes(x)
 
 
-@pytest.mark.parametrize("kind", ["gauss-newton", "levenberg-marquardt", "trust-region"])
+@pytest.mark.parametrize("kind", get_args(Kind))
 def test_a_point_that_cannot_be_solved_is_a_rejected_step(kind: str) -> None:
     inner = row()
     truth = np.array([0.6, 0.3, 0.2, -0.3])
@@ -345,9 +339,7 @@ def test_a_point_that_cannot_be_solved_is_a_rejected_step(kind: str) -> None:
         Outcome.STALLED,
         Outcome.MAX_ITERATIONS,
     )  # it may creep along the wall
-    if kind == "gauss-newton":
-        assert "could not be solved" in walled.why
-    assert update(Fragile(inner, 0.3, []), aim).x.max() <= 0.3
+    assert solve(single(Fragile(inner, 0.3, []), aim)).x.max() <= 0.3
     with pytest.raises(NumericalError, match="no convergence"):
         solve(Problem((Configuration(model, aim),)), start=np.ones(4))
 
@@ -385,9 +377,7 @@ def test_limits_are_reached_and_said() -> None:
 def along(aim: Target, model: DenseModel, points: int = 151) -> np.ndarray:
     """J on a line that carries the model from far on one side of the truth to far on the other."""
     line = np.linspace(-3.0, 2.0, points)[:, None] * np.array([1.0, -0.8, 0.9, -0.7])
-    return np.array(
-        [objective(aim, residual(aim, model.modes(x)), x, model.parameters.std()) for x in line]
-    )
+    return np.array([single(model, aim).cost(x) for x in line])
 
 
 def test_pairs_of_least_cost_make_j_continuous_where_gates_make_it_jump() -> None:
@@ -406,7 +396,7 @@ def test_pairs_of_least_cost_make_j_continuous_where_gates_make_it_jump() -> Non
 def test_no_pair_costs_more_than_a_lost_mode_and_used_modes_choose_first() -> None:
     model = row()
     aim = replace(aim_at(model, TRUTH, 8), rule="cost", used=np.arange(8) != 2)
-    far = residual(aim, model.linearise(np.array([1.5, -1.5, 1.5, -1.5])))
+    far = residual_at(single(model, aim), np.array([1.5, -1.5, 1.5, -1.5]))
     assert 0 < far.used.sum() < 7
     problem = one(model, aim)
     at = problem.evaluate(np.array([1.5, -1.5, 1.5, -1.5]))
@@ -426,10 +416,10 @@ def test_criterion_counts_the_same_modes_in_every_set() -> None:
     model = row()
     aim = noisy(model)
     x = solve(one(model, aim)).x
-    full = residual(aim, model.linearise(x))
+    full = residual_at(single(model, aim), x)
     worst = int(np.argmax(np.abs(full.frequency_error)))
     few = replace(aim, used=np.arange(8) != worst)
-    lost = residual(few, model.linearise(x))
+    lost = residual_at(single(model, few), x)
     std = model.parameters.std()
     a, b = comparable_criteria(aim, [full, lost], [x, x], [std, std])
     assert b > a

@@ -1,8 +1,12 @@
-"""Correlation: the modes of a test against those of a model, or of another test or model."""
+"""Correlation: the modes of a test against those of a model, or of another test or model.
+
+Modes of long records, followed from one part of the records to the next.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -14,11 +18,13 @@ from ringtrue.api.models import FeModes, open_model
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.channels import match_channels, split_label
 from ringtrue.core.display import Displayed, plot
+from ringtrue.core.iterate import Progress, part, quiet
 from ringtrue.core.modes import ModeSet, elastic
-from ringtrue.core.progress import Progress, part, quiet
+from ringtrue.core.signals import TimeHistory
 from ringtrue.core.testmodel import Observation, TestModel
 from ringtrue.correlation.assignment import Locks
 from ringtrue.correlation.measures import CompleteCorrelation, complete
+from ringtrue.correlation.orthogonality import OrthogonalityTest
 from ringtrue.correlation.pairing import pair_modes
 from ringtrue.correlation.sensor_mapping import at_dofs
 from ringtrue.correlation.sensor_mounting import (
@@ -29,7 +35,10 @@ from ringtrue.correlation.sensor_mounting import (
     readings_by_name,
 )
 from ringtrue.correlation.table import CorrelationTable, correlation_table
-from ringtrue.errors import ConfigError, DataError
+from ringtrue.errors import ConfigError, DataError, about, did_you_mean
+from ringtrue.identification.ambient.pipeline import AmbientSettings, identify_ambient
+from ringtrue.identification.common.tracking import Stretch, Tracked, track_modes, unseen
+from ringtrue.io.records import read_record, record_blocks, record_info
 from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
@@ -51,9 +60,141 @@ from ringtrue.study.placing import (
 from ringtrue.study.reference import at_common, highest, positions
 from ringtrue.study.results import Seat
 
-LOWEST = 26  # modes of a model in the place of a test
+HOUR_S = 3600.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordParts:
+    """How long records are cut into parts.
+
+    Attributes
+    ----------
+    hours : float, h
+        Length of a part.
+    starts : sequence of float, h
+        Start of each record; one follows the other if not given.
+    rate : float, Hz, optional
+        Sample rate, where a file has none.
+    leave_out : sequence of str
+        Channels that are not used.
+    """
+
+    hours: float = 1.0
+    starts: Sequence[float] = ()
+    rate: float | None = None
+    leave_out: Sequence[str] = ()
+
+    def check(self, records: int) -> None:
+        """Refuse a length or starts that do not fit the number of records."""
+        if not 0 < self.hours < math.inf:
+            raise ConfigError(f"hours {self.hours}: must be positive")
+        if not self.starts:
+            return
+        if len(self.starts) != records or not all(map(math.isfinite, self.starts)):
+            raise ConfigError(
+                f"starts: {len(self.starts)} hours for {records} records; one for each"
+            )
+
+
+def track_records(
+    records: Sequence[Path],
+    cut: RecordParts,
+    *,
+    fmin: float | None = None,
+    fmax: float | None = None,
+    progress: Progress = quiet,
+) -> tuple[Tracked, list[str]]:
+    """The modes of records in order of time, followed from part to part, and notes.
+
+    Raises
+    ------
+    ConfigError
+        If the parts are not positive, or a channel is not there.
+    DataError
+        If no part could be identified.
+    """
+    cut.check(len(records))
+    settings = AmbientSettings(fmin=fmin, fmax=fmax)
+    found: list[Stretch] = []
+    notes: list[str] = []
+    at = 0.0
+    for i, path in enumerate(records):
+        at = cut.starts[i] if cut.starts else at
+        with about(path):
+            for part in _parts(path, cut):
+                length = part.duration / HOUR_S
+                middle = at + 0.5 * length
+                progress(i / len(records), f"{path.name}, {at:.4g} h")
+                at += length
+                if length < 0.5 * cut.hours:
+                    notes.append(f"{path.name}: the last {60 * length:.3g} min are too short")
+                    continue
+                try:
+                    modes, why = _identified(part, cut.leave_out, settings, middle)
+                except DataError as e:
+                    notes.append(f"{middle:.4g} h: left out: {e}")
+                    continue
+                found.append(modes)
+                notes += [f"{middle:.4g} h: {w}" for w in why]
+    if not found:
+        raise DataError("; ".join(["no part of the records could be identified", *notes[:3]]))
+    tracked = track_modes(found)
+    return tracked, [*notes, *_come_and_gone(tracked)]
+
+
+def _parts(path: Path, cut: RecordParts) -> Iterator[TimeHistory]:
+    """A record in parts; one in ringtrue's layout is never in memory as a whole."""
+    seconds = cut.hours * HOUR_S
+    try:
+        info = record_info(path) if path.suffix.lower() in (".h5", ".hdf5") else None
+    except DataError:
+        info = None
+    if info is not None:
+        yield from record_blocks(path, max(2, round(seconds * info.rate)))
+        return
+    history = read_record(path, cut.rate, check=False, gaps=True)
+    size = max(2, round(seconds * history.rate))
+    for a in range(0, history.data.shape[1], size):
+        part = history.data[:, a : a + size]
+        yield TimeHistory(part, history.rate, history.channels, history.source)
+
+
+def _identified(
+    part: TimeHistory, leave_out: Sequence[str], settings: AmbientSettings, middle: float
+) -> tuple[Stretch, tuple[str, ...]]:
+    """The modes of one part, and notes on its channels."""
+    ids = [c.id for c in part.channels]
+    for name in leave_out:
+        if name not in ids:
+            raise ConfigError(f"no channel {name!r}{did_you_mean(name, ids)}")
+    motion = part.pick([c for c in ids if c not in leave_out])
+    if not np.isfinite(motion.data).any():
+        raise DataError("all samples are missing")
+    result = identify_ambient(motion, settings)
+    return Stretch(middle, result.modes, result.uncertainty), result.channel_notes
+
+
+def _come_and_gone(tracked: Tracked) -> list[str]:
+    """Modes that are not seen all the time, and poles that are seen rarely."""
+    notes = []
+    for t in tracked.tracks:
+        before, after = unseen(tracked, t)
+        if before:
+            first = tracked.times[t.at[0]]
+            notes.append(f"mode {t.name}: not seen before {first:.4g} h, in {before} parts")
+        if after:
+            last = tracked.times[t.at[-1]]
+            notes.append(f"mode {t.name}: not seen after {last:.4g} h, in {after} parts")
+    for t in tracked.rare:
+        notes.append(
+            f"seen in {t.at.size} of {tracked.times.size} parts only: a pole at "
+            f"{t.frequency.mean():.5g} Hz, at {tracked.times[t.at[0]]:.4g} h"
+        )
+    return notes
+
+
 BY_FREQUENCY = (
-    "no shapes: modes are paired by frequency alone; --lock and --forbid decide otherwise"
+    "no shapes: modes are paired by frequency alone; lock or forbid pairs to decide otherwise"
 )
 
 
@@ -208,7 +349,7 @@ def correlate(
     if not one.channels:
         if evidence or mass is not None:
             raise ConfigError(
-                f"--complete and --mass compare shapes; {reference.source or names[0]} has none"
+                f"orthogonality and CoMAC compare shapes; {reference.source or names[0]} has none"
             )
         notes = (*notes, BY_FREQUENCY)
     locks = Locks(positions(lock), positions(forbid))
@@ -223,16 +364,13 @@ def correlate(
                 "of A"
             )
         weight = held.mass() if mass is None else ChannelMass(mass)
+        name = NAMES.get(asked.tam, asked.tam) if mass is None else "given"
         full = complete(
             one,
             two,
             table.pairing,
-            mass=weight.matrix,
-            mass_name=NAMES.get(asked.tam, asked.tam) if mass is None else "given",
-            lift=weight.lift,
-            gate=gate(asked),
-            std_a=_std(test),
-            std_b=_std(fe),
+            orthogonality=OrthogonalityTest(gate(asked), weight.matrix, name, weight.lift),
+            std=(_std(test), _std(fe)),
             settings=gates,
         )
         notes = (*notes, *filter(None, [weight.why]))
@@ -249,7 +387,7 @@ def _as_test(model: Model, progress: Progress) -> tuple[ModeSet, TestModel, str]
     name = model.files[0] if model.files else "the model"
     progress(0.0, name)
     opened = open_model(model)
-    found = opened.analysis.modes(ModesRequest(LOWEST)).modes
+    found = opened.analysis.modes(ModesRequest(26)).modes  # modes of a model in the place of a test
     at = np.flatnonzero(elastic(found.frequencies))
     if not at.size:
         raise DataError(f"{name}: none of its {len(found)} lowest modes is elastic")

@@ -13,10 +13,9 @@ from ringtrue.api.measurements import TestModes, modes_at
 from ringtrue.api.models import open_model
 from ringtrue.core.arrays import Float
 from ringtrue.core.display import Displayed, plot
-from ringtrue.core.iterate import Outcome
+from ringtrue.core.iterate import Outcome, Progress, part, quiet
 from ringtrue.core.modes import ModeSet, elastic
 from ringtrue.core.parameters import Parameter, ParameterSet
-from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.correlation.assignment import NO_LOCKS, PairingSettings
 from ringtrue.correlation.pairing import pair_modes
 from ringtrue.correlation.table import CorrelationTable, correlation_table
@@ -24,13 +23,13 @@ from ringtrue.eigen.damped import project
 from ringtrue.errors import DataError, InputError
 from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
 from ringtrue.model.model import Model
-from ringtrue.shapes.complexity import realise_modes
+from ringtrue.shapes import realise_modes
 from ringtrue.solvers.matrices import MatrixModel
 from ringtrue.solvers.observed import at_factors, reduced
 from ringtrue.study.config_sections import CorrelateSection, LocaliseSection, parse_target
 from ringtrue.study.config_update import UpdateSection
 from ringtrue.study.direct import DirectProposal, propose_parameters, solved
-from ringtrue.study.objective import LOSSES, minimise, modal_terms
+from ringtrue.study.objective import LOSSES, Minimisation, modal_terms
 from ringtrue.study.placing import placed, seat_words, seats
 from ringtrue.study.reference import highest, measured_part
 from ringtrue.study.results import Seat
@@ -43,9 +42,6 @@ from ringtrue.updating.problem import Configuration, Evaluated, Problem
 from ringtrue.updating.selection.candidates import CandidateSettings
 from ringtrue.updating.target import Target, Weights
 from ringtrue.updating.uncertainty import laplace
-
-LEVEL = 0.9  # of the intervals of factors
-FREE = 7  # modes of a suspended structure: the six rigid-body modes and the first elastic one
 
 
 def parameter(
@@ -164,12 +160,13 @@ def localise(
     """
     opened = open_model(model)
     modes = modes_at(test)
-    sheet = _sheet(sensors)
+    sheet = read_sensor_sheet(sensors) if isinstance(sensors, str | Path) else sensors
     notes: tuple[str, ...] = ()
     places: tuple[Seat, ...] = ()
     if not modes.channels:
         borrowed = pair_frequencies(modes, opened, CorrelateSection().gates(), NO_LOCKS)
-        bridge, notes = opened.observation(borrowed.points, np.inf), borrowed.notes
+        bridge = opened.observation(borrowed.points, np.inf)
+        notes = borrowed.notes
         modes = borrowed.modes.take(measured_part(borrowed.modes)[0])
     else:
         bridge = placed(opened, modes.channels, _place(sensors), tolerance=tolerance)
@@ -177,28 +174,29 @@ def localise(
         notes = seat_words(places)
     settings = CandidateSettings(units=model.units)
     found = propose_parameters(
-        opened, realise_modes(modes), bridge, settings, pool, most, part(progress, 0.1, 1.0)
+        opened,
+        realise_modes(modes),
+        bridge=bridge,
+        settings=settings,
+        limits=(pool, most),
+        progress=part(progress, 0.1, 1.0),
     )
     members = found.proposal.members
     by_name = {c.name: c.parameter for c in found.candidates}
     return Localisation(
-        tuple(m.name for m in members),
-        np.array([m.factor for m in members]),
-        np.array([m.std for m in members]),
-        np.array([m.worth for m in members]),
-        ParameterSet(tuple(by_name[m.name] for m in members if not m.lump)),
-        notes,
-        places,
-        found,
+        names=tuple(m.name for m in members),
+        factors=np.array([m.factor for m in members]),
+        std=np.array([m.std for m in members]),
+        worth=np.array([m.worth for m in members]),
+        proposal=ParameterSet(tuple(by_name[m.name] for m in members if not m.lump)),
+        notes=notes,
+        seats=places,
+        found=found,
     )
 
 
 def _place(sensors: SensorSheet | str | Path | None) -> SensorSheet | Path | None:
     return Path(sensors) if isinstance(sensors, str) else sensors
-
-
-def _sheet(sensors: SensorSheet | str | Path | None) -> SensorSheet | None:
-    return read_sensor_sheet(sensors) if isinstance(sensors, str | Path) else sensors
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -293,7 +291,7 @@ def update(
     shape_std : (channel,), optional
         Standard deviations of the shape components, one a channel; equal if not given.
     settings : UpdateSettings, optional
-        What is compared, weights, prior, loss, starts, global search.
+        What is compared, weights, prior, loss, starts.
     seed : int
         Of the starts.
 
@@ -345,26 +343,30 @@ def update(
     problem = Problem(tuple(configurations), every, loss=LOSSES[u.loss])
     if len(configurations) == 1:
         done = solved(problem, u, seed, None, progress)
-        solution, final, error = done.solution, done.problem, done.error
+        solution = done.solution
+        final = done.problem
+        error = done.error
     else:
-        end = minimise(problem, u, seed, progress)
-        solution, final, error = end.solution, end.problem, float("nan")
+        end = Minimisation(u, seed).run(problem, progress)
+        solution = end.solution
+        final = end.problem
+        error = float("nan")
     start = final.evaluate(np.zeros(final.size))
-    interval = laplace(final, solution.end).interval(LEVEL)
+    interval = laplace(final, solution.end).interval(0.9)  # of the intervals of factors
     factors = dict(zip(every.names, solution.factors.tolist(), strict=True))
     made = tuple(_at_end(one.model, every, factors, one.parameters) for one in tests)
     return UpdatedModel(
-        every.names,
-        solution.factors,
-        interval[:, 0],
-        interval[:, 1],
-        made[0],
-        made,
-        _table(final, start, tests[0].test),
-        _table(final, solution.end, tests[0].test),
-        solution.outcome,
-        solution.why,
-        error,
+        names=every.names,
+        factors=solution.factors,
+        low=interval[:, 0],
+        high=interval[:, 1],
+        model=made[0],
+        models=made,
+        before=_table(final, start, tests[0].test),
+        after=_table(final, solution.end, tests[0].test),
+        outcome=solution.outcome,
+        why=solution.why,
+        basis_error=error,
     )
 
 
@@ -399,23 +401,19 @@ def _configuration(
         shapes = shapes * weight[:, None]
         bridge = replace(bridge, matrix=bridge.matrix.multiply(weight[:, None]).tocsr())
     target = Target(
-        modes.frequencies,
-        shapes,
-        relative,
-        ~np.isin(np.arange(1, count + 1), list(leave_out)),
-        Weights(u.frequency_error, u.mac_error, u.shape_weight),
-        gates,
+        frequencies=modes.frequencies,
+        shapes=shapes,
+        std=relative,
+        used=~np.isin(np.arange(1, count + 1), list(leave_out)),
+        weights=Weights(u.frequency_error, u.mac_error, u.shape_weight),
+        pairing=gates,
     )
     if isinstance(one.model, MatrixModel):
         seen = one.model.reduced(bridge, min(2 * count, one.model.size), parameters=parameters)
     else:
         top = highest(modes.frequencies, gates)
         seen = reduced(one.model, parameters, bridge, len(opened.modes(top).modes))
-    return Configuration(seen, target, modal_terms(u, _no_mass), name)
-
-
-def _no_mass() -> Float:
-    raise InputError('residuals "orthogonality" need a mass at the channels: use a study')
+    return Configuration(seen, target, modal_terms(u), name)
 
 
 def _at_end(
@@ -523,24 +521,25 @@ def tune_suspension(
     bridge = placed(open_model(model), modes.channels, _place(sensors))
     gates = replace(CorrelateSection().gates(), mac_gate=0.5, close=0.08, distinct=0.95)
     target = Target(
-        modes.frequencies,
-        np.asarray(modes.shapes.real, dtype=np.float64),
-        std,
-        np.ones(len(modes), dtype=bool),
-        RIGID_WEIGHTS,
-        gates,
+        frequencies=modes.frequencies,
+        shapes=np.asarray(modes.shapes.real, dtype=np.float64),
+        std=std,
+        used=np.ones(len(modes), dtype=bool),
+        weights=RIGID_WEIGHTS,
+        pairing=gates,
     )
-    small = reduced(model, every, bridge, max(FREE, len(modes)))
+    # 7: modes of a suspended structure: the six rigid-body modes and the first elastic one
+    small = reduced(model, every, bridge, max(7, len(modes)))
     found = tuned(small, target, iterations, progress)
     x = found.best.x
     factors = every.factors(x)
     return TunedSuspension(
-        every.names,
-        factors,
-        found.std * every.derivative(x) / factors,
-        found.best.frequencies,
-        at_factors(model, every, factors),
-        found.ambiguity(),
+        names=every.names,
+        factors=factors,
+        std=found.std * every.derivative(x) / factors,
+        frequencies=found.best.frequencies,
+        model=at_factors(model, every, factors),
+        ambiguity=found.ambiguity(),
     )
 
 
@@ -597,7 +596,7 @@ def fit_damping(
         One a material and one a group of springs if not given.
     sensors : SensorSheet or path, optional
     error : float
-        Relative error of a ratio that the best model keeps, beside that of the test.
+        Relative error of a ratio that the best model keeps, added to that of the test.
 
     Raises
     ------
@@ -626,7 +625,8 @@ def fit_damping(
     seen = replace(fe, shapes=bridge(fe.shapes), labels=modes.channels)
     pairing = pair_modes(modes, seen, gates)
     good = modes.damping[pairing.a] > 0
-    a, b = pairing.a[good], pairing.b[good]
+    a = pairing.a[good]
+    b = pairing.b[good]
     if not a.size:
         raise DataError("no test mode with a damping ratio has a partner in the model")
     moving = np.union1d(np.flatnonzero(elastic(fe.frequencies)), b)
@@ -636,7 +636,9 @@ def fit_damping(
     total = project(np.asarray(system.local @ shapes), system.viscous, system.structural)
     ratio = modes.damping[a]
     wanted = tuple(regions) or default_regions(model, ParameterSet(()), {})
-    found = dampers(model, wanted, values, shapes, total, float(np.median(ratio)))
+    found = dampers(
+        model, wanted, values=values, shapes=shapes, total=total, ratio=float(np.median(ratio))
+    )
     if not found.regions:
         raise DataError("no region takes part in any mode")
     std = error * ratio
@@ -646,13 +648,13 @@ def fit_damping(
     fit = fit_poles(values, found.mechanisms, ratio, std, at, base=found.base)
     damping, damping_std = mode_damping(values, found.mechanisms, fit, at)
     return FittedDamping(
-        fit.names,
-        tuple(r.kind for r in found.regions),
-        fit.coefficients,
-        fit.std,
-        modes.frequencies[a],
-        ratio,
-        damping,
-        damping_std,
-        fit.misfit,
+        regions=fit.names,
+        kinds=tuple(r.kind for r in found.regions),
+        coefficients=fit.coefficients,
+        std=fit.std,
+        frequencies=modes.frequencies[a],
+        test_damping=ratio,
+        model_damping=damping,
+        model_std=damping_std,
+        misfit=fit.misfit,
     )

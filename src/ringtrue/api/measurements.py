@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,8 +14,9 @@ from ringtrue.core.arrays import Any_, Float
 from ringtrue.core.choice import Choice
 from ringtrue.core.display import Displayed, plot
 from ringtrue.core.dofs import DofSet
+from ringtrue.core.iterate import Progress, part, quiet
 from ringtrue.core.modes import ModeSet, Uncertainty
-from ringtrue.core.progress import Progress, part, quiet
+from ringtrue.core.notes import sentence
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.decks.nastran.results.modes import READERS, is_nastran_h5, read_nastran_modes
 from ringtrue.errors import ConfigError, DataError, InputError, did_you_mean
@@ -26,23 +26,20 @@ from ringtrue.identification.ambient.pipeline import (
     identify_stretches,
 )
 from ringtrue.identification.ambient.record_bands import SHORTEST
-from ringtrue.identification.common.poles import StableDiagram
+from ringtrue.identification.common.stabilisation import StableDiagram
 from ringtrue.identification.common.tracking import LevelDependence, level_dependence
 from ringtrue.identification.frf.local_fits import with_local_fits
 from ringtrue.identification.frf.pipeline import HammerModes, HammerResult, identify_hammer
 from ringtrue.identification.frf.residues import driving_pairs
-from ringtrue.identification.methods import SecondOpinion, identify_ambient_by, identify_frfs_by
+from ringtrue.identification.methods import SecondOpinion, identify_ambient_by
 from ringtrue.io import frfs as frf_files
 from ringtrue.io import modes as mode_files
 from ringtrue.io import records
 from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
 from ringtrue.model.model import Model
-from ringtrue.signal.channel_checks import explain_clipping, find_faults
-from ringtrue.signal.frf_sets import alike, join_by_setup, join_frfs
-from ringtrue.signal.gaps import bridge_gaps, remove_overlap
+from ringtrue.signal.channel_checks import explain_clipping, find_spikes, remove_overlap
+from ringtrue.signal.frf_sets import join_by_setup, join_frfs, of_one_kind
 from ringtrue.signal.impacts import HammerSettings, ImpactReport
-from ringtrue.signal.order_tracking import remove_harmonics
-from ringtrue.signal.tonal_lines import harmonics
 from ringtrue.study.hammer_records import (
     Forced,
     ForceRecordFormat,
@@ -55,7 +52,7 @@ from ringtrue.study.run import load_study
 
 STORE = "study.h5"
 TRANSLATIONS_ONLY = (".uff", ".unv", ".55")
-AMBIENT, FORCED = "ssi", "plscf"  # the methods with a stabilisation diagram that is judged
+AMBIENT = "ssi"  # the method with a stabilisation diagram that is judged
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +80,7 @@ class TestModes(Displayed):
         What the method of identification returned.
     """
 
-    __test__: ClassVar[bool] = False  # not a test of pytest
+    __test__ = False  # not a test of pytest
     UNITS: ClassVar[Mapping[str, str]] = {
         "frequencies": "Hz",
         "std_frequency": "Hz",
@@ -128,9 +125,16 @@ class TestModes(Displayed):
         """The rows of the shapes."""
         return self.modes.channels
 
-    def plot(self) -> Any:
-        """The stabilisation diagram of the first band, else the shapes: a plotly figure."""
-        return plot(self.diagrams[0] if self.diagrams else self.modes)
+    def plot(self, sensors: SensorSheet | None = None) -> Any:
+        """The stabilisation diagram of the first band, else the shapes as lines.
+
+        With `sensors`, which have the places: the mode shapes in motion, a 3D view.
+        """
+        if sensors is None:
+            return plot(self.diagrams[0] if self.diagrams else self.modes)
+        from ringtrue.plots.scene import test_modes  # plotly loads when something is drawn
+
+        return test_modes(sensors.model, self.modes)
 
 
 def modes_of_test(
@@ -206,7 +210,7 @@ def read_modes(path: str | Path, *, deck: Model | None = None) -> TestModes:
     if is_solver_result(path):
         modes = read_nastran_modes(path, deck)
     elif deck is not None:
-        raise InputError(f"--deck: {path} is no results file of a solver")
+        raise InputError(f"deck: {path} is no results file of a solver")
     elif is_store(path):
         return merged_modes(path)
     else:
@@ -235,17 +239,9 @@ def merged_modes(path: Path) -> TestModes:
     found = load_study(path).results.get("identify")
     if found is None:
         raise DataError(f"{path}: the study has no test modes; run it to its stage `identify`")
-    if found.hammer is not None and found.hammer_uncertainty is not None:
-        return TestModes(
-            found.hammer,
-            found.hammer_uncertainty,
-            found.hammer_reasons,
-            found.frf_notes,
-            found.hammer_diagrams,
-        )
-    return TestModes(
-        found.ambient, found.ambient_uncertainty, found.ambient_reasons, found.merge_notes
-    )
+    best = found.ambient if found.hammer is None else found.hammer
+    notes = found.merge_notes if found.hammer is None else found.frf_notes
+    return TestModes(best.modes, best.uncertainty, best.reasons, notes, best.diagrams)
 
 
 def is_solver_result(path: Path) -> bool:
@@ -362,11 +358,11 @@ def kept_channels(path: Path, channels: Sequence[Channel], leave_out: Sequence[s
     for name in leave_out:
         if name not in ids:
             raise ConfigError(
-                f"--leave-out {name}: {path} has no such channel{did_you_mean(name, ids)}"
+                f"leave out {name}: {path} has no such channel{did_you_mean(name, ids)}"
             )
     keep = [c for c in ids if c not in set(leave_out)]
     if not keep:
-        raise DataError(f"{path}: --leave-out leaves no channel")
+        raise DataError(f"{path}: all channels are left out")
     return keep
 
 
@@ -400,7 +396,7 @@ def _windowed(frfs: FrfSet, decay: float | None) -> FrfSet:
     if decay is None:
         return frfs
     if not 0 <= decay < float("inf"):
-        raise ConfigError(f"--window-decay {decay}: must be 0 or more, 1/s")
+        raise ConfigError(f"window_decay {decay}: must be 0 or more, 1/s")
     return replace(frfs, window_decay=decay)
 
 
@@ -500,13 +496,13 @@ def estimate_frfs(
 def _given_frfs(paths: Sequence[Path], how: ForceRecordFormat, decay: float | None) -> MeasuredFrfs:
     if how.channels:
         raise ConfigError(
-            f"--channels names the channels of time records; {paths[0]} holds FRFs, which have "
+            f"channels: they name the channels of time records; {paths[0]} holds FRFs, which have "
             "names"
         )
     if how.leave_out:
         known = dict.fromkeys(c for f in paths for c in frf_files.frf_ids(f))
         kept_channels(paths[0], [Channel(c, "unknown", "") for c in known], how.leave_out)
-    found = alike([read_frfs(f, leave_out=how.leave_out, window_decay=decay) for f in paths])
+    found = of_one_kind([read_frfs(f, leave_out=how.leave_out, window_decay=decay) for f in paths])
     if len(found) == 1:
         return MeasuredFrfs(found[0])
     return MeasuredFrfs(join_frfs(found), setups=tuple(found))
@@ -521,12 +517,11 @@ def _frf_notes(frfs: FrfSet, forced: Forced) -> tuple[str, ...]:
     if known.size:
         notes.append(f"coherence {np.median(known):.3f} at the typical line")
     else:
-        notes.append("one blow a point: no coherence")
+        notes.append("one impact a point: no coherence")
     if not driving_pairs(frfs):
         ids = " ".join(dict.fromkeys(c.id for c in frfs.inputs))
         notes.append(
-            f"struck at {ids}, where no response is: shapes are not scaled to unit modal mass "
-            "(--struck)"
+            f"excited at {ids}, where no response is: shapes are not scaled to unit modal mass"
         )
     return tuple(notes)
 
@@ -536,7 +531,6 @@ def identify_frfs(
     *,
     fmin: float | None = None,
     fmax: float | None = None,
-    method: str = FORCED,
     choice: Choice | None = None,
     progress: Progress = quiet,
 ) -> TestModes:
@@ -547,15 +541,13 @@ def identify_frfs(
     frfs : FrfSet or MeasuredFrfs
     fmin, fmax : float, Hz, optional
         The band of interest; that of the data if not given.
-    method : str
-        `plscf`, or another method of docs/theory/plscf.md for a second opinion.
     choice : Choice, optional
         Modes chosen by hand.
 
     Raises
     ------
     ConfigError
-        If the band is empty, or the method has no choice by hand.
+        If the band is empty.
 
     References
     ----------
@@ -572,30 +564,31 @@ def identify_frfs(
     """
     check_band(fmin, fmax)
     measured = frfs if isinstance(frfs, MeasuredFrfs) else MeasuredFrfs(frfs)
-    data, setups = measured.frfs, measured.setups or (measured.frfs,)
+    data = measured.frfs
+    setups = measured.setups or (measured.frfs,)
     band = HammerModes(fmin=fmin, fmax=fmax)
-    if method != FORCED:
-        refuse_choice(method, FORCED, choice)
-        with explain_clipping(measured.clipped):
-            other = identify_frfs_by(method, data, band, progress=progress)
-        return _second_opinion(other, measured.notes)
     with explain_clipping(measured.clipped):
         found = identify_hammer(data, band, choice=choice, progress=progress)
     if choice is None:
         found = with_local_fits(found, setups, band, progress=progress)
     return TestModes(
-        found.modes,
-        found.uncertainty,
-        found.reasons,
-        (*measured.notes, *found.notes),
-        found.diagrams,
-        found,
+        modes=found.modes,
+        uncertainty=found.uncertainty,
+        reasons=found.reasons,
+        notes=(*measured.notes, *found.notes),
+        diagrams=found.diagrams,
+        result=found,
     )
 
 
 def _second_opinion(found: SecondOpinion, notes: Sequence[str]) -> TestModes:
     return TestModes(
-        found.modes, found.uncertainty, found.reasons, (*notes, *found.notes), (), found
+        modes=found.modes,
+        uncertainty=found.uncertainty,
+        reasons=found.reasons,
+        notes=(*notes, *found.notes),
+        diagrams=(),
+        result=found,
     )
 
 
@@ -603,7 +596,7 @@ def refuse_choice(method: str, first: str, choice: Choice | None) -> None:
     """Refuse a choice by hand for a method without a judged stabilisation diagram."""
     if choice is not None:
         raise ConfigError(
-            f"--choice goes with --method {first}, got {method}; the others have no diagram of "
+            f"a choice goes with the method {first}, got {method}; the others have no diagram of "
             "judged poles"
         )
 
@@ -613,7 +606,7 @@ def check_band(fmin: float | None, fmax: float | None) -> None:
     low = 0.0 if fmin is None else fmin
     high = float("inf") if fmax is None else fmax
     if not 0 <= low < high:
-        raise ConfigError(f"--fmin {fmin} --fmax {fmax}: must be 0 <= fmin < fmax")
+        raise ConfigError(f"fmin {fmin}, fmax {fmax}: must be 0 <= fmin < fmax")
 
 
 def compare_levels(levels: Sequence[float], tests: Sequence[TestModes]) -> LevelDependence:
@@ -630,16 +623,20 @@ def compare_levels(levels: Sequence[float], tests: Sequence[TestModes]) -> Level
     ConfigError
         If the levels are not one a test, positive and different.
     """
-    if len(levels) != len(tests) or len(tests) < 2:
+    check_levels(levels, len(tests))
+    return level_dependence(levels, [(t.modes, t.uncertainty) for t in tests])
+
+
+def check_levels(levels: Sequence[float], files: int) -> None:
+    """Refuse force levels that are not one a file, positive and different."""
+    if len(levels) != files or files < 2:
         raise ConfigError(
-            f"--level: {len(levels)} levels for {len(tests)} files; two files or more and one "
-            "level each"
+            f"level: {len(levels)} levels for {files} files; two files or more and one level each"
         )
     if not all(0 < x < float("inf") for x in levels) or len(set(levels)) != len(levels):
         raise ConfigError(
-            f"--level {' '.join(f'{x:g}' for x in levels)}: must be positive and different"
+            f"level {' '.join(f'{x:g}' for x in levels)}: must be positive and different"
         )
-    return level_dependence(levels, [(t.modes, t.uncertainty) for t in tests])
 
 
 def identify_ambient(
@@ -709,14 +706,19 @@ def identify_ambient(
         )
     found = identify_stretches(iter(parts), settings, choice=choice, progress=progress)
     return TestModes(
-        found.modes, found.uncertainty, found.reasons, found.notes, found.diagrams, found
+        modes=found.modes,
+        uncertainty=found.uncertainty,
+        reasons=found.reasons,
+        notes=found.notes,
+        diagrams=found.diagrams,
+        result=found,
     )
 
 
 def ambient_parts(
-    paths: Sequence[Path], histories: Iterable[TimeHistory], removal: str | None, notes: list[str]
+    paths: Sequence[Path], histories: Iterable[TimeHistory], notes: list[str]
 ) -> Iterator[TimeHistory]:
-    """Records that follow each other, without overlap and without the lines of machines.
+    """Records that follow each other, without overlap.
 
     What is to be said of each record is added to `notes` when it is read.
     """
@@ -729,34 +731,9 @@ def ambient_parts(
             notes.append(f"{path.name}: {overlap}")
         if not kept.data.size:
             continue
-        history, removed = without_lines(kept, removal)
-        first = first or history.duration
+        first = first or kept.duration
         where = "" if len(paths) == 1 else f"{path.name}: "
-        notes += [where + note for note in (*spike_notes(history), *removed)]
-        if history.duration < SHORTEST * first:
+        notes += [where + sentence(note) for note in find_spikes(kept)]
+        if kept.duration < SHORTEST * first:
             notes.append(f"{where}shorter than half of the first record: left out")
-        yield history
-
-
-def without_lines(history: TimeHistory, how: str | None) -> tuple[TimeHistory, tuple[str, ...]]:
-    """A record without the lines of machines, and what was taken out."""
-    if not how:
-        return history, ()
-    whole, gaps = bridge_gaps(history)
-    lines = harmonics(whole)
-    if not lines:
-        return history, ()
-    clean, said = remove_harmonics(whole, [h.frequency for h in lines], how)
-    return gaps.marked(clean), (*gaps.channels, *said)
-
-
-def spike_notes(history: TimeHistory) -> tuple[str, ...]:
-    """Spikes, a line a channel."""
-    found = [f for f in find_faults(history) if f.kind == "spike"]
-    count = Counter(f.id for f in found)
-    first = {f.id: f for f in reversed(found)}
-    return tuple(
-        f"channel {c}: {n} spike{'s' if n > 1 else ''}, the first at {first[c].time:.4g} s: "
-        f"{first[c].why}"
-        for c, n in count.items()
-    )
+        yield kept

@@ -11,18 +11,18 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Float
+from ringtrue.core.channels import FRF_KIND, Motion, channel
 from ringtrue.core.display import Displayed, plot
 from ringtrue.core.dofs import DofSet
+from ringtrue.core.iterate import Progress, part, quiet
 from ringtrue.core.modes import ModeSet
-from ringtrue.core.motions import FRF_KIND, Motion, channel
-from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.core.signals import FrfSet
 from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.decks.nastran import reader
 from ringtrue.decks.nastran.editor import edit_fields
 from ringtrue.errors import ConfigError, InputError, UnsupportedError, did_you_mean
+from ringtrue.model.cards import MADE
 from ringtrue.model.case_control import ModalDamping, asked_modes, responding
-from ringtrue.model.dimensions import MADE
 from ringtrue.model.edit import FieldChange, in_seconds
 from ringtrue.model.model import Model, Ragged, Table
 from ringtrue.model.ports import ModesRequest, ModesResult
@@ -30,9 +30,7 @@ from ringtrue.solvers.embedded import EmbeddedAnalysis, EmbeddedSolver
 from ringtrue.solvers.matrices import MatrixModel
 from ringtrue.solvers.registry import EMBEDDED, solver
 from ringtrue.study.loads import load_vectors, refuse_displaced, support_motions
-from ringtrue.study.opened import Opened
-
-BASIS = 2.0  # an FRF has the modes up to so many times its highest line, and residual vectors
+from ringtrue.study.opened import Opened, make_scene, scene_modes
 
 
 def read_deck(path: str | Path, *, units: str = "SI") -> Model:
@@ -137,8 +135,13 @@ class FeModes(Displayed):
         return open_model(self.model)
 
     def plot(self) -> Any:
-        """The shapes on the nodes of the model, a plotly figure."""
-        return plot(self.modes)
+        """The mode shapes in motion, a 3D view; of matrices, which have no nodes, as lines."""
+        if isinstance(self.model, MatrixModel):
+            return plot(self.modes)
+        from ringtrue.plots.scene import model_modes  # plotly loads when something is drawn
+
+        scene = make_scene(self.model, {}, UNIT_SYSTEMS[self.model.units].length)
+        return model_modes(scene, scene_modes(self.modes, scene))
 
 
 def solve_modes(
@@ -193,10 +196,10 @@ def solve_modes(
     (array([2.24 , 6.276, 9.069]), True)
     """
     if band is not None and not band[0] < band[1]:
-        raise ConfigError(f"--band {band[0]} {band[1]}: must be F0 < F1")
+        raise ConfigError(f"band {band[0]} {band[1]}: must be F0 < F1")
     if damped and engine != EMBEDDED:
         raise ConfigError(
-            f"--complex with --solver {engine}: only the embedded engine has complex modes"
+            f"complex modes with the engine {engine}: only the embedded engine has them"
         )
     asked = None
     if isinstance(model, Model) and count is None and band is None:
@@ -210,7 +213,7 @@ def solve_modes(
         if damped:
             if not (isinstance(analysis, EmbeddedAnalysis) and analysis.has_damping):
                 raise ConfigError(
-                    "--complex: the deck has no damping; it is that of dashpots, GE, PARAM G, "
+                    "complex modes: the deck has no damping; it is that of dashpots, GE, PARAM G, "
                     "ALPHA1 and ALPHA2"
                 )
             solve = partial(analysis.damped_modes, problem="full")
@@ -226,15 +229,15 @@ def _fe_modes(
 ) -> FeModes:
     modes = found.modes
     return FeModes(
-        model,
-        modes.frequencies,
-        modes.damping,
-        found.residuals,
-        found.complete,
-        found.proof,
-        modes,
-        found,
-        loose,
+        model=model,
+        frequencies=modes.frequencies,
+        damping=modes.damping,
+        residuals=found.residuals,
+        complete=found.complete,
+        proof=found.proof,
+        modes=modes,
+        result=found,
+        loose=loose,
     )
 
 
@@ -316,12 +319,12 @@ def frf(
     if damping is not None and not 0 < damping < 1:
         raise ConfigError(f"damping {damping:g}: must be a ratio between 0 and 1, such as 0.01")
     asked = FrfRequest(
-        np.asarray(frequencies, dtype=np.float64),
-        parse_points(forces, "force"),
-        parse_points(forces if responses is None else responses, "response"),
-        quantity,
-        damping,
-        direct,
+        frequencies=np.asarray(frequencies, dtype=np.float64),
+        forces=parse_points(forces, "force"),
+        responses=parse_points(forces if responses is None else responses, "response"),
+        quantity=quantity,
+        damping=damping,
+        direct=direct,
     )
     if isinstance(model, Model):
         return responses_of(model, None, asked, progress)[0]
@@ -356,8 +359,11 @@ def responses_of(
     """The FRFs of a model, `modal` being its SDAMPING in the time unit of the deck; and the points
     that cannot move.
     """
-    into, out, lines = asked.forces, asked.responses, asked.frequencies
-    damping, direct = asked.damping, asked.direct
+    into = asked.forces
+    out = asked.responses
+    lines = asked.frequencies
+    damping = asked.damping
+    direct = asked.direct
     unit = UNIT_SYSTEMS[model.units]
     if modal:
         modal = replace(modal, frequencies=modal.frequencies / unit.time)
@@ -368,7 +374,8 @@ def responses_of(
         if direct:
             h = analysis.frf_direct(out, into, lines, kind=kind)
         else:
-            request = ModesRequest(band=(0.0, BASIS * float(lines[-1])))
+            # 2.0: an FRF has the modes up to so many times its highest line, and residual vectors
+            request = ModesRequest(band=(0.0, 2.0 * float(lines[-1])))
             ratio = modal if damping is None else damping
             h = analysis.frf(out, into, lines, request, damping=ratio, kind=kind)
     scale = np.outer(out.per_length(unit.length), into.per_length(unit.length)) / unit.kilograms
@@ -391,11 +398,12 @@ def _check_damping(
         return
     if direct:
         raise ConfigError(
-            "--direct: the deck has no damping of its own (dashpots, GE, PARAM G): leave --direct "
-            "out"
+            "direct: the deck has no damping of its own (dashpots, GE, PARAM G); solve by modes "
+            "with a damping ratio"
         )
     raise ConfigError(
-        "the deck has no damping of its own (dashpots, GE, PARAM G, SDAMPING): give --damping 0.01"
+        "the deck has no damping of its own (dashpots, GE, PARAM G, SDAMPING): give a "
+        "damping ratio, such as 0.01"
     )
 
 
@@ -476,9 +484,9 @@ def static(
     """
     given = dict(forces or {})
     if responses is None and not given:
-        raise ConfigError("--at: name the points whose deflections are wanted, such as 101+Z")
-    into = parse_points(list(given), "--force")
-    out = parse_points(responses or list(given), "--at")
+        raise ConfigError("responses: name the points whose deflections are wanted, such as 101+Z")
+    into = parse_points(list(given), "force")
+    out = parse_points(responses or list(given), "response")
     cases: tuple[Any, ...] = ()
     if not isinstance(model, Model):
         path = Path(model)
@@ -574,7 +582,8 @@ def _changes(before: Model, after: Model, card: str) -> list[FieldChange]:
 
 
 def _column_changes(old: Table, new: Table, name: str, free: Any_) -> list[FieldChange]:
-    a, b = old.columns[name], new.columns[name]
+    a = old.columns[name]
+    b = new.columns[name]
     if isinstance(a, Ragged) and isinstance(b, Ragged):
         at = np.flatnonzero(_differ(a.values, b.values))
         rows = b.owner[at]

@@ -15,16 +15,16 @@ from ringtrue.api.measurements import TestModes, merged_modes
 from ringtrue.api.models import read_deck
 from ringtrue.core.arrays import Float
 from ringtrue.core.display import Displayed, plot
+from ringtrue.core.iterate import Progress, quiet
 from ringtrue.core.modes import ModeSet, elastic
-from ringtrue.core.progress import Progress, quiet
 from ringtrue.core.signals import FrfSet
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.io.files import atomic_write, writes
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
-from ringtrue.planning.plan_files import NAMES, reach_of, write_test_sheet
-from ringtrue.report.build import deliver, report_from_store
+from ringtrue.planning.plan_files import NAMES, PlannedExcitation, reach_of, write_test_sheet
+from ringtrue.report.build import deliver, write_report
 from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.study import run as runs
 from ringtrue.study.config import read_config
@@ -36,7 +36,6 @@ from ringtrue.study.store import Store
 from ringtrue.study.summary import finite, summarise
 from ringtrue.virtual.sensors import ICP
 
-ABOVE = 1.3  # modes up to here over the band take part in virtual tests
 # a plan of its own, without ambient tests
 ALONE: dict[str, Any] = {
     "sensors": 20,
@@ -45,7 +44,6 @@ ALONE: dict[str, Any] = {
     "min_distance": "even",
     "strike": "worst",
 }
-FIRST = 21  # modes of a deck that a band is taken from
 
 Stage = Literal["initial", "final"]
 
@@ -145,8 +143,8 @@ class Study:
         return value
 
     def report(self, target: str | Path | None = None) -> Path:
-        """Write the report anew; beside the store if no file is named."""
-        return report_from_store(self.folder / "study.h5", None if target is None else Path(target))
+        """Write the report anew; in the folder of the store if no file is named."""
+        return write_report(self.run, Path(target or self.folder / "report.html"))
 
     def plot(self) -> Any:
         """The MAC matrix of the last correlation, a plotly figure."""
@@ -160,7 +158,7 @@ class Study:
 
 
 def store_of(path: str | Path) -> Path:
-    """The store that is meant by `study.h5`, a `study.toml` beside it, or their folder."""
+    """The store that is meant by `study.h5`, its `study.toml`, or their folder."""
     path = Path(path)
     if path.is_dir():
         return path / "study.h5"
@@ -173,7 +171,7 @@ def open_study(path: str | Path) -> Study:
     Parameters
     ----------
     path : str or Path
-        `study.h5`, a `study.toml` beside it, or their folder.
+        `study.h5`, its `study.toml`, or their folder.
 
     Raises
     ------
@@ -254,8 +252,8 @@ def predict(
     held = Store(where / "study.h5")
     if "final" not in held.stages():
         raise ConfigError(
-            f"{held.path}: no updated model in it: `ringtrue run` the study to its final stage "
-            "first, or name the folder of its results with --out"
+            f"{held.path}: no updated model in it: run the study to its final stage first, or "
+            "name the folder of its results"
         )
     asked = settings or config.predict
     if asked == config.predict and seed is None:
@@ -329,7 +327,7 @@ def plan_test(
     ----------
     deck : str or Path
     folder : str or Path, optional
-        Where `plan.toml`, the test sheet and the report go; `NAME-test` beside the deck.
+        Where `plan.toml`, the test sheet and the report go; `NAME-test` in the folder of the deck.
     band : (float, float), Hz, optional
         Of the target modes; taken from the deck if not given.
     units : str
@@ -351,7 +349,7 @@ def plan_test(
     deck = Path(deck)
     folder = deck.with_name(f"{deck.stem}-test") if folder is None else Path(folder)
     if (folder / "study.toml").exists():
-        raise ConfigError(f"--out {folder}: holds a study.toml; name a folder for the plan alone")
+        raise ConfigError(f"{folder}: holds a study.toml; name a folder for the plan alone")
     writes(*(folder / name for name in ("plan.toml", *NAMES)))
     asked = (
         settings.model_dump(exclude_unset=True) if isinstance(settings, PlanSection) else settings
@@ -366,25 +364,26 @@ def plan_test(
     run = runs.run_study(path, out=folder, until="plan", progress=progress)
     report = deliver(run)
     stage: PlanStage = run.results["plan"]
+    sensors = stage.sensors
+    references = stage.excitation.references
+    timing = stage.acquisition
     files = write_test_sheet(
         folder,
-        stage.test,
-        stage.references,
-        frequencies=stage.target_frequencies,
-        reach=_reach(run),
+        sensors.test,
+        PlannedExcitation(references, stage.target_frequencies, _reach(run)),
         sensor=ICP,
-        setups=stage.setups,
+        setups=sensors.setups,
     )
     return TestPlan(
-        stage.test.channels,
-        tuple(stage.references),
-        stage.target_frequencies,
-        stage.frequency_step,
-        stage.block,
-        stage.record_length,
-        (*map(Path, files), report),
-        stage,
-        run.session.initial.model,
+        channels=sensors.test.channels,
+        references=references,
+        target_frequencies=stage.target_frequencies,
+        frequency_step=timing.frequency_step,
+        block=timing.block,
+        record_length=timing.record_length,
+        files=(*map(Path, files), report),
+        stage=stage,
+        model=run.session.initial.model,
     )
 
 
@@ -393,15 +392,17 @@ def _band(
 ) -> tuple[float, float]:
     """The band, taken from the deck where it is not given."""
     if band is not None and not 0 <= band[0] < band[1]:
-        raise ConfigError(f"--band {band[0]} {band[1]}: must be 0 <= F0 < F1")
+        raise ConfigError(f"band {band[0]} {band[1]}: must be 0 <= F0 < F1")
     model = read_deck(deck, units=units)
     if band is None:
         with EmbeddedSolver().open(model) as analysis:
-            count = max([FIRST, *(m + 1 for m in modes)])
+            count = max([21, *(m + 1 for m in modes)])  # modes of a deck that a band is taken from
             f = analysis.modes(ModesRequest(count)).modes.frequencies
         flexible = f[elastic(f)]
         if not flexible.size:
-            raise ConfigError(f"{deck}: none of the {f.size} lowest modes is elastic; give --band")
+            raise ConfigError(
+                f"{deck}: none of the {f.size} lowest modes is elastic; give the band"
+            )
         if modes and max(modes) <= f.size:
             last = f[max(modes) - 1]
         else:
@@ -417,9 +418,10 @@ def _write_study(
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "plan.toml"
     place = Path(os.path.relpath(deck.resolve(), folder.resolve())).as_posix()
+    # 1.3: modes up to here over the band take part in virtual tests
     tables: dict[str, Mapping[str, Any]] = {
         "study": {"title": f"Test plan of {deck.name}", "seed": seed},
-        "model": {"deck": place, "units": units, "fmax": float(f"{ABOVE * section['fmax']:.6g}")},
+        "model": {"deck": place, "units": units, "fmax": float(f"{1.3 * section['fmax']:.6g}")},
         "plan": section,
     }
     lines = [
@@ -442,6 +444,7 @@ def _reach(run: runs.StudyRun) -> Float:
     """Driving-point residue of each reference over the best of all channels, (r, target)."""
     stage: PlanStage = run.results["plan"]
     found = run.session.initial.modes(run.session.first_fmax).modes.take(stage.target_modes)
-    seen = run.session.initial.seen(found, stage.test)
-    at = [stage.test.channels.index(r) for r in stage.references]
+    test = stage.sensors.test
+    seen = run.session.initial.seen(found, test)
+    at = [test.channels.index(r) for r in stage.excitation.references]
     return np.asarray(reach_of(np.asarray(seen.shapes), at))

@@ -26,18 +26,15 @@ class Finding:
         return f"{self.severity}: {place}{self.text}"
 
 
-def at_rows(model: Model, card: str, rows: Int, severity: Severity, what: str) -> Finding:
-    """One finding for rows (k,), k >= 1, of a table, at the place of the first: `CQUAD4 7 and 3
-    more: what`.
+def at_rows(model: Model, card: str, rows: Int, severity: Severity, what: str) -> list[Finding]:
+    """One finding for rows (k,) of a table, at the place of the first: `CQUAD4 7 and 3 more: what`;
+    none without rows.
     """
+    if not rows.size:
+        return []
     table = model[card]
     first = int(rows[0])
-    number = int(table.file[first])
-    known = 0 <= number < len(model.files)
+    file, line = model.place(table, first)
     more = f" and {rows.size - 1} more" if rows.size > 1 else ""
-    return Finding(
-        severity,
-        f"{card} {table.ids[first]}{more}: {what}",
-        model.files[number] if known else "",
-        int(table.line[first]) if known else 0,
-    )
+    text = f"{card} {table.ids[first]}{more}: {what}"
+    return [Finding(severity, text, file or "", line or 0)]

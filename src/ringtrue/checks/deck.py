@@ -10,7 +10,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from ringtrue.checks import Finding, at_rows
+from ringtrue.checks import Finding, Severity, at_rows
 from ringtrue.checks.elements import (
     check_geometry,
     double_findings,
@@ -18,17 +18,15 @@ from ringtrue.checks.elements import (
     hinge_findings,
     stiff_findings,
 )
-from ringtrue.checks.mass import body_findings, wide_findings
-from ringtrue.checks.materials import check_materials, check_units
+from ringtrue.checks.materials import body_findings, check_materials, check_units, wide_findings
 from ringtrue.core.arrays import Int
 from ringtrue.decks.nastran.case import empty_choices
 from ringtrue.model.cards import TABLES, columns
 from ringtrue.model.case_control import CONSTRAINTS, idle, left_out, untaken_matrices
 from ringtrue.model.frames import diagonal, positions
-from ringtrue.model.model import Model, Ragged
-from ringtrue.model.references import FRAMES, NODES, REFERENCES, missing, unused
+from ringtrue.model.model import Model
+from ringtrue.model.references import FRAMES, NODES, REFERENCES, known_ids, missing, unused
 
-NEAR = 1e-6  # of the model's size: closer nodes are coincident
 _NOT_ELEMENTS = frozenset(("GRID", "SPC", "SPC1"))
 
 
@@ -69,31 +67,33 @@ def check_deck(model: Model, units: str = "") -> DeckReport:
     InputError
         If the unit system is not known.
     """
-    checks = [*_missing(model), *_unconnected(model), *_shared_numbers(model)]
-    if not _lost_frames(model):
-        checks += [
-            *check_geometry(model),
-            *_coincident(model),
-            *check_units(model, units),
-            *hinge_findings(model),
-        ]
-        checks += [*wide_findings(model), *stiff_findings(model)]
-    checks += [*_unused(model), *_unchosen(model), *_lost_sets(model), *unapplied(model)]
-    checks += [
-        *check_materials(model),
-        *body_findings(model),
-        *edge_findings(model),
-        *double_findings(model),
-    ]
+    checks = list(_missing(model))
+    if "GRID" in model:
+        alone = np.flatnonzero(~np.isin(model["GRID"].ids, _used_nodes(model)))
+        checks += at_rows(model, "GRID", alone, "warning", "no element is connected to it")
+    else:
+        checks.append(Finding("error", "the deck has no GRID"))
+    checks += _shared_numbers(model)
+    lost = [missing_one.reference for missing_one in missing(model)]
+    if not any(r.of == FRAMES or r.card in FRAMES for r in lost):  # positions are known
+        checks += check_geometry(model)
+        checks += _coincident(model)
+        checks += check_units(model, units)
+        checks += hinge_findings(model)
+        checks += wide_findings(model)
+        checks += stiff_findings(model)
+    for card, rows in sorted(unused(model).items()):
+        checks += at_rows(model, card, rows, "info", "nothing uses it")
+    checks += _unchosen(model)
+    checks += _lost_sets(model)
+    checks += unapplied(model)
+    checks += check_materials(model)
+    checks += body_findings(model)
+    checks += edge_findings(model)
+    checks += double_findings(model)
     order = {"error": 0, "warning": 1, "info": 2}
     found = tuple(sorted(checks, key=lambda f: order[f.severity]))
     return DeckReport({n: len(t) for n, t in model.tables.items()}, dict(model.kept), found)
-
-
-def _lost_frames(model: Model) -> bool:
-    """Whether positions are unknown: a frame is not there, or a node that defines one."""
-    references = [lost.reference for lost in missing(model)]
-    return any(r.of == FRAMES or r.card in FRAMES for r in references)
 
 
 def _missing(model: Model) -> Iterator[Finding]:
@@ -101,10 +101,9 @@ def _missing(model: Model) -> Iterator[Finding]:
     for lost in missing(model):
         ref = lost.reference
         harmless = np.isin(lost.rows, out.get(ref.card, ())).all()
+        severity: Severity = "warning" if harmless else "error"
         what = f"{ref.field} names {ref.names} {lost.ids[0]}: not there"
-        yield at_rows(
-            model, ref.card, np.unique(lost.rows), "warning" if harmless else "error", what
-        )
+        yield from at_rows(model, ref.card, np.unique(lost.rows), severity, what)
 
 
 def _used_nodes(model: Model) -> Int:
@@ -112,20 +111,8 @@ def _used_nodes(model: Model) -> Int:
     used = [np.empty(0, dtype=np.int64)]
     for ref in REFERENCES:
         if ref.of == NODES and ref.card in model and ref.card not in _NOT_ELEMENTS:
-            column = model[ref.card].columns[ref.field]
-            used.append(column.values if isinstance(column, Ragged) else column)
+            used.append(model[ref.card].entries(ref.field)[0])
     return np.unique(np.concatenate(used))
-
-
-def _unconnected(model: Model) -> list[Finding]:
-    if "GRID" not in model:
-        return [Finding("error", "the deck has no GRID")]
-    rows = np.flatnonzero(~np.isin(model["GRID"].ids, _used_nodes(model)))
-    return (
-        [at_rows(model, "GRID", rows, "warning", "no element is connected to it")]
-        if rows.size
-        else []
-    )
 
 
 def _shared_numbers(model: Model) -> Iterator[Finding]:
@@ -133,11 +120,9 @@ def _shared_numbers(model: Model) -> Iterator[Finding]:
     cards = sorted(c for c, t in model.tables.items() if len(t) and columns(c)[0].name == "EID")
     for i, card in enumerate(cards):
         for other in cards[:i]:
-            if (rows := np.flatnonzero(np.isin(model[card].ids, model[other].ids))).size:
-                text = (
-                    f"{other} has the same number; Nastran wants numbers of elements to be unique"
-                )
-                yield at_rows(model, card, rows, "warning", text)
+            rows = np.flatnonzero(np.isin(model[card].ids, model[other].ids))
+            what = f"{other} has the same number; Nastran wants numbers of elements to be unique"
+            yield from at_rows(model, card, rows, "warning", what)
 
 
 def _groups(model: Model) -> Iterator[tuple[Int, Int]]:
@@ -152,15 +137,7 @@ def _groups(model: Model) -> Iterator[tuple[Int, Int]]:
         ):
             by_card.setdefault(ref.card, []).append(ref.field)
     for card, names in by_card.items():
-        table, ids, owner = model[card], [], []
-        for name in names:
-            column = table.columns[name]
-            ragged = isinstance(column, Ragged)
-            ids.append(column.values if isinstance(column, Ragged) else column)
-            count = column.sizes if isinstance(column, Ragged) else 1
-            owner.append(
-                np.repeat(np.arange(len(table)), count) if ragged else np.arange(len(table))
-            )
+        ids, owner = zip(*(model[card].entries(name) for name in names), strict=True)
         yield np.concatenate(ids), np.concatenate(owner)
 
 
@@ -168,10 +145,11 @@ def _coincident(model: Model) -> list[Finding]:
     """Pairs of nodes at one place that no element or constraint joins."""
     if "GRID" not in model or len(model["GRID"]) < 2:
         return []
-    grid, xyz = model["GRID"], positions(model)
+    grid = model["GRID"]
+    xyz = positions(model)
     used = np.flatnonzero(np.isin(grid.ids, _used_nodes(model)))
-    size = diagonal(xyz)
-    pairs = KDTree(xyz[used]).query_pairs(NEAR * size, output_type="ndarray").astype(np.int64)
+    near = 1e-6 * diagonal(xyz)
+    pairs = KDTree(xyz[used]).query_pairs(near, output_type="ndarray").astype(np.int64)
     if not len(pairs):
         return []
     pairs = used[pairs]
@@ -179,12 +157,11 @@ def _coincident(model: Model) -> list[Finding]:
     if not len(free):
         return []
     free = free[np.lexsort((free[:, 1], free[:, 0]))]
-    names = ", ".join(f"{a} and {b}" for a, b in grid.ids[free[:5]].tolist())
-    what = (
-        "at one place with another node that nothing joins it to: "
-        f"{names}{', ...' if len(free) > 5 else ''}"
-    )
-    return [at_rows(model, "GRID", np.unique(free[:, 0]), "warning", what)]
+    names = [f"{a} and {b}" for a, b in grid.ids[free[:5]].tolist()]
+    if len(free) > 5:
+        names.append("...")
+    what = f"at one place with another node that nothing joins it to: {', '.join(names)}"
+    return at_rows(model, "GRID", np.unique(free[:, 0]), "warning", what)
 
 
 def _joined(model: Model, pairs: Int) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
@@ -197,14 +174,12 @@ def _joined(model: Model, pairs: Int) -> np.ndarray[tuple[int], np.dtype[np.bool
     for ids, owner in _groups(model):
         keep = np.isin(ids, wanted)
         members: dict[int, set[int]] = {}
-        for o, i in zip(
-            owner[keep].tolist(), np.searchsorted(wanted, ids[keep]).tolist(), strict=True
-        ):
+        nodes = np.searchsorted(wanted, ids[keep])
+        for o, i in zip(owner[keep].tolist(), nodes.tolist(), strict=True):
             members.setdefault(i, set()).add(o)
-        # over the few coincident pairs
-        joined.update(
-            (a, b) for a, b in at.tolist() if members.get(a, set()) & members.get(b, set())
-        )
+        for a, b in at.tolist():  # the few coincident pairs
+            if members.get(a, set()) & members.get(b, set()):
+                joined.add((a, b))
     edges = np.array(sorted(joined), dtype=np.int64).reshape(-1, 2)
     graph = sparse.coo_array(
         (np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(wanted.size, wanted.size)
@@ -227,40 +202,21 @@ def _unchosen(model: Model) -> Iterator[Finding]:
         Finding("warning", f"case control asks for {text}") for text in empty_choices(model)
     )
     for name, (_, cards) in CONSTRAINTS.items():
-        chosen = getattr(model.case, name.lower())
-        for card in cards:
-            if not chosen and card in model and len(model[card]):
-                rows = np.arange(len(model[card]))
-                yield at_rows(
-                    model,
-                    card,
-                    rows,
-                    "warning",
-                    f"it holds nothing: case control chooses no {name}",
-                )
+        if getattr(model.case, name.lower()):
+            continue
+        what = f"it holds nothing: case control chooses no {name}"
+        for card in (c for c in cards if c in model):
+            yield from at_rows(model, card, np.arange(len(model[card])), "warning", what)
 
 
 def _lost_sets(model: Model) -> Iterator[Finding]:
     """SPCADD and MPCADD of sets that are not in the deck."""
     for add, cards in CONSTRAINTS.values():
         if add in model:
-            there = np.concatenate(
-                [np.empty(0, dtype=np.int64), *(model[c].ids for c in cards if c in model)]
-            )
-            rows = _naming_none(model[add].ragged("S"), there)
-            if rows.size:
-                yield at_rows(model, add, rows, "warning", "it names a set that is not in the deck")
-
-
-def _naming_none(sets: Ragged, there: Int) -> Int:
-    return np.unique(sets.owner[~np.isin(sets.values, there)])
-
-
-def _unused(model: Model) -> list[Finding]:
-    return [
-        at_rows(model, card, rows, "info", "nothing uses it")
-        for card, rows in sorted(unused(model).items())
-    ]
+            sets, row = model[add].entries("S")
+            rows = np.unique(row[~np.isin(sets, known_ids(model, cards))])
+            what = "it names a set that is not in the deck"
+            yield from at_rows(model, add, rows, "warning", what)
 
 
 _WHOLE = "kept, not applied: the modes here are those of the full model, not of the condensed one"
@@ -291,7 +247,6 @@ _KEPT = (  # cards that are kept and what becomes of them
     ),
     (("TF",), "kept, not applied: transfer functions act in the solutions of responses only"),
 )
-RECTANGULAR = 9  # form of DMIG that are loads
 
 
 def unapplied(model: Model) -> Iterator[Finding]:
@@ -300,8 +255,9 @@ def unapplied(model: Model) -> Iterator[Finding]:
         found = [card for card in cards if card in model.kept]
         if found:
             yield Finding("info", f"{', '.join(found)}: {what}")
-    if "GRID" in model and (rows := np.flatnonzero(model["GRID"]["SEID"] > 0)).size:
-        yield at_rows(model, "GRID", rows, "info", f"SEID {_WHOLE}")
+    if "GRID" in model:
+        rows = np.flatnonzero(model["GRID"]["SEID"] > 0)
+        yield from at_rows(model, "GRID", rows, "info", f"SEID {_WHOLE}")
     for name in ("K2PP", "M2PP", "B2PP"):
         if getattr(model.case, name.lower()):
             yield Finding("info", f"{name} acts on responses (ringtrue frf), not on modes")
@@ -318,9 +274,11 @@ def _idle_matrices(model: Model) -> Iterator[Finding]:
     names = np.char.upper(table["NAME"].astype(str))
     asked = " ".join(model.case.unread).upper()
     for row in untaken_matrices(model).tolist():
-        if table["IFO"][row] != RECTANGULAR and names[row] not in asked:
+        rectangular = table["IFO"][row] == 9  # loads
+        if not rectangular and names[row] not in asked:
             text = (
                 f"DMIG {names[row]}: it adds nothing: case control takes it by no K2GG, M2GG "
                 "or B2GG"
             )
-            yield Finding("warning", text, model.files[int(table.file[row])], int(table.line[row]))
+            file, line = model.place(table, row)
+            yield Finding("warning", text, file or "", line or 0)

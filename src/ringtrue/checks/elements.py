@@ -12,15 +12,42 @@ from scipy.sparse.csgraph import connected_components
 from ringtrue.checks import Finding, at_rows
 from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
 from ringtrue.fem.element_cards import SOLIDS
+from ringtrue.model.cards import HEXAHEDRON, QUADRILATERAL, TETRAHEDRON, TRIANGLE, WEDGE
 from ringtrue.model.frames import diagonal, positions
-from ringtrue.model.model import Model, Ragged
-from ringtrue.model.references import NODES, REFERENCES, SHELLS
+from ringtrue.model.model import Model
+from ringtrue.model.references import NODES, REFERENCES, SHELLS, CardReference
 
-WARP = 0.05  # out-of-plane height of a corner over the mean side
-ASPECT = 20.0  # longest over shortest side
-JACOBIAN = 0.1  # smallest over largest determinant at the corners
-MIDDLE = 0.25  # a mid-side node must project between this and 1 - this of its edge
-FLAT = 1e-8  # area or volume over that of the square or cube on the longest side
+
+@dataclass(frozen=True, slots=True)
+class QualityLimits:
+    """Beyond which the shape of an element is noted.
+
+    Attributes
+    ----------
+    warp : float
+        Out-of-plane height of a corner over the mean side.
+    aspect : float
+        Longest over shortest side.
+    jacobian : float
+        Smallest over largest determinant at the corners.
+    middle : float
+        A mid-side node must project between this and 1 - this of its edge.
+    flat : float
+        Area or volume over that of the square or cube on the longest side.
+    named : int
+        Elements that are named.
+    """
+
+    warp: float = 0.05
+    aspect: float = 20.0
+    jacobian: float = 0.1
+    middle: float = 0.25
+    flat: float = 1e-8
+    named: int = 4
+
+
+QUALITY = QualityLimits()
+
 _LINES = {
     "CROD": ("G1", "G2"),
     "CTUBE": ("G1", "G2"),
@@ -38,7 +65,7 @@ _SURFACES = {
     "CQUAD8": 4,
     "CSHEAR": 4,
 }
-_SOLIDS = {"CTETRA": 4, "CPYRAM": 5, "CPENTA": 6, "CHEXA": 8}
+_SOLIDS = {card: solid.corners for card, solid in SOLIDS.items()}
 # the corners that edges join to each corner, right-handed; the apex of a pyramid has four: left out
 _SPOKES = {
     "CTETRA": ((1, 2, 3), (2, 0, 3), (0, 1, 3), (0, 2, 1)),
@@ -57,15 +84,12 @@ _SPOKES = {
 }
 # corners that each mid-side node stands between, in the order of the nodes behind the corners
 _MIDDLES = {
-    "CTRIA6": ((0, 1), (1, 2), (2, 0)),
-    "CQUAD8": ((0, 1), (1, 2), (2, 3), (3, 0)),
-    "CTETRA": ((0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)),
-    "CPYRAM": ((0, 1), (1, 2), (2, 3), (3, 0), (0, 4), (1, 4), (2, 4), (3, 4)),
-    "CPENTA": ((0, 1), (1, 2), (2, 0), (0, 3), (1, 4), (2, 5), (3, 4), (4, 5), (5, 3)),
-    "CHEXA": (
-        *((0, 1), (1, 2), (2, 3), (3, 0), (0, 4), (1, 5), (2, 6), (3, 7)),
-        *((4, 5), (5, 6), (6, 7), (7, 4)),
-    ),
+    "CTRIA6": TRIANGLE.edges,
+    "CQUAD8": QUADRILATERAL.edges,
+    "CTETRA": TETRAHEDRON.edges,
+    "CPYRAM": (*QUADRILATERAL.edges, (0, 4), (1, 4), (2, 4), (3, 4)),
+    "CPENTA": WEDGE.edges,
+    "CHEXA": HEXAHEDRON.edges,
 }
 
 
@@ -79,24 +103,26 @@ def check_geometry(model: Model) -> list[Finding]:
         if card in model:
             x, rows = _points(model, xyz, card, names)
             length = np.linalg.norm(x[:, 1] - x[:, 0], axis=1)
-            found += _report(model, card, rows[length == 0], "error", "has no length")
+            found += at_rows(model, card, rows[length == 0], "error", "has no length")
     for card, count in (_SURFACES | _SOLIDS).items():
         if card in model:
-            x, rows = _points(model, xyz, card, tuple(f"G{i + 1}" for i in range(count)))
-            found += (
-                _surface(model, card, x, rows)
-                if card in _SURFACES
-                else _solid(model, card, x, rows)
-            )
+            x, rows = _points(model, xyz, card, _corner_fields(count))
+            check = _surface if card in _SURFACES else _solid
+            found += check(model, card, x, rows)
             found += _middles(model, xyz, card, count) if card in _MIDDLES else []
     return found
+
+
+def _corner_fields(count: int) -> tuple[str, ...]:
+    return tuple(f"G{i + 1}" for i in range(count))
 
 
 def _middles(model: Model, xyz: Float, card: str, corners: int) -> list[Finding]:
     """Mid-side nodes outside the middle half of their edge: the mapping folds over (Zienkiewicz,
     Taylor, 2000).
     """
-    table, grid = model[card], model["GRID"]
+    table = model[card]
+    grid = model["GRID"]
     wrong = np.zeros(len(table), dtype=bool)
     for k, (a, b) in enumerate(_MIDDLES[card]):
         at = grid.find(table.stack(f"G{a + 1}", f"G{b + 1}", f"G{corners + k + 1}"))
@@ -105,8 +131,8 @@ def _middles(model: Model, xyz: Float, card: str, corners: int) -> list[Finding]
         edge = q - p
         length = np.einsum("ij,ij->i", edge, edge)
         along = np.einsum("ij,ij->i", mid - p, edge) / np.where(length > 0, length, 1.0)
-        wrong[rows] |= (length > 0) & ((along < MIDDLE) | (along > 1 - MIDDLE))
-    return _report(
+        wrong[rows] |= (length > 0) & ((along < QUALITY.middle) | (along > 1 - QUALITY.middle))
+    return at_rows(
         model,
         card,
         np.flatnonzero(wrong),
@@ -122,14 +148,6 @@ def _points(model: Model, xyz: Float, card: str, names: tuple[str, ...]) -> tupl
     return xyz[at[rows]], rows
 
 
-def _report(model: Model, card: str, rows: Int, severity: str, what: str) -> list[Finding]:
-    return (
-        [at_rows(model, card, rows, "error" if severity == "error" else "warning", what)]
-        if rows.size
-        else []
-    )
-
-
 def _sides(x: Float) -> Float:
     """Lengths of the sides of polygons (e, k, 3): (e, k)."""
     return np.asarray(np.linalg.norm(np.roll(x, -1, axis=1) - x, axis=2))
@@ -137,19 +155,22 @@ def _sides(x: Float) -> Float:
 
 def _surface(model: Model, card: str, x: Float, rows: Int) -> list[Finding]:
     sides = _sides(x)
-    longest, shortest = sides.max(axis=1), sides.min(axis=1)
+    longest = sides.max(axis=1)
+    shortest = sides.min(axis=1)
     if x.shape[1] == 4:
         normal = np.cross(x[:, 2] - x[:, 0], x[:, 3] - x[:, 1])
     else:
         normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
     area = np.linalg.norm(normal, axis=1) / 2
-    flat = (area <= FLAT * longest**2) | (shortest == 0)
-    found = _report(
+    flat = (area <= QUALITY.flat * longest**2) | (shortest == 0)
+    found = at_rows(
         model, card, rows[flat], "error", "is collapsed: no area, or two corners at one place"
     )
     good = ~flat
-    slender = good & (longest > ASPECT * np.where(good, shortest, 1.0))
-    found += _report(model, card, rows[slender], "warning", f"has an aspect ratio over {ASPECT:g}")
+    slender = good & (longest > QUALITY.aspect * np.where(good, shortest, 1.0))
+    found += at_rows(
+        model, card, rows[slender], "warning", f"has an aspect ratio over {QUALITY.aspect:g}"
+    )
     if x.shape[1] == 4:
         found += _quads(model, card, x=x, rows=rows, normal=normal, good=good)
     return found
@@ -160,20 +181,28 @@ def _quads(
 ) -> list[Finding]:
     unit = normal / np.where(good, np.linalg.norm(normal, axis=1), 1.0)[:, None]
     height = abs(np.einsum("ij,ij->i", x[:, 1] - x[:, 0], unit)) / 2
-    warped = good & (height > WARP * _sides(x).mean(axis=1))
-    found = _report(
-        model, card, rows[warped], "warning", f"is warped by more than {WARP:g} of its mean side"
+    warped = good & (height > QUALITY.warp * _sides(x).mean(axis=1))
+    found = at_rows(
+        model,
+        card,
+        rows[warped],
+        "warning",
+        f"is warped by more than {QUALITY.warp:g} of its mean side",
     )
-    before, after = np.roll(x, 1, axis=1) - x, np.roll(x, -1, axis=1) - x
-    turn = np.einsum(
-        "ekj,ej->ek", np.cross(after, before), unit
-    )  # Jacobian at the corners, times 4
-    skew = good & (turn > 0).all(axis=1) & (turn.min(axis=1) < JACOBIAN * turn.max(axis=1))
-    found += _report(
-        model, card, rows[skew], "warning", f"has corner Jacobians of a ratio under {JACOBIAN:g}"
+    before = np.roll(x, 1, axis=1) - x
+    after = np.roll(x, -1, axis=1) - x
+    # Jacobian at the corners, times 4
+    turn = np.einsum("ekj,ej->ek", np.cross(after, before), unit)
+    skew = good & (turn > 0).all(axis=1) & (turn.min(axis=1) < QUALITY.jacobian * turn.max(axis=1))
+    found += at_rows(
+        model,
+        card,
+        rows[skew],
+        "warning",
+        f"has corner Jacobians of a ratio under {QUALITY.jacobian:g}",
     )
     reentrant = good & (turn <= 0).any(axis=1)
-    return found + _report(
+    return found + at_rows(
         model, card, rows[reentrant], "error", "has a corner of 180 degrees or more"
     )
 
@@ -182,10 +211,10 @@ def _solid(model: Model, card: str, x: Float, rows: Int) -> list[Finding]:
     """Signed volume by the Jacobian in the middle, over the cube on the longest extent."""
     volume = np.linalg.det(_middle(x))
     size = np.ptp(x, axis=1).max(axis=1)
-    flat = abs(volume) <= FLAT * size**3
-    found = _report(model, card, rows[flat], "error", "is collapsed: no volume")
+    flat = abs(volume) <= QUALITY.flat * size**3
+    found = at_rows(model, card, rows[flat], "error", "is collapsed: no volume")
     good = ~flat & (volume > 0)
-    found += _report(
+    found += at_rows(
         model, card, rows[~flat & (volume < 0)], "error", "is inside out: negative volume"
     )
     return found + _corners(model, card, x, rows, good)
@@ -197,18 +226,22 @@ def _corners(model: Model, card: str, x: Float, rows: Int, good: Bool) -> list[F
     edges = x[:, spokes] - x[:, : len(spokes), None]
     corner = np.linalg.det(edges)
     size = np.ptp(x, axis=1).max(axis=1)
-    folded = good & (corner.min(axis=1) <= FLAT * size**3)
-    found = _report(
+    folded = good & (corner.min(axis=1) <= QUALITY.flat * size**3)
+    found = at_rows(
         model, card, rows[folded], "error", "is folded: no positive Jacobian at a corner"
     )
-    skew = good & ~folded & (corner.min(axis=1) < JACOBIAN * corner.max(axis=1))
-    found += _report(
-        model, card, rows[skew], "warning", f"has corner Jacobians of a ratio under {JACOBIAN:g}"
+    skew = good & ~folded & (corner.min(axis=1) < QUALITY.jacobian * corner.max(axis=1))
+    found += at_rows(
+        model,
+        card,
+        rows[skew],
+        "warning",
+        f"has corner Jacobians of a ratio under {QUALITY.jacobian:g}",
     )
     length = np.linalg.norm(edges, axis=3).reshape(len(x), spokes.size)
-    slender = good & (length.max(axis=1) > ASPECT * length.min(axis=1))
-    return found + _report(
-        model, card, rows[slender], "warning", f"has an aspect ratio over {ASPECT:g}"
+    slender = good & (length.max(axis=1) > QUALITY.aspect * length.min(axis=1))
+    return found + at_rows(
+        model, card, rows[slender], "warning", f"has an aspect ratio over {QUALITY.aspect:g}"
     )
 
 
@@ -225,7 +258,8 @@ def _middle(x: Float) -> Float:
             axis=1,
         )
     if x.shape[1] == 6:
-        low, high = x[:, :3], x[:, 3:]
+        low = x[:, :3]
+        high = x[:, 3:]
         mid = (low + high) / 2
         return np.stack(
             [mid[:, 1] - mid[:, 0], mid[:, 2] - mid[:, 0], (high - low).mean(axis=1)], axis=1
@@ -238,8 +272,7 @@ def _middle(x: Float) -> Float:
     return np.stack([x[:, a].mean(axis=1) - x[:, b].mean(axis=1) for a, b in pairs], axis=1)
 
 
-CORNERS = {"CTRIA3": 3, "CTRIAR": 3, "CTRIA6": 3, "CQUAD4": 4, "CQUADR": 4, "CQUAD8": 4}
-_NAMED = 4
+CORNERS = {card: count for card, count in _SURFACES.items() if card != "CSHEAR"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -272,7 +305,7 @@ def shell_edges(model: Model) -> ShellEdges:
     found = [np.empty((0, 2), dtype=np.int64)]
     for card, corners in CORNERS.items():
         if card in model:
-            ids = model[card].stack(*(f"G{i + 1}" for i in range(corners)))
+            ids = model[card].stack(*_corner_fields(corners))
             found.append(np.stack([ids, np.roll(ids, -1, axis=1)], axis=2).reshape(-1, 2))
     directed = np.concatenate(found)
     directed = directed[directed[:, 0] != directed[:, 1]]
@@ -328,46 +361,29 @@ def _count_words(count: int, what: str) -> str:
 
 def _node_names(edges: Int) -> str:
     nodes = np.unique(edges)
-    return " ".join(map(str, nodes[:_NAMED].tolist())) + (" ..." if nodes.size > _NAMED else "")
+    names = [str(n) for n in nodes[: QUALITY.named].tolist()]
+    return " ".join(names + ["..."] * (nodes.size > QUALITY.named))
 
 
-_CORNERS = CORNERS | {card: solid.corners for card, solid in SOLIDS.items()}
-_CORNER_NODES = {
-    card: tuple(f"G{i + 1}" for i in range(count)) for card, count in _CORNERS.items()
-} | {
-    "CROD": ("G1", "G2"),
-    "CBAR": ("GA", "GB"),
-    "CBEAM": ("GA", "GB"),
-}
-_OFFSETS = (
-    "ZOFFS",
-    "W1A",
-    "W2A",
-    "W3A",
-    "W1B",
-    "W2B",
-    "W3B",
-)  # skins and stiffeners may share nodes at offsets
+# skins and stiffeners may share nodes at offsets
+_OFFSETS = ("ZOFFS", "W1A", "W2A", "W3A", "W1B", "W2B", "W3B")
 
 
 def double_findings(model: Model) -> Iterator[Finding]:
     """Elements with the nodes, property and offsets of another of their card."""
-    for card in (c for c in _CORNER_NODES if c in model):
-        if (rows := _doubled(model, card)).size:
-            what = "it has the nodes, the property and the offsets of another element; both count"
-            yield at_rows(model, card, rows, "warning", what)
+    ends: dict[str, tuple[str, ...]] = {c: _LINES[c] for c in ("CROD", "CBAR", "CBEAM")}
+    ends |= {card: _corner_fields(count) for card, count in (CORNERS | _SOLIDS).items()}
+    for card in (c for c in ends if c in model):
+        table = model[card]
+        nodes = np.sort(table.stack(*ends[card]), axis=1)
+        offsets = [np.nan_to_num(table[name]) for name in _OFFSETS if name in table.columns]
+        key = np.column_stack([table["PID"], nodes, *offsets])
+        first = np.unique(key, axis=0, return_index=True)[1]
+        rows = np.setdiff1d(np.arange(len(table)), first)
+        what = "it has the nodes, the property and the offsets of another element; both count"
+        yield from at_rows(model, card, rows, "warning", what)
 
 
-def _doubled(model: Model, card: str) -> Int:
-    table = model[card]
-    nodes = np.sort(table.stack(*_CORNER_NODES[card]), axis=1)
-    offsets = [np.nan_to_num(table[name]) for name in _OFFSETS if name in table.columns]
-    key = np.column_stack([table["PID"], nodes, *offsets])
-    first = np.unique(key, axis=0, return_index=True)[1]
-    return np.setdiff1d(np.arange(len(table)), first)
-
-
-_SOLID_CARDS = frozenset(("CTETRA", "CPENTA", "CHEXA", "CPYRAM"))
 _STRAIGHT = frozenset(("CROD", "CTUBE", "CONROD", "CVISC", "CBUSH1D"))  # along themselves alone
 _MASSES = frozenset(("CONM1", "CONM2", "CMASS1", "CMASS2"))
 _BEAMS = ("CBAR", "CBEAM", "CBEND")
@@ -377,31 +393,36 @@ def hinge_findings(model: Model) -> Iterator[Finding]:
     """Ends that nothing but solids holds: hinges of beams, bushes of some length that carry no
     force across.
     """
-    if "GRID" not in model or not any(card in model for card in _SOLID_CARDS):
+    if "GRID" not in model or not any(card in model for card in _SOLIDS):
         return
     free = _hinges(model)
     for card in (c for c in _BEAMS if c in model):
         rows = np.flatnonzero(free[_rows(model, card, "GA")] | free[_rows(model, card, "GB")])
-        if rows.size:
-            what = (
-                "hinged where it ends on a node of solids, which take no moment; RBE3 or a "
-                "beam inside them would"
-            )
-            yield at_rows(model, card, rows, "info", what)
+        what = (
+            "hinged where it ends on a node of solids, which take no moment; RBE3 or a beam "
+            "inside them would"
+        )
+        yield from at_rows(model, card, rows, "info", what)
     for card, rows in _edges_on_solids(model):
         what = (
             "hinged where an edge of it meets solids, whose nodes take no moment; shells over "
             "their faces would"
         )
-        yield at_rows(model, card, rows, "info", what)
+        yield from at_rows(model, card, rows, "info", what)
     if "CBUSH" in model:
         rows = np.flatnonzero(_idle_bushes(model, free))
-        if rows.size:
-            what = (
-                "between nodes of solids, which turn freely, it carries no force across its "
-                "length; give it none"
-            )
-            yield at_rows(model, "CBUSH", rows, "warning", what)
+        what = (
+            "between nodes of solids, which turn freely, it carries no force across its length; "
+            "give it none"
+        )
+        yield from at_rows(model, "CBUSH", rows, "warning", what)
+
+
+def _turning(model: Model) -> Iterator[CardReference]:
+    """Fields that name nodes, of all cards but masses and those that act along themselves alone."""
+    for r in REFERENCES:
+        if r.of == NODES and r.card in model and r.card not in _STRAIGHT | _MASSES:
+            yield r
 
 
 def _hinges(model: Model) -> Bool:
@@ -409,15 +430,9 @@ def _hinges(model: Model) -> Bool:
     node.
     """
     solid, other = np.zeros((2, len(model["GRID"]) + 1), dtype=np.int64)
-    for r in REFERENCES:
-        if (
-            r.of != NODES
-            or r.card not in model
-            or r.card in _STRAIGHT | _MASSES
-            or r.field in ("G0", "SA", "SB")
-        ):
-            continue
-        np.add.at(solid if r.card in _SOLID_CARDS else other, _rows(model, r.card, r.field), 1)
+    for r in _turning(model):
+        if r.field not in ("G0", "SA", "SB"):
+            np.add.at(solid if r.card in _SOLIDS else other, _rows(model, r.card, r.field), 1)
     solid[-1] = 0
     return np.asarray((solid > 0) & (other == 1))
 
@@ -427,39 +442,31 @@ def _edges_on_solids(model: Model) -> Iterator[tuple[str, Int]]:
     card turns them.
     """
     solid, turned = np.zeros((2, len(model["GRID"]) + 1), dtype=bool)
-    for r in REFERENCES:
-        if (
-            r.of == NODES
-            and r.card in model
-            and r.card not in _STRAIGHT | _MASSES
-            and r.card not in SHELLS
-        ):
-            (solid if r.card in _SOLID_CARDS else turned)[_rows(model, r.card, r.field)] = True
+    for r in _turning(model):
+        if r.card not in SHELLS:
+            (solid if r.card in _SOLIDS else turned)[_rows(model, r.card, r.field)] = True
     solid[-1] = False
-    corners = {
-        card: np.stack(
-            [_rows(model, card, f"G{k}") for k in range(1, 4 + ("QUAD" in card))], axis=1
-        )
-        for card in SHELLS
-        if card in model
-    }
+    corners = {}
+    for card in (c for c in SHELLS if c in model):
+        names = _corner_fields(4 if "QUAD" in card else 3)
+        corners[card] = np.stack([_rows(model, card, name) for name in names], axis=1)
     for at in corners.values():
         turned[at[solid[at].all(axis=1)]] = True
     for card, at in corners.items():
-        if (rows := np.flatnonzero((solid & ~turned)[at].sum(axis=1) > 1)).size:
-            yield card, rows
+        yield card, np.flatnonzero((solid & ~turned)[at].sum(axis=1) > 1)
 
 
 def _rows(model: Model, card: str, field: str) -> Int:
     """Rows of GRID that a field names, -1 for none."""
-    column = model[card].columns[field]
-    return model["GRID"].find(column.values if isinstance(column, Ragged) else np.asarray(column))
+    return model["GRID"].find(model[card].entries(field)[0])
 
 
 def _idle_bushes(model: Model, free: Bool) -> Bool:
     """Bushes of some length and stiffness in two directions, both ends of which turn freely."""
-    t, x = model["CBUSH"], positions(model)
-    a, b = _rows(model, "CBUSH", "GA"), _rows(model, "CBUSH", "GB")
+    t = model["CBUSH"]
+    x = positions(model)
+    a = _rows(model, "CBUSH", "GA")
+    b = _rows(model, "CBUSH", "GB")
     long = np.linalg.norm(x[a] - x[b], axis=1) > 1e-6 * diagonal(x)
     stiff = np.zeros(len(t), dtype=bool)
     if "PBUSH" in model:
@@ -483,22 +490,17 @@ def stiff_findings(model: Model) -> Iterator[Finding]:
     """
     if "CTETRA" in model:
         rows = np.flatnonzero(model["CTETRA"]["G5"] == 0)
-        if rows.size:
-            yield at_rows(model, "CTETRA", rows, "warning", _LINEAR)
+        yield from at_rows(model, "CTETRA", rows, "warning", _LINEAR)
     if "PSHELL" not in model or "GRID" not in model:
         return
-    p, xyz = model["PSHELL"], positions(model)
+    p = model["PSHELL"]
+    xyz = positions(model)
     for card in (c for c in _TRIANGLES if c in model):
         table = model[card]
-        at, row = model["GRID"].find(table.stack("G1", "G2", "G3")), p.find(table["PID"])
+        at = model["GRID"].find(table.stack("G1", "G2", "G3"))
+        row = p.find(table["PID"])
         there = np.flatnonzero((at >= 0).all(axis=1) & (row >= 0))
         row = row[there]
         sheared = (p["MID3"][row] > 0) & (p["MID3"][row] == p["MID2"][row])
-        thick = there[sheared & (p["T"][row] > _longest(xyz[at[there]]))]
-        if thick.size:
-            yield at_rows(model, card, thick, "warning", _THICK)
-
-
-def _longest(x: Float) -> Float:
-    """The longest side (e,) of triangles (e, 3, 3)."""
-    return np.asarray(np.linalg.norm(np.roll(x, -1, axis=1) - x, axis=2).max(axis=1))
+        thick = there[sheared & (p["T"][row] > _sides(xyz[at[there]]).max(axis=1))]
+        yield from at_rows(model, card, thick, "warning", _THICK)

@@ -12,20 +12,15 @@ from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
 from ringtrue.correlation.pairing import pair_modes
-from ringtrue.fem.algebra import arm
+from ringtrue.fem.mesh import arm
 from ringtrue.model.frames import positions
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModalSolver, ModesRequest
 from ringtrue.model.refine import refined
 
-ORDER = 2  # of the frequency error in the size of elements: linear shapes, and lumped masses of any
-LOWER, HIGHER = 0.6, 1.25  # of the band of the modes: where those of the refined mesh are sought
-WORTH = 0.02  # of a frequency: mesh errors worth telling
+NOTED = 0.02  # of a frequency: mesh errors that are named
 NAMED = 8  # modes named
-STILL, RIGID = (
-    1e-4,
-    1e-6,
-)  # of the highest frequency, and of a shape that is not rigid: modes that no mesh changes
+RIGID = 1e-6  # of a shape that is not rigid
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,13 +44,14 @@ class MeshErrors:
         """(m,) float64, f / f_fine - 1, positive where the mesh is too stiff; extrapolated
         (Richardson 1911).
         """
-        fine = self.refined - (self.frequencies - self.refined) / (2**ORDER - 1)
+        order = 2  # of the error in the size of elements: linear shapes, and lumped masses of any
+        fine = self.refined - (self.frequencies - self.refined) / (2**order - 1)
         return np.asarray(self.frequencies / fine - 1)
 
     @property
     def off(self) -> Int:
-        """Positions of the modes that the mesh puts off by more than `WORTH`."""
-        return np.flatnonzero(np.abs(np.nan_to_num(self.relative)) > WORTH)
+        """Positions of the modes that the mesh puts off by more than `NOTED`."""
+        return np.flatnonzero(np.abs(np.nan_to_num(self.relative)) > NOTED)
 
     def in_words(self, numbers: Int | None = None) -> str:
         """What was refined, and the modes that the mesh puts off, by their numbers (m,) if not 1,
@@ -68,7 +64,7 @@ class MeshErrors:
             )
         how = "by refining it once ({} nodes to {})".format(*self.nodes)
         if not self.off.size:
-            return f"the mesh puts no frequency off by more than {WORTH:.0%}, {how}"
+            return f"the mesh puts no frequency off by more than {NOTED:.0%}, {how}"
         number = np.arange(1, self.frequencies.size + 1) if numbers is None else numbers
         names = ", ".join(
             f"{number[i]} ({self.relative[i]:+.0%})" for i in self.off[:NAMED].tolist()
@@ -99,12 +95,14 @@ def mesh_errors(model: Model, modes: ModeSet, solver: ModalSolver) -> MeshErrors
     """
     fine = refined(model)
     f = modes.frequencies
-    nodes, xyz = model["GRID"].ids, positions(model)
-    still = (f <= STILL * f.max(initial=0.0)) | _rigid(_translations(modes, nodes).shapes, xyz)
-    out, moving = np.full(f.size, np.nan), np.flatnonzero(~still)
+    nodes = model["GRID"].ids
+    xyz = positions(model)
+    rigid = _rigid(_translations(modes, nodes).shapes, xyz) | (f <= 1e-4 * f.max(initial=0.0))
+    out = np.full(f.size, np.nan)
+    moving = np.flatnonzero(~rigid)
     if moving.size:
         own = modes.take(moving)
-        band = (LOWER * float(own.frequencies[0]), HIGHER * float(own.frequencies[-1]))
+        band = (0.6 * float(own.frequencies[0]), 1.25 * float(own.frequencies[-1]))
         with solver.open(fine) as analysis:
             found = analysis.modes(ModesRequest(band=band)).modes
         pairs = pair_modes(_translations(own, nodes), _translations(found, nodes))

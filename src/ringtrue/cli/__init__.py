@@ -4,6 +4,5 @@ several that wait.
 
 import os
 
-os.environ.setdefault(
-    "OPENBLAS_NUM_THREADS", "1"
-)  # before numpy is imported; PARDISO keeps its own threads
+# before numpy is imported; PARDISO keeps its own threads
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

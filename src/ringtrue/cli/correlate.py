@@ -9,6 +9,7 @@ from typing import Annotated, Any, get_args
 
 import typer
 
+from ringtrue.api.comparison import Correlation
 from ringtrue.api.comparison import correlate as compare
 from ringtrue.api.measurements import TestModes, read_modes
 from ringtrue.api.models import read_deck
@@ -21,9 +22,9 @@ from ringtrue.cli.show import (
     progress,
     rows,
     tell,
+    warn_of_units,
     write_json,
 )
-from ringtrue.cli.stated import warn_of_units
 from ringtrue.core.arrays import Float
 from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.correlation.measures import CompleteCorrelation, complete_json
@@ -41,6 +42,8 @@ from ringtrue.study.placing import (
 )
 from ringtrue.study.summary import correlation_json
 
+ON_SHEET = "of the places of a sheet on a deck; give --sensors"
+OF_DECK_MASS = "the mass of a deck, for --complete without --mass"
 OF_ORTHOGONALITY = "gate of the orthogonality; give --complete or --mass"
 
 
@@ -100,11 +103,11 @@ def _reasons(unpaired: Sequence[dict[str, Any]]) -> list[str]:
     """Why modes have no partner: a line each of A, of B (a model may have hundreds) one for all of
     one reason.
     """
-    told: dict[tuple[str, str], list[int]] = {}
+    by_reason: dict[tuple[str, str], list[int]] = {}
     for u in unpaired:
         reason = u["reason"] if u["set"] == "A" else u["reason"].split(": best")[0]
-        told.setdefault((u["set"], reason), []).append(u["mode"])
-    return [f"{name} {listed(modes)}: {reason}" for (name, reason), modes in told.items()]
+        by_reason.setdefault((u["set"], reason), []).append(u["mode"])
+    return [f"{name} {listed(modes)}: {reason}" for (name, reason), modes in by_reason.items()]
 
 
 def _show_pairs(title: str, pairs: Sequence[dict[str, Any]]) -> None:
@@ -143,11 +146,14 @@ def _show_complete(c: CompleteCorrelation) -> None:
         f"{100 * c.auto_mac[1]:.1f} %"
     )
     if c.scale.size:  # pairs
-        worst = c.comac.argsort(kind="stable")[:5].tolist()
+        worst = c.by_channel.comac.argsort(kind="stable")[:5].tolist()
         out.print(
-            "lowest CoMAC: " + ", ".join(f"{c.channels[i]} {100 * c.comac[i]:.1f} %" for i in worst)
+            "lowest CoMAC: "
+            + ", ".join(f"{c.channels[i]} {100 * c.by_channel.comac[i]:.1f} %" for i in worst)
         )
-    left_out = zip(c.elimination.order[:5].tolist(), c.elimination.mac[1:6], strict=True)
+    left_out = zip(
+        c.by_channel.elimination.order[:5].tolist(), c.by_channel.elimination.mac[1:6], strict=True
+    )
     for i, (channel, mac) in enumerate(left_out):
         out.print(
             f"{'then' if i else 'first'} left out {c.channels[channel]}: mean MAC "
@@ -157,7 +163,8 @@ def _show_complete(c: CompleteCorrelation) -> None:
         modes = (" ".join(str(i + 1) for i in side) for side in (group.a, group.b))
         angles = " ".join(f"{degrees(x):.1f}" for x in group.angles)
         out.print("close modes A {} and B {}: principal angles {}°".format(*modes, angles))
-    if (seen := c.mpc[c.mpc > 0]).size:  # a mode that was not seen at these channels has none
+    # a mode that was not seen at these channels has none
+    if (seen := c.complexity.mpc[c.complexity.mpc > 0]).size:
         out.print(f"lowest phase collinearity of A: {100 * seen.min():.1f} %")
     for s in c.suspects:
         out.print(f"channel {s.channel} looks {s.fault}: {s.message}")
@@ -204,7 +211,11 @@ def correlate(
     mac_gate: Annotated[
         float | None,
         typer.Option(
-            metavar="%", help="Least MAC of a pair.", min=0.1, max=99.9, show_default="60"
+            metavar="%",
+            help="Least MAC of a pair.",
+            min=0.1,
+            max=99.9,
+            show_default="60",
         ),
     ] = None,
     frequency_gate: Annotated[
@@ -276,21 +287,9 @@ def correlate(
     _refuse_idle(
         {
             "--units": (units, deck, "no deck is given"),
-            "--match": (
-                match,
-                sensors is not None,
-                "of the places of a sheet on a deck; give --sensors",
-            ),
-            "--tolerance": (
-                tolerance,
-                both or sensors is not None,
-                "of the places of a sheet from a deck; give --sensors",
-            ),
-            "--tam": (
-                tam,
-                everything and deck and mass is None,
-                "the mass of a deck, for --complete without --mass",
-            ),
+            "--match": (match, sensors is not None, ON_SHEET),
+            "--tolerance": (tolerance, both or sensors is not None, ON_SHEET),
+            "--tam": (tam, everything and deck and mass is None, OF_DECK_MASS),
             "--diagonal": (diagonal, whole, OF_ORTHOGONALITY),
             "--off-diagonal": (off_diagonal, whole, OF_ORTHOGONALITY),
         }
@@ -320,6 +319,11 @@ def correlate(
             names=("A", "B"),
             progress=show,
         )
+    _show(f"{a} against {b}", found, json)
+    return 0 if len(found.table) else 1
+
+
+def _show(title: str, found: Correlation, json: str | None) -> None:
     value = correlation_json(found.table)
     value |= {"sensors": seats_json(found.seats)} if found.seats else {}
     value |= {"mendings": mendings_json(found.mendings)} if found.mendings else {}
@@ -327,9 +331,9 @@ def correlate(
         value["complete"] = complete_json(found.complete, found.table.pairing)
     if json:
         write_json(value, json)
-    if json != "-":
-        _show_pairs(f"{a} against {b}", value["pairs"])
-        tell([*(m.text for m in found.mendings), *_reasons(value["unpaired"]), *found.notes])
-        if found.complete is not None:
-            _show_complete(found.complete)
-    return 0 if value["pairs"] else 1
+    if json == "-":
+        return
+    _show_pairs(title, value["pairs"])
+    tell([*(m.text for m in found.mendings), *_reasons(value["unpaired"]), *found.notes])
+    if found.complete is not None:
+        _show_complete(found.complete)

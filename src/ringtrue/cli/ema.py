@@ -1,18 +1,23 @@
-"""`ema`: modes from FRFs, or from the time records of a hammer or shaker test."""
+"""`ema`: modes from FRFs, or from the time records of a hammer or shaker test.
+
+One test at several force levels: is the structure linear, and how do frequency and damping
+change?
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 
 from ringtrue.api.measurements import (
-    MeasuredFrfs,
+    TestModes,
     check_band,
+    check_levels,
+    compare_levels,
     estimate_frfs,
     identify_frfs,
     read_sensors,
@@ -22,44 +27,91 @@ from ringtrue.cli.identify import (
     Diagram,
     Fmax,
     Fmin,
-    Group,
     LeaveOut,
     Rate,
     Sensors,
     WriteChoice,
     check_each_once,
-    check_method,
     choice_of,
     print_result,
     write_pages,
 )
-from ringtrue.cli.levels import check_levels, print_comparison
-from ringtrue.cli.show import Json, file_to, progress
-from ringtrue.core.progress import Progress
+from ringtrue.cli.show import Json, file_to, progress, rows, tell, write_json
 from ringtrue.errors import about
+from ringtrue.identification.common.tracking import LevelDependence
 from ringtrue.identification.frf.pipeline import HammerResult
-from ringtrue.identification.methods import AUTOMATIC_FRF, FRF_METHODS
 from ringtrue.io.frfs import write_frfs
+from ringtrue.io.modes import modes_to_json
 from ringtrue.signal.impacts import HammerSettings, ImpactReport
-from ringtrue.study.hammer_records import (
-    ForceRecordFormat,
-)
+from ringtrue.study.hammer_records import ForceRecordFormat
+from ringtrue.study.summary import finite
 
 
-class Estimator(StrEnum):
-    """Of the FRFs."""
+def print_comparison(
+    levels: Sequence[float], files: Sequence[Path], tests: Sequence[TestModes], json: str | None
+) -> int:
+    """Print or write the modes of the lowest level followed over all levels; the exit status."""
+    table = compare_levels(levels, tests)
+    lowest = tests[int(np.argmin(levels))]
+    if json:
+        write_json(modes_to_json(lowest.modes, lowest.uncertainty) | _levels_json(table), json)
+    if json != "-":
+        _print_levels(table)
+        tell(f"{p}: {note}" for p, test in zip(files, tests, strict=True) for note in test.notes)
+    return 0 if len(lowest) else 1
 
-    H1 = "H1"
-    H2 = "H2"
-    HV = "Hv"
+
+def _print_levels(table: LevelDependence) -> None:
+    """Frequency and damping at each level, their change with the level, and whether the structure
+    is linear.
+    """
+    heads = ("#", "f [Hz]", "% a doubling", "damping [%]", "% a doubling")
+    body: list[tuple[object, ...]] = []
+    verdicts: list[str] = []
+    for k in range(table.linear.size):
+        frequency = table.frequency[:, k]
+        damping = 100 * table.damping[:, k]
+        body.append(
+            (
+                k + 1,
+                " ".join(f"{x:.5g}" for x in frequency),
+                _slope(table.slope_frequency[k], table.std_slope_frequency[k]),
+                " ".join(f"{x:.3f}" for x in damping),
+                _slope(table.slope_damping[k], table.std_slope_damping[k]),
+            )
+        )
+        chance = min(table.chance_frequency[k], table.chance_damping[k])
+        if np.isfinite(frequency).sum() < 2:
+            verdict = "found at one level only"
+        elif table.linear[k]:
+            verdict = "linear"
+        else:
+            verdict = f"not linear: probability {chance:.1g} of a linear structure"
+        verdicts.append(f"{k + 1}: {verdict}")
+    rows(f"at force levels {' '.join(f'{x:g}' for x in table.levels)}", heads, body)
+    tell(verdicts)
 
 
-class Motion(StrEnum):
-    """What responses measure."""
+def _slope(slope: float, std: float) -> str:
+    """Per cent for twice the force, from d ln x / d ln F."""
+    return f"{100 * (2**slope - 1):+.3g} ± {100 * np.log(2) * std:.2g}"
 
-    ACCELERATION = "acceleration"
-    VELOCITY = "velocity"
-    DISPLACEMENT = "displacement"
+
+def _levels_json(table: LevelDependence) -> dict[str, Any]:
+    """The same for JSON; null where a mode was not found."""
+    columns = {
+        "frequency_hz": table.frequency.T,
+        "damping": table.damping.T,
+        "slope_frequency": table.slope_frequency,
+        "std_slope_frequency": table.std_slope_frequency,
+        "slope_damping": table.slope_damping,
+        "std_slope_damping": table.std_slope_damping,
+    }
+    modes = []
+    for k, linear in enumerate(table.linear.tolist()):
+        mode = {name: finite(values[k].tolist()) for name, values in columns.items()}
+        modes.append(mode | {"linear": linear})
+    return {"levels": table.levels.tolist(), "level_dependence": modes}
 
 
 def ema(
@@ -72,88 +124,36 @@ def ema(
     ],
     fmin: Fmin = None,
     fmax: Fmax = None,
-    method: Annotated[
-        str,
-        typer.Option(
-            metavar="|".join((AUTOMATIC_FRF, *FRF_METHODS)),
-            help="Refined pLSCF, or another method for a second opinion.",
-        ),
-    ] = AUTOMATIC_FRF,
     force: Annotated[
         list[str] | None,
         typer.Option(
             metavar="CHANNEL",
             help="Force channel or a pattern (Hammer*), once or for each file in order; by "
-            "default that with a unit of "
-            "force, or so named.",
+            "default that with a unit of force, or so named.",
         ),
     ] = None,
     struck: Annotated[
         list[str] | None,
         typer.Option(
             metavar="POINT",
-            help="Point and direction struck (3+Z), once or for each file in order.",
+            help="Excitation point and direction (3+Z), once or for each file in order.",
         ),
     ] = None,
-    channels: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAMES",
-            help="Names of the channels of records without (.wav, .npy), in order "
-            "(F:3+Z,1+Z,2+Z), once or for each "
-            "file; an empty one is not used.",
-        ),
-    ] = None,
-    quantity: Annotated[
-        Motion | None, typer.Option(help="What responses measure, where the file does not tell.")
-    ] = None,
-    block: Annotated[
-        float | None,
-        typer.Option(
-            metavar="S", help="Length of a block; by default what fits between the blows."
-        ),
-    ] = None,
-    pretrigger: Annotated[
-        float, typer.Option(metavar="S", help="Part of a block before the blow.")
-    ] = 0.02,
-    force_window: Annotated[
-        float | None,
-        typer.Option(
-            metavar="S", help="The force is kept so long; by default while it stands out."
-        ),
-    ] = None,
-    exp_end: Annotated[
-        float | None,
-        typer.Option(
-            metavar="0..1",
-            help="End value of the exponential window; 1: none; by default what is needed.",
-        ),
-    ] = None,
-    estimator: Annotated[Estimator, typer.Option(help="FRF estimator.")] = Estimator.H1,
     shaker: Annotated[
         float | None,
         typer.Option(
             metavar="HZ",
-            help="A force that runs all the time: lines HZ apart; by default what the record "
-            "tells.",
+            help="Line spacing of a shaker test; chosen from the record if not given.",
         ),
     ] = None,
     level: Annotated[
         list[float] | None,
         typer.Option(
             metavar="N",
-            help="Force level of each file, in order: each alone, modes followed, linear or not.",
+            help="Force level of each file, in order: is the structure linear?",
         ),
     ] = None,
     rate: Rate = None,
-    group: Group = "",
-    window_decay: Annotated[
-        float | None,
-        typer.Option(
-            metavar="1/S",
-            help="Decay rate of an exponential window in given FRFs; taken out of the damping.",
-        ),
-    ] = None,
     leave_out: LeaveOut = None,
     sensors: Sensors = None,
     choice: ChoiceFile = None,
@@ -165,73 +165,62 @@ def ema(
     ] = None,
     json: Json = None,
 ) -> int:
-    """Modes from FRFs or from the blows of a hammer: poly-reference LSCF with residues and standard
-    deviations.
+    """Modes from FRFs, or from records of impacts or shakers: poly-reference LSCF with residues and
+    standard deviations.
 
-    In time records the blows are found; double hits, overloads and blows on a structure that still
-    rings are left out and listed; the damping of the exponential window is taken out again. A force
-    that runs all the time is that of a shaker. Several files are one test: a roving hammer, moved
-    sensors or more blows. Another method (--method): CMIF peaks.
+    Impacts are found in time records; double hits, overloads and impacts on a structure that still
+    rings are left out and listed. The damping of the exponential window is taken out. Several files
+    are one test: a roving hammer, moved sensors or more impacts. Blocks, windows and the estimator
+    are settings of the Python call, rt.estimate_frfs.
 
-    Where sensors were moved and their mass shifts the modes from file to file beyond doubt, each
-    file is fitted alone.
-
-    Example: ringtrue ema blows-1.csv blows-2.csv --struck 1+Z --struck 5+Z --fmax 400 --write-frfs
-    frfs.h5
+    Example: ringtrue ema impacts-1.csv impacts-2.csv --struck 1+Z --struck 5+Z --fmax 400
+    --write-frfs frfs.h5
     """
     check_band(fmin, fmax)
     check_each_once(files)
     by_hand = choice_of(choice, files[0])
-    names = tuple(tuple(n.strip() for n in text.split(",")) for text in channels or ())
     reading = ForceRecordFormat(
-        tuple(force or ()),
-        tuple(struck or ()),
-        tuple(leave_out or ()),
-        quantity.value if quantity else "",
-        rate,
-        group,
-        names,
-        read_sensors(sensors) if sensors else None,
+        force=tuple(force or ()),
+        struck=tuple(struck or ()),
+        leave_out=tuple(leave_out or ()),
+        rate=rate,
+        sheet=read_sensors(sensors) if sensors else None,
     )
-    settings = HammerSettings(
-        force="", block=block, pretrigger=pretrigger, force_window=force_window, exp_end=exp_end
-    )
-    settings = replace(settings, estimator=estimator.value, keep_to=fmax)
-    only = {"--choice": choice, "--write-choice": choice_to, "--diagram": diagram, "--level": level}
-    check_method(method, AUTOMATIC_FRF, FRF_METHODS, only)
+    settings = HammerSettings(keep_to=fmax)
     if level:
-        check_levels(level, len(files))
-
-    def estimate(paths: Sequence[Path], reading: ForceRecordFormat, show: Progress) -> MeasuredFrfs:
-        return estimate_frfs(
-            paths,
-            reading=reading,
-            settings=settings,
-            line_spacing=shaker,
-            window_decay=window_decay,
-            progress=show,
+        return _at_levels(
+            level, files, reading=reading, settings=settings, band=(fmin, fmax), json=json
         )
-
-    if level:
-        tests = []
-        for k, path in enumerate(files):
-            with progress(f"level {level[k]:g}") as show, about(path):
-                measured = estimate((path,), reading.of(k), show)
-                tests.append(identify_frfs(measured, fmin=fmin, fmax=fmax, progress=show))
-        return print_comparison(level, files, tests, json)
     with progress("modes from FRFs") as show, about(files[0]):
-        measured = estimate(files, reading, show)
+        measured = estimate_frfs(
+            files, reading=reading, settings=settings, line_spacing=shaker, progress=show
+        )
         if frfs_to:
             write_frfs(frfs_to, measured.frfs)
-        found = identify_frfs(
-            measured, fmin=fmin, fmax=fmax, method=method, choice=by_hand, progress=show
-        )
-    if method == AUTOMATIC_FRF:
-        write_pages(files[0], found, choice_to, diagram)
+        found = identify_frfs(measured, fmin=fmin, fmax=fmax, choice=by_hand, progress=show)
+    write_pages(files[0], found, choice_to, diagram)
     rejected = found.result.rejected if isinstance(found.result, HammerResult) else ()
-    none = ("no mode is believed in this band", *rejected[-5:])
+    none = ("no mode of this band has a confidence above the limit", *rejected[-5:])
     title = " ".join(map(str, files))
     return print_result(title, found, json, more=_hits_json(measured.hits), if_none=none)
+
+
+def _at_levels(
+    levels: Sequence[float],
+    files: Sequence[Path],
+    reading: ForceRecordFormat,
+    settings: HammerSettings,
+    band: tuple[float | None, float | None],
+    json: str | None,
+) -> int:
+    """The modes of each file, a force level each, followed over the levels; the exit status."""
+    check_levels(levels, len(files))
+    tests = []
+    for k, path in enumerate(files):
+        with progress(f"level {levels[k]:g}") as show, about(path):
+            measured = estimate_frfs(path, reading=reading.of(k), settings=settings, progress=show)
+            tests.append(identify_frfs(measured, fmin=band[0], fmax=band[1], progress=show))
+    return print_comparison(levels, files, tests, json)
 
 
 def _hits_json(hits: Sequence[ImpactReport]) -> dict[str, Any]:

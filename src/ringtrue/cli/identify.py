@@ -8,7 +8,6 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -42,14 +41,6 @@ from ringtrue.io.files import atomic_write
 from ringtrue.io.modes import modes_to_json
 from ringtrue.plots.pages import picker_page
 
-
-class Removal(StrEnum):
-    """How lines of machines are taken out."""
-
-    LINES = "lines"
-    CEPSTRUM = "cepstrum"
-
-
 Fmin = Annotated[
     float | None, typer.Option("--fmin", metavar="HZ", help="Lowest frequency of interest.")
 ]
@@ -76,7 +67,7 @@ Sensors = Annotated[
     typer.Option(
         "--sensors",
         metavar="FILE",
-        help="Sensor sheet: units and sensitivities where a record tells none.",
+        help="Sensor sheet: units and sensitivities where a record has none.",
     ),
 ]
 ChoiceFile = Annotated[
@@ -102,7 +93,8 @@ def print_modes(
         sf, sz = (
             (std.frequency[i], std.damping[i]) if std is not None else (float("nan"), float("nan"))
         )
-        f, z = modes.frequencies[i], modes.damping[i]
+        f = modes.frequencies[i]
+        z = modes.damping[i]
         note = reasons[i] if i < len(reasons) else ""
         values = (f"{f:.5g}", _known(sf, ".1e"), f"{100 * z:.3f}", _known(100 * sz, ".2g"))
         body.append((i + 1, *values, f"{modes.confidence[i]:.2f}", note))
@@ -131,8 +123,8 @@ def choice_of(path: Path | None, record: Path) -> Choice | None:
         return None
     choice = read_choice(path)
     if (part := choice.of(record.stem)) is None:
-        told = f"; it has {', '.join(choice.records)}" if choice.records else ": it is empty"
-        raise ConfigError(f"{path}: no entry for the record {record.stem!r}{told}")
+        listed = f"; it has {', '.join(choice.records)}" if choice.records else ": it is empty"
+        raise ConfigError(f"{path}: no entry for the record {record.stem!r}{listed}")
     return part
 
 
@@ -164,13 +156,6 @@ def oma(
     ] = None,
     leave_out: LeaveOut = None,
     sensors: Sensors = None,
-    remove_harmonics: Annotated[
-        Removal | None,
-        typer.Option(
-            "--remove-harmonics",
-            help="Take the lines of machines out first: each by itself, or families.",
-        ),
-    ] = None,
     choice: ChoiceFile = None,
     choice_to: WriteChoice = None,
     diagram: Diagram = None,
@@ -178,19 +163,15 @@ def oma(
 ) -> int:
     """Modes from an ambient record: automatic covariance-driven SSI with standard deviations.
 
-    Other methods (--method): poly-reference LSCF on half spectra, ERA/NExT, SSI-data, FDD with the
-    damping of FSDD, of EFDD or of random decrement.
+    Other methods (--method): poly-reference LSCF on half spectra, ERA/NExT, SSI-data, FDD with
+    the damping of FSDD.
 
     Example: ringtrue oma tower.npy --rate 100 --fmax 10 --write-choice tower.toml
     """
     check_band(fmin, fmax)
     check_each_once(records)
     record = records[0]
-    title = (
-        str(record)
-        if len(records) == 1
-        else f"{record} .. {records[-1].name} ({len(records)} files)"
-    )
+    more = f" .. {records[-1].name} ({len(records)} files)" if len(records) > 1 else ""
     by_hand = choice_of(choice, record)
     by_diagram = {"--choice": choice, "--write-choice": choice_to, "--diagram": diagram}
     check_method(method, AUTOMATIC_AMBIENT, AMBIENT_METHODS, by_diagram)
@@ -201,7 +182,6 @@ def oma(
     if method != AUTOMATIC_AMBIENT and len(records) > 1:
         raise ConfigError(f"--method {method}: one record, got {len(records)}")
     sheet = read_sensors(sensors) if sensors else None
-    removal = remove_harmonics.value if remove_harmonics else None
     notes: list[str] = []
 
     def read(path: Path) -> TimeHistory:
@@ -209,7 +189,7 @@ def oma(
         notes.extend(note for note in of_sheet if note not in notes)
         return history
 
-    parts = ambient_parts(records, map(read, records), removal, notes)
+    parts = ambient_parts(records, map(read, records), notes)
     with progress("ambient modes") as show, about(record) if len(records) == 1 else nullcontext():
         found = identify_ambient(
             parts,
@@ -222,9 +202,8 @@ def oma(
         )
     if method == AUTOMATIC_AMBIENT:
         write_pages(record, found, choice_to, diagram)
-    return print_result(
-        title, replace(found, notes=(*notes, *_machines(found), *found.notes)), json
-    )
+    found = replace(found, notes=(*notes, *_machines(found), *found.notes))
+    return print_result(f"{record}{more}", found, json)
 
 
 def check_each_once(files: Sequence[Path]) -> None:
@@ -270,9 +249,9 @@ def _machines(found: TestModes) -> list[str]:
     """The lines of machines that no pole stood on; the others are among the notes."""
     if not isinstance(found.result, AmbientResult):
         return []
-    told = " ".join(found.notes)
+    listed = " ".join(found.notes)
     return [
         f"line at {h.frequency:.4g} Hz: {h.why}"
         for h in found.result.harmonics
-        if h.why not in told
+        if h.why not in listed
     ]

@@ -11,8 +11,17 @@ import typer
 from ringtrue.api.improvement import localise as find_regions
 from ringtrue.api.measurements import read_modes
 from ringtrue.api.models import read_deck
-from ringtrue.cli.show import Json, Tolerance, Units, out, progress, rows, tell, write_json
-from ringtrue.cli.stated import warn_of_units
+from ringtrue.cli.show import (
+    Json,
+    Tolerance,
+    Units,
+    out,
+    progress,
+    rows,
+    tell,
+    warn_of_units,
+    write_json,
+)
 from ringtrue.study.config_sections import LocaliseSection, target_words
 from ringtrue.study.direct import DirectProposal
 from ringtrue.study.placing import seats_json
@@ -22,7 +31,7 @@ POOL: int = LocaliseSection.model_fields["pool"].default
 
 
 def localise(
-    deck: Annotated[Path, typer.Argument(help="Nastran bulk data, with its includes beside it.")],
+    deck: Annotated[Path, typer.Argument(help="Nastran bulk data, with its includes.")],
     test: Annotated[
         Path, typer.Argument(help="Modes of the test: .json, .h5, .uff, .csv or .xlsx")
     ],
@@ -43,7 +52,7 @@ def localise(
     json: Json = None,
 ) -> int:
     """Which parameters to update: candidates from the deck, ranked and explained, and what cannot
-    be told from them.
+    be distinguished from them.
 
     Example: ringtrue localise wing.bdf test.json --sensors sensors.csv --units mm-t-s
     """
@@ -71,7 +80,8 @@ def localise(
 
 
 def _table(localised: DirectProposal) -> dict[str, Any]:
-    found, what = localised.proposal, {c.name: c for c in localised.candidates}
+    found = localised.proposal
+    what = {c.name: c for c in localised.candidates}
     return {
         "proposed": [
             {
@@ -83,7 +93,7 @@ def _table(localised: DirectProposal) -> dict[str, Any]:
                 "std": m.std,
                 **({"added": m.added} if m.lump else {}),
                 "worth": m.worth,
-                "alike": list(m.alike),
+                "alike": list(m.collinear),
                 "rivals": list(m.rivals),
                 "because": m.because,
             }
@@ -104,9 +114,13 @@ def _table(localised: DirectProposal) -> dict[str, Any]:
 def _tables(found: DirectProposal) -> list[str]:
     """What is proposed as tables of study.toml."""
     by = {c.name: c.parameter for c in found.candidates}
-    lacking = [m for m in found.proposal.members if m.lump]
-    out = ["cards for what the deck lacks ([[remodel]] adds a file of them):"] if lacking else []
-    out += [_card(found, by[m.name].targets[0].id, m.added) for m in lacking]
+    missing = [m for m in found.proposal.members if m.lump]
+    out = (
+        ["cards for what is missing in the deck ([[remodel]] adds a file of them):"]
+        if missing
+        else []
+    )
+    out += [_card(found, by[m.name].targets[0].id, m.added) for m in missing]
     factors = [m for m in found.proposal.members if not m.lump]
     out += ["as candidates of study.toml:"] if factors else []
     for p in (by[m.name] for m in factors):
@@ -134,13 +148,13 @@ def _size(m: Member) -> tuple[str, str]:
 
 def _print(deck: Path, found: DirectProposal) -> None:
     body = [
-        (i, m.name, *_size(m), f"{m.worth:.1f}", len(m.alike) + len(m.rivals))
+        (i, m.name, *_size(m), f"{m.worth:.1f}", len(m.collinear) + len(m.rivals))
         for i, m in enumerate(found.proposal.members, start=1)
     ]
-    heads = ("#", "parameter", "factor, or added", "±", "worth (AICc)", "not told from it")
-    told = f", {len(found.screened)} are not looked at closely" if found.screened else ""
+    heads = ("#", "parameter", "factor, or added", "±", "worth (AICc)", "not distinguishable")
+    remaining = f", {len(found.screened)} are not looked at closely" if found.screened else ""
     rows(
-        f"{deck}: {found.made} candidates, {len(found.dropped)} of them change no mode{told}",
+        f"{deck}: {found.made} candidates, {len(found.dropped)} of them change no mode{remaining}",
         heads,
         body,
     )

@@ -1,4 +1,4 @@
-"""The command line: parse, call, print; `cli.status` lists the exit statuses."""
+"""The command line: parse, call, print; `cli.show` lists the exit statuses."""
 
 from __future__ import annotations
 
@@ -22,13 +22,100 @@ from typer.exceptions import TyperException
 from typer.main import get_command
 
 from ringtrue import __version__
-from ringtrue.cli import panels
-from ringtrue.cli.show import err
-from ringtrue.cli.status import ExitStatus, in_words
+from ringtrue.cli.show import ExitStatus, err, in_words
 from ringtrue.errors import InputError, RingtrueError, UnsupportedError
 from ringtrue.io.files import one_run, reads, writes
 
-COMMANDS = {name: place for panel in panels.COMMANDS.values() for name, place in panel.items()}
+PANELS = {  # panel -> command -> module of `ringtrue.cli` and function
+    "Whole studies": {
+        "demo": ("study", "demo"),
+        "run": ("study", "run"),
+        "report": ("study", "report"),
+    },
+    "Models": {
+        "check": ("model", "check"),
+        "modes": ("model", "modes"),
+        "frf": ("respond", "frf"),
+        "static": ("respond", "static"),
+        "convert": ("convert", "convert"),
+    },
+    "Tests": {
+        "plan": ("plan", "plan"),
+        "oma": ("identify", "oma"),
+        "ema": ("ema", "ema"),
+        "track": ("track", "track"),
+    },
+    "Models and tests": {
+        "correlate": ("correlate", "correlate"),
+        "localise": ("localise", "localise"),
+        "update": ("update", "update"),
+        "predict": ("predict", "run"),
+    },
+}
+
+# What names a file or folder that a command writes (of `convert` the argument `target`); other
+# paths are its inputs.
+OUTPUTS = {
+    "--json",
+    "--out",
+    "--csv",
+    "--plot",
+    "--diagram",
+    "--write-choice",
+    "--write-frfs",
+    "--checkpoint",
+    "target",
+}
+
+BY_HAND: dict[str, tuple[str, ...]] = {"Modes by hand": ("choice", "choice_to", "diagram")}
+
+OPTIONS: dict[str, dict[str, tuple[str, ...]]] = {  # command -> panel -> parameters of its function
+    "plan": {
+        "Target modes": ("band", "modes"),
+        "Where to measure": ("points", "at_hand", "exclude", "fixed"),
+        "Where to hit": ("references", "strike_at"),
+        "Virtual tests": ("damping", "trials", "seed"),
+    },
+    "frf": {
+        "Lines": ("fmin", "fmax", "lines"),
+        "Forces and responses": ("force", "at", "quantity", "damping", "direct"),
+        "Results": ("target", "plot", "json"),
+    },
+    "modes": {
+        "Which modes": ("n", "band", "damped", "mesh"),
+        "Solver": ("solver_name", "time_limit", "ranks"),
+        "Results": ("target", "json"),
+    },
+    "oma": {
+        "Band and method": ("fmin", "fmax", "method", "near"),
+        "The record": ("rate", "group", "leave_out", "sensors"),
+    }
+    | BY_HAND,
+    "track": {
+        "The records": ("hours", "starts", "rate", "leave_out"),
+        "Band": ("fmin", "fmax"),
+        "Results": ("table", "plot", "json"),
+    },
+    "predict": {
+        "The rotor": ("rotor", "mass", "axis", "grade", "service", "springs"),
+        "Lines and bands": ("fmax", "lines", "draws", "level", "seed"),
+        "Results": ("folder", "table", "json"),
+    },
+    "ema": {
+        "Band": ("fmin", "fmax"),
+        "Time records": ("force", "struck", "shaker", "level", "rate", "sensors"),
+        "Results": ("frfs_to", "json"),
+    }
+    | BY_HAND,
+    "correlate": {
+        "Sensors on a deck": ("sensors", "units", "tolerance", "match", "align"),
+        "Pairs": ("mac_gate", "frequency_gate", "lock", "forbid"),
+        "Beyond MAC": ("everything", "tam", "mass", "diagonal", "off_diagonal"),
+    },
+}
+
+
+COMMANDS = {name: place for panel in PANELS.values() for name, place in panel.items()}
 
 STOPPED = "stopped: no file was left half written"
 
@@ -65,7 +152,7 @@ def application(arguments: Sequence[str]) -> typer.Typer:
         :1
     ]  # behind other options stands none: they show something and end
     known = COMMANDS.keys() & asked
-    for panel, commands in panels.COMMANDS.items():
+    for panel, commands in PANELS.items():
         for name, (module, function) in commands.items():
             if name in known or not known:
                 body = (
@@ -107,7 +194,7 @@ def _words(module: str, function: str) -> str:
 def _command(arguments: Sequence[str]) -> Any:
     """The application with its options in their panels."""
     command: Any = get_command(application(arguments))
-    for name, groups in panels.OPTIONS.items():
+    for name, groups in OPTIONS.items():
         panel_of = {parameter: panel for panel, names in groups.items() for parameter in names}
         for parameter in command.commands[name].params if name in command.commands else ():
             parameter.rich_help_panel = panel_of.get(parameter.name)
@@ -118,7 +205,7 @@ def _command(arguments: Sequence[str]) -> Any:
 
 def _careful(body: Callable[..., Any], parameters: Sequence[Any]) -> Callable[..., Any]:
     """A command that first names its files: none that it reads is replaced by what it writes."""
-    outputs = {p.name for p in parameters if panels.OUTPUTS & set(p.opts)}
+    outputs = {p.name for p in parameters if OUTPUTS & set(p.opts)}
 
     @wraps(body)
     def called(**given: Any) -> Any:

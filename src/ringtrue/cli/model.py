@@ -13,7 +13,7 @@ from ringtrue.api.models import read_deck, solve_modes
 from ringtrue.checks import Finding
 from ringtrue.checks.deck import check_deck
 from ringtrue.checks.elements import free_edges_in_words, shell_edges
-from ringtrue.checks.mass import (
+from ringtrue.checks.materials import (
     DIRECTIONS,
     autospc_findings,
     ground_check,
@@ -24,7 +24,7 @@ from ringtrue.checks.mass import (
 from ringtrue.checks.mesh import MeshErrors, mesh_errors
 from ringtrue.cli.show import Json, file_to, json_file, one_of, out, progress, rows, write_json
 from ringtrue.core.arrays import Float
-from ringtrue.core.progress import part
+from ringtrue.core.iterate import part
 from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.decks.nastran.reader import Survey, survey
 from ringtrue.errors import ConfigError, DeckError, RingtrueError
@@ -35,7 +35,7 @@ from ringtrue.solvers.registry import EMBEDDED, solver, time_limits
 
 ROUNDING = 1e-12  # of the largest value: below is 0
 
-Deck = Annotated[Path, typer.Argument(help="Nastran bulk data, with its includes beside it.")]
+Deck = Annotated[Path, typer.Argument(help="Nastran bulk data, with its includes.")]
 
 TimeLimit = Annotated[
     float | None,
@@ -107,29 +107,24 @@ def modes(
             progress=part(show, 0.2, 0.6 if mesh else 1.0),
         )
         result = found.result
-        loose = found.loose
-        errors = (
-            mesh_errors(model, result.modes, solver(EMBEDDED, progress=part(show, 0.6, 1.0)))
-            if mesh
-            else None
-        )
+        refined = solver(EMBEDDED, progress=part(show, 0.6, 1.0))
+        errors = mesh_errors(model, result.modes, refined) if mesh else None
     if json:
-        told: dict[str, Any] = {"complete": result.complete, "proof": result.proof}
-        told["autospc"] = result.autospc.by_components()
+        extra: dict[str, Any] = {"complete": result.complete, "proof": result.proof}
+        extra["autospc"] = result.autospc.by_components()
         if errors:
-            told["mesh_error"] = [None if np.isnan(e) else e for e in errors.relative.tolist()]
+            extra["mesh_error"] = [None if np.isnan(e) else e for e in errors.relative.tolist()]
         with json_file(json) as file:
-            dump_modes(file, result.modes, more=told)
+            dump_modes(file, result.modes, more=extra)
     if target:
         write_modes(target, result.modes)
     if json != "-":
         _print_modes(deck, result, damped, errors)
-        if loose:
+        if loose := found.loose:
             more = f" and {len(loose) - 6} more" if len(loose) > 6 else ""
             out.print(f"held by AUTOSPC, without stiffness: {' '.join(loose[:6])}{more}")
-    unproved = bool(
-        np.isnan(result.residuals).all()
-    )  # a program that hands back no matrices, and may count nothing
+    # a program that hands back no matrices, and may count nothing
+    unproved = bool(np.isnan(result.residuals).all())
     return 0 if result.complete or unproved else 1
 
 
@@ -205,8 +200,8 @@ def _findings(found: Survey, units: str) -> list[Finding]:
     if found.unsupported:
         return [_lost(f) for f in found.faults]
     findings = list(check_deck(found.model, units).findings)
-    told = {(f.file, f.line) for f in findings}
-    return [_lost(f) for f in found.faults if (str(f.path), f.line) not in told] + findings
+    extra = {(f.file, f.line) for f in findings}
+    return [_lost(f) for f in found.faults if (str(f.path), f.line) not in extra] + findings
 
 
 def _lost(fault: DeckError) -> Finding:
@@ -241,7 +236,7 @@ def _rigid(found: Survey, findings: list[Finding]) -> dict[str, Any]:
 
 
 def _clean(values: list[Any], scale: float = 0.0) -> Float:
-    """With 0 for what is rounding beside the largest, and beside `scale`."""
+    """With 0 for what is rounding against the largest, and against `scale`."""
     x = np.asarray(values, dtype=np.float64)
     return np.asarray(np.where(np.abs(x) > ROUNDING * np.abs(x).max(initial=scale), x, 0.0))
 
@@ -251,9 +246,8 @@ def _print_check(deck: Path, summary: dict[str, Any]) -> None:
     if "mass" in summary:
         cg = ", ".join(f"{x:.4g}" for x in _clean(summary["centre_of_gravity"]))
         out.print(f"mass {summary['mass']:.6g}, centre of gravity ({cg})")
-        moved = summary["mass"] * sum(
-            x * x for x in summary["centre_of_gravity"]
-        )  # what is taken off to be about it
+        # what is taken off to be about it
+        moved = summary["mass"] * sum(x * x for x in summary["centre_of_gravity"])
         for row in _clean(summary["inertia"], moved):
             out.print("inertia  " + "  ".join(f"{x: .5e}" for x in row))
         if summary["ground_check"]["ok"]:

@@ -10,8 +10,7 @@ import numpy as np
 import typer
 
 from ringtrue.api.studies import ALONE, TestPlan, plan_test
-from ringtrue.cli.show import Json, one_of, progress, rows, tell, write_json
-from ringtrue.cli.stated import warn_of_units
+from ringtrue.cli.show import Json, one_of, progress, rows, tell, warn_of_units, write_json
 from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.errors import ConfigError
 from ringtrue.io.foreign.parsers import read_toml
@@ -26,7 +25,7 @@ STRIKES, DIRECTIONS = (get_args(kind) for kind in (Strike, Directions))
 
 
 def plan(
-    deck: Annotated[Path, typer.Argument(help="Nastran bulk data, with its includes beside it.")],
+    deck: Annotated[Path, typer.Argument(help="Nastran bulk data, with its includes.")],
     folder: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="Where the test sheet goes.")
     ] = None,
@@ -58,7 +57,6 @@ def plan(
             metavar="N", help="Sensors recorded at once: more points are measured in setups.", min=0
         ),
     ] = None,
-    directions: Annotated[str | None, one_of("--directions", DIRECTIONS, "Of a sensor")] = None,
     exclude: Annotated[
         str, typer.Option(metavar="LIST", help="Nodes that cannot be measured.")
     ] = "",
@@ -77,16 +75,14 @@ def plan(
     strike_at: Annotated[
         str, typer.Option(metavar="LIST", help="Nodes that can be hit; any point if not given.")
     ] = "",
-    strike: Annotated[
-        str | None, one_of("--strike", STRIKES, "How excitation points are chosen")
-    ] = None,
-    hang: Annotated[
-        int | None, typer.Option(metavar="N", help="Points to hang the structure from.", min=0)
-    ] = None,
     damping: Annotated[
         float | None,
         typer.Option(
-            metavar="RATIO", help="Expected damping ratio.", min=1e-6, max=0.5, show_default="0.01"
+            metavar="RATIO",
+            help="Expected damping ratio.",
+            min=1e-6,
+            max=0.5,
+            show_default="0.01",
         ),
     ] = None,
     trials: Annotated[
@@ -105,20 +101,23 @@ def plan(
         "modes": numbers(modes, "--modes") or None,
         "sensors": points,
         "at_hand": at_hand,
-        "directions": directions,
         "exclude": numbers(exclude, "--exclude") or None,
         "fixed": numbers(fixed, "--fixed") or None,
         "references": references,
         "strike_at": numbers(strike_at, "--strike-at") or None,
-        "strike": strike,
-        "suspension": hang,
         "damping": damping,
         "trials": trials,
     }
     section = plan_of(settings) | {k: v for k, v in given.items() if v is not None}
     with progress("test plan") as show:
         done = plan_test(
-            deck, folder, band=band, units=units, settings=section, seed=seed, progress=show
+            deck,
+            folder,
+            band=band,
+            units=units,
+            settings=section,
+            seed=seed,
+            progress=show,
         )
     warn_of_units(done.model, units)
     summary = _summary(done)
@@ -171,59 +170,65 @@ def numbers(text: str, where: str) -> list[int]:
 def _summary(plan: TestPlan) -> dict[str, Any]:
     stage = plan.stage
     names = [str(k + 1) for k in stage.target_modes.tolist()]
-    told: dict[str, Any] = {
-        "candidates": stage.candidates,
-        "points": stage.test.points.tolist(),
-        "channels": list(stage.test.channels),
-        "references": list(stage.references),
+    document: dict[str, Any] = {
+        "candidates": stage.sensors.candidates,
+        "points": stage.sensors.test.points.tolist(),
+        "channels": list(stage.sensors.test.channels),
+        "references": list(stage.excitation.references),
         "reference_sets": [
             {"references": list(s), "worst_reach": r, "missed": [names[i] for i in m]}
             for s, r, m in zip(
-                stage.sets, stage.least_reach.tolist(), stage.missed_by_sets, strict=True
+                stage.excitation.sets,
+                stage.excitation.least_reach.tolist(),
+                stage.excitation.missed_by_sets,
+                strict=True,
             )
         ],
-        "reciprocity": [list(p) for p in reciprocity_pairs(stage.references, stage.test.channels)],
+        "reciprocity": [
+            list(p)
+            for p in reciprocity_pairs(stage.excitation.references, stage.sensors.test.channels)
+        ],
         "rule": stage.rule,
         "modes": _modes(stage),
-        "missed": [names[i] for i in np.flatnonzero(stage.missed).tolist()],
-        "worst_auto_mac": stage.worst_off_diagonal,
-        "lost_points": stage.lost,
-        "left_by_loss": stage.left_by_loss,
-        "frequency_step_hz": stage.frequency_step,
-        "block_s": stage.block,
-        "averages": stage.averages,
-        "record_length_s": stage.record_length,
-        "ambient_averages": stage.segments,
+        "missed": [names[i] for i in np.flatnonzero(stage.excitation.missed).tolist()],
+        "worst_auto_mac": stage.sensors.worst_auto_mac,
+        "lost_points": stage.sensors.lost,
+        "left_by_loss": stage.sensors.left_by_loss,
+        "frequency_step_hz": stage.acquisition.frequency_step,
+        "block_s": stage.acquisition.block,
+        "averages": stage.acquisition.averages,
+        "record_length_s": stage.acquisition.record_length,
+        "ambient_averages": stage.acquisition.segments,
         "notes": list(stage.notes),
         "files": [str(p) for p in plan.files],
     }
-    if stage.suspension:
-        told["suspension"] = {
-            "nodes": list(stage.suspension),
-            "motion": stage.suspension_motion,
-            "steady": stage.steady,
+    if (hung := stage.suspension) is not None:
+        document["suspension"] = {
+            "nodes": list(hung.nodes),
+            "motion": hung.motion,
+            "steady": hung.steady,
         }
-    if stage.setups is not None:
-        told["setups"] = setups_json(stage)
-    if stage.rehearsal is not None:
-        told["virtual_test"] = {
-            "trials": stage.rehearsal.trials,
-            "force_n": stage.rehearsal.force,
-            "background_n_per_sqrt_hz": stage.rehearsal.background,
-            "invented_per_trial": stage.rehearsal.invented,
-            "doubtful": list(rarely_found_modes(stage.rehearsal, names)),
+    if stage.sensors.setups is not None:
+        document["setups"] = setups_json(stage)
+    if stage.virtual_test is not None:
+        document["virtual_test"] = {
+            "trials": stage.virtual_test.trials,
+            "force_n": stage.virtual_test.force,
+            "background_n_per_sqrt_hz": stage.virtual_test.background,
+            "invented_per_trial": stage.virtual_test.invented,
+            "doubtful": list(rarely_found_modes(stage.virtual_test, names)),
         }
-    if (r := stage.ambient_rehearsal) is not None:
-        names = [str(k + 1) for k in stage.expected_modes.tolist()]
-        columns = {"mode": stage.expected_modes + 1, "frequency_hz": r.frequencies} | _found(r)
-        told["virtual_ambient_test"] = {
+    if (r := stage.virtual_ambient_test) is not None:
+        names = [str(k + 1) for k in stage.acquisition.modes.tolist()]
+        columns = {"mode": stage.acquisition.modes + 1, "frequency_hz": r.frequencies} | _found(r)
+        document["virtual_ambient_test"] = {
             "trials": r.trials,
             "force_n_per_sqrt_hz": r.force,
             "invented_per_trial": r.invented,
             "modes": _table(columns),
             "doubtful": [f"ambient: {m}" for m in rarely_found_modes(r, names)],
         }
-    return told
+    return document
 
 
 def _found(r: VirtualTest) -> dict[str, Any]:
@@ -246,11 +251,11 @@ def _modes(stage: PlanStage) -> list[dict[str, Any]]:
     columns: dict[str, Any] = {
         "mode": stage.target_modes + 1,
         "frequency_hz": stage.target_frequencies,
-        "reach": stage.reach,
-        "shown": stage.shown,
-        "loaded": stage.loaded,
+        "reach": stage.excitation.reach,
+        "shown": stage.sensors.shown,
+        "loaded": stage.sensors.loaded,
     }
-    if (r := stage.rehearsal) is not None:
+    if (r := stage.virtual_test) is not None:
         columns |= _found(r)
     return _table({k: v for k, v in columns.items() if v.size})
 
@@ -277,33 +282,38 @@ def _print_modes(title: str, modes: list[dict[str, Any]]) -> None:
 def _best(stage: PlanStage) -> dict[int, float]:
     """Number of points struck -> least reach of the best set of so many."""
     least = {
-        len(s): r for s, r in zip(stage.sets[::-1], stage.least_reach[::-1].tolist(), strict=True)
+        len(s): r
+        for s, r in zip(
+            stage.excitation.sets[::-1], stage.excitation.least_reach[::-1].tolist(), strict=True
+        )
     }
     return dict(sorted(least.items()))  # of sets of one size the first is the best
 
 
-def _print(deck: Path, stage: PlanStage, told: dict[str, Any]) -> None:
-    _print_modes(f"{deck}: {len(told['modes'])} target modes", told["modes"])
-    if ambient := told.get("virtual_ambient_test"):
+def _print(deck: Path, stage: PlanStage, document: dict[str, Any]) -> None:
+    _print_modes(f"{deck}: {len(document['modes'])} target modes", document["modes"])
+    if ambient := document.get("virtual_ambient_test"):
         _print_modes(f"{ambient['trials']} virtual ambient tests", ambient["modes"])
     best = _best(stage)
+    sensors = stage.sensors
+    timing = stage.acquisition
     lines = [
-        f"{len(stage.test.channels)} channels at {stage.test.points.size} points, of "
-        f"{stage.candidates} candidates: "
-        f"{' '.join(map(str, told['points']))}",
-        f"strike at {' '.join(stage.references)}; least reach of the best "
+        f"{len(sensors.test.channels)} channels at {sensors.test.points.size} points, of "
+        f"{sensors.candidates} candidates: "
+        f"{' '.join(map(str, document['points']))}",
+        f"strike at {' '.join(stage.excitation.references)}; least reach of the best "
         f"{', '.join(map(str, best))} points: "
         f"{', '.join(f'{100 * r:.0f}' for r in best.values())} %",
-        f"worst auto-MAC {stage.worst_off_diagonal:.2f}; {lost_points_sentence(stage)}",
-        f"frequency step {stage.frequency_step:.3g} Hz, block {stage.block:.3g} s, "
-        f"{stage.averages} averages; "
-        f"ambient record {stage.record_length / 60:.3g} min, {stage.segments} blocks",
+        f"worst auto-MAC {sensors.worst_auto_mac:.2f}; {lost_points_sentence(stage)}",
+        f"frequency step {timing.frequency_step:.3g} Hz, block {timing.block:.3g} s, "
+        f"{timing.averages} averages; "
+        f"ambient record {timing.record_length / 60:.3g} min, {timing.segments} blocks",
     ]
     lines += setup_sentences(stage)
-    if stage.suspension:
-        lines.append(f"hang at {' '.join(map(str, stage.suspension))}")
+    if stage.suspension is not None:
+        lines.append(f"hang at {' '.join(map(str, stage.suspension.nodes))}")
     lines += [*missed_modes(stage), *stage.notes]
     for test in ("virtual_test", "virtual_ambient_test"):
-        lines += told.get(test, {}).get("doubtful", [])
-    lines.append("test sheet: " + " ".join(told["files"]))
+        lines += document.get(test, {}).get("doubtful", [])
+    lines.append("test sheet: " + " ".join(document["files"]))
     tell(lines)

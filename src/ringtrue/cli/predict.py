@@ -9,18 +9,15 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from ringtrue.cli.show import Json, err, one_of, out, progress, rows, write_json
-from ringtrue.cli.stated import warn_of_units
+from ringtrue.api.models import read_deck
+from ringtrue.api.studies import predict
+from ringtrue.cli.show import Json, err, one_of, out, progress, rows, warn_of_units, write_json
 from ringtrue.errors import ConfigError
 from ringtrue.io.files import atomic_write
-from ringtrue.study.config import StudyConfig, read_config
+from ringtrue.study.config import read_config
 from ringtrue.study.config_sections import PredictSection
 from ringtrue.study.messages import validity_sentence
 from ringtrue.study.results import PredictStage
-from ringtrue.study.run import run_study
-from ringtrue.study.session import Session
-from ringtrue.study.stages import predict as stage
-from ringtrue.study.store import Store
 from ringtrue.updating.prediction import PLANE, RunUp
 
 
@@ -31,10 +28,10 @@ def _stated(
     least: float | None = None,
     most: float | None = None,
 ) -> Any:
-    """An option in the place of a key of [predict], whose default is told."""
+    """An option in place of a key of [predict]; the help names its default."""
     key = {"--to": "fmax"}.get(option, option.removeprefix("--"))
-    told = f"{what}; {PredictSection.model_fields[key].default:g} if not stated."
-    return typer.Option(option, metavar=metavar, help=told, min=least, max=most)
+    text = f"{what}; {PredictSection.model_fields[key].default:g} if not stated."
+    return typer.Option(option, metavar=metavar, help=text, min=least, max=most)
 
 
 def run(
@@ -77,47 +74,33 @@ def run(
 
     Example: ringtrue predict study.toml --rotor 9001 --mass 1200 --grade 2.5 --springs bearings=58
     """
-    config = read_config(study)
     if table is not None and not table.parent.is_dir():
         raise ConfigError(f"--csv {table}: no folder {table.parent}")
-    stated: dict[str, Any] = {
+    stated = {
         "rotor": rotor,
         "mass": mass,
         "axis": axis,
         "grade": grade,
         "service": service,
+        "fmax": fmax,
+        "lines": lines,
+        "draws": draws,
+        "level": level,
     }
-    stated |= {"fmax": fmax, "lines": lines, "draws": draws, "level": level}
+    config = read_config(study)
     chosen = settings(config.predict, stated, springs or [])
-    where = folder or study.parent
-    held = Store(where / "study.h5")
-    if "final" not in held.stages():
-        raise ConfigError(
-            f"{held.path}: no updated model in it: `ringtrue run` the study to its final stage "
-            "first, or name the "
-            "folder of its results with --out"
-        )
     with progress("predict") as show:
-        if chosen == config.predict and seed is None:
-            done = run_study(study, out=folder, until="predict", progress=show)
-            session, found = done.session, done.results["predict"]
-        else:
-            session = Session(_with(config, chosen, seed), study.parent, where, held)
-            found = stage.run(session, show)
-    warn_of_units(session.initial.model, session.deck.units)
+        found = predict(study, out=folder, settings=chosen, seed=seed, progress=show)
+    if config.model is not None:
+        model = read_deck(study.parent / config.model.deck, units=config.model.units)
+        warn_of_units(model, config.model.units)
     if table is not None:
         _write(found.run_up, table)
     if json:
-        write_json(summary(found), json)
+        write_json(_json(found), json)
     if json != "-":
         _print(found)
     return 0
-
-
-def _with(config: StudyConfig, section: PredictSection, seed: int | None) -> StudyConfig:
-    """The study with other settings of its prediction."""
-    info = config.study if seed is None else config.study.model_copy(update={"seed": seed})
-    return config.model_copy(update={"predict": section, "study": info})
 
 
 def settings(
@@ -136,22 +119,20 @@ def settings(
     if lost:
         raise ConfigError(f"--{lost[0]}: give it here, or as {lost[0]} in [predict] of the study")
     if springs:
-        held["springs"] = dict(_group(s) for s in springs)
+        held["springs"] = {}
+    for text in springs:
+        name, _, ids = text.partition("=")
+        numbers = [i.strip() for i in ids.split(",")]
+        if not name or not all(i.isdigit() for i in numbers):
+            raise ConfigError(f"--springs {text!r}: the form is NAME=PID[,PID], as in bearings=58")
+        held["springs"][name] = [int(i) for i in numbers]
     try:
         return PredictSection.model_validate(held)
     except ValueError as e:
         raise ConfigError(f"predict: {e}") from e
 
 
-def _group(text: str) -> tuple[str, list[int]]:
-    name, _, ids = text.partition("=")
-    numbers = [i.strip() for i in ids.split(",")]
-    if not name or not all(i.isdigit() for i in numbers):
-        raise ConfigError(f"--springs {text!r}: the form is NAME=PID[,PID], as in bearings=58")
-    return name, [int(i) for i in numbers]
-
-
-def summary(found: PredictStage) -> dict[str, Any]:
+def _json(found: PredictStage) -> dict[str, Any]:
     """What JSON holds."""
     r = found.run_up
     return {
@@ -179,7 +160,8 @@ def summary(found: PredictStage) -> dict[str, Any]:
 
 
 def _print(found: PredictStage) -> None:
-    r, level = found.run_up, f"{100 * found.run_up.amplitude.level:.0f} %"
+    r = found.run_up
+    level = f"{100 * found.run_up.amplitude.level:.0f} %"
     body = [
         (
             name,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from csv import writer
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,10 +13,8 @@ import typer
 
 from ringtrue.api.models import Deflections, FrfRequest, in_units, parse_points, responses_of
 from ringtrue.api.models import static as deflect
-from ringtrue.cli.ema import Motion
 from ringtrue.cli.model import Deck
-from ringtrue.cli.show import Json, Units, err, file_to, progress, rows, write_json
-from ringtrue.cli.stated import warn_of_units
+from ringtrue.cli.show import Json, Units, err, file_to, progress, rows, warn_of_units, write_json
 from ringtrue.core.arrays import Float
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.signals import Channel, FrfSet
@@ -27,7 +26,14 @@ from ringtrue.io.statics import COLUMNS
 from ringtrue.plots.pages import frf_page
 
 _SIDES = ("metre", "radian")
-ABOVE = 2.0  # modes up to here over the highest line; residual vectors stand for the rest
+
+
+class Motion(StrEnum):
+    """What responses measure."""
+
+    ACCELERATION = "acceleration"
+    VELOCITY = "velocity"
+    DISPLACEMENT = "displacement"
 
 
 def frf(
@@ -92,12 +98,12 @@ def frf(
     if damping is not None and not 0 < damping < 1:
         raise ConfigError(f"--damping {damping:g}: must be a ratio between 0 and 1, such as 0.01")
     asked = FrfRequest(
-        np.linspace(lowest, fmax, lines),
-        parse_points(force, "--force"),
-        parse_points(at or force, "--at"),
-        quantity.value,
-        damping,
-        direct,
+        frequencies=np.linspace(lowest, fmax, lines),
+        forces=parse_points(force, "--force"),
+        responses=parse_points(at or force, "--at"),
+        quantity=quantity.value,
+        damping=damping,
+        direct=direct,
     )
     with progress("frf") as show:
         show(0.0, f"reading {deck}")
@@ -213,20 +219,22 @@ def static(
     _warn_of_held(found.held)
     if table:
         _write_static(table, given, found)
-    told = [
+    load_cases = [
         _case_json(name, found.points, u) for name, u in zip(found.cases, found.values, strict=True)
     ]
     if json:
-        write_json({"deck": str(deck), "cases": told}, json)
+        write_json({"deck": str(deck), "cases": load_cases}, json)
     if json != "-":
         every = [
             (c["case"], p, f"{x:.6g}", unit)
-            for c in told
+            for c in load_cases
             for unit in _SIDES
             for p, x in c[unit].items()
         ]
         heads = ("case", "at", "deflection", "unit")
-        rows(f"{deck}: {len(told)} load case{'s' if len(told) > 1 else ''}", heads, every)
+        rows(
+            f"{deck}: {len(load_cases)} load case{'s' if len(load_cases) > 1 else ''}", heads, every
+        )
     return 0
 
 

@@ -6,6 +6,7 @@ import json
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from enum import IntEnum
 from pathlib import Path
 from typing import Annotated, Any, TextIO
 
@@ -15,15 +16,53 @@ from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bars
 from rich.table import Table
 
-from ringtrue.core.progress import Progress
+from ringtrue.checks.materials import check_units
+from ringtrue.core.iterate import Progress
 from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.io.files import atomic_write
+from ringtrue.model.model import Model
+
+
+class ExitStatus(IntEnum):
+    """How a command ended; `ringtrue --help` lists the same words."""
+
+    DONE = 0
+    FAILED = 1
+    REFUSED = 2
+    FAULT = 70  # EX_SOFTWARE of sysexits.h
+    STOPPED = 130  # 128 + SIGINT, as shells have it
+
+
+WORDS = {
+    ExitStatus.DONE: "done",
+    ExitStatus.FAILED: "a result missed its own check or a stated limit, or a computation or "
+    "solver failed",
+    ExitStatus.REFUSED: "the input or an option is wrong or not supported: nothing was computed",
+    ExitStatus.FAULT: "a fault of ringtrue: the message names the file with its details",
+    ExitStatus.STOPPED: "stopped by Ctrl-C or by a batch system (SIGTERM)",
+}
+
+
+def in_words() -> str:
+    """All of them in one paragraph."""
+    return (
+        "Exit status: "
+        + "; ".join(f"{status.value} {what}" for status, what in WORDS.items())
+        + "."
+    )
+
 
 # names in brackets and lines like `wing.bdf:100:` stay as they are, lines are the terminal's to
 # wrap
 out = Console(markup=False, emoji=False, highlight=False, soft_wrap=True)
-err = Console(stderr=True, markup=False, emoji=False, highlight=False, soft_wrap=True)
+err = Console(
+    stderr=True,
+    markup=False,
+    emoji=False,
+    highlight=False,
+    soft_wrap=True,
+)
 
 
 @contextmanager
@@ -166,3 +205,9 @@ def write_json(value: Any, target: str) -> None:
     text = json.dumps(value, indent=1, allow_nan=False) + "\n"
     with json_file(target) as file:
         file.write(text)
+
+
+def warn_of_units(model: Model, units: str) -> None:
+    """Print what is not plausible of a deck in a unit system."""
+    for finding in check_units(model, units):
+        err.print(str(finding))

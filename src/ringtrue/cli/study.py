@@ -7,31 +7,36 @@ from typing import Annotated, Any
 
 import typer
 
-from ringtrue.cli.show import Json, err, out, progress, rows, tell, write_json
-from ringtrue.cli.stated import warn_of_units
-from ringtrue.cli.status import ExitStatus
+from ringtrue.api.studies import open_study, run_study
+from ringtrue.cli.show import (
+    ExitStatus,
+    Json,
+    err,
+    out,
+    progress,
+    rows,
+    tell,
+    warn_of_units,
+    write_json,
+)
 from ringtrue.core.iterate import Outcome
 from ringtrue.errors import ConfigError
 from ringtrue.io.foreign.parsers import read_json
-from ringtrue.report.build import deliver, report_from_store
-from ringtrue.study.acceptance import Check, limits, missed_words
+from ringtrue.study.acceptance import AcceptanceCheck, limits, missed_words
 from ringtrue.study.messages import run_messages
-from ringtrue.study.results import UpdateStage
-from ringtrue.study.run import StudyRun, load_study, run_study
 from ringtrue.study.stages import STAGES
-from ringtrue.study.summary import finite, summarise
 
 ORDER = ", ".join(s.name for s in STAGES)
 
 
-def _verdict(checks: tuple[Check, ...]) -> int:
+def _verdict(checks: tuple[AcceptanceCheck, ...]) -> int:
     if checks:
         body = [("yes" if c.held else "NO", c.name, c.got, c.wanted) for c in checks]
         rows("What must hold", ("held", "what", "got", "wanted"), body)
     return _status(checks)
 
 
-def _status(checks: tuple[Check, ...]) -> int:
+def _status(checks: tuple[AcceptanceCheck, ...]) -> int:
     return 0 if all(c.held for c in checks) else 1
 
 
@@ -48,9 +53,6 @@ def demo(
         typer.Option(metavar="N", help="Draws which regions are wrong, by how much, all noise."),
     ] = 0,
     fast: Annotated[bool, typer.Option("--fast", help="Shorter records.")] = False,
-    full: Annotated[
-        bool, typer.Option("--full", help="With the 11.4-hour ambient record.")
-    ] = False,
     json: Json = None,
 ) -> int:
     """The worked example: a 1,600 t spin test facility, from deck and raw signals to the validated
@@ -58,12 +60,11 @@ def demo(
 
     Example: ringtrue demo --out lsf
     """
-    from ringtrue.demos.lsf.demo import (
-        run_demo,
-    )  # here, so that no other command needs the worked example
+    # here, so that no other command needs the worked example
+    from ringtrue.demos.lsf.demo import run_demo
 
     with progress("large spinning facility") as show:
-        result = run_demo(folder, seed, fast=fast, full=full, progress=show)
+        result = run_demo(folder, seed, fast=fast, progress=show)
     if json:
         write_json(_summary(folder), json)
     if json == "-":
@@ -98,14 +99,17 @@ def run(
     """
     try:
         with progress("study") as show:
-            result = run_study(study, out=folder, first=first, until=until, progress=show)
-            path = deliver(result)
+            done = run_study(study, out=folder, first=first, until=until, progress=show)
     except KeyboardInterrupt:
         err.print("stopped: the stages that were finished are stored, the same command resumes")
         return ExitStatus.STOPPED
+    result = done.run
     if result.config.model is not None:
         warn_of_units(result.session.initial.model, result.config.model.units)
-    outcome, stated = _outcome(result), limits(result.config, result.results)
+    outcome = None
+    if updated := result.results.get("update"):
+        outcome = updated.sets[updated.chosen].outcome
+    stated = limits(result.config, result.results)
     if json:
         write_json(_summary(result.folder), json)
     if json != "-":
@@ -113,7 +117,7 @@ def run(
             took = "up to date" if name in result.loaded else f"{seconds:.1f} s"
             out.print(f"{name}: {took}")
         tell(run_messages(result.results))
-        out.print(f"report: {path}")
+        out.print(f"report: {done.folder / 'report.html'}")
         _verdict(stated)
     if result.altered:
         err.print(
@@ -127,7 +131,7 @@ def run(
     return _status(stated) if settles(outcome, stated) else ExitStatus.FAILED
 
 
-def settles(outcome: Outcome | None, stated: tuple[Check, ...]) -> bool:
+def settles(outcome: Outcome | None, stated: tuple[AcceptanceCheck, ...]) -> bool:
     """Whether the end of an updating leaves it to the limits of the study whether its model is
     good.
 
@@ -137,16 +141,8 @@ def settles(outcome: Outcome | None, stated: tuple[Check, ...]) -> bool:
     return outcome is None or outcome.ok or (outcome is Outcome.STALLED and bool(stated))
 
 
-def _outcome(result: StudyRun) -> Outcome | None:
-    """How the chosen updating ended; None where there is none."""
-    done: UpdateStage | None = result.results.get("update")
-    return done.sets[done.chosen].outcome if done else None
-
-
 def report(
-    store: Annotated[
-        Path, typer.Argument(help="study.h5, the study.toml beside it, or their folder.")
-    ],
+    store: Annotated[Path, typer.Argument(help="study.h5, its study.toml, or their folder.")],
     target: Annotated[
         Path | None, typer.Option("--out", metavar="FILE", help="The HTML file.")
     ] = None,
@@ -158,12 +154,10 @@ def report(
     """
     if target is not None and not target.parent.is_dir():
         raise ConfigError(f"--out {target}: no folder {target.parent}")
-    if store.is_dir():
-        store = store / "study.h5"
-    store = store.with_name("study.h5") if store.suffix.lower() == ".toml" else store
-    path = report_from_store(store, target)
+    stored = open_study(store)
+    path = stored.report(target)
     if json:
-        write_json({"report": str(path)} | finite(summarise(load_study(store))), json)
+        write_json({"report": str(path)} | stored.summary, json)
     if json != "-":
         out.print(f"report: {path}")
     return 0

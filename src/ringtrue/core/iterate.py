@@ -1,17 +1,30 @@
-"""How an iteration ended.
+"""The one driver of all iterations: it owns the limit and the verdict, and reports the progress.
 
-The one driver of all iterations: it owns the limit and the verdict.
+Progress of long work is a callable of the share done, 0 to 1, and of the work under way.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 from math import isfinite
 from typing import Generic, Protocol, TypeVar
 
-from ringtrue.core.progress import Progress
 from ringtrue.errors import ConfigError
+
+Progress = Callable[[float, str], None]
+
+
+def quiet(fraction: float, text: str) -> None:
+    """No progress."""
+
+
+def part(progress: Progress | None, begin: float, end: float) -> Progress:
+    """Progress of the part of a job that takes it from `begin` to `end`."""
+    if progress is None:
+        return quiet
+    return lambda fraction, text: progress(begin + (end - begin) * fraction, text)
 
 
 class Outcome(StrEnum):

@@ -1,6 +1,6 @@
 """Modes: natural frequencies, damping ratios and shapes with their labels.
 
-And the standard deviations of a ModeSet.
+And their standard deviations, and the modal model, enough to synthesise the FRFs that it came from.
 """
 
 from __future__ import annotations
@@ -12,9 +12,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from ringtrue.core.arrays import Any_, Bool, Float, Int, freeze_fields
+from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int, freeze_fields
+from ringtrue.core.channels import POWER
 from ringtrue.core.display import Displayed
 from ringtrue.core.dofs import DofSet
+from ringtrue.core.signals import Channel, FrfKind
 from ringtrue.errors import InputError
 
 RIGID = 1e-3  # of the highest frequency: below is a rigid-body motion, whose frequency is round-off
@@ -36,7 +38,8 @@ class Norm(StrEnum):
     MASS = "mass"  # unit modal mass
     UNSCALED = "unscaled"  # output-only: no scale
     MODAL_A = "unit modal A"  # complex: φᵀ(2sM + D)φ = 1
-    LENT = "lent"  # those of a model's modes that frequencies alone were taken for: not measured
+    # those of a model's modes that frequencies alone were taken for: not measured
+    MODEL_SHAPES = "lent"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,9 +105,9 @@ class ModeSet(Displayed):
         return self.labels.labels() if isinstance(self.labels, DofSet) else self.labels
 
     @property
-    def lent(self) -> bool:
+    def frequency_only(self) -> bool:
         """Whether frequencies alone were measured, and the shapes are those of a model."""
-        return self.norm is Norm.LENT
+        return self.norm is Norm.MODEL_SHAPES
 
     def take(self, modes: Sequence[int] | Int | slice) -> ModeSet:
         """The chosen modes, in the given order."""
@@ -180,4 +183,73 @@ class Uncertainty:
         both = np.concatenate([at, at + self.frequency.size])
         return Uncertainty(
             self.frequency[at], self.damping[at], self.shape[:, at], self.factor[:, both]
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModalModel:
+    """Poles and residues, receptance form H(s) = Σ_k ψ_k l_kᵀ/(s − s_k) + conj + L/s² + U.
+
+    Attributes
+    ----------
+    poles : (m,) complex128, rad/s, Im > 0
+    shapes : (out, m) complex128
+        ψ_k; scaled so that ψ_k l_kᵀ is the residue (m/N·1/s).
+    participation : (m, in) complex128
+    lower, upper : (out, in) complex128
+        Residual terms for the modes below (L/s²) and above (U) the band.
+    outputs, inputs : tuple of Channel
+    kind : str
+        The kind of the FRFs it was fitted to.
+    """
+
+    poles: Complex
+    shapes: Complex
+    participation: Complex
+    lower: Complex
+    upper: Complex
+    outputs: tuple[Channel, ...]
+    inputs: tuple[Channel, ...]
+    kind: FrfKind = "accelerance"
+    norm: Norm = Norm.UNSCALED
+
+    def __post_init__(self) -> None:
+        c = np.complex128
+        freeze_fields(
+            self,
+            poles=c,
+            shapes=c,
+            participation=c,
+            lower=c,
+            upper=c,
+        )
+
+    @property
+    def frequencies(self) -> Float:
+        """(m,) Hz."""
+        return np.abs(self.poles) / (2 * np.pi)
+
+    @property
+    def damping(self) -> Float:
+        """(m,) fraction of critical."""
+        return -self.poles.real / np.abs(self.poles)
+
+    def synthesise(self, freqs: Float) -> Complex:
+        """(freq, out, in) complex128 in the kind of the model, at `freqs` (f,) Hz, f > 0."""
+        s = 2j * np.pi * np.asarray(freqs, dtype=np.float64)
+        left = self.shapes[None] / (s[:, None, None] - self.poles)
+        right = self.shapes.conj()[None] / (s[:, None, None] - self.poles.conj())
+        h = left @ self.participation + right @ self.participation.conj()
+        h += self.lower / (s**2)[:, None, None] + self.upper
+        return np.asarray(h * (s ** POWER[self.kind])[:, None, None])
+
+    def to_modes(self, source: str = "") -> ModeSet:
+        """The modes, complex shapes."""
+        return ModeSet(
+            frequencies=self.frequencies,
+            damping=self.damping,
+            shapes=self.shapes,
+            labels=tuple(c.id for c in self.outputs),
+            norm=self.norm,
+            source=source,
         )

@@ -64,11 +64,11 @@ class Substructure:
     6))`.
     """
 
-    matrix: Literal["stiffness", "mass", "damping"]
+    matrix: Literal["stiffness", "mass"]
     elements: tuple[int, ...]
 
     def __post_init__(self) -> None:
-        if self.matrix not in ("stiffness", "mass", "damping") or not self.elements:
+        if self.matrix not in ("stiffness", "mass") or not self.elements:
             raise InputError(
                 f"substructure of {len(self.elements)} elements, matrix {self.matrix!r}"
             )

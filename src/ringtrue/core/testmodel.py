@@ -59,7 +59,12 @@ class TestModel:
 
     def __post_init__(self) -> None:
         freeze_fields(
-            self, points=np.int64, xyz=np.float64, at=np.int64, axes=np.float64, lines=np.int64
+            self,
+            points=np.int64,
+            xyz=np.float64,
+            at=np.int64,
+            axes=np.float64,
+            lines=np.int64,
         )
         freeze_fields(self, force_at=np.int64, force_axes=np.float64)
         object.__setattr__(self, "channels", tuple(self.channels))

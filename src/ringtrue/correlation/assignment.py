@@ -11,7 +11,7 @@ from scipy.optimize import linear_sum_assignment
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.errors import ConfigError
-from ringtrue.shapes.mac import (
+from ringtrue.shapes import (
     FADE,
     NIL,
     above_rounding,
@@ -25,14 +25,37 @@ from ringtrue.shapes.mac import (
     unit,
 )
 
-TIE = 1e-3
-LOCKED = 1e6  # worth of a forced pair, above that of all others together
-APART = 4.0  # times the distance of close modes: as far may be in B what is close in A
-SOFT = 0.02  # 1 − MAC below this brings no further gain: it is noise
-SHARED = 0.1  # above the MAC gate, from where on a share counts whole
-# of the MAC gate: a shape that matches less is another, which no rotation mends; of 1/frequency
-# gate
-HOLD = 0.5
+
+@dataclass(frozen=True, slots=True)
+class WorthSettings:
+    """What a pair is worth, and when close modes are one group.
+
+    Attributes
+    ----------
+    tie : float
+        Of the MAC of single shapes, which decides between the members of a rotated group.
+    locked : float
+        Of a forced pair, above that of all others together.
+    close : float
+        Times the distance of close modes: as far may be in B what is close in A.
+    soft : float
+        1 − MAC below this brings no further gain: it is noise.
+    shared : float
+        Above the MAC gate, from where on a share counts whole.
+    hold : float
+        Share of the MAC gate: a shape that matches less is another, which no rotation mends;
+        likewise of the frequency gate.
+    """
+
+    tie: float = 1e-3
+    locked: float = 1e6
+    close: float = 4.0
+    soft: float = 0.02
+    shared: float = 0.1
+    hold: float = 0.5
+
+
+WORTH = WorthSettings()
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,9 +81,6 @@ class PairingSettings:
         Most modes in one subspace.
     min_confidence : float
         Modes of A with less are left unpaired.
-    min_visible : float
-        Modes of B with a smaller share of motion where sensors sit are left unpaired (if the shares
-        are passed).
     faint : float
         Mass-normalised modes of B whose largest component at the sensors is below this share of the
         median mode's are not observable: the correlation leaves them unpaired, the updating trusts
@@ -74,7 +94,6 @@ class PairingSettings:
     distinct: float = 0.9
     largest_group: int = 4
     min_confidence: float = 0.5
-    min_visible: float = 0.01
     faint: float = 0.01
 
     def __post_init__(self) -> None:
@@ -187,6 +206,33 @@ class Followed:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ComparedModes:
+    """Two sets of modes at the same channels.
+
+    Attributes
+    ----------
+    fa, fb : (ma,), (mb,) float64, Hz
+    a, b : (n, ma), (n, mb) float64 or complex128
+        Without channels, n = 0, frequencies alone decide which modes belong together.
+    """
+
+    fa: Float
+    a: Any_
+    fb: Float
+    b: Any_
+
+    @property
+    def error(self) -> Float:
+        """(f_B − f_A)/f_A, (ma, mb)."""
+        scale = np.maximum(np.abs(self.fa), NIL)[:, None]
+        return np.asarray((self.fb[None, :] - self.fa[:, None]) / scale)
+
+    def take(self, rows: Int, columns: Int) -> ComparedModes:
+        """Some modes of A and of B."""
+        return ComparedModes(self.fa[rows], self.a[:, rows], self.fb[columns], self.b[:, columns])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Scores:
     """All that the assignment rests on.
 
@@ -209,21 +255,22 @@ class Scores:
     turns: tuple[tuple[tuple[int, ...], Float], ...]
 
 
-def scores(
-    fa: Float, a: Any_, fb: Float, b: Any_, settings: PairingSettings, *, mixed: bool = True
-) -> Scores:
+def scores(modes: ComparedModes, settings: PairingSettings, *, mixed: bool = True) -> Scores:
     """MAC and frequency errors of all combinations, with close groups of B rotated towards those of
     A.
 
     Parameters
     ----------
-    fa, fb : (ma,), (mb,) float64, Hz
-    a, b : (n, ma), (n, mb) float64 or complex128
-        Without channels, n = 0, frequencies alone tell which modes belong together.
+    modes : ComparedModes
+    settings : PairingSettings
     mixed : bool
         Also make one group of the modes of B that close modes of A mix.
     """
-    error = (fb[None, :] - fa[:, None]) / np.maximum(np.abs(fa), NIL)[:, None]
+    fa = modes.fa
+    a = modes.a
+    fb = modes.fb
+    b = modes.b
+    error = modes.error
     if not len(a):
         return Scores(np.full(error.shape, np.nan), np.full(error.shape, np.nan), error, ())
     single = mac(a, b)
@@ -241,14 +288,14 @@ def scores(
         )
         if share.any():
             here = fb[share.argmax()]
-            near = fade(np.abs(fb - here) / max(APART * settings.close * here, NIL))[0]
+            near = fade(np.abs(fb - here) / max(WORTH.close * settings.close * here, NIL))[0]
             shared.append(_mixed(single[ga], share, near, settings))
     for group, weight in _weighed(fb, shared, settings).items():
         gb = np.array(group)
         turn = np.zeros(fa.size)
         share = share_in(units[0], b[:, gb])  # no rotation inside the group reaches more
-        held = np.asarray(share > HOLD * settings.mac_gate)
-        gains = held & np.asarray(share > single[:, gb].max(axis=1) + SOFT - TIE)
+        held = np.asarray(share > WORTH.hold * settings.mac_gate)
+        gains = held & np.asarray(share > single[:, gb].max(axis=1) + WORTH.soft - WORTH.tie)
         near = np.asarray((np.abs(error[:, gb]) <= settings.frequency_gate).any(axis=1))
         for ga in (g for g in groups_a if gains[g].any() and near[g].any()):
             # a chain of close modes of A may be longer: a neighbour belongs elsewhere
@@ -285,7 +332,7 @@ def _mixed(
     perturbations as small as their distance: it differs between two sets whose frequencies differ
     by more, whichever of the two has them close.
     """
-    held = near * np.clip((share - settings.mac_gate) / SHARED, 0.0, 1.0)
+    held = near * np.clip((share - settings.mac_gate) / WORTH.shared, 0.0, 1.0)
     best = np.lexsort((-share, -held))[: single.shape[0]]
     held = held[best]
     out = []
@@ -350,7 +397,7 @@ def _turned(
     if not far:
         return np.zeros(len(single)), np.zeros(len(single))
     turned = paired_mac(a, b @ rotation(a, b))
-    return turned, far * np.clip((turned - single.max(axis=1)) / SOFT - 1, 0.0, 1.0)
+    return turned, far * np.clip((turned - single.max(axis=1)) / WORTH.soft - 1, 0.0, 1.0)
 
 
 def within(
@@ -395,14 +442,16 @@ def assign(
     -------
     rows, columns : (k,) int64, ascending rows
     """
-    value = np.log((1 - settings.mac_gate + SOFT) / (1 - score.merged + SOFT)) + SOFT
+    value = (
+        np.log((1 - settings.mac_gate + WORTH.soft) / (1 - score.merged + WORTH.soft)) + WORTH.soft
+    )
     worth = value * (1 - 0.5 * (score.error / settings.frequency_gate) ** 2)
-    worth += TIE * score.mac  # decides between the members of a rotated group
+    worth += WORTH.tie * score.mac  # decides between the members of a rotated group
     allowed, forced = within(score, settings, usable_a, usable_b=usable_b, locks=locks)
     if trust is not None:
         worth = trust * worth
         allowed = (allowed & (trust > 0)) | forced
-    worth = np.where(forced, LOCKED, np.where(allowed, worth, 0.0))
+    worth = np.where(forced, WORTH.locked, np.where(allowed, worth, 0.0))
     rows, cols = linear_sum_assignment(-worth)
     keep = allowed[rows, cols]
     return rows[keep].astype(np.int64), cols[keep].astype(np.int64)

@@ -16,11 +16,9 @@ from ringtrue.correlation.assignment import PairingSettings
 from ringtrue.correlation.paired_shapes import paired_shapes
 from ringtrue.correlation.pairing import Pairing
 from ringtrue.errors import InputError
-from ringtrue.shapes.complexity import modal_scale_factor
-from ringtrue.shapes.mac import paired_mac
+from ringtrue.shapes import modal_scale_factor, paired_mac
 
 Fault = Literal["reversed", "swapped", "scaled", "dead"]
-MOST_SWAPS = 500  # channels that are tried against each other, the worst of them
 MOST_THREES = 60  # the same in rounds of three
 USUAL = (
     (9.80665, "g for m/s²"),
@@ -59,6 +57,10 @@ class FaultLimits:
     ratio: float = 1.25
     far: float = 5.0
     dead: float = 0.1
+
+
+LIMITS = FaultLimits()
+LEAST_PAIRS = 3  # to judge a channel
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +131,7 @@ def mended(a: Any_, faults: Sequence[ChannelFault]) -> Any_:
     return out
 
 
-def find_faults(a: Any_, b: Any_, limits: FaultLimits = FaultLimits()) -> tuple[ChannelFault, ...]:
+def find_faults(a: Any_, b: Any_) -> tuple[ChannelFault, ...]:
     """Faulty rows of the readings `a`, judged by the shapes `b`; the gravest first.
 
     The readings are scaled mode by mode to the model by least absolute deviation, which a few wrong
@@ -158,7 +160,7 @@ def find_faults(a: Any_, b: Any_, limits: FaultLimits = FaultLimits()) -> tuple[
     gone: Int = np.zeros(0, dtype=np.int64)
     for _ in range(max(1, a.shape[0] // 3)):  # each fault changes what the others look like
         y, expected = scaled_to(mended(a, found), b)
-        best = _gravest(y, expected, np.setdiff1d(np.arange(a.shape[0]), gone), limits)
+        best = _gravest(y, expected, np.setdiff1d(np.arange(a.shape[0]), gone))
         if best is None:
             break
         found.append(best)
@@ -186,7 +188,7 @@ def scaled_to(a: Any_, b: Any_) -> tuple[Float, Float]:
     return np.asarray(y / np.where(usable, scale, 1.0)), np.asarray(b)
 
 
-def _gravest(y: Float, b: Float, at: Int, limits: FaultLimits) -> ChannelFault | None:
+def _gravest(y: Float, b: Float, at: Int) -> ChannelFault | None:
     """The fault of greatest gain among the rows `at`."""
     error = ((y - b) ** 2).sum(axis=1)
     size_y = np.linalg.norm(y, axis=1)
@@ -196,28 +198,33 @@ def _gravest(y: Float, b: Float, at: Int, limits: FaultLimits) -> ChannelFault |
     live = size_b > 0.1 * np.median(size_b)
     cosine = own / np.where(size_y * size_b > 0, size_y * size_b, 1.0)
     factor = own / np.where(size_b > 0, size_b**2, 1.0)
-    silent = live & (size_y < limits.dead * size_b)
+    silent = live & (size_y < LIMITS.dead * size_b)
     able = np.isin(np.arange(b.shape[0]), at) & live
     found = _dead(error, silent & able) + _reversed(
-        y, b, error, (cosine < -limits.correlation) & able & ~silent
+        y, b, error, (cosine < -LIMITS.correlation) & able & ~silent
     )
-    far = (factor > limits.far) | (factor < 1 / limits.far)
+    far = (factor > LIMITS.far) | (factor < 1 / LIMITS.far)
     positive = (
-        able & ~silent & (cosine > np.where(far, limits.correlation, limits.scaled_correlation))
+        able & ~silent & (cosine > np.where(far, LIMITS.correlation, LIMITS.scaled_correlation))
     )
-    found += _mis_scaled(y, b, error, factor=factor, which=positive, limits=limits)
-    poor = np.flatnonzero(able & ~silent & (cosine < 0.95) & (error > usual * limits.gain / 4))
-    found += _swapped(
-        y, b, error, at=poor[np.argsort(-error[poor], kind="stable")][:MOST_SWAPS], limits=limits
-    )
-    need = usual * limits.gain
+    found += _mis_scaled(y, b, error, factor=factor, which=positive)
+    poor = np.flatnonzero(able & ~silent & (cosine < 0.95) & (error > usual * LIMITS.gain / 4))
+    # 500: channels that are tried against each other, the worst of them
+    found += _swapped(y, b, error, at=poor[np.argsort(-error[poor], kind="stable")][:500])
+    need = usual * LIMITS.gain
     grave = [f for f in found if f.gain > (need / 2 if f.fault == "dead" else need)]
     return max(grave, key=lambda f: (f.gain, -f.i), default=None)
 
 
 def _dead(error: Float, which: Any_) -> list[ChannelFault]:
     return [
-        ChannelFault(i=i, j=i, fault="dead", factor=0.0, gain=float(error[i]))
+        ChannelFault(
+            i=i,
+            j=i,
+            fault="dead",
+            factor=0.0,
+            gain=float(error[i]),
+        )
         for i in np.flatnonzero(which).tolist()
     ]
 
@@ -225,32 +232,42 @@ def _dead(error: Float, which: Any_) -> list[ChannelFault]:
 def _reversed(y: Float, b: Float, error: Float, which: Any_) -> list[ChannelFault]:
     turned = ((y + b) ** 2).sum(axis=1)
     return [
-        ChannelFault(i=i, j=i, fault="reversed", factor=-1.0, gain=float(error[i] - turned[i]))
+        ChannelFault(
+            i=i,
+            j=i,
+            fault="reversed",
+            factor=-1.0,
+            gain=float(error[i] - turned[i]),
+        )
         for i in np.flatnonzero(which).tolist()
     ]
 
 
-def _mis_scaled(
-    y: Float, b: Float, error: Float, factor: Float, which: Any_, limits: FaultLimits
-) -> list[ChannelFault]:
+def _mis_scaled(y: Float, b: Float, error: Float, factor: Float, which: Any_) -> list[ChannelFault]:
     """Channels whose factor stands out from those of all others that follow the model."""
     if np.count_nonzero(which) < 4:
         return []
     level = np.log(np.where(which, factor, 1.0))
     middle = float(np.median(level[which]))
     spread = 1.4826 * float(np.median(np.abs(level[which] - middle)))
-    out = which & (np.abs(level) > np.log(limits.ratio)) & (np.abs(level - middle) > 6 * spread)
+    out = which & (np.abs(level) > np.log(LIMITS.ratio)) & (np.abs(level - middle) > 6 * spread)
     at = np.flatnonzero(out)
     rest = ((y[at] / factor[at, None] - b[at]) ** 2).sum(axis=1)
     gain = error[at] - rest
-    good = rest < limits.explained * error[at]
+    good = rest < LIMITS.explained * error[at]
     return [
-        ChannelFault(i=i, j=i, fault="scaled", factor=float(factor[i]), gain=g)
+        ChannelFault(
+            i=i,
+            j=i,
+            fault="scaled",
+            factor=float(factor[i]),
+            gain=g,
+        )
         for i, g in zip(at[good].tolist(), gain[good].tolist(), strict=True)
     ]
 
 
-def _swapped(y: Float, b: Float, error: Float, at: Int, limits: FaultLimits) -> list[ChannelFault]:
+def _swapped(y: Float, b: Float, error: Float, at: Int) -> list[ChannelFault]:
     """The best exchange of two of the rows `at`, and the best one round three, some of them
     reversed, too.
     """
@@ -260,12 +277,12 @@ def _swapped(y: Float, b: Float, error: Float, at: Int, limits: FaultLimits) -> 
     size_y = np.linalg.norm(y[at], axis=1)
     size_b = np.linalg.norm(b[at], axis=1)
     left = size_y[:, None] ** 2 + size_b**2 - 2 * np.abs(cross)  # where row p reads ±q
-    correlated = np.abs(cross) > limits.correlation * np.maximum(size_y[:, None] * size_b, 1e-300)
+    correlated = np.abs(cross) > LIMITS.correlation * np.maximum(size_y[:, None] * size_b, 1e-300)
     np.fill_diagonal(correlated, False)
     left = np.where(correlated, left, np.inf)
     rounds = [
-        _pair(left, error[at], limits),
-        _three(left[:MOST_THREES, :MOST_THREES], error[at], limits),
+        _pair(left, error[at]),
+        _three(left[:MOST_THREES, :MOST_THREES], error[at]),
     ]
     out = []
     for gain, order in rounds:
@@ -288,24 +305,24 @@ def _swapped(y: Float, b: Float, error: Float, at: Int, limits: FaultLimits) -> 
     return out
 
 
-def _pair(left: Float, error: Float, limits: FaultLimits) -> tuple[float, tuple[int, ...]]:
+def _pair(left: Float, error: Float) -> tuple[float, tuple[int, ...]]:
     """Gain and positions of the best exchange of two; `left` (r, r) is the error of a row that
     reads another.
     """
     now = np.add.outer(error, error)
     then = left + left.T
-    gain = np.where(np.triu(then < limits.explained * now, 1), now - then, 0.0)
+    gain = np.where(np.triu(then < LIMITS.explained * now, 1), now - then, 0.0)
     at = np.unravel_index(int(np.argmax(gain)), gain.shape)
     return float(gain[at]), tuple(int(k) for k in at)
 
 
-def _three(left: Float, error: Float, limits: FaultLimits) -> tuple[float, tuple[int, ...]]:
+def _three(left: Float, error: Float) -> tuple[float, tuple[int, ...]]:
     """The same of three that read each other in a round."""
     best: tuple[float, tuple[int, ...]] = (0.0, ())
     for p in range(len(left)):  # tens
         now = error[p] + np.add.outer(error[: len(left)], error[: len(left)])
         then = left[p][:, None] + left + left[:, p]  # p reads q, q reads r, r reads p
-        gain = np.where(then < limits.explained * now, now - then, 0.0)
+        gain = np.where(then < LIMITS.explained * now, now - then, 0.0)
         q, r = np.unravel_index(int(np.argmax(gain)), gain.shape)
         if gain[q, r] > best[0]:
             best = float(gain[q, r]), (p, int(q), int(r))
@@ -316,10 +333,8 @@ def suspect_channels(
     a: ModeSet,
     b: ModeSet,
     pairing: Pairing,
-    limits: FaultLimits = FaultLimits(),
     *,
     settings: PairingSettings = PairingSettings(),  # noqa: B008  frozen
-    least_pairs: int = 3,
 ) -> tuple[Suspect, ...]:
     """Channels of A that look reversed, swapped, mis-scaled or dead, judged by the paired modes of
     B.
@@ -329,26 +344,21 @@ def suspect_channels(
     Raises
     ------
     InputError
-        With fewer than `least_pairs` pairs: no channel could be judged.
+        With fewer than `LEAST_PAIRS` pairs: no channel could be judged.
     """
-    if len(pairing) < least_pairs:
-        raise InputError(
-            f"{len(pairing)} pairs: at least {least_pairs} are needed to judge a channel"
-        )
+    if len(pairing) < LEAST_PAIRS:
+        needed = f"at least {LEAST_PAIRS} are needed to judge a channel"
+        raise InputError(f"{len(pairing)} pairs: {needed}")
     left, right = paired_shapes(a, b, pairing, settings)
     now = float(paired_mac(left, right).mean())
     out: list[Suspect] = []
-    for f in find_faults(left, right, limits):
-        then = _mac_without_fault(left, right, f)
+    for f in find_faults(left, right):
+        keep = np.arange(left.shape[0]) != (f.i if f.fault == "dead" else -1)
+        then = float(paired_mac(mended(left, [f])[keep], right[keep]).mean())
         if then <= now:
             continue
         out += suspects_of(f, a.channels, now, then)
     return tuple(out)
-
-
-def _mac_without_fault(left: Any_, right: Any_, fault: ChannelFault) -> float:
-    keep = np.arange(left.shape[0]) != (fault.i if fault.fault == "dead" else -1)
-    return float(paired_mac(mended(left, [fault])[keep], right[keep]).mean())
 
 
 def suspects_of(

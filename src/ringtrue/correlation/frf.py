@@ -110,15 +110,14 @@ class Levels:
         freeze_fields(self, centre=np.float64, difference=np.float64)
 
 
-def band_levels(a: Complex, b: Complex, freqs: Float, *, per_octave: int = 3) -> Levels:
-    """How much louder b is than a, in fractions of an octave; for bands too dense for modes.
+def band_levels(a: Complex, b: Complex, freqs: Float) -> Levels:
+    """How much louder b is than a, in third octaves with centres 1000·2^(k/3) Hz; for bands too
+    dense for modes.
 
     Parameters
     ----------
     a, b : (freq, out, in) complex128
     freqs : (freq,) float64, Hz, ascending
-    per_octave : int
-        3: third-octave bands, with centres 1000·2^(k/3) Hz.
 
     Raises
     ------
@@ -127,19 +126,17 @@ def band_levels(a: Complex, b: Complex, freqs: Float, *, per_octave: int = 3) ->
     """
     _same(a, b)
     f = np.asarray(freqs, dtype=np.float64)
-    if f.shape != a.shape[:1] or per_octave < 1:
-        raise InputError(
-            f"{f.size} lines for FRFs of {a.shape[0]}; {per_octave} bands an octave (1 or more)"
-        )
+    if f.shape != a.shape[:1]:
+        raise InputError(f"{f.size} lines for FRFs of {a.shape[0]}")
     live = f > 0
-    number = np.rint(per_octave * np.log2(f[live] / 1000)).astype(np.int64)
+    number = np.rint(3 * np.log2(f[live] / 1000)).astype(np.int64)
     names, band = np.unique(number, return_inverse=True)
     power = np.zeros((2, names.size, a.shape[2]))
     for i, h in enumerate((a, b)):  # of two
         np.add.at(power[i], band, (np.abs(h[live]) ** 2).sum(axis=1))
     heard = (power > 0).all(axis=0)
     ratio = np.where(heard, power[1], 1.0) / np.where(heard, power[0], 1.0)
-    return Levels(1000 * 2.0 ** (names / per_octave), np.where(heard, 10 * np.log10(ratio), np.nan))
+    return Levels(1000 * 2.0 ** (names / 3), np.where(heard, 10 * np.log10(ratio), np.nan))
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,7 +191,14 @@ class FrfComparison:
 
     def __post_init__(self) -> None:
         f = np.float64
-        freeze_fields(self, freqs=f, frac=f, deviation=f, shape=f, amplitude=f)
+        freeze_fields(
+            self,
+            freqs=f,
+            frac=f,
+            deviation=f,
+            shape=f,
+            amplitude=f,
+        )
 
     @property
     def mean_shape(self) -> Float:

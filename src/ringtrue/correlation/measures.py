@@ -7,17 +7,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import sparse
 
-from ringtrue.core.arrays import Any_, Float, Int, freeze_fields
+from ringtrue.core.arrays import Any_, Float, freeze_fields
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.correlation.assignment import PairingSettings
 from ringtrue.correlation.channel_faults import Suspect, suspect_channels
 from ringtrue.correlation.orthogonality import (
-    TRADE,
-    Check,
-    Gate,
-    Lift,
+    OrthogonalityCheck,
+    OrthogonalityTest,
     PairedSets,
     over_mass,
     over_serep_mass,
@@ -35,20 +32,21 @@ from ringtrue.correlation.paired_shapes import (
 from ringtrue.correlation.pairing import Pairing
 from ringtrue.correlation.table import Significance, significance
 from ringtrue.errors import InputError
-from ringtrue.shapes.complexity import mcf, modal_scale_factor, mpc, mpd
-from ringtrue.shapes.mac import (
+from ringtrue.shapes import (
     above_rounding,
     auto_mac,
     close_groups,
+    mcf,
+    modal_scale_factor,
+    mpc,
+    mpd,
     principal_angles,
     worst_off_diagonal,
 )
 
-WHOLE = 30  # modes up to which whole matrices are written to JSON
-
 
 @dataclass(frozen=True, slots=True)
-class Subspace:
+class CloseSubspace:
     """Close modes compared as spaces; positions count from 0.
 
     Attributes
@@ -64,6 +62,47 @@ class Subspace:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ChannelMeasures:
+    """How far each channel agrees over all pairs.
+
+    Attributes
+    ----------
+    comac, ecomac : (channel,) float64
+    contribution : (channel,) float64
+        Mean over the pairs of the share of each channel in the MAC.
+    elimination : Elimination
+    """
+
+    comac: Float
+    ecomac: Float
+    contribution: Float
+    elimination: Elimination
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, comac=np.float64, ecomac=np.float64, contribution=np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShapeComplexity:
+    """How far the shapes of a set are from real ones.
+
+    Attributes
+    ----------
+    mpc, mcf : (m,) float64, 0..1
+        Modal phase collinearity and complexity factor.
+    mpd : (m,) float64, rad
+        Mean phase deviation.
+    """
+
+    mpc: Float
+    mpd: Float
+    mcf: Float
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, mpc=np.float64, mpd=np.float64, mcf=np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class CompleteCorrelation:
     """What can be said of two paired sets of modes in addition to deviation and MAC.
 
@@ -72,17 +111,14 @@ class CompleteCorrelation:
     channels : tuple of str
     auto_mac : (2,) float64
         Largest off-diagonal auto-MAC of A and of B: near 1, the channels cannot distinguish shapes.
-    comac, ecomac : (channel,) float64
-    contribution : (channel,) float64
-        Mean over the pairs of the share of each channel in the MAC.
-    elimination : Elimination
+    by_channel : ChannelMeasures
     scale : (k,) float64 or complex128
         Modal scale factor of each pair: on B, to come closest to A.
-    mpc, mpd, mcf : (m,) float64
-        Of the modes of A; `mpd` in rad.
-    checks : tuple of Check
+    complexity : ShapeComplexity
+        Of the modes of A.
+    checks : tuple of OrthogonalityCheck
         Self- and cross-orthogonality over the mass that was given, and over that of a SEREP model.
-    subspaces : tuple of Subspace
+    subspaces : tuple of CloseSubspace
         Groups of close modes.
     suspects : tuple of Suspect
     significance : Significance
@@ -93,27 +129,19 @@ class CompleteCorrelation:
 
     channels: tuple[str, ...]
     auto_mac: Float
-    comac: Float
-    ecomac: Float
-    contribution: Float
-    elimination: Elimination
+    by_channel: ChannelMeasures
     scale: Any_
-    mpc: Float
-    mpd: Float
-    mcf: Float
-    checks: tuple[Check, ...]
-    subspaces: tuple[Subspace, ...]
+    complexity: ShapeComplexity
+    checks: tuple[OrthogonalityCheck, ...]
+    subspaces: tuple[CloseSubspace, ...]
     suspects: tuple[Suspect, ...]
     significance: Significance
     notes: tuple[str, ...]
 
     def __post_init__(self) -> None:
-        f = np.float64
-        freeze_fields(
-            self, auto_mac=f, comac=f, ecomac=f, contribution=f, scale=None, mpc=f, mpd=f, mcf=f
-        )
+        freeze_fields(self, auto_mac=np.float64, scale=None)
 
-    def judges(self, check: Check) -> bool:
+    def judges(self, check: OrthogonalityCheck) -> bool:
         """Whether a check has a verdict: one that fails has none over a mass that an ordinary test
         would fail, too.
         """
@@ -123,7 +151,7 @@ class CompleteCorrelation:
         return fit or check.kind == "model" or check.verdict.passed
 
     @property
-    def cross(self) -> Check | None:
+    def cross(self) -> OrthogonalityCheck | None:
         """The first cross-orthogonality that has a verdict, or the first."""
         every = [c for c in self.checks if c.kind == "cross"]
         return next((c for c in every if self.judges(c)), every[0] if every else None)
@@ -134,12 +162,8 @@ def complete(
     b: ModeSet,
     pairing: Pairing,
     *,
-    mass: Any_ | sparse.csr_array | None = None,
-    mass_name: str = "given",
-    lift: Lift | None = None,
-    gate: Gate = TRADE,
-    std_a: Float | float = float("nan"),
-    std_b: Float | float = float("nan"),
+    orthogonality: OrthogonalityTest = OrthogonalityTest(),  # noqa: B008  frozen
+    std: tuple[Float | float, Float | float] = (float("nan"), float("nan")),
     settings: PairingSettings = PairingSettings(),  # noqa: B008  frozen
 ) -> CompleteCorrelation:
     """All measures that the data allow.
@@ -149,26 +173,32 @@ def complete(
     a, b : ModeSet
         As they were paired; test and model, or any two.
     pairing : Pairing
-    mass : (channel, channel) float64, optional
-        Of the structure at the channels of A (`reduction.static`).
-    mass_name : str
-        What it is called in the checks.
-    lift : callable, ModeSet -> (n, m), optional
-        Coordinates of shapes that the mass is over, where these are not channels (Craig-Bampton).
-    gate : Gate
-    std_a, std_b : (ma,), (mb,) float64 or float, Hz
-        Standard deviations of the frequencies; NaN where unknown.
+    orthogonality : OrthogonalityTest
+    std : ((ma,) float64 or float, (mb,) float64 or float), Hz
+        Standard deviations of the frequencies of A and B; NaN where unknown.
     settings : PairingSettings
         Those of the pairing: `close` and `largest_group` make the groups.
     """
     b = b.rows(a.channels)
-    left, right = paired_shapes(a, b, pairing, settings)
     notes: list[str] = []
-    checks: tuple[Check, ...] = ()
+    of_pairs = [
+        np.broadcast_to(np.asarray(s, float), (len(m),))[i]
+        for s, m, i in zip(std, (a, b), (pairing.a, pairing.b), strict=True)
+    ]
+    if not np.isfinite(of_pairs).any():
+        notes.append("deviations not judged: no standard deviation of a frequency is known")
+    suspects: tuple[Suspect, ...] = ()
+    if len(pairing) < 3:
+        notes.append(f"channels not judged: {len(pairing)} pairs, at least 3 are needed")
+    else:
+        suspects = suspect_channels(a, b, pairing, settings=settings)
+    checks: tuple[OrthogonalityCheck, ...] = ()
     if len(pairing):
         pairs = PairedSets(a, b, pairing.a, pairing.b, turning(a, b, pairing, settings))
-        if mass is not None:
-            checks = over_mass(pairs, mass, gate, name=mass_name, lift=lift)
+        gate = orthogonality.gate
+        if orthogonality.mass is not None:
+            name, lift = orthogonality.name, orthogonality.lift
+            checks = over_mass(pairs, orthogonality.mass, gate, name=name, lift=lift)
         if b.norm is Norm.MASS:
             try:
                 checks += over_serep_mass(pairs, gate)
@@ -181,42 +211,40 @@ def complete(
             )
     else:
         notes.append("orthogonality not checked: no mode has a partner")
-    suspects: tuple[Suspect, ...] = ()
-    if len(pairing) < 3:
-        notes.append(f"channels not judged: {len(pairing)} pairs, at least 3 are needed")
-    else:
-        suspects = suspect_channels(a, b, pairing, settings=settings)
-    share = mac_contribution(left, right)
-    std = [
-        np.broadcast_to(np.asarray(s, float), (len(m),))[i]
-        for s, m, i in ((std_a, a, pairing.a), (std_b, b, pairing.b))
-    ]
-    if not np.isfinite(std).any():
-        notes.append("deviations not judged: no standard deviation of a frequency is known")
+    left, right = paired_shapes(a, b, pairing, settings)
     return CompleteCorrelation(
         channels=a.channels,
         auto_mac=np.array([worst_off_diagonal(auto_mac(above_rounding(m.shapes))) for m in (a, b)]),
-        comac=comac(left, right),
-        ecomac=ecomac(left, right),
-        contribution=share.mean(axis=1) if len(pairing) else np.zeros(len(a.channels)),
-        elimination=eliminate(left, right)
-        if len(pairing)
-        else Elimination(np.zeros(0, dtype=np.int64), np.zeros((1, 0))),
+        by_channel=_by_channel(left, right),
         scale=modal_scale_factor(left, right),
-        mpc=mpc(a.shapes),
-        mpd=mpd(a.shapes),
-        mcf=mcf(a.shapes),
+        complexity=ShapeComplexity(mpc=mpc(a.shapes), mpd=mpd(a.shapes), mcf=mcf(a.shapes)),
         checks=checks,
         subspaces=subspaces(a, b, pairing, settings),
         suspects=suspects,
-        significance=significance(a.frequencies[pairing.a], b.frequencies[pairing.b], *std),
+        significance=significance(a.frequencies[pairing.a], b.frequencies[pairing.b], *of_pairs),
         notes=tuple(notes),
+    )
+
+
+def _by_channel(left: Any_, right: Any_) -> ChannelMeasures:
+    """Of paired shapes (n, k)."""
+    n, pairs = left.shape
+    contribution = np.zeros(n)
+    elimination = Elimination(np.zeros(0, dtype=np.int64), np.zeros((1, 0)))
+    if pairs:
+        contribution = mac_contribution(left, right).mean(axis=1)
+        elimination = eliminate(left, right)
+    return ChannelMeasures(
+        comac=comac(left, right),
+        ecomac=ecomac(left, right),
+        contribution=contribution,
+        elimination=elimination,
     )
 
 
 def subspaces(
     a: ModeSet, b: ModeSet, pairing: Pairing, settings: PairingSettings
-) -> tuple[Subspace, ...]:
+) -> tuple[CloseSubspace, ...]:
     """Principal angles between each close group of A (B) and its partners."""
     partner = dict(zip(pairing.a.tolist(), pairing.b.tolist(), strict=True))
     groups = [
@@ -232,47 +260,42 @@ def subspaces(
     for g in (g for g in groups if len(g) > 1):
         theirs = tuple(partner[i] for i in g)
         angles = principal_angles(a.shapes[:, list(g)], b.shapes[:, list(theirs)])
-        out.append(Subspace(g, theirs, tuple(angles.tolist())))
+        out.append(CloseSubspace(g, theirs, tuple(angles.tolist())))
     return tuple(out)
 
 
 def complete_json(c: CompleteCorrelation, pairing: Pairing) -> dict[str, Any]:
     """Plain values; modes count from 1. Matrices over more than 30 modes are left out."""
-    s = c.significance
-    worst = _worst(c.comac)
-    total, count, chance = s.chi_square
+    channels = c.by_channel
+    worst = np.argsort(channels.comac, kind="stable")[:5]
+    removed = channels.elimination.order.tolist()
+    after = channels.elimination.mean_mac.tolist()[1:] if removed else []
+    # 30: modes up to which whole matrices are written to JSON
     return {
         "auto_mac_worst": c.auto_mac.tolist(),
-        "channels": [
-            {"channel": name, "comac": x, "ecomac": y, "contribution": z}
-            for name, x, y, z in zip(
-                c.channels,
-                c.comac.tolist(),
-                c.ecomac.tolist(),
-                c.contribution.tolist(),
-                strict=True,
-            )
-        ],
+        "channels": _rows(
+            channel=c.channels,
+            comac=channels.comac,
+            ecomac=channels.ecomac,
+            contribution=channels.contribution,
+        ),
         "worst_comac": [c.channels[i] for i in worst.tolist()],
-        "elimination": [
-            {"channel": c.channels[i], "mean_mac_after": x}
-            for i, x in zip(c.elimination.order.tolist(), _mean(c.elimination)[1:], strict=True)
-        ],
-        "complexity": [
-            {"mode": i + 1, "mpc": x, "mpd_deg": float(np.rad2deg(y)), "mcf": z}
-            for i, (x, y, z) in enumerate(
-                zip(c.mpc.tolist(), c.mpd.tolist(), c.mcf.tolist(), strict=True)
-            )
-        ],
-        "scale": [
-            {"a": i + 1, "b": j + 1, "factor": abs(x), "phase_deg": float(np.rad2deg(np.angle(x)))}
-            for i, j, x in zip(
-                pairing.a.tolist(), pairing.b.tolist(), c.scale.tolist(), strict=True
-            )
-        ],
+        "elimination": _rows(channel=[c.channels[i] for i in removed], mean_mac_after=after),
+        "complexity": _rows(
+            mode=np.arange(1, c.complexity.mpc.size + 1),
+            mpc=c.complexity.mpc,
+            mpd_deg=np.rad2deg(c.complexity.mpd),
+            mcf=c.complexity.mcf,
+        ),
+        "scale": _rows(
+            a=pairing.a + 1,
+            b=pairing.b + 1,
+            factor=np.abs(c.scale),
+            phase_deg=np.rad2deg(np.angle(c.scale)),
+        ),
         "orthogonality": [
             {"name": k.name, "verdict": verdict_json(k.verdict), "judged": c.judges(k)}
-            | ({"matrix": k.matrix.tolist()} if max(k.matrix.shape) <= WHOLE else {})
+            | ({"matrix": k.matrix.tolist()} if max(k.matrix.shape) <= 30 else {})
             for k in c.checks
         ],
         "subspaces": [
@@ -291,46 +314,40 @@ def complete_json(c: CompleteCorrelation, pairing: Pairing) -> dict[str, Any]:
             }
             for x in c.suspects
         ],
-        "significance": {
-            "false_discovery_rate": s.rate,
-            "chi_square": total,
-            "count": count,
-            "p": _number(chance),
-            "pairs": [
-                {
-                    "a": i + 1,
-                    "b": j + 1,
-                    "std_hz": _number(d),
-                    "z": _number(z),
-                    "p": _number(p),
-                    "significant": h,
-                }
-                for i, j, d, z, p, h in zip(
-                    pairing.a.tolist(),
-                    pairing.b.tolist(),
-                    s.std.tolist(),
-                    s.z.tolist(),
-                    s.p.tolist(),
-                    s.significant.tolist(),
-                    strict=True,
-                )
-            ],
-        },
+        "significance": _significance_json(c.significance, pairing),
         "notes": list(c.notes),
     }
 
 
-def _mean(e: Elimination) -> list[float]:
-    return e.mean_mac.tolist() if e.mac.shape[1] else [0.0]
+def _significance_json(s: Significance, pairing: Pairing) -> dict[str, Any]:
+    total, count, chance = s.chi_square
+    pairs = _rows(
+        a=pairing.a + 1,
+        b=pairing.b + 1,
+        std_hz=s.std,
+        z=s.z,
+        p=s.p,
+        significant=s.significant,
+    )
+    return {
+        "false_discovery_rate": s.rate,
+        "chi_square": total,
+        "count": count,
+        "p": _number(chance),
+        "pairs": [{name: _number(value) for name, value in pair.items()} for pair in pairs],
+    }
 
 
-def _worst(values: Float, most: int = 5) -> Int:
-    return np.argsort(values, kind="stable")[:most]
+def _rows(**columns: Sequence[Any] | Any_) -> list[dict[str, Any]]:
+    """Columns of one length as one dict a row, with plain values."""
+    plain = [c.tolist() if isinstance(c, np.ndarray) else list(c) for c in columns.values()]
+    return [dict(zip(columns, row, strict=True)) for row in zip(*plain, strict=True)]
 
 
 def _from_one(modes: Sequence[int]) -> list[int]:
     return [i + 1 for i in modes]
 
 
-def _number(x: float) -> float | None:
+def _number(x: Any) -> Any:
+    """None for what is not finite."""
     return x if np.isfinite(x) else None

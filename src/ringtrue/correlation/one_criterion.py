@@ -12,19 +12,47 @@ from scipy.optimize import linear_sum_assignment
 from scipy.special import betainc
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int, freeze_fields
-from ringtrue.correlation.assignment import TIE, PairingSettings, Scores, scores
-from ringtrue.shapes.mac import auto_mac, unit
+from ringtrue.correlation.assignment import WORTH, ComparedModes, PairingSettings, Scores, scores
+from ringtrue.shapes import auto_mac, unit
 
-COMMON = 0.1  # standard deviation of what all frequencies of a model are off together, relative
-OFFSETS = 29  # common offsets that are tried, over the gate
-SCATTER = 0.05  # of the single frequencies about the common offset, before any is known
-KNOWN = 2.0  # as many pairs `SCATTER` counts: what the pairs show is the least of all assignments
-ALONE = 25.0  # cost of a mode without a partner, in squares of the scatter
-DOUBT = 6.0  # an assignment that costs this much more is twenty times less likely
-FAR = 50.0  # offsets about which an assignment costs this much more are not looked at again
-NEVER = 1e6
+NEVER = 1e6  # cost of a pair that may not be
 LOCKED_COST = -1e6
 NO_RIVAL = -2  # in place of a rival: the pair is not in doubt
+
+
+@dataclass(frozen=True, slots=True)
+class FrequencyOnlySettings:
+    """How frequencies alone decide which modes belong together.
+
+    Attributes
+    ----------
+    common : float
+        Standard deviation of what all frequencies of a model are off together, relative.
+    offsets : int
+        Common offsets that are tried, over the gate.
+    scatter : float
+        Prior standard deviation of the single frequencies about the common offset, relative.
+    prior_pairs : float
+        As many pairs that prior counts.
+    unpaired : float
+        Cost of a mode without a partner, in squares of the scatter.
+    doubt : float
+        Another assignment that costs less than this much more leaves a pair in doubt: 6 is twenty
+        times less likely.
+    far : float
+        Offsets about which an assignment costs this much more are not looked at again.
+    """
+
+    common: float = 0.1
+    offsets: int = 29
+    scatter: float = 0.05
+    prior_pairs: float = 2.0
+    unpaired: float = 25.0
+    doubt: float = 6.0
+    far: float = 50.0
+
+
+FREQUENCY_ONLY = FrequencyOnlySettings()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,19 +95,21 @@ def by_frequency(fa: Float, fb: Float, allowed: Bool, forced: Bool, wide: Bool) 
     tiny = np.finfo(np.float64).tiny
     error = np.log(np.maximum(fb, tiny))[None, :] - np.log(np.maximum(fa, tiny))[:, None]
     offsets = _offsets(error[allowed & ~forced])
-    scatter = SCATTER
+    given = FREQUENCY_ONLY
+    scatter = given.scatter
     for _ in range(2):
         off = min(
             (_assigned(error, c, scatter, allowed=allowed, forced=forced) for c in offsets),
             key=lambda t: t.cost,
         ).off
-        scatter = float(np.sqrt((off @ off + KNOWN * SCATTER**2) / (max(off.size - 1, 0) + KNOWN)))
+        squares = off @ off + given.prior_pairs * given.scatter**2
+        scatter = float(np.sqrt(squares / (max(off.size - 1, 0) + given.prior_pairs)))
     tried = [_assigned(error, c, scatter, allowed=allowed, forced=forced) for c in offsets]
     best = min(tried, key=lambda t: t.cost)
     rows = np.flatnonzero(best.partner >= 0)
     offsets = _offsets(error[wide & ~forced])
     loose = [_assigned(error, c, scatter, allowed=wide, forced=forced).cost for c in offsets]
-    near = [c for c, cost in zip(offsets, loose, strict=True) if cost < best.cost + FAR]
+    near = [c for c, cost in zip(offsets, loose, strict=True) if cost < best.cost + given.far]
     rival = []
     for i, j in zip(rows.tolist(), best.partner[rows].tolist(), strict=True):
         other = wide.copy()
@@ -88,13 +118,14 @@ def by_frequency(fa: Float, fb: Float, allowed: Bool, forced: Bool, wide: Bool) 
             (_assigned(error, c, scatter, allowed=other, forced=forced) for c in near),
             key=lambda t: t.cost,
         )
-        clear = forced[i].any() or second.cost >= best.cost + DOUBT
+        clear = forced[i].any() or second.cost >= best.cost + given.doubt
         rival.append(NO_RIVAL if clear else int(second.partner[i]))
     return ByFrequency(rows, best.partner[rows], np.array(rival, dtype=np.int64))
 
 
 def _offsets(errors: Float) -> list[float]:
-    return list(map(float, np.linspace(errors.min(initial=0.0), errors.max(initial=0.0), OFFSETS)))
+    ends = (errors.min(initial=0.0), errors.max(initial=0.0))
+    return list(map(float, np.linspace(*ends, FREQUENCY_ONLY.offsets)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,24 +145,47 @@ def _assigned(error: Float, start: float, scatter: float, allowed: Bool, forced:
     cost = np.full((m, n + m), NEVER)
     cost[:, :n] = np.where(allowed, ((error - start) / scatter) ** 2, NEVER)
     cost[:, :n][forced] = LOCKED_COST
-    cost[np.arange(m), n + np.arange(m)] = ALONE
+    cost[np.arange(m), n + np.arange(m)] = FREQUENCY_ONLY.unpaired
     rows, cols = linear_sum_assignment(cost)
     partner = np.where(cols < n, cols, -1)
     rows = np.flatnonzero((partner >= 0) & ~forced.any(axis=1))
     off = error[rows, partner[rows]]
-    own = float(off.sum() / (rows.size + (scatter / COMMON) ** 2))
-    lone = ALONE * float((partner < 0).sum())
-    return _Assigned(
-        float((((off - own) / scatter) ** 2).sum()) + (own / COMMON) ** 2 + lone, partner, off - own
-    )
+    common = FREQUENCY_ONLY.common
+    own = float(off.sum() / (rows.size + (scatter / common) ** 2))
+    total = float((((off - own) / scatter) ** 2).sum())
+    total += (own / common) ** 2
+    total += FREQUENCY_ONLY.unpaired * float((partner < 0).sum())
+    return _Assigned(total, partner, off - own)
 
 
-LIKE = 0.95  # least MAC of such a pair
-CONTESTED = 0.5  # MAC from which another mode may be meant
-# channels, at the least, that carry such a shape: one sensor on a panel reads all its modes as one
-CARRIED = 3.0
-CHANCE = 0.01  # that unrelated shapes are as like: of random ones, and among the modes of each set
-FLAT = 0.1  # of the largest singular value: patterns that are less are those of others
+@dataclass(frozen=True, slots=True)
+class LikeShapesSettings:
+    """When shapes alone make a pair beyond the frequency gate.
+
+    Attributes
+    ----------
+    mac : float
+        Least MAC of such a pair.
+    contested : float
+        MAC from which another mode may be meant.
+    channels : float
+        Least number of channels that carry such a shape: one sensor on a panel reads all its modes
+        as one.
+    chance : float
+        Largest probability that unrelated shapes are as like: of random ones, and among the modes
+        of each set.
+    pattern : float
+        Share of the largest singular value from which a pattern of readings is one of its own.
+    """
+
+    mac: float = 0.95
+    contested: float = 0.5
+    channels: float = 3.0
+    chance: float = 0.01
+    pattern: float = 0.1
+
+
+LIKE_SHAPES = LikeShapesSettings()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,10 +207,7 @@ class Extended:
 
 
 def pairs_by_shape(
-    fa: Float,
-    a: Any_,
-    fb: Float,
-    b: Any_,
+    modes: ComparedModes,
     score: Scores,
     paired: tuple[Int, Int],
     free: Bool,
@@ -169,8 +220,7 @@ def pairs_by_shape(
 
     Parameters
     ----------
-    fa, fb : (ma,), (mb,) float64, Hz
-    a, b : (n, ma), (n, mb) float64 or complex128
+    modes : ComparedModes
     score : Scores
         Of all modes.
     paired : tuple of (j,) int64
@@ -191,14 +241,21 @@ def pairs_by_shape(
     far[rows, :] = far[:, cols] = False
     if not far.any():
         return done
-    merged = _merged(fa, a, fb, b=b, score=score, far=far, gates=gates)
+    merged = _merged(modes, score, far, gates)
     turned = merged > score.mac
-    good = far & (merged >= LIKE) & (_carried(a) >= CARRIED)[:, None]
-    good &= np.where(turned, _rivals(np.where(turned, 0.0, merged)), _rivals(merged)) < CONTESTED
+    # how many channels carry each shape (n, m), were their shares equal, (m,)
+    share = np.abs(unit(modes.a)) ** 2
+    carried = np.asarray(1 / np.maximum((share**2).sum(axis=0), np.finfo(np.float64).tiny))
+    good = far & (merged >= LIKE_SHAPES.mac) & (carried >= LIKE_SHAPES.channels)[:, None]
+    rivals = np.where(turned, _rivals(np.where(turned, 0.0, merged)), _rivals(merged))
+    good &= rivals < LIKE_SHAPES.contested
     if good.any():
-        chance = betainc((_patterns(a, b) - 1) / 2, 0.5, 1 - np.clip(merged, 0.0, 1.0)) * far.sum()
-        good &= np.maximum(chance, _confused(a, b)) <= CHANCE
-    i, j = linear_sum_assignment(-np.where(good, merged + TIE * score.mac, 0.0))
+        # number of independent patterns of readings in both sets
+        s = linalg.svdvals(np.concatenate([unit(modes.a), unit(modes.b)], axis=1))
+        patterns = max(int((s > LIKE_SHAPES.pattern * s.max(initial=0.0)).sum()), 2)
+        chance = betainc((patterns - 1) / 2, 0.5, 1 - np.clip(merged, 0.0, 1.0)) * far.sum()
+        good &= np.maximum(chance, _confused(modes.a, modes.b)) <= LIKE_SHAPES.chance
+    i, j = linear_sum_assignment(-np.where(good, merged + WORTH.tie * score.mac, 0.0))
     i, j = i[good[i, j]], j[good[i, j]]
     rows = np.append(rows, i)
     cols = np.append(cols, j)
@@ -207,51 +264,32 @@ def pairs_by_shape(
     return Extended(rows[order], cols[order], beyond, replace(score, merged=merged))
 
 
-def scores_among(
-    fa: Float, a: Any_, fb: Float, b: Any_, rows: Int, columns: Int, gates: PairingSettings
-) -> Scores:
+def scores_among(modes: ComparedModes, rows: Int, columns: Int, gates: PairingSettings) -> Scores:
     """The scores of some modes, each within reach of each; what it turns is given for all modes."""
     wide = replace(gates, frequency_gate=gates.reach)
-    score = scores(fa[rows], a[:, rows], fb[columns], b=b[:, columns], settings=wide, mixed=False)
+    score = scores(modes.take(rows, columns), wide, mixed=False)
     turns = []
     for group, weight in score.turns:
-        all_weights = np.zeros(fa.size)
+        all_weights = np.zeros(modes.fa.size)
         all_weights[rows] = weight
         turns.append((tuple(columns[list(group)].tolist()), all_weights))
     return replace(score, turns=tuple(turns))
 
 
-def _merged(
-    fa: Float, a: Any_, fb: Float, b: Any_, score: Scores, far: Bool, gates: PairingSettings
-) -> Float:
+def _merged(modes: ComparedModes, score: Scores, far: Bool, gates: PairingSettings) -> Float:
     """MAC (ma, mb) with close modes of B rotated among those of `far`, too."""
     rows = np.flatnonzero(far.any(axis=1))
     cols = np.flatnonzero(far.any(axis=0))
     merged = score.merged.copy()
     here = np.ix_(rows, cols)
-    merged[here] = np.maximum(
-        merged[here], scores_among(fa, a, fb, b=b, rows=rows, columns=cols, gates=gates).merged
-    )
+    merged[here] = np.maximum(merged[here], scores_among(modes, rows, cols, gates).merged)
     return merged
-
-
-def _carried(shapes: Any_) -> Float:
-    """How many channels carry each shape (n, m), were their shares equal, (m,)."""
-    share = np.abs(unit(shapes)) ** 2
-    return np.asarray(1 / np.maximum((share**2).sum(axis=0), np.finfo(np.float64).tiny))
-
-
-def _patterns(a: Any_, b: Any_) -> int:
-    """Number of independent patterns of readings in both sets."""
-    s = linalg.svdvals(np.concatenate([unit(a), unit(b)], axis=1))
-    return max(int((s > FLAT * s.max(initial=0.0)).sum()), 2)
 
 
 def _confused(a: Any_, b: Any_) -> float:
     """Share of the pairs of different modes of one set that the channels cannot distinguish."""
-    like = np.concatenate(
-        [m[np.triu_indices(len(m), 1)] >= LIKE for m in (auto_mac(a), auto_mac(b))]
-    )
+    macs = [m[np.triu_indices(len(m), 1)] for m in (auto_mac(a), auto_mac(b))]
+    like = np.concatenate(macs) >= LIKE_SHAPES.mac
     return float(like.mean()) if like.size else 0.0
 
 

@@ -14,12 +14,13 @@ from scipy import sparse
 from ringtrue.core.arrays import Any_, Float, Int, freeze_fields
 from ringtrue.core.modes import ModeSet
 from ringtrue.errors import ConfigError, InputError
-from ringtrue.shapes.mac import auto_mac, unit
-from ringtrue.shapes.orthogonality import (
+from ringtrue.shapes import (
+    auto_mac,
     cross_orthogonality,
     pseudo_inverse,
     read_orthogonality,
     self_orthogonality,
+    unit,
 )
 
 
@@ -48,11 +49,8 @@ class Gate:
             )
 
 
-MOST_TOLD = 20  # failures
-DECIMALS = 9  # of an entry, by which failures are ordered
-TRADE = (
-    Gate()
-)  # NASA-STD-5002 (1996): at least 0.9 on the diagonal and at most 0.1 off it for the target modes
+# NASA-STD-5002 (1996): at least 0.9 on the diagonal and at most 0.1 off it for the target modes
+TRADE = Gate()
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +101,7 @@ def judge(
     Parameters
     ----------
     matrix : (ma, mb) float64
-        Magnitudes, 0..1 (`shapes.orthogonality`).
+        Magnitudes, 0..1 (`shapes`).
     gate : Gate
     a, b : (k,) int, optional
         The pairs: rows and columns of `matrix` that belong together. The matrix must be square if
@@ -121,7 +119,11 @@ def judge(
     np.fill_diagonal(off, 0.0)
     found = [
         Failure(
-            a=int(rows[i]), b=int(cols[i]), value=float(own[i]), limit=gate.diagonal, diagonal=True
+            a=int(rows[i]),
+            b=int(cols[i]),
+            value=float(own[i]),
+            limit=gate.diagonal,
+            diagonal=True,
         )
         for i in np.flatnonzero(own < gate.diagonal)
     ]
@@ -137,7 +139,8 @@ def judge(
     ]
     # the farthest beyond its limit first; the halves of a symmetric matrix differ in rounding,
     # which orders nothing
-    found.sort(key=lambda f: (-round(abs(f.value - f.limit), DECIMALS), f.a, f.b))
+    # 9: of an entry, by which failures are ordered
+    found.sort(key=lambda f: (-round(abs(f.value - f.limit), 9), f.a, f.b))
     least = float(own.min()) if own.size else float("nan")
     return Verdict(
         gate=gate,
@@ -176,7 +179,7 @@ def verdict_json(verdict: Verdict) -> dict[str, Any]:
         "largest_off_diagonal": verdict.largest_off_diagonal,
         "failures": [
             {"a": f.a + 1, "b": f.b + 1, "value": f.value, "limit": f.limit, "diagonal": f.diagonal}
-            for f in verdict.failures[:MOST_TOLD]
+            for f in verdict.failures[:20]  # failures
         ],
     }
 
@@ -187,7 +190,7 @@ READ = 0.02  # error of a reading over the RMS of its mode, as of ordinary tests
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Check:
+class OrthogonalityCheck:
     """An orthogonality matrix and what the gate says of it.
 
     Attributes
@@ -239,7 +242,7 @@ class PairedSets:
 
     def checks(
         self, model: Float, own: Float, cross: tuple[str, Float], gate: Gate, mass: str
-    ) -> tuple[Check, ...]:
+    ) -> tuple[OrthogonalityCheck, ...]:
         """Checks of the matrices of B as read, of A with itself, and (name, matrix) of A with B."""
         read = f"modes of the model read with {100 * READ:g} % error"
         matrices: tuple[tuple[str, Float, Verdict, Literal["model", "self", "cross"]], ...] = (
@@ -248,14 +251,42 @@ class PairedSets:
             (*cross, judge(cross[1], gate, a=self.rows, b=self.columns), "cross"),
         )
         return tuple(
-            Check(name=f"{name}, {mass} mass", matrix=x, verdict=verdict, kind=kind, mass=mass)
+            OrthogonalityCheck(
+                name=f"{name}, {mass} mass",
+                matrix=x,
+                verdict=verdict,
+                kind=kind,
+                mass=mass,
+            )
             for name, x, verdict, kind in matrices
         )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class OrthogonalityTest:
+    """How the orthogonality of shapes is judged.
+
+    Attributes
+    ----------
+    gate : Gate
+    mass : (channel, channel) float64, optional
+        Of the structure at the channels (`reduction.static`); without it that which mass-normalised
+        shapes give.
+    name : str
+        What the mass is called in the checks.
+    lift : callable, ModeSet -> (n, m), optional
+        Coordinates of shapes that the mass is over, where these are not channels (Craig-Bampton).
+    """
+
+    gate: Gate = TRADE
+    mass: Mass | None = None
+    name: str = "given"
+    lift: Lift | None = None
+
+
 def over_mass(
     pairs: PairedSets, mass: Mass, gate: Gate, *, name: str, lift: Lift | None = None
-) -> tuple[Check, ...]:
+) -> tuple[OrthogonalityCheck, ...]:
     """Orthogonality of B as read, of A, and of A with B over a mass; `lift` gives the coordinates
     of shapes that the mass is over, where these are not the channels.
     """
@@ -288,7 +319,7 @@ def _read(b: ModeSet, coordinates: Any_, mass: Mass, lift: Lift | None) -> Float
     return out
 
 
-def over_serep_mass(pairs: PairedSets, gate: Gate) -> tuple[Check, ...]:
+def over_serep_mass(pairs: PairedSets, gate: Gate) -> tuple[OrthogonalityCheck, ...]:
     """The same over the mass that mass-normalised real shapes of B give at the channels.
 
     Raises

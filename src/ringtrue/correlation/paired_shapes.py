@@ -15,11 +15,11 @@ from scipy import linalg
 
 from ringtrue.core.arrays import Any_, Float, Int, freeze_fields
 from ringtrue.core.modes import ModeSet
-from ringtrue.correlation.assignment import PairingSettings, scores
+from ringtrue.correlation.assignment import ComparedModes, PairingSettings, scores
 from ringtrue.correlation.one_criterion import scores_among
 from ringtrue.correlation.pairing import Pairing
 from ringtrue.errors import InputError
-from ringtrue.shapes.mac import rotation, unit
+from ringtrue.shapes import rotation, unit
 
 
 def paired_shapes(
@@ -71,11 +71,11 @@ def turning(
     if not turned.size:
         return out
     plain = out.copy()
-    f = (a.frequencies, a.shapes, b.frequencies, b.shapes)
-    turns = scores(*f, settings).turns
+    modes = ComparedModes(a.frequencies, a.shapes, b.frequencies, b.shapes)
+    turns = scores(modes, settings).turns
     if pairing.beyond.any():
         left = np.setdiff1d(np.arange(len(b)), pairing.b[~pairing.beyond])
-        turns += scores_among(*f, pairing.a[pairing.beyond], left, settings).turns
+        turns += scores_among(modes, pairing.a[pairing.beyond], left, settings).turns
     for group, weight in turns:
         at = turned[np.isin(pairing.b[turned], group)]
         if at.size:
@@ -137,9 +137,6 @@ def ecomac(a: Any_, b: Any_) -> Float:
     return np.asarray(
         np.abs(a - b * phase).sum(axis=1) / (2 * max(a.shape[1], 1)), dtype=np.float64
     )
-
-
-MOST = 20  # channels left out unless more are asked for
 
 
 def _checked(a: Any_, b: Any_) -> tuple[Any_, Any_]:
@@ -225,7 +222,8 @@ def eliminate(
     a, b = _checked(a, b)
     n, m = a.shape
     stay = min(2 * m, n - 1) if least_channels is None else least_channels
-    count = max(0, min(min(max(1, n // 10), MOST) if most is None else most, n - stay))
+    # 20: channels left out unless more are asked for
+    count = max(0, min(min(max(1, n // 10), 20) if most is None else most, n - stay))
     part = a.conj() * b
     aa = np.abs(a) ** 2
     bb = np.abs(b) ** 2

@@ -1,19 +1,23 @@
 """Which mode of one set belongs to which of another, and why the rest have no partner.
 
-Pairing of two mode sets, with a reason for each mode that stays alone.
+And modes followed from point to point through crossing and veering.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
-from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
+from ringtrue.core.arrays import Any_, Bool, Float, Int, freeze_fields
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.correlation.assignment import (
-    HOLD,
     NO_LOCKS,
+    WORTH,
+    ComparedModes,
     Locks,
     PairingSettings,
     Scores,
@@ -24,7 +28,133 @@ from ringtrue.correlation.assignment import (
 )
 from ringtrue.correlation.one_criterion import NO_RIVAL, by_frequency, pairs_by_shape
 from ringtrue.errors import InputError
-from ringtrue.shapes.mac import above_rounding
+from ringtrue.shapes import Mass, above_rounding, mac, mass_mac
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Step:
+    """Where the modes of one point are at the next.
+
+    Attributes
+    ----------
+    index : (m,) int64
+        Position at the new point of each mode followed.
+    overlap : (m,) float64, 0..1
+        Squared overlap (MAC over the mass, if given) of old and new shape.
+    runner_up : (m,) float64, 0..1
+        The best of the other new modes.
+    """
+
+    index: Int
+    overlap: Float
+    runner_up: Float
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, index=np.int64, overlap=np.float64, runner_up=np.float64)
+
+
+def follow(old: Any_, new: Any_, mass: Mass | None = None) -> Step:
+    """The one-to-one assignment of greatest total overlap between the shapes of two points.
+
+    Parameters
+    ----------
+    old : (n, m) float64 or complex128
+        The modes followed.
+    new : (n, k) float64 or complex128, k >= m
+    mass : (n, n), optional
+        The overlap is then that of the mass product, which is exact; without it shapes at few
+        channels may look equal.
+
+    Raises
+    ------
+    InputError
+        If there are fewer new modes than followed ones.
+    """
+    old = np.asarray(old)
+    new = np.asarray(new)
+    m = old.shape[1]
+    if new.shape[1] < m:
+        raise InputError(
+            f"{m} modes to follow, {new.shape[1]} at the new point; compute more there"
+        )
+    share = mac(old, new) if mass is None else mass_mac(old, new, mass)
+    rows, cols = linear_sum_assignment(-share)
+    index = cols[np.argsort(rows)]
+    best = share[np.arange(m), index]
+    other = share.copy()
+    other[np.arange(m), index] = 0.0
+    return Step(index, best, other.max(axis=1, initial=0.0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tracks:
+    """Modes along a path.
+
+    Attributes
+    ----------
+    points : (k, p) float64
+    index : (k, m) int64
+        Position of each followed mode among the modes of each point.
+    frequencies : (k, m) float64, Hz
+    overlap : (k, m) float64
+        With the point before; ones at the first.
+    solves : int
+        Points at which modes were computed.
+    """
+
+    points: Float
+    index: Int
+    frequencies: Float
+    overlap: Float
+    solves: int = 0
+
+    def __post_init__(self) -> None:
+        freeze_fields(
+            self, points=np.float64, index=np.int64, frequencies=np.float64, overlap=np.float64
+        )
+
+    @property
+    def worst(self) -> Float:
+        """(m,) smallest overlap of each mode along the path: below about 0.6 its identity was
+        lost.
+        """
+        return np.asarray(self.overlap.min(axis=0))
+
+
+def track(
+    frequencies: Sequence[Float],
+    shapes: Sequence[Any_],
+    mass: Mass | None = None,
+    *,
+    count: int | None = None,
+) -> Tracks:
+    """Follow the `count` lowest modes of the first point (all) through a given sequence.
+
+    Parameters
+    ----------
+    frequencies : sequence of (m_i,) float64, Hz
+    shapes : sequence of (n, m_i) float64 or complex128
+    mass : (n, n), optional
+    """
+    if len(frequencies) != len(shapes) or not len(shapes):
+        raise InputError(f"{len(frequencies)} sets of frequencies for {len(shapes)} sets of shapes")
+    m = np.shape(shapes[0])[1] if count is None else count
+    index = [np.arange(m)]
+    overlap = [np.ones(m)]
+    for before, now in pairwise(shapes):  # each point rests on the one before
+        step = follow(np.asarray(before)[:, index[-1]], now, mass)
+        index.append(step.index)
+        overlap.append(step.overlap)
+    where = np.arange(len(shapes), dtype=np.float64)[:, None]
+    f = np.array([np.asarray(f)[i] for f, i in zip(frequencies, index, strict=True)])
+    return Tracks(
+        points=where,
+        index=np.array(index),
+        frequencies=f,
+        overlap=np.array(overlap),
+        solves=len(shapes),
+    )
+
 
 __all__ = ["Locks", "Pairing", "PairingSettings", "pair_modes"]
 
@@ -70,7 +200,9 @@ class Pairing:
     gated_a: Bool = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
 
     def __post_init__(self) -> None:
-        integer, number, flag = np.int64, np.float64, np.bool_
+        integer = np.int64
+        number = np.float64
+        flag = np.bool_
         freeze_fields(self, a=integer, b=integer, unpaired_a=integer, unpaired_b=integer)
         freeze_fields(self, mac=number, frequency_error=number, subspace=flag)
         for name, size in (("beyond", len(self.a)), ("gated_a", len(self.unpaired_a))):
@@ -98,7 +230,7 @@ class Pairing:
             f"{a} {self.a[k] + 1} with {b} {self.b[k] + 1} ({100 * self.frequency_error[k]:+.3g} %)"
             for k in np.flatnonzero(self.beyond).tolist()
         ]
-        why = "paired beyond the frequency gate, as they look alike and like no other mode"
+        why = "paired beyond the frequency gate, as they look like no other mode"
         return (f"{why}: {', '.join(pairs)}",) if pairs else ()
 
 
@@ -111,7 +243,6 @@ def pair_modes(
     b: ModeSet,
     settings: PairingSettings = PairingSettings(),  # noqa: B008  frozen
     *,
-    visible_b: Float | None = None,
     names: tuple[str, str] = ("test", "FE"),
     first_b: int = 0,
     locks: Locks = NO_LOCKS,
@@ -129,8 +260,6 @@ def pair_modes(
         B must hold the channels of A. Where A has none, frequencies alone decide (`by_frequency`),
         and `mac` is NaN.
     settings : PairingSettings
-    visible_b : (mb,) float64, optional
-        Share of each mode's motion that takes place where sensors sit, 0..1.
     names : tuple of str
         What A and B are called in the reasons.
     first_b : int
@@ -141,7 +270,7 @@ def pair_modes(
     Raises
     ------
     InputError
-        If channels of A are not in B, shapes have gaps, or `visible_b` does not fit.
+        If channels of A are not in B, or shapes have gaps.
     """
     b = b.rows(a.channels)
     for name, m in zip(names, (a, b), strict=True):
@@ -153,39 +282,32 @@ def pair_modes(
                 f"{' '.join(gaps[:8])}{' ...' * (len(gaps) > 8)}: "
                 "take the channels (rows) and modes (take) that have none"
             )
-    if visible_b is not None and np.shape(visible_b) != (len(b),):
-        raise InputError(
-            f"visible_b {np.shape(visible_b)} for {len(b)} modes: one share a mode is needed"
-        )
-    hidden = _hidden(b, settings, visible_b)
+    hidden = _hidden(b, settings)
     a, b = (replace(m, shapes=above_rounding(m.shapes)) for m in (a, b))
     usable_a = a.confidence >= settings.min_confidence
     if a.channels:
         usable_a &= a.shapes.any(axis=0)
     usable_b = np.array([not why for why in hidden], dtype=np.bool_)
 
-    score = scores(a.frequencies, a.shapes, b.frequencies, b=b.shapes, settings=settings)
+    modes = ComparedModes(a.frequencies, a.shapes, b.frequencies, b.shapes)
+    score = scores(modes, settings)
     if a.channels:
         paired = assign(score, settings, usable_a, usable_b=usable_b, locks=locks)
         free = np.logical_and.outer(usable_a, usable_b) & locks.mask((len(a), len(b)))[1]
-        more = pairs_by_shape(
-            a.frequencies,
-            a.shapes,
-            b.frequencies,
-            b=b.shapes,
-            score=score,
-            paired=paired,
-            free=free,
-            gates=settings,
-        )
-        rows, cols, score, beyond = more.rows, more.columns, more.score, more.beyond
+        more = pairs_by_shape(modes, score, paired=paired, free=free, gates=settings)
+        rows = more.rows
+        cols = more.columns
+        score = more.score
+        beyond = more.beyond
         rival = np.zeros(0, dtype=np.int64)
     else:
-        loose = replace(settings, frequency_gate=settings.frequency_gate / HOLD)
+        loose = replace(settings, frequency_gate=settings.frequency_gate / WORTH.hold)
         wide = within(score, loose, usable_a, usable_b=usable_b, locks=locks)[0]
         allowed, forced = within(score, settings, usable_a, usable_b=usable_b, locks=locks)
         found = by_frequency(a.frequencies, b.frequencies, allowed, forced=forced, wide=wide)
-        rows, cols, rival = found.rows, found.columns, found.rival
+        rows = found.rows
+        cols = found.columns
+        rival = found.rival
         beyond = np.zeros(0, dtype=np.bool_)
 
     unpaired_a = np.setdiff1d(np.arange(len(a)), rows)
@@ -232,17 +354,13 @@ def _unusable(a: ModeSet, i: int, settings: PairingSettings) -> str:
     return f"confidence {a.confidence[i]:.2f} < {settings.min_confidence:.2f}"
 
 
-def _hidden(b: ModeSet, settings: PairingSettings, visible: Float | None) -> list[str]:
+def _hidden(b: ModeSet, settings: PairingSettings) -> list[str]:
     """For each mode of B why no sensor sees it, or an empty text."""
     share = peak_shares(b.shapes)
     out = []
     for j in range(len(b)):
         if b.channels and share[j] == 0:
             out.append(UNSEEN)
-        elif visible is not None and visible[j] < settings.min_visible:
-            out.append(
-                f"moves where no sensor is: {100 * visible[j]:.2g} % of its motion is at sensors"
-            )
         elif b.norm is Norm.MASS and share[j] < settings.faint:
             out.append(
                 f"not observable: |shape| at the sensors is only {100 * share[j]:.2g} % of the "

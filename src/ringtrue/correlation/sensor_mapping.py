@@ -1,6 +1,6 @@
-"""The geometry of a test laid onto the model: best-fit rotation, shift and scale.
+"""From the DOFs of a model to the channels of a test: matching nodes, skewed sensors, arms.
 
-From the DOFs of a model to the channels of a test: matching nodes, skewed sensors, arms.
+The geometry of a test laid onto the model: best-fit rotation, shift and scale.
 """
 
 from __future__ import annotations
@@ -20,13 +20,36 @@ from ringtrue.core.testmodel import Observation, TestModel
 from ringtrue.errors import ConfigError, DataError, InputError, did_you_mean
 from ringtrue.model.frames import diagonal
 
-MOST_STEPS = 100
-ROUNDS = 6
+
+@dataclass(frozen=True, slots=True)
+class AlignmentSearch:
+    """How a placement is sought.
+
+    Attributes
+    ----------
+    steps : int
+        Steps from one start, at most.
+    rounds : int
+        Rounds of small turns out of shallow minima.
+    gross : float
+        Times the rms of the nearest points: another that is farther off is set aside.
+    exact : float
+        Share of the size of the deck: places on a sheet are not better.
+    rival : float
+        A placement whose log-likelihood is within this of the best is as good.
+    """
+
+    steps: int = 100
+    rounds: int = 6
+    gross: float = 3.0
+    exact: float = 1e-3
+    rival: float = 3.0
+
+
+SEARCH = AlignmentSearch()
+
 TURNS = np.deg2rad([8.0, -8.0, 20.0, -20.0])
 _Motion = tuple[Float, Float]  # rotation and shift
-GROSS = 3.0  # times the rms of the nearest points: another that is farther off is set aside
-EXACT = 1e-3  # of the size of the deck: places on a sheet are not better
-RIVAL = 3.0  # a placement whose log-likelihood is within this of the best is as good
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,9 +143,7 @@ def _check_points(xyz: Float, name: str) -> Float:
     return xyz
 
 
-def best_fit(
-    source: Float, target: Float, *, scale: bool = False, tolerance: float | None = None
-) -> Alignment:
+def best_fit(source: Float, target: Float, *, scale: bool = False) -> Alignment:
     """The placement that brings named points onto their partners, robust against gross errors.
 
     Parameters
@@ -131,10 +152,6 @@ def best_fit(
         Row i of one belongs to row i of the other; n >= 3, not in line.
     scale : bool
         Fit a common scale too (unknown units).
-    tolerance : float, optional, unit of the target
-        Points farther off are set aside; estimated from the points if not given (three robust
-        standard deviations of the fit of least absolute deviations). Of three points none is,
-        without it: two cannot outvote the third.
 
     Notes
     -----
@@ -151,17 +168,16 @@ def best_fit(
     if source.shape != target.shape:
         raise InputError(f"{source.shape[0]} source points for {target.shape[0]} target points")
     weight = np.ones(source.shape[0])
-    if source.shape[0] == 3 and tolerance is None:
+    if source.shape[0] == 3:  # two cannot outvote the third
         fit = _fit(source, target, weight, scale)
         return Alignment(*fit, _distance(source, target, fit), weight > 0)
     size = float(np.sqrt(((target - target.mean(axis=0)) ** 2).sum(axis=1).mean()))
-    for _ in range(MOST_STEPS):  # least absolute deviations by reweighting
+    for _ in range(SEARCH.steps):  # least absolute deviations by reweighting
         r = _distance(source, target, _fit(source, target, weight, scale))
         weight = 1 / np.maximum(r, 1e-9 * size)
         weight /= weight.max()
-    limit = (
-        tolerance if tolerance is not None else max(3 * 1.4826 * float(np.median(r)), 1e-7 * size)
-    )
+    # three robust standard deviations of the fit of least absolute deviations
+    limit = max(3 * 1.4826 * float(np.median(r)), 1e-7 * size)
     weight = _truncated(source, target, weight, scale=scale, limit=limit)
     used = weight > 0.5
     if used.sum() < 3:
@@ -177,7 +193,7 @@ def _truncated(source: Float, target: Float, weight: Float, scale: bool, limit: 
     r2 = _distance(source, target, _fit(source, target, weight, scale)) ** 2
     c2 = limit**2
     mu = max(c2 / max(2 * float(r2.max()) - c2, c2), 1e-12)
-    for _ in range(MOST_STEPS):
+    for _ in range(SEARCH.steps):
         root = limit * np.sqrt(mu * (mu + 1)) / np.sqrt(np.maximum(r2, 1e-300)) - mu
         weight = np.where(
             r2 <= mu / (mu + 1) * c2, 1.0, np.where(r2 >= (mu + 1) / mu * c2, 0.0, root.clip(0, 1))
@@ -217,7 +233,7 @@ def nearest_fit(source: Float, nodes: Float, *, keep: float = 0.9) -> Alignment:
     tree = KDTree(nodes)
     found = [_icp(source, nodes, tree, fit=start, keep=keep) for start in _starts(source, nodes)]
     win = min(found, key=lambda f: f.rms)
-    for _ in range(ROUNDS):  # out of shallow minima, until no turn helps
+    for _ in range(SEARCH.rounds):  # out of shallow minima, until no turn helps
         again = [_icp(source, nodes, tree, fit=start, keep=keep) for start in _turned(win, source)]
         best = min(again, key=lambda f: f.rms)
         if best.rms > 0.99 * win.rms:
@@ -228,10 +244,10 @@ def nearest_fit(source: Float, nodes: Float, *, keep: float = 0.9) -> Alignment:
         win,
         *(_icp(source, nodes, tree, fit=start, keep=keep) for start in _about(win, _middle(nodes))),
     ]
-    cost = _costs(found, max(win.rms, EXACT * reach))
+    cost = _costs(found, max(win.rms, SEARCH.exact * reach))
     win = found[int(np.argmin(cost))]
-    near = [f for f, c in zip(found, cost.tolist(), strict=True) if c <= cost.min() + RIVAL]
-    used = win.residual <= max(GROSS * win.rms, 1e-9 * reach)
+    near = [f for f, c in zip(found, cost.tolist(), strict=True) if c <= cost.min() + SEARCH.rival]
+    used = win.residual <= max(SEARCH.gross * win.rms, 1e-9 * reach)
     return replace(
         win, used=used, rivals=_distinct([f(source) for f in near], win(source), 0.02 * reach)
     )
@@ -315,7 +331,7 @@ def _icp(source: Float, nodes: Float, tree: KDTree, fit: _Motion, keep: float) -
     count = max(4, int(np.ceil(keep * len(source))))
     count = min(count, len(source))
     before = np.inf
-    for _ in range(MOST_STEPS):  # each step rests on the last
+    for _ in range(SEARCH.steps):  # each step rests on the last
         rotation, shift = fit
         distance, partner = _nearest(tree, source @ rotation.T + shift)
         used = np.zeros(len(source), dtype=np.bool_)
@@ -327,15 +343,44 @@ def _icp(source: Float, nodes: Float, tree: KDTree, fit: _Motion, keep: float) -
         fit = _fit(source, nodes[partner], used.astype(float), scale=False)[:2]
     rotation, shift = fit
     distance, _ = _nearest(tree, source @ rotation.T + shift)
-    return Alignment(rotation=rotation, shift=shift, scale=1.0, residual=distance, used=used)
+    return Alignment(
+        rotation=rotation,
+        shift=shift,
+        scale=1.0,
+        residual=distance,
+        used=used,
+    )
 
 
 Method = Literal["nearest", "rigid"]
-SAME = 1e-6  # of the tolerance: nodes that are as near
-OF_SIZE = 0.03  # of the size of a model: as far a sensor may be from its node, if nothing is said
-SOME = 2000  # nodes whose distances give the mesh width
-_OF_EXTENT = 0.25  # of the size of a test
-UNLIKE = 10.0  # times another in size: in another unit
+
+
+@dataclass(frozen=True, slots=True)
+class SensorDistance:
+    """How far a sensor may be from its node.
+
+    Attributes
+    ----------
+    same : float
+        Share of the tolerance: nodes that are as near.
+    size : float
+        Share of the size of a model, if nothing is said.
+    nodes : int
+        Nodes whose distances give the mesh width.
+    extent : float
+        Share of the size of a test.
+    unit : float
+        Times another in size: in another unit.
+    """
+
+    same: float = 1e-6
+    size: float = 0.03
+    nodes: int = 2000
+    extent: float = 0.25
+    unit: float = 10.0
+
+
+DISTANCE = SensorDistance()
 
 
 def observe(
@@ -395,7 +440,9 @@ def observe(
     distance = np.asarray(found[0], dtype=np.float64)
     nearest = np.asarray(found[1], dtype=np.int64)
     if tolerance is None:  # a test in another unit must not lie on one node
-        tolerance = min(default_tolerance(xyz), _OF_EXTENT * diagonal(test.xyz) / unit or np.inf)
+        tolerance = min(
+            default_tolerance(xyz), DISTANCE.extent * diagonal(test.xyz) / unit or np.inf
+        )
     if k == 1:
         nearest = _by_number(
             test.at,
@@ -403,17 +450,11 @@ def observe(
             np.asarray(node_ids),
             xyz=xyz,
             found=(distance, nearest),
-            same=SAME * tolerance,
+            same=DISTANCE.same * tolerance,
         )
-    _refuse_far(
-        test,
-        distance[:, 0],
-        tolerance,
-        ids=np.asarray(node_ids),
-        xyz=xyz,
-        nearest=nearest[:, 0],
-        unit=unit,
-    )
+    if not (distance[:, 0] <= tolerance).all():
+        far = _Distances(np.asarray(node_ids), xyz, nearest[:, 0], distance[:, 0])
+        raise _too_far(test, far, tolerance, unit)
     weights = (
         _rigid_weights(at, xyz[nearest], distance, test.directions())
         if k > 1
@@ -421,7 +462,11 @@ def observe(
     )
     matrix = _matrix(weights, np.asarray(node_ids)[nearest], dofs, test.channels)
     return Observation(
-        matrix=matrix, channels=test.channels, dofs=dofs, unit=unit, distance=distance[:, 0]
+        matrix=matrix,
+        channels=test.channels,
+        dofs=dofs,
+        unit=unit,
+        distance=distance[:, 0],
     )
 
 
@@ -436,10 +481,13 @@ def default_tolerance(xyz: Float) -> float:
         width the median distance of a node from its nearest neighbour. Nodes at one place tell no
         size: no sensor is too far from them.
     """
-    some = np.unique(np.linspace(0, len(xyz) - 1, SOME).astype(np.int64))
+    some = np.unique(np.linspace(0, len(xyz) - 1, DISTANCE.nodes).astype(np.int64))
     width = _spacing(xyz, some)
     return (
-        max(OF_SIZE * diagonal(xyz), float(np.median(np.where(np.isfinite(width), width, 0.0))))
+        max(
+            DISTANCE.size * diagonal(xyz),
+            float(np.median(np.where(np.isfinite(width), width, 0.0))),
+        )
         or np.inf
     )
 
@@ -457,28 +505,29 @@ def _by_number(
     return np.where((ids[own] == points) & near, own, nearest[:, 0])[:, None]
 
 
-def _refuse_far(
-    test: TestModel,
-    distance: Float,
-    tolerance: float,
-    ids: Int,
-    xyz: Float,
-    nearest: Int,
-    unit: float,
-) -> None:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Distances:
+    """The nodes, and of each channel which is nearest and how far."""
+
+    ids: Int
+    xyz: Float
+    nearest: Int
+    distance: Float
+
+
+def _too_far(test: TestModel, found: _Distances, tolerance: float, unit: float) -> DataError:
+    """What to say of channels that are farther than the tolerance from every node."""
+    ids, xyz, nearest, distance = found.ids, found.xyz, found.nearest, found.distance
     far = np.flatnonzero(~(distance <= tolerance))
-    if not far.size:
-        return
     shown = "; ".join(
         f"{test.channels[i]} is {distance[i]:.4g} from node {ids[nearest[i]]}"
         for i in far[:8].tolist()
     )
-    extent = (
-        np.linalg.norm(np.ptp(test.channel_xyz(), axis=0)) / unit
-    )  # of another unit it is far less than a distance
+    # of another unit it is far less than a distance
+    extent = np.linalg.norm(np.ptp(test.channel_xyz(), axis=0)) / unit
     times = float(extent / (diagonal(xyz) or np.inf))
     between = bool(
-        (distance[far] <= np.minimum(_spacing(xyz, nearest[far]), _OF_EXTENT * extent)).all()
+        (distance[far] <= np.minimum(_spacing(xyz, nearest[far]), DISTANCE.extent * extent)).all()
     )
     do = (
         "They stand between nodes of a coarse mesh: raise the tolerance (--tolerance, "
@@ -489,13 +538,13 @@ def _refuse_far(
         else f"Check the unit factor ({unit:g} m) and the origin and axes of the test model, or "
         "raise the tolerance"
     )
-    if times > UNLIKE or 0 < times < 1 / UNLIKE**2:
+    if times > DISTANCE.unit or 0 < times < 1 / DISTANCE.unit**2:
         do = (
             f"The test is {times:.4g} times the model in size: places of a test are in m, the "
             "unit of length of "
             f"the model is taken for {unit:g} m (--units, [model] units)"
         )
-    raise DataError(
+    return DataError(
         f"{far.size} of {distance.size} channels are farther than {tolerance:g} (model unit) "
         f"from every node: {shown}. "
         f"{do}"
@@ -523,9 +572,8 @@ def _rigid_weights(at: Float, nodes: Float, distance: Float, axes: Float) -> Flo
     skew = np.stack(
         [np.stack([o, z, -y], -1), np.stack([-z, o, x], -1), np.stack([y, -x, o], -1)], -2
     )
-    motion = np.concatenate(
-        [np.broadcast_to(np.eye(3), skew.shape), skew], axis=-1
-    )  # (channel, k, 3, 6)
+    # (channel, k, 3, 6)
+    motion = np.concatenate([np.broadcast_to(np.eye(3), skew.shape), skew], axis=-1)
     w = 1.0 / np.maximum(distance / reach, 1e-6)  # square root of 1/distance²
     n, k = distance.shape
     fit = np.linalg.pinv((motion * w[:, :, None, None]).reshape(n, 3 * k, 6), rcond=1e-9)
@@ -572,5 +620,9 @@ def at_dofs(channels: tuple[str, ...], dofs: DofSet, unit: float = 1.0) -> Obser
     sign = sign * dofs.per_length(unit)[index]
     pick = sparse.csr_array((sign, (np.arange(index.size), index)), shape=(index.size, len(dofs)))
     return Observation(
-        matrix=pick, channels=channels, dofs=dofs, unit=1.0, distance=np.zeros(index.size)
+        matrix=pick,
+        channels=channels,
+        dofs=dofs,
+        unit=1.0,
+        distance=np.zeros(index.size),
     )

@@ -16,28 +16,45 @@ from scipy.special import gammaln
 from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.core.channels import match_channels, split_label
 from ringtrue.core.modes import ModeSet
-from ringtrue.correlation.assignment import HOLD, PairingSettings, scores
+from ringtrue.correlation.assignment import WORTH, ComparedModes, PairingSettings, scores
+from ringtrue.correlation.channel_faults import LIMITS as FAULT_LIMITS
 from ringtrue.correlation.channel_faults import (
     ChannelFault,
-    FaultLimits,
     Suspect,
     find_faults,
     mended,
     scaled_to,
     suspects_of,
 )
-from ringtrue.correlation.one_criterion import CHANCE, FLAT
+from ringtrue.correlation.one_criterion import LIKE_SHAPES
 from ringtrue.correlation.sensor_mapping import axis_turns
-from ringtrue.shapes.complexity import realise
-from ringtrue.shapes.mac import mac, unit
+from ringtrue.shapes import mac, realise, unit
 
-MOST_MENDINGS = 3  # one after the other
-LOOKED_AT = (
-    12  # turns of axes that are judged with close modes rotated, the best of all by single shapes
-)
-RIVAL = 3.0  # of log-likelihood: twenty times less likely is no rival
-ROUNDS = 4
-_NEGLIGIBLE = 1e-9  # part of a unit vector
+
+@dataclass(frozen=True, slots=True)
+class MountingSearchSettings:
+    """How turned sensors are sought.
+
+    Attributes
+    ----------
+    changes : int
+        Changes, one after the other.
+    turns : int
+        Turns of axes that are judged with close modes rotated, the best of all by single shapes.
+    rival : float
+        Log-likelihood: twenty times less likely is no rival.
+    rounds : int
+        Rounds of pairing and signs.
+    """
+
+    changes: int = 3
+    turns: int = 12
+    rival: float = 3.0
+    rounds: int = 4
+
+
+SEARCH = MountingSearchSettings()
+
 AXES = ("X", "Y", "Z")
 Reading = tuple[str, str]
 
@@ -72,7 +89,7 @@ class Readings:
         known.
         """
         share = axes.T[:, :, None]
-        along = np.where(np.abs(share) > _NEGLIGIBLE, share * self.motion, 0.0)
+        along = np.where(np.abs(share) > 1e-9, share * self.motion, 0.0)  # part of a unit vector
         return np.asarray(along.sum(axis=0))
 
 
@@ -159,7 +176,11 @@ def readings_by_name(test: ModeSet, model: ModeSet) -> Readings:
         axes[:, 0] = 1.0
         motion[0] = model.shapes[index] * sign[:, None]
         return Readings(
-            test=test, frequencies=model.frequencies, motion=motion, axes=axes, groups=("",) * n
+            test=test,
+            frequencies=model.frequencies,
+            motion=motion,
+            axes=axes,
+            groups=("",) * n,
         )
     for k, axis in enumerate(AXES):
         index, sign = match_channels(
@@ -171,7 +192,11 @@ def readings_by_name(test: ModeSet, model: ModeSet) -> Readings:
         assert label is not None
         axes[i, AXES.index(label[2])] = label[1]
     return Readings(
-        test=test, frequencies=model.frequencies, motion=motion, axes=axes, groups=("",) * n
+        test=test,
+        frequencies=model.frequencies,
+        motion=motion,
+        axes=axes,
+        groups=("",) * n,
     )
 
 
@@ -195,7 +220,6 @@ def mendings_json(found: Sequence[Mending]) -> list[dict[str, Any]]:
 def find_mendings(
     given: Readings,
     settings: PairingSettings = PairingSettings(),  # noqa: B008  frozen
-    limits: FaultLimits = FaultLimits(),  # noqa: B008  frozen
 ) -> tuple[Mending, ...]:
     """Which turns of axes, of all sensors or of a group, which signs and which swapped cables
     explain a test better.
@@ -211,8 +235,6 @@ def find_mendings(
     given : Readings
     settings : PairingSettings
         Those of the pairing.
-    limits : FaultLimits
-        Of single channels.
 
     Notes
     -----
@@ -226,13 +248,13 @@ def find_mendings(
     if not usable.any() or not given.frequencies.size:
         return ()
     strength = linalg.svdvals(unit(given.test.shapes[:, usable]))
-    patterns = int((strength > FLAT * strength.max(initial=0.0)).sum())
-    search = _Search(
-        given=given, settings=settings, limits=limits, usable=usable, patterns=patterns
-    )
-    for _ in range(MOST_MENDINGS):
+    patterns = int((strength > LIKE_SHAPES.pattern * strength.max(initial=0.0)).sum())
+    search = _MountingSearch(given=given, settings=settings, usable=usable, patterns=patterns)
+    for _ in range(SEARCH.changes):
         before = search.fit(shapes, axes)
-        if before is None or search.gain(before.mac, np.ones_like(before.mac)) <= -np.log(CHANCE):
+        if before is None or search.gain(before.mac, np.ones_like(before.mac)) <= -np.log(
+            LIKE_SHAPES.chance
+        ):
             break  # nothing could gain enough
         best = search.likeliest(shapes, axes, before)
         if best is None:
@@ -244,7 +266,7 @@ def find_mendings(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Fit:
+class _MountingFit:
     """MAC (k,) of the chosen test modes with their best partners, 0 without one, and these, -1 for
     none.
     """
@@ -255,7 +277,7 @@ class _Fit:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Change:
+class _MountingChange:
     """Shapes and axes after a change; `cost` is the logarithm of the number of changes of its
     kind.
     """
@@ -269,14 +291,13 @@ class _Change:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Search:
+class _MountingSearch:
     given: Readings
     settings: PairingSettings
-    limits: FaultLimits
     usable: Bool
     patterns: int  # independent ones in the shapes of the test
 
-    def fit(self, shapes: Any_, axes: Float, *, rotated: bool = True) -> _Fit | None:
+    def fit(self, shapes: Any_, axes: Float, *, rotated: bool = True) -> _MountingFit | None:
         """The best one-to-one assignment within the frequency gate; None where motion along the
         axes is not known.
         """
@@ -286,14 +307,15 @@ class _Search:
             return None
         a = shapes[:, self.usable]
         fa = self.given.test.frequencies[self.usable]
-        found = scores(fa, a, fb, b=b, settings=self.settings).merged if rotated else mac(a, b)
+        modes = ComparedModes(fa, a, fb, b)
+        found = scores(modes, self.settings).merged if rotated else mac(a, b)
         worth = np.where(self._possible(b), found, 0.0)
         rows, columns = linear_sum_assignment(-worth)
         value = np.zeros(fa.size)
         partner = np.full(fa.size, -1, dtype=np.int64)
         value[rows] = worth[rows, columns]
         partner[rows] = np.where(value[rows] > 0, columns, -1)
-        return _Fit(np.clip(value, 0.0, 1.0), partner, b)
+        return _MountingFit(np.clip(value, 0.0, 1.0), partner, b)
 
     def _possible(self, b: Any_) -> Bool:
         """Which pairs (ma, mb) are within the frequency gate, of modes that the sensors see."""
@@ -317,12 +339,14 @@ class _Search:
         own = 1 - self.settings.distinct
         return float(self.patterns / 2 * np.log((1 - before + own) / (1 - after + own)).sum())
 
-    def likeliest(self, shapes: Any_, axes: Float, before: _Fit) -> tuple[Mending, _Change] | None:
+    def likeliest(
+        self, shapes: Any_, axes: Float, before: _MountingFit
+    ) -> tuple[Mending, _MountingChange] | None:
         """The change that gains most, if it gains enough."""
         turns = self._turns(shapes, axes)
         rough = [self.fit(c.shapes, c.axes, rotated=False) for c in turns]
         worth = [-np.inf if f is None else self.gain(before.mac, f.mac) for f in rough]
-        order = np.argsort(worth, kind="stable")[::-1][:LOOKED_AT]
+        order = np.argsort(worth, kind="stable")[::-1][: SEARCH.turns]
         changes = [turns[i] for i in order.tolist() if np.isfinite(worth[i])]
         changes += [*self._signs(shapes, axes), *self._channels(shapes, axes, before)]
         judged = []
@@ -331,12 +355,12 @@ class _Search:
             if after is None:
                 continue
             net = self.gain(before.mac, after.mac) - change.cost
-            if net > -np.log(CHANCE) and after.mac.mean() >= self.settings.mac_gate:
+            if net > -np.log(LIKE_SHAPES.chance) and after.mac.mean() >= self.settings.mac_gate:
                 judged.append((net, change, after))
         if not judged:
             return None
         top = max(net for net, _, _ in judged)
-        likely = [(change, after) for net, change, after in judged if net > top - RIVAL]
+        likely = [(change, after) for net, change, after in judged if net > top - SEARCH.rival]
         change, after = min(likely, key=lambda pair: self._strangeness(*pair))
         others = [c for c, _ in likely if c is not change and c.kind == "axes"]
         rivals = (
@@ -346,7 +370,7 @@ class _Search:
         )
         return self._mending(change, before, after, tuple(dict.fromkeys(rivals))), change
 
-    def _strangeness(self, change: _Change, after: _Fit) -> tuple[float, int]:
+    def _strangeness(self, change: _MountingChange, after: _MountingFit) -> tuple[float, int]:
         """What decides between changes that shapes cannot distinguish: the frequencies, then how
         much is reversed.
 
@@ -361,7 +385,11 @@ class _Search:
         return round(float(off.mean()), 2), reversed_axes + len(change.faults)
 
     def _mending(
-        self, change: _Change, before: _Fit, after: _Fit, rivals: tuple[str, ...]
+        self,
+        change: _MountingChange,
+        before: _MountingFit,
+        after: _MountingFit,
+        rivals: tuple[str, ...],
     ) -> Mending:
         now = float(before.mac.mean())
         then = float(after.mac.mean())
@@ -380,7 +408,7 @@ class _Search:
             mac=(now, then),
         )
 
-    def _turns(self, shapes: Any_, axes: Float) -> list[_Change]:
+    def _turns(self, shapes: Any_, axes: Float) -> list[_MountingChange]:
         """Every way to lay the axes of all sensors, or of those of a group, onto each other; each
         reading once.
         """
@@ -397,11 +425,17 @@ class _Search:
         made.pop(_without_sign(axes))
         cost = float(np.log(max(len(made), 1)))
         return [
-            _Change(shapes=shapes, axes=turned, cost=cost, kind="axes", group=group)
+            _MountingChange(
+                shapes=shapes,
+                axes=turned,
+                cost=cost,
+                kind="axes",
+                group=group,
+            )
             for group, turned in made.values()
         ]
 
-    def _readings(self, change: _Change) -> tuple[Reading, ...]:
+    def _readings(self, change: _MountingChange) -> tuple[Reading, ...]:
         """Each axis of the sheet that sensors of the change lie along, and what they then read."""
         axes = self.given.axes
         turned = change.axes
@@ -415,13 +449,12 @@ class _Search:
             to = turned[i] * np.sign(axes[i, k])
             m = int(np.abs(to).argmax())
             out.append(("XYZ"[k], f"{'-' if to[m] < 0 else ''}{'XYZ'[m]}"))
-        if (
-            not change.group and sum(y.startswith("-") for _, y in out) > len(out) / 2
-        ):  # the sign of all says nothing
+        # the sign of all says nothing
+        if not change.group and sum(y.startswith("-") for _, y in out) > len(out) / 2:
             out = [(x, y[1:] if y.startswith("-") else f"-{y}") for x, y in out]
         return tuple((x, y) for x, y in out if x != y)
 
-    def _signs(self, shapes: Any_, axes: Float) -> list[_Change]:
+    def _signs(self, shapes: Any_, axes: Float) -> list[_MountingChange]:
         """Any number of channels reversed: those that do, of modes paired whatever the signs."""
         b = self.given.seen(axes)
         n = len(shapes)
@@ -431,7 +464,7 @@ class _Search:
         possible = self._possible(b)
         sign = np.ones(n)
         like = mac(np.abs(a), np.abs(b))
-        for _ in range(ROUNDS):
+        for _ in range(SEARCH.rounds):
             rows, columns = linear_sum_assignment(-np.where(possible, like, 0.0))
             kept = possible[rows, columns]
             if not kept.any():
@@ -445,18 +478,25 @@ class _Search:
         y, expected = scaled_to(left * sign[:, None], right)
         size = np.linalg.norm(y, axis=1) * np.linalg.norm(expected, axis=1)
         cosine = (y * expected).sum(axis=1) / np.where(size > 0, size, 1.0)
-        certain = np.abs(cosine) > self.limits.correlation
+        certain = np.abs(cosine) > FAULT_LIMITS.correlation
         same = sign if sign[certain].sum() >= 0 else -sign
         turned = np.flatnonzero((same * np.sign(cosine) < 0) & certain)
         if not turned.size:
             return []
         faults = tuple(
-            ChannelFault(i=i, j=i, fault="reversed", factor=-1.0, gain=0.0) for i in turned.tolist()
+            ChannelFault(
+                i=i,
+                j=i,
+                fault="reversed",
+                factor=-1.0,
+                gain=0.0,
+            )
+            for i in turned.tolist()
         )
         k = turned.size
         cost = float(gammaln(n + 1) - gammaln(k + 1) - gammaln(n - k + 1) + np.log(n))
         return [
-            _Change(
+            _MountingChange(
                 shapes=mended(shapes, faults),
                 axes=axes,
                 cost=cost,
@@ -466,24 +506,22 @@ class _Search:
             )
         ]
 
-    def _channels(self, shapes: Any_, axes: Float, before: _Fit) -> list[_Change]:
+    def _channels(self, shapes: Any_, axes: Float, before: _MountingFit) -> list[_MountingChange]:
         """Single channels reversed or swapped, judged by what pairs there are."""
         partner = before.partner
-        some = np.flatnonzero((partner >= 0) & (before.mac >= HOLD * self.settings.mac_gate))
+        some = np.flatnonzero((partner >= 0) & (before.mac >= WORTH.hold * self.settings.mac_gate))
         if some.size < 3:
             some = np.flatnonzero(partner >= 0)
         if some.size < 3:
             return []
         left = shapes[:, self.usable][:, some]
         right = before.seen[:, partner[some]]
-        faults = [
-            f for f in find_faults(left, right, self.limits) if f.fault in ("reversed", "swapped")
-        ]
+        faults = [f for f in find_faults(left, right) if f.fault in ("reversed", "swapped")]
         if not faults:
             return []
         cost = sum(max(len(f.moved), 1) for f in faults) * float(np.log(len(shapes)))
         return [
-            _Change(
+            _MountingChange(
                 shapes=mended(shapes, faults),
                 axes=axes,
                 cost=cost,

@@ -14,8 +14,8 @@ from scipy.special import chdtrc, ndtr
 from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
 from ringtrue.core.modes import ModeSet
 from ringtrue.correlation.pairing import Pairing
-from ringtrue.errors import ConfigError, InputError
-from ringtrue.shapes.mac import NIL, above_rounding, mac
+from ringtrue.errors import InputError
+from ringtrue.shapes import NIL, above_rounding, mac
 
 __all__ = ["CorrelationRow", "CorrelationTable", "correlation_table"]
 
@@ -70,7 +70,14 @@ class CorrelationTable:
     def __post_init__(self) -> None:
         f = np.float64
         freeze_fields(
-            self, test_hz=f, fe_hz=f, std_hz=f, used=np.bool_, mac=f, all_test_hz=f, all_fe_hz=f
+            self,
+            test_hz=f,
+            fe_hz=f,
+            std_hz=f,
+            used=np.bool_,
+            mac=f,
+            all_test_hz=f,
+            all_fe_hz=f,
         )
 
     def __len__(self) -> int:
@@ -230,7 +237,14 @@ class Significance:
 
     def __post_init__(self) -> None:
         f = np.float64
-        freeze_fields(self, deviation=f, std=f, z=f, p=f, significant=np.bool_)
+        freeze_fields(
+            self,
+            deviation=f,
+            std=f,
+            z=f,
+            p=f,
+            significant=np.bool_,
+        )
 
     @property
     def chi_square(self) -> tuple[float, int, float]:
@@ -243,33 +257,27 @@ class Significance:
         return total, count, float(chdtrc(count, total)) if count else float("nan")
 
 
+RATE = 0.05  # of false ones among the deviations that are called significant
+
+
 def significance(
     f_a: Float,
     f_b: Float,
     std_a: Float | float = float("nan"),
     std_b: Float | float = float("nan"),
-    *,
-    model: float = 0.0,
-    rate: float = 0.05,
 ) -> Significance:
-    """Deviations f_B − f_A of paired modes against √(σ_A² + σ_B² + (model·f_A)²).
+    """Deviations f_B − f_A of paired modes against √(σ_A² + σ_B²).
 
     Parameters
     ----------
     f_a, f_b : (k,) float64, Hz
     std_a, std_b : (k,) float64 or float, Hz
         NaN: unknown. Where one of them is known, the unknown one counts as zero.
-    model : float
-        Relative standard deviation that the model's form is granted.
-    rate : float
-        False discovery rate.
 
     Raises
     ------
     InputError
         If the sizes differ or a standard deviation is negative.
-    ConfigError
-        If `rate` is not between 0 and 1 or `model` is negative.
     """
     f_a = np.asarray(f_a, dtype=np.float64)
     f_b = np.asarray(f_b, dtype=np.float64)
@@ -277,37 +285,34 @@ def significance(
         raise InputError(
             f"frequencies {f_a.shape} and {f_b.shape} of paired modes must be equal in number"
         )
-    if not (0 < rate < 1 and model >= 0):
-        raise ConfigError(f"rate {rate} (between 0 and 1), model {model} (0 or more)")
     one, two = (np.broadcast_to(np.asarray(s, dtype=np.float64), f_a.shape) for s in (std_a, std_b))
     if (one < 0).any() or (two < 0).any():
         raise InputError("a standard deviation is negative")
-    variance = np.nan_to_num(one) ** 2 + np.nan_to_num(two) ** 2 + (model * f_a) ** 2
-    known = (np.isfinite(one) | np.isfinite(two) | (model > 0)) & (variance > 0)
+    variance = np.nan_to_num(one) ** 2 + np.nan_to_num(two) ** 2
+    known = (np.isfinite(one) | np.isfinite(two)) & (variance > 0)
     std = np.sqrt(np.where(known, variance, np.nan))
     z = np.abs(f_b - f_a) / std
     p = 2 * ndtr(-z)
     return Significance(
-        deviation=f_b - f_a, std=std, z=z, p=p, significant=_discoveries(p, rate), rate=rate
+        deviation=f_b - f_a,
+        std=std,
+        z=z,
+        p=p,
+        significant=_discoveries(p),
+        rate=RATE,
     )
 
 
-def _discoveries(p: Float, rate: float) -> Bool:
+def _discoveries(p: Float) -> Bool:
     """The step-up rule of Benjamini and Hochberg over the finite p."""
     out = np.zeros(p.size, dtype=np.bool_)
     known = np.flatnonzero(np.isfinite(p))
     order = known[np.argsort(p[known], kind="stable")]
-    below = np.flatnonzero(p[order] <= rate * np.arange(1, order.size + 1) / max(order.size, 1))
+    below = np.flatnonzero(p[order] <= RATE * np.arange(1, order.size + 1) / max(order.size, 1))
     out[order[: below[-1] + 1 if below.size else 0]] = True
     return out
 
 
-def table_significance(
-    table: CorrelationTable,
-    std_b: Float | float = float("nan"),
-    *,
-    model: float = 0.0,
-    rate: float = 0.05,
-) -> Significance:
-    """`significance` of the pairs of a table; `std_b` (k,) Hz belongs to its second set."""
-    return significance(table.test_hz, table.fe_hz, table.std_hz, std_b, model=model, rate=rate)
+def table_significance(table: CorrelationTable) -> Significance:
+    """`significance` of the pairs of a table, whose second set is known exactly."""
+    return significance(table.test_hz, table.fe_hz, table.std_hz)

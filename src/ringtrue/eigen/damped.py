@@ -34,8 +34,6 @@ class DynamicStiffness:
     viscous, structural : (f, f) csr_array float64, optional
     method : str
         A factorisation of `engines`.
-    limit : int, optional
-        Bytes that the factor may take; what is free if not given.
     """
 
     def __init__(
@@ -46,7 +44,6 @@ class DynamicStiffness:
         structural: sparse.csr_array | None = None,
         *,
         method: Method = "auto",
-        limit: int | None = None,
     ) -> None:
         none = sparse.csr_array(stiffness.shape, dtype=np.float64)
         self.stiffness = stiffness
@@ -59,7 +56,6 @@ class DynamicStiffness:
                 f"K, M, D and H differ in size: {', '.join(str(a.shape) for a in parts)}"
             )
         self.method = choose(method, self.size)
-        self._limit = limit
         self._pattern = Pattern(*(a for a in parts if a.nnz))
         self._entries = [self._pattern.entries(a) for a in parts]
         self._engine: Engine | None = None
@@ -121,7 +117,7 @@ class DynamicStiffness:
         for (at, data), factor in zip(self._entries, (1.0, s**2, s, 1j), strict=True):
             values[at] += factor * data
         if self._engine is None:
-            self._engine = factorise(self.method, self._pattern, values, self._limit)
+            self._engine = factorise(self.method, self._pattern, values)
         else:
             self._engine.refactor(values)
         self._at = s
@@ -140,14 +136,36 @@ class DynamicStiffness:
 
 
 REPEATED = 1e-8  # poles closer than this are made A-orthogonal as a group
-FEW = 4  # times the poles that are asked for: a problem of that size is solved whole
-# radius around the shift, in upper ends, that holds all poles with a damping ratio up to 0.3
-REACH = 0.58
+
+
+@dataclass(frozen=True, slots=True)
+class ArnoldiSearch:
+    """How the poles of the full problem are sought.
+
+    Attributes
+    ----------
+    few : int
+        Times the poles that are asked for: a problem of that size is solved whole.
+    reach : float
+        Radius around the shift, in upper ends, that holds all poles with a damping ratio up to
+        0.3.
+    tolerance : float
+        Of Arnoldi, relative.
+    rounds : int
+        Searches for more poles, each with twice as many.
+    """
+
+    few: int = 4
+    reach: float = 0.58
+    tolerance: float = 1e-10
+    rounds: int = 5
+
+
+ARNOLDI = ArnoldiSearch()
+
 SWING = 0.01  # share of |s| that Im(s) must pass: damping ratios up to 0.99995 count as oscillation
 # share of the largest λ sought under which |s|² is a rigid-body motion, which does not oscillate
 STILL = 1e-9
-TOLERANCE = 1e-10  # of Arnoldi, relative
-ROUNDS = 5  # searches for more poles, each with twice as many
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -228,11 +246,11 @@ def full_modes(system: DynamicStiffness, upper: float, *, expected: int = 20) ->
     if not upper > 0:
         raise InputError(f"upper end {upper:g} rad/s; it must be positive")
     shift = upper * (0.05 + 0.5j)  # right of the axis: no pole stands there
-    need = REACH * upper
+    need = ARNOLDI.reach * upper
     n = 2 * system.size
     count = max(2 * expected, 4) + 8
-    count = n if n <= FEW * count else count
-    for _ in range(ROUNDS):
+    count = n if n <= ARNOLDI.few * count else count
+    for _ in range(ARNOLDI.rounds):
         count = min(count, n)
         s, shapes = _nearest(system, shift, upper, count)
         radius = np.inf if count >= n - 1 else float(np.abs(s - shift).max(initial=0.0))
@@ -276,7 +294,9 @@ def _nearest(
     space = min(2 * count + 10, 2 * n)
     try:
         operator = LinearOperator((2 * n, 2 * n), matvec=apply, dtype=np.complex128)
-        theta, z = eigs(operator, count, ncv=space, v0=apply(start), tol=TOLERANCE, maxiter=200)
+        theta, z = eigs(
+            operator, count, ncv=space, v0=apply(start), tol=ARNOLDI.tolerance, maxiter=200
+        )
     except ArpackNoConvergence as e:
         raise NotConverged(f"complex modes: {len(e.eigenvalues)} of {count} poles converged") from e
     return _poles(shift, n, theta, z)

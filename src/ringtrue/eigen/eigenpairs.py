@@ -15,9 +15,25 @@ from scipy import linalg, sparse
 from ringtrue.core.arrays import Float, freeze_fields
 from ringtrue.eigen.pencil import Pencil
 
-# shares of the shift and of the highest λ: what is below is next to zero
-SMALL = 0.1
-NOISE = 1e-6
+
+@dataclass(frozen=True, slots=True)
+class ResidualLimits:
+    """What is next to zero among eigenvalues.
+
+    Attributes
+    ----------
+    shift : float
+        Share of the shift.
+    highest : float
+        Share of the highest λ.
+    """
+
+    shift: float = 0.1
+    highest: float = 1e-6
+
+
+NEAR_ZERO = ResidualLimits()
+
 # modes, and rows of a matrix, treated together
 PIECE = 8
 ROWS = 16384
@@ -94,8 +110,8 @@ def rounding(
     off = np.finfo(np.float64).eps * np.array([np.linalg.norm(e) for e in energies])
     top = float(size.max())
     wanted = eigenvalue(highest)
-    top = wanted if top < NOISE * wanted < np.inf else top
-    share = off / np.maximum(size, max(SMALL * abs(modes.shift), NOISE * top))
+    top = wanted if top < NEAR_ZERO.highest * wanted < np.inf else top
+    share = off / np.maximum(size, max(NEAR_ZERO.shift * abs(modes.shift), NEAR_ZERO.highest * top))
     share = np.where(share < 1, share, 0.0)
     mode = int(share.argmax())
     return float(share[mode]), mode, int(np.abs(diagonal * modes.vectors[:, mode] ** 2).argmax())

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Literal, Protocol
 
@@ -97,14 +98,33 @@ DENSE_LIMIT = 300  # rows up to which a dense LDLᵀ is as fast as a sparse one
 # Zero-based. METIS; perturb pivots below 1e-13; no scaling or matching, so that one analysis serves
 # every shift; Bunch-Kaufman.
 _IPARM = {1: 2, 9: 13, 10: 0, 12: 0, 20: 1}
-_BLOCKS = (
-    36  # a negative value here: the pattern is stored as blocks that are filled to this percentage
-)
-FILLED = 80
-# of the triangle, from which on blocks pay: small solids lose a few per cent of time by them
-ENTRIES = 300_000
-# memory that a factor by blocks takes while it is made, against what its analysis says (measured)
-PADDING = 1.3
+
+
+@dataclass(frozen=True, slots=True)
+class PardisoBlocks:
+    """When PARDISO stores a pattern as dense blocks.
+
+    Attributes
+    ----------
+    control : int
+        Its control parameter; a negative value: blocks that are filled to the percentage below.
+    filled : int
+        Percentage to which a block is filled.
+    entries : int
+        Entries of the triangle from which on blocks pay.
+    padding : float
+        Memory that a factor by blocks takes while it is made, over what its analysis says
+        (measured).
+    """
+
+    control: int = 36
+    filled: int = 80
+    entries: int = 300_000
+    padding: float = 1.3
+
+
+BLOCKS = PardisoBlocks()
+
 # share of the largest of its column that a pivot of SuperLU on the diagonal must have
 PIVOT = 1e-6
 SAFE_PIVOT = 0.1
@@ -204,9 +224,8 @@ class Dense:
         """Other values on the same pattern."""
         upper = self._pattern.matrix(values).toarray()
         full = upper + np.triu(upper, 1).T
-        size = np.sqrt(
-            np.abs(full).max(axis=1)
-        )  # scaled first: rotations and translations differ by decades
+        # scaled first: rotations and translations differ by decades
+        size = np.sqrt(np.abs(full).max(axis=1))
         self._scale = 1 / np.where(size > 0, size, 1.0)
         scaled = full * self._scale * self._scale[:, None]
         self.singular = False
@@ -323,8 +342,10 @@ class Pardiso:
         self._complex = np.iscomplexobj(values)
         self._rows = pattern.size
         self._solver = PardisoSolver(_COMPLEX if self._complex else _REAL, 0)
-        self._blocks = not self._complex and pattern.indices.size > ENTRIES
-        for i, value in (_IPARM | ({_BLOCKS: -FILLED} if self._blocks else {})).items():
+        self._blocks = not self._complex and pattern.indices.size > BLOCKS.entries
+        for i, value in (
+            _IPARM | ({BLOCKS.control: -BLOCKS.filled} if self._blocks else {})
+        ).items():
             self._solver.set_iparm(i, value)
         self._solver.set_pattern(
             ia=pattern.indptr.astype(np.int64), ja=pattern.indices.astype(np.int64), n=self._rows
@@ -355,7 +376,7 @@ class Pardiso:
         index lists.
         """
         peak, kept, numeric = (int(self._solver.get_iparm_value(i)) for i in (14, 15, 16))
-        return 1024 * max(peak, kept + int(numeric * (PADDING if self._blocks else 1)))
+        return 1024 * max(peak, kept + int(numeric * (BLOCKS.padding if self._blocks else 1)))
 
     @property
     def negatives(self) -> int:
@@ -375,7 +396,7 @@ class Pardiso:
         """With scaling and weighted matching: slower, for matrices that plain pivoting cannot
         treat.
         """
-        for i, value in ((10, 1), (12, 1), (_BLOCKS, 0)):
+        for i, value in ((10, 1), (12, 1), (BLOCKS.control, 0)):
             self._solver.set_iparm(i, value)
         with self._calls():
             self._solver.factor(values)
@@ -407,9 +428,8 @@ class Rslab:
             (values, pattern.indices, pattern.indptr), shape=(pattern.size,) * 2
         )
         self._dtype = values.dtype
-        self._symbolic = rslab.analyze(
-            sparse.csc_array(rows.T), path="ldlt"
-        )  # CSC of the lower triangle: same arrays
+        # CSC of the lower triangle: same arrays
+        self._symbolic = rslab.analyze(sparse.csc_array(rows.T), path="ldlt")
         self.bytes = int(self._symbolic.memory_plan(values.dtype.name)["peak_bytes"])
         memory.require(self.bytes, f"the factorisation of {pattern.size} DOFs", limit)
         self.refactor(values)

@@ -2,31 +2,21 @@
 
 Sources: Grimes, Lewis, Simon (1994) block shift-invert and inertia counts; Wu, Simon (2000) thick
 restart; Nour-Omid, Parlett, Ericsson, Jensen (1987) purification for a singular mass.
-
-Modes near zero that are more than a block of Lanczos: of several free bodies, of mechanisms, of
-loose parts.
-
-Seen from a shift far from zero they are one root of high multiplicity, of which Lanczos finds a
-block, and the rest by rounding only; nor does it then see the modes that a better shift is to be
-judged by. Inertia counts find the gap above them, subspace iteration (Bathe and Wilson 1972) with
-as many vectors finds them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from scipy import linalg, sparse
 
 from ringtrue.core.arrays import Float
-from ringtrue.core.progress import Progress
+from ringtrue.core.iterate import Progress
 from ringtrue.eigen import memory
-from ringtrue.eigen.dense import Labels, named_rows, refuse_negative_motion
-from ringtrue.eigen.pencil import Factor, Pencil
-from ringtrue.errors import NotConverged, SingularModel
+from ringtrue.eigen.pencil import Factor, Labels, Pencil, named_rows, refuse_negative_motion
+from ringtrue.errors import NotConverged
 
 BLOCK = 8  # a solve of eight right-hand sides takes MKL 1.3 times that of four (rslab: 1.2 times)
 TOLERANCE = 1e-9  # of a Ritz pair in the M norm, relative to θ; purification squares what is left
@@ -35,12 +25,10 @@ WELL = 1e-8
 # share of a block that its other columns leave of one, below which it is made orthogonal again
 CANCELLED = 1e-4
 MAX_STEPS = 1000
-PATIENCE = (
-    5  # restarts without a further pair: more roots stand close together than the basis holds
-)
-GROWN = (
-    1e40  # of a basis vector, in motions that the mass does not see: left out before they overflow
-)
+# restarts without a further pair: more roots stand close together than the basis holds
+PATIENCE = 5
+# of a basis vector, in motions that the mass does not see: left out before they overflow
+GROWN = 1e40
 ROWS = 8192  # of the basis that are turned at once
 
 
@@ -134,9 +122,8 @@ class Krylov:
         """
         q, mq, r = self._orthonormal(w, floor)
         left = np.linalg.norm(r, axis=1)
-        if (
-            left.size and left.min() < CANCELLED * left.max()
-        ):  # what rounding left of V grew with the rest
+        # what rounding left of V grew with the rest
+        if left.size and left.min() < CANCELLED * left.max():
             q, mq, again = self._orthonormal(self._orthogonalise(q, self.held)[0], 0.0)
             r = again @ r
         if np.abs(q).max(initial=0.0) > GROWN:
@@ -184,9 +171,8 @@ class Krylov:
                 r[:rank, j] += c
             size = float(np.sqrt(abs(x @ mx)))
             if size > floor:
-                if (
-                    x @ mx < 0
-                ):  # a block spans such a direction as soon as the problem has one that moves
+                # a block spans such a direction as soon as the problem has one that moves
+                if x @ mx < 0:
                     refuse_negative_motion(self.mass, x, self.labels)
                 r[rank, j] = size
                 q = np.column_stack([q, x / size])
@@ -243,9 +229,8 @@ class Krylov:
         n = self.held
         q = self.basis[:, n : n + self.ahead].copy()
         self.coupling = self.coupling @ y[n - last :, :keep]
-        for first in range(
-            0, len(self.basis), ROWS
-        ):  # a piece at a time: what is made of all is as large as the basis
+        # a piece at a time: what is made of all is as large as the basis
+        for first in range(0, len(self.basis), ROWS):
             piece = self.basis[first : first + ROWS]
             piece[:, :keep] = piece[:, :n] @ y[:, :keep]
         self.basis[:, keep : keep + self.ahead] = q
@@ -369,22 +354,11 @@ def capacity(rows: int, expected: int, known: int = 0) -> int:
 
 def _pairs(krylov: Krylov, count: int, *, exhausted: bool) -> RitzPairs:
     theta, y, _ = krylov.ritz()
-    real = np.abs(theta[:count]) > 1e-13 * np.abs(theta).max(
-        initial=0.0
-    )  # θ = 0: infinite λ, no mode
+    # θ = 0: infinite λ, no mode
+    real = np.abs(theta[:count]) > 1e-13 * np.abs(theta).max(initial=0.0)
     theta = theta[:count][real]
     y = y[:, :count][:, real]
     return RitzPairs(theta, krylov.vectors(theta, y), exhausted)
-
-
-LADDER = (
-    10.0,
-    1e-1,
-    1e-3,
-    1e-5,
-)  # of the first guess, negative: marks between which no mode stands above the group
-TURNS = 12  # of the subspace; the gap takes an error to less than an eleventh in each
-SETTLED = 1e-5  # error of the vectors in the M norm
 
 
 def rayleigh_ritz(pencil: Pencil, vectors: Float) -> tuple[Float, Float]:
@@ -395,50 +369,3 @@ def rayleigh_ritz(pencil: Pencil, vectors: Float) -> tuple[Float, Float]:
     m = vectors.T @ (pencil.mass @ vectors)
     values, y = linalg.eigh(k, m)
     return values, vectors @ y
-
-
-def near_zero_modes(pencil: Pencil, shift: float) -> tuple[Float, Float, float]:
-    """All modes below a gap of two decades of λ near the distance of `shift` from zero.
-
-    Returns
-    -------
-    values : (k,) float64, (rad/s)²; none if there is no such gap
-    vectors : (f, k) float64, M-orthonormal
-    shift : float
-        In the middle of the gap, negative.
-    """
-    none = np.zeros(0), np.zeros((pencil.size, 0)), shift
-    count, middle = _group(pencil, shift)
-    if not count:
-        return none
-    pencil.reserve(4 * count)
-    factor = pencil.at(middle)
-    last = np.inf
-    x = factor.solve(pencil.mass @ np.random.default_rng(0).standard_normal((pencil.size, count)))
-    for _ in range(TURNS):
-        values, x = rayleigh_ritz(pencil, x)
-        y = factor.solve(pencil.mass @ x)
-        rest = y * (values - middle) - x
-        error = float(np.sqrt(np.abs(np.einsum("ij,ij->j", rest, pencil.mass @ rest)).max()))
-        if error < SETTLED and error > last / 2:  # what is left is the rounding of K
-            return values, x, middle
-        x = y
-        last = error
-    return none
-
-
-def _group(pencil: Pencil, shift: float) -> tuple[int, float]:
-    """How many modes stand below the widest gap, and a shift in the middle of it; 0 if there is no
-    gap.
-    """
-    above = -1
-    try:
-        for high, low in pairwise(-shift * mark for mark in LADDER):
-            above = pencil.at(high).negatives if above < 0 else above
-            below = pencil.at(low).negatives
-            if below == above > 0:
-                return below, -high / 10
-            above = below
-    except SingularModel:  # a mark stands on a mode
-        pass
-    return 0, shift

@@ -7,45 +7,25 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
 
 from ringtrue.core.arrays import Any_, Bool, Float
-from ringtrue.core.progress import Progress
+from ringtrue.core.iterate import Progress
 from ringtrue.eigen import lanczos
-from ringtrue.eigen.dense import (
-    DENSE_LIMIT,
-    DENSE_SHARE,
-    DENSE_SIZE,
-    refuse_negative_mass,
-    spectrum,
-)
 from ringtrue.eigen.eigenpairs import EigenModes, eigenvalue, frequencies, polish
-from ringtrue.eigen.lanczos import near_zero_modes, rayleigh_ritz
-from ringtrue.eigen.pencil import Pencil
+from ringtrue.eigen.lanczos import rayleigh_ritz
+from ringtrue.eigen.pencil import SIZES, Pencil, refuse_negative_mass, spectrum
+from ringtrue.eigen.shift import EXTRA, find_shift, low_shift, start_shift, suitable_shift
 from ringtrue.errors import InputError, NumericalError, SingularModel
 
-EXTRA = 4  # modes beyond the requested ones, so that the count can stand in a gap
 GAP = 1e-4  # a gap below this share of λ is too narrow for a count
-NEAR = 1e-5  # share of λ: no shift nearer to zero
 # share of λ: with a shift nearer to zero the rigid-body modes cost the others digits; refined
 # once
 FINE = 1e-6
-PROBE = 4  # Lanczos blocks that judge a shift
-JUDGED = 10  # modes that they judge it by
-# share of the shift under which a block of modes is thought to be of rigid bodies or mechanisms
-STILL = 1e-4
-NOISE = 1e3  # of their λ, which is rounding: a shift nearer to zero drowns in it
-TRIES = 6  # shifts that are judged
-# relative error of the first pair after them: seen from the shift, the modes lie close together
-BLURRED = 1e-2
 SHARP = 1e-5  # relative residual of all pairs together, beyond which they are refined once
 # share of the distance from the shift, by which a shape's Rayleigh quotient may miss what was
 # counted
 SAME = 1e-2
-LOW = 0.03  # share of the upper end of a band: how far below zero its modes are sought from
 EDGE = 1e-9  # share of λ beyond the ends of a band that counts as within
-# share of the first guess, 1000 ε of the usual k/m: a shift nearer to zero drowns in rounding
-ROUNDING = 2e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +72,7 @@ def solve_modes(
         raise InputError("the mass matrix is zero: check densities and mass elements")
     if pencil.mass.diagonal().max() <= 0:  # nothing that a shift could be guessed from
         refuse_negative_mass(pencil.mass, pencil.labels)
-    if pencil.size <= DENSE_SIZE or (band is None and _most_of(pencil, count)):
+    if pencil.size <= SIZES.always or (band is None and _most_of(pencil, count)):
         return _dense(pencil, count, band)
     refuse_negative_mass(pencil.mass, pencil.labels)
     if band is not None:
@@ -102,7 +82,7 @@ def solve_modes(
 
 def _most_of(pencil: Pencil, count: int) -> bool:
     """So many of the modes of a small system that the dense solution is faster."""
-    return pencil.size <= DENSE_LIMIT and count > DENSE_SHARE * pencil.size
+    return pencil.size <= SIZES.limit and count > SIZES.share * pencil.size
 
 
 def _dense(pencil: Pencil, count: int, band: tuple[float, float] | None) -> EigenModes:
@@ -150,87 +130,12 @@ def _first_definite(pencil: Pencil, shift: float) -> tuple[Float, Float]:
         return spectrum(pencil.stiffness, pencil.mass, 1e3 * shift, pencil.labels)
 
 
-def start_shift(stiffness: sparse.csr_array, mass: sparse.csr_array) -> float:
-    """A first guess from the diagonals, far below the first elastic mode or near it."""
-    k = stiffness.diagonal()
-    m = mass.diagonal()
-    massive = m > 1e-12 * m.max()
-    return -1e-7 * float(np.median(np.abs(k[massive]) / m[massive])) or -1.0
-
-
-def low_shift(fmax: float) -> float:
-    """Where K − σM is factorised for all modes up to `fmax`, Hz: (rad/s)²."""
-    return -LOW * eigenvalue(fmax)
-
-
-def suitable_shift(values: Float) -> float:
-    """The distance of a good shift below zero: of the order of the first elastic λ, not under 1e-3
-    of the last.
-    """
-    top = float(np.abs(values).max())
-    elastic = values[values > 1e-6 * top]
-    first = float(elastic.min()) if elastic.size else top
-    return max(0.3 * first, 1e-3 * top) or 1.0
-
-
-def _find_shift(pencil: Pencil, count: int) -> tuple[float, lanczos.Krylov, int]:
-    """Probe with a few Lanczos blocks and move the shift until it suits the modes that are asked
-    for.
-
-    The probe of the last shift is the beginning of the solution, in which so many modes near zero
-    are known.
-    """
-    shift = start_shift(pencil.stiffness, pencil.mass)
-    nearest = ROUNDING * shift
-    known = (np.zeros((pencil.size, 0)), np.zeros(0))
-    searched = False
-    for last in (*(False,) * TRIES, True):
-        still = known[1].size
-        columns = lanczos.capacity(pencil.size, max(count - still, 0) + EXTRA, still)
-        krylov = lanczos.Krylov(
-            pencil.at(shift),
-            pencil.mass,
-            columns,
-            rng=np.random.default_rng(0),
-            labels=pencil.labels,
-        )
-        krylov.start(known[0], 1 / (known[1] - shift))
-        if last:
-            break
-        for _ in range(PROBE):
-            if krylov.ahead:
-                krylov.step()
-        theta, _, error = krylov.ritz()
-        if not searched and (np.abs(shift + 1 / theta[: lanczos.BLOCK]) < STILL * -shift).all():
-            values, vectors, shift = near_zero_modes(pencil, shift)
-            known = (vectors, values)
-            searched = True
-            nearest = min(nearest, -NOISE * float(np.abs(values).max(initial=0.0)))
-            continue
-        theta = theta[still:]
-        error = error[still:]
-        if not theta.size:  # there are no others
-            break
-        first = shift + 1 / float(theta[0])
-        if error[0] > BLURRED * theta[0] and first < -shift:
-            shift = min(-0.3 * abs(first), 1e-4 * shift, nearest)
-            continue
-        values = (shift + 1 / theta[theta > 1e-12 * theta.max()])[:JUDGED]
-        better = -suitable_shift(values)
-        top = float(np.abs(values).max())
-        far = 2 * top * max(count / JUDGED, 1.0)  # of the order of the highest mode asked for
-        if -NEAR * top > shift > -far or (better > shift and shift == nearest):
-            break
-        shift = min(better, nearest)
-    return shift, krylov, still
-
-
 def _lowest(
     pencil: Pencil, count: int, shift: float | None, progress: Progress | None
 ) -> EigenModes:
     pencil.reserve(lanczos.capacity(pencil.size, count + EXTRA) + 3 * count)
     _say(progress, pencil)
-    shift, begun, still = (shift, None, 0) if shift is not None else _find_shift(pencil, count)
+    shift, begun, still = (shift, None, 0) if shift is not None else find_shift(pencil, count)
     factor = pencil.at(shift)
     start = _Count(factor.negatives, shift)
     most = max(count, still)
@@ -422,9 +327,8 @@ def _band(
     top = _counted(pencil, high, 1)
     bottom = _counted(pencil, low, -1) if band[0] > 0 else _Count(0, -np.inf)
     wanted = top.below - bottom.below
-    few = (
-        bottom.below <= 0.5 * wanted + 2 * lanczos.BLOCK
-    )  # then it is cheaper to take the lower ones along
+    # then it is cheaper to take the lower ones along
+    few = bottom.below <= 0.5 * wanted + 2 * lanczos.BLOCK
     if few:
         sigma = shift if shift is not None else low_shift(band[1])
         expected = top.below

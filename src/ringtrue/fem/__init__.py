@@ -1,11 +1,10 @@
 """Model to matrices, and their derivatives.
 
 Matrices: `mesh` resolves what elements need, `elements` holds their kernels, `element_cards` which
-card has which, `assembly` sums them; `nonstructural_mass` of lists, `negative_stiffness` refused;
-`algebra` of small matrices.
+card has which, `assembly` sums them; `nonstructural_mass` of lists, `negative_stiffness` refused.
 
-Constraints: `constraint_equations` and `rigid_elements`, which `constraints` makes one elimination;
-`autospc` and `massless_rotations` hold what nothing stiffens.
+Constraints: `rigid_elements` and other equations, which `constraints` makes one elimination; it
+holds what nothing stiffens, `massless_rotations` what has no mass.
 
 Parameters: `parametrisation` changes a model and gives the derivatives of its matrices, and K and M
 as functions of all parameters.

@@ -12,12 +12,10 @@ from scipy import sparse
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.core.dofs import DofSet
 from ringtrue.errors import InputError
-from ringtrue.fem.algebra import arm
-from ringtrue.fem.autospc import EPZERO, singular_dofs
-from ringtrue.fem.constraints import eliminate
-from ringtrue.fem.element_cards import batches, refuse
+from ringtrue.fem.constraints import EPZERO, Stiffening, eliminate, singular_dofs
+from ringtrue.fem.element_cards import batches, mesh, refuse
 from ringtrue.fem.elements import given_matrices
-from ringtrue.fem.mesh import Matrices, Mesh, mesh
+from ringtrue.fem.mesh import ElementMatrices, Mesh, arm
 from ringtrue.fem.negative_stiffness import refuse_negative
 from ringtrue.model.model import Model
 
@@ -109,7 +107,9 @@ class Sum:
         if dofs.min(initial=0) < 0:
             keep &= j >= 0
             keep &= i >= 0
-        carry: sparse.csr_array = _csr(block[keep], i[keep], j[keep], self._size)
+        carry: sparse.csr_array = sparse.coo_array(
+            (block[keep], (i[keep], j[keep])), shape=(self._size, self._size)
+        ).tocsr()
         for k, digit in enumerate(self._digits):
             if digit is None:
                 self._digits[k] = carry
@@ -125,10 +125,6 @@ class Sum:
             lower = lower if digit is None else sparse.csr_array(lower + digit)
         self._digits = []
         return mirrored(lower)
-
-
-def _csr(values: Any_, i: Any_, j: Any_, n: int) -> sparse.csr_array:
-    return sparse.coo_array((values, (i, j)), shape=(n, n)).tocsr()
 
 
 def mirrored(lower: sparse.csr_array) -> sparse.csr_array:
@@ -168,7 +164,9 @@ def _selected(T: sparse.csr_array) -> Int | None:
     return rows if (T.indices == np.arange(T.shape[1])).all() else None
 
 
-def full_matrices(m: Mesh, parts: list[Matrices]) -> tuple[sparse.csr_array, sparse.csr_array]:
+def full_matrices(
+    m: Mesh, parts: list[ElementMatrices]
+) -> tuple[sparse.csr_array, sparse.csr_array]:
     """Stiffness and mass (n, n) over the full basic DOFs; PARAM,WTMASS is in the mass."""
     K = sum_up(m.size, ((p.dofs, p.stiffness) for p in parts))
     M = sum_up(m.size, ((p.dofs, p.mass) for p in parts))
@@ -215,9 +213,8 @@ def assemble(model: Model) -> System:
     drop = np.zeros(free.size, dtype=bool)
     if str(model.params.get("AUTOSPC", "YES")).upper() != "NO":
         epzero = m.model.param("EPZERO", EPZERO)
-        drop = singular_dofs(
-            stiffness, free, len(m.xyz), T=T, parts=pieces(m), direct=direct, tolerance=epzero
-        )
+        stiffening = Stiffening(pieces(m), direct, epzero)
+        drop = singular_dofs(stiffness, free, len(m.xyz), T, stiffening)
     keep = np.flatnonzero(~drop)
     if drop.any():
         T = T[:, keep]
@@ -269,7 +266,9 @@ def rayleigh(model: Model) -> tuple[float, float]:
     return model.param("ALPHA1", 0.0), model.param("ALPHA2", 0.0)
 
 
-def pieces(m: Mesh, rows: Mapping[str, Int] | None = None) -> Iterator[tuple[str, Int, Matrices]]:
+def pieces(
+    m: Mesh, rows: Mapping[str, Int] | None = None
+) -> Iterator[tuple[str, Int, ElementMatrices]]:
     """Card, rows and matrices of elements, all or those given, of so many at a time that they never
     fill the memory.
     """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from ringtrue.errors import UnsupportedCard
 from ringtrue.fem.elements import (
     bar,
     bend,
+    curved_shell,
     fasteners,
     given_matrices,
     lumped,
@@ -18,16 +20,16 @@ from ringtrue.fem.elements import (
     shear,
     shell3,
     shell4,
-    shell8,
-    solid_shapes,
+    solid,
 )
 from ringtrue.fem.elements.solid import same_midsides
-from ringtrue.fem.mesh import Matrices, Mesh
+from ringtrue.fem.mesh import ElementMatrices, Mesh, nodes_of
+from ringtrue.fem.nonstructural_mass import nonstructural_mass
 from ringtrue.fem.rigid_elements import RIGID
 from ringtrue.model.cards import columns, is_unsupported
 from ringtrue.model.model import Model
 
-Build = Callable[[Mesh, str, Int], Matrices]
+Build = Callable[[Mesh, str, Int], ElementMatrices]
 
 ELEMENTS: Mapping[str, Build] = {
     "CROD": rod.build,
@@ -40,13 +42,13 @@ ELEMENTS: Mapping[str, Build] = {
     "CQUADR": shell4.build,
     "CTRIA3": shell3.build,
     "CTRIAR": shell3.build,
-    "CQUAD8": shell8.build,
-    "CTRIA6": shell8.build,
+    "CQUAD8": curved_shell.build,
+    "CTRIA6": curved_shell.build,
     "CSHEAR": shear.build,
-    "CHEXA": solid_shapes.hexa_build,
-    "CPENTA": solid_shapes.penta_build,
-    "CPYRAM": solid_shapes.pyramid_build,
-    "CTETRA": solid_shapes.tetra_build,
+    "CHEXA": solid.HEXA.build,
+    "CPENTA": solid.PENTA.build,
+    "CPYRAM": solid.PYRAMID.build,
+    "CTETRA": solid.TETRA.build,
     "CBUSH": lumped.build_bush,
     "CBUSH1D": lumped.build_bush1d,
     "CGAP": lumped.build_gap,
@@ -69,10 +71,7 @@ ELEMENTS: Mapping[str, Build] = {
     "CONM1": lumped.build_mass_matrix,
     "CONM2": lumped.build_point_mass,
 }
-SOLIDS = {
-    s.card: s
-    for s in (solid_shapes.HEXA, solid_shapes.PENTA, solid_shapes.PYRAMID, solid_shapes.TETRA)
-}
+SOLIDS = {s.card: s for s in (solid.HEXA, solid.PENTA, solid.PYRAMID, solid.TETRA)}
 SHELLS = ("CQUAD4", "CQUADR", "CTRIA3", "CTRIAR", "CQUAD8", "CTRIA6")
 PROPERTY = {
     "CROD": "PROD",
@@ -158,3 +157,22 @@ def batches(
         elif card == "GENEL":
             groups = given_matrices.same_sizes(model, at)
         yield from ((card, build, group) for group in groups)
+
+
+def mesh(model: Model) -> Mesh:
+    """The nodes of a model, with the non-structural mass of the lists that case control chooses.
+
+    Raises
+    ------
+    DeckError
+        If there is neither GRID nor scalar point, an id occurs twice, a frame is absent, or a list
+        names nothing that carries non-structural mass.
+    """
+    return with_listed_mass(nodes_of(model))
+
+
+def with_listed_mass(m: Mesh) -> Mesh:
+    """A mesh with the non-structural mass of the lists that its case control chooses."""
+    if not m.model.case.nsm:
+        return m
+    return replace(m, added=nonstructural_mass(m))

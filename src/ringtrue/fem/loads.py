@@ -12,12 +12,11 @@ import numpy as np
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.errors import InputError
-from ringtrue.fem.algebra import add_at, arm, unit
 from ringtrue.fem.element_cards import SHELLS, SOLIDS
 from ringtrue.fem.elements import bar
 from ringtrue.fem.elements.curved_shell import length
 from ringtrue.fem.elements.shape_functions import QUAD8, TRIA6, triangle
-from ringtrue.fem.mesh import Isotropic, Mesh, node_dofs
+from ringtrue.fem.mesh import Isotropic, Mesh, add_at, arm, node_dofs, unit
 from ringtrue.model.model import card_error
 
 SURFACES = (*SHELLS, "CSHEAR")
@@ -125,9 +124,28 @@ class LineKind:
     projected: Bool
 
 
-def line_forces(
-    m: Mesh, card: str, at: Int, ends: Float, sizes: Float, along: Float, kind: LineKind
-) -> Float:
+@dataclass(frozen=True, slots=True, eq=False)
+class LineLoads:
+    """Loads along beams, one a row.
+
+    Attributes
+    ----------
+    ends : (e, 2) float64
+        Where on the axis x of the beam the load begins and ends; a single load has them equal.
+    sizes : (e, 2) float64
+        At the two, a length, linear between them; the first of a single load.
+    along : (e, 6) float64
+        The force and moment of unit size.
+    kind : LineKind
+    """
+
+    ends: Float
+    sizes: Float
+    along: Float
+    kind: LineKind
+
+
+def line_forces(m: Mesh, card: str, at: Int, loads: LineLoads) -> Float:
     """Forces (dof,) float64 at the full DOFs, in basic, that do the work of loads on beams.
 
     A load does as much work in a motion of the ends as they do together, and how a beam moves when
@@ -140,25 +158,20 @@ def line_forces(
     card : {"CBAR", "CBEAM"}
     at : (e,) int64
         Rows of the card, one for each load.
-    ends : (e, 2) float64
-        Where on the axis x of the beam the load begins and ends; a single load has them equal.
-    sizes : (e, 2) float64
-        At the two, a length, linear between them; the first of a single load.
-    along : (e, 6) float64
-        The force and moment of unit size.
-    kind : LineKind
+    loads : LineLoads
 
     Raises
     ------
     DeckError
         As `ringtrue.fem.elements.bar.build` does, and if a beam has no stiffness against its load.
     """
+    along, sizes, kind = loads.along, loads.sizes, loads.kind
     placed = bar.place(m, card, at)
     iso, s = bar.section(m, card, at)
     K = np.asarray(bar.stiffness(placed.L, iso, s), dtype=np.float64)
     turned = np.einsum("eij,ekj->eki", placed.axes, along.reshape(-1, 2, 3)).reshape(-1, 6)
     local = np.where(kind.own[:, None], along, turned)
-    share = ends / np.where(kind.fraction, 1.0, placed.L)[:, None]
+    share = loads.ends / np.where(kind.fraction, 1.0, placed.L)[:, None]
     wide = share[:, 1] - share[:, 0]
     length = placed.L * np.where(kind.projected, np.linalg.norm(local[:, 1:3], axis=1), 1.0)
     work = np.zeros((at.size, 12))
@@ -186,20 +199,23 @@ def line_forces(
     return out
 
 
-def _motion(K: Float, L: Float, iso: Isotropic, s: bar.Section, x: Float) -> Float:
+def _motion(K: Float, L: Float, iso: Isotropic, s: bar.BeamSection, x: Float) -> Float:
     """Motion (e, 6) at places of the axis by that of the ends: (e, 6, 12)."""
     x = np.maximum(x, NEAREST)
     to_x = np.stack([x * L, 0 * L, 0 * L], axis=1)
     part = np.asarray(bar.stiffness(x * L, iso, _up_to(s, x)), dtype=np.float64)[:, 6:, 6:]
-    cut = (
-        -arm(-to_x).swapaxes(1, 2) @ K[:, :6]
-    )  # the force with which the rest pulls at the part up to the load
-    moved = _solve(part, cut)
+    # the force with which the rest pulls at the part up to the load
+    cut = -arm(-to_x).swapaxes(1, 2) @ K[:, :6]
+    # K⁻¹b, 0 along DOFs without stiffness; scaled first
+    d = _scale(part)
+    scaled = part * d[..., None] * d[..., None, :]
+    scaled += (np.einsum("...ii->...i", part) <= 0)[..., None] * np.eye(part.shape[-1])
+    moved = np.asarray(d[..., None] * np.linalg.solve(scaled, d[..., None] * cut))
     moved[:, :, :6] += arm(to_x)
     return moved
 
 
-def _up_to(s: bar.Section, end: Float) -> bar.Section:
+def _up_to(s: bar.BeamSection, end: Float) -> bar.BeamSection:
     """The sections from end A to the places `end` (e,), which become end B; the masses are not
     cut.
     """
@@ -234,14 +250,6 @@ def _released(K: Float, pins: Bool, ends: Float) -> tuple[Float, Bool]:
         ends[i, keep] -= K[i][np.ix_(keep, drop)] @ (d * moved)
         ends[i, drop] = 0.0
     return ends, carried
-
-
-def _solve(K: Float, b: Float) -> Float:
-    """K⁻¹b, 0 along DOFs without stiffness; scaled first."""
-    d = _scale(K)
-    scaled = K * d[..., None] * d[..., None, :]
-    scaled += (np.einsum("...ii->...i", K) <= 0)[..., None] * np.eye(K.shape[-1])
-    return np.asarray(d[..., None] * np.linalg.solve(scaled, d[..., None] * b))
 
 
 def _scale(K: Float) -> Float:

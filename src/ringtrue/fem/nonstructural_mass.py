@@ -10,22 +10,17 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Bool, Int
 from ringtrue.errors import DeckError, UnsupportedCard
-from ringtrue.fem.elements import bar, rod, shear, shell3, shell4, shell8
-from ringtrue.fem.mesh import Rows, union
+from ringtrue.fem.elements import bar, curved_shell, rod, shear, shell3, shell4
+from ringtrue.fem.mesh import Mesh, Rows, union
 from ringtrue.model.model import Model, Table, card_error
 
-if TYPE_CHECKING:
-    from ringtrue.fem.mesh import Mesh
-
-
 log = logging.getLogger(__name__)
-Measure = Callable[["Mesh", str, Int], Any_]
+Measure = Callable[[Mesh, str, Int], Any_]
 LINES: Mapping[str, Measure] = {
     **dict.fromkeys(("CROD", "CONROD", "CTUBE"), rod.measure),
     **dict.fromkeys(("CBAR", "CBEAM"), bar.measure),
@@ -33,7 +28,7 @@ LINES: Mapping[str, Measure] = {
 SHELLS: Mapping[str, Measure] = {
     **dict.fromkeys(("CQUAD4", "CQUADR"), shell4.measure),
     **dict.fromkeys(("CTRIA3", "CTRIAR"), shell3.measure),
-    **dict.fromkeys(("CQUAD8", "CTRIA6"), shell8.measure),
+    **dict.fromkeys(("CQUAD8", "CTRIA6"), curved_shell.measure),
 }
 AREAS = {**SHELLS, "CSHEAR": shear.measure}
 MEASURES = {**LINES, **AREAS}

@@ -4,12 +4,14 @@ solution.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy import sparse
 
 from ringtrue.core.arrays import Complex, Float
-from ringtrue.core.motions import POWER
-from ringtrue.core.progress import Progress
+from ringtrue.core.channels import POWER
+from ringtrue.core.iterate import Progress
 from ringtrue.eigen.damped import DynamicStiffness
 from ringtrue.errors import InputError, did_you_mean
 
@@ -71,11 +73,24 @@ def frf(
     return np.asarray(H, dtype=np.complex128)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class CoupledModes:
+    """Modes that the model's own damping couples.
+
+    Attributes
+    ----------
+    values : (m,) float64, (rad/s)²
+    viscous, structural : (m, m) float64
+    """
+
+    values: Float
+    viscous: Float
+    structural: Float
+
+
 def coupled(
     freqs: Float,
-    values: Float,
-    viscous: Float,
-    structural: Float,
+    modes: CoupledModes,
     phi_out: Float,
     phi_in: Float,
     *,
@@ -87,8 +102,7 @@ def coupled(
     Parameters
     ----------
     freqs : (freq,) float64, Hz
-    values : (m,) float64, (rad/s)²
-    viscous, structural : (m, m) float64
+    modes : CoupledModes
     phi_out, phi_in : (out, m), (in, m) float64
         Mass-normalised shapes and residual vectors at the outputs and inputs.
     kind : {"receptance", "mobility", "accelerance"}
@@ -104,7 +118,8 @@ def coupled(
     """
     power = _power(kind)
     w = 2 * np.pi * np.asarray(freqs, dtype=np.float64)[:, None, None]
-    q = np.diag(values) + 1j * structural - w**2 * np.eye(values.size) + 1j * w * viscous
+    at_rest = np.diag(modes.values) + 1j * modes.structural
+    q = at_rest - w**2 * np.eye(modes.values.size) + 1j * w * modes.viscous
     try:
         x = np.linalg.solve(q, np.broadcast_to(phi_in.T, (w.shape[0], *phi_in.T.shape)))
     except np.linalg.LinAlgError:
@@ -147,9 +162,8 @@ def direct(
     power = _power(kind)
     loads = rows_in.T.toarray()
     H = np.empty((len(freqs), rows_out.shape[0], rows_in.shape[0]), dtype=np.complex128)
-    for i, f in enumerate(
-        np.asarray(freqs, dtype=np.float64).tolist()
-    ):  # each is a factorisation of its own
+    # each is a factorisation of its own
+    for i, f in enumerate(np.asarray(freqs, dtype=np.float64).tolist()):
         s = 2j * np.pi * f
         H[i] = s**power * (rows_out @ system.solve(s, loads))
         if progress is not None:

@@ -8,40 +8,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
-from ringtrue.core.arrays import Float
-from ringtrue.core.modal import ModalModel
-from ringtrue.core.modes import ModeSet, Norm, Uncertainty
-from ringtrue.core.progress import Progress, quiet
-from ringtrue.core.signals import FrfSet, TimeHistory
+from ringtrue.core.iterate import Progress, quiet
+from ringtrue.core.modes import ModeSet, Uncertainty
+from ringtrue.core.notes import sentence
+from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.identification.ambient import era, fdd, plscf, ssi_data
 from ringtrue.identification.ambient.pipeline import AmbientSettings, bands_for, lowest
 from ringtrue.identification.ambient.record_checks import AT_EDGE, filter_edges, long_enough
-from ringtrue.identification.frf.cmif import cmif_peaks
-from ringtrue.identification.frf.data_checks import (
-    band_limits,
-    frf_notes,
-    lines_between,
-    refuse_bad_frfs,
-    refuse_noise,
-    sound_pairs,
-)
-from ringtrue.identification.frf.pipeline import HammerModes
-from ringtrue.identification.frf.scaling import mode_scale
-from ringtrue.shapes.mac import mac
-from ringtrue.signal.channel_checks import usable
-from ringtrue.signal.decimation import Band, band_signals, remove_drift, scaled, unit_factor
-from ringtrue.signal.frf_sets import exchange_by_reciprocity
-from ringtrue.signal.gaps import bridge_gaps
+from ringtrue.shapes import mac
+from ringtrue.signal.channel_checks import bridge_gaps, usable
+from ringtrue.signal.spectra import Band, band_signals, remove_drift, scaled, unit_factor
 
 Found = tuple[ModeSet, Uncertainty]
-SAME_FREQUENCY = 0.01  # relative distance of one mode in two overlapping bands
-SAME_MAC = 0.8
-SPARE_SAMPLES = 16  # of a band, that decimation cuts
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,15 +64,6 @@ class PeakMethod:
     deviations: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class FrfMethod:
-    """A method for FRFs: `identify` takes them and a band, Hz."""
-
-    title: str
-    evidence: str
-    identify: Callable[[FrfSet, float, float], ModalModel]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class SecondOpinion:
     """Modes by one method.
@@ -109,13 +82,8 @@ class SecondOpinion:
     notes: tuple[str, ...]
 
 
-BELL = "mean MAC over the bell"
 ORDERS = "share of the orders times MPC"
 BOTH_HALVES = " and agreement of both halves of the record"
-
-
-def _peaks(title: str, kind: fdd.Method, *, deviations: bool = False) -> PeakMethod:
-    return PeakMethod(title, BELL, partial(fdd.peak_modes, kind), deviations)
 
 
 AMBIENT_METHODS: Mapping[str, BandMethod | PeakMethod] = {
@@ -131,16 +99,9 @@ AMBIENT_METHODS: Mapping[str, BandMethod | PeakMethod] = {
     "ssi-data": BandMethod(
         "SSI-data", ORDERS, ssi_data.ssi_data_modes, ssi_data.fewest_samples, deviations=True
     ),
-    "fdd": _peaks("FDD", "fsdd", deviations=True),
-    "efdd": _peaks("EFDD", "efdd"),
-    "fsdd": _peaks("FSDD", "fsdd", deviations=True),
-    "random-decrement": _peaks("FDD with random decrement", "random decrement"),
-}
-FRF_METHODS: Mapping[str, FrfMethod] = {
-    "cmif": FrfMethod("CMIF peaks", "peak of the CMIF", cmif_peaks),
+    "fdd": PeakMethod("FDD", "mean MAC over the bell", fdd.fdd_modes, deviations=True),
 }
 AUTOMATIC_AMBIENT = "ssi"  # `identify_ambient`
-AUTOMATIC_FRF = "plscf"  # `identify_hammer`
 
 
 def identify_ambient_by(
@@ -179,7 +140,7 @@ def identify_ambient_by(
     good, states = usable(whole)
     good = remove_drift(good, lowest(good.duration, settings))
     good = scaled(good, unit_factor(good))
-    notes = gaps.notes + tuple(state.note for state in states)
+    notes = gaps.notes + tuple(map(sentence, states))
     report(0.0, chosen.title)
     if isinstance(chosen, PeakMethod):
         modes, std = chosen.identify(good, settings, near)
@@ -203,7 +164,7 @@ def _in_bands(
 ) -> tuple[ModeSet, Uncertainty, tuple[str, ...]]:
     """Modes of every band of the pyramid, and a note where bands are too short for the method."""
     every = long_enough(bands_for(history.rate, history.duration, settings), history)
-    samples = method.samples(len(history.channels), settings) + SPARE_SAMPLES
+    samples = method.samples(len(history.channels), settings) + 16  # which decimation may cut
     bands = long_enough(every, history, samples)
     found = []
     for k, band in enumerate(bands):
@@ -232,9 +193,10 @@ def _each_once(found: Sequence[Found]) -> Found:
     std_f = np.concatenate([std.frequency for _, std in found])
     std_damping = np.concatenate([std.damping for _, std in found])
     band = np.repeat(np.arange(len(found)), [len(modes) for modes, _ in found])
-    same = (np.abs(f[:, None] / f - 1) < SAME_FREQUENCY) & (band[:, None] != band)
+    # one mode in two overlapping bands
+    same = (np.abs(f[:, None] / f - 1) < 0.01) & (band[:, None] != band)
     if f.size:
-        same &= mac(shapes, shapes) > SAME_MAC
+        same &= mac(shapes, shapes) > 0.8
     equal = confidence[None] == confidence[:, None]
     better = (confidence[None] > confidence[:, None]) | (equal & (band[None] < band[:, None]))
     keep = np.flatnonzero(~(same & better).any(axis=1))
@@ -248,53 +210,3 @@ def _each_once(found: Sequence[Found]) -> Found:
     )
     unknown = np.full(modes.shapes.shape, np.nan)
     return modes, Uncertainty.independent(std_f[keep], std_damping[keep], unknown)
-
-
-def identify_frfs_by(
-    method: str,
-    frfs: FrfSet,
-    settings: HammerModes | None = None,
-    *,
-    progress: Progress | None = None,
-) -> SecondOpinion:
-    """Modes of FRFs by one of `FRF_METHODS`.
-
-    Raises
-    ------
-    ConfigError
-        If there is no such method.
-    DataError
-        If the FRFs are no FRFs, or noise, or no mode is found.
-    """
-    if method not in FRF_METHODS:
-        raise ConfigError(f"method {method!r}{did_you_mean(method, tuple(FRF_METHODS))}")
-    chosen = FRF_METHODS[method]
-    settings = settings or HammerModes()
-    refuse_bad_frfs(frfs)
-    frfs, roving = exchange_by_reciprocity(frfs)
-    low, high = band_limits(frfs, settings.fmin, settings.fmax)
-    refuse_noise(lines_between(frfs, low, settings.fmax or np.inf))
-    (progress or quiet)(0.0, chosen.title)
-    model = chosen.identify(frfs, low, high)
-    inside = np.flatnonzero((model.frequencies >= low) & (model.frequencies <= high))
-    inside = inside[np.argsort(model.frequencies[inside], kind="stable")]
-    source = f"{frfs.source or 'FRFs'}: {chosen.title}"
-    modes = _scaled_modes(model, np.ones(model.poles.size), source).take(inside)
-    none = np.full(len(modes), np.nan)
-    std = Uncertainty.independent(none, none, np.full(modes.shapes.shape, np.nan))
-    notes = [f"no standard deviations: {chosen.title} states none"]
-    notes += [roving] if roving else []
-    notes += frf_notes(frfs, sound_pairs(frfs))
-    return SecondOpinion(modes, std, (chosen.evidence,) * inside.size, tuple(notes))
-
-
-def _scaled_modes(model: ModalModel, confidence: Float, source: str) -> ModeSet:
-    return ModeSet(
-        frequencies=model.frequencies,
-        damping=model.damping,
-        shapes=model.shapes * mode_scale(model),
-        labels=tuple(c.id for c in model.outputs),
-        norm=Norm.UNSCALED if model.norm is Norm.UNSCALED else Norm.MASS,
-        source=source,
-        confidence=confidence,
-    )

@@ -68,23 +68,20 @@ def _entry(name: str, row: Mapping[str, Any], where: str) -> Any:
     if lost := [k for k, f in known.items() if f.default is MISSING and k not in row]:
         raise ConfigError(f"{where}: {' and '.join(lost)} missing")
     try:
-        return kind(**{k: _value(k, v, where) for k, v in row.items()})
+        for key, value in row.items():
+            wanted, accepts = _WANTED.get(key, ("a text", _is_text))
+            if not accepts(value):
+                raise ConfigError(f"{where}: {key} is {value!r}; it must be {wanted}")
+        return kind(**row)
     except ConfigError as exc:
         raise exc if where in str(exc) else ConfigError(f"{where}: {exc}") from exc
-
-
-def _value(key: str, value: Any, where: str) -> Any:
-    wanted, ok = _WANTED.get(key, ("a text", _text))
-    if not ok(value):
-        raise ConfigError(f"{where}: {key} is {value!r}; it must be {wanted}")
-    return value
 
 
 def _number(value: Any) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
-def _text(value: Any) -> bool:
+def _is_text(value: Any) -> bool:
     return isinstance(value, str)
 
 

@@ -14,8 +14,7 @@ import numpy as np
 from ringtrue.core.arrays import Float
 from ringtrue.errors import DataError
 from ringtrue.io.files import read_text
-from ringtrue.io.si import known
-from ringtrue.io.times import is_clock
+from ringtrue.io.times import is_clock, known
 
 SECONDS_PER = {
     "s": 1.0,
@@ -33,7 +32,6 @@ _AXES = (*_OF_FREQUENCY, "db", "deg", "°", "rad")  # of FRFs
 BRACKETED_UNIT = re.compile(r"^(.*?)\s*[\[(]([^\])]*)[\])]\s*$")
 _COMMA = re.compile(r"[-+]?\d*,\d+([eEdD][-+]?\d+)?$")
 _COMMENT = ("#", "%", "//")
-_MOST_FOOTER = 20  # lines
 
 
 def read_columns(path: Path) -> tuple[list[str], Float]:
@@ -70,21 +68,20 @@ def read_lines(path: Path) -> tuple[list[str], list[str], str, bool]:
     commas are decimal.
     """
     text = read_text(path).splitlines()
-    told = [x for x in text[:200] if x.startswith(_COMMENT)]
+    comments = [x for x in text[:200] if x.startswith(_COMMENT)]
     lines = [x for x in text if x.strip() and not x.startswith(_COMMENT)]
     if not lines:
         raise DataError(f"{path}: empty, there are no samples")
     lines = _without_cut_end(_without_footer(lines), path)
     delimiter, comma = _dialect(lines[-1])
-    if delimiter != " " and lines[-1].rstrip(" ").endswith(
-        delimiter
-    ):  # each line ends in a delimiter
+    # each line ends in a delimiter
+    if delimiter != " " and lines[-1].rstrip(" ").endswith(delimiter):
         if not lines[-1].strip(f" {delimiter}"):
             raise DataError(f"{path}: the last line has no number: the file is empty or cut")
         if lines[len(lines) // 2].rstrip(" ").endswith(delimiter):
             lines = [x.rstrip(" ").removesuffix(delimiter) for x in lines]
     lines = parted(lines, delimiter, comma, lambda x: split_cells(x, delimiter))
-    return told, lines, delimiter, comma
+    return comments, lines, delimiter, comma
 
 
 def _without_footer(lines: list[str]) -> list[str]:
@@ -93,7 +90,7 @@ def _without_footer(lines: list[str]) -> list[str]:
     """
     while len(lines) > 1 and not lines[-1].strip(" ;,\t"):
         lines = lines[:-1]
-    for k in range(min(_MOST_FOOTER, len(lines) - 1)):
+    for k in range(min(20, len(lines) - 1)):  # lines
         words = lines[len(lines) - 1 - k]
         if (
             any(c.isdigit() for c in words)
@@ -169,7 +166,7 @@ def header_rows(lines: Sequence[str], delimiter: str, comma: bool, width: int) -
 
 def _is_word(cell: str, comma: bool) -> bool:
     return bool(cell.strip()) and not (
-        _is_number(cell, comma) or is_clock(cell) or is_lacking(cell)
+        _is_number(cell, comma) or is_clock(cell) or is_no_value(cell)
     )
 
 
@@ -205,13 +202,15 @@ def column_titles(head: Sequence[Sequence[str]], width: int, path: Path) -> list
         r for r in rows[-1:] if len(r) == width
     ]
     units = [_unbracketed(u) for u in fit[-1]] if len(fit) > 1 else []
-    # a unit of frequency stands first, whatever is beside it: analysers and their users write many
+    # a unit of frequency stands first, whatever follows: analysers and their users write many
     # units
     if not units or not (units[0].lower() in _OF_FREQUENCY or all(_is_unit(u) for u in units[1:])):
         return fit[-1] if fit else []
-    told = [(m := BRACKETED_UNIT.match(n)) is not None and _is_unit(m[2]) for n in fit[-2]]
+    bracketed = [(m := BRACKETED_UNIT.match(n)) is not None and _is_unit(m[2]) for n in fit[-2]]
     units = [u.strip("-") for u in units]
-    return [n if t or not u else f"{n} [{u}]" for n, u, t in zip(fit[-2], units, told, strict=True)]
+    return [
+        n if t or not u else f"{n} [{u}]" for n, u, t in zip(fit[-2], units, bracketed, strict=True)
+    ]
 
 
 def _unbracketed(cell: str) -> str:
@@ -226,9 +225,11 @@ def _unbracketed(cell: str) -> str:
     return text
 
 
-def commented_titles(told: Sequence[str], delimiter: str, width: int) -> list[str]:
+def commented_titles(comments: Sequence[str], delimiter: str, width: int) -> list[str]:
     """Names of the columns in the last comment, as NumPy and MATLAB write them; else none."""
-    cells = [x.strip() for x in split_cells(told[-1].lstrip("#%/ "), delimiter)] if told else []
+    cells = (
+        [x.strip() for x in split_cells(comments[-1].lstrip("#%/ "), delimiter)] if comments else []
+    )
     return cells if len(cells) == width > 1 else []
 
 
@@ -269,7 +270,8 @@ def _by_cell(lines: Sequence[str], delimiter: str, comma: bool, path: Path) -> F
     """Numbers (row, column) of lines with quotes, D exponents or empty cells; columns of words are
     not numbers.
     """
-    first, last = split_cells(lines[0], delimiter), split_cells(lines[-1], delimiter)
+    first = split_cells(lines[0], delimiter)
+    last = split_cells(lines[-1], delimiter)
     width = len(first)
     words = {
         c
@@ -296,9 +298,6 @@ def _by_cell(lines: Sequence[str], delimiter: str, comma: bool, path: Path) -> F
     return out
 
 
-_NOTHING = "0"
-
-
 def parted(
     lines: Sequence[str], delimiter: str, comma: bool, cells: Callable[[str], list[str]]
 ) -> list[str]:
@@ -308,7 +307,7 @@ def parted(
     Parameters
     ----------
     lines : sequence of str
-        Titles and samples; the last one tells which columns are complex.
+        Titles and samples; the last one shows which columns are complex.
     delimiter : str
     comma : bool
         Commas are decimal.
@@ -330,7 +329,9 @@ def parted(
             out.append(line)
             continue
         pairs = [_pair(c, mark, one) if d else [c] for c, d in zip(row, double, strict=True)]
-        out.append(delimiter.join(_quoted(c, delimiter) for pair in pairs for c in pair))
+        single = [c for pair in pairs for c in pair]
+        quoted = [f'"{c}"' if delimiter in c or '"' in c else c for c in single]
+        out.append(delimiter.join(quoted))
     return out
 
 
@@ -338,12 +339,8 @@ def _pair(cell: str, mark: str, number: re.Pattern[str]) -> list[str]:
     if mark in cell:
         return cell.split(mark)
     if number.match(cell):
-        return [cell.strip(" ()"), _NOTHING]
+        return [cell.strip(" ()"), "0"]
     return [f"{part}_{cell.strip()}" if cell.strip() else "" for part in ("real", "imag")]
-
-
-def _quoted(cell: str, delimiter: str) -> str:
-    return f'"{cell}"' if delimiter in cell or '"' in cell else cell
 
 
 log = logging.getLogger(__name__)
@@ -353,7 +350,7 @@ _LACKED = re.compile(
 _PROCESSES = {"smp", "avg", "max", "min", "std", "tot", ""}  # Campbell's fourth line of a header
 
 
-def is_lacking(cell: str) -> bool:
+def is_no_value(cell: str) -> bool:
     """Whether a cell says in words that there is no value."""
     return _LACKED.fullmatch(cell.strip(' "')) is not None
 

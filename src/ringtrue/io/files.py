@@ -103,9 +103,8 @@ def writes(*paths: str | Path) -> None:
 def _refuse_input(run: _Run, target: Path) -> None:
     what = _identity(target)
     source = run.inputs.get(what) if what is not None else None
-    if (
-        source is None or _identity(source) != what
-    ):  # a scratch file that is gone leaves its number to others
+    # a scratch file that is gone leaves its number to others
+    if source is None or _identity(source) != what:
         return
     same = "" if source == target else f" (it is {source})"
     raise InputError(
@@ -156,8 +155,11 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
     part = Path(name)
     try:
         yield part
-        _sync(part)
-        os.chmod(part, 0o666 & ~_umask())
+        with part.open("rb") as file:
+            os.fsync(file.fileno())
+        umask = os.umask(0)  # there is no way to read it but to set it
+        os.umask(umask)
+        os.chmod(part, 0o666 & ~umask)
         os.replace(part, target)
     finally:
         part.unlink(missing_ok=True)
@@ -167,17 +169,14 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
 
 def _sweep(folder: Path) -> None:
     """Remove the temporary files of processes of this machine that are gone."""
-    for name in _parts(folder):
+    names: list[str] = []
+    with suppress(OSError), os.scandir(folder) as entries:
+        names = [e.name for e in entries if e.name.endswith(".part")]
+    for name in names:
         found = _PART.fullmatch(name)
         if found and not _alive(int(found.group(1))):
             with suppress(OSError):
                 (folder / name).unlink()
-
-
-def _parts(folder: Path) -> Iterable[str]:
-    with suppress(OSError), os.scandir(folder) as entries:
-        return [e.name for e in entries if e.name.endswith(".part")]
-    return []
 
 
 def _alive(process: int) -> bool:
@@ -191,18 +190,6 @@ def _alive(process: int) -> bool:
     except PermissionError:
         return True
     return True
-
-
-def _sync(path: Path) -> None:
-    with path.open("rb") as file:
-        os.fsync(file.fileno())
-
-
-def _umask() -> int:
-    """The umask; there is no way to read it but to set it."""
-    now = os.umask(0)
-    os.umask(now)
-    return now
 
 
 def absence(path: Path) -> str:

@@ -1,8 +1,13 @@
-"""Tables of frequency and complex response, as sine controllers and spreadsheets write them."""
+"""Tables of frequency and complex response, as sine controllers and spreadsheets write them.
+
+What readers of FRFs share: the lines that have values, and the warning where the motion is
+unknown.
+"""
 
 from __future__ import annotations
 
 import csv
+import logging
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,8 +16,8 @@ from typing import cast
 
 import numpy as np
 
-from ringtrue.core.arrays import Complex, Float
-from ringtrue.core.motions import (
+from ringtrue.core.arrays import Bool, Complex, Float
+from ringtrue.core.channels import (
     BASE,
     FORCES,
     FRF_KIND,
@@ -26,8 +31,59 @@ from ringtrue.core.signals import FrfSet
 from ringtrue.errors import DataError
 from ringtrue.io.delimited import read_columns, read_titles
 from ringtrue.io.files import atomic_write
-from ringtrue.io.frf_lines import known_lines, say_accelerances
-from ringtrue.io.si import hertz, known, to_si
+from ringtrue.io.times import hertz, known, to_si
+
+log = logging.getLogger(__name__)
+
+
+def known_lines(
+    h: Complex, freqs: Float, outputs: Sequence[str], inputs: Sequence[str], path: str | Path
+) -> slice | Bool:
+    """(f,) bool: lines with values; those where no FRF has one are left out, and 0 Hz where one
+    lacks it (0/0).
+
+    Parameters
+    ----------
+    h : (f, out, in) complex128
+    freqs : (f,) float64, Hz
+    outputs, inputs : sequence of str
+        Their names.
+    path : path
+        Of the file, for the message.
+
+    Raises
+    ------
+    DataError
+        If an FRF has no value where others do, or none has any.
+    """
+    lost = ~np.isfinite(h)
+    if not lost.any():
+        return slice(None)
+    none = np.asarray(np.where(freqs > 0, lost.all(axis=(1, 2)), lost.any(axis=(1, 2))))
+    if (rest := lost & ~none[:, None, None]).any() or none.all():
+        f, o, i = np.argwhere(rest if rest.any() else lost)[0]
+        why = (
+            f"{int(lost.sum())} values are not finite, the first of {outputs[o]}/{inputs[i]} "
+            f"at {freqs[f]:g} Hz"
+        )
+        raise DataError(f"{path}: {why}")
+    if (bare := freqs[none & (freqs > 0)]).size:
+        log.warning(
+            "%s: lines at which no FRF has a value are left out: %d, from %g Hz",
+            path,
+            bare.size,
+            bare[0],
+        )
+    return ~none
+
+
+def say_accelerances(path: str | Path) -> None:
+    """Say that FRFs of no known kind are taken as accelerances."""
+    log.warning(
+        "%s: the quantity of the responses is unknown: the FRFs are taken as accelerances, m/s^2/N",
+        path,
+    )
+
 
 _FREQUENCY = re.compile(
     r"^\W*((linear|angular)\s+)?(fr[eé]q\w*|f|k?hz|omega|x)(?![A-Za-z])", re.IGNORECASE
@@ -83,7 +139,7 @@ def read_frf_table(path: Path) -> FrfSet:
     """FRFs of a table whose columns are a frequency and the parts of each response.
 
     Titles name response, reference and part, `1+Z/3+Z real [m/s^2/N]`: real and imag, or magnitude
-    (dB, too) and phase (degrees, or radians where no value passes a turn and no unit tells);
+    (dB, too) and phase (degrees, or radians where no value passes a turn and there is no unit);
     coherence as well. Without a reference it is `in1`; without a unit the responses are
     accelerations, of several kinds they become those of most. Lines may be in kHz, rad/s or rpm,
     uneven and in any order; those at which no FRF has a value are left out.
@@ -107,13 +163,15 @@ def read_frf_table(path: Path) -> FrfSet:
         raise DataError(f"{path}: {data.shape[1] - freqs.size} frequencies occur twice")
     outputs, inputs = (list(dict.fromkeys(k[i] for k in parts)) for i in (0, 1))
     shape = (freqs.size, len(outputs), len(inputs))
-    h, coherence = np.full(shape, np.nan, dtype=np.complex128), np.full(shape, np.nan)
+    h = np.full(shape, np.nan, dtype=np.complex128)
+    coherence = np.full(shape, np.nan)
     kinds = {k: _kind(units.get(k, ""), path) for k in parts}
     if not any(_ratio_of(u) for u in units.values()):
         say_accelerances(path)
     based = {key[1] for key, k in kinds.items() if k[2]}
     for key, columns in parts.items():
-        o, i = outputs.index(key[0]), inputs.index(key[1])
+        o = outputs.index(key[0])
+        i = inputs.index(key[1])
         title = {p: names[at] for p, at in columns.items()}
         h[:, o, i] = (
             _complex({p: data[at, order] for p, at in columns.items()}, title, key, path)
@@ -128,13 +186,13 @@ def read_frf_table(path: Path) -> FrfSet:
         h[:, *at] = as_motion(h[:, *at], freqs, motion, kind)
     known_at = known_lines(h, freqs, outputs, inputs, path)
     return FrfSet(
-        h[known_at],
-        freqs[known_at],
-        tuple(channel(n, kind) for n in outputs),
-        tuple(base_motion(n) if n in based else channel(n, "force") for n in inputs),
-        coherence[known_at],
-        np.full(len(inputs), np.nan),
-        FRF_KIND[kind],
+        data=h[known_at],
+        freqs=freqs[known_at],
+        outputs=tuple(channel(n, kind) for n in outputs),
+        inputs=tuple(base_motion(n) if n in based else channel(n, "force") for n in inputs),
+        coherence=coherence[known_at],
+        averages=np.full(len(inputs), np.nan),
+        kind=FRF_KIND[kind],
         source=str(path),
     )
 
@@ -164,7 +222,8 @@ def write_frf_table(path: Path, frfs: FrfSet) -> None:
     """Write FRFs as CSV that `read_frf_table` reads: real and imaginary parts, 9 digits, coherence
     where known.
     """
-    head, columns = ["Frequency [Hz]"], [frfs.freqs]
+    head = ["Frequency [Hz]"]
+    columns = [frfs.freqs]
     for j, force in enumerate(frfs.inputs):
         based = force.quantity not in FORCES
         for i, c in enumerate(frfs.outputs):
@@ -189,9 +248,12 @@ def _title(name: str) -> _Title | None:
     """Part, response and reference of a title; None where it names no part."""
     rest, unit = _unit_of(_BARS.sub(r"abs \1 ", name))
     hits = ((part, hit) for part, pattern in _PART.items() if (hit := pattern.search(rest)))
-    part, hit = next(
-        hits, ("size" if _LEVEL.search(unit) else "phase" if _angle(unit) else "", None)
-    )
+    by_unit = ""
+    if _LEVEL.search(unit):
+        by_unit = "size"
+    elif _DEGREES.search(unit) or _RADIANS.search(unit):
+        by_unit = "phase"
+    part, hit = next(hits, (by_unit, None))
     if not part:
         return None
     rest = rest[: hit.start()] + rest[hit.end() :] if hit else rest
@@ -204,20 +266,24 @@ def _unit_of(title: str) -> tuple[str, str]:
     """The title without its unit, and that: in brackets, as a word such as `g/N`, or `dB` and `deg`
     anywhere.
     """
-    rest, units = title, list[str]()
+    rest = title
+    units = list[str]()
     for found in _GROUP.finditer(title):
         inside = found[0][1:-1].strip()
         closing = not title[found.end() :].strip() and not title[: found.start()][-1:].isalpha()
         if _says_unit(inside) or (
             closing and not _points(inside) and not any(p.fullmatch(inside) for p in _PART.values())
         ):
-            rest, units = rest.replace(found[0], " ", 1), [*units, inside]
+            rest = rest.replace(found[0], " ", 1)
+            units = [*units, inside]
     for pattern in (_LEVEL, _DEGREES, _RADIANS):
         if found_mark := pattern.search(rest):
-            rest, units = rest.replace(found_mark[0], " ", 1), [*units, found_mark[0]]
+            rest = rest.replace(found_mark[0], " ", 1)
+            units = [*units, found_mark[0]]
     for word in rest.split():
         if _says_unit(word):
-            rest, units = rest.replace(word, " ", 1), [*units, word]
+            rest = rest.replace(word, " ", 1)
+            units = [*units, word]
     return rest, " ".join(units)
 
 
@@ -227,10 +293,6 @@ def _says_unit(text: str) -> bool:
     """
     bare = _LEVEL.sub("", text).strip(" ,()")
     return _ratio(bare) is not None if bare else bare != text
-
-
-def _angle(unit: str) -> bool:
-    return any(p.search(unit) for p in (_DEGREES, _RADIANS))
 
 
 def _points(text: str) -> bool:
@@ -244,7 +306,8 @@ def _complex(
     if {"re", "im"} <= set(columns):
         return np.asarray(columns["re"] + 1j * columns["im"])
     if {"size", "phase"} <= set(columns):
-        size, phase = columns["size"], columns["phase"]
+        size = columns["size"]
+        phase = columns["phase"]
         size = 10 ** (size / 20) if _LEVEL.search(title["size"]) else size
         radians, degrees = (p.search(title["phase"]) is not None for p in (_RADIANS, _DEGREES))
         turn = (
@@ -268,9 +331,8 @@ def _kind(unit: str, path: Path) -> tuple[Motion, float, bool]:
     text = _ratio_of(unit)
     if not text:
         return "acceleration", one, False
-    found = _ratio(_LEVEL.sub("", unit).strip(" ,()-")) or _ratio(
-        text
-    )  # rad is an angle, or a motion
+    # rad is an angle, or a motion
+    found = _ratio(_LEVEL.sub("", unit).strip(" ,()-")) or _ratio(text)
     if found is None:
         raise DataError(
             f"{path}: unit {unit!r}: an FRF is a motion over a force, such as m/s^2/N, g/N, "
@@ -281,7 +343,7 @@ def _kind(unit: str, path: Path) -> tuple[Motion, float, bool]:
 
 
 def _ratio_of(unit: str) -> str:
-    """What a unit says beside levels and angles."""
+    """A unit without its level and angle."""
     return _RADIANS.sub("", _DEGREES.sub("", _LEVEL.sub("", unit))).strip(" ,()-")
 
 
@@ -293,10 +355,10 @@ def _ratio(text: str) -> tuple[Motion, float, bool] | None:
     if not (over and under and known(over) and known(under)):
         return None
     (quantity, factor, _), (other, size, _) = to_si(over), to_si(under)
-    quantity, other = LINEAR.get(quantity, quantity), LINEAR.get(other, other)
+    quantity = LINEAR.get(quantity, quantity)
+    other = LINEAR.get(other, other)
     if quantity not in FRF_KIND or other not in ("force", quantity):
         return None
-    based = (
-        other == quantity
-    )  # like the accelerations of a held base for a force of inertia, constants apart
+    # as the accelerations of a held base for a force of inertia, up to constants
+    based = other == quantity
     return "acceleration" if based else cast(Motion, quantity), factor / size, based

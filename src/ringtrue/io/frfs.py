@@ -12,26 +12,27 @@ import h5py
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Complex, Float
-from ringtrue.core.motions import FRF_KIND, OF_KIND, Motion, channel
+from ringtrue.core.channels import FRF_KIND, OF_KIND, Motion, channel
 from ringtrue.core.signals import Channel, FrfKind, FrfSet
 from ringtrue.errors import DataError, about, did_you_mean
 from ringtrue.io import hdf5
 from ringtrue.io.files import atomic_write, ending_means, existing, refuse_large
 from ringtrue.io.foreign.arrays import read_npz
 from ringtrue.io.foreign.parsers import open_hdf5
-from ringtrue.io.frf_lines import known_lines, say_accelerances
-from ringtrue.io.frf_tables import is_frf_table, read_frf_table, write_frf_table
+from ringtrue.io.frf_tables import (
+    is_frf_table,
+    known_lines,
+    read_frf_table,
+    say_accelerances,
+    write_frf_table,
+)
 from ringtrue.io.record_arrays import check_stored, h5_values, mat_values, texts
 from ringtrue.io.uff.function58 import FRF, TRANSMISSIBILITY, write_frf_sets
-from ringtrue.io.uff.functions import frf_ends, label, read_frf_sets, read_functions
+from ringtrue.io.uff.functions import frf_ends, read_frf_sets, read_functions
 
 log = logging.getLogger(__name__)
 GROUP = "frfs"
 _ROUNDED = 1e-3  # that a coherence of three digits may be beyond 1
-_CLEAR, _MOST = (
-    6.0,
-    0.9,
-)  # standard deviations, of noise, that a phase rises by; share of the FRFs in which it does
 _UFF = (".uff", ".unv", ".58")
 _HDF5 = (".h5", ".hdf5")
 _TEXT = (".csv", ".txt")
@@ -115,7 +116,7 @@ def _own(path: Path) -> bool:
         with open_hdf5(path) as file:
             return GROUP in file or "averages" in file
     except DataError:
-        return True  # what is wrong with it `read_frfs` tells
+        return True  # `read_frfs` says what is wrong
 
 
 def write_frfs(path: str | Path, frfs: FrfSet) -> None:
@@ -179,7 +180,8 @@ def _forward(frfs: FrfSet, path: Path) -> FrfSet:
     h = frfs.data
     turn = np.einsum("foi,foi->oi", h[1:], h[:-1].conj()).imag
     share = turn / np.maximum(np.einsum("foi,foi->oi", h, h.conj()).real, np.finfo(float).tiny)
-    if share.mean() < _CLEAR / np.sqrt(2 * h.size) or (share > 0).mean() < _MOST:
+    # 6.0: standard deviations, of noise, that a phase rises by; share of the FRFs in which it does
+    if share.mean() < 6.0 / np.sqrt(2 * h.size) or (share > 0).mean() < 0.9:
         return frfs
     log.warning(
         "%s: the phase rises with the frequency, so FRFs of e^(-iωt): their conjugates are taken",
@@ -203,40 +205,41 @@ def _read_npz(path: Path) -> FrfSet:
         raise DataError(
             f"{path}: {' and '.join(lost)} missing; there are {', '.join(data) or 'no arrays'}"
         )
-    freq, h = data["freq"], data["H1"]
+    freq = data["freq"]
+    h = data["H1"]
     if h.ndim != 3 or freq.ndim != 1 or h.shape[2] != freq.size:
         raise DataError(
             f"{path}: H1 {h.shape} must be (reference, response, f) with f = {freq.size} lines "
             "of freq"
         )
     coherence = data.get("coherence", np.full(h.shape, np.nan))
-    outputs = _channels(data.get("outputs"), h.shape[1], "out", "acceleration", "m/s^2", path)
-    inputs = _channels(data.get("inputs"), h.shape[0], "in", "force", "N", path)
+    outputs = _channels(data.get("outputs"), h.shape[1], "out", path)
+    inputs = _channels(data.get("inputs"), h.shape[0], "in", path)
     averages = np.atleast_1d(data.get("averages", np.full(h.shape[0], np.nan)))
     h = h.transpose(2, 1, 0)
     keep = known_lines(h, freq, [c.id for c in outputs], [c.id for c in inputs], path)
     return FrfSet(
-        np.ascontiguousarray(h[keep]),
-        freq[keep],
-        outputs,
-        inputs,
-        np.ascontiguousarray(coherence.transpose(2, 1, 0)[keep]),
-        averages,
-        str(data.get("kind", "accelerance")),  # type: ignore[arg-type]
-        float(data.get("window_decay", 0.0)),
-        str(path),
+        data=np.ascontiguousarray(h[keep]),
+        freqs=freq[keep],
+        outputs=outputs,
+        inputs=inputs,
+        coherence=np.ascontiguousarray(coherence.transpose(2, 1, 0)[keep]),
+        averages=averages,
+        kind=str(data.get("kind", "accelerance")),  # type: ignore[arg-type]
+        window_decay=float(data.get("window_decay", 0.0)),
+        source=str(path),
     )
 
 
-def _channels(
-    ids: Any_ | None, n: int, prefix: str, quantity: str, unit: str, path: Path
-) -> tuple[Channel, ...]:
+def _channels(ids: Any_ | None, n: int, prefix: str, path: Path) -> tuple[Channel, ...]:
     names: Sequence[str] = (
         [f"{prefix}{i + 1}" for i in range(n)] if ids is None else [str(x) for x in ids]
     )
     if len(names) != n:
         raise DataError(f"{path}: {len(names)} ids of {prefix}puts for {n}")
-    return tuple(Channel(x, quantity, unit) for x in names)  # type: ignore[arg-type]
+    if prefix == "in":
+        return tuple(Channel(x, "force", "N") for x in names)
+    return tuple(Channel(x, "acceleration", "m/s^2") for x in names)
 
 
 _HERTZ = (
@@ -257,8 +260,7 @@ _RADIANS = ("omega", "omegas", "w_rad")
 _OUTPUTS = ("outputs", "output", "responses", "response", "out", "out_dof", "outdof", "rsp")
 _INPUTS = ("inputs", "input", "references", "reference", "refs", "in", "in_dof", "indof", "ref")
 _CALLED: dict[str, Motion] = OF_KIND | {"compliance": "displacement", "inertance": "acceleration"}
-_LEAST, _LONGEST = 8, 1 << 22  # lines
-_DIRECTIONS = (0, 1, 2, 3, 4, 5, 6, -1, -2, -3, -4, -5, -6)  # of SDT's DOFs 1.01 .. 1.12
+_LONGEST = 1 << 22
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -281,10 +283,9 @@ def read_frf_arrays(path: Path) -> FrfSet:
     """The largest complex array with an axis as long as a vector `f`, `freq`, `frequency` (Hz) or
     `omega` (rad/s).
 
-    Axes are (f, response, reference), (response, reference, f), (f, response) or (response, f);
-    SDT's structure of `w` (Hz), `xf` and `dof` as well. Names come from cell arrays `outputs` and
-    `inputs`; the kind from a text `kind` or the name of the array, else responses are
-    accelerations. SI.
+    Axes are (f, response, reference), (response, reference, f), (f, response) or (response, f).
+    Names come from cell arrays `outputs` and `inputs`; the kind from a text `kind` or the name of
+    the array, else responses are accelerations. SI.
 
     Raises
     ------
@@ -294,20 +295,15 @@ def read_frf_arrays(path: Path) -> FrfSet:
     values = _values(path)
     found = _find(values)
     if found is None:
-        told = ", ".join(f"{k} {np.shape(v)}" for k, v in list(values.items())[:12])
+        held = ", ".join(f"{k} {np.shape(v)}" for k, v in list(values.items())[:12])
         raise DataError(
             f"{path}: no complex array over a vector of frequencies f (Hz) or omega; there are "
-            f"{told}"
+            f"{held}"
         )
     h = np.moveaxis(found.data, found.axis, 0)
     h = h.reshape(h.shape[0], -1, 1) if h.ndim == 2 else h
-    outputs, inputs = (
-        _names(values, _OUTPUTS, h.shape[1], "out"),
-        _names(values, _INPUTS, h.shape[2], "in"),
-    )
-    pairs = _sdt_pairs(values, h.shape[1]) if h.shape[2] == 1 else None
-    if pairs is not None:
-        outputs, inputs, h = _by_pairs(pairs, h[:, :, 0], path)
+    outputs = _names(values, _OUTPUTS, h.shape[1], "out")
+    inputs = _names(values, _INPUTS, h.shape[2], "in")
     text = " ".join(
         [
             found.name,
@@ -321,13 +317,13 @@ def read_frf_arrays(path: Path) -> FrfSet:
     order = np.argsort(found.freqs, kind="stable")
     order = order[known_lines(h[order], found.freqs[order], outputs, inputs, path)]
     return FrfSet(
-        np.ascontiguousarray(h[order], dtype=np.complex128),
-        found.freqs[order],
-        tuple(channel(n, motion) for n in outputs),
-        tuple(channel(n, "force") for n in inputs),
-        np.full((order.size, *h.shape[1:]), np.nan),
-        np.full(len(inputs), np.nan),
-        FRF_KIND[motion],
+        data=np.ascontiguousarray(h[order], dtype=np.complex128),
+        freqs=found.freqs[order],
+        outputs=tuple(channel(n, motion) for n in outputs),
+        inputs=tuple(channel(n, "force") for n in inputs),
+        coherence=np.full((order.size, *h.shape[1:]), np.nan),
+        averages=np.full(len(inputs), np.nan),
+        kind=FRF_KIND[motion],
         source=str(path),
     )
 
@@ -356,20 +352,20 @@ def _find(values: Mapping[str, Any]) -> _Found | None:
     }
     for name in sorted(arrays, key=lambda k: -arrays[k].size):
         for key, v in values.items():
-            freqs = _frequencies(key, v, sdt=_short(name) == "xf")
+            freqs = _frequencies(key, v)
             if freqs is not None and freqs.size in arrays[name].shape:
                 return _Found(name, arrays[name], arrays[name].shape.index(freqs.size), freqs)
     return None
 
 
-def _frequencies(name: str, value: Any, *, sdt: bool) -> Float | None:
+def _frequencies(name: str, value: Any) -> Float | None:
     """Hz, of a vector that is named so and has no value twice."""
     short = _short(name)
-    if short not in (*_HERTZ, *_RADIANS) and not (sdt and short == "w"):
+    if short not in (*_HERTZ, *_RADIANS):
         return None
     if (
         getattr(value, "dtype", np.dtype(object)).kind not in "fiu"
-        or value.size < _LEAST
+        or value.size < 8  # lines
         or value.size != max(value.shape)
     ):
         return None
@@ -383,36 +379,3 @@ def _names(
     values: Mapping[str, Any], keys: tuple[str, ...], count: int, prefix: str
 ) -> Sequence[str]:
     return texts(values, keys, count) or [f"{prefix}{i + 1}" for i in range(count)]
-
-
-def _sdt_pairs(values: Mapping[str, Any], count: int) -> list[tuple[str, str]] | None:
-    """Response and reference of each column by SDT's `dof`, 12.03 for 12+Z."""
-    table: Any_ = next(
-        (v for k, v in values.items() if _short(k) == "dof" and np.shape(v)[:1] == (count,)),
-        np.zeros(0),
-    )
-    if table.ndim != 2 or table.shape[1] < 2 or table.dtype.kind != "f":
-        return None
-    node = np.floor(table[:, :2] + 1e-6).astype(np.int64)
-    code = np.rint(100 * (table[:, :2] - node)).astype(np.int64)
-    if node.min() < 1 or code.min() < 0 or code.max() > 12:
-        return None
-    names = [
-        [label(n, _DIRECTIONS[c]) for n, c in zip(*row, strict=True)]
-        for row in zip(node.tolist(), code.tolist(), strict=True)
-    ]
-    return [(a, b) for a, b in names]
-
-
-def _by_pairs(
-    pairs: Sequence[tuple[str, str]], h: Complex, path: Path
-) -> tuple[Sequence[str], Sequence[str], Complex]:
-    outputs, inputs = (list(dict.fromkeys(p[k] for p in pairs)) for k in (0, 1))
-    if len(set(pairs)) != len(pairs) or len(pairs) != len(outputs) * len(inputs):
-        raise DataError(
-            f"{path}: {len(set(pairs))} pairs of {len(outputs)} responses and {len(inputs)} "
-            "references"
-        )
-    out = np.empty((h.shape[0], len(outputs), len(inputs)), dtype=np.complex128)
-    out[:, [outputs.index(a) for a, _ in pairs], [inputs.index(b) for _, b in pairs]] = h
-    return outputs, inputs, out

@@ -26,9 +26,8 @@ from ringtrue.io.foreign.parsers import json_value
 
 PLAIN = "_plain"
 SCALAR = "scalar"  # marks an array without axes
-LARGE = (
-    1 << 16
-)  # bytes from which on an array is compressed: a fifth of noise, most of meshes and tables
+# bytes from which on an array is compressed: a fifth of noise, most of meshes and tables
+LARGE = 1 << 16
 _SPARSE = {
     name: getattr(sparse, name) for name in ("csr_array", "csc_array", "csr_matrix", "csc_matrix")
 }
@@ -153,7 +152,7 @@ def _build(kind: str, parts: dict[str, Any], group: h5py.Group) -> Any:
 
 
 # what files of earlier versions call a class and a field
-_MOVED = {"ringtrue.core.blows:Blows": "ringtrue.core.impacts:Impacts"}
+_MOVED = {"ringtrue.core.blows:Blows": "ringtrue.core.signals:Impacts"}
 _RENAMED = {("FrfSet", "blows"): "impacts"}
 
 

@@ -20,12 +20,10 @@ from ringtrue.io.files import read_text
 from ringtrue.io.foreign.parsers import open_tdms
 from ringtrue.io.record_table import RawTable, is_time, named_rate, time_grid
 from ringtrue.io.record_texts import read_csv
-from ringtrue.io.si import known
+from ringtrue.io.times import known
 
 _END = "***End_of_Header***"
 _SPECIAL = ("***Start_of_Special***", "***End_of_Special***")
-_SAME_STEP = 0.05  # relative, as a step of one or two digits may be off
-_JOIN = 0.5  # samples that a segment may begin off the end of the one before
 
 
 def read_lvm(path: Path) -> RawTable:
@@ -53,7 +51,8 @@ def read_lvm(path: Path) -> RawTable:
     same = all(
         t.names == first.names and abs((t.rate or 0.0) - rate) <= 1e-3 * rate for _, t in parts
     )
-    if not same or not (off <= _JOIN).all():
+    # 0.5: samples that a segment may begin off the end of the one before
+    if not same or not (off <= 0.5).all():
         raise DataError(
             f"{path}: {len(parts)} segments that do not follow each other; read them one by one "
             "with read_lvm_segments"
@@ -74,7 +73,8 @@ def read_lvm_segments(path: Path) -> tuple[tuple[float, RawTable], ...]:
     ends = [i for i, x in enumerate(lines) if x.startswith(_END)]
     if not lines or not lines[0].startswith("LabVIEW") or len(ends) < 2:
         raise DataError(f"{path}: not a LabVIEW measurement file with both headers")
-    head = _table(lines[: ends[0]], "," if _comma_separated(lines[: ends[0]]) else "\t")
+    comma_separated = any(x.startswith("Separator,") for x in lines[: ends[0]])
+    head = _table(lines[: ends[0]], "," if comma_separated else "\t")
     separator = "," if (head.get("Separator") or [""])[0].lower() == "comma" else "\t"
     bounds = [_segment_start(lines, e) for e in ends[1:]] + [len(lines)]
     return tuple(
@@ -83,12 +83,9 @@ def read_lvm_segments(path: Path) -> tuple[tuple[float, RawTable], ...]:
     )
 
 
-def _comma_separated(lines: Sequence[str]) -> bool:
-    return any(x.startswith("Separator,") for x in lines)
-
-
 def _without_special(lines: Sequence[str]) -> list[str]:
-    out, inside = [], False
+    out = []
+    inside = False
     for line in lines:
         inside = inside or line.startswith(_SPECIAL[0])
         if not inside:
@@ -145,7 +142,9 @@ def _segment(
             f"{path}: {n} channels with steps of time Delta_X {steps[:8]}: as many equal ones "
             "are needed"
         )
-    columns = _columns(n, (head.get("X_Columns") or ["One"])[0].lower())
+    # samples stand after one column of x, which may be empty, or after one for each channel
+    one_x_each = (head.get("X_Columns") or ["One"])[0].lower() == "multi"
+    columns = list(range(1, 2 * n, 2)) if one_x_each else list(range(1, n + 1))
     title = lines[end + 1].split(separator) if end + 1 < len(lines) else []
     names = [title[c].strip() if c < len(title) else "" for c in columns]
     names = [x or f"ch{i + 1}" for i, x in enumerate(names)]
@@ -165,15 +164,9 @@ def _rate(step: float, lines: Sequence[str], separator: str, comma: bool) -> flo
     except (ValueError, IndexError):
         first = last = 0.0
     mean = (last - first) / max(len(cells) - 1, 1)
-    step = mean if step and abs(mean / step - 1) < _SAME_STEP else step
+    # 0.05: relative, as a step of one or two digits may be off
+    step = mean if step and abs(mean / step - 1) < 0.05 else step
     return 1 / step if step else 0.0
-
-
-def _columns(n: int, kind: str) -> list[int]:
-    """Where the samples stand: after one column of x (empty where there is none), or after one for
-    each channel.
-    """
-    return list(range(1, 2 * n, 2)) if kind == "multi" else list(range(1, n + 1))
 
 
 def _rows(lines: Sequence[str], columns: Sequence[int], separator: str) -> Iterator[str]:
@@ -227,17 +220,18 @@ def read_tdms(path: Path, group: str = "") -> RawTable:
     """
     with open_tdms(path) as file:
         found = _signals(file, path)
-        told = named_rate(file.properties)
+        stated = named_rate(file.properties)
         if group:
             names = list(dict.fromkeys(c.group_name for c in found))
             if group not in names:
                 raise DataError(f"{path}: no group {group!r}{did_you_mean(group, names)}")
             found = [c for c in found if c.group_name == group]
-        told = next(
-            (r for c in found if (r := named_rate(file[c.group_name].properties)) is not None), told
+        stated = next(
+            (r for c in found if (r := named_rate(file[c.group_name].properties)) is not None),
+            stated,
         )
         table = _tdms_table(found, path)
-        return table if table.rate is not None else replace(table, rate=told)
+        return table if table.rate is not None else replace(table, rate=stated)
 
 
 def read_tdms_runs(path: Path) -> tuple[RawTable, ...]:
@@ -291,17 +285,25 @@ def _signals(file: Any, path: Path) -> list[Any]:
 
 
 def _tdms_table(found: list[Any], path: Path) -> RawTable:
-    _check_alike(found, path)
-    rate, rows = next((r for c in found if (r := _tdms_rate(c)) is not None), None), None
+    _check_equal(found, path)
+    rate = next((r for c in found if (r := _tdms_rate(c)) is not None), None)
+    rows = None
     if (times := [c for c in found if is_time(c.name)]) and len(times) < len(found):
         rate, rows = time_grid({"time": _values(times[0])}, len(times[0]), path, rate)
         found = [c for c in found if not is_time(c.name)]
     data = np.stack([_values(c) for c in found])
     units = tuple(_unit(c.properties) for c in found)
-    return RawTable(data, rate, _names(found), units, ("",) * len(found), rows)
+    return RawTable(
+        data=data,
+        rate=rate,
+        names=_names(found),
+        units=units,
+        quantities=("",) * len(found),
+        rows=rows,
+    )
 
 
-def _check_alike(found: list[Any], path: Path) -> None:
+def _check_equal(found: list[Any], path: Path) -> None:
     """Refuse rates or lengths that differ; where they do from group to group, say which group has
     which.
     """
@@ -316,13 +318,13 @@ def _check_alike(found: list[Any], path: Path) -> None:
     }
     one_each = all(len({(len(c), _tdms_rate(c)) for c in g}) == 1 for g in by_group.values())
     if len(by_group) > 1 and one_each:
-        told = "; ".join(
+        held = "; ".join(
             f"{name}: {len(g)} channels, {len(g[0])} samples"
             + (f", {r:g} Hz" if (r := _tdms_rate(g[0])) else "")
             for name, g in by_group.items()
         )
         raise DataError(
-            f"{path}: the groups differ in rate or length ({told}): choose one with group "
+            f"{path}: the groups differ in rate or length ({held}): choose one with group "
             "(--group NAME)"
         )
     if len(lengths) > 1:

@@ -25,7 +25,6 @@ from ringtrue.io.foreign.parsers import is_hdf5, open_hdf5
 from ringtrue.io.op4 import read_op4
 from ringtrue.io.record_arrays import check_stored
 
-_WIDEST = 80  # characters of a number in a Harwell-Boeing file: its lines have 80
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _FORTRAN = re.compile(r"\((?:\d*P,?)?(\d*)\s*[IEDFG](\d+)(?:\.\d+)?(?:E\d+)?\)", re.IGNORECASE)
 
@@ -39,7 +38,7 @@ class MatrixFile:
     matrices : mapping of str to csr_array
         By the name in the file, or the file's own name where it has none.
     arrays : mapping of str to ndarray
-        Vectors and scalars beside them (MATLAB, HDF5).
+        Vectors and scalars (MATLAB, HDF5).
     dofs : DofSet or None
         Names of the rows, where the file has them (Abaqus).
     """
@@ -83,9 +82,11 @@ class MatrixFile:
         if isinstance(rows, DofSet):
             if self.dofs is None:
                 raise DataError("this file has no names of rows; give their number")
-            at, n = rows.find(self.dofs.node, self.dofs.direction), len(rows)
+            at = rows.find(self.dofs.node, self.dofs.direction)
+            n = len(rows)
         else:
-            at, n = np.arange(max(a.shape)), rows
+            at = np.arange(max(a.shape))
+            n = rows
         if (lost := (at < 0) | (at >= n)).any():
             raise DataError(
                 f"{int(lost.sum())} of its {at.size} rows are not among the {n} of the other matrix"
@@ -94,7 +95,7 @@ class MatrixFile:
 
 
 def read_matrices(path: str | Path) -> MatrixFile:
-    """Read a file of matrices; the kind is told by its ending and first bytes.
+    """Read a file of matrices; its ending and first bytes show the kind.
 
     Raises
     ------
@@ -215,7 +216,8 @@ def _sparse_group(g: h5py.Group) -> sparse.csr_array | None:
         text = g.attrs.get("encoding-type", g.attrs.get("format", "csr"))
         kind = "csc" if "csc" in str(text) else "csr"
         data, indices, starts = (_stored(g[name]) for name in ("data", "indices", "indptr"))
-        lines, across = starts.size - 1, int(indices.max(initial=-1)) + 1
+        lines = starts.size - 1
+        across = int(indices.max(initial=-1)) + 1
         size = (
             _two(shape)
             if shape is not None
@@ -337,7 +339,8 @@ def _whole_numbers(values: Any_) -> Int:
 
 def _fixed(lines: list[str], at: int, count: int, per: int, width: int) -> tuple[Any_, int]:
     """`count` numbers of fixed width, `per` a line, from line `at`; and the line after them."""
-    if count < 0 or per < 1 or not 0 < width <= _WIDEST:
+    # 80: characters of a number in a Harwell-Boeing file: its lines have 80
+    if count < 0 or per < 1 or not 0 < width <= 80:
         raise ValueError(f"{count} numbers, {per} a line, of {width} characters")
     used = -(-count // per)
     if at + used > len(lines):

@@ -20,7 +20,7 @@ from ringtrue.io import hdf5
 from ringtrue.io.files import atomic_write, existing, refuse_large
 from ringtrue.io.foreign.parsers import open_hdf5, read_json
 from ringtrue.io.sheets import cells
-from ringtrue.io.si import hertz
+from ringtrue.io.times import hertz
 from ringtrue.io.uff.shapes import read_mode_sets, write_mode_sets
 
 GROUP = "modes"
@@ -103,7 +103,8 @@ def modes_from_json(table: Mapping[str, Any], source: str = "") -> ModeSet:
         If a key is missing or the numbers do not fit together.
     """
     try:
-        rows, channels = table["modes"], tuple(str(c) for c in table.get("channels", ()))
+        rows = table["modes"]
+        channels = tuple(str(c) for c in table.get("channels", ()))
         for k, row in enumerate(rows, start=1):
             if not isinstance(row, Mapping):
                 raise TypeError(f"mode {k} is {row!r}; it must be a table with frequency_hz")
@@ -127,7 +128,13 @@ def modes_from_json(table: Mapping[str, Any], source: str = "") -> ModeSet:
         )
     values = shapes if shapes.imag.any() else shapes.real
     return ModeSet(
-        frequency, damping, values, channels, norm, str(table.get("source") or source), confidence
+        frequencies=frequency,
+        damping=damping,
+        shapes=values,
+        labels=channels,
+        norm=norm,
+        source=str(table.get("source") or source),
+        confidence=confidence,
     )
 
 
@@ -250,7 +257,6 @@ _FREQUENCY = re.compile(
 )
 _DAMPING = re.compile(rf"{_WHOSE}(damping|damping ratio|zeta|ζ|dämpfung|amortissement)(?![^\W_])")
 _SPREAD = re.compile(r"(std|±|sigma|σ|deviation|uncertainty)\s*(of\s*)?")
-_HIGH = 0.25  # of critical: a typical damping above is taken for percent
 _NUMBER = re.compile(r"[-+]?[\d.,]+([eEdD][-+]?\d+)?$")
 _BESIDE = {
     "",
@@ -268,7 +274,6 @@ _BESIDE = {
     "mac",
     "mpc",
 }
-_DIGITS = 9
 
 
 def read_mode_table(path: Path) -> tuple[ModeSet, Float, Float]:
@@ -290,7 +295,7 @@ def read_mode_table(path: Path) -> tuple[ModeSet, Float, Float]:
     ------
     DataError
         If there is no mode, a cell is no number, two rows are one, or damping without `[%]` is
-        hardly a fraction.
+        above 0.25.
     """
     rows = [r for r in cells(path) if any(r) and not r[0].startswith("# ")]
     width = max(map(len, rows), default=0)
@@ -305,12 +310,12 @@ def read_mode_table(path: Path) -> tuple[ModeSet, Float, Float]:
     of = {kind: label for label, kind in kinds.items() if kind}
     for label, kind in kinds.items():
         if labels.count(label) > 1 or (kind and of[kind] != label):
-            told = (
+            why = (
                 f"`{label}` and `{of[kind]}` are both {kind}"
                 if kind
                 else f"`{label}` stands there twice"
             )
-            raise DataError(f"{path}: {told}")
+            raise DataError(f"{path}: {why}")
     if "frequency" not in of:
         raise DataError(
             f"{path}: no row or column `frequency [Hz]`; there are "
@@ -327,7 +332,8 @@ def read_mode_table(path: Path) -> tuple[ModeSet, Float, Float]:
     )
     if not np.isfinite(f).all():
         raise DataError(f"{path}: `{of['frequency']}`: frequencies must be finite")
-    if (known := zeta[np.isfinite(zeta)]).size and np.median(known) > _HIGH:
+    # 0.25: of critical: a typical damping above is taken for percent
+    if (known := zeta[np.isfinite(zeta)]).size and np.median(known) > 0.25:
         raise DataError(
             f"{path}: `{of['damping']}`: {known[0]:g} of critical? What is in percent has [%] in "
             "its title"
@@ -397,5 +403,5 @@ def _cell_value(text: str, label: str, path: Path) -> complex:
 
 def _texts(values: Float | Complex) -> list[str]:
     """Cells; empty where there is no number."""
-    form = f".{_DIGITS}g"
+    form = f".{9}g"
     return [f"{x:{form}}".strip("()") if np.isfinite(x) else "" for x in values.tolist()]

@@ -48,13 +48,10 @@ def read_op4(path: Path) -> dict[str, sparse.csr_array]:
     if not raw:
         raise DataError(f"{path}: the file is empty")
     try:
-        return dict(_binary(raw) if _is_binary(raw) else _ascii(raw.decode("ascii")))
+        binary = raw[:4] in (b"\x18\0\0\0", b"\0\0\0\x18", b"\x30\0\0\0", b"\0\0\0\x30")
+        return dict(_binary(raw) if binary else _ascii(raw.decode("ascii")))
     except (ValueError, IndexError, OverflowError) as e:
         raise DataError(f"{path}: not an OUTPUT4 file, or cut short: {e}") from e
-
-
-def _is_binary(raw: bytes) -> bool:
-    return raw[:4] in (b"\x18\0\0\0", b"\0\0\0\x18", b"\x30\0\0\0", b"\0\0\0\x30")
 
 
 class _Strings:
@@ -92,7 +89,7 @@ class _Source(Protocol):
 
 
 @dataclass(slots=True)
-class _Lines:
+class _TextColumn:
     """Ascii: `per` numbers of `width` characters a line, from line `at`; a word is `share` of a
     number.
     """
@@ -126,7 +123,7 @@ class _Lines:
 
 
 @dataclass(slots=True)
-class _Record:
+class _BinaryColumn:
     """Binary: one record from byte `at`; a number is `share` words."""
 
     raw: bytes
@@ -151,7 +148,7 @@ def _column(
     header: _Header, found: _Strings, column: int, row: int, words: int, source: _Source
 ) -> None:
     """The runs of one column: dense from `row` on, or strings if `row` is 0 (a loop: each string
-    tells where the next one stands).
+    says where the next one stands).
     """
     if column < 1 or words < 0:
         raise ValueError(f"column {column} of {words} words")
@@ -164,7 +161,8 @@ def _column(
             length, used = length - 1, length + 1
         else:
             mark = int(source.integers(1)[0])
-            length, first = (mark >> 16) - 1, mark & 0xFFFF
+            length = (mark >> 16) - 1
+            first = mark & 0xFFFF
             used = length + 1
         if length < 1:
             raise ValueError(f"a string of {length} words in column {column}")
@@ -185,7 +183,8 @@ def _header(columns: int, rows: int, kind: int, name: str, room: int) -> _Header
 
 
 def _ascii(text: str) -> Iterator[tuple[str, sparse.csr_array]]:
-    lines, at = text.splitlines(), 0
+    lines = text.splitlines()
+    at = 0
     room = MOST
     while at < len(lines) and lines[at].strip():
         head = lines[at]
@@ -196,12 +195,13 @@ def _ascii(text: str) -> Iterator[tuple[str, sparse.csr_array]]:
         per, width = (int(given[1]), int(given[2])) if given else (5, 16)
         if not 0 < per * width <= _LINE:
             raise ValueError(f"{per} numbers of {width} characters a line")
-        found, at = _Strings(header), at + 1
+        found = _Strings(header)
+        at = at + 1
         while True:
             column, row, words = (int(lines[at][i : i + 8]) for i in range(0, 24, 8))
             if column > columns:
                 break
-            source = _Lines(lines, at + 1, per, width, 1 if row > 0 else header.words)
+            source = _TextColumn(lines, at + 1, per, width, 1 if row > 0 else header.words)
             _column(header, found, column, row, words, source)
             at = source.at
         at += 2  # the closing column and its one number
@@ -209,7 +209,8 @@ def _ascii(text: str) -> Iterator[tuple[str, sparse.csr_array]]:
 
 
 def _binary(raw: bytes) -> Iterator[tuple[str, sparse.csr_array]]:
-    order, wide = "<" if raw[0] else ">", 0x30 in (raw[0], raw[3])
+    order = "<" if raw[0] else ">"
+    wide = 0x30 in (raw[0], raw[3])
     integer = np.dtype(f"{order}i{8 if wide else 4}")
     at = 0
     room = MOST
@@ -232,7 +233,7 @@ def _binary(raw: bytes) -> Iterator[tuple[str, sparse.csr_array]]:
                 column,
                 row,
                 words,
-                _Record(record, 3 * integer.itemsize, integer, number, share),
+                _BinaryColumn(record, 3 * integer.itemsize, integer, number, share),
             )
         yield header.name, found.matrix()
 

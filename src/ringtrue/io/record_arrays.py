@@ -11,12 +11,9 @@ from typing import Any
 import h5py
 import numpy as np
 from scipy import sparse
-from scipy.io import savemat
 
 from ringtrue.core.arrays import Int
-from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError, did_you_mean
-from ringtrue.io.files import atomic_write
 from ringtrue.io.foreign.arrays import read_npy as read_array
 from ringtrue.io.foreign.door import read_apart
 from ringtrue.io.foreign.parsers import is_hdf5, open_hdf5, read_wave
@@ -30,13 +27,11 @@ from ringtrue.io.record_table import (
     time_grid,
     without_time,
 )
-from ringtrue.io.si import known
-from ringtrue.io.times import LONG
+from ringtrue.io.times import LONG, known
 
-_CHECKED, _PACKED = (
-    1 << 26,
-    1000,
-)  # bytes above which, and the compression up to which, a size is believed
+# bytes above which, and the compression up to which, a size is believed
+_CHECKED = 1 << 26
+_PACKED = 1000
 
 
 def read_npy(path: Path) -> RawTable:
@@ -74,9 +69,9 @@ def h5_table(file: h5py.Group, path: Path) -> tuple[h5py.Dataset, float | None, 
         d for d in found if d.dtype.kind in "fiu" and max(d.shape) >= max(LONG, 4 * min(d.shape))
     ]
     if len(long) > 1:
-        told = "; ".join(f"{d.name.lstrip('/')} {d.shape}" for d in long[:8])
+        tables = "; ".join(f"{d.name.lstrip('/')} {d.shape}" for d in long[:8])
         raise DataError(
-            f"{path}: several tables of samples ({told}): choose one with group (--group NAME)"
+            f"{path}: several tables of samples ({tables}): choose one with group (--group NAME)"
         )
     data = (long or found)[0]
     check_stored(data, path)
@@ -84,10 +79,10 @@ def h5_table(file: h5py.Group, path: Path) -> tuple[h5py.Dataset, float | None, 
     scalars = {
         k.lower(): v[()] for k, v in file.items() if isinstance(v, h5py.Dataset) and v.size == 1
     }
-    beside = {
+    neighbours = {
         k: v for k, v in data.parent.items() if isinstance(v, h5py.Dataset) and v.name != data.name
     }
-    times = {k: v[()] for k, v in beside.items() if v.size == max(data.shape) and is_time(k)}
+    times = {k: v[()] for k, v in neighbours.items() if v.size == max(data.shape) and is_time(k)}
     return data, *time_grid(times, max(data.shape), path, named_rate({**scalars, **attrs}))
 
 
@@ -131,13 +126,13 @@ def _h5_vectors(file: h5py.Group, path: Path) -> RawTable | None:
         check_stored(v, path)
     samples = max(v.size for v in one.values())
     short = {k.rpartition("/")[2]: v[()] for k, v in one.items() if v.size == samples}
-    told = [_attributes(v.parent, v) for v in one.values() if v.size == samples]
-    rates = [rate for each in told if (rate := named_rate(each))]
+    attributes = [_attributes(v.parent, v) for v in one.values() if v.size == samples]
+    rates = [rate for each in attributes if (rate := named_rate(each))]
     if rates and max(rates) > (1 + SAME_RATE) * min(rates):
         raise DataError(
             f"{path}: {min(rates):g} to {max(rates):g} Hz: choose one of the groups (--group NAME)"
         )
-    attrs = {k: v for each in (_attributes(file), *told) for k, v in each.items()}
+    attrs = {k: v for each in (_attributes(file), *attributes) for k, v in each.items()}
     scalars = {k.lower(): v[()] for k, v in every.items() if v.size == 1}
     rate, rows = time_grid(short, samples, path, named_rate({**scalars, **attrs}))
     signals = {
@@ -158,8 +153,8 @@ def _attributes(*objects: h5py.Group | h5py.Dataset) -> dict[str, Any]:
 
 def _unit(data: h5py.Dataset) -> str:
     """Of an attribute `unit` or `units`; empty where there is none, or free text."""
-    told = next((v for k, v in data.attrs.items() if k.lower() in ("unit", "units")), "")
-    text = np.ravel(told)[0] if np.size(told) == 1 else ""
+    stored = next((v for k, v in data.attrs.items() if k.lower() in ("unit", "units")), "")
+    text = np.ravel(stored)[0] if np.size(stored) == 1 else ""
     return known(text.decode("utf-8", "replace") if isinstance(text, bytes) else str(text))
 
 
@@ -189,7 +184,8 @@ def check_stored(data: h5py.Dataset, path: str | Path) -> None:
     """Refuse a data set that announces far more samples than the file stores: its chunks are
     missing or damaged.
     """
-    size, stored = int(data.size) * data.dtype.itemsize, data.id.get_storage_size()
+    size = int(data.size) * data.dtype.itemsize
+    stored = data.id.get_storage_size()
     if size > _CHECKED and size > _PACKED * stored:
         raise DataError(
             f"{path}: {data.name} announces {size} bytes, {stored} are stored: the file is cut "
@@ -200,10 +196,9 @@ def check_stored(data: h5py.Dataset, path: str | Path) -> None:
 _PEEK = 1 << 16
 _NAMES = ("channels", "names", "labels", "channel_names", "ids", "name")
 _UNITS = ("units", "unit")
-_NAME, _UNIT = (
-    ("name", "signalname", "channelname"),
-    ("unit", "unit_string", "label"),
-)  # of one channel
+# of one channel
+_NAME = ("name", "signalname", "channelname")
+_UNIT = ("unit", "unit_string", "label")
 
 
 def read_mat(path: Path) -> RawTable:
@@ -235,12 +230,12 @@ def read_mat(path: Path) -> RawTable:
     if min(largest.shape) == 1 and len(vectors := _vectors(values, samples)) > 1:
         table = numbered(np.stack([np.ravel(v).astype(np.float64) for v in vectors.values()]), rate)
         table = replace(table, rows=rows)
-        told = tuple(_beside(values, k, _NAME) or k for k in vectors)
-        table = replace(table, names=told if len(set(told)) == len(told) else tuple(vectors))
-        table = replace(table, units=tuple(_beside(values, k, _UNIT) for k in vectors))
+        titles = tuple(_text_of_channel(values, k, _NAME) or k for k in vectors)
+        table = replace(table, names=titles if len(set(titles)) == len(titles) else tuple(vectors))
+        table = replace(table, units=tuple(_text_of_channel(values, k, _UNIT) for k in vectors))
     else:
         table = without_time(replace(numbered(columns_first(largest, path), rate), rows=rows), path)
-        table = replace(table, units=(_beside(values, place, _UNIT),) * len(table.units))
+        table = replace(table, units=(_text_of_channel(values, place, _UNIT),) * len(table.units))
     names = texts(values, _NAMES, table.data.shape[0]) or table.names
     units = tuple(known(u) for u in texts(values, _UNITS, table.data.shape[0]) or table.units)
     return replace(table, names=names, units=units)
@@ -254,9 +249,11 @@ def mat_values(path: Path) -> dict[str, Any]:
     DataError
         If the file is damaged.
     """
-    return _singly(
-        h5_values(path, _value_73, "MATLAB 7.3") if is_hdf5(path) else _flat(_read_5(path))
-    )
+    if is_hdf5(path):
+        return _singly(h5_values(path, _value_73, "MATLAB 7.3"))
+    found = read_apart("matlab", path, "MATLAB file")
+    dense = {name: value for name, value in found.items() if not sparse.issparse(value)}
+    return _singly(_flat(dense))
 
 
 def _singly(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -290,8 +287,8 @@ def _vectors(values: Mapping[str, Any], samples: int) -> dict[str, Any]:
     return {k: v for k, v in found.items() if not is_time(k.rpartition(".")[2])}
 
 
-def _beside(values: Mapping[str, Any], key: str, names: tuple[str, ...]) -> str:
-    """The text of such a name in the structure of a channel, or in that beside it:
+def _text_of_channel(values: Mapping[str, Any], key: str, names: tuple[str, ...]) -> str:
+    """The text of such a name in the structure of a channel, or in its header:
     `Channel_1_Data`, `_Header.Unit`.
     """
     stem = key.partition(".")[0] if "." in key else key.rpartition("_")[0]
@@ -312,16 +309,13 @@ def _value_73(name: str, item: h5py.Dataset) -> Any:
     if name.startswith("#"):
         return None
     if item.dtype.kind in "fiu":
-        return (
-            _text_73(item)
-            if item.attrs.get("MATLAB_class") == b"char" and item.size < _PEEK
-            else item[()]
-        )
+        if item.attrs.get("MATLAB_class") == b"char" and item.size < _PEEK:
+            return "".join(map(chr, np.ravel(item[()]).tolist()))
+        return item[()]
     if item.dtype.names == ("real", "imag"):
         return (item["real"] + 1j * item["imag"]).T  # MATLAB's order of axes
-    if (
-        h5py.check_ref_dtype(item.dtype) and item.size < _PEEK
-    ):  # a cell array, or a field of an array of structures
+    # a cell array, or a field of an array of structures
+    if h5py.check_ref_dtype(item.dtype) and item.size < _PEEK:
         cells = [item.file[r] for r in np.ravel(item[()])]
         out = np.empty(len(cells), dtype=object)
         out[:] = [
@@ -330,16 +324,6 @@ def _value_73(name: str, item: h5py.Dataset) -> Any:
         ]
         return out if any(x is not None for x in out) else None
     return None
-
-
-def _text_73(item: h5py.Dataset) -> str:
-    return "".join(map(chr, np.ravel(item[()]).tolist()))
-
-
-def _read_5(path: Path) -> dict[str, Any]:
-    """Variables of levels 4 and 5; sparse matrices are no samples."""
-    found = read_apart("matlab", path, "MATLAB file")
-    return {name: value for name, value in found.items() if not sparse.issparse(value)}
 
 
 def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -366,30 +350,6 @@ def texts(values: Mapping[str, Any], names: tuple[str, ...], count: int) -> tupl
             ].lower() in _UNITS:
                 return tuple(t.strip() for t in texts)
     return None
-
-
-def write_mat(path: str | Path, history: TimeHistory) -> None:
-    """Write a record as MATLAB v5: `data` (sample, channel), `fs`, cell arrays `channels` and
-    `units`, `source`.
-
-    Raises
-    ------
-    DataError
-        If the record is longer than the format allows (2 GB).
-    """
-    if history.data.nbytes >= 2**31:
-        raise DataError(
-            f"{path}: {history.data.nbytes / 2**30:.3g} GB; MATLAB v5 holds 2 GB: write .h5"
-        )
-    content = {
-        "data": np.asarray(history.data).T,
-        "fs": history.rate,
-        "channels": np.array([c.id for c in history.channels], dtype=object),
-        "units": np.array([c.unit for c in history.channels], dtype=object),
-        "source": history.source,
-    }
-    with atomic_write(path) as part:
-        savemat(str(part), content, appendmat=False)
 
 
 def read_wav(path: Path) -> RawTable:

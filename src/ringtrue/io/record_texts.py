@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import logging
 import re
 from collections.abc import Sequence
@@ -12,7 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from ringtrue.core.arrays import Float, Int
-from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.io.delimited import (
     BRACKETED_UNIT,
@@ -25,10 +23,8 @@ from ringtrue.io.delimited import (
     split_cells,
     without_headers,
 )
-from ringtrue.io.files import atomic_write
 from ringtrue.io.record_table import TIME_NAMES, RawTable, numbered
-from ringtrue.io.si import known
-from ringtrue.io.times import even_grid, in_seconds, is_clock, seconds, without_repeated
+from ringtrue.io.times import even_grid, in_seconds, is_clock, known, seconds
 
 log = logging.getLogger(__name__)
 _TIMES = {
@@ -75,8 +71,6 @@ _STEP = re.compile(
     rf"(?:sampl\w*[\s_-]*(?:interval|period)|abtastintervall|\bdelta[\s_-]?t\b|\bdt\b)[^\d]{{0,24}}?{_NUMBER}\W*(?P<u>ms|us|µs|s)?\b",
     re.IGNORECASE,
 )
-_COUNTED = 0.9  # share of the lines that go on from the one before
-_COARSE = 1e-3  # relative deviation of a rate from times written with few digits
 
 
 def read_csv(path: Path) -> RawTable:
@@ -86,7 +80,7 @@ def read_csv(path: Path) -> RawTable:
     A header such as `101+Z [m/s^2]` gives name and unit. Delimiters `, ; tab space`; decimal
     commas, dates, quotes, D exponents and empty cells (not a number) are understood.
     """
-    told, lines, delimiter, comma = read_lines(path)
+    comments, lines, delimiter, comma = read_lines(path)
     width = len(split_cells(lines[-1], delimiter))
     top = header_rows(lines, delimiter, comma, width)
     head = [split_cells(x, delimiter) for x in lines[:top]]
@@ -97,12 +91,14 @@ def read_csv(path: Path) -> RawTable:
         if body and width > clock
         else np.empty((0, len(body)))
     )
-    names = column_titles(head, width, path) if head else commented_titles(told, delimiter, width)
+    names = (
+        column_titles(head, width, path) if head else commented_titles(comments, delimiter, width)
+    )
     if names and len(names) - clock != len(data):
         raise DataError(f"{path}: {len(names) - clock} names in the header, {len(data)} columns")
-    rate = _told_rate([*told, *lines[:top]])
+    rate = _stated_rate([*comments, *lines[:top]])
     if clock:
-        t, data = without_repeated(_clock_times(rows, delimiter, clock, path), data, path)
+        t = _clock_times(rows, delimiter, clock, path)
         by_clock, places = _rate_of(t, path)
         data, names = _without_count(data, names[clock:])
         return replace(_named(data, names, by_clock or rate), rows=places)
@@ -151,14 +147,13 @@ def _rate_of(t: Float, path: Path) -> tuple[float | None, Int | None]:
     ):
         step = float(np.polyfit(np.arange(t.size) / t.size, t, 1)[0]) / t.size
         even = np.abs(t - t[0] - step * np.arange(t.size)).max() < 1.5
-        return (
-            1 / step if even and step > 0 and 1 / (t.size**1.5 * step) < _COARSE else None
-        ), None
+        # 1e-3: relative deviation of a rate from times written with few digits
+        return (1 / step if even and step > 0 and 1 / (t.size**1.5 * step) < 1e-3 else None), None
     return even_grid(t, True, path)
 
 
-def _told_rate(lines: Sequence[str]) -> float | None:
-    """The rate that a line above the samples tells, Hz."""
+def _stated_rate(lines: Sequence[str]) -> float | None:
+    """The rate that a line above the samples gives, Hz."""
     for line in lines:
         if found := _RATE.search(line):
             return float(found["x"].replace(",", ".")) * (1e3 if found["k"] else 1.0) or None
@@ -171,21 +166,23 @@ def _without_count(data: Float, names: list[str]) -> tuple[Float, list[str]]:
     """Columns and names without a first one that numbers the lines, from one on or from where the
     logger was.
     """
+    # 0.9: share of the lines that go on from the one before
     count = (
         len(data) > 1
         and bool(names)
         and names[0].lower() in _COUNTS
-        and np.mean(np.diff(data[0]) == 1) > _COUNTED
+        and np.mean(np.diff(data[0]) == 1) > 0.9
     )
     return (data[1:], names[1:]) if count else (data, names)
 
 
-def _with_time(data: Float, names: Sequence[str], told: float | None, path: Path) -> RawTable:
+def _with_time(data: Float, names: Sequence[str], stated: float | None, path: Path) -> RawTable:
     """The table without columns of times and counts, with the rate that they or the lines above
     tell.
     """
     keep = np.asarray(~np.isnan(data).all(axis=1))
-    data, names = data[keep], [n for n, k in zip(names, keep, strict=True) if k] if names else []
+    data = data[keep]
+    names = [n for n, k in zip(names, keep, strict=True) if k] if names else []
     if not len(data):
         raise DataError(f"{path}: empty, there are no samples")
     first = names[0].lower() if names else ""
@@ -195,17 +192,18 @@ def _with_time(data: Float, names: Sequence[str], told: float | None, path: Path
         not named and len(data) > 1 and data.shape[1] > 2 and bool((np.diff(data[0]) == 1).all())
     )
     if first in _COUNTS or (count and data[0, 0] in (0, 1)):
-        return _with_time(data[1:], names[1:], told, path) if count else _named(data, names, told)
+        return (
+            _with_time(data[1:], names[1:], stated, path) if count else _named(data, names, stated)
+        )
     if len(data) < 2 and not named:
-        return _named(data, names, told)
+        return _named(data, names, stated)
     t = in_seconds(data[0] * SECONDS_PER.get(title[2].strip(), 1.0) if title else data[0])
-    t, data = without_repeated(t, data, path) if named else (t, data)
     rate, rows = _rate_of(t, path) if named else even_grid(t, False, path)
     if rate is None and not named:
-        return _named(data, names, told)
+        return _named(data, names, stated)
     again = np.array([bool((row == data[0]).all()) for row in data])  # a time for each channel
     rest = [n for n, a in zip(names, again, strict=True) if not a] if names else []
-    return replace(_named(data[~again], rest, rate or told), rows=rows)
+    return replace(_named(data[~again], rest, rate or stated), rows=rows)
 
 
 def _named(data: Float, names: Sequence[str], rate: float | None) -> RawTable:
@@ -225,24 +223,3 @@ def _named(data: Float, names: Sequence[str], rate: float | None) -> RawTable:
         tuple(p[2] if p else "" for p in pairs),
         ("",) * len(names),
     )
-
-
-def write_csv(path: str | Path, history: TimeHistory) -> None:
-    """Write a record as CSV: a column `time` (s), then one a channel with a header `101+Z [m/s^2]`,
-    9 digits.
-    """
-    head = ["time", *(f"{c.id} [{c.unit}]" if c.unit else c.id for c in history.channels)]
-    block = 1 << 14
-    with atomic_write(path) as part, part.open("w", encoding="utf-8", newline="") as file:
-        csv.writer(file, lineterminator="\n").writerow(head)
-        for at in range(
-            0, history.data.shape[1], block
-        ):  # so that the text is never whole in memory
-            part_data = np.asarray(history.data[:, at : at + block], dtype=np.float64)
-            t = (at + np.arange(part_data.shape[1])) / history.rate
-            np.savetxt(
-                file,
-                np.vstack([t, part_data]).T,
-                fmt=["%.12g", *["%.9g"] * len(part_data)],
-                delimiter=",",
-            )

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,23 +30,22 @@ from ringtrue.io.record_arrays import (
     read_mat,
     read_npy,
     read_wav,
-    write_mat,
 )
-from ringtrue.io.record_layout import (
+from ringtrue.io.record_table import (
     FORMAT,
     TABLE,
+    RawTable,
     RecordChannel,
     RecordInfo,
     channel_positions,
     find_record,
+    joined,
     record_group,
     stored_info,
     stored_samples,
 )
-from ringtrue.io.record_table import RawTable, joined
-from ringtrue.io.record_texts import read_csv, write_csv
-from ringtrue.io.si import to_si
-from ringtrue.io.uff.function58 import write_time
+from ringtrue.io.record_texts import read_csv
+from ringtrue.io.times import to_si
 from ringtrue.io.uff.functions import read_time, read_time_runs
 
 _READERS = {
@@ -58,7 +57,9 @@ _READERS = {
     ".wav": read_wav,
 }
 _HDF5 = (".h5", ".hdf5")
-_SLOWEST, _FASTEST = 1e-5, 1e9  # Hz: a sample a day, and what no recorder of vibration reaches
+# Hz: a sample a day, and what no recorder of vibration reaches
+_SLOWEST = 1e-5
+_FASTEST = 1e9
 _LARGEST = 1e70  # fourth powers stay finite
 _UFF = (".uff", ".unv", ".58")
 _MAY_HOLD_FRFS = (
@@ -67,7 +68,6 @@ _MAY_HOLD_FRFS = (
     ".mat",
     *_HDF5,
 )  # universal files say what they hold where they are read
-_WRITERS = {".csv": write_csv, ".mat": write_mat, ".uff": write_time, ".unv": write_time}
 
 
 def write_record(
@@ -77,7 +77,6 @@ def write_record(
     channels: Sequence[RecordChannel],
     *,
     source: str = "",
-    extra: Mapping[str, Any_] | None = None,
 ) -> None:
     """Write a record in ringtrue's HDF5 layout.
 
@@ -88,8 +87,6 @@ def write_record(
     rate : float, Hz
     channels : sequence of RecordChannel
     source : str
-    extra : mapping of str to array, optional
-        Further data sets, kept beside the samples under `extra/`.
     """
     if not (np.isfinite(rate) and rate > 0):
         raise DataError(f"{path}: rate {rate} Hz must be positive")
@@ -112,8 +109,6 @@ def write_record(
             data[:, at:] = block
         for name, kind in TABLE.items():
             _put_column(group, name, [getattr(c, name) for c in channels], kind)
-        for name, array in (extra or {}).items():
-            group.create_dataset(f"extra/{name}", data=array)
 
 
 def _put_column(group: h5py.Group, name: str, values: Sequence[object], kind: type) -> None:
@@ -123,29 +118,6 @@ def _put_column(group: h5py.Group, name: str, values: Sequence[object], kind: ty
         data=np.array(values, dtype=object if kind is str else kind),
         dtype=dtype,
     )
-
-
-def write_history(path: str | Path, history: TimeHistory) -> None:
-    """Write a record in SI, by its ending: `.h5` (ringtrue's layout, float32), `.csv`, `.mat` (v5),
-    `.uff` (58b).
-
-    Raises
-    ------
-    DataError
-        If the ending is another one.
-    """
-    ext = Path(path).suffix.lower()
-    if ext in _HDF5:
-        rows = [
-            RecordChannel(c.id, 0, c.quantity, c.unit, sensor=c.sensor) for c in history.channels
-        ]
-        size = max(1, (1 << 24) // len(rows))
-        blocks = (history.data[:, a : a + size] for a in range(0, history.data.shape[1], size))
-        write_record(path, blocks, history.rate, rows, source=history.source)
-    elif ext in _WRITERS:
-        _WRITERS[ext](path, history)
-    else:
-        raise DataError(f"{path}: format {ext!r}{did_you_mean(ext, [*_HDF5, *_WRITERS])}")
 
 
 def record_info(path: str | Path) -> RecordInfo:
@@ -265,9 +237,7 @@ def _check_rate(history: TimeHistory, path: Path) -> None:
         )
 
 
-def record_blocks(
-    path: str | Path, samples: int, *, channels: Sequence[str] | None = None, overlap: int = 0
-) -> Iterator[TimeHistory]:
+def record_blocks(path: str | Path, samples: int) -> Iterator[TimeHistory]:
     """The record in ringtrue's layout, block by block, SI; the file may be larger than the memory.
 
     Parameters
@@ -275,26 +245,19 @@ def record_blocks(
     path : path
     samples : int
         Samples of a block; the last one may be shorter.
-    channels : sequence of str, optional
-        The channels to keep, in this order; by default all.
-    overlap : int
-        Samples that a block shares with the one before.
 
     Raises
     ------
     DataError
-        If the layout is another one, a channel is not there, or `samples` does not exceed `overlap`
-        >= 0.
+        If the layout is another one.
     """
-    if not samples > overlap >= 0:
-        raise DataError(
-            f"{path}: blocks of {samples} samples must be longer than their overlap {overlap} >= 0"
-        )
+    if samples < 1:
+        raise DataError(f"{path}: blocks of {samples} samples: 1 or more")
     with open_hdf5(path) as file:
         group = record_group(file, path)
         info = stored_info(group, path)
-        at = channel_positions(info, channels, path)
-        for start in range(0, max(info.samples - overlap, 1), samples - overlap):
+        at = channel_positions(info, None, path)
+        for start in range(0, max(info.samples, 1), samples):
             yield stored_samples(group, info, at, slice(start, start + samples))
 
 
@@ -427,11 +390,11 @@ def refuse_bad_samples(
     if bad.any():
         at = np.flatnonzero(bad)[:8]
         lost = (~np.isfinite(history.data[at])).sum(axis=1).tolist()
-        told = ", ".join(
+        counts = ", ".join(
             f"{history.channels[i].id} ({n})" for i, n in zip(at.tolist(), lost, strict=True)
         )
         raise DataError(
-            f"{path}: NaN or infinite samples in {told} of {history.data.shape[1]} samples each; "
+            f"{path}: NaN or infinite samples in {counts} of {history.data.shape[1]} samples each; "
             "leave "
             "these channels out, or fill single samples in the file by interpolation"
         )

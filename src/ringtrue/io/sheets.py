@@ -11,16 +11,15 @@ from pathlib import Path
 import numpy as np
 
 from ringtrue.core.arrays import Float, Int
-from ringtrue.core.channels import input_id, other_names
-from ringtrue.core.motions import LINEAR
+from ringtrue.core.channels import LINEAR, input_id, other_names
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.core.testmodel import TestModel
-from ringtrue.errors import DataError, did_you_mean
+from ringtrue.errors import DataError, about, did_you_mean
 from ringtrue.io.files import existing, read_text, refuse_large
 from ringtrue.io.foreign.door import door
 from ringtrue.io.foreign.parsers import read_sheet, sheet_names
-from ringtrue.io.record_layout import RecordChannel
-from ringtrue.io.si import to_si
+from ringtrue.io.record_table import RecordChannel
+from ringtrue.io.times import to_si
 
 REQUIRED = ("point", "x", "y", "z")
 COLUMNS = (
@@ -39,8 +38,6 @@ COLUMNS = (
 )
 _AXES = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
 _LAST_POINT = 9_999_999_999  # ten columns of a universal file
-_PARALLEL = np.cos(np.radians(1.0))
-_SQUARE = np.sin(np.radians(2.0))
 
 Row = dict[str, str]
 
@@ -73,11 +70,12 @@ class SensorSheet:
 
         A channel has the name of the sheet; where this is that of the opposite sign, its samples
         change sign. A channel without a unit, or in volts, is divided by its sensitivity and
-        becomes SI of its unit; units that a record tells stand. The type of a sensor is that of the
+        becomes SI of its unit; units of the record stand. The type of a sensor is that of the
         sheet where the record has none. A record without names, of as many channels as the sheet
         has motions, has those in their order.
         """
-        rows, ids = {c.id: c for c in self.channels}, [c.id for c in history.channels]
+        rows = {c.id: c for c in self.channels}
+        ids = [c.id for c in history.channels]
         if names := self._in_order(ids):
             named = tuple(replace(c, id=n) for c, n in zip(history.channels, names, strict=True))
             scaled, notes = self.scaled(replace(history, channels=named))
@@ -89,26 +87,30 @@ class SensorSheet:
         history, turned = self._named(history)
         lost = [c.id for c in history.channels if c.id not in rows and c.quantity == "unknown"]
         notes = (f"without a unit, and not on the sensor sheet: {_some(lost)}",) if lost else ()
-        channels, factors = list[Channel](), np.ones(len(history.channels))
+        channels = list[Channel]()
+        factors = np.ones(len(history.channels))
         for k, c in enumerate(history.channels):
             row = rows.get(c.id)
-            if row is not None and c.quantity == "unknown" and row.tells:
+            if row is not None and c.quantity == "unknown" and row.has_scale:
                 factors[k], c = row.to_si, row.channel()
             channels.append(replace(c, sensor=c.sensor or (row.sensor if row else "")))
         notes = (*turned, *notes)
         if tuple(channels) == history.channels:
             return history, notes
-        told = [
+        changed = [
             new.id
             for old, new in zip(history.channels, channels, strict=True)
             if old.quantity != new.quantity
         ]
-        note = f"{len(told)} channels without a unit taken as the sensor sheet says: {_some(told)}"
+        note = (
+            f"{len(changed)} channels without a unit taken as the sensor sheet says: "
+            f"{_some(changed)}"
+        )
         data = history.data if (factors == 1).all() else history.data * factors[:, None]
         return replace(history, data=data, channels=tuple(channels)), (
             note,
             *notes,
-        ) if told else notes
+        ) if changed else notes
 
     def _named(self, history: TimeHistory) -> tuple[TimeHistory, tuple[str, ...]]:
         """A record with the sheet's names of its motions, those of opposite sign turned, and which
@@ -168,7 +170,8 @@ def read_sensor_sheet(path: str | Path, lines: str | Path | None = None) -> Sens
     path = Path(path)
     rows = _rows(path)
     points, xyz, groups = _points(rows, path)
-    used = [(i, r) for i, r in enumerate(rows, start=2) if _has_direction(r)]
+    directions = ("direction", "azimuth", "elevation")
+    used = [(i, r) for i, r in enumerate(rows, start=2) if any(r.get(d) for d in directions)]
     axes = np.array([_axis(r, f"{path} row {i}") for i, r in used]).reshape(-1, 3)
     channels = tuple(
         _channel(r, a, f"{path} row {i}") for (i, r), a in zip(used, axes, strict=True)
@@ -181,18 +184,19 @@ def read_sensor_sheet(path: str | Path, lines: str | Path | None = None) -> Sens
         raise DataError(f"{path}: lines name points that are not there: {lost[:8]}")
     at = np.array([c.point for c in channels], dtype=np.int64)
     moving = np.array([c.quantity != "force" for c in channels], dtype=np.bool_)
-    motion, force = np.flatnonzero(moving), np.flatnonzero(~moving)
+    motion = np.flatnonzero(moving)
+    force = np.flatnonzero(~moving)
     model = TestModel(
-        points,
-        xyz,
-        tuple(ids[i] for i in motion),
-        at[motion],
-        axes[motion],
-        np.array(pairs, dtype=np.int64).reshape(-1, 2),
-        groups,
-        tuple(input_id(ids[i]) for i in force),
-        at[force],
-        axes[force],
+        points=points,
+        xyz=xyz,
+        channels=tuple(ids[i] for i in motion),
+        at=at[motion],
+        axes=axes[motion],
+        lines=np.array(pairs, dtype=np.int64).reshape(-1, 2),
+        groups=groups,
+        forces=tuple(input_id(ids[i]) for i in force),
+        force_at=at[force],
+        force_axes=axes[force],
     )
     return SensorSheet(model, channels, orientation_notes(model))
 
@@ -216,15 +220,18 @@ def orientation_notes(model: TestModel) -> tuple[str, ...]:
 def _point_notes(model: TestModel, group: Int) -> list[str]:
     if group.size < 2:
         return []
-    point, names = int(model.at[group[0]]), [model.channels[i] for i in group]
+    point = int(model.at[group[0]])
+    names = [model.channels[i] for i in group]
     axes = model.axes[group]
+    parallel = np.cos(np.radians(1.0))
+    not_square = np.sin(np.radians(2.0))
     cosine = np.triu(axes @ axes.T, 1)
     notes = [
         f"point {point}: {names[i]} and {names[j]} "
         f"{'agree' if cosine[i, j] > 0 else 'oppose each other'}"
-        for i, j in np.argwhere(np.abs(cosine) > _PARALLEL)
+        for i, j in np.argwhere(np.abs(cosine) > parallel)
     ]
-    skew = (np.abs(cosine) > _SQUARE) & (np.abs(cosine) <= _PARALLEL)
+    skew = (np.abs(cosine) > not_square) & (np.abs(cosine) <= parallel)
     notes += [
         f"point {point}: {names[i]} and {names[j]} are not at right angles"
         for i, j in np.argwhere(skew)
@@ -267,9 +274,8 @@ def cells(path: Path, sheet: str | None = None) -> list[list[str]]:
         )
     lines = read_text(path).splitlines()
     first = next((x for x in lines if x.strip() and not x.startswith("#")), "")
-    delimiter = max(
-        ";\t,", key=first.count
-    )  # commas may be decimal: not more of them than of others
+    # commas may be decimal: not more of them than of others
+    delimiter = max(";\t,", key=first.count)
     with door(path, "CSV table"):
         return [[c.strip() for c in row] for row in csv.reader(lines, delimiter=delimiter)]
 
@@ -330,10 +336,6 @@ def _points(rows: Sequence[Row], path: Path) -> tuple[Int, Float, tuple[str, ...
     )
 
 
-def _has_direction(row: Row) -> bool:
-    return bool(row.get("direction") or row.get("azimuth") or row.get("elevation"))
-
-
 def _axis(row: Row, where: str) -> Float:
     """Unit vector of a row, (3,)."""
     if not row.get("direction"):
@@ -375,25 +377,25 @@ def _default_id(point: int, axis: Float) -> str:
 def _channel(row: Row, axis: Float, where: str) -> RecordChannel:
     point = _point(row, where)
     get = defaultdict(str, row)
-    try:
+    sensitivity = _number(row, "sensitivity", where, 1.0)
+    full_scale = _number(row, "range", where, float("inf"))
+    with about(where):
         quantity = to_si(get["unit"], get["quantity"])[0]
         if quantity in LINEAR:
             raise DataError(
-                f"{where}: {quantity}: a sheet is of translations; name rotations 101+RX, "
-                "without a sheet"
+                f"{quantity}: a sheet is of translations; name rotations 101+RX, without a sheet"
             )
+        default_id = ("F:" if quantity == "force" else "") + _default_id(point, axis)
         return RecordChannel(
-            get["channel"] or ("F:" if quantity == "force" else "") + _default_id(point, axis),
-            point,
-            quantity,
-            get["unit"],
-            _number(row, "sensitivity", where, 1.0),
-            _number(row, "range", where) if get["range"] else float("inf"),
-            get["sensor"],
-            get["calibration"],
+            id=get["channel"] or default_id,
+            point=point,
+            quantity=quantity,
+            unit=get["unit"],
+            sensitivity=sensitivity,
+            range=full_scale,
+            sensor=get["sensor"],
+            calibration=get["calibration"],
         )
-    except DataError as exc:
-        raise DataError(str(exc) if str(exc).startswith(where) else f"{where}: {exc}") from exc
 
 
 def _line_rows(path: Path, lines: str | Path | None) -> list[tuple[int, int]]:

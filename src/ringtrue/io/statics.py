@@ -80,10 +80,8 @@ def read_statics(path: str | Path) -> StaticTests:
 def _tests(path: Path, rows: list[tuple[int, dict[str, str]]]) -> StaticTests:
     cases = tuple(dict.fromkeys(r["case"] for _, r in rows))
     channels = tuple(dict.fromkeys(r["channel"] for _, r in rows))
-    loads, moved = (
-        np.zeros((len(channels), len(cases))),
-        np.full((len(channels), len(cases)), np.nan),
-    )
+    loads = np.zeros((len(channels), len(cases)))
+    moved = np.full((len(channels), len(cases)), np.nan)
     seen: set[tuple[str, str]] = set()
     for line, r in rows:
         if (key := (r["channel"], r["case"])) in seen:

@@ -1,4 +1,7 @@
-"""Times of samples: clocks as loggers write them, the rate of a column of times, and its faults."""
+"""Times of samples: clocks as loggers write them, the rate of a column of times, and its faults.
+
+Units of measured channels: the factor to SI and the quantity each unit belongs to.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +9,169 @@ import logging
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 
 from ringtrue.core.arrays import Float, Int
-from ringtrue.errors import DataError
+from ringtrue.core.channels import UNIT
+from ringtrue.core.signals import Quantity
+from ringtrue.errors import DataError, did_you_mean
+
+G = 9.80665  # standard gravity, m/s^2
+_INCH = 0.0254
+_DEGREE = float(np.pi / 180)
+_UNITS: dict[str, tuple[Quantity, float, str]] = {
+    "m/s^2": ("acceleration", 1.0, "m/s^2"),
+    "mm/s^2": ("acceleration", 1e-3, "m/s^2"),
+    "g": ("acceleration", G, "m/s^2"),
+    "mg": ("acceleration", 1e-3 * G, "m/s^2"),
+    "ug": ("acceleration", 1e-6 * G, "m/s^2"),
+    "in/s^2": ("acceleration", _INCH, "m/s^2"),
+    "ft/s^2": ("acceleration", 12 * _INCH, "m/s^2"),
+    "cm/s^2": ("acceleration", 1e-2, "m/s^2"),
+    "gal": ("acceleration", 1e-2, "m/s^2"),
+    "m/s": ("velocity", 1.0, "m/s"),
+    "cm/s": ("velocity", 1e-2, "m/s"),
+    "mm/s": ("velocity", 1e-3, "m/s"),
+    "um/s": ("velocity", 1e-6, "m/s"),
+    "nm/s": ("velocity", 1e-9, "m/s"),
+    "in/s": ("velocity", _INCH, "m/s"),
+    "ft/s": ("velocity", 12 * _INCH, "m/s"),
+    "m": ("displacement", 1.0, "m"),
+    "cm": ("displacement", 1e-2, "m"),
+    "in": ("displacement", _INCH, "m"),
+    "ft": ("displacement", 12 * _INCH, "m"),
+    "mil": ("displacement", 1e-3 * _INCH, "m"),
+    "mm": ("displacement", 1e-3, "m"),
+    "um": ("displacement", 1e-6, "m"),
+    "nm": ("displacement", 1e-9, "m"),
+    "n": ("force", 1.0, "N"),
+    "kn": ("force", 1e3, "N"),
+    "lbf": ("force", 4.4482216152605, "N"),
+    "rad": ("rotation", 1.0, "rad"),
+    "mrad": ("rotation", 1e-3, "rad"),
+    "urad": ("rotation", 1e-6, "rad"),
+    "rad/s": ("angular velocity", 1.0, "rad/s"),
+    "mrad/s": ("angular velocity", 1e-3, "rad/s"),
+    "deg/s": ("angular velocity", _DEGREE, "rad/s"),
+    "rad/s^2": ("angular acceleration", 1.0, "rad/s^2"),
+    "deg/s^2": ("angular acceleration", _DEGREE, "rad/s^2"),
+    "n*m": ("moment", 1.0, "N*m"),
+    "kn*m": ("moment", 1e3, "N*m"),
+    "n*mm": ("moment", 1e-3, "N*m"),
+    "lbf*in": ("moment", 4.4482216152605 * _INCH, "N*m"),
+    "lbf*ft": ("moment", 4.4482216152605 * 12 * _INCH, "N*m"),
+    "strain": ("strain", 1.0, "strain"),
+    "ustrain": ("strain", 1e-6, "strain"),
+    "v": ("unknown", 1.0, "V"),
+    "mv": ("unknown", 1e-3, "V"),
+    "pa": ("unknown", 1.0, "Pa"),
+}
+_MOMENTS = {  # as they are also written
+    f"{a}{by}{b}": moment
+    for moment, *ways in (
+        ("n*m", "n m"),
+        ("kn*m", "kn m"),
+        ("n*mm", "n mm"),
+        ("lbf*in", "lbf in", "lb in", "in lbf", "in lb"),
+        ("lbf*ft", "lbf ft", "lb ft", "ft lbf", "ft lb"),
+    )
+    for a, b in map(str.split, ways)
+    for by in ("-", " ", ".", "*", "")
+    if f"{a}{by}{b}" != "nm"  # a billionth of a metre
+}
+_SAME = {
+    **_MOMENTS,
+    "lb": "lbf",
+    "lbs": "lbf",
+    "g's": "g",
+    "gs": "g",
+    "gn": "g",
+    "newton": "n",
+    "newtons": "n",
+    "volt": "v",
+    "volts": "v",
+    "m/s**2": "m/s^2",
+    "inch": "in",
+    "inches": "in",
+    "mils": "mil",
+    "micron": "um",
+    "m/m": "strain",
+    "°/s": "deg/s",
+    "dps": "deg/s",
+    **dict.fromkeys(("um/m", "uε", "ue", "ustr", "uepsilon", "microstrain"), "ustrain"),
+}
+_AXES = {  # to Hz or s
+    **dict.fromkeys(("rad/s", "rad/sec", "rads/s", "rad/second"), 0.5 / np.pi),
+    **dict.fromkeys(("rpm", "1/min", "cpm"), 1 / 60),
+    "khz": 1e3,
+    "ms": 1e-3,
+    "msec": 1e-3,
+    "us": 1e-6,
+    "min": 60.0,
+}
+
+_OF_LINES = re.compile(
+    r"(?<![A-Za-z])(k?hz|rad/s(ec)?|rpm|cpm|1/min|omega)(?![A-Za-z])", re.IGNORECASE
+)
+
+
+def to_si(unit: str, quantity: str = "") -> tuple[Quantity, float, str]:
+    """Quantity, factor and SI unit of a unit as written on a sensor sheet.
+
+    An empty unit is taken as SI of the given quantity.
+
+    Raises
+    ------
+    DataError
+        On an unknown unit or quantity, or one that contradicts the other.
+    """
+    allowed = get_args(Quantity)
+    if quantity and quantity not in allowed:
+        raise DataError(f"quantity {quantity!r}{did_you_mean(quantity, allowed)}")
+    text = "N*m" if unit.strip() in ("Nm", "NM") else unit
+    text = (
+        text.strip()
+        .lower()
+        .replace("·", "*")
+        .replace("²", "^2")
+        .replace("µ", "u")
+        .replace("μ", "u")
+    )
+    if not text:
+        return quantity or "unknown", 1.0, UNIT.get(quantity, "")  # type: ignore[return-value]
+    text = text.replace("/sec", "/s").replace("/s/s", "/s^2")
+    text = _SAME.get(text, text[:-1] + "^2" if text.endswith("/s2") else text)
+    if text not in _UNITS:
+        raise DataError(f"unit {unit!r}{did_you_mean(text, _UNITS)}")
+    kind, factor, si = _UNITS[text]
+    if quantity not in ("", "unknown", kind) and kind != "unknown":
+        raise DataError(f"unit {unit!r} is {kind}, the channel says {quantity}")
+    return (kind if kind != "unknown" else quantity or "unknown"), factor, si  # type: ignore[return-value]
+
+
+def known(unit: str) -> str:
+    """The unit, or an empty text where `to_si` does not know it: free text of a foreign file."""
+    try:
+        to_si(unit)
+    except DataError:
+        return ""
+    return unit
+
+
+def axis_factor(unit: str) -> float:
+    """To Hz of a unit of frequency, to s of one of time; 1 of any other text."""
+    return _AXES.get(unit.strip().lower(), 1.0)
+
+
+def hertz(title: str) -> float:
+    """The factor to Hz of what is titled as frequencies, such as `f [kHz]` or `omega`."""
+    unit = _OF_LINES.search(title)
+    return axis_factor(
+        "rad/s" if unit and unit[1].lower() == "omega" else unit[1] if unit else "Hz"
+    )
+
 
 _DAY = r"(?P<a>\d{1,4})[-/.](?P<b>\d{1,2})[-/.](?P<c>\d{1,4})"
 _HOUR = r"(?P<h>\d{1,2}):(?P<m>\d\d)(:(?P<s>\d\d)([.,:](?P<f>\d+))?)?\s*(?P<half>[AaPp]\.?[Mm]\.?)?"
@@ -61,10 +222,14 @@ def _hour(m: re.Match[str]) -> float:
 def _days(parts: Sequence[re.Match[str]]) -> Float:
     a, b, c = (np.array([int(m[k] or 0) for m in parts]) for k in "abc")
     if a.max() > 31:
-        year, month, day = a, b, c
+        year = a
+        month = b
+        day = c
     else:
         american = "/" in (parts[0][0]) and a.max() <= 12
-        year, month, day = c, (a if american else b), (b if american else a)
+        year = c
+        month = a if american else b
+        day = b if american else a
     year = np.where(year < 100, year + 2000, year)
     texts = [
         f"{y:04d}-{m:02d}-{d:02d}"
@@ -84,8 +249,6 @@ _DAYS = (
     (7e5, 8e5),
 )  # since 1900 as spreadsheets count them, since the year 0 as MATLAB does
 _SLOW_DAYS = 0.5 / 86400  # d: longer steps are no samples of vibration
-_JITTER = 0.5  # of a step: each time still has a place of its own on the even grid
-_RARE = 0.01  # share of the rows: stamps and rows that stand twice more often tell coarse times
 THIN = 0.5  # share of the rows that must be there, where some are missing
 LONG = 64  # samples: a shorter table is no record
 
@@ -96,7 +259,8 @@ def in_seconds(t: Float) -> Float:
     """
     if not t.size:
         return t
-    first, step = float(t[0]), float(t[-1] - t[0]) / max(t.size - 1, 1)
+    first = float(t[0])
+    step = float(t[-1] - t[0]) / max(t.size - 1, 1)
     unit = next((u for above, u in _EPOCHS if first > above), 1.0)
     if any(low < first < high for low, high in _DAYS) and 0 < step < _SLOW_DAYS:
         unit = 86400.0
@@ -113,7 +277,8 @@ def even_rate(t: Float, named: bool, path: Path) -> float | None:
         return None
     mean = float(step.mean())
     if np.abs(step - mean).max() > 0.05 * mean + 1e-6 * np.abs(t).max() and not _rounded(t):
-        if t.size >= LONG and (off := float(np.abs(t - _line(t)).max()) / mean) < _JITTER:
+        # 0.5: of a step: each time still has a place of its own on the even grid
+        if t.size >= LONG and (off := float(np.abs(t - _line(t)).max()) / mean) < 0.5:
             log.warning(
                 "%s: times jitter by up to %.2g of a step: taken for the stamps of even samples",
                 path,
@@ -136,61 +301,10 @@ def even_grid(t: Float, named: bool, path: Path) -> tuple[float | None, Int | No
     """The rate of a time column as `even_rate`, and where rows are missing the place of each,
     (row,) int64.
     """
-    t = _settled(t, path) if named else t
     rate = even_rate(t, False, path)
     if rate is None and (found := _with_missing(t, path)) is not None:
         return found
     return even_rate(t, named, path) if rate is None else rate, None
-
-
-def _settled(t: Float, path: Path) -> Float:
-    """Times (row,) that go on where a clock goes back by an hour, and where a single stamp is the
-    one before it.
-    """
-    usual = float(np.median(np.diff(t))) if t.size > 2 else 0.0
-    if not usual > 0:
-        return t
-    back = np.abs(np.diff(t) + 3600 - usual) < min(usual, 60.0)
-    if back.any():
-        row = int(back.argmax())
-        log.warning(
-            "%s: the clock goes back by an hour behind row %d: the end of daylight saving time",
-            path,
-            row + 1,
-        )
-        t = t + 3600 * np.cumsum(np.append(False, back))
-    step = np.diff(t)
-    held = 1 + np.flatnonzero((step[:-1] == 0) & (np.abs(step[1:] - 2 * usual) < 0.5 * usual))
-    if 0 < held.size == np.count_nonzero(step == 0) <= _RARE * t.size:
-        log.warning(
-            "%s: a stamp stands twice at row %d%s: taken for even ones",
-            path,
-            held[0] + 1,
-            _more(held.size),
-        )
-        t = t.copy()
-        t[held] += usual
-    return t
-
-
-def without_repeated(t: Float, data: Float, path: Path) -> tuple[Float, Float]:
-    """Times (row,) and samples (channel, row) without single rows that stand twice."""
-    held = np.diff(t) == 0
-    twice = (
-        1 + np.flatnonzero(held & (data[:, 1:] == data[:, :-1]).all(axis=0))
-        if held.any()
-        else np.zeros(0, np.int64)
-    )
-    if not twice.size or held.sum() > _RARE * t.size:
-        return t, data
-    log.warning(
-        "%s: row %d%s is that before it, and left out", path, twice[0] + 1, _more(twice.size)
-    )
-    return np.delete(t, twice), np.delete(data, twice, axis=1)
-
-
-def _more(n: int) -> str:
-    return f" and {n - 1} more" if n > 1 else ""
 
 
 def _not_rising(t: Float) -> str:

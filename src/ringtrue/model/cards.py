@@ -9,14 +9,181 @@ given keeps its default (`A=-1|B:f`). Without a default, i is 0, f is 0.0, s and
 column identifies the row.
 
 A tail `*NAME:type` takes all the fields that are left (`THRU` expanded for integers) into a
-`Ragged` column. Cards with a pattern of their own are expanded in `io.nastran.special` and
+`Ragged` column. Cards with a pattern of their own are expanded in `decks.nastran.special` and
 `.lists`; their columns stand in `SPECIAL`.
+
+PBARL and PBEAML: dimensions of sections, and the PBAR and PBEAM that they make.
+
+Shapes of elements in natural coordinates: corners, edges and shape functions.
+
+Those of the second order are of serendipity: squares times what is linear in the others (Arnold and
+Awanou 2011).
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ringtrue.core.arrays import Float, Int
+from ringtrue.errors import DeckError
+from ringtrue.model.model import Table
+from ringtrue.model.sections import section
+
+_TRIANGLE = ((0, 0), (1, 0), (0, 1))
+_SQUARE = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+_RING = ((0, 1), (1, 2), (2, 3), (3, 0))
+
+
+@dataclass(frozen=True, slots=True)
+class ElementShape:
+    """A triangle, quadrilateral, tetrahedron, wedge or hexahedron.
+
+    Attributes
+    ----------
+    corners : tuple of tuple of int
+        Natural coordinates.
+    edges : tuple of (int, int)
+        The corners that each midside node lies between, in the order of the cards.
+    simplex : int
+        How many coordinates are those of a triangle or tetrahedron, from 0 to 1; the others go from
+        -1 to 1.
+    """
+
+    corners: tuple[tuple[int, ...], ...]
+    edges: tuple[tuple[int, int], ...]
+    simplex: int
+
+    def nodes(self, order: int) -> Float:
+        """Natural coordinates (n, d) of the nodes of an element of the first or second order."""
+        corners = np.array(self.corners, dtype=float)
+        if order == 1:
+            return corners
+        return np.vstack([corners, corners[np.array(self.edges)].mean(axis=1)])
+
+    def functions(self, order: int, points: Float) -> tuple[Float, Float]:
+        """Shape functions (p, n) at points (p, d), and their derivatives (p, n, d)."""
+        powers, coefficients = _polynomials(self, order)
+        values = _monomials(points, powers) @ coefficients
+        slopes = []
+        for axis in range(powers.shape[1]):
+            lower = powers.copy()
+            lower[:, axis] = np.maximum(lower[:, axis] - 1, 0)
+            slopes.append((powers[:, axis] * _monomials(points, lower)) @ coefficients)
+        return values, np.stack(slopes, axis=2)
+
+
+@cache
+def _polynomials(shape: ElementShape, order: int) -> tuple[Int, Float]:
+    """Powers (t, d) of the terms, and their coefficients (t, n) in each shape function."""
+    terms = []
+    for powers in product(range(order + 1), repeat=len(shape.corners[0])):
+        inside = sum(powers[: shape.simplex])
+        squares = sum(p > 1 for p in powers[shape.simplex :])
+        if max(inside - 1, 0) + squares < order:
+            terms.append(powers)
+    every = np.array(terms)
+    inverse = np.linalg.inv(_monomials(shape.nodes(order), every))
+    return every, np.round(8 * inverse) / 8  # all are eighths
+
+
+def _monomials(points: Float, powers: Int) -> Float:
+    return np.asarray(np.prod(points[:, None, :] ** powers, axis=2))
+
+
+TRIANGLE = ElementShape(_TRIANGLE, ((0, 1), (1, 2), (2, 0)), simplex=2)
+QUADRILATERAL = ElementShape(_SQUARE, _RING, simplex=0)
+TETRAHEDRON = ElementShape(
+    (*((*p, 0) for p in _TRIANGLE), (0, 0, 1)),
+    ((0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)),
+    simplex=3,
+)
+WEDGE = ElementShape(
+    tuple((*p, z) for z in (-1, 1) for p in _TRIANGLE),
+    ((0, 1), (1, 2), (2, 0), (0, 3), (1, 4), (2, 5), (3, 4), (4, 5), (5, 3)),
+    simplex=2,
+)
+HEXAHEDRON = ElementShape(
+    tuple((*p, z) for z in (-1, 1) for p in _SQUARE),
+    (*_RING, (0, 4), (1, 5), (2, 6), (3, 7), (4, 5), (5, 6), (6, 7), (7, 4)),
+    simplex=0,
+)
+
+
+MADE = {"PBARL": "PBAR", "PBEAML": "PBEAM"}
+END_A = ("A", "I1", "I2", "I12", "J", "NSM")
+END_B = ("AB", "I1B", "I2B", "I12B", "JB", "NSMB")
+
+
+def properties(
+    card: str, kind: str, end_a: tuple[Any, Any], end_b: tuple[Any, Any] | None
+) -> dict[str, Any]:
+    """Fields of the PBAR or PBEAM; what a section does not tell is left out.
+
+    Parameters
+    ----------
+    card : {"PBARL", "PBEAML"}
+    kind : str
+        TYPE of the section.
+    end_a, end_b : (dimensions, NSM)
+        End B None: as end A.
+
+    Raises
+    ------
+    ValueError
+        If the dimensions do not make a section.
+    """
+    a = section(kind, end_a[0]) | {"NSM": end_a[1]}
+    made = {n: a[n] for n in (*END_A, "K1", "K2") if n in a}
+    if card == "PBARL":
+        return made
+    b = a if end_b is None else section(kind, end_b[0]) | {"NSM": end_b[1]}
+    made |= {n: b[m] for m, n in zip(END_A, END_B, strict=True) if m in b}
+    for end, ends_section in (("A", a), ("B", b)):
+        for n in ("N1", "N2"):  # neutral axis from shear centre, which a PBARL leaves out
+            if n in ends_section:
+                made[f"{n}{end}"] = ends_section[n]
+    return made
+
+
+def resectioned(tables: Mapping[str, Table], card: str, ids: Int) -> Table:
+    """The table of PBAR or PBEAM with the rows that PBARL or PBEAML `ids` (k,) make computed anew.
+
+    Raises
+    ------
+    DeckError
+        If the dimensions do not make a section.
+    """
+    given = tables[card]
+    made = tables[MADE[card]]
+    new: dict[str, NDArray[Any]] = {}
+    for i in np.unique(ids).tolist():  # the few that a parameter names
+        row, at = (int(t.find(np.array([i]))[0]) for t in (given, made))
+        for name, value in _properties(given, row).items():
+            column = new.get(name, made[name])
+            column = column.astype(np.result_type(column, type(value)))
+            column[at] = value
+            new[name] = column
+    for name, column in new.items():
+        made = made.with_column(name, column)
+    return made
+
+
+def _properties(t: Table, row: int) -> dict[str, Any]:
+    ends = [(t.ragged("DIM").row(row).tolist(), t["NSM"][row].item()), None]
+    if "DIMB" in t.columns and t.ragged("DIMB").row(row).size:
+        ends[1] = (t.ragged("DIMB").row(row).tolist(), t["NSMB"][row].item())
+    try:
+        return properties(t.card, str(t["TYPE"][row]), ends[0], ends[1])  # type: ignore[arg-type]
+    except ValueError as e:
+        raise DeckError(str(e), card=f"{t.card} {t.ids[row]}") from None
+
 
 _TEXT = r"""
 GRID    ID CP X1:f X2:f X3:f CD PS:c SEID
@@ -169,25 +336,16 @@ _ZERO: dict[str, int | float | str] = {"i": 0, "f": 0.0, "s": "", "c": ""}
 def _field(text: str) -> FieldSpec:
     if text == "_":
         return FieldSpec("_", blank=True)
-    tail = text.startswith("*")
-    left, bar, right = text.lstrip("*").partition("|")
-    other, _, otherwise = left.partition("=")
-    name, _, default = (right if bar else left).partition("=")
-    real, _, kind = name.partition(":")
+    before, _, own = text.lstrip("*").rpartition("|")
+    other, _, otherwise = before.partition("=")
+    typed, _, default = own.partition("=")
+    name, _, kind = typed.partition(":")
     kind = kind or "i"
-    value: int | float | str = _ZERO[kind]
+    value = _ZERO[kind]
     if default:
         value = type(value)(default)
-    if not bar:
-        return FieldSpec(name=real, kind=kind, default=value, other="", tail=tail)
-    return FieldSpec(
-        name=real,
-        kind=kind,
-        default=value,
-        other=other,
-        tail=tail,
-        other_default=int(otherwise or 0),
-    )
+    tail = text.startswith("*")
+    return FieldSpec(name, kind, value, other, tail=tail, other_default=int(otherwise or 0))
 
 
 @cache

@@ -24,11 +24,11 @@ def taken_sets(model: Model, kind: str) -> Int:
     """
     add = CONSTRAINTS[kind][0]
     sid = int(getattr(model.case, kind.lower()))
-    rows = np.flatnonzero(model[add]["SID"] == sid) if add in model else np.empty(0, dtype=np.int64)
-    united = [model[add].ragged("S").row(i) for i in rows.tolist()]
-    return np.unique(
-        np.concatenate(united) if united else [sid] if sid else np.empty(0, dtype=np.int64)
-    )
+    united = [np.array([sid] if sid else [], dtype=np.int64)]
+    if add in model and sid in model[add]["SID"]:
+        rows = np.flatnonzero(model[add]["SID"] == sid)
+        united = [model[add].ragged("S").row(i) for i in rows.tolist()]
+    return np.unique(np.concatenate(united))
 
 
 def untaken_matrices(model: Model) -> Int:
@@ -72,7 +72,18 @@ def responding(model: Model) -> Model:
     k = (*case.k2gg, *case.k2pp)
     m = (*case.m2gg, *case.m2pp)
     b = (*case.b2gg, *case.b2pp)
-    return replace(model, case=replace(case, k2gg=k, m2gg=m, b2gg=b, k2pp=(), m2pp=(), b2pp=()))
+    return replace(
+        model,
+        case=replace(
+            case,
+            k2gg=k,
+            m2gg=m,
+            b2gg=b,
+            k2pp=(),
+            m2pp=(),
+            b2pp=(),
+        ),
+    )
 
 
 def idle(model: Model) -> dict[str, Int]:
@@ -81,16 +92,12 @@ def idle(model: Model) -> dict[str, Int]:
     Properties and materials that nothing names, constraints of sets and matrices that case control
     does not take.
     """
-    out = {
-        card: rows
-        for card, rows in (*unused(model).items(), ("DMIG", untaken_matrices(model)))
-        if rows.size
-    }
+    out = unused(model) | {"DMIG": untaken_matrices(model)}
     for kind, (_, cards) in CONSTRAINTS.items():
+        taken = taken_sets(model, kind)
         for card in (c for c in cards if c in model):
-            if (rows := np.flatnonzero(~np.isin(model[card]["SID"], taken_sets(model, kind)))).size:
-                out[card] = rows
-    return out
+            out[card] = np.flatnonzero(~np.isin(model[card]["SID"], taken))
+    return {card: rows for card, rows in out.items() if rows.size}
 
 
 METHODS = {
@@ -100,7 +107,6 @@ METHODS = {
 }  # and their limits, Hz
 # of EIGR: their F1 and F2 count only where ND is blank (MSC Nastran Quick Reference Guide, EIGR)
 _BY_COUNT = frozenset(("GIV", "MGIV", "AGIV", "HOU", "MHOU", "AHOU"))
-FIRST = 40  # modes asked for at first where a deck limits both their number and their frequency
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +125,9 @@ class AskedModes:
         """
         if not self.count:
             return solve(ModesRequest(band=(max(self.low, -1.0), self.high)))
-        wanted = min(self.count, FIRST) if np.isfinite(self.high) else self.count
+        wanted = self.count
+        if np.isfinite(self.high):  # few of the modes that are asked for may lie below
+            wanted = min(wanted, 40)
         while True:
             found = solve(ModesRequest(wanted))
             f = found.modes.frequencies
@@ -140,14 +148,17 @@ def asked_modes(model: Model) -> AskedModes | None:
         return None
     card, i = rows[0]
     table = model[card]
+    count = int(table["ND"][i])
     low, high = (float(table[name][i]) for name in METHODS[card])
-    if card == "EIGR" and table["ND"][i] > 0 and str(table["METHOD"][i]).upper() in _BY_COUNT:
+    if card == "EIGR" and count > 0 and str(table["METHOD"][i]).upper() in _BY_COUNT:
         low = np.nan
         high = np.nan
-    asked = AskedModes(
-        low if low > 0 else -np.inf, np.inf if np.isnan(high) else high, int(table["ND"][i])
-    )
-    return asked if asked.count > 0 or max(asked.low, 0.0) < asked.high < np.inf else None
+    if not low > 0:
+        low = -np.inf
+    if np.isnan(high):
+        high = np.inf
+    asks = count > 0 or max(low, 0.0) < high < np.inf
+    return AskedModes(low, high, count) if asks else None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,12 +16,11 @@ from ringtrue.core.arrays import Float, Int
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.core.units import UnitSystem
 from ringtrue.errors import InputError, UnsupportedError, did_you_mean
-from ringtrue.model.cards import NONSTRUCTURAL
-from ringtrue.model.dimensions import MADE, resectioned
-from ringtrue.model.model import Model, Ragged, Table
+from ringtrue.model.cards import END_A, END_B, MADE, NONSTRUCTURAL, resectioned
+from ringtrue.model.model import Model, Ragged
 
 # A PBEAM whose end B equals its end A keeps that.
-BOTH_ENDS = {name: f"{name}B" for name in ("A", "I1", "I2", "I12", "J", "NSM")} | {
+BOTH_ENDS = dict(zip(END_A, END_B, strict=True)) | {
     f"{name}A": f"{name}B" for name in ("NSI", "M1", "M2", "N1", "N2")
 }
 
@@ -49,7 +48,9 @@ def resolve_target(model: Model, target: CardField | FieldChange) -> Int:
             f"no {target.card} card in the model{did_you_mean(target.card, model.tables)}"
         )
     table = model[target.card]
-    if target.field not in table.columns and not _is_ply(table, target.field):
+    ply = ply_field(target.field)
+    of_list = ply is not None and isinstance(table.columns.get(ply[0]), Ragged)
+    if target.field not in table.columns and not of_list:
         raise InputError(
             f"{target.card} has no field {target.field}{did_you_mean(target.field, table.columns)}"
         )
@@ -67,7 +68,6 @@ def resolve_target(model: Model, target: CardField | FieldChange) -> Int:
             f"{target.card} {target.id} is not in the model; did you mean {near[0]}? The nearest "
             f"ids are {near}"
         )
-    ply = ply_field(target.field)
     if ply and target.field not in table.columns:
         count = int(table.ragged(ply[0]).sizes[rows].min())
         if not 1 <= ply[1] <= count:
@@ -86,11 +86,6 @@ def ply_field(field: str) -> tuple[str, int] | None:
     """
     found = re.fullmatch(r"([A-Z](?:[A-Z0-9]*[A-Z])?)([0-9]+)", field)
     return (found[1], int(found[2])) if found else None
-
-
-def _is_ply(table: Table, field: str) -> bool:
-    ply = ply_field(field)
-    return ply is not None and isinstance(table.columns.get(ply[0]), Ragged)
 
 
 def field_value(model: Model, target: CardField | FieldChange) -> Any:
@@ -158,15 +153,11 @@ def _refuse_what_no_field_holds(parameter: Parameter) -> None:
 
 def carried(model: Model, parameters: ParameterSet) -> ParameterSet:
     """The parameters of which a model has a target, each with the targets that it has."""
-    mine = [
-        replace(p, targets=tuple(t for t in p.targets if _has(model, t)))
-        for p in parameters.parameters
-    ]
+    mine = []
+    for p in parameters.parameters:
+        there = tuple(t for t in p.targets if t.card in model and t.id in model[t.card].ids)
+        mine.append(replace(p, targets=there))
     return ParameterSet(tuple(p for p in mine if p.targets or p.shapes or p.substructures))
-
-
-def _has(model: Model, target: CardField) -> bool:
-    return target.card in model and bool((model[target.card].ids == target.id).any())
 
 
 def field_changes(model: Model, parameters: ParameterSet, factors: Float) -> list[FieldChange]:
@@ -186,9 +177,8 @@ def field_changes(model: Model, parameters: ParameterSet, factors: Float) -> lis
         _refuse_what_no_field_holds(parameter)
         for target in parameter.targets:
             for one in companions(model, target):
-                values[one] = values.get(
-                    one, _nominal(model, parameter, one)
-                ) * factor + one.step * (factor - 1)
+                before = values.get(one, _nominal(model, parameter, one))
+                values[one] = before * factor + one.step * (factor - 1)
     return [FieldChange(t.card, t.id, t.field, v) for t, v in values.items()]
 
 
@@ -203,13 +193,10 @@ def apply_factors(model: Model, parameters: ParameterSet, factors: Float) -> Mod
     grouped: dict[tuple[str, str], list[FieldChange]] = {}
     all_changes = field_changes(model, parameters, factors)
     for change in all_changes:
-        if (
-            _is_ply(model[change.card], change.field)
-            and change.field not in model[change.card].columns
-        ):
+        if change.field in model[change.card].columns:
+            grouped.setdefault((change.card, change.field), []).append(change)
+        else:
             model = _with_ply(model, change)
-            continue
-        grouped.setdefault((change.card, change.field), []).append(change)
     for (card, name), changes in grouped.items():
         ids = np.array([c.id for c in changes], dtype=np.int64)
         model = model.with_values(card, name, ids, np.array([c.value for c in changes]))

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.errors import DeckError
-from ringtrue.model.model import Model, Table, called, card_error
+from ringtrue.model.model import Model, Table, called, card_error, refuse_rows
 
-_LINE = 1e-12  # sine under which three points lie on one line
 _DEGREE = np.pi / 180
 
 
@@ -68,15 +67,14 @@ class Frames:
         if round_.size:
             at = row[round_]
             d = np.einsum("ki,kji->kj", x[round_] - self.origin[at], self.axes[at])
-            local = np.where((kind[round_] == "C")[:, None, None], _cylindrical(d), _spherical(d))
+            c, s, _ = _azimuth(d)
+            zero = np.zeros(len(d))
+            cylindrical = np.stack([c, s, zero, -s, c, zero, zero, zero, zero + 1], axis=1).reshape(
+                -1, 3, 3
+            )
+            local = np.where((kind[round_] == "C")[:, None, None], cylindrical, _spherical(d))
             out[round_] = local @ self.axes[at]
         return np.asarray(out)
-
-
-def _cylindrical(d: Float) -> Float:
-    c, s, _ = _azimuth(d)
-    zero = np.zeros(len(d))
-    return np.stack([c, s, zero, -s, c, zero, zero, zero, zero + 1], axis=1).reshape(-1, 3, 3)
 
 
 def _spherical(d: Float) -> Float:
@@ -149,29 +147,25 @@ def frames(model: Model) -> Frames:
             ]
             what = "refer to frames that are not in the deck, or to each other in a circle"
             raise card_error(model, *rows[0], f"{called(model, rows)} {what}")
-        known = _joined(
-            [known, *(_resolved(model, known, g, r) for g, r in zip(given, ready, strict=True))]
-        )
+        new = (_resolved(model, known, g, r) for g, r in zip(given, ready, strict=True))
+        known = _joined([known, *new])
         todo = [left & ~r for left, r in zip(todo, ready, strict=True)]
     return known
 
 
 def _resolved(model: Model, known: Frames, g: _Given, ready: Bool) -> Frames:
     rows = np.flatnonzero(ready)
-    points = known.to_basic(known.find(g.of[rows].ravel()), g.points[rows].reshape(-1, 3)).reshape(
-        -1, 3, 3
-    )
+    of = known.find(g.of[rows].ravel())
+    points = known.to_basic(of, g.points[rows].reshape(-1, 3)).reshape(-1, 3, 3)
     a = points[:, 0]
     z = points[:, 1] - points[:, 0]
     side = points[:, 2] - points[:, 0]
     y = np.cross(z, side)
     height = np.linalg.norm(z, axis=1)
     wide = np.linalg.norm(y, axis=1)
-    flat = (height == 0) | (wide <= _LINE * height * np.linalg.norm(side, axis=1))
-    if flat.any():
-        raise card_error(
-            model, g.table, int(rows[np.flatnonzero(flat)[0]]), "its three points lie on one line"
-        )
+    # the sine between them: below that they are one line
+    flat = (height == 0) | (wide <= 1e-12 * height * np.linalg.norm(side, axis=1))
+    refuse_rows(model, g.table, rows[flat], "its three points lie on one line")
     z = z / height[:, None]
     y = y / wide[:, None]
     kind = np.full(rows.size, g.table.card[-1])
@@ -201,9 +195,9 @@ def positions(model: Model) -> Float:
     out = x.copy()
     at = np.flatnonzero(cp != 0)
     row = known.find(cp[at])
-    if (row < 0).any():
-        i = int(at[np.flatnonzero(row < 0)[0]])
-        raise card_error(model, grid, i, f"frame CP {cp[i]} is not in the deck")
+    lost = at[row < 0]
+    if lost.size:
+        refuse_rows(model, grid, lost, f"frame CP {cp[lost[0]]} is not in the deck")
     out[at] = known.to_basic(row, x[at])
     return out
 
@@ -231,7 +225,8 @@ def axes(model: Model, cid: Int, basic: Float) -> Float:
     if at.size:
         known = frames(model)
         row = known.find(cid[at])
-        if (row < 0).any():
-            raise DeckError(f"frame {cid[at[np.flatnonzero(row < 0)[0]]]} is not in the deck")
+        lost = cid[at[row < 0]]
+        if lost.size:
+            raise DeckError(f"frame {lost[0]} is not in the deck")
         out[at] = known.axes_at(row, basic[at])
     return out

@@ -35,6 +35,11 @@ class Ragged:
         """Length of each row, (n,) int64."""
         return np.diff(self.offsets)
 
+    @classmethod
+    def of(cls, rows: Sequence[NDArray[Any]]) -> Ragged:
+        """From its rows, one or more."""
+        return cls(np.concatenate(rows), np.cumsum([0, *(r.size for r in rows)]))
+
     @property
     def owner(self) -> Int:
         """The row that each value belongs to, (k,) int64."""
@@ -78,6 +83,13 @@ class Table:
             raise KeyError(f"{self.card}.{name} is not ragged")
         return column
 
+    def entries(self, name: str) -> tuple[NDArray[Any], Int]:
+        """Values of a column, plain or ragged, and the row of each, (k,)."""
+        column = self.columns[name]
+        if isinstance(column, Ragged):
+            return column.values, column.owner
+        return column, np.arange(column.size)
+
     def stack(self, *names: str) -> NDArray[Any]:
         """Plain columns side by side, (n, len(names))."""
         return np.stack([self[n] for n in names], axis=1)
@@ -100,6 +112,12 @@ class Table:
     def with_column(self, name: str, values: NDArray[Any]) -> Table:
         """A copy with one column replaced."""
         return replace(self, columns={**self.columns, name: frozen(values)})
+
+    def with_values(self, name: str, rows: Int, values: Any) -> Table:
+        """A copy with the values of some rows of a plain column replaced."""
+        column = self[name].copy()
+        column[rows] = values
+        return self.with_column(name, column)
 
 
 _SWITCH = {"YES": 1.0, "NO": 0.0}
@@ -197,9 +215,15 @@ class Model:
         at = table.find(ids)
         if (at < 0).any():
             raise InputError(f"{card} {np.asarray(ids)[at < 0][:5].tolist()} not in the model")
-        column = table[field_name].copy()
-        column[at] = values
-        return replace(self, tables={**self.tables, card: table.with_column(field_name, column)})
+        changed = table.with_values(field_name, at, values)
+        return replace(self, tables={**self.tables, card: changed})
+
+    def place(self, table: Table, row: int) -> tuple[str | None, int | None]:
+        """File and line of a row of a table; None where it was read from no file."""
+        file = int(table.file[row])
+        if not 0 <= file < len(self.files):
+            return None, None
+        return self.files[file], int(table.line[row])
 
 
 def table(card: str, **columns: Any) -> Table:
@@ -234,13 +258,19 @@ MOST = 6  # rows that a message names
 
 def card_error(model: Model, table: Table, row: int, message: str) -> DeckError:
     """A DeckError at the place of a row of a table."""
-    path, line = _place(model, table, row)
+    path, line = model.place(table, row)
     return DeckError(message, path=path, line=line, card=f"{table.card} {table.ids[row]}")
+
+
+def refuse_rows(model: Model, table: Table, rows: Int, message: str) -> None:
+    """Raise a DeckError at the first of some rows of a table; nothing where there are none."""
+    if rows.size:
+        raise card_error(model, table, int(rows[0]), message)
 
 
 def unsupported_card(model: Model, table: Table, row: int, why: str) -> UnsupportedCard:
     """An UnsupportedCard at the place of a row of a table."""
-    path, line = _place(model, table, row)
+    path, line = model.place(table, row)
     return UnsupportedCard(table.card, path=path, line=line, why=f"{table.ids[row]} {why}")
 
 
@@ -249,15 +279,8 @@ def called(model: Model, rows: Sequence[tuple[Table, int]]) -> str:
     names = [f"{t.card} {t.ids[i]}" for t, i in rows]
     names_shown = [
         f"{name} of line {line}"
-        if names.count(name) > 1 and (line := _place(model, *row)[1])
+        if names.count(name) > 1 and (line := model.place(*row)[1])
         else name
         for name, row in zip(names[:MOST], rows, strict=False)
     ]
     return ", ".join([*names_shown, *(["..."] if len(rows) > MOST else [])])
-
-
-def _place(model: Model, table: Table, row: int) -> tuple[str | None, int | None]:
-    file = int(table.file[row])
-    return (
-        (model.files[file], int(table.line[row])) if 0 <= file < len(model.files) else (None, None)
-    )

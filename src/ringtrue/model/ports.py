@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Protocol, Self, runtime_checkable
 
+import numpy as np
+
 from ringtrue.core.arrays import Any_, Float
 from ringtrue.core.dofs import NO_DOFS, DofSet
 from ringtrue.core.modes import ModeSet
@@ -107,6 +109,13 @@ class Linearisation:
     shapes: Float
     d_lambda: Float
     d_shapes: Float
+
+    @classmethod
+    def of_modes(cls, x: Float, frequencies: Float, shapes: Float) -> Linearisation:
+        """Modes alone: the sensitivities have no columns."""
+        d_lambda = np.zeros((len(frequencies), 0))
+        d_shapes = np.zeros((*shapes.shape, 0))
+        return cls(np.array(x, dtype=float), frequencies, np.asarray(shapes), d_lambda, d_shapes)
 
 
 class ObservedModel(Protocol):

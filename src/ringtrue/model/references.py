@@ -6,10 +6,9 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ringtrue.core.arrays import Int
-from ringtrue.model.model import Model, Ragged
+from ringtrue.model.model import Model
 
 FRAMES = ("CORD1R", "CORD1C", "CORD1S", "CORD2R", "CORD2C", "CORD2S")
 NODES = ("GRID", "SPOINT")
@@ -20,7 +19,7 @@ SOLID_MATERIALS = ("MAT1", "MAT9")
 
 
 @dataclass(frozen=True, slots=True)
-class Reference:
+class CardReference:
     """Field `card.field` holds ids of one of the cards `of`; `required`: 0 (blank) is no valid
     value.
     """
@@ -38,19 +37,19 @@ class Reference:
         return " or ".join(x for x in (", ".join(self.of[:-1]), self.of[-1]) if x)
 
 
-def _nodes(card: str, required: str, optional: str = "") -> list[Reference]:
-    made = [Reference(card, f, NODES) for f in required.split()]
-    return made + [Reference(card, f, NODES, False) for f in optional.split()]
+def _nodes(card: str, required: str, optional: str = "") -> list[CardReference]:
+    made = [CardReference(card, f, NODES) for f in required.split()]
+    return made + [CardReference(card, f, NODES, False) for f in optional.split()]
 
 
 def _numbered(first: int, last: int) -> str:
     return " ".join(f"G{i}" for i in range(first, last + 1))
 
 
-REFERENCES: tuple[Reference, ...] = (
-    *(Reference("GRID", f, FRAMES, False) for f in ("CP", "CD")),
+REFERENCES: tuple[CardReference, ...] = (
+    *(CardReference("GRID", f, FRAMES, False) for f in ("CP", "CD")),
     *(r for k in "RCS" for r in _nodes(f"CORD1{k}", "G1 G2 G3")),
-    *(Reference(f"CORD2{k}", "RID", FRAMES, False) for k in "RCS"),
+    *(CardReference(f"CORD2{k}", "RID", FRAMES, False) for k in "RCS"),
     *_nodes("CROD", "G1 G2"),
     *_nodes("CTUBE", "G1 G2"),
     *_nodes("CONROD", "G1 G2"),
@@ -72,15 +71,10 @@ REFERENCES: tuple[Reference, ...] = (
     *_nodes("CPYRAM", _numbered(1, 5), _numbered(6, 13)),
     *(
         r
+        for numbers, ends in (((1, 2), "G1 G2"), ((3, 4), "S1 S2"))
         for k in ("CELAS", "CMASS", "CDAMP")
-        for i in (1, 2)
-        for r in _nodes(f"{k}{i}", "", "G1 G2")
-    ),
-    *(
-        r
-        for k in ("CELAS", "CMASS", "CDAMP")
-        for i in (3, 4)
-        for r in _nodes(f"{k}{i}", "", "S1 S2")
+        for i in numbers
+        for r in _nodes(f"{k}{i}", "", ends)
     ),
     *_nodes("CVISC", "G1 G2"),
     *_nodes("CBUSH", "GA", "GB G0"),
@@ -100,35 +94,39 @@ REFERENCES: tuple[Reference, ...] = (
     *_nodes("SPC1", "G"),
     *_nodes("MPC", "G"),
     *_nodes("DMIG", "GJ GI"),
-    *(Reference(c, "MCID", FRAMES, False) for c in SHELLS),
-    Reference("PSOLID", "CORDM", FRAMES, False),
-    Reference("CBUSH", "CID", FRAMES, False),
-    Reference("CBUSH", "OCID", FRAMES, False),
-    *(Reference(c, "CID", FRAMES, False) for c in ("CONM1", "CONM2", "CBUSH1D", "CGAP")),
-    Reference("CROD", "PID", ("PROD",)),
-    Reference("CTUBE", "PID", ("PTUBE",)),
-    Reference("CBAR", "PID", ("PBAR",)),
-    Reference("CBEAM", "PID", ("PBEAM",)),
-    *(Reference(c, "PID", SHELL_PROPERTIES) for c in SHELLS),
-    Reference("CBEND", "PID", ("PBEND",)),
-    Reference("CFAST", "PID", ("PFAST",)),
-    Reference("PFAST", "MCID", FRAMES, False),
-    Reference("CWELD", "PID", ("PWELD",)),
-    *(Reference("CWELD", f"SHID{side}", SHELLS, False) for side in "AB"),
-    Reference("CSHEAR", "PID", ("PSHEAR",)),
-    *(Reference(c, "PID", ("PSOLID",)) for c in ("CTETRA", "CPENTA", "CHEXA", "CPYRAM")),
-    *(Reference(f"C{k}{i}", "PID", (f"P{k}",)) for k in ("ELAS", "MASS", "DAMP") for i in (1, 3)),
-    Reference("CVISC", "PID", ("PVISC",)),
-    Reference("CBUSH", "PID", ("PBUSH",)),
-    Reference("CBUSH1D", "PID", ("PBUSH1D",)),
-    Reference("CGAP", "PID", ("PGAP",)),
+    *(CardReference(c, "MCID", FRAMES, False) for c in SHELLS),
+    CardReference("PSOLID", "CORDM", FRAMES, False),
+    CardReference("CBUSH", "CID", FRAMES, False),
+    CardReference("CBUSH", "OCID", FRAMES, False),
+    *(CardReference(c, "CID", FRAMES, False) for c in ("CONM1", "CONM2", "CBUSH1D", "CGAP")),
+    CardReference("CROD", "PID", ("PROD",)),
+    CardReference("CTUBE", "PID", ("PTUBE",)),
+    CardReference("CBAR", "PID", ("PBAR",)),
+    CardReference("CBEAM", "PID", ("PBEAM",)),
+    *(CardReference(c, "PID", SHELL_PROPERTIES) for c in SHELLS),
+    CardReference("CBEND", "PID", ("PBEND",)),
+    CardReference("CFAST", "PID", ("PFAST",)),
+    CardReference("PFAST", "MCID", FRAMES, False),
+    CardReference("CWELD", "PID", ("PWELD",)),
+    *(CardReference("CWELD", f"SHID{side}", SHELLS, False) for side in "AB"),
+    CardReference("CSHEAR", "PID", ("PSHEAR",)),
+    *(CardReference(c, "PID", ("PSOLID",)) for c in ("CTETRA", "CPENTA", "CHEXA", "CPYRAM")),
     *(
-        Reference(c, "MID", ("MAT1",))
+        CardReference(f"C{k}{i}", "PID", (f"P{k}",))
+        for k in ("ELAS", "MASS", "DAMP")
+        for i in (1, 3)
+    ),
+    CardReference("CVISC", "PID", ("PVISC",)),
+    CardReference("CBUSH", "PID", ("PBUSH",)),
+    CardReference("CBUSH1D", "PID", ("PBUSH1D",)),
+    CardReference("CGAP", "PID", ("PGAP",)),
+    *(
+        CardReference(c, "MID", ("MAT1",))
         for c in ("CONROD", "PROD", "PTUBE", "PBAR", "PBEAM", "PBEND", "PSHEAR", "PWELD")
     ),
-    Reference("PSOLID", "MID", SOLID_MATERIALS),
-    *(Reference(c, "MID", PLY_MATERIALS) for c in ("PCOMP", "PCOMPG")),
-    *(Reference("PSHELL", f, PLY_MATERIALS, False) for f in ("MID1", "MID2", "MID3", "MID4")),
+    CardReference("PSOLID", "MID", SOLID_MATERIALS),
+    *(CardReference(c, "MID", PLY_MATERIALS) for c in ("PCOMP", "PCOMPG")),
+    *(CardReference("PSHELL", f, PLY_MATERIALS, False) for f in ("MID1", "MID2", "MID3", "MID4")),
 )
 
 
@@ -138,8 +136,7 @@ def known_ids(model: Model, of: tuple[str, ...]) -> Int:
     for card in of:
         if card in model:
             table = model[card]
-            first = next(iter(table.columns.values()))
-            made.append(first.values if isinstance(first, Ragged) else first)
+            made.append(table.entries(next(iter(table.columns)))[0])
     return np.concatenate(made)
 
 
@@ -151,7 +148,7 @@ def unused(model: Model) -> dict[str, Int]:
             if card.startswith(("P", "MAT")) and card in model:
                 named.setdefault(card, [np.empty(0, dtype=np.int64)])
                 if ref.card in model:
-                    named[card].append(_values(model, ref)[0])
+                    named[card].append(model[ref.card].entries(ref.field)[0])
     rows = {
         c: np.flatnonzero(~np.isin(model[c].ids, np.concatenate(ids))) for c, ids in named.items()
     }
@@ -164,13 +161,13 @@ class Missing:
 
     Attributes
     ----------
-    reference : Reference
+    reference : CardReference
     rows : (n,) int64
     ids : (n,) int64
         The ids that are missing; 0 for a blank field.
     """
 
-    reference: Reference
+    reference: CardReference
     rows: Int
     ids: Int
 
@@ -195,16 +192,9 @@ def missing(
             known[ref.of] = np.concatenate(
                 [known_ids(model, ref.of), np.array(more, dtype=np.int64)]
             )
-        ids, rows = _values(model, ref)
+        ids, rows = model[ref.card].entries(ref.field)
         wrong = ~np.isin(ids, known[ref.of])
         if not ref.required:
             wrong &= ids > 0
         if wrong.any():
             yield Missing(ref, rows[wrong], ids[wrong])
-
-
-def _values(model: Model, ref: Reference) -> tuple[NDArray[np.int64], Int]:
-    column = model[ref.card].columns[ref.field]
-    if isinstance(column, Ragged):
-        return column.values, column.owner
-    return column, np.arange(column.size)

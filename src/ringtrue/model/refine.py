@@ -1,12 +1,14 @@
 """A model with its mesh refined once: every element in halves along each of its sides, on the same
 geometry.
+
+The parts that elements are split into, in halves along each of their sides.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, reduce
+from functools import cache, cached_property, reduce
 from typing import Any
 
 import numpy as np
@@ -14,12 +16,144 @@ from numpy.typing import NDArray
 
 from ringtrue.core.arrays import Bool, Float, Int, frozen
 from ringtrue.errors import UnsupportedError
-from ringtrue.model.cards import NONSTRUCTURAL
+from ringtrue.model.cards import (
+    HEXAHEDRON,
+    NONSTRUCTURAL,
+    QUADRILATERAL,
+    TETRAHEDRON,
+    TRIANGLE,
+    WEDGE,
+)
 from ringtrue.model.case_control import taken_sets
 from ringtrue.model.edit import BOTH_ENDS
 from ringtrue.model.frames import axes, positions
-from ringtrue.model.halves import CURVED, LINES, NODES, RODS, Part, corner_shares, parts, weights
 from ringtrue.model.model import Model, Ragged, Table, stacked, table
+
+Corners = tuple[int, ...]  # whose middle a node of a part is; one where it is that corner
+Part = tuple[Corners, ...]
+
+LINES = ("CBAR", "CBEAM")
+_OFFSETS = ("W1A", "W2A", "W3A", "W1B", "W2B", "W3B")  # of their ends
+RODS = ("CROD", "CTUBE")
+CURVED = {  # kinds of elements with all their midside nodes: card, and that of their corners alone
+    "CTRIA6": ("CTRIA6", "CTRIA3"),
+    "CQUAD8": ("CQUAD8", "CQUAD4"),
+    "CTETRA10": ("CTETRA", "CTETRA"),
+    "CPENTA15": ("CPENTA", "CPENTA"),
+    "CHEXA20": ("CHEXA", "CHEXA"),
+}
+_SHAPES = {  # of elements of the second order
+    "CTRIA6": TRIANGLE,
+    "CQUAD8": QUADRILATERAL,
+    "CTETRA10": TETRAHEDRON,
+    "CPENTA15": WEDGE,
+    "CHEXA20": HEXAHEDRON,
+}
+_TRIANGLE = ("0 01 02", "01 1 12", "02 12 2", "12 02 01")
+_TETRA = ("0 01 02 03", "01 1 12 13", "02 12 2 23", "03 13 23 3",
+          "13 02 01 03", "13 02 03 23", "13 02 23 12", "13 02 12 01")  # fmt: skip
+_SQUARE = ((0, 0), (1, 0), (1, 1), (0, 1))
+_HALVES = ((0,), (0, 1), (1,))
+NODES = {
+    **dict.fromkeys(LINES, ("GA", "GB")),
+    **dict.fromkeys(RODS, ("G1", "G2")),
+    **dict.fromkeys(("CTRIA3", "CTRIAR"), ("G1", "G2", "G3")),
+    **dict.fromkeys(("CQUAD4", "CQUADR", "CTETRA"), ("G1", "G2", "G3", "G4")),
+    "CPENTA": tuple(f"G{k}" for k in range(1, 7)),
+    "CHEXA": tuple(f"G{k}" for k in range(1, 9)),
+    **{kind: tuple(f"G{k + 1}" for k in range(len(_SHAPES[kind].nodes(2)))) for kind in CURVED},
+}
+
+
+@cache
+def parts(card: str) -> tuple[Part, ...]:
+    """The parts that an element is split into, each by the nodes of the whole between which its
+    nodes are midway.
+    """
+    if card in CURVED:
+        curved = []
+        for part in parts(CURVED[card][1]):
+            corners = [np.eye(len(_SHAPES[card].corners))[list(c)].mean(axis=0) for c in part]
+            middles = [(corners[i] + corners[j]) / 2 for i, j in _SHAPES[card].edges]
+            curved.append(tuple(_midway(card, place) for place in (*corners, *middles)))
+        return tuple(curved)
+    if card in ("CTRIA3", "CTRIAR", "CTETRA"):
+        return _read(_TETRA if card == "CTETRA" else _TRIANGLE)
+    if card == "CPENTA":
+        layers = [
+            [tuple(c + 3 * z for z in _HALVES[k] for c in corner) for corner in p]
+            for p in _read(_TRIANGLE)
+            for k in range(3)
+        ]
+        return tuple((*layers[i], *layers[i + 1]) for i in range(len(layers)) if i % 3 < 2)
+    brick = {
+        2: ((0,), (1,)),
+        4: _SQUARE,
+        8: tuple((*c, z) for z in (0, 1) for c in _SQUARE),
+    }[len(NODES[card])]
+    return tuple(tuple(_between(brick, o, c) for c in brick) for o in brick)
+
+
+def _midway(kind: str, place: Float) -> Corners:
+    """Nodes midway between which a place is, by its shares (c,) of the corners; the same seen from
+    all elements about.
+
+    Such are a node, the corners of a side, or the corners that are nearest and the midside nodes
+    from there; on triangles the latter alone.
+    """
+    nodes = _shares(kind)
+    if (same := np.flatnonzero((nodes == place).all(axis=1))).size:
+        return (int(same[0]),)
+    near = np.flatnonzero(place == place.max())
+    leaving = [
+        len(place) + k
+        for k, (i, j) in enumerate(_SHAPES[kind].edges)
+        if place[i] * place[j] > 0 and place[i] != place[j]
+    ]
+    leaving = [k for k in leaving if (nodes[k, near] > 0).any()]
+    tried = [np.flatnonzero(place).tolist(), [*near.tolist(), *leaving], leaving]
+    return next(tuple(c) for c in tried if c and (nodes[c].mean(axis=0) == place).all())
+
+
+@cache
+def _shares(kind: str) -> Float:
+    """What share of each corner is in the place of each node, (n, c)."""
+    corners = np.eye(len(_SHAPES[kind].corners))
+    return np.array([*corners, *((corners[i] + corners[j]) / 2 for i, j in _SHAPES[kind].edges)])
+
+
+def corner_shares(kind: str, between: Corners) -> Float:
+    """Shares (c,) of the corners of an element in the place midway between some of its nodes."""
+    if kind in CURVED:
+        return np.asarray(_shares(kind)[list(between)].mean(axis=0))
+    return np.asarray(np.isin(np.arange(len(NODES[kind])), between) / len(between))
+
+
+def weights(kind: str, between: Corners) -> Float:
+    """Of the nodes of an element (n,), for the place midway between some: by its shape functions,
+    straight or not.
+    """
+    if kind not in CURVED:
+        return corner_shares(kind, between)
+    shape = _SHAPES[kind]
+    place = corner_shares(kind, between) @ np.array(shape.corners)
+    return np.asarray(shape.functions(2, place[None])[0][0])
+
+
+def _read(text: Sequence[str]) -> tuple[Part, ...]:
+    """`"0 01"` as ((0,), (0, 1))."""
+    return tuple(tuple(tuple(int(c) for c in corner) for corner in part.split()) for part in text)
+
+
+def _between(corners: Sequence[Corners], origin: Corners, corner: Corners) -> Corners:
+    """Corners of a brick about the corner of the part that lies at `origin`, in halves of the
+    sides.
+    """
+    allowed = [_HALVES[o + c] for o, c in zip(origin, corner, strict=True)]
+    return tuple(
+        i for i, x in enumerate(corners) if all(v in a for v, a in zip(x, allowed, strict=True))
+    )
+
 
 _ALL = "123456"
 
@@ -73,14 +207,11 @@ class _Middles:
     def within(self, members: Int) -> Int:
         """Positions (k,) of those that lie between members only."""
         nodes, new = self._about
-        ends = zip(
-            *(
-                np.searchsorted(nodes, np.unique(members), side=s).tolist()
-                for s in ("left", "right")
-            ),
-            strict=True,
-        )
-        found, count = np.unique(np.concatenate([new[a:b] for a, b in ends]), return_counts=True)
+        mine = np.unique(members)
+        first = np.searchsorted(nodes, mine, side="left").tolist()
+        last = np.searchsorted(nodes, mine, side="right").tolist()
+        about = [new[a:b] for a, b in zip(first, last, strict=True)]
+        found, count = np.unique(np.concatenate(about), return_counts=True)
         return np.asarray(found[count == (self.of[found] > 0).sum(axis=1)])
 
 
@@ -137,25 +268,21 @@ def _refuse(model: Model) -> None:
     names += [
         card for card in ("CTRIA6", "CQUAD8") if card in there and not there[card].any(axis=1).all()
     ]
-    if names or "CPYRAM" in model:
+    if "CPYRAM" in model:
+        names = names or ["CPYRAM"]
+    if names:
         raise UnsupportedError(
-            f"{', '.join(names) or 'CPYRAM'}: not refined; elements with all midside nodes or "
-            "none are"
+            f"{', '.join(names)}: not refined; elements with all midside nodes or none are"
         )
     if "CWELD" in model and model["CWELD"]["SHIDA"].any():
         raise UnsupportedError(
             "CWELD by the ids of shells (ELEMID) is not refined: give properties (PARTPAT)"
         )
-    kinds = [
-        str(k)
-        for c in NONSTRUCTURAL
-        if c in model and "TYPE" in model[c].columns
-        for k in model[c]["TYPE"]
-    ]
-    if "ELEMENT" in kinds:
-        raise UnsupportedError(
-            "non-structural mass by the ids of elements is not refined: give it by properties"
-        )
+    for card in (c for c in NONSTRUCTURAL if c in model and "TYPE" in model[c].columns):
+        if "ELEMENT" in model[card]["TYPE"].tolist():
+            raise UnsupportedError(
+                "non-structural mass by the ids of elements is not refined: give it by properties"
+            )
 
 
 def _middles(model: Model) -> _Middles:
@@ -196,18 +323,13 @@ def _grids(model: Model, middles: _Middles) -> Table:
     x = middles.xyz
     last = at[:, -1]
     columns: dict[str, NDArray[Any]] = {n: np.asarray(c)[last] for n, c in grid.columns.items()}
-    held = [
-        set.intersection(*(set(str(p)) for p in grid["PS"][row[ok]]))
-        for row, ok in zip(at, there, strict=True)
-    ]
-    columns |= {
-        "ID": middles.ids,
-        "CP": np.zeros_like(last),
-        "X1": x[:, 0],
-        "X2": x[:, 1],
-        "X3": x[:, 2],
-    }
-    columns["PS"] = np.array(["".join(sorted(h)) for h in held], dtype=grid["PS"].dtype)
+    held = []
+    for row, ok in zip(at, there, strict=True):
+        common = set.intersection(*(set(str(p)) for p in grid["PS"][row[ok]]))
+        held.append("".join(sorted(common)))
+    columns |= {"ID": middles.ids, "CP": np.zeros_like(last)}
+    columns |= {f"X{k + 1}": x[:, k] for k in range(3)}
+    columns["PS"] = np.array(held, dtype=grid["PS"].dtype)
     return replace(
         grid,
         columns=columns,
@@ -227,16 +349,8 @@ def _split(model: Model, card: str, middles: _Middles, first: int) -> Table:
         nodes = whole.stack(*NODES[kind])[rows]
         ends = middles.corners(nodes, pieces)
         able = np.all([(e > 0).all(axis=1) for e in ends], axis=0) & ~_whole(model, card)[rows]
-        firsts.append(
-            _part(
-                model,
-                kind,
-                pieces[0],
-                nodes=np.where(able[:, None], ends[0], nodes),
-                at=rows,
-                able=able,
-            )
-        )
+        first_ends = np.where(able[:, None], ends[0], nodes)
+        firsts.append(_part(model, kind, pieces[0], nodes=first_ends, at=rows, able=able))
         at = np.flatnonzero(able)
         others += [
             _part(model, kind, p, nodes=e[at], at=rows[at], able=able[at])
@@ -275,35 +389,22 @@ def _bars(model: Model, piece: Table, part: Part, at: Int, able: Bool) -> Table:
     row = grid.find(t.stack("GA", "GB")[at])
     x = positions(model)[row]
     frame = axes(model, grid["CD"][row].ravel(), x.reshape(-1, 3)).reshape(-1, 2, 3, 3)
-    between = axes(model, grid["CD"][_last(grid, row)], x.mean(axis=1))
-    w = np.einsum(
-        "eki,ekij->ekj",
-        t.stack("W1A", "W2A", "W3A", "W1B", "W2B", "W3B")[at].reshape(-1, 2, 3),
-        frame,
-    )
+    # of rows (e, k) of GRID, those of the highest ids (e,)
+    last = np.take_along_axis(row, grid.ids[row].argmax(axis=1)[:, None], axis=1)[:, 0]
+    between = axes(model, grid["CD"][last], x.mean(axis=1))
+    w = np.einsum("eki,ekij->ekj", t.stack(*_OFFSETS)[at].reshape(-1, 2, 3), frame)
     middle = np.einsum("eij,ej->ei", between, w.mean(axis=1))
     offt = np.char.upper(t["OFFT"][at].astype(str))
     v = t.stack("X1", "X2", "X3")[at]
-    v = np.where(
-        np.char.startswith(offt, "B")[:, None],
-        v,
-        np.einsum("ei,eij->ej", v, frame[:, 0]),
-    )
+    basic = np.char.startswith(offt, "B")
+    v = np.where(basic[:, None], v, np.einsum("ei,eij->ej", v, frame[:, 0]))
     side = "B" if len(part[0]) == 1 else "A"
-    new = {f"W{k + 1}{side}": middle[:, k] for k in range(3)} | {
-        f"X{k + 1}": v[:, k] for k in range(3)
-    }
-    new |= {
-        f"P{side}": np.zeros_like(piece[f"P{side}"]),
-        "OFFT": np.full(at.size, "BGG", dtype=offt.dtype),
-    }
+    new = {f"W{k + 1}{side}": middle[:, k] for k in range(3)}
+    new |= {f"X{k + 1}": v[:, k] for k in range(3)}
+    new[f"P{side}"] = np.zeros_like(piece[f"P{side}"])
+    new["OFFT"] = np.full(at.size, "BGG", dtype=offt.dtype)
     changed = {n: frozen(np.where(able, c, piece[n])) for n, c in new.items()}
     return replace(piece, columns={**piece.columns, **changed})
-
-
-def _last(grid: Table, row: Int) -> Int:
-    """Of rows (e, k) of GRID, those of the highest ids (e,)."""
-    return np.take_along_axis(row, grid.ids[row].argmax(axis=1)[:, None], axis=1)[:, 0]
 
 
 def _whole(model: Model, card: str) -> Bool:
@@ -314,15 +415,11 @@ def _whole(model: Model, card: str) -> Bool:
     whole = np.zeros(len(t), dtype=bool)
     if card in LINES:
         offt = np.char.ljust(np.char.upper(t["OFFT"].astype(str)), 3)
-        whole |= (np.char.find(offt, "O") >= 0) & (
-            t.stack("W1A", "W2A", "W3A", "W1B", "W2B", "W3B") != 0
-        ).any(axis=1)
+        whole |= (np.char.find(offt, "O") >= 0) & (t.stack(*_OFFSETS) != 0).any(axis=1)
     if card == "CBEAM" and "PBEAM" in model:
         p = model["PBEAM"]
-        tapered = np.any(
-            [~np.isclose(p[a], p[b]) for a, b in BOTH_ENDS.items() if a in p.columns],
-            axis=0,
-        )
+        differ = [~np.isclose(p[a], p[b]) for a, b in BOTH_ENDS.items() if a in p.columns]
+        tapered = np.any(differ, axis=0)
         whole |= np.isin(t["PID"], p.ids[tapered | (p.ragged("X").sizes > 0)])
     return whole
 
@@ -340,11 +437,8 @@ def _held(model: Model, middles: _Middles) -> Iterator[tuple[str, Table]]:
         if new.size:
             rows.append((sid, letter, new))
     if rows:
-        nodes = Ragged(
-            np.concatenate([r[2] for r in rows]),
-            np.cumsum([0, *(r[2].size for r in rows)]),
-        )
-        more = table("SPC1", SID=[r[0] for r in rows], C=np.array([r[1] for r in rows]), G=nodes)
+        sets, letters, nodes = zip(*rows, strict=True)
+        more = table("SPC1", SID=sets, C=np.array(letters), G=Ragged.of(nodes))
         yield "SPC1", stacked(model["SPC1"], more) if "SPC1" in model else more
 
 
@@ -352,12 +446,8 @@ def _constraints(model: Model) -> Iterator[tuple[int, str, Any]]:
     """Set, components and nodes of each row of SPC1 and SPC."""
     if "SPC1" in model:
         t = model["SPC1"]
-        yield from zip(
-            t["SID"].tolist(),
-            t["C"].tolist(),
-            map(t.ragged("G").row, range(len(t))),
-            strict=True,
-        )
+        nodes = map(t.ragged("G").row, range(len(t)))
+        yield from zip(t["SID"].tolist(), t["C"].tolist(), nodes, strict=True)
     if "SPC" in model:
         t = model["SPC"]
         yield from zip(t["SID"].tolist(), t["C"].tolist(), t["G"], strict=True)
@@ -377,15 +467,10 @@ def _rigid(model: Model, middles: _Middles) -> Iterator[tuple[str, Table]]:
             new = middles.within(np.concatenate([nodes, np.array(hub, dtype=np.int64)]))
             lists[name][i] = np.concatenate([nodes, middles.ids[new]])
             for n in more:
-                lists[n][i] = np.concatenate(
-                    [lists[n][i], _common(nodes, lists[n][i], middles.of[new])]
-                )
-        made = {
-            n: Ragged(np.concatenate(v), np.cumsum([0, *(x.size for x in v)]))
-            for n, v in lists.items()
-        }
-        grown = replace(t, columns={**t.columns, **made})
-        yield card, grown
+                common = _common(nodes, lists[n][i], middles.of[new])
+                lists[n][i] = np.concatenate([lists[n][i], common])
+        made = {n: Ragged.of(v) for n, v in lists.items()}
+        yield card, replace(t, columns={**t.columns, **made})
 
 
 def _joints(model: Model) -> tuple[Int, Int, NDArray[np.str_]]:
@@ -410,12 +495,9 @@ def _joints(model: Model) -> tuple[Int, Int, NDArray[np.str_]]:
             each = zip(t["GA"].tolist(), t["GB"].tolist(), at_a, t[components], strict=True)
             found += [(b, a, str(c) or _ALL) for a, b, n, c in each if n == _ALL]
     found += _ties(model)
-    dependent, hub, named = zip(*sorted(found), strict=True) if found else ((), (), ())
-    return (
-        np.array(dependent, dtype=np.int64),
-        np.array(hub, dtype=np.int64),
-        np.array(named, dtype="<U6"),
-    )
+    found.sort()
+    dependent, hub = (np.array([f[k] for f in found], dtype=np.int64) for k in (0, 1))
+    return dependent, hub, np.array([f[2] for f in found], dtype="<U6")
 
 
 def _ties(model: Model) -> list[tuple[int, int, str]]:
@@ -429,14 +511,10 @@ def _ties(model: Model) -> list[tuple[int, int, str]]:
     for i in np.flatnonzero(np.isin(t["SID"], taken_sets(model, "MPC"))).tolist():
         g, c, a = (t.ragged(n).row(i) for n in "GCA")
         at = grid.find(g)
-        if (
-            g.size == 2
-            and a[0] == -a[1]
-            and c[0] == c[1] > 0
-            and (at >= 0).all()
-            and np.allclose(x[at[0]], x[at[1]])
-        ):
-            joined[int(g[0]), int(g[1])] = joined.get((int(g[0]), int(g[1])), "") + str(int(c[0]))
+        equal = g.size == 2 and a[0] == -a[1] and c[0] == c[1] > 0
+        if equal and (at >= 0).all() and np.allclose(x[at[0]], x[at[1]]):
+            pair = int(g[0]), int(g[1])
+            joined[pair] = joined.get(pair, "") + str(int(c[0]))
     return [(d, h, "".join(sorted(c))) for (d, h), c in joined.items()]
 
 

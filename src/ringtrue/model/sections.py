@@ -20,16 +20,7 @@ Properties = dict[str, Any]
 
 
 def _rod(radius: float) -> Properties:
-    _positive(radius)
-    inertia = pi * radius**4 / 4
-    return {
-        "A": pi * radius**2,
-        "I1": inertia,
-        "I2": inertia,
-        "J": 2 * inertia,
-        "K1": 0.9,
-        "K2": 0.9,
-    }
+    return _tube(radius, 0.0) | {"K1": 0.9, "K2": 0.9}
 
 
 def _tube(outer: float, inner: float) -> Properties:
@@ -47,20 +38,16 @@ def _tube(outer: float, inner: float) -> Properties:
 
 def _bar(width: float, height: float) -> Properties:
     _positive(width, height)
+    short, long = sorted((width, height), key=lambda x: x.real)
+    q = short / long
     return {
         "A": width * height,
         "I1": width * height**3 / 12,
         "I2": height * width**3 / 12,
-        "J": _rectangle_torsion(width, height),
+        "J": long * short**3 * (1 / 3 - 0.21 * q * (1 - q**4 / 12)),
         "K1": 5 / 6,
         "K2": 5 / 6,
     }
-
-
-def _rectangle_torsion(a: float, b: float) -> float:
-    short, long = sorted((a, b), key=_real)
-    q = short / long
-    return long * short**3 * (1 / 3 - 0.21 * q * (1 - q**4 / 12))
 
 
 def _box(width: float, height: float, flange: float, web: float) -> Properties:
@@ -406,12 +393,8 @@ def _hexa(point: float, width: float, height: float) -> Properties:
     }
 
 
-def _real(x: complex) -> float:
-    return x.real
-
-
 def _positive(*lengths: float) -> None:
-    if min(map(_real, lengths)) <= 0:
+    if min(x.real for x in lengths) <= 0:
         raise ValueError(
             "the dimensions do not make a section: a thickness or a clear width is not positive"
         )

@@ -1,20 +1,286 @@
-"""Where to excite: driving-point residues, QR of M·Φ, sets ranked by the mode they excite worst,
-MIF.
+"""Where to excite: driving-point residues, sets ranked by the mode they excite worst.
+
+What a test must find: target modes with their reasons, frequency step, record length and the
+precision to expect.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from math import comb
+from typing import Any
 
 import numpy as np
 
-from ringtrue.core.arrays import Complex, Float, Int, freeze_fields
+from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
 from ringtrue.errors import InputError
-from ringtrue.planning.sensors import qr_points
 
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Targets:
+    """Target modes with their reasons.
+
+    Attributes
+    ----------
+    modes : (t,) int64
+        Positions in the mode set, ascending.
+    reasons : tuple of str
+        One a target: the criteria that ask for it.
+    """
+
+    modes: Int
+    reasons: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, modes=np.int64)
+
+    def among(self, readable: Bool) -> tuple[Targets, tuple[str, ...]]:
+        """The targets among the modes (m,) that can be read, and those that are none in words.
+
+        Raises
+        ------
+        InputError
+            If none is left.
+        """
+        lost = " ".join(str(k + 1) for k in self.modes[~readable[self.modes]].tolist())
+        notes = (
+            "no target, as no candidate sensor reads it, which turns nodes or moves across the "
+            f"sensors: mode {lost}",
+        )
+        kept = np.flatnonzero(readable[self.modes])
+        if not kept.size:
+            raise InputError(notes[0])
+        return Targets(
+            self.modes[kept], tuple(self.reasons[i] for i in kept.tolist())
+        ), notes if lost else ()
+
+
+def in_band(frequencies: Float, low: float, high: float) -> Bool:
+    """Modes (m,) with low < f < high, Hz."""
+    f = np.asarray(frequencies, dtype=np.float64)
+    return np.asarray((f > low) & (f < high))
+
+
+def readable(shapes: Float, mass: float) -> Bool:
+    """Modes (m,) that a sensor reads: more than 1e-6 of what a rigid shift of the whole makes;
+    below, it is round-off.
+
+    Parameters
+    ----------
+    shapes : (s, d, m) float64, mass-normalised
+        At the candidate sensors.
+    mass : float
+        Of the structure, in the unit of the shapes.
+    """
+    return np.asarray(np.abs(shapes).max(axis=(0, 1), initial=0.0) * np.sqrt(mass) > 1e-6)
+
+
+def effective_mass(shapes: Float, mass: Any, rigid: Float) -> Float:
+    """Share of the whole mass that each mode moves along each rigid-body motion, (m, 6), 0..1.
+
+    (φᵀMr)²/(rᵀMr); over all modes of a held structure a column sums to the share of the mass that
+    is free (Clough and Penzien 1993, section 13-2).
+
+    Parameters
+    ----------
+    shapes : (dof, m) float64, mass-normalised
+    mass : (dof, dof) sparse or dense
+    rigid : (dof, 6) float64
+        Unit motions along and about the axes.
+    """
+    moved = mass @ rigid
+    total = np.einsum("dk,dk->k", rigid, moved)
+    taken = (shapes.T @ moved) ** 2
+    return np.asarray(np.divide(taken, total, out=np.zeros_like(taken), where=total > 0))
+
+
+def kinetic_share(shapes: Float, mass: Any, regions: Sequence[Int]) -> Float:
+    """Share of each mode's kinetic energy in each region, (m, r).
+
+    The energy of a DOF is φ_i·(Mφ)_i; the shares of regions that hold all DOFs sum to one.
+
+    Parameters
+    ----------
+    shapes : (dof, m) float64
+    mass : (dof, dof) sparse or dense
+    regions : sequence of (k,) int64
+        Rows of each region.
+    """
+    energy = shapes * np.asarray(mass @ shapes)
+    total = energy.sum(axis=0)
+    return np.stack([energy[at].sum(axis=0) / total for at in regions], axis=1)
+
+
+def informative_modes(
+    d_lambda: Float, lam: Float, std: Float | float, prior: Float, count: int
+) -> Int:
+    """Modes whose frequencies distinguish the parameters, greedily by the gain in
+    log-determinant of the information.
+
+    The information of a mode about x/σ_x is gᵀg/σ² with g = ∂λ/∂x·σ_x/λ and σ the relative standard
+    deviation of λ (D-optimal choice, Fedorov 1972); the prior adds the unit matrix, so that a
+    direction that another mode has shown brings little more.
+
+    Parameters
+    ----------
+    d_lambda : (m, p) float64, (rad/s)²
+    lam : (m,) float64, (rad/s)²
+    std : (m,) float64 or float
+        Relative standard deviation of λ: test and model error together.
+    prior : (p,) float64
+        Standard deviation of x.
+    count : int
+
+    Returns
+    -------
+    (k,) int64
+        In order of choice, k <= count; modes that bring nothing are not chosen.
+    """
+    lam = np.asarray(lam, dtype=np.float64)
+    soft = np.where(lam > 0, lam, np.inf)
+    g = d_lambda * prior / (soft * np.broadcast_to(std, lam.shape))[:, None]
+    information = np.eye(g.shape[1])
+    chosen: list[int] = []
+    for _ in range(min(count, lam.size)):
+        gain = np.log1p(np.einsum("mp,pm->m", g, np.linalg.solve(information, g.T)))
+        gain[chosen] = -np.inf
+        best = int(np.argmax(gain))
+        if gain[best] <= 1e-9:
+            break
+        chosen.append(best)
+        information += np.outer(g[best], g[best])
+    return np.array(chosen, dtype=np.int64)
+
+
+def choose_targets(
+    frequencies: Float, criteria: Mapping[str, Bool], *, within: Bool | None = None
+) -> Targets:
+    """Modes that at least one criterion asks for.
+
+    Parameters
+    ----------
+    frequencies : (m,) float64, Hz
+    criteria : mapping of str to (m,) bool
+        By reason, such as {"band 5 to 60 Hz": in_band(f, 5, 60)}.
+    within : (m,) bool, optional
+        Modes that can be targets at all, such as those of the band that can be measured.
+
+    Raises
+    ------
+    InputError
+        If no mode is left.
+    """
+    names = list(criteria)
+    asked = np.array([criteria[n] for n in names], dtype=np.bool_).reshape(
+        len(names), np.size(frequencies)
+    )
+    asked = asked & (True if within is None else np.asarray(within, dtype=np.bool_))
+    modes = np.flatnonzero(asked.any(axis=0))
+    if not modes.size:
+        raise InputError(
+            f"none of {np.size(frequencies)} modes meets {' or '.join(names)}: widen the criteria"
+        )
+    return Targets(
+        modes,
+        tuple(
+            ", ".join(n for n, yes in zip(names, asked[:, k], strict=True) if yes) for k in modes
+        ),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Resolution:
+    """What the records must be like.
+
+    Attributes
+    ----------
+    step : float, Hz
+        Of the FRFs: a quarter of the narrowest half-power bandwidth.
+    block : float, s
+        Of one hit; 1/step, or until the slowest mode has decayed to 1 % if that is longer.
+    record : float, s
+        Of an ambient record for the wanted precision of damping.
+    averages : int
+        Impacts, or blocks of a shaker, at each reference for the wanted random error of the FRFs.
+    std_frequency, std_damping : (m,) float64
+        Relative standard deviations to expect of an ambient record of that length.
+    """
+
+    step: float
+    block: float
+    record: float
+    averages: int
+    std_frequency: Float
+    std_damping: Float
+
+
+def ambient_std(frequencies: Float, damping: Float | float, duration: float) -> tuple[Float, Float]:
+    """Relative standard deviations (m,) of frequency and damping from `duration` s of white
+    excitation.
+
+    σ_f/f = √(ζ/(2π f T)), σ_ζ/ζ = √(1/(2π ζ f T)); Gersch (1974), the statistical floor of any
+    method.
+    """
+    z = np.asarray(damping, dtype=np.float64)
+    f = np.asarray(frequencies, dtype=np.float64)
+    n = 2 * np.pi * f * duration
+    return np.sqrt(z / n), np.sqrt(1 / (z * n))
+
+
+def frf_averages(error: float, coherence: float) -> int:
+    """Averages for a relative random error of |H|: (1 − γ²)/(2γ²·error²); Bendat and Piersol
+    (2010), section 9.2.
+
+    Parameters
+    ----------
+    error : float
+        Relative standard deviation of the magnitude of an H1 estimate.
+    coherence : float, 0..1
+        Of force and response, γ².
+    """
+    return max(1, int(np.ceil((1 - coherence) / (2 * coherence * error**2) * (1 - 1e-9))))
+
+
+def resolution(
+    frequencies: Float,
+    damping: float,
+    *,
+    precision: float = 0.1,
+    error: float = 0.05,
+    coherence: float = 0.98,
+) -> Resolution:
+    """Resolution for modes at `frequencies` (m,) Hz with about the damping ratio `damping`.
+
+    Parameters
+    ----------
+    precision : float
+        Wanted relative standard deviation of the damping of the lowest mode in an ambient record.
+    error : float
+        Wanted relative random error of an FRF.
+    coherence : float, 0..1
+        Expected of it.
+    """
+    f = np.asarray(frequencies, dtype=np.float64)
+    low = float(f.min())
+    step = 0.5 * damping * low
+    block = max(1 / step, np.log(100) / (2 * np.pi * damping * low)) if low > 0 else np.inf
+    record = max(600.0, 1 / (precision**2 * 2 * np.pi * damping * low))
+    record = float(np.ceil(record / 60) * 60)
+    std_f, std_z = ambient_std(f, damping, record)
+    averages = frf_averages(error, coherence)
+    return Resolution(
+        step=float(step),
+        block=float(block),
+        record=record,
+        averages=averages,
+        std_frequency=std_f,
+        std_damping=std_z,
+    )
+
+
+LEAST_REACH = 0.1  # of the best driving-point residue: below, the references miss a mode
 _MOST_SETS = 200_000
 _CHUNK = 20_000
 _ENTRIES = 4_000_000  # of the FRFs of all trial sets that are looked at at once
@@ -47,37 +313,8 @@ class ExciterSet:
         return float(self.reach.min(initial=1.0))
 
 
-def qr_exciters(forces: Float, count: int) -> Int:
-    """Rows to excite by pivoted QR of (MΦ)ᵀ (Schedlinski and Link 1996): force patterns that part
-    the modes best.
-
-    A force f excites the modes with Φᵀf, and f = MΦ excites each alone; the rows of MΦ that are
-    largest and least alike come closest to it with few forces. When the modes are spanned, it
-    starts again with the rows that are left.
-
-    Parameters
-    ----------
-    forces : (r, m) float64
-        MΦ at the rows that can be excited, shapes mass-normalised.
-    count : int
-
-    Returns
-    -------
-    (count,) int64
-        Positions among the rows, in order of choice.
-
-    Raises
-    ------
-    InputError
-        If there are fewer rows, or those that are left carry no mass.
-    """
-    if not 1 <= count <= len(forces):
-        raise InputError(f"{count} exciters at {len(forces)} rows: must be 1 to {len(forces)}")
-    return qr_points(np.asarray(forces, dtype=np.float64)[:, None, :], count)
-
-
 def rank_sets(
-    shapes: Float, count: int, *, largest: Float | None = None, limit: float = 0.1, most: int = 10
+    shapes: Float, count: int, *, largest: Float | None = None, most: int = 10
 ) -> tuple[ExciterSet, ...]:
     """The best sets of `count` rows by the worst driving-point residue over all target modes.
 
@@ -91,7 +328,6 @@ def rank_sets(
     count : int
     largest : (m,) float64, optional
         Of φ² of each mode, which residues are relative to; that of these rows if not given.
-    limit : float
     most : int
         Sets to return.
 
@@ -106,13 +342,11 @@ def rank_sets(
     share = shares(shapes, largest)
     pool = np.arange(r) if comb(r, count) <= _MOST_SETS else _pool(share, count)
     sets = np.array(list(combinations(pool.tolist(), count)), dtype=np.int64)
-    best = _ranked(share, sets, limit, most)
+    best = _ranked(share, sets, most)
     if pool.size == r:
         return best
     better = [_exchanged(share, b.rows) for b in best]
-    return _ranked(
-        share, np.unique(np.stack([*better, *(b.rows for b in best)]), axis=0), limit, most
-    )
+    return _ranked(share, np.unique(np.stack([*better, *(b.rows for b in best)]), axis=0), most)
 
 
 def _pool(share: Float, count: int) -> Int:
@@ -151,134 +385,21 @@ def _worth(reach: Float) -> Float:
     return np.asarray(reach.min(axis=-1) + 1e-6 * reach.mean(axis=-1))
 
 
-def _ranked(share: Float, sets: Int, limit: float, most: int) -> tuple[ExciterSet, ...]:
+def _ranked(share: Float, sets: Int, most: int) -> tuple[ExciterSet, ...]:
     """Best sets by the least reach, ties by the mean of the logarithms."""
-    worst, mean = np.empty(len(sets)), np.empty(len(sets))
+    worst = np.empty(len(sets))
+    mean = np.empty(len(sets))
     for at in range(0, len(sets), _CHUNK):  # bounds the memory
         reach = share[sets[at : at + _CHUNK]].max(axis=1)
         worst[at : at + _CHUNK] = reach.min(axis=1)
         mean[at : at + _CHUNK] = np.log(reach + 1e-12).mean(axis=1)
     best = np.lexsort((-mean, -np.round(worst, 12)))[:most]
-    return tuple(_exciter_set(share, np.sort(sets[i]), limit) for i in best)
+    return tuple(_exciter_set(share, np.sort(sets[i])) for i in best)
 
 
-def _exciter_set(share: Float, rows: Int, limit: float) -> ExciterSet:
+def _exciter_set(share: Float, rows: Int) -> ExciterSet:
     reach = share[rows].max(axis=0)
-    return ExciterSet(rows, reach, np.flatnonzero(reach < limit))
-
-
-def mode_indicator(data: Complex) -> tuple[Float, Float]:
-    """Multivariate mode indicator function and the forces that reach it.
-
-    The least of fᵀAf/fᵀ(A + B)f with A = HᵣᵀHᵣ and B = HᵢᵀHᵢ of the parts in phase and in
-    quadrature (Williams, Crowley and Vold 1985): it dips to 0 where real forces f drive all
-    responses in quadrature, at a phase resonance.
-
-    Parameters
-    ----------
-    data : (freq, out, in) complex128
-        Receptance or accelerance.
-
-    Returns
-    -------
-    values : (freq, in) float64, 0..1, ascending
-    forces : (freq, in, in) float64
-        [freq, :, k] is the unit force pattern of the k-th value: force appropriation.
-    """
-    a = data.real.transpose(0, 2, 1) @ data.real
-    b = a + data.imag.transpose(0, 2, 1) @ data.imag
-    low = np.linalg.cholesky(
-        b + 1e-14 * np.trace(b, axis1=1, axis2=2)[:, None, None] * np.eye(b.shape[1])
-    )
-    half = np.linalg.solve(low, np.linalg.solve(low, a).transpose(0, 2, 1))
-    values, vectors = np.linalg.eigh(0.5 * (half + half.transpose(0, 2, 1)))
-    forces = np.linalg.solve(low.transpose(0, 2, 1), vectors)
-    return np.clip(values, 0, 1), np.asarray(forces / np.linalg.norm(forces, axis=1, keepdims=True))
-
-
-def appropriate_exciters(
-    data: Complex, count: int, *, noise: float = 0.01
-) -> tuple[Int, Float, Float]:
-    """Rows where real forces, all at once and tuned to each mode, come closest to a phase resonance
-    of every mode.
-
-    Grown one at a time by the mean logarithm of the least mode indicator, which lifts the mode that
-    is isolated worst. The indicator is that of responses with an error, so that a row that hardly
-    moves the structure does not serve.
-
-    Parameters
-    ----------
-    data : (m, out, in) complex128
-        Accelerance at the frequency of each mode; `in` are the rows that can be excited. Only the
-        Gram matrix of the outputs counts: H = Φ_out G Φ_inᵀ may have the triangle R of Φ_out = QR
-        in place of Φ_out.
-    count : int
-    noise : float
-        Error of a response, over the response to the input that moves the mode most.
-
-    Returns
-    -------
-    rows : (count,) int64
-        Positions among the inputs, in order of choice.
-    values : (m,) float64, 0..1
-        Mode indicator of each mode with all of them; 0: it responds alone.
-    forces : (m, count) float64
-        Unit force pattern that reaches it, the largest force positive.
-
-    Raises
-    ------
-    InputError
-        If there are fewer inputs.
-    """
-    m, out, n = data.shape
-    if not 1 <= count <= n:
-        raise InputError(f"{count} exciters at {n} rows: must be 1 to {n}")
-    level = noise * np.linalg.norm(data, axis=1).max(axis=1)
-    chosen: list[int] = []
-    for _ in range(count):
-        rest = np.setdiff1d(np.arange(n), chosen)
-        cost = np.empty(rest.size)
-        step = max(1, _ENTRIES // (m * out * (len(chosen) + 1)))
-        for at in range(0, rest.size, step):  # bounds the memory
-            some = rest[at : at + step]
-            sets = np.column_stack(
-                [np.tile(np.array(chosen, dtype=np.int64), (some.size, 1)), some]
-            )
-            trial = data[:, :, sets].transpose(2, 0, 1, 3).reshape(-1, out, sets.shape[1])
-            least = mode_indicator(_noisy(trial, np.tile(level, some.size)))[0][:, 0].reshape(
-                some.size, m
-            )
-            cost[at : at + step] = np.log(least + 1e-3).mean(axis=1)
-        chosen.append(int(rest[np.argmin(cost)]))
-    values, forces = mode_indicator(_noisy(data[:, :, chosen], level))
-    best = forces[:, :, 0]
-    sign = np.sign(np.take_along_axis(best, np.abs(best).argmax(axis=1)[:, None], axis=1))
-    return np.array(chosen, dtype=np.int64), values[:, 0], np.asarray(best * sign)
-
-
-def _noisy(data: Complex, level: Float) -> Complex:
-    """FRFs (l, out, k) and k more outputs, each in phase with one input and as large as `level`
-    (l,).
-    """
-    extra = level[:, None, None] * np.eye(data.shape[2])
-    return np.concatenate([data, extra.astype(np.complex128)], axis=1)
-
-
-def appropriated_force(shapes: Float, mode: int) -> tuple[Float, Float]:
-    """Forces (r,) at the rows that excite one mode and least of the others, and what they do to
-    each, (m,).
-
-    Least squares of Φᵀf = e_mode; with as many rows as modes the others stay still.
-
-    Parameters
-    ----------
-    shapes : (r, m) float64, mass-normalised, at the exciters
-    mode : int
-    """
-    wanted = np.zeros(shapes.shape[1])
-    wanted[mode] = 1.0
-    force = np.linalg.lstsq(shapes.T, wanted, rcond=None)[0]
-    return np.asarray(force), np.asarray(shapes.T @ force)
+    return ExciterSet(rows, reach, np.flatnonzero(reach < LEAST_REACH))
 
 
 def reciprocity_pairs(

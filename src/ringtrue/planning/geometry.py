@@ -10,13 +10,11 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
 from scipy.sparse.linalg import factorized
-from scipy.spatial import cKDTree
 
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.errors import InputError
-from ringtrue.shapes.mac import paired_mac
+from ringtrue.shapes import paired_mac
 
-HALF = 0.47  # less than a half, so that two rounded digits cannot bring it above
 CHUNK = 20_000_000  # comparisons at once
 
 
@@ -37,7 +35,8 @@ def in_boxes(xyz: Float, boxes: Sequence[Sequence[float]] | Float) -> Bool:
     if any(len(b) != 6 for b in boxes):
         raise InputError(f"boxes: {[list(b) for b in boxes]} must be x0 y0 z0 x1 y1 z1 each")
     corner = np.asarray(boxes, dtype=np.float64).reshape(-1, 2, 3)
-    low, high = corner.min(axis=1), corner.max(axis=1)
+    low = corner.min(axis=1)
+    high = corner.max(axis=1)
     inside = (xyz[:, None] >= low) & (xyz[:, None] <= high)
     return np.asarray(inside.all(axis=2).any(axis=1))
 
@@ -46,19 +45,17 @@ def select_candidates(
     nodes: Int,
     xyz: Float,
     *,
-    sets: Sequence[Sequence[int]] = (),
     boxes: Sequence[Sequence[float]] = (),
     exclude: Sequence[int] = (),
     keep_out: Sequence[Sequence[float]] = (),
 ) -> Bool:
-    """Nodes (n,) that can carry a sensor: in a node set or box (all, where neither is given), and
-    not excluded.
+    """Nodes (n,) that can carry a sensor: in a box (all, where none is given), and not
+    excluded.
 
     Parameters
     ----------
     nodes : (n,) int64
     xyz : (n, 3) float64, m
-    sets : sequence of node sets
     boxes, keep_out : sequence of x0 y0 z0 x1 y1 z1, m
     exclude : sequence of int
         Node numbers.
@@ -68,15 +65,10 @@ def select_candidates(
     InputError
         If a node is not there, or none is left.
     """
-    wanted = np.array([n for group in sets for n in group], dtype=np.int64)
-    lost = np.setdiff1d(np.concatenate([wanted, np.array(exclude, dtype=np.int64)]), nodes)
+    lost = np.setdiff1d(np.array(exclude, dtype=np.int64), nodes)
     if lost.size:
-        raise InputError(
-            f"{lost.size} nodes of the candidates or exclusions are not there: {lost[:8].tolist()}"
-        )
-    keep = np.full(nodes.size, not (wanted.size or len(boxes)))
-    keep |= np.isin(nodes, wanted)
-    keep |= in_boxes(xyz, boxes) if len(boxes) else False
+        raise InputError(f"{lost.size} nodes of the exclusions are not there: {lost[:8].tolist()}")
+    keep = in_boxes(xyz, boxes) if len(boxes) else np.ones(nodes.size, dtype=np.bool_)
     keep &= ~np.isin(nodes, np.array(exclude, dtype=np.int64))
     keep &= ~in_boxes(xyz, keep_out) if len(keep_out) else True
     if not keep.any():
@@ -92,7 +84,7 @@ def spacing_of_points(xyz: Float, count: int) -> float:
 
     The spacing is that of points each of which is chosen farthest from all before it (Gonzalez
     1985). However the points are chosen then, in any set that none can be added to at least `count`
-    are this far apart.
+    have this distance.
 
     Parameters
     ----------
@@ -105,7 +97,8 @@ def spacing_of_points(xyz: Float, count: int) -> float:
     far = np.sum((xyz - xyz[np.argmax(far)]) ** 2, axis=1)
     for _ in range(count - 2):  # over points to choose
         far = np.minimum(far, np.sum((xyz - xyz[np.argmax(far)]) ** 2, axis=1))
-    return float(f"{HALF * np.sqrt(far.max()):.2g}")
+    # 0.47: less than a half, so that two rounded digits cannot bring it above
+    return float(f"{0.47 * np.sqrt(far.max()):.2g}")
 
 
 def surface_normals(xyz: Float, triangles: Int) -> Float:
@@ -140,44 +133,6 @@ def along(shapes: Float, axes: Float) -> Float:
     return np.asarray(np.einsum("ndi,nim->ndm", axes, shapes))
 
 
-def nearest_nodes(places: Float, xyz: Float, tolerance: float = np.inf) -> tuple[Int, Float]:
-    """Node next to each place and its distance: sensors that sit on FE nodes need no interpolation.
-
-    Parameters
-    ----------
-    places : (k, 3) float64, m
-    xyz : (n, 3) float64, m
-    tolerance : float, m
-
-    Returns
-    -------
-    at : (k,) int64, positions in `xyz`
-    distance : (k,) float64, m
-
-    Raises
-    ------
-    InputError
-        If a place is farther than `tolerance` from any node, or two places share their node.
-    """
-    distance, at = cKDTree(xyz).query(np.asarray(places, dtype=np.float64).reshape(-1, 3))
-    distance, at = np.asarray(distance, dtype=np.float64), np.asarray(at, dtype=np.int64)
-    far = np.flatnonzero(distance > tolerance)
-    if far.size:
-        k = int(far[0])
-        raise InputError(
-            f"place {np.asarray(places)[k].tolist()} is {distance[k]:.3g} m from the nearest "
-            f"node, {tolerance:g} m are "
-            f"allowed ({far.size} such places): move it or refine the mesh"
-        )
-    values, count = np.unique(at, return_counts=True)
-    if (count > 1).any():
-        twice = np.flatnonzero(at == values[count > 1][0])
-        raise InputError(
-            f"places {twice.tolist()} have the same nearest node: part them or refine the mesh"
-        )
-    return at, distance
-
-
 def mesh_edges(triangles: Int, lines: Int) -> Int:
     """Edges (e, 2) int64 of triangles (t, 3) and lines (l, 2), each once, ends ascending."""
     t = np.asarray(triangles, dtype=np.int64).reshape(-1, 3)
@@ -188,14 +143,18 @@ def mesh_edges(triangles: Int, lines: Int) -> Int:
     return np.asarray(np.unique(every, axis=0))
 
 
-def wireframe(
-    xyz: Float, edges: Int, chosen: Int, *, detour: float = 1.6, bend: float = 1.3
-) -> Int:
+# ratios of lengths: the way round to a line that is left out, the way along the mesh to the
+# straight line between two points
+DETOUR = 1.6
+BEND = 1.3
+
+
+def wireframe(xyz: Float, edges: Int, chosen: Int) -> Int:
     """Lines between measuring points whose neighbourhoods on the mesh touch.
 
     Each node belongs to the point that is nearest along the mesh; two points are neighbours where
     an edge joins their nodes (the dual of a Voronoi diagram, Erwig 2000). A line that is the
-    longest of a triangle is left out where the two others are hardly longer, and so is one that
+    longest of a triangle is left out where the two others are not much longer, and so is one that
     cuts through the air; the least spanning tree always stays.
 
     Parameters
@@ -204,11 +163,6 @@ def wireframe(
     edges : (e, 2) int64
         Positions in `xyz`.
     chosen : (c,) int64
-    detour : float
-        Largest ratio of the way round to a line that is left out; 1 keeps nearly all, inf leaves
-        the fewest.
-    bend : float
-        Largest ratio of the way along the mesh to the straight line between two points.
 
     Returns
     -------
@@ -220,7 +174,8 @@ def wireframe(
     InputError
         If a point is not there or given twice.
     """
-    n, c = len(xyz), np.asarray(chosen, dtype=np.int64)
+    n = len(xyz)
+    c = np.asarray(chosen, dtype=np.int64)
     if np.unique(c).size != c.size or (c.size and not 0 <= c.min() <= c.max() < n):
         raise InputError(
             f"measuring points: {c.size} positions, {np.unique(c).size} different; must be 0 to "
@@ -233,20 +188,24 @@ def wireframe(
     )
     seat = np.full(n, -1, dtype=np.int64)
     seat[c] = np.arange(c.size)
-    home = np.where(
-        owner >= 0, seat[np.maximum(owner, 0)], -1
-    )  # -1 on a part of the mesh without a point
+    # -1 on a part of the mesh without a point
+    home = np.where(owner >= 0, seat[np.maximum(owner, 0)], -1)
     a, b = home[edges].T
     touch = (a != b) & (a >= 0) & (b >= 0)
     pair = np.sort(np.stack([a, b], axis=1)[touch], axis=1)
     way = (far[edges[:, 0]] + length + far[edges[:, 1]])[touch]
-    pair, way = _thinned_lines(pair, way, c.size, detour)
+    pair, way = _thinned_lines(pair, way, c.size, DETOUR)
     straight = np.linalg.norm(xyz[c[pair[:, 0]]] - xyz[c[pair[:, 1]]], axis=1)
-    return np.asarray(pair[(way <= bend * straight) | _in_tree(pair, way, c.size)])
+    # (l,) True for the lines of a least spanning tree
+    tree = csgraph.minimum_spanning_tree(_graph(pair, np.maximum(way, 1e-12), c.size)).tocoo()
+    in_tree = np.isin(
+        pair[:, 0] * c.size + pair[:, 1], tree.row.astype(np.int64) * c.size + tree.col
+    )
+    return np.asarray(pair[(way <= BEND * straight) | in_tree])
 
 
 def relative_neighbours(xyz: Float, groups: Sequence[str]) -> Int:
-    """Lines between points where no mesh tells: the relative neighbours (Toussaint 1980) within
+    """Lines between points where there is no mesh: the relative neighbours (Toussaint 1980) within
     each group.
 
     Two points are joined unless a third is nearer to both than they are to each other; the least
@@ -269,9 +228,8 @@ def relative_neighbours(xyz: Float, groups: Sequence[str]) -> Int:
         i, j = np.triu_indices(at.size, 1)
         order = np.argsort(gap[i, j], kind="stable")
         keep = np.zeros(i.size, dtype=np.bool_)
-        for part in np.array_split(
-            order, -(-order.size * at.size // CHUNK) or 1
-        ):  # to bound the memory
+        # to bound the memory
+        for part in np.array_split(order, -(-order.size * at.size // CHUNK) or 1):
             nearer = np.maximum(gap[i[part]], gap[j[part]]) < gap[i[part], j[part]][:, None] * (
                 1 - 1e-9
             )
@@ -284,12 +242,6 @@ def relative_neighbours(xyz: Float, groups: Sequence[str]) -> Int:
 def _graph(pair: Int, weight: Float, n: int) -> sparse.csr_array:
     at = pair.astype(np.int32).T  # as csgraph of SciPy before 1.17 takes them
     return sparse.coo_array((weight, (at[0], at[1])), shape=(n, n)).tocsr()
-
-
-def _in_tree(pair: Int, way: Float, n: int) -> Bool:
-    """(l,) True for the lines of a least spanning tree."""
-    tree = csgraph.minimum_spanning_tree(_graph(pair, np.maximum(way, 1e-12), n)).tocoo()
-    return np.isin(pair[:, 0] * n + pair[:, 1], tree.row.astype(np.int64) * n + tree.col)
 
 
 def _thinned_lines(pair: Int, way: Float, n: int, detour: float) -> tuple[Int, Float]:

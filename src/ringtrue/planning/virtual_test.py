@@ -15,9 +15,8 @@ from scipy import fft
 from scipy.special import betaincinv
 
 from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
-from ringtrue.core.modal import ModalModel
-from ringtrue.core.modes import ModeSet, Norm
-from ringtrue.core.progress import Progress
+from ringtrue.core.iterate import Progress
+from ringtrue.core.modes import ModalModel, ModeSet, Norm
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.correlation.pairing import Pairing, PairingSettings, pair_modes
 from ringtrue.errors import DataError, InputError
@@ -26,15 +25,46 @@ from ringtrue.identification.frf.pipeline import HammerModes, identify_hammer
 from ringtrue.signal.frf import estimate_frf
 from ringtrue.signal.impacts import HammerSettings
 from ringtrue.virtual.excitation import Pulses, pulse_spectrum
-from ringtrue.virtual.measurements import HammerPlan, hammer_record, strike
-from ringtrue.virtual.response import decay_time, lines, response_spectrum
-from ringtrue.virtual.sensors import FORCE_CELL, ICP, Chain, Sensor, record_volts, white
+from ringtrue.virtual.measurements import HammerPlan, SimulatedImpacts, hammer_record, strike
+from ringtrue.virtual.sensors import (
+    FORCE_CELL,
+    ICP,
+    Chain,
+    Sensor,
+    decay_time,
+    lines,
+    record_volts,
+    response_spectrum,
+    white,
+)
 
-RATE = 3.2  # over fmax: the recorder's filter is flat up to 0.4 of the rate
-LOOK = 10  # impacts that tell a coherence
-SMALLEST = 200.0  # N, range of the smallest impact hammers
-HEADROOM = 6.0  # of the range over the RMS: nothing clips
-MOST = 40_000_000  # samples of all channels of a record
+
+@dataclass(frozen=True, slots=True)
+class VirtualChain:
+    """Recorder and hammer of a virtual test.
+
+    Attributes
+    ----------
+    rate : float
+        Over fmax: the recorder's filter is flat up to 0.4 of the rate.
+    impacts : int
+        Impacts that estimate a coherence.
+    smallest : float
+        Range of the smallest impact hammers, N.
+    headroom : float
+        Range over the RMS: nothing clips.
+    most : int
+        Samples of all channels of a record.
+    """
+
+    rate: float = 3.2
+    impacts: int = 10
+    smallest: float = 200.0
+    headroom: float = 6.0
+    most: int = 40_000_000
+
+
+CHAIN = VirtualChain()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,7 +74,7 @@ class Planned:
     Attributes
     ----------
     frequencies : (m,) float64, Hz
-        All modes that take part, those beside the band too; rigid-body modes, free or on a soft
+        All modes that take part, those outside of the band too; rigid-body modes, free or on a soft
         suspension, count as mass lines: those below a tenth of `fmin` or a thousandth of `fmax`.
     outputs : (o, m) float64
         Mass-normalised shapes in SI at the channels.
@@ -66,7 +96,9 @@ class Planned:
 
     def __post_init__(self) -> None:
         freeze_fields(self, frequencies=np.float64, outputs=np.float64, inputs=np.float64)
-        m, o, i = self.frequencies.size, len(self.channels), len(self.references)
+        m = self.frequencies.size
+        o = len(self.channels)
+        i = len(self.references)
         if self.outputs.shape != (o, m) or self.inputs.shape != (i, m) or not i:
             raise InputError(
                 f"outputs {self.outputs.shape}, inputs {self.inputs.shape} for {m} modes, {o} "
@@ -160,7 +192,7 @@ class VirtualTest:
     force : float
         Largest planned peak of an impact, N; of an ambient test the density of the forces, N/√Hz.
     background : float, N/√Hz
-        White force at each reference beside the impacts.
+        White force at each reference besides the impacts.
     """
 
     frequencies: Float
@@ -204,17 +236,18 @@ def modal_model(plan: Planned, frequencies: Float, damping: Float) -> ModalModel
         In place of those of the plan, Hz and ratio.
     """
     elastic = plan.frequencies > max(0.1 * plan.fmin, 1e-3 * plan.fmax)
-    w, z = 2 * np.pi * frequencies[elastic], damping[elastic]
+    w = 2 * np.pi * frequencies[elastic]
+    z = damping[elastic]
     wd = w * np.sqrt(1 - z**2)
     rigid = plan.outputs[:, ~elastic] @ plan.inputs[:, ~elastic].T
     return ModalModel(
-        -z * w + 1j * wd,
-        plan.outputs[:, elastic] / (2j * wd),
-        plan.inputs[:, elastic].T.astype(np.complex128),
-        rigid.astype(np.complex128),
-        np.zeros(rigid.shape, dtype=np.complex128),
-        tuple(Channel(c, "acceleration", "m/s^2") for c in plan.channels),
-        tuple(Channel(c, "force", "N") for c in plan.references),
+        poles=-z * w + 1j * wd,
+        shapes=plan.outputs[:, elastic] / (2j * wd),
+        participation=plan.inputs[:, elastic].T.astype(np.complex128),
+        lower=rigid.astype(np.complex128),
+        upper=np.zeros(rigid.shape, dtype=np.complex128),
+        outputs=tuple(Channel(c, "acceleration", "m/s^2") for c in plan.channels),
+        inputs=tuple(Channel(c, "force", "N") for c in plan.references),
         norm=Norm.MASS,
     )
 
@@ -239,7 +272,7 @@ def trials(
         The modes that a test of the structure finds.
     rng : Generator
     force : float
-        To be told.
+        For the reader.
     """
     target = plan.targets
     zeta = np.full(plan.frequencies.size, conditions.damping)
@@ -255,7 +288,12 @@ def trials(
             zeta * np.exp(conditions.damping_scatter * stream.standard_normal(zeta.size)), 0.5
         )
         truth = ModeSet(
-            f[target], z[target], plan.outputs[:, target], plan.channels, Norm.MASS, "model"
+            frequencies=f[target],
+            damping=z[target],
+            shapes=plan.outputs[:, target],
+            labels=plan.channels,
+            norm=Norm.MASS,
+            source="model",
         )
         truth = truth.take(np.argsort(truth.frequencies, kind="stable"))
         back = np.argsort(f[target], kind="stable")
@@ -292,22 +330,23 @@ def _outcome(frequencies: Float, error: Float, invented: int, force: float) -> V
     there = np.isfinite(error[0])
     hits = there.sum(axis=0)
     low = np.where(hits > 0, betaincinv(np.maximum(hits, 1), trials - hits + 1, 0.05), 0.0)
-    some, value = np.where(hits > 0, hits, np.nan), np.where(there, error, 0.0)
+    some = np.where(hits > 0, hits, np.nan)
+    value = np.where(there, error, 0.0)
     mean = value.sum(axis=1) / some
     spread = np.where(there, (error - mean[:, None]) ** 2, 0.0).sum(axis=1)
     std = np.sqrt(spread / np.where(hits > 1, hits - 1, np.nan))
     return VirtualTest(
-        frequencies,
-        hits / trials,
-        low,
-        mean[0],
-        std[0],
-        mean[1],
-        std[1],
-        mean[2],
-        invented / trials,
-        trials,
-        force,
+        frequencies=frequencies,
+        found=hits / trials,
+        at_least=low,
+        frequency_bias=mean[0],
+        frequency_std=std[0],
+        damping_bias=mean[1],
+        damping_std=std[1],
+        mac=mean[2],
+        invented=invented / trials,
+        trials=trials,
+        force=force,
     )
 
 
@@ -336,7 +375,7 @@ def fitting_hammer(model: ModalModel, fmax: float, sensor: Sensor, *, hits: int 
     sensor : Sensor
         Of the responses.
     """
-    rate = RATE * fmax
+    rate = CHAIN.rate * fmax
     contact = (0.4 / fmax, 0.7 / fmax)
     block = float(np.clip(decay_time(model, np.log(100)), 40 / fmax, 200.0))
     peak = (
@@ -407,7 +446,7 @@ def simulate_impact_test(
 
     def find(model: ModalModel, stream: np.random.Generator) -> ModeSet:
         return identify_hammer(
-            measured(model, hammer, conditions, RATE * plan.fmax, stream), settings
+            measured(model, hammer, conditions, CHAIN.rate * plan.fmax, stream), settings
         ).modes
 
     result = trials(plan, conditions, find, rng, force=hammer.peak[1], progress=progress)
@@ -438,10 +477,10 @@ def background_density(
     wanted = 1 / (conditions.coherence or 1.0) - 1
     impulse = 2 / np.pi * float(np.mean(hammer.peak) * np.mean(hammer.contact))
     density = impulse * float(np.sqrt(0.04 / (hammer.block * len(model.inputs))))
-    impacts = replace(hammer, hits=max(hammer.hits, LOOK))
+    impacts = replace(hammer, hits=max(hammer.hits, CHAIN.impacts))
     for _ in range(2):
         frfs = measured(
-            model, impacts, replace(conditions, background=density), RATE * band[1], rng
+            model, impacts, replace(conditions, background=density), CHAIN.rate * band[1], rng
         )
         at = tuple(np.array(frfs.driving_points()).T)  # elsewhere may be no motion
         seen = frfs.coherence[(frfs.freqs > band[0]) & (frfs.freqs < band[1])][:, *at]
@@ -471,8 +510,10 @@ def measured(
     """
     sensors = (_cell(hammer.peak[1] / 0.85), *(conditions.sensor,) * len(model.outputs))
     chain = Chain.draw(sensors, rng)
+    limit = sensors[0].range / sensors[0].sensitivity
     records = [
-        _record(model, i, hammer, chain, conditions, rate, rng) for i in range(len(model.inputs))
+        _record(model, strike(hammer, i, limit, rate, rng), chain, conditions, rng)
+        for i in range(len(model.inputs))
     ]
     full = {
         c.id: s.range / s.sensitivity
@@ -486,28 +527,28 @@ def measured(
 
 def _cell(limit: float) -> Sensor:
     """A force cell of so many N: the noise of a smaller hammer is smaller, too."""
-    size = max(limit, SMALLEST) * FORCE_CELL.sensitivity / FORCE_CELL.range
+    size = max(limit, CHAIN.smallest) * FORCE_CELL.sensitivity / FORCE_CELL.range
     floor = replace(FORCE_CELL.floor, density=FORCE_CELL.floor.density * size)
     return replace(FORCE_CELL, sensitivity=FORCE_CELL.range / limit, floor=floor)
 
 
 def _record(
     model: ModalModel,
-    at: int,
-    hammer: HammerPlan,
+    impacts: SimulatedImpacts,
     chain: Chain,
     conditions: Conditions,
-    rate: float,
     rng: np.random.Generator,
 ) -> TimeHistory:
-    limit = chain.sensors[0].range / chain.sensors[0].sensitivity
-    impacts = strike(hammer, at, limit, rate, rng)
+    hammer, rate = impacts.plan, impacts.rate
     samples = 2 * int(np.ceil(0.5 * (float(impacts.times[-1]) + hammer.block + hammer.rest) * rate))
     background = white(len(model.inputs), conditions.background, samples, rate, rng)
-    volts, _, _ = hammer_record(model, impacts, hammer, chain, background, samples, rate, rng)
+    volts, _, _ = hammer_record(
+        model, impacts, chain, background=background, samples=samples, rng=rng
+    )
     data = volts / np.array([s.sensitivity for s in chain.sensors])[:, None]
-    force = replace(model.inputs[at], id=f"F:{model.inputs[at].id}")
-    return TimeHistory(data, rate, (force, *model.outputs), f"virtual test, {model.inputs[at].id}")
+    struck = model.inputs[int(impacts.pulses.at[0])]
+    force = replace(struck, id=f"F:{struck.id}")
+    return TimeHistory(data, rate, (force, *model.outputs), f"virtual test, {struck.id}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -534,7 +575,7 @@ class AmbientConditions:
 
 def longest(channels: int, fmax: float) -> float:
     """Duration of a record that is simulated whole, s."""
-    return MOST / (channels * RATE * fmax)
+    return CHAIN.most / (channels * CHAIN.rate * fmax)
 
 
 def simulate_ambient_test(
@@ -565,7 +606,7 @@ def simulate_ambient_test(
 
     def find(model: ModalModel, stream: np.random.Generator) -> ModeSet:
         return identify_ambient(
-            recorded(model, ambience, conditions, RATE * plan.fmax, stream), settings
+            recorded(model, ambience, conditions, CHAIN.rate * plan.fmax, stream), settings
         ).modes
 
     return trials(few, conditions, find, rng, force=ambience.density, progress=progress)
@@ -592,7 +633,9 @@ def recorded(
     forces = white(len(model.inputs), ambience.density, samples, rate, rng)
     motion = response_spectrum(model, forces, lines(samples, rate))
     loudest = np.sqrt(2 * (np.abs(motion) ** 2).sum(axis=1).max()) / samples
-    wide = max(conditions.sensor.range, HEADROOM * conditions.sensor.sensitivity * float(loudest))
+    wide = max(
+        conditions.sensor.range, CHAIN.headroom * conditions.sensor.sensitivity * float(loudest)
+    )
     chain = Chain.draw((replace(conditions.sensor, range=wide),) * len(model.outputs), rng)
     volts, _ = record_volts(motion, chain, samples, rate, rng)
     return TimeHistory(

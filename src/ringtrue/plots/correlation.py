@@ -4,7 +4,9 @@ model.
 
 from __future__ import annotations
 
+import html
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import plotly.graph_objects as go
@@ -12,9 +14,11 @@ import plotly.graph_objects as go
 from ringtrue.core.arrays import Float
 from ringtrue.correlation.frf import FrfComparison
 from ringtrue.correlation.measures import CompleteCorrelation
-from ringtrue.correlation.orthogonality import Check
+from ringtrue.correlation.orthogonality import OrthogonalityCheck
+from ringtrue.correlation.pairing import Tracks
 from ringtrue.correlation.table import CorrelationTable
-from ringtrue.correlation.tracking import Tracks
+from ringtrue.identification.common.tracking import ModeTrack, Tracked
+from ringtrue.plots.pages import figure_page
 from ringtrue.plots.style import (
     DIVERGING,
     FE,
@@ -31,6 +35,67 @@ from ringtrue.plots.style import (
 )
 from ringtrue.study.results import FrfEvidence
 
+
+def tracking_page(
+    title: str,
+    tracked: Tracked,
+    notes: Sequence[str] = (),
+) -> str:
+    """A self-contained page: frequencies and damping ratios of all modes through time.
+
+    Parameters
+    ----------
+    title : str
+    tracked : Tracked
+    notes : sequence of str
+    """
+    drawn = [
+        ("Frequencies through time", frequencies(tracked)),
+        ("Damping through time", dampings(tracked)),
+    ]
+    items = "".join(f"<li>{html.escape(n)}</li>" for n in notes)
+    return figure_page(title, drawn, after=f"<h2>Notes</h2><ul>{items}</ul>" if items else "")
+
+
+def _series(
+    fig: go.Figure, tracked: Tracked, t: ModeTrack, y: Float, std: Float, number: int
+) -> None:
+    """One mode over time, broken where it was not seen."""
+    color = QUALITATIVE[number % 8]
+    n = tracked.times.size
+    value = np.full(n, np.nan)
+    bar = np.full(n, np.nan)
+    value[t.at], bar[t.at] = y, std
+    error = {"type": "data", "array": f32(bar), "thickness": 1, "width": 2}
+    mark = {"size": 5, "color": color}
+    line = {"width": 1, "color": color}
+    fig.add_scatter(
+        x=f32(tracked.times),
+        y=value,
+        error_y=error,
+        mode="lines+markers",
+        name=f"mode {t.name}",
+        marker=mark,
+        line=line,
+    )
+
+
+def frequencies(tracked: Tracked) -> go.Figure:
+    """Frequencies over time with one standard deviation."""
+    fig = figure(460, xaxis=axis("Time, h"), yaxis=axis("Frequency, Hz"))
+    for i, t in enumerate(tracked.tracks):
+        _series(fig, tracked, t=t, y=t.frequency, std=t.std_frequency, number=i)
+    return fig
+
+
+def dampings(tracked: Tracked) -> go.Figure:
+    """Damping ratios over time with one standard deviation."""
+    fig = figure(340, xaxis=axis("Time, h"), yaxis=axis("Damping ratio, %", rangemode="tozero"))
+    for i, t in enumerate(tracked.tracks):
+        _series(fig, tracked, t=t, y=100 * t.damping, std=100 * t.std_damping, number=i)
+    return fig
+
+
 BAD = "#a4351c"
 WORST = 12  # channels shown
 TOLD = 60  # modes up to which the cells of a matrix carry numbers and gaps
@@ -39,12 +104,18 @@ LOST = 0.6  # overlap of shapes below which a mode that is followed may be anoth
 STAGE_COLORS = {"initial": INITIAL, "remodelled": REMODELLED, "final": FINAL}
 
 
+@dataclass(frozen=True, slots=True)
+class MatrixSide:
+    """A side of a matrix: the label of each mode, and the title of all."""
+
+    labels: Sequence[str]
+    title: str
+
+
 def matrix(
     mac: Float,
-    rows: Sequence[str],
-    columns: Sequence[str],
-    row_title: str,
-    column_title: str,
+    rows: MatrixSide,
+    columns: MatrixSide,
     height: int = 0,
     diagonal: bool = True,
     name: str = "MAC",
@@ -59,31 +130,31 @@ def matrix(
     fig = figure(
         height or int(np.clip(150 + 23 * percent.shape[0], 260, 720)),
         xaxis=axis(
-            column_title,
+            columns.title,
             type="category",
             tickangle=-90 if size > 8 else 0,
             showgrid=False,
             ticks="",
         ),
-        yaxis=axis(row_title, type="category", autorange="reversed", showgrid=False, ticks=""),
+        yaxis=axis(rows.title, type="category", autorange="reversed", showgrid=False, ticks=""),
     )
     for a in (fig.layout.xaxis, fig.layout.yaxis):
         a.update(tickfont={"size": 10 if size > 12 else 11}, showline=False)
-    told = percent >= 10
+    labelled = percent >= 10
     if not diagonal:
-        np.fill_diagonal(told, False)
+        np.fill_diagonal(labelled, False)
     bar = {"thickness": 10, "outlinewidth": 0, "ticksuffix": " %"}
     fig.add_heatmap(
         z=f32(percent),
-        x=list(columns),
-        y=list(rows),
+        x=list(columns.labels),
+        y=list(rows.labels),
         zmin=0,
         zmax=100,
         colorscale=SEQUENTIAL,
         colorbar=bar,
     )
     if size <= TOLD:
-        text = np.where(told, np.char.mod("%.0f", percent), "")
+        text = np.where(labelled, np.char.mod("%.0f", percent), "")
         fig.data[0].update(
             xgap=1,
             ygap=1,
@@ -110,7 +181,9 @@ def table_matrix(table: CorrelationTable) -> go.Figure:
     a, b = (f"{name} mode, Hz" for name in table.names)
     first, last = _columns(table)
     names = labels(table.all_fe_hz)[first:last]
-    fig = matrix(table.mac[:, first:last], labels(table.all_test_hz), names, a, b)
+    fig = matrix(
+        table.mac[:, first:last], MatrixSide(labels(table.all_test_hz), a), MatrixSide(names, b)
+    )
     pairs = zip(table.pairing.a.tolist(), (table.pairing.b - first).tolist(), strict=True)
     fig.update_layout(shapes=[_outline(i, j) for i, j in pairs])
     return fig
@@ -129,22 +202,23 @@ def _outline(row: int, column: int, color: str = TEST) -> dict[str, object]:
     return {"type": "rect", **edges, "line": {"width": 1.5, "color": color}}
 
 
-def orthogonality(check: Check, table: CorrelationTable, height: int = 0) -> go.Figure:
+def orthogonality(check: OrthogonalityCheck, table: CorrelationTable, height: int = 0) -> go.Figure:
     """A self- or cross-orthogonality matrix; what is beyond the gate is outlined. Columns from the
     first pair on.
     """
-    cross, of_model = check.kind == "cross", check.kind == "model"
+    cross = check.kind == "cross"
+    of_model = check.kind == "model"
     names = [labels(f) for f in (table.all_test_hz, table.all_fe_hz)]
     titles = [f"{name} mode, Hz" for name in table.names]
     first = int(table.pairing.b.min()) if cross and len(table) else 0
     last = int(table.pairing.b.max(initial=-1)) + 1 if cross else check.matrix.shape[1]
-    values, down, right = check.matrix[:, first:last], int(of_model), int(cross or of_model)
+    values = check.matrix[:, first:last]
+    down = int(of_model)
+    right = int(cross or of_model)
     fig = matrix(
         values,
-        names[down][: values.shape[0]],
-        columns=names[right][first:last],
-        row_title=titles[down],
-        column_title=titles[right],
+        MatrixSide(names[down][: values.shape[0]], titles[down]),
+        MatrixSide(names[right][first:last], titles[right]),
         height=height,
         diagonal=cross,
         name="orthogonality",
@@ -161,7 +235,10 @@ def channels(c: CompleteCorrelation) -> go.Figure:
     """
     spans = ([0, 0.25], [0.38, 0.63], [0.75, 1])
     fig = figure(360, showlegend=False)
-    sides = (("1 − CoMAC", 1 - c.comac, FE), ("eCoMAC", c.ecomac, QUALITATIVE[4]))
+    sides = (
+        ("1 − CoMAC", 1 - c.by_channel.comac, FE),
+        ("eCoMAC", c.by_channel.ecomac, QUALITATIVE[4]),
+    )
     for n, span, (name, value, color) in zip(("", "2"), spans, sides, strict=False):
         fig.layout[f"xaxis{n}"] = axis(
             f"{name}, %", domain=span, anchor=f"y{n}", rangemode="tozero"
@@ -182,11 +259,11 @@ def channels(c: CompleteCorrelation) -> go.Figure:
     )
     fig.layout.xaxis3.update(type="category", tickfont={"size": 10})
     fig.layout.yaxis3 = axis("Mean MAC, %", anchor="x3")
-    x = ["none", *(c.channels[i] for i in c.elimination.order.tolist())]
+    x = ["none", *(c.channels[i] for i in c.by_channel.elimination.order.tolist())]
     look = {"color": TEST, "width": 1.6}
     fig.add_scatter(
         x=x,
-        y=f32(100 * c.elimination.mean_mac),
+        y=f32(100 * c.by_channel.elimination.mean_mac),
         mode="lines+markers",
         line=look,
         xaxis="x3",
@@ -198,7 +275,7 @@ def channels(c: CompleteCorrelation) -> go.Figure:
 
 
 def followed(tracks: Tracks, table: CorrelationTable) -> go.Figure:
-    """Frequencies of the final model's modes back to the initial model, followed by shape, beside
+    """Frequencies of the final model's modes back to the initial model, followed by shape, next to
     the test's.
 
     A dotted stretch: the shapes have so little in common that the mode may be another one.
@@ -213,14 +290,14 @@ def followed(tracks: Tracks, table: CorrelationTable) -> go.Figure:
         yaxis=axis("Frequency, Hz"),
     )
     partner = {r.fe - 1: r for r in table.rows()}
-    for k in range(
-        min(partner, default=0), tracks.index.shape[1]
-    ):  # from the first mode that has a partner
-        f, overlap = tracks.frequencies[::-1, k], tracks.overlap[:0:-1, k]
+    # from the first mode that has a partner
+    for k in range(min(partner, default=0), tracks.index.shape[1]):
+        f = tracks.frequencies[::-1, k]
+        overlap = tracks.overlap[:0:-1, k]
         pair = partner.get(int(tracks.index[0, k]))
         color = FE if pair is not None else "#b4bec8"
-        for i, sure in enumerate((overlap >= LOST).tolist()):
-            line = {"width": 1.5, "color": color, "dash": "solid" if sure else "dot"}
+        for i, certain in enumerate((overlap >= LOST).tolist()):
+            line = {"width": 1.5, "color": color, "dash": "solid" if certain else "dot"}
             fig.add_scatter(
                 x=[i, i + 1], y=f32(f[i : i + 2]), mode="lines", line=line, hoverinfo="skip"
             )
@@ -284,7 +361,7 @@ def frf_agreement(e: FrfEvidence) -> go.Figure:
 
 
 def fdac(values: Float, lines: Float, title: str) -> go.Figure:
-    """The FDAC, `values` (test line, model line) -1..1: a ridge beside the diagonal is a shift of
+    """The FDAC, `values` (test line, model line) -1..1: a ridge next to the diagonal is a shift of
     frequency.
     """
     ends = [float(lines[0]), float(lines[-1])]
@@ -338,7 +415,8 @@ def deviations(stages: Sequence[tuple[str, CorrelationTable]]) -> go.Figure:
         rows = table.rows()
         marks = ["circle" if r.used or name != "final" else "circle-open" for r in rows]
         look = {"size": size, "color": color, "symbol": marks, "line": {"width": 2, "color": color}}
-        x, partner = [names[r.test] for r in rows], [f"FE {r.fe}" for r in rows]
+        x = [names[r.test] for r in rows]
+        partner = [f"FE {r.fe}" for r in rows]
         drawn = {
             "x": x,
             "mode": "markers",

@@ -9,7 +9,7 @@ import plotly.graph_objects as go
 
 from ringtrue.core.arrays import Any_, Bool, Float
 from ringtrue.core.modes import ModeSet, Uncertainty, elastic
-from ringtrue.identification.common.poles import StableDiagram
+from ringtrue.identification.common.stabilisation import StableDiagram
 from ringtrue.plots.style import (
     FE,
     FINAL,
@@ -37,7 +37,8 @@ LIMIT = 3000  # strokes of one kind in one diagram; beyond it every n-th is draw
 def _strokes(
     diagram: StableDiagram, chosen: Bool, span: tuple[float, float]
 ) -> tuple[Any_, Any_, str]:
-    f, order = diagram.poles.frequencies, diagram.poles.order.astype(np.float64)
+    f = diagram.poles.frequencies
+    order = diagram.poles.order.astype(np.float64)
     at = np.flatnonzero(chosen & (f >= span[0]) & (f <= span[1]))
     every = -(-at.size // LIMIT) or 1
     at = at[::every]
@@ -53,7 +54,8 @@ def _strokes(
 def pole_span(diagram: StableDiagram) -> tuple[float, float]:
     """Where the poles of a diagram lie, with a margin, Hz."""
     f = diagram.poles.frequencies if diagram.poles.frequencies.size else diagram.freqs
-    low, high = float(f.min(initial=np.inf)), float(f.max(initial=0.0))
+    low = float(f.min(initial=np.inf))
+    high = float(f.max(initial=0.0))
     if low > high:
         return 0.0, 1.0
     margin = max(0.06 * (high - low), 0.03 * high) or 1.0  # poles of one mode lie within a hair
@@ -76,7 +78,8 @@ def stabilisation(diagram: StableDiagram, modes: ModeSet) -> go.Figure:
     inside = np.flatnonzero((diagram.freqs >= span[0]) & (diagram.freqs <= span[1]))
     inside = inside[:: max(1, inside.size // 1000)]
     grey = {"width": 1, "color": "#b4bec8"}
-    x, y = f32(diagram.freqs[inside]), f32(diagram.level[inside])
+    x = f32(diagram.freqs[inside])
+    y = f32(diagram.level[inside])
     fig.add_scatter(x=x, y=y, yaxis="y2", line=grey, name="spectrum", hoverinfo="skip")
     for name, chosen, color, width in (
         ("unstable", ~diagram.stable & ~in_mode, "#d3cbbd", 1.0),
@@ -113,7 +116,8 @@ def damping(
             else None
         )
         mark = {"size": 8, "color": color, "symbol": ("circle", "diamond")[i % 2]}
-        f, y = f32(modes.frequencies), f32(100 * modes.damping)
+        f = f32(modes.frequencies)
+        y = f32(100 * modes.damping)
         fig.add_scatter(x=f, y=y, error_y=bar, mode="markers", marker=mark, name=name)
     if used is not None:
         mark = {

@@ -12,24 +12,11 @@ from plotly.offline import get_plotlyjs
 from ringtrue.core.arrays import Bool
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import FrfSet
-from ringtrue.identification.common.poles import StableDiagram
+from ringtrue.identification.common.stabilisation import StableDiagram
 from ringtrue.plots.identification import pole_span
 from ringtrue.plots.signals import frf_unit
 from ringtrue.plots.style import FE, FONT, INK, QUALITATIVE, TEST, axis, f32, figure, log_axis
-
-# "<" could end the element or begin a comment; the two separators end a line in older scripts. JSON
-# has all of them in its strings alone, where their escapes are the same text.
-_ESCAPES = str.maketrans({"<": "\\u003c", "\u2028": "\\u2028", "\u2029": "\\u2029"})
-
-
-def script_json(text: str) -> str:
-    r"""The same JSON without what HTML reads.
-
-    >>> script_json('["<!--", "</script>"]')
-    '["\\u003c!--", "\\u003c/script>"]'
-    """
-    return text.translate(_ESCAPES)
-
+from ringtrue.viewer.view import script_json
 
 _PAGE_STYLE = (
     f"body{{font-family:{FONT};color:{INK};max-width:80rem;margin:1rem auto;padding:0 1rem}}"
@@ -145,7 +132,8 @@ def pick_figure(diagram: StableDiagram, modes: ModeSet) -> go.Figure:
     inside = np.flatnonzero((diagram.freqs >= low) & (diagram.freqs <= high))
     inside = inside[:: max(1, inside.size // 2000)]
     grey = {"width": 1, "color": "#b4bec8"}
-    x, y = f32(diagram.freqs[inside]), f32(diagram.level[inside])
+    x = f32(diagram.freqs[inside])
+    y = f32(diagram.level[inside])
     fig.add_scatter(x=x, y=y, yaxis="y2", line=grey, name="spectrum", hoverinfo="skip")
     taken = diagram.cluster >= 0
     for name, which, color, size in (
@@ -174,7 +162,7 @@ def _poles(
     p = diagram.poles.take(at[::every])
     note = f" (one in {every} drawn)" if every > 1 else ""
     fig.add_scatter(x=p.frequencies, y=p.order, mode="markers", marker=mark, name=name + note)
-    told = np.stack(
+    hover_data = np.stack(
         [p.frequencies, p.order, 100 * p.damping, np.nan_to_num(p.std_frequency)], axis=1
     )
     hover = (
@@ -182,7 +170,7 @@ def _poles(
         + name
         + "</extra>"
     )
-    fig.data[-1].update(customdata=told.tolist(), hovertemplate=hover)
+    fig.data[-1].update(customdata=hover_data.tolist(), hovertemplate=hover)
 
 
 def frf_page(title: str, data: FrfSet) -> str:
@@ -209,7 +197,8 @@ def responses(data: FrfSet, column: int) -> go.Figure:
     )
     x = f32(data.freqs)
     for i, c in enumerate(data.outputs):
-        h, line = data.data[:, i, column], {"width": 1.3, "color": QUALITATIVE[i % 8]}
+        h = data.data[:, i, column]
+        line = {"width": 1.3, "color": QUALITATIVE[i % 8]}
         size = np.where(h == 0, np.nan, np.abs(h))
         fig.add_scatter(x=x, y=f32(size), name=c.id, line=line, legendgroup=c.id)
         y = f32(np.degrees(np.angle(h)))

@@ -34,7 +34,8 @@ def shown(unit: str) -> tuple[float, str]:
 def run_up(found: RunUp, outputs: Sequence[int], names: Sequence[str], service: float) -> go.Figure:
     """Amplitudes over speed, medians in their bands; grey: outside the validated band."""
     factor, unit = shown(found.units[outputs[0]])
-    x, a = found.freqs, found.amplitude
+    x = found.freqs
+    a = found.amplitude
     low, median, high = (factor * values for values in (a.low, a.median, a.high))
     fig = figure(
         380,
@@ -175,7 +176,8 @@ def modes(found: DampedModes) -> go.Figure:
         ("test", found.measured, found.measured_std, TEST, "circle"),
         ("by the regions", found.after, found.after_std, FINAL, "diamond"),
     ):
-        percent, spread = 100 * ratio[order], 100 * std[order]
+        percent = 100 * ratio[order]
+        spread = 100 * std[order]
         bar = {"type": "data", "array": f32(spread), "thickness": 1.1, "width": 3}
         bar["arrayminus"] = f32(np.minimum(spread, np.maximum(percent - LEAST, 0.0)))
         fig.add_scatter(

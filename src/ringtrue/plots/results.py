@@ -9,7 +9,7 @@ from ringtrue.core.display import drawing
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import FrfSet, TimeHistory
 from ringtrue.correlation.table import CorrelationTable
-from ringtrue.identification.common.poles import StableDiagram
+from ringtrue.identification.common.stabilisation import StableDiagram
 from ringtrue.plots.correlation import table_matrix
 from ringtrue.plots.identification import stabilisation
 from ringtrue.plots.pages import responses

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,16 +15,10 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.testmodel import TestModel
 from ringtrue.plots.style import QUALITATIVE
 from ringtrue.study.results import Scene
+from ringtrue.viewer.view import View
 
 PLAIN = "#c3ccd5"
 SOFT = ("#9fb4c7", "#d8b98a", "#a9c3a1", "#c9a7b8", "#d9cf9c", "#a7cbd6", "#b8a692", "#b9c0c8")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class View:
-    """One 3D figure: a payload for the viewer, ready for JSON."""
-
-    payload: dict[str, Any] = field(default_factory=dict)
 
 
 def _pack(a: Any_, kind: str) -> str:
@@ -63,7 +57,8 @@ def _sensors(test: TestModel, kinds: Mapping[str, str]) -> list[dict[str, Any]]:
     """Arrows in one list per kind."""
     rest = "hammer test" if kinds else "sensors"
     names = list(dict.fromkeys(kinds.get(c, rest) for c in test.channels))
-    xyz, axes = test.channel_xyz(), test.directions()
+    xyz = test.channel_xyz()
+    axes = test.directions()
     out = []
     for i, name in enumerate(sorted(names)):
         at = [k for k, c in enumerate(test.channels) if kinds.get(c, rest) == name]
@@ -89,7 +84,7 @@ def model(scene: Scene, test: TestModel | None, kinds: Mapping[str, str]) -> Vie
 def regions(scene: Scene, changed: Mapping[str, Sequence[int]], notes: Mapping[str, str]) -> View:
     """The updated regions coloured: parameter -> groups; `notes` gives the change of each in words.
 
-    What several parameters change has the colour of that which changes least beside it.
+    What several parameters change has the colour of that which changes least besides it.
     """
     colors = [PLAIN] * len(scene.groups)
     alpha = [0.3] * len(scene.groups)
@@ -109,10 +104,10 @@ def painted(
     legend: Sequence[tuple[str, str, str]],
 ) -> View:
     """Every group in a colour of its own; `legend` holds name, colour and note of those that are
-    told.
+    named.
     """
-    told = [{"name": n, "color": c, "note": t} for n, c, t in legend]
-    return View({"kind": "regions", "skin": _skin(scene, colors, alpha), "legend": told})
+    entries = [{"name": n, "color": c, "note": t} for n, c, t in legend]
+    return View({"kind": "regions", "skin": _skin(scene, colors, alpha), "legend": entries})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -202,6 +197,22 @@ def modes(scene: Scene | None, test: TestModel | None, shown: Sequence[Shown]) -
     return View(view)
 
 
+def model_modes(scene: Scene, shapes: ModeSet) -> View:
+    """The mode shapes of a model in motion."""
+    labels = _numbered(shapes)
+    return modes(scene, None, [Shown("model", s, s, fe=(shapes, k)) for k, s in enumerate(labels)])
+
+
+def test_modes(test: TestModel, shapes: ModeSet) -> View:
+    """The mode shapes of a test in motion, on the wireframe of its sensor sheet."""
+    labels = _numbered(shapes)
+    return modes(None, test, [Shown("test", s, s, test=(shapes, k)) for k, s in enumerate(labels)])
+
+
+def _numbered(shapes: ModeSet) -> list[str]:
+    return [f"mode {k + 1}: {f:.4g} Hz" for k, f in enumerate(shapes.frequencies.tolist())]
+
+
 def channel_kinds(references: Sequence[str], ambient: Sequence[str]) -> dict[str, str]:
     """What a channel is used for: hammer point, ambient and hammer test, or hammer test only (the
     rest).
@@ -231,7 +242,8 @@ def thinned(scene: Scene, most: int) -> Scene:
     at = np.empty(count, dtype=np.int64)
     at[cell[first]] = np.arange(count)
     seat = at[cell]
-    triangles, lines = seat[scene.triangles], seat[scene.lines]
+    triangles = seat[scene.triangles]
+    lines = seat[scene.lines]
     t = _kept_corners(triangles, np.zeros(len(triangles), dtype=np.bool_))
     k = _kept_corners(lines, np.asarray(scene.lines[:, 0] == scene.lines[:, 1]))
     return replace(
@@ -249,7 +261,8 @@ def _cells(scene: Scene, most: int) -> Int:
     """The number (n,) of each node's cell, of the smallest cells that are at most `most`."""
     corner = scene.xyz.min(axis=0)
     large = float(np.ptp(scene.xyz, axis=0).max()) * (1 + 1e-9)
-    best, small = np.zeros(scene.node.size, dtype=np.int64), 0.0
+    best = np.zeros(scene.node.size, dtype=np.int64)
+    small = 0.0
     for _ in range(HALVINGS):
         size = (small + large) / 2
         step = ((scene.xyz - corner) // size).astype(np.int64)
@@ -258,7 +271,8 @@ def _cells(scene: Scene, most: int) -> Int:
             (step[:, 0] * top[1] + step[:, 1]) * top[2] + step[:, 2], return_inverse=True
         )
         if int(cell.max()) < most:
-            best, large = cell, size
+            best = cell
+            large = size
         else:
             small = size
     return best

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import plotly.graph_objects as go
 
-from ringtrue.core.arrays import Bool, Complex, Float
-from ringtrue.core.motions import FORCES, LINEAR
+from ringtrue.core.arrays import Bool, Float
+from ringtrue.core.channels import FORCES, LINEAR
 from ringtrue.core.signals import FrfSet
 from ringtrue.plots.style import (
     FINAL,
@@ -21,7 +21,7 @@ from ringtrue.plots.style import (
     thinned,
     thinned_log,
 )
-from ringtrue.study.results import FinalStage, RecordSummary
+from ringtrue.study.results import ComparedFrfs, RecordPreview
 
 PHASE = {"(m/s²)/N": 90, "(m/s)/N": 0, "m/N": -90}  # of a driving point at resonance, degrees
 _FRF_UNITS = {"accelerance": "(m/s²)/N", "mobility": "(m/s)/N", "receptance": "m/N"}
@@ -35,15 +35,13 @@ def frf_unit(data: FrfSet) -> str:
     return "SI" if turns else _FRF_UNITS[data.kind]
 
 
-def record(summary: RecordSummary, unit: str) -> go.Figure:
+def record(preview: RecordPreview, unit: str) -> go.Figure:
     """Time previews on the left, power spectral densities on the right; `unit` of the channels,
     empty if mixed.
     """
     unit = unit or "SI unit"
-    ok = summary.psd_freqs > 0
-    names = (
-        summary.preview_channels[:1] if unit == "N" else summary.preview_channels
-    )  # the rest are not forces
+    ok = preview.freqs > 0
+    names = preview.channels[:1] if unit == "N" else preview.channels  # the rest are not forces
     fig = figure(
         250,
         showlegend=True,
@@ -54,14 +52,15 @@ def record(summary: RecordSummary, unit: str) -> go.Figure:
             f"PSD, {unit if unit.isalpha() else f'({unit})'}²/Hz",
             anchor="x2",
             dtick=2,
-            **_decades(summary.psd[: len(names)][:, ok]),
+            **_decades(preview.psd[: len(names)][:, ok]),
         ),
     )
     for i, name in enumerate(names):
         line = {"width": 0.9, "color": QUALITATIVE[i % 8]}
-        x, y = f32(summary.preview_time), f32(summary.preview[i])
+        x = f32(preview.time)
+        y = f32(preview.signal[i])
         fig.add_scatter(x=x, y=y, name=name, line=line, legendgroup=name, opacity=0.85)
-        x, y = (f32(a) for a in thinned_log(summary.psd_freqs[ok], summary.psd[i][ok], 500))
+        x, y = (f32(a) for a in thinned_log(preview.freqs[ok], preview.psd[i][ok], 500))
         fig.add_scatter(
             x=x,
             y=y,
@@ -140,18 +139,14 @@ def _mark(f: float) -> dict[str, object]:
     }
 
 
-def _modulus(h: Complex) -> Float:
-    return np.maximum(np.abs(h), 1e-300)
-
-
-def frf_pair(final: FinalStage, k: int, unit: str = "(m/s²)/N") -> go.Figure:
+def frf_pair(frfs: ComparedFrfs, k: int, unit: str = "(m/s²)/N") -> go.Figure:
     """One measured FRF with the model's before and after, modulus and phase."""
     middle = PHASE.get(unit, 0)
     ticks = [middle - 180, middle, middle + 180]
     fig = figure(
         300,
         title={
-            "text": final.frf_channels[k],
+            "text": frfs.channels[k],
             "x": 0.99,
             "xanchor": "right",
             "y": 0.97,
@@ -168,14 +163,15 @@ def frf_pair(final: FinalStage, k: int, unit: str = "(m/s²)/N") -> go.Figure:
             range=[ticks[0] - 10, ticks[-1] + 10],
         ),
     )
-    x = f32(final.frf_freqs)
+    x = f32(frfs.freqs)
     for name, h, color, width in (
-        ("initial model", final.frf_initial, INITIAL, 1.2),
-        ("test", final.frf_test, TEST, 1.2),
-        ("final model", final.frf_final, FINAL, 1.6),
+        ("initial model", frfs.initial, INITIAL, 1.2),
+        ("test", frfs.test, TEST, 1.2),
+        ("final model", frfs.final, FINAL, 1.6),
     ):
         line = {"color": color, "width": width}
-        fig.add_scatter(x=x, y=f32(_modulus(h[:, k])), name=name, line=line, legendgroup=name)
+        modulus = np.maximum(np.abs(h[:, k]), 1e-300)
+        fig.add_scatter(x=x, y=f32(modulus), name=name, line=line, legendgroup=name)
         y = f32((np.degrees(np.angle(h[:, k])) - ticks[0]) % 360 + ticks[0])
         mark = {"color": color, "width": 0.9}
         fig.add_scatter(

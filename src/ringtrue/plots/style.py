@@ -10,9 +10,16 @@ import plotly.graph_objects as go
 from ringtrue.core.arrays import Any_, Float
 
 FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
-INK, MUTED, GRID, PAPER = "#1c2733", "#5c6b7a", "#e3e8ed", "#ffffff"
-TEST, FE, INITIAL, REMODELLED, FINAL = "#d55e00", "#24527a", "#9aa5b1", "#e0a526", "#0b7a75"
-# Okabe and Ito (2008), ordered for use on white: tells apart under all common colour blindness.
+INK = "#1c2733"
+MUTED = "#5c6b7a"
+GRID = "#e3e8ed"
+PAPER = "#ffffff"
+TEST = "#d55e00"
+FE = "#24527a"
+INITIAL = "#9aa5b1"
+REMODELLED = "#e0a526"
+FINAL = "#0b7a75"
+# Okabe and Ito (2008), ordered for use on white: distinguishable under all common colour blindness.
 QUALITATIVE = (
     "#0072b2",
     "#d55e00",

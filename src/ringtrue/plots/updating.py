@@ -6,7 +6,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from ringtrue.core.arrays import Float
-from ringtrue.plots.scene import View, painted
+from ringtrue.plots.scene import painted
 from ringtrue.plots.style import (
     DIVERGING,
     FE,
@@ -26,6 +26,7 @@ from ringtrue.study.results import (
     SetResult,
     UncertaintyStage,
 )
+from ringtrue.viewer.view import View
 
 
 def sensitivity(stage: SensitivityStage, values: Float, name: str, modes: Float) -> go.Figure:
@@ -126,7 +127,8 @@ def factor_ticks(low: float, high: float) -> list[float]:
 
 def path(result: SetResult) -> go.Figure:
     """Factors of the parameters by iteration, with one standard deviation at the end."""
-    end, spread = result.history.path[-1], np.nan_to_num(result.history.path[-1] * result.std)
+    end = result.history.path[-1]
+    spread = np.nan_to_num(result.history.path[-1] * result.std)
     shown = np.concatenate([result.history.path.ravel(), end - spread, end + spread])
     ticks = factor_ticks(max(float(shown.min(initial=1.0)), 1e-3), float(shown.max(initial=1.0)))
     fig = figure(
@@ -160,12 +162,15 @@ def path(result: SetResult) -> go.Figure:
     return fig
 
 
-BARS, TOLD = 40, 8  # regions with a bar, and in the key of the model
-COLD, WARM, HOT = "#d9e0e6", "#e9a95f", "#a8320a"
-EVEN, MOST = (
-    1.0,
-    4.0,
-)  # times the share of strain energy: an error that is spread evenly, and the end of the colours
+# regions with a bar, and in the key of the model
+BARS = 40
+TOLD = 8
+COLD = "#d9e0e6"
+WARM = "#e9a95f"
+HOT = "#a8320a"
+# times the share of strain energy: an error that is spread evenly, and the end of the colours
+EVEN = 1.0
+MOST = 4.0
 
 
 def color(value: float) -> str:
@@ -214,13 +219,10 @@ def regions(stage: LocaliseStage) -> go.Figure:
         "%{y}: %{x:.2f}<br>%{customdata[0]:.1f} % of the error, %{customdata[1]:.1f} % of "
     )
     fig.data[0].hovertemplate += "the strain energy<extra></extra>"
-    fig.update_layout(margin={"t": 10}, shapes=[_line(EVEN)])
-    return fig
-
-
-def _line(x: float) -> dict[str, object]:
     look = {"color": MUTED, "width": 1, "dash": "dot"}
-    return {"type": "line", "x0": x, "x1": x, "yref": "paper", "y0": 0, "y1": 1, "line": look}
+    line = {"type": "line", "x0": EVEN, "x1": EVEN, "yref": "paper", "y0": 0, "y1": 1, "line": look}
+    fig.update_layout(margin={"t": 10}, shapes=[line])
+    return fig
 
 
 def view(scene: Scene, stage: LocaliseStage) -> View:
@@ -285,7 +287,9 @@ def parameters(stage: UncertaintyStage) -> go.Figure:
         (stage.chains.sampled, rows + 0.22, 3, QUALITATIVE[3], f"sampled, {percent}"),
     ):
         if len(low_high):
-            x, y = _strokes(low_high, at)
+            # horizontal strokes as one broken line
+            gap = np.full((len(at), 1), np.nan)
+            x, y = (np.concatenate([low_high, gap], axis=1).ravel(), np.repeat(at, 3))
             fig.add_scatter(
                 x=f32(x), y=f32(y), mode="lines", name=name, line={"width": width, "color": color}
             )
@@ -305,12 +309,6 @@ def parameters(stage: UncertaintyStage) -> go.Figure:
         shapes=[{"type": "line", "x0": 1, "x1": 1, "yref": "paper", "y0": 0, "y1": 1, "line": look}]
     )
     return fig
-
-
-def _strokes(low_high: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Horizontal strokes as one broken line."""
-    gap = np.full((len(at), 1), np.nan)
-    return np.concatenate([low_high, gap], axis=1).ravel(), np.repeat(at, 3)
 
 
 def correlation(stage: UncertaintyStage) -> go.Figure:

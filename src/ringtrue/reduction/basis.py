@@ -11,17 +11,19 @@ import numpy as np
 from scipy import linalg, sparse
 
 from ringtrue.core.arrays import Float, Int
+from ringtrue.core.iterate import Progress
 from ringtrue.core.parameters import ParameterSet
-from ringtrue.core.progress import Progress
 from ringtrue.core.testmodel import Observation
 from ringtrue.eigen.eigenpairs import EigenModes
 from ringtrue.eigen.pencil import Pencil
 from ringtrue.errors import InputError
-from ringtrue.fem.parametrisation.interpolation_nodes import on_axis
+from ringtrue.fem.assembly import System
+from ringtrue.fem.parametrisation.derivatives import affine_terms
+from ringtrue.fem.parametrisation.interpolation import on_axis
 from ringtrue.fem.parametrisation.parameter_groups import Pair
-from ringtrue.fem.parametrisation.polynomials import AffineTerm, Function, Product
+from ringtrue.fem.parametrisation.polynomials import AffineTerm, ParameterFunction, Product
+from ringtrue.model.model import Model
 
-NONE = 1e-9  # rounding of a coefficient that is 0
 CHUNK = 32  # right-hand sides solved together
 
 
@@ -35,7 +37,7 @@ class AffineSystem:
         At a = 1.
     parameters : ParameterSet
     terms : tuple of AffineTerm
-        K(a) = K(1) + Σ g_t(a) K_t, M likewise; see `fem.parametrisation.affine`.
+        K(a) = K(1) + Σ g_t(a) K_t, M likewise; see `fem.parametrisation.derivatives`.
     observe : (channel, f) csr_array float64
     """
 
@@ -53,52 +55,59 @@ class AffineSystem:
         if lost:
             raise InputError(f"terms of parameters {lost}: there are {len(self.parameters)}")
 
-    def alone(self, which: int) -> tuple[Pair, ...]:
+    def terms_of(self, which: int) -> tuple[Pair, ...]:
         """K and M that one parameter adds by itself: of each of its powers, or at some factors
         where it has others.
         """
         own = [t for t in self.terms if which in t.function.which]
         if all(isinstance(t.function, Product) for t in own):
             return tuple((t.stiffness, t.mass) for t in own if t.function.which == (which,))
-        k, m = sparse.csr_array(self.stiffness.shape), sparse.csr_array(self.mass.shape)
+        k = sparse.csr_array(self.stiffness.shape)
+        m = sparse.csr_array(self.mass.shape)
         only = replace(self, stiffness=k, mass=m, terms=tuple(own))
         each = np.arange(len(self.parameters))
         return tuple(
-            only.at(np.where(each == which, x, 1.0), NONE)
+            only.at(np.where(each == which, x, 1.0), 1e-9)  # less is the rounding of 0
             for x in on_axis(self.parameters.parameters[which])
         )
 
     def at(self, factors: Float, least: float = 0.0) -> Pair:
         """K and M at the factors a (p,); without terms whose functions are up to `least` there."""
-        k, m = self.stiffness, self.mass
+        k = self.stiffness
+        m = self.mass
         for t in self.terms:
             if abs(value := t.function.value(factors)) > least:
-                k, m = k + value * t.stiffness, m + value * t.mass
+                k = k + value * t.stiffness
+                m = m + value * t.mass
         return sparse.csr_array(k), sparse.csr_array(m)
 
 
 def observed_system(
-    stiffness: sparse.csr_array,
-    mass: sparse.csr_array,
-    transform: sparse.csr_array,
+    model: Model,
+    system: System,
     parameters: ParameterSet,
-    terms: Sequence[AffineTerm],
     observation: Observation,
+    *,
+    progress: Progress | None = None,
 ) -> AffineSystem:
-    """The affine system of an assembled model; `transform` (full, f) goes from free to observed
-    DOFs.
-    """
+    """The affine system of a model, of which `system` is assembled."""
+    transform = system.transform
     if observation.matrix.shape[1] != transform.shape[0]:
         raise InputError(
             f"the observation has {observation.matrix.shape[1]} DOFs, the model "
             f"{transform.shape[0]}"
         )
-    observe = sparse.csr_array(observation.matrix @ transform)
-    return AffineSystem(stiffness, mass, parameters, tuple(terms), observe)
+    return AffineSystem(
+        stiffness=system.stiffness,
+        mass=system.mass,
+        parameters=parameters,
+        terms=affine_terms(model, parameters, system, progress=progress),
+        observe=sparse.csr_array(observation.matrix @ transform),
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Projection:
+class ProjectedSystem:
     """The projected system.
 
     Attributes
@@ -118,7 +127,7 @@ class Projection:
     vectors: Float
     stiffness: Float
     mass: Float
-    terms: tuple[tuple[Function, Float, Float], ...]
+    terms: tuple[tuple[ParameterFunction, Float, Float], ...]
     observe: Float
     of: dict[int, list[int]] = field(init=False)
     acting: tuple[dict[int, Float], dict[int, Float]] = field(init=False)
@@ -142,7 +151,9 @@ class Projection:
         return int(self.vectors.shape[1])
 
 
-def project(system: AffineSystem, vectors: Float, old: Projection | None = None) -> Projection:
+def project(
+    system: AffineSystem, vectors: Float, old: ProjectedSystem | None = None
+) -> ProjectedSystem:
     """Project on `vectors`; the leading ones are those of `old`, whose products are kept."""
     n = 0 if old is None else old.size
     fresh = vectors[:, n:]
@@ -156,80 +167,81 @@ def project(system: AffineSystem, vectors: Float, old: Projection | None = None)
         corner = (right[n:] + right[n:].T) / 2
         return np.block([[kept, right[:n]], [right[:n].T, corner]])
 
-    terms = tuple(
-        (
-            t.function,
-            block(t.stiffness, None if old is None else old.terms[i][1]),
-            block(t.mass, None if old is None else old.terms[i][2]),
-        )
-        for i, t in enumerate(system.terms)
-    )
-    return Projection(
-        vectors,
-        block(system.stiffness, None if old is None else old.stiffness),
-        block(system.mass, None if old is None else old.mass),
-        terms,
-        np.asarray(system.observe @ vectors),
-    )
+    pairs = [(system.stiffness, system.mass), *((t.stiffness, t.mass) for t in system.terms)]
+    kept: list[tuple[Float | None, Float | None]] = [(None, None)] * len(pairs)
+    if old is not None:
+        kept = [(old.stiffness, old.mass), *((k, m) for _, k, m in old.terms)]
+    blocks = [
+        (block(k, kept_k), block(m, kept_m))
+        for (k, m), (kept_k, kept_m) in zip(pairs, kept, strict=True)
+    ]
+    terms = tuple((t.function, *b) for t, b in zip(system.terms, blocks[1:], strict=True))
+    return ProjectedSystem(vectors, *blocks[0], terms, np.asarray(system.observe @ vectors))
 
 
-def static_sensitivities(
-    pencil: Pencil, modes: EigenModes, terms: Sequence[Pair], count: int, progress: Progress | None
-) -> Float:
-    """(K − σM)⁻¹ (K_j − λ_k M_j) φ_k of each term and mode, free of the modes, scaled to the mode's
-    energy.
+@dataclass(frozen=True, slots=True, eq=False)
+class StaticSensitivities:
+    """(K − σM)⁻¹ (K_j − λ_k M_j) φ_k of terms j and modes k, without the part in the modes, scaled
+    to the energy of mode k.
+
+    Attributes
+    ----------
+    pencil : Pencil
+    modes : EigenModes
+    count : int
+        Modes taken, the lowest.
     """
-    found = []
-    for done, t in enumerate(terms):
-        load = np.zeros((pencil.size, count))
-        rows, load[rows] = _forces(modes, t, count)
-        found.append(_answers(pencil, modes, load))
-        if progress is not None:
-            progress((done + 1) / len(terms), "static sensitivities")
-    return np.concatenate(found, axis=1) if found else np.zeros((pencil.size, 0))
 
+    pencil: Pencil
+    modes: EigenModes
+    count: int
 
-def mixed_sensitivities(
-    pencil: Pencil,
-    modes: EigenModes,
-    terms: Sequence[Pair],
-    count: int,
-    columns: int,
-    progress: Progress | None,
-) -> Float:
-    """As many random mixtures of all static sensitivities: their range, for a solve each (Halko et
-    al. 2011, 4.1).
-    """
-    rng, load = np.random.default_rng(0), np.zeros((pencil.size, columns))
-    for t in terms:  # over parameters and their powers
-        rows, forces = _forces(modes, t, count)
-        load[rows] += forces @ (rng.standard_normal((count, columns)) / np.sqrt(columns))
-    return _answers(pencil, modes, load, progress)
+    def of_each(self, terms: Sequence[Pair], progress: Progress | None) -> Float:
+        """Of each term and mode, (f, terms · count)."""
+        found = [np.zeros((self.pencil.size, 0))]
+        for done, term in enumerate(terms):
+            load = np.zeros((self.pencil.size, self.count))
+            rows, load[rows] = self._forces(term)
+            found.append(self._responses(load))
+            if progress is not None:
+                progress((done + 1) / len(terms), "static sensitivities")
+        return np.concatenate(found, axis=1)
 
+    def mixed(self, terms: Sequence[Pair], columns: int, progress: Progress | None) -> Float:
+        """As many random mixtures of all of them: their range, for a solve each (Halko et al. 2011,
+        4.1).
+        """
+        rng = np.random.default_rng(0)
+        load = np.zeros((self.pencil.size, columns))
+        for term in terms:  # over parameters and their powers
+            rows, forces = self._forces(term)
+            mixture = rng.standard_normal((self.count, columns)) / np.sqrt(columns)
+            load[rows] += forces @ mixture
+        return self._responses(load, progress)
 
-def _forces(modes: EigenModes, t: Pair, count: int) -> tuple[Int, Float]:
-    """The rows that a term touches, and its forces (r, count) there."""
-    rows = np.union1d(*(np.flatnonzero(np.diff(a.indptr)) for a in t))
-    phi, lam = modes.vectors[:, :count], modes.values[:count]
-    scale = 1 / np.sqrt(np.maximum(lam - modes.shift, np.abs(modes.shift)))
-    stiffness, mass = t
-    return rows, (stiffness[rows] @ phi - (mass[rows] @ phi) * lam) * scale
+    def _forces(self, term: Pair) -> tuple[Int, Float]:
+        """The rows that a term touches, and its forces (r, count) there."""
+        stiffness, mass = term
+        rows = np.union1d(*(np.flatnonzero(np.diff(a.indptr)) for a in term))
+        shift = self.modes.shift
+        phi = self.modes.vectors[:, : self.count]
+        lam = self.modes.values[: self.count]
+        scale = 1 / np.sqrt(np.maximum(lam - shift, np.abs(shift)))
+        return rows, (stiffness[rows] @ phi - (mass[rows] @ phi) * lam) * scale
 
-
-def _answers(
-    pencil: Pencil, modes: EigenModes, load: Float, progress: Progress | None = None
-) -> Float:
-    """Static responses to loads (f, k), both free of the modes."""
-    factor, phi = pencil.at(modes.shift), modes.vectors
-    mphi = pencil.mass @ phi
-    x = np.empty(load.shape)
-    for s in range(0, load.shape[1], CHUNK):
-        some = load[:, s : s + CHUNK]
-        part = factor.solve(some - mphi @ (phi.T @ some))
-        x[:, s : s + CHUNK] = part - phi @ (mphi.T @ part)
-        if progress is not None:
-            progress(min(1.0, (s + CHUNK) / load.shape[1]), "static sensitivities")
-    return x
+    def _responses(self, load: Float, progress: Progress | None = None) -> Float:
+        """Static responses to loads (f, k), both free of the modes."""
+        factor = self.pencil.at(self.modes.shift)
+        phi = self.modes.vectors
+        mphi = self.pencil.mass @ phi
+        x = np.empty(load.shape)
+        for s in range(0, load.shape[1], CHUNK):
+            some = load[:, s : s + CHUNK]
+            part = factor.solve(some - mphi @ (phi.T @ some))
+            x[:, s : s + CHUNK] = part - phi @ (mphi.T @ part)
+            if progress is not None:
+                progress(min(1.0, (s + CHUNK) / load.shape[1]), "static sensitivities")
+        return x
 
 
 def principal(energy: sparse.csr_array, x: Float, most: int, drop: float) -> Float:

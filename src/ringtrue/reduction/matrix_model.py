@@ -10,17 +10,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from ringtrue.core.arrays import Any_, Float, freeze_fields
+from ringtrue.core.arrays import Float, freeze_fields
 from ringtrue.core.parameters import ParameterSet
+from ringtrue.eigen.eigenpairs import frequencies
 from ringtrue.errors import InputError
 from ringtrue.model.ports import Linearisation
 from ringtrue.reduction.parametric import ReducedModel
 
-REPEATED = 1e-9  # relative distance of eigenvalues whose shapes mix freely
-
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Matrices:
+class MatricesAtPoint:
     """A model at one point as small matrices, with their derivatives to x.
 
     Attributes
@@ -66,8 +65,16 @@ class DenseModel:
 
     def __post_init__(self) -> None:
         f = np.float64
-        freeze_fields(self, stiffness=f, mass=f, d_stiffness=f, d_mass=f, observation=f)
-        n, p = self.stiffness.shape[0], len(self.parameters)
+        freeze_fields(
+            self,
+            stiffness=f,
+            mass=f,
+            d_stiffness=f,
+            d_mass=f,
+            observation=f,
+        )
+        n = self.stiffness.shape[0]
+        p = len(self.parameters)
         if (
             self.d_stiffness.shape != (p, n, n)
             or self.d_mass.shape != (p, n, n)
@@ -95,13 +102,13 @@ class DenseModel:
         eye = np.eye(len(stiffness))
         seen = eye[list(channels)] if len(channels) else eye
         return cls(
-            stiffness,
-            mass,
-            d_stiffness,
-            np.zeros_like(d_stiffness),
-            seen,
-            parameters,
-            len(stiffness),
+            stiffness=stiffness,
+            mass=mass,
+            d_stiffness=d_stiffness,
+            d_mass=np.zeros_like(d_stiffness),
+            observation=seen,
+            parameters=parameters,
+            count=len(stiffness),
         )
 
     def with_parameters(self, active: Sequence[int], base: Float | None = None) -> DenseModel:
@@ -111,45 +118,38 @@ class DenseModel:
         at = list(active)
         hold = np.zeros(len(self.parameters)) if base is None else np.array(base, dtype=np.float64)
         hold[at] = 0.0
-        change = self.parameters.factors(hold) - 1.0
+        stiffness, mass = self._at(hold)
         return replace(
             self,
-            stiffness=self.stiffness + np.tensordot(change, self.d_stiffness, axes=1),
-            mass=self.mass + np.tensordot(change, self.d_mass, axes=1),
+            stiffness=stiffness,
+            mass=mass,
             d_stiffness=self.d_stiffness[at],
             d_mass=self.d_mass[at],
             parameters=self.parameters.take(at),
         )
 
-    def _solve(self, x: Float) -> tuple[Float, Float]:
+    def _at(self, x: Float) -> tuple[Float, Float]:
+        """K and M at x."""
         change = self.parameters.factors(x) - 1.0
         k = self.stiffness + np.tensordot(change, self.d_stiffness, axes=1)
-        m = self.mass + np.tensordot(change, self.d_mass, axes=1)
-        lam, phi = linalg.eigh(k, m)
-        return np.asarray(lam), np.asarray(phi)
+        return k, self.mass + np.tensordot(change, self.d_mass, axes=1)
 
-    def matrices(self, x: Float) -> Matrices:
+    def matrices(self, x: Float) -> MatricesAtPoint:
         """K, M and their derivatives at x (p,)."""
-        change, slope = (
-            self.parameters.factors(x) - 1.0,
-            self.parameters.derivative(x)[:, None, None],
+        slope = self.parameters.derivative(x)[:, None, None]
+        return MatricesAtPoint(
+            *self._at(x), self.d_stiffness * slope, self.d_mass * slope, self.observation
         )
-        k = self.stiffness + np.tensordot(change, self.d_stiffness, axes=1)
-        m = self.mass + np.tensordot(change, self.d_mass, axes=1)
-        return Matrices(k, m, self.d_stiffness * slope, self.d_mass * slope, self.observation)
 
     def modes(self, x: Float) -> Linearisation:
         """Modes at x (p,), without sensitivities."""
-        lam, phi = self._solve(x)
-        c = min(self.count, lam.size)
-        seen = self.observation @ phi[:, :c]
-        return Linearisation(
-            np.asarray(x), _hertz(lam[:c]), seen, np.zeros((c, 0)), np.zeros((*seen.shape, 0))
-        )
+        lam, phi = linalg.eigh(*self._at(x))
+        seen = self.observation @ phi[:, : self.count]
+        return Linearisation.of_modes(x, frequencies(lam[: self.count]), seen)
 
     def linearise(self, x: Float) -> Linearisation:
         """Modes and sensitivities at x (p,)."""
-        lam, phi = self._solve(x)
+        lam, phi = linalg.eigh(*self._at(x))
         c = min(self.count, lam.size)
         slope = self.parameters.derivative(x)
         dk = np.einsum("ni,pnk,kj->pij", phi, self.d_stiffness, phi[:, :c], optimize=True)
@@ -158,19 +158,15 @@ class DenseModel:
         kept = np.arange(c)
         d_lambda = force[:, kept, kept].T
         gap = lam[:c] - lam[:, None]
-        repeated = np.abs(gap) <= REPEATED * np.abs(lam).max()
+        repeated = np.abs(gap) <= 1e-9 * np.abs(lam).max()  # shapes that mix freely
         mix = np.where(repeated, 0.0, force / np.where(repeated, 1.0, gap))
         mix[:, kept, kept] = -0.5 * dm[:, kept, kept] * slope[:, None]
         seen = self.observation @ phi
         d_shapes = np.einsum("ni,pij->njp", seen, mix, optimize=True)
-        return Linearisation(np.asarray(x), _hertz(lam[:c]), seen[:, :c], d_lambda, d_shapes)
+        return Linearisation(np.asarray(x), frequencies(lam[:c]), seen[:, :c], d_lambda, d_shapes)
 
 
-def _hertz(lam: Any_) -> Float:
-    return np.asarray(np.sign(lam) * np.sqrt(np.abs(lam)) / (2 * np.pi))
-
-
-def matrices_at(model: object, x: Float) -> Matrices:
+def matrices_at(model: object, x: Float) -> MatricesAtPoint:
     """Small matrices of a model at x (p,): of a `DenseModel`, or of a `ReducedModel` in its basis.
 
     Raises
@@ -188,14 +184,12 @@ def matrices_at(model: object, x: Float) -> Matrices:
     return give(x)  # type: ignore[no-any-return]
 
 
-def _reduced(model: ReducedModel, x: Float) -> Matrices:
+def _reduced(model: ReducedModel, x: Float) -> MatricesAtPoint:
     """The projected matrices."""
     everything = model.full_vector(x)
-    a, slope = (
-        model.system.parameters.factors(everything),
-        model.system.parameters.derivative(everything),
-    )
+    a = model.system.parameters.factors(everything)
+    slope = model.system.parameters.derivative(everything)
     k, m = model.projected(a)
     both = [model.derivative(a, i, float(slope[i])) for i in model.active]
     dk, dm = (np.reshape([pair[j] for pair in both], (len(both), *k.shape)) for j in range(2))
-    return Matrices(k, m, dk, dm, model.basis.observe)
+    return MatricesAtPoint(k, m, dk, dm, model.basis.observe)

@@ -16,35 +16,28 @@ import numpy as np
 from scipy import linalg, sparse
 
 from ringtrue.core.arrays import Float
+from ringtrue.core.iterate import Progress, part
 from ringtrue.core.parameters import ParameterSet
-from ringtrue.core.progress import Progress, part
 from ringtrue.eigen.derivatives import modal_coefficients
 from ringtrue.eigen.eigenpairs import EigenModes, frequencies
 from ringtrue.eigen.modes import solve_modes
 from ringtrue.eigen.pencil import Pencil
 from ringtrue.errors import InputError, NumericalError
+from ringtrue.fem.parametrisation.parameter_groups import Pair
 from ringtrue.model.ports import Linearisation
 from ringtrue.reduction.basis import (
     AffineSystem,
-    Projection,
+    ProjectedSystem,
+    StaticSensitivities,
     compress,
-    mixed_sensitivities,
     orthonormal_part,
     principal,
     project,
-    static_sensitivities,
 )
 
-USUAL = 320  # vectors of a basis
-SOLVED, SPANNED = 0.3, 0.8  # of the progress of a basis: its modes are there, its vectors are there
-MANY = 2400  # sensitivity vectors from which on random mixtures of them stand for all
-AT_ONCE = 800  # sensitivity vectors whose principal directions are taken at once
-# times the highest frequency returned: stiffer vectors of the basis have no sensitivity that can be
-# used
-FAR = 100.0
-MASSLESS = (
-    1e-14  # θ = 1/(λ − σ), relative to the largest, from which on a vector of the basis has no mass
-)
+MANY = 2400  # static sensitivities from which on random mixtures of them stand for all
+# θ = 1/(λ − σ), relative to the largest, below which a vector of the basis has no mass
+MASSLESS = 1e-14
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +59,14 @@ class BasisOptions:
     size: int = 0
     drop: float = 1e-5
 
+    def modes(self, count: int) -> int:
+        """How many modes of the nominal model a basis that returns `count` holds."""
+        return int(np.ceil(self.extra * count)) + 4
+
+    def vectors(self, modes: int) -> int:
+        """How many vectors the basis has at most at the start."""
+        return self.size or max(320, 3 * modes // 2)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReducedModel:
@@ -74,7 +75,7 @@ class ReducedModel:
     Attributes
     ----------
     system : AffineSystem
-    basis : Projection
+    basis : ProjectedSystem
     pencil : Pencil
         The nominal one, factorised at `shift`; serves `error`.
     shift : float
@@ -88,7 +89,7 @@ class ReducedModel:
     """
 
     system: AffineSystem
-    basis: Projection
+    basis: ProjectedSystem
     pencil: Pencil
     shift: float
     count: int
@@ -132,10 +133,8 @@ class ReducedModel:
         """Modes and exact sensitivities of the reduced model at x (p,)."""
         everything = self.full_vector(x)
         lam, y = self._solve(everything, all_modes=True)
-        a, slope = (
-            self.system.parameters.factors(everything),
-            self.system.parameters.derivative(everything),
-        )
+        a = self.system.parameters.factors(everything)
+        slope = self.system.parameters.derivative(everything)
         m = self.count
         weights = np.zeros((len(self.active), len(self.basis.terms)))
         for i, which in enumerate(self.active):  # over parameters
@@ -156,8 +155,7 @@ class ReducedModel:
         """Modes only (sensitivities with no columns)."""
         lam, y = self._solve(self.full_vector(x), all_modes=False)
         seen = self.basis.observe @ y
-        none = (np.zeros((lam.size, 0)), np.zeros((*seen.shape, 0)))
-        return Linearisation(np.array(x, dtype=float), frequencies(lam), seen, *none)
+        return Linearisation.of_modes(x, frequencies(lam), seen)
 
     def coordinates(self, x: Float) -> tuple[Float, Float]:
         """λ (m,) and the modes in the basis (r, m) at x."""
@@ -182,7 +180,8 @@ class ReducedModel:
         """∂K/∂a and ∂M/∂a (r, r) of one parameter, by position, times da/dx, at the factors a of
         all.
         """
-        dk, dm = np.zeros_like(self.basis.stiffness), np.zeros_like(self.basis.mass)
+        dk = np.zeros_like(self.basis.stiffness)
+        dm = np.zeros_like(self.basis.mass)
         for i in self.basis.of.get(which, ()):
             f, kt, mt = self.basis.terms[i]
             weight = f.derivative(a, which) * slope
@@ -204,11 +203,11 @@ class ReducedModel:
             raise NumericalError(
                 f"reduced model: stiffness not definite at |x| up to {far:.3g}; stay nearer to 0"
             ) from e
-        theta, y = theta[::-1], y[:, ::-1]
+        theta = theta[::-1]
+        y = y[:, ::-1]
         moving = int(np.count_nonzero(theta[: self.count] > MASSLESS * theta[0]))
-        theta = np.maximum(
-            theta, MASSLESS * theta[0]
-        )  # a motion without mass adds its flexibility, no mode
+        # a motion without mass adds its flexibility, no mode
+        theta = np.maximum(theta, MASSLESS * theta[0])
         y = y / np.sqrt(theta)
         lam = self.shift + 1 / theta
         low = y[:, :moving]  # far from the shift, 1/θ has lost digits that Rayleigh quotients keep
@@ -225,7 +224,8 @@ class ReducedModel:
         """
         everything = self.full_vector(x)
         lam, phi = self.vectors(x)
-        lam, phi = lam[:modes], phi[:, :modes]
+        lam = lam[:modes]
+        phi = phi[:, :modes]
         r = self.system.stiffness @ phi - (self.system.mass @ phi) * lam
         a = self.system.parameters.factors(everything)
         for t in self.system.terms:
@@ -234,19 +234,19 @@ class ReducedModel:
         energy = np.einsum("ij,ij->j", r, self.pencil.at(self.shift).solve(r))
         return float(0.5 * np.max(energy / (lam - self.shift)))
 
-    def with_basis(self, basis: Projection) -> ReducedModel:
+    def with_basis(self, basis: ProjectedSystem) -> ReducedModel:
         """The same model on another projection of its system."""
         return replace(self, basis=basis)
 
     def whole(self) -> ReducedModel:
-        """The same with all modes of the basis that are not drowned in rounding: sums over them
-        hold its flexibility.
+        """The same with all modes of the basis up to 100 times the highest frequency returned: sums
+        over them hold its flexibility, and sensitivities of stiffer ones are rounding.
 
         They are counted at `base`, so that the number does not change from point to point.
         """
         everything = replace(self, count=self.basis.size)
         lam, _ = everything._solve(self.base, all_modes=False)
-        count = int(np.searchsorted(lam, FAR**2 * abs(lam[self.count - 1]), side="right"))
+        count = int(np.searchsorted(lam, 100**2 * abs(lam[self.count - 1]), side="right"))
         return replace(self, count=count, scale=self.scale or self.count)
 
     def on(self, vectors: Float) -> ReducedModel:
@@ -285,8 +285,8 @@ class ReducedModel:
         modes = solve_modes(pencil, self.count, shift=self.shift, progress=progress)
         fresh = modes.vectors
         if sensitivities:
-            terms = [t for i in self.active for t in self.system.alone(i)]
-            s = static_sensitivities(pencil, modes, terms, self.count, progress)
+            terms = [t for i in self.active for t in self.system.terms_of(i)]
+            s = StaticSensitivities(pencil, modes, self.count).of_each(terms, progress)
             there = sparse.csr_array(k - modes.shift * m)
             fresh = np.hstack([fresh, compress(there, s, 2 * self.count, 1e-4)])
         pencil.close()
@@ -294,15 +294,7 @@ class ReducedModel:
         fresh = orthonormal_part(energy, self.basis.vectors, fresh)
         basis = project(self.system, np.hstack([self.basis.vectors, fresh]), self.basis)
         seen = np.asarray(self.system.observe @ modes.vectors)
-        n = modes.values.size
-        truth = Linearisation(
-            np.array(x, dtype=float),
-            modes.frequencies,
-            seen,
-            np.zeros((n, 0)),
-            np.zeros((seen.shape[0], n, 0)),
-        )
-        return replace(self, basis=basis), truth
+        return replace(self, basis=basis), Linearisation.of_modes(x, modes.frequencies, seen)
 
 
 def _products(acting: dict[int, Float], weights: Float, y: Float, m: int) -> Float:
@@ -310,9 +302,7 @@ def _products(acting: dict[int, Float], weights: Float, y: Float, m: int) -> Flo
     modes y (r, r).
     """
     out = np.zeros((len(weights), y.shape[1], m))
-    for i, own in enumerate(
-        weights
-    ):  # over parameters, of which there are fewer than terms that they have together
+    for i, own in enumerate(weights):  # over parameters: fewer than terms of several
         if used := [t for t in acting if own[t]]:
             total = own[used[0]] * acting[used[0]]
             for t in used[1:]:
@@ -322,39 +312,55 @@ def _products(acting: dict[int, Float], weights: Float, y: Float, m: int) -> Flo
 
 
 def _static(
-    pencil: Pencil,
-    modes: EigenModes,
-    system: AffineSystem,
-    count: int,
-    energy: sparse.csr_array,
+    sensitivities: StaticSensitivities,
+    terms: Sequence[Pair],
     most: int,
     drop: float,
     progress: Progress | None,
 ) -> Float:
-    """Principal directions of the static sensitivities: of each, or of their mixtures where they
-    are too many.
+    """At most `most` principal directions of the static sensitivities: of each, or of random
+    mixtures where they are too many.
     """
-    todo = [t for i in range(len(system.parameters)) for t in system.alone(i)]
-    if most <= 0:
-        return np.zeros((pencil.size, 0))
-    if len(todo) * count > max(MANY, 4 * most):
-        return compress(
-            energy, mixed_sensitivities(pencil, modes, todo, count, 2 * most, progress), most, drop
-        )
+    pencil = sensitivities.pencil
+    count = sensitivities.count
     x = np.zeros((pencil.size, 0))
-    block = max(1, AT_ONCE // max(count, 1))
-    for first in range(0, len(todo), block):  # principal directions of so many at a time
-        some = todo[first : first + block]
-        told = part(progress, first / len(todo), (first + len(some)) / len(todo))
-        x = np.hstack([x, static_sensitivities(pencil, modes, some, count, told)])
-        if first + block < len(todo):
+    if most <= 0:
+        return x
+    energy = sparse.csr_array(pencil.stiffness - sensitivities.modes.shift * pencil.mass)
+    if len(terms) * count > max(MANY, 4 * most):
+        return compress(energy, sensitivities.mixed(terms, 2 * most, progress), most, drop)
+    block = max(1, 800 // max(count, 1))  # what is held in memory
+    for first in range(0, len(terms), block):
+        some = terms[first : first + block]
+        share = part(progress, first / len(terms), (first + len(some)) / len(terms))
+        x = np.hstack([x, sensitivities.of_each(some, share)])
+        if first + block < len(terms):
             x = principal(energy, x, most, drop)
     return compress(energy, x, most, drop)
 
 
-def modes_of(count: int, options: BasisOptions | None = None) -> int:
+def modes_of(count: int) -> int:
     """How many modes of the nominal model a basis that returns `count` holds."""
-    return int(np.ceil((options or BasisOptions()).extra * count)) + 4
+    return BasisOptions().modes(count)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KnownModes:
+    """What there is already of the nominal model.
+
+    Attributes
+    ----------
+    pencil : Pencil
+        Of its K and M.
+    modes : EigenModes, optional
+        Its lowest; used where they are as many as `BasisOptions.modes` asks for.
+    shift : float, optional
+        A good negative shift, (rad/s)², to find more from; sought if not given.
+    """
+
+    pencil: Pencil
+    modes: EigenModes | None = None
+    shift: float | None = None
 
 
 def reduced_model(
@@ -363,9 +369,7 @@ def reduced_model(
     *,
     options: BasisOptions | None = None,
     points: Sequence[Float] = (),
-    pencil: Pencil | None = None,
-    modes: EigenModes | None = None,
-    shift: float | None = None,
+    known: KnownModes | None = None,
     progress: Progress | None = None,
 ) -> ReducedModel:
     """Build the basis: modes at x = 0, static sensitivities to every parameter, modes at further
@@ -379,32 +383,37 @@ def reduced_model(
     options : BasisOptions, optional
     points : sequence of (p,) float64
         Points x where the modes of the full model are added.
-    pencil : Pencil, optional
-        Of the nominal K and M, if there is one already.
-    modes : EigenModes, optional
-        The lowest of the nominal model, if they are there already: `modes_of(count, options)` or
-        more.
-    shift : float, optional
-        A good negative shift (rad/s)² to find them from; sought if not given.
+    known : KnownModes, optional
     """
     options = options or BasisOptions()
-    pencil = pencil or Pencil(system.stiffness, system.mass)
-    wanted = modes_of(count, options)
+    known = known or KnownModes(Pencil(system.stiffness, system.mass))
+    pencil = known.pencil
+    modes = known.modes
+    wanted = options.modes(count)
     if modes is None or modes.values.size < wanted:
-        modes = solve_modes(pencil, wanted, shift=shift, progress=part(progress, 0.0, SOLVED))
+        modes = solve_modes(pencil, wanted, shift=known.shift, progress=part(progress, 0.0, 0.3))
     n = min(count, modes.values.size)
     energy = sparse.csr_array(system.stiffness - modes.shift * system.mass)
-    most = (options.size or max(USUAL, 3 * modes.values.size // 2)) - modes.values.size
     x = _static(
-        pencil, modes, system, n, energy, most, options.drop, part(progress, SOLVED, SPANNED)
+        StaticSensitivities(pencil, modes, n),
+        [t for i in range(len(system.parameters)) for t in system.terms_of(i)],
+        most=options.vectors(modes.values.size) - modes.values.size,
+        drop=options.drop,
+        progress=part(progress, 0.3, 0.8),
     )
     if progress is not None:
-        progress(SPANNED, "projection")
+        progress(0.8, "projection")
     base_modes = modes.vectors / np.sqrt(modes.values - modes.shift)
     vectors = np.hstack([base_modes, orthonormal_part(energy, base_modes, x)])
-    every = tuple(range(len(system.parameters)))
-    base = np.zeros(len(every))
-    model = ReducedModel(system, project(system, vectors), pencil, modes.shift, n, every, base)
+    model = ReducedModel(
+        system,
+        basis=project(system, vectors),
+        pencil=pencil,
+        shift=modes.shift,
+        count=n,
+        active=tuple(range(len(system.parameters))),
+        base=np.zeros(len(system.parameters)),
+    )
     for point in points:  # snapshots
         model, _ = model.enrich(point, progress=progress)
     return model
@@ -441,5 +450,7 @@ def condensed(model: ReducedModel, points: Sequence[Float], size: int) -> Reduce
     u, _, _ = linalg.svd(np.hstack(parts), full_matrices=False)
     v = linalg.solve_triangular(root, u[:, :size])
     terms = tuple((f, v.T @ k @ v, v.T @ m @ v) for f, k, m in b.terms)
-    basis = Projection(b.vectors @ v, v.T @ b.stiffness @ v, v.T @ b.mass @ v, terms, b.observe @ v)
+    basis = ProjectedSystem(
+        b.vectors @ v, v.T @ b.stiffness @ v, v.T @ b.mass @ v, terms, b.observe @ v
+    )
     return replace(model, basis=basis)

@@ -11,20 +11,15 @@ import numpy as np
 from scipy import linalg, sparse
 
 from ringtrue.core.arrays import Float, Int, freeze_fields
+from ringtrue.core.iterate import Progress
 from ringtrue.core.modes import elastic
-from ringtrue.core.progress import Progress
 from ringtrue.eigen.eigenpairs import frequencies
 from ringtrue.eigen.pencil import Factor, Pencil
 from ringtrue.errors import InputError, SingularModel
 from ringtrue.reduction.basis import CHUNK, orthonormal_part, project
 from ringtrue.reduction.parametric import ReducedModel
 
-DEPENDENT, MASSLESS = (
-    1e-10,
-    1e-11,
-)  # shares of the energy below which a vector is one of others, or has no mode
 NEW = 1e-10  # squared share of a vector outside the basis that is kept
-PUSH = 1e-6  # of λ: off a mode that a line stands on exactly
 
 
 def with_responses(
@@ -64,12 +59,14 @@ def with_responses(
     fresh = [u]
     if sensitivities:
         for i in model.active:
-            fresh += [_solved(factor, k @ u - shift * (m @ u)) for k, m in model.system.alone(i)]
+            fresh += [_solved(factor, k @ u - shift * (m @ u)) for k, m in model.system.terms_of(i)]
     pencil.close()
-    true, found = load.T @ u, _flexibility(model, a, channels, shift)
-    error = float(
-        np.abs(found - true).max(initial=0.0) / max(float(np.abs(true).max(initial=0.0)), 1e-300)
-    )
+    k, m = model.projected(a)
+    seen = model.basis.observe[channels]
+    true = load.T @ u
+    found = seen @ linalg.solve(k - shift * m, seen.T, assume_a="sym")
+    largest = max(float(np.abs(true).max(initial=0.0)), 1e-300)
+    error = float(np.abs(found - true).max(initial=0.0) / largest)
     new = np.hstack(fresh)
     new = new[:, np.abs(new).max(axis=0) > 0]
     energy = sparse.csr_array(model.system.stiffness - model.shift * model.system.mass)
@@ -91,9 +88,9 @@ def responding(model: ReducedModel, channels: Int, x: Float) -> tuple[Float, Flo
     some = np.hstack([y, linalg.solve(energy, loads[loads.any(axis=1)].T, assume_a="sym")])
     some = some / np.sqrt(np.einsum("ij,ij->j", some, energy @ some))
     size, turn = linalg.eigh(some.T @ energy @ some)
-    some = some @ (turn / np.sqrt(size))[:, size > DEPENDENT]
+    some = some @ (turn / np.sqrt(size))[:, size > 1e-10]
     inverse, turn = linalg.eigh(some.T @ m @ some)
-    some = some @ turn[:, inverse > MASSLESS * inverse.max()]
+    some = some @ turn[:, inverse > 1e-11 * inverse.max()]
     values, turn = linalg.eigh(some.T @ k @ some, some.T @ m @ some)
     return values, model.basis.vectors @ (some @ turn)
 
@@ -114,13 +111,6 @@ def _solved(factor: Factor, load: Float) -> Float:
     return np.concatenate(
         [factor.solve(load[:, i : i + CHUNK]) for i in range(0, n, CHUNK)], axis=1
     )
-
-
-def _flexibility(model: ReducedModel, a: Float, channels: Int, shift: float) -> Float:
-    """Of the reduced model between the channels, (l, l)."""
-    k, m = model.projected(a)
-    load = model.basis.observe[channels]
-    return np.asarray(load @ linalg.solve(k - shift * m, load.T, assume_a="sym"))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,79 +136,89 @@ class ResponseBasis:
         freeze_fields(self, vectors=np.float64, residual=np.float64)
 
 
-def response_basis(
-    stiffness: sparse.csr_array,
-    mass: sparse.csr_array,
-    loads: Float,
-    freqs: Float,
-    start: Float,
-    *,
-    loss: float,
-    tolerance: float = 0.02,
-    steps: int = 20,
-    most: int = 600,
-    progress: Progress | None = None,
-) -> ResponseBasis:
-    """Vectors that hold the steady response to harmonic loads at all lines.
+@dataclass(frozen=True, slots=True)
+class ResponseSearch:
+    """How the vectors of a response are sought.
 
-    Parameters
+    Attributes
     ----------
-    stiffness, mass : (f, f) csr_array float64
-    loads : (f, j) float64
-    freqs : (l,) float64, Hz
-        Lines where the residual is watched; above 0, as close as the resonances are wide or
-        somewhat wider.
-    start : (f, r) float64
-        Vectors to begin with: modes of the lower part of the band.
     loss : float
-        Structural loss factor of the response that the residual belongs to.
+        Structural loss factor of the response that the residual belongs to, > 0.
     tolerance : float
         Of the residual.
     steps : int
         Krylov steps at a line.
     most : int
         Vectors from which on no more lines are taken, converged or not.
+    """
+
+    loss: float
+    tolerance: float = 0.02
+    steps: int = 20
+    most: int = 600
+
+
+def response_basis(
+    pencil: Pencil,
+    loads: Float,
+    freqs: Float,
+    start: Float,
+    search: ResponseSearch,
+    *,
+    progress: Progress | None = None,
+) -> ResponseBasis:
+    """Vectors that hold the steady response to harmonic loads at all lines.
+
+    Parameters
+    ----------
+    pencil : Pencil
+        Of K and M; it is closed.
+    loads : (f, j) float64
+    freqs : (l,) float64, Hz
+        Lines where the residual is watched; above 0, as close as the resonances are wide or
+        somewhat wider.
+    start : (f, r) float64
+        Vectors to begin with: modes of the lower part of the band.
+    search : ResponseSearch
 
     Raises
     ------
     InputError
         If there is no load, no line above 0 Hz, or no damping.
     """
-    f, w2 = np.asarray(freqs, dtype=np.float64), (2 * np.pi * np.asarray(freqs)) ** 2
-    if not f.size or f.min() <= 0 or not np.any(loads) or not loss > 0:
+    f = np.asarray(freqs, dtype=np.float64)
+    w2 = (2 * np.pi * np.asarray(freqs)) ** 2
+    if not f.size or f.min() <= 0 or not np.any(loads) or not search.loss > 0:
         raise InputError(
-            f"response basis: {f.size} lines above 0 Hz, a load and a loss factor {loss} > 0 are "
-            "needed"
+            f"response basis: {f.size} lines above 0 Hz, a load and a loss factor "
+            f"{search.loss} > 0 are needed"
         )
-    pencil = Pencil(stiffness, mass)
-    at = _Lines(stiffness, mass, loads, w2, loss)
-    span = _Span.of(stiffness, mass, start).grown(pencil.at(-float(w2[0])), loads, 1)
+    at = _HarmonicResidual(pencil.stiffness, pencil.mass, loads, w2, search.loss)
+    span = _Span.of(pencil.stiffness, pencil.mass, start).grown(pencil.at(-float(w2[0])), loads, 1)
     every = np.arange(f.size)
-    residual, lines, done = at.residual(span, every), list[float](), 0.0
-    while residual.max() > tolerance and span.size < most:
+    residual = at.residual(span, every)
+    lines = list[float]()
+    done = 0.0
+    while residual.max() > search.tolerance and span.size < search.most:
         worst = int(np.argmax(residual))
-        more = span.grown(_factor(pencil, float(w2[worst])), loads, steps)
+        try:
+            factor = pencil.at(float(w2[worst]))
+        except SingularModel:  # a mode stands exactly there
+            factor = pencil.at(float(w2[worst]) * (1 + 1e-6))
+        more = span.grown(factor, loads, search.steps)
         if more.size == span.size:
             break  # round-off: there is nothing left to add
         span = more
         lines.append(float(f[worst]))
-        left = np.flatnonzero(residual > tolerance)
+        left = np.flatnonzero(residual > search.tolerance)
         residual[left] = at.residual(span, left)
-        if residual.max() <= tolerance:
+        if residual.max() <= search.tolerance:
             residual = at.residual(span, every)
         if progress is not None:
-            done = max(done, float(np.mean(residual <= tolerance)))
+            done = max(done, float(np.mean(residual <= search.tolerance)))
             progress(done, f"response at {lines[-1]:.4g} Hz")
     pencil.close()
     return ResponseBasis(span.vectors, residual, tuple(lines))
-
-
-def _factor(pencil: Pencil, value: float) -> Factor:
-    """The factorisation at a line, or beside it if a mode stands there."""
-    try:
-        return pencil.at(value)
-    except SingularModel:
-        return pencil.at(value * (1 + PUSH))
 
 
 def _orthonormal(mass: sparse.csr_array, x: Float) -> Float:
@@ -261,7 +261,8 @@ class _Span:
         if not x.shape[1]:
             return self
         x = _orthonormal(self.m, self.outside(_orthonormal(self.m, x)))
-        side, corner = self.vectors.T @ (self.k @ x), x.T @ (self.k @ x)
+        side = self.vectors.T @ (self.k @ x)
+        corner = x.T @ (self.k @ x)
         stiffness = np.block([[self.stiffness, side], [side.T, (corner + corner.T) / 2]])
         return _Span(self.k, self.m, np.hstack([self.vectors, x]), stiffness)
 
@@ -292,7 +293,7 @@ def _krylov(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Lines:
+class _HarmonicResidual:
     """Where the residual is watched."""
 
     stiffness: sparse.csr_array
@@ -303,17 +304,17 @@ class _Lines:
 
     def residual(self, span: _Span, at: Int) -> Float:
         """The largest over the loads at some lines, (l,)."""
-        v, w2, lossy = span.vectors, self.w2[at], 1 + 1j * self.loss
+        v = span.vectors
+        w2 = self.w2[at]
+        lossy = 1 + 1j * self.loss
         lam, y = linalg.eigh(span.stiffness)
-        q = (y.T @ (v.T @ self.loads))[:, None] / (
-            lam[:, None, None] * lossy - w2[:, None]
-        )  # (r, l, j)
+        dynamic = lam[:, None, None] * lossy - w2[:, None]
+        q = (y.T @ (v.T @ self.loads))[:, None] / dynamic  # (r, l, j)
         q = y @ q.reshape(lam.size, -1)
         x = v @ q.real + 1j * (v @ q.imag)  # the vectors stay real
         shape = (v.shape[0], w2.size, -1)
-        left = (self.stiffness @ x * lossy).reshape(shape) - w2[:, None] * (self.mass @ x).reshape(
-            shape
-        )
+        elastic_force = (self.stiffness @ x * lossy).reshape(shape)
+        left = elastic_force - w2[:, None] * (self.mass @ x).reshape(shape)
         scale = 1 / (self.stiffness.diagonal() + self.w2[-1] * self.mass.diagonal())
         wrong = np.einsum("f,flj->lj", scale, np.abs(left - self.loads[:, None]) ** 2)
         return np.asarray(np.sqrt((wrong / (scale @ self.loads**2)).max(axis=1)))

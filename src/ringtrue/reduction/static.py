@@ -11,14 +11,12 @@ import numpy as np
 from scipy import linalg, sparse
 
 from ringtrue.core.arrays import Any_, Float, Int, freeze_fields
-from ringtrue.core.progress import Progress
 from ringtrue.eigen.modes import solve_modes
 from ringtrue.eigen.pencil import Factor, Labels, Pencil
 from ringtrue.errors import ConfigError, InputError, did_you_mean
-from ringtrue.shapes.orthogonality import pseudo_inverse
+from ringtrue.shapes import pseudo_inverse
 
 CHUNK = 64  # right-hand sides solved at once
-CHUNK_DROP = 64  # right-hand sides solved at once
 # relative eigenvalue of the flexibility at the channels below which two channels read the same
 DEPENDENT = 1e-10
 TamMethod = Literal["guyan", "irs", "serep", "hybrid"]
@@ -85,7 +83,6 @@ def craig_bampton(
     count: int,
     *,
     labels: Labels | None = None,
-    progress: Progress | None = None,
 ) -> Condensed:
     """Condense onto the DOFs `boundary` and the `count` lowest modes with these held.
 
@@ -99,8 +96,6 @@ def craig_bampton(
         Modes, of unit modal mass; fewer where the mass has a lower rank.
     labels : callable, optional
         Names of rows for errors, (k,) int64 -> list of str.
-    progress : callable, optional
-        Called with (share done, what) by the eigensolution.
 
     Raises
     ------
@@ -126,15 +121,15 @@ def craig_bampton(
                 pencil, sparse.csr_array(stiffness)[inner][:, kept]
             )
             if count:
-                modes = solve_modes(pencil, count, progress=progress)
+                modes = solve_modes(pencil, count)
                 frequencies = modes.frequencies
                 normal = np.zeros((size, modes.values.size))
                 normal[inner] = modes.vectors
                 transform = np.concatenate([transform, normal], axis=1)
         finally:
             pencil.close()
-    k, m = (_projected(transform, A) for A in (stiffness, mass))
-    return Condensed(k, m, transform, kept, frequencies)
+    k, m = (transform.T @ (A @ transform) for A in (stiffness, mass))
+    return Condensed((k + k.T) / 2, (m + m.T) / 2, transform, kept, frequencies)
 
 
 def _rows(rows: Any_, size: int) -> Int:
@@ -159,11 +154,6 @@ def _constraint_modes(pencil: Pencil, K_ib: sparse.csr_array) -> Float:
         block = slice(first, first + CHUNK)
         out[:, block] = -factor.solve(columns[:, block].toarray()).reshape(K_ib.shape[0], -1)
     return out
-
-
-def _projected(T: Float, A: sparse.csr_array) -> Float:
-    B = T.T @ (A @ T)
-    return np.asarray((B + B.T) / 2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -250,8 +240,8 @@ class StaticShapes:
     def solve(self, load: Float) -> Float:
         """A⁻¹ load, (f, k)."""
         parts = [
-            self.factor.solve(load[:, s : s + CHUNK_DROP]).reshape(load.shape[0], -1)
-            for s in range(0, load.shape[1], CHUNK_DROP)
+            self.factor.solve(load[:, s : s + CHUNK]).reshape(load.shape[0], -1)
+            for s in range(0, load.shape[1], CHUNK)
         ]
         return np.concatenate(parts, axis=1) if parts else np.zeros(load.shape)
 
@@ -322,7 +312,7 @@ def tam(
     ConfigError
         On an unknown method, or without the modes it needs.
     InputError
-        If the channels cannot tell the modes apart, or read the same.
+        If the channels cannot distinguish the modes, or read the same.
     """
     allowed = ("guyan", "irs", "serep", "hybrid")
     if method not in allowed:
@@ -338,20 +328,18 @@ def tam(
     try:
         transform = static.transform
         if method == "irs":
-            transform = _irs(static, stiffness, mass)
+            # T + S M T M_r⁻¹K_r, where S is the flexibility with the readings held
+            inertia = mass @ transform
+            m = transform.T @ inertia
+            k = transform.T @ (stiffness @ transform)
+            change = static.held(inertia) @ linalg.solve(m, k, assume_a="sym")
+            transform = np.asarray(transform + change)
         if method == "hybrid" and modes is not None:
             seen = observe @ modes
             transform = transform + (modes - transform @ seen) @ pseudo_inverse(seen)
     finally:
         static.close()
     return _test_analysis_model(method, transform, stiffness, mass)
-
-
-def _irs(static: StaticShapes, stiffness: sparse.csr_array, mass: sparse.csr_array) -> Float:
-    """T + S M T M_r⁻¹K_r, where S is the flexibility with the readings held."""
-    T = static.transform
-    m, k = T.T @ (mass @ T), T.T @ (stiffness @ T)
-    return np.asarray(T + static.held(mass @ T) @ linalg.solve(m, k, assume_a="sym"))
 
 
 def _test_analysis_model(
@@ -386,16 +374,19 @@ def readings_kept(observe: sparse.csr_array) -> sparse.csr_array:
     size = np.abs(np.diag(r))
     if read.size < c or size[-1] <= DEPENDENT * size[0]:
         raise InputError(f"{c} channels: at least one reads what others read already, or nothing")
-    gone, left = read[pivot[:c]], read[pivot[c:]]
-    inverse = np.linalg.inv(
-        dense[:, pivot[:c]]
-    )  # of a well-conditioned block, one column a channel
+    gone = read[pivot[:c]]
+    left = read[pivot[c:]]
+    inverse = np.linalg.inv(dense[:, pivot[:c]])  # well conditioned by the pivots
     kept = np.setdiff1d(np.arange(f), gone)
     place = np.searchsorted(kept, left)
-    values, rows, columns = [np.ones(kept.size)], [kept], [np.arange(kept.size)]
+    values = [np.ones(kept.size)]
+    rows = [kept]
+    columns = [np.arange(kept.size)]
     for block, at in ((-inverse @ dense[:, pivot[c:]], place), (inverse, kept.size + np.arange(c))):
         i, j = np.nonzero(block)
-        values, rows, columns = [*values, block[i, j]], [*rows, gone[i]], [*columns, at[j]]
+        values = [*values, block[i, j]]
+        rows = [*rows, gone[i]]
+        columns = [*columns, at[j]]
     entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
     return sparse.csr_array(sparse.coo_array(entries, shape=(f, f)))
 
@@ -420,7 +411,8 @@ def craig_bampton_of(
     InputError
         If two channels read the same.
     """
-    s, c = readings_kept(observe), observe.shape[0]
+    s = readings_kept(observe)
+    c = observe.shape[0]
     k, m = (sparse.csr_array(s.T @ (x @ s)) for x in (stiffness, mass))
     return craig_bampton(k, m, np.arange(k.shape[0] - c, k.shape[0]), count)
 
@@ -446,7 +438,8 @@ def craig_bampton_coordinates(condensed: Condensed, shapes: Any_, frequencies: F
     InputError
         If the sizes do not fit.
     """
-    y, f = np.asarray(shapes), np.asarray(frequencies, dtype=np.float64)
+    y = np.asarray(shapes)
+    f = np.asarray(frequencies, dtype=np.float64)
     b = condensed.kept.size
     if y.shape != (b, f.size):
         raise InputError(f"shapes {y.shape} and frequencies {f.shape} for {b} kept DOFs")

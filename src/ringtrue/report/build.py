@@ -18,8 +18,7 @@ from ringtrue import __version__
 from ringtrue.core.arrays import Any_
 from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.io.files import atomic_write
-from ringtrue.plots.pages import script_json
-from ringtrue.report.parts import Acceptance, Photo, Picture, Plot, Scene3D, Section
+from ringtrue.report.parts import Acceptance, Photo, Picture, Plot, Scene3D, Section, Stages
 from ringtrue.report.sections import (
     correlation,
     damping,
@@ -32,11 +31,11 @@ from ringtrue.report.sections import (
     system,
     updated,
 )
-from ringtrue.report.stages import Stages
-from ringtrue.study.acceptance import Check, verdict
+from ringtrue.study.acceptance import AcceptanceCheck, verdict
 from ringtrue.study.config import StudyConfig
-from ringtrue.study.run import StudyRun, load_study
+from ringtrue.study.run import StudyRun
 from ringtrue.study.summary import finite, summarise
+from ringtrue.viewer.view import asset, script_json
 
 __all__ = ["Acceptance", "Photo", "build"]
 
@@ -76,7 +75,7 @@ def build(
     system_text: str = "",
     acceptance: Acceptance | None = None,
     photos: Sequence[Photo] = (),
-    checks: Sequence[Check] = (),
+    checks: Sequence[AcceptanceCheck] = (),
 ) -> Path:
     """Write the report of a study.
 
@@ -93,7 +92,7 @@ def build(
         When a mode is accepted.
     photos : sequence of Photo
         The user's own photographs, embedded.
-    checks : sequence of Check
+    checks : sequence of AcceptanceCheck
         What must hold of the study, and whether it did.
 
     Returns
@@ -212,6 +211,8 @@ def _render(data: Stages, sections: Sequence[Section]) -> str:
         sections=sections,
         body=body.replace("|Δf|", "|\u2060Δf|"),  # no line break after the bar
         raw=raw,
+        viewer_style=asset("viewer.css"),
+        viewer_script=asset("viewer.js"),
         plotly=get_plotlyjs() if figures.plots else "",
         expected=len(figures.plots) + len(figures.views),
         version=__version__,
@@ -258,7 +259,10 @@ def _base64(a: Any_, kind: str) -> str:
 
 
 def deliver(
-    run: StudyRun, extra: Mapping[str, Any] | None = None, *, checks: Sequence[Check] | None = None
+    run: StudyRun,
+    extra: Mapping[str, Any] | None = None,
+    *,
+    checks: Sequence[AcceptanceCheck] | None = None,
 ) -> Path:
     """Write summary.json and report.html into the folder of the run; returns the report.
 
@@ -267,15 +271,11 @@ def deliver(
     summary = finite(summarise(run) | dict(extra or {}))
     with atomic_write(run.folder / "summary.json") as part:
         part.write_text(json.dumps(summary, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    return _write_report(run, run.folder / "report.html", checks)
+    return write_report(run, run.folder / "report.html", checks)
 
 
-def report_from_store(store: Path, target: Path | None = None) -> Path:
-    """The report of a stored study, beside its store unless `target` says otherwise."""
-    return _write_report(load_study(store), target or store.with_name("report.html"))
-
-
-def _write_report(run: StudyRun, out: Path, checks: Sequence[Check] | None = None) -> Path:
+def write_report(run: StudyRun, out: Path, checks: Sequence[AcceptanceCheck] | None = None) -> Path:
+    """The report of a run or of a stored study."""
     config: StudyConfig = run.config
     captions = [*config.report.captions, *[""] * len(config.report.photos)]
     photos = [

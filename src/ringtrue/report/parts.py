@@ -1,19 +1,47 @@
-"""The blocks a section is made of; the templates draw them."""
+"""The blocks a section is made of; the templates draw them.
+
+The stage results of a study by name, any of them absent.
+"""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import NoneType
+from typing import Any, get_args, get_type_hints
 
+import numpy as np
 import plotly.graph_objects as go
 
-from ringtrue.errors import ConfigError, InputError
-from ringtrue.plots.scene import View
+from ringtrue.core.arrays import Float
+from ringtrue.core.modes import ModeSet
+from ringtrue.core.testmodel import TestModel
+from ringtrue.errors import ConfigError, InputError, did_you_mean
+from ringtrue.plots.scene import thinned
 from ringtrue.study.acceptance import Acceptance as Acceptance
-from ringtrue.study.acceptance import Check
+from ringtrue.study.acceptance import AcceptanceCheck
+from ringtrue.study.results import (
+    CompareStage,
+    ConfigurationsStage,
+    ConfiguredStage,
+    CorrelateStage,
+    DampingStage,
+    FinalStage,
+    IdentifyStage,
+    LocaliseStage,
+    ModelStage,
+    PlanStage,
+    PredictStage,
+    Provenance,
+    SensitivityStage,
+    TuneStage,
+    UncertaintyStage,
+    UpdateStage,
+)
+from ringtrue.viewer.view import View
 
 IMAGES = {
     ".png": "image/png",
@@ -71,7 +99,7 @@ class Cell:
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class ReportTable:
     """Rows of texts or cells; a head that starts with `|` is left-aligned text, others are
     numbers.
     """
@@ -84,7 +112,7 @@ class Table:
     lead: int = 1  # columns that the first cell of the foot spans
     kind: str = field(default="table", init=False)
 
-    def without_blank(self, head: str) -> Table:
+    def without_blank(self, head: str) -> ReportTable:
         """The table without the columns with these words in their head, where no row has a number
         in them.
         """
@@ -159,7 +187,7 @@ class Facts:
 class Checks:
     """What must hold, and whether it held."""
 
-    checks: Sequence[Check]
+    checks: Sequence[AcceptanceCheck]
     kind: str = field(default="checks", init=False)
 
 
@@ -242,7 +270,7 @@ class Columns:
 
 
 Block = (
-    Table
+    ReportTable
     | Text
     | Heading
     | Items
@@ -317,3 +345,97 @@ def signs(text: str) -> str:
 
 def _raised(n: int) -> str:
     return str(n).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+
+
+DRAWN = 1_000_000  # nodes of all shapes together, eight bytes each in the page
+# nodes that are drawn of a model
+FEWEST = 3000
+MOST = 12_000
+
+
+@dataclass(frozen=True, slots=True)
+class Stages:
+    """What a report is made of; a stage that was not run is None."""
+
+    title: str
+    system_text: str
+    acceptance: Acceptance
+    checks: tuple[AcceptanceCheck, ...] = ()
+    model: ModelStage | None = None
+    plan: PlanStage | None = None
+    identify: IdentifyStage | None = None
+    compare: CompareStage | None = None
+    correlate: CorrelateStage | None = None
+    configurations: ConfigurationsStage | None = None
+    localise: LocaliseStage | None = None
+    sensitivity: SensitivityStage | None = None
+    update: UpdateStage | None = None
+    tune: TuneStage | None = None
+    final: FinalStage | None = None
+    configured: ConfiguredStage | None = None
+    uncertainty: UncertaintyStage | None = None
+    damping: DampingStage | None = None
+    predict: PredictStage | None = None
+    provenance: Provenance | None = None
+
+    @classmethod
+    def of(
+        cls,
+        stages: Mapping[str, object],
+        title: str,
+        system_text: str,
+        acceptance: Acceptance,
+        checks: Sequence[AcceptanceCheck] = (),
+    ) -> Stages:
+        """From a mapping.
+
+        Raises
+        ------
+        ConfigError
+            On an unknown name or a result of the wrong type.
+        """
+        known: dict[str, Any] = {}
+        for name, value in stages.items():
+            if name not in KINDS:
+                raise ConfigError(f"no stage {name!r}{did_you_mean(name, KINDS)}")
+            if value is not None and not isinstance(value, KINDS[name]):
+                raise ConfigError(
+                    f"stage {name}: got {type(value).__name__}, needs {KINDS[name].__name__}"
+                )
+            known[name] = value
+        if (m := known.get("model")) is not None:
+            most = min(max(DRAWN // max(len(m.modes), 1), FEWEST), MOST)
+            known["model"] = replace(m, scene=thinned(m.scene, most))
+        return cls(title, system_text, acceptance, tuple(checks), **known)
+
+    @property
+    def test(self) -> TestModel | None:
+        """The test model as measured, else as planned; none of frequencies alone."""
+        if self.identify is not None:
+            hammer = self.identify.hammer
+            return (
+                None if hammer is not None and hammer.modes.frequency_only else self.identify.test
+            )
+        return self.plan.sensors.test if self.plan is not None else None
+
+    @property
+    def computed(self) -> Float:
+        """Frequencies of the initial deck, Hz: up to [model] fmax, or as far as the test asked for
+        them.
+        """
+        found = [
+            s.frequencies
+            for s in (self.model and self.model.modes, self.correlate and self.correlate.fe_initial)
+            if s
+        ]
+        return max(found, key=len, default=np.zeros(0))
+
+    @property
+    def reference(self) -> ModeSet | None:
+        """The test modes the model is judged by."""
+        return self.correlate.reference.elastic if self.correlate is not None else None
+
+
+KINDS: dict[str, type] = {
+    n: get_args(h)[0] for n, h in get_type_hints(Stages).items() if NoneType in get_args(h)
+}

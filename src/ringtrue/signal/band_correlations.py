@@ -21,19 +21,42 @@ from numpy.lib.stride_tricks import as_strided
 from scipy.fft import ihfft, irfft, next_fast_len, rfft
 
 from ringtrue.core.arrays import Any_, Float, Int
-from ringtrue.signal.decimation import Fir
+from ringtrue.signal.spectra import Fir
 
-AT_ONCE, MANY = (
-    1 << 21,
-    48,
-)  # samples of all channels and segments that go together: they stay in the cache
-INVERSE = 10.0  # inverse transforms of a block over transforms of a segment: 8 references
-LONGEST = 5  # samples of a segment that count, over those that overlap
-LOOKS = 48  # segments that `glance` takes
+# samples of all channels and segments that go together: they stay in the cache
+AT_ONCE = 1 << 21
+
+
+@dataclass(frozen=True, slots=True)
+class SegmentCosts:
+    """How the segments of a band are laid.
+
+    Attributes
+    ----------
+    many : int
+        Segments from which on a band has many.
+    inverse : float
+        Inverse transforms of a block over transforms of a segment: 8 references.
+    longest : int
+        Samples of a segment that count, over those that overlap.
+    looks : int
+        Segments that `glance` takes.
+    at_once : int
+        Items under way, however many threads there are: all of them are in memory.
+    """
+
+    many: int = 48
+    inverse: float = 10.0
+    longest: int = 5
+    looks: int = 48
+    at_once: int = 2
+
+
+COSTS = SegmentCosts()
+
 
 T = TypeVar("T")
 R = TypeVar("R")
-ABREAST = 2  # items under way, however many threads there are: all of them are in memory
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,14 +94,18 @@ def segments(samples: int, blocks: int, lags: int, band: Fir, decimation: Fir) -
     """
     factor = decimation.factor
     lead = -(-(max(band.taps.size, decimation.taps.size) // 2 + 16) // factor) * factor
-    beside = 2 * lead + lags
+    overhang = 2 * lead + lags
     block = -(-samples // blocks)
     # long ones overlap less, but each block has the inverse transforms of all its correlations, and
     # products of many short ones take less time
-    each = max(1, round(max(np.sqrt(INVERSE * block / beside), block / (LONGEST * beside))))
+    each = max(
+        1, round(max(np.sqrt(COSTS.inverse * block / overhang), block / (COSTS.longest * overhang)))
+    )
     hop = -(-block // (each * factor)) * factor
-    size = factor * int(next_fast_len(-(-(hop + beside) // factor), real=True))
-    return Segments(blocks, each, hop, lead, size, lags, factor)
+    size = factor * int(next_fast_len(-(-(hop + overhang) // factor), real=True))
+    return Segments(
+        blocks=blocks, each=each, hop=hop, lead=lead, size=size, lags=lags, factor=factor
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,18 +137,16 @@ class Signals:
         n = data.shape[1]
         t = np.linspace(-1.0, 1.0, n)
         t /= max(float(t @ t), 1.0)
-        line = np.array(
-            [[x.sum(dtype=np.float64) / max(n, 1), x @ t] for x in data]
-        )  # a channel is in the cache
+        # a channel is in the cache
+        line = np.array([[x.sum(dtype=np.float64) / max(n, 1), x @ t] for x in data])
         return cls(data, line[:, 0], line[:, 1])
 
     def power(self) -> Float:
         """(ch,) mean squares."""
-        n, step = self.samples, max(1, AT_ONCE // self.level.size)
-        total, room = (
-            np.zeros(self.level.size),
-            np.empty((self.level.size, min(step, n)), dtype=np.float32),
-        )
+        n = self.samples
+        step = max(1, AT_ONCE // self.level.size)
+        total = np.zeros(self.level.size)
+        room = np.empty((self.level.size, min(step, n)), dtype=np.float32)
         for k in range(0, n, step):
             x = self.part(k, min(k + step, n), out=room[:, : min(step, n - k)])
             total += np.einsum("cs,cs->c", x, x)
@@ -136,7 +161,8 @@ class Signals:
         self, start: int, stop: int, rows: Int | slice = slice(None), out: Any_ | None = None
     ) -> Any_:
         """(ch, stop − start) float32, zero beyond the ends; in `out`, if given."""
-        a, b = max(start, 0), min(stop, self.samples)
+        a = max(start, 0)
+        b = min(stop, self.samples)
         level = self.level[rows].astype(self.data.dtype)
         if out is None:
             out = np.empty((level.size, stop - start), dtype=np.float32)
@@ -161,10 +187,8 @@ def detrended(data: Any_) -> Signals:
     if not data.shape[1]:
         return Signals(data, np.zeros(len(data)))
     t = np.linspace(-1.0, 1.0, data.shape[1], dtype=np.float32)
-    mean, slope = (
-        np.full(t.size, 1 / t.size, dtype=np.float32),
-        t / np.float32(max(float(t @ t), 1.0)),
-    )
+    mean = np.full(t.size, 1 / t.size, dtype=np.float32)
+    slope = t / np.float32(max(float(t @ t), 1.0))
     for x in data:
         x -= x @ mean
         x -= (x @ mean) + (x @ slope) * t
@@ -184,11 +208,12 @@ def glance(signals: Signals, cut: Segments, band: Fir) -> tuple[Float, Float]:
     some segments.
     """
     every = cut.blocks * cut.each
-    some = np.unique(np.linspace(0, every - 1, min(LOOKS, every)).round().astype(np.int64))
+    some = np.unique(np.linspace(0, every - 1, min(COSTS.looks, every)).round().astype(np.int64))
     gain = _gain(band, cut.size)
     turn = np.exp(2j * np.pi * np.arange(gain.size) / cut.size).astype(np.complex64)
     ch = signals.level.size
-    power, lagged = np.zeros(ch), np.zeros((ch, ch))
+    power = np.zeros(ch)
+    lagged = np.zeros((ch, ch))
     for k in some.tolist():
         start = k * cut.hop - cut.lead
         y = rfft(signals.part(start, start + cut.size), axis=1) * gain
@@ -241,9 +266,12 @@ def run(
     lower : (ch, sample / factor) float32
         Decimated signals; of no length with factor 1.
     """
-    gain, low = _gain(band, cut.size), _gain(decimation, cut.size)
-    ch, n = signals.level.size, signals.samples
-    q, block = cut.factor, cut.each * cut.hop
+    gain = _gain(band, cut.size)
+    low = _gain(decimation, cut.size)
+    ch = signals.level.size
+    n = signals.samples
+    q = cut.factor
+    block = cut.each * cut.hop
     lower = np.empty((ch, cut.blocks * block // q if q > 1 else 0), dtype=np.float32)
     r = np.empty((cut.blocks, cut.lags + 1, ch, references.size), dtype=np.float32)
     batch = _together(cut, ch, cut.each)
@@ -268,9 +296,11 @@ def run(
 
 def lowered(signals: Signals, decimation: Fir) -> Any_:
     """(ch, sample) float32 decimated signals."""
-    ch, n = signals.level.size, signals.samples
+    ch = signals.level.size
+    n = signals.samples
     cut = segments(n, -(-n // max(4 * decimation.taps.size, 4096)), 0, decimation, decimation)
-    gain, q = _gain(decimation, cut.size), cut.factor
+    gain = _gain(decimation, cut.size)
+    q = cut.factor
     out = np.empty((ch, cut.blocks * cut.each * cut.hop // q), dtype=np.float32)
     batch = _together(cut, ch, cut.blocks * cut.each)
     room = np.empty((ch, (batch - 1) * cut.hop + cut.size), dtype=np.float32)
@@ -288,7 +318,7 @@ def _together(cut: Segments, ch: int, count: int) -> int:
     """How many of `count` segments of `ch` channels are transformed at a time, in parts as equal as
     may be.
     """
-    most = int(np.clip(AT_ONCE // (ch * cut.size), 1, MANY))
+    most = int(np.clip(AT_ONCE // (ch * cut.size), 1, COSTS.many))
     return -(-count // -(-count // most))
 
 
@@ -296,7 +326,8 @@ def _cut_out(signals: Signals, cut: Segments, start: int, count: int, room: Any_
     """(ch, sample) of `count` segments from `start`, with what leads and follows, in `room`: new
     memory costs time.
     """
-    first, wide = start - cut.lead, (count - 1) * cut.hop + cut.size
+    first = start - cut.lead
+    wide = (count - 1) * cut.hop + cut.size
     return signals.part(first, first + wide, out=room[:, :wide])
 
 
@@ -329,7 +360,8 @@ def _decimated(y: Any_, cut: Segments, gain: Any_) -> Any_:
     """(ch, sample) decimated signals of the spectra `y` (freq, ch, segment): what counts of each
     segment.
     """
-    q, m = cut.factor, cut.size // cut.factor
+    q = cut.factor
+    m = cut.size // cut.factor
     z = irfft(y[: m // 2 + 1] * (gain[: m // 2 + 1, None, None] / np.float32(q)), m, axis=0)
     return z[cut.lead // q : (cut.lead + cut.hop) // q].transpose(1, 2, 0).reshape(y.shape[1], -1)
 
@@ -339,7 +371,7 @@ def threads() -> int:
     cores.
     """
     asked = os.environ.get("OMP_NUM_THREADS", "").split(",")[0].strip()
-    return min(max(int(asked), 1) if asked.isdecimal() else os.cpu_count() or 1, ABREAST)
+    return min(max(int(asked), 1) if asked.isdecimal() else os.cpu_count() or 1, COSTS.at_once)
 
 
 def map_in_threads(work: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
@@ -350,7 +382,7 @@ def map_in_threads(work: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
     with ThreadPoolExecutor(threads()) as pool:
         for item in items:
             under_way.append(pool.submit(work, item))
-            if len(under_way) == ABREAST:
+            if len(under_way) == COSTS.at_once:
                 yield under_way.popleft().result()
         while under_way:
             yield under_way.popleft().result()

@@ -1,5 +1,13 @@
-"""Faults of channels: dead, wrapped, clipped, coarse, of an odd level, with spikes or drop-outs;
+"""Faults of channels: dead, wrapped, clipped, coarse, of an odd level, recorded twice, with spikes;
 overloads of impacts and their responses.
+
+Parts that a recorder lost: samples that are not there (NaN), or a value held far longer than
+the resolution explains, as logged over a broken link; and samples that two files of one record both
+have.
+
+Their steps would ring in every band, and a channel without its part of the motion has wrong shapes:
+the whole record is left out there. A few missing samples in a row are interpolated in their
+channel.
 """
 
 from __future__ import annotations
@@ -8,251 +16,248 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence, Set
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, median_filter
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
-from ringtrue.core.signals import Channel, TimeHistory
+from ringtrue.core.notes import Note, sentence
+from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError
-from ringtrue.signal.decimation import detrend
+from ringtrue.signal.spectra import detrend
 from ringtrue.signal.transients import prediction_error
-
-_LARGEST, _SMALLEST = 1e70, 1e-70  # fourth powers stay finite, and above nothing
-_FEW = 2000  # samples that most channels show themselves in
-_STILL = 5000  # samples to a change of the value: of slower ones nothing is to be learnt
-_LOOK, _LEVELS = (
-    1 << 16,
-    32,
-)  # samples looked at for different values, and how few are a coarse recorder
-_ODD = 100.0  # times the typical level of the channels of a quantity
-_PILE, _BESIDE, _HEAP = (
-    30,
-    0.01,
-    5,
-)  # samples at an extreme; part of the range beside it; times those there
-_FEW_WRAPS, _LIKE_STEPS = (
-    8,
-    2.0,
-)  # steps over half of the range; what is left of them, over the RMS of all others
-_FORESEEN = 0.7  # of the variance of the error of a prediction, without wraps
-_CUT = 2e-3  # share of the samples at an extreme that changes the statistics of the amplitude
-Kind = Literal["not finite", "dead", "drop-out", "overload", "spike", "level"]
-_NEAR_FULL = 0.985  # of the range counts as an overload, as for hammer hits
-_FLAT_SAMPLES = 3  # equal extreme samples in a row
-_HELD = 16  # equal samples in a row that are a drop-out, beyond 20 mean runs
-_SPIKE = 15.0  # robust standard deviations off the running median
-_SPIKE_REACH = 12  # samples around a spike that must be quiet
-_LEVEL = 100.0  # times the typical channel of its quantity
-_RELATED = 0.5  # correlation above which two channels move together
-_NEAR_RANGE = 0.985  # of the range counts as an overload
-_EQUAL_PEAKS, _UNLIKE, _FINE = (
-    3,
-    1e-3,
-    1e-4,
-)  # peaks that are one; how unlike what is around them; resolution of a peak
-_AROUND = 8  # samples
-_FLAT = 4  # equal extreme samples in a row that give clipping away where no range is known
 
 
 @dataclass(frozen=True, slots=True)
-class ChannelState:
-    """What is wrong with a channel: `usable` or left out, and why."""
+class ChannelLimits:
+    """When a channel is at fault.
 
-    id: str
-    usable: bool
-    why: str
+    Attributes
+    ----------
+    largest : float
+        Largest and, as its inverse, smallest value that a unit makes; fourth powers stay finite.
+    samples_a_change : int
+        A channel is dead whose value changes less often than once in so many samples.
+    coarse_levels : int
+        A channel is coarse that has fewer different values.
+    level_ratio : float
+        Ratio of an odd level to the median level of the quantity.
+    clipped_samples : int
+        Samples at an extreme of a clipped record, at least.
+    clipped_ratio : float
+        Samples at an extreme over those at the next value, of a clipped record: 2.4 at the top of a
+        smooth signal, below 1 of noise.
+    clipped_share : float
+        Share of clipped samples that changes the statistics of the amplitude.
+    spike : float
+        Robust standard deviations of a spike.
+    """
 
-    @property
-    def note(self) -> str:
-        """A line for the reader."""
-        return f"channel {self.id}: {self.why}{'' if self.usable else '; left out'}"
+    largest: float = 1e70
+    samples_a_change: int = 5000
+    coarse_levels: int = 32
+    level_ratio: float = 100.0
+    clipped_samples: int = 10
+    clipped_ratio: float = 4.0
+    clipped_share: float = 2e-3
+    spike: float = 15.0
 
 
-def _runs(flag: Bool) -> int:
-    """Samples in runs of at least three."""
-    return int((flag[2:] & flag[1:-1] & flag[:-2]).sum()) if np.count_nonzero(flag) > 2 else 0
+LIMITS = ChannelLimits()
 
 
-def channel_states(history: TimeHistory) -> tuple[ChannelState, ...]:
-    """What is wrong with the channels: dead, a straight line, not finite, wrapping (left out);
-    clipped, coarse, of an odd level, the same as another one (kept, but said).
+@dataclass(frozen=True, slots=True)
+class WrapLimits:
+    """When values wrap: beyond one end of the range of a converter they come back at the other.
+
+    Attributes
+    ----------
+    steps : int
+        Steps over half of the range, at most, of a sound signal.
+    left : float
+        What is left of these steps without the range, over the RMS of all others.
+    foreseen : float
+        Variance of the prediction error without the wraps over that with them, at most.
+    """
+
+    steps: int = 8
+    left: float = 2.0
+    foreseen: float = 0.7
+
+
+WRAPS = WrapLimits()
+
+
+def check_channels(history: TimeHistory, limits: ChannelLimits = LIMITS) -> tuple[Note, ...]:
+    """Notes on channels: errors on those that cannot be used, warnings on others.
 
     Raises
     ------
     DataError
         If values are so large that their squares overflow, or so small that these vanish.
     """
-    data, ids = history.data, [c.id for c in history.channels]
-    ends = np.stack([data.max(1), data.min(1)]).astype(
-        np.float64
-    )  # not finite where a sample is not
-    finite: Bool = np.asarray(np.isfinite(ends).all(0))
-    top = np.where(finite, np.abs(ends).max(0), 0.0)
-    for i in np.flatnonzero((top > _LARGEST) | ((top > 0) & (top < _SMALLEST)))[:1].tolist():
+    data = history.data
+    ids = [c.id for c in history.channels]
+    # not finite where a sample is not
+    top = np.maximum(data.max(axis=1), -data.min(axis=1)).astype(np.float64)
+    finite = np.isfinite(data.max(axis=1)) & np.isfinite(data.min(axis=1))
+    odd = finite & ((top > limits.largest) | ((top > 0) & (top < 1 / limits.largest)))
+    for i in np.flatnonzero(odd).tolist():
         raise DataError(
             f"{history.source}: channel {ids[i]} reaches {top[i]:.2g}: no unit makes that"
         )
-    std = np.array([_std(x) if ok else np.nan for x, ok in zip(data, finite, strict=True)])
-    lively = finite & (std > 0)
-    typical = float(np.median(std[lively])) if lively.any() else 0.0
-    out = []
-    for i, (x, ok, s) in enumerate(zip(data, finite, std, strict=True)):
-        if not ok:
-            out.append(
-                ChannelState(
-                    ids[i], False, f"{int((~np.isfinite(x)).sum())} samples are not finite"
-                )
-            )
-        elif s <= 1e-12 * max(top[i], typical):
-            out.append(ChannelState(ids[i], False, f"constant at {float(x[0]):.4g}: a dead sensor"))
-        elif (changes := _changes(x)) < x.size // _STILL:
-            why = (
-                f"stands still but for {changes} change{'s' if changes > 1 else ''} of its "
-                "value: a dead sensor"
-            )
-            out.append(ChannelState(ids[i], False, why))
-        elif _straight(x, s):
-            out.append(ChannelState(ids[i], False, "a straight line: no signal"))
-        elif wraps := _wraps(x, ends[:, i]):
-            why = (
-                f"wraps {wraps} times from one end of its range to the other: too few bits, or "
-                "an overflow"
-            )
-            out.append(ChannelState(ids[i], False, why))
-        else:
-            peers = [
-                std[k]
-                for k, c in enumerate(history.channels)
-                if lively[k] and _alike(c, history.channels[i])
-            ]
-            said = (_ends(x, ends[:, i]), _level(s, peers), _twin(data, i, ids))
-            out += [ChannelState(ids[i], True, w) for w in said if w]
-    return tuple(out)
+    level = np.array([_level(x) if ok else np.nan for x, ok in zip(data, finite, strict=True)])
+    notes = []
+    for i, x in enumerate(data):
+        fatal = _no_signal(x, level[i], limits)
+        if fatal is not None:
+            notes.append(Note(fatal[0], "error", ids[i], fatal[1]))
+            continue
+        peers = [
+            level[k]
+            for k, c in enumerate(history.channels)
+            if level[k] > 0 and c.quantity == history.channels[i].quantity
+        ]
+        found = (
+            _clipping(x, history.channels[i].unit, limits),
+            _odd_level(level[i], peers, limits),
+            _same_samples(data, i, ids),
+        )
+        notes += [Note(code, "warning", ids[i], values) for code, values in filter(None, found)]
+    return tuple(notes)
 
 
-def _alike(a: Channel, b: Channel) -> bool:
-    return a.quantity == b.quantity
+_Finding = tuple[str, dict[str, float | int | str]]
 
 
-def _changes(x: Any_) -> int:
-    """How often the value is not that of the sample before; no more are counted where the first
-    samples tell enough.
-    """
-    few = int(np.count_nonzero(np.diff(x[:_FEW])))
-    return few if few >= x.size // _STILL else int(np.count_nonzero(x[1:] != x[:-1]))
-
-
-def _straight(x: Any_, std: float) -> bool:
-    """Whether nothing but rounding is left beside a straight line."""
-    if x.size > 8 * _FEW and not _straight(x[:: x.size // _FEW], 0.99 * std):
-        return False  # a straight line is one in some of its samples too
-    t = np.linspace(-1.0, 1.0, x.size)
-    slope = float((x - float(x[0])) @ (t - t.mean())) / float(t @ t)
-    return slope**2 * float(t @ t) / x.size > (1 - 1e-10) * std**2
-
-
-def _std(x: Any_) -> float:
+def _level(x: Any_) -> float:
     """Standard deviation, in as few passes through the memory as keep its digits."""
     d = np.subtract(x, x.mean(dtype=np.float64), dtype=np.float64)
     return float(np.sqrt(d @ d / d.size))
 
 
-def _stuck(x: Any_, ends: Float) -> int:
-    """Samples that stand at an extreme: in runs of at least three, or all where they pile up
-    there.
+def _no_signal(x: Any_, level: float, limits: ChannelLimits) -> _Finding | None:
+    """Why a channel cannot be used."""
+    if not np.isfinite(level):
+        return "channel not finite", {"samples": int((~np.isfinite(x)).sum())}
+    changes = int(np.count_nonzero(x[1:] != x[:-1]))
+    if changes <= x.size // limits.samples_a_change:
+        return "channel dead", {"value": float(np.median(x)), "changes": changes}
+    t = np.linspace(-1.0, 1.0, x.size)
+    slope = float((x - float(x[0])) @ t) / float(t @ t)
+    line = slope**2 * float(t @ t) / x.size
+    if line > (1 - 1e-10) * level**2:  # nothing but rounding is left besides it
+        return "channel straight", {}
+    if wraps := _wraps(x, limits):
+        return "channel wraps", {"count": wraps}
+    return None
+
+
+def _wraps(x: Any_, limits: ChannelLimits) -> int:
+    """How often a signal (sample,) leaves one end of its range and comes back at the other.
+
+    A wrap is a step over more than half of the range that, less the range, is like the other steps.
+    The signal can be predicted better without wraps. Noise, telegraphs, clipped and coarse
+    signals have none.
     """
-    flags = [x == end for end in ends]
-    return max(
-        int(at.sum()) if _piled(x, at, end, ends) else _runs(at)
-        for at, end in zip(flags, ends, strict=True)
-    )
-
-
-def _piled(x: Any_, at: Bool, end: float, ends: Float) -> bool:
-    """Whether far more samples stand at an extreme than just below it: fast signals are clipped for
-    a sample or two.
-    """
-    count = np.count_nonzero(at)
-    if count <= max(_PILE, x.size // 5000):
-        return False
-    beside = np.count_nonzero(np.abs(x - end) < _BESIDE * np.ptp(ends)) - count
-    return bool(count > _HEAP * beside)
-
-
-def _ends(x: Any_, ends: Float) -> str:
-    few = np.unique(x[:_FEW]).size < _LEVELS  # to sort more takes its time
-    if few and (levels := np.unique(x[:_LOOK]).size) < _LEVELS < x.size / 8:
-        return f"coarse: {levels} different values only"
-    stuck = _stuck(x, ends)
-    return (
-        f"clipped: {stuck} samples stand at its largest value"
-        if stuck > max(4, x.size // 50000)
-        else ""
-    )
-
-
-def _wraps(x: Any_, ends: Float) -> int:
-    """How often a signal leaves one end of its range and comes back at the other.
-
-    A step over more than half of the range is one where, less the range, it is like the steps
-    between, and where the signal can be predicted better without such steps; 0 of others, such as
-    noise, telegraphs and clipped signals.
-    """
-    top = float(ends[0] - ends[1])
+    span = float(x.max()) - float(x.min())
     steps = np.diff(x.astype(np.float64))
-    over = np.abs(steps) > 0.5 * top
+    over = np.abs(steps) > 0.5 * span
     count = int(np.count_nonzero(over))
-    if (
-        count <= max(_FEW_WRAPS, x.size // 50000)
-        or np.abs(np.sign(steps[over]).sum()) > 0.5 * count
-    ):
+    if count <= max(WRAPS.steps, x.size // 50000):
         return 0
-    left = float(np.median(top - np.abs(steps[over])))
-    between = steps[~over]
-    if (
-        not between.any()
-        or _ends(x, ends)
-        or left > _LIKE_STEPS * np.sqrt(between @ between / between.size)
-    ):
+    if np.abs(np.sign(steps[over]).sum()) > 0.5 * count:  # most of them in one direction
         return 0
-    steps[over] -= np.sign(steps[over]) * top
-    error, without = (prediction_error(detrend(y[None])[0]) for y in (x, np.cumsum(steps)))
-    return count if without @ without < _FORESEEN * (error @ error) else 0
+    others = steps[~over]
+    if not others.any() or _clipping(x, "", limits) is not None:
+        return 0
+    left = float(np.median(span - np.abs(steps[over])))
+    if left > WRAPS.left * np.sqrt(others @ others / others.size):
+        return 0
+    steps[over] -= np.sign(steps[over]) * span
+    with_wraps = prediction_error(detrend(x[None])[0])
+    without = prediction_error(detrend(np.cumsum(steps)[None])[0])
+    if without @ without < WRAPS.foreseen * (with_wraps @ with_wraps):
+        return count
+    return 0
 
 
-def _level(std: float, peers: Sequence[float]) -> str:
+def _clipping(x: Any_, unit: str, limits: ChannelLimits) -> _Finding | None:
+    levels = np.unique(x[:2000]).size
+    if levels < limits.coarse_levels:  # to sort more takes its time
+        levels = np.unique(x[: 1 << 16]).size
+    if levels < limits.coarse_levels:
+        return "channel coarse", {"levels": int(levels)}
+    ends = clipped_ends(x, limits.clipped_samples, limits.clipped_ratio)
+    if not ends:
+        return None
+    count = int(sum(np.count_nonzero(np.isclose(x, end, rtol=1e-9)) for end in ends))
+    value = max(map(abs, ends))
+    return "channel clipped", {"value": value, "unit": unit, "samples": count, "total": x.size}
+
+
+def clipped_ends(x: Any_, least: int, ratio: float) -> list[float]:
+    """Extremes of a signal (sample,) that it takes far more often than the next value.
+
+    Parameters
+    ----------
+    x : (sample,) float
+    least : int
+        Samples at an extreme, at least.
+    ratio : float
+        Of these to the samples at the next value.
+    """
+    rest = float(np.median(x[:: max(1, x.size // 10000)]))
+    span = float(x.max()) - float(x.min())
+    same = 1e-9 * span  # values that differ by rounding
+    out = []
+    for end in (float(x.max()), float(x.min())):
+        inner = np.abs(x - end) > same
+        count = x.size - int(np.count_nonzero(inner))
+        if count < least or abs(end - rest) < 0.1 * span:  # a channel at rest is not clipped
+            continue
+        neighbour = float(x[inner].max() if end > rest else x[inner].min())
+        if count >= ratio * np.count_nonzero(np.abs(x - neighbour) <= same):
+            out.append(end)
+    return out
+
+
+def _odd_level(level: float, peers: Sequence[float], limits: ChannelLimits) -> _Finding | None:
     """Far louder or quieter than the other channels of its quantity: the unit, the sensitivity or a
     node.
     """
-    ratio = std / float(np.median(peers))
-    if len(peers) < 3 or 1 / _ODD < ratio < _ODD:
-        return ""
-    return f"{ratio:.1e} of the typical level of its quantity: unit or sensitivity?"
+    ratio = level / float(np.median(peers))
+    if len(peers) < 3 or 1 / limits.level_ratio < ratio < limits.level_ratio:
+        return None
+    return "channel level", {"ratio": ratio}
 
 
-def _twin(data: Any_, i: int, ids: Sequence[str]) -> str:
+def _same_samples(data: Any_, i: int, ids: Sequence[str]) -> _Finding | None:
     """The first earlier channel with the same samples."""
-    first = data[:i, :_FEW] == data[i, :_FEW]
-    same = [k for k in np.flatnonzero(first.all(1)).tolist() if np.array_equal(data[k], data[i])]
-    return f"the same samples as {ids[same[0]]}" if same else ""
+    first = (data[:i, :2000] == data[i, :2000]).all(axis=1)
+    for k in np.flatnonzero(first).tolist():
+        if np.array_equal(data[k], data[i]):
+            return "channel twice", {"other": ids[k]}
+    return None
 
 
-def unclipped_channels(history: TimeHistory, states: Sequence[ChannelState]) -> TimeHistory | None:
+def unclipped_channels(
+    history: TimeHistory, notes: Sequence[Note], limits: ChannelLimits = LIMITS
+) -> TimeHistory | None:
     """The channels whose amplitudes are not cut off by clipping; None if there is none."""
-    doubt = {s.id for s in states if s.why.startswith("clipped")}
-    whole = [
-        c.id
-        for c, x in zip(history.channels, history.data, strict=True)
-        if c.id not in doubt or _stuck(x, np.array([x.max(), x.min()])) < _CUT * x.size
-    ]
+    most = limits.clipped_share * history.data.shape[1]
+    cut = {
+        n.subject
+        for n in notes
+        if n.code == "channel clipped" and float(n.values["samples"]) >= most
+    }
+    whole = [c.id for c in history.channels if c.id not in cut]
     if len(whole) == len(history.channels):
         return history
     return history.pick(whole) if whole else None
 
 
-def usable(history: TimeHistory) -> tuple[TimeHistory, tuple[ChannelState, ...]]:
+def usable(history: TimeHistory) -> tuple[TimeHistory, tuple[Note, ...]]:
     """The record without the channels that cannot be used, and what was found.
 
     Raises
@@ -260,93 +265,32 @@ def usable(history: TimeHistory) -> tuple[TimeHistory, tuple[ChannelState, ...]]
     DataError
         If no channel is left.
     """
-    states = channel_states(history)
-    bad = {s.id for s in states if not s.usable}
+    notes = check_channels(history)
+    bad = {n.subject for n in notes if n.severity == "error"}
     good = [c.id for c in history.channels if c.id not in bad]
     if not good:
-        raise DataError(
-            f"{history.source}: no usable channel; "
-            f"{'; '.join(f'{s.id} {s.why}' for s in states[:6])}"
-        )
-    return (history.pick(good) if bad else history), states
+        causes = "; ".join(sentence(n) for n in notes[:6])
+        raise DataError(f"{history.source}: no usable channel; {causes}")
+    return (history.pick(good) if bad else history), notes
 
 
-@dataclass(frozen=True, slots=True)
-class Fault:
-    """One stretch of a channel that is not what the sensor felt.
-
-    Attributes
-    ----------
-    id : str
-    kind : str
-        `not finite`, `dead`, `drop-out`, `overload`, `spike` or `level` (mis-scaled).
-    first, last : int
-        Samples, inclusive.
-    time : float, s
-        Of the first sample.
-    why : str
-    """
-
-    id: str
-    kind: Kind
-    first: int
-    last: int
-    time: float
-    why: str
-
-    @property
-    def samples(self) -> int:
-        """Length of the stretch."""
-        return self.last - self.first + 1
-
-
-def find_faults(
-    history: TimeHistory, full_scale: Mapping[str, float] | None = None
-) -> tuple[Fault, ...]:
-    """All faults of a record, by channel and time.
-
-    Parameters
-    ----------
-    history : TimeHistory
-    full_scale : mapping of str to float, optional
-        Range of each channel by id, in its unit; without it an overload is told by equal extreme
-        samples.
-    """
-    found = []
+def find_spikes(history: TimeHistory, limits: ChannelLimits = LIMITS) -> tuple[Note, ...]:
+    """A note on each channel with spikes."""
+    out = []
     for channel, x in zip(history.channels, history.data, strict=True):
-        limit = (full_scale or {}).get(channel.id, np.inf)
-        for kind, first, last, why in _of_channel(np.asarray(x), limit):
-            found.append(Fault(channel.id, kind, first, last, first / history.rate, why))
-    return (*found, *_levels(history, {f.id for f in found if f.kind in ("dead", "not finite")}))
-
-
-def _of_channel(x: Any_, limit: float) -> list[tuple[Kind, int, int, str]]:
-    out: list[tuple[Kind, int, int, str]] = []
-    bad = ~np.isfinite(x)
-    out += [("not finite", a, b, f"{b - a + 1} samples are not finite") for a, b in runs(bad)]
-    good = x[~bad]
-    if not good.size or good.min() == good.max():
-        if good.size:
-            out.append(("dead", 0, x.size - 1, f"constant at {float(good[0]):.4g}"))
-        return out
-    held = _drop_outs(x)
-    low, high = good.min(), good.max()
-    over = np.abs(x) >= _NEAR_FULL * limit if np.isfinite(limit) else _flat(x, low) | _flat(x, high)
-    out += [
-        ("overload", a, b, f"{b - a + 1} samples at {float(x[a]):.4g}")
-        for a, b in runs(over & ~bad)
-    ]
-    lost = held & ~over
-    out += [
-        ("drop-out", a, b, f"{b - a + 1} samples held at {float(x[a]):.4g}") for a, b in runs(lost)
-    ]
-    spike, size = _spikes(np.where(bad, np.median(good), x))
-    spike &= ~(over | held | bad)
-    out += [
-        ("spike", a, b, f"{float(size[a : b + 1].max()):.3g} standard deviations")
-        for a, b in runs(spike)
-    ]
-    return sorted(out, key=lambda f: f[1])
+        known = np.isfinite(x)
+        if not known.any():
+            continue
+        spike, size = _spikes(np.where(known, x, np.median(x[known])), limits.spike)
+        at = np.flatnonzero(spike & known)
+        if at.size:
+            values: dict[str, float | int | str] = {
+                "count": len(runs(spike & known)),
+                "time": at[0] / history.rate,
+                "size": float(size[at[0]]),
+            }
+            out.append(Note("channel spikes", "warning", channel.id, values))
+    return tuple(out)
 
 
 def runs(flag: Bool) -> list[tuple[int, int]]:
@@ -361,190 +305,42 @@ def equal_runs(x: Any_) -> tuple[Int, Int]:
     return first, np.diff(np.append(first, x.size))
 
 
-def _drop_outs(x: Any_) -> Bool:
-    """Runs of equal samples far longer than the resolution of the recorder makes them."""
-    length = equal_runs(x)[1]
-    limit = _HELD + 20 * float(np.median(length[length > 0]))
-    return np.repeat(length > limit, length)
-
-
-def _flat(x: Any_, level: float) -> Bool:
-    """Runs of at least three samples at an extreme, more than once or long: a peak of a coarse
-    recorder is no clip.
-    """
-    first, length = equal_runs(x)
-    at = (x[first] == level) & (length >= _FLAT_SAMPLES)
-    if int(length[at].sum()) <= max(4, x.size // 50000):
-        at[:] = False
-    return np.repeat(at, length)
-
-
-def _spikes(x: Any_) -> tuple[Bool, Float]:
+def _spikes(x: Any_, least: float) -> tuple[Bool, Float]:
     """Single or double samples that leave a quiet neighbourhood, and their size in robust standard
     deviations.
     """
+    reach = 25  # samples around a spike that must be quiet
     off = np.abs(np.asarray(x, dtype=np.float64) - median_filter(x, 7, mode="nearest"))
     scale = 1.4826 * float(np.median(off[off > 0])) if (off > 0).any() else 1.0
     size = off / max(scale, 1e-300)
-    candidate = size > _SPIKE
+    candidate = size > least
     for a, b in runs(candidate):
         if b - a > 1:
             candidate[a : b + 1] = False
-    reach = 2 * _SPIKE_REACH + 1
     around = np.where(candidate, 0.0, size)
     quiet = maximum_filter1d(around, reach, mode="nearest") < 0.3 * size
     steps = np.abs(np.diff(np.asarray(x, dtype=np.float64), append=x[-1]))
     steps[candidate | np.append(candidate[1:], False)] = 0.0  # into and out of the candidates
-    smooth = (
-        maximum_filter1d(steps, reach, mode="nearest") < 0.3 * off
-    )  # a crest of a smooth signal is no spike
+    # a crest of a smooth signal is no spike
+    smooth = maximum_filter1d(steps, reach, mode="nearest") < 0.3 * off
     return candidate & quiet & smooth, size
 
 
-def _levels(history: TimeHistory, bad: set[str]) -> list[Fault]:
-    """Channels a hundred times as loud or quiet as the others of their quantity."""
-    good = [i for i, c in enumerate(history.channels) if c.id not in bad]
-    rms = {i: float(np.std(history.data[i], dtype=np.float64)) for i in good}
-    out = []
-    for i in good:
-        same = [
-            rms[j] for j in good if history.channels[j].quantity == history.channels[i].quantity
-        ]
-        ratio = rms[i] / max(float(np.median(same)), 1e-300)
-        if len(same) > 2 and not 1 / _LEVEL < ratio < _LEVEL:
-            why = f"{ratio:.2g} times the level of the others: unit or sensitivity?"
-            out.append(
-                Fault(history.channels[i].id, "level", 0, history.data.shape[1] - 1, 0.0, why)
-            )
-    return out
-
-
-def mend(
-    history: TimeHistory, faults: Sequence[Fault], *, longest: int = 5
-) -> tuple[TimeHistory, tuple[Fault, ...]]:
-    """The record with short gaps bridged by straight lines, and the faults that were too long
-    to bridge.
-
-    Parameters
-    ----------
-    history : TimeHistory
-    faults : sequence of Fault
-        Of `find_faults`; overloads and levels are never mended.
-    longest : int
-        Samples that are bridged at most.
-    """
-    data = np.array(history.data)
-    short = [
-        f for f in faults if f.samples <= longest and f.kind in ("not finite", "spike", "drop-out")
-    ]
-    for i, channel in enumerate(history.channels):
-        bad = np.zeros(data.shape[1], dtype=bool)
-        for f in short:  # a handful
-            bad[f.first : f.last + 1] |= f.id == channel.id
-        known = ~bad & np.isfinite(data[i])
-        if bad.any() and known.any():
-            data[i, bad] = np.interp(np.flatnonzero(bad), np.flatnonzero(known), data[i, known])
-    return replace(history, data=data), tuple(f for f in faults if f not in short)
-
-
-@dataclass(frozen=True, slots=True)
-class PairCheck:
-    """Two channels that should move together.
-
-    Attributes
-    ----------
-    first, second : str
-    correlation : float
-        Of the two, at no delay.
-    verdict : {"ok", "flipped", "swapped", "unrelated"}
-    best : str
-        The channel that `first` goes with best.
-    """
-
-    first: str
-    second: str
-    correlation: float
-    verdict: Literal["ok", "flipped", "swapped", "unrelated"]
-    best: str
-
-
-def check_pairs(history: TimeHistory, pairs: Sequence[tuple[str, str]]) -> tuple[PairCheck, ...]:
-    """Are sensors that should move alike (parallel ones of a point, of a stiff floor) connected and
-    turned right?
-
-    A pair is swapped if its first channel goes, in size, better with the second one of another pair
-    than with its own.
-
-    Raises
-    ------
-    DataError
-        If a channel is not in the record.
-    """
-    first, second = history.pick([a for a, _ in pairs]), history.pick([b for _, b in pairs])
-    x, y = (detrend(h.data) for h in (first, second))
-    scale = np.outer(np.linalg.norm(x, axis=1), np.linalg.norm(y, axis=1))
-    if not (np.isfinite(scale).all() and (scale > 0).all()):
-        raise DataError(
-            f"{history.source}: a channel of the pairs is constant or not finite; see find_faults"
-        )
-    r = (x @ y.T) / scale
-    best = np.abs(r).argmax(axis=1)
-    return tuple(_pair(i, pairs, r, int(best[i])) for i in range(len(pairs)))
-
-
-def _pair(i: int, pairs: Sequence[tuple[str, str]], r: Float, best: int) -> PairCheck:
-    own = float(r[i, i])
-    verdict: Literal["ok", "flipped", "swapped", "unrelated"] = "unrelated"
-    if abs(own) >= _RELATED:
-        verdict = "ok" if own > 0 else "flipped"
-    elif abs(r[i, best]) >= _RELATED:
-        verdict = "swapped"
-    return PairCheck(*pairs[i], own, verdict, pairs[best][1])
-
-
-def flip(history: TimeHistory, ids: Sequence[str]) -> TimeHistory:
-    """The record with the sign of some channels turned.
-
-    Raises
-    ------
-    DataError
-        If a channel is not in the record.
-    """
-    history.pick(ids)
-    sign = np.array(
-        [-1.0 if c.id in set(ids) else 1.0 for c in history.channels], dtype=history.data.dtype
-    )
-    return replace(history, data=history.data * sign[:, None])
-
-
 def clipping_levels(record: TimeHistory) -> dict[str, float]:
-    """Ranges by id of channels that clip for a sample or two: unlike peaks of an impact or of a
-    response are one value.
-    """
+    """Ranges by id of channels that clip: four samples at an extreme of a test with impacts."""
     out = {}
     for channel, x in zip(record.channels, record.data, strict=True):
-        for peak in (max(float(x.max()), 0.0), min(float(x.min()), 0.0)):
-            at = np.flatnonzero(x >= (1 - 1e-6) * peak if peak > 0 else x <= (1 - 1e-6) * peak)
-            if peak and at.size >= _EQUAL_PEAKS and _clipped(x, at, abs(peak)):
-                out[channel.id] = abs(peak)
+        ends = clipped_ends(x, 4, LIMITS.clipped_ratio)
+        # equal peaks of equal impacts are no clipping: somewhere two samples in a row stand there
+        held = [end for end in ends if any(last > first for first, last in runs(x == end))]
+        if held:
+            out[channel.id] = min(map(abs, held))
     return out
 
 
 def clipping(record: TimeHistory) -> tuple[str, ...]:
-    """A line for each channel that is clipped: at what value, and in how many of its samples."""
-    cut = {s.id for s in channel_states(record) if s.why.startswith("clipped")}
-    out = []
-    for channel, x in zip(record.channels, record.data, strict=True):
-        if channel.id not in cut:
-            continue
-        low, high = float(x.min()), float(x.max())
-        count = np.count_nonzero((x == low) | (x == high))
-        ends = f"±{high:.4g}" if abs(high + low) < 1e-3 * high else f"{low:.4g} and {high:.4g}"
-        out.append(
-            f"channel {channel.id}: clipped at {ends} {channel.unit} in {count:,} of {x.size:,} "
-            "samples"
-        )
-    return tuple(out)
+    """A sentence on each channel that is clipped."""
+    return tuple(sentence(n) for n in check_channels(record) if n.code == "channel clipped")
 
 
 @contextmanager
@@ -562,32 +358,11 @@ def explain_clipping(lines: Sequence[str]) -> Iterator[None]:
         raise
 
 
-def _clipped(x: Any_, at: Int, peak: float) -> bool:
-    """Whether a signal (sample,) is finely resolved, and what is around its equal peaks is
-    unlike.
-    """
-    step = np.diff(np.unique(np.asarray(x[: 1 << 16], dtype=np.float64)))
-    if not step.size or step[step > 0].min(initial=np.inf) > _FINE * peak:
-        return False
-    around = [np.abs(x[max(i - _AROUND, 0) : i + _AROUND + 1]).sum() for i in at.tolist()]
-    return bool(np.ptp(around) > _UNLIKE * max(around))
-
-
-def overloaded(record: TimeHistory, block: Any_, full_scale: Mapping[str, float]) -> list[str]:
-    """Ids of the channels of a block (channel, sample) at the end of their range, or where unknown,
-    flat at the top.
-    """
+def overloaded(record: TimeHistory, block: Any_, ranges: Mapping[str, float]) -> list[str]:
+    """Ids of the channels of a block (channel, sample) that reach the end of their range."""
     peak = np.abs(block).max(axis=1)
-    limit = np.array([full_scale.get(c.id, np.inf) for c in record.channels])
-    over = peak >= _NEAR_RANGE * limit
-    unknown = np.isinf(limit)
-    if unknown.any():
-        flat = np.abs(block[unknown]) >= (1 - 1e-6) * peak[unknown, None]
-        runs = np.ones((int(unknown.sum()), block.shape[1] - _FLAT + 1), dtype=bool)
-        for i in range(_FLAT):
-            runs &= flat[:, i : runs.shape[1] + i]
-        over[unknown] = runs.any(axis=1) & (peak[unknown] > 0)
-    return [c.id for c, o in zip(record.channels, over, strict=True) if o]
+    full = np.array([ranges.get(c.id, np.inf) for c in record.channels])
+    return [c.id for c, over in zip(record.channels, peak >= 0.985 * full, strict=True) if over]
 
 
 def mostly_overloaded(responses: Set[str], over: Sequence[Sequence[str]]) -> tuple[str, ...]:
@@ -597,3 +372,271 @@ def mostly_overloaded(responses: Set[str], over: Sequence[Sequence[str]]) -> tup
     count = Counter(c for ids in over for c in ids if c in responses)
     lost = tuple(c for c, n in count.items() if 2 * n > len(over))
     return lost if len(lost) < len(responses) else ()
+
+
+@dataclass(frozen=True, slots=True)
+class HeldSamples:
+    """When equal samples in a row are lost ones.
+
+    Attributes
+    ----------
+    least : int
+        Samples in a row.
+    typical : float
+        Times the runs of the record but for 1 %, and those next to them.
+    neighbours : int
+        Runs to each side: in the rest between events all are long in a coarse record.
+    leap : float
+        Median differences by which a lost stretch leaves an extreme of the record; a clipped one
+        does not.
+    together : int
+        Samples that are the same in all channels: fewer may be chance.
+    """
+
+    least: int = 16
+    typical: float = 20.0
+    neighbours: int = 8
+    leap: float = 8.0
+    together: int = 64
+
+
+HOLDS = HeldSamples()
+
+
+@dataclass(frozen=True, slots=True)
+class LostSamples:
+    """What is done with them.
+
+    Attributes
+    ----------
+    short : int
+        Missing samples in a row that are interpolated.
+    scattered : float
+        Share of the record that single channels lose.
+    each : float
+        Times over what one of them loses.
+    most : float
+        Share of the record beyond which a channel is left out.
+    """
+
+    short: int = 5
+    scattered: float = 0.1
+    each: float = 2.0
+    most: float = 0.3
+
+
+LOSSES = LostSamples()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Gaps:
+    """What is lost of a record.
+
+    Attributes
+    ----------
+    lost : (sample,) bool
+        Some channel has nothing to say.
+    channels : tuple of str
+        What is said of single channels.
+    stretches : str
+        What is said of all that is lost; empty where nothing is.
+    """
+
+    lost: Bool
+    channels: tuple[str, ...]
+    stretches: str = ""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """All that is said."""
+        return (*self.channels, *((self.stretches,) if self.stretches else ()))
+
+    def cut(self, samples: int) -> Bool:
+        """(samples,) what is lost of the record after as much was cut from its two ends."""
+        end = (self.lost.size - samples) // 2
+        return self.lost[end : end + samples]
+
+    def marked(self, history: TimeHistory) -> TimeHistory:
+        """A record of as many samples with NaN in what is lost: for a bridged one that filters went
+        over.
+        """
+        if not self.lost.any():
+            return history
+        data = np.array(history.data)
+        data[:, self.lost] = np.nan
+        return replace(history, data=data)
+
+
+def bridge_gaps(history: TimeHistory) -> tuple[TimeHistory, Gaps]:
+    """The record with straight lines over what is lost, the same in all channels, without those
+    that lost too much.
+    """
+    history, missing, notes = _filled(history)
+    size = history.data.shape[1]
+    held = dict(missing)
+    nothing = np.zeros(size, dtype=bool)
+    for c, x in zip(history.channels, history.data, strict=True):
+        if (h := _held(np.asarray(x))) is not None and h.any():
+            held[c.id] = h | missing[c.id] if c.id in missing else h
+    if not held:
+        return history, Gaps(nothing, notes)
+    share = {
+        c.id: np.count_nonzero(held[c.id]) / size if c.id in held else 0.0 for c in history.channels
+    }
+    typical = float(np.median(list(share.values())))
+    keep = [i for i, part in share.items() if part <= typical + LOSSES.most]
+    notes += tuple(
+        f"channel {i}: {100 * share[i]:.0f} % of its samples are lost; left out"
+        for i in share
+        if i not in keep
+    )
+    if len(keep) < len(share):
+        history = history.pick(keep)
+    held = {i: held[i] for i in keep if i in held}
+    lost = np.any([nothing, *held.values()], axis=0)
+    history, common, said = _each_by_itself(history, held, lost)
+    if said:
+        lost = common
+        held = {i: h & common for i, h in held.items() if (h & common).any()}
+        notes = (*notes, said)
+    if not lost.any() or lost.all():
+        return history, Gaps(nothing, notes)
+    names = [i for i in keep if i in held]
+    parts = len(runs(lost))
+    first = int(np.flatnonzero(lost)[0]) / history.rate
+    why = [
+        w
+        for w, some in (
+            ("samples are missing", missing),
+            ("a value is held", held.keys() - missing),
+        )
+        if some
+    ]
+    sentences = (
+        f"{'all channels' if len(names) == len(keep) > 1 else 'channel ' + ' '.join(names)}: "
+        f"lost {parts} "
+        f"time{'s' if parts > 1 else ''} ({', '.join(why)}), the first at {first:.4g} s, "
+        f"{np.count_nonzero(lost) / history.rate:.3g} s in all; left out in all channels"
+    )
+    data = np.array(history.data)
+    for x in data:
+        _bridge(x, lost)
+    return replace(history, data=data), Gaps(lost, notes, sentences)
+
+
+def _each_by_itself(
+    history: TimeHistory, held: dict[str, Bool], lost: Bool
+) -> tuple[TimeHistory, Bool, str]:
+    """The record, what most channels lost, and a note where others lost parts at times of their own
+    (radio links).
+
+    To leave these out in all channels would leave little: each has a straight line there by itself.
+    """
+    common = np.sum(list(held.values()), axis=0) * 2 > len(history.channels) if held else lost
+    alone = {i: h & ~common for i, h in held.items()}
+    most = max((float(h.mean()) for h in alone.values()), default=0.0)
+    if (lost & ~common).mean() < max(LOSSES.scattered, LOSSES.each * most):
+        return history, lost, ""
+    data = np.array(history.data)
+    for k, c in enumerate(history.channels):
+        if c.id in alone:
+            _bridge(data[k], alone[c.id])
+    count = sum(bool(h.any()) for h in alone.values())
+    sentences = (
+        f"{count} channels lost parts at times of their own, {100 * most:.2g} % of one at most: "
+        "straight lines there "
+        "in each by itself"
+    )
+    return replace(history, data=data), common, sentences
+
+
+def _filled(history: TimeHistory) -> tuple[TimeHistory, dict[str, Bool], tuple[str, ...]]:
+    """The record with straight lines over samples that are not finite, the long runs of these
+    (sample,), and notes.
+    """
+    bad = [
+        i
+        for i, x in enumerate(history.data)
+        if x.size and not np.isfinite([x.min(), x.max()]).all()
+    ]
+    if not bad:
+        return history, {}, ()
+    data = np.array(history.data)
+    missing: dict[str, Bool] = {}
+    notes: list[str] = []
+    for i in bad:
+        none = ~np.isfinite(data[i])
+        name = history.channels[i].id
+        _bridge(data[i], none)
+        long = none.copy()
+        for a, b in runs(none):
+            long[a : b + 1] = b - a >= LOSSES.short
+        if long.any():
+            missing[name] = long
+        if count := np.count_nonzero(none & ~long):
+            notes.append(
+                f"channel {name}: {count} missing sample{'s' if count > 1 else ''} interpolated"
+            )
+    return replace(history, data=data), missing, tuple(notes)
+
+
+def _held(x: Any_) -> Bool | None:
+    """(sample,) samples that are held; None where few equal their neighbours."""
+    if np.count_nonzero(x[1:] == x[:-1]) < HOLDS.least:
+        return None
+    first, length = equal_runs(x)
+    if length.size < 2:
+        return None
+    long = length > HOLDS.least + HOLDS.typical * float(np.percentile(length, 99))
+    at = np.flatnonzero(long)
+    near = length[
+        (at[:, None] + np.arange(-HOLDS.neighbours, HOLDS.neighbours + 1)).clip(0, length.size - 1)
+    ]
+    long[at] = length[at] > HOLDS.least + HOLDS.typical * np.median(near, axis=1)
+    steps = np.abs(np.diff(x[first].astype(np.float64)))
+    leap = HOLDS.leap * float(np.median(steps))
+    into = np.insert(steps, 0, np.inf) > leap
+    out = np.append(steps, np.inf) > leap
+    extreme = (x[first] == x.max()) | (x[first] == x.min())
+    return np.asarray(np.repeat(long & (~extreme | (into & out)), length))
+
+
+def _bridge(x: Any_, lost: Bool) -> None:
+    """Lay a straight line over the lost samples of x (sample,); zeros where all are."""
+    at = np.flatnonzero(lost)
+    known = np.flatnonzero(~lost)
+    x[at] = np.interp(at, known, x[known]) if known.size else 0.0
+
+
+def overlap(before: TimeHistory, later: TimeHistory) -> int:
+    """How many of the first samples of `later` are the last ones of `before`, or lie within it."""
+    a = before.data
+    b = later.data
+    if (
+        a.shape[0] != b.shape[0]
+        or min(a.shape[1], b.shape[1]) < HOLDS.together
+        or not np.ptp(b[:, : HOLDS.together], axis=1).any()
+    ):
+        return 0
+    begin = np.flatnonzero(a[0, : a.shape[1] - HOLDS.together + 1] == b[0, 0])
+    for k in range(HOLDS.together):  # of coarse samples many begin with the same value
+        begin = begin[(a[:, begin + k] == b[:, k : k + 1]).all(axis=0)]
+    for at in begin.tolist():
+        n: int = min(a.shape[1] - at, b.shape[1])
+        if np.array_equal(a[:, at : at + n], b[:, :n], equal_nan=True):
+            return n
+    return 0
+
+
+def remove_overlap(before: TimeHistory | None, later: TimeHistory) -> tuple[TimeHistory, str]:
+    """A record without the samples that the one before it ends with, and what is to be said of
+    that.
+    """
+    n = overlap(before, later) if before is not None else 0
+    if not n or before is None:
+        return later, ""
+    name = before.source.rpartition("/")[2]
+    return (
+        replace(later, data=later.data[:, n:]),
+        f"its first {n / later.rate:.4g} s are in {name} too: they count once",
+    )

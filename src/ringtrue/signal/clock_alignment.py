@@ -1,4 +1,4 @@
-"""Channels of recorders that did not start together, or whose clocks drift apart: delays from the
+"""Channels of recorders that did not start together, or whose clocks drift: delays from the
 phases of cross spectra.
 
 Modes of little damping under forces that have nothing to do with each other have cross spectra that
@@ -7,7 +7,7 @@ it by 2π f τ. The square of the phase factor does not see the half turn, so
 
     J(τ) = Σ w(f) Re[(S/|S|)² e^{4πi f τ}] / Σ w(f),  w = γ⁴,
 
-is 1 at the delay, and its Fourier transform gives all delays at once. Where clocks run apart
+is 1 at the delay, and its Fourier transform gives all delays at once. Where clocks differ
 (quartz differs by 1 to 100 millionths), it is sought in eight parts of the record, J_p(τ), where it
 may grow along it by g:
 
@@ -27,40 +27,80 @@ from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
 from ringtrue.core.signals import TimeHistory
 from ringtrue.signal.spectra import window
 
-SEGMENTS, ROOTS = (
-    64,
-    8,
-)  # of the record that are looked at, and channels that the others are held against
-SHORTEST, LONGEST = 1024, 4096  # samples of each
-FINE = 8  # values of J between those of the transform
-COHERENT = 0.25  # squared coherence of a line that says something
-LINES = 20.0  # sum of squared coherences that tell a delay
-SURE = 0.93  # J at a delay
-AGREED = 0.8  # median J of channels among which one may be odd
-EXPLAINED = 0.25  # of what is missing to 1 without a delay may be missing with it
-APART = 0.15  # that no other delay comes near
-LEAST, FARTHEST = (
-    0.25,
-    0.25,
-)  # samples (delays of sound channels scatter by a tenth), and of a segment
-TAPS, BETA = 24, 9.0  # to each side of the interpolation, and of its Kaiser window
-SAMPLED = 65_536  # samples that tell the size of a channel
-NEAR = 0.3  # samples: gains of channels of one recorder
-ODD = 0.5  # J of a channel whose phase is neither
-OFF, TOGETHER = 0.9, 0.97  # J of several such against the others, and among themselves
-PARTS = 8
-MOST_DRIFT = 3e-4  # drift of one clock against another
+
+@dataclass(frozen=True, slots=True)
+class DelaySettings:
+    """When a delay is found.
+
+    Attributes
+    ----------
+    segments : int
+        Of the record, that are looked at.
+    coherence : float
+        Squared coherence of a line that counts.
+    lines : float
+        Sum of squared coherences of a channel that is known.
+    agreement : float
+        J at a delay, at least.
+    remainder : float
+        Of what is missing to 1 without a delay, that may be missing with it.
+    distinct : float
+        By how much J at any other delay is lower.
+    least : float, samples
+        Shortest delay: those of sound channels scatter by a tenth.
+    odd : float
+        J of a channel out of phase, at most.
+    """
+
+    segments: int = 64
+    coherence: float = 0.25
+    lines: float = 20.0
+    agreement: float = 0.93
+    remainder: float = 0.25
+    distinct: float = 0.15
+    least: float = 0.25
+    odd: float = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class DriftSettings:
+    """When a drift of clocks is found.
+
+    Attributes
+    ----------
+    parts : int
+        Of the record.
+    most : float
+        Drift of one clock against another, s/s; quartz differs by 1e-6 to 1e-4.
+    coherence : float
+        Squared coherence of a line that counts, of the few segments of a part.
+    lines : float
+        Sum of squared coherences, of a part.
+    loss : float
+        Of J by one delay for the whole record, from where on a drift is looked for.
+    agreement : float
+        J with the drift, at least.
+    remainder : float
+        Of what is missing to 1 without a drift, that may be missing with it.
+    least : float, samples
+        Shortest gain over the record.
+    """
+
+    parts: int = 8
+    most: float = 3e-4
+    coherence: float = 0.4
+    lines: float = 10.0
+    loss: float = 0.03
+    agreement: float = 0.8
+    remainder: float = 0.5
+    least: float = 0.2
+
+
+DELAY = DelaySettings()
+DRIFT = DriftSettings()
 DRIFT_STEP = 0.25  # samples
 DRIFT_FINE = 4  # values of J between those of the transform: eight to a sample
-DRIFT_FARTHEST = 0.25  # of a segment
-PART_COHERENT = 0.4  # squared coherence, of the few segments of a part
-PART_LINES = 10.0  # sum of squared coherences, of a part
-LOST = 0.03  # of J by one delay for the whole record, from where on a gain is looked for
-CLEAR, DRIFT_EXPLAINED = 0.8, 0.5  # J with it, and what of the rest to 1 without it may be left
-LEAST_DRIFT = 0.2  # samples
-_TAPS = 24  # taps each side of the interpolation, Kaiser window of 90 dB: flat to 0.43 of the rate
-_TAPS_BETA = 9.0
-_ROWS = 1024  # of the table of taps; straight between them is 4e-7 off
+TAPS = 24  # each side of the interpolation, Kaiser window of 90 dB: flat to 0.43 of the rate
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,7 +112,7 @@ class Phases:
     known : (ch,) bool
         Coherent enough with the others to say anything.
     delay : (ch,) float64, s
-        After most of the channels, in the middle of the record; 0 where none is told.
+        After most of the channels, in the middle of the record; 0 where none is known.
     drift : (ch,) float64
         What the delay gains, s/s: the clock of a recorder that runs fast against that of most
         channels.
@@ -86,16 +126,6 @@ class Phases:
     odd: Bool
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Company:
-    """Channels (ch,) in phase among themselves, but not with the rest; and those in phase with one
-    that is not odd.
-    """
-
-    apart: Bool
-    held: Bool
-
-
 def channel_phases(history: TimeHistory, derivatives: Sequence[int]) -> Phases:
     """Delays and drifts of channels against most of the others, and channels out of phase with the
     rest.
@@ -106,39 +136,45 @@ def channel_phases(history: TimeHistory, derivatives: Sequence[int]) -> Phases:
     derivatives : sequence of int
         Of the displacement that each channel measures: 2 of an acceleration.
     """
-    m, samples = len(history.channels), history.data.shape[1]
+    m = len(history.channels)
+    samples = history.data.shape[1]
+    near = 0.3  # samples: gains of channels of one recorder
     nothing = Phases(np.zeros(m, np.bool_), np.zeros(m), np.zeros(m), np.zeros(m, np.bool_))
-    length = int(2 ** np.floor(np.log2(np.clip(2 * samples // SEGMENTS, SHORTEST, LONGEST))))
+    length = int(2 ** np.floor(np.log2(np.clip(2 * samples // DELAY.segments, 1024, 4096))))
     if m < 2 or samples < 16 * length:
         return nothing
-    order, starts = (
-        np.asarray(derivatives),
-        np.linspace(0, samples - length, SEGMENTS).astype(np.int64),
-    )
+    order = np.asarray(derivatives)
+    starts = np.linspace(0, samples - length, DELAY.segments).astype(np.int64)
     lines = _lines(history.data, length, starts)
-    root, turned, coherence, company = _against_one(lines, order)
+    root, turned, coherence = _against_one(lines, order)
     gain = gained(lines, root, order, starts)
     if gain.any():  # twice, as a large one smears the parts
-        gain = shared(gain + gained(turned_back(lines, gain, starts), root, order, starts), NEAR)
-        root, turned, coherence, company = _against_one(turned_back(lines, gain, starts), order)
-    weight = np.where(coherence > COHERENT, coherence**2, 0.0)
+        gain = shared(gain + gained(turned_back(lines, gain, starts), root, order, starts), near)
+        root, turned, coherence = _against_one(turned_back(lines, gain, starts), order)
+    weight = np.where(coherence > DELAY.coherence, coherence**2, 0.0)
     total = weight.sum(axis=1)
-    known = (total > LINES) & (np.arange(m) != root)
+    known = (total > DELAY.lines) & (np.arange(m) != root)
     if not known.any():
         return nothing
     at, best, second = _delays(turned[known] * weight[known] / total[known, None], length)
     none = (turned[known].real * weight[known]).sum(axis=1) / total[known]
-    told = (best > SURE) & (1 - best < EXPLAINED * (1 - none)) & (best - second > APART)
-    delay, agree = np.zeros(m), np.ones(m)
-    delay[known], agree[known] = np.where(told, at / history.rate, 0.0), np.where(told, best, none)
+    clear = (
+        (best > DELAY.agreement)
+        & (1 - best < DELAY.remainder * (1 - none))
+        & (best - second > DELAY.distinct)
+    )
+    delay = np.zeros(m)
+    agree = np.ones(m)
+    delay[known], agree[known] = (
+        np.where(clear, at / history.rate, 0.0),
+        np.where(clear, best, none),
+    )
     seen = known | (np.arange(m) == root)
     delay[seen] -= _usual(delay[seen], 0.25 / history.rate)
-    delay[np.abs(delay) < LEAST / history.rate] = 0.0
-    sound = np.median(agree[known]) > AGREED
-    gain[seen] -= _usual(gain[seen], NEAR)
-    moved = np.zeros(m, np.bool_)
-    moved[known] = told
-    odd = (agree < ODD) & sound & ~company.held | (company.apart & ~moved)
+    delay[np.abs(delay) < DELAY.least / history.rate] = 0.0
+    sound = np.median(agree[known]) > 0.8
+    gain[seen] -= _usual(gain[seen], near)
+    odd = (agree < DELAY.odd) & sound
     return Phases(seen, delay, gain / np.ptp(starts), np.asarray(seen & odd))
 
 
@@ -149,7 +185,8 @@ def _lines(data: Any_, length: int, starts: Int) -> Any_:
     What comes of them takes fourth powers in single precision: counts of a converter would
     overflow, nm vanish.
     """
-    win, size = window("hann", length), data[:, :: max(data.shape[1] // SAMPLED, 1)].std(axis=1)
+    win = window("hann", length)
+    size = data[:, :: max(data.shape[1] // 65_536, 1)].std(axis=1)
     gain = (win / np.where(size > 0, size, 1.0)[:, None]).astype(np.float32)
     out = np.empty((length // 2 + 1, starts.size, len(data)), dtype=np.complex64)
     for k, start in enumerate(starts.tolist()):  # a segment of all channels is in the cache
@@ -160,55 +197,34 @@ def _lines(data: Any_, length: int, starts: Int) -> Any_:
     return out
 
 
-def _against_one(lines: Any_, order: Int) -> tuple[int, Complex, Float, _Company]:
+def _against_one(lines: Any_, order: Int) -> tuple[int, Complex, Float]:
     """The channel, of eight, that most others are coherent and in phase with; squared phase factors
     of all against it, as of one motion, and squared coherences less the bias of few segments, both
-    (ch, freq); who else is in phase.
+    (ch, freq).
     """
-    tried = np.unique(np.linspace(0, lines.shape[2] - 1, ROOTS).astype(np.int64))
+    tried = np.unique(np.linspace(0, lines.shape[2] - 1, 8).astype(np.int64))
     cross = lines.transpose(0, 2, 1) @ lines[:, :, tried].conj()
     power = summed_power(lines)
-    powers, apart = power[:, :, None] * power[:, None, tried], order[:, None] - order[tried]
-    turned, coherence = in_one_motion(cross, powers, lines.shape[1], apart)
+    powers = power[:, :, None] * power[:, None, tried]
+    steps = order[:, None] - order[tried]
+    turned, coherence = in_one_motion(cross, powers, lines.shape[1], steps)
     k = int((coherence * turned.real).sum(axis=(0, 1)).argmax())
-    company = _company(turned.real, coherence, tried, k)
     return (
         int(tried[k]),
         turned[:, :, k].T,
         np.asarray(coherence[:, :, k].T, dtype=np.float64),
-        company,
     )
-
-
-def _company(agreed: Any_, coherence: Any_, tried: Int, root: int) -> _Company:
-    """From the squared phase factors (freq, ch, tried) of all channels against those `tried`.
-
-    A force that the modes share (waves, a machine) spreads the phases of all channels; a filter
-    turns some.
-    """
-    weight = np.where(coherence > COHERENT, coherence**2, 0.0)
-    total = weight.sum(axis=0)
-    j = np.where(total > LINES, (weight * agreed).sum(axis=0) / np.maximum(total, LINES), np.nan)
-    j[tried, np.arange(tried.size)] = np.nan
-    sound = j[:, root] > ODD
-    sound[tried[root]] = True
-    off = j[:, root] < OFF
-    both = (j > TOGETHER) & off[:, None] & off[tried]
-    out: Bool = np.asarray(both.any(axis=1))
-    out[tried] |= np.asarray(both.any(axis=0))
-    out |= np.asarray((j[:, out[tried]] > TOGETHER).any(axis=1))
-    clear = not (j[~out, root] <= TOGETHER).any()
-    return _Company(np.asarray(out & clear), np.asarray((j[:, sound[tried]] > OFF).any(axis=1)))
 
 
 def _delays(z: Complex, length: int) -> tuple[Float, Float, Float]:
     """Delay in samples, J there and the largest J beyond its lobe, each (ch,), of weighted phases z
     (ch, freq).
     """
-    n = FINE * length
+    fine = 8  # values of J between those of the transform
+    n = fine * length
     j = irfft(z, n, axis=1) * n / 2
     lag = np.where(np.arange(n) < n // 2, np.arange(n), np.arange(n) - n) * length / (2.0 * n)
-    j[:, np.abs(lag) > FARTHEST * length] = -1.0
+    j[:, np.abs(lag) > 0.25 * length] = -1.0
     top = j.argmax(axis=1)
     rows = np.arange(len(j))
     left, mid, right = (j[rows, (top + k) % n] for k in (-1, 0, 1))
@@ -224,10 +240,8 @@ def _beyond(j: Float, top: int) -> float:
     x = np.roll(j, -top)
     fall = np.flatnonzero(np.diff(x) > 0)
     rise = np.flatnonzero(np.diff(x[::-1]) > 0)
-    first, last = (
-        int(fall[0]) if fall.size else 0,
-        x.size - 1 - (int(rise[1]) if rise.size > 1 else 0),
-    )
+    first = int(fall[0]) if fall.size else 0
+    last = x.size - 1 - (int(rise[1]) if rise.size > 1 else 0)
     return float(x[first : last + 1].max())
 
 
@@ -244,30 +258,14 @@ def in_step(history: TimeHistory, delay: Float, drift: Float | None = None) -> T
     With `drift` (ch,), by as much more or less as it adds from the middle of the record.
     """
     drift = np.zeros(delay.size) if drift is None else drift
-    data, lag = np.array(history.data), delay * history.rate
+    data = np.array(history.data)
+    lag = delay * history.rate
     middle = np.arange(data.shape[1]) - 0.5 * (data.shape[1] - 1)
+    samples = np.arange(middle.size)
     for i in np.flatnonzero((delay != 0) | (drift != 0)):
-        if drift[i]:
-            data[i] = at_positions(
-                data[i : i + 1], np.arange(middle.size) + lag[i] + drift[i] * middle
-            )[0]
-            continue
-        whole = int(np.floor(lag[i]))
-        data[i] = np.convolve(
-            np.roll(history.data[i], -whole), delayed_by(lag[i] - whole), mode="same"
-        )
+        data[i] = at_positions(data[i : i + 1], samples + lag[i] + drift[i] * middle)[0]
     most = int(np.ceil((np.abs(lag) + np.abs(drift) * middle[-1]).max())) + TAPS
     return replace(history, data=data[:, most:-most])
-
-
-def delayed_by(part: float) -> Float:
-    """(2 TAPS + 1,) filter that moves a signal back by `part` of a sample, 0 to 1: a windowed
-    sinc.
-    """
-    x = np.arange(-TAPS, TAPS + 1) + part
-    return np.asarray(
-        np.sinc(x) * np.i0(BETA * np.sqrt(np.clip(1 - (x / (TAPS + 1)) ** 2, 0, 1))) / np.i0(BETA)
-    )
 
 
 def gained(lines: Any_, root: int, order: Int, starts: Int) -> Float:
@@ -287,14 +285,14 @@ def gained(lines: Any_, root: int, order: Int, starts: Int) -> Float:
     turned, weight = _by_parts(lines, root, order)
     total = weight.sum(axis=(0, 1))
     out = np.zeros(lines.shape[2])
-    middle = starts.reshape(PARTS, -1).mean(axis=1)
+    middle = starts.reshape(DRIFT.parts, -1).mean(axis=1)
     u = np.asarray((middle - middle.mean()) / np.ptp(starts), dtype=np.float64)
-    most = max(int(np.ceil(MOST_DRIFT * np.ptp(starts) / DRIFT_STEP)), 1)
+    most = max(int(np.ceil(DRIFT.most * np.ptp(starts) / DRIFT_STEP)), 1)
     grid = DRIFT_STEP * np.arange(-most, most + 1, dtype=np.float64)
-    for i in np.flatnonzero((total > PARTS * PART_LINES) & (np.arange(out.size) != root)):
+    for i in np.flatnonzero((total > DRIFT.parts * DRIFT.lines) & (np.arange(out.size) != root)):
         j = _along(turned[:, :, i] * weight[:, :, i] / total[i], length)
         alone = float(j.sum(axis=0).max())
-        if j.max(axis=1).sum() - alone > LOST:
+        if j.max(axis=1).sum() - alone > DRIFT.loss:
             out[i] = _best(j, u, grid, alone)
     return out
 
@@ -328,14 +326,14 @@ def _by_parts(lines: Any_, root: int, order: Int) -> tuple[Complex, Float]:
     """Squared phase factors against the root, as of one motion, and weights, both (freq, part,
     ch).
     """
-    x = lines.reshape(len(lines), PARTS, -1, lines.shape[2])
+    x = lines.reshape(len(lines), DRIFT.parts, -1, lines.shape[2])
     y = x[:, :, :, root]
     cross = np.einsum("fpsc,fps->fpc", x, y.conj())
     power = summed_power(x)
     turned, coherence = in_one_motion(
         cross, power * power[:, :, [root]], x.shape[2], order - order[root]
     )
-    return turned, np.where(coherence > PART_COHERENT, coherence**2, 0.0)
+    return turned, np.where(coherence > DRIFT.coherence, coherence**2, 0.0)
 
 
 def summed_power(x: Any_) -> Any_:
@@ -347,7 +345,7 @@ def summed_power(x: Any_) -> Any_:
     return np.asarray(both[..., ::2] + both[..., 1::2])
 
 
-def in_one_motion(cross: Any_, powers: Any_, segments: int, apart: Int) -> tuple[Any_, Any_]:
+def in_one_motion(cross: Any_, powers: Any_, segments: int, steps: Int) -> tuple[Any_, Any_]:
     """Squared phase factors as of one motion, and squared coherences less the bias of few segments,
     (freq, ...) each.
 
@@ -357,14 +355,14 @@ def in_one_motion(cross: Any_, powers: Any_, segments: int, apart: Int) -> tuple
         Sums over so many segments.
     powers : (freq, ...) float32
         Products of both powers.
-    apart : (...) int
-        By how many derivatives the two motions are apart.
+    steps : (...) int
+        By how many derivatives the two motions differ.
     """
     tiny = np.finfo(np.float32).tiny
     square = cross.real**2 + cross.imag**2
     coherence = np.clip(square / np.maximum(powers, tiny) - 2 / segments, 0, 1)
     coherence[:2] = coherence[-2:] = 0.0
-    quarters = ((-1.0) ** apart).astype(np.float32)
+    quarters = ((-1.0) ** steps).astype(np.float32)
     return cross * cross * (quarters / np.maximum(square, tiny)), coherence
 
 
@@ -374,7 +372,7 @@ def _along(z: Complex, length: int) -> Float:
     """
     n = DRIFT_FINE * length
     j = np.fft.fftshift(irfft(z.T, n, axis=1) * (n / 2), axes=1)
-    reach = int(2 * DRIFT_FINE * DRIFT_FARTHEST * length)
+    reach = int(2 * DRIFT_FINE * 0.25 * length)
     return np.asarray(j[:, n // 2 - reach : n // 2 + reach + 1])
 
 
@@ -393,39 +391,37 @@ def _best(j: Float, u: Float, grid: Float, alone: float) -> float:
     )
     k = int(tops.argmax())
     if not (
-        0 < k < grid.size - 1 and tops[k] > CLEAR and 1 - tops[k] < DRIFT_EXPLAINED * (1 - alone)
+        0 < k < grid.size - 1
+        and tops[k] > DRIFT.agreement
+        and 1 - tops[k] < DRIFT.remainder * (1 - alone)
     ):
         return 0.0
     left, mid, right = tops[k - 1 : k + 2]
     gain = float(grid[k] + 0.5 * DRIFT_STEP * (left - right) / min(left - 2 * mid + right, -1e-12))
-    return gain if abs(gain) > LEAST_DRIFT else 0.0
+    return gain if abs(gain) > DRIFT.least else 0.0
 
 
 def at_positions(data: Any_, positions: Float) -> Float:
     """(ch, position) values between the samples of `data` (ch, sample), by a windowed sinc; 0
     outside the record.
     """
+    rows = 1024  # of the table of taps; straight between them is 4e-7 off
     out = np.empty((data.shape[0], positions.size))
-    part = np.linspace(0, 1, _ROWS + 1)[:, None] + np.arange(_TAPS - 1, -_TAPS - 1, -1)
-    table = (
-        np.sinc(part)
-        * np.i0(_TAPS_BETA * np.sqrt(np.clip(1 - (part / _TAPS) ** 2, 0, 1)))
-        / np.i0(_TAPS_BETA)
-    )
-    padded = np.pad(data, ((0, 0), (_TAPS, _TAPS)))
+    part = np.linspace(0, 1, rows + 1)[:, None] + np.arange(TAPS - 1, -TAPS - 1, -1)
+    table = np.sinc(part) * np.i0(9.0 * np.sqrt(np.clip(1 - (part / TAPS) ** 2, 0, 1))) / np.i0(9.0)
+    padded = np.pad(data, ((0, 0), (TAPS, TAPS)))
     size = 1 << 14
-    for i in range(
-        0, positions.size, size
-    ):  # blocks, as the taps take 48 times the memory of the samples
+    # blocks, as the taps take 48 times the memory of the samples
+    for i in range(0, positions.size, size):
         p = np.clip(positions[i : i + size], 0, data.shape[1] - 1)
         base = p.astype(np.int64)
-        at = (p - base) * _ROWS
+        at = (p - base) * rows
         row = at.astype(np.int64)
         share = (at - row)[:, None]
         weight = (1 - share) * table[row] + share * table[row + 1]
         weight[p != positions[i : i + size]] = 0.0
         for x, y in zip(padded, out, strict=True):
             y[i : i + size] = np.einsum(
-                "pt,pt->p", sliding_window_view(x, 2 * _TAPS)[base + 1], weight
+                "pt,pt->p", sliding_window_view(x, 2 * TAPS)[base + 1], weight
             )
     return out

@@ -1,21 +1,33 @@
-"""Frequency response functions from impact records: H1, H2 or Hv with coherence."""
+"""Frequency response functions from impact records: H1, H2 or Hv with coherence.
+
+FRFs from continuous records with one or several shakers: H1, Hv, coherences, their variance.
+"""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from scipy.special import bdtr
 
 from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
-from ringtrue.core.channels import input_id
-from ringtrue.core.impacts import Impacts, join_impacts
-from ringtrue.core.motions import ANGULAR, DERIVATIVE, FRF_KIND, LINEAR, UNIT, channel
-from ringtrue.core.progress import Progress
-from ringtrue.core.signals import Channel, FrfSet, Quantity, TimeHistory
-from ringtrue.errors import DataError
+from ringtrue.core.channels import (
+    ANGULAR,
+    DERIVATIVE,
+    FORCES,
+    FRF_KIND,
+    LINEAR,
+    MOTIONS,
+    UNIT,
+    channel,
+    input_id,
+)
+from ringtrue.core.iterate import Progress
+from ringtrue.core.signals import Channel, FrfSet, Impacts, Quantity, TimeHistory, join_impacts
+from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.signal.frf_sets import join_frfs
 from ringtrue.signal.impacts import (
     Estimator,
@@ -28,27 +40,233 @@ from ringtrue.signal.impacts import (
     impacts_of,
     pulse_width,
 )
+from ringtrue.signal.spectra import Welch, csd, window
+
+_ESTIMATORS = ("H1", "H2", "Hv")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShakerFrfs:
+    """FRFs of a record with running excitation.
+
+    Attributes
+    ----------
+    frfs : FrfSet
+        Its coherence is the partial one of each input with the others taken out, the ordinary one
+        of a single input; `frf.frf_variance` holds with it. `averages` are independent segments
+        less the other inputs.
+    ordinary : (freq, out, in) float64
+        Coherence of one input alone.
+    multiple : (freq, out) float64
+        Share of the response that all inputs together explain.
+    condition : (freq,) float64
+        Condition number of the scaled input spectra; large where two shakers act together.
+    """
+
+    frfs: FrfSet
+    ordinary: Float
+    multiple: Float
+    condition: Float
+
+
+def independent_segments(samples: int, length: int, settings: Welch) -> float:
+    """Segments of no overlap that have the variance of the given ones (Welch 1967, eq. 17)."""
+    hop = max(1, round(length * (1 - settings.overlap)))
+    count = (samples - length) // hop + 1
+    w = window(settings.window, length)
+    k = np.arange(1, min(count, -(-length // hop)))
+    rho = np.array([(w[: length - i * hop] @ w[i * hop :]) / (w @ w) for i in k]) ** 2
+    return float(count / (1 + 2 * ((1 - k / count) * rho).sum()))
+
+
+def shaker_frfs(
+    history: TimeHistory,
+    settings: Welch,
+    *,
+    inputs: Sequence[str] = (),
+    estimator: Literal["H1", "H2", "Hv"] = "H1",
+) -> ShakerFrfs:
+    """FRFs of all responses against all forces at once.
+
+    H1 = G_yf G_ff⁻¹ (noise on the responses). Hv takes noise on both: the smallest eigenvector of
+    the spectra of all forces and one response, each scaled to unit power; of one input it is the
+    geometric mean of H1 and H2. Source: Bendat and Piersol (2010), Random Data, chapters 7 and 9;
+    Rocklin, Crowley and Vold (1985) for Hv.
+
+    Parameters
+    ----------
+    history : TimeHistory
+    settings : Welch
+    inputs : sequence of str, optional
+        Ids of the force channels; by default all channels whose quantity is force.
+    estimator : {"H1", "H2", "Hv"}
+        H2 of one input only.
+
+    Raises
+    ------
+    DataError
+        If there is no force channel, a channel is constant or not finite, the responses are of
+        different kinds, or the record has too few segments for its inputs.
+    """
+    if estimator not in _ESTIMATORS:
+        raise ConfigError(f"estimator {estimator!r}{did_you_mean(estimator, _ESTIMATORS)}")
+    ordered, q = sorted_channels(history, inputs)
+    if estimator == "H2" and q > 1:
+        raise ConfigError(f"H2 of {q} inputs is not determined; take H1 or Hv")
+    spectra = csd(ordered, settings)
+    length = round(history.rate / settings.resolution)
+    n = independent_segments(history.data.shape[1], length, settings) - (q - 1)
+    if n < 2:
+        raise DataError(f"{history.source}: {n + q - 1:.3g} independent segments for {q} inputs")
+    g = spectra.data[1:]  # the mean is taken out, there is nothing at 0 Hz
+    h, partial, ordinary, multiple, condition = _estimate(g, q, estimator)
+    frfs = FrfSet(
+        data=h,
+        freqs=spectra.freqs[1:],
+        outputs=ordered.channels[q:],
+        inputs=tuple(as_input(c) for c in ordered.channels[:q]),
+        coherence=partial,
+        averages=np.full(q, n),
+        kind=MOTIONS[ordered.channels[q].quantity],
+        window_decay=0.0,
+        source=history.source,
+    )
+    return ShakerFrfs(frfs, ordinary, multiple, condition)
+
+
+def sorted_channels(history: TimeHistory, inputs: Sequence[str] = ()) -> tuple[TimeHistory, int]:
+    """The record with its forces first, and their number.
+
+    Raises
+    ------
+    DataError
+        If there is no force channel, a channel is constant or not finite, or the responses are of
+        different kinds.
+    """
+    forces = list(inputs) or [c.id for c in history.channels if c.quantity in FORCES]
+    others = [c for c in history.channels if c.id not in forces and c.quantity not in FORCES]
+    kinds = {LINEAR.get(c.quantity, c.quantity) for c in others}
+    if not forces or len(kinds) != 1 or not kinds <= set(FRF_KIND):
+        raise DataError(
+            f"{history.source}: {len(forces)} forces and responses of "
+            f"{', '.join(sorted(kinds)) or 'no kind'}; "
+            "there must be a force and one kind of motion"
+        )
+    ordered = history.pick([*forces, *(c.id for c in others)])
+    _check(ordered)
+    return ordered, len(forces)
+
+
+def as_input(channel: Channel) -> Channel:
+    """The same channel under the name that FRFs have for a reference."""
+    return replace(channel, id=input_id(channel.id))
+
+
+def _check(history: TimeHistory) -> None:
+    for sensor, x in zip(history.channels, history.data, strict=True):
+        low = float(x.min())
+        high = float(x.max())
+        if not (np.isfinite(low) and np.isfinite(high) and high > low):
+            raise DataError(
+                f"{history.source}: sensor {sensor.id} is constant or not finite; leave it out"
+            )
+
+
+def _estimate(g: Complex, q: int, estimator: str) -> tuple[Complex, Float, Float, Float, Float]:
+    """FRFs (f, out, in), partial and ordinary coherence (f, out, in), multiple (f, out), condition
+    (f,).
+    """
+    power = np.maximum(np.einsum("fii->fi", g).real, np.finfo(np.float64).tiny)
+    scale = np.sqrt(power)
+    # scaled, so that no unit makes it ill-conditioned
+    c = g / (scale[:, :, None] * scale[:, None, :])
+    ff = c[:, :q, :q]
+    yf = c[:, q:, :q]
+    values, vectors = np.linalg.eigh(ff)
+    condition = values[:, -1] / np.maximum(values[:, 0], np.finfo(np.float64).tiny)
+    values = np.maximum(values, 1e-12 * values[:, -1:])
+    inverse = (vectors / values[:, None, :]) @ vectors.conj().transpose(0, 2, 1)
+    h1 = yf @ inverse
+    multiple = np.clip(np.einsum("foi,foi->fo", h1, yf.conj()).real, 0.0, 1.0)
+    # power of one input, others taken out
+    alone = np.abs(h1) ** 2 / np.einsum("fii->fi", inverse).real[:, None, :]
+    partial = alone / np.maximum(alone + (1 - multiple)[:, :, None], np.finfo(np.float64).tiny)
+    h = {"H1": h1, "H2": h1 / np.maximum(multiple, 1e-12)[:, :, None]}.get(estimator)
+    h = _total(c, q) if h is None else h
+    h = h * scale[:, q:, None] / scale[:, None, :q]
+    return h, np.clip(partial, 0.0, 1.0), np.clip(np.abs(yf) ** 2, 0.0, 1.0), multiple, condition
+
+
+def _total(c: Complex, q: int) -> Complex:
+    """Total least squares of each response on all forces, scaled spectra (f, ch, ch) -> (f, out,
+    in).
+    """
+    at = [np.append(np.arange(q), q + k) for k in range(c.shape[1] - q)]
+    both = np.stack([c[:, i][:, :, i] for i in at], axis=1)  # (f, out, q + 1, q + 1)
+    v = np.linalg.eigh(both)[1][..., 0].conj()
+    return np.asarray(-v[..., :q] / v[..., q:])
+
 
 log = logging.getLogger(__name__)
-_NO_FORCE = (
-    1e-12  # power over the largest: a zero of the spectrum of a pulse without noise, rounding alone
-)
-_RISE = 8  # samples
-_HEARD = 10.0  # times the power of the noise on the force
-_QUIET, _FLOOR = (
-    0.02,
-    6.0,
-)  # of the response; times the typical power, above which a line is no noise
-_SLOW, _FILTER = (
-    3,
-    0.75,
-)  # lines that a drift takes; share of half the rate, that no filter rings at
-_PULSE = 16  # samples at least that the force is kept: an anti-aliasing filter rings on
-_SEEN, _MEDIAN = (
-    4.0,
-    0.6745,
-)  # standard deviations that noise does not reach; median of their moduli
-_ENDS_AT = 0.01  # of its start, a response under an automatic exponential window
+
+
+@dataclass(frozen=True, slots=True)
+class HitSelection:
+    """Which samples and lines of hits give an FRF.
+
+    Attributes
+    ----------
+    rise : int
+        Samples in which the force of a hit rises.
+    pulse : int
+        Samples at least that the force is kept: an anti-aliasing filter rings on.
+    heard : float
+        Power of the response over that of the noise, from which a hit counts.
+    slow : int
+        Lines that a drift takes.
+    filter_edge : float
+        Share of half the rate below which no filter rings.
+    no_force : float
+        Power over the largest: a zero of the spectrum of a pulse without noise, rounding alone.
+    """
+
+    rise: int = 8
+    pulse: int = 16
+    heard: float = 10.0
+    slow: int = 3
+    filter_edge: float = 0.75
+    no_force: float = 1e-12
+
+
+HITS = HitSelection()
+
+
+@dataclass(frozen=True, slots=True)
+class QuietSamples:
+    """What is noise before and after a hit.
+
+    Attributes
+    ----------
+    level : float
+        Share of the response.
+    floor : float
+        Times the typical power, above which a line is no noise.
+    deviations : float
+        Standard deviations that noise does not reach.
+    median : float
+        Median of the moduli of a standard normal variable.
+    ends_at : float
+        Share of its start that a response has left under an automatic exponential window.
+    """
+
+    level: float = 0.02
+    floor: float = 6.0
+    deviations: float = 4.0
+    median: float = 0.6745
+    ends_at: float = 0.01
+
+
+QUIET = QuietSamples()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,7 +358,7 @@ def estimate_columns(
         key = (new.input, *(c.id for c in new.outputs))
         sums[key] = sums[key].plus(new) if key in sums else new
     source = ", ".join(dict.fromkeys(r.source for r in records if r.source))
-    struck = np.all([s.ff > _NO_FORCE * s.ff.max(initial=0.0) for s in sums.values()], axis=0)
+    struck = np.all([s.ff > HITS.no_force * s.ff.max(initial=0.0) for s in sums.values()], axis=0)
     last = max(
         min(_last_heard(s) for s in sums.values()),
         int((settings.keep_to or 0.0) * length / cuts[0].record.rate),
@@ -161,11 +379,11 @@ def _with_room(cuts: Sequence[_Cut], settings: HammerSettings) -> HammerSettings
 def _check_used(cuts: Sequence[_Cut], reports: Sequence[Sequence[ImpactReport]]) -> None:
     for cut, rep in zip(cuts, reports, strict=True):
         if not any(r.accepted for r in rep):
-            told = "; ".join(f"{r.time:.2f} s: {', '.join(r.reasons)}" for r in rep[:5])
+            listed = "; ".join(f"{r.time:.2f} s: {', '.join(r.reasons)}" for r in rep[:5])
             spoilt = all(any(w.startswith("overload of ") for w in r.reasons) for r in rep)
             way = "; leave such responses out, or measure with a wider range" if spoilt else ""
             raise DataError(
-                f"{cut.record.source}: none of {len(rep)} hits can be used: {told}{way}"
+                f"{cut.record.source}: none of {len(rep)} hits can be used: {listed}{way}"
             )
 
 
@@ -182,7 +400,12 @@ def _checked(
     cuts: list[_Cut], length: int, settings: HammerSettings, full_scale: Mapping[str, float] | None
 ) -> tuple[list[_Cut], list[tuple[ImpactReport, ...]]]:
     """The verdict on all hits, without responses that overload in most of those of a record."""
-    reports = [check_impacts(c.record, c.force, c.hits, length, settings, full_scale) for c in cuts]
+    reports = [
+        check_impacts(
+            c.record, c.force, hits=c.hits, length=length, settings=settings, full_scale=full_scale
+        )
+        for c in cuts
+    ]
     lost = tuple(dict.fromkeys(c for rep in reports for r in rep for c in r.lost))
     if not lost:
         return cuts, reports
@@ -234,7 +457,7 @@ class _Sums:
 
 def _last_heard(s: _Sums) -> int:
     """The last line at which the force stands out of its noise."""
-    heard = np.flatnonzero(s.ff > _HEARD * s.quiet)
+    heard = np.flatnonzero(s.ff > HITS.heard * s.quiet)
     return int(heard[-1]) if heard.size else s.ff.size - 1
 
 
@@ -257,9 +480,10 @@ def _lead(cut: _Cut, hits: Int) -> tuple[int, int]:
     """
     force = np.asarray(cut.record.data[cut.force], dtype=np.float64)
     force = force - np.median(force)
-    pulse, room = 2 * max(pulse_width(force, h) for h in hits.tolist()) + 2, int(hits.min())
-    rise = max(min(room - pulse, _RISE), 0)
-    if rise and _unrest(cut, hits - pulse) > _QUIET:
+    pulse = 2 * max(pulse_width(force, h) for h in hits.tolist()) + 2
+    room = int(hits.min())
+    rise = max(min(room - pulse, HITS.rise), 0)
+    if rise and _unrest(cut, hits - pulse) > QUIET.level:
         rise = 0
     return min(room, pulse + rise), rise
 
@@ -268,11 +492,11 @@ def _unrest(cut: _Cut, starts: Int) -> float:
     """Level of the responses before the impacts over that after them, at the line that rings on
     most.
 
-    0 where it cannot be told, as too little was recorded before an impact.
+    0 where it is not known, as too little was recorded before an impact.
     """
     responses = np.delete(np.arange(len(cut.record.channels)), cut.force)
     length = min(cut.length // 4, int(starts.min()))
-    if length < 2 * _SLOW:
+    if length < 2 * HITS.slow:
         return 0.0
     taper = np.hanning(length)
     power = np.zeros((2, length // 2 + 1))
@@ -281,8 +505,8 @@ def _unrest(cut: _Cut, starts: Int) -> float:
             block = cut.record.data[responses, at : at + length]
             block = block - block.mean(axis=1, keepdims=True)
             row += (np.abs(np.fft.rfft(block * taper)) ** 2).sum(axis=0)
-    power = power[:, _SLOW : max(int(_FILTER * length / 2), _SLOW + 1)]
-    left = np.maximum(power[0] - _FLOOR * np.median(power[0]), 0)
+    power = power[:, HITS.slow : max(int(HITS.filter_edge * length / 2), HITS.slow + 1)]
+    left = np.maximum(power[0] - QUIET.floor * np.median(power[0]), 0)
     return float(np.sqrt(left / np.maximum(power[1], 1e-300)).max(initial=0.0))
 
 
@@ -296,7 +520,7 @@ def _decay(cut: _Cut, hits: Int, length: int, settings: HammerSettings) -> float
     part = max(length // 20, 2)
     first = np.sqrt(np.mean(block[:, pre : pre + part] ** 2))
     last = np.sqrt(np.mean(block[:, -part:] ** 2))
-    return float(np.log(max(last / max(first, 1e-300) / _ENDS_AT, 1.0)) / duration)
+    return float(np.log(max(last / max(first, 1e-300) / QUIET.ends_at, 1.0)) / duration)
 
 
 def _force_window(
@@ -312,11 +536,11 @@ def _force_window(
     keep = (
         round(settings.force_window * rate)
         if settings.force_window
-        else max(4 * width, round(0.001 * rate), _PULSE)
+        else max(4 * width, round(0.001 * rate), HITS.pulse)
     )
     t = np.arange(force.size) - pre
     if not settings.force_window and noise > 0:
-        seen = t[(np.abs(force) > _SEEN * noise) & (t >= -keep) & (t <= keep)]
+        seen = t[(np.abs(force) > QUIET.deviations * noise) & (t >= -keep) & (t <= keep)]
         keep = min(keep, max(int(seen.max(initial=0)) + 1, 2 * int(-seen.min(initial=0)), 1))
     down = 0.5 + 0.5 * np.cos(np.pi * np.clip((t - keep) / max(keep, 1), 0, 1))
     up = np.clip((t + max(keep, 1) + 1) / max(keep / 2, 1), 0, 1)
@@ -325,19 +549,23 @@ def _force_window(
 
 def _noise(force: Float) -> float:
     """Standard deviation of the force between the impacts, which take little of the record."""
-    return float(np.median(np.abs(force - np.median(force)))) / _MEDIAN
+    return float(np.median(np.abs(force - np.median(force)))) / QUIET.median
 
 
 def _spectra(cut: _Cut, hits: Int, length: int, decay: float, settings: HammerSettings) -> _Sums:
-    rate, at = cut.record.rate, cut.force
+    rate = cut.record.rate
+    at = cut.force
     (lead, rise), last = _lead(cut, hits), cut.record.data.shape[1] - length
     fade = np.exp(-decay * np.arange(length) / rate)
     fade[:rise] *= bdtr(np.arange(rise), rise, 0.5)
     lines = length // 2 + 1
     outputs = tuple(c for i, c in enumerate(cut.record.channels) if i != at)
     ff = np.zeros(lines)
-    xf, xx = np.zeros((lines, len(outputs)), dtype=np.complex128), np.zeros((lines, len(outputs)))
-    kept, pulses, quiet = 0.0, list[Float](), list[float]()
+    xf = np.zeros((lines, len(outputs)), dtype=np.complex128)
+    xx = np.zeros((lines, len(outputs)))
+    kept = 0.0
+    pulses = list[Float]()
+    quiet = list[float]()
     noise = _noise(np.asarray(cut.record.data[at], dtype=np.float64))
     for hit in hits.tolist():  # a few dozen hits; all at once would hold the record twice
         start = min(hit - lead, last)
@@ -352,12 +580,24 @@ def _spectra(cut: _Cut, hits: Int, length: int, decay: float, settings: HammerSe
         ff += pulses[-1]
         xf += x * f.conj()[:, None]
         xx += np.abs(x) ** 2
-    name, force = (
-        input_id(cut.record.channels[at].id),
-        np.asarray(cut.record.data[at], dtype=np.float64),
+    name = input_id(cut.record.channels[at].id)
+    force = np.asarray(cut.record.data[at], dtype=np.float64)
+    impacts = impacts_of(
+        force - np.median(force), rate, hits=cut.hits, used=hits, pulses=pulses, quiet=quiet
     )
-    impacts = impacts_of(force - np.median(force), rate, cut.hits, hits, pulses, quiet)
-    return _Sums(name, outputs, rate, length, int(hits.size), ff, xf, xx, kept, sum(quiet), impacts)
+    return _Sums(
+        input=name,
+        outputs=outputs,
+        rate=rate,
+        length=length,
+        count=int(hits.size),
+        ff=ff,
+        xf=xf,
+        xx=xx,
+        kept=kept,
+        quiet=sum(quiet),
+        impacts=impacts,
+    )
 
 
 def estimators(ff: Float, xf: Complex, xx: Float, which: Estimator) -> tuple[Complex, Float]:
@@ -406,19 +646,21 @@ def _column(s: _Sums, struck: Bool, decay: float, settings: HammerSettings, sour
         & (freqs <= (settings.fmax or np.inf))
         & ((freqs > 0) | (decay > 0) | (power == 0).all())
     )
-    freqs, h, coherence = freqs[keep], h[keep], coherence[keep]
+    freqs = freqs[keep]
+    h = h[keep]
+    coherence = coherence[keep]
     if power.any():  # under the window the FRF stands at s + decay
         h = h * (2j * np.pi * freqs + decay)[:, None] ** power
     return FrfSet(
-        h[:, :, None],
-        np.asarray(freqs, dtype=np.float64),
-        tuple(_of_kind(c, kind) for c in s.outputs),
-        (channel(s.input, "force"),),
-        coherence[:, :, None],
-        np.array([float(s.count)]),
-        FRF_KIND[kind],
-        decay,
-        source,
-        s.kept,
+        data=h[:, :, None],
+        freqs=np.asarray(freqs, dtype=np.float64),
+        outputs=tuple(_of_kind(c, kind) for c in s.outputs),
+        inputs=(channel(s.input, "force"),),
+        coherence=coherence[:, :, None],
+        averages=np.array([float(s.count)]),
+        kind=FRF_KIND[kind],
+        window_decay=decay,
+        source=source,
+        kept=s.kept,
         impacts=s.impacts.spread(len(s.outputs)) if s.impacts else None,
     )

@@ -6,21 +6,18 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import replace
 
 import numpy as np
 
 from ringtrue.core.arrays import Complex, Float, Int
-from ringtrue.core.impacts import join_impacts
-from ringtrue.core.motions import LINEAR, OF_KIND, POWER, as_motion, channel
-from ringtrue.core.signals import Channel, FrfKind, FrfSet, shared_lines
+from ringtrue.core.channels import LINEAR, OF_KIND, POWER, as_motion, channel
+from ringtrue.core.signals import Channel, FrfKind, FrfSet, join_impacts, shared_lines
 from ringtrue.errors import DataError
 
 log = logging.getLogger(__name__)
 _SAME_END = 2e-3  # of the block, by which pulses of other width move its end
 MOTION = ("acceleration", "velocity", "displacement", "unknown")
-_SURE, _FLIPPED = 0.8, -0.3
 _BANDS = 24
 
 
@@ -41,21 +38,20 @@ def join_frfs(parts: Sequence[FrfSet]) -> FrfSet:
     Raises
     ------
     DataError
-        As `alike` does, or if a pair of response and input was never measured.
+        As `of_one_kind` does, or if a pair of response and input was never measured.
     """
-    parts = alike(parts)
+    parts = of_one_kind(parts)
     first = parts[0]
     kept = np.array([p.kept for p in parts])
     same = bool(np.isfinite(kept).all()) and np.ptp(kept) < _SAME_END * kept.mean()
     outputs = {c.id: c for p in parts for c in p.outputs}
     inputs = {c.id: c for p in parts for c in p.inputs}
-    row, column = {k: i for i, k in enumerate(outputs)}, {k: i for i, k in enumerate(inputs)}
+    row = {k: i for i, k in enumerate(outputs)}
+    column = {k: i for i, k in enumerate(inputs)}
     shape = (first.freqs.size, len(outputs), len(inputs))
-    data, weight, coherence = (
-        np.zeros(shape, dtype=np.complex128),
-        np.zeros(shape[1:]),
-        np.zeros(shape),
-    )
+    data = np.zeros(shape, dtype=np.complex128)
+    weight = np.zeros(shape[1:])
+    coherence = np.zeros(shape)
     impacts = []
     for p in parts:  # a few setups
         at = (
@@ -91,7 +87,7 @@ def join_frfs(parts: Sequence[FrfSet]) -> FrfSet:
     )
 
 
-def alike(parts: Sequence[FrfSet]) -> tuple[FrfSet, ...]:
+def of_one_kind(parts: Sequence[FrfSet]) -> tuple[FrfSet, ...]:
     """Sets on the lines that all of them have, all of the kind of the first.
 
     Raises
@@ -111,19 +107,21 @@ def alike(parts: Sequence[FrfSet]) -> tuple[FrfSet, ...]:
             )
     at = shared_lines([p.freqs for p in parts])
     if at is None:
-        told = ", ".join(
+        described = ", ".join(
             f"{p.source} {_axis(p.freqs)}"
             for p in parts
             if not np.array_equal(p.freqs, first.freqs)
         )
-        raise DataError(f"{told}: other frequency lines than {first.source}, {_axis(first.freqs)}")
+        raise DataError(
+            f"{described}: other frequency lines than {first.source}, {_axis(first.freqs)}"
+        )
     if lost := max(p.freqs.size - a.size for p, a in zip(parts, at, strict=True)):
-        told = _axis(first.freqs[at[0]])
+        described = _axis(first.freqs[at[0]])
         log.warning(
             "%s: frequency lines differ (%d at most); the shared ones are used, %s",
             first.source,
             lost,
-            told,
+            described,
         )
     return tuple(_part(p, a, first.kind) for p, a in zip(parts, at, strict=True))
 
@@ -136,7 +134,8 @@ def _part(p: FrfSet, at: Int, kind: FrfKind) -> FrfSet:
     """The FRFs at some lines, as those of a kind."""
     if p.kind == kind and at.size == p.freqs.size:
         return p
-    motion, wanted = OF_KIND[p.kind], OF_KIND[kind]
+    motion = OF_KIND[p.kind]
+    wanted = OF_KIND[kind]
     data = as_motion(p.data[at], p.freqs[at], motion, wanted, p.window_decay)
     outputs = tuple(replace(channel(c.id, wanted), sensor=c.sensor) for c in p.outputs)
     return replace(
@@ -156,7 +155,8 @@ def exchange_by_reciprocity(frfs: FrfSet) -> tuple[FrfSet, str]:
     kinds = {LINEAR.get(c.quantity, c.quantity) for c in frfs.outputs}
     if len(frfs.inputs) <= len(frfs.outputs) or len(kinds) != 1 or not kinds <= set(MOTION):
         return frfs, ""
-    quantity, unit = kinds.pop(), frfs.outputs[0].unit
+    quantity = kinds.pop()
+    unit = frfs.outputs[0].unit
     there = replace(
         frfs,
         data=frfs.data.swapaxes(1, 2),
@@ -176,66 +176,11 @@ def exchange_by_reciprocity(frfs: FrfSet) -> tuple[FrfSet, str]:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class DrivingPoint:
-    """A driving point: `passive` is the share of the real part in its mobility at resonances, 1 if
-    all is well.
-
-    Attributes
-    ----------
-    id : str
-    passive : float
-        1: never negative; -1: sensor or hammer is the other way round.
-    verdict : {"ok", "flipped", "doubtful"}
-    """
-
-    id: str
-    passive: float
-    verdict: Literal["ok", "flipped", "doubtful"]
-
-
-@dataclass(frozen=True, slots=True)
-class Reciprocity:
-    """H_ab against H_ba.
-
-    Attributes
-    ----------
-    first, second : str
-    correlation : float
-        |H_ab* H_ba|² over both powers, over the lines: 1 if they are proportional.
-    gain : float
-        H_ab over H_ba in the least-squares sense; negative if one is turned.
-    """
-
-    first: str
-    second: str
-    correlation: float
-    gain: float
-
-
 def mobility(frfs: FrfSet) -> Complex:
     """(freq, out, in) velocity over force, m/s/N; 0 at 0 Hz."""
     s = 2j * np.pi * frfs.freqs + frfs.window_decay
     factor = np.where(frfs.freqs > 0, s, 1.0) ** float(1 - POWER[frfs.kind])
     return np.asarray(frfs.data * np.where(frfs.freqs > 0, factor, 0.0)[:, None, None])
-
-
-def check_driving_points(
-    frfs: FrfSet, *, low: float = 0.0, high: float = np.inf
-) -> tuple[DrivingPoint, ...]:
-    """Does every driving point take power from the force? The real part of its mobility must be
-    positive.
-
-    Lines of a band count by their size, so that the resonances decide, between `low` and `high` Hz.
-    """
-    out = []
-    for o, i in frfs.driving_points():
-        share = passive(frfs, o, i, low=low, high=high)
-        verdict: Literal["ok", "flipped", "doubtful"] = "ok" if share > _SURE else "doubtful"
-        out.append(
-            DrivingPoint(frfs.inputs[i].id, share, "flipped" if share < _FLIPPED else verdict)
-        )
-    return tuple(out)
 
 
 def passive(
@@ -264,26 +209,3 @@ def _sign_and_peak(h: Complex) -> tuple[float, float]:
     power = max(float((size**2).sum()), 1e-300)
     share = (h.real * size).sum() / max((np.abs(h.real) * size).sum(), 1e-300)
     return float(share), float(1 - size.sum() ** 2 / max(size.size, 1) / power)
-
-
-def check_reciprocity(
-    frfs: FrfSet, *, low: float = 0.0, high: float = np.inf
-) -> tuple[Reciprocity, ...]:
-    """H_ab against H_ba of every pair of inputs that both have a response channel."""
-    use = (frfs.freqs >= low) & (frfs.freqs <= high)
-    points = frfs.driving_points()
-    out = []
-    for k, (oa, ia) in enumerate(points):
-        for ob, ib in points[k + 1 :]:
-            ab, ba = frfs.data[use, oa, ib], frfs.data[use, ob, ia]
-            cross, pa, pb = np.vdot(ba, ab), np.vdot(ab, ab).real, np.vdot(ba, ba).real
-            share = float(abs(cross) ** 2 / max(pa * pb, 1e-300))
-            out.append(
-                Reciprocity(
-                    frfs.inputs[ia].id,
-                    frfs.inputs[ib].id,
-                    share,
-                    float(cross.real / max(pb, 1e-300)),
-                )
-            )
-    return tuple(out)

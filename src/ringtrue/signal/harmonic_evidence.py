@@ -9,78 +9,76 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.fft import ifft, next_fast_len, rfft
+from scipy.fft import ifft, next_fast_len
 
 from ringtrue.core.arrays import Any_, Complex, Float
 from ringtrue.core.signals import TimeHistory
-from ringtrue.errors import ConfigError, DataError
-from ringtrue.signal.decimation import detrend
 from ringtrue.signal.spectra import step
-from ringtrue.signal.tonal_lines import LONGEST, excerpt_spectrum
-
-_BETWEEN = 2.1  # kurtosis: the geometric mean of 1.5 of a sine and 3 of random response
-_WIDEST = 0.05  # apparent damping of a machine that still has a speed
-_NEAR = 0.4  # share of the power of a band that lies near its pole
-_INSTANTS = 1 << 14  # of an envelope that tell its moments
-# of the logarithm of an amplitude between impacts, whose kurtosis is then that of random response
-_FALLEN = 2.0
-_LOUD, _ALIKE, _CHANCE = (
-    0.05,
-    1.4,
-    1e-3,
-)  # share of the time; its peak power over its least; of a mode to be so steady
-NEAR = 0.03  # relative distance from a ratio of whole numbers
-WIDEST, LINES = (
-    0.06,
-    30.0,
-)  # half a band over its frequency at most, and in lines of the record at least
-ORDERS = (1, 2, 3, 4, 6, 8, 9, 12)  # of one line over that of another
-LEAST_PHASOR, SURE = 0.35, 15.0  # mean phasor, and its square times the independent samples
+from ringtrue.signal.tonal_lines import FIT, excerpt_spectrum
 
 
 @dataclass(frozen=True, slots=True)
-class LineStatistic:
-    """What the narrow band around a frequency holds.
+class AmplitudeSettings:
+    """When the amplitude of a pole is that of a machine.
 
     Attributes
     ----------
-    frequency : float, Hz
     kurtosis : float
-        E x⁴ / (E x²)² of the band-passed signal: 1.5 of a sine, 3 of a mode in random vibration.
-    harmonic : bool
+        Largest of a machine: the geometric mean of 1.5 of a sine and 3 of random response.
+    damping : float
+        Largest apparent damping of a machine that still has a speed.
+    near : float
+        Share of the power of a band that lies near its pole.
+    decay : float
+        Of the logarithm of an amplitude between impacts, whose kurtosis is then that of random
+        response.
+    loud : float
+        Share of the time that gives the loud level.
+    peak : float
+        Largest power of a machine that switches, over its loud level.
+    chance : float
+        That a mode is as steady.
     """
 
-    frequency: float
-    kurtosis: float
-    harmonic: bool
+    kurtosis: float = 2.1
+    damping: float = 0.05
+    near: float = 0.4
+    decay: float = 2.0
+    loud: float = 0.05
+    peak: float = 1.4
+    chance: float = 1e-3
 
 
-def line_statistics(
-    history: TimeHistory, frequencies: Sequence[float], width: float
-) -> tuple[LineStatistic, ...]:
-    """Kurtosis of the signals band-passed to `width` Hz around each frequency, pooled over channels
-    by their power.
+@dataclass(frozen=True, slots=True)
+class PhaseSettings:
+    """When the phase of a pole goes with that of a known line.
 
-    Source: Brincker, Andersen and Møller (2000), An indicator for separation of structural and
-    harmonic modes.
-
-    Raises
-    ------
-    DataError
-        If the record holds fewer than 20 times of 1/width.
-    ConfigError
-        If a band is not between 0 and half of the rate.
+    Attributes
+    ----------
+    orders : tuple of int
+        Of one line over that of another.
+    near : float
+        Relative distance from a ratio of whole numbers, at most.
+    width : float
+        Half a band over its frequency, at most.
+    lines : float
+        Half a band in lines of the record, at least.
+    phasor : float
+        Mean phasor, at least.
+    evidence : float
+        Square of the mean phasor times the independent samples, at least.
     """
-    _check_band(history, frequencies, width)
-    n = int(next_fast_len(history.data.shape[1], real=True))
-    spectrum = rfft(detrend(history.data), n, axis=1)
-    kurtosis = [
-        _narrow(spectrum, n, history.data.shape[1], history.rate, at, width)[0]
-        for at in frequencies
-    ]
-    return tuple(
-        LineStatistic(float(f), k, k < _BETWEEN) for f, k in zip(frequencies, kurtosis, strict=True)
-    )
+
+    orders: tuple[int, ...] = (1, 2, 3, 4, 6, 8, 9, 12)
+    near: float = 0.03
+    width: float = 0.06
+    lines: float = 30.0
+    phasor: float = 0.35
+    evidence: float = 15.0
+
+
+AMPLITUDE = AmplitudeSettings()
+PHASE = PhaseSettings()
 
 
 def _narrow(
@@ -103,12 +101,11 @@ def _narrow(
         (frequency + 0.75 * width, frequency + 0.4 * width),
     )
     gain = (step(f, *edges[0]) * step(f, *edges[1])).astype(spectrum.real.dtype)
-    m = int(next_fast_len(min(2 * f.size, _INSTANTS)))
+    m = int(next_fast_len(min(2 * f.size, 1 << 14)))
     lines = np.zeros((len(spectrum), -(-f.size // m), m), dtype=spectrum.dtype)
     lines.reshape(len(spectrum), -1)[:, : f.size] = spectrum[:, first:last] * gain
-    envelope = ifft(
-        lines.sum(axis=1), axis=1, norm="forward"
-    )  # folded lines: the same envelope at fewer instants
+    # folded lines: the same envelope at fewer instants
+    envelope = ifft(lines.sum(axis=1), axis=1, norm="forward")
     power = envelope.real**2 + envelope.imag**2
     skirt = int(np.ceil(m * step_f / width))
     power = power[:, skirt : m * samples // n - skirt]
@@ -116,7 +113,9 @@ def _narrow(
     power *= (1 / np.maximum(mean, np.finfo(power.dtype).tiny)).astype(power.dtype)[:, None]
     each = np.einsum("cs,cs->c", power, power) / power.shape[1] * mean
     loudest = power[mean.argmax()]
-    top = float(loudest.max() / max(np.quantile(loudest, 1 - _LOUD), np.finfo(power.dtype).tiny))
+    top = float(
+        loudest.max() / max(np.quantile(loudest, 1 - AMPLITUDE.loud), np.finfo(power.dtype).tiny)
+    )
     return float(1.5 * each.sum() / max(mean.sum(), 1e-300)), float(mean.sum()), top
 
 
@@ -132,7 +131,7 @@ def amplitude_evidence(
 
     A line that wanders looks like a mode of small damping, but its amplitude stays. The kurtosis of
     the band of the pole is that of random response, 3, with a standard deviation of 3/sqrt(2π ζ f
-    T); a pole is told from a mode where it is below 2.1 and more than three of these below 3. The
+    T); a pole is no mode where it is below 2.1 and more than three of these below 3. The
     band is widened to four times its width, as a line may wander beyond its pole, while it holds
     most of its power near the pole and no known line. Poles of few cycles or of much damping are
     not tried.
@@ -145,67 +144,64 @@ def amplitude_evidence(
     Parameters
     ----------
     history : TimeHistory
-        Some of it is looked at (`listened`).
+        Some of it is looked at (`searched_part`).
     frequencies : (k,) float, Hz
     damping : (k,) float
     lines : sequence of float, Hz
         Lines known already: they make any band steady.
     interval : float, s
         Between impacts that drive the record; 0: none. Amplitudes that do not fall between them are
-        steady, and their largest are alike where the impacts are. Only poles that would fall far
+        steady, and their largest are equal where the impacts are. Only poles that would fall far
         are tried.
     """
-    f, z = np.asarray(frequencies, dtype=np.float64), np.asarray(damping, dtype=np.float64)
-    samples = min(history.data.shape[1], LONGEST)
+    f = np.asarray(frequencies, dtype=np.float64)
+    z = np.asarray(damping, dtype=np.float64)
+    samples = min(history.data.shape[1], FIT.longest)
     duration = samples / history.rate
     width = np.maximum(6 * z * f, 20 / duration)
     cycles = 2 * np.pi * z * f * duration
-    apart = np.abs(f[:, None] - np.asarray(lines)).min(axis=1, initial=np.inf) - 120 / duration
+    distance = np.abs(f[:, None] - np.asarray(lines)).min(axis=1, initial=np.inf) - 120 / duration
     edge = 0.9 * np.minimum(f, history.rate / 2 - f)
     out = [""] * f.size
-    tried = (z < _WIDEST) & (cycles > 40)
+    tried = (z < AMPLITUDE.damping) & (cycles > 40)
     if interval:
-        tried &= 2 * np.pi * z * f * interval > _FALLEN
-    if not (tried & (width < np.minimum(edge, apart / 0.75))).any():
+        tried &= 2 * np.pi * z * f * interval > AMPLITUDE.decay
+    if not (tried & (width < np.minimum(edge, distance / 0.75))).any():
         return tuple(out)
     spectrum, n = excerpt_spectrum(history)
     for k in np.argsort(z, kind="stable").tolist():  # a few poles, sharp lines first
-        room = min(edge[k], apart[k] / 0.75)
+        room = min(edge[k], distance[k] / 0.75)
         if not (tried[k] and width[k] < room):
             continue
         widths = [float(w) for w in width[k] * np.array([1.0, 2.0, 4.0]) if w < room]
-        bands = [_narrow(spectrum, n, samples, history.rate, float(f[k]), w) for w in widths]
-        near = [band for band in bands if band[1] < bands[0][1] / _NEAR]
-        kurtosis, top = min(x[0] for x in near), min(x[2] for x in near)
-        alike = not interval and top < _ALIKE and (1 - _LOUD**top) ** (2 * cycles[k]) < _CHANCE
-        if kurtosis < _BETWEEN and 3 - kurtosis > 3 * 3 / np.sqrt(cycles[k]):
+        bands = [
+            _narrow(spectrum, n, samples=samples, rate=history.rate, frequency=float(f[k]), width=w)
+            for w in widths
+        ]
+        near = [band for band in bands if band[1] < bands[0][1] / AMPLITUDE.near]
+        kurtosis = min(x[0] for x in near)
+        top = min(x[2] for x in near)
+        regular = (
+            not interval
+            and top < AMPLITUDE.peak
+            and (1 - AMPLITUDE.loud**top) ** (2 * cycles[k]) < AMPLITUDE.chance
+        )
+        if kurtosis < AMPLITUDE.kurtosis and 3 - kurtosis > 3 * 3 / np.sqrt(cycles[k]):
             out[k] = (
                 f"a machine of unsteady speed: steady amplitude (kurtosis {kurtosis:.2f}, a mode "
                 "has 3, a sine 1.5)"
             )
-        elif alike:
+        elif regular:
             out[k] = (
-                f"a machine that switches: its loudest moments are alike (peaks {top:.3g} times "
+                f"a machine that switches: its loudest moments are equal (peaks {top:.3g} times "
                 "the loud level)"
             )
         if out[k]:
-            beside = np.abs(f - f[k])
-            apart = np.minimum(apart, np.where(beside > width[k], beside - width[k] / 2, np.inf))
+            offset = np.abs(f - f[k])
+            distance = np.minimum(
+                distance, np.where(offset > width[k], offset - width[k] / 2, np.inf)
+            )
     return tuple(out)
-
-
-def _check_band(history: TimeHistory, frequencies: Sequence[float], width: float) -> None:
-    if history.duration * width < 20:
-        raise DataError(
-            f"{history.source}: {history.duration:.4g} s are too short for {width:g} Hz: "
-            f"{20 / width:g} s"
-        )
-    bad = [f for f in frequencies if not width < f < history.rate / 2 - width]
-    if bad or not width > 0:
-        raise ConfigError(
-            f"frequency {bad[:3]} Hz, width {width:g} Hz: must be in width .. "
-            f"{history.rate / 2:g} - width"
-        )
 
 
 def phase_evidence(
@@ -217,13 +213,15 @@ def phase_evidence(
     Parameters
     ----------
     history : TimeHistory
-        Some of it is looked at (`listened`).
+        Some of it is looked at (`searched_part`).
     frequencies : (k,) float64, Hz
     damping : (k,) float64
     machines : sequence of bool
         Which are known to be lines of machines.
     """
-    f, known, out = frequencies, np.array(machines, dtype=bool), [""] * frequencies.size
+    f = frequencies
+    known = np.array(machines, dtype=bool)
+    out = [""] * frequencies.size
     pairs = [
         (k, j, *r)
         for k in np.flatnonzero(~known)
@@ -237,14 +235,16 @@ def phase_evidence(
     for k, j, p, q in pairs:  # a few poles
         if out[k]:
             continue
-        half = min(max(3 * max(damping[k], damping[j]), LINES * step / min(f[k], f[j])), WIDEST)
+        half = min(
+            max(3 * max(damping[k], damping[j]), PHASE.lines * step / min(f[k], f[j])), PHASE.width
+        )
         count = int(next_fast_len(int(4 * half * max(f[k], f[j]) / step) + 8))
         a, b = (_instants(spectrum, step, float(x), half, count) for x in (f[k], f[j]))
         weight = np.abs(a * b)
         turn = np.exp(1j * (q * np.angle(a) - p * np.angle(b)))
         together = float(np.abs((weight * turn).sum()) / weight.sum())
-        told = 2 * half * min(f[k], f[j]) / step
-        if together > LEAST_PHASOR and together**2 * told > SURE:
+        periods = 2 * half * min(f[k], f[j]) / step
+        if together > PHASE.phasor and together**2 * periods > PHASE.evidence:
             out[k] = f"a machine: its phase goes with that of the line at {f[j]:.4g} Hz, {p}:{q}"
     return tuple(out)
 
@@ -254,17 +254,18 @@ def _ratio(x: float) -> tuple[int, int] | None:
     1.
     """
     pairs: Sequence[tuple[int, int]] = (
-        [(p, 1) for p in ORDERS[1:]] + [(1, q) for q in ORDERS[1:]] + [(3, 2), (2, 3)]
+        [(p, 1) for p in PHASE.orders[1:]] + [(1, q) for q in PHASE.orders[1:]] + [(3, 2), (2, 3)]
     )
     p, q = min(pairs, key=lambda r: abs(x * r[1] / r[0] - 1))
-    return (p, q) if abs(x * q / p - 1) < NEAR else None
+    return (p, q) if abs(x * q / p - 1) < PHASE.near else None
 
 
 def _instants(spectrum: Any_, step: float, frequency: float, half: float, count: int) -> Complex:
     """(count,) the one-sided band of a relative half width at instants of the record, of the
     channel loudest there.
     """
-    first, last = int(frequency * (1 - half) / step), int(np.ceil(frequency * (1 + half) / step))
+    first = int(frequency * (1 - half) / step)
+    last = int(np.ceil(frequency * (1 + half) / step))
     own = spectrum[:, first : last + 1]
     loud = own[int((np.abs(own) ** 2).sum(axis=1).argmax())]
     band = np.zeros((last // count + 1) * count, dtype=np.complex64)

@@ -13,10 +13,8 @@ from typing import Literal
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Float, Int
-from ringtrue.core.channels import input_id
-from ringtrue.core.impacts import Impacts, pad_rows
-from ringtrue.core.motions import FORCES
-from ringtrue.core.signals import TimeHistory
+from ringtrue.core.channels import FORCES, input_id
+from ringtrue.core.signals import Impacts, TimeHistory, pad_rows
 from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.signal.channel_checks import clipping_levels, mostly_overloaded, overloaded
 
@@ -228,7 +226,7 @@ def check_impacts(
         Samples of a block.
     settings : HammerSettings
     full_scale : mapping of str to float, optional
-        Range of each channel by id, in its unit; without it clipping is told by equal extreme
+        Range of each channel by id, in its unit; without it clipping is recognised by equal extreme
         samples.
     """
     force = np.asarray(record.data[at], dtype=np.float64)
@@ -249,7 +247,8 @@ def check_impacts(
     over = [overloaded(record, b, limits) for b in blocks]
     lost = mostly_overloaded({c.id for k, c in enumerate(record.channels) if k != at}, over)
     for k, hit in enumerate(hits.tolist()):  # a few dozen hits
-        start, stop = hit - pre, hit - pre + length
+        start = hit - pre
+        stop = hit - pre + length
         why = _place(start, stop, record.data.shape[1], hits[k + 1 :], record.rate)
         if abs(force[hit]) < settings.weak * typical:
             why.append(f"weak: {abs(force[hit]):.3g} N, the median is {typical:.3g} N")
@@ -259,17 +258,17 @@ def check_impacts(
             why += _ringing(_unrest(blocks[k][responses], pre), quietest)
         name = input_id(record.channels[at].id)
         width = pulse_width(force, hit) / record.rate
-        told = tuple(why) or _begun(force[: hit + 1])
+        causes = tuple(why) or _begun(force[: hit + 1])
         reports.append(
             ImpactReport(
-                record.source,
-                name,
-                hit / record.rate,
-                float(force[hit]),
-                width,
-                not why,
-                told,
-                lost,
+                source=record.source,
+                input=name,
+                time=hit / record.rate,
+                peak=float(force[hit]),
+                width=width,
+                accepted=not why,
+                reasons=causes,
+                lost=lost,
             )
         )
     return tuple(reports)
@@ -326,7 +325,7 @@ def _double(force: Float, hit: int, stop: int, rate: float, settings: HammerSett
 
 
 def _unrest(responses: Any_, pre: int) -> float:
-    """Level before the hit over that after it, 0 where it cannot be told.
+    """Level before the hit over that after it, 0 where it is not known.
 
     The lower quartile of the channels: across the direction of the impact many show nothing but
     noise.

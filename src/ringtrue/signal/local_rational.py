@@ -23,33 +23,83 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
-from ringtrue.core.motions import FORCES, MOTIONS
+from ringtrue.core.channels import FORCES, MOTIONS
 from ringtrue.core.signals import FrfSet, TimeHistory
 from ringtrue.errors import DataError
-from ringtrue.signal.shaker_frf import as_input, sorted_channels
+from ringtrue.signal.frf import as_input, sorted_channels
 
-DEGREE = 2  # of every polynomial: two poles, and what other modes add
-TURNS = 3  # of the weight
-# lines of the record to an unknown of a window, at least: sweeps hardly tell T from H U at their
-# ends
-SPARE = 4.0
-OVERLAP = 4  # windows that share a line of the record
-FILLED = 0.4  # of the lines carry a random force; fewer do of a periodic one
-# times its variance is the square of an FRF, mean over the responses, of a line that tells
-# something
-SEEN = 4.0
-CLOSE = 1e-3  # of its value at the middle, that the denominator is taken for at least
-BATCH = 2_000_000  # values in memory
-MOST_LINES, BAND = 8192, 0.999  # lines in the band that holds this share of the force
-LOUD, LONG = (
-    0.1,
-    0.2,
-)  # of its largest value, that a force which runs all the time exceeds in this share of the samples
-REPEATED = (
-    0.98  # correlation of a force with itself a period later: noise of a seventh of it is allowed
-)
-LEAST_LINES = 64  # with a force, in one period; a sine has one
-FORCED = 1e-3  # of the strongest line
+
+@dataclass(frozen=True, slots=True)
+class LocalModel:
+    """A local rational model of an FRF.
+
+    Attributes
+    ----------
+    degree : int
+        Of every polynomial: two poles, and what other modes add.
+    turns : int
+        Turns of the weight.
+    spare : float
+        Lines of the record to an unknown of a window, at least: sweeps do not distinguish T from
+        H U at their ends.
+    overlap : int
+        Windows that share a line of the record.
+    seen : float
+        A line counts if so many times its variance is below the square of the FRF, mean over the
+        responses.
+    close : float
+        Share of its value at the middle that the denominator is taken for at least.
+    batch : int
+        Values in memory.
+    """
+
+    degree: int = 2
+    turns: int = 3
+    spare: float = 4.0
+    overlap: int = 4
+    seen: float = 4.0
+    close: float = 1e-3
+    batch: int = 2_000_000
+
+
+MODEL = LocalModel()
+
+
+@dataclass(frozen=True, slots=True)
+class RandomForce:
+    """When a force runs all the time.
+
+    Attributes
+    ----------
+    filled : float
+        Share of the lines that carry a random force; fewer do of a periodic one.
+    most_lines : int
+        Lines in the band that holds the force, at most.
+    band : float
+        Share of the force that this band holds.
+    loud : float
+        Share of its largest value, which such a force exceeds
+    long : float
+        in this share of the samples.
+    repeated : float
+        Correlation of a periodic force with itself a period later.
+    least_lines : int
+        Lines with a force in one period; a sine has one.
+    forced : float
+        Share of the strongest line from which a line carries a force.
+    """
+
+    filled: float = 0.4
+    most_lines: int = 8192
+    band: float = 0.999
+    loud: float = 0.1
+    long: float = 0.2
+    repeated: float = 0.98
+    least_lines: int = 64
+    forced: float = 1e-3
+
+
+FORCE = RandomForce()
 
 
 def is_continuous(history: TimeHistory) -> bool:
@@ -60,7 +110,7 @@ def is_continuous(history: TimeHistory) -> bool:
         x for c, x in zip(history.channels, history.data, strict=True) if c.quantity in FORCES
     ]
     size = [np.abs(x - np.median(x)) for x in forces]
-    return bool(size) and all(float(np.mean(x > LOUD * x.max())) > LONG for x in size)
+    return bool(size) and all(float(np.mean(x > FORCE.loud * x.max())) > FORCE.long for x in size)
 
 
 def spacing(history: TimeHistory) -> float:
@@ -76,9 +126,9 @@ def spacing(history: TimeHistory) -> float:
         .sum(axis=1)
         .cumsum()
     )
-    top = float(np.searchsorted(power, BAND * power[-1]))
+    top = float(np.searchsorted(power, FORCE.band * power[-1]))
     return float(
-        max(_width(lines, _unknowns(q)) / OVERLAP, top / MOST_LINES)
+        max(_width(lines, _unknowns(q)) / MODEL.overlap, top / FORCE.most_lines)
         * ordered.rate
         / ordered.data.shape[1]
     )
@@ -129,25 +179,43 @@ def _random_frfs(
 ) -> tuple[FrfSet, Bool]:
     """The FRFs of a record at all lines, and (freq,) where every force moves something."""
     ordered, q = sorted_channels(history, inputs)
-    n, n_out = ordered.data.shape[1], len(ordered.channels) - q
-    lines, unknowns = spectra(ordered.data), _unknowns(q)
-    width = _width(lines[:, :q], max(OVERLAP * resolution * n / ordered.rate / SPARE, unknowns)) | 1
+    n = ordered.data.shape[1]
+    n_out = len(ordered.channels) - q
+    lines = spectra(ordered.data)
+    unknowns = _unknowns(q)
+    width = (
+        _width(
+            lines[:, :q], max(MODEL.overlap * resolution * n / ordered.rate / MODEL.spare, unknowns)
+        )
+        | 1
+    )
     if width > lines.shape[0] // 2:
         raise DataError(f"{history.source}: {ordered.duration:.4g} s are too short for {q} inputs")
     freqs = np.arange(1, int(0.5 * ordered.rate / resolution), dtype=np.float64) * resolution
     middle = freqs * (n / ordered.rate)
     first = np.clip(np.rint(middle).astype(np.int64) - width // 2, 1, lines.shape[0] - width)
     h, variance = _all_fits(lines, q, middle, first, width)
-    freedom, power = width - unknowns + DEGREE - DEGREE / n_out, np.abs(h) ** 2
+    freedom = width - unknowns + MODEL.degree - MODEL.degree / n_out
+    power = np.abs(h) ** 2
     coherence = power / np.maximum(power + 2 * freedom * variance, np.finfo(np.float64).tiny)
     seen = (power / np.maximum(2 * variance, np.finfo(np.float64).tiny)).mean(axis=1).min(
         axis=1
-    ) > SEEN
+    ) > MODEL.seen
     kind = MOTIONS[ordered.channels[q].quantity]
     forces = tuple(as_input(c) for c in ordered.channels[:q])
-    responses, averages = ordered.channels[q:], np.full(q, freedom)
+    responses = ordered.channels[q:]
+    averages = np.full(q, freedom)
     return FrfSet(
-        h, freqs, responses, forces, coherence, averages, kind, 0.0, history.source, sharp=True
+        data=h,
+        freqs=freqs,
+        outputs=responses,
+        inputs=forces,
+        coherence=coherence,
+        averages=averages,
+        kind=kind,
+        window_decay=0.0,
+        source=history.source,
+        sharp=True,
     ), seen
 
 
@@ -161,15 +229,15 @@ def spectra(data: Any_) -> Complex:
 
 def _unknowns(inputs: int) -> int:
     """Of a response in a window, and of the denominator."""
-    return (DEGREE + 1) * (inputs + 1) + DEGREE
+    return (MODEL.degree + 1) * (inputs + 1) + MODEL.degree
 
 
 def _width(forces: Complex, unknowns: float) -> int:
     """Lines of a window for so many unknowns: more where the forces (freq, in) carry few of
     them.
     """
-    least = round(SPARE * unknowns)
-    return round(least * max(1.0, FILLED / _filled(forces[1:], least)))
+    least = round(MODEL.spare * unknowns)
+    return round(least * max(1.0, FORCE.filled / _filled(forces[1:], least)))
 
 
 def _all_fits(
@@ -180,7 +248,7 @@ def _all_fits(
     """
     n_out = lines.shape[1] - q
     h, variance = (np.empty((middle.size, n_out, q), dtype=t) for t in (np.complex128, np.float64))
-    size = max(1, BATCH // (width * n_out * (DEGREE + 1)))
+    size = max(1, MODEL.batch // (width * n_out * (MODEL.degree + 1)))
     for a in range(0, middle.size, size):  # all windows at once would not fit in memory
         at = first[a : a + size, None] + np.arange(width)
         r = (at - middle[a : a + size, None]) / (0.5 * width)
@@ -194,7 +262,8 @@ def _filled(lines: Complex, width: int) -> float:
     """
     count = max(lines.shape[0] // width, 1)
     p = np.abs(lines[: count * width].reshape(count, -1, lines.shape[1])) ** 2
-    total, square = p.sum(axis=1), np.maximum((p**2).sum(axis=1), np.finfo(np.float64).tiny)
+    total = p.sum(axis=1)
+    square = np.maximum((p**2).sum(axis=1), np.finfo(np.float64).tiny)
     return float(((total**3 / square).sum(axis=0) / total.sum(axis=0)).min() / p.shape[1])
 
 
@@ -214,7 +283,7 @@ def _fit(u: Complex, y: Complex, r: Float) -> tuple[Complex, Float]:
     out) at r.
     """
     q = u.shape[2]
-    powers = r[..., None] ** np.arange(DEGREE + 1)
+    powers = r[..., None] ** np.arange(MODEL.degree + 1)
     forced = (powers[..., :, None] * u[..., None, :]).reshape(*r.shape, -1)
     regressors = np.concatenate([forced, powers], axis=2)
     h, part, gain = solved(regressors, y, powers, q)
@@ -231,7 +300,7 @@ def solved(
     regressors : (window, line, p) complex128
         X.
     y : (window, line, out) complex128
-    powers : (window, line, DEGREE + 1)
+    powers : (window, line, MODEL.degree + 1)
         Of the place of the lines, for D, which is 1 in the middle.
 
     Returns
@@ -243,22 +312,23 @@ def solved(
     gain : (window, rows) float64
         That of the real part of a coefficient is `part` times this.
     """
-    shape, n_out = powers.shape[:2], y.shape[2]
+    shape = powers.shape[:2]
+    n_out = y.shape[2]
     data = (y[..., None] * powers[:, :, None]).reshape(*shape, -1)
-    coefficients = np.zeros((shape[0], DEGREE + 1), dtype=np.complex128)
+    coefficients = np.zeros((shape[0], MODEL.degree + 1), dtype=np.complex128)
     coefficients[:, 0] = 1
-    for _ in range(TURNS):
-        weight = 1 / np.maximum(np.abs(powers @ coefficients[..., None]), CLOSE)
+    for _ in range(MODEL.turns):
+        weight = 1 / np.maximum(np.abs(powers @ coefficients[..., None]), MODEL.close)
         reduced = _reduced(np.asarray(regressors * weight, dtype=np.complex128), data * weight)
-        rest = reduced.rest.reshape(*shape, n_out, DEGREE + 1)
+        rest = reduced.rest.reshape(*shape, n_out, MODEL.degree + 1)
         coefficients = _denominator(rest, _error(rest, coefficients))
     noise = _error(rest, coefficients)
-    product = reduced.product.reshape(shape[0], -1, n_out, DEGREE + 1)
+    product = reduced.product.reshape(shape[0], -1, n_out, MODEL.degree + 1)
     right = np.einsum("wpod,wd->wpo", product, coefficients)
     inverse = np.linalg.inv(reduced.triangle)[
         :, :rows
     ]  # of small triangles; its rows are the covariance, too
-    free = shape[1] - regressors.shape[2] - DEGREE / n_out
+    free = shape[1] - regressors.shape[2] - MODEL.degree / n_out
     return (
         (inverse @ right).transpose(0, 2, 1),
         0.5 * noise / free,
@@ -281,14 +351,14 @@ def _reduced(regressors: Complex, data: Complex) -> _Reduced:
 
 
 def _denominator(rest: Complex, noise: Float) -> Complex:
-    """(window, DEGREE + 1) coefficients of D, 1 first, of least error in `rest` (window, row, out,
-    DEGREE + 1).
+    """Coefficients of D (window, degree + 1), 1 first, of least error in `rest` (window, row, out,
+    degree + 1).
     """
     weighted = (rest / np.sqrt(noise)[:, None, :, None]).reshape(rest.shape[0], -1, rest.shape[3])
     gram = weighted.conj().transpose(0, 2, 1) @ weighted
     scale = 1 / np.sqrt(np.maximum(np.einsum("wii->wi", gram).real, np.finfo(np.float64).tiny))
     gram = scale[:, :, None] * gram * scale[:, None]
-    inner = gram[:, 1:, 1:] + 1e-12 * np.eye(DEGREE)
+    inner = gram[:, 1:, 1:] + 1e-12 * np.eye(MODEL.degree)
     solved = -np.linalg.solve(inner, gram[:, 1:, :1])[..., 0]
     return np.concatenate(
         [np.ones((rest.shape[0], 1)), solved * scale[:, 1:] / scale[:, :1]], axis=1
@@ -302,7 +372,7 @@ def period(history: TimeHistory) -> int:
     ordered, q = sorted_channels(history)
     likeness = np.min([_likeness(x) for x in ordered.data[:q]], axis=0)
     low = np.flatnonzero(likeness < 0.5)
-    again = np.flatnonzero(likeness > REPEATED)
+    again = np.flatnonzero(likeness > FORCE.repeated)
     again = again[again > low[0]] if low.size else again[:0]
     if not again.size:
         return 0
@@ -310,7 +380,9 @@ def period(history: TimeHistory) -> int:
     samples = int(near[np.argmax(likeness[near])])
     size = np.abs(spectra(ordered.data[:q, -samples:]))
     return (
-        samples if int((size > FORCED * size.max(axis=0)).sum(axis=0).min()) >= LEAST_LINES else 0
+        samples
+        if int((size > FORCE.forced * size.max(axis=0)).sum(axis=0).min()) >= FORCE.least_lines
+        else 0
     )
 
 
@@ -319,7 +391,8 @@ def _likeness(x: Any_) -> Float:
     half of its length.
     """
     x = np.asarray(x, dtype=np.float64) - np.mean(x)
-    n, half = x.size, x.size // 2
+    n = x.size
+    half = x.size // 2
     both = irfft(np.abs(rfft(x, m := int(next_fast_len(n + half + 1, real=True)))) ** 2, m)[
         : half + 1
     ]
@@ -381,26 +454,28 @@ def _periodic_frfs(history: TimeHistory, samples: int) -> tuple[FrfSet, Bool]:
     force = np.abs(lines[place, 0])
     transient, variance, freedom = _transients(lines[:, 1:], place, times)
     h = (lines[place, 1:] - transient) / np.where(
-        force > FORCED * force.max(), lines[place, 0], np.inf
+        force > FORCE.forced * force.max(), lines[place, 0], np.inf
     )[:, None]
     variance = variance / np.maximum(force, np.finfo(np.float64).tiny)[:, None] ** 2
     power = np.abs(h) ** 2
     coherence = power / np.maximum(power + 2 * freedom * variance, np.finfo(np.float64).tiny)
-    seen = (power / np.maximum(2 * variance, np.finfo(np.float64).tiny)).mean(axis=1) > SEEN
+    seen = (power / np.maximum(2 * variance, np.finfo(np.float64).tiny)).mean(axis=1) > MODEL.seen
     kind = MOTIONS[ordered.channels[1].quantity]
-    freqs, inputs = place * (history.rate / (times * samples)), (as_input(ordered.channels[0]),)
-    h, coherence = h[:, :, None], coherence[:, :, None]
+    freqs = place * (history.rate / (times * samples))
+    inputs = (as_input(ordered.channels[0]),)
+    h = h[:, :, None]
+    coherence = coherence[:, :, None]
     averages = np.array([freedom])
     return FrfSet(
-        h,
-        freqs,
-        ordered.channels[1:],
-        inputs,
-        coherence,
-        averages,
-        kind,
-        0.0,
-        history.source,
+        data=h,
+        freqs=freqs,
+        outputs=ordered.channels[1:],
+        inputs=inputs,
+        coherence=coherence,
+        averages=averages,
+        kind=kind,
+        window_decay=0.0,
+        source=history.source,
         sharp=True,
     ), seen
 
@@ -411,17 +486,19 @@ def _transients(lines: Complex, place: Int, times: int) -> tuple[Complex, Float,
 
     From the lines (freq, out) around that are no multiple of `times`.
     """
-    unknowns, n_out = 2 * DEGREE + 1, lines.shape[1]
-    width = times * int(np.ceil(SPARE * unknowns / (times - 1)))
+    unknowns = 2 * MODEL.degree + 1
+    n_out = lines.shape[1]
+    width = times * int(np.ceil(MODEL.spare * unknowns / (times - 1)))
     if width > lines.shape[0] // 2:
         raise DataError(f"{times} periods of {place.size} lines are too short")
-    t, variance = np.empty((place.size, n_out), dtype=np.complex128), np.empty((place.size, n_out))
-    size = max(1, BATCH // (width * n_out * (DEGREE + 1)))
+    t = np.empty((place.size, n_out), dtype=np.complex128)
+    variance = np.empty((place.size, n_out))
+    size = max(1, MODEL.batch // (width * n_out * (MODEL.degree + 1)))
     for a in range(0, place.size, size):  # all windows at once would not fit in memory
         middle = place[a : a + size, None]
         at = np.clip(middle - width // 2, 1, lines.shape[0] - width) + np.arange(width)
         at = at[at % times != 0].reshape(middle.size, -1)
-        powers = ((at - middle) / (0.5 * width))[..., None] ** np.arange(DEGREE + 1)
+        powers = ((at - middle) / (0.5 * width))[..., None] ** np.arange(MODEL.degree + 1)
         found, part, gain = solved(powers.astype(np.complex128), lines[at], powers, 1)
         t[a : a + size], variance[a : a + size] = found[..., 0], part * (1 + gain)
-    return t, variance, float(width - width // times - unknowns + DEGREE / n_out)
+    return t, variance, float(width - width // times - unknowns + MODEL.degree / n_out)

@@ -1,15 +1,22 @@
-"""Windows, spectral densities (Welch) and correlation functions of records."""
+"""Windows, spectral densities (Welch) and correlation functions of records.
+
+Trends, drifts and bands of records: filters, decimation, block by block where a record is larger
+than memory. The transfer function of a geophone, and its deconvolution.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal
 
 import numpy as np
+from numpy.polynomial.legendre import legvander
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
 from ringtrue.core.arrays import Any_, Complex, Float, Int
+from ringtrue.core.channels import SI_UNIT
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import ConfigError, DataError
 
@@ -59,16 +66,6 @@ class Csd:
     channels: tuple[Channel, ...]
     segments: int
 
-    def singular_values(self) -> Float:
-        """(freq, ch) singular values, descending: the first is the spectrum to draw behind a
-        diagram.
-        """
-        return np.asarray(np.linalg.svd(self.data, compute_uv=False, hermitian=True))
-
-
-def _starts(samples: int, length: int, hop: int) -> Int:
-    return np.arange(0, samples - length + 1, hop, dtype=np.int64)
-
 
 def segments_spectrum(data: Any_, starts: Int, win: Any_) -> Any_:
     """(segment, ch, freq) spectra of mean-free, windowed segments of `data` (ch, sample), precision
@@ -89,7 +86,8 @@ def csd(history: TimeHistory, settings: Welch) -> Csd:
     DataError
         If the record is shorter than one segment.
     """
-    data, rate = history.data, history.rate
+    data = history.data
+    rate = history.rate
     length = round(rate / settings.resolution)
     if data.shape[1] < length:
         raise DataError(
@@ -97,7 +95,12 @@ def csd(history: TimeHistory, settings: Welch) -> Csd:
             f"{settings.resolution:.4g} Hz; it needs {1 / settings.resolution:.4g} s"
         )
     win = window(settings.window, length)
-    starts = _starts(data.shape[1], length, max(1, round(length * (1 - settings.overlap))))
+    starts = np.arange(
+        0,
+        data.shape[1] - length + 1,
+        max(1, round(length * (1 - settings.overlap))),
+        dtype=np.int64,
+    )
     total = np.zeros((length // 2 + 1, len(data), len(data)), dtype=np.complex128)
     batch = max(1, 4_000_000 // (length * len(data)))
     for i in range(0, starts.size, batch):  # streamed: a batch of segments is what is in memory
@@ -201,3 +204,284 @@ def block_weights(power: Float) -> Float:
     typical = float(np.median(power)) or float(power.mean()) or 1.0
     loud = np.maximum(power / typical, 1.0)
     return np.asarray((1 / loud) / (1 / loud).sum())
+
+
+_STOP = 90.0  # dB
+# of the polynomials of a drift, at most: 8 cycles in the record, where bands begin at 50
+DEGREE = 24
+BLOCK = 1 << 16  # samples at a time: a basis of the whole record would not fit in memory
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fir:
+    """A symmetric filter and the samples that it is decimated by; its delay is taken out.
+
+    Attributes
+    ----------
+    taps : (2 k + 1,) float64
+    factor : int
+    """
+
+    taps: Float
+    factor: int = 1
+
+    def __post_init__(self) -> None:
+        if (
+            self.taps.size % 2 == 0
+            or self.factor < 1
+            or np.abs(self.taps - self.taps[::-1]).max() > 1e-12
+        ):
+            raise ConfigError(
+                f"{self.taps.size} taps and factor {self.factor}: odd, symmetric and 1 or more "
+                "are needed"
+            )
+
+
+def decimator(factor: int) -> Fir:
+    """Flat to 0.4 of the new rate, 90 dB down from 0.5 of it."""
+    if factor < 2:
+        raise ConfigError(f"decimation by {factor}: must be 2 or more")
+    return Fir(_low_pass(0.4 / factor, 0.5 / factor), factor)
+
+
+def high_passer(corner: float, rate: float) -> Fir:
+    """Gain 1 from `corner` Hz, 90 dB down below half of it."""
+    if not 0 < corner < rate / 4:
+        raise ConfigError(
+            f"high-pass at {corner} Hz: must be > 0 and below a quarter of the rate {rate} Hz"
+        )
+    taps = -_low_pass(0.5 * corner / rate, corner / rate)
+    taps[taps.size // 2] += 1.0
+    return Fir(taps)
+
+
+def _low_pass(start: float, stop: float) -> Float:
+    """Taps of a low-pass with its edge from `start` to `stop`, in cycles per sample."""
+    from scipy.signal import firwin, kaiserord  # slow to import, and few commands need it
+
+    count, beta = kaiserord(_STOP, 2 * (stop - start))
+    taps = firwin(count | 1, start + stop, window=("kaiser", beta), scale=True)
+    return np.asarray(taps, dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class Band:
+    """A frequency band and the rate that it is decimated to, Hz.
+
+    Attributes
+    ----------
+    low, high : float
+        Modes are taken from here.
+    rate : float
+        Sampling rate after decimation; the true one may differ by rounding to a fast FFT length.
+    """
+
+    low: float
+    high: float
+    rate: float
+
+
+def detrend(data: Any_) -> Float:
+    """`data` (ch, sample) as float64 less mean and straight line of each channel."""
+    y = np.array(data, dtype=np.float64)
+    t = np.linspace(-1.0, 1.0, y.shape[1])
+    for x in y:  # in place: there may be many samples
+        x -= x.mean()
+        x -= (x @ t / (t @ t)) * t
+    return y
+
+
+def band_signals(data: Any_, rate: float, bands: Sequence[Band]) -> tuple[tuple[Float, float], ...]:
+    """Each band of the record, filtered with zero phase and decimated, by one FFT per channel.
+
+    The gain falls from 1 at 0.4 to 0 at 0.5 of the new rate (no edge where nothing is decimated)
+    and from 1 at two thirds to 0 at one third of the lower band limit.
+
+    Parameters
+    ----------
+    data : (ch, sample) float
+    rate : float, Hz
+    bands : sequence of Band
+
+    Returns
+    -------
+    tuple of (signals (ch, sample) float64, rate Hz), one for each band
+    """
+    samples = data.shape[1]
+    n = int(next_fast_len(samples + samples // 50, real=True))
+    freqs = rfftfreq(n, 1 / rate)
+    sizes = [
+        n if b.rate >= rate else int(next_fast_len(round(n * b.rate / rate), real=True))
+        for b in bands
+    ]
+    keep = [samples * m // n for m in sizes]
+    out = [np.empty((len(data), k)) for k in keep]
+    gains = []
+    for b, m in zip(bands, sizes, strict=True):
+        f = freqs[: m // 2 + 1]
+        new = rate * m / n
+        edge = step(f, 0.5 * new, 0.4 * new) if m < n else np.ones(f.size)
+        gains.append(step(f, b.low / 3, b.low / 1.5) * edge * (m / n))
+    batch = max(1, 8_000_000 // n)
+    # the whole spectrum of all channels would double the memory
+    for i in range(0, len(data), batch):
+        spectrum = rfft(detrend(data[i : i + batch]), n, axis=1)
+        for y, g, m, k in zip(out, gains, sizes, keep, strict=True):
+            y[i : i + batch] = irfft(spectrum[:, : g.size] * g, m, axis=1)[:, :k]
+    return tuple((y, rate * m / n) for y, m in zip(out, sizes, strict=True))
+
+
+def remove_drift(history: TimeHistory, low: float) -> TimeHistory:
+    """The record without what drifts far below `low` Hz, in channels where that is more than all
+    else.
+
+    Least squares in Legendre polynomials, of a degree that leaves all from half of `low` on as it
+    is.
+
+    Parameters
+    ----------
+    history : TimeHistory
+        (channel, sample), finite.
+    low : float, Hz
+        Lowest frequency of interest.
+    """
+    samples = history.data.shape[1]
+    degree = min(int(np.clip(0.5 * low * history.duration, 1, DEGREE)), samples - 1)
+    places = np.linspace(-1.0, 1.0, samples)
+    offset = history.data[:, :1].astype(np.float64)
+    gram = np.zeros((degree + 1, degree + 1))
+    right = np.zeros((degree + 1, len(history.data)))
+    for start in range(0, samples, BLOCK):
+        part = slice(start, start + BLOCK)
+        basis = legvander(places[part], degree)
+        gram += basis.T @ basis
+        right += basis.T @ (history.data[:, part] - offset).T
+    drift = np.linalg.solve(gram, right)
+    drift[0] += offset[:, 0]
+    power = np.einsum("pc,pq,qc->c", drift, gram, drift)
+    much = power > 0.5 * np.einsum("cs,cs->c", history.data, history.data, dtype=np.float64)
+    if not much.any():
+        return history
+    data = np.array(history.data)
+    for start in range(0, samples, BLOCK):
+        part = slice(start, start + BLOCK)
+        basis = legvander(places[part], degree)
+        data[much, part] = history.data[much, part] - (basis @ drift[:, much]).T
+    return replace(history, data=data)
+
+
+def unit_factor(history: TimeHistory) -> float:
+    """The power of two that brings the typical standard deviation of the channels near 1; it
+    changes no digit.
+    """
+    exponent = np.frexp(np.median(history.data.std(axis=1, dtype=np.float64)))[1]
+    return float(np.ldexp(1.0, -int(exponent)))
+
+
+def scaled(history: TimeHistory, factor: float) -> TimeHistory:
+    """The record times one factor in all channels, which changes no shape."""
+    return replace(history, data=history.data * history.data.dtype.type(factor))
+
+
+@dataclass(frozen=True, slots=True)
+class Geophone:
+    """A moving-coil velocity sensor: H(s) = G s²/(s² + 2ζω₀s + ω₀²), velocity in, signal out.
+
+    Attributes
+    ----------
+    frequency : float, Hz
+        Natural frequency f₀.
+    damping : float
+        ζ, with its shunt.
+    sensitivity : float
+        G, signal over velocity far above f₀; 1 if the record is scaled to m/s already.
+    """
+
+    frequency: float
+    damping: float
+    sensitivity: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not (self.frequency > 0 and self.damping > 0 and self.sensitivity != 0):
+            raise ConfigError(
+                f"geophone: frequency {self.frequency} and damping {self.damping} must be > 0, "
+                f"sensitivity {self.sensitivity} not 0"
+            )
+
+    def response(self, freqs: Float) -> Complex:
+        """(f,) complex128 transfer function at `freqs`, Hz."""
+        s = 2j * np.pi * np.asarray(freqs, dtype=np.float64)
+        w = 2 * np.pi * self.frequency
+        return np.asarray(self.sensitivity * s**2 / (s**2 + 2 * self.damping * w * s + w**2))
+
+
+def lowest_frequency(
+    freqs: Float, signal_psd: Float, noise_psd: Float, *, snr_db: float = 10.0
+) -> float:
+    """The frequency (Hz) from which on every third-octave has the wanted signal-to-noise ratio.
+
+    Third-octaves above the last good one (an anti-alias filter) do not count.
+
+    Parameters
+    ----------
+    freqs : (f,) Hz
+    signal_psd : (f,)
+        One-sided density of the recorded signal, noise included, unit²/Hz.
+    noise_psd : (f,) or scalar
+        Density of the sensor's own noise at its output, same unit.
+    snr_db : float
+        Of (signal − noise) to noise.
+
+    Raises
+    ------
+    DataError
+        If no frequency has it.
+    """
+    f = np.asarray(freqs, dtype=np.float64)
+    ok = f > 0
+    band = np.round(3 * np.log2(f[ok])).astype(np.int64)
+    _, where = np.unique(band, return_inverse=True)
+    total = np.bincount(where, np.asarray(signal_psd)[ok])
+    noise = np.bincount(where, np.broadcast_to(noise_psd, f.shape)[ok])
+    good = total > (1 + 10 ** (snr_db / 10)) * noise
+    if not good.any():
+        peak = float((10 * np.log10(np.maximum(total / noise - 1, 1e-30))).max())
+        raise DataError(
+            f"signal over sensor noise is {peak:.3g} dB at most; wanted are {snr_db:.3g} dB"
+        )
+    top = int(np.flatnonzero(good)[-1])
+    below = np.flatnonzero(~good[:top])
+    first = int(below[-1]) + 1 if below.size else 0
+    return float(f[ok][where == first].min())
+
+
+def deconvolve(
+    history: TimeHistory, sensor: Geophone, *, low: float, high: float | None = None
+) -> TimeHistory:
+    """The velocity (m/s) from the signals of a sensor, between `low` and `high` Hz only.
+
+    The gain is that of 1/H inside the band and falls to 0 at half of `low` and at 1.1 times `high`.
+    Below the natural frequency of a geophone 1/H raises the noise as 1/f²: `low` must stand where
+    the signal is above it, see `lowest_frequency`.
+
+    Raises
+    ------
+    ConfigError
+        If the band is empty.
+    """
+    top = history.rate / 2 if high is None else high
+    if not 0 < low < top <= history.rate / 2:
+        raise ConfigError(
+            f"band {low} .. {top} Hz: must be 0 < low < high <= {history.rate / 2} Hz"
+        )
+    samples = history.data.shape[1]
+    n = int(next_fast_len(samples + int(4 * history.rate / low), real=True))
+    f = rfftfreq(n, 1 / history.rate)
+    gain = step(f, low / 2, low) / sensor.response(np.maximum(f, low / 4))
+    if top < history.rate / 2:
+        gain = gain * step(f, 1.1 * top, top)
+    spectrum = rfft(detrend(history.data), n, axis=1)
+    data = np.asarray(irfft(spectrum * gain, n, axis=1)[:, :samples])
+    unit = SI_UNIT["velocity"] if sensor.sensitivity != 1.0 else ""
+    channels = (replace(c, quantity="velocity", unit=unit or c.unit) for c in history.channels)
+    return replace(history, data=data, channels=tuple(channels))

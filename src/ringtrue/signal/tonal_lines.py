@@ -5,6 +5,13 @@ A mode in random vibration spreads over ζ f T lines of a periodogram of the len
 the one of its window. So a sine stands out even on the peak of a mode where both run for long;
 fitted by least squares with a slow change of amplitude and phase, it takes with it a few lines of
 the mode only. What is left of a machine whose amplitude or speed wanders is the foot of its line.
+
+Tones of machines that change their speed: seen as moving ridges of the spectrogram, and taken
+out along these.
+
+Where a run-up turns or rests it leaves a peak in the mean spectrum that looks like a mode, and a
+mode that it crosses is excited as by one force. A mode under random forces stays where it is: a
+ridge that moves by more than the width of any mode is none.
 """
 
 from __future__ import annotations
@@ -15,38 +22,306 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.polynomial.legendre import legvander
-from scipy.fft import next_fast_len, rfft, rfftfreq
-from scipy.ndimage import maximum_filter1d, median_filter
+from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
+from scipy.ndimage import binary_dilation, find_objects, label, maximum_filter1d, median_filter
 
-from ringtrue.core.arrays import Any_, Float, Int
+from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.signal.band_correlations import Signals, detrended
 from ringtrue.signal.spectra import window
 
-_LINES = 32  # channels that show the lines of machines, at most
-_BATCH = 8  # segments that are transformed together
-_CLEAR = 30.0, 10.0, 1.35  # times the power beside a steady line and around it, and its moment
-_DOUBT, _EVERY, _MANY = (
-    (15.0, 5.0, 1.6),
-    4,
-    100,
-)  # what each fourth segment of many shows of one at least
-# in which the least damped structure (0.05 %) spreads over four lines of the periodogram
-CYCLES = 3600.0
-ABOVE = 50.0  # times the median around; noise reaches it once in 2^50
-EMPTY = 1e-7  # of the record: no recorder has 140 dB
-ROUNDING = 1e-12  # of the strongest line: below is the rounding of single precision
-BESIDE = 25.0  # times the median just outside of the lobe
-FOOT = 1.6  # times the level to either side, where a line was
-FOOT_IN, FOOT_OUT = 60, 300  # lines to each side that hold a foot, and those beyond its sides
-AROUND = 40  # lines to each side
-LOBE = 5  # lines to each side of a sine that the window holds
-SLOW = 4  # polynomials of amplitude and phase
-BLOCK = 1 << 16  # samples that are fitted at a time
-MOST = 256  # lines of machines, the strongest: a shop's mains hum and shafts have no more
-TOGETHER = 32  # lines that are fitted at a time: a fit of all would cost the square of their number
-EYES, LONGEST = 4, 1 << 21  # channels (four transforms go in step) and samples
+GROUP = 32  # bins with a common level
+QUIET = 0.5  # level of a frame, at least
+
+
+@dataclass(frozen=True, slots=True)
+class RunUpSettings:
+    """What is a ridge of the spectrogram that moves.
+
+    Attributes
+    ----------
+    frames : tuple of int, samples
+        Of the transforms: slow tones are sought first.
+    low : float
+        Times the level of bin and frame: what hangs together.
+    high : float
+        Times that level: what noise does not reach.
+    cells : int
+        Loud cells, and frames, of a ridge at least.
+    ratio : float
+        Largest over smallest frequency, at least: five half-power bandwidths of 3 % damping.
+    span : int
+        Bins that it moves by, at least.
+    widths : float
+        Widths of the ridge itself that it moves by, at least.
+    jump : float
+        Typical step from frame to frame over its range, at most.
+    """
+
+    frames: tuple[int, ...] = (8192, 2048, 512, 128)
+    low: float = 4.0
+    high: float = 12.0
+    cells: int = 8
+    ratio: float = 1.15
+    span: int = 6
+    widths: float = 2.5
+    jump: float = 0.25
+
+
+RUN_UPS = RunUpSettings()
+
+
+@dataclass(frozen=True, slots=True)
+class MovingTone:
+    """A tone of changing frequency: from `low` to `high` Hz, seen in `seconds` of the record."""
+
+    low: float
+    high: float
+    seconds: float
+
+
+def remove_run_ups(
+    history: TimeHistory, mixes: Any_ | None = None
+) -> tuple[TimeHistory, tuple[MovingTone, ...]]:
+    """The record without tones of changing frequency, and these; the same object where there are
+    none.
+
+    All channels lose the same cells of time and frequency; a mode that a tone rests on loses that
+    time. `mixes` are its `channel_mixes`, if known.
+    """
+    found = list[MovingTone]()
+    mixes = channel_mixes(history.data) if mixes is None else mixes
+    for n in RUN_UPS.frames:
+        if 2 * history.data.shape[1] < 64 * n:
+            continue
+        mask, sweeps = _moving(_whitened(mixes, n), history.rate / n)
+        if sweeps:
+            history = replace(history, data=np.stack([_masked(x, mask, n) for x in history.data]))
+            found += sweeps
+            mixes = channel_mixes(history.data)
+    return history, tuple(found)
+
+
+def channel_mixes(data: Any_) -> Any_:
+    """(2, sample) float32 sum and alternating sum of some channels of `data` (ch, sample), of unit
+    variance each.
+    """
+    x = data[np.unique(np.linspace(0, len(data) - 1, 4).astype(np.int64))].astype(np.float32)
+    x -= x.mean(axis=1, keepdims=True)
+    x /= np.maximum(x.std(axis=1, keepdims=True), np.finfo(np.float32).tiny)
+    return np.stack([x.sum(axis=0), x[::2].sum(axis=0) - x[1::2].sum(axis=0)])
+
+
+def _window(n: int) -> Any_:
+    """(sample,) float32: its squares at half overlap add up to 1."""
+    return np.sin(np.pi * (np.arange(n) + 0.5) / n).astype(np.float32)
+
+
+def _frames(x: Any_, n: int) -> Any_:
+    """(frame, n) half-overlapped views of a signal (sample,), the first and last one half beyond
+    its ends.
+    """
+    m = 2 * x.size // n + 2
+    padded = np.pad(x, (n // 2, (m + 1) * (n // 2) - n // 2 - x.size))
+    return sliding_window_view(padded, n)[:: n // 2]
+
+
+def _whitened(mixes: Any_, n: int) -> Any_:
+    """(frame, bin) power over the typical one of the bin in the record and of neighbouring bins in
+    the frame.
+
+    Zero throughout where too few cells stand out for a ridge.
+    """
+    bins = n // 2 // GROUP * GROUP
+    taper = _window(n)
+    total = np.zeros((len(_frames(mixes[0], n)), bins), dtype=np.float32)
+    for x in mixes:
+        y = rfft(_frames(x, n) * taper, axis=1)[:, :bins]
+        power = y.real**2 + y.imag**2
+        typical = _upper_median(power[:: -(-len(power) // 500)].T)[:, 0] * np.float32(
+            len(mixes) / np.log(2)
+        )
+        total += power / np.maximum(typical, np.finfo(np.float32).tiny)
+    total[:, :4] = 0
+    groups = total.reshape(len(total), -1, GROUP)
+    some = groups[groups.max(axis=2) > RUN_UPS.high * QUIET]  # levels take longer than all else
+    if (some > RUN_UPS.high * _levels(some)).sum() < RUN_UPS.cells:
+        return np.zeros_like(total)
+    return (groups / _levels(groups)).reshape(total.shape)
+
+
+def _levels(groups: Any_) -> Any_:
+    return np.maximum(_upper_median(groups), np.float32(QUIET))
+
+
+def _upper_median(a: Any_) -> Any_:
+    """Over the last axis, which stays."""
+    middle = a.shape[-1] // 2
+    ranked: Any_ = np.partition(np.ascontiguousarray(a), middle, axis=-1)
+    return ranked[..., middle : middle + 1]
+
+
+def _moving(white: Any_, step: float) -> tuple[Bool, list[MovingTone]]:
+    """Cells (frame, bin) of ridges that move, and these; bins have a distance of `step` Hz."""
+    mask = np.zeros(white.shape, dtype=np.bool_)
+    sweeps = list[MovingTone]()
+    if np.count_nonzero(white > RUN_UPS.high) < RUN_UPS.cells:
+        return mask, sweeps
+    cell, count = label(white > RUN_UPS.low, np.ones((3, 3)))
+    strong = np.bincount(cell[white > RUN_UPS.high], minlength=count + 1)[1:]
+    ridges = np.flatnonzero(strong >= RUN_UPS.cells).tolist()
+    places = find_objects(cell) if ridges else []
+    for k in ridges:  # a few
+        own = cell[places[k]] == k + 1
+        power = np.where(own & (white[places[k]] > RUN_UPS.high), white[places[k]], 0.0)
+        first = places[k][1].start
+        if (ends := _ridge(power, first)) is not None:
+            mask[places[k]] |= own
+            sweeps.append(
+                MovingTone(
+                    step * ends[0], step * ends[1], 0.5 * int((power > 0).any(axis=1).sum()) / step
+                )
+            )
+    if sweeps:
+        mask = np.asarray(binary_dilation(mask, np.ones((1, 3), dtype=np.bool_)))
+    return mask, sweeps
+
+
+def _ridge(power: Float, first: int) -> tuple[float, float] | None:
+    """Lowest and highest bin of a ridge `power` (frame, bin from `first` on) that moves smoothly;
+    None for others.
+    """
+    seen = power.any(axis=1)
+    if seen.sum() < RUN_UPS.cells:
+        return None
+    at = first + np.arange(power.shape[1])
+    total = power[seen].sum(axis=1)
+    centre = power[seen] @ at / total
+    width = 1 + 2 * float(
+        np.median(np.sqrt((power[seen] * (at - centre[:, None]) ** 2).sum(axis=1) / total))
+    )
+    ranked = np.sort(centre)
+    low = float(ranked[2])
+    high = float(ranked[-1 - 2])
+    jumps = float(np.median(np.abs(np.diff(centre)))) > RUN_UPS.jump * (high - low)
+    if (
+        jumps
+        or high < RUN_UPS.ratio * low
+        or high - low < max(RUN_UPS.span, RUN_UPS.widths * width)
+    ):
+        return None
+    return low, high
+
+
+def _masked(x: Any_, mask: Bool, n: int) -> Any_:
+    """A signal (sample,) without the cells (frame, bin) of a mask."""
+    rows = np.flatnonzero(mask.any(axis=1))
+    y = rfft(_frames(x, n)[rows] * _window(n), axis=1)
+    y[:, : mask.shape[1]] *= mask[rows]
+    y[:, mask.shape[1] :] = 0
+    parts = irfft(y, n, axis=1) * _window(n)
+    gone = np.zeros((len(mask) + 1, n // 2), dtype=parts.dtype)
+    np.add.at(gone, rows, parts[:, : n // 2])
+    np.add.at(gone, rows + 1, parts[:, n // 2 :])
+    return x - gone.ravel()[n // 2 : n // 2 + x.size]
+
+
+@dataclass(frozen=True, slots=True)
+class LineShares:
+    """How the powers of lines are estimated from segments.
+
+    Attributes
+    ----------
+    channels : int
+        Channels that show the lines of machines, at most.
+    batch : int
+        Segments that are transformed together.
+    clear : tuple of float
+        Times the power next to a steady line and around it, and its moment.
+    doubt : tuple of float
+        What each fourth segment of many shows of one at least.
+    every : int
+        Of many segments each of so many is looked at first.
+    many : int
+        Segments that are many.
+    """
+
+    channels: int = 32
+    batch: int = 8
+    clear: tuple[float, ...] = (30.0, 10.0, 1.35)
+    doubt: tuple[float, ...] = (15.0, 5.0, 1.6)
+    every: int = 4
+    many: int = 100
+
+
+SHARES = LineShares()
+
+
+@dataclass(frozen=True, slots=True)
+class LineSearch:
+    """When a line of the periodogram is one of a machine.
+
+    Attributes
+    ----------
+    cycles : float
+        Cycles of the lowest frequency in which the least damped structure (0.05 %) spreads over
+        four lines.
+    above : float
+        Power over the median around; noise reaches it once in 2^50.
+    next_to : float
+        Power over the median just outside of the lobe.
+    empty : float
+        Share of the record below which a line is nothing: no recorder has 140 dB.
+    rounding : float
+        Share of the strongest line, below which is the rounding of single precision.
+    around : int
+        Lines to each side of which the median is taken.
+    lobe : int
+        Lines to each side of a sine that the window holds.
+    most : int
+        Lines of machines, the strongest.
+    """
+
+    cycles: float = 3600.0
+    above: float = 50.0
+    next_to: float = 25.0
+    empty: float = 1e-7
+    rounding: float = 1e-12
+    around: int = 40
+    lobe: int = 5
+    most: int = 256
+
+
+SEARCH = LineSearch()
+
+
+@dataclass(frozen=True, slots=True)
+class LineFit:
+    """How the lines are fitted and taken out.
+
+    Attributes
+    ----------
+    slow : int
+        Polynomials of amplitude and phase.
+    block : int
+        Samples that are fitted at a time.
+    together : int
+        Lines that are fitted at a time: a fit of all would cost the square of their number.
+    channels : int
+        Channels that are searched; four transforms go in step.
+    longest : int
+        Samples that are searched at most.
+    """
+
+    slow: int = 4
+    block: int = 1 << 16
+    together: int = 32
+    channels: int = 4
+    longest: int = 1 << 21
+
+
+FIT = LineFit()
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,18 +364,20 @@ def harmonics(history: TimeHistory, *, low: float = 0.0, cycles: int = 0) -> tup
     cycles : int
         Segments of the record; 0 chooses 120 of half overlap, or fewer lines in a short record.
     """
-    data, rate = history.data, history.rate
+    data = history.data
+    rate = history.rate
     segments = cycles or 120
     length = int(next_fast_len(max(256, 2 * data.shape[1] // (segments + 1)), real=True))
     if data.shape[1] < 16 * length // 2:
         return ()
     if (
-        2 * data.shape[1] > _MANY * length
-        and not _steady(*_moments(data, length, every=_EVERY), *_DOUBT).size
+        2 * data.shape[1] > SHARES.many * length
+        and not _steady(*_moments(data, length, every=SHARES.every), *SHARES.doubt).size
     ):
         return ()
     second, kurtosis = _moments(data, length)
-    line, freqs = _steady(second, kurtosis, *_CLEAR), rfftfreq(length, 1 / rate)
+    line = _steady(second, kurtosis, *SHARES.clear)
+    freqs = rfftfreq(length, 1 / rate)
     found = [float(freqs[i]) for i in line if freqs[i] > low]
     names = [line_name(f, freqs[1], found[:i]) for i, f in enumerate(found)]
     return tuple(
@@ -131,23 +408,18 @@ def _moments(data: Any_, length: int, *, every: int = 1) -> tuple[Float, Float]:
     different directions would look steadier than either.
     """
     win, total, moment = window("blackmanharris", length), *np.zeros((2, length // 2 + 1))
-    room = np.empty((_BATCH, length), dtype=np.float32)
-    for i in np.unique(np.linspace(0, len(data) - 1, _LINES).astype(np.int64)):
+    room = np.empty((SHARES.batch, length), dtype=np.float32)
+    for i in np.unique(np.linspace(0, len(data) - 1, SHARES.channels).astype(np.int64)):
         some = data[i, :: max(1, data.shape[1] // 20000)]
-        level, scale = (
-            some.mean(dtype=np.float64),
-            max(float(np.std(some, dtype=np.float64)), 1e-30),
-        )
-        gain, parts = (
-            (win / scale).astype(np.float32),
-            sliding_window_view(data[i], length)[:: every * (length // 2)],
-        )
+        level = some.mean(dtype=np.float64)
+        scale = max(float(np.std(some, dtype=np.float64)), 1e-30)
+        gain = (win / scale).astype(np.float32)
+        parts = sliding_window_view(data[i], length)[:: every * (length // 2)]
         first, second = np.zeros((2, length // 2 + 1))
-        for k in range(
-            0, len(parts), _BATCH
-        ):  # in the cache, and in place: most of the time is that of the transforms
-            x = room[: min(_BATCH, len(parts) - k)]
-            np.subtract(parts[k : k + _BATCH], level, out=x, casting="same_kind")
+        # in the cache, and in place: most of the time is that of the transforms
+        for k in range(0, len(parts), SHARES.batch):
+            x = room[: min(SHARES.batch, len(parts) - k)]
+            np.subtract(parts[k : k + SHARES.batch], level, out=x, casting="same_kind")
             x *= gain
             y = rfft(x, axis=1).view(np.float32)
             y *= y
@@ -163,7 +435,7 @@ def find_tonal_lines(
     history: TimeHistory, *, low: float = 0.0, high: float = np.inf
 ) -> tuple[Harmonic, ...]:
     """Sines of constant frequency between `low` and `high` Hz, the strongest where there are more
-    than `MOST`.
+    than `SEARCH.most`.
 
     Parameters
     ----------
@@ -171,62 +443,46 @@ def find_tonal_lines(
         At most 4 channels and 2 million samples of it are looked at.
     """
     power, step = _periodogram(history)
-    samples = min(history.data.shape[1], LONGEST)
-    if samples < 16 * AROUND:
+    samples = min(history.data.shape[1], FIT.longest)
+    if samples < 16 * SEARCH.around:
         return ()
-    k = np.flatnonzero(power >= maximum_filter1d(power, 2 * LOBE + 1, mode="nearest"))
-    k = k[(k > AROUND) & (k < power.size - AROUND) & (step * k * samples / history.rate > CYCLES)]
-    k = k[power[k] > ROUNDING * power.max()]
-    beyond = np.arange(LOBE + 1, LOBE + 5)
+    k = np.flatnonzero(power >= maximum_filter1d(power, 2 * SEARCH.lobe + 1, mode="nearest"))
+    k = k[
+        (k > SEARCH.around)
+        & (k < power.size - SEARCH.around)
+        & (step * k * samples / history.rate > SEARCH.cycles)
+    ]
+    k = k[power[k] > SEARCH.rounding * power.max()]
+    beyond = np.arange(SEARCH.lobe + 1, SEARCH.lobe + 5)
     side = np.median(power[k + np.concatenate([-beyond, beyond])[:, None]], axis=0)
-    k = k[power[k] > BESIDE * side]
-    k = k[power[k] > ABOVE * np.median(power[k + np.arange(-AROUND, AROUND + 1)[:, None]], axis=0)]
+    k = k[power[k] > SEARCH.next_to * side]
+    k = k[
+        power[k]
+        > SEARCH.above
+        * np.median(power[k + np.arange(-SEARCH.around, SEARCH.around + 1)[:, None]], axis=0)
+    ]
     bend = np.log(np.maximum(power[k + np.arange(-1, 2)[:, None]], 1e-300))
     f = step * (k + 0.5 * (bend[0] - bend[2]) / (bend[0] - 2 * bend[1] + bend[2]))
     inside = (f > low) & (f < high)
-    k, f = k[inside], f[inside]
-    f = f[np.sort(np.argsort(-power[k], kind="stable")[:MOST])]
+    k = k[inside]
+    f = f[inside]
+    f = f[np.sort(np.argsort(-power[k], kind="stable")[: SEARCH.most])]
     why = "steady frequency, taken out before modes are sought"
     names = [line_name(float(x), 2 * step, f[:i].tolist()) for i, x in enumerate(f)]
     return tuple(Harmonic(float(x), f"{name}: {why}") for x, name in zip(f, names, strict=True))
 
 
-def unsteady_lines(history: TimeHistory, frequencies: Sequence[float]) -> tuple[float, ...]:
-    """Those of the `frequencies` (Hz) of lines that were taken out where something is left beside
-    them, on both sides.
-
-    It may be a mode of little damping, but more likely is a machine whose amplitude or speed
-    wanders.
-    """
-    if not len(frequencies):
-        return ()
-    power, step = _periodogram(history)
-    out = []
-    for f in frequencies:  # a few lines
-        k = round(f / step)
-        if not FOOT_OUT < k < power.size - FOOT_OUT:
-            continue
-        near = np.median(
-            np.concatenate([power[k - FOOT_IN : k - LOBE], power[k + LOBE : k + FOOT_IN]])
-        )
-        sides = (power[k - FOOT_OUT : k - FOOT_OUT // 2], power[k + FOOT_OUT // 2 : k + FOOT_OUT])
-        if near > FOOT * max(np.median(x) for x in sides):
-            out.append(float(f))
-    return tuple(out)
-
-
 def _periodogram(history: TimeHistory) -> tuple[Float, float]:
     """(freq,) of some channels, of unit variance each, and the distance of its lines, Hz."""
-    x = listened(history)
+    x = searched_part(history)
     scale = np.maximum(
         x[:, :: max(1, x.shape[1] // 20000)].std(axis=1, dtype=np.float64, keepdims=True), 1e-300
     )
     x *= (1 / scale).astype(np.float32)
     x *= _taper(x.shape[1])
     n = int(next_fast_len(x.shape[1], real=True))
-    y = rfft(x, n, axis=1).view(
-        np.float32
-    )  # single precision is 120 dB below the record, and halves the time
+    # single precision is 120 dB below the record, and halves the time
+    y = rfft(x, n, axis=1).view(np.float32)
     y *= y
     return np.asarray((y[:, ::2] + y[:, 1::2]).sum(axis=0, dtype=np.float64)), history.rate / n
 
@@ -251,18 +507,18 @@ def remove_tonal_lines(history: TimeHistory, frequencies: Sequence[float]) -> Ti
     if not len(frequencies):
         return history
     data = np.array(history.data)
-    parts = [frequencies[k : k + TOGETHER] for k in range(0, len(frequencies), TOGETHER)]
-    sweeps = (
-        1 if len(parts) == 1 else 2
-    )  # the second mends what neighbours in two parts took of each other
+    parts = [frequencies[k : k + FIT.together] for k in range(0, len(frequencies), FIT.together)]
+    # the second mends what neighbours in two parts took of each other
+    sweeps = 1 if len(parts) == 1 else 2
     for part in parts * sweeps:
         _take_out(data, history.rate, part)
     if (
-        data.std(axis=1, dtype=np.float64) <= EMPTY * history.data.std(axis=1, dtype=np.float64)
+        data.std(axis=1, dtype=np.float64)
+        <= SEARCH.empty * history.data.std(axis=1, dtype=np.float64)
     ).all():
-        told = " ".join(f"{f:.5g}" for f in frequencies[:8])
+        listed = " ".join(f"{f:.5g}" for f in frequencies[:8])
         raise DataError(
-            f"{history.source}: nothing but steady lines at {told} Hz: a machine or a generator, "
+            f"{history.source}: nothing but steady lines at {listed} Hz: a machine or a generator, "
             "no mode"
         )
     return replace(history, data=data)
@@ -272,41 +528,44 @@ def _take_out(data: Any_, rate: float, frequencies: Sequence[float]) -> None:
     """Fit some lines to the signals (ch, sample) and take them out, in place."""
     samples = data.shape[1]
     taper = window("hann", samples)
-    columns = 2 * SLOW * len(frequencies)
-    gram, right = np.zeros((columns, columns)), np.zeros((columns, len(data)))
-    for start in range(0, samples, BLOCK):  # a basis of the whole record would not fit in memory
+    columns = 2 * FIT.slow * len(frequencies)
+    gram = np.zeros((columns, columns))
+    right = np.zeros((columns, len(data)))
+    for start in range(
+        0, samples, FIT.block
+    ):  # a basis of the whole record would not fit in memory
         a = _basis(rate, samples, frequencies, start)
-        weighted = a * taper[start : start + BLOCK, None]
+        weighted = a * taper[start : start + FIT.block, None]
         gram += weighted.T @ a
-        right += weighted.T @ data[:, start : start + BLOCK].T.astype(np.float64)
+        right += weighted.T @ data[:, start : start + FIT.block].T.astype(np.float64)
     x = np.linalg.lstsq(gram, right)[0]
-    for start in range(0, samples, BLOCK):
-        data[:, start : start + BLOCK] -= (_basis(rate, samples, frequencies, start) @ x).T.astype(
-            data.dtype
-        )
+    for start in range(0, samples, FIT.block):
+        data[:, start : start + FIT.block] -= (
+            _basis(rate, samples, frequencies, start) @ x
+        ).T.astype(data.dtype)
 
 
 def _basis(rate: float, samples: int, frequencies: Sequence[float], start: int) -> Float:
     """(sample, column) sines and cosines times Legendre polynomials over the record, from a sample
     on.
     """
-    t = np.arange(start, min(start + BLOCK, samples))
-    slow = legvander(2 * t / samples - 1, SLOW - 1)
+    t = np.arange(start, min(start + FIT.block, samples))
+    slow = legvander(2 * t / samples - 1, FIT.slow - 1)
     turn = 2 * np.pi * t[:, None] * (np.asarray(frequencies) / rate)
     both = np.concatenate([np.cos(turn), np.sin(turn)], axis=1)
     return np.asarray((both[:, :, None] * slow[:, None]).reshape(t.size, -1))
 
 
-def listened(history: TimeHistory) -> Any_:
-    """(ch, sample) float32, less about their means: at most `EYES` channels and `LONGEST`
-    samples.
+def searched_part(history: TimeHistory) -> Any_:
+    """(ch, sample) float32, less about their means: at most `FIT.channels` channels and
+    `FIT.longest` samples.
     """
-    at = np.unique(np.linspace(0, len(history.channels) - 1, EYES).astype(np.int64))
-    return Signals.of(history.data).part(0, min(history.data.shape[1], LONGEST), at)
+    at = np.unique(np.linspace(0, len(history.channels) - 1, FIT.channels).astype(np.int64))
+    return Signals.of(history.data).part(0, min(history.data.shape[1], FIT.longest), at)
 
 
 def excerpt_spectrum(history: TimeHistory) -> tuple[Any_, int]:
     """Transform (ch, line) complex64 of these without their straight lines, and its length."""
-    x = listened(history)
+    x = searched_part(history)
     n = int(next_fast_len(x.shape[1], real=True))
     return rfft(detrended(x).data, n, axis=1), n

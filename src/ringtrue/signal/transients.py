@@ -23,42 +23,85 @@ from scipy.ndimage import maximum_filter1d, median_filter
 from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.core.signals import TimeHistory
 from ringtrue.signal.band_correlations import Signals, lowered
-from ringtrue.signal.decimation import decimator
-from ringtrue.signal.run_ups import channel_mixes
+from ringtrue.signal.spectra import decimator
+from ringtrue.signal.tonal_lines import channel_mixes
 
 FRAME = 1024  # samples: longer transforms leave the cache
 ORDER = 60  # of the prediction
 WIDTH = 16  # samples of a window
-# times the median power around and of the record: noise does not reach it in ten million windows
-LOUD = 10.0
-FADING = 0.05  # of the loudest window just before: what is below only rings
-MEMORY = 64  # windows in which that one is sought
-QUIET_BETWEEN = 8  # windows without force between two events
-SPREAD = 2  # windows to either side, in which the force of an event rises and falls
-HELD = 0.5  # of the power of the record, at a lower rate
-STEP = 4  # from one rate to the next
-LEAST_FRAMES = 16  # of the prediction, at a lower rate: fewer are foreseen by chance
-LAST = 0.25  # of the time to the next event: when its decay is looked at
-CHANNELS = 4  # that are listened to
-DRIVEN = 0.5  # share of the power
-FEWEST_EVENTS = (
-    8  # events: lines of fewer at equal intervals are nearer than the window of a periodogram tells
-)
-IN_STEP = 0.7  # mean phasor of the events at the frequency of a line that they make
-LEAST = 0.3  # share of the record that must stay
-DEARER, DEAR = (
-    3.0,
-    0.1,
-)  # times the lost share, and share of the record, that lost stretches may take with them
 IMPACT_WINDOW = 4  # samples
-ABOVE = 10.0  # times the median power of the error: of a normal one none of a million windows
-FAINT = 4.0  # times the same, where an impact is due
-APART = 4  # windows to either side without a second stroke
-FEWEST = 30  # strokes
-REGULAR, ALIKE = 0.8, 0.15  # share of the intervals that are within so much of the median
-TAPS, EARLY = 2000, 3  # samples of the response at most, and before the stroke
-TAPS_SHARE = 0.05  # of the samples of the record, at most
-RIDGE = 1e-2  # equal intervals tell the response to one stroke from that to the next no more
+
+
+@dataclass(frozen=True, slots=True)
+class EventSettings:
+    """What is an event, and what it takes away.
+
+    Attributes
+    ----------
+    loud : float
+        Times the median power around and of the record: noise does not reach it in ten million
+        windows.
+    fading : float
+        Of the loudest of the `memory` windows before: what is below only rings.
+    memory : int, windows
+    pause : int, windows
+        Without force between two events.
+    spread : int, windows
+        To either side, in which the force of an event rises and falls.
+    power : float
+        Of the record, that a lower rate must hold to be looked at.
+    fewest : int
+        Events that tell lines: those of fewer are nearer than the window of a periodogram.
+    in_step : float
+        Mean phasor of the events at the frequency of a line that they make.
+    """
+
+    loud: float = 10.0
+    fading: float = 0.05
+    memory: int = 64
+    pause: int = 8
+    spread: int = 2
+    power: float = 0.5
+    fewest: int = 8
+    in_step: float = 0.7
+
+
+@dataclass(frozen=True, slots=True)
+class RegularImpactSettings:
+    """What regular impacts are.
+
+    Attributes
+    ----------
+    loud : float
+        Times the median power of the error: of a normal one none of a million windows.
+    faint : float
+        Times the same, where an impact is due.
+    spacing : int, windows
+        To either side without a second impact.
+    fewest : int
+        Impacts.
+    share : float
+        Of the intervals, that are regular.
+    scatter : float
+        Of a regular interval about the median, relative, at most.
+    taps : int, samples
+        Of the response to an impact, at most.
+    taps_share : float
+        Of the samples of the record, that the response has at most.
+    """
+
+    loud: float = 10.0
+    faint: float = 4.0
+    spacing: int = 4
+    fewest: int = 30
+    share: float = 0.8
+    scatter: float = 0.15
+    taps: int = 2000
+    taps_share: float = 0.05
+
+
+EVENT = EventSettings()
+REGULAR = RegularImpactSettings()
 
 
 def prediction_error(x: Any_) -> Any_:
@@ -85,7 +128,7 @@ class Events:
     Attributes
     ----------
     struck : (window,) bool
-        Windows of the record in which one acts, and a few beside them.
+        Windows of the record in which one acts, and a few around them.
     window : float, s
     count : int
         Of the events: runs of struck windows.
@@ -114,22 +157,22 @@ class Events:
     @property
     def driven(self) -> bool:
         """Whether most of the motion comes from events: no stationary noise."""
-        return self.share > DRIVEN
+        return self.share > 0.5
 
     def in_step(self, frequencies: Float) -> Bool:
         """(line,) whether lines at (line,) `frequencies`, Hz, are those of the events: they act at
         one phase of it.
         """
-        if self.times.size < FEWEST_EVENTS:
+        if self.times.size < EVENT.fewest:
             return np.zeros(frequencies.size, dtype=bool)
         turns = np.exp(-2j * np.pi * frequencies[:, None] * self.times)
-        return np.asarray(np.abs(turns.mean(axis=1)) > IN_STEP)
+        return np.asarray(np.abs(turns.mean(axis=1)) > EVENT.in_step)
 
     def lines_near(self, frequency: float) -> bool:
         """Whether the events have lines about a frequency, Hz: at the multiple of their rate that
         is nearest to it.
         """
-        if self.times.size < FEWEST_EVENTS:
+        if self.times.size < EVENT.fewest:
             return False
         rate = (self.times.size - 1) / float(np.ptp(self.times))
         return bool(self.in_step(np.array([round(frequency / rate) * rate]))[0])
@@ -166,9 +209,10 @@ class Events:
         """
         ahead = _before(self.struck, 1 / self.window, samples, rate, lags)
         lost = _before(self.gone, self.rate, samples, rate, lags)
-        if lost.mean() < DEARER * (1 - self.kept) + DEAR:
+        if lost.mean() < 3.0 * (1 - self.kept) + 0.1:
             ahead = ahead | lost
-        return np.asarray(~ahead, dtype=np.float32) if 0 < ahead.mean() < 1 - LEAST else None
+        most = 0.7  # of the record, that may go
+        return np.asarray(~ahead, dtype=np.float32) if 0 < ahead.mean() < most else None
 
 
 NONE = Events(np.zeros(0, dtype=bool), 1.0, 0, 0.0, 0.0)
@@ -199,18 +243,19 @@ def find_events(data: Any_, rate: float, gone: Bool | None = None) -> Events:
     lost = np.zeros(data.shape[1], dtype=bool) if gone is None else gone.copy()
     lost[:1] = True
     step = 1
-    some = np.unique(np.linspace(0, len(data) - 1, CHANNELS).round().astype(np.int64))
+    some = np.unique(np.linspace(0, len(data) - 1, 4).round().astype(np.int64))
     signals = Signals.of(data[some])
     part = signals.part(0, signals.samples)
     power = np.square(part).mean(axis=1, dtype=np.float64)
     while True:
         found = _at_one_rate(part, rate / step, lost[::step])
-        part, step = lowered(Signals.of(part), decimator(STEP)), STEP * step
+        part = lowered(Signals.of(part), decimator(4))
+        step *= 4
         left = np.square(part).mean(axis=1, dtype=np.float64)
         if (
             found.count
-            or part.shape[1] < LEAST_FRAMES * FRAME
-            or np.median(left) < HELD * np.median(power)
+            or part.shape[1] < 16 * FRAME
+            or np.median(left) < EVENT.power * np.median(power)
         ):
             return found if gone is None else replace(found, gone=gone, rate=rate)
 
@@ -227,13 +272,17 @@ def _at_one_rate(data: Any_, rate: float, lost: Bool) -> Events:
         return NONE
     force = force[alive] / middle[alive, None]
     power = np.median(power[alive] / middle[alive, None], axis=0)
-    level = np.maximum(median_filter(power, 2 * MEMORY + 1, mode="reflect"), np.median(power))
-    recent = maximum_filter1d(power, MEMORY, origin=(MEMORY - 1) // 2, mode="nearest")
-    struck = (power > LOUD * level) & (power > FADING * recent) & ~_after_loss(lost, power.size)
+    level = np.maximum(median_filter(power, 2 * EVENT.memory + 1, mode="reflect"), np.median(power))
+    recent = maximum_filter1d(power, EVENT.memory, origin=(EVENT.memory - 1) // 2, mode="nearest")
+    struck = (
+        (power > EVENT.loud * level)
+        & (power > EVENT.fading * recent)
+        & ~_after_loss(lost, power.size)
+    )
     if not struck.any():
         return NONE
     at = np.flatnonzero(struck)
-    runs = np.split(at, np.flatnonzero(np.diff(at) > QUIET_BETWEEN) + 1)
+    runs = np.split(at, np.flatnonzero(np.diff(at) > EVENT.pause) + 1)
     loudest = np.array([r[power[r].argmax()] for r in runs])
     inside = WIDTH * loudest[:, None] + np.arange(WIDTH)
     largest = np.median(force[:, inside], axis=0).argmax(axis=1)
@@ -241,12 +290,18 @@ def _at_one_rate(data: Any_, rate: float, lost: Bool) -> Events:
     decibels = float(10 * np.log10(np.median((power / level)[loudest])))
     ends = np.array([[r[0], r[-1]] for r in runs])
     faded = _faded(_in_windows(np.square(data[alive])), ends)
-    struck = np.asarray(maximum_filter1d(struck, 2 * SPREAD + 1))
+    struck = np.asarray(maximum_filter1d(struck, 2 * EVENT.spread + 1))
     forced = float(power[struck].sum() / power.sum())
-    share = max(
-        faded, forced
-    )  # each is less than the truth: where decays last, and where sensors are noisy
-    return Events(struck, WIDTH / rate, len(runs), decibels, share, times)
+    # each is less than the truth: where decays last, and where sensors are noisy
+    share = max(faded, forced)
+    return Events(
+        struck=struck,
+        window=WIDTH / rate,
+        count=len(runs),
+        level=decibels,
+        share=share,
+        times=times,
+    )
 
 
 def _after_loss(lost: Bool, windows: int) -> Bool:
@@ -277,7 +332,7 @@ def _faded(power: Float, ends: Int) -> float:
     after = np.append(-1, ends[:, 1])
     before = np.append(ends[:, 0], power.shape[1])
     for a, b in zip(after.tolist(), before.tolist(), strict=True):  # a few events
-        quiet[b - int(np.ceil(LAST * (b - a - 1))) : b] = True
+        quiet[b - int(np.ceil(0.25 * (b - a - 1))) : b] = True
     if not quiet.any():
         return 0.0
     left = np.median(power[:, quiet], axis=1) / np.maximum(
@@ -295,17 +350,17 @@ class RegularImpacts:
 
 
 def remove_regular_impacts(
-    history: TimeHistory, heard: Any_ | None = None
+    history: TimeHistory, mixes: Any_ | None = None
 ) -> tuple[TimeHistory, RegularImpacts | None]:
     """The record without the mean response to regular impacts, and these; the same object where
     there are none.
 
-    `heard` are its `channel_mixes`, if known.
+    `mixes` are its `channel_mixes`, if known.
     """
-    at = _strokes(channel_mixes(history.data) if heard is None else heard)
+    at = _impact_samples(channel_mixes(history.data) if mixes is None else mixes)
     if not _regular(at):
         return history, None
-    taps = min(TAPS, int(TAPS_SHARE * history.data.shape[1]))
+    taps = min(REGULAR.taps, int(REGULAR.taps_share * history.data.shape[1]))
     usual = float(np.median(np.diff(at)))
     return replace(history, data=_left(history.data, at, taps)), RegularImpacts(
         at.size, usual / history.rate
@@ -314,14 +369,16 @@ def remove_regular_impacts(
 
 def _regular(at: Int) -> bool:
     """Whether there are many impacts (k,), most of them at equal intervals."""
-    if at.size < FEWEST:
+    if at.size < REGULAR.fewest:
         return False
     interval = np.diff(at)
-    return bool((np.abs(interval / np.median(interval) - 1) < ALIKE).mean() >= REGULAR)
+    return bool(
+        (np.abs(interval / np.median(interval) - 1) < REGULAR.scatter).mean() >= REGULAR.share
+    )
 
 
-def _strokes(some: Any_) -> Int:
-    """(k,) samples at which the signals (ch, sample) are struck."""
+def _impact_samples(some: Any_) -> Int:
+    """(k,) samples of impacts on the signals (ch, sample)."""
     error = np.stack([prediction_error(x) ** 2 for x in some])
     n = error.shape[1] // IMPACT_WINDOW * IMPACT_WINDOW
     power = error[:, :n].reshape(len(error), -1, IMPACT_WINDOW) @ np.full(
@@ -332,7 +389,10 @@ def _strokes(some: Any_) -> Int:
         return np.empty(0, dtype=np.int64)
     power = (power / typical).mean(axis=0)
     top = _with_faint(
-        np.flatnonzero((power > ABOVE) & (power >= maximum_filter1d(power, 2 * APART + 1))), power
+        np.flatnonzero(
+            (power > REGULAR.loud) & (power >= maximum_filter1d(power, 2 * REGULAR.spacing + 1))
+        ),
+        power,
     )
     around = np.clip(
         IMPACT_WINDOW * top[:, None] + np.arange(-2, IMPACT_WINDOW + 2), 0, error.shape[1] - 1
@@ -348,13 +408,13 @@ def _with_faint(top: Int, power: Any_) -> Int:
     if not _regular(top):
         return top
     usual = float(np.median(np.diff(top)))
-    reach = int(ALIKE * usual)
+    reach = int(REGULAR.scatter * usual)
     faint = []
     for a, b in pairwise(top.tolist()):
         for k in range(1, round((b - a) / usual)):
             middle = round(a + k * (b - a) / round((b - a) / usual))
             at = middle - reach + int(power[middle - reach : middle + reach + 1].argmax())
-            faint += [at] if power[at] > FAINT else []
+            faint += [at] if power[at] > REGULAR.faint else []
     return np.union1d(top, np.array(faint, dtype=np.int64))
 
 
@@ -366,8 +426,9 @@ def _left(data: Any_, at: Int, taps: int) -> Any_:
     n = int(next_fast_len(samples + taps, real=True))
     impacts = rfft(np.bincount(at, minlength=samples).astype(np.float64), n)
     r = irfft(impacts.real**2 + impacts.imag**2, n)[:taps]
-    r[0] *= 1 + RIDGE
-    shift = np.exp(2j * np.pi * EARLY / n * np.arange(impacts.size))
+    # equal intervals tell the response to one impact from that to the next no more
+    r[0] *= 1.01
+    shift = np.exp(2j * np.pi * 3 / n * np.arange(impacts.size))
     out = np.empty_like(data)
     for y, x in zip(out, data, strict=True):  # channels: one transform is long
         cross = irfft(rfft(x - x.mean(dtype=np.float64), n) * (impacts * shift).conj(), n)[:taps]

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from types import TracebackType
 from typing import Literal, Self
 
 import numpy as np
@@ -14,35 +13,30 @@ from scipy import sparse
 
 from ringtrue.core.arrays import Any_, Complex, Float, Int
 from ringtrue.core.dofs import DofSet
+from ringtrue.core.iterate import Progress
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.core.parameters import ParameterSet
-from ringtrue.core.progress import Progress
 from ringtrue.core.signals import FrfKind
 from ringtrue.eigen import damped
 from ringtrue.eigen.damped import DynamicStiffness
 from ringtrue.eigen.derivatives import MatrixDerivatives, eigenvector_derivatives
 from ringtrue.eigen.eigenpairs import EigenModes, eigenvalue, residual_vectors, rounding
-from ringtrue.eigen.engines import Method
 from ringtrue.eigen.modes import solve_modes
 from ringtrue.eigen.pencil import RESIDUAL_LIMIT, Pencil
 from ringtrue.errors import InputError, SingularModel
 from ringtrue.fem.assembly import System, assemble, refuse_held
 from ringtrue.fem.massless_rotations import without_massless_rotations
 from ringtrue.fem.parametrisation.derivatives import system_derivatives
-from ringtrue.fem.response import coupled, direct
+from ringtrue.fem.response import CoupledModes, coupled, direct
 from ringtrue.fem.response import frf as superpose
 from ringtrue.model.case_control import ModalDamping
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest, ModesResult
 
-STILL = 12  # modes that do not oscillate, for which the basis of complex modes is widened
-LOCAL = 200  # DOFs with dashpots, up to which each gets a residual vector
-ROUNDING = 1e-12  # of a row of the damping: less than that is no dashpot beside Rayleigh damping
 NOT_HELD = (
     "no displacements balance the loads: the model is not held against rigid-body motion "
     "(SPC, springs)"
 )
-BLURRED = 1e-3  # share of λ by which the rounding of the stiffness may move a mode without a word
 BUFFER = 4  # modes above the requested ones that derivatives converge on
 
 
@@ -57,7 +51,7 @@ class EmbeddedAnalysis:
     spins : DofSet or None
         DOFs of the system that are held, see `fem.massless_rotations`.
     progress : callable or None
-        Told of each answer for which no other is named.
+        Of all answers for which no other is given.
     """
 
     capabilities = frozenset({"modes", "derivatives", "frf", "static", "complex_modes"})
@@ -68,15 +62,16 @@ class EmbeddedAnalysis:
         system: System,
         *,
         spins: DofSet | None = None,
-        method: Method = "auto",
         progress: Progress | None = None,
     ) -> None:
-        self.model, self.system, self.spins, self.progress = model, system, spins, progress
+        self.model = model
+        self.system = system
+        self.spins = spins
+        self.progress = progress
         self.dofs: DofSet = system.dofs
-        self.pencil = Pencil(system.stiffness, system.mass, method=method, labels=self._labels)
-        self._lowest: tuple[int, EigenModes] | None = (
-            None  # how many were asked for, and what was found
-        )
+        self.pencil = Pencil(system.stiffness, system.mass, labels=self._labels)
+        # how many were asked for, and what was found
+        self._lowest: tuple[int, EigenModes] | None = None
 
     def _labels(self, rows: Int) -> list[str]:
         free = self.system.free
@@ -88,46 +83,53 @@ class EmbeddedAnalysis:
         They follow from the model and the request alone, to the last bit, whatever was solved
         before.
         """
-        told = progress or self.progress
+        progress = progress or self.progress
         if request.band is not None:
-            return solve_modes(self.pencil, band=request.band, progress=told)
+            return solve_modes(self.pencil, band=request.band, progress=progress)
         if self._lowest is None or self._lowest[0] != request.count:
-            found = solve_modes(self.pencil, request.count + BUFFER, progress=told)
+            found = solve_modes(self.pencil, request.count + BUFFER, progress=progress)
             self._lowest = (request.count, found)
         return self._lowest[1]
 
     def modes(self, request: ModesRequest, progress: Progress | None = None) -> ModesResult:
         """Natural modes; those asked for and no more."""
         found = self.eigen(request, progress)
-        n = found.values.size if request.band is not None else min(request.count, found.values.size)
+        n = found.values.size
+        highest = 0.0
+        if request.band is None:
+            n = min(request.count, n)
+        else:
+            highest = request.band[1]
         modes = ModeSet(
-            found.frequencies[:n],
-            np.zeros(n),
-            self.system.transform @ found.vectors[:, :n],
-            self.dofs,
-            Norm.MASS,
-            "embedded",
+            frequencies=found.frequencies[:n],
+            damping=np.zeros(n),
+            shapes=self.system.transform @ found.vectors[:, :n],
+            labels=self.dofs,
+            norm=Norm.MASS,
+            source="embedded",
         )
-        proof = found.proof + self._blurred(found, request.band[1] if request.band else 0.0)
-        autospc = self.system.autospc
         return ModesResult(
-            modes, found.residuals[:n], found.complete, proof, found.orthogonality, autospc
+            modes,
+            found.residuals[:n],
+            found.complete,
+            found.proof + self._rounding_note(found, highest),
+            orthogonality=found.orthogonality,
+            autospc=self.system.autospc,
         )
 
-    def _blurred(self, found: EigenModes, highest: float) -> str:
-        """A word on a stiffness so large that its rounding moves modes."""
+    def _rounding_note(self, found: EigenModes, highest: float) -> str:
+        """Names a stiffness so large that its rounding moves modes; "" without one."""
         share, mode, row = rounding(self.system.stiffness, found, highest)
-        if share < BLURRED:
+        if share < 1e-3:  # of λ
             return ""
         at = " ".join(self._labels(np.array([row])))
         return (
             f"; the stiffness at {at} is so large that its rounding may move mode {mode + 1} by "
-            f"{50 * share:.2g} %: "
-            "give less (1000 times what is beside it is stiff enough) or RBE2"
+            f"{50 * share:.2g} %: give less (1000 times its neighbours is stiff enough) or RBE2"
         )
 
     def slopes(self, parameters: ParameterSet) -> Sequence[MatrixDerivatives]:
-        """∂K/∂a, ∂M/∂a and the derivatives of the damping at a = 1, in the free DOFs."""
+        """∂K/∂a and ∂M/∂a at a = 1, in the free DOFs."""
         return system_derivatives(self.model, parameters.parameters, self.system)
 
     def derivatives(self, modes: ModeSet, parameters: ParameterSet) -> tuple[Float, Any_]:
@@ -142,18 +144,16 @@ class EmbeddedAnalysis:
             self.pencil, lowest, slopes, count=count, progress=self.progress
         )
         d_phi = np.einsum("fnp,nm->fmp", d_phi, turn[:count])
+        d_full = self.system.transform @ d_phi.reshape(phi.shape[0], -1)
+        d_full = d_full.reshape(-1, len(modes), len(slopes))
         lam = np.array([eigenvalue(f) for f in modes.frequencies])
-        columns = [
-            np.einsum("fm,fm->m", phi, s.stiffness @ phi - (s.mass @ phi) * lam) for s in slopes
-        ]
-        d_lambda = np.stack(columns, axis=1) if columns else np.zeros((len(modes), 0))
-        full = (self.system.transform @ d_phi.reshape(phi.shape[0], -1)).reshape(
-            -1, len(modes), len(slopes)
-        )
-        for i, s in enumerate(slopes):  # over parameters, of which few move nodes
-            if s.transform is not None:
-                full[:, :, i] += s.transform @ phi
-        return d_lambda, full
+        d_lambda = np.zeros((len(modes), len(slopes)))
+        for i, s in enumerate(slopes):  # over parameters
+            change = s.stiffness @ phi - (s.mass @ phi) * lam
+            d_lambda[:, i] = np.einsum("fm,fm->m", phi, change)
+            if s.transform is not None:  # the parameter moves nodes
+                d_full[:, :, i] += s.transform @ phi
+        return d_lambda, d_full
 
     def _lowest_up_to(self, top: float, count: int) -> EigenModes:
         """All modes from the lowest to well above `top` Hz."""
@@ -193,9 +193,7 @@ class EmbeddedAnalysis:
     def dynamic(self) -> DynamicStiffness:
         """s²M + sD + K + iH with the model's damping."""
         a = self.system
-        return DynamicStiffness(
-            a.stiffness, a.mass, a.viscous, a.structural, method=self.pencil.method
-        )
+        return DynamicStiffness(a.stiffness, a.mass, a.viscous, a.structural)
 
     def complex_modes(self, request: ModesRequest) -> ModeSet:
         """Complex modes in unit modal A, see `damped_modes`; those without oscillation are left
@@ -204,11 +202,7 @@ class EmbeddedAnalysis:
         return self.damped_modes(request).modes
 
     def damped_modes(
-        self,
-        request: ModesRequest,
-        *,
-        extra: float = 1.5,
-        problem: Literal["projected", "full"] = "projected",
+        self, request: ModesRequest, *, problem: Literal["projected", "full"] = "projected"
     ) -> ModesResult:
         """Complex modes with their residuals ‖Q(s)φ‖ relative to the sum of its terms.
 
@@ -216,97 +210,93 @@ class EmbeddedAnalysis:
         ----------
         request : ModesRequest
             The lowest `count`, or all with |s|/2π in the band.
-        extra : float
-            Projected: times as many real modes make the basis, with the static answers to the
-            dampers.
         problem : {"projected", "full"}
-            The full quadratic problem costs a complex factorisation more, and holds for any
-            damping.
+            Projected on half as many real modes more, with the static answers to the dampers. The
+            full quadratic problem costs a complex factorisation more, and holds for any damping.
         """
         if problem not in ("projected", "full"):
             raise InputError(f"problem {problem!r}; allowed are projected, full")
-        real, found = self._projected(request, extra)
+        real, found = self._projected(request)
         keep = np.arange(min(request.count, found.poles.size))
         if request.band is not None:
-            keep = np.flatnonzero(
-                (found.frequencies >= request.band[0]) & (found.frequencies <= request.band[1])
-            )
-        poles, shapes = found.poles[keep], real @ found.shapes[:, keep]
-        proof = f"projected on {real.shape[1]} real modes and static answers"
-        residuals = self.dynamic.residuals(poles, shapes)
+            low, high = request.band
+            keep = np.flatnonzero((found.frequencies >= low) & (found.frequencies <= high))
+        poles = found.poles[keep]
         if problem == "full":
             poles, shapes, residuals, proof = self._full(request, np.abs(poles))
+        else:
+            shapes = real @ found.shapes[:, keep]
+            proof = f"projected on {real.shape[1]} real modes and static answers"
+            residuals = self.dynamic.residuals(poles, shapes)
         modes = ModeSet(
-            np.abs(poles) / (2 * np.pi),
-            -poles.real / np.abs(poles),
-            np.asarray(self.system.transform @ shapes),
-            self.dofs,
-            Norm.MODAL_A,
-            "embedded, complex",
+            frequencies=np.abs(poles) / (2 * np.pi),
+            damping=-poles.real / np.abs(poles),
+            shapes=np.asarray(self.system.transform @ shapes),
+            labels=self.dofs,
+            norm=Norm.MODAL_A,
+            source="embedded, complex",
         )
         return ModesResult(modes, residuals, problem == "full", proof, autospc=self.system.autospc)
 
-    def _projected(self, request: ModesRequest, extra: float) -> tuple[Float, damped.ComplexModes]:
+    def _projected(self, request: ModesRequest) -> tuple[Float, damped.ComplexModes]:
         """Real modes and residual vectors of the dampers (f, n), and the complex modes in them."""
         count = request.count
         if request.band is not None:
-            count = (
-                int((self.eigen(ModesRequest(request.count)).frequencies <= request.band[1]).sum())
-                or 1
-            )
-            while (
-                self.eigen(ModesRequest(count)).frequencies[-1] <= request.band[1]
-                and count < self.pencil.size
-            ):
+            high = request.band[1]
+            count = int((self.eigen(ModesRequest(count)).frequencies <= high).sum()) or 1
+            while count < self.pencil.size:
+                if self.eigen(ModesRequest(count)).frequencies[-1] > high:
+                    break
                 count *= 2
-        size = int(np.ceil(extra * count)) + 2
+        size = int(np.ceil(1.5 * count)) + 2
+        largest = min(self.pencil.size, 1.5 * count + 12)  # 12 modes more may not oscillate
+        loads = self._damper_loads()
         while True:
             real = self.eigen(ModesRequest(min(size, self.pencil.size)))
-            values, vectors = real.values, real.vectors
-            loads = self._damper_loads()
+            values = real.values
+            vectors = real.vectors
             if loads.shape[1]:
                 values, vectors = residual_vectors(self.pencil, real, loads)
             d, h = damped.project(vectors, self.system.viscous, self.system.structural)
-            found = damped.complex_modes(
-                values, d, h, top=float(np.abs(real.values).max(initial=0.0))
-            )
-            missing = (
-                count - found.poles.size
-            )  # rigid-body motions and what is damped too much to oscillate
-            if missing <= 0 or size >= min(self.pencil.size, extra * count + STILL):
+            top = float(np.abs(real.values).max(initial=0.0))
+            found = damped.complex_modes(values, d, h, top=top)
+            # rigid-body motions do not oscillate, nor does what is damped above critical
+            missing = count - found.poles.size
+            if missing <= 0 or size >= largest:
                 return vectors, found
             size += missing
 
     def _damper_loads(self) -> Float:
-        """Unit loads (f, k) along the DOFs that dashpots touch, none if they are too many to be
-        local.
-        """
+        """Unit loads (f, k) along the DOFs with dashpots, none if they are more than 200."""
         a, (alpha, beta) = self.system, self.system.rayleigh
-        dashpots = a.viscous - alpha * a.mass - beta * a.stiffness if alpha or beta else a.viscous
+        dashpots = a.viscous
+        if alpha or beta:
+            dashpots = a.viscous - alpha * a.mass - beta * a.stiffness
         size, whole = (np.asarray(abs(A).sum(axis=1)).ravel() for A in (dashpots, a.viscous))
-        touched = np.flatnonzero(size > ROUNDING * whole)
-        loads = np.zeros((self.pencil.size, touched.size if touched.size <= LOCAL else 0))
-        loads[touched[: loads.shape[1]], np.arange(loads.shape[1])] = 1.0
+        at = np.flatnonzero(size > 1e-12 * whole)  # less is the rounding of Rayleigh damping
+        if at.size > 200:
+            at = at[:0]
+        loads = np.zeros((self.pencil.size, at.size))
+        loads[at, np.arange(at.size)] = 1.0
         return loads
 
     def _full(self, request: ModesRequest, near: Float) -> tuple[Complex, Complex, Float, str]:
-        """Poles, shapes (f, m), residuals and a word on the search; `near` are the moduli from the
+        """Poles, shapes (f, m), residuals and what was searched; `near` are the moduli from the
         projection.
         """
-        top = (
-            2 * np.pi * request.band[1]
-            if request.band is not None
-            else 1.02 * float(near.max(initial=1.0))
-        )
-        for _ in range(4):
-            found = damped.full_modes(self.dynamic, top, expected=max(near.size, 4))
-            f = found.modes.frequencies
-            keep = np.arange(min(request.count, f.size))
-            if request.band is not None:
-                keep = np.flatnonzero(f >= request.band[0])
-            if request.band is not None or f.size >= min(request.count, near.size):
-                break
-            top *= 1.3  # the projection put them too low
+        expected = max(near.size, 4)
+        if request.band is not None:
+            found = damped.full_modes(self.dynamic, 2 * np.pi * request.band[1], expected=expected)
+            keep = np.flatnonzero(found.modes.frequencies >= request.band[0])
+        else:
+            top = 1.02 * float(near.max(initial=1.0))
+            for _ in range(4):
+                found = damped.full_modes(self.dynamic, top, expected=expected)
+                count = found.modes.frequencies.size
+                if count >= min(request.count, near.size):
+                    break
+                top *= 1.3  # the projection put them too low
+            keep = np.arange(min(request.count, count))
         proof = f"all poles of the {self.pencil.size} DOFs were computed"
         if np.isfinite(found.radius):
             circle = f"{found.radius:.6g} rad/s of {found.shift:.6g} rad/s"
@@ -322,13 +312,12 @@ class EmbeddedAnalysis:
         *,
         damping: float | Float | ModalDamping | None = 0.0,
         kind: FrfKind = "receptance",
-        residual: bool = True,
     ) -> Complex:
         """Frequency responses (freq, out, in) complex128 by modal superposition.
 
-        With the model's own damping the modes are coupled, and the residual vectors of inputs,
-        outputs and dashpots stand beside them: as exact as the direct solution well above the band
-        of the modes, too.
+        The residual flexibility of the modes above is added, exact at the shift (near 0 Hz). With
+        the model's own damping the modes are coupled, and residual vectors of inputs, outputs and
+        dashpots are added: as exact as the direct solution well above the band of the modes, too.
 
         Parameters
         ----------
@@ -339,44 +328,41 @@ class EmbeddedAnalysis:
             The lowest `count` modes; a band means all modes up to its upper end.
         damping : float or (m,) float64, ModalDamping or None
             Modal damping ratios in place of the model's own damping; None: the model's own, modes
-            coupled; a `ModalDamping` stands beside the model's own.
-        residual : bool
-            Add the residual flexibility of the modes above, exact at the shift (near 0 Hz).
+            coupled; a `ModalDamping` is added to the model's own.
         """
         if request.band is not None:
             request = ModesRequest(band=(-1.0, request.band[1]))
         modes = self.eigen(request)
-        out, into = self._rows(outputs), self._rows(inputs)
+        out = self._rows(outputs)
+        into = self._rows(inputs)
         if damping is None or isinstance(damping, ModalDamping):
-            return self._coupled_frf(modes, (out, into), freqs, kind, residual, damping)
-        zeta = np.broadcast_to(np.asarray(damping, dtype=np.float64), modes.values.shape)
-        a, b = out @ modes.vectors, into @ modes.vectors
-        rest = None
-        if residual:
-            flexible = out @ self.pencil.at(modes.shift).solve(into.T.toarray())
-            rest = np.asarray(flexible - (a / (modes.values - modes.shift)) @ b.T)
-        return superpose(freqs, modes.frequencies, zeta, a, b, kind, residual=rest)
-
-    def _coupled_frf(
-        self,
-        modes: EigenModes,
-        ends: tuple[sparse.csr_array, sparse.csr_array],
-        freqs: Float,
-        kind: FrfKind,
-        residual: bool,
-        modal: ModalDamping | None,
-    ) -> Complex:
-        out, into = ends
-        values, vectors = modes.values, modes.vectors
-        if residual:
             loads = np.hstack([into.T.toarray(), out.T.toarray(), self._damper_loads()])
-            values, vectors = residual_vectors(self.pencil, modes, loads)
+            values, vectors, d, h = self._coupled(modes, loads, damping)
+            ends = out @ vectors, into @ vectors
+            return coupled(freqs, CoupledModes(values, d, h), *ends, kind=kind)
+        zeta = np.broadcast_to(np.asarray(damping, dtype=np.float64), modes.values.shape)
+        a = out @ modes.vectors
+        b = into @ modes.vectors
+        flexible = out @ self.pencil.at(modes.shift).solve(into.T.toarray())
+        rest = np.asarray(flexible - (a / (modes.values - modes.shift)) @ b.T)
+        return superpose(freqs, modes.frequencies, zeta, a, b, kind=kind, residual=rest)
+
+    def _coupled(
+        self, modes: EigenModes, loads: Float, modal: ModalDamping | None
+    ) -> tuple[Float, Float, Float, Float]:
+        """λ, vectors, and the viscous and structural damping of the modes and of the residual
+        vectors of loads.
+        """
+        values, vectors = residual_vectors(self.pencil, modes, loads)
         d, h = damped.project(vectors, self.system.viscous, self.system.structural)
         if modal is not None:
             w = np.sqrt(values.clip(min=0.0))
             loss = 2 * modal.at(w / (2 * np.pi)) * w
-            d, h = (d, h + np.diag(loss * w)) if modal.structural else (d + np.diag(loss), h)
-        return coupled(freqs, values, d, h, out @ vectors, into @ vectors, kind=kind)
+            if modal.structural:
+                h = h + np.diag(loss * w)
+            else:
+                d = d + np.diag(loss)
+        return values, vectors, d, h
 
     def frf_direct(
         self, outputs: DofSet, inputs: DofSet, freqs: Float, *, kind: FrfKind = "receptance"
@@ -405,12 +391,7 @@ class EmbeddedAnalysis:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.pencil.close()
         if "dynamic" in self.__dict__:
             self.dynamic.close()
@@ -421,16 +402,14 @@ class EmbeddedSolver:
 
     Parameters
     ----------
-    method : {"auto", "pardiso", "rslab", "superlu", "dense"}
-        The factorisation.
     progress : callable, optional
         Called with (share done, what).
     """
 
     name = "embedded"
 
-    def __init__(self, *, method: Method = "auto", progress: Progress | None = None) -> None:
-        self.method, self.progress = method, progress
+    def __init__(self, *, progress: Progress | None = None) -> None:
+        self.progress = progress
 
     def open(self, model: Model, parameters: Sequence[ParameterSet] = ()) -> EmbeddedAnalysis:
         """Assemble the model; `parameters` need no preparation here.
@@ -442,6 +421,4 @@ class EmbeddedSolver:
         """
         system, spins = without_massless_rotations(model, assemble(model))
         refuse_held(system)
-        return EmbeddedAnalysis(
-            model, system, spins=spins, method=self.method, progress=self.progress
-        )
+        return EmbeddedAnalysis(model, system, spins=spins, progress=self.progress)

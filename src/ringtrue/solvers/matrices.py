@@ -5,34 +5,29 @@ D_k.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy import sparse
 
 from ringtrue.core.arrays import Float, Int
-from ringtrue.core.dofs import DofSet
+from ringtrue.core.dofs import NO_DOFS, DofSet
+from ringtrue.core.iterate import Progress
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet
-from ringtrue.core.progress import Progress
 from ringtrue.core.testmodel import Observation
 from ringtrue.eigen.derivatives import MatrixDerivatives
-from ringtrue.eigen.engines import Method
 from ringtrue.errors import InputError, did_you_mean
 from ringtrue.fem.assembly import System
 from ringtrue.fem.parametrisation.polynomials import AffineTerm, power
 from ringtrue.model.model import Model
 from ringtrue.model.ports import Linearisation, ModesRequest
 from ringtrue.reduction.basis import AffineSystem
-from ringtrue.reduction.parametric import BasisOptions, ReducedModel, reduced_model
+from ringtrue.reduction.parametric import ReducedModel, reduced_model
 from ringtrue.solvers.embedded import EmbeddedAnalysis
 
-KINDS = (
-    "STIFFNESS",
-    "MASS",
-    "DAMPING",
-)  # the cards that targets name; ids count from 1, the field is FACTOR
-SYMMETRIC = 1e-9  # relative; above this a matrix is refused
+# the cards that targets name; ids count from 1, the field is FACTOR
+KINDS = ("STIFFNESS", "MASS", "DAMPING")
 Matrix = sparse.csr_array
 
 
@@ -58,9 +53,7 @@ class MatrixModel:
     stiffness: Sequence[Any] = ()
     mass: Sequence[Any] = ()
     damping: Sequence[Any] = ()
-    dofs: DofSet = field(
-        default_factory=lambda: DofSet(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int8))
-    )
+    dofs: DofSet = NO_DOFS
 
     def __post_init__(self) -> None:
         n = np.shape(self.K)[0]
@@ -96,18 +89,12 @@ class MatrixModel:
         """One linear parameter a matrix, named K1, K2, ... M1, ... D1, ...; x = α, bounds on 1 +
         α.
         """
-        made = [
-            Parameter(
-                f"{kind[0].replace('S', 'K')}{i}",
-                (CardField(kind, i, "FACTOR"),),
-                lower,
-                upper,
-                "linear",
-                std,
-            )
-            for kind in KINDS
-            for i in range(1, len(self.parts(kind)) + 1)
-        ]
+        made = []
+        for letter, kind in zip("KMD", KINDS, strict=True):
+            for i in range(1, len(self.parts(kind)) + 1):
+                target = CardField(kind, i, "FACTOR")
+                p = Parameter(f"{letter}{i}", (target,), lower, upper, scale="linear", std=std)
+                made.append(p)
         return ParameterSet(tuple(made))
 
     def slopes(self, parameters: ParameterSet) -> list[MatrixDerivatives]:
@@ -138,28 +125,34 @@ class MatrixModel:
         are.
         """
         total = [self.K, self.M, self.D]
-        for a, s in zip(
-            np.asarray(factors).tolist(), self.slopes(parameters), strict=True
-        ):  # over parameters
+        # over parameters
+        for a, s in zip(np.asarray(factors).tolist(), self.slopes(parameters), strict=True):
             parts = (s.stiffness, s.mass, s.viscous)
             total = [
                 A if B is None else A + (a - 1.0) * B for A, B in zip(total, parts, strict=True)
             ]
         return replace(self, K=total[0], M=total[1], D=total[2])
 
-    def open(self, *, method: Method = "auto", progress: Progress | None = None) -> MatrixAnalysis:
+    def open(self, *, progress: Progress | None = None) -> MatrixAnalysis:
         """Modes, derivatives, static solutions, FRFs and complex modes at α = 0, on one
         factorisation.
         """
-        return MatrixAnalysis(self, method=method, progress=progress)
+        return MatrixAnalysis(self, progress=progress)
 
     def system(self) -> System:
         """As an assembled system: every row is free."""
-        n, one = self.size, sparse.eye_array(self.size, format="csr")
-        none = DofSet(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int8))
-        zero = sparse.csr_array((n, n))
+        identity = sparse.eye_array(self.size, format="csr")
         return System(
-            self.K, self.M, self.D, zero, one, one, self.dofs, self.dofs, none, np.empty((0, 3))
+            stiffness=self.K,
+            mass=self.M,
+            viscous=self.D,
+            structural=sparse.csr_array(self.K.shape),
+            transform=identity,
+            local=identity,
+            dofs=self.dofs,
+            free=self.dofs,
+            autospc=NO_DOFS,
+            xyz=np.empty((0, 3)),
         )
 
     def observe(self, rows: Int | Sequence[int]) -> Observation:
@@ -190,8 +183,6 @@ class MatrixModel:
         count: int,
         *,
         parameters: ParameterSet | None = None,
-        options: BasisOptions | None = None,
-        progress: Progress | None = None,
     ) -> ReducedModel:
         """An `ObservedModel` on a reduced basis of stiffness and mass."""
         p = self.parameters() if parameters is None else parameters
@@ -199,7 +190,7 @@ class MatrixModel:
             AffineTerm(power(i), s.stiffness, s.mass) for i, s in enumerate(self.slopes(p))
         )
         affine = AffineSystem(self.K, self.M, p, parts, sparse.csr_array(observation.matrix))
-        return reduced_model(affine, count, options=options, progress=progress)
+        return reduced_model(affine, count)
 
 
 def _checked(a: Any, name: str, n: int) -> Matrix:
@@ -217,41 +208,24 @@ def _checked(a: Any, name: str, n: int) -> Matrix:
         raise InputError(f"matrix {name} is complex; give its real part, damping goes to D")
     A = sparse.csr_array(A.astype(np.float64))
     A.sum_duplicates()
-    apart = abs(A - A.T).max() if A.nnz else 0.0
-    if apart > SYMMETRIC * abs(A).max():
+    difference = abs(A - A.T).max() if A.nnz else 0.0
+    if difference > 1e-9 * abs(A).max():
         raise InputError(
-            f"matrix {name} is not symmetric (by {apart:.3g}); was only one triangle given?"
+            f"matrix {name} is not symmetric (by {difference:.3g}); was only one triangle given?"
         )
-    return sparse.csr_array((A + A.T) * 0.5) if apart else A
+    return sparse.csr_array((A + A.T) * 0.5) if difference else A
 
 
 class MatrixAnalysis(EmbeddedAnalysis):
     """A `MatrixModel`, opened; see `ringtrue.model.ports.Analysis`."""
 
-    def __init__(
-        self, matrices: MatrixModel, *, method: Method = "auto", progress: Progress | None = None
-    ) -> None:
-        super().__init__(Model({}), matrices.system(), method=method, progress=progress)
+    def __init__(self, matrices: MatrixModel, *, progress: Progress | None = None) -> None:
+        super().__init__(Model({}), matrices.system(), progress=progress)
         self.matrices = matrices
 
     def slopes(self, parameters: ParameterSet) -> Sequence[MatrixDerivatives]:
         """∂K/∂α, ∂M/∂α, ∂D/∂α."""
         return self.matrices.slopes(parameters)
-
-
-class MatrixSolver:
-    """The port's `open` for a `MatrixModel`."""
-
-    name = "matrices"
-
-    def __init__(self, *, method: Method = "auto", progress: Progress | None = None) -> None:
-        self.method, self.progress = method, progress
-
-    def open(self, model: MatrixModel, parameters: Sequence[ParameterSet] = ()) -> MatrixAnalysis:
-        """Modes and derivatives of the matrices; `parameters` need no preparation."""
-        if not isinstance(model, MatrixModel):
-            raise InputError(f"solver 'matrices' opens a MatrixModel, got {type(model).__name__}")
-        return model.open(method=self.method, progress=self.progress)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -273,30 +247,22 @@ class ObservedMatrices:
 
     def modes(self, x: Float) -> Linearisation:
         """Modes at x (p,); sensitivities with no columns."""
-        return self._solve(x, derivatives=False)
+        with self._open(x) as analysis:
+            modes = analysis.modes(self.request).modes
+        return Linearisation.of_modes(x, modes.frequencies, self.observation(modes.shapes))
 
     def linearise(self, x: Float) -> Linearisation:
         """Modes and sensitivities at x (p,)."""
-        return self._solve(x, derivatives=True)
-
-    def _solve(self, x: Float, *, derivatives: bool) -> Linearisation:
-        x = np.array(x, dtype=np.float64)
-        with self.model.at(self.parameters, self.parameters.factors(x)).open() as analysis:
-            modes = analysis.modes(self.request).modes
-            seen = np.asarray(self.observation(modes.shapes))
-            if not derivatives:
-                return Linearisation(
-                    x,
-                    modes.frequencies,
-                    seen,
-                    np.zeros((len(modes), 0)),
-                    np.zeros((*seen.shape, 0)),
-                )
-            d_lambda, d_phi = analysis.derivatives(modes, self.parameters)
         slope = self.parameters.derivative(x)
-        d_seen = self.observation(d_phi.reshape(d_phi.shape[0], -1)).reshape(
-            *seen.shape, slope.size
-        )
+        with self._open(x) as analysis:
+            modes = analysis.modes(self.request).modes
+            d_lambda, d_phi = analysis.derivatives(modes, self.parameters)
+        seen = np.asarray(self.observation(modes.shapes))
+        d_seen = self.observation(d_phi.reshape(d_phi.shape[0], -1))
+        d_seen = np.reshape(d_seen, (*seen.shape, slope.size)) * slope
         return Linearisation(
-            x, modes.frequencies, seen, d_lambda * slope, np.asarray(d_seen * slope)
+            np.array(x, dtype=float), modes.frequencies, seen, d_lambda * slope, d_seen
         )
+
+    def _open(self, x: Float) -> MatrixAnalysis:
+        return self.model.at(self.parameters, self.parameters.factors(x)).open()

@@ -14,7 +14,6 @@ import numpy as np
 
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.parameters import ParameterSet
-from ringtrue.core.progress import Progress
 from ringtrue.errors import SolverMissing, UnsupportedCard
 from ringtrue.model.frames import positions
 from ringtrue.model.model import Model, stacked, table
@@ -66,15 +65,19 @@ class MystranSolver:
     timeout : float, s
     keep : Path, optional
         A folder that keeps decks and results; without it they are removed.
-    progress : callable, optional
     """
 
     name = "mystran"
+    endings: tuple[str, ...] = (
+        ".f06",
+        ".op2",
+    )  # its OP2 has no modal masses, and eigenvalues in single precision
+    band_by_count = True
+    more_bulk = ""
 
-    def __init__(
-        self, *, timeout: float = 3600.0, keep: Path | None = None, progress: Progress | None = None
-    ) -> None:
-        self.timeout, self.keep, self.progress = timeout, keep, progress
+    def __init__(self, *, timeout: float = 3600.0, keep: Path | None = None) -> None:
+        self.timeout = timeout
+        self.keep = keep
 
     def open(self, model: Model, parameters: Sequence[ParameterSet] = ()) -> DeckAnalysis:
         """Hand the model over.
@@ -90,7 +93,7 @@ class MystranSolver:
                 "MYSTRAN lumps all masses: PARAM,COUPMASS is left out; frequencies of coarse "
                 "meshes differ"
             )
-        return DeckAnalysis(model, self, keep=self.keep, progress=self.progress)
+        return DeckAnalysis(model, self, keep=self.keep)
 
     def command(self, deck: Path) -> Sequence[str | Path]:
         """The command line for a deck."""
@@ -117,24 +120,6 @@ class MystranSolver:
         )
         return _integrated(_offset_masses(_second_nodes(model)))
 
-    def params(self) -> Sequence[tuple[str, int | float | str]]:
-        """PARAMs that write OP2."""
-        return (("POST", -1),)
-
-    def more_bulk(self) -> str:
-        """Nothing."""
-        return ""
-
-    def endings(self) -> tuple[str, ...]:
-        """The printed file first: its OP2 holds no modal masses and eigenvalues in single
-        precision.
-        """
-        return (".f06", ".op2")
-
-    def band_by_count(self) -> bool:
-        """Its Lanczos method takes a number of modes."""
-        return True
-
     def proof(self, run: Finished, modes: ModeSet, request: ModesRequest) -> tuple[bool, str]:
         """MYSTRAN counts nothing."""
         return False, "MYSTRAN counts no eigenvalues: that no mode is missing is not proved"
@@ -148,15 +133,14 @@ def _second_nodes(model: Model) -> Model:
         at = np.flatnonzero(model[card][b] == 0) if card in model else np.zeros(0, dtype=np.int64)
         if not at.size:
             continue
-        spring, grid = model[card], model["GRID"]
+        spring = model[card]
+        grid = model["GRID"]
         new = int(grid.ids.max()) + 1 + np.arange(at.size)
         columns = {name: grid[name][grid.find(spring[a][at])] for name in grid.columns}
         held = table("GRID", **columns | {"ID": new, "PS": np.full(at.size, "123456")})
         ends = {b: new} | ({"C2": spring["C1"][at]} if "C2" in spring.columns else {})
         for name, values in ends.items():
-            column = np.array(spring[name])
-            column[at] = values
-            spring = spring.with_column(name, column)
+            spring = spring.with_values(name, at, values)
         model = replace(model, tables={**model.tables, "GRID": stacked(grid, held), card: spring})
     return model
 
@@ -170,9 +154,7 @@ def _offset_masses(model: Model) -> Model:
     mass = model["CONM2"]
     way = -positions(model)[model["GRID"].find(mass["G"][at])]
     for name, shift in (("CID", 1), ("X1", way[:, 0]), ("X2", way[:, 1]), ("X3", way[:, 2])):
-        column = np.array(mass[name])
-        column[at] += shift
-        mass = mass.with_column(name, column)
+        mass = mass.with_values(name, at, mass[name][at] + shift)
     return replace(model, tables={**model.tables, "CONM2": mass})
 
 
@@ -184,7 +166,8 @@ def _integrated(model: Model) -> Model:
     """
     if "PSOLID" not in model:
         return model
-    solid, high = model["PSOLID"], np.zeros(0, dtype=np.int64)
+    solid = model["PSOLID"]
+    high = np.zeros(0, dtype=np.int64)
     for card, corners in _CORNERS.items():
         if card in model:
             middle = [

@@ -12,25 +12,24 @@ import numpy as np
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.modes import ModeSet, elastic
 from ringtrue.core.parameters import ParameterSet
-from ringtrue.core.progress import Progress
 from ringtrue.core.testmodel import Observation
 from ringtrue.errors import UnsupportedError
 from ringtrue.fem.assembly import assemble
 from ringtrue.fem.massless_rotations import without_massless_rotations
-from ringtrue.fem.parametrisation.affine import affine_terms
 from ringtrue.fem.parametrisation.changed_model import scaled
 from ringtrue.model.model import Model
 from ringtrue.model.ports import Analysis, Linearisation, ModalSolver, ModesRequest
-from ringtrue.reduction.basis import AffineSystem, observed_system
-from ringtrue.reduction.parametric import BasisOptions, ReducedModel, reduced_model
-from ringtrue.shapes.mac import close_groups, rotation, unit
+from ringtrue.reduction.basis import observed_system
+from ringtrue.reduction.parametric import ReducedModel, reduced_model
+from ringtrue.shapes import close_groups, rotation, unit
 from ringtrue.solvers.embedded import EmbeddedSolver
 
-PRINTED = 1e-4  # change of an unknown that ends an updating on what programs print
-STEP = 5e-3  # of x: programs print six or seven digits; the slope of λ ~ a is off by half of it
-UNTOLD = STEP / 2  # of the gradient of J without cancellation: what such slopes do not tell
+# change of x, and share of the gradient of J, below which printed digits decide
+PRINTED = 1e-4
+# of x: programs print six or seven digits; the derivative of λ ~ a is off by half of it
+STEP = 5e-3
+UNTOLD = STEP / 2
 CLOSE = 2 * STEP  # relative distance of frequencies that a step may exchange
-LIKE = 0.5  # least MAC of a mode with itself a step away
 
 
 def at_factors(model: Model, parameters: ParameterSet, factors: Float) -> Model:
@@ -41,9 +40,8 @@ def at_factors(model: Model, parameters: ParameterSet, factors: Float) -> Model:
     InputError
         If a target is not in the model.
     """
-    for p, a in zip(
-        parameters.parameters, np.asarray(factors).tolist(), strict=True
-    ):  # over parameters
+    values = np.asarray(factors).tolist()
+    for p, a in zip(parameters.parameters, values, strict=True):
         model = scaled(model, p, a)
     return model
 
@@ -86,7 +84,8 @@ class FullModel:
 
     def reaching(self, high: float) -> FullModel:
         """The same for as many modes as the nominal model has up to `high`, Hz; at least one."""
-        count, most = self.request.count, len(self.observation.dofs) // 2
+        count = self.request.count
+        most = len(self.observation.dofs) // 2
         while True:
             model = replace(self, request=ModesRequest(count))
             f = model.modes(np.zeros(len(self.parameters))).frequencies
@@ -101,10 +100,7 @@ class FullModel:
             return known
         with self._open(x) as analysis:
             modes = analysis.modes(self.request).modes
-        seen = self.observation(modes.shapes)
-        return Linearisation(
-            x, modes.frequencies, seen, np.zeros((len(modes), 0)), np.zeros((*seen.shape, 0))
-        )
+        return Linearisation.of_modes(x, modes.frequencies, self.observation(modes.shapes))
 
     def linearise(self, x: Float) -> Linearisation:
         """Modes and sensitivities at x (p,): the solver's, or differences of one more run a
@@ -120,19 +116,18 @@ class FullModel:
     def _linearised(self, x: Float) -> Linearisation:
         if not len(self.parameters):  # a deck that shares none of those that are free
             return self.modes(x)
-        beyond = replace(self.request, count=self.request.count + 1)
+        one_more = replace(self.request, count=self.request.count + 1)
         with self._open(x) as analysis:
-            found = analysis.modes(beyond).modes
+            found = analysis.modes(one_more).modes
             modes = found if self.request.band else found.take(slice(self.request.count))
             slopes = self._given(analysis, modes, x)
-        if slopes is None:  # the last may be half of a pair
-            alone = (
-                modes.frequencies < (1 - CLOSE) * found.frequencies[-1]
-                if len(found) > len(modes)
-                else slice(None)
-            )
-            slopes = self._differences(modes.take(alone), x)
-        seen, n = self.observation(modes.shapes), len(slopes[0])
+        if slopes is None:
+            whole = modes
+            if len(found) > len(modes):  # the last may be half of a close pair
+                whole = modes.take(modes.frequencies < (1 - CLOSE) * found.frequencies[-1])
+            slopes = self._differences(whole, x)
+        seen = self.observation(modes.shapes)
+        n = len(slopes[0])
         return Linearisation(x, modes.frequencies[:n], seen[:, :n], *slopes)
 
     def _given(self, analysis: Analysis, modes: ModeSet, x: Float) -> tuple[Float, Float] | None:
@@ -149,9 +144,8 @@ class FullModel:
         except UnsupportedError:
             return None
         self.ledger.runs += 1
-        relative = self.parameters.derivative(x) / self.parameters.factors(
-            x
-        )  # the edited model is at a = 1 of itself
+        # the edited model is at a = 1 of itself
+        relative = self.parameters.derivative(x) / self.parameters.factors(x)
         d_seen = self.observation(d_phi.reshape(d_phi.shape[0], -1)).reshape(-1, *d_phi.shape[1:])
         return d_lambda * relative, d_seen * relative
 
@@ -159,8 +153,14 @@ class FullModel:
         """∂λ/∂x (k, p) and ∂φ/∂x (channel, k, p) of the lowest k <= m modes by one step of each
         parameter.
         """
-        slopes, high = [], self.parameters.bounds()[1]
-        groups, seen = _groups(here.frequencies), self.observation(here.shapes)
+        slopes = []
+        high = self.parameters.bounds()[1]
+        seen = self.observation(here.shapes)
+        # rigid-body modes, then modes that a step may exchange or mix
+        rigid = int(np.sum(~elastic(here.frequencies)))
+        f = here.frequencies[rigid:]
+        groups = [np.arange(rigid)] if rigid else []
+        groups += [rigid + np.array(g) for g in close_groups(f, CLOSE, len(here))]
         for i, at in enumerate(x.tolist()):  # over parameters
             h = STEP if at + STEP <= high[i] else -STEP
             near = x.copy()
@@ -168,13 +168,11 @@ class FullModel:
             with self._open(near) as analysis:
                 lam, shapes = followed(here, analysis.modes(self.request).modes, groups)
             n = lam.size
-            slopes.append(
-                ((lam - _lam(here)[:n]) / h, (self.observation(shapes) - seen[:, :n]) / h)
-            )
+            d_lambda = (lam - _lam(here)[:n]) / h
+            slopes.append((d_lambda, (self.observation(shapes) - seen[:, :n]) / h))
         k = min((len(d) for d, _ in slopes), default=len(here))
-        return np.stack([d[:k] for d, _ in slopes], axis=-1), np.stack(
-            [d[:, :k] for _, d in slopes], axis=-1
-        )
+        d_lambda = np.stack([d[:k] for d, _ in slopes], axis=-1)
+        return d_lambda, np.stack([d[:, :k] for _, d in slopes], axis=-1)
 
 
 def followed(here: ModeSet, near: ModeSet, groups: Sequence[Int]) -> tuple[Float, Float]:
@@ -183,13 +181,14 @@ def followed(here: ModeSet, near: ModeSet, groups: Sequence[Int]) -> tuple[Float
 
     λ of a turned mode is its Rayleigh quotient: that of the mode itself where nothing is turned.
     """
-    lam, shapes = np.array([]), np.zeros((len(here.shapes), 0))
+    lam = np.array([])
+    shapes = np.zeros((len(here.shapes), 0))
     for g in groups:
         if g[-1] >= len(near):
             break
         turn = rotation(here.shapes[:, g], near.shapes[:, g])
         turned = near.shapes[:, g] @ turn
-        if (np.sum(unit(here.shapes[:, g]) * unit(turned), axis=0) ** 2 < LIKE).any():
+        if (np.sum(unit(here.shapes[:, g]) * unit(turned), axis=0) ** 2 < 0.5).any():
             break
         lam = np.append(lam, np.diag(turn.T @ (_lam(near)[g, None] * turn)))
         shapes = np.hstack([shapes, turned])
@@ -201,27 +200,13 @@ def _lam(modes: ModeSet) -> Float:
     return np.asarray((2 * np.pi * modes.frequencies) ** 2)
 
 
-def _groups(frequencies: Float) -> list[Int]:
-    """Rigid-body modes, then modes that a step of a parameter may exchange or mix; in order."""
-    still = int(np.sum(~elastic(frequencies)))
-    rest = [still + np.array(g) for g in close_groups(frequencies[still:], CLOSE, frequencies.size)]
-    return [np.arange(still), *rest] if still else rest
-
-
 def reduced(
     model: Model,
     parameters: ParameterSet,
     observation: Observation,
     count: int,
-    *,
-    options: BasisOptions | None = None,
-    points: Sequence[Float] = (),
-    progress: Progress | None = None,
 ) -> ReducedModel:
     """The reduced observed model of a deck: assemble, differentiate, project."""
     system, _ = without_massless_rotations(model, assemble(model))
-    parts = affine_terms(model, parameters, system)
-    affine: AffineSystem = observed_system(
-        system.stiffness, system.mass, system.transform, parameters, parts, observation
-    )
-    return reduced_model(affine, count, options=options, points=points, progress=progress)
+    affine = observed_system(model, system, parameters, observation)
+    return reduced_model(affine, count)

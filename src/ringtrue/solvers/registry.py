@@ -7,7 +7,7 @@ from importlib.metadata import EntryPoint, entry_points
 from inspect import signature
 from typing import Any
 
-from ringtrue.core.progress import Progress
+from ringtrue.core.iterate import Progress
 from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.model.ports import ModalSolver
 from ringtrue.solvers.embedded import EmbeddedSolver
@@ -55,35 +55,34 @@ def solver(
     timeout : float, s, optional
         Longest time that a run may take; only for a solver that takes one.
     progress : callable, optional
-        Called with (share done, what) by the embedded solver; the others tell nothing.
+        Called with (share done, what) by the embedded solver, not by the others.
 
     Raises
     ------
     ConfigError
         If there is none, a plug-in's object is not a solver, or it takes no ranks or no time limit.
     """
-    limit: dict[str, Any] = {} if timeout is None else {"timeout": timeout}
-    if timeout is not None and not timeout > 0:
-        raise ConfigError(f"solver {name!r}: a time limit of {timeout:g} s; must be above 0")
+    if name not in names():
+        raise ConfigError(f"no solver {name!r}{did_you_mean(name, names())}")
+    make = BUILT_IN[name] if name in BUILT_IN else _plugins()[name].load()
+    settings: dict[str, Any] = {}
     if ranks is not None:
         if name != "slepc":
             raise ConfigError(f"solver {name!r} runs in one process; ranks are for 'slepc'")
-        return SlepcSolver(ranks=ranks, **limit)
-    if name == EMBEDDED and timeout is None:
-        return EmbeddedSolver(progress=progress)
-    plugins = _plugins()
-    if name not in {*BUILT_IN, *plugins}:
-        raise ConfigError(f"no solver {name!r}{did_you_mean(name, names())}")
-    make = BUILT_IN[name] if name in BUILT_IN else plugins[name].load()
-    if limit and "timeout" not in signature(make).parameters:
-        raise ConfigError(
-            f"solver {name!r} has no time limit; those that have one: {', '.join(time_limits())}"
-        )
-    made = make(**limit)
+        settings["ranks"] = ranks
+    if timeout is not None:
+        if not timeout > 0:
+            raise ConfigError(f"solver {name!r}: a time limit of {timeout:g} s; must be above 0")
+        if "timeout" not in signature(make).parameters:
+            limited = ", ".join(time_limits())
+            raise ConfigError(f"solver {name!r} has no time limit; those that have one: {limited}")
+        settings["timeout"] = timeout
+    if name == EMBEDDED:
+        settings["progress"] = progress
+    made = make(**settings)
     if not isinstance(made, ModalSolver):
-        raise ConfigError(
-            f"plug-in {plugins[name].value} ({GROUP}) made a {type(made).__name__} without open()"
-        )
+        plugin = _plugins()[name].value
+        raise ConfigError(f"plug-in {plugin} ({GROUP}) made a {type(made).__name__} without open()")
     return made
 
 

@@ -15,7 +15,6 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import TracebackType
 from typing import Protocol, Self
 
 import numpy as np
@@ -24,20 +23,23 @@ from ringtrue.core.arrays import Any_, Float
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.core.parameters import ParameterSet
-from ringtrue.core.progress import Progress
 from ringtrue.decks.nastran.results.modes import read_nastran_modes
 from ringtrue.decks.nastran.results.printed import fatal_messages
 from ringtrue.decks.nastran.writer import NOT_MODEL, format_card, large_card, write_bulk
 from ringtrue.errors import DataError, SolverFailed, SolverMissing, UnsupportedError
-from ringtrue.fem.mesh import mesh
+from ringtrue.fem.element_cards import mesh
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest, ModesResult
 from ringtrue.solvers import guard
 
-TAIL = 12  # lines of the log in an error
-_LAST = 65_536  # bytes of the end of a log that are kept
-_PIECE = 1 << 20  # bytes of a log that are looked through at once
-_FULL = ("no space left", "disk full", "disk quota exceeded", "disk i/o error", "file system full")
+# what programs print where their disk is full
+_DISK_FULL = (
+    b"no space left",
+    b"disk full",
+    b"disk quota exceeded",
+    b"disk i/o error",
+    b"file system full",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +90,8 @@ def run_program(
     """
     words = [str(c) for c in command]
     log = folder / "ringtrue.log"
+    not_started = folder / guard.NOT_STARTED
+    not_started.unlink(missing_ok=True)
     groups = hasattr(os, "killpg")
     whole = [sys.executable, "-I", "-S", guard.__file__, *words] if groups else words
     with log.open("wb") as sink:
@@ -111,33 +115,32 @@ def run_program(
             ) from None
         finally:
             _end(process)
-    if groups and status == guard.NOT_STARTED and (why := _last(log)).startswith(guard.WHY):
-        raise SolverMissing(
-            f"{name}: {words[0]} cannot be started: {why.removeprefix(guard.WHY).strip()}"
-        )
-    if _tells_of_a_full_disk(log):
+    if not_started.exists():
+        why = os.strerror(int(not_started.read_text()))
+        raise SolverMissing(f"{name}: {words[0]} cannot be started: {why}")
+    if _disk_was_full(log):
         free = shutil.disk_usage(folder).free / 1e9
         raise SolverFailed(f"{name}: the disk of {folder} is full ({free:.2f} GB free){tail(log)}")
     return Finished(folder, status, _last(log))
 
 
-def _tells_of_a_full_disk(log: Path) -> bool:
-    """Whether a log says so; it may be larger than the memory."""
-    longest = max(map(len, _FULL))
+def _disk_was_full(log: Path) -> bool:
+    """Whether a log, which may be larger than the memory, has a message of a full disk."""
+    longest = max(map(len, _DISK_FULL))
     before = b""
     with log.open("rb") as source:
-        while piece := source.read(_PIECE):
+        while piece := source.read(1 << 20):
             text = (before + piece).lower()
-            if any(words.encode() in text for words in _FULL):
+            if any(message in text for message in _DISK_FULL):
                 return True
             before = text[-longest:]
     return False
 
 
 def _last(log: Path) -> str:
-    """The last bytes of a log as text."""
+    """The last 64 kB of a log as text."""
     with log.open("rb") as source:
-        source.seek(max(log.stat().st_size - _LAST, 0))
+        source.seek(max(log.stat().st_size - 65_536, 0))
         return source.read().decode("latin-1")
 
 
@@ -154,10 +157,12 @@ def _end(process: subprocess.Popen[bytes]) -> None:
 
 
 def tail(log: str | Path) -> str:
-    """The last lines of a log (a path or its text), as the end of a message."""
+    """The last 12 lines of a log (a path or its text), as the end of a message."""
     text = _last(log) if isinstance(log, Path) else log
-    lines = [line.rstrip() for line in text.splitlines() if line.strip()][-TAIL:]
-    return "; it said nothing" if not lines else "; the end of its log:\n  " + "\n  ".join(lines)
+    lines = [line.rstrip() for line in text.splitlines() if line.strip()]
+    if not lines:
+        return "; its log is empty"
+    return "; the end of its log:\n  " + "\n  ".join(lines[-12:])
 
 
 DECK = "model.bdf"
@@ -166,10 +171,25 @@ _OWN_PARAMS = frozenset(("POST", "OUGCORD", "OPTEXIT", "GRDPNT", "POSTEXT", "PRT
 
 
 class DeckProgram(Protocol):
-    """What differs from program to program."""
+    """What differs from program to program.
+
+    Attributes
+    ----------
+    name : str
+    timeout : float, s
+    endings : tuple of str
+        Of its results files, the most precise first.
+    band_by_count : bool
+        Whether its Lanczos method takes a number of modes only, not a band.
+    more_bulk : str
+        Further bulk data.
+    """
 
     name: str
     timeout: float
+    endings: tuple[str, ...]
+    band_by_count: bool
+    more_bulk: str
 
     def command(self, deck: Path) -> Sequence[str | Path]:
         """The command line; it runs in the folder of the deck."""
@@ -177,22 +197,6 @@ class DeckProgram(Protocol):
 
     def adapted(self, model: Model) -> Model:
         """The model with what this program wants to have written out."""
-        ...
-
-    def params(self) -> Sequence[tuple[str, int | float | str]]:
-        """PARAM cards that make it write what is read."""
-        ...
-
-    def more_bulk(self) -> str:
-        """Further bulk data."""
-        ...
-
-    def endings(self) -> tuple[str, ...]:
-        """Results files, the most precise first."""
-        ...
-
-    def band_by_count(self) -> bool:
-        """Whether its Lanczos method takes a number of modes only, not a band."""
         ...
 
     def proof(self, run: Finished, modes: ModeSet, request: ModesRequest) -> tuple[bool, str]:
@@ -233,10 +237,9 @@ def case_control(model: Model) -> list[str]:
 
 
 def bulk(model: Model, program: DeckProgram) -> str:
-    """The model and the parameters of the program."""
-    own = [format_card("PARAM", p) for p in program.params()]
-    leave = {*NOT_MODEL, *_OWN_PARAMS, *(name for name, _ in program.params())}
-    return "".join(own) + program.more_bulk() + write_bulk(program.adapted(model), without=leave)
+    """The model, what makes the program write OP2, and what it wants besides."""
+    own = format_card("PARAM", ("POST", -1)) + program.more_bulk
+    return own + write_bulk(program.adapted(model), without={*NOT_MODEL, *_OWN_PARAMS})
 
 
 class DeckAnalysis:
@@ -253,9 +256,9 @@ class DeckAnalysis:
         program: DeckProgram,
         *,
         keep: Path | None = None,
-        progress: Progress | None = None,
     ) -> None:
-        self.model, self.program, self._progress = model, program, progress
+        self.model = model
+        self.program = program
         self.dofs: DofSet = mesh(model).dofs
         self._temporary = None if keep else tempfile.mkdtemp(prefix=f"ringtrue-{program.name}-")
         self._folder = Path(self._temporary or str(keep))
@@ -270,7 +273,7 @@ class DeckAnalysis:
             If the program is not there, ends with a fatal error or writes no modes.
         """
         if request not in self._done:
-            by_count = request.band is not None and self.program.band_by_count()
+            by_count = request.band is not None and self.program.band_by_count
             self._done[request] = self._band(request) if by_count else self._modes(request)
         return self._done[request]
 
@@ -292,8 +295,6 @@ class DeckAnalysis:
         path = folder / DECK
         path.write_text(deck, encoding="ascii")
         name = self.program.name
-        if self._progress:
-            self._progress(0.0, f"{name} runs")
         done = run_program(
             self.program.command(path), folder, name=name, timeout=self.program.timeout
         )
@@ -319,15 +320,12 @@ class DeckAnalysis:
         they pass the band.
         """
         low, high = request.band or (0.0, 0.0)
-        count, most = request.count, len(self.dofs) // 2
+        count = request.count
+        most = len(self.dofs) // 2
         while True:
             found = self.modes(ModesRequest(count))
-            if (
-                not len(found.modes)
-                or found.modes.frequencies[-1] > high
-                or len(found.modes) < count
-                or count >= most
-            ):
+            above = found.modes.frequencies[-1:] > high
+            if above.all() or len(found.modes) < count or count >= most:
                 break
             count = min(2 * count, most)
         inside = found.modes.band(-np.inf if low <= 0 else low, high)
@@ -335,7 +333,8 @@ class DeckAnalysis:
 
     def _read(self, done: Finished) -> ModeSet:
         """Modes from the most precise file that holds them, on this analysis' DOFs."""
-        files, written = done.files(*self.program.endings()), self.program.adapted(self.model)
+        files = done.files(*self.program.endings)
+        written = self.program.adapted(self.model)
         problems = []
         for path in files:
             try:
@@ -345,7 +344,7 @@ class DeckAnalysis:
                 continue
             return self._aligned(found)
         nothing = (
-            f"no file {' or '.join(self.program.endings())}; its command must wait for the "
+            f"no file {' or '.join(self.program.endings)}; its command must wait for the "
             "job (MSC: bat=no)"
         )
         what = "; ".join(problems) or nothing
@@ -372,11 +371,6 @@ class DeckAnalysis:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         if self._temporary:
             shutil.rmtree(self._temporary, ignore_errors=True)

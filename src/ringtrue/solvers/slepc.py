@@ -12,18 +12,15 @@ import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 import numpy as np
-from scipy import sparse
 
 from ringtrue.core.arrays import Any_, Float
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.core.parameters import ParameterSet
-from ringtrue.core.progress import Progress
 from ringtrue.eigen.eigenpairs import eigenvalue, frequencies, polish
-from ringtrue.eigen.modes import start_shift, suitable_shift
+from ringtrue.eigen.shift import start_shift, suitable_shift
 from ringtrue.errors import ConfigError, SolverFailed, SolverMissing, UnsupportedError
 from ringtrue.fem.assembly import System, assemble, refuse_held
 from ringtrue.fem.massless_rotations import without_massless_rotations
@@ -35,7 +32,6 @@ from ringtrue.solvers.runner import run_program, tail
 
 PYTHON = "RINGTRUE_SLEPC_PYTHON"
 WORKER = Path(__file__).with_name("slepc_worker.py")
-GOOD = 1e-7  # a residual above it asks for a better shift
 _INSTALL = (
     "install it with `pip install dolfinx-solver-real mpich` in a Python >= 3.12 or with Debian's "
     f"python3-slepc4py-real, and set {PYTHON} to that Python"
@@ -51,10 +47,12 @@ def find_slepc() -> tuple[Path, Path]:
         Saying how to install it.
     """
     python = Path(os.environ.get(PYTHON, sys.executable))
-    beside = python.with_name("mpiexec")
-    launcher = beside if beside.is_file() else Path(shutil.which("mpiexec") or "")
+    own = python.with_name("mpiexec")
+    launcher = own if own.is_file() else Path(shutil.which("mpiexec") or "")
     if not launcher.is_file():
-        raise SolverMissing(f"slepc: no mpiexec beside {python} or on the PATH; {_INSTALL}")
+        raise SolverMissing(
+            f"slepc: no mpiexec in the folder of {python} or on the PATH; {_INSTALL}"
+        )
     try:
         tried = subprocess.run(
             [python, "-c", "from mpi4py import MPI; import petsc4py, slepc4py.SLEPc"],
@@ -82,13 +80,20 @@ class SlepcAnalysis:
         command: Sequence[str | Path],
         *,
         timeout: float,
-        progress: Progress | None,
     ):
-        self.system, self.dofs = system, system.dofs
-        self._command, self._timeout, self._progress = command, timeout, progress
+        self.system = system
+        self.dofs = system.dofs
+        self._command = command
+        self._timeout = timeout
         self._folder = Path(tempfile.mkdtemp(prefix="ringtrue-slepc-"))
         for name, matrix in (("K", system.stiffness), ("M", system.mass)):
-            _hand_over(self._folder, name, matrix)
+            # plain arrays that each rank can map and read its rows of
+            for part, values in (
+                ("p", matrix.indptr.astype(np.int64)),
+                ("i", matrix.indices),
+                ("x", matrix.data),
+            ):
+                np.save(self._folder / f"{name}_{part}.npy", values)
         self._shift = start_shift(system.stiffness, system.mass)
         self._done: dict[ModesRequest, ModesResult] = {}
 
@@ -106,14 +111,20 @@ class SlepcAnalysis:
 
     def _modes(self, request: ModesRequest) -> ModesResult:
         values, vectors, residuals, result = self._solve(request)
-        if (
-            residuals > GOOD
-        ).any():  # a shift much nearer to zero than the first elastic mode loses digits
+        # a shift much nearer to zero than the first elastic mode loses digits
+        if (residuals > 1e-7).any():
             self._shift = -suitable_shift(values)
             values, vectors, residuals, result = self._solve(request)
         shapes = self.system.transform @ vectors
         f = frequencies(values)
-        modes = ModeSet(f, np.zeros(f.size), shapes, self.dofs, Norm.MASS, "slepc")
+        modes = ModeSet(
+            frequencies=f,
+            damping=np.zeros(f.size),
+            shapes=shapes,
+            labels=self.dofs,
+            norm=Norm.MASS,
+            source="slepc",
+        )
         return ModesResult(modes, residuals, bool(result["complete"]), str(result["proof"]))
 
     def _solve(self, request: ModesRequest) -> tuple[Float, Float, Float, dict[str, object]]:
@@ -125,8 +136,6 @@ class SlepcAnalysis:
         job = {"count": count, "band": band, "shift": self._shift}
         (self._folder / "job.json").write_text(json.dumps(job))
         (self._folder / "result.json").unlink(missing_ok=True)
-        if self._progress:
-            self._progress(0.0, "slepc runs")
         done = run_program(
             [*self._command, WORKER, self._folder],
             self._folder,
@@ -136,10 +145,8 @@ class SlepcAnalysis:
         if done.status or not (self._folder / "result.json").is_file():
             raise SolverFailed(f"slepc ended with exit status {done.status}{tail(done.log)}")
         result = read_json(self._folder / "result.json")
-        values, vectors = (
-            np.array(read_npy(self._folder / "values.npy")),
-            np.array(read_npy(self._folder / "vectors.npy")).T,
-        )
+        values = np.array(read_npy(self._folder / "values.npy"))
+        vectors = np.array(read_npy(self._folder / "vectors.npy")).T
         if not values.size:
             return values, vectors.reshape(self.system.stiffness.shape[0], 0), np.empty(0), result
         values, vectors, residuals, _ = polish(
@@ -160,23 +167,8 @@ class SlepcAnalysis:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         shutil.rmtree(self._folder, ignore_errors=True)
-
-
-def _hand_over(folder: Path, name: str, matrix: sparse.csr_array) -> None:
-    """Plain arrays that each rank can map and read its rows of."""
-    for part, values in (
-        ("p", matrix.indptr.astype(np.int64)),
-        ("i", matrix.indices),
-        ("x", matrix.data),
-    ):
-        np.save(folder / f"{name}_{part}.npy", values)
 
 
 class SlepcSolver:
@@ -187,17 +179,15 @@ class SlepcSolver:
     ranks : int
         MPI processes.
     timeout : float, s
-    progress : callable, optional
     """
 
     name = "slepc"
 
-    def __init__(
-        self, *, ranks: int = 1, timeout: float = 24 * 3600.0, progress: Progress | None = None
-    ) -> None:
+    def __init__(self, *, ranks: int = 1, timeout: float = 24 * 3600.0) -> None:
         if ranks < 1:
             raise ConfigError(f"slepc: {ranks} ranks; at least 1")
-        self.ranks, self.timeout, self.progress = ranks, timeout, progress
+        self.ranks = ranks
+        self.timeout = timeout
 
     def open(self, model: Model, parameters: Sequence[ParameterSet] = ()) -> SlepcAnalysis:
         """Assemble the model and hand its matrices over.
@@ -213,4 +203,4 @@ class SlepcSolver:
         system, _ = without_massless_rotations(model, assemble(model))
         refuse_held(system)
         command = (launcher, "-n", str(self.ranks), python)
-        return SlepcAnalysis(system, command, timeout=self.timeout, progress=self.progress)
+        return SlepcAnalysis(system, command, timeout=self.timeout)

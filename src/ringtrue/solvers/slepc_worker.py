@@ -21,7 +21,6 @@ from mpi4py import MPI  # first: it finds the MPI library that the others were b
 from petsc4py import PETSc
 from slepc4py import SLEPc
 
-EXTRA = 4  # modes above those asked for
 MUMPS = {
     f"{p}mat_mumps_{k}": v
     for p in ("", "st_")
@@ -35,9 +34,12 @@ def load(folder: Path, name: str) -> Any:
         np.load(folder / f"{name}_{part}.npy", mmap_mode="r") for part in ("p", "i", "x")
     )
     n = indptr.size - 1
-    rank, size = MPI.COMM_WORLD.rank, MPI.COMM_WORLD.size
-    first, last = rank * n // size, (rank + 1) * n // size
-    a, b = int(indptr[first]), int(indptr[last])
+    rank = MPI.COMM_WORLD.rank
+    size = MPI.COMM_WORLD.size
+    first = rank * n // size
+    last = (rank + 1) * n // size
+    a = int(indptr[first])
+    b = int(indptr[last])
     rows = (indptr[first : last + 1] - a).astype(PETSc.IntType)
     own = (rows, indices[a:b].astype(PETSc.IntType), np.array(data[a:b]))
     matrix = PETSc.Mat().createAIJ(
@@ -86,27 +88,23 @@ def lowest(K: Any, M: Any, count: int, shift: float) -> tuple[Any, int, bool, st
     eps = solver(K, M, shift)
     eps.setTarget(shift)
     eps.setWhichEigenpairs(SLEPc.EPS.Which.TARGET_MAGNITUDE)
-    eps.setDimensions(min(count + EXTRA, n))
+    eps.setDimensions(min(count + 4, n))  # a few above those asked for
     eps.solve()
     values = np.sort([eps.getEigenvalue(i).real for i in range(eps.getConverged())])
     count = min(count, values.size)
     if values.size < 2:
         return eps, count, False, "too few eigenvalues converged to count any"
-    upper = values[max(count, 2) - 1 :]
-    upper = values[-2:] if upper.size < 2 else upper
+    upper = values[min(max(count, 2) - 1, values.size - 2) :]
     gap = int(np.argmax(np.diff(upper)))
     cut = 0.5 * (upper[gap] + upper[gap + 1])
-    found, there = int((values < cut).sum()), below(K, M, cut) - below(K, M, shift)
+    found = int((values < cut).sum())
+    there = below(K, M, cut) - below(K, M, shift)
     if found != there:
         eps.destroy()
         eps, taken, _, proof = band(K, M, shift, cut)
         return eps, min(count, taken), taken == there, proof
-    return (
-        eps,
-        count,
-        True,
-        f"{there} eigenvalues below {cut:.6g} (rad/s)^2 by inertia, {found} found",
-    )
+    proof = f"{there} eigenvalues below {cut:.6g} (rad/s)^2 by inertia, {found} found"
+    return eps, count, True, proof
 
 
 def band(K: Any, M: Any, low: float, high: float) -> tuple[Any, int, bool, str]:
@@ -116,7 +114,8 @@ def band(K: Any, M: Any, low: float, high: float) -> tuple[Any, int, bool, str]:
     eps.setInterval(low, high)
     eps.setKrylovSchurDetectZeros(True)
     eps.solve()
-    found, there = eps.getConverged(), below(K, M, high) - below(K, M, low)
+    found = eps.getConverged()
+    there = below(K, M, high) - below(K, M, low)
     proof = f"{there} eigenvalues from {low:.6g} to {high:.6g} (rad/s)^2 by inertia, {found} found"
     return eps, found, found == there, proof
 
@@ -141,7 +140,8 @@ def main(folder: Path) -> None:
     options = PETSc.Options()
     for name, value in MUMPS.items():
         options[name] = value
-    K, M = load(folder, "K"), load(folder, "M")
+    K = load(folder, "K")
+    M = load(folder, "M")
     if job["band"] is None:
         eps, count, complete, proof = lowest(K, M, job["count"], job["shift"])
     else:

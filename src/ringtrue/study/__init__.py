@@ -9,7 +9,7 @@ sentences that a run shows, `summary` its summary.json, `acceptance` the limits 
 
 Of the test: `hammer_records` makes FRFs of records with forces, `supplied` reads FRFs and modes of
 files, `placing` lays the sensors onto a deck, `reference` picks the modes that a deck is compared
-with, `evidence` is what a correlation rests on, `measured_data` what was measured beside modes.
+with, `evidence` is what a correlation rests on, `measured_data` what was measured besides modes.
 
 Of the model: `opened` is a deck in its solver, `loads` its static load cases. `planned_test` holds
 the parts of a test plan, `objective` what an updating minimises; `direct` updates and localises

@@ -28,7 +28,7 @@ ORTHOGONALITY = {"accept_orthogonality", "accept_off_diagonal"}
 
 
 @dataclass(frozen=True, slots=True)
-class Check:
+class AcceptanceCheck:
     """One thing that must hold."""
 
     name: str
@@ -138,35 +138,42 @@ def missed_words(config: StudyConfig, results: Mapping[str, Any]) -> tuple[str, 
     )
 
 
-def limits(config: StudyConfig, results: Mapping[str, Any]) -> tuple[Check, ...]:
+def limits(config: StudyConfig, results: Mapping[str, Any]) -> tuple[AcceptanceCheck, ...]:
     """Whether the delivered model keeps the limits that the study states; empty where it states
     none.
     """
-    model, c = judged(config, results), config.correlate
+    model = judged(config, results)
+    c = config.correlate
     if model is None:
         return ()
-    out, table = [], model.tables[0][1]
+    out = []
+    table = model.tables[0][1]
     if PER_PAIR & c.model_fields_set:
         rule = Acceptance.of(c)
         count = sum(len(t) for _, t in model.tables)
         good = count - sum(len(rule.missed(t)) for _, t in model.tables)
         name = f"{model.name}: pairs with {rule.words()}"
-        out.append(Check(name, f"all {count}", str(good), good == count > 0))
+        out.append(AcceptanceCheck(name, f"all {count}", str(good), good == count > 0))
     if c.accept_pairs is not None:
         n = len(table)
         out.append(
-            Check(f"{model.name}: pairs", f"≥ {c.accept_pairs}", str(n), n >= c.accept_pairs)
+            AcceptanceCheck(
+                f"{model.name}: pairs", f"≥ {c.accept_pairs}", str(n), n >= c.accept_pairs
+            )
         )
     if c.accept_mean_percent is not None:
-        mean, most = table.mean_deviation(), c.accept_mean_percent
+        mean = table.mean_deviation()
+        most = c.accept_mean_percent
         out.append(
-            Check(f"{model.name}: mean |Δf|", f"≤ {most:g} %", f"{mean:.2f} %", bool(mean <= most))
+            AcceptanceCheck(
+                f"{model.name}: mean |Δf|", f"≤ {most:g} %", f"{mean:.2f} %", bool(mean <= most)
+            )
         )
     if c.accept_mean_mac is not None:
         mac = table.mean_subspace_mac()
         least = c.accept_mean_mac
         out.append(
-            Check(
+            AcceptanceCheck(
                 f"{model.name}: mean subspace MAC",
                 f"≥ {least:g} %",
                 f"{mac:.2f} %",
@@ -178,28 +185,28 @@ def limits(config: StudyConfig, results: Mapping[str, Any]) -> tuple[Check, ...]
     return tuple(out)
 
 
-def _orthogonal(model: Judged, c: CorrelateSection) -> Check:
+def _orthogonal(model: Judged, c: CorrelateSection) -> AcceptanceCheck:
     """The cross-orthogonality over the best mass at hand."""
     wanted = f"pairs ≥ {c.accept_orthogonality:g} %, others ≤ {c.accept_off_diagonal:g} %"
     cross = model.evidence.measures.cross if model.evidence else None
     name = f"{model.name}: cross-orthogonality"
     if cross is None:
-        return Check(name, wanted, "not known", False)
+        return AcceptanceCheck(name, wanted, "not known", False)
     v = cross.verdict
     got = f"≥ {100 * v.least_diagonal:.1f} %, ≤ {100 * v.largest_off_diagonal:.1f} %"
-    return Check(f"{name}, {cross.mass} mass", wanted, got, v.passed)
+    return AcceptanceCheck(f"{name}, {cross.mass} mass", wanted, got, v.passed)
 
 
-def convergence(results: Mapping[str, Any]) -> tuple[Check, ...]:
+def convergence(results: Mapping[str, Any]) -> tuple[AcceptanceCheck, ...]:
     """Whether the chosen updating converged; empty without one."""
     update: UpdateStage | None = results.get("update")
     if update is None:
         return ()
     outcome = update.sets[update.chosen].outcome
-    return (Check("updating", "converged", outcome.verdict, outcome.ok),)
+    return (AcceptanceCheck("updating", "converged", outcome.verdict, outcome.ok),)
 
 
-def improvement(results: Mapping[str, Any]) -> tuple[Check, ...]:
+def improvement(results: Mapping[str, Any]) -> tuple[AcceptanceCheck, ...]:
     """Whether the final model is nearer to the test than the initial one, in modes used and left
     out.
 
@@ -230,20 +237,22 @@ def in_both(*tables: CorrelationTable, used: bool | None = None) -> tuple[Bool, 
     return tuple(np.isin(t.pairing.a, both) for t in tables)
 
 
-def _improved(name: str, *tables: CorrelationTable, used: bool | None = None) -> list[Check]:
+def _improved(
+    name: str, *tables: CorrelationTable, used: bool | None = None
+) -> list[AcceptanceCheck]:
     a, b = (
         t.mean_deviation(which)
         for t, which in zip(tables, in_both(*tables, used=used), strict=True)
     )
     there = np.isfinite(a)
     return (
-        [Check(f"{name}: mean |Δf| improved", f"< {a:.2f} %", f"{b:.2f} %", bool(b < a))]
+        [AcceptanceCheck(f"{name}: mean |Δf| improved", f"< {a:.2f} %", f"{b:.2f} %", bool(b < a))]
         if there
         else []
     )
 
 
-def _others_improved(results: Mapping[str, Any]) -> list[Check]:
+def _others_improved(results: Mapping[str, Any]) -> list[AcceptanceCheck]:
     """The same of each other configuration, over all its modes."""
     before: ConfigurationsStage | None = results.get("configurations")
     after: ConfiguredStage | None = results.get("configured")
@@ -253,6 +262,6 @@ def _others_improved(results: Mapping[str, Any]) -> list[Check]:
     return [check for c, d in every for check in _improved(c.name, c.initial, d.table)]
 
 
-def verdict(config: StudyConfig, results: Mapping[str, Any]) -> tuple[Check, ...]:
+def verdict(config: StudyConfig, results: Mapping[str, Any]) -> tuple[AcceptanceCheck, ...]:
     """What must hold of any study, and what this one states."""
     return (*convergence(results), *limits(config, results), *improvement(results))

@@ -12,11 +12,11 @@ from ringtrue.core.parameters import ParameterSet
 from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.io.files import read_text
 from ringtrue.io.foreign.parsers import toml_value
-from ringtrue.model.halves import NODES
+from ringtrue.model.refine import NODES
 from ringtrue.solvers.registry import EMBEDDED
 from ringtrue.study.config_sections import (
     OF_SHAPES,
-    Candidate,
+    CandidateSection,
     ConfigurationSection,
     CorrelateSection,
     DampingSection,
@@ -54,8 +54,8 @@ class StudyConfig(BaseModel):
     identify: IdentifySection = IdentifySection()
     correlate: CorrelateSection = CorrelateSection()
     remodel: list[RemodelSection] = []  # one [remodel] or several [[remodel]], in order
-    candidate: list[Candidate] = []
-    suspension: list[Candidate] = []
+    candidate: list[CandidateSection] = []
+    suspension: list[CandidateSection] = []
     configuration: list[ConfigurationSection] = []
     localise: LocaliseSection = LocaliseSection()
     update: UpdateSection = UpdateSection()
@@ -96,13 +96,7 @@ class StudyConfig(BaseModel):
             raise ValueError(
                 f"[[residual]] {self.residual[0].kind}: [model] solver {self.model.solver!r} "
                 "gives modes alone; what "
-                "was measured beside them needs the embedded solver"
-            )
-        anywhere = "global" in (self.update.search, *(s.search for s in self.set))
-        if anywhere and self.model is not None and self.model.solver != EMBEDDED:
-            raise ValueError(
-                'search = "global" takes thousands of points: [model] solver '
-                f"{self.model.solver!r} cannot"
+                "was measured besides them needs the embedded solver"
             )
         if self.configuration and (self.model is None or self.test is None):
             raise ValueError("configurations need a [model] and a [test] that they are others of")
@@ -253,7 +247,8 @@ def explain(path: Path, error: ValidationError, top: type[BaseModel], whole: str
 
 def _value_error(e: Mapping[str, Any], place: str) -> str:
     """What is wrong with a value, and what was given."""
-    given, about = e["input"], e.get("ctx", {})
+    given = e["input"]
+    about = e.get("ctx", {})
     if e["type"] == "model_type" and isinstance(given, list):
         return f"one section, not a list of them (in TOML [{place}], not [[{place}]])"
     if e["type"] == "list_type" and isinstance(given, dict):

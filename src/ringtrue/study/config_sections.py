@@ -17,13 +17,16 @@ from ringtrue.updating.damping_regions import DampingRegion
 from ringtrue.updating.selection.candidates import Kind
 
 
-class Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+class StudySection(BaseModel):
+    """A table of study.toml; unknown keys are refused, the text below a key says what it is."""
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, strict=True, use_attribute_docstrings=True
+    )
 
 
-SelectionMethod = Literal["independence", "qr", "auto-mac", "information"]
 Directions = Literal["triaxial", "uniaxial", "normal"]
-Strike = Literal["worst", "greedy", "qr", "mif"]
+Strike = Literal["worst", "greedy"]
 
 
 def rising(name: str, low: float | None, high: float | None) -> None:
@@ -32,92 +35,88 @@ def rising(name: str, low: float | None, high: float | None) -> None:
         raise ValueError(f"{name}fmin {low} and {name}fmax {high}: must be 0 <= fmin < fmax")
 
 
-class PlanSection(Section):
+class PlanSection(StudySection):
     """What to plan."""
 
     fmin: float = 0.0
+    """Lower end of the band of the target modes, Hz."""
     fmax: float = Field(default=80.0, gt=0)
-    sensors: int = Field(
-        default=45, gt=0
-    )  # measuring points for the hammer test, sensors where not triaxial
-    at_hand: int = Field(
-        default=0, ge=0
-    )  # sensors recorded at once: with more planned, setups; 0: all at once
-    ambient_sensors: int = Field(default=12, gt=0)  # measuring points for the ambient tests
+    """Upper end, Hz."""
+    sensors: int = Field(default=45, gt=0)
+    """Measuring points of the hammer test; sensors where these are not triaxial."""
+    at_hand: int = Field(default=0, ge=0)
+    """Sensors that are recorded at once; with more planned, the test has setups. 0: all at once.
+    """
+    ambient_sensors: int = Field(default=12, gt=0)
+    """Measuring points of the ambient tests."""
     references: int = Field(default=4, gt=0)
-    candidates: dict[str, list[int]] = {}  # region -> candidate nodes; empty: the skin of the model
-    # m; "even": half of the spacing that the structure gives so many points; not given: that, but
-    # at most 0.8 m
+    """Excitation points."""
+    candidates: dict[str, list[int]] = {}
+    """Region -> candidate nodes; the skin of the model if empty."""
     min_distance: Annotated[float, Field(ge=0)] | Literal["even"] | None = None
-    damping: float = Field(default=0.01, gt=0)  # expected, for the resolution
+    """Least distance of points, m. "even": half of the spacing that the structure gives so many
+    points; not given: that, but at most 0.8 m.
+    """
+    damping: float = Field(default=0.01, gt=0)
+    """Expected damping ratio, for the resolution."""
     max_auto_mac: float = Field(default=0.25, gt=0, lt=1)
-    method: SelectionMethod = "independence"
-    modes: list[
-        int
-    ] = []  # target modes by their number in the deck, from 1; empty: all of the band
-    effective_mass: float = Field(
-        default=0.0, ge=0, lt=1
-    )  # of the band, modes with such a share of the mass, or
-    sensitive: float = Field(
-        default=0.0, ge=0
-    )  # with such a sum of |∂λ/∂a|/λ over the candidates of the updating, or
-    telling: int = Field(
-        default=0, ge=0
-    )  # so many modes that tell those candidates apart; all 0: every mode
-    kinetic: dict[
-        str, float
-    ] = {}  # region of `candidates` -> share of kinetic energy of a target mode
-    weigh: bool = False  # points that carry kinetic energy come first
-    cost: dict[
-        str, float
-    ] = {}  # region of `candidates` -> cost of a point, 1 if not named; for qr and information
-    draws: int = Field(
-        default=0, ge=0
-    )  # of the prior of the candidates of the updating; for information
-    precision: float = Field(
-        default=0.1, gt=0
-    )  # relative, wanted of the lowest damping in an ambient record
-    error: float = Field(default=0.05, gt=0)  # relative random, wanted of an FRF, with
-    coherence: float = Field(
-        default=0.98, gt=0, lt=1
-    )  # such a coherence: the number of blows at each reference
-    ambient: bool = True  # keep points for ambient tests
-    boxes: list[list[float]] = []  # x0 y0 z0 x1 y1 z1 in m; candidates lie in one of them
-    keep_out: list[list[float]] = []  # boxes without candidates
-    exclude: list[int] = []  # nodes that are no candidates
-    fixed: list[int] = []  # nodes that are measured in any case
-    redundancy: int = Field(default=0, ge=0)  # points that may fail
-    directions: Directions = "triaxial"  # of a sensor: X Y Z, one of them, off the skin
-    # driving-point residues by the mean of the logarithms, or by the mode that is excited worst; QR
-    # of M·Φ; force appropriation by the mode indicator
+    """Points are added while the auto-MAC of two target modes is larger."""
+    modes: list[int] = []
+    """Target modes by their number in the deck, from 1; all of the band if empty."""
+    effective_mass: float = Field(default=0.0, ge=0, lt=1)
+    """Target modes have such a share of the mass."""
+    sensitive: float = Field(default=0.0, ge=0)
+    """Or such a sum of |∂λ/∂a|/λ over the candidates of the updating."""
+    telling: int = Field(default=0, ge=0)
+    """Or are so many modes that distinguish those candidates."""
+    kinetic: dict[str, float] = {}
+    """Or have such a share of kinetic energy in a region of `candidates`."""
+    precision: float = Field(default=0.1, gt=0)
+    """Wanted relative standard deviation of the lowest damping in an ambient record."""
+    error: float = Field(default=0.05, gt=0)
+    """Wanted relative random error of an FRF."""
+    coherence: float = Field(default=0.98, gt=0, lt=1)
+    """Expected coherence of the FRFs; with `error` it gives the number of impacts."""
+    ambient: bool = True
+    """Keep points for ambient tests."""
+    boxes: list[list[float]] = []
+    """Boxes x0 y0 z0 x1 y1 z1, m; candidates lie in one of them."""
+    keep_out: list[list[float]] = []
+    """Boxes without candidates."""
+    exclude: list[int] = []
+    """Nodes that are no candidates."""
+    fixed: list[int] = []
+    """Nodes that are measured in any case."""
+    redundancy: int = Field(default=0, ge=0)
+    """Points that may fail."""
+    directions: Directions = "triaxial"
+    """Of a sensor: X Y Z together, one of them, or normal to the skin."""
     strike: Strike = "greedy"
-    strike_at: list[
-        int
-    ] = []  # candidate nodes that can be struck; what is chosen there is measured. Empty: any point
-    suspension: int = Field(default=0, ge=0)  # points to hang from; 0: not asked for
-    sensor_mass: float = Field(default=0.0, ge=0)  # kg a point, for the shift of the frequencies
-    lines: Literal["mesh", "nearest"] = (
-        "mesh"  # the drawing of the points follows the mesh, or joins neighbours
-    )
-    trials: int = Field(default=0, ge=0)  # virtual tests of the plan
-    # N/√Hz at each reference in the virtual tests; not given: what leaves the expected coherence
+    """How excitation points are chosen: driving-point residues by the mean of the logarithms, or by
+    the mode that is excited worst.
+    """
+    strike_at: list[int] = []
+    """Candidate nodes that can be excited, any if empty; what is chosen there is measured, too.
+    """
+    suspension: int = Field(default=0, ge=0)
+    """Points to hang the structure from; 0: not asked for."""
+    sensor_mass: float = Field(default=0.0, ge=0)
+    """kg a point, for the shift of the frequencies."""
+    lines: Literal["mesh", "nearest"] = "mesh"
+    """The drawing of the points follows the mesh, or joins neighbours."""
+    trials: int = Field(default=0, ge=0)
+    """Virtual tests of the plan."""
     background: Annotated[float, Field(ge=0)] | None = None
-    ambient_force: float = Field(
-        default=0.0, ge=0
-    )  # N/√Hz along each channel: virtual ambient tests, too, if > 0
+    """Noise at each reference in the virtual tests, N/√Hz; what leaves `coherence` if not given.
+    """
+    ambient_force: float = Field(default=0.0, ge=0)
+    """N/√Hz along each channel; virtual ambient tests, too, if > 0."""
 
     @model_validator(mode="after")
     def _band(self) -> Self:
         rising("", self.fmin, self.fmax)
         if any(len(b) != 6 for b in (*self.boxes, *self.keep_out)):
             raise ValueError("boxes and keep_out: a box is x0 y0 z0 x1 y1 z1")
-        if (self.cost and self.method not in ("qr", "information")) or (
-            self.draws and self.method != "information"
-        ):
-            raise ValueError(
-                "cost goes with method qr or information, draws with information; method is "
-                f"{self.method}"
-            )
         if self.at_hand == 1:
             raise ValueError(
                 "at_hand: setups need two sensors, one that stays and one that roves; 0: all at "
@@ -125,12 +124,12 @@ class PlanSection(Section):
             )
         if self.ambient_force and not self.trials:
             raise ValueError("ambient_force is that of virtual ambient tests; give trials, too")
-        if lost := [r for r in (*self.kinetic, *self.cost) if r not in self.candidates]:
+        if lost := [r for r in self.kinetic if r not in self.candidates]:
             raise ValueError(
                 f"no region {lost[0]!r} in candidates{did_you_mean(lost[0], self.candidates)}"
             )
-        if any(v <= 0 for v in (*self.cost.values(), *self.kinetic.values())):
-            raise ValueError("cost and kinetic: must be > 0")
+        if any(v <= 0 for v in self.kinetic.values()):
+            raise ValueError("kinetic: must be > 0")
         if any(m < 1 for m in self.modes):
             raise ValueError("modes: the first mode of the deck is 1")
         return self
@@ -148,46 +147,49 @@ OF_SHAPES = {
 }
 
 
-class CorrelateSection(Section):
+class CorrelateSection(StudySection):
     """Pairing and acceptance."""
 
     mac_gate: float = Field(default=0.6, gt=0, lt=1)
-    # |f_FE − f_test|/f_test; None: 0.4, and beyond it modes that look alike and like no other
+    """Least MAC of a pair."""
     frequency_gate: float | None = Field(default=None, gt=0)
-    lock: list[
-        str
-    ] = []  # "3:7": test mode 3 belongs to mode 7 of the initial deck, and to what becomes of it
-    forbid: list[str] = []  # that do not belong together
-    rigid_below: float | None = (
-        None  # Hz: rigid-body modes lie below; None: the largest gap decides
-    )
-    tolerance: float | None = Field(
-        default=None, gt=0
-    )  # m, sensor to node; None: 3 % of the deck, or a mesh width
-    match: Literal["nearest", "rigid"] = (
-        "nearest"  # a sensor off the nodes: the nearest node, or the nodes around it
-    )
-    align: Literal["", "points", "nearest"] = (
-        ""  # lay the test onto the deck by points numbered as nodes, or by nearest
-    )
+    """Largest |f_FE - f_test|/f_test; not given: 0.4, and beyond it modes that look like each
+    other and like no other.
+    """
+    lock: list[str] = []
+    """"3:7": test mode 3 belongs to mode 7 of the initial deck, and to what becomes of it."""
+    forbid: list[str] = []
+    """Pairs that do not belong together."""
+    rigid_below: float | None = None
+    """Rigid-body modes lie below, Hz; the largest gap decides if not given."""
+    tolerance: float | None = Field(default=None, gt=0)
+    """From a sensor to its node, m; 3 % of the deck or a mesh width if not given."""
+    match: Literal["nearest", "rigid"] = "nearest"
+    """A sensor off the nodes reads the nearest node, or the nodes around it."""
+    align: Literal["", "points", "nearest"] = ""
+    """Lay the test onto the deck by points numbered as nodes, or by the nearest nodes."""
     accept_percent: float = 5.0
-    # judged where results are shown: no stage depends on them
+    """A pair is accepted up to this frequency deviation, %."""
     accept_hz: float | None = Field(default=None, exclude=True)
+    """Or up to this one, Hz. This and the further limits are judged where results are shown."""
     accept_mac: float | None = Field(default=80.0, exclude=True)
+    """And from this subspace MAC on, %."""
     accept_pairs: int | None = Field(default=None, ge=0, exclude=True)
+    """Least number of pairs."""
     accept_mean_percent: float | None = Field(default=None, ge=0, exclude=True)
+    """Largest mean frequency deviation, %."""
     accept_mean_mac: float | None = Field(default=None, ge=0, le=100, exclude=True)
-    accept_orthogonality: float = Field(
-        default=90.0, ge=0, le=100
-    )  # %, least cross-orthogonality of a pair
-    accept_off_diagonal: float = Field(
-        default=10.0, ge=0, le=100
-    )  # %, largest between different modes
-    # the mass at the channels that orthogonality is over
+    """Least mean subspace MAC, %."""
+    accept_orthogonality: float = Field(default=90.0, ge=0, le=100)
+    """Least cross-orthogonality of a pair, %."""
+    accept_off_diagonal: float = Field(default=10.0, ge=0, le=100)
+    """Largest cross-orthogonality of different modes, %."""
     tam: Tam = "irs"
-    # of the test shapes to the whole deck, for the error indicators (hybrid if not given) and the
-    # report (none)
-    expand: Literal["", "hybrid", "serep", "guyan", "dynamic"] = ""
+    """The test-analysis model: the mass at the channels that orthogonality is over."""
+    expand: Literal["", "hybrid", "serep"] = ""
+    """Expansion of the test shapes to the whole deck, for the report (none if not given) and the
+    error indicators (hybrid).
+    """
 
     @field_validator("lock", "forbid")
     @classmethod
@@ -206,31 +208,35 @@ class CorrelateSection(Section):
         return gates if own is None else replace(gates, frequency_gate=own, reach=1.0)
 
 
-class StudyInfo(Section):
+class StudyInfo(StudySection):
     """What is studied."""
 
     title: str = "Model validation"
-    system: str = ""  # a paragraph or more for the report
+    """Of the report."""
+    system: str = ""
+    """A paragraph or more for the report."""
     seed: int = 0
+    """Of all random numbers."""
 
 
-class ModelSection(Section):
+class ModelSection(StudySection):
     """The deck."""
 
     deck: str
+    """Main file of the bulk data."""
     units: UnitName = "SI"
-    fmax: float | None = Field(
-        default=None, gt=0
-    )  # Hz, modes are computed up to here; None: as high as a pair may be
-    # of the modes of decks and of the updating: embedded, mystran, nastran, slepc, a plug-in
+    """Unit system of the deck."""
+    fmax: float | None = Field(default=None, gt=0)
+    """Modes are computed up to here, Hz; as high as a pair may be if not given."""
     solver: str = EMBEDDED
-    refine: int = Field(
-        default=0, ge=0, le=3
-    )  # how often the mesh is refined before anything is computed
-    regions: dict[str, list[int]] = {}  # name -> property numbers, for drawing and naming
+    """Of the modes of decks and of the updating: embedded, mystran, nastran, slepc, a plug-in."""
+    refine: int = Field(default=0, ge=0, le=3)
+    """How often the mesh is refined before anything is computed."""
+    regions: dict[str, list[int]] = {}
+    """Name -> property numbers, for drawing and naming."""
 
 
-class TestSection(Section):
+class TestSection(StudySection):
     """The measurements: the sensor sheet, and a crew's log that lists the records, measured FRFs,
     or modes.
 
@@ -238,15 +244,18 @@ class TestSection(Section):
     """
 
     sheet: str | None = None
+    """The sensor sheet, .csv or .xlsx; without it the modes are frequencies alone."""
     log: str | None = None
-    frfs: list[str] = []  # .uff, .h5, .npz, in place of hammer records
-    modes: str | None = (
-        None  # .json, .h5, .uff, .csv, .xlsx: identified elsewhere, or by `ringtrue ema` or `oma`
-    )
-    leave_out: list[
-        str
-    ] = []  # channels that are not used: broken, or on a part that the deck does not have
-    lines: str | None = None  # pairs of points to draw
+    """The crew's log, .json: lists the records."""
+    frfs: list[str] = []
+    """Measured FRFs in place of hammer records: .uff, .h5, .npz."""
+    modes: str | None = None
+    """Modes identified elsewhere, or by `ringtrue ema` or `oma`: .json, .h5, .uff, .csv, .xlsx.
+    """
+    leave_out: list[str] = []
+    """Channels that are not used: broken, or on a part that the deck does not have."""
+    lines: str | None = None
+    """Pairs of points to draw."""
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
@@ -259,17 +268,21 @@ class TestSection(Section):
         return self
 
 
-class IdentifySection(Section):
+class IdentifySection(StudySection):
     """Bands of the identification; None: found from the data."""
 
     ambient_fmin: float | None = None
+    """Lower end of the band of ambient records, Hz."""
     ambient_fmax: float | None = None
+    """Upper end, Hz."""
     hammer_fmin: float | None = None
+    """Lower end of the band of FRFs, Hz."""
     hammer_fmax: float | None = None
-    confidence: float = Field(default=0.5, ge=0, le=1)  # modes below are not used, but listed
-    choice: str | None = (
-        None  # a choice of modes by hand, .toml or .json; records by their names, or "hammer"
-    )
+    """Upper end, Hz."""
+    confidence: float = Field(default=0.5, ge=0, le=1)
+    """Modes below are not used, but listed."""
+    choice: str | None = None
+    """A choice of modes by hand, .toml or .json; records by their names, or "hammer"."""
 
     @model_validator(mode="after")
     def _bands(self) -> Self:
@@ -278,15 +291,21 @@ class IdentifySection(Section):
         return self
 
 
-class Candidate(Section):
+class CandidateSection(StudySection):
     """One uncertain region: `targets = ["MAT1 7 E", "PBUSH 3 K1,K2,K3"]`."""
 
     name: str
+    """Of the parameter."""
     targets: list[str]
+    """Card fields with one common factor, as in "PBUSH 3 K1,K2,K3"."""
     lower: float = 0.2
+    """Lower bound of the factor."""
     upper: float = 5.0
+    """Upper bound of the factor."""
     std: float = Field(default=0.7, gt=0)
+    """Prior standard deviation of x."""
     scale: Literal["log", "linear"] = "log"
+    """x is the logarithm of the factor, or the factor less 1."""
 
     @field_validator("targets")
     @classmethod
@@ -336,30 +355,36 @@ def target_words(parameter: Parameter) -> list[str]:
     return [] if partly else [f"{card} {','.join(some)}" for card, some in fields.items()]
 
 
-class LocaliseSection(Section):
+class LocaliseSection(StudySection):
     """Where the model is wrong: error indicators, and a proposal of parameters."""
 
-    most: int = Field(default=8, gt=0)  # parameters that are proposed
+    most: int = Field(default=8, gt=0)
+    """Parameters that are proposed."""
     kinds: list[Kind] = ["material", "property", "spring", "lump"]
-    pool: int = Field(
-        default=24, ge=0
-    )  # candidates made from the deck that are looked at closely; 0: none is made
-    alike: float = Field(
-        default=0.95, gt=0, le=1
-    )  # |cosine| from which on the data cannot tell two apart
+    """Of candidates that are made from the deck."""
+    pool: int = Field(default=24, ge=0)
+    """Candidates made from the deck that are looked at closely; 0: none is made."""
+    alike: float = Field(default=0.95, gt=0, le=1)
+    """|cosine| from which on the data cannot tell two candidates from each other."""
 
 
-class DampingRegionSection(Section):
+class DampingRegionSection(StudySection):
     """A region with one loss factor, `targets = ["MAT1 7 GE"]`, or one dashpot, `targets = ["PBUSH
     3 B1,B2"]`.
     """
 
     name: str
+    """Of the region."""
     targets: list[str]
+    """Card fields of one loss factor, or of one dashpot."""
     lower: float = Field(default=0.0, ge=0)
+    """Lower bound."""
     upper: float | None = Field(default=None, gt=0)
+    """Upper bound."""
     expected: float | None = Field(default=None, ge=0)
+    """Before the data; typical of the kind if not given."""
     std: float | None = Field(default=None, gt=0)
+    """Standard deviation of that."""
 
     @model_validator(mode="after")
     def _readable(self) -> Self:
@@ -379,47 +404,65 @@ class DampingRegionSection(Section):
         )
 
 
-class DampingSection(Section):
+class DampingSection(StudySection):
     """Damping after stiffness and mass: loss factors and dashpots by region."""
 
-    region: list[DampingRegionSection] = []  # empty: one a material and one a spring group
-    error: float = Field(
-        default=0.1, gt=0
-    )  # of a mode's damping by the model's shapes, relative, 1 sigma
-    write: bool = False  # into GE and B of a copy of the delivered deck, out/damped
+    region: list[DampingRegionSection] = []
+    """One a material and one a group of springs if empty."""
+    error: float = Field(default=0.1, gt=0)
+    """Of a mode's damping by the model's shapes, relative, 1 sigma."""
+    write: bool = False
+    """Into GE and B of a copy of the delivered deck, `damped`."""
 
 
-class PredictSection(Section):
+class PredictSection(StudySection):
     """Running the rotor: what `ringtrue predict` computes."""
 
-    rotor: int  # node that the unbalance acts on
-    mass: float = Field(gt=0)  # kg
+    rotor: int
+    """Node that the unbalance acts on."""
+    mass: float = Field(gt=0)
+    """Of the rotor, kg."""
     axis: Literal["X", "Y", "Z"] = "X"
-    grade: float = Field(default=2.5, gt=0)  # balance grade G, mm/s
-    service: float = Field(default=50.0, gt=0)  # Hz
-    fmax: float = Field(default=200.0, gt=0)  # Hz
-    springs: dict[str, list[int]] = {}  # name -> PBUSH numbers
-    lines: int = Field(default=800, ge=2)  # speeds
-    draws: int = Field(default=60, ge=20)  # of the posterior
-    level: float = Field(default=0.9, ge=0.5, le=0.95)  # of the bands
+    """Of the rotor."""
+    grade: float = Field(default=2.5, gt=0)
+    """Balance grade G (ISO 21940-11), mm/s."""
+    service: float = Field(default=50.0, gt=0)
+    """Service speed, Hz."""
+    fmax: float = Field(default=200.0, gt=0)
+    """Highest speed, Hz."""
+    springs: dict[str, list[int]] = {}
+    """Name -> PBUSH numbers whose forces are wanted."""
+    lines: int = Field(default=800, ge=2)
+    """Number of speeds."""
+    draws: int = Field(default=60, ge=20)
+    """Of the posterior."""
+    level: float = Field(default=0.9, ge=0.5, le=0.95)
+    """Probability of the bands."""
 
 
-class ConfigurationSection(Section):
+class ConfigurationSection(StudySection):
     """Another state of the structure with a test of its own; its deck, or cards that the deck of
     the study gets.
     """
 
     name: str
+    """Names a folder, too."""
     deck: str | None = None
-    cards: str | None = None  # a file; its cards are added to the (remodelled) deck of the study
+    """Its own deck, in place of `cards`."""
+    cards: str | None = None
+    """A file of cards that are added to the (remodelled) deck of the study."""
     sheet: str | None = None
-    log: str | None = None  # of the crew, or
-    modes: str | None = (
-        None  # test modes, as above; without a sheet channels are DOFs such as 101+Z
-    )
+    """The sensor sheet."""
+    log: str | None = None
+    """Of the crew, in place of `modes`."""
+    modes: str | None = None
+    """A file of test modes; without a sheet channels are DOFs such as 101+Z."""
     lines: str | None = None
-    choice: str | None = None  # as under [identify], of this log
-    left_out: int = Field(default=0, ge=0)  # modes that the updating must not see
+    """Pairs of points to draw."""
+    choice: str | None = None
+    """As under [identify], of this log."""
+    left_out: int = Field(default=0, ge=0)
+    """Modes that the updating must not see."""
 
     @field_validator("name")
     @classmethod
@@ -443,8 +486,10 @@ class ConfigurationSection(Section):
         return self
 
 
-class ReportSection(Section):
+class ReportSection(StudySection):
     """The report."""
 
     photos: list[str] = []
+    """Files of pictures."""
     captions: list[str] = []
+    """One a picture."""

@@ -5,64 +5,64 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
-ModalKind = Literal["eigenvalues", "frequencies", "shapes", "mac", "orthogonality"]
+from ringtrue.study.config_sections import StudySection
+
+ModalKind = Literal["eigenvalues", "frequencies", "shapes", "mac"]
 Positive = Annotated[float, Field(gt=0)]
 
 
 FREQUENCY_KINDS = ("eigenvalues", "frequencies")  # residuals that need no shapes
-Step = Literal["gauss-newton", "published", "levenberg-marquardt", "trust-region"]
-Search = Literal["starts", "global"]
 Discrepancy = Literal["found", "assumed", "evidence"]
 Prior = Literal["study", "evidence", "gcv", "l-curve"]
-Robust = Literal["squares", "huber", "tukey"]
+Robust = Literal["squares", "huber"]
 BEGINS: dict[str, object] = {
-    "search": "starts",
     "starts": 1,
     "stages": [],
 }  # where an updating begins: at the deck
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
-
-
-class RemodelSection(_Section):
+class RemodelSection(StudySection):
     """A stated edit of the deck before updating: cards added to one of its files."""
 
     file: str
+    """File of the deck that gets the cards."""
     cards: str
+    """File of the cards."""
     reason: str
+    """Of the change, for the report."""
 
 
-class UpdateSection(_Section):
+class UpdateSection(StudySection):
     """Updating."""
 
-    # the proposal of the localisation is a parameter set; the only one without [[candidate]]
     propose: bool = False
+    """The proposal of the localisation is a parameter set; the only one without [[candidate]]."""
     choose: int = Field(default=6, gt=0)
-    left_out: int | None = Field(default=None, ge=0)  # modes to judge by; None: a third, 5 at most
-    step: Step = "trust-region"
+    """Parameters of a set that is chosen by a rule."""
+    left_out: int | None = Field(default=None, ge=0)
+    """Modes to judge the result by; a third, 5 at most, if not given."""
     shape_weight: float = Field(default=1.0, ge=0)
+    """Of shapes over frequencies."""
     iterations: int = Field(default=30, gt=0)
-    residuals: list[ModalKind] = ["eigenvalues", "shapes"]  # of the paired modes
-    frequency_error: Positive = (
-        0.01  # relative, that the best model of this form keeps; the test's own is added
-    )
-    mac_error: Positive = 0.05  # of 1 - MAC
-    orthogonality_error: Positive = 0.05  # of a term of the cross-orthogonality
-    discrepancy: Discrepancy = (
-        "found"  # errors of the kinds of residuals: as left over, as given, or as likely
-    )
-    prior: Prior = "study"  # rule for the weight of the prior
-    loss: Robust = "squares"  # against a wrong mode
-    starts: int = Field(default=1, gt=0)  # the first is the deck
-    # where it begins: at the best of these, or where a global search inside the bounds ends
-    search: Search = "starts"
-    stages: list[
-        list[str]
-    ] = []  # growing sets of candidates that are freed one after the other; in place of both
+    """Limit of each part of the updating."""
+    residuals: list[ModalKind] = Field(default=["eigenvalues", "shapes"])
+    """What is compared of the paired modes."""
+    frequency_error: Positive = 0.01
+    """That the best model of this form keeps, relative; that of the test is added."""
+    mac_error: Positive = 0.05
+    """The same of 1 - MAC."""
+    discrepancy: Discrepancy = "found"
+    """Errors of the kinds of residuals: as left over, as given, or as likely."""
+    prior: Prior = "study"
+    """Rule for the weight of the prior."""
+    loss: Robust = "squares"
+    """Against a wrong mode."""
+    starts: int = Field(default=1, gt=0)
+    """Number of starts; the first is the deck."""
+    stages: list[list[str]] = Field(default=[])
+    """Growing sets of candidates that are freed one after the other, in place of starts."""
 
     @field_validator("residuals")
     @classmethod
@@ -101,12 +101,7 @@ class UpdateSection(_Section):
             self.model_fields_set & {"frequency_error", "mac_error"}
             and "discrepancy" not in self.model_fields_set
         )
-        return (
-            self.discrepancy == "found"
-            and not given
-            and self.loss == "squares"
-            and self.step != "published"
-        )
+        return self.discrepancy == "found" and not given and self.loss == "squares"
 
     @property
     def plain(self) -> bool:
@@ -116,11 +111,6 @@ class UpdateSection(_Section):
         usual = self.loss == "squares" and self.prior == "study" and self.discrepancy != "evidence"
         at_the_deck = all(getattr(self, n) == v for n, v in BEGINS.items())
         return usual and set(self.residuals) == {"eigenvalues", "shapes"} and at_the_deck
-
-    @property
-    def one_start(self) -> bool:
-        """Whether there is one start, at the deck."""
-        return self.starts == 1 and self.search == "starts"
 
 
 def begins_once(settings: Mapping[str, object]) -> None:
@@ -134,20 +124,19 @@ def begins_once(settings: Mapping[str, object]) -> None:
     asked = [n for n, plain in BEGINS.items() if settings.get(n) not in (None, plain)]
     if len(asked) > 1:
         raise ValueError(
-            f"{' and '.join(asked)}: an updating begins in one way: starts = N, stages, or "
-            'search = "global", which '
-            "needs neither"
+            f"{' and '.join(asked)}: an updating begins in one way: starts = N or stages"
         )
 
 
-class UncertaintySection(_Section):
+class UncertaintySection(StudySection):
     """How well the updated parameters and what the model predicts are known."""
 
-    folds: int = Field(default=5, ge=2)  # of the used modes, each left out once
-    level: float = Field(default=0.9, gt=0, lt=1)  # of intervals and bands
-    samples: int = Field(
-        default=0, ge=0
-    )  # of the posterior by Markov chains; 0: the normal approximation alone
+    folds: int = Field(default=5, ge=2)
+    """Of the used modes, each left out once."""
+    level: float = Field(default=0.9, gt=0, lt=1)
+    """Probability of intervals and bands."""
+    samples: int = Field(default=0, ge=0)
+    """Of the posterior by Markov chains; 0: the normal approximation alone."""
 
 
 AUTOMATIC = frozenset(
@@ -158,27 +147,25 @@ JUDGED = (
     "shape_weight",
     "frequency_error",
     "mac_error",
-    "orthogonality_error",
     "loss",
 )
 
 
-class SetSection(_Section):
+class SetSection(StudySection):
     """A parameter set to compare: some candidates, and what it does otherwise than [update]."""
 
     name: str
-    candidates: list[str] = []  # by name; empty: all
-    step: Step | None = None
+    """Of the set."""
+    candidates: list[str] = Field(default=[])
+    """By name; all if empty. The other keys are as under [update]."""
     shape_weight: float | None = Field(default=None, ge=0)
     residuals: list[ModalKind] | None = None
     frequency_error: Positive | None = None
     mac_error: Positive | None = None
-    orthogonality_error: Positive | None = None
     discrepancy: Discrepancy | None = None
     prior: Prior | None = None
     loss: Robust | None = None
     starts: int | None = Field(default=None, gt=0)
-    search: Search | None = None
 
     @model_validator(mode="after")
     def _one_beginning(self) -> Self:
@@ -204,20 +191,22 @@ class SetSection(_Section):
 
     def words(self) -> str:
         """What it does otherwise, in words."""
-        return ", ".join(f"{k.replace('_', ' ')} {_word(v)}" for k, v in self.own().items())
+        words = []
+        for key, value in self.own().items():
+            text = " ".join(value) if isinstance(value, list) else str(value)
+            words.append(f"{key.replace('_', ' ')} {text}")
+        return ", ".join(words)
 
 
-def _word(value: object) -> str:
-    return " ".join(value) if isinstance(value, list) else str(value)
-
-
-class ConstraintSection(_Section):
+class ConstraintSection(StudySection):
     """Σ factor · x <= most over candidates by name; x is ln(updated/initial), or updated/initial −
     1 where linear.
     """
 
     terms: dict[str, float]
+    """Factor of each candidate."""
     most: float = 0.0
+    """Upper limit of the sum."""
 
     @field_validator("terms")
     @classmethod
@@ -229,61 +218,83 @@ class ConstraintSection(_Section):
         return value
 
 
-class _Data(_Section):
+class _DataResidual(StudySection):
     name: str = ""
+    """In results; the kind if not given."""
     weight: Positive = 1.0
-    configuration: str | None = None  # that it was measured on; the study's own deck if not given
+    """On the squares."""
+    configuration: str | None = None
+    """That it was measured on; the study's own deck if not given."""
 
 
-class FrfResidual(_Data):
+class FrfResidual(_DataResidual):
     """Measured FRFs; each counts as one datum."""
 
     kind: Literal["frf"]
-    file: str | None = None  # .uff, .h5 or .npz; None: those of the hammer test
+    file: str | None = None
+    """.uff, .h5 or .npz; the FRFs of the test if not given."""
     form: Literal["log", "complex"] = "log"
-    error: Positive = 0.3  # of ln|H|, or of H over its root mean square
-    fmin: float | None = None  # Hz; None: around the modes of the test
+    """Logarithms of the moduli, or complex values."""
+    error: Positive = 0.3
+    """Of ln|H|, or of H over its root mean square."""
+    fmin: float | None = None
+    """Lower end of the band, Hz; around the modes of the test if not given."""
     fmax: float | None = None
-    count: int = Field(default=60, gt=0)  # lines, spread evenly over the measured ones
-    lines: list[Positive] = []  # Hz; chosen by hand
-    outputs: list[str] = []  # channels; empty: all
-    inputs: list[str] = []
-    damping: float | None = Field(
-        default=None, ge=0
-    )  # of all modes; None: as the test modes have, by frequency
+    """Upper end, Hz."""
+    count: int = Field(default=60, gt=0)
+    """Lines, spread evenly over the measured ones."""
+    lines: list[Positive] = Field(default=[])
+    """Chosen by hand, Hz."""
+    outputs: list[str] = Field(default=[])
+    """Channels; all if empty."""
+    inputs: list[str] = Field(default=[])
+    """Channels; all if empty."""
+    damping: float | None = Field(default=None, ge=0)
+    """Ratio of all modes; as the test modes have, by frequency, if not given."""
 
 
-class AntiResonanceResidual(_Data):
+class AntiResonanceResidual(_DataResidual):
     """Zeros of one FRF, in Hz."""
 
     kind: Literal["anti-resonances"]
     output: str
+    """Channel of the response."""
     input: str
+    """Channel of the force."""
     frequencies: list[Positive]
+    """Of the zeros, Hz."""
     error: Positive = 0.01
-    gate: Positive = 0.3  # largest relative deviation of a pair
+    """Relative."""
+    gate: Positive = 0.3
+    """Largest relative deviation of a pair."""
 
 
-class StaticResidual(_Data):
+class StaticResidual(_DataResidual):
     """A table of static tests with the columns case, channel, load (N), deflection (m)."""
 
     kind: Literal["static"]
     file: str
-    error: Positive = 0.02  # relative to the root mean square of the case
+    """.csv or .xlsx."""
+    error: Positive = 0.02
+    """Relative to the root mean square of the case."""
 
 
-class MassResidual(_Data):
+class MassResidual(_DataResidual):
     """A weighing."""
 
     kind: Literal["mass"]
-    mass: float | None = Field(default=None, gt=0)  # kg
-    mass_error: Positive = 0.005  # relative
-    center: list[float] | None = None  # m, basic frame; nan where not measured
-    center_error: Positive = 0.01  # m
-    inertia: list[float] | None = (
-        None  # kg m², Ixx Iyy Izz Ixy Iyz Izx (tensor) about the centre of gravity
-    )
-    inertia_error: Positive = 0.02  # relative to the largest
+    mass: float | None = Field(default=None, gt=0)
+    """kg."""
+    mass_error: Positive = 0.005
+    """Relative."""
+    center: list[float] | None = None
+    """m, basic frame; nan where not measured."""
+    center_error: Positive = 0.01
+    """m."""
+    inertia: list[float] | None = None
+    """kg m², Ixx Iyy Izz Ixy Iyz Izx (tensor) about the centre of gravity."""
+    inertia_error: Positive = 0.02
+    """Relative to the largest."""
 
     @model_validator(mode="after")
     def _complete(self) -> Self:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,61 +11,72 @@ from scipy import sparse
 
 from ringtrue.core.arrays import Bool, Float
 from ringtrue.core.dofs import DofSet
+from ringtrue.core.iterate import Progress, part, quiet
 from ringtrue.core.modes import ModeSet
-from ringtrue.core.progress import Progress, part, quiet
-from ringtrue.core.testmodel import Observation, TestModel
+from ringtrue.core.testmodel import Observation
+from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.errors import DataError, NumericalError, about
 from ringtrue.io.modes import read_modes, read_std
-from ringtrue.io.sheets import read_sensor_sheet
+from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModalSolver, ModesRequest
-from ringtrue.reduction.parametric import ReducedModel, condensed, modes_of
-from ringtrue.shapes.complexity import realise_modes
-from ringtrue.solvers.observed import PRINTED, UNTOLD, FullModel, reduced
+from ringtrue.reduction.basis import observed_system
+from ringtrue.reduction.expansion import ShapeReadings
+from ringtrue.reduction.parametric import (
+    KnownModes,
+    ReducedModel,
+    condensed,
+    modes_of,
+    reduced_model,
+)
+from ringtrue.shapes import realise_modes
+from ringtrue.solvers.observed import FullModel, reduced
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.config_update import UpdateSection
 from ringtrue.study.measured_data import (
-    NO_FRFS,
     Data,
     Measured,
+    MeasuredModel,
+    Source,
     channels_of,
     check_moving,
     excited,
     flexible,
     read_measured,
-    residual_data,
     rigid_mass,
 )
 from ringtrue.study.objective import (
     LOSSES,
+    Minimisation,
     constraints,
-    course_of,
+    course_of_runs,
     further_starts,
-    mass_at,
-    minimise,
     modal_terms,
 )
 from ringtrue.study.opened import AtChannels, Opened, lump_places, with_lumps
-from ringtrue.study.placing import placed, seats
+from ringtrue.study.placing import alignment, placed, seats
 from ringtrue.study.reference import highest, locks, measured_part, settings
 from ringtrue.study.results import Seat
 from ringtrue.study.supplied import pair_frequencies, supplied_frfs, without_channels
-from ringtrue.updating.identifiability import ALIKE, stood_for, unmoved
-from ringtrue.updating.problem import Configuration, Problem
+from ringtrue.updating.identifiability import stood_for, unmoved
+from ringtrue.updating.problem import Configuration, Problem, single
 from ringtrue.updating.residuals.modal import Weighted
 from ringtrue.updating.selection.candidates import Candidate, CandidateSettings, membership
-from ringtrue.updating.selection.effects import Dropped, effective, reduced_candidates
+from ringtrue.updating.selection.candidates import parameters as candidate_parameters
 from ringtrue.updating.selection.generation import generate
-from ringtrue.updating.selection.localisation import reduced_errors
+from ringtrue.updating.selection.localisation import EXPANSION_MISFIT, reduced_errors
 from ringtrue.updating.selection.proposal import Proposal, propose
 from ringtrue.updating.selection.screening import (
-    LEADING,
-    SMALL,
+    SIZES,
+    Dropped,
+    ScreenedDeck,
     conflicts,
     drawn,
+    effective,
     passed_over,
     screened,
 )
+from ringtrue.updating.selection.subset_search import SearchSettings
 from ringtrue.updating.solver import Solution
 from ringtrue.updating.strategy import Verified, displaced, solve_verified, whole_cost
 from ringtrue.updating.target import Target, Weights, match
@@ -95,7 +107,8 @@ def read_target(
     whole, (spread, _), notes = read_modes(test), read_std(test), tuple[str, ...]()
     if len(whole) and not whole.channels:
         found = pair_frequencies(whole, opened, settings(config), locks(config))
-        whole, notes = found.modes, found.notes
+        whole = found.modes
+        notes = found.notes
         config = config.model_copy(update={"test": None, "update": config.update.of_frequencies()})
     if config.test:
         whole = without_channels(whole, config.test.leave_out)
@@ -115,7 +128,7 @@ def read_target(
         used=used,
         weights=weights,
         pairing=settings(config),
-        lent=modes.lent,
+        frequency_only=modes.frequency_only,
     )
     return config, target, modes, notes
 
@@ -128,22 +141,59 @@ def direct_problem(
     base: Path,
     engine: ModalSolver | None,
 ) -> tuple[Problem, tuple[Data, ...], tuple[Seat, ...]]:
-    """The objective on a deck, what was measured beside the modes, and where the channels on a
-    sheet are read.
+    """The objective on a deck, its [[residual]]s, and where the channels on a sheet are read.
 
     On a reduced model, or on the modes that `engine` finds anew at each point; `base` is the folder
     of the study.
     """
+    assert config.model is not None
+    parameters = config.candidates()
+    c = config.correlate
+    sheet = _sheet(opened, config, base)
+    top = highest(target.frequencies, target.pairing)
+
+    def observed(channels: tuple[str, ...], dofs: DofSet | None = None) -> Observation:
+        named = config.test.sheet if config.test else None
+        with about(base / named) if named else nullcontext():
+            return placed(opened, channels, sheet, tolerance=c.tolerance, method=c.match, dofs=dofs)
+
+    data: tuple[Data, ...] = ()
+    model: AtChannels | FullModel
     if engine is None:
-        problem, data, seen = _reduced(opened, config, target, modes, base)
-    else:
-        problem, seen = _by_runs(
-            opened, config, target=target, modes=modes, engine=engine, base=base
+        measured = _measured(config, modes, base, sheet)
+        every = dict.fromkeys((*modes.channels, *channels_of(measured)))
+        at = {name: i for i, name in enumerate(every)}
+        look = observed(modes.channels)
+        if more := tuple(every)[len(modes.channels) :]:
+            with about("[[residual]]"):
+                look = look.and_also(observed(more))
+        basis = reduced(opened.model, parameters, look, len(opened.modes(top).modes))
+        check_moving(measured, at, basis.basis.observe)
+        loaded = excited(measured, at)
+        rows = np.arange(len(modes.channels))
+        model = AtChannels(flexible(basis, measured, loaded), rows, loaded)
+        on = MeasuredModel(
+            at,
+            UNIT_SYSTEMS[config.model.units],
+            lambda: rigid_mass(opened.model, parameters),
+            tuple(range(len(parameters))),
         )
-        data = ()
-    sheet = _sheet(config, base)
-    places = seats(seen, sheet) if sheet is not None else ()
-    return replace(problem, loss=LOSSES[config.update.loss]), data, places
+        data = tuple(m.data(on) for m in measured)
+    else:
+        with engine.open(opened.model) as analysis:
+            look = observed(modes.channels, analysis.dofs)
+        request = ModesRequest(2 * len(modes))
+        full = FullModel(opened.model, parameters, look, request, engine)
+        model = full.reaching(top)
+    terms = (*modal_terms(config.update), *(Weighted(d.term, d.weight) for d in data))
+    limit_rows, limits = constraints(config, parameters)
+    problem = Problem(
+        (Configuration(model, target, terms),),
+        loss=LOSSES[config.update.loss],
+        rows=limit_rows,
+        limits=limits,
+    )
+    return problem, data, seats(look, sheet.model) if sheet is not None else ()
 
 
 def not_told_apart(problem: Problem) -> dict[str, tuple[str, ...]]:
@@ -165,104 +215,35 @@ def unmoved_by(solution: Solution) -> Bool:
     return unmoved(solution.x, solution.std, slopes)
 
 
-def _reduced(
-    opened: Opened, config: StudyConfig, target: Target, modes: ModeSet, base: Path
-) -> tuple[Problem, tuple[Data, ...], Observation]:
-    """The objective on the reduced model of the deck, what was measured beside the modes, and the
-    channels of both.
-    """
-    assert config.model is not None
-    model, parameters, units = opened.model, config.candidates(), config.model.units
-    found = _measured(config, modes, base)
-    named = tuple(dict.fromkeys((*modes.channels, *channels_of(found))))
-    at = {c: i for i, c in enumerate(named)}
-    loaded = excited(found, at)
-    observation = _observation(opened, config, modes.channels, base)
-    if more := named[len(modes.channels) :]:
-        with about("[[residual]]"):
-            observation = observation.and_also(_observation(opened, config, more, base))
-    top = highest(target.frequencies, target.pairing)
-    count = len(opened.modes(top).modes)
-    basis = reduced(model, parameters, observation, count)
-    check_moving(found, at, basis.basis.observe)
-    seen = AtChannels(flexible(basis, found, loaded), np.arange(len(modes.channels)), loaded)
-    every = tuple(range(len(parameters)))
-    data = tuple(
-        residual_data(m, at, units, lambda: rigid_mass(model, parameters), every) for m in found
-    )
-    modal = modal_terms(
-        config.update, lambda: mass_at(opened, observation, modes.channels, config, top)
-    )
-    terms = (*modal, *(Weighted(d.term, d.weight) for d in data))
-    rows, limits = constraints(config, parameters)
-    return (
-        Problem((Configuration(seen, target, terms),), rows=rows, limits=limits),
-        data,
-        observation,
-    )
-
-
-def _measured(config: StudyConfig, modes: ModeSet, base: Path) -> list[Measured]:
-    """What was measured beside the modes; FRFs without a file are those of [test] frfs."""
-    frfs, why = None, NO_FRFS
-    if config.test is not None and any(s.kind == "frf" and s.file is None for s in config.residual):
-        files = [base / f for f in config.test.frfs]
-        if (sheet := _sheet(config, base)) is not None:
-            frfs, _ = supplied_frfs(files, sheet, config.test.leave_out)
-        if config.test.log and not files:
+def _measured(
+    config: StudyConfig, modes: ModeSet, base: Path, sheet: SensorSheet | None
+) -> list[Measured]:
+    """What the [[residual]]s name; FRFs without a file are those of [test] frfs."""
+    source = Source(base, modes)
+    frfs = None
+    test = config.test
+    if test is not None and any(s.kind == "frf" and s.file is None for s in config.residual):
+        files = [base / f for f in test.frfs]
+        if sheet is not None:
+            frfs, _ = supplied_frfs(files, sheet.model, test.leave_out)
+        if test.log and not files:
             why = (
-                f"`ringtrue run` makes FRFs of the hammer records of {config.test.log}, an "
+                f"`ringtrue run` makes FRFs of the hammer records of {test.log}, an "
                 "updating by itself does not"
             )
-    return [read_measured(s, base, modes, frfs, why) for s in config.residual]
+            source = replace(source, why=why)
+    return [read_measured(s, replace(source, frfs=frfs)) for s in config.residual]
 
 
-def _sheet(config: StudyConfig, base: Path) -> TestModel | None:
-    """The sensor sheet of the study, if it has one."""
-    return (
-        read_sensor_sheet(base / config.test.sheet).model
-        if config.test and config.test.sheet
-        else None
-    )
-
-
-def _observation(
-    opened: Opened,
-    config: StudyConfig,
-    channels: tuple[str, ...],
-    base: Path,
-    dofs: DofSet | None = None,
-) -> Observation:
-    """The channels of the test modes: on the sheet of the study, if it has one."""
-    sheet, c = (
-        base / config.test.sheet if config.test and config.test.sheet else None,
-        config.correlate,
-    )
-    return placed(
-        opened, channels, sheet, tolerance=c.tolerance, method=c.match, align=c.align, dofs=dofs
-    )
-
-
-def _by_runs(
-    opened: Opened,
-    config: StudyConfig,
-    target: Target,
-    modes: ModeSet,
-    engine: ModalSolver,
-    base: Path,
-) -> tuple[Problem, Observation]:
-    """The objective on the modes that a solver finds anew at each point, and the channels."""
-    model, parameters = opened.model, config.candidates()
-    with engine.open(model) as analysis:
-        observation = _observation(opened, config, modes.channels, base, analysis.dofs)
-    full = FullModel(model, parameters, observation, ModesRequest(2 * len(modes)), engine)
-    top = highest(target.frequencies, target.pairing)
-    full = full.reaching(top)
-    terms = modal_terms(
-        config.update, lambda: mass_at(opened, observation, modes.channels, config, top)
-    )
-    rows, limits = constraints(config, parameters)
-    return Problem((Configuration(full, target, terms),), rows=rows, limits=limits), observation
+def _sheet(opened: Opened, config: StudyConfig, base: Path) -> SensorSheet | None:
+    """The sensor sheet of the study, laid onto the deck; None without one."""
+    if config.test is None or config.test.sheet is None:
+        return None
+    sheet = read_sensor_sheet(base / config.test.sheet)
+    if not config.correlate.align:
+        return sheet
+    found = alignment(sheet.model, opened, config.correlate.align)
+    return replace(sheet, model=found.move(sheet.model))
 
 
 def solved(
@@ -275,7 +256,8 @@ def solved(
     """
     if isinstance(problem.configurations[0].model, FullModel):
         return _on_full(problem, u, seed, checkpoint, show)
-    done, more = _on_basis(problem, u, seed, checkpoint, show), further_starts(u)
+    done = _on_basis(problem, u, seed, checkpoint, show)
+    more = further_starts(u)
     if more is None or checkpoint is not None or not displaced(problem, done.solution.end):
         return done
     show(0.5, "modes without partner: further starts")
@@ -290,10 +272,9 @@ def _on_full(
     problem: Problem, u: UpdateSection, seed: int, checkpoint: Path | None, show: Progress
 ) -> Verified:
     """On modes that a solver finds anew at each point."""
-    model, course = problem.configurations[0].model, course_of(u)
+    model = problem.configurations[0].model
     assert isinstance(model, FullModel)
-    course = replace(course, method=replace(course.method, step=PRINTED, gradient=UNTOLD))
-    end = minimise(problem, u, seed, show, course=course, told=show, checkpoint=checkpoint)
+    end = Minimisation(u, seed, course_of_runs(u), show, checkpoint).run(problem, show)
     return Verified(end.solution, end.problem, 0.0, model.ledger.runs)
 
 
@@ -301,7 +282,7 @@ def _on_basis(
     problem: Problem, u: UpdateSection, seed: int, checkpoint: Path | None, show: Progress
 ) -> Verified:
     def at(p: Problem, y: Float | None) -> tuple[Solution, Problem]:
-        end = minimise(p, u, seed, show, start=y, checkpoint=checkpoint)
+        end = Minimisation(u, seed, checkpoint=checkpoint).run(p, show, start=y)
         return end.solution, end.problem
 
     return solve_verified(problem, solved=at, tolerance=AGREE, progress=show)
@@ -342,8 +323,7 @@ def propose_parameters(
     test: ModeSet,
     bridge: Observation,
     settings: CandidateSettings,
-    pool: int,
-    most: int,
+    limits: tuple[int, int],
     progress: Progress = quiet,
 ) -> DirectProposal:
     """Which of the candidates made from a deck the modes of a test ask for.
@@ -356,65 +336,65 @@ def propose_parameters(
         the shapes are those of the deck (`study.supplied`), frequencies alone are compared.
     bridge : Observation
     settings : CandidateSettings
-    pool, most : int
+    limits : (int, int)
         Candidates that are looked at closely, and parameters that are proposed, at most.
     """
-    model, analysis, every = opened.model, opened.analysis, generate(opened.model, settings)
+    model = opened.model
+    analysis = opened.analysis
+    every = generate(model, settings)
+    pool, most = limits
     if "lump" in settings.kinds:
         model, more = with_lumps(opened, lump_places(opened, bridge), settings)
         every += more
     test = test.take(np.flatnonzero(test.frequencies > 0))
-    weights, used = Weights(shape=0.0) if test.lent else Weights(), np.ones(len(test), dtype=bool)
-    aim = Target(test.frequencies, test.shapes, np.zeros(len(test)), used, weights, lent=test.lent)
+    aim = Target(
+        frequencies=test.frequencies,
+        shapes=test.shapes,
+        std=np.zeros(len(test)),
+        used=np.ones(len(test), dtype=bool),
+        weights=Weights(shape=0.0) if test.frequency_only else Weights(),
+        frequency_only=test.frequency_only,
+    )
     count = _mode_count(len(test))
     modes = analysis.eigen(ModesRequest(modes_of(count)), part(progress, 0.0, 0.1))
     progress(0.1, f"energies of {len(every)} candidates")
     moved, lost = effective(model, analysis.system, every, modes.values, modes.vectors)
 
     def reduced_to(some: tuple[Candidate, ...], progress: Progress = quiet) -> ReducedModel:
-        return reduced_candidates(
-            model,
-            analysis.system,
-            some,
-            bridge,
-            count,
-            pencil=analysis.pencil,
-            modes=modes,
-            progress=progress,
+        early = part(progress, 0.0, 0.5)
+        affine = observed_system(
+            model, analysis.system, candidate_parameters(some), bridge, progress=early
         )
+        known = KnownModes(analysis.pencil, modes)
+        return reduced_model(affine, count, known=known, progress=part(progress, 0.5, 1.0))
 
     def small(whole: ReducedModel, some: tuple[Candidate, ...]) -> ReducedModel:
         points = drawn(whole.parameters, conflicts(model, some), np.random.default_rng(0))
-        return condensed(whole, points, max(SMALL, 2 * whole.count))
+        return condensed(whole, points, max(SIZES.vectors, 2 * whole.count))
 
     def look(some: tuple[Candidate, ...]) -> tuple[ReducedModel, ReducedModel]:
         whole = reduced_to(some)
-        return small(replace(whole, count=min(whole.count, _mode_count(LEADING))), some), whole
+        return small(replace(whole, count=min(whole.count, _mode_count(SIZES.modes))), some), whole
 
     progress(0.15, f"what {len(moved)} candidates explain")
-    keep = screened(
-        model,
-        analysis.system,
+    deck = ScreenedDeck(
+        model=model,
+        system=analysis.system,
         candidates=moved,
-        aim=aim,
         observe=sparse.csr_array(bridge.matrix @ analysis.system.transform),
-        modes=(modes.values, modes.vectors),
-        look=look,
-        pool=pool,
-        most=most,
-        alike=ALIKE,
-        progress=part(progress, 0.15, 0.4),
+        values=modes.values,
+        vectors=modes.vectors,
     )
+    search = SearchSettings(most)
+    keep = screened(deck, aim, look, pool, settings=search, progress=part(progress, 0.15, 0.4))
     reduced = reduced_to(keep, part(progress, 0.4, 0.55))
     progress(0.55, "error indicators")
     found = propose(
-        small(reduced, keep),
-        aim,
-        most=most,
-        apart=conflicts(model, keep),
+        single(small(reduced, keep), aim),
+        replace(search, passed_over=passed_over(moved, keep)),
+        conflicts=conflicts(model, keep),
         errors=_local_errors(opened, reduced, aim, keep),
         words=[c.what for c in keep],
-        passed_over=passed_over(moved, keep),
         progress=part(progress, 0.55, 1.0),
     )
     names = {c.name for c in keep}
@@ -438,17 +418,11 @@ def _local_errors(
 ) -> dict[str, Float]:
     """Concentration of the local errors on each candidate."""
     pairs, _, _ = match(aim, reduced.modes(np.zeros(len(keep))))
-    if not len(pairs) or aim.lent:
+    if not len(pairs) or aim.frequency_only:
         return {}
-    f, shapes = aim.frequencies[pairs[:, 0]], aim.shapes[:, pairs[:, 0]]
-    rows = np.arange(len(reduced.basis.observe))
-    found, _ = reduced_errors(
-        opened.model,
-        opened.analysis.system,
-        reduced=reduced,
-        rows=rows,
-        frequencies=f,
-        shapes=shapes,
-        partners=pairs[:, 1],
-    )
+    test = pairs[:, 0]
+    observe = reduced.basis.observe
+    readings = ShapeReadings(observe, aim.shapes[:, test], aim.frequencies[test], EXPANSION_MISFIT)
+    system = opened.analysis.system
+    found, _ = reduced_errors(opened.model, system, reduced, readings, pairs[:, 1])
     return dict(found.concentration(membership(opened.model, keep)))

@@ -10,42 +10,40 @@ from scipy import sparse
 from ringtrue.core.arrays import Complex, Float
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
-from ringtrue.core.progress import Progress
 from ringtrue.core.signals import FrfSet
 from ringtrue.core.testmodel import Observation
-from ringtrue.core.units import UNIT_SYSTEMS
+from ringtrue.core.units import UnitSystem
 from ringtrue.correlation.frf import compare_frfs, fdac
 from ringtrue.correlation.measures import complete
-from ringtrue.correlation.orthogonality import Gate, Lift
-from ringtrue.correlation.pairing import Pairing
-from ringtrue.correlation.tracking import Tracks, track
-from ringtrue.eigen.modes import low_shift
+from ringtrue.correlation.orthogonality import Gate, Lift, OrthogonalityTest
+from ringtrue.correlation.pairing import Pairing, Tracks, track
+from ringtrue.eigen.shift import low_shift
 from ringtrue.errors import ConfigError, InputError, NumericalError
 from ringtrue.fem.response import frf
 from ringtrue.reduction.expansion import (
     Expanded,
-    expand_dynamic,
+    ShapeReadings,
     expand_hybrid,
     expand_serep,
-    expand_static,
 )
 from ringtrue.reduction.static import craig_bampton_coordinates, craig_bampton_of, tam
-from ringtrue.shapes.mac import auto_mac
+from ringtrue.shapes import auto_mac
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.config_sections import CorrelateSection
+from ringtrue.study.measured_data import part_of_frfs
 from ringtrue.study.opened import Opened, scene_modes
-from ringtrue.study.reference import Reference, settings
-from ringtrue.study.results import Evidence, FrfEvidence, IdentifyStage, Scene
-from ringtrue.updating.selection.localisation import NOISE
+from ringtrue.study.reference import settings
+from ringtrue.study.results import Evidence, FrfEvidence, IdentifyStage, ReferenceModes, Scene
+from ringtrue.updating.selection.localisation import EXPANSION_MISFIT
 
 # entries of the transform of a test-analysis model that are built without being asked for
 LARGEST = 100_000_000
-LINES = 90  # of the FDAC: what can be told apart in a drawing
 
 
 def gate(config: CorrelateSection) -> Gate:
     """The limits of the cross-orthogonality."""
-    own, off = config.accept_orthogonality, config.accept_off_diagonal
+    own = config.accept_orthogonality
+    off = config.accept_off_diagonal
     return Gate(own / 100, off / 100, f"{own:g} % / {off:g} %")
 
 
@@ -117,7 +115,7 @@ def channel_mass(
 
 
 def evidence(
-    reference: Reference,
+    reference: ReferenceModes,
     fe: ModeSet,
     pairing: Pairing,
     config: StudyConfig,
@@ -127,7 +125,7 @@ def evidence(
 
     Parameters
     ----------
-    reference : Reference
+    reference : ReferenceModes
     fe : ModeSet
         At the channels of the sheet, mass-normalised.
     pairing : Pairing
@@ -136,16 +134,15 @@ def evidence(
     mass : ChannelMass, optional
         Of `channel_mass`, at the channels of the reference.
     """
-    test, c, mass = reference.elastic, config.correlate, mass or ChannelMass()
+    test = reference.elastic
+    c = config.correlate
+    mass = mass or ChannelMass()
     measures = complete(
         test,
         fe,
         pairing,
-        mass=mass.matrix,
-        mass_name=NAMES.get(c.tam, c.tam),
-        lift=mass.lift,
-        gate=gate(c),
-        std_a=reference.elastic_std.frequency,
+        orthogonality=OrthogonalityTest(gate(c), mass.matrix, NAMES.get(c.tam, c.tam), mass.lift),
+        std=(reference.elastic_std.frequency, float("nan")),
         settings=settings(config),
     )
     if mass.why:
@@ -164,58 +161,56 @@ def followed(final: ModeSet, remodelled: ModeSet, initial: ModeSet, count: int) 
     return track([s.frequencies for s in sets], [s.shapes for s in sets], count=count)
 
 
-def synthesised(
-    opened: Opened,
-    observation: Observation,
-    fe: ModeSet,
-    zeta: Float,
-    measured: FrfSet,
-    units: str,
-    *,
-    fmax: float,
-) -> FrfSet:
-    """FRFs of a model where and as those of the test are: its modes with the damping `zeta`, and
-    the modes above.
+@dataclass(frozen=True, slots=True, eq=False)
+class ModelModes:
+    """A deck with its modes at all channels, mass-normalised, and their damping ratios (m,)."""
 
-    The flexibility of the modes that were not computed is exact near 0 Hz.
+    opened: Opened
+    modes: ModeSet
+    damping: Float
+
+
+def synthesised(
+    model: ModelModes, observation: Observation, measured: FrfSet, units: UnitSystem, fmax: float
+) -> FrfSet:
+    """FRFs of a model where and as those of the test are: its modes, and the flexibility of the
+    modes above, which is exact near 0 Hz.
 
     Parameters
     ----------
-    opened : Opened
+    model : ModelModes
     observation : Observation
-    fe : ModeSet
-        Modes of the model at all channels, mass-normalised.
-    zeta : (m,) float64
     measured : FrfSet
         Of `on_sheet`.
-    units : str
-        Of the deck, a name of `UNIT_SYSTEMS`.
+    units : UnitSystem
+        Of the deck.
     fmax : float, Hz
-        Up to which `fe` holds all modes.
+        Up to which the model holds all modes.
     """
-    outputs, inputs = (tuple(c.id for c in side) for side in (measured.outputs, measured.inputs))
+    fe = model.modes
+    outputs = tuple(c.id for c in measured.outputs)
+    inputs = tuple(c.id for c in measured.inputs)
     at = {c: i for i, c in enumerate(fe.channels)}
     out, into = (fe.shapes[[at[c] for c in side]] for side in (outputs, inputs))
     w = 2 * np.pi * fe.frequencies
     lam = w * np.abs(w)
     shift = low_shift(fmax)  # that of the modes, whose factor is often there still
-    load = at_channels(opened, observation, inputs).T.toarray()
-    flexible = at_channels(opened, observation, outputs) @ opened.analysis.pencil.at(shift).solve(
-        load
-    )
-    rest = flexible.reshape(len(outputs), -1) - (out / (lam - shift)) @ into.T
+    load = at_channels(model.opened, observation, inputs).T.toarray()
+    moved = model.opened.analysis.pencil.at(shift).solve(load)
+    whole = at_channels(model.opened, observation, outputs) @ moved
+    rest = whole.reshape(len(outputs), -1) - (out / (lam - shift)) @ into.T
     # an exponential window on the responses of the test damps them: s = iω + σ
-    zeta = zeta + measured.window_decay / np.maximum(np.abs(w), 2 * np.pi * measured.freqs[0])
+    window = measured.window_decay / np.maximum(np.abs(w), 2 * np.pi * measured.freqs[0])
     h: Complex = frf(
         measured.freqs,
         fe.frequencies,
-        damping=zeta,
+        damping=model.damping + window,
         phi_out=out,
         phi_in=into,
         kind=measured.kind,
         residual=rest,
     )
-    h = h / UNIT_SYSTEMS[units].kilograms
+    h = h / units.kilograms
     return replace(measured, data=h, coherence=np.full(h.shape, np.nan))
 
 
@@ -223,32 +218,16 @@ def on_sheet(found: IdentifyStage, low: float, high: float) -> FrfSet | None:
     """The measured FRFs between two frequencies, Hz, at the outputs and inputs on the sheet; None
     where none is.
     """
-    frfs, known = found.frfs, set(found.test.channels)
+    frfs = found.frfs
     if frfs is None:
         return None
-    out, into = (
-        np.flatnonzero([c.id in known for c in side]) for side in (frfs.outputs, frfs.inputs)
-    )
+    known = set(found.test.channels)
+    out = np.flatnonzero([c.id in known for c in frfs.outputs])
+    into = np.flatnonzero([c.id in known for c in frfs.inputs])
     line = np.flatnonzero((frfs.freqs > low) & (frfs.freqs < high))
     if not (line.size and out.size and into.size):
         return None
-    at = np.ix_(line, out, into)
-    return replace(
-        frfs,
-        data=frfs.data[at],
-        freqs=frfs.freqs[line],
-        outputs=tuple(frfs.outputs[i] for i in out.tolist()),
-        inputs=tuple(frfs.inputs[i] for i in into.tolist()),
-        coherence=frfs.coherence[at],
-        averages=frfs.averages[into],
-    )
-
-
-def _between(frfs: FrfSet, low: float, high: float) -> FrfSet:
-    line = np.flatnonzero((frfs.freqs >= low) & (frfs.freqs <= high))
-    return replace(
-        frfs, data=frfs.data[line], freqs=frfs.freqs[line], coherence=frfs.coherence[line]
-    )
+    return part_of_frfs(frfs, line, out, into)
 
 
 def frf_evidence(
@@ -259,33 +238,33 @@ def frf_evidence(
     """
     if found.hammer is None or not len(found.hammer):
         return None
-    f = found.hammer.frequencies
-    low, high = (
-        config.identify.hammer_fmin or 0.9 * f.min(),
-        config.identify.hammer_fmax or 1.1 * f.max(),
-    )
-    test, before, after = (_between(x, float(low), float(high)) for x in (measured, initial, final))
-    if test.freqs.size < 2:
+    f = found.hammer.modes.frequencies
+    low = config.identify.hammer_fmin or 0.9 * f.min()
+    high = config.identify.hammer_fmax or 1.1 * f.max()
+    line = np.flatnonzero((measured.freqs >= low) & (measured.freqs <= high))
+    if line.size < 2:
         return None
-    thin = slice(None, None, -(-test.freqs.size // LINES))
-    rows = [x.data[thin].reshape(x.data[thin].shape[0], -1) for x in (test, before, after)]
+    every = np.arange(len(measured.outputs)), np.arange(len(measured.inputs))
+    test, before, after = (part_of_frfs(x, line, *every) for x in (measured, initial, final))
+    thin = slice(None, None, -(-line.size // 90))  # of the FDAC: as many as a drawing shows
+    rows = [x.data[thin].reshape(len(x.data[thin]), -1) for x in (test, before, after)]
     return FrfEvidence(
-        compare_frfs(test, before),
-        compare_frfs(test, after),
-        test.freqs[thin],
-        fdac(rows[0], rows[1]),
-        fdac(rows[0], rows[2]),
+        initial=compare_frfs(test, before),
+        final=compare_frfs(test, after),
+        lines=test.freqs[thin],
+        fdac_initial=fdac(rows[0], rows[1]),
+        fdac_final=fdac(rows[0], rows[2]),
     )
 
 
 def expanded(
-    method: str, opened: Opened, look: Observation, test: ModeSet, fmax: float, progress: Progress
+    method: str, opened: Opened, look: Observation, test: ModeSet, fmax: float
 ) -> Expanded:
     """Test shapes on the free degrees of freedom of a deck.
 
     Parameters
     ----------
-    method : {"hybrid", "serep", "guyan", "dynamic"}
+    method : {"hybrid", "serep"}
     look : Observation
         From the deck to the channels of the test and maybe more.
     test : ModeSet
@@ -301,31 +280,18 @@ def expanded(
     """
     system = opened.analysis.system
     observe = at_channels(opened, look, test.channels)
-    y, f = np.asarray(test.shapes.real, dtype=np.float64), test.frequencies
-    k, m, labels = system.stiffness, system.mass, opened.analysis.pencil.labels
+    y = np.asarray(test.shapes.real, dtype=np.float64)
     try:
-        if method == "guyan":
-            return expand_static(k, observe, y, labels=labels)
-        if method == "dynamic":
-            return expand_dynamic(k, m, observe, y, f, labels=labels, progress=progress)
         modes = np.asarray(system.local @ opened.modes(fmax).modes.shapes)
         if method == "hybrid":
+            readings = ShapeReadings(observe, y, test.frequencies, EXPANSION_MISFIT)
             return expand_hybrid(
-                k,
-                m,
-                observe=observe,
-                shapes=y,
-                frequencies=f,
-                modes=modes,
-                noise=NOISE,
-                labels=labels,
+                system.stiffness, system.mass, readings, modes, labels=opened.analysis.pencil.labels
             )
         # half as many as channels: with more of them noise is fitted
         return expand_serep(modes[:, : max(1, len(test.channels) // 2)], observe, y)
     except (InputError, NumericalError) as e:
-        raise ConfigError(
-            f"correlate.expand {method!r}: {e}; try another of hybrid, serep, guyan, dynamic"
-        ) from e
+        raise ConfigError(f"correlate.expand {method!r}: {e}; try hybrid or serep") from e
 
 
 def on_scene(found: Expanded, opened: Opened, test: ModeSet, scene: Scene) -> ModeSet:

@@ -9,17 +9,16 @@ from typing import cast
 
 import numpy as np
 
-from ringtrue.core.motions import FORCES, MOTIONS, SI_UNIT, UNIT, Motion
-from ringtrue.core.progress import Progress
+from ringtrue.core.channels import FORCES, MOTIONS, SI_UNIT, UNIT, Motion
+from ringtrue.core.iterate import Progress
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.records import read_runs, record_info, refuse_bad_samples
 from ringtrue.io.sheets import SensorSheet
 from ringtrue.signal.channel_checks import clipping, explain_clipping
-from ringtrue.signal.frf import estimate_columns
+from ringtrue.signal.frf import estimate_columns, shaker_frfs
 from ringtrue.signal.impacts import Estimator, HammerSettings, ImpactReport, force_channel
 from ringtrue.signal.local_rational import is_continuous, local_frfs, period, periodic_frfs, spacing
-from ringtrue.signal.shaker_frf import shaker_frfs
 from ringtrue.signal.spectra import Welch
 
 OWN = (".h5", ".hdf5")  # endings of records that may tell their full scale
@@ -40,7 +39,7 @@ class ForceRecordFormat:
     leave_out : tuple of str
         Channels that are not used.
     quantity : str
-        What responses measure, acceleration, velocity or displacement, where no file tells it; by
+        What responses measure, acceleration, velocity or displacement, where no file states it; by
         default acceleration, and a note says so.
     rate : float, Hz, optional
         Where the files have none.
@@ -99,7 +98,7 @@ def renamed(history: TimeHistory, names: Sequence[str], path: Path) -> TimeHisto
 
 
 def full_scale(path: Path) -> dict[str, float]:
-    """Ranges of the channels by id, SI, where the record tells them."""
+    """Ranges of the channels by id, SI, where the record states them."""
     try:
         return record_info(path).full_scale() if path.suffix.lower() in OWN else {}
     except DataError:  # HDF5 of another layout
@@ -124,7 +123,7 @@ def accepted_hits(hits: Sequence[ImpactReport]) -> str:
 def read_force_records(
     paths: Sequence[Path], how: ForceRecordFormat | None = None
 ) -> tuple[tuple[TimeHistory, ...], dict[str, float], tuple[str, ...]]:
-    """The records of all files, forces and motions each, ready for `study.forced.forced_frfs`.
+    """The records of all files, forces and motions each, ready for `forced_frfs`.
 
     Parameters
     ----------
@@ -134,7 +133,7 @@ def read_force_records(
     Returns
     -------
     tuple of TimeHistory
-        `source` tells file and acquisition.
+        `source` names file and acquisition.
     dict
         Full scale by channel, where known.
     tuple of str
@@ -163,7 +162,8 @@ def read_force_records(
             f"--leave-out {lost[0]}: no file has such a channel; there are "
             f"{' '.join(sorted(known)[:40])}"
         )
-    records, notes = [], dict[str, None]()
+    records = []
+    notes = dict[str, None]()
     for i, path, run, scaled in runs:
         record, said = _ready(path, run, how.of(i))
         records.append(record)
@@ -204,7 +204,7 @@ def _ready(
 
 
 def _runs(path: Path, how: ForceRecordFormat) -> Iterator[tuple[TimeHistory, tuple[str, ...]]]:
-    """The acquisitions by the names and the sheet that are given, and what the sheet told."""
+    """The acquisitions by the names and the sheet that are given, and the notes of the sheet."""
     runs = read_runs(path, how.rate, group=how.group)
     names = how.channels[0] if how.channels else ()
     for k, run in enumerate(runs):
@@ -212,12 +212,6 @@ def _runs(path: Path, how: ForceRecordFormat) -> Iterator[tuple[TimeHistory, tup
             replace(run, source=str(path) if len(runs) == 1 else f"{path} #{k + 1}"), names, path
         )
         yield how.sheet.scaled(named) if how.sheet else (named, ())
-
-
-def _acting(c: Channel, name: str) -> Channel:
-    """A channel of a force or moment, by another name if one is given."""
-    quantity = c.quantity if c.quantity in FORCES else "force"
-    return Channel(name or c.id, quantity, UNIT[quantity], c.sensor)
 
 
 def _prepared(record: TimeHistory, how: ForceRecordFormat) -> tuple[TimeHistory, list[str]]:
@@ -230,7 +224,7 @@ def _prepared(record: TimeHistory, how: ForceRecordFormat) -> tuple[TimeHistory,
     notes = list[str]()
     if point and len(at) > 1:
         raise ConfigError(
-            f"--struck {point}: {record.source} has {len(at)} forces; their names tell their points"
+            f"--struck {point}: {record.source} has {len(at)} forces; their names give their points"
         )
     rest = [i for i in range(len(record.channels)) if i not in at]
     motions = [i for i in rest if record.channels[i].quantity in MOTIONS]
@@ -240,7 +234,7 @@ def _prepared(record: TimeHistory, how: ForceRecordFormat) -> tuple[TimeHistory,
         motions = unknown
         if not how.quantity:
             notes.append(
-                "no unit tells what the responses measure: taken as accelerations, m/s^2 "
+                "no unit says what the responses measure: taken as accelerations, m/s^2 "
                 "(--quantity)"
             )
     if bare := [record.channels[i].id for i in at if record.channels[i].quantity == "unknown"]:
@@ -255,15 +249,15 @@ def _prepared(record: TimeHistory, how: ForceRecordFormat) -> tuple[TimeHistory,
         c if c.quantity in MOTIONS else Channel(c.id, quantity, SI_UNIT[quantity], c.sensor)
         for c in record.channels
     ]
-    forces = [_acting(record.channels[i], f"F:{point}" if point else "") for i in at]
+    forces = []
+    for c in (record.channels[i] for i in at):
+        acting = c.quantity if c.quantity in FORCES else "force"
+        name = f"F:{point}" if point else c.id
+        forces.append(Channel(name, acting, UNIT[acting], c.sensor))
     data = np.asarray(record.data[[*at, *motions]])
     return TimeHistory(
         data, record.rate, (*forces, *(channels[i] for i in motions)), record.source
     ), notes
-
-
-_BEYOND = 1.05  # times the end of the force
-_ENDS = 0.45  # of the rate: an anti-aliasing filter ends there too
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -297,8 +291,8 @@ def forced_frfs(
     full_scale: Mapping[str, float] | None = None,
     progress: Progress | None = None,
 ) -> Forced:
-    """FRFs of records as `study.blows` reads them: of shakers where all forces run all the time,
-    else of blows.
+    """FRFs of records as `read_force_records` reads them: of shakers where all forces run all
+    the time, else of blows.
 
     Parameters
     ----------
@@ -315,7 +309,7 @@ def forced_frfs(
     ------
     DataError
         As `signal.frf.estimate_columns`, `signal.local_rational.local_frfs` and
-        `signal.spectra.shaker_frfs` do.
+        `signal.frf.shaker_frfs` do.
     """
     clipped = tuple(f"{r.source}: {line}" for r in records for line in clipping(r))
     with explain_clipping(clipped):
@@ -336,13 +330,16 @@ def _estimated(
             records, settings, full_scale=full_scale, progress=progress
         )
         lost = dict.fromkeys(c for h in hits for c in h.lost)
-        told = (f"response {' '.join(lost)}: overload in most blows, left out",) if lost else ()
-        notes = (*told, *_turned(hits), *_force_end(columns, records[0].rate, settings.keep_to))
+        notes = (*_turned(hits), *_force_end(columns, records[0].rate, settings.keep_to))
+        if lost:
+            left_out = f"response {' '.join(lost)}: overload in most blows, left out"
+            notes = (left_out, *notes)
         return Forced(columns, hits, notes)
     parts = tuple(_shaken(records, resolution, settings.estimator))
-    step, averages = float(np.median(np.diff(parts[0].freqs))), parts[0].averages[0]
+    step = float(np.median(np.diff(parts[0].freqs)))
+    averages = parts[0].averages[0]
     said = (
-        f"the force runs all the time: lines {step:.3g} Hz apart, {averages:.3g} averages at each"
+        f"the force runs all the time: lines every {step:.3g} Hz, {averages:.3g} averages at each"
     )
     return Forced(parts, notes=(said,))
 
@@ -372,16 +369,15 @@ def _force_end(columns: Sequence[FrfSet], rate: float, keep_to: float | None) ->
     """A line where the force of blows sampled at `rate`, Hz, ends before the lines that could be or
     are asked for.
     """
-    last, heard = (
-        columns[0].freqs[-1],
-        min((c.impacts.highest_clear_line() for c in columns if c.impacts), default=np.inf),
-    )
-    if keep_to and min(last, keep_to) > heard * _BEYOND:
+    last = columns[0].freqs[-1]
+    heard = min((c.impacts.highest_clear_line() for c in columns if c.impacts), default=np.inf)
+    if keep_to and min(last, keep_to) > heard * 1.05:  # times the end of the force
         return (
             f"the force ends at about {heard:.3g} Hz: beyond it is noise, and so may be the "
             "modes that are asked for",
         )
-    if last > _ENDS * rate or (keep_to and last > keep_to):
+    # 0.45: of the rate: an anti-aliasing filter ends there too
+    if last > 0.45 * rate or (keep_to and last > keep_to):
         return ()
     return (
         f"the force ends at {last:.4g} Hz: beyond it is noise, and the lines are left out "

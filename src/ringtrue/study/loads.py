@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from ringtrue.checks.mass import unconstrained
+from ringtrue.checks.materials import unconstrained
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.dofs import DofSet
 from ringtrue.decks.nastran.loads import (
@@ -21,15 +21,14 @@ from ringtrue.decks.nastran.loads import (
 from ringtrue.errors import InputError
 from ringtrue.fem.assembly import assemble
 from ringtrue.fem.constraints import supports
-from ringtrue.fem.element_cards import SOLIDS
+from ringtrue.fem.element_cards import SOLIDS, mesh
 from ringtrue.fem.elements import bar
-from ringtrue.fem.loads import SURFACES, LineKind, face, face_forces, line_forces
-from ringtrue.fem.mesh import Mesh, mesh
+from ringtrue.fem.loads import SURFACES, LineKind, LineLoads, face, face_forces, line_forces
+from ringtrue.fem.mesh import Mesh
 from ringtrue.model.case_control import taken_sets
 from ringtrue.model.frames import axes, positions
 from ringtrue.model.model import Model, card_error
 
-SAME = 1e-6  # of the length of a beam: a load that much beyond its end stands there
 _Face = tuple[list[int], Pressure, float]  # its nodes, the pressure, and its sign along the normal
 
 
@@ -41,7 +40,7 @@ def load_vectors(model: Model, dofs: DofSet, cases: Sequence[LoadCase]) -> Float
     InputError
         If a load names a node, element or face that is not in the model, or the loads overflow.
     """
-    with np.errstate(over="ignore", invalid="ignore"):  # told here
+    with np.errstate(over="ignore", invalid="ignore"):
         out = _summed(model, dofs, cases)
     if (wild := ~np.isfinite(out).all(axis=0)).any():
         raise InputError(f"{cases[int(wild.argmax())].name}: the loads are too large for a number")
@@ -49,10 +48,11 @@ def load_vectors(model: Model, dofs: DofSet, cases: Sequence[LoadCase]) -> Float
 
 
 def _summed(model: Model, dofs: DofSet, cases: Sequence[LoadCase]) -> Float:
-    out, xyz = np.zeros((len(dofs), len(cases))), positions(model)
+    out = np.zeros((len(dofs), len(cases)))
+    xyz = positions(model)
     gravity = np.zeros((3, len(cases)))
     for j, case in enumerate(cases):
-        for ld in case.loads:  # few beside the elements
+        for ld in case.loads:  # few compared with the elements
             if isinstance(ld, Load) and ld.card == "SLOAD":
                 out[_scalar(dofs, case, ld), j] += ld.vector[0]
             elif isinstance(ld, Load) and ld.node:
@@ -63,9 +63,8 @@ def _summed(model: Model, dofs: DofSet, cases: Sequence[LoadCase]) -> Float:
                 gravity[:, j] += _vector(model, xyz, case, ld)
         _press(out[:, j], model, xyz, [ld for ld in case.loads if isinstance(ld, Pressure)])
         _load_beams(out[:, j], model, [ld for ld in case.loads if isinstance(ld, LineLoad)])
-    if (
-        gravity.any()
-    ):  # all masses, those at supports too, which hang on what is free by a consistent mass
+    # all masses, those at supports too, which hang on what is free by a consistent mass
+    if gravity.any():
         whole = assemble(unconstrained(model))
         out += whole.local.T @ (whole.mass @ (whole.rigid_body()[:, :3] @ gravity))
     return out
@@ -79,7 +78,7 @@ def support_motions(model: Model, dofs: DofSet, cases: Sequence[LoadCase]) -> tu
     loads : (dof, case) float64
         Those that the displaced supports exert on what is free.
     moved : (dof, case) float64
-        Motions of the supports and of what rigid elements and MPCs tie to them, beside the answer
+        Motions of the supports and of what rigid elements and MPCs tie to them, added to the answer
         to all loads.
 
     Raises
@@ -95,9 +94,8 @@ def support_motions(model: Model, dofs: DofSet, cases: Sequence[LoadCase]) -> tu
         for j, at in enumerate(given):
             node, component = np.array(list(at), dtype=np.int64).reshape(-1, 2).T
             column = whole.free.find(node, component)
-            column = np.where(
-                column < 0, whole.free.find(node, 0 * component), column
-            )  # of a scalar point
+            # of a scalar point
+            column = np.where(column < 0, whole.free.find(node, 0 * component), column)
             q[column, j] = list(at.values())
         moved = np.asarray(whole.transform @ q)
         loads = -np.asarray(whole.local.T @ (whole.stiffness @ q))
@@ -190,10 +188,10 @@ def _vector(model: Model, xyz: Float, case: LoadCase, ld: Load) -> Float:
 
 def _press(out: Float, model: Model, xyz: Float, pressures: Sequence[Pressure]) -> None:
     """Add the forces of pressures to those of all nodes, (dof,), six a row of GRID."""
-    alike: dict[tuple[int, int, bool], list[_Face]] = {}
+    of_kind: dict[tuple[int, int, bool], list[_Face]] = {}
     for nodes, ld, sign in _faces(model, pressures):
-        alike.setdefault((len(nodes), ld.cid, ld.vector is None), []).append((nodes, ld, sign))
-    for (count, cid, normal), faces in alike.items():
+        of_kind.setdefault((len(nodes), ld.cid, ld.vector is None), []).append((nodes, ld, sign))
+    for (count, cid, normal), faces in of_kind.items():
         ids = np.array([nodes for nodes, _, _ in faces])
         rows = model["GRID"].find(ids)
         if (lost := (rows < 0) & (ids > 0)).any():
@@ -213,7 +211,8 @@ def _load_beams(out: Float, model: Model, lines: Sequence[LineLoad]) -> None:
     """Add the forces of loads on beams to those of all nodes, (dof,)."""
     if not lines:
         return
-    m, left = mesh(model), np.ones(len(lines), dtype=bool)
+    m = mesh(model)
+    left = np.ones(len(lines), dtype=bool)
     ids = np.array([ld.element for ld in lines])
     for card in ("CBAR", "CBEAM"):
         if card not in model:
@@ -237,13 +236,14 @@ def _of_beams(m: Mesh, card: str, at: Int, lines: Sequence[LineLoad]) -> Float:
         )
     )
     length = np.where(fraction, 1.0, bar.measure(m, card, at))
-    if (beyond := ends[:, 1] > length * (1 + SAME)).any():
+    # 1e-6: of the length of a beam: a load that much beyond its end stands there
+    if (beyond := ends[:, 1] > length * (1 + 1e-6)).any():
         i = int(beyond.argmax())
         raise lines[i].error(f"X2 (or X1) is {ends[i, 1]:g}; the beam ends at {length[i]:g}")
     along = np.eye(6)[[LINE_KINDS.index(ld.kind[:2]) for ld in lines]]
     ends = np.minimum(ends, length[:, None])
     return line_forces(
-        m, card, at=at, ends=ends, sizes=sizes, along=along, kind=LineKind(own, fraction, projected)
+        m, card, at, LineLoads(ends, sizes, along, LineKind(own, fraction, projected))
     )
 
 

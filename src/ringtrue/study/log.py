@@ -16,8 +16,6 @@ from ringtrue.errors import DataError
 from ringtrue.io.foreign.parsers import read_json
 from ringtrue.study.config import explain
 
-_ALIKE = 0.8  # of the names of two keys: one is a misspelling of the other
-
 
 class _Entry(BaseModel):
     """A part of the log. A crew may note down more, but nothing that reads like a key of ours."""
@@ -28,7 +26,8 @@ class _Entry(BaseModel):
     def _spelled(self) -> Self:
         known = type(self).model_fields
         for key in self.model_extra or ():
-            if near := get_close_matches(key, known, 1, _ALIKE):
+            # 0.8: of the names of two keys: one is a misspelling of the other
+            if near := get_close_matches(key, known, 1, 0.8):
                 raise ValueError(f"unknown key {key!r}; did you mean {near[0]!r}?")
         return self
 
@@ -66,7 +65,8 @@ class _Details(_Entry):
 
     @model_validator(mode="after")
     def _cut(self) -> Self:
-        block, pre = self.block_samples, self.pretrigger_samples
+        block = self.block_samples
+        pre = self.pretrigger_samples
         if (block is None) != (pre is None):
             raise ValueError(
                 f"{'block' if block is None else 'pretrigger'}_samples missing; give both or none"
@@ -76,7 +76,7 @@ class _Details(_Entry):
         return self
 
 
-class _Record(_Details):
+class LogRecord(_Details):
     file: str = Field(min_length=1)
     excitation: str
 
@@ -84,7 +84,7 @@ class _Record(_Details):
 class _Test(_Details):
     name: str
     kind: Literal["ambient", "hammer", "shaker"]
-    records: list[_Record]
+    records: list[LogRecord]
 
     @model_validator(mode="before")
     @classmethod
@@ -104,7 +104,7 @@ class _Log(_Entry):
     tests: list[_Test]
 
 
-class Logged(_Record):
+class Logged(LogRecord):
     """One record, with the test it belongs to."""
 
     path: Path
@@ -117,18 +117,19 @@ class Logged(_Record):
         return self.path.stem
 
     def goes_on_in(self, later: Logged) -> bool:
-        """Whether another may be the next file of one measurement: alike but for numbers in its
+        """Whether another may be the next file of one measurement: the same but for numbers in its
         name, which rise.
         """
-        known = [k for k in (*_Record.model_fields, "test", "kind") if k != "file"]
+        known = [k for k in (*LogRecord.model_fields, "test", "kind") if k != "file"]
         (words, numbers), (others, further) = _parts_of_name(self.path), _parts_of_name(later.path)
-        alike = all(getattr(self, k) == getattr(later, k) for k in known)
-        return alike and words == others and numbers < further
+        same = all(getattr(self, k) == getattr(later, k) for k in known)
+        return same and words == others and numbers < further
 
 
 def _parts_of_name(path: Path) -> tuple[list[str], list[int]]:
     """What stays in the names of the files of one measurement, and what counts on."""
-    words, numbers = re.split(r"\d+", path.stem), re.findall(r"\d+", path.stem)
+    words = re.split(r"\d+", path.stem)
+    numbers = re.findall(r"\d+", path.stem)
     return [str(path.parent), path.suffix, *words], [int(n) for n in numbers]
 
 
@@ -146,7 +147,7 @@ def read_log(path: Path) -> tuple[list[Logged], dict[str, SensorType]]:
         raise DataError(explain(path, e, _Log, "log")) from e
     records = [
         Logged(
-            **{k: getattr(r, k) for k in _Record.model_fields},
+            **{k: getattr(r, k) for k in LogRecord.model_fields},
             path=path.parent / r.file,
             test=t.name,
             kind=t.kind,

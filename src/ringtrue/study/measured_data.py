@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy import sparse
 
-from ringtrue.checks.mass import unconstrained
+from ringtrue.checks.materials import unconstrained
 from ringtrue.core.arrays import Float, Int, freeze_fields
-from ringtrue.core.channels import match_channels
+from ringtrue.core.channels import POWER, match_channels
 from ringtrue.core.modes import ModeSet
-from ringtrue.core.motions import POWER
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.signals import FrfSet
-from ringtrue.core.units import UNIT_SYSTEMS
+from ringtrue.core.units import UnitSystem
 from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.fem.assembly import assemble
-from ringtrue.fem.parametrisation.affine import affine_terms
+from ringtrue.fem.parametrisation.derivatives import affine_terms
 from ringtrue.fem.parametrisation.polynomials import AffineTerm
 from ringtrue.io.frfs import read_frfs
 from ringtrue.io.statics import StaticTests, read_statics
@@ -36,51 +37,18 @@ from ringtrue.study.config_update import (
 )
 from ringtrue.updating.prediction import Damping
 from ringtrue.updating.residuals.frf import AntiResonances, Frf
-from ringtrue.updating.residuals.modal import Block, Term
-from ringtrue.updating.residuals.static import MassProperties, RigidMass, StaticDeflections
+from ringtrue.updating.residuals.modal import ResidualBlock, Term
+from ringtrue.updating.residuals.static import MassPropertyDeviations, RigidMass, StaticDeflections
 
-DECIBEL = 20 / np.log(10)
-NO_FRFS = "the test has no FRFs"
-BAND = (
-    0.8,
-    1.2,
-)  # of the lowest and the highest mode of the test: where FRFs are compared if nothing is said
+# of the lowest and the highest mode of the test: where FRFs are compared if nothing is said
+BAND = (0.8, 1.2)
 WEIGHED = ("mass", "x", "y", "z", "Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Izx")
 WEIGHED_UNITS = ("kg", *("m",) * 3, *("kg m²",) * 6)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Measured:
-    """One [[residual]] as read.
-
-    Attributes
-    ----------
-    section : DataResidual
-    outputs, inputs : tuple of str
-        Channels where it was measured and excited.
-    frfs : FrfSet, optional
-        At the chosen lines.
-    statics : StaticTests, optional
-    damping : Damping, optional
-        For FRFs.
-    """
-
-    section: DataResidual
-    outputs: tuple[str, ...] = ()
-    inputs: tuple[str, ...] = ()
-    frfs: FrfSet | None = None
-    statics: StaticTests | None = None
-    damping: Damping | None = None
-
-    @property
-    def name(self) -> str:
-        """As given, else the kind."""
-        return self.section.name or self.section.kind
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Data:
-    """A kind of residuals beside the modes, and what is shown of it.
+    """A kind of residuals besides those of the modes, and what is shown of it.
 
     Attributes
     ----------
@@ -112,7 +80,7 @@ class Data:
     def __post_init__(self) -> None:
         freeze_fields(self, measured=np.float64, scale=np.float64)
 
-    def shown(self, block: Block) -> Float:
+    def shown(self, block: ResidualBlock) -> Float:
         """Values (n,) of the model at a point."""
         if self.lines:
             return np.asarray(
@@ -121,72 +89,78 @@ class Data:
         return np.asarray(self.measured - self.scale * block.value)
 
 
-def read_measured(
-    section: DataResidual,
-    base: Path,
-    modes: ModeSet,
-    frfs: FrfSet | None = None,
-    why: str = NO_FRFS,
-) -> Measured:
-    """Read what a [[residual]] names.
+@dataclass(frozen=True, slots=True)
+class MeasuredModel:
+    """The model that residuals are computed on.
 
-    Parameters
+    Attributes
     ----------
-    section : DataResidual
+    at : mapping of str to int
+        Positions of the channels among all of the model.
+    units : UnitSystem
+        Of the deck.
+    rigid : callable
+        The rigid-body mass of the deck, for a weighing.
+    active : tuple of int
+        The parameters that x stands for.
+    """
+
+    at: Mapping[str, int]
+    units: UnitSystem
+    rigid: Callable[[], RigidMass]
+    active: tuple[int, ...]
+
+    def rows(self, channels: Sequence[str]) -> Int:
+        """Positions of channels."""
+        return np.array([self.at[c] for c in channels], dtype=np.int64)
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """What [[residual]]s are read from.
+
+    Attributes
+    ----------
     base : Path
-        Folder that its file is seen from.
+        Folder that files are seen from.
     modes : ModeSet
         Elastic modes of the test: their band and damping serve FRFs that say nothing else.
     frfs : FrfSet, optional
         Of the test, for FRFs without a file.
     why : str
         Why there are none.
-
-    Raises
-    ------
-    ConfigError, DataError
-        If there are no FRFs, or none of the lines or channels that are asked for.
     """
-    if isinstance(section, FrfResidual):
-        return _frfs(section, base, modes, frfs, why)
-    if isinstance(section, AntiResonanceResidual):
-        return Measured(section, (section.output,), (section.input,))
-    if isinstance(section, StaticResidual):
-        found = read_statics(base / section.file)
-        loaded = tuple(c for c, f in zip(found.channels, found.loads, strict=True) if f.any())
-        return Measured(section, found.channels, loaded, statics=found)
-    return Measured(section)
+
+    base: Path
+    modes: ModeSet
+    frfs: FrfSet | None = None
+    why: str = "the test has no FRFs"
 
 
-def _frfs(
-    section: FrfResidual, base: Path, modes: ModeSet, frfs: FrfSet | None, why: str
-) -> Measured:
-    found = read_frfs(base / section.file) if section.file else frfs
-    where = section.file or "the test"
-    if found is None:
-        raise ConfigError(f"[[residual]] {section.name or 'frf'}: {why}; name a file of them")
-    out = _picked([c.id for c in found.outputs], section.outputs, f"{where}: output")
-    into = _picked([c.id for c in found.inputs], section.inputs, f"{where}: input")
-    lines = _lines(section, found.freqs, modes.frequencies, where)
-    at = np.ix_(lines, out, into)
-    data = found.data[at]
-    if not np.abs(data).all():
-        raise DataError(
-            f"{where}: an FRF is zero at a chosen line; leave the channel or the line out"
-        )
-    part = replace(
-        found,
-        data=data,
-        freqs=found.freqs[lines],
-        outputs=tuple(found.outputs[i] for i in out.tolist()),
-        inputs=tuple(found.inputs[i] for i in into.tolist()),
-        coherence=found.coherence[at],
-        averages=found.averages[into],
-    )
-    names, sources = (tuple(c.id for c in side) for side in (part.outputs, part.inputs))
-    return Measured(
-        section, names, sources, frfs=part, damping=_damping(section, modes, found.window_decay)
-    )
+@dataclass(frozen=True, slots=True, eq=False)
+class Measured(ABC):
+    """One [[residual]] as read: a kind of residuals owns its reading, scaling and display.
+
+    Attributes
+    ----------
+    name : str
+        As given, else the kind.
+    outputs, inputs : tuple of str
+        Channels where it was measured and excited.
+    """
+
+    name: str
+    outputs: tuple[str, ...]
+    inputs: tuple[str, ...]
+
+    @property
+    def static(self) -> bool:
+        """Whether static deflections were measured."""
+        return False
+
+    @abstractmethod
+    def data(self, on: MeasuredModel) -> Data:
+        """The residuals on a model."""
 
 
 def _picked(have: Sequence[str], asked: Sequence[str], what: str) -> Int:
@@ -202,7 +176,8 @@ def _picked(have: Sequence[str], asked: Sequence[str], what: str) -> Int:
 def _lines(section: FrfResidual, freqs: Float, modes: Float, where: str) -> Int:
     """The measured lines nearest to those asked for, or evenly spread ones of the band."""
     if section.lines:
-        asked, step = np.array(section.lines), float(np.diff(freqs).max(initial=0.0))
+        asked = np.array(section.lines)
+        step = float(np.diff(freqs).max(initial=0.0))
         at = np.abs(freqs[None, :] - asked[:, None]).argmin(axis=1)
         far = np.abs(freqs[at] - asked) > step
         if far.any():
@@ -233,9 +208,11 @@ def _damping(section: FrfResidual, modes: ModeSet, decay: float) -> Damping:
     zeta = modes.damping[order][at]
     good = np.isfinite(zeta) & (zeta > 0)
     if section.damping is not None:
-        f, zeta = f[:1], np.array([section.damping])
+        f = f[:1]
+        zeta = np.array([section.damping])
     elif good.any():
-        f, zeta = f[good], zeta[good]
+        f = f[good]
+        zeta = zeta[good]
     else:
         raise ConfigError(
             f"[[residual]] {section.name or 'frf'}: the test modes have no damping; give damping "
@@ -244,47 +221,214 @@ def _damping(section: FrfResidual, modes: ModeSet, decay: float) -> Damping:
     return Damping(f, zeta + decay / (2 * np.pi * f))
 
 
-def residual_data(
-    found: Measured,
-    at: Mapping[str, int],
-    units: str,
-    rigid: Callable[[], RigidMass],
-    active: tuple[int, ...],
-) -> Data:
-    """The residuals on a model.
+@dataclass(frozen=True, slots=True, eq=False)
+class FrfMeasurement(Measured):
+    """FRFs at the chosen lines, with the damping of the model that they are compared with."""
 
-    Parameters
-    ----------
-    found : Measured
-    at : mapping of str to int
-        Positions of the channels among all of the model.
-    units : str
-        A name of `UNIT_SYSTEMS`.
-        Of the deck.
-    rigid : callable
-        The rigid-body mass of the deck, for a weighing.
-    active : tuple of int
-        The parameters that x stands for.
+    section: FrfResidual
+    frfs: FrfSet
+    damping: Damping
+
+    @classmethod
+    def read(cls, section: FrfResidual, source: Source) -> FrfMeasurement:
+        """Of a file, else those of the test."""
+        name = section.name or section.kind
+        found = read_frfs(source.base / section.file) if section.file else source.frfs
+        where = section.file or "the test"
+        if found is None:
+            raise ConfigError(f"[[residual]] {name}: {source.why}; name a file of them")
+        out = _picked([c.id for c in found.outputs], section.outputs, f"{where}: output")
+        into = _picked([c.id for c in found.inputs], section.inputs, f"{where}: input")
+        lines = _lines(section, found.freqs, source.modes.frequencies, where)
+        part = part_of_frfs(found, lines, out, into)
+        if not np.abs(part.data).all():
+            raise DataError(
+                f"{where}: an FRF is zero at a chosen line; leave the channel or the line out"
+            )
+        outputs = tuple(c.id for c in part.outputs)
+        inputs = tuple(c.id for c in part.inputs)
+        damping = _damping(section, source.modes, found.window_decay)
+        return cls(name, outputs, inputs, section=section, frfs=part, damping=damping)
+
+    def data(self, on: MeasuredModel) -> Data:
+        """Deviations, root mean square over the lines."""
+        s = self.section
+        frfs = self.frfs
+        term = Frf(
+            freqs=frfs.freqs,
+            measured=frfs.data * on.units.kilograms,
+            outputs=on.rows(self.outputs),
+            inputs=on.rows(self.inputs),
+            damping=self.damping,
+            order=POWER[frfs.kind],
+            form=s.form,
+            std=s.error,
+        )
+        labels = tuple(f"{o} / {i}" for o in self.outputs for i in self.inputs)
+        n = len(labels)
+        unit = "% rms"
+        scale = 100 * np.sqrt(2)
+        if s.form == "log":
+            unit = "dB rms"
+            scale = 20 / np.log(10)
+        return Data(
+            name=self.name,
+            kind=s.kind,
+            term=term,
+            weight=s.weight / frfs.freqs.size,
+            labels=labels,
+            units=(unit,) * n,
+            measured=np.full(n, np.nan),
+            scale=np.full(n, s.error * scale),
+            lines=frfs.freqs.size,
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ZeroMeasurement(Measured):
+    """Zeros of an FRF."""
+
+    section: AntiResonanceResidual
+
+    @classmethod
+    def read(cls, section: AntiResonanceResidual, source: Source) -> ZeroMeasurement:
+        """As the section states them."""
+        name = section.name or section.kind
+        return cls(name, (section.output,), (section.input,), section)
+
+    def data(self, on: MeasuredModel) -> Data:
+        """Frequencies of the zeros, Hz."""
+        s = self.section
+        f = np.array(s.frequencies)
+        return Data(
+            name=self.name,
+            kind=s.kind,
+            term=AntiResonances(on.at[s.output], on.at[s.input], f, s.error, s.gate),
+            weight=s.weight,
+            labels=tuple(f"{s.output} / {s.input}: zero {i + 1}" for i in range(f.size)),
+            units=("Hz",) * f.size,
+            measured=f,
+            scale=s.error * f,
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StaticMeasurement(Measured):
+    """Static deflections."""
+
+    section: StaticResidual
+    tests: StaticTests
+
+    @classmethod
+    def read(cls, section: StaticResidual, source: Source) -> StaticMeasurement:
+        """Of a file."""
+        tests = read_statics(source.base / section.file)
+        loaded = tuple(c for c, f in zip(tests.channels, tests.loads, strict=True) if f.any())
+        return cls(section.name or section.kind, tests.channels, loaded, section, tests)
+
+    @property
+    def static(self) -> bool:
+        """Whether static deflections were measured."""
+        return True
+
+    def data(self, on: MeasuredModel) -> Data:
+        """Deflections, m."""
+        s = self.section
+        tests = self.tests
+        rows = on.rows(tests.channels)
+        length = on.units.length
+        shape = len(on.at), len(tests.cases)
+        loads = np.zeros(shape)
+        moved = np.full(shape, np.nan)
+        loads[rows], moved[rows] = tests.loads, tests.deflections / length
+        seen = np.isfinite(moved)
+        names = {i: c for c, i in on.at.items()}
+        labels = tuple(f"{tests.cases[j]}: {names[i]}" for i, j in np.argwhere(seen).tolist())
+        size = s.error * np.sqrt(np.nanmean(moved**2, axis=0)) * length
+        return Data(
+            name=self.name,
+            kind=s.kind,
+            term=StaticDeflections(loads, moved, s.error),
+            weight=s.weight,
+            labels=labels,
+            units=("m",) * len(labels),
+            measured=moved[seen] * length,
+            scale=np.broadcast_to(size, seen.shape)[seen],
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MassMeasurement(Measured):
+    """A weighing."""
+
+    section: MassResidual
+
+    @classmethod
+    def read(cls, section: MassResidual, source: Source) -> MassMeasurement:
+        """As the section states it."""
+        return cls(section.name or section.kind, (), (), section)
+
+    def data(self, on: MeasuredModel) -> Data:
+        """Mass, centre of gravity and moments of inertia that were measured."""
+        s = self.section
+        value = np.full(10, np.nan)
+        std = np.ones(10)
+        if s.mass is not None:
+            value[0], std[0] = s.mass, s.mass_error * s.mass
+        if s.center is not None:
+            value[1:4], std[1:4] = s.center, s.center_error
+        if s.inertia is not None:
+            value[4:], std[4:] = s.inertia, s.inertia_error * np.nanmax(np.abs(s.inertia))
+        kg = on.units.kilograms
+        m = on.units.length
+        unit = np.array([kg, m, m, m, *(kg * m**2,) * 6])
+        seen = np.isfinite(value)
+        if not seen.any():
+            raise ConfigError(f"[[residual]] {self.name}: every value of the weighing is nan")
+        at = np.flatnonzero(seen).tolist()
+        rigid = replace(on.rigid(), active=on.active)
+        return Data(
+            name=self.name,
+            kind=s.kind,
+            term=MassPropertyDeviations(rigid, value / unit, std / unit),
+            weight=s.weight,
+            labels=tuple(WEIGHED[i] for i in at),
+            units=tuple(WEIGHED_UNITS[i] for i in at),
+            measured=value[seen],
+            scale=std[seen],
+        )
+
+
+READERS: dict[type, Callable[[Any, Source], Measured]] = {
+    FrfResidual: FrfMeasurement.read,
+    AntiResonanceResidual: ZeroMeasurement.read,
+    StaticResidual: StaticMeasurement.read,
+    MassResidual: MassMeasurement.read,
+}
+
+
+def read_measured(section: DataResidual, source: Source) -> Measured:
+    """Read what a [[residual]] names.
+
+    Raises
+    ------
+    ConfigError, DataError
+        If there are no FRFs, or none of the lines or channels that are asked for.
     """
-    s = found.section
-    if isinstance(s, FrfResidual):
-        return _frf_data(found, s, at, units)
-    if isinstance(s, StaticResidual):
-        return _static_data(found, s, at, units)
-    if isinstance(s, MassResidual):
-        return _mass_data(found, s, units, replace(rigid(), active=active))
-    f = np.array(s.frequencies)
-    term = AntiResonances(at[s.output], at[s.input], f, s.error, s.gate)
-    labels = tuple(f"{s.output} / {s.input}: zero {i + 1}" for i in range(f.size))
-    return Data(
-        name=found.name,
-        kind=s.kind,
-        term=term,
-        weight=s.weight,
-        labels=labels,
-        units=("Hz",) * f.size,
-        measured=f,
-        scale=s.error * f,
+    return READERS[type(section)](section, source)
+
+
+def part_of_frfs(frfs: FrfSet, lines: Int, outputs: Int, inputs: Int) -> FrfSet:
+    """Some lines, responses and references, by position."""
+    at = np.ix_(lines, outputs, inputs)
+    return replace(
+        frfs,
+        data=frfs.data[at],
+        freqs=frfs.freqs[lines],
+        outputs=tuple(frfs.outputs[i] for i in outputs.tolist()),
+        inputs=tuple(frfs.inputs[i] for i in inputs.tolist()),
+        coherence=frfs.coherence[at],
+        averages=frfs.averages[inputs],
     )
 
 
@@ -306,7 +450,7 @@ def flexible(model: ReducedModel, found: Sequence[Measured], loaded: Int) -> Red
     """
     if not loaded.size:
         return model
-    static = any(m.statics is not None for m in found)
+    static = any(m.static for m in found)
     return with_responses(model, loaded, np.zeros(len(model.parameters)), sensitivities=static)[0]
 
 
@@ -323,101 +467,11 @@ def check_moving(found: Sequence[Measured], at: Mapping[str, int], observe: Floa
     DataError
     """
     for m in found:
-        need = m.inputs if m.statics is not None else (*m.outputs, *m.inputs)
+        need = m.inputs if m.static else (*m.outputs, *m.inputs)
         if still := [c for c in need if not observe[at[c]].any()]:
             raise DataError(
                 f"[[residual]] {m.name}: channel {still[0]} is held in the deck, it cannot move"
             )
-
-
-def _frf_data(found: Measured, s: FrfResidual, at: Mapping[str, int], units: str) -> Data:
-    frfs = found.frfs
-    assert frfs is not None
-    assert found.damping is not None
-    out, into = (np.array([at[c] for c in side]) for side in (found.outputs, found.inputs))
-    h = frfs.data * UNIT_SYSTEMS[units].kilograms
-    term = Frf(
-        freqs=frfs.freqs,
-        measured=h,
-        outputs=out,
-        inputs=into,
-        damping=found.damping,
-        order=POWER[frfs.kind],
-        form=s.form,
-        std=s.error,
-    )
-    labels = tuple(f"{o} / {i}" for o in found.outputs for i in found.inputs)
-    n, log = len(labels), s.form == "log"
-    scale = s.error * (DECIBEL if log else 100 * np.sqrt(2))
-    unit = "dB rms" if log else "% rms"
-    none = np.full(n, np.nan)
-    return Data(
-        name=found.name,
-        kind=s.kind,
-        term=term,
-        weight=s.weight / frfs.freqs.size,
-        labels=labels,
-        units=(unit,) * n,
-        measured=none,
-        scale=np.full(n, scale),
-        lines=frfs.freqs.size,
-    )
-
-
-def _static_data(found: Measured, s: StaticResidual, at: Mapping[str, int], units: str) -> Data:
-    tests = found.statics
-    assert tests is not None
-    rows, length = np.array([at[c] for c in tests.channels]), UNIT_SYSTEMS[units].length
-    loads, moved = (
-        np.zeros((len(at), len(tests.cases))),
-        np.full((len(at), len(tests.cases)), np.nan),
-    )
-    loads[rows], moved[rows] = tests.loads, tests.deflections / length
-    seen = np.isfinite(moved)
-    names = {i: c for c, i in at.items()}
-    where = np.argwhere(seen).tolist()
-    labels = tuple(f"{tests.cases[j]}: {names[i]}" for i, j in where)
-    size = s.error * np.sqrt(np.nanmean(moved**2, axis=0)) * length
-    scale = np.broadcast_to(size, seen.shape)[seen]
-    term = StaticDeflections(loads, moved, s.error)
-    return Data(
-        name=found.name,
-        kind=s.kind,
-        term=term,
-        weight=s.weight,
-        labels=labels,
-        units=("m",) * len(labels),
-        measured=moved[seen] * length,
-        scale=scale,
-    )
-
-
-def _mass_data(found: Measured, s: MassResidual, units: str, rigid: RigidMass) -> Data:
-    kg, m = UNIT_SYSTEMS[units].kilograms, UNIT_SYSTEMS[units].length
-    value, std = np.full(10, np.nan), np.ones(10)
-    if s.mass is not None:
-        value[0], std[0] = s.mass, s.mass_error * s.mass
-    if s.center is not None:
-        value[1:4], std[1:4] = s.center, s.center_error
-    if s.inertia is not None:
-        value[4:], std[4:] = s.inertia, s.inertia_error * np.nanmax(np.abs(s.inertia))
-    unit = np.array([kg, m, m, m, *(kg * m**2,) * 6])
-    seen = np.isfinite(value)
-    if not seen.any():
-        raise ConfigError(f"[[residual]] {found.name}: every value of the weighing is nan")
-    at = np.flatnonzero(seen).tolist()
-    labels, names = tuple(WEIGHED[i] for i in at), tuple(WEIGHED_UNITS[i] for i in at)
-    term = MassProperties(rigid, value / unit, std / unit)
-    return Data(
-        name=found.name,
-        kind=s.kind,
-        term=term,
-        weight=s.weight,
-        labels=labels,
-        units=names,
-        measured=value[seen],
-        scale=std[seen],
-    )
 
 
 def rigid_mass(model: Model, parameters: ParameterSet) -> RigidMass:

@@ -30,7 +30,6 @@ MEND = (
     "= [...] leaves it out"
 )
 
-LEAST_SEEN = 0.5  # of what the typical point sees of a mode
 
 NO_CHANGE = (
     "no change of the candidates pays for its parameters (AICc): nothing is proposed, and the "
@@ -49,61 +48,49 @@ def run_messages(r: Mapping[str, Any]) -> tuple[str, ...]:
     r : mapping of str to a stage's result
         As far as the study was run.
     """
-    identify, correlate, final = r.get("identify"), r.get("correlate"), r.get("final")
-    out = (
-        [_mode_counts(identify), *identify.merge_notes, *_at_fault(identify)]
-        if identify is not None
-        else []
-    )
-    if correlate is not None:
-        out += [m.text for m in correlate.mendings]
-        out += _mended_tests(r.get("configurations"))
-        out += [*seat_words(correlate.seats), *correlate.gaps, *_pairs(correlate, final)]
-    sensitivity, chosen = r.get("sensitivity"), r.get("update")
-    if sensitivity is not None and chosen is not None:
-        out += held_sentences(sensitivity.held.get(chosen.sets[chosen.chosen].name, {}))
-    lacking = _added_masses(r)
+    identify: IdentifyStage | None = r.get("identify")
+    correlate: CorrelateStage | None = r.get("correlate")
+    final: FinalStage | None = r.get("final")
+    update: UpdateStage | None = r.get("update")
+    localise: LocaliseStage | None = r.get("localise")
     known: UncertaintyStage | None = r.get("uncertainty")
+    out: list[str] = []
+    if identify is not None:
+        out += [_mode_counts(identify), *identify.merge_notes, *_at_fault(identify)]
+    if correlate is not None:
+        out += [m.text for m in correlate.sensors.mendings]
+        out += _mended_tests(r.get("configurations"))
+        out += [*seat_words(correlate.sensors.seats), *correlate.notes, *_pairs(correlate, final)]
+    best = update.sets[update.chosen] if update is not None else None
+    if r.get("sensitivity") is not None and best is not None:
+        out += held_sentences(r["sensitivity"].held.get(best.name, {}))
+    masses = _added_masses(localise)
     for name, a, std in _factors(r):
         within = _interval(known, name)
-        out.append(
-            _added_mass(name, lacking[name], a, std, within)
-            if name in lacking
-            else _factor_sentence(name, a, std, within)
-        )
+        if name in masses:
+            out.append(_added_mass(name, masses[name], a, std, within))
+        else:
+            out.append(_factor_sentence(name, a, std, within))
     if known is not None:
         out += _doubts(known)
     if correlate is not None and final is not None:
-        line = worse_frequencies(*_in_both_deviations(correlate.remodelled, final.table, used=True))
-        out += [line] if line else []
-    update, localise = r.get("update"), r.get("localise")
-    beside = (
-        [f"{d.name}: {line}" for d in update.data for line in seat_words(d.seats)]
-        if update is not None
-        else []
-    )
-    out += beside
-    if update is not None and (
-        line := discrepancy_sentence(update.sets[update.chosen].discrepancy.tolist())
-    ):
-        out.append(line)
-    alone = update is not None and update.sets[update.chosen].name == "proposal"
-    if alone and localise is not None and not localise.proposal.members:
-        out.append(NO_CHANGE)
-    evidence = (
-        final.evidence
-        if final is not None
-        else correlate.evidence
-        if correlate is not None
-        else None
-    )
-    return (*out, *_suspects(evidence, r.get("compare")))
+        deviations = _in_both_deviations(correlate.remodelled, final.table, used=True)
+        out.append(worse_frequencies(*deviations))
+    if update is not None and best is not None:
+        out += [f"{d.name}: {line}" for d in update.data for line in seat_words(d.seats)]
+        out.append(discrepancy_sentence(best.discrepancy.tolist()))
+        proposed = localise.proposal.members if localise is not None else ()
+        if best.name == "proposal" and localise is not None and not proposed:
+            out.append(NO_CHANGE)
+    last = final or correlate
+    out += _suspects(last.evidence if last is not None else None, r.get("compare"))
+    return tuple(filter(None, out))
 
 
 def _mended_tests(found: ConfigurationsStage | None) -> list[str]:
     """Other mountings of the sensors of other configurations that explain their tests better."""
     return (
-        [f"configuration {c.name}: {m.text}" for c in found.items for m in c.mendings]
+        [f"configuration {c.name}: {m.text}" for c in found.items for m in c.sensors.mendings]
         if found is not None
         else []
     )
@@ -144,46 +131,49 @@ def discrepancy_sentence(discrepancy: Sequence[float]) -> str:
 
 
 def lost_points_sentence(plan: PlanStage) -> str:
-    """What a plan still tells of the modes when the worst of its points fail."""
-    what = "the most important point" if plan.lost == 1 else f"any {plan.lost} points"
-    return (
-        f"without {what} {100 * plan.left_by_loss:.0f} % of the information about any mode is left"
-    )
+    """What a plan still says of the modes when the worst of its points fail."""
+    sensors = plan.sensors
+    what = "the most important point" if sensors.lost == 1 else f"any {sensors.lost} points"
+    left = f"{100 * sensors.left_by_loss:.0f} %"
+    return f"without {what} {left} of the information about any mode is left"
 
 
 def missed_modes(plan: PlanStage) -> list[str]:
     """Target modes that the references miss: those that more of them could reach, and those that
     none could.
     """
-    said = {
-        "the references miss mode {}: strike at more points": plan.missed & ~plan.hopeless,
-        "no point that can be struck moves enough in mode {}: name others": plan.missed
-        & plan.hopeless,
+    found = plan.excitation
+    kinds = {
+        "the references miss mode {}: strike at more points": found.missed & ~found.unreachable,
+        "no point that can be struck moves enough in mode {}: name others": found.missed
+        & found.unreachable,
     }
-    numbers = {
-        text: (plan.target_modes[np.flatnonzero(at)] + 1).tolist() for text, at in said.items()
-    }
-    return [text.format(", ".join(map(str, modes))) for text, modes in numbers.items() if modes]
+    out = []
+    for text, which in kinds.items():
+        modes = (plan.target_modes[which] + 1).tolist()
+        if modes:
+            out.append(text.format(", ".join(map(str, modes))))
+    return out
 
 
 def setup_sentences(plan: PlanStage) -> list[str]:
     """How the sensors at hand are moved, the modes that cannot be joined well, and those that their
     mass shifts.
     """
-    if (found := plan.setups) is None:
+    if (found := plan.sensors.setups) is None:
         return []
     at_once = found.references.size + max(found.roving(k).size for k in range(found.count))
     lines = [
         f"{found.count} setups of up to {at_once} sensors; those at "
-        f"{' '.join(map(str, plan.roving(-1)))} stay"
+        f"{' '.join(map(str, plan.sensors.roving(-1)))} stay"
     ]
     names = np.array([str(k + 1) for k in plan.target_modes.tolist()])
-    if (dim := found.seen < LEAST_SEEN).any():
+    if (dim := found.seen < 0.5).any():  # of what the typical point sees of a mode
         lines.append(
-            f"the sensors that stay hardly see mode {', '.join(names[dim])}: strike elsewhere or "
-            "take more sensors"
+            f"the sensors that stay see little of mode {', '.join(names[dim])}: "
+            "strike elsewhere or take more sensors"
         )
-    if (moved := found.shift > plan.damping).any():
+    if (moved := found.shift > plan.acquisition.damping).any():
         worst = int(np.nanargmax(found.shift))
         lines.append(
             f"moving the sensors shifts mode {', '.join(names[moved])} by more than half its "
@@ -246,19 +236,17 @@ def _suspects(evidence: Evidence | None, tests: CompareStage | None) -> list[str
 
 def _at_fault(identify: IdentifyStage) -> list[str]:
     """What records and FRFs say of their channels, once for each of these."""
+    every = [(f"{r.name}: ", note) for r in identify.records for note in r.notes]
+    every += [("", note) for note in identify.frf_notes]
     notes: dict[str, list[str]] = {}
-    for name, said in (
-        *((f"{r.name}: ", r.notes) for r in identify.records),
-        ("", identify.frf_notes),
-    ):
-        for note in said:
-            if note.startswith("channel "):
-                notes.setdefault(note.partition(":")[0], []).append(name + note)
-    return [first + _more(len(rest)) for first, *rest in notes.values()]
-
-
-def _more(notes: int) -> str:
-    return f" ({notes} more note{'s' * (notes > 1)} on it)" if notes else ""
+    for name, note in every:
+        if note.startswith("channel "):
+            notes.setdefault(note.partition(":")[0], []).append(name + note)
+    out = []
+    for first, *rest in notes.values():
+        more = f" ({len(rest)} more note{'s' * (len(rest) > 1)} on it)" if rest else ""
+        out.append(first + more)
+    return out
 
 
 def _mode_counts(identify: IdentifyStage) -> str:
@@ -272,7 +260,7 @@ def _pairs(correlate: CorrelateStage, final: FinalStage | None) -> list[str]:
     tables = [
         t for t in (correlate.initial, final.table if final is not None else None) if t is not None
     ]
-    total = correlate.reference.frequencies.size
+    total = len(correlate.reference.elastic)
     mac = ""
     if not tables[0].frequency_only:
         single = _arrow([f"{t.mean_mac():.1f}" for t in tables])
@@ -363,14 +351,11 @@ def _factor_sentence(
     return f"{name}: times {factor:.{digits}f} ± {std:.{digits}f}{ends}"
 
 
-def _added_masses(r: Mapping[str, Any]) -> dict[str, float]:
-    """Masses that the deck lacked and a factor of 2 adds, by the names of the parameters."""
-    found: LocaliseStage | None = r.get("localise")
-    return (
-        {p.name: p.lump for p in found.candidates.parameters.parameters if p.lump}
-        if found is not None
-        else {}
-    )
+def _added_masses(found: LocaliseStage | None) -> dict[str, float]:
+    """Masses that the deck did not have and a factor of 2 adds, by the names of the parameters."""
+    if found is None:
+        return {}
+    return {p.name: p.lump for p in found.candidates.parameters.parameters if p.lump}
 
 
 def _added_mass(

@@ -10,24 +10,23 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import KDTree
 
-from ringtrue.checks.mass import mass_properties
+from ringtrue.checks.materials import mass_properties
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.dofs import DofSet
+from ringtrue.core.iterate import Progress, part
 from ringtrue.core.modes import ModeSet, elastic
 from ringtrue.core.parameters import ParameterSet
-from ringtrue.core.progress import Progress, part
 from ringtrue.core.testmodel import Observation, TestModel
 from ringtrue.correlation.sensor_mapping import Method, observe
-from ringtrue.eigen.modes import low_shift
+from ringtrue.eigen.shift import low_shift
 from ringtrue.errors import NotConverged
 from ringtrue.fem.loads import FACES, SURFACES
-from ringtrue.fem.parametrisation.affine import affine_terms
 from ringtrue.model.frames import diagonal, positions
 from ringtrue.model.model import Model
 from ringtrue.model.ports import Linearisation, ModalSolver, ModesRequest, ModesResult
 from ringtrue.reduction.basis import observed_system
-from ringtrue.reduction.matrix_model import Matrices, matrices_at
-from ringtrue.reduction.parametric import ReducedModel, reduced_model
+from ringtrue.reduction.matrix_model import MatricesAtPoint, matrices_at
+from ringtrue.reduction.parametric import KnownModes, ReducedModel, reduced_model
 from ringtrue.reduction.response import with_responses
 from ringtrue.solvers.embedded import EmbeddedAnalysis, EmbeddedSolver
 from ringtrue.study.results import Scene
@@ -86,7 +85,8 @@ class Opened:
         assert self.engine is not None
         with self.engine.open(self.model) as analysis:
             found = analysis.modes(request)
-        labels, dofs = found.modes.labels, self.analysis.dofs
+        labels = found.modes.labels
+        dofs = self.analysis.dofs
         assert isinstance(labels, DofSet)
         at, sign = labels.align(dofs)
         shapes = found.modes.shapes[at] * sign[:, None]
@@ -99,7 +99,9 @@ class Opened:
         A spring of no length to the ground has two nodes at one place; a sensor there sits on the
         one that moves.
         """
-        ids, xyz, moves = self.model["GRID"].ids, positions(self.model), self.moves
+        ids = self.model["GRID"].ids
+        xyz = positions(self.model)
+        moves = self.moves
         keep = moves.copy()
         if moves.any() and not moves.all():
             size = diagonal(xyz)
@@ -109,7 +111,8 @@ class Opened:
     @property
     def moves(self) -> Bool:
         """Whether any translation of a node is neither held nor without stiffness, (node,)."""
-        system, n = self.analysis.system, len(self.model["GRID"].ids)
+        system = self.analysis.system
+        n = len(self.model["GRID"].ids)
         return np.asarray(
             (np.diff(system.transform.indptr)[: 6 * n].reshape(n, 6)[:, :3] > 0).any(axis=1)
         )
@@ -196,7 +199,7 @@ class AtChannels:
         )
         return Whole(every, self.rows, self.model.count)
 
-    def matrices(self, x: Float) -> Matrices:
+    def matrices(self, x: Float) -> MatricesAtPoint:
         """Small matrices at x, at all channels."""
         return matrices_at(self.model, x)
 
@@ -230,20 +233,12 @@ def build(
 ) -> ReducedModel:
     """Assemble, differentiate and project: all modes below `fmax` with every parameter."""
     system = opened.analysis.system
-    parts = affine_terms(opened.model, parameters, system, progress=part(progress, 0.0, 0.4))
-    affine = observed_system(
-        system.stiffness,
-        system.mass,
-        transform=system.transform,
-        parameters=parameters,
-        terms=parts,
-        observation=observation,
-    )
+    early = part(progress, 0.0, 0.4)
+    affine = observed_system(opened.model, system, parameters, observation, progress=early)
     count = len(opened.modes(fmax).modes)
-    told = part(progress, 0.4, 1.0)
-    return reduced_model(
-        affine, count, pencil=opened.analysis.pencil, shift=low_shift(fmax), progress=told
-    )
+    late = part(progress, 0.4, 1.0)
+    known = KnownModes(opened.analysis.pencil, shift=low_shift(fmax))
+    return reduced_model(affine, count, known=known, progress=late)
 
 
 def verified(model: AtChannels, x: Float) -> tuple[AtChannels, float]:
@@ -253,7 +248,8 @@ def verified(model: AtChannels, x: Float) -> tuple[AtChannels, float]:
     """
     before = model.model.modes(x)
     better, truth = model.model.enrich(x)
-    error, soft = frequency_error(before.frequencies, truth.frequencies), 0.0
+    error = frequency_error(before.frequencies, truth.frequencies)
+    soft = 0.0
     if model.loaded.size:
         better, soft = with_responses(better, model.loaded, x)
     return replace(model, model=better), max(error, soft)
@@ -294,7 +290,6 @@ _JOINTS = {
     "CELAS2": ("G1", "G2"),
     "CVISC": ("G1", "G2"),
 }
-NOWHERE = 1e-9  # of the size of the model: ends of a joint that are as near are at one place
 
 
 def _faces(model: Model) -> tuple[Int, Int]:
@@ -334,21 +329,16 @@ def _lines(model: Model) -> tuple[Int, Int]:
     """Lines (l, 2) and property numbers; of a joint of no length or to the ground its ends, as
     points.
     """
-    lines, joints = _ends(model, _LINES), _ends(model, _JOINTS)
-    xyz, at = positions(model), model["GRID"].find(joints[:, :2])
+    lines = _ends(model, _LINES)
+    joints = _ends(model, _JOINTS)
+    xyz = positions(model)
+    at = model["GRID"].find(joints[:, :2])
     length = np.linalg.norm(xyz[at[:, 0]] - xyz[at[:, 1]], axis=1)
-    apart = (at >= 0).all(axis=1) & (length > NOWHERE * diagonal(xyz))
-    points = [joints[~apart & (at[:, k] >= 0)][:, [k, k, 2]] for k in (0, 1)]
-    every = np.concatenate([lines, joints[apart], np.unique(np.concatenate(points), axis=0)])
+    # 1e-9: of the size of the model: ends of a joint that are as near are at one place
+    drawn = (at >= 0).all(axis=1) & (length > 1e-9 * diagonal(xyz))
+    points = [joints[~drawn & (at[:, k] >= 0)][:, [k, k, 2]] for k in (0, 1)]
+    every = np.concatenate([lines, joints[drawn], np.unique(np.concatenate(points), axis=0)])
     return every[:, :2], every[:, 2]
-
-
-def _groups(pids: Int, regions: Mapping[str, Sequence[int]]) -> tuple[Int, tuple[str, ...]]:
-    named = {pid: name for name, members in regions.items() for pid in members}
-    labels = [named.get(p, f"property {p}" if p else "no property") for p in pids.tolist()]
-    names = tuple(dict.fromkeys([*regions, *labels]))
-    at = {n: i for i, n in enumerate(names)}
-    return np.array([at[x] for x in labels], dtype=np.int64), names
 
 
 def make_scene(model: Model, regions: Mapping[str, Sequence[int]], length: float = 1.0) -> Scene:
@@ -357,7 +347,12 @@ def make_scene(model: Model, regions: Mapping[str, Sequence[int]], length: float
     """
     quads, quad_pid = _faces(model)
     lines, line_pid = _lines(model)
-    group, names = _groups(np.concatenate([quad_pid, line_pid]), regions)
+    named = {pid: name for name, members in regions.items() for pid in members}
+    pids = np.concatenate([quad_pid, line_pid]).tolist()
+    labels = [named.get(p, f"property {p}" if p else "no property") for p in pids]
+    names = tuple(dict.fromkeys([*regions, *labels]))
+    at = {n: i for i, n in enumerate(names)}
+    group = np.array([at[x] for x in labels], dtype=np.int64)
     triangle = quads[:, 2] == quads[:, 3]
     tris = np.concatenate([quads[:, [0, 1, 2]], quads[~triangle][:, [0, 2, 3]]])
     tri_group = np.concatenate([group[: len(quads)], group[: len(quads)][~triangle]])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -30,18 +31,44 @@ from ringtrue.model.frames import diagonal, positions
 from ringtrue.study.opened import ROUNDING, Opened, make_scene
 from ringtrue.study.results import Seat
 
-ALIKE = 0.05  # of the largest motion: nodes at one place that differ by less tell a sensor the same
-MANY = 12  # points that are named
+
+@dataclass(frozen=True, slots=True)
+class PlacingLimits:
+    """When the places of a test are questioned.
+
+    Attributes
+    ----------
+    equal : float
+        Share of the largest motion: nodes at one place that differ by less are the same to a
+        sensor.
+    bad : float
+        Share of the size of the deck: a fit that is looked into.
+    better : float
+        Share of its error that an explanation must reach.
+    off : float
+        Share of the size of the deck: sensors farther from their node read another motion.
+    larger : float
+        Times the deck: a test that cannot lie on it.
+    shared : float
+        Share of the nodes of a deck: with fewer near another it is not of the same structure.
+    unit : float
+        Times another in size: in another unit.
+    """
+
+    equal: float = 0.05
+    bad: float = 0.01
+    better: float = 0.2
+    off: float = 0.01
+    larger: float = 1.5
+    shared: float = 0.1
+    unit: float = 10.0
+
+
+LIMITS = PlacingLimits()
+
+MOST_NAMED = 12  # points in a line
 MESHED = 400  # points of a deck that is held against another
-BAD, BETTER = (
-    0.01,
-    0.2,
-)  # of the size of the deck: a fit that is looked into; of its error: what explains it
-OFF = 0.01  # of the size of a deck: sensors farther from their node read another motion
-LARGER = 1.5  # times the deck: a test that cannot lie on it
-SHARED = 0.1  # of the nodes of a deck: with fewer near another it is not of the same structure
 MIRROR = np.array([1.0, 1.0, -1.0])
-UNLIKE = 10.0  # times another in size: in another unit
 
 
 def alignment(test: TestModel, opened: Opened, how: str) -> Alignment:
@@ -58,16 +85,20 @@ def alignment(test: TestModel, opened: Opened, how: str) -> Alignment:
         If the points do not decide: too few have the number of a node, or the geometry is
         symmetric; or if they have another unit of length, or left-handed axes.
     """
-    nodes, ids = positions(opened.model) * opened.length, opened.model["GRID"].ids
+    nodes = positions(opened.model) * opened.length
+    ids = opened.model["GRID"].ids
     if how == "nearest":
-        times = diagonal(_nearest_to_all(test.xyz)) / diagonal(nodes)
-        if times > LARGER:
+        # most points, those nearest to their median: a wrong place says nothing of the unit
+        distance = np.linalg.norm(test.xyz - np.median(test.xyz, axis=0), axis=1)
+        most = np.argsort(distance, kind="stable")[: int(np.ceil(0.9 * len(test.xyz)))]
+        times = diagonal(test.xyz[most]) / diagonal(nodes)
+        if times > LIMITS.larger:
             raise DataError(f"correlate.align nearest: {_other_size(times)}")
         found = nearest_fit(test.xyz, nodes)
         off = _off(found)
-        if off >= BAD * diagonal(nodes):
+        if off >= LIMITS.bad * diagonal(nodes):
             mirrored = _off(nearest_fit(test.xyz * MIRROR, nodes))
-            if mirrored < BETTER * off:
+            if mirrored < LIMITS.better * off:
                 raise DataError(f"correlate.align nearest: {_mirrored(off, mirrored)}")
         if found.rivals:
             raise DataError(
@@ -87,26 +118,19 @@ def alignment(test: TestModel, opened: Opened, how: str) -> Alignment:
     return found
 
 
-def _nearest_to_all(xyz: Float, keep: float = 0.9) -> Float:
-    """Most of the points (n, 3), the nearest to their median: a wrong place says nothing of the
-    unit.
-    """
-    distance = np.linalg.norm(xyz - np.median(xyz, axis=0), axis=1)
-    return np.asarray(xyz[np.argsort(distance, kind="stable")[: int(np.ceil(keep * len(xyz)))]])
-
-
 def _look_into(found: Alignment, points: Float, nodes: Float) -> None:
     """Refuse a poor fit that another unit or a mirror image explains."""
     off = _off(found)
-    if off < BAD * diagonal(nodes):
+    if off < LIMITS.bad * diagonal(nodes):
         return
     try:
-        sized, mirrored = best_fit(points, nodes, scale=True), best_fit(points * MIRROR, nodes)
+        sized = best_fit(points, nodes, scale=True)
+        mirrored = best_fit(points * MIRROR, nodes)
     except InputError:  # neither fits
         return
-    if _off(sized) < BETTER * off:
+    if _off(sized) < LIMITS.better * off:
         raise DataError(f"correlate.align points: {_other_size(1 / sized.scale)}")
-    if _off(mirrored) < BETTER * off:
+    if _off(mirrored) < LIMITS.better * off:
         raise DataError(f"correlate.align points: {_mirrored(off, _off(mirrored))}")
 
 
@@ -126,7 +150,7 @@ def _off(fit: Alignment) -> float:
 
 def _other_size(times: float) -> str:
     return (
-        f"the points of the test are {times:.4g} times as far apart as the nodes of the deck: "
+        f"the points of the test span {times:.4g} times the nodes of the deck: "
         "places on a sensor sheet "
         "are in m, those of the deck in the unit that [model] units names"
     )
@@ -148,8 +172,8 @@ def alignment_text(found: Alignment) -> str:
 
 
 def shared_places(opened: Opened, test: TestModel, modes: ModeSet) -> tuple[str, ...]:
-    """A note on points at whose place the deck has several nodes that do not move alike, as at a
-    joint.
+    """A note on points at whose place the deck has several nodes that do not move as one, as at
+    a joint.
 
     Points that have the number of one of them are read there.
 
@@ -163,7 +187,8 @@ def shared_places(opened: Opened, test: TestModel, modes: ModeSet) -> tuple[str,
     """
     ids, xyz = opened.seats
     points, first = np.unique(test.at, return_index=True)
-    place, tree = test.channel_xyz()[first] / opened.length, KDTree(xyz)
+    place = test.channel_xyz()[first] / opened.length
+    tree = KDTree(xyz)
     nearest = xyz[tree.query(place)[1]]
     shared = [
         (point, some)
@@ -175,15 +200,15 @@ def shared_places(opened: Opened, test: TestModel, modes: ModeSet) -> tuple[str,
     ]
     if not shared:
         return ()
-    named = " ".join(str(point) for point, _ in shared[:MANY]) + (
-        " ..." if len(shared) > MANY else ""
+    named = " ".join(str(point) for point, _ in shared[:MOST_NAMED]) + (
+        " ..." if len(shared) > MOST_NAMED else ""
     )
     point, some = shared[0]
     return (
-        f"point {named}: nodes that do not move alike are at the place "
+        f"point {named}: nodes that do not move together are at the place "
         f"({' and '.join(map(str, some))} at point "
         f"{point}), and one of them is read; give the point the number of its node, or a place "
-        "beside the joint",
+        "near the joint",
     )
 
 
@@ -191,7 +216,7 @@ def between_nodes(opened: Opened, seen: Observation, match: Method) -> tuple[str
     """A note on sensors that stand between the nodes, where the nearest one is read for each."""
     if match != "nearest":
         return ()
-    far = seen.distance > OFF * diagonal(opened.seats[1])
+    far = seen.distance > LIMITS.off * diagonal(opened.seats[1])
     if not far.any():
         return ()
     return (
@@ -204,13 +229,13 @@ def between_nodes(opened: Opened, seen: Observation, match: Method) -> tuple[str
 
 
 def _apart(dofs: DofSet, nodes: Sequence[int], shapes: Float) -> bool:
-    """Whether in any mode (dof, mode) nodes at one place move apart by a share of its largest
+    """Whether in any mode (dof, mode) nodes at one place move differently by a share of its largest
     translation.
     """
     row = dofs.find(np.repeat(nodes, 3), np.tile([1, 2, 3], len(nodes)))
     motion = np.where(row[:, None] < 0, 0.0, shapes[row]).reshape(len(nodes), 3, -1)
     largest = np.abs(shapes[np.abs(dofs.direction) <= 3]).max(axis=0, initial=0.0)
-    return bool((np.ptp(motion, axis=0) > ALIKE * largest).any())
+    return bool((np.ptp(motion, axis=0) > LIMITS.equal * largest).any())
 
 
 def placed(
@@ -220,7 +245,6 @@ def placed(
     *,
     tolerance: float | None = None,
     method: Method = "nearest",
-    align: str = "",
     dofs: DofSet | None = None,
 ) -> Observation:
     """The channels of a test on a deck: by their places on a sensor sheet, or as DOFs of the deck
@@ -238,8 +262,6 @@ def placed(
         Largest distance of a sensor from its node; `default_tolerance` if not given.
     method : str
         As in `correlate.observe`.
-    align : {"", "points", "nearest"}
-        How the sheet is laid onto the deck first; empty: it is in the deck's frame.
     dofs : DofSet, optional
         Rows of the shapes that it reads, those of the embedded solver if not given.
 
@@ -261,15 +283,13 @@ def placed(
     with about(sheet) if isinstance(sheet, Path) else nullcontext():
         test = sheet if isinstance(sheet, TestModel) else _motions(sheet, channels)
         here = test.pick(tuple(channels))
-    if align:
-        here = alignment(test, opened, align).move(here)
     return opened.observation(here, tolerance, method, dofs=dofs)
 
 
 def readings(
     test: ModeSet, modes: ModeSet, sheet: TestModel, seen: Callable[[TestModel], Observation]
 ) -> Readings:
-    """Test modes beside those of a deck, with what the deck does along all axes of the sheet at
+    """Test modes and those of a deck, with what the deck does along all axes of the sheet at
     each sensor.
 
     Parameters
@@ -306,7 +326,8 @@ def mesh_points(opened: Opened) -> TestModel:
     scene = make_scene(opened.model, {}, opened.length)
     drawn = np.flatnonzero(np.isin(scene.node, opened.model["GRID"].ids[opened.moves]))
     at = drawn[np.unique(np.linspace(0, drawn.size - 1, min(MESHED, drawn.size)).astype(np.int64))]
-    node, axes = scene.node[at], np.tile(np.eye(3), (at.size, 1))
+    node = scene.node[at]
+    axes = np.tile(np.eye(3), (at.size, 1))
     channels = tuple(f"{n}+{a}" for n in node.tolist() for a in "XYZ")
     return TestModel(
         points=node,
@@ -323,15 +344,16 @@ def near_mesh(test: TestModel, opened: Opened, tolerance: float | None) -> tuple
     the default one.
     """
     xyz = opened.seats[1] * opened.length
-    one, other = diagonal(test.xyz), diagonal(xyz)
-    if min(one, other) > 0 and max(one, other) > UNLIKE * min(one, other):
+    one = diagonal(test.xyz)
+    other = diagonal(xyz)
+    if min(one, other) > 0 and max(one, other) > LIMITS.unit * min(one, other):
         raise DataError(
             f"the one deck is {one:.3g} m in size, the other {other:.3g} m: check --units"
         )
     tree = KDTree(xyz)
     reach = default_tolerance(xyz) if tolerance is None else tolerance
     near = np.asarray(tree.query(test.channel_xyz())[0] <= reach)
-    if near.mean() < SHARED:
+    if near.mean() < LIMITS.shared:
         raise DataError(
             f"{100 * near.mean():.0f} % of the nodes of the one deck are within {reach:.3g} m of "
             "a node of the other: "
@@ -340,9 +362,6 @@ def near_mesh(test: TestModel, opened: Opened, tolerance: float | None) -> tuple
     return test.pick(
         tuple(c for c, yes in zip(test.channels, near.tolist(), strict=True) if yes)
     ), reach
-
-
-SHOWN = 12  # points that a line names
 
 
 def seats(seen: Observation, sheet: TestModel) -> tuple[Seat, ...]:
@@ -399,17 +418,12 @@ def seat_words(found: Sequence[Seat]) -> tuple[str, ...]:
         return ()
     at = {s.point: s for s in found}
     other = [s for s in at.values() if s.nodes != (s.point,)]
-    told = f"{len(at) - len(other)} of {len(at)} points are read at the node of their number"
+    line = f"{len(at) - len(other)} of {len(at)} points are read at the node of their number"
     if other:
-        told += "; point -> node: " + ", ".join(f"{s.point} -> {_nodes(s)}" for s in other[:SHOWN])
-        told += (
-            f" and {len(other) - SHOWN} more (--json, summary.json)" if len(other) > SHOWN else ""
-        )
-    told += f"; at most {max(s.distance for s in found):.2g} m away"
-    return told, *other_names(
-        [s.channel for s in found], [s.sensor for s in found], [s.sign for s in found]
-    )
-
-
-def _nodes(s: Seat) -> str:
-    return "+".join(map(str, s.nodes))
+        pairs = [f"{s.point} -> {'+'.join(map(str, s.nodes))}" for s in other[:MOST_NAMED]]
+        line += "; point -> node: " + ", ".join(pairs)
+    if len(other) > MOST_NAMED:
+        line += f" and {len(other) - MOST_NAMED} more (--json, summary.json)"
+    line += f"; at most {max(s.distance for s in found):.2g} m away"
+    names = [s.channel for s in found], [s.sensor for s in found]
+    return line, *other_names(*names, [s.sign for s in found])

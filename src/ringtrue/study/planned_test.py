@@ -2,105 +2,51 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from ringtrue.core.arrays import Bool, Float, Int
+from ringtrue.core.iterate import Progress, part
 from ringtrue.core.modes import rigid_below
-from ringtrue.core.progress import Progress
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import ConfigError
-from ringtrue.fem.response import frf
 from ringtrue.planning.exciters import (
-    appropriate_exciters,
-    qr_exciters,
-    rank_sets,
-    select_references,
-    shares,
-)
-from ringtrue.planning.geometry import along, relative_neighbours, surface_normals
-from ringtrue.planning.resolution import (
+    LEAST_REACH,
+    ExciterSet,
     Targets,
     choose_targets,
     effective_mass,
     in_band,
     informative_modes,
     kinetic_share,
+    rank_sets,
+    readable,
+    select_references,
+    shares,
+)
+from ringtrue.planning.geometry import (
+    along,
+    relative_neighbours,
+    spacing_of_points,
+    surface_normals,
 )
 from ringtrue.planning.virtual_test import (
     AmbientConditions,
     Conditions,
     Planned,
-    VirtualTest,
     longest,
     simulate_ambient_test,
     simulate_impact_test,
 )
 from ringtrue.study.config_sections import PlanSection
-from ringtrue.study.results import PlanStage, Scene
-from ringtrue.study.results.model import MISSED
+from ringtrue.study.results import ModelStage, PlanStage, Scene
 from ringtrue.study.session import Session
 from ringtrue.virtual.sensors import ACCELEROMETER
 
-MODEL_ERROR = 0.01  # relative, of an eigenvalue: half a percent of a frequency
-
-
-def planned_targets(session: Session, plan: PlanSection, f: Float, edge: float) -> Targets:
-    """The target modes: as named, or those of the band that a criterion asks for."""
-    rigid = plan.fmax <= edge  # a band of rigid-body modes alone is one of them
-    low = max(rigid_below(f) if rigid else edge, plan.fmin)
-    if plan.modes:
-        if max(plan.modes) > f.size:
-            raise ConfigError(
-                f"[plan] modes: {max(plan.modes)} of {f.size} modes below fmax of [model]; raise it"
-            )
-        return choose_targets(f, {"named": np.isin(np.arange(1, f.size + 1), plan.modes)})
-    within = in_band(f, low, plan.fmax)
-    criteria = _criteria(session, plan, within) or {f"{low:.4g} to {plan.fmax:.4g} Hz": within}
-    return choose_targets(f, criteria, within=within)
-
-
-def _criteria(session: Session, plan: PlanSection, within: Bool) -> dict[str, Bool]:
-    """What [plan] asks of target modes besides the band."""
-    criteria: dict[str, Bool] = {}
-    if not (plan.effective_mass or plan.sensitive or plan.telling or plan.kinetic):
-        return criteria
-    analysis, modes = session.initial.analysis, session.initial.modes(session.first_fmax).modes
-    free = np.asarray(analysis.system.local @ modes.shapes)
-    if plan.effective_mass:
-        share = effective_mass(free, analysis.system.mass, analysis.system.rigid_body())
-        criteria[f"effective mass over {100 * plan.effective_mass:g} %"] = (
-            share.max(axis=1) > plan.effective_mass
-        )
-    for name, least in plan.kinetic.items():
-        rows = np.flatnonzero(np.isin(analysis.system.free.node, plan.candidates[name]))
-        share = kinetic_share(free, analysis.system.mass, [rows])[:, 0]
-        criteria[f"kinetic energy of {name} over {100 * least:g} %"] = share > least
-    parameters = session.config.candidates()
-    if (plan.sensitive or plan.telling) and not len(parameters):
-        raise ConfigError("[plan] sensitive and telling need a [[candidate]]")
-    if plan.sensitive or plan.telling:
-        lam = (2 * np.pi * modes.frequencies) ** 2
-        slopes = analysis.slopes(parameters)
-        d = np.stack(
-            [
-                np.einsum("fm,fm->m", free, s.stiffness @ free - (s.mass @ free) * lam)
-                for s in slopes
-            ],
-            axis=1,
-        )
-        relative = np.where(within, 1 / np.where(within, lam, 1.0), 0.0)[:, None] * d
-        if plan.sensitive:
-            criteria[f"sensitivity over {plan.sensitive:g}"] = (
-                np.abs(relative).sum(axis=1) > plan.sensitive
-            )
-        if plan.telling:
-            x = relative * parameters.derivative(np.zeros(len(parameters)))
-            at = informative_modes(x, np.ones(len(x)), MODEL_ERROR, parameters.std(), plan.telling)
-            criteria["tells parameters apart"] = np.isin(np.arange(len(x)), at)
-    return criteria
+LARGEST_LEAST_DISTANCE_M = 0.8  # of measuring points, where nothing is asked
 
 
 AXES = ("X", "Y", "Z")
@@ -122,7 +68,7 @@ class Arrangement:
     names : tuple (s) of tuple (d) of str
         Direction in the name of a channel.
     xyz : (s, 3) float64, m
-    apart : (s, 3 or 4) float64, m
+    spread : (s, 3 or 4) float64, m
         Where the least distance is measured: sensors in different single axes do not keep each
         other away.
     region : tuple (s) of str
@@ -133,7 +79,7 @@ class Arrangement:
     axes: Float
     names: tuple[tuple[str, ...], ...]
     xyz: Float
-    apart: Float
+    spread: Float
     region: tuple[str, ...]
 
     @property
@@ -166,7 +112,8 @@ class Arrangement:
 
     def measured(self, chosen: Int) -> Float:
         """Projector on the directions that are measured at each point of `points`, (p, 3, 3)."""
-        at, axes = self.points(chosen)[1], self.axes[chosen]
+        at = self.points(chosen)[1]
+        axes = self.axes[chosen]
         out = np.zeros((at.max(initial=-1) + 1, 3, 3))
         np.add.at(out, at, np.einsum("cdi,cdj->cij", axes, axes))
         return out
@@ -176,10 +123,9 @@ class Arrangement:
         drawing.
         """
         points, back = self.points(chosen)
-        first = np.array(
-            [int(np.argmax(back == k)) for k in range(points.size)], dtype=np.int64
-        )  # tens of points
-        xyz, groups = self.xyz[chosen][first], [self.region[i] for i in chosen[first].tolist()]
+        _, first = np.unique(back, return_index=True)
+        xyz = self.xyz[chosen][first]
+        groups = [self.region[i] for i in chosen[first].tolist()]
         lines = points[relative_neighbours(xyz, groups)]
         axes = self.axes[chosen].reshape(-1, 3)
         return TestModel(
@@ -212,32 +158,27 @@ def arranged(
     ConfigError
         If no candidate lies on a surface and normals are asked for.
     """
-    n, eye = nodes.size, np.eye(3)
+    n = nodes.size
     names: tuple[tuple[str, ...], ...]
     if directions == "triaxial":
-        at, axes, names = np.arange(n), np.broadcast_to(eye, (n, 3, 3)), (AXES,) * n
+        at = np.arange(n)
+        axes = np.broadcast_to(np.eye(3), (n, 3, 3))
+        names = (AXES,) * n
     elif directions == "uniaxial":
-        at, axes = np.repeat(np.arange(n), 3), np.tile(eye, (n, 1))[:, None, :]
+        at = np.repeat(np.arange(n), 3)
+        axes = np.tile(np.eye(3), (n, 1))[:, None, :]
         names = tuple((a,) for a in AXES) * n
     else:
         at, axes = _surface_sensors(nodes, scene)
         names = (NORMAL,) * at.size
     place = xyz[at]
-    apart = place
-    if (
-        directions == "uniaxial"
-    ):  # a fourth coordinate keeps the axes farther apart than any two nodes are
+    spread = place
+    if directions == "uniaxial":
+        # a fourth coordinate sets the axes farther from each other than any two nodes are
         far = 10 * (1.0 + float(np.ptp(xyz, axis=0).max(initial=0.0)))
-        apart = np.column_stack([place, far * np.tile(np.arange(3), n)])
-    return Arrangement(
-        nodes=nodes,
-        at=at,
-        axes=axes,
-        names=names,
-        xyz=place,
-        apart=apart,
-        region=tuple(region[i] for i in at.tolist()),
-    )
+        spread = np.column_stack([place, far * np.tile(np.arange(3), n)])
+    regions = tuple(region[i] for i in at.tolist())
+    return Arrangement(nodes, at, axes, names, xyz=place, spread=spread, region=regions)
 
 
 def _surface_sensors(nodes: Int, scene: Scene) -> tuple[Int, Float]:
@@ -253,20 +194,131 @@ def _surface_sensors(nodes: Int, scene: Scene) -> tuple[Int, Float]:
     return at, normal[seat[at]][:, None, :]
 
 
-RESIDUE: dict[str, Callable[[Float, int, Float], Int]] = {
-    "greedy": select_references,
-    "worst": lambda rows, count, largest: rank_sets(rows, count, largest=largest, most=1)[0].rows,
-}
-MORE_OR_FEWER = 2  # points fewer and more than asked for
-EQUAL_SETS = 3  # sets of as many points as asked for
-WORST = "by the driving-point residue of the mode that is excited worst"
-RULES = {
-    "greedy": f"hammer points greedily {WORST}",
-    "worst": f"the best set of hammer points {WORST}",
-    "qr": "exciters by QR with pivoting of M·Φ, the forces that part the modes",
-    "mif": "exciters that come closest together to a phase resonance of every mode (mode "
-    "indicator)",
-}
+@dataclass(frozen=True, eq=False)
+class PlanProblem:
+    """What a plan chooses from.
+
+    Attributes
+    ----------
+    session : Session
+    section : PlanSection
+    able : Arrangement
+        The candidates that move.
+    motion : (n, 3, m) float64
+        Mass-normalised translations of their nodes in all modes of the deck.
+    """
+
+    session: Session
+    section: PlanSection
+    able: Arrangement
+    motion: Float
+
+    @cached_property
+    def shapes(self) -> Float:
+        """What the candidates read, (s, d, m)."""
+        return self.able.seen(self.motion)
+
+    @property
+    def model(self) -> ModelStage:
+        """The deck and its modes."""
+        found: ModelStage = self.session.get("model")
+        return found
+
+    @property
+    def frequencies(self) -> Float:
+        """Of the deck, (m,) Hz."""
+        return self.model.modes.frequencies
+
+    @property
+    def si(self) -> float:
+        """Of shapes: mass-normalised in t they are 1/√t = 1/√(1000 kg)."""
+        return float(1 / np.sqrt(self.session.unit.kilograms))
+
+    @cached_property
+    def least_distance(self) -> float:
+        """Of measuring points, m."""
+        asked = self.section.min_distance
+        if isinstance(asked, float):
+            return asked
+        even = spacing_of_points(self.able.spread, self.section.sensors)
+        return even if asked == "even" else min(even, LARGEST_LEAST_DISTANCE_M)
+
+    def targets(self, edge: float) -> tuple[Targets, tuple[str, ...]]:
+        """The target modes: as named, or those of the band that a criterion asks for; and those
+        that no candidate reads, in words. `edge` is between rigid-body and elastic modes, Hz.
+        """
+        f = self.frequencies
+        plan = self.section
+        readable_modes = readable(self.shapes, self.model.mass.mass)
+        if plan.modes:
+            if max(plan.modes) > f.size:
+                raise ConfigError(
+                    f"[plan] modes: {max(plan.modes)} of {f.size} modes below fmax of [model]; "
+                    "raise it"
+                )
+            named = np.isin(np.arange(1, f.size + 1), plan.modes)
+            return choose_targets(f, {"named": named}).among(readable_modes)
+        rigid = plan.fmax <= edge  # a band of rigid-body modes alone is one of them
+        low = max(rigid_below(f) if rigid else edge, plan.fmin)
+        within = in_band(f, low, plan.fmax)
+        criteria = self._criteria(within) or {f"{low:.4g} to {plan.fmax:.4g} Hz": within}
+        return choose_targets(f, criteria, within=within).among(readable_modes)
+
+    def _criteria(self, within: Bool) -> dict[str, Bool]:
+        """What [plan] asks of target modes besides the band."""
+        plan = self.section
+        criteria: dict[str, Bool] = {}
+        if not (plan.effective_mass or plan.sensitive or plan.telling or plan.kinetic):
+            return criteria
+        analysis = self.session.initial.analysis
+        modes = self.session.initial.modes(self.session.first_fmax).modes
+        system = analysis.system
+        free = np.asarray(system.local @ modes.shapes)
+        if plan.effective_mass:
+            share = effective_mass(free, system.mass, system.rigid_body()).max(axis=1)
+            name = f"effective mass over {100 * plan.effective_mass:g} %"
+            criteria[name] = share > plan.effective_mass
+        for name, least in plan.kinetic.items():
+            rows = np.flatnonzero(np.isin(system.free.node, plan.candidates[name]))
+            share = kinetic_share(free, system.mass, [rows])[:, 0]
+            criteria[f"kinetic energy of {name} over {100 * least:g} %"] = share > least
+        if not (plan.sensitive or plan.telling):
+            return criteria
+        parameters = self.session.config.candidates()
+        if not len(parameters):
+            raise ConfigError("[plan] sensitive and telling need a [[candidate]]")
+        lam = (2 * np.pi * modes.frequencies) ** 2
+        columns = []
+        for s in analysis.slopes(parameters):
+            change = s.stiffness @ free - (s.mass @ free) * lam
+            columns.append(np.einsum("fm,fm->m", free, change))
+        scale = np.where(within, 1 / np.where(within, lam, 1.0), 0.0)
+        relative = scale[:, None] * np.stack(columns, axis=1)
+        if plan.sensitive:
+            total = np.abs(relative).sum(axis=1)
+            criteria[f"sensitivity over {plan.sensitive:g}"] = total > plan.sensitive
+        if plan.telling:
+            x = relative * parameters.derivative(np.zeros(len(parameters)))
+            # 0.01: relative, of an eigenvalue: half a percent of a frequency
+            at = informative_modes(x, np.ones(len(x)), 0.01, parameters.std(), plan.telling)
+            criteria["distinguishes parameters"] = np.isin(np.arange(len(x)), at)
+        return criteria
+
+    def excitation(self, chosen: Int, targets: Int) -> Int:
+        """Rows of the channels to excite, among those of the chosen sensors."""
+        plan = self.section
+        able = self.able
+        rows = self.shapes[chosen].reshape(chosen.size * able.each, -1)
+        count = min(plan.references, len(rows))
+        rows = rows[:, targets]
+        measured = self.shapes[:, :, targets] if plan.strike_at else rows[:, None, :]
+        largest = (measured**2).max(axis=(0, 1))
+        some = within_reach(rows, largest)
+        few = rows[:, some]
+        top = largest[some]
+        if plan.strike == "greedy":
+            return select_references(few, count, top)
+        return rank_sets(few, count, largest=top, most=1)[0].rows
 
 
 def node_rows(session: Session, nodes: Int) -> Int:
@@ -280,43 +332,11 @@ def node_rows(session: Session, nodes: Int) -> Int:
     return at
 
 
-def exciters(
-    session: Session, plan: PlanSection, able: Arrangement, shapes: Float, chosen: Int, targets: Int
-) -> tuple[Int, Float, Float]:
-    """Channels to excite by the method asked for; mode indicators (m,) and forces (m, k) where
-    these were sought.
-    """
-    rows = shapes[chosen].reshape(chosen.size * able.each, -1)
-    count = min(plan.references, len(rows))
-    none = np.zeros(0), np.zeros((0, 0))
-    if plan.strike == "qr":
-        analysis = session.initial.analysis
-        pull = analysis.system.mass @ (
-            analysis.system.local @ session.initial.modes(session.first_fmax).modes.shapes
-        )
-        at = node_rows(session, able.node[chosen])
-        forces = (analysis.system.transform[at.ravel()] @ pull[:, targets]).reshape(
-            chosen.size, 3, -1
-        )
-        return (qr_exciters(along(forces, able.axes[chosen]).reshape(len(rows), -1), count), *none)
-    if plan.strike == "mif":
-        f = session.get("model").modes.frequencies
-        zeta = np.full(f.size, plan.damping)
-        # as good as all channels: the indicator reads sums over them alone
-        outputs = np.asarray(np.linalg.qr(rows, mode="r"))
-        return appropriate_exciters(frf(f[targets], f, zeta, outputs, rows), count)
-    rows = rows[:, targets]
-    largest = (shapes[:, :, targets] if plan.strike_at else rows[:, None, :]) ** 2
-    largest = largest.max(axis=(0, 1))
-    some = within_reach(rows, largest)
-    return (RESIDUE[plan.strike](rows[:, some], count, largest[some]), *none)
-
-
 def within_reach(rows: Float, largest: Float) -> Bool:
     """Which modes of rows (r, m) one of them excites well, (m,); all if none: what no point reaches
     ranks nothing.
     """
-    some = (rows**2).max(axis=0) >= MISSED * largest
+    some = (rows**2).max(axis=0) >= LEAST_REACH * largest
     return np.asarray(some | ~some.any())
 
 
@@ -331,7 +351,7 @@ def ranked(
     Parameters
     ----------
     rows : (r, m) float64, mass-normalised
-        Target modes where a blow can go.
+        Target modes where a force can act.
     labels : sequence (r) of str
     count : int
     largest : (m,) float64
@@ -343,71 +363,69 @@ def ranked(
     reach : (set, m) float64
         Driving-point residue of the best point of each set over the largest of any channel.
     """
-    sizes = range(max(1, count - MORE_OR_FEWER), min(count + MORE_OR_FEWER, len(rows)) + 1)
     some = within_reach(rows, largest)
-    few, top = rows[:, some], largest[some]
-    sets = [
-        s.rows
-        for k in sizes
-        for s in rank_sets(few, k, largest=top, most=EQUAL_SETS if k == count else 1)
-    ]
-    reach = np.stack([shares(rows, largest)[s].max(axis=0) for s in sets])
-    return tuple(tuple(labels[i] for i in s.tolist()) for s in sets), reach
+    sets: list[ExciterSet] = []
+    for size in range(max(1, count - 2), min(count + 2, len(rows)) + 1):
+        most = 3 if size == count else 1
+        sets += rank_sets(rows[:, some], size, largest=largest[some], most=most)
+    share = shares(rows, largest)
+    reach = np.stack([share[s.rows].max(axis=0) for s in sets])
+    return tuple(tuple(labels[i] for i in s.rows.tolist()) for s in sets), reach
 
 
-SEED = 7919  # added to that of the study
-AMBIENT_SEED = 7927
-BLOWS = 20  # at a reference, at most
+def virtual_tests(
+    problem: PlanProblem, stage: PlanStage, rows: Float, progress: Progress
+) -> PlanStage:
+    """The stage with what virtual tests by a plan find of its target modes, and virtual ambient
+    tests of theirs; `rows` (s, m) are shapes at its channels, by SI mass.
 
-
-def virtual_test(
-    session: Session, plan: PlanSection, stage: PlanStage, rows: Float, progress: Progress
-) -> VirtualTest:
-    """What virtual tests by a plan find of its target modes; `rows` (s, m) are shapes at its
-    channels, by SI mass.
+    Ambient forces act along all channels; the sensors are those of the ambient tests, or all where
+    these are not planned.
     """
-    f = session.get("model").modes.frequencies
-    at = [stage.test.channels.index(r) for r in stage.references]
+    plan = problem.section
+    seed = problem.session.config.study.seed
+    f = problem.frequencies
+    channels = stage.sensors.test.channels
+    references = stage.excitation.references
+    at = [channels.index(r) for r in references]
     band = _test_band(stage.target_frequencies, plan.damping)
-    planned = Planned(f, rows, rows[at], stage.test.channels, stage.references, *band)
-    rng = np.random.default_rng(session.config.study.seed + SEED)
-    conditions = Conditions(
-        trials=plan.trials, damping=plan.damping, hits=min(stage.averages, BLOWS)
-    )
+    planned = Planned(f, rows, rows[at], channels, references, fmin=band[0], fmax=band[1])
+    hits = min(stage.acquisition.averages, 20)  # at a reference, of a virtual test
+    conditions = Conditions(trials=plan.trials, damping=plan.damping, hits=hits)
     if plan.background is None:
         conditions = replace(conditions, coherence=plan.coherence)
     else:
         conditions = replace(conditions, background=plan.background)
-    result = simulate_impact_test(planned, conditions, rng, progress=progress)
-    return result.take(np.searchsorted(np.flatnonzero(planned.targets), stage.target_modes))
+    rng = np.random.default_rng(seed + 7919)
+    found = simulate_impact_test(planned, conditions, rng, progress=part(progress, 0.0, 0.5))
+    in_band_modes = np.flatnonzero(planned.targets)
+    found = found.take(np.searchsorted(in_band_modes, stage.target_modes))
+    stage = replace(stage, virtual_test=found)
+    if not plan.ambient_force:
+        return stage
 
-
-def virtual_ambient_test(
-    session: Session, plan: PlanSection, stage: PlanStage, rows: Float, progress: Progress
-) -> tuple[VirtualTest, tuple[str, ...]]:
-    """What virtual ambient tests find of its modes, and notes; `rows` (s, m) are shapes at all
-    channels, by SI mass.
-
-    Forces act along all channels; the sensors are those of the ambient tests, or all where these
-    are not planned.
-    """
-    f = session.get("model").modes.frequencies
-    channels = stage.ambient or stage.test.channels
-    seen = rows[[stage.test.channels.index(c) for c in channels]]
-    band = _test_band(f[stage.expected_modes], plan.damping)
-    planned = Planned(f, seen, rows, channels, stage.test.channels, *band)
-    rng = np.random.default_rng(session.config.study.seed + AMBIENT_SEED)
+    sensors = stage.sensors.ambient or channels
+    seen = rows[[channels.index(c) for c in sensors]]
+    expected = stage.acquisition.modes
+    band = _test_band(f[expected], plan.damping)
+    planned = Planned(f, seen, rows, sensors, channels, fmin=band[0], fmax=band[1])
     conditions = Conditions(trials=plan.trials, damping=plan.damping, sensor=ACCELEROMETER)
-    duration = min(stage.record_length, longest(len(channels), band[1]))
-    cut = (
-        f"the virtual ambient tests last {duration:.4g} s of the {stage.record_length:.4g} s, "
-        "as memory allows"
+    whole = stage.acquisition.record_length
+    duration = min(whole, longest(len(sensors), band[1]))
+    ambient = AmbientConditions(duration, plan.ambient_force)
+    rng = np.random.default_rng(seed + 7927)
+    found = simulate_ambient_test(
+        planned, ambient, conditions, rng, progress=part(progress, 0.5, 1.0)
     )
-    result = simulate_ambient_test(
-        planned, AmbientConditions(duration, plan.ambient_force), conditions, rng, progress=progress
-    )
-    found = result.take(np.searchsorted(np.flatnonzero(planned.targets), stage.expected_modes))
-    return found, (cut,) if duration < stage.record_length else ()
+    found = found.take(np.searchsorted(np.flatnonzero(planned.targets), expected))
+    notes = stage.notes
+    if duration < whole:
+        notes = (
+            *notes,
+            f"the virtual ambient tests last {duration:.4g} s of the {whole:.4g} s, as memory "
+            "allows",
+        )
+    return replace(stage, virtual_ambient_test=found, notes=notes)
 
 
 def _test_band(frequencies: Float, damping: float) -> tuple[float, float]:

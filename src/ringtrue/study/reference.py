@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,54 +15,30 @@ from ringtrue.correlation.pairing import Pairing, pair_modes
 from ringtrue.correlation.table import CorrelationTable, correlation_table
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.modes import read_modes, read_std
-from ringtrue.shapes.complexity import realise_modes
+from ringtrue.shapes import realise_modes
 from ringtrue.study.config import StudyConfig
-from ringtrue.study.results import ConfiguredTest, CorrelateStage, IdentifyStage
+from ringtrue.study.results import IdentifiedModes, IdentifyStage, ReferenceModes
 
-ROOM = 1.5  # over the highest test mode: where its partner may be before the updating
 ABOVE = 1.2  # modes of the deck should be known up to here over the highest test mode
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Reference:
-    """Elastic modes from the hammer test, rigid-body modes from the ambient test; real shapes."""
-
-    elastic: ModeSet
-    elastic_std: Uncertainty
-    rigid: ModeSet
-    rigid_std: Uncertainty
-    gaps: tuple[str, ...] = ()  # elastic modes and channels of the test that are not used, in words
-
-    @classmethod
-    def of(cls, found: CorrelateStage | ConfiguredTest) -> Reference:
-        """The test modes that were kept with a correlation."""
-        return cls(
-            found.reference, found.reference_uncertainty, found.rigid, found.rigid_uncertainty
-        )
-
-
-def split_frequency(frequencies: Float, below: float | None) -> float:
-    """Between rigid-body and elastic modes, Hz: as given, or the geometric middle of the widest
-    gap.
-    """
-    f = np.sort(frequencies[frequencies > 0])
-    if below is not None or f.size < 2:
-        return below or 0.0
-    i = int(np.argmax(f[1:] / f[:-1]))
-    return float(np.sqrt(f[i] * f[i + 1]))
 
 
 def elastic_edge(frequencies: Float, config: StudyConfig) -> float:
     """Between rigid-body and elastic modes, Hz.
 
-    As stated in the study; else the widest gap where the study names a suspension. A structure
-    without one is held or free: it has no rigid-body modes but those at 0 Hz (to round-off, 1e-3 of
-    the highest frequency).
+    As stated in the study; else the geometric middle of the widest gap where the study names a
+    suspension. A structure without one is held or free: it has no rigid-body modes but those at
+    0 Hz (to round-off, 1e-3 of the highest frequency).
     """
     below = config.correlate.rigid_below
-    if below is None and not config.suspension:
+    if below is not None:
+        return below
+    if not config.suspension:
         return rigid_below(frequencies)
-    return split_frequency(frequencies, below)
+    f = np.sort(frequencies[frequencies > 0])
+    if f.size < 2:
+        return 0.0
+    i = int(np.argmax(f[1:] / f[:-1]))
+    return float(np.sqrt(f[i] * f[i + 1]))
 
 
 def measured_part(modes: ModeSet) -> tuple[Int, tuple[str, ...]]:
@@ -85,7 +61,8 @@ def measured_part(modes: ModeSet) -> tuple[Int, tuple[str, ...]]:
         worth = [t.size * known[:, t].all(axis=1).sum() if t.size else 0 for t in trials]
         if max(worth) <= size:
             break
-        at, size = trials[int(np.argmax(worth))], max(worth)
+        at = trials[int(np.argmax(worth))]
+        size = max(worth)
     full = known[:, at].all(axis=1)  # all of them where there is no mode
     return at, tuple(modes.channels[i] for i in np.flatnonzero(full).tolist())
 
@@ -108,7 +85,8 @@ def _gaps(modes: ModeSet) -> tuple[str, ...]:
     """What `measured_part` leaves out, in words."""
     at, channels = measured_part(modes)
     lost = np.setdiff1d(np.arange(len(modes)), at)
-    seen, n = np.isfinite(modes.shapes).sum(axis=0), len(modes.channels)
+    seen = np.isfinite(modes.shapes).sum(axis=0)
+    n = len(modes.channels)
     out = []
     for k in np.unique(seen[lost]).tolist():
         which = ", ".join(f"{f:.4g}" for f in modes.frequencies[lost[seen[lost] == k]].tolist())
@@ -120,65 +98,61 @@ def _gaps(modes: ModeSet) -> tuple[str, ...]:
     return tuple(out)
 
 
-def reference_modes(found: IdentifyStage, config: StudyConfig) -> Reference:
-    """Pick the reference modes: rigid-body ones of the ambient tests, or else of the hammer test or
-    the file.
+def reference_modes(found: IdentifyStage, config: StudyConfig) -> ReferenceModes:
+    """Pick the reference modes: elastic ones of the hammer test or the file, rigid-body ones of the
+    ambient tests; of the other kind of test where one gives none.
 
     Raises
     ------
     DataError
         If the test holds no elastic mode.
     """
-    every = np.concatenate(
-        [found.ambient.frequencies, found.hammer.frequencies if found.hammer else np.zeros(0)]
-    )
+    ambient = found.ambient
+    first = ambient if found.hammer is None else found.hammer
+    every = ambient.modes.frequencies
+    if found.hammer is not None:
+        every = np.concatenate([every, found.hammer.modes.frequencies])
     edge = elastic_edge(every, config)
     least = config.identify.confidence
-    rigid, rigid_std = _rigid(found.ambient, found.ambient_uncertainty, edge, least)
-    if not len(rigid) and found.hammer is not None and found.hammer_uncertainty is not None:
-        rigid, rigid_std = _rigid(found.hammer, found.hammer_uncertainty, edge, least)
-    if found.hammer is not None and found.hammer_uncertainty is not None:
-        elastic, std, gaps = _full(found.hammer, found.hammer_uncertainty, edge)
-    else:
-        elastic, std, gaps = _full(found.ambient, found.ambient_uncertainty, edge)
-    if config.frequency_only:
-        gaps = found.frf_notes
+    rigid, rigid_std = _rigid(ambient, edge, least)
+    if not len(rigid):
+        rigid, rigid_std = _rigid(first, edge, least)
+    high = np.flatnonzero(first.modes.frequencies >= edge)
+    seen, std = without_gaps(first, high)
+    elastic = realise_modes(seen)
+    gaps = found.frf_notes if config.frequency_only else _gaps(first.modes.take(high))
     if not len(elastic):
         raise DataError("the test holds no elastic mode: nothing to correlate with")
-    return Reference(elastic, std, rigid, rigid_std, gaps)
+    out = left_out(elastic, config.update.left_out, least)
+    return ReferenceModes(
+        elastic=elastic,
+        elastic_std=std,
+        rigid=rigid,
+        rigid_std=rigid_std,
+        left_out=out,
+        gaps=gaps,
+    )
 
 
-def without_gaps(modes: ModeSet, std: Uncertainty, some: Int) -> tuple[ModeSet, Uncertainty]:
+def without_gaps(found: IdentifiedModes, some: Int) -> tuple[ModeSet, Uncertainty]:
     """Those of some modes that were seen at common channels, at these (`measured_part`), and their
     scatter.
     """
-    at, channels = measured_part(modes.take(some))
-    return modes.take(some[at]).rows(channels), std.take(some[at])
+    at, channels = measured_part(found.modes.take(some))
+    return found.modes.take(some[at]).rows(channels), found.uncertainty.take(some[at])
 
 
-def _full(
-    modes: ModeSet, std: Uncertainty, edge: float
-) -> tuple[ModeSet, Uncertainty, tuple[str, ...]]:
-    """The modes from the edge on that were seen at common channels, and what is not used, in
-    words.
-    """
-    high = np.flatnonzero(modes.frequencies >= edge)
-    seen, scatter = without_gaps(modes, std, high)
-    return realise_modes(seen), scatter, _gaps(modes.take(high))
-
-
-def _rigid(
-    modes: ModeSet, std: Uncertainty, edge: float, least: float
-) -> tuple[ModeSet, Uncertainty]:
+def _rigid(found: IdentifiedModes, edge: float, least: float) -> tuple[ModeSet, Uncertainty]:
     """The confident modes below the edge, at the channels that have seen them all."""
+    modes = found.modes
     low = np.flatnonzero((modes.frequencies < edge) & (modes.confidence >= least))
     if not low.size:
-        return modes.take(low), std.take(low)
-    seen, scatter = without_gaps(modes, std, low)
+        return modes.take(low), found.uncertainty.take(low)
+    seen, scatter = without_gaps(found, low)
     return realise_modes(seen), scatter
 
 
-def reference_of_file(path: Path, config: StudyConfig) -> Reference:
+def reference_of_file(path: Path, config: StudyConfig) -> ReferenceModes:
     """The same from a file of modes.
 
     Raises
@@ -186,16 +160,20 @@ def reference_of_file(path: Path, config: StudyConfig) -> Reference:
     DataError
         If it holds no elastic mode that was measured at a common set of channels.
     """
-    whole, (spread, damping) = read_modes(path), read_std(path)
+    whole = read_modes(path)
+    spread, damping = read_std(path)
     at, channels = measured_part(whole)
     modes = whole.take(at).rows(channels)
     std = Uncertainty.independent(spread[at], damping[at], np.zeros(modes.shapes.shape))
     edge = elastic_edge(modes.frequencies, config)
-    high, low = np.flatnonzero(modes.frequencies >= edge), np.flatnonzero(modes.frequencies < edge)
+    high = np.flatnonzero(modes.frequencies >= edge)
+    low = np.flatnonzero(modes.frequencies < edge)
     if not high.size or not modes.channels:
         raise DataError(f"{path}: no elastic mode was measured at a common set of channels")
     rigid = realise_modes(modes.take(low)) if low.size else modes.take(low)
-    return Reference(realise_modes(modes.take(high)), std.take(high), rigid, std.take(low))
+    elastic = realise_modes(modes.take(high))
+    out = left_out(elastic, config.update.left_out, config.identify.confidence)
+    return ReferenceModes(elastic, std.take(high), rigid, std.take(low), out)
 
 
 def beyond(modes: ModeSet, fmax: float) -> tuple[str, ...]:
@@ -222,13 +200,13 @@ def left_out(modes: ModeSet, count: int | None, least: float) -> Int:
     Fixed by the test alone, before the model is looked at. Where no `count` is given a third, 5 at
     most: few modes are needed to update by.
     """
-    sure = np.flatnonzero(modes.confidence >= least)
-    count = min(5, sure.size // 3) if count is None else count
-    count = min(count, max(sure.size - 2, 0))
+    confident = np.flatnonzero(modes.confidence >= least)
+    count = min(5, confident.size // 3) if count is None else count
+    count = min(count, max(confident.size - 2, 0))
     if not count:
         return np.zeros(0, dtype=np.int64)
-    at = np.linspace(0, sure.size - 1, count + 2)[1:-1].round().astype(np.int64)
-    return sure[np.unique(at)]
+    at = np.linspace(0, confident.size - 1, count + 2)[1:-1].round().astype(np.int64)
+    return confident[np.unique(at)]
 
 
 def fewer(count: int | None, out: Int) -> tuple[str, ...]:
@@ -255,7 +233,8 @@ def highest(frequencies: Float, gates: PairingSettings) -> float:
     """Hz, up to where modes of a deck are computed for test modes at `frequencies`, Hz: as high as
     a partner may be.
     """
-    return max(ROOM, 1 + gates.frequency_gate) * float(frequencies.max(initial=0.0))
+    # 1.5: over the highest test mode: where its partner may be before the updating
+    return max(1.5, 1 + gates.frequency_gate) * float(frequencies.max(initial=0.0))
 
 
 def locks(config: StudyConfig) -> Locks:
@@ -304,32 +283,25 @@ def followed(reference: ModeSet, initial: ModeSet, config: StudyConfig) -> Follo
 
 
 def elastic_table(
-    reference: Reference, fe: ModeSet, config: StudyConfig, out: Int, initial: ModeSet | None = None
+    reference: ReferenceModes, fe: ModeSet, config: StudyConfig, initial: ModeSet | None = None
 ) -> CorrelationTable:
     """Elastic test modes against the model's elastic modes at the channels; `initial` are those
     that locks name.
     """
-    gates = settings(config)
-    edge = elastic_edge(fe.frequencies, config)
-    first = (
-        int((fe.frequencies < edge).sum())
-        if len(reference.rigid) or config.correlate.rigid_below
-        else 0
-    )
+    test = reference.elastic
+    first = 0
+    if len(reference.rigid) or config.correlate.rigid_below:
+        first = int((fe.frequencies < elastic_edge(fe.frequencies, config)).sum())
     elastic = fe.take(np.arange(first, len(fe)))
-    known = followed(reference.elastic, initial, config) if initial is not None else None
-    locks = (
-        known.locks(elastic.rows(reference.elastic.channels).shapes)
-        if known is not None
-        else NO_LOCKS
-    )
-    pairing = pair_modes(reference.elastic, elastic, gates, first_b=first, locks=locks)
-    table = correlation_table(
-        reference.elastic, elastic, pairing, std_hz=reference.elastic_std.frequency, left_out=out
-    )
-    mac = np.concatenate([np.zeros((len(reference.elastic), first)), table.mac], axis=1)
+    known = followed(test, initial, config) if initial is not None else None
+    locks = NO_LOCKS if known is None else known.locks(elastic.rows(test.channels).shapes)
+    pairing = pair_modes(test, elastic, settings(config), first_b=first, locks=locks)
+    std = reference.elastic_std.frequency
+    table = correlation_table(test, elastic, pairing, std_hz=std, left_out=reference.left_out)
+    mac = np.concatenate([np.zeros((len(test), first)), table.mac], axis=1)
     if config.frequency_only:
-        pairing, mac = _unseen(pairing), np.zeros((0, 0))
+        pairing = _unseen(pairing)
+        mac = np.zeros((0, 0))
     return replace(
         table,
         pairing=replace(pairing, b=pairing.b + first, unpaired_b=pairing.unpaired_b + first),
@@ -350,7 +322,7 @@ def _unseen(pairing: Pairing) -> Pairing:
     )
 
 
-def rigid_table(reference: Reference, fe: ModeSet, config: StudyConfig) -> CorrelationTable:
+def rigid_table(reference: ReferenceModes, fe: ModeSet, config: StudyConfig) -> CorrelationTable:
     """Rigid-body test modes against the model's."""
     gates = rigid_settings(config)
     edge = elastic_edge(fe.frequencies, config)

@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 
 from ringtrue import __version__
+from ringtrue.core.iterate import Progress, part, quiet
 from ringtrue.core.parameters import ParameterSet
-from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.decks.nastran.editor import refuse_copy
 from ringtrue.errors import ConfigError, DataError, InputError, did_you_mean
 from ringtrue.io.files import absence, one_run, reads, writes
@@ -43,6 +43,8 @@ log = logging.getLogger(__name__)
 class StudyRun:
     """A finished run: results by stage, seconds by stage, and which stages were loaded rather than
     run.
+
+    `altered` are inputs that were edited while it ran: it is of what they were at its start.
     """
 
     folder: Path
@@ -50,9 +52,7 @@ class StudyRun:
     results: Mapping[str, Any]
     timings: Mapping[str, float] = field(default_factory=dict)
     loaded: tuple[str, ...] = ()
-    altered: tuple[
-        str, ...
-    ] = ()  # inputs that were edited while it ran: it is of what they were at its start
+    altered: tuple[str, ...] = ()
 
     @property
     def config(self) -> StudyConfig:
@@ -77,11 +77,6 @@ def _hashed(path: Path, mtime: int, size: int) -> str:
 def _seen_from(base: Path, path: Path) -> str:
     """The path as seen from the folder of the study."""
     return Path(os.path.relpath(path.resolve(), base.resolve())).as_posix()
-
-
-def _digests(paths: Iterable[Path], base: Path) -> dict[str, str]:
-    """SHA-256 by the path as seen from the folder of the study."""
-    return {_seen_from(base, p): _digest(p) for p in dict.fromkeys(paths)}
 
 
 def stage_key(
@@ -152,13 +147,10 @@ def _check_targets(session: Session, todo: Iterable[Stage]) -> None:
     if "predict" in names and session.config.predict is not None:
         check_rotor(session.remodelled.model, session.config.predict)
     if "final" in names:
-        refuse_copy(session.remodelled.model, session.folder("updated"))
+        refuse_copy(session.own.deck.model, session.own.updated_folder)
     if "configured" in names:
-        for other in session.config.configuration:
-            refuse_copy(
-                session.configured(other).model,
-                session.folder("configurations") / other.name / "updated",
-            )
+        for c in session.others:
+            refuse_copy(c.deck.model, c.updated_folder)
     if session.config.model is None:
         return
     for kind, given in (
@@ -216,7 +208,8 @@ def run_study(
     DataError
         If another run has the folder.
     """
-    config, text = read_config(study), study.read_text(encoding="utf-8")
+    config = read_config(study)
+    text = study.read_text(encoding="utf-8")
     folder = out or study.parent
     session = Session(config, study.parent, folder, Store(folder / "study.h5"))
     with one_run(), locked(folder):
@@ -234,12 +227,12 @@ def _run(
     start, stop = _span(session, first, until)
     todo = [s for s in STAGES[: stop + 1] if s.applies(session)]
     files = [study, *(f for s in todo for f in s.files(session))]
-    inputs = _digests(
-        files, session.base
-    )  # a file that is lost is found before anything is computed
+    # SHA-256 by path; a file that is lost is found before anything is computed
+    inputs = {_seen_from(session.base, p): _digest(p) for p in dict.fromkeys(files)}
     _protect(session, files)
     _check_targets(session, todo)
-    loaded, ran = [], False
+    loaded = []
+    ran = False
     try:
         for i, stage in enumerate(todo):
             progress(i / len(todo), stage.title)
@@ -267,16 +260,18 @@ def _run(
     progress(1.0, f"{todo[-1].title}: done")
     results = {s.name: session.get(s.name) for s in todo}
     made = _sign(session, inputs, text)
-    altered = tuple(
-        name for p in dict.fromkeys(files) if _now(p) != inputs[name := _seen_from(session.base, p)]
-    )
+    altered = []
+    for p in dict.fromkeys(files):
+        name = _seen_from(session.base, p)
+        if not p.is_file() or _digest(p) != inputs[name]:
+            altered.append(name)
     return StudyRun(
         folder=session.out,
         session=session,
         results=results | {"provenance": made},
         timings=made.timings,
         loaded=tuple(loaded),
-        altered=altered,
+        altered=tuple(altered),
     )
 
 
@@ -294,14 +289,6 @@ def _intact_key(session: Session, stage: str) -> str | None:
         log.warning("run anew: %s", str(e).removesuffix("; run the study again"))
         return None
     return key
-
-
-def _now(path: Path) -> str:
-    """Its SHA-256; empty where it is gone."""
-    try:
-        return _digest(path)
-    except DataError:
-        return ""
 
 
 def _sign(session: Session, inputs: Mapping[str, str], text: str) -> Provenance:

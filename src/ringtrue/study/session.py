@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ringtrue.core.arrays import Float, Int
+from ringtrue.core.arrays import Int
+from ringtrue.core.iterate import Progress
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.parameters import ParameterSet
-from ringtrue.core.progress import Progress
 from ringtrue.core.testmodel import Observation, TestModel
 from ringtrue.core.units import UNIT_SYSTEMS, UnitSystem
 from ringtrue.correlation.sensor_mapping import Alignment
@@ -24,27 +24,29 @@ from ringtrue.errors import ConfigError, about
 from ringtrue.model.edit import carried, in_seconds
 from ringtrue.model.ports import ModalSolver
 from ringtrue.model.refine import refined
-from ringtrue.reduction.parametric import ReducedModel
 from ringtrue.solvers.registry import EMBEDDED, solver
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.config_sections import ConfigurationSection, ModelSection
 from ringtrue.study.measured_data import (
-    NO_FRFS,
     Measured,
+    Source,
     channels_of,
     excited,
     flexible,
     read_measured,
+    rigid_mass,
 )
 from ringtrue.study.opened import AtChannels, Opened, build, with_lumps
 from ringtrue.study.placing import alignment, placed, seats
 from ringtrue.study.reference import highest, reference_modes, settings
 from ringtrue.study.results import (
-    ConfigurationsStage,
     ConfiguredTest,
     CorrelateStage,
+    DeliveredConfiguration,
+    FinalStage,
     IdentifyStage,
     LocaliseStage,
+    ReferenceModes,
     Seat,
     SetResult,
     UpdateStage,
@@ -53,44 +55,43 @@ from ringtrue.study.store import Store
 from ringtrue.updating.residuals.static import RigidMass
 from ringtrue.updating.selection.candidates import Candidate, CandidateSettings
 
-OWN = ""  # the deck of the study among the configurations
-FMAX = 100.0  # Hz, where neither the study nor a test says
+DEFAULT_FMAX_HZ = 100.0  # where neither the study nor a test says how far
 
 
 @dataclass(eq=False)
 class Session:
-    """Settings, store and shared models; results are put once, never changed."""
+    """Settings, store and shared models; results are put once, never changed.
+
+    Attributes
+    ----------
+    config : StudyConfig
+    base : Path
+        The folder of study.toml.
+    out : Path
+    store : Store
+    results : dict
+        By stage.
+    keys : dict
+        Of the stages of this run: what their results follow from.
+    generated : ParameterSet, optional
+        Candidates that the localisation has made from the deck.
+    lumped : Opened, optional
+        The remodelled deck with places for masses that it may not have.
+    delivered : dict
+        Decks that this run has written, by configuration.
+    """
 
     config: StudyConfig
-    base: Path  # the folder of study.toml
+    base: Path
     out: Path
     store: Store
     results: dict[str, Any] = field(default_factory=dict)
-    keys: dict[str, str] = field(
-        default_factory=dict
-    )  # of the stages of this run: what their results follow from
-    delivered: Opened | None = None  # the deck that the final stage has written, while it is open
-    generated: ParameterSet | None = None  # candidates that the localisation has made from the deck
-    lumped: Opened | None = None  # the remodelled deck with places for masses that it may lack
-    _model: ReducedModel | None = None
-    _opened: dict[str, Opened] = field(default_factory=dict)  # decks of other configurations
-    _others: dict[str, AtChannels] = field(default_factory=dict)  # their reduced models
-    _updated: tuple[SetResult, tuple[AtChannels, ...]] | None = (
-        None  # a parameter set, and the models at its end
-    )
-    _measured: dict[str, tuple[Measured, ...]] = field(default_factory=dict)  # by configuration
-    masses: dict[str, Float] = field(
-        default_factory=dict
-    )  # at the channels of the test modes, by configuration
-    weighed: dict[tuple[str, tuple[str, ...]], RigidMass] = field(
-        default_factory=dict
-    )  # by configuration and names
-    _placed: dict[TestModel, TestModel] = field(
-        default_factory=dict
-    )  # sheets as laid onto the deck, by those measured
-    _seen: dict[str, Observation] = field(
-        default_factory=dict
-    )  # of the reduced models, by configuration
+    keys: dict[str, str] = field(default_factory=dict)
+    generated: ParameterSet | None = None
+    lumped: Opened | None = None
+    delivered: dict[str, Any] = field(default_factory=dict)
+    _updated: tuple[SetResult, tuple[AtChannels, ...]] | None = None
+    _alignments: dict[TestModel, Alignment] = field(default_factory=dict)
 
     def get(self, stage: str) -> Any:
         """The result of a stage, from this run or from the store."""
@@ -103,13 +104,14 @@ class Session:
         self.results[stage] = result
 
     def folder(self, name: str) -> Path:
-        """Where decks of this name are written: `name` in the folder of the results, and beside it
+        """Where decks of this name are written: `name` in the folder of the results, with a number
         in a second round.
 
         A study whose deck is `updated/frame.bdf` writes `updated-2`, one of `updated-2/frame.bdf`
         writes `updated-3`.
         """
-        out, numbers = self.out.resolve(), [0]
+        out = self.out.resolve()
+        numbers = [0]
         decks = [self.base / c.deck for c in self.config.configuration if c.deck]
         for file in (*map(Path, self.initial.model.files), *decks):
             inside = file.resolve()
@@ -135,20 +137,18 @@ class Session:
     @property
     def first_fmax(self) -> float:
         """Hz, up to where the modes of the deck are computed before a test is looked at."""
-        return self.deck.fmax or FMAX
+        return self.deck.fmax or DEFAULT_FMAX_HZ
 
     @cached_property
     def fmax(self) -> float:
         """Hz, up to where the modes of decks are computed: as given, or well above the modes of the
         test.
         """
-        return self.deck.fmax or self.up_to(
-            reference_modes(self.get("identify"), self.config).elastic.frequencies
-        )
+        return self.up_to(reference_modes(self.get("identify"), self.config).elastic)
 
-    def up_to(self, frequencies: Float) -> float:
-        """The same for the test of another configuration, with modes at `frequencies`, Hz."""
-        return self.deck.fmax or highest(frequencies, settings(self.config))
+    def up_to(self, test: ModeSet) -> float:
+        """The same for the elastic modes of the test of another configuration."""
+        return self.deck.fmax or highest(test.frequencies, settings(self.config))
 
     @property
     def unit(self) -> UnitSystem:
@@ -186,9 +186,14 @@ class Session:
             self.with_lumps(found.places)
         return self.generated
 
+    def chosen(self, names: Sequence[str]) -> ParameterSet:
+        """The candidates of these names."""
+        every = self.parameters
+        return every.take([every.names.index(n) for n in names])
+
     def with_lumps(self, nodes: Int) -> tuple[Candidate, ...]:
-        """What the remodelled deck may lack at these nodes, ids (k,); it has a place for it from
-        now on.
+        """Masses that the remodelled deck may not have at these nodes, ids (k,); it has a place for
+        each from now on.
         """
         deck = self.steps[-1]
         model, found = with_lumps(deck, nodes, CandidateSettings(units=self.deck.units))
@@ -197,133 +202,46 @@ class Session:
 
     @property
     def places(self) -> Int:
-        """Nodes of the places for lumps, ids (k,)."""
-        count = len(self.steps[-1].model.tables["CONM2"]) if "CONM2" in self.steps[-1].model else 0
-        none = np.zeros(0, dtype=np.int64)
-        return none if self.lumped is None else np.asarray(self.lumped.model["CONM2"]["G"][count:])
+        """Nodes of the places for masses, ids (k,)."""
+        if self.lumped is None:
+            return np.zeros(0, dtype=np.int64)
+        before = self.steps[-1].model
+        count = len(before["CONM2"]) if "CONM2" in before else 0
+        return np.asarray(self.lumped.model["CONM2"]["G"][count:])
 
     @property
     def everything(self) -> ParameterSet:
         """All candidates and suspensions."""
         return ParameterSet(self.parameters.parameters + self.config.suspensions().parameters)
 
-    def _built(self, parameters: ParameterSet, progress: Progress) -> ReducedModel:
-        seen = self._extended(self.bridge(self.remodelled), OWN, self.remodelled)
-        return build(self.remodelled, parameters, seen, self.fmax, progress)
+    @cached_property
+    def configurations(self) -> tuple[StudyConfiguration, ...]:
+        """The study's own deck and test, then its [[configuration]]s."""
+        return tuple(StudyConfiguration(self, s) for s in (None, *self.config.configuration))
 
-    def _extended(self, seen: Observation, name: str, opened: Opened) -> Observation:
-        """With the channels of what was measured beside the modes, on the sheet of the
-        configuration if it has one.
-        """
-        sheet = self.sheet(name)
-        for m in self.measured(name):
-            with about(f"[[residual]] {m.name}"):
-                more = tuple(c for c in channels_of([m]) if c not in set(seen.channels))
-                seen = seen.and_also(self.observed(opened, sheet, more)) if more else seen
-        self._seen[name] = seen
-        return seen
+    @property
+    def own(self) -> StudyConfiguration:
+        """The study's own deck and test."""
+        return self.configurations[0]
 
-    def seats(self, name: str, seen: Observation) -> tuple[Seat, ...]:
-        """Where the channels of a configuration are read; nothing where they are DOFs of its
-        deck.
-        """
-        sheet = self.sheet(name)
-        return seats(seen, sheet) if sheet is not None else ()
+    @property
+    def others(self) -> tuple[StudyConfiguration, ...]:
+        """The further configurations."""
+        return self.configurations[1:]
 
-    def seats_beside(self, name: str, found: Measured) -> tuple[Seat, ...]:
-        """Where the channels of what was measured beside the modes are read, once the reduced model
-        is built.
-        """
-        mine = set(channels_of([found]))
-        return tuple(s for s in self.seats(name, self._seen[name]) if s.channel in mine)
-
-    def sheet(self, name: str) -> TestModel | None:
-        """The sensor sheet of a configuration, or of the study (`OWN`); None where channels are
-        DOFs of the deck.
-        """
-        if name != OWN:
-            return self._configured_test(name).test
-        found: IdentifyStage = self.get("identify")
-        return None if self.config.frequency_only else found.test
-
-    def channels(self, name: str) -> tuple[str, ...]:
-        """All channels of the reduced model of the deck of the study, or of another
-        configuration.
-        """
-        return self._seen[name].channels
-
-    def loaded(self, name: str) -> Int:
-        """Positions of the channels at which something was excited or pulled."""
-        return excited(self.measured(name), {c: i for i, c in enumerate(self.channels(name))})
-
-    def measured(self, name: str) -> tuple[Measured, ...]:
-        """What was measured beside the modes on the deck of the study (`OWN`), or on another
-        configuration.
-        """
-        if name not in self._measured:
-            mine = [s for s in self.config.residual if (s.configuration or OWN) == name]
-            found: IdentifyStage | None = self.get("identify") if mine and name == OWN else None
-            frfs = found.frfs if found is not None else None
-            why = (
-                NO_FRFS
-                if name == OWN
-                else "only FRFs of the study's own test are known without a file"
-            )
-            self._measured[name] = tuple(
-                read_measured(s, self.base, self.reference(name), frfs, why) for s in mine
-            )
-        return self._measured[name]
-
-    def reference(self, name: str) -> ModeSet:
-        """The elastic test modes of a configuration."""
-        if name == OWN:
-            found: CorrelateStage = self.get("correlate")
-            return found.reference
-        return self._configured_test(name).reference
-
-    def _configured_test(self, name: str) -> ConfiguredTest:
-        others: ConfigurationsStage = self.get("configurations")
-        return next(c for c in others.items if c.name == name)
-
-    def _reduced(self, progress: Progress) -> ReducedModel:
-        """All candidates and suspensions on the remodelled deck, seen at every channel of the
-        sheet.
-        """
-        if self._model is None:
-            model = self._built(self.everything, progress)
-            self._model = flexible(model, self.measured(OWN), self.loaded(OWN))
-        return self._model
-
-    def apart(self, parameters: ParameterSet, progress: Progress) -> AtChannels:
-        """A reduced model over other parameters at the channels of the elastic reference modes; it
-        is not kept.
-        """
-        return AtChannels(
-            self._built(parameters, progress), self.rows(self.reference(OWN).channels)
-        )
-
-    def rows(self, channels: Sequence[str]) -> Int:
-        """Positions of channels on the sheet of the study."""
-        at = {c: i for i, c in enumerate(self.get("identify").test.channels)}
-        return np.array([at[c] for c in channels], dtype=np.int64)
-
-    def candidates(self, progress: Progress) -> AtChannels:
-        """The reduced model over the candidates at the channels of the elastic reference modes."""
-        model = self._reduced(progress)
-        total = len(model.system.parameters)
-        held = model.with_parameters(range(len(self.parameters)), np.zeros(total))
-        return AtChannels(held, self.rows(self.reference(OWN).channels), self.loaded(OWN))
+    def models(self, progress: Progress) -> tuple[AtChannels, ...]:
+        """The reduced models of all configurations over the candidates."""
+        return tuple(c.model(progress) for c in self.configurations)
 
     def updated(self, best: SetResult, progress: Progress) -> tuple[AtChannels, ...]:
-        """`candidates` and `others` on bases that hold the full modes at the end of a parameter
-        set, too.
+        """`models` on bases that hold the full modes at the end of a parameter set, too.
 
         They follow from the deck and the factors as stored: a stage gets the same ones in any run.
         """
         if self._updated is None or self._updated[0] is not best:
             factor = dict(zip(best.parameters, best.factor.tolist(), strict=True))
             models = []
-            for model in (self.candidates(progress), *self.others(progress)):
+            for model in self.models(progress):
                 p = model.parameters
                 x = p.vector(np.array([factor.get(n, 1.0) for n in p.names]))
                 models.append(model.enrich(x)[0] if x.any() else model)
@@ -333,32 +251,30 @@ class Session:
     def delivered_models(self, progress: Progress) -> tuple[AtChannels, ...]:
         """`updated` at the chosen parameter set; as before where there is nothing to update."""
         if not len(self.parameters):
-            return (self.candidates(progress), *self.others(progress))
+            return self.models(progress)
         done: UpdateStage = self.get("update")
         return self.updated(done.sets[done.chosen], progress)
 
-    def suspended(self, channels: Sequence[str], progress: Progress) -> AtChannels:
-        """The updated model over all candidates and suspensions at the channels of the rigid-body
-        reference modes.
-        """
-        return AtChannels(self.delivered_models(progress)[0].model, self.rows(channels))
+    def updated_factors(self) -> dict[str, float]:
+        """Of all candidates at the end of the updating; 1 for those not chosen."""
+        out = dict.fromkeys(self.parameters.names, 1.0)
+        if out:
+            done: UpdateStage = self.get("update")
+            best = done.sets[done.chosen]
+            out |= dict(zip(best.parameters, best.factor.tolist(), strict=True))
+        return out
 
-    def configured(self, section: ConfigurationSection) -> Opened:
-        """The deck of another configuration: its own, or that of the study with cards, in
-        `out/configurations`.
-        """
-        if section.name not in self._opened:
-            if section.deck is not None:
-                main = self.base / section.deck
-            else:
-                cards = (self.base / str(section.cards)).read_text(encoding="utf-8")
-                model, folder = (
-                    self.remodelled.model,
-                    self.folder("configurations") / section.name / "initial",
-                )
-                main, *_ = add_cards(model, model.files[0], cards, folder)
-            self._opened[section.name] = self.opened(main)
-        return self._opened[section.name]
+    def factors(self) -> dict[str, float]:
+        """Of all candidates and suspensions at the end of the study."""
+        tuned = self.get("tune").factors if self.config.suspension else {}
+        return self.updated_factors() | tuned
+
+    def alignment(self, test: TestModel, opened: Opened) -> Alignment:
+        """How a sheet is laid onto a deck, which holds for all states of the deck."""
+        if test not in self._alignments:
+            deck = self.initial if test is self.get("identify").test else opened
+            self._alignments[test] = alignment(test, deck, self.config.correlate.align)
+        return self._alignments[test]
 
     def observed(
         self, opened: Opened, test: TestModel | None, channels: Sequence[str]
@@ -368,66 +284,21 @@ class Session:
         """
         c = self.config.correlate
         if test is not None and c.align:
-            if test is self.get("identify").test:
-                test = self.placed[1]
-            else:
-                if test not in self._placed:
-                    self._placed[test] = alignment(test, opened, c.align).move(test)
-                test = self._placed[test]
+            test = self.alignment(test, opened).move(test)
         return placed(opened, channels, test, tolerance=c.tolerance, method=c.match)
 
-    def bridge(self, opened: Opened) -> Observation:
-        """The bridge from a deck to all channels of the test of the study."""
-        test = self.get("identify").test
-        return self.observed(opened, test, test.channels)
-
-    @cached_property
-    def placed(self) -> tuple[Alignment, TestModel]:
-        """How the sheet of the study is laid onto the initial deck, and the sheet there: for all
-        its states.
-        """
-        test = self.get("identify").test
-        found = alignment(test, self.initial, self.config.correlate.align)
-        return found, found.move(test)
-
-    def others(self, progress: Progress) -> tuple[AtChannels, ...]:
-        """Reduced models of the other configurations over the candidates they carry, at their
-        reference channels.
-        """
-        if not self.config.configuration:
-            return ()
-        found: ConfigurationsStage = self.get("configurations")
-        for section, item in zip(self.config.configuration, found.items, strict=True):
-            if section.name not in self._others:
-                opened, channels = self.configured(section), item.reference.channels
-                every = channels if item.test is None else item.test.channels
-                seen = self._extended(self.observed(opened, item.test, every), section.name, opened)
-                mine, count = (
-                    carried(opened.model, self.everything),
-                    len(carried(opened.model, self.parameters)),
-                )
-                rows = np.array([seen.channels.index(c) for c in channels], dtype=np.int64)
-                loaded = self.loaded(section.name)
-                base = build(opened, mine, seen, self.up_to(item.reference.frequencies), progress)
-                model = AtChannels(
-                    flexible(base, self.measured(section.name), loaded), rows, loaded
-                )
-                self._others[section.name] = model.with_parameters(
-                    range(count), np.zeros(len(mine))
-                )
-        return tuple(self._others[s.name] for s in self.config.configuration)
-
-    def deck_of(self, name: str) -> tuple[Opened, Observation]:
-        """A configuration's deck before the updating, and the bridge to the channels of its
-        test.
-        """
-        if name == OWN:
-            return self.remodelled, self.bridge(self.remodelled)
-        section = next(c for c in self.config.configuration if c.name == name)
-        item = self._configured_test(name)
-        opened = self.configured(section)
-        channels = item.reference.channels if item.test is None else item.test.channels
-        return opened, self.observed(opened, item.test, channels)
+    def seen(
+        self,
+        opened: Opened,
+        test: TestModel | None,
+        reference: ModeSet,
+        progress: Progress | None = None,
+    ) -> ModeSet:
+        """The modes of a deck at all channels of a test, as far up as its elastic modes ask for."""
+        channels = reference.channels if test is None else test.channels
+        look = self.observed(opened, test, channels)
+        modes = opened.modes(self.up_to(reference), progress).modes
+        return replace(modes, shapes=look(modes.shapes), labels=look.channels)
 
     @cached_property
     def initial(self) -> Opened:
@@ -439,19 +310,17 @@ class Session:
         """The initial deck, and after each step of the stated remodelling, read from
         `out/remodelled`.
         """
-        out, files = [self.initial], [Path(f).resolve() for f in self.initial.model.files]
+        out = [self.initial]
+        files = [Path(f).resolve() for f in self.initial.model.files]
+        last = len(self.config.remodel)
         for i, step in enumerate(self.config.remodel, start=1):
-            model, file = out[-1].model, self.base / step.file
-            if i > 1 and file.resolve() in files:
-                file = Path(
-                    model.files[files.index(file.resolve())]
-                )  # as the step before has left it
-            folder = self.folder("remodelled") / (
-                "" if i == len(self.config.remodel) else f"step {i}"
-            )
-            main, *_ = add_cards(
-                model, file, (self.base / step.cards).read_text(encoding="utf-8"), folder
-            )
+            model = out[-1].model
+            file = self.base / step.file
+            if i > 1 and file.resolve() in files:  # as the step before has left it
+                file = Path(model.files[files.index(file.resolve())])
+            folder = self.folder("remodelled") / ("" if i == last else f"step {i}")
+            cards = (self.base / step.cards).read_text(encoding="utf-8")
+            main, *_ = add_cards(model, file, cards, folder)
             out.append(self.opened(main))
         return tuple(out)
 
@@ -459,3 +328,174 @@ class Session:
     def remodelled(self) -> Opened:
         """The deck after the whole remodelling; the initial one if there is none."""
         return self.lumped or self.steps[-1]
+
+
+@dataclass(eq=False)
+class StudyConfiguration:
+    """A deck with its test: the study's own, where `section` is None, or a [[configuration]].
+
+    Its models are opened when first asked for.
+    """
+
+    session: Session
+    section: ConfigurationSection | None
+    _model: AtChannels | None = None
+    _rigid: dict[tuple[str, ...], RigidMass] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """Empty for the study's own."""
+        return "" if self.section is None else self.section.name
+
+    @property
+    def deck(self) -> Opened:
+        """Before the updating."""
+        return self.session.remodelled if self.section is None else self._deck
+
+    @cached_property
+    def _deck(self) -> Opened:
+        """Its own deck, or that of the study with cards, in `out/configurations`."""
+        assert self.section is not None
+        session = self.session
+        if self.section.deck is not None:
+            return session.opened(session.base / self.section.deck)
+        cards = (session.base / str(self.section.cards)).read_text(encoding="utf-8")
+        model = session.remodelled.model
+        main, *_ = add_cards(model, model.files[0], cards, self.folder / "initial")
+        return session.opened(main)
+
+    @property
+    def folder(self) -> Path:
+        """Where the decks of a further configuration are written."""
+        return self.session.folder("configurations") / self.name
+
+    @property
+    def updated_folder(self) -> Path:
+        """Where the updated deck is written."""
+        if self.section is None:
+            return self.session.folder("updated")
+        return self.folder / "updated"
+
+    @property
+    def tested(self) -> CorrelateStage | ConfiguredTest:
+        """Its stored correlation before the updating."""
+        if self.section is None:
+            own: CorrelateStage = self.session.get("correlate")
+            return own
+        items: tuple[ConfiguredTest, ...] = self.session.get("configurations").items
+        return next(item for item in items if item.name == self.name)
+
+    @property
+    def final(self) -> FinalStage | DeliveredConfiguration:
+        """Its stored correlation after the updating."""
+        if self.section is None:
+            own: FinalStage = self.session.get("final")
+            return own
+        items: tuple[DeliveredConfiguration, ...] = self.session.get("configured").items
+        return next(item for item in items if item.name == self.name)
+
+    @property
+    def reference(self) -> ReferenceModes:
+        """The modes of its test."""
+        return self.tested.reference
+
+    @property
+    def test(self) -> TestModel | None:
+        """Its sensor sheet; None where channels are DOFs of the deck."""
+        if self.section is not None:
+            assert isinstance(self.tested, ConfiguredTest)
+            return self.tested.test
+        found: IdentifyStage = self.session.get("identify")
+        return found.test
+
+    @property
+    def sheet(self) -> TestModel | None:
+        """The sheet as measured: none of a test of frequencies alone, whose points are nodes."""
+        if self.section is None and self.session.config.frequency_only:
+            return None
+        return self.test
+
+    def observed(self, opened: Opened) -> Observation:
+        """The bridge from a deck to all channels of its test."""
+        test = self.test
+        channels = self.reference.elastic.channels if test is None else test.channels
+        return self.session.observed(opened, test, channels)
+
+    def modes(self, opened: Opened) -> ModeSet:
+        """The modes of a deck at all channels of its test."""
+        return self.session.seen(opened, self.test, self.reference.elastic)
+
+    @cached_property
+    def measured(self) -> tuple[Measured, ...]:
+        """What the [[residual]]s of this configuration name."""
+        session = self.session
+        mine = [s for s in session.config.residual if (s.configuration or "") == self.name]
+        frfs = session.get("identify").frfs if mine and self.section is None else None
+        source = Source(session.base, self.reference.elastic, frfs)
+        return tuple(read_measured(s, source) for s in mine)
+
+    @cached_property
+    def seen(self) -> Observation:
+        """The bridge from its deck to the channels of its test and of its [[residual]]s."""
+        seen = self.observed(self.deck)
+        for m in self.measured:
+            with about(f"[[residual]] {m.name}"):
+                more = tuple(c for c in channels_of([m]) if c not in set(seen.channels))
+                if more:
+                    also = self.session.observed(self.deck, self.sheet, more)
+                    seen = seen.and_also(also)
+        return seen
+
+    def seats_of(self, found: Measured) -> tuple[Seat, ...]:
+        """Where the channels of a [[residual]] are read; none where they are DOFs of the deck."""
+        if self.sheet is None:
+            return ()
+        mine = set(channels_of([found]))
+        return tuple(s for s in seats(self.seen, self.sheet) if s.channel in mine)
+
+    @property
+    def at(self) -> dict[str, int]:
+        """Position of each channel among all that the reduced model has."""
+        return {c: i for i, c in enumerate(self.seen.channels)}
+
+    def rows(self, channels: Sequence[str]) -> Int:
+        """Positions of channels among all that the reduced model has."""
+        at = self.at
+        return np.array([at[c] for c in channels], dtype=np.int64)
+
+    @property
+    def loaded(self) -> Int:
+        """Positions of the channels at which something was excited or pulled."""
+        return excited(self.measured, self.at)
+
+    def reduced(self, parameters: ParameterSet, progress: Progress) -> AtChannels:
+        """A reduced model over any parameters at the channels of the elastic reference modes; it is
+        not kept.
+        """
+        test = self.reference.elastic
+        fmax = self.session.up_to(test)
+        model = build(self.deck, parameters, self.seen, fmax, progress)
+        return AtChannels(model, self.rows(test.channels))
+
+    def model(self, progress: Progress) -> AtChannels:
+        """The reduced model over the candidates that its deck has, its suspension held as in the
+        deck.
+        """
+        if self._model is None:
+            session = self.session
+            every = session.everything
+            count = len(session.parameters)
+            if self.section is not None:
+                every = carried(self.deck.model, every)
+                count = len(carried(self.deck.model, session.parameters))
+            base = self.reduced(every, progress)
+            model = flexible(base.model, self.measured, self.loaded)
+            whole = AtChannels(model, base.rows, self.loaded)
+            self._model = whole.with_parameters(range(count), np.zeros(len(every)))
+        return self._model
+
+    def rigid_mass(self, every: ParameterSet) -> RigidMass:
+        """The rigid-body mass of its deck over parameters."""
+        if every.names not in self._rigid:
+            self._rigid[every.names] = rigid_mass(self.deck.model, every)
+        return self._rigid[every.names]

@@ -180,7 +180,7 @@ def digest(group: h5py.Group) -> str:
     return total.hexdigest()
 
 
-LOCK_FILE = "study.h5.lock"  # beside the store while a study runs
+LOCK_FILE = "study.h5.lock"  # next to the store while a study runs
 _FAR = 1 << 30  # where Windows locks a byte: what stands before it can be read
 
 
@@ -258,7 +258,7 @@ def _lock(handle: int) -> None:
     fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
-SETS_FILE = "update.sets.h5"  # beside the store, gone when the stage is done
+SETS_FILE = "update.sets.h5"  # next to the store, gone when the stage is done
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.correlation.measures import complete_json
 from ringtrue.correlation.sensor_mounting import mendings_json
 from ringtrue.correlation.table import CorrelationTable, table_significance
-from ringtrue.planning.resolution import ambient_std
+from ringtrue.planning.exciters import ambient_std
 from ringtrue.study.acceptance import limits, missed_words
 from ringtrue.study.placing import seats_json
 from ringtrue.study.results import (
@@ -28,6 +28,7 @@ from ringtrue.study.results import (
     ModelStage,
     PlanStage,
     PredictStage,
+    SensorPlacement,
     TuneStage,
     UncertaintyStage,
     UpdateStage,
@@ -39,7 +40,7 @@ def pairs(table: CorrelationTable) -> list[dict[str, Any]]:
     """The pairs of a table as plain values; `deviation_std` is the deviation in standard deviations
     of the test.
     """
-    sure = table_significance(table)
+    significance = table_significance(table)
     return [
         {
             "test_mode": r.test,
@@ -57,7 +58,7 @@ def pairs(table: CorrelationTable) -> list[dict[str, Any]]:
             "within_scatter": not beyond if np.isfinite(z) else None,
         }
         for r, z, beyond in zip(
-            table.rows(), sure.z.tolist(), sure.significant.tolist(), strict=True
+            table.rows(), significance.z.tolist(), significance.significant.tolist(), strict=True
         )
     ]
 
@@ -80,8 +81,11 @@ def precision(plan: PlanStage, found: IdentifyStage) -> list[dict[str, float]]:
     """Relative standard deviations of the ambient modes, %: as planned at their frequency, and as
     found.
     """
-    modes, std = found.ambient, found.ambient_uncertainty
-    planned = ambient_std(modes.frequencies, plan.damping, plan.record_length)
+    modes = found.ambient.modes
+    std = found.ambient.uncertainty
+    planned = ambient_std(
+        modes.frequencies, plan.acquisition.damping, plan.acquisition.record_length
+    )
     columns = (
         modes.frequencies,
         100 * planned[0],
@@ -101,8 +105,9 @@ def precision(plan: PlanStage, found: IdentifyStage) -> list[dict[str, float]]:
 
 def setups_json(plan: PlanStage) -> dict[str, Any]:
     """Points that are measured in all setups, and those of each."""
-    count = plan.setups.count if plan.setups is not None else 0
-    return {"stay": plan.roving(-1), "rove": [plan.roving(k) for k in range(count)]}
+    sensors = plan.sensors
+    count = sensors.setups.count if sensors.setups is not None else 0
+    return {"stay": sensors.roving(-1), "rove": [sensors.roving(k) for k in range(count)]}
 
 
 def plan_json(plan: PlanStage) -> dict[str, Any]:
@@ -110,22 +115,18 @@ def plan_json(plan: PlanStage) -> dict[str, Any]:
     modes = zip(
         (plan.target_modes + 1).tolist(),
         plan.target_frequencies.tolist(),
-        plan.reach.tolist(),
+        plan.excitation.reach.tolist(),
         strict=True,
     )
     out: dict[str, Any] = {
         "rule": plan.rule,
-        "channels": len(plan.test.channels),
-        "references": list(plan.references),
-        "worst_auto_mac": plan.worst_off_diagonal,
+        "channels": len(plan.sensors.test.channels),
+        "references": list(plan.excitation.references),
+        "worst_auto_mac": plan.sensors.worst_auto_mac,
         "modes": [dict(zip(("mode", "frequency_hz", "reach"), m, strict=True)) for m in modes],
     }
-    if plan.setups is not None:
+    if plan.sensors.setups is not None:
         out["setups"] = setups_json(plan)
-    for m, value, forces in zip(
-        out["modes"], plan.indicator.tolist(), plan.forces.tolist(), strict=False
-    ):
-        m |= {"indicator": value, "forces": forces}
     return out
 
 
@@ -160,8 +161,12 @@ def summarise(run: StudyRun) -> dict[str, Any]:
     out: dict[str, Any] = {"title": run.config.study.title, "seed": run.config.study.seed}
     model: ModelStage | None = r.get("model")
     if model is not None:
-        out |= {"mass_t": model.mass * UNIT_SYSTEMS[model.units].kilograms / 1e3, "dof": model.dof}
-    plan, identify = r.get("plan"), r.get("identify")
+        out |= {
+            "mass_t": model.mass.mass * UNIT_SYSTEMS[model.units].kilograms / 1e3,
+            "dof": model.dof,
+        }
+    plan = r.get("plan")
+    identify = r.get("identify")
     if plan is not None:
         out["plan"] = plan_json(plan)
     if plan is not None and identify is not None:
@@ -175,12 +180,13 @@ def summarise(run: StudyRun) -> dict[str, Any]:
         out |= {"initial": pairs(correlate.initial), "remodelled": pairs(correlate.remodelled)}
         out["rigid_body"] = {"before": pairs(correlate.rigid_initial), "after": []}
         out["rigid_body_unpaired"] = unpaired(correlate.rigid_initial)
-        out |= {"alignment": correlate.placed} if correlate.placed else {}
-        out |= {"sensors": seats_json(correlate.seats)} if correlate.seats else {}
-        out |= {"mendings": mendings_json(correlate.mendings)} if correlate.mendings else {}
+        if correlate.sensors.alignment:
+            out["alignment"] = correlate.sensors.alignment
+        out |= _sensors(correlate.sensors)
         if (e := correlate.expanded) is not None:
             out["expansion"] = {"method": e.method, "misfit_percent": (100 * e.misfit).tolist()}
-        out |= {"remodelling": [asdict(s) for s in correlate.history]} if correlate.history else {}
+        if correlate.remodelling is not None:
+            out["remodelling"] = [asdict(s) for s in correlate.remodelling.history]
     out |= _localised(r) | _updated(r) | _known(r) | _used(r)
     out |= _configured(r)
     out["evidence"] = _all_evidence(r)
@@ -195,6 +201,16 @@ def summarise(run: StudyRun) -> dict[str, Any]:
     return out
 
 
+def _sensors(placement: SensorPlacement) -> dict[str, Any]:
+    """Where the sensors are read, and mountings that explain the test better."""
+    out: dict[str, Any] = {}
+    if placement.seats:
+        out["sensors"] = seats_json(placement.seats)
+    if placement.mendings:
+        out["mendings"] = mendings_json(placement.mendings)
+    return out
+
+
 BRIEF = (
     "auto_mac_worst",
     "worst_comac",
@@ -206,7 +222,9 @@ BRIEF = (
 
 def _all_evidence(r: Mapping[str, Any]) -> dict[str, Any]:
     """What each correlation rests on, without the values of single channels and whole matrices."""
-    compare, correlate, final = r.get("compare"), r.get("correlate"), r.get("final")
+    compare = r.get("compare")
+    correlate = r.get("correlate")
+    final = r.get("final")
     found: dict[str, tuple[Evidence | None, CorrelationTable]] = {}
     if compare is not None:
         found["ambient_vs_hammer"] = compare.evidence, compare.table
@@ -240,11 +258,9 @@ def _configured(r: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "configurations": [
             {"name": c.name, "test": c.source, "notes": list(c.notes)}
-            | (
-                {"carries": list(c.carried)} if c.carried else {}
-            )  # candidates made from the deck are not known yet
-            | ({"sensors": seats_json(c.seats)} if c.seats else {})
-            | ({"mendings": mendings_json(c.mendings)} if c.mendings else {})
+            # candidates made from the deck are not known yet
+            | ({"carries": list(c.carried)} if c.carried else {})
+            | _sensors(c.sensors)
             | {"initial": correlation_json(c.initial)}
             | (
                 {"final": correlation_json(f.table), "changes": list(f.changes)}
@@ -268,7 +284,7 @@ def _localised(r: Mapping[str, Any]) -> dict[str, Any]:
             "factor": m.factor,
             "std": m.std,
             "worth": m.worth,
-            "not_told_from": [*m.alike, *m.rivals],
+            "not_told_from": [*m.collinear, *m.rivals],
         }
         | ({"added": m.added} if m.lump else {})
         for m in found.proposal.members
@@ -286,7 +302,8 @@ def _known(r: Mapping[str, Any]) -> dict[str, Any]:
     found: UncertaintyStage | None = r.get("uncertainty")
     if found is None:
         return {}
-    out, held = np.isfinite(found.bands.predicted) & ~found.bands.used, found.held.in_turn
+    out = np.isfinite(found.bands.predicted) & ~found.bands.used
+    held = found.held.in_turn
     return {
         "uncertainty": {
             "level": found.level,
@@ -309,7 +326,7 @@ def _known(r: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _measured(update: UpdateStage) -> dict[str, Any]:
-    """What was measured beside the modes, by the model before and after the updating."""
+    """What was measured besides the modes, by the model before and after the updating."""
     if not update.data:
         return {}
     heads = ("label", "unit", "measured", "before", "after", "error")
@@ -376,8 +393,8 @@ def _updated(r: Mapping[str, Any]) -> dict[str, Any]:
         out["suspension"] = [
             {"name": n, "factor": a, "std": tune.std[n] * a} for n, a in tune.factors.items()
         ]
-        if told := [*tune.ambiguity, *tune.flags, *tune.disagreeing]:
-            out["suspension_notes"] = told
+        if notes := [*tune.ambiguity, *tune.flags, *tune.disagreeing]:
+            out["suspension_notes"] = notes
         if tune.others:
             out["suspension_configurations"] = [
                 {"name": o.name, "before": pairs(o.before), "after": pairs(o.after)}

@@ -23,7 +23,7 @@ from ringtrue.study.config import StudyConfig
 from ringtrue.study.opened import Opened
 from ringtrue.study.placing import mesh_points
 from ringtrue.study.reference import locks, settings
-from ringtrue.study.results import IdentifyStage
+from ringtrue.study.results import IdentifiedModes, IdentifyStage
 
 
 def check_channels(channels: Sequence[str], sheet: TestModel, path: Path) -> None:
@@ -91,7 +91,8 @@ def supplied_frfs(
     if not paths:
         return None, ()
     either_way = [*lost, *filter(None, map(opposite, lost))]
-    found, notes = [], dict[str, None]()
+    found = []
+    notes = dict[str, None]()
     for p in paths:
         frfs, other = frfs_by_sheet(read_frfs(p, either_way), sheet)
         found.append(frfs)
@@ -168,18 +169,15 @@ def pair_frequencies(
     said = dict(zip(pairing.unpaired_a.tolist(), pairing.reasons_a, strict=True))
     said |= {i: f"taken for mode {j + 1} of the deck, by frequency" for i, j in pairs}
     listed = ", ".join(f"{i + 1} for {j + 1}" for i, j in pairs)
-    lone = (f"mode {i + 1} is not used: {said[i]}" for i in pairing.unpaired_a.tolist())
+    unpaired = (f"mode {i + 1} is not used: {said[i]}" for i in pairing.unpaired_a.tolist())
     doubts = pairing.doubts()
-    decide = (
-        ("`lock` and `forbid` under [correlate] decide which mode a frequency is",)
-        if doubts
-        else ()
-    )
+    if doubts:
+        doubts = (*doubts, "`lock` and `forbid` under [correlate] decide which mode a frequency is")
     return PairedFrequencies(
-        replace(test, shapes=shapes, labels=points.channels, norm=Norm.LENT),
+        replace(test, shapes=shapes, labels=points.channels, norm=Norm.MODEL_SHAPES),
         points,
         tuple(said[i] for i in range(len(test))),
-        (f"no shapes: mode {listed} of the deck, by frequency", *doubts, *decide, *lone),
+        (f"no shapes: mode {listed} of the deck, by frequency", *doubts, *unpaired),
     )
 
 
@@ -187,8 +185,8 @@ NO_MODES = ModeSet(np.zeros(0), np.zeros(0), np.zeros((0, 0)), ())
 NOT_KNOWN = Uncertainty.independent(np.zeros(0), np.zeros(0), np.zeros((0, 0)))
 
 
-def supplied_modes(path: Path, sheet: TestModel, lost: Sequence[str]) -> IdentifyStage:
-    """The modes of a file as those of a test, without the channels `lost`; standard deviations
+def supplied_modes(path: Path, sheet: TestModel, unused: Sequence[str]) -> IdentifyStage:
+    """The modes of a file as those of a test, without the unused channels; standard deviations
     where the file has them.
 
     Raises
@@ -196,8 +194,7 @@ def supplied_modes(path: Path, sheet: TestModel, lost: Sequence[str]) -> Identif
     DataError
         If it holds no mode or no shapes, or a channel is not on the sensor sheet.
     """
-    modes, (spread, damping) = read_modes(path), read_std(path)
-    modes, notes = modes_by_sheet(without_channels(modes, lost), sheet, path)
+    modes, notes = modes_by_sheet(without_channels(read_modes(path), unused), sheet, path)
     if not len(modes):
         raise DataError(f"{path}: no mode in the file")
     if not modes.channels:
@@ -206,7 +203,7 @@ def supplied_modes(path: Path, sheet: TestModel, lost: Sequence[str]) -> Identif
             "compared alone"
         )
     why = (f"as given in {path.name}",) * len(modes)
-    return replace(_identified(path, sheet, modes, why, (spread, damping)), frf_notes=notes)
+    return _of_file(path, sheet, modes, why, notes)
 
 
 def supplied_frequencies(path: Path, opened: Opened, config: StudyConfig) -> IdentifyStage:
@@ -218,7 +215,7 @@ def supplied_frequencies(path: Path, opened: Opened, config: StudyConfig) -> Ide
     DataError
         If the file holds no mode or shapes, or no mode has a partner in the deck.
     """
-    modes, std = read_modes(path), read_std(path)
+    modes = read_modes(path)
     if not len(modes):
         raise DataError(f"{path}: no mode in the file")
     if modes.channels:
@@ -226,28 +223,17 @@ def supplied_frequencies(path: Path, opened: Opened, config: StudyConfig) -> Ide
             f"{path}: has shapes; give the `sheet` of [test] that says where its channels are"
         )
     found = pair_frequencies(modes, opened, settings(config), locks(config))
-    return replace(
-        _identified(path, found.points, found.modes, found.taken, std), frf_notes=found.notes
-    )
+    return _of_file(path, found.points, found.modes, found.taken, found.notes)
 
 
-def _identified(
-    path: Path, sheet: TestModel, modes: ModeSet, why: tuple[str, ...], std: tuple[Float, Float]
+def _of_file(
+    path: Path, sheet: TestModel, modes: ModeSet, why: tuple[str, ...], notes: tuple[str, ...]
 ) -> IdentifyStage:
+    std = Uncertainty.independent(*read_std(path), np.zeros(modes.shapes.shape))
     return IdentifyStage(
         test=sheet,
-        records=(),
-        ambient_records=(),
-        ambient=NO_MODES,
-        ambient_uncertainty=NOT_KNOWN,
-        ambient_reasons=(),
-        frfs=None,
-        cmif=np.zeros((0, 0)),
-        rejected_hits=(),
-        hammer=modes,
-        hammer_uncertainty=Uncertainty.independent(*std, np.zeros(modes.shapes.shape)),
-        hammer_reasons=why,
-        hammer_diagrams=(),
-        synthesis_error=np.zeros((0, 0)),
+        ambient=IdentifiedModes(NO_MODES, NOT_KNOWN),
+        hammer=IdentifiedModes(modes, std, why),
         source=f"file {path.name}",
+        frf_notes=notes,
     )

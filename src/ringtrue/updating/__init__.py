@@ -1,11 +1,10 @@
 """Which parameters of a model are wrong, by how much, and how well that is known.
 
-Problem: `target` the test and its pairs, `problem` configurations, objective and limits,
-`residuals` the kinds of residuals, one module a family.
+Problem: `target` the test and its pairs, `problem` configurations, objective and limits, and all
+residuals at a point, `residuals` the kinds of residuals, one module a family.
 
-Solution: `solver` the methods under one driver, `gauss_newton` short updatings for one test,
-`multistart` many starts, `regularisation` weights of prior and data, `strategy` the whole course of
-an updating.
+Solution: `solver` the methods under one driver and many starts, `regularisation` weights
+of prior and data, `strategy` the whole course of an updating.
 
 Damping and suspension: `damping`, `damping_regions`, `suspension`.
 

@@ -2,7 +2,7 @@
 from damping ratios.
 
 In the basis of the updated model's mass-normalised modes, D = Σ γ_k D_k and H = Σ γ_k H_k stand
-beside Λ. A linear bounded solution to first order starts a bounded nonlinear one on the data
+added to Λ. A linear bounded solution to first order starts a bounded nonlinear one on the data
 themselves, whose Gauss-Newton matrix gives the uncertainty.
 Friswell and Mottershead (1995), ch. 8; Pilkey and Inman (1998) on identifying damping matrices.
 """
@@ -100,7 +100,15 @@ class DampingFit:
 
     def __post_init__(self) -> None:
         f = np.float64
-        freeze_fields(self, coefficients=f, covariance=f, start=f, viscous=f, structural=f, ratio=f)
+        freeze_fields(
+            self,
+            coefficients=f,
+            covariance=f,
+            start=f,
+            viscous=f,
+            structural=f,
+            ratio=f,
+        )
 
     @property
     def std(self) -> Float:
@@ -200,8 +208,13 @@ def _ratios(
     if found.poles.size < values.size:
         raise InputError("a mode is overdamped: lower the bounds of the mechanisms")
     size = np.abs(found.shapes) ** 2
-    mine = _descendants(size / size.sum(axis=0))[at]
-    s, phi = found.poles[mine], found.shapes[:, mine]
+    # the complex mode that each real mode has become, (n,), from shares (real, complex) of the
+    # motion
+    rows, columns = linear_sum_assignment(-(size / size.sum(axis=0)))
+    descendants = np.asarray(columns[np.argsort(rows)])
+    mine = descendants[at]
+    s = found.poles[mine]
+    phi = found.shapes[:, mine]
     slope = np.empty((at.size, len(mechanisms)), dtype=np.complex128)
     for k, m in enumerate(mechanisms):  # ∂s/∂c = −φᵀ(sD' + iH')φ for unit modal A
         load = np.einsum("nm,nm->m", phi, m.matrix @ phi)
@@ -210,14 +223,6 @@ def _ratios(
     d_size = (s.conj()[:, None] * slope).real / size_s[:, None]
     d_zeta = -slope.real / size_s[:, None] + (s.real / size_s**2)[:, None] * d_size
     return np.asarray(-s.real / size_s), np.asarray(d_zeta, dtype=np.float64)
-
-
-def _descendants(share: Float) -> Int:
-    """The complex mode that each real mode has become, (n,), from shares (real, complex) of the
-    motion.
-    """
-    rows, columns = linear_sum_assignment(-share)
-    return np.asarray(columns[np.argsort(rows)])
 
 
 def assembled(
@@ -324,11 +329,12 @@ def _uncertainty(r: Float, g: Float, weight: Float, scale: Float) -> tuple[Float
     weight, scale : (c,) float64
         1 over the prior standard deviations; size of each unknown.
     """
-    normal, own = (g.T @ g) * np.outer(scale, scale), np.diag((weight * scale) ** 2)
+    normal = (g.T @ g) * np.outer(scale, scale)
+    own = np.diag((weight * scale) ** 2)
     total = normal + own
     if np.linalg.matrix_rank(total) < scale.size:
         raise InputError(
-            "the data cannot tell the mechanisms apart: leave some out, or give them a prior std"
+            "the data cannot distinguish the mechanisms: leave some out, or give them a prior std"
         )
     inverse = linalg.inv(total)
     s2 = max(float(r @ r) / max(r.size - float(np.trace(inverse @ normal)), 1.0), 1.0)

@@ -18,8 +18,8 @@ from scipy import linalg
 from ringtrue.core.arrays import Float
 from ringtrue.core.parameters import CardField, ParameterSet
 from ringtrue.errors import InputError
-from ringtrue.fem.element_cards import batches
-from ringtrue.fem.mesh import mesh, union
+from ringtrue.fem.element_cards import batches, mesh
+from ringtrue.fem.mesh import union
 from ringtrue.fem.parametrisation.changed_model import rows_of
 from ringtrue.model.edit import FieldChange, resolve_target
 from ringtrue.model.model import Model, Table
@@ -43,13 +43,36 @@ OWN_LOSS = (
 )  # a laminate has the loss factor of its property
 STIFFNESS = {"PBUSH": ("K1", "K2", "K3", "K4", "K5", "K6"), "PELAS": ("K",)}
 SPRINGS = ("PBUSH", "PELAS", "CELAS2")
-PIECE = 300_000  # elements times vectors that are held at once
-FAINT = 1e-9  # of the energy of a mode
-# priors in units of the loss factor that all modes together show: a joint slips, a material does
-# not
-MATERIAL, JOINT, DASHPOT = (1.0, 1.0), (3.0, 5.0), (1.0, 5.0)
+
+
+@dataclass(frozen=True, slots=True)
+class DampingPriors:
+    """Priors in units of the loss factor that all modes together show, mean and standard deviation.
+
+    Attributes
+    ----------
+    material : tuple of float
+        Of a material.
+    joint : tuple of float
+        Of a joint: it slips, a material does not.
+    dashpot : tuple of float
+        Of a dashpot.
+    ratio : float
+        Largest damping ratio that the dashpots of one region may give a mode.
+    faint : float
+        Share of the energy of a mode below which a region has none of it.
+    """
+
+    material: tuple[float, ...] = (1.0, 1.0)
+    joint: tuple[float, ...] = (3.0, 5.0)
+    dashpot: tuple[float, ...] = (1.0, 5.0)
+    ratio: float = 0.5
+    faint: float = 1e-9
+
+
+PRIORS = DampingPriors()
+
 LARGEST = {"material": 0.2, "joint": 1.0}  # loss factors
-RATIO = 0.5  # largest damping ratio that the dashpots of one region may give a mode
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +185,7 @@ def _is_spring(t: CardField) -> bool:
 def _alike(
     table: Table, properties: Mapping[str, Sequence[int]], left_out: Collection[int]
 ) -> list[tuple[int, ...]]:
-    """Ids of the cards that are one region: materials, laminates or springs that are alike."""
+    """Ids of the cards that are one region: materials, laminates or springs of one make."""
     ids = table.ids.tolist()
     if table.card == "MAT1":  # of one density and Poisson's ratio
         looks = np.nan_to_num(np.stack([table["RHO"], table["NU"]], axis=1), nan=-1.0)
@@ -260,10 +283,13 @@ def seen(model: Model, targets: Sequence[CardField], shapes: Float) -> tuple[Flo
     shapes : (full, n) float64
         Motion of all nodes, basic frame.
     """
-    rows, m, n = union(rows_of(model, t) for t in targets), mesh(model), shapes.shape[1]
-    piece = max(64, PIECE // n)
+    rows = union(rows_of(model, t) for t in targets)
+    m = mesh(model)
+    n = shapes.shape[1]
+    piece = max(64, 300_000 // n)  # elements times vectors that are held at once
     motion = np.concatenate([shapes, np.zeros((1, n))])  # DOF -1 is the row of zeros
-    d, h = np.zeros((n, n)), np.zeros((n, n))
+    d = np.zeros((n, n))
+    h = np.zeros((n, n))
     for card, build, at in batches(model, rows):
         for first in range(0, at.size, piece):
             part = build(m, card, at[first : first + piece])
@@ -337,15 +363,26 @@ def dampers(
         If a target is not in the model, or in two regions.
     """
     w = np.sqrt(values)
-    kept, mechanisms = [], []
+    kept = []
+    mechanisms = []
     matrices, base = matrices_of(model, regions, shapes, total)
     for r, matrix in zip(regions, matrices, strict=True):
         share = np.diag(matrix) / (2 * w if r.kind == "viscous" else values)
-        if share.max(initial=0.0) <= (0.0 if r.kind == "viscous" else FAINT):
+        if share.max(initial=0.0) <= (0.0 if r.kind == "viscous" else PRIORS.faint):
             continue
         expected, std, upper = _known(r, share, ratio)
         kept.append(r)
-        mechanisms.append(Mechanism(r.name, r.kind, matrix, r.lower, upper, expected, std))
+        mechanisms.append(
+            Mechanism(
+                name=r.name,
+                kind=r.kind,
+                matrix=matrix,
+                lower=r.lower,
+                upper=upper,
+                prior=expected,
+                std=std,
+            )
+        )
     return Dampers(tuple(kept), tuple(mechanisms), base)
 
 
@@ -399,15 +436,19 @@ def matrices_of(
         raise InputError(
             f"{twice[0].card} {twice[0].id} {twice[0].field} is in two damping regions"
         )
-    bare, found = undamped(model), []
+    bare = undamped(model)
+    found = []
     base = total
     for r in regions:
         unit = seen(_set(bare, r.changes(1.0)), r.targets, shapes)
         found.append(unit[0] if r.kind == "viscous" else unit[1])
         now = _held(model, r)
-        own, scale = unit, float(now[0].value)  # damping is proportional to its fields
+        # damping is proportional to its fields
+        own = unit
+        scale = float(now[0].value)
         if any(c.value != scale for c in now):
-            own, scale = seen(_set(bare, now), r.targets, shapes), 1.0
+            own = seen(_set(bare, now), r.targets, shapes)
+            scale = 1.0
         base = (base[0] - scale * own[0], base[1] - scale * own[1])
     return found, base
 
@@ -417,13 +458,13 @@ def _known(region: DampingRegion, share: Float, ratio: float) -> tuple[float, fl
     coefficient.
     """
     if region.nature == "dashpot":  # of the mode that it damps most
-        unit, many, most = ratio / share.max(), DASHPOT, RATIO / share.max()
+        unit = ratio / share.max()
+        many = PRIORS.dashpot
+        most = PRIORS.ratio / share.max()
     else:
-        unit, many, most = (
-            2 * ratio,
-            MATERIAL if region.nature == "material" else JOINT,
-            LARGEST[region.nature],
-        )
+        unit = 2 * ratio
+        many = PRIORS.material if region.nature == "material" else PRIORS.joint
+        most = LARGEST[region.nature]
     expected = region.expected if region.expected is not None else many[0] * unit
     std = region.std if region.std is not None else many[1] * unit
     upper = region.upper if region.upper is not None else max(most, 2 * expected)

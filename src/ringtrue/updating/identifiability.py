@@ -1,4 +1,4 @@
-"""What the data can tell of each parameter, and which they cannot tell apart.
+"""What the data know of each parameter, and which they cannot distinguish.
 
 Sensitivities are weighted and in units of the prior standard deviation
 (`selection_rules.weighted_sensitivities`): GᵀG is the information of the data, the unit matrix
@@ -21,25 +21,69 @@ from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.errors import InputError
 
-# |cosine| of two weighted sensitivity columns from which on the data cannot tell them apart
-ALIKE = 0.95
-EQUAL = 9  # decimals, of the largest, to which effects are compared: rounding must not choose
-# in standard deviations of the data: what a change by the prior's standard deviation does beyond
-# the other parameters, from which on the data share a change out between them, however weakly;
-# below it the prior alone does
-SAME = 0.01
-# singular value, in units of the prior, below which the prior says more of a direction than the
-# data
-BLIND = 1.0
-EDGE = 0.01  # of the range between the bounds
-BEYOND = 2.0  # prior standard deviations
-SILENT = 0.9  # posterior over prior standard deviation: the data said nothing
-SLIGHT = 0.05  # change of a factor that needs no proof
-TIED = 0.9  # |correlation| from which on two parameters are known together, not each by itself
-KEPT = 0.5  # share of a change that should be there whatever modes are left out
+
+@dataclass(frozen=True, slots=True)
+class CollinearityLimits:
+    """When the data cannot distinguish parameters.
+
+    Attributes
+    ----------
+    cosine : float
+        Least |cosine| of two weighted sensitivity columns.
+    decimals : int
+        Decimals, of the largest, to which effects are compared: rounding must not choose.
+    share : float
+        What the data say of a parameter besides the others, from which on they share a change
+        out between them; below it the prior alone does.
+    blind : float
+        Singular value, in units of the prior, below which the prior says more of a direction
+        than the data.
+    """
+
+    cosine: float = 0.95
+    decimals: int = 9
+    share: float = 0.01
+    blind: float = 1.0
+
+
+COLLINEARITY = CollinearityLimits()
+
+
+@dataclass(frozen=True, slots=True)
+class FlagLimits:
+    """When a change of a parameter is flagged.
+
+    Attributes
+    ----------
+    edge : float
+        Distance from a bound, of the range between the bounds.
+    beyond : float
+        Prior standard deviations.
+    silent : float
+        Posterior over prior standard deviation: the data said nothing.
+    slight : float
+        Change of a factor that needs no proof.
+    tied : float
+        |correlation| from which on two parameters are known together, not each by itself.
+    kept : float
+        Share of a change that should be there whatever modes are left out.
+    still : float
+        Relative shift of a frequency: half of the last digit in which deviations are stated
+        (0.01 %).
+    """
+
+    edge: float = 0.01
+    beyond: float = 2.0
+    silent: float = 0.9
+    slight: float = 0.05
+    tied: float = 0.9
+    kept: float = 0.5
+    still: float = 5e-5
+
+
+FLAGS = FlagLimits()
+
 Kind = Literal["bound", "prior", "silent", "form"]
-# relative shift of a frequency: half of the last digit in which deviations are stated (0.01 %)
-STILL = 5e-5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,57 +147,36 @@ def cosines(sensitivities: Float) -> Float:
     return np.minimum(np.abs(unit.T @ unit), 1.0)
 
 
-def blind_cosines(sensitivities: Float, level: float = BLIND) -> tuple[Float, Float]:
-    """How parameters trade against each other where the data do not see.
-
-    The directions v with ‖G v‖ < `level` ‖v‖ span what is left open. A parameter alike to a
-    *combination* of others has a large share there though no single cosine shows it.
-
-    Returns
-    -------
-    share : (p,) float64
-        Of each parameter's own direction, in the open space: 1 means the data say nothing of it.
-    cosine : (p, p) float64
-        |cosine| between the projections of two parameters on the open space; near 1 they only trade
-        with each other.
-    """
-    g = _columns(sensitivities)
-    s, vt = _right(g)
-    open_ = vt[s < level]
-    share = np.sqrt(np.sum(open_**2, axis=0))
-    unit = open_ / np.where(share > 1e-9, share, np.inf)
-    return np.minimum(share, 1.0), np.minimum(np.abs(unit.T @ unit), 1.0)
-
-
-def clusters(sensitivities: Float, alike: float = ALIKE) -> Int:
+def clusters(sensitivities: Float, limit: float = COLLINEARITY.cosine) -> Int:
     """The cluster of each parameter, (p,) int64, numbered from 0 in the order of their first
     members.
 
-    By complete linkage: no two with a |cosine| below `alike` are in one cluster. A column of zeros
+    By complete linkage: no two with a |cosine| below `limit` are in one cluster. A column of zeros
     stands alone.
 
     Raises
     ------
     InputError
-        Unless 0 < alike <= 1.
+        Unless 0 < limit <= 1.
     """
-    if not 0 < alike <= 1:
-        raise InputError(f"clusters: alike {alike} must be above 0 and at most 1")
+    if not 0 < limit <= 1:
+        raise InputError(f"clusters: limit {limit} must be above 0 and at most 1")
     cosine = cosines(sensitivities)
     if len(cosine) < 2:
         return np.zeros(len(cosine), dtype=np.int64)
     distance = squareform(np.maximum(1 - (cosine + cosine.T) / 2, 0.0), checks=False)
-    raw = fcluster(linkage(distance, "complete"), 1 - alike + 1e-12, criterion="distance")
+    raw = fcluster(linkage(distance, "complete"), 1 - limit + 1e-12, criterion="distance")
     _, first, number = np.unique(raw, return_index=True, return_inverse=True)
     return np.argsort(np.argsort(first))[number].astype(np.int64)
 
 
 def told_apart(sensitivities: Float, order: Sequence[int]) -> tuple[Int, dict[int, Int]]:
-    """Which parameters of a set the data can tell apart, and which are to be held at nominal as
+    """Which parameters of a set the data can distinguish, and which are to be held at nominal as
     they cannot.
 
     One after the other a parameter is kept unless those kept before it do the same: what they leave
-    of its column is below `SAME`, so that the prior alone would share a change out between them.
+    of its column is below `COLLINEARITY.share`, so that the prior alone would share a change out
+    between them.
     One of which the data tell less than its prior by itself is kept: that holds it.
 
     Parameters
@@ -171,15 +194,18 @@ def told_apart(sensitivities: Float, order: Sequence[int]) -> tuple[Int, dict[in
         Of each parameter that is not kept those that stand for it, the one most like it first.
     """
     g = _columns(sensitivities)
-    size, cosine = np.linalg.norm(g, axis=0), cosines(g)
-    kept, held, span = list[int](), dict[int, Int](), np.zeros((len(g), 0))
+    size = np.linalg.norm(g, axis=0)
+    cosine = cosines(g)
+    kept = list[int]()
+    held = dict[int, Int]()
+    span = np.zeros((len(g), 0))
     for i in order:
         own = g[:, i] - span @ (span.T @ g[:, i])
         own = own - span @ (span.T @ own)  # twice is enough (Kahan and Parlett)
         rest = float(np.linalg.norm(own))
-        if size[i] >= BLIND and rest < SAME:
+        if size[i] >= COLLINEARITY.blind and rest < COLLINEARITY.share:
             near = sorted(kept, key=lambda j: -cosine[i, j])
-            same = [j for j in near if cosine[i, j] > ALIKE]
+            same = [j for j in near if cosine[i, j] > COLLINEARITY.cosine]
             held[i] = np.array(same or near, dtype=np.int64)
             continue
         kept.append(i)
@@ -205,7 +231,9 @@ def stood_for(
     """
     rank = {name: i for i, name in enumerate(first)}
     norm = np.linalg.norm(sensitivities, axis=0)
-    size = np.round(norm / max(float(norm.max(initial=0.0)), 1e-300), EQUAL).tolist()
+    size = np.round(
+        norm / max(float(norm.max(initial=0.0)), 1e-300), COLLINEARITY.decimals
+    ).tolist()
 
     def turn(i: int) -> tuple[int, float]:
         return rank.get(names[i], len(rank)), -size[i]
@@ -254,11 +282,11 @@ def plausibility(
         Posterior over prior standard deviation.
     """
     x = np.asarray(x, dtype=np.float64)
-    told = np.zeros(x.size) if ratio is None else np.asarray(ratio, dtype=np.float64)
-    if x.shape != (len(parameters),) or told.shape != x.shape:
-        raise InputError(f"x {x.shape} and ratio {told.shape} for {len(parameters)} parameters")
+    ratios = np.zeros(x.size) if ratio is None else np.asarray(ratio, dtype=np.float64)
+    if x.shape != (len(parameters),) or ratios.shape != x.shape:
+        raise InputError(f"x {x.shape} and ratio {ratios.shape} for {len(parameters)} parameters")
     low, high = parameters.bounds()
-    margin = EDGE * (high - low)
+    margin = FLAGS.edge * (high - low)
     away = x / parameters.std()
     a = parameters.factors(x)
     flags: list[Flag] = []
@@ -270,16 +298,16 @@ def plausibility(
                 "elsewhere"
             )
             flags.append(Flag(p.name, "bound", float(a[i]), text))
-        if abs(away[i]) > BEYOND:
+        if abs(away[i]) > FLAGS.beyond:
             text = (
                 f"{_said(p, a[i])} is {abs(away[i]):.1f} prior standard deviations from the "
                 "nominal value"
             )
             flags.append(Flag(p.name, "prior", float(a[i]), text))
-        if told[i] > SILENT and abs(away[i]) > 0.25:
+        if ratios[i] > FLAGS.silent and abs(away[i]) > 0.25:
             text = (
                 f"{_said(p, a[i])}, but the data do not determine it (posterior/prior "
-                f"{told[i]:.2f})"
+                f"{ratios[i]:.2f})"
             )
             flags.append(Flag(p.name, "silent", float(a[i]), text))
     return tuple(flags)
@@ -317,8 +345,8 @@ def unproven(parameters: ParameterSet, factor: Float, interval: Float, share: Fl
         Of `kept`.
     """
     open_ = (interval[:, 0] <= 1) & (interval[:, 1] >= 1)
-    slight = np.array([0.0 if p.lump else SLIGHT for p in parameters.parameters])
-    return np.asarray((np.abs(factor - 1) > slight) & (open_ | (share < KEPT)))
+    slight = np.array([0.0 if p.lump else FLAGS.slight for p in parameters.parameters])
+    return np.asarray((np.abs(factor - 1) > slight) & (open_ | (share < FLAGS.kept)))
 
 
 def _found(p: Parameter, *factors: float) -> str:
@@ -333,7 +361,7 @@ def _said(p: Parameter, factor: float) -> str:
 def form_flags(
     parameters: ParameterSet, factor: Float, interval: Float, share: Float, correlation: Float
 ) -> tuple[Flag, ...]:
-    """A flag for each change that is `unproven`; with others that the test tells only together with
+    """A flag for each change that is `unproven`; with others that the test knows only together with
     it, these instead.
 
     Parameters
@@ -344,9 +372,8 @@ def form_flags(
         Of x, posterior.
     """
     flags: list[Flag] = []
-    for i in np.flatnonzero(
-        unproven(parameters, factor, interval, share)
-    ).tolist():  # over parameters: text for people
+    # over parameters: text for people
+    for i in np.flatnonzero(unproven(parameters, factor, interval, share)).tolist():
         low, high = interval[i].tolist()
         open_ = low <= 1 <= high
         p = parameters.parameters[i]
@@ -355,15 +382,17 @@ def form_flags(
             if open_
             else []
         )
-        if share[i] < KEPT:
+        if share[i] < FLAGS.kept:
             turned = "turns round" if share[i] < 0 else f"shrinks to {100 * share[i]:.0f} %"
             why.append(f"its change {turned} when some of the modes are left out")
         tied = [
-            n for j, n in enumerate(parameters.names) if j != i and abs(correlation[i, j]) > TIED
+            n
+            for j, n in enumerate(parameters.names)
+            if j != i and abs(correlation[i, j]) > FLAGS.tied
         ]
         whence = "it may take up an error of the model's form"
         if open_ and tied:
-            whence = f"the test tells it and {', '.join(tied)} together, not each by itself"
+            whence = f"the test knows it and {', '.join(tied)} together, not each by itself"
         text = f"{_said(p, factor[i])}, but {' and '.join(why)}; {whence}"
         flags.append(Flag(p.name, "form", float(factor[i]), text))
     return tuple(flags)
@@ -380,4 +409,4 @@ def unmoved(x: Float, std: Float, slopes: Float) -> Bool:
         Of ln f of the modes to x.
     """
     shift = np.abs(slopes * x).max(axis=0, initial=0.0)
-    return np.asarray((np.abs(x) < std) & (shift < STILL))
+    return np.asarray((np.abs(x) < std) & (shift < FLAGS.still))

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import linalg
 
 from ringtrue.core.arrays import Any_, Bool, Complex, Float, freeze_fields
-from ringtrue.core.progress import Progress
+from ringtrue.core.iterate import Progress
 from ringtrue.errors import ConfigError, InputError, did_you_mean
 from ringtrue.model.ports import ObservedModel
 from ringtrue.reduction.matrix_model import matrices_at
@@ -75,7 +75,7 @@ class RegionDamping:
     viscous : (k,) bool
         True for dashpots.
     base : (r, r), (r, r) float64
-        Known damping matrix and imaginary stiffness beside them.
+        Known damping matrix and imaginary stiffness in addition.
     scatter : float
         Standard deviation of ln ζ that each mode has of its own.
     """
@@ -90,7 +90,8 @@ class RegionDamping:
     def __post_init__(self) -> None:
         f = np.float64
         freeze_fields(self, coefficients=f, covariance=f, matrices=f, viscous=np.bool_)
-        k, r = self.coefficients.size, self.base[0].shape[0]
+        k = self.coefficients.size
+        r = self.base[0].shape[0]
         if (
             self.matrices.shape != (k, r, r)
             or self.covariance.shape != (k, k)
@@ -104,7 +105,8 @@ class RegionDamping:
         """ζ of modes at the best point, or with coefficients and scatter as drawn; none is below
         0.
         """
-        c, own = self.coefficients, np.ones(self.base[0].shape[0])
+        c = self.coefficients
+        own = np.ones(self.base[0].shape[0])
         if rng is not None:
             c = np.maximum(c + covariance_root(self.covariance) @ rng.standard_normal(c.size), 0.0)
             own = np.exp(self.scatter * rng.standard_normal(own.size))
@@ -142,12 +144,27 @@ class Rows:
         return out
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class HarmonicLoad:
+    """Loads that turn with e^{+iωt}.
+
+    Attributes
+    ----------
+    freqs : (l,) float64, Hz
+    vectors : (r, j) float64
+        Unit loads in the basis of the model.
+    amplitude : (l, j) complex128
+    """
+
+    freqs: Float
+    vectors: Float
+    amplitude: Complex
+
+
 def harmonic(
     model: ObservedModel,
     x: Float,
-    freqs: Float,
-    loads: Float,
-    amplitude: Complex,
+    load: HarmonicLoad,
     rows: Rows,
     ratios: Ratios,
     *,
@@ -161,10 +178,7 @@ def harmonic(
     model : ObservedModel
         With small matrices (`matrices_at`); static answers to the loads should be in its basis.
     x : (p,) float64
-    freqs : (l,) float64, Hz
-    loads : (r, j) float64
-        Unit loads in the basis.
-    amplitude : (l, j) complex128
+    load : HarmonicLoad
     rows : Rows
     ratios : callable
         Damping ratios of the modes.
@@ -174,9 +188,10 @@ def harmonic(
     small = matrices_at(model, x)
     lam, y = _all_modes(small.stiffness, small.mass)
     lam = lam * (1.0 if scatter is None else (1 + scatter) ** 2)
-    w, wk = 2 * np.pi * np.asarray(freqs)[:, None], np.sqrt(lam)
+    w = 2 * np.pi * np.asarray(load.freqs)[:, None]
+    wk = np.sqrt(lam)
     below = lam - w**2 + 2j * ratios(lam, y) * wk * w
-    q = (amplitude @ (y.T @ loads).T) / below
+    q = (load.amplitude @ (y.T @ load.vectors).T) / below
     return np.asarray(q @ (rows.at(_every(model, x)) @ y).T)
 
 
@@ -331,7 +346,7 @@ class RunUp:
     amplitude: Bands
     peak: Bands
     peak_speed: Bands
-    validated: tuple[float, float]
+    validated: tuple[float, float] = (0.0, np.inf)
 
     def __post_init__(self) -> None:
         freeze_fields(self, freqs=np.float64, nominal=np.float64)
@@ -342,69 +357,82 @@ class RunUp:
         return np.asarray((self.freqs >= self.validated[0]) & (self.freqs <= self.validated[1]))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class KnownModel:
+    """A model as well as it is known.
+
+    Attributes
+    ----------
+    model : ObservedModel
+    best : (p,) float64
+    draws : (draw, p) float64
+        Of the posterior.
+    damping : Damping or RegionDamping
+    discrepancy : float
+        Relative standard deviation of each frequency.
+    """
+
+    model: ObservedModel
+    best: Float
+    draws: Float
+    damping: Damping | RegionDamping
+    discrepancy: float = 0.0
+
+
+def unbalance_load(freqs: Float, vectors: Float, unbalance: Unbalance) -> HarmonicLoad:
+    """Forward whirl: unit forces (r, 2) across the rotor's axis (`plane`), the second a quarter
+    turn behind the first.
+    """
+    amplitude = unbalance.force(freqs)[:, None] * np.array([1.0, -1j])
+    return HarmonicLoad(np.asarray(freqs), vectors, amplitude)
+
+
 def run_up(
-    model: ObservedModel,
-    draws: Float,
-    best: Float,
-    freqs: Float,
-    loads: Float,
-    unbalance: Unbalance,
+    known: KnownModel,
+    load: HarmonicLoad,
     outputs: Sequence[Output],
-    damping: Damping | RegionDamping,
     rng: np.random.Generator,
     *,
-    discrepancy: float = 0.0,
     level: float = 0.9,
-    validated: tuple[float, float] = (0.0, np.inf),
     progress: Progress | None = None,
 ) -> RunUp:
-    """Steady response to unbalance at each speed, forward whirl, no gyroscopic moments.
+    """Steady response to unbalance at each speed, no gyroscopic moments.
 
     Parameters
     ----------
-    model : ObservedModel
-    draws : (draw, p) float64
-    best : (p,) float64
-    freqs : (l,) float64, Hz
-    loads : (r, 2) float64
-        Unit forces across the rotor's axis (`plane`) in the basis of the model.
+    known : KnownModel
+    load : HarmonicLoad
     outputs : sequence (n) of Output
-    damping : Damping or RegionDamping
     rng : Generator
         For discrepancy and damping.
-    discrepancy : float
-        Relative standard deviation of each frequency.
-    validated : (float, float), Hz
+    level : float
+        Probability of the bands.
     """
     if not outputs:
         raise InputError("no output: name nodes or springs")
-    amplitude = unbalance.force(freqs)[:, None] * np.array(
-        [1.0, -1j]
-    )  # e^{+iωt}: the second lags by 90°
-    r = loads.shape[0]
+    r = load.vectors.shape[0]
     every, _ = _sizes(outputs)
     whole = _joined(outputs)
 
     def one(x: Float, scatter: Float | None, ratios: Ratios) -> Float:
-        h = harmonic(model, x, freqs, loads, amplitude, whole, ratios, scatter=scatter)
+        h = harmonic(known.model, x, load, whole, ratios, scatter=scatter)
         return np.array([o.amplitude(h[:, a:b]) for o, (a, b) in zip(outputs, every, strict=True)])
 
     found = []
-    for i, x in enumerate(draws):  # an eigensolution each
-        scatter: Float = np.asarray(discrepancy * rng.standard_normal(r))
-        found.append(one(x, scatter, damping.drawn(rng)))
+    for i, x in enumerate(known.draws):  # an eigensolution each
+        scatter: Float = np.asarray(known.discrepancy * rng.standard_normal(r))
+        found.append(one(x, scatter, known.damping.drawn(rng)))
         if progress is not None:
-            progress((i + 1) / len(draws), "run-up")
+            progress((i + 1) / len(known.draws), "run-up")
     drawn = np.array(found)
     return RunUp(
-        freqs,
-        tuple(o.name for o in outputs),
-        tuple(o.unit for o in outputs),
-        one(best, None, damping.drawn(None)),
-        bands(drawn, level),
-        bands(drawn.max(axis=2), level),
-        bands(np.asarray(freqs)[drawn.argmax(axis=2)], level),
-        validated,
+        freqs=load.freqs,
+        names=tuple(o.name for o in outputs),
+        units=tuple(o.unit for o in outputs),
+        nominal=one(known.best, None, known.damping.drawn(None)),
+        amplitude=bands(drawn, level),
+        peak=bands(drawn.max(axis=2), level),
+        peak_speed=bands(load.freqs[drawn.argmax(axis=2)], level),
     )
 
 
@@ -437,6 +465,7 @@ def validated_band(test_hz: Float, held: Bool) -> tuple[float, float]:
         Paired and within the limits of acceptance.
     """
     order = np.argsort(test_hz)
-    f, ok = np.asarray(test_hz, dtype=np.float64)[order], np.asarray(held)[order]
+    f = np.asarray(test_hz, dtype=np.float64)[order]
+    ok = np.asarray(held)[order]
     good = int(np.argmin(ok)) if not ok.all() else ok.size
     return (float(f[0]), float(f[good - 1])) if good else (0.0, 0.0)

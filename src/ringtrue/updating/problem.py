@@ -1,42 +1,40 @@
-"""The problem of updating: one parameter set, one or several configurations (decks with their
-tests), one objective.
+"""The objective of an updating, over one or several configurations (decks with their tests).
 
-J(x) = Σ ρ(Δzᵀ W Δz) over all configurations + xᵀ W_p x + the cost of modes without a partner.
-Parameters are found in the configurations by name, so that a part which two decks share is one
-parameter.
+J(x) = Σ ρ(Δzᵀ W Δz) over all configurations + xᵀ W_p x + the cost of unpaired modes.
+Configurations share parameters by name.
+
+The weighted residuals of all tests at one point, and criteria that compare parameter sets.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from scipy import linalg
 from scipy.optimize import nnls
 
-from ringtrue.core.arrays import Float, Int
+from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.errors import ConfigError, InputError, did_you_mean
 from ringtrue.model.ports import Linearisation, ObservedModel
 from ringtrue.updating.residuals.modal import (
     NO_MODE,
-    Block,
     Point,
+    Quantity,
     Term,
     Whole,
     default_terms,
     point,
-    reweighed,
 )
 from ringtrue.updating.target import Target, Weights
 
-OUTSIDE = 1e-9  # of an unknown, that is none
-APART = 1_000_000  # test modes of configuration i are numbered from i times this
+MODE_STRIDE = 1_000_000  # test modes of configuration i are numbered from i times this
 
 
-class Loss(Protocol):
+class RobustLoss(Protocol):
     """ρ and ρ' of squared weighted residuals s (n,)."""
 
     def cost(self, s: Float) -> Float:
@@ -70,7 +68,10 @@ class Huber:
     limit: float = 2.0
 
     def __post_init__(self) -> None:
-        _positive(self.limit)
+        if not self.limit > 0:
+            raise InputError(
+                f"limit of a robust loss {self.limit}: must be > 0 standard deviations"
+            )
 
     def cost(self, s: Float) -> Float:
         """s, beyond the limit 2k√s − k²."""
@@ -80,32 +81,6 @@ class Huber:
     def weight(self, s: Float) -> Float:
         """min(1, k/√s)."""
         return np.asarray(np.minimum(1.0, self.limit / np.sqrt(np.maximum(s, 1e-300))))
-
-
-@dataclass(frozen=True, slots=True)
-class Tukey:
-    """Bisquare: a datum beyond `limit` standard deviations has no influence at all; not convex, so
-    start near.
-    """
-
-    limit: float = 6.0
-
-    def __post_init__(self) -> None:
-        _positive(self.limit)
-
-    def cost(self, s: Float) -> Float:
-        """k²/3 (1 − (1 − s/k²)³), at most k²/3."""
-        inside = np.minimum(s / self.limit**2, 1.0)
-        return np.asarray(self.limit**2 / 3 * (1 - (1 - inside) ** 3))
-
-    def weight(self, s: Float) -> Float:
-        """(1 − s/k²)², 0 beyond."""
-        return np.asarray((1 - np.minimum(s / self.limit**2, 1.0)) ** 2)
-
-
-def _positive(limit: float) -> None:
-    if not limit > 0:
-        raise InputError(f"limit of a robust loss {limit}: must be > 0 standard deviations")
 
 
 def squares(value: Float, datum: Int) -> Float:
@@ -143,20 +118,30 @@ class Configuration:
         weights = replace(
             self.target.weights, frequency=frequency, mac=mac, independent=independent
         )
-        terms = reweighed(self.terms, frequency, mac, independent)
+        terms = tuple(t.reweighed(frequency, mac, independent) for t in self.terms)
         return replace(self, target=replace(self.target, weights=weights), terms=terms)
 
     def at(self, x: Float, held: Int | None = None, *, slopes: bool = True) -> Point:
-        """The modes at x, paired; all that the model can give where a kind of residuals reads more
-        than the test's.
-        """
-        give = getattr(self.model, "whole", None)
-        whole: Whole | None = (
-            give() if give and any(getattr(t, "whole", False) for t in self.terms) else None
-        )
-        model = self.model if whole is None else whole.model
-        now = model.linearise(x) if slopes else _bare(model.modes(x), x)
-        return point(self.model, now if whole is None else whole.part(now), self.target, held, now)
+        """The modes at x, paired; all modes of the model where a kind of residuals reads them."""
+        if not any(t.whole for t in self.terms) or not isinstance(self.model, WithAllModes):
+            now = self.model.linearise(x) if slopes else _without_slopes(self.model.modes(x), x)
+            return point(self.model, now, self.target, held)
+        whole = self.model.whole()
+        every = whole.model.linearise(x) if slopes else _without_slopes(whole.model.modes(x), x)
+        return point(self.model, whole.part(every), self.target, held, every)
+
+    def cost_of_unpaired(self, at: Point) -> float:
+        """Cost of all used test modes that have no partner at a point."""
+        return self.target.lost * (int(self.target.used.sum()) - len(at.pairs))
+
+
+@runtime_checkable
+class WithAllModes(Protocol):
+    """An `ObservedModel` that can give more modes and channels than the test has."""
+
+    def whole(self) -> Whole:
+        """All modes at all channels."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -210,7 +195,7 @@ class Problem:
         All of them; those of the configurations, joined by name, if not given.
     precision : (p, p) float64
         W_p; 1/std² of each parameter on the diagonal if not given.
-    loss : Loss
+    loss : RobustLoss
     link : (p, q) float64
         x = link y ties parameters; the identity if not given.
     rows, limits : (c, p), (c,) float64
@@ -220,7 +205,7 @@ class Problem:
     configurations: tuple[Configuration, ...]
     parameters: ParameterSet = field(default_factory=lambda: ParameterSet(()))
     precision: Float = field(default_factory=lambda: np.zeros((0, 0)))
-    loss: Loss = field(default_factory=Squares)
+    loss: RobustLoss = field(default_factory=Squares)
     link: Float = field(default_factory=lambda: np.zeros((0, 0)))
     rows: Float = field(default_factory=lambda: np.zeros((0, 0)))
     limits: Float = field(default_factory=lambda: np.zeros(0))
@@ -244,7 +229,7 @@ class Problem:
         if shapes != ((p, p), p, (self.limits.size, p)):
             raise InputError(f"{p} parameters: got precision, rows of link, constraints {shapes}")
         for c in self.configurations:
-            _places(self.parameters, c)
+            _positions(self.parameters, c)
 
     @property
     def size(self) -> int:
@@ -271,7 +256,8 @@ class Problem:
             If there is none.
         """
         rows, limits = self.inequalities()
-        at_most = limits + OUTSIDE * np.linalg.norm(rows, axis=1)
+        # 1e-9: violation of a limit that is rounding, in units of the unknowns
+        at_most = limits + 1e-9 * np.linalg.norm(rows, axis=1)
         if (rows @ y <= at_most).all():
             return y
         out = y + least_distance(np.eye(y.size), np.zeros(y.size), rows, limits - rows @ y)
@@ -282,48 +268,50 @@ class Problem:
             )
         return np.asarray(out)
 
-    def evaluate(self, y: Float, before: Evaluated | None = None) -> Evaluated:
-        """J and its parts at y (q,), with sensitivities; pairs of `before` are held on to."""
-        return self._evaluate(np.asarray(y, dtype=np.float64), before, slopes=True)
-
-    def cost(self, y: Float, before: Evaluated | None = None) -> float:
-        """J at y (q,), modes only."""
-        return self._evaluate(np.asarray(y, dtype=np.float64), before, slopes=False).cost
-
-    def residuals(self, y: Float, before: Evaluated | None = None) -> Float:
-        """Weighted residuals (r,) at y (q,), modes only; their number changes where pairs
-        change.
-        """
-        return self._evaluate(np.asarray(y, dtype=np.float64), before, slopes=False).value
-
-    def _evaluate(self, y: Float, before: Evaluated | None, *, slopes: bool) -> Evaluated:
-        x = self.link @ y
-        points, blocks, lost = [], [], 0.0
-        for i, c in enumerate(self.configurations):
-            at = _places(self.parameters, c)
-            held = None if before is None else before.points[i].pairs[:, 0]
-            points.append(here := c.at(x[at], held, slopes=slopes))
-            lost += c.target.lost * (int(c.target.used.sum()) - len(here.pairs))
-            wide = self.link[at] if slopes else np.zeros((0, self.size))
-            blocks += [_shifted(t(here), wide, i) for t in c.terms]
-        return self._joined(y, x, tuple(points), blocks, lost)
-
-    def _joined(
-        self, y: Float, x: Float, points: tuple[Point, ...], blocks: list[Block], lost: float
+    def evaluate(
+        self, y: Float, before: Evaluated | None = None, *, slopes: bool = True
     ) -> Evaluated:
-        value, slope = (
-            np.concatenate([b.value for b in blocks]),
-            np.concatenate([b.slope for b in blocks]),
-        )
+        """J and its parts at y (q,); pairs of `before` are held on to.
+
+        Without `slopes` only modes are computed, and the slopes are zeros.
+        """
+        y = np.asarray(y, dtype=np.float64)
+        x = self.link @ y
+        points = []
+        blocks = []
+        lost = 0.0
+        for i, c in enumerate(self.configurations):
+            at = _positions(self.parameters, c)
+            held = None if before is None else before.points[i].pairs[:, 0]
+            here = c.at(x[at], held, slopes=slopes)
+            points.append(here)
+            lost += c.cost_of_unpaired(here)
+            link = self.link[at] if slopes else np.zeros((0, self.size))
+            for term in c.terms:
+                block = term(here)
+                mode = np.where(block.mode == NO_MODE, NO_MODE, block.mode + i * MODE_STRIDE)
+                blocks.append(replace(block, slope=block.slope @ link, mode=mode))
+        value = np.concatenate([b.value for b in blocks])
         counts = [int(b.datum.max(initial=-1)) + 1 for b in blocks]
         first = np.cumsum([0, *counts[:-1]])
         datum = np.concatenate([b.datum + f for b, f in zip(blocks, first, strict=True)])
-        mode = np.concatenate([b.mode for b in blocks])
-        kind = np.repeat(np.arange(len(blocks)), [b.value.size for b in blocks])
-        data = float(self.loss.cost(squares(value, datum)).sum())
         return Evaluated(
-            y, x, value, slope, datum, mode, kind, points, data, float(x @ self.precision @ x), lost
+            y=y,
+            x=x,
+            value=value,
+            slope=np.concatenate([b.slope for b in blocks]),
+            datum=datum,
+            mode=np.concatenate([b.mode for b in blocks]),
+            kind=np.repeat(np.arange(len(blocks)), [b.value.size for b in blocks]),
+            points=tuple(points),
+            data=float(self.loss.cost(squares(value, datum)).sum()),
+            prior=float(x @ self.precision @ x),
+            lost=lost,
         )
+
+    def cost(self, y: Float, before: Evaluated | None = None) -> float:
+        """J at y (q,), modes only."""
+        return self.evaluate(y, before, slopes=False).cost
 
     def weighted(self, at: Evaluated) -> tuple[Float, Float]:
         """√ρ' r (r,) and √ρ' G (r, q): their least-squares gradient is that of the robust data
@@ -338,52 +326,42 @@ class Problem:
         return np.asarray(self.linked_precision @ at.y - g.T @ r)
 
     def shared(self, at: Evaluated, other: Evaluated) -> float | None:
-        """J without the cost of lost modes, over the test modes that `other` has paired; None if
-        one is lost in `at`.
+        """J over the test modes that `other` has paired; None if `at` has lost one of them.
 
-        Configurations in which no pair costs more than a lost mode count whole, lost modes too.
+        Configurations in which no pair costs more than an unpaired mode count whole.
         """
         gated = np.array([c.target.rule == "gates" for c in self.configurations])
-        for g, a, b in zip(gated, at.points, other.points, strict=True):
-            if g and not np.isin(b.pairs[:, 0], a.pairs[:, 0]).all():
+        unpaired = 0.0
+        for c, gates, a, b in zip(self.configurations, gated, at.points, other.points, strict=True):
+            if not gates:
+                unpaired += c.cost_of_unpaired(a)
+            elif not np.isin(b.pairs[:, 0], a.pairs[:, 0]).all():
                 return None
-        free = ~gated[at.mode // APART] | (at.mode == NO_MODE)
+        free = ~gated[at.mode // MODE_STRIDE] | (at.mode == NO_MODE)
         keep = free | np.isin(at.mode, other.mode)
         cost = self.loss.cost(squares(at.value[keep], at.datum[keep]))
-        open_lost = sum(
-            _lost(c, p)
-            for c, p, g in zip(self.configurations, at.points, gated, strict=True)
-            if not g
-        )
-        return float(cost.sum()) + at.prior + open_lost
+        return float(cost.sum()) + at.prior + unpaired
 
 
-def _lost(c: Configuration, at: Point) -> float:
-    return c.target.lost * (int(c.target.used.sum()) - len(at.pairs))
+def single(model: ObservedModel, target: Target) -> Problem:
+    """The problem of one deck and its test, with eigenvalues and shapes as residuals."""
+    return Problem((Configuration(model, target),))
 
 
-def _bare(now: Linearisation, x: Float) -> Linearisation:
+def _without_slopes(now: Linearisation, x: Float) -> Linearisation:
     """Modes without sensitivities, x kept."""
     m = now.frequencies.size
-    return Linearisation(
-        x, now.frequencies, now.shapes, np.zeros((m, 0)), np.zeros((*now.shapes.shape, 0))
-    )
+    none = np.zeros((*now.shapes.shape, 0))
+    return Linearisation(x, now.frequencies, now.shapes, np.zeros((m, 0)), none)
 
 
-def _shifted(b: Block, wide: Float, i: int) -> Block:
-    """Slopes to the unknowns, test modes numbered through all configurations."""
-    return Block(
-        b.value, b.slope @ wide, b.datum, np.where(b.mode == NO_MODE, NO_MODE, b.mode + i * APART)
-    )
-
-
-def _places(parameters: ParameterSet, c: Configuration) -> list[int]:
-    """Where the parameters of a configuration are among all."""
+def _positions(parameters: ParameterSet, c: Configuration) -> list[int]:
+    """Positions of the parameters of a configuration among all."""
     at = {n: i for i, n in enumerate(parameters.names)}
-    lost = [n for n in c.model.parameters.names if n not in at]
-    if lost:
+    unknown = [n for n in c.model.parameters.names if n not in at]
+    if unknown:
         raise InputError(
-            f"configuration {c.name}: no parameter {lost[0]!r}{did_you_mean(lost[0], at)}"
+            f"configuration {c.name}: no parameter {unknown[0]!r}{did_you_mean(unknown[0], at)}"
         )
     return [at[n] for n in c.model.parameters.names]
 
@@ -407,35 +385,9 @@ def joined(sets: Sequence[ParameterSet]) -> ParameterSet:
     return ParameterSet(tuple(found.values()))
 
 
-def link_equal(parameters: ParameterSet, groups: Sequence[Sequence[str]]) -> Float:
-    """The link (p, q) that gives the parameters of each group one common x; the others stay free.
-
-    Raises
-    ------
-    InputError
-        If a name is not a parameter or is in two groups.
-    """
-    names, q = list(parameters.names), 0
-    wrong = [n for g in groups for n in g if n not in names]
-    if wrong:
-        raise InputError(f"no parameter {wrong[0]!r}{did_you_mean(wrong[0], names)}")
-    named = [n for g in groups for n in g]
-    if len(set(named)) != len(named):
-        raise InputError("a parameter is linked in two groups")
-    column: dict[str, int] = {}
-    for n in names:
-        mine = next((g for g in groups if n in g), (n,))
-        if n not in column:
-            column |= dict.fromkeys(mine, q)
-            q += 1
-    out = np.zeros((len(names), q))
-    out[np.arange(len(names)), [column[n] for n in names]] = 1.0
-    return out
-
-
 def held_to(problem: Problem, names: Sequence[str], base: Float | None = None) -> Problem:
     """The problem with only some parameters free; the others stay at 0, without constraints on
-    these alone.
+    them.
 
     Raises
     ------
@@ -504,3 +456,127 @@ def least_distance(hessian: Float, gradient: Float, rows: Float, limits: Float) 
     # dual
     e = linalg.lstsq(a[u > 0], b[u > 0])[0]
     return np.asarray(linalg.solve_triangular(r, e - free) * size)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Residual:
+    """Weighted residuals and their sensitivities at one point, pairs fixed.
+
+    Attributes
+    ----------
+    value : (r,) float64
+        √W Δz with Δz = z_test − z_model.
+    slope : (r, p) float64
+        √W ∂z_model/∂x.
+    pairs : (k, 2) int64
+        Test mode and FE mode; test modes of configuration i count from i times `MODE_STRIDE`.
+    mac : (k,) float64
+        Of the pair, or of its subspace.
+    frequency_error : (k,) float64
+        (f_FE − f_test)/f_test, of all pairs.
+    used : (k,) bool
+        Pairs that the residual holds.
+    quantity : (r,) int64
+        `Quantity` of each row.
+    other_data : float
+        Number of data besides the modes.
+    """
+
+    value: Float
+    slope: Float
+    pairs: Int
+    mac: Float
+    frequency_error: Float
+    used: Bool
+    quantity: Int
+    other_data: float = 0.0
+
+
+def residual_at(problem: Problem, x: Float, *, slopes: bool = True) -> Residual:
+    """All residuals at x (p,), weighted; without `slopes` these are zeros."""
+    at = problem.evaluate(x, slopes=slopes)
+    value, slope = problem.weighted(at)
+    pairs = []
+    error = []
+    used = []
+    for i, (c, p) in enumerate(zip(problem.configurations, at.points, strict=True)):
+        test, fe = p.every.T
+        pairs.append(np.stack([test + i * MODE_STRIDE, fe], axis=1))
+        error.append(p.now.frequencies[fe] / c.target.frequencies[test] - 1)
+        used.append(c.target.used[test])
+    terms = [t for c in problem.configurations for t in c.terms]
+    rows = np.bincount(at.kind, minlength=len(terms)).tolist()
+    other = [t.weight * n for t, n in zip(terms, rows, strict=True) if t.quantity is Quantity.OTHER]
+    quantity = np.array([t.quantity.value for t in terms], dtype=np.int64)
+    return Residual(
+        value=value,
+        slope=slope,
+        pairs=np.concatenate(pairs),
+        mac=np.concatenate([p.mac for p in at.points]),
+        frequency_error=np.concatenate(error),
+        used=np.concatenate(used),
+        quantity=quantity[at.kind],
+        other_data=float(sum(other)),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KnownPoint:
+    """An `ObservedModel` of which one point is known: its modes and sensitivities there."""
+
+    parameters: ParameterSet
+    point: Linearisation
+
+    def linearise(self, x: Float) -> Linearisation:
+        """The point, whatever x."""
+        return self.point
+
+    def modes(self, x: Float) -> Linearisation:
+        """The point, whatever x."""
+        return self.point
+
+
+def data_used_up(normal: Float, precision: Float) -> float:
+    """How many data the parameters use up: the trace of the hat matrix.
+
+    Parameters
+    ----------
+    normal, precision : (p, p) float64
+        GᵀWG of the data and W_p of the prior.
+    """
+    return float(np.trace(np.linalg.solve(normal + precision, normal)))
+
+
+def aicc(value: float, n: float, parameters: int) -> float:
+    """n ln(J/n) with a penalty on the parameters and the scale of J, J over `n` data; Burnham,
+    Anderson, eq. 7.
+    """
+    k = parameters + 1
+    return float(n * np.log(max(value, 1e-300) / n) + 2 * k + 2 * k * (k + 1) / max(n - k - 1, 1))
+
+
+def comparable_criteria(
+    target: Target, residuals: Sequence[Residual], points: Sequence[Float], priors: Sequence[Float]
+) -> Float:
+    """AICc (k,) of parameter sets that may have paired different modes: the same modes are counted
+    in all.
+
+    Counted are the used modes that at least one set has paired; a set that has no partner for one
+    of them pays `target.lost`. So losing a mode never pays, and a mode that no set explains does
+    not decide. Burnham and Anderson (2002), eq. 7.
+
+    Parameters
+    ----------
+    residuals : sequence (k) of Residual
+    points, priors : sequences (k) of (p,) float64
+        x and the prior standard deviations of each set.
+    """
+    counted = np.unique(np.concatenate([r.pairs[r.used, 0] for r in residuals]))
+    n = target.weights.data * max(counted.size, 1) + residuals[0].other_data
+    out = []
+    for r, x, prior in zip(residuals, points, priors, strict=True):
+        missing = counted.size - int(r.used.sum())
+        scaled = x / prior
+        value = float(r.value @ r.value + scaled @ scaled) + target.lost * missing
+        out.append(aicc(value, n, x.size))
+    return np.array(out)

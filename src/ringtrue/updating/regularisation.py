@@ -8,7 +8,7 @@ factor stands.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import astuple, dataclass, replace
 from typing import Literal, TypeVar
 
@@ -16,11 +16,9 @@ import numpy as np
 from scipy import linalg
 from scipy.optimize import minimize_scalar
 
-from ringtrue.core.arrays import Float
-from ringtrue.core.progress import Progress
+from ringtrue.core.arrays import Float, Int
 from ringtrue.errors import ConfigError, InputError, did_you_mean
-from ringtrue.updating.gauss_newton import Residual, joint_residual, used_up
-from ringtrue.updating.problem import Evaluated, Problem
+from ringtrue.updating.problem import Evaluated, Problem, Residual, data_used_up, residual_at
 from ringtrue.updating.solver import Method, Solution, solve
 from ringtrue.updating.target import Weights
 from ringtrue.updating.uncertainty import errors_of_shapes
@@ -28,9 +26,31 @@ from ringtrue.updating.uncertainty import errors_of_shapes
 End = TypeVar("End")
 Rule = Literal["l-curve", "gcv", "evidence"]
 GRID = np.logspace(-8, 8, 161)  # factors tried, in units of the median squared singular value
-SETTLED = 0.1  # relative change of the factor below which it stands
-TURNS = 8  # updatings with the discrepancy found, at most
-TIGHT, LOOSE = 0.05, 3.0  # limits of the discrepancy found, in units of the assumed one
+
+
+@dataclass(frozen=True, slots=True)
+class DiscrepancySearch:
+    """How the error of the model's form is found.
+
+    Attributes
+    ----------
+    settled : float
+        Relative change of the factor below which it stands.
+    turns : int
+        Updatings with the discrepancy found, at most.
+    tight : float
+        Lower limit of the discrepancy found, in units of the assumed one.
+    loose : float
+        Upper limit.
+    """
+
+    settled: float = 0.1
+    turns: int = 8
+    tight: float = 0.05
+    loose: float = 3.0
+
+
+DISCREPANCY = DiscrepancySearch()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +76,8 @@ class Standard:
 
     def terms(self, factor: Float) -> tuple[Float, Float, Float]:
         """‖b − Gx‖² (n,), xᵀW_p x (n,) and the trace of the hat matrix (n,) for factors γ (n,)."""
-        s2, g = self.singular**2, np.asarray(factor)[:, None]
+        s2 = self.singular**2
+        g = np.asarray(factor)[:, None]
         misfit = self.rest + ((g / (s2 + g) * self.along) ** 2).sum(axis=1)
         size = ((self.singular / (s2 + g) * self.along) ** 2).sum(axis=1)
         return misfit, size, (s2 / (s2 + g)).sum(axis=1)
@@ -90,8 +111,10 @@ def l_curve(problem: Standard) -> float:
     g = np.geomspace(float(s.min()) ** 2, max(float(s.max()), 1.1 * float(s.min())) ** 2, 201)
     misfit, size, _ = problem.terms(g)
     t = np.log(g)
-    x, y = 0.5 * np.log(np.maximum(misfit, 1e-300)), 0.5 * np.log(np.maximum(size, 1e-300))
-    dx, dy = np.gradient(x, t), np.gradient(y, t)
+    x = 0.5 * np.log(np.maximum(misfit, 1e-300))
+    y = 0.5 * np.log(np.maximum(size, 1e-300))
+    dx = np.gradient(x, t)
+    dy = np.gradient(y, t)
     bend = (dx * np.gradient(dy, t) - dy * np.gradient(dx, t)) / np.maximum(
         (dx**2 + dy**2) ** 1.5, 1e-12
     )
@@ -135,7 +158,8 @@ def _refined(problem: Standard, score: Callable[[float], float], g: Float, i: in
     """The minimum of the score between the neighbours of the best factor of the grid."""
     if i in (0, g.size - 1):
         return float(g[i])
-    low, high = np.log(g[i - 1]), np.log(g[i + 1])
+    low = np.log(g[i - 1])
+    high = np.log(g[i + 1])
     found = minimize_scalar(lambda t: score(float(np.exp(t))), bounds=(low, high), method="bounded")
     return float(np.exp(found.x))
 
@@ -171,14 +195,15 @@ class Regularised:
     settled: bool
 
 
+ROUNDS = 20  # of choosing the factor and updating
+
+
 def regularised(
     problem: Problem,
     rule: Rule,
     method: Method | None = None,
     *,
     start: Float | None = None,
-    rounds: int = 20,
-    progress: Progress | None = None,
 ) -> Regularised:
     """Choose the factor on W_p and update, in turns.
 
@@ -192,9 +217,11 @@ def regularised(
             f"no rule for the weight of the prior {rule!r}{did_you_mean(rule, RULES)}"
         )
     tried: list[float] = []
-    y, now, settled = start, problem, False
+    y = start
+    now = problem
+    settled = False
     done = solve(now, method, start=y)
-    for i in range(rounds):
+    for i in range(ROUNDS):
         r, g = problem.weighted(done.end)
         factor = RULES[rule](standard(g, r, done.y, problem.linked_precision))
         # the choice changes the linearisation that it rests on: shrinking steps keep the two from
@@ -204,17 +231,13 @@ def regularised(
         )
         now = replace(problem, precision=tried[-1] * problem.precision)
         done = solve(now, method, start=done.y)
-        settled = len(tried) > 1 and abs(np.log(tried[-1] / tried[-2])) < SETTLED
-        if progress is not None:
-            progress((i + 1) / rounds, f"{rule}: factor {tried[-1]:.3g}")
+        settled = len(tried) > 1 and abs(np.log(tried[-1] / tried[-2])) < DISCREPANCY.settled
         if settled:
             break
     return Regularised(tried[-1], now, done, np.array(tried), settled)
 
 
-def discrepancy_by_evidence(
-    at: Evaluated, problem: Problem, kinds: Sequence[Sequence[int]] | None = None
-) -> Float:
+def discrepancy_by_evidence(at: Evaluated, problem: Problem) -> Float:
     """Factors s (k,) on the standard deviations of kinds of residuals that make the data most
     likely.
 
@@ -227,20 +250,18 @@ def discrepancy_by_evidence(
     ----------
     at : Evaluated
     problem : Problem
-    kinds : sequences of term numbers, optional
-        Terms that share a factor; each its own if not given.
     """
-    groups = [[int(k)] for k in np.unique(at.kind)] if kinds is None else [list(k) for k in kinds]
+    kinds = np.unique(at.kind)
     b = at.value + at.slope @ at.y
     inner = at.slope @ linalg.solve(problem.linked_precision, at.slope.T, assume_a="pos")
     unit = 1.0 / np.bincount(at.datum)[at.datum]  # variance of a row in units of s²
-    scale = np.ones(len(groups))
+    scale = np.ones(kinds.size)
     for _ in range(20):  # coordinate ascent
         before = scale.copy()
-        for i, _group in enumerate(groups):
+        for i in range(kinds.size):
             found = minimize_scalar(
                 lambda t, i=i: _likelihood(
-                    b, inner, _variance(at, groups, _with(scale, i, t), unit)
+                    b, inner, _variance(at, kinds, _with(scale, i, t), unit)
                 ),
                 bounds=(-6.0, 6.0),
                 method="bounded",
@@ -257,12 +278,9 @@ def _with(scale: Float, i: int, log: float) -> Float:
     return out
 
 
-def _variance(at: Evaluated, groups: Sequence[Sequence[int]], scale: Float, unit: Float) -> Float:
+def _variance(at: Evaluated, kinds: Int, scale: Float, unit: Float) -> Float:
     """Of each row, (r,)."""
-    s = np.ones(at.value.size)
-    for group, a in zip(groups, scale.tolist(), strict=True):
-        s[np.isin(at.kind, group)] = a
-    return s**2 * unit
+    return np.asarray(scale[np.searchsorted(kinds, at.kind)] ** 2 * unit)
 
 
 def _likelihood(b: Float, inner: Float, variance: Float) -> float:
@@ -281,7 +299,8 @@ def left_over(
     Parameters
     ----------
     assumed : Weights
-        Before any were found: what is found lies between `TIGHT` and `LOOSE` times these.
+        Before any were found: what is found lies between `DISCREPANCY.tight` and
+        `DISCREPANCY.loose` times these.
     r : Residual
         At the end of the updating.
     slope : (r, k) float64
@@ -293,13 +312,17 @@ def left_over(
     """
     n = int(r.used.sum())
     if not n:
-        return replace(assumed, frequency=LOOSE * assumed.frequency, mac=LOOSE * assumed.mac)
-    spent = used_up(slope.T @ slope, np.eye(slope.shape[1]))
+        return replace(
+            assumed,
+            frequency=DISCREPANCY.loose * assumed.frequency,
+            mac=DISCREPANCY.loose * assumed.mac,
+        )
+    spent = data_used_up(slope.T @ slope, np.eye(slope.shape[1]))
     swell = data * n / max(data * n - spent, 1.0)
     f = float(np.sqrt(np.mean(r.frequency_error[r.used] ** 2) * swell))
     m = float(np.mean(1 - r.mac[r.used]) * swell)
-    low = np.array([TIGHT * assumed.frequency, TIGHT**2 * assumed.mac])
-    high = LOOSE * np.array([assumed.frequency, assumed.mac])
+    low = np.array([DISCREPANCY.tight * assumed.frequency, DISCREPANCY.tight**2 * assumed.mac])
+    high = DISCREPANCY.loose * np.array([assumed.frequency, assumed.mac])
     f, m = np.clip([f, m], low, high).tolist()
     return replace(assumed, frequency=f, mac=m, independent=independent)
 
@@ -321,10 +344,11 @@ def in_turns(
         With the discrepancy that is left over at a point.
     """
     w = left(x)
-    for _ in range(TURNS):
+    for _ in range(DISCREPANCY.turns):
         done, x = updated(w, x)
-        before, w = w, left(x)
-        if distance(before, w) < SETTLED:
+        before = w
+        w = left(x)
+        if distance(before, w) < DISCREPANCY.settled:
             break
     return done, before
 
@@ -338,7 +362,9 @@ def left_at(problem: Problem, y: Float) -> Weights:
     """The weights with the discrepancies that an updating has left at y (q,); shapes as in the
     first configuration.
     """
-    at, first = problem.evaluate(y), problem.configurations[0].target
-    r, prior = joint_residual(problem, y), np.sqrt(np.diag(np.linalg.inv(problem.linked_precision)))
+    at = problem.evaluate(y)
+    first = problem.configurations[0].target
+    r = residual_at(problem, y)
+    prior = np.sqrt(np.diag(np.linalg.inv(problem.linked_precision)))
     many = errors_of_shapes(first, at.points[0].now)
     return left_over(first.weights, r, at.slope * prior, first.weights.data, many)

@@ -1,5 +1,5 @@
-"""The methods of updating under one driver: Gauss-Newton, Levenberg-Marquardt, trust region; bounds
-and constraints.
+"""The methods of updating under one driver: a trust region, or damped steps for short updatings;
+bounds and constraints; many starts.
 
 Each step minimises the same quadratic model ½dᵀHd + gᵀd, H = GᵀWG + W_p (+ S + μD), inside bounds,
 linear constraints, move limits and the trust region, by one least-squares problem with inequalities
@@ -12,29 +12,21 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from scipy import linalg
 
-from ringtrue.core.arrays import Float, freeze_fields
-from ringtrue.core.iterate import Outcome, iterate
-from ringtrue.core.progress import Progress
+from ringtrue.core.arrays import Float, Int, freeze_fields
+from ringtrue.core.iterate import Outcome, Progress, iterate
+from ringtrue.core.parameters import ParameterSet
 from ringtrue.errors import ConfigError, DataError, NumericalError, SolverError, did_you_mean
 from ringtrue.io.files import atomic_write, keeps_up
 from ringtrue.io.foreign.parsers import read_json
 from ringtrue.updating.problem import Evaluated, Problem, held_to, least_distance, squares
 
-Kind = Literal["gauss-newton", "published", "levenberg-marquardt", "trust-region"]
-KINDS = {
-    "gauss-newton": "full steps inside the move limits, halved when they do not lower J",
-    "published": "equation (4) as printed: the prior restrains each step, not their sum; not "
-    "stationary for J",
-    "levenberg-marquardt": "steps damped by mu D, D the diagonal of the Hessian",
-    "trust-region": "steps inside a box that grows and shrinks with how well J was predicted",
-}
+Kind = Literal["levenberg-marquardt", "trust-region"]
 REJECTIONS = 12
-SMALL = 1e-14  # relative rise of J that is not one
 # The rounding of eigensolutions may hide a fall of J of this part of J, and a change of each
 # weighted residual of this size (which decides where the data fit exactly and J is near 0).
 ROUNDING = 1e-7
@@ -46,7 +38,9 @@ class Method:
 
     Attributes
     ----------
-    kind : one of KINDS
+    kind : {"trust-region", "levenberg-marquardt"}
+        Steps inside a box that grows and shrinks with how well J was predicted; or steps damped by
+        μ D, D the diagonal of the Hessian.
     move : float
         Largest change of any unknown in one step.
     radius : float
@@ -68,9 +62,9 @@ class Method:
     gradient: float = 1e-8
 
     def __post_init__(self) -> None:
-        if self.kind not in KINDS:
+        if self.kind not in (known := get_args(Kind)):
             raise ConfigError(
-                f"no method of updating {self.kind!r}{did_you_mean(self.kind, KINDS)}"
+                f"no method of updating {self.kind!r}{did_you_mean(self.kind, known)}"
             )
         if min(self.move, self.radius, self.damping) <= 0:
             raise ConfigError(
@@ -79,7 +73,7 @@ class Method:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class State:
+class DescentState:
     """A point, and what the next step needs.
 
     Attributes
@@ -138,7 +132,14 @@ class Solution:
 
     def __post_init__(self) -> None:
         f = np.float64
-        freeze_fields(self, x=f, factors=f, y=f, covariance=f, identifiability=f)
+        freeze_fields(
+            self,
+            x=f,
+            factors=f,
+            y=f,
+            covariance=f,
+            identifiability=f,
+        )
 
     @property
     def cost(self) -> float:
@@ -163,28 +164,23 @@ class Descent:
     problem: Problem
     method: Method
     start: Float
-    keep: Callable[[State], None] | None = None
+    keep: Callable[[DescentState], None] | None = None
     radius: float = 0.0  # of an interrupted run
     damping: float = 0.0
 
-    def init(self) -> State:
+    def init(self) -> DescentState:
         """The start."""
         at = self.problem.evaluate(self.start)
         flat = np.zeros((at.y.size, at.y.size))
-        return State(
-            at,
-            self.radius or self.method.radius,
-            self.damping or self.method.damping,
-            np.inf,
-            0,
-            "",
-            flat,
+        return DescentState(
+            at=at,
+            radius=self.radius or self.method.radius,
+            damping=self.damping or self.method.damping,
+            step=np.inf,
+            rejected=0,
+            why="",
+            secant=flat,
         )
-
-    def gradient(self, at: Evaluated) -> Float:
-        """½ ∂J/∂y; without the prior where the published equation is asked for."""
-        g = self.problem.gradient(at)
-        return g - self.problem.linked_precision @ at.y if self.method.kind == "published" else g
 
     def hessian(self, at: Evaluated, curvature: Float) -> Float:
         """GᵀWG + W_p + secant, (q, q)."""
@@ -200,19 +196,19 @@ class Descent:
         room = np.concatenate([np.maximum(limits - rows @ at.y, 0.0), np.full(2 * q, reach)])
         return least_distance(h, g, np.concatenate([rows, np.eye(q), -np.eye(q)]), room)
 
-    def propose(self, state: State) -> tuple[Float, float]:
+    def propose(self, state: DescentState) -> tuple[Float, float]:
         """The step d (q,) and the fall of J that the quadratic model promises."""
-        h, g = self.hessian(state.at, state.secant), self.gradient(state.at)
-        plain = self.method.kind in ("gauss-newton", "published")
+        h = self.hessian(state.at, state.secant)
+        g = self.problem.gradient(state.at)
         reach = self.method.move
         if self.method.kind == "levenberg-marquardt":
             h = h + state.damping * np.diag(np.diag(h))
-        elif not plain:
+        else:
             reach = min(state.radius, reach)
-        d = self._inside(state.at, h, g, reach) * (0.5**state.rejected if plain else 1.0)
+        d = self._inside(state.at, h, g, reach)
         return d, float(-2 * (g @ d) - d @ h @ d)
 
-    def step(self, state: State) -> State:
+    def step(self, state: DescentState) -> DescentState:
         """One accepted step, or the same point with less reach."""
         d, promised = self.propose(state)
         size = float(np.abs(d).max(initial=0.0))
@@ -222,17 +218,19 @@ class Descent:
             trial = self.problem.evaluate(state.at.y + d, state.at)
         except (NumericalError, SolverError) as e:
             return self._rejected(state, size, f"the trial point could not be solved: {e}")
-        now, before = self.problem.shared(trial, state.at), self.problem.shared(state.at, state.at)
+        now = self.problem.shared(trial, state.at)
+        before = self.problem.shared(state.at, state.at)
         if now is None or before is None:
             return self._rejected(state, size, "the trial point loses a mode")
         fall = before - now
-        if not np.isfinite(now) or (
-            fall < -SMALL * abs(before) and self.method.kind != "published"
-        ):
+        # 1e-14: relative rise of J that is not one
+        if not np.isfinite(now) or fall < -1e-14 * abs(before):
             return self._rejected(state, size, "the trial point does not lower J")
         return self._accepted(state, trial, size, fall / promised if promised > 0 else 1.0)
 
-    def _accepted(self, state: State, trial: Evaluated, size: float, ratio: float) -> State:
+    def _accepted(
+        self, state: DescentState, trial: Evaluated, size: float, ratio: float
+    ) -> DescentState:
         secant = self._secant(state, trial) if self.method.secant else np.zeros_like(state.secant)
         grow = 2.0 if ratio > 0.75 else 1.0 if ratio > 0.25 else 0.5
         radius = (
@@ -241,12 +239,20 @@ class Descent:
             else grow * min(state.radius, size if grow < 1 else np.inf)
         )
         damping = max(state.damping * {2.0: 0.2, 1.0: 1.0, 0.5: 4.0}[grow], 1e-12)
-        made = State(trial, min(radius, self.method.move), damping, size, 0, "", secant)
+        made = DescentState(
+            at=trial,
+            radius=min(radius, self.method.move),
+            damping=damping,
+            step=size,
+            rejected=0,
+            why="",
+            secant=secant,
+        )
         if self.keep is not None:
             self.keep(made)
         return made
 
-    def _rejected(self, state: State, size: float, why: str) -> State:
+    def _rejected(self, state: DescentState, size: float, why: str) -> DescentState:
         flat = np.zeros_like(state.secant)
         if state.rejected and why not in state.why:
             why = f"{state.why}; {why}"
@@ -260,29 +266,29 @@ class Descent:
             secant=flat,
         )
 
-    def _secant(self, state: State, trial: Evaluated) -> Float:
+    def _secant(self, state: DescentState, trial: Evaluated) -> Float:
         """Zero where the rows changed."""
         old = state.at
-        if old.mode.tolist() != trial.mode.tolist() or self.method.kind == "published":
+        if old.mode.tolist() != trial.mode.tolist():
             return np.zeros_like(state.secant)
         (r0, g0), (r, g) = self.problem.weighted(old), self.problem.weighted(trial)
         return secant(
             state.secant, trial.y - old.y, (r0, g0), (r, g), self.problem.linked_precision
         )
 
-    def terminate(self, state: State) -> Outcome | None:
+    def terminate(self, state: DescentState) -> Outcome | None:
         """Small gradient or step, or many rejected steps in a row."""
         if self.reason(state):
             return Outcome.CONVERGED
         return Outcome.STALLED if state.rejected >= REJECTIONS else None
 
-    def reason(self, state: State) -> str:
+    def reason(self, state: DescentState) -> str:
         """Which tolerance is met; empty if none."""
         r, g = self.problem.weighted(state.at)
         whole = (
             np.abs(g).T @ np.abs(r) + np.abs(self.problem.linked_precision @ state.at.y) + 1e-300
         )
-        slope = self.gradient(state.at)
+        slope = self.problem.gradient(state.at)
         rows, limits = self.problem.inequalities()
         if (np.abs(slope) <= self.method.gradient * whole).all() and (
             rows @ state.at.y <= limits + 1e-9
@@ -301,7 +307,7 @@ class Descent:
             "; bounds or constraints are reached" if at_limit else ""
         )
 
-    def merit(self, state: State) -> float:
+    def merit(self, state: DescentState) -> float:
         """J."""
         return state.at.cost
 
@@ -357,7 +363,8 @@ def solve(
 def _solution(
     problem: Problem, history: tuple[Evaluated, ...], outcome: Outcome, why: str, count: int
 ) -> Solution:
-    end, precision = history[-1], problem.linked_precision
+    end = history[-1]
+    precision = problem.linked_precision
     _, g = problem.weighted(end)
     normal = g.T @ g
     total = (
@@ -376,21 +383,21 @@ def _solution(
     posterior = normal / spread + total - normal
     covariance = linalg.solve(posterior, np.eye(len(normal)), assume_a="pos")
     prior = np.sqrt(np.maximum(np.diag(precision), 1e-300))
-    told = np.sqrt(np.diag(covariance)) * prior
+    identifiable = np.sqrt(np.diag(covariance)) * prior
     return Solution(
-        end.x,
-        problem.parameters.factors(end.x),
-        end.y,
-        covariance,
-        told,
-        history,
-        outcome,
-        why,
-        count,
+        x=end.x,
+        factors=problem.parameters.factors(end.x),
+        y=end.y,
+        covariance=covariance,
+        identifiability=identifiable,
+        history=history,
+        outcome=outcome,
+        why=why,
+        evaluations=count,
     )
 
 
-def write_checkpoint(path: Path, problem: Problem, state: State) -> None:
+def write_checkpoint(path: Path, problem: Problem, state: DescentState) -> None:
     """The point and the reach of a state as JSON, whole or not at all."""
     names = list(problem.parameters.names)
     found = {
@@ -455,14 +462,15 @@ def staged(
     return tuple(done)
 
 
-def positive(normal: Float, curvature: Float, safe: float = 1e-3) -> Float:
+def positive(normal: Float, curvature: Float) -> Float:
     """`normal` + `curvature` if that is safely positive definite, else `normal` (q, q)."""
     if not curvature.any():
         return normal
-    both, size = normal + curvature, np.sqrt(np.diag(normal))
+    both = normal + curvature
+    size = np.sqrt(np.diag(normal))
     return (
         both
-        if float(np.linalg.eigvalsh(both / np.outer(size, size)).min(initial=1.0)) > safe
+        if float(np.linalg.eigvalsh(both / np.outer(size, size)).min(initial=1.0)) > 1e-3
         else normal
     )
 
@@ -473,7 +481,6 @@ def secant(
     old: tuple[Float, Float],
     new: tuple[Float, Float],
     precision: Float,
-    near: float = 0.3,
 ) -> Float:
     """Σ r ∂²r (q, q) updated from one step s; 0 for a long one. Dennis, Gay and Welsch (1981), eq.
     2.11 and 3.1.
@@ -489,10 +496,143 @@ def secant(
     part = -(g - g0).T @ r
     change = g0.T @ r0 - g.T @ r + precision @ s
     along = float(change @ s)
-    if along <= 0 or float(np.abs(s).max(initial=0.0)) > near:
+    if along <= 0 or float(np.abs(s).max(initial=0.0)) > 0.3:
         return np.zeros_like(kept)
     own = float(s @ kept @ s)
     sized = kept * (min(1.0, abs(float(s @ part) / own)) if own else 0.0)
     miss = part - sized @ s
     update = (np.outer(miss, change) + np.outer(change, miss)) / along
     return np.asarray(sized + update - float(miss @ s) / along**2 * np.outer(change, change))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MultiStart:
+    """Where many starts have ended.
+
+    Attributes
+    ----------
+    starts, ends : (n, q) float64
+        NaN for a start that could not be solved.
+    costs : (n,) float64
+        J, infinite for a start that could not be solved.
+    outcomes : tuple of str
+        Of each start; the error where there was one.
+    minimum : (n,) int64
+        Number of the minimum that a start ended in, in order of J; −1 for none.
+    best : Solution
+    """
+
+    starts: Float
+    ends: Float
+    costs: Float
+    outcomes: tuple[str, ...]
+    minimum: Int
+    best: Solution
+
+    def __post_init__(self) -> None:
+        f = np.float64
+        freeze_fields(self, starts=f, ends=f, costs=f, minimum=np.int64)
+
+    @property
+    def share(self) -> float:
+        """Share of the starts that ended in the lowest minimum."""
+        return float(np.mean(self.minimum == 0))
+
+
+def latin_hypercube(parameters: ParameterSet, count: int, rng: np.random.Generator) -> Float:
+    """Starts x (count, p), spread over the bounds."""
+    if count < 1:
+        raise ConfigError(f"{count} starts: 1 or more")
+    from scipy.stats import qmc  # slow to import, and few need it
+
+    low, high = parameters.bounds()
+    unit = qmc.LatinHypercube(len(parameters), rng=rng).random(count)
+    return np.asarray(low + unit * (high - low))
+
+
+def multi_start(
+    problem: Problem,
+    starts: Float,
+    method: Method | None = None,
+    *,
+    iterations: int = 60,
+    finish: int | None = None,
+    progress: Progress | None = None,
+) -> MultiStart:
+    """Solve from each of the starts (n, q); a start that cannot be solved is reported, not raised.
+
+    Parameters
+    ----------
+    problem : Problem
+    starts : (n, q) float64
+    method : Method, optional
+    iterations : int
+        Limit for each start.
+    finish : int, optional
+        How many of the best that have not converged by then go on for ten times as long; none if
+        not given.
+
+    Raises
+    ------
+    NumericalError
+        If none can be solved.
+    """
+    method = method or Method()
+    found: list[Solution | str] = []
+    for i, y in enumerate(starts):  # over starts
+        found.append(_one(problem, method, y, iterations))
+        if progress is not None:
+            progress((i + 1) / len(starts), f"start {i + 1} of {len(starts)}")
+    order = sorted(
+        (i for i, s in enumerate(found) if isinstance(s, Solution)), key=lambda i: _cost(found[i])
+    )
+    if not order:
+        raise NumericalError(
+            f"none of {len(starts)} starts could be solved; {found[-1] if found else 'none given'}"
+        )
+    for i in order[: finish or 0]:
+        s = found[i]
+        if isinstance(s, Solution) and not s.outcome.ok:
+            found[i] = _one(problem, method, s.y, 10 * iterations)
+    costs = np.array([_cost(s) for s in found])
+    nothing = np.full(problem.size, np.nan)
+    ends = np.array([s.y if isinstance(s, Solution) else nothing for s in found])
+    found_outcomes = tuple(s.outcome.value if isinstance(s, Solution) else s for s in found)
+    best = min((s for s in found if isinstance(s, Solution)), key=lambda s: s.cost)
+    return MultiStart(
+        starts=np.array(starts),
+        ends=ends,
+        costs=costs,
+        outcomes=found_outcomes,
+        minimum=_minima(problem, ends, costs),
+        best=best,
+    )
+
+
+def _one(problem: Problem, method: Method, y: Float, iterations: int) -> Solution | str:
+    """A solution, or why the start cannot be solved."""
+    try:
+        return solve(problem, method, start=y, iterations=iterations)
+    except (NumericalError, SolverError) as e:
+        return str(e)
+
+
+def _cost(found: Solution | str) -> float:
+    return found.cost if isinstance(found, Solution) else np.inf
+
+
+def _minima(problem: Problem, ends: Float, costs: Float) -> Int:
+    """Number of the minimum of each end, the lowest first."""
+    low, high = problem.parameters.bounds()
+    x = ends @ problem.link.T / (high - low)
+    out = np.full(costs.size, -1)
+    centres = np.empty((0, x.shape[1]))
+    for i in np.argsort(costs, kind="stable").tolist():  # over starts: each may found a minimum
+        if not np.isfinite(costs[i]):
+            continue
+        # 1e-3: largest distance in x, relative to the range of the bounds, of two ends that are one
+        # minimum
+        near = np.flatnonzero(np.abs(centres - x[i]).max(axis=1, initial=0.0) < 1e-3)
+        out[i] = near[0] if near.size else len(centres)
+        centres = centres if near.size else np.vstack([centres, x[i]])
+    return out

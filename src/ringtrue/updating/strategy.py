@@ -1,4 +1,4 @@
-"""An updating from where the gates of the pairing lead to its end: pairs that are sure, then for
+"""An updating from where the gates of the pairing lead to its end: pairs that are certain, then for
 good, weighed anew.
 """
 
@@ -12,28 +12,24 @@ from typing import Literal, Protocol, Self, runtime_checkable
 import numpy as np
 
 from ringtrue.core.arrays import Float
+from ringtrue.core.iterate import Progress
 from ringtrue.core.modes import rigid_below
 from ringtrue.core.parameters import ParameterSet
-from ringtrue.core.progress import Progress
-from ringtrue.correlation.assignment import HOLD, scores
+from ringtrue.correlation.assignment import WORTH, ComparedModes, scores
 from ringtrue.errors import InputError
 from ringtrue.model.ports import Linearisation
 from ringtrue.updating.problem import Evaluated, Problem, squares, weighed
 from ringtrue.updating.regularisation import (
-    LOOSE,
+    DISCREPANCY,
     Rule,
     discrepancy_by_evidence,
     in_turns,
     left_at,
     regularised,
 )
-from ringtrue.updating.residuals.modal import NO_MODE, OF_FREQUENCY, Mac, Shapes, widened
+from ringtrue.updating.residuals.modal import NO_MODE, Quantity
 from ringtrue.updating.solver import Method, Solution, solve
 from ringtrue.updating.target import DOUBT, Target, Weights
-
-# deviation of the better half of the modes, in standard deviations, that these are not as assumed
-REFUTED = 2.0
-TINY = 1e-300
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,10 +92,15 @@ def settled(
             doubting, course.method, start=start, iterations=course.iterations, progress=progress
         )
 
-    near, spread = doubted(1.0), 1.0
-    if (left := _majority(problem, near.y)) > REFUTED:
-        wide = doubted(LOOSE)
-        near, spread = (wide, LOOSE) if _majority(problem, wide.y) < left else (near, spread)
+    near = doubted(1.0)
+    spread = 1.0
+    # 2.0: deviation of the better half of the modes, in standard deviations, that these are not as
+    # assumed
+    if (left := _majority(problem, near.y)) > 2.0:
+        wide = doubted(DISCREPANCY.loose)
+        near, spread = (
+            (wide, DISCREPANCY.loose) if _majority(problem, wide.y) < left else (near, spread)
+        )
     firm = _aimed(
         problem, [a.settled(p.now, spread) for a, p in zip(aims, near.end.points, strict=True)]
     )
@@ -137,10 +138,11 @@ def kept(problem: Problem) -> Float:
 
     Of the first configuration; NaN where it does not compare them by such a deviation.
     """
-    terms = problem.configurations[0].terms
-    f = [t.std for t in terms if isinstance(t, OF_FREQUENCY)]
-    m = [t.mac if isinstance(t, Shapes) else t.std for t in terms if isinstance(t, Shapes | Mac)]
-    return np.array([v[0] if v else np.nan for v in (f, m)])
+    out = np.full(2, np.nan)
+    for term in reversed(problem.configurations[0].terms):
+        if np.isfinite(term.expected):
+            out[0 if term.quantity is Quantity.FREQUENCY else 1] = term.expected
+    return out
 
 
 def lost(problem: Problem, at: Evaluated) -> int:
@@ -156,15 +158,18 @@ def displaced(problem: Problem, at: Evaluated) -> int:
     A shape that no mode comes near, as of a local mode, is of something that the model does not
     have.
     """
-    out, begin = 0, problem.evaluate(np.zeros(problem.size))
+    out = 0
+    begin = problem.evaluate(np.zeros(problem.size))
     for c, first, last in zip(problem.configurations, begin.points, at.points, strict=True):
         aim = c.target
         alone = aim.used & ~np.isin(np.arange(aim.used.size), last.pairs[:, 0])
         near = np.zeros(int(alone.sum()))
         for now in (first.now, last.now):
-            found = scores(aim.frequencies, aim.shapes, now.frequencies, now.shapes, aim.pairing)
+            found = scores(
+                ComparedModes(aim.frequencies, aim.shapes, now.frequencies, now.shapes), aim.pairing
+            )
             near = np.maximum(near, found.merged[alone].max(axis=1, initial=0.0))
-        out += int((near > HOLD * aim.pairing.mac_gate).sum())
+        out += int((near > WORTH.hold * aim.pairing.mac_gate).sum())
     return out
 
 
@@ -178,8 +183,8 @@ def whole_cost(problem: Problem, at: Evaluated) -> float:
     mode = at.mode[np.unique(at.datum, return_index=True)[1]]
     _, of = np.unique(mode, return_inverse=True)
     each = np.bincount(of, cost)
-    beside = np.bincount(of, mode == NO_MODE) > 0
-    data = float(np.where(beside, each, np.minimum(each, DOUBT)).sum())
+    unpaired = np.bincount(of, mode == NO_MODE) > 0
+    data = float(np.where(unpaired, each, np.minimum(each, DOUBT)).sum())
     return data + at.lost + float(at.x @ problem.precision @ at.x) + DOUBT * lost(problem, at)
 
 
@@ -214,9 +219,11 @@ def _likely(problem: Problem, at: Evaluated) -> Problem:
     found = zip(
         np.unique(at.kind).tolist(), discrepancy_by_evidence(at, problem).tolist(), strict=True
     )
-    by, kinds = dict(found), count()  # a kind may have no row: all its modes are lost
+    # a kind may have no row: all its modes are lost
+    by = dict(found)
+    kinds = count()
     parts = [
-        replace(c, terms=tuple(widened(t, by.get(next(kinds), 1.0)) for t in c.terms))
+        replace(c, terms=tuple(t.widened(by.get(next(kinds), 1.0)) for t in c.terms))
         for c in problem.configurations
     ]
     return replace(problem, configurations=tuple(parts))
@@ -255,14 +262,15 @@ class Verified:
     full_solutions: int
 
 
+FULL_SOLUTIONS = 4  # compare `error` with the tolerance for a run that used them up
+
+
 def solve_verified(
     problem: Problem,
-    method: Method | None = None,
     *,
     solved: Callable[[Problem, Float | None], tuple[Solution, Problem]] | None = None,
     start: Float | None = None,
     tolerance: float = 1e-4,
-    rounds: int = 4,
     progress: Progress | None = None,
 ) -> Verified:
     """Solve on the basis; at each end solve the full model and add its modes, until the two agree.
@@ -274,14 +282,11 @@ def solve_verified(
     ----------
     problem : Problem
         One configuration with a `ReducedModel`, or another that can be enriched.
-    method : Method, optional
     solved : callable (problem, start) -> (solution, the problem that it solves), optional
-        In place of the method.
+        In place of `solve`.
     start : (q,) float64, optional
     tolerance : float
         Largest relative frequency error that is accepted, up to the highest test frequency.
-    rounds : int
-        Most full solutions; compare `error` with the tolerance for a run that used them up.
 
     Raises
     ------
@@ -290,23 +295,22 @@ def solve_verified(
     """
     only = problem.configurations[0]
     model = only.model
-    if len(problem.configurations) != 1 or not isinstance(model, Enriched) or rounds < 1:
-        raise InputError(
-            "a verified updating needs one configuration, a ReducedModel, and one round or more"
-        )
-    solved = solved or (lambda p, y: (solve(p, method, start=y), p))
+    if len(problem.configurations) != 1 or not isinstance(model, Enriched):
+        raise InputError("a verified updating needs one configuration and a ReducedModel")
+    solved = solved or (lambda p, y: (solve(p, start=y), p))
     (done, end), error, count = solved(problem, start), np.inf, 0
-    while error > tolerance and count < rounds:
+    while error > tolerance and count < FULL_SOLUTIONS:
         at = [problem.parameters.names.index(n) for n in model.parameters.names]
         better, truth = model.enrich(done.x[at], sensitivities=True)
         seen = np.flatnonzero(truth.frequencies <= 1.05 * only.target.frequencies.max())
         error = _off(model.modes(done.x[at]).frequencies[seen], truth.frequencies[seen])
-        model, count = better, count + 1
+        model = better
+        count = count + 1
         problem = replace(problem, configurations=(replace(only, model=model),))
         done, end = solved(problem, done.y)
         if progress is not None:
             progress(
-                count / rounds,
+                count / FULL_SOLUTIONS,
                 f"full solution {count}: frequencies of the basis off by {error:.1e}",
             )
     return Verified(done, end, error, count)
@@ -318,7 +322,7 @@ def _off(basis: Float, truth: Float) -> float:
     """
     change = basis * np.abs(basis) - truth * np.abs(truth)
     return float(
-        (np.abs(change) / (2 * np.maximum(truth, max(rigid_below(truth), TINY)) ** 2)).max(
+        (np.abs(change) / (2 * np.maximum(truth, max(rigid_below(truth), 1e-300)) ** 2)).max(
             initial=0.0
         )
     )

@@ -20,22 +20,50 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from ringtrue.core.arrays import Float, Int, freeze_fields
-from ringtrue.core.iterate import Outcome, iterate
+from ringtrue.core.iterate import Outcome, Progress, iterate
 from ringtrue.core.parameters import ParameterSet
-from ringtrue.core.progress import Progress
 from ringtrue.errors import InputError, NotConverged, NumericalError, SolverError
 from ringtrue.model.ports import Linearisation, ObservedModel
-from ringtrue.shapes.mac import close_groups, mac
-from ringtrue.updating.gauss_newton import used_up
+from ringtrue.shapes import close_groups, mac
+from ringtrue.updating.problem import data_used_up
 from ringtrue.updating.target import Target, shape_residual
 
-MOST = 50_000  # assignments that are ranked
-KEPT = 24  # of these refined at most
-MARGIN = 60.0  # in −2 ln p: an assignment this far behind the best is not refined
-CAP = 20.0  # −2 ln p that a shape alone may cost before refinement: shapes change where modes cross
-SURE = 0.95  # weight of the best assignment from which the pairing is unambiguous
-SAME = 1e-3  # prior standard deviations between two ends that are one
-STEPS, SMALL = 60, 1e-6
+
+@dataclass(frozen=True, slots=True)
+class AssignmentSearch:
+    """How assignments of rigid-body modes are ranked.
+
+    Attributes
+    ----------
+    most : int
+        Assignments that are ranked.
+    kept : int
+        Of these refined at most.
+    margin : float
+        In −2 ln p: an assignment this far behind the best is not refined.
+    cap : float
+        −2 ln p that a shape alone may cost before refinement: shapes change where modes cross.
+    certain : float
+        Weight of the best assignment from which the pairing is unambiguous.
+    same : float
+        Prior standard deviations between two ends that are one.
+    steps : int
+        Steps of a refinement, at most.
+    small : float
+        Step at which it ends.
+    """
+
+    most: int = 50_000
+    kept: int = 24
+    margin: float = 60.0
+    cap: float = 20.0
+    certain: float = 0.95
+    same: float = 1e-3
+    steps: int = 60
+    small: float = 1e-6
+
+
+ASSIGNMENTS = AssignmentSearch()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,8 +75,8 @@ class Assignment:
     pairs : (m, 2) int64
         Test mode and model mode, in the order of frequency at the end.
     first : (m,) int64
-        The same model modes in the order of frequency at the start: what tells two assignments
-        apart that end alike.
+        The same model modes in the order of frequency at the start: what distinguishes two
+        assignments that end with equal cost.
     x : (p,) float64
     covariance : (p, p) float64
     cost : float
@@ -71,7 +99,15 @@ class Assignment:
 
     def __post_init__(self) -> None:
         f = np.float64
-        freeze_fields(self, pairs=np.int64, first=np.int64, x=f, covariance=f, frequencies=f, mac=f)
+        freeze_fields(
+            self,
+            pairs=np.int64,
+            first=np.int64,
+            x=f,
+            covariance=f,
+            frequencies=f,
+            mac=f,
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,9 +133,9 @@ class Suspended:
         return self.assignments[0]
 
     @property
-    def sure(self) -> bool:
+    def certain(self) -> bool:
         """Whether the pairing is unambiguous."""
-        return self.best.weight >= SURE
+        return self.best.weight >= ASSIGNMENTS.certain
 
     @property
     def covariance(self) -> Float:
@@ -116,24 +152,25 @@ class Suspended:
 
     def ambiguity(self) -> tuple[str, ...]:
         """In words, which test modes could be another model mode and what would change; empty if it
-        is sure.
+        is certain.
         """
-        if self.sure:
+        if self.certain:
             return ()
-        told, covered = [], 0.0
+        sentences = []
+        covered = 0.0
         for a in self.assignments:
-            if covered >= SURE:
+            if covered >= ASSIGNMENTS.certain:
                 break
             covered += a.weight
             both = zip(a.pairs[:, 0].tolist(), a.first.tolist(), strict=True)
             pairs = ", ".join(f"{t + 1}:{f + 1}" for t, f in both)
             factors = self.parameters.factors(a.x)
             names = zip(self.parameters.names, factors.tolist(), strict=True)
-            told.append(
+            sentences.append(
                 f"{100 * a.weight:.0f} %: test:model before tuning {pairs}; "
                 + ", ".join(f"{n} {v:.3g}" for n, v in names)
             )
-        return tuple(told)
+        return tuple(sentences)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,7 +194,6 @@ def tune(
     target: Target,
     *,
     start: Float | None = None,
-    keep: int = KEPT,
     progress: Progress | None = None,
 ) -> Suspended:
     """Tune the suspension under every pairing that the data leave open.
@@ -170,8 +206,6 @@ def tune(
         `pairing.close` says which model modes are rotated towards the test.
     start : (p,) float64, optional
         0 by default.
-    keep : int
-        Assignments refined at most.
 
     Raises
     ------
@@ -183,22 +217,31 @@ def tune(
     x = np.zeros(len(model.parameters)) if start is None else np.array(start, dtype=np.float64)
     tests = np.flatnonzero(target.used)
     now = model.linearise(x)
-    labels = np.arange(
-        min(max(6, tests.size), now.frequencies.size)
-    )  # the lowest six, or as many as the test has
+    # the lowest six, or as many as the test has
+    labels = np.arange(min(max(6, tests.size), now.frequencies.size))
     labels = labels[now.frequencies[labels] > 0]
     order, considered = _ranked(model, target, now, tests, labels)
     found: list[tuple[_At, Int]] = []
-    for i, choice in enumerate(order[:keep]):
+    for i, choice in enumerate(order[: ASSIGNMENTS.kept]):
         try:
-            rules = _Refinement(model, target, now, tests, labels, choice)
-            end = iterate(rules, limit=STEPS).last
+            rules = _Refinement(
+                model=model,
+                target=target,
+                first=now,
+                tests=tests,
+                labels=labels,
+                choice=choice,
+            )
+            end = iterate(rules, limit=ASSIGNMENTS.steps).last
         except (NumericalError, SolverError):
             continue
-        if not any(_same(model, tests, end, choice, other, c) for other, c in found):
+        if not any(_same(model, a=end, choice=choice, b=other, other=c) for other, c in found):
             found.append((end, choice))
         if progress is not None:
-            progress((i + 1) / min(keep, len(order)), f"assignment {i + 1} of the rigid-body modes")
+            progress(
+                (i + 1) / min(ASSIGNMENTS.kept, len(order)),
+                f"assignment {i + 1} of the rigid-body modes",
+            )
     if not found:
         raise NotConverged(
             "no assignment of rigid-body modes can be solved: look at bounds and start"
@@ -221,10 +264,13 @@ def _ranked(
             "modes out"
         )
     count = perm(labels.size, tests.size)
-    if count > MOST:
-        raise InputError(f"{count} assignments (at most {MOST}): name fewer model modes")
+    if count > ASSIGNMENTS.most:
+        raise InputError(
+            f"{count} assignments (at most {ASSIGNMENTS.most}): name fewer model modes"
+        )
     choices = np.array(list(permutations(range(labels.size), tests.size)))
-    std, w = model.parameters.std(), target.weights
+    std = model.parameters.std()
+    w = target.weights
     # in ln f the model is close to linear in log stiffness, so it holds over a wide prior
     slope = now.d_lambda[labels] / (8 * np.pi**2 * now.frequencies[labels] ** 2)[:, None] * std
     miss = np.log(target.frequencies[tests, None] / now.frequencies[labels]) + slope @ (now.x / std)
@@ -237,11 +283,11 @@ def _ranked(
         np.einsum("am,am->a", r, np.linalg.solve(cov, r[..., None])[..., 0])
         + np.linalg.slogdet(cov)[1]
     )
-    alike = mac(target.shapes[:, tests], now.shapes[:, labels])
-    shape = np.minimum((w.shape / w.mac if w.shape else 0.0) * (1 - alike), CAP)
+    likeness = mac(target.shapes[:, tests], now.shapes[:, labels])
+    shape = np.minimum((w.shape / w.mac if w.shape else 0.0) * (1 - likeness), ASSIGNMENTS.cap)
     cost += shape[np.arange(tests.size), choices].sum(axis=1)
     order = np.argsort(cost, kind="stable")
-    return choices[order[cost[order] <= cost.min() + MARGIN]], count
+    return choices[order[cost[order] <= cost.min() + ASSIGNMENTS.margin]], count
 
 
 def _evaluate(
@@ -252,10 +298,8 @@ def _evaluate(
     root = 0.5 / np.hypot(w.frequency, target.std[tests])
     lam_test = (2 * np.pi * target.frequencies[tests]) ** 2
     lam = (2 * np.pi * now.frequencies[chosen]) ** 2 * np.sign(now.frequencies[chosen])
-    value, slope = (
-        [root * (1 - lam / lam_test)],
-        [(root / lam_test)[:, None] * now.d_lambda[chosen]],
-    )
+    value = [root * (1 - lam / lam_test)]
+    slope = [(root / lam_test)[:, None] * now.d_lambda[chosen]]
     if w.shape > 0:
         group = _group_of(target, now)
         near = close_groups(target.frequencies, target.pairing.close, target.pairing.largest_group)
@@ -266,19 +310,14 @@ def _evaluate(
             )
             value.append(np.sqrt(w.shape / w.mac) * r)
             slope.append(np.sqrt(w.shape / w.mac) * g)
-    v, s = np.concatenate(value), np.concatenate(slope)
+    v = np.concatenate(value)
+    s = np.concatenate(slope)
     return v, s, float(v @ v + (x / std) @ (x / std))
 
 
 def _group_of(target: Target, now: Linearisation) -> dict[int, tuple[int, ...]]:
     groups = close_groups(now.frequencies, target.pairing.close, target.pairing.largest_group)
     return {j: g for g in groups for j in g}
-
-
-def _follow(before: Linearisation, modes: Int, now: Linearisation) -> Int:
-    """The modes of `now` that continue `modes` of `before`, by one assignment over MAC."""
-    rows, columns = linear_sum_assignment(-mac(before.shapes[:, modes], now.shapes))
-    return np.asarray(columns[np.argsort(rows)])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -300,7 +339,15 @@ class _Refinement:
         value, slope, cost = _evaluate(
             self.target, now, self.tests, modes[self.choice], std=std, x=x
         )
-        return _At(x, now, modes, value, slope, cost, damping)
+        return _At(
+            x=x,
+            now=now,
+            modes=modes,
+            value=value,
+            slope=slope,
+            cost=cost,
+            damping=damping,
+        )
 
     def init(self) -> _At:
         """The start, inside the bounds."""
@@ -320,10 +367,15 @@ class _Refinement:
         dx[free] = -np.linalg.solve(damped, gradient[free])
         dx *= min(1.0, 0.5 / max(float(np.abs(dx).max(initial=0.0)), 1e-300))
         trial = np.clip(at.x + dx, low, high)
-        if float(np.abs(trial - at.x).max(initial=0.0)) < SMALL * min(1.0, float(std.min())):
+        if float(np.abs(trial - at.x).max(initial=0.0)) < ASSIGNMENTS.small * min(
+            1.0, float(std.min())
+        ):
             return replace(at, still=True)
         now = self.model.linearise(trial)
-        new = self._at(trial, now, _follow(at.now, at.modes, now), max(at.damping / 5, 1e-9))
+        # the modes of `now` that continue `modes` of `before`, by one assignment over MAC
+        rows, columns = linear_sum_assignment(-mac(at.now.shapes[:, at.modes], now.shapes))
+        follow = np.asarray(columns[np.argsort(rows)])
+        new = self._at(trial, now, follow, max(at.damping / 5, 1e-9))
         return new if new.cost < at.cost else replace(at, damping=8 * at.damping)
 
     def terminate(self, at: _At) -> Outcome | None:
@@ -337,9 +389,9 @@ class _Refinement:
         return at.cost
 
 
-def _same(model: ObservedModel, tests: Int, a: _At, choice: Int, b: _At, other: Int) -> bool:
+def _same(model: ObservedModel, a: _At, choice: Int, b: _At, other: Int) -> bool:
     """Whether two ends are one: the same pairs at the same point."""
-    near = float(np.abs((a.x - b.x) / model.parameters.std()).max(initial=0.0)) < SAME
+    near = float(np.abs((a.x - b.x) / model.parameters.std()).max(initial=0.0)) < ASSIGNMENTS.same
     return near and bool((a.modes[choice] == b.modes[other]).all())
 
 
@@ -352,7 +404,8 @@ def _weighed(
     w = np.diag(1 / model.parameters.std() ** 2)
     inner = [e.slope.T @ e.slope for e, _ in ends]
     i = int(np.argmin([e.cost for e, _ in ends]))
-    data, spent = target.weights.data * tests.size, used_up(inner[i], w)
+    data = target.weights.data * tests.size
+    spent = data_used_up(inner[i], w)
     s2 = max(1.0, float(ends[i][0].value @ ends[i][0].value) / max(data - spent, 1.0))
     normal = [n / s2 + w for n in inner]
     fit = np.array([e.value @ e.value / s2 + e.x @ w @ e.x for e, _ in ends])
@@ -362,18 +415,18 @@ def _weighed(
     out = []
     for (e, choice), n, share in zip(ends, normal, weight.tolist(), strict=True):
         chosen = e.modes[choice]
-        alike = mac(target.shapes[:, tests], e.now.shapes[:, chosen]).diagonal()
+        likeness = mac(target.shapes[:, tests], e.now.shapes[:, chosen]).diagonal()
         pairs = np.stack([tests, chosen], axis=1)
         out.append(
             Assignment(
-                pairs,
-                labels[choice],
-                e.x,
-                np.asarray(np.linalg.inv(n), dtype=np.float64),
-                e.cost,
-                share,
-                e.now.frequencies[chosen],
-                alike,
+                pairs=pairs,
+                first=labels[choice],
+                x=e.x,
+                covariance=np.asarray(np.linalg.inv(n), dtype=np.float64),
+                cost=e.cost,
+                weight=share,
+                frequencies=e.now.frequencies[chosen],
+                mac=likeness,
             )
         )
     return tuple(sorted(out, key=lambda a: -a.weight))

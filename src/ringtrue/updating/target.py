@@ -15,9 +15,9 @@ from scipy.optimize import linear_sum_assignment
 
 from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
 from ringtrue.correlation.assignment import (
-    APART,
-    HOLD,
     NO_LOCKS,
+    WORTH,
+    ComparedModes,
     Followed,
     Locks,
     PairingSettings,
@@ -28,7 +28,7 @@ from ringtrue.correlation.assignment import (
 )
 from ringtrue.errors import InputError
 from ringtrue.model.ports import Linearisation
-from ringtrue.shapes.mac import above_rounding, close_groups, fade, unit
+from ringtrue.shapes import above_rounding, close_groups, fade, unit
 
 # a used mode without a partner counts like a frequency deviation of ten standard deviations
 LOST = 100.0
@@ -96,7 +96,7 @@ class Target:
         Pairs that are not made anew.
     followed : Followed, optional
         Pairs that the user decides.
-    lent : bool
+    frequency_only : bool
         The shapes are those of the model's own modes: they tell which mode is which, and were not
         measured.
     """
@@ -111,7 +111,7 @@ class Target:
     lost: float = LOST
     fixed: tuple[Int, tuple[Span, ...]] | None = None
     followed: Followed | None = None
-    lent: bool = False
+    frequency_only: bool = False
 
     def __post_init__(self) -> None:
         f = np.float64
@@ -139,10 +139,10 @@ class Target:
         A test mode that the model does not have then pulls no more than one without a partner.
         Shapes say which modes belong together: in a dense band some mode always has the right
         frequency. `spread` is what the pairs deviate by, in units of what the best model is
-        expected to keep. Pairs of shapes that are lent stay: none was measured that could look
+        expected to keep. Pairs without measured shapes stay: none was measured that could look
         otherwise.
         """
-        if self.lent:
+        if self.frequency_only:
             return self
         return replace(
             self, rule="capped", lost=DOUBT * spread**2 * max(self.weights.data / 2, 1.0)
@@ -196,7 +196,10 @@ def match(
             for t, s in zip(pairs[:, 0].tolist(), of, strict=True)
         ]
         return pairs, np.array([1 - r @ r for r in rest]), of
-    s = scores(target.frequencies, target.shapes, now.frequencies, now.shapes, target.pairing)
+    s = scores(
+        ComparedModes(target.frequencies, target.shapes, now.frequencies, now.shapes),
+        target.pairing,
+    )
     locks = target.followed.locks(now.shapes) if target.followed is not None else NO_LOCKS
     if target.rule == "cost":
         pairs = _cheapest(target, now, s, locks)
@@ -213,17 +216,22 @@ def match(
 def _gated(target: Target, now: Linearisation, s: Scores, locks: Locks, held: Bool | None) -> Int:
     """Pairs (k, 2) inside the gates, those of modes in `held` (m,) inside wider ones."""
     every = np.ones(target.frequencies.size, dtype=np.bool_)
-    usable, trust = _usable(now), _trust(target, now, s)
-    rows, cols = assign(s, target.pairing, every, usable, locks, trust)
+    usable = _usable(now)
+    trust = _trust(target, now, s)
+    rows, cols = assign(
+        s, target.pairing, usable_a=every, usable_b=usable, locks=locks, trust=trust
+    )
     lost = held & ~np.isin(np.arange(every.size), rows) if held is not None else ~every
     if held is not None and lost.any():
         keep = held[rows]  # a mode that had no partner gives way
         free = usable & ~np.isin(np.arange(usable.size), cols[keep])
-        more = _held(target, s, lost, free, locks, trust)
+        more = _held(target, s, lost=lost, free=free, locks=locks, trust=trust)
         keep |= ~np.isin(cols, more[1])
-        rows, cols = np.append(rows[keep], more[0]), np.append(cols[keep], more[1])
+        rows = np.append(rows[keep], more[0])
+        cols = np.append(cols[keep], more[1])
         order = np.argsort(rows)
-        rows, cols = rows[order], cols[order]
+        rows = rows[order]
+        cols = cols[order]
     return np.stack([rows, cols], axis=1)
 
 
@@ -233,10 +241,10 @@ def _usable(now: Linearisation) -> Bool:
 
 
 def _trust(target: Target, now: Linearisation, s: Scores) -> Float:
-    """How far each pair is trusted, (m, n): less than 1 with a mode that hardly moves the sensors.
+    """How far each pair is trusted, (m, n): less than 1 with a mode that the sensors see little of.
 
-    Beside a global mode such a local one has nearly its shape at the sensors, and the test sees the
-    global one. What tells is how much better than the best of the visible modes in reach it
+    Near a global mode such a local one has nearly its shape at the sensors, and the test sees the
+    global one. What counts is how much better than the best of the visible modes in reach it
     matches: a test that has measured the faint mode itself has its shape, and with exact data the
     trust is 1. Without shapes all are trusted.
     """
@@ -260,9 +268,13 @@ def _held(
     """
     gates = target.pairing
     wide = replace(
-        gates, mac_gate=HOLD * gates.mac_gate, frequency_gate=gates.frequency_gate / HOLD
+        gates,
+        mac_gate=WORTH.hold * gates.mac_gate,
+        frequency_gate=gates.frequency_gate / WORTH.hold,
     )
-    return assign(s, wide, lost, free, Locks((), locks.forbidden), trust)
+    return assign(
+        s, wide, usable_a=lost, usable_b=free, locks=Locks((), locks.forbidden), trust=trust
+    )
 
 
 def _cheapest(target: Target, now: Linearisation, s: Scores, locks: Locks) -> Int:
@@ -343,21 +355,17 @@ def spans(
     return tuple(
         _around(now, f, {partner[s] for s in near[t] if s in partner}, settings)
         if len(near[t]) > 1 and now.frequencies[f] > 0
-        else _one(now, f)
+        else Span((np.array([f]),), np.ones(1), np.zeros((1, now.d_lambda.shape[1])))
         for t, f in pairs.tolist()
     )
-
-
-def _one(now: Linearisation, f: int) -> Span:
-    return Span((np.array([f]),), np.ones(1), np.zeros((1, now.d_lambda.shape[1])))
 
 
 def _around(
     now: Linearisation, f: int, partners: Collection[int], settings: PairingSettings
 ) -> Span:
-    """Mode `f`, those close to it, and partners of close test modes within `APART` times that."""
+    """Mode `f`, those close to it, and partners of close test modes within a multiple of that."""
     limit = np.full(now.frequencies.size, settings.close)
-    limit[list(partners)] *= APART
+    limit[list(partners)] *= WORTH.close
     here = np.flatnonzero(now.frequencies > 0)
     log = np.log(now.frequencies[here] / now.frequencies[f])
     ratio = np.where(here == f, 0.0, np.abs(log) / limit[here])
@@ -366,10 +374,8 @@ def _around(
     at, (height, steep) = here[order], fade(ratio[order])
     d_log = now.d_lambda[at] / (2 * (2 * np.pi * now.frequencies[at, None]) ** 2)
     d_height = (steep * np.sign(log[order]) / limit[at])[:, None] * (d_log - d_log[:1])
-    weight, slope = (
-        -np.diff(height, append=0.0),
-        -np.diff(d_height, axis=0, append=np.zeros((1, d_log.shape[1]))),
-    )
+    weight = -np.diff(height, append=0.0)
+    slope = -np.diff(d_height, axis=0, append=np.zeros((1, d_log.shape[1])))
     some = np.flatnonzero(weight > 0)
     return Span(tuple(at[: k + 1] for k in some.tolist()), weight[some], slope[some])
 

@@ -16,23 +16,40 @@ from scipy import linalg
 from scipy.special import ndtri, stdtrit
 
 from ringtrue.core.arrays import Bool, Float, freeze_fields
+from ringtrue.core.iterate import Progress
 from ringtrue.core.parameters import ParameterSet
-from ringtrue.core.progress import Progress
 from ringtrue.errors import InputError, NumericalError, SolverError
 from ringtrue.fem.assembly import System
-from ringtrue.fem.mesh import mesh
+from ringtrue.fem.element_cards import mesh
 from ringtrue.model.model import Model
 from ringtrue.model.ports import Linearisation
-from ringtrue.shapes.mac import basis
+from ringtrue.shapes import basis
 from ringtrue.updating.problem import Configuration, Evaluated, Problem
-from ringtrue.updating.residuals.modal import Eigenvalues, Shapes, Weighted
+from ringtrue.updating.residuals.modal import Eigenvalues, Quantity, Shapes
 from ringtrue.updating.selection.localisation import strain_energies
 from ringtrue.updating.target import Target, match, span_residual
 
-MOVED = 0.7  # posterior over prior standard deviation below which the data have told something
-STRETCH = 2.0  # a of the stretch move: z in [1/a, a] with density ∝ 1/√z
-WINDOW = 5.0  # autocorrelation times that the sum runs over
-ENOUGH = 50.0  # autocorrelation times that a chain must have
+
+@dataclass(frozen=True, slots=True)
+class ChainSettings:
+    """The sampling of the posterior.
+
+    Attributes
+    ----------
+    stretch : float
+        a of the stretch move: z in [1/a, a] with density ∝ 1/√z.
+    window : float
+        Autocorrelation times that the sum runs over.
+    enough : float
+        Autocorrelation times that a chain must have.
+    """
+
+    stretch: float = 2.0
+    window: float = 5.0
+    enough: float = 50.0
+
+
+CHAIN = ChainSettings()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +81,8 @@ class Posterior:
         freeze_fields(
             self, y=np.float64, covariance=np.float64, link=np.float64, prior_std=np.float64
         )
-        p, q = len(self.parameters), self.y.size
+        p = len(self.parameters)
+        q = self.y.size
         shapes = self.covariance.shape, self.link.shape, self.prior_std.shape
         if shapes != ((q, q), (p, q), (p,)) or not self.freedom > 0:
             raise InputError(
@@ -92,7 +110,8 @@ class Posterior:
     @property
     def moved(self) -> Bool:
         """Which parameters the data moved or pinned down, (p,)."""
-        return np.asarray((self.ratio < MOVED) | (np.abs(self.x) > 2 * self.prior_std))
+        # 0.7: posterior over prior standard deviation below which the data have shown something
+        return np.asarray((self.ratio < 0.7) | (np.abs(self.x) > 2 * self.prior_std))
 
     def interval(self, level: float = 0.9) -> Float:
         """Central intervals of the factors, (p, 2), cut at the bounds.
@@ -115,12 +134,12 @@ class Posterior:
         part = self.link[list(at)]
         every = self.parameters.take(at)
         return Posterior(
-            every,
-            part @ self.y,
-            part @ self.covariance @ part.T,
-            np.eye(len(every)),
-            self.prior_std[list(at)],
-            self.freedom,
+            parameters=every,
+            y=part @ self.y,
+            covariance=part @ self.covariance @ part.T,
+            link=np.eye(len(every)),
+            prior_std=self.prior_std[list(at)],
+            freedom=self.freedom,
         )
 
     def sample(self, count: int, rng: np.random.Generator) -> Float:
@@ -165,9 +184,8 @@ def laplace(
     value, g = problem.weighted(at)
     rows = np.bincount(at.datum)
     errors = np.minimum(rows, rows if independent is None else independent)
-    share = (
-        1.0 / errors[at.datum]
-    )  # variance of a row of a datum whose square sum has the expectation 1
+    # variance of a row of a datum whose square sum has the expectation 1
+    share = 1.0 / errors[at.datum]
     precision = problem.linked_precision
     a = g.T @ g + precision
     freedom = np.inf
@@ -186,7 +204,12 @@ def laplace(
     covariance = linalg.solve(a, half.T, assume_a="pos")
     prior = np.sqrt(np.diag(linalg.inv(problem.precision)))
     return Posterior(
-        problem.parameters, at.y, (covariance + covariance.T) / 2, problem.link, prior, freedom
+        parameters=problem.parameters,
+        y=at.y,
+        covariance=(covariance + covariance.T) / 2,
+        link=problem.link,
+        prior_std=prior,
+        freedom=freedom,
     )
 
 
@@ -214,17 +237,18 @@ def around(
     if at.y[~keep].any():
         raise InputError("unknowns that are held must be at 0")
     r, g = problem.weighted(at)
-    precision, g = problem.linked_precision[np.ix_(keep, keep)], g[:, keep]
+    precision = problem.linked_precision[np.ix_(keep, keep)]
+    g = g[:, keep]
     inverse = linalg.inv(g.T @ g + precision)
     d = inverse @ (g.T @ r - precision @ at.y[keep])
     prior = np.sqrt(np.diag(linalg.inv(problem.precision)))
     return Posterior(
-        problem.parameters,
-        at.y[keep],
-        inverse + np.outer(d, d),
-        problem.link[:, keep],
-        prior,
-        freedom,
+        parameters=problem.parameters,
+        y=at.y[keep],
+        covariance=inverse + np.outer(d, d),
+        link=problem.link[:, keep],
+        prior_std=prior,
+        freedom=freedom,
     )
 
 
@@ -268,7 +292,7 @@ def as_likelihood(
     if not (frequency >= 0 and shape > 0):
         raise InputError(f"discrepancy of frequencies {frequency} (>= 0), of shapes {shape} (> 0)")
     count = configuration.target.shapes.shape[0] if independent is None else independent
-    rest = tuple(t for t in configuration.terms if isinstance(t, Weighted))
+    rest = tuple(t for t in configuration.terms if t.quantity is Quantity.OTHER)
     return replace(configuration, terms=(Eigenvalues(frequency), Shapes(shape, count), *rest))
 
 
@@ -390,7 +414,7 @@ class Chains:
     @property
     def converged(self) -> bool:
         """Long enough for its autocorrelation, and one distribution throughout."""
-        long = self.samples.shape[0] >= ENOUGH * float(self.time.max(initial=0.0))
+        long = self.samples.shape[0] >= CHAIN.enough * float(self.time.max(initial=0.0))
         return bool(long and float(self.reduction.max(initial=1.0)) < 1.05)
 
     @property
@@ -425,7 +449,7 @@ def log_posterior(problem: Problem) -> Callable[[Float], Float]:
         except (NumericalError, SolverError):
             return -np.inf
 
-    # a loop over walkers: each is an eigensolution, beside which the loop costs nothing
+    # a loop over walkers: each is an eigensolution, against which the loop costs nothing
     return lambda points: np.array([one(y) for y in points])
 
 
@@ -470,21 +494,20 @@ def ensemble(
         raise InputError(
             "a walker starts where the density is zero: draw the start closer to the best point"
         )
-    samples, logs, taken = np.empty((steps, walkers, q)), np.empty((steps, walkers)), 0
+    samples = np.empty((steps, walkers, q))
+    logs = np.empty((steps, walkers))
+    taken = 0
     for i in range(burn + steps):
-        for move, rest in _halves(walkers, rng):
-            taken += _stretch(log_density, x, here, move, rest, rng)
+        a, b = np.split(rng.permutation(walkers), 2)
+        halves = ((a, b), (b, a))
+        for move, rest in halves:
+            taken += _stretch(log_density, x, here=here, move=move, rest=rest, rng=rng)
         if i >= burn:
             samples[i - burn], logs[i - burn] = x, here
         if progress is not None:
             progress((i + 1) / (burn + steps), "sampling the posterior")
     share = taken / (walkers * (burn + steps))
     return Chains(samples, logs, share, autocorrelation_time(samples), _reduction(samples))
-
-
-def _halves(walkers: int, rng: np.random.Generator) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-    a, b = np.split(rng.permutation(walkers), 2)
-    return (a, b), (b, a)
 
 
 def _stretch(
@@ -498,7 +521,7 @@ def _stretch(
     """Move one half along lines to walkers of the other, in place; the number accepted. Goodman and
     Weare, eq. 7.
     """
-    z = ((STRETCH - 1) * rng.random(move.size) + 1) ** 2 / STRETCH
+    z = ((CHAIN.stretch - 1) * rng.random(move.size) + 1) ** 2 / CHAIN.stretch
     other = x[rng.choice(rest, move.size)]
     trial = other + z[:, None] * (x[move] - other)
     there = log_density(trial)
@@ -517,7 +540,7 @@ def autocorrelation_time(samples: Float) -> Float:
     power = np.abs(np.fft.rfft(d, 2 * n, axis=0)) ** 2
     rho = np.fft.irfft(power, axis=0)[:n].mean(axis=1)
     tau = 2 * np.cumsum(rho / np.where(rho[0] > 0, rho[0], 1.0), axis=0) - 1
-    stop = np.arange(n)[:, None] >= WINDOW * tau
+    stop = np.arange(n)[:, None] >= CHAIN.window * tau
     at = np.where(stop.any(axis=0), stop.argmax(axis=0), n - 1)
     return np.asarray(np.maximum(tau[at, np.arange(tau.shape[1])], 1.0))
 

@@ -3,7 +3,7 @@ measured.
 
 The band of a left-out frequency has three parts: the parameters, the test, and the model
 discrepancy, which no parameter can remove. The parameters of a fold are known as well as errors of
-that size in the modes left to it allow: one that only the left-out mode tells of may be far off and
+that size in the modes left to it allow: one that only the left-out mode shows may be far off and
 says nothing of the model. The discrepancy is taken from all modes that are predicted unseen: those
 of the folds, and those that the updating does not use at all, which have had no say in the choice
 of the parameters either. That of a mode comes from all *others*, so that none helps to judge
@@ -19,11 +19,10 @@ import numpy as np
 from scipy.special import stdtrit
 
 from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
-from ringtrue.core.iterate import Outcome
-from ringtrue.core.progress import Progress
+from ringtrue.core.iterate import Outcome, Progress
 from ringtrue.errors import InputError
 from ringtrue.updating.problem import Configuration, Evaluated, Problem
-from ringtrue.updating.residuals.modal import OF_FREQUENCY, Shapes
+from ringtrue.updating.residuals.modal import Quantity
 from ringtrue.updating.solver import Method, solve
 from ringtrue.updating.uncertainty import laplace
 
@@ -138,11 +137,9 @@ def discrepancy(error: Float, known: Float, gain: Float | None = None) -> float:
     `gain` is 1 if not given, larger where s has made the parameters uncertain, too.
     """
     seen = np.isfinite(error)
-    e2, k2, g = (
-        error[seen] ** 2,
-        known[seen] ** 2,
-        np.ones(int(seen.sum())) if gain is None else gain[seen],
-    )
+    e2 = error[seen] ** 2
+    k2 = known[seen] ** 2
+    g = np.ones(int(seen.sum())) if gain is None else gain[seen]
     if not e2.size:
         raise InputError(
             "no left-out mode has found a partner: widen the gates, or leave other modes out"
@@ -185,41 +182,45 @@ def k_fold(
     m = target.frequencies.size
     if len({i for f in folds for i in f}) != sum(len(f) for f in folds):
         raise InputError("a mode is in two folds")
-    predicted, mac, spread, of = (
-        np.full(m, np.nan),
-        np.full(m, np.nan),
-        np.full((m, 3), np.nan),
-        np.full(m, -1),
-    )
-    begin, good, ends = start, True, []
+    predicted = np.full(m, np.nan)
+    mac = np.full(m, np.nan)
+    spread = np.full((m, 3), np.nan)
+    of = np.full(m, -1)
+    begin = start
+    good = True
+    ends = []
     unused = np.flatnonzero(~target.used).tolist()
     for i, fold in enumerate([*folds, unused] if unused else folds):
         used = target.used & ~np.isin(np.arange(m), fold)
         problem = Problem((replace(configuration, target=replace(target, used=used)), *others))
         done = solve(problem, method, start=begin)
-        good, begin = good and done.outcome is Outcome.CONVERGED, done.y if start is None else start
-        predicted_fold(problem, done.end, list(fold), predicted, mac, spread)
+        good = good and done.outcome is Outcome.CONVERGED
+        begin = done.y if start is None else start
+        predicted_fold(
+            problem, done.end, fold=list(fold), predicted=predicted, mac=mac, spread=spread
+        )
         if i == len(folds):
             break
         of[list(fold)] = i
         ends.append(done.x)
         if progress is not None:
             progress((i + 1) / len(folds), f"left out: fold {i + 1} of {len(folds)}")
-    error, by_f = predicted / target.frequencies - 1, spread[:, 0]
+    error = predicted / target.frequencies - 1
+    by_f = spread[:, 0]
     fixed = by_f * float(np.mean(target.std**2)) + spread[:, 1] * mean_miss(mac) + spread[:, 2]
     known = np.sqrt(fixed + target.std**2)
     found = discrepancy(error, known, 1 + by_f)
     return Held(
-        target.frequencies,
-        predicted,
-        mac,
-        np.sqrt(fixed + by_f * found**2),
-        target.std,
-        _from_others(error, known, 1 + by_f),
-        of,
-        good,
-        np.array(ends),
-        found,
+        test=target.frequencies,
+        predicted=predicted,
+        mac=mac,
+        parameter_std=np.sqrt(fixed + by_f * found**2),
+        test_std=target.std,
+        model_std=_from_others(error, known, 1 + by_f),
+        fold=of,
+        converged=good,
+        ends=np.array(ends),
+        discrepancy=found,
     )
 
 
@@ -231,7 +232,8 @@ def mean_miss(mac: Float) -> float:
 
 def _from_others(error: Float, known: Float, gain: Float) -> Float:
     """The discrepancy of each mode from the errors of all others, (m,); NaN without an error."""
-    seen, out = np.flatnonzero(np.isfinite(error)), np.full(error.size, np.nan)
+    seen = np.flatnonzero(np.isfinite(error))
+    out = np.full(error.size, np.nan)
     for i in seen.tolist():  # over modes: a search each
         rest = seen[seen != i] if seen.size > 1 else seen
         out[i] = discrepancy(error[rest], known[rest], gain[rest])
@@ -247,7 +249,8 @@ def predicted_fold(
     here = at.points[0]
     t, f = here.every.T
     which = np.isin(t, fold)
-    t, f = t[which], f[which]
+    t = t[which]
+    f = f[which]
     predicted[t], mac[t] = here.now.frequencies[f], here.mac[which]
     slope = (
         here.now.d_lambda[f] / (8 * np.pi**2 * here.now.frequencies[f] ** 2)[:, None] @ problem.link
@@ -260,31 +263,30 @@ def variance_parts(problem: Problem, at: Evaluated) -> Float:
     1 − MAC, the rest.
 
     A shape has as many independent errors as the weights say: one, as the parameters imitate it
-    best, if not told.
+    best, if not given.
     """
-    terms = [(t, c.target) for c in problem.configurations for t in c.terms]
-    n = int(at.kind.max(initial=-1)) + 1
-    of_f = np.array(
-        [
-            (t.std**2 + np.mean(a.std**2)) ** -0.5 if isinstance(t, OF_FREQUENCY) else 0.0
-            for t, a in terms
-        ][:n]
-    )
-    of_s = np.array(
-        [(t.factor / t.mac) ** 0.5 if isinstance(t, Shapes) else 0.0 for t, _ in terms][:n]
-    )
+    kinds = int(at.kind.max(initial=-1)) + 1
+    terms = [(t, c.target.std) for c in problem.configurations for t in c.terms]
+    of_frequency = np.zeros(kinds)
+    of_shape = np.zeros(kinds)
+    other = np.zeros(kinds)
+    for i, (term, std) in enumerate(terms[:kinds]):
+        unit = term.unit(std)
+        if unit is None:
+            other[i] = 1.0
+        elif term.quantity is Quantity.FREQUENCY:
+            of_frequency[i] = unit
+        else:
+            of_shape[i] = unit
     many = problem.configurations[0].target.weights.independent
-    other = np.where((of_f == 0) & (of_s == 0), 1.0, 0.0)
-    none, *each = (
-        laplace(problem, at, k, independent=many).covariance for k in (0 * other, of_f, of_s, other)
-    )
+    scales = (np.zeros(kinds), of_frequency, of_shape, other)
+    none, *each = (laplace(problem, at, k, independent=many).covariance for k in scales)
     return np.stack([each[0] - none, each[1] - none, each[2]])
 
 
 def with_discrepancy(
     configuration: Configuration,
     folds: Sequence[Sequence[int]],
-    method: Method | None = None,
     *,
     start: Float | None = None,
     others: Sequence[Configuration] = (),
@@ -301,5 +303,5 @@ def with_discrepancy(
     ----- Terms of frequencies, shapes and MAC get these weights, in the other configurations too;
     other kinds stay.
     """
-    held = k_fold(configuration, folds, method, start=start, others=others, progress=progress)
+    held = k_fold(configuration, folds, start=start, others=others, progress=progress)
     return configuration.weighed(held.discrepancy, mean_miss(held.mac)), held

@@ -12,14 +12,10 @@ from scipy import fft
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int, freeze_fields
 from ringtrue.errors import InputError
-from ringtrue.virtual.response import lines
-from ringtrue.virtual.sensors import coloured
+from ringtrue.virtual.sensors import coloured, lines
 
 _GRID = np.geomspace(0.01, 200.0, 4000)  # where the shape of the ground spectrum is normalised, Hz
 G = 9.80665  # m/s²
-OVERSAMPLE = (
-    2048.0  # Hz at least: a 3 ms pulse spans 6 cells, each holding its exact share of the impulse
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +36,10 @@ class Ambient:
     force_corner : float, Hz
     machine_hz, machine_force : float, Hz, N
         Unbalance force of one rotating machine.
+    points : tuple of str
+        Inputs that carry small broadband forces.
+    machine : str, optional
+        Input of the rotating machine.
     """
 
     ground_rms: float = 1e-6
@@ -49,6 +49,8 @@ class Ambient:
     force_corner: float = 20.0
     machine_hz: float = 24.3
     machine_force: float = 3.0
+    points: tuple[str, ...] = ()
+    machine: str | None = None
 
 
 def ground_psd(freqs: Float, rms: float) -> Float:
@@ -83,30 +85,29 @@ def force_psd(freqs: Float, ambient: Ambient) -> Float:
     )
 
 
-def input_psd(ids: Sequence[str], points: Sequence[str], freqs: Float, ambient: Ambient) -> Float:
+def input_psd(ids: Sequence[str], freqs: Float, ambient: Ambient) -> Float:
     """(in, line) spectral density of each input, its own unit²/Hz, the machine left out.
 
-    Columns `ground+X` carry displacement, `groundv+X` velocity of the same motion; `points` carry
-    small forces.
+    Columns `ground+X` carry displacement, `groundv+X` velocity of the same motion; the points of
+    `ambient` carry small forces.
     """
     omega = np.where(freqs > 0, 2 * np.pi * freqs, np.inf)
     out = np.zeros((len(ids), freqs.size))
-    velocity, force = ground_psd(freqs, ambient.ground_rms), force_psd(freqs, ambient)
+    velocity = ground_psd(freqs, ambient.ground_rms)
+    force = force_psd(freqs, ambient)
     for i, name in enumerate(ids):  # about twenty inputs
         weight = 1.0 if name.endswith("Z") else ambient.lateral**2
         if name.startswith("groundv"):
             out[i] = weight * velocity
         elif name.startswith("ground"):
             out[i] = weight * velocity / omega**2
-        elif name in points:
+        elif name in ambient.points:
             out[i] = force
     return out
 
 
 def ambient_forces(
     ids: Sequence[str],
-    points: Sequence[str],
-    machine: str | None,
     ambient: Ambient,
     samples: int,
     rate: float,
@@ -118,15 +119,14 @@ def ambient_forces(
     ----------
     ids : sequence of str
         Inputs of the modal model: `ground+X`, `groundv+X`, force points.
-    points : sequence of str
-        Inputs that carry small broadband forces.
-    machine : str or None
-        Input of the rotating machine.
+    ambient : Ambient
 
     Returns
     -------
     (in, line) complex128
     """
+    points = ambient.points
+    machine = ambient.machine
     at = {name: i for i, name in enumerate(ids)}
     if lost := [p for p in [*points, *([machine] if machine else [])] if p not in at]:
         raise InputError(
@@ -134,7 +134,9 @@ def ambient_forces(
         )
     freqs = lines(samples, rate)
     out = np.zeros((len(ids), freqs.size), dtype=np.complex128)
-    _ground(out, at, freqs, ambient, samples, rate, rng)
+    for name, motion in _ground(freqs, ambient, samples, rate, rng).items():
+        if name in at:
+            out[at[name]] += motion
     force = force_psd(freqs, ambient)[None]
     out[[at[p] for p in points]] = coloured(
         np.repeat(force, len(points), axis=0), samples, rate, rng
@@ -145,15 +147,9 @@ def ambient_forces(
 
 
 def _ground(
-    out: Complex,
-    at: dict[str, int],
-    freqs: Float,
-    ambient: Ambient,
-    samples: int,
-    rate: float,
-    rng: np.random.Generator,
-) -> None:
-    """Adds the ground's velocity to the columns `groundv`, its displacement to the columns
+    freqs: Float, ambient: Ambient, samples: int, rate: float, rng: np.random.Generator
+) -> dict[str, Complex]:
+    """The ground's velocity, by the inputs `groundv`, and its displacement, by the inputs
     `ground`.
     """
     own = coloured(
@@ -162,10 +158,10 @@ def _ground(
     velocity = np.sqrt(1 - ambient.correlation**2) * own[:3] + ambient.correlation * own[3]
     velocity[:2] *= ambient.lateral
     s = np.where(freqs > 0, 2j * np.pi * freqs, np.inf)
+    motions: dict[str, Complex] = {}
     for name, v in zip("XYZ", velocity, strict=True):
-        for column, motion in ((f"groundv+{name}", v), (f"ground+{name}", v / s)):
-            if column in at:
-                out[at[column]] += motion
+        motions |= {f"groundv+{name}": v, f"ground+{name}": v / s}
+    return motions
 
 
 def machine_force(ambient: Ambient, samples: int, rate: float, rng: np.random.Generator) -> Float:
@@ -235,7 +231,8 @@ def pulse_spectrum(pulses: Pulses, inputs: int, samples: int, rate: float) -> Co
     """
     if pulses.at.size and pulses.at.max() >= inputs:
         raise InputError(f"pulse at input {int(pulses.at.max())}: there are {inputs}")
-    factor = int(np.ceil(OVERSAMPLE / rate))
+    # 2048.0: Hz at least: a 3 ms pulse spans 6 cells, each holding its exact share of the impulse
+    factor = int(np.ceil(2048.0 / rate))
     out = np.zeros((inputs, samples // 2 + 1), dtype=np.complex128)
     cell = np.sinc(lines(samples, rate) / (rate * factor)) * factor
     for i in np.unique(pulses.at):  # a handful of struck points
@@ -251,9 +248,8 @@ def _sampled(p: Pulses, samples: int, rate: float) -> Float:
     first = np.floor(p.start * rate).astype(np.int64)
     edges = (first[:, None] + np.arange(width + 1) - 0.5) / rate
     x = np.clip((edges - p.start[:, None]) / p.duration[:, None], 0.0, 1.0)
-    given = np.where(
-        p.flat[:, None], x, 0.5 - 0.5 * np.cos(np.pi * x)
-    )  # share of the impulse so far
+    # share of the impulse so far
+    given = np.where(p.flat[:, None], x, 0.5 - 0.5 * np.cos(np.pi * x))
     force = p.impulse[:, None] * np.diff(given, axis=1) * rate
     cell = first[:, None] + np.arange(width)
     ok = (cell >= 0) & (cell < samples)
@@ -272,11 +268,9 @@ def event_times(spacing: Sequence[float], duration: float, rng: np.random.Genera
     return np.asarray(times[times < max(duration - 0.8 * min(spacing), 0.5 * duration)])
 
 
-def dropped_weight(
-    times: Float, points: Int, rng: np.random.Generator, *, mass: float = 30.0, height: float = 1.5
-) -> Pulses:
-    """A weight dropped on the floor, with two rebounds; forces downwards on inputs that are
-    positive upwards.
+def dropped_weight(times: Float, points: Int, rng: np.random.Generator) -> Pulses:
+    """A weight of 30 kg dropped on the floor from 1.5 m, with two rebounds; forces downwards on
+    inputs that are positive upwards.
 
     The impact speed is √(2gh); the impulse of the first contact m·v·(1 + e), of the n-th eⁿ⁻¹ of
     it, after a flight of 2·e·v/g.
@@ -290,39 +284,27 @@ def dropped_weight(
     n = times.size
     e = rng.uniform(0.15, 0.35, n)
     contact = rng.uniform(0.006, 0.014, n)
-    speed = np.sqrt(2 * G * height) * np.stack([np.ones(n), e, e**2])
+    speed = np.sqrt(2 * G * 1.5) * np.stack([np.ones(n), e, e**2])
     flight = 2 * speed[1:] / G + contact
     start = times + np.vstack([np.zeros(n), np.cumsum(flight, axis=0)])
-    impulse = -mass * speed * (1 + e)
+    impulse = -30.0 * speed * (1 + e)
     return Pulses(start.ravel(), np.tile(contact, 3), impulse.ravel(), np.tile(points, 3))
 
 
-def sledge(
-    times: Float,
-    points: Int,
-    rng: np.random.Generator,
-    *,
-    peak: tuple[float, float] = (5e3, 25e3),
-    contact: tuple[float, float] = (0.003, 0.008),
-) -> Pulses:
+def sledge(times: Float, points: Int, rng: np.random.Generator) -> Pulses:
     """Impacts of a 5.4 kg sledge: peak force and contact time drawn so that long contacts go with
     low peaks.
     """
     n = times.size
     hard = rng.uniform(0, 1, n)
-    force = peak[0] + (peak[1] - peak[0]) * np.clip(hard + rng.normal(0, 0.1, n), 0, 1)
-    duration = contact[1] - (contact[1] - contact[0]) * np.clip(hard + rng.normal(0, 0.1, n), 0, 1)
+    weak, strong = 5e3, 25e3  # N
+    short, long = 0.003, 0.008  # s
+    force = weak + (strong - weak) * np.clip(hard + rng.normal(0, 0.1, n), 0, 1)
+    duration = long - (long - short) * np.clip(hard + rng.normal(0, 0.1, n), 0, 1)
     return Pulses(times, duration, -2 / np.pi * force * duration, points)
 
 
-def jumping(
-    times: Float,
-    points: Sequence[int],
-    rng: np.random.Generator,
-    *,
-    weight: float = 80.0,
-    jumps: int = 6,
-) -> Pulses:
+def jumping(times: Float, points: Sequence[int], rng: np.random.Generator) -> Pulses:
     """People jumping in bursts at about 2 Hz; the constant weight itself is left out.
 
     One person per point. In each period the ground reaction is a half-sine over the contact ratio
@@ -335,16 +317,14 @@ def jumping(
     times : (event,) float64, s
     points : sequence of int
         Input under each person.
-    weight : float, kg
-        Mean of the people.
     """
-    return Pulses.join(
-        [_jumper(times, p, rng, weight * rng.uniform(0.8, 1.2), jumps) for p in points]
-    )
+    return Pulses.join([_jumper(times, p, rng) for p in points])
 
 
-def _jumper(times: Float, point: int, rng: np.random.Generator, mass: float, jumps: int) -> Pulses:
-    shape = (times.size, jumps)
+def _jumper(times: Float, point: int, rng: np.random.Generator) -> Pulses:
+    """Six jumps of a person of 64 to 96 kg at each time."""
+    mass = 80.0 * rng.uniform(0.8, 1.2)
+    shape = (times.size, 6)
     period = 0.5 * np.clip(
         rng.normal(1, 0.04, (times.size, 1)) * rng.normal(1, 0.04, shape), 0.8, 1.2
     )

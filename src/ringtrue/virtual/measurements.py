@@ -1,26 +1,134 @@
-"""Simulated tests: impact tests in triggered blocks, ambient tests with and without events."""
+"""Simulated tests: impact tests in triggered blocks, ambient tests with and without events.
+
+What a crew writes down: sensor sheets, lines to draw and the log of the campaign.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import csv
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from scipy import fft
 
 from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
-from ringtrue.core.modal import ModalModel
+from ringtrue.core.modes import ModalModel
+from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import InputError
+from ringtrue.io.record_table import RecordChannel
 from ringtrue.virtual.excitation import Ambient, Pulses, ambient_forces, input_psd, pulse_spectrum
-from ringtrue.virtual.response import decay_time, lines, response_spectrum, streamed
 from ringtrue.virtual.sensors import (
     Chain,
+    Sensor,
     anti_alias,
     expected_power,
+    lines,
     ratio_db,
     record_volts,
     resonance_power,
+    response_spectrum,
 )
+
+HEADER = (
+    "point",
+    "x",
+    "y",
+    "z",
+    "direction",
+    "channel",
+    "group",
+    "quantity",
+    "unit",
+    "sensitivity",
+    "range",
+    "sensor",
+)
+
+
+def record_channels(
+    test: TestModel, channels: Sequence[str], sensors: Sequence[Sensor], date: str
+) -> list[RecordChannel]:
+    """The channel table of a record, with the sensitivities of the calibration sheets."""
+    at = dict(zip(test.channels, test.at.tolist(), strict=True))
+    return [
+        RecordChannel(
+            id=c,
+            point=at[c],
+            quantity=s.quantity,
+            unit=s.unit,
+            sensitivity=s.sensitivity,
+            range=s.range,
+            sensor=s.name,
+            calibration=date,
+        )
+        for c, s in zip(channels, sensors, strict=True)
+    ]
+
+
+def write_sheet(
+    path: Path, test: TestModel, channels: Sequence[str], sensors: Sequence[Sensor] | None = None
+) -> None:
+    """A sensor sheet; without `sensors` only places, directions and groups, and points without
+    channels too.
+    """
+    place = dict(
+        zip(test.points.tolist(), zip(test.xyz.tolist(), test.groups, strict=True), strict=True)
+    )
+    here = {c: i for i, c in enumerate(test.channels)}
+    rows = []
+    for k, c in enumerate(channels):
+        point = int(test.at[here[c]])
+        xyz, group = place[point]
+        s = sensors[k] if sensors else None
+        tail = [s.quantity, s.unit, f"{s.sensitivity:g}", f"{s.range:g}", s.name] if s else [""] * 5
+        rows.append(
+            [point, *(f"{v:.6g}" for v in xyz), direction(test.axes[here[c]]), c, group, *tail]
+        )
+    if sensors is None:
+        used = {r[0] for r in rows}
+        bare = [p for p in np.unique(test.lines).tolist() if p not in used]
+        rows += [
+            [p, *(f"{v:.6g}" for v in place[p][0]), "", "", place[p][1], *[""] * 5] for p in bare
+        ]
+    _table(path, HEADER, rows)
+
+
+def direction(axis: Float) -> str:
+    """`+Z` for a global axis, else the vector."""
+    k = int(np.abs(axis).argmax())
+    if abs(axis[k]) > 1 - 1e-9:
+        return f"{'+' if axis[k] > 0 else '-'}{'XYZ'[k]}"
+    return " ".join(f"{v:.9g}" for v in axis)
+
+
+def write_lines(path: Path, test: TestModel) -> None:
+    """Pairs of points to draw."""
+    _table(path, ("from", "to"), test.lines.tolist())
+
+
+def write_log(path: Path, tests: Sequence[Mapping[str, object]], sensors: Sequence[Sensor]) -> None:
+    """campaign.json: tests with their records, and the data sheets of the sensor types."""
+    sheets = {
+        s.name: {
+            "quantity": s.quantity,
+            "corner_hz": s.corner,
+            "damping": s.damping,
+            "reaches_zero": s.corner == 0,
+        }
+        for s in dict.fromkeys(sensors)
+    }
+    log = {"format": "ringtrue-campaign", "version": 1, "sensors": sheets, "tests": list(tests)}
+    path.write_text(json.dumps(log, indent=1) + "\n")
+
+
+def _table(path: Path, header: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(header)
+        writer.writerows(rows)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,12 +182,17 @@ class SimulatedImpacts:
         Starts from the begin of the record, s.
     times : (attempt,) float64, s
     double, overload : (attempt,) bool
+    plan : HammerPlan
+    rate : float, Hz
+        That peaks are sampled at.
     """
 
     pulses: Pulses
     times: Float
     double: Bool
     overload: Bool
+    plan: HammerPlan
+    rate: float
 
 
 def strike(
@@ -114,15 +227,15 @@ def strike(
         start=second.start + second.duration + rng.uniform(0.03, 0.12, k),
         impulse=second.impulse * rng.uniform(0.2, 0.6, k),
     )
-    return SimulatedImpacts(Pulses.join([pulses, second]), times, double, overload)
+    return SimulatedImpacts(
+        Pulses.join([pulses, second]), times, double, overload, plan=plan, rate=rate
+    )
 
 
 def _attempts(plan: HammerPlan, rng: np.random.Generator) -> tuple[Bool, Bool]:
     draw = rng.uniform(0, 1, plan.hits * 10 + 50)
-    double, overload = (
-        draw < plan.double,
-        (draw >= plan.double) & (draw < plan.double + plan.overload),
-    )
+    double = draw < plan.double
+    overload = (draw >= plan.double) & (draw < plan.double + plan.overload)
     last = int(np.searchsorted(np.cumsum(~double & ~overload), plan.hits)) + 1
     return double[:last], overload[:last]
 
@@ -142,7 +255,8 @@ def _sampled_peak(pulses: Pulses, rate: float) -> Float:
 
 def clean_energy(impacts: SimulatedImpacts) -> float:
     """Mean squared impulse of the clean impacts over the sum of all squared impulses."""
-    square, n = impacts.pulses.impulse**2, impacts.times.size
+    square = impacts.pulses.impulse**2
+    n = impacts.times.size
     return float(square[:n][~impacts.double & ~impacts.overload].mean() / square.sum())
 
 
@@ -155,11 +269,9 @@ def block_samples(plan: HammerPlan, times: Float, rate: float) -> Int:
 def hammer_record(
     model: ModalModel,
     impacts: SimulatedImpacts,
-    plan: HammerPlan,
     chain: Chain,
     background: Complex,
     samples: int,
-    rate: float,
     rng: np.random.Generator,
 ) -> tuple[Any_, Complex, Complex]:
     """Volts of the force and the responses, the blocks one after the other.
@@ -181,6 +293,7 @@ def hammer_record(
     signal, noise : (r, line) complex128, V
         Spectra of the hammer's part and of all the rest, over the continuous signal.
     """
+    rate = impacts.rate
     freqs = lines(samples, rate)
     force = pulse_spectrum(impacts.pulses, background.shape[0], samples, rate)
     still = np.zeros((1, freqs.size))  # the force cell feels the hammer alone
@@ -190,7 +303,7 @@ def hammer_record(
     chain.to_volts(noise, rate)
     noise += chain.noise(samples, rate, rng)
     volts = chain.digitise(np.asarray(fft.irfft(signal + noise, samples)), rate)
-    cut = block_samples(plan, impacts.times, rate).ravel()
+    cut = block_samples(impacts.plan, impacts.times, rate).ravel()
     return volts[:, cut], signal[1:], noise[1:]
 
 
@@ -204,10 +317,6 @@ class AmbientTest:
         Its outputs are the channels.
     chain : Chain
     site : Ambient
-    points : tuple of str
-        Inputs that carry small broadband forces.
-    machine : str or None
-        Input of the rotating machine.
     rate : float, Hz
     poles : (m,) complex128, rad/s
         The modes that signal-to-noise ratios are taken at.
@@ -216,15 +325,13 @@ class AmbientTest:
     model: ModalModel
     chain: Chain
     site: Ambient
-    points: tuple[str, ...]
-    machine: str | None
     rate: float
     poles: Complex
 
     def forces(self, samples: int, rng: np.random.Generator) -> Complex:
         """(in, line) spectra of the ambient excitation."""
         ids = tuple(c.id for c in self.model.inputs)
-        return ambient_forces(ids, self.points, self.machine, self.site, samples, self.rate, rng)
+        return ambient_forces(ids, self.site, samples, self.rate, rng)
 
     def volts(self, forces: Complex, freqs: Float) -> Complex:
         """(channel, line) spectra at the recorder, without noise."""
@@ -236,7 +343,7 @@ class AmbientTest:
 def expected_snr(test: AmbientTest) -> float:
     """Median over channels and modes of the ratio at resonance without events, dB."""
     f = np.abs(test.poles) / (2 * np.pi)
-    inputs = input_psd([c.id for c in test.model.inputs], test.points, f, test.site)
+    inputs = input_psd([c.id for c in test.model.inputs], f, test.site)
     signal = expected_power(test.model, test.poles, inputs, test.chain.sensors[0].motion)
     noise = np.stack([s.noise_psd(f, test.rate) for s in test.chain.sensors])
     return float(np.median(ratio_db(signal, noise)))
@@ -284,30 +391,3 @@ def ambient_record(
     quantisation = np.array([s.step**2 / 6 / test.rate for s in test.chain.sensors])[:, None]
     noisy = resonance_power(noise, test.poles, samples, test.rate) + quantisation
     return volts, float(np.median(ratio_db(strength, noisy)))
-
-
-def ambient_blocks(
-    test: AmbientTest, segments: int, hop: int, fade: int, rng: np.random.Generator
-) -> Iterator[Any_]:
-    """A record of `segments`·`hop` samples, ambient only, block by block: (channel, hop) float32
-    volts.
-    """
-    tail = int(decay_time(test.model) * test.rate)
-    streams = rng.spawn(segments + 1)
-
-    def segment(b: int, window: Float) -> Float:
-        return _segment(test, window, tail, streams[b + 1])
-
-    for b, volts in enumerate(streamed(segment, segments, hop, fade, tail)):
-        yield test.chain.digitise(volts, test.rate, start=b * hop)
-
-
-def _segment(test: AmbientTest, window: Float, tail: int, rng: np.random.Generator) -> Float:
-    """Volts of windowed forces with their decay, and windowed noise, (channel, window + tail)."""
-    n = window.size
-    full = int(fft.next_fast_len(n + tail, real=True))
-    full += full % 2
-    forces = fft.rfft(fft.irfft(test.forces(n, rng), n) * window, full)
-    volts = fft.irfft(test.volts(np.asarray(forces), lines(full, test.rate)), full)[:, : n + tail]
-    volts[:, :n] += fft.irfft(test.chain.noise(n, test.rate, rng), n) * window
-    return np.asarray(volts)

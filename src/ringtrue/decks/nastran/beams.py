@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from ringtrue.decks.nastran.lexer import Card, Files, Reader, places, ragged
 from ringtrue.errors import UnsupportedCard
-from ringtrue.model.cards import columns
-from ringtrue.model.dimensions import END_A, END_B, properties
+from ringtrue.model.cards import END_A, END_B, columns, properties
 from ringtrue.model.edit import ply_field
 from ringtrue.model.model import Ragged, Table
 from ringtrue.model.sections import FALLBACK, SECTIONS
@@ -81,9 +80,8 @@ def beam_stations(r: Reader) -> tuple[list[tuple[float, int]], int]:
     found = []
     while (flag := r.text(at).upper()) in _STATION:
         found.append((_place(r, at + 1), at + 2))
-        at += (
-            16 if flag == "YES" and r.text(at + 8).upper() not in _STATION else 8
-        )  # YESA and NO: no stress points
+        # YESA and NO: no stress points
+        at += 16 if flag == "YES" and r.text(at + 8).upper() not in _STATION else 8
     return found, at
 
 
@@ -128,7 +126,8 @@ def _lumped(r: Reader) -> Row:
     y, z, share = _areas(r)
     if total := share.sum():
         at["N1"], at["N2"] = share @ y / total, share @ z / total
-        y, z = y - at["N1"], z - at["N2"]
+        y = y - at["N1"]
+        z = z - at["N2"]
         row |= {
             n: row["A"] * float(share @ v)
             for n, v in (("I1", y * y), ("I2", z * z), ("I12", y * z))
@@ -166,11 +165,13 @@ def _dimensions(r: Reader, at: int) -> tuple[list[float], float, int]:
     """Dimensions from field `at` on, nan for a blank that is that of another, NSM, and the field
     behind.
     """
-    c, kind = r.card, r.text(3).upper()
+    c = r.card
+    kind = r.text(3).upper()
     if kind not in SECTIONS:
         why = f"section {kind!r}; supported are {', '.join(sorted(SECTIONS))}"
         raise UnsupportedCard(c.name, path=r.files[c.file], line=c.line, why=why)
-    count, may = SECTIONS[kind][0], FALLBACK.get(kind, {})
+    count = SECTIONS[kind][0]
+    may = FALLBACK.get(kind, {})
     dims = [r.real(at + k, f"DIM{k + 1}", np.nan if k in may else None) for k in range(count)]
     return dims, r.real(at + count, "NSM", 0.0), at + count + 1
 
@@ -192,7 +193,8 @@ def _stations(r: Reader, at: int) -> list[tuple[float, list[float], float, int]]
 
 def _made(r: Reader) -> Row:
     """The PBAR or PBEAM of a PBARL or PBEAML."""
-    name, kind = r.card.name, r.text(3).upper()
+    name = r.card.name
+    kind = r.text(3).upper()
     dims, nsm, at = _dimensions(r, 8)
     stations = _stations(r, at) if name == "PBEAML" else []
     end_b = next(((d, m) for x, d, m, _ in stations if x == 1.0), None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -129,7 +129,8 @@ class Cards:
         if style == 4:
             return self.made[at]
         if style < 2:
-            text, width = self.text[at].tobytes(), 16 if style else 8
+            text = self.text[at].tobytes()
+            width = 16 if style else 8
             return [text[i : i + width].strip() for i in range(8, 72, width)]
         row = self.raw_of[at]
         line = self.deck.raw[self.deck.start[row] : self.deck.stop[row]].upper()
@@ -159,13 +160,13 @@ def cards(deck: Deck) -> Cards:
     text, free = _columns(deck, lines)
     keep = np.flatnonzero((text.view(np.uint64) != _BLANKS).any(axis=1) | free)
     if keep.size < free.size:
-        text, free = text[keep], free[keep]
+        text = text[keep]
+        free = free[keep]
     first = np.ascontiguousarray(text[:, :8])
     blank = first.view(np.uint64)[:, 0] == _BLANKS
     follows = blank | (first[:, 0] == 43) | (first[:, 0] == 42)
-    indented = np.flatnonzero(
-        (first[:, 0] == 32) & ~blank
-    )  # column 1 may be blank before the name, too
+    # column 1 may be blank before the name, too
+    indented = np.flatnonzero((first[:, 0] == 32) & ~blank)
     if indented.size:
         begins = np.strings.lstrip(first[indented].view("S8")[:, 0]).astype("S1")
         follows[indented] = (begins == b"+") | (begins == b"*")
@@ -175,13 +176,11 @@ def cards(deck: Deck) -> Cards:
     _warn_of_tenth(deck, text, np.flatnonzero(free), follows, keep)
     order = _continuation_order(deck, text, follows, keep)
     if order is not None:
-        text, style, keep, field_1, follows = (
-            text[order],
-            style[order],
-            keep[order],
-            field_1[order],
-            follows[order],
-        )
+        text = text[order]
+        style = style[order]
+        keep = keep[order]
+        field_1 = field_1[order]
+        follows = follows[order]
     if follows.size and follows[0]:
         raise _at(deck, int(keep[0]), "a continuation line has no card before it")
     head = np.flatnonzero(~follows).astype(np.int64)
@@ -196,7 +195,16 @@ def cards(deck: Deck) -> Cards:
             raise _at(deck, at, f"{name.decode('latin-1')!r} in columns 1-8 is not a card name")
         plain[i] = SYNONYMS.get(name, name)
     return _replicated(
-        Cards(deck, text, style, keep, head, count, plain[np.repeat(which, size)], lines)
+        Cards(
+            deck=deck,
+            text=text,
+            style=style,
+            raw_of=keep,
+            head=head,
+            count=count,
+            name=plain[np.repeat(which, size)],
+            free=lines,
+        )
     )
 
 
@@ -233,17 +241,16 @@ def _replicated(cards: Cards) -> Cards:
     again = frozenset(kept[np.isin(line_of[source[head[kept]]], list(copied))].tolist())
     count = np.diff(np.append(head, line.size))
     fields = dict(zip(at.tolist(), made, strict=True))
-    return Cards(
-        cards.deck,
-        cards.text[source],
-        style,
-        cards.raw_of[source],
-        head,
-        count,
-        name,
-        cards.free,
-        fields,
-        again,
+    return replace(
+        cards,
+        text=cards.text[source],
+        style=style,
+        raw_of=cards.raw_of[source],
+        head=head,
+        count=count,
+        name=name,
+        made=fields,
+        copied=again,
     )
 
 
@@ -263,9 +270,12 @@ def _expanded(
     made: list[list[bytes]] = []
     names: list[bytes] = []
     copied: set[int] = set()
-    state, done, last = Replication(), 0, -1
+    state = Replication()
+    done = 0
+    last = -1
     for card in suspect.tolist():  # over the replicated cards and the cards before them
-        name, fields = bytes(cards.name[card]), cards.fields(card)
+        name = bytes(cards.name[card])
+        fields = cards.fields(card)
         if not replicates(name, fields):
             continue
         if card - 1 != last and card:
@@ -278,7 +288,8 @@ def _expanded(
             raise DeckError(str(e), path=path, line=line, card=name.decode("latin-1")) from None
         start = int(cards.head[card])
         pieces += [np.arange(done, start), np.full(len(new), -1 - start)]
-        done, last = start + int(cards.count[card]), card
+        done = start + int(cards.count[card])
+        last = card
         made += [f + [b""] * (-len(f) % 8) for f in new]
         names += [state.name] * len(new)
     return [*pieces, np.arange(done, cards.style.size)], made, names, copied
@@ -337,7 +348,8 @@ def _continuation_order(
     """
     if not follows.any():
         return None
-    mine, calls = np.zeros(len(text), dtype="S8"), np.zeros(len(text), dtype="S8")
+    mine = np.zeros(len(text), dtype="S8")
+    calls = np.zeros(len(text), dtype="S8")
     mine[follows] = _tags(text[follows, :8])
     called = np.ascontiguousarray(text[:, 72:80]).view(np.uint64)[:, 0] != _BLANKS
     calls[called] = _tags(text[called, 72:80])
@@ -439,7 +451,9 @@ class Replication:
 
     def plain(self, name: bytes, fields: Fields) -> None:
         """Take note of a card that is written out."""
-        self.name, self.fields, self.steps = name, fields, {}
+        self.name = name
+        self.fields = fields
+        self.steps = {}
 
     def expand(self, name: bytes, fields: Fields) -> list[Fields]:
         """The cards that one replicated card stands for; their name is `self.name` then.
@@ -482,7 +496,8 @@ class Replication:
         steps: dict[int, bytes] = {}
         for line in range(0, len(fields), 8):
             for j in range(line, min(line + 8, len(fields))):
-                f, step = fields[j], _STEP.fullmatch(fields[j])
+                f = fields[j]
+                step = _STEP.fullmatch(fields[j])
                 if f == b"==":
                     out += before[j : line + 8]
                     break

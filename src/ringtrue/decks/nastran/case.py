@@ -14,9 +14,8 @@ from ringtrue.model.cards import PRELOADS
 from ringtrue.model.case_control import CONSTRAINTS, METHODS
 from ringtrue.model.model import CaseControl, Model, Table
 
-_COMMAND = re.compile(
-    r"\s*([A-Z]\w*)\s*(\([^)]*\))?(?:\s*=\s*|\s+)(.*?)\s*", re.I | re.S
-)  # a blank may stand for =
+# a blank may stand for =
+_COMMAND = re.compile(r"\s*([A-Z]\w*)\s*(\([^)]*\))?(?:\s*=\s*|\s+)(.*?)\s*", re.I | re.S)
 _SUBCASE = re.compile(r"\s*SUBC\w*[\s=]*(\d{1,9})?", re.I)
 _CHOICES = ("TITLE", "METHOD", "SPC", "MPC", "NSM", "AUTOSPC", "SDAMPING")
 _SETS = ("SPC", "MPC", "NSM", "K2GG", "M2GG", "B2GG")
@@ -30,9 +29,8 @@ STIFFENING = {
     "BCONTACT": ("BCBODY", "BCTABL"),
     **dict.fromkeys(("STATSUB", "NLIC"), (*PRELOADS, "BOLTFOR", "BOLTFRC", "PRETENS", "SPCR")),
 }
-_PRESTRESS = re.compile(
-    r"\s*SOL[\s=]+(18[2-9]|.*PRESTRESS)", re.I
-)  # modes and responses under load, by Autodesk
+# modes and responses under load, by Autodesk
+_PRESTRESS = re.compile(r"\s*SOL[\s=]+(18[2-9]|.*PRESTRESS)", re.I)
 _MATRICES = ("K2GG", "M2GG", "B2GG", "K2PP", "M2PP", "B2PP")
 _UNREAD = ("K42GG", "A2GG", "TFL")  # matrices of other solutions
 _LOADING = ("TEMP(LOAD)", "DEFORM", "P2G")  # what else acts in statics, and is not read
@@ -159,9 +157,9 @@ def _joined(top: Iterable[str]) -> list[str]:
     skipped = False
     for raw in top:
         line = raw.split("$")[0].rstrip()
-        if told := re.match(r"\s*SKIP(ON|OFF)\b", line, re.I):
-            skipped = told[1].upper() == "ON"
-        if told or skipped:
+        if skip := re.match(r"\s*SKIP(ON|OFF)\b", line, re.I):
+            skipped = skip[1].upper() == "ON"
+        if skip or skipped:
             continue
         if out and out[-1].endswith(",") and not _TEXT.match(out[-1]):
             out[-1] += " " + line.strip()
@@ -267,7 +265,8 @@ def unclear_sets(model: Model, *, chosen: bool) -> list[DeckError]:
     """
     out = []
     for kind in CONSTRAINTS:
-        there, asked = sets(model.tables, kind), int(getattr(model.case, kind.lower()))
+        there = sets(model.tables, kind)
+        asked = int(getattr(model.case, kind.lower()))
         names = ", ".join(map(str, there))
         where = model.files[0] if model.files else None
         if asked and there and asked not in there:

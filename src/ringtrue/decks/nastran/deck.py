@@ -81,9 +81,8 @@ class _Reading:
         data = _text(path)
         number = self.files.setdefault(path, len(self.files))
         upper = data.upper()
-        limit = next(
-            _lines_of(upper, b"ENDDATA"), len(data.rstrip(b"\x1a"))
-        )  # Ctrl-Z ended files of DOS
+        # Ctrl-Z ended files of DOS
+        limit = next(_lines_of(upper, b"ENDDATA"), len(data.rstrip(b"\x1a")))
         at = 0
         for begin in _lines_of(upper, b"INCLUDE", limit):
             found = _INCLUDE.match(data, begin, limit)
@@ -180,7 +179,7 @@ def _spellings(quoted: bytes) -> list[str]:
 
 
 def _by_logical_name(name: str) -> list[str]:
-    """`SYMBOL:file` by the environment variable SYMBOL, as Nastran takes it, and the file beside
+    """`SYMBOL:file` by the environment variable SYMBOL, as Nastran takes it, and the file next to
     the deck.
     """
     symbol, colon, rest = name.partition(":")

@@ -109,11 +109,9 @@ def implied_points(tables: Mapping[str, Table]) -> dict[str, Table]:
     """SPOINT with a row for each scalar point that only a scalar element names; it needs no card of
     its own.
     """
-    ids, file, line = (
-        [np.empty(0, dtype=np.int64)],
-        [np.empty(0, dtype=np.int64)],
-        [np.empty(0, dtype=np.int64)],
-    )
+    ids = [np.empty(0, dtype=np.int64)]
+    file = [np.empty(0, dtype=np.int64)]
+    line = [np.empty(0, dtype=np.int64)]
     for card in _SCALAR:
         if card in tables:
             t = tables[card]
@@ -127,7 +125,8 @@ def implied_points(tables: Mapping[str, Table]) -> dict[str, Table]:
     new = (points > 0) & ~np.isin(points, np.concatenate([*named, np.empty(0, dtype=np.int64)]))
     if not new.any():
         return {}
-    points, at = points[new], at[new]
+    points = points[new]
+    at = at[new]
     old = tables.get("SPOINT")
     before = (
         old.ragged("ID")
@@ -195,18 +194,22 @@ _ACROSS = (
     ("K5", "K6"),
     ("B2", "B3"),
     ("B5", "B6"),
-)  # alike, the axes across the line do not matter
+)  # equal, the axes across the line do not matter
 
 
 def open_bushes(model: Model) -> Iterator[DeckError]:
     """The first CBUSH of some length without orientation and CID whose springs across it are not
-    alike.
+    equal.
     """
     if not all(card in model for card in ("CBUSH", "PBUSH", "GRID")):
         return
-    table, p, grid = model["CBUSH"], model["PBUSH"], model["GRID"]
+    table = model["CBUSH"]
+    p = model["PBUSH"]
+    grid = model["GRID"]
     unlike = np.any([p[a] != p[b] for a, b in _ACROSS], axis=0)
-    row, a, b = p.find(table["PID"]), grid.find(table["GA"]), grid.find(table["GB"])
+    row = p.find(table["PID"])
+    a = grid.find(table["GA"])
+    b = grid.find(table["GB"])
     bare = (table["G0"] == 0) & (table["CID"] < 0) & ~table.stack("X1", "X2", "X3").any(axis=1)
     at = np.flatnonzero(bare & (row >= 0) & (a >= 0) & (b >= 0))
     at = at[unlike[row[at]]]
@@ -216,7 +219,7 @@ def open_bushes(model: Model) -> Iterator[DeckError]:
     if at.size:
         more = f" ({at.size - 1} more like it)" if at.size > 1 else ""
         why = (
-            "its springs across the line of its ends are not alike, and no CID, G0 or X1-X3 "
+            "its springs across the line of its ends are not equal, and no CID, G0 or X1-X3 "
             f"orients them{more}"
         )
         yield card_error(model, table, int(at[0]), why)

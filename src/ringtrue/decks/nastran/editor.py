@@ -1,4 +1,4 @@
-"""x"""
+"""A deck with fields changed or cards added, and not a character more."""
 
 from __future__ import annotations
 
@@ -54,10 +54,14 @@ def edit_fields(model: Model, changes: Sequence[FieldChange], out_dir: str | Pat
         if change not in new:
             groups.setdefault(find(change), []).append(change)
     for card, mine in groups.items():
-        _edit_card(found, contents, _Group(card, tuple(mine)))
+        _edit_card(found, contents, _CardChanges(card, tuple(mine)))
     data = [c.joined() for c in contents]
     if new:
-        data[0] = _inserted(data[0], "".join(_lump(model, c) for c in new))
+        masses = []
+        for change in new:
+            node = int(model["CONM2"]["G"][resolve_target(model, change)[0]])
+            masses.append(format_card("CONM2", [change.id, node, None, float(change.value)]))
+        data[0] = _inserted(data[0], "".join(masses))
     return _write(files, data, Path(out_dir))
 
 
@@ -65,11 +69,6 @@ def is_new(model: Model, change: FieldChange) -> bool:
     """Whether it is the mass of a CONM2 that stands in no file."""
     lump = (change.card, change.field) == ("CONM2", "M")
     return lump and int(model["CONM2"].file[resolve_target(model, change)[0]]) < 0
-
-
-def _lump(model: Model, change: FieldChange) -> str:
-    node = int(model["CONM2"]["G"][resolve_target(model, change)[0]])
-    return format_card("CONM2", [change.id, node, None, float(change.value)])
 
 
 def unwritable(model: Model, targets: Sequence[CardField]) -> dict[CardField, str]:
@@ -87,7 +86,7 @@ def unwritable(model: Model, targets: Sequence[CardField]) -> dict[CardField, st
     for t in targets:
         try:
             change = FieldChange(t.card, t.id, t.field, field_value(model, t))
-            _edit_card(found, contents, _Group(find(change), (change,)))
+            _edit_card(found, contents, _CardChanges(find(change), (change,)))
         except InputError as e:
             why[t] = str(e)
     return why
@@ -106,11 +105,13 @@ def refuse_unwritable(model: Model, parameters: ParameterSet) -> None:
         raise InputError(f"[[candidate]] {why}")
 
 
-def _loaded(model: Model) -> tuple[Cards, list[Path], list[_File]]:
+def _loaded(model: Model) -> tuple[Cards, list[Path], list[_FileLines]]:
     """The cards of the deck, its files, and what is in them."""
-    found = cards(load(_main(model)))
+    if not model.files:
+        raise InputError("this model was not read from a deck, so there is none to edit")
+    found = cards(load(model.files[0]))
     files = [Path(f) for f in found.deck.files]
-    return found, files, [_File(f.read_bytes()) for f in files]
+    return found, files, [_FileLines(f.read_bytes()) for f in files]
 
 
 def add_cards(model: Model, file: str | Path, text: str, out_dir: str | Path) -> list[Path]:
@@ -140,17 +141,12 @@ def unified_diff(old: Sequence[str | Path], new: Sequence[str | Path]) -> str:
     """
     parts: list[str] = []
     for a, b in zip(map(Path, old), map(Path, new), strict=True):
-        before, after = a.read_bytes(), b.read_bytes()
+        before = a.read_bytes()
+        after = b.read_bytes()
         if before != after:
             old_lines, new_lines = (x.decode("latin-1").splitlines() for x in (before, after))
             parts += difflib.unified_diff(old_lines, new_lines, a.name, b.name, lineterm="")
     return "\n".join(parts) + ("\n" if parts else "")
-
-
-def _main(model: Model) -> str:
-    if not model.files:
-        raise InputError("this model was not read from a deck, so there is none to edit")
-    return model.files[0]
 
 
 def _number(files: Sequence[Path], wanted: Path) -> int:
@@ -232,7 +228,7 @@ def _copies(files: Sequence[Path], data: Sequence[bytes], out_dir: Path) -> list
     return targets
 
 
-class _File:
+class _FileLines:
     """The lines of a file, each with its line ending."""
 
     def __init__(self, data: bytes) -> None:
@@ -247,7 +243,7 @@ class _File:
 
 
 @dataclass(frozen=True, slots=True)
-class _Group:
+class _CardChanges:
     """All changes of one card of the deck."""
 
     card: int
@@ -286,13 +282,17 @@ def _finder(model: Model, found: Cards) -> Callable[[FieldChange], int]:
                 "it is written by replication (=), or a replicated card repeats it; write the "
                 "cards out first"
             )
-            path, first = found.place(card)
-            raise DeckError(
-                why, path=path, line=first, card=f"{change.card} {change.id}", field=change.field
-            )
+            raise _refused(found, card, change, why)
         return card
 
     return find
+
+
+def _refused(found: Cards, card: int, change: FieldChange, why: str) -> DeckError:
+    """The error of a change that a card of the deck cannot take."""
+    path, line = found.place(card)
+    named = f"{change.card} {change.id}"
+    return DeckError(why, path=path, line=line, card=named, field=change.field)
 
 
 def _taken(model: Model, change: FieldChange, row: int) -> str:
@@ -305,8 +305,7 @@ def _taken(model: Model, change: FieldChange, row: int) -> str:
     return f"{other.other} {number}" if other and number > other.other_default else ""
 
 
-def _edit_card(found: Cards, contents: Sequence[_File], group: _Group) -> None:
-    path, line = found.place(group.card)
+def _edit_card(found: Cards, contents: Sequence[_FileLines], group: _CardChanges) -> None:
     name = found.name[group.card].decode()
     rows = found.raw_of[found.head[group.card] + np.arange(found.count[group.card])]
     at: list[Place] = [(int(found.deck.file[r]), int(found.deck.line[r])) for r in rows]
@@ -315,19 +314,16 @@ def _edit_card(found: Cards, contents: Sequence[_File], group: _Group) -> None:
     for change in group.changes:
         if change.card != name:
             why = f"it was made from a {name}; change that card's own fields"
-            raise DeckError(
-                why, path=path, line=line, card=f"{change.card} {change.id}", field=change.field
-            )
+            raise _refused(found, group.card, change, why)
         place = field_place(name, _texts(lines), change.id, change.field)
         if _inherits(change, place, lines, given):
             continue
         if place is None and name == "PBUSH":
-            place = _bush_place(lines, change.id, change.field)
+            # the place of a field on a new line of a PBUSH, which gets the line's flag
+            _set(lines, -(-_starts(lines)[-1] // 8) * 8 + 1, bush_flag(change.field))
+            place = field_place("PBUSH", _texts(lines), change.id, change.field)
         if place is None:
-            why = "the card has no place for it"
-            raise DeckError(
-                why, path=path, line=line, card=f"{change.card} {change.id}", field=change.field
-            )
+            raise _refused(found, group.card, change, "the card has no place for it")
         follower = inherited(name, _texts(lines), change.field)
         if follower and follower[1]:  # the next ply keeps what it has
             at_next, text = follower
@@ -337,12 +333,6 @@ def _edit_card(found: Cards, contents: Sequence[_File], group: _Group) -> None:
         contents[f].lines[n - 1] = lines[i].whole
     f, n = at[-1]
     contents[f].lines[n - 1] += b"".join(x.whole for x in lines[len(at) :])
-
-
-def _bush_place(lines: list[_Line], id: int, field: str) -> int | None:
-    """The place of a field on a new line of a PBUSH, which gets the line's flag."""
-    _set(lines, -(-_starts(lines)[-1] // 8) * 8 + 1, bush_flag(field))
-    return field_place("PBUSH", _texts(lines), id, field)
 
 
 def _inherits(
@@ -397,7 +387,8 @@ class _Line:
 
 def _starts(lines: Sequence[_Line]) -> list[int]:
     """Number of the first data field of each line, and of the one behind the card."""
-    out, at = [], 0
+    out = []
+    at = 0
     for line in lines:
         if line.size == 8 and at % 8:
             at += 4
@@ -423,7 +414,8 @@ def _set(lines: list[_Line], place: int, value: int | float | str) -> None:
         lines.append(_continuation(lines[-1]))
     starts = _starts(lines)
     at = max(i for i, s in enumerate(starts[:-1]) if s <= place)
-    line, k = lines[at], place - starts[at]
+    line = lines[at]
+    k = place - starts[at]
     width = 16 if line.is_large else 8
     if line.fields.style == "free":
         line.text = _set_free(line, k, value, width)
@@ -439,14 +431,14 @@ def _continuation(last: _Line) -> _Line:
     last.ending = ending
     if last.fields.style == "free":
         return _Line((b"*," if last.is_large else b"+,") + ending)
-    tag = (
-        last.text.expandtabs(8)[73:80].strip() if last.fields.end >= 72 else b""
-    )  # column 73 is no part of the name
+    # column 73 is no part of the name
+    tag = last.text.expandtabs(8)[73:80].strip() if last.fields.end >= 72 else b""
     return _Line((b"*" if last.is_large else b"+") + tag + ending)
 
 
 def _set_free(line: _Line, k: int, value: int | float | str, width: int) -> bytes:
-    fields, text = line.fields, line.text
+    fields = line.fields
+    text = line.text
     if k >= len(fields.spans):
         end = len(text[: fields.end].rstrip())
         new = format_field(value, width).encode()
@@ -462,7 +454,8 @@ def _set_free(line: _Line, k: int, value: int | float | str, width: int) -> byte
 
 
 def _set_fixed(line: _Line, k: int, value: int | float | str, width: int) -> bytes:
-    fields, text = line.fields, line.text
+    fields = line.fields
+    text = line.text
     new = format_field(value, width).encode()
     a, b = fields.spans[k]
     old = text[a:b]

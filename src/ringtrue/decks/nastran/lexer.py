@@ -51,7 +51,8 @@ def _blocks(cells: NDArray[np.bytes_]) -> Iterator[tuple[slice, NDArray[np.uint8
 
 def integers(cells: NDArray[np.bytes_]) -> tuple[Int, Bool]:
     """Integers of stripped cells (n,) and which of them are well formed, each (n,)."""
-    value, good = np.empty(cells.size, dtype=np.int64), np.empty(cells.size, dtype=bool)
+    value = np.empty(cells.size, dtype=np.int64)
+    good = np.empty(cells.size, dtype=bool)
     for at, c in _blocks(cells):
         digit = (c - np.uint8(48)) <= 9
         other = ~digit & (c != 0)
@@ -75,15 +76,18 @@ def reals(cells: NDArray[np.bytes_]) -> tuple[Float, Bool]:
     values : (n,) float64
     well_formed : (n,) bool
     """
-    value, good = np.empty(cells.size), np.empty(cells.size, dtype=bool)
+    value = np.empty(cells.size)
+    good = np.empty(cells.size, dtype=bool)
     for at, c in _blocks(cells):
         value[at], good[at] = _reals(cells[at], c)
     return value, good
 
 
 def _reals(cells: NDArray[np.bytes_], c: NDArray[np.uint8]) -> tuple[Float, Bool]:
-    digit, sign = (c - np.uint8(48)) <= 9, (c == _PLUS) | (c == _MINUS)
-    letter, dot = (c == _E) | (c == _D), c == _DOT
+    digit = (c - np.uint8(48)) <= 9
+    sign = (c == _PLUS) | (c == _MINUS)
+    letter = (c == _E) | (c == _D)
+    dot = c == _DOT
     mark = letter.copy()  # where the exponent begins: a letter, or a sign that no letter precedes
     mark[1:] |= sign[1:] & ~letter[:-1]
     tail = np.logical_or.accumulate(mark, axis=0)
@@ -199,7 +203,8 @@ def _name(first: bytes) -> str:
 
 def _columns(data: bytes) -> list[int]:
     """Column of each byte, tabs going to the next multiple of 8."""
-    columns, at = [], 0
+    columns = []
+    at = 0
     for b in data:
         columns.append(at)
         at = (at // 8 + 1) * 8 if b == 9 else at + 1
@@ -235,7 +240,8 @@ class Reader:
     """Reads fields of one card, blaming the right place."""
 
     def __init__(self, card: Card, files: Files) -> None:
-        self.card, self.files = card, files
+        self.card = card
+        self.files = files
 
     def text(self, i: int) -> str:
         return self.card.fields[i] if i < len(self.card.fields) else ""
@@ -304,7 +310,8 @@ class FreeLines:
         fewer.
         """
         last = max(self.comma.size - 1, 0)
-        count, first = self.count[rows], self.first[rows]
+        count = self.count[rows]
+        first = self.first[rows]
         stop = self.deck.stop[rows]
         begin = self.deck.start[rows] if k == 0 else self.comma[np.minimum(first + k - 1, last)] + 1
         end = np.where(k < count, self.comma[np.minimum(first + k, last)], stop)
@@ -366,7 +373,7 @@ def _blanks(lines: FreeLines) -> list[int]:
         at = rows[a : a + BLOCK]
         first = lines.field(at, 0)
         inside = (np.strings.find(first, b" ") >= 0) | (np.strings.find(first, b"\t") >= 0)
-        for row in at[inside].tolist():  # hardly ever
+        for row in at[inside].tolist():  # rare
             begin = int(lines.deck.start[row])
             line = lines.deck.raw[begin : int(lines.deck.stop[row])]
             out += [begin + cut for cut in cuts(line) if line[cut] != 44]

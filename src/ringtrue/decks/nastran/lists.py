@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ringtrue.core.arrays import Int
 from ringtrue.decks.nastran.lexer import Card, Files, Reader, integers, places, ragged, reals
-from ringtrue.errors import DeckError, UnsupportedCard
+from ringtrue.errors import UnsupportedCard
 from ringtrue.model.model import Ragged, Table
 
 _LAMINATE: tuple[tuple[str, float | str], ...] = (
@@ -192,7 +192,8 @@ def genel(cards: Sequence[Card], files: Files) -> Table:
             at = [i for i in blocks.get(block, range(0))[::2] if r.text(i)]
             lists[f"U{kind}"].append([r.whole(i, f"U{kind}") for i in at])
             lists[f"C{kind}"].append([r.whole(i + 1, f"C{kind}", 0) for i in at])
-        n, d = len(lists["UI"][-1]), len(lists["UD"][-1])
+        n = len(lists["UI"][-1])
+        d = len(lists["UD"][-1])
         if not n:
             raise r.fail("UI", "no component")
         form = head["FORM"][-1]
@@ -273,15 +274,13 @@ def _numbers(text: Sequence[str], cards: Sequence[Card], key: str, files: Files)
     values, good = (reals if real else integers)(cells)
     if not good.all():
         i = int(np.flatnonzero(~good)[0])
-        raise _wrong(cards[i], key, text[i], real, files)
+        kind = "a real" if real else "an integer"
+        raise Reader(cards[i], files).fail(key, f"{text[i]!r} is not {kind}")
     return values
 
 
-def _wrong(card: Card, key: str, text: str, real: bool, files: Files) -> DeckError:
-    return Reader(card, files).fail(key, f"{text!r} is not {'a real' if real else 'an integer'}")
-
-
-PAIRS, LISTS = ("NSM", "NSML"), ("NSM1", "NSML1")
+PAIRS = ("NSM", "NSML")
+LISTS = ("NSM1", "NSML1")
 VALUE = {"NSM": 3, "NSML": 3, "NSM1": 2, "NSML1": 2}  # its place where a card has one
 
 
@@ -340,7 +339,8 @@ def _ids(r: Reader) -> list[int]:
         if r.text(i) != "THRU" or not out or not at:
             out.append(r.whole(i, "ID"))
             continue
-        last, step = r.whole(at.pop(0), "ID"), 1
+        last = r.whole(at.pop(0), "ID")
+        step = 1
         if len(at) > 1 and r.text(at[0]) == "BY":
             step = r.whole(at[1], "ID")
             at = at[2:]

@@ -145,7 +145,8 @@ def load_cases(found: Cards) -> tuple[LoadCase, ...]:
 def _of_set(found: Cards, number: int) -> tuple[AnyLoad, ...]:
     for r in (Reader(c, found.deck.files) for c in written_out(found, "LOAD")):
         if r.whole(0, "SID") == number:
-            every, last = r.real(1, "S", 0.0), len(r.card.fields) - 1
+            every = r.real(1, "S", 0.0)
+            last = len(r.card.fields) - 1
             pairs = [
                 (every * r.real(i, "Si", 0.0), r.whole(i + 1, "Li"))
                 for i in range(2, last, 2)
@@ -161,7 +162,7 @@ def _alone(found: Cards, number: int) -> tuple[AnyLoad, ...]:
     for name in (n.decode() for n in found.kinds()[0].tolist()):
         if name == "LOAD" or name.startswith("TEMP") or not name.startswith(PRELOADS):
             continue
-        for c in written_out(found, name):  # over the loads, which are few beside the elements
+        for c in written_out(found, name):  # over the loads, which are fewer than the elements
             r = Reader(c, found.deck.files)
             if r.text(0) != str(number):
                 continue
@@ -188,7 +189,8 @@ def _node(r: Reader) -> int:
 def _force(r: Reader) -> list[AnyLoad]:
     """FORCE and MOMENT: SID G CID F N1 N2 N3; GRAV: SID CID A N1 N2 N3."""
     at = 1 if r.card.name == "GRAV" else 2
-    node, cid = 0 if at == 1 else _node(r), r.whole(at, "CID", 0)
+    node = 0 if at == 1 else _node(r)
+    cid = r.whole(at, "CID", 0)
     return [Load(r.card.name, node, cid, _vector(r, at + 2)).times(r.real(at + 1, "the size", 0.0))]
 
 
@@ -233,7 +235,8 @@ def _pload4(r: Reader) -> list[AnyLoad]:
     """PLOAD4: SID EID P1 P2 P3 P4 and G1 G3, or THRU EID2; CID N1 N2 N3 SORL LDIR."""
     first = r.real(2, "P1", 0.0)
     sizes = tuple(r.real(i, f"P{i - 1}", first) for i in (2, 3, 4, 5))
-    eid, ranged = r.whole(1, "EID"), r.text(6).upper() == "THRU"
+    eid = r.whole(1, "EID")
+    ranged = r.text(6).upper() == "THRU"
     last, nodes = (
         (r.whole(7, "EID2"), (0, 0))
         if ranged
@@ -244,17 +247,30 @@ def _pload4(r: Reader) -> list[AnyLoad]:
         raise r.fail("SORL", "loads along edges (LINE) and LDIR are not read; give FORCE")
     if vector is not None and not np.any(vector):
         raise r.fail("N1", "a direction without length")
-    return [Pressure("PLOAD4", _place(r), sizes, eid, last, nodes, r.whole(8, "CID", 0), vector)]
+    pressure = Pressure(
+        card="PLOAD4",
+        place=_place(r),
+        sizes=sizes,
+        first=eid,
+        last=last,
+        nodes=nodes,
+        cid=r.whole(8, "CID", 0),
+        vector=vector,
+    )
+    return [pressure]
 
 
 def _pload1(r: Reader) -> list[AnyLoad]:
     """PLOAD1: SID EID TYPE SCALE X1 P1 X2 P2."""
-    kind, scale = r.text(2).upper(), r.text(3).upper()
+    kind = r.text(2).upper()
+    scale = r.text(3).upper()
     if kind not in LINE_KINDS:
         raise r.fail("TYPE", f"{kind or 'blank'}; allowed are {' '.join(LINE_KINDS)}")
     if scale not in LINE_SCALES:
         raise r.fail("SCALE", f"{scale or 'blank'}; allowed are {' '.join(LINE_SCALES)}")
-    first, size, single = r.real(4, "X1"), r.real(5, "P1"), not r.text(6)
+    first = r.real(4, "X1")
+    size = r.real(5, "P1")
+    single = not r.text(6)
     last = first if single else r.real(6, "X2")
     if not 0 <= first <= last:
         raise r.fail("X1", f"from {first:g} to {last:g}; must be 0 <= X1 <= X2")
@@ -264,14 +280,24 @@ def _pload1(r: Reader) -> list[AnyLoad]:
         raise r.fail("SCALE", f"{scale} is read with FX, FY and FZ; for {kind} give {scale[:2]}")
     sizes = (size, size if single else r.real(7, "P2"))
     eid = r.whole(1, "EID")
-    return [LineLoad(_place(r), eid, kind, (first, last), sizes, scale[:2] == "FR", projected)]
+    load = LineLoad(
+        place=_place(r),
+        element=eid,
+        kind=kind,
+        ends=(first, last),
+        sizes=sizes,
+        fraction=scale[:2] == "FR",
+        projected=projected,
+    )
+    return [load]
 
 
 def _spcd(r: Reader) -> list[AnyLoad]:
     """SPCD: SID G1 C1 D1 G2 C2 D2; components as in SPC, 0 or blank for a scalar point."""
     out = list[AnyLoad]()
     for at in (i for i in (1, 4) if r.text(i)):
-        node, size = r.whole(at, "G"), r.real(at + 2, "D", 0.0)
+        node = r.whole(at, "G")
+        size = r.real(at + 2, "D", 0.0)
         out += [Moved(_place(r), node, int(c), size) for c in r.text(at + 1) or "0"]
     return out
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ringtrue.core.arrays import Any_, Int
 from ringtrue.decks.nastran.beams import dimensions
@@ -41,9 +40,8 @@ from ringtrue.decks.nastran.tables import (
     refuse_parameter,
 )
 from ringtrue.errors import DeckError, UnsupportedCard
-from ringtrue.model.cards import CARDS, NONSTRUCTURAL, columns, is_unsupported, reason
+from ringtrue.model.cards import CARDS, MADE, NONSTRUCTURAL, columns, is_unsupported, reason
 from ringtrue.model.case_control import ModalDamping, idle, left_out
-from ringtrue.model.dimensions import MADE
 from ringtrue.model.model import Model, Ragged, Table, stacked
 from ringtrue.model.references import Missing, missing
 
@@ -113,7 +111,8 @@ def _read(deck: Deck) -> tuple[Model, Cards]:
         raise UnsupportedCard(
             "BEGIN SUPER", path=deck.files[file], line=line, why=reason("BEGIN SUPER")
         )
-    found, path = cards(deck), deck.files[0]
+    found = cards(deck)
+    path = deck.files[0]
     _refuse(found)
     model, skipped = _model(found)
     for card, (why, place) in skipped.items():
@@ -237,9 +236,8 @@ def _model(found: Cards) -> tuple[Model, dict[str, tuple[str, tuple[str, int]]]]
         tables |= fill(default, tables, found)
     _refuse_both(tables, found.deck.files)
     tables |= implied_points(tables)
-    if (
-        "SPOINT" in tables and "GRID" not in tables
-    ):  # springs and masses between scalar points alone
+    # springs and masses between scalar points alone
+    if "SPOINT" in tables and "GRID" not in tables:
         tables["GRID"] = empty("GRID")
     if b"SPC1" in names:  # a THRU passes over points that are not there
         tables["SPC1"] = make_table(found, "SPC1", _points(tables))
@@ -254,7 +252,8 @@ def _model(found: Cards) -> tuple[Model, dict[str, tuple[str, tuple[str, int]]]]
 def _params(found: Cards) -> dict[str, int | float | str]:
     out: dict[str, int | float | str] = {}
     for card in written_out(found, "PARAM"):
-        name, text = card.fields[0], card.fields[1]
+        name = card.fields[0]
+        text = card.fields[1]
         if not name:
             raise DeckError(
                 "a PARAM without a name",
@@ -275,7 +274,7 @@ def _points(tables: Mapping[str, Table]) -> Int:
 
 
 def _unique(table: Table, files: tuple[str, ...]) -> Table:
-    """The table; nodes and frames that are said twice alike are dropped, as Nastran does."""
+    """The table; equal definitions of one node or frame count once, as Nastran does."""
     ids = table.ids
     if (ids[1:] > ids[:-1]).all():
         return table
@@ -284,7 +283,9 @@ def _unique(table: Table, files: tuple[str, ...]) -> Table:
         return table
     again = np.flatnonzero(first[inverse] != np.arange(ids.size))
     if table.card.startswith(("GRID", "CORD")):
-        again = again[~_same(table, again, first[inverse[again]])]
+        before = first[inverse[again]]
+        equal = [table[name][again] == table[name][before] for name in table.columns]
+        again = again[~np.all(equal, axis=0)]
     if again.size:
         raise _twice(table, int(again[0]), table, int(first[inverse[again[0]]]), files)
     keep = np.sort(first)
@@ -305,11 +306,14 @@ def _refuse_shared(tables: Sequence[Table], files: tuple[str, ...]) -> None:
 def _refuse_both(tables: Mapping[str, Table], files: tuple[str, ...]) -> None:
     """Refuse an SPOINT with the number of a GRID: which of the two a card names would be open."""
     if "SPOINT" in tables and "GRID" in tables:
-        points, grid = tables["SPOINT"], tables["GRID"]
+        points = tables["SPOINT"]
+        grid = tables["GRID"]
         ids = points.ragged("ID")
         if (both := np.flatnonzero(np.isin(ids.values, grid.ids))).size:
-            node, row = ids.values[both[0]], int(ids.owner[both[0]])
-            path, line = files[points.file[row]], int(points.line[row])
+            node = ids.values[both[0]]
+            row = int(ids.owner[both[0]])
+            path = files[points.file[row]]
+            line = int(points.line[row])
             raise DeckError(
                 f"{node} is the number of a GRID, too", path=path, line=line, card="SPOINT"
             )
@@ -326,13 +330,10 @@ def _twice(table: Table, row: int, other: Table, before: int, files: tuple[str, 
     )
 
 
-def _same(table: Table, a: Int, b: Int) -> NDArray[np.bool_]:
-    return np.asarray(np.all([table[name][a] == table[name][b] for name in table.columns], axis=0))
-
-
 def _dangling(model: Model, lost: Missing) -> DeckError:
     table = model[lost.reference.card]
-    row, wanted = int(lost.rows[0]), int(lost.ids[0])
+    row = int(lost.rows[0])
+    wanted = int(lost.ids[0])
     of = lost.reference.names
     more = f" ({lost.rows.size - 1} more like it)" if lost.rows.size > 1 else ""
     what = (

@@ -38,8 +38,7 @@ from ringtrue.decks.nastran.lists import (
     rspline,
 )
 from ringtrue.errors import InputError
-from ringtrue.model.cards import CARDS, columns
-from ringtrue.model.dimensions import END_A, END_B, MADE
+from ringtrue.model.cards import CARDS, END_A, END_B, MADE, columns
 from ringtrue.model.edit import ply_field
 from ringtrue.model.model import Ragged, Table
 
@@ -67,8 +66,8 @@ def _spc(cards: Sequence[Card], files: Files) -> Table:
 def _several(
     card: str, id_name: str, names: Sequence[str], pitch: int = 0, *, whole: bool = False
 ) -> Callable[[Sequence[Card], Files], Table]:
-    """A card that holds several rows of 1 + len(names) fields, real or `whole` numbers, `pitch`
-    fields apart.
+    """A card that holds several rows of 1 + len(names) fields, real or `whole` numbers, at every
+    `pitch`-th field.
     """
 
     def read(cards: Sequence[Card], files: Files) -> Table:
@@ -93,7 +92,10 @@ def _several(
 
 
 def _mpc(cards: Sequence[Card], files: Files) -> Table:
-    sid, g, comp, a = [], [], [], []
+    sid = []
+    g = []
+    comp = []
+    a = []
     for c in cards:
         r = Reader(c, files)
         sid.append(r.whole(0, "SID"))
@@ -112,7 +114,14 @@ def _mpc(cards: Sequence[Card], files: Files) -> Table:
 
 
 def _rbe3(cards: Sequence[Card], files: Files) -> Table:
-    eid, ref, refc, g, comp, w, gm, cm = [], [], [], [], [], [], [], []
+    eid = []
+    ref = []
+    refc = []
+    g = []
+    comp = []
+    w = []
+    gm = []
+    cm = []
     for c in cards:
         r = Reader(c, files)
         eid.append(r.whole(0, "EID"))
@@ -152,7 +161,10 @@ def _rbe3_groups(r: Reader) -> tuple[list[int], list[str], list[float]]:
     nodes: list[int] = []
     comps: list[str] = []
     weights: list[float] = []
-    i, weight, comp, fresh = 4, 1.0, "", False
+    i = 4
+    weight = 1.0
+    comp = ""
+    fresh = False
     while i < len(r.card.fields):
         t = r.text(i).upper()
         if t in ("UM", "ALPHA"):
@@ -166,7 +178,9 @@ def _rbe3_groups(r: Reader) -> tuple[list[int], list[str], list[float]]:
             weights.extend([weight] * len(more))
             i += 2
         elif not t.lstrip("+-").isdigit():
-            weight, comp, fresh = r.real(i, "WT"), r.text(i + 1), True
+            weight = r.real(i, "WT")
+            comp = r.text(i + 1)
+            fresh = True
             i += 2
         else:
             if not comp:
@@ -271,7 +285,9 @@ def field_place(name: str, fields: Sequence[str], id: int, field: str) -> int | 
         If the field is no single field of that card.
     """
     if name in _SEVERAL:
-        return _of_several(name, fields, id, field)
+        names = ("PID", *_SEVERAL[name])
+        starts = range(0, len(fields), len(names))
+        return next((i + names.index(field) for i in starts if fields[i] == str(id)), None)
     if name in VALUE and field == "VALUE":
         return VALUE[name]
     if name in CARDS:
@@ -296,12 +312,6 @@ def _by_schema(name: str, field: str) -> int:
         if field in (spec.name, spec.other) and not spec.tail and not spec.blank:
             return i
     raise InputError(f"{name} field {field} cannot be changed in place")
-
-
-def _of_several(name: str, fields: Sequence[str], id: int, field: str) -> int | None:
-    names = ("PID", *_SEVERAL[name])
-    starts = range(0, len(fields), len(names))
-    return next((i + names.index(field) for i in starts if fields[i] == str(id)), None)
 
 
 def _of_laminate(name: str, fields: Sequence[str], field: str) -> int | None:

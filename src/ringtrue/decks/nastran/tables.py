@@ -201,11 +201,14 @@ def _expanded(
     i = 0
     while i < len(words) and b"." not in words[i]:
         first = last = _whole(cards, card, words[i], field)
-        step, i = 1, i + 1
+        step = 1
+        i = i + 1
         if words[i : i + 1] == [b"THRU"]:
-            last, i = _whole(cards, card, words[i + 1] if words[i + 1 :] else b"", field), i + 2
+            last = _whole(cards, card, words[i + 1] if words[i + 1 :] else b"", field)
+            i = i + 2
             if words[i : i + 1] == [b"BY"]:
-                step, i = _whole(cards, card, words[i + 1] if words[i + 1 :] else b"", field), i + 2
+                step = _whole(cards, card, words[i + 1] if words[i + 1 :] else b"", field)
+                i = i + 2
             if last < first or step < 1:
                 raise fault(
                     cards,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterator, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +13,8 @@ from ringtrue.core.arrays import Float
 from ringtrue.decks.nastran.beams import WELD_ENDS, WELD_POINT, WELD_TYPES, bend_places
 from ringtrue.decks.nastran.lists import BUSH
 from ringtrue.errors import InputError, UnsupportedError
-from ringtrue.model.cards import CARDS, FieldSpec, columns
+from ringtrue.model.cards import CARDS, END_A, END_B, MADE, FieldSpec, columns
 from ringtrue.model.case_control import METHODS
-from ringtrue.model.dimensions import MADE
 from ringtrue.model.model import Model, Table
 
 Value = int | float | str | None
@@ -36,13 +36,11 @@ def format_real(value: float, width: int = 8) -> str:
         raise InputError(f"{value} cannot stand in a bulk data field")
     if value == 0:
         return "0.0"
-    digits, exponent = _digits(repr(float(value)))
-    for text in _forms(digits, exponent):
-        if len(text) <= width:
-            return text
-    for count in range(min(len(digits.lstrip("-")), width), 0, -1):
-        digits, exponent = _digits(f"{value:.{count - 1}e}")
-        for text in _forms(digits, exponent):
+    exact = repr(float(value))
+    count = min(len(_digits(exact)[0].lstrip("-")), width)
+    rounded = (f"{value:.{k - 1}e}" for k in range(count, 0, -1))
+    for digits in (exact, *rounded):
+        for text in _forms(*_digits(digits)):
             if len(text) <= width:
                 return text
     raise InputError(f"{value} does not fit into a field of {width} characters")
@@ -62,7 +60,8 @@ def _forms(digits: str, exponent: int) -> Iterator[str]:
     """Spellings, the pleasant ones first."""
     sign, d = ("-", digits[1:]) if digits.startswith("-") else ("", digits)
     if 0 <= exponent < 16:
-        whole, fraction = d[: exponent + 1].ljust(exponent + 1, "0"), d[exponent + 1 :]
+        whole = d[: exponent + 1].ljust(exponent + 1, "0")
+        fraction = d[exponent + 1 :]
         yield f"{sign}{whole}.{fraction or '0'}"
         yield f"{sign}{whole}.{fraction}"
     elif -16 < exponent < 0:
@@ -110,10 +109,11 @@ def format_card(name: str, fields: Sequence[Value], *, large: bool = False) -> s
     width, per_line = (16, 4) if large else (8, 8)
     lines = []
     for start in range(0, max(len(values), 1), per_line):
-        head = (f"{name}*" if large else name) if start == 0 else ("*" if large else "")
-        body = "".join(
-            format_field(v, width).rjust(width) for v in values[start : start + per_line]
-        )
+        head = "" if start else name
+        if large:
+            head += "*"
+        fitting = (format_field(v, width) for v in values[start : start + per_line])
+        body = "".join(text.rjust(width) for text in fitting)
         lines.append((head.ljust(8) + body).rstrip() or "+")
     return "\n".join(lines) + "\n"
 
@@ -124,43 +124,49 @@ def large_card(card: str, fields: Sequence[Value]) -> str:
     return text if text.count("\n") % 2 == 0 else text + "*\n"
 
 
+def _rows(t: Table, *names: str) -> Iterator[tuple[Any, ...]]:
+    """Values of plain columns, row by row."""
+    return zip(*(t[name].tolist() for name in names), strict=True)
+
+
+def _entries(t: Table, row: int, *names: str) -> list[tuple[Any, ...]]:
+    """Values of ragged columns of equal length, entry by entry of one row."""
+    return list(zip(*(t.ragged(name).row(row).tolist() for name in names), strict=True))
+
+
+def _real(value: float) -> float | None:
+    """None, a blank field, for nan."""
+    return None if np.isnan(value) else float(value)
+
+
 def _spc(t: Table) -> Iterator[str]:
-    for sid, g, c, d in zip(*(t[k].tolist() for k in ("SID", "G", "C", "D")), strict=True):
+    for sid, g, c, d in _rows(t, "SID", "G", "C", "D"):
         yield format_card("SPC", (sid, g, c if c != "0" else None, d))
 
 
 def _mpc(t: Table) -> Iterator[str]:
-    g, c, a = (t.ragged(k) for k in "GCA")
     for i, sid in enumerate(t["SID"].tolist()):
-        terms = list(zip(g.row(i).tolist(), c.row(i).tolist(), a.row(i).tolist(), strict=True))
         fields: list[Value] = [sid]
-        for k, term in enumerate(terms):
-            fields += [*(term[0], term[1] or None, term[2])]
-            if k % 2 and k + 1 < len(terms):
+        for k, (node, component, factor) in enumerate(_entries(t, i, "G", "C", "A")):
+            if k and k % 2 == 0:  # two terms on a pair of lines
                 fields += [None, None]
+            fields += [node, component or None, factor]
         yield large_card("MPC", fields)
 
 
 def _rbe3(t: Table) -> Iterator[str]:
-    g, c, w = (t.ragged(k) for k in ("G", "C", "WT"))
-    for i, (eid, ref, refc) in enumerate(
-        zip(*(t[k].tolist() for k in ("EID", "REFGRID", "REFC")), strict=True)
-    ):
+    dependent = [name for name in ("GM", "CM") if name in t.columns]
+    for i, (eid, ref, refc) in enumerate(_rows(t, "EID", "REFGRID", "REFC")):
         fields: list[Value] = [eid, None, ref, refc]
         before: tuple[float, str] | None = None
-        for node, comp, weight in zip(
-            g.row(i).tolist(), c.row(i).tolist(), w.row(i).tolist(), strict=True
-        ):
+        for node, comp, weight in _entries(t, i, "G", "C", "WT"):
             if (weight, comp) != before:
                 fields += [weight, comp]
                 before = (weight, comp)
             fields.append(node)
-        dependent = [
-            v for k in ("GM", "CM") if k in t.columns for v in [t.ragged(k).row(i).tolist()]
-        ]
-        for k, pair in enumerate(zip(*dependent, strict=True)):
+        for k, pair in enumerate(_entries(t, i, *dependent)):
             if k % 3 == 0:  # UM opens a line, three pairs stand on each
-                fields += [None] * (-len(fields) % 8) + (["UM"] if not k else [None])
+                fields += [*[None] * (-len(fields) % 8), None if k else "UM"]
             fields += pair
         yield format_card("RBE3", fields)
 
@@ -171,37 +177,33 @@ def _pbush(t: Table) -> Iterator[str]:
         for flag, names in BUSH.items():
             values = [float(t[n][i]) for n in names if n in t.columns]
             if np.nan_to_num(values).any():
-                written = (
-                    None if np.isnan(v) or (v == 0 and flag != "GE") else v for v in values
-                )  # a 0 in GE counts
-                lines.append([flag, *written, *[None] * (6 - len(values))])
-        fields: list[Value] = [pid]
-        for k, line in enumerate(lines or _NO_STIFFNESS):
-            fields += [*([None] if k else []), *line]
+                if flag != "GE":  # a 0 in GE counts
+                    values = [v or np.nan for v in values]
+                lines.append([flag, *map(_real, values), *[None] * (6 - len(values))])
+        first, *others = lines or [["K"]]
+        fields: list[Value] = [pid, *first]
+        for line in others:
+            fields += [None, *line]
         yield large_card("PBUSH", fields)
 
 
-_NO_STIFFNESS: list[list[Value]] = [["K"]]
-_BEAM_A, _BEAM_B = ("A", "I1", "I2", "I12", "J", "NSM"), ("AB", "I1B", "I2B", "I12B", "JB", "NSMB")
 _BEAM_X = ("X", "AX", "I1X", "I2X", "I12X", "JX", "NSMX")
 _BEAM_TAIL = ("K1", "K2", "S1", "S2", "NSIA", "NSIB")
 _BEAM_AXIS = ("M1A", "M2A", "M1B", "M2B", "N1A", "N2A", "N1B", "N2B")
 
 
 def _pbeam(t: Table) -> Iterator[str]:
-    for i in range(len(t)):
-
-        def values(names: Sequence[str], i: int = i) -> list[Value]:
-            return [float(t[n][i]) for n in names]
-
-        blank: list[Value] = [None] * 8
-        fields = [int(t["PID"][i]), int(t["MID"][i]), *values(_BEAM_A), *blank]
-        for station in zip(
-            *(t.ragged(n).row(i).tolist() for n in _BEAM_X if n in t.columns), strict=True
-        ):
-            fields += ["NO", *(None if np.isnan(v) else v for v in station)]
-        fields += ["YES", 1.0, *values(_BEAM_B), *blank]
-        fields += [*values(_BEAM_TAIL), None, None, *values(_BEAM_AXIS)]
+    ends_a, ends_b, tail, axis = (
+        t.stack(*names).astype(float).tolist() for names in (END_A, END_B, _BEAM_TAIL, _BEAM_AXIS)
+    )
+    along = [name for name in _BEAM_X if name in t.columns]
+    blank: list[Value] = [None] * 8
+    for i, head in enumerate(_rows(t, "PID", "MID")):
+        fields: list[Value] = [*head, *ends_a[i], *blank]
+        for station in _entries(t, i, *along):
+            fields += ["NO", *map(_real, station)]
+        fields += ["YES", 1.0, *ends_b[i], *blank]
+        fields += [*tail[i], None, None, *axis[i]]
         yield large_card("PBEAM", fields)
 
 
@@ -210,59 +212,47 @@ def _pbend(t: Table) -> Iterator[str]:
         at = bend_places(["", "", "1" if pipe else ""])
         fields: list[Value] = [int(t["PID"][i]), int(t["MID"][i]), *[None] * max(at.values())]
         for name, k in at.items():
-            fields[k] = (
-                int(t[name][i])
-                if name == "FSI"
-                else None
-                if np.isnan(t[name][i])
-                else float(t[name][i])
-            )
+            fields[k] = int(t[name][i]) if name == "FSI" else _real(t[name][i])
         yield large_card("PBEND", fields)
 
 
 def _nsm_pairs(t: Table) -> Iterator[str]:
-    for row in zip(*(t[k].tolist() for k in ("SID", "TYPE", "ID", "VALUE")), strict=True):
+    for row in _rows(t, "SID", "TYPE", "ID", "VALUE"):
         yield large_card(t.card, row)
 
 
 def _nsm_lists(t: Table) -> Iterator[str]:
-    for i, head in enumerate(zip(*(t[k].tolist() for k in ("SID", "TYPE", "VALUE")), strict=True)):
-        yield large_card(
-            t.card, [*head, *("ALL" if g == 0 else g for g in t.ragged("ID").row(i).tolist())]
-        )
+    for i, head in enumerate(_rows(t, "SID", "TYPE", "VALUE")):
+        ids = t.ragged("ID").row(i).tolist()
+        yield large_card(t.card, [*head, *(g or "ALL" for g in ids)])
 
 
 def _rbe1(t: Table) -> Iterator[str]:
-    pairs = {k: t.ragged(k) for k in ("GN", "CN", "GM", "CM")}
     for i, eid in enumerate(t["EID"].tolist()):
         fields: list[Value] = [eid]
-        for flag, (g, c) in ((None, ("GN", "CN")), ("UM", ("GM", "CM"))):
-            terms = list(zip(pairs[g].row(i).tolist(), pairs[c].row(i).tolist(), strict=True))
-            for k in range(0, len(terms), 3):
-                fields += [flag if k == 0 else None] if flag or k else []
-                line = [v for term in terms[k : k + 3] for v in term]
-                fields += [*line, *[None] * (-len(fields) - len(line) & 7)]
+        for flag, names in ((None, ("GN", "CN")), ("UM", ("GM", "CM"))):
+            terms = _entries(t, i, *names)
+            for k in range(0, len(terms), 3):  # three on a line, behind the number, UM or a blank
+                if flag or k:
+                    fields.append(None if k else flag)
+                fields += [v for term in terms[k : k + 3] for v in term]
+                fields += [None] * (-len(fields) % 8)
         yield format_card("RBE1", fields)
 
 
 def _rspline(t: Table) -> Iterator[str]:
-    g, c = t.ragged("G"), t.ragged("C")
-    for i, (eid, ratio) in enumerate(zip(t["EID"].tolist(), t["DL"].tolist(), strict=True)):
-        pairs = list(zip(g.row(i).tolist(), c.row(i).tolist(), strict=True))
-        yield format_card(
-            "RSPLINE", [eid, ratio, pairs[0][0], *(v or None for pair in pairs[1:] for v in pair)]
-        )
+    for i, (eid, ratio) in enumerate(_rows(t, "EID", "DL")):
+        first, *others = _entries(t, i, "G", "C")
+        rest = (v or None for pair in others for v in pair)
+        yield format_card("RSPLINE", [eid, ratio, first[0], *rest])
 
 
 def _genel(t: Table) -> Iterator[str]:
-    lists = {k: t.ragged(k) for k in ("UI", "CI", "UD", "CD", "KZ", "S")}
-    for i, (eid, form) in enumerate(zip(t["EID"].tolist(), t["FORM"].tolist(), strict=True)):
-        row = {k: v.row(i).tolist() for k, v in lists.items()}
-        ui, ud = (
-            [v for p in zip(row[f"U{k}"], row[f"C{k}"], strict=True) for v in p] for k in "ID"
-        )
+    for i, (eid, form) in enumerate(_rows(t, "EID", "FORM")):
+        ui, ud = ([v for pair in _entries(t, i, f"U{k}", f"C{k}") for v in pair] for k in "ID")
+        kz, s = (t.ragged(name).row(i).tolist() for name in ("KZ", "S"))
         fields: list[Value] = [eid, None, *ui]
-        for name, values in (("UD", [None, *ud] if ud else []), (form, row["KZ"]), ("S", row["S"])):
+        for name, values in (("UD", [None, *ud] if ud else []), (form, kz), ("S", s)):
             if values:
                 fields += [*[None] * (-len(fields) % 8), name, *values]
         yield large_card("GENEL", fields)
@@ -270,36 +260,25 @@ def _genel(t: Table) -> Iterator[str]:
 
 def _laminate(t: Table) -> Iterator[str]:
     names = (("GPLYID",) if t.card == "PCOMPG" else ()) + ("MID", "T", "THETA", "SOUT")
-    plies = [t.ragged(n) for n in names]
-    for i in range(len(t)):
-        fields: list[Value] = [int(t["PID"][i])]
-        fields += [None if np.isnan(t["Z0"][i]) else float(t["Z0"][i])]
-        fields += [float(t[n][i]) for n in ("NSM", "SB")] + [str(t["FT"][i]) or None]
-        fields += [float(t[n][i]) for n in ("TREF", "GE")] + [str(t["LAM"][i]) or None]
-        for ply in zip(*(p.row(i).tolist() for p in plies), strict=True):
+    head = ("PID", "Z0", "NSM", "SB", "FT", "TREF", "GE", "LAM")
+    for i, (pid, z0, nsm, sb, ft, tref, ge, lam) in enumerate(_rows(t, *head)):
+        fields: list[Value] = [pid, _real(z0), float(nsm), float(sb), ft or None]
+        fields += [float(tref), float(ge), lam or None]
+        for ply in _entries(t, i, *names):
             fields += [*ply, *([None] * 3 if t.card == "PCOMPG" else [])]
         yield large_card(t.card, fields)
 
 
 def _dmig(t: Table) -> Iterator[str]:
-    terms = {k: t.ragged(k) for k in ("GJ", "CJ", "GI", "CI", "A", "B")}
-    for i, name in enumerate(t["NAME"].tolist()):
-        head = [int(t[k][i]) for k in ("IFO", "TIN", "TOUT", "POLAR")]
-        yield format_card(
-            "DMIG", (name, 0, *(h or None for h in head), None, int(t["NCOL"][i]) or None)
-        )
-        rows = {k: v.row(i) for k, v in terms.items()}
-        column = rows["GJ"] * 8 + rows["CJ"]
-        for key in np.unique(column).tolist():
-            fields: list[Value] = [name, key // 8, key % 8, None]
-            for at in np.flatnonzero(column == key).tolist():
-                fields += [
-                    int(rows["GI"][at]),
-                    int(rows["CI"][at]),
-                    float(rows["A"][at]),
-                    float(rows["B"][at]) or None,
-                ]
-            yield large_card("DMIG", fields)
+    head = ("NAME", "IFO", "TIN", "TOUT", "POLAR", "NCOL")
+    term = ("GJ", "CJ", "GI", "CI", "A", "B")
+    for i, (name, *kinds, count) in enumerate(_rows(t, *head)):
+        yield format_card("DMIG", (name, 0, *(k or None for k in kinds), None, count or None))
+        by_column: dict[tuple[int, int], list[Value]] = {}
+        for gj, cj, gi, ci, a, b in _entries(t, i, *term):
+            by_column.setdefault((gj, cj), []).extend((gi, ci, float(a), float(b) or None))
+        for column, terms in sorted(by_column.items()):
+            yield large_card("DMIG", (name, *column, None, *terms))
 
 
 def _cweld(t: Table) -> Iterator[str]:
@@ -310,7 +289,7 @@ def _cweld(t: Table) -> Iterator[str]:
         for name, k in (WELD_ENDS | WELD_TYPES[kind]).items():
             fields[k] = int(t[name][i]) or None
         for name, k in WELD_POINT.items():
-            if not np.isnan(t[name][i]):
+            if not np.isnan(t[name][i]):  # else the place is that of a corner
                 fields[k] = float(t[name][i])
         yield format_card("CWELD", fields)
 
@@ -334,7 +313,6 @@ SPECIAL: dict[str, Callable[[Table], Iterator[str]]] = {
     "PCOMPG": _laminate,
     "DMIG": _dmig,
 }
-TOO_LONG = 10**8  # an id of more than eight characters
 NOT_MODEL = frozenset(METHODS)  # the caller's choice, not the model's
 Text = NDArray[np.str_]
 
@@ -359,26 +337,15 @@ def write_bulk(model: Model, *, without: Collection[str] = NOT_MODEL) -> str:
     UnsupportedError
         If the model holds a card that this writer does not know.
     """
-    params = [
-        format_card("PARAM", (name, value if not isinstance(value, float) else _short(value)))
+    made = [
+        format_card("PARAM", (name, value))
         for name, value in model.params.items()
         if name not in without
     ]
-    return "".join(
-        [
-            *params,
-            *(
-                text
-                for card, t in model.tables.items()
-                if card not in without
-                for text in _cards(t)
-            ),
-        ]
-    )
-
-
-def _short(value: float) -> str:
-    return format_real(value, 8)
+    for card, t in model.tables.items():
+        if card not in without:
+            made += _cards(t)
+    return "".join(made)
 
 
 def _cards(table: Table) -> Iterator[str]:
@@ -450,15 +417,17 @@ def _either(table: Table, specs: Sequence[FieldSpec], made: list[Text]) -> list[
 def _exact(table: Table, specs: Sequence[FieldSpec], small: Text) -> bool:
     """Whether all numbers keep their value in eight characters."""
     for j, spec in enumerate(specs):
-        if spec.kind == "i" and not spec.blank and table[spec.name].max(initial=0) >= TOO_LONG:
+        if spec.blank:
+            continue
+        if spec.kind == "i" and table[spec.name].max(initial=0) >= 10**8:
             return False
-        if spec.kind == "f" and not spec.blank:
+        if spec.kind == "f":
             text, first = np.unique(small[:, j], return_index=True)
             given = text != ""
             back = np.array([_value(t) for t in text[given].tolist()])
-            if (back != table[spec.name][first[given]]).any() or np.unique(
-                table[spec.name]
-            ).size > text.size:
+            if (back != table[spec.name][first[given]]).any():
+                return False
+            if np.unique(table[spec.name]).size > text.size:
                 return False
     return True
 
@@ -467,7 +436,8 @@ def _value(text: str) -> float:
     try:
         return float(text)
     except ValueError:  # 1.2-8
-        sign, body = text[0] if text[0] in "+-" else "", text.lstrip("+-")
+        sign = text[0] if text[0] in "+-" else ""
+        body = text.lstrip("+-")
         cut = max(body.rfind("+"), body.rfind("-"))
         return float(f"{sign}{body[:cut]}e{body[cut:]}") if cut > 0 else float("inf")
 
@@ -483,20 +453,18 @@ def _lines(card: str, cells: Text, width: int) -> str:
     used = np.where(padded != "", np.arange(padded.shape[1]) // per_line + 1, 1).max(axis=1)
     if width == 16:
         used += used % 2  # large-field lines come in pairs
-    head = [card.ljust(8) if width == 8 else f"{card}*".ljust(8)] + [
-        ("" if width == 8 else "*").ljust(8)
-    ] * n
+    star = "" if width == 8 else "*"
+    head = [(card + star).ljust(8), *[star.ljust(8)] * n]
     out = np.empty(len(cells), dtype=object)
     for k in np.unique(used).tolist():
         rows = np.flatnonzero(used == k)
         block = np.strings.rjust(padded[rows, : min(k, n) * per_line], width)
-        text = "".join
-        out[rows] = [
-            "\n".join(
-                (head[i] + text(row[i * per_line : (i + 1) * per_line])).rstrip() for i in range(k)
-            )
-            for row in block.tolist()
-        ]
+        made = []
+        for row in block.tolist():
+            starts = range(0, k * per_line, per_line)
+            bodies = ("".join(row[start : start + per_line]) for start in starts)
+            made.append("\n".join((h + b).rstrip() for h, b in zip(head, bodies, strict=False)))
+        out[rows] = made
     return "\n".join(out.tolist()) + "\n"
 
 

@@ -5,7 +5,7 @@ of the truth.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
@@ -14,8 +14,7 @@ from zlib import crc32
 import numpy as np
 from scipy import fft
 
-from ringtrue.core.arrays import Any_
-from ringtrue.core.modal import ModalModel
+from ringtrue.core.modes import ModalModel
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import InputError
 from ringtrue.io.records import write_record
@@ -28,26 +27,27 @@ from ringtrue.virtual.excitation import (
     jumping,
     sledge,
 )
-from ringtrue.virtual.logbook import record_channels, write_lines, write_log, write_sheet
 from ringtrue.virtual.measurements import (
     AmbientTest,
     HammerPlan,
-    ambient_blocks,
     ambient_record,
     clean_energy,
-    expected_snr,
     hammer_record,
+    record_channels,
     scale_site,
     scaled_to_snr,
     strike,
+    write_lines,
+    write_log,
+    write_sheet,
 )
-from ringtrue.virtual.response import at_outputs
 from ringtrue.virtual.sensors import (
     ACCELEROMETER,
     FORCE_CELL,
     GEOPHONE,
     ICP,
     Chain,
+    at_outputs,
     in_band,
     ratio_db,
     resonance_power,
@@ -57,19 +57,21 @@ log = logging.getLogger(__name__)
 Progress = Callable[[float, str], None]
 
 EXCITATIONS = ("ambient", "jumping", "drop", "sledge")
-QUIET, LOUD = 0.3e-6, 3e-6  # m/s rms, bounds of the site's ground motion
-FULL_HOURS, SEGMENT_S, FADE_S = 11.4, 1800.0, 60.0
-FAST_S, FAST_HITS = 600.0, 3
-FMAX, GEOPHONE_FMIN = 95.0, 2.5  # Hz, between them the modes that the ratio is taken over
+DATE = "2024-05-13"
+# m/s rms, bounds of the site's ground motion
+QUIET = 0.3e-6
+LOUD = 3e-6
+# Hz, between them the modes that the ratio is taken over
+FMAX = 95.0
+GEOPHONE_FMIN = 2.5
 
 
 class TwinView(Protocol):
     """What the campaign may know of the structure."""
 
     @property
-    def modal(
-        self,
-    ) -> ModalModel: ...  # outputs: channels of `test`; inputs: force points and `ground…` columns
+    # outputs: channels of `test`; inputs: force points and `ground…` columns
+    def modal(self) -> ModalModel: ...
     @property
     def test(self) -> TestModel: ...
     @property
@@ -93,7 +95,7 @@ class CampaignPlan:
     setups : tuple of tuple of str
         Response channels of each setup of the hammer test (c).
     references : tuple of str
-        Points struck in (c), inputs of the modal model.
+        Excitation points of (c), inputs of the modal model.
     rate_a, rate_b, rate_c : float, Hz
     duration_a, duration_b : float, s
         Of each record.
@@ -103,8 +105,6 @@ class CampaignPlan:
     snr_db : float
         Median ratio at resonance that the day for the ambient tests is chosen for, as far as a
         ground motion of 0.3 to 3 µm/s allows.
-    date : str
-        ISO.
     """
 
     foundation: tuple[str, ...]
@@ -119,7 +119,6 @@ class CampaignPlan:
     spacing: tuple[float, ...] = (32.0, 45.0, 60.0, 38.0)
     hammer: HammerPlan = field(default_factory=HammerPlan)
     snr_db: float = 20.0
-    date: str = "2024-05-13"
 
     def __post_init__(self) -> None:
         if not self.foundation or not self.frame or not self.setups or not self.references:
@@ -127,17 +126,15 @@ class CampaignPlan:
                 "campaign plan: foundation, frame, setups and references must each name something"
             )
         if not self.spacing or min(self.spacing) < 20 or max(self.spacing) > 80:
-            raise InputError(
-                f"campaign plan: spacing {self.spacing} s, events must be 20 to 80 s apart"
-            )
+            raise InputError(f"campaign plan: spacing {self.spacing} s, 20 to 80 s are allowed")
 
     def shortened(self) -> CampaignPlan:
         """The same places with short records."""
         return replace(
             self,
-            duration_a=min(FAST_S, self.duration_a),
-            duration_b=min(FAST_S, self.duration_b),
-            hammer=replace(self.hammer, hits=min(FAST_HITS, self.hammer.hits)),
+            duration_a=min(600.0, self.duration_a),
+            duration_b=min(600.0, self.duration_b),
+            hammer=replace(self.hammer, hits=min(3, self.hammer.hits)),
         )
 
 
@@ -174,7 +171,6 @@ def run_campaign(
     seed: int,
     *,
     fast: bool = False,
-    full: bool = False,
     progress: Progress | None = None,
 ) -> CampaignSummary:
     """Measure the twin and write `*.h5`, `sensors*.csv`, `lines.csv` and `campaign.json` to a
@@ -189,81 +185,126 @@ def run_campaign(
         The same seed gives the same samples; each record draws from a stream of its own.
     fast : bool
         Short records.
-    full : bool
-        The ambient record of test (a) lasts 11.4 hours.
     progress : callable, optional
-        Told (fraction, text).
+        Called with (fraction, text).
     """
-    plan = plan.shortened() if fast else plan
     folder = Path(out_dir)
     folder.mkdir(parents=True, exist_ok=True)
-    tell = progress or (lambda fraction, text: None)
-    snr: dict[str, float] = {}
-    tests = {
-        "foundation": _prepare(twin, plan, "foundation", seed),
-        "frame": _prepare(twin, plan, "frame", seed),
-    }
-    jobs = [(name, e) for name in tests for e in EXCITATIONS]
+    report = progress or (lambda fraction, text: None)
+    crew = _Crew(twin, plan.shortened() if fast else plan, folder, seed)
+    tests = {name: crew.prepare(name) for name in ("foundation", "frame")}
+    jobs = [(name, kind) for name in tests for kind in EXCITATIONS]
+    ambient = {}
     for i, (name, kind) in enumerate(jobs):
-        tell(0.6 * i / len(jobs), f"record {name}-{kind}")
-        long = full and (name, kind) == jobs[0]
-        make = _long_record if long else _ambient_record
-        snr[f"{name}-{kind}"] = make(tests[name], name, kind, twin, plan, folder, seed)
-    hammer = _hammer_test(twin, plan, folder, seed, lambda f, text: tell(0.6 + 0.4 * f, text))
-    by_test = {name: snr[f"{name}-ambient"] for name in tests} | {
-        "hammer": float(np.median(list(hammer.values())))
-    }
-    _paperwork(twin, plan, folder)
+        report(0.6 * i / len(jobs), f"record {name}-{kind}")
+        ambient[f"{name}-{kind}"] = crew.ambient_record(tests[name], name, kind)
+    hammer = {}
+    blows = [(i, r) for i in range(len(plan.setups)) for r in plan.references]
+    for k, (setup, reference) in enumerate(blows):
+        name = hammer_name(setup, reference)
+        report(0.6 + 0.4 * k / len(blows), f"record {name}")
+        hammer[name] = crew.hammer_record(setup, reference)
+    by_test = {name: ambient[f"{name}-ambient"] for name in tests}
+    by_test["hammer"] = float(np.median(list(hammer.values())))
+    _paperwork(twin, crew.plan, folder)
     log.info(
         "signal-to-noise ratio at resonance, dB: %s", {k: round(v, 1) for k, v in by_test.items()}
     )
-    tell(1.0, "campaign written")
-    snr |= hammer
+    report(1.0, "campaign written")
+    by_record = ambient | hammer
     return CampaignSummary(
-        records=tuple(folder / f"{name}.h5" for name in snr),
+        records=tuple(folder / f"{name}.h5" for name in by_record),
         sheet=folder / "sensors.csv",
         log=folder / "campaign.json",
         snr_db=by_test,
-        snr_record_db=snr,
+        snr_record_db=by_record,
         ground_rms={name: t.site.ground_rms for name, t in tests.items()},
     )
 
 
-def _rng(seed: int, name: str) -> np.random.Generator:
-    """A stream that depends on the seed and the name alone, so that records do not shift each
-    other.
-    """
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(crc32(name.encode()),)))
+@dataclass(frozen=True, slots=True)
+class _Crew:
+    """Who measures: the structure, the plan, the folder for the records, and the seed."""
 
+    twin: TwinView
+    plan: CampaignPlan
+    folder: Path
+    seed: int
 
-def _prepare(twin: TwinView, plan: CampaignPlan, name: str, seed: int) -> AmbientTest:
-    """Puts the sensors up and picks the day."""
-    channels, sensor, rate, fmin = {
-        "foundation": (plan.foundation, ACCELEROMETER, plan.rate_a, 0.0),
-        "frame": (plan.frame, GEOPHONE, plan.rate_b, GEOPHONE_FMIN),
-    }[name]
-    model = at_outputs(twin.modal, channels)
-    chain = Chain.draw((sensor,) * len(channels), _rng(seed, f"{name} sensors"))
-    poles = in_band(model.poles, fmin, min(FMAX, 0.4 * rate))
-    test = AmbientTest(
-        model=model,
-        chain=chain,
-        site=Ambient(),
-        points=_pushed(twin, plan),
-        machine=next(iter(twin.machine_points), None),
-        rate=rate,
-        poles=poles,
-    )
-    return scaled_to_snr(test, plan.snr_db, (QUIET, LOUD))
+    def rng(self, name: str) -> np.random.Generator:
+        """A stream of the seed and the name alone, so that records do not shift each other."""
+        key = (crc32(name.encode()),)
+        return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
 
+    def prepare(self, name: str) -> AmbientTest:
+        """Put the sensors up and pick the day."""
+        channels = self.plan.foundation
+        sensor = ACCELEROMETER
+        rate = self.plan.rate_a
+        fmin = 0.0
+        if name == "frame":
+            channels = self.plan.frame
+            sensor = GEOPHONE
+            rate = self.plan.rate_b
+            fmin = GEOPHONE_FMIN
+        model = at_outputs(self.twin.modal, channels)
+        test = AmbientTest(
+            model=model,
+            chain=Chain.draw((sensor,) * len(channels), self.rng(f"{name} sensors")),
+            site=Ambient(points=self.pushed(), machine=next(iter(self.twin.machine_points), None)),
+            rate=rate,
+            poles=in_band(model.poles, fmin, min(FMAX, 0.4 * rate)),
+        )
+        return scaled_to_snr(test, self.plan.snr_db, (QUIET, LOUD))
 
-def _pushed(twin: TwinView, plan: CampaignPlan) -> tuple[str, ...]:
-    """Where air and machines push: up to 16 of the force points, evenly chosen."""
-    points = [*twin.machine_points, *twin.drop_points, *twin.sledge_points, *plan.references]
-    points = list(dict.fromkeys(points))
-    return tuple(
-        points[i] for i in np.unique(np.linspace(0, len(points) - 1, 16).round().astype(int))
-    )
+    def pushed(self) -> tuple[str, ...]:
+        """Where air and machines push: up to 16 of the force points, evenly chosen."""
+        twin = self.twin
+        points = [*twin.machine_points, *twin.drop_points, *twin.sledge_points]
+        points = list(dict.fromkeys([*points, *self.plan.references]))
+        chosen = np.unique(np.linspace(0, len(points) - 1, 16).round().astype(int))
+        return tuple(points[i] for i in chosen)
+
+    def ambient_record(self, test: AmbientTest, name: str, kind: str) -> float:
+        """Write one record; returns its ratio at resonance, dB."""
+        rng = self.rng(f"{name}-{kind}")
+        plan = self.plan
+        samples = _even(plan.duration_a if name == "foundation" else plan.duration_b, test.rate)
+        events = _events(kind, self.twin, plan.spacing, samples / test.rate, rng)
+        volts, snr = ambient_record(test, events, samples, rng)
+        ids = [c.id for c in test.model.outputs]
+        table = record_channels(self.twin.test, ids, test.chain.sensors, DATE)
+        path = self.folder / f"{name}-{kind}.h5"
+        write_record(path, volts, test.rate, table, source=f"{name}, {kind}, {DATE}")
+        return snr
+
+    def hammer_record(self, setup: int, reference: str) -> float:
+        """Write the record of a setup with impacts at a reference; returns its ratio, dB."""
+        name = hammer_name(setup, reference)
+        hammer = self.plan.hammer
+        rate = self.plan.rate_c
+        channels = self.plan.setups[setup]
+        rng = self.rng(name)
+        model = at_outputs(self.twin.modal, channels)
+        inputs = [c.id for c in model.inputs]
+        sensors = (FORCE_CELL, *(ICP,) * len(channels))
+        chain = Chain.draw(sensors, self.rng(f"hammer setup {setup}"))
+        limit = FORCE_CELL.range / FORCE_CELL.sensitivity
+        blows = strike(hammer, inputs.index(reference), limit, rate, rng)
+        samples = _even(float(blows.times[-1]) + hammer.block + hammer.rest, rate)
+        quiet = scale_site(Ambient(points=self.pushed()), QUIET)
+        forces = ambient_forces(inputs, quiet, samples, rate, rng)
+        volts, signal, noise = hammer_record(
+            model, blows, chain, background=forces, samples=samples, rng=rng
+        )
+        table = record_channels(self.twin.test, [reference, *channels], chain.sensors, DATE)
+        table[0] = replace(table[0], id=f"F:{reference}")
+        source = f"hammer at {reference}, {DATE}"
+        write_record(self.folder / f"{name}.h5", volts, rate, table, source=source)
+        poles = in_band(model.poles, GEOPHONE_FMIN, FMAX)
+        in_one_block = samples / (hammer.block * rate) * clean_energy(blows)
+        power = resonance_power(signal, poles, samples, rate) * in_one_block
+        return float(np.median(ratio_db(power, resonance_power(noise, poles, samples, rate))))
 
 
 def _events(
@@ -286,140 +327,9 @@ def _even(duration: float, rate: float) -> int:
     return 2 * int(fft.next_fast_len(int(np.ceil(duration * rate / 2)), real=True))
 
 
-def _ambient_record(
-    test: AmbientTest,
-    name: str,
-    kind: str,
-    twin: TwinView,
-    plan: CampaignPlan,
-    folder: Path,
-    seed: int,
-) -> float:
-    rng = _rng(seed, f"{name}-{kind}")
-    samples = _even(plan.duration_a if name == "foundation" else plan.duration_b, test.rate)
-    events = _events(kind, twin, plan.spacing, samples / test.rate, rng)
-    volts, snr = ambient_record(test, events, samples, rng)
-    _write(test, name, kind=kind, twin=twin, plan=plan, folder=folder, volts=volts)
-    return snr
-
-
-def _long_record(
-    test: AmbientTest,
-    name: str,
-    kind: str,
-    twin: TwinView,
-    plan: CampaignPlan,
-    folder: Path,
-    seed: int,
-) -> float:
-    hop, fade = _even(SEGMENT_S, test.rate), 2 * int(0.5 * FADE_S * test.rate)
-    segments = int(np.ceil(FULL_HOURS * 3600 * test.rate / hop))
-    _write(
-        test,
-        name,
-        kind=kind,
-        twin=twin,
-        plan=plan,
-        folder=folder,
-        volts=ambient_blocks(test, segments, hop, fade, _rng(seed, f"{name}-{kind}")),
-    )
-    return expected_snr(test)
-
-
-def _write(
-    test: AmbientTest,
-    name: str,
-    kind: str,
-    twin: TwinView,
-    plan: CampaignPlan,
-    folder: Path,
-    volts: Any_ | Iterator[Any_],
-) -> None:
-    ids = [c.id for c in test.model.outputs]
-    table = record_channels(twin.test, ids, test.chain.sensors, plan.date)
-    write_record(
-        folder / f"{name}-{kind}.h5", volts, test.rate, table, source=f"{name}, {kind}, {plan.date}"
-    )
-
-
-def _hammer_test(
-    twin: TwinView, plan: CampaignPlan, folder: Path, seed: int, tell: Progress
-) -> dict[str, float]:
-    """Every setup struck at every reference; ratio by record, dB."""
-    jobs = [(i, r) for i in range(len(plan.setups)) for r in plan.references]
-    snr = {}
-    for k, (i, reference) in enumerate(jobs):
-        name = hammer_name(i, reference)
-        tell(k / len(jobs), f"record {name}")
-        snr[name] = _hammer_record(
-            name,
-            plan.setups[i],
-            setup=i,
-            reference=reference,
-            twin=twin,
-            plan=plan,
-            folder=folder,
-            seed=seed,
-        )
-    return snr
-
-
 def hammer_name(setup: int, reference: str) -> str:
-    """File stem of a setup (from 0) struck at a reference: `hammer-1-101pZ`."""
+    """File stem of a setup (from 0) with impacts at a reference: `hammer-1-101pZ`."""
     return f"hammer-{setup + 1}-{reference.replace('+', 'p').replace('-', 'm')}"
-
-
-def _hammer_record(
-    name: str,
-    channels: tuple[str, ...],
-    setup: int,
-    reference: str,
-    twin: TwinView,
-    plan: CampaignPlan,
-    folder: Path,
-    seed: int,
-) -> float:
-    rng, rate = _rng(seed, name), plan.rate_c
-    model = at_outputs(twin.modal, channels)
-    here = {c.id: i for i, c in enumerate(model.inputs)}
-    chain = Chain.draw((FORCE_CELL, *(ICP,) * len(channels)), _rng(seed, f"hammer setup {setup}"))
-    limit = FORCE_CELL.range / FORCE_CELL.sensitivity
-    blows = strike(plan.hammer, here[reference], limit, rate, rng)
-    samples = _even(float(blows.times[-1]) + plan.hammer.block + plan.hammer.rest, rate)
-    forces = ambient_forces(
-        list(here),
-        _pushed(twin, plan),
-        machine=None,
-        ambient=scale_site(Ambient(), QUIET),
-        samples=samples,
-        rate=rate,
-        rng=rng,
-    )
-    volts, signal, noise = hammer_record(
-        model,
-        blows,
-        plan=plan.hammer,
-        chain=chain,
-        background=forces,
-        samples=samples,
-        rate=rate,
-        rng=rng,
-    )
-    table = [
-        replace(c, id=f"F:{c.id}") if i == 0 else c
-        for i, c in enumerate(
-            record_channels(twin.test, [reference, *channels], chain.sensors, plan.date)
-        )
-    ]
-    write_record(
-        folder / f"{name}.h5", volts, rate, table, source=f"hammer at {reference}, {plan.date}"
-    )
-    poles = in_band(model.poles, GEOPHONE_FMIN, FMAX)
-    share = (
-        samples / (plan.hammer.block * rate) * clean_energy(blows)
-    )  # one clean blow in its own block
-    power = resonance_power(signal, poles, samples, rate) * share
-    return float(np.median(ratio_db(power, resonance_power(noise, poles, samples, rate))))
 
 
 def _paperwork(twin: TwinView, plan: CampaignPlan, folder: Path) -> None:
@@ -450,7 +360,7 @@ def _ambient_log(name: str, rate: float, plan: CampaignPlan) -> dict[str, object
     head = {
         "name": name,
         "kind": "ambient",
-        "date": plan.date,
+        "date": DATE,
         "rate_hz": rate,
         "sheet": f"sensors-{name}.csv",
     }
@@ -469,7 +379,7 @@ def _hammer_log(plan: CampaignPlan) -> dict[str, object]:
         for i in range(len(plan.setups))
         for r in plan.references
     ]
-    head = {"name": "hammer", "kind": "hammer", "date": plan.date, "rate_hz": plan.rate_c}
+    head = {"name": "hammer", "kind": "hammer", "date": DATE, "rate_hz": plan.rate_c}
     blocks = {
         "block_samples": round(plan.hammer.block * plan.rate_c),
         "pretrigger_samples": round(plan.hammer.pretrigger * plan.rate_c),

@@ -8,15 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from ringtrue.decks.nastran.writer import format_card
-from ringtrue.demos.lsf import facility
 from ringtrue.demos.lsf import spec as S
 from ringtrue.demos.lsf.facility import VARIANTS, Builder, Value
-from ringtrue.demos.lsf.spec import Spec
+from ringtrue.demos.lsf.spec import FRAME, SITE, VESSEL, Spec
 
 CYLINDER = 20  # the vessel's frame
 FILES = ("foundation", "springs", "frame", "vessel", "drive", "site")
 MAIN = "lsf.bdf"
-_CENTRE = (S.AXIS_Y, S.MID)
+_CENTRE = (VESSEL.y, FRAME.mid)
 _ABOUT = {
     "foundation": "Ferro-concrete foundation: slab, long walls, end walls, haunches",
     "springs": "Array of 32 air springs, slab to ground",
@@ -30,7 +29,7 @@ _ABOUT = {
 def write(b: Builder, folder: Path, title: str) -> Path:
     """Write the deck; returns the path of its main file."""
     folder.mkdir(parents=True, exist_ok=True)
-    parts = [p for p in FILES if any(c[0] == p for c in b.mesh.cards)]
+    parts = [p for p in FILES if any(c[0] == p for c in b.cards)]
     for part in parts:
         (folder / f"{part}.bdf").write_text("".join(_part(b, part)))
     (folder / "properties.bdf").write_text("".join(properties(b)))
@@ -40,7 +39,7 @@ def write(b: Builder, folder: Path, title: str) -> Path:
 
 def _main(title: str, parts: list[str]) -> str:
     frames = format_card(
-        "CORD2C", [CYLINDER, 0, 0.0, *_CENTRE, 1.0, *_CENTRE, 0.0, S.AXIS_Y + 1.0, S.MID]
+        "CORD2C", [CYLINDER, 0, 0.0, *_CENTRE, 1.0, *_CENTRE, 0.0, VESSEL.y + 1.0, FRAME.mid]
     )
     tilted = format_card("CORD2R", [10, 0, 0.0, 0.0, 0.0, 0.0, -0.5, 0.8660254, 1.0, 0.0, 0.0])
     control = "".join(
@@ -63,34 +62,26 @@ def _main(title: str, parts: list[str]) -> str:
 
 def _part(b: Builder, part: str) -> Iterable[str]:
     yield f"$ {'-' * 70}\n$ {_ABOUT[part]}\n$ {'-' * 70}\n"
-    m = b.mesh
-    mine = [i for i, p in enumerate(m.part_of_node) if p == part]
-    xyz = np.array([m.xyz[i] for i in mine]).reshape(-1, 3)
+    mine = [i for i, p in enumerate(b.part_of_node) if p == part]
+    xyz = np.array([b.xyz[i] for i in mine]).reshape(-1, 3)
     frame = 0
     if part == "vessel":
         frame = CYLINDER
-        d = xyz - (0.0, S.AXIS_Y, S.MID)
+        d = xyz - (0.0, VESSEL.y, FRAME.mid)
         theta = np.degrees(np.arctan2(d[:, 2], d[:, 1]))
         xyz = np.stack([np.hypot(d[:, 1], d[:, 2]), theta, d[:, 0]], axis=1)
     for i, x in zip(mine, xyz.tolist(), strict=True):
         yield format_card(
-            "GRID", [m.ids[i], frame or None, *(round(v, 6) for v in x), frame or None]
+            "GRID", [b.ids[i], frame or None, *(round(v, 6) for v in x), frame or None]
         )
     last = ""
-    for where, card, fields in m.cards:
+    for where, card, fields in b.cards:
         if where != part:
             continue
         if card != last:
             yield f"$ {card}\n"
             last = card
         yield format_card(card, list(fields))
-
-
-def _material(b: Builder, region: str, mid: int, factor: float) -> str:
-    nu = 0.2 if region in S.CONCRETE else 0.3
-    spec = b.spec
-    fields: list[Value] = [mid, spec.modulus[region] * factor, None, nu, spec.density[region]]
-    return format_card("MAT1", [*fields, None, None, spec.loss.get(region) or None])
 
 
 def _property(spec: Spec, region: str, pid: int, mid: int) -> str:
@@ -109,18 +100,24 @@ def _property(spec: Spec, region: str, pid: int, mid: int) -> str:
 
 def properties(b: Builder) -> Iterable[str]:
     """Materials, shell, solid, beam and bush properties."""
-    yield "$ Properties and materials: one of each a region, numbered alike\n"
+    yield "$ Properties and materials: one of each a region, with equal numbers\n"
     rng = np.random.default_rng([b.spec.seed, 78])
-    used = {f[1] for _, card, f in b.mesh.cards if card in _WITH_PROPERTY}
+    used = {f[1] for _, card, f in b.cards if card in _WITH_PROPERTY}
     for region, base in {**S.CONCRETE, **S.STEEL}.items():
         yield f"$ {region}\n"
         for v in range(VARIANTS if b.spec.scatter else 1):
             pid = base + 1000 * v
-            factor = (
-                float(np.exp(b.spec.scatter * (rng.standard_normal()))) if b.spec.scatter else 1.0
-            )
-            if pid in used:
-                yield _property(b.spec, region, pid, pid) + _material(b, region, pid, factor)
+            factor = 1.0
+            if b.spec.scatter:
+                factor = float(np.exp(b.spec.scatter * rng.standard_normal()))
+            if pid not in used:
+                continue
+            yield _property(b.spec, region, pid, pid)
+            modulus = b.spec.modulus[region] * factor
+            density = b.spec.density[region]
+            nu = 0.2 if region in S.CONCRETE else 0.3
+            loss = b.spec.loss.get(region) or None
+            yield format_card("MAT1", [pid, modulus, None, nu, density, None, None, loss])
     done = set()
     for region, pid, factor in b.bushes:
         if pid in done:
@@ -144,25 +141,23 @@ _WITH_PROPERTY = {"CHEXA", "CPENTA", "CQUAD4", "CTRIA3", "CBEAM", "CBAR", "CBUSH
 
 def _site_properties() -> Iterable[str]:
     yield "$ Partition wall, platform, pipe and what they hang on\n"
-    yield format_card("PSOLID", [facility.PARTITION, facility.PARTITION])
-    yield format_card("MAT1", [facility.PARTITION, 2.9e10, None, 0.2, 2450.0, None, None, 0.01])
-    yield format_card(
-        "PSHELL",
-        [facility.PLATFORM, facility.PLATFORM, 0.060, facility.PLATFORM, None, facility.PLATFORM],
-    )
-    yield format_card("MAT1", [facility.PLATFORM, 4.0e10, None, 0.3, 1500.0, None, None, 0.01])
-    yield format_card(
-        "PBEAM", [facility.PIPE, facility.PIPE, 0.0200, 6.0e-4, 6.0e-4, None, 1.2e-3, 60.0]
-    )
-    yield format_card("MAT1", [facility.PIPE, 2.0e11, None, 0.3, 7850.0, None, None, 0.01])
+    wall = SITE.partition
+    floor = SITE.platform
+    pipe = SITE.pipe
+    yield format_card("PSOLID", [wall, wall])
+    yield format_card("MAT1", [wall, 2.9e10, None, 0.2, 2450.0, None, None, 0.01])
+    yield format_card("PSHELL", [floor, floor, 0.060, floor, None, floor])
+    yield format_card("MAT1", [floor, 4.0e10, None, 0.3, 1500.0, None, None, 0.01])
+    yield format_card("PBEAM", [pipe, pipe, 0.0200, 6.0e-4, 6.0e-4, None, 1.2e-3, 60.0])
+    yield format_card("MAT1", [pipe, 2.0e11, None, 0.3, 7850.0, None, None, 0.01])
     clamp = [3.0e8] * 3 + [1.0e7] * 3
-    yield format_card("PBUSH", [facility.PIPE_CLAMP, "K", *clamp, None, "GE", 0.05])
-    hose = facility.HOSE_BRIDGE * (2 * np.pi * 1.92) ** 2
-    crane = facility.CRANE * (2 * np.pi * 2.24) ** 2
+    yield format_card("PBUSH", [SITE.pipe_clamp, "K", *clamp, None, "GE", 0.05])
+    hose = SITE.hose_bridge * (2 * np.pi * 1.92) ** 2
+    crane = SITE.crane * (2 * np.pi * 2.24) ** 2
     stiff = 6.0e9
-    yield format_card(
-        "PBUSH", [facility.HOSE_LINK, "K", stiff, hose, stiff, None, None, None, None, "GE", 0.06]
-    )
-    yield format_card(
-        "PBUSH", [facility.CRANE_LINK, "K", crane, stiff, stiff, None, None, None, None, "GE", 0.06]
-    )
+    for link, along, across in (
+        (SITE.hose_link, stiff, hose),
+        (SITE.crane_link, crane, stiff),
+    ):
+        k: list[Value] = [along, across, stiff, None, None, None]
+        yield format_card("PBUSH", [link, "K", *k, None, "GE", 0.06])

@@ -12,23 +12,134 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-LENGTH, WIDTH, SLAB, WALL_TOP, WALL, END_WALL = 25.0, 10.0, 1.25, 3.2, 0.9, 0.8
-PORTALS = (4.0, 7.4, 10.8, 14.2, 17.6, 21.0)
-SIDES = (0.45, 9.55)
-BAYS_LEFT_OUT = (1, 3)  # bays whose braces the analyst left out
-BASE, MID, TOP = 3.25, 5.1, 7.5  # column feet, lower and upper girders
-AXIS_Y, RADIUS, VESSEL_X = 5.0, 2.2, (5.6, 7.4, 10.8, 14.2, 17.6, 19.4)
-DISH = 0.9  # m, height of the heads
-MOUNT_X = (7.4, 10.8, 14.2, 17.6)
-DECK_X, DECK_Y = (7.4, 17.6), (3.2, 6.8)
-SHAFT_Z = 8.6
-MOTOR, GEARBOX, ROTOR, BEARINGS = 9.1, 12.5, 16.4, (10.8, 15.4)
+
+@dataclass(frozen=True, slots=True)
+class Foundation:
+    """The concrete foundation.
+
+    Attributes
+    ----------
+    length, width : float, m
+    slab, wall_top : float, m
+        Heights of the top of the slab and of the walls.
+    wall, end_wall : float, m
+        Thickness of the long walls and of the end walls.
+    """
+
+    length: float = 25.0
+    width: float = 10.0
+    slab: float = 1.25
+    wall_top: float = 3.2
+    wall: float = 0.9
+    end_wall: float = 0.8
 
 
 @dataclass(frozen=True, slots=True)
-class Section:
-    """A beam section: area, second moments about element z and y, torsion constant, shear
-    factors.
+class SteelFrame:
+    """The steel frame.
+
+    Attributes
+    ----------
+    portals : tuple of float, m
+        x of the portals.
+    sides : tuple of float, m
+        y of the columns.
+    base, mid, top : float, m
+        z of the column feet, the lower and the upper girders.
+    bays_left_out : tuple of int
+        Bays whose braces the analyst left out.
+    """
+
+    portals: tuple[float, ...] = (4.0, 7.4, 10.8, 14.2, 17.6, 21.0)
+    sides: tuple[float, float] = (0.45, 9.55)
+    base: float = 3.25
+    mid: float = 5.1
+    top: float = 7.5
+    bays_left_out: tuple[int, ...] = (1, 3)
+
+
+@dataclass(frozen=True, slots=True)
+class Vessel:
+    """The vacuum vessel, whose axis is at z = `SteelFrame.mid`.
+
+    Attributes
+    ----------
+    y, radius : float, m
+    rings, mounts : tuple of float, m
+        x of the stiffening rings and of the mounts.
+    dish : float, m
+        Height of the heads.
+    """
+
+    y: float = 5.0
+    radius: float = 2.2
+    rings: tuple[float, ...] = (5.6, 7.4, 10.8, 14.2, 17.6, 19.4)
+    mounts: tuple[float, ...] = (7.4, 10.8, 14.2, 17.6)
+    dish: float = 0.9
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """The drive on its deck, which lies at z = `SteelFrame.top`.
+
+    Attributes
+    ----------
+    deck_x, deck_y : tuple of float, m
+        First and last x and y of the deck.
+    y, z : float, m
+        Of the shaft.
+    motor, gearbox, rotor : float, m
+        x of each.
+    bearings : tuple of float, m
+        x of the bearings.
+    """
+
+    deck_x: tuple[float, float] = (7.4, 17.6)
+    deck_y: tuple[float, float] = (3.2, 6.8)
+    y: float = 5.0
+    z: float = 8.6
+    motor: float = 9.1
+    gearbox: float = 12.5
+    rotor: float = 16.4
+    bearings: tuple[float, float] = (10.8, 15.4)
+
+
+@dataclass(frozen=True, slots=True)
+class Site:
+    """What stands on the site: property numbers, see `deck.properties`; and masses, kg, hung so
+    softly that they move by themselves.
+    """
+
+    partition: int = 5
+    platform: int = 71
+    pipe: int = 72
+    hose_link: int = 73
+    crane_link: int = 74
+    pipe_clamp: int = 75
+    hose_bridge: float = 9_000.0
+    crane: float = 12_000.0
+
+
+FOUNDATION = Foundation()
+FRAME = SteelFrame()
+VESSEL = Vessel()
+SITE = Site()
+DRIVE = Drive()
+
+
+@dataclass(frozen=True, slots=True)
+class SectionProperties:
+    """A beam section.
+
+    Attributes
+    ----------
+    area : float, m2
+    i1, i2 : float, m4
+        Second moments about element z and y.
+    j : float, m4
+        Torsion constant.
+    k1, k2 : float
+        Shear factors.
     """
 
     area: float
@@ -39,10 +150,12 @@ class Section:
     k2: float
 
     @classmethod
-    def box(cls, height: float, width: float, t: float) -> Section:
+    def box(cls, height: float, width: float, t: float) -> SectionProperties:
         """A thin-walled box, height in the plane of bending 1."""
-        hi, wi = height - 2 * t, width - 2 * t
-        hm, wm = height - t, width - t
+        hi = height - 2 * t
+        wi = width - 2 * t
+        hm = height - t
+        wm = width - t
         area = height * width - hi * wi
         return cls(
             area=area,
@@ -53,11 +166,16 @@ class Section:
             k2=2 * width * t / area,
         )
 
-    def times(self, factor: float) -> Section:
+    def times(self, factor: float) -> SectionProperties:
         """The section of plates thicker by `factor`."""
         f = factor
-        return Section(
-            area=f * self.area, i1=f * self.i1, i2=f * self.i2, j=f * self.j, k1=self.k1, k2=self.k2
+        return SectionProperties(
+            area=f * self.area,
+            i1=f * self.i1,
+            i2=f * self.i2,
+            j=f * self.j,
+            k1=self.k1,
+            k2=self.k2,
         )
 
 
@@ -143,9 +261,8 @@ class Spec:
             "air springs": (7.45e5, 9.6e5, 2.6e6, 0.0, 0.0, 0.0),
         }
     )
-    section: Mapping[str, float] = field(
-        default_factory=dict
-    )  # region -> factor on its beam section
+    # region -> factor on its beam section
+    section: Mapping[str, float] = field(default_factory=dict)
     loss: Mapping[str, float] = field(default_factory=dict)  # region -> structural loss factor
     dashpot: tuple[float, float, float] = (0.0, 0.0, 0.0)  # N s/m at each air spring
     scatter: float = 0.0  # log standard deviation of stiffness within a region
@@ -162,13 +279,20 @@ class Spec:
 
 SHELL = {"vessel shell": 0.060, "vessel heads": 0.090, "drive deck": 0.100}
 SECTIONS = {
-    "columns": Section.box(1.10, 1.00, 0.036),
-    "girders": Section.box(0.90, 0.60, 0.028),
-    "cross beams": Section.box(1.30, 0.90, 0.034),
-    "braces": Section.box(0.60, 0.60, 0.030),
-    "brackets": Section.box(1.40, 0.90, 0.050),
-    "vessel rings": Section.box(0.80, 0.30, 0.040),
-    "deck beams": Section.box(1.00, 0.50, 0.034),
-    "pedestals": Section.box(1.40, 1.20, 0.050),
-    "shaft": Section(area=0.1963, i1=3.07e-3, i2=3.07e-3, j=6.14e-3, k1=0.89, k2=0.89),
+    "columns": SectionProperties.box(1.10, 1.00, 0.036),
+    "girders": SectionProperties.box(0.90, 0.60, 0.028),
+    "cross beams": SectionProperties.box(1.30, 0.90, 0.034),
+    "braces": SectionProperties.box(0.60, 0.60, 0.030),
+    "brackets": SectionProperties.box(1.40, 0.90, 0.050),
+    "vessel rings": SectionProperties.box(0.80, 0.30, 0.040),
+    "deck beams": SectionProperties.box(1.00, 0.50, 0.034),
+    "pedestals": SectionProperties.box(1.40, 1.20, 0.050),
+    "shaft": SectionProperties(
+        area=0.1963,
+        i1=3.07e-3,
+        i2=3.07e-3,
+        j=6.14e-3,
+        k1=0.89,
+        k2=0.89,
+    ),
 }

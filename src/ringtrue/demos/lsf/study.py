@@ -9,9 +9,11 @@ from ringtrue.decks.nastran.writer import format_card
 from ringtrue.demos.lsf import spec as S
 from ringtrue.demos.lsf.deck import MAIN
 from ringtrue.demos.lsf.facility import Builder
+from ringtrue.demos.lsf.spec import DRIVE, FOUNDATION, FRAME, VESSEL
 
-STUDY, BRACES = "study.toml", "remodel/braces.bdf"
-FRAME = (
+STUDY = "study.toml"
+BRACES = "remodel/braces.bdf"
+MEMBERS = (
     "columns",
     "girders",
     "cross beams",
@@ -40,9 +42,9 @@ _SPRINGS = {
 
 def candidates() -> list[tuple[str, list[str]]]:
     """Name and targets of each candidate region."""
-    alone = [r for r in S.CONCRETE | S.STEEL if r not in ("haunches", "shaft", *FRAME)]
-    modulus = [(r, [f"MAT1 {(S.CONCRETE | S.STEEL)[r]} E"]) for r in alone]
-    modulus.append(("frame members", [f"MAT1 {S.STEEL[r]} E" for r in FRAME]))
+    single = [r for r in S.CONCRETE | S.STEEL if r not in ("haunches", "shaft", *MEMBERS)]
+    modulus = [(r, [f"MAT1 {(S.CONCRETE | S.STEEL)[r]} E"]) for r in single]
+    modulus.append(("frame members", [f"MAT1 {S.STEEL[r]} E" for r in MEMBERS]))
     bush = [
         (r, [f"PBUSH {pid} {_STIFFNESS if 'anchor' in r else _TRANSLATION}"])
         for r, pid in S.BUSHES.items()
@@ -53,12 +55,12 @@ def candidates() -> list[tuple[str, list[str]]]:
 
 def braces(b: Builder) -> str:
     """The cards of the missing braces, numbered after the deck's own."""
-    at = {tuple(x): n for x, n in zip(b.mesh.xyz, b.mesh.ids, strict=True)}
+    at = {tuple(x): n for x, n in zip(b.xyz, b.ids, strict=True)}
     eid = 290_001
     lines = []
-    for y in S.SIDES:
-        for i in S.BAYS_LEFT_OUT:
-            ends = [at[(S.PORTALS[i], y, S.MID)], at[(S.PORTALS[i + 1], y, S.TOP)]]
+    for y in FRAME.sides:
+        for i in FRAME.bays_left_out:
+            ends = [at[(FRAME.portals[i], y, FRAME.mid)], at[(FRAME.portals[i + 1], y, FRAME.top)]]
             lines.append(
                 format_card(
                     "CBAR", [eid, S.STEEL["braces"], *ends, 0.0, 1.0, 0.0, None, "56", "56"]
@@ -70,16 +72,15 @@ def braces(b: Builder) -> str:
 
 def access(b: Builder) -> dict[str, list[int]]:
     """Nodes that a crew can reach with a sensor or hammer, by region."""
-    m = b.mesh
     out: dict[str, list[int]] = {r: [] for r in TEST_REGIONS}
-    for n, part, (x, y, z) in zip(m.ids, m.part_of_node, m.xyz, strict=True):
+    for n, part, (x, y, z) in zip(b.ids, b.part_of_node, b.xyz, strict=True):
         if part == "foundation" and _reachable(x, y, z):
             out[part].append(n)
-    dependent = {f[2] for _, card, f in m.cards if card == "RBE3"}
+    dependent = {f[2] for _, card, f in b.cards if card == "RBE3"}
     for part in TEST_REGIONS[1:]:
         members = [
             n
-            for n, p in zip(m.ids, m.part_of_node, strict=True)
+            for n, p in zip(b.ids, b.part_of_node, strict=True)
             if p == part and n not in dependent
         ]
         out[part] = members[:: 2 if part == "frame" else 3]
@@ -87,13 +88,15 @@ def access(b: Builder) -> dict[str, list[int]]:
 
 
 def _reachable(x: float, y: float, z: float) -> bool:
-    top_of_wall = abs(z - S.WALL_TOP) < 1e-6
+    top_of_wall = abs(z - FOUNDATION.wall_top) < 1e-6
     floor = (
-        abs(z - S.SLAB) < 1e-6
-        and S.WALL < y < S.WIDTH - S.WALL
-        and S.END_WALL < x < S.LENGTH - S.END_WALL
+        abs(z - FOUNDATION.slab) < 1e-6
+        and FOUNDATION.wall < y < FOUNDATION.width - FOUNDATION.wall
+        and FOUNDATION.end_wall < x < FOUNDATION.length - FOUNDATION.end_wall
     )
-    outside = z > S.SLAB and (x in (0.0, S.LENGTH) or y in (0.0, S.WIDTH))
+    outside = z > FOUNDATION.slab and (
+        x in (0.0, FOUNDATION.length) or y in (0.0, FOUNDATION.width)
+    )
     return top_of_wall or floor or outside
 
 
@@ -162,12 +165,12 @@ def write_study(b: Builder, folder: Path, seed: int) -> Path:
             f'name = "{name}"',
             f'targets = ["PBUSH {S.BUSHES["air springs"]} {field}"]',
         ]
-    at = {tuple(x): n for x, n in zip(b.mesh.xyz, b.mesh.ids, strict=True)}
+    at = {tuple(x): n for x, n in zip(b.xyz, b.ids, strict=True)}
     lines += [
         "",
         "# What the validated model is for: running the rotor up",
         "[predict]",
-        f"rotor = {at[(S.ROTOR, S.AXIS_Y, S.SHAFT_Z)]}",
+        f"rotor = {at[(DRIVE.rotor, VESSEL.y, DRIVE.z)]}",
         "mass = 2500.0",
         'axis = "X"',
         "[predict.springs]",

@@ -10,20 +10,27 @@ from dataclasses import dataclass
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
-from ringtrue.fem.algebra import arm, condense, congruent, nodal, rotation, scaled, scatter, unit
 from ringtrue.fem.mesh import (
+    ElementMatrices,
     Isotropic,
-    Matrices,
     Mesh,
+    arm,
     components,
+    condense,
+    congruent,
     isotropic,
     lookup,
+    nodal,
     node_dofs,
     orientation,
+    rotation,
+    scaled,
+    scatter,
     segment,
     triad,
+    unit,
 )
-from ringtrue.model.model import Table, card_error, unsupported_card
+from ringtrue.model.model import Table, refuse_rows, unsupported_card
 
 # (v, θz) and (w, θy) at both ends
 PLANE1 = [1, 5, 7, 11]
@@ -46,7 +53,7 @@ OFFSETS = (
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Section:
+class BeamSection:
     """Beam sections at stations, (e, s): area, second moments, torsion constant, masses; linear
     between.
 
@@ -87,7 +94,7 @@ def _curvature(L: Float) -> tuple[Float, Float]:
     return b0, b1
 
 
-def kernel(L: Float, iso: Isotropic, s: Section) -> Any_:
+def kernel(L: Float, iso: Isotropic, s: BeamSection) -> Any_:
     """Local stiffness (e, 12, 12), exact for end loads."""
     K = uniform(L, iso, s)
     at = np.flatnonzero(s.integrated())
@@ -98,11 +105,11 @@ def kernel(L: Float, iso: Isotropic, s: Section) -> Any_:
     return K
 
 
-def _rows(s: Section, at: Int) -> Section:
-    return Section(*(getattr(s, name)[at] for name in Section.__slots__))
+def _rows(s: BeamSection, at: Int) -> BeamSection:
+    return BeamSection(*(getattr(s, name)[at] for name in BeamSection.__slots__))
 
 
-def uniform(L: Float, iso: Isotropic, s: Section) -> Any_:
+def uniform(L: Float, iso: Isotropic, s: BeamSection) -> Any_:
     """Stiffness with the mean of the stations (Przemieniecki 1968, eq. 5.116; I12 without
     shear).
     """
@@ -134,7 +141,7 @@ def _shear(iso: Isotropic, A: Any_, I: Any_, k: Any_, L: Float) -> Any_:
     return np.where(rigid, 0.0, 12 * iso.E * I / np.where(rigid, 1.0, k * iso.G * A * L**2))
 
 
-def flexible(L: Float, E: Any_, G: Any_, s: Section) -> Any_:
+def flexible(L: Float, E: Any_, G: Any_, s: BeamSection) -> Any_:
     """Stiffness (e, 12, 12) of beams whose sections vary linearly from station to station, from the
     flexibility.
 
@@ -161,9 +168,8 @@ def flexible(L: Float, E: Any_, G: Any_, s: Section) -> Any_:
             w * L**3 / (E * (I1 * I2 - I12**2)),
             np.stack([np.stack([I2, -I12], 1), np.stack([-I12, I1], 1)], 1),
         )
-        b = np.stack(
-            [1 - x, np.ones_like(x)], axis=1
-        )  # bending moment at x by end force and end moment, over L
+        # bending moment at x by end force and end moment, over L
+        b = np.stack([1 - x, np.ones_like(x)], axis=1)
         F += np.einsum("epq,ei,ej->epiqj", C, b, b).reshape(-1, 4, 4)
         for plane, k in enumerate((s.k1, s.k2)):
             rigid = (k == 0) | (A == 0) | (G == 0)
@@ -191,9 +197,8 @@ def _along(x: Float, rule: Float) -> Iterator[tuple[Float, Float, Callable[[Any_
     """Points of integration over the length: place (e,), weight (e,) and what gives values (e, s)
     there.
     """
-    for k in range(
-        x.shape[1] - 1
-    ):  # over the parts between stations, of a length of nothing where a beam has fewer
+    # over the parts between stations, of a length of nothing where a beam has fewer
+    for k in range(x.shape[1] - 1):
         part = x[:, k + 1] - x[:, k]
         for p, w in rule.tolist():  # a fixed number of points
 
@@ -280,12 +285,12 @@ def _stiff(K: Any_, drop: Int) -> Any_:
     return out
 
 
-def section(m: Mesh, card: str, at: Int) -> tuple[Isotropic, Section]:
+def section(m: Mesh, card: str, at: Int) -> tuple[Isotropic, BeamSection]:
     """Material and section of the rows `at` (e,) of CBAR or CBEAM."""
     return _pbar(m, card, at) if card == "CBAR" else _pbeam(m, card, at)
 
 
-def _pbar(m: Mesh, card: str, at: Int) -> tuple[Isotropic, Section]:
+def _pbar(m: Mesh, card: str, at: Int) -> tuple[Isotropic, BeamSection]:
     """PBAR of each row; its shear factors are ignored where I12 is given, as in Nastran."""
     t = m.model[card]
     row = lookup(m.model, "PBAR", t["PID"][at], table=t, at=at)
@@ -300,7 +305,7 @@ def _pbar(m: Mesh, card: str, at: Int) -> tuple[Isotropic, Section]:
     o = np.zeros((at.size, 2))
     none = np.zeros((at.size, 2, 2))
     x = np.tile([0.0, 1.0], (at.size, 1))
-    return isotropic(m.model, p["MID"][row], p, row), Section(
+    return isotropic(m.model, p["MID"][row], p, row), BeamSection(
         x=x,
         A=A,
         I1=I1,
@@ -316,7 +321,7 @@ def _pbar(m: Mesh, card: str, at: Int) -> tuple[Isotropic, Section]:
     )
 
 
-def _pbeam(m: Mesh, card: str, at: Int) -> tuple[Isotropic, Section]:
+def _pbeam(m: Mesh, card: str, at: Int) -> tuple[Isotropic, BeamSection]:
     t = m.model[card]
     warping = t.stack("SA", "SB")[at].any(axis=1)
     if warping.any():
@@ -338,7 +343,7 @@ def _pbeam(m: Mesh, card: str, at: Int) -> tuple[Isotropic, Section]:
         for c in "NM"
     )
     iso = isotropic(m.model, p["MID"][row], p, row)
-    return iso, Section(
+    return iso, BeamSection(
         x=x,
         A=A,
         I1=I1,
@@ -438,7 +443,7 @@ def _axial_at(neutral: Any_, L: Float) -> Any_:
     return nodal(np.stack(ends, axis=1))
 
 
-def _mass(L: Float, iso: Isotropic, s: Section, coupled: bool, beam: bool) -> Any_:
+def _mass(L: Float, iso: Isotropic, s: BeamSection, coupled: bool, beam: bool) -> Any_:
     rho = iso.rho[:, None]
     polar = rho * (s.I1 + s.I2) if beam else np.zeros_like(s.A)
     form = consistent if coupled else lumped
@@ -495,8 +500,7 @@ def place(m: Mesh, card: str, at: Int) -> Placed:
     arms = offsets(m, card, at, nodes)
     x = m.xyz[nodes] + arms
     short = np.linalg.norm(x[:, 1] - x[:, 0], axis=1) == 0
-    if short.any():
-        raise card_error(m.model, t, int(at[short][0]), "its two ends are at one place")
+    refuse_rows(m.model, t, at[short], "its two ends are at one place")
     L, axis = segment(x)
     R = triad(m, axis, orientation(m, t, at, nodes[:, 0]), table=t, at=at)
     local = rotation(R, 2)
@@ -511,7 +515,7 @@ def place(m: Mesh, card: str, at: Int) -> Placed:
     )
 
 
-def stiffness(L: Float, iso: Isotropic, s: Section) -> Any_:
+def stiffness(L: Float, iso: Isotropic, s: BeamSection) -> Any_:
     """Local stiffness (e, 12, 12) at the shear centres of the ends, whose neutral axis may be
     elsewhere.
     """
@@ -519,7 +523,7 @@ def stiffness(L: Float, iso: Isotropic, s: Section) -> Any_:
     return congruent(_axial_at(s.neutral, L), K) if np.any(s.neutral) else K
 
 
-def build(m: Mesh, card: str, at: Int) -> Matrices:
+def build(m: Mesh, card: str, at: Int) -> ElementMatrices:
     """Matrices of the rows `at` (e,) of CBAR or CBEAM.
 
     Raises
@@ -531,10 +535,9 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     iso, s = section(m, card, at)
     K = release(stiffness(p.L, iso, s), p.released)
     M = _mass(p.L, iso, s, coupled=m.model.param("COUPMASS", -1) > 0, beam=card == "CBEAM")
-    return Matrices(
+    return ElementMatrices(
         dofs=node_dofs(p.nodes),
         stiffness=congruent(p.local, K),
         mass=congruent(p.local, M),
         loss=iso.loss,
-        viscous=np.empty((0, 12, 12)),
     )

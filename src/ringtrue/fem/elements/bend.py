@@ -14,8 +14,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Float, Int
-from ringtrue.fem.algebra import arm, congruent, scaled, scatter, unit
-from ringtrue.fem.mesh import Matrices, Mesh, isotropic, lookup, node_dofs, orientation
+from ringtrue.fem.mesh import (
+    ElementMatrices,
+    Mesh,
+    arm,
+    congruent,
+    isotropic,
+    lookup,
+    node_dofs,
+    orientation,
+    scaled,
+    scatter,
+    unit,
+)
 from ringtrue.model.model import Table, card_error
 
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(16)
@@ -90,9 +101,8 @@ def _arc(m: Mesh, t: Table, at: Int, nodes: Int, p: dict[str, Any_]) -> Arc:
         bad=(geom == 1) & (np.abs(forward) <= 1e-12 * height),
         why="the centre on v is at infinity",
     )
-    sine = np.abs(forward) / np.hypot(
-        forward, height
-    )  # of half the angle where v leads to the centre
+    # of half the angle where v leads to the centre
+    sine = np.abs(forward) / np.hypot(forward, height)
     half = np.where(geom == 1, np.arcsin(sine), np.arctan2(height, forward))
     radius = p["RB"] - p["RC"]
     _refuse(
@@ -210,7 +220,7 @@ def _coupled(
     return M
 
 
-def build(m: Mesh, card: str, at: Int) -> Matrices:
+def build(m: Mesh, card: str, at: Int) -> ElementMatrices:
     """Matrices of the rows `at` (e,) of CBEND; half the mass at each end of the line of centroids,
     or coupled.
 
@@ -252,10 +262,9 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
             12,
             *((list(range(6 * k, 6 * k + 6)), congruent(A, body)) for k, A in enumerate(arms)),
         )
-    return Matrices(
+    return ElementMatrices(
         dofs=node_dofs(nodes),
         stiffness=(K + K.swapaxes(1, 2)) / 2,
         mass=M,
         loss=iso.loss,
-        viscous=np.empty((0, 12, 12)),
     )

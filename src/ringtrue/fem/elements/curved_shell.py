@@ -17,6 +17,8 @@ direction d, the normal field n and the turn ψ = Σ N_i θ_i x n_i:
     shear      γ_d = x,d · ψ   + n   · u,d
 
 A rigid motion has no strain, in any shape and with any normals.
+
+CQUAD8 and CTRIA6: curved shells of second order with assumed strains, six DOFs a node.
 """
 
 from __future__ import annotations
@@ -25,12 +27,30 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from ringtrue.core.arrays import Any_, Float, Int
-from ringtrue.fem.algebra import unit
-from ringtrue.fem.elements.shape_functions import Samples, ShellRule
-from ringtrue.fem.elements.shell_section import Section
-from ringtrue.fem.mesh import Mesh, Rows, union
-from ringtrue.model.model import Model
+from ringtrue.core.arrays import Any_, Bool, Float, Int
+from ringtrue.fem.elements.shape_functions import QUAD8, TRIA6, Samples, ShellRule
+from ringtrue.fem.elements.shell_section import (
+    ShellSection,
+    SurfacePoints,
+    condensed,
+    directed,
+    in_spans,
+    masses,
+    material_axis,
+    section,
+)
+from ringtrue.fem.mesh import (
+    ElementMatrices,
+    Mesh,
+    Rows,
+    arm,
+    congruent,
+    nodal,
+    node_dofs,
+    union,
+    unit,
+)
+from ringtrue.model.model import Model, card_error
 
 SNORM = 20.0  # degrees
 SAME = 1e-10  # a normal so near to the element's own is its own
@@ -121,7 +141,7 @@ def length(v: Any_) -> Any_:
     return np.asarray(np.sqrt((v * v).sum(axis=-1)))
 
 
-def law(s: Section, w: Any_, corner: Any_) -> Any_:
+def law(s: ShellSection, w: Any_, corner: Any_) -> Any_:
     """Section matrices (e, p, 8, 8) over (ε, κ, γ) times the weights w (e, p); corner shapes (p,
     corners).
     """
@@ -140,7 +160,10 @@ def strains(rule: ShellRule, x: Any_, n: Any_, back: Any_) -> Any_:
     """Rows (e, p, 8, 6k) of (ε, κ, γ) in the local axes over (u, θ) of each node."""
     plane = rule.plane
     shear = rule.shear
-    membrane, curvature = _plane_samples(rule, plane, x, n)
+    _, d, xd, arms = _along(rule, plane, x, n)
+    nd = np.einsum("kn,ena->eka", d, n)
+    u, bent, turn = (d[..., None] * v for v in (xd[:, :, None], nd[:, :, None], arms))
+    membrane, curvature = (_rows(u, 0 * u), _rows(bent, turn))
     p = back[..., 0, :]
     q = back[..., 1, :]
     T = np.stack(
@@ -178,13 +201,6 @@ def _along(rule: ShellRule, s: Samples, x: Any_, n: Any_) -> tuple[Any_, Any_, A
     return N, d, xd, np.cross(n[:, None], xd[:, :, None])
 
 
-def _plane_samples(rule: ShellRule, s: Samples, x: Any_, n: Any_) -> tuple[Any_, Any_]:
-    _, d, xd, arms = _along(rule, s, x, n)
-    nd = np.einsum("kn,ena->eka", d, n)
-    u, bent, turn = (d[..., None] * v for v in (xd[:, :, None], nd[:, :, None], arms))
-    return _rows(u, 0 * u), _rows(bent, turn)
-
-
 def _shear_samples(rule: ShellRule, s: Samples, x: Any_, n: Any_) -> Any_:
     N, d, _, arms = _along(rule, s, x, n)
     across = np.einsum("kn,ena->eka", N, n)
@@ -217,7 +233,7 @@ def missing_mean(rows: Any_, gradients: Any_, frame: Any_, n: Any_, w: Any_) -> 
     return np.asarray(np.einsum("ep,epcd->ecd", w / w.sum(axis=1, keepdims=True), missing)[:, None])
 
 
-def drilling(rule: ShellRule, x: Any_, s: Section, points: Float, weights: Float) -> Any_:
+def drilling(rule: ShellRule, x: Any_, s: ShellSection, points: Float, weights: Float) -> Any_:
     """G t K6ROT 1e-6 ∫ (θ·n - (∂u2/∂x1 - ∂u1/∂x2)/2)² by points (p, 2) and weights (p,): (e, 6k,
     6k).
     """
@@ -232,3 +248,154 @@ def drilling(rule: ShellRule, x: Any_, s: Section, points: Float, weights: Float
     rows = _rows(u / 2, N[..., None] * normal[:, :, None])
     w = s.weights(size * weights, rule.corner_shapes(points), 1) * s.drill[:, None]
     return np.asarray((rows * w[..., None]).swapaxes(1, 2) @ rows)
+
+
+_RULES = {"CQUAD8": QUAD8, "CTRIA6": TRIA6}
+
+
+def build(m: Mesh, card: str, at: Int) -> ElementMatrices:
+    """Matrices of the rows `at` (e,) of CQUAD8 or CTRIA6; a mid-side node may be blank: its side is
+    linear.
+
+    Raises
+    ------
+    DeckError
+        If an element is folded or without area.
+    """
+    rule = _RULES[card]
+    nodes, absent, x = _nodes(m, card, at, rule)
+    _check(m, card, at, rule=rule, x=x)
+    s = section(m, card, at, rule.corners)
+    K = in_spans(len(at), lambda i: kernel(m, card, at[i], x=x[i], s=s.take(i)))
+    M = _mass(m, rule, x, s)
+    dofs = np.where(np.repeat(absent, 6, axis=1), -1, node_dofs(nodes))
+    if absent.any():
+        K, M = _without(rule, absent, K, M)
+    return ElementMatrices(dofs=dofs, stiffness=K, mass=M, loss=s.loss)
+
+
+def measure(m: Mesh, card: str, at: Int) -> Any_:
+    """Areas (e,) of the rows `at`."""
+    rule = _RULES[card]
+    x = _nodes(m, card, at, rule)[2]
+    return length(tangents(rule.shapes(rule.points)[1], x)[1]) @ rule.weights
+
+
+def _nodes(m: Mesh, card: str, at: Int, rule: ShellRule) -> tuple[Int, Bool, Any_]:
+    """Rows of GRID (e, k), which nodes are absent, and places (e, k, 3), those of absent ones amid
+    their sides.
+    """
+    t = m.model[card]
+    ids = t.stack(*(f"G{i + 1}" for i in range(len(rule.nodes))))[at]
+    absent = ids <= 0
+    absent[:, : rule.corners] = False  # a blank corner is an error
+    nodes = m.nodes(np.where(absent, ids[:, :1], ids), t, at)
+    x = m.xyz[nodes]
+    middle = x[:, rule.sides].mean(axis=2)
+    middle = np.where(absent[:, rule.corners :, None], middle, x[:, rule.corners :])
+    return nodes, absent, np.concatenate([x[:, : rule.corners], middle], axis=1)
+
+
+def _check(m: Mesh, card: str, at: Int, rule: ShellRule, x: Any_) -> None:
+    """Refuse an element whose normal turns over between its integration points and nodes."""
+    p = np.vstack([rule.points, rule.nodes])
+    n = np.cross(*np.einsum("gnr,ena->rega", rule.shapes(p)[1], x.real))
+    size = np.linalg.norm(n, axis=2)
+    ahead = np.einsum("ega,ea->eg", n, n[:, : len(rule.points)].sum(axis=1))
+    bad = (size.min(axis=1) <= 1e-10 * size.max(axis=1)) | (ahead <= 0).any(axis=1)
+    if bad.any():
+        row = int(at[np.flatnonzero(bad)[0]])
+        raise card_error(
+            m.model, m.model[card], row, "it is folded; check its nodes and their order"
+        )
+
+
+def kernel(m: Mesh, card: str, at: Int, x: Any_, s: ShellSection) -> Any_:
+    """Stiffness (e, 6k, 6k) in basic over (u, θ) of each node, with nodes x (e, k, 3); the offset
+    is in it.
+    """
+    rule = _RULES[card]
+    e = len(x)
+    n = unit(tangents(rule.shapes(rule.nodes)[1], x)[1])
+    x = x + s.offset[:, None, None] * n
+    N, d = rule.shapes(rule.points)
+    g, up = tangents(d, x)
+    w = length(up) * rule.weights
+    points = SurfacePoints(np.einsum("pn,ena->epa", N, x), unit(g[:, :, 0]), unit(up))
+    frame = _frames(m, card, at, points, directed(s))
+    back = np.linalg.inv(np.einsum("epra,epia->epri", g, frame))  # ∂ξ_r/∂x_i, (e, p, i, r)
+    rows = strains(rule, x, n, back)
+    if rule.corners == 4:
+        rows[:, :, :6] += missing_mean(rows, np.einsum("epir,pnr->epni", back, d), frame, n=n, w=w)
+    else:
+        rows = np.concatenate([rows, _bubbles(rule, x, frame, back)], axis=3)
+    loaded = (law(s, w, rule.corner_shapes(rule.points)) @ rows).reshape(e, -1, rows.shape[-1])
+    K = rows.reshape(e, -1, rows.shape[-1]).swapaxes(1, 2) @ loaded
+    K = condensed(K, rows.shape[-1] - 6 * x.shape[1]) + drilling(
+        rule, x, s, points=rule.points, weights=rule.weights
+    )
+    if not np.any(s.offset):
+        return K
+    return congruent(nodal(arm(s.offset[:, None, None] * n)), K)
+
+
+def _bubbles(rule: ShellRule, x: Any_, frame: Any_, back: Any_) -> Any_:
+    """Rows (e, p, 8, 2) of two turns with the bubble 27 L1 L2 L3, about the local axes: the MITC7
+    without its centre.
+
+    Without them the shear at the centre locks a thin triangle.
+    """
+    r, s = rule.points.T
+    d = 27 * np.stack([s * (1 - 2 * r - s), r * (1 - r - 2 * s)], axis=1)
+    slope = np.einsum("epir,pr->epi", back, d)
+    centre = tangents(rule.shapes(np.full((1, 2), 1 / 3))[1], x)[0][:, 0]
+    across = np.einsum("pck,eka,epia->epci", rule.shear.carry[:, :, 6:], centre, frame)
+    out = np.zeros((*slope.shape[:2], 8, 2), dtype=across.dtype)
+    out[:, :, 3, 0] = slope[..., 0]
+    out[:, :, 4, 1] = slope[..., 1]
+    out[:, :, 5, 0] = slope[..., 1]
+    out[:, :, 5, 1] = slope[..., 0]
+    out[:, :, 6:] = back @ across
+    return out
+
+
+def _frames(m: Mesh, card: str, at: Int, points: SurfacePoints, turned: Bool) -> Any_:
+    """Material axes in the tangent plane of each point (e, p) as rows, (e, p, 2, 3); THETA is from
+    the tangent along r.
+    """
+    e, p = points.x.shape[:2]
+    flat = (v.reshape(-1, 3) for v in (points.x, points.tangent, points.normal))
+    one = material_axis(
+        m, card, np.repeat(at, p), SurfacePoints(*flat), np.repeat(turned, p)
+    ).reshape(e, p, 3)
+    return np.stack([one, np.cross(points.normal, one)], axis=2)
+
+
+def _mass(m: Mesh, rule: ShellRule, x: Any_, s: ShellSection) -> Any_:
+    """Lumped by the diagonal of the consistent mass (Hinton, Rock and Zienkiewicz 1976), or
+    consistent.
+    """
+    N, d = rule.shapes(rule.points)
+    w = s.masses(length(tangents(d, x)[1]) * rule.weights, rule.corner_shapes(rule.points))
+    full = np.einsum("eg,gi,gj->eij", w, N, N, optimize=True)
+    total = w.sum(axis=1)[:, None]
+    share = np.einsum("eii->ei", full)
+    share = share / share.sum(axis=1, keepdims=True)
+    n = unit(tangents(rule.shapes(rule.nodes)[1], x)[1])
+    whole = np.where(total == 0, 1.0, total)[..., None]
+    return masses(m, s.offset[:, None, None] * n, total * share, full / whole)
+
+
+def _without(rule: ShellRule, absent: Bool, K: Any_, M: Any_) -> tuple[Any_, Any_]:
+    """Replace the motion of absent mid-side nodes by the mean of the ends of their sides."""
+    e, k = absent.shape
+    T = np.broadcast_to(np.eye(k), (e, k, k)).copy()
+    element, node = np.nonzero(absent)
+    T[element, node, node] = 0.0
+    for end in rule.sides[node - rule.corners].T:
+        T[element, node, end] = 0.5
+    wide = np.einsum("eij,ab->eiajb", T, np.eye(6)).reshape(e, 6 * k, 6 * k)
+    if M.ndim == 2:
+        M = (M.reshape(e, k, 6).swapaxes(1, 2) @ T).swapaxes(1, 2).reshape(e, -1)
+        return congruent(wide, K), M
+    return congruent(wide, K), congruent(wide, M)

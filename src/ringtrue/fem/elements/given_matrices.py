@@ -18,9 +18,9 @@ from scipy import sparse
 
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.errors import DeckError
-from ringtrue.fem.constraint_equations import rigid_motion
 from ringtrue.fem.elements.lumped import spread
-from ringtrue.fem.mesh import Matrices, Mesh
+from ringtrue.fem.mesh import ElementMatrices, Mesh
+from ringtrue.fem.rigid_elements import rigid_motion
 from ringtrue.model.model import Model, Table, card_error, unsupported_card
 
 
@@ -92,7 +92,7 @@ def _motion(m: Mesh, t: Table, at: Int, n: int, d: int) -> Any_:
     return S
 
 
-def build_general(m: Mesh, card: str, at: Int) -> Matrices:
+def build_general(m: Mesh, card: str, at: Int) -> ElementMatrices:
     """Matrices of the rows `at` (e,) of GENEL, which have as many UI and UD each (`same_sizes`).
 
     Raises
@@ -118,12 +118,10 @@ def build_general(m: Mesh, card: str, at: Int) -> Matrices:
     dofs, way = (np.concatenate(x, axis=1) for x in zip(*parts, strict=True))
     k = 3 * (n + d)
     full = np.einsum("eia,eij,ejb->eiajb", way, K, way, optimize=True).reshape(-1, k, k)
-    return Matrices(
+    return ElementMatrices(
         dofs=dofs.reshape(-1, k),
         stiffness=full,
         mass=np.zeros((at.size, k)),
-        loss=np.zeros(at.size),
-        viscous=np.empty((0, k, k)),
     )
 
 

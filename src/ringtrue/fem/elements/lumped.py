@@ -7,20 +7,24 @@ from __future__ import annotations
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
-from ringtrue.fem.algebra import arm, congruent, rotation, scaled, scatter
 from ringtrue.fem.elements import rod
 from ringtrue.fem.mesh import (
-    Matrices,
+    ElementMatrices,
     Mesh,
     any_triad,
+    arm,
+    congruent,
     frame,
     lookup,
     node_dofs,
     orientation,
+    rotation,
+    scaled,
+    scatter,
     segment,
     triad,
 )
-from ringtrue.model.model import Table, card_error
+from ringtrue.model.model import Table, refuse_rows
 
 
 def spread(m: Mesh, ids: Int, component: Int, t: Table, at: Int) -> tuple[Int, Float]:
@@ -67,46 +71,43 @@ def scalar_value(m: Mesh, card: str, at: Int, name: str, field: str) -> Any_:
     return m.model[name][field][lookup(m.model, name, t["PID"][at], table=t, at=at)]
 
 
-def build_spring(m: Mesh, card: str, at: Int) -> Matrices:
+def build_spring(m: Mesh, card: str, at: Int) -> ElementMatrices:
     """Matrices of the rows `at` (e,) of CELAS1 to CELAS4."""
     dofs, way = along(m, card, at)
     k, loss = (scalar_value(m, card, at, name="PELAS", field=field) for field in ("K", "GE"))
-    return Matrices(
+    return ElementMatrices(
         dofs=dofs,
         stiffness=scaled(k, way),
         mass=np.zeros((at.size, 6)),
         loss=loss,
-        viscous=np.empty((0, 6, 6)),
     )
 
 
-def build_scalar_mass(m: Mesh, card: str, at: Int) -> Matrices:
+def build_scalar_mass(m: Mesh, card: str, at: Int) -> ElementMatrices:
     """Matrices of the rows `at` (e,) of CMASS1 to CMASS4."""
     dofs, way = along(m, card, at)
     M = scaled(scalar_value(m, card, at, name="PMASS", field="M"), way)
-    return Matrices(
+    return ElementMatrices(
         dofs=dofs,
         stiffness=np.zeros((at.size, 6, 6)),
         mass=M,
-        loss=np.zeros(at.size),
-        viscous=np.empty((0, 6, 6)),
     )
 
 
-def _only_viscous(dofs: Int, B: Any_) -> Matrices:
+def _only_viscous(dofs: Int, B: Any_) -> ElementMatrices:
     e, d = dofs.shape
-    return Matrices(
-        dofs=dofs, stiffness=np.zeros((e, d, d)), mass=np.zeros((e, d)), loss=np.zeros(e), viscous=B
+    return ElementMatrices(
+        dofs=dofs, stiffness=np.zeros((e, d, d)), mass=np.zeros((e, d)), viscous=B
     )
 
 
-def build_damper(m: Mesh, card: str, at: Int) -> Matrices:
+def build_damper(m: Mesh, card: str, at: Int) -> ElementMatrices:
     """Matrices of the rows `at` (e,) of CDAMP1 to CDAMP4."""
     dofs, way = along(m, card, at)
     return _only_viscous(dofs, scaled(scalar_value(m, card, at, name="PDAMP", field="B"), way))
 
 
-def build_line_damper(m: Mesh, card: str, at: Int) -> Matrices:
+def build_line_damper(m: Mesh, card: str, at: Int) -> ElementMatrices:
     """Matrices of the rows `at` (e,) of CVISC: CE along the line, CR about it.
 
     Raises
@@ -118,15 +119,14 @@ def build_line_damper(m: Mesh, card: str, at: Int) -> Matrices:
     nodes = m.nodes(t.stack("G1", "G2")[at], t, at)
     x = m.xyz[nodes]
     short = np.linalg.norm(x[:, 1] - x[:, 0], axis=1) == 0
-    if short.any():
-        raise card_error(m.model, t, int(at[short][0]), "its two ends are at one place")
+    refuse_rows(m.model, t, at[short], "its two ends are at one place")
     row = lookup(m.model, "PVISC", t["PID"][at], table=t, at=at)
     p = m.model["PVISC"]
     L = segment(x)[0]
     return _only_viscous(node_dofs(nodes), rod.kernel(x, p["CE"][row] * L, p["CR"][row] * L))
 
 
-def build_point_mass(m: Mesh, card: str, at: Int) -> Matrices:
+def build_point_mass(m: Mesh, card: str, at: Int) -> ElementMatrices:
     """Matrices of the rows `at` (e,) of CONM2: mass at X1-X3 in CID (-1: a place in basic), inertia
     about it.
     """
@@ -147,16 +147,14 @@ def build_point_mass(m: Mesh, card: str, at: Int) -> Matrices:
         at.size, 6, ([0, 1, 2], t["M"][at][:, None, None] * np.eye(3)), ([3, 4, 5], inertia)
     )
     zero = np.zeros((at.size, 6, 6))
-    return Matrices(
+    return ElementMatrices(
         dofs=node_dofs(nodes[:, None]),
         stiffness=zero,
         mass=congruent(arm(r), body),
-        loss=np.zeros(at.size),
-        viscous=np.empty((0, 6, 6)),
     )
 
 
-def build_mass_matrix(m: Mesh, card: str, at: Int) -> Matrices:
+def build_mass_matrix(m: Mesh, card: str, at: Int) -> ElementMatrices:
     """Matrices of the rows `at` (e,) of CONM1: the mass matrix of its node in CID."""
     t = m.model[card]
     nodes = m.nodes(t["G"][at], t, at)
@@ -167,12 +165,10 @@ def build_mass_matrix(m: Mesh, card: str, at: Int) -> Matrices:
     own[:, i, j] = own[:, j, i] = values
     M = congruent(rotation(frame(m, t["CID"][at], m.xyz[nodes]), 1), own)
     zero = np.zeros((at.size, 6, 6))
-    return Matrices(
+    return ElementMatrices(
         dofs=node_dofs(nodes[:, None]),
         stiffness=zero,
         mass=M,
-        loss=np.zeros(at.size),
-        viscous=np.empty((0, 6, 6)),
     )
 
 
@@ -206,7 +202,7 @@ def _spring_point(m: Mesh, card: str, at: Int, x: Float) -> Float:
     return np.where(ocid[:, None] >= 0, x[:, 0] + own, (1 - s) * x[:, 0] + s * x[:, 1])
 
 
-def build_bush(m: Mesh, card: str, at: Int) -> Matrices:
+def build_bush(m: Mesh, card: str, at: Int) -> ElementMatrices:
     """Matrices of the rows `at` (e,) of CBUSH.
 
     Raises
@@ -217,10 +213,7 @@ def build_bush(m: Mesh, card: str, at: Int) -> Matrices:
     t = m.model[card]
     ga = t["GA"][at]
     gb = t["GB"][at]
-    if (ga == 0).any():
-        raise card_error(
-            m.model, t, int(at[ga == 0][0]), "GA is blank; a grounded bush has GB blank"
-        )
+    refuse_rows(m.model, t, at[ga == 0], "GA is blank; a grounded bush has GB blank")
     a = m.nodes(ga, t, at)
     grounded = gb == 0
     b = m.nodes(np.where(grounded, ga, gb), t, at)
@@ -244,7 +237,7 @@ def build_bush(m: Mesh, card: str, at: Int) -> Matrices:
     dofs = node_dofs(np.stack([a, b], axis=1))
     dofs[grounded, 6:] = -1
     same = (loss == loss[:, :1]).all()
-    return Matrices(
+    return ElementMatrices(
         dofs=dofs,
         stiffness=K,
         mass=p["M"][row][:, None] * ends,
@@ -287,23 +280,19 @@ def _ends(m: Mesh, card: str, at: Int) -> tuple[Int, Float, Bool]:
     ga = t["GA"][at]
     gb = t["GB"][at]
     cid = t["CID"][at]
-    if (ga == 0).any():
-        raise card_error(
-            m.model, t, int(at[ga == 0][0]), "GA is blank; a grounded element has GB blank"
-        )
+    refuse_rows(m.model, t, at[ga == 0], "GA is blank; a grounded element has GB blank")
     grounded = gb == 0
     nodes = np.stack([m.nodes(ga, t, at), m.nodes(np.where(grounded, ga, gb), t, at)], axis=1)
     x = m.xyz[nodes]
     d = x[:, 1] - x[:, 0]
     L = np.linalg.norm(d, axis=1)
     lost = (cid < 0) & (L == 0)
-    if lost.any():
-        raise card_error(
-            m.model,
-            t,
-            int(at[lost][0]),
-            "its ends are at one place, or GB is blank; give CID, whose T1 it takes",
-        )
+    refuse_rows(
+        m.model,
+        t,
+        at[lost],
+        "its ends are at one place, or GB is blank; give CID, whose T1 it takes",
+    )
     along = d / np.where(L == 0, 1.0, L)[:, None]
     return (
         nodes,
@@ -325,7 +314,7 @@ def _dofs(nodes: Int, grounded: Bool) -> Int:
     return dofs
 
 
-def build_bush1d(m: Mesh, card: str, at: Int) -> Matrices:
+def build_bush1d(m: Mesh, card: str, at: Int) -> ElementMatrices:
     """Matrices of the rows `at` (e,) of CBUSH1D: K, C and M of PBUSH1D, half the mass at each end.
 
     The lines of PBUSH1D behind these are for nonlinear solutions.
@@ -342,12 +331,10 @@ def build_bush1d(m: Mesh, card: str, at: Int) -> Matrices:
     way = np.einsum("ei,ej->eij", axis, axis)
     K, B = (_pair(p[c][row][:, None, None] * way) for c in "KC")
     half = np.repeat(p["M"][row] / 2, 6).reshape(-1, 6)
-    return Matrices(
-        dofs=_dofs(nodes, grounded), stiffness=K, mass=half, loss=np.zeros(at.size), viscous=B
-    )
+    return ElementMatrices(dofs=_dofs(nodes, grounded), stiffness=K, mass=half, viscous=B)
 
 
-def build_gap(m: Mesh, card: str, at: Int) -> Matrices:
+def build_gap(m: Mesh, card: str, at: Int) -> ElementMatrices:
     """Matrices of the rows `at` (e,) of CGAP: closed (U0 <= 0) KA along and KT across, open KB
     along.
 
@@ -360,8 +347,7 @@ def build_gap(m: Mesh, card: str, at: Int) -> Matrices:
     """
     t = m.model[card]
     nodes, axis, grounded = _ends(m, card, at)
-    if grounded.any():
-        raise card_error(m.model, t, int(at[grounded][0]), "GB is blank; a gap has two nodes")
+    refuse_rows(m.model, t, at[grounded], "GB is blank; a gap has two nodes")
     row = lookup(m.model, "PGAP", t["PID"][at], table=t, at=at)
     p = m.model["PGAP"]
     KA, KB, KT, mu = (p[c][row] for c in ("KA", "KB", "KT", "MU1"))
@@ -372,10 +358,8 @@ def build_gap(m: Mesh, card: str, at: Int) -> Matrices:
     across = np.where(closed, KT, 0.0)
     way = np.einsum("ei,ej->eij", axis, axis)
     K = _pair(along[:, None, None] * way + across[:, None, None] * (np.eye(3) - way))
-    return Matrices(
+    return ElementMatrices(
         dofs=_dofs(nodes, grounded),
         stiffness=K,
         mass=np.zeros((at.size, 6)),
-        loss=np.zeros(at.size),
-        viscous=np.empty((0, 6, 6)),
     )

@@ -5,9 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Float, Int
-from ringtrue.fem.algebra import scaled
-from ringtrue.fem.mesh import Isotropic, Matrices, Mesh, isotropic, lookup, node_dofs, segment
-from ringtrue.model.model import card_error
+from ringtrue.fem.mesh import (
+    ElementMatrices,
+    Isotropic,
+    Mesh,
+    isotropic,
+    lookup,
+    node_dofs,
+    scaled,
+    segment,
+)
+from ringtrue.model.model import refuse_rows
 
 _PAIR = np.array([[1.0, -1.0], [-1.0, 1.0]])
 
@@ -16,9 +24,8 @@ def kernel(x: Float, EA: Any_, GJ: Any_) -> Any_:
     """Stiffness in basic: x (e, 2, 3), EA and GJ (e,) -> (e, 12, 12)."""
     L, axis = segment(x)
     direction = np.einsum("ei,ej->eij", axis, axis)
-    K = np.zeros(
-        (len(x), 2, 2, 3, 2, 2, 3), dtype=np.result_type(EA, GJ)
-    )  # node, kind, axis, twice
+    # node, kind, axis, twice
+    K = np.zeros((len(x), 2, 2, 3, 2, 2, 3), dtype=np.result_type(EA, GJ))
     for kind, c in enumerate((EA / L, GJ / L)):
         K[:, :, kind, :, :, kind, :] = np.einsum("e,kl,eij->ekilj", c, _PAIR, direction)
     return K.reshape(-1, 12, 12)
@@ -66,7 +73,7 @@ def measure(m: Mesh, card: str, at: Int) -> Float:
     return segment(m.xyz[m.nodes(t.stack("G1", "G2")[at], t, at)])[0]
 
 
-def build(m: Mesh, card: str, at: Int) -> Matrices:
+def build(m: Mesh, card: str, at: Int) -> ElementMatrices:
     """Matrices of the rows `at` (e,) of CROD, CONROD or CTUBE.
 
     Raises
@@ -77,14 +84,13 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     t = m.model[card]
     nodes = m.nodes(t.stack("G1", "G2")[at], t, at)
     x = m.xyz[nodes]
-    if (short := np.linalg.norm(x[:, 1] - x[:, 0], axis=1) == 0).any():
-        raise card_error(m.model, t, int(at[short][0]), "its two ends are at one place")
+    short = np.linalg.norm(x[:, 1] - x[:, 0], axis=1) == 0
+    refuse_rows(m.model, t, at[short], "its two ends are at one place")
     iso, A, J, nsm = _section(m, card, at)
     M = mass(x, iso.rho * A + nsm + m.nsm(card, at), m.model.param("COUPMASS", -1) > 0)
-    return Matrices(
+    return ElementMatrices(
         dofs=node_dofs(nodes),
         stiffness=kernel(x, iso.E * A, iso.G * J),
         mass=M,
         loss=iso.loss,
-        viscous=np.empty((0, 12, 12)),
     )

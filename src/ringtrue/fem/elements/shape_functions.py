@@ -23,6 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ringtrue.core.arrays import Bool, Float, Int
+from ringtrue.model.cards import QUADRILATERAL, TRIANGLE, ElementShape
 
 _A = 1 / np.sqrt(3)
 _B = np.sqrt(0.6)
@@ -43,71 +44,37 @@ class Samples:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShellRule:
-    """A shell: its corners, the mid-side nodes' ends, nodes in (r, s), points and weights."""
+    """A shell of the first or second order: points (gp, 2), weights (gp,) and assumed strains."""
 
-    corners: int
-    sides: Int
-    nodes: Float
+    shape: ElementShape
+    order: int
     points: Float
     weights: Float
-    mass_points: Float
-    mass_weights: Float
     plane: Samples
     shear: Samples
 
+    @property
+    def corners(self) -> int:
+        """Number of corners."""
+        return len(self.shape.corners)
+
+    @property
+    def nodes(self) -> Float:
+        """Natural coordinates (k, 2) of the nodes."""
+        return self.shape.nodes(self.order)
+
+    @property
+    def sides(self) -> Int:
+        """The corners (s, 2) that each midside node lies between."""
+        return np.array(self.shape.edges)
+
     def shapes(self, p: Float) -> tuple[Float, Float]:
         """Shape functions (p, k) and natural derivatives (p, k, 2)."""
-        return {4: bilinear, 6: _triangle, 8: _quad}[len(self.nodes)](p)
+        return self.shape.functions(self.order, p)
 
     def corner_shapes(self, p: Float) -> Float:
         """The linear shapes of the corners (p, corners)."""
-        if self.corners == 3:
-            return np.stack([1 - p.sum(axis=1), p[:, 0], p[:, 1]], axis=1)
-        return bilinear(p)[0]
-
-
-_CORNERS = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-_MIDDLES = np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]])
-
-
-def bilinear(p: Float) -> tuple[Float, Float]:
-    """Shape functions (k, 4) of the four-node quadrilateral at places (k, 2), and natural
-    derivatives (k, 4, 2).
-    """
-    f = 1 + p[:, None, :] * _CORNERS
-    return f.prod(axis=2) / 4, np.stack(
-        [_CORNERS[:, 0] * f[..., 1], _CORNERS[:, 1] * f[..., 0]], axis=2
-    ) / 4
-
-
-def _quad(p: Float) -> tuple[Float, Float]:
-    """The eight-node serendipity quadrilateral."""
-    r = p[:, :1]
-    s = p[:, 1:]
-    a, b = _CORNERS.T
-    f = 1 + a * r
-    g = 1 + b * s
-    N = f * g * (a * r + b * s - 1) / 4
-    dr = a * g * (2 * a * r + b * s) / 4
-    ds = b * f * (a * r + 2 * b * s) / 4
-    a, b = _MIDDLES.T
-    flat = a == 0
-    f = np.where(flat, 1 - r * r, 1 + a * r)
-    g = np.where(flat, 1 + b * s, 1 - s * s)
-    df = np.where(flat, -2 * r, a)
-    dg = np.where(flat, b, -2 * s)
-    d = np.stack([np.hstack([dr, df * g / 2]), np.hstack([ds, f * dg / 2])], axis=2)
-    return np.hstack([N, f * g / 2]), d
-
-
-def _triangle(p: Float) -> tuple[Float, Float]:
-    """The six-node triangle, mid-side nodes on 12, 23, 31."""
-    L = np.stack([1 - p.sum(axis=1), p[:, 0], p[:, 1]], axis=1)
-    dL = np.array([[-1.0, -1.0], [1.0, 0.0], [0.0, 1.0]])
-    j = np.array([1, 2, 0])
-    N = np.hstack([L * (2 * L - 1), 4 * L * L[:, j]])
-    corner = (4 * L - 1)[..., None] * dL
-    return N, np.concatenate([corner, 4 * (L[..., None] * dL[j] + L[:, j, None] * dL)], axis=1)
+        return self.shape.functions(1, p)[0]
 
 
 def _grid(r: Float, s: Float) -> Float:
@@ -133,9 +100,8 @@ def _quad_plane(p: Float) -> Samples:
     carry = np.zeros((len(p), 3, 20))
     carry[:, 0, :6] = _outer(_lagrange(two, r), _lagrange(three, s))
     carry[:, 1, 6:12] = _outer(_lagrange(three, r), _lagrange(two, s))
-    both = (
-        _outer(_lagrange(two, r), _lagrange(two, s)) / 2
-    )  # 2 e_rs = (e along r + s less e along r - s)/2
+    # 2 e_rs = (e along r + s less e along r - s)/2
+    both = _outer(_lagrange(two, r), _lagrange(two, s)) / 2
     carry[:, 2, 12:16] = both
     carry[:, 2, 16:] = -both
     return Samples(points, direction, carry)
@@ -219,7 +185,7 @@ def _flat_rule() -> ShellRule:
     """Four nodes: strains of the displacements, transverse shear of the MITC4 (Dvorkin and Bathe
     1984).
     """
-    p = _CORNERS * _A
+    p = QUADRILATERAL.nodes(1) * _A
     w = np.ones(4)
     k = np.arange(4)
     carry = np.zeros((4, 3, 16))
@@ -237,35 +203,16 @@ def _flat_rule() -> ShellRule:
     shear = Samples(
         middle, np.repeat([[1.0, 0.0], [0.0, 1.0]], 2, axis=0), np.stack([low, side], axis=1)
     )
-    return ShellRule(
-        corners=4,
-        sides=np.empty((0, 2), dtype=np.int64),
-        nodes=_CORNERS,
-        points=p,
-        weights=w,
-        mass_points=p,
-        mass_weights=w,
-        plane=plane,
-        shear=shear,
-    )
+    return ShellRule(QUADRILATERAL, 1, points=p, weights=w, plane=plane, shear=shear)
 
 
 def _quad_rule() -> ShellRule:
     x, w = np.polynomial.legendre.leggauss(3)
     p = _grid(x, x)
     weights = np.outer(w, w).ravel()
-    sides = np.array([[0, 1], [1, 2], [2, 3], [3, 0]])
-    return ShellRule(
-        corners=4,
-        sides=sides,
-        nodes=np.vstack([_CORNERS, _MIDDLES]),
-        points=p,
-        weights=weights,
-        mass_points=p,
-        mass_weights=weights,
-        plane=_quad_plane(p),
-        shear=_quad_shear(p),
-    )
+    plane = _quad_plane(p)
+    shear = _quad_shear(p)
+    return ShellRule(QUADRILATERAL, 2, points=p, weights=weights, plane=plane, shear=shear)
 
 
 def _triangle_rule() -> ShellRule:
@@ -276,19 +223,9 @@ def _triangle_rule() -> ShellRule:
         [[a, a], [1 - 2 * a, a], [a, 1 - 2 * a], [b, b], [1 - 2 * b, b], [b, 1 - 2 * b]]
     )
     wide = np.repeat([0.223381589678011, 0.109951743655322], 3) / 2
-    nodes = np.array([[0, 0], [1, 0], [0, 1], [0.5, 0], [0.5, 0.5], [0, 0.5]])
-    sides = np.array([[0, 1], [1, 2], [2, 0]])
-    return ShellRule(
-        corners=3,
-        sides=sides,
-        nodes=nodes,
-        points=dense,
-        weights=wide,
-        mass_points=dense,
-        mass_weights=wide,
-        plane=_triangle_plane(dense),
-        shear=_triangle_shear(dense),
-    )
+    plane = _triangle_plane(dense)
+    shear = _triangle_shear(dense)
+    return ShellRule(TRIANGLE, 2, points=dense, weights=wide, plane=plane, shear=shear)
 
 
 QUAD4 = _flat_rule()
@@ -356,15 +293,3 @@ def cube(n: int) -> tuple[Float, Float]:
     x, w = line(n)
     points = np.stack(np.meshgrid(x, x, x, indexing="ij"), axis=-1).reshape(-1, 3)
     return points, np.einsum("i,j,k->ijk", w, w, w).ravel()
-
-
-def over(
-    ends: Sequence[tuple[int, int]], corner: Float, d_corner: Float, middle: Float, d_middle: Float
-) -> tuple[Float, Float]:
-    """Values (gp, n) and derivatives (gp, n, 3): linear functions made zero at the midside nodes,
-    then the latter's.
-    """
-    half = np.zeros((len(ends), corner.shape[1]))
-    half[np.arange(len(ends))[:, None], np.asarray(ends)] = 0.5
-    d = np.concatenate([d_corner - np.einsum("gmr,mn->gnr", d_middle, half), d_middle], axis=1)
-    return np.concatenate([corner - middle @ half, middle], axis=1), d

@@ -14,15 +14,13 @@ from __future__ import annotations
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Float, Int
-from ringtrue.fem.algebra import unit
 from ringtrue.fem.elements import rod
-from ringtrue.fem.elements.shape_functions import bilinear
-from ringtrue.fem.mesh import Isotropic, Matrices, Mesh, isotropic, lookup, node_dofs
-from ringtrue.model.model import card_error
+from ringtrue.fem.mesh import ElementMatrices, Isotropic, Mesh, isotropic, lookup, node_dofs, unit
+from ringtrue.model.cards import QUADRILATERAL
+from ringtrue.model.model import card_error, refuse_rows
 
-_POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(
-    12
-)  # eight digits where the panel is tapered 8 : 1
+# eight digits where the panel is tapered 8 : 1
+_POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 _EDGES = np.array([[0, 1], [1, 2], [2, 3], [3, 0]])
 _CORNERS = np.array([[0, 1, 2], [1, 2, 3], [2, 3, 0], [3, 0, 1]])
 FULL = 1.01  # an F up to this is a share of the panel, over it a width in thicknesses
@@ -98,7 +96,7 @@ def flexibility(x: Float) -> tuple[Float, Float]:
     Q = np.cross(sides[:, 1], sides[:, 3])
     line = np.cross(P, Q)
     r, s = (g.ravel() for g in np.meshgrid(_POINTS, _POINTS))
-    N, dN = bilinear(np.stack([r, s], axis=1))
+    N, dN = QUADRILATERAL.functions(1, np.stack([r, s], axis=1))
     at = N @ xy
     jacobian = _turned(dN[..., 0] @ xy, dN[..., 1] @ xy)
     a = _from(P, at)
@@ -116,9 +114,8 @@ def kernel(x: Float, G: Any_, nu: Any_, thickness: Any_) -> Any_:
     xy, _ = flat(x)
     v = xy[:, 1:] - xy[:, :1]
     back = xy - xy[:, 1:2]
-    along = _turned(v[:, 0], v[:, 2]) / _turned(
-        v[:, 1], v[:, 2]
-    )  # of edge 1-2 in the diagonals 1-3 and 4-2
+    # of edge 1-2 in the diagonals 1-3 and 4-2
+    along = _turned(v[:, 0], v[:, 2]) / _turned(v[:, 1], v[:, 2])
     across = _turned(-v[:, 0], back[:, 2]) / _turned(back[:, 3], back[:, 2])
     first = along[:, None] * (x[:, 2] - x[:, 0]) / 2
     second = across[:, None] * (x[:, 3] - x[:, 1]) / 2
@@ -175,13 +172,9 @@ def _points(m: Mesh, card: str, at: Int) -> tuple[Int, Float]:
     nodes = m.nodes(t.stack("G1", "G2", "G3", "G4")[at], t, at)
     x = m.xyz[nodes]
     bad = ~is_convex(x)
-    if bad.any():
-        raise card_error(
-            m.model,
-            t,
-            int(at[bad][0]),
-            "its nodes do not go round a panel with inner angles under 180 degrees",
-        )
+    refuse_rows(
+        m.model, t, at[bad], "its nodes do not go round a panel with inner angles under 180 degrees"
+    )
     return nodes, x
 
 
@@ -190,7 +183,7 @@ def measure(m: Mesh, card: str, at: Int) -> Float:
     return flat(_points(m, card, at)[1])[1]
 
 
-def build(m: Mesh, card: str, at: Int) -> Matrices:
+def build(m: Mesh, card: str, at: Int) -> ElementMatrices:
     """Matrices of the rows `at` (e,) of CSHEAR.
 
     Raises
@@ -214,10 +207,9 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
         )
     K = kernel(x, iso.G, iso.nu, T) + stringers(x, iso.E, F1, F2=F2, thickness=T)
     lumped = (iso.rho * T + nsm + m.nsm(card, at))[:, None] * corner_areas(x)
-    return Matrices(
+    return ElementMatrices(
         dofs=node_dofs(nodes, 3),
         stiffness=K,
         mass=np.repeat(lumped, 3, axis=1),
         loss=iso.loss,
-        viscous=np.empty((0, 12, 12)),
     )

@@ -11,12 +11,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ringtrue.core.arrays import Any_, Float, Int
-from ringtrue.fem.algebra import unit
+from ringtrue.core.arrays import Any_, Int
 from ringtrue.fem.elements.elasticity import gram
 from ringtrue.fem.elements.shell_material import contract
 from ringtrue.fem.elements.shell_section import (
-    Section,
+    ShellSection,
     drilling,
     finish,
     oriented,
@@ -24,13 +23,14 @@ from ringtrue.fem.elements.shell_section import (
     section,
     to_nodes,
 )
-from ringtrue.fem.mesh import Matrices, Mesh
-from ringtrue.model.model import card_error
+from ringtrue.fem.mesh import ElementMatrices, Mesh, unit
+from ringtrue.model.cards import TRIANGLE
+from ringtrue.model.model import refuse_rows
 
 _P = np.array([[1, 1], [4, 1], [1, 4]]) / 6  # three points, degree 2
-_L = np.stack([1 - _P.sum(1), _P[:, 0], _P[:, 1]], axis=1)
-_DL = np.array([[-1.0, -1.0], [1.0, 0.0], [0.0, 1.0]])
-_SIDES = ((0, 1), (1, 2), (2, 0))
+_L, _DLP = TRIANGLE.functions(1, _P)
+_DL = _DLP[0]
+_SIDES = TRIANGLE.edges
 
 
 def flatten(x: Any_) -> tuple[Any_, Any_, Any_]:
@@ -83,7 +83,7 @@ def _slopes(t: Any_, R: Any_, phi: Any_) -> Any_:
     return H
 
 
-def _flexibility(t: Any_, length: Any_, s: Section) -> Any_:
+def _flexibility(t: Any_, length: Any_, s: ShellSection) -> Any_:
     """φ = 12 D/(S l²) along each side (e, 3), D and S of that direction; 0 where the shear is
     rigid.
     """
@@ -107,19 +107,12 @@ def _shear(t: Any_, R: Any_, phi: Any_) -> Any_:
     return np.asarray(np.einsum("gk,ekic->egic", _L, corner))
 
 
-def _quadratic(L: Float) -> Float:
-    """Natural derivatives (gp, 6, 2) of the quadratic triangle."""
-    corner = (4 * L - 1)[..., None] * _DL
-    i, j = np.array(_SIDES).T
-    return np.concatenate([corner, 4 * (L[:, i, None] * _DL[j] + L[:, j, None] * _DL[i])], axis=1)
-
-
-def kernel(xy: Any_, area: Any_, s: Section) -> Any_:
+def kernel(xy: Any_, area: Any_, s: ShellSection) -> Any_:
     """Local stiffness (e, 3, 6, 3, 6) of triangles with corners xy (e, 3, 2)."""
     e = len(xy)
     back = np.linalg.inv(np.einsum("nr,ena->era", _DL, xy))
     g1 = np.broadcast_to(np.einsum("ear,nr->ena", back, _DL)[:, None], (e, 3, 3, 2))
-    g2 = np.einsum("ear,gnr->egna", back, _quadratic(_L))
+    g2 = np.einsum("ear,gnr->egna", back, TRIANGLE.functions(2, _P)[1])
     w = np.repeat(area[:, None] / 3, 3, axis=1)
     w1, w2, w3 = (s.weights(w, _L, p) for p in (1, 2, 3))
     t, length = _sides(xy)
@@ -149,7 +142,7 @@ def measure(m: Mesh, card: str, at: Int) -> Any_:
     return flatten(m.xyz[m.nodes(t.stack("G1", "G2", "G3")[at], t, at)])[2]
 
 
-def build(m: Mesh, card: str, at: Int) -> Matrices:
+def build(m: Mesh, card: str, at: Int) -> ElementMatrices:
     """Matrices of the rows `at` (e,) of CTRIA3 or CTRIAR.
 
     Raises
@@ -160,8 +153,7 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     t = m.model[card]
     nodes = m.nodes(t.stack("G1", "G2", "G3")[at], t, at)
     axes, xy, area = flatten(m.xyz[nodes])
-    if (area == 0).any():
-        raise card_error(m.model, t, int(at[area == 0][0]), "it has no area; check its nodes")
+    refuse_rows(m.model, t, at[area == 0], "it has no area; check its nodes")
     s = oriented(m, card, at, s=section(m, card, at, 3), axes=axes, x=m.xyz[nodes])
     mass = s.masses(np.repeat(area[:, None] / 3, 3, axis=1), _L) @ _L
     return finish(

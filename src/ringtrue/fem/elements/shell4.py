@@ -10,15 +10,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from ringtrue.core.arrays import Any_, Float, Int
-from ringtrue.fem.algebra import arm, congruent, nodal, unit
+from ringtrue.core.arrays import Any_, Int
 from ringtrue.fem.elements.curved_shell import drilling as director_drilling
 from ringtrue.fem.elements.curved_shell import law, node_normals, strains
 from ringtrue.fem.elements.elasticity import determinants, gram, incompatible, jacobian
 from ringtrue.fem.elements.shape_functions import QUAD4
 from ringtrue.fem.elements.shell_material import contract
 from ringtrue.fem.elements.shell_section import (
-    Section,
+    ShellSection,
     condensed,
     drilling,
     finish,
@@ -29,27 +28,21 @@ from ringtrue.fem.elements.shell_section import (
     section,
     to_nodes,
 )
-from ringtrue.fem.mesh import Matrices, Mesh
+from ringtrue.fem.mesh import ElementMatrices, Mesh, arm, congruent, nodal, unit
+from ringtrue.model.cards import QUADRILATERAL
 from ringtrue.model.model import card_error
 
-_SIGNS = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+_SIGNS = QUADRILATERAL.nodes(1)
 _POINTS = _SIGNS / np.sqrt(3)
 _WHOLE = np.full(4, 4.0)  # weights of the drilling at the corners: each counts as the whole element
 
 
-def _shape(p: Float) -> tuple[Float, Float]:
-    f = 1 + p[:, None, :] * _SIGNS
-    d = np.stack([_SIGNS[:, 0] * f[..., 1], _SIGNS[:, 1] * f[..., 0]], axis=2)
-    return f.prod(axis=2) / 4, d / 4
-
-
-_N, _DN = _shape(_POINTS)
+_N, _DN = QUADRILATERAL.functions(1, _POINTS)
 _BUBBLES = -2 * _POINTS[:, :, None] * np.eye(2)
-_SLOPES = _shape(_SIGNS)[1]
-_CENTRE = _shape(np.zeros((1, 2)))[1]
-_MID = _shape(
-    np.array([[0.0, -1.0], [0.0, 1.0], [-1.0, 0.0], [1.0, 0.0]])
-)  # of the sides η = ∓1, ξ = ∓1
+_SLOPES = QUADRILATERAL.functions(1, _SIGNS)[1]
+_CENTRE = QUADRILATERAL.functions(1, np.zeros((1, 2)))[1]
+# of the sides η = ∓1, ξ = ∓1
+_MID = QUADRILATERAL.functions(1, np.array([[0.0, -1.0], [0.0, 1.0], [-1.0, 0.0], [1.0, 0.0]]))
 
 
 def flatten(x: Any_) -> tuple[Any_, Any_, Any_]:
@@ -82,7 +75,7 @@ def _assumed_shear(xy: Any_, J: Any_) -> Any_:
     return np.asarray(np.linalg.solve(J, rows))
 
 
-def kernel(xy: Any_, s: Section) -> Any_:
+def kernel(xy: Any_, s: ShellSection) -> Any_:
     """Local stiffness (e, 4, 6, 4, 6) of flat elements with corners xy (e, 4, 2)."""
     J, det, g = jacobian(_DN, xy)
     J0, det0, _ = jacobian(_CENTRE, xy)
@@ -95,7 +88,8 @@ def kernel(xy: Any_, s: Section) -> Any_:
     K = np.zeros((len(xy), 4, 6, 4, 6), dtype=np.result_type(stretch, mixed, bend, across, s.drill))
     place(K, [0, 1], stretch)
     place(K, [2, 3, 4], _turn_shear(across))
-    place(K, [3, 4], _turn_both(bend))
+    turned = of_rotations(of_rotations(bend).swapaxes(1, 2)).swapaxes(1, 2)
+    place(K, [3, 4], turned)
     if mixed.size:
         mixed = of_rotations(mixed)
         place(K, [0, 1], mixed, [3, 4])
@@ -106,7 +100,7 @@ def kernel(xy: Any_, s: Section) -> Any_:
     return K
 
 
-def curved_kernel(x: Any_, heights: Any_, normals: Any_, axes: Any_, s: Section) -> Any_:
+def curved_kernel(x: Any_, heights: Any_, normals: Any_, axes: Any_, s: ShellSection) -> Any_:
     """Stiffness (e, 24, 24) in basic of elements with nodes x (e, 4, 3) and normals (e, 4, 3) of a
     curved surface.
 
@@ -136,7 +130,7 @@ def curved_kernel(x: Any_, heights: Any_, normals: Any_, axes: Any_, s: Section)
     return congruent(nodal(arm(arms)), K)
 
 
-def _plane(g: Any_, det: Any_, s: Section) -> tuple[Any_, Any_, Any_]:
+def _plane(g: Any_, det: Any_, s: ShellSection) -> tuple[Any_, Any_, Any_]:
     """Membrane, membrane-bending (empty if there is none) and bending stiffness, (e, 8, 8), the
     bubbles condensed.
     """
@@ -174,10 +168,6 @@ def _turn_columns(K: Any_) -> Any_:
     return np.stack([parts[..., 0], -parts[..., 2], parts[..., 1]], axis=-1).reshape(K.shape)
 
 
-def _turn_both(K: Any_) -> Any_:
-    return of_rotations(of_rotations(K).swapaxes(1, 2)).swapaxes(1, 2)
-
-
 def measure(m: Mesh, card: str, at: Int) -> Any_:
     """Areas (e,) of the rows `at` in their mean planes."""
     t = m.model[card]
@@ -185,7 +175,7 @@ def measure(m: Mesh, card: str, at: Int) -> Any_:
     return np.asarray(jacobian(_DN, xy)[1].sum(axis=1))
 
 
-def build(m: Mesh, card: str, at: Int) -> Matrices:
+def build(m: Mesh, card: str, at: Int) -> ElementMatrices:
     """Matrices of the rows `at` (e,) of CQUAD4 or CQUADR.
 
     Raises
@@ -213,7 +203,9 @@ def build(m: Mesh, card: str, at: Int) -> Matrices:
     return finish(m, nodes, K, section=s, axes=axes, mass=mass)
 
 
-def _stiffness(x: Any_, xy: Any_, heights: Any_, normals: Any_, axes: Any_, s: Section) -> Any_:
+def _stiffness(
+    x: Any_, xy: Any_, heights: Any_, normals: Any_, axes: Any_, s: ShellSection
+) -> Any_:
     """Stiffness (e, 24, 24) in basic: of a curved surface where normals at the nodes are not the
     element's own.
     """

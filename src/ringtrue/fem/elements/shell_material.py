@@ -22,9 +22,8 @@ from ringtrue.fem.elements.elasticity import plane_stress, solid
 from ringtrue.fem.mesh import Isotropic, check_ratio, isotropic
 from ringtrue.model.model import Model, Table, card_error, unsupported_card
 
-RIGID_SHEAR = (
-    1000.0  # no transverse shear modulus given: G12 times this, which bends as if rigid in shear
-)
+# no transverse shear modulus given: G12 times this, which bends as if rigid in shear
+RIGID_SHEAR = 1000.0
 _VOIGT = np.array([[0, 2], [2, 1]])
 
 
@@ -354,9 +353,8 @@ def stiffness(p: Plies) -> tuple[Any_, Any_, Any_]:
 def transverse_shear(p: Plies, A: Any_, B: Any_, D: Any_) -> Any_:
     """Transverse shear stiffness (p, 2, 2): Rolfes and Rohwer (1997), eqs. 14-20."""
     low = B.swapaxes(1, 2)
-    neutral = np.linalg.solve(
-        A, B
-    )  # strain of the reference plane per curvature without a normal force, negative
+    # strain of the reference plane per curvature without a normal force, negative
+    neutral = np.linalg.solve(A, B)
     bending = D - low @ neutral
     a = np.cumsum(p.height[..., None, None] * p.plane, axis=1)
     b = np.cumsum((p.height * (p.z + p.height / 2))[..., None, None] * p.plane, axis=1)

@@ -12,9 +12,21 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
-from ringtrue.fem.algebra import arm, condense, congruent, nodal, rotation, scaled, unit
 from ringtrue.fem.elements.shell_material import RIGID_SHEAR, laminates, layers, turned
-from ringtrue.fem.mesh import Matrices, Mesh, frame, lookup, node_dofs
+from ringtrue.fem.mesh import (
+    ElementMatrices,
+    Mesh,
+    arm,
+    condense,
+    congruent,
+    frame,
+    lookup,
+    nodal,
+    node_dofs,
+    rotation,
+    scaled,
+    unit,
+)
 from ringtrue.model.model import Table, card_error
 
 DRILL = 1e-6  # what PARAM,K6ROT multiplies
@@ -22,7 +34,7 @@ LAMINATES = ("PCOMP", "PCOMPG")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Section:
+class ShellSection:
     """Sections of shells (e,): N = A ε + B κ, M = B ε + D κ, Q = S γ, z up along the normal.
 
     Attributes
@@ -53,9 +65,9 @@ class Section:
     flexible: Bool
     profile: Any_
 
-    def take(self, rows: Any_ | slice) -> Section:
+    def take(self, rows: Any_ | slice) -> ShellSection:
         """The sections of some elements: rows, flags or a slice."""
-        return Section(*(getattr(self, f.name)[rows] for f in fields(Section)))
+        return ShellSection(*(getattr(self, f.name)[rows] for f in fields(ShellSection)))
 
     def weights(self, w: Any_, N: Float, power: int) -> Any_:
         """Integration weights w (e, gp) times the relative thickness to a power; corner shapes N
@@ -70,7 +82,7 @@ class Section:
         return np.asarray(self.density[:, None] * self.weights(w, N, 1) + self.nsm[:, None] * w)
 
 
-def section(m: Mesh, card: str, at: Int, corners: int) -> Section:
+def section(m: Mesh, card: str, at: Int, corners: int) -> ShellSection:
     """The sections of rows `at` (e,) in their material axes.
 
     Raises
@@ -93,17 +105,17 @@ def section(m: Mesh, card: str, at: Int, corners: int) -> Section:
     if len(parts) == 1:
         return parts[0][1]
     made = {}
-    for f in (f.name for f in fields(Section)):
+    for f in (f.name for f in fields(ShellSection)):
         values = [(where, getattr(s, f)) for where, s in parts]
         made[f] = np.zeros(
             (at.size, *values[0][1].shape[1:]), dtype=np.result_type(*(v.dtype for _, v in values))
         )
         for where, v in values:
             made[f][where] = v
-    return Section(**made)
+    return ShellSection(**made)
 
 
-def in_axes(s: Section, turn: Any_) -> Section:
+def in_axes(s: ShellSection, turn: Any_) -> ShellSection:
     """The sections in axes in which their material axis has the direction `turn` (e, 2); isotropic
     ones stay as is.
     """
@@ -123,7 +135,7 @@ def in_axes(s: Section, turn: Any_) -> Section:
     return replace(s, **new)
 
 
-def directed(s: Section) -> Bool:
+def directed(s: ShellSection) -> Bool:
     """Which sections depend on their direction."""
     some = (s.shear[:, 0, 1] != 0) | (s.shear[:, 0, 0] != s.shear[:, 1, 1])
     for C in (s.membrane, s.coupling, s.bending):
@@ -132,7 +144,7 @@ def directed(s: Section) -> Bool:
     return np.asarray(some)
 
 
-def oriented(m: Mesh, card: str, at: Int, s: Section, axes: Any_, x: Any_) -> Section:
+def oriented(m: Mesh, card: str, at: Int, s: ShellSection, axes: Any_, x: Any_) -> ShellSection:
     """The sections in the element axes (e, 3, 3) of flat elements with nodes x (e, k, 3).
 
     THETA is measured from the side G1-G2.
@@ -142,18 +154,24 @@ def oriented(m: Mesh, card: str, at: Int, s: Section, axes: Any_, x: Any_) -> Se
         return s
     side = x[:, 1] - x[:, 0]
     side = unit(side - (side * axes[:, 2]).sum(axis=1)[:, None] * axes[:, 2])
-    axis = material_axis(
-        m, card, at, x=x.mean(axis=1), tangent=side, normal=axes[:, 2], turned=turned
-    )
+    middle = SurfacePoints(x.mean(axis=1), tangent=side, normal=axes[:, 2])
+    axis = material_axis(m, card, at, middle, turned)
     return in_axes(s, np.einsum("eij,ej->ei", axes[:, :2], axis))
 
 
-def material_axis(
-    m: Mesh, card: str, at: Int, x: Any_, tangent: Any_, normal: Any_, turned: Bool
-) -> Any_:
-    """Direction (e, 3) of the material axis in the plane of `normal` (e, 3) at points x (e, 3).
+@dataclass(frozen=True, slots=True, eq=False)
+class SurfacePoints:
+    """Points x (..., 3) of shells, a tangent there and the normal."""
 
-    THETA turns it from `tangent` (e, 3), in the plane; MCID projects the x axis of that frame.
+    x: Any_
+    tangent: Any_
+    normal: Any_
+
+
+def material_axis(m: Mesh, card: str, at: Int, points: SurfacePoints, turned: Bool) -> Any_:
+    """Direction (e, 3) of the material axis in the plane of the normal at each point.
+
+    THETA turns it from the tangent, in the plane; MCID projects the x axis of that frame.
     Sections that do not depend on their direction, others than `turned` (e,), may have it along the
     normal.
 
@@ -167,7 +185,8 @@ def material_axis(
     cid = t["MCID"][at]
     c = np.cos(angle)[:, None]
     s = np.sin(angle)[:, None]
-    out = c * tangent + s * np.cross(normal, tangent)
+    x, normal = points.x, points.normal
+    out = c * points.tangent + s * np.cross(normal, points.tangent)
     named = np.flatnonzero(cid >= 0)
     if named.size:
         axis = frame(m, cid[named], x[named].real)[:, 0]
@@ -206,7 +225,7 @@ def _offset(t: Table, at: Int) -> Any_:
     return np.where(np.isnan(z), 0.0, z)
 
 
-def _pshell(m: Mesh, t: Table, at: Int, corners: int) -> Section:
+def _pshell(m: Mesh, t: Table, at: Int, corners: int) -> ShellSection:
     """PSHELL. MID4 couples by -T² G4: its G4 is 1/T² ∫ -z G dz (MSC Nastran)."""
     row = lookup(m.model, "PSHELL", t["PID"][at], table=t, at=at)
     p = m.model["PSHELL"]
@@ -230,7 +249,7 @@ def _pshell(m: Mesh, t: Table, at: Int, corners: int) -> Section:
     turning = np.where(first, stretch.plane[:, 2, 2], bend.plane[:, 2, 2])
     t1 = T[:, None, None]
     inertia = (p["I12T3"][row] * T**3 / 12)[:, None, None]
-    return Section(
+    return ShellSection(
         membrane=stretch.plane * t1,
         coupling=-couple * t1 * t1,
         bending=bend.plane * inertia,
@@ -245,14 +264,14 @@ def _pshell(m: Mesh, t: Table, at: Int, corners: int) -> Section:
     )
 
 
-def _laminate(m: Mesh, card: str, row: Int, t: Table, at: Int, corners: int) -> Section:
+def _laminate(m: Mesh, card: str, row: Int, t: Table, at: Int, corners: int) -> ShellSection:
     """PCOMP, PCOMPG; T1.. of the element do not change it, and its loss is the GE of the
     property.
     """
     rows, inverse = np.unique(row, return_inverse=True)
     L = laminates(m.model, card, rows)
     p = m.model[card]
-    return Section(
+    return ShellSection(
         membrane=L.membrane[inverse],
         coupling=L.coupling[inverse],
         bending=L.bending[inverse],
@@ -317,7 +336,7 @@ def drilling(N: Float, gradients: Any_, w: Any_) -> Any_:
     return np.asarray((flat * w[:, :, None]).swapaxes(1, 2) @ flat)
 
 
-def to_nodes(K: Any_, section: Section, axes: Any_, heights: Any_) -> Any_:
+def to_nodes(K: Any_, section: ShellSection, axes: Any_, heights: Any_) -> Any_:
     """Local stiffness (e, k, 6, k, 6) of corners to that of the nodes in basic, (e, 6k, 6k).
 
     `heights` (e, k) are the nodes above the mean plane: each is joined to its projection by a rigid
@@ -330,17 +349,18 @@ def to_nodes(K: Any_, section: Section, axes: Any_, heights: Any_) -> Any_:
     return congruent(local, K.reshape(e, 6 * k, 6 * k))
 
 
-def finish(m: Mesh, nodes: Int, K: Any_, section: Section, axes: Any_, mass: Any_) -> Matrices:
+def finish(
+    m: Mesh, nodes: Int, K: Any_, section: ShellSection, axes: Any_, mass: Any_
+) -> ElementMatrices:
     """Matrices of stiffness K (e, 6k, 6k) and nodal masses (e, k) of corners."""
     e, k = nodes.shape
     offset = section.offset[:, None, None] * axes[:, None, 2]
     M = masses(m, np.broadcast_to(offset, (e, k, 3)), mass, np.asarray(_PATTERN[k]))
-    return Matrices(
+    return ElementMatrices(
         dofs=node_dofs(nodes),
         stiffness=K,
         mass=M,
         loss=section.loss,
-        viscous=np.empty((0, 6 * k, 6 * k)),
     )
 
 

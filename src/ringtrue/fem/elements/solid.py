@@ -1,4 +1,20 @@
-"""What the solid elements share: stiffness and mass from shape functions at integration points."""
+"""What the solid elements share: stiffness and mass from shape functions at integration points.
+
+CHEXA: 8 nodes with three incompatible modes (Wilson; Taylor, Beresford and Wilson 1976), 9 to 20
+serendipity.
+
+CPENTA: 6 nodes with incompatible modes 1 - ζ² and the three edge bubbles of the triangle; 7 to
+15 serendipity.
+
+CPYRAM with 5 nodes, or 6 to 13: the pyramid as a hexahedron with a face drawn together
+(Bedrosian 1992).
+
+On the natural pyramid with base [-1, 1]² and apex (0, 0, 1), ξ = a (1 - ζ) and η = b (1 - ζ). In
+(a, b, ζ) the rational shape functions are polynomials, and the quadrature is a product that keeps
+off the apex.
+
+CTETRA with 4 nodes (constant strain) or 5 to 10 (isoparametric, four points).
+"""
 
 from __future__ import annotations
 
@@ -6,14 +22,16 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, fields
 
 import numpy as np
+from scipy.special import roots_jacobi
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.errors import InputError
-from ringtrue.fem.algebra import condense, scaled
 from ringtrue.fem.elements.elasticity import (
     Anisotropic,
     anisotropic,
+    between,
     bulk,
+    by_normal,
     determinants,
     elastic,
     gram,
@@ -21,15 +39,22 @@ from ringtrue.fem.elements.elasticity import (
     is_anisotropic,
     jacobian,
     moduli,
+    nearest,
     solid,
 )
-from ringtrue.fem.elements.shape_functions import SolidRule, kept
-from ringtrue.fem.mesh import Isotropic, Matrices, Mesh, lookup, node_dofs
-from ringtrue.model.model import Model, card_error, unsupported_card
+from ringtrue.fem.elements.shape_functions import SolidRule, cube, kept, line, triangle
+from ringtrue.fem.mesh import ElementMatrices, Isotropic, Mesh, condense, lookup, node_dofs, scaled
+from ringtrue.model.cards import (
+    HEXAHEDRON,
+    QUADRILATERAL,
+    TETRAHEDRON,
+    TRIANGLE,
+    WEDGE,
+)
+from ringtrue.model.model import Model, card_error, refuse_rows, unsupported_card
 
-_CACHED = (
-    2**16
-)  # numbers in the matrices of a slice: with its temporaries it stays in the cache of one core
+# numbers in the matrices of a slice: with its temporaries it stays in the cache of one core
+_CACHED = 2**16
 FLAT = 1e-12  # of the cube on the longest extent: less volume is none
 
 
@@ -72,7 +97,7 @@ class Quadratic:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shape:
+class SolidShape:
     """A solid element card.
 
     Attributes
@@ -105,7 +130,7 @@ class Shape:
                 out[:, k] = t[f"G{k + 1}"][at] > 0
         return out
 
-    def build(self, m: Mesh, card: str, at: Int) -> Matrices:
+    def build(self, m: Mesh, card: str, at: Int) -> ElementMatrices:
         """Matrices of rows `at` (e,), which have the same midside nodes and kind of material (see
         `same_midsides`).
 
@@ -128,8 +153,8 @@ class Shape:
         names = [f"G{k + 1}" for k in np.flatnonzero(present[0])]
         nodes = m.nodes(np.stack([t[name][at] for name in names], axis=1), t, at)
         x = m.xyz[nodes]
-        if (flat := self._flat(x.real)).any():
-            raise card_error(m.model, t, int(at[flat][0]), "it has no volume; check its nodes")
+        flat = self._flat(x.real)
+        refuse_rows(m.model, t, at[flat], "it has no volume; check its nodes")
         row = lookup(m.model, "PSOLID", t["PID"][at], table=t, at=at)
         _refuse_fluid(m.model, row)
         material: Isotropic | Anisotropic
@@ -146,12 +171,11 @@ class Shape:
             raise card_error(m.model, t, int(at[bad][0]), why)
         K, _, rule = self._stiffness(x, material, present[0])
         M = mass(x, material.rho, rule, m.model.param("COUPMASS", -1) > 0)
-        return Matrices(
+        return ElementMatrices(
             dofs=node_dofs(nodes, 3),
             stiffness=K,
             mass=M,
             loss=material.loss,
-            viscous=np.empty((0, K.shape[1], K.shape[1])),
         )
 
     def _flat(self, x: Float) -> Bool:
@@ -221,7 +245,7 @@ def _part(material: Isotropic | Anisotropic, first: int, size: int) -> Isotropic
     )
 
 
-def same_midsides(shape: Shape, model: Model, at: Int) -> Iterable[Int]:
+def same_midsides(shape: SolidShape, model: Model, at: Int) -> Iterable[Int]:
     """The rows `at` (e,) in groups with the same midside nodes and kind of material."""
     present = shape.present(model, at)
     other = is_anisotropic(model, model[shape.card]["PID"][at])
@@ -300,3 +324,208 @@ def mass(x: Any_, rho: Any_, rule: SolidRule, coupled: bool) -> Any_:
     diagonal = np.einsum("eg,gi->ei", w, rule.values**2)
     share = diagonal * (w.sum(1) / diagonal.sum(1))[:, None]
     return scaled(rho, np.repeat(share, 3, axis=1))
+
+
+def _hexa_axes(x: Any_) -> Any_:
+    """As near as can be to the lines that join the centres of opposite faces (Quick Reference
+    Guide, CHEXA).
+    """
+    R = between(x, [0, 3, 4, 7], [1, 2, 5, 6])
+    S = between(x, [0, 1, 4, 5], [2, 3, 6, 7])
+    T = between(x, [0, 1, 2, 3], [4, 5, 6, 7])
+    return nearest(np.stack([R, S, T], axis=1))
+
+
+_HEXA_POINTS = HEXAHEDRON.nodes(1) / np.sqrt(3)
+_HEXA_RULE = SolidRule(*HEXAHEDRON.functions(1, _HEXA_POINTS), np.ones(8))
+_HEXA_P, _HEXA_W = cube(3)
+_HEXA_FULL = SolidRule(*HEXAHEDRON.functions(2, _HEXA_P), _HEXA_W)
+HEXA = SolidShape(
+    card="CHEXA",
+    linear=Linear(
+        _HEXA_RULE,
+        _HEXA_RULE,
+        bubbles=-2 * _HEXA_POINTS[:, :, None] * np.eye(3),
+        centre=HEXAHEDRON.functions(1, np.zeros((1, 3)))[1],
+    ),
+    quadratic=Quadratic(_HEXA_FULL, _HEXA_FULL, HEXAHEDRON.functions(1, _HEXA_P)[0]),
+    edges=HEXAHEDRON.edges,
+    axes=_hexa_axes,
+)
+
+
+def _penta_bubbles(p: Float) -> Float:
+    """Derivatives (gp, 4, 3) of 1 - ζ² and of the three edge bubbles of the triangle."""
+    d = np.zeros((len(p), 4, 3))
+    d[:, 0, 2] = -2 * p[:, 2]
+    d[:, 1:, :2] = TRIANGLE.functions(2, p[:, :2])[1][:, 3:] / 4
+    return d
+
+
+def _penta_product(flat: tuple[Float, Float], along: tuple[Float, Float]) -> tuple[Float, Float]:
+    """Points (gp, 3) and weights of a triangle's times a line's."""
+    (p, w), (z, v) = flat, along
+    points = np.concatenate([np.column_stack([p, np.full(len(p), zi)]) for zi in z])
+    return points, (v[:, None] * w).ravel()
+
+
+def _penta_axes(x: Any_) -> Any_:
+    """x and y in the middle surface, x from the middle of G1-G4 to that of G2-G5 (Quick Reference
+    Guide, CPENTA).
+    """
+    return by_normal(between(x, [0, 3], [1, 4]), between(x, [0, 3], [2, 5]))
+
+
+_PENTA_P, _PENTA_W = _penta_product(triangle(2), line(2))
+_PENTA_RULE = SolidRule(*WEDGE.functions(1, _PENTA_P), _PENTA_W)
+_PENTA_FINE, _PENTA_FINE_W = _penta_product(triangle(5), line(3))
+_PENTA_FULL = SolidRule(*WEDGE.functions(2, _PENTA_FINE), _PENTA_FINE_W)
+PENTA = SolidShape(
+    card="CPENTA",
+    linear=Linear(
+        _PENTA_RULE,
+        _PENTA_RULE,
+        bubbles=_penta_bubbles(_PENTA_P),
+        centre=WEDGE.functions(1, np.array([[1 / 3, 1 / 3, 0.0]]))[1],
+    ),
+    quadratic=Quadratic(
+        _PENTA_FULL, _PENTA_FULL, np.column_stack([np.ones(len(_PENTA_FINE)), _PENTA_FINE])
+    ),
+    edges=WEDGE.edges,
+    axes=_penta_axes,
+)
+
+
+_PYRAMID_SIGNS = QUADRILATERAL.nodes(1)
+_PYRAMID_MIDDLES = QUADRILATERAL.nodes(2)[4:]
+PYRAMID_EDGES = ((0, 1), (1, 2), (2, 3), (3, 0), (0, 4), (1, 4), (2, 4), (3, 4))
+
+
+def _pyramid_faces(p: Float, signs: Float) -> tuple[Float, Float]:
+    """Products over a and b of 1 + s a, or of 1 - a² where s is 0: (gp, 4), and derivatives (gp, 4,
+    2).
+    """
+    q = p[:, None, :2]
+    f = np.where(signs == 0, 1 - q**2, 1 + q * signs)
+    df = np.where(signs == 0, -2 * q, np.broadcast_to(signs, f.shape))
+    return f.prod(axis=2), np.stack([df[..., 0] * f[..., 1], df[..., 1] * f[..., 0]], axis=2)
+
+
+def _pyramid_times(base: tuple[Float, Float], h: Float, dh: Float) -> tuple[Float, Float]:
+    """Functions of (a, b) times h(ζ) (gp,): values (gp, 4), derivatives (gp, 4, 3) by (a, b, ζ)."""
+    f, df = base
+    return f * h[:, None], np.concatenate(
+        [df * h[:, None, None], (f * dh[:, None])[..., None]], axis=2
+    )
+
+
+def _pyramid_linear(p: Float) -> tuple[Float, Float]:
+    """Values (gp, 5) and derivatives (gp, 5, 3) at points (a, b, ζ)."""
+    z = p[:, 2]
+    value, d = _pyramid_times(
+        _pyramid_faces(p, _PYRAMID_SIGNS), (1 - z) / 4, np.full(len(p), -0.25)
+    )
+    apex = np.broadcast_to(np.array([0.0, 0.0, 1.0]), (len(p), 1, 3))
+    return np.concatenate([value, z[:, None]], axis=1), np.concatenate([d, apex], axis=1)
+
+
+def pyramid_quadratic(p: Float) -> tuple[Float, Float]:
+    """Values (gp, 13) and derivatives (gp, 13, 3) by (a, b, ζ) at points (a, b, ζ)."""
+    z = p[:, 2]
+    base, d_base = _pyramid_times(_pyramid_faces(p, _PYRAMID_MIDDLES), (1 - z) ** 2 / 2, z - 1)
+    rise, d_rise = _pyramid_times(_pyramid_faces(p, _PYRAMID_SIGNS), z * (1 - z), 1 - 2 * z)
+    middle = np.concatenate([base, rise], axis=1)
+    d_middle = np.concatenate([d_base, d_rise], axis=1)
+    half = np.zeros((len(PYRAMID_EDGES), 5))
+    half[np.arange(len(PYRAMID_EDGES))[:, None], np.array(PYRAMID_EDGES)] = 0.5
+    corner, d_corner = _pyramid_linear(p)  # made zero at the midside nodes
+    corner = corner - middle @ half
+    d_corner = d_corner - np.einsum("gmr,mn->gnr", d_middle, half)
+    return np.concatenate([corner, middle], axis=1), np.concatenate([d_corner, d_middle], axis=1)
+
+
+def _pyramid_conical(n: int) -> tuple[Float, Float]:
+    """Gauss points (a, b, ζ) and weights on the pyramid; the factor (1 - ζ)² is left to the
+    Jacobian.
+    """
+    x, w = line(n)
+    t, v = roots_jacobi(n, 2, 0)
+    z = (t + 1) / 2
+    points = np.stack(np.meshgrid(x, x, z, indexing="ij"), axis=-1).reshape(-1, 3)
+    return points, np.einsum("i,j,k->ijk", w, w, v / 8 / (1 - z) ** 2).ravel()
+
+
+def _pyramid_axes(x: Any_) -> Any_:
+    """z from the middle of the base to the apex, y normal to it and to the line from edge G1-G4 to
+    G2-G3.
+    """
+    z = between(x, [0, 1, 2, 3], [4])
+    r = between(x, [0, 3], [1, 2])
+    y = np.cross(z, r)
+    rows = np.stack([np.cross(y, z), y, z], axis=1)
+    return np.asarray(rows / np.sqrt((rows * rows).sum(axis=2, keepdims=True)))
+
+
+_PYRAMID_P, _PYRAMID_W = _pyramid_conical(2)
+PYRAMID_RULE = SolidRule(*_pyramid_linear(_PYRAMID_P), _PYRAMID_W)
+_PYRAMID_FINE, _PYRAMID_FINE_W = _pyramid_conical(3)
+PYRAMID_FULL = SolidRule(*pyramid_quadratic(_PYRAMID_FINE), _PYRAMID_FINE_W)
+_PYRAMID_RISE = 1 - _PYRAMID_FINE[:, 2]
+PYRAMID = SolidShape(
+    card="CPYRAM",
+    linear=Linear(PYRAMID_RULE, PYRAMID_RULE, pressure=np.ones((len(_PYRAMID_P), 1))),
+    quadratic=Quadratic(
+        PYRAMID_FULL,
+        PYRAMID_FULL,
+        np.column_stack(
+            [
+                np.ones(len(_PYRAMID_RISE)),
+                _PYRAMID_FINE[:, 0] * _PYRAMID_RISE,
+                _PYRAMID_FINE[:, 1] * _PYRAMID_RISE,
+                _PYRAMID_FINE[:, 2],
+            ]
+        ),
+    ),
+    edges=PYRAMID_EDGES,
+    axes=_pyramid_axes,
+)
+
+
+def _tetra_conical(n: int) -> tuple[Float, Float]:
+    """Gauss-Jacobi product rule on the unit tetrahedron, exact to degree 2n - 1 (Stroud 1971)."""
+    x, wx = roots_jacobi(n, 2, 0)
+    y, wy = roots_jacobi(n, 1, 0)
+    z, wz = roots_jacobi(n, 0, 0)
+    a, b, c = (g.ravel() for g in np.meshgrid((x + 1) / 2, (y + 1) / 2, (z + 1) / 2, indexing="ij"))
+    w = np.einsum("i,j,k->ijk", wx / 8, wy / 4, wz / 2).ravel()
+    return np.stack([a, b * (1 - a), c * (1 - a) * (1 - b)], axis=1), w
+
+
+def _tetra_axes(x: Any_) -> Any_:
+    """As near as can be to the lines that join the middles of opposite edges (Quick Reference
+    Guide, CTETRA).
+    """
+    lines = (([0, 1], [2, 3]), ([0, 2], [1, 3]), ([0, 3], [1, 2]))
+    return nearest(np.stack([between(x, a, b) for a, b in lines], axis=1))
+
+
+_TETRA_A = (5 - np.sqrt(5)) / 20
+_TETRA_B = (5 + 3 * np.sqrt(5)) / 20
+_TETRA_FOUR = np.full((4, 3), _TETRA_A) + (_TETRA_B - _TETRA_A) * np.eye(4)[:, :3]
+_TETRA_FOUR_W = np.full(4, 1 / 24)
+_TETRA_ONE = np.full((1, 3), 0.25)
+_TETRA_FINE, _TETRA_FINE_W = _tetra_conical(3)
+TETRA = SolidShape(
+    card="CTETRA",
+    linear=Linear(
+        SolidRule(*TETRAHEDRON.functions(1, _TETRA_ONE), np.array([1 / 6])),
+        SolidRule(*TETRAHEDRON.functions(1, _TETRA_FOUR), _TETRA_FOUR_W),
+    ),
+    quadratic=Quadratic(
+        SolidRule(*TETRAHEDRON.functions(2, _TETRA_FOUR), _TETRA_FOUR_W),
+        SolidRule(*TETRAHEDRON.functions(2, _TETRA_FINE), _TETRA_FINE_W),
+        np.eye(4),
+    ),
+    edges=TETRAHEDRON.edges,
+    axes=_tetra_axes,
+)

@@ -18,7 +18,7 @@ from ringtrue.fem.elements.curved_shell import with_neighbours
 from ringtrue.fem.elements.shell_section import LAMINATES
 from ringtrue.fem.mesh import Rows, union
 from ringtrue.fem.nonstructural_mass import CARDS, sharers
-from ringtrue.model.dimensions import MADE, resectioned
+from ringtrue.model.cards import MADE, resectioned
 from ringtrue.model.edit import BOTH_ENDS
 from ringtrue.model.frames import positions
 from ringtrue.model.model import Model, Ragged, Table
@@ -75,7 +75,7 @@ def changed(model: Model, name: str, targets: Sequence[CardField], factor: Facto
         groups.setdefault((t.card, t.field, t.step), []).append(t.id)
     tables = dict(model.tables)
     for (card, field, step), ids in groups.items():
-        change = _Change(f"parameter {name}: {card} {ids[0]} {field}", step, factor)
+        change = _Scaling(f"parameter {name}: {card} {ids[0]} {field}", step, factor)
         rows = _rows_with(tables, name, card, field, np.array(ids))
         tables[card] = _with_fields(tables[card], rows, field, change)
     for card in MADE:
@@ -110,7 +110,7 @@ def _rows_with(tables: dict[str, Table], name: str, card: str, field: str, ids: 
 
 
 @dataclass(frozen=True, slots=True)
-class _Change:
+class _Scaling:
     """What a parameter does to values of a field.
 
     Attributes
@@ -141,7 +141,7 @@ class _Change:
         return out
 
 
-def _with_fields(table: Table, rows: Int, field: str, change: _Change) -> Table:
+def _with_fields(table: Table, rows: Int, field: str, change: _Scaling) -> Table:
     """The table with a field of some rows changed; a uniform PBEAM stays uniform."""
     ply = _PLY.fullmatch(field)
     if field not in table.columns and ply and isinstance(table.columns.get(ply[1]), Ragged):
@@ -168,7 +168,7 @@ def _with_fields(table: Table, rows: Int, field: str, change: _Change) -> Table:
     return out
 
 
-def _with_ply(table: Table, rows: Int, name: str, ply: int, change: _Change) -> Table:
+def _with_ply(table: Table, rows: Int, name: str, ply: int, change: _Scaling) -> Table:
     """Entry `ply` (from 1) of a list; a blank one takes the value of the entry before it first."""
     ragged = table.ragged(name)
     values = _filled(ragged, rows) if table.card in LAMINATES else ragged.values
@@ -227,9 +227,8 @@ def rows_of(model: Model, target: CardField) -> Rows:
         return users_of_nodes(model, np.array([target.id]))
     if target.card in CARDS:
         return sharers(model, {}, np.array([target.id]))
-    if target.card in ("CBAR", "CBEAM") and target.field.startswith(
-        "W"
-    ):  # offsets change its length
+    # offsets change its length
+    if target.card in ("CBAR", "CBEAM") and target.field.startswith("W"):
         return sharers(model, _users(model, target.card, np.array([target.id])))
     found = _users(model, target.card, np.array([target.id]))
     if (
@@ -237,9 +236,8 @@ def rows_of(model: Model, target: CardField) -> Rows:
         and {"CWELD", "PWELD"} <= model.tables.keys()
         and (model["PWELD"]["TYPE"] == "SPOT").any()
     ):
-        found["CWELD"] = np.arange(
-            len(model["CWELD"])
-        )  # a spot weld is as long as its sheets are thick
+        # a spot weld is as long as its sheets are thick
+        found["CWELD"] = np.arange(len(model["CWELD"]))
     return found
 
 
@@ -253,9 +251,8 @@ def _users(model: Model, card: str, ids: Int) -> Rows:
     waiting = [(MADE.get(card, card), ids)]
     while waiting:
         card, ids = waiting.pop()
-        ids = np.setdiff1d(
-            ids, followed.get(card, [])
-        )  # a node of a frame may have that frame as its CD
+        # a node of a frame may have that frame as its CD
+        ids = np.setdiff1d(ids, followed.get(card, []))
         followed[card] = np.union1d(followed.get(card, []), ids)
         if card in elements:
             found.append({card: np.flatnonzero(np.isin(model[card].ids, ids))})

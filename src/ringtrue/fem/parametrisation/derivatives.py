@@ -1,4 +1,11 @@
-"""Exact derivatives of the matrices to parameters."""
+"""Exact derivatives of the matrices to parameters.
+
+K and M as functions of all parameters together: fixed matrices times functions of the factors.
+
+On the elements of a region the same parameters act. Where the matrices of these are polynomials of
+the factors, the functions are products of powers, exactly (`polynomials`); elsewhere they are what
+interpolates the matrices between chosen factors (`interpolation`).
+"""
 
 from __future__ import annotations
 
@@ -8,38 +15,105 @@ import numpy as np
 from scipy import sparse
 
 from ringtrue.core.arrays import Float, Int
-from ringtrue.core.parameters import CardField, Parameter
+from ringtrue.core.iterate import Progress, part
+from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.eigen.derivatives import MatrixDerivatives
-from ringtrue.fem.algebra import applied
-from ringtrue.fem.assembly import System, full_matrices, rayleigh, sum_up, turn
+from ringtrue.errors import UnsupportedError
+from ringtrue.fem.assembly import Sum, System, full_matrices, reduced, turn
 from ringtrue.fem.constraints import eliminate
-from ringtrue.fem.element_cards import batches
+from ringtrue.fem.element_cards import batches, mesh
 from ringtrue.fem.elements import given_matrices
-from ringtrue.fem.mesh import Mesh, mesh
+from ringtrue.fem.mesh import applied, union
 from ringtrue.fem.parametrisation.element_derivatives import (
-    CENTRAL,
-    SMALL,
     ElementDerivatives,
-    displaced,
+    central_differences,
     element_derivatives,
-    moves_nodes,
+    moves,
+)
+from ringtrue.fem.parametrisation.interpolation import SEARCH, interpolated, learn
+from ringtrue.fem.parametrisation.parameter_groups import few, groups_of, regions
+from ringtrue.fem.parametrisation.polynomials import (
+    SAMPLE,
+    AffineTerm,
+    PolynomialTerms,
+    own_powers,
 )
 from ringtrue.model.frames import diagonal
 from ringtrue.model.model import Model
 
 
-def matrix_derivatives(
-    model: Model, parameter: Parameter, system: System
-) -> tuple[sparse.csr_array, sparse.csr_array]:
-    """∂K/∂a and ∂M/∂a at a = 1, (f, f) csr; see `system_derivatives`."""
-    (slope,) = system_derivatives(model, [parameter], system)
-    return slope.stiffness, slope.mass
+def affine_terms(
+    model: Model,
+    parameters: ParameterSet,
+    system: System,
+    *,
+    progress: Progress | None = None,
+) -> tuple[AffineTerm, ...]:
+    """The parts of K(a) = K(1) + Σ g_t(a) K_t, M likewise, in the free degrees of freedom.
+
+    What is a polynomial of degree three or less in each factor is exact; the rest (laminates, the
+    sections of beams with shear, Poisson's ratio) is interpolated between the bounds, to 1e-8 of
+    the roots of the diagonal entries. Only the affected elements are computed.
+
+    Raises
+    ------
+    UnsupportedError
+        If a parameter moves nodes, or the matrices are no smooth function of it between its bounds.
+    InputError
+        If a target or element is not in the model.
+    """
+    m = mesh(model)
+    groups = [g for i, p in enumerate(parameters.parameters) for g in groups_of(model, i, p)]
+    say = part(progress, 0.0, 0.5)
+    powers = {}
+    for k, g in enumerate(groups):
+        say(0.5 * k / len(groups), f"derivatives: {g.parameter.name}")
+        own = own_powers(m, g)
+        if own is not None:
+            powers[g] = own or (1,)  # elements outside of the sample may change
+    every = regions(groups, union(g.rows for g in groups))
+    polynomials = PolynomialTerms(m, powers)
+    others = []
+    for k, region in enumerate(every):
+        say(0.5 + 0.5 * k / len(every), "derivatives: parameters on the same elements")
+        smooth = all(g in powers for g in region.groups)
+        others.append(polynomials.add(region) if smooth else region.rows)
+    rest = interpolated(m, groups, union(others), system=system, progress=part(progress, 0.5, 1.0))
+    return (*polynomials.terms(system), *rest)
+
+
+def matrices_kept(model: Model, *parameters: Parameter, most: int = SEARCH.most) -> int | None:
+    """How many matrices the interpolation of parameters together keeps of an element, seen on a
+    sample of elements.
+
+    0 where powers of each do; None where K and M are no smooth function of them (`affine_terms` has
+    no parts), or take more than `most`.
+
+    Raises
+    ------
+    InputError
+        If a target or element is not in the model.
+    """
+    m = mesh(model)
+    groups = [g for i, p in enumerate(parameters) for g in groups_of(model, i, p)]
+    powers = [own_powers(m, g) for g in groups]
+    curved = [few(g.rows, SAMPLE) for g, own in zip(groups, powers, strict=True) if own is None]
+    try:
+        found = [n for rows in curved for n in learn(m, regions(groups, rows), most)]
+    except UnsupportedError:
+        return None
+    if not curved and not any(powers):
+        return None
+    return max((len(n.factors) for n in found), default=0)
+
+
+Pair = tuple[sparse.csr_array, sparse.csr_array]
 
 
 def system_derivatives(
     model: Model, parameters: Sequence[Parameter], system: System
 ) -> list[MatrixDerivatives]:
-    """∂K/∂a, ∂M/∂a, ∂D/∂a, ∂H/∂a (structural damping) and ∂T/∂a at a = 1 of each parameter, csr.
+    """∂K/∂a, ∂M/∂a and ∂T/∂a at a = 1 of each parameter, csr.
 
     Only the affected elements are computed, for as many parameters at once as do not share one.
     Where nodes move, rigid elements and displacement frames move along.
@@ -49,96 +123,62 @@ def system_derivatives(
     InputError
         If a target, node or element is not in the model.
     """
-    m = mesh(model)
     T = system.transform
-    slopes = list(element_derivatives(model, parameters))
-    Tt, G, (alpha, beta) = sparse.csr_array(T.T), m.model.param("G", 0.0), rayleigh(model)
-    moved = _transforms(model, parameters, system)
+    size = T.shape[0]
+    sums = [(Sum(size), Sum(size)) for _ in parameters]
+    for piece in element_derivatives(model, parameters):
+        for i, at in _by_owner(piece):
+            sums[i][0].add(piece.dofs[at], piece.stiffness[at])
+            sums[i][1].add(piece.dofs[at], piece.mass[at])
     out = []
-    for p, dT, full in zip(parameters, moved, _summed(m, slopes, len(parameters)), strict=True):
-        K, M, D, H = (_congruent(T, Tt, A) for A in full)
+    for p, (K, M) in zip(parameters, sums, strict=True):
+        stiffness = reduced(T, K.total())
+        mass = reduced(T, M.total())
+        dT = _transform_derivative(model, p, system)
         if dT is not None:
-            K, M, D, H = (
-                A + B for A, B in zip((K, M, D, H), _carried(model, p, system, dT), strict=True)
-            )
-        out.append(
-            MatrixDerivatives(
-                stiffness=K,
-                mass=M,
-                viscous=sparse.csr_array(D + alpha * M + beta * K),
-                structural=sparse.csr_array(H + G * K),
-                transform=dT,
-            )
-        )
+            more = _with_transform(model, p, system, dT)
+            stiffness = sparse.csr_array(stiffness + more[0])
+            mass = sparse.csr_array(mass + more[1])
+        out.append(MatrixDerivatives(stiffness, mass, transform=dT))
     return out
 
 
-def _congruent(T: sparse.csr_array, Tt: sparse.csr_array, A: sparse.csr_array) -> sparse.csr_array:
-    B = sparse.csr_array(Tt @ A @ T) if A.nnz else sparse.csr_array((T.shape[1], T.shape[1]))
-    return sparse.csr_array((B + B.T) * 0.5)
+def _by_owner(part: ElementDerivatives) -> Iterator[tuple[int, Int]]:
+    """Each parameter among the derivatives, and the positions of its elements."""
+    order = np.argsort(part.owner, kind="stable")
+    present, first = np.unique(part.owner[order], return_index=True)
+    yield from zip(present.tolist(), np.split(order, first[1:]), strict=True)
 
 
-def _summed(
-    m: Mesh, slopes: Sequence[ElementDerivatives], count: int
-) -> list[list[sparse.csr_array]]:
-    """Full K', M', D', H' of each parameter."""
-    mine: list[list[tuple[ElementDerivatives, Int]]] = [[] for _ in range(count)]
-    for s in slopes:
-        order = np.argsort(s.owner, kind="stable")
-        present, first = np.unique(s.owner[order], return_index=True)
-        for i, at in zip(present.tolist(), np.split(order, first[1:]), strict=True):
-            mine[i].append((s, at))
-    names = ("stiffness", "mass", "viscous", "structural")
-    return [
-        [
-            sum_up(
-                m.size, ((s.dofs[at], getattr(s, n)[at]) for s, at in parts if getattr(s, n).size)
-            )
-            for n in names
-        ]
-        for parts in mine
-    ]
-
-
-def _transforms(
-    model: Model, parameters: Sequence[Parameter], system: System
-) -> list[sparse.csr_array | None]:
-    """∂T/∂a of `system.transform` at a = 1 of each parameter, (full, f) csr, where its nodes move;
-    None if it is zero.
+def _transform_derivative(model: Model, p: Parameter, system: System) -> sparse.csr_array | None:
+    """∂T/∂a of `system.transform` at a = 1, (full, f) csr; None if it is zero.
 
     It is not zero where the arm of a rigid element changes, or a node goes round a cylindrical
     displacement frame.
     """
-    every = (_moved(model, p, system, _transform) for p in parameters)
-    return [None if dT is None or np.abs(dT.data).max(initial=0.0) < 1e-9 else dT for dT in every]
+    dT = _differences(model, p, system, _transform)
+    if dT is None or np.abs(dT.data).max(initial=0.0) < 1e-9:
+        return None
+    return dT
 
 
-def _moved(
+def _differences(
     model: Model,
     p: Parameter,
     system: System,
     transform: Callable[[Model, System], sparse.csr_array],
 ) -> sparse.csr_array | None:
     """The derivative of a transform at a = 1; None if no node moves."""
-    moves: list[tuple[CardField | None, int, float]] = [
-        (t, 0, abs(t.step) or 1.0) for t in p.targets if moves_nodes(t)
-    ]
-    moves += [(None, k, float(np.abs(s.vectors).max(initial=0.0))) for k, s in enumerate(p.shapes)]
-    if not moves:
+    moving = [move for move in moves(p) if move.of_nodes]
+    if not moving:
         return None
     total = sparse.csr_array(system.transform.shape)
-    reach = _reach(mesh(model))
-    for target, shape, size in moves:
-        h = SMALL * min(1.0, reach / (size or 1.0))
-        for k, c in CENTRAL:
-            for sign in (1, -1):
-                T = transform(displaced(model, p, sign * k * h, target=target, shape=shape), system)
-                total = sparse.csr_array(total + T * (sign * c / h))
+    reach = diagonal(system.xyz) or 1.0
+    for move in moving:
+        for step, weight in central_differences(move.size(model), reach):
+            T = transform(move.applied(model, step), system)
+            total = sparse.csr_array(total + T * weight)
     return total
-
-
-def _reach(m: Mesh) -> float:
-    return diagonal(m.xyz) or 1.0
 
 
 def _transform(model: Model, system: System) -> sparse.csr_array:
@@ -153,24 +193,18 @@ def _in_frames(model: Model, system: System) -> sparse.csr_array:
     return sparse.csr_array(local[:, at])
 
 
-def _carried(
-    model: Model, p: Parameter, system: System, dT: sparse.csr_array
-) -> list[sparse.csr_array]:
-    """dTᵀ A T + Tᵀ A dT of the full K, M, D and Σ g K; DMIG, given in the displacement frames, turn
-    with them.
-    """
+def _with_transform(model: Model, p: Parameter, system: System, dT: sparse.csr_array) -> Pair:
+    """dTᵀ A T + Tᵀ A dT of the full K and M; DMIG turn with the displacement frames."""
     m = mesh(model)
-    parts = [build(m, card, at) for card, build, at in batches(model)]
-    K, M = full_matrices(m, parts)
-    D = sum_up(m.size, ((p.dofs, p.viscous) for p in parts if len(p.viscous)))
-    H = sum_up(m.size, ((p.dofs, s) for p in parts if len(s := p.structural)))
-    out = [_both(dT, A, system.transform) for A in (K, M, D, H)]
-    if (direct := given_matrices.given_matrices(m)) is not None and (
-        dL := _moved(model, p, system, _in_frames)
-    ) is not None:
+    K, M = full_matrices(m, [build(m, card, at) for card, build, at in batches(model)])
+    stiffness, mass = (_both(dT, A, system.transform) for A in (K, M))
+    given = given_matrices.given_matrices(m)
+    dL = None if given is None else _differences(model, p, system, _in_frames)
+    if given is not None and dL is not None:
         L = _in_frames(model, system)
-        out[:3] = [sparse.csr_array(a + _both(dL, A, L)) for a, A in zip(out, direct, strict=False)]
-    return out
+        stiffness = sparse.csr_array(stiffness + _both(dL, given[0], L))
+        mass = sparse.csr_array(mass + _both(dL, given[1], L))
+    return stiffness, mass
 
 
 def _both(dT: sparse.csr_array, A: sparse.csr_array, T: sparse.csr_array) -> sparse.csr_array:
@@ -183,8 +217,8 @@ def congruent(
 ) -> Iterator[tuple[int, Float, Float]]:
     """Vᵀ(∂K/∂a)V and Vᵀ(∂M/∂a)V of many vectors and parameters, a piece of the mesh at a time.
 
-    All vectors with all others cost one product of matrices a piece; of few with each other
-    `bilinear` takes less.
+    All vectors with all others cost one product of matrices a piece; of each with itself
+    `quadratic_forms` takes less.
 
     Parameters
     ----------
@@ -198,28 +232,21 @@ def congruent(
     stiffness, mass : (m, m) float64
         Without entries where there is none.
     """
-    v = _padded(system, vectors)
-    none = np.zeros((0, 0))
-    for s in element_derivatives(model, parameters):
-        order = np.argsort(s.owner, kind="stable")
-        present, first = np.unique(s.owner[order], return_index=True)
-        for i, at in zip(present.tolist(), np.split(order, first[1:]), strict=True):
-            x = v[s.dofs[at]]
-            yield i, *(_through(A[at], x) if np.any(A[at]) else none for A in (s.stiffness, s.mass))
-    for i, (p, dT) in enumerate(
-        zip(parameters, _transforms(model, parameters, system), strict=True)
-    ):
+    count = vectors.shape[1]
+    full = _padded(system, vectors)
+    for piece in element_derivatives(model, parameters):
+        for i, at in _by_owner(piece):
+            x = full[piece.dofs[at]]
+            made = [np.zeros((0, 0)), np.zeros((0, 0))]
+            for k, A in enumerate((piece.stiffness[at], piece.mass[at])):
+                if np.any(A):
+                    made[k] = x.reshape(-1, count).T @ applied(A, x).reshape(-1, count)
+            yield i, made[0], made[1]
+    for i, p in enumerate(parameters):
+        dT = _transform_derivative(model, p, system)
         if dT is not None:
-            dK, dM, _, _ = _carried(model, p, system, dT)
+            dK, dM = _with_transform(model, p, system, dT)
             yield i, vectors.T @ (dK @ vectors), vectors.T @ (dM @ vectors)
-
-
-def _through(A: Float, x: Float) -> Float:
-    """Σ xᵀAx over elements, (m, m), of matrices (e, d, d) or diagonals (e, d) and motions (e, d,
-    m).
-    """
-    m = x.shape[2]
-    return np.asarray(x.reshape(-1, m).T @ applied(A, x).reshape(-1, m))
 
 
 def _padded(system: System, x: Float) -> Float:
@@ -227,56 +254,36 @@ def _padded(system: System, x: Float) -> Float:
     return np.concatenate([system.transform @ np.ascontiguousarray(x), np.zeros((1, x.shape[1]))])
 
 
-def _gathered(motions: list[Float], dofs: Int) -> list[Float]:
-    """Of each element (e, d, m); the same array for the same motions."""
-    made: dict[int, Float] = {}
-    for x in motions:
-        if id(x) not in made:
-            made[id(x)] = x[dofs]
-    return [made[id(x)] for x in motions]
-
-
-def bilinear(
-    model: Model, parameters: Sequence[Parameter], system: System, left: Float, right: Float
+def quadratic_forms(
+    model: Model, parameters: Sequence[Parameter], system: System, vectors: Float
 ) -> tuple[Float, Float]:
-    """uᵀ(∂K/∂a)v and uᵀ(∂M/∂a)v of many vectors and parameters, from the elements, with no sparse
+    """vᵀ(∂K/∂a)v and vᵀ(∂M/∂a)v of many vectors and parameters, from the elements, with no sparse
     matrix made.
 
     Parameters
     ----------
-    left : (s, f, m) float64
-        s vectors u for each v: eigenvalues need the modes themselves, other quantities their
-        adjoint vectors.
-    right : (f, m) float64
+    vectors : (f, m) float64
 
     Returns
     -------
-    stiffness, mass : (s, m, p) float64
+    stiffness, mass : (m, p) float64
     """
-    v = _padded(system, right)
-    u = [v if np.array_equal(x, right) else _padded(system, x) for x in left]
-    K, M = (np.zeros((len(parameters), *left.shape[::2])) for _ in range(2))
+    full = _padded(system, vectors)
+    K, M = (np.zeros((len(parameters), vectors.shape[1])) for _ in range(2))
     dofs = np.empty(0, dtype=np.int64)
-    at = list[Float]()
-    for s in element_derivatives(model, parameters):
-        if not np.array_equal(
-            s.dofs, dofs
-        ):  # one piece of the mesh may come once for each kind of parameter
-            dofs = s.dofs
-            at = _gathered([v, *u], s.dofs)
-        for total, A in ((K, s.stiffness), (M, s.mass)):
+    x = np.empty(0)
+    for piece in element_derivatives(model, parameters):
+        if not np.array_equal(piece.dofs, dofs):
+            # one piece of the mesh may come once for each kind of parameter
+            dofs = piece.dofs
+            x = full[dofs]
+        for total, A in ((K, piece.stiffness), (M, piece.mass)):
             if np.any(A):
-                Av = applied(A, at[0])
-                np.add.at(
-                    total,
-                    s.owner,
-                    np.stack([np.einsum("edm,edm->em", x, Av) for x in at[1:]], axis=1),
-                )
-    for i, (p, dT) in enumerate(
-        zip(parameters, _transforms(model, parameters, system), strict=True)
-    ):
+                np.add.at(total, piece.owner, np.einsum("edm,edm->em", x, applied(A, x)))
+    for i, p in enumerate(parameters):
+        dT = _transform_derivative(model, p, system)
         if dT is not None:
-            dK, dM, _, _ = _carried(model, p, system, dT)
-            for total, carried in ((K, dK), (M, dM)):
-                total[i] += np.einsum("sfm,fm->sm", left, carried @ right)
-    return K.transpose(1, 2, 0), M.transpose(1, 2, 0)
+            dK, dM = _with_transform(model, p, system, dT)
+            K[i] += np.einsum("fm,fm->m", vectors, dK @ vectors)
+            M[i] += np.einsum("fm,fm->m", vectors, dM @ vectors)
+    return K.T, M.T

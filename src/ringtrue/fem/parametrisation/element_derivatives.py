@@ -9,15 +9,16 @@ smallest element, whose error is that of rounding (1e-12).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
-from ringtrue.core.parameters import CardField, Parameter
-from ringtrue.fem.element_cards import MATERIAL, PROPERTY, batches
-from ringtrue.fem.mesh import Matrices, Mesh, Rows, mesh, union
+from ringtrue.core.parameters import CardField, Parameter, Shape, Substructure
+from ringtrue.fem.element_cards import MATERIAL, PROPERTY, batches, mesh, with_listed_mass
+from ringtrue.fem.mesh import ElementMatrices, Mesh, Rows, union
 from ringtrue.fem.parametrisation.changed_model import (
     changed,
     moved,
@@ -26,14 +27,12 @@ from ringtrue.fem.parametrisation.changed_model import (
     users_of_nodes,
     within,
 )
+from ringtrue.model.edit import field_value
 from ringtrue.model.frames import diagonal
 from ringtrue.model.model import Model
 
-STEP = 1e-40  # of the complex step; nothing is subtracted, so it costs no digits
-SMALL = 5e-3  # of the difference, in sizes of the smallest element concerned
-CENTRAL = ((1, 4 / 5), (2, -1 / 5), (3, 4 / 105), (4, -1 / 280))  # eighth order (Fornberg 1988)
+COMPLEX_STEP = 1e-40  # nothing is subtracted, so it costs no digits
 SPAN = 512  # elements of a chunk, whose matrices stay in the cache
-_NONE = np.empty((0, 0, 0))
 _PLACES = frozenset(["X1", "X2", "X3", "W1A", "W2A", "W3A", "W1B", "W2B", "W3B"])
 # of the square that finds the shells which carry an end; of the beam that a spline is
 _SIZES = frozenset([("PFAST", "D"), ("PWELD", "D"), ("RSPLINE", "DL")])
@@ -51,18 +50,13 @@ class ElementDerivatives:
     dofs : (e, d) int64
         Full DOFs, -1 for none.
     stiffness : (e, d, d) float64
-    structural : (e, d, d) float64, or none
-        Of g_e K_e.
     mass : (e, d) or (e, d, d) float64
-    viscous : (e, d, d) float64, or none
     """
 
     owner: Int
     dofs: Int
     stiffness: Float
-    structural: Float
     mass: Float
-    viscous: Float
 
 
 @dataclass(slots=True, eq=False)
@@ -90,6 +84,57 @@ def moves_nodes(target: CardField) -> bool:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class Move:
+    """A place that moves with a parameter: a field of a card, or nodes along their vectors."""
+
+    name: str
+    what: CardField | Shape
+
+    @property
+    def of_nodes(self) -> bool:
+        """Whether nodes, rigid elements and displacement frames may move."""
+        return isinstance(self.what, Shape) or moves_nodes(self.what)
+
+    def applied(self, model: Model, amount: float) -> Model:
+        """The model with this place where it is at a = 1 + amount."""
+        if isinstance(self.what, Shape):
+            return moved(model, self.what, amount)
+        return changed(model, self.name, [self.what], 1 + amount)
+
+    def rows(self, model: Model) -> Rows:
+        """Rows of the element cards that it changes."""
+        if isinstance(self.what, Shape):
+            return users_of_nodes(model, np.array(self.what.nodes))
+        return within(model, rows_of(model, self.what), self.what.elements)
+
+    def size(self, model: Model) -> float:
+        """How far it moves for a change of a by 1."""
+        if isinstance(self.what, Shape):
+            return float(np.abs(self.what.vectors).max(initial=0.0))
+        if self.what.step:
+            return abs(self.what.step)
+        changed(model, self.name, [self.what], 1.0)  # names a target that is not there
+        return abs(float(field_value(model, self.what)))
+
+
+def moves(p: Parameter) -> list[Move]:
+    """The places that move with a parameter."""
+    places: list[CardField | Shape] = [t for t in p.targets if is_place(t)]
+    return [Move(p.name, what) for what in (*places, *p.shapes)]
+
+
+def central_differences(size: float, reach: float) -> Iterator[tuple[float, float]]:
+    """Steps of a and their weights in the derivative, of eighth order (Fornberg 1988).
+
+    A place that moves by `size` (a - 1) moves by half a percent of `reach` at most in one step.
+    """
+    h = 5e-3 * min(1.0, reach / (size or 1.0))
+    for k, c in ((1, 4 / 5), (2, -1 / 5), (3, 4 / 105), (4, -1 / 280)):
+        yield k * h, c / h
+        yield -k * h, -c / h
+
+
 def element_derivatives(
     model: Model, parameters: Sequence[Parameter]
 ) -> Iterator[ElementDerivatives]:
@@ -107,9 +152,10 @@ def element_derivatives(
     for layer in moduli:
         yield from _nominal(m, layer)
     for i, p in enumerate(parameters):
-        yield from _placed(m, i, p)
+        for move in moves(p):
+            yield from _by_differences(m, i, move)
         for s in p.substructures:
-            yield from _plain(m, i, p.name, matrix=s.matrix, elements=s.elements)
+            yield from _common_factor(m, i, p.name, s)
 
 
 def _bundles(
@@ -278,7 +324,9 @@ def _stepped(m: Mesh, sweep: _Sweep, moduli: list[dict[str, Int]]) -> Iterator[E
     """
     owner = _owners(sweep)
     rows = {c: np.flatnonzero(o >= 0) for c, o in owner.items()}
-    there = replace(m, model=changed(m.model, "", sweep.targets, 1 + 1j * STEP))
+    there = with_listed_mass(
+        replace(m, model=changed(m.model, "", sweep.targets, 1 + 1j * COMPLEX_STEP))
+    )
     for card, at, part in _parts(there, rows):
         yield _derivatives(m, owner[card][at], part, _imaginary)
         for layer in moduli:
@@ -291,28 +339,22 @@ def _nominal(m: Mesh, layer: dict[str, Int]) -> Iterator[ElementDerivatives]:
 
 
 def _proportional(
-    layer: dict[str, Int], card: str, at: Int, p: Matrices
+    layer: dict[str, Int], card: str, at: Int, p: ElementMatrices
 ) -> Iterator[ElementDerivatives]:
     """The stiffness of those rows that have an owner, who is then struck off."""
-    if card not in layer or not (mine := np.flatnonzero(layer[card][at] >= 0)).size:
+    if card not in layer:
+        return
+    mine = np.flatnonzero(layer[card][at] >= 0)
+    if not mine.size:
         return
     pick = slice(None) if mine.size == at.size else mine
     owner = layer[card][at][pick]
-    K = np.ascontiguousarray(p.stiffness.real[pick])
-    loss = p.loss.real[pick]
     layer[card][at[pick]] = -1
-    structural = loss[:, None, None] * K if loss.any() else _NONE
-    yield ElementDerivatives(
-        owner=owner,
-        dofs=p.dofs[pick],
-        stiffness=K,
-        structural=structural,
-        mass=np.zeros(K.shape[:2]),
-        viscous=_NONE,
-    )
+    K = np.ascontiguousarray(p.stiffness.real[pick])
+    yield ElementDerivatives(owner, p.dofs[pick], K, np.zeros(K.shape[:2]))
 
 
-def _parts(m: Mesh, rows: Rows) -> Iterator[tuple[str, Int, Matrices]]:
+def _parts(m: Mesh, rows: Rows) -> Iterator[tuple[str, Int, ElementMatrices]]:
     for card, build, every in batches(m.model, rows):
         for start in range(0, every.size, SPAN):
             at = every[start : start + SPAN]
@@ -320,116 +362,56 @@ def _parts(m: Mesh, rows: Rows) -> Iterator[tuple[str, Int, Matrices]]:
 
 
 def _imaginary(a: Any_) -> Float:
-    return np.asarray(a.imag / STEP) if np.iscomplexobj(a) else np.zeros(a.shape)
+    return np.asarray(a.imag / COMPLEX_STEP) if np.iscomplexobj(a) else np.zeros(a.shape)
 
 
-def _same(a: Any_) -> Float:
-    return np.asarray(a, dtype=np.float64)
-
-
-def _derivatives(m: Mesh, owner: Int, p: Matrices, take: object) -> ElementDerivatives:
-    assert callable(take)
-    loss = take(s) if len(s := p.structural) else _NONE
-    viscous = take(p.viscous) if len(p.viscous) else _NONE
+def _derivatives(
+    m: Mesh, owner: Int, p: ElementMatrices, take: Callable[[Any_], Float]
+) -> ElementDerivatives:
     mass = take(p.mass) * m.model.param("WTMASS", 1.0)
-    return ElementDerivatives(
-        owner=owner,
-        dofs=p.dofs,
-        stiffness=take(p.stiffness),
-        structural=loss,
-        mass=mass,
-        viscous=viscous,
-    )
+    return ElementDerivatives(owner, p.dofs, take(p.stiffness), mass)
 
 
-def _placed(m: Mesh, i: int, p: Parameter) -> Iterator[ElementDerivatives]:
-    """Slopes to nodes that move, and to fields that are places."""
-    for t in p.targets:
-        if is_place(t):
-            rows = within(m.model, rows_of(m.model, t), t.elements)
-            size = float(np.abs(t.step) or np.abs(_value(m.model, p.name, t)))
-            yield from _differences(m, i, p, rows=rows, size=size, target=t)
-    for k, shape in enumerate(p.shapes):
-        rows = users_of_nodes(m.model, np.array(shape.nodes))
-        yield from _differences(
-            m, i, p, rows=rows, size=float(np.abs(shape.vectors).max(initial=0.0)), shape=k
-        )
-
-
-def _value(model: Model, name: str, t: CardField) -> float:
-    changed(model, name, [t], 1.0)
-    return float(model[t.card][t.field][model[t.card].find(np.array([t.id]))[0]])
-
-
-def _differences(
-    m: Mesh,
-    i: int,
-    p: Parameter,
-    rows: Rows,
-    size: float,
-    *,
-    target: CardField | None = None,
-    shape: int = 0,
-) -> Iterator[ElementDerivatives]:
+def _by_differences(m: Mesh, i: int, move: Move) -> Iterator[ElementDerivatives]:
+    """Central differences of the elements that a place changes."""
+    rows = move.rows(m.model)
+    size = move.size(m.model)
     if size == 0 or not rows:
         return
-    h = difference_step(m, rows, size)
-    total: dict[int, ElementDerivatives] = {}
-    for k, c in CENTRAL:
-        for sign in (1, -1):
-            there = mesh(displaced(m.model, p, sign * k * h, target=target, shape=shape))
-            for n, (_, at, part) in enumerate(_parts(there, rows)):
-                one = _derivatives(m, np.full(at.size, i), part, _same)
-                total[n] = _added(total.get(n), one, sign * c / h)
-    yield from total.values()
+    shortest = _shortest_edge(m, rows)
+    total: list[ElementDerivatives] = []
+    for step, weight in central_differences(size, shortest):
+        there = mesh(move.applied(m.model, step))
+        parts = [
+            _derivatives(m, np.full(at.size, i), part, partial(np.multiply, weight))
+            for _, at, part in _parts(there, rows)
+        ]
+        if total:
+            parts = [
+                replace(a, stiffness=a.stiffness + b.stiffness, mass=a.mass + b.mass)
+                for a, b in zip(total, parts, strict=True)
+            ]
+        total = parts
+    yield from total
 
 
-def displaced(
-    model: Model, p: Parameter, amount: float, *, target: CardField | None, shape: int
-) -> Model:
-    """The model with one place of the parameter at a = 1 + amount."""
-    if target is not None:
-        return changed(model, p.name, [target], 1 + amount)
-    return moved(model, p.shapes[shape], amount)
-
-
-def _added(old: ElementDerivatives | None, new: ElementDerivatives, c: float) -> ElementDerivatives:
-    names = ("stiffness", "structural", "mass", "viscous")
-    if old is None:
-        return replace(new, **{n: c * getattr(new, n) for n in names})
-    return replace(old, **{n: getattr(old, n) + c * getattr(new, n) for n in names})
-
-
-def difference_step(m: Mesh, rows: Rows, size: float) -> float:
-    """Step of a for a place that moves by `size` (a − 1): a share of the shortest edge of the
-    elements of `rows`.
-    """
+def _shortest_edge(m: Mesh, rows: Rows) -> float:
     shortest = diagonal(m.xyz) or 1.0
     for _, _, part in _parts(m, rows):
-        node = part.dofs[:, ::6] // 6 if part.dofs.shape[1] % 6 == 0 else part.dofs[:, ::3] // 6
+        per_node = 6 if part.dofs.shape[1] % 6 == 0 else 3
+        node = part.dofs[:, ::per_node] // 6
         node = np.where((node >= 0) & (node < len(m.xyz)), node, -1)
         edge = np.linalg.norm(m.xyz[node] - m.xyz[np.roll(node, 1, axis=1)], axis=2)
         edge = edge[(edge > 0) & (node >= 0) & (np.roll(node, 1, axis=1) >= 0)]
         shortest = min(shortest, float(edge.min(initial=shortest)))
-    return SMALL * min(1.0, shortest / size)
+    return shortest
 
 
-def _plain(
-    m: Mesh, i: int, name: str, matrix: str, elements: Sequence[int]
-) -> Iterator[ElementDerivatives]:
+def _common_factor(m: Mesh, i: int, name: str, s: Substructure) -> Iterator[ElementDerivatives]:
     """The element matrices themselves: the derivative to a common factor on them."""
-    for _, at, part in _parts(m, rows_of_elements(m.model, name, elements)):
-        s = _derivatives(m, np.full(at.size, i), part, _same)
-        keep = {
-            "stiffness": ("stiffness", "structural"),
-            "mass": ("mass",),
-            "damping": ("viscous",),
-        }[matrix]
-        yield replace(
-            s,
-            **{
-                n: 0 * getattr(s, n)
-                for n in ("stiffness", "structural", "mass", "viscous")
-                if n not in keep
-            },
-        )
+    for _, at, part in _parts(m, rows_of_elements(m.model, name, s.elements)):
+        whole = _derivatives(m, np.full(at.size, i), part, np.asarray)
+        if s.matrix == "stiffness":
+            yield replace(whole, mass=np.zeros_like(whole.mass))
+        else:
+            yield replace(whole, stiffness=np.zeros_like(whole.stiffness))

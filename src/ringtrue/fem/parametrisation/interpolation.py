@@ -12,6 +12,9 @@ bounds. Some of these are kept, K(a) = K(1) + Σ c_j(a) (K(a_j) - K(1)), M likew
 entries of a few elements tell the c_j: the kernels of these are called at any a, by a complex step
 for the slopes. Barrault, Maday, Nguyen and Patera (2004), An empirical interpolation method, C. R.
 Acad. Sci. Paris 339, 667-672.
+
+Where matrices are kept, and the entries that tell their shares at other factors: what an
+interpolation learns.
 """
 
 from __future__ import annotations
@@ -24,15 +27,15 @@ from numpy.polynomial.chebyshev import chebder, chebval, chebvander
 from scipy import sparse
 
 from ringtrue.core.arrays import Float, Int
-from ringtrue.core.progress import Progress, part
+from ringtrue.core.iterate import Progress, part
+from ringtrue.core.parameters import Parameter
 from ringtrue.errors import NumericalError, UnsupportedError
 from ringtrue.fem.assembly import System, full_matrices, reduced
 from ringtrue.fem.mesh import Mesh, Rows, union
-from ringtrue.fem.parametrisation.interpolation_nodes import HOLDS, Nodes, learn, rough
 from ringtrue.fem.parametrisation.parameter_groups import (
     INVALID,
-    Group,
     Pair,
+    ParameterGroup,
     Region,
     Together,
     built,
@@ -46,6 +49,278 @@ from ringtrue.fem.parametrisation.parameter_groups import (
     roots,
 )
 from ringtrue.fem.parametrisation.polynomials import AffineTerm
+
+
+@dataclass(frozen=True, slots=True)
+class NodeSearch:
+    """How the points of an interpolation are chosen.
+
+    Attributes
+    ----------
+    block : int
+        Points that are looked at first, then twice as many,
+    blocks : int
+        and how often.
+    most : int
+        Matrices of a region, at most.
+    fitted : float
+        What the points seen may leave, relative to the roots of diagonal entries.
+    holds : float
+        What is allowed at other points.
+    margin : float
+        By which the range exceeds the bounds.
+    """
+
+    block: int = 16
+    blocks: int = 7
+    most: int = 320
+    fitted: float = 1e-10
+    holds: float = 1e-8
+    margin: float = 1.05
+
+
+SEARCH = NodeSearch()
+
+
+Found = Sequence[Float | None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InterpolationNodes:
+    """What determines the functions of a region.
+
+    Attributes
+    ----------
+    factors : (r, P) float64
+        Of all parameters, where the matrices are kept.
+    rows : dict
+        The elements whose entries are used.
+    places : (r,) int64
+        Of these among their `entries`.
+    start, weights : (r,) float64
+        The entries at nominal, and what scales them.
+    values : (r, r) float64
+        The scaled entries (second axis) at the nodes, less those at nominal.
+    check : (P,) float64
+        Factors that had no part in this, at which it holds.
+    """
+
+    factors: Float
+    rows: Rows
+    places: Int
+    start: Float
+    weights: Float
+    values: Float
+    check: Float
+
+    def coefficients(self, found: Float) -> Float:
+        """c (r,) from the `entries` of its rows at some factors."""
+        return self.solved(self.scaled(found))
+
+    def derivatives(self, found: Float) -> Float:
+        """∂c (r,) from derivatives of the `entries` of its rows."""
+        return self.solved(self.weights * found[self.places])
+
+    def scaled(self, found: Float) -> Float:
+        """What determines c (r,): the scaled entries, less those at nominal, from the `entries` of
+        its rows.
+        """
+        return np.asarray(self.weights * (found[self.places] - self.start))
+
+    def solved(self, changes: Float) -> Float:
+        """c (r, ...) from scaled entries (r, ...) less those at nominal, or both their
+        derivatives.
+        """
+        return np.asarray(np.linalg.solve(self.values.T, changes))
+
+
+class _Learner:
+    """What is kept of a region: factors (r, P), scaled entries (r, e) less those at nominal, and
+    which tell it.
+    """
+
+    def __init__(
+        self,
+        region: Region,
+        start: Float,
+        weights: Float,
+        parameters: int,
+        most: int,
+    ) -> None:
+        self.region = region
+        self.start = start
+        self.weights = weights
+        self.most = most
+        self.factors = np.empty((0, parameters))
+        self.changes = np.empty((0, start.size))
+        self.places = list[int]()
+
+    def learn(self, factors: Sequence[Float], found: Found) -> Float | None:
+        """See more points: one of them if what is kept holds at all of them, else keep what
+        determines all best.
+        """
+        which = list(self.region.which)
+        some = [
+            (a, f)
+            for a, f in zip(factors, found, strict=True)
+            if f is not None and (a[which] != 1).any()
+        ]
+        if not some:
+            return None
+        scaled = np.array([f for _, f in some]) * self.weights
+        changes = scaled - self.weights * self.start
+        size = np.abs(scaled).max(axis=1, initial=1e-300)
+        c = np.linalg.solve(self.changes[:, self.places].T, changes[:, self.places].T)
+        rest = (changes - c.T @ self.changes) / size[:, None]
+        if np.abs(rest).max(initial=0.0) < SEARCH.holds:
+            return np.asarray(some[-1][0])
+        # chosen anew among all: what stood out by 1e-9 alone at few points is a poor node once
+        # others are seen
+        self.factors = np.vstack([self.factors, *(a for a, _ in some)])
+        self.changes = np.vstack([self.changes, changes])
+        size = np.abs(self.changes + self.weights * self.start).max(axis=1, initial=1e-300)
+        nodes, self.places = _pivots(self.changes / size[:, None], self.most + 1)
+        self.factors = self.factors[nodes]
+        self.changes = self.changes[nodes]
+        return None
+
+    def nodes(self, m: Mesh, check: Float) -> InterpolationNodes:
+        """The result, that held at `check`."""
+        element = owners(m, self.region)
+        used = np.unique(element[self.places])
+        places = np.cumsum(np.isin(element, used))[self.places] - 1
+        return InterpolationNodes(
+            factors=self.factors,
+            rows=picked(m, self.region.rows, used),
+            places=places,
+            start=self.start[self.places],
+            weights=self.weights[self.places],
+            values=self.changes[:, self.places],
+            check=check,
+        )
+
+
+def _pivots(rest: Float, most: int) -> tuple[list[int], list[int]]:
+    """Rows and columns of an elimination with complete pivots, in order, until nothing above
+    `SEARCH.fitted` is left.
+    """
+    rows = list[int]()
+    columns = list[int]()
+    live = np.flatnonzero(np.abs(rest).max(axis=0) > SEARCH.fitted)
+    rest = rest[:, live]
+    while rest.size and len(rows) < most:
+        i, j = divmod(int(np.abs(rest).argmax()), live.size)
+        if not abs(rest[i, j]) > SEARCH.fitted:
+            break
+        rows.append(i)
+        columns.append(int(live[j]))
+        rest -= np.outer(rest[:, j] / rest[i, j], rest[i])
+    return rows, columns
+
+
+def learn(m: Mesh, some: Sequence[Region], most: int = SEARCH.most) -> list[InterpolationNodes]:
+    """What determines the functions of each region.
+
+    The points lie first on the axes, where only one parameter is not at nominal, then anywhere
+    between the bounds. No region feels the fields of a group that acts on another only
+    (`parameter_groups.independent_batches`).
+
+    Raises
+    ------
+    UnsupportedError
+        If the entries of a region are no smooth functions between the bounds, or take more than
+        `most` matrices.
+    """
+    axes, low, high = _box(some)
+    one = np.ones_like(low)
+    rng = np.random.default_rng(0)
+    given = zip(
+        some, entries(m, some, one), entries(m, some, one, roots), _at(m, some, axes), strict=True
+    )
+    learners = list[_Learner]()
+    out = dict[int, InterpolationNodes]()
+    for region, start, weights, found in given:
+        if any(f is None for f in found):
+            raise UnsupportedError(rough(region.groups))
+        learner = _Learner(region, start, weights, one.size, most)
+        learner.learn(axes, found)
+        learners.append(learner)
+    count = SEARCH.block
+    for _ in range(SEARCH.blocks):
+        waiting = [k for k in range(len(some)) if k not in out]
+        if not waiting:
+            break
+        # denser towards the bounds
+        shares = (1 - np.cos(np.pi * rng.random((count, one.size)))) / 2
+        points = list(low * (high / low) ** shares)
+        for k, found in zip(waiting, _at(m, [some[k] for k in waiting], points), strict=True):
+            check = learners[k].learn(points, found)
+            if len(learners[k].places) > most:
+                raise UnsupportedError(rough(some[k].groups))
+            if check is not None:
+                out[k] = learners[k].nodes(m, check)
+        count *= 2
+    for k, region in enumerate(some):
+        if k not in out:
+            raise UnsupportedError(rough(region.groups))
+    return [out[k] for k in range(len(some))]
+
+
+def on_axis(p: Parameter) -> tuple[float, ...]:
+    """Factors of a parameter by itself at which matrices are kept: at its bounds, a little widened,
+    and half-way.
+    """
+    low = p.lower / SEARCH.margin
+    high = p.upper * SEARCH.margin
+    return low, high, low**0.5, high**0.5
+
+
+def _box(some: Sequence[Region]) -> tuple[list[Float], Float, Float]:
+    """Factors on the axes, and all lower and upper bounds (P,), a little widened."""
+    parameters = {g.which: g.parameter for r in some for g in r.groups}
+    low, high = np.ones((2, 1 + max(parameters)))
+    for i, p in parameters.items():
+        low[i], high[i] = on_axis(p)[:2]
+    each = np.arange(low.size)
+    return (
+        [np.where(each == i, x, 1.0) for i in sorted(parameters) for x in on_axis(parameters[i])],
+        low,
+        high,
+    )
+
+
+def _at(m: Mesh, some: Sequence[Region], points: Sequence[Float]) -> list[list[Float | None]]:
+    """Entries of each region at each of the points; None where a section does not allow these."""
+    every = Together.of(m, some)
+    each = [Together.of(m, [r]) for r in some]
+    with np.errstate(all="ignore"):  # a pole between the bounds is found by what does not hold
+        # it may be one of them that does not allow the factors
+        found = [
+            _tried(every, a) or [(_tried(one, a) or [None])[0] for one in each] for a in points
+        ]
+    return [list(of) for of in zip(*found, strict=True)]
+
+
+def _tried(regions: Together, a: Float) -> list[Float | None]:
+    """The entries at the factors; nothing where a section does not allow these."""
+    try:
+        return [f if np.isfinite(f).all() else None for f in regions.entries(a)]
+    except INVALID:
+        return []
+
+
+def rough(groups: Sequence[ParameterGroup]) -> str:
+    """What is said of parameters that have no smooth functions."""
+    names = " and ".join(
+        f"{g.parameter.name} ({g.fields}, {g.parameter.lower:g} to {g.parameter.upper:g})"
+        for g in groups
+    )
+    return (
+        f"parameter {names}: the matrices are no smooth function of it between its bounds; "
+        "narrow the bounds, or "
+        "update with a solver that is run anew at each point"
+    )
+
 
 DEGREES = (4, 8, 16, 32, 64, 128)  # each takes the points of the one before
 # relative to the largest, at the points that the next degree adds; that one's error is about the
@@ -118,12 +393,31 @@ def fitted(bounds: Float, values: Callable[[Float], list[Float]]) -> list[Series
     return found
 
 
-# elements of a kind that tell the functions; that join them; how often
-SAMPLE = 24
-WORST = 12
-ROUNDS = 8
+@dataclass(frozen=True, slots=True)
+class SampleSettings:
+    """Elements that show the functions of a region.
+
+    Attributes
+    ----------
+    elements : int
+        Elements of a kind.
+    worst : int
+        Elements that join them.
+    rounds : int
+        How often.
+    kept : int
+        Sets of coefficients that are kept.
+    """
+
+    elements: int = 24
+    worst: int = 12
+    rounds: int = 8
+    kept: int = 4096
+
+
+SAMPLES = SampleSettings()
+
 STEP = 1e-30
-SEEN = 4096  # sets of coefficients that are kept
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,7 +429,7 @@ class Interpolation:
     mesh : Mesh
     regions : tuple of Region
         With the elements whose entries are used.
-    nodes : tuple of Nodes
+    nodes : tuple of InterpolationNodes
     colours : dict
         A number for each parameter: those of one act on no region together, and are stepped
         together.
@@ -146,7 +440,7 @@ class Interpolation:
 
     mesh: Mesh
     regions: tuple[Region, ...]
-    nodes: tuple[Nodes, ...]
+    nodes: tuple[InterpolationNodes, ...]
     colours: dict[int, int]
     series: dict[int, Series]
     _seen: dict[tuple[bytes, int], dict[int, Float]] = field(default_factory=dict)
@@ -169,7 +463,7 @@ class Interpolation:
     def _kept(self, a: Float, colour: int) -> dict[int, Float]:
         key = (np.asarray(a, dtype=np.float64).tobytes(), colour)
         if key not in self._seen:
-            if len(self._seen) >= SEEN:
+            if len(self._seen) >= SAMPLES.kept:
                 self._seen.clear()
             self._seen[key] = self._computed(np.asarray(a, dtype=np.float64), colour)
         return self._seen[key]
@@ -177,7 +471,7 @@ class Interpolation:
     def _together(self, some: tuple[int, ...]) -> Together:
         """Of the regions with these numbers."""
         if some not in self._some:
-            if len(self._some) >= SEEN:
+            if len(self._some) >= SAMPLES.kept:
                 self._some.clear()
             self._some[some] = Together.of(self.mesh, [self.regions[k] for k in some])
         return self._some[some]
@@ -213,7 +507,7 @@ class Interpolation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Coefficient:
-    """c_j of a region of an interpolation: a `Function`."""
+    """c_j of a region of an interpolation: a `ParameterFunction`."""
 
     which: tuple[int, ...]
     of: Interpolation
@@ -221,17 +515,17 @@ class Coefficient:
     j: int
 
     def value(self, a: Float) -> float:
-        """See `Function`."""
+        """See `ParameterFunction`."""
         found = self.of.at(a)
         return float(found[self.region][self.j]) if self.region in found else 0.0
 
     def derivative(self, a: Float, i: int) -> float:
-        """See `Function`."""
+        """See `ParameterFunction`."""
         return float(self.of.derivatives(a, i)[self.region][self.j]) if i in self.which else 0.0
 
 
 def interpolated(
-    m: Mesh, groups: Sequence[Group], rows: Rows, system: System, progress: Progress
+    m: Mesh, groups: Sequence[ParameterGroup], rows: Rows, system: System, progress: Progress
 ) -> list[AffineTerm]:
     """The terms of the rows, as all groups that act on them change these together.
 
@@ -253,9 +547,9 @@ def _terms(
     """Of regions whose kernels can be called at once; elements whose sums do not hold join those
     that these rest on.
     """
-    sampled = {k: few(r.rows, SAMPLE) for k, r in enumerate(batch)}
-    found: dict[int, tuple[Nodes, list[Pair]]] = {}
-    for _ in range(ROUNDS):
+    sampled = {k: few(r.rows, SAMPLES.elements) for k, r in enumerate(batch)}
+    found: dict[int, tuple[InterpolationNodes, list[Pair]]] = {}
+    for _ in range(SAMPLES.rounds):
         progress(len(found) / len(batch), "derivatives: parameters on the same elements")
         waiting = [k for k in sampled if k not in found]
         for k, nodes in zip(
@@ -276,7 +570,9 @@ def _terms(
     raise UnsupportedError(rough(batch[next(k for k in sampled if k not in found)].groups))
 
 
-def _interpolation(m: Mesh, batch: Sequence[Region], nodes: Sequence[Nodes]) -> Interpolation:
+def _interpolation(
+    m: Mesh, batch: Sequence[Region], nodes: Sequence[InterpolationNodes]
+) -> Interpolation:
     colours: dict[int, int] = {}
     for i in sorted({i for r in batch for i in r.which}):
         taken = {colours.get(j) for r in batch if i in r.which for j in r.which}
@@ -287,7 +583,9 @@ def _interpolation(m: Mesh, batch: Sequence[Region], nodes: Sequence[Nodes]) -> 
     )
 
 
-def _series(m: Mesh, used: Sequence[Region], nodes: Sequence[Nodes]) -> dict[int, Series]:
+def _series(
+    m: Mesh, used: Sequence[Region], nodes: Sequence[InterpolationNodes]
+) -> dict[int, Series]:
     """Of the regions of one parameter; none where a section does not allow all factors between the
     bounds.
     """
@@ -312,7 +610,9 @@ def _series(m: Mesh, used: Sequence[Region], nodes: Sequence[Nodes]) -> dict[int
     }
 
 
-def _whole(m: Mesh, region: Region, nodes: Nodes, system: System) -> tuple[list[Pair], Int]:
+def _whole(
+    m: Mesh, region: Region, nodes: InterpolationNodes, system: System
+) -> tuple[list[Pair], Int]:
     """K and M at the nodes, less those at nominal, of all elements; some of these whose sum does
     not hold, if any.
     """
@@ -334,8 +634,8 @@ def _whole(m: Mesh, region: Region, nodes: Nodes, system: System) -> tuple[list[
         parts.append((sparse.csr_array(stiffness - K), sparse.csr_array(mass - M)))
         miss -= c * (each - nominal)
     miss = np.abs(weights * miss)
-    bad = miss > HOLDS * np.abs(weights * there).max(initial=0.0)
+    bad = miss > SEARCH.holds * np.abs(weights * there).max(initial=0.0)
     element = owners(m, region)
     order = np.argsort(-miss[bad], kind="stable")
     _, first = np.unique(element[bad][order], return_index=True)
-    return parts, np.sort(element[bad][order][np.sort(first)[:WORST]])
+    return parts, np.sort(element[bad][order][np.sort(first)[: SAMPLES.worst]])

@@ -1,8 +1,5 @@
-"""What one parameter changes, and the exact parts of a polynomial dependence, from the kernels at
-complex factors.
-
-Regions: elements on which the same parameters act, and entries of their matrices at factors of
-all parameters.
+"""Groups: what one parameter changes. Regions: elements on which the same groups act, and entries
+of their matrices at factors of all parameters.
 """
 
 from __future__ import annotations
@@ -16,23 +13,18 @@ from scipy import sparse
 from ringtrue.core.arrays import Any_, Int
 from ringtrue.core.parameters import CardField, Parameter
 from ringtrue.errors import DeckError, UnsupportedError
-from ringtrue.fem.assembly import full_matrices
-from ringtrue.fem.element_cards import batches
-from ringtrue.fem.mesh import Matrices, Mesh, Rows, common, union
+from ringtrue.fem.element_cards import batches, with_listed_mass
+from ringtrue.fem.mesh import ElementMatrices, Mesh, Rows, common, union
 from ringtrue.fem.parametrisation.changed_model import changed, rows_of, rows_of_elements, within
 from ringtrue.fem.parametrisation.element_derivatives import is_place
 from ringtrue.model.model import Model
 
-CHECK = 1.37  # a factor at which the polynomial must hold
-# relative: not polynomial above, no such power below
-EXACT = 1e-10
-NOISE = 1e-13
 INVALID = (DeckError, np.linalg.LinAlgError, ValueError)  # of factors that a section does not allow
 Pair = tuple[sparse.csr_array, sparse.csr_array]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Group:
+class ParameterGroup:
     """Targets of the same elements, or a factor on one of their matrices.
 
     Attributes
@@ -64,7 +56,9 @@ class Group:
             or f"{self.matrix} of elements"
         )
 
-    def scaled(self, part: Matrices, card: str, at: Int, a: float | complex) -> Matrices:
+    def scaled(
+        self, part: ElementMatrices, card: str, at: Int, a: float | complex
+    ) -> ElementMatrices:
         """The matrices of rows `at` of a card with its factor, if it is one on them."""
         if not self.matrix:
             return part
@@ -76,8 +70,8 @@ class Group:
         )
 
 
-def groups_of(model: Model, which: int, parameter: Parameter) -> list[Group]:
-    """The groups of a parameter; factors on damping are none, as K and M do not depend on them.
+def groups_of(model: Model, which: int, parameter: Parameter) -> list[ParameterGroup]:
+    """The groups of a parameter.
 
     Raises
     ------
@@ -102,7 +96,7 @@ def groups_of(model: Model, which: int, parameter: Parameter) -> list[Group]:
         changed(model, parameter.name, targets, 1.0)  # names a target that is not there
         reach = union(rows_of(model, t) for t in targets)
         found.append(
-            Group(
+            ParameterGroup(
                 which=which,
                 parameter=parameter,
                 rows=within(model, reach, elements),
@@ -112,17 +106,9 @@ def groups_of(model: Model, which: int, parameter: Parameter) -> list[Group]:
         )
     for s in parameter.substructures:
         rows = rows_of_elements(model, parameter.name, s.elements)
-        if s.matrix != "damping":
-            found.append(
-                Group(
-                    which=which,
-                    parameter=parameter,
-                    rows=rows,
-                    reach=rows,
-                    targets=(),
-                    matrix=s.matrix,
-                )
-            )
+        found.append(
+            ParameterGroup(which=which, parameter=parameter, rows=rows, reach=rows, matrix=s.matrix)
+        )
     fields = [g for g in found if g.targets]
     if any(common(a.rows, b.rows) for i, a in enumerate(fields) for b in fields[:i]):
         raise UnsupportedError(
@@ -132,16 +118,16 @@ def groups_of(model: Model, which: int, parameter: Parameter) -> list[Group]:
 
 
 def built(
-    m: Mesh, groups: Sequence[Group], rows: Rows, factors: Sequence[float | complex]
-) -> list[Matrices]:
+    m: Mesh, groups: Sequence[ParameterGroup], rows: Rows, factors: Sequence[float | complex]
+) -> list[ElementMatrices]:
     """Element matrices of the rows with the groups at their factors; none feels the fields of one
     it is not in.
     """
     model = m.model
     for g, a in zip(groups, factors, strict=True):
         model = changed(model, g.parameter.name, g.targets, a) if g.targets and a != 1 else model
-    there = Mesh(model, m.xyz, m.cd, m.scalar)
-    out = list[Matrices]()
+    there = with_listed_mass(Mesh(model, m.xyz, m.cd, m.scalar))
+    out = list[ElementMatrices]()
     for card, build, at in batches(model, rows):
         part = build(there, card, at)
         for g, a in zip(groups, factors, strict=True):
@@ -150,77 +136,11 @@ def built(
     return out
 
 
-def largest_entry(a: sparse.csr_array | Any_) -> float:
-    """Largest absolute entry."""
-    data = a.data if sparse.issparse(a) else a
-    return float(np.abs(data).max(initial=0.0))
-
-
-def cubic(m: Mesh, g: Group, *, linear: bool = False) -> dict[int, Pair]:
-    """The parts of K(a) = K0 + Σ a^power K_power, M likewise, by power; those that are there.
-
-    The kernels are evaluated at a = 1, -1, i, which gives the coefficients of a cubic without loss
-    of digits, and at one further point, which proves that it is one. Where it is thought to be
-    `linear`, i is left out: a complex kernel takes the time of several. Only the affected elements
-    are computed.
-
-    Raises
-    ------
-    UnsupportedError
-        If the dependence is not a polynomial of degree three or less, or not linear where it was
-        thought to be.
-    """
-    if g.matrix:
-        K, M = full_matrices(m, built(m, (), g.rows, ()))
-        return {1: (K, M * 0) if g.matrix == "stiffness" else (K * 0, M)}
-    points = (1, -1, CHECK) if linear else (1, -1, 1j, CHECK)
-    with np.errstate(
-        all="ignore"
-    ):  # a rational dependence may have its pole at one of the points; it is refused
-        try:
-            samples = {a: full_matrices(m, built(m, (g,), g.rows, (a,))) for a in points}
-        except DeckError as e:  # a section that has a limit, such as the thickness of a laminate
-            raise UnsupportedError(_not_polynomial(g)) from e
-    parts = []
-    for which in range(2):
-        at = {a: s[which] for a, s in samples.items()}
-        c = _powers(at)
-        miss = largest_entry(c[0] + CHECK * c[1] + CHECK**2 * c[2] + CHECK**3 * c[3] - at[CHECK])
-        if not miss <= EXACT * largest_entry(at[CHECK]):
-            raise UnsupportedError(_not_polynomial(g))
-        noise = NOISE * largest_entry(samples[1][which])
-        parts.append([a if largest_entry(a) > noise else a * 0 for a in c])
-    return {
-        power: (parts[0][power], parts[1][power])
-        for power in (1, 2, 3)
-        if any(largest_entry(p[power]) for p in parts)
-    }
-
-
-def _powers(at: dict[complex, sparse.csr_array]) -> list[sparse.csr_array]:
-    """c0..c3 of a cubic from its values at 1, -1, i: perfectly conditioned; of a straight line
-    without i.
-    """
-    even = (at[1] + at[-1]) / 2
-    odd = (at[1] - at[-1]) / 2
-    P, Q = (at[1j].real, at[1j].imag) if 1j in at else (even, odd)
-    return [(even + P) / 2, (odd + Q) / 2, (even - P) / 2, (odd - Q) / 2]
-
-
-def _not_polynomial(g: Group) -> str:
-    return (
-        f"parameter {g.parameter.name} ({g.fields}): the matrices are not a cubic polynomial of it"
-    )
-
-
-TINY = 1e-12  # share of an element's largest diagonal entry below which one scales nothing
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Region:
     """Elements on which the same groups act."""
 
-    groups: tuple[Group, ...]
+    groups: tuple[ParameterGroup, ...]
     rows: Rows
 
     @property
@@ -229,14 +149,16 @@ class Region:
         return tuple(sorted({g.which for g in self.groups}))
 
 
-def regions(groups: Sequence[Group], rows: Rows) -> list[Region]:
+def regions(groups: Sequence[ParameterGroup], rows: Rows) -> list[Region]:
     """The rows, by the groups that act on them."""
     found: dict[tuple[int, ...], Rows] = {}
     for card, at in rows.items():
         acts = np.array([np.isin(at, g.rows.get(card, ())) for g in groups]).T
-        kinds, of = np.unique(acts, axis=0, return_inverse=True)
-        for k, kind in enumerate(kinds):
-            found.setdefault(tuple(np.flatnonzero(kind).tolist()), {})[card] = at[of.ravel() == k]
+        bits = np.packbits(acts, axis=1)
+        _, first, of = np.unique(bits, axis=0, return_index=True, return_inverse=True)
+        for k, row in enumerate(first.tolist()):
+            kind = tuple(np.flatnonzero(acts[row]).tolist())
+            found.setdefault(kind, {})[card] = at[of.ravel() == k]
     return [Region(tuple(groups[i] for i in some), there) for some, there in sorted(found.items())]
 
 
@@ -285,7 +207,7 @@ class Together:
     Attributes
     ----------
     mesh : Mesh
-    groups : tuple of Group
+    groups : tuple of ParameterGroup
     rows : dict
         Of all the regions.
     places : tuple of tuple of (int, rows)
@@ -293,7 +215,7 @@ class Together:
     """
 
     mesh: Mesh
-    groups: tuple[Group, ...]
+    groups: tuple[ParameterGroup, ...]
     rows: Rows
     places: tuple[tuple[tuple[int, Int], ...], ...]
 
@@ -355,7 +277,7 @@ def owners(m: Mesh, region: Region) -> Int:
 def roots(x: Any_) -> Any_:
     """1 / √(x_ii x_jj) of matrices (e, d, d); 0 where one of the two is none."""
     d = np.abs(np.einsum("eii->ei", x))
-    there = d > TINY * d.max(axis=1, keepdims=True, initial=0.0)
+    there = d > 1e-12 * d.max(axis=1, keepdims=True, initial=0.0)
     s = np.where(there, 1 / np.sqrt(np.where(there, d, 1.0)), 0.0)
     return s[:, :, None] * s[:, None, :]
 

@@ -1,29 +1,18 @@
 """Modes of one band of an ambient record: poles, candidates, confidence, maximum likelihood.
 
-Three kinds of records ask for more. Of a few strong events in silence a block without an event
-holds noise only, and the first half of the record may hold all events. A frequency that wanders
-along the record (temperature, traffic, tide) makes the estimates of neighbouring blocks similar:
-the mean over the record is wider than the mode. What is left of the ripples of an echo
-(`signal.echoes`) makes modes less certain.
-
-A ripple ε cos(ωτ + φ) of the logarithmic spectrum at a resonance 1/(1 + x²), x = (ω − ω0)/(ζ ω0),
-moves the most likely frequency by ζ ε sin φ exp(−ζ ω0 τ), relatively, and the damping by
-ε cos φ exp(−ζ ω0 τ). A ripple wider than the lines of a fit is a slope and a level, which are free.
+Two kinds of records ask for more. Of a few strong events in silence a block without an event holds
+noise only, and the first half of the record may hold all events. A frequency that wanders along the
+record (temperature, traffic, tide) makes the estimates of neighbouring blocks similar: the mean
+over the record is wider than the mode.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Complex, Float, Int
-from ringtrue.identification.ambient.candidates import (
-    CandidateModes,
-    candidates,
-    half_agreement,
-    steady,
-)
 from ringtrue.identification.ambient.close_modes import loosened, refined, with_pairs
 from ringtrue.identification.ambient.confidence import (
     BandModes,
@@ -31,16 +20,19 @@ from ringtrue.identification.ambient.confidence import (
     confidence,
     crowded,
     select,
-    without_echoes,
-    without_noise,
 )
-from ringtrue.identification.ambient.manual_selection import with_picks
-from ringtrue.identification.ambient.maximum_likelihood import REACHES
 from ringtrue.identification.ambient.record_bands import BandSums
-from ringtrue.identification.ambient.record_checks import CommonMotion, RecordFacts, spectrum
+from ringtrue.identification.ambient.record_checks import RecordFacts, spectrum
+from ringtrue.identification.ambient.spectral_bins import (
+    CandidateModes,
+    candidates,
+    half_agreement,
+    steady,
+)
 from ringtrue.identification.ambient.ssi_cov import (
     BandPoles,
     SsiCov,
+    Subspace,
     all_orders,
     block_power,
     identify_band,
@@ -48,170 +40,176 @@ from ringtrue.identification.ambient.ssi_cov import (
     subspace,
 )
 from ringtrue.identification.common import uncertainty as var
-from ringtrue.identification.common.poles import PoleSet, StableDiagram, unit
-from ringtrue.signal.decimation import Band
-from ringtrue.signal.echoes import Echo
+from ringtrue.identification.common.manual_selection import with_picks
+from ringtrue.identification.common.stabilisation import PoleSet, StableDiagram, unit
 from ringtrue.signal.spectra import block_weights
 
-# of the orders: where modes appear in the first third of them, else, and in bands crowded with
-# modes
-SHARES = (0.6, 1.0, 1.5)
-SILENT_PERCENTILE = 20  # percentile of the power of the blocks
-ABOVE_SILENCE = 10.0  # times that: where motion stands out of it, blocks have equal weight
-LEAST_BLOCKS = 12
-BEYOND = 3.0  # standard deviations of the mean correlation of neighbours
-MATTERS = 0.25  # standard deviation of the frequency over the damping: below it adds 3 % of damping
-# of the square of that ratio: what it adds to the damping, by its shape 0.2 to 0.8
-WIDER = 0.5
 
+@dataclass(frozen=True, slots=True)
+class WanderLimits:
+    """When the frequencies of a record wander along it.
 
-def _halves(
-    r: Any_, weights: Float, ssi: SsiCov, found: BandPoles, band: Band, parts: tuple[Int, Int]
-) -> tuple[PoleSet, PoleSet]:
-    """Poles of both halves (blocks) of the record, every other order."""
-    whole = found.subspace
-    step = replace(ssi, order_step=2 * ssi.order_step)
-
-    def half(part: Int) -> PoleSet:
-        mean = np.tensordot(
-            (weights[part] / weights[part].sum()).astype(r.dtype), r[part], 1
-        ).astype(np.float64)
-        return all_orders(
-            part_of(whole, mean, ssi.block_rows), None, step, (0.97 * band.low, 1.03 * band.high)
-        )[0]
-
-    return half(parts[0]), half(parts[1])
-
-
-def _candidates(
-    sums: BandSums,
-    r: Any_,
-    weights: Float,
-    parts: tuple[Int, Int],
-    least: float,
-    heard: RecordFacts,
-) -> tuple[BandPoles, CandidateModes, Int, list[tuple[int, int]]]:
-    """Poles, candidates, the pick behind each and the pairs that are not separated, of the lower
-    orders.
-
-    Of all orders where modes still appear late or are in doubt, and of more where they crowd the
-    band.
+    Attributes
+    ----------
+    blocks : int
+        Least number of blocks of the record.
+    significant : float
+        Standard deviations of the mean correlation of neighbouring blocks, above which it is no
+        chance.
+    matters : float
+        Standard deviation of the frequency over the damping; below it adds 3 % of damping.
+    wider : float
+        What it adds to the damping, over the square of that ratio; by its shape 0.2 to 0.8.
     """
-    ssi = sums.ssi
-    band = sums.band
-    tries = sums.ssi.order_max // sums.ssi.order_step
-    for share in SHARES:
-        pairs: list[tuple[int, int]] = []
-        some = replace(ssi, order_max=max(2 * int(share * ssi.order_max / 2), 2))
-        poles = identify_band(
-            r, weights, settings=some, rate=band.rate, band=(band.low, band.high), turn=heard.turn
-        )
-        table, picked = with_picks(candidates(poles, driven=heard.driven), poles, heard.choice)
-        if table.pole.size:
-            halves = _halves(r, weights, ssi=some, found=poles, band=band, parts=parts)
-            agreed = half_agreement(table, halves)
-            if heard.driven and r.shape[3] > 1:
-                mean = np.tensordot(weights, r, 1)
-                other = by_references(
-                    mean,
-                    some,
-                    rate=band.rate,
-                    band=(0.97 * band.low, 1.03 * band.high),
-                    turn=heard.turn,
-                )
-                agreed = np.maximum(agreed, half_agreement(table, other))
-            table = replace(table, halves=agreed)
-            table, pairs = with_pairs(table, poles, halves=halves, tries=tries, least=least)
-            picked = np.pad(picked, (0, table.pole.size - picked.size), constant_values=-1)
-        if all_clear(table, tries) or (share >= 1.0 and not crowded(table, tries, some.order_max)):
-            break
-    return poles, table, picked, pairs
+
+    blocks: int = 12
+    significant: float = 3.0
+    matters: float = 0.25
+    wider: float = 0.5
 
 
-def modes_of_band(sums: BandSums, confidence_min: float, heard: RecordFacts) -> BandModes:
+@dataclass(frozen=True, slots=True, eq=False)
+class _BandCandidates:
+    """Poles and candidates of a band.
+
+    Attributes
+    ----------
+    poles : BandPoles
+    table : CandidateModes
+    picked : (m,) int64
+        The pick behind each candidate, -1 for none.
+    pairs : list of (int, int)
+        Rows of pairs that the record does not separate.
+    """
+
+    poles: BandPoles
+    table: CandidateModes
+    picked: Int
+    pairs: list[tuple[int, int]]
+
+
+def modes_of_band(sums: BandSums, confidence_min: float, facts: RecordFacts) -> BandModes:
     """Modes of one band; those of less confidence are not refined."""
-    r = sums.r
-    motion = heard.motion
-    power = block_power(r, sums.references)
-    loudness = event_weights(power) if heard.driven else block_weights(power)
+    power = block_power(sums.r, sums.references)
+    loudness = event_weights(power) if facts.driven else block_weights(power)
     weights = loudness * sums.share / (loudness @ sums.share)
-    halves = np.array_split(np.arange(power.size), 2) if not heard.driven else even_halves(power)
-    poles, table, picked, pairs = _candidates(
-        sums, r, weights=weights, parts=(halves[0], halves[1]), least=confidence_min, heard=heard
-    )
-    conf = confidence(table, sums.ssi.order_max // sums.ssi.order_step)
-    turning = tuple(i for both in pairs for i in both)
-    diagram = _diagram(poles, table, sums)
-    found = _found(
-        sums, diagram, table=table, conf=conf, picked=picked, turning=turning, motion=motion
+    if facts.driven:
+        halves = even_halves(power)
+    else:
+        first, second = np.array_split(np.arange(power.size), 2)
+        halves = first, second
+    search = _search(sums, weights, halves, confidence_min, facts)
+    table = search.table
+    tries = sums.ssi.order_max // sums.ssi.order_step
+    shape, std = _in_units(sums, table, facts)
+    poles = search.poles.poles.rescaled(sums.scale)
+    level = spectrum(sums.bins, sums.scale[sums.eyes])
+    found = BandModes(
+        table=table,
+        shape=shape,
+        shape_std=std,
+        confidence=confidence(table, tries),
+        diagram=StableDiagram(poles, table.stable, table.label, *level),
+        picked=search.picked,
+        inseparable=tuple(i for both in search.pairs for i in both),
+        wander=np.zeros(table.pole.size),
     )
     at = np.array([i for _, i in select([found], confidence_min)], dtype=np.int64)
-    if not at.size or heard.driven:
+    if not at.size or facts.driven:
         return found
-    wandering = frequency_wander(table, at, poles.deviation.shape[1])
+    limits = WanderLimits()
+    wander = frequency_wander(table, at, search.poles.deviation.shape[1], limits)
     if steady(table, at, power, sums.stretches * sums.bins.duration):
-        bins = motion.spectra(sums.bins, sums.eyes) if motion else sums.bins
-        table = loosened(
-            refined(table, at, references=sums.eyes, bins=bins, slope=heard.slope), pairs
-        )
-        conf = without_noise(
-            table, without_echoes(table, conf), sums.stretches * sums.bins.duration
-        )
-    found = _found(
-        sums,
-        diagram,
-        table=with_wander_doubt(table, wandering),
-        conf=conf,
-        picked=picked,
-        turning=turning,
-        motion=motion,
-    )
-    return replace(
-        found, wandering=tuple((int(i), float(wandering[i])) for i in np.flatnonzero(wandering))
-    )
+        bins = facts.motion.spectra(sums.bins, sums.eyes) if facts.motion else sums.bins
+        table = refined(table, at, references=sums.eyes, bins=bins, slope=facts.slope)
+        table = loosened(table, search.pairs)
+    table = with_wander_doubt(table, wander, limits)
+    shape, std = _in_units(sums, table, facts)
+    return replace(found, table=table, shape=shape, shape_std=std, wander=wander)
 
 
-def _found(
-    sums: BandSums,
-    diagram: StableDiagram,
-    table: CandidateModes,
-    conf: Float,
-    picked: Int,
-    turning: tuple[int, ...],
-    motion: CommonMotion | None,
-) -> BandModes:
-    """The candidates with shapes in the channels' units, or in that of one motion."""
-    scale = sums.scale[:, None] if motion is None else sums.scale[:, None] * motion.lift(table.pole)
+def _search(
+    sums: BandSums, weights: Float, halves: tuple[Int, Int], least: float, facts: RecordFacts
+) -> _BandCandidates:
+    """Candidates of the lower orders; of all orders where modes still appear late or are in doubt,
+    and of more where they crowd the band.
+    """
+    r = sums.r
+    band = sums.band
+    limits = band.low, band.high
+    largest = sums.ssi.order_max
+    tries = largest // sums.ssi.order_step
+    for share in (0.6, 1.0, 1.5):
+        some = replace(sums.ssi, order_max=max(2 * int(share * largest / 2), 2))
+        poles = identify_band(r, weights, some, rate=band.rate, band=limits, turn=facts.turn)
+        table, picked = with_picks(candidates(poles, driven=facts.driven), poles, facts.choice)
+        pairs: list[tuple[int, int]] = []
+        if table.pole.size:
+            first, second = (_poles_of_part(sums, r, weights, part, poles) for part in halves)
+            agreed = half_agreement(table, (first, second))
+            if facts.driven and r.shape[3] > 1:
+                mean = np.tensordot(weights, r, 1)
+                one, two = (_poles_by(mean[:, :, k::2], sums, some, facts) for k in (0, 1))
+                agreed = np.maximum(agreed, half_agreement(table, (one, two)))
+            table = replace(table, halves=agreed)
+            table, pairs = with_pairs(
+                table, poles, halves=(first, second), tries=tries, least=least
+            )
+            added = table.pole.size - picked.size
+            picked = np.pad(picked, (0, added), constant_values=-1)
+        if all_clear(table, tries):
+            break
+        if share >= 1.0 and not crowded(table, tries, some.order_max):
+            break
+    return _BandCandidates(poles, table, picked, pairs)
+
+
+def _poles_of_part(
+    sums: BandSums, r: Any_, weights: Float, blocks: Int, whole: BandPoles
+) -> PoleSet:
+    """Poles of some blocks of the record, every other order."""
+    share = weights[blocks] / weights[blocks].sum()
+    mean = np.tensordot(share.astype(r.dtype), r[blocks], 1).astype(np.float64)
+    part = part_of(whole.subspace, mean, sums.ssi.block_rows)
+    largest = max(sums.ssi.order_max, whole.subspace.s.size)
+    return _every_other_order(part, sums, replace(sums.ssi, order_max=largest))
+
+
+def _poles_by(mean: Float, sums: BandSums, settings: SsiCov, facts: RecordFacts) -> PoleSet:
+    """Poles of the correlations `mean` (lag, ch, ref) with some references, every other order.
+
+    The noise of sensors is their own: what a single event shows to both halves of the references
+    is no noise.
+    """
+    rows = settings.block_rows
+    part = subspace(mean, rows, settings.order_max, sums.band.rate, facts.turn)
+    return _every_other_order(part, sums, settings)
+
+
+def _every_other_order(part: Subspace, sums: BandSums, settings: SsiCov) -> PoleSet:
+    """Poles of every other order in the band and a little around it."""
+    step = replace(settings, order_step=2 * settings.order_step)
+    return all_orders(part, None, step, (0.97 * sums.band.low, 1.03 * sums.band.high))[0]
+
+
+def _in_units(sums: BandSums, table: CandidateModes, facts: RecordFacts) -> tuple[Complex, Float]:
+    """Shapes and their standard deviations in the channels' units, or in that of one motion."""
+    scale = sums.scale[:, None]
+    if facts.motion:
+        scale = scale * facts.motion.lift(table.pole)
     scaled = table.shape * scale
     std = var.modulus_std(scaled, table.shape_deviation * scale.T[:, :, None])
-    return BandModes(
-        table=table,
-        shape=unit(scaled),
-        shape_std=std,
-        confidence=conf,
-        diagram=diagram,
-        picked=picked,
-        turning=turning,
-    )
-
-
-def _diagram(poles: BandPoles, table: CandidateModes, sums: BandSums) -> StableDiagram:
-    shown = poles.poles.rescaled(sums.scale)
-    return StableDiagram(
-        shown, table.stable, table.label, *spectrum(sums.bins, sums.scale[sums.eyes])
-    )
+    return unit(scaled), std
 
 
 def event_weights(power: Float) -> Float:
-    """(block,) weights, sum 1, of blocks of mean square `power` (block,): loud ones have equal
-    weight, silent ones little.
+    """(block,) weights, sum 1, of blocks of mean square `power` (block,).
+
+    Blocks ten times above the silence (the 20th percentile) weigh the same, silent ones little.
     """
-    floor = max(
-        float(np.percentile(power, SILENT_PERCENTILE)),
-        1e-12 * float(power.max()),
-        np.finfo(float).tiny,
-    )
-    w = 1 / np.maximum(power, ABOVE_SILENCE * floor)
+    silence = float(np.percentile(power, 20))
+    floor = max(silence, 1e-12 * float(power.max()), np.finfo(float).tiny)
+    w = 1 / np.maximum(power, 10.0 * floor)
     return np.asarray(w / w.sum())
 
 
@@ -222,23 +220,7 @@ def even_halves(power: Float) -> tuple[Int, Int]:
     return np.sort(rank[first]), np.sort(rank[~first])
 
 
-def by_references(
-    mean: Float, ssi: SsiCov, rate: float, band: tuple[float, float], turn: Complex | None
-) -> tuple[PoleSet, PoleSet]:
-    """Poles of the correlations `mean` (lag, ch, ref) with every other reference, and with the
-    rest.
-
-    The noise of sensors is their own: what a single event shows to both is no noise.
-    """
-    step = replace(ssi, order_step=2 * ssi.order_step)
-    one, two = (
-        subspace(mean[:, :, k::2], ssi.block_rows, order=ssi.order_max, rate=rate, turn=turn)
-        for k in (0, 1)
-    )
-    return all_orders(one, None, step, band)[0], all_orders(two, None, step, band)[0]
-
-
-def frequency_wander(c: CandidateModes, at: Int, blocks: int) -> Float:
+def frequency_wander(c: CandidateModes, at: Int, blocks: int, limits: WanderLimits) -> Float:
     """(m,) standard deviation of the frequency along the record over the frequency; 0 where it may
     be scatter.
 
@@ -250,9 +232,10 @@ def frequency_wander(c: CandidateModes, at: Int, blocks: int) -> Float:
         Rows that are modes; whatever moves them moves most of them.
     blocks : int
         The first columns of the deviations.
+    limits : WanderLimits
     """
     out = np.zeros(c.pole.size)
-    if blocks < LEAST_BLOCKS or not at.size:
+    if blocks < limits.blocks or not at.size:
         return out
     d = (c.deviation[at, :blocks] * c.pole[at, None].conj()).real / np.abs(c.pole[at, None]) ** 2
     d *= np.sqrt(blocks * (blocks - 1.0))  # of a block, not of the mean
@@ -260,35 +243,19 @@ def frequency_wander(c: CandidateModes, at: Int, blocks: int) -> Float:
     # the mean over the blocks is taken off
     both = (d[:, 1:] * d[:, :-1]).sum(axis=1) / (blocks - 1) + own / blocks
     like = both / np.maximum(own, np.finfo(np.float64).tiny)
-    if like.mean() > BEYOND / np.sqrt(blocks * at.size):
+    if like.mean() > limits.significant / np.sqrt(blocks * at.size):
         out[at] = np.sqrt(np.maximum(both, 0))
-    return np.where(out > MATTERS * c.damping, out, 0.0)
+    return np.where(out > limits.matters * c.damping, out, 0.0)
 
 
-def with_wander_doubt(c: CandidateModes, wandering: Float) -> CandidateModes:
+def with_wander_doubt(c: CandidateModes, wander: Float, limits: WanderLimits) -> CandidateModes:
     """The candidates with what a wandering frequency may add to the damping, a column each."""
-    rows = np.flatnonzero(wandering)
+    rows = np.flatnonzero(wander)
     if not rows.size:
         return c
-    more = np.zeros((c.pole.size, rows.size), dtype=np.complex128)
-    share = WIDER * (wandering[rows] / c.damping[rows]) ** 2
-    w = np.abs(c.pole[rows])
     zeta = c.damping[rows]
-    more[rows, np.arange(rows.size)] = share * zeta * w * (-1 - 1j * zeta / np.sqrt(1 - zeta**2))
+    share = limits.wider * (wander[rows] / zeta) ** 2
+    by_damping = np.abs(c.pole[rows]) * (-1 - 1j * zeta / np.sqrt(1 - zeta**2))
+    more = np.zeros((c.pole.size, rows.size), dtype=np.complex128)
+    more[rows, np.arange(rows.size)] = share * zeta * by_damping
     return replace(c, deviation=np.concatenate([c.deviation, more], axis=1))
-
-
-def with_echo_doubt(found: BandModes, echo: Echo) -> BandModes:
-    """The candidates with what a wrong factor of the echo does among their deviations, in two
-    columns of each.
-    """
-    c = found.table
-    w = np.abs(c.pole)
-    zeta = c.damping
-    decay = zeta * w * echo.delay
-    seen = np.exp(-decay) * np.minimum(2 / np.pi * REACHES[0] * decay, 1)
-    size = np.sqrt(2) * echo.doubt * abs(echo.factor) / np.sqrt(1 - echo.factor**2) * seen
-    moved = c.pole * zeta * size
-    damped = zeta * w * (-1 - 1j * zeta / np.sqrt(1 - zeta**2)) * size
-    more = np.concatenate([np.diag(moved), np.diag(damped)], axis=1)
-    return replace(found, table=replace(c, deviation=np.concatenate([c.deviation, more], axis=1)))

@@ -24,43 +24,91 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int
-from ringtrue.identification.ambient.candidates import (
-    CandidateModes,
-    groups_table,
-    stable_poles,
-    stacked,
-)
 from ringtrue.identification.ambient.confidence import confidence
 from ringtrue.identification.ambient.maximum_likelihood import (
     CHANCE,
-    WAVES,
-    SpectralBins,
+    EstimatedModes,
     refine_by_likelihood,
 )
+from ringtrue.identification.ambient.spectral_bins import (
+    CandidateModes,
+    SpectralBins,
+    groups_table,
+    oscillator_spectrum,
+    stable_poles,
+    stacked,
+)
 from ringtrue.identification.ambient.ssi_cov import BandPoles
-from ringtrue.identification.common.poles import PoleSet, unit
-from ringtrue.shapes.complexity import mpc
-from ringtrue.shapes.mac import mac
+from ringtrue.identification.common.stabilisation import PoleSet, unit
+from ringtrue.shapes import mac, mpc
 
-CLOSE = 4.0  # sums of half bandwidths between modes that mix
-FAR = 8.0  # the same for neighbours
-REACH = 8.0  # half bandwidths to each side of a mode that are looked at
-LEAST = 4  # bins within the bandwidth of a mode
-# standard deviation of ε; what the subspace estimates of a close pair state of it themselves is too
-# small
-PRIOR = 0.2
-MISFIT = 1.5  # of the cross spectrum, beyond which something else than two modes is in it
-ALIKE = 0.6  # MAC of shapes that may be those of one mode, seen twice
-LEFT = 1e-3  # power of the other mode expected in a modal coordinate
-FOREIGN = 2.5  # times the expected power: something else stands there
-LEAST_CHANNELS = 4  # in a plane of three channels any shape nearly lies
-MOST_ORDERS = 0.3  # share that must show two poles in one plane
-WITHIN = 0.8  # of a squared shape that must lie in the plane
-UNLIKE = 0.05  # least eigenvalue of the Gram matrix of two unit shapes that span a plane
-WEAK = 0.2  # strength of the weaker pole over that of the stronger
-ANY = float(np.sqrt(0.5))
-SEPARATE = 2.0  # standard deviations between poles that are separated
-DAMPING = 3.0  # ratio to that of the place within which a pole may be one of a pair
+
+@dataclass(frozen=True, slots=True)
+class MixingLimits:
+    """When the spectra of two modes show how their estimates mix.
+
+    Attributes
+    ----------
+    close, next : float
+        Sums of half bandwidths between modes that mix; for neighbours in frequency.
+    reach : float
+        Half bandwidths on each side of a mode that are looked at.
+    bins : int
+        Least number of bins within the bandwidth of a mode.
+    prior : float
+        Standard deviation of the mixing. What subspace estimates of a close pair state of it is too
+        small.
+    misfit, waves : float
+        Squared errors of bins, and of bins half a bandwidth wide, over their expectation. Above,
+        something else than two modes is there.
+    like : float
+        MAC of shapes that may be those of one mode, found twice.
+    """
+
+    close: float = 4.0
+    next: float = 8.0
+    reach: float = 8.0
+    bins: int = 4
+    prior: float = 0.2
+    misfit: float = 1.5
+    waves: float = 2.5
+    like: float = 0.6
+
+
+@dataclass(frozen=True, slots=True)
+class PairLimits:
+    """When the poles of most orders show a pair in one plane of shapes.
+
+    Attributes
+    ----------
+    channels : int
+        Least number of channels: in a plane of three any shape nearly lies.
+    orders : float
+        Share of the orders that must show two poles in one plane.
+    within : float
+        Share of a squared shape that must lie in the plane.
+    unlike : float
+        Least eigenvalue of the Gram matrix of two unit shapes that span a plane.
+    weak : float
+        Strength of the weaker pole over that of the stronger.
+    separate : float
+        Standard deviations between poles that are separated.
+    damping : float
+        Ratio to that of the place, within which a pole may be one of a pair.
+    """
+
+    channels: int = 4
+    orders: float = 0.3
+    within: float = 0.8
+    unlike: float = 0.05
+    weak: float = 0.2
+    separate: float = 2.0
+    damping: float = 3.0
+
+
+MIXING = MixingLimits()
+PAIRS = PairLimits()
+ANY_TURN = float(np.sqrt(0.5))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,7 +120,7 @@ class Mixing:
     matrix : (m, m) complex128
         The true shapes are the estimates (ch, m) times this; 1 on the diagonal.
     variance : (m, m) float64
-        E|Δ|² of its values; 0 where modes are too far apart to mix.
+        E|Δ|² of its values; 0 where modes are too far from each other to mix.
     """
 
     matrix: Complex
@@ -80,121 +128,98 @@ class Mixing:
 
 
 def unmix(
-    bins: SpectralBins,
-    frequency: Float,
-    damping: Float,
-    shape: Complex,
-    slope: float,
-    *,
-    start: Complex | None = None,
+    bins: SpectralBins, modes: EstimatedModes, slope: float, *, start: Complex | None = None
 ) -> Mixing:
     """The mixing of the shapes of close modes, to first order around a start.
 
     Parameters
     ----------
     bins : SpectralBins
-    frequency, damping : (m,) float64
-        Hz, fraction of critical.
-    shape : (ch, m) complex128
-        The estimates, in the channels and the units of the spectra.
+    modes : EstimatedModes
     slope : float
         Exponent of the frequency in the responses' spectrum under a flat force: 4 for
         accelerations.
     start : (m, m) complex128
         The mixing known so far, 1 on the diagonal.
     """
+    frequency = modes.frequency
     m = frequency.size
-    half = frequency * damping
+    half = frequency * modes.damping
     begin = np.eye(m, dtype=np.complex128) if start is None else start
     matrix = begin.copy()
     variance = np.zeros((m, m))
+    if len(modes.shape) < 3:
+        return Mixing(matrix, variance)
     distance = np.abs(frequency[:, None] - frequency) / (half[:, None] + half)
     rank = np.argsort(np.argsort(frequency, kind="stable"), kind="stable")
-    near = np.where(np.abs(rank[:, None] - rank) == 1, distance < FAR, distance < CLOSE)
-    pairs = [(i, j) for i in range(m) for j in range(i) if near[i, j] and len(shape) > 2]
-    for i, j in pairs:
-        both = (np.array([i, j]), np.array([j, i]))
-        if (
-            found := _pair_mixing(
-                bins,
-                frequency,
-                z=damping,
-                psi=shape @ begin,
-                pair=(i, j),
-                slope=slope,
-                known=begin[both],
-            )
-        ) is not None:
-            matrix[both], variance[both] = found
+    adjacent = np.abs(rank[:, None] - rank) == 1
+    near = distance < np.where(adjacent, MIXING.next, MIXING.close)
+    mixed = replace(modes, shape=modes.shape @ begin)
+    for i in range(m):
+        for j in range(i):
+            both = (np.array([i, j]), np.array([j, i]))
+            found = None
+            if near[i, j]:
+                found = _pair_mixing(bins, mixed, [i, j], slope, begin[both])
+            if found is not None:
+                matrix[both], variance[both] = found
     return Mixing(matrix, variance)
 
 
 def _pair_mixing(
-    b: SpectralBins,
-    f: Float,
-    z: Float,
-    psi: Complex,
-    pair: tuple[int, int],
-    slope: float,
-    known: Complex,
+    b: SpectralBins, modes: EstimatedModes, pair: list[int], slope: float, known: Complex
 ) -> tuple[Complex, Float] | None:
-    """ε_ij and ε_ji, (2,) `known` so far, and their variances; None where the spectra do not tell
+    """ε_ij and ε_ji, (2,) `known` so far, and their variances; None where the spectra do not show
     them.
     """
-    (i, j), two = pair, list(pair)
-    parts = _windows(b.freqs, f[two], z[two])
-    freqs, count = (np.concatenate([x[p] for p in parts]) for x in (b.freqs, b.count))
-    nu = freqs[:, None] / f[two]
-    inside = (np.abs(nu - 1) < z[two]).sum(0)
-    if inside.min() < LEAST or mac(psi[:, [i]], psi[:, [j]])[0, 0] > ALIKE:
+    f = modes.frequency[pair]
+    z = modes.damping[pair]
+    # the bins around both modes
+    low = np.searchsorted(b.freqs, f - MIXING.reach * z * f)
+    high = np.searchsorted(b.freqs, f + MIXING.reach * z * f)
+    at = np.union1d(np.arange(low[0], high[0]), np.arange(low[1], high[1]))
+    freqs = b.freqs[at]
+    nu = freqs[:, None] / f
+    inside = (np.abs(nu - 1) < z).sum(0)
+    similar = mac(modes.shape[:, pair[:1]], modes.shape[:, pair[1:]])[0, 0] > MIXING.like
+    if inside.min() < MIXING.bins or similar:
         return None
-    h = np.asarray(
-        2 * z[two] * nu ** (slope / 2) / (1 - nu**2 + 2j * z[two] * nu), dtype=np.complex128
-    )
-    w = _filters(b, parts, f=f, z=z, psi=psi, pair=two)
+    h: Complex = (2 * z * nu ** (slope / 2) / (1 - nu**2 + 2j * z * nu)).astype(complex)
+    w = _filters(b, at, modes, pair)
     # w G wᴴ as a product of long rows
     both = np.einsum("ic,jd->cdij", w, w.conj()).reshape(-1, 4).astype(np.complex64)
-    q = np.concatenate([b.cross[p].reshape(-1, len(both)) @ both for p in parts]).astype(
-        np.complex128
-    )
-    seen = np.maximum(q[:, [0, 3]].real, 1e-300)
-    power, rest = _levels(seen, h)
-    expected = power * np.abs(h) ** 2 + rest + LEFT * (power * np.abs(h) ** 2)[:, ::-1]
-    smooth = np.stack([np.convolve(x, np.full(7, 1 / 7), "same") for x in seen.T], axis=1)
-    expected = np.where(smooth > FOREIGN * expected, smooth, expected)
-    cell = np.floor((freqs - freqs.min()) / (f[two] * z[two]).min()).astype(np.int64)
-    return _solve_mixing(
-        q[:, 1], count / expected.prod(1), h=h, power=power, rest=rest, known=known, cell=cell
-    )
+    q = (b.cross[at].reshape(-1, len(both)) @ both).astype(np.complex128)
+    own = np.maximum(q[:, [0, 3]].real, 1e-300)
+    power, rest = _levels(own, h)
+    peaks = power * np.abs(h) ** 2
+    # a thousandth of the other mode is left in each coordinate
+    expected = peaks + rest + 1e-3 * peaks[:, ::-1]
+    smooth = np.stack([np.convolve(x, np.full(7, 1 / 7), "same") for x in own.T], axis=1)
+    expected = np.where(smooth > 2.5 * expected, smooth, expected)  # something else is there
+    cell = np.floor((freqs - freqs.min()) / (f * z).min()).astype(np.int64)
+    p = peaks
+    force = np.sqrt(power.prod()) * h[:, 0] * h[:, 1].conj()
+    background = np.full(len(p), np.sqrt(rest.prod()))
+    x = np.stack([p[:, 1], p[:, 0], force, background], axis=1)
+    return _solve_mixing(q[:, 1], b.count[at] / expected.prod(1), x, known, cell)
 
 
-def _windows(freqs: Float, f: Float, z: Float) -> list[slice]:
-    """The bins around both modes: one range, or two where these do not touch."""
-    low = np.searchsorted(freqs, f - REACH * z * f)
-    high = np.searchsorted(freqs, f + REACH * z * f)
-    first, second = np.argsort(low, kind="stable").tolist()
-    if high[first] < low[second]:
-        return [slice(low[k], high[k]) for k in (first, second)]
-    return [slice(low[first], max(high))]
-
-
-def _filters(
-    b: SpectralBins, parts: list[slice], f: Float, z: Float, psi: Complex, pair: list[int]
-) -> Complex:
+def _filters(b: SpectralBins, at: Int, modes: EstimatedModes, pair: list[int]) -> Complex:
     """(2, ch) of gain 1 for one shape of the pair and 0 for the other, that pass least of noise and
     other modes.
     """
-    others = np.setdiff1d(np.arange(f.size), pair)
+    others = np.setdiff1d(np.arange(modes.frequency.size), pair)
+    f = modes.frequency[others]
+    z = modes.damping[others]
+    psi = modes.shape[:, others]
     auto = np.diagonal(b.cross, axis1=1, axis2=2).real
-    here = np.concatenate([auto[p] for p in parts])
+    here = auto[at]
     noise = np.percentile(here, 10, axis=0) + 1e-6 * here.mean(0)
-    peak = auto[np.abs(b.freqs[:, None] - f[others]).argmin(0)].sum(1) / (
-        np.abs(psi[:, others]) ** 2
-    ).sum(0)
-    nu = np.concatenate([b.freqs[p] for p in parts])[:, None] / f[others]
-    level = (4 * z[others] ** 2 / ((1 - nu**2) ** 2 + 4 * z[others] ** 2 * nu**2)).mean(0)
-    r = np.diag(noise) + (psi[:, others] * (10 * peak * level)) @ psi[:, others].conj().T
-    own = psi[:, pair]
+    peak = auto[np.abs(b.freqs[:, None] - f).argmin(0)].sum(1) / (np.abs(psi) ** 2).sum(0)
+    nu = b.freqs[at][:, None] / f
+    level = oscillator_spectrum(nu, z).mean(0)
+    r = np.diag(noise) + (psi * (10 * peak * level)) @ psi.conj().T
+    own = modes.shape[:, pair]
     x = np.linalg.solve(r, own)
     return np.asarray(np.linalg.solve(own.conj().T @ x, x.conj().T))
 
@@ -213,30 +238,28 @@ def _levels(own: Float, h: Complex) -> tuple[Float, Float]:
 
 
 def _solve_mixing(
-    cross: Complex, weight: Float, h: Complex, power: Float, rest: Float, known: Complex, cell: Int
+    cross: Complex, weight: Float, x: Complex, known: Complex, cell: Int
 ) -> tuple[Complex, Float] | None:
     """ε_ij and ε_ji and their variances from the cross spectrum (bin,) of the two coordinates.
 
     Errors of bins in one `cell` (bin,), half a bandwidth wide, that go together are no noise: other
-    modes, or forces that modes share.
+    modes, or forces that modes share. `x` (bin, 4) are what the four unknowns make of it.
     """
-    p = power * np.abs(h) ** 2
-    force = np.sqrt(power.prod()) * h[:, 0] * h[:, 1].conj()
-    x = np.stack([p[:, 1], p[:, 0], force, np.full(len(p), np.sqrt(rest.prod()))], axis=1)
     wx = x.conj() * weight[:, None]
-    hold = np.array([PRIOR**-2, PRIOR**-2, 1.0, 1.0])
+    hold = np.array([MIXING.prior**-2, MIXING.prior**-2, 1.0, 1.0])
     n = wx.T @ x + np.diag(hold)
     value = np.array([known[0], known[1].conj(), 0.0, 0.0])
     step = np.linalg.solve(n, wx.T @ cross - hold * value)
     error = np.sqrt(weight) * (cross - x @ step)
     misfit = float((np.abs(error) ** 2).mean())
     size = np.bincount(cell)
-    together = np.abs(np.bincount(cell, error.real) + 1j * np.bincount(cell, error.imag)) ** 2
-    waves = float((together[size > 0] / size[size > 0]).mean())
-    if misfit > MISFIT or waves > WAVES:
+    sums = np.bincount(cell, error.real) + 1j * np.bincount(cell, error.imag)
+    waves = float((np.abs(sums[size > 0]) ** 2 / size[size > 0]).mean())
+    if misfit > MIXING.misfit or waves > MIXING.waves:
         return None
     found = value + step
-    spread = np.diagonal(np.linalg.solve(n, np.eye(4))).real * max(misfit, waves / CHANCE, 1.0)
+    by_chance = max(misfit, waves / CHANCE, 1.0)
+    spread = np.diagonal(np.linalg.solve(n, np.eye(4))).real * by_chance
     return np.array([found[0], found[1].conj()]), spread[:2]
 
 
@@ -249,18 +272,11 @@ def refined(
     """
     doubt = c.stds()[1][at] / c.damping[at]
     shape = c.shape[np.ix_(references, at)]
-    rough = unmix(
-        bins, c.frequencies[at], damping=c.damping[at], shape=shape, slope=slope[0]
-    ).matrix
-    fit = refine_by_likelihood(
-        bins,
-        c.frequencies[at],
-        damping=c.damping[at],
-        shape=shape @ rough,
-        slope=slope,
-        doubt=doubt,
-    )
-    mix = unmix(bins, fit.frequency, damping=fit.damping, shape=shape, slope=slope[0], start=rough)
+    modes = EstimatedModes(c.frequencies[at], c.damping[at], shape)
+    rough = unmix(bins, modes, slope[0]).matrix
+    fit = refine_by_likelihood(bins, replace(modes, shape=shape @ rough), slope, doubt)
+    modes = EstimatedModes(fit.frequency, fit.damping, shape)
+    mix = unmix(bins, modes, slope[0], start=rough)
     c = _unmixed(c, at, mix)
     ok = np.flatnonzero(fit.ok)
     rows = at[ok]
@@ -352,7 +368,7 @@ def with_pairs(
         Confidence of what is reported.
     """
     free: list[tuple[int, int]] = []
-    if table.shape.shape[0] < LEAST_CHANNELS:
+    if table.shape.shape[0] < PAIRS.channels:
         return table, free
     # a mixture of two real shapes is complex
     worth = table.stable | stable_poles(band, collinearity=0.0)
@@ -361,8 +377,8 @@ def with_pairs(
         if pair is None:
             continue
         near = np.abs(table.frequencies / f - 1) < z
-        own = np.flatnonzero(near & (_inside(table.shape, pair.basis) > WITHIN))
-        if pair.turn < ANY and (confidence(table, tries)[own] > least).sum() > 1:
+        own = np.flatnonzero(near & (_inside(table.shape, pair.basis) > PAIRS.within))
+        if pair.turn < ANY_TURN and (confidence(table, tries)[own] > least).sum() > 1:
             continue
         two = _rows(band, pair, min(_seen(h, pair.basis, f, z) for h in halves))
         if confidence(two, tries).min() < least:
@@ -371,7 +387,7 @@ def with_pairs(
         doubt[own] = 0.0
         rows = (table.pole.size, table.pole.size + 1)
         table = stacked(replace(table, halves=doubt), two)
-        free += [rows] if pair.turn == ANY else []
+        free += [rows] if pair.turn == ANY_TURN else []
     return table, free
 
 
@@ -389,13 +405,13 @@ def loosened(table: CandidateModes, pairs: list[tuple[int, int]]) -> CandidateMo
         for k, row in enumerate(rows):
             other = both[:, 1 - k]
             d[row] -= np.outer(other, inverse[1 - k] @ d[row])
-            d[row, :, -1] = ANY * other * size[k] / size[1 - k]
+            d[row, :, -1] = ANY_TURN * other * size[k] / size[1 - k]
     return replace(table, shape_deviation=d)
 
 
 def _places(table: CandidateModes) -> list[tuple[float, float]]:
-    """Frequency, Hz, and damping of the places to look at: the strongest candidates, a bandwidth
-    apart.
+    """Frequency, Hz, and damping of the places to look at: the strongest candidates, one in a
+    bandwidth.
     """
     out: list[tuple[float, float]] = []
     for k in np.argsort(-table.strength, kind="stable"):
@@ -412,7 +428,7 @@ def _inside(shape: Complex, basis: Complex) -> Float:
 
 
 def _near(p: PoleSet, f: float, z: float, slack: float = 1.0) -> Int:
-    most = DAMPING * slack
+    most = PAIRS.damping * slack
     like = (p.damping > z / most) & (p.damping < z * most)
     return np.flatnonzero((np.abs(p.frequencies / f - 1) < slack * z) & like)
 
@@ -425,22 +441,23 @@ def _pair(band: BandPoles, stable: Bool, f: float, z: float) -> Pair | None:
     for n in np.unique(p.order[near]):
         here = near[p.order[near] == n]
         best = here[np.argsort(p.std_frequency[here], kind="stable")[:2]]
-        if best.size == 2 and band.strength[best].min() > WEAK * band.strength[best].max():
+        if best.size == 2 and band.strength[best].min() > PAIRS.weak * band.strength[best].max():
             two.append(best)
-    if len(two) < MOST_ORDERS * p.orders.size:
+    fewest = PAIRS.orders * p.orders.size
+    if len(two) < fewest:
         return None
     at = np.array(two)
-    planes, size, _ = np.linalg.svd(
-        np.moveaxis(p.shape[:, at], 1, 0) / np.linalg.norm(p.shape[:, at], axis=0)[:, None],
-        full_matrices=False,
-    )
-    at = at[size[:, 1] ** 2 > UNLIKE]
-    planes = planes[size[:, 1] ** 2 > UNLIKE]
-    if len(at) < MOST_ORDERS * p.orders.size:
+    shapes = p.shape[:, at]
+    unit_shapes = np.moveaxis(shapes, 1, 0) / np.linalg.norm(shapes, axis=0)[:, None]
+    planes, size, _ = np.linalg.svd(unit_shapes, full_matrices=False)
+    spans = size[:, 1] ** 2 > PAIRS.unlike
+    at = at[spans]
+    planes = planes[spans]
+    if len(at) < fewest:
         return None
     basis = np.linalg.eigh(np.einsum("nik,njk->ij", planes, planes.conj()))[1][:, -2:]
-    like = np.linalg.svd(basis.conj().T @ planes, compute_uv=False)[:, 1] ** 2 > WITHIN
-    if like.sum() < MOST_ORDERS * p.orders.size:
+    like = np.linalg.svd(basis.conj().T @ planes, compute_uv=False)[:, 1] ** 2 > PAIRS.within
+    if like.sum() < fewest:
         return None
     return _solved(band, at[like], basis)
 
@@ -455,7 +472,7 @@ def _solved(band: BandPoles, at: Int, basis: Complex) -> Pair:
     pole, vectors = np.linalg.eig(mean)
     std = np.sqrt(2 * (np.abs(w @ _mean_deviation(band, at) / w.sum()) ** 2).sum())
     turn = np.sqrt(2) * std / abs(pole[0] - pole[1])
-    separated = turn < 1 / SEPARATE
+    separated = turn < 1 / PAIRS.separate
     real, size, _ = np.linalg.svd(
         np.concatenate([basis.real, basis.imag], axis=1), full_matrices=False
     )
@@ -471,7 +488,7 @@ def _solved(band: BandPoles, at: Int, basis: Complex) -> Pair:
         basis=basis,
         pole=pole[rank],
         shape=shape[:, rank] if separated else shape,
-        turn=turn if separated else ANY,
+        turn=turn if separated else ANY_TURN,
     )
 
 
@@ -489,10 +506,10 @@ def _rows(band: BandPoles, pair: Pair, agreed: float) -> CandidateModes:
     d = _mean_deviation(band, at)
     w = 1 / (np.abs(d) ** 2).sum(1)
     d = w @ d / w.sum()
-    overlap = np.abs((p.shape[:, at[:, 0]].conj() * p.shape[:, at[:, 1]]).sum(0))
-    overlap /= np.linalg.norm(p.shape[:, at[:, 0]], axis=0) * np.linalg.norm(
-        p.shape[:, at[:, 1]], axis=0
-    )
+    one = p.shape[:, at[:, 0]]
+    two = p.shape[:, at[:, 1]]
+    overlap = np.abs((one.conj() * two).sum(0))
+    overlap /= np.linalg.norm(one, axis=0) * np.linalg.norm(two, axis=0)
     # the order that shows the plane best
     table = groups_table(band, [at[[overlap.argmin()], k] for k in (0, 1)])
     c = np.linalg.lstsq(table.shape, pair.shape)[0]
@@ -502,33 +519,30 @@ def _rows(band: BandPoles, pair: Pair, agreed: float) -> CandidateModes:
     other = pair.shape[:, ::-1] * (size / size[::-1])
     outside += pair.turn * other.T[:, :, None] * (np.abs(d) / np.linalg.norm(d))
     top = np.take_along_axis(pair.shape, np.abs(pair.shape).argmax(0)[None], 0)[0]
+    label = np.full(len(p), -1, dtype=np.int64)
+    label[at] = np.arange(2)
+    possible = int((p.orders >= p.order[at].min()).sum())
     return replace(
         table,
         pole=pair.pole,
         deviation=np.stack([np.concatenate([d, s * d]) for s in (1.0, -1.0)]),
         shape=unit(pair.shape),
         shape_deviation=outside / top[:, None, None],
-        share=np.full(2, len(at) / max(int((p.orders >= p.order[at].min()).sum()), 1)),
+        share=np.full(2, len(at) / max(possible, 1)),
         orders=np.array([[len(at), p.orders.size]] * 2),
         halves=np.full(2, agreed),
         mpc=mpc(pair.shape),
-        label=_labels(len(p), at),
+        label=label,
     )
-
-
-def _labels(poles: int, at: Int) -> Int:
-    label = np.full(poles, -1, dtype=np.int64)
-    label[at] = np.arange(2)
-    return label
 
 
 def _seen(h: PoleSet, basis: Complex, f: float, z: float) -> float:
     """Share of the orders of half a record that show two poles of the plane."""
     near = _near(h, f, z, 1.5)
-    near = near[_inside(h.shape[:, near], basis) > WITHIN]
+    near = near[_inside(h.shape[:, near], basis) > PAIRS.within]
     psi = h.shape / np.linalg.norm(h.shape, axis=0)
     seen = 0
     for n in np.unique(h.order[near]):
         c = basis.conj().T @ psi[:, near[h.order[near] == n]]
-        seen += c.shape[1] > 1 and np.linalg.eigvalsh(c @ c.conj().T)[0] > UNLIKE
+        seen += c.shape[1] > 1 and np.linalg.eigvalsh(c @ c.conj().T)[0] > PAIRS.unlike
     return seen / max(h.orders.size, 1)

@@ -18,13 +18,12 @@ from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.identification.ambient.pipeline import AmbientSettings
 from ringtrue.identification.ambient.ssi_cov import SsiCov, choose_references, decompose, prepared
-from ringtrue.identification.common.poles import PoleSet, unit
-from ringtrue.identification.common.stabilisation import confirmed, modes_of
+from ringtrue.identification.common.stabilisation import PoleSet, confirmed, modes_of, unit
 from ringtrue.identification.common.uncertainty import hankel
 from ringtrue.signal.spectra import correlations
 
 
-def era(decays: Float, rate: float, settings: SsiCov | None = None) -> PoleSet:
+def era(decays: Float, rate: float, settings: SsiCov) -> PoleSet:
     """Poles of all orders from free decays; standard deviations are NaN.
 
     Parameters
@@ -41,20 +40,18 @@ def era(decays: Float, rate: float, settings: SsiCov | None = None) -> PoleSet:
     DataError
         If there are too few lags.
     """
-    s = settings or SsiCov()
     ch = decays.shape[1]
-    if decays.shape[0] < 2 * s.block_rows + 1:
+    rows = settings.block_rows
+    if decays.shape[0] < 2 * rows + 1:
         raise DataError(
-            f"{decays.shape[0]} lags are too few for {s.block_rows} block rows; needed: "
-            f"{2 * s.block_rows + 1}"
+            f"{decays.shape[0]} lags are too few for {rows} block rows; needed: {2 * rows + 1}"
         )
-    h0 = hankel(decays, s.block_rows)
-    h1 = hankel(decays[1:], s.block_rows)
-    u, sv, v = decompose(h0, min(s.order_max, min(h0.shape)))
-    n = int((sv > 1e-12 * sv[0]).sum())
-    root = np.sqrt(sv[:n])
-    a = (u[:, :n].T @ h1 @ v[:, :n]) / np.outer(root, root)
-    return orders_of(a, u[:ch, :n] * root, rate, s)
+    h0 = hankel(decays, rows)
+    h1 = hankel(decays[1:], rows)
+    u, sv, v = decompose(h0, min(settings.order_max, min(h0.shape)))
+    root = np.sqrt(sv)
+    a = (u.T @ h1 @ v) / np.outer(root, root)
+    return orders_of(a, u[:ch] * root, rate, settings)
 
 
 def orders_of(a: Float, c: Float, rate: float, s: SsiCov) -> PoleSet:
@@ -90,7 +87,7 @@ def gathered(orders: Sequence[int], parts: Sequence[tuple[Complex, Complex]]) ->
 
 
 def next_era(
-    history: TimeHistory, settings: SsiCov | None = None, *, references: Sequence[str] | None = None
+    history: TimeHistory, settings: SsiCov, *, references: Sequence[str] | None = None
 ) -> PoleSet:
     """ERA on the correlations of an ambient record with its reference channels (NExT), one band,
     all orders.
@@ -107,18 +104,16 @@ def next_era(
     DataError
         If the record is too short, a channel is dead or there is no such reference.
     """
-    s = settings or SsiCov()
     data, scale = prepared(history)
-    lags = 2 * s.block_rows
+    lags = 2 * settings.block_rows
     if data.shape[1] < 4 * lags:
         raise DataError(
             f"{history.source}: {data.shape[1]} samples are too few; needed are {4 * lags}"
         )
     refs = choose_references(history, data, references)
-    return era(correlations(data, refs, lags), history.rate, s).rescaled(scale)
+    return era(correlations(data, refs, lags), history.rate, settings).rescaled(scale)
 
 
-ORDER_MAX = 60  # of a band, in `era_modes`
 SAMPLES_A_ROW = 8
 
 
@@ -129,7 +124,7 @@ def era_modes(
 
     def poles(data: Float) -> PoleSet:
         rows = min(settings.block_rows, data.shape[1] // SAMPLES_A_ROW)
-        own = SsiCov(rows, ORDER_MAX)
+        own = SsiCov(rows, order_max=60)
         return next_era(replace(part, data=data), own, references=settings.references or None)
 
     modes, std = modes_of(poles(part.data), tuple(c.id for c in part.channels))

@@ -11,123 +11,68 @@ clear of the noise.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
-from scipy.fft import prev_fast_len, rfft
 
-from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
-from ringtrue.errors import DataError
+from ringtrue.core.arrays import Bool, Complex, Float, Int
+from ringtrue.identification.ambient.spectral_bins import SpectralBins
 
-RELATIVE = 4e-4  # width of a bin over its frequency
-# half bandwidths to each side of a mode that its fit uses: fewer where something else stands there.
-# Ten leave a damping 18 % more scatter than the whole spectrum does, and a frequency with an
-# unknown slope 27 %; twenty leave 8 and 12 %
-REACHES = (20.0, 10.0)
-# width of a bin in a fit: of the distance to the mode, of its half bandwidth at most
-COARSE = 0.1
-COARSEST = 0.3
-SPAN = 0.35  # of the frequency, at most
-# standard deviation of ln of the levels that noise and other modes leave in a filtered spectrum
-LEVEL = 1.5
-# singular value of unit shapes, over the largest, below which a direction is not theirs
-INDEPENDENT = 0.03
-# weight of other modes over noise in the filter: they move in step with the mode, noise does not
-NULL = 10.0
-MISFIT = 6.0  # beyond, something else stands in the spectrum, a machine for instance
-# squared error of bins a half bandwidth wide, over its expectation: beyond, the mode does not move
-# alone
-WAVES = 2.5
-CHANCE = 1.5  # of that, reached by chance
-BLUR = 3.0  # times the standard deviation of the start: a fit that knows less is rejected
-ITERATIONS = 80
-HALVINGS = 8
-DECAYED = 40.0  # time constants in a record, after which nothing is left of a motion
+CHANCE = 1.5  # of the squared errors of bins half a bandwidth wide, reached by chance
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SpectralBins:
-    """Spectral matrix averaged over bins of neighbouring lines.
+@dataclass(frozen=True, slots=True)
+class LikelihoodLimits:
+    """The lines that a fit uses, and when it is rejected.
 
     Attributes
     ----------
-    freqs : (bin,) float64, Hz
-    count : (bin,) float64
-        Lines averaged.
-    cross : (bin, ch, ch) complex64
-    duration : float, s
-        Of one periodogram.
-    lost : float
-        Share of the record that the recorder lost, bridged by straight lines.
-    breaks : float, 1/s
-        Number of these stretches, in a second of the record.
+    reaches : tuple of float
+        Half bandwidths on each side of a mode: fewer where something else is there. Ten leave a
+        damping 18 % more scatter than the whole spectrum does, and a frequency with an unknown
+        slope 27 %; twenty leave 8 and 12 %.
+    span : float
+        Share of the frequency on each side, at most.
+    level : float
+        Standard deviation of ln of the levels that noise and other modes leave in a filtered
+        spectrum.
+    null : float
+        Weight of other modes over noise in the filter: they move in step with the mode, noise does
+        not.
+    misfit : float
+        Squared error over its expectation, above which something else is in the spectrum.
+    waves : float
+        The same of bins half a bandwidth wide: above, the mode does not move alone.
+    blur : float
+        Times the standard deviation of the start: a fit that knows less is rejected.
     """
 
-    freqs: Float
-    count: Float
-    cross: Any_
-    duration: float
-    lost: float = 0.0
-    breaks: float = 0.0
-
-    @property
-    def windows(self) -> tuple[tuple[float, float], ...]:
-        """Weights and lengths (s) of the triangles that make up the window on the correlations.
-
-        Pairs of samples at a lag τ that are both there become fewer as 1 - τ/duration, and by those
-        that a lost stretch takes: breaks · τ at small lags, of the share (1 - lost), and as much as
-        chance tells beyond their length.
-        """
-        if not self.lost:
-            return ((1.0, self.duration),)
-        return (
-            (1 - self.lost, self.duration),
-            (self.lost, self.lost * (1 - self.lost) / self.breaks),
-        )
-
-    def __add__(self, other: SpectralBins) -> SpectralBins:
-        """The average of two stretches of one record, equally long."""
-        if self.freqs.shape != other.freqs.shape or not np.allclose(self.duration, other.duration):
-            raise DataError("spectra of stretches of different length do not add")
-        n = self.count + other.count
-        a, b = (x.astype(np.float32)[:, None, None] for x in (self.count / n, other.count / n))
-        lost = 0.5 * (self.lost + other.lost)
-        breaks = 0.5 * (self.breaks + other.breaks)
-        return SpectralBins(
-            freqs=self.freqs,
-            count=n,
-            cross=a * self.cross + b * other.cross,
-            duration=self.duration,
-            lost=lost,
-            breaks=breaks,
-        )
+    reaches: tuple[float, ...] = (20.0, 10.0)
+    span: float = 0.35
+    level: float = 1.5
+    null: float = 10.0
+    misfit: float = 6.0
+    waves: float = 2.5
+    blur: float = 3.0
 
 
-def spectral_bins(data: Any_, rate: float, band: tuple[float, float]) -> SpectralBins:
-    """Periodograms of `data` (ch, sample) at `rate` Hz within `band` (Hz), in bins of constant
-    relative width.
+LIMITS = LikelihoodLimits()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EstimatedModes:
+    """Modes as they are known so far.
+
+    Attributes
+    ----------
+    frequency, damping : (m,) float64
+        Hz, fraction of critical.
+    shape : (ch, m) complex128
+        In the channels and the units of the spectra.
     """
-    n = int(prev_fast_len(data.shape[1], real=True))
-    first = int(np.ceil(max(band[0] * n / rate, 1)))
-    last = int(min(band[1] * n / rate, n // 2 - 1))
-    scale = np.float32(1 / np.sqrt(n * rate / 2))
-    y = np.stack([rfft(x[:n].astype(np.float32))[first : last + 1] * scale for x in data], axis=1)
-    edges = [first]
-    while edges[-1] <= last:  # a few sub-bands, with bins of one width each
-        edges.append(max(int(edges[-1] * 1.2), edges[-1] + 1))
-    parts = [_sub_band(y[a - first : b - first], a) for a, b in pairwise(edges)]
-    f, count, cross = (np.concatenate(p) for p in zip(*parts, strict=True))
-    return SpectralBins(f * rate / n, count, cross, n / rate)
 
-
-def _sub_band(y: Any_, first: int) -> tuple[Float, Float, Any_]:
-    """Bins of the lines `y` (line, ch) from line `first`: place in lines, count, matrix."""
-    k = max(1, min(int(RELATIVE * first), len(y)))
-    m = len(y) // k
-    z = y[: m * k].reshape(m, k, -1)
-    cross = z.transpose(0, 2, 1) @ z.conj() / np.float32(k)
-    place = np.asarray(first + np.arange(m) * k + 0.5 * (k - 1), dtype=np.float64)
-    return place, np.full(m, float(k)), np.asarray(cross)
+    frequency: Float
+    damping: Float
+    shape: Complex
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -176,7 +121,7 @@ def _finite(nu: Float, nu0: float, zeta: float, windows: tuple[tuple[float, floa
         b = turns * off
         size = a * a + b * b
         part = (a * a - b * b) / size
-        if a < DECAYED:
+        if a < 40.0:  # time constants, after which nothing is left of a motion
             part -= np.exp(-a) * (part * np.cos(b) - 2 * a * b / size * np.sin(b))
         factor += weight * (1 - part / a)
     return factor
@@ -195,7 +140,7 @@ def _lorentz(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Fit:
+class _SpectrumFit:
     """Whittle fit of one filtered spectrum: θ = ln ν0, ln ζ, slope, ln A, ln of the background at
     both ends, then ln of each neighbour's level.
 
@@ -250,7 +195,7 @@ class _Fit:
         s, g = self.spectrum(theta)
         cost = self.cost(s, theta)
         done = False
-        for _ in range(ITERATIONS):
+        for _ in range(80):
             info = (g.T * self.count) @ g + np.diag(self.prior)
             slope = g.T @ (self.count * (self.power / s - 1)) - self.prior * (theta - self.mean)
             step = np.linalg.solve(info, slope)
@@ -258,7 +203,7 @@ class _Fit:
             if done := bool(slope @ step < 1e-4):
                 break
             step *= min(1.0, 0.7 / np.abs(step).max())
-            for _ in range(HALVINGS):
+            for _ in range(8):
                 s_new, g_new = self.spectrum(theta + step)
                 if (c := self.cost(s_new, theta + step)) < cost:
                     break
@@ -302,107 +247,120 @@ class _Filter:
     leak: Float
 
 
-def _filter(
-    b: SpectralBins, at: Int, half: float, psi: Complex, i: int, others: Int, near: Float, f: Float
-) -> _Filter:
-    """The filter of mode `i` that passes least of the noise and of the `others` in the bins `at`.
+@dataclass(frozen=True, slots=True, eq=False)
+class _ModeAmongOthers:
+    """One of several modes and the bins around it.
 
-    `half` is its half bandwidth, Hz; `near` (other,) are the mean spectra of the others there.
+    Attributes
+    ----------
+    which : int
+        Position among the modes.
+    at : (bin,) int64
+        Its bins, in a row.
+    half : float, Hz
+        Its half bandwidth.
+    others : (other,) int64
+        Positions of the modes near it.
+    near : (other,) float64
+        Their mean spectra in the bins.
+    """
+
+    which: int
+    at: Int
+    half: float
+    others: Int
+    near: Float
+
+
+def _filter(b: SpectralBins, modes: EstimatedModes, mode: _ModeAmongOthers) -> _Filter:
+    """The filter of a mode that passes least of the noise and of the others in its bins.
 
     The noise is what no shape explains, away from the peak. All that lies there would not do: the
     mode's own skirts are in it, a motion of other modes in step with them would cancel them, and
     the peak would look too sharp.
     """
-    shapes = psi[:, [i, *others.tolist()]]
-    u, s, _ = np.linalg.svd(shapes / np.linalg.norm(shapes, axis=0), full_matrices=False)
-    q = u[:, s > INDEPENDENT * s[0]]
-    off = at[np.abs(b.freqs[at] - f[i]) > 2.5 * half]
+    i = mode.which
+    at = mode.at
+    f = modes.frequency
+    psi = modes.shape
+    channels = len(psi)
+    shapes = psi[:, [i, *mode.others.tolist()]]
+    u, size, _ = np.linalg.svd(shapes / np.linalg.norm(shapes, axis=0), full_matrices=False)
+    q = u[:, size > 0.03 * size[0]]  # other directions are none of theirs
+    off = at[np.abs(b.freqs[at] - f[i]) > 2.5 * mode.half]
     parts = np.array_split(off if off.size > 20 else at, 3)
     first = at[0]
-    share = np.zeros((3, at[-1] + 1 - at[0]), dtype=np.float32)
+    inside = slice(first, at[-1] + 1)
+    share = np.zeros((3, at[-1] + 1 - first), dtype=np.float32)
     for row, k in zip(share, parts, strict=True):
         row[k - first] = 1 / k.size
-    flat = (
-        np.ascontiguousarray(b.cross[first : at[-1] + 1])
-        .reshape(share.shape[1], -1)
-        .view(np.float32)
-    )
-    r = (share @ flat).view(np.complex64).reshape(3, len(psi), -1).astype(np.complex128)
-    out = np.eye(len(psi)) - q @ q.conj().T
-    seen = np.einsum("ca,pab,bc->pc", out, r, out).real
-    floor = 1e-6 * np.trace(r, axis1=1, axis2=2).real[:, None] / len(psi)
-    noise = np.maximum(seen / np.maximum(np.diag(out).real, 0.1), floor)
-    peak = [
-        np.trace(b.cross[np.abs(b.freqs - f[k]).argmin()]).real / np.vdot(v, v).real
-        for k, v in zip(others, psi.T[others], strict=True)
-    ]
-    r_all = (
-        np.diag(noise.mean(0))
-        + NULL * (shapes[:, 1:] * (np.array(peak) * near)) @ shapes[:, 1:].conj().T
-    )
-    x = np.linalg.solve(r_all, psi[:, i])
+    flat = np.ascontiguousarray(b.cross[inside]).reshape(share.shape[1], -1).view(np.float32)
+    r = (share @ flat).view(np.complex64).reshape(3, channels, -1).astype(np.complex128)
+    out = np.eye(channels) - q @ q.conj().T
+    left = np.einsum("ca,pab,bc->pc", out, r, out).real
+    floor = 1e-6 * np.trace(r, axis1=1, axis2=2).real[:, None] / channels
+    noise = np.maximum(left / np.maximum(np.diag(out).real, 0.1), floor)
+    peak = np.empty(mode.others.size)
+    for row, k in enumerate(mode.others):
+        there = b.cross[np.abs(b.freqs - f[k]).argmin()]
+        peak[row] = np.trace(there).real / np.vdot(psi[:, k], psi[:, k]).real
+    nulls = LIMITS.null * (shapes[:, 1:] * (peak * mode.near)) @ shapes[:, 1:].conj().T
+    x = np.linalg.solve(np.diag(noise.mean(0)) + nulls, psi[:, i])
     w = x / np.vdot(psi[:, i], x)
-    ends = noise[[0, 2]] @ np.abs(w) ** 2 if q.shape[1] < len(psi) else np.full(2, np.nan)
+    ends = np.full(2, np.nan)
+    if q.shape[1] < channels:
+        ends = noise[[0, 2]] @ np.abs(w) ** 2
     return _Filter(w, ends, np.abs(w.conj() @ shapes[:, 1:]) ** 2 * peak)
 
 
 def refine_by_likelihood(
-    bins: SpectralBins,
-    frequency: Float,
-    damping: Float,
-    shape: Complex,
-    slope: tuple[float, float] = (4.0, 1.5),
-    doubt: Float | None = None,
+    bins: SpectralBins, modes: EstimatedModes, slope: tuple[float, float], doubt: Float
 ) -> LikelihoodFit:
     """Refine modes by maximum likelihood, two rounds, the others held.
 
     Parameters
     ----------
     bins : SpectralBins
-    frequency : (m,) float64, Hz
-    damping : (m,) float64
-    shape : (ch, m) complex128
+    modes : EstimatedModes
     slope : (mean, std)
         Of the exponent of ω in the response: 4 for accelerations under a flat force, 2 for
         velocities, 0 for displacements.
-    doubt : (m,) float64, optional
+    doubt : (m,) float64
         Relative standard deviation of `damping`; a fit that ends far beyond it has found something
         else, and one that knows far less is of no use: its filter took the mode with the others.
-        0.2 if absent.
     """
+    frequency = modes.frequency
+    damping = modes.damping
     m = frequency.size
-    start = np.full(m, 0.2) if doubt is None else doubt
-    reach = np.minimum(0.3 + 3 * start, 0.9)  # of ln damping
+    reach = np.minimum(0.3 + 3 * doubt, 0.9)  # of ln damping
     f = frequency.copy()
     z = damping.copy()
     cov = np.full((m, 2, 2), np.nan)
     misfit = np.full(m, np.nan)
     ok = np.zeros(m, dtype=np.bool_)
     for _ in range(2):
-        f0 = f.copy()
-        z0 = z.copy()
+        start = EstimatedModes(f.copy(), z.copy(), modes.shape)
         for i in range(m):  # modes
-            for far in REACHES:
-                if (fit := _prepare(bins, i, far=far, modes=(f0, z0, shape), slope=slope)) is None:
+            for far in LIMITS.reaches:
+                fit = _prepare(bins, start, i, far, slope)
+                if fit is None:
                     continue
                 theta, c, chi, good = fit.run()
-                new_f = f0[i] * np.exp(theta[0])
+                new_f = start.frequency[i] * np.exp(theta[0])
                 new_z = np.exp(theta[1])
                 near = abs(new_f / frequency[i] - 1) < max(0.7 * damping[i], 0.002)
                 near &= bool(abs(np.log(new_z / damping[i])) < reach[i])
-                sharp = c[1, 1] * max(chi, 1.0) < (BLUR * start[i]) ** 2
+                sharp = c[1, 1] * max(chi, 1.0) < (LIMITS.blur * doubt[i]) ** 2
                 if not (good and near and sharp):
                     continue
                 waves = fit.waves(theta)
                 chi = max(chi, waves / CHANCE)
-                if chi < MISFIT and waves < WAVES:
-                    f[i], z[i], cov[i], misfit[i], ok[i] = (
-                        new_f,
-                        new_z,
-                        c[:2, :2] * max(chi, 1.0),
-                        chi,
-                        True,
-                    )
+                if chi < LIMITS.misfit and waves < LIMITS.waves:
+                    f[i] = new_f
+                    z[i] = new_z
+                    cov[i] = c[:2, :2] * max(chi, 1.0)
+                    misfit[i] = chi
+                    ok[i] = True
                     break
     return LikelihoodFit(frequency=f, damping=z, covariance=cov, misfit=misfit, ok=ok)
 
@@ -412,28 +370,25 @@ def _joined(nu: Float, zeta: float) -> Int:
     damping `zeta`.
     """
     far = np.maximum(np.abs(nu - 1) / zeta, 1.0)
-    place = np.cumsum(np.diff(nu, prepend=nu[0]) / zeta / np.minimum(COARSE * far, COARSEST))
+    # a tenth of the distance to the mode, and three tenths of its half bandwidth at most
+    width = np.minimum(0.1 * far, 0.3)
+    place = np.cumsum(np.diff(nu, prepend=nu[0]) / zeta / width)
     return np.flatnonzero(np.diff(np.floor(place), prepend=-1.0))
 
 
 def _prepare(
-    b: SpectralBins,
-    i: int,
-    far: float,
-    modes: tuple[Float, Float, Complex],
-    slope: tuple[float, float],
-) -> _Fit | None:
-    """The filtered spectrum of mode `i`, `far` half bandwidths to each side, with a start.
-
-    `modes` are the frequencies, dampings and shapes of all. None where lines are too few or too
-    coarse.
+    b: SpectralBins, modes: EstimatedModes, i: int, far: float, slope: tuple[float, float]
+) -> _SpectrumFit | None:
+    """The filtered spectrum of mode `i`, `far` half bandwidths to each side, with a start; None
+    where lines are too few or too coarse.
     """
-    f, z, psi = modes
+    f = modes.frequency
+    z = modes.damping
     half = z[i] * f[i]
-    at = np.flatnonzero(np.abs(b.freqs - f[i]) < min(far * half, SPAN * f[i]))
+    at = np.flatnonzero(np.abs(b.freqs - f[i]) < min(far * half, LIMITS.span * f[i]))
     if at.size < 30 or half < 1.5 * np.median(np.diff(b.freqs[at])):
         return None
-    others = np.flatnonzero((np.abs(f - f[i]) < 2 * SPAN * f[i]) & (np.arange(f.size) != i))
+    others = np.flatnonzero((np.abs(f - f[i]) < 2 * LIMITS.span * f[i]) & (np.arange(f.size) != i))
     begin = _joined(b.freqs[at] / f[i], z[i])
     lines = b.count[at]
     count = np.add.reduceat(lines, begin)
@@ -444,28 +399,26 @@ def _prepare(
     near = np.empty((nu.size, others.size))
     for k, (p, q) in enumerate(zip(place.tolist(), z[others].tolist(), strict=True)):  # neighbours
         near[:, k] = _lorentz(nu, p, q, windows).level
-    own = _filter(
-        b, at, half=half, psi=psi, i=i, others=others, near=count @ near / count.sum(), f=f
-    )
+    mode = _ModeAmongOthers(i, at, half, others, count @ near / count.sum())
+    own = _filter(b, modes, mode)
     # single precision, that of the spectra: to make them double takes longer than all else
     w = own.weights.astype(np.complex64)
-    passed = (b.cross[at[0] : at[-1] + 1].reshape(-1, w.size) @ w).reshape(-1, w.size) @ w.conj()
+    cross = b.cross[at[0] : at[-1] + 1]
+    passed = (cross.reshape(-1, w.size) @ w).reshape(-1, w.size) @ w.conj()
     power = np.maximum(np.add.reduceat(lines * passed.real, begin) / count, 1e-300)
     peak = np.median(power[np.argsort(np.abs(nu - 1))[: max(few, 5)]])
     known = np.isfinite(own.noise)
-    ends = np.where(
-        known, own.noise, np.array([np.median(power[:few]), np.median(power[-few:])]) / 2
-    )
-    mean = np.array(
-        [0.0, np.log(z[i]), slope[0], *np.log([peak, *ends, *np.maximum(own.leak, 1e-6 * peak)])]
-    )
+    seen = np.array([np.median(power[:few]), np.median(power[-few:])]) / 2
+    ends = np.where(known, own.noise, seen)
+    levels = np.log([peak, *ends, *np.maximum(own.leak, 1e-6 * peak)])
+    mean = np.array([0.0, np.log(z[i]), slope[0], *levels])
     # what the data do not show is held near what the filter is expected to pass: levels cannot be
     # negative, so that free ones take from the skirts of the mode on average, and with them from
     # its damping
-    loose = np.where(known, LEVEL, 3.0) ** -2
+    loose = np.where(known, LIMITS.level, 3.0) ** -2
     prior = np.concatenate(
-        [[1e-6, 1e-4, slope[1] ** -2, 1e-4], loose, np.full(others.size, LEVEL**-2)]
+        [[1e-6, 1e-4, slope[1] ** -2, 1e-4], loose, np.full(others.size, LIMITS.level**-2)]
     )
-    return _Fit(
+    return _SpectrumFit(
         nu, power, count=count, windows=windows, place=place, near=near, mean=mean, prior=prior
     )

@@ -14,34 +14,37 @@ from itertools import chain
 
 import numpy as np
 
-from ringtrue.core.arrays import Float, Int
+from ringtrue.core.arrays import Float
 from ringtrue.core.choice import Choice
+from ringtrue.core.iterate import Progress, quiet
 from ringtrue.core.modes import ModeSet, Uncertainty
-from ringtrue.core.progress import Progress, quiet
+from ringtrue.core.notes import sentence
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import ConfigError, DataError
-from ringtrue.identification.ambient.band_modes import modes_of_band, with_echo_doubt
+from ringtrue.identification.ambient.band_modes import modes_of_band
 from ringtrue.identification.ambient.confidence import (
     BandModes,
-    dense_set,
-    fastest_decay,
-    frequencies_and_damping,
+    better_groups,
+    is_dense,
+    line_remainders,
+    listed,
+    machine,
     reason,
     select,
-    surer_groups,
     uncertainty,
+    unconfirmed,
+    without_forced,
 )
-from ringtrue.identification.ambient.manual_selection import chosen
 from ringtrue.identification.ambient.record_bands import (
     SHORTEST,
     STEP,
     BandSums,
+    FirstStretch,
     events_of,
     steady_sines,
     sums_of_stretches,
-    with_fewer_lags,
     with_more_lags,
-    without_strokes_sweeps_and_echoes,
+    without_machines,
 )
 from ringtrue.identification.ambient.record_checks import (
     AT_EDGE,
@@ -51,40 +54,18 @@ from ringtrue.identification.ambient.record_checks import (
     in_phase,
     long_enough,
     noisy_channels,
+    nothing_found,
     one_motion,
-    references,
     response_slope,
-    with_nothing_found,
 )
-from ringtrue.identification.ambient.spurious_modes import (
-    line_remainders,
-    machine,
-    overtones,
-    unconfirmed,
-    unexplained,
-    unresolved,
-    without_forced,
-)
-from ringtrue.identification.ambient.ssi_cov import SsiCov
-from ringtrue.identification.common.poles import StableDiagram
+from ringtrue.identification.ambient.ssi_cov import SsiCov, positions
+from ringtrue.identification.common.manual_selection import chosen
+from ringtrue.identification.common.stabilisation import StableDiagram
 from ringtrue.signal.band_correlations import map_in_threads
-from ringtrue.signal.channel_checks import unclipped_channels, usable
-from ringtrue.signal.decimation import Band, remove_drift, scaled, unit_factor
-from ringtrue.signal.echoes import Echo
-from ringtrue.signal.gaps import Gaps, bridge_gaps
+from ringtrue.signal.channel_checks import bridge_gaps, unclipped_channels, usable
 from ringtrue.signal.harmonic_evidence import amplitude_evidence, phase_evidence
-from ringtrue.signal.tonal_lines import Harmonic, harmonics, remove_tonal_lines, unsteady_lines
-
-LEAST_DAMPING = 5e-4  # below what structures have in operation (welded steel: 0.1 %)
-LEAST_FALL = 0.1  # of the logarithm of the amplitude, from one impact to the next
-HARDLY_FALLS = (
-    "it decays too little between impacts at equal intervals: a line of these; a longer "
-    "time between them would show a mode"
-)
-TOP = 0.34  # of the rate of a decimated band: the skirts of its filter begin at 0.4
-BLOCKS_EACH = 4  # of one stretch of a long record
-HIDES = "; it may hide a mode beside it, which a record without the machine shows"
-BESIDE = "; where a mode may stand beside it, take the line out (oma --remove-harmonics)"
+from ringtrue.signal.spectra import Band, remove_drift, scaled, unit_factor
+from ringtrue.signal.tonal_lines import Harmonic, harmonics, remove_tonal_lines
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,11 +150,12 @@ def bands_for(rate: float, duration: float, settings: AmbientSettings) -> tuple[
             f"band {low:.4g} .. {high:.4g} Hz is empty: {duration:.4g} s at {rate:.4g} Hz allow "
             f"{50 / duration:.4g} .. {0.49 * rate:.4g} Hz"
         )
-    top = rate / max(int(TOP * rate / high), 1)
+    share = 0.34  # of the rate: the skirts of the filter of a decimated band begin at 0.4
+    top = rate / max(int(share * rate / high), 1)
     bands = [Band(max(low, 0.06 * top), high, top)]
     while bands[-1].low > low:
         r = bands[-1].rate / STEP
-        bands.append(Band(max(low, 0.06 * r), TOP * r, r))
+        bands.append(Band(max(low, 0.06 * r), share * r, r))
     return tuple(bands)
 
 
@@ -211,7 +193,6 @@ def identify_stretches(
     *,
     choice: Choice | None = None,
     progress: Progress | None = None,
-    leave: tuple[float, ...] = (),
 ) -> AmbientResult:
     """Modes from a record that comes in stretches: what is kept of each does not grow with the
     record.
@@ -226,9 +207,6 @@ def identify_stretches(
     choice : Choice, optional
     progress : callable (fraction, text)
         The fraction stays 0 while stretches come, as their number is not known.
-    leave : tuple of float, Hz
-        Lines of steady machines that are not to be taken out. Of a single stretch, those that leave
-        something behind where no mode stands are not either: it would pull at its neighbours.
 
     Raises
     ------
@@ -245,92 +223,33 @@ def identify_stretches(
         raise DataError("no stretch of a record to identify")
     coming = (part for part in coming if part.duration >= SHORTEST * first.duration)
     second = next(coming, None)
-    record = _prepared(first, settings, leave, single=second is None)
-    good = record.good
+    record = _first_stretch(first, settings, single=second is None)
     report(0.0, "filtering into bands")
-    blocks = 0 if second is None else BLOCKS_EACH
-    ssi = SsiCov(settings.block_rows, settings.order_max, blocks=blocks)
+    # four blocks of each stretch of a long record
+    ssi = SsiCov(settings.block_rows, settings.order_max, blocks=0 if second is None else 4)
     later = chain(() if second is None else (second,), coming)
-    sums, events = sums_of_stretches(
-        good,
-        record.gaps,
-        coming=(scaled(part, record.factor) for part in later),
-        bands=record.bands,
-        ssi=ssi,
-        refs=record.references,
-        places=record.places,
-        report=report,
-    )
+    factor = record.factor
+    sums, events = sums_of_stretches(record, (scaled(x, factor) for x in later), ssi, report)
+    motion = one_motion(record.good.channels)
     strongest = max(events, key=lambda e: e.share)
-    motion = one_motion(good.channels)
-    facts = RecordFacts(response_slope(good), choice, strongest, motion)
+    facts = RecordFacts(response_slope(record.good), choice, strongest, motion)
     found = _modes_of_bands(record, sums, facts, settings, report)
-    found = _second_looks(record, sums, found, facts=facts, settings=settings, ssi=ssi)
-    if record.echo:
-        found = [with_echo_doubt(band, record.echo) for band in found]
+    if second is None and not facts.driven:
+        found = _with_more_lags(record, sums, found, facts=facts, settings=settings)
     result = _assembled(record, found, facts, settings)
-    if second is None:
-        unsteady = unexplained(result.modes, unsteady_lines(good, record.places))
-        if unsteady:
-            again = (*leave, *unsteady)
-            return identify_stretches(
-                (first,), settings, choice=choice, progress=progress, leave=again
-            )
     report(1.0, f"{len(result.modes)} modes")
-    ids = [c.id for c in good.channels]
-    noisy = noisy_channels(ids, result.modes.shapes, result.uncertainty.shape)
-    of_channels = record.channel_notes + noisy
+    of_channels = record.channel_notes + noisy_channels(result.modes, result.uncertainty.shape)
     if motion:
         of_channels += (f"channels of different kinds: shapes are those of {motion.kind} in all",)
-    notes = of_channels + record.notes + event_notes(events) + result.notes
-    harmonics_found = (*record.sines, *result.harmonics)
-    return replace(result, harmonics=harmonics_found, notes=notes, channel_notes=of_channels)
+    return replace(
+        result,
+        harmonics=(*record.sines, *result.harmonics),
+        notes=of_channels + record.notes + event_notes(events) + result.notes,
+        channel_notes=of_channels,
+    )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Record:
-    """The first stretch, ready for the bands.
-
-    Attributes
-    ----------
-    good : TimeHistory
-        Usable channels in step, without lines, impulses, sweeps and echo.
-    unclipped : TimeHistory, optional
-        Those of its channels whose amplitude is not cut off; None if all are.
-    gaps : Gaps
-    factor : float
-        Unit of `good`.
-    references : (ref,) int64, optional
-    bands : tuple of Band
-    echo : Echo, optional
-    sines : tuple of Harmonic
-        Lines of steady machines that were taken out.
-    steady : bool
-        Whether no impacts drive it: a steady amplitude then means a machine.
-    notes, channel_notes : tuple of str
-    """
-
-    good: TimeHistory
-    unclipped: TimeHistory | None
-    gaps: Gaps
-    factor: float
-    references: Int | None
-    bands: tuple[Band, ...]
-    echo: Echo | None
-    sines: tuple[Harmonic, ...]
-    steady: bool
-    notes: tuple[str, ...]
-    channel_notes: tuple[str, ...]
-
-    @property
-    def places(self) -> list[float]:
-        """Frequencies of the lines that were taken out, Hz."""
-        return [sine.frequency for sine in self.sines]
-
-
-def _prepared(
-    first: TimeHistory, settings: AmbientSettings, leave: tuple[float, ...], *, single: bool
-) -> _Record:
+def _first_stretch(first: TimeHistory, settings: AmbientSettings, *, single: bool) -> FirstStretch:
     """The usable channels of the first stretch, without what machines leave in it."""
     part, gaps = bridge_gaps(first)
     raw, states = usable(part)
@@ -338,43 +257,42 @@ def _prepared(
     good = remove_drift(raw, lowest(raw.duration, settings))
     factor = unit_factor(good)
     good, late = in_phase(scaled(good, factor), mend=single)
-    refs = references(good, settings.references)
+    references = positions(good, settings.references) if settings.references else None
     bands = long_enough(bands_for(good.rate, good.duration, settings), good)
-    # an amplitude that is cut off looks steady
-    unclipped = good if kept is raw else kept and good.pick([c.id for c in kept.channels])
+    unclipped: TimeHistory | None = None
+    if kept is raw:
+        unclipped = good
+    elif kept:  # an amplitude that is cut off looks steady
+        unclipped = good.pick([c.id for c in kept.channels])
     impacts = events_of(good, gaps)
-    longest_lag = 2 * settings.block_rows / bands[0].rate
-    good, unclipped, swept, echo = without_strokes_sweeps_and_echoes(
-        good, unclipped, impacts, longest_lag
-    )
-    sines = steady_sines(
-        good, unclipped, bands=bands, leave=leave, impacts=impacts, once=not single
-    )
+    quiet = without_machines(good, unclipped, impacts, 2 * settings.block_rows / bands[0].rate)
+    sines = steady_sines(quiet.unclipped, bands, impacts)
     places = [sine.frequency for sine in sines]
-    clean = remove_tonal_lines(good, places)
-    if unclipped is good:
+    clean = remove_tonal_lines(quiet.good, places)
+    notes = quiet.notes
+    if quiet.unclipped is quiet.good:
         unclipped = clean
-    elif unclipped:
-        unclipped = remove_tonal_lines(unclipped, places)
+    elif quiet.unclipped:
+        unclipped = remove_tonal_lines(quiet.unclipped, places)
     else:
-        swept += ("every channel is clipped: machines are not told from modes",)
-    return _Record(
+        unclipped = None
+        notes += ("every channel is clipped: machines are not distinguished from modes",)
+    return FirstStretch(
         good=clean,
         unclipped=unclipped,
         gaps=gaps,
         factor=factor,
-        references=refs,
+        references=references,
         bands=bands,
-        echo=echo,
         sines=sines,
         steady=not impacts.driven,
-        notes=swept,
-        channel_notes=gaps.notes + tuple(state.note for state in states) + late,
+        notes=notes,
+        channel_notes=gaps.notes + tuple(map(sentence, states)) + late,
     )
 
 
 def _modes_of_bands(
-    record: _Record,
+    record: FirstStretch,
     sums: list[BandSums],
     facts: RecordFacts,
     settings: AmbientSettings,
@@ -390,38 +308,31 @@ def _modes_of_bands(
     return found
 
 
-def _second_looks(
-    record: _Record,
+def _with_more_lags(
+    record: FirstStretch,
     sums: list[BandSums],
     found: list[BandModes],
     *,
     facts: RecordFacts,
     settings: AmbientSettings,
-    ssi: SsiCov,
 ) -> list[BandModes]:
-    """The modes of all bands, with fewer or with more lags where these give more confidence."""
-    single = ssi.blocks == 0
-    tries = settings.order_max // ssi.order_step
-    looks = []
-    for k, (band, own) in enumerate(zip(sums, found, strict=True)):
-        fewer = with_fewer_lags(band, fastest_decay(own.table, tries))
-        if fewer:
-            looks.append((k, fewer))
-        if single and not facts.driven and dense_set(own.table, tries, band.seconds):
-            bands = record.bands[: k + 1]
-            more = with_more_lags(record.good, record.gaps, bands, ssi, record.references)
-            looks.append((k, more))
+    """The modes of all bands, those of dense ones with more lags where these are more certain."""
+    ssi = SsiCov(settings.block_rows, settings.order_max)
+    tries = ssi.order_max // ssi.order_step
+    least = settings.confidence_min
+    dense = [k for k, x in enumerate(found) if is_dense(x.table, tries, sums[k].seconds)]
+    more = [with_more_lags(record, record.bands[: k + 1], ssi) for k in dense]
     automatic = replace(facts, choice=None)
-    again = map_in_threads(lambda x: modes_of_band(x[1], settings.confidence_min, automatic), looks)
     out = list(found)
-    for (k, _), other in zip(looks, again, strict=True):
-        out[k], other = surer_groups(out[k], other, settings.confidence_min)
-        out.append(other)
+    again = map_in_threads(lambda x: modes_of_band(x, least, automatic), more)
+    for k, other in zip(dense, again, strict=True):
+        out[k], better = better_groups(out[k], other, least)
+        out.append(better)
     return out
 
 
 def _assembled(
-    record: _Record, found: list[BandModes], facts: RecordFacts, settings: AmbientSettings
+    record: FirstStretch, found: list[BandModes], facts: RecordFacts, settings: AmbientSettings
 ) -> AmbientResult:
     """The modes of all bands as one result, after exclusions and the choice by hand."""
     good = record.good
@@ -430,50 +341,45 @@ def _assembled(
         shown = harmonics(record.unclipped, low=record.bands[-1].low)
         lines = tuple(h for h in shown if h.frequency < record.bands[0].high)
     candidates = select(found, settings.confidence_min)
-    f, damping = frequencies_and_damping(found, candidates)
-    why = _exclusions(record, f, damping, lines=lines, facts=facts)
+    possible = listed(found, candidates)
+    f = possible.frequency
+    why = _exclusions(record, f, possible.damping, lines=lines, facts=facts)
     rows = [row for row, text in zip(candidates, why, strict=True) if not text]
     left_out = [text for text in why if text]
     rows, forced = without_forced(found, rows)
     by_hand = chosen(found, rows, facts.choice, good.source)
-    found = by_hand.found
     rows = by_hand.rows
     left_out += [*forced, *by_hand.notes]
-    own_f, own_damping = frequencies_and_damping(found, rows)
-    reported = np.append(own_f, [h.frequency for h in lines])
-    left_out += [*unresolved(found, reported), *unconfirmed(found, np.append(reported, f))]
-    shapes = [found[b].shape[:, i] for b, i in rows]
-    none = np.empty((len(good.channels), 0), np.complex128)
+    reported = listed(found, rows)
+    known = np.append(reported.frequency, [h.frequency for h in lines])
+    left_out += unconfirmed(found, np.append(known, f))
+    if not rows:
+        left_out.append(nothing_found(good, record.bands))
     modes = ModeSet(
-        frequencies=own_f,
-        damping=own_damping,
-        shapes=np.stack(shapes, axis=1) if rows else none,
+        frequencies=reported.frequency,
+        damping=reported.damping,
+        shapes=reported.shape,
         labels=tuple(c.id for c in good.channels),
         source=f"{good.source or 'record'}: SSI-cov",
-        confidence=np.array([found[b].confidence[i] for b, i in rows]),
+        confidence=reported.confidence,
     )
-    std = uncertainty(found, rows, len(good.channels))
     reasons = []
-    for b, i in rows:
-        chosen_by_hand = by_hand.said.get((b, i))
-        evidence = reason(found[b], i)
-        reasons.append(f"{chosen_by_hand}; {evidence}" if chosen_by_hand else evidence)
-    if record.unclipped is not good:
-        sound = {c.id for c in record.unclipped.channels} if record.unclipped else set()
-        clipped = np.array([c.id not in sound for c in good.channels])
-        modes, reasons = overtones(modes, std.frequency, reasons, clipped)
+    for row in rows:
+        evidence = reason(found[row[0]], row[1])
+        said = by_hand.said.get(row)
+        reasons.append(f"{said}; {evidence}" if said else evidence)
     return AmbientResult(
         modes=modes,
-        uncertainty=std,
+        uncertainty=uncertainty(found, rows, len(good.channels)),
         diagrams=tuple(band.diagram for band in found[: len(record.bands)]),
         reasons=tuple(reasons),
         harmonics=lines,
-        notes=tuple(with_nothing_found(good, left_out, len(rows), record.bands)),
+        notes=tuple(left_out),
     )
 
 
 def _exclusions(
-    record: _Record,
+    record: FirstStretch,
     f: Float,
     damping: Float,
     *,
@@ -501,23 +407,27 @@ def _exclusions(
         unsteady = tuple(own or other for own, other in both)
     edges = filter_edges(good, f, damping)
     remainders = line_remainders(f, damping, np.array(record.places), good.duration)
+    hides = "; it may hide a mode near it, which a record without the machine shows"
     out = []
     for k, (x, z) in enumerate(zip(f.tolist(), damping.tolist(), strict=True)):
         line = on_line[k]
         decays_by = 2 * np.pi * z * x * facts.interval  # from one impact to the next
         text = ""
         if line:
-            text = f"left out: {line.why}{BESIDE}"
-        elif z < LEAST_DAMPING:
+            text = f"left out: {line.why}"
+        elif z < 5e-4:  # below what structures have in operation (welded steel: 0.1 %)
             text = f"left out: damping {100 * z:.2g} % is a line, not a structure"
-        elif facts.interval and facts.impacts.lines_near(x) and decays_by < LEAST_FALL:
-            text = f"left out: {HARDLY_FALLS}"
+        elif facts.interval and facts.impacts.lines_near(x) and decays_by < 0.1:
+            text = (
+                "left out: it decays too little between impacts at equal intervals: a line of "
+                "these; a longer time between them would show a mode"
+            )
         elif remainders[k]:
             text = (
-                f"left out: what the line at {remainders[k]:.5g} Hz left whose phase wanders{HIDES}"
+                f"left out: what the line at {remainders[k]:.5g} Hz left whose phase wanders{hides}"
             )
         elif unsteady[k]:
-            text = f"left out: {unsteady[k]}{HIDES}"
+            text = f"left out: {unsteady[k]}{hides}"
         elif edges[k]:
             text = AT_EDGE
         out.append(f"pole at {x:.4g} Hz {text}" if text else "")

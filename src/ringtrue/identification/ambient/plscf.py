@@ -11,7 +11,7 @@ lag and noise may fit them well, so both halves of the record must show a mode.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,24 +21,51 @@ from ringtrue.core.signals import FrfSet, TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.identification.ambient.pipeline import AmbientSettings
 from ringtrue.identification.ambient.ssi_cov import choose_references, prepared
-from ringtrue.identification.common.poles import PoleSet, unit
-from ringtrue.identification.common.stabilisation import least_deviations
+from ringtrue.identification.common.stabilisation import least_deviations, unit
 from ringtrue.identification.frf.confidence import CandidatePoles, assess_candidates
 from ringtrue.identification.frf.lines import Noise, prepare
 from ringtrue.identification.frf.plscf import Plscf, plscf
 from ringtrue.identification.frf.pole_search import grouped, merged
 from ringtrue.identification.frf.refinement import Refined, refine
-from ringtrue.shapes.mac import mac
+from ringtrue.shapes import mac
 from ringtrue.signal.spectra import correlations
 
-LAGS = 400  # of a half spectrum
-ENDS_AT = 0.01  # and what the exponential window leaves at the last of them
-FEWEST_LAGS = 64
-SAMPLES_A_LAG = 8
-STATES = 120  # order times references
-DAMPING_MAX = 0.2
-APART = 6.0  # of poles of both halves: in deviations of the record's
-BANDWIDTH = 0.5  # and half bandwidths
+
+@dataclass(frozen=True, slots=True)
+class HalfSpectrumSettings:
+    """Half spectra and the poles of both halves.
+
+    Attributes
+    ----------
+    lags : int
+        Of a half spectrum.
+    ends_at : float
+        What the exponential window leaves at the last of them.
+    fewest_lags : int
+        Lags at least.
+    samples_a_lag : int
+        Samples of the record to a lag, at least.
+    states : int
+        Order times references, at most.
+    damping_max : float
+        Largest damping ratio of a pole.
+    deviations : float
+        Largest distance of poles of both halves, in deviations of the record's
+    bandwidths : float
+        and in half bandwidths.
+    """
+
+    lags: int = 400
+    ends_at: float = 0.01
+    fewest_lags: int = 64
+    samples_a_lag: int = 8
+    states: int = 120
+    damping_max: float = 0.2
+    deviations: float = 6.0
+    bandwidths: float = 0.5
+
+
+HALF = HalfSpectrumSettings()
 
 
 def half_spectra_modes(
@@ -78,7 +105,11 @@ def half_spectra_modes(
         np.sqrt((np.abs(whole.data) ** 2).mean(axis=(1, 2))), np.ones(len(data)), np.ones(refs.size)
     )
     everywhere = np.ones(whole.freqs.size, dtype=np.bool_)
-    found = grouped(_poles(whole), whole.data, sigma=level, frfs=whole, at=everywhere)[1]
+    # with the window, and participation vectors for shapes
+    most = HALF.damping_max + whole.window_decay / (2 * np.pi * whole.freqs[0])
+    top = max(6, min(40, HALF.states // len(whole.inputs), whole.freqs.size // 3))
+    poles = plscf(whole.data, whole.freqs, Plscf(max(2, top // 4), top, most))
+    found = grouped(poles, whole.data, sigma=level, frfs=whole, at=everywhere)[1]
     start = merged([found], whole.freqs, whole.window_decay)
     pole, shape, conf = _settled(
         start,
@@ -101,22 +132,22 @@ def half_spectra_modes(
 
 def fewest_samples(channels: int, settings: AmbientSettings) -> int:
     """Samples of a band that the half spectra need, whatever the channels."""
-    return SAMPLES_A_LAG * FEWEST_LAGS
+    return HALF.samples_a_lag * HALF.fewest_lags
 
 
 def _lags(history: TimeHistory) -> int:
     samples = int(history.data.shape[1])
-    if (lags := min(LAGS, samples // SAMPLES_A_LAG)) < FEWEST_LAGS:
+    if (lags := min(HALF.lags, samples // HALF.samples_a_lag)) < HALF.fewest_lags:
         raise DataError(
             f"{history.source}: {samples} samples are too few for half spectra; needed: "
-            f"{SAMPLES_A_LAG * FEWEST_LAGS}"
+            f"{HALF.samples_a_lag * HALF.fewest_lags}"
         )
     return lags
 
 
 def _half_spectra(part: TimeHistory, band: tuple[float, float], refs: Int, lags: int) -> FrfSet:
     """(freq, ch, ref) those of the lines in the band and a little around it."""
-    decay = -np.log(ENDS_AT) * part.rate / lags
+    decay = -np.log(HALF.ends_at) * part.rate / lags
     tapered = np.exp(-decay * np.arange(1, lags + 1) / part.rate)[:, None, None]
     r = correlations(part.data, refs, lags)[1:] * tapered
     freqs = np.arange(lags // 2 + 1) * part.rate / lags
@@ -125,13 +156,6 @@ def _half_spectra(part: TimeHistory, band: tuple[float, float], refs: Int, lags:
     at = (freqs >= 0.9 * band[0]) & (freqs <= min(1.1 * band[1], 0.48 * part.rate)) & (freqs > 0)
     inputs = tuple(part.channels[i] for i in refs)
     return FrfSet(half[at], freqs[at], part.channels, inputs, kind="receptance", window_decay=decay)
-
-
-def _poles(spectra: FrfSet) -> PoleSet:
-    """With the window, and participation vectors for shapes."""
-    most = DAMPING_MAX + spectra.window_decay / (2 * np.pi * spectra.freqs[0])
-    top = max(6, min(40, STATES // len(spectra.inputs), spectra.freqs.size // 3))
-    return plscf(spectra.data, spectra.freqs, Plscf(max(2, top // 4), top, most))
 
 
 def _settled(
@@ -152,8 +176,8 @@ def _settled(
     one, two = (prepare(replace(x, window_decay=0.0), level) for x in halves)
     while c.pole.size:
         fit = refine(lines, c.pole, c.participation)
-        c = replace(c, pole=fit.poles, participation=fit.participation)
-        conf = assess_candidates(lines, fit, c, (), damping_max=DAMPING_MAX).confidence
+        c = c.at(fit)
+        conf = assess_candidates(lines, fit, c, damping_max=HALF.damping_max).confidence
         if (conf >= least).all():
             start = c.pole - whole.window_decay, c.participation
             conf = conf * _agreement(c.pole, refine(one, *start), refine(two, *start), duration)
@@ -164,11 +188,11 @@ def _settled(
 
 
 def _agreement(pole: Complex, one: Refined, two: Refined, duration: float) -> Float:
-    """(m,) 0..1: MAC of the shapes that both halves of the record give, less where their poles lie
-    apart.
+    """(m,) 0..1: MAC of the shapes that both halves of the record give, less where their poles
+    differ.
     """
     size = np.abs(pole)
     std, _ = least_deviations(size / (2 * np.pi), -pole.real / size, duration)
-    reach = np.maximum(2 * np.pi * APART * std, BANDWIDTH * -pole.real)
+    reach = np.maximum(2 * np.pi * HALF.deviations * std, HALF.bandwidths * -pole.real)
     near: Float = np.clip(2 - np.abs(one.poles - two.poles) / reach, 0, 1)
-    return np.asarray(near * np.diag(mac(one.shapes, two.shapes)))
+    return near * np.diag(mac(one.shapes, two.shapes))

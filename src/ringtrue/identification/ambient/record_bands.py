@@ -10,47 +10,33 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
-from scipy.fft import prev_fast_len, rfft
 
 from ringtrue.core.arrays import Any_, Float, Int
-from ringtrue.core.progress import Progress
+from ringtrue.core.iterate import Progress
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError
-from ringtrue.identification.ambient.maximum_likelihood import RELATIVE, SpectralBins
+from ringtrue.identification.ambient.spectral_bins import SpectralBins, spectral_bins
 from ringtrue.identification.ambient.ssi_cov import MAX_REFERENCES, SsiCov, spanning
 from ringtrue.identification.common import uncertainty as var
 from ringtrue.signal import band_correlations
 from ringtrue.signal.band_correlations import Signals, map_in_threads
-from ringtrue.signal.decimation import Band, Fir, decimator, high_passer, remove_drift
-from ringtrue.signal.echoes import Echo, remove_echo
-from ringtrue.signal.gaps import Gaps, bridge_gaps
-from ringtrue.signal.run_ups import channel_mixes, remove_run_ups
+from ringtrue.signal.channel_checks import Gaps, bridge_gaps
+from ringtrue.signal.spectra import Band, Fir, decimator, high_passer, remove_drift
 from ringtrue.signal.tonal_lines import (
     Harmonic,
+    channel_mixes,
     find_tonal_lines,
+    remove_run_ups,
     remove_tonal_lines,
-    unsteady_lines,
 )
 from ringtrue.signal.transients import NONE, Events, find_events, remove_regular_impacts
 
-SPECTRAL_CHANNELS = 16  # that separate the modes for the maximum likelihood fit
 STEP = 4  # from one rate to the next
-MOST_BLOCKS = 32
-NOTHING = SpectralBins(np.empty(0), np.empty(0), np.empty((0, 0, 0)), 0.0)
-# decays over all lags that are too many, those that tell most; block rows
-LONG = 5.0
-TELLING = 2.2
-FEWEST_ROWS = 10
-PERIODOGRAM = 1 << 18  # samples at the rate of a band: lines finer than the bins
-MORE_LAGS = 3
+MOST_BLOCKS = 32  # of a band, all stretches together
 SHORTEST = 0.5  # stretch, over the first: edges of the filters would weigh too much
-MOVED = 0.9  # share of the shapes: of one setup 0.99 and more, of moved sensors 0.3 to 0.8
-AVERAGES = 2  # of the spectra, over the number of channels
-CLEAR = 10.0  # times the second singular value
-FEWEST = 3  # channels: any shape lies in a plane of two
+NOTHING = SpectralBins(np.empty(0), np.empty(0), np.empty((0, 0, 0)), 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,7 +166,7 @@ def first_sums(
         cut = band_correlations.segments(y.samples, blocks, 2 * rows - 1, high, down)
         scale, lagged = band_correlations.glance(y, cut, high)
         refs = spanning(lagged, MAX_REFERENCES) if references is None else references
-        eyes = spanning(lagged, SPECTRAL_CHANNELS)
+        eyes = spanning(lagged, 16)  # they separate the modes for the maximum likelihood fit
         first = BandSums(
             band=band,
             ssi=own,
@@ -212,20 +198,6 @@ def stretch_sums(
     return out
 
 
-def with_fewer_lags(x: BandSums, decay: float) -> BandSums | None:
-    """The sums without the lags at which a motion of this decay, 1/s, has died away; None where few
-    have that.
-
-    Noise is all that these tell of it; modes of little damping need them.
-    """
-    rows = max(int(x.ssi.block_rows * TELLING / max(decay * x.seconds, TELLING)), FEWEST_ROWS)
-    if decay * x.seconds < LONG or rows >= x.ssi.block_rows:
-        return None
-    return replace(
-        x, ssi=replace(x.ssi, block_rows=rows), parts=tuple(p[:, : 2 * rows] for p in x.parts)
-    )
-
-
 def joined_sums(sums: list[BandSums], stretch: list[BandSums]) -> list[BandSums]:
     """The bands with one more stretch; those of before are used up."""
     return [_added(a, b) for a, b in zip(sums, stretch, strict=True)]
@@ -247,10 +219,14 @@ def _pass(x: BandSums, y: Signals, events: Events, last: bool) -> tuple[BandSums
     cut = band_correlations.segments(y.samples, x.blocks, 2 * x.ssi.block_rows - 1, high, down)
     keep = events.free(y.samples, x.band.rate, cut.lags)
     share = band_correlations.pairs(cut, y.samples, keep)[:, 0] / (cut.each * cut.hop)
-    r, lower = band_correlations.run(y, cut, high, down, x.references, keep)
+    r, lower = band_correlations.run(y, cut, high, down, references=x.references, keep=keep)
     scale = x.scale.astype(np.float32)
     r /= scale[:, None] * scale[x.references]
-    spectra = _binned(y, x.eyes, x.band, 1 / scale[x.eyes])
+    low = max(0.7 * x.band.low, 0.02 * x.band.rate)
+    high_end = min(1.15 * x.band.high, 0.4 * x.band.rate)
+    spectra = spectral_bins(
+        y, x.eyes, rate=x.band.rate, limits=(low, high_end), scale=1 / scale[x.eyes]
+    )
     spectra = replace(
         spectra, count=spectra.count * events.kept, lost=1 - events.kept, breaks=events.breaks
     )
@@ -259,130 +235,136 @@ def _pass(x: BandSums, y: Signals, events: Events, last: bool) -> tuple[BandSums
     ), band_correlations.detrended(lower)
 
 
-def _binned(y: Signals, eyes: Int, band: Band, scale: Any_) -> SpectralBins:
-    """Spectral matrices of some channels times `scale` (eye,), in bins of constant relative width.
+@dataclass(frozen=True, slots=True, eq=False)
+class FirstStretch:
+    """The first stretch of a record, ready for the bands.
 
-    Transforms of a long record are slow, and finer than the bins: it is taken in parts.
+    Attributes
+    ----------
+    good : TimeHistory
+        Usable channels in step, without lines, regular impacts and run-ups.
+    unclipped : TimeHistory, optional
+        Those of its channels whose amplitude is not cut off; None if all are.
+    gaps : Gaps
+    factor : float
+        Unit of `good`.
+    references : (ref,) int64, optional
+    bands : tuple of Band
+    sines : tuple of Harmonic
+        Lines of steady machines that were taken out.
+    steady : bool
+        Whether no impacts drive it: a steady amplitude then means a machine.
+    notes, channel_notes : tuple of str
     """
-    parts = max(1, round(y.samples / PERIODOGRAM))
-    n = int(prev_fast_len(y.samples // parts, real=True))
-    low, high = span(band)
-    first = int(np.ceil(max(low * n / band.rate, 1)))
-    last = int(min(high * n / band.rate, n // 2 - 1))
-    lines = np.empty((last + 1 - first, parts, eyes.size), dtype=np.complex64)
-    unit = np.outer(scale, scale).astype(np.float32) * np.float32(2 / (n * band.rate * parts))
-    edges = [first]
-    while edges[-1] <= last:  # sub-bands, with bins of one width each
-        edges.append(max(int(edges[-1] * 1.2), edges[-1] + 1))
-    for k in range(parts):
-        start = k * (y.samples // parts)
-        lines[:, k] = rfft(y.part(start, start + n, eyes), axis=1)[:, first : last + 1].T
-    found = [_sub_band(lines[a - first : b - first], a, unit) for a, b in pairwise(edges)]
-    f, count, cross = (np.concatenate(x) for x in zip(*found, strict=True))
-    return SpectralBins(f * band.rate / n, count, cross, n / band.rate)
+
+    good: TimeHistory
+    unclipped: TimeHistory | None
+    gaps: Gaps
+    factor: float
+    references: Int | None
+    bands: tuple[Band, ...]
+    sines: tuple[Harmonic, ...]
+    steady: bool
+    notes: tuple[str, ...]
+    channel_notes: tuple[str, ...]
+
+    @property
+    def places(self) -> list[float]:
+        """Frequencies of the lines that were taken out, Hz."""
+        return [sine.frequency for sine in self.sines]
 
 
-def _sub_band(y: Any_, first: int, unit: Any_) -> tuple[Float, Float, Any_]:
-    """Place in lines, lines averaged and matrix of the bins of `y` (line, part, eye) from line
-    `first`.
+@dataclass(frozen=True, slots=True, eq=False)
+class WithoutMachines:
+    """A record without regular impacts and run-ups.
+
+    Attributes
+    ----------
+    good : TimeHistory
+    unclipped : TimeHistory, optional
+        Some channels of `good`.
+    notes : tuple of str
+        What was taken out.
     """
-    k = max(1, min(int(RELATIVE * first), len(y)))
-    m = len(y) // k
-    z = y[: m * k].reshape(m, -1, y.shape[2])
-    cross = z.transpose(0, 2, 1) @ z.conj()
-    cross *= unit / np.float32(k)
-    place = np.asarray(first + np.arange(m) * k + 0.5 * (k - 1), dtype=np.float64)
-    return place, np.full(m, float(k * y.shape[1])), cross
+
+    good: TimeHistory
+    unclipped: TimeHistory | None
+    notes: tuple[str, ...]
 
 
-def span(band: Band) -> tuple[float, float]:
-    """Frequencies of the spectra, Hz: a little more than the band."""
-    return max(0.7 * band.low, 0.02 * band.rate), min(1.15 * band.high, 0.4 * band.rate)
-
-
-def without_strokes_sweeps_and_echoes(
-    good: TimeHistory, whole: TimeHistory | None, impacts: Events, lags: float
-) -> tuple[TimeHistory, TimeHistory | None, tuple[str, ...], Echo | None]:
-    """Both records (`whole`: some channels of `good`) without regular blows, run-ups and echoes,
-    notes, the echo.
+def without_machines(
+    good: TimeHistory, unclipped: TimeHistory | None, impacts: Events, longest_lag: float
+) -> WithoutMachines:
+    """The record without the regular impacts and run-ups of machines.
 
     Where decays after `impacts` are most of the motion, modes are found in them: they stay, if the
-    next blow comes after twice the longest of the `lags`, s, of the highest band.
+    next impact comes after twice the `longest_lag`, s, of the highest band.
     """
-    heard = channel_mixes(good.data)
-    quiet, strokes = remove_regular_impacts(good, heard)
-    if strokes and impacts.driven and strokes.interval > 2 * lags:
+    mixes = channel_mixes(good.data)
+    quiet, press = remove_regular_impacts(good, mixes)
+    if press and impacts.driven and press.interval > 2 * longest_lag:
         quiet = good
-        strokes = None
-    still, sweeps = remove_run_ups(quiet, heard if quiet is good else None)
-    clean, echo = remove_echo(still)
+        press = None
+    clean, sweeps = remove_run_ups(quiet, mixes if quiet is good else None)
     notes: tuple[str, ...] = ()
-    if strokes:
+    if press:
         notes += (
-            f"{strokes.count} blows {strokes.interval:.3g} s apart (a press, a pile driver): the "
-            "mean response to "
-            "them is taken out",
+            f"{press.count} impacts, one in {press.interval:.3g} s (a press, a pile driver): the "
+            "mean response to them is taken out",
         )
     if sweeps:
         low = min(x.low for x in sweeps)
         high = max(x.high for x in sweeps)
         notes += (
             f"{len(sweeps)} tone{'s' if len(sweeps) > 1 else ''} of changing frequency between "
-            f"{low:.3g} and "
-            f"{high:.3g} Hz (run-ups of machines): taken out where and when they stood",
+            f"{low:.3g} and {high:.3g} Hz (run-ups of machines): taken out where and when they "
+            "stood",
         )
-    if echo:
-        notes += (
-            f"the force comes again {echo.delay:.3g} s later, times {echo.factor:.2g} (two "
-            "axles, a reflection): its "
-            "spectrum ripples; taken out as far as noise and resonances let it be seen",
-        )
-    if whole is good:
-        whole = clean
-    elif whole and clean is not good:
-        whole = clean.pick([c.id for c in whole.channels])
-    return clean, whole, notes, echo
+    if unclipped is good:
+        unclipped = clean
+    elif unclipped and clean is not good:
+        unclipped = clean.pick([c.id for c in unclipped.channels])
+    return WithoutMachines(clean, unclipped, notes)
 
 
 def steady_sines(
-    good: TimeHistory,
-    whole: TimeHistory | None,
-    bands: tuple[Band, ...],
-    leave: tuple[float, ...],
-    impacts: Events,
-    *,
-    once: bool,
+    unclipped: TimeHistory | None, bands: tuple[Band, ...], impacts: Events
 ) -> tuple[Harmonic, ...]:
-    """Lines that are taken out, but for those to `leave`; with one look at the record, only those
-    without a foot.
+    """Lines of machines of steady speed.
 
     Impacts at equal intervals have lines of their own, in which the decays after them are: no
     machine makes these.
     """
-    if whole is None:
+    if unclipped is None:
         return ()
-    found = find_tonal_lines(whole, low=bands[-1].low, high=bands[0].high)
-    found = tuple(h for h in found if all(abs(h.frequency / f - 1) > 1e-5 for f in leave))
-    own = impacts.in_step(np.array([h.frequency for h in found]))
-    found = tuple(h for h, of_impacts in zip(found, own, strict=True) if not of_impacts)
-    places = [h.frequency for h in found]
-    unsteady = unsteady_lines(remove_tonal_lines(good, places), places) if once else ()
-    return tuple(h for h in found if h.frequency not in unsteady)
+    lines = find_tonal_lines(unclipped, low=bands[-1].low, high=bands[0].high)
+    of_impacts = impacts.in_step(np.array([line.frequency for line in lines]))
+    return tuple(line for line, own in zip(lines, of_impacts, strict=True) if not own)
 
 
 def sums_of_stretches(
-    good: TimeHistory,
-    gaps: Gaps,
-    coming: Iterable[TimeHistory],
-    bands: tuple[Band, ...],
-    ssi: SsiCov,
-    refs: Int | None,
-    places: list[float],
-    report: Progress,
+    record: FirstStretch, coming: Iterable[TimeHistory], ssi: SsiCov, report: Progress
 ) -> tuple[list[BandSums], list[Events]]:
-    """Sums of each band over all stretches, and the events of each stretch."""
-    heard = [events_of(good, gaps)]
-    sums = first_sums(good.data, good.rate, bands=bands, ssi=ssi, references=refs, events=heard[0])
+    """Sums of each band over all stretches, and the events of each stretch.
+
+    Parameters
+    ----------
+    record : FirstStretch
+    coming : iterable of TimeHistory
+        The stretches after the first.
+    ssi : SsiCov
+    report : callable (fraction, text)
+    """
+    good = record.good
+    events = [events_of(good, record.gaps)]
+    sums = first_sums(
+        good.data,
+        good.rate,
+        bands=record.bands,
+        ssi=ssi,
+        references=record.references,
+        events=events[0],
+    )
     duration = good.duration
 
     def with_sums() -> Iterator[tuple[list[BandSums], TimeHistory]]:  # each with the sums so far
@@ -392,22 +374,27 @@ def sums_of_stretches(
             yield sums, part
             duration += part.duration
 
-    for got, events in map_in_threads(lambda x: _one(*x, good, places), with_sums()):
+    for got, own in map_in_threads(lambda x: _next_stretch(*x, record), with_sums()):
         sums = joined_sums(sums, got)
-        heard.append(events)
-    return sums, heard
+        events.append(own)
+    return sums, events
 
 
-def with_more_lags(
-    good: TimeHistory, gaps: Gaps, bands: tuple[Band, ...], ssi: SsiCov, refs: Int | None
-) -> BandSums:
-    """The last of the `bands` of a record with lags and orders for modes that stand close to each
-    other.
+def with_more_lags(record: FirstStretch, bands: tuple[Band, ...], ssi: SsiCov) -> BandSums:
+    """The last of the `bands` with three times the lags and more orders, for modes that stand close
+    to each other.
     """
-    more = replace(ssi, block_rows=MORE_LAGS * ssi.block_rows, order_max=3 * ssi.order_max // 2)
-    return first_sums(
-        good.data, good.rate, bands=bands, ssi=more, references=refs, events=events_of(good, gaps)
-    )[-1]
+    more = replace(ssi, block_rows=3 * ssi.block_rows, order_max=3 * ssi.order_max // 2)
+    good = record.good
+    sums = first_sums(
+        good.data,
+        good.rate,
+        bands=bands,
+        ssi=more,
+        references=record.references,
+        events=events_of(good, record.gaps),
+    )
+    return sums[-1]
 
 
 def events_of(part: TimeHistory, gaps: Gaps) -> Events:
@@ -415,13 +402,14 @@ def events_of(part: TimeHistory, gaps: Gaps) -> Events:
     return find_events(part.data, part.rate, gaps.cut(part.data.shape[1]))
 
 
-def _one(
-    sums: list[BandSums], coming: TimeHistory, first: TimeHistory, places: list[float]
+def _next_stretch(
+    sums: list[BandSums], coming: TimeHistory, record: FirstStretch
 ) -> tuple[list[BandSums], Events]:
     """The bands of one more stretch and its events."""
-    part = (
-        coming if coming.channels == first.channels else coming.pick([c.id for c in first.channels])
-    )
+    first = record.good
+    part = coming
+    if coming.channels != first.channels:
+        part = coming.pick([c.id for c in first.channels])
     if not np.isclose(part.rate, first.rate):
         raise DataError(
             f"{coming.source}: a stretch at {part.rate} Hz in a record at {first.rate} Hz"
@@ -430,27 +418,21 @@ def _one(
     if len(whole.channels) < len(part.channels):
         raise DataError(f"{coming.source}: {gaps.notes[0]}: leave it out of all stretches")
     part = remove_drift(whole, sums[-1].band.low)
-    impacts = events_of(part, gaps)
-    part = remove_tonal_lines(
-        without_strokes_sweeps_and_echoes(part, None, impacts, sums[0].seconds)[0], places
-    )
+    part = without_machines(part, None, events_of(part, gaps), sums[0].seconds).good
+    part = remove_tonal_lines(part, record.places)
     events = events_of(part, gaps)
     out = stretch_sums(sums, part.data, part.rate, events)
     same = shared_shapes([x.spectra for x in sums], [x.spectra for x in out])
-    if same < MOVED:
+    if same < 0.9:  # of one setup 0.99 and more, of moved sensors 0.3 to 0.8
         raise DataError(
             f"{coming.source}: it moves in other shapes than the record before it (they have "
-            f"{100 * same:.0f} % in "
-            "common): were sensors moved? Identify each setup by itself; a study joins them "
-            "(`setup` in its log)"
+            f"{100 * same:.0f} % in common): were sensors moved? Identify each setup by itself; a "
+            "study joins them (`setup` in its log)"
         )
-    lost = np.asarray(~np.isfinite(out[0].parts[0]).all((0, 1, 3)))
-    if lost.any():
-        bad = [c.id for c, x in zip(part.channels, lost, strict=True) if x]
-        raise DataError(
-            f"{coming.source}: channels {' '.join(bad[:8])} fail later in the record; leave them "
-            "out"
-        )
+    lost = np.flatnonzero(~np.isfinite(out[0].parts[0]).all((0, 1, 3)))
+    if lost.size:
+        bad = " ".join(part.channels[k].id for k in lost[:8].tolist())
+        raise DataError(f"{coming.source}: channels {bad} fail later in the record; leave them out")
     return out, events
 
 
@@ -466,9 +448,9 @@ def shared_shapes(first: Sequence[SpectralBins], other: Sequence[SpectralBins]) 
     shares = [np.ones(1)]
     weights = [np.full(1, np.finfo(np.float64).tiny)]
     for a, b in zip(first, other, strict=True):
-        if a.freqs.shape != b.freqs.shape or not a.freqs.size or a.cross.shape[1] < FEWEST:
-            continue
-        groups = np.cumsum(b.count) // (AVERAGES * a.cross.shape[1])
+        if a.freqs.shape != b.freqs.shape or not a.freqs.size or a.cross.shape[1] < 3:
+            continue  # any shape lies in a plane of two channels
+        groups = np.cumsum(b.count) // (2 * a.cross.shape[1])
         starts = np.unique(groups, return_index=True)[1]
         one, two = (_shapes(x, starts) for x in (a, b))
         clear = one[2] & two[2]
@@ -481,12 +463,12 @@ def shared_shapes(first: Sequence[SpectralBins], other: Sequence[SpectralBins]) 
 
 def _shapes(bins: SpectralBins, starts: Any_) -> tuple[Any_, Float, Any_]:
     """First two singular vectors (line, ch, 2), the share of each line in the power, and which
-    lines are clear.
+    lines are clear: the first singular value ten times the second.
     """
     cross = np.add.reduceat(bins.cross * bins.count[:, None, None], starts).astype(np.complex128)
     values, vectors = np.linalg.eigh(cross)
     power = values[:, -1] / max(float(values.sum()), np.finfo(np.float64).tiny)
-    return vectors[:, :, -2:], power, values[:, -1] > CLEAR * values[:, -2]
+    return vectors[:, :, -2:], power, values[:, -1] > 10.0 * values[:, -2]
 
 
 def _within(plane: Any_, shapes: Any_) -> Float:

@@ -6,34 +6,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
-from scipy.ndimage import maximum_filter1d
 
-from ringtrue.core.arrays import Complex, Float, Int
+from ringtrue.core.arrays import Bool, Complex, Float, Int
+from ringtrue.core.channels import ANGULAR, DERIVATIVE
 from ringtrue.core.choice import Choice
-from ringtrue.core.motions import ANGULAR, DERIVATIVE
+from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import DataError
-from ringtrue.identification.ambient.maximum_likelihood import SpectralBins
+from ringtrue.identification.ambient.spectral_bins import SpectralBins, oscillator_spectrum
 from ringtrue.signal.clock_alignment import channel_phases, in_step
-from ringtrue.signal.decimation import Band
-from ringtrue.signal.spectra import Welch, csd
+from ringtrue.signal.spectra import Band, Welch, csd
 from ringtrue.signal.transients import Events
 
-FEW = 8  # events
-EDGE = 0.35  # of the rate: where filters of recorders begin to end the spectrum
-LAST = 0.49  # and where it is looked at
 AT_EDGE = "left out: the spectrum ends there: the filter of the recorder"
-BROAD = 0.02  # damping that the edge of a filter may have
-FALL = 0.4  # of the fall of a mode
-# channels and segments of the spectrum in which peaks are looked for; neighbouring lines
-EYES = 8
-AVERAGES = 64
-BESIDE = 12
-SURE = 8.0  # standard deviations that a peak stands out by, as of its averages
-SHOWN = 3  # how many are named
-UNSURE = 0.2  # of the RMS of the shapes
-WORSE = 5.0  # times the median channel
 ORDER: dict[str, int] = {
     **DERIVATIVE,
     **{ANGULAR[motion]: n for motion, n in DERIVATIVE.items()},
@@ -41,20 +26,20 @@ ORDER: dict[str, int] = {
 }
 
 
-def spectrum(bins: SpectralBins, scale: Float, most: int = 4, join: int = 8) -> tuple[Float, Float]:
-    """Frequencies and level (dB) of the first singular value of the spectral matrix of up to 4
-    channels.
+def spectrum(bins: SpectralBins, scale: Float) -> tuple[Float, Float]:
+    """Frequencies and level (dB) of the first singular value of the spectral matrix of up to four
+    channels, eight bins together.
     """
-    pick = np.unique(np.linspace(0, scale.size - 1, most).round().astype(np.int64))
+    join = 8
+    pick = np.unique(np.linspace(0, scale.size - 1, 4).round().astype(np.int64))
     n = bins.freqs.size // join
     if not n:
         return np.empty(0), np.empty(0)
     part = bins.cross[: n * join, pick[:, None], pick] * np.outer(scale[pick], scale[pick])
     mean = part.reshape(n, join, pick.size, pick.size).mean(1)
     top = np.linalg.svd(mean, compute_uv=False, hermitian=True)[:, 0].astype(np.float64)
-    return bins.freqs[: n * join].reshape(n, join).mean(1), 10 * np.log10(
-        np.maximum(top, np.finfo(np.float64).tiny)
-    )
+    freqs = bins.freqs[: n * join].reshape(n, join).mean(1)
+    return freqs, 10 * np.log10(np.maximum(top, np.finfo(np.float64).tiny))
 
 
 def response_slope(history: TimeHistory) -> tuple[float, float]:
@@ -86,7 +71,7 @@ class CommonMotion:
 
     def lift(self, pole: Complex) -> Float:
         """(ch, m) factors of the moduli of the shapes of poles (m,), rad/s."""
-        return np.asarray(np.abs(pole) ** self.power[:, None])
+        return np.abs(pole) ** self.power[:, None]
 
     def spectra(self, bins: SpectralBins, eyes: Int) -> SpectralBins:
         """The spectra of some channels as those of one motion."""
@@ -182,129 +167,93 @@ def in_phase(history: TimeHistory, *, mend: bool) -> tuple[TimeHistory, tuple[st
     return (in_step(history, found.delay, found.drift) if moved else history), tuple(notes)
 
 
-def filter_edges(history: TimeHistory, frequency: Float, damping: Float) -> tuple[bool, ...]:
-    """Whether the spectrum above each pole (m,) falls as no mode lets it: the edge of the
+@dataclass(frozen=True, slots=True)
+class EdgeLimits:
+    """Where the filter of a recorder ends the spectrum.
+
+    Attributes
+    ----------
+    begins, ends : float
+        Over the rate: where filters begin to end the spectrum, and up to where it is looked at.
+    damping : float
+        Least damping that the edge of a filter seems to have.
+    fall : float
+        Level above the pole, over that of an oscillator, below which a filter has cut it.
+    """
+
+    begins: float = 0.35
+    ends: float = 0.49
+    damping: float = 0.02
+    fall: float = 0.4
+
+
+def filter_edges(history: TimeHistory, frequency: Float, damping: Float) -> Bool:
+    """(m,) whether the spectrum above each pole falls as no mode lets it: the edge of the
     recorder's filter.
 
     Above a mode a displacement falls most, by what an oscillator does; velocities and accelerations
     fall less.
     """
-    high = (frequency > EDGE * history.rate) & (damping > BROAD)
+    limits = EdgeLimits()
+    high = (frequency > limits.begins * history.rate) & (damping > limits.damping)
     if not high.any():
-        return (False,) * frequency.size
+        return np.zeros(frequency.size, dtype=np.bool_)
     pick = np.unique(np.linspace(0, len(history.channels) - 1, 8).astype(np.int64))
-    some = replace(
-        history, data=history.data[pick], channels=tuple(history.channels[i] for i in pick)
-    )
+    some = history.pick([history.channels[i].id for i in pick])
     psd = csd(some, Welch(history.rate / 256))
     auto = np.real(np.einsum("fii->fi", psd.data))
     level = (auto / auto.mean(axis=0)).mean(axis=1)
-    out = []
-    for f, z, asked in zip(frequency.tolist(), damping.tolist(), high.tolist(), strict=True):
-        top = min(f * (1 + 3 * z), LAST * history.rate)
-        nu = top / f
-        mode = 4 * z**2 / ((1 - nu**2) ** 2 + 4 * z**2 * nu**2)
-        here, there = np.interp([f, top], psd.freqs, level)
-        out.append(asked and bool(there < FALL * mode * here))
-    return tuple(out)
+    top = np.minimum(frequency * (1 + 3 * damping), limits.ends * history.rate)
+    mode = oscillator_spectrum(top / frequency, damping)
+    here = np.interp(frequency, psd.freqs, level)
+    there = np.interp(top, psd.freqs, level)
+    return np.asarray(high & (there < limits.fall * mode * here))
 
 
-def with_nothing_found(
-    history: TimeHistory, left_out: list[str], modes: int, bands: tuple[Band, ...]
-) -> list[str]:
-    """The notes, with a word on what the record is good for where no mode was found."""
-    span = f"{bands[-1].low:.3g} .. {bands[0].high:.3g} Hz"
-    if modes:
-        return left_out
-    slower = f"; modes below {50 / history.duration:.3g} Hz need a longer record (50 cycles)"
-    found = highest_peaks(history, bands[-1].low, bands[0].high)
-    seen = (
-        f"peaks at {', '.join(found)} stay without a mode"
-        if found
-        else f"{history.duration:.4g} s look like noise"
-    )
-    return [*left_out, f"no mode found in {span}: {seen}{slower}"]
-
-
-def highest_peaks(history: TimeHistory, low: float, high: float) -> tuple[str, ...]:
-    """The highest peaks of the spectrum between two frequencies, Hz, that noise does not make, with
-    their heights.
-    """
-    psd = csd(
-        history.pick([c.id for c in history.channels[:EYES]]), Welch(AVERAGES / history.duration)
-    )
-    if psd.freqs.size < 4 * BESIDE:
-        return ()
-    auto = np.real(np.einsum("fii->fi", psd.data))
-    level = (auto / np.maximum(auto.mean(axis=0), np.finfo(np.float64).tiny)).mean(axis=1)
-    sides = np.median(sliding_window_view(level, BESIDE), axis=1)
-    height = np.zeros(level.size)
-    around = np.maximum(sides[: -BESIDE - 1], sides[BESIDE + 1 :])  # a slope is no peak
-    height[BESIDE:-BESIDE] = level[BESIDE:-BESIDE] / np.maximum(around, np.finfo(np.float64).tiny)
-    top = height >= maximum_filter1d(height, 2 * BESIDE + 1)
-    top &= (height > 1 + SURE / np.sqrt(AVERAGES)) & (psd.freqs > low) & (psd.freqs < high)
-    at = np.flatnonzero(top)
-    at = np.sort(at[np.argsort(-height[at])[:SHOWN]])
-    return tuple(f"{psd.freqs[i]:.4g} Hz ({10 * np.log10(height[i]):.0f} dB)" for i in at.tolist())
-
-
-def event_notes(heard: list[Events]) -> tuple[str, ...]:
-    """A note on the events of all stretches."""
-    if not (count := sum(e.count for e in heard)):
-        return ()
-    level = max(heard, key=lambda e: e.count).level
-    use = (
-        "the decays after them are used"
-        if any(e.driven for e in heard)
-        else "no correlation reaches across them"
-    )
-    few = (
-        "; so few make the stated deviations rough"
-        if count < FEW and any(e.driven for e in heard)
-        else ""
-    )
+def nothing_found(history: TimeHistory, bands: tuple[Band, ...]) -> str:
+    """A note that no mode was found."""
     return (
-        f"{count} event{'s' if count > 1 else ''} {level:.0f} dB above the rest (a jump, a "
-        f"blow): {use}{few}",
+        f"no mode found in {bands[-1].low:.3g} .. {bands[0].high:.3g} Hz: {history.duration:.4g} s "
+        f"may hold noise only; modes below {50 / history.duration:.3g} Hz need a longer record "
+        "(50 cycles)"
     )
 
 
-def noisy_channels(ids: Sequence[str], shapes: Complex, std: Float) -> tuple[str, ...]:
+def event_notes(events: list[Events]) -> tuple[str, ...]:
+    """A note on the events of all stretches."""
+    count = sum(e.count for e in events)
+    if not count:
+        return ()
+    driven = any(e.driven for e in events)
+    level = max(events, key=lambda e: e.count).level
+    use = "no correlation reaches across them"
+    if driven:
+        use = "the decays after them are used"
+    if driven and count < 8:
+        use += "; so few make the stated deviations rough"
+    plural = "s" if count > 1 else ""
+    return (f"{count} event{plural} {level:.0f} dB above the rest (a jump, an impact): {use}",)
+
+
+def noisy_channels(modes: ModeSet, std: Float) -> tuple[str, ...]:
     """A note on channels whose readings are known far worse than those of the others: a cable or
     sensor that is broken.
 
-    Parameters
-    ----------
-    ids : (ch,) sequence of str
-    shapes : (ch, m) complex128
-    std : (ch, m) float64
-        Standard deviations of their moduli.
+    That is to more than a fifth of the RMS of the shapes, and five times worse than the median
+    channel. `std` (ch, m) are the standard deviations of the moduli.
     """
-    if not shapes.size:
+    if not len(modes):
         return ()
-    rms = np.sqrt((np.abs(shapes) ** 2).mean(axis=0))
-    unsure = np.median(std / rms, axis=1)
-    bad = unsure > np.maximum(UNSURE, WORSE * np.median(unsure))
+    rms = np.sqrt((np.abs(modes.shapes) ** 2).mean(axis=0))
+    relative = np.median(std / rms, axis=1)
+    usual = np.median(relative)
+    bad = np.flatnonzero(relative > np.maximum(0.2, 5.0 * usual))
     return tuple(
-        f"channel {name}: its readings of the shapes are known to {100 * u:.0f} % of their RMS, "
-        "those of the median "
-        f"channel to {100 * np.median(unsure):.2g} %: noise of a broken cable or sensor? MAC "
-        "suffers; leave it out"
-        for name, u in zip(np.array(ids)[bad], unsure[bad], strict=True)
+        f"channel {modes.channels[k]}: its readings of the shapes are known to "
+        f"{100 * relative[k]:.0f} % of their RMS, those of the median channel to "
+        f"{100 * usual:.2g} %: noise of a broken cable or sensor? MAC suffers; leave it out"
+        for k in bad.tolist()
     )
-
-
-def references(history: TimeHistory, names: tuple[str, ...]) -> Int | None:
-    """Rows of the reference channels, None where each band is to choose."""
-    if not names:
-        return None
-    ids = [c.id for c in history.channels]
-    if lost := [n for n in names if n not in ids]:
-        raise DataError(
-            f"{history.source}: no usable reference channel {' '.join(lost[:8])}; there are "
-            f"{ids[:40]}"
-        )
-    return np.array([ids.index(n) for n in names], dtype=np.int64)
 
 
 def long_enough(

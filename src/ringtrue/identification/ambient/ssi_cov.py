@@ -15,19 +15,14 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.linalg import qr, solve_triangular, svd
 from scipy.sparse.linalg import LinearOperator, eigsh
 
-from ringtrue.core.arrays import Any_, Complex, Float, Int
+from ringtrue.core.arrays import Complex, Float, Int
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.identification.common import uncertainty as var
-from ringtrue.identification.common.poles import PoleSet, unit
-from ringtrue.signal import band_correlations
-from ringtrue.signal.band_correlations import Signals
-from ringtrue.signal.decimation import Fir, detrend
-from ringtrue.signal.spectra import block_weights
+from ringtrue.identification.common.stabilisation import PoleSet, unit
+from ringtrue.signal.spectra import detrend
 
 MAX_REFERENCES = 8
-WIDE = 1500  # columns of a Hankel matrix, beyond which convolutions take less time than products
-AS_IS = Fir(np.ones(1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,8 +90,6 @@ class BandPoles:
     deviation : (k, block) complex128, rad/s
     strength : (k,) float64
         Signal-to-noise ratio of the mode in the correlations.
-    column : (k,) int64
-        Position among the eigenvalues of its order.
     subspace : Subspace
     perturbations : Perturbations
     """
@@ -104,7 +97,6 @@ class BandPoles:
     poles: PoleSet
     deviation: Complex
     strength: Float
-    column: Int
     subspace: Subspace
     perturbations: var.Perturbations
 
@@ -112,12 +104,19 @@ class BandPoles:
 def decompose(
     h: Float, order: int, gram: Float | LinearOperator | None = None
 ) -> tuple[Float, Float, Float]:
-    """Leading singular triplets U (i, order), s, V (j, order) of `h` from hᵀh (`gram`, if there is
-    a faster way to it).
+    """Leading singular triplets U (i, order), s, V (j, order) of `h`, fewer where the rank ends.
 
-    A Rayleigh-Ritz step follows where the square of a singular value comes near the rounding of the
-    largest.
+    They come from hᵀh (`gram`, if there is a faster way to it); a Rayleigh-Ritz step follows where
+    the square of a singular value comes near the rounding of the largest.
     """
+    u, s, v = _triplets(h, order, gram)
+    n = int((s > 1e-12 * s[0]).sum())
+    return u[:, :n], s[:n], v[:, :n]
+
+
+def _triplets(
+    h: Float, order: int, gram: Float | LinearOperator | None
+) -> tuple[Float, Float, Float]:
     j = h.shape[1]
     if j <= 2 * order or (j <= 4 * order and len(h) <= 4 * j):
         u, s, vt = svd(h, full_matrices=False)
@@ -162,7 +161,7 @@ def hankel_gram(r: Float, rows: int) -> LinearOperator:
 
     def convolved(x: Float, by: Complex) -> Float:  # (row, k) -> (row, l): Σ_j R[i + j] x_j
         y = by @ rfft(x[::-1], size, axis=0)[:, :, None]
-        return np.asarray(irfft(y[:, :, 0], size, axis=0)[rows - 1 : 2 * rows - 1])
+        return irfft(y[:, :, 0], size, axis=0)[rows - 1 : 2 * rows - 1]
 
     def product(v: Float) -> Float:
         return convolved(convolved(v.reshape(rows, -1), spectrum), back).ravel()
@@ -172,34 +171,27 @@ def hankel_gram(r: Float, rows: int) -> LinearOperator:
 
 
 def subspace(r: Float, rows: int, order: int, rate: float, turn: Complex | None = None) -> Subspace:
-    """The decomposition of the correlations `r` (lag, ch, ref); the order is cut where the rank
-    ends.
-    """
+    """The decomposition of the correlations `r` (lag, ch, ref)."""
     ch = r.shape[1]
     h = var.hankel(r, rows)
-    gram = hankel_gram(r, rows) if h.shape[1] > WIDE else squared_hankel(h, ch, r.shape[2])
+    # of many columns, convolutions take less time than products
+    gram = hankel_gram(r, rows) if h.shape[1] > 1500 else squared_hankel(h, ch, r.shape[2])
     u, s, v = decompose(h, min(order, (rows - 1) * ch, min(h.shape)), gram)
-    n = int((s > 1e-12 * s[0]).sum())
-    return _factored(u[:, :n], s[:n], vs=v[:, :n] / s[:n], ch=ch, rate=rate, turn=turn)
+    return factored(u, s, v / s, ch, rate, turn=turn)
 
 
 def part_of(whole: Subspace, r: Float, rows: int) -> Subspace:
     """The subspace that the correlations `r` of a part of the record show through the right vectors
     of the whole.
     """
-    return _factored(
-        var.hankel(r, rows) @ whole.vs,
-        whole.s,
-        vs=whole.vs,
-        ch=whole.channels,
-        rate=whole.rate,
-        turn=whole.turn,
-    )
+    u = var.hankel(r, rows) @ whole.vs
+    return factored(u, whole.s, whole.vs, whole.channels, whole.rate, turn=whole.turn)
 
 
-def _factored(
-    u: Float, s: Float, vs: Float, ch: int, rate: float, turn: Complex | None
+def factored(
+    u: Float, s: Float, vs: Float, ch: int, rate: float, *, turn: Complex | None = None
 ) -> Subspace:
+    """The subspace of the left vectors `u` (rows·ch, n), with `vs` = V S⁻¹."""
     q, tri = qr(u[:-ch], mode="economic")
     return Subspace(
         u=u,
@@ -214,19 +206,15 @@ def _factored(
     )
 
 
-def transition(sub: Subspace, n: int) -> tuple[Float, Complex, Complex, Complex]:
-    """A (n, n) of order n, its eigenvalues (n,), right vectors (columns), left vectors (rows);
-    left·right = I.
+def transition(sub: Subspace, n: int) -> tuple[Complex, Complex, Complex]:
+    """Eigenvalues (n,) of the transition matrix of order n, right vectors (columns), left vectors
+    (rows); left·right = I.
     """
     a = solve_triangular(sub.r[:n, :n], sub.qd[:n, :n])
     mu, right = np.linalg.eig(a)
     right = right.astype(np.complex128)
-    return (
-        a,
-        mu.astype(np.complex128),
-        right,
-        np.linalg.solve(right, np.eye(n, dtype=np.complex128)),
-    )
+    left = np.linalg.solve(right, np.eye(n, dtype=np.complex128))
+    return mu.astype(np.complex128), right, left
 
 
 def _order(
@@ -235,11 +223,9 @@ def _order(
     p: var.Perturbations | None,
     n: int,
     settings: SsiCov,
-    low: float,
-    high: float,
-) -> tuple[Int, Complex, Complex, Complex, Float]:
-    """Columns, poles, shapes (ch, k), deviations (k, block) and strengths of one order within the
-    band.
+    band: tuple[float, float],
+) -> tuple[Complex, Complex, Complex, Float]:
+    """Poles, shapes (ch, k), deviations (k, block) and strengths of one order within the band, Hz.
 
     `back` is R⁻¹: R is a triangle, so the leading blocks of its inverse are the inverses of its
     leading blocks.
@@ -248,38 +234,31 @@ def _order(
     log = np.asarray(np.log(np.where(mu == 0, 1e-300, mu + 0j)) * sub.rate, dtype=np.complex128)
     f = np.abs(log) / (2 * np.pi)
     zeta = -log.real / np.maximum(np.abs(log), 1e-300)
-    ok = (mu.imag > 0) & (zeta > 0) & (zeta < settings.damping_max) & (f >= low) & (f <= high)
-    keep = np.flatnonzero(ok).astype(np.int64)
+    inside = (f >= band[0]) & (f <= band[1])
+    damped = (zeta > 0) & (zeta < settings.damping_max)
+    keep = np.flatnonzero((mu.imag > 0) & damped & inside)
+    pole = log[keep]
     own = right[:, keep].astype(np.complex128)
     psi = sub.turned(np.asarray(sub.u[: sub.channels, :n] @ own, dtype=np.complex128))
     if p is None or not keep.size:
-        blocks = 0 if p is None else len(p.up)
-        return (
-            keep,
-            log[keep],
-            psi,
-            np.empty((keep.size, blocks), np.complex128),
-            np.full(keep.size, np.nan),
-        )
+        none = np.empty((keep.size, 0 if p is None else len(p.up)), np.complex128)
+        return pole, psi, none, np.full(keep.size, np.nan)
     left = np.linalg.solve(right.T, np.eye(n)[:, keep]).T.astype(np.complex128)
     d_mu = var.pole_deviations(p, left @ back[:n, :n], mu[keep], own)
-    return keep, log[keep], psi, d_mu / mu[keep, None] * sub.rate, var.strengths(p, sub.s, left)
+    return pole, psi, d_mu / mu[keep, None] * sub.rate, var.strengths(p, sub.s, left)
 
 
 def all_orders(
     sub: Subspace, p: var.Perturbations | None, settings: SsiCov, band: tuple[float, float]
-) -> tuple[PoleSet, Complex, Float, Int]:
-    """Poles of the orders 2, 2 + step, .. within the band (Hz), their deviations, strengths and
-    columns.
-    """
+) -> tuple[PoleSet, Complex, Float]:
+    """Poles of the orders 2, 2 + step, .. within the band (Hz), their deviations and strengths."""
     orders = np.arange(2, min(sub.s.size, settings.order_max) + 1, settings.order_step)
     back = solve_triangular(sub.r, np.eye(len(sub.r)))
-    parts = [_order(sub, back, p, int(n), settings, *band) for n in orders]
-    column = np.concatenate([x[0] for x in parts]).astype(np.int64)
-    pole = np.concatenate([x[1] for x in parts])
-    psi = np.concatenate([x[2] for x in parts], axis=1)
-    dev = np.concatenate([x[3] for x in parts])
-    strength = np.concatenate([x[4] for x in parts])
+    parts = [_order(sub, back, p, n=int(n), settings=settings, band=band) for n in orders]
+    pole = np.concatenate([x[0] for x in parts])
+    psi = np.concatenate([x[1] for x in parts], axis=1)
+    dev = np.concatenate([x[2] for x in parts])
+    strength = np.concatenate([x[3] for x in parts])
     order = np.repeat(orders, [x[0].size for x in parts])
     df, dz = var.frequency_damping(pole, dev)
     unknown = np.full(pole.size, np.nan)
@@ -290,7 +269,7 @@ def all_orders(
         std_frequency=var.root_sum_square(df) if p is not None else unknown,
         std_damping=var.root_sum_square(dz) if p is not None else unknown,
     )
-    return poles, dev, strength, column
+    return poles, dev, strength
 
 
 def choose_references(history: TimeHistory, data: Float, names: Sequence[str] | None) -> Int:
@@ -319,59 +298,6 @@ def spanning(lagged: Float, most: int) -> Int:
     return np.sort(np.asarray(pivots[:most], dtype=np.int64))
 
 
-def blockwise(
-    history: TimeHistory, references: Int | None, settings: SsiCov
-) -> tuple[Any_, Float, Float]:
-    """Correlations (block, lag, ch, ref) float32 in units of the root mean squares, the weights
-    (block,), those (ch,).
-
-    `references` None: all channels, or the 8 that span the motion best.
-
-    Raises
-    ------
-    DataError
-        If the record is too short for the lags, or a channel is constant or not finite.
-    """
-    signals = Signals.straightened(history.data)
-    lags = 2 * settings.block_rows - 1
-    if signals.samples < 4 * lags:
-        raise DataError(
-            f"{signals.samples} samples are too few for {settings.block_rows} block rows; needed "
-            f"are {4 * lags}"
-        )
-    blocks = settings.blocks or var.blocks_for(signals.samples, lags)
-    cut = band_correlations.segments(signals.samples, blocks, lags, AS_IS, AS_IS)
-    if references is None:
-        seen, lagged = band_correlations.glance(signals, cut, AS_IS)
-        _alive(history, np.isfinite(seen) + 0.0)
-        references = spanning(lagged, MAX_REFERENCES)
-    r, _ = band_correlations.run(signals, cut, AS_IS, AS_IS, references)
-    used = band_correlations.pairs(cut, signals.samples)[:, 0]
-    scale = _alive(history, _power(signals, r, references, used))
-    r /= (scale[:, None] * scale[references]).astype(np.float32)
-    weights = loudness_weights(r, references) * used
-    return r, weights / weights.sum(), scale
-
-
-def _power(signals: Signals, r: Any_, references: Int, used: Float) -> Float:
-    """(ch,) mean squares of the signals: from their correlations `r` (block, lag, ch, ref) where
-    all are in these.
-    """
-    ch = signals.level.size
-    if np.unique(references).size < ch:
-        return signals.power()
-    power = np.empty(ch)
-    power[references] = used @ r[:, 0, references, np.arange(references.size)] / signals.samples
-    return power
-
-
-def loudness_weights(r: Float, references: Int) -> Float:
-    """(block,) weights, sum 1, of the correlations `r` (block, lag, ch, ref) by the power of their
-    references.
-    """
-    return block_weights(block_power(r, references))
-
-
 def block_power(r: Float, references: Int) -> Float:
     """(block,) mean squares of the references from the correlations `r` (block, lag, ch, ref)."""
     return np.asarray(r[:, 0, references, np.arange(references.size)].mean(1), dtype=np.float64)
@@ -391,10 +317,8 @@ def identify_band(
     mean, dr = var.deviations(r, weights)
     sub = subspace(mean, settings.block_rows, order=settings.order_max, rate=rate, turn=turn)
     p = var.perturb(dr, settings.block_rows, sub.u, sub.vs, sub.q)
-    poles, dev, strength, column = all_orders(sub, p, settings, band)
-    return BandPoles(
-        poles=poles, deviation=dev, strength=strength, column=column, subspace=sub, perturbations=p
-    )
+    poles, dev, strength = all_orders(sub, p, settings, band)
+    return BandPoles(poles=poles, deviation=dev, strength=strength, subspace=sub, perturbations=p)
 
 
 def prepared(history: TimeHistory) -> tuple[Float, Float]:
@@ -407,20 +331,15 @@ def prepared(history: TimeHistory) -> tuple[Float, Float]:
         If a channel is constant or not finite.
     """
     data = detrend(history.data)
-    scale = _alive(history, np.einsum("ij,ij->i", data, data) / data.shape[1])
-    return data / scale[:, None], scale
-
-
-def _alive(history: TimeHistory, power: Float) -> Float:
-    """(ch,) root of the mean squares (ch,) of its signals."""
-    if lost := [
-        c.id for c, s in zip(history.channels, power, strict=True) if not (np.isfinite(s) and s > 0)
-    ]:
+    power = np.einsum("ij,ij->i", data, data) / data.shape[1]
+    lost = np.flatnonzero(~(np.isfinite(power) & (power > 0)))
+    if lost.size:
+        bad = " ".join(history.channels[k].id for k in lost[:8].tolist())
         raise DataError(
-            f"{history.source}: channels {' '.join(lost[:8])} are constant or not finite; leave "
-            "them out"
+            f"{history.source}: channels {bad} are constant or not finite; leave them out"
         )
-    return np.sqrt(power)
+    scale = np.sqrt(power)
+    return data / scale[:, None], scale
 
 
 def positions(history: TimeHistory, references: Sequence[str]) -> Int:
@@ -438,35 +357,3 @@ def positions(history: TimeHistory, references: Sequence[str]) -> Int:
             f"{' '.join(ids[:40])}"
         )
     return np.array([ids.index(x) for x in references], dtype=np.int64)
-
-
-def ssi_cov(
-    history: TimeHistory, settings: SsiCov | None = None, *, references: Sequence[str] | None = None
-) -> PoleSet:
-    """Poles of all model orders of the record as it stands: one band, no decimation.
-
-    Parameters
-    ----------
-    history : TimeHistory
-    settings : SsiCov
-    references : sequence of str
-        Channel ids; all channels, or the 8 that span the motion best, where None.
-
-    Raises
-    ------
-    DataError
-        If the record is too short, has dead channels or has no such reference.
-    """
-    settings = settings or SsiCov()
-    r, weights, scale = blockwise(
-        history, None if references is None else positions(history, references), settings
-    )
-    band = (0.0, history.rate / 2)
-    if len(r) == 1:
-        sub = subspace(
-            r[0].astype(np.float64), settings.block_rows, settings.order_max, history.rate
-        )
-        return all_orders(sub, None, settings, band)[0].rescaled(scale)
-    return identify_band(
-        r, weights, settings=settings, rate=history.rate, band=band
-    ).poles.rescaled(scale)

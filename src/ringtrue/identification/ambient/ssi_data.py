@@ -18,7 +18,6 @@ from scipy.linalg import qr, solve_triangular
 
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.core.modes import ModeSet, Uncertainty
-from ringtrue.core.progress import Progress
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.identification.ambient.pipeline import AmbientSettings
@@ -29,14 +28,12 @@ from ringtrue.identification.ambient.ssi_cov import (
     all_orders,
     choose_references,
     decompose,
+    factored,
     prepared,
 )
 from ringtrue.identification.common import uncertainty as var
-from ringtrue.identification.common.poles import PoleSet
-from ringtrue.identification.common.stabilisation import modes_of
+from ringtrue.identification.common.stabilisation import PoleSet, modes_of
 from ringtrue.signal.spectra import block_bounds
-
-CHUNK = 4  # rows of a stretch over its columns: the triangle is refactored a few times only
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,7 +73,7 @@ def _triangle(data: Float, references: Int, rows: int) -> Float:
     """
     width = rows * (references.size + len(data))
     n = data.shape[1] - 2 * rows + 1
-    step = CHUNK * width
+    step = 4 * width  # rows of a stretch: the triangle is refactored a few times only
     r = np.zeros((0, width))
     for start in range(0, n, step):
         part = columns(data[:, start : min(start + step, n) + 2 * rows - 1], references, rows)
@@ -84,9 +81,7 @@ def _triangle(data: Float, references: Int, rows: int) -> Float:
     return r
 
 
-def project(
-    data: Float, references: Int, rows: int, blocks: int, progress: Progress | None = None
-) -> Projection:
+def project(data: Float, references: Int, rows: int, blocks: int) -> Projection:
     """The projection of future outputs on past references of `data` (ch, sample), from `blocks`
     blocks.
 
@@ -111,8 +106,6 @@ def project(
         own = _triangle(data[:, start : end + 2 * rows - 1], references, rows)
         products[b] = own[:, past:].T @ own[:, :past] / (end - start)
         r = qr(np.concatenate([r, own]), mode="r", overwrite_a=True, check_finite=False)[0][:width]
-        if progress is not None:
-            progress((b + 1) / blocks, f"block {b + 1} of {blocks} factorised")
     size = np.sqrt(n)
     return Projection(
         r[:past, :past].T / size, r[:past, past:].T / size, products, np.diff(bounds) / n
@@ -132,15 +125,11 @@ def _perturbations(p: Projection, sub: Subspace) -> var.Perturbations:
     ]
     q = sub.q.T
     u = sub.u.T
-    return var.Perturbations(q @ t[:, :-ch], q @ t[:, ch:], np.asarray(t[:, :ch]), u @ t)
+    return var.Perturbations(q @ t[:, :-ch], q @ t[:, ch:], t[:, :ch], u @ t)
 
 
 def ssi_data(
-    history: TimeHistory,
-    settings: SsiCov | None = None,
-    *,
-    references: Sequence[str] | None = None,
-    progress: Progress | None = None,
+    history: TimeHistory, settings: SsiCov, *, references: Sequence[str] | None = None
 ) -> PoleSet:
     """Poles of all orders of the record as it stands by SSI-data, with their standard deviations.
 
@@ -152,48 +141,29 @@ def ssi_data(
         the record.
     references : sequence of str
         Channel ids; None: all channels, or the 8 that span the motion best.
-    progress : callable (fraction, text)
 
     Raises
     ------
     DataError
         If the record is too short, a channel is dead or there is no such reference.
     """
-    s = settings or SsiCov(block_rows=20, order_max=40)
+    rows = settings.block_rows
     data, scale = prepared(history)
     refs = choose_references(history, data, references)
-    blocks = s.blocks or var.blocks_for(data.shape[1], 2 * s.block_rows)
-    p = project(data, refs, rows=s.block_rows, blocks=blocks, progress=progress)
+    blocks = settings.blocks or var.blocks_for(data.shape[1], 2 * rows)
+    p = project(data, refs, rows=rows, blocks=blocks)
     ch = len(data)
-    u, sv, v = decompose(p.future, min(s.order_max, (s.block_rows - 1) * ch, min(p.future.shape)))
-    n = int((sv > 1e-12 * sv[0]).sum())
-    u = u[:, :n]
-    sv = sv[:n]
-    v = v[:, :n]
-    q, tri = qr(u[:-ch], mode="economic")
-    sub = Subspace(
-        u=u,
-        s=sv,
-        vs=v / sv,
-        q=np.asarray(q),
-        r=np.asarray(tri),
-        qd=q.T @ u[ch:],
-        channels=ch,
-        rate=history.rate,
-    )
-    poles = all_orders(sub, _perturbations(p, sub), s, (0.0, history.rate / 2))[0]
+    u, sv, v = decompose(p.future, min(settings.order_max, (rows - 1) * ch, min(p.future.shape)))
+    sub = factored(u, sv, v / sv, ch, history.rate)
+    poles = all_orders(sub, _perturbations(p, sub), settings, (0.0, history.rate / 2))[0]
     return poles.rescaled(scale)
-
-
-ORDER_MAX = 40  # of a band, in `ssi_data_modes`
-MOST_PAST = 400  # block rows times channels: the cost grows with its square
 
 
 def ssi_data_modes(
     part: TimeHistory, band: tuple[float, float], settings: AmbientSettings
 ) -> tuple[ModeSet, Uncertainty]:
     """Modes of one band (Hz) that most orders show."""
-    own = SsiCov(_block_rows(len(part.channels), settings), ORDER_MAX)
+    own = SsiCov(_block_rows(len(part.channels), settings), order_max=40)
     poles = ssi_data(part, own, references=settings.references or None)
     return modes_of(poles, tuple(c.id for c in part.channels))
 
@@ -205,4 +175,5 @@ def fewest_samples(channels: int, settings: AmbientSettings) -> int:
 
 
 def _block_rows(channels: int, settings: AmbientSettings) -> int:
-    return max(4, min(settings.block_rows, MOST_PAST // max(channels, 1)) // 2)
+    most = 400 // max(channels, 1)  # the cost grows with the square of rows times channels
+    return max(4, min(settings.block_rows, most) // 2)

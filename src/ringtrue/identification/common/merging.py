@@ -15,194 +15,43 @@ from itertools import combinations
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from ringtrue.core.arrays import Bool, Complex, Float, Int
+from ringtrue.core.arrays import Bool, Complex, Float
 from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.errors import InputError
-from ringtrue.shapes.mac import mac
-
-NEAR = 0.02  # relative distance of frequencies that may be one mode
-LEAST = 0.02  # mean 1 − MAC that calls for a reason
-CURED = 0.3  # of it that may be left
-# modes that must be mended, or all that are in common: one or two may have poor shapes for another
-# reason
-SEEN = 3
-MOST = 3  # faults that are looked for
-WIDEST = 40  # common channels
-EXACT = 1e-4  # of the largest component: a deviation is no smaller
+from ringtrue.shapes import mac
 
 
 @dataclass(frozen=True, slots=True)
-class CommonFault:
-    """A channel that is turned in one record, or two that are exchanged.
+class SensorFaultLimits:
+    """When a common channel is turned or exchanged in one record.
 
     Attributes
     ----------
-    record : int
-        Position of the record.
-    channels : tuple of str
-        One that is turned, or two that are exchanged.
-    before, after : float
-        Mean MAC of the modes of this record with those of the others on the common channels, as
-        they are and mended.
-    certain : bool
-        Whether this record is the one; of two records either may be.
+    frequency : float
+        Relative distance of frequencies that may be one mode.
+    misfit : float
+        Mean 1 − MAC that calls for a reason.
+    left : float
+        Share of it that may be left when the fault is undone.
+    modes : int
+        That must be mended, or all that are in common: one or two may have poor shapes for another
+        reason.
+    faults : int
+        That are looked for.
+    channels : int
+        Common channels that are tried.
     """
 
-    record: int
-    channels: tuple[str, ...]
-    before: float
-    after: float
-    certain: bool
-
-    def describe(self, names: Sequence[str]) -> str:
-        """One line."""
-        which = names[self.record] if self.certain else " or ".join(names[:2])
-        what = "looks turned" if len(self.channels) == 1 else "look exchanged"
-        return (
-            f"{' and '.join(self.channels)} of {which} {what}: undone (MAC with the other "
-            f"records {self.before:.3f} "
-            f"before, {self.after:.3f} after)"
-        )
-
-
-def common_faults(records: Sequence[ModeSet]) -> tuple[CommonFault, ...]:
-    """Turned and exchanged channels between records of one structure, the surest first.
-
-    Parameters
-    ----------
-    records : sequence of ModeSet
-        With three or more channels and two or more modes in common.
-    """
-    now = list(records)
-    out = []
-    for _ in range(MOST):
-        best: CommonFault | None = None
-        for r in range(1 if len(now) == 2 else 0, len(now)):
-            before = _misfits(now, r, now[r])
-            if not _mean(before) > LEAST:
-                continue
-            for channels in _trials(now, r):
-                after = _misfits(now, r, undone(now[r], channels))
-                gain = _mean(before) - _mean(after)
-                if _cured(before, after) and (best is None or gain > best.after - best.before):
-                    best = CommonFault(
-                        record=r,
-                        channels=channels,
-                        before=1 - _mean(before),
-                        after=1 - _mean(after),
-                        certain=len(now) > 2,
-                    )
-        if best is None:
-            break
-        now[best.record] = undone(now[best.record], best.channels)
-        out.append(best)
-    return tuple(out)
-
-
-def _cured(before: Float, after: Float) -> bool:
-    """Whether most of the misfit goes, and not in one or two modes alone."""
-    mended = (before > LEAST) & (after < CURED * before)
-    return _mean(after) < CURED * _mean(before) and bool(
-        mended.sum() >= min(SEEN, np.isfinite(before).sum())
-    )
-
-
-def undone(modes: ModeSet, channels: tuple[str, ...]) -> ModeSet:
-    """The modes with one channel turned, or two exchanged."""
-    at = [modes.channels.index(c) for c in channels]
-    shapes = np.array(modes.shapes)
-    shapes[at] = -shapes[at] if len(at) == 1 else shapes[at[::-1]]
-    return replace(modes, shapes=shapes)
-
-
-def _trials(records: Sequence[ModeSet], r: int) -> Iterator[tuple[str, ...]]:
-    others = {c for k, m in enumerate(records) if k != r for c in m.channels}
-    shared = [c for c in records[r].channels if c in others][:WIDEST]
-    if len(shared) > 2:
-        yield from ((c,) for c in shared)
-        yield from combinations(shared, 2)
-
-
-def _misfits(records: Sequence[ModeSet], r: int, changed: ModeSet) -> Float:
-    """(m,) 1 − MAC of each mode of a record, mean over all others that it shares three channels
-    with; NaN: in none.
-    """
-    others = [m for k, m in enumerate(records) if k != r]
-    misfits = np.array([_one_minus_mac(changed, m) for m in others]).reshape(
-        len(others), len(changed)
-    )
-    known = np.isfinite(misfits)
-    misfits = misfits[known.sum(axis=1) > 1]
-    known = known[known.sum(axis=1) > 1]
-    count = known.sum(axis=0)
-    total = np.where(known, misfits, 0.0).sum(axis=0)
-    return np.asarray(np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0))
-
-
-def _mean(misfits: Float) -> float:
-    known = misfits[np.isfinite(misfits)]
-    return float(known.mean()) if known.size else 0.0
-
-
-def _one_minus_mac(a: ModeSet, b: ModeSet) -> Float:
-    """(a,) of the modes that two records share, matched by shape among those of like frequency; NaN
-    without a match.
-    """
-    out = np.full(len(a), np.nan)
-    shared = [c for c in a.channels if c in b.channels]
-    if len(shared) < 3 or not len(a) or not len(b):
-        return out
-    rows_a = _rows_of(a, shared)
-    rows_b = _rows_of(b, shared)
-    misfit = 1 - mac(a.shapes[rows_a], b.shapes[rows_b])
-    near = np.abs(a.frequencies[:, None] / b.frequencies - 1) < NEAR
-    i, j = linear_sum_assignment(np.where(near, misfit, 10.0))
-    out[i[near[i, j]]] = misfit[i, j][near[i, j]]
-    return out
-
-
-def _rows_of(modes: ModeSet, channels: Sequence[str]) -> Int:
-    return np.array([modes.channels.index(c) for c in channels], dtype=np.int64)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Record:
-    """The modes of one record, with their uncertainty and a name."""
-
-    modes: ModeSet
-    uncertainty: Uncertainty
-    name: str
+    frequency: float = 0.02
+    misfit: float = 0.02
+    left: float = 0.3
+    modes: int = 3
+    faults: int = 3
+    channels: int = 40
 
 
 @dataclass(frozen=True, slots=True)
-class Contribution:
-    """What one record gave to a merged mode.
-
-    Attributes
-    ----------
-    record : str
-    mode : int
-        Position in the record's modes.
-    frequency, damping : float
-    mac : float
-        With the merged shape on the record's channels; NaN for fewer than two.
-    outlier : bool
-        Farther from the merged value than its standard deviation explains; left out of frequency
-        and damping.
-    why : str
-    """
-
-    record: str
-    mode: int
-    frequency: float
-    damping: float
-    mac: float
-    outlier: bool
-    why: str
-
-
-@dataclass(frozen=True, slots=True)
-class MergeSettings:
+class MergeLimits:
     """How modes of different records are matched.
 
     Attributes
@@ -219,8 +68,8 @@ class MergeSettings:
     spread : float
         A relative difference of frequency that records may have by themselves (temperature,
         amplitude).
-    mend : bool
-        Undo channels that are turned or exchanged in one record (`identify.common`), and say so.
+    exact : float
+        Of the largest component: a deviation is no smaller.
     """
 
     frequency: float = 0.05
@@ -228,7 +77,144 @@ class MergeSettings:
     weak: float = 0.3
     outlier: float = 4.0
     spread: float = 2e-3
-    mend: bool = True
+    exact: float = 1e-4
+
+
+FAULTS = SensorFaultLimits()
+LIMITS = MergeLimits()
+
+
+@dataclass(frozen=True, slots=True)
+class CommonFault:
+    """A channel that is turned in one record, or two that are exchanged.
+
+    Attributes
+    ----------
+    record : int
+        Position of the record.
+    channels : tuple of str
+        One that is turned, or two that are exchanged.
+    before, after : float
+        Mean MAC of the modes of this record with those of the others on the common channels, as
+        they are and mended.
+    """
+
+    record: int
+    channels: tuple[str, ...]
+    before: float
+    after: float
+
+    def describe(self, names: Sequence[str]) -> str:
+        """One line; of two records either may be the one."""
+        which = names[self.record] if len(names) > 2 else " or ".join(names)
+        what = "looks turned" if len(self.channels) == 1 else "look exchanged"
+        return (
+            f"{' and '.join(self.channels)} of {which} {what}: undone (MAC with the other "
+            f"records {self.before:.3f} before, {self.after:.3f} after)"
+        )
+
+
+def common_faults(records: Sequence[ModeSet]) -> tuple[CommonFault, ...]:
+    """Turned and exchanged channels between records of one structure, the surest first.
+
+    Parameters
+    ----------
+    records : sequence of ModeSet
+        With three or more channels and two or more modes in common.
+    """
+    now = list(records)
+    out = []
+    for _ in range(FAULTS.faults):
+        best: CommonFault | None = None
+        for r in range(1 if len(now) == 2 else 0, len(now)):
+            before = _misfits(now, r, now[r])
+            if not _mean(before) > FAULTS.misfit:
+                continue
+            for channels in _trials(now, r):
+                after = _misfits(now, r, undone(now[r], channels))
+                mended = (before > FAULTS.misfit) & (after < FAULTS.left * before)
+                most = mended.sum() >= min(FAULTS.modes, np.isfinite(before).sum())
+                if not most or _mean(after) >= FAULTS.left * _mean(before):
+                    continue
+                fault = CommonFault(r, channels, 1 - _mean(before), 1 - _mean(after))
+                if best is None or fault.after - fault.before > best.after - best.before:
+                    best = fault
+        if best is None:
+            break
+        now[best.record] = undone(now[best.record], best.channels)
+        out.append(best)
+    return tuple(out)
+
+
+def undone(modes: ModeSet, channels: tuple[str, ...]) -> ModeSet:
+    """The modes with one channel turned, or two exchanged."""
+    at = [modes.channels.index(c) for c in channels]
+    shapes = np.array(modes.shapes)
+    shapes[at] = -shapes[at] if len(at) == 1 else shapes[at[::-1]]
+    return replace(modes, shapes=shapes)
+
+
+def _trials(records: Sequence[ModeSet], r: int) -> Iterator[tuple[str, ...]]:
+    others = {c for k, m in enumerate(records) if k != r for c in m.channels}
+    shared = [c for c in records[r].channels if c in others][: FAULTS.channels]
+    if len(shared) > 2:
+        yield from ((c,) for c in shared)
+        yield from combinations(shared, 2)
+
+
+def _misfits(records: Sequence[ModeSet], r: int, changed: ModeSet) -> Float:
+    """(m,) 1 − MAC of each mode of a record, mean over all others that it shares three channels
+    with; NaN: in none.
+    """
+    others = [_one_minus_mac(changed, m) for k, m in enumerate(records) if k != r]
+    shared = [x for x in others if np.isfinite(x).sum() > 1]
+    misfits = np.array(shared).reshape(len(shared), len(changed))
+    known = np.isfinite(misfits)
+    count = known.sum(axis=0)
+    total = np.where(known, misfits, 0.0).sum(axis=0)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def _mean(misfits: Float) -> float:
+    known = misfits[np.isfinite(misfits)]
+    return float(known.mean()) if known.size else 0.0
+
+
+def _one_minus_mac(a: ModeSet, b: ModeSet) -> Float:
+    """(a,) of the modes that two records share, matched by shape among those of like frequency; NaN
+    without a match.
+    """
+    out = np.full(len(a), np.nan)
+    shared = [c for c in a.channels if c in b.channels]
+    if len(shared) < 3 or not len(a) or not len(b):
+        return out
+    misfit = 1 - mac(a.rows(shared).shapes, b.rows(shared).shapes)
+    near = np.abs(a.frequencies[:, None] / b.frequencies - 1) < FAULTS.frequency
+    i, j = linear_sum_assignment(np.where(near, misfit, 10.0))
+    good = near[i, j]
+    out[i[good]] = misfit[i, j][good]
+    return out
+
+
+@dataclass(frozen=True, slots=True)
+class Contribution:
+    """What one record gave to a merged mode.
+
+    Attributes
+    ----------
+    record : str
+    mode : int
+        Position in the record's modes.
+    outlier : bool
+        Farther from the merged value than its standard deviation explains; left out of frequency
+        and damping.
+    why : str
+    """
+
+    record: str
+    mode: int
+    outlier: bool
+    why: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -244,7 +230,33 @@ class Merged:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Group:
+class _MergeRecord:
+    """The modes of one record, with shapes and their variances on all channels (n, m), NaN where
+    the record has none.
+    """
+
+    name: str
+    modes: ModeSet
+    std: Uncertainty
+    psi: Complex
+    var: Float
+
+    @classmethod
+    def of(
+        cls, modes: ModeSet, std: Uncertainty, name: str, channels: Sequence[str]
+    ) -> _MergeRecord:
+        at = [channels.index(c) for c in modes.channels]
+        psi = np.full((len(channels), len(modes)), np.nan, dtype=np.complex128)
+        var = np.full(psi.shape, np.nan)
+        psi[at] = modes.shapes
+        size = np.abs(modes.shapes).max(0, initial=1e-300)
+        stated = np.where(np.isfinite(std.shape), std.shape, 0.02 * size)
+        var[at] = np.maximum(stated, LIMITS.exact * size) ** 2
+        return cls(name, modes, std, psi, var)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _GluedMode:
     """Modes of different records that are one: (record, mode), frequency, and the shape glued so
     far.
     """
@@ -254,191 +266,145 @@ class _Group:
     shape: Complex
     var: Float
 
+    def cost(self, record: _MergeRecord) -> Float:
+        """(m,) of joining each mode of a record, infinite where it may not."""
+        freqs = record.modes.frequencies
+        df = np.abs(freqs / self.frequency - 1)
+        both = np.isfinite(self.shape) & np.isfinite(record.psi).all(1)
+        like = np.ones(freqs.size)
+        if both.sum() > 1 and freqs.size:
+            like = mac(self.shape[both, None], record.psi[both])[0]
+        least = np.where(df < LIMITS.spread, LIMITS.weak, LIMITS.mac)
+        ok = (df < LIMITS.frequency) & (like >= least)
+        return np.where(ok, df / LIMITS.frequency + 1 - like, np.inf)
 
-def _rows(record: Record, channels: Sequence[str]) -> Int:
-    at = {c: i for i, c in enumerate(channels)}
-    return np.array([at.get(c, -1) for c in record.modes.channels], dtype=np.int64)
-
-
-def _spread_out(record: Record, rows: Int, n: int) -> tuple[Complex, Float]:
-    """Shapes and their variances on all channels (n, m), NaN where the record has none."""
-    m = len(record.modes)
-    psi = np.full((n, m), np.nan, dtype=np.complex128)
-    var = np.full((n, m), np.nan)
-    here = rows >= 0
-    psi[rows[here]] = record.modes.shapes[here]
-    size = np.abs(record.modes.shapes).max(0, initial=1e-300)
-    v = np.where(np.isfinite(record.uncertainty.shape), record.uncertainty.shape, 0.02 * size) ** 2
-    var[rows[here]] = np.maximum(v, (EXACT * size) ** 2)[here]
-    return psi, var
-
-
-def _match(group: _Group, psi: Complex, freqs: Float, settings: MergeSettings) -> Float:
-    """(m,) cost of joining each mode of a record to a group, infinite where it may not."""
-    df = np.abs(freqs / group.frequency - 1)
-    both = (
-        np.isfinite(group.shape) & np.isfinite(psi).all(1)
-        if psi.shape[1]
-        else np.zeros(group.shape.size, bool)
-    )
-    like = mac(group.shape[both, None], psi[both])[0] if both.sum() > 1 else np.ones(freqs.size)
-    least = np.where(df < settings.spread, settings.weak, settings.mac)
-    ok = (df < settings.frequency) & (like >= least)
-    return np.where(ok, df / settings.frequency + 1 - like, np.inf)
-
-
-def _glue(group: _Group, psi: Complex, var: Float, member: tuple[int, int], freq: float) -> _Group:
-    """Bring `psi` to the scale of the group by least squares on the common channels, and
-    average.
-    """
-    both = np.isfinite(group.shape) & np.isfinite(psi)
-    if (
-        not both.any()
-    ):  # nothing in common: neither scale nor sign is known, the shape stays as it is
-        return _Group((*group.members, member), group.frequency, group.shape, group.var)
-    ratio = (np.abs(group.shape[both]) ** 2).sum() / np.maximum(
-        (np.abs(psi[both]) ** 2).sum(), 1e-300
-    )
-    w = 1 / (group.var[both] + ratio * var[both])
-    scale = (w * psi[both].conj() * group.shape[both]).sum() / (w * np.abs(psi[both]) ** 2).sum()
-    # the scale is no better known than the common channels tell it
-    new = psi * scale
-    v = var * np.abs(scale) ** 2 + np.abs(psi) ** 2 / (w * np.abs(psi[both]) ** 2).sum()
-    wa = np.where(np.isfinite(group.var), 1 / group.var, 0.0)
-    wb = np.where(np.isfinite(v), 1 / v, 0.0)
-    total = wa + wb
-    inverse = np.divide(1.0, total, out=np.full(total.shape, np.nan), where=total > 0)
-    mean = (wa * np.nan_to_num(group.shape) + wb * np.nan_to_num(new)) * np.nan_to_num(inverse)
-    shape = np.where(total > 0, mean, np.nan).astype(np.complex128)
-    k = len(group.members)
-    return _Group((*group.members, member), (k * group.frequency + freq) / (k + 1), shape, inverse)
+    def joined(self, record: _MergeRecord, index: int, mode: int) -> _GluedMode:
+        """With one more mode, brought to this scale by least squares on the common channels."""
+        psi = record.psi[:, mode]
+        var = record.var[:, mode]
+        members = (*self.members, (index, mode))
+        both = np.isfinite(self.shape) & np.isfinite(psi)
+        # nothing in common: neither scale nor sign is known, the shape stays as it is
+        if not both.any():
+            return replace(self, members=members)
+        own = np.abs(psi[both]) ** 2
+        ratio = (np.abs(self.shape[both]) ** 2).sum() / np.maximum(own.sum(), 1e-300)
+        w = 1 / (self.var[both] + ratio * var[both])
+        scale = (w * psi[both].conj() * self.shape[both]).sum() / (w * own).sum()
+        new = psi * scale
+        # the scale is no better known than the common channels show it
+        v = var * np.abs(scale) ** 2 + np.abs(psi) ** 2 / (w * own).sum()
+        wa = np.where(np.isfinite(self.var), 1 / self.var, 0.0)
+        wb = np.where(np.isfinite(v), 1 / v, 0.0)
+        total = wa + wb
+        inverse = np.divide(1.0, total, out=np.full(total.shape, np.nan), where=total > 0)
+        mean = (wa * np.nan_to_num(self.shape) + wb * np.nan_to_num(new)) * inverse
+        k = len(self.members)
+        frequency = (k * self.frequency + float(record.modes.frequencies[mode])) / (k + 1)
+        return _GluedMode(members, frequency, mean.astype(np.complex128), inverse)
 
 
-def _assign(
-    groups: list[_Group], record: Record, index: int, full: tuple[Complex, Float], s: MergeSettings
-) -> None:
-    """Join each mode of a record to the group it fits best, each group once; the others begin a
-    group.
-    """
-    psi, var = full
-    freqs = record.modes.frequencies
-    cost = np.array([_match(g, psi, freqs, s) for g in groups]).reshape(len(groups), freqs.size)
-    left = set(range(freqs.size))
-    while cost.size and np.isfinite(cost.min()):
-        g, k = (int(x) for x in np.unravel_index(int(np.argmin(cost)), cost.shape))
-        groups[g] = _glue(
-            groups[g], psi[:, k], var=var[:, k], member=(index, k), freq=float(freqs[k])
-        )
-        cost[g], cost[:, k] = np.inf, np.inf
-        left.discard(k)
-    groups.extend(
-        _Group(((index, k),), float(freqs[k]), psi[:, k], var[:, k]) for k in sorted(left)
-    )
-
-
-def _average(x: Float, sd: Float, s: MergeSettings, spread: float) -> tuple[float, float, Bool]:
-    """Mean by inverse variance, its standard deviation, and who is an outlier from the median."""
-    sd = np.where(
-        np.isfinite(sd) & (sd > 0),
-        sd,
-        np.nanmax(sd) if np.isfinite(sd).any() else max(spread, 1e-12),
-    )
-    middle = float(np.median(x))
-    distance = np.abs(x - middle) / np.hypot(sd, spread)
-    out = (distance > s.outlier) & (x.size > 2)
-    w = np.where(out, 0.0, 1 / sd**2)
-    mean = float(w @ x / w.sum())
-    chi = float(w @ (x - mean) ** 2) / max(int((~out).sum()) - 1, 1)
-    # Birge: records that differ by more than they say make the mean less certain
-    return mean, float(np.sqrt(max(chi, 1.0) / w.sum())), np.asarray(out)
-
-
-def _contributions(
-    records: Sequence[Record],
-    group: _Group,
-    full: Sequence[tuple[Complex, Float]],
-    s: MergeSettings,
-) -> tuple[tuple[float, float, float, float], tuple[Contribution, ...]]:
-    """Merged frequency, std, damping, std; and what each record gave."""
-    f = np.array([records[r].modes.frequencies[k] for r, k in group.members])
-    z = np.array([records[r].modes.damping[k] for r, k in group.members])
-    sf = np.array([records[r].uncertainty.frequency[k] for r, k in group.members])
-    sz = np.array([records[r].uncertainty.damping[k] for r, k in group.members])
-    mf, df, out = _average(f, sf, s, s.spread * group.frequency)
-    mz, dz, _ = _average(z[~out], sz[~out], s, 0.0)
-    said = []
-    for (r, k), fk, zk, o in zip(group.members, f, z, out, strict=True):
-        psi = full[r][0][:, k]
-        on = np.isfinite(psi) & np.isfinite(group.shape)
-        like = float(mac(psi[on, None], group.shape[on, None])[0, 0]) if on.sum() > 1 else np.nan
-        why = f"{100 * (fk / mf - 1):+.2f} % in frequency, {100 * (zk / mz - 1):+.0f} % in damping"
-        said.append(
-            Contribution(
-                record=records[r].name,
-                mode=k,
-                frequency=float(fk),
-                damping=float(zk),
-                mac=like,
-                outlier=bool(o),
-                why=why + (": outlier" if o else ""),
-            )
-        )
-    return (mf, df, mz, dz), tuple(said)
-
-
-def merge_modes(
-    records: Sequence[tuple[ModeSet, Uncertainty, str]],
-    channels: Sequence[str] | None = None,
-    settings: MergeSettings | None = None,
-) -> Merged:
+def merge_modes(records: Sequence[tuple[ModeSet, Uncertainty, str]]) -> Merged:
     """Merge the modes of several records with partly common channels.
 
     The record with the most modes is the first to be built on; a mode that a single record shows is
-    kept. Shape rows that no record measured for a mode are NaN.
+    kept. Shape rows that no record measured for a mode are NaN. Channels that are turned or
+    exchanged in one record are mended, and the notes say so.
 
     Parameters
     ----------
     records : sequence of (ModeSet, Uncertainty, name)
-    channels : sequence of str
-        Rows of the merged shapes; None: all channels in order of appearance.
-    settings : MergeSettings
+        The rows of the merged shapes are all channels in order of appearance.
 
     Raises
     ------
     InputError
-        Without records, or if a channel is in no record.
+        Without records.
     """
-    s = settings or MergeSettings()
-    all_records = [Record(*r) for r in records]
-    if not all_records:
+    if not records:
         raise InputError("no record to merge")
-    faults = common_faults([r.modes for r in all_records]) if s.mend else ()
+    channels = tuple(dict.fromkeys(c for modes, _, _ in records for c in modes.channels))
+    names = [name for _, _, name in records]
+    faults = common_faults([modes for modes, _, _ in records])
+    mended = list(records)
     for fault in faults:
-        all_records[fault.record] = _mended(all_records[fault.record], fault.channels)
-    known = tuple(dict.fromkeys(c for r in all_records for c in r.modes.channels))
-    rows = tuple(channels) if channels is not None else known
-    if lost := [c for c in rows if c not in known]:
-        raise InputError(
-            f"channels in no record: {' '.join(lost[:8])}; there are {' '.join(known[:40])}"
-        )
-    # gluing uses every channel; the caller's choice is cut out at the end
-    full = [_spread_out(r, _rows(r, known), len(known)) for r in all_records]
-    groups: list[_Group] = []
-    for i in sorted(range(len(all_records)), key=lambda i: (-len(all_records[i].modes), i)):
-        _assign(groups, all_records[i], index=i, full=full[i], s=s)
-    found = _result(
-        all_records, groups, full=full, pick=[known.index(c) for c in rows], channels=rows, s=s
-    )
-    return replace(found, notes=tuple(x.describe([r.name for r in all_records]) for x in faults))
+        modes, std, name = mended[fault.record]
+        deviations = np.array(std.shape)
+        at = [modes.channels.index(c) for c in fault.channels]
+        deviations[at] = deviations[at[::-1]]
+        mended[fault.record] = undone(modes, fault.channels), replace(std, shape=deviations), name
+    full = [_MergeRecord.of(*record, channels) for record in mended]
+    glued: list[_GluedMode] = []
+    for index in sorted(range(len(full)), key=lambda i: (-len(full[i].modes), i)):
+        _join(glued, full[index], index)
+    found = [_contributions(full, mode) for mode in glued]
+    rank = sorted(range(len(glued)), key=lambda k: found[k][0][0])
+    f, std_f, z, std_z = np.array([found[k][0] for k in rank]).reshape(-1, 4).T
+    shape = np.empty((len(channels), len(glued)), dtype=np.complex128)
+    var = np.empty(shape.shape)
+    confidence = np.empty(len(glued))
+    for column, k in enumerate(rank):
+        mode = glued[k]
+        shape[:, column] = mode.shape
+        var[:, column] = mode.var
+        confidence[column] = max(full[r].modes.confidence[i] for r, i in mode.members)
+    top = np.nan_to_num(np.abs(shape)).max(axis=0, initial=0.0)
+    top = np.where(top > 0, top, 1.0)
+    merged = ModeSet(f, z, shape / top, channels, source=" + ".join(names), confidence=confidence)
+    std = Uncertainty.independent(std_f, std_z, np.sqrt(_of_unit(shape, var)) / top)
+    notes = tuple(fault.describe(names) for fault in faults)
+    return Merged(merged, std, tuple(found[k][1] for k in rank), notes)
 
 
-def _mended(record: Record, channels: tuple[str, ...]) -> Record:
-    std = np.array(record.uncertainty.shape)
-    at = [record.modes.channels.index(c) for c in channels]
-    std[at] = std[at[::-1]]
-    return Record(
-        undone(record.modes, channels), replace(record.uncertainty, shape=std), record.name
-    )
+def _join(glued: list[_GluedMode], record: _MergeRecord, index: int) -> None:
+    """Join each mode of a record to the one it fits best, each once; the others begin a mode."""
+    m = len(record.modes)
+    cost = np.array([mode.cost(record) for mode in glued]).reshape(len(glued), m)
+    left = set(range(m))
+    while cost.size and np.isfinite(cost.min()):
+        g, k = (int(x) for x in np.unravel_index(int(np.argmin(cost)), cost.shape))
+        glued[g] = glued[g].joined(record, index, k)
+        cost[g] = np.inf
+        cost[:, k] = np.inf
+        left.discard(k)
+    for k in sorted(left):
+        frequency = float(record.modes.frequencies[k])
+        own = _GluedMode(((index, k),), frequency, record.psi[:, k], record.var[:, k])
+        glued.append(own)
+
+
+def _average(x: Float, sd: Float, spread: float) -> tuple[float, float, Bool]:
+    """Mean by inverse variance, its standard deviation, and who is an outlier from the median."""
+    known = np.isfinite(sd) & (sd > 0)
+    largest = np.nanmax(sd) if np.isfinite(sd).any() else max(spread, 1e-12)
+    sd = np.where(known, sd, largest)
+    distance = np.abs(x - float(np.median(x))) / np.hypot(sd, spread)
+    out = (distance > LIMITS.outlier) & (x.size > 2)
+    w = np.where(out, 0.0, 1 / sd**2)
+    mean = float(w @ x / w.sum())
+    chi = float(w @ (x - mean) ** 2) / max(int((~out).sum()) - 1, 1)
+    # Birge: records that differ by more than they say make the mean less certain
+    return mean, float(np.sqrt(max(chi, 1.0) / w.sum())), out
+
+
+def _contributions(
+    records: Sequence[_MergeRecord], mode: _GluedMode
+) -> tuple[tuple[float, float, float, float], tuple[Contribution, ...]]:
+    """Merged frequency, std, damping, std; and what each record gave."""
+    parts = [(records[r], k) for r, k in mode.members]
+    f = np.array([x.modes.frequencies[k] for x, k in parts])
+    z = np.array([x.modes.damping[k] for x, k in parts])
+    sf = np.array([x.std.frequency[k] for x, k in parts])
+    sz = np.array([x.std.damping[k] for x, k in parts])
+    mf, df, out = _average(f, sf, LIMITS.spread * mode.frequency)
+    mz, dz, _ = _average(z[~out], sz[~out], 0.0)
+    gave = []
+    for (x, k), fk, zk, outlier in zip(parts, f, z, out, strict=True):
+        why = f"{100 * (fk / mf - 1):+.2f} % in frequency, {100 * (zk / mz - 1):+.0f} % in damping"
+        if outlier:
+            why += ": outlier"
+        gave.append(Contribution(record=x.name, mode=k, outlier=bool(outlier), why=why))
+    return (mf, df, mz, dz), tuple(gave)
 
 
 def _of_unit(shape: Complex, var: Float) -> Float:
@@ -450,37 +416,5 @@ def _of_unit(shape: Complex, var: Float) -> Float:
     size = np.nan_to_num(np.abs(shape))
     at = (size.argmax(axis=0), np.arange(size.shape[1]))
     out = var + (size / np.maximum(size[at], 1e-300)) ** 2 * var[at]
-    out[at] = (EXACT * size[at]) ** 2
+    out[at] = (LIMITS.exact * size[at]) ** 2
     return np.asarray(out)
-
-
-def _result(
-    records: Sequence[Record],
-    groups: list[_Group],
-    full: Sequence[tuple[Complex, Float]],
-    pick: list[int],
-    channels: tuple[str, ...],
-    s: MergeSettings,
-) -> Merged:
-    both = [(_contributions(records, g, full, s), g) for g in groups]
-    both.sort(key=lambda x: x[0][0][0])
-    values = np.array([x[0][0] for x in both]).reshape(len(both), 4)
-    n = len(channels)
-    shape = (
-        np.stack([g.shape[pick] for _, g in both], axis=1)
-        if both
-        else np.empty((n, 0), np.complex128)
-    )
-    var = np.stack([g.var[pick] for _, g in both], axis=1) if both else np.empty((n, 0))
-    top = np.nan_to_num(np.abs(shape)).max(axis=0, initial=0.0)
-    top = np.where(top > 0, top, 1.0)
-    var = _of_unit(shape, var)
-    confidence = np.array(
-        [max(records[r].modes.confidence[k] for r, k in g.members) for _, g in both]
-    )
-    names = " + ".join(r.name for r in records)
-    modes = ModeSet(
-        values[:, 0], values[:, 2], shape / top, channels, source=names, confidence=confidence
-    )
-    std = Uncertainty.independent(values[:, 1], values[:, 3], np.sqrt(var) / top)
-    return Merged(modes, std, tuple(x[0][1] for x in both))

@@ -1,18 +1,143 @@
-"""Clusters of the poles of all orders, and modes from them where no standard deviation is known."""
+"""Poles of all model orders, the stabilisation diagram, clusters of poles and modes of these."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial.distance import squareform
 
-from ringtrue.core.arrays import Bool, Complex, Float, Int
+from ringtrue.core.arrays import Bool, Complex, Float, Int, freeze_fields
 from ringtrue.core.modes import ModeSet, Uncertainty
-from ringtrue.identification.common.poles import PoleSet, unit
-from ringtrue.shapes.complexity import mpc
-from ringtrue.shapes.mac import mac
+from ringtrue.errors import InputError
+from ringtrue.shapes import mac, mpc
+
+
+def unit(psi: Complex) -> Complex:
+    """Shapes (ch, k) with their largest component 1."""
+    top = np.argmax(np.abs(psi), axis=0)[None] if psi.shape[1] else np.zeros((1, 0), dtype=np.int64)
+    return psi / np.take_along_axis(psi, top, axis=0)
+
+
+def check_orders(ordmin: int, ordmax: int) -> None:
+    """Refuse model orders that are no range.
+
+    Raises
+    ------
+    InputError
+        Unless 1 <= ordmin <= ordmax.
+    """
+    if not 1 <= ordmin <= ordmax:
+        raise InputError(f"orders {ordmin}..{ordmax}: must be 1 <= ordmin <= ordmax")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoleSet:
+    """Poles of several model orders in one flat list.
+
+    Attributes
+    ----------
+    order : (k,) int64
+        Model order (number of states) that each pole was found at.
+    pole : (k,) complex128, rad/s, Im > 0
+    shape : (channel, k) complex128
+        Largest component 1.
+    std_frequency : (k,) float64, Hz
+        Standard deviation, NaN where unknown.
+    std_damping : (k,) float64
+        Standard deviation of the damping ratio, NaN where unknown.
+    """
+
+    order: Int
+    pole: Complex
+    shape: Complex
+    std_frequency: Float
+    std_damping: Float
+
+    def __post_init__(self) -> None:
+        c = np.complex128
+        f = np.float64
+        freeze_fields(self, order=np.int64, pole=c, shape=c, std_frequency=f, std_damping=f)
+        k = self.pole.size
+        if self.order.size != k or self.shape.ndim != 2 or self.shape.shape[1] != k:
+            raise InputError(
+                f"order {self.order.shape}, pole {k}, shape {self.shape.shape}: unequal numbers "
+                "of poles"
+            )
+        if self.std_frequency.size != k or self.std_damping.size != k:
+            raise InputError(
+                f"std {self.std_frequency.shape}, {self.std_damping.shape}: must be ({k},)"
+            )
+
+    def __len__(self) -> int:
+        return int(self.pole.size)
+
+    @property
+    def frequencies(self) -> Float:
+        """(k,) Hz."""
+        return np.abs(self.pole) / (2 * np.pi)
+
+    @property
+    def damping(self) -> Float:
+        """(k,) fraction of critical."""
+        return -self.pole.real / np.abs(self.pole)
+
+    def take(self, at: Int | Bool) -> PoleSet:
+        """The chosen poles, in the given order."""
+        return PoleSet(
+            order=self.order[at],
+            pole=self.pole[at],
+            shape=self.shape[:, at],
+            std_frequency=self.std_frequency[at],
+            std_damping=self.std_damping[at],
+        )
+
+    def rescaled(self, scale: Float) -> PoleSet:
+        """With shapes times `scale` (channel,), their largest component 1."""
+        return replace(self, shape=unit(self.shape * scale[:, None]))
+
+    @property
+    def orders(self) -> Int:
+        """The different model orders, ascending."""
+        return np.unique(self.order)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StableDiagram:
+    """A stabilisation diagram: poles, what became of each, and a spectrum to draw behind them.
+
+    Attributes
+    ----------
+    poles : PoleSet
+    stable : (k,) bool
+        The pole passed the checks on damping, shape and standard deviation.
+    cluster : (k,) int64
+        The mode (row of the mode table of the same band) that the pole belongs to, -1 for none.
+    freqs : (f,) float64, Hz
+    level : (f,) float64, dB
+        Spectrum behind the poles; any reference.
+    """
+
+    poles: PoleSet
+    stable: Bool
+    cluster: Int
+    freqs: Float
+    level: Float
+
+    def __post_init__(self) -> None:
+        f = np.float64
+        freeze_fields(self, stable=np.bool_, cluster=np.int64, freqs=f, level=f)
+        if self.stable.size != len(self.poles) or self.cluster.size != len(self.poles):
+            raise InputError(
+                f"stable {self.stable.shape}, cluster {self.cluster.shape}: must be "
+                f"({len(self.poles)},)"
+            )
+        if self.freqs.shape != self.level.shape:
+            raise InputError(
+                f"freqs {self.freqs.shape} and level {self.level.shape} must be equal (f,)"
+            )
+
 
 CUT = 0.08  # a pole-and-shape distance within which poles of different orders are one mode
 
@@ -21,10 +146,10 @@ def distances(pole: Complex, psi: Complex) -> Float:
     """(k, k) |λ_i − λ_j| / max|λ| + 1 − MAC_ij (Magalhães et al. 2009)."""
     size = np.abs(pole)
     d = np.abs(pole[:, None] - pole) / np.maximum(size[:, None], size)
-    return np.asarray(d + np.maximum(1 - mac(psi, psi), 0.0))
+    return d + np.maximum(1 - mac(psi, psi), 0.0)
 
 
-def cluster_poles(pole: Complex, psi: Complex, order: Int, cut: float = CUT) -> Int:
+def cluster_poles(pole: Complex, psi: Complex, order: Int) -> Int:
     """A label (k,) int64 for each pole, from 0, by average linkage; a label holds one pole of an
     order at most.
 
@@ -35,13 +160,8 @@ def cluster_poles(pole: Complex, psi: Complex, order: Int, cut: float = CUT) -> 
     d = distances(pole, psi)
     np.fill_diagonal(d, 0.0)
     d = 0.5 * (d + d.T)
-    label = (
-        np.asarray(
-            fcluster(linkage(squareform(d, checks=False), "average"), cut, "distance"),
-            dtype=np.int64,
-        )
-        - 1
-    )
+    tree = linkage(squareform(d, checks=False), "average")
+    label = np.asarray(fcluster(tree, CUT, "distance"), dtype=np.int64) - 1
     together = label[:, None] == label
     away = (d * together).sum(1)
     rank = np.lexsort((away, order, label))
@@ -51,20 +171,13 @@ def cluster_poles(pole: Complex, psi: Complex, order: Int, cut: float = CUT) -> 
     return label
 
 
-def modes_of(
-    poles: PoleSet,
-    channels: tuple[str, ...],
-    *,
-    share: float = 0.5,
-    damping_max: float = 0.2,
-    source: str = "",
-) -> tuple[ModeSet, Uncertainty]:
-    """One mode for each cluster of stable poles that `share` of the orders, from the first that
-    shows it, show.
+def modes_of(poles: PoleSet, channels: tuple[str, ...]) -> tuple[ModeSet, Uncertainty]:
+    """One mode for each cluster of stable poles that half of the orders, from the first that shows
+    it, show.
 
-    A pole is stable if the order before has one within 1 % of its frequency and 5 % of its damping
-    (or four of its standard deviations, where known), MAC above 0.98. `identify.ambient` judges by
-    more than this, and invents less.
+    A pole is stable if its damping is below 0.2 and the order before has one within 1 % of its
+    frequency and 5 % of its damping (or four of its standard deviations, where known), MAC above
+    0.98. `ambient.pipeline` judges by more than this, and invents less.
 
     Frequency and damping are medians over the cluster, or with their standard deviations the means
     by inverse variance where these are known; the shape is that of the pole nearest to them. The
@@ -75,27 +188,20 @@ def modes_of(
     poles : PoleSet
     channels : tuple of str
         Rows of the shapes.
-    share : float
-        0 < share <= 1.
-    damping_max : float
-        Poles with more are dropped.
-    source : str
     """
-    known = _physical(poles, damping_max)
-    good = poles.take(known)
+    good = poles.take(_physical(poles))
     label = cluster_poles(good.pole, good.shape, good.order)
     groups = [np.flatnonzero(label == g) for g in range(int(label.max(initial=-1)) + 1)]
-    shown = np.array(
-        [g.size / (poles.orders >= good.order[g].min()).sum() if g.size else 0.0 for g in groups]
-    )
-    groups = [g for g, s in zip(groups, shown, strict=True) if s >= share and g.size > 2]
-    part = shown[[i for i, s in enumerate(shown) if s >= share and (label == i).sum() > 2]]
+    groups = [g for g in groups if g.size > 2]
+    shown = [g.size / (poles.orders >= good.order[g].min()).sum() for g in groups]
+    groups = [g for g, share in zip(groups, shown, strict=True) if share >= 0.5]
+    part = np.array([share for share in shown if share >= 0.5])
     rows = np.array([centre(good, g) for g in groups]).reshape(len(groups), 5)
     rank = np.argsort(rows[:, 0], kind="stable")
     rows, at = rows[rank], rows[rank, 4].astype(np.int64)
     shape = unit(good.shape[:, at])
     confidence = np.clip(part[rank] * np.sqrt(mpc(shape)), 0, 1) if at.size else np.empty(0)
-    modes = ModeSet(rows[:, 0], rows[:, 1], shape, channels, source=source, confidence=confidence)
+    modes = ModeSet(rows[:, 0], rows[:, 1], shape, channels, confidence=confidence)
     std = np.full(shape.shape, np.nan)
     return modes, Uncertainty.independent(rows[:, 2], rows[:, 3], std)
 
@@ -122,25 +228,26 @@ def least_deviations(frequency: Float, damping: Float, duration: float) -> tuple
     return frequency * np.sqrt(damping / turns), np.sqrt(damping / turns)
 
 
-def _physical(poles: PoleSet, damping_max: float) -> Bool:
+def _physical(poles: PoleSet) -> Bool:
     """(k,) damped, not wildly complex, known to some extent, and stable from one order to the
     next.
     """
     f = poles.frequencies
     z = poles.damping
     psi = poles.shape
-    ok = (z > 0) & (z < damping_max)
+    ok = (z > 0) & (z < 0.2)
     if len(psi) > 1:
         ok &= mpc(psi) > 0.3
     known = np.isfinite(poles.std_frequency)
-    ok &= ~known | ((poles.std_frequency < 0.5 * z * f) & (poles.std_damping < np.maximum(z, 2e-3)))
+    sharp = (poles.std_frequency < 0.5 * z * f) & (poles.std_damping < np.maximum(z, 2e-3))
+    ok &= ~known | sharp
     step = int(np.diff(poles.orders).min(initial=2))
     before = poles.order[:, None] - poles.order == step
     reach = 0.05 + 4 * np.nan_to_num(poles.std_damping) / np.maximum(z, 1e-12)
-    like = (np.abs(f[:, None] / f - 1) < 0.01) & (
-        np.abs(z[:, None] - z) < (np.minimum(reach, 0.3) * z)[:, None]
-    )
-    return np.asarray(ok & (before & like & (mac(psi, psi) > 0.98)).any(1))
+    like = np.abs(f[:, None] / f - 1) < 0.01
+    like &= np.abs(z[:, None] - z) < (np.minimum(reach, 0.3) * z)[:, None]
+    like &= mac(psi, psi) > 0.98
+    return np.asarray(ok & (before & like).any(1))
 
 
 def centre(p: PoleSet, at: Int) -> tuple[float, float, float, float, float]:
@@ -203,12 +310,11 @@ def _seen(
     width = np.maximum(np.maximum(5 * np.sqrt(2) * stds[1], 0.2 * damping), 2e-3)
     shape_like = mac(h.shape, shape)
     like = (df < reach) & (dz < width) & (shape_like > 0.7)
-    if (
-        len(h.shape) > 3
-    ):  # half a record may split a mode in two; with three channels any shape is like any other
+    # half a record may split a mode in two; with three channels any shape is like any other
+    if len(h.shape) > 3:
         reach = np.where(shape_like > 0.99, 2.0, 0.7) * damping * frequency
         like |= (df < reach) & (dz < np.maximum(width, 0.5 * damping)) & (shape_like > 0.95)
     share = np.array([np.unique(h.order[x]).size for x in like.T]) / max(h.orders.size, 1)
     turn = (shape.conj().T @ h.shape).T
     phase = np.where(like, turn.conj() / np.maximum(np.abs(turn), 1e-300), 0)
-    return share, np.asarray(h.shape @ phase)
+    return share, h.shape @ phase

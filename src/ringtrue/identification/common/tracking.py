@@ -11,12 +11,8 @@ from scipy.special import chdtrc
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int, freeze_fields
 from ringtrue.core.modes import ModeSet, Uncertainty
-from ringtrue.errors import ConfigError, DataError, InputError
-from ringtrue.shapes.mac import mac
-
-_FAR = 1e6
-_CHANCE = 0.01  # of a row of stretches without a mode
-_PLAIN = 0.95  # MAC that leaves no doubt
+from ringtrue.errors import DataError, InputError
+from ringtrue.shapes import mac
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,7 +25,7 @@ class Stretch:
 
 
 @dataclass(frozen=True, slots=True)
-class TrackSettings:
+class TrackLimits:
     """How modes of successive stretches are matched.
 
     Attributes
@@ -37,30 +33,32 @@ class TrackSettings:
     step : float
         Relative change of frequency from one stretch to the next that may be; over n times the
         usual time sqrt(n) of it, three times at most, and twice as much where the MAC is above
-        0.95. Four standard deviations may always be.
+        `plain`. Four standard deviations may always be.
     mac : float
         Smallest MAC with the shape followed, on the common channels.
+    plain : float
+        MAC that leaves no doubt.
+    parts : float
+        MAC of the mean shapes of two parts of one mode.
     memory : float
         Weight of a new shape in the shape followed: it may turn slowly, as it does where two modes
         veer.
     least : int
         Stretches that make a mode; rarer ones are listed as rare.
+    chance : float
+        Of a row of stretches without a mode, below which it has come or gone.
     """
 
     step: float = 0.02
     mac: float = 0.6
+    plain: float = 0.95
+    parts: float = 0.9
     memory: float = 0.3
     least: int = 3
+    chance: float = 0.01
 
-    def __post_init__(self) -> None:
-        if not (
-            0 < self.step < 1 and 0 <= self.mac < 1 and 0 < self.memory <= 1 and self.least >= 1
-        ):
-            raise ConfigError(
-                f"tracking: step {self.step} and memory {self.memory} must be in 0 .. 1, mac "
-                f"{self.mac} below 1, "
-                f"least {self.least} 1 or more"
-            )
+
+LIMITS = TrackLimits()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,21 +135,18 @@ class _Thread:
     frequency: float
     shape: Complex
 
-    def joined(
-        self, member: tuple[int, int], frequency: float, psi: Complex, memory: float
-    ) -> _Thread:
+    def joined(self, member: tuple[int, int], frequency: float, psi: Complex) -> _Thread:
         """With one more member; the shape turns towards it, the frequency is the newest."""
         on = np.isfinite(psi)
         known = on & np.isfinite(self.shape)
         turn = complex(self.shape[known].conj() @ psi[known])
         new = psi * (turn.conjugate() / abs(turn) if turn else 1.0)
-        shape = np.where(
-            on, np.where(known, (1 - memory) * self.shape + memory * new, new), self.shape
-        )
+        mixed = (1 - LIMITS.memory) * self.shape + LIMITS.memory * new
+        shape = np.where(on, np.where(known, mixed, new), self.shape)
         return _Thread((*self.members, member), frequency, shape)
 
 
-def track_modes(stretches: Sequence[Stretch], settings: TrackSettings | None = None) -> Tracked:
+def track_modes(stretches: Sequence[Stretch]) -> Tracked:
     """Follow all modes through the stretches; a mode may be missing in any of them.
 
     Each stretch is assigned at once to the modes known so far, at the least sum of 1 - MAC and
@@ -163,14 +158,12 @@ def track_modes(stretches: Sequence[Stretch], settings: TrackSettings | None = N
     ----------
     stretches : sequence of Stretch
         Ascending in time; stretches may have different channels, but must share some.
-    settings : TrackSettings, optional
 
     Raises
     ------
     DataError
         Without stretches, or if they do not ascend.
     """
-    s = settings or TrackSettings()
     if not stretches:
         raise DataError("no stretch to follow modes through")
     times = np.array([x.time for x in stretches])
@@ -178,21 +171,30 @@ def track_modes(stretches: Sequence[Stretch], settings: TrackSettings | None = N
         raise DataError(f"the stretches must ascend in time; got {times[:8].tolist()} h")
     channels = tuple(dict.fromkeys(c for x in stretches for c in x.modes.channels))
     shapes = [_on_all(x.modes, channels) for x in stretches]
-    threads: list[_Thread] = []
     clock = ticks(times)
+    threads: list[_Thread] = []
     for k, stretch in enumerate(stretches):
-        threads = _advance(
-            threads, (k, clock), stretch=stretch, psi=shapes[k], all_of=stretches, s=s
-        )
-    tracks = [
-        _track(t, stretches, shapes)
-        for t in _mended(threads, stretches, shapes=shapes, clock=clock, s=s)
-    ]
+        gap = np.array([clock[k] - clock[t.members[-1][0]] for t in threads])
+        last = [stretches[i].uncertainty.frequency[j] for i, j in (t.members[-1] for t in threads)]
+        cost = _cost(threads, stretch, shapes[k], gap, _finite(np.array(last)))
+        left = set(range(len(stretch.modes)))
+        rows, columns = linear_sum_assignment(cost)
+        for i, j in zip(rows.tolist(), columns.tolist(), strict=True):
+            if cost[i, j] < NEVER:
+                f = float(stretch.modes.frequencies[j])
+                threads[i] = threads[i].joined((k, j), f, shapes[k][:, j])
+                left.discard(j)
+        for j in sorted(left):
+            f = float(stretch.modes.frequencies[j])
+            threads.append(_Thread(((k, j),), f, shapes[k][:, j]))
+    tracks = [_track(t.members, stretches, shapes) for t in threads]
+    tracks = _with_parts_joined(tracks, stretches, shapes, clock)
     tracks.sort(key=lambda t: (int(t.at[0]), float(t.frequency[0])))
-    known = [t for t in tracks if t.at.size >= min(s.least, len(stretches))]
-    rare = [t for t in tracks if t.at.size < min(s.least, len(stretches))]
+    least = min(LIMITS.least, len(stretches))
+    known = [t for t in tracks if t.at.size >= least]
+    rare = tuple(t for t in tracks if t.at.size < least)
     named = tuple(replace(t, name=str(i + 1)) for i, t in enumerate(known))
-    return Tracked(times, channels, named, tuple(rare))
+    return Tracked(times, channels, named, rare)
 
 
 def ticks(times: Float) -> Float:
@@ -230,139 +232,93 @@ def common_mac(a: Complex, b: Complex) -> Float:
     return out
 
 
-def _cost(
-    f: Float,
-    spread: Float,
-    shape: Complex,
-    to_f: Float,
-    to_spread: Float,
-    to_shape: Complex,
-    gate: Float,
-    least: float,
-) -> Float:
-    """(a, b) cost of joining modes a to b, `_FAR` where they may not be; `gate` (a,) relative
-    change of frequency.
+NEVER = 1e6
+
+
+def _cost(threads: list[_Thread], stretch: Stretch, psi: Complex, gap: Float, last: Float) -> Float:
+    """(thread, mode) cost of joining modes of one more stretch, `NEVER` where they may not be.
+
+    `gap` (thread,) is the time since the last member, and `last` its deviation.
     """
-    df = np.abs(to_f - f[:, None])
-    like = common_mac(shape, to_shape)
-    reach = _reach(gate[:, None] * f[:, None], like, np.hypot(spread[:, None], to_spread))
-    return np.where((df <= reach) & (like >= least), 1 - like + 0.5 * (df / reach) ** 2, _FAR)
-
-
-def _reach(step: Float, like: Float, spread: Float) -> Float:
-    """Change of frequency that may be, Hz."""
-    return np.maximum(np.where(like > _PLAIN, 2.0, 1.0) * step, 4 * spread)
-
-
-def _advance(
-    threads: list[_Thread],
-    now: tuple[int, Float],
-    stretch: Stretch,
-    psi: Complex,
-    all_of: Sequence[Stretch],
-    s: TrackSettings,
-) -> list[_Thread]:
-    """The threads after one more stretch; `now` is its position and the clock of all."""
-    k, clock = now
     f = stretch.modes.frequencies
-    sf = _finite(stretch.uncertainty.frequency)
-    left = set(range(f.size))
-    threads = list(threads)
-    if threads and f.size:
-        gap = np.array([clock[k] - clock[t.members[-1][0]] for t in threads])
-        last = np.array(
-            [
-                _finite(all_of[i].uncertainty.frequency)[j]
-                for i, j in (t.members[-1] for t in threads)
-            ]
-        )
-        shape = np.stack([t.shape for t in threads], axis=1)
-        known = np.array([t.frequency for t in threads])
-        cost = _cost(
-            known,
-            last,
-            shape=shape,
-            to_f=f,
-            to_spread=sf,
-            to_shape=psi,
-            gate=s.step * np.clip(np.sqrt(gap), 1, 3),
-            least=s.mac,
-        )
-        for i, j in zip(*linear_sum_assignment(cost), strict=True):
-            if cost[i, j] < _FAR:
-                threads[i] = threads[i].joined((k, int(j)), float(f[j]), psi[:, j], s.memory)
-                left.discard(int(j))
-    return threads + [_Thread(((k, j),), float(f[j]), psi[:, j]) for j in sorted(left)]
+    if not threads or not f.size:
+        return np.full((len(threads), f.size), NEVER)
+    known = np.array([t.frequency for t in threads])[:, None]
+    like = common_mac(np.stack([t.shape for t in threads], axis=1), psi)
+    spread = np.hypot(last[:, None], _finite(stretch.uncertainty.frequency))
+    reach = _reach(known, gap[:, None], like, spread)
+    df = np.abs(f - known)
+    may_be = (df <= reach) & (like >= LIMITS.mac)
+    return np.where(may_be, 1 - like + 0.5 * (df / reach) ** 2, NEVER)
+
+
+def _reach(frequency: Float, gap: Float, like: Float, spread: Float) -> Float:
+    """Change of frequency that may be over a gap in time, Hz."""
+    step = LIMITS.step * np.clip(np.sqrt(gap), 1, 3) * frequency
+    return np.maximum(np.where(like > LIMITS.plain, 2.0, 1.0) * step, 4 * spread)
 
 
 def _finite(x: Float) -> Float:
     return np.where(np.isfinite(x), x, 0.0)
 
 
-def _mended(
-    threads: list[_Thread],
-    stretches: Sequence[Stretch],
-    shapes: Sequence[Complex],
-    clock: Float,
-    s: TrackSettings,
-) -> list[_Thread]:
-    """Threads that never occur in one stretch together, and agree where they come next to each
+def _with_parts_joined(
+    tracks: list[ModeTrack], stretches: Sequence[Stretch], shapes: Sequence[Complex], clock: Float
+) -> list[ModeTrack]:
+    """Tracks that never occur in one stretch together, and agree where they come next to each
     other, made one.
     """
-    tracks = [_track(t, stretches, shapes) for t in threads]
-    merged = True
-    while merged:
-        merged = False
-        for i in range(len(tracks)):
-            for j in range(i + 1, len(tracks)):
-                if _one(tracks[i], tracks[j], clock, s):
-                    members = tuple(sorted((*_members(tracks[i]), *_members(tracks[j]))))
-                    tracks[i] = _track(_Thread(members, 0.0, tracks[i].shape), stretches, shapes)
-                    del tracks[j]
-                    merged = True
-                    break
-            if merged:
-                break
-    return [_Thread(_members(t), 0.0, t.shape) for t in tracks]
+    tracks = list(tracks)
+    i = 0
+    while i < len(tracks):
+        later = range(i + 1, len(tracks))
+        part = next((j for j in later if _one(tracks[i], tracks[j], clock)), None)
+        if part is None:
+            i += 1
+            continue
+        members = sorted((*_members(tracks[i]), *_members(tracks[part])))
+        tracks[i] = _track(tuple(members), stretches, shapes)
+        del tracks[part]
+        i = 0
+    return tracks
 
 
 def _members(t: ModeTrack) -> tuple[tuple[int, int], ...]:
     return tuple(zip(t.at.tolist(), t.mode.tolist(), strict=True))
 
 
-def _one(a: ModeTrack, b: ModeTrack, clock: Float, s: TrackSettings) -> bool:
+def _one(a: ModeTrack, b: ModeTrack, clock: Float) -> bool:
     """Whether two tracks are parts of one mode."""
     like = common_mac(a.shape[:, None], b.shape[:, None])[0, 0]
-    if np.intersect1d(a.at, b.at).size or like < max(0.9, s.mac):
+    if np.intersect1d(a.at, b.at).size or like < LIMITS.parts:
         return False
-    distance = np.abs(clock[a.at][:, None] - clock[b.at])
-    i, j = np.unravel_index(distance.argmin(), distance.shape)
-    step = s.step * np.clip(np.sqrt(distance[i, j]), 1, 3) * a.frequency[i]
+    gap = np.abs(clock[a.at][:, None] - clock[b.at])
+    i, j = np.unravel_index(gap.argmin(), gap.shape)
     spread = np.hypot(_finite(a.std_frequency)[i], _finite(b.std_frequency)[j])
-    return bool(abs(a.frequency[i] - b.frequency[j]) <= _reach(step, like, spread))
+    reach = _reach(a.frequency[i], gap[i, j], like, spread)
+    return bool(abs(a.frequency[i] - b.frequency[j]) <= reach)
 
 
-def _track(t: _Thread, stretches: Sequence[Stretch], shapes: Sequence[Complex]) -> ModeTrack:
-    at, mode = (np.array(x, dtype=np.int64) for x in zip(*t.members, strict=True))
-    psi = np.stack([shapes[k][:, j] for k, j in t.members], axis=1)
+def _track(
+    members: tuple[tuple[int, int], ...],
+    stretches: Sequence[Stretch],
+    shapes: Sequence[Complex],
+) -> ModeTrack:
+    at, mode = (np.array(x, dtype=np.int64) for x in zip(*members, strict=True))
+    psi = np.stack([shapes[k][:, j] for k, j in members], axis=1)
     mean = _mean(psi)
-    like = common_mac(mean[:, None], psi)[0]
-
-    def of(what: str, source: str) -> Float:
-        parts = [getattr(getattr(stretches[k], source), what)[j] for k, j in t.members]
-        return np.array(parts, dtype=np.float64)
-
+    rows = [(stretches[k].modes, stretches[k].uncertainty, j) for k, j in members]
     return ModeTrack(
         name="",
         at=at,
         mode=mode,
-        frequency=of("frequencies", "modes"),
-        std_frequency=of("frequency", "uncertainty"),
-        damping=of("damping", "modes"),
-        std_damping=of("damping", "uncertainty"),
-        confidence=of("confidence", "modes"),
+        frequency=np.array([m.frequencies[j] for m, _, j in rows]),
+        std_frequency=np.array([u.frequency[j] for _, u, j in rows]),
+        damping=np.array([m.damping[j] for m, _, j in rows]),
+        std_damping=np.array([u.damping[j] for _, u, j in rows]),
+        confidence=np.array([m.confidence[j] for m, _, j in rows]),
         shape=mean,
-        mac=like,
+        mac=common_mac(mean[:, None], psi)[0],
     )
 
 
@@ -390,12 +346,14 @@ def unseen(tracked: Tracked, track: ModeTrack) -> tuple[int, int]:
     before = int(track.at[0])
     after = tracked.times.size - 1 - int(track.at[-1])
     missed = 1 - track.at.size / (track.at[-1] - track.at[0] + 2)
-    return (before if missed**before < _CHANCE else 0), (after if missed**after < _CHANCE else 0)
+    came = before if missed**before < LIMITS.chance else 0
+    went = after if missed**after < LIMITS.chance else 0
+    return came, went
 
 
 @dataclass(frozen=True, slots=True)
 class LevelCheck:
-    """Settings of `level_dependence`.
+    """When modes depend on the level.
 
     Attributes
     ----------
@@ -410,6 +368,9 @@ class LevelCheck:
     significance: float = 0.01
     mac_min: float = 0.7
     shift_max: float = 0.1
+
+
+LEVELS = LevelCheck()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -452,9 +413,7 @@ class LevelDependence:
 
 
 def level_dependence(
-    levels: Sequence[float],
-    found: Sequence[tuple[ModeSet, Uncertainty]],
-    settings: LevelCheck | None = None,
+    levels: Sequence[float], found: Sequence[tuple[ModeSet, Uncertainty]]
 ) -> LevelDependence:
     """Follow the modes over force levels and test whether they stay.
 
@@ -464,21 +423,15 @@ def level_dependence(
         Force of each result (rms, or peak of the hits), any unit, positive.
     found : sequence of (ModeSet, Uncertainty)
         Of each level, same channels.
-    settings : LevelCheck, optional
 
     Raises
     ------
     InputError
         If there are fewer than two levels, or levels that are not positive and different.
     """
-    settings = settings or LevelCheck()
     force = np.asarray(levels, dtype=np.float64)
-    if (
-        force.size < 2
-        or force.size != len(found)
-        or (force <= 0).any()
-        or np.unique(force).size != force.size
-    ):
+    each_once = np.unique(force).size == force.size == len(found)
+    if force.size < 2 or not each_once or (force <= 0).any():
         raise InputError(
             f"levels {force.tolist()} for {len(found)} results: two or more, positive, "
             "different, one each"
@@ -489,24 +442,26 @@ def level_dependence(
     last = first
     for i, k in enumerate(order):  # a handful of levels, each followed from the one before
         modes, std = found[k]
-        here, there = track(last, modes, settings)
+        here, there = track(last, modes)
         values[:, i, here] = np.stack(
             [modes.frequencies, modes.damping, std.frequency, std.damping]
         )[:, there]
-        last = _moved(last, modes, here, there)
+        # with the frequencies of the level just seen, so that slow drift is followed
+        f = last.frequencies.copy()
+        f[here] = modes.frequencies[there]
+        last = replace(last, frequencies=f)
     x = np.log(force[order])
     slope_f, dev_f, chance_f = _trend(x, values[0], values[2])
     slope_z, dev_z, chance_z = _trend(x, values[1], values[3])
     # Bonferroni: all tests together
-    each = settings.significance / max(2 * np.isfinite(chance_f).sum(), 1)
+    each = LEVELS.significance / max(2 * np.isfinite(chance_f).sum(), 1)
     linear = ~((chance_f < each) | (chance_z < each))
-    f, z, std_f, std_z = values
     return LevelDependence(
         levels=force[order],
-        frequency=f,
-        damping=z,
-        std_frequency=std_f,
-        std_damping=std_z,
+        frequency=values[0],
+        damping=values[1],
+        std_frequency=values[2],
+        std_damping=values[3],
         slope_frequency=slope_f,
         slope_damping=slope_z,
         std_slope_frequency=dev_f,
@@ -517,30 +472,15 @@ def level_dependence(
     )
 
 
-def track(a: ModeSet, b: ModeSet, settings: LevelCheck) -> tuple[Int, Int]:
+def track(a: ModeSet, b: ModeSet) -> tuple[Int, Int]:
     """Positions in `a` and `b` of the pairs with the largest total MAC, near in frequency."""
     b = b.rows(a.channels)
     similarity = mac(a.shapes, b.shapes)
     far = np.abs(np.log(a.frequencies[:, None] / b.frequencies))
-    ok = (similarity >= settings.mac_min) & (far <= settings.shift_max)
+    ok = (similarity >= LEVELS.mac_min) & (far <= LEVELS.shift_max)
     here, there = linear_sum_assignment(np.where(ok, similarity - far, -1.0), maximize=True)
     good = ok[here, there]
     return here[good], there[good]
-
-
-def _moved(last: ModeSet, modes: ModeSet, here: Int, there: Int) -> ModeSet:
-    """`last` with the frequencies of the level just seen, so that slow drift is followed."""
-    f = last.frequencies.copy()
-    f[here] = modes.frequencies[there]
-    return ModeSet(
-        frequencies=f,
-        damping=last.damping,
-        shapes=last.shapes,
-        labels=last.labels,
-        norm=last.norm,
-        source=last.source,
-        confidence=last.confidence,
-    )
 
 
 def _trend(x: Float, value: Float, std: Float) -> tuple[Float, Float, Float]:
@@ -560,7 +500,7 @@ def _trend(x: Float, value: Float, std: Float) -> tuple[Float, Float, Float]:
     slope = (w * dx * (y - ym)).sum(axis=0) / sxx
     chance = chdtrc((w > 0).sum(axis=0) - 1, (w * (y - ym) ** 2).sum(axis=0))
     return (
-        np.asarray(slope),
-        np.asarray(1 / np.sqrt(sxx)),
+        slope,
+        1 / np.sqrt(sxx),
         np.where(np.isfinite(sxx), chance, np.nan),
     )

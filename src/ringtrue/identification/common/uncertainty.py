@@ -48,7 +48,7 @@ def hankel(r: Any_, rows: int) -> Any_:
     view = as_strided(
         by_channel, (rows, ch, rows * ref), (ref * item, lags * ref * item, item), writeable=False
     )
-    return np.asarray(view.reshape(rows * ch, rows * ref))
+    return view.reshape(rows * ch, rows * ref)
 
 
 def deviations(r: Any_, weights: Float) -> tuple[Float, Any_]:
@@ -127,9 +127,8 @@ def pole_deviations(p: Perturbations, row: Complex, mu: Complex, right: Complex)
     of O's QR.
     """
     n = row.shape[1]
-    return np.asarray(
-        _bilinear(row, p.down[:, :n, :n], right)
-        - mu[:, None] * _bilinear(row, p.up[:, :n, :n], right)
+    return _bilinear(row, p.down[:, :n, :n], right) - mu[:, None] * _bilinear(
+        row, p.up[:, :n, :n], right
     )
 
 
@@ -147,19 +146,18 @@ def strengths(p: Perturbations, s: Float, left: Complex) -> Float:
 
 
 def shape_deviations(
-    p: Perturbations, a_parts: tuple[Float, Complex, Complex, Complex], c: Float, i: int, r: Float
+    p: Perturbations, eigen: tuple[Complex, Complex, Complex], c: Float, i: int, r: Float
 ) -> Complex:
     """Δψ (ch, block) of the shape ψ = C φ_i of one mode, its largest component held at 1.
 
-    `a_parts` = A, its eigenvalues μ (n,), right vectors φ (n, n) and left vectors (n, n); `c` (ch,
-    n).
+    `eigen` are the eigenvalues μ (n,) of A, right vectors φ (n, n) and left vectors (n, n); `c`
+    (ch, n).
     """
-    _, mu, right, left = a_parts
+    mu, right, left = eigen
     n = r.shape[0]
     phi = right[:, i]
-    load = (p.down[:, :n, :n] - mu[i].real * p.up[:, :n, :n]) @ phi - 1j * mu[i].imag * (
-        p.up[:, :n, :n] @ phi
-    )
+    up = p.up[:, :n, :n]
+    load = (p.down[:, :n, :n] - mu[i].real * up) @ phi - 1j * mu[i].imag * (up @ phi)
     gain = mu[i] - mu
     gain[i] = np.inf
     d_phi = right @ ((left @ solve_triangular(r, load.T)) / gain[:, None])

@@ -18,20 +18,34 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ringtrue.core.arrays import Any_, Complex, Float
-from ringtrue.core.impacts import Impacts
-from ringtrue.core.motions import POWER
-from ringtrue.core.signals import FrfSet
+from ringtrue.core.arrays import Any_, Complex, Float, Int
+from ringtrue.core.channels import POWER
+from ringtrue.core.signals import FrfSet, Impacts
 from ringtrue.errors import InputError
 
-_MOST_SMOOTH = 48  # terms
-_STANDS_OUT = 5.0  # times the power of the typical function of what a fit leaves
-_WITHIN = 1e-6  # of a residual term, that polynomials leave: it is one of them
-_TURN = 2j * np.pi
-NODES = 12
-# of a stretch, over its distance from the nearest pole: the functions are right to (2 + √3)^-NODES
-LENGTH = 2.0
-_FAR_FEWER = 0.8  # of the lines
+
+def cmif(data: Complex) -> Float:
+    """Complex mode indicator function: singular values (freq, in), descending, of `data` (freq,
+    out, in).
+    """
+    gram = data.conj().transpose(0, 2, 1) @ data
+    values = np.linalg.eigvalsh(gram)[:, ::-1]
+    return np.asarray(np.sqrt(np.maximum(values, 0)))
+
+
+def count_peaks(curve: Float) -> Int:
+    """Positions of the peaks of the first two singular values that stand 2 dB above their
+    surroundings.
+    """
+    from scipy.signal import find_peaks  # slow to import, and few commands need it
+
+    level = 20 * np.log10(np.maximum(curve[:, :2], curve.max() * 1e-9))
+    kernel = np.ones(3) / 3
+    found = [find_peaks(np.convolve(c, kernel, "same"), prominence=2.0)[0] for c in level.T]
+    return np.concatenate(found).astype(np.int64)
+
+
+NODES = 12  # that stand for the lines of a stretch
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,8 +74,6 @@ class Lines:
     Attributes
     ----------
     s : (freq,) complex128, rad/s
-    kind : (freq,) complex128
-        s^p that turns receptance into the kind of the data.
     y : (in, freq, out) complex128
         Weighted data, without its part in the span of the residual terms.
     power : (out,) float64
@@ -77,7 +89,7 @@ class Lines:
     input : (in,) float64
         Weight of each input, in `y`; a participation vector times it belongs to `y`.
     order : int
-        p of `kind`.
+        p of the s^p that turns receptance into the kind of the data.
     kept : float, s
         Length of response behind the FRFs, `FrfSet.kept`.
     hann : float, s
@@ -87,7 +99,6 @@ class Lines:
     """
 
     s: Complex
-    kind: Complex
     y: Complex
     power: Float
     weight: Float
@@ -100,6 +111,11 @@ class Lines:
     hann: float
     impacts: Impacts | None
 
+    @property
+    def kind(self) -> Complex:
+        """(freq,) s^p."""
+        return np.asarray(self.s**self.order, dtype=np.complex128)
+
 
 def prepare(frfs: FrfSet, sigma: Noise, smooth: int = 0) -> Lines:
     """Weight the data and project out the lower and upper residuals, and so many `smooth` terms.
@@ -111,35 +127,30 @@ def prepare(frfs: FrfSet, sigma: Noise, smooth: int = 0) -> Lines:
     s = np.asarray(2j * np.pi * frfs.freqs + frfs.window_decay, dtype=np.complex128)
     if (frfs.freqs <= 0).any():
         raise InputError("the line at 0 Hz has no place in a fit of modes: leave it out")
-    kind = np.asarray(s ** POWER[frfs.kind], dtype=np.complex128)
+    order = POWER[frfs.kind]
+    kind = np.asarray(s**order, dtype=np.complex128)
     weight = 1 / sigma.line
     given = 1 / sigma.input
     t = kind[:, None] * np.stack([(s[0] / s) ** 2, np.ones(s.size), (s / s[-1]) ** 2], axis=1)
-    if (
-        np.isfinite(frfs.kept) or frfs.hann
-    ):  # λ^p for s^p: what is cut off, or faded, leaves a polynomial
+    # λ^p for s^p: what is cut off, or faded, leaves a polynomial
+    if np.isfinite(frfs.kept) or frfs.hann:
         t = np.concatenate([t, (kind * s[0] / s)[:, None]], axis=1)
     flat = np.linalg.qr(weight[:, None] * polynomials(s.imag, smooth))[0]
-    residual = without(flat, weight[:, None] * t)
-    residual = residual[
-        :, np.linalg.norm(residual, axis=0) > _WITHIN * np.linalg.norm(weight[:, None] * t, axis=0)
-    ]
-    terms = np.linalg.qr(residual)[0]
-    y = without(
-        terms, without(flat, weight[:, None] * given[:, None, None] * frfs.data.transpose(2, 0, 1))
-    )
+    weighted = weight[:, None] * t
+    residual = without(flat, weighted)
+    new = np.linalg.norm(residual, axis=0) > 1e-6 * np.linalg.norm(weighted, axis=0)
+    terms = np.linalg.qr(residual[:, new])[0]
+    data = weight[:, None] * given[:, None, None] * frfs.data.transpose(2, 0, 1)
+    y = without(terms, without(flat, data))
     power = np.einsum("ifo,ifo->o", y.real, y.real) + np.einsum("ifo,ifo->o", y.imag, y.imag)
-    order = POWER[frfs.kind]
-    response = 1 / sigma.response
     return Lines(
         s=s,
-        kind=kind,
         y=y,
         power=power,
         weight=weight,
         terms=terms,
         smooth=flat,
-        response=response,
+        response=1 / sigma.response,
         input=given,
         order=order,
         kept=frfs.kept,
@@ -150,9 +161,8 @@ def prepare(frfs: FrfSet, sigma: Noise, smooth: int = 0) -> Lines:
 
 def polynomials(x: Float, count: int) -> Float:
     """(freq, count) Legendre polynomials of the lines `x`, by their degree."""
-    return np.asarray(
-        np.polynomial.legendre.legvander(2 * (x - x[0]) / (x[-1] - x[0]) - 1, count)[:, :count]
-    )
+    place = 2 * (x - x[0]) / (x[-1] - x[0]) - 1
+    return np.polynomial.legendre.legvander(place, count)[:, :count]
 
 
 def smooth_rest(lines: Lines, poles: Complex, rest: Complex) -> Float:
@@ -165,11 +175,11 @@ def smooth_rest(lines: Lines, poles: Complex, rest: Complex) -> Float:
     is narrower than the typical mode.
     """
     width = 2 * float(np.median(np.abs(poles.real)))
-    most = int(min(_MOST_SMOOTH, np.ptp(lines.s.imag) / width, rest.shape[1] / 16))
+    most = int(min(48, np.ptp(lines.s.imag) / width, rest.shape[1] / 16))
     basis = np.linalg.qr(lines.weight[:, None] * polynomials(lines.s.imag, most))[0]
     power = 2 * ((basis.T @ np.ascontiguousarray(rest).view(np.float64)) ** 2).mean(axis=(0, 2))
-    out = np.flatnonzero(power > _STANDS_OUT * (np.abs(rest) ** 2).mean())
-    return np.asarray(basis[:, : out.max(initial=-1) + 1])
+    out = np.flatnonzero(power > 5.0 * (np.abs(rest) ** 2).mean())
+    return basis[:, : out.max(initial=-1) + 1]
 
 
 def without(basis: Any_, y: Complex) -> Complex:
@@ -179,7 +189,7 @@ def without(basis: Any_, y: Complex) -> Complex:
     parts = y if np.iscomplexobj(basis) else np.ascontiguousarray(y).view(np.float64)
     inside = basis @ (basis.conj().T @ parts)
     # new memory costs as much again
-    return np.asarray(np.subtract(parts, inside, out=inside).view(np.complex128))
+    return np.subtract(parts, inside, out=inside).view(np.complex128)
 
 
 def resonances(lines: Lines, poles: Complex) -> tuple[Complex, Complex]:
@@ -187,9 +197,10 @@ def resonances(lines: Lines, poles: Complex) -> tuple[Complex, Complex]:
     λ.
 
     The rest of the response, λ^p e^{λt} from τ on, is missing: λ^p e^{(λ−s)τ}/(s − λ). Of blocks
-    under a Hann window what that takes of the response is missing (`leakage.faded`).
+    under a Hann window what that takes of the response is missing (`faded`).
     """
     far = 1 / (lines.s[:, None] - poles)
+    kind = lines.kind[:, None]
     if lines.hann:
         share, slope = faded(lines.s, poles, lines.hann)
         tail = poles**lines.order * share
@@ -198,9 +209,9 @@ def resonances(lines: Lines, poles: Complex) -> tuple[Complex, Complex]:
         tail = poles**lines.order * np.exp((poles - lines.s[:, None]) * lines.kept)
         tail_slope = tail * (lines.order / poles + lines.kept)
     else:
-        value = lines.kind[:, None] * far
+        value = kind * far
         return value, value * far
-    value = (lines.kind[:, None] - tail) * far
+    value = (kind - tail) * far
     return value, (value - tail_slope) * far
 
 
@@ -227,14 +238,14 @@ def mirrored(a: Complex) -> Complex:
     (both axes).
     """
     n = a.shape[-1] // 2
-    return np.asarray(a + np.roll(np.roll(a.conj(), n, axis=-1), n, axis=-2))
+    return a + np.roll(np.roll(a.conj(), n, axis=-1), n, axis=-2)
 
 
 def mirrored_rows(a: Complex) -> Complex:
     """The same for products with the data: an array (..., 2 m, out) and its partner from the
     conjugate data.
     """
-    return np.asarray(a + np.roll(a.conj(), a.shape[-2] // 2, axis=-2))
+    return a + np.roll(a.conj(), a.shape[-2] // 2, axis=-2)
 
 
 def augment(x: Complex) -> Complex:
@@ -255,29 +266,20 @@ def faded(s: Complex, poles: Complex, length: float) -> tuple[Complex, Complex]:
     length : float, s
         T.
     """
+    turn = 2j * np.pi
     a = (poles - s[:, None]) * length
     growth = np.expm1(a)  # of e^a, the same for a ± 2πi
-    ramps = [_ramp(x, growth) for x in (a, a + _TURN, a - _TURN)]
-    waves = [_wave(x, growth) for x in (a + _TURN, a - _TURN)]
-    value, slope = (
-        2 / 3 * ramps[0][k]
-        + (ramps[1][k] + ramps[2][k]) / 6
-        + (waves[0][k] - waves[1][k]) / (4j * np.pi)
-        for k in (0, 1)
-    )
+    value = np.zeros_like(a)
+    slope = np.zeros_like(a)
+    for x, share in ((a, 2 / 3), (a + turn, 1 / 6), (a - turn, 1 / 6)):
+        ramp = (growth - x) / x**2  # ∫ (1 − x) e^{ax} dx over 0..1
+        value += share * ramp
+        slope += share * (growth / x**2 - 2 * ramp / x)
+    for x, sign in ((a + turn, 1.0), (a - turn, -1.0)):
+        wave = growth / x  # ∫ e^{ax} dx over 0..1
+        value += sign * wave / (2 * turn)
+        slope += sign * (growth + 1 - wave) / x / (2 * turn)
     return 1 + a * value, length * (value + a * slope)
-
-
-def _ramp(a: Complex, growth: Complex) -> tuple[Complex, Complex]:
-    """∫ (1 − x) e^{ax} dx over 0..1 and its derivative; `growth` is e^a − 1."""
-    value = (growth - a) / a**2
-    return value, growth / a**2 - 2 * value / a
-
-
-def _wave(a: Complex, growth: Complex) -> tuple[Complex, Complex]:
-    """∫ e^{ax} dx over 0..1 and its derivative."""
-    value = growth / a
-    return value, (growth + 1 - value) / a
 
 
 def condensed(lines: Lines, poles: Complex, reach: Float) -> Lines:
@@ -299,15 +301,20 @@ def condensed(lines: Lines, poles: Complex, reach: Float) -> Lines:
         return lines
     x = lines.s.imag
     stretches = [(a, b, b - a > NODES) for a, b in _stretches(x, _room(lines, poles, reach))]
-    if sum(NODES if long else b - a for a, b, long in stretches) > _FAR_FEWER * x.size:
+    if sum(NODES if long else b - a for a, b, long in stretches) > 0.8 * x.size:
         return lines
-    parts = [_nodes(lines, a, b) if long else _as_they_are(lines, a, b) for a, b, long in stretches]
+    parts = []
+    for a, b, long in stretches:
+        if long:
+            parts.append(_nodes(lines, a, b))
+            continue
+        at = slice(a, b)
+        own = lines.y[:, at]
+        parts.append((lines.s[at], lines.weight[at], own, lines.terms[at], lines.smooth[at]))
     s, weight, y, terms, smooth = zip(*parts, strict=True)
-    nodes = np.concatenate(s)
     return replace(
         lines,
-        s=nodes,
-        kind=nodes**lines.order,
+        s=np.concatenate(s),
         weight=np.concatenate(weight),
         y=np.concatenate(y, axis=1),
         terms=np.concatenate(terms),
@@ -320,17 +327,16 @@ def _room(lines: Lines, poles: Complex, reach: Float) -> Float:
     x = lines.s.imag
     decay = float(lines.s[0].real)
     far = np.abs(lines.s)  # conjugate poles and residual terms: no nearer than 0 Hz
-    for pole, r in zip(
-        poles.tolist(), reach.tolist(), strict=True
-    ):  # (freq, pole) arrays are slower
+    # (freq, pole) arrays are slower
+    for pole, r in zip(poles.tolist(), reach.tolist(), strict=True):
         far = np.minimum(far, np.sqrt((x - pole.imag) ** 2 + (decay - pole.real) ** 2) - r)
-    room = LENGTH * far
-    if n := lines.smooth.shape[1]:  # a wavelength of the polynomial of most of them
+    # the functions are right to (2 + √3)^-NODES in stretches twice as long as that
+    room = 2.0 * far
+    if n := lines.smooth.shape[1]:  # of the polynomial of the highest degree
         place = 2 * (x - x[0]) / np.ptp(x) - 1
-        room = np.minimum(
-            room, np.pi * np.ptp(x) * (np.sqrt(np.maximum(1 - place**2, 0)) + 1 / n) / n
-        )
-    return np.asarray(room)
+        wavelength = np.pi * np.ptp(x) * (np.sqrt(np.maximum(1 - place**2, 0)) + 1 / n) / n
+        room = np.minimum(room, wavelength)
+    return room
 
 
 def _stretches(x: Float, room: Float) -> Iterator[tuple[int, int]]:
@@ -344,10 +350,6 @@ def _stretches(x: Float, room: Float) -> Iterator[tuple[int, int]]:
         start += length
 
 
-def _as_they_are(lines: Lines, a: int, b: int) -> tuple[Complex, Float, Complex, Complex, Float]:
-    return lines.s[a:b], lines.weight[a:b], lines.y[:, a:b], lines.terms[a:b], lines.smooth[a:b]
-
-
 def _nodes(lines: Lines, a: int, b: int) -> tuple[Complex, Float, Complex, Complex, Float]:
     """Places and weights of the nodes, and the data and residual terms there."""
     x = lines.s.imag[a:b]
@@ -355,11 +357,10 @@ def _nodes(lines: Lines, a: int, b: int) -> tuple[Complex, Float, Complex, Compl
     middle = 0.5 * (x[0] + x[-1])
     half = 0.5 * (x[-1] - x[0])
     place = (x - middle) / half
-    polynomials = np.linalg.qr(
-        weight[:, None] * np.polynomial.legendre.legvander(place, NODES - 1)
-    )[0]
-    nodes, turn = np.linalg.eigh(polynomials.T @ (place[:, None] * polynomials))
-    basis = polynomials @ turn
+    legendre = np.polynomial.legendre.legvander(place, NODES - 1)
+    orthogonal = np.linalg.qr(weight[:, None] * legendre)[0]
+    nodes, turn = np.linalg.eigh(orthogonal.T @ (place[:, None] * orthogonal))
+    basis = orthogonal @ turn
     basis *= np.sign(weight @ basis)
     parts = np.ascontiguousarray(lines.y[:, a:b]).view(np.float64)
     y = (basis.T @ parts).view(np.complex128)

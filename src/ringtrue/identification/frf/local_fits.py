@@ -16,27 +16,45 @@ from scipy.optimize import linear_sum_assignment
 from scipy.special import chdtrc
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int, freeze_fields
-from ringtrue.core.modal import ModalModel
-from ringtrue.core.modes import ModeSet, Norm, Uncertainty
-from ringtrue.core.progress import Progress, quiet
+from ringtrue.core.iterate import Progress, quiet
+from ringtrue.core.modes import ModalModel, ModeSet, Norm, Uncertainty
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.errors import InputError
+from ringtrue.identification.frf.data_checks import lines_between
 from ringtrue.identification.frf.lines import prepare
 from ringtrue.identification.frf.pipeline import HammerModes, HammerResult, identify_hammer
 from ringtrue.identification.frf.refinement import refine, shape_deviations
-from ringtrue.identification.frf.residues import blow_factors, noise, normalise
+from ringtrue.identification.frf.residues import blow_factors, driving_pairs, noise, normalise
 from ringtrue.identification.frf.scaling import mode_scale
-from ringtrue.identification.frf.split_modes import FEWEST
-from ringtrue.shapes.mac import mac
+from ringtrue.shapes import mac
 
-CLEAR = 1e-6  # chance of the scatter of a mode over the batches, below which they disagree
-SHIFT = 0.1  # half bandwidths that matter
-# times what the first fit leaves: poles that went astray from the start of another batch
-STRAYED = 1.2
-# shift of a frequency and MAC of participations, of a mode in two batches
-REACH = 0.03
-ALIKE = 0.7
-NEVER = 1e6
+
+@dataclass(frozen=True, slots=True)
+class LocalFitLimits:
+    """When batches disagree, and which of their modes are one.
+
+    Attributes
+    ----------
+    chance : float
+        Of the scatter of a mode over the batches, below which they disagree.
+    shift : float
+        Half bandwidths that matter.
+    strayed : float
+        Times what the first fit leaves: poles that went astray from the start of another batch.
+    reach : float
+        Relative shift of the frequency of a mode in two batches.
+    like : float
+        Least MAC of its participations.
+    """
+
+    chance: float = 1e-6
+    shift: float = 0.1
+    strayed: float = 1.2
+    reach: float = 0.03
+    like: float = 0.7
+
+
+LIMITS = LocalFitLimits()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,26 +69,18 @@ class LocalFit:
     uncertainty : Uncertainty
         Frequency and damping: of the mean, with the scatter over the batches where it is larger
         than stated. Shapes: for the participation vectors as they are; the mass scale adds to it.
-    frequency, damping : (batch, m) float64, Hz and fraction of critical
-    std_frequency, std_damping : (batch, m) float64
+    frequency : (batch, m) float64, Hz
     chance : (m,) float64
         Chance of so much scatter in frequency and damping if the batches agreed (χ² test).
-    reference : int
-        The batch whose modes the others were started from.
     """
 
     modes: ModeSet
     uncertainty: Uncertainty
     frequency: Float
-    damping: Float
-    std_frequency: Float
-    std_damping: Float
     chance: Float
-    reference: int
 
     def __post_init__(self) -> None:
-        f = np.float64
-        freeze_fields(self, frequency=f, damping=f, std_frequency=f, std_damping=f, chance=f)
+        freeze_fields(self, frequency=np.float64, chance=np.float64)
 
 
 def identify_batches(
@@ -116,7 +126,7 @@ def identify_batches(
     alone = dict[int, HammerResult]()
     for i, (batch, fit) in enumerate(zip(batches, found, strict=True)):
         tell(0.6 + 0.4 * i / len(batches), f"batch {i + 1} of {len(batches)}")
-        if fit.left > STRAYED * found[lead].left:
+        if fit.left > LIMITS.strayed * found[lead].left:
             alone[i] = identify_hammer(batch, settings)
     start = _with_unseen(first.model, list(alone.values()))
     for i in range(len(batches)) if start is not first.model else alone:
@@ -126,7 +136,7 @@ def identify_batches(
         np.abs(first.model.frequencies[:, None] - first.modes.frequencies).argmin(axis=0), new
     )
     at = at[np.argsort(start.frequencies[at], kind="stable")]
-    return _joined(batches, [f.take(at) for f in found], start.participation[at], lead)
+    return _joined(batches, [f.take(at) for f in found], start.participation[at], batches[lead])
 
 
 def _with_unseen(modes: ModalModel, others: Sequence[HammerResult]) -> ModalModel:
@@ -176,10 +186,10 @@ def _assigned(modes: ModalModel, poles: Complex, participation: Complex) -> tupl
     """
     shift = np.log(np.abs(poles) / np.abs(modes.poles)[:, None])
     like = mac(modes.participation.T, participation.T)
-    cost = 1 - like + 0.5 * (shift / REACH) ** 2
-    cost[(like < ALIKE) | (np.abs(shift) > 3 * REACH)] = NEVER
+    cost = 1 - like + 0.5 * (shift / LIMITS.reach) ** 2
+    cost[(like < LIMITS.like) | (np.abs(shift) > 3 * LIMITS.reach)] = 1e6
     row, column = linear_sum_assignment(cost)
-    return row, column, cost[row, column] < NEVER
+    return row, column, cost[row, column] < 1e6
 
 
 def with_local_fits(
@@ -201,19 +211,11 @@ def with_local_fits(
     joint : HammerResult
         Of all batches together.
     batches : sequence of FrfSet
-        One that disagrees with itself is parted by the responses that agree
-        (`HammerResult.groups`). None, other inputs, the same responses in all or roving hammers
-        leave the joint result as it is.
+        One alone, other inputs, the same responses in all or roving hammers leave the joint result
+        as it is.
     settings : HammerModes, optional
     progress : callable, optional
     """
-    parts = ""
-    if len(batches) == 1:
-        batches = _parts(batches[0], joint.groups, settings)
-        parts = (
-            ", the responses that agree "
-            f"({'; '.join(' '.join(c.id for c in b.outputs[:8]) for b in batches)}),"
-        )
     inputs = {tuple(c.id for c in b.inputs) for b in batches}
     roving = any(b.data.shape[1] < b.data.shape[2] for b in batches)
     moved = len({tuple(c.id for c in b.outputs) for b in batches}) > 1
@@ -221,7 +223,7 @@ def with_local_fits(
         return joint
     fit = identify_batches(batches, settings, progress=progress)
     half = fit.modes.damping * fit.modes.frequencies
-    clear = (fit.chance < CLEAR) & (np.ptp(fit.frequency, axis=0) > SHIFT * half)
+    clear = (fit.chance < LIMITS.chance) & (np.ptp(fit.frequency, axis=0) > LIMITS.shift * half)
     if not clear.mean() > 0.5:
         return joint
     reasons = tuple(
@@ -230,39 +232,13 @@ def with_local_fits(
         for f, c in zip(fit.frequency.T, fit.chance, strict=True)
     )
     note = (
-        f"the batches{parts} disagree in {int(clear.sum())} of {clear.size} modes: each was "
+        f"the batches disagree in {int(clear.sum())} of {clear.size} modes: each was "
         "fitted by itself, "
         "frequencies and damping are means, shapes are joined (moved sensors load the structure)"
     )
     notes = (*(n for n in joint.notes if n != joint.split_note), note)
     return replace(
         joint, modes=fit.modes, uncertainty=fit.uncertainty, reasons=reasons, notes=notes
-    )
-
-
-def _parts(
-    frfs: FrfSet, groups: Sequence[Sequence[int]], settings: HammerModes | None
-) -> list[FrfSet]:
-    """The FRFs by the responses that agree, those of a group again where these disagree among
-    themselves.
-    """
-    out = []
-    for part in (_responses(frfs, np.array(group)) for group in groups):
-        own = identify_hammer(part, settings).groups if len(part.outputs) >= FEWEST else ()
-        out += _parts(part, own, settings) if own else [part]
-    return out
-
-
-def _responses(frfs: FrfSet, at: Int) -> FrfSet:
-    """The FRFs of some responses."""
-    impacts = frfs.impacts.take(at, np.arange(len(frfs.inputs))) if frfs.impacts else None
-    outputs = tuple(frfs.outputs[k] for k in at.tolist())
-    return replace(
-        frfs,
-        data=frfs.data[:, at],
-        coherence=frfs.coherence[:, at],
-        outputs=outputs,
-        impacts=impacts,
     )
 
 
@@ -291,12 +267,7 @@ class _Local:
 
 
 def _local(batch: FrfSet, band: tuple[float, float], start: ModalModel) -> _Local:
-    at = (
-        (batch.freqs >= band[0] * (1 - 1e-9))
-        & (batch.freqs <= band[1] * (1 + 1e-9))
-        & (batch.freqs > 0)
-    )
-    used = replace(batch, data=batch.data[at], freqs=batch.freqs[at], coherence=batch.coherence[at])
+    used = lines_between(batch, band[0] * (1 - 1e-9), band[1] * (1 + 1e-9))
     lines = prepare(used, noise(used))
     fit = refine(lines, start.poles, start.participation)
     heard, driven = blow_factors(lines, fit.poles)
@@ -316,7 +287,7 @@ def _local(batch: FrfSet, band: tuple[float, float], start: ModalModel) -> _Loca
 
 
 def _joined(
-    batches: Sequence[FrfSet], found: Sequence[_Local], part: Complex, lead: int
+    batches: Sequence[FrfSet], found: Sequence[_Local], part: Complex, first: FrfSet
 ) -> LocalFit:
     poles = np.array([f.poles for f in found])
     std = np.array([f.std for f in found])
@@ -335,19 +306,17 @@ def _joined(
     pole = omega * (-mean[1] + 1j * np.sqrt(np.maximum(1 - mean[1] ** 2, 0)))
     shapes = shapes / pole.imag  # residues of one modal mass go with 1/ω
     none = np.zeros((len(outputs), part.shape[1]), dtype=np.complex128)
-    first = batches[lead]
-    model = normalise(
-        ModalModel(
-            poles=pole,
-            shapes=shapes,
-            participation=part,
-            lower=none,
-            upper=none,
-            outputs=outputs,
-            inputs=first.inputs,
-            kind=first.kind,
-        )
+    unscaled = ModalModel(
+        poles=pole,
+        shapes=shapes,
+        participation=part,
+        lower=none,
+        upper=none,
+        outputs=outputs,
+        inputs=first.inputs,
+        kind=first.kind,
     )
+    model = normalise(unscaled, driving_pairs(unscaled))
     scaled = model.shapes * mode_scale(model)
     deviation = np.array([found[b].deviation[r] for b, r in zip(which, rows, strict=True)])
     norm = Norm.UNSCALED if model.norm is Norm.UNSCALED else Norm.MASS
@@ -362,16 +331,7 @@ def _joined(
     )
     uncertainty = Uncertainty.independent(spread[0], spread[1], deviation * np.abs(scaled))
     chance = chdtrc(2 * n, excess.sum(axis=0))
-    return LocalFit(
-        modes=modes,
-        uncertainty=uncertainty,
-        frequency=value[:, 0],
-        damping=value[:, 1],
-        std_frequency=std[:, 0],
-        std_damping=std[:, 1],
-        chance=chance,
-        reference=lead,
-    )
+    return LocalFit(modes, uncertainty, value[:, 0], chance)
 
 
 def _best(
@@ -386,8 +346,5 @@ def _best(
         for r, c in enumerate(batch.outputs):
             if c.id not in best or doubt[r] < best[c.id][0]:
                 best[c.id] = (float(doubt[r]), r, b, c)
-    return (
-        tuple(v[3] for v in best.values()),
-        [v[1] for v in best.values()],
-        [v[2] for v in best.values()],
-    )
+    _, rows, which, channels = zip(*best.values(), strict=True)
+    return channels, list(rows), list(which)

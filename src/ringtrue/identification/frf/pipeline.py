@@ -7,21 +7,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ringtrue.core.arrays import Complex, Float, freeze_fields
+from ringtrue.core.arrays import Float, freeze_fields
 from ringtrue.core.choice import Choice
-from ringtrue.core.iterate import Outcome
-from ringtrue.core.modal import ModalModel
-from ringtrue.core.modes import ModeSet, Norm, Uncertainty
-from ringtrue.core.progress import Progress, quiet
+from ringtrue.core.iterate import Outcome, Progress, quiet
+from ringtrue.core.modes import ModalModel, ModeSet, Norm, Uncertainty
 from ringtrue.core.signals import FrfSet
 from ringtrue.errors import DataError
-from ringtrue.identification.common.poles import PoleSet, StableDiagram
-from ringtrue.identification.frf.added_modes import missed, support, twins, united
-from ringtrue.identification.frf.cmif import cmif
+from ringtrue.identification.common.manual_selection import hand_poles
+from ringtrue.identification.common.stabilisation import PoleSet, StableDiagram
 from ringtrue.identification.frf.confidence import Assessment, CandidatePoles, assess_candidates
 from ringtrue.identification.frf.data_checks import (
     band_limits,
     block_of_noise,
+    disagreement_note,
     end_note,
     fit_notes,
     frf_notes,
@@ -30,15 +28,14 @@ from ringtrue.identification.frf.data_checks import (
     lines_between,
     looks_faded,
     odd_channel,
-    parted_modes,
     refuse_bad_frfs,
     sound_pairs,
 )
-from ringtrue.identification.frf.lines import Lines, Noise, prepare, smooth_rest, without
-from ringtrue.identification.frf.manual_selection import hand_poles
+from ringtrue.identification.frf.lines import Lines, Noise, cmif, prepare, smooth_rest, without
 from ringtrue.identification.frf.pole_search import band_candidates, choose_bands, merged
 from ringtrue.identification.frf.refinement import Refined, refine, shape_deviations
 from ringtrue.identification.frf.residues import (
+    DrivingPoints,
     blow_factors,
     lsfd,
     noise,
@@ -47,24 +44,52 @@ from ringtrue.identification.frf.residues import (
 )
 from ringtrue.identification.frf.scaling import mode_scale, reciprocity_note, scale_deviations
 from ringtrue.identification.frf.split_modes import (
-    agreeing,
     joined,
     levelled,
+    missed,
     scattered,
     split_modes,
     split_note,
+    support,
+    twins,
+    united,
 )
 from ringtrue.signal.frf_sets import exchange_by_reciprocity
 
-TURNS = 6
-LAST_ITERATIONS = 60
-FADED = 0.95  # of the misfit, that blocks of noise under a Hann window leave as such, if they are
-# times the misfit: of responses that disagree about modes, a mode for each with a pole of its own
-NO_WORSE = 1.05
-# of weights: a coherence takes for noise what rings on from the blow before, and the fit explains
-RINGING_TURNS = 6
-MOST_NEW = 6
-MOST_BYTES = 2e9
+
+@dataclass(frozen=True, slots=True)
+class FitLimits:
+    """How often modes are fitted, and when another model is better.
+
+    Attributes
+    ----------
+    turns : int
+        Most turns of assessment and refinement while modes may be missing.
+    iterations : int
+        Of the last refinement: modes that overlap take their time.
+    ringing : int
+        Turns of weights where responses ring on: a coherence takes for noise what does, and the fit
+        explains it.
+    new : int
+        Most candidates of one search for missed modes.
+    hann : float
+        Of the misfit, that blocks of noise under a Hann window leave as such, if they are.
+    split : float
+        Times the misfit: of responses that disagree about modes, a mode for each with a pole of its
+        own.
+    memory : float, bytes
+    """
+
+    turns: int = 6
+    iterations: int = 60
+    ringing: int = 6
+    new: int = 6
+    hann: float = 0.95
+    split: float = 1.05
+    memory: float = 2e9
+
+
+LIMITS = FitLimits()
 PAIR = "one of two modes of one frequency: any turn of the two shapes in their plane fits as well"
 
 
@@ -79,8 +104,6 @@ class HammerModes:
         used where there are such.
     damping_max : float
         Largest damping ratio of a mode.
-    bands : tuple of (float, float), Hz
-        Bands of the pole search; by default chosen from the data.
     confidence_min : float
         Modes below are left out.
     searches : int
@@ -90,7 +113,6 @@ class HammerModes:
     fmin: float | None = None
     fmax: float | None = None
     damping_max: float = 0.5
-    bands: tuple[tuple[float, float], ...] = ()
     confidence_min: float = 0.5
     searches: int = 10
 
@@ -122,8 +144,6 @@ class HammerResult:
         ‖H − H_fit‖/‖H‖ over the lines of the reported band.
     notes : tuple of str
         What the reader should know of the FRFs and of a choice by hand.
-    groups : tuple of tuple of int
-        Responses that agree with each other, where the FRFs disagree about modes; else none.
     split_note : str
         That of the notes which says so; empty where they agree.
     """
@@ -138,7 +158,6 @@ class HammerResult:
     cmif: Float
     synthesis_error: Float
     notes: tuple[str, ...] = ()
-    groups: tuple[tuple[int, ...], ...] = ()
     split_note: str = ""
 
     def __post_init__(self) -> None:
@@ -190,15 +209,15 @@ def identify_hammer(
         raise DataError(
             f"{frfs.source}: no pole is stable over the orders between {low:g} and {high:g} Hz"
         )
-    if 16 * 6 * candidates.pole.size * used.freqs.size > MOST_BYTES:
+    if 16 * 6 * candidates.pole.size * used.freqs.size > LIMITS.memory:
         raise DataError(
             f"{frfs.source}: {candidates.pole.size} candidates on {used.freqs.size} lines are "
             "too many; narrow the band with fmin, fmax"
         )
     report(0.65, f"residues of {candidates.pole.size} candidates")
-    search = _Search(
+    search = _Fitter(
         lines=prepare(used, sigma),
-        pairs=sound_pairs(used),
+        points=sound_pairs(used),
         settings=settings,
         sets=[diagram.poles for diagram in diagrams],
         decay=used.window_decay,
@@ -207,30 +226,26 @@ def identify_hammer(
     fit, rejected = _fit(search, candidates, report)
     used, search, fit, faded = _of_blocks(used, search, fit)
     report(0.95, "confidence and standard deviations of the modes")
-    for _ in range(1 if np.isinf(used.kept) else RINGING_TURNS):
-        before = fit.refined.poles
-        search, fit, more = _reweighed(search, used, fit)
-        rejected += more
-        if _unmoved(before, fit.refined):
-            break
-    search, fit, split, groups = _whole(search, fit)
+    search, fit, more = _reweighed(search, used, fit)
+    rejected += more
+    search, fit, split = _whole(search, fit)
     by_hand: tuple[str, ...] = ()
     if choice:
         fit, by_hand = _by_hand(search, fit, choice, (low, high))
     modes = _reported(used, search, fit, (low, high))
     reported = lines_between(used, low, high)
-    broken = reciprocity_note(modes.model, search.pairs)
+    broken = reciprocity_note(modes.model, search.points)
     notes = [
         roving,
         end_note(frfs, settings.fmax, high),
         faded,
-        *frf_notes(reported, search.pairs),
+        *frf_notes(reported, search.points),
         broken or modes.scale_note,
         *fit_notes(reported, modes.modes, modes.error),
         *late_channels(modes.modes),
         split,
         odd_channel(used, fit.refined.poles),
-        parted_modes(modes.model),
+        disagreement_note(modes.model),
         *by_hand,
     ]
     return HammerResult(
@@ -244,7 +259,6 @@ def identify_hammer(
         cmif=curve,
         synthesis_error=modes.error,
         notes=tuple(note for note in notes if note),
-        groups=() if roving else groups,
         split_note=split,
     )
 
@@ -253,9 +267,7 @@ def _candidates(
     used: FrfSet, sigma: Noise, curve: Float, settings: HammerModes, report: Progress
 ) -> tuple[CandidatePoles, tuple[StableDiagram, ...]]:
     """Stable poles of all bands, and the diagram of each band."""
-    bands = settings.bands
-    if not bands:
-        bands = choose_bands(used.freqs, curve, float(used.freqs[0]), float(used.freqs[-1]))
+    bands = choose_bands(used.freqs, curve)
     found = []
     diagrams = []
     for k, band in enumerate(bands):
@@ -269,43 +281,43 @@ def _candidates(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Fit:
+class _Assessed:
     refined: Refined
     candidates: CandidatePoles
     assessment: Assessment
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Search:
+class _Fitter:
     """What every turn of the fit needs."""
 
     lines: Lines
-    pairs: Sequence[tuple[int, int, float]]
+    points: DrivingPoints
     settings: HammerModes
     sets: Sequence[PoleSet]
     decay: float
     source: str
     last: bool = False  # deviations are those that will be stated
 
-    def refined(self, c: CandidatePoles) -> _Fit:
+    def refined(self, c: CandidatePoles) -> _Assessed:
         """The candidates refined; not assessed yet."""
         fit = united(
-            self.lines, refine(self.lines, c.pole, c.participation, local=self.last), self.pairs
+            self.lines, refine(self.lines, c.pole, c.participation, local=self.last), self.points
         )
-        return _Fit(fit, c, Assessment(np.abs(c.pole), np.ones(c.pole.size), ()))
+        return _Assessed(fit, c, Assessment(np.abs(c.pole), np.ones(c.pole.size), ()))
 
-    def assessed(self, fit: _Fit, *, strict: bool) -> _Fit:
+    def assessed(self, fit: _Assessed, *, strict: bool) -> _Assessed:
         """The fit with the confidence of its modes."""
         r = fit.refined
         held = support(r.poles, r.participation, self.sets, self.decay)
         held = held if strict else np.maximum(held, fit.candidates.support)
-        c = replace(fit.candidates, pole=r.poles, participation=r.participation, support=held)
+        c = replace(fit.candidates.at(r), support=held)
         assessment = assess_candidates(
-            self.lines, r, c, self.pairs, damping_max=self.settings.damping_max, strict=strict
+            self.lines, r, c, damping_max=self.settings.damping_max, strict=strict
         )
-        return _Fit(r, c, assessment)
+        return _Assessed(r, c, assessment)
 
-    def pruned(self, fit: _Fit, turns: int, *, strict: bool) -> tuple[_Fit, list[str]]:
+    def pruned(self, fit: _Assessed, turns: int, *, strict: bool) -> tuple[_Assessed, list[str]]:
         """Assessment and refinement in turns, until no mode is dropped."""
         rejected: list[str] = []
         for _ in range(turns):
@@ -321,20 +333,21 @@ class _Search:
         return fit, rejected
 
 
-def _fit(search: _Search, start: CandidatePoles, tell: Progress) -> tuple[_Fit, list[str]]:
+def _fit(search: _Fitter, start: CandidatePoles, tell: Progress) -> tuple[_Assessed, list[str]]:
     """Refine and prune; then look for modes in what is left over, until none comes to stay."""
     lines = search.lines
     settings = search.settings
-    best, rejected = search.pruned(search.refined(start), TURNS, strict=False)
+    best, rejected = search.pruned(search.refined(start), LIMITS.turns, strict=False)
     for turn in range(settings.searches):
         tell(
             0.7 + 0.25 * turn / settings.searches,
             f"{best.refined.poles.size} modes, looking for missed ones",
         )
-        more = missed(lines, best.refined, sets=search.sets, decay=search.decay, most=MOST_NEW)
+        more = missed(lines, best.refined, sets=search.sets, decay=search.decay, most=LIMITS.new)
         if not more.pole.size:
             break
-        new, why = search.pruned(search.refined(_joined(best, more)), TURNS, strict=False)
+        both = best.candidates.at(best.refined).joined(more)
+        new, why = search.pruned(search.refined(both), LIMITS.turns, strict=False)
         rejected += why
         if (
             new.refined.poles.size < best.refined.poles.size
@@ -344,14 +357,16 @@ def _fit(search: _Search, start: CandidatePoles, tell: Progress) -> tuple[_Fit, 
         best = new
     if best.refined.outcome is Outcome.MAX_ITERATIONS:  # modes that overlap take their time
         r = best.refined
-        last = refine(lines, r.poles, r.participation, iterations=LAST_ITERATIONS)
-        best = replace(best, refined=united(lines, last, search.pairs))
+        last = refine(lines, r.poles, r.participation, iterations=LIMITS.iterations)
+        best = replace(best, refined=united(lines, last, search.points))
     # every turn but the last drops a mode
     best, why = search.pruned(best, best.refined.poles.size + 1, strict=True)
     return best, rejected + why
 
 
-def _of_blocks(frfs: FrfSet, search: _Search, fit: _Fit) -> tuple[FrfSet, _Search, _Fit, str]:
+def _of_blocks(
+    frfs: FrfSet, search: _Fitter, fit: _Assessed
+) -> tuple[FrfSet, _Fitter, _Assessed, str]:
     """The fit of FRFs that blocks of noise under a Hann window explain better, with a note; else as
     it is.
     """
@@ -360,8 +375,8 @@ def _of_blocks(frfs: FrfSet, search: _Search, fit: _Fit) -> tuple[FrfSet, _Searc
     trial = replace(search, lines=replace(search.lines, hann=length))
     if not length or not looks_faded(search.lines, r, length):
         return frfs, search, fit, ""
-    new = trial.refined(replace(fit.candidates, pole=r.poles, participation=r.participation))
-    if new.refined.cost > FADED * r.cost:
+    new = trial.refined(fit.candidates.at(r))
+    if new.refined.cost > LIMITS.hann * r.cost:
         return frfs, search, fit, ""
     return (
         replace(frfs, hann=length),
@@ -371,56 +386,58 @@ def _of_blocks(frfs: FrfSet, search: _Search, fit: _Fit) -> tuple[FrfSet, _Searc
     )
 
 
-def _reweighed(search: _Search, frfs: FrfSet, fit: _Fit) -> tuple[_Search, _Fit, list[str]]:
+def _reweighed(
+    search: _Fitter, frfs: FrfSet, fit: _Assessed
+) -> tuple[_Fitter, _Assessed, list[str]]:
     """The modes refined once more, every line weighed by what the first fit left there: deviations
     rest on that.
+
+    Where responses ring on, in turns, until no frequency moves by a tenth of its deviation.
     """
-    r = fit.refined
-    basis = smooth_rest(search.lines, r.poles, r.known.rest)
-    left = noise_left(search.lines, without(basis, r.known.rest))
-    smooth = max(search.lines.smooth.shape[1], basis.shape[1])
-    search = replace(search, lines=prepare(frfs, left, smooth), last=True)
-    start = replace(fit.candidates, pole=r.poles, participation=r.participation)
-    new, why = search.pruned(search.refined(start), r.poles.size + 1, strict=True)
-    return search, new, why
+    rejected: list[str] = []
+    for _ in range(1 if np.isinf(frfs.kept) else LIMITS.ringing):
+        r = fit.refined
+        basis = smooth_rest(search.lines, r.poles, r.known.rest)
+        left = noise_left(search.lines, without(basis, r.known.rest))
+        smooth = max(search.lines.smooth.shape[1], basis.shape[1])
+        search = replace(search, lines=prepare(frfs, left, smooth), last=True)
+        start = search.refined(fit.candidates.at(r))
+        fit, why = search.pruned(start, r.poles.size + 1, strict=True)
+        rejected += why
+        now = fit.refined
+        if now.poles.size == r.poles.size:
+            moved = np.abs(now.frequencies - r.frequencies)
+            if (moved < 0.1 * now.std_frequency).all():
+                break
+    return search, fit, rejected
 
 
-def _whole(search: _Search, fit: _Fit) -> tuple[_Search, _Fit, str, tuple[tuple[int, ...], ...]]:
-    """The fit with one mode for each that it shows twice since the FRFs disagree, a note on that,
-    and who agrees.
+def _whole(search: _Fitter, fit: _Assessed) -> tuple[_Fitter, _Assessed, str]:
+    """The fit with one mode for each that it shows twice since the FRFs disagree, and a note on
+    that.
     """
     split = split_modes(search.lines, fit.refined)
     if not split:
-        return search, fit, "", ()
+        return search, fit, ""
     level = replace(search, lines=levelled(search.lines, split))
     new = level.refined(joined(search.lines, fit.candidates, split))
-    if (
-        new.refined.cost > NO_WORSE * fit.refined.cost
-    ):  # modes that overlap: as one mode they fit no longer
-        return search, fit, "", ()
+    # modes that overlap: as one mode they fit no longer
+    if new.refined.cost > LIMITS.split * fit.refined.cost:
+        return search, fit, ""
     refined = scattered(search.lines, fit.refined, new.refined, split)
     return (
         level,
         level.assessed(replace(new, refined=refined), strict=True),
         split_note(refined, len(split)),
-        agreeing(split),
     )
 
 
-def _unmoved(before: Complex, now: Refined) -> bool:
-    """The last turn moved no frequency by a tenth of its standard deviation."""
-    if before.size != now.poles.size:
-        return False
-    moved = np.abs(np.abs(now.poles) - np.abs(before)) / (2 * np.pi)
-    return bool((moved < 0.1 * now.std_frequency).all())
-
-
 def _by_hand(
-    search: _Search, fit: _Fit, choice: Choice, band: tuple[float, float]
-) -> tuple[_Fit, tuple[str, ...]]:
+    search: _Fitter, fit: _Assessed, choice: Choice, band: tuple[float, float]
+) -> tuple[_Assessed, tuple[str, ...]]:
     """The fit after a choice: refined anew where it changes the modes, of which none is dropped."""
     hand = hand_poles(
-        fit.refined.poles,
+        fit.refined,
         search.sets,
         choice,
         band,
@@ -428,7 +445,7 @@ def _by_hand(
         source=search.source,
     )
     if hand.changes:
-        both = _joined(fit, hand.added)
+        both = fit.candidates.at(fit.refined).joined(hand.added)
         keep = np.append(hand.keep, np.ones(hand.added.pole.size, dtype=bool))
         if not keep.any():
             raise DataError(f"{search.source}: the choice {choice.source} leaves no mode")
@@ -438,17 +455,6 @@ def _by_hand(
         for by_hand, evidence in zip(hand.said, fit.assessment.reason, strict=True)
     )
     return replace(fit, assessment=replace(fit.assessment, reason=reasons)), hand.notes
-
-
-def _joined(fit: _Fit, more: CandidatePoles) -> CandidatePoles:
-    r = fit.refined
-    c = fit.candidates
-    return CandidatePoles(
-        np.concatenate([r.poles, more.pole]),
-        np.concatenate([r.participation, more.participation]),
-        np.concatenate([c.support, more.support]),
-        np.concatenate([c.scatter, more.scatter]),
-    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -463,13 +469,15 @@ class _Reported:
     scale_note: str
 
 
-def _reported(frfs: FrfSet, search: _Search, fit: _Fit, band: tuple[float, float]) -> _Reported:
+def _reported(
+    frfs: FrfSet, search: _Fitter, fit: _Assessed, band: tuple[float, float]
+) -> _Reported:
     """Scaled modes in the band with their standard deviations."""
     lines = search.lines
-    pairs = search.pairs
+    points = search.points
     refined = fit.refined
     model = lsfd(
-        frfs, refined.poles, refined.participation, lines=lines, pairs=pairs, shapes=refined.shapes
+        frfs, lines, refined.poles, refined.participation, shapes=refined.shapes, points=points
     )
     f = model.frequencies
     order = np.argsort(f, kind="stable")
@@ -489,12 +497,12 @@ def _reported(frfs: FrfSet, search: _Search, fit: _Fit, band: tuple[float, float
         refined, shapes=refined.shapes / heard, participation=refined.participation / driven
     )
     size = np.abs(shapes)
-    deviation = shape_deviations(lines, own, pairs) * size
+    deviation = shape_deviations(lines, own, points) * size
     repeated = twins(refined.poles)
     for i, j in repeated:  # any turn in their plane is as good
         deviation[:, [i, j]] = np.hypot(deviation[:, [i, j]], size[:, [j, i]] / np.sqrt(2))
     fitted = synthesise_windowed(model, lines)
-    scale, scale_note = scale_deviations(frfs, fitted, own, pairs)
+    scale, scale_note = scale_deviations(frfs, fitted, own, points)
     deviation = np.hypot(deviation, size * scale)
     std = Uncertainty(own.std_frequency, own.std_damping, deviation, own.factor)
     at = (frfs.freqs >= band[0]) & (frfs.freqs <= band[1])

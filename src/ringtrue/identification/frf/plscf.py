@@ -19,13 +19,12 @@ from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.linalg import LinAlgError, cholesky, solve_triangular, toeplitz
 from scipy.spatial.distance import squareform
 
-from ringtrue.core.arrays import Bool, Complex, Float, Int
+from ringtrue.core.arrays import Complex, Float, Int
 from ringtrue.errors import InputError
-from ringtrue.identification.common.poles import PoleSet, check_orders, unit
-from ringtrue.shapes.mac import mac
+from ringtrue.identification.common.stabilisation import PoleSet, check_orders, unit
+from ringtrue.shapes import mac
 
 Entry = TypeVar("Entry", np.float64, np.complex128)
-MOST_STATES = 130  # order times inputs: the eigenvalue problems grow with its cube
 
 
 def lower_factor(normal: NDArray[Entry], ridge: float) -> NDArray[Entry]:
@@ -48,7 +47,7 @@ def lower_factor(normal: NDArray[Entry], ridge: float) -> NDArray[Entry]:
     ridge = max(ridge, np.finfo(float).tiny)
     while True:
         try:
-            return np.asarray(cholesky(normal + ridge * eye, lower=True))
+            return cholesky(normal + ridge * eye, lower=True)
         except LinAlgError:
             ridge *= 10.0
 
@@ -104,16 +103,13 @@ def plscf(data: Complex, freqs: Float, settings: Plscf) -> PoleSet:
     poles = np.concatenate([p for p, _ in found])
     part = unit(np.concatenate([v for _, v in found], axis=1) * scale[:, None])
     unknown = np.full(poles.size, np.nan)
-    return PoleSet(
-        order=order, pole=poles, shape=part, std_frequency=unknown, std_damping=unknown
-    ).take(_plausible(poles, freqs, settings))
-
-
-def _plausible(poles: Complex, freqs: Float, settings: Plscf) -> Bool:
     f = np.abs(poles) / (2 * np.pi)
     zeta = -poles.real / np.abs(poles)
     inside = (f >= freqs[0]) & (f <= freqs[-1]) & (poles.imag > 0)
-    return np.asarray(inside & (zeta > 1e-5) & (zeta < settings.damping_max))
+    plausible = inside & (zeta > 1e-05) & (zeta < settings.damping_max)
+    return PoleSet(
+        order=order, pole=poles, shape=part, std_frequency=unknown, std_damping=unknown
+    ).take(plausible)
 
 
 def _factor(h: Complex, place: Float, n: int) -> Float:
@@ -171,7 +167,8 @@ def _order(factor: Float, n: int, m: int, freqs: Float) -> tuple[Complex, Comple
 def order_range(n_in: int, peaks: int, lines: int) -> tuple[int, int]:
     """Lowest and highest order for a band with about `peaks` modes."""
     top = int(np.clip(np.ceil((4 * peaks + 24) / n_in), 10, 60))
-    top = max(min(top + 8, MOST_STATES // n_in, lines // 3), 3)
+    most = 130 // n_in  # the eigenvalue problems grow with the cube of order times inputs
+    top = max(min(top + 8, most, lines // 3), 3)
     return max(2, min(top // 3, int(np.ceil(2 * peaks / n_in)))), top
 
 
@@ -229,42 +226,43 @@ def pole_shapes(poles: PoleSet, data: Complex, freqs: Float, power: int) -> Comp
     return out
 
 
+def half_bandwidths(pole: Complex, resolution: Float) -> Float:
+    """(k, k) distances of poles (k,) in half bandwidths, which the distance of the lines (k,), Hz,
+    widens.
+    """
+    steps = np.sqrt(np.outer(resolution, resolution))
+    width = 0.5 * np.sqrt(np.outer(pole.real, pole.real)) + 0.6 * np.pi * steps
+    return np.abs(pole[:, None] - pole) / width
+
+
 def cluster_poles(
-    poles: PoleSet,
-    resolution: float | Float,
-    *,
-    responses: Complex | None = None,
-    least: float = 0.3,
+    poles: PoleSet, resolution: Float, *, responses: Complex | None = None
 ) -> Clusters:
-    """Average-linkage clusters of poles that stay in place over the orders.
+    """Average-linkage clusters of poles that stay in place over three tenths of the orders.
 
     The distance counts the poles in half bandwidths and the participation vectors in 1 − MAC.
 
     Parameters
     ----------
     poles : PoleSet
-    resolution : float or (k,) float64, Hz, the spacing of the lines at each pole
+    resolution : (k,) float64, Hz, the spacing of the lines at each pole
     responses : (out, k) complex128, optional
         Response shapes, for poles that have one input only; counted in 1 − MAC as well.
-    least : float
-        A cluster must hold this share of all orders.
     """
     if len(poles) < 2:
         return _clusters(poles, np.full(len(poles), -1, dtype=np.int64), [])
-    p = poles.pole
     v = poles.shape / np.linalg.norm(poles.shape, axis=0)
-    near = np.broadcast_to(np.asarray(resolution, dtype=np.float64), p.shape)
-    width = np.sqrt(np.outer(-p.real, -p.real)) * 0.5 + 0.6 * np.pi * np.sqrt(np.outer(near, near))
-    far = np.abs(p[:, None] - p) / width
+    far = half_bandwidths(poles.pole, resolution)
     if v.shape[0] > 1:
         far += (1 - np.minimum(np.abs(v.conj().T @ v) ** 2, 1.0)) / 0.4
     if responses is not None:
         far += (1 - np.minimum(mac(responses, responses), 1.0)) / 0.4
     np.fill_diagonal(far, 0)
-    raw = fcluster(linkage(squareform((far + far.T) / 2, checks=False), "average"), 1.0, "distance")
-    n_orders = poles.orders.size
+    tree = linkage(squareform((far + far.T) / 2, checks=False), "average")
+    raw = fcluster(tree, 1.0, "distance")
+    least = max(3, 0.3 * poles.orders.size)
     groups = [np.flatnonzero(raw == c) for c in np.unique(raw)]
-    held = [g for g in groups if np.unique(poles.order[g]).size >= max(3, least * n_orders)]
+    held = [g for g in groups if np.unique(poles.order[g]).size >= least]
     held.sort(key=lambda g: float(np.median(poles.frequencies[g])))
     label = np.full(len(poles), -1, dtype=np.int64)
     for c, g in enumerate(held):
@@ -274,12 +272,11 @@ def cluster_poles(
 
 def _clusters(poles: PoleSet, label: Int, held: Sequence[Int]) -> Clusters:
     rows = [_summary(poles, g) for g in held]
+    part = np.array([r[1] for r in rows], dtype=np.complex128)
     return Clusters(
         label=label,
         pole=np.array([r[0] for r in rows], dtype=np.complex128),
-        participation=np.array([r[1] for r in rows], dtype=np.complex128)
-        .reshape(len(rows), poles.shape.shape[0])
-        .T,
+        participation=part.reshape(len(rows), len(poles.shape)).T,
         support=np.array([r[2] for r in rows]),
         scatter=np.array([r[3] for r in rows]),
     )
@@ -289,9 +286,8 @@ def _summary(poles: PoleSet, g: Int) -> tuple[complex, Complex, float, float]:
     """Medians over the upper half of the orders that hold the pole."""
     late = g[poles.order[g] >= np.median(poles.order[g])]
     pole = complex(np.median(poles.pole[late].real), np.median(poles.pole[late].imag))
-    u = np.linalg.svd(
-        poles.shape[:, late] / np.linalg.norm(poles.shape[:, late], axis=0), full_matrices=False
-    )[0][:, 0]
+    parts = poles.shape[:, late]
+    u = np.linalg.svd(parts / np.linalg.norm(parts, axis=0), full_matrices=False)[0][:, 0]
     here = np.unique(poles.order[g])
     support = here.size / np.count_nonzero(poles.orders >= here[0])
     scatter = float(np.median(np.abs(poles.pole[late] - pole)) / max(-pole.real, 1e-12))

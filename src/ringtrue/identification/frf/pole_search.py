@@ -3,75 +3,90 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
 from ringtrue.core.arrays import Bool, Complex, Float
-from ringtrue.core.motions import POWER
+from ringtrue.core.channels import POWER
 from ringtrue.core.signals import FrfSet
-from ringtrue.identification.common.poles import PoleSet, StableDiagram
-from ringtrue.identification.frf.cmif import count_peaks
+from ringtrue.identification.common.stabilisation import PoleSet, StableDiagram
 from ringtrue.identification.frf.confidence import CandidatePoles
-from ringtrue.identification.frf.lines import Noise
+from ringtrue.identification.frf.lines import Noise, count_peaks
 from ringtrue.identification.frf.plscf import (
     Clusters,
     Plscf,
     cluster_poles,
+    half_bandwidths,
     order_range,
     plscf,
     pole_shapes,
 )
-from ringtrue.shapes.mac import mac
-
-RATIO = 1.8  # upper to lower edge of a band
-LEAST_LINES = 64
-MOST_PEAKS = 5
-MOST_BANDS = 40
-MOST_PRINCIPAL = 40
-MOST_INPUTS = 12  # of the polynomials, whose orders all inputs share
+from ringtrue.shapes import mac
 
 
-def choose_bands(
-    freqs: Float, curve: Float, low: float, high: float
-) -> tuple[tuple[float, float], ...]:
-    """Overlapping bands, Hz: none spans more than RATIO, holds too few lines or too many peaks of
-    the CMIF.
+@dataclass(frozen=True, slots=True)
+class BandLimits:
+    """Bands of the pole search, and what the estimator sees of them.
+
+    Attributes
+    ----------
+    ratio : float
+        Upper to lower edge, at most.
+    lines : int
+        At least.
+    peaks : int
+        Of the CMIF, at most, unless more than `bands` bands would be needed.
+    bands : int
+    responses, inputs : int
+        Combinations of responses and of inputs that are kept, at most. All inputs share the orders
+        of the polynomials.
     """
-    low = max(low, float(freqs[0]))
+
+    ratio: float = 1.8
+    lines: int = 64
+    peaks: int = 5
+    bands: int = 40
+    responses: int = 40
+    inputs: int = 12
+
+
+LIMITS = BandLimits()
+
+
+def choose_bands(freqs: Float, curve: Float) -> tuple[tuple[float, float], ...]:
+    """Overlapping bands of all lines, Hz: none spans more than a ratio, holds too few lines or too
+    many peaks of the CMIF.
+    """
+    low = float(freqs[0])
     number = np.arange(freqs.size, dtype=np.float64)
 
     def lines_below(edge: float, lines: float) -> float:
         return float(np.interp(np.interp(edge, freqs, number) - lines, number, freqs))
 
     all_peaks = np.sort(freqs[count_peaks(curve)])
-    most = max(MOST_PEAKS, all_peaks.size // MOST_BANDS)
-    edges = [high]
+    most = max(LIMITS.peaks, all_peaks.size // LIMITS.bands)
+    edges = [float(freqs[-1])]
     while edges[-1] > low * 1.05:
-        lower = min(edges[-1] / RATIO, lines_below(edges[-1], LEAST_LINES))
+        lower = min(edges[-1] / LIMITS.ratio, lines_below(edges[-1], LIMITS.lines))
         inside = all_peaks[(all_peaks < edges[-1]) & (all_peaks > lower)]
         if inside.size > most:
             cut = 0.5 * (inside[-most] + inside[-most - 1])
-            lower = max(lower, min(float(cut), lines_below(edges[-1], LEAST_LINES)))
-        edges.append(lower if lines_below(lower, LEAST_LINES / 2) > low else low)
-    edges = edges[::-1]
-    return tuple(
-        (_overlap(a, -0.15 * (b - a), freqs), _overlap(b, 0.15 * (b - a), freqs))
-        for a, b in pairwise(edges)
-    )
-
-
-def _overlap(edge: float, by: float, freqs: Float) -> float:
-    return float(np.clip(edge + by, freqs[0], freqs[-1]))
+            lower = max(lower, min(float(cut), lines_below(edges[-1], LIMITS.lines)))
+        edges.append(lower if lines_below(lower, LIMITS.lines / 2) > low else low)
+    bands = []
+    for a, b in pairwise(edges[::-1]):
+        more = 0.15 * (b - a)  # so that neighbours overlap
+        bands.append((max(a - more, low), min(b + more, edges[0])))
+    return tuple(bands)
 
 
 def line_steps(freqs: Float, at: Complex) -> Float:
     """(k,) distance of the lines, Hz, around poles `at` (k,), rad/s."""
     step = np.diff(freqs)
-    return np.asarray(
-        step[np.clip(np.searchsorted(freqs, at.imag / (2 * np.pi)) - 1, 0, step.size - 1)]
-    )
+    below = np.searchsorted(freqs, at.imag / (2 * np.pi)) - 1
+    return step[np.clip(below, 0, step.size - 1)]
 
 
 def band_candidates(
@@ -121,9 +136,9 @@ def few_inputs(data: Complex) -> tuple[Complex, Float]:
     they are.
     """
     n_in = data.shape[2]
-    if n_in <= MOST_INPUTS:
+    if n_in <= LIMITS.inputs:
         return data, np.eye(n_in)
-    few = _directions(_stacked(data.transpose(0, 2, 1)), MOST_INPUTS)
+    few = _directions(_stacked(data.transpose(0, 2, 1)), LIMITS.inputs)
     return np.ascontiguousarray(data @ few), few
 
 
@@ -134,7 +149,7 @@ def principal(data: Complex) -> Complex:
     The combination is real, for the response space of real modes, and leaves r/out of the noise.
     """
     rows = _stacked(data)
-    few = (_directions(rows, MOST_PRINCIPAL).T @ rows).view(np.complex128)
+    few = (_directions(rows, LIMITS.responses).T @ rows).view(np.complex128)
     return np.ascontiguousarray(few.reshape(len(few), len(data), -1).transpose(1, 0, 2))
 
 
@@ -152,7 +167,7 @@ def _directions(rows: Float, most: int) -> Float:
     # Marchenko, Pastur (1967): the largest eigenvalue of noise alone
     edge = k * (1 + np.sqrt(n / k)) ** 2
     r = int(np.clip((values > 1.5 * edge).sum(), min(n, 4), most))
-    return np.asarray(vectors[:, -r:])
+    return vectors[:, -r:]
 
 
 def merged(found: Sequence[Clusters], freqs: Float, decay: float) -> CandidatePoles:
@@ -171,23 +186,12 @@ def merged(found: Sequence[Clusters], freqs: Float, decay: float) -> CandidatePo
     band = np.repeat(np.arange(len(found)), [c.pole.size for c in found])
     keep = np.ones(pole.size, dtype=bool)
     rank = scatter + (1 - support)
-    far = _distance(pole, part, line_steps(freqs, pole))
+    far = half_bandwidths(pole, line_steps(freqs, pole))
+    if part.shape[1] > 1:
+        far += (1 - mac(part.T, part.T)) / 0.3
     for i, j in np.argwhere(np.triu(far < 1.5, 1)):  # a few pairs in the overlaps
         if band[i] != band[j] and keep[i] and keep[j]:
             keep[j if rank[i] <= rank[j] else i] = False
     order = np.flatnonzero(keep)[np.argsort(np.abs(pole[keep]), kind="stable")]
     true = np.minimum(pole.real + decay, -1e-4 * np.abs(pole)) + 1j * pole.imag
     return CandidatePoles(true, part, support, scatter).take(order)
-
-
-def _distance(pole: Complex, part: Complex, step: Float) -> Float:
-    """(c, c) distances in half bandwidths, with 1 − MAC of the participation vectors (inputs above
-    one).
-    """
-    width = 0.5 * np.sqrt(np.outer(pole.real, pole.real)) + 0.6 * np.pi * np.sqrt(
-        np.outer(step, step)
-    )
-    far = np.abs(pole[:, None] - pole) / width
-    if part.shape[1] > 1:
-        far = far + (1 - mac(part.T, part.T)) / 0.3
-    return np.asarray(far)

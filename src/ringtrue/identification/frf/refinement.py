@@ -12,7 +12,6 @@ R − P]], of the same eigenvalues (van den Bos 1994, IEE Proc. 141).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,14 +21,34 @@ from scipy.special import ndtri, stdtrit
 from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.core.iterate import Outcome
 from ringtrue.identification.frf.lines import Lines, augment, condensed, functions_slopes
-from ringtrue.identification.frf.residues import weighted_rest
+from ringtrue.identification.frf.residues import DrivingPoints, weighted_rest
 
-ITERATIONS = 20
-REACH = 2.0  # half bandwidths
-NEAR = 0.5  # of the reach, for which lines are condensed at a time
-TOLERANCE = 1e-6  # relative fall of the objective
-FLAT = 1e-8  # of the curvature: nothing but rounding
-_UPPER = 0.975  # probability below the upper end of an interval
+
+@dataclass(frozen=True, slots=True)
+class RefinementLimits:
+    """The steps of a refinement.
+
+    Attributes
+    ----------
+    iterations : int
+    reach : float
+        Half bandwidths, farther from its start than which no pole goes.
+    near : float
+        Of the reach, for which lines are condensed at a time.
+    tolerance : float
+        Relative fall of the objective, below which it has converged.
+    flat : float
+        Share of the curvature that is nothing but rounding.
+    """
+
+    iterations: int = 20
+    reach: float = 2.0
+    near: float = 0.5
+    tolerance: float = 1e-6
+    flat: float = 1e-8
+
+
+LIMITS = RefinementLimits()
 
 
 def real_form(v: Complex, w: Complex) -> Float:
@@ -45,7 +64,9 @@ def augmented_form(c: Float) -> tuple[Complex, Complex]:
     a = c[:k, :k]
     b = c[:k, k:]
     d = c[k:, k:]
-    return np.asarray(0.5 * (a + d + 1j * (b.T - b))), np.asarray(0.5 * (a - d + 1j * (b.T + b)))
+    value = 0.5 * (a + d + 1j * (b.T - b))
+    conjugate = 0.5 * (a - d + 1j * (b.T + b))
+    return np.asarray(value), np.asarray(conjugate)
 
 
 def pseudo_inverse(a: Float, least: float) -> Float:
@@ -92,6 +113,16 @@ class Refined:
     outcome: Outcome
     known: Known
 
+    @property
+    def frequencies(self) -> Float:
+        """(m,) Hz."""
+        return np.abs(self.poles) / (2 * np.pi)
+
+    @property
+    def damping(self) -> Float:
+        """(m,) fraction of critical."""
+        return -self.poles.real / np.abs(self.poles)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Known:
@@ -99,7 +130,7 @@ class Known:
 
     Attributes
     ----------
-    state : State
+    state : FitState
     covariance : (2 m (1 + in), 2 m (1 + in)) complex128
         Zero for the parameters that fix the scales.
     own : (out, m) float64
@@ -108,14 +139,14 @@ class Known:
         What the fit leaves of the data, in units of the noise.
     """
 
-    state: State
+    state: FitState
     covariance: Complex
     own: Float
     rest: Complex
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class State:
+class FitState:
     """Poles and participations, and what `_evaluate` finds there."""
 
     poles: Complex
@@ -134,7 +165,7 @@ def refine(
     poles: Complex,
     participation: Complex,
     *,
-    iterations: int = ITERATIONS,
+    iterations: int = LIMITS.iterations,
     local: bool = True,
 ) -> Refined:
     """Refine all modes at once.
@@ -156,11 +187,11 @@ def refine(
     -------
     Refined
     """
-    reach = REACH * np.abs(poles.real) + np.diff(lines.s.imag).mean()
+    reach = LIMITS.reach * np.abs(poles.real) + np.diff(lines.s.imag).mean()
     part = participation * lines.input
     part = part / np.linalg.norm(part, axis=1, keepdims=True)
-    near = NEAR * reach
-    few = condensed(lines, poles, NEAR * reach)
+    near = LIMITS.near * reach
+    few = condensed(lines, poles, near)
     centre = poles
     state = _evaluate(few, poles, part)
     damping = 1e-3
@@ -180,14 +211,14 @@ def refine(
         fall = (state.cost - new.cost) / max(state.cost, 1e-300)
         state = new
         damping = max(damping / 10, 1e-9)
-        if fall < TOLERANCE:
+        if fall < LIMITS.tolerance:
             outcome = Outcome.CONVERGED
             break
     return _result(lines, state, outcome, local)
 
 
 def _step(
-    state: State, damping: float, start: Complex, reach: Float
+    state: FitState, damping: float, start: Complex, reach: Float
 ) -> tuple[Complex, Complex] | None:
     """Poles and participations a Levenberg-Marquardt step on, every pole held within reach of its
     start.
@@ -212,7 +243,7 @@ def _step(
     return poles, part / np.linalg.norm(part, axis=1, keepdims=True)
 
 
-def _scaled(state: State) -> tuple[Float, Float]:
+def _scaled(state: FitState) -> tuple[Float, Float]:
     """Gauss-Newton matrix of the free parameters in their (real, imaginary) parts over `scale`, and
     that (free,).
     """
@@ -238,7 +269,7 @@ def _free(part: Complex, moving: Bool) -> Int:
     return np.flatnonzero(mask.ravel())
 
 
-def _evaluate(lines: Lines, poles: Complex, part: Complex) -> State:
+def _evaluate(lines: Lines, poles: Complex, part: Complex) -> FitState:
     """Shapes, cost, gradient, Gauss-Newton matrix; augmented coordinates (λ, then l of each input;
     value, conj).
     """
@@ -258,7 +289,7 @@ def _evaluate(lines: Lines, poles: Complex, part: Complex) -> State:
     slope = -inverse @ xg
     core = gg + xg.conj().T @ slope
     # what the shapes do as well: a turn of two modes of one pole
-    void = np.diag(core).real < FLAT * np.diag(gg).real
+    void = np.diag(core).real < LIMITS.flat * np.diag(gg).real
     w2 = lines.response**2
     tile = np.tile(psi, (1 + n_in, 1))
     hessian = core * ((tile.conj() * w2) @ tile.T)
@@ -266,7 +297,7 @@ def _evaluate(lines: Lines, poles: Complex, part: Complex) -> State:
     cost = float((w2 * np.maximum(lines.power - 0.5 * (psi.conj() * xy).sum(axis=0).real, 0)).sum())
     var = 2 * np.diag(inverse).real[:m]
     shape_var = np.maximum(var, 0) / w2[:, None]
-    return State(
+    return FitState(
         poles=poles,
         part=part,
         shapes=psi[:m].T,
@@ -318,12 +349,16 @@ def _gram(cc: Complex, cd: Complex, dd: Complex, l: Complex) -> Complex:
     return gg.reshape((1 + n_in) * n, -1)
 
 
-def _result(lines: Lines, state: State, outcome: Outcome, local: bool) -> Refined:
+def _result(lines: Lines, state: FitState, outcome: Outcome, local: bool) -> Refined:
     m = state.poles.size
     rest = weighted_rest(lines, state.poles, state.part, state.shapes)
     cov, own, error2 = _covariance(lines, state, rest if local else None)
     slope = _slopes(state.poles)
-    real = slope @ _real(cov[: 2 * m, : 2 * m], m) @ slope.T
+    a = cov[:m, :m]
+    b = cov[:m, m : 2 * m]
+    # of (Re, Im) from that of augmented (x, conj x)
+    parts = np.block([[(a + b).real, (b - a).imag], [(a + b).imag, (a - b).real]]) / 2
+    real = slope @ parts @ slope.T
     values, vectors = np.linalg.eigh((real + real.T) / 2)
     factor = np.sqrt(np.maximum(values, 0))[:, None] * vectors.T
     std = np.sqrt(np.maximum(np.diag(real), 0))
@@ -341,7 +376,9 @@ def _result(lines: Lines, state: State, outcome: Outcome, local: bool) -> Refine
     )
 
 
-def _covariance(lines: Lines, state: State, rest: Complex | None) -> tuple[Complex, Float, float]:
+def _covariance(
+    lines: Lines, state: FitState, rest: Complex | None
+) -> tuple[Complex, Float, float]:
     """Covariance of all augmented parameters, zero for those that fix the scales, and the squared
     weighted errors.
 
@@ -354,7 +391,7 @@ def _covariance(lines: Lines, state: State, rest: Complex | None) -> tuple[Compl
     h, scale = _scaled(state)
     cov = np.zeros_like(state.hessian)
     both = 2 * scale[:, None] * scale
-    inner, turned = (both * x for x in augmented_form(pseudo_inverse(h, FLAT)))
+    inner, turned = (both * x for x in augmented_form(pseudo_inverse(h, LIMITS.flat)))
     conjugate = free + state.poles.size
     cov[np.ix_(free, free)], cov[np.ix_(free, conjugate)] = inner, turned
     cov[np.ix_(conjugate, conjugate)], cov[np.ix_(conjugate, free)] = inner.conj(), turned.conj()
@@ -364,7 +401,7 @@ def _covariance(lines: Lines, state: State, rest: Complex | None) -> tuple[Compl
     return cov * each[:, None] * each, own, error2
 
 
-def _local_error(lines: Lines, state: State, rest: Complex) -> tuple[Float, Float]:
+def _local_error(lines: Lines, state: FitState, rest: Complex) -> tuple[Float, Float]:
     """Squared weighted errors where each mode is seen: (out, m) of its residues, (m,) of its pole
     and participation.
 
@@ -389,10 +426,9 @@ def _local_error(lines: Lines, state: State, rest: Complex) -> tuple[Float, Floa
         )
 
     power = 0.5 * np.abs(rest) ** 2
-    few = stdtrit(2 / (by_shape**2).sum(axis=(0, 1)), _UPPER) / ndtri(_UPPER)
-    own = (
-        np.tensordot(power, by_shape / left(by_shape, n_out), ([0, 1], [0, 1])) * early[0] * few**2
-    )
+    few = stdtrit(2 / (by_shape**2).sum(axis=(0, 1)), 0.975) / ndtri(0.975)
+    own = np.tensordot(power, by_shape / left(by_shape, n_out), ([0, 1], [0, 1]))
+    own = own * early[0] * few**2
     separate = np.tensordot(power, by_pole / left(by_pole, n_out), ([0, 1], [0, 1]))
     separate = (separate * np.abs(seen) ** 2).sum(axis=0)
     together = 0.5 * (by_pole * np.abs(rest @ seen.conj()) ** 2).sum(axis=(0, 1)) / left(by_pole, 1)
@@ -418,9 +454,7 @@ def _early(lines: Lines, rest: Complex, poles: Complex) -> Float:
     return np.asarray(early / (1 - np.minimum(taken, 0.8)))
 
 
-def shape_deviations(
-    lines: Lines, fit: Refined, pairs: Sequence[tuple[int, int, float]] | None
-) -> Float:
+def shape_deviations(lines: Lines, fit: Refined, points: DrivingPoints | None) -> Float:
     """Standard deviations (out, m) of the moduli of the scaled shape components, as shares of the
     modulus.
 
@@ -433,8 +467,8 @@ def shape_deviations(
     lines : Lines
         Those of the fit.
     fit : Refined
-    pairs : sequence of (output, input, sign), optional
-        Driving points; None leaves the scale to the largest participation, held fixed.
+    points : DrivingPoints, optional
+        None leaves the scale to the largest participation, held fixed.
     """
     state = fit.known.state
     cov = fit.known.covariance
@@ -445,7 +479,7 @@ def shape_deviations(
     out = np.empty(psi.shape)
     for k in range(fit.poles.size):  # (out, parameter) arrays of all modes at once would not fit
         g = tile * state.slope[k] / psi[:, k, None]
-        common, noise = _scale_slope(fit, lines, pairs=pairs, g=g, psi=psi[:, k], k=k)
+        common, noise = _scale_slope(fit, lines, points=points, g=g, psi=psi[:, k], k=k)
         g = g + common
         half = g.reshape(g.shape[0], -1, 2, fit.poles.size)
         g = 0.5 * (half + half[:, :, ::-1].conj()).reshape(g.shape)
@@ -458,7 +492,7 @@ def shape_deviations(
 def _scale_slope(
     fit: Refined,
     lines: Lines,
-    pairs: Sequence[tuple[int, int, float]] | None,
+    points: DrivingPoints | None,
     g: Complex,
     psi: Complex,
     k: int,
@@ -467,15 +501,16 @@ def _scale_slope(
     noise (out,).
     """
     noise = np.zeros(psi.size, dtype=np.complex128)
-    if pairs is None:
+    if points is None:
         return np.zeros(g.shape[1], dtype=np.complex128), noise
-    if not pairs:
+    if not points:
         top = int(np.abs(psi).argmax())
         noise[top] = -1 / psi[top]
         return -g[top], noise
-    o, i, sign = (np.array(x) for x in zip(*pairs, strict=True))
+    o = points.output
+    i = points.input
     part = fit.participation[k, i]
-    driven = sign * psi[o]
+    driven = points.sign * psi[o]
     size = (np.abs(part) ** 2).sum()
     overlap = (part.conj() * driven).sum()
     overlap = overlap if overlap != 0 else size * np.finfo(float).tiny
@@ -488,19 +523,12 @@ def _scale_slope(
     return common.ravel() + share @ g[o], noise
 
 
-def _real(cov: Complex, m: int) -> Float:
-    """Covariance of (Re, Im) from that of augmented (x, conj x)."""
-    a = cov[:m, :m]
-    b = cov[:m, m:]
-    return np.block([[(a + b).real, (b - a).imag], [(a + b).imag, (a - b).real]]) / 2
-
-
 def _slopes(poles: Complex) -> Float:
     """(2 m, 2 m) derivatives of (frequency, damping) by (Re λ, Im λ)."""
     a = poles.real
     b = poles.imag
     r = np.abs(poles)
     d = np.diag
-    return np.block(
-        [[d(a / r), d(b / r)], [d(-(b**2) / r**3 * 2 * np.pi), d(a * b / r**3 * 2 * np.pi)]]
-    ) / (2 * np.pi)
+    frequency = [d(a / r), d(b / r)]
+    damping = [d(-(b**2) / r**3 * 2 * np.pi), d(a * b / r**3 * 2 * np.pi)]
+    return np.block([frequency, damping]) / (2 * np.pi)

@@ -8,15 +8,14 @@ number of responses.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import median_filter
 
-from ringtrue.core.arrays import Complex, Float
+from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.core.dofs import DofSet
-from ringtrue.core.modal import ModalModel
-from ringtrue.core.modes import Norm
+from ringtrue.core.modes import ModalModel, Norm
 from ringtrue.core.signals import FrfSet
 from ringtrue.errors import InputError
 from ringtrue.identification.frf.lines import (
@@ -27,15 +26,36 @@ from ringtrue.identification.frf.lines import (
     functions,
     mirrored,
     mirrored_rows,
-    prepare,
     resonances,
 )
 
-_AROUND = 31  # lines at least, for the noise around a mode
-_SMOOTHED = 5  # lines that their noise is averaged over
-_VALUES = 40  # and values at least
-_LEAST = 1e-4  # of the squared noise of a typical line
-Pairs = Sequence[tuple[int, int, float]]
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DrivingPoints:
+    """Responses at the points and in the directions of inputs.
+
+    Attributes
+    ----------
+    output, input : (p,) int64
+        Positions of the response and of the input.
+    sign : (p,) float64
+        -1 where the input acts against the direction of the sensor.
+    """
+
+    output: Int
+    input: Int
+    sign: Float
+
+    def __len__(self) -> int:
+        return int(self.output.size)
+
+    def take(self, at: Bool) -> DrivingPoints:
+        """The chosen points."""
+        return DrivingPoints(self.output[at], self.input[at], self.sign[at])
+
+    def shapes(self, shapes: Complex) -> Complex:
+        """(p, m) of shapes (out, m), along the inputs."""
+        return shapes[self.output] * self.sign[:, None]
 
 
 def noise(frfs: FrfSet) -> Noise:
@@ -52,15 +72,16 @@ def noise(frfs: FrfSet) -> Noise:
         n = np.where(np.isfinite(frfs.averages), np.maximum(frfs.averages, 1), 1)
         var = h2 * (1 - g) / (2 * n * g) + 1e-8 * h2
     else:
-        var = _roughness(frfs.data, frfs.freqs) + (0.02**2) * h2
+        # the median of squared second differences over the lines, per component
+        roughness = np.median(_bends(frfs.data, frfs.freqs), axis=0) / (2 * 0.693)
+        var = roughness + (0.02**2) * h2
     var = np.maximum(var, 1e-12 * h2.mean(axis=0) + np.finfo(float).tiny)
     log = np.log(var)
     mean = log.mean()
     line = _smooth(log.mean(axis=(1, 2)))
     if np.isfinite(frfs.kept):
-        line = np.minimum(
-            line, median_filter(line, size=max(_AROUND, line.size // 10) | 1, mode="nearest")
-        )
+        around = max(31, line.size // 10) | 1
+        line = np.minimum(line, median_filter(line, size=around, mode="nearest"))
     response = log.mean(axis=(0, 2)) - mean
     given = log.mean(axis=(0, 1)) - mean
     return Noise(np.exp(0.5 * line), np.exp(0.5 * response), np.exp(0.5 * given))
@@ -70,14 +91,7 @@ def _bends(h: Complex, freqs: Float) -> Float:
     """(freq - 2, out, in) squared second differences over the lines, of white noise its power."""
     left = ((freqs[2:] - freqs[1:-1]) / (freqs[2:] - freqs[:-2]))[:, None, None]
     d = np.abs(h[1:-1] - left * h[:-2] - (1 - left) * h[2:]) ** 2
-    return np.asarray(d / (1 + left**2 + (1 - left) ** 2))
-
-
-def _roughness(h: Complex, freqs: Float) -> Float:
-    """(1, out, in) variance per component from the median of squared second differences over the
-    lines.
-    """
-    return np.asarray(np.median(_bends(h, freqs), axis=0)[None] / (2 * 0.693))
+    return d / (1 + left**2 + (1 - left) ** 2)
 
 
 def line_coherence(h: Complex, freqs: Float) -> Float:
@@ -110,50 +124,49 @@ def solve_shapes(lines: Lines, poles: Complex, participation: Complex) -> Comple
 
 def lsfd(
     frfs: FrfSet,
+    lines: Lines,
     poles: Complex,
     participation: Complex,
-    lines: Lines | None = None,
-    pairs: Pairs | None = None,
     *,
-    shapes: Complex | None = None,
+    shapes: Complex,
+    points: DrivingPoints,
 ) -> ModalModel:
-    """The modal model of given poles and participation vectors.
+    """The modal model of given poles and residues.
 
     Parameters
     ----------
     frfs : FrfSet, lines > 0 Hz
+    lines : Lines
+        The same, prepared.
     poles : (m,) complex128, rad/s, without the exponential window
     participation : (m, in) complex128
-    lines : Lines, optional
-        By default those of `prepare(frfs, noise(frfs))`.
-    pairs : sequence of (output, input, sign), optional
-        Driving points; by default all that the names of the channels tell.
-    shapes : (out, m) complex128, optional
-        Where they are known already.
+    shapes : (out, m) complex128
+        Of `solve_shapes`.
+    points : DrivingPoints
 
     Returns
     -------
     ModalModel
         Of unit modal A where there are driving points.
     """
-    lines = lines or prepare(frfs, noise(frfs))
-    shapes = solve_shapes(lines, poles, participation) if shapes is None else shapes
     rest = frfs.data - modal_part(lines, poles, shapes, participation)
-    lower, upper = _residuals(rest, lines)
+    # lower and upper residuals of what the modes leave
+    terms = np.stack([(lines.s[0] / lines.s) ** 2, np.ones(lines.s.size)], axis=1)
+    q, r = np.linalg.qr(lines.weight[:, None] * (lines.kind[:, None] * terms))
+    y = lines.weight[:, None] * rest.transpose(2, 0, 1)
+    residuals = np.asarray(np.linalg.solve(r, q.conj().T @ y), dtype=np.complex128)  # (in, 2, out)
     shape, part = blow_factors(lines, poles)
-    shapes = shapes / shape
-    part = participation / part
     model = ModalModel(
         poles=poles,
-        shapes=shapes,
-        participation=part,
-        lower=lower,
-        upper=upper,
+        shapes=shapes / shape,
+        participation=participation / part,
+        lower=(residuals[:, 0] * lines.s[0] ** 2).T,
+        upper=residuals[:, 1].T,
         outputs=frfs.outputs,
         inputs=frfs.inputs,
         kind=frfs.kind,
     )
-    return normalise(model, pairs)
+    return normalise(model, points)
 
 
 def blow_factors(lines: Lines, poles: Complex) -> tuple[Complex, Complex]:
@@ -180,11 +193,10 @@ def weighted_rest(lines: Lines, poles: Complex, participation: Complex, shapes: 
     `participation` is that of the weighted data.
     """
     part = augment(participation).T[:, :, None] * augment(shapes.T * lines.response)
-    if (
-        2 * poles.size <= part.shape[0] * part.shape[2]
-    ):  # residual terms come out of the fewer columns
+    # residual terms come out of the fewer columns
+    if 2 * poles.size <= part.shape[0] * part.shape[2]:
         modes = functions(lines, poles) @ part
-        return np.asarray(np.subtract(lines.y * lines.response, modes, out=modes))
+        return np.subtract(lines.y * lines.response, modes, out=modes)
     modes = lines.weight[:, None] * (resonances(lines, augment(poles))[0] @ part)
     return _beside_terms(lines, lines.y * lines.response - modes)
 
@@ -201,10 +213,10 @@ def noise_left(lines: Lines, rest: Complex) -> Noise:
     response = response / np.exp(np.log(response).mean())
     given = given / np.exp(np.log(given).mean())
     line = (power / (response * given[:, None, None])).mean(axis=(0, 2))
-    wide = max(_SMOOTHED, int(np.ceil(_VALUES / (response.size * given.size))) | 1)
-    line = np.maximum(
-        _smooth(line, min(wide, line.size - 1 + line.size % 2)), _LEAST * np.median(line)
-    )
+    # five lines, and forty values at least
+    wide = max(5, int(np.ceil(40 / (response.size * given.size))) | 1)
+    smooth = _smooth(line, min(wide, line.size - 1 + line.size % 2))
+    line = np.maximum(smooth, 1e-4 * np.median(line))
     return Noise(
         np.sqrt(line) / lines.weight,
         np.sqrt(response) / lines.response,
@@ -219,60 +231,40 @@ def synthesise_windowed(model: ModalModel, lines: Lines) -> Complex:
     shape, part = blow_factors(lines, model.poles)
     h = modal_part(lines, model.poles, model.shapes * shape, model.participation * part)
     s = lines.s[:, None, None]
-    return np.asarray(h + (model.lower / s**2 + model.upper) * lines.kind[:, None, None])
+    return h + (model.lower / s**2 + model.upper) * lines.kind[:, None, None]
 
 
-def _residuals(rest: Complex, lines: Lines) -> tuple[Complex, Complex]:
-    """Lower and upper residuals (out, in) of what the modes leave."""
-    t = np.stack([(lines.s[0] / lines.s) ** 2, np.ones(lines.s.size)], axis=1)
-    q, r = np.linalg.qr(lines.weight[:, None] * (lines.kind[:, None] * t))
-    y = lines.weight[:, None] * rest.transpose(2, 0, 1)
-    x = np.asarray(np.linalg.solve(r, q.conj().T @ y), dtype=np.complex128)  # (in, 2, out)
-    return (x[:, 0] * lines.s[0] ** 2).T, x[:, 1].T
-
-
-def driving_pairs(model: ModalModel | FrfSet) -> list[tuple[int, int, float]]:
-    """(output, input, sign) of the driving points; a hit against the direction of its sensor has
-    sign −1.
-    """
+def driving_pairs(model: ModalModel | FrfSet) -> DrivingPoints:
+    """The driving points, by the names of the channels: one response for each input at most."""
     try:
         out = DofSet.parse(c.id for c in model.outputs)
         inp = DofSet.parse(c.id for c in model.inputs)
     except InputError:
         at = {c.id: i for i, c in enumerate(model.outputs)}
-        return [(at[c.id], j, 1.0) for j, c in enumerate(model.inputs) if c.id in at]
+        found = np.array([at.get(c.id, -1) for c in model.inputs], dtype=np.int64)
+        given = np.flatnonzero(found >= 0)
+        return DrivingPoints(found[given], given, np.ones(given.size))
     found = out.find(inp.node, inp.direction)
-    return [
-        (int(o), j, -1.0 if int(out.direction[o]) * int(inp.direction[j]) < 0 else 1.0)
-        for j, o in enumerate(found)
-        if o >= 0
-    ]
+    given = np.flatnonzero(found >= 0)
+    along = out.direction[found[given]] * inp.direction[given]
+    return DrivingPoints(found[given], given, np.where(along < 0, -1.0, 1.0))
 
 
-def normalise(model: ModalModel, pairs: Pairs | None = None) -> ModalModel:
+def normalise(model: ModalModel, points: DrivingPoints) -> ModalModel:
     """Shapes of unit modal A where there are driving points, residue = φ φᵀ; else the model as it
     is.
     """
-    pairs = driving_pairs(model) if pairs is None else pairs
-    if not pairs or not model.poles.size:
+    if not points or not model.poles.size:
         return model
-    o = np.array([p[0] for p in pairs])
-    i = np.array([p[1] for p in pairs])
-    sign = np.array([p[2] for p in pairs])[:, None]
-    psi = model.shapes[o] * sign
-    part = model.participation.T[i]
+    psi = points.shapes(model.shapes)
+    part = model.participation.T[points.input]
     # regressed on l, which all responses fix: ψ has more noise
     overlap = (part.conj() * psi).sum(axis=0)
     square = (np.abs(part) ** 2).sum(axis=0) / np.where(overlap != 0, overlap, 1.0)
     alpha = np.sqrt(np.where(square != 0, square, 1.0))
-    return ModalModel(
-        poles=model.poles,
+    return replace(
+        model,
         shapes=model.shapes * alpha,
         participation=model.participation / alpha[:, None],
-        lower=model.lower,
-        upper=model.upper,
-        outputs=model.outputs,
-        inputs=model.inputs,
-        kind=model.kind,
         norm=Norm.MODAL_A,
     )

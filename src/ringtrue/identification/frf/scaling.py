@@ -10,30 +10,54 @@ reciprocity in all modes, which noise does not.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy.special import stdtrit
 
-from ringtrue.core.arrays import Complex, Float, Int
-from ringtrue.core.modal import ModalModel
-from ringtrue.core.modes import Norm
+from ringtrue.core.arrays import Complex, Float
+from ringtrue.core.modes import ModalModel, Norm
 from ringtrue.core.signals import FrfSet
 from ringtrue.identification.frf.refinement import Refined
-from ringtrue.identification.frf.residues import Pairs, driving_pairs
-from ringtrue.shapes.mac import paired_mac
+from ringtrue.identification.frf.residues import DrivingPoints, driving_pairs
+from ringtrue.shapes import paired_mac
 
-SHARED = 3.0  # times what the fit leaves is noise by the coherence, where responses share it
-APART = 3.0  # standard deviations of a sum of squares
-TOLD = 0.1  # of the residues at the driving points
-SIDE = 1.96  # deviations to the end of an interval
-LEAST = 1 / 9  # of a residue, that may be left there
-# agreement that is sound, that one fault may explain, and that is reported in any case
-_GOOD = 0.95
-_DOUBTFUL = 0.9
-_POOR = 0.8
-_FACTOR = 0.1  # of a calibration, from which on it is reported
-_CHANCE = 3e-4  # that a factor of a sound point is reported: its deviation rests on few modes
+
+@dataclass(frozen=True, slots=True)
+class ScaleLimits:
+    """What makes a modal scale doubtful.
+
+    Attributes
+    ----------
+    shared : float
+        Times what the fit leaves that the coherence calls noise, where responses share it.
+    deviations : float
+        Standard deviations of a sum of squares, from which on driving points disagree.
+    noted : float
+        Share of the residues at the driving points, from which on this is noted.
+    """
+
+    shared: float = 3.0
+    deviations: float = 3.0
+    noted: float = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class ReciprocityLimits:
+    """Median MAC of shapes and participations at points both excited and measured.
+
+    Attributes
+    ----------
+    good, doubtful, poor : float
+        Sound, possibly explained by one fault, and noted in any case.
+    """
+
+    good: float = 0.95
+    doubtful: float = 0.9
+    poor: float = 0.8
+
+
+LIMITS = ScaleLimits()
 
 
 def mode_scale(model: ModalModel) -> Complex:
@@ -48,7 +72,7 @@ def mode_scale(model: ModalModel) -> Complex:
 
 
 def scale_deviations(
-    frfs: FrfSet, fitted: Complex, fit: Refined, pairs: Pairs
+    frfs: FrfSet, fitted: Complex, fit: Refined, points: DrivingPoints
 ) -> tuple[Float, str]:
     """Relative standard deviations (out, m) of the shapes, besides that of their residues, and a
     note.
@@ -60,45 +84,41 @@ def scale_deviations(
     fitted : (f, out, in) complex128
         The FRFs of the fit.
     fit : Refined
-    pairs : sequence of (output, input, sign)
-        Driving points.
+    points : DrivingPoints
     """
-    if not pairs or not fit.poles.size:
+    if not points or not fit.poles.size:
         return np.zeros(fit.shapes.shape), ""
-    o, i, _ = (np.array(x) for x in zip(*pairs, strict=True))
-    weight = np.abs(fit.participation[:, i]) ** 2
+    weight = np.abs(fit.participation[:, points.input]) ** 2
     weight = weight / np.maximum(weight.sum(axis=1, keepdims=True), 1e-300)
-    shared = 0.25 * (weight**2 * _shared(frfs, fitted, fit.poles)[:, i]).sum(axis=1)
-    disagreement, error = _apart(fit, pairs)
-    noise = _of_the_force(frfs, fit.poles, weight=weight, o=o, i=i)
-    return np.sqrt(shared + disagreement**2 + noise + _by_a_node(fit, pairs)), _note(
-        frfs, pairs, error
-    )
+    shared = 0.25 * (weight**2 * _shared(frfs, fitted, fit.poles)[:, points.input]).sum(axis=1)
+    disagreement, error = _disagreement(fit, points)
+    noise = _of_the_force(frfs, fit.frequencies, weight, points)
+    std = np.sqrt(shared + disagreement**2 + noise + _by_a_node(fit, points))
+    return std, _note(frfs, points, error)
 
 
-def _by_a_node(fit: Refined, pairs: Pairs) -> Float:
+def _by_a_node(fit: Refined, points: DrivingPoints) -> Float:
     """(m,) relative variance of the scales that first order leaves out, as φ_o = R_oi/√R_ii where
     R_ii is poorly known.
 
     The upper end of the interval of φ, from the lower one of R_ii, gives the deviation.
     """
-    psi, part, variance = _driven(fit, pairs)
+    psi, part, variance = _driven(fit, points)
     overlap = np.maximum(np.abs((part.conj() * psi).sum(axis=1)), 1e-300)
     known = np.sqrt(0.5 * (np.abs(part) ** 2 * variance).sum(axis=1)) / overlap
-    upper = 1 / np.sqrt(np.maximum(1 - SIDE * known, LEAST))
-    return np.asarray(np.maximum(((upper - 1) / SIDE) ** 2 - (known / 2) ** 2, 0))
+    upper = 1 / np.sqrt(np.maximum(1 - 1.96 * known, 1 / 9))
+    return np.asarray(np.maximum(((upper - 1) / 1.96) ** 2 - (known / 2) ** 2, 0))
 
 
-def _driven(fit: Refined, pairs: Pairs) -> tuple[Complex, Complex, Float]:
+def _driven(fit: Refined, points: DrivingPoints) -> tuple[Complex, Complex, Float]:
     """Shapes and participations at the driving points (m, pair), and the variance of these shapes
     by noise.
     """
-    o, i, sign = (np.array(x) for x in zip(*pairs, strict=True))
-    variance = (fit.known.state.shape_var * fit.known.own)[o].T
-    return (fit.shapes[o] * sign[:, None]).T, fit.participation[:, i], variance
+    variance = (fit.known.state.shape_var * fit.known.own)[points.output].T
+    return points.shapes(fit.shapes).T, fit.participation[:, points.input], variance
 
 
-def _of_the_force(frfs: FrfSet, poles: Complex, weight: Float, o: Int, i: Int) -> Float:
+def _of_the_force(frfs: FrfSet, frequencies: Float, weight: Float, points: DrivingPoints) -> Float:
     """(out, m) relative variance of the shapes by the noise on the force of each impact, known from
     the records.
 
@@ -106,9 +126,10 @@ def _of_the_force(frfs: FrfSet, poles: Complex, weight: Float, o: Int, i: Int) -
     φ_i².
     """
     if frfs.impacts is None:
-        return np.zeros((1, poles.size))
-    share = frfs.impacts.weight[:, :, i] - 0.5 * frfs.impacts.weight[:, o, i][:, None]
-    noise = frfs.impacts.noise_at(np.abs(poles) / (2 * np.pi))
+        return np.zeros((1, frequencies.size))
+    of_all = frfs.impacts.weight
+    share = of_all[:, :, points.input] - 0.5 * of_all[:, points.output, points.input][:, None]
+    noise = frfs.impacts.noise_at(frequencies)
     return np.asarray((0.5 * noise[:, None] * (share @ weight.T) ** 2).sum(axis=0))
 
 
@@ -130,18 +151,18 @@ def _shared(frfs: FrfSet, fitted: Complex, poles: Complex) -> Float:
         left = (np.abs(frfs.data[at] - fitted[at]) ** 2).sum(axis=0) / size
         due = np.median(due, axis=0)
         left = np.median(left, axis=0)
-        out[k] = np.where((due > SHARED * left) & (n > 1), 0.5 * (due - left), 0.0)
+        out[k] = np.where((due > LIMITS.shared * left) & (n > 1), 0.5 * (due - left), 0.0)
     return out
 
 
-def _apart(fit: Refined, pairs: Pairs) -> tuple[Float, float]:
+def _disagreement(fit: Refined, points: DrivingPoints) -> tuple[Float, float]:
     """Relative deviations (m,) of the scales by points that disagree, and their error over the size
     of a component.
 
     The error at a point is taken as independent from mode to mode and in proportion to the typical
     component there, as that of a skewed impact is.
     """
-    psi, part, variance = _driven(fit, pairs)
+    psi, part, variance = _driven(fit, points)
     square = np.maximum((np.abs(part) ** 2).sum(axis=1), 1e-300)
     ratio = (part.conj() * psi).sum(axis=1) / square
     # of unit modal mass
@@ -153,164 +174,72 @@ def _apart(fit: Refined, pairs: Pairs) -> tuple[Float, float]:
     typical = (size**2).mean(axis=0)
     found = (np.abs(rest) ** 2).sum()
     due = (free * noise).sum()
-    freedom = max(2 * psi.shape[0] * (len(pairs) - 1), 1)
-    if len(pairs) < 2 or found < due * (1 + APART * np.sqrt(2 / freedom)):
+    freedom = max(2 * psi.shape[0] * (len(points) - 1), 1)
+    if len(points) < 2 or found < due * (1 + LIMITS.deviations * np.sqrt(2 / freedom)):
         return np.zeros(psi.shape[0]), 0.0
     error2 = float((found - due) / max(float((free * typical).sum()), 1e-300))
     total = np.maximum((size**2).sum(axis=1), 1e-300)
     return 0.5 * np.sqrt(error2 * (size**2 * typical).sum(axis=1)) / total, float(np.sqrt(error2))
 
 
-def _note(frfs: FrfSet, pairs: Pairs, error: float) -> str:
-    if error < TOLD:
+def _note(frfs: FrfSet, points: DrivingPoints, error: float) -> str:
+    if error < LIMITS.noted:
         return ""
-    ids = " ".join(dict.fromkeys(frfs.inputs[i].id for _, i, _ in pairs))
+    ids = " ".join(dict.fromkeys(frfs.inputs[i].id for i in points.input))
     return (
         f"driving points {ids} disagree by {100 * error:.0f} % of their residues: a skewed impact, "
-        "a sensor beside the "
-        "point or a sensitivity; the modal masses are that doubtful"
+        "a sensor off the point or a sensitivity; the modal masses are that doubtful"
     )
 
 
-def reciprocity(model: ModalModel) -> Float:
-    """(m,) MAC between shape and participation vector at the points that were both hit and
-    measured.
+def reciprocity_note(model: ModalModel, sound: DrivingPoints) -> str:
+    """What breaks the reciprocity of the modes: references exchanged, or a wrong point; else empty.
 
-    1 for a reciprocal structure with sound directions and calibrations; NaN with fewer than two
-    such points. The FRFs of the points on themselves need not be among the data: the residues of
-    rank one give them.
-    """
-    psi, part, names = _at_both(model)
-    return paired_mac(psi, part) if len(names) > 1 else np.full(model.poles.size, np.nan)
-
-
-def calibrations(model: ModalModel) -> tuple[Float, Float]:
-    """What the response at each point struck reads over what the others do for the same force, and
-    its deviation.
-
-    The residues of mode m are ψ_o l_i, and in a reciprocal structure |ψ_o| = c_m d_o |l_o|, where
-    d_o is the factor by which response and force at o are mis-scaled. Least squares of the
-    logarithms over all modes, each weighed by how far its residue at the point itself stands out.
+    With three points and more the odd one is named. The FRFs of the points on themselves need not
+    be among the data: the residues of rank one give them.
 
     Parameters
     ----------
     model : ModalModel
-        At least two points both struck and measured, and two modes.
-
-    Returns
-    -------
-    factor : (p,) float64
-        d_o over the median of the points, in the order of `driving_pairs`.
-    std : (p,) float64
-        Of its logarithm, from the scatter over the modes.
-    """
-    psi, part, _ = _at_both(model)
-    return _factors(psi, part)
-
-
-def _factors(psi: Complex, part: Complex) -> tuple[Float, Float]:
-    """`calibrations` by shapes and participations (p, m)."""
-    own = np.abs(psi * part)
-    # the noise of a logarithm falls as its number grows
-    weight = np.sqrt(own / np.maximum(own.max(axis=0), 1e-300))
-    ratio = np.log(np.maximum(np.abs(psi), 1e-300) / np.maximum(np.abs(part), 1e-300))
-    p, m = ratio.shape
-    rows = np.concatenate([np.repeat(np.eye(p), m, axis=0), np.tile(np.eye(m), (p, 1))], axis=1)
-    # of least norm: the points sum to the modes' mean
-    inverse = np.linalg.pinv(rows * weight.reshape(-1, 1))
-    x = inverse @ (weight * ratio).ravel()
-    left = weight.ravel() * (ratio.ravel() - rows @ x)
-    variance = (left**2).sum() / max((p - 1) * (m - 1), 1)
-    to_median = np.eye(p) - np.eye(p)[np.argsort(x[:p])[[(p - 1) // 2, p // 2]]].mean(axis=0)
-    spread = np.sqrt(variance * ((to_median @ inverse[:p]) ** 2).sum(axis=1))
-    return np.exp(to_median @ x[:p]), spread
-
-
-def reciprocity_note(model: ModalModel, sound: Pairs) -> str:
-    """What breaks the reciprocity of the modes: references exchanged, a point wrong, a calibration;
-    else empty.
-
-    With three points and more the odd one is named, with two the pair.
-
-    Parameters
-    ----------
-    model : ModalModel
-    sound : sequence of (output, input, sign)
+    sound : DrivingPoints
         Of `driving_pairs`, those where neither sensor nor hammer is known to be the other way
         round.
     """
-    psi, part, names = _at_both(model)
+    points = driving_pairs(model)
+    names = [model.inputs[i].id for i in points.input]
     if len(names) < 2 or model.poles.size < 2:
         return ""
-    used = {i for _, i, _ in sound}
-    psi = psi * np.where([i in used for _, i, _ in driving_pairs(model)], 1.0, -1.0)[:, None]
-    factor, std = _factors(psi, part)
-    if _agreement(psi / factor[:, None], part) > _GOOD:
-        quantile = float(stdtrit((len(names) - 1) * (model.poles.size - 1), 1 - _CHANCE / 2))
-        return _miscalibrated(names, factor, quantile * std)
-    return _mislaid(psi, part, names)
-
-
-def _miscalibrated(names: list[str], factor: Float, doubt: Float) -> str:
-    """Factors beyond `doubt` of their logarithms."""
-    off = np.abs(np.log(factor))
-    low = factor.argmin()
-    high = factor.argmax()
-    if len(names) == 2:  # their median lies between them
-        off = 2 * off
-        doubt = 2 * doubt
-    odd = np.flatnonzero((off > np.log1p(_FACTOR)) & (off > doubt))
-    if not odd.size:
+    limits = ReciprocityLimits()
+    turned = np.where(np.isin(points.input, sound.input), 1.0, -1.0)
+    psi = points.shapes(model.shapes) * turned[:, None]
+    part = model.participation.T[points.input]
+    now = _agreement(psi, part)
+    if now > limits.doubtful:
         return ""
-    if len(names) == 2:
-        finding = (
-            f"{factor[high] / factor[low]:.3g} times that at {names[low]} at {names[high]}: "
-            "one sensitivity is wrong"
-        )
-    else:
-        each = ", ".join(f"{factor[k]:.3g} times at {names[k]}" for k in odd.tolist())
-        finding = f"{each} of what it is at the other points struck: a wrong sensitivity"
-    return f"reciprocity: response over force is, in all modes, {finding}"
-
-
-def _mislaid(psi: Complex, part: Complex, names: list[str]) -> str:
-    """References that are exchanged, or one that was not struck where it says."""
-    best = now = _agreement(psi, part)
-    if now > _DOUBTFUL:
-        return ""
+    best = now
     why = ""
     for a, b in combinations(range(len(names)), 2):
         order = np.arange(len(names))
         order[[a, b]] = b, a
-        if (value := _agreement(psi, part[order])) > best:
+        value = _agreement(psi, part[order])
+        if value > best:
             best = value
             why = f"references {names[a]} and {names[b]} look exchanged"
-    for k in range(len(names)) if len(names) > 2 and best < _GOOD else ():
+    for k in range(len(names)) if len(names) > 2 and best < limits.good else ():
         rest = np.delete(np.arange(len(names)), k)
-        if (value := _agreement(psi[rest], part[rest])) > best:
+        value = _agreement(psi[rest], part[rest])
+        if value > best:
             best = value
-            why = f"{names[k]} was not struck where, or along what, its response reads"
+            why = f"{names[k]} was not excited where, or along what, its response reads"
     finding = (
         f"reciprocity: shapes and participations at {' '.join(names)} agree to "
         f"{100 * now:.0f} % only"
     )
-    if best > _GOOD:
+    if best > limits.good:
         return f"{finding}, {100 * best:.0f} % without: {why}"
-    return (
-        f"{finding}: a point or direction is wrong, or the structure is not linear"
-        if now < _POOR
-        else ""
-    )
-
-
-def _at_both(model: ModalModel) -> tuple[Complex, Complex, list[str]]:
-    """Shapes and participations (p, m) at the points both struck and measured, along the response,
-    and their names.
-    """
-    pairs = driving_pairs(model)
-    o, i = ([int(p[k]) for p in pairs] for k in (0, 1))
-    sign = np.array([p[2] for p in pairs]).reshape(-1, 1)
-    return model.shapes[o] * sign, model.participation.T[i], [model.inputs[k].id for k in i]
+    if now < limits.poor:
+        return f"{finding}: a point or direction is wrong, or the structure is not linear"
+    return ""
 
 
 def _agreement(psi: Complex, part: Complex) -> float:

@@ -7,6 +7,14 @@ a fraction of a bandwidth from each other, of similar participation vectors. The
 about as many unknowns: a pole and a residue of each response, or two residues of each response and
 two poles. True close modes add up to nothing in some responses, or have other participation
 vectors: no single pole fits there.
+
+Modes that the pole search missed, and repeated roots.
+
+Missed modes are peaks in what a fit leaves of the FRFs. Poles that the data do not separate may
+have any mixture of the two shapes. Where the participation vectors of several references span a
+plane, the pair is given one pole and two real shapes, orthogonal to each other and, with two
+driving points, to the mass: the residues of the pair are R = Ψ B = Φ Φ_dᵀ, Φ = Ψ T, and T Tᵀ
+follows from the rows Ψ_d of the driving points.
 """
 
 from __future__ import annotations
@@ -15,24 +23,241 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.cluster.hierarchy import fcluster, linkage
+from scipy.ndimage import maximum_filter1d, median_filter, uniform_filter1d
 
-from ringtrue.core.arrays import Complex, Float
+from ringtrue.core.arrays import Complex, Float, Int
+from ringtrue.identification.common.stabilisation import PoleSet
 from ringtrue.identification.frf.confidence import CandidatePoles
 from ringtrue.identification.frf.lines import Lines, resonances, without
-from ringtrue.identification.frf.refinement import Refined
+from ringtrue.identification.frf.refinement import Refined, refine
+from ringtrue.identification.frf.residues import DrivingPoints, solve_shapes
 
-NEAR = 2.0  # half bandwidths between neighbours among the poles of a split mode
-BAND = 6.0  # half bandwidths around them that tell
-INSIDE = 0.5  # length, in the band, of smooth terms that the fit has there
-LEAST = 12  # lines on each side
-FEWEST = 6  # responses
-TURNS = 12
-SETTLED = 1e-4  # of the squares left, that a step still takes away
-BETWEEN_TURNS = 10
-LEAST_DAMPED = 0.1  # of the half bandwidth
-# standard deviations between responses that do not agree: those of one place differ by 1 to 3
-APART = 8.0
+
+@dataclass(frozen=True, slots=True)
+class AddedModeLimits:
+    """When two poles are one, and when a peak of the error is a missed mode.
+
+    Attributes
+    ----------
+    deviations : float
+        Standard deviations of the distance of two poles that are separated.
+    least, most : float
+        Half bandwidths within which two poles are one in any case, and may be.
+    flat : float
+        Third over second singular value of a plane of real vectors.
+    above : float
+        Error at a peak over that in its surroundings.
+    share : float
+        Amplitude of the error against the data: measured FRFs agree no better.
+    worse : float
+        Times the error at the peak of a typical mode, on the flank of one.
+    """
+
+    deviations: float = 3.0
+    least: float = 2e-3
+    most: float = 0.3
+    flat: float = 0.2
+    above: float = 1.3
+    share: float = 0.03
+    worse: float = 3.0
+
+
+ADDED = AddedModeLimits()
+
+
+def twins(poles: Complex) -> list[tuple[int, int]]:
+    """Positions of the modes that share a pole."""
+    i, j = np.nonzero(np.triu(poles[:, None] == poles, 1))
+    return list(zip(i.tolist(), j.tolist(), strict=True))
+
+
+def united(lines: Lines, fit: Refined, points: DrivingPoints) -> Refined:
+    """The fit with one pole and two orthogonal real shapes for each two modes that the data do not
+    separate.
+
+    Parameters
+    ----------
+    lines : Lines
+    fit : Refined
+    points : DrivingPoints
+    """
+    if fit.participation.shape[1] < 2:
+        return fit
+    poles = fit.poles.copy()
+    part = fit.participation.copy()
+    for i, j in _inseparable(fit):
+        basis = _plane(part[[i, j]] * lines.input)
+        if basis is None:
+            continue
+        poles[[i, j]] = poles[[i, j]].mean()
+        part[[i, j]] = basis / lines.input
+        shapes = solve_shapes(lines, poles, part)[:, [i, j]]
+        part[[i, j]] = _orthogonal(shapes, part[[i, j]], points, lines.response)
+    if not twins(poles):
+        return fit
+    new = refine(lines, poles, part, iterations=0)
+    return replace(new, outcome=fit.outcome) if new.cost < 1.01 * fit.cost else fit
+
+
+def _inseparable(fit: Refined) -> list[tuple[int, int]]:
+    """Pairs of poles nearer to each other than the data tell, each pole in one pair at most."""
+    p = fit.poles
+    half = np.abs(p.real)
+    std = 2 * np.pi * np.hypot(fit.std_frequency, np.abs(p) / (2 * np.pi) * fit.std_damping)
+    far = np.abs(p[:, None] - p)
+    width = np.minimum(half[:, None], half)
+    near = far < np.clip(
+        ADDED.deviations * np.hypot(std[:, None], std), ADDED.least * width, ADDED.most * width
+    )
+    rank = [(float(far[i, j]), int(i), int(j)) for i, j in np.argwhere(np.triu(near, 1))]
+    out: list[tuple[int, int]] = []
+    for _, i, j in sorted(rank):
+        if all(i not in known and j not in known for known in out):
+            out.append((i, j))
+    return out
+
+
+def _plane(part: Complex) -> Float | None:
+    """(2, in) orthonormal real basis of two participation vectors; None if they lie in no plane of
+    real ones.
+    """
+    v = part / np.linalg.norm(part, axis=1, keepdims=True)
+    size, basis = np.linalg.svd(np.concatenate([v.real, v.imag]), full_matrices=False)[1:]
+    flat = size.size < 3 or size[2] < ADDED.flat * size[1]
+    return np.asarray(basis[:2]) if flat and size[1] > 1e-3 * size[0] else None
+
+
+def _orthogonal(psi: Complex, basis: Complex, points: DrivingPoints, response: Float) -> Complex:
+    """(2, in) participation vectors in the plane `basis` whose shapes are orthogonal.
+
+    `psi` (out, 2) are the shapes of the vectors of the basis. With two driving points they are
+    orthogonal to the mass as well; with fewer, the vectors are orthogonal to each other.
+    """
+    x = np.eye(2)
+    if len(points) > 1:
+        full = basis[:, points.input] @ np.linalg.pinv(points.shapes(psi).T)
+        full = full * np.exp(-1j * np.angle(np.trace(full)))
+        sym = 0.5 * (full + full.T).real
+        x = sym if np.linalg.eigvalsh(sym)[0] > 1e-3 * np.trace(sym) else x
+    t = np.linalg.cholesky(x)
+    phi = (psi @ t) * response[:, None]
+    turn = np.linalg.eigh((phi.conj().T @ phi).real)[1]
+    return np.asarray(np.linalg.solve(t @ turn, basis))
+
+
+def missed(
+    lines: Lines, fit: Refined, sets: Sequence[PoleSet], decay: float, most: int
+) -> CandidatePoles:
+    """Candidates at the highest peaks of the error, one for each.
+
+    Parameters
+    ----------
+    lines : Lines
+    fit : Refined
+    sets : sequence of PoleSet
+        The poles of all orders, to count the orders that hold a candidate.
+    decay : float, 1/s
+        Exponential window still in `sets`.
+    most : int
+    """
+    rest = fit.known.rest
+    at = _peaks(rest, lines, fit)[:most]
+    omega = lines.s.imag[at]
+    zeta = np.median(fit.damping)
+    pole = omega * (-zeta + 1j * np.sqrt(1 - zeta**2))
+    part = np.empty((at.size, rest.shape[0]), dtype=np.complex128)
+    for row, k in enumerate(at.tolist()):
+        # the participation vector that carries most of the error there
+        a = rest[:, max(k - 1, 0) : k + 2].reshape(rest.shape[0], -1)
+        part[row] = np.linalg.eigh(a @ a.conj().T)[1][:, -1] / lines.input
+    return CandidatePoles(pole, part, support(pole, part, sets, decay), np.zeros(at.size))
+
+
+def _peaks(rest: Complex, lines: Lines, fit: Refined) -> Int:
+    """Lines of the peaks, highest first, at least half a bandwidth from each other."""
+    power = uniform_filter1d((np.abs(rest) ** 2).mean(axis=(0, 2)), 3, mode="nearest")
+    total = (np.abs(lines.y * lines.response) ** 2).mean(axis=(0, 2))
+    step = np.median(np.diff(lines.s.imag))
+    half = int(np.ceil(np.median(fit.damping) * np.median(lines.s.imag) / step)) + 2
+    floor = median_filter(power, size=min(20 * half + 1, power.size), mode="mirror")
+    top = power >= maximum_filter1d(power, 2 * half + 1, mode="nearest")
+    share = power / uniform_filter1d(total, 3, mode="nearest")
+    seen = top & (power > ADDED.above * floor) & (share > _usual(share, lines, fit))
+    at = np.flatnonzero(seen)
+    return at[np.argsort(-(power / floor)[at], kind="stable")]
+
+
+def _usual(share: Float, lines: Lines, fit: Refined) -> Float:
+    """Squared share of the error in the data that is no sign of a missed mode: measured FRFs
+    disagree by some.
+
+    On the flank of a mode an error well above that at the peaks of the others is one: two modes
+    taken for one.
+    """
+    usual = np.full(share.size, ADDED.share**2)
+    if fit.poles.size > 1:
+        far = np.abs(lines.s.imag[:, None] - fit.poles.imag)
+        flank = (far < 2 * np.abs(fit.poles.real)).any(axis=1)
+        usual[flank] = min(ADDED.share**2, ADDED.worse**2 * np.median(share[far.argmin(axis=0)]))
+    return usual
+
+
+def support(pole: Complex, part: Complex, sets: Sequence[PoleSet], decay: float) -> Float:
+    """Share of the orders that hold each pole, in the band that knows it best."""
+    best = np.zeros(pole.size)
+    for s in sets:  # a few bands
+        if not len(s):
+            continue
+        width = np.abs(pole.real) + 0.2 * decay + 1e-4 * np.abs(pole)
+        near = np.abs(s.pole[:, None] + decay - pole) < width
+        v = s.shape / np.linalg.norm(s.shape, axis=0)
+        u = part.T / np.linalg.norm(part.T, axis=0)
+        similarity = np.abs(v.conj().T @ u) ** 2
+        for i, j in twins(pole):  # any vector in the plane of both
+            q = np.linalg.qr(u[:, [i, j]])[0]
+            similarity[:, [i, j]] = (np.abs(v.conj().T @ q) ** 2).sum(axis=1, keepdims=True)
+        near &= similarity > 0.6
+        upper = s.order >= np.median(s.orders)
+        held = np.array([np.unique(s.order[upper & n]).size for n in near.T])
+        best = np.maximum(best, held / max(np.unique(s.order[upper]).size, 1))
+    return best
+
+
+@dataclass(frozen=True, slots=True)
+class SplitLimits:
+    """When neighbouring modes may be one, and how its pole in each response is found.
+
+    Attributes
+    ----------
+    near : float
+        Half bandwidths between neighbours among the poles of a split mode.
+    band : float
+        Half bandwidths on each side that are looked at.
+    lines : int
+        And lines at least.
+    smooth : float
+        Length, in the band, of smooth terms that the fit has there.
+    responses : int
+        Least number of responses.
+    turns : int
+        Most steps.
+    converged : float
+        Share of the squares left that a step still takes away.
+    damping : float
+        Least damping, in half bandwidths.
+    """
+
+    near: float = 2.0
+    band: float = 6.0
+    lines: int = 12
+    smooth: float = 0.5
+    responses: int = 6
+    turns: int = 12
+    converged: float = 1e-4
+    damping: float = 0.1
+
+
+SPLIT = SplitLimits()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,12 +298,12 @@ def split_modes(lines: Lines, fit: Refined) -> list[SplitMode]:
 
     Of fewer than six responses nothing is found.
     """
-    if fit.shapes.shape[0] < FEWEST:
+    if fit.shapes.shape[0] < SPLIT.responses:
         return []
     order = np.argsort(fit.poles.imag, kind="stable")
     poles = fit.poles[order]
     half = np.abs(poles.real)
-    ends = np.flatnonzero(np.diff(poles.imag) > NEAR * np.maximum(half[1:], half[:-1])) + 1
+    ends = np.flatnonzero(np.diff(poles.imag) > SPLIT.near * np.maximum(half[1:], half[:-1])) + 1
     return [m for run in np.split(order, ends) for m in _split(lines, fit, tuple(run.tolist()))]
 
 
@@ -101,15 +326,13 @@ def joined(lines: Lines, candidates: CandidatePoles, split: Sequence[SplitMode])
     """The candidates with one in place of each split mode, these last."""
     c = candidates
     parts = [m for s in split for m in s.at]
-    keep = np.setdiff1d(np.arange(c.pole.size), parts)
-    return CandidatePoles(
-        np.append(c.pole[keep], [_mean(s.mode)[0] for s in split]),
-        np.concatenate(
-            [c.participation[keep], [s.mode.participation / lines.input for s in split]]
-        ),
-        np.append(c.support[keep], [c.support[list(s.at)].max() for s in split]),
-        np.append(c.scatter[keep], [c.scatter[list(s.at)].min() for s in split]),
+    whole = CandidatePoles(
+        np.array([_mean(s.mode)[0] for s in split]),
+        np.array([s.mode.participation / lines.input for s in split]),
+        np.array([c.support[list(s.at)].max() for s in split]),
+        np.array([c.scatter[list(s.at)].min() for s in split]),
     )
+    return c.take(np.setdiff1d(np.arange(c.pole.size), parts)).joined(whole)
 
 
 def levelled(lines: Lines, split: Sequence[SplitMode]) -> Lines:
@@ -147,29 +370,9 @@ def scattered(lines: Lines, fit: Refined, new: Refined, split: Sequence[SplitMod
     return replace(new, std_frequency=std[0], std_damping=std[1], factor=factor)
 
 
-def agreeing(split: Sequence[SplitMode]) -> tuple[tuple[int, ...], ...]:
-    """Responses that have the split modes at the same frequencies: those of a place that the
-    sensors had, or a day.
-
-    Average linkage of their distances in standard deviations, of several modes the median. Empty
-    where all agree, or one agrees with no other: then there are no groups.
-    """
-    if not split:
-        return ()
-    shift = np.array([np.log(s.mode.poles.imag) for s in split])
-    variance = np.array([s.mode.variance / s.mode.poles.imag**2 for s in split])
-    i, j = np.triu_indices(shift.shape[1], 1)
-    far = np.abs(shift[:, i] - shift[:, j]) / np.sqrt(
-        variance[:, i] + variance[:, j] + np.finfo(float).tiny
-    )
-    group = fcluster(linkage(np.median(far, axis=0), "average"), APART, "distance")
-    parts = tuple(sorted(tuple(np.flatnonzero(group == g).tolist()) for g in np.unique(group)))
-    return parts if len(parts) > 1 and min(map(len, parts)) > 1 else ()
-
-
 def split_note(fit: Refined, count: int) -> str:
     """Says which the last `count` modes are, and how far the responses disagree."""
-    f = np.abs(fit.poles[-count:]) / (2 * np.pi)
+    f = fit.frequencies[-count:]
     order = np.argsort(f)
     shift = float(np.median(fit.std_frequency[-count:] / f))
     named = " ".join(f"{x:.5g}" for x in f[order])
@@ -200,7 +403,7 @@ def _random_effects(x: Float, variance: Float) -> tuple[float, float]:
     between = float(np.var(x))
     mean = float(x.mean())
     w = np.ones(x.size)
-    for _ in range(BETWEEN_TURNS):
+    for _ in range(10):
         w = 1 / (variance + between + np.finfo(float).tiny)
         total = w.sum()
         mean = float(w @ x / total)
@@ -224,24 +427,25 @@ def local_poles(lines: Lines, fit: Refined, at: Sequence[int]) -> LocalPoles:
     reach = half + np.ptp(poles.imag)
     p = np.full(z.shape[1], centre)
     q, r, cost = band.residues(p)
-    for _ in range(TURNS):
+    for _ in range(SPLIT.turns):
         slope = band.slopes(p, q, r)
         step = (slope.conj() * (z - q * r)).sum(axis=0) / np.maximum(_squares(slope), 1e-300)
         away = p + step - centre
         new = centre + away * np.minimum(1, reach / np.maximum(np.abs(away), 1e-300))
-        new = np.minimum(new.real, -LEAST_DAMPED * half) + 1j * new.imag
+        new = np.minimum(new.real, -SPLIT.damping * half) + 1j * new.imag
         trial = band.residues(new)
         better = trial[2] < cost
         gain = (cost - trial[2])[better].sum()
         p, q, r, cost = (
             np.where(better, x, y) for x, y in zip((new, *trial), (p, q, r, cost), strict=True)
         )
-        if gain <= SETTLED * cost.sum():
+        if gain <= SPLIT.converged * cost.sum():
             break
     free = z.shape[0] - band.neighbours.shape[1]  # of each response, to one participation vector
     variance = 0.5 * cost / max(free - 2, 1) / np.maximum(_squares(band.slopes(p, q, r)), 1e-300)
     values = free * band.part.size
-    share = (band.across + cost.sum()) / max(values - 2, 1) * max(values - len(at), 1) / band.left
+    left = (band.across + cost.sum()) / max(values - 2, 1)
+    share = left * max(values - len(at), 1) / band.left
     return LocalPoles(
         poles=p,
         variance=variance,
@@ -286,15 +490,19 @@ def _band(lines: Lines, fit: Refined, at: list[int]) -> _Band:
     poles = fit.poles[at]
     part = fit.known.state.part[at]
     half = np.abs(poles.real).max()
-    reach = max(BAND * half, LEAST * np.diff(lines.s.imag).mean()) + np.ptp(poles.imag) / 2
+    reach = (
+        max(SPLIT.band * half, SPLIT.lines * np.diff(lines.s.imag).mean()) + np.ptp(poles.imag) / 2
+    )
     near = np.abs(lines.s.imag - poles.imag.mean()) < reach
-    band = replace(lines, s=lines.s[near], kind=lines.kind[near], weight=lines.weight[near])
+    band = replace(lines, s=lines.s[near], weight=lines.weight[near])
     far = np.abs(fit.poles.imag[:, None] - poles.imag).min(axis=1)
-    others = fit.poles[(far > NEAR * np.maximum(half, np.abs(fit.poles.real))) & (far < 2 * reach)]
+    others = fit.poles[
+        (far > SPLIT.near * np.maximum(half, np.abs(fit.poles.real))) & (far < 2 * reach)
+    ]
     flat, size, _ = np.linalg.svd(lines.smooth[near], full_matrices=False)
     columns = [
         *(band.weight[:, None] * x for x in resonances(band, others)),
-        flat[:, size > INSIDE],
+        flat[:, size > SPLIT.smooth],
     ]
     basis = np.linalg.qr(np.concatenate(columns, axis=1))[0]
     shapes = fit.shapes[:, at] * lines.response[:, None]

@@ -18,6 +18,8 @@ from ringtrue.io.foreign.door import MEGABYTE, door
 _CHECKED = 64 * MEGABYTE  # from which on the packing of an archive is looked at
 _PACKED = 100  # times that an archive of numbers is smaller than they: noise 1, meshes and zeros 10
 _ROWS = 50_000_000  # of a sparse matrix: the starts alone are 0.4 GB
+_EMPTY_ROWS = 2_000_000  # of a matrix with next to no values, as a mass at single nodes
+_ROWS_A_VALUE = 100  # of a larger one: in a damaged shape most rows are empty
 
 
 def read_npy(path: str | Path) -> Any_:
@@ -78,6 +80,7 @@ def compressed_matrix(
     """
     data, indices, starts = (np.ravel(part) for part in (data, indices, starts))
     check_compressed(kind, data, indices, starts, shape)
+    _check_rows(shape, data.size)
     made: dict[str, Any] = {"csr": sparse.csr_array, "csc": sparse.csc_array}
     return sparse.csr_array(
         made[kind]((data, indices.astype(np.int64), starts.astype(np.int64)), shape=shape)
@@ -141,6 +144,7 @@ def triplet_matrix(
         raise DataError(f"{rows.size} rows, {columns.size} columns and {data.size} values")
     shape = shape or (int(rows.max()) + 1, int(columns.max()) + 1)
     _check_shape(shape)
+    _check_rows(shape, data.size)
     for name, found, size in (("row", rows, shape[0]), ("column", columns, shape[1])):
         if found.size and not (found.min() >= 0 and found.max() < size):
             raise DataError(
@@ -154,4 +158,11 @@ def _check_shape(shape: tuple[int, int]) -> None:
         raise DataError(
             f"a matrix of {' x '.join(map(str, shape))}; it must have less than {_ROWS} rows and "
             "columns"
+        )
+
+
+def _check_rows(shape: tuple[int, int], values: int) -> None:
+    if max(shape) > max(_EMPTY_ROWS, _ROWS_A_VALUE * values):
+        raise DataError(
+            f"a matrix of {shape[0]} x {shape[1]} with {values} values: its shape is damaged"
         )

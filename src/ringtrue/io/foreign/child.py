@@ -1,4 +1,4 @@
-"""The process that `process` starts: parsers in C, and their results as plain arrays, texts, lists
+"""The process that `door` starts: parsers in C, and their results as plain arrays, texts, lists
 and dicts.
 """
 
@@ -9,7 +9,7 @@ import pickle
 import signal
 import sys
 from collections.abc import Callable
-from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -17,9 +17,8 @@ import numpy as np
 
 from ringtrue.io.foreign.door import DAMAGE
 
-if (
-    TYPE_CHECKING
-):  # a parser is imported where it is used: a start with all of them takes twice the time
+# a parser is imported where it is used: a start with all of them takes twice the time
+if TYPE_CHECKING:
     import h5py
 
 try:
@@ -29,11 +28,11 @@ except ImportError:  # Windows: the parent's clock is the only limit
 
 _PAGES = Path("/proc/self/statm")  # Linux
 _SAME_FILE = "."  # the name that a virtual data set has for its own file
-_WHOLE = (
-    1 << 26
-)  # bytes up to which a data set is read whole; the samples of larger ones lie in plain blocks
+# bytes up to which a data set is read whole; the samples of larger ones lie in plain blocks
+_WHOLE = 1 << 26
 # times that a data set may be larger than its file: records of constants are packed 200 times
 _PACKED = 1000
+_NUMBER = 8  # bytes that a number takes once it is read, however small it is stored
 _LATER = 5  # seconds that the parent's clock has to stop this process before its own does
 
 
@@ -43,7 +42,8 @@ class _Damaged(RuntimeError):
 
 def serve() -> None:
     """Read what the parent asks for, until it closes the pipe."""
-    asked, answers = sys.stdin.buffer, os.fdopen(os.dup(sys.stdout.fileno()), "wb")
+    asked = sys.stdin.buffer
+    answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what a parser prints is no answer
     answers.write(b".")
     answers.flush()
@@ -52,9 +52,13 @@ def serve() -> None:
             parser, path, seconds, memory = pickle.load(asked)
         except EOFError:
             return
+        parse, module = PARSERS[parser]
+        import_module(module)
+        answers.write(b".")  # its import is no time of a file
+        answers.flush()
         _limit(seconds, memory)
         try:
-            answer: tuple[str, Any] = ("done", PARSERS[parser](path))
+            answer: tuple[str, Any] = ("done", parse(path))
         except DAMAGE as exc:
             answer = ("failed", f"{type(exc).__name__}: {' '.join(str(exc).split())[:200]}")
         _no_limit()
@@ -77,8 +81,11 @@ def _limit(seconds: float, memory: int) -> None:
 
 
 def _no_limit() -> None:
+    """Waiting for the next file and importing its parser have no limit."""
     if resource is not None:
-        signal.alarm(0)  # waiting for the next file is no parser without end
+        signal.alarm(0)
+        hard = resource.getrlimit(resource.RLIMIT_AS)[1]
+        resource.setrlimit(resource.RLIMIT_AS, (hard, hard))
 
 
 def _matrix_market(path: str) -> Any:
@@ -93,9 +100,8 @@ def _matlab(path: str) -> dict[str, Any]:
     """
     from scipy import io
 
-    found = io.loadmat(
-        path, spmatrix=False, appendmat=False
-    )  # mat_dtype=True drops imaginary parts
+    # mat_dtype=True drops imaginary parts
+    found = io.loadmat(path, spmatrix=False, appendmat=False)
     plain = {name: _plain(value) for name, value in found.items() if not name.startswith("__")}
     return {name: value for name, value in plain.items() if value is not None}
 
@@ -167,17 +173,16 @@ def _hdf5(path: str) -> str:
                     continue
                 seen.add(address)
                 for name in _attributes(item):
-                    with suppress(
-                        OSError, TypeError, ValueError
-                    ):  # of a type that numpy does not have
-                        item.attrs[name]
+                    _read_attribute(item, name)
                 if isinstance(item, h5py.Group):
                     todo += _children(item, outside)
                 elif not isinstance(item, h5py.Dataset):
                     continue  # a type with a name
                 elif others := _stored_elsewhere(item):
                     outside.append(f"the samples of {item.name} stand in {others[0]}")
-                elif (item.size or 0) * item.dtype.itemsize > max(_WHOLE, _PACKED * size):
+                elif (item.size or 0) * max(item.dtype.itemsize, _NUMBER) > max(
+                    _WHOLE, _PACKED * size
+                ):
                     raise MemoryError(
                         f"{item.name} announces shape {item.shape}, the file holds {size} bytes"
                     )
@@ -213,8 +218,17 @@ def _attributes(item: Any) -> list[str]:
         raise _Damaged(f"the attributes of {item.name} cannot be listed: {exc}") from exc
 
 
+def _read_attribute(item: Any, name: str) -> None:
+    """Read an attribute, which may be of a type that numpy does not have."""
+    try:
+        item.attrs[name]
+    except (OSError, TypeError, ValueError) as exc:
+        if "alloc" in str(exc):
+            raise MemoryError(str(exc)) from exc
+
+
 def _children(group: h5py.Group, outside: list[str]) -> list[h5py.Group | h5py.Dataset]:
-    """What a group holds; what it links to in other files is told to `outside`."""
+    """What a group holds; what it links to in other files is added to `outside`."""
     import h5py
 
     found = []
@@ -253,8 +267,9 @@ def _touch(data: h5py.Dataset) -> None:
         data[tuple(slice(0, 1) for _ in data.shape)]
 
 
-PARSERS: dict[str, Callable[[str], Any]] = {
-    "matlab": _matlab,
-    "matrix market": _matrix_market,
-    "hdf5": _hdf5,
+# each with the module that it imports
+PARSERS: dict[str, tuple[Callable[[str], Any], str]] = {
+    "matlab": (_matlab, "scipy.io"),
+    "matrix market": (_matrix_market, "scipy.io"),
+    "hdf5": (_hdf5, "h5py"),
 }

@@ -76,8 +76,8 @@ def door(
     except DAMAGE as exc:
         said = " ".join(str(exc).split())
         said = said if len(said) <= _SHOWN else f"{said[:_SHOWN]} ..."
-        told = f"{type(exc).__name__}: {said}" if said else type(exc).__name__
-        raise error(f"{path}: not a readable {kind}, or damaged ({told}): {advice}") from exc
+        cause = f"{type(exc).__name__}: {said}" if said else type(exc).__name__
+        raise error(f"{path}: not a readable {kind}, or damaged ({cause}): {advice}") from exc
 
 
 def check_size(path: Path, most: int, kind: str, error: type[InputError] = DataError) -> None:
@@ -123,10 +123,11 @@ class _Child:
         assert self.process.stdin is not None
         assert self.process.stdout is not None
         watch = threading.Timer(seconds, self._stop)
-        watch.start()
         try:
             pickle.dump((parser, str(path.absolute()), seconds, memory), self.process.stdin)
             self.process.stdin.flush()
+            self.process.stdout.read(1)  # the parser is imported
+            watch.start()
             answer: tuple[str, Any] = pickle.load(self.process.stdout)
             return answer
         except (EOFError, BrokenPipeError, pickle.UnpicklingError):
@@ -181,12 +182,12 @@ def read_apart(parser: str, path: str | Path, kind: str, advice: str = EXPORT_AG
     if how == "done":
         return value
     if how == "failed":
-        told = value
+        cause = value
     elif value == "late":
-        told = f"its parser did not come back in {seconds:.0f} s"
+        cause = f"its parser did not come back in {seconds:.0f} s"
     else:
-        told = "its parser ended its process"
-    raise DataError(f"{path}: not a readable {kind}, or damaged ({told}): {advice}")
+        cause = "its parser ended its process"
+    raise DataError(f"{path}: not a readable {kind}, or damaged ({cause}): {advice}")
 
 
 def tried_apart(parser: str, path: Path, kind: str, advice: str) -> Any:

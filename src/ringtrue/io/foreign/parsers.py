@@ -253,7 +253,8 @@ def open_tdms(path: str | Path) -> Iterator[TdmsFile]:
 
 def _check_segments(raw: bytes, path: Path) -> None:
     """The chain of segments and their counts of objects, before nptdms believes them."""
-    at, seen = 0, 0
+    at = 0
+    seen = 0
     while at + _LEAD_IN.size <= len(raw):
         tag, mask, _, after, data_at = _LEAD_IN.unpack_from(raw, at)
         if tag not in _TAGS:
@@ -293,16 +294,15 @@ def read_wave(path: str | Path) -> tuple[float, Any_]:
     from scipy.io import wavfile
 
     path = existing(path)
-    raw = bytearray(
-        path.read_bytes()
-    )  # in memory a damaged length cannot ask for more than there is
+    # in memory a damaged length cannot ask for more than there is
+    raw = bytearray(path.read_bytes())
     with door(path, "WAVE file of PCM or floats"):
         if raw[:4] == b"RIFF" and struct.unpack("<I", raw[4:8])[0] in _OPEN_ENDS:
             raw[4:8] = struct.pack("<I", min(len(raw) - 8, 0xFFFFFFFE))
-        with warnings.catch_warnings(record=True) as told:
+        with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             rate, samples = wavfile.read(BytesIO(raw))
-        for warning in told:
+        for warning in caught:
             if "EOF" in str(warning.message):
                 log.warning("%s: the file is cut: %s", path, warning.message)
         return float(rate), np.atleast_2d(samples.T).T

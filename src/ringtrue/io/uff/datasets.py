@@ -16,9 +16,8 @@ from ringtrue.io.files import existing
 
 _D = bytes.maketrans(b"Dd", b"Ee")
 _TOUCHING = re.compile(rb"(?<=\d)(?=[+-]\d?\.)")
-_NO_LETTER = re.compile(
-    r"^([+-]?[\d.]+)([+-]\d+)$"
-)  # 1.00000-101: Fortran drops the letter before 3 digits
+# 1.00000-101: Fortran drops the letter before 3 digits
+_NO_LETTER = re.compile(r"^([+-]?[\d.]+)([+-]\d+)$")
 
 
 def parse_real(text: str) -> float:
@@ -79,9 +78,8 @@ def _fits(size: int, count: int, per_line: int) -> bool:
 
 def _free(text: bytes) -> Float | None:
     with warnings.catch_warnings():
-        warnings.simplefilter(
-            "error", DeprecationWarning
-        )  # NumPy's way to say that it stopped before the end
+        # NumPy's way to say that it stopped before the end
+        warnings.simplefilter("error", DeprecationWarning)
         try:
             return np.fromstring(text, dtype=np.float64, sep=" ")
         except (DeprecationWarning, ValueError):
@@ -142,13 +140,13 @@ _USUAL = b"    -1"
 _MARK = re.compile(rb"(?:^|(?<=[\r\n])) {0,5}-1[ \t\x00]*(?=[\r\n]|\Z)")
 _END = re.compile(rb"[\r\n]{0,2} {4}-1[ \t]*(?=[\r\n]|\Z)")
 LINE = re.compile(rb"\r\n|\n|\r")
-_ASCII_LINES = 11  # of the header of data set 58
 _FORM = 6  # the line of it with type of ordinates, points, spacing
-_DOUBLE, _COMPLEX = (4, 6), (5, 6)
+_DOUBLE = (4, 6)
+_COMPLEX = (5, 6)
 
 
 @dataclass(frozen=True, slots=True)
-class Block:
+class DataSet:
     """One data set.
 
     Attributes
@@ -179,7 +177,7 @@ class Block:
         return rows
 
 
-def scan(path: str | Path) -> tuple[Block, ...]:
+def scan(path: str | Path) -> tuple[DataSet, ...]:
     """All data sets of a universal file, in its order.
 
     Raises
@@ -197,8 +195,9 @@ def scan(path: str | Path) -> tuple[Block, ...]:
     return blocks
 
 
-def _blocks(raw: bytes, path: Path) -> Iterator[Block]:
-    at, usual = 0, _find(raw, 0, True) is not None
+def _blocks(raw: bytes, path: Path) -> Iterator[DataSet]:
+    at = 0
+    usual = _find(raw, 0, True) is not None
     while mark := _find(raw, at, usual):
         start = _next_line(raw, mark.end())
         end = _next_line(raw, start)
@@ -214,7 +213,7 @@ def _blocks(raw: bytes, path: Path) -> Iterator[Block]:
             continue
         close = _find(raw, end, usual)
         stop = close.start() if close else len(raw)
-        yield Block(int(kind[1]), raw[end:stop], at=start)
+        yield DataSet(int(kind[1]), raw[end:stop], at=start)
         at = close.end() if close else len(raw)
 
 
@@ -237,7 +236,7 @@ def _next_line(raw: bytes, at: int) -> int:
     return end.end() if end else len(raw)
 
 
-def _binary(raw: bytes, start: int, end: int, path: Path) -> tuple[Block, int]:
+def _binary(raw: bytes, start: int, end: int, path: Path) -> tuple[DataSet, int]:
     """A 58b and the place after it; a wrong count of bytes is replaced by that of its points, or
     the next mark.
     """
@@ -248,7 +247,7 @@ def _binary(raw: bytes, start: int, end: int, path: Path) -> tuple[Block, int]:
             f"{path}: binary data set 58 in floating point format {form}; only IEEE (2) can be read"
         )
     body = end
-    for _ in range(_ASCII_LINES):
+    for _ in range(11):  # of the header of data set 58
         body = _next_line(raw, body)
     counts = [int(fields[4]) if len(fields) > 4 else 0, *_counts(raw[end:body])]
     closings = ((n, _END.match(raw, body + n)) for n in counts if 0 < n <= len(raw) - body)
@@ -256,7 +255,7 @@ def _binary(raw: bytes, start: int, end: int, path: Path) -> tuple[Block, int]:
     if close is None:
         close = next((m for m in _END.finditer(raw, body) if _opens(raw, m.end())), None)
         count = (close.start() if close else len(raw)) - body
-    block = Block(58, raw[end:body], raw[body : body + count], order == 2, start)
+    block = DataSet(58, raw[end:body], raw[body : body + count], order == 2, start)
     return block, close.end() if close else len(raw)
 
 
@@ -267,7 +266,8 @@ def _counts(header: bytes) -> list[int]:
     if len(form) < 3 or not all(f.isdigit() and len(f) < 19 for f in form):
         return []
     ordinate, points, even = (int(f) for f in form)
-    size, per_point = 8 if ordinate in _DOUBLE else 4, 2 if ordinate in _COMPLEX else 1
+    size = 8 if ordinate in _DOUBLE else 4
+    per_point = 2 if ordinate in _COMPLEX else 1
     return [points * (per_point * size + x) for x in ([0] if even else [4, 8])]
 
 

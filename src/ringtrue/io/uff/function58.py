@@ -10,16 +10,22 @@ from typing import NamedTuple
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Float
+from ringtrue.core.channels import LINEAR
 from ringtrue.core.dofs import DofSet
-from ringtrue.core.motions import FORCES, LINEAR
-from ringtrue.core.signals import Channel, FrfSet, TimeHistory
-from ringtrue.errors import DataError, InputError
+from ringtrue.core.signals import FrfSet
+from ringtrue.errors import DataError
 from ringtrue.io.files import atomic_write
-from ringtrue.io.si import axis_factor
-from ringtrue.io.uff.datasets import LINE, Block, numbers, parse_int, reals, row, words
+from ringtrue.io.times import axis_factor
+from ringtrue.io.uff.datasets import LINE, DataSet, numbers, parse_int, reals, row, words
 
-TIME, FRF, TRANSMISSIBILITY, COHERENCE = 1, 4, 5, 6  # function types
-TIME_AXIS, FREQUENCY_AXIS = 17, 18  # data types of abscissae
+# function types
+TIME = 1
+FRF = 4
+TRANSMISSIBILITY = 5
+COHERENCE = 6
+# data types of abscissae
+TIME_AXIS = 17
+FREQUENCY_AXIS = 18
 _HEADER = 11  # lines
 _ENDS = {  # fields of line 6 and their columns
     "kind": 5,
@@ -77,7 +83,7 @@ class Axis:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Function:
+class UffFunction:
     """One function at a nodal degree of freedom.
 
     Attributes
@@ -111,7 +117,7 @@ class Function:
     axes: tuple[Axis, ...]
 
 
-def read_function(block: Block) -> Function:
+def read_function(block: DataSet) -> UffFunction:
     """The function of a data set.
 
     Raises
@@ -145,10 +151,20 @@ def read_function(block: Block) -> Function:
     axes = tuple(_axis(words(line, tuple(_AXIS.values()))) for line in lines[7:11])
     x = x * axis_factor(axes[0].unit)
     texts = tuple(line.strip() for line in lines[:5])
-    return Function(kind, texts, response, reference, names, x, y, even, axes)
+    return UffFunction(
+        kind=kind,
+        ids=texts,
+        response=response,
+        reference=reference,
+        names=names,
+        x=x,
+        y=y,
+        even=even,
+        axes=axes,
+    )
 
 
-def _head(block: Block) -> list[str]:
+def _head(block: DataSet) -> list[str]:
     text = (
         block.text if block.binary is not None else b"\n".join(_split_lines(block.text, _HEADER)[0])
     )
@@ -160,7 +176,8 @@ def _head(block: Block) -> list[str]:
 
 def _split_lines(text: bytes, count: int) -> tuple[list[bytes], bytes]:
     """The first lines and what follows, without splitting the rest."""
-    at, lines = 0, []
+    at = 0
+    lines = []
     for _ in range(count):
         end = LINE.search(text, at)
         if end is None:
@@ -176,13 +193,15 @@ def _ends(line: str) -> tuple[int, tuple[int, int], tuple[int, int], tuple[str, 
     try:
         for name in ("kind", "number", "version", "load case"):
             parse_int(fields[name])
-        response, reference = _end(fields, "response"), _end(fields, "reference")
+        response = _end(fields, "response")
+        reference = _end(fields, "reference")
     except DataError:  # columns shifted by the vendor: names without blanks, divided by blanks
         free = line.split()
         if len(free) != len(_ENDS):
             raise
         fields = dict(zip(_ENDS, free, strict=True))
-        response, reference = _end(fields, "response"), _end(fields, "reference")
+        response = _end(fields, "response")
+        reference = _end(fields, "reference")
     names = fields["response name"], fields["reference name"]
     return parse_int(fields["kind"]), response, reference, names
 
@@ -199,7 +218,7 @@ def _axis(fields: Sequence[str]) -> Axis:
     return Axis(kind, (exponents[0], exponents[1], exponents[2]), fields[4], fields[5])
 
 
-def _samples(block: Block, ordinate: _Ordinate, count: int, even: bool) -> Float:
+def _samples(block: DataSet, ordinate: _Ordinate, count: int, even: bool) -> Float:
     """The numbers as they are stored, flat."""
     per_point = ordinate.per_point(even)
     wanted = count * per_point
@@ -229,145 +248,65 @@ def _mixed(raw: bytes, order: str, ordinates: int, count: int) -> Float:
     return np.asarray(np.column_stack([table["x"], table["y"]]), dtype=np.float64).ravel()
 
 
-def write_function(
-    kind: int,
-    x: Float,
-    y: Any_,
-    response: tuple[int, int],
-    reference: tuple[int, int],
-    *,
-    codes: tuple[int, int, int],
-    text: str = "NONE",
-    binary: bool = False,
-) -> bytes:
-    """A data set 58, double precision; with an uneven abscissa as text, its abscissa of six digits.
-
-    Parameters
-    ----------
-    kind : int
-        Function type.
-    x : (n,) float64
-    y : (n,) float64 or complex128
-    response, reference : (node, direction)
-    codes : (abscissa, ordinate, denominator)
-        Specific data types, 17 time, 18 frequency, 8 displacement, 11 velocity, 12 acceleration, 13
-        force.
-    text : str
-        First line of text.
-    binary : bool
-        58b, little endian.
-    """
-    flat = np.ascontiguousarray(y, dtype=np.complex128 if np.iscomplexobj(y) else np.float64).view(
-        np.float64
-    )
-    ordinate = 6 if np.iscomplexobj(y) else 4  # double precision
-    step = float(x[-1] - x[0]) / (x.size - 1) if x.size > 1 else 1.0
-    even = x.size < 2 or bool(np.abs(np.diff(x) - step).max() < 1e-3 * abs(step))
-    binary = binary and even
-    names = (
-        f"{'NONE':<10}{response[0]:10d}{response[1]:4d} "
-        f"{'NONE':<10}{reference[0]:10d}{reference[1]:4d}"
-    )
-    head = [text[:80] or "NONE", *("NONE",) * 4, f"{kind:5d}{0:10d}{0:5d}{0:10d} {names}"]
-    head.append(
-        f"{ordinate:10d}{x.size:10d}{int(even):10d}{float(x[0]):13.6E}{step:13.6E}{0.0:13.5E}"
-    )
-    head += [f"{c:10d}{0:5d}{0:5d}{0:5d} {'NONE':<20} {'NONE':<20}" for c in (*codes, 0)]
-    number = f"{58:6d}"
-    if binary:
-        number += f"b{1:6d}{2:6d}{_HEADER:12d}{flat.nbytes:12d}{0:6d}{0:6d}{0:12d}{0:12d}"
-    start = "\n".join(["    -1", number, *head, ""]).encode("latin-1", "replace")
-    body = flat.astype("<f8").tobytes() if binary else _ascii(flat) if even else _uneven(x, flat)
-    return start + body + b"\n    -1\n"
-
-
-def _uneven(x: Float, flat: Float) -> bytes:
-    """E13.5 and E20.12 or 2E20.12, two of the real pairs a line."""
-    table = np.column_stack([x, flat.reshape(x.size, -1)])
-    lines = ["".join(("%13.5E", *("%20.12E",) * (len(r) - 1))) % tuple(r) for r in table.tolist()]
-    a_line = 1 if table.shape[1] == 3 else 2
-    return "\n".join("".join(lines[k : k + a_line]) for k in range(0, len(lines), a_line)).encode()
-
-
-def _ascii(flat: Float) -> bytes:
-    """4E20.12."""
-    whole = flat.size // 4 * 4
-    lines = [("%20.12E" * 4) % tuple(r) for r in flat[:whole].reshape(-1, 4).tolist()]
-    rest = flat[whole:].tolist()
-    return "\n".join([*lines, *([("%20.12E" * len(rest)) % tuple(rest)] if rest else [])]).encode()
-
-
 _CODE = {"displacement": 8, "velocity": 11, "acceleration": 12, "force": 13}
 
 
-def write_frf_sets(path: str | Path, frfs: FrfSet, *, binary: bool = False) -> None:
-    """Write the FRFs (and coherence where known) as data sets 58, or 58b, double precision.
+def write_frf_sets(path: str | Path, frfs: FrfSet) -> None:
+    """Write the FRFs, and coherence where known, as data sets 58 of double precision.
 
     Raises
     ------
     DataError
         If a channel id is not a point and direction such as `101+Z`.
     """
-    out, inp = DofSet.parse(c.id for c in frfs.outputs), DofSet.parse(c.id for c in frfs.inputs)
+    outputs = DofSet.parse(c.id for c in frfs.outputs)
+    inputs = DofSet.parse(c.id for c in frfs.inputs)
     with atomic_write(path) as part, part.open("wb") as file:
-        for j in range(len(frfs.inputs)):
+        for j in range(len(inputs)):
             for i, channel in enumerate(frfs.outputs):
-                rsp, ref = _pair(out, i), _pair(inp, j)
-                codes = (FREQUENCY_AXIS, _code(channel), _CODE["force"])
-                h, coherence = frfs.data[:, i, j], frfs.coherence[:, i, j]
-                file.write(
-                    write_function(
-                        FRF, frfs.freqs, h, rsp, ref, codes=codes, text="FRF", binary=binary
-                    )
-                )
+                points = _point_fields(outputs, i) + " " + _point_fields(inputs, j)
+                # a motion about an axis has the code of one along it: the direction says which
+                motion = _CODE.get(LINEAR.get(channel.quantity, channel.quantity), 0)
+                codes = (FREQUENCY_AXIS, motion, _CODE["force"], 0)
+                head = ["FRF", *("NONE",) * 4, f"{FRF:5d}{0:10d}{0:5d}{0:10d} {points}"]
+                file.write(_data_set(head, codes, frfs.freqs, frfs.data[:, i, j]))
+                coherence = frfs.coherence[:, i, j]
                 if np.isfinite(coherence).all():
-                    codes = (FREQUENCY_AXIS, 0, 0)
-                    block = write_function(
-                        COHERENCE,
-                        frfs.freqs,
-                        coherence,
-                        rsp,
-                        ref,
-                        codes=codes,
-                        text="Coherence",
-                        binary=binary,
-                    )
-                    file.write(block)
+                    head[0] = "Coherence"
+                    head[5] = f"{COHERENCE:5d}{0:10d}{0:5d}{0:10d} {points}"
+                    codes = (FREQUENCY_AXIS, 0, 0, 0)
+                    file.write(_data_set(head, codes, frfs.freqs, coherence))
 
 
-def _code(channel: Channel) -> int:
-    """Of a motion or force; about an axis that of those along it: the direction, 4 to 6, tells them
-    apart.
+def _point_fields(dofs: DofSet, i: int) -> str:
+    return f"{'NONE':<10}{dofs.node[i]:10d}{dofs.direction[i]:4d}"
+
+
+def _data_set(head: Sequence[str], codes: Sequence[int], x: Float, y: Any_) -> bytes:
+    """A data set 58 as text; an uneven abscissa has six digits.
+
+    Parameters
+    ----------
+    head : sequence of str
+        Lines 1 to 6.
+    codes : sequence of int
+        Specific data types of abscissa, ordinate, denominator and z.
+    x : (n,) float64
+    y : (n,) float64 or complex128
     """
-    return _CODE.get(LINEAR.get(channel.quantity, channel.quantity), 0)
-
-
-def _pair(dofs: DofSet, i: int) -> tuple[int, int]:
-    return int(dofs.node[i]), int(dofs.direction[i])
-
-
-def write_time(path: str | Path, history: TimeHistory, *, binary: bool = True) -> None:
-    """Write a time record as data sets 58b (or 58), double precision.
-
-    A force channel `F:101+Z` is written at the point that was struck. A channel whose id is no
-    point and direction (`101+Z`) gets its number as point and no direction; its id is kept as the
-    first line of text.
-    """
-    t = np.arange(history.data.shape[1]) / history.rate
-    with atomic_write(path) as part, part.open("wb") as file:
-        for i, channel in enumerate(history.channels):
-            code = (TIME_AXIS, _code(channel), 0)
-            here = _point(
-                channel.id.removeprefix("F:") if channel.quantity in FORCES else channel.id, i
-            )
-            y = np.asarray(history.data[i], dtype=np.float64)
-            file.write(
-                write_function(TIME, t, y, here, (0, 0), codes=code, text=channel.id, binary=binary)
-            )
-
-
-def _point(name: str, i: int) -> tuple[int, int]:
-    try:
-        return _pair(DofSet.parse([name]), 0)
-    except InputError:
-        return i + 1, 0
+    ordinate = 6 if np.iscomplexobj(y) else 4
+    step = float(x[-1] - x[0]) / (x.size - 1)
+    even = bool(np.abs(np.diff(x) - step).max() < 1e-3 * abs(step))
+    form = f"{ordinate:10d}{x.size:10d}{even:10d}{float(x[0]):13.6E}{step:13.6E}{0.0:13.5E}"
+    axes = [f"{code:10d}{0:5d}{0:5d}{0:5d} {'NONE':<20} {'NONE':<20}" for code in codes]
+    table = np.ascontiguousarray(y).view(np.float64).reshape(x.size, -1)
+    cells = ["%20.12E"] * table.shape[1]
+    points_a_line = 4 // len(cells)
+    if not even:
+        cells = ["%13.5E", *cells]
+        table = np.column_stack([x, table])
+        points_a_line = 2 // (len(cells) - 1)
+    points = [("".join(cells)) % tuple(values) for values in table.tolist()]
+    lines = ["".join(points[k : k + points_a_line]) for k in range(0, len(points), points_a_line)]
+    text = "\n".join(["    -1", f"{58:6d}", *head, form, *axes, *lines, "    -1", ""])
+    return text.encode("latin-1", "replace")

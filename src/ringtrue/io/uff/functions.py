@@ -1,18 +1,20 @@
-"""Data set 58 read: time records and frequency response functions."""
+"""Data set 58 read: time records and frequency response functions.
+
+Units of universal files, and the points and lines of a test as one.
+"""
 
 from __future__ import annotations
 
 import logging
 import re
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
-from ringtrue.core.dofs import NAMES
-from ringtrue.core.motions import (
+from ringtrue.core.arrays import Bool, Complex, Float, Int
+from ringtrue.core.channels import (
     ANGULAR,
     FORCES,
     FRF_KIND,
@@ -23,14 +25,16 @@ from ringtrue.core.motions import (
     base_motion,
     channel,
 )
+from ringtrue.core.dofs import NAMES
 from ringtrue.core.signals import Channel, FrfSet, Quantity, shared_lines
+from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import DataError, about
-from ringtrue.io.files import functions_held, sets_held
-from ringtrue.io.frf_lines import known_lines, say_accelerances
+from ringtrue.io.files import atomic_write, functions_held, sets_held
+from ringtrue.io.foreign.parsers import write_sets
+from ringtrue.io.frf_tables import known_lines, say_accelerances
 from ringtrue.io.record_table import RawTable
-from ringtrue.io.si import known, to_si
-from ringtrue.io.times import even_rate
-from ringtrue.io.uff.datasets import scan
+from ringtrue.io.times import even_rate, known, to_si
+from ringtrue.io.uff.datasets import DataSet, parse_real, row, scan
 from ringtrue.io.uff.function58 import (
     COHERENCE,
     FRF,
@@ -38,10 +42,62 @@ from ringtrue.io.uff.function58 import (
     TIME_AXIS,
     TRANSMISSIBILITY,
     Axis,
-    Function,
+    UffFunction,
     read_function,
 )
-from ringtrue.io.uff.geometry import Units, read_units
+
+
+@dataclass(frozen=True, slots=True)
+class Units:
+    """Data set 164: file units per SI unit; SI = file value / factor."""
+
+    length: float
+    force: float
+
+
+def read_units(block: DataSet) -> Units:
+    """Data set 164; the vendors count from any column and leave the temperature out."""
+    lines = block.lines()
+    row(lines, 0)
+    values = [parse_real(w) for w in " ".join(lines[1:3]).split()]
+    length, force = ([*values, 1.0, 1.0])[:2]
+    if not (length > 0 and force > 0):
+        raise DataError(f"data set 164: factors of length {length} and force {force} must be > 0")
+    return Units(length, force)
+
+
+def write_test_model(path: str | Path, test: TestModel) -> None:
+    """Write points and lines, global frame, m.
+
+    The format carries six digits of a coordinate, and no channels: those stand in the sensor sheet.
+
+    Raises
+    ------
+    DataError
+        If there are no points, or a number has more than ten digits.
+    """
+    largest = 9_999_999_999  # ten columns
+    if not test.points.size or test.points.max() > largest or test.points.min() < 1:
+        raise DataError(f"{path}: {test.points.size} points; their numbers must be 1 to {largest}")
+    x, y, z = test.xyz.T
+    units: dict[str, object] = {
+        "type": 164,
+        "units_code": 1,
+        "units_description": "SI",
+        "temp_mode": 1,
+        "length": 1.0,
+        "force": 1.0,
+        "temp": 1.0,
+        "temp_offset": 273.15,
+    }
+    sets = [units, {"type": 15, "node_nums": test.points, "x": x, "y": y, "z": z}]
+    if len(test.lines):
+        # 0 lifts the pen
+        trace = np.column_stack([test.lines, np.zeros(len(test.lines), dtype=np.int64)]).ravel()
+        sets.append({"type": 82, "trace_num": 1, "id": "measuring points", "nodes": trace})
+    with atomic_write(path) as part:
+        write_sets(part, sets)
+
 
 log = logging.getLogger(__name__)
 _QUANTITY: dict[int, Quantity] = {
@@ -52,15 +108,13 @@ _QUANTITY: dict[int, Quantity] = {
     12: "acceleration",
     13: "force",
 }
-_REST = 0.6  # of the functions, that must be left where some pairs are absent
 _DIGITS = 5  # after the first, of a step
-_GENERAL = 0
 _UNNAMED = ("", "NONE")
 _SKEWED = re.compile(r"\d+[+-][XYZ]s\d*")
 _NO_REFERENCE = "in1"
 
 
-def read_functions(path: str | Path) -> tuple[Function, ...]:
+def read_functions(path: str | Path) -> tuple[UffFunction, ...]:
     """All functions (58, 58b) of a universal file, as stored.
 
     Raises
@@ -71,7 +125,7 @@ def read_functions(path: str | Path) -> tuple[Function, ...]:
     return _functions(path)[0]
 
 
-def _functions(path: str | Path) -> tuple[tuple[Function, ...], Units | None]:
+def _functions(path: str | Path) -> tuple[tuple[UffFunction, ...], Units | None]:
     blocks = scan(path)
     sets = [b for b in blocks if b.kind == 58]
     if not sets:
@@ -109,25 +163,23 @@ def read_time_runs(path: Path) -> tuple[RawTable, ...]:
     if len(set(keys)) < 2 or len(times) > 1 or times == {1} or _titles(found):
         return (_time_table(found, units, path),)
     seen: dict[object, int] = {}
-    runs: list[list[Function]] = [[] for _ in range(times.pop())]
+    runs: list[list[UffFunction]] = [[] for _ in range(times.pop())]
     for key, f in zip(keys, found, strict=True):
         seen[key] = seen.get(key, -1) + 1
         runs[seen[key]].append(f)
     return tuple(_time_table(r, units, path) for r in runs)
 
 
-def _time_functions(functions: Sequence[Function], path: Path) -> list[Function]:
+def _time_functions(functions: Sequence[UffFunction], path: Path) -> list[UffFunction]:
     found = [
-        f
-        for f in functions
-        if f.kind == TIME or (f.kind, f.axes[0].data_type) == (_GENERAL, TIME_AXIS)
+        f for f in functions if f.kind == TIME or (f.kind, f.axes[0].data_type) == (0, TIME_AXIS)
     ]
     if not found:
         raise DataError(f"{path}: no time records; {functions_held(f.kind for f in functions)}")
     return found
 
 
-def _time_table(found: Sequence[Function], units: Units | None, path: Path) -> RawTable:
+def _time_table(found: Sequence[UffFunction], units: Units | None, path: Path) -> RawTable:
     rates = [_rate(f, path) for f in found]
     if max(rates) - min(rates) > 1e-4 * max(rates):
         raise DataError(
@@ -141,7 +193,7 @@ def _time_table(found: Sequence[Function], units: Units | None, path: Path) -> R
     )
 
 
-def _rate(f: Function, path: Path) -> float:
+def _rate(f: UffFunction, path: Path) -> float:
     if not f.even:
         return even_rate(f.x, True, path) or 0.0
     step = float(f.x[-1] - f.x[0]) / (f.x.size - 1) if f.x.size > 1 else 0.0
@@ -172,8 +224,8 @@ def _factor(quantity: str, units: Units | None) -> float:
     return 1 / one.get(quantity, units.length)
 
 
-def _names(functions: Sequence[Function], kinds: Sequence[str]) -> tuple[str, ...]:
-    """Point and direction of each; a force beside a response of the same point is `F:101+Z`."""
+def _names(functions: Sequence[UffFunction], kinds: Sequence[str]) -> tuple[str, ...]:
+    """Point and direction of each; a force at the point of a response is `F:101+Z`."""
     if titles := _titles(functions):
         return tuple(titles)
     names = [_name(f) for f in functions]
@@ -185,14 +237,14 @@ def _names(functions: Sequence[Function], kinds: Sequence[str]) -> tuple[str, ..
     return tuple(f"{n}#{i + 1}" for i, n in enumerate(names))
 
 
-def _name(function: Function) -> str:
+def _name(function: UffFunction) -> str:
     """Of a skewed sensor, for which there is no code, the name that `write_time` keeps as first
     line of text.
     """
     return function.ids[0] if _SKEWED.fullmatch(function.ids[0]) else label(*function.response)
 
 
-def _titles(functions: Sequence[Function]) -> list[str]:
+def _titles(functions: Sequence[UffFunction]) -> list[str]:
     """Where no response has a point, what else names each: its entity, the label of its axis, its
     first text.
     """
@@ -234,7 +286,8 @@ def read_frf_sets(path: str | Path, leave_out: Sequence[str] = ()) -> FrfSet:
     kept = [k for k, both in enumerate(ends) if not set(both) & set(leave_out)]
     if not kept:
         raise DataError(f"{path}: without {' '.join(leave_out)} no function is left")
-    frfs, ends = [frfs[k] for k in kept], [ends[k] for k in kept]
+    frfs = [frfs[k] for k in kept]
+    ends = [ends[k] for k in kept]
     if all(f.reference[0] == 0 for f in frfs) and len(set(ends)) < len(frfs):
         raise DataError(
             f"{path}: the functions name no reference point; its node is 0 in all {len(frfs)}"
@@ -247,7 +300,7 @@ def read_frf_sets(path: str | Path, leave_out: Sequence[str] = ()) -> FrfSet:
         say_accelerances(path)
     outputs, inputs = _channels(ends, kind)
     scaled = (
-        as_motion(_finite(f.y) * x, freqs, m, kind)
+        as_motion(np.where(np.isfinite(f.y), f.y, np.nan) * x, freqs, m, kind)
         for f, m, x in zip(frfs, motions, factors, strict=True)
     )
     data = _place(
@@ -256,21 +309,22 @@ def read_frf_sets(path: str | Path, leave_out: Sequence[str] = ()) -> FrfSet:
     absent = np.asarray(np.isnan(data).all(axis=0))
     if absent.any():
         rows, columns = _whole(absent)
-        _tell_left_out(absent, rows, columns, outputs, inputs, path)
+        _warn_left_out(absent, (rows, columns), (outputs, inputs), path)
         data = data[:, rows][:, :, columns]
-        outputs, inputs = tuple(outputs[k] for k in rows), tuple(inputs[k] for k in columns)
+        outputs = tuple(outputs[k] for k in rows)
+        inputs = tuple(inputs[k] for k in columns)
     coherences = list(filter(None, (_on_lines(f, freqs) for f in functions if f.kind == COHERENCE)))
     coherence = _place(coherences, _ends(coherences), freqs, outputs, inputs).real
     based = {ref for (_, ref), f in zip(ends, frfs, strict=True) if _on_base(f)}
     at = known_lines(data, freqs, [c.id for c in outputs], [c.id for c in inputs], path)
     return FrfSet(
-        data[at],
-        freqs[at],
-        outputs,
-        tuple(base_motion(c.id) if c.id in based else c for c in inputs),
-        np.ascontiguousarray(coherence[at]),
-        np.full(len(inputs), np.nan),
-        "receptance" if kind == "strain" else FRF_KIND.get(kind, "accelerance"),
+        data=data[at],
+        freqs=freqs[at],
+        outputs=outputs,
+        inputs=tuple(base_motion(c.id) if c.id in based else c for c in inputs),
+        coherence=np.ascontiguousarray(coherence[at]),
+        averages=np.full(len(inputs), np.nan),
+        kind="receptance" if kind == "strain" else FRF_KIND.get(kind, "accelerance"),
         source=str(path),
     )
 
@@ -279,9 +333,11 @@ def _whole(absent: Bool) -> tuple[Int, Int]:
     """Responses and references that are left when the one that lacks most of its pairs goes, until
     none is absent.
     """
-    rows, columns = np.arange(absent.shape[0]), np.arange(absent.shape[1])
+    rows = np.arange(absent.shape[0])
+    columns = np.arange(absent.shape[1])
     while (part := absent[np.ix_(rows, columns)]).any():
-        a, b = part.mean(axis=1), part.mean(axis=0)
+        a = part.mean(axis=1)
+        b = part.mean(axis=0)
         if a.max() >= b.max():
             rows = np.delete(rows, int(a.argmax()))
         else:
@@ -289,14 +345,14 @@ def _whole(absent: Bool) -> tuple[Int, Int]:
     return rows, columns
 
 
-def _tell_left_out(
+def _warn_left_out(
     absent: Bool,
-    rows: Int,
-    columns: Int,
-    outputs: Sequence[Channel],
-    inputs: Sequence[Channel],
+    kept: tuple[Int, Int],
+    channels: tuple[Sequence[Channel], Sequence[Channel]],
     path: str | Path,
 ) -> None:
+    rows, columns = kept
+    outputs, inputs = channels
     o, i = (int(k) for k in np.argwhere(absent)[0])
     why = (
         f"{path}: no values from {inputs[i].id} to {outputs[o].id} ({int(absent.sum())} pairs "
@@ -304,16 +360,17 @@ def _tell_left_out(
     )
     left = [c.id for k, c in enumerate(outputs) if k not in rows]
     without = [c.id for k, c in enumerate(inputs) if k not in columns]
-    if rows.size * columns.size < _REST * int((~absent).sum()):
+    # 0.6: of the functions, that must be left where some pairs are absent
+    if rows.size * columns.size < 0.6 * int((~absent).sum()):
         raise DataError(
             f"{why}; without gaps {rows.size} responses and {columns.size} references are left"
         )
-    told = [
+    lost = [
         f"{what} {' '.join(ids)}"
         for what, ids in (("response", left), ("reference", without))
         if ids
     ]
-    log.warning("%s; left out: %s", why, ", ".join(told))
+    log.warning("%s; left out: %s", why, ", ".join(lost))
 
 
 def _one_kind(
@@ -330,16 +387,18 @@ def _one_kind(
     return max(dict.fromkeys(motions), key=motions.count)
 
 
-def _si(f: Function, units: Units | None) -> tuple[Quantity, float]:
+def _si(f: UffFunction, units: Units | None) -> tuple[Quantity, float]:
     """Quantity of the response of an FRF and the factor to SI: by the units on its axes, else by
     data set 164.
 
     A motion over the same motion of a base is taken as an acceleration: the base is what forces of
     inertia act for. Motions about an axis are those along it by name; their unit is radian.
     """
-    over, under = f.axes[1], f.axes[2]
+    over = f.axes[1]
+    under = f.axes[2]
     about, turned = (abs(end[1]) > 3 for end in (f.response, f.reference))
-    text, tail = over.unit.strip(), under.unit.strip()
+    text = over.unit.strip()
+    tail = under.unit.strip()
     base = _QUANTITY.get(under.data_type, "unknown")
     if _on_base(f):
         (what, size), (_, moved) = (
@@ -362,7 +421,7 @@ def _si(f: Function, units: Units | None) -> tuple[Quantity, float]:
     return LINEAR.get(quantity, quantity), motion / force
 
 
-def _on_base(f: Function) -> bool:
+def _on_base(f: UffFunction) -> bool:
     """Whether it is a motion over the motion of a base."""
     return f.kind == TRANSMISSIBILITY or _QUANTITY.get(f.axes[2].data_type, "unknown") in FRF_KIND
 
@@ -374,14 +433,14 @@ def _motion(axis: Axis, unit: str, units: Units | None, about: bool) -> tuple[Qu
     quantity = _QUANTITY.get(axis.data_type, "unknown")
     unit = unit.strip("() ")
     if unit and known(unit):
-        told, factor, _ = to_si(unit)
-        if quantity in ("unknown", LINEAR.get(told, told)):
-            return told, factor
+        measured, factor, _ = to_si(unit)
+        if quantity in ("unknown", LINEAR.get(measured, measured)):
+            return measured, factor
     quantity = ANGULAR.get(quantity, quantity) if about else quantity
     return quantity, _factor(quantity, units)
 
 
-def _signal(f: Function, units: Units | None) -> tuple[Quantity, float]:
+def _signal(f: UffFunction, units: Units | None) -> tuple[Quantity, float]:
     """Quantity of a time function and its factor to SI."""
     return _motion(f.axes[1], f.axes[1].unit, units, abs(f.response[1]) > 3)
 
@@ -392,14 +451,14 @@ def _acts(unit: str) -> bool:
     return bool(unit and known(unit)) and to_si(unit)[0] in FORCES
 
 
-def _ends(functions: Sequence[Function]) -> list[tuple[str, str]]:
+def _ends(functions: Sequence[UffFunction]) -> list[tuple[str, str]]:
     """Names of the response and the reference of each function."""
     responses = _titles(functions) or [label(*f.response) for f in functions]
     return list(zip(responses, _references(functions, responses), strict=True))
 
 
-def _references(functions: Sequence[Function], responses: Sequence[str]) -> list[str]:
-    """The point of each reference; where none has one, what else tells them apart: the entity, or
+def _references(functions: Sequence[UffFunction], responses: Sequence[str]) -> list[str]:
+    """The point of each reference; where none has one, what else distinguishes them: the entity, or
     the direction.
     """
     if any(f.reference[0] for f in functions):
@@ -419,8 +478,8 @@ def _references(functions: Sequence[Function], responses: Sequence[str]) -> list
 
 
 def _on_shared_lines(
-    frfs: list[Function], ends: Sequence[tuple[str, str]], path: str | Path
-) -> list[Function]:
+    frfs: list[UffFunction], ends: Sequence[tuple[str, str]], path: str | Path
+) -> list[UffFunction]:
     """The functions at the lines that all have."""
     at = shared_lines([f.x for f in frfs])
     if at is None:
@@ -432,17 +491,12 @@ def _on_shared_lines(
     if all(a.size == f.x.size for a, f in zip(at, frfs, strict=True)):
         return frfs
     out = [replace(f, x=f.x[a], y=f.y[a]) for f, a in zip(frfs, at, strict=True)]
-    told = out[0].x.size, min(f.x.size for f in frfs), max(f.x.size for f in frfs)
-    log.warning("%s: the functions share %d lines of %d to %d, which are used", path, *told)
+    counts = out[0].x.size, min(f.x.size for f in frfs), max(f.x.size for f in frfs)
+    log.warning("%s: the functions share %d lines of %d to %d, which are used", path, *counts)
     return out
 
 
-def _finite(y: Any_) -> Any_:
-    """NaN where a part is not finite."""
-    return np.where(np.isfinite(y), y, np.nan)
-
-
-def _on_lines(f: Function, freqs: Float) -> Function | None:
+def _on_lines(f: UffFunction, freqs: Float) -> UffFunction | None:
     """The function at some lines; None where it lacks one of them."""
     at = shared_lines([f.x, freqs])
     return replace(f, x=freqs, y=f.y[at[0]]) if at and at[0].size == freqs.size else None
@@ -456,7 +510,7 @@ def _channels(
 
 
 def _place(
-    functions: Sequence[Function],
+    functions: Sequence[UffFunction],
     ends: Sequence[tuple[str, str]],
     freqs: Float,
     outputs: Sequence[Channel],
@@ -466,9 +520,8 @@ def _place(
     column = {c.id: i for i, c in enumerate(inputs)}
     data = np.full((freqs.size, len(outputs), len(inputs)), np.nan, dtype=np.complex128)
     times = np.zeros(data.shape[1:])
-    for f, (out, ref) in zip(
-        functions, ends, strict=True
-    ):  # a pair measured several times is averaged
+    # a pair measured several times is averaged
+    for f, (out, ref) in zip(functions, ends, strict=True):
         if out in row and ref in column:
             at = row[out], column[ref]
             data[:, *at] = (

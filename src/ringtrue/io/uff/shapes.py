@@ -10,22 +10,24 @@ from typing import Any
 
 import numpy as np
 
-from ringtrue.core.arrays import Any_, Float, Int
+from ringtrue.core.arrays import Any_, Int
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.errors import DataError, about
 from ringtrue.io.files import atomic_write, sets_held
 from ringtrue.io.foreign.parsers import write_sets
-from ringtrue.io.uff.datasets import Block, integers, parse_real, reals, row, scan
+from ringtrue.io.uff.datasets import DataSet, integers, parse_real, reals, row, scan
 from ringtrue.io.uff.functions import label
 
-NORMAL, COMPLEX = 2, 3  # analysis types
+# analysis types
+NORMAL = 2
+COMPLEX = 3
 AT_NODES = 1  # location of data in 2414
 _NODE = re.compile(r"^\s*\d+\s*$")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shape:
+class StoredShape:
     """Values at nodes.
 
     Attributes
@@ -57,13 +59,15 @@ class Shape:
     name: str
 
 
-def read_shape55(block: Block) -> Shape:
+def read_shape55(block: DataSet) -> StoredShape:
     """Data set 55."""
     lines = block.lines()
     head = integers([row(lines, 5)])
     if head.size < 6:
         raise DataError(f"data set 55: record 6 has {head.size} of 6 integers")
-    analysis, kind, width = int(head[1]), int(head[4]), int(head[5])
+    analysis = int(head[1])
+    kind = int(head[4])
+    width = int(head[5])
     counts = integers([row(lines, 6)])
     whole, real, at = _specific(lines, counts)
     frequency, mass, viscous, hysteretic = (
@@ -72,17 +76,17 @@ def read_shape55(block: Block) -> Shape:
     pole = complex(*real[:2]) if analysis == COMPLEX and len(real) > 1 else 0j
     number = whole[1] if analysis in (NORMAL, COMPLEX) and len(whole) > 1 else 0
     nodes, values = _values(lines[at:], width, kind in (5, 6))
-    return Shape(
-        analysis,
-        number,
-        frequency,
-        mass,
-        viscous,
-        hysteretic,
-        pole,
-        nodes,
-        values,
-        row(lines, 0).strip(),
+    return StoredShape(
+        analysis=analysis,
+        number=number,
+        frequency=frequency,
+        mass=mass,
+        viscous=viscous,
+        hysteretic=hysteretic,
+        pole=pole,
+        nodes=nodes,
+        values=values,
+        name=row(lines, 0).strip(),
     )
 
 
@@ -94,14 +98,16 @@ def _specific(lines: Sequence[str], counts: Int) -> tuple[list[int], list[float]
         raise DataError(
             f"data set 55: record 7 begins with {counts[:2].tolist()}, counts of integers and reals"
         )
-    n_int, n_real = int(counts[0]), int(counts[1])
+    n_int = int(counts[0])
+    n_real = int(counts[1])
     whole = counts[2:].tolist()
     at = 7
     while len(whole) < n_int:
         more = integers([row(lines, at)]).tolist()
         if not more:
             raise DataError("data set 55: integers of record 7 are missing")
-        whole, at = whole + more, at + 1
+        whole = whole + more
+        at = at + 1
     used = -(-n_real // 6)
     real = _line_reals([row(lines, at + k) for k in range(used)], n_real)
     return whole, real, at + used
@@ -127,8 +133,8 @@ def _values(lines: Sequence[str], width: int, is_complex: bool) -> tuple[Int, An
         )
     nodes = np.array([_node(x) for x in lines[:: 1 + rows]], dtype=np.int64)
     body = [x for i, x in enumerate(lines) if i % (1 + rows)]
-    flat = _flat(body, rows, count, nodes.size)
-    values = flat.reshape(nodes.size, count)
+    text = "\n".join(body).encode("latin-1", "replace")
+    values = reals(text, (13,) * 6, nodes.size * count).reshape(nodes.size, count)
     return nodes, (values[:, ::2] + 1j * values[:, 1::2] if is_complex else values)
 
 
@@ -139,12 +145,7 @@ def _node(line: str) -> int:
     return int(found[0])
 
 
-def _flat(body: Sequence[str], rows: int, count: int, nodes: int) -> Float:
-    text = "\n".join(body).encode("latin-1", "replace")
-    return reals(text, (13,) * 6, nodes * count)
-
-
-def read_shape2414(block: Block) -> Shape | None:
+def read_shape2414(block: DataSet) -> StoredShape | None:
     """Data set 2414 at nodes; None where it is at elements or points."""
     lines = block.lines()
     if not _NODE.match(row(lines, 0)):
@@ -162,13 +163,21 @@ def read_shape2414(block: Block) -> Shape | None:
     analysis = int(head[1])
     pole = complex(second[0], second[1]) if analysis == COMPLEX else 0j
     number = int(specific[5]) if len(specific) > 5 else 0
-    name = row(lines, 1).strip()
-    return Shape(
-        analysis, number, first[1], first[3], first[4], first[5], pole, nodes, values, name
+    return StoredShape(
+        analysis=analysis,
+        number=number,
+        frequency=first[1],
+        mass=first[3],
+        viscous=first[4],
+        hysteretic=first[5],
+        pole=pole,
+        nodes=nodes,
+        values=values,
+        name=row(lines, 1).strip(),
     )
 
 
-def read_shapes(path: str | Path) -> tuple[Shape, ...]:
+def read_shapes(path: str | Path) -> tuple[StoredShape, ...]:
     """All shapes at nodes (55, 2414) of a universal file, as stored.
 
     Raises
@@ -215,10 +224,17 @@ def read_mode_sets(path: str | Path) -> ModeSet:
     frequency, damping = np.array([_pole(s) for s in sets]).T
     order = np.argsort(frequency, kind="stable")
     norm = Norm.MASS if all(s.mass == 1 for s in sets) else Norm.UNSCALED
-    return ModeSet(frequency[order], damping[order], shapes[:, order], labels, norm, str(path))
+    return ModeSet(
+        frequencies=frequency[order],
+        damping=damping[order],
+        shapes=shapes[:, order],
+        labels=labels,
+        norm=norm,
+        source=str(path),
+    )
 
 
-def _pole(s: Shape) -> tuple[float, float]:
+def _pole(s: StoredShape) -> tuple[float, float]:
     """Frequency (Hz) and damping ratio; an absent or zero damping is unknown."""
     if s.analysis == COMPLEX:
         size = abs(s.pole)
@@ -246,7 +262,8 @@ def write_mode_sets(path: str | Path, modes: ModeSet) -> None:
 
 
 def _set55(modes: ModeSet, k: int, nodes: Any_, shape: Any_) -> dict[str, Any]:
-    f, zeta = float(modes.frequencies[k]), float(np.nan_to_num(modes.damping[k]))
+    f = float(modes.frequencies[k])
+    zeta = float(np.nan_to_num(modes.damping[k]))
     is_complex = np.iscomplexobj(shape)
     omega = 2 * np.pi * f
     common = {

@@ -22,15 +22,15 @@ from ringtrue.report.parts import (
     Heading,
     Items,
     Plot,
+    ReportTable,
     Section,
-    Table,
+    Stages,
     Text,
     fixed,
     sentence,
     signs,
 )
 from ringtrue.report.sections import evidence
-from ringtrue.report.stages import Stages
 from ringtrue.study.results import ConfiguredTest, DeliveredConfiguration, RemodelStep, Seat
 
 FOLDED = "Orthogonality, channels and close modes"
@@ -43,7 +43,7 @@ def pairs(
     caption: str,
     updating: bool,
     judged: Significance | None = None,
-) -> Table:
+) -> ReportTable:
     """The table of pairs, with acceptance, significance and flags; with `updating` whether the
     updating used them.
 
@@ -51,7 +51,7 @@ def pairs(
     test decides.
     """
     a, b = table.names
-    sure = judged or table_significance(table)
+    deviations = judged or table_significance(table)
     heads = [
         "#",
         f"{a} #",
@@ -66,7 +66,7 @@ def pairs(
         "|Acceptance",
     ]
     heads += ["|Updating", "|"] if updating else ["|"]
-    scatter = zip(sure.z.tolist(), sure.significant.tolist(), strict=True)
+    scatter = zip(deviations.z.tolist(), deviations.significant.tolist(), strict=True)
     rows = [
         _row(i + 1, r, data, updating, s)
         for i, (r, s) in enumerate(zip(table.rows(), scatter, strict=True))
@@ -74,19 +74,19 @@ def pairs(
     mean = [fixed(table.mean_deviation(), 2), ""]
     mean += [fixed(table.mean_mac(), 1), fixed(table.mean_subspace_mac(), 1)]
     foot = ["Mean, of |Δf|", *mean, *[""] * (len(heads) - 9)]
-    text = f"{caption} Accepted: {data.acceptance.words()}.{_scatter(sure)}"
-    return Table(heads, rows, text, foot if rows else (), lead=5).without_blank("MAC")
+    text = f"{caption} Accepted: {data.acceptance.words()}.{_scatter(deviations)}"
+    return ReportTable(heads, rows, text, foot if rows else (), lead=5).without_blank("MAC")
 
 
-def _scatter(sure: Significance) -> str:
-    known = np.isfinite(sure.z)
+def _scatter(deviations: Significance) -> str:
+    known = np.isfinite(deviations.z)
     if not known.any():
         return ""
-    inside = int((known & ~sure.significant).sum())
+    inside = int((known & ~deviations.significant).sum())
     return (
         f" Δf/σ: in standard deviations of the measurement; {inside} of {int(known.sum())} are "
         "within its scatter "
-        f"(false discovery rate {100 * sure.rate:g} %)."
+        f"(false discovery rate {100 * deviations.rate:g} %)."
     )
 
 
@@ -104,8 +104,10 @@ def _row(
     row += [fixed(r.deviation_percent, 2, sign=True), fixed(r.deviation_hz, 3, sign=True)]
     row += [fixed(r.mac_percent, 1), fixed(r.subspace_mac_percent, 1)]
     z, beyond = scatter
-    told = fixed(z, 1) if z < 99.95 else fixed(z, 0)
-    row.append(Cell(told, "good", "within the scatter") if np.isfinite(z) and not beyond else told)
+    shown = fixed(z, 1) if z < 99.95 else fixed(z, 0)
+    row.append(
+        Cell(shown, "good", "within the scatter") if np.isfinite(z) and not beyond else shown
+    )
     row.append(Cell("accepted", "good") if ok else Cell("outside", "bad"))
     if updating:
         row.append("used" if r.used else Cell("left out", "chip"))
@@ -115,7 +117,7 @@ def _row(
             Cell(
                 "beyond the gate",
                 "chip",
-                "beyond the frequency gate, but alike and like no other mode",
+                "beyond the frequency gate, with similar shapes, and like no other mode",
             ),
         ]
     return [*row, Cell("close modes", "chip", "compared as a subspace") if r.subspace else ""]
@@ -142,7 +144,7 @@ def unpaired(table: CorrelationTable) -> list[Block]:
                 f" {len(every) - len(rows)} more lie above the highest {table.names[0]} mode."
             )
         if rows:
-            out.append(Table(("#", "f, Hz", "|Reason"), rows, caption))
+            out.append(ReportTable(("#", "f, Hz", "|Reason"), rows, caption))
     return out
 
 
@@ -169,7 +171,8 @@ def tests(data: Stages) -> Section | None:
     """Ambient against hammer."""
     if data.compare is None:
         return None
-    table, e = data.compare.table, data.compare.evidence
+    table = data.compare.table
+    e = data.compare.evidence
     caption = "The two tests at their common channels."
     body = blocks(
         table, data, caption, updating=False, judged=e.measures.significance if e else None
@@ -186,14 +189,13 @@ def initial(data: Stages) -> Section | None:
     c = data.correlate
     if c is None:
         return None
-    body: list[Block] = [Text(sentence(m.text)) for m in c.mendings]
-    body += [Text(sentence(c.placed))] if c.placed else []
-    body += [Items(c.gaps, f"Notes on the test ({len(c.gaps)})")] if c.gaps else []
-    body += (
-        [Fold(f"Where the sensors are read ({len(c.seats)} channels)", [seats(c.seats)])]
-        if c.seats
-        else []
-    )
+    body: list[Block] = [Text(sentence(m.text)) for m in c.sensors.mendings]
+    placed = c.sensors.alignment
+    body += [Text(sentence(placed))] if placed else []
+    body += [Items(c.notes, f"Notes on the test ({len(c.notes)})")] if c.notes else []
+    read = c.sensors.seats
+    if read:
+        body.append(Fold(f"Where the sensors are read ({len(read)} channels)", [seats(read)]))
     body += blocks(c.initial, data, "The initial model against the test.", updating=True)
     return Section(
         "initial",
@@ -202,7 +204,7 @@ def initial(data: Stages) -> Section | None:
     )
 
 
-def seats(found: Sequence[Seat]) -> Table:
+def seats(found: Sequence[Seat]) -> ReportTable:
     """The map from the points of the sheet to the nodes of the deck."""
     rows = []
     for s in found:
@@ -221,24 +223,25 @@ def seats(found: Sequence[Seat]) -> Table:
         "the sensor sheet."
     )
     heads = ("|Channel", "|On the sheet", "Point", "|Node", "Distance, mm")
-    return Table(heads, rows, text, scroll=len(rows) > 20)
+    return ReportTable(heads, rows, text, scroll=len(rows) > 20)
 
 
 def remodelled(data: Stages) -> Section | None:
     """The stated change of the deck before updating."""
     c = data.correlate
-    if c is None or not c.changed:
+    if c is None or c.remodelling is None:
         return None
-    body: list[Block] = [Text(sentence(c.remodelling))] if c.remodelling else []
-    body += [_history(c.history)] if len(c.history) > 2 else []
-    body += [Diff(c.diff, "The remodelling as a change of the deck.")] if c.diff else []
+    r = c.remodelling
+    body: list[Block] = [Text(sentence(r.reason))] if r.reason else []
+    body += [_history(r.history)] if len(r.history) > 2 else []
+    body += [Diff(r.diff, "The remodelling as a change of the deck.")] if r.diff else []
     body += blocks(c.remodelled, data, "The remodelled deck against the test.", updating=True)
     return Section(
         "remodelled", "Remodelling", [*body, *evidence.brief(c.evidence, c.remodelled, FOLDED)]
     )
 
 
-def _history(steps: Sequence[RemodelStep]) -> Table:
+def _history(steps: Sequence[RemodelStep]) -> ReportTable:
     """Each step of the remodelling against the test."""
     rows = [
         [
@@ -262,7 +265,7 @@ def _history(steps: Sequence[RemodelStep]) -> Table:
         "Mean subspace MAC, %",
     )
     text = "The initial deck and that after each step of the remodelling, against the test."
-    return Table(heads, rows, text).without_blank("MAC")
+    return ReportTable(heads, rows, text).without_blank("MAC")
 
 
 def final(data: Stages) -> Section | None:
@@ -295,8 +298,8 @@ def changes(files: Sequence[str], lines: Sequence[str]) -> list[Block]:
             for place, card, ident, field, old, _, new in parts
         ]
         heads: tuple[str, ...] = ("|File:line", "|Card", "|Field", "Initial", "Updated")
-        return [Table(heads, rows, caption, scroll=len(rows) > 20)] if rows else []
-    return [Table(("|Change",), [(signs(x),) for x in lines], caption, scroll=True)]
+        return [ReportTable(heads, rows, caption, scroll=len(rows) > 20)] if rows else []
+    return [ReportTable(("|Change",), [(signs(x),) for x in lines], caption, scroll=True)]
 
 
 HEADS = (
@@ -333,12 +336,12 @@ def configurations(data: Stages) -> Section | None:
 
 def _configuration_table(
     data: Stages, items: tuple[ConfiguredTest, ...], after: dict[str, DeliveredConfiguration]
-) -> Table:
+) -> ReportTable:
     rows = []
     if data.correlate is not None:
         last = data.final.table if data.final else None
         deck = Path(data.model.files[0]).name if data.model else ""
-        modes = f"{len(data.correlate.reference)} modes"
+        modes = f"{len(data.correlate.reference.elastic)} modes"
         rows.append(
             ["the deck of the study", deck, modes, *_before_after(data.correlate.remodelled, last)]
         )
@@ -352,7 +355,7 @@ def _configuration_table(
                 *_before_after(c.initial, done.table if done else None),
             ]
         )
-    return Table(
+    return ReportTable(
         HEADS,
         rows,
         "Every configuration before → after the updating; modes left out are counted, too.",
@@ -363,7 +366,8 @@ def _before_after(before: CorrelationTable, after: CorrelationTable | None) -> l
     def both(one: str, two: str) -> str:
         return f"{one} → {two}" if after is not None else one
 
-    b, a = before, after or before
+    b = before
+    a = after or before
     return [
         both(str(len(b)), str(len(a))),
         both(fixed(b.mean_deviation(), 2), fixed(a.mean_deviation(), 2)),
@@ -380,7 +384,7 @@ def _configuration(
         c.initial, data, f"{c.name}: the deck before the updating against its test.", updating=True
     )
     out: list[Block] = [Heading(c.name)]
-    out += [Text(sentence(m.text)) for m in c.mendings]
+    out += [Text(sentence(m.text)) for m in c.sensors.mendings]
     out += [Items([sentence(n) for n in c.notes], "Where its deck differs")] if c.notes else []
     if after is None:
         return [*out, *before]

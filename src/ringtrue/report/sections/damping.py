@@ -17,15 +17,15 @@ from ringtrue.report.parts import (
     Fold,
     Heading,
     Plot,
+    ReportTable,
     Section,
-    Table,
+    Stages,
     Text,
     fixed,
     number,
     sentence,
 )
 from ringtrue.report.sections.correlation import changes
-from ringtrue.report.stages import Stages
 from ringtrue.study.results import DampedModes, DampedRegions, DampingStage, FrfEvidence
 
 
@@ -37,12 +37,13 @@ def response(data: Stages) -> Section | None:
     blocks: list[Block] = [Heading("Damping"), _damping_plot(data), _damping_table(data)]
     if f.evidence is not None and f.evidence.frfs is not None:
         blocks += [Heading("Measured against computed responses"), *_agreement(f.evidence.frfs)]
-    if len(f.frf_channels):
+    if f.frfs is not None:
         measured = data.identify.frfs if data.identify is not None else None
         unit = signals.frf_unit(measured) if measured is not None else "(m/s²)/N"
         blocks.append(Heading("FRFs at the driving points"))
         caption = "FRF (response / force) measured, of the initial and of the final model."
-        blocks += [Plot(signals.frf_pair(f, k, unit), caption) for k in range(len(f.frf_channels))]
+        count = len(f.frfs.channels)
+        blocks += [Plot(signals.frf_pair(f.frfs, k, unit), caption) for k in range(count)]
     return Section("response", "Damping and response", blocks)
 
 
@@ -68,7 +69,7 @@ def _agreement(e: FrfEvidence) -> list[Block]:
         "(100 %: equal; the "
         "shape is blind to scale)."
     )
-    out: list[Block] = [Table(heads, rows, caption), Plot(correlation.frf_agreement(e), over)]
+    out: list[Block] = [ReportTable(heads, rows, caption), Plot(correlation.frf_agreement(e), over)]
     ridge = (
         "FDAC of all responses, {} model: a ridge on the diagonal means that every response "
         "comes at its frequency."
@@ -81,7 +82,7 @@ def _agreement(e: FrfEvidence) -> list[Block]:
     )
     each = [(o.name, fixed(100 * o.frac, 1), fixed(o.deviation, 1)) for o in e.final.by_output()]
     text = "Responses of the final model, the worst first: medians over the references."
-    table = Table(("|Response", "FRAC, %", "Level difference, dB"), each, text, scroll=True)
+    table = ReportTable(("|Response", "FRAC, %", "Level difference, dB"), each, text, scroll=True)
     return [*out, Fold(f"All {len(each)} responses", [table])]
 
 
@@ -103,9 +104,9 @@ def _damping_plot(data: Stages) -> Plot:
     sets: list[tuple[str, ModeSet, Uncertainty | None]] = []
     if data.identify is not None:
         i = data.identify
-        sets += [("ambient", i.ambient, i.ambient_uncertainty)] if len(i.ambient) else []
+        sets += [("ambient", i.ambient.modes, i.ambient.uncertainty)] if len(i.ambient) else []
         sets += (
-            [(i.source.removesuffix(" test"), i.hammer, i.hammer_uncertainty)]
+            [(i.source.removesuffix(" test"), i.hammer.modes, i.hammer.uncertainty)]
             if i.hammer is not None
             else []
         )
@@ -117,7 +118,7 @@ def _damping_plot(data: Stages) -> Plot:
     return Plot(identification.damping(sets, used), text)
 
 
-def _damping_table(data: Stages) -> Table:
+def _damping_table(data: Stages) -> ReportTable:
     f = data.final
     assert f is not None
     rows = [
@@ -129,7 +130,7 @@ def _damping_table(data: Stages) -> Table:
         )
         for k in range(int(np.size(f.damping)))
     ]
-    return Table(
+    return ReportTable(
         ("FE #", "f, Hz", "ζ, %", "|Taken from"),
         rows,
         "Damping of the final model.",
@@ -188,26 +189,28 @@ def _percent(x: float) -> str:
     return f"{100 * x:.0f} %"
 
 
-def _regions(r: DampedRegions) -> Table:
+def _regions(r: DampedRegions) -> ReportTable:
     heads = ("|Region", "|Fields", "|", "Value", "σ", "Expected", "σ after / before")
     unit = {"material": "loss\u00a0factor", "joint": "loss\u00a0factor", "dashpot": "dashpot"}
     rows = []
     for i, name in enumerate(r.names):
         ratio = float(r.std[i] / r.expected_std[i]) if math.isfinite(r.expected_std[i]) else 0.0
-        told = (
+        described = (
             Cell(fixed(ratio, 2), "warn", "the test says little about it")
             if ratio > TOLD
             else fixed(ratio, 2)
         )
         known = f"{number(float(r.expected[i]), 2)} ± {number(float(r.expected_std[i]), 2)}"
         values = [number(float(x), 3 - k) for k, x in enumerate((r.coefficients[i], r.std[i]))]
-        rows.append([name, Cell(r.targets[i], "muted"), unit[r.natures[i]], *values, known, told])
+        rows.append(
+            [name, Cell(r.targets[i], "muted"), unit[r.natures[i]], *values, known, described]
+        )
     text = (
         "Regions; loss factors are 2ζ of a mode that had all its strain there, dashpots in "
         "force over velocity of "
     )
     text += "the deck's units. σ after / before near 1: the data say nothing about it."
-    return Table(heads, rows, text)
+    return ReportTable(heads, rows, text)
 
 
 def _modes(d: DampingStage, m: DampedModes) -> list[Block]:
@@ -249,7 +252,7 @@ def _modes(d: DampingStage, m: DampedModes) -> list[Block]:
     out: list[Block] = [
         Plot(plots.modes(m), "Damping ratios by mode; open marks were left out of the fit.")
     ]
-    out.append(Table(heads, rows, text, scroll=len(rows) > 16))
+    out.append(ReportTable(heads, rows, text, scroll=len(rows) > 16))
     if np.isfinite(m.frf_after).any():
         out.append(Plot(plots.frfs(m), "Error of the FRFs around each resonance before and after."))
     return out

@@ -8,8 +8,8 @@ import math
 from collections.abc import Sequence
 
 from ringtrue.correlation.channel_faults import Suspect
-from ringtrue.correlation.measures import CompleteCorrelation, Subspace
-from ringtrue.correlation.orthogonality import Check, Failure
+from ringtrue.correlation.measures import CloseSubspace, CompleteCorrelation
+from ringtrue.correlation.orthogonality import Failure, OrthogonalityCheck
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.plots import correlation as plots
 from ringtrue.report.parts import (
@@ -19,7 +19,7 @@ from ringtrue.report.parts import (
     Fold,
     Heading,
     Plot,
-    Table,
+    ReportTable,
     Text,
     fixed,
     sentence,
@@ -56,7 +56,7 @@ def whole(e: Evidence | None, table: CorrelationTable) -> list[Block]:
     if e.tracks is not None:
         caption = (
             "The modes of the final model followed back to the initial one by their shapes at "
-            "the channels, beside the "
+            "the channels, besides the "
             "test. Grey: no partner; dotted: the shapes have less than 60 % MAC, the mode may be "
             "another one."
         )
@@ -78,32 +78,26 @@ def orthogonality(e: Evidence, table: CorrelationTable) -> list[Block]:
     )
     if any(c.kind == "model" for c in checks):
         caption += (
-            " A mass that does not keep the model's own modes apart, read with an error "
+            " A mass that does not distinguish the model's own modes, read with an error "
             "of 2 %, is not fit to judge by."
         )
     heads = ("|Mass", "|Of", "Least pair, %", "Largest other, %", "|Verdict", "|Beyond the gate")
-    out: list[Block] = [Table(heads, [_check(c, e.measures) for c in checks], caption)]
-    auto = plots.matrix(
-        e.auto_mac,
-        names := plots.labels(table.all_test_hz),
-        columns=names,
-        row_title=f"{table.names[0]} mode, Hz",
-        column_title=f"{table.names[0]} mode, Hz",
-        height=440,
-        diagonal=False,
-    )
+    out: list[Block] = [ReportTable(heads, [_check(c, e.measures) for c in checks], caption)]
+    side = plots.MatrixSide(plots.labels(table.all_test_hz), f"{table.names[0]} mode, Hz")
+    auto = plots.matrix(e.auto_mac, side, side, height=440, diagonal=False)
     left: list[Block] = [Plot(auto, f"Auto-MAC of the {table.names[0]} shapes; numbers from 10 %.")]
     shown = e.measures.cross or checks[0]
     what = f"{shown.name[:1].upper()}{shown.name[1:]}; outlined: beyond the gate."
     return [*out, Columns([left, [Plot(plots.orthogonality(shown, table, 440), what)]])]
 
 
-def _check(c: Check, measures: CompleteCorrelation) -> list[str | Cell]:
+def _check(c: OrthogonalityCheck, measures: CompleteCorrelation) -> list[str | Cell]:
     v = c.verdict
     verdict = Cell("passed", "good") if v.passed else Cell("failed", "bad")
     if not measures.judges(c):
         verdict = Cell("no verdict", "warn")
-    least, most = 100 * v.least_diagonal, 100 * v.largest_off_diagonal
+    least = 100 * v.least_diagonal
+    most = 100 * v.largest_off_diagonal
     shown = fixed(least, 1) if c.kind != "self" else "–"
     return [c.mass, WHOSE[c.kind], shown, fixed(most, 1), verdict, _beyond(c.kind, v.failures)]
 
@@ -113,41 +107,41 @@ def _beyond(kind: str, failures: Sequence[Failure]) -> str:
     once = [f for f in failures if kind == "cross" or f.a < f.b]
     sides = {"model": ("FE", "FE"), "self": ("", ""), "cross": ("", "FE ")}[kind]
     gap = {"model": " ", "self": "", "cross": ""}[kind]
-    told = [
+    described = [
         f"{sides[0]}{gap}{f.a + 1} – {sides[1]}{gap}{f.b + 1}: {100 * f.value:.0f} %"
         for f in once[:MOST]
     ]
-    return ", ".join(told) + (f" and {len(once) - MOST} more" if len(once) > MOST else "")
+    return ", ".join(described) + (f" and {len(once) - MOST} more" if len(once) > MOST else "")
 
 
-def suspects(c: CompleteCorrelation, table: CorrelationTable) -> Table | Text:
+def suspects(c: CompleteCorrelation, table: CorrelationTable) -> ReportTable | Text:
     """Channels that contradict the other set: named, never mended."""
     if not c.suspects:
         judged = len(table) >= 3
-        told = (
+        described = (
             "no channel looks reversed, swapped, mis-scaled or dead"
             if judged
             else "channels are not judged"
         )
         return Text(
-            f"Against the {table.names[1]} modes {told}."
+            f"Against the {table.names[1]} modes {described}."
             if judged
-            else f"With fewer than 3 pairs {told}."
+            else f"With fewer than 3 pairs {described}."
         )
     caption = (
         "Channels to look at; nothing was mended. A region that is wrong in the model may "
         "look like a fault."
     )
     heads = ("|Channel", "|Looks", "|What is seen", "MAC now, %", "MAC if mended, %")
-    return Table(heads, [_suspect(s) for s in c.suspects], caption)
+    return ReportTable(heads, [_suspect(s) for s in c.suspects], caption)
 
 
 def _suspect(s: Suspect) -> list[str | Cell]:
-    told = sentence(s.message.split("; ")[0])
+    described = sentence(s.message.split("; ")[0])
     return [
         s.channel,
         Cell(s.fault, "warn"),
-        told,
+        described,
         fixed(100 * s.mac_now, 1),
         fixed(100 * s.mac_mended, 1),
     ]
@@ -163,13 +157,13 @@ def channels(c: CompleteCorrelation) -> list[Block]:
         "mean MAC of the pairs if the channels that spoil it most were left out one by one. "
         "Nothing was left out."
     )
-    order = c.comac.argsort(kind="stable").tolist()
+    order = c.by_channel.comac.argsort(kind="stable").tolist()
     rows = [
         (
             c.channels[i],
-            fixed(100 * float(c.comac[i]), 1),
-            fixed(100 * float(c.ecomac[i]), 2),
-            fixed(100 * float(c.contribution[i]), 2),
+            fixed(100 * float(c.by_channel.comac[i]), 1),
+            fixed(100 * float(c.by_channel.ecomac[i]), 2),
+            fixed(100 * float(c.by_channel.contribution[i]), 2),
         )
         for i in order
     ]
@@ -178,7 +172,7 @@ def channels(c: CompleteCorrelation) -> list[Block]:
         "All channels, the worst first. The contributions add up to the mean MAC; a negative "
         "one works against it."
     )
-    every = Fold(f"All {len(rows)} channels", [Table(heads, rows, text, scroll=True)])
+    every = Fold(f"All {len(rows)} channels", [ReportTable(heads, rows, text, scroll=True)])
     return [Plot(plots.channels(c), caption), every]
 
 
@@ -193,18 +187,18 @@ def close(c: CompleteCorrelation, table: CorrelationTable) -> list[Block]:
         "the other; a large one "
         "means that a shape of one set is missing in the other."
     )
-    return [Table(heads, [_close(s, table) for s in c.subspaces], caption)]
+    return [ReportTable(heads, [_close(s, table) for s in c.subspaces], caption)]
 
 
-def _close(s: Subspace, table: CorrelationTable) -> list[str | Cell]:
+def _close(s: CloseSubspace, table: CorrelationTable) -> list[str | Cell]:
     sides: list[str | Cell] = []
     for modes, f in ((s.a, table.all_test_hz), (s.b, table.all_fe_hz)):
         sides += [
             ", ".join(str(i + 1) for i in modes),
             ", ".join(fixed(float(f[i]), 2) for i in modes),
         ]
-    told = ", ".join(fixed(math.degrees(x), 1) for x in s.angles)
-    return [*sides, Cell(told, "warn" if max(s.angles) > TURNED else "")]
+    described = ", ".join(fixed(math.degrees(x), 1) for x in s.angles)
+    return [*sides, Cell(described, "warn" if max(s.angles) > TURNED else "")]
 
 
 def _notes(c: CompleteCorrelation) -> list[Block]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ringtrue.core.modes import ModeSet, Uncertainty
-from ringtrue.identification.common.poles import StableDiagram
+from ringtrue.core.modes import ModeSet
+from ringtrue.identification.common.stabilisation import StableDiagram
 from ringtrue.plots import identification as plots
 from ringtrue.report.parts import (
     Block,
@@ -15,15 +15,16 @@ from ringtrue.report.parts import (
     Items,
     Key,
     Plot,
+    ReportTable,
     Section,
-    Table,
+    Stages,
     Tabs,
     Text,
     fixed,
     number,
     sentence,
 )
-from ringtrue.report.stages import Stages
+from ringtrue.study.results import IdentifiedModes
 
 
 def section(data: Stages) -> Section | None:
@@ -36,23 +37,18 @@ def section(data: Stages) -> Section | None:
         for r in ident.ambient_records
         if r.diagrams
     ]
-    if ident.hammer is not None and ident.hammer_diagrams:
+    hammer = ident.hammer
+    if hammer is not None and hammer.diagrams:
         name = ident.source.removesuffix(" test")
-        tabs.append((name, _diagrams(name, ident.hammer_diagrams, ident.hammer)))
+        tabs.append((name, _diagrams(name, hammer.diagrams, hammer.modes)))
     blocks: list[Block] = (
         [Heading("Stabilisation diagrams"), Key(plots.POLE_COLORS), Tabs(tabs)] if tabs else []
     )
     sides: list[list[Block]] = []
     if len(ident.ambient):
-        modes, std = ident.ambient, ident.ambient_uncertainty
-        sides.append(
-            [_modes(modes, std, ident.ambient_reasons, "Ambient modes, merged over the records.")]
-        )
-    if ident.hammer is not None:
-        caption = f"Modes of the {ident.source}."
-        sides.append(
-            [_modes(ident.hammer, ident.hammer_uncertainty, ident.hammer_reasons, caption)]
-        )
+        sides.append([_modes(ident.ambient, "Ambient modes, merged over the records.")])
+    if hammer is not None:
+        sides.append([_modes(hammer, f"Modes of the {ident.source}.")])
     if sides:
         blocks.append(Columns(sides) if len(sides) > 1 else sides[0][0])
     if ident.merge_notes:
@@ -82,13 +78,15 @@ def _span(d: StableDiagram) -> str:
     return "{} to {} Hz".format(*(number(f, 3) for f in plots.pole_span(d)))
 
 
-def _modes(modes: ModeSet, std: Uncertainty | None, reasons: Sequence[str], caption: str) -> Table:
+def _modes(found: IdentifiedModes, caption: str) -> ReportTable:
+    modes = found.modes
+    std = found.uncertainty
     rows = []
     for k in range(len(modes)):
-        why = reasons[k] if k < len(reasons) else ""
+        why = found.reasons[k] if k < len(found.reasons) else ""
         confidence = float(modes.confidence[k])
-        sf = float(std.frequency[k]) if std is not None else float("nan")
-        sz = float(std.damping[k]) if std is not None else float("nan")
+        sf = float(std.frequency[k])
+        sz = float(std.damping[k])
         rows.append(
             (
                 str(k + 1),
@@ -99,7 +97,7 @@ def _modes(modes: ModeSet, std: Uncertainty | None, reasons: Sequence[str], capt
                 Cell(fixed(100 * confidence, 0), "warn" if confidence < 0.5 else "", why),
             )
         )
-    return Table(("#", "f, Hz", "σ, Hz", "ζ, %", "σ, %", "Confidence, %"), rows, caption)
+    return ReportTable(("#", "f, Hz", "σ, Hz", "ζ, %", "σ, %", "Confidence, %"), rows, caption)
 
 
 def _by_record(data: Stages) -> Block:
@@ -112,7 +110,7 @@ def _by_record(data: Stages) -> Block:
         )
         for r in data.identify.ambient_records
     ]
-    table = Table(
+    table = ReportTable(
         ("|Record", "Modes", "|Frequencies, Hz"),
         rows,
         "Modes by excitation record, before merging.",

@@ -13,15 +13,15 @@ from ringtrue.report.parts import (
     Heading,
     Items,
     Plot,
+    ReportTable,
     Scene3D,
     Section,
-    Table,
+    Stages,
     Text,
     fixed,
     number,
     sentence,
 )
-from ringtrue.report.stages import Stages
 from ringtrue.study.results import LocaliseStage
 from ringtrue.updating.selection.proposal import Proposed
 
@@ -39,8 +39,6 @@ NO_SHAPES = (
 EXPANSIONS = {
     "hybrid": "a balance of readings and equation of motion",
     "serep": "SEREP",
-    "guyan": "the static shapes of the sensors (Guyan)",
-    "dynamic": "the dynamic shapes of the sensors",
 }
 SHOWN = 30  # names of candidates that were not looked at closely
 FALLS = 10.0  # % of mean MAC, from which on a proposal is doubted
@@ -82,7 +80,7 @@ def section(data: Stages) -> Section | None:
     return Section("localisation", "Where the model is wrong", blocks)
 
 
-def _regions(s: LocaliseStage) -> Table:
+def _regions(s: LocaliseStage) -> ReportTable:
     heads = (
         "|Region",
         "Strain energy, %",
@@ -98,7 +96,7 @@ def _regions(s: LocaliseStage) -> Table:
         change = (
             s.indicators.energy[i] / s.indicators.strain[i] if np.isfinite(value[i]) else np.nan
         )
-        told = (
+        described = (
             Cell(fixed(float(value[i]), 2), "warn") if value[i] > 1 else fixed(float(value[i]), 2)
         )
         shares = [
@@ -115,7 +113,7 @@ def _regions(s: LocaliseStage) -> Table:
                 s.indicators.regions[i],
                 shares[0],
                 shares[1],
-                told,
+                described,
                 shares[2],
                 shares[3],
                 fixed(float(change), 2),
@@ -134,7 +132,7 @@ def _regions(s: LocaliseStage) -> Table:
             " The expanded shapes miss the readings by "
             f"{number(100 * float(s.indicators.misfit.max()), 2)} % at most."
         )
-    return Table(heads, rows, text, scroll=True)
+    return ReportTable(heads, rows, text, scroll=True)
 
 
 def _proposal(s: LocaliseStage) -> list[Block]:
@@ -173,13 +171,13 @@ def _proposal(s: LocaliseStage) -> list[Block]:
         "Factor",
         "σ, %",
         "Worth, AICc",
-        "|Not told from it",
+        "|Not distinguishable",
     )
     rows = [_row(s, i, m) for i, m in enumerate(p.members, start=1)]
     caption = (
         "Proposed parameters, ranked by their worth: the rise of AICc if one is left out and the "
         "others are updated "
-        "again. Not told from it: same effect on the data, or as good in its place."
+        "again. Not distinguishable: same effect on the data, or as good in its place."
         + (LACKING if any(m.lump for m in p.members) else "")
     )
     reasons = [
@@ -192,11 +190,11 @@ def _proposal(s: LocaliseStage) -> list[Block]:
     )
     blocks: list[Block] = [
         Text(f"{origin} {gain}"),
-        Table(heads, rows, caption),
+        ReportTable(heads, rows, caption),
         Items(reasons, "Why"),
     ]
     orders = [(rule, ", ".join(names[: len(p.members)])) for rule, names in p.orders.items()]
-    others = Table(
+    others = ReportTable(
         ("|Rule", "|First candidates"),
         orders,
         "As many candidates by simpler rules, one a cluster.",
@@ -244,7 +242,7 @@ def _row(s: LocaliseStage, rank: int, m: Proposed) -> list[str | Cell]:
     x = float(s.candidates.parameters.take([m.index]).vector(np.array([m.factor]))[0])
     factor = f"+ {number(m.added, 3)}" if m.lump else fixed(m.factor, 3)
     shown = Cell(factor, "warn", "at its bound") if min(x - low, high - x) < 1e-6 else factor
-    lost = ", ".join((*m.alike, *m.rivals)) or "–"
+    lost = ", ".join((*m.collinear, *m.rivals)) or "–"
     what = Cell(s.candidates.what[m.index], "muted", _few(s.candidates.elements[m.index]))
     where = [_few(s.candidates.elements[m.index])] if s.pool.made else []
     return [str(rank), m.name, *where, what, shown, number(100 * m.std, 2), fixed(m.worth, 1), lost]
@@ -264,7 +262,7 @@ def _candidates(s: LocaliseStage) -> Block:
     p = s.proposal
     verdict: dict[str, str | Cell] = {}
     for m in p.members:
-        verdict |= dict.fromkeys(m.alike, f"same effect as {m.name}")
+        verdict |= dict.fromkeys(m.collinear, f"same effect as {m.name}")
         verdict |= {n: f"as good in place of {m.name}" for n in m.rivals if n not in verdict}
     verdict |= {m.name: Cell("proposed", "good") for m in p.members}
     verdict |= {n: Cell("no effect on the data", "muted") for n in p.insensitive}
@@ -304,7 +302,7 @@ def _candidates(s: LocaliseStage) -> Block:
         "deviation at the proposed "
         "point, the others known or all free; 1 means that the data say nothing."
     )
-    blocks: list[Block] = [Table(heads, rows, text, scroll=len(rows) > FEW)]
+    blocks: list[Block] = [ReportTable(heads, rows, text, scroll=len(rows) > FEW)]
     for names, what in (
         (s.pool.screened, "Not looked at closely"),
         (s.pool.held, "Tuned as the suspension, not proposed"),

@@ -16,16 +16,16 @@ from ringtrue.report.parts import (
     Fold,
     Items,
     Plot,
+    ReportTable,
     Section,
-    Table,
+    Stages,
     Text,
     fixed,
     number,
     sentence,
 )
-from ringtrue.report.stages import Stages
 from ringtrue.study.messages import lost_points_sentence, missed_modes, setup_sentences
-from ringtrue.study.results import IdentifyStage, PlanStage
+from ringtrue.study.results import IdentifyStage, PlanStage, SuspensionPlan
 from ringtrue.study.summary import precision
 
 SURE = 0.9  # of the virtual tests
@@ -37,15 +37,15 @@ def section(data: Stages) -> Section | None:
     if plan is None:
         return None
     facts = [
-        Fact("Points", str(plan.test.points.size)),
-        Fact("Channels", str(len(plan.test.channels))),
-        Fact("Worst auto-MAC", fixed(100 * plan.worst_off_diagonal, 1), "%"),
-        Fact("Frequency step", number(plan.frequency_step, 3), "Hz"),
-        Fact("Block", number(plan.block, 4), "s"),
-        Fact("Ambient record", number(plan.record_length / 60, 3), "min"),
+        Fact("Points", str(plan.sensors.test.points.size)),
+        Fact("Channels", str(len(plan.sensors.test.channels))),
+        Fact("Worst auto-MAC", fixed(100 * plan.sensors.worst_auto_mac, 1), "%"),
+        Fact("Frequency step", number(plan.acquisition.frequency_step, 3), "Hz"),
+        Fact("Block", number(plan.acquisition.block, 4), "s"),
+        Fact("Ambient record", number(plan.acquisition.record_length / 60, 3), "min"),
     ]
-    if plan.averages:
-        facts.insert(5, Fact("Averages", str(plan.averages)))
+    if plan.acquisition.averages:
+        facts.insert(5, Fact("Averages", str(plan.acquisition.averages)))
     blocks: list[Block] = [
         Facts(facts),
         Text(f"{sentence(plan.rule)} {sentence(lost_points_sentence(plan))} {_references(plan)}"),
@@ -53,36 +53,32 @@ def section(data: Stages) -> Section | None:
     blocks += [
         Text(sentence(n)) for n in (*setup_sentences(plan), *plan.notes, *missed_modes(plan))
     ]
-    names = [str(i + 1) for i in plan.target_modes.tolist()]
-    auto = correlation.matrix(
-        plan.auto_mac, names, names, "FE mode", "FE mode", height=430, diagonal=False
-    )
+    side = correlation.MatrixSide([str(i + 1) for i in plan.target_modes.tolist()], "FE mode")
+    auto = correlation.matrix(plan.sensors.auto_mac, side, side, height=430, diagonal=False)
     left: list[Block] = [Plot(auto, "Auto-MAC of the target modes at the chosen channels.")]
     right = _precision(data, plan)
     blocks += [Columns([left, right])] if right else left
-    if plan.suspension:
-        blocks.append(Text(_hung(plan)))
-    if plan.rehearsal is not None:
+    if plan.suspension is not None:
+        blocks.append(Text(_hung(plan.suspension)))
+    if plan.virtual_test is not None:
         blocks += _foreseen(
-            plan.target_modes, plan.rehearsal, "Virtual test of the plan", "target modes"
+            plan.target_modes, plan.virtual_test, "Virtual test of the plan", "target modes"
         )
-    if (r := plan.ambient_rehearsal) is not None:
+    if (r := plan.virtual_ambient_test) is not None:
         blocks += _foreseen(
-            plan.expected_modes, r, "Virtual ambient test", "modes of the ambient plan"
+            plan.acquisition.modes, r, "Virtual ambient test", "modes of the ambient plan"
         )
-    if plan.indicator.size:
-        blocks.append(_appropriated(plan))
-    if plan.sets:
+    if plan.excitation.sets:
         blocks.append(_ranked(plan))
     lists: list[Block] = [
         *([_targets(plan)] if plan.target_frequencies.size else []),
         _points(plan),
     ]
-    if plan.ambient_rehearsal is not None:
-        lists.append(_ambient(plan, plan.ambient_rehearsal))
+    if plan.virtual_ambient_test is not None:
+        lists.append(_ambient(plan, plan.virtual_ambient_test))
     if data.identify is None:
         return Section("plan", "Test plan", [*blocks, *lists])
-    if plan.loaded.size or plan.rehearsal is not None:
+    if plan.sensors.loaded.size or plan.virtual_test is not None:
         blocks.append(lists.pop(0))
     if len(data.identify.ambient):
         lists.append(_verified(plan, data.identify))
@@ -93,10 +89,10 @@ def section(data: Stages) -> Section | None:
 def _references(plan: PlanStage) -> str:
     both = (
         " All are channels, too: each pair of them checks reciprocity."
-        if len(plan.references) > 1
+        if len(plan.excitation.references) > 1
         else ""
     )
-    return f"Hammer references: {', '.join(plan.references)}.{both}"
+    return f"Hammer references: {', '.join(plan.excitation.references)}.{both}"
 
 
 def _precision(data: Stages, plan: PlanStage) -> list[Block]:
@@ -109,22 +105,24 @@ def _precision(data: Stages, plan: PlanStage) -> list[Block]:
             "ambient modes (marks)."
         )
         return [Plot(fig, text)]
-    if data.model is None or not plan.expected_modes.size:
+    if data.model is None or not plan.acquisition.modes.size:
         return []
-    modes = data.model.modes.take(plan.expected_modes)
-    fig = identification.precision(modes, plan.expected_std_frequency, plan.expected_std_damping)
+    modes = data.model.modes.take(plan.acquisition.modes)
+    fig = identification.precision(
+        modes, plan.acquisition.std_frequency, plan.acquisition.std_damping
+    )
     fig.update_layout(height=430)
     return [
         Plot(fig, "Standard deviations to expect from the planned length of the ambient record.")
     ]
 
 
-def _hung(plan: PlanStage) -> str:
-    nodes = ", ".join(map(str, plan.suspension))
-    steady = "between them" if plan.steady else "not between them: the structure needs a guy"
+def _hung(found: SuspensionPlan) -> str:
+    nodes = ", ".join(map(str, found.nodes))
+    steady = "between them" if found.steady else "not between them: the structure needs a guy"
     return (
         f"Suspension at nodes {nodes}, whose RMS motion is at most "
-        f"{number(100 * math.sqrt(plan.suspension_motion), 2)} % of the largest vertical motion "
+        f"{number(100 * math.sqrt(found.motion), 2)} % of the largest vertical motion "
         "of any target mode; "
         f"the centre of gravity hangs {steady}."
     )
@@ -134,18 +132,18 @@ def _foreseen(modes: Int, r: VirtualTest, what: str, whose: str) -> list[Block]:
     """What the virtual test says in a sentence, and the modes that it misses."""
     names = [str(k + 1) for k in modes.tolist()]
     missed = rarely_found_modes(r, names, SURE)
-    told = (
+    described = (
         f"{what}: {len(names) - len(missed)} of {len(names)} {whose} were found in at least "
         f"{100 * SURE:.0f} % of "
         f"{r.trials} tests."
     )
     return [
-        Text(told),
+        Text(described),
         *([Items(missed, "Modes that the test may miss")] if missed else []),
     ]
 
 
-def _targets(plan: PlanStage) -> Table:
+def _targets(plan: PlanStage) -> ReportTable:
     """Target modes: how well they are excited and shown, and what the virtual test made of them."""
     heads = ["FE mode", "f, Hz", "reach, %"]
     columns: list[list[str | Cell]] = [
@@ -153,15 +151,17 @@ def _targets(plan: PlanStage) -> Table:
         [fixed(f, 3) for f in plan.target_frequencies.tolist()],
         [
             Cell(fixed(100 * r, 0), "bad" if lost else "")
-            for r, lost in zip(plan.reach.tolist(), plan.missed.tolist(), strict=True)
+            for r, lost in zip(
+                plan.excitation.reach.tolist(), plan.excitation.missed.tolist(), strict=True
+            )
         ],
     ]
-    if plan.shown.size:
+    if plan.sensors.shown.size:
         heads.append("shown, %")
-        columns.append([fixed(100 * s, 0) for s in plan.shown.tolist()])
-    if plan.loaded.size:
+        columns.append([fixed(100 * s, 0) for s in plan.sensors.shown.tolist()])
+    if plan.sensors.loaded.size:
         heads.append("shift by sensors, %")
-        columns.append([fixed(100 * x, 2, sign=True) for x in plan.loaded.tolist()])
+        columns.append([fixed(100 * x, 2, sign=True) for x in plan.sensors.loaded.tolist()])
     if len(set(plan.reasons)) > 1:
         heads.insert(1, "|why")
         columns.insert(1, list(plan.reasons))
@@ -170,29 +170,29 @@ def _targets(plan: PlanStage) -> Table:
         "channels; shown: MAC of "
         "the mode with its drawing on the measuring points."
     )
-    if plan.rehearsal is not None:
+    if (trial := plan.virtual_test) is not None:
         heads += ["found, %", "σ of f, %", "σ of ζ, %", "MAC, %"]
-        columns += _found(plan.rehearsal)
+        columns += _found(trial)
         caption += (
-            f" Found and the standard deviations: {plan.rehearsal.trials} virtual tests with "
+            f" Found and the standard deviations: {trial.trials} virtual tests with "
             "blows up to "
-            f"{number(plan.rehearsal.force, 2)} N under {number(plan.rehearsal.background, 2)} "
+            f"{number(trial.force, 2)} N under {number(trial.background, 2)} "
             "N/√Hz of noise at each "
-            f"reference, {number(plan.rehearsal.invented, 2)} modes a test invented."
+            f"reference, {number(trial.invented, 2)} modes a test invented."
         )
-    return Table(heads, list(zip(*columns, strict=True)), caption, scroll=True)
+    return ReportTable(heads, list(zip(*columns, strict=True)), caption, scroll=True)
 
 
-def _ambient(plan: PlanStage, r: VirtualTest) -> Table:
-    """What virtual ambient tests made of the modes expected of them, beside the floor of their
+def _ambient(plan: PlanStage, r: VirtualTest) -> ReportTable:
+    """What virtual ambient tests made of the modes expected of them, with the floor of their
     errors.
     """
     columns: list[list[str | Cell]] = [
-        [str(k + 1) for k in plan.expected_modes.tolist()],
+        [str(k + 1) for k in plan.acquisition.modes.tolist()],
         [fixed(f, 3) for f in r.frequencies.tolist()],
         *_found(r),
-        [number(100 * x, 2) for x in plan.expected_std_frequency.tolist()],
-        [number(100 * x, 2) for x in plan.expected_std_damping.tolist()],
+        [number(100 * x, 2) for x in plan.acquisition.std_frequency.tolist()],
+        [number(100 * x, 2) for x in plan.acquisition.std_damping.tolist()],
     ]
     heads = (
         "FE mode",
@@ -210,7 +210,7 @@ def _ambient(plan: PlanStage, r: VirtualTest) -> Table:
         f"{number(r.invented, 2)} modes a test invented; least: the statistical floor for the "
         "planned record."
     )
-    return Table(heads, list(zip(*columns, strict=True)), caption, scroll=True)
+    return ReportTable(heads, list(zip(*columns, strict=True)), caption, scroll=True)
 
 
 def _found(r: VirtualTest) -> list[list[str | Cell]]:
@@ -224,7 +224,7 @@ def _found(r: VirtualTest) -> list[list[str | Cell]]:
     return [found, *spread, [fixed(100 * x, 1) for x in r.mac.tolist()]]
 
 
-def _ranked(plan: PlanStage) -> Table:
+def _ranked(plan: PlanStage) -> ReportTable:
     """Sets of points to strike: the best of so many, and what they miss."""
     names = (plan.target_modes + 1).tolist()
     rows = [
@@ -235,7 +235,10 @@ def _ranked(plan: PlanStage) -> Table:
             ", ".join(f"{names[i]}" for i in missed) or "none",
         )
         for s, least, missed in zip(
-            plan.sets, plan.least_reach.tolist(), plan.missed_by_sets, strict=True
+            plan.excitation.sets,
+            plan.excitation.least_reach.tolist(),
+            plan.excitation.missed_by_sets,
+            strict=True,
         )
     ]
     caption = (
@@ -243,58 +246,43 @@ def _ranked(plan: PlanStage) -> Table:
         "reach: what fewer and "
         "more of them reach."
     )
-    return Table(("points", "|strike", "least reach, %", "|modes missed"), rows, caption)
+    return ReportTable(("points", "|strike", "least reach, %", "|modes missed"), rows, caption)
 
 
-def _appropriated(plan: PlanStage) -> Table:
-    """Real forces that isolate each target mode."""
-    rows = [
-        (str(k + 1), fixed(f, 3), fixed(v, 3), *(fixed(x, 2, sign=True) for x in force))
-        for k, f, v, force in zip(
-            plan.target_modes.tolist(),
-            plan.target_frequencies.tolist(),
-            plan.indicator.tolist(),
-            plan.forces.tolist(),
-            strict=True,
-        )
-    ]
-    caption = (
-        "Force appropriation: forces at all references at once that drive each mode, and the "
-        "mode indicator that they "
-        "reach with the expected damping; 0: the mode responds alone."
-    )
-    return Table(("FE mode", "f, Hz", "indicator", *plan.references), rows, caption, scroll=True)
-
-
-def _points(plan: PlanStage) -> Table:
+def _points(plan: PlanStage) -> ReportTable:
     """Measuring points, and what is struck there; the struck ones first."""
     struck = {
-        p: [r for r in plan.references if r.startswith((f"{p}+", f"{p}-"))]
-        for p in plan.test.points.tolist()
+        p: [r for r in plan.excitation.references if r.startswith((f"{p}+", f"{p}-"))]
+        for p in plan.sensors.test.points.tolist()
     }
     read: dict[int, list[str]] = {}
-    for p, name in zip(plan.test.at.tolist(), plan.test.channels, strict=True):
+    for p, name in zip(plan.sensors.test.at.tolist(), plan.sensors.test.channels, strict=True):
         read.setdefault(p, []).append(name.removeprefix(str(p)))
     there = (
-        {p: str(k + 1) for k in range(plan.setups.count) for p in plan.roving(k)}
-        if plan.setups
+        {p: str(k + 1) for k in range(plan.sensors.setups.count) for p in plan.sensors.roving(k)}
+        if plan.sensors.setups
         else {}
     )
-    parts = any(plan.test.groups)
+    parts = any(plan.sensors.test.groups)
     rows: list[tuple[str, ...]] = []
     for p, xyz, group in zip(
-        plan.test.points.tolist(), plan.test.xyz.tolist(), plan.test.groups, strict=True
+        plan.sensors.test.points.tolist(),
+        plan.sensors.test.xyz.tolist(),
+        plan.sensors.test.groups,
+        strict=True,
     ):
-        setup, part = (there.get(p, "all"),) if plan.setups else (), (group,) if parts else ()
+        setup = (there.get(p, "all"),) if plan.sensors.setups else ()
+        part = (group,) if parts else ()
         place = (fixed(v, 3) for v in xyz)
         rows.append((str(p), *part, *place, " ".join(read.get(p, [])), *setup, " ".join(struck[p])))
     rows.sort(key=lambda row: not row[-1])
-    part, setup = ("|part",) if parts else (), ("setup",) if plan.setups else ()
+    part = ("|part",) if parts else ()
+    setup = ("setup",) if plan.sensors.setups else ()
     heads = ("point", *part, "x, m", "y, m", "z, m", "|channels", *setup, "|strike")
-    return Table(heads, rows, "Measuring points, on nodes of the model.", scroll=True)
+    return ReportTable(heads, rows, "Measuring points, on nodes of the model.", scroll=True)
 
 
-def _verified(plan: PlanStage, found: IdentifyStage) -> Table:
+def _verified(plan: PlanStage, found: IdentifyStage) -> ReportTable:
     """Planned precision against that of the modes found."""
     rows = [
         (fixed(r.pop("frequency_hz"), 3), *(number(v, 2) for v in r.values()))
@@ -303,7 +291,7 @@ def _verified(plan: PlanStage, found: IdentifyStage) -> Table:
     heads = ("f, Hz", "planned σ of f, %", "found, %", "planned σ of ζ, %", "found, %")
     caption = (
         "The plan verified: standard deviations of one ambient record with "
-        f"{100 * plan.damping:g} % damping as "
+        f"{100 * plan.acquisition.damping:g} % damping as "
         "planned, and those of the merged ambient modes."
     )
-    return Table(heads, rows, caption)
+    return ReportTable(heads, rows, caption)

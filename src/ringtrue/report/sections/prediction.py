@@ -18,8 +18,9 @@ from ringtrue.report.parts import (
     Heading,
     Items,
     Plot,
+    ReportTable,
     Section,
-    Table,
+    Stages,
     Tabs,
     Text,
     fixed,
@@ -27,7 +28,6 @@ from ringtrue.report.parts import (
     plain,
     sentence,
 )
-from ringtrue.report.stages import Stages
 from ringtrue.study.messages import validity_sentence
 from ringtrue.study.results import PredictStage, UncertaintyStage
 from ringtrue.updating.prediction import Bands
@@ -47,14 +47,14 @@ def uncertainty(data: Stages) -> Section | None:
     )
     blocks += [Plot(updating.bands(s), caption), Fold("The bands mode by mode", [_modes(s)])]
     blocks += [Heading("Modes left out in turn"), _folds(s), Heading("Parameters")]
-    told = Plot(
+    band_plot = Plot(
         updating.parameters(s), f"The parameters before and after the test, {percent} intervals."
     )
     trade = Plot(
         updating.correlation(s),
         "Correlation of the parameters: near ±1 two of them trade for each other.",
     )
-    blocks.append(Columns([[told], [trade]]) if len(s.posterior.parameters) > 1 else told)
+    blocks.append(Columns([[band_plot], [trade]]) if len(s.posterior.parameters) > 1 else band_plot)
     blocks.append(_parameters(s))
     if s.flags:
         blocks.append(Items([sentence(f.text) for f in s.flags], "To be looked at by an engineer"))
@@ -66,7 +66,8 @@ def _share(inside: Bool, which: Bool) -> str:
 
 
 def _facts(s: UncertaintyStage) -> Facts:
-    there, percent = np.isfinite(s.bands.predicted), f"{100 * s.level:g} %"
+    there = np.isfinite(s.bands.predicted)
+    percent = f"{100 * s.level:g} %"
     facts = [Fact("Model discrepancy, frequency", fixed(100 * float(s.discrepancy[0]), 2), "%")]
     if (there & ~s.bands.used).any():
         facts.append(
@@ -81,7 +82,7 @@ def _facts(s: UncertaintyStage) -> Facts:
     )
     facts.append(
         Fact(
-            "Parameters that the test has told",
+            "Parameters that the test has determined",
             f"{int(s.posterior.moved.sum())} of {s.posterior.moved.size}",
         )
     )
@@ -106,7 +107,7 @@ def _lead(s: UncertaintyStage) -> str:
     )
 
 
-def _modes(s: UncertaintyStage) -> Table:
+def _modes(s: UncertaintyStage) -> ReportTable:
     heads = (
         "#",
         "f test, Hz",
@@ -121,7 +122,8 @@ def _modes(s: UncertaintyStage) -> Table:
     )
     rows: list[list[str | Cell]] = []
     for i in np.flatnonzero(np.isfinite(s.bands.predicted)).tolist():
-        f, g = float(s.bands.test[i]), float(s.bands.predicted[i])
+        f = float(s.bands.test[i])
+        g = float(s.bands.predicted[i])
         reach = 100 * float(s.bands.band[i, 1] - g) / f
         row: list[str | Cell] = [
             str(i + 1),
@@ -136,12 +138,14 @@ def _modes(s: UncertaintyStage) -> Table:
         "Predicted frequencies and their bands; standard deviations from the parameters, the "
         "test and the model."
     )
-    return Table(heads, rows, text, scroll=len(rows) > 16)
+    return ReportTable(heads, rows, text, scroll=len(rows) > 16)
 
 
-def _folds(s: UncertaintyStage) -> Table:
-    h, rows = s.held, []
-    inside, band = h.inside(s.level), h.band(s.level)
+def _folds(s: UncertaintyStage) -> ReportTable:
+    h = s.held
+    rows = []
+    inside = h.inside(s.level)
+    band = h.band(s.level)
     for k in range(int(h.fold.max(initial=-1)) + 1):
         for j, i in enumerate(np.flatnonzero(h.fold == k).tolist()):
             row: list[str | Cell] = [
@@ -171,10 +175,10 @@ def _folds(s: UncertaintyStage) -> Table:
         "were predicted unseen."
     )
     text += "" if h.converged else " Not every updating converged."
-    return Table(heads, rows, text, scroll=len(rows) > 12).without_blank("MAC")
+    return ReportTable(heads, rows, text, scroll=len(rows) > 12).without_blank("MAC")
 
 
-def _parameters(s: UncertaintyStage) -> Table:
+def _parameters(s: UncertaintyStage) -> ReportTable:
     sampled = len(s.chains.sampled) > 0
     heads = [
         "|Parameter",
@@ -204,8 +208,8 @@ def _parameters(s: UncertaintyStage) -> Table:
         "left of a change that "
         "is not slight when a fold of modes is left out. Where the interval holds 1, or less "
         "than half is kept, the "
-        "parameter may take up an error of the model's form, or the test tells it only together "
-        "with others."
+        "parameter may take up an error of the model's form, or the test determines it only "
+        "together with others."
     )
     if sampled:
         text += (
@@ -217,12 +221,12 @@ def _parameters(s: UncertaintyStage) -> Table:
             "the moves accepted"
             f"{'' if s.chains.converged else '; too short to rest on'}."
         )
-    return Table([*heads, "|"], rows, text)
+    return ReportTable([*heads, "|"], rows, text)
 
 
 def _span(low_high: np.ndarray) -> str:
     low, high = (float(v) for v in low_high)
-    narrow = 0 < high - low < 0.02 * abs(high)  # three digits would not tell the ends apart
+    narrow = 0 < high - low < 0.02 * abs(high)  # three digits would not distinguish the ends
     digits = 1 + math.ceil(math.log10(abs(high) / (high - low))) if narrow else 3
     return f"{number(low, digits)} to {number(high, digits)}"
 
@@ -254,7 +258,7 @@ def _run_up_lead(p: PredictStage) -> str:
     return text + sentence(validity_sentence(p.run_up.validated))
 
 
-def _peaks(p: PredictStage) -> Table:
+def _peaks(p: PredictStage) -> ReportTable:
     r = p.run_up
     level = f"{100 * r.peak.level:.0f} %"
     at = int(np.argmin(np.abs(r.freqs - p.unbalance.service)))
@@ -289,7 +293,7 @@ def _peaks(p: PredictStage) -> Table:
         rows.append(
             [name, unit, *_banded(r.peak, i, factor), *_banded(r.peak_speed, i, 1.0), mark, *served]
         )
-    return Table(
+    return ReportTable(
         heads,
         rows,
         "Largest amplitudes of the run-up, and those at service speed; medians and bands.",

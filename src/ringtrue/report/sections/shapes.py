@@ -5,8 +5,7 @@ from __future__ import annotations
 from ringtrue.core.modes import ModeSet
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.plots.scene import Shown, modes
-from ringtrue.report.parts import Scene3D, Section, fixed
-from ringtrue.report.stages import Stages
+from ringtrue.report.parts import Scene3D, Section, Stages, fixed
 
 
 def section(data: Stages) -> Section | None:
@@ -54,7 +53,8 @@ def _paired(
 ) -> list[Shown]:
     out = []
     for r in table.rows():
-        t, k = r.test - 1, r.fe - 1
+        t = r.test - 1
+        k = r.fe - 1
         label = f"test {r.test} · FE {r.fe} · {fixed(r.test_hz, 2)} Hz"
         info = f"test {fixed(r.test_hz, 3)} Hz, FE {fixed(r.fe_hz, 3)} Hz, "
         info += f"Δf {fixed(r.deviation_percent, 2, sign=True)} %"
@@ -81,21 +81,24 @@ def _initial(data: Stages) -> list[Shown]:
     c = data.correlate
     if c is None or data.model is None:
         return []
-    return _paired("Initial model and test", c.initial, c.reference, c.fe_initial, data.model.modes)
+    return _paired(
+        "Initial model and test", c.initial, c.reference.elastic, c.fe_initial, data.model.modes
+    )
 
 
 def _remodelled(data: Stages) -> list[Shown]:
     c = data.correlate
-    if c is None or not c.changed:
+    if c is None or c.remodelling is None:
         return []
-    return _paired("Remodelled and test", c.remodelled, c.reference, c.fe_remodelled, None)
+    return _paired("Remodelled and test", c.remodelled, c.reference.elastic, c.fe_remodelled, None)
 
 
 def _expanded(data: Stages) -> list[Shown]:
     """The test shapes spread over the model, as the study asks for."""
     if data.correlate is None or (e := data.correlate.expanded) is None:
         return []
-    test, out = data.correlate.reference, []
+    test = data.correlate.reference.elastic
+    out = []
     for k, (f, misfit) in enumerate(zip(test.frequencies.tolist(), e.misfit.tolist(), strict=True)):
         info = (
             f"{fixed(f, 3)} Hz, expanded ({e.method}), misses the readings by "
@@ -126,11 +129,12 @@ def _test_only(data: Stages) -> list[Shown]:
         return []
     out = []
     word = data.identify.source
-    for name, m in (
+    for name, found in (
         ("Ambient test", data.identify.ambient),
         (word[:1].upper() + word[1:], data.identify.hammer),
     ):
-        if m is not None:
+        if found is not None:
+            m = found.modes
             out += [_alone(name, m, k, None, (m, k)) for k in range(len(m))]
     return out
 
@@ -138,6 +142,7 @@ def _test_only(data: Stages) -> list[Shown]:
 def _alone(
     stage: str, m: ModeSet, k: int, fe: tuple[ModeSet, int] | None, test: tuple[ModeSet, int] | None
 ) -> Shown:
-    f, zeta = float(m.frequencies[k]), float(m.damping[k])
+    f = float(m.frequencies[k])
+    zeta = float(m.damping[k])
     info = f"{fixed(f, 3)} Hz" + (f", damping {fixed(100 * zeta, 2)} %" if zeta > 0 else "")
     return Shown(stage, f"mode {k + 1} · {fixed(f, 2)} Hz", info, fe, test)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from ringtrue.correlation.measures import CompleteCorrelation
-from ringtrue.correlation.orthogonality import Check
+from ringtrue.correlation.orthogonality import OrthogonalityCheck
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.plots import correlation as plots
 from ringtrue.report.parts import (
@@ -19,16 +19,18 @@ from ringtrue.report.parts import (
     Facts,
     Heading,
     Plot,
+    ReportTable,
     Section,
-    Table,
+    Stages,
     fixed,
     number,
 )
 from ringtrue.report.sections import shapes, system
-from ringtrue.report.stages import Stages
 from ringtrue.study.acceptance import in_both
 
-GOOD, BAD, UNFIT = Cell("passed", "good"), Cell("failed", "bad"), Cell("no verdict", "warn")
+GOOD = Cell("passed", "good")
+BAD = Cell("failed", "bad")
+UNFIT = Cell("no verdict", "warn")
 
 
 def summary(data: Stages) -> Section | None:
@@ -89,7 +91,10 @@ def _tables(data: Stages) -> list[tuple[str, CorrelationTable]]:
     """The initial model, remodelled if it was, and updated."""
     out: list[tuple[str, CorrelationTable]] = []
     if (c := data.correlate) is not None:
-        out += [("initial", c.initial), *([("remodelled", c.remodelled)] if c.changed else [])]
+        out += [
+            ("initial", c.initial),
+            *([("remodelled", c.remodelled)] if c.remodelling is not None else []),
+        ]
     return out + ([("final", data.final.table)] if data.final is not None else [])
 
 
@@ -119,7 +124,8 @@ def _evidence(data: Stages) -> list[Block]:
     final = data.final
     if final is None or final.evidence is None:
         return []
-    e, table = final.evidence.measures, final.table
+    e = final.evidence.measures
+    table = final.table
     missed = len(data.acceptance.missed(table))
     rows: list[tuple[str, str, str | Cell]] = [
         (
@@ -143,21 +149,25 @@ def _evidence(data: Stages) -> list[Block]:
             )
         )
     caption = "The evidence of the final correlation, in short."
-    return [Heading("What it rests on"), Table(("|Evidence", "|Found", "|"), rows, caption)]
+    return [Heading("What it rests on"), ReportTable(("|Evidence", "|Found", "|"), rows, caption)]
 
 
-def _orthogonality(cross: Check, measures: CompleteCorrelation) -> tuple[str, str, Cell]:
-    """What the mass at the channels says, if it keeps the model's own modes apart."""
+def _orthogonality(
+    cross: OrthogonalityCheck, measures: CompleteCorrelation
+) -> tuple[str, str, Cell]:
+    """What the mass at the channels says, if it distinguishes the model's own modes."""
     v = cross.verdict
     name = f"Cross-orthogonality, {cross.mass} mass, gate {v.gate.name}"
     if not measures.judges(cross):
         return (
             name,
-            "not to be judged: at these channels it does not keep the model's own modes apart",
+            "not to be judged: at these channels it does not distinguish the model's own modes",
             UNFIT,
         )
-    told = f"pairs ≥ {100 * v.least_diagonal:.0f} %, others ≤ {100 * v.largest_off_diagonal:.0f} %"
-    return name, told, GOOD if v.passed else BAD
+    limits = (
+        f"pairs ≥ {100 * v.least_diagonal:.0f} %, others ≤ {100 * v.largest_off_diagonal:.0f} %"
+    )
+    return name, limits, GOOD if v.passed else BAD
 
 
 def _beside(left: list[Block], right: Block | None) -> list[Block]:
@@ -166,11 +176,12 @@ def _beside(left: list[Block], right: Block | None) -> list[Block]:
     return [Columns([left, [right]])] if left else [right]
 
 
-def stages_table(data: Stages) -> Table:
+def stages_table(data: Stages) -> ReportTable:
     """Deviations and MAC of each state of the model; means of the same modes in the first and the
     last.
     """
-    rows, named = [], _tables(data)
+    rows = []
+    named = _tables(data)
     used, out = (in_both(*(t for _, t in named), used=u) for u in (True, False))
     for (name, table), seen, unseen in zip(named, used, out, strict=True):
         for label, which in (("all", None), ("used in the updating", seen), ("left out", unseen)):
@@ -205,7 +216,7 @@ def stages_table(data: Stages) -> Table:
         "modes are rotated "
         "inside their subspace towards the test."
     )
-    return Table(heads, rows, text).without_blank("MAC")
+    return ReportTable(heads, rows, text).without_blank("MAC")
 
 
 LONG = re.compile(r"\[\s*((?:[\d.+-]+,\s*){6})((?:[\d.+-]+,\s*){20,}[\d.+-]+,?)\s*\]")
@@ -224,15 +235,15 @@ def provenance(data: Stages) -> Section | None:
     run = [("ringtrue", p.version), ("Python", p.python), ("Platform", p.platform)]
     run += [("Seed", str(p.seed)), ("Started", p.started.replace("T", " ")), *p.packages.items()]
     spent = [(k, fixed(v, 1)) for k, v in p.timings.items()]
-    timings = Table(
+    timings = ReportTable(
         ("|Stage", "Time, s"), spent, "Timings.", ("total", fixed(sum(p.timings.values()), 1))
     )
     blocks: list[Block] = [
-        Columns([[Table(("|What", "|Version or value"), run, "The run.")], [timings]])
+        Columns([[ReportTable(("|What", "|Version or value"), run, "The run.")], [timings]])
     ]
     inputs = [(name, Cell(sha, "mono")) for name, sha in p.inputs.items()]
     blocks.append(
-        Table(("|Input", "|SHA-256"), inputs, "The input files.", scroll=len(inputs) > 16)
+        ReportTable(("|Input", "|SHA-256"), inputs, "The input files.", scroll=len(inputs) > 16)
     )
     blocks.append(Code("Resolved settings", _shortened(p.settings)))
     return Section("provenance", "Provenance", blocks)

@@ -20,9 +20,10 @@ from ringtrue.report.parts import (
     Heading,
     Items,
     Plot,
+    ReportTable,
     Scene3D,
     Section,
-    Table,
+    Stages,
     Tabs,
     Text,
     fixed,
@@ -31,8 +32,7 @@ from ringtrue.report.parts import (
     sentence,
     signs,
 )
-from ringtrue.report.stages import Stages
-from ringtrue.study.results import ModelStage, RecordSummary
+from ringtrue.study.results import ModelStage, RecordPreview, RecordSummary
 
 
 def survey(data: Stages) -> Section | None:
@@ -45,10 +45,14 @@ def survey(data: Stages) -> Section | None:
     return Section("survey", "System and tests", blocks) if blocks else None
 
 
-def _system(model: ModelStage, computed: Float) -> Table:
+def _system(model: ModelStage, computed: Float) -> ReportTable:
     length, (mass, unit) = UNIT_SYSTEMS[model.units].length, weight(model)
-    x, y, z = (fixed(float(v) * length, 2) for v in model.cg)
-    inertia = np.diag(model.inertia) * length**2 * (mass / model.mass if model.mass else 1.0)
+    x, y, z = (fixed(float(v) * length, 2) for v in model.mass.cg)
+    inertia = (
+        np.diag(model.mass.inertia)
+        * length**2
+        * (mass / model.mass.mass if model.mass.mass else 1.0)
+    )
     rows = [
         *([("Model", model.title, "")] if model.title else []),
         ("Mass", number(mass, 4), unit),
@@ -61,12 +65,12 @@ def _system(model: ModelStage, computed: Float) -> Table:
         ("Nodes; degrees of freedom", f"{model.nodes:,}; {model.dof:,}".replace(",", "\u202f"), ""),
         ("Modes computed", _span(computed), "Hz"),
     ]
-    return Table(("|Quantity", "|Value", "|Unit"), rows, "The system as modelled.")
+    return ReportTable(("|Quantity", "|Value", "|Unit"), rows, "The system as modelled.")
 
 
 def weight(model: ModelStage) -> tuple[float, str]:
     """The mass in t, or in kg below one."""
-    kg = model.mass * UNIT_SYSTEMS[model.units].kilograms
+    kg = model.mass.mass * UNIT_SYSTEMS[model.units].kilograms
     return (kg / 1000, "t") if kg >= 1000 else (kg, "kg")
 
 
@@ -95,17 +99,18 @@ def _listed(parts: list[list[RecordSummary]], caption: str) -> list[Block]:
     """A row a part, one record or a setup of several, and below what is to be said of which: notes
     are long.
     """
-    told: dict[str, list[str]] = {}
+    described: dict[str, list[str]] = {}
     for mine in parts:
         for note in _test_notes(mine):
-            told.setdefault(note, []).append(_name(mine))
-    notes = [f"{'; '.join(names)}: {note}" for note, names in told.items()]
-    table = Table(HEADS, [_test_row(mine) for mine in parts], caption)
+            described.setdefault(note, []).append(_name(mine))
+    notes = [f"{'; '.join(names)}: {note}" for note, names in described.items()]
+    table = ReportTable(HEADS, [_test_row(mine) for mine in parts], caption)
     return [table, Items(notes)] if notes else [table]
 
 
 def _test_row(mine: list[RecordSummary]) -> tuple[str, ...]:
-    first, minutes = mine[0], sum(r.duration for r in mine) / 60
+    first = mine[0]
+    minutes = sum(r.duration for r in mine) / 60
     return (
         first.test,
         _name(mine),
@@ -130,14 +135,15 @@ def model(data: Stages) -> Section | None:
     """Deck, 3D view with the sensors, modes."""
     if data.model is None:
         return None
-    m, test = data.model, data.test
+    m = data.model
+    test = data.test
     kinds = (
-        scene.channel_kinds(data.plan.references, data.plan.ambient)
+        scene.channel_kinds(data.plan.excitation.references, data.plan.sensors.ambient)
         if data.plan is not None
         else {}
     )
     blocks: list[Block] = [Scene3D(scene.model(m.scene, test, kinds), _caption(test))]
-    cards = Table(
+    cards = ReportTable(
         ("|Card", "Count"),
         [(k, str(v)) for k, v in sorted(m.cards.items())],
         "Cards of the deck.",
@@ -174,13 +180,13 @@ def _caption(test: TestModel | None) -> str:
     return text + ". Drag to turn, shift-drag to move, click and use the wheel to zoom."
 
 
-def _mode_table(frequencies: Float, residuals: Float) -> Table:
-    told = [
+def _mode_table(frequencies: Float, residuals: Float) -> ReportTable:
+    described = [
         *(number(r, 2) for r in residuals.tolist()),
         *["–"] * (frequencies.size - residuals.size),
     ]
-    rows = [(str(i + 1), number(f, 4), told[i]) for i, f in enumerate(frequencies.tolist())]
-    return Table(
+    rows = [(str(i + 1), number(f, 4), described[i]) for i, f in enumerate(frequencies.tolist())]
+    return ReportTable(
         ("#", "Frequency, Hz", "Residual"),
         rows,
         "Modes of the initial deck, relative residual norm.",
@@ -200,20 +206,20 @@ def signal_section(data: Stages) -> Section | None:
 
 
 def _test(records: list[RecordSummary]) -> list[Block]:
-    out = [_record(r) for r in records if r.preview_channels]
+    out: list[Block] = [_record(r, r.preview) for r in records if r.preview is not None]
     setups = list(dict.fromkeys(r.setup for r in records))
     if len(setups) > 1:
-        told = (
+        described = (
             f"Setup {setups[0]} of {', '.join(setups[:-1])} and {setups[-1]}; all of them are "
             "in the list of tests."
         )
-        return [Text(told, "note"), *out]
+        return [Text(described, "note"), *out]
     return out
 
 
-def _record(r: RecordSummary) -> Block:
+def _record(r: RecordSummary, preview: RecordPreview) -> Block:
     text = f"{r.name}, {r.excitation}: time preview and power spectral density."
-    return Plot(plots.record(r, r.unit.replace("^2", "²")), text)
+    return Plot(plots.record(preview, preview.unit.replace("^2", "²")), text)
 
 
 def frf_section(data: Stages) -> Section | None:
@@ -222,7 +228,7 @@ def frf_section(data: Stages) -> Section | None:
     if ident is None or ident.frfs is None:
         return None
     frfs = ident.frfs
-    marks = ident.hammer.frequencies if ident.hammer is not None else np.empty(0)
+    marks = ident.hammer.modes.frequencies if ident.hammer is not None else np.empty(0)
     count = f"{len(frfs.outputs)} responses × {len(frfs.inputs)} references"
     top = 1.6 * float(marks.max()) if marks.size else float(frfs.freqs[-1])
     caption = (
@@ -236,7 +242,8 @@ def frf_section(data: Stages) -> Section | None:
     if ident.frf_notes:
         blocks.append(Items(ident.frf_notes, "Notes"))
     if ident.synthesis_error.size:
-        middle, worst = np.nanmedian(ident.synthesis_error), np.nanmax(ident.synthesis_error)
+        middle = np.nanmedian(ident.synthesis_error)
+        worst = np.nanmax(ident.synthesis_error)
         text = (
             "The FRFs synthesised from the identified modes differ from the measured ones by "
             f"{100 * middle:.1f} % "

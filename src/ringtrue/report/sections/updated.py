@@ -13,9 +13,10 @@ from ringtrue.report.parts import (
     Heading,
     Items,
     Plot,
+    ReportTable,
     Scene3D,
     Section,
-    Table,
+    Stages,
     Tabs,
     Text,
     fixed,
@@ -24,7 +25,6 @@ from ringtrue.report.parts import (
     sentence,
 )
 from ringtrue.report.sections.correlation import pairs
-from ringtrue.report.stages import Stages
 from ringtrue.study.messages import discrepancy_sentence, held_sentences
 from ringtrue.study.placing import seat_words
 from ringtrue.study.results import DataResult, SetResult, UpdateStage
@@ -56,7 +56,7 @@ def choice(data: Stages) -> Section | None:
         blocks = [Tabs([("Frequencies", [frequencies]), ("Mode shapes", [two])])]
     rows = [(k, str(len(v)), ", ".join(v), sentence(s.rules.get(k, ""))) for k, v in s.sets.items()]
     blocks.append(
-        Table(
+        ReportTable(
             ("|Set", "Size", "|Parameters", "|Rule"),
             rows,
             "Parameter sets and how each was chosen.",
@@ -66,7 +66,7 @@ def choice(data: Stages) -> Section | None:
     if held:
         blocks.append(Items(tuple(held), "Held at the deck's values"))
     if s.clusters:
-        blocks.append(Items(s.clusters, "Candidates that the data cannot tell apart"))
+        blocks.append(Items(s.clusters, "Candidates that the data cannot distinguish"))
     return Section("sensitivities", "Sensitivities and parameters", blocks)
 
 
@@ -121,13 +121,13 @@ def _solver_text(data: Stages, u: UpdateStage) -> str:
     )
     if data.final is not None and data.uncertainty is None:
         text += (
-            " No uncertainty is told: fewer than four modes were used, or its modes differ "
+            " No uncertainty is given: fewer than four modes were used, or its modes differ "
             f"from those of {u.solver}."
         )
     return text
 
 
-def _measured(d: DataResult) -> Table:
+def _measured(d: DataResult) -> ReportTable:
     """Values, or deviations where no value is shown, of the model before and after."""
     where = f", measured on {d.configuration}" if d.configuration else ""
     columns = (d.measured, d.before, d.after, d.error)
@@ -142,10 +142,10 @@ def _measured(d: DataResult) -> Table:
     if np.isnan(d.measured).any():
         text += " Before and after are deviations from the measured curve."
     text += "".join(f" {sentence(line)}" for line in seat_words(d.seats))
-    return Table(("|What", "|Unit", "Measured", "Before", "After", "Error"), rows, text)
+    return ReportTable(("|What", "|Unit", "Measured", "Before", "After", "Error"), rows, text)
 
 
-def _compared(u: UpdateStage) -> Table:
+def _compared(u: UpdateStage) -> ReportTable:
     quality = ("Mean |Δf|, %", "Max |Δf|, %", "Mean subspace MAC, %", "Left out: mean |Δf|, %")
     heads = ("|Set", "Parameters", *quality, "Condition", "AICc", "Iterations", "|Outcome")
     rows = []
@@ -172,12 +172,12 @@ def _compared(u: UpdateStage) -> Table:
         )
     other = [f"{s.name}: {s.settings}" for s in u.sets if s.settings]
     text = "Parameter sets updated and compared; the chosen one is marked."
-    return Table(heads, rows, " ".join([text, *(f"{sentence(o)}" for o in other)])).without_blank(
-        "MAC"
-    )
+    return ReportTable(
+        heads, rows, " ".join([text, *(f"{sentence(o)}" for o in other)])
+    ).without_blank("MAC")
 
 
-def _parameters(u: UpdateStage, s: SetResult, std: Float) -> Table:
+def _parameters(u: UpdateStage, s: SetResult, std: Float) -> ReportTable:
     heads = ("|Parameter", "Initial", "Updated", "Factor", "σ, %", "Bounds", "σ after / before")
     rows = []
     for j, name in enumerate(s.parameters):
@@ -197,7 +197,7 @@ def _parameters(u: UpdateStage, s: SetResult, std: Float) -> Table:
         "updating assumed, near 1: "
     )
     text += "the data say nothing about it."
-    return Table(heads, rows, text)
+    return ReportTable(heads, rows, text)
 
 
 def suspension(data: Stages) -> Section | None:
@@ -219,7 +219,7 @@ def suspension(data: Stages) -> Section | None:
         for k, v in t.factors.items()
     ]
     blocks.append(
-        Table(
+        ReportTable(
             ("|Suspension parameter", "Factor", "σ, %"),
             rows,
             "Tuned stiffnesses of the suspension.",

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ringtrue.core.progress import Progress
+from ringtrue.core.iterate import Progress
 from ringtrue.study.session import Session
 from ringtrue.study.stages import (
     correlate,
@@ -22,10 +22,6 @@ from ringtrue.study.stages import (
     uncertainty,
     update,
 )
-
-
-def _no_files(session: Session) -> list[Path]:
-    return []
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +48,7 @@ class Stage:
     sections: tuple[str, ...]
     settings: tuple[str, ...] = ()
     needs: tuple[str, ...] = ()
-    files: Callable[[Session], list[Path]] = _no_files
+    files: Callable[[Session], list[Path]] = lambda _: []
 
     def applies(self, session: Session) -> bool:
         """Whether the study has what the stage needs."""
@@ -99,7 +95,7 @@ STAGES = (
         title="test plan",
         run=plan.run,
         sections=("model", "plan"),
-        settings=("model", "plan"),
+        settings=("study.seed", "model", "plan", "candidate"),
         needs=("model",),
         files=_deck,
     ),
@@ -150,7 +146,15 @@ STAGES = (
         title="where the model is wrong",
         run=localise.run,
         sections=_BOTH,
-        settings=("candidate", "suspension", "localise", "update", "residual", "constraint"),
+        settings=(
+            "study.seed",
+            "candidate",
+            "suspension",
+            "localise",
+            "update",
+            "residual",
+            "constraint",
+        ),
         needs=("correlate", "configurations"),
         files=_with_residuals,
     ),
@@ -159,7 +163,7 @@ STAGES = (
         title="sensitivities and parameter sets",
         run=update.choose_sets,
         sections=_UPDATED,
-        settings=("candidate", "update", "residual", "constraint", "set"),
+        settings=("study.seed", "candidate", "update", "residual", "constraint", "set"),
         needs=("correlate", "configurations", "localise"),
         files=_with_residuals,
     ),
@@ -168,7 +172,7 @@ STAGES = (
         title="updating",
         run=update.update_sets,
         sections=_UPDATED,
-        settings=("update",),
+        settings=("study.seed", "update"),
         needs=("configurations", "sensitivity"),
     ),
     Stage(
@@ -198,7 +202,7 @@ STAGES = (
         title="uncertainty and left-out modes",
         run=uncertainty.run,
         sections=_UPDATED,
-        settings=("uncertainty",),
+        settings=("study.seed", "uncertainty"),
         needs=("update", "tune", "final"),
     ),
     Stage(
@@ -214,7 +218,7 @@ STAGES = (
         title="run-up of the rotor",
         run=predict.run,
         sections=(*_UPDATED, "predict"),
-        settings=("predict", "suspension"),
+        settings=("study.seed", "predict", "suspension"),
         needs=("update", "tune", "final", "damping"),
         files=_remodelled,
     ),

@@ -3,41 +3,36 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from ringtrue.checks.mesh import mesh_errors
-from ringtrue.core.arrays import Int
+from ringtrue.core.iterate import Progress, part
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.parameters import ParameterSet
-from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.core.testmodel import TestModel
 from ringtrue.correlation.measures import complete
 from ringtrue.correlation.pairing import pair_modes
-from ringtrue.correlation.sensor_mounting import Mending, find_mendings
+from ringtrue.correlation.sensor_mounting import find_mendings
 from ringtrue.correlation.table import CorrelationTable, correlation_table
 from ringtrue.decks.nastran.editor import unified_diff
 from ringtrue.errors import ConfigError, InputError, RingtrueError, about
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.model.edit import apply_factors, carried, field_value
 from ringtrue.model.model import Model
-from ringtrue.shapes.mac import auto_mac
+from ringtrue.shapes import auto_mac
 from ringtrue.solvers.embedded import EmbeddedSolver
-from ringtrue.study.config import StudyConfig
 from ringtrue.study.config_sections import ConfigurationSection, TestSection
 from ringtrue.study.evidence import channel_mass, evidence, expanded, on_scene
 from ringtrue.study.opened import Opened
 from ringtrue.study.placing import alignment_text, between_nodes, readings, seats, shared_places
 from ringtrue.study.reference import (
-    Reference,
     beyond,
     elastic_edge,
     elastic_table,
     fewer,
-    left_out,
     reference_modes,
     reference_of_file,
     rigid_table,
@@ -52,11 +47,18 @@ from ringtrue.study.results import (
     Evidence,
     Expansion,
     IdentifyStage,
+    ReferenceModes,
+    Remodelling,
     RemodelStep,
+    SensorPlacement,
 )
-from ringtrue.study.session import OWN, Session
+from ringtrue.study.session import Session, StudyConfiguration
 from ringtrue.study.stages import identify
 from ringtrue.study.supplied import modes_by_sheet
+
+_log = logging.getLogger(__name__)
+
+SMALL_DECK_NODES = 2000  # up to which the mesh error is looked at without being asked
 
 
 def compare_tests(session: Session, progress: Progress) -> CompareStage | None:
@@ -64,131 +66,118 @@ def compare_tests(session: Session, progress: Progress) -> CompareStage | None:
     none is common.
     """
     found: IdentifyStage = session.get("identify")
-    if found.hammer is None or found.hammer_uncertainty is None or not len(found.ambient):
+    if found.hammer is None or not len(found.ambient):
         return None
-    edge = elastic_edge(found.ambient.frequencies, session.config)
-    every = ((found.ambient, found.ambient_uncertainty), (found.hammer, found.hammer_uncertainty))
+    edge = elastic_edge(found.ambient.modes.frequencies, session.config)
     (ambient, u), (hammer, v) = (
-        without_gaps(m, std, np.flatnonzero(m.frequencies >= edge)) for m, std in every
+        without_gaps(x, np.flatnonzero(x.modes.frequencies >= edge))
+        for x in (found.ambient, found.hammer)
     )
     common = [c for c in ambient.channels if c in set(hammer.channels)]
     if not common:
         return None
-    a, b = ambient.rows(common), hammer.rows(common)
+    a = ambient.rows(common)
+    b = hammer.rows(common)
     names = ("ambient", "hammer")
     gates = replace(settings(session.config), reach=1.0)  # of one structure
     pairing = pair_modes(a, b, gates, names=names)
-    measures = complete(a, b, pairing, std_a=u.frequency, std_b=v.frequency, settings=gates)
+    measures = complete(a, b, pairing, std=(u.frequency, v.frequency), settings=gates)
     return CompareStage(
         correlation_table(a, b, pairing, std_hz=u.frequency, names=names),
         Evidence(measures, auto_mac(a.shapes)),
     )
 
 
-_log = logging.getLogger(__name__)
-SOON = 2000  # nodes of a deck up to which its mesh error is looked at without being asked
-
-
-def modes_at_sheet(session: Session, opened: Opened, progress: Progress | None = None) -> ModeSet:
-    """The modes of a model at all channels of the sheet."""
-    modes = opened.modes(session.fmax, progress).modes
-    there = session.bridge(opened)
-    return ModeSet(
-        frequencies=modes.frequencies,
-        damping=modes.damping,
-        shapes=there(modes.shapes),
-        labels=there.channels,
-        norm=modes.norm,
-        source=modes.source,
-    )
-
-
 def elastic_evidence(
-    session: Session, opened: Opened, reference: Reference, fe: ModeSet, table: CorrelationTable
+    session: Session,
+    opened: Opened,
+    reference: ReferenceModes,
+    fe: ModeSet,
+    table: CorrelationTable,
 ) -> Evidence | None:
     """What an elastic correlation rests on, with the mass of the deck at the channels; None without
     measured shapes.
     """
     if session.config.frequency_only:
         return None
-    config = session.config.correlate
-    observation = session.bridge(opened)
-    mass = channel_mass(opened, observation, reference.elastic.channels, config, session.fmax)
+    channels = reference.elastic.channels
+    test: TestModel = session.get("identify").test
+    look = session.observed(opened, test, test.channels)
+    mass = channel_mass(opened, look, channels, session.config.correlate, session.fmax)
     return evidence(reference, fe, table.pairing, session.config, mass)
 
 
 def correlate(session: Session, progress: Progress) -> CorrelateStage:
-    """Correlate twice."""
+    """Correlate the initial and the remodelled deck."""
     config = session.config
-    reference = reference_modes(session.get("identify"), config)
-    out = left_out(reference.elastic, config.update.left_out, config.identify.confidence)
-    initial = modes_at_sheet(session, session.initial, part(progress, 0.0, 0.3))
+    found: IdentifyStage = session.get("identify")
+    reference = reference_modes(found, config)
+    test = reference.elastic
+    initial = session.seen(session.initial, found.test, test, part(progress, 0.0, 0.3))
     progress(0.3, "remodelled deck")
-    remodelled = modes_at_sheet(session, session.remodelled, part(progress, 0.3, 0.6))
-    tables = [elastic_table(reference, fe, config, out, initial) for fe in (initial, remodelled)]
+    remodelled = session.seen(session.remodelled, found.test, test, part(progress, 0.3, 0.6))
+    before, after = (elastic_table(reference, fe, config, initial) for fe in (initial, remodelled))
     progress(0.6, "mass at the channels")
-    told = elastic_evidence(session, session.remodelled, reference, remodelled, tables[1])
-    first = (
-        evidence(reference, initial, tables[0].pairing, config) if config.remodel and told else told
+    last = elastic_evidence(session, session.remodelled, reference, remodelled, after)
+    first = last
+    if config.remodel and last is not None:
+        first = evidence(reference, initial, before.pairing, config)
+    sheet = None if config.frequency_only else found.test
+    notes = (
+        *reference.gaps,
+        *fewer(config.update.left_out, reference.left_out),
+        *beyond(test, session.fmax),
+        *_shared_places(session, found.test),
+        *_mesh(session, after),
+        *_beyond_gate(after),
     )
-    files = session.initial.model.files, session.remodelled.model.files
     return CorrelateStage(
-        reference=reference.elastic,
-        reference_uncertainty=reference.elastic_std,
-        rigid=reference.rigid,
-        rigid_uncertainty=reference.rigid_std,
-        left_out=out,
-        initial=tables[0],
-        remodelled=tables[1],
+        reference=reference,
+        initial=before,
+        remodelled=after,
         rigid_initial=rigid_table(reference, initial, config),
-        remodelling=_remodel_reasons(config),
-        diff=unified_diff([Path(f) for f in files[0]], [Path(f) for f in files[1]]),
         fe_initial=initial,
         fe_remodelled=remodelled,
         evidence_initial=first,
-        evidence=told,
-        placed=alignment_text(session.placed[0]) if config.correlate.align else "",
-        history=_history(session, reference, out, initial, tables),
+        evidence=last,
+        remodelling=_remodelling(session, reference, initial),
+        sensors=sensor_placement(session, session.initial, sheet, test),
         expanded=_expanded(session, reference, progress),
-        gaps=(
-            *reference.gaps,
-            *fewer(config.update.left_out, out),
-            *beyond(reference.elastic, session.fmax),
-            *_shared_places(session),
-            *_mesh(session, tables[1]),
-            *_beyond_gate(tables[1]),
-        ),
-        seats=session.seats(OWN, session.bridge(session.initial)),
-        mendings=mendings(
-            session, session.initial, session.sheet(OWN), reference.elastic, session.fmax
-        ),
+        notes=notes,
     )
 
 
-def mendings(
-    session: Session, opened: Opened, sheet: TestModel | None, test: ModeSet, fmax: float
-) -> tuple[Mending, ...]:
-    """Other mountings of the sensors on a sheet that explain a test better; none without a
-    sheet.
+def sensor_placement(
+    session: Session, opened: Opened, sheet: TestModel | None, test: ModeSet
+) -> SensorPlacement:
+    """Where the sensors of a sheet are read on a deck, and mountings of them that explain the test
+    better.
     """
     if sheet is None:
-        return ()
-    modes = opened.modes(fmax).modes
+        return SensorPlacement()
+    modes = opened.modes(session.up_to(test)).modes
+    placement = ""
+    if session.config.correlate.align:
+        placement = alignment_text(session.alignment(sheet, opened))
     given = readings(
         test, modes, sheet, lambda there: session.observed(opened, there, there.channels)
     )
-    return find_mendings(given, settings(session.config))
+    return SensorPlacement(
+        seats=seats(session.observed(opened, sheet, sheet.channels), sheet),
+        mendings=find_mendings(given, settings(session.config)),
+        alignment=placement,
+    )
 
 
 def _mesh(session: Session, table: CorrelationTable) -> tuple[str, ...]:
-    """Which modes with a partner the mesh puts off, where that is soon known."""
-    opened, paired = session.remodelled, np.unique(table.pairing.b)
-    if session.engine is not None or len(opened.model["GRID"]) > SOON:
+    """Which paired modes the mesh puts off, where that is soon known."""
+    opened = session.remodelled
+    paired = np.unique(table.pairing.b)
+    if session.engine is not None or len(opened.model["GRID"]) > SMALL_DECK_NODES:
         return ()
+    modes = opened.modes(session.fmax).modes.take(paired)
     try:
-        errors = mesh_errors(
-            opened.model, opened.modes(session.fmax).modes.take(paired), EmbeddedSolver()
-        )
+        errors = mesh_errors(opened.model, modes, EmbeddedSolver())
     except RingtrueError as e:  # a check is no reason for a study to end
         _log.info("mesh error: %s", e)
         return ()
@@ -197,211 +186,186 @@ def _mesh(session: Session, table: CorrelationTable) -> tuple[str, ...]:
 
 
 def _beyond_gate(table: CorrelationTable) -> tuple[str, ...]:
-    """Pairs beyond the frequency gate, and unpaired test modes that it keeps from one of the deck
-    that looks alike.
+    """Pairs beyond the frequency gate, and unpaired test modes that it keeps from a similar mode of
+    the deck.
     """
     p = table.pairing
     unpaired = zip(p.unpaired_a, p.reasons_a, p.gated_a, strict=True)
     return (*p.far(), *(f"test mode {i + 1}: {why}" for i, why, gated in unpaired if gated))
 
 
-def _shared_places(session: Session) -> tuple[str, ...]:
-    """What is to be said of sensors at places with several nodes, and of those between nodes."""
+def _shared_places(session: Session, sheet: TestModel) -> tuple[str, ...]:
+    """Notes on sensors at places with several nodes, and on those between nodes."""
     config = session.config.correlate
-    test = session.placed[1] if config.align else session.get("identify").test
-    modes = session.initial.modes(session.fmax).modes
-    apart = shared_places(session.initial, test, modes) if config.match == "nearest" else ()
-    return (*apart, *between_nodes(session.initial, session.bridge(session.initial), config.match))
+    opened = session.initial
+    between = between_nodes(opened, session.observed(opened, sheet, sheet.channels), config.match)
+    if config.match != "nearest":
+        return between
+    test = session.alignment(sheet, opened).move(sheet) if config.align else sheet
+    return (*shared_places(opened, test, opened.modes(session.fmax).modes), *between)
 
 
-def _expanded(session: Session, reference: Reference, progress: Progress) -> Expansion | None:
+def _expanded(session: Session, reference: ReferenceModes, progress: Progress) -> Expansion | None:
     """The elastic test shapes on the remodelled deck, drawn where its nodes are on the scene."""
-    if not (method := session.config.correlate.expand) or session.config.frequency_only:
+    method = session.config.correlate.expand
+    if not method or session.config.frequency_only:
         return None
     progress(0.8, "expansion of the test shapes")
-    opened, test = session.remodelled, reference.elastic
-    found = expanded(
-        method, opened, look=session.bridge(opened), test=test, fmax=session.fmax, progress=quiet
-    )
-    return Expansion(
-        method, on_scene(found, opened, test, session.get("model").scene), found.misfit
-    )
+    opened = session.remodelled
+    test = reference.elastic
+    sheet: TestModel = session.get("identify").test
+    look = session.observed(opened, sheet, sheet.channels)
+    found = expanded(method, opened, look=look, test=test, fmax=session.fmax)
+    scene = session.get("model").scene
+    return Expansion(method, on_scene(found, opened, test, scene), found.misfit)
 
 
-def _remodel_reasons(config: StudyConfig) -> str:
-    steps = [s.reason for s in config.remodel]
-    return (
-        steps[0]
-        if len(steps) == 1
-        else "; ".join(f"{i}. {reason}" for i, reason in enumerate(steps, start=1))
-    )
-
-
-def _history(
-    session: Session,
-    reference: Reference,
-    out: Int,
-    initial: ModeSet,
-    ends: Sequence[CorrelationTable],
-) -> tuple[RemodelStep, ...]:
-    """The initial deck and that after each step, against the test."""
-    if not session.config.remodel:
-        return ()
-    between = [
-        elastic_table(reference, modes_at_sheet(session, o), session.config, out, initial)
-        for o in session.steps[1:-1]
-    ]
-    names = ("the initial deck", *(s.reason for s in session.config.remodel))
-    return tuple(
-        RemodelStep(
-            reason=n,
-            pairs=len(t),
-            mean_deviation=t.mean_deviation(),
-            max_deviation=t.max_deviation(),
-            mean_mac=t.mean_mac(),
-            mean_subspace_mac=t.mean_subspace_mac(),
+def _remodelling(
+    session: Session, reference: ReferenceModes, initial: ModeSet
+) -> Remodelling | None:
+    """The stated change of the deck, each step against the test."""
+    reasons = [s.reason for s in session.config.remodel]
+    if not reasons:
+        return None
+    sheet: TestModel = session.get("identify").test
+    history = []
+    for opened, reason in zip(session.steps, ("the initial deck", *reasons), strict=True):
+        fe = session.seen(opened, sheet, reference.elastic)
+        table = elastic_table(reference, fe, session.config, initial)
+        history.append(
+            RemodelStep(
+                reason=reason,
+                pairs=len(table),
+                mean_deviation=table.mean_deviation(),
+                max_deviation=table.max_deviation(),
+                mean_mac=table.mean_mac(),
+                mean_subspace_mac=table.mean_subspace_mac(),
+            )
         )
-        for n, t in zip(names, (ends[0], *between, ends[1]), strict=True)
+    numbered = [f"{i}. {reason}" for i, reason in enumerate(reasons, start=1)]
+    before = session.initial.model.files
+    after = session.remodelled.model.files
+    return Remodelling(
+        reason=reasons[0] if len(reasons) == 1 else "; ".join(numbered),
+        diff=unified_diff([Path(f) for f in before], [Path(f) for f in after]),
+        history=tuple(history),
     )
-
-
-SAME = 1e-6  # relative difference of a field that is none
 
 
 def correlate_configurations(session: Session, progress: Progress) -> ConfigurationsStage:
     """Identify or read the modes of each configuration, and correlate its deck with them."""
-    items, n = [], len(session.config.configuration)
-    for i, section in enumerate(session.config.configuration):
-        told = part(progress, i / n, (i + 1) / n)
-        told(0.0, f"configuration {section.name}")
-        items.append(_correlated(session, section, told))
+    items = []
+    n = len(session.others)
+    for i, c in enumerate(session.others):
+        of_this = part(progress, i / n, (i + 1) / n)
+        of_this(0.0, f"configuration {c.name}")
+        items.append(_correlated(c, of_this))
     return ConfigurationsStage(tuple(items))
 
 
 def configuration_files(session: Session) -> list[Path]:
-    """All inputs of the stage beside the deck of the study."""
+    """All inputs of the stage besides the deck of the study."""
     out: list[Path] = []
-    for c in session.config.configuration:
-        names = (c.cards, c.sheet, c.log, c.modes, c.lines, c.choice)
+    for c in session.others:
+        s = c.section
+        assert s is not None
+        names = (s.cards, s.sheet, s.log, s.modes, s.lines, s.choice)
         out += [session.base / f for f in names if f]
-        out += [Path(f) for f in session.configured(c).model.files] if c.deck else []
-        out += identify.files(_with_test_of(session, c)) if c.log else []
+        out += [Path(f) for f in c.deck.model.files] if s.deck else []
+        out += identify.files(_with_test_of(session, s)) if s.log else []
     return list(dict.fromkeys(out))
 
 
 def _with_test_of(session: Session, section: ConfigurationSection) -> Session:
     """The same study with the test of a configuration in place of its own."""
-    test = TestSection(sheet=str(section.sheet), log=str(section.log), lines=section.lines)
+    test = None
+    if section.log is not None:
+        test = TestSection(sheet=str(section.sheet), log=section.log, lines=section.lines)
     choice = session.config.identify.model_copy(update={"choice": section.choice})
-    config = session.config.model_copy(update={"test": test, "identify": choice})
+    update = session.config.update.model_copy(update={"left_out": section.left_out})
+    changed = {"test": test, "identify": choice, "update": update}
+    config = session.config.model_copy(update=changed)
     return Session(config, session.base, session.out, session.store)
 
 
-def _correlated(
-    session: Session, section: ConfigurationSection, progress: Progress
-) -> ConfiguredTest:
-    opened = session.configured(section)
-    parameters = ParameterSet(
-        (*session.config.candidates().parameters, *session.config.suspensions().parameters)
-    )
-    mine = carried(opened.model, parameters)
-    _check_parameters(section, opened.model, parameters, mine)
+def _correlated(c: StudyConfiguration, progress: Progress) -> ConfiguredTest:
+    session = c.session
+    section = c.section
+    assert section is not None
+    given = (*session.config.candidates().parameters, *session.config.suspensions().parameters)
+    parameters = ParameterSet(given)
+    mine = carried(c.deck.model, parameters)
+    _check_parameters(c, parameters, mine)
     reference, test, source = _test_modes(session, section, part(progress, 0.0, 0.7))
-    progress(0.8, f"modes of the deck of {section.name}")
-    fe = modes_at_channels(session, opened, test, reference.elastic)
-    out = left_out(reference.elastic, section.left_out, session.config.identify.confidence)
+    progress(0.8, f"modes of the deck of {c.name}")
+    fe = session.seen(c.deck, test, reference.elastic)
     return ConfiguredTest(
-        name=section.name,
-        files=tuple(opened.model.files),
+        name=c.name,
+        files=tuple(c.deck.model.files),
         source=source,
         test=test,
-        reference=reference.elastic,
-        reference_uncertainty=reference.elastic_std,
-        rigid=reference.rigid,
-        rigid_uncertainty=reference.rigid_std,
-        left_out=out,
-        initial=elastic_table(reference, fe, session.config, out),
+        reference=reference,
+        initial=elastic_table(reference, fe, session.config),
         fe_initial=fe,
         carried=mine.names,
-        notes=_field_differences(session.remodelled.model, opened.model, parameters, mine),
-        seats=() if test is None else seats(session.observed(opened, test, test.channels), test),
-        mendings=mendings(
-            session, opened, test, reference.elastic, session.up_to(reference.elastic.frequencies)
-        ),
+        sensors=sensor_placement(session, c.deck, test, reference.elastic),
+        notes=_field_differences(session.remodelled.model, c.deck.model, parameters, mine),
     )
 
 
 def _test_modes(
     session: Session, section: ConfigurationSection, progress: Progress
-) -> tuple[Reference, TestModel | None, str]:
-    """The test modes, the sheet, and where they come from in alignment_text."""
-    if section.modes is not None:
-        path = session.base / section.modes
-        found = reference_of_file(path, session.config)
-        test = read_sensor_sheet(session.base / section.sheet).model if section.sheet else None
-        source = f"{len(found.elastic)} modes of {path.name}"
-        if test is not None:
-            elastic, told = modes_by_sheet(found.elastic, test, path)
-            rigid, _ = modes_by_sheet(found.rigid, test, path)
-            found = replace(found, elastic=elastic, rigid=rigid)
-            source = "; ".join((source, *told))
-        return found, test, source
+) -> tuple[ReferenceModes, TestModel | None, str]:
+    """The test modes, the sheet, and where they come from in words."""
     at = _with_test_of(session, section)
-    with about(session.base / str(section.log)):
-        done = identify.run(at, progress)
-        found = reference_modes(done, at.config)
-    return found, done.test, f"{len(found.elastic)} modes of {len(done.records)} records"
+    if section.log is not None:
+        with about(session.base / section.log):
+            done = identify.run(at, progress)
+            found = reference_modes(done, at.config)
+        return found, done.test, f"{len(found.elastic)} modes of {len(done.records)} records"
+    path = session.base / str(section.modes)
+    found = reference_of_file(path, at.config)
+    source = f"{len(found.elastic)} modes of {path.name}"
+    if section.sheet is None:
+        return found, None, source
+    test = read_sensor_sheet(session.base / section.sheet).model
+    elastic, notes = modes_by_sheet(found.elastic, test, path)
+    rigid, _ = modes_by_sheet(found.rigid, test, path)
+    return replace(found, elastic=elastic, rigid=rigid), test, "; ".join((source, *notes))
 
 
-def modes_at_channels(
-    session: Session, opened: Opened, test: TestModel | None, reference: ModeSet
-) -> ModeSet:
-    """The modes of a deck at the channels of the test modes of a configuration."""
-    modes = opened.modes(session.up_to(reference.frequencies)).modes
-    look = session.observed(opened, test, reference.channels if test is None else test.channels)
-    there = ModeSet(
-        frequencies=modes.frequencies,
-        damping=modes.damping,
-        shapes=look(modes.shapes),
-        labels=look.channels,
-        norm=modes.norm,
-        source=modes.source,
-    )
-    return there.rows(list(reference.channels))
-
-
-def _check_parameters(
-    section: ConfigurationSection, model: Model, every: ParameterSet, mine: ParameterSet
-) -> None:
+def _check_parameters(c: StudyConfiguration, every: ParameterSet, mine: ParameterSet) -> None:
     """A deck that carries no candidate, or one that cannot be scaled, is found before the work."""
     if len(every) and not len(mine):
-        fields = ", ".join(
-            sorted({f"{t.card} {t.id}" for p in every.parameters for t in p.targets})
-        )
+        cards = sorted({f"{t.card} {t.id}" for p in every.parameters for t in p.targets})
         raise ConfigError(
-            f"configuration {section.name}: its deck has no card of a candidate ({fields})"
+            f"configuration {c.name}: its deck has no card of a candidate ({', '.join(cards)})"
         )
     try:
-        apply_factors(model, mine, np.ones(len(mine)))
+        apply_factors(c.deck.model, mine, np.ones(len(mine)))
     except InputError as e:
-        raise ConfigError(f"configuration {section.name}: {e}") from e
+        raise ConfigError(f"configuration {c.name}: {e}") from e
 
 
 def _field_differences(
     base: Model, model: Model, every: ParameterSet, mine: ParameterSet
 ) -> tuple[str, ...]:
-    """Fields of candidates that its deck lacks, or has with another value than the deck of the
-    study.
+    """Fields of candidates that a deck does not have, or has with another value than the deck of
+    the study.
     """
-    out, have = [], {p.name: len(p.targets) for p in mine.parameters}
+    out = []
+    have = {p.name: len(p.targets) for p in mine.parameters}
     for p in every.parameters:
-        if not (count := have.get(p.name, 0)):
+        count = have.get(p.name, 0)
+        if not count:
             out.append(f"its deck has no field of {p.name}, which does not act here")
         elif count < len(p.targets):
             out.append(f"its deck has {count} of the {len(p.targets)} fields of {p.name}")
     for t in (t for p in mine.parameters for t in p.targets):
-        here, there = float(field_value(model, t)), float(field_value(base, t))
-        if abs(here - there) > SAME * abs(there):
+        here = float(field_value(model, t))
+        there = float(field_value(base, t))
+        # 1e-6: relative difference of two fields that are the same
+        if abs(here - there) > 1e-6 * abs(there):
             out.append(
                 f"{t.card} {t.id} {t.field} is {here:.6g} here and {there:.6g} in the deck of "
                 "the study"

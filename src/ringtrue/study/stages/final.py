@@ -2,77 +2,87 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from ringtrue.core.arrays import Complex, Float
+from ringtrue.core.arrays import Float
+from ringtrue.core.iterate import Progress
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.parameters import ParameterSet
-from ringtrue.core.progress import Progress
 from ringtrue.core.signals import FrfSet
 from ringtrue.correlation.pairing import Pairing
 from ringtrue.decks.nastran.editor import edit_fields, is_new
 from ringtrue.model.edit import FieldChange, carried, field_changes, field_value
 from ringtrue.model.model import Model
-from ringtrue.study.config_sections import ConfigurationSection
-from ringtrue.study.evidence import followed, frf_evidence, on_sheet, synthesised
+from ringtrue.study.evidence import ModelModes, followed, frf_evidence, on_sheet, synthesised
 from ringtrue.study.opened import Opened, scene_modes
-from ringtrue.study.reference import Reference, elastic_table, reference_modes, rigid_table
+from ringtrue.study.reference import elastic_table, rigid_table
 from ringtrue.study.results import (
-    ConfigurationsStage,
+    ComparedFrfs,
     ConfiguredStage,
-    ConfiguredTest,
-    CorrelateStage,
     DeliveredConfiguration,
     FinalStage,
     IdentifyStage,
+    ReferenceModes,
 )
-from ringtrue.study.session import Session
-from ringtrue.study.stages.correlate import elastic_evidence, modes_at_channels, modes_at_sheet
-from ringtrue.study.stages.update import chosen_factors
+from ringtrue.study.session import Session, StudyConfiguration
+from ringtrue.study.stages.correlate import elastic_evidence
 
 SHOWN = 4  # FRFs shown before and after
+ASSUMED_DAMPING = 0.01  # where no test mode with a ratio is paired
 
 
-def deliver(session: Session) -> tuple[Opened, tuple[str, ...], list[str]]:
-    """Write the updated deck into `out/updated` and read it back."""
-    parameters, factors = delivered_factors(session)
-    moved = [i for i, a in enumerate(factors.tolist()) if a != 1.0]
-    model = session.remodelled.model
-    changes = field_changes(model, parameters.take(moved), factors[moved])
-    written = edit_fields(model, changes, session.folder("updated"))
-    told = [change_text(model, c) for c in changes]
-    session.delivered = session.opened(written[0])
-    return session.delivered, tuple(str(p) for p in written), told
+@dataclass(frozen=True, slots=True, eq=False)
+class DeliveredDeck:
+    """A deck with its updated fields, read back; its files and the changes in words."""
+
+    opened: Opened
+    files: tuple[str, ...]
+    changes: tuple[str, ...]
 
 
-def delivered_factors(session: Session) -> tuple[ParameterSet, Float]:
-    """All candidates and suspensions with their factors; 1 for those not chosen."""
-    parameters = session.everything
-    tuned = session.get("tune").factors if session.config.suspension else {}
-    springs = [tuned[p.name] for p in session.config.suspensions().parameters]
-    return parameters, np.concatenate([chosen_factors(session), np.array(springs)])
+def deliver(c: StudyConfiguration) -> DeliveredDeck:
+    """Write what was found into the deck of a configuration and read it back."""
+    factors = c.session.factors()
+    model = c.deck.model
+    every = ParameterSet(
+        tuple(p for p in c.session.everything.parameters if factors[p.name] != 1.0)
+    )
+    mine = every if c.section is None else carried(model, every)
+    changes = field_changes(model, mine, np.array([factors[n] for n in mine.names]))
+    written = edit_fields(model, changes, c.updated_folder)
+    return DeliveredDeck(
+        c.session.opened(written[0]),
+        tuple(str(p) for p in written),
+        tuple(change_text(model, change) for change in changes),
+    )
+
+
+def delivered(c: StudyConfiguration) -> DeliveredDeck:
+    """`deliver`, once a run."""
+    decks = c.session.delivered
+    if c.name not in decks:
+        decks[c.name] = deliver(c)
+    found: DeliveredDeck = decks[c.name]
+    return found
 
 
 def change_text(model: Model, change: FieldChange) -> str:
     """A changed field in words: file:line card id field old -> new."""
     table = model[change.card]
     row = int(table.find(np.array([change.id]))[0])
+    new = float(change.value)
     if is_new(model, change):
-        return (
-            f"added: CONM2 {change.id} of {float(change.value):.6g} at GRID {int(table['G'][row])}"
-        )
+        return f"added: CONM2 {change.id} of {new:.6g} at GRID {int(table['G'][row])}"
     place = f"{Path(model.files[int(table.file[row])]).name}:{int(table.line[row])}"
     old = float(field_value(model, change))
-    return (
-        f"{place} {change.card} {change.id} {change.field} {old:.6g} -> {float(change.value):.6g}"
-    )
+    return f"{place} {change.card} {change.id} {change.field} {old:.6g} -> {new:.6g}"
 
 
 def damping_of(
-    modes: ModeSet, elastic: Pairing, rigid: Pairing, reference: Reference
+    modes: ModeSet, elastic: Pairing, rigid: Pairing, reference: ReferenceModes
 ) -> tuple[Float, tuple[str, ...]]:
     """Damping of each FE mode: its test partner's, or interpolated over frequency."""
     zeta = np.full(len(modes), np.nan)
@@ -86,129 +96,88 @@ def damping_of(
             source[b] = f"{what} mode {a + 1}"
     known = np.isfinite(zeta)
     if not known.any():
-        return np.full(len(modes), 0.01), ("assumed 1 %",) * len(modes)
+        assumed = f"assumed {100 * ASSUMED_DAMPING:g} %"
+        return np.full(len(modes), ASSUMED_DAMPING), (assumed,) * len(modes)
     f = modes.frequencies
     zeta[~known] = np.interp(f[~known], f[known], zeta[known])
     return zeta, tuple(source)
 
 
 def deliver_final(session: Session, progress: Progress) -> FinalStage:
-    """Deliver and judge."""
-    found: IdentifyStage = session.get("identify")
-    before: CorrelateStage = session.get("correlate")
-    reference = reference_modes(found, session.config)
-    opened, files, changes = deliver(session)
+    """Deliver the deck of the study and compare it with its test."""
+    c = session.own
+    before = session.get("correlate")
+    reference = c.reference
+    done = deliver(c)
+    session.delivered[c.name] = done
+    opened = done.opened
     progress(0.2, "modes of the delivered deck")
     modes = opened.modes(session.fmax).modes
-    fe = modes_at_sheet(session, opened)
-    table = elastic_table(reference, fe, session.config, before.left_out, before.fe_initial)
+    fe = c.modes(opened)
+    table = elastic_table(reference, fe, session.config, before.fe_initial)
     rigid = rigid_table(reference, fe, session.config)
     zeta, source = damping_of(fe, table.pairing, rigid.pairing, reference)
     progress(0.5, "what the correlation rests on")
-    told = elastic_evidence(session, opened, reference, fe, table)
-    upto = int(table.pairing.b.max(initial=-1)) + 1
-    if told is not None:
-        told = replace(told, tracks=followed(fe, before.fe_remodelled, before.fe_initial, upto))
+    rests_on = elastic_evidence(session, opened, reference, fe, table)
+    if rests_on is not None:
+        count = int(table.pairing.b.max(initial=-1)) + 1
+        tracks = followed(fe, before.fe_remodelled, before.fe_initial, count)
+        rests_on = replace(rests_on, tracks=tracks)
     progress(0.8, "frequency responses")
-    frfs = _frfs(session, reference, before=before, opened=opened, fe=fe, zeta=zeta)
-    told = replace(told, frfs=frf_evidence(found, *frfs, session.config)) if told and frfs else told
+    frfs = _frfs(c, ModelModes(opened, fe, zeta))
+    if frfs is not None and rests_on is not None:
+        found: IdentifyStage = session.get("identify")
+        rests_on = replace(rests_on, frfs=frf_evidence(found, *frfs, session.config))
     return FinalStage(
-        files,
-        tuple(changes),
-        table,
-        rigid,
-        scene_modes(modes, session.get("model").scene),
-        fe,
-        zeta,
-        source,
-        *_shown(frfs),
-        told,
+        files=done.files,
+        changes=done.changes,
+        table=table,
+        rigid=rigid,
+        modes=scene_modes(modes, session.get("model").scene),
+        observed=fe,
+        damping=zeta,
+        damping_from=source,
+        evidence=rests_on,
+        frfs=None if frfs is None else _at_driving_points(*frfs),
     )
 
 
-def _frfs(
-    session: Session,
-    reference: Reference,
-    before: CorrelateStage,
-    opened: Opened,
-    fe: ModeSet,
-    zeta: Float,
-) -> tuple[FrfSet, FrfSet, FrfSet] | None:
+def _frfs(c: StudyConfiguration, final: ModelModes) -> tuple[FrfSet, FrfSet, FrfSet] | None:
     """Measured FRFs, those of the initial and of the final model; None without measured ones."""
-    found: IdentifyStage = session.get("identify")
+    session = c.session
+    reference = c.reference
     low = min(1.0, 0.5 * float(reference.elastic.frequencies[0]))
-    measured = on_sheet(found, low, session.fmax)
+    measured = on_sheet(session.get("identify"), low, session.fmax)
     if measured is None:
         return None
-    first, _ = damping_of(
+    before = session.get("correlate")
+    zeta, _ = damping_of(
         before.fe_initial, before.initial.pairing, before.rigid_initial.pairing, reference
     )
-    models = ((session.initial, before.fe_initial, first), (opened, fe, zeta))
-    made = [
-        synthesised(
-            o,
-            session.bridge(o),
-            fe=m,
-            zeta=z,
-            measured=measured,
-            units=session.deck.units,
-            fmax=session.fmax,
-        )
-        for o, m, z in models
-    ]
-    return measured, made[0], made[1]
+    initial = ModelModes(session.initial, before.fe_initial, zeta)
+    one, two = (
+        synthesised(m, c.observed(m.opened), measured, session.unit, session.fmax)
+        for m in (initial, final)
+    )
+    return measured, one, two
 
 
-def _shown(
-    frfs: tuple[FrfSet, FrfSet, FrfSet] | None,
-) -> tuple[Float, tuple[str, ...], Complex, Complex, Complex]:
-    """Lines, names and the FRFs (line, k) at driving points, of test, initial and final model."""
-    if frfs is None:
-        none = np.zeros((0, 0), dtype=np.complex128)
-        return np.zeros(0), (), none, none, none
-    test = frfs[0]
-    at = test.driving_points()[:SHOWN] or [(0, 0)]  # a hammer point without a sensor
+def _at_driving_points(test: FrfSet, initial: FrfSet, final: FrfSet) -> ComparedFrfs:
+    at = test.driving_points()[:SHOWN] or [(0, 0)]  # an excitation point without a sensor
+    one, two, three = (
+        np.stack([x.data[:, i, j] for i, j in at], axis=1) for x in (test, initial, final)
+    )
     names = tuple(f"{test.outputs[i].id} / {test.inputs[j].id}" for i, j in at)
-    one, two, three = (np.stack([x.data[:, i, j] for i, j in at], axis=1) for x in frfs)
-    return test.freqs, names, one, two, three
+    return ComparedFrfs(test.freqs, names, one, two, three)
 
 
 def deliver_configurations(session: Session, progress: Progress) -> ConfiguredStage:
-    """Deliver and judge each."""
-    found: ConfigurationsStage = session.get("configurations")
-    items, n = [], len(found.items)
-    for i, (section, item) in enumerate(
-        zip(session.config.configuration, found.items, strict=True)
-    ):
-        progress(i / n, f"delivered deck of {section.name}")
-        items.append(_delivered(session, section, item))
+    """Deliver the decks of the other configurations and compare them with their tests."""
+    items = []
+    for i, c in enumerate(session.others):
+        progress(i / len(session.others), f"delivered deck of {c.name}")
+        done = deliver(c)
+        fe = c.modes(done.opened)
+        table = elastic_table(c.reference, fe, session.config)
+        items.append(DeliveredConfiguration(c.name, done.files, done.changes, table, fe))
     return ConfiguredStage(tuple(items))
-
-
-def deliver_configuration(
-    session: Session, section: ConfigurationSection
-) -> tuple[Opened, tuple[str, ...], tuple[str, ...]]:
-    """The deck with what was found, read back; its files, and the changed fields."""
-    parameters, factors = delivered_factors(session)
-    model = session.configured(section).model
-    mine = carried(model, parameters)
-    at = np.array([parameters.names.index(n) for n in mine.names], dtype=np.int64)
-    moved = [i for i, a in enumerate(factors[at].tolist()) if a != 1.0]
-    changes = field_changes(model, mine.take(moved), factors[at][moved])
-    written = edit_fields(
-        model, changes, session.folder("configurations") / section.name / "updated"
-    )
-    return (
-        session.opened(written[0]),
-        tuple(str(p) for p in written),
-        tuple(change_text(model, c) for c in changes),
-    )
-
-
-def _delivered(
-    session: Session, section: ConfigurationSection, item: ConfiguredTest
-) -> DeliveredConfiguration:
-    opened, files, told = deliver_configuration(session, section)
-    fe = modes_at_channels(session, opened, item.test, item.reference)
-    table = elastic_table(Reference.of(item), fe, session.config, item.left_out)
-    return DeliveredConfiguration(section.name, files, told, table, fe)

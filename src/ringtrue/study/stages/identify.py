@@ -1,32 +1,41 @@
 """Modes from raw signals: each ambient record, their merger, and the test with hammer or
 shakers.
+
+Modes of ambient records, each of one file or of several that go on with each other, and what is
+shown of records.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
-from ringtrue.core.arrays import Int
+from ringtrue.core.arrays import Float
 from ringtrue.core.choice import Choice
+from ringtrue.core.iterate import Progress, part
 from ringtrue.core.modes import Uncertainty
-from ringtrue.core.progress import Progress, part
-from ringtrue.core.signals import FrfSet, TimeHistory
+from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.core.testmodel import TestModel
-from ringtrue.errors import ConfigError, did_you_mean
+from ringtrue.errors import ConfigError, about, did_you_mean
+from ringtrue.identification.ambient.pipeline import AmbientSettings, identify_stretches
+from ringtrue.identification.ambient.record_bands import SHORTEST
 from ringtrue.identification.common.merging import Contribution, merge_modes
-from ringtrue.identification.frf.cmif import cmif
+from ringtrue.identification.frf.lines import cmif
 from ringtrue.identification.frf.local_fits import with_local_fits
-from ringtrue.identification.frf.pipeline import HammerModes, HammerResult, identify_hammer
+from ringtrue.identification.frf.pipeline import HammerModes, identify_hammer
 from ringtrue.io.choices import read_choice
+from ringtrue.io.records import read_record, refuse_bad_samples
 from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
+from ringtrue.planning.exciters import ambient_std
 from ringtrue.planning.geometry import relative_neighbours
-from ringtrue.planning.resolution import ambient_std
+from ringtrue.signal.channel_checks import Gaps, bridge_gaps
 from ringtrue.signal.frf_sets import exchange_by_reciprocity, join_by_setup, join_frfs
 from ringtrue.signal.impacts import HammerSettings
+from ringtrue.signal.spectra import Geophone, Welch, csd, deconvolve, lowest_frequency
 from ringtrue.study.config_sections import IdentifySection, TestSection
 from ringtrue.study.hammer_records import (
     ForceRecordFormat,
@@ -35,19 +44,229 @@ from ringtrue.study.hammer_records import (
     full_scale,
     read_file,
     rejected_hits,
+    renamed,
 )
-from ringtrue.study.log import Logged, read_log
-from ringtrue.study.results import IdentifiedRecord, IdentifyStage, RecordSummary
+from ringtrue.study.log import Logged, SensorType, read_log
+from ringtrue.study.results import (
+    IdentifiedModes,
+    IdentifiedRecord,
+    IdentifyStage,
+    RecordPreview,
+    RecordSummary,
+)
 from ringtrue.study.session import Session
-from ringtrue.study.stages.ambient import ambient, check_sheet, summary
 from ringtrue.study.supplied import (
     NO_MODES,
     NOT_KNOWN,
+    check_channels,
     frfs_by_sheet,
     supplied_frequencies,
     supplied_frfs,
     supplied_modes,
 )
+
+SHOWN = 4  # channels of a preview
+
+
+def check_sheet(path: Path, channels: Sequence[Channel], sheet: TestModel) -> None:
+    """Every response in a record must have its place on the sheet; a force channel names its point
+    itself.
+    """
+    check_channels([c.id for c in channels if c.quantity != "force"], sheet, path)
+
+
+def corrected(
+    history: TimeHistory, sensors: Mapping[str, SensorType], low: float | None = None
+) -> tuple[TimeHistory, float, str]:
+    """The history with the corners of its geophones taken out where the signals allow, from which
+    frequency, and why.
+
+    Channels of other sensors stay as they are. With `low`, Hz, they are taken out from there on.
+    """
+    known = {name for name, sheet in sensors.items() if sheet.corrected}
+    types = sorted({c.sensor for c in history.channels} & known)
+    if not types:
+        return history, 0.0, ""
+    parts = {t: history.pick([c.id for c in history.channels if c.sensor == t]) for t in types}
+    low = low or max(_lowest(parts[t], sensors[t]) for t in types)
+    fixed: dict[str, tuple[Channel, Float]] = {}
+    for t, chosen in parts.items():
+        geophone = Geophone(sensors[t].corner_hz, sensors[t].damping or 0.0)
+        whole = deconvolve(chosen, geophone, low=low)
+        for c, w, d in zip(chosen.channels, whole.channels, whole.data, strict=True):
+            fixed[c.id] = w, d
+    every = [fixed.get(c.id, (c, d)) for c, d in zip(history.channels, history.data, strict=True)]
+    made = replace(
+        history, channels=tuple(c for c, _ in every), data=np.stack([d for _, d in every])
+    )
+    corners = " and ".join(f"{sensors[t].corner_hz:g}" for t in types)
+    return made, low, f"{corners} Hz corner corrected from {low:.2f} Hz on"
+
+
+def _lowest(history: TimeHistory, sheet: SensorType) -> float:
+    """From where on the signals of geophones stand above their noise, Hz."""
+    psd = csd(history, Welch(0.1))
+    level = np.median(np.real(np.einsum("fii->fi", psd.data)), axis=1)
+    noise = np.full(psd.freqs.shape, sheet.noise**2)
+    return max(lowest_frequency(psd.freqs, level, noise), sheet.corner_hz * 0.6)
+
+
+def summary(
+    record: Logged, history: TimeHistory, notes: Sequence[str], *, draw: bool = True
+) -> RecordSummary:
+    """What the report shows of a record; with a preview if `draw`."""
+    return RecordSummary(
+        name=record.name,
+        test=record.test,
+        excitation=record.excitation,
+        file=record.path.name,
+        channels=len(history.channels),
+        rate=history.rate,
+        duration=history.duration,
+        notes=tuple(notes),
+        setup=str(record.setup),
+        preview=preview(history) if draw else None,
+    )
+
+
+def preview(history: TimeHistory) -> RecordPreview:
+    """Channels of one unit, thinned so that no peak is lost."""
+    unit = history.channels[0].unit
+    at = [i for i, c in enumerate(history.channels) if c.unit == unit][:SHOWN]
+    channels = tuple(history.channels[i] for i in at)
+    data = np.asarray(history.data[at], dtype=np.float64)
+    resolution = Welch(max(0.05, 4 / history.duration))
+    psd = csd(TimeHistory(data, history.rate, channels), resolution)
+    power = np.real(np.einsum("fii->if", psd.data))
+    every = max(1, psd.freqs.size // 2000)
+    step = max(1, data.shape[1] // 1500)  # samples of a preview
+    # the value of largest modulus in each run of samples
+    runs = data[:, : data.shape[1] // step * step].reshape(len(data), -1, step)
+    largest = np.abs(runs).argmax(axis=2)
+    signal = np.take_along_axis(runs, largest[:, :, None], axis=2)[:, :, 0]
+    return RecordPreview(
+        channels=tuple(c.id for c in channels),
+        unit=unit,
+        time=np.arange(signal.shape[1]) * step / history.rate,
+        signal=np.asarray(signal),
+        freqs=psd.freqs[::every],
+        psd=power[:, ::every],
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Campaign:
+    """What holds for all records of a test.
+
+    Attributes
+    ----------
+    sheet : SensorSheet
+    sensors : mapping of str to SensorType
+    unused : tuple of str
+        Channels.
+    choice : Choice
+        Of modes by hand.
+    """
+
+    sheet: SensorSheet
+    sensors: Mapping[str, SensorType]
+    unused: tuple[str, ...]
+    choice: Choice
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordFile:
+    """A file of an ambient record: its record, bridged, with the corners of its sensors taken out
+    from `low` Hz on.
+    """
+
+    history: TimeHistory
+    gaps: Gaps
+    low: float
+    notes: tuple[str, ...]
+
+    @classmethod
+    def read(cls, record: Logged, campaign: Campaign, low: float | None) -> RecordFile:
+        """All channels must be on the sheet, but for the unused ones; samples may be missing."""
+        sheet = campaign.sheet
+        history = read_record(record.path, record.rate_hz, check=False, gaps=True)
+        history, notes = sheet.scaled(renamed(history, record.channels, record.path))
+        used = [c.id for c in history.channels if c.id not in set(campaign.unused)]
+        history = history.pick(used)
+        refuse_bad_samples(history, record.path, gaps=True)
+        check_sheet(record.path, history.channels, sheet.model)
+        raw, gaps = bridge_gaps(history)
+        fixed, low, note = corrected(raw, campaign.sensors, low)
+        return cls(fixed, gaps, low, tuple(n for n in (*notes, note, *gaps.channels) if n))
+
+    def goes_on_in(self, later: RecordFile) -> bool:
+        """Whether another has the same channels and rate, and is long enough for a part of the
+        record.
+        """
+        a = self.history
+        b = later.history
+        return (a.channels, a.rate) == (b.channels, b.rate) and b.duration >= SHORTEST * a.duration
+
+
+def _files_of_one(
+    todo: list[Logged], campaign: Campaign, shown: list[RecordSummary]
+) -> Iterator[RecordFile]:
+    """The first of the records `todo` and those that go on with it, each taken out when it is read;
+    what to show of it is added to `shown`.
+
+    A record with a choice by hand of its own is not joined.
+    """
+    record = todo.pop(0)
+    first = file = RecordFile.read(record, campaign, None)
+    while True:
+        shown.append(summary(record, file.history, file.notes, draw=file is first))
+        yield file
+        chosen = campaign.choice.records
+        if not (todo and record.goes_on_in(todo[0]) and todo[0].name not in chosen):
+            return
+        file = RecordFile.read(todo[0], campaign, first.low)
+        if not first.goes_on_in(file):
+            return
+        record = todo.pop(0)
+
+
+def _as_one(files: Sequence[RecordSummary], notes: Sequence[str]) -> RecordSummary:
+    """What is shown of a record of some files, with the `notes` of its identification."""
+    first, *more = files
+    joined = []
+    if more:
+        joined = [
+            f"{len(files)} files, {first.file} to {files[-1].file}, are one record with pauses "
+            "(a `setup` for each in the log separates them)"
+        ]
+    others = [f"{x.file}: {n}" for x in more for n in x.notes if n not in first.notes]
+    duration = sum(x.duration for x in files)
+    return replace(first, duration=duration, notes=(*joined, *first.notes, *others, *notes))
+
+
+def ambient(
+    records: Sequence[Logged], campaign: Campaign, settings: IdentifySection, progress: Progress
+) -> tuple[list[IdentifiedRecord], list[RecordSummary]]:
+    """Modes of each ambient record; files that go on with each other are one record."""
+    found: list[IdentifiedRecord] = []
+    shown: list[RecordSummary] = []
+    todo = list(records)
+    while todo:
+        record = todo[0]
+        mine: list[RecordSummary] = []
+        progress(1 - len(todo) / len(records), f"ambient modes: {record.name}")
+        files = _files_of_one(todo, campaign, mine)
+        first = next(files)
+        parts = (x.gaps.marked(x.history) for x in chain((first,), files))
+        low = max(first.low, settings.ambient_fmin or 0.0)
+        band = AmbientSettings(fmin=low or None, fmax=settings.ambient_fmax)
+        with about(record.path):
+            result = identify_stretches(parts, band, choice=campaign.choice.of(record.name))
+        modes = (result.modes, result.uncertainty, result.reasons, result.diagrams)
+        found.append(IdentifiedRecord(*modes, record=record.name))
+        shown.append(_as_one(mine, result.notes))
+    return found, shown
+
 
 HAMMER = "hammer"  # what a choice by hand calls the hammer test
 
@@ -93,7 +312,7 @@ def _by_hand(session: Session, records: Sequence[Logged]) -> Choice:
 
 
 def _reason(parts: Sequence[Contribution], found: Sequence[IdentifiedRecord]) -> str:
-    """Why a merged mode is believed, and where it was chosen by hand."""
+    """The evidence for a merged mode, and where it was chosen by hand."""
     reasons = {r.record: r.reasons for r in found}
     mine = [(c.record, reasons[c.record][c.mode].split(";")[0]) for c in parts]
     return "; ".join(
@@ -101,42 +320,64 @@ def _reason(parts: Sequence[Contribution], found: Sequence[IdentifiedRecord]) ->
     )
 
 
-def struck(
+@dataclass(frozen=True, slots=True, eq=False)
+class FrfsOfRecords:
+    """FRFs of the records with forces.
+
+    Attributes
+    ----------
+    frfs : FrfSet
+        Of all setups.
+    setups : tuple of FrfSet
+    records : tuple of RecordSummary
+    rejected : tuple of str
+        Hits that do not count.
+    """
+
+    frfs: FrfSet
+    setups: tuple[FrfSet, ...]
+    records: tuple[RecordSummary, ...]
+    rejected: tuple[str, ...]
+
+
+def frfs_of_records(
     records: Sequence[Logged],
     sheet: SensorSheet,
-    lost: Sequence[str],
+    unused: Sequence[str],
     fmax: float | None,
     progress: Progress,
-) -> tuple[FrfSet, list[RecordSummary], tuple[str, ...], tuple[FrfSet, ...]]:
-    """FRFs of all setups, what is shown of the records, the hits that do not count, and the FRFs of
-    each setup.
-    """
-    read = [_blows(r, sheet, lost) for r in records]
+) -> FrfsOfRecords:
+    """The FRFs of all records of a hammer or shaker test."""
+    read = [_acquisitions(r, sheet, unused) for r in records]
     ranges: dict[str, float] = {}
     for r in records:
         ranges |= full_scale(r.path)
-    histories = [h for blows, _ in read for h in blows]
-    want = replace(_block(records[0], histories[0].rate), keep_to=fmax)
-    found = forced_frfs(histories, want, full_scale=ranges, progress=progress)
+    runs = [run for mine, _ in read for run in mine]
+    wanted = replace(_block(records[0], runs[0].rate), keep_to=fmax)
+    found = forced_frfs(runs, wanted, full_scale=ranges, progress=progress)
     shown = []
-    for record, (blows, notes) in zip(records, read, strict=True):
-        names = {b.source for b in blows}
-        mine = [h for h in found.hits if h.source in names]
-        kept = [accepted_hits(mine)] if found.hits else []
-        first = record.setup == records[0].setup  # the others look alike
-        shown.append(summary(record, _in_a_row(blows), [*notes, *kept, *found.notes], draw=first))
+    for record, (mine, notes) in zip(records, read, strict=True):
+        names = {run.source for run in mine}
+        hits = [h for h in found.hits if h.source in names]
+        kept = [accepted_hits(hits)] if found.hits else []
+        whole = mine[0]
+        if len(mine) > 1:  # one after the other, to be looked at
+            whole = replace(whole, data=np.hstack([run.data for run in mine]))
+        first = record.setup == records[0].setup  # other setups look the same
+        shown.append(summary(record, whole, [*notes, *kept, *found.notes], draw=first))
     columns = [frfs_by_sheet(c, sheet.model)[0] for c in found.columns]
-    return join_frfs(columns), shown, rejected_hits(found.hits), join_by_setup(columns)
+    frfs, _ = exchange_by_reciprocity(join_frfs(columns))
+    return FrfsOfRecords(frfs, join_by_setup(columns), tuple(shown), rejected_hits(found.hits))
 
 
-def _blows(
-    record: Logged, sheet: SensorSheet, lost: Sequence[str]
+def _acquisitions(
+    record: Logged, sheet: SensorSheet, unused: Sequence[str]
 ) -> tuple[tuple[TimeHistory, ...], tuple[str, ...]]:
-    """The acquisitions of a hammer record, and what is to be said of them."""
+    """The acquisitions of a hammer record, and notes."""
     how = ForceRecordFormat(
         force=(record.force_channel,) if record.force_channel else (),
         struck=(record.reference,) if record.reference else (),
-        leave_out=tuple(lost),
+        leave_out=tuple(unused),
         rate=record.rate_hz,
         channels=(tuple(record.channels),) if record.channels else (),
         sheet=sheet,
@@ -144,40 +385,31 @@ def _blows(
     runs, notes = read_file(record.path, how)
     for run in runs:
         check_sheet(record.path, run.channels, sheet.model)
-    names = (
-        [record.name] if len(runs) == 1 else [f"{record.name} #{k + 1}" for k in range(len(runs))]
-    )
-    return tuple(replace(r, source=name) for r, name in zip(runs, names, strict=True)), notes
+    if len(runs) == 1:
+        return (replace(runs[0], source=record.name),), notes
+    return tuple(
+        replace(run, source=f"{record.name} #{k}") for k, run in enumerate(runs, start=1)
+    ), notes
 
 
 def _block(record: Logged, rate: float) -> HammerSettings:
-    """The block of a blow that the log tells; without, as long as the blows are apart or the
+    """The block of an impact that the log states; else as long as the time between impacts or the
     acquisition lasts.
     """
     if record.block_samples is None or record.pretrigger_samples is None:
         return HammerSettings()
-    block, pre = record.block_samples / rate, record.pretrigger_samples / rate
-    return HammerSettings(
-        block=block - pre, pretrigger=pre
-    )  # the peak comes a little after the trigger
-
-
-def _in_a_row(blows: Sequence[TimeHistory]) -> TimeHistory:
-    """Acquisitions of the same channels, one after the other, to be looked at."""
-    first = blows[0]
-    return first if len(blows) == 1 else replace(first, data=np.hstack([b.data for b in blows]))
-
-
-def _lines(test: TestModel) -> Int:
-    """Lines to draw where the crew gave none."""
-    return test.points[relative_neighbours(test.xyz, test.groups)]
+    block = record.block_samples / rate
+    pre = record.pretrigger_samples / rate
+    # the peak comes a little after the trigger
+    return HammerSettings(block=block - pre, pretrigger=pre)
 
 
 def _floored(found: IdentifiedRecord, duration: float) -> Uncertainty:
-    """Standard deviations not below what `duration` s of any record can tell: a record that claims
-    more would rule.
+    """Standard deviations not below what `duration` s of any record can give: a record with smaller
+    ones would outweigh the others.
     """
-    u, modes = found.uncertainty, found.modes
+    u = found.uncertainty
+    modes = found.modes
     frequency, damping = ambient_std(modes.frequencies, np.maximum(modes.damping, 1e-4), duration)
     return replace(
         u,
@@ -191,93 +423,88 @@ def run(session: Session, progress: Progress) -> IdentifyStage:
     test = section(session)
     if test.sheet is None:
         return supplied_frequencies(session.base / str(test.modes), session.initial, session.config)
-    sheet = read_sensor_sheet(
-        session.base / test.sheet, session.base / test.lines if test.lines else None
-    )
-    model = (
-        sheet.model if sheet.model.lines.size else replace(sheet.model, lines=_lines(sheet.model))
-    )
-    lost, _ = model.named(test.leave_out)
-    if unknown := [c for c in lost if c not in set(model.channels)]:
+    lines = session.base / test.lines if test.lines else None
+    sheet = read_sensor_sheet(session.base / test.sheet, lines)
+    model = sheet.model
+    if not model.lines.size:  # the crew gave none to draw
+        model = replace(model, lines=model.points[relative_neighbours(model.xyz, model.groups)])
+    unused, _ = model.named(test.leave_out)
+    if unknown := [c for c in unused if c not in set(model.channels)]:
         raise ConfigError(
             f"[test] leave_out {unknown[0]!r}{did_you_mean(unknown[0], model.channels)}"
         )
-    found = _identified(session, replace(sheet, model=model), (*lost, *sheet.strain), progress)
+    found = _identified(session, replace(sheet, model=model), (*unused, *sheet.strain), progress)
     strain = tuple(f"channel {c}: measures strain, not used" for c in sheet.strain)
     return replace(found, frf_notes=(*strain, *found.frf_notes))
 
 
 def _identified(
-    session: Session, sheet: SensorSheet, lost: Sequence[str], progress: Progress
+    session: Session, sheet: SensorSheet, unused: Sequence[str], progress: Progress
 ) -> IdentifyStage:
-    """Of all channels of the sheet but those in `lost`."""
-    test, model = section(session), sheet.model
+    """Of all channels of the sheet but the unused ones."""
+    test = section(session)
+    settings = session.config.identify
     if test.modes:
-        return supplied_modes(session.base / test.modes, model, lost)
+        return supplied_modes(session.base / test.modes, sheet.model, unused)
     records, sensors = read_log(session.base / test.log) if test.log else ([], {})
     quiet = [r for r in records if r.kind == "ambient"]
-    hits = [r for r in records if r.kind != "ambient"]
-    if hits and test.frfs:
+    forced = [r for r in records if r.kind != "ambient"]
+    if forced and test.frfs:
         raise ConfigError(f"[test] frfs and the hammer records of {test.log}: give one of the two")
     choice = _by_hand(session, records)
-    found, shown = ambient(
-        quiet,
-        sensors,
-        sheet=sheet,
-        settings=session.config.identify,
-        lost=lost,
-        choice=choice,
-        progress=part(progress, 0.0, 0.5),
+    campaign = Campaign(sheet, sensors, tuple(unused), choice)
+    found, shown = ambient(quiet, campaign, settings, part(progress, 0.0, 0.5))
+    stage = _with_ambient(
+        IdentifyStage(sheet.model, IdentifiedModes(NO_MODES, NOT_KNOWN), None), found, shown
     )
+    frfs, notes = supplied_frfs([session.base / f for f in test.frfs], sheet.model, unused)
+    setups: tuple[FrfSet, ...] = ()
+    records_of_frfs: list[RecordSummary] = []
+    rejected: tuple[str, ...] = ()
+    if forced:
+        made = frfs_of_records(
+            forced, sheet, unused, settings.hammer_fmax, part(progress, 0.5, 0.7)
+        )
+        frfs = made.frfs
+        setups = made.setups
+        records_of_frfs = list(made.records)
+        rejected = made.rejected
+    if frfs is None:
+        return replace(stage, source="FRFs")
+    band = HammerModes(fmin=settings.hammer_fmin, fmax=settings.hammer_fmax)
+    by_hand = choice.of(HAMMER)
+    result = identify_hammer(frfs, band, choice=by_hand, progress=part(progress, 0.7, 1.0))
+    if by_hand is None:
+        result = with_local_fits(result, setups if len(setups) > 1 else (frfs,), band)
+    if records_of_frfs:
+        first = records_of_frfs[0]
+        records_of_frfs[0] = replace(first, notes=(*first.notes, *result.notes))
+    return replace(
+        stage,
+        hammer=IdentifiedModes(result.modes, result.uncertainty, result.reasons, result.diagrams),
+        source=f"{forced[0].kind} test" if forced else "FRFs",
+        records=(*stage.records, *records_of_frfs),
+        frfs=frfs,
+        frf_notes=(*notes, *result.notes) if test.frfs else (),
+        cmif=cmif(frfs.data),
+        synthesis_error=result.synthesis_error,
+        rejected_hits=rejected,
+    )
+
+
+def _with_ambient(
+    stage: IdentifyStage, found: Sequence[IdentifiedRecord], shown: Sequence[RecordSummary]
+) -> IdentifyStage:
+    """With the modes of ambient records, merged."""
+    stage = replace(stage, records=tuple(shown), ambient_records=tuple(found))
     parts = [
         (r.modes, _floored(r, s.duration), r.record)
         for r, s in zip(found, shown, strict=True)
-        if len(r.modes)
+        if len(r)
     ]
-    merged = merge_modes(parts) if parts else None
-    frfs, renamed = supplied_frfs([session.base / f for f in test.frfs], model, lost)
-    rejected = tuple[str, ...]()
-    batches: tuple[FrfSet, ...] = ()
-    fmax = session.config.identify.hammer_fmax
-    if hits:
-        frfs, more, rejected, batches = struck(hits, sheet, lost, fmax, part(progress, 0.5, 0.7))
-        frfs = exchange_by_reciprocity(frfs)[0]
-        shown += more
-    result = (
-        _of_frfs(frfs, session.config.identify, choice, part(progress, 0.7, 1.0)) if frfs else None
-    )
-    if frfs and result is not None and choice.of(HAMMER) is None:
-        batches = batches if len(batches) > 1 else (frfs,)
-        result = with_local_fits(result, batches, _band(session.config.identify))
-    if hits and result is not None:
-        at = len(shown) - len(hits)
-        shown[at] = replace(shown[at], notes=(*shown[at].notes, *result.notes))
-    return IdentifyStage(
-        test=model,
-        records=tuple(shown),
-        ambient_records=tuple(found),
-        ambient=merged.modes if merged else NO_MODES,
-        ambient_uncertainty=merged.uncertainty if merged else NOT_KNOWN,
-        ambient_reasons=tuple(_reason(p, found) for p in merged.provenance) if merged else (),
-        frfs=frfs,
-        cmif=cmif(frfs.data) if frfs else np.zeros((0, 0)),
-        rejected_hits=rejected,
-        hammer=result.modes if result else None,
-        hammer_uncertainty=result.uncertainty if result else None,
-        hammer_reasons=result.reasons if result else (),
-        hammer_diagrams=result.diagrams if result else (),
-        synthesis_error=result.synthesis_error if result else np.zeros((0, 0)),
-        frf_notes=(*renamed, *result.notes) if result and test.frfs else (),
-        merge_notes=merged.notes if merged else (),
-        source=f"{hits[0].kind} test" if hits else "FRFs",
-    )
-
-
-def _of_frfs(
-    frfs: FrfSet, settings: IdentifySection, choice: Choice, progress: Progress
-) -> HammerResult:
-    return identify_hammer(frfs, _band(settings), choice=choice.of(HAMMER), progress=progress)
-
-
-def _band(settings: IdentifySection) -> HammerModes:
-    return HammerModes(fmin=settings.hammer_fmin, fmax=settings.hammer_fmax)
+    if not parts:
+        return stage
+    merged = merge_modes(parts)
+    reasons = tuple(_reason(p, found) for p in merged.provenance)
+    ambient_modes = IdentifiedModes(merged.modes, merged.uncertainty, reasons)
+    return replace(stage, ambient=ambient_modes, merge_notes=merged.notes)

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from scipy import sparse
 
-from ringtrue.checks.mass import unconstrained
+from ringtrue.checks.materials import unconstrained
 from ringtrue.core.arrays import Float, Int
+from ringtrue.core.iterate import Progress, part, quiet
 from ringtrue.core.parameters import ParameterSet
-from ringtrue.core.progress import Progress, part, quiet
 from ringtrue.decks.nastran.editor import refuse_unwritable, unwritable
 from ringtrue.errors import DataError
 from ringtrue.fem.assembly import System, assemble
@@ -22,6 +22,7 @@ from ringtrue.fem.parametrisation.polynomials import AffineTerm, power
 from ringtrue.model.edit import has_fields
 from ringtrue.model.model import Model
 from ringtrue.reduction.basis import AffineSystem
+from ringtrue.reduction.expansion import ShapeReadings
 from ringtrue.reduction.matrix_model import DenseModel
 from ringtrue.reduction.parametric import ReducedModel, condensed
 from ringtrue.reduction.response import responding, with_responses
@@ -29,11 +30,9 @@ from ringtrue.study.evidence import at_channels, expanded
 from ringtrue.study.measured_data import flexible
 from ringtrue.study.objective import (
     data_of,
-    names_of,
     on_parameters,
     problem_of,
     target,
-    targets,
     terms_of,
 )
 from ringtrue.study.opened import AtChannels, lump_places
@@ -44,10 +43,9 @@ from ringtrue.study.results import (
     ErrorIndicators,
     LocaliseStage,
 )
-from ringtrue.study.session import OWN, Session
-from ringtrue.updating.gauss_newton import joint_residual, residual
+from ringtrue.study.session import Session, StudyConfiguration
 from ringtrue.updating.identifiability import identifiability
-from ringtrue.updating.problem import Configuration, Problem
+from ringtrue.updating.problem import Configuration, Problem, residual_at, single
 from ringtrue.updating.residuals.modal import Point, Weighted
 from ringtrue.updating.residuals.static import RigidMass
 from ringtrue.updating.selection.candidates import (
@@ -56,23 +54,26 @@ from ringtrue.updating.selection.candidates import (
     membership,
     parameters,
 )
-from ringtrue.updating.selection.effects import effective
 from ringtrue.updating.selection.generation import generate
 from ringtrue.updating.selection.localisation import (
+    EXPANSION_MISFIT,
     ElementErrors,
     expanded_errors,
     reduced_errors,
     variation,
 )
-from ringtrue.updating.selection.proposal import Proposal, propose
+from ringtrue.updating.selection.proposal import propose
 from ringtrue.updating.selection.screening import (
-    SMALL,
+    SIZES,
+    ScreenedDeck,
     conflicts,
     drawn,
+    effective,
     of_parameter,
     passed_over,
     screened,
 )
+from ringtrue.updating.selection.subset_search import SearchSettings
 from ringtrue.updating.target import Target, match
 
 NO_CANDIDATE = (
@@ -87,18 +88,6 @@ NO_PAIR = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class _Pool:
-    """The candidates that are looked at closely, and what became of the others."""
-
-    candidates: tuple[Candidate, ...]
-    made: int = 0
-    dropped: tuple[str, ...] = ()
-    screened: tuple[str, ...] = ()
-    passed_over: int = 0  # of these, those whose number counts
-    held: tuple[str, ...] = ()
-
-
 def run(session: Session, progress: Progress) -> LocaliseStage | None:
     """Indicators and proposal; None where there is neither a candidate nor a paired mode.
 
@@ -109,77 +98,111 @@ def run(session: Session, progress: Progress) -> LocaliseStage | None:
     """
     found: CorrelateStage = session.get("correlate")
     paired = bool(found.remodelled.used.any())
-    pool = _pool(session, found, part(progress, 0.0, 0.4)) if paired else _Pool(())
-    if not pool.candidates:
+    chosen = _candidates(session, part(progress, 0.0, 0.4)) if paired else None
+    if chosen is None or not chosen.kept:
         if session.config.propose:
             raise DataError(NO_CANDIDATE if paired else NO_PAIR)
         return None
-    aim, model = target(session), _candidate_model(session, pool, part(progress, 0.4, 0.6))
+    candidates = chosen.kept
+    aim = target(session.own)
+    model = _candidate_model(session, candidates, part(progress, 0.4, 0.6))
     start = model.linearise(np.zeros(len(model.parameters)))
     pairs, _, _ = match(aim, start)
-    pairs = pairs[aim.used[pairs[:, 0]] & (not aim.lent)]  # lent shapes have no local errors
+    pairs = pairs[
+        aim.used[pairs[:, 0]] & (not aim.frequency_only)
+    ]  # without measured shapes no local errors
     progress(0.6, "error indicators")
     errors, misfit = _error_indicators(session, model, aim, pairs)
-    member = membership(session.steps[-1].model, pool.candidates)
-    others = session.others(progress) if session.config.configuration and _shared(session) else ()
-    proposal = _proposal(
-        session,
-        model,
-        others=others,
-        aim=aim,
-        pool=pool,
-        errors=errors.concentration(member),
+    others: tuple[AtChannels, ...] = ()
+    if _updated(session):
+        others = tuple(c.model(progress) for c in session.others)
+    problem = _problem(session, (model, *others))
+    with_others = _updated(session) and (session.others or session.config.residual)
+    points = _points(session, model, candidates)
+    search = [_small(session.own, model, points)]
+    names = model.parameters.names
+    for c, other in zip(session.others, others, strict=False):
+        at = [names.index(n) for n in other.parameters.names]
+        search.append(_small(c, other, [x[at] for x in points]))
+    asked = session.config.localise
+    proposal = propose(
+        _problem(session, search),
+        SearchSettings(asked.most, asked.alike, passed_over=chosen.passed_over),
+        conflicts=conflicts(session.remodelled.model, candidates),
+        errors=errors.concentration(membership(session.steps[-1].model, candidates)),
+        words=[c.what for c in candidates],
         progress=part(progress, 0.7, 1.0),
     )
-    problem = _problem(session, model, others)
+    start_data = residual_at(problem, np.zeros(len(names)))
+    end_data = residual_at(problem, proposal.x)
+    basis = ""
+    if with_others:
+        tests = [f"the test of {c.name}" for c in session.others]
+        data = [m.name for c in session.configurations for m in c.measured]
+        basis = ", ".join([*tests, *data])
+    p = model.parameters
+    known = identifiability(end_data.slope * p.std())
     return LocaliseStage(
         indicators=_region_indicators(session, errors, misfit, pairs[:, 0]),
-        candidates=_candidate_effects(
-            session,
-            model,
-            problem=problem,
-            aim=aim,
-            candidates=pool.candidates,
-            proposed=proposal.x,
+        candidates=CandidateEffects(
+            parameters=p,
+            what=tuple(c.what for c in candidates),
+            elements=_regions_of(session, candidates),
+            effect=np.linalg.norm(start_data.slope * p.std(), axis=0),
+            others_known=known.alone,
+            all_free=known.together,
+            explains=variation(aim, start_data, p).frequency,
         ),
-        pool=CandidatePool(pool.made, pool.dropped, pool.screened, pool.held),
+        pool=chosen.pool,
         proposal=proposal,
-        proposal_basis=_beside(session) if problem is not None else "",
+        proposal_basis=basis,
         places=session.places,
     )
 
 
-def _shared(session: Session) -> bool:
+def _updated(session: Session) -> bool:
     """Whether the candidates are those of the updating: only then do other tests and data know
     them.
     """
     return bool(len(session.config.candidates())) or session.config.propose
 
 
-def _problem(session: Session, model: AtChannels, others: Sequence[AtChannels]) -> Problem | None:
-    """All tests and what was measured beside modes; None where there are the study's own modes
-    alone.
+def _problem(session: Session, models: Sequence[AtChannels]) -> Problem:
+    """All tests and what was measured besides modes."""
+    if not (_updated(session) and (session.others or session.config.residual)):
+        return single(models[0], target(session.own))
+    return problem_of(session, models)
+
+
+@dataclass(frozen=True, slots=True)
+class _Chosen:
+    """The candidates that are looked at closely, and what became of the others.
+
+    `passed_over` of the screened ones count in the choice.
     """
-    if not (others or (session.config.residual and _shared(session))):
-        return None
-    return problem_of(session, (model, *others), targets(session), session.config.update)
+
+    kept: tuple[Candidate, ...]
+    pool: CandidatePool = field(default_factory=lambda: CandidatePool(0, (), ()))
+    passed_over: int = 0
 
 
-def _pool(session: Session, found: CorrelateStage, progress: Progress) -> _Pool:
+def _candidates(session: Session, progress: Progress) -> _Chosen:
     """The candidates of the study, or those made from the deck that explain most of the misfit."""
-    model, given, asked = (
-        session.remodelled.model,
-        session.config.candidates(),
-        session.config.localise,
-    )
+    given = session.config.candidates()
+    asked = session.config.localise
+    model = session.remodelled.model
     if len(given):
         refuse_unwritable(model, given)
-        return _Pool(tuple(of_parameter(model, p) for p in given.parameters))
+        return _Chosen(tuple(of_parameter(model, p) for p in given.parameters))
     if not asked.pool:
-        return _Pool(())
+        return _Chosen(())
     every = generate(model, CandidateSettings(tuple(asked.kinds), session.deck.units))
-    more = _lumps(session)
-    model = session.remodelled.model
+    masses: tuple[Candidate, ...] = ()
+    # not where other decks or another solver would have to have them, too
+    if "lump" in asked.kinds and not session.others and session.engine is None:
+        deck = session.steps[-1]
+        masses = session.with_lumps(lump_places(deck, session.own.observed(deck)))
+        model = session.remodelled.model
     if session.config.propose:  # what is proposed is delivered
         every = tuple(c for c in every if has_fields(c.parameter))
     springs = tuple(of_parameter(model, p) for p in session.config.suspensions().parameters)
@@ -187,81 +210,67 @@ def _pool(session: Session, found: CorrelateStage, progress: Progress) -> _Pool:
     never = unwritable(model, [t for c in every for t in c.parameter.targets])
     held = [every[i].name for i in np.flatnonzero(taken.any(axis=1)).tolist()]
     every = tuple(c for c in every if c.name not in held and not never.keys() & c.parameter.targets)
-    every += more
-    system, modes = session.remodelled.analysis.system, session.remodelled.modes(session.fmax).modes
-    lam, vectors = (2 * np.pi * modes.frequencies) ** 2, np.asarray(system.local @ modes.shapes)
-    beside = (
-        DataScreening.of(session, every) if session.measured(OWN) and _shared(session) else None
-    )
-    strained = (lam, vectors) if beside is None else beside.strained()
+    every += masses
+    system = session.remodelled.analysis.system
+    modes = session.remodelled.modes(session.fmax).modes
+    lam = (2 * np.pi * modes.frequencies) ** 2
+    vectors = np.asarray(system.local @ modes.shapes)
+    data = None
+    strained = lam, vectors
+    if session.own.measured and _updated(session):
+        data = DataScreening.of(session.own, every)
+        strained = data.strained()
     some, lost = effective(model, system, every, *strained)
-    beside = beside and replace(beside, candidates=some)
+    if data is not None:
+        data = replace(data, candidates=some)
 
     def look(few: tuple[Candidate, ...]) -> tuple[AtChannels, ReducedModel]:
-        reduced = session.apart(parameters(few), quiet)
-        reduced = reduced if beside is None else beside.loaded(reduced)
-        return _small(session, OWN, reduced, _points(session, reduced, few)), reduced.model
+        reduced = session.own.reduced(parameters(few), quiet)
+        reduced = reduced if data is None else data.loaded(reduced)
+        return _small(session.own, reduced, _points(session, reduced, few)), reduced.model
 
+    deck = session.remodelled
+    channels = session.own.reference.elastic.channels
+    readings = at_channels(deck, session.own.observed(deck), channels)
     near = screened(
-        model,
-        system,
-        candidates=some,
-        aim=target(session),
-        observe=at_channels(
-            session.remodelled, session.bridge(session.remodelled), found.reference.channels
-        ),
-        modes=(lam, vectors),
-        look=look,
-        pool=asked.pool,
-        most=asked.most,
-        alike=asked.alike,
+        ScreenedDeck(model, system, some, observe=readings, values=lam, vectors=vectors, data=data),
+        target(session.own),
+        look,
+        asked.pool,
+        settings=SearchSettings(asked.most, asked.alike),
         progress=progress,
-        beside=beside,
     )
     far = tuple(c.name for c in some if c not in near)
-    return _Pool(
-        candidates=near,
-        made=len(every),
-        dropped=tuple(d.name for d in lost),
-        screened=far,
-        passed_over=passed_over(some, near),
-        held=tuple(held),
-    )
-
-
-def _lumps(session: Session) -> tuple[Candidate, ...]:
-    """Masses that the deck may lack; not where other decks or another solver would have to have
-    them, too.
-    """
-    if (
-        "lump" not in session.config.localise.kinds
-        or session.config.configuration
-        or session.engine is not None
-    ):
-        return ()
-    deck = session.steps[-1]
-    return session.with_lumps(lump_places(deck, session.bridge(deck)))
-
-
-def _condensed(model: AtChannels, points: Sequence[Float]) -> AtChannels:
-    """The model on its modes around the points."""
-    return replace(model, model=condensed(model.model, points, max(SMALL, 2 * model.model.count)))
+    pool = CandidatePool(len(every), tuple(d.name for d in lost), far, tuple(held))
+    return _Chosen(near, pool, passed_over(some, near))
 
 
 def _points(session: Session, model: AtChannels, candidates: Sequence[Candidate]) -> list[Float]:
     """Where a search will look."""
-    apart = conflicts(session.remodelled.model, candidates)
-    return drawn(model.parameters, apart, np.random.default_rng([session.config.study.seed, 5]))
+    together = conflicts(session.remodelled.model, candidates)
+    return drawn(model.parameters, together, np.random.default_rng([session.config.study.seed, 5]))
 
 
-def _candidate_model(session: Session, pool: _Pool, progress: Progress) -> AtChannels:
+def _candidate_model(
+    session: Session, candidates: tuple[Candidate, ...], progress: Progress
+) -> AtChannels:
     """The reduced model over the candidates: that of the updating where it has the same."""
     if len(session.config.candidates()):
-        return session.candidates(progress)
+        return session.own.model(progress)
     if session.config.propose:
-        session.generated = parameters(pool.candidates)
-        return session.candidates(progress)
-    return session.apart(parameters(pool.candidates), progress)
+        session.generated = parameters(candidates)
+        return session.own.model(progress)
+    return session.own.reduced(parameters(candidates), progress)
+
+
+def _small(c: StudyConfiguration, model: AtChannels, points: Sequence[Float]) -> AtChannels:
+    """The model on its modes around the points, and on the static responses to what was excited or
+    pulled.
+    """
+    small = condensed(model.model, points, max(SIZES.vectors, 2 * model.model.count))
+    if c.session.config.residual and _updated(c.session):
+        small = flexible(small, c.measured, model.loaded)
+    return replace(model, model=small)
 
 
 def _error_indicators(
@@ -272,74 +281,31 @@ def _error_indicators(
     """
     test, fe = pairs.T
     reduced: ReducedModel = model.model
-    method, opened = session.config.correlate.expand, session.steps[-1]
-    f, shapes, system = aim.frequencies[test], aim.shapes[:, test], opened.analysis.system
+    method = session.config.correlate.expand
+    opened = session.steps[-1]
+    system = opened.analysis.system
+    f = aim.frequencies[test]
     if method in ("", "hybrid"):
-        return reduced_errors(
-            opened.model,
-            system,
-            reduced=reduced,
-            rows=model.rows,
-            frequencies=f,
-            shapes=shapes,
-            partners=fe,
-        )
+        observe = reduced.basis.observe[model.rows]
+        readings = ShapeReadings(observe, aim.shapes[:, test], f, EXPANSION_MISFIT)
+        return reduced_errors(opened.model, system, reduced, readings, fe)
     _, own = reduced.coordinates(np.zeros(len(reduced.active)))
     found = expanded(
         method,
         opened,
-        look=session.bridge(opened),
-        test=session.reference(OWN).take(test),
+        look=session.own.observed(opened),
+        test=session.own.reference.elastic.take(test),
         fmax=session.fmax,
-        progress=quiet,
     )
-    mine, solve = reduced.basis.vectors @ own[:, fe], reduced.pencil.at(reduced.shift).solve
-    return expanded_errors(
-        opened.model, system, frequencies=f, shapes=found.shapes, own=mine, solve=solve
-    ), found.misfit
-
-
-def _proposal(
-    session: Session,
-    model: AtChannels,
-    others: Sequence[AtChannels],
-    aim: Target,
-    pool: _Pool,
-    errors: Mapping[str, Float],
-    progress: Progress,
-) -> Proposal:
-    asked, apart = session.config.localise, conflicts(session.remodelled.model, pool.candidates)
-    points = _points(session, model, pool.candidates)
-    search = _small(session, OWN, model, points)
-    names = model.parameters.names
-    also = [
-        _small(
-            session, c.name, o, [x[[names.index(n) for n in o.parameters.names]] for x in points]
-        )
-        for c, o in zip(session.config.configuration, others, strict=False)
-    ]
-    return propose(
-        search,
-        aim,
-        most=asked.most,
-        alike=asked.alike,
-        apart=apart,
-        errors=errors,
-        words=[c.what for c in pool.candidates],
-        problem=_problem(session, search, also),
-        passed_over=pool.passed_over,
-        progress=progress,
+    errors = expanded_errors(
+        opened.model,
+        system,
+        frequencies=f,
+        shapes=found.shapes,
+        own=reduced.basis.vectors @ own[:, fe],
+        solve=reduced.pencil.at(reduced.shift).solve,
     )
-
-
-def _small(session: Session, name: str, model: AtChannels, points: Sequence[Float]) -> AtChannels:
-    """The model on its modes around the points, and on the static responses to what was struck or
-    pulled.
-    """
-    small = _condensed(model, points)
-    if session.config.residual and _shared(session):
-        small = replace(small, model=flexible(small.model, session.measured(name), model.loaded))
-    return small
+    return errors, found.misfit
 
 
 def _region_indicators(
@@ -366,42 +332,13 @@ def _region_indicators(
     )
 
 
-def _candidate_effects(
-    session: Session,
-    model: AtChannels,
-    problem: Problem | None,
-    aim: Target,
-    candidates: Sequence[Candidate],
-    proposed: Float,
-) -> CandidateEffects:
-    """What the data say of each candidate, at the deck and at the proposed point (p,)."""
-    p = model.parameters
-    low, high = p.bounds()
-    start, end = (
-        residual(aim, model.linearise(x)) if problem is None else joint_residual(problem, x)
-        for x in (np.zeros(len(p)), proposed)
-    )
-    known = identifiability(end.slope * p.std())
+def _regions_of(session: Session, candidates: Sequence[Candidate]) -> tuple[str, ...]:
+    """The regions that each candidate changes."""
     deck = session.steps[-1].model
     labels = element_regions(deck, session.deck.regions)
     member = membership(deck, candidates)
-    regions = [dict.fromkeys(labels[e] for e in member[[i]].indices) for i in range(len(p))]
-    return CandidateEffects(
-        parameters=p,
-        what=tuple(c.what for c in candidates),
-        elements=tuple(", ".join(names) for names in regions),
-        effect=np.linalg.norm(start.slope * p.std(), axis=0),
-        others_known=known.alone,
-        all_free=known.together,
-        explains=variation(aim, start, p.std(), low, high).frequency,
-    )
-
-
-def _beside(session: Session) -> str:
-    """What the proposal rests on beside the modes of the study's own test."""
-    tests = [f"the test of {c.name}" for c in session.config.configuration]
-    data = [m.name for n in names_of(session) for m in session.measured(n)]
-    return ", ".join([*tests, *data])
+    rows = (member[[i]].indices for i in range(len(candidates)))
+    return tuple(", ".join(dict.fromkeys(labels[e] for e in row)) for row in rows)
 
 
 def element_regions(model: Model, regions: Mapping[str, Sequence[int]]) -> list[str]:
@@ -425,19 +362,22 @@ class DataScreening:
 
     Attributes
     ----------
-    session : Session
+    configuration : StudyConfiguration
+        The study's own.
     candidates : tuple of Candidate
         All that are screened.
     start : ReducedModel
         The deck without a parameter, with the responses to unit loads at the touched channels.
     """
 
-    session: Session
+    configuration: StudyConfiguration
     candidates: tuple[Candidate, ...]
     start: ReducedModel
 
     @classmethod
-    def of(cls, session: Session, candidates: tuple[Candidate, ...]) -> DataScreening:
+    def of(
+        cls, configuration: StudyConfiguration, candidates: tuple[Candidate, ...]
+    ) -> DataScreening:
         """On the deck as it is.
 
         Raises
@@ -445,9 +385,9 @@ class DataScreening:
         DataError
             As `objective.data_of`.
         """
-        deck = session.apart(ParameterSet(()), quiet)
-        data_of(session, OWN, deck)
-        bare = cls(session, candidates, deck.model)
+        deck = configuration.reduced(ParameterSet(()), quiet)
+        data_of(configuration, deck)
+        bare = cls(configuration, candidates, deck.model)
         return replace(bare, start=bare.loaded(deck).model)
 
     @cached_property
@@ -458,18 +398,16 @@ class DataScreening:
     @cached_property
     def touched(self) -> Int:
         """Channels that were struck or pulled, and those whose deflections were read."""
-        at = {c: i for i, c in enumerate(self.session.channels(OWN))}
-        read = [
-            at[c] for m in self.session.measured(OWN) if m.statics is not None for c in m.outputs
-        ]
-        return np.unique([*self.session.loaded(OWN), *read]).astype(np.int64)
+        c = self.configuration
+        read = [name for m in c.measured if m.static for name in m.outputs]
+        return np.unique([*c.loaded, *c.rows(read)]).astype(np.int64)
 
     @cached_property
     def mass(self) -> tuple[Float, Float]:
         """The rigid-body mass (6, 6) of the deck about the origin, and its slopes (p, 6, 6) to the
         factors.
         """
-        free = unconstrained(self.session.remodelled.model)
+        free = unconstrained(self.configuration.deck.model)
         system = assemble(free)
         r = system.rigid_body()
         return np.asarray(r.T @ (system.mass @ r)), _projected(free, self.chosen, system, r)[1]
@@ -482,24 +420,17 @@ class DataScreening:
 
     def loaded(self, model: AtChannels) -> AtChannels:
         """With the responses to unit loads at the touched channels in its basis."""
-        loads = self.session.loaded(OWN)
-        more, read = (
-            flexible(model.model, self.session.measured(OWN), loads),
-            np.setdiff1d(self.touched, loads),
-        )
+        loads = self.configuration.loaded
+        more = flexible(model.model, self.configuration.measured, loads)
+        read = np.setdiff1d(self.touched, loads)
         if read.size:
             more, _ = with_responses(more, read, np.zeros(len(more.parameters)))
         return replace(model, model=more, loaded=loads)
 
     def problem(self, search: AtChannels, aim: Target) -> Problem:
         """Modes and data, over some of the candidates."""
-        return Problem(
-            (
-                Configuration(
-                    search, aim, terms_of(self.session, OWN, search, self.session.config.update)
-                ),
-            )
-        )
+        terms = terms_of(self.configuration, search)
+        return Problem((Configuration(search, aim, terms),))
 
     def misfit(
         self, at: ReducedModel | None, x: Float, which: Sequence[int], aim: Target
@@ -519,7 +450,9 @@ class DataScreening:
         which : sequence of int
             Their positions among all.
         """
-        model, deck, p = at or self.start, self.session.remodelled, len(self.chosen)
+        model = at or self.start
+        deck = self.configuration.deck
+        p = len(self.chosen)
         lam, vectors = responding(model, self.touched, x)
         dk, dm = _projected(deck.model, self.chosen, deck.analysis.system, vectors)
         dense = DenseModel(
@@ -545,7 +478,7 @@ class DataScreening:
         )
         everything = np.zeros(p)
         everything[list(which)] = x
-        data = on_parameters(self.session, OWN, lambda: self._rigid(everything), tuple(range(p)))
+        data = on_parameters(self.configuration, lambda: self._rigid(everything), tuple(range(p)))
         blocks = [Weighted(d.term, d.weight)(here) for d in data]
         slopes = np.concatenate([b.slope for b in blocks]) * self.chosen.std()
         return np.concatenate([b.value for b in blocks]), slopes
@@ -553,14 +486,11 @@ class DataScreening:
     def _rigid(self, x: Float) -> RigidMass:
         """About x (p,), linear in the factors."""
         mass, slopes = self.mass
-        none, here = (
-            sparse.csr_array((6, 6)),
-            mass + np.tensordot(self.chosen.factors(x) - 1, slopes, axes=1),
-        )
+        none = sparse.csr_array((6, 6))
+        here = mass + np.tensordot(self.chosen.factors(x) - 1, slopes, axes=1)
         terms = tuple(AffineTerm(power(i), none, sparse.csr_array(s)) for i, s in enumerate(slopes))
-        return RigidMass(
-            AffineSystem(none, sparse.csr_array(here), self.chosen, terms, none), np.eye(6)
-        )
+        whole = AffineSystem(none, sparse.csr_array(here), self.chosen, terms, none)
+        return RigidMass(whole, np.eye(6))
 
 
 def _projected(

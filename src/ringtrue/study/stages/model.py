@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from ringtrue.checks.deck import check_deck
-from ringtrue.checks.mass import autospc_findings, mass_properties, whole_mass
-from ringtrue.core.progress import Progress, part
-from ringtrue.model.dimensions import MADE
+from ringtrue.checks.materials import autospc_findings, mass_properties, whole_mass
+from ringtrue.core.iterate import Progress, part
+from ringtrue.model.cards import MADE
 from ringtrue.model.model import Model
 from ringtrue.study.opened import make_scene, scene_modes
 from ringtrue.study.results import ModelStage
@@ -33,9 +33,7 @@ def run(session: Session, progress: Progress) -> ModelStage:
         findings=tuple(str(f) for f in findings),
         nodes=len(opened.model["GRID"]),
         dof=int(opened.analysis.system.stiffness.shape[0]),
-        mass=mass.mass,
-        cg=mass.cg,
-        inertia=mass.inertia,
+        mass=mass,
         modes=scene_modes(result.modes, scene),
         residuals=result.residuals,
         proof=result.proof,

@@ -4,25 +4,25 @@ bands.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy import sparse
+from scipy import linalg, sparse
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.dofs import DofSet
+from ringtrue.core.iterate import Progress, part
 from ringtrue.core.parameters import ParameterSet
-from ringtrue.core.progress import Progress, part
 from ringtrue.eigen.damped import project
+from ringtrue.eigen.pencil import Pencil
 from ringtrue.errors import ConfigError, did_you_mean
-from ringtrue.fem.assembly import System
+from ringtrue.fem.element_cards import mesh
 from ringtrue.fem.elements.lumped import build_bush as bush
-from ringtrue.fem.mesh import mesh
 from ringtrue.fem.parametrisation.changed_model import changed
 from ringtrue.model.model import Model
 from ringtrue.reduction.parametric import ReducedModel
-from ringtrue.reduction.response import response_basis
+from ringtrue.reduction.response import ResponseSearch, response_basis
 from ringtrue.study.config_sections import PredictSection
 from ringtrue.study.objective import target, terms_of
 from ringtrue.study.opened import Opened
@@ -35,31 +35,30 @@ from ringtrue.study.results import (
     PredictStage,
     UpdateStage,
 )
-from ringtrue.study.session import OWN, Session
+from ringtrue.study.session import Session
 from ringtrue.study.stages.damping import regions
-from ringtrue.study.stages.final import deliver
+from ringtrue.study.stages.final import delivered
 from ringtrue.study.stages.tune import suspended
 from ringtrue.study.stages.tune import target as rigid_target
-from ringtrue.study.stages.update import chosen_factors
-from ringtrue.study.stages.update_set import other_configurations
+from ringtrue.study.stages.update import other_configurations, over
 from ringtrue.updating.damping_regions import matrices_of
 from ringtrue.updating.identifiability import plausibility
 from ringtrue.updating.prediction import (
     Damping,
+    KnownModel,
     Output,
     RegionDamping,
     Rows,
     Unbalance,
     plane,
     run_up,
+    unbalance_load,
     validated_band,
 )
 from ringtrue.updating.problem import Configuration, Problem
 from ringtrue.updating.uncertainty import Posterior, laplace
 from ringtrue.updating.validation import discrepancy
 
-LOWEST = 0.005  # of the highest speed: the first line
-WATCHED = 40  # speeds at which the residual is watched
 SPREAD = 0.3  # of ln ζ: what is known of damping beyond the tested modes
 
 
@@ -69,112 +68,64 @@ def run(session: Session, progress: Progress) -> PredictStage:
     Raises
     ------
     ConfigError
-        If the study has no [predict], or its node or springs are not in the deck.
+        If the study has no [predict] or was not run to its end, its node or springs are not in the
+        deck, or the test modes have no damping.
     """
     asked = session.config.predict
     if asked is None:
         raise ConfigError("a run-up needs [predict] with the rotor's node and mass")
-    return predict(
-        session,
-        asked.rotor,
-        axis=asked.axis,
-        unbalance=Unbalance(asked.mass, asked.grade, asked.service),
-        springs=asked.springs,
-        rng=np.random.default_rng([session.config.study.seed, 9]),
-        freqs=np.linspace(LOWEST * asked.fmax, asked.fmax, asked.lines),
-        draws=asked.draws,
-        level=asked.level,
-        progress=progress,
-    )
-
-
-def predict(
-    session: Session,
-    rotor: int,
-    axis: str,
-    unbalance: Unbalance,
-    springs: Mapping[str, Sequence[int]],
-    rng: np.random.Generator,
-    *,
-    freqs: Float,
-    draws: int = 100,
-    level: float = 0.9,
-    progress: Progress,
-) -> PredictStage:
-    """The run-up of a rotor of a study whose final stage is done.
-
-    Parameters
-    ----------
-    session : Session
-    rotor : int
-        Node that the unbalance acts on.
-    axis : {"X", "Y", "Z"}
-        Of the rotor, basic frame.
-    unbalance : Unbalance
-    springs : mapping of name to PBUSH numbers
-        Groups whose forces are wanted: bearings, supports, springs to the building.
-    rng : Generator
-    freqs : (l,) float64, Hz
-        Speeds, above 0.
-    draws : int
-        Of the posterior.
-
-    Raises
-    ------
-    ConfigError
-        If the study was not run to its end, node or springs are not in the deck, or the test modes
-        have no damping.
-    """
     if "final" not in session.store.stages():
         raise ConfigError(
             "the study has no updated model yet: `ringtrue run` it to its final stage first"
         )
+    rng = np.random.default_rng([session.config.study.seed, 9])
+    # 0.005: of the highest speed: the first line
+    freqs = np.linspace(0.005 * asked.fmax, asked.fmax, asked.lines)
+    unbalance = Unbalance(asked.mass, asked.grade, asked.service)
     posterior, error = _posterior(session, part(progress, 0.0, 0.3))
-    opened, final = session.remodelled, session.get("final")
+    opened = session.remodelled
+    final: FinalStage = session.get("final")
     if not np.median(final.damping) > 0:
         raise ConfigError(
             "a run-up needs damping; that of the test modes is 0. Where it is not known leave it "
             "out: 1 % is assumed"
         )
-    across = plane(axis)
-    motion = _translations(opened.analysis.system, rotor)
-    loads = motion[list(across)].toarray().T
+    system = opened.analysis.system
+    at = system.dofs.find(np.full(3, asked.rotor), np.arange(1, 4))
+    if (at < 0).any():
+        raise ConfigError(f"rotor node {asked.rotor}: there is no such node in the deck")
+    motion = sparse.csr_array(system.transform[at])
+    loads = motion[list(plane(asked.axis))].toarray().T
     model, residual = _model(session, posterior.parameters, loads, freqs, part(progress, 0.3, 0.6))
     v = model.basis.vectors
-    outputs = [
-        Output(f"rotor, node {rotor}", "m", Rows(np.asarray(motion @ v) * session.unit.length), 3)
-    ]
-    for name, ids in springs.items():
+    rows = Rows(np.asarray(motion @ v) * session.unit.length)
+    outputs = [Output(f"rotor, node {asked.rotor}", "m", rows, 3)]
+    for name, ids in asked.springs.items():
         outputs += _forces(opened, model.system.parameters, name, ids, v * session.unit.force)
     progress(0.6, "damping")
     damping, words = _damping(session, v)
+    draws = posterior.sample(asked.draws, rng)
+    forces = np.asarray(v.T @ loads) / session.unit.force  # the unbalance is in N
     result = run_up(
-        model,
-        posterior.sample(draws, rng),
-        best=posterior.x,
-        freqs=freqs,
-        loads=np.asarray(v.T @ loads) / session.unit.force,  # the unbalance is in N
-        unbalance=unbalance,
-        outputs=outputs,
-        damping=damping,
-        rng=rng,
-        discrepancy=error,
-        level=level,
-        validated=_validated(session, final),
+        KnownModel(model, posterior.x, draws, damping, discrepancy=error),
+        unbalance_load(freqs, forces, unbalance),
+        outputs,
+        rng,
+        level=asked.level,
         progress=part(progress, 0.65, 1.0),
     )
+    result = replace(result, validated=_validated(session, final))
     flags = plausibility(posterior.parameters, posterior.x, posterior.ratio)
-    told = tuple(f.text for f in flags)
     return PredictStage(
-        rotor=rotor,
-        axis=axis,
+        rotor=asked.rotor,
+        axis=asked.axis,
         unbalance=unbalance,
         run_up=result,
         posterior=posterior,
         discrepancy=error,
         damping=words,
         residual=residual,
-        flags=told,
+        flags=tuple(f.text for f in flags),
     )
 
 
@@ -182,15 +133,14 @@ def _damping(session: Session, v: Float) -> tuple[Damping | RegionDamping, str]:
     """Of the regions, where the study has found them; else the ratios of the test over frequency.
     And in words.
     """
-    found: DampingStage | None = (
-        session.get("damping") if "damping" in (*session.results, *session.store.stages()) else None
-    )
+    found: DampingStage | None = None
+    if "damping" in (*session.results, *session.store.stages()):
+        found = session.get("damping")
     if found is not None and found.regions is not None:
         own = scatter(found.modes) if found.modes is not None else 0.0
+        words = "loss factors and dashpots by region"
         each = f"{100 * own:.0f}"
-        words = "loss factors and dashpots by region" + (
-            f", ± {each} % from mode to mode" if each != "0" else ""
-        )
+        words += f", ± {each} % from mode to mode" if each != "0" else ""
         return replace(_by_region(session, found.regions, v), scatter=own), words
     final: FinalStage = session.get("final")
     f, at = np.unique(final.observed.frequencies, return_index=True)
@@ -200,19 +150,20 @@ def _damping(session: Session, v: Float) -> tuple[Damping | RegionDamping, str]:
 
 
 def scatter(modes: DampedModes) -> float:
-    """Standard deviation of ln ζ that the tested modes have beside the damping of the regions and
+    """Standard deviation of ln ζ that the tested modes have besides the damping of the regions and
     its errors.
     """
     damped = (modes.measured > 0) & (modes.after > 0)
     if not damped.any():
         return 0.0
-    measured, found = modes.measured[damped], modes.after[damped]
+    measured = modes.measured[damped]
+    found = modes.after[damped]
     known = np.hypot(modes.measured_std[damped] / measured, modes.after_std[damped] / found)
     return discrepancy(np.log(measured / found), known)
 
 
 def _by_region(session: Session, found: DampedRegions, v: Float) -> RegionDamping:
-    opened = session.delivered or deliver(session)[0]
+    opened = delivered(session.own).opened
     mine = {r.name: r for r in regions(session, opened)}
     if lost := [n for n in found.names if n not in mine]:
         raise ConfigError(
@@ -231,17 +182,16 @@ def _validated(session: Session, final: FinalStage) -> tuple[float, float]:
     accepted.
     """
     found: CorrelateStage = session.get("correlate")
-    sure = found.reference.confidence >= session.config.identify.confidence
-    held = np.zeros(len(found.reference), dtype=bool)
-    held[
-        final.table.pairing.a[
-            np.abs(final.table.deviation_percent) <= session.config.correlate.accept_percent
-        ]
-    ] = True
-    low, high = validated_band(found.reference.frequencies[sure], held[sure])
-    if len(found.rigid) and high > 0:
-        low = min(low, float(found.rigid.frequencies.min()))
-    margin = session.config.correlate.accept_percent / 100
+    test = found.reference.elastic
+    rigid = found.reference.rigid
+    accepted = session.config.correlate.accept_percent
+    confident = test.confidence >= session.config.identify.confidence
+    held = np.zeros(len(test), dtype=bool)
+    held[final.table.pairing.a[np.abs(final.table.deviation_percent) <= accepted]] = True
+    low, high = validated_band(test.frequencies[confident], held[confident])
+    if len(rigid) and high > 0:
+        low = min(low, float(rigid.frequencies.min()))
+    margin = accepted / 100
     return low * (1 - margin), high * (1 + margin)
 
 
@@ -252,46 +202,34 @@ def _posterior(session: Session, progress: Progress) -> tuple[Posterior, float]:
     done: UpdateStage = session.get("update")
     final: FinalStage = session.get("final")
     best = done.sets[done.chosen]
-    model, aim = session.delivered_models(progress)[0], target(session)
-    every = model.parameters.names
-    at = [every.index(n) for n in best.parameters]
+    aim = target(session.own)
     out = final.table.deviation_percent[~final.table.used] / 100
     shown = out if out.size else final.table.deviation_percent / 100
     error = discrepancy(shown, np.zeros(shown.size)) if shown.size else aim.weights.frequency
-    active = model.with_parameters(at, np.zeros(len(every)))
+    active = over(session.delivered_models(progress)[0], best.parameters)
+    own = Configuration(active, aim, terms_of(session.own, active))
+    factor = dict(zip(best.parameters, best.factor.tolist(), strict=True))
+    every = (own, *other_configurations(session, factor, progress))
     wide = max(error, aim.weights.frequency)
-    first = Configuration(active, aim, terms_of(session, OWN, active, session.config.update))
-    every_one = tuple(
-        c.weighed(wide, aim.weights.mac)
-        for c in (first, *other_configurations(session, best, progress))
-    )
-    parts = [_laplace(every_one, best.factor)]
+    parts = [_laplace(tuple(c.weighed(wide, aim.weights.mac) for c in every), best.factor)]
     if session.config.suspension:
-        springs = suspended(session, progress)
+        channels = session.own.reference.rigid.channels
+        springs = suspended(session.own, channels, progress)
         tuned = session.get("tune").factors
         factors = np.array([tuned[n] for n in springs.parameters.names])
-        parts.append(_laplace((Configuration(springs, rigid_target(session)),), factors))
-    return _together(parts), error
+        parts.append(_laplace((Configuration(springs, rigid_target(session.own)),), factors))
+    # independent posteriors
+    names = ParameterSet(tuple(p for one in parts for p in one.parameters.parameters))
+    y = np.concatenate([one.y for one in parts])
+    covariance = linalg.block_diag(*(one.covariance for one in parts))
+    prior = np.concatenate([one.prior_std for one in parts])
+    return Posterior(names, y, covariance, np.eye(y.size), prior), error
 
 
 def _laplace(configurations: tuple[Configuration, ...], factors: Float) -> Posterior:
     problem = Problem(configurations)
     at = problem.evaluate(problem.parameters.vector(factors))
     return laplace(problem, at, np.ones(int(at.kind.max(initial=-1)) + 1), independent=1.0)
-
-
-def _together(parts: Sequence[Posterior]) -> Posterior:
-    """Independent posteriors side by side."""
-    names = ParameterSet(tuple(p for part in parts for p in part.parameters.parameters))
-    y = np.concatenate([p.y for p in parts])
-    covariance = np.zeros((y.size, y.size))
-    first = 0
-    for p in parts:
-        covariance[first : first + p.y.size, first : first + p.y.size] = p.covariance
-        first += p.y.size
-    return Posterior(
-        names, y, covariance, np.eye(y.size), np.concatenate([p.prior_std for p in parts])
-    )
 
 
 def _model(
@@ -305,33 +243,23 @@ def _model(
     """
     model = session.delivered_models(part(progress, 0.0, 0.3))[0].model
     every = model.system.parameters
-    known = dict(zip(session.parameters.names, chosen_factors(session).tolist(), strict=True))
-    known |= session.get("tune").factors if session.config.suspension else {}
+    known = session.factors()
     factors = np.array([known[n] for n in every.names])
-    start = model.with_parameters(range(len(every)), np.zeros(len(every))).vectors(
-        every.vector(factors)
-    )[1]
+    none = np.zeros(len(every))
+    whole = model.with_parameters(range(len(every)), none)
+    _, start = whole.vectors(every.vector(factors))
     final: FinalStage = session.get("final")
+    # 40: speeds at which the residual is watched
     found = response_basis(
-        *model.system.at(factors),
+        Pencil(*model.system.at(factors)),
         loads,
-        np.linspace(freqs[0], freqs[-1], min(freqs.size, WATCHED)),
+        np.linspace(freqs[0], freqs[-1], min(freqs.size, 40)),
         start,
-        loss=2 * float(np.median(final.damping)),
+        ResponseSearch(loss=2 * float(np.median(final.damping))),
         progress=part(progress, 0.3, 1.0),
     )
     at = [every.names.index(n) for n in parameters.names]
-    return model.on(found.vectors).with_parameters(at, np.zeros(len(every))), float(
-        found.residual.max()
-    )
-
-
-def _translations(system: System, node: int) -> sparse.csr_array:
-    """Rows (3, f) that pick the translations of a node from the free DOFs."""
-    at = system.dofs.find(np.full(3, node), np.arange(1, 4))
-    if (at < 0).any():
-        raise ConfigError(f"rotor node {node}: there is no such node in the deck")
-    return sparse.csr_array(system.transform[at])
+    return model.on(found.vectors).with_parameters(at, none), float(found.residual.max())
 
 
 def _forces(
@@ -341,7 +269,8 @@ def _forces(
 
     `parameters` are those of the reduced system, all of them in its order: `Rows` counts them so.
     """
-    model, system = opened.model, opened.analysis.system
+    model = opened.model
+    system = opened.analysis.system
     at = _bushes(model, name, ids)
     t = system.transform
     rows = _spring_rows(model, at, system.dofs)

@@ -1,39 +1,336 @@
-"""The parameter sets worth comparing; each updated, and one chosen."""
+"""The parameter sets worth comparing; each updated, and one chosen.
+
+One parameter set updated over all configurations, on reduced models or by runs of a solver.
+"""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
+from scipy import sparse
 
-from ringtrue.core.arrays import Float, Int
-from ringtrue.core.progress import Progress, part
+from ringtrue.core.arrays import Bool, Float, Int
+from ringtrue.core.iterate import Progress, part
+from ringtrue.core.testmodel import Observation
 from ringtrue.errors import NumericalError
-from ringtrue.model.edit import field_value
-from ringtrue.model.ports import Linearisation
-from ringtrue.shapes.mac import unit
+from ringtrue.model.edit import carried, field_value
+from ringtrue.model.ports import Linearisation, ModesRequest
+from ringtrue.shapes import unit
+from ringtrue.solvers.observed import FullModel
 from ringtrue.study.config_update import UpdateSection
-from ringtrue.study.objective import further_starts, problem_of, target, targets
-from ringtrue.study.opened import AtChannels
+from ringtrue.study.objective import (
+    Minimisation,
+    course_of_runs,
+    data_count,
+    data_of,
+    further_starts,
+    problem_of,
+    target,
+    targets,
+    terms_of,
+)
+from ringtrue.study.opened import CLOSE, ROUNDS, AtChannels, frequency_error, not_verified, verified
 from ringtrue.study.results import (
-    CorrelateStage,
+    DataResult,
     FinishedSet,
     LocaliseStage,
     SensitivityStage,
+    SetFit,
     SetResult,
+    UpdateHistory,
     UpdateStage,
 )
-from ringtrue.study.session import Session
+from ringtrue.study.session import Session, StudyConfiguration
 from ringtrue.study.stages.localise import element_regions
-from ringtrue.study.stages.update_set import compare_data, update_by_runs, update_reduced
 from ringtrue.study.store import FinishedSets
+from ringtrue.updating import strategy
 from ringtrue.updating.identifiability import stood_for, unmoved
+from ringtrue.updating.problem import Configuration, Evaluated, Problem, aicc, single
 from ringtrue.updating.selection import selection_rules
 from ringtrue.updating.selection.candidates import elements_of
 from ringtrue.updating.selection.screening import of_parameter
-from ringtrue.updating.target import match
+from ringtrue.updating.solver import Solution
+from ringtrue.updating.strategy import Settled, displaced, whole_cost
+from ringtrue.updating.target import Target, match
+
+USUAL_RUNS = 60  # of an updating, for the progress that is shown
+
+
+def update_reduced(
+    session: Session,
+    name: str,
+    members: Sequence[str],
+    progress: Progress,
+    u: UpdateSection | None = None,
+    factors: Mapping[str, float] | None = None,
+) -> FinishedSet:
+    """Update on the reduced models of all configurations until the full ones agree at the end
+    point.
+
+    Parameters
+    ----------
+    name : str
+        Of the set.
+    members : sequence of str
+    u : UpdateSection, optional
+        In place of the [update] of the study.
+    factors : mapping of str to float, optional
+        Of the members, where it starts; [update] says where if not given.
+
+    Raises
+    ------
+    NotConverged
+        If a reduced model does not follow its full one.
+    """
+    u = u or session.config.update
+    models = list(session.models(progress))
+    y: Float | None = None
+    if factors is not None:
+        y = session.chosen(members).vector(np.array([factors[m] for m in members]))
+    how = Minimisation(u, session.config.study.seed)
+    path: list[Evaluated] = []
+    error = np.inf
+    for _ in range(ROUNDS):
+        problem = problem_of(session, [over(m, members) for m in models], u)
+        end = how.run(problem, progress, start=y)
+        path += end.path[1:] if path else end.path
+        y = end.solution.y
+        models, error = _verified(models, members, end.solution)
+        if error < CLOSE:
+            break
+    if error >= CLOSE:
+        raise not_verified(error)
+    problem = problem_of(session, [over(m, members) for m in models], u)
+    end = how.run(problem, progress, start=y)
+    whole = replace(end, path=(*path, *end.path[1:]))
+    result = summary(problem, targets(session, u), name, whole)
+    return FinishedSet(result, displaced(problem, end.solution.end), 0)
+
+
+def compare_data(session: Session, best: SetResult, progress: Progress) -> tuple[DataResult, ...]:
+    """What was measured besides the modes, by the model before and after the updating."""
+    x = session.chosen(best.parameters).vector(best.factor)
+    at = dict(zip(best.parameters, x.tolist(), strict=True))
+    out = []
+    models = session.updated(best, progress)
+    for c, whole in zip(session.configurations, models, strict=True):
+        model = over(whole, best.parameters)
+        y = np.array([at[n] for n in model.parameters.names])
+        for m, d in zip(c.measured, data_of(c, model), strict=True):
+            one = Configuration(model, target(c), (d.term,))
+            before, after = (d.shown(d.term(one.at(v, slopes=False))) for v in (0 * y, y))
+            out.append(
+                DataResult(
+                    name=d.name,
+                    kind=d.kind,
+                    configuration=c.name,
+                    labels=d.labels,
+                    units=d.units,
+                    measured=d.measured,
+                    before=before,
+                    after=after,
+                    error=d.scale,
+                    seats=c.seats_of(m),
+                )
+            )
+    return tuple(out)
+
+
+def other_configurations(
+    session: Session, factor: Mapping[str, float], progress: Progress
+) -> tuple[Configuration, ...]:
+    """The other configurations over the parameters of `factor`, springs as tuned; the pairs of the
+    delivered decks.
+    """
+    out = []
+    models = session.delivered_models(progress)[1:]
+    for c, model in zip(session.others, models, strict=True):
+        active, x = as_delivered(c, model, factor, progress)
+        aim = target(c).settled(active.linearise(x))
+        out.append(Configuration(active, aim, terms_of(c, active), c.name))
+    return tuple(out)
+
+
+def as_delivered(
+    c: StudyConfiguration, model: AtChannels, factor: Mapping[str, float], progress: Progress
+) -> tuple[AtChannels, Float]:
+    """The model over those of the parameters that it has, springs as tuned, and x at their factors.
+
+    Solved anew there if its frequencies are not those of the delivered deck.
+    """
+    every = model.model.system.parameters
+    mine = model.parameters.names
+    springs = every.take(range(len(mine), len(every)))
+    tuned = c.session.get("tune").factors if len(springs) else {}
+    held = springs.vector(np.array([tuned[n] for n in springs.names]))
+    base = np.concatenate([np.zeros(len(mine)), held])
+    active = model.with_parameters([mine.index(m) for m in factor if m in mine], base)
+    x = active.parameters.vector(np.array([factor[n] for n in active.parameters.names]))
+    if frequency_error(active.modes(x).frequencies, c.final.observed.frequencies) >= CLOSE:
+        progress(0.9, "modes at the updated point")
+        active, _ = active.enrich(x)
+    return active, x
+
+
+def over(model: AtChannels, members: Sequence[str]) -> AtChannels:
+    """The model over those of the parameters that it has, all others as in the deck."""
+    every = model.parameters.names
+    return model.with_parameters(
+        [every.index(m) for m in members if m in every], np.zeros(len(every))
+    )
+
+
+def _verified(
+    models: Sequence[AtChannels], members: Sequence[str], done: Solution
+) -> tuple[list[AtChannels], float]:
+    """The models with their full solutions at the end, and the largest frequency error that they
+    had there.
+    """
+    at = dict(zip(members, done.x.tolist(), strict=True))
+    better = []
+    errors = []
+    for m in models:
+        active = over(m, members)
+        fresh, error = verified(active, np.array([at[n] for n in active.parameters.names]))
+        count = len(m.parameters)
+        better.append(fresh.with_parameters(range(count), np.zeros(count)))
+        errors.append(error)
+    return better, max(errors)
+
+
+def _errors(aims: Sequence[Target], at: Evaluated) -> tuple[Float, Float, Bool]:
+    """Relative frequency errors and MAC (k,) of all pairs of all configurations, and which of them
+    are used.
+    """
+    error = []
+    mac = []
+    used = []
+    for aim, p in zip(aims, at.points, strict=True):
+        test, fe = p.every.T
+        error.append(p.now.frequencies[fe] / aim.frequencies[test] - 1)
+        mac.append(np.full(p.mac.size, np.nan) if aim.frequency_only else p.mac)
+        used.append(aim.used[test])
+    return np.concatenate(error), np.concatenate(mac), np.concatenate(used)
+
+
+def percent(of: Callable[[Float], np.floating[Any]], values: Float, which: Bool) -> float:
+    """100 times the mean, or whatever `of` takes, of the sizes of the values that count; NaN of
+    none.
+    """
+    return float(100 * of(np.abs(values[which]))) if which.any() else float("nan")
+
+
+def left_out_deviation(aims: Sequence[Target], ends: Sequence[Linearisation]) -> float:
+    """Mean |Δf|, %, of the modes left out, paired by the gates: the pairs of the updating drop
+    those far off.
+    """
+    errors = []
+    for aim, now in zip(aims, ends, strict=True):
+        test, fe = match(aim, now)[0].T
+        error = now.frequencies[fe] / aim.frequencies[test] - 1
+        errors.append(error[~aim.used[test]])
+    error = np.concatenate(errors)
+    return percent(np.mean, error, np.ones(error.size, dtype=bool))
+
+
+def summary(problem: Problem, aims: Sequence[Target], name: str, end: Settled) -> SetResult:
+    """The updated set as it is compared with others."""
+    done = end.solution
+    path = end.path
+    p = problem.parameters
+    errors = [_errors(aims, at) for at in path]
+    error, mac, used = errors[-1]
+    low, high = p.bounds()
+    size = np.maximum(np.linalg.norm(done.end.slope, axis=0), 1e-300)
+    scaled = done.end.slope / size
+    first = float(np.linalg.norm(problem.gradient(path[0]))) or 1.0
+    steps = [0.0, *(float(np.abs(b.x - a.x).max(initial=0.0)) for a, b in pairwise(path))]
+    cost = whole_cost(problem, done.end)
+    fit = SetFit(
+        mean_deviation=percent(np.mean, error, used),
+        max_deviation=percent(np.max, error, used),
+        mean_subspace_mac=percent(np.mean, mac, used),
+        mean_deviation_left_out=left_out_deviation(aims, [p.now for p in done.end.points]),
+        condition=float(np.linalg.cond(scaled.T @ scaled)) if size.size else 1.0,
+        criterion=aicc(cost, data_count(problem, done.end), done.x.size),
+    )
+    history = UpdateHistory(
+        objective=np.array([at.cost for at in path]),
+        step=np.array(steps),
+        deviation=np.array([percent(np.mean, e, u) for e, _, u in errors]),
+        subspace_mac=np.array([percent(np.mean, m, u) for _, m, u in errors]),
+        path=np.array([p.factors(at.x) for at in path]),
+        gradient=float(np.linalg.norm(problem.gradient(done.end))) / first,
+    )
+    return SetResult(
+        name=name,
+        parameters=p.names,
+        factor=done.factors,
+        std=done.std * p.derivative(done.x) / done.factors,
+        bounds=np.stack([p.factors(low), p.factors(high)], axis=1),
+        identifiability=done.identifiability,
+        fit=fit,
+        outcome=done.outcome,
+        history=history,
+        discrepancy=strategy.kept(end.problem),
+    )
+
+
+def update_by_runs(
+    session: Session,
+    name: str,
+    members: Sequence[str],
+    progress: Progress,
+    u: UpdateSection | None = None,
+) -> FinishedSet:
+    """Update on the full decks of all configurations. A run that fails at a trial point is a
+    rejected step.
+
+    Raises
+    ------
+    SolverError
+        If the solver is missing, or fails at the start.
+    """
+    u = u or session.config.update
+    models = [_full(c, members) for c in session.configurations]
+    problem = problem_of(session, models, u)
+
+    def steps(_fraction: float, text: str) -> None:
+        runs = sum(m.ledger.runs for m in models)
+        done = runs / (runs + USUAL_RUNS)
+        progress(done, f"{name}: {text}, {runs} runs of {session.deck.solver}")
+
+    how = Minimisation(u, session.config.study.seed, course_of_runs(u), steps)
+    end = how.run(problem, progress)
+    result = summary(problem, targets(session, u), name, end)
+    return FinishedSet(result, 0, sum(m.ledger.runs for m in models))
+
+
+def _full(c: StudyConfiguration, members: Sequence[str]) -> FullModel:
+    """A deck over those of the parameters that it has, at the channels of its test, with all its
+    modes up to fmax.
+    """
+    engine = c.session.engine
+    assert engine is not None
+    opened = c.deck
+    look = c.observed(opened)
+    mine = carried(opened.model, c.session.chosen(members))
+    channels = c.reference.elastic.channels
+    rows = np.array([look.channels.index(n) for n in channels], dtype=np.int64)
+    with engine.open(opened.model) as analysis:
+        at, sign = look.dofs.align(analysis.dofs)
+        matrix = sparse.csr_array(look.matrix[rows][:, at] * sign)
+        seen = Observation(matrix, channels, analysis.dofs, look.unit, look.distance[rows])
+    count = len(opened.modes(c.session.fmax).modes)
+    return FullModel(opened.model, mine, seen, ModesRequest(max(count, 1)), engine)
+
+
+_log = logging.getLogger(__name__)
 
 RULES = selection_rules.RULES | {
     "proposal": "the ranked proposal of the localisation: from all candidates at once the least "
@@ -42,101 +339,73 @@ RULES = selection_rules.RULES | {
 }
 
 ALL_CONFIGURATIONS = "; of the tests of all configurations"
+WHY = (
+    "{name}: the lowest AICc ({value:.1f}); it weighs the fit of the used modes, those that lost "
+    "their partner among "
+    "them, against the number of parameters and does not look at the modes left out"
+)
+OTHER = "; sets that weigh the data otherwise are shown and not chosen from: their J is another"
+ALL_TESTS = "; all figures are over the tests of all configurations"
 
 
 def _sets(session: Session, model: AtChannels, progress: Progress) -> tuple[dict[str, Int], Float]:
     """Parameter sets by their rule, and the weighted sensitivities (r, p) that the simple ones come
     from.
     """
-    names, count = model.parameters.names, min(session.config.update.choose, len(model.parameters))
-    several = None
+    names = model.parameters.names
+    count = min(session.config.update.choose, len(names))
     if session.config.joint:
-        several = problem_of(
-            session, (model, *session.others(progress)), targets(session), session.config.update
-        )
-    if several is None:
-        weighted = selection_rules.weighted_sensitivities(model, target(session))
+        problem = problem_of(session, session.models(progress))
     else:
-        weighted = several.evaluate(np.zeros(len(names))).slope * several.parameters.std()
+        problem = single(model, target(session.own))
+    weighted = selection_rules.weighted_sensitivities(problem)
     out: dict[str, Int] = {}
     if session.config.propose:
-        out["proposal"] = np.array([names.index(n) for n in proposed(session)], dtype=np.int64)
-    if not len(
-        session.config.candidates()
-    ):  # those made from the deck may scale the same field: the proposal knows
+        out["proposal"] = np.array([names.index(n) for n in _proposed(session)], dtype=np.int64)
+    if not len(session.config.candidates()):
+        # those made from the deck may scale the same field: the proposal alone respects that
         return out, weighted
-    orthogonal, largest = (
-        selection_rules.orthogonal(weighted, count),
-        selection_rules.largest(weighted, count),
-    )
+    orthogonal = selection_rules.orthogonal(weighted, count)
+    largest = selection_rules.largest(weighted, count)
     progress(0.0, "choosing parameters")
-    if several is None:
-        out["best subset"] = selection_rules.best_subset(
-            model, target(session), count, progress
-        ).members
-    else:
-        out["best subset"] = selection_rules.joint_subset(
-            several, count, (orthogonal, largest), progress
-        ).members
+    out["best subset"] = selection_rules.best_subset(problem, count, progress).members
     out |= {"orthogonal sensitivities": orthogonal, "largest sensitivities": largest}
-    named = {
-        s.name: np.array([names.index(n) for n in s.candidates or names])
-        for s in session.config.set
-    }
-    return out | named, weighted
-
-
-def _not_told_apart(
-    session: Session, weighted: Float, names: Sequence[str], members: Int
-) -> dict[str, tuple[str, ...]]:
-    """Members of a set that are held at the deck's values, with those that stand for them.
-
-    Those of the proposal stand for others, then those of the largest effect.
-    """
-    found: LocaliseStage | None = session.get("localise")
-    first = [m.name for m in found.proposal.members] if found is not None else []
-    return stood_for(weighted[:, members], [names[i] for i in members.tolist()], first)
+    for s in session.config.set:
+        out[s.name] = np.array([names.index(n) for n in s.candidates or names])
+    return out, weighted
 
 
 def _rules(session: Session, sets: Mapping[str, Int]) -> dict[str, str]:
     """How each set was chosen, in words."""
-    several = session.config.configuration
-    out = {
-        s.name: "named in the study" + (f"; {s.words()}" if s.own() else "")
-        for s in session.config.set
-    }
-    made = {
-        rule: RULES[rule] + (ALL_CONFIGURATIONS if several else "")
-        for rule in sets
-        if rule not in out
-    }
-    return made | out
+    named = {s.name: s for s in session.config.set}
+    out = {}
+    for rule in sets:
+        if rule in named:
+            own = named[rule].words()
+            out[rule] = "named in the study" + (f"; {own}" if own else "")
+        else:
+            out[rule] = RULES[rule] + (ALL_CONFIGURATIONS if session.others else "")
+    return out
 
 
 def mac_slope(psi: Float, point: Linearisation, fe: int) -> Float:
     """∂MAC/∂x of a test shape psi (channel,) with FE mode `fe`, (p,)."""
-    phi, d = point.shapes[:, fe], point.d_shapes[:, fe]
+    phi = point.shapes[:, fe]
+    d = point.d_shapes[:, fe]
     a = unit(psi[:, None])[:, 0]
     size = phi @ phi
     cross = float(a @ phi)
     return np.asarray(2 * cross * (a @ d) / size - 2 * cross**2 * (phi @ d) / size**2)
 
 
-def proposed(session: Session) -> tuple[str, ...]:
-    """Names of the proposed parameters; none where no change pays, and the deck stays as it is."""
-    found: LocaliseStage = session.get("localise")
-    return tuple(m.name for m in found.proposal.members)
-
-
-def _known(session: Session) -> tuple[str, ...]:
-    """All candidates; also those made from the deck that the data do not ask for, which stay at
-    nominal.
+def _proposed(session: Session) -> dict[str, float]:
+    """The proposed parameters with their factors; none where no change pays, and the deck stays as
+    it is.
     """
-    names = session.parameters.names
-    if len(session.config.candidates()) or not session.config.propose:
-        return names
-    found: LocaliseStage = session.get("localise")
-    return (*names, *found.pool.screened, *found.pool.dropped, *found.pool.held)
+    found: LocaliseStage | None = session.get("localise")
+    if found is None:
+        return {}
+    return {m.name: m.factor for m in found.proposal.members}
 
 
 def choose_sets(session: Session, progress: Progress) -> SensitivityStage:
@@ -148,92 +417,88 @@ def choose_sets(session: Session, progress: Progress) -> SensitivityStage:
         If [update] stages or a [[constraint]] names what is no candidate that was made from the
         deck.
     """
-    session.config.check_names(_known(session))
-    aim = target(session)
-    model = session.candidates(part(progress, 0.0, 0.6))
-    names = model.parameters.names
+    names = session.parameters.names
+    known = names
+    if not len(session.config.candidates()) and session.config.propose:
+        # made from the deck, too, but the data do not ask for them: they stay at nominal
+        pool = session.get("localise").pool
+        known = (*names, *pool.screened, *pool.dropped, *pool.held)
+    session.config.check_names(known)
+    aim = target(session.own)
+    model = session.own.model(part(progress, 0.0, 0.6))
     point = model.linearise(np.zeros(len(names)))
     pairs, _, _ = match(aim, point)
     fe = pairs[:, 1]
     lam = (2 * np.pi * point.frequencies[fe]) ** 2
-    d_mac = np.array(
-        [mac_slope(aim.shapes[:, t], point, f) for t, f in pairs.tolist() if not aim.lent]
-    )
+    seen = [] if aim.frequency_only else pairs.tolist()
+    d_mac = np.array([mac_slope(aim.shapes[:, t], point, f) for t, f in seen])
     members, weighted = _sets(session, model, part(progress, 0.6, 1.0))
-    held = {rule: _not_told_apart(session, weighted, names, at) for rule, at in members.items()}
-    members = {
-        rule: at[[names[i] not in held[rule] for i in at.tolist()]] for rule, at in members.items()
-    }
+    first = list(_proposed(session))
+    held = {}
+    sets = {}
+    for rule, at in members.items():
+        mine = [names[i] for i in at.tolist()]
+        held[rule] = stood_for(weighted[:, at], mine, first)
+        sets[rule] = tuple(n for n in mine if n not in held[rule])
     return SensitivityStage(
         names=names,
         d_frequency=0.5 * point.d_lambda[fe] / lam[:, None],
         d_mac=d_mac.reshape(-1, len(names)),
         fe_modes=fe,
-        sets={rule: tuple(names[i] for i in at.tolist()) for rule, at in members.items()},
+        sets=sets,
         rules=_rules(session, members),
-        clusters=selection_rules.alike(weighted, names),
+        clusters=selection_rules.collinear_pairs(weighted, names),
         held={rule: found for rule, found in held.items() if found},
     )
-
-
-_log = logging.getLogger(__name__)
-
-WHY = (
-    "{name}: the lowest AICc ({value:.1f}); it weighs the fit of the used modes, those that lost "
-    "their partner among "
-    "them, against the number of parameters and does not look at the modes left out"
-)
-OTHER = "; sets that weigh the data otherwise are shown and not chosen from: their J is another"
-ALL_TESTS = "; all figures are over the tests of all configurations"
 
 
 def update_sets(session: Session, progress: Progress) -> UpdateStage:
     """Update every set, verify each by a full solution, choose by the information criterion."""
     sets: SensitivityStage = session.get("sensitivity")
-    found: CorrelateStage = session.get("correlate")
     named = {s.name: s for s in session.config.set}
-    kept, results, runs = FinishedSets.of(session.out, session.keys["update"]), list[SetResult](), 0
-    lost = dict[str, int]()  # used modes without partner that the model has
+    kept = FinishedSets.of(session.out, session.keys["update"])
+    results: list[SetResult] = []
+    runs = 0
+    lost: dict[str, int] = {}  # used modes without partner that the model has
     for i, (name, members) in enumerate(sets.sets.items()):
-        told = part(progress, i / len(sets.sets), (i + 1) / len(sets.sets))
-        told(0.0, f"updating: {name}")
-        own = named[name].own() if name in named else {}
-        same = next(
-            (r for r in results if set(r.parameters) == set(members) and not r.settings), None
-        )
-        if same is not None and not own:  # two rules, one choice
-            results.append(replace(same, name=name))
-            continue
+        of_set = part(progress, i / len(sets.sets), (i + 1) / len(sets.sets))
+        of_set(0.0, f"updating: {name}")
+        settings = named[name] if name in named and named[name].own() else None
+        if settings is None:
+            same = [r for r in results if set(r.parameters) == set(members) and not r.settings]
+            if same:  # two rules, one choice
+                results.append(replace(same[0], name=name))
+                continue
         done = kept.get(name)
         if done is None:
-            asked = named[name].settings(session.config.update) if own else None
-            done = kept.put(name, _updated_set(session, name, members, told, asked))
-        results.append(replace(done.result, settings=named[name].words() if own else ""))
+            u = None if settings is None else settings.settings(session.config.update)
+            if session.engine is None:
+                done = update_reduced(session, name, members, of_set, u)
+            else:
+                done = update_by_runs(session, name, members, of_set, u)
+            done = kept.put(name, done)
+        words = "" if settings is None else settings.words()
+        results.append(replace(done.result, settings=words))
         runs += done.runs
         lost[name] = done.lost
-    alike = [
+    comparable = [
         r.name not in named or named[r.name].comparable(session.config.update) for r in results
     ]
-    chosen = _lowest_criterion(results, alike)
+    chosen = _lowest_criterion(results, comparable)
     if results[chosen].parameters and lost.get(results[chosen].name):
         results = _with_further_starts(session, results, chosen, progress)
-        chosen = _lowest_criterion(results, alike)
+        chosen = _lowest_criterion(results, comparable)
     kept.clear()
     results[chosen] = best = _without_unmoved(session, results[chosen])
-    parameters = session.parameters.take([sets.names.index(n) for n in best.parameters])
-    before = dict(
-        zip(best.parameters, _field_values(session, best, np.ones(len(parameters))), strict=True)
-    )
-    after = dict(zip(best.parameters, _field_values(session, best, best.factor), strict=True))
+    why = WHY.format(name=best.name, value=best.fit.criterion)
+    why += ALL_TESTS if session.others else ""
+    why += "" if all(comparable) else OTHER
     return UpdateStage(
         sets=tuple(results),
         chosen=chosen,
-        why=WHY.format(name=best.name, value=best.fit.criterion)
-        + (ALL_TESTS if session.config.configuration else "")
-        + ("" if all(alike) else OTHER),
-        left_out=found.left_out,
-        initial_values=before,
-        updated_values=after,
+        why=why,
+        initial_values=_field_values(session, best, np.ones(len(best.parameters))),
+        updated_values=_field_values(session, best, best.factor),
         regions={n: regions(session, n) for n in best.parameters},
         data=compare_data(session, best, progress) if session.config.residual else (),
         solver=session.deck.solver,
@@ -241,40 +506,23 @@ def update_sets(session: Session, progress: Progress) -> UpdateStage:
     )
 
 
-def _updated_set(
-    session: Session,
-    name: str,
-    members: Sequence[str],
-    progress: Progress,
-    asked: UpdateSection | None,
-) -> FinishedSet:
-    """A set updated on the reduced models, or by runs of another solver."""
-    if session.engine is not None:
-        result, runs = update_by_runs(session, name, members, progress, asked)
-        return FinishedSet(result, 0, runs)
-    result, lost = update_reduced(session, name, members, progress, asked)
-    return FinishedSet(result, lost, 0)
-
-
 def _without_unmoved(session: Session, best: SetResult) -> SetResult:
     """The set with a factor of 1 for what has not changed beyond its own error and moves no mode:
     it is not written.
     """
-    names, sets = session.parameters.names, session.get("sensitivity")
-    at = [names.index(n) for n in best.parameters]
-    x = session.parameters.take(at).vector(best.factor)
+    sets: SensitivityStage = session.get("sensitivity")
+    x = session.chosen(best.parameters).vector(best.factor)
     slopes = sets.d_frequency[:, [sets.names.index(n) for n in best.parameters]]
-    factor = np.where(unmoved(x, best.std, slopes), 1.0, best.factor)
-    return replace(best, factor=factor)
+    return replace(best, factor=np.where(unmoved(x, best.std, slopes), 1.0, best.factor))
 
 
-def _field_values(session: Session, best: SetResult, factor: Float) -> list[float]:
+def _field_values(session: Session, best: SetResult, factor: Float) -> dict[str, float]:
     """The first target's value of each parameter at the factors."""
-    candidates = {p.name: p for p in session.parameters.parameters}
-    out = []
-    for name, a in zip(best.parameters, factor.tolist(), strict=True):
-        target = candidates[name].targets[0]
-        out.append(float(field_value(session.remodelled.model, target)) * a + target.step * (a - 1))
+    out = {}
+    model = session.remodelled.model
+    for p, a in zip(session.chosen(best.parameters).parameters, factor.tolist(), strict=True):
+        field = p.targets[0]
+        out[p.name] = float(field_value(model, field)) * a + field.step * (a - 1)
     return out
 
 
@@ -283,22 +531,20 @@ def regions(session: Session, name: str) -> tuple[int, ...]:
     targets.
     """
     model = session.remodelled.model
-    parameter = session.parameters.take([session.parameters.names.index(name)]).parameters[0]
+    parameter = session.chosen([name]).parameters[0]
     mine = np.isin(elements_of(model), of_parameter(model, parameter).elements)
     labels = element_regions(model, session.deck.regions)
-    touched = {labels[i] for i in np.flatnonzero(mine).tolist()}
-    return tuple(
-        i for i, g in enumerate(session.get("model").scene.groups) if g in touched or g == name
-    )
+    touched = {name, *(labels[i] for i in np.flatnonzero(mine).tolist())}
+    groups = session.get("model").scene.groups
+    return tuple(i for i, g in enumerate(groups) if g in touched)
 
 
-def _lowest_criterion(results: Sequence[SetResult], alike: Sequence[bool]) -> int:
+def _lowest_criterion(results: Sequence[SetResult], comparable: Sequence[bool]) -> int:
     """The set of lowest AICc among those that weigh the data as the study does."""
-    return int(
-        np.argmin(
-            [r.fit.criterion if good else np.inf for r, good in zip(results, alike, strict=True)]
-        )
-    )
+    criteria = [
+        r.fit.criterion if good else np.inf for r, good in zip(results, comparable, strict=True)
+    ]
+    return int(np.argmin(criteria))
 
 
 def _with_further_starts(
@@ -309,38 +555,25 @@ def _with_further_starts(
     One is where the proposal was found: its search has left minima in which the way from the deck
     may end.
     """
-    best, more = results[chosen], further_starts(session.config.update)
-    found: LocaliseStage | None = session.get("localise")
-    at = {m.name: m.factor for m in found.proposal.members} if found is not None else {}
-    others = list[tuple[str, UpdateSection | None, dict[str, float] | None]]()
-    others += [("from the proposal", None, at)] if set(at) == set(best.parameters) else []
-    others += [("further starts", more, None)] if more is not None else []
-    for what, u, factors in others:
+    best = results[chosen]
+    more = further_starts(session.config.update)
+    at = _proposed(session)
+    starts: list[tuple[str, UpdateSection | None, dict[str, float] | None]] = []
+    if set(at) == set(best.parameters):
+        starts.append(("from the proposal", None, at))
+    if more is not None:
+        starts.append(("further starts", more, None))
+    for what, u, factors in starts:
         progress(0.9, f"{best.name}: modes without partner, {what}")
         name = f"{best.name}, {what}"
         try:
-            other, _ = update_reduced(
-                session, name, members=best.parameters, progress=progress, u=u, factors=factors
-            )
+            done = update_reduced(session, name, best.parameters, progress, u=u, factors=factors)
         except NumericalError as e:  # the end from the deck stands
             _log.info("%s: %s", name, e)
             continue
-        if other.fit.criterion < best.fit.criterion:
-            best = replace(other, name=best.name)
+        if done.result.fit.criterion < best.fit.criterion:
+            best = replace(done.result, name=best.name)
     return [
         replace(best, name=r.name) if r.parameters == best.parameters and not r.settings else r
         for r in results
     ]
-
-
-def chosen_factors(session: Session) -> Float:
-    """Factors of all candidates after the updating, (P,); 1 for those not chosen."""
-    names = session.parameters.names
-    out = np.ones(len(names))
-    if not names:
-        return out
-    done: UpdateStage = session.get("update")
-    best = done.sets[done.chosen]
-    for n, a in zip(best.parameters, best.factor.tolist(), strict=True):
-        out[names.index(n)] = a
-    return out

@@ -5,18 +5,17 @@ modes.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 from scipy import linalg
 from scipy.optimize import linear_sum_assignment
 
 from ringtrue.core.arrays import Complex, Float, Int, freeze_fields
-from ringtrue.eigen.response_derivatives import modal_frf_derivatives
 from ringtrue.errors import InputError
 from ringtrue.model.ports import Linearisation
 from ringtrue.updating.prediction import Damping
-from ringtrue.updating.residuals.modal import NO_MODE, Block, Point, rows_block
+from ringtrue.updating.residuals.modal import NO_MODE, Deviations, Point, ResidualBlock, rows_block
 
 FAR = 30.0
 # of the root mean square of the FRFs at a line: what lies below, by symmetry or noise, has no
@@ -28,12 +27,14 @@ RIGID = 1e-9  # of the largest eigenvalue: below this a mode does not bound a ze
 def _modal(at: Point, outputs: Int, inputs: Int) -> tuple[Float, Float, Float, Float, Float]:
     """λ (m,), φ and ∂φ/∂x at outputs and inputs."""
     now = at.whole
-    lam, phi, d = (2 * np.pi * now.frequencies) ** 2, now.shapes, now.d_shapes
+    lam = (2 * np.pi * now.frequencies) ** 2
+    phi = now.shapes
+    d = now.d_shapes
     return lam, phi[outputs], phi[inputs], d[outputs], d[inputs]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Frf:
+class Frf(Deviations):
     """Frequency response functions at chosen lines, by superposition of the model's modes.
 
     Attributes
@@ -64,7 +65,7 @@ class Frf:
     order: int = 2
     form: Literal["log", "complex"] = "log"
     std: float = 0.2
-    whole: ClassVar[bool] = True
+    whole = True
 
     def __post_init__(self) -> None:
         freeze_fields(
@@ -91,15 +92,19 @@ class Frf:
         )
         zeta = np.broadcast_to(np.asarray(given, dtype=np.float64), lam.shape)
         w = 2 * np.pi * self.freqs[:, None]
-        g = 1 / (lam - w**2 + 2j * zeta * np.sqrt(lam) * w)
+        root = np.sqrt(np.abs(lam))
+        g = 1 / (lam - w**2 + 2j * zeta * root * w)
         h = np.einsum("qm,om,im->qoi", g, out, into, optimize=True)
-        d_h = modal_frf_derivatives(
-            self.freqs, lam, zeta, out, into, at.whole.d_lambda, d_out, d_in
+        by_lambda = -(g**2) * (1 + 1j * zeta * w / np.where(root > 0, root, np.inf))
+        d_h = np.einsum("qm,omp,im->qoip", g, d_out, into, optimize=True)
+        d_h += np.einsum("qm,om,imp->qoip", g, out, d_in, optimize=True)
+        d_h += np.einsum(
+            "qm,mp,om,im->qoip", by_lambda, at.whole.d_lambda, out, into, optimize=True
         )
         by = (1j * w[:, :, None]) ** self.order
         return h * by, d_h * by[..., None]
 
-    def __call__(self, at: Point) -> Block:
+    def __call__(self, at: Point) -> ResidualBlock:
         """See `Term`."""
         h, d_h = self.response(at)
         d_h = d_h.reshape(h.size, -1)
@@ -114,11 +119,13 @@ class Frf:
         rest = (self.measured - h).ravel() / scale
         value = np.concatenate([rest.real, rest.imag])
         slope = np.concatenate([d_h.real, d_h.imag]) / scale
-        return Block(value, slope, np.tile(np.arange(h.size), 2), np.full(value.size, NO_MODE))
+        return ResidualBlock(
+            value, slope, np.tile(np.arange(h.size), 2), np.full(value.size, NO_MODE)
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class AntiResonances:
+class AntiResonances(Deviations):
     """1 − f/f_test of the zeros of one FRF, paired by frequency.
 
     The zeros are those of the superposed modes: give the model modes well above the highest. A zero
@@ -141,14 +148,16 @@ class AntiResonances:
     frequencies: Float
     std: float = 0.01
     gate: float = 0.3
-    whole: ClassVar[bool] = True
+    whole = True
 
-    def __call__(self, at: Point) -> Block:
+    def __call__(self, at: Point) -> ResidualBlock:
         """See `Term`."""
         top = float(np.max(self.frequencies)) * (1 + self.gate)
         mu, d_mu = zeros(at.whole, self.output, self.input, top)
-        f, f_test = np.sqrt(mu) / (2 * np.pi), np.asarray(self.frequencies, dtype=np.float64)
-        value, slope = np.full(f_test.size, self.gate), np.zeros((f_test.size, d_mu.shape[1]))
+        f = np.sqrt(mu) / (2 * np.pi)
+        f_test = np.asarray(self.frequencies, dtype=np.float64)
+        value = np.full(f_test.size, self.gate)
+        slope = np.zeros((f_test.size, d_mu.shape[1]))
         away = np.minimum(np.abs(f[None, :] / f_test[:, None] - 1), self.gate)
         i, j = linear_sum_assignment(away)
         i, j = i[away[i, j] < self.gate], j[away[i, j] < self.gate]
@@ -172,7 +181,8 @@ def zeros(now: Linearisation, output: int, into: int, top: float = np.inf) -> tu
         of the whole sum.
     """
     lam = (2 * np.pi * now.frequencies) ** 2
-    a, b = now.shapes[output], now.shapes[into]
+    a = now.shapes[output]
+    b = now.shapes[into]
     near = lam <= (2 * np.pi * FAR * top) ** 2
     scale = lam[near].max(initial=0.0)
     if not scale:

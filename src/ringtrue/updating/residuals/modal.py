@@ -1,16 +1,15 @@
-"""What a model can be compared with a test in: weighted residuals with their sensitivities, in any
-mix.
+"""Weighted residuals of paired modes with their sensitivities, and what all kinds share.
 
-Each kind is a frozen value that is called with a `Point` and gives a `Block`. Those here read the
-paired modes of the point; `residuals_frf` its modes, `residuals_static` its matrices and a
+Each kind is a frozen value that is called with a `Point` and gives a `ResidualBlock`. Kinds of
+other data have their own modules: `frf` reads all modes of the point, `static` its matrices and a
 rigid-body mass.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, Protocol
+from enum import Enum
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 
@@ -54,7 +53,7 @@ class Point:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Block:
+class ResidualBlock:
     """Weighted residuals of one kind.
 
     Attributes
@@ -78,14 +77,70 @@ class Block:
         freeze_fields(self, value=np.float64, slope=np.float64, datum=np.int64, mode=np.int64)
 
 
-class Term(Protocol):
-    """A kind of residual; one with `whole = True` reads all modes and channels of the model, not
-    the test's alone.
+class Quantity(Enum):
+    """What a kind of residuals compares."""
+
+    FREQUENCY = 0
+    SHAPE = 1
+    OTHER = 2
+
+
+class Term:
+    """A kind of residuals: what it reads at a point, how it is weighed and what it compares.
+
+    Attributes
+    ----------
+    quantity : Quantity
+    whole : bool
+        True: it reads all modes and channels of the model, not the test's alone.
     """
 
-    def __call__(self, at: Point) -> Block:
+    __slots__ = ()
+    quantity: ClassVar[Quantity] = Quantity.OTHER
+    whole: ClassVar[bool] = False
+
+    def __call__(self, at: Point) -> ResidualBlock:
         """Residuals at a point."""
-        ...
+        raise NotImplementedError
+
+    @property
+    def expected(self) -> float:
+        """Deviation that the best model is expected to keep: of a frequency (relative) or of
+        1 − MAC; NaN where the kind has none.
+        """
+        return float("nan")
+
+    @property
+    def weight(self) -> float:
+        """Number of data that a row counts."""
+        return 1.0
+
+    def unit(self, std: Float) -> float | None:
+        """The residual of a unit deviation, of a frequency (relative) or of √(1 − MAC); None
+        where it is not a multiple of these. `std` (m,) are the test's own, of the frequencies.
+        """
+        return None
+
+    def reweighed(self, frequency: float, mac: float, independent: float) -> Term:
+        """The kind with other model discrepancies of a frequency (relative) and of 1 − MAC.
+
+        `independent` is the number of independent errors in a shape.
+        """
+        return self
+
+    def widened(self, by: float) -> Term:
+        """The kind with standard deviations `by` times as large."""
+        raise NotImplementedError
+
+
+class Deviations(Term):
+    """Kinds of residuals with one field of standard deviations, `std`."""
+
+    __slots__ = ()
+
+    def widened(self, by: float) -> Self:
+        """With standard deviations `by` times as large."""
+        return replace(self, std=by * self.std)  # type: ignore[attr-defined,type-var]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,7 +161,9 @@ class Whole:
 
     def part(self, all_: Linearisation) -> Linearisation:
         """The modes and channels of the test."""
-        m, shapes, d_shapes = self.modes, all_.shapes[self.rows], all_.d_shapes[self.rows]
+        m = self.modes
+        shapes = all_.shapes[self.rows]
+        d_shapes = all_.d_shapes[self.rows]
         return replace(
             all_,
             frequencies=all_.frequencies[:m],
@@ -131,97 +188,119 @@ def point(
     used = np.flatnonzero(target.used[pairs[:, 0]])
     stand = tuple(of[i] for i in used.tolist())
     return Point(
-        model, now, target, pairs[used], stand, pairs, mac, now if whole is None else whole
+        model=model,
+        now=now,
+        target=target,
+        pairs=pairs[used],
+        spans=stand,
+        every=pairs,
+        mac=mac,
+        whole=now if whole is None else whole,
     )
 
 
 def default_terms(target: Target) -> tuple[Term, ...]:
-    """Eigenvalues and shapes with the weights of the target: the objective of
-    `updating.gauss_newton`.
-    """
+    """Eigenvalues and shapes with the weights of the target."""
     w = target.weights
-    shapes: tuple[Term, ...] = (Shapes(w.mac, w.shape),) if w.shape > 0 else ()
-    return (Eigenvalues(w.frequency), *shapes)
+    frequencies = Eigenvalues(w.frequency)
+    if not w.shape:
+        return (frequencies,)
+    return frequencies, Shapes(w.mac, w.shape * w.independent)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Weighted:
+class Weighted(Term):
     """A kind of residuals times a factor on its squares."""
 
     term: Term
     factor: float
 
     @property
-    def whole(self) -> bool:
+    def whole(self) -> bool:  # type: ignore[override]
         """Whether it reads all modes and channels of the model."""
-        return bool(getattr(self.term, "whole", False))
+        return self.term.whole
 
-    def __call__(self, at: Point) -> Block:
+    @property
+    def weight(self) -> float:
+        """The factor."""
+        return self.factor
+
+    def __call__(self, at: Point) -> ResidualBlock:
         """See `Term`."""
-        block, root = self.term(at), np.sqrt(self.factor)
+        block = self.term(at)
+        root = np.sqrt(self.factor)
         return replace(block, value=root * block.value, slope=root * block.slope)
 
+    def widened(self, by: float) -> Weighted:
+        """See `Term`."""
+        return replace(self, factor=self.factor / by**2)
 
-def rows_block(value: Float, slope: Float, modes: Int) -> Block:
+
+def rows_block(value: Float, slope: Float, modes: Int) -> ResidualBlock:
     """A block of which each row is a datum: values (r,), slopes (r, p), test modes (r,)."""
-    return Block(value, slope, np.arange(value.size), modes)
+    return ResidualBlock(value, slope, np.arange(value.size), modes)
 
 
-def _shapes(parts: Sequence[tuple[Float, Float]], at: Point) -> Block:
-    """A datum a pair, with many rows."""
-    p = at.now.d_lambda.shape[1]
-    n = np.array([r.size for r, _ in parts], dtype=np.int64)
-    value = np.concatenate([r for r, _ in parts] or [np.zeros(0)])
-    slope = np.concatenate([g for _, g in parts] or [np.zeros((0, p))])
-    return Block(value, slope, np.repeat(np.arange(n.size), n), np.repeat(at.pairs[:, 0], n))
+class _FrequencyDeviations(Deviations):
+    """`std` (relative) is the model discrepancy of a frequency; the test's own is added."""
+
+    __slots__ = ()
+    quantity = Quantity.FREQUENCY
+    std: float
+
+    @property
+    def expected(self) -> float:
+        """See `Term`."""
+        return self.std
+
+    def unit(self, std: Float) -> float | None:
+        """See `Term`."""
+        return float((self.std**2 + np.mean(std**2)) ** -0.5)
+
+    def reweighed(self, frequency: float, mac: float, independent: float) -> Self:
+        """See `Term`."""
+        return replace(self, std=frequency)  # type: ignore[type-var]
 
 
 @dataclass(frozen=True, slots=True)
-class Eigenvalues:
-    """1 − λ/λ_test of each pair; `std` (relative, of a frequency) is the model discrepancy, the
-    test's own is added.
-    """
+class Eigenvalues(_FrequencyDeviations):
+    """1 − λ/λ_test of each pair."""
 
     std: float = 0.01
 
-    def __call__(self, at: Point) -> Block:
+    def __call__(self, at: Point) -> ResidualBlock:
         """See `Term`."""
         t, f = at.pairs.T
-        root = 0.5 / np.hypot(
-            self.std, at.target.std[t]
-        )  # a relative deviation of λ is twice that of f
-        lam_test, lam = (
-            (2 * np.pi * at.target.frequencies[t]) ** 2,
-            (2 * np.pi * at.now.frequencies[f]) ** 2,
-        )
-        return rows_block(
-            root * (1 - lam / lam_test), root[:, None] * at.now.d_lambda[f] / lam_test[:, None], t
-        )
+        # a relative deviation of λ is twice that of f
+        root = 0.5 / np.hypot(self.std, at.target.std[t])
+        lam_test = (2 * np.pi * at.target.frequencies[t]) ** 2
+        lam = (2 * np.pi * at.now.frequencies[f]) ** 2
+        value = root * (1 - lam / lam_test)
+        slope = (root / lam_test)[:, None] * at.now.d_lambda[f]
+        return rows_block(value, slope, t)
 
 
 @dataclass(frozen=True, slots=True)
-class Frequencies:
-    """1 − f/f_test of each pair, or ln(f_test/f); `std` as in `Eigenvalues`."""
+class Frequencies(_FrequencyDeviations):
+    """1 − f/f_test of each pair, or ln(f_test/f)."""
 
     std: float = 0.01
     scale: Literal["relative", "log"] = "relative"
 
-    def __call__(self, at: Point) -> Block:
+    def __call__(self, at: Point) -> ResidualBlock:
         """See `Term`."""
         t, j = at.pairs.T
         root = 1 / np.hypot(self.std, at.target.std[t])
-        f, f_test = at.now.frequencies[j], at.target.frequencies[t]
+        f = at.now.frequencies[j]
+        f_test = at.target.frequencies[t]
         d_f = at.now.d_lambda[j] / (8 * np.pi**2 * f[:, None])
-        by = f if self.scale == "log" else f_test
-        value = np.log(f_test / f) if self.scale == "log" else 1 - f / f_test
-        return rows_block(root * value, (root / by)[:, None] * d_f, t)
-
-
-OF_FREQUENCY = (Eigenvalues, Frequencies)  # whose `std` is the model discrepancy of a frequency
+        if self.scale == "log":
+            return rows_block(root * np.log(f_test / f), (root / f)[:, None] * d_f, t)
+        return rows_block(root * (1 - f / f_test), (root / f_test)[:, None] * d_f, t)
 
 
 @dataclass(frozen=True, slots=True)
-class Shapes:
+class Shapes(Term):
     """Differences of shapes, scaled: ψ − Φ(Φ⁺ψ), rotated within close groups; the square sum is 1 −
     MAC.
 
@@ -240,23 +319,50 @@ class Shapes:
     mac: float = 0.05
     factor: float = 1.0
     scaling: Literal["fit", "largest"] = "fit"
+    quantity = Quantity.SHAPE
 
-    def __call__(self, at: Point) -> Block:
+    def __call__(self, at: Point) -> ResidualBlock:
         """See `Term`."""
-        root, shapes = np.sqrt(self.factor / self.mac), at.target.shapes
+        root = np.sqrt(self.factor / self.mac)
+        shapes = at.target.shapes
         if self.scaling == "fit":
+            tests = at.pairs[:, 0].tolist()
             parts = [
-                span_residual(shapes, at.now, t, s)
-                for t, s in zip(at.pairs[:, 0].tolist(), at.spans, strict=True)
+                span_residual(shapes, at.now, t, s) for t, s in zip(tests, at.spans, strict=True)
             ]
         else:
             parts = [_at_largest(shapes, at.now, t, f) for t, f in at.pairs.tolist()]
-        return _shapes([(root * r, root * g) for r, g in parts], at)
+        p = at.now.d_lambda.shape[1]
+        # a datum a pair, with a row a channel
+        rows = np.array([r.size for r, _ in parts], dtype=np.int64)
+        value = np.concatenate([root * r for r, _ in parts] or [np.zeros(0)])
+        slope = np.concatenate([root * g for _, g in parts] or [np.zeros((0, p))])
+        datum = np.repeat(np.arange(rows.size), rows)
+        return ResidualBlock(value, slope, datum, np.repeat(at.pairs[:, 0], rows))
+
+    @property
+    def expected(self) -> float:
+        """See `Term`."""
+        return self.mac
+
+    def unit(self, std: Float) -> float | None:
+        """See `Term`."""
+        return float(np.sqrt(self.factor / self.mac))
+
+    def reweighed(self, frequency: float, mac: float, independent: float) -> Shapes:
+        """See `Term`."""
+        return replace(self, mac=mac, factor=independent * self.factor)
+
+    def widened(self, by: float) -> Shapes:
+        """See `Term`."""
+        return replace(self, mac=by**2 * self.mac)
 
 
 def _at_largest(shapes: Float, now: Linearisation, t: int, f: int) -> tuple[Float, Float]:
     """ψ/ψ_q − φ/φ_q with q where |ψ| is largest, over ‖ψ/ψ_q‖, and its sensitivity."""
-    psi, phi, d_phi = shapes[:, t], now.shapes[:, f], now.d_shapes[:, f]
+    psi = shapes[:, t]
+    phi = now.shapes[:, f]
+    d_phi = now.d_shapes[:, f]
     q = int(np.argmax(np.abs(psi)))
     if phi[q] == 0.0:
         raise NumericalError(
@@ -269,7 +375,7 @@ def _at_largest(shapes: Float, now: Linearisation, t: int, f: int) -> tuple[Floa
 
 
 @dataclass(frozen=True, slots=True)
-class Mac:
+class Mac(Deviations):
     """MAC of each pair, of the subspace where modes are close.
 
     Attributes
@@ -283,14 +389,24 @@ class Mac:
 
     std: float = 0.05
     form: Literal["difference", "ratio"] = "difference"
+    quantity = Quantity.SHAPE
 
-    def __call__(self, at: Point) -> Block:
+    @property
+    def expected(self) -> float:
+        """See `Term`."""
+        return self.std
+
+    def reweighed(self, frequency: float, mac: float, independent: float) -> Mac:
+        """See `Term`."""
+        return replace(self, std=mac)
+
+    def __call__(self, at: Point) -> ResidualBlock:
         """See `Term`."""
         t = at.pairs[:, 0]
-        value, slope = np.zeros(t.size), np.zeros((t.size, at.now.d_lambda.shape[1]))
-        for i, (k, span) in enumerate(
-            zip(t.tolist(), at.spans, strict=True)
-        ):  # each pair has its own space
+        value = np.zeros(t.size)
+        slope = np.zeros((t.size, at.now.d_lambda.shape[1]))
+        # each pair has its own space
+        for i, (k, span) in enumerate(zip(t.tolist(), at.spans, strict=True)):
             rest, d_inside = span_residual(at.target.shapes, at.now, k, span)
             value[i], slope[i] = rest @ rest, 2 * rest @ d_inside
         if self.form == "ratio":
@@ -299,73 +415,3 @@ class Mac:
             slope = slope / (2 * root**3)[:, None]
             value = value / (1 + root) / root
         return rows_block(value / self.std, slope / self.std, t)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CrossOrthogonality:
-    """Terms of ψᵀMφ of all pairs against the identity, both sets scaled to unit modal mass.
-
-    Attributes
-    ----------
-    mass : (channel, channel) float64
-        Of a test-analysis model.
-    std : float
-        Of one term.
-    diagonal, off_diagonal : bool
-        Which terms are held to 1 and to 0.
-    """
-
-    mass: Float
-    std: float = 0.05
-    diagonal: bool = True
-    off_diagonal: bool = True
-
-    def __call__(self, at: Point) -> Block:
-        """See `Term`."""
-        t, f = at.pairs.T
-        psi, phi, d_phi = at.target.shapes[:, t], at.now.shapes[:, f], at.now.d_shapes[:, f]
-        heavy = self.mass @ phi
-        size = np.sqrt(np.einsum("cm,cm->m", phi, heavy))
-        d_size = np.einsum("cm,cmp->mp", heavy, d_phi) / size[:, None]
-        left = (psi / np.sqrt(np.einsum("cm,cm->m", psi, self.mass @ psi))).T @ self.mass
-        turn = np.sign(np.diag(left @ phi)) / size  # shapes have no sign
-        terms = left @ phi * turn
-        d_terms = np.einsum("tc,cmp->tmp", left, d_phi) * turn[:, None] - terms[:, :, None] * (
-            d_size / size[:, None]
-        )
-        same = np.eye(t.size, dtype=np.bool_)
-        keep = (same & self.diagonal) | (~same & self.off_diagonal)
-        rows = np.broadcast_to(t[:, None], keep.shape)[keep]
-        return rows_block((same - terms)[keep] / self.std, d_terms[keep] / self.std, rows)
-
-
-def reweighed(
-    terms: Sequence[Term], frequency: float, mac: float, independent: float = 1.0
-) -> tuple[Term, ...]:
-    """The kinds with other model discrepancies of a frequency (relative) and of 1 − MAC; the rest
-    as it is.
-
-    `independent` is the number of independent errors in a shape.
-    """
-    out: list[Term] = []
-    for t in terms:
-        if isinstance(t, OF_FREQUENCY):
-            out.append(replace(t, std=frequency))
-        elif isinstance(t, Shapes):
-            out.append(replace(t, mac=mac, factor=independent * t.factor))
-        else:
-            out.append(replace(t, std=mac) if isinstance(t, Mac) else t)
-    return tuple(out)
-
-
-def widened(term: Term, by: float) -> Term:
-    """A kind of residuals with standard deviations `by` times as large."""
-    if isinstance(term, (*OF_FREQUENCY, Mac, CrossOrthogonality)):
-        return replace(term, std=by * term.std)
-    if isinstance(term, Shapes):
-        return replace(term, mac=by**2 * term.mac)
-    return (
-        replace(term, factor=term.factor / by**2)
-        if isinstance(term, Weighted)
-        else Weighted(term, by**-2)
-    )

@@ -10,11 +10,11 @@ from scipy import linalg
 from ringtrue.core.arrays import Any_, Float
 from ringtrue.reduction.basis import AffineSystem
 from ringtrue.reduction.matrix_model import matrices_at
-from ringtrue.updating.residuals.modal import NO_MODE, Block, Point, rows_block
+from ringtrue.updating.residuals.modal import NO_MODE, Deviations, Point, ResidualBlock, rows_block
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StaticDeflections:
+class StaticDeflections(Deviations):
     """Deflections at channels under static loads at channels, by load case.
 
     On a reduced basis they are as good as its static content at the loaded channels.
@@ -32,7 +32,7 @@ class StaticDeflections:
     measured: Float
     std: float = 0.02
 
-    def __call__(self, at: Point) -> Block:
+    def __call__(self, at: Point) -> ResidualBlock:
         """See `Term`."""
         m = matrices_at(at.model, at.now.x)
         p = at.now.d_lambda.shape[1]
@@ -44,16 +44,14 @@ class StaticDeflections:
                 load.shape
             )
         scale = self.std * np.sqrt(np.nanmean(np.square(self.measured), axis=0))
-        value, slope = (
-            (self.measured - m.observe @ u) / scale,
-            np.tensordot(m.observe, d_u, 1) / scale[:, None],
-        )
+        value = (self.measured - m.observe @ u) / scale
+        slope = np.tensordot(m.observe, d_u, 1) / scale[:, None]
         seen = np.isfinite(self.measured)
         return rows_block(value[seen], slope[seen], np.full(int(seen.sum()), NO_MODE))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MassProperties:
+class MassPropertyDeviations(Deviations):
     """Mass, centre of gravity and inertia of the model against a weighing.
 
     Attributes
@@ -70,14 +68,14 @@ class MassProperties:
     measured: Float
     std: Float
 
-    def __call__(self, at: Point) -> Block:
+    def __call__(self, at: Point) -> ResidualBlock:
         """See `Term`."""
         p = at.now.d_lambda.shape[1]
         m6, d_m6 = self.rigid.at(at.now.x)
-        value, slope = mass_properties(m6), np.zeros((10, p))
-        for i in range(
-            p
-        ):  # over parameters: complex step through a rational function of ten numbers
+        value = mass_properties(m6)
+        slope = np.zeros((10, p))
+        # over parameters: complex step through a rational function of ten numbers
+        for i in range(p):
             slope[:, i] = mass_properties(m6 + 1e-40j * d_m6[i]).imag / 1e-40
         seen = np.isfinite(self.measured)
         rest = ((np.asarray(self.measured) - value) / self.std)[seen]
@@ -105,12 +103,15 @@ class RigidMass:
 
     def at(self, x: Float) -> tuple[Float, Float]:
         """The matrix (6, 6) at x (p,) and its derivatives (p, 6, 6)."""
-        r, parameters = self.vectors, self.system.parameters
+        r = self.vectors
+        parameters = self.system.parameters
         at = list(self.active or range(len(parameters)))
         everything = np.zeros(len(parameters))
         everything[at] = x
-        a, slope = parameters.factors(everything), parameters.derivative(everything)
-        m, d_m = r.T @ (self.system.mass @ r), np.zeros((a.size, 6, 6))
+        a = parameters.factors(everything)
+        slope = parameters.derivative(everything)
+        m = r.T @ (self.system.mass @ r)
+        d_m = np.zeros((a.size, 6, 6))
         for t in self.system.terms:
             part = r.T @ (t.mass @ r)
             m = m + t.function.value(a) * part
@@ -120,11 +121,13 @@ class RigidMass:
 
 
 def mass_properties(m6: Any_) -> Any_:
-    """Mass, centre of gravity and inertia about it (10,), as in `MassProperties`, from a rigid-body
-    mass (6, 6).
+    """Mass, centre of gravity and inertia about it (10,), as in `MassPropertyDeviations`, from
+    a rigid-body mass (6, 6).
     """
     mass = (m6[0, 0] + m6[1, 1] + m6[2, 2]) / 3
-    x, y, z = m6[1, 5] / mass, m6[2, 3] / mass, m6[0, 4] / mass
+    x = m6[1, 5] / mass
+    y = m6[2, 3] / mass
+    z = m6[0, 4] / mass
     i = m6[3:, 3:]
     about = [
         i[0, 0] - mass * (y * y + z * z),

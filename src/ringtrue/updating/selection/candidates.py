@@ -1,7 +1,7 @@
 """A candidate parameter of a deck: a common factor on fields of the deck, with what it means and
 what it changes.
 
-`generation` makes candidates from the cards, `effects` holds them against the modes.
+`generation` makes candidates from the cards, `screening` holds them against the modes.
 """
 
 from __future__ import annotations
@@ -49,8 +49,9 @@ SPREAD: Mapping[str, tuple[float, float]] = MappingProxyType(
         "line": (0.3, 3.0),
     }
 )
-# card -> field, what it is, quantity; fields joined by + have one factor
-Catalogue = Mapping[str, tuple[tuple[str, str, str], ...]]
+# fields (those joined by + have one factor), what they are in words, the quantity; by card
+Entry = tuple[str, str, str]
+Catalogue = Mapping[str, tuple[Entry, ...]]
 SECTIONS = {
     "PSHELL": (("T", "thickness", "length"), ("NSM", "non-structural mass", "line")),
     "PSHEAR": (("T", "thickness", "length"), ("NSM", "non-structural mass", "line")),
@@ -196,20 +197,47 @@ def parameters(candidates: Sequence[Candidate]) -> ParameterSet:
     return ParameterSet(tuple(c.parameter for c in candidates))
 
 
+@dataclass(frozen=True, slots=True)
+class Description:
+    """What a candidate is.
+
+    Attributes
+    ----------
+    kind : Kind
+    name : str
+        Card, id and field.
+    what : str
+        In words.
+    quantity : str
+        A key of `SPREAD`.
+    """
+
+    kind: Kind
+    name: str
+    what: str
+    quantity: str
+
+
 def new_candidate(
     s: CandidateSettings,
-    kind: Kind,
-    name: str,
-    what: str,
-    quantity: str,
+    of: Description,
     elements: Int,
     targets: Sequence[CardField] = (),
     substructures: Sequence[Substructure] = (),
 ) -> Candidate:
     """A candidate on a logarithmic scale, with the spread of its quantity."""
-    std, most = s.spread.get(quantity, SPREAD[quantity])
-    p = Parameter(name, tuple(targets), 1 / most, most, "log", std, (), tuple(substructures))
-    return Candidate(p, kind, what, tuple(np.unique(elements).tolist()))
+    std, most = s.spread.get(of.quantity, SPREAD[of.quantity])
+    p = Parameter(
+        name=of.name,
+        targets=tuple(targets),
+        lower=1 / most,
+        upper=most,
+        scale="log",
+        std=std,
+        shapes=(),
+        substructures=tuple(substructures),
+    )
+    return Candidate(p, of.kind, of.what, tuple(np.unique(elements).tolist()))
 
 
 def amount(value: float, quantity: str, s: CandidateSettings) -> str:

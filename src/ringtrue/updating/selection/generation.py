@@ -15,7 +15,7 @@ from ringtrue.errors import InputError
 from ringtrue.fem.element_cards import MATERIAL, PROPERTY
 from ringtrue.fem.mesh import union
 from ringtrue.fem.parametrisation.changed_model import affected_cards, rows_of
-from ringtrue.model.dimensions import MADE
+from ringtrue.model.cards import MADE
 from ringtrue.model.frames import positions
 from ringtrue.model.model import Model, Table, stacked, table
 from ringtrue.model.references import REFERENCES, SHELL_PROPERTIES
@@ -30,6 +30,8 @@ from ringtrue.updating.selection.candidates import (
     Candidate,
     CandidateSettings,
     Catalogue,
+    Description,
+    Entry,
     Kind,
     amount,
     counted,
@@ -39,7 +41,6 @@ from ringtrue.updating.selection.candidates import (
     new_candidate,
 )
 
-SAME = 1e-9  # relative distance of values that are one
 _ENDS = {"A": "AB", "I1": "I1B", "I2": "I2B", "J": "JB", "NSM": "NSMB"}
 _AIDS = ("G0", "SA", "SB")  # name a node, but do not stand on it
 _NODE_FIELDS = {
@@ -48,7 +49,6 @@ _NODE_FIELDS = {
     )
     for card in PROPERTY
 }
-USUAL, MOST = 0.05, 0.4  # of the mass of the structure: prior standard deviation, bound
 NONE = 1e-7  # likewise: a bound must not be the nominal value
 _FIELDS = ("M", "X1", "X2", "X3", "I11", "I21", "I22", "I31", "I32", "I33")
 
@@ -78,16 +78,13 @@ def generate(model: Model, settings: CandidateSettings | None = None) -> tuple[C
     for kind, make in makers.items():
         if kind in s.kinds:
             for c in make(model, s):
-                found.setdefault(_effect(c), c)
+                # equal for candidates that do the same
+                fields = frozenset((t.card, t.id, t.field) for t in c.parameter.targets)
+                effect = (fields, c.parameter.substructures, c.elements)
+                found.setdefault(effect, c)
     if not found:
         raise InputError(f"no candidate of the kinds {', '.join(s.kinds)} in the deck")
     return tuple(found.values())
-
-
-def _effect(c: Candidate) -> object:
-    """Equal for candidates that do the same."""
-    fields = frozenset((t.card, t.id, t.field) for t in c.parameter.targets)
-    return fields, c.parameter.substructures, c.elements
 
 
 def _fields(
@@ -99,9 +96,8 @@ def _fields(
             continue
         table = model[card]
         made = _made(model, card)
-        for row, ident in enumerate(
-            table.ids.tolist()
-        ):  # over cards, of which a deck has hundreds, not elements
+        # over cards, of which a deck has hundreds, not elements
+        for row, ident in enumerate(table.ids.tolist()):
             rows = rows_of(model, CardField(card, ident, ""))
             if not rows or ident in made:
                 continue
@@ -116,7 +112,12 @@ def _fields(
                         f"{word} {amount(float(table[given[0]][row]), quantity, s)} of "
                         f"{counted(rows)}"
                     )
-                    yield new_candidate(s, kind, name, what, quantity, ids_of(model, rows), targets)
+                    yield new_candidate(
+                        s,
+                        Description(kind, name, what, quantity),
+                        elements=ids_of(model, rows),
+                        targets=targets,
+                    )
 
 
 def _other_end(table: Table, row: int, given: Sequence[str]) -> list[str]:
@@ -137,7 +138,10 @@ def _laminates(model: Model, s: CandidateSettings) -> Iterator[Candidate]:
                 targets = [CardField(card, ident, f"T{k + 1}") for k in range(t.size)]
                 what = f"thickness of all {t.size} plies of {counted(rows)}"
                 yield new_candidate(
-                    s, "property", f"{card} {ident} T", what, "length", ids_of(model, rows), targets
+                    s,
+                    Description("property", f"{card} {ident} T", what, "length"),
+                    elements=ids_of(model, rows),
+                    targets=targets,
                 )
 
 
@@ -157,10 +161,12 @@ def _outlines(model: Model, s: CandidateSettings) -> Iterator[Candidate]:
     """
     for card in MADE:
         for row, ident in enumerate(model[card].ids.tolist() if card in model else []):
-            table, rows = model[card], rows_of(model, CardField(card, ident, ""))
+            table = model[card]
+            rows = rows_of(model, CardField(card, ident, ""))
             if not rows:
                 continue
-            kind, where = table["TYPE"][row], ids_of(model, rows)
+            kind = table["TYPE"][row]
+            where = ids_of(model, rows)
             ends = {
                 name: table.ragged(name).row(row)
                 for name in ("DIM", "DIMB")
@@ -174,26 +180,29 @@ def _outlines(model: Model, s: CandidateSettings) -> Iterator[Candidate]:
             every = [CardField(card, ident, f) for one in fields for f in one]
             yield new_candidate(
                 s,
-                "property",
-                f"{card} {ident} DIM",
-                f"all dimensions {of}",
-                "section",
-                where,
-                every,
+                Description("property", f"{card} {ident} DIM", f"all dimensions {of}", "section"),
+                elements=where,
+                targets=every,
             )
             for k, one in enumerate(fields if len(fields) > 1 else []):
                 if all(_stays(kind, values.tolist(), k) for values in ends.values() if values.size):
                     what = f"dimension {k + 1} ({amount(float(ends['DIM'][k]), 'length', s)}) {of}"
                     alone = [CardField(card, ident, f) for f in one]
                     yield new_candidate(
-                        s, "property", f"{card} {ident} DIM{k + 1}", what, "length", where, alone
+                        s,
+                        Description("property", f"{card} {ident} DIM{k + 1}", what, "length"),
+                        elements=where,
+                        targets=alone,
                     )
             if given := given_fields(table, row, "NSM+NSMB"):
                 value = amount(float(table[given[0]][row]), "line", s)
                 what = f"non-structural mass {value} of {counted(rows)}"
                 masses = [CardField(card, ident, f) for f in given]
                 yield new_candidate(
-                    s, "property", f"{card} {ident} {given[0]}", what, "line", where, masses
+                    s,
+                    Description("property", f"{card} {ident} {given[0]}", what, "line"),
+                    elements=where,
+                    targets=masses,
                 )
 
 
@@ -221,34 +230,29 @@ def _grouped(
         used = np.array(
             [bool(rows_of(model, CardField(card, i, ""))) for i in table.ids.tolist()], dtype=bool
         )
-        for fields, word, quantity in entries:
-            values = table[fields.split("+")[0]]
+        for entry in entries:
+            values = table[entry[0].split("+")[0]]
             live = np.flatnonzero(used & np.isfinite(values) & (values != 0))
             for group in _equal(values, live):
                 members = [[at] for at in group.tolist()] if group.size > 1 else []
                 for at in [group.tolist(), *members]:
-                    yield _group(model, s, kind, table, np.array(at), fields, word, quantity)
+                    yield _group(model, s, kind=kind, table=table, at=np.array(at), entry=entry)
 
 
 def _equal(values: Float, live: Int) -> list[Int]:
     """Rows of `live` whose values are the same, in the order of the rows."""
     order = live[np.argsort(values[live], kind="stable")]
     v = values[order]
-    cuts = np.flatnonzero(np.abs(np.diff(v)) > SAME * np.abs(v[1:])) + 1
+    # 1e-9: relative distance of values that are one
+    cuts = np.flatnonzero(np.abs(np.diff(v)) > 1e-9 * np.abs(v[1:])) + 1
     groups = [np.sort(g) for g in np.split(order, cuts) if g.size]
     return sorted(groups, key=lambda g: int(g[0]))
 
 
 def _group(
-    model: Model,
-    s: CandidateSettings,
-    kind: Kind,
-    table: Table,
-    at: Int,
-    fields: str,
-    word: str,
-    quantity: str,
+    model: Model, s: CandidateSettings, kind: Kind, table: Table, at: Int, entry: Entry
 ) -> Candidate:
+    fields, word, quantity = entry
     ids = table.ids[at]
     targets = [
         CardField(table.card, int(table.ids[r]), f)
@@ -263,12 +267,9 @@ def _group(
     name = f"{table.card} {listed(ids)} {field_name}"
     return new_candidate(
         s,
-        kind,
-        name,
-        f"{word} {value}{each} of {counted(rows)}",
-        quantity,
-        ids_of(model, rows),
-        targets,
+        Description(kind, name, f"{word} {value}{each} of {counted(rows)}", quantity),
+        elements=ids_of(model, rows),
+        targets=targets,
     )
 
 
@@ -279,7 +280,7 @@ def regions(model: Model, s: CandidateSettings) -> Iterator[Candidate]:
         "CTUBE",
         "CBAR",
         "CBEAM",
-        *[c for c in affected_cards(model) if _is_continuum(c)],
+        *[c for c in affected_cards(model) if PROPERTY.get(c) in ("PSHELL", "PSOLID")],
     )
     cards = [c for c in dict.fromkeys(structural) if c in model]
     if not cards:
@@ -309,10 +310,6 @@ def regions(model: Model, s: CandidateSettings) -> Iterator[Candidate]:
                 )
 
 
-def _is_continuum(card: str) -> bool:
-    return PROPERTY.get(card) in ("PSHELL", "PSOLID")
-
-
 def _property(model: Model, key: tuple[str, int]) -> str:
     """The card that holds a property id."""
     cards = SHELL_PROPERTIES if key[0] == "PSHELL" else (key[0],)
@@ -322,7 +319,9 @@ def _property(model: Model, key: tuple[str, int]) -> str:
 def _connectivity(model: Model, cards: Sequence[str]) -> sparse.csr_array:
     """1 where an element (e) of the cards stands on a node (n), csr (e, n)."""
     grid = model["GRID"]
-    rows, cols, first = [], [], 0
+    rows = []
+    cols = []
+    first = 0
     for c in cards:
         ids = model[c].stack(*_NODE_FIELDS[c])
         e, k = np.nonzero(ids > 0)
@@ -375,9 +374,17 @@ def _region(
         row = int(model["MAT1"].find(np.array([mid]))[0])
         targets += [CardField("MAT1", mid, f, ids) for f in given_fields(model["MAT1"], row, "E+G")]
     if targets:
-        return new_candidate(s, "region", f"{label} E", what, "modulus", elements, targets)
+        return new_candidate(
+            s,
+            Description("region", f"{label} E", what, "modulus"),
+            elements=elements,
+            targets=targets,
+        )
     return new_candidate(
-        s, "region", f"{label} K", what, "modulus", elements, (), [Substructure("stiffness", ids)]
+        s,
+        Description("region", f"{label} K", what, "modulus"),
+        elements=elements,
+        substructures=[Substructure("stiffness", ids)],
     )
 
 
@@ -417,7 +424,8 @@ def places(model: Model, free: Bool, seen: Sequence[int] | Int) -> Int:
     grid = model["GRID"]
     if (read := grid.file >= 0).any():
         free = free & read  # nodes that a refinement has made are in no file
-    ids, xyz = grid.ids[free], positions(model)[free]
+    ids = grid.ids[free]
+    xyz = positions(model)[free]
     out = np.flatnonzero(np.isin(ids, seen)).tolist()[:PLACES]
     far = np.full(ids.size, np.inf)
     for i in out:
@@ -431,7 +439,7 @@ def places(model: Model, free: Bool, seen: Sequence[int] | Int) -> Int:
 def lumped(
     model: Model, nodes: Int, total: float, settings: CandidateSettings
 ) -> tuple[Model, tuple[Candidate, ...]]:
-    """A copy with a CONM2 of no mass at each node, and what is lacking there as candidates.
+    """A copy with a CONM2 of no mass at each node, and what is missing there as candidates.
 
     Parameters
     ----------
@@ -443,7 +451,8 @@ def lumped(
     first = 1 + max(
         (int(t.ids.max(initial=0)) for t in model.tables.values() if "EID" in t.columns), default=0
     )
-    ids, frames = np.arange(first, first + nodes.size), np.zeros(nodes.size, dtype=np.int64)
+    ids = np.arange(first, first + nodes.size)
+    frames = np.zeros(nodes.size, dtype=np.int64)
     made = table(
         "CONM2", EID=ids, G=nodes, CID=frames, **dict.fromkeys(_FIELDS, np.zeros(nodes.size))
     )
@@ -456,7 +465,14 @@ def lumped(
 
 def _lump(eid: int, node: int, x: Sequence[float], total: float, s: CandidateSettings) -> Candidate:
     target = CardField("CONM2", eid, "M", (), total)
-    p = Parameter(f"mass lacking at {node}", (target,), 1 - NONE, 1 + MOST, "linear", USUAL)
+    p = Parameter(
+        name=f"mass missing at {node}",
+        targets=(target,),
+        lower=1 - NONE,
+        upper=1 + 0.4,
+        scale="linear",
+        std=0.05,  # of the mass of the structure: prior standard deviation, bound
+    )
     unit = f" [{s.unit('mass')}]" if s.unit("mass") else ""
     place = f"({', '.join(f'{v:.3g}' for v in x)}) {s.unit('length')}".strip()
     return Candidate(p, "lump", f"a mass{unit} around {place} that the deck does not have", (eid,))

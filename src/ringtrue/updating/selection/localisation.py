@@ -17,20 +17,19 @@ import numpy as np
 from scipy import sparse
 
 from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
-from ringtrue.errors import InputError
+from ringtrue.core.parameters import ParameterSet
 from ringtrue.fem.assembly import System
-from ringtrue.fem.element_cards import batches
-from ringtrue.fem.mesh import Mesh, mesh
+from ringtrue.fem.element_cards import batches, mesh
+from ringtrue.fem.mesh import Mesh
 from ringtrue.fem.parametrisation.changed_model import affected_cards
 from ringtrue.model.model import Model
-from ringtrue.reduction.expansion import expand_hybrid, expand_reduced
+from ringtrue.reduction.expansion import ShapeReadings, expand_reduced
 from ringtrue.reduction.parametric import ReducedModel
-from ringtrue.reduction.static import StaticShapes
-from ringtrue.updating.gauss_newton import Residual
+from ringtrue.updating.problem import Residual
+from ringtrue.updating.residuals.modal import Quantity
 from ringtrue.updating.target import Target
 
-NOISE = 0.02  # relative error of a measured shape that the expansion may leave as misfit
-EXACT = 1e-12  # squared weighted residual below which there is nothing to explain
+EXPANSION_MISFIT = 0.02  # relative error of a measured shape that its expansion may leave
 SCARCE = 1e-4  # share of strain energy below which a concentration says nothing
 
 
@@ -64,7 +63,13 @@ class ElementErrors:
     def __post_init__(self) -> None:
         f = np.float64
         freeze_fields(
-            self, elements=np.int64, force=f, constitutive=f, energy=f, strain=f, relative=f
+            self,
+            elements=np.int64,
+            force=f,
+            constitutive=f,
+            energy=f,
+            strain=f,
+            relative=f,
         )
 
     def shares(self, members: sparse.csr_array) -> dict[str, Float]:
@@ -98,59 +103,11 @@ class ElementErrors:
         }
 
 
-def element_errors(
-    model: Model,
-    system: System,
-    observe: sparse.csr_array,
-    frequencies: Float,
-    shapes: Float,
-    modes: Float,
-    pairs: Int,
-    *,
-    noise: float = NOISE,
-) -> ElementErrors:
-    """All indicators, each averaged over the paired test modes.
-
-    Parameters
-    ----------
-    observe : (channel, f) scipy.sparse.csr_array float64
-        From the free degrees of freedom.
-    frequencies : (m,) float64, Hz
-        Of the test.
-    shapes : (channel, m) float64
-    modes : (f, k) float64
-        Of the model, unit modal mass; they span the expansion together with the static shapes of
-        the sensors.
-    pairs : (n, 2) int64
-        Test mode and model mode.
-    noise : float
-        ‖e‖/‖y‖ of a measured shape.
-
-    Raises
-    ------
-    InputError
-        If no mode is paired.
-    """
-    test, fe = np.asarray(pairs, dtype=np.int64).reshape(-1, 2).T
-    if not test.size:
-        raise InputError("error indicators: no test mode is paired with one of the model")
-    f = frequencies[test]
-    u = expand_hybrid(
-        system.stiffness, system.mass, observe, shapes[:, test], f, modes, noise=noise
-    ).shapes
-    static = StaticShapes(system.stiffness, observe)
-    found = expanded_errors(model, system, f, u, modes[:, fe], static.solve)
-    static.close()
-    return found
-
-
 def reduced_errors(
     model: Model,
     system: System,
     reduced: ReducedModel,
-    rows: Int,
-    frequencies: Float,
-    shapes: Float,
+    readings: ShapeReadings,
     partners: Int,
 ) -> tuple[ElementErrors, Float]:
     """All indicators with the test shapes expanded in a reduced basis, and their misfit (m,): no
@@ -158,23 +115,23 @@ def reduced_errors(
 
     Parameters
     ----------
-    rows : (channel,) int64
-        Channels of the reduced model.
-    frequencies : (m,) float64, Hz
-    shapes : (channel, m) float64
+    readings : ShapeReadings
+        The test shapes by the basis of the reduced model.
     partners : (m,) int64
         The model's mode of each.
     """
     b = reduced.basis
     energy = b.stiffness - reduced.shift * b.mass
-    found = expand_reduced(
-        b.stiffness, b.mass, energy, b.observe[rows], shapes, frequencies, noise=NOISE
-    )
+    found = expand_reduced(b.stiffness, b.mass, energy, readings)
+    frequencies = readings.frequencies
     _, own = reduced.coordinates(np.zeros(len(reduced.active)))
     u = b.vectors @ np.hstack([found.shapes, own[:, partners]])
     solve = reduced.pencil.at(reduced.shift).solve
-    full, mine = u[:, : frequencies.size], u[:, frequencies.size :]
-    return expanded_errors(model, system, frequencies, full, mine, solve), found.misfit
+    full = u[:, : frequencies.size]
+    mine = u[:, frequencies.size :]
+    return expanded_errors(
+        model, system, frequencies=frequencies, shapes=full, own=mine, solve=solve
+    ), found.misfit
 
 
 def expanded_errors(
@@ -196,21 +153,23 @@ def expanded_errors(
     solve : callable, (f, m) -> (f, m)
         x = A⁻¹b with A the stiffness, held where the structure is free.
     """
-    m, count = mesh(model), frequencies.size
+    m = mesh(model)
+    count = frequencies.size
     u = shapes / np.sqrt(np.einsum("fm,fm->m", shapes, system.mass @ shapes))
     r = system.stiffness @ u - (system.mass @ u) * (2 * np.pi * frequencies) ** 2
     energies, touch = _energies_and_nodes(m, system, np.hstack([u, solve(r), own]))
     of_test, of_error, mine = np.split(energies, [count, 2 * count], axis=1)
     total = np.maximum(of_test.sum(axis=0), 1e-300)
-    of_test, of_error = of_test / total, of_error / total
+    of_test = of_test / total
+    of_error = of_error / total
     mine = mine / np.maximum(mine.sum(axis=0), 1e-300)
     return ElementErrors(
-        np.concatenate([model[c].ids for c in affected_cards(model)]),
-        _share(_by_element(touch, _nodal(m, system, r)).sum(axis=1)),
-        _share(of_error.sum(axis=1)),
-        _share(np.abs(of_test - mine).sum(axis=1)),
-        _share(of_test.sum(axis=1)),
-        of_error.sum(axis=0),
+        elements=np.concatenate([model[c].ids for c in affected_cards(model)]),
+        force=_share(_by_element(touch, _nodal(m, system, r)).sum(axis=1)),
+        constitutive=_share(of_error.sum(axis=1)),
+        energy=_share(np.abs(of_test - mine).sum(axis=1)),
+        strain=_share(of_test.sum(axis=1)),
+        relative=of_error.sum(axis=0),
     )
 
 
@@ -235,10 +194,13 @@ def _energies_and_nodes(m: Mesh, system: System, vectors: Float) -> tuple[Float,
     """
     full = system.transform @ vectors
     full = np.concatenate([full, np.zeros((1, full.shape[1]))])  # DOF -1 is the row of zeros
-    first, grid = _first(m), 6 * len(m.xyz)
+    first = _first(m)
+    grid = 6 * len(m.xyz)
     count = sum(len(m.model[c]) for c in first)
-    out, none = np.zeros((count, vectors.shape[1])), np.empty(0, dtype=np.int64)
-    rows, cols = [none], [none]
+    out = np.zeros((count, vectors.shape[1]))
+    none = np.empty(0, dtype=np.int64)
+    rows = [none]
+    cols = [none]
     for card, build, at in batches(m.model):
         part = build(m, card, at)
         u = full[part.dofs]
@@ -304,30 +266,34 @@ class Variation:
         freeze_fields(self, x=f, frequency=f, mac=f, gain=f)
 
 
-def variation(target: Target, r: Residual, prior: Float, low: Float, high: Float) -> Variation:
+def variation(target: Target, r: Residual, parameters: ParameterSet) -> Variation:
     """Frequencies and MAC by one candidate at a time.
 
     Parameters
     ----------
     r : Residual
         At x = 0.
-    prior, low, high : (p,) float64
-        Standard deviations and bounds of x.
+    parameters : ParameterSet
+        The candidates.
     """
-    g, value = r.slope, r.value
+    prior = parameters.std()
+    low, high = parameters.bounds()
+    g = r.slope
+    value = r.value
     size = np.sum(g**2, axis=0) + prior**-2
     x = np.clip(g.T @ value / size, low, high)
-    k = int(r.used.sum())
     after = (value[:, None] - g * x) ** 2
     before = value[:, None] ** 2
 
-    def fall(rows: slice | Bool) -> Float:
+    def fall(rows: Bool) -> Float:
         total = float(before[rows].sum())
+        # 1e-12: squared weighted residual below which there is nothing to explain
         return np.asarray(
-            1 - after[rows].sum(axis=0) / total if total > EXACT else np.zeros(x.size)
+            1 - after[rows].sum(axis=0) / total if total > 1e-12 else np.zeros(x.size)
         )
 
-    of = (r.kinds == 0, r.kinds == 1) if r.kinds.size else (slice(0, k), slice(k, None))
-    shapes = fall(of[1]) if target.weights.shape > 0 else np.zeros(x.size)
+    shapes = np.zeros(x.size)
+    if target.weights.shape > 0:
+        shapes = fall(r.quantity == Quantity.SHAPE.value)
     gain = before.sum() - after.sum(axis=0) - (x / prior) ** 2
-    return Variation(x, fall(of[0]), shapes, gain)
+    return Variation(x, fall(r.quantity == Quantity.FREQUENCY.value), shapes, gain)

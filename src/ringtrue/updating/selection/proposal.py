@@ -1,8 +1,8 @@
 """From many candidates to a few parameters: a ranked proposal, with the reason for each and its
 rivals.
 
-The sets come from `subsets`. Every member of the chosen one is put to the test: J without it, and
-with any other candidate in its place.
+The sets come from `subset_search`. Every member of the chosen one is tested: J without it, and with
+any other candidate in its place.
 """
 
 from __future__ import annotations
@@ -13,48 +13,64 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
-from ringtrue.core.progress import Progress, part
+from ringtrue.core.iterate import Progress, part, quiet
 from ringtrue.errors import InputError
-from ringtrue.updating.gauss_newton import Residual
-from ringtrue.updating.identifiability import ALIKE, cosines
-from ringtrue.updating.problem import Problem
+from ringtrue.updating.identifiability import cosines
+from ringtrue.updating.problem import Problem, Residual
 from ringtrue.updating.selection.localisation import Variation, variation
-from ringtrue.updating.selection.selection_rules import (
-    Candidates,
-    Choice,
-    largest,
-    lasso_path,
-    orthogonal,
-)
+from ringtrue.updating.selection.selection_rules import FittedSet, largest, orthogonal
 from ringtrue.updating.selection.subset_search import (
-    SENSITIVE,
+    DEFAULT_SEARCH,
+    Here,
+    Ranked,
     Search,
+    SearchSettings,
     Subsets,
     aicc,
     criteria,
     foreseen,
     subsets,
 )
-from ringtrue.updating.target import Target
 
-WORTH_A_LOOK, LOOKS = (
-    1.3,
-    6,
-)  # predicted J of a rival, in units of the proposal's; most that are fitted
-LITTLE = 0.02  # share of the errors below which a parameter explains nothing by itself
-GATHERED = 1.1  # times its share of strain energy, from which on errors gather at a candidate
-KINDS = {
+INDICATORS = {
     "force": "force residual",
     "constitutive": "constitutive error",
     "energy": "strain energy change",
 }
-SHOWN = 10  # candidates of another rule
-# difference of AICc below which a model is as good (Burnham and Anderson 2002, section 2.6)
-RIVAL = 2.0
-LEAST = 0.01  # of the mass of the structure that is worth telling as lacking at one place
-FITTED, MOST = 4, 6  # sets that are fitted at a point, and their largest size
-# difference of AICc beyond which a model has none (Burnham and Anderson 2002, section 2.6)
-SUPPORT = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class ProposalRules:
+    """What makes a candidate a rival, a reason or an added mass.
+
+    Attributes
+    ----------
+    rival : float
+        Difference of AICc below which a set is as good (Burnham and Anderson 2002, sec. 2.6).
+    support : float
+        Difference of AICc beyond which a set has no support (ibid.).
+    promising : float
+        Predicted J of a rival, in units of the proposal's, up to which it is fitted.
+    tried : int
+        Rivals of one member that are fitted at most.
+    explains : float
+        Share of the errors from which a parameter explains some of them by itself.
+    gathered : float
+        Local error over share of strain energy, from which on errors gather at a candidate.
+    least_mass : float
+        Share of the mass of the structure that is worth adding at one place.
+    """
+
+    rival: float = 2.0
+    support: float = 10.0
+    promising: float = 1.3
+    tried: int = 6
+    explains: float = 0.02
+    gathered: float = 1.1
+    least_mass: float = 0.01
+
+
+PROPOSAL = ProposalRules()
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,15 +86,17 @@ class Proposed:
         Where the short updating took it.
     std : float
         Standard deviation of x about where the short updating took it, all candidates that may
-        stand beside free.
+        are free as well.
     worth : float
         Rise of AICc if it is left out and the others are fitted again.
-    alike : tuple of str
+    collinear : tuple of str
         Candidates of its cluster: |cosine| of the weighted sensitivities with all of them above the
         limit.
     rivals : tuple of str
         Others that do as well in its place (AICc within 2 of the proposal's).
     because : str
+    lump : float
+        Mass that a factor of 2 adds, in units of the deck; 0 of a factor on a field.
     """
 
     name: str
@@ -86,7 +104,7 @@ class Proposed:
     factor: float
     std: float
     worth: float
-    alike: tuple[str, ...]
+    collinear: tuple[str, ...]
     rivals: tuple[str, ...]
     because: str
     lump: float = 0.0
@@ -104,8 +122,8 @@ class Proposed:
 
     @property
     def named(self) -> tuple[str, ...]:
-        """It and all that cannot be told from it."""
-        return (self.name, *self.alike, *self.rivals)
+        """It and all that the data cannot separate from it."""
+        return (self.name, *self.collinear, *self.rivals)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,8 +153,8 @@ class Proposal:
     discrepancy : (2,) float64
         Relative frequency and 1 − MAC that the best set leaves: the weights of the search.
     orders : mapping of str to tuple of str
-        The first candidates by other rules, to compare: LASSO, orthogonal and largest
-        sensitivities, single gain.
+        The first candidates by other rules, to compare: orthogonal and largest sensitivities,
+        single gain.
     """
 
     members: tuple[Proposed, ...]
@@ -175,11 +193,13 @@ class Proposal:
             head,
             *(f"{i}. {m.said()}: {m.because}" for i, m in enumerate(self.members, start=1)),
         ]
-        told = [m.name for m in self.members]
-        lost = [n for m in self.members for n in (*m.alike, *m.rivals) if n not in told]
-        lost = list(dict.fromkeys(lost))
-        if lost:
-            lines.append(f"{_number(len(lost))} cannot be told from these: {', '.join(lost)}")
+        proposed = [m.name for m in self.members]
+        rivals = [n for m in self.members for n in (*m.collinear, *m.rivals) if n not in proposed]
+        rivals = list(dict.fromkeys(rivals))
+        if rivals:
+            lines.append(
+                f"the data cannot separate {_number(len(rivals))} from these: {', '.join(rivals)}"
+            )
         if self.insensitive:
             lines.append(f"{_number(len(self.insensitive))} change nothing that was measured")
         mac = (
@@ -214,92 +234,82 @@ def _number(n: int) -> str:
 
 
 def propose(
-    model: Candidates,
-    target: Target,
+    problem: Problem,
+    settings: SearchSettings = DEFAULT_SEARCH,
     *,
-    most: int = 8,
-    alike: float = ALIKE,
-    apart: Bool | None = None,
+    conflicts: Bool | None = None,
     errors: Mapping[str, Float] | None = None,
     words: Sequence[str] = (),
-    problem: Problem | None = None,
-    passed_over: int = 0,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> Proposal:
     """A ranked, explained set of parameters.
 
     Parameters
     ----------
-    model : Candidates
-        An `ObservedModel` over all candidates that can be held to some of them (`ReducedModel`,
-        `DenseModel`).
-    most : int
-        Most parameters that are proposed.
-    alike : float
-        |cosine| from which on the data cannot tell two candidates apart.
-    apart : (p, p) bool, optional
+    problem : Problem
+        All tests and data, over all candidates; its models can be held to some of them
+        (`ReducedModel`, `DenseModel`).
+    settings : SearchSettings
+    conflicts : (p, p) bool, optional
         Pairs that must not be proposed together: factors on the same field (`screening.conflicts`).
     errors : mapping of str to (p,) float64, optional
-        Concentration of local errors on each candidate (`ElementErrors.concentration`), told among
+        Concentration of local errors on each candidate (`ElementErrors.concentration`), named among
         the reasons.
     words : sequence (p,) of str, optional
         What each candidate is.
-    problem : Problem, optional
-        Other tests and what was measured beside modes, too: all of them, the first being `model`
-        and `target`.
-    passed_over : int
-        Candidates that were left out since they explain less of the same test: the choice was among
-        these, too.
 
     Raises
     ------
     InputError
         If `most` is less than 1, or no mode is paired at the start.
     """
-    told = progress or (lambda _f, _t: None)
-    if most < 1:
-        raise InputError(f"propose at most {most} parameters: allowed are 1 and more")
+    if settings.most < 1:
+        raise InputError(f"propose at most {settings.most} parameters: allowed are 1 and more")
 
-    def search(barred: Sequence[int], known: Sequence[Choice], told: Progress) -> Subsets:
-        return subsets(model, target, most, alike, apart, told, problem, passed_over, barred, known)
+    def search(barred: Sequence[int], known: Sequence[FittedSet], progress: Progress) -> Subsets:
+        plain = Search.of(problem, settings, conflicts=conflicts, barred=barred)
+        return subsets(plain, progress, known)
 
-    barred = [i for i, p in enumerate(model.parameters.parameters) if p.lump]
-    found = search(barred, (), part(told, 0.0, 0.35 if barred else 0.7))
-    if barred:
-        found, barred = with_lumps(search, found, barred, part(told, 0.35, 0.7))
-    told(0.7, "testing each parameter")
+    masses = [i for i, p in enumerate(problem.parameters.parameters) if p.lump]
+    found = search(masses, (), part(progress, 0.0, 0.35 if masses else 0.7))
+    barred = masses
+    if masses:
+        found, barred = with_masses(search, found, masses, part(progress, 0.35, 0.7))
+    progress(0.7, "testing each parameter")
     return _explained(found, barred, errors or {}, words)
 
 
 def _explained(
-    found: Subsets, faint: Sequence[int], errors: Mapping[str, Float], words: Sequence[str]
+    found: Subsets, barred: Sequence[int], errors: Mapping[str, Float], words: Sequence[str]
 ) -> Proposal:
-    search, zero, best = found.search, found.start, found.path[-1]
-    p = search.model.parameters
-    end = search.point(best.x)
-    alone = variation(search.target, zero, search.prior, search.low, search.high)
-    stds = dict(zip(best.members.tolist(), stated_errors(search, best, end).tolist(), strict=True))
-    image = mirrored(search, best, zero)
-    tested = [
-        _tested(search, best, end, i, std, alone, errors, words, image.get(i))
-        for i, std in stds.items()
-    ]
-    quiet = np.setdiff1d(np.arange(len(p)), [*search.pool.tolist(), *faint])
+    search = found.search
+    zero = found.start
+    best = found.path[-1]
+    p = search.problem.parameters
+    single = variation(search.target, zero, p)
+    reasons = _ReasonsLeftOut(search, search.point(best.x), single, errors, words)
+    stds = stated_errors(search, best, reasons.end).tolist()
+    mirror = mirrored(search, best, zero)
+    tested = []
+    for i, std in zip(best.members.tolist(), stds, strict=True):
+        tested.append(_tested(best, i, std, reasons, mirror.get(i)))
+    quiet_ones = np.setdiff1d(np.arange(len(p)), [*search.pool.tolist(), *barred])
+    ends = (zero, found.end)
+    macs = [np.nan if search.target.frequency_only else _mean(r.mac[r.used]) for r in ends]
+    deviations = [_mean(np.abs(r.frequency_error[r.used])) for r in ends]
     return Proposal(
-        tuple(sorted(tested, key=lambda m: -m.worth)),
-        np.array([c.members.size for c in found.path[:-1]]),
-        found.criteria[:-1],
-        tuple(p.names[i] for i in quiet.tolist()),
-        search.groups,
-        best.x,
-        _mean(np.abs(zero.frequency_error[zero.used])),
-        _mean(np.abs(found.end.frequency_error[found.end.used])),
-        np.array(
-            [np.nan if search.target.lent else _mean(r.mac[r.used]) for r in (zero, found.end)]
-        ),
-        np.array([r.used.sum() for r in (zero, found.end)]),
-        np.array([found.found.frequency, found.found.mac]),
-        _orders(search, zero, alone),
+        members=tuple(sorted(tested, key=lambda m: -m.worth)),
+        sizes=np.array([c.members.size for c in found.path[:-1]]),
+        criteria=found.criteria[:-1],
+        insensitive=tuple(p.names[i] for i in quiet_ones.tolist()),
+        clusters=search.groups,
+        x=best.x,
+        before=deviations[0],
+        after=deviations[1],
+        mac=np.array(macs),
+        paired=np.array([r.used.sum() for r in ends]),
+        discrepancy=np.array([found.found.frequency, found.found.mac]),
+        orders=_orders(search, zero, single),
     )
 
 
@@ -309,133 +319,145 @@ def _mean(x: Float) -> float:
 
 
 def _tested(
-    search: Search,
-    best: Choice,
-    end: Residual,
-    index: int,
-    std: float,
-    alone: Variation,
-    errors: Mapping[str, Float],
-    words: Sequence[str],
-    image: int | None = None,
+    best: FittedSet, index: int, std: float, reasons: _ReasonsLeftOut, mirror: int | None
 ) -> Proposed:
-    """Leave one member out, then put others in its place; it cannot be told from its mirror
-    image.
+    """Leave one member out, then put others in its place; the data cannot separate it from its
+    mirror image.
     """
-    names = search.model.parameters.names
+    search = reasons.search
+    end = reasons.end
+    p = search.problem.parameters
     stay = [m for m in best.members.tolist() if m != index]
-    without = (
-        search.fit(stay, np.where(np.arange(best.x.size) == index, 0.0, best.x)) if stay else None
-    )
-    x = without.x if without is not None else np.zeros(best.x.size)
-    r = search.point(x)
+    without = FittedSet(np.zeros(0, dtype=np.int64), np.zeros(best.x.size), 0.0)
+    if stay:
+        without = search.fit(stay, best.without([index]))
+    r = search.point(without.x)
     twins = np.flatnonzero(search.groups == search.groups[index])
     free = np.setdiff1d(search.free(stay), twins)
-    # what acts like another member is barred from the search, but may be what is wrong in place of
-    # this one
-    barred = search.pool[~search.apart[np.ix_(search.pool, stay)].any(axis=1)]
+    # what is collinear with another member is barred from the search, but may be what is wrong in
+    # place of this one
+    barred = search.pool[~search.conflicts[np.ix_(search.pool, stay)].any(axis=1)]
     barred = np.setdiff1d(barred, np.concatenate([free, twins, best.members]))
     # where modes are lost without it, the linearisation with it knows more
     lost = r.used.sum() < end.used.sum()
-    at, from_x = (end, best.x) if lost else (r, x)
-    base = end.value + end.slope[:, index] * best.x[index] if lost else r.value
-    ahead = [search.best(at, from_x, stay, some, base) for some in (free, barred)]
-    options = [
-        o for part in ahead for o in [o for j, o in part if j < WORTH_A_LOOK * best.value][:LOOKS]
-    ]
-    start = np.where(np.arange(x.size) == index, 0.0, from_x)
-    tried = [
-        search.fit(o, _foreseen(search, at, start, o, base) if lost else start) for o in options
-    ]
-    sets = [best, Choice(np.array(stay, dtype=np.int64), x, 0.0), *tried]
-    rise = (c := aicc(search, sets)) - c[0]
-    rivals = tuple(
-        names[t.members[-1]] for t, d in zip(tried, rise[2:].tolist(), strict=True) if d < RIVAL
+    here = Here.of(end, best.x, [index]) if lost else Here.of(r, without.x)
+    start = here.x.copy()
+    start[index] = 0.0
+    tried = []
+    for some in (free, barred):
+        ranked = search.best(here, stay, some)
+        likely = [o for j, o in ranked if j < PROPOSAL.promising * best.value]
+        for members in likely[: PROPOSAL.tried]:
+            x = _at_minimum(search, here, members) if lost else start
+            tried.append(search.fit(members, x))
+    values = aicc(search, [best, replace(without, members=np.array(stay, dtype=np.int64)), *tried])
+    rise = values - values[0]
+    rivals = [t for t, d in zip(tried, rise[2:].tolist(), strict=True) if d < PROPOSAL.rival]
+    if mirror is not None:
+        twins = np.append(twins, mirror)
+    member = Proposed(
+        name=p.names[index],
+        index=index,
+        factor=float(p.take([index]).factors(best.x[[index]])[0]),
+        std=std,
+        worth=float(rise[1]),
+        collinear=tuple(p.names[i] for i in np.setdiff1d(twins, best.members).tolist()),
+        rivals=tuple(p.names[t.members[-1]] for t in rivals),
+        because="",
+        lump=p.parameters[index].lump,
     )
-    twins = np.setdiff1d(twins if image is None else [*twins.tolist(), image], best.members)
-    factor = float(search.model.parameters.take([index]).factors(best.x[[index]])[0])
-    p = Proposed(
-        names[index],
-        index,
-        factor,
-        std,
-        float(rise[1]),
-        tuple(names[i] for i in twins.tolist()),
-        rivals,
-        "",
-        search.model.parameters.parameters[index].lump,
-    )
-    return replace(p, because=_because(p, search, end, r, alone, errors, words))
+    return replace(member, because=reasons.of(member, r))
 
 
-def _foreseen(search: Search, r: Residual, x: Float, members: Sequence[int], base: Float) -> Float:
+def _at_minimum(search: Search, here: Here, members: Sequence[int]) -> Float:
     """x (p,) with the members at the minimum of the linearised J; at 0 a new one may leave modes
     without a partner.
     """
     i = list(members)
-    g = r.slope[:, i]
-    out = x.copy()
-    out[i] = np.linalg.solve(g.T @ g + np.diag(search.prior[i] ** -2), g.T @ (base + g @ x[i]))
-    return np.clip(out, search.low, search.high)
+    g = here.at.slope[:, i]
+    load = g.T @ (here.value + g @ here.x[i])
+    x = here.x.copy()
+    x[i] = np.linalg.solve(g.T @ g + np.diag(search.prior[i] ** -2), load)
+    return np.clip(x, *search.problem.parameters.bounds())
 
 
-def _because(
-    p: Proposed,
-    search: Search,
-    end: Residual,
-    without: Residual,
-    alone: Variation,
-    errors: Mapping[str, Float],
-    words: Sequence[str],
-) -> str:
-    """The reason for a parameter, in one line."""
-    i = p.index
-    parts = [words[i]] if words else []
-    low, high = search.model.parameters.bounds()
-    x = float(search.model.parameters.take([i]).vector(np.array([p.factor]))[0])
-    if min(x - low[i], high[i] - x) < 1e-9:
-        parts.append("at its bound")
-    parts.append(
-        f"without it AICc rises by {p.worth:.1f} and {_loss(end, without, search.target.lent)}"
-    )
-    shares = ((alone.frequency[i], "the squared frequency errors"), (alone.mac[i], "1 − MAC"))
-    explained = [f"{100 * share:.0f} % of {what}" for share, what in shares if share > LITTLE]
-    parts.append(
-        f"by itself it explains {' and '.join(explained) or 'little: it helps beside the others'}"
-    )
-    strong = [
-        f"{KINDS.get(name, name)} {value[i]:.1f}"
-        for name, value in errors.items()
-        if value[i] > GATHERED
-    ]
-    if strong:
-        parts.append(
-            f"local errors gather there, for its share of strain energy ({', '.join(strong)} "
-            "times average)"
-        )
-    if p.alike:
-        parts.append(f"the data cannot tell it from {_some(p.alike)}")
-    if p.rivals:
-        parts.append(f"as good in its place: {_some(p.rivals)}")
-    return "; ".join(parts)
+@dataclass(frozen=True, slots=True, eq=False)
+class _ReasonsLeftOut:
+    """Why a parameter is proposed.
 
+    Attributes
+    ----------
+    search : Search
+    end : Residual
+        At the end, with all members.
+    single : Variation
+        What each candidate explains by itself.
+    errors : mapping of str to (p,) float64
+        Concentration of local errors.
+    words : sequence (p,) of str
+        What each candidate is; may be empty.
+    """
 
-def _loss(end: Residual, without: Residual, lent: bool) -> str:
-    """What a fit loses without a member; shapes that are `lent` tell nothing."""
-    lost = int(end.used.sum()) - int(without.used.sum())
-    if lost > 0:
-        return f"{lost} of {int(end.used.sum())} modes are too far off to count as paired"
-    both = (end, without)
-    told = {
-        "mean |Δf|": [f"{100 * _mean(np.abs(r.frequency_error[r.used])):.2f}" for r in both],
-        "mean 1 − MAC": [f"{100 * _mean(1 - r.mac[r.used]):.2f}" for r in both],
-    }
-    if lent:
-        told.pop("mean 1 − MAC")
-    changed = (f"{name} is {b} instead of {a} %" for name, (a, b) in told.items() if a != b)
-    return next(
-        changed, f"{'Δf does not change' if lent else 'neither Δf nor MAC changes'} by 0.01 %"
-    )
+    search: Search
+    end: Residual
+    single: Variation
+    errors: Mapping[str, Float]
+    words: Sequence[str]
+
+    def of(self, p: Proposed, without: Residual) -> str:
+        """In one line; `without` are the residuals of the fit without it."""
+        i = p.index
+        every = self.search.problem.parameters
+        parts = [self.words[i]] if self.words else []
+        low, high = every.bounds()
+        x = float(every.take([i]).vector(np.array([p.factor]))[0])
+        if min(x - low[i], high[i] - x) < 1e-9:
+            parts.append("at its bound")
+        parts.append(f"without it AICc rises by {p.worth:.1f} and {self._loss(without)}")
+        shares = {
+            "the squared frequency errors": self.single.frequency[i],
+            "1 − MAC": self.single.mac[i],
+        }
+        explained = [
+            f"{100 * share:.0f} % of {what}"
+            for what, share in shares.items()
+            if share > PROPOSAL.explains
+        ]
+        little = "little: it helps together with the others"
+        parts.append(f"by itself it explains {' and '.join(explained) or little}")
+        strong = [
+            f"{INDICATORS.get(name, name)} {value[i]:.1f}"
+            for name, value in self.errors.items()
+            if value[i] > PROPOSAL.gathered
+        ]
+        if strong:
+            parts.append(
+                "local errors gather there, for its share of strain energy "
+                f"({', '.join(strong)} times average)"
+            )
+        if p.collinear:
+            parts.append(f"the data cannot separate it from {_some(p.collinear)}")
+        if p.rivals:
+            parts.append(f"as good in its place: {_some(p.rivals)}")
+        return "; ".join(parts)
+
+    def _loss(self, without: Residual) -> str:
+        """What a fit loses without a member."""
+        end = self.end
+        shapes = not self.search.target.frequency_only
+        lost = int(end.used.sum()) - int(without.used.sum())
+        if lost > 0:
+            return f"{lost} of {int(end.used.sum())} modes are too far off to count as paired"
+        figures = {
+            "mean |Δf|": [100 * _mean(np.abs(r.frequency_error[r.used])) for r in (end, without)]
+        }
+        if shapes:
+            figures["mean 1 − MAC"] = [100 * _mean(1 - r.mac[r.used]) for r in (end, without)]
+        for name, (a, b) in figures.items():
+            if f"{a:.2f}" != f"{b:.2f}":
+                return f"{name} is {b:.2f} instead of {a:.2f} %"
+        same = "neither Δf nor MAC changes" if shapes else "Δf does not change"
+        return f"{same} by 0.01 %"
 
 
 def _some(names: Sequence[str]) -> str:
@@ -443,150 +465,145 @@ def _some(names: Sequence[str]) -> str:
     return shown if len(names) <= 6 else f"{shown} and {len(names) - 6} more"
 
 
-def _orders(search: Search, zero: Residual, alone: Variation) -> dict[str, tuple[str, ...]]:
-    """The first candidates by simpler rules, one a cluster."""
+def _orders(search: Search, zero: Residual, single: Variation) -> dict[str, tuple[str, ...]]:
+    """The first ten candidates by simpler rules, one a cluster."""
     g = zero.slope * search.prior
-    path = lasso_path(g, zero.value, search.low / search.prior, search.high / search.prior)
     orders = {
-        "LASSO": path.order(),
         "orthogonal sensitivities": orthogonal(g, min(g.shape)),
         "largest sensitivities": largest(g, g.shape[1]),
-        "single gain": np.argsort(-alone.gain, kind="stable"),
+        "single gain": np.argsort(-single.gain, kind="stable"),
     }
-    names = search.model.parameters.names
+    names = search.problem.parameters.names
     out = {}
     for rule, order in orders.items():
         _, first = np.unique(search.groups[order], return_index=True)
-        out[rule] = tuple(names[i] for i in order[np.sort(first)][:SHOWN].tolist())
+        out[rule] = tuple(names[i] for i in order[np.sort(first)][:10].tolist())
     return out
 
 
-def stated_errors(search: Search, best: Choice, end: Residual) -> Float:
+def stated_errors(search: Search, best: FittedSet, end: Residual) -> Float:
     """Standard deviation (k,) of x of each member: what all other candidates may be off by widens
     it.
 
-    Those that scale a field of a member are held: it stands for them. Masses that the deck may lack
-    elsewhere are, too: that something was left out is rare. Of A⁻¹ + ddᵀ, d the step to the common
+    Those that scale a field of a member are held: it stands for them. So are masses that the deck
+    may lack elsewhere: that something was left out is rare. Of A⁻¹ + ddᵀ, d the step to the common
     minimum: `uncertainty.around`.
     """
     members = best.members.tolist()
-    beside = ~search.apart[members].any(axis=0) & ~np.isin(
-        np.arange(best.x.size), [*search.lumps, *members]
-    )
-    every = [*members, *np.flatnonzero(beside).tolist()]
-    g, x = end.slope[:, every] * search.prior[every], best.x[every] / search.prior[every]
+    held = search.conflicts[members].any(axis=0)
+    held[[*search.masses.tolist(), *members]] = True
+    every = [*members, *np.flatnonzero(~held).tolist()]
+    prior = search.prior[every]
+    g = end.slope[:, every] * prior
     inverse = np.linalg.inv(g.T @ g + np.eye(len(every)))
-    square = np.diag(inverse) + (inverse @ (g.T @ end.value - x)) ** 2
-    return np.asarray((np.sqrt(square) * search.prior[every])[: len(members)])
+    step = inverse @ (g.T @ end.value - best.x[every] / prior)
+    return np.asarray((np.sqrt(np.diag(inverse) + step**2) * prior)[: len(members)])
 
 
-def mirrored(search: Search, best: Choice, zero: Residual) -> dict[int, int]:
-    """Of each member what is most alike to it at the deck, where all of these together do as well.
+def mirrored(search: Search, best: FittedSet, zero: Residual) -> dict[int, int]:
+    """The candidate most collinear with each member at the deck, where all of these together do as
+    well.
 
-    Of a symmetric structure the frequencies do not tell an error from its mirror image. One of two
-    members in the place of its image is not as good.
+    Of a symmetric structure the frequencies do not separate an error from its mirror image. One of
+    two members in the place of its image is not as good.
     """
     members = best.members.tolist()
     like = cosines(zero.slope * search.prior)[members]
-    like[:, np.setdiff1d(np.arange(best.x.size), np.setdiff1d(search.pool, members))] = 0.0
-    image = np.where(like.max(axis=1, initial=0.0) > search.alike, like.argmax(axis=1), members)
-    if (
-        (image == members).all()
-        or np.unique(image).size < image.size
-        or search.apart[np.ix_(image, image)].any()
-    ):
+    others = np.setdiff1d(search.pool, members)
+    like[:, np.setdiff1d(np.arange(best.x.size), others)] = 0.0
+    near = like.max(axis=1, initial=0.0) > search.settings.collinear
+    image = np.where(near, like.argmax(axis=1), members)
+    same = (image == members).all() or np.unique(image).size < image.size
+    if same or search.conflicts[np.ix_(image, image)].any():
         return {}
     x = np.zeros(best.x.size)
     x[image] = best.x[members]
-    rise = aicc(search, [best, search.fit(image.tolist(), x)])
-    return dict(zip(members, image.tolist(), strict=True)) if rise[1] - rise[0] < RIVAL else {}
+    value, other = aicc(search, [best, search.fit(image.tolist(), x)])
+    if other - value >= PROPOSAL.rival:
+        return {}
+    return dict(zip(members, image.tolist(), strict=True))
 
 
-def with_lumps(
-    search: Callable[[Sequence[int], Sequence[Choice], Progress], Subsets],
+def with_masses(
+    search: Callable[[Sequence[int], Sequence[FittedSet], Progress], Subsets],
     own: Subsets,
-    lumps: list[int],
-    told: Progress,
+    masses: list[int],
+    progress: Progress,
 ) -> tuple[Subsets, list[int]]:
-    """The sets with lumps where the one without has no support beside them, else `own`; and which
-    were barred.
+    """The sets with added masses where the one without has no support compared with them, else
+    `own`; and which masses were barred.
 
     Parameters
     ----------
-    search : callable (barred, known, told) -> Subsets
+    search : callable (barred, known, progress) -> Subsets
         Without those barred, and with sets that are known among those that compete.
     own : Subsets
-        With all lumps barred.
-    lumps : list of int
+        With all masses barred.
+    masses : list of int
         Positions of these among the candidates.
     """
-    known, barred = _better(own, lumps), list[int]()
-    likely = [i for c in known for i in c.members.tolist() if i in lumps]
+    known = _better(own, masses)
+    barred: list[int] = []
+    likely = [i for c in known for i in c.members.tolist() if i in masses]
     while likely:
-        found = search(
-            barred,
-            [own.path[-1], *(c for c in known if not np.isin(c.members, barred).any())],
-            told,
-        )
-        solid, faint = _by_size(found.search, found.path[-1])
-        if not faint:
+        allowed = [c for c in known if not np.isin(c.members, barred).any()]
+        found = search(barred, [own.path[-1], *allowed], progress)
+        solid, small = _by_size(found.search, found.path[-1])
+        if not small:
             sets = [found.search.refitted(own.path[-1]), found.path[-1]]
             without, with_them = criteria(found.search, sets).tolist()
-            return (found, barred) if without - with_them > SUPPORT else (own, lumps)
-        likely = [i for i in {*likely, *solid} if i not in faint]
-        barred = [i for i in lumps if i not in likely]
-    return own, lumps
+            return (found, barred) if without - with_them > PROPOSAL.support else (own, masses)
+        likely = [i for i in {*likely, *solid} if i not in small]
+        barred = [i for i in masses if i not in likely]
+    return own, masses
 
 
-def _better(own: Subsets, lumps: list[int]) -> list[Choice]:
-    """Sets with lumps that are better than the best without: grown by the linearised J at points of
-    the path.
+def _better(own: Subsets, masses: list[int]) -> list[FittedSet]:
+    """Sets with masses that are better than the best without: grown by the linearised J at points
+    of the path.
     """
-    search, best, tried = own.search, own.path[-1], list[Choice]()
-    able = np.array([i for i in lumps if search.size[i] >= SENSITIVE], dtype=np.int64)
+    search = own.search
+    best = own.path[-1]
+    able = np.array([i for i in masses if search.size[i] >= search.settings.sensitive], dtype=int)
+    free = np.append(search.pool, able)
+    tried = []
     for c in {c.x.tobytes(): c for c in (own.path[0], *own.path[-2:])}.values():
-        r = search.point(c.x)
-        if not r.used.any():
+        if not search.point(c.x).used.any():
             continue
-        grown = [
-            o for i in able.tolist() for o in _grown(search, c, [i], np.append(search.pool, able))
-        ]
-        for _, at in sorted(grown)[:FITTED]:
-            tried.append(search.fit(at, np.where(np.isin(np.arange(c.x.size), at), c.x, 0.0)))
-    tried = [c for c in tried if not _by_size(search, c)[1]]
-    tried = [
-        *{tuple(sorted(c.members)): c for c in sorted(tried, key=lambda c: -c.value)}.values()
-    ]  # one a set
+        grown = [o for i in able.tolist() for o in _grown(search, c, [i], free)]
+        for _, at in sorted(grown)[:4]:
+            fitted = search.fit(at, c.only(at))
+            if not _by_size(search, fitted)[1]:
+                tried.append(fitted)
+    tried.sort(key=lambda c: -c.value)
+    tried = list({tuple(sorted(c.members)): c for c in tried}.values())  # the best of each set
     least, *every = criteria(search, [best, *tried]).tolist()
     return [c for c, value in zip(tried, every, strict=True) if value < least]
 
 
-def _grown(
-    search: Search, at: Choice, members: list[int], free: Int
-) -> list[tuple[float, list[int]]]:
-    """Sets by the linearised J at a point, one member more each time: the criterion foreseen, and
-    members.
+def _grown(search: Search, at: FittedSet, members: list[int], free: Int) -> Ranked:
+    """Sets of up to six by the linearised J at a point, one member more each time: the criterion
+    foreseen, and members.
     """
-    r, nominal, out = search.point(at.x), np.zeros(at.x.size), list[tuple[float, list[int]]]()
-    base = r.value + r.slope @ at.x
-    value = search.ahead(r, nominal, members, base)
-    while True:
+    r = search.point(at.x)
+    here = Here(r, np.zeros(at.x.size), r.value + r.slope @ at.x)
+    value = search.predicted(here, members)
+    out = [(foreseen(search, r, members, value), members)]
+    while len(members) < 6:
+        barred = np.isin(search.groups[free], search.groups[members])
+        barred |= search.conflicts[free][:, members].any(axis=1)
+        if barred.all():
+            break
+        value, members = search.best(here, members, free[~barred])[0]
         out.append((foreseen(search, r, members, value), members))
-        if len(members) >= MOST:
-            return out
-        barred = np.isin(search.groups[free], search.groups[members]) | search.apart[free][
-            :, members
-        ].any(axis=1)
-        more = free[~barred]
-        if not more.size:
-            return out
-        value, members = search.best(r, nominal, members, more, base)[0]
+    return out
 
 
-def _by_size(search: Search, c: Choice) -> tuple[list[int], list[int]]:
-    """Lumps of a set of at least `LEAST`, and those below: what is so small takes the part of some
-    other error.
+def _by_size(search: Search, c: FittedSet) -> tuple[list[int], list[int]]:
+    """Masses of a set that are large enough, and those that are not: what is so small takes the
+    part of some other error.
     """
-    added = search.model.parameters.factors(c.x) - 1
-    every = [i for i in c.members.tolist() if i in search.lumps]
-    return [i for i in every if abs(added[i]) >= LEAST], [i for i in every if abs(added[i]) < LEAST]
+    added = np.abs(search.problem.parameters.factors(c.x) - 1)
+    every = np.intersect1d(c.members, search.masses)
+    enough = added[every] >= PROPOSAL.least_mass
+    return every[enough].tolist(), every[~enough].tolist()

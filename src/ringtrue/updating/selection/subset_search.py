@@ -1,5 +1,5 @@
-"""The search for a subset of candidates: points and fits that are computed once, and what a
-candidate more promises.
+"""The search for the best subset of candidates: points and fits computed once, growth by the
+linearised objective, exchange of members, and the criterion that chooses the size.
 """
 
 from __future__ import annotations
@@ -12,310 +12,305 @@ import numpy as np
 from scipy.special import gammaln
 
 from ringtrue.core.arrays import Bool, Float, Int
-from ringtrue.core.progress import Progress, part
+from ringtrue.core.iterate import Progress, part
 from ringtrue.errors import InputError, NumericalError
-from ringtrue.updating.gauss_newton import (
+from ringtrue.updating.identifiability import COLLINEARITY, clusters
+from ringtrue.updating.problem import (
+    Problem,
     Residual,
     comparable_criteria,
-    joint_residual,
-    objective,
-    residual,
+    doubting,
+    residual_at,
+    weighed,
 )
-from ringtrue.updating.gauss_newton import aicc as criterion
-from ringtrue.updating.identifiability import clusters
-from ringtrue.updating.problem import Problem, doubting, weighed
+from ringtrue.updating.problem import aicc as aicc_of
 from ringtrue.updating.regularisation import distance, left_over
+from ringtrue.updating.residuals.modal import Quantity
 from ringtrue.updating.selection.candidates import PLACES
 from ringtrue.updating.selection.selection_rules import (
-    GAIN,
-    NOISE,
-    TURNS,
-    Candidates,
-    Choice,
+    LEAST_GAIN,
+    SHORT,
+    FittedSet,
     falling,
     predicted,
-    short_solve,
+    rounded,
     short_update,
 )
 from ringtrue.updating.target import Target, Weights
 from ringtrue.updating.uncertainty import errors_of_shapes
 
-SENSITIVE = (
-    0.05  # least effect of one prior standard deviation, in standard deviations of the residual
-)
-POOL = 12  # candidates for an addition or exchange whose bounded prediction is computed
-DIGITS = 6  # of J by which sets are compared
-STEPS = (-3.0, -1.5, 1.5, 3.0)  # prior standard deviations: how far a candidate is moved by itself
-TRIALS = 2  # promising sets that are fitted in one round
-AT_ONCE = 20  # Gauss-Newton steps with all candidates free
-TWICE = 2  # searches with the discrepancy that was found
-NEAR = 0.4  # change of the logarithm of the discrepancy that asks for another search
-PRICE = 1.0  # γ: 0 follows the noise, 1 finds little that is small
-LATER = 2  # sizes beyond the best one that are looked at
-DECIMALS = 6  # of the criterion: rounding does not choose between equal sets
+
+@dataclass(frozen=True, slots=True)
+class SearchSettings:
+    """Limits of a search.
+
+    Attributes
+    ----------
+    most : int
+        Largest number of parameters in a set.
+    collinear : float
+        |cosine| of two weighted sensitivities from which on the data cannot separate them.
+    sensitive : float
+        Least effect of one prior standard deviation, in standard deviations of the residual.
+    pool : int
+        Candidates for an addition or exchange whose bounded prediction is computed.
+    trials : int
+        Promising sets that are fitted in one round.
+    noise : float
+        Fall of J that one parameter without meaning reaches (Akaike).
+    passed_over : int
+        Candidates that were left out before, as they explain less of the same test: the choice was
+        among these, too.
+    """
+
+    most: int = 8
+    collinear: float = COLLINEARITY.cosine
+    sensitive: float = 0.05
+    pool: int = 12
+    trials: int = 2
+    noise: float = 2.0
+    passed_over: int = 0
+
+
+DEFAULT_SEARCH = SearchSettings()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Here:
+    """The residuals linearised about a point x (p,), with the residual (r,) there when some members
+    are put back to 0.
+    """
+
+    at: Residual
+    x: Float
+    value: Float
+
+    @classmethod
+    def of(cls, at: Residual, x: Float, removed: Sequence[int] = ()) -> Here:
+        """With some members put back to 0."""
+        gone = list(removed)
+        return cls(at, x, at.value + at.slope[:, gone] @ x[gone])
+
+
+Ranked = list[tuple[float, list[int]]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Search:
-    """The candidates, what they aim at, and which of them may enter.
+    """The candidates, what they are fitted to, and which of them may enter.
 
-    With a `problem` over the same candidates all of its tests and data are aimed at; `target` is
-    its first. So many as were `passed_over` were compared with the same test before, and are paid
-    for. The weights were `assumed` before any were found.
+    Attributes
+    ----------
+    problem : Problem
+        All tests and data, over all candidates.
+    settings : SearchSettings
+    assumed : Weights
+        Before any discrepancy was found.
+    conflicts : (p, p) bool
+        Pairs that must not be in one set.
+    pool : (k,) int64
+        Candidates that may enter.
+    groups : (p,) int64
+        Cluster of each candidate.
+    size : (p,) float64
+        Effect of one prior standard deviation.
+    points, values : dict
+        Residuals with and without sensitivities, by point.
+    fits : dict
+        Choices by members, start and number of iterations.
     """
 
-    model: Candidates
-    target: Target
+    problem: Problem
+    settings: SearchSettings
+    assumed: Weights
+    conflicts: Bool
     pool: Int
     groups: Int
-    apart: Bool
     size: Float
-    low: Float
-    high: Float
-    prior: Float
-    alike: float
-    problem: Problem | None = None
-    passed_over: int = 0
-    assumed: Weights = field(default_factory=Weights)
-    lumps: frozenset[int] = frozenset()  # positions of those that are masses which the deck lacks
-    seen: dict[bytes, Residual] = field(default_factory=dict)
-    done: dict[tuple[tuple[int, ...], bytes, int], Choice] = field(default_factory=dict)
+    points: dict[bytes, Residual] = field(default_factory=dict)
+    values: dict[bytes, Residual] = field(default_factory=dict)
+    fits: dict[tuple[tuple[int, ...], bytes, int], FittedSet] = field(default_factory=dict)
 
     @classmethod
     def of(
         cls,
-        model: Candidates,
-        target: Target,
-        alike: float,
-        apart: Bool | None,
-        problem: Problem | None = None,
-        passed_over: int = 0,
-        assumed: Weights | None = None,
+        problem: Problem,
+        settings: SearchSettings = DEFAULT_SEARCH,
+        *,
+        conflicts: Bool | None = None,
         barred: Sequence[int] = (),
-        led: Float | None = None,
+        start: Float | None = None,
     ) -> Search:
-        """With clusters of candidates that are alike at the deck and, if given, where a search has
-        `led`, x (p,).
+        """With clusters of candidates that are collinear at the deck and, if given, at `start`.
 
         At one point two modes may be so close that every candidate turns them into each other, and
-        all look alike.
+        all look collinear.
         """
-        p = model.parameters
-        low, high = p.bounds()
-        points = [np.zeros(len(p))] if led is None else [np.zeros(len(p)), led]
-        each = [_residual(model, target, problem, x).slope * p.std() for x in points]
-        size = np.linalg.norm(each[0], axis=0)
-        groups = clusters(
-            np.concatenate([g / np.maximum(np.linalg.norm(g, axis=0), 1e-300) for g in each]), alike
-        )
-        none = np.zeros((len(p), len(p)), dtype=np.bool_)
+        p = len(problem.parameters)
+        std = problem.parameters.std()
+        points = [np.zeros(p)] if start is None else [np.zeros(p), start]
+        slopes = [residual_at(problem, x).slope * std for x in points]
+        size = np.linalg.norm(slopes[0], axis=0)
+        unit = [g / np.maximum(np.linalg.norm(g, axis=0), 1e-300) for g in slopes]
+        sensitive = np.flatnonzero(size >= settings.sensitive)
         return cls(
-            model,
-            target,
-            np.setdiff1d(np.flatnonzero(size >= SENSITIVE), barred),
-            groups,
-            none if apart is None else apart,
-            size,
-            low,
-            high,
-            p.std(),
-            alike,
-            problem,
-            passed_over,
-            assumed or target.weights,
-            frozenset(i for i, one in enumerate(p.parameters) if one.lump),
+            problem=problem,
+            settings=settings,
+            assumed=problem.configurations[0].target.weights,
+            conflicts=np.zeros((p, p), dtype=np.bool_) if conflicts is None else conflicts,
+            pool=np.setdiff1d(sensitive, barred),
+            groups=clusters(np.concatenate(unit), settings.collinear),
+            size=size,
         )
+
+    @property
+    def target(self) -> Target:
+        """Of the first configuration."""
+        return self.problem.configurations[0].target
+
+    @property
+    def prior(self) -> Float:
+        """Standard deviations of x, (p,)."""
+        return self.problem.parameters.std()
+
+    @property
+    def masses(self) -> Int:
+        """Positions of the candidates that add a mass which the deck does not have."""
+        every = self.problem.parameters.parameters
+        return np.array([i for i, p in enumerate(every) if p.lump], dtype=np.int64)
 
     @property
     def modes(self) -> int:
         """Number of used modes of all tests."""
-        aims = (
-            [self.target]
-            if self.problem is None
-            else [c.target for c in self.problem.configurations]
-        )
-        return sum(int(t.used.sum()) for t in aims)
+        return sum(int(c.target.used.sum()) for c in self.problem.configurations)
 
-    @property
-    def data(self) -> float:
-        """Number of data: a frequency and a shape, where it counts, each used mode, and what else
-        was measured.
+    def sharper(self, found: Weights, start: Float) -> Search:
+        """The same with the discrepancy that was found at `start`, x (p,), capped
+        (`Target.doubting`): it separates more candidates.
         """
-        return (2 if self.target.weights.shape > 0 else 1) * self.modes + self.point(
-            np.zeros(self.prior.size)
-        ).more
-
-    def sharper(self, found: Weights, led: Float) -> Search:
-        """The same with the discrepancy that was found, capped (`Target.doubting`): more can be
-        told apart by it.
-
-        `led` is where it was found, x (p,).
-        """
-        aim = replace(self.target, weights=found)
-        more = None if self.problem is None else weighed(self.problem, found)
-        at = Search.of(
-            self.model, aim, self.alike, self.apart, more, self.passed_over, self.assumed, led=led
-        )
-        more = None if more is None else doubting(more)
-        return replace(at, target=aim.doubting(), problem=more, pool=self.pool, seen={}, done={})
+        sharp = weighed(self.problem, found)
+        again = Search.of(sharp, self.settings, conflicts=self.conflicts, start=start)
+        return replace(again, problem=doubting(sharp), assumed=self.assumed, pool=self.pool)
 
     def point(self, x: Float) -> Residual:
-        """Residuals and sensitivities to all candidates at x, shapes in few rows (`_compact`),
-        computed once.
-        """
+        """Residuals and sensitivities to all candidates at x, computed once."""
         key = x.tobytes()
-        if key not in self.seen or not self.seen[key].slope.shape[1]:
-            self.seen[key] = _compact(_residual(self.model, self.target, self.problem, x))
-        return self.seen[key]
+        if key not in self.points:
+            self.points[key] = _compact(residual_at(self.problem, x))
+        return self.points[key]
 
     def value(self, x: Float) -> Residual:
         """Residuals at x, computed once, with sensitivities only where these are known."""
         key = x.tobytes()
-        if key not in self.seen and self.problem is None:
-            self.seen[key] = _compact(residual(self.target, self.model.modes(x)))
-        return self.seen[key] if key in self.seen else self.point(x)
+        if key in self.points:
+            return self.points[key]
+        if key not in self.values:
+            self.values[key] = residual_at(self.problem, x, slopes=False)
+        return self.values[key]
 
-    def fit(self, members: Sequence[int], x: Float, turns: int = TURNS) -> Choice:
+    def fit(self, members: Sequence[int], x: Float, limit: int = SHORT) -> FittedSet:
         """A short updating from x, or from the nominal model where x cannot be solved; done
         once.
         """
-        x = np.clip(x, self.low, self.high)
-        key = (tuple(members), x.tobytes(), turns)
-        if key not in self.done:
+        x = np.clip(x, *self.problem.parameters.bounds())
+        key = (tuple(members), x.tobytes(), limit)
+        if key not in self.fits:
             try:
-                self.done[key] = self._updated(members, x, turns)
+                self.fits[key] = short_update(self.problem, members, x, limit)
             except NumericalError:
-                self.done[key] = self._updated(members, np.zeros(x.size), turns)
-        return self.done[key]
-
-    def _updated(self, members: Sequence[int], x: Float, turns: int) -> Choice:
-        if self.problem is not None:
-            return short_solve(self.problem, members, x, turns)
-        return short_update(self.model, self.target, members, x, turns)
+                self.fits[key] = short_update(self.problem, members, np.zeros(x.size), limit)
+        return self.fits[key]
 
     def cost(self, x: Float) -> float:
         """J at x, modes only; infinite where it cannot be solved."""
         try:
-            if self.problem is not None:
-                return self.problem.cost(x)
-            return objective(self.target, residual(self.target, self.model.modes(x)), x, self.prior)
+            return self.problem.cost(x)
         except NumericalError:
             return np.inf
 
-    def far(self, now: Choice, free: Int) -> list[tuple[float, list[int], Float]]:
+    def far(self, now: FittedSet, free: Int) -> list[tuple[float, list[int], Float]]:
         """Sets with one of `free` more, too far off for a linearisation: J, members and x (p,), the
         lowest first.
         """
+        low, high = self.problem.parameters.bounds()
         out = []
-        for c, step in product(free.tolist(), STEPS):
-            x = np.where(
-                np.arange(now.x.size) == c, np.clip(step * self.prior, self.low, self.high), now.x
-            )
+        for c, step in product(free.tolist(), (-3.0, -1.5, 1.5, 3.0)):
+            x = now.x.copy()
+            x[c] = np.clip(step * self.prior[c], low[c], high[c])
             out.append((self.cost(x), [*now.members.tolist(), c], x))
         return sorted(out, key=lambda o: rounded(o[0]))
 
-    def refitted(self, c: Choice) -> Choice:
+    def refitted(self, c: FittedSet) -> FittedSet:
         """A set of another search, updated in this one."""
         return self.fit(c.members.tolist(), c.x) if c.members.size else c
 
     def free(self, members: Sequence[int]) -> Int:
-        """Candidates that may stand beside the members: of other clusters, and not kept apart from
-        any.
-        """
+        """Candidates that may join the members: of other clusters, and without conflict."""
         at = np.array(members, dtype=np.int64)
-        beside = ~np.isin(self.groups[self.pool], self.groups[at]) & ~self.apart[
-            np.ix_(self.pool, at)
-        ].any(axis=1)
-        return self.pool[beside]
+        barred = np.isin(self.groups[self.pool], self.groups[at])
+        barred |= self.conflicts[np.ix_(self.pool, at)].any(axis=1)
+        return self.pool[~barred]
 
-    def together(self, members: Sequence[int] = ()) -> list[int]:
-        """As many candidates as may stand side by side, the members and those of the largest effect
-        first.
-        """
-        out = list(members)
+    def all_free(self) -> list[int]:
+        """As many candidates as may be in one set, those of the largest effect first."""
+        out: list[int] = []
         while (free := self.free(out)).size:
             out.append(int(free[falling(self.size[free])[0]]))
         return sorted(out)
 
-    def ahead(self, r: Residual, x: Float, at: Sequence[int], base: Float) -> float:
-        """J at the bounded minimum over `at`, linearised at x; `base` is the residual at x with
-        others put to 0.
-        """
-        i = list(at)
-        g, w = r.slope[:, i], self.prior[i] ** -2
-        load = base + g @ x[i]
+    def predicted(self, here: Here, members: Sequence[int]) -> float:
+        """J at the bounded minimum over the members, linearised."""
+        i = list(members)
+        g = here.at.slope[:, i]
+        w = self.prior[i] ** -2
+        low, high = (b[i] for b in self.problem.parameters.bounds())
+        load = here.value + g @ here.x[i]
         y = np.linalg.solve(g.T @ g + np.diag(w), g.T @ load)
-        if (y >= self.low[i]).all() and (y <= self.high[i]).all():
+        if (y >= low).all() and (y <= high).all():
             return float(np.sum((load - g @ y) ** 2) + w @ y**2)
-        return predicted(g, base, x[i], w, self.low[i], self.high[i])
+        return predicted(g, here.value, x=here.x[i], w=w, low=low, high=high)
 
-    def best(
-        self, r: Residual, x: Float, stay: Sequence[int], free: Int, value: Float
-    ) -> list[tuple[float, list[int]]]:
-        """Sets `stay` + one of `free`, by predicted J; a cheap bound chooses the `POOL` that are
-        looked at.
-        """
-        column, left = self._beside(r, x, stay, free, value)
+    def best(self, here: Here, stay: Sequence[int], free: Int) -> Ranked:
+        """Sets `stay` + one of `free`, by predicted J; a cheap bound chooses those looked at."""
+        column, left = self._projected(here, stay, free)
         gain = (column.T @ left) ** 2 / (np.sum(column**2, axis=0) + 1)
-        few = [[c] for c in free[falling(gain)[:POOL]].tolist()]
-        return self._ahead(r, x, stay, few, value)
+        few = free[falling(gain)[: self.settings.pool]].tolist()
+        return ranked((self.predicted(here, [*stay, c]), [*stay, c]) for c in few)
 
-    def best_pairs(
-        self, r: Residual, x: Float, stay: Sequence[int], free: Int, value: Float
-    ) -> list[tuple[float, list[int]]]:
-        """The same with two of `free`: of two errors that cancel neither pays alone."""
-        column, left = self._beside(r, x, stay, free, value)
-        b, t = column.T @ left, column.T @ column
+    def best_pairs(self, here: Here, stay: Sequence[int], free: Int) -> Ranked:
+        """The same with two of `free`: of two errors that cancel neither pays by itself."""
+        column, left = self._projected(here, stay, free)
+        b = column.T @ left
+        t = column.T @ column
         d = np.diag(t) + 1
-        own, both = np.outer(b**2, d), np.outer(b, b) * t
+        own = np.outer(b**2, d)
+        both = np.outer(b, b) * t
         gain = np.triu((own + own.T - 2 * both) / (np.outer(d, d) - t**2), 1)
-        gain[self.apart[np.ix_(free, free)] | (self.groups[free][:, None] == self.groups[free])] = (
-            0.0
-        )
-        few = falling(gain.ravel())[:POOL]
+        same = self.groups[free][:, None] == self.groups[free]
+        gain[self.conflicts[np.ix_(free, free)] | same] = 0.0
+        few = falling(gain.ravel())[: self.settings.pool]
         at = np.stack(np.unravel_index(few[gain.ravel()[few] > 0], gain.shape), axis=1)
-        return self._ahead(r, x, stay, free[at].tolist(), value)
+        pairs = [[*stay, *c] for c in free[at].tolist()]
+        return ranked((self.predicted(here, c), c) for c in pairs)
 
-    def _ahead(
-        self, r: Residual, x: Float, stay: Sequence[int], more: Sequence[list[int]], value: Float
-    ) -> list[tuple[float, list[int]]]:
-        return ranked((self.ahead(r, x, [*stay, *c], value), [*stay, *c]) for c in more)
-
-    def _beside(
-        self, r: Residual, x: Float, stay: Sequence[int], free: Int, value: Float
-    ) -> tuple[Float, Float]:
+    def _projected(self, here: Here, stay: Sequence[int], free: Int) -> tuple[Float, Float]:
         """Slopes (n, f) of `free`, in units of the prior, and the residual (n,), less what `stay`
         can take of them.
         """
         i = list(stay)
-        g = r.slope * self.prior
-        rest = value + r.slope[:, i] @ x[i]
-        q = (
-            np.linalg.qr(np.concatenate([g[:, i], np.eye(len(i))]))[0]
-            if i
-            else np.zeros((g.shape[0], 0))
-        )
-        pad = np.zeros((len(i), free.size))
-        column = np.concatenate([g[:, free], pad]) if i else g[:, free]
-        column = column - q @ (q.T @ column)
+        g = here.at.slope * self.prior
+        rest = here.value + here.at.slope[:, i] @ here.x[i]
+        if not i:
+            return g[:, free], rest
+        q = np.linalg.qr(np.concatenate([g[:, i], np.eye(len(i))]))[0]
+        column = np.concatenate([g[:, free], np.zeros((len(i), free.size))])
         left = np.concatenate([rest, np.zeros(len(i))])
-        return column, left - q @ (q.T @ left)
+        return column - q @ (q.T @ column), left - q @ (q.T @ left)
 
 
-def rounded(value: float) -> float:
-    """A value to compare by: candidates that do the same differ in rounding, which must not choose
-    between them.
-    """
-    return float(f"{value:.{DIGITS}g}")
-
-
-def ranked(options: Iterable[tuple[float, list[int]]]) -> list[tuple[float, list[int]]]:
-    """The lowest first; of those that are as low the first of the candidates."""
+def ranked(options: Iterable[tuple[float, list[int]]]) -> Ranked:
+    """The lowest first; of equal ones the first of the candidates."""
     return sorted(options, key=lambda o: (rounded(o[0]), o[1]))
-
-
-def _residual(model: Candidates, target: Target, problem: Problem | None, x: Float) -> Residual:
-    return residual(target, model.linearise(x)) if problem is None else joint_residual(problem, x)
 
 
 def _compact(r: Residual) -> Residual:
@@ -325,19 +320,17 @@ def _compact(r: Residual) -> Residual:
     A rotation of the rows, by QR, that leaves frequencies and other data as they are: hundreds of
     channels and modes are 10⁵ rows, and a search keeps hundreds of points.
     """
-    kinds = r.kinds if r.kinds.size else (np.arange(r.value.size) >= r.used.sum()).astype(np.int64)
-    of_shape = kinds == 1
+    of_shape = r.quantity == Quantity.SHAPE.value
     if of_shape.sum() <= r.slope.shape[1] + 1:
         return r
     both = np.column_stack([r.slope[of_shape], r.value[of_shape]])
     few = np.asarray(np.linalg.qr(both, mode="r"), dtype=np.float64)
-    value = np.concatenate([r.value[~of_shape], few[:, -1]])
-    slope = np.concatenate([r.slope[~of_shape], few[:, :-1]])
+    shapes = np.full(len(few), Quantity.SHAPE.value, dtype=np.int64)
     return replace(
         r,
-        value=value,
-        slope=slope,
-        kinds=np.append(kinds[~of_shape], np.ones(len(few), dtype=np.int64)),
+        value=np.concatenate([r.value[~of_shape], few[:, -1]]),
+        slope=np.concatenate([r.slope[~of_shape], few[:, :-1]]),
+        quantity=np.append(r.quantity[~of_shape], shapes),
     )
 
 
@@ -351,7 +344,7 @@ class Subsets:
         With the discrepancy that was found.
     start, end : Residual
         At x = 0 and at the chosen point, with the weights and gates that were given.
-    path : list of Choice
+    path : list of FittedSet
         The best set of each size from 0 on; the last is the one chosen.
     criteria : (k,) float64
         AICc and the price of the search.
@@ -362,36 +355,19 @@ class Subsets:
     search: Search
     start: Residual
     end: Residual
-    path: list[Choice]
+    path: list[FittedSet]
     criteria: Float
     found: Weights
 
 
-def subsets(
-    model: Candidates,
-    target: Target,
-    most: int,
-    alike: float,
-    apart: Bool | None,
-    told: Progress,
-    problem: Problem | None = None,
-    passed_over: int = 0,
-    barred: Sequence[int] = (),
-    known: Sequence[Choice] = (),
-) -> Subsets:
+def subsets(plain: Search, progress: Progress, known: Sequence[FittedSet] = ()) -> Subsets:
     """The best sets of up to `most` candidates, and the one that the criterion chooses.
 
     Parameters
     ----------
-    apart : (p, p) bool, optional
-        Candidates that must not be in one set.
-    problem : Problem, optional
-        All tests and data, the first of them `target`; over the same candidates.
-    passed_over : int
-        Candidates that were left out since they explain less of the same test, without lumps.
-    barred : sequence of int
-        Candidates that no set may have.
-    known : sequence of Choice
+    plain : Search
+        With the weights that are assumed.
+    known : sequence of FittedSet
         Sets that compete with those that are found.
 
     Raises
@@ -399,8 +375,9 @@ def subsets(
     InputError
         If no mode is paired at the start.
     """
-    plain = Search.of(model, target, alike, apart, problem, passed_over, barred=barred)
-    none = Choice(np.zeros(0, dtype=np.int64), np.zeros(len(model.parameters)), np.inf)
+    most = plain.settings.most
+    p = len(plain.problem.parameters)
+    none = FittedSet(np.zeros(0, dtype=np.int64), np.zeros(p), np.inf)
     start = plain.point(none.x)
     if not start.used.any():
         raise InputError(
@@ -408,38 +385,51 @@ def subsets(
             "them"
         )
     if not plain.pool.size:
-        return Subsets(
-            plain, start, start, [none, none], criteria(plain, [none, none]), _found(plain, none)
-        )
-    path = _path(plain, most, none, [], part(told, 0.0, 0.4))
-    sets, first = [*path[1:], *known], _best(plain, path)
-    told(0.4, "all candidates together")
-    whole = plain.fit(plain.together(), none.x, AT_ONCE)
+        values = criteria(plain, [none, none])
+        return Subsets(plain, start, start, [none, none], values, found=_found(plain, none))
+    path = _path(plain, none, [], part(progress, 0.0, 0.4))
+    sets = [*path[1:], *known]
+    first = _best(plain, path)
+    progress(0.4, "all candidates in one set")
+    many = 20  # iterations: with all free an updating takes longer
+    whole = plain.fit(plain.all_free(), none.x, many)
     search = plain.sharper(_found(plain, whole), whole.x)
-    whole = search.fit(search.together(), whole.x, AT_ONCE)
-    few = [
-        c for c in _eliminated(search, whole, most, part(told, 0.4, 0.6)) if c.members.size <= most
-    ]
+    whole = search.fit(search.all_free(), whole.x, many)
+    few = _eliminated(search, whole, part(progress, 0.4, 0.6))
+    few = [c for c in few if c.members.size <= most]
     best = _best(search, [search.refitted(c) for c in (first, *known)] + few)
-    found, led = _found(search, best), best.x
-    sets, count = [*sets, *few], plain.point(best.x).used.sum()
-    for _ in range(TWICE):
-        search = plain.sharper(found, led)
-        path = _path(search, most, none, [search.refitted(c) for c in sets], part(told, 0.6, 1.0))
+    found = _found(search, best)
+    reached = best.x
+    sets += few
+    count = plain.point(best.x).used.sum()
+    for _ in range(2):  # again with the discrepancy that was found, until that changes little
+        search = plain.sharper(found, reached)
+        again = [search.refitted(c) for c in sets]
+        path = _path(search, none, again, part(progress, 0.6, 1.0))
         best = _best(search, path)
         better = _found(search, best)
-        if search.point(best.x).used.sum() < count or distance(better, found) < NEAR:
+        if search.point(best.x).used.sum() < count or distance(better, found) < 0.4:
             break
-        found, led, sets = better, best.x, path[1:]
-    path.append(_pruned(search, _parted(search, best, most)))
-    return Subsets(search, start, plain.point(path[-1].x), path, criteria(search, path), found)
+        found = better
+        reached = best.x
+        sets = path[1:]
+    path.append(_pruned(search, _with_collinear(search, best)))
+    return Subsets(
+        search=search,
+        start=start,
+        end=plain.point(path[-1].x),
+        path=path,
+        criteria=criteria(search, path),
+        found=found,
+    )
 
 
-def _eliminated(search: Search, now: Choice, most: int, told: Progress) -> list[Choice]:
+def _eliminated(search: Search, now: FittedSet, progress: Progress) -> list[FittedSet]:
     """The least useful members left out, one by one (several while there are many), the others
     updated again.
     """
-    path, first = [now], now.members.size
+    path = [now]
+    first = now.members.size
     while now.members.size > 1:
         at = now.members
         r = search.point(now.x)
@@ -447,114 +437,129 @@ def _eliminated(search: Search, now: Choice, most: int, told: Progress) -> list[
         normal = g.T @ g + np.diag(search.prior[at] ** -2)
         best = np.linalg.solve(normal, g.T @ (r.value + g @ now.x[at]))
         rise = best**2 / np.diag(np.linalg.inv(normal))  # of the linearised J without each
-        drop = max(1, (at.size - most) // 3)
-        stay = np.sort(at[np.argsort(rise, kind="stable")[drop:]])
-        now = search.fit(stay.tolist(), np.where(np.isin(np.arange(now.x.size), stay), now.x, 0.0))
+        drop = max(1, (at.size - search.settings.most) // 3)
+        stay = np.sort(at[np.argsort(rise, kind="stable")[drop:]]).tolist()
+        now = search.fit(stay, now.only(stay))
         path.append(now)
-        told(1 - now.members.size / first, f"candidates left: {now.members.size}")
+        progress(1 - now.members.size / first, f"candidates left: {now.members.size}")
     return path
 
 
 def _path(
-    search: Search, most: int, none: Choice, few: Sequence[Choice], told: Progress
-) -> list[Choice]:
+    search: Search, none: FittedSet, few: Sequence[FittedSet], progress: Progress
+) -> list[FittedSet]:
     """The best set of each size from 0 on, members exchanged: of `few`, or that of the size below
     with one more.
     """
-    names = search.model.parameters.names
+    names = search.problem.parameters.names
+    most = search.settings.most
+    later = 2  # sizes beyond the best one that are looked at
+    per_mode = 2 if search.target.weights.shape > 0 else 1
+    data = per_mode * search.modes + search.point(none.x).other_data
     path = [none]
-    for k in range(1, min(most, int(search.data) - 4) + 1):  # AICc needs more data than parameters
-        now, r, stay = path[-1], search.point(path[-1].x), path[-1].members.tolist()
-        tried = [c for c in few if c.members.size == k]
-        free = search.free(stay)
-        if not tried and free.size and r.used.any():
-            tried += [
-                search.fit(at, now.x)
-                for _, at in search.best(r, now.x, stay, free, r.value)[:TRIALS]
-            ]
+    for k in range(1, min(most, int(data) - 4) + 1):  # AICc needs more data than parameters
+        now = path[-1]
+        tried = [c for c in few if c.members.size == k] or _with_one_more(search, now)
         if k > 1:
-            tried += _in_pairs(search, path[-2])
-        gained = any(search.value(c.x).used.sum() > r.used.sum() for c in tried)
-        if search.target.rule == "gates" and r.used.sum() < search.modes and not gained:
-            # no slope sees a mode without partner; where one leads to it, all candidates need not
-            # be looked at far off
-            here = search.cost(now.x)
-            tried += [
-                search.fit(at, x) for value, at, x in search.far(now, free)[:TRIALS] if value < here
-            ]
+            tried += _with_two_more(search, path[-2])
+        tried += _with_one_far(search, now, tried)
         if not tried:
             break
         path.append(_exchanged(search, min(tried, key=lambda c: rounded(c.value))))
         more = [c for c in few if k < c.members.size <= most]
-        if (
-            k >= LATER and np.argmin(criteria(search, [*path, *more])) <= k - LATER
-        ):  # more parameters do not pay
-            break
-        told(k / most, f"best {k}: {', '.join(names[i] for i in path[-1].members.tolist())}")
+        if k >= later and np.argmin(criteria(search, [*path, *more])) <= k - later:
+            break  # more parameters do not pay
+        progress(k / most, f"best {k}: {', '.join(names[i] for i in path[-1].members.tolist())}")
     return path
 
 
-def _in_pairs(search: Search, now: Choice) -> list[Choice]:
+def _with_one_more(search: Search, now: FittedSet) -> list[FittedSet]:
+    """Sets with one member more."""
+    r = search.point(now.x)
+    stay = now.members.tolist()
+    free = search.free(stay)
+    if not free.size or not r.used.any():
+        return []
+    options = search.best(Here.of(r, now.x), stay, free)[: search.settings.trials]
+    return [search.fit(at, now.x) for _, at in options]
+
+
+def _with_two_more(search: Search, now: FittedSet) -> list[FittedSet]:
     """Sets with two members more."""
-    r, stay = search.point(now.x), now.members.tolist()
+    r = search.point(now.x)
+    stay = now.members.tolist()
     free = search.free(stay)
     if free.size < 2 or not r.used.any():
         return []
-    return [
-        search.fit(at, now.x) for _, at in search.best_pairs(r, now.x, stay, free, r.value)[:TRIALS]
-    ]
+    options = search.best_pairs(Here.of(r, now.x), stay, free)[: search.settings.trials]
+    return [search.fit(at, now.x) for _, at in options]
 
 
-def _exchanged(search: Search, now: Choice) -> Choice:
+def _with_one_far(search: Search, now: FittedSet, tried: Sequence[FittedSet]) -> list[FittedSet]:
+    """Sets with one member more, from far off, where a mode has no partner yet.
+
+    No slope sees such a mode. Where one of the sets tried leads to it, none is needed.
+    """
+    paired = search.point(now.x).used.sum()
+    if search.target.rule != "gates" or paired == search.modes:
+        return []
+    if any(search.value(c.x).used.sum() > paired for c in tried):
+        return []
+    here = search.cost(now.x)
+    options = search.far(now, search.free(now.members.tolist()))[: search.settings.trials]
+    return [search.fit(at, x) for value, at, x in options if value < here]
+
+
+def _exchanged(search: Search, now: FittedSet) -> FittedSet:
     """Exchange one member at a time while J falls."""
-    for _ in range(now.members.size if now.members.size > 1 else 0):
+    trials = search.settings.trials
+    if now.members.size < 2:
+        return now
+    for _ in range(now.members.size):
         r = search.point(now.x)
-        options: list[tuple[float, list[int]]] = []
+        least = (1 - LEAST_GAIN) * now.value
+        options: Ranked = []
         for out in now.members.tolist():
             stay = [m for m in now.members.tolist() if m != out]
             free = np.setdiff1d(search.free(stay), [out])
-            options += search.best(r, now.x, stay, free, r.value + r.slope[:, out] * now.x[out])[
-                :TRIALS
-            ]
-        options = ranked(o for o in options if o[0] < (1 - GAIN) * now.value)[:TRIALS]
-        tried = [
-            search.fit(at, np.where(np.isin(np.arange(now.x.size), at), now.x, 0.0))
-            for _, at in options
-        ]
+            options += search.best(Here.of(r, now.x, [out]), stay, free)[:trials]
+        promising = ranked(o for o in options if o[0] < least)[:trials]
+        tried = [search.fit(at, now.only(at)) for _, at in promising]
         better = min(tried, key=lambda c: rounded(c.value), default=now)
-        if not better.value < (1 - GAIN) * now.value:
+        if not better.value < least:
             return now
         now = better
     return now
 
 
-def _parted(search: Search, now: Choice, most: int) -> Choice:
-    """With members of the same clusters, as long as the criterion falls: exact data tell even these
-    apart.
+def _with_collinear(search: Search, now: FittedSet) -> FittedSet:
+    """With further members of the same clusters, as long as the criterion falls: exact data
+    separate even these.
     """
-    while 0 < now.members.size < most:
-        at, r = now.members.tolist(), search.point(now.x)
-        alike = np.isin(search.groups[search.pool], search.groups[at]) & ~np.isin(search.pool, at)
-        twins = search.pool[alike & ~search.apart[np.ix_(search.pool, at)].any(axis=1)]
-        options = search.best(r, now.x, at, twins, r.value)[:TRIALS] if twins.size else []
-        tried = [search.fit(more, now.x) for value, more in options if value < now.value - NOISE]
-        rise = criteria(search, [now, *tried])
-        if rise.argmin() == 0:
+    while 0 < now.members.size < search.settings.most:
+        at = now.members.tolist()
+        r = search.point(now.x)
+        same = np.isin(search.groups[search.pool], search.groups[at])
+        same &= ~np.isin(search.pool, at)
+        same &= ~search.conflicts[np.ix_(search.pool, at)].any(axis=1)
+        twins = search.pool[same]
+        if not twins.size:
             return now
-        now = tried[int(rise.argmin()) - 1]
+        options = search.best(Here.of(r, now.x), at, twins)[: search.settings.trials]
+        least = now.value - search.settings.noise
+        tried = [search.fit(more, now.x) for value, more in options if value < least]
+        best = int(criteria(search, [now, *tried]).argmin())
+        if best == 0:
+            return now
+        now = tried[best - 1]
     return now
 
 
-def _pruned(search: Search, now: Choice) -> Choice:
+def _pruned(search: Search, now: FittedSet) -> FittedSet:
     """Leave out members, the least first, without whom the criterion is no higher."""
     while now.members.size > 1:
-        all_ = now.members.tolist()
-        fewer = [
-            search.fit(
-                [m for m in all_ if m != out], np.where(np.arange(now.x.size) == out, 0.0, now.x)
-            )
-            for out in all_
-        ]
+        every = now.members.tolist()
+        fewer = [search.fit([m for m in every if m != out], now.without([out])) for out in every]
         value = criteria(search, [now, *fewer])
         best = int(np.argmin(value[1:]))
         if value[1 + best] > value[0]:
@@ -563,44 +568,41 @@ def _pruned(search: Search, now: Choice) -> Choice:
     return now
 
 
-def criteria(search: Search, path: Sequence[Choice]) -> Float:
-    """AICc of each set and the price of the search.
+def criteria(search: Search, path: Sequence[FittedSet]) -> Float:
+    """AICc of each set and the price of the search, to six decimals: rounding must not choose.
 
-    The best of many sets fits the noise, too: 2 γ ln of the number of sets with as many factors and
-    as many lumps. Chen and Chen (2008), eq. 2.2.
+    The best of many sets fits the noise, too: 2 ln of the number of sets with as many factors and
+    as many added masses. Chen and Chen (2008), eq. 2.2 with γ = 1.
     """
     every = price(search, [c.members for c in path]) + aicc(search, path)
-    return np.round(every, DECIMALS)
+    return np.round(every, 6)
 
 
 def foreseen(search: Search, r: Residual, members: Sequence[int], value: float) -> float:
     """The criterion of a set whose J is not computed but foreseen, all modes that are paired at a
     point counted.
     """
-    n = search.target.weights.data * int(r.used.sum()) + r.more
-    return float(price(search, [np.array(members)])[0]) + criterion(value, n, len(members))
+    n = search.target.weights.data * int(r.used.sum()) + r.other_data
+    return float(price(search, [np.array(members)])[0]) + aicc_of(value, n, len(members))
 
 
 def price(search: Search, sets: Sequence[Int]) -> Float:
     """Of the search for each set."""
-    lump = np.isin(np.arange(search.prior.size), list(search.lumps))
-    pool = np.unique(search.groups[search.pool[~lump[search.pool]]]).size + search.passed_over
-    added = np.array([lump[s].sum() for s in sets])
-    return (
-        2
-        * PRICE
-        * (_log_sets(pool, np.array([s.size for s in sets]) - added) + _log_sets(PLACES, added))
-    )
+    masses = search.masses
+    factors = np.setdiff1d(search.pool, masses)
+    pool = np.unique(search.groups[factors]).size + search.settings.passed_over
+    added = np.array([np.isin(s, masses).sum() for s in sets])
+    sizes = np.array([s.size for s in sets])
+    return 2 * (_log_sets(pool, sizes - added) + _log_sets(PLACES, added))
 
 
 def _log_sets(pool: int, size: Int) -> Float:
     """ln of the number of sets of each size."""
-    return np.asarray(
-        gammaln(pool + 1) - gammaln(size + 1) - gammaln(np.maximum(pool - size, 0) + 1)
-    )
+    rest = gammaln(np.maximum(pool - size, 0) + 1)
+    return np.asarray(gammaln(pool + 1) - gammaln(size + 1) - rest)
 
 
-def aicc(search: Search, path: Sequence[Choice]) -> Float:
+def aicc(search: Search, path: Sequence[FittedSet]) -> Float:
     """AICc of each set, all over the test modes that at least one of them pairs."""
     return comparable_criteria(
         search.target,
@@ -610,15 +612,17 @@ def aicc(search: Search, path: Sequence[Choice]) -> Float:
     )
 
 
-def _best(search: Search, sets: Sequence[Choice]) -> Choice:
+def _best(search: Search, sets: Sequence[FittedSet]) -> FittedSet:
     """The set of the lowest criterion."""
     return sets[int(np.argmin(criteria(search, sets)))]
 
 
-def _found(search: Search, c: Choice) -> Weights:
+def _found(search: Search, c: FittedSet) -> Weights:
     """With the relative frequency and 1 − MAC that a set leaves, over the data that its parameters
     have left over.
     """
-    g = search.point(c.x).slope[:, c.members] * search.prior[c.members]
-    many = errors_of_shapes(search.target, search.model.modes(c.x))
-    return left_over(search.assumed, search.point(c.x), g, search.target.weights.data, many)
+    r = search.point(c.x)
+    slopes = r.slope[:, c.members] * search.prior[c.members]
+    model = search.problem.configurations[0].model
+    many = errors_of_shapes(search.target, model.modes(c.x))
+    return left_over(search.assumed, r, slopes, search.target.weights.data, many)

@@ -51,7 +51,8 @@ def _read(file: h5py.File) -> RecordedModes:
     shapes = file[at][()]
     domains = _domains(file[f"{_RESULT}/DOMAINS"][()], shapes["DOMAIN_ID"])
     rows = []
-    scalar_points = _scalar_points(file)
+    spoint = "NASTRAN/INPUT/NODE/SPOINT"
+    scalar_points = file[spoint][()]["ID"] if spoint in file else np.empty(0, dtype=np.int64)
     for domain in domains["ID"].tolist():
         part = shapes[shapes["DOMAIN_ID"] == domain]
         motion = np.stack([part[c] for c in _COMPONENTS], axis=1).astype(np.float64)
@@ -94,11 +95,6 @@ def _frames(file: h5py.File) -> dict[int, int]:
         return {}
     grid = file[at][()]
     return dict(zip(grid["ID"].tolist(), grid["CD"].tolist(), strict=True))
-
-
-def _scalar_points(file: h5py.File) -> Int:
-    at = "NASTRAN/INPUT/NODE/SPOINT"
-    return file[at][()]["ID"].astype(np.int64) if at in file else np.empty(0, dtype=np.int64)
 
 
 READERS = {

@@ -19,8 +19,12 @@ from ringtrue.decks.nastran.results.recorded import RecordedModes, gathered
 from ringtrue.errors import DataError
 from ringtrue.io.files import existing
 
-_MODES, _REAL = 2, 8  # approach code; words a node of a real result
-_EIGENVALUES, _EIGENVECTORS = 6, 7  # table codes
+# approach code; words a node of a real result
+_MODES = 2
+_REAL = 8
+# table codes
+_EIGENVALUES = 6
+_EIGENVECTORS = 7
 _GRID_KEY = (4501, 45)
 # The names are whole: ROUGV1 (motion relative to a moved base), BOPHIGF (of a fluid), LAMAF and
 # GEOM1EX are others.
@@ -31,7 +35,7 @@ _SHAPES = frozenset({"OUG1", "OUGV1", "OPHIG", "OPHG1"}) | _IN_BASIC
 
 
 @dataclass(frozen=True, slots=True)
-class Record:
+class LogicalRecord:
     """A logical record: its blocks, and flag 0 for a table, else the column of a matrix."""
 
     flag: int
@@ -46,7 +50,7 @@ class Op2Table:
     ----------
     name : str
     trailer : (7,) int64
-    records : tuple of Record
+    records : tuple of LogicalRecord
         The first is the header.
     order : {"<", ">"}
         Byte order.
@@ -56,7 +60,7 @@ class Op2Table:
 
     name: str
     trailer: Int
-    records: tuple[Record, ...]
+    records: tuple[LogicalRecord, ...]
     order: str
     word: int
 
@@ -77,11 +81,12 @@ class Op2Table:
         return np.frombuffer(data[: len(data) // 8 * 8], f"{self.order}f8").astype(np.float64)
 
 
-class _File:
+class _Op2File:
     """The bytes of a file and a place in them; every step is checked against the end."""
 
     def __init__(self, path: Path) -> None:
-        self.path, self.at = path, 0
+        self.path = path
+        self.at = 0
         self.data: NDArray[np.uint8] = (
             np.memmap(path, dtype=np.uint8, mode="r")
             if path.stat().st_size
@@ -140,7 +145,7 @@ def read_tables(path: str | Path) -> Iterator[Op2Table]:
         If the file is missing, not an OP2, cut off or damaged.
     """
     path = existing(path)
-    file = _File(path)
+    file = _Op2File(path)
     key = file.key()
     if key == 3:  # the date, the tape code and a label come first
         file.block()
@@ -164,7 +169,7 @@ def read_tables(path: str | Path) -> Iterator[Op2Table]:
         key = file.key()
 
 
-def _name(file: _File) -> str:
+def _name(file: _Op2File) -> str:
     """The label of the file or the name of a table, up to its closing key -1.
 
     The enhanced format of MSC Nastran (PARAM,POST,1) adds a block of six words: its version and
@@ -178,7 +183,7 @@ def _name(file: _File) -> str:
     return name
 
 
-def _table(file: _File) -> Op2Table:
+def _table(file: _Op2File) -> Op2Table:
     name = _name(file)
     if file.key() <= 0:
         raise file.fail(f"table {name} without a trailer")
@@ -193,7 +198,7 @@ def _table(file: _File) -> Op2Table:
         while (key := file.key()) > 0:
             blocks.append(file.block())
         if blocks:
-            records.append(Record(flag, tuple(blocks)))
+            records.append(LogicalRecord(flag, tuple(blocks)))
     return Op2Table(name, trailer, tuple(records), file.order, file.word)
 
 
@@ -249,7 +254,8 @@ def _gather(
     shapes: list[Op2Table], lama: tuple[Float, Float] | None, frames: dict[int, int]
 ) -> RecordedModes:
     modes: list[int] = []
-    values, rows = [], []
+    values = []
+    rows = []
     for table in shapes:
         data = [b"".join(r.blocks) for r in table.records[1:]]
         for ident, body in zip(data[::2], data[1::2], strict=True):
@@ -259,9 +265,11 @@ def _gather(
             modes.append(mode)
             values.append(float(table.floats(ident)[5]))
             rows.append(_nodes(table, body))
-    lam, mass = np.array(values), np.full(len(values), np.nan)
+    lam = np.array(values)
+    mass = np.full(len(values), np.nan)
     if lama is not None and modes and max(modes) <= lama[0].size and min(modes) > 0:
-        lam, mass = lama[0][np.array(modes) - 1], lama[1][np.array(modes) - 1]
+        lam = lama[0][np.array(modes) - 1]
+        mass = lama[1][np.array(modes) - 1]
     if shapes[0].name in _IN_BASIC:
         frames = dict.fromkeys(rows[0][0].tolist(), 0) if rows else {}
     return gathered(lam, mass, rows, frames)

@@ -92,7 +92,11 @@ def _read(data: Bytes) -> RecordedModes:
             f"the eigenvalue table has no mode {lost[0] if lost else 1}: the file is cut off?"
         )
     lam, mass = np.array([table[k] for k in parts]).T
-    return gathered(lam, mass, [_joined(p) for p in parts.values()])
+    rows = []
+    for found_pages in parts.values():
+        nodes, scalar, motion = (np.concatenate([p[k] for p in found_pages]) for k in range(3))
+        rows.append((nodes, scalar, motion))
+    return gathered(lam, mass, rows)
 
 
 def _page(data: Bytes, start: int, end: int) -> tuple[Int, Bool, Float] | None:
@@ -105,9 +109,8 @@ def _page(data: Bytes, start: int, end: int) -> tuple[Int, Bool, Float] | None:
     nodes: list[int] = []
     scalar: list[bool] = []
     words: list[list[bytes]] = []
-    for point, kind, text in _ROW.findall(
-        data, rows.start(), rows.end()
-    ):  # pages hold some fifty rows
+    # pages hold some fifty rows
+    for point, kind, text in _ROW.findall(data, rows.start(), rows.end()):
         values = text.split()
         if kind == b"S":  # consecutive scalar points side by side
             nodes += [int(point) + k for k in range(len(values))]
@@ -127,11 +130,6 @@ def _floats(words: list[list[bytes]]) -> Float:
     except ValueError:  # an exponent of three digits stands without its E
         flat = [re.sub(rb"(?<=[\d.])([-+]\d)", rb"E\1", w) for row in words for w in row]
         return np.array(flat, dtype=np.bytes_).reshape(-1, 6).astype(np.float64)
-
-
-def _joined(pages: list[tuple[Int, Bool, Float]]) -> tuple[Int, Bool, Float]:
-    nodes, scalar, motion = (np.concatenate([p[k] for p in pages]) for k in range(3))
-    return nodes, scalar, motion
 
 
 def _eigenvalues(data: Bytes, before: int) -> dict[int, tuple[float, float]]:
@@ -221,7 +219,9 @@ def read_punch(path: str | Path) -> RecordedModes:
 def _modes(lines: Iterator[str]) -> Iterator[tuple[int, float, list[str]]]:
     """Number, eigenvalue and data lines of each mode of the first subcase."""
     rows: list[str] = []
-    mode, value, inside = 0, 0.0, False
+    mode = 0
+    value = 0.0
+    inside = False
     for line in lines:
         if not line.startswith("$"):
             if inside and mode:
@@ -240,13 +240,15 @@ def _modes(lines: Iterator[str]) -> Iterator[tuple[int, float, list[str]]]:
         if here and inside:
             if int(here[2]) <= mode:  # the next subcase
                 return
-            mode, value = int(here[2]), float(here[1])
+            mode = int(here[2])
+            value = float(here[1])
     if rows:
         yield mode, value, rows
 
 
 def _points(rows: list[str]) -> tuple[Int, Bool, Float]:
-    first, second = rows[::2], rows[1::2]
+    first = rows[::2]
+    second = rows[1::2]
     if len(first) != len(second) or any(r[:6] != "-CONT-" for r in second):
         raise DataError("a point without its second line: the file is cut off?")
     head = np.array([(r[:10], r[10:18].strip()) for r in first])

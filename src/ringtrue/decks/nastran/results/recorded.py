@@ -55,7 +55,8 @@ class RecordedModes:
             motion=np.float64,
             frames=np.int64,
         )
-        n, m = self.nodes.size, self.eigenvalues.size
+        n = self.nodes.size
+        m = self.eigenvalues.size
         if not m or not n:
             raise DataError("no modes with shapes: ask the program for DISPLACEMENT = ALL")
         if (
@@ -100,7 +101,12 @@ def gathered(
     known = frames or {}
     cd = np.array([known.get(n, -1) for n in nodes.tolist()], dtype=np.int64)
     return RecordedModes(
-        eigenvalues, modal_mass, nodes, scalar, np.stack([r[2] for r in rows], axis=2), cd
+        eigenvalues=eigenvalues,
+        modal_mass=modal_mass,
+        nodes=nodes,
+        scalar=scalar,
+        motion=np.stack([r[2] for r in rows], axis=2),
+        frames=cd,
     )
 
 
@@ -137,7 +143,14 @@ def to_mode_set(
     frequencies = np.sign(lam) * np.sqrt(np.abs(lam)) / (2 * np.pi)
     dofs, rows = _labels(found)
     flat = shapes.reshape(-1, lam.size)[rows]
-    return ModeSet(frequencies, np.zeros(lam.size), flat[:, order], dofs, norm, source)
+    return ModeSet(
+        frequencies=frequencies,
+        damping=np.zeros(lam.size),
+        shapes=flat[:, order],
+        labels=dofs,
+        norm=norm,
+        source=source,
+    )
 
 
 def _scaled(found: RecordedModes, mass_normalised: bool) -> tuple[Float, Norm]:
@@ -172,14 +185,18 @@ def _basic(found: RecordedModes, model: Model | None) -> RecordedModes:
         return found
     grid = model["GRID"]
     at = grid.find(found.nodes)
-    lost = (at < 0) & ~found.scalar & ~np.isin(found.nodes, _scalar_points(model))
+    scalar_points = (
+        model["SPOINT"].ragged("ID").values if "SPOINT" in model else np.empty(0, dtype=np.int64)
+    )
+    lost = (at < 0) & ~found.scalar & ~np.isin(found.nodes, scalar_points)
     if lost.any():
         raise DataError(
             f"node {found.nodes[lost][0]} is not in the deck: the results are of another model"
         )
     scalar = at < 0
     order = np.lexsort((np.arange(at.size), at, scalar))
-    at, frames = at[order], found.frames[order]
+    at = at[order]
+    frames = found.frames[order]
     turn = np.broadcast_to(np.eye(3), (at.size, 3, 3)).copy()
     g = ~scalar[order] & (frames != 0)
     turn[g] = axes(model, grid["CD"][at[g]], positions(model)[at[g]])
@@ -187,9 +204,10 @@ def _basic(found: RecordedModes, model: Model | None) -> RecordedModes:
     basic = np.einsum("nji,nkjm->nkim", turn, local).reshape(at.size, 6, -1)
     zero = np.zeros(at.size, dtype=np.int64)
     return RecordedModes(
-        found.eigenvalues, found.modal_mass, found.nodes[order], scalar[order], basic, zero
+        eigenvalues=found.eigenvalues,
+        modal_mass=found.modal_mass,
+        nodes=found.nodes[order],
+        scalar=scalar[order],
+        motion=basic,
+        frames=zero,
     )
-
-
-def _scalar_points(model: Model) -> Int:
-    return model["SPOINT"].ragged("ID").values if "SPOINT" in model else np.empty(0, dtype=np.int64)

@@ -23,8 +23,9 @@ from ringtrue.io.foreign.door import door
 from ringtrue.io.foreign.parsers import open_hdf5
 
 _WORDS = 9  # of a response in DSCMCOL: internal id, id, type, then by type
-_LARGEST = 1 << 27  # numbers of a matrix that is printed: 1 GB
-_EIGENVALUE, _DISPLACEMENT = 4, 5  # response types: Quick Reference Guide, DSCMCOL
+# response types: Quick Reference Guide, DSCMCOL
+_EIGENVALUE = 4
+_DISPLACEMENT = 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,8 +51,16 @@ class Sensitivities:
 
     def __post_init__(self) -> None:
         i = np.int64
-        freeze_fields(self, response=i, grid=i, component=i, variable=i, values=np.float64)
-        r, v = self.response.size, self.variable.size
+        freeze_fields(
+            self,
+            response=i,
+            grid=i,
+            component=i,
+            variable=i,
+            values=np.float64,
+        )
+        r = self.response.size
+        v = self.variable.size
         if not r or not v:
             raise DataError("no design sensitivities")
         if self.values.shape != (r, v) or self.grid.shape != (r,) or self.component.shape != (r,):
@@ -113,7 +122,8 @@ def _variables(destab: Op2Table | None, count: int) -> Int:
 def _labelled(columns: Int, values: Float, variables: Int) -> Sensitivities:
     """Rows of the matrix with their words in DSCMCOL."""
     moved = columns[:, 2] == _DISPLACEMENT
-    grid, component = np.where(moved, columns[:, 3], 0), np.where(moved, columns[:, 4], 0)
+    grid = np.where(moved, columns[:, 3], 0)
+    component = np.where(moved, columns[:, 4], 0)
     return Sensitivities(columns[:, 1], grid, component, variables, values)
 
 
@@ -143,13 +153,26 @@ def _matrix(lines: Sequence[str]) -> Sensitivities:
 
     A column goes on over pages; what is not printed is 0.
     """
-    variables, columns = dict[int, int](), dict[int, tuple[int, int, int]]()
-    values, column, section, done = np.zeros((0, 0)), 0, "", False
+    variables = dict[int, int]()
+    columns = dict[int, tuple[int, int, int]]()
+    values = np.zeros((0, 0))
+    column = 0
+    section = ""
+    done = False
     for line in lines:
         if found := _MATRIX.search(line):
-            values, section, done = _zeros(int(found[1]), int(found[2])), "DSCM2", False
+            columns_of_matrix = int(found[1])
+            rows = int(found[2])
+            if columns_of_matrix * rows > 1 << 27:  # 1 GB
+                raise DataError(
+                    f"DSCM2 of {columns_of_matrix} columns and {rows} rows: the file is damaged"
+                )
+            values = np.zeros((columns_of_matrix, rows))
+            section = "DSCM2"
+            done = False
         elif "THE NUMBER OF NON-ZERO TERMS" in line and section == "DSCM2":
-            section, done = "", True
+            section = ""
+            done = True
         elif found := re.search(
             r"ASSOCIATED WITH (DRESP\d)|-----\s+(DESIGN VARIABLES)\s+-----", line
         ):
@@ -172,12 +195,6 @@ def _matrix(lines: Sequence[str]) -> Sensitivities:
     labels = np.array([columns[i] for i in at], dtype=np.int64)
     ids = np.array([variables.get(i + 1, i + 1) for i in range(values.shape[1])], dtype=np.int64)
     return Sensitivities(labels[:, 0], labels[:, 1], labels[:, 2], ids, values[np.array(at) - 1])
-
-
-def _zeros(columns: int, rows: int) -> Float:
-    if columns * rows > _LARGEST:
-        raise DataError(f"DSCM2 of {columns} columns and {rows} rows: the file is damaged")
-    return np.zeros((columns, rows))
 
 
 def _blocks(lines: Sequence[str]) -> Sensitivities:

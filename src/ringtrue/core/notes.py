@@ -1,0 +1,62 @@
+"""Notes on data: a code and values, which code may read, and the sentences made of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+SENTENCES = {
+    "channel not finite": "channel {subject}: {samples} samples are not finite; left out",
+    "channel dead": (
+        "channel {subject}: at {value:.4g}, with {changes} changes of its value: a dead sensor; "
+        "left out"
+    ),
+    "channel straight": "channel {subject}: a straight line: no signal; left out",
+    "channel wraps": (
+        "channel {subject}: wraps {count} times from one end of its range to the other: too few "
+        "bits, or an overflow; left out"
+    ),
+    "channel clipped": (
+        "channel {subject}: clipped at {value:.4g} {unit} in {samples:,} of {total:,} samples"
+    ),
+    "channel coarse": "channel {subject}: coarse: {levels} different values only",
+    "channel level": (
+        "channel {subject}: {ratio:.1e} of the typical level of its quantity: unit or sensitivity?"
+    ),
+    "channel twice": "channel {subject}: the same samples as {other}",
+    "channel spikes": (
+        "channel {subject}: spikes, {count} in all, the first at {time:.4g} s, of {size:.3g} "
+        "standard deviations"
+    ),
+}
+
+
+def sentence(note: Note) -> str:
+    """The sentence of a note."""
+    return SENTENCES[note.code].format(subject=note.subject, **note.values)
+
+
+Severity = Literal["information", "warning", "error"]
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """A message about data.
+
+    Attributes
+    ----------
+    code : str
+        What it is: a key of `SENTENCES`.
+    severity : {"information", "warning", "error"}
+        An error: the subject cannot be used.
+    subject : str
+        What it is about: the id of a channel, a record, a mode.
+    values : mapping of str to float, int or str
+        What the sentence says.
+    """
+
+    code: str
+    severity: Severity
+    subject: str
+    values: Mapping[str, float | int | str] = field(default_factory=dict)
