@@ -526,7 +526,6 @@ def study() -> dict[str, object]:
     tables = [correlation(reference, m, left_out=left_out) for m in seen]
     refs = [2, 40, 90]
     frfs = _frfs(test, hammer, refs)
-    sigma = np.linalg.svd(frfs.data, compute_uv=False)
     records = (
         _record("a1", "(a) ambient, foundation", "ambient only", 24, 100, 1800),
         _record("a2", "(a) ambient, foundation", "three people jumping", 24, 100, 900),
@@ -556,7 +555,6 @@ def study() -> dict[str, object]:
         records=records,
         ambient_records=tuple(found),
         frfs=frfs,
-        cmif=sigma,
         rejected_hits=(
             "point 112+Z hit 3: double hit at 0.18 s",
             "point 131+X hit 1: overload on 141+Y",

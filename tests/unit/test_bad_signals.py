@@ -86,7 +86,7 @@ def clipped(rows: Any) -> Change:
     ("change", "told"),
     [
         (put(2, 1.5), "channel 3+Z: at 1.5, with 0 changes of its value: a dead sensor; left out"),
-        (put((2, 1000), np.nan), "channel 3+Z: 1 missing sample interpolated"),
+        (put((2, 1000), np.nan), "channel 3+Z: missing samples interpolated: 1"),
         (put(2, np.linspace(0, 5, N)), "channel 3+Z: a straight line: no signal; left out"),
         (
             scaled(1, 1e3),
@@ -297,7 +297,9 @@ def test_drop_outs_and_spikes_are_listed(tmp_path: Path, capsys: Capture) -> Non
     np.save(tmp_path / "d.npy", y.T)
     status, out, _ = call(capsys, "oma", tmp_path / "d.npy", "--rate", RATE)
     assert status == 0
-    assert "channel ch2: lost 1 time (a value is held), the first at 125 s, 15.6 s in all" in out
+    assert (
+        "channel ch2: lost stretches: 1 (a value is held), the first at 125 s, 15.6 s in all" in out
+    )
     assert "channel ch3: spikes, 1 in all, the first at 78.12 s" in out
 
 

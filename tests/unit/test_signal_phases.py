@@ -39,7 +39,7 @@ def test_parts_of_a_sample_are_told_where_they_are_more_than_scatter(samples: fl
     y = motion().copy()
     y[3] = at_positions(y[[3]], np.arange(y.shape[1]) - samples)[0]
     moved, notes = in_phase(record(y), mend=True)
-    assert [n.split(":")[0] for n in notes] == told * ["channel 4+Z"]
+    assert [n.subject for n in notes] == told * ["4+Z"]
     assert (moved.data.shape != y.shape) == told
 
 

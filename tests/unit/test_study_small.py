@@ -15,6 +15,7 @@ import small_study
 
 import ringtrue as rt
 from ringtrue.cli.main import run as command
+from ringtrue.core.notes import Note, sentence
 from ringtrue.decks.nastran.editor import unified_diff
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, DataError
@@ -78,12 +79,14 @@ def test_only_the_changed_fields_differ_in_the_delivered_deck(done: StudyRun) ->
 
 def test_channels_at_fault_are_told_once(done: StudyRun) -> None:
     stage = done.results["identify"]
-    one = replace(stage.records[0], notes=("channel 3+X: noise", "a machine at 5 Hz"))
-    two = replace(stage.records[-1], notes=("channel 3+X: noise", "channel 4+X: dead"))
+    straight = Note("channel straight", "error", "3+X")
+    strain = Note("channel strain", "warning", "4+X")
+    one = replace(stage.records[0], channel_notes=(straight,), notes=("a machine at 5 Hz",))
+    two = replace(stage.records[-1], channel_notes=(straight, strain))
     lines = run_messages({"identify": replace(stage, records=(one, two))})
     assert lines[1:] == (
-        f"{one.name}: channel 3+X: noise (1 more note on it)",
-        f"{two.name}: channel 4+X: dead",
+        f"{one.name}: {sentence(straight)} (further notes on it: 1)",
+        f"{two.name}: {sentence(strain)}",
     )
 
 

@@ -20,6 +20,7 @@ from ringtrue.core.channels import match_channels, split_label
 from ringtrue.core.display import Displayed, plot
 from ringtrue.core.iterate import Progress, part, quiet
 from ringtrue.core.modes import ModeSet, elastic
+from ringtrue.core.notes import Note, sentence
 from ringtrue.core.signals import TimeHistory
 from ringtrue.core.testmodel import Observation, TestModel
 from ringtrue.correlation.assignment import Locks
@@ -135,7 +136,7 @@ def track_records(
                     notes.append(f"{middle:.4g} h: left out: {e}")
                     continue
                 found.append(modes)
-                notes += [f"{middle:.4g} h: {w}" for w in why]
+                notes += [f"{middle:.4g} h: {sentence(note)}" for note in why]
     if not found:
         raise DataError("; ".join(["no part of the records could be identified", *notes[:3]]))
     tracked = track_modes(found)
@@ -161,7 +162,7 @@ def _parts(path: Path, cut: RecordParts) -> Iterator[TimeHistory]:
 
 def _identified(
     part: TimeHistory, leave_out: Sequence[str], settings: AmbientSettings, middle: float
-) -> tuple[Stretch, tuple[str, ...]]:
+) -> tuple[Stretch, tuple[Note, ...]]:
     """The modes of one part, and notes on its channels."""
     ids = [c.id for c in part.channels]
     for name in leave_out:

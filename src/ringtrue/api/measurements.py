@@ -575,7 +575,7 @@ def identify_frfs(
         modes=found.modes,
         uncertainty=found.uncertainty,
         reasons=found.reasons,
-        notes=(*measured.notes, *found.notes),
+        notes=(*measured.notes, *found.notes, *map(sentence, found.channel_notes)),
         diagrams=found.diagrams,
         result=found,
     )

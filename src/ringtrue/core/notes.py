@@ -29,6 +29,37 @@ SENTENCES = {
         "channel {subject}: spikes, {count} in all, the first at {time:.4g} s, of {size:.3g} "
         "standard deviations"
     ),
+    "channel lost": "channel {subject}: {percent:.0f} % of its samples are lost; left out",
+    "channel interpolated": "channel {subject}: missing samples interpolated: {count}",
+    "scattered losses": (
+        "{subject} lost parts at times of their own, {percent:.2g} % of one at most: straight "
+        "lines there in each by itself"
+    ),
+    "samples lost": (
+        "{subject}: lost stretches: {parts} ({causes}), the first at {first:.4g} s, {total:.3g} s "
+        "in all; left out in all channels"
+    ),
+    "channel late": (
+        "channel {subject}: {lag:.3g} s {side} the others by the phases of the cross spectra; "
+        "{treatment}"
+    ),
+    "channel clock": (
+        "channel {subject}: a clock {ppm:+.3g} ppm against that of the others; {treatment}"
+    ),
+    "channel phase": (
+        "channel {subject}: phase to the others neither 0 nor 180 degrees, and no delay explains "
+        "it: another quantity, sensor or filter? Shapes are wrong there, and modes may be lost"
+    ),
+    "channel noisy": (
+        "channel {subject}: its readings of the shapes are known to {percent:.0f} % of their RMS, "
+        "those of the median channel to {usual:.2g} %: noise of a broken cable or sensor? MAC "
+        "suffers; leave it out"
+    ),
+    "channel incoherent": (
+        "channel {subject}: coherence {values}, {usual:.2f} of the others: does not move, has a "
+        "loose cable or is dead"
+    ),
+    "channel strain": "channel {subject}: measures strain, not used",
 }
 
 

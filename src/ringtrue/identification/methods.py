@@ -140,7 +140,7 @@ def identify_ambient_by(
     good, states = usable(whole)
     good = remove_drift(good, lowest(good.duration, settings))
     good = scaled(good, unit_factor(good))
-    notes = gaps.notes + tuple(map(sentence, states))
+    notes = tuple(map(sentence, (*gaps.notes, *states)))
     report(0.0, chosen.title)
     if isinstance(chosen, PeakMethod):
         modes, std = chosen.identify(good, settings, near)

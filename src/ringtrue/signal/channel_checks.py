@@ -436,20 +436,20 @@ class Gaps:
     ----------
     lost : (sample,) bool
         Some channel has nothing to say.
-    channels : tuple of str
-        What is said of single channels.
-    stretches : str
-        What is said of all that is lost; empty where nothing is.
+    channels : tuple of Note
+        On single channels.
+    stretches : Note, optional
+        On all that is lost.
     """
 
     lost: Bool
-    channels: tuple[str, ...]
-    stretches: str = ""
+    channels: tuple[Note, ...]
+    stretches: Note | None = None
 
     @property
-    def notes(self) -> tuple[str, ...]:
-        """All that is said."""
-        return (*self.channels, *((self.stretches,) if self.stretches else ()))
+    def notes(self) -> tuple[Note, ...]:
+        """All of them."""
+        return (*self.channels, self.stretches) if self.stretches else self.channels
 
     def cut(self, samples: int) -> Bool:
         """(samples,) what is lost of the record after as much was cut from its two ends."""
@@ -486,7 +486,7 @@ def bridge_gaps(history: TimeHistory) -> tuple[TimeHistory, Gaps]:
     typical = float(np.median(list(share.values())))
     keep = [i for i, part in share.items() if part <= typical + LOSSES.most]
     notes += tuple(
-        f"channel {i}: {100 * share[i]:.0f} % of its samples are lost; left out"
+        Note("channel lost", "error", i, {"percent": 100 * share[i]})
         for i in share
         if i not in keep
     )
@@ -504,29 +504,30 @@ def bridge_gaps(history: TimeHistory) -> tuple[TimeHistory, Gaps]:
     names = [i for i in keep if i in held]
     parts = len(runs(lost))
     first = int(np.flatnonzero(lost)[0]) / history.rate
-    why = [
-        w
-        for w, some in (
-            ("samples are missing", missing),
-            ("a value is held", held.keys() - missing),
-        )
-        if some
-    ]
-    sentences = (
-        f"{'all channels' if len(names) == len(keep) > 1 else 'channel ' + ' '.join(names)}: "
-        f"lost {parts} "
-        f"time{'s' if parts > 1 else ''} ({', '.join(why)}), the first at {first:.4g} s, "
-        f"{np.count_nonzero(lost) / history.rate:.3g} s in all; left out in all channels"
+    causes = ["samples are missing"] if missing else []
+    if held.keys() - missing:
+        causes.append("a value is held")
+    everywhere = len(names) == len(keep) > 1
+    stretches = Note(
+        "samples lost",
+        "warning",
+        "all channels" if everywhere else f"channel {' '.join(names)}",
+        {
+            "parts": parts,
+            "causes": ", ".join(causes),
+            "first": first,
+            "total": np.count_nonzero(lost) / history.rate,
+        },
     )
     data = np.array(history.data)
     for x in data:
         _bridge(x, lost)
-    return replace(history, data=data), Gaps(lost, notes, sentences)
+    return replace(history, data=data), Gaps(lost, notes, stretches)
 
 
 def _each_by_itself(
     history: TimeHistory, held: dict[str, Bool], lost: Bool
-) -> tuple[TimeHistory, Bool, str]:
+) -> tuple[TimeHistory, Bool, Note | None]:
     """The record, what most channels lost, and a note where others lost parts at times of their own
     (radio links).
 
@@ -536,21 +537,17 @@ def _each_by_itself(
     alone = {i: h & ~common for i, h in held.items()}
     most = max((float(h.mean()) for h in alone.values()), default=0.0)
     if (lost & ~common).mean() < max(LOSSES.scattered, LOSSES.each * most):
-        return history, lost, ""
+        return history, lost, None
     data = np.array(history.data)
     for k, c in enumerate(history.channels):
         if c.id in alone:
             _bridge(data[k], alone[c.id])
     count = sum(bool(h.any()) for h in alone.values())
-    sentences = (
-        f"{count} channels lost parts at times of their own, {100 * most:.2g} % of one at most: "
-        "straight lines there "
-        "in each by itself"
-    )
-    return replace(history, data=data), common, sentences
+    note = Note("scattered losses", "warning", f"{count} channels", {"percent": 100 * most})
+    return replace(history, data=data), common, note
 
 
-def _filled(history: TimeHistory) -> tuple[TimeHistory, dict[str, Bool], tuple[str, ...]]:
+def _filled(history: TimeHistory) -> tuple[TimeHistory, dict[str, Bool], tuple[Note, ...]]:
     """The record with straight lines over samples that are not finite, the long runs of these
     (sample,), and notes.
     """
@@ -563,7 +560,7 @@ def _filled(history: TimeHistory) -> tuple[TimeHistory, dict[str, Bool], tuple[s
         return history, {}, ()
     data = np.array(history.data)
     missing: dict[str, Bool] = {}
-    notes: list[str] = []
+    notes: list[Note] = []
     for i in bad:
         none = ~np.isfinite(data[i])
         name = history.channels[i].id
@@ -574,9 +571,7 @@ def _filled(history: TimeHistory) -> tuple[TimeHistory, dict[str, Bool], tuple[s
         if long.any():
             missing[name] = long
         if count := np.count_nonzero(none & ~long):
-            notes.append(
-                f"channel {name}: {count} missing sample{'s' if count > 1 else ''} interpolated"
-            )
+            notes.append(Note("channel interpolated", "warning", name, {"count": int(count)}))
     return replace(history, data=data), missing, tuple(notes)
 
 

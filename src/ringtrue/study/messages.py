@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ringtrue.core.arrays import Float
+from ringtrue.core.notes import sentence
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.study.acceptance import in_both
 from ringtrue.study.placing import seat_words
@@ -236,15 +237,14 @@ def _suspects(evidence: Evidence | None, tests: CompareStage | None) -> list[str
 
 def _at_fault(identify: IdentifyStage) -> list[str]:
     """What records and FRFs say of their channels, once for each of these."""
-    every = [(f"{r.name}: ", note) for r in identify.records for note in r.notes]
-    every += [("", note) for note in identify.frf_notes]
+    every = [(f"{r.name}: ", note) for r in identify.records for note in r.channel_notes]
+    every += [("", note) for note in identify.channel_notes]
     notes: dict[str, list[str]] = {}
     for name, note in every:
-        if note.startswith("channel "):
-            notes.setdefault(note.partition(":")[0], []).append(name + note)
+        notes.setdefault(note.subject, []).append(name + sentence(note))
     out = []
     for first, *rest in notes.values():
-        more = f" ({len(rest)} more note{'s' * (len(rest) > 1)} on it)" if rest else ""
+        more = f" (further notes on it: {len(rest)})" if rest else ""
         out.append(first + more)
     return out
 

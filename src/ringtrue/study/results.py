@@ -10,6 +10,7 @@ from ringtrue.checks.materials import MassProperties
 from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.core.iterate import Outcome
 from ringtrue.core.modes import ModeSet, Uncertainty
+from ringtrue.core.notes import Note
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.signals import FrfSet
 from ringtrue.core.testmodel import TestModel
@@ -19,6 +20,7 @@ from ringtrue.correlation.pairing import Tracks
 from ringtrue.correlation.sensor_mounting import Mending
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.identification.common.stabilisation import StableDiagram
+from ringtrue.identification.frf.lines import cmif
 from ringtrue.planning.exciters import LEAST_REACH
 from ringtrue.planning.plan_files import Setups
 from ringtrue.planning.virtual_test import VirtualTest
@@ -307,7 +309,9 @@ class RecordSummary:
     rate : float, Hz
     duration : float, s
     notes : tuple of str
-        Harmonics, channels that are not used, band of the sensor correction.
+        Harmonics, band of the sensor correction.
+    channel_notes : tuple of Note
+        On channels.
     setup : str
         Of a roving test.
     preview : RecordPreview, optional
@@ -322,6 +326,7 @@ class RecordSummary:
     rate: float
     duration: float
     notes: tuple[str, ...]
+    channel_notes: tuple[Note, ...] = ()
     setup: str = ""
     preview: RecordPreview | None = None
 
@@ -366,7 +371,8 @@ class IdentifyStage:
     frfs : FrfSet, optional
     frf_notes : tuple of str
         Of FRFs that were given; those of hammer records are with the records.
-    cmif : (f, in) float64
+    channel_notes : tuple of Note
+        On channels of given FRFs, and on those that are not used.
     synthesis_error : (out, in) float64, relative
     rejected_hits : tuple of str
     """
@@ -380,9 +386,14 @@ class IdentifyStage:
     merge_notes: tuple[str, ...] = ()
     frfs: FrfSet | None = None
     frf_notes: tuple[str, ...] = ()
-    cmif: Float = field(default_factory=lambda: np.zeros((0, 0)))
+    channel_notes: tuple[Note, ...] = ()
     synthesis_error: Float = field(default_factory=lambda: np.zeros((0, 0)))
     rejected_hits: tuple[str, ...] = ()
+
+    @property
+    def cmif(self) -> Float:
+        """Complex mode indicator function of the FRFs, (f, in)."""
+        return np.zeros((0, 0)) if self.frfs is None else cmif(self.frfs.data)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

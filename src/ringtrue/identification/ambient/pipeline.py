@@ -18,7 +18,7 @@ from ringtrue.core.arrays import Float
 from ringtrue.core.choice import Choice
 from ringtrue.core.iterate import Progress, quiet
 from ringtrue.core.modes import ModeSet, Uncertainty
-from ringtrue.core.notes import sentence
+from ringtrue.core.notes import Note, sentence
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.identification.ambient.band_modes import modes_of_band
@@ -115,10 +115,10 @@ class AmbientResult:
         The evidence for each mode.
     harmonics : tuple of Harmonic
         Lines of machines, left out.
-    notes : tuple of str
-        What the reader should know: bad channels, left-out poles, nothing found.
-    channel_notes : tuple of str
-        Those of the notes that are about channels.
+    record_notes : tuple of str
+        What the reader should know: machines, left-out poles, nothing found.
+    channel_notes : tuple of Note
+        On channels.
     """
 
     modes: ModeSet
@@ -126,8 +126,13 @@ class AmbientResult:
     diagrams: tuple[StableDiagram, ...]
     reasons: tuple[str, ...]
     harmonics: tuple[Harmonic, ...]
-    notes: tuple[str, ...]
-    channel_notes: tuple[str, ...] = ()
+    record_notes: tuple[str, ...]
+    channel_notes: tuple[Note, ...] = ()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """All notes as sentences."""
+        return (*map(sentence, self.channel_notes), *self.record_notes)
 
 
 def lowest(duration: float, settings: AmbientSettings) -> float:
@@ -238,14 +243,16 @@ def identify_stretches(
         found = _with_more_lags(record, sums, found, facts=facts, settings=settings)
     result = _assembled(record, found, facts, settings)
     report(1.0, f"{len(result.modes)} modes")
-    of_channels = record.channel_notes + noisy_channels(result.modes, result.uncertainty.shape)
+    noisy = noisy_channels(result.modes, result.uncertainty.shape)
+    notes = record.notes + event_notes(events) + result.record_notes
     if motion:
-        of_channels += (f"channels of different kinds: shapes are those of {motion.kind} in all",)
+        kinds = f"channels of different kinds: shapes are those of {motion.kind} in all"
+        notes = (kinds, *notes)
     return replace(
         result,
         harmonics=(*record.sines, *result.harmonics),
-        notes=of_channels + record.notes + event_notes(events) + result.notes,
-        channel_notes=of_channels,
+        record_notes=notes,
+        channel_notes=record.channel_notes + noisy,
     )
 
 
@@ -287,7 +294,7 @@ def _first_stretch(first: TimeHistory, settings: AmbientSettings, *, single: boo
         sines=sines,
         steady=not impacts.driven,
         notes=notes,
-        channel_notes=gaps.notes + tuple(map(sentence, states)) + late,
+        channel_notes=gaps.notes + states + late,
     )
 
 
@@ -374,7 +381,7 @@ def _assembled(
         diagrams=tuple(band.diagram for band in found[: len(record.bands)]),
         reasons=tuple(reasons),
         harmonics=lines,
-        notes=tuple(left_out),
+        record_notes=tuple(left_out),
     )
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.core.iterate import Progress
+from ringtrue.core.notes import Note, sentence
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.identification.ambient.spectral_bins import SpectralBins, spectral_bins
@@ -254,7 +255,8 @@ class FirstStretch:
         Lines of steady machines that were taken out.
     steady : bool
         Whether no impacts drive it: a steady amplitude then means a machine.
-    notes, channel_notes : tuple of str
+    notes : tuple of str
+    channel_notes : tuple of Note
     """
 
     good: TimeHistory
@@ -266,7 +268,7 @@ class FirstStretch:
     sines: tuple[Harmonic, ...]
     steady: bool
     notes: tuple[str, ...]
-    channel_notes: tuple[str, ...]
+    channel_notes: tuple[Note, ...]
 
     @property
     def places(self) -> list[float]:
@@ -416,7 +418,9 @@ def _next_stretch(
         )
     whole, gaps = bridge_gaps(part)
     if len(whole.channels) < len(part.channels):
-        raise DataError(f"{coming.source}: {gaps.notes[0]}: leave it out of all stretches")
+        raise DataError(
+            f"{coming.source}: {sentence(gaps.notes[0])}: leave it out of all stretches"
+        )
     part = remove_drift(whole, sums[-1].band.low)
     part = without_machines(part, None, events_of(part, gaps), sums[0].seconds).good
     part = remove_tonal_lines(part, record.places)

@@ -11,6 +11,7 @@ from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.core.channels import ANGULAR, DERIVATIVE
 from ringtrue.core.choice import Choice
 from ringtrue.core.modes import ModeSet
+from ringtrue.core.notes import Note
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.identification.ambient.spectral_bins import SpectralBins, oscillator_spectrum
@@ -131,7 +132,7 @@ def one_motion(channels: Sequence[Channel]) -> CommonMotion | None:
     )
 
 
-def in_phase(history: TimeHistory, *, mend: bool) -> tuple[TimeHistory, tuple[str, ...]]:
+def in_phase(history: TimeHistory, *, mend: bool) -> tuple[TimeHistory, tuple[Note, ...]]:
     """The record with channels that lag or drift from the others moved back; notes on them and on
     odd phases.
     """
@@ -143,26 +144,22 @@ def in_phase(history: TimeHistory, *, mend: bool) -> tuple[TimeHistory, tuple[st
     place = np.rint(2 * found.delay * history.rate)
     for k in np.unique(place[found.delay != 0]):
         late = (place == k) & (found.delay != 0)
-        lag = found.delay[late].mean()
-        done = "moved back" if mend else "they must be aligned first"
-        when = f"{abs(lag):.3g} s {'after' if lag > 0 else 'before'} the others"
-        notes.append(
-            f"channel {' '.join(ids[late].tolist())}: {when} by the phases of the cross spectra; "
-            f"{done}"
-        )
+        names = " ".join(ids[late].tolist())
+        lag = float(found.delay[late].mean())
+        treatment = "moved back" if mend else "they must be aligned first"
+        values: dict[str, float | int | str] = {
+            "lag": abs(lag),
+            "side": "after" if lag > 0 else "before",
+            "treatment": treatment,
+        }
+        notes.append(Note("channel late", "warning", names, values))
     for rate in np.unique(found.drift[found.drift != 0]):
         names = " ".join(ids[found.drift == rate].tolist())
-        done = "taken out" if mend else "the records must be aligned first"
-        notes.append(
-            f"channel {names}: a clock {1e6 * rate:+.3g} ppm against that of the others; {done}"
-        )
+        treatment = "taken out" if mend else "the records must be aligned first"
+        values = {"ppm": 1e6 * float(rate), "treatment": treatment}
+        notes.append(Note("channel clock", "warning", names, values))
     if found.odd.any():
-        notes.append(
-            f"channel {' '.join(ids[found.odd].tolist())}: phase to the others neither 0 nor 180 "
-            "degrees, and no delay "
-            "explains it: another quantity, sensor or filter? Shapes are wrong there, and modes "
-            "may be lost"
-        )
+        notes.append(Note("channel phase", "warning", " ".join(ids[found.odd].tolist())))
     moved = mend and bool(found.delay.any() or found.drift.any())
     return (in_step(history, found.delay, found.drift) if moved else history), tuple(notes)
 
@@ -235,7 +232,7 @@ def event_notes(events: list[Events]) -> tuple[str, ...]:
     return (f"{count} event{plural} {level:.0f} dB above the rest (a jump, an impact): {use}",)
 
 
-def noisy_channels(modes: ModeSet, std: Float) -> tuple[str, ...]:
+def noisy_channels(modes: ModeSet, std: Float) -> tuple[Note, ...]:
     """A note on channels whose readings are known far worse than those of the others: a cable or
     sensor that is broken.
 
@@ -249,9 +246,12 @@ def noisy_channels(modes: ModeSet, std: Float) -> tuple[str, ...]:
     usual = np.median(relative)
     bad = np.flatnonzero(relative > np.maximum(0.2, 5.0 * usual))
     return tuple(
-        f"channel {modes.channels[k]}: its readings of the shapes are known to "
-        f"{100 * relative[k]:.0f} % of their RMS, those of the median channel to "
-        f"{100 * usual:.2g} %: noise of a broken cable or sensor? MAC suffers; leave it out"
+        Note(
+            "channel noisy",
+            "warning",
+            modes.channels[k],
+            {"percent": 100 * float(relative[k]), "usual": 100 * float(usual)},
+        )
         for k in bad.tolist()
     )
 

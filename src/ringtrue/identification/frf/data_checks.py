@@ -16,6 +16,7 @@ from scipy.linalg import lstsq
 from ringtrue.core.arrays import Bool, Complex, Float
 from ringtrue.core.channels import POWER
 from ringtrue.core.modes import ModalModel, ModeSet
+from ringtrue.core.notes import Note
 from ringtrue.core.signals import FrfSet
 from ringtrue.errors import DataError
 from ringtrue.identification.frf.lines import Lines, faded
@@ -211,7 +212,11 @@ def frf_notes(frfs: FrfSet, sound: DrivingPoints) -> tuple[str, ...]:
         if same.size > 2 and not 1 / LIMITS.odd_level < ratio < LIMITS.odd_level:
             out.append(f"response {c.id}: {ratio:.1e} of the typical level: unit or sensitivity?")
     if np.isfinite(frfs.coherence).any():
-        out += _coherence_notes(frfs)
+        typical = float(np.nanmedian(_some_coherence(frfs)))
+        if typical < LIMITS.usable:
+            out.append(
+                f"the coherence is {typical:.2f} at the typical line: most of these FRFs is noise"
+            )
     step = np.diff(frfs.freqs)
     if np.ptp(step) > 1e-3 * np.median(step):
         wide = int(step.argmax())
@@ -232,12 +237,19 @@ def frf_notes(frfs: FrfSet, sound: DrivingPoints) -> tuple[str, ...]:
     return tuple(out)
 
 
-def _coherence_notes(frfs: FrfSet) -> list[str]:
-    """Low coherence everywhere, or of responses that do not follow the force."""
-    some = frfs.coherence[:: max(1, frfs.freqs.size // 500)]
+def _some_coherence(frfs: FrfSet) -> Float:
+    """The coherence at some 500 lines."""
+    return frfs.coherence[:: max(1, frfs.freqs.size // 500)]
+
+
+def incoherent_responses(frfs: FrfSet) -> tuple[Note, ...]:
+    """A note on responses that do not follow the force, where most of the FRFs do."""
+    if not np.isfinite(frfs.coherence).any():
+        return ()
+    some = _some_coherence(frfs)
     typical = float(np.nanmedian(some))
     if typical < LIMITS.usable:
-        return [f"the coherence is {typical:.2f} at the typical line: most of these FRFs is noise"]
+        return ()
     of_each = np.full(len(frfs.outputs), np.nan)
     for k in range(of_each.size):
         known = some[:, k][np.isfinite(some[:, k])]
@@ -245,14 +257,12 @@ def _coherence_notes(frfs: FrfSet) -> list[str]:
             of_each[k] = np.median(known)
     low = of_each < LIMITS.usable * typical
     if not low.any():
-        return []
+        return ()
     at = np.flatnonzero(low).tolist()
     names = " ".join(frfs.outputs[i].id for i in at)
     values = ", ".join(f"{of_each[i]:.2f}" for i in at)
-    return [
-        f"channel {names}: coherence {values}, {np.nanmedian(of_each[~low]):.2f} of the others: "
-        "does not move, has a loose cable or is dead"
-    ]
+    usual = float(np.nanmedian(of_each[~low]))
+    return (Note("channel incoherent", "warning", names, {"values": values, "usual": usual}),)
 
 
 def fit_notes(frfs: FrfSet, modes: ModeSet, error: Float) -> tuple[str, ...]:

@@ -11,6 +11,7 @@ from ringtrue.core.arrays import Float, freeze_fields
 from ringtrue.core.choice import Choice
 from ringtrue.core.iterate import Outcome, Progress, quiet
 from ringtrue.core.modes import ModalModel, ModeSet, Norm, Uncertainty
+from ringtrue.core.notes import Note
 from ringtrue.core.signals import FrfSet
 from ringtrue.errors import DataError
 from ringtrue.identification.common.manual_selection import hand_poles
@@ -24,6 +25,7 @@ from ringtrue.identification.frf.data_checks import (
     fit_notes,
     frf_notes,
     hann_note,
+    incoherent_responses,
     late_channels,
     lines_between,
     looks_faded,
@@ -146,6 +148,8 @@ class HammerResult:
         What the reader should know of the FRFs and of a choice by hand.
     split_note : str
         That of the notes which says so; empty where they agree.
+    channel_notes : tuple of Note
+        On responses that do not follow the force.
     """
 
     model: ModalModel
@@ -159,6 +163,7 @@ class HammerResult:
     synthesis_error: Float
     notes: tuple[str, ...] = ()
     split_note: str = ""
+    channel_notes: tuple[Note, ...] = ()
 
     def __post_init__(self) -> None:
         freeze_fields(self, freqs=np.float64, cmif=np.float64, synthesis_error=np.float64)
@@ -260,6 +265,7 @@ def identify_hammer(
         synthesis_error=modes.error,
         notes=tuple(note for note in notes if note),
         split_note=split,
+        channel_notes=incoherent_responses(reported),
     )
 
 

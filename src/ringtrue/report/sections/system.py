@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ringtrue.core.arrays import Float
+from ringtrue.core.notes import sentence as note_sentence
 from ringtrue.core.testmodel import TestModel
 from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.plots import scene
@@ -127,7 +128,7 @@ def _name(mine: list[RecordSummary]) -> str:
 
 
 def _test_notes(mine: list[RecordSummary]) -> list[str]:
-    notes = Counter(n for r in mine for n in r.notes)
+    notes = Counter(n for r in mine for n in (*map(note_sentence, r.channel_notes), *r.notes))
     return [n if k == 1 else f"{n} ({k} records)" for n, k in notes.items()]
 
 
@@ -239,8 +240,8 @@ def frf_section(data: Stages) -> Section | None:
     if top < frfs.freqs[-1]:
         caption += f" Measured to {plain(float(frfs.freqs[-1]))} Hz, drawn to {number(top, 3)} Hz."
     blocks: list[Block] = [Plot(plots.frfs(frfs, ident.cmif, marks, top), caption)]
-    if ident.frf_notes:
-        blocks.append(Items(ident.frf_notes, "Notes"))
+    if notes := (*map(note_sentence, ident.channel_notes), *ident.frf_notes):
+        blocks.append(Items(notes, "Notes"))
     if ident.synthesis_error.size:
         middle = np.nanmedian(ident.synthesis_error)
         worst = np.nanmax(ident.synthesis_error)

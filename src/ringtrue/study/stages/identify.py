@@ -18,13 +18,17 @@ from ringtrue.core.arrays import Float
 from ringtrue.core.choice import Choice
 from ringtrue.core.iterate import Progress, part
 from ringtrue.core.modes import Uncertainty
+from ringtrue.core.notes import Note
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import ConfigError, about, did_you_mean
-from ringtrue.identification.ambient.pipeline import AmbientSettings, identify_stretches
+from ringtrue.identification.ambient.pipeline import (
+    AmbientResult,
+    AmbientSettings,
+    identify_stretches,
+)
 from ringtrue.identification.ambient.record_bands import SHORTEST
 from ringtrue.identification.common.merging import Contribution, merge_modes
-from ringtrue.identification.frf.lines import cmif
 from ringtrue.identification.frf.local_fits import with_local_fits
 from ringtrue.identification.frf.pipeline import HammerModes, identify_hammer
 from ringtrue.io.choices import read_choice
@@ -112,7 +116,12 @@ def _lowest(history: TimeHistory, sheet: SensorType) -> float:
 
 
 def summary(
-    record: Logged, history: TimeHistory, notes: Sequence[str], *, draw: bool = True
+    record: Logged,
+    history: TimeHistory,
+    notes: Sequence[str],
+    channel_notes: tuple[Note, ...] = (),
+    *,
+    draw: bool,
 ) -> RecordSummary:
     """What the report shows of a record; with a preview if `draw`."""
     return RecordSummary(
@@ -124,6 +133,7 @@ def summary(
         rate=history.rate,
         duration=history.duration,
         notes=tuple(notes),
+        channel_notes=channel_notes,
         setup=str(record.setup),
         preview=preview(history) if draw else None,
     )
@@ -197,7 +207,7 @@ class RecordFile:
         check_sheet(record.path, history.channels, sheet.model)
         raw, gaps = bridge_gaps(history)
         fixed, low, note = corrected(raw, campaign.sensors, low)
-        return cls(fixed, gaps, low, tuple(n for n in (*notes, note, *gaps.channels) if n))
+        return cls(fixed, gaps, low, tuple(n for n in (*notes, note) if n))
 
     def goes_on_in(self, later: RecordFile) -> bool:
         """Whether another has the same channels and rate, and is long enough for a part of the
@@ -219,7 +229,9 @@ def _files_of_one(
     record = todo.pop(0)
     first = file = RecordFile.read(record, campaign, None)
     while True:
-        shown.append(summary(record, file.history, file.notes, draw=file is first))
+        shown.append(
+            summary(record, file.history, file.notes, file.gaps.channels, draw=file is first)
+        )
         yield file
         chosen = campaign.choice.records
         if not (todo and record.goes_on_in(todo[0]) and todo[0].name not in chosen):
@@ -230,8 +242,8 @@ def _files_of_one(
         record = todo.pop(0)
 
 
-def _as_one(files: Sequence[RecordSummary], notes: Sequence[str]) -> RecordSummary:
-    """What is shown of a record of some files, with the `notes` of its identification."""
+def _as_one(files: Sequence[RecordSummary], result: AmbientResult) -> RecordSummary:
+    """What is shown of a record of some files, with the notes of its identification."""
     first, *more = files
     joined = []
     if more:
@@ -241,7 +253,13 @@ def _as_one(files: Sequence[RecordSummary], notes: Sequence[str]) -> RecordSumma
         ]
     others = [f"{x.file}: {n}" for x in more for n in x.notes if n not in first.notes]
     duration = sum(x.duration for x in files)
-    return replace(first, duration=duration, notes=(*joined, *first.notes, *others, *notes))
+    of_files = (note for x in files for note in x.channel_notes)
+    return replace(
+        first,
+        duration=duration,
+        notes=(*joined, *first.notes, *others, *result.record_notes),
+        channel_notes=(*of_files, *result.channel_notes),
+    )
 
 
 def ambient(
@@ -264,7 +282,7 @@ def ambient(
             result = identify_stretches(parts, band, choice=campaign.choice.of(record.name))
         modes = (result.modes, result.uncertainty, result.reasons, result.diagrams)
         found.append(IdentifiedRecord(*modes, record=record.name))
-        shown.append(_as_one(mine, result.notes))
+        shown.append(_as_one(mine, result))
     return found, shown
 
 
@@ -434,8 +452,8 @@ def run(session: Session, progress: Progress) -> IdentifyStage:
             f"[test] leave_out {unknown[0]!r}{did_you_mean(unknown[0], model.channels)}"
         )
     found = _identified(session, replace(sheet, model=model), (*unused, *sheet.strain), progress)
-    strain = tuple(f"channel {c}: measures strain, not used" for c in sheet.strain)
-    return replace(found, frf_notes=(*strain, *found.frf_notes))
+    strain = tuple(Note("channel strain", "warning", c) for c in sheet.strain)
+    return replace(found, channel_notes=(*strain, *found.channel_notes))
 
 
 def _identified(
@@ -478,7 +496,8 @@ def _identified(
         result = with_local_fits(result, setups if len(setups) > 1 else (frfs,), band)
     if records_of_frfs:
         first = records_of_frfs[0]
-        records_of_frfs[0] = replace(first, notes=(*first.notes, *result.notes))
+        notes_of_both = (*first.notes, *result.notes)
+        records_of_frfs[0] = replace(first, notes=notes_of_both, channel_notes=result.channel_notes)
     return replace(
         stage,
         hammer=IdentifiedModes(result.modes, result.uncertainty, result.reasons, result.diagrams),
@@ -486,7 +505,7 @@ def _identified(
         records=(*stage.records, *records_of_frfs),
         frfs=frfs,
         frf_notes=(*notes, *result.notes) if test.frfs else (),
-        cmif=cmif(frfs.data),
+        channel_notes=result.channel_notes if test.frfs else (),
         synthesis_error=result.synthesis_error,
         rejected_hits=rejected,
     )
