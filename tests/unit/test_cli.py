@@ -5,7 +5,6 @@ bad input.
 from __future__ import annotations
 
 import importlib
-import inspect
 import json
 import re
 import runpy
@@ -24,7 +23,7 @@ from typer.main import get_command
 
 import ringtrue as rt
 from ringtrue.cli import show
-from ringtrue.cli.main import COMMANDS, OPTIONS, application, main, run
+from ringtrue.cli.main import COMMANDS, application, main, run
 from ringtrue.cli.show import WORDS, ExitStatus, listed, rows
 from ringtrue.core.modes import ModeSet
 from ringtrue.errors import NotConverged
@@ -114,19 +113,6 @@ def test_help_shows_an_example(command: str, capsys: Capture) -> None:
         r"\[\[?\w+\]", said
     ):  # of a section of study.toml: markup in a help unless it is escaped
         assert name in out
-
-
-@pytest.mark.parametrize("command", OPTIONS)
-def test_options_in_panels_are_there_and_stand_in_one(command: str, capsys: Capture) -> None:
-    module, function = COMMANDS[command]
-    there = inspect.signature(
-        getattr(importlib.import_module(f"ringtrue.cli.{module}"), function)
-    ).parameters
-    grouped = [name for names in OPTIONS[command].values() for name in names]
-    assert set(grouped) <= set(there)
-    assert len(set(grouped)) == len(grouped)
-    _, out, _ = call(capsys, command, "--help")
-    assert all(panel in out for panel in OPTIONS[command])
 
 
 def test_names_in_brackets_are_text(capsys: Capture) -> None:

@@ -23,6 +23,7 @@ from ringtrue.cli.main import run
 from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import ConfigError, DataError
+from ringtrue.identification.common.tracking import level_dependence
 from ringtrue.identification.frf.pipeline import HammerModes, identify_hammer
 from ringtrue.io.frfs import read_frfs, write_frfs
 from ringtrue.io.modes import read_modes
@@ -262,7 +263,7 @@ def test_motions_of_two_kinds_become_one(tmp_path: Path) -> None:
     assert error.max() < 0.03  # trapezoids are no exact integral, and the laser drifts
 
 
-def test_a_shaker_that_runs_all_the_time(tmp_path: Path, capsys: Capture) -> None:
+def test_a_shaker_that_runs_all_the_time(tmp_path: Path) -> None:
     rng, rate, n = np.random.default_rng(4), 256.0, 1 << 17
     force = rng.standard_normal(n)
     s = 2j * np.pi * np.fft.rfftfreq(2 * n, 1 / rate)
@@ -275,12 +276,11 @@ def test_a_shaker_that_runs_all_the_time(tmp_path: Path, capsys: Capture) -> Non
         *(Channel(f"{o + 1}+Z", "acceleration", "m/s^2") for o in RESPONSES),
     )
     write_history(tmp_path / "s.h5", TimeHistory(np.vstack([force, y]), rate, channels))
-    for words in (("--shaker", 0.05), ()):
-        found = ema(capsys, tmp_path / "s.h5", *words, "--fmax", 70)
-        assert [m["frequency_hz"] for m in found["modes"]] == pytest.approx(FN, rel=2e-4)
-        assert [m["damping"] for m in found["modes"]] == pytest.approx(
-            ZETA, rel=0.01
-        )  # Hann windows of 20 s add 5 %
+    for spacing in (0.05, None):
+        frfs = rt.estimate_frfs(tmp_path / "s.h5", line_spacing=spacing)
+        found = rt.identify_frfs(frfs, fmax=70)
+        assert found.frequencies == pytest.approx(FN, rel=2e-4)
+        assert found.damping == pytest.approx(ZETA, rel=0.01)  # Hann windows of 20 s add 5 %
 
 
 def test_two_shakers_in_one_file(tmp_path: Path, capsys: Capture) -> None:
@@ -293,7 +293,7 @@ def test_two_shakers_in_one_file(tmp_path: Path, capsys: Capture) -> None:
     channels = tuple(Channel(f"F:{k + 1}+Z", "force", "N") for k in (1, 2))
     channels += tuple(Channel(f"{o + 1}+Z", "acceleration", "m/s^2") for o in RESPONSES)
     write_history(tmp_path / "s.h5", TimeHistory(np.vstack([force, y]), rate, channels))
-    found = ema(capsys, tmp_path / "s.h5", "--shaker", 0.1, "--fmax", 70)
+    found = ema(capsys, tmp_path / "s.h5", "--fmax", 70)
     assert [m["frequency_hz"] for m in found["modes"]] == pytest.approx(FN, rel=2e-4)
     with pytest.raises(ConfigError, match="has 2 forces"):
         read_force_records([tmp_path / "s.h5"], ForceRecordFormat(struck=("2+Z",)))
@@ -437,24 +437,17 @@ def test_stepped_sine_in_a_universal_file(tmp_path: Path, capsys: Capture) -> No
     assert [m["frequency_hz"] for m in found["modes"]] == pytest.approx(FN, rel=2e-4)
 
 
-def test_force_levels_tell_what_is_not_linear(tmp_path: Path, capsys: Capture) -> None:
+def test_force_levels_tell_what_is_not_linear(tmp_path: Path) -> None:
     """The first mode alone is softer by 0.2 % at twice the force."""
     f, levels = sine_lines(), [10.0, 20.0, 40.0]
-    files = []
+    tests = []
     for k in range(3):
         shift = np.array([1 - 0.002 * k, 1.0, 1.0, 1.0])
-        files.append(write_table(tmp_path / f"{k}.csv", f, stepped(f, k, shift)))
-    options = [x for level in levels for x in ("--level", level)]
-    found = ema(capsys, *files, *options)
-    assert found["levels"] == levels
-    linear = [m["linear"] for m in found["level_dependence"]]
-    assert linear == [False, True, True, True]
-    assert found["level_dependence"][0]["slope_frequency"] == pytest.approx(
-        -0.002 / np.log(2), rel=0.03
-    )
-    assert run(["ema", *map(str, (*files, *options))]) == 0
-    assert "not linear" in capsys.readouterr().out
-    assert run(["ema", *map(str, (*files, "--level", 3))]) == 2
+        file = write_table(tmp_path / f"{k}.csv", f, stepped(f, k, shift))
+        tests.append(rt.identify_frfs(rt.read_frfs(file)))
+    found = level_dependence(levels, [(test.modes, test.uncertainty) for test in tests])
+    assert found.linear.tolist() == [False, True, True, True]
+    assert found.slope_frequency[0] == pytest.approx(-0.002 / np.log(2), rel=0.03)
 
 
 def test_titles_of_tables(tmp_path: Path) -> None:

@@ -25,7 +25,7 @@ from ringtrue.correlation.paired_shapes import turning
 from ringtrue.correlation.pairing import pair_modes
 from ringtrue.errors import InputError
 from ringtrue.io.modes import read_std, write_modes
-from ringtrue.shapes import read_orthogonality, serep_mass
+from ringtrue.shapes import pseudo_inverse, read_orthogonality
 
 CHANNELS = tuple(f"{i}+Z" for i in range(1, 41))
 
@@ -232,7 +232,8 @@ def test_a_mass_is_fit_where_ordinary_errors_leave_the_modes_apart() -> None:
     rng = np.random.default_rng(4)
     shapes = rng.standard_normal((12, 3))
     shapes[:, 2] = shapes[:, 1] + 0.05 * rng.standard_normal(12)  # they look alike at the channels
-    mass = serep_mass(shapes)
+    back = pseudo_inverse(shapes)
+    mass = back.T @ back
     error = 0.02 * np.sqrt((shapes**2).mean(axis=0))
     read = shapes[None] + error * rng.standard_normal((4000, 12, 3))
     cross = np.stack([shapes.T @ mass @ r for r in read])
@@ -269,11 +270,6 @@ def test_a_mass_is_fit_where_ordinary_errors_leave_the_modes_apart() -> None:
         (["a.json", "b.bdf", "--match", "rigid"], "--match rigid: .* give --sensors"),
         (["a.bdf", "b.bdf", "--match", "rigid"], "--match rigid"),
         (["a.json", "b.bdf", "--align", "nearest"], "--align nearest: .* give --sensors"),
-        (["a.json", "b.bdf", "--tam", "guyan"], "--tam guyan: .* --complete"),
-        (["a.json", "b.json", "--complete", "--tam", "guyan"], "--tam guyan: the mass of a deck"),
-        (["a.json", "b.bdf", "--complete", "--mass", "m.mtx", "--tam", "irs"], "without --mass"),
-        (["a.json", "b.json", "--diagonal", "95"], "--diagonal 95.0: .* give --complete or --mass"),
-        (["a.bdf", "b.bdf", "--off-diagonal", "5"], "--off-diagonal 5.0"),
         (["a.json", "b.json", "--sensors", "s.csv"], "--sensors is for a deck"),
         (["a.bdf", "b.json"], "a.bdf is a deck: name the modes of the test first, `b.json a.bdf`"),
     ],

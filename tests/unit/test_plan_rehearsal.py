@@ -486,11 +486,9 @@ def test_what_a_plan_asks_for_in_vain_is_said(
         "5",
         "--strike-at",
         "303,304,7777",
-        "--exclude",
-        "8888",
     ]
     path = deck.with_name("settings.toml")
-    path.write_text("[plan]\nkeep_out = [[3.9, -1.0, 8.9, 4.1, 1.0, 9.1]]\n")
+    path.write_text("[plan]\nexclude = [8888]\nkeep_out = [[3.9, -1.0, 8.9, 4.1, 1.0, 9.1]]\n")
     run([*words, "--settings", str(path), "--json", "-"])
     told = json.loads(capsys.readouterr().out)
     assert told["notes"] == [

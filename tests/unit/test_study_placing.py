@@ -193,7 +193,7 @@ def test_correlate_lays_a_sheet_onto_a_deck_and_judges_over_its_mass(
     assert all(p["mac_percent"] > 99.9 for p in found["pairs"])
     names = [c["name"] for c in found["complete"]["orthogonality"]]
     assert "cross-orthogonality, IRS mass" in names
-    for wrong in (["--tam", "iris"], ["--match", "far"], ["--align", "point"]):
+    for wrong in (["--match", "far"], ["--align", "point"]):
         assert run([*words, *wrong]) == 2
         assert f"{wrong[0]} '{wrong[1]}'" in capsys.readouterr().err
 

@@ -27,7 +27,6 @@ from ringtrue.identification.ambient.pipeline import (
 )
 from ringtrue.identification.ambient.record_bands import SHORTEST
 from ringtrue.identification.common.stabilisation import StableDiagram
-from ringtrue.identification.common.tracking import LevelDependence, level_dependence
 from ringtrue.identification.frf.local_fits import with_local_fits
 from ringtrue.identification.frf.pipeline import HammerModes, HammerResult, identify_hammer
 from ringtrue.identification.frf.residues import driving_pairs
@@ -607,36 +606,6 @@ def check_band(fmin: float | None, fmax: float | None) -> None:
     high = float("inf") if fmax is None else fmax
     if not 0 <= low < high:
         raise ConfigError(f"fmin {fmin}, fmax {fmax}: must be 0 <= fmin < fmax")
-
-
-def compare_levels(levels: Sequence[float], tests: Sequence[TestModes]) -> LevelDependence:
-    """One test at several force levels: is the structure linear?
-
-    Parameters
-    ----------
-    levels : sequence of float, N
-        One a test, positive and different.
-    tests : sequence of TestModes
-
-    Raises
-    ------
-    ConfigError
-        If the levels are not one a test, positive and different.
-    """
-    check_levels(levels, len(tests))
-    return level_dependence(levels, [(t.modes, t.uncertainty) for t in tests])
-
-
-def check_levels(levels: Sequence[float], files: int) -> None:
-    """Refuse force levels that are not one a file, positive and different."""
-    if len(levels) != files or files < 2:
-        raise ConfigError(
-            f"level: {len(levels)} levels for {files} files; two files or more and one level each"
-        )
-    if not all(0 < x < float("inf") for x in levels) or len(set(levels)) != len(levels):
-        raise ConfigError(
-            f"level {' '.join(f'{x:g}' for x in levels)}: must be positive and different"
-        )
 
 
 def identify_ambient(

@@ -25,7 +25,6 @@ from ringtrue.cli.show import (
     warn_of_units,
     write_json,
 )
-from ringtrue.core.arrays import Float
 from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.correlation.measures import CompleteCorrelation, complete_json
 from ringtrue.correlation.sensor_mapping import Method
@@ -33,18 +32,15 @@ from ringtrue.correlation.sensor_mounting import (
     mendings_json,
 )
 from ringtrue.errors import ConfigError
-from ringtrue.io.matrices import read_matrices
 from ringtrue.io.modes import READ
 from ringtrue.model.model import Model
-from ringtrue.study.config_sections import CorrelateSection, Tam
+from ringtrue.study.config_sections import CorrelateSection
 from ringtrue.study.placing import (
     seats_json,
 )
 from ringtrue.study.summary import correlation_json
 
 ON_SHEET = "of the places of a sheet on a deck; give --sensors"
-OF_DECK_MASS = "the mass of a deck, for --complete without --mass"
-OF_ORTHOGONALITY = "gate of the orthogonality; give --complete or --mass"
 
 
 def _decks(a: Path, b: Path, sensors: Path | None, align: str | None) -> tuple[bool, bool]:
@@ -81,13 +77,6 @@ def _check_pairs(option: str, texts: Sequence[str]) -> None:
             raise ConfigError(
                 f"{option} {text!r}: must be a mode of A and one of B, from 1, such as 3:4"
             )
-
-
-def _mass(path: Path) -> Float:
-    """The one matrix of a file, or that named M."""
-    found = read_matrices(path)
-    mass = next(iter(found.matrices.values())) if len(found.matrices) == 1 else found["M"]
-    return mass.toarray()
 
 
 def _modes_or_deck(path: Path, units: str) -> TestModes | Model:
@@ -134,11 +123,10 @@ def _show_complete(c: CompleteCorrelation) -> None:
     for check in c.checks:
         out.print(f"{check.name}: {'' if c.judges(check) else 'not to be judged, '}{check.verdict}")
     if unfit := list(dict.fromkeys(k.mass for k in c.checks if not c.judges(k))):
-        other = "" if "Craig-Bampton" in (k.mass for k in c.checks) else "; --tam craig-bampton may"
         tell(
             [
                 f"the {' and the '.join(unfit)} mass cannot judge it: readings with 2 % error "
-                f"alone fail{other}"
+                'alone fail; `tam = "craig-bampton"` in [correlate] of a study may'
             ]
         )
     out.print(
@@ -241,38 +229,6 @@ def correlate(
             "--complete", help="Orthogonality, CoMAC, channels, complexity, significance."
         ),
     ] = False,
-    tam: Annotated[
-        str | None,
-        one_of("--tam", get_args(Tam), "Mass of a deck at the channels, with --complete", "irs"),
-    ] = None,
-    mass: Annotated[
-        Path | None,
-        typer.Option(
-            "--mass", metavar="FILE", help="Mass at the common channels, in the order of A."
-        ),
-    ] = None,
-    diagonal: Annotated[
-        float | None,
-        typer.Option(
-            "--diagonal",
-            metavar="%",
-            help="Gate: least cross-orthogonality of a pair.",
-            min=0,
-            max=100,
-            show_default="90",
-        ),
-    ] = None,
-    off_diagonal: Annotated[
-        float | None,
-        typer.Option(
-            "--off-diagonal",
-            metavar="%",
-            help="Gate: largest between different modes.",
-            min=0,
-            max=100,
-            show_default="10",
-        ),
-    ] = None,
     json: Json = None,
 ) -> int:
     """Pair two sets of modes on their common channels: deviation, MAC, and why the rest have no
@@ -283,26 +239,19 @@ def correlate(
     _check_pairs("--lock", lock or ())
     _check_pairs("--forbid", forbid or ())
     both, deck = _decks(a, b, sensors, align)
-    whole = everything or mass is not None
     _refuse_idle(
         {
             "--units": (units, deck, "no deck is given"),
             "--match": (match, sensors is not None, ON_SHEET),
             "--tolerance": (tolerance, both or sensors is not None, ON_SHEET),
-            "--tam": (tam, everything and deck and mass is None, OF_DECK_MASS),
-            "--diagonal": (diagonal, whole, OF_ORTHOGONALITY),
-            "--off-diagonal": (off_diagonal, whole, OF_ORTHOGONALITY),
         }
     )
     given = {
         "match": match,
         "align": align,
-        "tam": tam,
         "mac_gate": None if mac_gate is None else mac_gate / 100,
         "frequency_gate": None if frequency_gate is None else frequency_gate / 100,
         "tolerance": tolerance,
-        "accept_orthogonality": diagonal,
-        "accept_off_diagonal": off_diagonal,
     }
     settings = CorrelateSection.model_validate({k: v for k, v in given.items() if v is not None})
     with progress("correlate") as show:
@@ -314,7 +263,6 @@ def correlate(
             lock=lock or (),
             forbid=forbid or (),
             evidence=everything,
-            mass=None if mass is None else _mass(mass),
             settings=settings,
             names=("A", "B"),
             progress=show,

@@ -67,54 +67,6 @@ OUTPUTS = {
     "target",
 }
 
-BY_HAND: dict[str, tuple[str, ...]] = {"Modes by hand": ("choice", "choice_to", "diagram")}
-
-OPTIONS: dict[str, dict[str, tuple[str, ...]]] = {  # command -> panel -> parameters of its function
-    "plan": {
-        "Target modes": ("band", "modes"),
-        "Where to measure": ("points", "at_hand", "exclude", "fixed"),
-        "Where to hit": ("references", "strike_at"),
-        "Virtual tests": ("damping", "trials", "seed"),
-    },
-    "frf": {
-        "Lines": ("fmin", "fmax", "lines"),
-        "Forces and responses": ("force", "at", "quantity", "damping", "direct"),
-        "Results": ("target", "plot", "json"),
-    },
-    "modes": {
-        "Which modes": ("n", "band", "damped", "mesh"),
-        "Solver": ("solver_name", "time_limit", "ranks"),
-        "Results": ("target", "json"),
-    },
-    "oma": {
-        "Band and method": ("fmin", "fmax", "method", "near"),
-        "The record": ("rate", "group", "leave_out", "sensors"),
-    }
-    | BY_HAND,
-    "track": {
-        "The records": ("hours", "starts", "rate", "leave_out"),
-        "Band": ("fmin", "fmax"),
-        "Results": ("table", "plot", "json"),
-    },
-    "predict": {
-        "The rotor": ("rotor", "mass", "axis", "grade", "service", "springs"),
-        "Lines and bands": ("fmax", "lines", "draws", "level", "seed"),
-        "Results": ("folder", "table", "json"),
-    },
-    "ema": {
-        "Band": ("fmin", "fmax"),
-        "Time records": ("force", "struck", "shaker", "level", "rate", "sensors"),
-        "Results": ("frfs_to", "json"),
-    }
-    | BY_HAND,
-    "correlate": {
-        "Sensors on a deck": ("sensors", "units", "tolerance", "match", "align"),
-        "Pairs": ("mac_gate", "frequency_gate", "lock", "forbid"),
-        "Beyond MAC": ("everything", "tam", "mass", "diagonal", "off_diagonal"),
-    },
-}
-
-
 COMMANDS = {name: place for panel in PANELS.values() for name, place in panel.items()}
 
 STOPPED = "stopped: no file was left half written"
@@ -191,39 +143,21 @@ def _words(module: str, function: str) -> str:
     return re.sub(r"(?<!\n)\n(?!\n)", " ", ast.get_docstring(found) or "")
 
 
-def _command(arguments: Sequence[str]) -> Any:
-    """The application with its options in their panels."""
-    command: Any = get_command(application(arguments))
-    for name, groups in OPTIONS.items():
-        panel_of = {parameter: panel for panel, names in groups.items() for parameter in names}
-        for parameter in command.commands[name].params if name in command.commands else ():
-            parameter.rich_help_panel = panel_of.get(parameter.name)
-    for asked in command.commands.values():
-        asked.callback = _careful(asked.callback, asked.params)
-    return command
-
-
 def _careful(body: Callable[..., Any], parameters: Sequence[Any]) -> Callable[..., Any]:
     """A command that first names its files: none that it reads is replaced by what it writes."""
     outputs = {p.name for p in parameters if OUTPUTS & set(p.opts)}
 
     @wraps(body)
     def called(**given: Any) -> Any:
-        paths = {
-            n: [Path(v) for v in _values(given[n]) if n in outputs or isinstance(v, Path)]
-            for n in given
-        }
-        reads(*(p for n, some in paths.items() if n not in outputs for p in some if p.is_file()))
-        writes(*(p for n in outputs for p in paths[n] if not p.is_dir()))
+        for name, value in given.items():
+            several = value if isinstance(value, list | tuple) else (value,)
+            if name in outputs:
+                writes(*(Path(v) for v in several if v is not None and not Path(v).is_dir()))
+            else:
+                reads(*(v for v in several if isinstance(v, Path) and v.is_file()))
         return body(**given)
 
     return called
-
-
-def _values(given: Any) -> list[Any]:
-    if given is None:
-        return []
-    return list(given) if isinstance(given, list | tuple) else [given]
 
 
 def _nothing() -> None:
@@ -236,8 +170,11 @@ def run(arguments: list[str] | None = None) -> int:
     """
     try:
         given = sys.argv[1:] if arguments is None else arguments
+        command: Any = get_command(application(given))
+        for asked in command.commands.values():
+            asked.callback = _careful(asked.callback, asked.params)
         with one_run():
-            status = _command(given).main(args=given, standalone_mode=False, prog_name="ringtrue")
+            status = command.main(args=given, standalone_mode=False, prog_name="ringtrue")
         return int(status or 0)
     except typer.Exit as e:
         return int(e.exit_code)

@@ -51,18 +51,6 @@ def plan(
             show_default=str(ALONE["sensors"]),
         ),
     ] = None,
-    at_hand: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N", help="Sensors recorded at once: more points are measured in setups.", min=0
-        ),
-    ] = None,
-    exclude: Annotated[
-        str, typer.Option(metavar="LIST", help="Nodes that cannot be measured.")
-    ] = "",
-    fixed: Annotated[
-        str, typer.Option(metavar="LIST", help="Nodes that are measured in any case.")
-    ] = "",
     references: Annotated[
         int | None,
         typer.Option(
@@ -88,7 +76,6 @@ def plan(
     trials: Annotated[
         int | None, typer.Option(metavar="N", help="Virtual tests of the plan.", min=0)
     ] = None,
-    seed: Annotated[int, typer.Option(metavar="N", help="Seed of the virtual tests.", min=0)] = 0,
     units: Annotated[str, one_of("--units", UNIT_SYSTEMS, "Unit system of the deck")] = "SI",
     json: Json = None,
 ) -> int:
@@ -100,9 +87,6 @@ def plan(
     given = {
         "modes": numbers(modes, "--modes") or None,
         "sensors": points,
-        "at_hand": at_hand,
-        "exclude": numbers(exclude, "--exclude") or None,
-        "fixed": numbers(fixed, "--fixed") or None,
         "references": references,
         "strike_at": numbers(strike_at, "--strike-at") or None,
         "damping": damping,
@@ -110,15 +94,7 @@ def plan(
     }
     section = plan_of(settings) | {k: v for k, v in given.items() if v is not None}
     with progress("test plan") as show:
-        done = plan_test(
-            deck,
-            folder,
-            band=band,
-            units=units,
-            settings=section,
-            seed=seed,
-            progress=show,
-        )
+        done = plan_test(deck, folder, band=band, units=units, settings=section, progress=show)
     warn_of_units(done.model, units)
     summary = _summary(done)
     if json:
