@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 from scipy import linalg, sparse
+from scipy.spatial import ConvexHull, QhullError
 
 from ringtrue.core.arrays import Any_, Float
 from ringtrue.core.modes import ModeSet, Norm
@@ -112,25 +113,6 @@ def mass_mac(a: Any_, b: Any_, mass: Mass) -> Float:
     return np.asarray(cross_orthogonality(a, b, mass) ** 2)
 
 
-def serep_mass(shapes: Any_) -> Float:
-    """Mass Φ⁺ᵀΦ⁺ (n, n), at the channels, of a SEREP test-analysis model (O'Callahan, Avitabile and
-    Riemer, 1989).
-
-    Parameters
-    ----------
-    shapes : (n, m) float64
-        Mass-normalised shapes of the model at the channels, m <= n. They are exactly orthonormal
-        over this mass, whose rank is m: what of a test shape lies outside their span has no mass.
-
-    Raises
-    ------
-    InputError
-        If the channels cannot distinguish the shapes, or the shapes are complex.
-    """
-    back = pseudo_inverse(shapes)
-    return np.asarray(back.T @ back)
-
-
 def pseudo_inverse(shapes: Any_) -> Float:
     """Φ⁺ (m, n) of real shapes of full column rank; Φ⁺y are the modal coordinates of readings y.
 
@@ -209,31 +191,11 @@ def mcf(shapes: Any_) -> Float:
 
 
 def _hull_area(z: Any_) -> float:
-    """Area of the convex hull of complex points: monotone chain (Andrew, 1979)."""
-    points = np.unique(_outside(z))  # sorts by real, then imaginary part
-    ring = _chain(points)[:-1] + _chain(points[::-1])[:-1]
-    v = np.array(ring)
-    return float(abs((v.conj() * np.roll(v, -1)).imag.sum()) / 2) if v.size > 2 else 0.0
-
-
-def _outside(z: Any_) -> Any_:
-    """The points not strictly inside the polygon of those farthest in 32 directions (Akl and
-    Toussaint, 1978).
-    """
-    ways = np.exp(2j * np.pi * np.arange(32) / 32)
-    corner = z[(z[:, None] * ways.conj()).real.argmax(axis=0)]
-    edge = np.roll(corner, -1) - corner
-    inside = ((edge.conj() * (z[:, None] - corner)).imag > 0) | (edge == 0)
-    return z[~inside.all(axis=1)] if (edge != 0).any() else z
-
-
-def _chain(points: Any_) -> list[complex]:
-    out: list[complex] = []
-    for p in points.tolist():
-        while len(out) > 1 and ((out[-1] - out[-2]).conjugate() * (p - out[-1])).imag <= 0:
-            out.pop()
-        out.append(p)
-    return out
+    """Area of the convex hull of complex points; 0 where they lie on a line."""
+    try:
+        return float(ConvexHull(np.column_stack([z.real, z.imag])).volume)
+    except QhullError:
+        return 0.0
 
 
 def modal_scale_factor(a: Any_, b: Any_) -> Any_:

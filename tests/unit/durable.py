@@ -31,12 +31,10 @@ import h5py
 import numpy as np
 import small_study
 
-from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import DataError
 from ringtrue.io import hdf5
 from ringtrue.io.modes import write_modes
 from ringtrue.report.build import deliver
-from ringtrue.study.opened import Opened
 from ringtrue.study.run import run_study
 from ringtrue.study.store import SETS_FILE as SETS
 from ringtrue.study.store import Store, digest
@@ -82,10 +80,9 @@ def write_inputs(folder: Path) -> Path:
     (folder / "deck/frame.bdf").write_text(f"{head}BEGIN BULK\n{includes}ENDDATA\n")
     (folder / "mass.bdf").write_text(f"CONM2,9001,{small_study.node(3, 0, 0)},,50.0\n")
     (folder / "truth.bdf").write_text(small_study.deck(small_study.TRUTH))
-    opened = Opened(read_deck(folder / "truth.bdf"), 1.0)
+    seen = small_study.measured_modes(folder / "truth.bdf", MODES_TO)
     (folder / "truth.bdf").unlink()
     test = small_study.test_model()
-    seen = opened.seen(opened.modes(MODES_TO).modes, test, 0.01)
     damped = type(seen)(
         seen.frequencies, np.full(len(seen), small_study.DAMPING), seen.shapes, seen.labels
     )

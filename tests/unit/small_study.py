@@ -18,13 +18,14 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from ringtrue.core.modes import ModalModel, Norm
+from ringtrue.core.modes import ModalModel, ModeSet, Norm
 from ringtrue.core.signals import Channel
 from ringtrue.core.testmodel import TestModel
 from ringtrue.correlation.sensor_mapping import observe
@@ -34,6 +35,7 @@ from ringtrue.io.records import write_record
 from ringtrue.model.frames import positions
 from ringtrue.model.ports import ModesRequest
 from ringtrue.solvers.embedded import EmbeddedSolver
+from ringtrue.study.opened import Opened
 from ringtrue.virtual.measurements import write_sheet
 from ringtrue.virtual.sensors import simulate
 
@@ -249,3 +251,12 @@ def write_study(
         write_data(folder / "data", ambient=ambient, hammer=hammer)
     (folder / "study.toml").write_text(toml)
     return folder / "study.toml"
+
+
+def measured_modes(deck: Path, fmax: float) -> ModeSet:
+    """The modes of a deck at the channels of the test."""
+    opened = Opened(read_deck(deck), 1.0)
+    test = test_model()
+    modes = opened.modes(fmax).modes
+    shapes = opened.observation(test, 0.01)(modes.shapes)
+    return replace(modes, shapes=shapes, labels=test.channels)

@@ -27,7 +27,6 @@ from ringtrue.shapes import (
     paired_mac,
     pseudo_inverse,
     self_orthogonality,
-    serep_mass,
     unit,
 )
 
@@ -116,6 +115,12 @@ def test_mass_mac_is_the_square_and_blind_to_scale_and_phase() -> None:
     np.testing.assert_allclose(got, cross_orthogonality(a, b, M), rtol=1e-12)
     np.testing.assert_allclose(mass_mac(a, b, M), got**2, rtol=1e-12)
     np.testing.assert_allclose(mass_mac(a, b, np.eye(6)), mac(a, b), rtol=1e-12)
+
+
+def serep_mass(shapes: np.ndarray) -> np.ndarray:
+    """Φ⁺ᵀΦ⁺ of mass-normalised shapes."""
+    back = pseudo_inverse(shapes)
+    return back.T @ back
 
 
 def test_poc_is_the_cross_orthogonality_over_the_serep_mass() -> None:

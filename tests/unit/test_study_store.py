@@ -175,15 +175,11 @@ def test_files_that_are_edited_while_a_study_runs_count_as_it_has_read_them(fini
             deck.write_text(before.replace("ENDDATA", "$ edited\nENDDATA"))
             finished.write_text(text.replace("left_out = 2", "left_out = 1"))
 
-    run = run_study(finished, first="correlate", progress=edit)
-    assert run.altered == ("study.toml", "deck/frame.bdf")
+    run_study(finished, first="correlate", progress=edit)
     assert load_study(finished.with_name("study.h5")).config.update.left_out == 2
     assert {"model", "correlate", "update"} <= rerun(
         run_study(finished)
     )  # it was of the other deck
-    deck.write_text(before)
-    finished.write_text(text)
-    assert run_study(finished).altered == ()
 
 
 def test_a_stopped_run_can_be_reported_and_resumes(

@@ -26,7 +26,6 @@ from ringtrue.io.modes import write_modes
 from ringtrue.report.build import deliver
 from ringtrue.study.acceptance import missed_words, verdict
 from ringtrue.study.config import parse_config
-from ringtrue.study.opened import Opened
 from ringtrue.study.run import StudyRun, load_study, run_study
 
 TRUTH = {"stiffness": 0.75, "density": 0.9}
@@ -62,8 +61,7 @@ def folder(
     small_study.write_data(at / "data", ambient=False, truth=truth(e, rho, loaded=False))
     small_study.write_data(at / "loaded", ambient=False, truth=truth(e, rho, loaded=True))
     (at / "truth.bdf").write_text(truth(e, rho, loaded=True))
-    opened = Opened(read_deck(at / "truth.bdf"), 1.0)
-    seen = opened.seen(opened.modes(small_study.FMAX).modes, small_study.test_model(), 0.01)
+    seen = small_study.measured_modes(at / "truth.bdf", small_study.FMAX)
     write_modes(at / "loaded.json", seen)
     (at / "study.toml").write_text(toml)
     return at / "study.toml"

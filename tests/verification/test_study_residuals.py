@@ -152,11 +152,7 @@ def test_what_was_measured_on_another_configuration_counts(made: Path, tmp_path:
     more = weighing(made) + 'configuration = "bare"\n'
     bare = '[[configuration]]\nname = "bare"\ndeck = "deck/frame.bdf"\nmodes = "bare.json"\n'
     path = study(made, tmp_path, more + bare + "[uncertainty]\nfolds = 3\n")
-    opened = Opened(read_deck(made / "truth.bdf"), 1.0)
-    write_modes(
-        path.parent / "bare.json",
-        opened.seen(opened.modes(20.0).modes, small_study.test_model(), 0.01),
-    )
+    write_modes(path.parent / "bare.json", small_study.measured_modes(made / "truth.bdf", 20.0))
     run = run_study(path, until="uncertainty")
     for name, value in factors(run).items():
         assert value == pytest.approx(TRUTH[name], rel=0.01)

@@ -14,12 +14,11 @@ from ringtrue.api.models import open_model
 from ringtrue.core.arrays import Float
 from ringtrue.core.display import Displayed, plot
 from ringtrue.core.iterate import Outcome, Progress, part, quiet
-from ringtrue.core.modes import ModeSet, elastic
+from ringtrue.core.modes import ModeSet
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.correlation.assignment import NO_LOCKS, PairingSettings
 from ringtrue.correlation.pairing import pair_modes
 from ringtrue.correlation.table import CorrelationTable, correlation_table
-from ringtrue.eigen.damped import project
 from ringtrue.errors import DataError, InputError
 from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
 from ringtrue.model.model import Model
@@ -33,11 +32,11 @@ from ringtrue.study.objective import LOSSES, Minimisation, modal_terms
 from ringtrue.study.placing import placed, seat_words, seats
 from ringtrue.study.reference import highest, measured_part
 from ringtrue.study.results import Seat
+from ringtrue.study.stages.damping import DampedDeck, MeasuredDamping, fit_regions
 from ringtrue.study.stages.tune import WEIGHTS as RIGID_WEIGHTS
 from ringtrue.study.stages.tune import tuned
 from ringtrue.study.supplied import pair_frequencies
-from ringtrue.updating.damping import fit_poles, mode_damping
-from ringtrue.updating.damping_regions import DampingRegion, dampers, default_regions
+from ringtrue.updating.damping_regions import DampingRegion, default_regions
 from ringtrue.updating.problem import Configuration, Evaluated, Problem
 from ringtrue.updating.selection.candidates import CandidateSettings
 from ringtrue.updating.target import Target, Weights
@@ -336,7 +335,7 @@ def update(
     for k, one in enumerate(tests):
         mine = every
         if one.parameters:
-            mine = every.take([every.names.index(n) for n in one.parameters])
+            mine = every.take(every.at(one.parameters))
         configurations.append(
             _configuration(one, mine, leave_out, scale, u, f"configuration {k + 1}")
         )
@@ -422,7 +421,7 @@ def _at_end(
     factors: Mapping[str, float],
     names: Sequence[str],
 ) -> Model | MatrixModel:
-    mine = every.take([every.names.index(n) for n in names]) if names else every
+    mine = every.take(every.at(names)) if names else every
     values = np.array([factors[n] for n in mine.names])
     if isinstance(model, MatrixModel):
         return model.at(mine, values)
@@ -629,32 +628,29 @@ def fit_damping(
     b = pairing.b[good]
     if not a.size:
         raise DataError("no test mode with a damping ratio has a partner in the model")
-    moving = np.union1d(np.flatnonzero(elastic(fe.frequencies)), b)
-    values = (2 * np.pi * fe.frequencies[moving]) ** 2
-    shapes = fe.shapes[:, moving]
-    system = opened.analysis.system
-    total = project(np.asarray(system.local @ shapes), system.viscous, system.structural)
-    ratio = modes.damping[a]
-    wanted = tuple(regions) or default_regions(model, ParameterSet(()), {})
-    found = dampers(
-        model, wanted, values=values, shapes=shapes, total=total, ratio=float(np.median(ratio))
+    every = np.ones(a.size, dtype=bool)
+    measured = MeasuredDamping(
+        fe=b,
+        names=tuple(f"test mode {i + 1}" for i in a.tolist()),
+        hertz=modes.frequencies[a],
+        ratio=modes.damping[a],
+        std=test.std_damping[a] if isinstance(test, TestModes) else np.zeros(a.size),
+        used=every,
+        elastic=every,
     )
-    if not found.regions:
+    deck = DampedDeck.of("", opened, fe, measured)
+    wanted = tuple(regions) or default_regions(model, ParameterSet(()), {})
+    found = fit_regions([deck], wanted, error)
+    if found is None:
         raise DataError("no region takes part in any mode")
-    std = error * ratio
-    if isinstance(test, TestModes):
-        std = np.hypot(np.nan_to_num(test.std_damping[a]), std)
-    at = np.searchsorted(moving, b)
-    fit = fit_poles(values, found.mechanisms, ratio, std, at, base=found.base)
-    damping, damping_std = mode_damping(values, found.mechanisms, fit, at)
     return FittedDamping(
-        regions=fit.names,
-        kinds=tuple(r.kind for r in found.regions),
-        coefficients=fit.coefficients,
-        std=fit.std,
-        frequencies=modes.frequencies[a],
-        test_damping=ratio,
-        model_damping=damping,
-        model_std=damping_std,
-        misfit=fit.misfit,
+        regions=found.fit.names,
+        kinds=tuple(r.kind for r in found.dampers.regions),
+        coefficients=found.fit.coefficients,
+        std=found.fit.std,
+        frequencies=measured.hertz,
+        test_damping=measured.ratio,
+        model_damping=found.after,
+        model_std=found.after_std,
+        misfit=found.fit.misfit,
     )

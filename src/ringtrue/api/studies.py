@@ -132,7 +132,7 @@ class Study:
     def parameters(self) -> ParameterTable:
         """The parameters of the chosen updating."""
         done: UpdateStage = self.stage("update")
-        best = done.sets[done.chosen]
+        best = done.best
         return ParameterTable(tuple(best.parameters), best.factor, best.std)
 
     @property
@@ -445,6 +445,6 @@ def _reach(run: runs.StudyRun) -> Float:
     stage: PlanStage = run.results["plan"]
     found = run.session.initial.modes(run.session.first_fmax).modes.take(stage.target_modes)
     test = stage.sensors.test
-    seen = run.session.initial.seen(found, test)
+    seen = run.session.initial.observation(test)(found.shapes)
     at = [test.channels.index(r) for r in stage.excitation.references]
-    return np.asarray(reach_of(np.asarray(seen.shapes), at))
+    return np.asarray(reach_of(seen, at))

@@ -108,7 +108,7 @@ def run(
         warn_of_units(result.session.initial.model, result.config.model.units)
     outcome = None
     if updated := result.results.get("update"):
-        outcome = updated.sets[updated.chosen].outcome
+        outcome = updated.best.outcome
     stated = limits(result.config, result.results)
     if json:
         write_json(_summary(result.folder), json)
@@ -119,11 +119,6 @@ def run(
         tell(run_messages(result.results))
         out.print(f"report: {done.folder / 'report.html'}")
         _verdict(stated)
-    if result.altered:
-        err.print(
-            f"edited while the study ran, which took it as it was: {', '.join(result.altered)}; "
-            "run it again"
-        )
     for line in missed_words(result.config, result.results):
         err.print(f"not accepted: {line}")
     if outcome is not None and not outcome.ok:

@@ -99,11 +99,9 @@ def _is_column(value: Any) -> bool:
 
 
 def _is_shown(value: Any) -> bool:
-    return isinstance(value, str | int | float | Enum | np.ndarray) and not _is_empty(value)
-
-
-def _is_empty(value: Any) -> bool:
-    return isinstance(value, str) and not value
+    if isinstance(value, str):
+        return bool(value)
+    return isinstance(value, int | float | Enum | np.ndarray)
 
 
 def _head(name: str, units: Mapping[str, str]) -> str:

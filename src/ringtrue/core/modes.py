@@ -242,14 +242,3 @@ class ModalModel:
         h = left @ self.participation + right @ self.participation.conj()
         h += self.lower / (s**2)[:, None, None] + self.upper
         return np.asarray(h * (s ** POWER[self.kind])[:, None, None])
-
-    def to_modes(self, source: str = "") -> ModeSet:
-        """The modes, complex shapes."""
-        return ModeSet(
-            frequencies=self.frequencies,
-            damping=self.damping,
-            shapes=self.shapes,
-            labels=tuple(c.id for c in self.outputs),
-            norm=self.norm,
-            source=source,
-        )

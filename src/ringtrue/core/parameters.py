@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -158,8 +158,15 @@ class ParameterSet:
         """da/dx (p,)."""
         return np.where(self._log(), self.factors(x), 1.0)
 
-    def vector(self, factors: Float) -> Float:
-        """x (p,) of the factors a (p,)."""
+    def at(self, names: Sequence[str]) -> list[int]:
+        """Positions of the parameters of these names."""
+        known = self.names
+        return [known.index(name) for name in names]
+
+    def vector(self, factors: Float | Mapping[str, float]) -> Float:
+        """x (p,) of the factors a (p,), also where these are given by name."""
+        if isinstance(factors, Mapping):
+            factors = np.array([factors[name] for name in self.names])
         a = np.asarray(factors, dtype=np.float64)
         return np.where(self._log(), np.log(a), a - 1.0)
 

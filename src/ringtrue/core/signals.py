@@ -308,15 +308,20 @@ class FrfSet(Displayed):
         if not o.size or not i.size:
             left = f"{o.size} responses and {i.size} references are left"
             raise DataError(f"{self.source}: without {' '.join(ids)} {left}")
-        at = np.ix_(np.arange(self.freqs.size), o, i)
+        return self.part(np.arange(self.freqs.size), o, i)
+
+    def part(self, lines: Int, outputs: Int, inputs: Int) -> FrfSet:
+        """Some lines, responses and references, by position."""
+        at = np.ix_(lines, outputs, inputs)
         return replace(
             self,
             data=self.data[at],
+            freqs=self.freqs[lines],
             coherence=self.coherence[at],
-            averages=self.averages[i],
-            impacts=self.impacts.take(o, i) if self.impacts else None,
-            outputs=tuple(self.outputs[k] for k in o),
-            inputs=tuple(self.inputs[k] for k in i),
+            averages=self.averages[inputs],
+            impacts=self.impacts.take(outputs, inputs) if self.impacts else None,
+            outputs=tuple(self.outputs[k] for k in outputs.tolist()),
+            inputs=tuple(self.inputs[k] for k in inputs.tolist()),
         )
 
 

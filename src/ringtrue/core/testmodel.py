@@ -84,10 +84,6 @@ class TestModel:
                 f"{len(self.channels)} channels"
             )
 
-    def directions(self) -> Float:
-        """(channel, 3) unit vectors, global frame."""
-        return self.axes
-
     def channel_xyz(self) -> Float:
         """(channel, 3) position of each channel, m."""
         order = np.argsort(self.points)

@@ -456,9 +456,7 @@ def observe(
         far = _Distances(np.asarray(node_ids), xyz, nearest[:, 0], distance[:, 0])
         raise _too_far(test, far, tolerance, unit)
     weights = (
-        _rigid_weights(at, xyz[nearest], distance, test.directions())
-        if k > 1
-        else test.directions()[:, None, :]
+        _rigid_weights(at, xyz[nearest], distance, test.axes) if k > 1 else test.axes[:, None, :]
     )
     matrix = _matrix(weights, np.asarray(node_ids)[nearest], dofs, test.channels)
     return Observation(

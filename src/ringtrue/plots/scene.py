@@ -58,7 +58,7 @@ def _sensors(test: TestModel, kinds: Mapping[str, str]) -> list[dict[str, Any]]:
     rest = "hammer test" if kinds else "sensors"
     names = list(dict.fromkeys(kinds.get(c, rest) for c in test.channels))
     xyz = test.channel_xyz()
-    axes = test.directions()
+    axes = test.axes
     out = []
     for i, name in enumerate(sorted(names)):
         at = [k for k, c in enumerate(test.channels) if kinds.get(c, rest) == name]
@@ -150,7 +150,7 @@ def _at_points(test: TestModel, modes: ModeSet, values: Any_) -> Any_:
     order = np.argsort(test.points)
     point = order[np.searchsorted(test.points[order], test.at[channel])]
     out = np.zeros((test.points.size, 3), dtype=values.dtype)
-    np.add.at(out, point, values[rows, None] * test.directions()[channel])
+    np.add.at(out, point, values[rows, None] * test.axes[channel])
     return out
 
 

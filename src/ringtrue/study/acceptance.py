@@ -202,7 +202,7 @@ def convergence(results: Mapping[str, Any]) -> tuple[AcceptanceCheck, ...]:
     update: UpdateStage | None = results.get("update")
     if update is None:
         return ()
-    outcome = update.sets[update.chosen].outcome
+    outcome = update.best.outcome
     return (AcceptanceCheck("updating", "converged", outcome.verdict, outcome.ok),)
 
 

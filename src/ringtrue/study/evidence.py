@@ -8,7 +8,6 @@ import numpy as np
 from scipy import sparse
 
 from ringtrue.core.arrays import Complex, Float
-from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import FrfSet
 from ringtrue.core.testmodel import Observation
@@ -30,7 +29,6 @@ from ringtrue.reduction.static import craig_bampton_coordinates, craig_bampton_o
 from ringtrue.shapes import auto_mac
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.config_sections import CorrelateSection
-from ringtrue.study.measured_data import part_of_frfs
 from ringtrue.study.opened import Opened, scene_modes
 from ringtrue.study.reference import settings
 from ringtrue.study.results import Evidence, FrfEvidence, IdentifyStage, ReferenceModes, Scene
@@ -95,21 +93,17 @@ def channel_mass(
             "memory"
         )
     observe = at_channels(opened, observation, channels)
-    shapes = system.local @ opened.modes(fmax).modes.shapes if config.tam == "hybrid" else None
+    modes = opened.modes(fmax).modes
+    matrices = (system.stiffness, system.mass, observe)
     try:
         if config.tam == "craig-bampton":  # with the channels held as many modes reach beyond fmax
-            held = craig_bampton_of(
-                system.stiffness, system.mass, observe, len(opened.modes(fmax).modes)
-            )
+            held = craig_bampton_of(*matrices, len(modes))
             return ChannelMass(
                 held.mass, lift=lambda m: craig_bampton_coordinates(held, m.shapes, m.frequencies)
             )
+        shapes = system.local @ modes.shapes if config.tam == "hybrid" else None
         labels = opened.analysis.pencil.labels
-        return ChannelMass(
-            tam(
-                system.stiffness, system.mass, observe, config.tam, modes=shapes, labels=labels
-            ).mass
-        )
+        return ChannelMass(tam(*matrices, config.tam, modes=shapes, labels=labels).mass)
     except (InputError, NumericalError) as e:  # channels that read the same, or too few of them
         return ChannelMass(why=f"no {config.tam} mass: {e}")
 
@@ -227,7 +221,7 @@ def on_sheet(found: IdentifyStage, low: float, high: float) -> FrfSet | None:
     line = np.flatnonzero((frfs.freqs > low) & (frfs.freqs < high))
     if not (line.size and out.size and into.size):
         return None
-    return part_of_frfs(frfs, line, out, into)
+    return frfs.part(line, out, into)
 
 
 def frf_evidence(
@@ -245,7 +239,7 @@ def frf_evidence(
     if line.size < 2:
         return None
     every = np.arange(len(measured.outputs)), np.arange(len(measured.inputs))
-    test, before, after = (part_of_frfs(x, line, *every) for x in (measured, initial, final))
+    test, before, after = (x.part(line, *every) for x in (measured, initial, final))
     thin = slice(None, None, -(-line.size // 90))  # of the FDAC: as many as a drawing shows
     rows = [x.data[thin].reshape(len(x.data[thin]), -1) for x in (test, before, after)]
     return FrfEvidence(
@@ -297,16 +291,5 @@ def expanded(
 def on_scene(found: Expanded, opened: Opened, test: ModeSet, scene: Scene) -> ModeSet:
     """Expanded test shapes at the scene's translations."""
     labels = opened.analysis.dofs
-    assert isinstance(labels, DofSet)
     shapes: Float = np.asarray(opened.analysis.system.transform @ found.shapes)
-    return scene_modes(
-        ModeSet(
-            frequencies=test.frequencies,
-            damping=test.damping,
-            shapes=shapes,
-            labels=labels,
-            norm=test.norm,
-            source=test.source,
-        ),
-        scene,
-    )
+    return scene_modes(replace(test, shapes=shapes, labels=labels), scene)

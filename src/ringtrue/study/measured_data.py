@@ -240,7 +240,7 @@ class FrfMeasurement(Measured):
         out = _picked([c.id for c in found.outputs], section.outputs, f"{where}: output")
         into = _picked([c.id for c in found.inputs], section.inputs, f"{where}: input")
         lines = _lines(section, found.freqs, source.modes.frequencies, where)
-        part = part_of_frfs(found, lines, out, into)
+        part = found.part(lines, out, into)
         if not np.abs(part.data).all():
             raise DataError(
                 f"{where}: an FRF is zero at a chosen line; leave the channel or the line out"
@@ -416,20 +416,6 @@ def read_measured(section: DataResidual, source: Source) -> Measured:
         If there are no FRFs, or none of the lines or channels that are asked for.
     """
     return READERS[type(section)](section, source)
-
-
-def part_of_frfs(frfs: FrfSet, lines: Int, outputs: Int, inputs: Int) -> FrfSet:
-    """Some lines, responses and references, by position."""
-    at = np.ix_(lines, outputs, inputs)
-    return replace(
-        frfs,
-        data=frfs.data[at],
-        freqs=frfs.freqs[lines],
-        outputs=tuple(frfs.outputs[i] for i in outputs.tolist()),
-        inputs=tuple(frfs.inputs[i] for i in inputs.tolist()),
-        coherence=frfs.coherence[at],
-        averages=frfs.averages[inputs],
-    )
 
 
 def channels_of(found: Sequence[Measured]) -> tuple[str, ...]:

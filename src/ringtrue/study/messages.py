@@ -62,7 +62,7 @@ def run_messages(r: Mapping[str, Any]) -> tuple[str, ...]:
         out += [m.text for m in correlate.sensors.mendings]
         out += _mended_tests(r.get("configurations"))
         out += [*seat_words(correlate.sensors.seats), *correlate.notes, *_pairs(correlate, final)]
-    best = update.sets[update.chosen] if update is not None else None
+    best = update.best if update is not None else None
     if r.get("sensitivity") is not None and best is not None:
         out += held_sentences(r["sensitivity"].held.get(best.name, {}))
     masses = _added_masses(localise)
@@ -320,7 +320,7 @@ def _factors(r: Mapping[str, Any]) -> list[tuple[str, float, float]]:
     tune: TuneStage | None = r.get("tune")
     out: list[tuple[str, float, float]] = []
     if update is not None:
-        best = update.sets[update.chosen]
+        best = update.best
         known: UncertaintyStage | None = r.get("uncertainty")
         std = best.std if known is None else known.posterior.relative
         out += zip(best.parameters, best.factor.tolist(), (best.factor * std).tolist(), strict=True)

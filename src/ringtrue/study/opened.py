@@ -145,18 +145,6 @@ class Opened:
             method=method,
         )
 
-    def seen(self, modes: ModeSet, test: TestModel, tolerance: float | None = None) -> ModeSet:
-        """The modes at the channels."""
-        shapes = self.observation(test, tolerance)(modes.shapes)
-        return ModeSet(
-            frequencies=modes.frequencies,
-            damping=modes.damping,
-            shapes=shapes,
-            labels=test.channels,
-            norm=modes.norm,
-            source=modes.source,
-        )
-
 
 CLOSE = 2e-3  # largest relative error of a frequency of the reduced model that is accepted
 ROUNDS = 4
@@ -381,14 +369,7 @@ def scene_modes(modes: ModeSet, scene: Scene) -> ModeSet:
     shapes: Float = (
         np.asarray(modes.shapes[at] * sign[:, None]).astype(np.float32).astype(np.float64)
     )
-    return ModeSet(
-        frequencies=modes.frequencies,
-        damping=modes.damping,
-        shapes=shapes,
-        labels=labels,
-        norm=modes.norm,
-        source=modes.source,
-    )
+    return replace(modes, shapes=shapes, labels=labels)
 
 
 def with_lumps(

@@ -751,6 +751,11 @@ class SetResult:
     # of f and 1 - MAC: the model error that the updating assumed at its end
     discrepancy: Float = field(default_factory=lambda: np.full(2, np.nan))
 
+    @property
+    def factors(self) -> dict[str, float]:
+        """By the names of the parameters."""
+        return dict(zip(self.parameters, self.factor.tolist(), strict=True))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FinishedSet:
@@ -793,6 +798,11 @@ class UpdateStage:
     solver: str = "embedded"
     runs: int = 0  # of another solver
 
+    @property
+    def best(self) -> SetResult:
+        """The chosen set."""
+        return self.sets[self.chosen]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TunedConfiguration:
@@ -818,9 +828,6 @@ class TuneStage:
     ] = ()  # pairings that the test leaves open, with their weight, in words
     flags: tuple[str, ...] = ()  # factors that are not plausible
     others: tuple[TunedConfiguration, ...] = ()  # configurations that were tuned to as well
-    disagreeing: tuple[
-        str, ...
-    ] = ()  # elastic test modes that strain it and that its tuning puts off, in words
 
 
 @dataclass(frozen=True, slots=True, eq=False)

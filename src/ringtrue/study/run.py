@@ -43,8 +43,6 @@ log = logging.getLogger(__name__)
 class StudyRun:
     """A finished run: results by stage, seconds by stage, and which stages were loaded rather than
     run.
-
-    `altered` are inputs that were edited while it ran: it is of what they were at its start.
     """
 
     folder: Path
@@ -52,7 +50,6 @@ class StudyRun:
     results: Mapping[str, Any]
     timings: Mapping[str, float] = field(default_factory=dict)
     loaded: tuple[str, ...] = ()
-    altered: tuple[str, ...] = ()
 
     @property
     def config(self) -> StudyConfig:
@@ -260,18 +257,12 @@ def _run(
     progress(1.0, f"{todo[-1].title}: done")
     results = {s.name: session.get(s.name) for s in todo}
     made = _sign(session, inputs, text)
-    altered = []
-    for p in dict.fromkeys(files):
-        name = _seen_from(session.base, p)
-        if not p.is_file() or _digest(p) != inputs[name]:
-            altered.append(name)
     return StudyRun(
         folder=session.out,
         session=session,
         results=results | {"provenance": made},
         timings=made.timings,
         loaded=tuple(loaded),
-        altered=tuple(altered),
     )
 
 

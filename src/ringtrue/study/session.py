@@ -188,8 +188,13 @@ class Session:
 
     def chosen(self, names: Sequence[str]) -> ParameterSet:
         """The candidates of these names."""
-        every = self.parameters
-        return every.take([every.names.index(n) for n in names])
+        return self.parameters.take(self.parameters.at(names))
+
+    @property
+    def best(self) -> SetResult:
+        """The parameter set that the updating has chosen."""
+        done: UpdateStage = self.get("update")
+        return done.best
 
     def with_lumps(self, nodes: Int) -> tuple[Candidate, ...]:
         """Masses that the remodelled deck may not have at these nodes, ids (k,); it has a place for
@@ -239,11 +244,10 @@ class Session:
         They follow from the deck and the factors as stored: a stage gets the same ones in any run.
         """
         if self._updated is None or self._updated[0] is not best:
-            factor = dict(zip(best.parameters, best.factor.tolist(), strict=True))
+            factors = dict.fromkeys(self.parameters.names, 1.0) | best.factors
             models = []
             for model in self.models(progress):
-                p = model.parameters
-                x = p.vector(np.array([factor.get(n, 1.0) for n in p.names]))
+                x = model.parameters.vector(factors)
                 models.append(model.enrich(x)[0] if x.any() else model)
             self._updated = (best, tuple(models))
         return self._updated[1]
@@ -252,17 +256,12 @@ class Session:
         """`updated` at the chosen parameter set; as before where there is nothing to update."""
         if not len(self.parameters):
             return self.models(progress)
-        done: UpdateStage = self.get("update")
-        return self.updated(done.sets[done.chosen], progress)
+        return self.updated(self.best, progress)
 
     def updated_factors(self) -> dict[str, float]:
         """Of all candidates at the end of the updating; 1 for those not chosen."""
-        out = dict.fromkeys(self.parameters.names, 1.0)
-        if out:
-            done: UpdateStage = self.get("update")
-            best = done.sets[done.chosen]
-            out |= dict(zip(best.parameters, best.factor.tolist(), strict=True))
-        return out
+        names = self.parameters.names
+        return dict.fromkeys(names, 1.0) | (self.best.factors if names else {})
 
     def factors(self) -> dict[str, float]:
         """Of all candidates and suspensions at the end of the study."""

@@ -356,7 +356,7 @@ def _updated(r: Mapping[str, Any]) -> dict[str, Any]:
     final: FinalStage | None = r.get("final")
     known: UncertaintyStage | None = r.get("uncertainty")
     if update is not None:
-        best = update.sets[update.chosen]
+        best = update.best
         std = best.std if known is None else known.posterior.relative
         out |= {"solver": {"name": update.solver, "runs": update.runs}} if update.runs else {}
         out["parameter_set"] = {"name": best.name, "why": update.why}
@@ -393,7 +393,7 @@ def _updated(r: Mapping[str, Any]) -> dict[str, Any]:
         out["suspension"] = [
             {"name": n, "factor": a, "std": tune.std[n] * a} for n, a in tune.factors.items()
         ]
-        if notes := [*tune.ambiguity, *tune.flags, *tune.disagreeing]:
+        if notes := [*tune.ambiguity, *tune.flags]:
             out["suspension_notes"] = notes
         if tune.others:
             out["suspension_configurations"] = [

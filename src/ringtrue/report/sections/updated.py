@@ -75,7 +75,7 @@ def updating(data: Stages) -> Section | None:
     u = data.update
     if u is None:
         return None
-    best = u.sets[u.chosen]
+    best = u.best
     blocks: list[Block] = [_compared(u), Text(sentence(u.why))]
     if u.runs:
         blocks.append(Text(_solver_text(data, u)))
@@ -226,5 +226,5 @@ def suspension(data: Stages) -> Section | None:
         )
     )
     blocks += [Text(f"The pairing is not certain. {v}.") for v in t.ambiguity]
-    blocks += [Text(sentence(v)) for v in (*t.flags, *t.disagreeing)]
+    blocks += [Text(sentence(v)) for v in t.flags]
     return Section("suspension", "Rigid-body tuning", blocks)

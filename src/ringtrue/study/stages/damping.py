@@ -15,7 +15,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.core.iterate import Progress
-from ringtrue.core.modes import elastic
+from ringtrue.core.modes import ModeSet, elastic
 from ringtrue.decks.nastran.editor import edit_fields
 from ringtrue.eigen.damped import complex_modes, project
 from ringtrue.fem.response import CoupledModes, coupled
@@ -160,25 +160,21 @@ class DampedDeck:
     total: tuple[Float, Float]
 
     @classmethod
-    def of(cls, c: StudyConfiguration, test: MeasuredDamping) -> DampedDeck:
-        """Of the delivered deck of a configuration."""
-        opened = delivered(c).opened
-        modes = opened.modes(c.session.fmax).modes
+    def of(cls, name: str, opened: Opened, modes: ModeSet, test: MeasuredDamping) -> DampedDeck:
+        """Of a deck with all its modes in the range of the test."""
         system = opened.analysis.system
         f = modes.frequencies
         # what is paired with a test mode moves, slow as it may be
         moving = np.union1d(np.flatnonzero(elastic(f)), test.fe)
         shapes = modes.shapes[:, moving]
-        total = project(np.asarray(system.local @ shapes), system.viscous, system.structural)
-        values = (2 * np.pi * f[moving]) ** 2
         return cls(
-            name=c.name,
+            name=name,
             opened=opened,
             test=test,
             moving=moving,
-            values=values,
+            values=(2 * np.pi * f[moving]) ** 2,
             shapes=shapes,
-            total=total,
+            total=project(np.asarray(system.local @ shapes), system.viscous, system.structural),
         )
 
     @property
@@ -196,68 +192,111 @@ class DampedDeck:
         return viscous, np.zeros_like(viscous)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedRegions:
+    """Damping of regions, fitted to the tests of some decks.
+
+    Attributes
+    ----------
+    dampers : Dampers
+        Of all decks side by side.
+    fit : DampingFit
+    common : float
+        Median damping ratio of the first test.
+    after, after_std : (t,) float64
+        Damping ratios of the test modes of all decks by the fit.
+    """
+
+    dampers: Dampers
+    fit: DampingFit
+    common: float
+    after: Float
+    after_std: Float
+
+
+def fit_regions(
+    decks: Sequence[DampedDeck], wanted: Sequence[DampingRegion], error: float
+) -> FittedRegions | None:
+    """Regions with one set of coefficients for all decks, fitted to the test modes that are used;
+    None if no region takes part in any mode.
+
+    Parameters
+    ----------
+    decks : sequence of DampedDeck
+        The first one has all the regions.
+    wanted : sequence of DampingRegion
+    error : float
+        Relative error of a ratio that the best model keeps, added to that of the test.
+    """
+    first = decks[0].test
+    common = float(np.median(first.ratio[first.used]))
+    found = []
+    for deck in decks:
+        there = wanted if deck is decks[0] else _present(wanted, deck.opened)
+        model = deck.opened.model
+        found.append(
+            dampers(model, there, deck.values, deck.shapes, total=deck.total, ratio=common)
+        )
+    if not found[0].regions:
+        return None
+    whole = joined_dampers(found)
+    values = np.concatenate([deck.values for deck in decks])
+    start = np.cumsum([0, *(deck.values.size for deck in decks)]).tolist()
+    at = np.concatenate([deck.at + k for deck, k in zip(decks, start, strict=False)])
+    ratio = np.concatenate([deck.test.ratio for deck in decks])
+    std = np.concatenate([deck.test.std for deck in decks])
+    use = np.concatenate([deck.test.used for deck in decks])
+    # of modes of a file the standard deviation may not be known
+    std = np.hypot(np.nan_to_num(std), error * ratio)
+    fit = fit_poles(values, whole.mechanisms, ratio[use], std[use], at[use], base=whole.base)
+    after, after_std = mode_damping(values, whole.mechanisms, fit, at)
+    return FittedRegions(whole, fit, common, after, after_std)
+
+
 def run(session: Session, progress: Progress) -> DampingStage:
     """Fit the regions to the modes that the updating saw, predict those left out, compare the FRFs.
 
     The tests of all configurations have one set of coefficients; FRFs are those of the study's own.
     """
-    test = MeasuredDamping.of(session.own)
-    if not test.used.any():
-        return nothing("no test mode with a damping ratio has a partner in the final model")
-    progress(0.1, "modes of the delivered deck")
-    own = DampedDeck.of(session.own, test)
-    parts = [own]
-    for c in session.others:
-        of_other = MeasuredDamping.of(c)
-        if of_other.fe.size:
-            progress(0.3, f"modes of the delivered deck of {c.name}")
-            parts.append(DampedDeck.of(c, of_other))
+    progress(0.1, "modes of the delivered decks")
+    decks = []
+    for c in session.configurations:
+        test = MeasuredDamping.of(c)
+        if c is session.own and not test.used.any():
+            return nothing("no test mode with a damping ratio has a partner in the final model")
+        if test.fe.size:
+            opened = delivered(c).opened
+            decks.append(DampedDeck.of(c.name, opened, opened.modes(session.fmax).modes, test))
     progress(0.5, "damping of the regions")
-    common = float(np.median(test.ratio[test.used]))
-    wanted = regions(session, own.opened)
-    found = []
-    for i, p in enumerate(parts):
-        there = wanted if i == 0 else _present(wanted, p.opened)
-        model = p.opened.model
-        found.append(dampers(model, there, p.values, p.shapes, total=p.total, ratio=common))
-    if not found[0].regions:
+    own = decks[0]
+    found = fit_regions(decks, regions(session, own.opened), session.config.damping.error)
+    if found is None:
         return nothing("no region takes part in any mode")
-    whole = joined_dampers(found)
-    values = np.concatenate([p.values for p in parts])
-    first = np.cumsum([0, *(p.values.size for p in parts)]).tolist()
-    at = np.concatenate([p.at + k for p, k in zip(parts, first, strict=False)])
-    ratio = np.concatenate([p.test.ratio for p in parts])
-    std = np.concatenate([p.test.std for p in parts])
-    use = np.concatenate([p.test.used for p in parts])
-    # of modes of a file the standard deviation may not be known
-    std = np.hypot(np.nan_to_num(std), session.config.damping.error * ratio)
-    fit = fit_poles(values, whole.mechanisms, ratio[use], std[use], at[use], base=whole.base)
-    after, after_std = mode_damping(values, whole.mechanisms, fit, at)
     progress(0.8, "FRFs around the resonances")
     n = own.values.size
-    fitted = fit.viscous[:n, :n], fit.structural[:n, :n]
-    errors = frf_errors(session, test, own.moving, (own.before(common), fitted))
+    fitted = found.fit.viscous[:n, :n], found.fit.structural[:n, :n]
+    errors = frf_errors(session, own.test, own.moving, (own.before(found.common), fitted))
     modes = []
     start = 0
-    for p in parts:
-        mine = slice(start, start + p.at.size)
-        start += p.at.size
-        modes.append(_modes(p, common, after[mine], after_std[mine]))
+    for deck in decks:
+        mine = slice(start, start + deck.at.size)
+        start += deck.at.size
+        modes.append(_modes(deck, found.common, found.after[mine], found.after_std[mine]))
     before = "the damping of the deck"
     if not any(a.any() for a in own.total):
-        before = f"{100 * common:.2f} % for all modes, the median of the test"
-    changes, files = _written(session, own.opened, whole, fit)
+        before = f"{100 * found.common:.2f} % for all modes, the median of the test"
+    changes, files = _written(session, own.opened, found.dampers, found.fit)
     return DampingStage(
         why="",
-        regions=_regions(whole, fit),
+        regions=_regions(found.dampers, found.fit),
         modes=replace(modes[0], frf_before=errors[0], frf_after=errors[1]),
-        misfit=fit.misfit,
+        misfit=found.fit.misfit,
         before=before,
-        flags=flags(whole, fit),
+        flags=flags(found.dampers, found.fit),
         files=files,
         changes=changes,
         others=tuple(
-            DampedConfiguration(p.name, m) for p, m in zip(parts[1:], modes[1:], strict=True)
+            DampedConfiguration(deck.name, m) for deck, m in zip(decks[1:], modes[1:], strict=True)
         ),
     )
 

@@ -122,7 +122,7 @@ def run(session: Session, progress: Progress) -> LocaliseStage | None:
     search = [_small(session.own, model, points)]
     names = model.parameters.names
     for c, other in zip(session.others, others, strict=False):
-        at = [names.index(n) for n in other.parameters.names]
+        at = model.parameters.at(other.parameters.names)
         search.append(_small(c, other, [x[at] for x in points]))
     asked = session.config.localise
     proposal = propose(

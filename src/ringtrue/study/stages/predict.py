@@ -4,7 +4,7 @@ bands.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -33,7 +33,6 @@ from ringtrue.study.results import (
     DampingStage,
     FinalStage,
     PredictStage,
-    UpdateStage,
 )
 from ringtrue.study.session import Session
 from ringtrue.study.stages.damping import regions
@@ -199,25 +198,22 @@ def _posterior(session: Session, progress: Progress) -> tuple[Posterior, float]:
     """Of the chosen parameters and the suspension, and the discrepancy of the left-out
     frequencies.
     """
-    done: UpdateStage = session.get("update")
     final: FinalStage = session.get("final")
-    best = done.sets[done.chosen]
+    best = session.best
     aim = target(session.own)
     out = final.table.deviation_percent[~final.table.used] / 100
     shown = out if out.size else final.table.deviation_percent / 100
     error = discrepancy(shown, np.zeros(shown.size)) if shown.size else aim.weights.frequency
     active = over(session.delivered_models(progress)[0], best.parameters)
     own = Configuration(active, aim, terms_of(session.own, active))
-    factor = dict(zip(best.parameters, best.factor.tolist(), strict=True))
-    every = (own, *other_configurations(session, factor, progress))
+    every = (own, *other_configurations(session, best.factors, progress))
     wide = max(error, aim.weights.frequency)
-    parts = [_laplace(tuple(c.weighed(wide, aim.weights.mac) for c in every), best.factor)]
+    parts = [_laplace(tuple(c.weighed(wide, aim.weights.mac) for c in every), best.factors)]
     if session.config.suspension:
         channels = session.own.reference.rigid.channels
         springs = suspended(session.own, channels, progress)
         tuned = session.get("tune").factors
-        factors = np.array([tuned[n] for n in springs.parameters.names])
-        parts.append(_laplace((Configuration(springs, rigid_target(session.own)),), factors))
+        parts.append(_laplace((Configuration(springs, rigid_target(session.own)),), tuned))
     # independent posteriors
     names = ParameterSet(tuple(p for one in parts for p in one.parameters.parameters))
     y = np.concatenate([one.y for one in parts])
@@ -226,7 +222,7 @@ def _posterior(session: Session, progress: Progress) -> tuple[Posterior, float]:
     return Posterior(names, y, covariance, np.eye(y.size), prior), error
 
 
-def _laplace(configurations: tuple[Configuration, ...], factors: Float) -> Posterior:
+def _laplace(configurations: tuple[Configuration, ...], factors: Mapping[str, float]) -> Posterior:
     problem = Problem(configurations)
     at = problem.evaluate(problem.parameters.vector(factors))
     return laplace(problem, at, np.ones(int(at.kind.max(initial=-1)) + 1), independent=1.0)
@@ -258,7 +254,7 @@ def _model(
         ResponseSearch(loss=2 * float(np.median(final.damping))),
         progress=part(progress, 0.3, 1.0),
     )
-    at = [every.names.index(n) for n in parameters.names]
+    at = every.at(parameters.names)
     return model.on(found.vectors).with_parameters(at, none), float(found.residual.max())
 
 

@@ -6,13 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ringtrue.core.arrays import Float
-from ringtrue.core.iterate import Progress, part, quiet
+from ringtrue.core.iterate import Progress, part
 from ringtrue.core.modes import ModeSet
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.errors import DataError
-from ringtrue.model.ports import Linearisation, ObservedModel
-from ringtrue.study.objective import target as elastic_target
+from ringtrue.model.ports import ObservedModel
 from ringtrue.study.opened import AtChannels
 from ringtrue.study.reference import rigid_settings, rigid_table
 from ringtrue.study.results import TunedConfiguration, TuneStage
@@ -22,13 +20,10 @@ from ringtrue.updating.problem import Configuration, Problem, single
 from ringtrue.updating.solver import solve
 from ringtrue.updating.strategy import Course, settled
 from ringtrue.updating.suspension import Suspended, tune
-from ringtrue.updating.target import Target, Weights, match
+from ringtrue.updating.target import Target, Weights
 
 # a rigid-body mode on springs leaves no room for model discrepancy but the mass distribution
 WEIGHTS = Weights(frequency=0.005, mac=0.1, shape=0.1)
-# share of an elastic mode's strain energy in the suspension from which on its tuning is expected to
-# move it
-STRAINED = 0.1
 
 
 def target(c: StudyConfiguration) -> Target:
@@ -65,7 +60,7 @@ def suspended(c: StudyConfiguration, channels: tuple[str, ...], progress: Progre
     mine = model.parameters
     every = model.model.system.parameters
     springs = range(len(mine), len(every))
-    held = mine.vector(np.array([known[n] for n in mine.names]))
+    held = mine.vector(known)
     base = np.concatenate([held, np.zeros(len(springs))])
     return AtChannels(model.model, c.rows(channels)).with_parameters(springs, base)
 
@@ -114,65 +109,6 @@ class RigidTest:
         return rigid_table(reference, seen, self.configuration.session.config)
 
 
-def _others(session: Session, progress: Progress) -> list[RigidTest]:
-    """Further configurations whose test holds rigid-body modes and whose deck has part of the
-    suspension.
-    """
-    with_modes = [c for c in session.others if len(c.reference.rigid)]
-    tests = [RigidTest.of(c, progress) for c in with_modes]
-    return [t for t in tests if len(t.model.parameters)]
-
-
-def disagreeing(model: ObservedModel, aim: Target, x: Float, std: Float) -> tuple[str, ...]:
-    """Elastic test modes that strain the suspension and that its tuning puts off, in words.
-
-    Springs of rubber, for example, are stiffer at their frequencies; or the tuning stands for
-    another error.
-
-    Parameters
-    ----------
-    model : ObservedModel
-        Over the suspension.
-    x, std : (p,) float64
-        As tuned.
-    """
-    p = model.parameters
-    then = model.linearise(0 * x)
-    now = model.linearise(x)
-    before, after = (dict(match(aim, at)[0].tolist()) for at in (then, now))
-    out = []
-    for t in sorted(before | after):  # over modes: text for people
-        at, fe = (now, after[t]) if t in after else (then, before[t])
-        rate = at.d_lambda[fe] / (2 * (2 * np.pi * at.frequencies[fe]) ** 2)  # ∂ ln f/∂x
-        shares = 2 * rate * p.factors(at.x) / p.derivative(at.x)
-        share = float(np.maximum(shares, 0.0).sum())
-        variance = aim.weights.frequency**2 + aim.std[t] ** 2 + ((rate * std) ** 2).sum()
-        allowed = 2.0 * float(np.sqrt(variance))  # standard deviations that it may be off
-        was = _deviation(aim, then, t, before.get(t))
-        off = _deviation(aim, now, t, after.get(t))
-        if share <= STRAINED or (off is not None and abs(off) <= max(allowed, abs(was or 0.0))):
-            continue
-        states = [
-            f"{100 * d:+.1f} % off" if d is not None else "without partner" for d in (was, off)
-        ]
-        out.append(
-            f"elastic test mode {t + 1} ({aim.frequencies[t]:.4g} Hz) has {100 * share:.0f} % of "
-            "its strain energy in "
-            f"the suspension and is {states[0]} before and {states[1]} after the tuning, where "
-            f"{100 * allowed:.1f} "
-            "% was to be expected: its springs may be others at that frequency, or stand for "
-            "another error"
-        )
-    return tuple(out)
-
-
-def _deviation(aim: Target, at: Linearisation, test: int, partner: int | None) -> float | None:
-    """Relative deviation of the partner of a test mode; None without one."""
-    if partner is None:
-        return None
-    return float(at.frequencies[partner] / aim.frequencies[test] - 1)
-
-
 def run(session: Session, progress: Progress) -> TuneStage:
     """Tune the suspension with the elastic parameters held at their updated values.
 
@@ -180,7 +116,9 @@ def run(session: Session, progress: Progress) -> TuneStage:
     there.
     """
     own = RigidTest.of(session.own, part(progress, 0.0, 0.6))
-    others = _others(session, part(progress, 0.6, 0.7))
+    early = part(progress, 0.6, 0.7)
+    tests = [RigidTest.of(c, early) for c in session.others if len(c.reference.rigid)]
+    others = [test for test in tests if len(test.model.parameters)]  # with part of the suspension
     limit = session.config.update.iterations
     parameters = own.model.parameters
     found = tuned(own.model, own.target, limit, part(progress, 0.7, 1.0))
@@ -200,7 +138,6 @@ def run(session: Session, progress: Progress) -> TuneStage:
     names = parameters.names
     start = dict.fromkeys(names, 0.0)
     end = dict(zip(names, x.tolist(), strict=True))
-    elastic = suspended(session.own, session.own.reference.elastic.channels, quiet)
     return TuneStage(
         before=own.table(start),
         after=own.table(end),
@@ -211,5 +148,4 @@ def run(session: Session, progress: Progress) -> TuneStage:
         others=tuple(
             TunedConfiguration(o.configuration.name, o.table(start), o.table(end)) for o in others
         ),
-        disagreeing=disagreeing(elastic, elastic_target(session.own), x, std),
     )

@@ -24,7 +24,6 @@ from ringtrue.study.results import (
     PosteriorChains,
     SetResult,
     UncertaintyStage,
-    UpdateStage,
 )
 from ringtrue.study.session import Session, StudyConfiguration
 from ringtrue.study.stages.update import as_delivered, other_configurations
@@ -85,14 +84,13 @@ def run(session: Session, progress: Progress) -> UncertaintyStage | None:
     delivered.
     """
     c = session.own
-    done: UpdateStage = session.get("update")
     final: FinalStage = session.get("final")
-    best = done.sets[done.chosen]
+    best = session.best
     asked = session.config.uncertainty
     seed = session.config.study.seed
     aim = target(c)
-    chosen = dict(zip(best.parameters, best.factor.tolist(), strict=True))
-    factors = dict.fromkeys(session.parameters.names, 1.0) | chosen
+    chosen = best.factors
+    factors = session.updated_factors()
 
     early = part(progress, 0.0, 0.4)
     every, at = as_delivered(c, session.delivered_models(early)[0], factors, early)
@@ -125,11 +123,11 @@ def run(session: Session, progress: Progress) -> UncertaintyStage | None:
     whole = (own, *other_configurations(session, factors, early))
     problem = Problem(_likelihoods(whole, found, many))
     p = problem.parameters
-    point = problem.evaluate(p.vector(np.array([factors[n] for n in p.names])))
+    point = problem.evaluate(p.vector(factors))
     freedom = _freedom(session, every, at, held, likely.target)
     slope = point.points[0].now.d_lambda
     among = around(problem, point, _may_be_off(session, p, best.parameters), freedom=freedom)
-    posterior = among.take([every.parameters.names.index(n) for n in best.parameters])
+    posterior = among.take(every.parameters.at(best.parameters))
     if aim.frequency_only:
         held = replace(held, mac=np.full(held.mac.size, np.nan))
     result = UncertaintyStage(
@@ -171,12 +169,11 @@ def _others(
 ) -> list[Configuration]:
     """The other configurations on the modes around the updated point."""
     std = dict(zip(best.parameters, best.std.tolist(), strict=True))
-    factor = dict(zip(best.parameters, best.factor.tolist(), strict=True))
     out = []
-    for one in other_configurations(session, factor, progress):
+    for one in other_configurations(session, best.factors, progress):
         assert isinstance(one.model, AtChannels)
         p = one.model.parameters
-        x = p.vector(np.array([factor[n] for n in p.names]))
+        x = p.vector(best.factors)
         near = _near(session, one.model, x, np.array([std[n] for n in p.names]), rng)
         out.append(replace(one, model=near))
     return out

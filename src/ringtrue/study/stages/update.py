@@ -91,7 +91,7 @@ def update_reduced(
     models = list(session.models(progress))
     y: Float | None = None
     if factors is not None:
-        y = session.chosen(members).vector(np.array([factors[m] for m in members]))
+        y = session.chosen(members).vector(factors)
     how = Minimisation(u, session.config.study.seed)
     path: list[Evaluated] = []
     error = np.inf
@@ -114,13 +114,12 @@ def update_reduced(
 
 def compare_data(session: Session, best: SetResult, progress: Progress) -> tuple[DataResult, ...]:
     """What was measured besides the modes, by the model before and after the updating."""
-    x = session.chosen(best.parameters).vector(best.factor)
-    at = dict(zip(best.parameters, x.tolist(), strict=True))
+    factors = best.factors
     out = []
     models = session.updated(best, progress)
     for c, whole in zip(session.configurations, models, strict=True):
         model = over(whole, best.parameters)
-        y = np.array([at[n] for n in model.parameters.names])
+        y = model.parameters.vector(factors)
         for m, d in zip(c.measured, data_of(c, model), strict=True):
             one = Configuration(model, target(c), (d.term,))
             before, after = (d.shown(d.term(one.at(v, slopes=False))) for v in (0 * y, y))
@@ -167,10 +166,10 @@ def as_delivered(
     mine = model.parameters.names
     springs = every.take(range(len(mine), len(every)))
     tuned = c.session.get("tune").factors if len(springs) else {}
-    held = springs.vector(np.array([tuned[n] for n in springs.names]))
+    held = springs.vector(tuned)
     base = np.concatenate([np.zeros(len(mine)), held])
     active = model.with_parameters([mine.index(m) for m in factor if m in mine], base)
-    x = active.parameters.vector(np.array([factor[n] for n in active.parameters.names]))
+    x = active.parameters.vector(factor)
     if frequency_error(active.modes(x).frequencies, c.final.observed.frequencies) >= CLOSE:
         progress(0.9, "modes at the updated point")
         active, _ = active.enrich(x)
