@@ -8,63 +8,41 @@ blank: on the straight line between the ends (MSC Nastran Quick Reference Guide,
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ringtrue.decks.nastran.lexer import Card, Files, Reader, places, ragged
-from ringtrue.errors import UnsupportedCard
-from ringtrue.model.cards import END_A, END_B, columns, properties
+from ringtrue.decks.nastran.lexer import Card, Files, Reader, Row, table_of_rows
+from ringtrue.model.cards import END_A, END_B, properties
 from ringtrue.model.edit import ply_field
-from ringtrue.model.model import Ragged, Table
+from ringtrue.model.model import Table
 from ringtrue.model.sections import FALLBACK, SECTIONS
 
 BETWEEN = ("AX", "I1X", "I2X", "I12X", "JX", "NSMX")
 _TAIL = ("K1", "K2", "S1", "S2", "NSIA", "NSIB")  # CWA and CWB count with SA and SB of a CBEAM only
 _TAIL2 = ("M1A", "M2A", "M1B", "M2B", "N1A", "N2A", "N1B", "N2B")
 _STATION = ("YES", "YESA", "NO")
-Row = Mapping[str, float | list[float]]
 
 
-def pbeam(cards: Sequence[Card], files: Files) -> Table:
-    """PBEAM: a row a property; a blank end B is that of end A."""
-    return _table("PBEAM", [(c, _beam_row(Reader(c, files))) for c in cards], files)
+def pbeam(r: Reader) -> Iterator[Row]:
+    """PBEAM: a blank end B is that of end A."""
+    yield _named(r, _beam_row(r))
 
 
-def pbcomp(cards: Sequence[Card], files: Files) -> Table:
-    """PBCOMP as a table of PBEAM; lumped areas of other materials than the card's own are
-    refused.
-    """
-    return _table("PBEAM", [(c, _lumped(Reader(c, files))) for c in cards], files)
+def pbcomp(r: Reader) -> Iterator[Row]:
+    """PBCOMP as a row of PBEAM; lumped areas of other materials than the card's own are refused."""
+    yield _named(r, _lumped(r))
 
 
-def pbarl(cards: Sequence[Card], files: Files) -> Table:
-    """PBARL as a table of PBAR."""
-    return _table("PBAR", [(c, _made(Reader(c, files))) for c in cards], files)
+def section_properties(r: Reader) -> Iterator[Row]:
+    """PBARL as a row of PBAR, PBEAML as one of PBEAM."""
+    yield _named(r, _made(r))
 
 
-def pbeaml(cards: Sequence[Card], files: Files) -> Table:
-    """PBEAML as a table of PBEAM."""
-    return _table("PBEAM", [(c, _made(Reader(c, files))) for c in cards], files)
-
-
-def _table(card: str, rows: Sequence[tuple[Card, Row]], files: Files) -> Table:
-    made: dict[str, NDArray[Any] | Ragged] = {}
-    for spec in columns(card):
-        if spec.name in ("PID", "MID"):
-            values: list[Any] = [
-                Reader(c, files).whole(("PID", "MID").index(spec.name), spec.name) for c, _ in rows
-            ]
-            made[spec.name] = np.array(values, dtype=np.int64)
-        elif spec.tail:
-            made[spec.name] = ragged([row.get(spec.name, []) for _, row in rows], np.float64)  # type: ignore[misc]
-        elif not spec.blank:
-            made[spec.name] = np.array(
-                [row.get(spec.name, spec.default) for _, row in rows], dtype=np.float64
-            )
-    return Table(card, made, *places([c for c, _ in rows]))
+def _named(r: Reader, row: Row) -> Row:
+    return {"PID": r.whole(0, "PID"), "MID": r.whole(1, "MID"), **row}
 
 
 def beam_stations(r: Reader) -> tuple[list[tuple[float, int]], int]:
@@ -153,7 +131,7 @@ def _areas(r: Reader) -> NDArray[np.float64]:
     if given.any() and symmetry not in (0, 1, 5):
         why = f"SYMOPT {symmetry}; give all areas (SYMOPT 0), or those of a quarter (1)"
     if why:
-        raise UnsupportedCard("PBCOMP", path=r.files[r.card.file], line=r.card.line, why=why)
+        raise r.unsupported(why)
     if symmetry == 1:
         given = np.hstack(
             [given * np.array([[a], [b], [1.0]]) for a in (1.0, -1.0) for b in (1.0, -1.0)]
@@ -165,11 +143,9 @@ def _dimensions(r: Reader, at: int) -> tuple[list[float], float, int]:
     """Dimensions from field `at` on, nan for a blank that is that of another, NSM, and the field
     behind.
     """
-    c = r.card
     kind = r.text(3).upper()
     if kind not in SECTIONS:
-        why = f"section {kind!r}; supported are {', '.join(sorted(SECTIONS))}"
-        raise UnsupportedCard(c.name, path=r.files[c.file], line=c.line, why=why)
+        raise r.unsupported(f"section {kind!r}; supported are {', '.join(sorted(SECTIONS))}")
     count = SECTIONS[kind][0]
     may = FALLBACK.get(kind, {})
     dims = [r.real(at + k, f"DIM{k + 1}", np.nan if k in may else None) for k in range(count)]
@@ -209,19 +185,16 @@ def _made(r: Reader) -> Row:
 
 def dimensions(cards: Sequence[Card], files: Files) -> Table:
     """The dimensions that PBARL or PBEAML give, for the ends of the beam; a row a property."""
-    rows: dict[str, list[Any]] = {s.name: [] for s in columns(cards[0].name)}
+    rows = []
     for c in cards:
         r = Reader(c, files)
         dims, nsm, at = _dimensions(r, 8)
-        end_b = next(((d, m) for x, d, m, _ in _stations(r, at) if x == 1.0), ([], np.nan))
-        values = (r.whole(0, "PID"), r.text(3).upper(), nsm, dims, end_b[1], end_b[0])
-        for name, value in zip(("PID", "TYPE", "NSM", "DIM", "NSMB", "DIMB"), values, strict=True):
-            if name in rows:
-                rows[name].append(value)
-    made = {
-        n: ragged(v, np.float64) if n.startswith("DIM") else np.array(v) for n, v in rows.items()
-    }
-    return Table(cards[0].name, made, *places(cards))
+        row: dict[str, Any] = {"TYPE": r.text(3).upper(), "NSM": nsm, "DIM": dims}
+        for x, dims_b, nsm_b, _ in _stations(r, at):
+            if x == 1.0:
+                row |= {"NSMB": nsm_b, "DIMB": dims_b}
+        rows.append((c, {"PID": r.whole(0, "PID"), **row}))
+    return table_of_rows(cards[0].name, rows)
 
 
 def dimension_place(fields: Sequence[str], field: str) -> int | None:
@@ -256,35 +229,23 @@ def bend_places(fields: Sequence[str]) -> Mapping[str, int]:
     return _PIPE if len(fields) > 2 and fields[2].isdigit() else _BEND
 
 
-def pbend(cards: Sequence[Card], files: Files) -> Table:
+def pbend(r: Reader) -> Iterator[Row]:
     """PBEND of either form; a pipe with flexibility factors other than 1, or as NX has it, is
     refused.
     """
-    names = tuple(n for n in dict.fromkeys((*_PIPE, *_BEND)) if n != "FSI")
-    cols: dict[str, list[float]] = {n: [] for n in ("PID", "MID", "FSI", *names)}
-    for c in cards:
-        r = Reader(c, files)
-        at = bend_places(c.fields)
-        if at is _PIPE:
-            foreign = any(r.text(i) for i in (8, 9, *range(13, len(c.fields))))
-            if r.whole(2, "FSI") != 1 or foreign:
-                why = (
-                    "of pipes FSI = 1, NSM, RC and ZC are; give A, I1, I2, J with the "
-                    "flexibility in I1 and I2"
-                )
-                raise UnsupportedCard("PBEND", path=files[c.file], line=c.line, why=why)
-        cols["PID"].append(r.whole(0, "PID"))
-        cols["MID"].append(r.whole(1, "MID"))
-        cols["FSI"].append(int(at is _PIPE))
-        for n in names:
-            blank = float("nan") if n == "DELTAN" else 0.0
-            cols[n].append(r.real(at[n], n, blank) if n in at else blank)
-    whole = ("PID", "MID", "FSI")
-    return Table(
-        "PBEND",
-        {n: np.array(v, np.int64 if n in whole else np.float64) for n, v in cols.items()},
-        *places(cards),
-    )
+    at = bend_places(r.card.fields)
+    pipe = at is _PIPE
+    foreign = any(r.text(i) for i in (8, 9, *range(13, len(r.card.fields))))
+    if pipe and (foreign or r.whole(2, "FSI") != 1):
+        raise r.unsupported(
+            "of pipes FSI = 1, NSM, RC and ZC are; give A, I1, I2, J with the flexibility in "
+            "I1 and I2"
+        )
+    row: dict[str, Any] = {"PID": r.whole(0, "PID"), "MID": r.whole(1, "MID"), "FSI": int(pipe)}
+    for name, i in at.items():
+        if name != "FSI":
+            row[name] = r.real(i, name, np.nan if name == "DELTAN" else 0.0)
+    yield row
 
 
 _CORNERS = ("GA1", "GA2", "GA3", "GA4", "GB1", "GB2", "GB3", "GB4")
@@ -300,7 +261,7 @@ WELD_POINT = {"XS": 16, "YS": 17, "ZS": 18}  # of PARTPAT and ELPAT
 _MIDSIDES = (*range(12, 16), *range(20, 24))
 
 
-def cweld(cards: Sequence[Card], files: Files) -> Table:
+def cweld(r: Reader) -> Iterator[Row]:
     """CWELD by GRIDID, ELEMID, ALIGN, PARTPAT or ELPAT.
 
     Raises
@@ -308,25 +269,15 @@ def cweld(cards: Sequence[Card], files: Files) -> Table:
     UnsupportedCard
         On other types, and on patches with midside nodes.
     """
-    specs = columns("CWELD")
-    rows: list[dict[str, int | float | str]] = []
-    for c in cards:
-        r = Reader(c, files)
-        kind = r.text(3).upper()
-        midsides = kind == "GRIDID" and any(r.text(i).strip("0") for i in _MIDSIDES)
-        if kind not in WELD_TYPES or midsides:
-            why = "patches with midside nodes" if midsides else f"type {kind or 'blank'}"
-            why += f"; allowed are {', '.join(WELD_TYPES)} on corners"
-            raise UnsupportedCard("CWELD", path=files[c.file], line=c.line, why=why)
-        row: dict[str, int | float | str] = {s.name: s.default for s in specs} | {
-            "TYPE": kind,
-            "SPTYP": r.text(6),
-        }
-        row |= {name: r.whole(i, name, 0) for name, i in (WELD_ENDS | WELD_TYPES[kind]).items()}
-        row["PID"] = r.whole(1, "PID", int(row["EID"]))
-        if kind in ("PARTPAT", "ELPAT"):
-            row |= {name: r.real(i, name, float("nan")) for name, i in WELD_POINT.items()}
-        rows.append(row)
-    return Table(
-        "CWELD", {s.name: np.array([row[s.name] for row in rows]) for s in specs}, *places(cards)
-    )
+    kind = r.text(3).upper()
+    midsides = kind == "GRIDID" and any(r.text(i).strip("0") for i in _MIDSIDES)
+    if kind not in WELD_TYPES or midsides:
+        why = "patches with midside nodes" if midsides else f"type {kind or 'blank'}"
+        raise r.unsupported(f"{why}; allowed are {', '.join(WELD_TYPES)} on corners")
+    row: dict[str, Any] = {"TYPE": kind, "SPTYP": r.text(6)}
+    for name, i in (WELD_ENDS | WELD_TYPES[kind]).items():
+        row[name] = r.whole(i, name, 0)
+    row["PID"] = r.whole(1, "PID", row["EID"])
+    if kind in ("PARTPAT", "ELPAT"):
+        row |= {name: r.real(i, name, np.nan) for name, i in WELD_POINT.items()}
+    yield row

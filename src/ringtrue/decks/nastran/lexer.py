@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.decks.nastran.deck import WIDTH, Deck
-from ringtrue.errors import DeckError
-from ringtrue.model.model import Ragged
+from ringtrue.errors import DeckError, UnsupportedCard
+from ringtrue.model.cards import columns
+from ringtrue.model.model import Ragged, Table
 
 _POWERS = 10.0 ** np.arange(23)
 _BLOCK = 65_536
@@ -250,6 +251,10 @@ class Reader:
         c = self.card
         return DeckError(why, path=self.files[c.file], line=c.line, card=c.name, field=name)
 
+    def unsupported(self, why: str) -> UnsupportedCard:
+        c = self.card
+        return UnsupportedCard(c.name, path=self.files[c.file], line=c.line, why=why)
+
     def whole(self, i: int, name: str, default: int | None = None) -> int:
         t = self.text(i)
         if not t and default is not None:
@@ -269,10 +274,26 @@ class Reader:
             raise self.fail(name, f"{t!r} is not a real") from None
 
 
-def places(rows: Sequence[Card]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    return np.array([c.file for c in rows], dtype=np.int64), np.array(
-        [c.line for c in rows], dtype=np.int64
-    )
+Row = Mapping[str, Any]  # values by the names of `model.cards`, lists for ragged columns
+_DTYPES: Mapping[str, Any] = {"i": np.int64, "f": np.float64, "s": np.str_, "c": np.str_}
+
+
+def table_of_rows(card: str, rows: Sequence[tuple[Card, Row]]) -> Table:
+    """A table of its rows, each with the card that it stands on; what a row leaves out has its
+    default.
+    """
+    made: dict[str, NDArray[Any] | Ragged] = {}
+    for spec in columns(card):
+        name = spec.name
+        dtype = _DTYPES[spec.kind]
+        if spec.tail:
+            made[name] = ragged([row.get(name, []) for _, row in rows], dtype)
+        elif not spec.blank:
+            values = [row.get(name, spec.default) for _, row in rows]
+            made[name] = np.array(values, dtype=dtype)
+    file = np.array([c.file for c, _ in rows], dtype=np.int64)
+    line = np.array([c.line for c, _ in rows], dtype=np.int64)
+    return Table(card, made, file, line)
 
 
 def ragged(rows: Sequence[Sequence[Any]], dtype: Any) -> Ragged:

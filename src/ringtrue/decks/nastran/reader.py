@@ -31,7 +31,7 @@ from ringtrue.decks.nastran.defaults import (
     written_out,
 )
 from ringtrue.decks.nastran.loads import LoadCase, load_cases
-from ringtrue.decks.nastran.special import EXPAND
+from ringtrue.decks.nastran.special import SPECIAL, special_table
 from ringtrue.decks.nastran.tables import (
     empty,
     fault,
@@ -169,7 +169,7 @@ def _stops(name: str, more: tuple[str, ...]) -> bool:
     """Whether a card must not be passed over; `more`: beginnings of names that case control makes
     count.
     """
-    return name not in EXPAND and (is_unsupported(name) or name[0] == "/" or name.startswith(more))
+    return name not in SPECIAL and (is_unsupported(name) or name[0] == "/" or name.startswith(more))
 
 
 def _stopping(found: Cards) -> list[tuple[int, str]]:
@@ -216,11 +216,11 @@ def _model(found: Cards) -> tuple[Model, dict[str, tuple[str, tuple[str, int]]]]
     for name, n in zip((x.decode() for x in names.tolist()), count.tolist(), strict=True):
         if name in NONSTRUCTURAL and not case.nsm:  # counts only where case control chooses it
             kept[name] = n
-        elif name in CARDS and name not in EXPAND and name != "SPC1":
+        elif name in CARDS and name not in SPECIAL and name != "SPC1":
             tables[name] = make_table(found, name)
-        elif name in EXPAND:
+        elif name in SPECIAL:
             try:
-                made = EXPAND[name](written_out(found, name), found.deck.files)
+                made = special_table(name, written_out(found, name), found.deck.files)
             except UnsupportedCard as e:
                 skipped[name] = (e.why, (str(e.path), e.line or 0))
                 continue

@@ -4,12 +4,8 @@ lines.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from types import MappingProxyType
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from ringtrue.decks.nastran import lists as added_mass
 from ringtrue.decks.nastran.beams import (
@@ -18,21 +14,19 @@ from ringtrue.decks.nastran.beams import (
     bend_places,
     cweld,
     dimension_place,
-    pbarl,
     pbcomp,
     pbeam,
-    pbeaml,
     pbend,
+    section_properties,
 )
-from ringtrue.decks.nastran.lexer import Card, Files, Reader, places, ragged
+from ringtrue.decks.nastran.lexer import Card, Files, Reader, Row, table_of_rows
 from ringtrue.decks.nastran.lists import (
     BUSH,
     PLY,
     VALUE,
     dmig,
     genel,
-    pcomp,
-    pcompg,
+    laminate,
     ply_places,
     rbe1,
     rspline,
@@ -40,112 +34,66 @@ from ringtrue.decks.nastran.lists import (
 from ringtrue.errors import InputError
 from ringtrue.model.cards import CARDS, END_A, END_B, MADE, columns
 from ringtrue.model.edit import ply_field
-from ringtrue.model.model import Ragged, Table
+from ringtrue.model.model import Table
 
 
-def _spc(cards: Sequence[Card], files: Files) -> Table:
-    rows: list[tuple[int, int, str, float]] = []
-    from_card = []
-    for c in cards:
-        r = Reader(c, files)
-        sid = r.whole(0, "SID")
-        for i, g in ((1, "G1"), (4, "G2")):
-            if r.text(i):
-                rows.append((sid, r.whole(i, g), r.text(i + 1) or "0", r.real(i + 2, "D", 0.0)))
-                from_card.append(c)
-    sid_, g_, c_, d_ = zip(*rows, strict=True) if rows else ((), (), (), ())
-    cols: dict[str, NDArray[Any] | Ragged] = {
-        "SID": np.array(sid_, dtype=np.int64),
-        "G": np.array(g_, dtype=np.int64),
-        "C": np.array(c_, dtype=np.str_),
-        "D": np.array(d_, dtype=np.float64),
+def _spc(r: Reader) -> Iterator[Row]:
+    sid = r.whole(0, "SID")
+    for i, name in ((1, "G1"), (4, "G2")):
+        if r.text(i):
+            node = r.whole(i, name)
+            components = r.text(i + 1) or "0"
+            yield {"SID": sid, "G": node, "C": components, "D": r.real(i + 2, "D", 0.0)}
+
+
+# fields from row to row of a card that holds several rows
+_PITCH = {
+    **dict.fromkeys(("CORD1R", "CORD1C", "CORD1S", "PELAS", "PVISC"), 4),
+    **dict.fromkeys(("PMASS", "PDAMP"), 2),
+}
+
+
+def _several(r: Reader) -> Iterator[Row]:
+    """A card that holds several rows, each as its table has it."""
+    first, *others = columns(r.card.name)
+    for i in range(0, max(len(r.card.fields), 1), _PITCH[r.card.name]):
+        if i == 0 or r.text(i):
+            row: dict[str, Any] = {first.name: r.whole(i, first.name)}
+            for k, spec in enumerate(others, start=i + 1):
+                read = r.whole if spec.kind == "i" else r.real
+                row[spec.name] = read(k, spec.name, 0)
+            yield row
+
+
+def _mpc(r: Reader) -> Iterator[Row]:
+    # two terms on a line of eight fields, the first field of a continuation is blank
+    starts = range(0, len(r.card.fields), 8)
+    at = [i for k in starts for i in (k + 1, k + 4) if r.text(i)]
+    yield {
+        "SID": r.whole(0, "SID"),
+        "G": [r.whole(i, "G") for i in at],
+        "C": [r.whole(i + 1, "C", 0) for i in at],
+        "A": [r.real(i + 2, "A", 0.0) for i in at],
     }
-    return Table("SPC", cols, *places(from_card))
 
 
-def _several(
-    card: str, id_name: str, names: Sequence[str], pitch: int = 0, *, whole: bool = False
-) -> Callable[[Sequence[Card], Files], Table]:
-    """A card that holds several rows of 1 + len(names) fields, real or `whole` numbers, at every
-    `pitch`-th field.
-    """
-
-    def read(cards: Sequence[Card], files: Files) -> Table:
-        ids: list[int] = []
-        values: list[list[float]] = []
-        of = []
-        width = pitch or 1 + len(names)
-        for c in cards:
-            r = Reader(c, files)
-            for i in range(0, max(len(c.fields), 1), width):
-                if i == 0 or r.text(i):
-                    ids.append(r.whole(i, id_name))
-                    read_ = r.whole if whole else r.real
-                    values.append([read_(i + 1 + k, name, 0) for k, name in enumerate(names)])
-                    of.append(c)
-        data = np.array(values, dtype=np.int64 if whole else np.float64).reshape(-1, len(names))
-        made: dict[str, NDArray[Any]] = {id_name: np.array(ids, dtype=np.int64)}
-        made |= {name: data[:, k] for k, name in enumerate(names)}
-        return Table(card, made, *places(of))
-
-    return read
-
-
-def _mpc(cards: Sequence[Card], files: Files) -> Table:
-    sid = []
-    g = []
-    comp = []
-    a = []
-    for c in cards:
-        r = Reader(c, files)
-        sid.append(r.whole(0, "SID"))
-        # two terms on a line of eight fields, the first field of a continuation is blank
-        at = [i for k in range(0, len(c.fields), 8) for i in (k + 1, k + 4) if r.text(i)]
-        g.append([r.whole(i, "G") for i in at])
-        comp.append([r.whole(i + 1, "C", 0) for i in at])
-        a.append([r.real(i + 2, "A", 0.0) for i in at])
-    cols: dict[str, NDArray[Any] | Ragged] = {
-        "SID": np.array(sid, dtype=np.int64),
-        "G": ragged(g, np.int64),
-        "C": ragged(comp, np.int64),
-        "A": ragged(a, np.float64),
+def _rbe3(r: Reader) -> Iterator[Row]:
+    eid = r.whole(0, "EID")
+    reference = r.whole(2, "REFGRID")
+    nodes, components, weights = _rbe3_groups(r)
+    um = _rbe3_um(r)
+    if len(um) % 2:
+        raise r.fail("CM", "UM lists pairs of a node and its components; one is missing")
+    yield {
+        "EID": eid,
+        "REFGRID": reference,
+        "REFC": r.text(3),
+        "G": nodes,
+        "C": components,
+        "WT": weights,
+        "GM": [r.whole(i, "GM") for i in um[::2]],
+        "CM": [r.text(i) for i in um[1::2]],
     }
-    return Table("MPC", cols, *places(cards))
-
-
-def _rbe3(cards: Sequence[Card], files: Files) -> Table:
-    eid = []
-    ref = []
-    refc = []
-    g = []
-    comp = []
-    w = []
-    gm = []
-    cm = []
-    for c in cards:
-        r = Reader(c, files)
-        eid.append(r.whole(0, "EID"))
-        ref.append(r.whole(2, "REFGRID"))
-        refc.append(r.text(3))
-        nodes, comps, weights = _rbe3_groups(r)
-        g.append(nodes)
-        comp.append(comps)
-        w.append(weights)
-        gm.append([r.whole(i, "GM") for i in _rbe3_um(r)[::2]])
-        cm.append([r.text(i) for i in _rbe3_um(r)[1::2]])
-        if len(gm[-1]) != len(cm[-1]):
-            raise r.fail("CM", "UM lists pairs of a node and its components; one is missing")
-    cols: dict[str, NDArray[Any] | Ragged] = {
-        "EID": np.array(eid, dtype=np.int64),
-        "REFGRID": np.array(ref, dtype=np.int64),
-        "REFC": np.array(refc, dtype=np.str_),
-        "G": ragged(g, np.int64),
-        "C": ragged(comp, np.str_),
-        "WT": ragged(w, np.float64),
-        "GM": ragged(gm, np.int64),
-        "CM": ragged(cm, np.str_),
-    }
-    return Table("RBE3", cols, *places(cards))
 
 
 def _rbe3_um(r: Reader) -> list[int]:
@@ -195,66 +143,58 @@ def _rbe3_groups(r: Reader) -> tuple[list[int], list[str], list[float]]:
     return nodes, comps, weights
 
 
-def _pbush(cards: Sequence[Card], files: Files) -> Table:
-    blank = {s.name: float(s.default) for s in columns("PBUSH")[1:]}
-    cols: dict[str, list[float]] = {n: [] for n in blank}
-    pid = []
-    for c in cards:
-        r = Reader(c, files)
-        pid.append(r.whole(0, "PID"))
-        row = dict(blank)
-        for start in range(1, len(c.fields), 8):
-            flag = r.text(start).upper()
-            if "RIGID" in (r.text(i).upper() for i in range(start, start + 7)):
-                raise r.fail("K", "RIGID is not supported; use RBE2")
-            if flag and flag not in (*BUSH, "RCV", "T", "D"):
-                raise r.fail("flag", f"{flag!r}: allowed are K, B, GE, M, RCV")
-            for k, name in enumerate(BUSH.get(flag, [])):
-                row[name] = r.real(start + 1 + k, name, blank[name])
-        for name, value in row.items():
-            cols[name].append(value)
-    data = {"PID": np.array(pid, dtype=np.int64)} | {
-        n: np.array(v, dtype=np.float64) for n, v in cols.items()
-    }
-    return Table("PBUSH", data, *places(cards))
+def _pbush(r: Reader) -> Iterator[Row]:
+    row: dict[str, Any] = {"PID": r.whole(0, "PID")}
+    blank = {s.name: s.default for s in columns("PBUSH")}
+    for start in range(1, len(r.card.fields), 8):
+        flag = r.text(start).upper()
+        if "RIGID" in (r.text(i).upper() for i in range(start, start + 7)):
+            raise r.fail("K", "RIGID is not supported; use RBE2")
+        if flag and flag not in (*BUSH, "RCV", "T", "D"):
+            raise r.fail("flag", f"{flag!r}: allowed are K, B, GE, M, RCV")
+        for k, name in enumerate(BUSH.get(flag, []), start=start + 1):
+            row[name] = r.real(k, name, float(blank[name]))
+    yield row
 
 
-EXPAND: Mapping[str, Callable[[Sequence[Card], Files], Table]] = MappingProxyType(
-    {
-        "SPC": _spc,
-        "MPC": _mpc,
-        "RBE1": rbe1,
-        "RBE3": _rbe3,
-        "RSPLINE": rspline,
-        "GENEL": genel,
-        "CWELD": cweld,
-        **{
-            f"CORD1{k}": _several(f"CORD1{k}", "CID", ("G1", "G2", "G3"), whole=True) for k in "RCS"
-        },
-        "PELAS": _several("PELAS", "PID", ("K", "GE", "S")),
-        "PMASS": _several("PMASS", "PID", ("M",)),
-        "PDAMP": _several("PDAMP", "PID", ("B",)),
-        "PVISC": _several("PVISC", "PID", ("CE", "CR"), 4),
-        "PCOMP": pcomp,
-        "PCOMPG": pcompg,
-        "DMIG": dmig,
-        "PBUSH": _pbush,
-        **dict.fromkeys(added_mass.PAIRS, added_mass.pairs),
-        **dict.fromkeys(added_mass.LISTS, added_mass.lists),
-        "PBEAM": pbeam,
-        "PBCOMP": pbcomp,  # the table is of PBEAM
-        "PBEND": pbend,
-        "PBARL": pbarl,  # the table is of PBAR
-        "PBEAML": pbeaml,  # the table is of PBEAM
-    }
-)
-_SEVERAL = {
-    **dict.fromkeys(("CORD1R", "CORD1C", "CORD1S"), ("G1", "G2", "G3")),
-    "PELAS": ("K", "GE", "S"),
-    "PMASS": ("M",),
-    "PDAMP": ("B",),
-    "PVISC": ("CE", "CR", ""),
+_ROWS: Mapping[str, Callable[[Reader], Iterable[Row]]] = {
+    "SPC": _spc,
+    "MPC": _mpc,
+    "RBE1": rbe1,
+    "RBE3": _rbe3,
+    "RSPLINE": rspline,
+    "GENEL": genel,
+    "CWELD": cweld,
+    **dict.fromkeys(_PITCH, _several),
+    **dict.fromkeys(PLY, laminate),
+    "PBUSH": _pbush,
+    **dict.fromkeys(added_mass.PAIRS, added_mass.pairs),
+    **dict.fromkeys(added_mass.LISTS, added_mass.lists),
+    "PBEAM": pbeam,
+    "PBCOMP": pbcomp,
+    "PBEND": pbend,
+    **dict.fromkeys(MADE, section_properties),
 }
+SPECIAL = frozenset({*_ROWS, "DMIG"})
+_TABLE_OF = {"PBCOMP": "PBEAM", **MADE}  # cards whose table is that of another
+
+
+def special_table(name: str, cards: Sequence[Card], files: Files) -> Table:
+    """The table that cards of one name make.
+
+    Raises
+    ------
+    DeckError
+        On a malformed field.
+    UnsupportedCard
+        If a card is of a form that is not supported.
+    """
+    if name == "DMIG":
+        return dmig(cards, files)
+    rows = [(c, row) for c in cards for row in _ROWS[name](Reader(c, files))]
+    return table_of_rows(_TABLE_OF.get(name, name), rows)
+
+
 _BEAM = (
     "K1",
     "K2",
@@ -284,10 +224,10 @@ def field_place(name: str, fields: Sequence[str], id: int, field: str) -> int | 
     InputError
         If the field is no single field of that card.
     """
-    if name in _SEVERAL:
-        names = ("PID", *_SEVERAL[name])
-        starts = range(0, len(fields), len(names))
-        return next((i + names.index(field) for i in starts if fields[i] == str(id)), None)
+    if name in _PITCH:
+        place = _by_schema(name, field)
+        starts = range(0, len(fields), _PITCH[name])
+        return next((i + place for i in starts if fields[i] == str(id)), None)
     if name in VALUE and field == "VALUE":
         return VALUE[name]
     if name in CARDS:
