@@ -174,7 +174,7 @@ def test_a_file_that_includes_itself(tmp_path: Path) -> None:
         ("CROD,9,1,1,2,3,4", r"CROD: more than 4 data fields"),
         ("PSHELL,9,1,.1\n,,,,30.", r"main\.bdf:6: PSHELL: more than 11 data fields; give THETA"),
         ("SPC1,1,123,5,THRU,x", r"SPC1 field G: 'X' is not an integer"),
-        ("SPC1,1,123,5,THRU,2", "a THRU b needs a <= b"),
+        ("SPC1,1,123,5,THRU,2", "a THRU b BY c needs a <= b"),
         (
             "SPC1,1,12a,1",
             r"main\.bdf:6: SPC1 1 field C: '12A' is no list of components; allowed are the digits 1 to 6",

@@ -21,8 +21,11 @@ from ringtrue.model.model import Table
 from ringtrue.model.sections import FALLBACK, SECTIONS
 
 BETWEEN = ("AX", "I1X", "I2X", "I12X", "JX", "NSMX")
-_TAIL = ("K1", "K2", "S1", "S2", "NSIA", "NSIB")  # CWA and CWB count with SA and SB of a CBEAM only
-_TAIL2 = ("M1A", "M2A", "M1B", "M2B", "N1A", "N2A", "N1B", "N2B")
+# behind the stations; CWA and CWB count with SA and SB of a CBEAM only
+BEAM_TAIL = (
+    *("K1", "K2", "S1", "S2", "NSIA", "NSIB"),
+    *("M1A", "M2A", "M1B", "M2B", "N1A", "N2A", "N1B", "N2B"),
+)
 _STATION = ("YES", "YESA", "NO")
 
 
@@ -63,6 +66,12 @@ def beam_stations(r: Reader) -> tuple[list[tuple[float, int]], int]:
     return found, at
 
 
+def beam_tail_place(field: str) -> int:
+    """Number of a field behind the stations of a PBEAM, from the first of them on."""
+    place = BEAM_TAIL.index(field)
+    return place if place < 6 else place + 2  # CWA, CWB
+
+
 def _place(r: Reader, at: int) -> float:
     x = r.real(at, "X/XB", 1.0)
     if not 0 < x <= 1:
@@ -82,13 +91,12 @@ def _beam_row(r: Reader) -> Row:
                 b: r.real(place + k, b, row[a])
                 for k, (a, b) in enumerate(zip(END_A, END_B, strict=True))
             }
-    row |= {n: r.real(at + k, n, 1.0 if n in ("K1", "K2") else 0.0) for k, n in enumerate(_TAIL)}
-    row |= {n: r.real(at + 8 + k, n, 0.0) for k, n in enumerate(_TAIL2)}
-    if not r.text(at + 5):
-        row["NSIB"] = row["NSIA"]
-    for a, b in (("M1A", "M1B"), ("M2A", "M2B"), ("N1A", "N1B"), ("N2A", "N2B")):
-        if not r.text(at + 8 + _TAIL2.index(b)):
-            row[b] = row[a]
+    for name in BEAM_TAIL:
+        place = at + beam_tail_place(name)
+        blank = 1.0 if name in ("K1", "K2") else 0.0
+        if name.endswith("B"):
+            blank = row[f"{name[:-1]}A"]
+        row[name] = r.real(place, name, blank)
     between = [(x, place) for x, place in stations if x < 1.0]
     inner = {n: [r.real(p + k, n, np.nan) for _, p in between] for k, n in enumerate(BETWEEN)}
     return row | {"X": [x for x, _ in between]} | inner

@@ -245,7 +245,7 @@ class Reader:
         self.files = files
 
     def text(self, i: int) -> str:
-        return self.card.fields[i] if i < len(self.card.fields) else ""
+        return self.card.fields[i] if 0 <= i < len(self.card.fields) else ""
 
     def fail(self, name: str, why: str) -> DeckError:
         c = self.card
@@ -263,6 +263,33 @@ class Reader:
             return whole(t)
         except ValueError:
             raise self.fail(name, f"{t!r} is not an integer") from None
+
+    def integers(self, start: int, name: str, there: Int | None = None) -> list[int]:
+        """Integers from field `start` on, `1 THRU 9 BY 2` written out, of `there` if given; the
+        list ends at a real.
+        """
+        at = [i for i in range(start, len(self.card.fields)) if self.text(i)]
+        out: list[int] = []
+        while at and "." not in self.text(at[0]):
+            first = self.whole(at.pop(0), name)
+            if not at or self.text(at[0]) != "THRU":
+                out.append(first)
+                continue
+            last = self.whole(at[1] if at[1:] else -1, name)
+            at = at[2:]
+            step = 1
+            if at and self.text(at[0]) == "BY":
+                step = self.whole(at[1] if at[1:] else -1, name)
+                at = at[2:]
+            if last < first or step < 1:
+                got = f"{first} THRU {last} BY {step}"
+                raise self.fail(name, f"a THRU b BY c needs a <= b and c >= 1, got {got}")
+            if there is None:
+                out += range(first, last + 1, step)
+            else:
+                inside = (there >= first) & (there <= last) & ((there - first) % step == 0)
+                out += there[inside].tolist()
+        return out
 
     def real(self, i: int, name: str, default: float | None = None) -> float:
         t = self.text(i)

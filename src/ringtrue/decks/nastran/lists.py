@@ -227,26 +227,10 @@ def _list_head(r: Reader) -> Row:
 
 
 def _ids(r: Reader) -> list[int]:
-    """Integers from field 4 on, `a THRU b` and `a THRU b BY c` expanded."""
-    at = [i for i in range(3, len(r.card.fields)) if r.text(i)]
-    if not at:
+    """Integers from field 4 on; the id 0 for ALL."""
+    if "ALL" in r.card.fields[3:]:
+        return [0]
+    ids = r.integers(3, "ID")
+    if not ids:
         raise r.fail("ID", "the list is empty; allowed are ids, THRU, BY and ALL")
-    out: list[int] = []
-    while at:
-        i = at.pop(0)
-        if r.text(i) == "ALL":
-            return [0]
-        if r.text(i) != "THRU" or not out or not at:
-            out.append(r.whole(i, "ID"))
-            continue
-        last = r.whole(at.pop(0), "ID")
-        step = 1
-        if len(at) > 1 and r.text(at[0]) == "BY":
-            step = r.whole(at[1], "ID")
-            at = at[2:]
-        if last < out[-1] or step < 1:
-            raise r.fail(
-                "ID", f"a THRU b BY c needs a <= b and c >= 1, got {out[-1]} THRU {last} BY {step}"
-            )
-        out += range(out[-1] + step, last + 1, step)
-    return out
+    return ids

@@ -11,6 +11,7 @@ from ringtrue.decks.nastran import lists as added_mass
 from ringtrue.decks.nastran.beams import (
     BETWEEN,
     beam_stations,
+    beam_tail_place,
     bend_places,
     cweld,
     dimension_place,
@@ -195,26 +196,6 @@ def special_table(name: str, cards: Sequence[Card], files: Files) -> Table:
     return table_of_rows(_TABLE_OF.get(name, name), rows)
 
 
-_BEAM = (
-    "K1",
-    "K2",
-    "S1",
-    "S2",
-    "NSIA",
-    "NSIB",
-    "CWA",
-    "CWB",
-    "M1A",
-    "M2A",
-    "M1B",
-    "M2B",
-    "N1A",
-    "N2A",
-    "N1B",
-    "N2B",
-)
-
-
 def field_place(name: str, fields: Sequence[str], id: int, field: str) -> int | None:
     """Number (from 0) of a data field of a card with the data fields `fields`; None where it has no
     place.
@@ -305,4 +286,4 @@ def _of_beam(fields: Sequence[str], field: str) -> int | None:
             if 1 <= number <= len(between)
             else None
         )
-    return behind + _BEAM.index(field)
+    return behind + beam_tail_place(field)

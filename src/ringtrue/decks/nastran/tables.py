@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ringtrue.core.arrays import Bool, Int, frozen
 from ringtrue.decks.nastran.cards import Cards
-from ringtrue.decks.nastran.lexer import integers, is_real, reals
+from ringtrue.decks.nastran.lexer import Card, Reader, integers, is_real, reals
 from ringtrue.errors import DeckError
 from ringtrue.model.cards import FieldSpec, columns
 from ringtrue.model.case_control import METHODS
@@ -184,56 +184,17 @@ def _tail(cards: Cards, spec: FieldSpec, rows: Int, cells: Cells, there: Int | N
         text = cells[given & ~special[:, None]][at].decode("latin-1")
         raise fault(cards, int(rows[owner[at]]), f"{text!r} is not an integer", spec.name)
     which = np.flatnonzero(special)
-    lists = [
-        _expanded(cards, int(rows[i]), cells[i][given[i]].tolist(), spec.name, there) for i in which
-    ]
+    lists = [np.empty(0, dtype=np.int64)]
+    for i in which.tolist():
+        file, line = cards.places(rows[i])
+        fields = np.char.decode(cells[i], "latin-1").tolist()
+        card = Card(cards.name[rows[i]].decode(), fields, int(file), int(line))
+        found = Reader(card, cards.deck.files).integers(0, spec.name, there)
+        lists.append(np.array(found, dtype=np.int64))
     values = np.concatenate([values, *lists])
-    owner = np.concatenate([owner, np.repeat(which, [x.size for x in lists])])
+    owner = np.concatenate([owner, np.repeat(which, [x.size for x in lists[1:]])])
     count = np.bincount(owner, minlength=rows.size)
     return Ragged(values[np.argsort(owner, kind="stable")], np.concatenate([[0], np.cumsum(count)]))
-
-
-def _expanded(
-    cards: Cards, card: int, words: Sequence[bytes], field: str, there: Int | None
-) -> Int:
-    """`1 THRU 9 BY 2` as integers, of `there` if given; the list ends at a real."""
-    out = [np.empty(0, dtype=np.int64)]
-    i = 0
-    while i < len(words) and b"." not in words[i]:
-        first = last = _whole(cards, card, words[i], field)
-        step = 1
-        i = i + 1
-        if words[i : i + 1] == [b"THRU"]:
-            last = _whole(cards, card, words[i + 1] if words[i + 1 :] else b"", field)
-            i = i + 2
-            if words[i : i + 1] == [b"BY"]:
-                step = _whole(cards, card, words[i + 1] if words[i + 1 :] else b"", field)
-                i = i + 2
-            if last < first or step < 1:
-                raise fault(
-                    cards,
-                    card,
-                    f"a THRU b needs a <= b, got {b' '.join(words).decode('latin-1')}",
-                    field,
-                )
-            if there is not None:
-                out.append(
-                    there[(there >= first) & (there <= last) & ((there - first) % step == 0)]
-                )
-                continue
-        out.append(np.arange(first, last + 1, step))
-    return np.concatenate(out)
-
-
-def _whole(cards: Cards, card: int, word: bytes, field: str) -> int:
-    value, good = (
-        integers(np.array([word], dtype=np.bytes_))
-        if word
-        else (np.zeros(1), np.zeros(1, dtype=bool))
-    )
-    if not good[0]:
-        raise fault(cards, card, f"{word.decode('latin-1')!r} is not an integer", field)
-    return int(value[0])
 
 
 # of any unit: the product of six fields stays below 1.8e308, the largest double; 1/LARGEST the

@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ringtrue.core.arrays import Float
-from ringtrue.decks.nastran.beams import WELD_ENDS, WELD_POINT, WELD_TYPES, bend_places
-from ringtrue.decks.nastran.lists import BUSH
+from ringtrue.decks.nastran.beams import (
+    BEAM_TAIL,
+    BETWEEN,
+    WELD_ENDS,
+    WELD_POINT,
+    WELD_TYPES,
+    bend_places,
+)
+from ringtrue.decks.nastran.lexer import real
+from ringtrue.decks.nastran.lists import BUSH, LISTS, PAIRS, PLY
 from ringtrue.errors import InputError, UnsupportedError
 from ringtrue.model.cards import CARDS, END_A, END_B, MADE, FieldSpec, columns
 from ringtrue.model.case_control import METHODS
-from ringtrue.model.model import Model, Table
+from ringtrue.model.model import Model, Ragged, Table
 
 Value = int | float | str | None
 
@@ -124,14 +132,21 @@ def large_card(card: str, fields: Sequence[Value]) -> str:
     return text if text.count("\n") % 2 == 0 else text + "*\n"
 
 
-def _rows(t: Table, *names: str) -> Iterator[tuple[Any, ...]]:
-    """Values of plain columns, row by row."""
-    return zip(*(t[name].tolist() for name in names), strict=True)
+Row = Mapping[str, Any]  # of a table: numbers, texts, and lists of ragged columns
 
 
-def _entries(t: Table, row: int, *names: str) -> list[tuple[Any, ...]]:
-    """Values of ragged columns of equal length, entry by entry of one row."""
-    return list(zip(*(t.ragged(name).row(row).tolist() for name in names), strict=True))
+def _rows(table: Table) -> Iterator[Row]:
+    for i in range(len(table)):
+        row = {}
+        for name, column in table.columns.items():
+            value = column.row(i) if isinstance(column, Ragged) else column[i]
+            row[name] = value.tolist()
+        yield row
+
+
+def _terms(row: Row, *names: str) -> list[tuple[Any, ...]]:
+    """Entries of ragged columns of equal length, side by side."""
+    return list(zip(*(row[name] for name in names), strict=True))
 
 
 def _real(value: float) -> float | None:
@@ -139,179 +154,158 @@ def _real(value: float) -> float | None:
     return None if np.isnan(value) else float(value)
 
 
-def _spc(t: Table) -> Iterator[str]:
-    for sid, g, c, d in _rows(t, "SID", "G", "C", "D"):
-        yield format_card("SPC", (sid, g, c if c != "0" else None, d))
+def _filled(fields: list[Value]) -> list[Value]:
+    """The fields and blanks up to the end of their line."""
+    return [*fields, *[None] * (-len(fields) % 8)]
 
 
-def _mpc(t: Table) -> Iterator[str]:
-    for i, sid in enumerate(t["SID"].tolist()):
-        fields: list[Value] = [sid]
-        for k, (node, component, factor) in enumerate(_entries(t, i, "G", "C", "A")):
-            if k and k % 2 == 0:  # two terms on a pair of lines
-                fields += [None, None]
-            fields += [node, component or None, factor]
-        yield large_card("MPC", fields)
+def _spc(row: Row) -> list[Value]:
+    component = row["C"] if row["C"] != "0" else None
+    return [row["SID"], row["G"], component, row["D"]]
 
 
-def _rbe3(t: Table) -> Iterator[str]:
-    dependent = [name for name in ("GM", "CM") if name in t.columns]
-    for i, (eid, ref, refc) in enumerate(_rows(t, "EID", "REFGRID", "REFC")):
-        fields: list[Value] = [eid, None, ref, refc]
-        before: tuple[float, str] | None = None
-        for node, comp, weight in _entries(t, i, "G", "C", "WT"):
-            if (weight, comp) != before:
-                fields += [weight, comp]
-                before = (weight, comp)
-            fields.append(node)
-        for k, pair in enumerate(_entries(t, i, *dependent)):
+def _mpc(row: Row) -> list[Value]:
+    fields: list[Value] = [row["SID"]]
+    for k, (node, component, factor) in enumerate(_terms(row, "G", "C", "A")):
+        if k and k % 2 == 0:  # two terms on a pair of lines
+            fields += [None, None]
+        fields += [node, component or None, factor]
+    return fields
+
+
+def _rbe3(row: Row) -> list[Value]:
+    fields: list[Value] = [row["EID"], None, row["REFGRID"], row["REFC"]]
+    before: tuple[float, str] | None = None
+    for node, component, weight in _terms(row, "G", "C", "WT"):
+        if (weight, component) != before:
+            fields += [weight, component]
+            before = (weight, component)
+        fields.append(node)
+    if "GM" in row:
+        for k, pair in enumerate(_terms(row, "GM", "CM")):
             if k % 3 == 0:  # UM opens a line, three pairs stand on each
-                fields += [*[None] * (-len(fields) % 8), None if k else "UM"]
+                fields = [*_filled(fields), None if k else "UM"]
             fields += pair
-        yield format_card("RBE3", fields)
+    return fields
 
 
-def _pbush(t: Table) -> Iterator[str]:
-    for i, pid in enumerate(t["PID"].tolist()):
-        lines: list[list[Value]] = []
-        for flag, names in BUSH.items():
-            values = [float(t[n][i]) for n in names if n in t.columns]
-            if np.nan_to_num(values).any():
-                if flag != "GE":  # a 0 in GE counts
-                    values = [v or np.nan for v in values]
-                lines.append([flag, *map(_real, values), *[None] * (6 - len(values))])
-        first, *others = lines or [["K"]]
-        fields: list[Value] = [pid, *first]
-        for line in others:
-            fields += [None, *line]
-        yield large_card("PBUSH", fields)
+def _pbush(row: Row) -> list[Value]:
+    fields: list[Value] = []
+    for flag, names in BUSH.items():
+        values = [float(row[name]) for name in names if name in row]
+        if np.nan_to_num(values).any():
+            if flag != "GE":  # a 0 in GE counts
+                values = [v or np.nan for v in values]
+            fields = [*_filled(fields), None, flag, *map(_real, values)]
+    return [row["PID"], *(fields[1:] or ["K"])]
 
 
-_BEAM_X = ("X", "AX", "I1X", "I2X", "I12X", "JX", "NSMX")
-_BEAM_TAIL = ("K1", "K2", "S1", "S2", "NSIA", "NSIB")
-_BEAM_AXIS = ("M1A", "M2A", "M1B", "M2B", "N1A", "N2A", "N1B", "N2B")
-
-
-def _pbeam(t: Table) -> Iterator[str]:
-    ends_a, ends_b, tail, axis = (
-        t.stack(*names).astype(float).tolist() for names in (END_A, END_B, _BEAM_TAIL, _BEAM_AXIS)
-    )
-    along = [name for name in _BEAM_X if name in t.columns]
+def _pbeam(row: Row) -> list[Value]:
+    ends_a, ends_b, tail = ([float(row[n]) for n in names] for names in (END_A, END_B, BEAM_TAIL))
     blank: list[Value] = [None] * 8
-    for i, head in enumerate(_rows(t, "PID", "MID")):
-        fields: list[Value] = [*head, *ends_a[i], *blank]
-        for station in _entries(t, i, *along):
-            fields += ["NO", *map(_real, station)]
-        fields += ["YES", 1.0, *ends_b[i], *blank]
-        fields += [*tail[i], None, None, *axis[i]]
-        yield large_card("PBEAM", fields)
+    fields: list[Value] = [row["PID"], row["MID"], *ends_a, *blank]
+    along = [name for name in ("X", *BETWEEN) if name in row]
+    for station in _terms(row, *along):
+        fields += ["NO", *map(_real, station)]
+    fields += ["YES", 1.0, *ends_b, *blank]
+    return [*fields, *tail[:6], None, None, *tail[6:]]
 
 
-def _pbend(t: Table) -> Iterator[str]:
-    for i, pipe in enumerate((t["FSI"] > 0).tolist()):
-        at = bend_places(["", "", "1" if pipe else ""])
-        fields: list[Value] = [int(t["PID"][i]), int(t["MID"][i]), *[None] * max(at.values())]
-        for name, k in at.items():
-            fields[k] = int(t[name][i]) if name == "FSI" else _real(t[name][i])
-        yield large_card("PBEND", fields)
+def _pbend(row: Row) -> list[Value]:
+    at = bend_places(["", "", "1" if row["FSI"] > 0 else ""])
+    fields: list[Value] = [row["PID"], row["MID"], *[None] * max(at.values())]
+    for name, k in at.items():
+        fields[k] = row["FSI"] if name == "FSI" else _real(row[name])
+    return fields
 
 
-def _nsm_pairs(t: Table) -> Iterator[str]:
-    for row in _rows(t, "SID", "TYPE", "ID", "VALUE"):
-        yield large_card(t.card, row)
+def _nsm_pair(row: Row) -> list[Value]:
+    return [row["SID"], row["TYPE"], row["ID"], row["VALUE"]]
 
 
-def _nsm_lists(t: Table) -> Iterator[str]:
-    for i, head in enumerate(_rows(t, "SID", "TYPE", "VALUE")):
-        ids = t.ragged("ID").row(i).tolist()
-        yield large_card(t.card, [*head, *(g or "ALL" for g in ids)])
+def _nsm_list(row: Row) -> list[Value]:
+    return [row["SID"], row["TYPE"], row["VALUE"], *(g or "ALL" for g in row["ID"])]
 
 
-def _rbe1(t: Table) -> Iterator[str]:
-    for i, eid in enumerate(t["EID"].tolist()):
-        fields: list[Value] = [eid]
-        for flag, names in ((None, ("GN", "CN")), ("UM", ("GM", "CM"))):
-            terms = _entries(t, i, *names)
-            for k in range(0, len(terms), 3):  # three on a line, behind the number, UM or a blank
-                if flag or k:
-                    fields.append(None if k else flag)
-                fields += [v for term in terms[k : k + 3] for v in term]
-                fields += [None] * (-len(fields) % 8)
-        yield format_card("RBE1", fields)
+def _rbe1(row: Row) -> list[Value]:
+    fields: list[Value] = [row["EID"]]
+    for flag, names in ((None, ("GN", "CN")), ("UM", ("GM", "CM"))):
+        terms = _terms(row, *names)
+        for k in range(0, len(terms), 3):  # three on a line, behind the number, UM or a blank
+            if flag or k:
+                fields.append(None if k else flag)
+            fields += [v for term in terms[k : k + 3] for v in term]
+            fields = _filled(fields)
+    return fields
 
 
-def _rspline(t: Table) -> Iterator[str]:
-    for i, (eid, ratio) in enumerate(_rows(t, "EID", "DL")):
-        first, *others = _entries(t, i, "G", "C")
-        rest = (v or None for pair in others for v in pair)
-        yield format_card("RSPLINE", [eid, ratio, first[0], *rest])
+def _rspline(row: Row) -> list[Value]:
+    first, *others = _terms(row, "G", "C")
+    return [row["EID"], row["DL"], first[0], *(v or None for pair in others for v in pair)]
 
 
-def _genel(t: Table) -> Iterator[str]:
-    for i, (eid, form) in enumerate(_rows(t, "EID", "FORM")):
-        ui, ud = ([v for pair in _entries(t, i, f"U{k}", f"C{k}") for v in pair] for k in "ID")
-        kz, s = (t.ragged(name).row(i).tolist() for name in ("KZ", "S"))
-        fields: list[Value] = [eid, None, *ui]
-        for name, values in (("UD", [None, *ud] if ud else []), (form, kz), ("S", s)):
-            if values:
-                fields += [*[None] * (-len(fields) % 8), name, *values]
-        yield large_card("GENEL", fields)
+def _genel(row: Row) -> list[Value]:
+    ui, ud = ([v for pair in _terms(row, f"U{k}", f"C{k}") for v in pair] for k in "ID")
+    fields: list[Value] = [row["EID"], None, *ui]
+    blocks = (("UD", [None, *ud] if ud else []), (row["FORM"], row["KZ"]), ("S", row["S"]))
+    for name, values in blocks:
+        if values:
+            fields = [*_filled(fields), name, *values]
+    return fields
 
 
-def _laminate(t: Table) -> Iterator[str]:
-    names = (("GPLYID",) if t.card == "PCOMPG" else ()) + ("MID", "T", "THETA", "SOUT")
-    head = ("PID", "Z0", "NSM", "SB", "FT", "TREF", "GE", "LAM")
-    for i, (pid, z0, nsm, sb, ft, tref, ge, lam) in enumerate(_rows(t, *head)):
-        fields: list[Value] = [pid, _real(z0), float(nsm), float(sb), ft or None]
-        fields += [float(tref), float(ge), lam or None]
-        for ply in _entries(t, i, *names):
-            fields += [*ply, *([None] * 3 if t.card == "PCOMPG" else [])]
-        yield large_card(t.card, fields)
+def _laminate(row: Row) -> list[Value]:
+    fields: list[Value] = [row["PID"], _real(row["Z0"]), float(row["NSM"]), float(row["SB"])]
+    fields += [row["FT"] or None, float(row["TREF"]), float(row["GE"]), row["LAM"] or None]
+    numbered = "GPLYID" in row  # PCOMPG: a ply takes a line
+    for ply in _terms(row, *PLY["PCOMPG" if numbered else "PCOMP"]):
+        fields += ply
+        if numbered:
+            fields = _filled(fields)
+    return fields
 
 
-def _dmig(t: Table) -> Iterator[str]:
-    head = ("NAME", "IFO", "TIN", "TOUT", "POLAR", "NCOL")
-    term = ("GJ", "CJ", "GI", "CI", "A", "B")
-    for i, (name, *kinds, count) in enumerate(_rows(t, *head)):
-        yield format_card("DMIG", (name, 0, *(k or None for k in kinds), None, count or None))
+def _dmig(table: Table) -> Iterator[str]:
+    for row in _rows(table):
+        name = row["NAME"]
+        kinds = [row[k] or None for k in ("IFO", "TIN", "TOUT", "POLAR")]
+        yield format_card("DMIG", [name, 0, *kinds, None, row["NCOL"] or None])
         by_column: dict[tuple[int, int], list[Value]] = {}
-        for gj, cj, gi, ci, a, b in _entries(t, i, *term):
+        for gj, cj, gi, ci, a, b in _terms(row, "GJ", "CJ", "GI", "CI", "A", "B"):
             by_column.setdefault((gj, cj), []).extend((gi, ci, float(a), float(b) or None))
         for column, terms in sorted(by_column.items()):
-            yield large_card("DMIG", (name, *column, None, *terms))
+            yield large_card("DMIG", [name, *column, None, *terms])
 
 
-def _cweld(t: Table) -> Iterator[str]:
-    """The cards of a table."""
-    for i, kind in enumerate(t["TYPE"].tolist()):
-        fields: list[Value] = [None] * 24
-        fields[1], fields[3], fields[6] = int(t["PID"][i]), kind, str(t["SPTYP"][i]) or None
-        for name, k in (WELD_ENDS | WELD_TYPES[kind]).items():
-            fields[k] = int(t[name][i]) or None
-        for name, k in WELD_POINT.items():
-            if not np.isnan(t[name][i]):  # else the place is that of a corner
-                fields[k] = float(t[name][i])
-        yield format_card("CWELD", fields)
+def _cweld(row: Row) -> list[Value]:
+    fields: list[Value] = [None] * 24
+    fields[1] = row["PID"]
+    fields[3] = row["TYPE"]
+    fields[6] = row["SPTYP"] or None
+    for name, k in (WELD_ENDS | WELD_TYPES[row["TYPE"]]).items():
+        fields[k] = row[name] or None
+    for name, k in WELD_POINT.items():
+        if not np.isnan(row[name]):  # else the place is that of a corner
+            fields[k] = row[name]
+    return fields
 
 
-SPECIAL: dict[str, Callable[[Table], Iterator[str]]] = {
+_SMALL: dict[str, Callable[[Row], list[Value]]] = {  # in small fields
     "SPC": _spc,
-    "MPC": _mpc,
     "RBE3": _rbe3,
+    "RBE1": _rbe1,
+    "RSPLINE": _rspline,
+    "CWELD": _cweld,
+}
+_LARGE: dict[str, Callable[[Row], list[Value]]] = {
+    "MPC": _mpc,
     "PBUSH": _pbush,
     "PBEAM": _pbeam,
     "PBEND": _pbend,
-    "NSM": _nsm_pairs,
-    "NSML": _nsm_pairs,
-    "NSM1": _nsm_lists,
-    "NSML1": _nsm_lists,
-    "RBE1": _rbe1,
-    "RSPLINE": _rspline,
+    **dict.fromkeys(PAIRS, _nsm_pair),
+    **dict.fromkeys(LISTS, _nsm_list),
     "GENEL": _genel,
-    "CWELD": _cweld,
-    "PCOMP": _laminate,
-    "PCOMPG": _laminate,
-    "DMIG": _dmig,
+    **dict.fromkeys(PLY, _laminate),
 }
 NOT_MODEL = frozenset(METHODS)  # the caller's choice, not the model's
 Text = NDArray[np.str_]
@@ -351,8 +345,12 @@ def write_bulk(model: Model, *, without: Collection[str] = NOT_MODEL) -> str:
 def _cards(table: Table) -> Iterator[str]:
     if not len(table) or table.card in MADE:  # the PBAR or PBEAM is written in its place
         return
-    if table.card in SPECIAL:
-        yield "".join(SPECIAL[table.card](table))
+    if table.card in _SMALL:
+        yield from (format_card(table.card, _SMALL[table.card](row)) for row in _rows(table))
+    elif table.card in _LARGE:
+        yield from (large_card(table.card, _LARGE[table.card](row)) for row in _rows(table))
+    elif table.card == "DMIG":
+        yield from _dmig(table)
     elif table.card in CARDS:
         yield from _uniform(table)
     else:
@@ -424,22 +422,12 @@ def _exact(table: Table, specs: Sequence[FieldSpec], small: Text) -> bool:
         if spec.kind == "f":
             text, first = np.unique(small[:, j], return_index=True)
             given = text != ""
-            back = np.array([_value(t) for t in text[given].tolist()])
+            back = np.array([real(t) for t in text[given].tolist()])
             if (back != table[spec.name][first[given]]).any():
                 return False
             if np.unique(table[spec.name]).size > text.size:
                 return False
     return True
-
-
-def _value(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:  # 1.2-8
-        sign = text[0] if text[0] in "+-" else ""
-        body = text.lstrip("+-")
-        cut = max(body.rfind("+"), body.rfind("-"))
-        return float(f"{sign}{body[:cut]}e{body[cut:]}") if cut > 0 else float("inf")
 
 
 def _lines(card: str, cells: Text, width: int) -> str:
